@@ -1,0 +1,176 @@
+"""Every setting of dynappo, with its unit, its default and its source.
+
+Robot files (`go1.py`, ...) start from this one and set differences only. A field that is a float
+can be changed, or swept under `jax.vmap`, without compiling again; any other field is part of the
+program. Sources: "paper" is Learning to Walk With Less; "IL" is Isaac Lab 2.2.1, "RSL" rsl-rl-lib 3.0.1.
+
+Variants, appended to the file name as in `configs/go1.py:ppo16`:
+
+| variant            | rows N | tail N_s                    | source                     |
+|--------------------|--------|-----------------------------|----------------------------|
+| `ppo12`            | 12     | none                        | paper, Table III           |
+| `ppo16`            | 16     | none                        | paper, Table III           |
+| `dyna2`            | 16     | 2                           | paper, Table III           |
+| `dyna4_noschedule` | 16     | 4                           | paper, Table III           |
+| `dyna4` (default)  | 16     | 0 to 4 over iterations 0-100| paper, Table III           |
+| `fast`             | 16     | as dyna4                    | 5 epochs after 50, bfloat16|
+| `quick`            | 24     | 0 to 4                      | two CPU cores, two minutes |
+"""
+
+from ml_collections import config_dict
+
+# variant -> horizon, (start_iteration, end_iteration, start_steps, end_steps)
+PAPER = {
+    "ppo12": (12, (0, 0, 0, 0)),
+    "ppo16": (16, (0, 0, 0, 0)),
+    "dyna2": (16, (0, 0, 2, 2)),
+    "dyna4_noschedule": (16, (0, 0, 4, 4)),
+    "dyna4": (16, (0, 100, 0, 4)),
+}
+VARIANTS = (*PAPER, "fast", "quick")
+
+
+def get_config(variant: str = "") -> config_dict.ConfigDict:
+    """The defaults; robot files call `apply_variant` after their own differences."""
+    optional = config_dict.placeholder  # None until set: "as task.formulation says"
+    config = config_dict.create(
+        robot="go1",  # a folder of robots/
+        run=dict(
+            seed=0,
+            num_seeds=1,  # seeds trained at once by jax.vmap
+            num_iterations=500,  # paper
+            log_every=10,  # iterations in one compiled call, and between two looks at the metrics
+            checkpoint_every=100,  # iterations; a multiple of log_every; 0: only the last
+            eval_every=0,  # iterations; a multiple of log_every; 0: only at the end
+            eval_envs=1000,  # robots of an evaluation, one episode each; 0: none
+            video_seconds=12.0,  # s of film after training; 0: none
+            device="auto",  # "auto", "cpu" or "gpu"
+        ),
+        rollout=dict(
+            num_envs=4096,  # R; paper
+            horizon=16,  # N = N_r + N_s; paper
+        ),
+        schedule=dict(  # paper, eq. 5; all zero is plain PPO
+            start_iteration=0,  # a
+            end_iteration=100,  # b
+            start_steps=0,  # x
+            end_steps=4,  # y
+        ),
+        model=dict(
+            hidden=(256, 256, 256, 256),  # paper, Table II
+            activation="elu",
+            learning_rate=3e-3,  # paper, Table II
+            epochs=25,  # paper, Table II
+            late_epochs=optional(int),  # epochs after iteration late_from; None: the same
+            late_from=50,
+            minibatches=4,  # gradient steps of an epoch when all N rows are real
+            huber_delta=1.0,  # in units of the (normalised) target
+            predict_change=True,  # the target is the change of state; False: the next state
+            normalize=True,  # scale inputs and targets by running moments; False: raw numbers
+            stats_decay=0.95,  # weight of the old moments, an iteration
+            precision="highest",  # "highest" (float32), "tf32" or "bfloat16"
+        ),
+        ppo=dict(  # RSL, IL agents/rsl_rl_ppo_cfg.py, and the paper's appendix
+            hidden=(128, 128, 128),
+            activation="elu",
+            init_std=1.0,  # of the Gaussian policy, in units of the action
+            min_std=0.01,
+            learning_rate=1e-3,
+            adaptive=True,  # the KL adapts the learning rate, at every minibatch
+            desired_kl=0.01,
+            min_learning_rate=1e-5,
+            max_learning_rate=1e-2,
+            epochs=5,
+            minibatches=4,
+            shuffle_blocks=8,  # rows are permuted inside this many blocks of robots
+            clip_epsilon=0.2,
+            clip_value=True,
+            value_coef=1.0,
+            entropy_coef=0.01,
+            gamma=0.99,
+            lambda_=0.95,
+            max_grad_norm=1.0,
+            precision="highest",
+        ),
+        task=dict(
+            formulation="isaaclab",  # or "paper_text": the formulas as the paper prints them
+            tracking_std=optional(float),  # m/s, rad/s; isaaclab 0.5, paper_text 1.0
+            air_time=optional(str),  # isaaclab "touchdown", paper_text "indicator"
+            episode_length=1000,  # control steps, 20 s; IL
+            random_clock=True,  # episodes start at random ages, so that time-outs spread; IL
+            action_scale=0.25,  # rad per unit of action; IL
+            kp=25.0,  # N m/rad
+            kd=0.5,  # N m s/rad
+            effort_limit=23.7,  # N m
+            saturation_effort=23.7,  # N m, torque of the motor at standstill
+            velocity_limit=30.0,  # rad/s, speed of the motor without load
+            command_x=(-1.0, 1.0),  # m/s; paper and IL
+            command_y=(-1.0, 1.0),  # m/s
+            command_yaw=(-1.0, 1.0),  # rad/s
+            weights=dict(  # 1/s: each term is multiplied by its weight and by 0.02 s
+                track_linear_velocity=1.5,
+                track_yaw_rate=0.75,
+                vertical_velocity=-2.0,
+                roll_pitch_rate=-0.05,
+                flat_orientation=-2.5,
+                joint_torques=-2e-4,
+                joint_accelerations=-2.5e-7,
+                action_rate=-0.01,
+                feet_air_time=0.25,
+                undesired_contacts=0.0,
+            ),
+            noise=dict(  # half width of the uniform noise on each part of the observation; IL
+                joint_pos=0.01,  # rad
+                joint_vel=1.5,  # rad/s
+                gravity=0.05,
+                linear_velocity=0.1,  # m/s
+                angular_velocity=0.2,  # rad/s
+            ),
+            reset=dict(  # IL
+                spawn_height=0.4,  # m
+                foot_clearance=0.01,  # m, at least this much air below the lowest foot
+                position=0.5,  # m, half width in x and y
+                yaw=3.14,  # rad, half width
+                velocity=0.0,  # m/s and rad/s, half width on all six axes
+                joint_scale=(1.0, 1.0),  # default pose times uniform(...), per joint
+            ),
+            randomize=dict(  # per robot, drawn once
+                base_mass=(-1.0, 3.0),  # kg, added to the base; IL
+                base_com=(0.0, 0.0, 0.0),  # m, half widths in x, y, z
+                friction=(0.8, 0.8),  # of the feet
+                kp_scale=(1.0, 1.0),
+                kd_scale=(1.0, 1.0),
+            ),
+        ),
+        physics=dict(
+            impl="auto",  # "warp" on an NVIDIA GPU with warp-lang, else "jax"
+            contacts="feet",  # only feet touch the floor; other parts end the episode first
+            timestep=0.005,  # s; IL
+            substeps=4,  # physics steps in a control step; IL
+            iterations=4,  # of the constraint solver
+            ls_iterations=8,  # of its line search
+        ),
+    )
+    apply_variant(config, variant)
+    return config.lock()
+
+
+def apply_variant(config: config_dict.ConfigDict, variant: str) -> config_dict.ConfigDict:
+    """Set what the variant (see the module's table) changes; an unknown name is a ValueError."""
+    if variant and variant not in VARIANTS:
+        raise ValueError(f"variant {variant!r} is not one of {', '.join(VARIANTS)}")
+    if variant in PAPER:
+        horizon, (a, b, x, y) = PAPER[variant]
+        config.rollout.horizon = horizon
+        config.schedule.update(start_iteration=a, end_iteration=b, start_steps=x, end_steps=y)
+    elif variant == "fast":
+        config.model.update(late_epochs=5, late_from=50, precision="bfloat16")
+    elif variant == "quick":
+        # The default kernel (std 0.5) first makes episodes shorter, because a fall ends negative
+        # rewards; std 1 lets a robot learn within two minutes of two CPU cores.
+        config.task.tracking_std = 1.0
+        config.rollout.update(num_envs=256, horizon=24)
+        config.schedule.update(start_iteration=0, end_iteration=40, start_steps=0, end_steps=4)
+        config.model.update(epochs=2, minibatches=8)
+        config.run.update(num_iterations=60, log_every=2, eval_envs=32, video_seconds=6.0)
+    return config

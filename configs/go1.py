@@ -1,0 +1,19 @@
+"""Unitree Go1, flat ground, velocity commands (Isaac-Velocity-Flat-Unitree-Go1-v0).
+
+    python -m dynappo.train --config=configs/go1.py
+
+`:quick` trains on two CPU cores in two minutes (with tracking std 1: the default kernel makes
+episodes shorter before it makes them longer); the other variants are the paper's (see default.py).
+"""
+
+import pathlib
+import runpy
+
+default = runpy.run_path(str(pathlib.Path(__file__).with_name("default.py")))
+
+
+def get_config(variant=""):
+    """The defaults are Go1's."""
+    config = default["get_config"]()
+    config.robot = "go1"
+    return default["apply_variant"](config, variant)

@@ -1,0 +1,30 @@
+"""From a policy's action to joint torques: PD control and the limits of a DC motor.
+
+Written once for NumPy and jax.numpy; units are rad, rad/s and N m. The formula of the limit is
+that of Isaac Lab 2.2.1 (isaaclab/actuators/actuator_pd.py, class DCMotor, since 2025-07).
+"""
+
+
+def target(action, default_pose, scale):
+    """Joint position target (rad) of an action `[A]`: default pose plus `scale` x action."""
+    return default_pose + scale * action
+
+
+def pd(q_target, q, qd, kp, kd):
+    """Torque of an explicit PD controller with zero target velocity, before any limit."""
+    return kp * (q_target - q) - kd * qd
+
+
+def clip_dc_motor(torque, qd, *, effort_limit, saturation_effort, velocity_limit):
+    """Torque that a DC motor can give at joint speed `qd`.
+
+    With v = qd clipped to +-vmax (1 + effort / sat):
+    upper = min(sat (1 - v / vmax), effort), lower = max(sat (-1 - v / vmax), -effort).
+    A motor that turns faster than vmax can only brake.
+    """
+    xp = qd.__array_namespace__()
+    v_max = velocity_limit * (1 + effort_limit / saturation_effort)
+    slope = xp.clip(qd, -v_max, v_max) / velocity_limit
+    upper = xp.clip(saturation_effort * (1 - slope), None, effort_limit)
+    lower = xp.clip(saturation_effort * (-1 - slope), -effort_limit, None)
+    return xp.clip(torque, lower, upper)

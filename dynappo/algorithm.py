@@ -1,0 +1,206 @@
+"""Learning to walk with less: PPO whose rollout tails are written by a learned model. Start here.
+
+`iterate` is the paper's Algorithm 1, line by line; `run` repeats it over the schedule in one compiled
+program; `init` makes the state it starts from. All are pure functions of an `Env`:
+
+    config = config_lib.validate(config_lib.load("configs/go1.py"))
+    static, hyper = config_lib.split(config)
+    env = env_lib.make(robot.load(config.robot), config.task, config.physics)
+    state = algorithm.init(env, hyper, jax.random.key(0), static=static)
+    state, metrics = algorithm.run(env, hyper, state, schedule.columns(config), static=static)
+
+Seeds are `jax.vmap(..., in_axes=(None, 0, None))` over `(hyper, state, columns)`: the columns stay
+unbatched, because the number of real rows bounds a loop (rollout.py).
+
+Anchoring: the tail starts at the observation after the last real row and never touches the state of
+physics, from which the next iteration goes on.
+
+Every random number comes from `fold_in` of the run's key with the iteration, a purpose, the row and
+the robot's global index. So two chunks equal one run, and a row does not depend on N_r.
+"""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Int, PRNGKeyArray
+
+from dynappo import dynamics, gae, networks, ppo, rollout, schedule
+from dynappo.types import Env, Metrics, TrainState, Transition
+
+# purposes of random numbers
+ROWS, FIT, UPDATE, ACTION, STEP, RESET = range(6)
+RETURNS = 100  # finished episodes in the mean return, as rsl_rl's on_policy_runner
+
+
+def init(env: Env, hyper, key: PRNGKeyArray, *, static) -> TrainState:
+    """Untrained networks and R robots, each with its own physical parameters, at their start."""
+    policy_key, model_key, physics_key, reset_key, run_key = jax.random.split(key, 5)
+    robot_index = jnp.arange(static.rollout.num_envs)
+    per_robot = jax.vmap(jax.random.fold_in, (None, 0))
+    params_physics = jax.vmap(env.randomize, (None, 0))(
+        hyper.task, per_robot(physics_key, robot_index)
+    )
+    env_state = jax.vmap(env.reset, (None, 0, 0))(
+        hyper.task, params_physics, per_robot(reset_key, robot_index)
+    )
+    return TrainState(
+        learner=ppo.init(static.ppo, hyper.ppo, env.obs_size, env.action_size, policy_key),
+        model=dynamics.init(static.model, env, model_key) if schedule.uses_model(static) else None,
+        env_state=env_state,
+        params_physics=params_physics,
+        robot_index=robot_index,
+        returns=jnp.full(RETURNS, jnp.nan),
+        lengths=jnp.full(RETURNS, jnp.nan),
+        key=run_key,
+    )
+
+
+def iterate(
+    env: Env, hyper, state: TrainState, columns: dict[str, Int[Array, ""]], *, static
+) -> tuple[TrainState, Metrics]:
+    """One iteration of the paper's Algorithm 1; `columns` is one row of `schedule.columns`."""
+    horizon, num_envs = static.rollout.horizon, static.rollout.num_envs
+    n_real = columns["n_real"]
+    key = jax.random.fold_in(state.key, columns["iteration"])
+    keys = rollout.row_keys(jax.random.fold_in(key, ROWS), state.robot_index)
+    params = state.learner.params
+
+    def act(obs, keys):
+        mean, std = networks.policy(static.ppo, params, obs), params["std"]
+        keys = jax.vmap(jax.random.fold_in, (0, None))(keys, ACTION)
+        noise = jax.vmap(lambda k: jax.random.normal(k, std.shape))(keys)
+        action = mean + std * noise
+        log_prob = networks.log_prob(mean, std, action)
+        return action, mean, log_prob, networks.value(static.ppo, params, obs)
+
+    # Collect N_r steps with physics, from where the last physics step ended
+    buffer = rollout.allocate(env, horizon, num_envs)
+    buffer, env_state, sums = rollout.fill(
+        buffer,
+        jnp.zeros_like(n_real),
+        n_real,
+        state.env_state,
+        keys,
+        act=act,
+        step=physics_step(env, hyper.task, state.params_physics),
+        metrics=env.metrics,
+    )
+
+    # Train the transition model on them, and let it write the tail of N_s = N - N_r steps
+    model, model_metrics = state.model, {}
+    if model is not None:
+        model, model_metrics = dynamics.fit(
+            static.model,
+            hyper.model,
+            env,
+            model,
+            buffer,
+            n_real,
+            columns["model_epochs"],
+            jax.random.fold_in(key, FIT),
+        )
+        buffer, _, _ = rollout.fill(
+            buffer,
+            n_real,
+            jnp.full_like(n_real, horizon),
+            dynamics.TailState(obs=env_state.obs),
+            keys,
+            act=act,
+            step=lambda tail, action, _: dynamics.step(static.model, env, model, tail, action),
+        )
+
+    # Update the policy by PPO on real and synthetic rows alike
+    with jax.default_matmul_precision("highest"):
+        bootstrap = networks.value(static.ppo, params, buffer.next_obs)
+        ends = (buffer.truncation == 1).at[-1].set(True)
+        bootstrap = jnp.where(ends, bootstrap, jnp.roll(buffer.value, -1, axis=0))
+        advantages, returns = gae.gae(
+            buffer.reward,
+            buffer.discount,
+            buffer.truncation,
+            buffer.value,
+            bootstrap,
+            gamma=hyper.ppo.gamma,
+            lambda_=hyper.ppo.lambda_,
+        )
+    batch = ppo.Batch(
+        obs=buffer.obs,
+        action=buffer.action,
+        action_mean=buffer.action_mean,
+        log_prob=buffer.log_prob,
+        value=buffer.value,
+        advantages=advantages,
+        returns=returns,
+    )
+    learner, ppo_metrics = ppo.update(
+        static.ppo, hyper.ppo, state.learner, batch, jax.random.fold_in(key, UPDATE)
+    )
+
+    ring, lengths = finished(state, buffer, n_real)
+    metrics = {
+        "episode_return": jnp.nanmean(ring),
+        "episode_length": jnp.nanmean(lengths),
+        "policy_std": learner.params["std"].mean(),
+    }
+    metrics |= ppo_metrics | model_metrics | summarise(sums, n_real * num_envs)
+    state = state.replace(
+        learner=learner, model=model, env_state=env_state, returns=ring, lengths=lengths
+    )
+    return state, metrics
+
+
+def run(
+    env: Env, hyper, state: TrainState, columns: dict[str, Int[Array, " I"]], *, static
+) -> tuple[TrainState, Metrics]:
+    """`iterate` over every row of the schedule; metrics have shape `[I]`."""
+    columns = {name: jnp.asarray(column) for name, column in columns.items()}
+    return jax.lax.scan(
+        lambda state, row: iterate(env, hyper, state, row, static=static), state, columns
+    )
+
+
+def physics_step(env: Env, hyper, params_physics):
+    """`step(state, action, keys)` of all robots: the environment's step, then its autoreset."""
+    fold = jax.vmap(jax.random.fold_in, (0, None))
+
+    def step(state, action, keys):
+        after, outcome = jax.vmap(env.step, (None, 0, 0, 0, 0))(
+            hyper, params_physics, state, action, fold(keys, STEP)
+        )
+        after = jax.vmap(env.autoreset, (None, 0, 0, 0, 0))(
+            hyper, params_physics, after, outcome, fold(keys, RESET)
+        )
+        return after, outcome
+
+    return step
+
+
+def finished(state: TrainState, buffer: Transition, n_real):
+    """The rings of returns and lengths with the episodes that physics finished, newest last."""
+    real = (jnp.arange(buffer.reward.shape[0]) < n_real)[:, None]
+    ended = (real & ((buffer.discount == 0) | (buffer.truncation == 1))).reshape(-1)
+    # slot of each finished episode in ring + new ones, of which the last RETURNS are kept
+    slot = RETURNS + jnp.cumsum(ended) - 1 - ended.sum()
+    slot = jnp.where(ended & (slot >= 0), slot, RETURNS)  # out of bounds: dropped
+
+    def push(ring, values):
+        padded = jnp.concatenate([ring, jnp.full_like(ring, jnp.nan)])
+        start = jnp.minimum(ended.sum(), RETURNS)
+        kept = jax.lax.dynamic_slice(padded, (start,), (RETURNS,))
+        return kept.at[slot].set(values.reshape(-1), mode="drop")
+
+    return push(state.returns, buffer.episode_return), push(state.lengths, buffer.episode_length)
+
+
+def summarise(sums: Metrics, rows) -> Metrics:
+    """Sums over real rows -> means; squared errors -> roots; events stay counts."""
+    out = {}
+    for name, total in sums.items():
+        if name in ("falls", "timeouts", "blowups"):
+            out[name] = total
+        elif name.endswith("_error_sq"):
+            out[name.removesuffix("_sq")] = jnp.sqrt(total / rows)
+        else:
+            out[name] = total / rows
+    return out

@@ -1,0 +1,109 @@
+"""Multilayer perceptrons and the diagonal Gaussian policy.
+
+Initial weights and biases are uniform in +-1/sqrt(fan_in), PyTorch's default for linear layers,
+because rsl_rl uses it (rsl_rl/networks/mlp.py) and early learning depends on it. The policy's
+standard deviation is one free parameter an action, used directly and not through an exponential
+(rsl_rl/modules/actor_critic.py, noise_std_type "scalar").
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import flax.linen as nn
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, PRNGKeyArray
+
+LOG_2PI = 1.8378770664093453
+# jax.lax.Precision of each setting that a network can have; bfloat16 also sets the layers' dtype
+PRECISION = {"highest": "highest", "tf32": "tensorfloat32", "bfloat16": "default"}
+
+
+class MLP(nn.Module):
+    """Linear layers with an activation between them; float32 parameters and output."""
+
+    sizes: Sequence[int]  # of every layer, the output last
+    activation: str = "elu"
+    precision: str = "highest"
+
+    @nn.compact
+    def __call__(self, x: Float[Array, "... in"]) -> Float[Array, "... out"]:
+        dtype = jnp.bfloat16 if self.precision == "bfloat16" else jnp.float32
+        for i, size in enumerate(self.sizes):
+            bound = x.shape[-1] ** -0.5
+            x = nn.Dense(
+                size,
+                dtype=dtype,
+                precision=PRECISION[self.precision],
+                kernel_init=_uniform(bound),
+                bias_init=_uniform(bound),
+            )(x)
+            if i < len(self.sizes) - 1:
+                x = getattr(nn, self.activation)(x)
+        return x.astype(jnp.float32)
+
+
+def _uniform(bound):
+    return lambda key, shape, dtype=jnp.float32: jax.random.uniform(
+        key, shape, dtype, -bound, bound
+    )
+
+
+def actor(static, action_size: int) -> MLP:
+    """The network of the policy's mean; `static` is the config's group `ppo`."""
+    return MLP((*static.hidden, action_size), static.activation, static.precision)
+
+
+def critic(static) -> MLP:
+    """The network of the value function."""
+    return MLP((*static.hidden, 1), static.activation, static.precision)
+
+
+def init_policy(static, init_std, obs_size: int, action_size: int, key: PRNGKeyArray) -> dict:
+    """Parameters `{"actor", "critic", "std"}` of policy and value function."""
+    obs = jnp.zeros(obs_size)
+    actor_key, critic_key = jax.random.split(key)
+    return {
+        "actor": actor(static, action_size).init(actor_key, obs),
+        "critic": critic(static).init(critic_key, obs),
+        "std": jnp.full(action_size, init_std, jnp.float32),
+    }
+
+
+def policy(static, params: dict, obs: Float[Array, "... O"]) -> Float[Array, "... A"]:
+    """Mean action. Its standard deviation is `params["std"]`, whatever the observation."""
+    return actor(static, params["std"].shape[-1]).apply(params["actor"], obs)
+
+
+def value(static, params: dict, obs: Float[Array, "... O"]) -> Float[Array, "..."]:
+    """V(obs): the expected discounted return."""
+    return critic(static).apply(params["critic"], obs)[..., 0]
+
+
+def log_prob(
+    mean: Float[Array, "... A"], std: Float[Array, "... A"], action: Float[Array, "... A"]
+) -> Float[Array, "..."]:
+    """Log density of a diagonal Gaussian, summed over the action; no squashing."""
+    z = (action - mean) / std
+    return (-0.5 * z**2 - jnp.log(std) - 0.5 * LOG_2PI).sum(-1)
+
+
+def entropy(std: Float[Array, "... A"]) -> Float[Array, "..."]:
+    """Differential entropy of a diagonal Gaussian, summed over the action."""
+    return (0.5 + 0.5 * LOG_2PI + jnp.log(std)).sum(-1)
+
+
+def kl(
+    old_mean: Float[Array, "... A"],
+    old_std: Float[Array, "... A"],
+    mean: Float[Array, "... A"],
+    std: Float[Array, "... A"],
+) -> Float[Array, "..."]:
+    """KL(old || new) of diagonal Gaussians as rsl_rl computes it (algorithms/ppo.py).
+
+    sum log(s_new / s_old + 1e-5) + (s_old^2 + (m_old - m_new)^2) / (2 s_new^2) - 1/2; the 1e-5
+    is theirs, so that the learning-rate rule takes the same branch.
+    """
+    spread = (old_std**2 + (old_mean - mean) ** 2) / (2 * std**2)
+    return (jnp.log(std / old_std + 1e-5) + spread - 0.5).sum(-1)

@@ -1,0 +1,69 @@
+"""Per-robot physical parameters: drawn once at the start, merged into the model at every step.
+
+Ranges are tasks.md's (Isaac Lab 2.2.1, velocity_env_cfg.py, events at start-up): added base mass
+with the inertia scaled in proportion, centre of mass, foot friction, PD gains. Ranges of the last
+three are collapsed on Go1; a collapsed range costs nothing, because the merged model field then
+stays one array for all robots.
+
+MuJoCo's `*_invweight0` (the solver's estimate of inverse inertia at the contacts) stays nominal: it
+only scales the regularisation of the constraints.
+"""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+from jaxtyping import Array, Float, PRNGKeyArray
+
+
+@struct.dataclass
+class Physics:
+    """What makes one robot differ from the next; `[R]` in front of every shape in `TrainState`."""
+
+    mass_scale: Float[Array, "..."]  # of the base's mass and inertia
+    base_com: Float[Array, "... 3"]  # m, in the base frame
+    friction: Float[Array, "..."]
+    kp_scale: Float[Array, "..."]
+    kd_scale: Float[Array, "..."]
+
+
+def draw(ranges, base_mass, base_com, key: PRNGKeyArray) -> Physics:
+    """One robot's parameters; `ranges` is the config's group `task.randomize`."""
+    keys = jax.random.split(key, 5)
+
+    def uniform(key, bounds, shape=()):
+        return jax.random.uniform(key, shape, minval=bounds[0], maxval=bounds[1])
+
+    offset = jax.random.uniform(keys[1], (3,), minval=-1.0, maxval=1.0)
+    return Physics(
+        mass_scale=1 + uniform(keys[0], ranges.base_mass) / base_mass,
+        base_com=base_com + offset * jnp.stack([jnp.asarray(w) for w in ranges.base_com]),
+        friction=uniform(keys[2], ranges.friction),
+        kp_scale=uniform(keys[3], ranges.kp_scale),
+        kd_scale=uniform(keys[4], ranges.kd_scale),
+    )
+
+
+def merge(model, physics: Physics, base_body: int, feet, varied: frozenset[str]):
+    """The mjx model of one robot; only fields whose range is in `varied` are replaced."""
+    fields = {}
+    if "base_mass" in varied:
+        scale = physics.mass_scale
+        fields["body_mass"] = model.body_mass.at[base_body].multiply(scale)
+        fields["body_inertia"] = model.body_inertia.at[base_body].multiply(scale)
+    if "base_com" in varied:
+        fields["body_ipos"] = model.body_ipos.at[base_body].set(physics.base_com)
+    if "friction" in varied:
+        fields["geom_friction"] = model.geom_friction.at[feet, 0].set(physics.friction)
+    return model.tree_replace(fields) if fields else model
+
+
+def varied(ranges) -> frozenset[str]:
+    """Names of the ranges that are not collapsed to one value."""
+    names = {"base_com"} if any(ranges.base_com) else set()
+    for name in ("base_mass", "friction", "kp_scale", "kd_scale"):
+        low, high = getattr(ranges, name)
+        if low != high:
+            names.add(name)
+    return frozenset(names)

@@ -1,0 +1,94 @@
+"""Rows [lo, hi) of a rollout, written by any step function: the hinge of the method.
+
+One `fill` serves physics and the transition model, as one `recurrent_fn` serves real and learned
+dynamics in google-deepmind/mctx. The buffer is `[N, R, ...]` whatever the number of real rows.
+
+Why a `fori_loop` with a traced bound: it compiles the physics once for every N_r of the ramp and
+stops after N_r rows. A `scan` with a `cond` inside, or a `switch` over lengths, turns into a
+`select` as soon as its predicate is batched and then pays for every row. So the bound must never be
+batched: under `jax.vmap` over seeds it comes in with `in_axes=None`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Int, PRNGKeyArray
+
+from dynappo.types import Env, Metrics, Transition
+
+
+def allocate(env: Env, horizon: int, num_envs: int) -> Transition:
+    """An empty buffer of N rows of R robots."""
+    one = jnp.zeros((horizon, num_envs))
+    obs = jnp.zeros((horizon, num_envs, env.obs_size))
+    action = jnp.zeros((horizon, num_envs, env.action_size))
+    return Transition(
+        obs=obs,
+        action=action,
+        action_mean=action,
+        log_prob=one,
+        value=one,
+        reward=one,
+        discount=one,
+        truncation=one,
+        next_obs=obs,
+        episode_return=one,
+        episode_length=one,
+    )
+
+
+def row_keys(key: PRNGKeyArray, robot_index: Int[Array, " R"]) -> Callable[..., PRNGKeyArray]:
+    """`t -> key [R]`: a row's randomness depends on the row and the robot's global index only."""
+
+    def keys(t):
+        return jax.vmap(jax.random.fold_in, (None, 0))(jax.random.fold_in(key, t), robot_index)
+
+    return keys
+
+
+def fill(
+    buffer: Transition,
+    lo: Int[Array, ""],
+    hi: Int[Array, ""],
+    state: Any,
+    keys: Callable[..., PRNGKeyArray],
+    *,
+    act: Callable,
+    step: Callable,
+    metrics: tuple[str, ...] = (),
+) -> tuple[Transition, Any, Metrics]:
+    """Write rows `lo <= t < hi`; returns `(buffer, state after the last row, sums)`.
+
+    `act(obs, keys) -> action, action_mean, log_prob, value` and `step(state, action, keys) ->
+    state, Outcome` work on all R robots; of `state` only `.obs` is read here. `sums` are the
+    `metrics` of the outcomes, summed over these rows and all robots.
+    """
+
+    def row(t, carry):
+        buffer, state, sums = carry
+        key = keys(t)
+        action, action_mean, log_prob, value = act(state.obs, key)
+        next_state, outcome = step(state, action, key)
+        transition = Transition(
+            obs=state.obs,
+            action=action,
+            action_mean=action_mean,
+            log_prob=log_prob,
+            value=value,
+            reward=outcome.reward,
+            discount=outcome.discount,
+            truncation=outcome.truncation,
+            next_obs=outcome.next_obs,
+            episode_return=outcome.episode_return,
+            episode_length=outcome.episode_length,
+        )
+        buffer = jax.tree.map(lambda b, x: b.at[t].set(x), buffer, transition)
+        sums = {name: sums[name] + outcome.metrics[name].sum() for name in metrics}
+        return buffer, next_state, sums
+
+    sums = {name: jnp.zeros(()) for name in metrics}
+    return jax.lax.fori_loop(lo, hi, row, (buffer, state, sums))

@@ -1,0 +1,50 @@
+"""How many rows of each iteration the transition model writes: the paper's equation 5.
+
+    N_s(i) = min(max(x + (i - a) / (b - a) * (y - x), x), y),    i = 1 ... I
+
+with a, b = `schedule.start_iteration, end_iteration` and x, y = `start_steps, end_steps`.
+
+Why floor(. + 0.5) and i from 1: it is the only rounding that gives the 19.64 M simulator steps of
+the paper's Table VI for its scheduled tail (floor gives 19.83 M, ceil 19.44 M, counting from 0
+19.65 M). For a = b the equation is 0 / 0 and the paper means y throughout (`dyna2`).
+
+NumPy only: a table can be printed, plotted and tested without a device.
+"""
+
+import numpy as np
+
+
+def table(config) -> np.ndarray:
+    """N_s of every iteration, int32 `[I]`; `config` is a whole config (groups schedule, run)."""
+    s = config.schedule
+    if s.start_iteration == s.end_iteration:
+        return np.full(config.run.num_iterations, s.end_steps, np.int32)
+    i = np.arange(1, config.run.num_iterations + 1)
+    ramp = (i - s.start_iteration) / (s.end_iteration - s.start_iteration)
+    steps = s.start_steps + ramp * (s.end_steps - s.start_steps)
+    return np.floor(np.clip(steps, s.start_steps, s.end_steps) + 0.5).astype(np.int32)
+
+
+def uses_model(config) -> bool:
+    """Whether the schedule has a tail; if not, no model is in the compiled program at all."""
+    return max(config.schedule.start_steps, config.schedule.end_steps) > 0
+
+
+def columns(config) -> dict[str, np.ndarray]:
+    """What `algorithm.run` scans over, each int32 `[I]`.
+
+    `iteration` counts from 1 and seeds the random numbers of the iteration; `n_real` is N_r;
+    `model_epochs` is the number of passes of the model fit (absent from plain PPO).
+    """
+    i = np.arange(1, config.run.num_iterations + 1, dtype=np.int32)
+    out = {"iteration": i, "n_real": np.int32(config.rollout.horizon) - table(config)}
+    if uses_model(config):
+        m = config.model
+        late = m.epochs if m.late_epochs is None else m.late_epochs
+        out["model_epochs"] = np.where(i > m.late_from, late, m.epochs).astype(np.int32)
+    return out
+
+
+def sim_steps(config) -> np.ndarray:
+    """Simulator (control) steps of one seed up to and including each iteration, int64 `[I]`."""
+    return np.cumsum(columns(config)["n_real"].astype(np.int64)) * config.rollout.num_envs

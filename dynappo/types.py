@@ -1,0 +1,149 @@
+"""What flows through a training iteration, and the symbols used for shapes everywhere.
+
+| symbol | meaning                                  | symbol   | meaning                                   |
+|--------|------------------------------------------|----------|-------------------------------------------|
+| `I`    | iterations in one compiled call          | `O`, `A` | observation size, action size             |
+| `N`    | rows of a rollout, `N = N_r + N_s`       | `P`      | predicted part of the observation         |
+| `R`    | robots simulated in parallel             | `B`      | rows of a minibatch                       |
+| `N_r`  | rows written by physics (`n_real`)       | `N_s`    | rows written by the transition model      |
+
+Shapes in the comments are those of one seed; seeds exist only outside, as a `jax.vmap` axis.
+
+Meanings, stated once:
+
+- `discount` is 0 where the episode ended for good (a fall), else 1; gamma is applied in `gae.py` only.
+- `truncation` is 1 where the time limit cut the episode: its value is bootstrapped from `next_obs`
+  and no advantage crosses it. A row is never both.
+- `next_obs` is observed before any reset. Unless a reset lies between, it is the same array as the
+  next row's `obs`, noise included.
+- Row t is real if and only if `t < n_real`; that is not stored.
+
+Why no iteration counter in `TrainState`: a counter that is a leaf of a stacked state becomes batched
+under `jax.vmap` over seeds, and with it every loop bound derived from it. The counter comes in as a
+column of the schedule instead, and simulator steps are counted by the host in Python integers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from flax import struct
+from jaxtyping import Array, Float, Int, PRNGKeyArray
+
+Metrics = dict[str, Array]  # scalars; a dict because it only leaves the loop
+
+
+@struct.dataclass
+class Outcome:
+    """What one step of an environment, or of the model that stands in for it, tells the learner."""
+
+    reward: Float[Array, "..."]
+    discount: Float[Array, "..."]
+    truncation: Float[Array, "..."]
+    next_obs: Float[Array, "... O"]
+    episode_return: Float[Array, "..."]  # sum of rewards of this episode, this row included
+    episode_length: Float[Array, "..."]  # rows of this episode, this one included
+    metrics: Metrics  # per robot; summed over the rows that physics wrote
+
+
+@struct.dataclass
+class Transition:
+    """One row of the rollout buffer; `[N, R]` in front of every shape below."""
+
+    obs: Float[Array, "... O"]
+    action: Float[Array, "... A"]
+    action_mean: Float[Array, "... A"]  # the KL of the adaptive learning rate needs it
+    log_prob: Float[Array, "..."]
+    value: Float[Array, "..."]
+    reward: Float[Array, "..."]
+    discount: Float[Array, "..."]
+    truncation: Float[Array, "..."]
+    next_obs: Float[Array, "... O"]
+    episode_return: Float[Array, "..."]
+    episode_length: Float[Array, "..."]
+
+
+@struct.dataclass
+class EnvState:
+    """One robot of the velocity task: the integration state of physics and all memory of the task.
+
+    `env.step` reads nothing else, so a reset costs no physics call, and a checkpoint holds exactly
+    this whichever engine (`physics.impl`) runs it. Timers count physics substeps.
+    """
+
+    qpos: Float[Array, "... nq"]
+    qvel: Float[Array, "... nv"]
+    qacc_warmstart: Float[Array, "... nv"]
+    obs: Float[Array, "... O"]
+    command: Float[Array, "... 3"]  # m/s, m/s, rad/s in the base frame
+    last_action: Float[Array, "... A"]
+    air_steps: Int[Array, "... F"]  # since the foot left the ground; 0 while it is down
+    contact_steps: Int[Array, "... F"]  # since the foot came down; 0 while it is in the air
+    last_air_steps: Int[Array, "... F"]  # length of the air phase that ended last
+    clock: Int[Array, "..."]  # age of the episode in control steps; the first may start aged
+    episode_steps: Int[Array, "..."]  # control steps since the reset
+    episode_return: Float[Array, "..."]
+
+
+@struct.dataclass
+class Learner:
+    """Policy and value function, their optimiser, and the learning rate that the KL adapts."""
+
+    params: Any
+    opt_state: Any
+    learning_rate: Float[Array, ""]
+
+
+@struct.dataclass
+class Moments:
+    """Running mean and variance of a vector; `weight` corrects the bias of the first updates."""
+
+    mean: Float[Array, "..."]
+    var: Float[Array, "..."]
+    weight: Float[Array, ""]
+
+
+@struct.dataclass
+class ModelState:
+    """The transition model: weights, optimiser, and the moments that scale its input and target."""
+
+    params: Any
+    opt_state: Any
+    inputs: Moments
+    targets: Moments
+
+
+@struct.dataclass
+class TrainState:
+    """Everything a run carries from one iteration to the next."""
+
+    learner: Learner
+    model: ModelState | None  # None: plain PPO, no model in the compiled program
+    env_state: Any  # [R]
+    params_physics: Any  # [R], drawn once in `algorithm.init`
+    robot_index: Int[Array, " R"]  # global, so that no random number depends on the device
+    returns: Float[Array, "100"]  # of the last finished episodes, newest last; NaN before
+    lengths: Float[Array, "100"]
+    key: PRNGKeyArray
+
+
+class Env(NamedTuple):
+    """An environment as pure functions of one robot, and the sizes the learner must know.
+
+    `hyper` is the pytree of the task's floats, `physics` the robot's own physical parameters.
+    `step` never resets, `autoreset` does. `context(obs, action)` is the part of the next
+    observation that follows from the row itself and is copied, not predicted: the trailing
+    `obs_size - prop_size` numbers. States must have the field `obs`.
+    """
+
+    randomize: Callable[..., Any]  # (hyper, key) -> physics
+    reset: Callable[..., Any]  # (hyper, physics, key) -> state
+    step: Callable[..., Any]  # (hyper, physics, state, action, key) -> state, Outcome
+    autoreset: Callable[..., Any]  # (hyper, physics, state, Outcome, key) -> state
+    context: Callable[..., Any]  # (obs, action) -> [O - P]
+    metrics: tuple[str, ...]  # names in Outcome.metrics
+    obs_size: int
+    prop_size: int
+    action_size: int
+    dt: float  # s, one control step
