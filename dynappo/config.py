@@ -243,3 +243,24 @@ def _record(name: str, fields: tuple[str, ...]):
 def to_json(config) -> str:
     """The config as indented JSON, as `config.json` holds it."""
     return json.dumps(config.to_dict(), indent=2)
+
+
+def difference(old: str, new: str) -> str:
+    """The first field in which two `to_json` texts differ, as "ppo.epochs 5 there, 4 here"; or ""."""
+
+    def flat(tree, prefix=""):
+        for name, value in tree.items():
+            if isinstance(value, dict):
+                yield from flat(value, f"{prefix}{name}.")
+            else:
+                yield prefix + name, value
+
+    try:
+        before = dict(flat(json.loads(old)))
+    except (ValueError, AttributeError):
+        return "its config.json cannot be read"
+    after = dict(flat(json.loads(new)))
+    for name in before | after:
+        if before.get(name) != after.get(name):
+            return f"{name} {before.get(name)} there, {after.get(name)} here"
+    return ""

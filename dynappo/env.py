@@ -19,16 +19,20 @@ costs no physics call, and a checkpoint does not depend on the engine.
 
 from __future__ import annotations
 
+import contextlib
+import io
 from functools import partial
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from mujoco import mjx
 
 from dynappo import actuators, observe, randomize, rewards
 from dynappo import robot as robot_lib
 from dynappo.types import Env, EnvState, Outcome
+
+with contextlib.redirect_stdout(io.StringIO()):  # it prints two lines where warp-lang is absent
+    from mujoco import mjx
 
 MAX_JOINT_SPEED, MAX_BASE_SPEED = 100.0, 20.0  # rad/s, m/s: beyond is a numerical blow-up
 CONTACTS_PER_ROBOT, ROWS_PER_ROBOT = 8, 48  # buffers of MJX-Warp with feet-only contacts
@@ -53,14 +57,15 @@ class Parts(NamedTuple):
         return self.substeps * self.timestep
 
 
-def make(robot: robot_lib.Robot, task, physics, num_worlds: int = 1) -> Env:
-    """The task of `task` and `physics` (config groups) on `robot`, stepped by `physics.impl`.
+def make(
+    robot: robot_lib.Robot, task, physics, *, impl: str = "jax", num_worlds: int = 1
+) -> Env:
+    """The task of `task` and `physics` (config groups) on `robot`, stepped by `impl`.
 
     `num_worlds` is robots times seeds: MJX-Warp keeps one contact buffer for all of them.
     """
     mj_model = robot_lib.physics_model(robot, physics)
     full = physics.contacts == "full"
-    impl = "jax" if physics.impl == "auto" else physics.impl
     buffers = {}
     if impl == "warp":
         buffers["naconmax"] = num_worlds * (FULL_CONTACTS_PER_ROBOT if full else CONTACTS_PER_ROBOT)

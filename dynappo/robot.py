@@ -14,6 +14,7 @@ NumPy and C MuJoCo only, so that a policy can be played without JAX.
 
 from __future__ import annotations
 
+import copy
 from pathlib import Path
 from typing import NamedTuple
 
@@ -131,13 +132,9 @@ def physics_model(robot: Robot, physics) -> mujoco.MjModel:
     """A copy of the robot's model with the solver and contacts of the config's group `physics`.
 
     `contacts="feet"`: only the feet touch the floor. Enough wherever any other part at the ground
-    ends the episode, and a third of the constraints. Pyramidal cones and the Euler integrator are
-    the file's; Newton's method is MJX's fastest on a GPU.
+    ends the episode, and fewer constraints. Cone, impratio and integrator are the file's.
     """
-    spec = mujoco.MjSpec.from_file(str(robot.xml))
-    for geom in [g for g in spec.geoms if g.group == VISUAL_GROUP]:
-        spec.delete(geom)
-    model = spec.compile()
+    model = copy.copy(robot.mj_model)
     model.opt.timestep = physics.timestep
     model.opt.iterations = physics.iterations
     model.opt.ls_iterations = physics.ls_iterations

@@ -1,0 +1,179 @@
+"""What the command `python -m dynappo.train` reads and prints; the work is `train.py`'s."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from dynappo import config as config_lib
+from dynappo import schedule
+from dynappo.config import ConfigError
+
+USAGE = """\
+any field of the config (configs/default.py lists them) can be set, as in
+  --config.run.num_iterations=200 --config.ppo.learning_rate=3e-4
+variants follow the file's name: configs/go1.py:quick, :ppo16, :dyna4, ...
+"""
+
+
+def parse(argv: list[str]):
+    """`(config, workdir)` of a command line; ConfigError if it cannot be understood."""
+    parser = argparse.ArgumentParser(
+        prog="python -m dynappo.train",
+        description="Train a quadruped to follow velocity commands.",
+        epilog=USAGE,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+        exit_on_error=False,
+    )
+    parser.add_argument("--config", required=True, metavar="FILE.py[:VARIANT]")
+    parser.add_argument("--workdir", type=Path, help="default: runs/FILE-VARIANT")
+    try:
+        known, rest = parser.parse_known_args(argv)
+    except argparse.ArgumentError as error:
+        raise ConfigError(str(error)) from None
+    config = config_lib.load(known.config)
+    rest = iter(rest)
+    for flag in rest:
+        if not flag.startswith("--config."):
+            raise ConfigError(f"{flag}: no such flag; expected --config.GROUP.FIELD=VALUE")
+        field, equals, text = flag.removeprefix("--config.").partition("=")
+        config_lib.override(config, field, text if equals else next(rest, ""))
+    name, _, variant = known.config.partition(":")
+    folder = Path(name).stem + (f"-{variant}" if variant else "")
+    return config_lib.validate(config), known.workdir or Path("runs") / folder
+
+
+def main(argv: list[str] | None = None) -> None:
+    """The command: exit status 0, 1 if training blew up, 2 if it cannot start, 130 on ctrl-C."""
+    try:
+        config, workdir = parse(sys.argv[1:] if argv is None else argv)
+        train_and_show(config, workdir)
+    except ConfigError as error:
+        sys.exit(_complain(error, 2))
+    except FloatingPointError as error:
+        sys.exit(_complain(error, 1))
+    except KeyboardInterrupt:
+        sys.exit(_complain("stopped; the same command goes on from the last checkpoint", 130))
+
+
+def _complain(message, status: int) -> int:
+    print(f"dynappo: {message}", file=sys.stderr)
+    return status
+
+
+def train_and_show(config, workdir: Path) -> None:
+    """`train.train`, told to a person: what will happen, how it goes, what came out."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    from dynappo import train
+
+    out = Console(highlight=False)
+    out.print(f"[bold]dynappo[/bold] {describe(config)}")
+    workdir = train.open_workdir(workdir, config)
+    with out.status("compiling (under a minute; half of it when cached)"):
+        program = train.setup(config)
+    steps = schedule.sim_steps(config)
+    out.print(
+        f"{program.device}, MJX-{program.impl.upper() if program.impl == 'jax' else 'Warp'}; "
+        f"compiled in {program.compile_seconds:.0f} s"
+    )
+    bar = Progress(
+        TextColumn("{task.description}"),
+        BarColumn(16),
+        TextColumn("{task.completed}/{task.total}"),
+        TextColumn("{task.fields[line]}"),
+        TimeRemainingColumn(),
+        console=out,
+    )
+    begun: list[tuple[float, float]] = []
+
+    def show(iteration, last):
+        begun.append((float(last["seconds"]), float(steps[iteration - 1])))
+        line = progress_line(last, begun)
+        bar.update(task, completed=iteration, line=line)
+        if not out.is_terminal and (10 * iteration) % config.run.num_iterations < 10:
+            out.print(f"iteration {iteration:4d}  {line}")
+
+    with bar:
+        task = bar.add_task("training", total=config.run.num_iterations, line="")
+        state, metrics = train.loop(config, program, workdir, show)
+    with out.status("evaluating, filming"):
+        summary = train.finish(config, program, workdir, state, metrics)
+    show_summary(out, config, workdir, summary)
+
+
+def describe(config) -> str:
+    """Two lines on what a run will do, before anything is compiled."""
+    s, r, run = config.schedule, config.rollout, config.run
+    seeds = f" x {run.num_seeds} seeds" if run.num_seeds > 1 else ""
+    tail = "plain PPO, no model"
+    if schedule.uses_model(config):
+        tail = f"tail of {s.end_steps}"
+        if s.end_iteration > s.start_iteration:
+            tail += (
+                f", from {s.start_steps} over iterations {s.start_iteration}-{s.end_iteration}"
+            )
+    steps = schedule.sim_steps(config)[-1] / 1e6
+    return (
+        f"trains {config.robot}: {r.num_envs} robots{seeds}, {r.horizon} rows an iteration, {tail}\n"
+        f"{run.num_iterations} iterations, {steps:.2f} M simulator steps; "
+        f"about {memory(config) / 2**30:.1f} GiB of memory"
+    )
+
+
+def memory(config) -> float:
+    """Estimated bytes on the device: rollout, its shuffled copy, physics data, fixed costs."""
+    r, worlds = config.rollout, config.rollout.num_envs * config.run.num_seeds
+    row = 4 * (2 * 48 + 2 * 12 + 8)  # bytes of a Transition
+    data = 16_000 if config.physics.contacts == "feet" else 60_000  # bytes of mjx.Data, measured
+    activations = 4 * 6 * max(config.ppo.hidden) / config.ppo.minibatches
+    return worlds * (r.horizon * (2 * row + activations) + 2 * data) + 3e8
+
+
+def progress_line(last: dict, begun: list) -> str:
+    """Return, episode length, tracking error, policy std and pace of one iteration."""
+    import numpy as np
+
+    (t0, s0), (t1, s1) = begun[max(0, len(begun) - 6)], begun[-1]
+    pace = (s1 - s0) / (t1 - t0) if t1 > t0 else s1 / max(t1, 1e-9)
+    mean = {name: float(np.mean(value)) for name, value in last.items()}
+    text = (
+        f"return {mean['episode_return']:6.2f}  length {mean['episode_length']:4.0f}  "
+        f"error {mean.get('velocity_error', float('nan')):.2f} m/s  std {mean['policy_std']:.2f}  "
+        f"{pace / 1e3:.1f} k steps/s"
+    )
+    return text.replace("nan", " - ")
+
+
+def show_summary(out, config, workdir: Path, summary: dict) -> None:
+    """The final table, where things are, and what to try next."""
+    import numpy as np
+    from rich.table import Table
+
+    table = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
+    rows = {
+        "return (last 10 iterations)": f"{np.mean(summary['return']):.2f}",
+        "best return": f"{np.mean(summary['return_max']):.2f}",
+        "simulator steps": f"{summary['sim_steps'] / 1e6:.2f} M",
+        "training": f"{summary['seconds']:.1f} s, after {summary['compile_seconds']:.0f} s of set-up",
+    }
+    for name, label, unit in (
+        ("return", "evaluation: return", ""),
+        ("fall_rate", "evaluation: episodes with a fall", " %"),
+        ("tracking_error", "evaluation: tracking error", " m/s"),
+        ("yaw_error", "evaluation: yaw rate error", " rad/s"),
+    ):
+        if "evaluation" in summary:
+            value = float(np.mean(summary["evaluation"][name]))
+            rows[label] = f"{value * (100 if unit == ' %' else 1):.2f}{unit}"
+    for label, value in rows.items():
+        table.add_row(label, value)
+    out.print(table)
+    out.print(f"written to {workdir}: metrics.csv, summary.json, checkpoints/", soft_wrap=True)
+    if "video" in summary:
+        out.print(str(summary["video"]), soft_wrap=True)
+    if config.run.num_iterations < 200:
+        out.print("next: python -m dynappo.train --config=configs/go1.py  (4096 robots, a GPU)")

@@ -1,0 +1,77 @@
+"""What several test files need: small settings, values recorded from rsl_rl, checked shapes."""
+
+import functools
+import inspect
+import pathlib
+import typing
+
+import numpy as np
+import pytest
+
+PEERS = pathlib.Path(__file__).parent / "peers"
+
+
+@pytest.fixture(scope="session")
+def settings():
+    """`settings(fields, spec) -> (static, hyper)`: split of a validated config with `fields` set."""
+    from dynappo import config as config_lib
+
+    def make(fields=None, spec="configs/go1.py"):
+        config = config_lib.load(spec)
+        for name, value in (fields or {}).items():
+            group, _, leaf = name.rpartition(".")
+            functools.reduce(lambda node, key: node[key], group.split("."), config)[leaf] = value
+        return config_lib.split(config_lib.validate(config))
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def peer():
+    """`peer(name) -> {name: array}`: what tests/peers/rsl_rl_reference.py recorded."""
+    return functools.cache(lambda name: dict(np.load(PEERS / f"{name}.npz")))
+
+
+@pytest.fixture(scope="session")
+def from_torch():
+    """`from_torch(z, prefix)`: parameters as `networks.init_policy`'s, of rsl_rl's weights."""
+
+    def layer(z, name):
+        return {"kernel": z[f"{name}.weight"].T, "bias": z[f"{name}.bias"]}
+
+    def make(z, prefix=""):
+        params = {"std": z[f"{prefix}std"]}
+        for net in ("actor", "critic"):  # layers 1, 3, 5 are activations
+            layers = {f"Dense_{i}": layer(z, f"{prefix}{net}.{2 * i}") for i in range(4)}
+            params[net] = {"params": layers}
+        return params
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def typed():
+    """`typed(f)` is `f`, with its jaxtyping shape strings checked at every call."""
+    from jaxtyping import AbstractArray, jaxtyped
+
+    def check(where, hint, value):
+        if typing.get_origin(hint) is tuple:
+            for part, x in zip(typing.get_args(hint), value, strict=True):
+                check(where, part, x)
+        elif isinstance(hint, type) and issubclass(hint, AbstractArray):
+            assert isinstance(value, hint), f"{where} has shape {value.shape}, expected {hint}"
+
+    def wrap(function):
+        hints, signature = typing.get_type_hints(function), inspect.signature(function)
+
+        @jaxtyped(typechecker=None)
+        def checked(*args, **kwargs):
+            out = function(*args, **kwargs)
+            values = signature.bind(*args, **kwargs).arguments | {"return": out}
+            for name, value in values.items():
+                check(f"{name} of {function.__name__}", hints.get(name), value)
+            return out
+
+        return checked
+
+    return wrap
