@@ -71,7 +71,7 @@ def train_and_show(config, workdir: Path) -> None:
     from dynappo import train
 
     out = Console(highlight=False)
-    out.print(f"[bold]dynappo[/bold] {describe(config)}")
+    out.print(f"[bold]dynappo[/bold] {describe(config)}", soft_wrap=True)
     workdir = train.open_workdir(workdir, config)
     with out.status("compiling (under a minute; half of it when cached)"):
         program = train.setup(config)
@@ -95,7 +95,7 @@ def train_and_show(config, workdir: Path) -> None:
         line = progress_line(last, begun)
         bar.update(task, completed=iteration, line=line)
         if not out.is_terminal and (10 * iteration) % config.run.num_iterations < 10:
-            out.print(f"iteration {iteration:4d}  {line}")
+            out.print(f"iteration {iteration:4d}  {line}", soft_wrap=True)
 
     with bar:
         task = bar.add_task("training", total=config.run.num_iterations, line="")
@@ -113,9 +113,7 @@ def describe(config) -> str:
     if schedule.uses_model(config):
         tail = f"tail of {s.end_steps}"
         if s.end_iteration > s.start_iteration:
-            tail += (
-                f", from {s.start_steps} over iterations {s.start_iteration}-{s.end_iteration}"
-            )
+            tail += f", from {s.start_steps} over iterations {s.start_iteration}-{s.end_iteration}"
     steps = schedule.sim_steps(config)[-1] / 1e6
     return (
         f"trains {config.robot}: {r.num_envs} robots{seeds}, {r.horizon} rows an iteration, {tail}\n"

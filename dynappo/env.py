@@ -57,9 +57,7 @@ class Parts(NamedTuple):
         return self.substeps * self.timestep
 
 
-def make(
-    robot: robot_lib.Robot, task, physics, *, impl: str = "jax", num_worlds: int = 1
-) -> Env:
+def make(robot: robot_lib.Robot, task, physics, *, impl: str = "jax", num_worlds: int = 1) -> Env:
     """The task of `task` and `physics` (config groups) on `robot`, stepped by `impl`.
 
     `num_worlds` is robots times seeds: MJX-Warp keeps one contact buffer for all of them.
@@ -279,9 +277,7 @@ def step(parts: Parts, hyper, physics, state: EnvState, action, key):
     fell = (after.lowest < 0).any() | ~ok
     clock = state.clock + 1
     timeout = (clock >= parts.task.episode_length) & ~fell
-    obs = _observe(
-        parts, hyper, physics, after.qpos, after.qvel, state.command, action, key
-    )
+    obs = _observe(parts, hyper, physics, after.qpos, after.qvel, state.command, action, key)
     next_state = state.replace(
         qpos=after.qpos,
         qvel=after.qvel,

@@ -25,7 +25,12 @@ FPS, WIDTH, HEIGHT = 50, 960, 540
 NO_OPENGL = "no video: neither EGL nor OSMesa can render here; install libegl1 or libosmesa6"
 NO_FFMPEG = "no video: imageio-ffmpeg is not installed; pip install 'dynappo[video]'"
 # (seconds share, command vx, vy, yaw rate): what the film after training shows
-TOUR = ((0.3, (0.8, 0.0, 0.0)), (0.2, (0.6, 0.0, 0.8)), (0.2, (0.0, 0.5, 0.0)), (0.3, (1.0, 0.0, 0.0)))
+TOUR = (
+    (0.3, (0.8, 0.0, 0.0)),
+    (0.2, (0.6, 0.0, 0.8)),
+    (0.2, (0.0, 0.5, 0.0)),
+    (0.3, (1.0, 0.0, 0.0)),
+)
 
 
 def policy(params: dict, activation: str) -> Callable[[np.ndarray], np.ndarray]:

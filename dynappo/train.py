@@ -43,7 +43,9 @@ class Program(NamedTuple):
 
 
 def train(
-    config, workdir: str | Path | None = None, progress_fn: Callable[[int, dict], None] | None = None
+    config,
+    workdir: str | Path | None = None,
+    progress_fn: Callable[[int, dict], None] | None = None,
 ) -> tuple[Any, dict[str, np.ndarray]]:
     """Train as `config` says; returns `(TrainState, metrics [I])`, `[I, S]` for S seeds.
 

@@ -13,7 +13,7 @@ PEERS = pathlib.Path(__file__).parent / "peers"
 
 @pytest.fixture(scope="session")
 def settings():
-    """`settings(fields, spec) -> (static, hyper)`: split of a validated config with `fields` set."""
+    """`settings(fields, spec) -> (static, hyper)`: a valid config with `fields` set, split."""
     from dynappo import config as config_lib
 
     def make(fields=None, spec="configs/go1.py"):

@@ -108,9 +108,7 @@ def rms(x):
 # learning
 
 
-@pytest.mark.parametrize(
-    "fields", [{}, {"precision": "tf32"}, {"precision": "bfloat16"}], ids=str
-)
+@pytest.mark.parametrize("fields", [{}, {"precision": "tf32"}, {"precision": "bfloat16"}], ids=str)
 def test_a_fit_learns_a_linear_world_and_predicts_rows_it_has_not_seen(model_settings, fields):
     static, hyper = model_settings(stats_decay=0.5, **fields)
     model = start(static)
@@ -220,6 +218,22 @@ def test_rows_that_ended_an_episode_never_change_the_fit(model_settings, kind):
     others = replace_rows(rows, ~ended, 3, 1.0)
     changed = fit(static)(hyper, model, others, *args)[0]
     assert not np.array_equal(changed.targets.mean, expected[0].targets.mean)
+
+
+@pytest.mark.xfail(strict=True, reason="fit multiplies by weight 0 instead of selecting")
+@pytest.mark.parametrize("garbage", [np.nan, np.inf, 1e30])
+def test_no_number_of_a_row_of_weight_0_enters_however_wild(model_settings, garbage):
+    static, hyper = model_settings()
+    model, rows = start(static), linear_rows(0)
+    ended = np.random.default_rng(2).random((HORIZON, ROBOTS)) < 0.2
+    rows = rows.replace(discount=jnp.asarray(1.0 - ended, jnp.float32))
+    blown = rows.replace(
+        next_obs=jnp.where(ended[..., None], garbage, rows.next_obs),
+        reward=jnp.where(ended, garbage, rows.reward),
+    )
+    args = i32(HORIZON), i32(2), jax.random.key(0)
+    expected = fit(static)(hyper, model, rows, *args)
+    assert_same_bits(fit(static)(hyper, model, blown, *args), expected)
 
 
 def test_a_fit_without_any_valid_row_changes_no_number_by_the_rows(model_settings):
@@ -363,8 +377,9 @@ def test_a_prediction_is_unscaled_added_to_the_state_and_the_reward_multiplied_b
     # outputs 1, -2, 0.5, 0, 3: 2.1, -0.8, 0.8, 0.4 and 11 after scaling
     expected = np.array([2.1, -0.8, 0.8, 0.4, 11.0] if normalize else OUTPUT)
     before = np.asarray(obs[:, :PROP]) if predict_change else 0.0
-    np.testing.assert_allclose(next_obs[:, :PROP], before + expected[:PROP] + 0 * obs[:, :PROP],
-                               rtol=1e-5, atol=1e-5)
+    np.testing.assert_allclose(
+        next_obs[:, :PROP], before + expected[:PROP] + 0 * obs[:, :PROP], rtol=1e-5, atol=1e-5
+    )
     np.testing.assert_allclose(reward, np.full(ROBOTS, expected[PROP] * DT), rtol=1e-5)
     np.testing.assert_array_equal(next_obs[:, PROP:-ACTIONS], obs[:, PROP:-ACTIONS])
     np.testing.assert_array_equal(next_obs[:, -ACTIONS:], action)

@@ -73,7 +73,7 @@ def test_three_steps_with_a_fall_in_the_second_give_the_numbers_computed_by_hand
         [1.0, 2.0, 3.0], [1, 0, 1], [0, 0, 0], [0.5, 1.0, 1.5], [1.0, 99.0, 2.0]
     )
     # delta_2 = 3 + 0.9 x 2.0 - 1.5 = 3.30          A_2 = 3.30, of the next episode
-    # delta_1 = 2 - 1.0             = 1.00          A_1 = 1.00: nothing follows a fall, V = 99 unused
+    # delta_1 = 2 - 1.0             = 1.00          A_1 = 1.00: nothing after it, V = 99 unused
     # delta_0 = 1 + 0.9 x 1.0 - 0.5 = 1.40          A_0 = 1.40 + 0.72 x 1.00 = 2.12
     advantages, returns = gae.gae(
         reward, discount, truncation, value, bootstrap, gamma=GAMMA, lambda_=LAMBDA
