@@ -63,7 +63,7 @@ def get_config(variant: str = "") -> config_dict.ConfigDict:
             epochs=25,  # paper, Table II
             late_epochs=optional(int),  # epochs after iteration late_from; None: the same
             late_from=50,
-            minibatches=4,  # gradient steps of an epoch when all N rows are real
+            minibatches=2,  # gradient steps of an epoch when all N rows are real
             huber_delta=1.0,  # in units of the (normalised) target
             predict_change=True,  # the target is the change of state; False: the next state
             normalize=True,  # scale inputs and targets by running moments; False: raw numbers
@@ -172,5 +172,5 @@ def apply_variant(config: config_dict.ConfigDict, variant: str) -> config_dict.C
         config.rollout.update(num_envs=256, horizon=24)
         config.schedule.update(start_iteration=0, end_iteration=40, start_steps=0, end_steps=4)
         config.model.update(epochs=2, minibatches=8)
-        config.run.update(num_iterations=60, log_every=2, eval_envs=32, video_seconds=6.0)
+        config.run.update(num_iterations=70, log_every=2, eval_envs=32, video_seconds=6.0)
     return config

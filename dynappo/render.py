@@ -21,7 +21,7 @@ import numpy as np
 from dynappo import actuators, observe
 from dynappo import robot as robot_lib
 
-FPS, WIDTH, HEIGHT = 50, 960, 540
+FPS, WIDTH, HEIGHT = 25, 640, 360  # software OpenGL on two cores renders about ten a second
 NO_OPENGL = "no video: neither EGL nor OSMesa can render here; install libegl1 or libosmesa6"
 NO_FFMPEG = "no video: imageio-ffmpeg is not installed; pip install 'dynappo[video]'"
 # (seconds share, command vx, vy, yaw rate): what the film after training shows
@@ -63,7 +63,8 @@ def tour(seconds: float) -> Callable[[float], np.ndarray]:
 
 
 def simulate(robot: robot_lib.Robot, config, act, command, seconds: float) -> dict[str, np.ndarray]:
-    """An episode on C MuJoCo with all contacts: `qpos [T, 7 + A]`, `command` and `velocity [T, 3]`.
+    """An episode on C MuJoCo with all contacts: `qpos [T, 7 + A]`, `command` and `velocity [T, 3]`,
+    and `dt` (s) between rows.
 
     `act(obs)` is the policy, `command(t)` what it is asked for; `velocity` is vx, vy, yaw rate in
     the base frame. `config` is a whole config, of which `task` and `physics` are read.
@@ -97,7 +98,7 @@ def simulate(robot: robot_lib.Robot, config, act, command, seconds: float) -> di
         out["qpos"].append(data.qpos.copy())
         out["command"].append(asked)
         out["velocity"].append(np.array([linear[0], linear[1], angular[2]]))
-    return {name: np.stack(rows) for name, rows in out.items()}
+    return {name: np.stack(rows) for name, rows in out.items()} | {"dt": np.array(dt)}
 
 
 def film(robot: robot_lib.Robot, episode: dict[str, np.ndarray], out: Path) -> str:
@@ -143,7 +144,7 @@ def frames(xml: str, episode: dict[str, np.ndarray], width: int = WIDTH, height:
             renderer.update_scene(data, camera="track")
             x, y = data.xmat[1].reshape(3, 3)[:2, 0]
             heading = np.array([[x, -y], [y, x]]) / np.hypot(x, y)
-            start = data.xpos[1] + [0, 0, 0.22]
+            start = data.xpos[1] + [0, 0, 0.14]
             for vector, lift, rgba in (
                 (command, 0.0, (0.1, 0.7, 0.2, 0.9)),
                 (velocity, 0.04, (0.2, 0.4, 0.9, 0.9)),
@@ -160,8 +161,9 @@ def main(argv: list[str]) -> None:
     if out.endswith(".png"):
         from matplotlib import image
 
+        episode.pop("dt")
         last = {name: rows[-1:] for name, rows in episode.items()}
-        image.imsave(out, next(frames(xml, last)))
+        image.imsave(out, next(frames(xml, last, 1280, 720)))
         return
     import imageio_ffmpeg
 
@@ -169,7 +171,8 @@ def main(argv: list[str]) -> None:
         out, (WIDTH, HEIGHT), fps=FPS, codec="libx264", quality=7, macro_block_size=4
     )
     writer.send(None)
-    for frame in frames(xml, episode):
+    skip = max(1, round(1 / (FPS * float(episode.pop("dt")))))
+    for frame in frames(xml, {name: rows[::skip] for name, rows in episode.items()}):
         writer.send(np.ascontiguousarray(frame))
     writer.close()
 

@@ -152,6 +152,17 @@ def test_every_matrix_product_has_the_precision_of_the_setting(precision, expect
         assert {v.aval.dtype.name for v in e.invars} == {kind}
 
 
+@pytest.mark.parametrize(("setting", "expected"), [("highest", "HIGHEST"), ("tf32", "HIGH")])
+@pytest.mark.parametrize("network", [networks.policy, networks.value])
+def test_policy_and_value_have_the_precision_of_the_config(settings, network, setting, expected):
+    static = settings({"ppo.hidden": (8,), "ppo.precision": setting})[0].ppo
+    params = networks.init_policy(static, 1.0, OBS, ACTIONS, jax.random.key(0))
+    equations = jax.make_jaxpr(lambda p, x: network(static, p, x))(params, jnp.zeros(OBS)).eqns
+    products = [e for e in equations if e.primitive.name == "dot_general"]
+    assert len(products) == 2
+    assert {p.name for e in products for p in e.params["precision"]} == {expected}
+
+
 @pytest.mark.parametrize("activation", ["elu", "relu", "tanh", "swish"])
 def test_the_activation_stands_between_layers_and_not_after_the_last(activation):
     functions = {

@@ -1,0 +1,53 @@
+# Needs Python 3.11, 3.12 or 3.13, make and git. Everything runs in .venv, which the first target that
+# needs it makes, with the exact versions of constraints.txt. Another Python: make PYTHON=python3.12
+
+PYTHON ?= python3
+CONFIG ?= configs/go1.py:quick
+WORKDIR ?= runs/quick
+
+VENV := .venv
+BIN := $(VENV)/bin
+# bytecode is written when a module is first imported: of all of them it takes half of the time
+INSTALL := $(BIN)/python -m pip install -q --disable-pip-version-check --no-compile -c constraints.txt
+
+.DEFAULT_GOAL := help
+.PHONY: help train test check format clean
+
+help:  ## list the targets
+	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-8s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+
+train: $(VENV)/.train  ## train a Go1 to walk, five minutes on two CPU cores with the set-up; ends with a film
+	$(BIN)/python -m dynappo.train --config=$(CONFIG) --workdir=$(WORKDIR)
+
+test: $(VENV)/.dev  ## run the tests (the slow ones: .venv/bin/pytest -m slow)
+	$(BIN)/python -m pytest
+
+check: $(VENV)/.dev  ## lint, format and types: what must be clean before a commit
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+	$(BIN)/pyright
+
+format: $(VENV)/.dev  ## put the code into the project's format
+	$(BIN)/ruff check --fix
+	$(BIN)/ruff format
+
+clean:  ## remove .venv, caches and builds (runs/ stays)
+	rm -rf $(VENV) build dist .pytest_cache .ruff_cache *.egg-info
+	find dynappo configs experiments tests -name __pycache__ -prune -exec rm -rf {} +
+
+$(BIN)/python:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo \
+	  "make: $(PYTHON) is older than Python 3.11; name a newer one: make PYTHON=python3.12" >&2; exit 1; }
+	@echo "making $(VENV)"
+	@$(PYTHON) -m venv $(VENV)
+
+# Two stamps: training needs a third of what development needs
+$(VENV)/.train: pyproject.toml constraints.txt | $(BIN)/python
+	@echo "installing dynappo into $(VENV) (under a minute, once)"
+	@$(INSTALL) -e '.[video]'
+	@touch $@
+
+$(VENV)/.dev: pyproject.toml constraints.txt | $(BIN)/python
+	@echo "installing dynappo and its development tools into $(VENV) (a minute or two, once)"
+	@$(INSTALL) -e '.[dev,video]'
+	@touch $@ $(VENV)/.train

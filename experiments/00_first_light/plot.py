@@ -1,0 +1,38 @@
+"""Draw curves.png and curves.svg from the CSV files of results/.
+
+    python experiments/00_first_light/plot.py
+"""
+
+import json
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+from dynappo import log
+
+HERE = Path(__file__).parent
+
+
+def main():
+    names = [n for n in ("ppo12", "ppo16", "dyna2", "dyna4_noschedule", "dyna4", "fast")]
+    runs = {n: log.read_csv(HERE / "results" / f"{n}.csv") for n in names}
+    figure, axes = plt.subplots(1, 3, figsize=(13, 3.8), constrained_layout=True, sharey=True)
+    labels = ("iteration", "simulator steps (M)", "training time (s)")
+    for axis, column, label in zip(axes, ("iteration", "sim_steps", "seconds"), labels, strict=True):
+        for name, run in runs.items():
+            x = run[column] / (1e6 if column == "sim_steps" else 1)
+            smooth = np.convolve(run["episode_return"], np.ones(10) / 10, "valid")
+            axis.plot(x[9:], smooth, label=name, lw=1.4)
+        axis.set_xlabel(label)
+        axis.grid(alpha=0.3)
+    axes[0].set_ylabel("episode return (mean of 10 iterations)")
+    axes[0].legend(frameon=False, fontsize=8)
+    device = json.loads((HERE / "results" / "ppo16.json").read_text())["device"]
+    figure.suptitle(f"Go1, 4096 robots, one seed, {device}", fontsize=10)
+    for suffix in ("png", "svg"):
+        figure.savefig(HERE / f"curves.{suffix}", dpi=130)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,122 @@
+"""Every notebook runs, at a tiny size, and holds nothing but its source."""
+
+import ast
+import base64
+import os
+import pathlib
+
+import nbformat
+import pytest
+from nbclient import NotebookClient
+
+ROOT = pathlib.Path(__file__).parents[1]
+NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
+MAX_BYTES, MAX_CELL_LINES = 20_000, 25
+# notebook -> what its cell "parameters" is replaced by
+TINY = {
+    "01_first_run": {
+        "spec": "configs/go1.py:quick",
+        "changes": {
+            "run.num_iterations": 2,
+            "run.log_every": 1,
+            "run.eval_envs": 2,
+            "run.video_seconds": 0.1,
+            "rollout.num_envs": 16,
+            "rollout.horizon": 8,
+            "schedule.end_iteration": 1,  # a tail from the first iteration
+            "schedule.end_steps": 2,
+            "task.episode_length": 20,
+        },
+    },
+}
+
+
+def read(path):
+    """The notebook, checked against the format's schema."""
+    notebook = nbformat.read(path, as_version=4)
+    nbformat.validate(notebook)
+    return notebook
+
+
+def code(notebook):
+    """Its code cells."""
+    return [cell for cell in notebook.cells if cell.cell_type == "code"]
+
+
+def parameters(notebook):
+    """The one cell tagged "parameters"."""
+    (cell,) = [c for c in notebook.cells if "parameters" in c.metadata.get("tags", [])]
+    return cell
+
+
+def assigned(source):
+    """Names that are assigned in `source`."""
+    nodes = ast.walk(ast.parse(source))
+    return {n.id for n in nodes if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)}
+
+
+def execute(path, sizes):
+    """The notebook as run with `sizes`, in its own folder, as a person would.
+
+    Half of the time is compilation, so XLA optimises little.
+    """
+    notebook = read(path)
+    cell = parameters(notebook)
+    assert assigned(cell.source) == set(sizes), "the test must set every parameter"
+    cell.source = "\n".join(f"{name} = {value!r}" for name, value in sizes.items())
+    client = NotebookClient(notebook, timeout=300, kernel_name="python3")
+    client.resources = {"metadata": {"path": str(path.parent)}}
+    paths = [str(ROOT), os.environ.get("PYTHONPATH", "")]
+    flags = os.environ.get("XLA_FLAGS", "") + " --xla_backend_optimization_level=0"
+    ours = {"PYTHONPATH": os.pathsep.join(filter(None, paths)), "XLA_FLAGS": flags.strip()}
+    client.execute(env=os.environ | ours)  # raises at the first cell that does
+    return notebook
+
+
+def outputs(notebook, kind):
+    """Data of the outputs of one MIME type."""
+    found = [out for cell in code(notebook) for out in cell.outputs]
+    return [out.data[kind] for out in found if "data" in out and kind in out.data]
+
+
+def printed(notebook):
+    """Everything printed to stdout."""
+    found = [out for cell in code(notebook) for out in cell.outputs]
+    return "".join(out.text for out in found if out.output_type == "stream" and out.name == "stdout")
+
+
+def test_every_notebook_is_executed_by_a_test():
+    assert NOTEBOOKS and {path.stem for path in NOTEBOOKS} == set(TINY)
+
+
+def test_the_first_run_trains_plots_and_evaluates():
+    path = ROOT / "notebooks" / "01_first_run.ipynb"
+    notebook = execute(path, TINY[path.stem])
+    figures = [base64.b64decode(data) for data in outputs(notebook, "image/png")]
+    assert len(figures) >= 2 and all(len(png) > 5000 for png in figures)
+    text = printed(notebook)
+    assert "synthetic rows of each iteration: 2 2" in text
+    assert "iteration    1" in text and "iteration    2" in text
+    for name in ("return", "length", "fall_rate", "tracking_error", "yaw_error"):
+        assert any(line.split()[:1] == [name] for line in text.splitlines()), f"no {name}:\n{text}"
+    filmed = "<video" in "".join(outputs(notebook, "text/html"))
+    assert filmed or "no video:" in text  # which says what to install
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
+def test_a_notebook_defines_nothing(path):
+    kinds = (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef, ast.Lambda)
+    cells = code(read(path))
+    found = [n for cell in cells for n in ast.walk(ast.parse(cell.source)) if isinstance(n, kinds)]
+    assert not found, "what a notebook needs belongs into dynappo/, where it is tested"
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
+def test_a_notebook_carries_no_outputs_and_is_small(path):
+    notebook = read(path)
+    assert path.stat().st_size < MAX_BYTES
+    for cell in code(notebook):
+        assert not cell.outputs and cell.execution_count is None, "clear all outputs, then save"
+        assert cell.source.count("\n") < MAX_CELL_LINES
+    assert set(notebook.metadata) == {"kernelspec", "language_info"}
+    assert notebook.metadata.kernelspec.name == "python3"
