@@ -33,6 +33,32 @@ TOUR = (
 )
 
 
+def save_params(path: Path, params: dict) -> None:
+    """Write nested parameters as an npz with names like `actor/params/Dense_0/kernel`."""
+
+    def flat(tree, prefix):
+        for name, value in tree.items():
+            if isinstance(value, dict):
+                yield from flat(value, f"{prefix}{name}/")
+            else:
+                yield prefix + name, np.asarray(value)
+
+    np.savez(path, **dict(flat(params, "")))
+
+
+def load_params(path: Path) -> dict:
+    """What `save_params` wrote."""
+    params: dict = {}
+    with np.load(path) as file:
+        for name in file:
+            *groups, leaf = name.split("/")
+            node = params
+            for group in groups:
+                node = node.setdefault(group, {})
+            node[leaf] = file[name]
+    return params
+
+
 def policy(params: dict, activation: str) -> Callable[[np.ndarray], np.ndarray]:
     """The mean action of an actor's parameters, in NumPy."""
     layers = params["actor"]["params"]

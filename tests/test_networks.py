@@ -12,7 +12,7 @@ OBS, ACTIONS = 48, 12
 
 @pytest.fixture(scope="module")
 def static(settings):
-    return settings({"ppo.hidden": (32, 32, 32)})[0].ppo
+    return settings({"ppo.hidden": (32, 32, 32), "ppo.activation": "elu"})[0].ppo
 
 
 def densities(mean, std, points=4001):

@@ -82,7 +82,9 @@ def outputs(notebook, kind):
 def printed(notebook):
     """Everything printed to stdout."""
     found = [out for cell in code(notebook) for out in cell.outputs]
-    return "".join(out.text for out in found if out.output_type == "stream" and out.name == "stdout")
+    return "".join(
+        out.text for out in found if out.output_type == "stream" and out.name == "stdout"
+    )
 
 
 def test_every_notebook_is_executed_by_a_test():

@@ -154,6 +154,7 @@ def test_late_epochs_replace_epochs_after_iteration_late_from():
     assert schedule.columns(config)["model_epochs"][-1] == 0
 
 
-def test_the_variant_fast_fits_fewer_epochs_after_iteration_50():
-    epochs = schedule.columns(variant("fast", 60))["model_epochs"]
-    np.testing.assert_array_equal(epochs, [25] * 50 + [5] * 10)
+def test_the_variant_fast_fits_fewer_epochs_in_later_iterations():
+    epochs = schedule.columns(variant("fast", 500))["model_epochs"]
+    assert epochs[0] > epochs[-1] > 0
+    assert np.count_nonzero(np.diff(epochs)) == 1

@@ -1,0 +1,143 @@
+"""What a run writes: rows in order, numbers that come back, files that are whole or not there."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+
+from dynappo import log
+
+
+def metrics(iterations=4, seeds=0, first=1):
+    """Metrics as the trainer makes them; before the third iteration no episode has ended."""
+    rng = np.random.default_rng(first)
+    shape = (iterations, seeds) if seeds else (iterations,)
+    index = np.arange(first, first + iterations, dtype=np.int32)
+    out = {
+        "value_loss": rng.random(shape).astype(np.float32),
+        "episode_return": rng.normal(size=shape).astype(np.float32),
+        "reward_action_rate": -rng.random(shape).astype(np.float32),
+        "n_synthetic": index % 3,
+        "n_real": 16 - index % 3,
+        "iteration": index,
+        "seconds": 0.25 * index,
+        "sim_steps": np.int64(4_000_000_000) * index,  # more than 32 bits hold
+    }
+    out["episode_return"][:2] = np.nan
+    return out
+
+
+def test_there_is_one_row_an_iteration_and_its_columns_are_ordered():
+    """First what one looks for, then all other metrics by name."""
+    table = log.rows(metrics())
+    assert len(table) == 4
+    assert list(table[0]) == [
+        "iteration",
+        "sim_steps",
+        "seconds",
+        "episode_return",
+        "n_real",
+        "n_synthetic",
+        "reward_action_rate",
+        "value_loss",
+    ]
+    assert [row["iteration"] for row in table] == [1, 2, 3, 4]
+
+
+def test_with_seeds_there_is_one_row_an_iteration_and_seed():
+    """Seeds of an iteration follow each other; what they share is repeated."""
+    data = metrics(seeds=3)
+    table = log.rows(data)
+    assert [(row["iteration"], row["seed"]) for row in table] == [
+        (i, s) for i in (1, 2, 3, 4) for s in (0, 1, 2)
+    ]
+    for row in table:
+        i, s = row["iteration"] - 1, row["seed"]
+        assert row["value_loss"] == data["value_loss"][i, s]
+        assert row["sim_steps"] == data["sim_steps"][i]
+
+
+@pytest.mark.parametrize("seeds", [0, 3])
+def test_a_file_appended_in_two_chunks_reads_back_as_one(tmp_path, seeds):
+    """Six digits of every number, all digits of counts, NaN as NaN, and seeds as columns."""
+    path = tmp_path / "metrics.csv"
+    chunks = [metrics(2, seeds), metrics(2, seeds, first=3)]
+    for chunk in chunks:
+        log.append_csv(path, log.rows(chunk))
+    back = log.read_csv(path, max(seeds, 1))
+    assert set(back) == set(chunks[0])
+    for name, column in back.items():
+        expected = np.concatenate([chunk[name] for chunk in chunks])
+        assert column.shape == expected.shape, name
+        np.testing.assert_allclose(column, expected, 1e-5, err_msg=name)
+    np.testing.assert_array_equal(back["sim_steps"], np.arange(1, 5) * 4_000_000_000)
+
+
+def test_one_seed_of_several_is_a_column_all_the_same(tmp_path):
+    """Metrics `[I, 1]` have the column `seed`, and come back as they were."""
+    path = tmp_path / "metrics.csv"
+    log.append_csv(path, log.rows(metrics(seeds=1)))
+    with path.open() as file:
+        assert [row["seed"] for row in csv.DictReader(file)] == ["0"] * 4
+
+
+def test_the_header_is_written_once_and_undefined_numbers_are_empty(tmp_path):
+    """Plain text that any tool reads: counts without a point, no "nan"."""
+    path = tmp_path / "metrics.csv"
+    log.append_csv(path, log.rows(metrics(2)))
+    log.append_csv(path, log.rows(metrics(2, first=3)))
+    lines = path.read_text().splitlines()
+    assert len(lines) == 5
+    assert lines[0].startswith("iteration,sim_steps,seconds,episode_return")
+    assert lines[1].startswith("1,4000000000,0.25,,15,1,")
+    assert "nan" not in path.read_text()
+    assert sum(line.startswith("iteration") for line in lines) == 1
+
+
+def test_rows_after_the_checkpoint_are_cut(tmp_path):
+    """Rows up to the iteration stay as they are, header included; a missing file stays missing."""
+    path = tmp_path / "metrics.csv"
+    log.cut_csv(path, 2)
+    assert not path.exists()
+    log.append_csv(path, log.rows(metrics(12, seeds=2)))
+    before = path.read_text().splitlines()
+    for iteration, kept in ((10, 20), (3, 6), (3, 6), (0, 0)):
+        log.cut_csv(path, iteration)
+        assert path.read_text().splitlines() == before[: 1 + kept]
+    assert [p.name for p in tmp_path.iterdir()] == ["metrics.csv"]
+
+
+def test_a_line_that_was_cut_off_while_writing_is_dropped(tmp_path):
+    """A run killed in the middle of a line resumes without half a row: "1" is no iteration 12."""
+    path = tmp_path / "metrics.csv"
+    log.append_csv(path, log.rows(metrics(12)))
+    whole = path.read_text()
+    for cut in ("12,480", "12", "1"):
+        begun = whole[: whole.index("12,480") + len(cut)] if cut != "1" else None
+        begun = begun or whole[: whole.index("12,480") + 1]
+        path.write_text(begun)
+        log.cut_csv(path, 10)
+        back = log.read_csv(path)
+        np.testing.assert_array_equal(back["iteration"], np.arange(1, 11))
+
+
+def test_a_table_without_rows_is_not_written(tmp_path):
+    """An iteration that gave no rows leaves an error before it leaves a file without a header."""
+    path = tmp_path / "metrics.csv"
+    with pytest.raises(IndexError):
+        log.append_csv(path, [])
+    assert not path.exists()
+
+
+def test_json_is_written_whole_or_not_at_all(tmp_path):
+    """A value that JSON cannot hold leaves the old file, and a good one replaces it."""
+    path = tmp_path / "summary.json"
+    log.write_json(path, {"return": [1.5, None], "robot": "go1"})
+    assert json.loads(path.read_text()) == {"return": [1.5, None], "robot": "go1"}
+    with pytest.raises(TypeError):
+        log.write_json(path, {"return": object()})
+    assert json.loads(path.read_text())["robot"] == "go1"
+    log.write_json(path, {"robot": "go2"})
+    assert json.loads(path.read_text()) == {"robot": "go2"}
+    assert [p.name for p in tmp_path.iterdir()] == ["summary.json"]

@@ -1,0 +1,180 @@
+"""What installs: versions that belong together, one set of exact ones, and a wheel with its data."""
+
+import ast
+import os
+import pathlib
+import re
+import subprocess
+import sys
+import tomllib
+import zipfile
+from importlib import metadata
+
+import pytest
+import yaml
+from packaging.requirements import Requirement
+from packaging.specifiers import SpecifierSet
+from packaging.utils import canonicalize_name
+
+ROOT = pathlib.Path(__file__).parents[1]
+PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
+PROJECT = PYPROJECT["project"]
+PINNED_EXTRAS = ("dev", "video", "export", "notebook", "warp")
+
+
+def requirements(*extras):
+    """`{name: Requirement}` of the dependencies and of these extras."""
+    texts = [*PROJECT["dependencies"]]
+    for extra in extras:
+        texts += PROJECT["optional-dependencies"][extra]
+    return {canonicalize_name(r.name): r for r in map(Requirement, texts)}
+
+
+def pins():
+    """`{name: Requirement}` of constraints.txt."""
+    lines = (ROOT / "constraints.txt").read_text().splitlines()
+    rows = [Requirement(line) for line in lines if line and not line.startswith("#")]
+    assert len({canonicalize_name(r.name) for r in rows}) == len(rows), "a name appears twice"
+    return {canonicalize_name(r.name): r for r in rows}
+
+
+def exact(requirement):
+    """The version of `name==version`."""
+    (spec,) = requirement.specifier
+    assert spec.operator == "==" and "*" not in spec.version, f"{requirement} is no exact version"
+    return spec.version
+
+
+def third_party_imports(folder):
+    """Top-level names that the Python files of a folder import from outside."""
+    names = set()
+    for file in (ROOT / folder).glob("*.py"):
+        for node in ast.walk(ast.parse(file.read_text())):
+            if isinstance(node, ast.Import):
+                names |= {alias.name.split(".")[0] for alias in node.names}
+            elif isinstance(node, ast.ImportFrom):
+                names.add(node.module.split(".")[0])
+    return names - sys.stdlib_module_names - {"dynappo"}
+
+
+def test_mujoco_is_pinned_to_the_series_of_mjx():
+    ours = requirements()
+    assert ours["mujoco"].specifier == ours["mujoco-mjx"].specifier
+    version = exact(pins()["mujoco-mjx"])
+    series, after = version.rsplit(".", 1)[0], int(version.split(".")[1]) + 1
+    assert ours["mujoco"].specifier == SpecifierSet(f">={series},<{version.split('.')[0]}.{after}")
+    assert exact(pins()["mujoco"]) == version
+
+
+def test_warp_is_the_version_that_mjx_declares():
+    declared = [Requirement(text) for text in metadata.requires("mujoco-mjx") or ()]
+    (warp,) = [
+        r for r in declared if r.name == "warp-lang" and r.marker.evaluate({"extra": "warp"})
+    ]
+    assert requirements("warp")["warp-lang"].specifier == warp.specifier
+    assert exact(pins()["warp-lang"]) == exact(warp)
+
+
+def test_every_direct_dependency_has_one_exact_version_that_fits():
+    pinned = pins()
+    for name, requirement in requirements(*PINNED_EXTRAS).items():
+        assert name in pinned, f"constraints.txt lacks {name}: make it again, as it says"
+        assert requirement.specifier.contains(exact(pinned[name]), prereleases=True), requirement
+
+
+def test_constraints_are_names_and_versions_only():
+    for requirement in pins().values():
+        assert exact(requirement)
+        assert not requirement.url and not requirement.extras
+    assert list(pins()) == sorted(pins())
+
+
+def test_what_is_installed_is_what_constraints_say():
+    found = {}
+    for name, requirement in pins().items():
+        try:
+            version = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            continue  # of an extra that is not installed
+        if (requirement.marker is None or requirement.marker.evaluate()) and (
+            version != exact(requirement)
+        ):
+            found[name] = f"{version}, expected {exact(requirement)}"
+    assert not found, f"{found}: pip install -c constraints.txt -e '.[dev,video]'"
+
+
+@pytest.mark.parametrize("folder", ["dynappo", "configs"])
+def test_everything_imported_is_declared(folder):
+    distributions = metadata.packages_distributions()
+    optional = {name for extra in PROJECT["optional-dependencies"] for name in requirements(extra)}
+    for name in third_party_imports(folder):
+        providers = {canonicalize_name(d) for d in distributions.get(name, [name])}
+        assert providers & optional, f"{folder} imports {name}, which pyproject.toml lacks"
+
+
+@pytest.mark.parametrize("name", ["pyproject.toml", "constraints.txt", "Makefile", ".ci/run"])
+def test_no_file_names_an_index_or_a_machine(name):
+    text = (ROOT / name).read_text()
+    for word in ("index-url", "find-links", "://", "/root", "/home", "/tmp", "/opt"):
+        assert word not in text, f"{name} has {word}"
+
+
+def test_the_python_that_ruff_checks_for_is_the_oldest_supported():
+    oldest = PROJECT["requires-python"].removeprefix(">=")
+    assert PYPROJECT["tool"]["ruff"]["target-version"] == "py" + oldest.replace(".", "")
+
+
+def test_the_licence_and_the_citation_agree_with_the_project():
+    assert PROJECT["license"] == "Apache-2.0"
+    text = (ROOT / "LICENSE").read_text()
+    assert "Apache License" in text and "END OF TERMS AND CONDITIONS" in text
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text())
+    assert citation["cff-version"] == "1.2.0" and citation["type"] == "software"
+    assert str(citation["version"]) == PROJECT["version"]
+    assert citation["license"] == PROJECT["license"]
+    (paper,) = citation["references"]
+    assert paper["title"].startswith("Learning to Walk With Less") and len(paper["authors"]) == 7
+
+
+def test_what_ci_runs_can_be_run_and_ends_with_the_tests():
+    script = ROOT / ".ci" / "run"
+    assert os.access(script, os.X_OK)
+    lines = script.read_text().splitlines()
+    assert lines[0].startswith("#!") and "set -euo pipefail" in lines
+    assert [re.sub(r"^make .*?(\w+)$", r"\1", x) for x in lines[-2:]] == ["check", "test"]
+
+
+@pytest.mark.slow
+def test_the_wheel_carries_configs_and_robots_and_finds_them(tmp_path):
+    pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", "-q"]
+    subprocess.run([*pip, "wheel", "--no-deps", "-w", tmp_path, ROOT], check=True)
+    (wheel,) = tmp_path.glob("dynappo-*.whl")
+    names = set(zipfile.ZipFile(wheel).namelist())
+    expected = {f"dynappo/{f.name}" for f in (ROOT / "dynappo").glob("*.py")}
+    for folder in ("configs", "robots"):
+        files = [f for f in (ROOT / folder).rglob("*") if f.is_file()]
+        names_here = {f"dynappo/{f.relative_to(ROOT)}" for f in files}
+        expected |= {name for name in names_here if "__pycache__" not in name}
+    assert {"dynappo/configs/go1.py", "dynappo/robots/go1/go1.xml"} < expected <= names
+    assert {name.split("/")[0] for name in names} == {
+        "dynappo",
+        f"dynappo-{wheel.name.split('-')[1]}.dist-info",
+    }
+    assert any(name.endswith("LICENSE") for name in names)
+
+    site = tmp_path / "site"
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    subprocess.run([*pip, "install", "--no-deps", "--target", site, wheel], check=True)
+    command = [sys.executable, "-m", "dynappo.train", "--config=configs/go1.py:quick"]
+    environment = os.environ | {"PYTHONPATH": str(site)}
+    show = "from dynappo import config, robot; print(config.find('configs', 'go1.py'), robot.load('go1').xml)"
+    for arguments, status, text in (
+        ([sys.executable, "-c", show], 0, f"{site}/dynappo/configs/go1.py {site}/dynappo/robots/"),
+        ([*command, "--config.run.num_iterations=0"], 2, "run.num_iterations is 0"),
+    ):
+        done = subprocess.run(
+            arguments, cwd=elsewhere, env=environment, capture_output=True, text=True
+        )
+        assert done.returncode == status, done.stderr
+        assert text in done.stdout + done.stderr
