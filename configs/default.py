@@ -133,6 +133,11 @@ def get_config(variant: str = "") -> config_dict.ConfigDict:
                 yaw=3.14,  # rad, half width
                 velocity=0.0,  # m/s and rad/s, half width on all six axes
                 joint_scale=(1.0, 1.0),  # default pose times uniform(...), per joint
+                soft_limit=0.9,  # share of each joint's range that a reset may use
+            ),
+            push=dict(  # a kick to the base's horizontal velocity; IL, ANYmal only
+                velocity=0.0,  # m/s, half width in world x and y; 0: none
+                interval=(10.0, 15.0),  # s
             ),
             randomize=dict(  # per robot, drawn once
                 base_mass=(-1.0, 3.0),  # kg, added to the base; IL

@@ -123,13 +123,14 @@ def autoreset(parts: Parts, hyper, physics, state: EnvState, outcome: Outcome, k
 
 def _fresh(parts: Parts, hyper, physics, key) -> EnvState:
     """Pose, velocity and command as tasks.md sections 4 and 7; lifted until no foot is below ground."""
-    keys = jax.random.split(key, 8)
+    keys = jax.random.split(key, 9)
     r, default = hyper.reset, jnp.asarray(parts.robot.default_pose, jnp.float32)
     joints = default * jax.random.uniform(
         keys[0], default.shape, minval=r.joint_scale[0], maxval=r.joint_scale[1]
     )
-    limits = jnp.asarray(parts.robot.mj_model.jnt_range[1:], jnp.float32)
-    joints = jnp.clip(joints, limits[:, 0], limits[:, 1])
+    low, high = jnp.asarray(parts.robot.mj_model.jnt_range[1:].T, jnp.float32)
+    spare = (1 - r.soft_limit) / 2 * (high - low)
+    joints = jnp.clip(joints, low + spare, high - spare)
     lowest = (feet_in_base(parts.legs, joints)[:, 2] - parts.robot.foot_radius).min()
     height = jnp.maximum(r.spawn_height, r.foot_clearance - lowest)
     xy = jax.random.uniform(keys[1], (2,), minval=-1.0, maxval=1.0) * r.position
@@ -159,8 +160,28 @@ def _fresh(parts: Parts, hyper, physics, key) -> EnvState:
         last_air_steps=feet,
         clock=jnp.zeros((), jnp.int32),
         episode_steps=jnp.zeros((), jnp.int32),
+        push_in=_push_in(parts, hyper, keys[8]),
         episode_return=jnp.zeros(()),
     )
+
+
+def _push_in(parts: Parts, hyper, key):
+    low, high = hyper.push.interval
+    seconds = jax.random.uniform(key, (), minval=low, maxval=high)
+    return jnp.round(seconds / parts.dt).astype(jnp.int32)
+
+
+def push(parts: Parts, hyper, qvel, push_in, key):
+    """`(qvel, push_in)` after one step of the clock: a kick in world x and y when it runs out.
+
+    Isaac Lab's push_by_setting_velocity (isaaclab/envs/mdp/events.py): after the reward, before the
+    observation.
+    """
+    due = push_in <= 1
+    kick_key, next_key = jax.random.split(key)
+    kick = jax.random.uniform(kick_key, (2,), minval=-1.0, maxval=1.0) * hyper.push.velocity
+    qvel = qvel.at[:2].add(jnp.where(due, kick, 0.0))
+    return qvel, jnp.where(due, _push_in(parts, hyper, next_key), push_in - 1)
 
 
 def feet_in_base(legs, joints):
@@ -277,10 +298,12 @@ def step(parts: Parts, hyper, physics, state: EnvState, action, key):
     fell = (after.lowest < 0).any() | ~ok
     clock = state.clock + 1
     timeout = (clock >= parts.task.episode_length) & ~fell
-    obs = _observe(parts, hyper, physics, after.qpos, after.qvel, state.command, action, key)
+    obs_key, push_key = jax.random.split(key)
+    qvel, push_in = push(parts, hyper, after.qvel, state.push_in, push_key)
+    obs = _observe(parts, hyper, physics, after.qpos, qvel, state.command, action, obs_key)
     next_state = state.replace(
         qpos=after.qpos,
-        qvel=after.qvel,
+        qvel=qvel,
         qacc_warmstart=after.qacc_warmstart,
         obs=jnp.where(ok, obs, state.obs),
         last_action=action,
@@ -288,6 +311,7 @@ def step(parts: Parts, hyper, physics, state: EnvState, action, key):
         contact_steps=after.contact_steps,
         last_air_steps=after.last_air_steps,
         clock=clock,
+        push_in=push_in,
         episode_steps=state.episode_steps + 1,
         episode_return=state.episode_return + reward,
     )

@@ -23,7 +23,7 @@ SETTLE = 1.0  # s, left out of the tracking error
 
 
 def nominal(task) -> Any:
-    """The floats of the task without noise and with every range of physics at its middle or 0."""
+    """The floats of the task without noise and pushes, every range of physics at its nominal value."""
     still = jax.tree.map(jnp.zeros_like, task.noise)
     r = task.randomize
     one = (jnp.ones(()), jnp.ones(()))
@@ -35,7 +35,8 @@ def nominal(task) -> Any:
         kp_scale=one,
         kd_scale=one,
     )
-    return task._replace(noise=still, randomize=physics)
+    push = task.push._replace(velocity=jnp.zeros(()))
+    return task._replace(noise=still, randomize=physics, push=push)
 
 
 def evaluate(

@@ -83,6 +83,7 @@ class EnvState:
     last_air_steps: Int[Array, "... F"]  # length of the air phase that ended last
     clock: Int[Array, "..."]  # age of the episode in control steps; the first may start aged
     episode_steps: Int[Array, "..."]  # control steps since the reset
+    push_in: Int[Array, "..."]  # control steps until the next push
     episode_return: Float[Array, "..."]
 
 

@@ -1,5 +1,6 @@
 """Checkpoints: every bit comes back, and one that does not fit is said so in one line."""
 
+import pathlib
 import shutil
 
 import jax
@@ -164,7 +165,7 @@ def test_a_damaged_checkpoint_is_refused_in_one_line(checkpoints, plain, damage)
     if damage == "item":
         shutil.rmtree(folder / "default")
     else:
-        for file in [p for p in folder.rglob("*") if p.is_file()]:
+        for file in [p for p in pathlib.Path(folder).rglob("*") if p.is_file()]:
             data = file.read_bytes()
             file.write_bytes(data[: len(data) // 2] if damage == "cut" else b"")
     with pytest.raises(ConfigError) as error:

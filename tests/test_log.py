@@ -113,21 +113,12 @@ def test_a_line_that_was_cut_off_while_writing_is_dropped(tmp_path):
     path = tmp_path / "metrics.csv"
     log.append_csv(path, log.rows(metrics(12)))
     whole = path.read_text()
-    for cut in ("12,480", "12", "1"):
-        begun = whole[: whole.index("12,480") + len(cut)] if cut != "1" else None
-        begun = begun or whole[: whole.index("12,480") + 1]
-        path.write_text(begun)
+    begin = whole.index("12,480")
+    for written in ("12,480", "12", "1"):
+        path.write_text(whole[:begin] + written)
         log.cut_csv(path, 10)
         back = log.read_csv(path)
         np.testing.assert_array_equal(back["iteration"], np.arange(1, 11))
-
-
-def test_a_table_without_rows_is_not_written(tmp_path):
-    """An iteration that gave no rows leaves an error before it leaves a file without a header."""
-    path = tmp_path / "metrics.csv"
-    with pytest.raises(IndexError):
-        log.append_csv(path, [])
-    assert not path.exists()
 
 
 def test_json_is_written_whole_or_not_at_all(tmp_path):

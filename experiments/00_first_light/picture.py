@@ -1,6 +1,6 @@
 """A picture and a film of a trained policy on C MuJoCo: walking.png, walking.mp4.
 
-    python experiments/00_first_light/picture.py [VARIANT]
+python experiments/00_first_light/picture.py [VARIANT]
 """
 
 import sys

@@ -1,6 +1,6 @@
 """Draw curves.png and curves.svg from the CSV files of results/.
 
-    python experiments/00_first_light/plot.py
+python experiments/00_first_light/plot.py
 """
 
 import json
@@ -19,7 +19,9 @@ def main():
     runs = {n: log.read_csv(HERE / "results" / f"{n}.csv") for n in names}
     figure, axes = plt.subplots(1, 3, figsize=(13, 3.8), constrained_layout=True, sharey=True)
     labels = ("iteration", "simulator steps (M)", "training time (s)")
-    for axis, column, label in zip(axes, ("iteration", "sim_steps", "seconds"), labels, strict=True):
+    for axis, column, label in zip(
+        axes, ("iteration", "sim_steps", "seconds"), labels, strict=True
+    ):
         for name, run in runs.items():
             x = run[column] / (1e6 if column == "sim_steps" else 1)
             smooth = np.convolve(run["episode_return"], np.ones(10) / 10, "valid")
