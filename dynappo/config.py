@@ -234,7 +234,7 @@ def _take(config, name, floats):
     return _record(name, tuple(fields))(**fields)
 
 
-@functools.lru_cache(maxsize=None)
+@functools.cache
 def _record(name: str, fields: tuple[str, ...]):
     """One class per set of fields, so that two splits of equal configs have equal tree types."""
     return namedtuple(name, fields)
