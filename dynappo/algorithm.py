@@ -21,6 +21,8 @@ the robot's global index. So two chunks equal one run, and a row does not depend
 
 from __future__ import annotations
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Int, PRNGKeyArray
@@ -61,30 +63,16 @@ def iterate(
 ) -> tuple[TrainState, Metrics]:
     """One iteration of the paper's Algorithm 1; `columns` is one row of `schedule.columns`."""
     horizon, num_envs = static.rollout.horizon, static.rollout.num_envs
-    n_real = columns["n_real"]
+    n_real, start, end = columns["n_real"], jnp.int32(0), jnp.int32(horizon)
     key = jax.random.fold_in(state.key, columns["iteration"])
     keys = rollout.row_keys(jax.random.fold_in(key, ROWS), state.robot_index)
-    params = state.learner.params
-
-    def act(obs, keys):
-        mean, std = networks.policy(static.ppo, params, obs), params["std"]
-        keys = jax.vmap(jax.random.fold_in, (0, None))(keys, ACTION)
-        noise = jax.vmap(lambda k: jax.random.normal(k, std.shape))(keys)
-        action = mean + std * noise
-        log_prob = networks.log_prob(mean, std, action)
-        return action, mean, log_prob, networks.value(static.ppo, params, obs)
+    act = policy(static.ppo, state.learner.params)
 
     # Collect N_r steps with physics, from where the last physics step ended
+    step = physics_step(env, hyper.task, state.params_physics)
     buffer = rollout.allocate(env, horizon, num_envs)
     buffer, env_state, sums = rollout.fill(
-        buffer,
-        jnp.zeros_like(n_real),
-        n_real,
-        state.env_state,
-        keys,
-        act=act,
-        step=physics_step(env, hyper.task, state.params_physics),
-        metrics=env.metrics,
+        buffer, start, n_real, state.env_state, keys, act=act, step=step, metrics=env.metrics
     )
 
     # Train the transition model on them, and let it write the tail of N_s = N - N_r steps
@@ -100,54 +88,26 @@ def iterate(
             columns["model_epochs"],
             jax.random.fold_in(key, FIT),
         )
-        buffer, _, _ = rollout.fill(
-            buffer,
-            n_real,
-            jnp.full_like(n_real, horizon),
-            dynamics.TailState(obs=env_state.obs),
-            keys,
-            act=act,
-            step=lambda tail, action, _: dynamics.step(static.model, env, model, tail, action),
-        )
+        tail = dynamics.TailState(obs=env_state.obs)
+        step = partial(dynamics.step, static.model, env, model)
+        buffer, _, _ = rollout.fill(buffer, n_real, end, tail, keys, act=act, step=step)
 
     # Update the policy by PPO on real and synthetic rows alike
-    with jax.default_matmul_precision("highest"):
-        bootstrap = networks.value(static.ppo, params, buffer.next_obs)
-        ends = (buffer.truncation == 1).at[-1].set(True)
-        bootstrap = jnp.where(ends, bootstrap, jnp.roll(buffer.value, -1, axis=0))
-        advantages, returns = gae.gae(
-            buffer.reward,
-            buffer.discount,
-            buffer.truncation,
-            buffer.value,
-            bootstrap,
-            gamma=hyper.ppo.gamma,
-            lambda_=hyper.ppo.lambda_,
-        )
-    batch = ppo.Batch(
-        obs=buffer.obs,
-        action=buffer.action,
-        action_mean=buffer.action_mean,
-        log_prob=buffer.log_prob,
-        value=buffer.value,
-        advantages=advantages,
-        returns=returns,
-    )
+    batch = estimate(static.ppo, hyper.ppo, state.learner.params, buffer)
     learner, ppo_metrics = ppo.update(
         static.ppo, hyper.ppo, state.learner, batch, jax.random.fold_in(key, UPDATE)
     )
 
-    ring, lengths = finished(state, buffer, n_real)
-    metrics = {
-        "episode_return": jnp.nanmean(ring),
+    returns, lengths = finished(state, buffer, n_real)
+    state = state.replace(
+        learner=learner, model=model, env_state=env_state, returns=returns, lengths=lengths
+    )
+    metrics = ppo_metrics | model_metrics | summarise(sums, n_real * num_envs)
+    return state, metrics | {
+        "episode_return": jnp.nanmean(returns),
         "episode_length": jnp.nanmean(lengths),
         "policy_std": learner.params["std"].mean(),
     }
-    metrics |= ppo_metrics | model_metrics | summarise(sums, n_real * num_envs)
-    state = state.replace(
-        learner=learner, model=model, env_state=env_state, returns=ring, lengths=lengths
-    )
-    return state, metrics
 
 
 def run(
@@ -157,6 +117,49 @@ def run(
     columns = {name: jnp.asarray(column) for name, column in columns.items()}
     return jax.lax.scan(
         lambda state, row: iterate(env, hyper, state, row, static=static), state, columns
+    )
+
+
+def policy(static, params: dict):
+    """`act(obs, keys)`: a Gaussian action of every robot, with what PPO must remember of it."""
+    std = params["std"]
+
+    def act(obs, keys):
+        mean = networks.policy(static, params, obs)
+        keys = jax.vmap(jax.random.fold_in, (0, None))(keys, ACTION)
+        action = mean + std * jax.vmap(lambda k: jax.random.normal(k, std.shape))(keys)
+        log_prob = networks.log_prob(mean, std, action)
+        return action, mean, log_prob, networks.value(static, params, obs)
+
+    return act
+
+
+def estimate(static, hyper, params: dict, buffer: Transition) -> ppo.Batch:
+    """Advantages and returns of a rollout, bootstrapped from V(next_obs) wherever it is cut.
+
+    That is at truncations and at row N-1; elsewhere the next row's value is the same number.
+    """
+    with jax.default_matmul_precision("highest"):
+        cut = (buffer.truncation == 1).at[-1].set(True)
+        following = jnp.roll(buffer.value, -1, axis=0)
+        bootstrap = jnp.where(cut, networks.value(static, params, buffer.next_obs), following)
+        advantages, returns = gae.gae(
+            buffer.reward,
+            buffer.discount,
+            buffer.truncation,
+            buffer.value,
+            bootstrap,
+            gamma=hyper.gamma,
+            lambda_=hyper.lambda_,
+        )
+    return ppo.Batch(
+        obs=buffer.obs,
+        action=buffer.action,
+        action_mean=buffer.action_mean,
+        log_prob=buffer.log_prob,
+        value=buffer.value,
+        advantages=advantages,
+        returns=returns,
     )
 
 

@@ -7,6 +7,7 @@ differences between calls of one and the same program, as they run inside it.
 from __future__ import annotations
 
 import time
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -56,29 +57,19 @@ def _tail_row(program, state, rows: int = 64) -> float:
     import jax
     import jax.numpy as jnp
 
-    from dynappo import dynamics, networks, rollout
+    from dynappo import algorithm, dynamics, rollout
 
     static, env = program.static, program.env
 
     def write(state, n):
-        std = state.learner.params["std"]
-        keys = rollout.row_keys(state.key, state.robot_index)
-
-        def act(obs, keys):
-            mean = networks.policy(static.ppo, state.learner.params, obs)
-            action = mean + std * jax.vmap(lambda k: jax.random.normal(k, std.shape))(keys)
-            log_prob = networks.log_prob(mean, std, action)
-            value = networks.value(static.ppo, state.learner.params, obs)
-            return action, mean, log_prob, value
-
         return rollout.fill(
             rollout.allocate(env, rows, state.robot_index.size),
             jnp.zeros_like(n),
             n,
             dynamics.TailState(obs=state.env_state.obs),
-            keys,
-            act=act,
-            step=lambda s, a, _: dynamics.step(static.model, env, state.model, s, a),
+            rollout.row_keys(state.key, state.robot_index),
+            act=algorithm.policy(static.ppo, state.learner.params),
+            step=partial(dynamics.step, static.model, env, state.model),
         )[0]
 
     compiled = jax.jit(write)

@@ -166,11 +166,11 @@ def predict(
     return jnp.concatenate([prop, env.context(obs, action)], -1), y[..., -1] * env.dt
 
 
-def step(static, env: Env, model: ModelState, state: TailState, action) -> tuple:
+def step(static, env: Env, model: ModelState, state: TailState, action, keys=None) -> tuple:
     """The contract of an environment's step, with the model in place of physics.
 
-    No row of a tail falls or times out: the paper's model predicts no terminations, and clocks
-    advance in physics only.
+    The model is deterministic: `keys` is not read. No row of a tail falls or times out, because
+    the paper's model predicts no terminations and clocks advance in physics only.
     """
     obs, reward = predict(static, env, model, state.obs, action)
     outcome = Outcome(

@@ -4,83 +4,47 @@ Follows Isaac Lab's flat velocity tasks and the paper; where they differ, `task.
 configs/README.md say what is done. Order inside a control step (isaaclab/envs/manager_based_rl_env.py):
 action, four physics steps with the actuator model in each, terminations, rewards, observation. The
 reset is `autoreset`'s.
-
-Why kinematics one substep old: `mjx.step` computes positions of geoms from the coordinates it
-starts from, so after it they are those of 5 ms before. Foot contacts (a foot sphere's centre lower
-than its radius) and the lowest points of other parts are read there, at no cost; observations and
-rewards are computed from the new qpos and qvel.
-
-Why contact by geometry: it is the same for every engine and needs no contact forces, so the parts
-that must not touch the ground need no collision pairs (`physics.contacts = feet`).
-
-Why the data are rebuilt from a template in every substep: what is carried is then small, a reset
-costs no physics call, and a checkpoint does not depend on the engine.
 """
 
 from __future__ import annotations
 
-import contextlib
-import io
 from functools import partial
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
-from dynappo import actuators, observe, randomize, rewards
+from dynappo import observe, physics, randomize, rewards
 from dynappo import robot as robot_lib
 from dynappo.types import Env, EnvState, Outcome
 
-with contextlib.redirect_stdout(io.StringIO()):  # it prints two lines where warp-lang is absent
-    from mujoco import mjx
-
 MAX_JOINT_SPEED, MAX_BASE_SPEED = 100.0, 20.0  # rad/s, m/s: beyond is a numerical blow-up
-CONTACTS_PER_ROBOT, ROWS_PER_ROBOT = 8, 48  # buffers of MJX-Warp with feet-only contacts
-FULL_CONTACTS_PER_ROBOT, FULL_ROWS_PER_ROBOT = 48, 240
 
 
 class Parts(NamedTuple):
     """What the task's functions need of robot, task and engine; constants of the program."""
 
-    model: Any  # mjx.Model
-    data: Any  # mjx.Data, a template
+    engine: physics.Engine
     robot: robot_lib.Robot
     task: Any  # the config's group `task`, for its non-float fields
-    substeps: int
-    timestep: float
-    floor: tuple[Any, ...]  # robot.floor_distance of the parts
     legs: tuple[Any, ...]  # robot.leg_chains
-    varied: frozenset[str]
-
-    @property
-    def dt(self) -> float:
-        return self.substeps * self.timestep
+    dt: float  # s
 
 
-def make(robot: robot_lib.Robot, task, physics, *, impl: str = "jax", num_worlds: int = 1) -> Env:
-    """The task of `task` and `physics` (config groups) on `robot`, stepped by `impl`.
+def make(
+    robot: robot_lib.Robot, task, physics_config, *, impl: str = "jax", num_worlds: int = 1
+) -> Env:
+    """The task of `task` and `physics_config` (config groups) on `robot`, stepped by `impl`.
 
     `num_worlds` is robots times seeds: MJX-Warp keeps one contact buffer for all of them.
     """
-    mj_model = robot_lib.physics_model(robot, physics)
-    full = physics.contacts == "full"
-    buffers = {}
-    if impl == "warp":
-        buffers["naconmax"] = num_worlds * (FULL_CONTACTS_PER_ROBOT if full else CONTACTS_PER_ROBOT)
-        buffers["njmax"] = FULL_ROWS_PER_ROBOT if full else ROWS_PER_ROBOT
-    model = mjx.put_model(mj_model, impl=impl)
-    if impl == "warp":  # it prints a line a world a step when the solver's limit is reached
-        model = model.tree_replace({"opt._impl.warn_overflow": 0})
+    varied = randomize.varied(task.randomize)
     parts = Parts(
-        model=model,
-        data=mjx.make_data(mj_model, impl=impl, **buffers),
+        engine=physics.make(robot, physics_config, varied, impl, num_worlds),
         robot=robot,
         task=task,
-        substeps=physics.substeps,
-        timestep=physics.timestep,
-        floor=robot_lib.floor_distance(mj_model, robot.parts),
         legs=robot_lib.leg_chains(robot),
-        varied=randomize.varied(task.randomize),
+        dt=physics_config.substeps * physics_config.timestep,
     )
     names = [f"reward_{name}" for name in task.weights]
     return Env(
@@ -104,24 +68,24 @@ def _randomize(parts: Parts, hyper, key):
     return randomize.draw(hyper.randomize, model.body_mass[base], com, key)
 
 
-def reset(parts: Parts, hyper, physics, key) -> EnvState:
+def reset(parts: Parts, hyper, body, key) -> EnvState:
     """A robot at the start of an episode; with `task.random_clock`, at a random age of it."""
     key, clock_key = jax.random.split(key)
-    state = _fresh(parts, hyper, physics, key)
+    state = _fresh(parts, hyper, body, key)
     if not parts.task.random_clock:
         return state
     clock = jax.random.randint(clock_key, (), 0, parts.task.episode_length)
     return state.replace(clock=clock.astype(jnp.int32))
 
 
-def autoreset(parts: Parts, hyper, physics, state: EnvState, outcome: Outcome, key) -> EnvState:
+def autoreset(parts: Parts, hyper, body, state: EnvState, outcome: Outcome, key) -> EnvState:
     """`state`, or a fresh episode where `outcome` ended one."""
     ended = (outcome.discount == 0) | (outcome.truncation == 1)
-    fresh = _fresh(parts, hyper, physics, key)
+    fresh = _fresh(parts, hyper, body, key)
     return jax.tree.map(lambda new, old: jnp.where(ended, new, old), fresh, state)
 
 
-def _fresh(parts: Parts, hyper, physics, key) -> EnvState:
+def _fresh(parts: Parts, hyper, body, key) -> EnvState:
     """Pose, velocity and command as tasks.md sections 4 and 7; lifted until no foot is below ground."""
     keys = jax.random.split(key, 9)
     r, default = hyper.reset, jnp.asarray(parts.robot.default_pose, jnp.float32)
@@ -131,7 +95,7 @@ def _fresh(parts: Parts, hyper, physics, key) -> EnvState:
     low, high = jnp.asarray(parts.robot.mj_model.jnt_range[1:].T, jnp.float32)
     spare = (1 - r.soft_limit) / 2 * (high - low)
     joints = jnp.clip(joints, low + spare, high - spare)
-    lowest = (feet_in_base(parts.legs, joints)[:, 2] - parts.robot.foot_radius).min()
+    lowest = (robot_lib.feet_in_base(parts.legs, joints)[:, 2] - parts.robot.foot_radius).min()
     height = jnp.maximum(r.spawn_height, r.foot_clearance - lowest)
     xy = jax.random.uniform(keys[1], (2,), minval=-1.0, maxval=1.0) * r.position
     yaw = jax.random.uniform(keys[2], (), minval=-1.0, maxval=1.0) * r.yaw
@@ -147,7 +111,7 @@ def _fresh(parts: Parts, hyper, physics, key) -> EnvState:
         ]
     )
     feet = jnp.zeros(len(parts.robot.feet), jnp.int32)
-    obs = _observe(parts, hyper, physics, qpos, qvel, command, default * 0, keys[7])
+    obs = _observe(parts, hyper, body, qpos, qvel, command, default * 0, keys[7])
     return EnvState(
         qpos=qpos,
         qvel=qvel,
@@ -184,113 +148,26 @@ def push(parts: Parts, hyper, qvel, push_in, key):
     return qvel, jnp.where(due, _push_in(parts, hyper, next_key), push_in - 1)
 
 
-def feet_in_base(legs, joints):
-    """Foot centres [F, 3] (m) in the base frame at joint angles [A], by the chains of each leg."""
-    offsets, axes = legs
-    offsets, axes = jnp.asarray(offsets, jnp.float32), jnp.asarray(axes, jnp.float32)
-    angles = joints.reshape(axes.shape[:2])
-    position = offsets[:, 3]
-    for i in (2, 1, 0):  # from the foot up to the hip: rotate about the joint, add the offset
-        axis, angle = axes[:, i], angles[:, i, None]
-        turned = jnp.cross(axis, position)
-        position = (
-            position * jnp.cos(angle)
-            + turned * jnp.sin(angle)
-            + axis * (axis * position).sum(-1, keepdims=True) * (1 - jnp.cos(angle))
-        )
-        position = offsets[:, i] + position
-    return position
-
-
-def _observe(parts, hyper, physics, qpos, qvel, command, last_action, key):
+def _observe(parts, hyper, body, qpos, qvel, command, last_action, key):
     default = jnp.asarray(parts.robot.default_pose, jnp.float32)
-    clean = observe.observe(qpos, qvel, physics.base_com, default, command, last_action)
+    clean = observe.observe(qpos, qvel, body.base_com, default, command, last_action)
     noise = jax.random.uniform(key, clean.shape, minval=-1.0, maxval=1.0)
     return clean + noise * observe.noise_scale(hyper.noise, jnp)
 
 
-class Substeps(NamedTuple):
-    """What a control step carries from one physics step to the next."""
-
-    qpos: Any
-    qvel: Any
-    qacc_warmstart: Any
-    air_steps: Any
-    contact_steps: Any
-    last_air_steps: Any
-    torque: Any  # of the last physics step
-    qd_before: Any  # joint velocities before it
-    lowest: Any  # m, lowest point of each part at its start
-
-
-def simulate(parts: Parts, hyper, physics, state: EnvState, action) -> Substeps:
-    """`substeps` physics steps under explicit PD towards the action's joint targets."""
-    model = randomize.merge(
-        parts.model, physics, parts.robot.base_body, parts.robot.feet, parts.varied
-    )
-    default = jnp.asarray(parts.robot.default_pose, jnp.float32)
-    q_target = actuators.target(action, default, hyper.action_scale)
-    kp, kd = hyper.kp * physics.kp_scale, hyper.kd * physics.kd_scale
-    fixed, linear, ring = parts.floor
-    ids, feet = parts.robot.parts, parts.robot.feet
-
-    def substep(s: Substeps, _):
-        torque = actuators.clip_dc_motor(
-            actuators.pd(q_target, s.qpos[7:], s.qvel[6:], kp, kd),
-            s.qvel[6:],
-            effort_limit=hyper.effort_limit,
-            saturation_effort=hyper.saturation_effort,
-            velocity_limit=hyper.velocity_limit,
-        )
-        data = parts.data.replace(
-            qpos=s.qpos, qvel=s.qvel, qacc_warmstart=s.qacc_warmstart, ctrl=torque
-        )
-        data = mjx.step(model, data)
-        contact = data.geom_xpos[feet, 2] < parts.robot.foot_radius
-        row = data.geom_xmat[ids].reshape(-1, 9)[:, 6:]  # third row of the rotation matrix
-        drop = fixed + (linear * jnp.abs(row)).sum(-1)
-        drop += ring * jnp.sqrt(jnp.maximum(1 - row[:, 2] ** 2, 0))
-        landed = contact & (s.air_steps > 0)
-        return Substeps(
-            qpos=data.qpos,
-            qvel=data.qvel,
-            qacc_warmstart=data.qacc_warmstart,
-            air_steps=jnp.where(contact, 0, s.air_steps + 1),
-            contact_steps=jnp.where(contact, s.contact_steps + 1, 0),
-            last_air_steps=jnp.where(landed, s.air_steps + 1, s.last_air_steps),
-            torque=torque,
-            qd_before=s.qvel[6:],
-            lowest=data.geom_xpos[ids, 2] - drop,
-        ), None
-
-    first = Substeps(
-        qpos=state.qpos,
-        qvel=state.qvel,
-        qacc_warmstart=state.qacc_warmstart,
-        air_steps=state.air_steps,
-        contact_steps=state.contact_steps,
-        last_air_steps=state.last_air_steps,
-        torque=default * 0,
-        qd_before=default * 0,
-        lowest=jnp.zeros(len(ids)),
-    )
-    with jax.default_matmul_precision("highest"):
-        return jax.lax.scan(substep, first, None, length=parts.substeps)[0]
-
-
-def step(parts: Parts, hyper, physics, state: EnvState, action, key):
+def step(parts: Parts, hyper, body, state: EnvState, action, key):
     """One control step -> `(EnvState, Outcome)`; the episode's end is in the outcome only.
 
     A robot whose state is not finite, or moves faster than 100 rad/s or 20 m/s, has left what the
     solver can compute: its episode ends with reward 0, it is counted in `blowups`, and no number
     of that row but zeros and the old observation leaves this function.
     """
-    after = simulate(parts, hyper, physics, state, action)
+    after = physics.simulate(parts.engine, hyper, body, state, action)
     speed = jnp.abs(after.qvel)
     ok = jnp.isfinite(after.qpos).all() & jnp.isfinite(after.qacc_warmstart).all()
     ok &= (speed[6:] < MAX_JOINT_SPEED).all() & (speed[:3] < MAX_BASE_SPEED).all()
 
-    gravity, linear, angular = observe.base_motion(after.qpos, after.qvel, physics.base_com)
+    gravity, linear, angular = observe.base_motion(after.qpos, after.qvel, body.base_com)
     terms = reward_terms(parts, hyper, state, action, after, (gravity, linear, angular))
     reward, weighted = rewards.total(terms, hyper.weights._asdict(), parts.dt)
     reward = jnp.where(ok, reward, 0.0)
@@ -300,7 +177,7 @@ def step(parts: Parts, hyper, physics, state: EnvState, action, key):
     timeout = (clock >= parts.task.episode_length) & ~fell
     obs_key, push_key = jax.random.split(key)
     qvel, push_in = push(parts, hyper, after.qvel, state.push_in, push_key)
-    obs = _observe(parts, hyper, physics, after.qpos, qvel, state.command, action, obs_key)
+    obs = _observe(parts, hyper, body, after.qpos, qvel, state.command, action, obs_key)
     next_state = state.replace(
         qpos=after.qpos,
         qvel=qvel,
@@ -335,13 +212,15 @@ def step(parts: Parts, hyper, physics, state: EnvState, action, key):
     return next_state, outcome
 
 
-def reward_terms(parts: Parts, hyper, state: EnvState, action, after: Substeps, motion) -> dict:
+def reward_terms(
+    parts: Parts, hyper, state: EnvState, action, after: physics.Substeps, motion
+) -> dict:
     """Every term of the reward, unweighted, by the name of its weight in `task.weights`."""
     gravity, linear, angular = motion
     contact = after.contact_steps > 0
     if parts.task.air_time == "touchdown":
-        touchdown = contact & (after.contact_steps <= parts.substeps)
-        last_air_time = after.last_air_steps * parts.timestep
+        touchdown = contact & (after.contact_steps <= parts.engine.substeps)
+        last_air_time = after.last_air_steps * parts.engine.timestep
         air = rewards.feet_air_time(last_air_time, touchdown, state.command)
     else:
         air = rewards.feet_in_air(contact)
@@ -355,7 +234,9 @@ def reward_terms(parts: Parts, hyper, state: EnvState, action, after: Substeps, 
         "roll_pitch_rate": rewards.roll_pitch_rate(angular),
         "flat_orientation": rewards.flat_orientation(gravity),
         "joint_torques": rewards.joint_torques(after.torque),
-        "joint_accelerations": rewards.joint_accelerations(qd, after.qd_before, parts.timestep),
+        "joint_accelerations": rewards.joint_accelerations(
+            qd, after.qd_before, parts.engine.timestep
+        ),
         "action_rate": rewards.action_rate(action, state.last_action),
         "feet_air_time": air,
         "undesired_contacts": rewards.undesired_contacts(after.lowest),

@@ -178,3 +178,22 @@ def leg_chains(robot: Robot):
         )
     pos = np.concatenate([m.body_pos[bodies], m.geom_pos[robot.feet][:, None]], axis=1)
     return pos, m.jnt_axis[1:].reshape(4, 3, 3)
+
+
+def feet_in_base(legs, joints):
+    """Foot centres [F, 3] (m) in the base frame at joint angles [A], by the chains of each leg."""
+    offsets, axes = legs
+    xp = joints.__array_namespace__()
+    offsets, axes = xp.asarray(offsets, dtype=joints.dtype), xp.asarray(axes, dtype=joints.dtype)
+    angles = joints.reshape(axes.shape[:2])
+    position = offsets[:, 3]
+    for i in (2, 1, 0):  # from the foot up to the hip: rotate about the joint, add the offset
+        axis, angle = axes[:, i], angles[:, i, None]
+        turned = xp.linalg.cross(axis, position)
+        position = (
+            position * xp.cos(angle)
+            + turned * xp.sin(angle)
+            + axis * (axis * position).sum(-1, keepdims=True) * (1 - xp.cos(angle))
+        )
+        position = offsets[:, i] + position
+    return position

@@ -132,16 +132,16 @@ class TrainState:
 class Env(NamedTuple):
     """An environment as pure functions of one robot, and the sizes the learner must know.
 
-    `hyper` is the pytree of the task's floats, `physics` the robot's own physical parameters.
+    `hyper` is the pytree of the task's floats, `body` the robot's own physical parameters.
     `step` never resets, `autoreset` does. `context(obs, action)` is the part of the next
     observation that follows from the row itself and is copied, not predicted: the trailing
     `obs_size - prop_size` numbers. States must have the field `obs`.
     """
 
-    randomize: Callable[..., Any]  # (hyper, key) -> physics
-    reset: Callable[..., Any]  # (hyper, physics, key) -> state
-    step: Callable[..., Any]  # (hyper, physics, state, action, key) -> state, Outcome
-    autoreset: Callable[..., Any]  # (hyper, physics, state, Outcome, key) -> state
+    randomize: Callable[..., Any]  # (hyper, key) -> body
+    reset: Callable[..., Any]  # (hyper, body, key) -> state
+    step: Callable[..., Any]  # (hyper, body, state, action, key) -> state, Outcome
+    autoreset: Callable[..., Any]  # (hyper, body, state, Outcome, key) -> state
     context: Callable[..., Any]  # (obs, action) -> [O - P]
     metrics: tuple[str, ...]  # names in Outcome.metrics
     obs_size: int

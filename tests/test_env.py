@@ -28,26 +28,11 @@ VARIED = dict(
 )
 
 
-# ANYmal-D as a difference from Go1: motors, resets and randomisation of the named task.
-ANYMAL_D = dict(
-    action_scale=0.5,
-    kp=85.0,
-    kd=0.6,
-    effort_limit=80.0,
-    saturation_effort=120.0,
-    velocity_limit=7.5,
-)
-ANYMAL_D_RESET = dict(spawn_height=0.6, velocity=0.5, joint_scale=(0.5, 1.5))
-ANYMAL_D_RANGES = dict(base_mass=(-5.0, 5.0), base_com=(0.05, 0.05, 0.01))
-
-
-def build(ranges, name="go1", reset=None, **task):
+def build(name, ranges=None, **task):
     """Environment, jitted batch functions that may trace once, and what tests need beside."""
-    settings = config.load("go1.py")
-    settings.robot = name
+    settings = config.load(f"{name}.py")
     settings.task.update(task)
-    settings.task.randomize.update(ranges)
-    settings.task.reset.update(reset or {})
+    settings.task.randomize.update(ranges or {})
     settings.physics.impl = "jax"
     settings = config.validate(settings)
     loaded = robot.load(name)
@@ -95,19 +80,17 @@ def nominal(loaded, **changes):
 
 @pytest.fixture(scope="module")
 def lab():
-    return build(VARIED)
+    return build("go1", VARIED)
 
 
 @pytest.fixture(scope="module")
 def plain():
-    return build(dict(base_mass=(0.0, 0.0)), formulation="paper_text", random_clock=False)
+    return build("go1", dict(base_mass=(0.0, 0.0)), formulation="paper_text", random_clock=False)
 
 
 @pytest.fixture(scope="module")
 def anymal():
-    if not config.find("robots", "anymal_d/anymal_d.xml"):
-        pytest.skip("robots/anymal_d is not there")
-    return build(ANYMAL_D_RANGES, "anymal_d", ANYMAL_D_RESET, **ANYMAL_D)
+    return build("anymal_d")
 
 
 @pytest.fixture(scope="module")
@@ -319,7 +302,8 @@ def test_one_row_of_mjx_is_that_of_c_mujoco_and_so_is_every_reward_term(lab, phy
             compared += 1
             warm = after.qacc_warmstart[i]  # the next row's solver starts from it
             np.testing.assert_allclose(warm, reference.data.qacc_warmstart, atol=0.1)
-            terms = reference.terms(before.command[i], moves[t, i], before.last_action[i])
+            last_action = moves[t - 1, i] if t else np.zeros(12)
+            terms = reference.terms(before.command[i], moves[t, i], last_action)
             for name, value in terms.items():
                 found = metrics[f"reward_{name}"][i]
                 assert found == pytest.approx(value, rel=2e-3, abs=2e-5), (name, t, i)
@@ -509,6 +493,7 @@ def test_the_observation_is_that_of_the_new_state_and_holds_command_and_action(l
             for i in range(ROBOTS)
         ]
         np.testing.assert_allclose(outcomes[t].next_obs, expected, atol=1e-5)
+        np.testing.assert_array_equal(after.last_action, moves[t])
         copied = lab.env.context(states[t].obs, moves[t])
         np.testing.assert_array_equal(outcomes[t].next_obs[:, 33:], copied)
 
@@ -623,6 +608,60 @@ def test_a_touchdown_is_paid_once_whichever_substep_it_falls_in(lab, standing):
     np.testing.assert_allclose(outcome.metrics["reward_feet_air_time"], expected, atol=1e-6)
 
 
+# --- pushes ---
+
+
+def test_a_push_kicks_the_base_on_the_plane_after_the_reward_and_before_the_observation(
+    lab, standing
+):
+    """Isaac Lab's interval event: only the robots whose time has come, by up to 0.5 m/s."""
+    due = np.arange(ROBOTS) % 2 == 0
+    state = standing.replace(push_in=jnp.asarray(np.where(due, 1, 7), jnp.int32))
+    pushed_hyper = weights(lab.quiet)._replace(push=lab.hyper.push._replace(velocity=0.5))
+    move, kicks, waits = actions(1)[0], [], []
+    for seed in range(20):
+        keys = jax.random.split(jax.random.key(seed), ROBOTS)
+        pushed = lab.step(pushed_hyper, lab.nominal, state, move, keys)
+        calm = lab.step(weights(lab.quiet), lab.nominal, state, move, keys)
+        for name in ("qpos", "qacc_warmstart", "contact_steps", "clock"):
+            old, new = getattr(calm[0], name), getattr(pushed[0], name)
+            np.testing.assert_array_equal(new, old, err_msg=name)
+        chex.assert_trees_all_equal(pushed[1].metrics, calm[1].metrics)
+        np.testing.assert_array_equal(pushed[1].reward, calm[1].reward)
+        kick = np.asarray(pushed[0].qvel - calm[0].qvel)
+        assert not kick[~due].any() and not kick[:, 2:].any()
+        kicks.append(kick[due, :2]), waits.append(np.asarray(pushed[0].push_in))
+        seen = pushed[1].next_obs - calm[1].next_obs
+        for i in np.flatnonzero(due):
+            frame = np.zeros(9)
+            mujoco.mju_quat2Mat(frame, np.asarray(calm[0].qpos[i, 3:7], float))
+            expected = frame.reshape(3, 3).T @ kick[i, :3]
+            np.testing.assert_allclose(seen[i, observe.LINEAR_VELOCITY], expected, atol=1e-5)
+    kicks, waits = np.concatenate(kicks), np.array(waits)
+    for axis in (0, 1):
+        fills(kicks[:, axis], -0.5, 0.5)
+    assert abs(np.corrcoef(kicks.T)[0, 1]) < 5 / np.sqrt(len(kicks))
+    np.testing.assert_array_equal(waits[:, ~due], 6)
+    fills(waits[:, due].ravel(), 500, 750)  # 10 to 15 s of 0.02 s
+
+
+def test_a_push_comes_in_the_row_in_which_its_time_runs_out_and_then_not_again(lab, standing):
+    state = standing.replace(push_in=jnp.full(ROBOTS, 3, jnp.int32))
+    hyper = lab.quiet._replace(push=lab.hyper.push._replace(velocity=0.5))
+    kicked = []
+    for row in actions(6):
+        pushed, _ = lab.step(hyper, lab.nominal, state, row, lab.keys)
+        calm, _ = lab.step(lab.quiet, lab.nominal, state, row, lab.keys)
+        kicked.append(np.asarray(pushed.qvel != calm.qvel).any())
+        state = pushed
+    assert kicked == [False, False, True, False, False, False]
+
+
+def test_anymals_are_pushed_every_10_to_15_seconds_and_go1_never(lab, anymal, many_anymals):
+    assert anymal.hyper.push.velocity == 0.5 and lab.hyper.push.velocity == 0.0
+    fills(many_anymals.push_in, 500, 750)
+
+
 # --- ends of episodes ---
 
 
@@ -704,6 +743,7 @@ def test_autoreset_starts_exactly_the_ended_robots_anew_with_clock_zero(lab, phy
         assert not getattr(new, name)[ended].any(), name
     for name in ("air_steps", "contact_steps", "last_air_steps"):
         assert not getattr(new, name)[ended].any(), name
+    assert (500 <= new.push_in[ended]).all() and (new.push_in[ended] <= 750).all()
     np.testing.assert_allclose(new.qpos[ended, 7:] - lab.robot.default_pose, 0, atol=1e-6)
     assert (new.command[ended] != np.asarray(state.command)[ended]).all()
     assert (new.obs[ended, 33:36] == new.command[ended]).all()
@@ -831,9 +871,11 @@ def test_the_first_observation_has_noise_too(lab):
     assert (noise[:, :33].max(axis=0) > 0.5 * np.array(NOISE[:33])).all()
 
 
-def test_scaled_joints_stay_in_their_limits_and_the_robot_is_lifted_off_the_floor(lab, resets):
+def test_scaled_joints_stay_in_their_soft_limits_and_the_robot_is_lifted_off_the_floor(lab, resets):
     state = resets(spawn_height=0.335, joint_scale=(0.5, 1.5))
     low, high = lab.robot.mj_model.jnt_range[1:].T
+    middle, half = (low + high) / 2, 0.9 * (high - low) / 2  # Isaac Lab's soft limits of Go1
+    low, high = middle - half, middle + half
     joints = state.qpos[:, 7:]
     scale = joints / lab.robot.default_pose
     assert (joints >= low - 1e-6).all() and (joints <= high + 1e-6).all()

@@ -14,11 +14,15 @@ CONFIGS = PACKAGE.parent / "configs"
 GROUPS = (
     {"types", "config", "schedule"},
     {"networks", "gae", "rewards", "actuators", "observe"},
-    {"robot", "env", "randomize", "dynamics", "ppo", "rollout"},
+    {"robot", "env", "physics", "randomize", "dynamics", "ppo", "rollout"},
     {"algorithm", "evaluate", "sweep"},
     {"checkpoint", "log", "render", "export", "train", "play", "bench", "console"},
 )
-WITHIN = {"config": {"schedule"}, "env": {"robot", "randomize"}}  # allowed inside a group
+WITHIN = {
+    "config": {"schedule"},
+    "env": {"robot", "randomize", "physics"},
+    "physics": {"robot", "randomize"},
+}  # allowed inside a group
 HOST = GROUPS[-1]
 READ_FILES = {"config", "robot"}
 WITHOUT_JAX = {"config", "schedule", "rewards", "actuators", "observe", "robot"}

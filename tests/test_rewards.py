@@ -265,13 +265,15 @@ def test_a_term_without_a_weight_or_a_weight_without_a_term_is_named(terms, weig
         rewards.total(dict.fromkeys(terms, 1.0), dict.fromkeys(weights, 1.0), dt=0.02)
 
 
-@pytest.mark.parametrize("name", [n for n in WEIGHTS if config.find("configs", f"{n}.py")])
+@pytest.mark.parametrize("name", WEIGHTS)
 def test_weights_of_a_config_are_those_of_the_named_task(name):
     task = config.load(f"{name}.py").task
     assert task.weights.to_dict() == WEIGHTS[name]
 
 
-@pytest.mark.parametrize(("name", "best"), [("go1", 45.0)])
+@pytest.mark.parametrize(
+    ("name", "best"), [("go1", 45.0), ("go2", 45.0), ("anymal_c", 30.0), ("anymal_d", 30.0)]
+)
 def test_an_episode_of_twenty_seconds_that_tracks_perfectly_earns(name, best):
     settings = config.load(f"{name}.py")
     dt = settings.physics.timestep * settings.physics.substeps

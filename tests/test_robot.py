@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from dynappo import actuators, config, env, robot
+from dynappo import actuators, config, robot
 
 HERE = pathlib.Path(__file__).resolve().parent
 FACTS = json.loads((HERE / "facts" / "robots.json").read_text())
@@ -266,7 +266,7 @@ def test_foot_positions_by_the_leg_chains_are_mujocos_at_any_joint_angles(loaded
         joints = rng.uniform(low, high)
         data.qpos[:] = [0, 0, 0, 1, 0, 0, 0, *joints]
         mujoco.mj_kinematics(loaded.mj_model, data)
-        found = env.feet_in_base(legs, joints.astype(np.float32))
+        found = robot.feet_in_base(legs, joints.astype(np.float32))
         np.testing.assert_allclose(found, data.geom_xpos[loaded.feet], atol=2e-6)
 
 

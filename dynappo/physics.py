@@ -1,0 +1,140 @@
+"""Physics of one control step on MJX: PD, motor limits, four physics steps, contacts by geometry.
+
+Why kinematics one substep old: `mjx.step` computes positions of geoms from the coordinates it
+starts from, so after it they are those of 5 ms before. Foot contacts (a foot sphere's centre lower
+than its radius) and the lowest points of other parts are read there, at no cost; observations and
+rewards are computed from the new qpos and qvel.
+
+Why contact by geometry: it is the same for every engine and needs no contact forces, so the parts
+that must not touch the ground need no collision pairs (`physics.contacts = feet`).
+
+Why the data are rebuilt from a template in every substep: what is carried is then small, a reset
+costs no physics call, and a checkpoint does not depend on the engine.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from dynappo import actuators, randomize
+from dynappo import robot as robot_lib
+from dynappo.types import EnvState
+
+with contextlib.redirect_stdout(io.StringIO()):  # it prints two lines where warp-lang is absent
+    from mujoco import mjx
+
+CONTACTS_PER_ROBOT, ROWS_PER_ROBOT = 8, 48  # buffers of MJX-Warp with feet-only contacts
+FULL_CONTACTS_PER_ROBOT, FULL_ROWS_PER_ROBOT = 48, 240
+
+
+class Engine(NamedTuple):
+    """A robot in an engine; constants of the compiled program."""
+
+    model: Any  # mjx.Model
+    data: Any  # mjx.Data, a template
+    robot: robot_lib.Robot
+    substeps: int
+    timestep: float  # s
+    floor: tuple[Any, ...]  # robot.floor_distance of the parts
+    varied: frozenset[str]  # randomize.varied
+
+
+def make(robot: robot_lib.Robot, physics, varied: frozenset[str], impl: str, num_worlds: int):
+    """The engine `impl` ("jax" or "warp") for `num_worlds` copies of `robot`.
+
+    `physics` is the config's group. MJX-Warp keeps one contact buffer for all worlds, which must
+    hold those of all robots of all seeds.
+    """
+    mj_model = robot_lib.physics_model(robot, physics)
+    buffers = {}
+    if impl == "warp":
+        full = physics.contacts == "full"
+        contacts = FULL_CONTACTS_PER_ROBOT if full else CONTACTS_PER_ROBOT
+        buffers["naconmax"] = num_worlds * contacts
+        buffers["njmax"] = FULL_ROWS_PER_ROBOT if full else ROWS_PER_ROBOT
+    model = mjx.put_model(mj_model, impl=impl)
+    if impl == "warp":  # it prints a line a world a step when the solver's limit is reached
+        model = model.tree_replace({"opt._impl.warn_overflow": 0})
+    return Engine(
+        model=model,
+        data=mjx.make_data(mj_model, impl=impl, **buffers),
+        robot=robot,
+        substeps=physics.substeps,
+        timestep=physics.timestep,
+        floor=robot_lib.floor_distance(mj_model, robot.parts),
+        varied=varied,
+    )
+
+
+class Substeps(NamedTuple):
+    """What a control step carries from one physics step to the next."""
+
+    qpos: Any
+    qvel: Any
+    qacc_warmstart: Any
+    air_steps: Any
+    contact_steps: Any
+    last_air_steps: Any
+    torque: Any  # of the last physics step
+    qd_before: Any  # joint velocities before it
+    lowest: Any  # m, lowest point of each part at its start
+
+
+def simulate(engine: Engine, hyper, physics, state: EnvState, action) -> Substeps:
+    """`substeps` physics steps under explicit PD towards the action's joint targets."""
+    model = randomize.merge(
+        engine.model, physics, engine.robot.base_body, engine.robot.feet, engine.varied
+    )
+    default = jnp.asarray(engine.robot.default_pose, jnp.float32)
+    q_target = actuators.target(action, default, hyper.action_scale)
+    kp, kd = hyper.kp * physics.kp_scale, hyper.kd * physics.kd_scale
+    fixed, linear, ring = engine.floor
+    ids, feet = engine.robot.parts, engine.robot.feet
+
+    def substep(s: Substeps, _):
+        torque = actuators.clip_dc_motor(
+            actuators.pd(q_target, s.qpos[7:], s.qvel[6:], kp, kd),
+            s.qvel[6:],
+            effort_limit=hyper.effort_limit,
+            saturation_effort=hyper.saturation_effort,
+            velocity_limit=hyper.velocity_limit,
+        )
+        data = engine.data.replace(
+            qpos=s.qpos, qvel=s.qvel, qacc_warmstart=s.qacc_warmstart, ctrl=torque
+        )
+        data = mjx.step(model, data)
+        contact = data.geom_xpos[feet, 2] < engine.robot.foot_radius
+        row = data.geom_xmat[ids].reshape(-1, 9)[:, 6:]  # third row of the rotation matrix
+        drop = fixed + (linear * jnp.abs(row)).sum(-1)
+        drop += ring * jnp.sqrt(jnp.maximum(1 - row[:, 2] ** 2, 0))
+        landed = contact & (s.air_steps > 0)
+        return Substeps(
+            qpos=data.qpos,
+            qvel=data.qvel,
+            qacc_warmstart=data.qacc_warmstart,
+            air_steps=jnp.where(contact, 0, s.air_steps + 1),
+            contact_steps=jnp.where(contact, s.contact_steps + 1, 0),
+            last_air_steps=jnp.where(landed, s.air_steps + 1, s.last_air_steps),
+            torque=torque,
+            qd_before=s.qvel[6:],
+            lowest=data.geom_xpos[ids, 2] - drop,
+        ), None
+
+    first = Substeps(
+        qpos=state.qpos,
+        qvel=state.qvel,
+        qacc_warmstart=state.qacc_warmstart,
+        air_steps=state.air_steps,
+        contact_steps=state.contact_steps,
+        last_air_steps=state.last_air_steps,
+        torque=default * 0,
+        qd_before=default * 0,
+        lowest=jnp.zeros(len(ids)),
+    )
+    with jax.default_matmul_precision("highest"):
+        return jax.lax.scan(substep, first, None, length=engine.substeps)[0]
