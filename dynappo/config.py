@@ -14,6 +14,7 @@ from __future__ import annotations
 import ast
 import functools
 import json
+import math
 import pathlib
 import runpy
 from collections import namedtuple
@@ -145,10 +146,11 @@ def validate(config: config_dict.ConfigDict) -> config_dict.FrozenConfigDict:
         if not flat[field] > 0:
             raise ConfigError(f"{field} is {flat[field]}, expected more than 0")
     for field, value in flat.items():
-        if isinstance(value, float) and value != value:
-            raise ConfigError(f"{field} is {value}, expected a number")
-        is_range = isinstance(value, tuple) and len(value) == 2 and type(value[0]) is float
-        if is_range and value[0] > value[1]:
+        numbers = value if isinstance(value, tuple) else (value,)
+        if any(isinstance(v, float) and not math.isfinite(v) for v in numbers):
+            raise ConfigError(f"{field} is {value}, expected finite numbers")
+        is_range = len(numbers) == 2 and type(numbers[0]) is float
+        if is_range and numbers[0] > numbers[-1]:
             raise ConfigError(f"{field} is {value}, expected (low, high) with low <= high")
     _validate_schedule(config)
     _validate_sizes(config)

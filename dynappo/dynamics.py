@@ -100,7 +100,7 @@ def targets(static, env: Env, rows: Transition) -> Float[Array, "... P+1"]:
 
 def loss(static, params, x, y, weight, huber_delta) -> Float[Array, ""]:
     """Mean Huber loss (eq. 3) over rows of weight 1 and over the predicted numbers."""
-    prediction = network(static, y.shape[-1] - 1).apply(params, x)
+    prediction = networks.apply(network(static, y.shape[-1] - 1), params, x)
     error = optax.losses.huber_loss(prediction, y, delta=huber_delta).mean(-1)
     return (error * weight).sum() / jnp.maximum(weight.sum(), 1)
 
@@ -159,7 +159,7 @@ def predict(
     """`(next observation, reward)`: prop predicted, ctx copied by `env.context`."""
     (x_mean, x_std), (y_mean, y_std) = _scales(static, model)
     x = (jnp.concatenate([obs, action], -1) - x_mean) / x_std
-    y = network(static, env.prop_size).apply(model.params, x) * y_std + y_mean
+    y = networks.apply(network(static, env.prop_size), model.params, x) * y_std + y_mean
     prop = y[..., :-1]
     if static.predict_change:
         prop = prop + obs[..., : env.prop_size]

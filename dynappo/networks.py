@@ -50,6 +50,11 @@ def _uniform(bound):
     )
 
 
+def apply(network: MLP, params, x: Float[Array, "... in"]) -> Float[Array, "... out"]:
+    """`network` with `params` on `x`."""
+    return jnp.asarray(network.apply(params, x))  # flax may also return a tuple, ours never do
+
+
 def actor(static, action_size: int) -> MLP:
     """The network of the policy's mean; `static` is the config's group `ppo`."""
     return MLP((*static.hidden, action_size), static.activation, static.precision)
@@ -73,12 +78,12 @@ def init_policy(static, init_std, obs_size: int, action_size: int, key: PRNGKeyA
 
 def policy(static, params: dict, obs: Float[Array, "... O"]) -> Float[Array, "... A"]:
     """Mean action. Its standard deviation is `params["std"]`, whatever the observation."""
-    return actor(static, params["std"].shape[-1]).apply(params["actor"], obs)
+    return apply(actor(static, params["std"].shape[-1]), params["actor"], obs)
 
 
 def value(static, params: dict, obs: Float[Array, "... O"]) -> Float[Array, "..."]:
     """V(obs): the expected discounted return."""
-    return critic(static).apply(params["critic"], obs)[..., 0]
+    return apply(critic(static), params["critic"], obs)[..., 0]
 
 
 def log_prob(

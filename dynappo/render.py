@@ -14,6 +14,7 @@ import sys
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -43,7 +44,8 @@ def save_params(path: Path, params: dict) -> None:
             else:
                 yield prefix + name, np.asarray(value)
 
-    np.savez(path, **dict(flat(params, "")))
+    arrays: dict[str, Any] = dict(flat(params, ""))
+    np.savez(path, **arrays)
 
 
 def load_params(path: Path) -> dict:
@@ -134,7 +136,8 @@ def film(robot: robot_lib.Robot, episode: dict[str, np.ndarray], out: Path) -> s
     """
     with tempfile.TemporaryDirectory() as folder:
         npz = Path(folder) / "episode.npz"
-        np.savez(npz, xml=str(robot.xml), **episode)
+        arrays: dict[str, Any] = {"xml": str(robot.xml), **episode}
+        np.savez(npz, **arrays)
         for backend in ("egl", "osmesa"):
             environment = os.environ | {"MUJOCO_GL": backend, "PYOPENGL_PLATFORM": backend}
             command = [sys.executable, "-m", "dynappo.render", str(npz), str(out)]

@@ -54,7 +54,7 @@ def train(
     Raises ConfigError for settings that cannot be run, FloatingPointError if numbers blow up.
     """
     config = config_lib.validate(config)
-    workdir = workdir and open_workdir(Path(workdir), config)
+    workdir = None if workdir is None else open_workdir(Path(workdir), config)
     program = setup(config)
     state, metrics = loop(config, program, workdir, progress_fn)
     if workdir:
