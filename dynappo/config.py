@@ -93,20 +93,29 @@ def override(config: config_dict.ConfigDict, field: str, text: str) -> None:
     try:
         value = text if kind is str else ast.literal_eval(text.strip())
     except (ValueError, SyntaxError):
-        raise ConfigError(_wrong(field, text, kind)) from None
-    if isinstance(old, tuple) and isinstance(value, (tuple, list)):
-        if len(value) == len(old) or isinstance(old[0], int):
-            value = tuple(type(old[0])(v) for v in value)
+        raise ConfigError(_wrong(field, text, old, kind)) from None
+    if isinstance(old, tuple):
+        value = _tuple(old, value)
     elif kind is float and type(value) is int:
         value = float(value)
-    same_length = not isinstance(old, tuple) or isinstance(value, tuple)
-    if type(value) is not kind or not same_length:
-        raise ConfigError(_wrong(field, text, kind))
+    if type(value) is not kind:
+        raise ConfigError(_wrong(field, text, old, kind))
     node[leaf] = value
 
 
-def _wrong(field, text, kind):
-    return f"--config.{field}={text!r}: expected {kind.__name__}"
+def _tuple(old: tuple, value) -> tuple | None:
+    """`value` with the element type of `old`, and its length unless those are sizes; else None."""
+    if not isinstance(value, (tuple, list)) or not value:
+        return None
+    if type(old[0]) is float:
+        numbers = all(type(v) in (int, float) for v in value)
+        return tuple(map(float, value)) if numbers and len(value) == len(old) else None
+    return tuple(value) if all(type(v) is int and v > 0 for v in value) else None
+
+
+def _wrong(field, text, old, kind):
+    what = f"tuple like {old}" if isinstance(old, tuple) else kind.__name__
+    return f"--config.{field}={text!r}: expected {what}"
 
 
 def _near(config, field):
@@ -128,7 +137,7 @@ def _flat(config, prefix="") -> dict[str, Any]:
 
 def validate(config: config_dict.ConfigDict) -> config_dict.FrozenConfigDict:
     """Resolve `task.formulation` and check every number that can be wrong; returns it frozen."""
-    config = config_dict.ConfigDict(config)
+    config = config_dict.ConfigDict(config).copy_and_resolve_references()
     formulation = config.task.formulation
     if formulation not in FORMULATIONS:
         raise ConfigError(
@@ -138,6 +147,7 @@ def validate(config: config_dict.ConfigDict) -> config_dict.FrozenConfigDict:
         if config.task[name] is None:
             config.task[name] = value
     config.run.log_every = min(config.run.log_every, config.run.num_iterations)
+    _settle_tuples(config)
     flat = _flat(config)
     for field, choices in CHOICES.items():
         if flat[field] not in choices:
@@ -159,6 +169,21 @@ def validate(config: config_dict.ConfigDict) -> config_dict.FrozenConfigDict:
         known = sorted(p.name for p in root.iterdir() if p.is_dir()) if root else []
         raise ConfigError(f"robot is {config.robot!r}, expected one of {', '.join(known)}")
     return config_dict.FrozenConfigDict(config)
+
+
+def _settle_tuples(config, prefix=""):
+    """Layer sizes become ints above 0, every other tuple floats; in place."""
+    for name, value in config.items():
+        if isinstance(value, config_dict.ConfigDict):
+            _settle_tuples(value, f"{prefix}{name}.")
+        elif isinstance(value, (tuple, list)):
+            sizes = name == "hidden"
+            settled = _tuple((1,) if sizes else (0.0,) * len(value), value)
+            if settled is None:
+                what = "one or more sizes above 0" if sizes else "numbers"
+                raise ConfigError(f"{prefix}{name} is {value}, expected {what}")
+            with config.ignore_type():
+                config[name] = settled
 
 
 def _validate_schedule(config):
@@ -204,6 +229,9 @@ def _validate_sizes(config):
             raise ConfigError(
                 f"run.{name} is {run[name]}, expected a multiple of run.log_every = {run.log_every}"
             )
+    late = config.model.late_epochs
+    if late is not None and late < 0:
+        raise ConfigError(f"model.late_epochs is {late}, expected 0 or more")
     if schedule.uses_model(config):
         if rows % config.model.minibatches:
             raise ConfigError(

@@ -125,6 +125,8 @@ def fit(
     real = (jnp.arange(horizon) < n_real)[:, None]
     weight = jnp.where(real, rows.discount * (1 - rows.truncation), 0.0)
     x, y = jnp.concatenate([rows.obs, rows.action], -1), targets(static, env, rows)
+    # zeroed, not only weighted: nothing times 0 is 0 for a number that is not finite
+    x, y = (jnp.where(weight[..., None] > 0, a, 0.0) for a in (x, y))
     model = model.replace(
         inputs=update_moments(model.inputs, x, weight, hyper.stats_decay),
         targets=update_moments(model.targets, y, weight, hyper.stats_decay),

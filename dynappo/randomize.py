@@ -2,8 +2,8 @@
 
 Ranges are tasks.md's (Isaac Lab 2.2.1, velocity_env_cfg.py, events at start-up): added base mass
 with the inertia scaled in proportion, centre of mass, foot friction, PD gains. Ranges of the last
-three are collapsed on Go1; a collapsed range costs nothing, because the merged model field then
-stays one array for all robots.
+three are collapsed on Go1; a range collapsed to the file's value costs nothing, because that field of
+the model then stays one array for all robots.
 
 MuJoCo's `*_invweight0` (the solver's estimate of inverse inertia at the contacts) stays nominal: it
 only scales the regularisation of the constraints.
@@ -15,6 +15,9 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Array, Float, PRNGKeyArray
+
+# what a robot's file has: the feet of all robots have friction 0.8
+NOMINAL = {"base_mass": 0.0, "friction": 0.8, "kp_scale": 1.0, "kd_scale": 1.0}
 
 
 @struct.dataclass
@@ -60,10 +63,9 @@ def merge(model, physics: Physics, base_body: int, feet, varied: frozenset[str])
 
 
 def varied(ranges) -> frozenset[str]:
-    """Names of the ranges that are not collapsed to one value."""
+    """Names of the ranges that are not collapsed to the value that the robot's file has."""
     names = {"base_com"} if any(ranges.base_com) else set()
-    for name in ("base_mass", "friction", "kp_scale", "kd_scale"):
-        low, high = getattr(ranges, name)
-        if low != high:
+    for name, nominal in NOMINAL.items():
+        if tuple(getattr(ranges, name)) != (nominal, nominal):
             names.add(name)
     return frozenset(names)

@@ -98,7 +98,7 @@ def simulate(robot: robot_lib.Robot, config, act, command, seconds: float) -> di
     the base frame. `config` is a whole config, of which `task` and `physics` are read.
     """
     task, physics = config.task, config.physics
-    model = robot_lib.physics_model(robot, config.copy_and_resolve_references().physics)
+    model = robot_lib.physics_model(robot, physics)
     model.geom_conaffinity[robot.parts] = 1
     model.opt.iterations, model.opt.ls_iterations = 100, 50  # C MuJoCo, run to convergence
     data = mujoco.MjData(model)

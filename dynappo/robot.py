@@ -82,50 +82,55 @@ def load_xml(xml: Path) -> Robot:
 
 
 def _check(xml: Path, model: mujoco.MjModel) -> None:
+    """Raise a ConfigError naming the first rule of the contract that the file breaks."""
+
     def names(count, get):
         return [get(i).name for i in range(count)]
 
-    geoms, joints = names(model.ngeom, model.geom), names(model.njnt, model.joint)
-    feet = [g for g in geoms if g.endswith("_foot")]
-    motors = [model.actuator(i) for i in range(model.nu)]
-    hinges = model.jnt_type[1:] == mujoco.mjtJoint.mjJNT_HINGE
-    legs = model.njnt == 13 and len(feet) == 4
-    foot_bodies = [model.geom(g).bodyid[0] for g in feet]
-    shapes = (BOX, SPHERE, CAPSULE, CYLINDER)
-    bad = [
-        geoms[i] or f"geom {i}"
-        for i in range(model.ngeom)
-        if model.geom_conaffinity[i] and geoms[i] != "floor" and model.geom_type[i] not in shapes
-    ]
-    for ok, text in (
-        (
-            model.njnt and model.jnt_type[0] == mujoco.mjtJoint.mjJNT_FREE,
-            "a free joint on the base, before all other joints",
-        ),
-        (
-            model.njnt == 13 and hinges.all(),
-            f"12 hinge joints after the free one, found {model.njnt - 1}",
-        ),
-        (
-            [m.name for m in motors] == joints[1:] and (model.actuator_gear[:, 0] == 1).all(),
-            "one motor of gear 1 a joint, named and ordered as the joints",
-        ),
-        (len(feet) == 4, f"4 sphere geoms named LEG_foot, found {', '.join(feet) or 'none'}"),
-        (
-            legs and all(b == model.jnt_bodyid[3 * i + 3] for i, b in enumerate(foot_bodies)),
-            "the foot geoms in the last body of each leg, in the order of the legs",
-        ),
-        (
-            all(model.geom(g).type[0] == SPHERE for g in feet),
-            "the feet to be spheres",
-        ),
-        ("floor" in geoms, "a geom named floor"),
-        (model.nkey and model.key(0).name == "home", "a keyframe named home"),
-        ("track" in names(model.ncam, model.camera), "a camera named track"),
-        (not bad, f"parts of type box, sphere, capsule or cylinder, not {', '.join(bad)}"),
-    ):
+    def expect(ok, text):
         if not ok:
             raise config_lib.ConfigError(f"{xml}: expected {text}")
+
+    geoms, joints = names(model.ngeom, model.geom), names(model.njnt, model.joint)
+    expect(
+        model.njnt and model.jnt_type[0] == mujoco.mjtJoint.mjJNT_FREE,
+        "a free joint on the base, before all other joints",
+    )
+    expect((model.body_parentid[1:] == 0).sum() == 1, "one top-level body, the base")
+    hinges = (model.jnt_type[1:] == mujoco.mjtJoint.mjJNT_HINGE).all()
+    expect(
+        model.njnt == 13 and hinges,
+        f"12 hinge joints after the free one, found {model.njnt - 1}",
+    )
+    motors = names(model.nu, model.actuator) == joints[1:]
+    motors = motors and (model.actuator_trnid[:, 0] == np.arange(1, 13)).all()
+    motors = motors and (model.actuator_biastype == mujoco.mjtBias.mjBIAS_NONE).all()
+    motors = motors and (model.actuator_gear[:, 0] * model.actuator_gainprm[:, 0] == 1).all()
+    expect(motors, "one motor of gear 1 a joint, named and ordered as the joints")
+    feet = [model.geom(name) for name in geoms if name.endswith("_foot")]
+    found = ", ".join(foot.name for foot in feet) or "none"
+    expect(len(feet) == 4, f"4 sphere geoms named LEG_foot, found {found}")
+    expect(all(foot.type[0] == SPHERE for foot in feet), "the feet to be spheres")
+    expect(all(foot.conaffinity[0] for foot in feet), "the feet to touch the floor (conaffinity)")
+    expect(
+        all(foot.bodyid[0] == model.jnt_bodyid[3 * i + 3] for i, foot in enumerate(feet)),
+        "the foot geoms in the last body of each leg, in the order of the legs",
+    )
+    expect("floor" in geoms, "a geom named floor")
+    floor = model.geom("floor")
+    expect(
+        floor.type[0] == mujoco.mjtGeom.mjGEOM_PLANE and floor.pos[2] == 0,
+        "the geom floor to be a plane at height 0",
+    )
+    touching = [i for i in range(model.ngeom) if model.geom_conaffinity[i] and i != floor.id]
+    odd = [
+        geoms[i] or f"geom {i}"
+        for i in touching
+        if model.geom_type[i] not in (BOX, SPHERE, CAPSULE, CYLINDER)
+    ]
+    expect(not odd, f"parts of type box, sphere, capsule or cylinder, not {', '.join(odd)}")
+    expect(model.nkey and model.key(0).name == "home", "a keyframe named home")
+    expect("track" in names(model.ncam, model.camera), "a camera named track")
 
 
 def physics_model(robot: Robot, physics) -> mujoco.MjModel:

@@ -20,8 +20,9 @@ def table(config) -> np.ndarray:
     if s.start_iteration == s.end_iteration:
         return np.full(config.run.num_iterations, s.end_steps, np.int32)
     i = np.arange(1, config.run.num_iterations + 1)
-    ramp = (i - s.start_iteration) / (s.end_iteration - s.start_iteration)
-    steps = s.start_steps + ramp * (s.end_steps - s.start_steps)
+    # multiplied before it is divided: an exact half then stays one, and rounds up
+    rise = (i - s.start_iteration) * (s.end_steps - s.start_steps)
+    steps = s.start_steps + rise / (s.end_iteration - s.start_iteration)
     return np.floor(np.clip(steps, s.start_steps, s.end_steps) + 0.5).astype(np.int32)
 
 

@@ -15,6 +15,7 @@ from dynappo import console
 
 ROOT = pathlib.Path(config_lib.__file__).parent.parent
 GO1 = "--config=configs/go1.py"
+NOWHERE = ["--workdir=taken"]  # a file: a mistake that goes unnoticed trains nothing
 # name -> flags after the config file, what the line must say
 SETTINGS = {
     "unknown field": (["--config.ppo.learning_rat=1e-3"], "did you mean ppo.learning_rate?"),
@@ -84,8 +85,9 @@ FILES = {
 def refusal(capsys, tmp_path, monkeypatch):
     """`refusal(argv)` is the one line that the command answers with status 2, nothing written."""
     monkeypatch.chdir(tmp_path)
+    (tmp_path / "taken").write_text("mine")
 
-    def call(argv, left=()):
+    def call(argv, left):
         with pytest.raises(SystemExit) as stopped:
             console.main(argv)
         assert stopped.value.code == 2
@@ -116,7 +118,7 @@ def shell(*arguments, cwd=ROOT):
 def test_a_wrong_setting_is_one_line_and_status_2(refusal, name):
     """The line names the field, what was found and what was expected."""
     flags, expected = SETTINGS[name]
-    assert expected in refusal([GO1, *flags])
+    assert expected in refusal([GO1, *NOWHERE, *flags], left=["taken"])
 
 
 @pytest.mark.parametrize("name", FILES)
@@ -124,7 +126,7 @@ def test_a_wrong_config_file_is_one_line_and_status_2(refusal, tmp_path, name):
     """The line names the file and what is wrong in it; no traceback of ours."""
     text, expected = FILES[name]
     (tmp_path / "mine.py").write_text(text)
-    line = refusal(["--config=mine.py"], left=["mine.py"])
+    line = refusal(["--config=mine.py", *NOWHERE], left=["mine.py", "taken"])
     assert "mine.py" in line and expected in line
 
 
@@ -141,12 +143,11 @@ def test_a_wrong_config_file_is_one_line_and_status_2(refusal, tmp_path, name):
 )
 def test_without_a_config_file_the_answer_is_one_line(refusal, argv, expected):
     """A file that is not there, a variant that is not, no file at all."""
-    assert expected in refusal(argv)
+    assert expected in refusal(argv, left=["taken"])
 
 
 def test_a_workdir_that_is_a_file_is_refused(refusal, tmp_path):
     """Nothing is written over it, nor under it."""
-    (tmp_path / "taken").write_text("mine")
     for workdir in ("taken", "taken/below"):
         line = refusal([GO1, f"--workdir={workdir}"], left=["taken"])
         assert f"--workdir={workdir}" in line and "cannot write there" in line
@@ -159,7 +160,7 @@ def test_the_folder_of_another_run_is_refused_by_the_field_that_differs(refusal,
     config = config_lib.validate(config_lib.load("configs/go1.py:ppo12"))
     (tmp_path / "old" / "config.json").write_text(config_lib.to_json(config))
     argv = ["--config=configs/go1.py:ppo12", "--config.ppo.epochs=4", "--workdir=old"]
-    assert "ppo.epochs 5 there, 4 here" in refusal(argv, left=["old"])
+    assert "ppo.epochs 5 there, 4 here" in refusal(argv, left=["old", "taken"])
     assert (tmp_path / "old" / "config.json").read_text() == config_lib.to_json(config)
     assert len(list((tmp_path / "old").iterdir())) == 1
 
@@ -179,7 +180,7 @@ def without_gpu():
 )
 def test_a_machine_that_cannot_run_it_says_so_and_what_to_do(refusal, without_gpu, flag, cure):
     """One line with the cure, and no workdir behind that would refuse the cure."""
-    assert cure in refusal([GO1, f"--config.{flag}", "--workdir=run"])
+    assert cure in refusal([GO1, f"--config.{flag}", "--workdir=run"], left=["taken"])
 
 
 def test_the_command_itself_answers_in_one_line():
@@ -256,7 +257,6 @@ def test_the_description_says_what_will_happen():
     assert lines[0] == (
         "trains go1: 4096 robots, 16 rows an iteration, tail of 4, from 0 over iterations 0-100"
     )
-    # 500 iterations: 4096 x (16 x 500 - the ramp's 203 - 4 x 399...), by the table itself
     steps = sum(4096 * (16 - min(int(i / 25 + 0.5), 4)) for i in range(1, 501))
     assert lines[1].startswith(f"500 iterations, {steps / 1e6:.2f} M simulator steps; about ")
     assert lines[1].endswith(" GiB of memory") and len(lines) == 2

@@ -244,7 +244,6 @@ def test_rows_that_ended_an_episode_never_change_the_fit(model_settings, kind):
     assert not np.array_equal(changed.targets.mean, expected[0].targets.mean)
 
 
-@pytest.mark.xfail(strict=True, reason="fit multiplies by weight 0 instead of selecting")
 @pytest.mark.parametrize("garbage", [np.nan, np.inf, 1e30])
 def test_no_number_of_a_row_of_weight_0_enters_however_wild(model_settings, garbage):
     static, hyper = model_settings()

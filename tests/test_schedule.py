@@ -100,7 +100,6 @@ def test_the_table_is_equation_5_in_exact_arithmetic_with_halves_rounded_up():
     assert ties > 100  # the rounding of halves was exercised
 
 
-@pytest.mark.xfail(strict=True, reason="schedule.table divides before it multiplies")
 @pytest.mark.parametrize(("b", "y", "i"), [(22, 11, 15), (26, 13, 15), (46, 23, 13), (50, 25, 29)])
 def test_an_exact_half_rounds_up_where_dividing_first_falls_short_of_it(b, y, i):
     assert 2 * i * y % (2 * b) == b  # i y / b is a whole number and a half
