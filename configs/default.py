@@ -177,5 +177,5 @@ def apply_variant(config: config_dict.ConfigDict, variant: str) -> config_dict.C
         config.rollout.update(num_envs=256, horizon=24)
         config.schedule.update(start_iteration=0, end_iteration=40, start_steps=0, end_steps=4)
         config.model.update(epochs=2, minibatches=8)
-        config.run.update(num_iterations=70, log_every=2, eval_envs=32, video_seconds=6.0)
+        config.run.update(num_iterations=70, log_every=2, eval_envs=16, video_seconds=4.0)
     return config

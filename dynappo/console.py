@@ -87,6 +87,7 @@ def train_and_show(config, workdir: Path) -> None:
         TextColumn("{task.fields[line]}"),
         TimeRemainingColumn(),
         console=out,
+        disable=not out.is_terminal,
     )
     begun: list[tuple[float, float]] = []
 

@@ -24,7 +24,7 @@ SETTINGS = {
     "float for int": (["--config.ppo.epochs=2.5"], "ppo.epochs='2.5': expected int"),
     "text for float": (["--config.ppo.gamma=high"], "ppo.gamma='high': expected float"),
     "number for bool": (["--config.ppo.adaptive=1"], "expected bool"),
-    "number for tuple": (["--config.ppo.hidden=64"], "expected tuple"),
+    "number for tuple": (["--config.ppo.hidden=64"], "ppo.hidden='64': expected"),
     "text in a tuple of ints": (["--config.ppo.hidden=('a','b')"], "ppo.hidden"),
     "text in a range": (["--config.task.command_x=('a',1)"], "task.command_x"),
     "empty network": (["--config.ppo.hidden=()"], "ppo.hidden"),
@@ -76,7 +76,7 @@ FILES = {
     "fields missing": (
         "from ml_collections import config_dict\n\n\n"
         'def get_config(variant=""):\n    return config_dict.create(robot="go1")\n',
-        "run",
+        "mine.py",
     ),
 }
 

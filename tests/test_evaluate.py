@@ -150,21 +150,23 @@ def test_no_tracking_error_is_reported_where_nobody_stood_long_enough(assess, pa
 
 
 def test_the_nominal_task_has_no_noise_and_one_body():
-    """Noise 0; added mass and shift 0, gains 1, friction its middle; all else as in training."""
+    """Noise, pushes, added mass and shift 0, gains 1, friction its middle; all else as it was."""
     fields = {
         "task.randomize.friction": (0.4, 1.0),
         "task.randomize.kp_scale": (0.9, 1.1),
         "task.randomize.kd_scale": (0.9, 1.1),
         "task.randomize.base_com": (0.05, 0.05, 0.01),
+        "task.push.velocity": 0.5,
     }
     task = toy_env.settings(fields)[2].task
     nominal = evaluate.nominal(task)
     assert all(x == 0 for x in jax.tree.leaves(nominal.noise))
+    assert nominal.push.velocity == 0 and nominal.push.interval == task.push.interval
     middle = nominal.randomize
     assert [float(x) for x in middle.base_mass + middle.base_com] == [0.0] * 5
     assert [float(x) for x in middle.kp_scale + middle.kd_scale] == [1.0] * 4
     np.testing.assert_allclose(middle.friction, (0.7, 0.7), 1e-6)
-    kept = nominal._replace(noise=task.noise, randomize=task.randomize)
+    kept = nominal._replace(noise=task.noise, randomize=task.randomize, push=task.push)
     assert kept == task and any(x > 0 for x in jax.tree.leaves(task.noise))
     assert jax.tree.structure(nominal) == jax.tree.structure(task)
 
