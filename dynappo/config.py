@@ -71,10 +71,11 @@ def load(spec: str) -> config_dict.ConfigDict:
         path = find("configs", path.name) or path
     if not path.is_file():
         raise ConfigError(f"--config: no file {name!r} here or among dynappo's own configs")
+    get_config = runpy.run_path(str(path)).get("get_config")
+    if get_config is None:
+        raise ConfigError(f"--config: {path} defines no function get_config(variant)")
     try:
-        return runpy.run_path(str(path))["get_config"](variant)
-    except KeyError:
-        raise ConfigError(f"--config: {path} defines no function get_config(variant)") from None
+        return get_config(variant)
     except ValueError as error:
         raise ConfigError(f"--config={spec}: {error}") from None
 
@@ -128,7 +129,7 @@ def _near(config, field):
 def _flat(config, prefix="") -> dict[str, Any]:
     out = {}
     for name, value in config.items():
-        if isinstance(value, config_dict.ConfigDict):
+        if hasattr(value, "items"):
             out |= _flat(value, f"{prefix}{name}.")
         else:
             out[prefix + name] = value
@@ -162,6 +163,17 @@ def validate(config: config_dict.ConfigDict) -> config_dict.FrozenConfigDict:
         is_range = len(numbers) == 2 and type(numbers[0]) is float
         if is_range and numbers[0] > numbers[-1]:
             raise ConfigError(f"{field} is {value}, expected (low, high) with low <= high")
+    for field in ("run.eval_envs", "run.video_seconds", "task.push.velocity"):
+        if flat[field] < 0:
+            raise ConfigError(f"{field} is {flat[field]}, expected 0 or more")
+    for field in ("ppo.gamma", "ppo.lambda_", "model.stats_decay"):
+        if not 0 <= flat[field] <= 1:
+            raise ConfigError(f"{field} is {flat[field]}, expected a number from 0 to 1")
+    if config.ppo.min_learning_rate > config.ppo.max_learning_rate:
+        raise ConfigError(
+            f"ppo.min_learning_rate is {config.ppo.min_learning_rate}, expected at most "
+            f"ppo.max_learning_rate = {config.ppo.max_learning_rate}"
+        )
     _validate_schedule(config)
     _validate_sizes(config)
     if not find("robots", f"{config.robot}/{config.robot}.xml"):
@@ -190,8 +202,7 @@ def _validate_schedule(config):
     s, horizon = config.schedule, config.rollout.horizon
     if min(s.start_steps, s.end_steps) < 0:
         raise ConfigError(
-            f"schedule.start_steps, end_steps are {s.start_steps}, {s.end_steps}, "
-            "expected 0 or more"
+            f"schedule.start_steps, end_steps are {s.start_steps}, {s.end_steps}, expected 0 or more"
         )
     if s.end_steps < s.start_steps:
         raise ConfigError(
@@ -278,18 +289,11 @@ def to_json(config) -> str:
 def difference(old: str, new: str) -> str:
     """The first field in which two `to_json` texts differ, as "ppo.epochs 5 there, 4 here"; or ""."""
 
-    def flat(tree, prefix=""):
-        for name, value in tree.items():
-            if isinstance(value, dict):
-                yield from flat(value, f"{prefix}{name}.")
-            else:
-                yield prefix + name, value
-
     try:
-        before = dict(flat(json.loads(old)))
+        before = _flat(json.loads(old))
     except (ValueError, AttributeError):
         return "its config.json cannot be read"
-    after = dict(flat(json.loads(new)))
+    after = _flat(json.loads(new))
     for name in before | after:
         if before.get(name) != after.get(name):
             return f"{name} {before.get(name)} there, {after.get(name)} here"

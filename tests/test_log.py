@@ -96,15 +96,15 @@ def test_the_header_is_written_once_and_undefined_numbers_are_empty(tmp_path):
 
 
 def test_rows_after_the_checkpoint_are_cut(tmp_path):
-    """Rows up to the iteration stay as they are, header included; a missing file stays missing."""
+    """Rows up to the iteration keep every byte, header included; a missing file stays missing."""
     path = tmp_path / "metrics.csv"
     log.cut_csv(path, 2)
     assert not path.exists()
     log.append_csv(path, log.rows(metrics(12, seeds=2)))
-    before = path.read_text().splitlines()
+    before = path.read_bytes().splitlines(keepends=True)
     for iteration, kept in ((10, 20), (3, 6), (3, 6), (0, 0)):
         log.cut_csv(path, iteration)
-        assert path.read_text().splitlines() == before[: 1 + kept]
+        assert path.read_bytes() == b"".join(before[: 1 + kept])
     assert [p.name for p in tmp_path.iterdir()] == ["metrics.csv"]
 
 

@@ -113,12 +113,14 @@ def test_the_same_key_draws_the_same_robot_and_another_key_another(go1):
         assert (a == b).all() and (a != c).all()
 
 
-def test_only_ranges_with_a_width_count_as_varied():
+def test_ranges_count_as_varied_unless_collapsed_to_the_value_of_the_file():
     assert randomize.varied(ranges(NARROW)) == frozenset()
     assert randomize.varied(ranges(WIDE)) == set(WIDE)
     for name, bounds in WIDE.items():
         assert randomize.varied(ranges(NARROW, **{name: bounds})) == {name}
     assert randomize.varied(ranges(NARROW, base_com=(0.0, 0.0, 0.01))) == {"base_com"}
+    assert randomize.varied(ranges(NARROW, friction=(0.5, 0.5))) == {"friction"}
+    assert randomize.varied(ranges(NARROW, base_mass=(2.0, 2.0))) == {"base_mass"}
 
 
 def by_path(model):

@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from dynappo import actuators, config, robot
+from dynappo import actuators, config, randomize, robot
 
 HERE = pathlib.Path(__file__).resolve().parent
 FACTS = json.loads((HERE / "facts" / "robots.json").read_text())
@@ -142,6 +142,15 @@ def test_feet_have_the_published_radius_and_centre_in_the_order_of_the_legs(load
     for foot, leg in zip(loaded.feet, LEGS[name].split(), strict=True):
         centre = facts["foot"]["centre_in_last_body"][leg]
         np.testing.assert_allclose(model.geom_pos[foot], centre, atol=1e-6)
+
+
+def test_feet_alone_have_friction_and_it_is_the_one_that_randomisation_takes_for_nominal(loaded):
+    model = loaded.mj_model
+    np.testing.assert_array_equal(model.geom_friction[loaded.feet, 0], 0.8)
+    assert randomize.NOMINAL["friction"] == 0.8
+    assert (model.geom_priority[loaded.feet] > model.geom("floor").priority[0]).all()
+    assert (model.geom_condim[loaded.feet] == 3).all()
+    assert (model.geom_condim[loaded.parts] == 1).all()
 
 
 def test_the_default_pose_is_the_named_tasks(loaded, facts):
@@ -481,6 +490,10 @@ def with_position_servos(root):
     remove(root, *(d for d in root.find("default") if d.tag == "position"))
 
 
+def with_a_second_base(root):
+    root.find("worldbody").append(ElementTree.Element("body"))
+
+
 def with_motors_on_the_wrong_joints(root):
     motors = list(root.find("actuator"))
     joints = [m.get("joint") for m in motors]
@@ -493,9 +506,10 @@ def with_motors_on_the_wrong_joints(root):
     [
         (with_position_servos, "motor"),
         (with_motors_on_the_wrong_joints, "motor"),
-        (change("geom", "floor", pos="0 0 0.1"), "floor"),
+        (change("geom", "floor", pos="0 0 0.1"), "a plane at height 0"),
         (change("geom", "floor", type="box", size="5 5 0.1"), "floor"),
-        (change("geom", "FL_foot", contype="0", conaffinity="0"), "foot|feet"),
+        (change("geom", "FL_foot", contype="0", conaffinity="0"), "the feet to touch the floor"),
+        (with_a_second_base, "one top-level body"),
     ],
 )
 def test_a_file_that_breaks_the_documented_contract_otherwise_is_refused(tmp_path, edit, words):
