@@ -27,12 +27,14 @@ def parse(argv: list[str]):
         allow_abbrev=False,
         exit_on_error=False,
     )
-    parser.add_argument("--config", required=True, metavar="FILE.py[:VARIANT]")
+    parser.add_argument("--config", metavar="FILE.py[:VARIANT]")
     parser.add_argument("--workdir", type=Path, help="default: runs/FILE-VARIANT")
     try:
         known, rest = parser.parse_known_args(argv)
     except argparse.ArgumentError as error:
         raise ConfigError(str(error)) from None
+    if not known.config:
+        raise ConfigError("--config is missing; try --config=configs/go1.py:quick")
     config = config_lib.load(known.config)
     rest = iter(rest)
     for flag in rest:
@@ -72,6 +74,7 @@ def train_and_show(config, workdir: Path) -> None:
 
     out = Console(highlight=False)
     out.print(f"[bold]dynappo[/bold] {describe(config)}", soft_wrap=True)
+    train.choose_impl(config)  # before anything is written
     workdir = train.open_workdir(workdir, config)
     with out.status("compiling (under a minute; half of it when cached)"):
         program = train.setup(config)
@@ -153,9 +156,14 @@ def show_summary(out, config, workdir: Path, summary: dict) -> None:
     from rich.table import Table
 
     table = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
+
+    def mean(value):
+        values = [v for v in np.ravel(value) if v is not None and np.isfinite(v)]
+        return f"{np.mean(values):.2f}" if values else "no episode has ended"
+
     rows = {
-        "return (last 10 iterations)": f"{np.mean(summary['return']):.2f}",
-        "best return": f"{np.mean(summary['return_max']):.2f}",
+        "return (last 10 iterations)": mean(summary["return"]),
+        "best return": mean(summary["return_max"]),
         "simulator steps": f"{summary['sim_steps'] / 1e6:.2f} M",
         "training": f"{summary['seconds']:.1f} s, after {summary['compile_seconds']:.0f} s of set-up",
     }

@@ -54,6 +54,7 @@ def train(
     Raises ConfigError for settings that cannot be run, FloatingPointError if numbers blow up.
     """
     config = config_lib.validate(config)
+    choose_impl(config)  # before anything is written
     workdir = None if workdir is None else open_workdir(Path(workdir), config)
     program = setup(config)
     state, metrics = loop(config, program, workdir, progress_fn)
@@ -253,8 +254,8 @@ def summarise(config, program: Program, state, metrics) -> dict[str, Any]:
         "num_envs": config.rollout.num_envs,
         "iterations": int(metrics["iteration"][-1]),
         "sim_steps": int(metrics["sim_steps"][-1]),
-        "return": np.asarray(returns[-RETURN_ROWS:]).mean(0).tolist(),
-        "return_max": np.nanmax(returns, 0).tolist() if np.isfinite(returns).any() else None,
+        "return": _numbers(returns[-RETURN_ROWS:].mean(0)),
+        "return_max": _numbers(np.fmax.reduce(returns, 0)),
         "seconds": float(metrics["seconds"][-1]),
         "compile_seconds": program.compile_seconds,
         "device": program.device,
@@ -263,8 +264,14 @@ def summarise(config, program: Program, state, metrics) -> dict[str, Any]:
     }
     if config.run.eval_envs:
         evaluation = program.assess(state)
-        summary["evaluation"] = {name: np.asarray(v).tolist() for name, v in evaluation.items()}
+        summary["evaluation"] = {name: _numbers(v) for name, v in evaluation.items()}
     return summary
+
+
+def _numbers(values):
+    """A float, or a list of one a seed; None where no episode has ended yet (JSON has no NaN)."""
+    numbers = [float(v) if np.isfinite(v) else None for v in np.ravel(values)]
+    return numbers if np.ndim(values) else numbers[0]
 
 
 def best_params(state, metrics) -> dict:
