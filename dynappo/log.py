@@ -37,7 +37,7 @@ def append_csv(path: Path, table: list[dict]) -> None:
     """Append rows, with a header if the file is new; empty where a number is not yet defined."""
     new = not path.exists()
     with path.open("a", newline="") as file:
-        writer = csv.DictWriter(file, fieldnames=list(table[0]))
+        writer = csv.DictWriter(file, fieldnames=list(table[0]), lineterminator="\n")
         if new:
             writer.writeheader()
         writer.writerows({k: _number(v) for k, v in row.items()} for row in table)
@@ -53,10 +53,11 @@ def cut_csv(path: Path, iteration: int) -> None:
     """Drop the rows after `iteration`: what a run did after the checkpoint it resumes from."""
     if not path.exists():
         return
-    lines = path.read_text().splitlines()
-    kept = [line for line in lines[1:] if int(line.split(",")[0]) <= iteration]
+    header, *lines = path.read_text().splitlines(keepends=True)
+    whole = [line for line in lines if line.endswith("\n")]  # the last may be cut off
+    kept = [line for line in whole if int(line.split(",")[0]) <= iteration]
     temporary = path.with_suffix(".csv.new")
-    temporary.write_text("\n".join([lines[0], *kept]) + "\n")
+    temporary.write_text(header + "".join(kept))
     temporary.replace(path)
 
 

@@ -8,6 +8,7 @@ EGL is tried first, then OSMesa.
 
 from __future__ import annotations
 
+import itertools
 import os
 import subprocess
 import sys
@@ -24,6 +25,7 @@ from dynappo import robot as robot_lib
 
 FPS, WIDTH, HEIGHT = 25, 640, 360  # software OpenGL on two cores renders about ten a second
 NO_OPENGL = "no video: neither EGL nor OSMesa can render here; install libegl1 or libosmesa6"
+LACKS_FFMPEG, CANNOT_WRITE = 3, 4  # exit statuses of the rendering process
 NO_FFMPEG = "no video: imageio-ffmpeg is not installed; pip install 'dynappo[video]'"
 # (seconds share, command vx, vy, yaw rate): what the film after training shows
 TOUR = (
@@ -144,8 +146,10 @@ def film(robot: robot_lib.Robot, episode: dict[str, np.ndarray], out: Path) -> s
             done = subprocess.run(command, env=environment, capture_output=True, text=True)
             if done.returncode == 0:
                 return ""
-            if "imageio_ffmpeg" in done.stderr:
+            if done.returncode == LACKS_FFMPEG:
                 return NO_FFMPEG
+            if done.returncode == CANNOT_WRITE:
+                return f"no video: {done.stderr.strip().splitlines()[-1]}"
     return NO_OPENGL
 
 
@@ -186,24 +190,33 @@ def frames(xml: str, episode: dict[str, np.ndarray], width: int = WIDTH, height:
 def main(argv: list[str]) -> None:
     """`EPISODE.npz OUT.mp4`; OUT.png writes the last frame only."""
     episode = dict(np.load(argv[0]))
-    xml, out = str(episode.pop("xml")), argv[1]
-    if out.endswith(".png"):
+    xml, dt, out = str(episode.pop("xml")), float(episode.pop("dt")), Path(argv[1])
+    if out.suffix == ".png":
         from matplotlib import image
 
-        episode.pop("dt")
         last = {name: rows[-1:] for name, rows in episode.items()}
         image.imsave(out, next(frames(xml, last, 1280, 720)))
         return
-    import imageio_ffmpeg
-
-    writer = imageio_ffmpeg.write_frames(
-        out, (WIDTH, HEIGHT), fps=FPS, codec="libx264", quality=7, macro_block_size=4
-    )
-    writer.send(None)
-    skip = max(1, round(1 / (FPS * float(episode.pop("dt")))))
-    for frame in frames(xml, {name: rows[::skip] for name, rows in episode.items()}):
-        writer.send(np.ascontiguousarray(frame))
-    writer.close()
+    try:
+        import imageio_ffmpeg
+    except ImportError:
+        sys.exit(LACKS_FFMPEG)
+    skip = max(1, round(1 / (FPS * dt)))
+    pictures = frames(xml, {name: rows[::skip] for name, rows in episode.items()})
+    first = next(pictures)  # without OpenGL it fails here, before anything is written
+    try:
+        out.open("wb").close()
+        writer = imageio_ffmpeg.write_frames(
+            str(out), (WIDTH, HEIGHT), fps=FPS, codec="libx264", quality=7, macro_block_size=4
+        )
+        writer.send(None)
+        for picture in itertools.chain([first], pictures):
+            writer.send(np.ascontiguousarray(picture))
+        writer.close()
+    except OSError as error:
+        print(f"cannot write {out}: {error.strerror or error}", file=sys.stderr)
+        out.unlink(missing_ok=True)
+        sys.exit(CANNOT_WRITE)
 
 
 if __name__ == "__main__":

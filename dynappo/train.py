@@ -178,6 +178,10 @@ def loop(config, program: Program, workdir: Path | None, progress_fn=None):
         found = checkpoint.restore(checkpoints, state)
         if found:
             start, state = found
+            if not csv.exists():
+                raise ConfigError(
+                    f"{workdir} has checkpoints but no metrics.csv; choose another --workdir"
+                )
             log.cut_csv(csv, start)
             history = [log.read_csv(csv, run.num_seeds)]
             seconds = float(history[0]["seconds"][-1])

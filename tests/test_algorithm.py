@@ -280,6 +280,24 @@ def test_the_model_sees_real_rows_that_end_no_episode(iterated, n_real):
         np.testing.assert_allclose(std, rows.std(0), 1e-3, 1e-4)
 
 
+def test_the_model_is_fitted_to_real_rows_alone(iterated, tail, env, first):
+    """Its new weights are those of a fit in which every other row holds nonsense."""
+    static, hyper = tail[1].model, tail[2].model
+    fit = jax.jit(partial(dynamics.fit, static, hyper, env))
+    key = jax.random.fold_in(jax.random.fold_in(first().key, 1), algorithm.FIT)
+    for n in (N, 5):
+        buffer, state, metrics = iterated[n]
+        real = (jnp.arange(N) < n)[:, None]
+
+        def keep(x, real=real):
+            return jnp.where(real.reshape(N, 1, *[1] * (x.ndim - 2)), x, 1e3)
+
+        rows = jax.tree.map(keep, buffer)
+        expected, losses = fit(first().model, rows, n, static.epochs, key)
+        assert_close(state.model, expected, 1e-5)
+        assert_close({name: metrics[name] for name in losses}, losses, 1e-5)
+
+
 def test_the_policy_learns_from_real_and_synthetic_rows_alike(iterated, tail, first):
     """The new learner is PPO's update with advantages that a NumPy loop computes of all rows.
 

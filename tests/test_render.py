@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from dynappo import config as config_lib
-from dynappo import networks, render
+from dynappo import networks, render, validate
 from dynappo import robot as robot_lib
 
 OBS, ACTIONS = 48, 12
@@ -34,7 +34,7 @@ def untrained(settings, activation):
     return static.ppo, jax.tree.map(lambda x: x * 4, params)
 
 
-@pytest.mark.parametrize("activation", config_lib.CHOICES["ppo.activation"])
+@pytest.mark.parametrize("activation", validate.CHOICES["ppo.activation"])
 def test_the_policy_in_numpy_is_the_policy_in_jax(settings, activation):
     """Every activation, one observation and a batch, to 1e-5 of the largest action."""
     static, params = untrained(settings, activation)

@@ -101,13 +101,13 @@ def make(*, episode_length: int = 20, aged: bool = True, blowup_action: float = 
             episode_return=jnp.zeros(()),
         )
 
-    def reset(hyper, physics, key):
+    def reset(hyper, body, key):
         key, clock_key = jax.random.split(key)
         clock = jax.random.randint(clock_key, (), 0, episode_length) * aged
         return fresh(hyper, key).replace(clock=clock.astype(jnp.int32))
 
-    def step(hyper, physics, state, action, key):
-        prop = a @ state.prop + physics * (b @ action)
+    def step(hyper, body, state, action, key):
+        prop = a @ state.prop + body * (b @ action)
         prop = jnp.where(action[0] > blowup_action, jnp.nan, prop)
         ok = jnp.isfinite(prop).all()
         error = jnp.where(ok, (prop[0] - state.command) ** 2, 0.0)
@@ -128,7 +128,7 @@ def make(*, episode_length: int = 20, aged: bool = True, blowup_action: float = 
         terms = (tracking, effort, error, fell * 1.0, timeout * 1.0, ~ok * 1.0)
         return after, _outcome(after, reward, fell, timeout, dict(zip(METRICS, terms, strict=True)))
 
-    def autoreset(hyper, physics, state, outcome, key):
+    def autoreset(hyper, body, state, outcome, key):
         return _choose(outcome, fresh(hyper, key), state)
 
     return Env(
@@ -166,7 +166,7 @@ def like_model(static, model) -> Env:
     """An environment that is the transition model: no noise, no end, `static` is group `model`."""
     env = make(aged=False)
 
-    def step(hyper, physics, state, action, key):
+    def step(hyper, body, state, action, key):
         obs, reward = dynamics.predict(static, env, model, state.obs, action)
         after = state.replace(prop=obs[:3], obs=obs, last_action=action)
         none = jnp.zeros(())
@@ -206,11 +206,11 @@ class ProbeState(NamedTuple):
 def probe() -> Env:
     """The environment whose `hyper.task` is a `Case`; observation and action are one number."""
 
-    def reset(case, physics, key):
+    def reset(case, body, key):
         sign = 1.0 - 2.0 * jax.random.bernoulli(key)
         return ProbeState((case.random * sign)[None], jnp.zeros((), jnp.int32), jnp.zeros(()))
 
-    def step(case, physics, state, action, key):
+    def step(case, body, state, action, key):
         count = state.steps + 1
         end = (count == case.steps) * 1.0
         obs, error = state.obs[0], action[0] - case.aim - case.follow * state.obs[0]
