@@ -2,34 +2,17 @@
 
     python -m dynappo.train --config=configs/anymal_d.py
 
-Differences from `default.py` only (Isaac Lab 2.2.1); variants as there.
+ANYmal-C's settings on another body, as in Isaac Lab 2.2.1; variants as in `default.py`.
 """
 
 import pathlib
 import runpy
 
-default = runpy.run_path(str(pathlib.Path(__file__).with_name("default.py")))
+anymal_c = runpy.run_path(str(pathlib.Path(__file__).with_name("anymal_c.py")))
 
 
 def get_config(variant=""):
-    """The defaults with this robot's differences."""
-    config = default["get_config"]()
+    """The config of ANYmal-C with this robot."""
+    config = anymal_c["get_config"](variant)
     config.robot = "anymal_d"
-    config.ppo.entropy_coef = 0.005  # IL
-    task = config.task
-    # PACE's identified gains; armature and joint damping are in the MJCF. Isaac Lab's simple model,
-    # 40 / 5, does not hold the robot up under an explicit PD (dt kd / I = 1.8).
-    task.update(kp=85.0, kd=0.6, action_scale=0.5)
-    task.update(effort_limit=80.0, saturation_effort=120.0, velocity_limit=7.5)
-    task.weights.update(
-        track_linear_velocity=1.0,
-        track_yaw_rate=0.5,
-        flat_orientation=-5.0,
-        joint_torques=-2.5e-5,
-        feet_air_time=0.5,
-        undesired_contacts=-1.0,  # nearly inert: a part at the ground ends the episode anyway
-    )
-    task.reset.update(spawn_height=0.6, velocity=0.5, joint_scale=(0.5, 1.5), soft_limit=0.95)
-    task.randomize.update(base_mass=(-5.0, 5.0), base_com=(0.05, 0.05, 0.01))
-    task.push.velocity = 0.5
-    return default["apply_variant"](config, variant)
+    return config
