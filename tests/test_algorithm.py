@@ -299,10 +299,8 @@ def test_the_model_is_fitted_to_real_rows_alone(iterated, tail, env, first):
 
 
 def test_the_policy_learns_from_real_and_synthetic_rows_alike(iterated, tail, first):
-    """The new learner is PPO's update with advantages that a NumPy loop computes of all rows.
-
-    Next value: V(next_obs) at a time limit and in the last row, the next row's value elsewhere.
-    """
+    """The new learner is PPO's update with advantages that a NumPy loop computes of all rows."""
+    # next value: V(next_obs) at a time limit and in the last row, the next row's value elsewhere
     config, static, hyper = tail
     learner = first().learner
     for n in (N, 5):
@@ -350,11 +348,8 @@ def test_permuting_the_robots_permutes_their_rows(observed, iterated, tail, firs
 
 
 def test_an_environment_that_is_its_model_has_a_tail_like_reality(iterated, tail, first):
-    """Where the model is exact, N_r = N and N_r = N - 4 give the same rollout and learner.
-
-    Without normalisation and with no epochs of fitting, the model stays what the environment is.
-    The environment that is not the model gives another tail.
-    """
+    """Where the model is exact, N_r = N and N_r = N - 4 give the same rollout and learner."""
+    # without normalisation and with no epochs of fitting, the model stays what the environment is
     config, static, hyper = tail
     static = static._replace(model=static.model._replace(normalize=False))
     state = first()
@@ -373,10 +368,8 @@ def test_an_environment_that_is_its_model_has_a_tail_like_reality(iterated, tail
 
 
 def test_physics_goes_on_from_its_own_last_step(run, run_plain, tail, plain, first):
-    """After a tail, robots and finished episodes are as if physics had done N_r rows alone.
-
-    Over six iterations of 5 real rows, with a policy that stays what it is.
-    """
+    """After a tail, robots and finished episodes are as if physics had done N_r rows alone."""
+    # six iterations of 5 real rows, with a policy that stays what it is
     rates = {"learning_rate": 0.0, "min_learning_rate": 0.0, "max_learning_rate": 0.0}
 
     def still(call, kind, settings, n_real):
@@ -701,7 +694,7 @@ PROBES = {
     "observed": toy_env.Case(random=1.0, gain=1.0),
     "discounted": toy_env.Case(steps=2, time=1.0, ending=1.0),
     "falls": toy_env.Case(steps=3, time=1.0, each=1.0),
-    "time_limit": toy_env.Case(steps=3, timeout=1.0, each=1.0),
+    "time_limit": toy_env.Case(steps=3, timeout=1.0, random=1.0, gain=1.0),
     "action": toy_env.Case(cost=1.0, aim=0.5),
     "follow": toy_env.Case(random=1.0, cost=1.0, follow=0.5),
 }
@@ -751,7 +744,8 @@ def probes():
         ("discounted", 1.0, 1.0),
         ("falls", 0.0, 1 + GAMMA + GAMMA**2),
         ("falls", 2.0, 1.0),
-        ("time_limit", 0.0, 1 / (1 - GAMMA)),
+        ("time_limit", 1.0, 1 / (1 - GAMMA)),
+        ("time_limit", -1.0, -1 / (1 - GAMMA)),
     ],
 )
 def test_values_that_are_known_are_learned(probes, name, obs, value):
