@@ -365,6 +365,14 @@ def test_a_run_in_which_no_episode_ended_is_shown_without_a_return():
     assert "best return" in text and "nan" not in text
 
 
+def test_an_error_that_nobody_stood_long_enough_to_measure_is_shown():
+    """The summary then holds None for it, of one seed or of all: no traceback and no "nan"."""
+    for nothing in (None, [None, None]):
+        lost = SUMMARY["evaluation"] | {"tracking_error": nothing, "yaw_error": nothing}
+        text = shown(SUMMARY | {"evaluation": lost})
+        assert "tracking error" in text and "nan" not in text and "None" not in text
+
+
 def test_a_run_without_evaluation_and_film_is_shown():
     """Both are settings."""
     bare = {k: v for k, v in SUMMARY.items() if k not in ("evaluation", "video")}
