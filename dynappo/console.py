@@ -174,8 +174,9 @@ def show_summary(out, config, workdir: Path, summary: dict) -> None:
         ("yaw_error", "evaluation: yaw rate error", " rad/s"),
     ):
         if "evaluation" in summary:
-            value = float(np.mean(summary["evaluation"][name]))
-            rows[label] = f"{value * (100 if unit == ' %' else 1):.2f}{unit}"
+            values = [v for v in np.ravel(summary["evaluation"][name]) if v is not None]
+            value = float(np.mean(values)) * (100 if unit == " %" else 1) if values else 0.0
+            rows[label] = f"{value:.2f}{unit}" if values else "nobody stood for a second"
     for label, value in rows.items():
         table.add_row(label, value)
     out.print(table)

@@ -188,35 +188,37 @@ def loop(config, program: Program, workdir: Path | None, progress_fn=None):
         else:
             csv.unlink(missing_ok=True)  # of a run that ended before its first checkpoint
     sim_steps = schedule.sim_steps(config)
-    for first in range(start, run.num_iterations, run.log_every):
-        rows = slice(first, first + run.log_every)
-        columns = {name: column[rows] for name, column in program.columns.items()}
-        began = time.perf_counter()
-        state, metrics = jax.block_until_ready(program.step(program.hyper, state, columns))
-        took = time.perf_counter() - began
-        share = np.arange(1, run.log_every + 1) / run.log_every
-        metrics = jax.device_get(metrics) | {
-            "iteration": columns["iteration"],
-            "sim_steps": sim_steps[rows],
-            "seconds": seconds + took * share,
-            "n_real": columns["n_real"],
-            "n_synthetic": config.rollout.horizon - columns["n_real"],
-        }
-        seconds, done = seconds + took, first + run.log_every
-        last = {name: value[-1] for name, value in metrics.items()}
-        _check_finite(last)
-        history.append(metrics)
-        if csv:
-            log.append_csv(csv, log.rows(metrics))
-        if checkpoints and (done == run.num_iterations or _every(run.checkpoint_every, done)):
-            checkpoint.save(checkpoints, done, state)
-        if _every(run.eval_every, done):
-            last |= {f"eval_{name}": value for name, value in program.assess(state).items()}
-        if progress_fn:
-            progress_fn(done, last)
-    if checkpoints:
-        checkpoints.wait_until_finished()
-        checkpoints.close()
+    try:
+        for first in range(start, run.num_iterations, run.log_every):
+            rows = slice(first, first + run.log_every)
+            columns = {name: column[rows] for name, column in program.columns.items()}
+            began = time.perf_counter()
+            state, metrics = jax.block_until_ready(program.step(program.hyper, state, columns))
+            took = time.perf_counter() - began
+            share = np.arange(1, run.log_every + 1) / run.log_every
+            metrics = jax.device_get(metrics) | {
+                "iteration": columns["iteration"],
+                "sim_steps": sim_steps[rows],
+                "seconds": seconds + took * share,
+                "n_real": columns["n_real"],
+                "n_synthetic": config.rollout.horizon - columns["n_real"],
+            }
+            seconds, done = seconds + took, first + run.log_every
+            last = {name: value[-1] for name, value in metrics.items()}
+            _check_finite(last)
+            history.append(metrics)
+            if csv:
+                log.append_csv(csv, log.rows(metrics))
+            if checkpoints and (done == run.num_iterations or _every(run.checkpoint_every, done)):
+                checkpoint.save(checkpoints, done, state)
+            if _every(run.eval_every, done):
+                last |= {f"eval_{name}": value for name, value in program.assess(state).items()}
+            if progress_fn:
+                progress_fn(done, last)
+    finally:  # also on ctrl-C: a save under way is finished
+        if checkpoints:
+            checkpoints.wait_until_finished()
+            checkpoints.close()
     return state, {name: np.concatenate([h[name] for h in history]) for name in history[0]}
 
 
