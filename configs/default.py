@@ -93,9 +93,16 @@ def get_config(variant: str = "") -> config_dict.ConfigDict:
             precision="highest",
         ),
         task=dict(
-            formulation="isaaclab",  # or "paper_text": the formulas as the paper prints them
-            tracking_std=optional(float),  # m/s, rad/s; isaaclab 0.5, paper_text 1.0
-            air_time=optional(str),  # isaaclab "touchdown", paper_text "indicator"
+            # "isaaclab", "paper_text" or "isaaclab_exact": decides the fields below that are None,
+            # term by term in configs/README.md
+            formulation="isaaclab",
+            tracking_std=optional(float),  # m/s, rad/s; 0.5 (isaaclab*) or 1.0
+            air_time=optional(str),  # "touchdown" (isaaclab*) or "indicator"
+            heading=optional(bool),  # the yaw rate turns the robot to a heading; exact only
+            resample_steps=optional(int),  # control steps between two commands; 0: an episode
+            standing=optional(float),  # share of commands that are zero
+            termination=optional(str),  # "parts", or "base" (exact; needs physics.contacts="full")
+            undesired=optional(str),  # what an undesired contact is: "parts", or "thighs" (exact)
             episode_length=1000,  # control steps, 20 s; IL
             random_clock=True,  # episodes start at random ages, so that time-outs spread; IL
             action_scale=0.25,  # rad per unit of action; IL
@@ -107,6 +114,7 @@ def get_config(variant: str = "") -> config_dict.ConfigDict:
             command_x=(-1.0, 1.0),  # m/s; paper and IL
             command_y=(-1.0, 1.0),  # m/s
             command_yaw=(-1.0, 1.0),  # rad/s
+            heading_gain=0.5,  # 1/s, yaw rate for each rad that is left to turn; IL
             weights=dict(  # 1/s: each term is multiplied by its weight and by 0.02 s
                 track_linear_velocity=1.5,
                 track_yaw_rate=0.75,
@@ -149,7 +157,7 @@ def get_config(variant: str = "") -> config_dict.ConfigDict:
         ),
         physics=dict(
             impl="auto",  # "warp" on an NVIDIA GPU with warp-lang, else "jax"
-            contacts="feet",  # only feet touch the floor; other parts end the episode first
+            contacts="feet",  # what meets the floor: "feet" (other parts end the episode first), "full"
             timestep=0.005,  # s; IL
             substeps=4,  # physics steps in a control step; IL
             iterations=4,  # of the constraint solver

@@ -2,8 +2,8 @@
 
 Follows Isaac Lab's flat velocity tasks and the paper; where they differ, `task.formulation` and
 configs/README.md say what is done. Order inside a control step (isaaclab/envs/manager_based_rl_env.py):
-action, four physics steps with the actuator model in each, terminations, rewards, observation. The
-reset is `autoreset`'s.
+action, four physics steps with the actuator model in each, terminations, rewards, command, push,
+observation. The reset is `autoreset`'s.
 """
 
 from __future__ import annotations
@@ -13,8 +13,9 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
-from dynappo import observe, physics, randomize, rewards
+from dynappo import commands, observe, physics, randomize, rewards
 from dynappo import robot as robot_lib
 from dynappo.types import Env, EnvState, Outcome
 
@@ -28,6 +29,8 @@ class Parts(NamedTuple):
     robot: robot_lib.Robot
     task: Any  # the config's group `task`, for its non-float fields
     legs: tuple[Any, ...]  # robot.leg_chains
+    fatal: np.ndarray  # [G] bool: the parts that end an episode at the ground
+    undesired: np.ndarray  # [K, G] bool: the parts that count as one undesired contact
     dt: float  # s
 
 
@@ -39,11 +42,14 @@ def make(
     `num_worlds` is robots times seeds: MJX-Warp keeps one contact buffer for all of them.
     """
     varied = randomize.varied(task.randomize)
+    fatal, undesired = ground_rules(robot, task)
     parts = Parts(
         engine=physics.make(robot, physics_config, varied, impl, num_worlds),
         robot=robot,
         task=task,
         legs=robot_lib.leg_chains(robot),
+        fatal=fatal,
+        undesired=undesired,
         dt=physics_config.substeps * physics_config.timestep,
     )
     names = [f"reward_{name}" for name in task.weights]
@@ -59,6 +65,21 @@ def make(
         action_size=len(robot.joint_names),
         dt=parts.dt,
     )
+
+
+def ground_rules(robot: robot_lib.Robot, task) -> tuple[np.ndarray, np.ndarray]:
+    """`(fatal [G], undesired [K, G])`: what `task.termination` and `task.undesired` mean here.
+
+    The paper: a fall is any part at the ground, and each part counts. Isaac Lab: only the base
+    falls, and each thigh, the second body of a leg, counts.
+    """
+    bodies = robot.mj_model.geom_bodyid[robot.parts]
+    every = task.termination == "parts"
+    fatal = (bodies == robot.base_body) | every
+    if task.undesired == "parts":
+        return fatal, np.eye(len(bodies), dtype=bool)
+    thighs = robot.mj_model.jnt_bodyid[1:].reshape(-1, 3)[:, 1]
+    return fatal, bodies == thighs[:, None]
 
 
 def _randomize(parts: Parts, hyper, key):
@@ -87,7 +108,7 @@ def autoreset(parts: Parts, hyper, body, state: EnvState, outcome: Outcome, key)
 
 def _fresh(parts: Parts, hyper, body, key) -> EnvState:
     """Pose, velocity and command as tasks.md sections 4 and 7; lifted until no foot is below ground."""
-    keys = jax.random.split(key, 9)
+    keys = jax.random.split(key, 7)
     r, default = hyper.reset, jnp.asarray(parts.robot.default_pose, jnp.float32)
     joints = default * jax.random.uniform(
         keys[0], default.shape, minval=r.joint_scale[0], maxval=r.joint_scale[1]
@@ -103,28 +124,23 @@ def _fresh(parts: Parts, hyper, body, key) -> EnvState:
     qpos = jnp.concatenate([xy, height[None], quat, joints])
     velocity = jax.random.uniform(keys[3], (6,), minval=-1.0, maxval=1.0) * r.velocity
     qvel = jnp.concatenate([velocity, default * 0])
-    ranges = (hyper.command_x, hyper.command_y, hyper.command_yaw)
-    command = jnp.stack(
-        [
-            jax.random.uniform(k, (), minval=low, maxval=high)
-            for k, (low, high) in zip(keys[4:7], ranges, strict=True)
-        ]
-    )
+    command, goal = commands.draw(parts.task, hyper, qpos, keys[4])
     feet = jnp.zeros(len(parts.robot.feet), jnp.int32)
-    obs = _observe(parts, hyper, body, qpos, qvel, command, default * 0, keys[7])
+    obs = _observe(parts, hyper, body, qpos, qvel, command, default * 0, keys[5])
     return EnvState(
         qpos=qpos,
         qvel=qvel,
         qacc_warmstart=jnp.zeros_like(qvel),
         obs=obs,
         command=command,
+        goal=goal,
         last_action=default * 0,
         air_steps=feet,
         contact_steps=feet,
         last_air_steps=feet,
         clock=jnp.zeros((), jnp.int32),
         episode_steps=jnp.zeros((), jnp.int32),
-        push_in=_push_in(parts, hyper, keys[8]),
+        push_in=_push_in(parts, hyper, keys[6]),
         episode_return=jnp.zeros(()),
     )
 
@@ -172,17 +188,22 @@ def step(parts: Parts, hyper, body, state: EnvState, action, key):
     reward, weighted = rewards.total(terms, hyper.weights._asdict(), parts.dt)
     reward = jnp.where(ok, reward, 0.0)
 
-    fell = (after.lowest < 0).any() | ~ok
+    fell = (parts.fatal & (after.lowest < 0)).any() | ~ok
     clock = state.clock + 1
     timeout = (clock >= parts.task.episode_length) & ~fell
-    obs_key, push_key = jax.random.split(key)
+    obs_key, push_key, command_key = jax.random.split(key, 3)
+    command, goal = commands.advance(
+        parts.task, hyper, state.command, state.goal, after.qpos, command_key
+    )
     qvel, push_in = push(parts, hyper, after.qvel, state.push_in, push_key)
-    obs = _observe(parts, hyper, body, after.qpos, qvel, state.command, action, obs_key)
+    obs = _observe(parts, hyper, body, after.qpos, qvel, command, action, obs_key)
     next_state = state.replace(
         qpos=after.qpos,
         qvel=qvel,
         qacc_warmstart=after.qacc_warmstart,
         obs=jnp.where(ok, obs, state.obs),
+        command=command,
+        goal=goal,
         last_action=action,
         air_steps=after.air_steps,
         contact_steps=after.contact_steps,
@@ -225,6 +246,7 @@ def reward_terms(
     else:
         air = rewards.feet_in_air(contact)
     qd = after.qvel[6:]
+    lowest = jnp.where(parts.undesired, after.lowest, jnp.inf).min(-1)
     return {
         "track_linear_velocity": rewards.track_linear_velocity(
             linear, state.command, hyper.tracking_std
@@ -239,5 +261,5 @@ def reward_terms(
         ),
         "action_rate": rewards.action_rate(action, state.last_action),
         "feet_air_time": air,
-        "undesired_contacts": rewards.undesired_contacts(after.lowest),
+        "undesired_contacts": rewards.undesired_contacts(lowest),
     }

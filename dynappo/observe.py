@@ -39,6 +39,13 @@ def _cross(a, b):
     )
 
 
+def heading(quat):
+    """Direction of the base's x axis in the world's plane, rad from the world's x axis."""
+    xp = quat.__array_namespace__()
+    w, x, y, z = (quat[i] for i in range(4))
+    return xp.atan2(2 * (x * y + w * z), 1 - 2 * (y**2 + z**2))
+
+
 def base_motion(qpos, qvel, base_com):
     """`(gravity, linear, angular)`, each [3], in the base frame.
 

@@ -28,8 +28,14 @@ from dynappo.types import EnvState
 with contextlib.redirect_stdout(io.StringIO()):  # it prints two lines where warp-lang is absent
     from mujoco import mjx
 
-CONTACTS_PER_ROBOT, ROWS_PER_ROBOT = 8, 48  # buffers of MJX-Warp with feet-only contacts
-FULL_CONTACTS_PER_ROBOT, FULL_ROWS_PER_ROBOT = 48, 240
+# contacts of one primitive with the floor at most (mujoco_warp/_src/collision_primitive_core.py)
+MOST_CONTACTS = {
+    robot_lib.SPHERE: 1,
+    robot_lib.CAPSULE: 2,
+    robot_lib.CYLINDER: 4,
+    robot_lib.BOX: 8,
+}
+ROWS_PER_CONTACT = 4  # constraint rows of a pyramidal cone with sliding friction
 
 
 class Engine(NamedTuple):
@@ -47,16 +53,14 @@ class Engine(NamedTuple):
 def make(robot: robot_lib.Robot, physics, varied: frozenset[str], impl: str, num_worlds: int):
     """The engine `impl` ("jax" or "warp") for `num_worlds` copies of `robot`.
 
-    `physics` is the config's group. MJX-Warp keeps one contact buffer for all worlds, which must
-    hold those of all robots of all seeds.
+    `physics` is the config's group. MJX-Warp keeps one contact buffer for all worlds; it gets what
+    all robots of all seeds can need at most, so that it cannot overflow.
     """
     mj_model = robot_lib.physics_model(robot, physics)
     buffers = {}
     if impl == "warp":
-        full = physics.contacts == "full"
-        contacts = FULL_CONTACTS_PER_ROBOT if full else CONTACTS_PER_ROBOT
-        buffers["naconmax"] = num_worlds * contacts
-        buffers["njmax"] = FULL_ROWS_PER_ROBOT if full else ROWS_PER_ROBOT
+        contacts, rows = most_contacts(mj_model)
+        buffers = dict(naconmax=num_worlds * contacts, njmax=rows)
     model = mjx.put_model(mj_model, impl=impl)
     if impl == "warp":  # it prints a line a world a step when the solver's limit is reached
         model = model.tree_replace({"opt._impl.warn_overflow": 0})
@@ -71,6 +75,14 @@ def make(robot: robot_lib.Robot, physics, varied: frozenset[str], impl: str, num
     )
 
 
+def most_contacts(model) -> tuple[int, int]:
+    """`(contacts, constraint rows)` that one robot on the floor can have at most."""
+    touching = model.geom_conaffinity > 0
+    contacts = sum(MOST_CONTACTS[int(kind)] for kind in model.geom_type[touching])
+    limits = int(model.jnt_limited.sum() + (model.dof_frictionloss > 0).sum())
+    return contacts, contacts * ROWS_PER_CONTACT + limits
+
+
 class Substeps(NamedTuple):
     """What a control step carries from one physics step to the next."""
 
@@ -82,7 +94,7 @@ class Substeps(NamedTuple):
     last_air_steps: Any
     torque: Any  # of the last physics step
     qd_before: Any  # joint velocities before it
-    lowest: Any  # m, lowest point of each part at its start
+    lowest: Any  # m, lowest point of each part over all physics steps
 
 
 def simulate(engine: Engine, hyper, physics, state: EnvState, action) -> Substeps:
@@ -122,7 +134,7 @@ def simulate(engine: Engine, hyper, physics, state: EnvState, action) -> Substep
             last_air_steps=jnp.where(landed, s.air_steps + 1, s.last_air_steps),
             torque=torque,
             qd_before=s.qvel[6:],
-            lowest=data.geom_xpos[ids, 2] - drop,
+            lowest=jnp.minimum(s.lowest, data.geom_xpos[ids, 2] - drop),
         ), None
 
     first = Substeps(
@@ -134,7 +146,7 @@ def simulate(engine: Engine, hyper, physics, state: EnvState, action) -> Substep
         last_air_steps=state.last_air_steps,
         torque=default * 0,
         qd_before=default * 0,
-        lowest=jnp.zeros(len(ids)),
+        lowest=jnp.full(len(ids), jnp.inf),
     )
     with jax.default_matmul_precision("highest"):
         return jax.lax.scan(substep, first, None, length=engine.substeps)[0]

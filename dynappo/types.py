@@ -65,6 +65,15 @@ class Transition:
 
 
 @struct.dataclass
+class Goal:
+    """What stands behind a robot's command until the next draw (commands.py)."""
+
+    heading: Float[Array, "..."]  # rad in the world; read with `task.heading` only
+    standing: Float[Array, "..."]  # 1: asked to stand
+    steps_left: Int[Array, "..."]  # control steps until the next draw
+
+
+@struct.dataclass
 class EnvState:
     """One robot of the velocity task: the integration state of physics and all memory of the task.
 
@@ -77,6 +86,7 @@ class EnvState:
     qacc_warmstart: Float[Array, "... nv"]
     obs: Float[Array, "... O"]
     command: Float[Array, "... 3"]  # m/s, m/s, rad/s in the base frame
+    goal: Goal
     last_action: Float[Array, "... A"]
     air_steps: Int[Array, "... F"]  # since the foot left the ground; 0 while it is down
     contact_steps: Int[Array, "... F"]  # since the foot came down; 0 while it is in the air

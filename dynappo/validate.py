@@ -12,9 +12,21 @@ from dynappo import schedule
 
 PACKAGE = pathlib.Path(__file__).resolve().parent
 # What task.formulation decides where the field itself is None (sources: configs/README.md).
+PAPER_TASK = dict(
+    heading=False, resample_steps=0, standing=0.0, termination="parts", undesired="parts"
+)
 FORMULATIONS = {
-    "isaaclab": dict(tracking_std=0.5, air_time="touchdown"),
-    "paper_text": dict(tracking_std=1.0, air_time="indicator"),
+    "isaaclab": dict(tracking_std=0.5, air_time="touchdown", **PAPER_TASK),
+    "paper_text": dict(tracking_std=1.0, air_time="indicator", **PAPER_TASK),
+    "isaaclab_exact": dict(
+        tracking_std=0.5,
+        air_time="touchdown",
+        heading=True,
+        resample_steps=500,
+        standing=0.02,
+        termination="base",
+        undesired="thighs",
+    ),
 }
 CHOICES = {
     "physics.impl": ("auto", "jax", "warp"),
@@ -22,6 +34,8 @@ CHOICES = {
     "run.device": ("auto", "cpu", "gpu"),
     "task.formulation": tuple(FORMULATIONS),
     "task.air_time": ("touchdown", "indicator"),
+    "task.termination": ("parts", "base"),
+    "task.undesired": ("parts", "thighs"),
     "model.precision": ("highest", "tf32", "bfloat16"),
     "ppo.precision": ("highest", "tf32"),
     "model.activation": ("elu", "relu", "tanh", "swish"),
@@ -96,12 +110,18 @@ def validate(config: config_dict.ConfigDict) -> config_dict.FrozenConfigDict:
         is_range = len(numbers) == 2 and type(numbers[0]) is float
         if is_range and numbers[0] > numbers[-1]:
             raise ConfigError(f"{field} is {value}, expected (low, high) with low <= high")
-    for field in ("run.eval_envs", "run.video_seconds", "task.push.velocity"):
+    for field in ("run.eval_envs run.video_seconds task.push.velocity task.resample_steps").split():
         if fields[field] < 0:
             raise ConfigError(f"{field} is {fields[field]}, expected 0 or more")
     if not -(2**31) <= config.run.seed <= 2**31 - config.run.num_seeds:
         raise ConfigError(f"run.seed is {config.run.seed}, expected an integer of 32 bits")
-    for field in ("ppo.gamma", "ppo.lambda_", "model.stats_decay"):
+    if config.task.termination == "base" and config.physics.contacts != "full":
+        raise ConfigError(
+            f"physics.contacts is {config.physics.contacts}, expected full where only the base ends an "
+            "episode (task.termination=base, task.formulation=isaaclab_exact): knees would sink "
+            "through the floor; set --config.physics.contacts=full"
+        )
+    for field in ("ppo.gamma", "ppo.lambda_", "model.stats_decay", "task.standing"):
         if not 0 <= fields[field] <= 1:
             raise ConfigError(f"{field} is {fields[field]}, expected a number from 0 to 1")
     if config.ppo.min_learning_rate > config.ppo.max_learning_rate:

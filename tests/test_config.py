@@ -41,7 +41,16 @@ BASE = {
     "ppo.minibatches": 4,
     "ppo.shuffle_blocks": 8,
 }
-OPTIONAL = {"task.tracking_std": float, "task.air_time": str, "model.late_epochs": int}
+OPTIONAL = {
+    "task.tracking_std": float,
+    "task.air_time": str,
+    "task.heading": bool,
+    "task.resample_steps": int,
+    "task.standing": float,
+    "task.termination": str,
+    "task.undesired": str,
+    "model.late_epochs": int,
+}
 
 
 def load(variant="", robot="go1"):
@@ -444,6 +453,22 @@ def test_fields_left_open_are_what_the_formulation_says_and_set_ones_stay(
     assert config_lib.validate(config).task.air_time == "touchdown"
 
 
+def test_where_only_the_base_falls_all_contacts_are_needed():
+    config = load()
+    config.task.formulation = "isaaclab_exact"
+    with pytest.raises(config_lib.ConfigError, match=r"physics\.contacts is feet, expected full"):
+        config_lib.validate(config)
+    config.physics.contacts = "full"
+    task = config_lib.validate(config).task
+    assert (task.heading, task.resample_steps, task.standing) == (True, 500, 0.02)
+    assert (task.termination, task.undesired, task.air_time) == ("base", "thighs", "touchdown")
+    assert task.tracking_std == 0.5
+    config.task.update(heading=False, termination="parts")  # each decision alone
+    config.physics.contacts = "feet"
+    task = config_lib.validate(config).task
+    assert (task.heading, task.resample_steps, task.termination) == (False, 500, "parts")
+
+
 def test_validation_can_be_repeated():
     once = config_lib.validate(load())
     assert config_lib.to_json(config_lib.validate(once)) == config_lib.to_json(once)
@@ -506,7 +531,10 @@ def test_a_split_puts_every_float_in_hyper_and_everything_else_in_static():
     for field, value in hyper.items():
         for x in value if isinstance(value, tuple) else (value,):
             assert type(x) is float, field
-    assert {*INTS, *STRINGS, *BOOLS, *SIZES, "task.air_time", "model.late_epochs"} == set(static)
+    assert {*INTS, *STRINGS, *BOOLS, *SIZES, *OPTIONAL} - {
+        "task.tracking_std",
+        "task.standing",
+    } == set(static)
 
 
 def test_equal_configs_have_equal_static_parts_with_equal_hashes():

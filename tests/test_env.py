@@ -1,8 +1,9 @@
 """The velocity task on MJX against C MuJoCo loops, hand-made cases, and the rules of its episodes.
 
-Three environments are compiled, once each: `lab` (Go1, `isaaclab`, every physical parameter
-varied), `plain` (Go1, `paper_text`, nothing varied) and `anymal` (ANYmal-D). A step always has
-`ROBOTS` robots, so that it traces once; a second trace fails the test that causes it.
+Four environments are compiled, once each: `lab` (Go1, `isaaclab`, every physical parameter
+varied), `plain` (Go1, `paper_text`, nothing varied), `anymal` (ANYmal-D) and `exact` (ANYmal-C,
+`isaaclab_exact`, all contacts). A step always has `ROBOTS` robots, so that it traces once; a second
+trace fails the test that causes it.
 """
 
 from types import SimpleNamespace
@@ -27,9 +28,10 @@ VARIED = dict(
 )
 
 
-def build(name, ranges=None, **task):
+def build(name, ranges=None, contacts="feet", **task):
     """Environment, jitted batch functions that may trace once, and what tests need beside."""
     settings = config.load(f"{name}.py")
+    settings.physics.contacts = contacts
     settings.task.update(task)
     settings.task.randomize.update(ranges or {})
     settings = config.validate(settings)
@@ -89,6 +91,13 @@ def plain():
 @pytest.fixture(scope="module")
 def anymal():
     return build("anymal_d")
+
+
+@pytest.fixture(scope="module")
+def exact():
+    return build(
+        "anymal_c", contacts="full", formulation="isaaclab_exact", resample_steps=5, standing=0.3
+    )
 
 
 @pytest.fixture(scope="module")
@@ -169,6 +178,7 @@ class Reference:
         """Four physics steps; sets what the task needs to know of them."""
         h, data, feet = self.lab.hyper, self.data, self.lab.robot.feet
         target = actuators.target(action.astype(float), self.lab.robot.default_pose, h.action_scale)
+        self.distances = np.inf
         for _ in range(SUBSTEPS):
             q, self.qd_before = data.qpos[7:].copy(), data.qvel[6:].copy()
             self.torque = actuators.clip_dc_motor(
@@ -192,11 +202,14 @@ class Reference:
             self.last_air = np.where(landed, self.air + DT, self.last_air)
             self.air = np.where(down, 0.0, self.air + DT)
             self.contact = np.where(down, self.contact + DT, 0.0)
-        self.distances = np.array(
+            self.distances = np.minimum(self.distances, self.heights())
+
+    def heights(self):
+        """Distance of every part from the floor, where the physics step started."""
+        floor = self.model.geom("floor").id
+        return np.array(
             [
-                mujoco.mj_geomDistance(
-                    self.model, data, self.model.geom("floor").id, part, 10.0, None
-                )
+                mujoco.mj_geomDistance(self.model, self.data, floor, part, 10.0, None)
                 for part in self.lab.robot.parts
             ]
         )
@@ -406,9 +419,9 @@ def test_an_action_moves_its_own_joint_by_its_scale_towards_the_target(lab):
 def test_a_state_rebuilt_from_its_numbers_continues_to_the_bit(lab, physics, walk):
     """No field of the simulator but qpos, qvel and qacc_warmstart is carried."""
     moves, states, _ = walk
-    numbers = {name: np.array(getattr(states[50], name)) for name in EnvState.__annotations__}
+    numbers = {name: getattr(states[50], name) for name in EnvState.__annotations__}
     assert {n for n in numbers if n.startswith("q")} == {"qpos", "qvel", "qacc_warmstart"}
-    state = EnvState(**{name: jnp.asarray(value) for name, value in numbers.items()})
+    state = jax.tree.map(lambda leaf: jnp.asarray(np.array(leaf)), EnvState(**numbers))
     for t in range(50, 60):
         state, _ = lab.step(weights(lab.quiet), physics, state, moves[t], lab.keys)
     chex.assert_trees_all_equal(jax.device_get(state), states[60])
@@ -727,9 +740,9 @@ def test_autoreset_starts_exactly_the_ended_robots_anew_with_clock_zero(lab, phy
     )
     keys = jax.random.split(jax.random.key(9), ROBOTS)
     new = jax.device_get(lab.autoreset(lab.hyper, physics, state, outcome, keys))
-    for name in EnvState.__annotations__:
-        kept = np.asarray(getattr(state, name))[~ended]
-        np.testing.assert_array_equal(getattr(new, name)[~ended], kept, err_msg=name)
+    chex.assert_trees_all_equal(
+        *(jax.tree.map(lambda leaf: np.asarray(leaf)[~ended], tree) for tree in (state, new))
+    )
     for name in ("clock", "episode_steps", "episode_return", "last_action", "qacc_warmstart"):
         assert not getattr(new, name)[ended].any(), name
     for name in ("air_steps", "contact_steps", "last_air_steps"):
@@ -739,6 +752,90 @@ def test_autoreset_starts_exactly_the_ended_robots_anew_with_clock_zero(lab, phy
     assert (new.command[ended] != np.asarray(state.command)[ended]).all()
     assert (new.obs[ended, 33:36] == new.command[ended]).all()
     assert len(np.unique(new.qpos[ended, 0])) == ended.sum()
+
+
+# --- the task as Isaac Lab computes it ---
+
+
+def laid(exact, quat, bend):
+    """Robots of attitude `quat`, joints `bend` from home, pressed 5 mm into the floor; at rest."""
+    state = exact.reset(exact.quiet, exact.nominal, exact.keys)
+    qpos = np.tile(exact.robot.home_qpos, (ROBOTS, 1)).astype(np.float32)
+    qpos[:, 3:7] = quat / np.linalg.norm(quat, axis=-1, keepdims=True)
+    qpos[:, 7:] += bend
+    data = mujoco.MjData(exact.model)
+    floor = exact.model.geom("floor").id
+    touching = [*exact.robot.parts, *exact.robot.feet]
+    for i in range(ROBOTS):
+        data.qpos[:] = qpos[i]
+        mujoco.mj_kinematics(exact.model, data)
+        heights = [mujoco.mj_geomDistance(exact.model, data, floor, g, 10, None) for g in touching]
+        qpos[i, 2] -= min(heights) + 0.005
+    return state.replace(qpos=jnp.asarray(qpos), qvel=state.qvel * 0)
+
+
+def test_where_only_the_base_falls_a_thigh_at_the_floor_counts_and_does_not_end_the_episode(exact):
+    """Robots lying in random attitudes with bent legs; which bodies are down, by C MuJoCo."""
+    rng = np.random.default_rng(2)
+    model, bodies = exact.model, exact.model.geom_bodyid[exact.robot.parts]
+    seen = set()
+    for _ in range(4):
+        start = laid(exact, rng.normal(size=(ROBOTS, 4)), rng.uniform(-1, 1, (ROBOTS, 12)))
+        zero = jnp.zeros((ROBOTS, 12))
+        _, outcome = exact.step(weights(exact.quiet), exact.nominal, start, zero, exact.keys)
+        for i in range(ROBOTS):
+            reference = Reference(exact, exact.nominal, i)
+            reference.put(start, i)
+            reference.step(np.zeros(12))
+            if np.abs(reference.distances).min() < 1e-3:
+                continue
+            down = {model.body(b).name for b in bodies[reference.distances < 0]}
+            thighs = sum(name.endswith("THIGH") for name in down)
+            assert outcome.metrics["reward_undesired_contacts"][i] == thighs
+            assert outcome.discount[i] == ("base" not in down)
+            seen.add((thighs > 0, bool(outcome.discount[i])))
+    assert {(True, True), (True, False), (False, True)} <= seen, "thighs down with and without base"
+
+
+def test_with_all_contacts_a_robot_without_torque_lies_on_the_floor_and_does_not_sink(exact):
+    state, zero = laid(exact, np.tile([1.0, 0, 0, 0], (ROBOTS, 1)), 0), jnp.zeros((ROBOTS, 12))
+    limp = exact.quiet._replace(effort_limit=0.0)
+    for _ in range(100):
+        state, outcome = exact.step(limp, exact.nominal, state, zero, exact.keys)
+    assert not outcome.metrics["blowups"].any()
+    reference = Reference(exact, exact.nominal, 0)
+    for i in range(ROBOTS):
+        reference.put(jax.device_get(state), i)
+        mujoco.mj_kinematics(reference.model, reference.data)
+        assert -0.03 < reference.heights().min() < 0.005
+
+
+def test_commands_turn_the_robot_to_its_heading_and_change_when_the_time_has_come(exact):
+    """The observation holds the new command, the reward the one before it."""
+    state = exact.reset(exact.quiet, exact.nominal, exact.keys)
+    hyper, zero = weights(exact.quiet), jnp.zeros((ROBOTS, 12))
+    drawn = []
+    for t in range(11):
+        keys = jax.random.split(jax.random.key(t), ROBOTS)
+        after, outcome = exact.step(hyper, exact.nominal, state, zero, keys)
+        np.testing.assert_array_equal(outcome.next_obs[:, 33:36], after.command)
+        error = np.array(outcome.next_obs[:, 27:30]) - np.array(state.command)
+        kernel = np.exp(-(error[:, :2] ** 2).sum(-1) / 0.25)
+        np.testing.assert_allclose(
+            outcome.metrics["reward_track_linear_velocity"], kernel, rtol=1e-4
+        )
+        drawn.append(np.array(after.goal.heading != state.goal.heading).all())
+        state = after
+    assert [k for k, new in enumerate(drawn) if new] == [4, 9]
+    standing_still = np.array(state.goal.standing) == 1
+    assert 0 < standing_still.sum() < ROBOTS
+    assert (np.array(state.command)[standing_still] == 0).all()
+    for i in np.flatnonzero(~standing_still):
+        frame = np.zeros(9)
+        mujoco.mju_quat2Mat(frame, np.array(state.qpos[i, 3:7], float))
+        left = np.array(state.goal.heading[i]) - np.arctan2(frame[3], frame[0])
+        turn = np.clip(0.5 * np.arctan2(np.sin(left), np.cos(left)), -1, 1)
+        np.testing.assert_allclose(state.command[i, 2], turn, atol=1e-5)
 
 
 BLOWUPS = dict(

@@ -14,14 +14,14 @@ CONFIGS = PACKAGE.parent / "configs"
 GROUPS = (
     {"types", "config", "schedule", "validate"},
     {"networks", "gae", "rewards", "actuators", "observe"},
-    {"robot", "env", "physics", "randomize", "dynamics", "ppo", "rollout"},
+    {"robot", "env", "commands", "physics", "randomize", "dynamics", "ppo", "rollout"},
     {"algorithm", "evaluate", "sweep"},
     {"checkpoint", "log", "render", "export", "train", "play", "bench", "console"},
 )
 WITHIN = {
     "config": {"validate"},
     "validate": {"schedule"},
-    "env": {"robot", "randomize", "physics"},
+    "env": {"robot", "commands", "randomize", "physics"},
     "physics": {"robot", "randomize"},
 }  # allowed inside a group
 HOST = GROUPS[-1]
