@@ -45,6 +45,8 @@ def get_config(variant: str = "") -> config_dict.ConfigDict:
             eval_envs=1000,  # robots of an evaluation, one episode each; 0: none
             video_seconds=12.0,  # s of film after training; 0: none
             device="auto",  # "auto", "cpu" or "gpu"
+            tensorboard=True,  # write TensorBoard's events into the workdir
+            wandb="",  # project of Weights & Biases to log to; empty: none
         ),
         rollout=dict(
             num_envs=4096,  # R; paper

@@ -76,8 +76,10 @@ def iterate(
     )
 
     # Train the transition model on them, and let it write the tail of N_s = N - N_r steps
-    model, model_metrics = state.model, {}
+    model, model_metrics, model_errors = state.model, {}, {}
     if model is not None:
+        unrolled = min(4, horizon - static.schedule.end_steps)
+        model_errors = dynamics.errors(static.model, env, model, buffer, unrolled)
         model, model_metrics = dynamics.fit(
             static.model,
             hyper.model,
@@ -102,11 +104,12 @@ def iterate(
     state = state.replace(
         learner=learner, model=model, env_state=env_state, returns=returns, lengths=lengths
     )
-    metrics = ppo_metrics | model_metrics | summarise(sums, n_real * num_envs)
+    metrics = ppo_metrics | model_metrics | model_errors | summarise(sums, n_real * num_envs)
     return state, metrics | {
         "episode_return": jnp.nanmean(returns),
         "episode_length": jnp.nanmean(lengths),
         "policy_std": learner.params["std"].mean(),
+        "nonfinite_robot": nonfinite_robot(buffer),
     }
 
 
@@ -194,6 +197,16 @@ def finished(state: TrainState, buffer: Transition, n_real):
         return kept.at[slot].set(values.reshape(-1), mode="drop")
 
     return push(state.returns, buffer.episode_return), push(state.lengths, buffer.episode_length)
+
+
+def nonfinite_robot(buffer: Transition) -> Int[Array, ""]:
+    """Index of the first robot of a rollout with a reward or observation that is not finite; or -1.
+
+    The host stops a run where a loss is not finite, and then wants to know whose row it was.
+    """
+    good = jnp.isfinite(buffer.reward) & jnp.isfinite(buffer.next_obs).all(-1)
+    bad = ~good.all(axis=0)
+    return jnp.where(bad.any(), jnp.argmax(bad), -1)
 
 
 def summarise(sums: Metrics, rows) -> Metrics:

@@ -1,46 +1,236 @@
 """Checkpoints of a run (orbax): the whole `TrainState`, saved beside training, atomic.
 
+Each holds two things: `state`, and `about`, a JSON text with the iteration, the
+simulator steps, the config, the shape of every array and a hash of their bytes. The hash finds a
+damaged file, the shapes say in words why a checkpoint of another run does not fit.
+
 The state holds no `mjx.Data` (orbax refuses its empty arrays, and it depends on the engine), so a
 checkpoint made with MJX-Warp on a GPU goes on with MJX-JAX on a CPU.
 """
 
 from __future__ import annotations
 
+import errno
+import hashlib
+import itertools
+import json
 import logging
+import shutil
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import jax
+import jax.numpy as jnp
+import numpy as np
 import orbax.checkpoint as ocp
+from orbax.checkpoint import checkpoint_managers
 
+from dynappo import log
 from dynappo.config import ConfigError
 
-KEEP = 3
+KEEP = 3  # newest ones, and the one with the highest return
 
 
-def manager(workdir: Path) -> ocp.CheckpointManager:
-    """Keeps the newest checkpoints of `workdir/checkpoints`, named by iteration."""
-    logging.getLogger("absl").setLevel(logging.ERROR)  # orbax logs every step of every save
-    options = ocp.CheckpointManagerOptions(max_to_keep=KEEP)
-    return ocp.CheckpointManager((workdir / "checkpoints").resolve(), options=options)
+def manager(workdir: Path, say: Callable[[str], None] = print) -> ocp.CheckpointManager:
+    """Keeps the newest checkpoints of `workdir/checkpoints`, named by iteration, and the best.
+
+    Orbax reads the small JSON texts of all of them at once and fails if one is damaged: such a
+    checkpoint is moved out of the way first, and `say` tells so in one line.
+    """
+    for step in (workdir / "checkpoints").glob("[0-9]*"):
+        if step.name.isdigit():
+            try:
+                for text in ("metrics/metrics", "about/metadata", "_CHECKPOINT_METADATA"):
+                    json.loads((step / text).read_text())
+            except (OSError, ValueError) as error:
+                _move_aside(step, _reason(error), say)
+    # orbax logs every step of every save, and tracebacks of what is raised too
+    for name in ("absl", "asyncio"):
+        logging.getLogger(name).setLevel(logging.CRITICAL)
+    keep = checkpoint_managers.AnyPreservationPolicy(
+        [
+            checkpoint_managers.LatestN(KEEP),
+            checkpoint_managers.BestN(
+                get_metric_fn=lambda metrics: metrics["episode_return"],
+                n=1,
+                keep_checkpoints_without_metrics=False,
+            ),
+        ]
+    )
+    options = ocp.CheckpointManagerOptions(
+        preservation_policy=keep,
+        best_fn=lambda metrics: metrics["episode_return"],
+        cleanup_tmp_directories=True,  # of a save that was killed
+    )
+    handlers = {"state": ocp.StandardCheckpointHandler(), "about": ocp.JsonCheckpointHandler()}
+    registry = ocp.handlers.DefaultCheckpointHandlerRegistry()
+    registry.add("state", ocp.args.StandardSave, handlers["state"])
+    registry.add("state", ocp.args.StandardRestore, handlers["state"])
+    registry.add("about", ocp.args.JsonSave, handlers["about"])
+    registry.add("about", ocp.args.JsonRestore, handlers["about"])
+    return ocp.CheckpointManager(
+        (workdir / "checkpoints").resolve(), options=options, handler_registry=registry
+    )
 
 
-def save(checkpoints: ocp.CheckpointManager, iteration: int, state: Any) -> None:
-    """Start saving; the arrays are copied off the device before this returns."""
-    checkpoints.save(iteration, args=ocp.args.StandardSave(state))
+def save(
+    checkpoints: ocp.CheckpointManager,
+    iteration: int,
+    state: Any,
+    episode_return: float = -np.inf,
+    **about,
+) -> None:
+    """Start saving; the arrays are copied off the device before this returns.
+
+    `about` (JSON: `sim_steps`, `config`) is kept beside the state. The save goes on in threads:
+    `finish` waits for it, and raises what went wrong. A disk that is too full for it is an OSError
+    before anything is written: orbax's threads would print a traceback an array.
+    """
+    needed = 1.5 * sum(x.nbytes for x in jax.tree.leaves(state))
+    free = shutil.disk_usage(Path(checkpoints.directory)).free
+    if free < needed:
+        text = f"No space left on device: {needed / 1e6:.0f} MB needed, {free / 1e6:.0f} MB free"
+        raise OSError(errno.ENOSPC, text)
+    about |= {"iteration": iteration, "arrays": shapes(state), "sha256": digest(state)}
+    worth = episode_return if np.isfinite(episode_return) else -1e9
+    args = ocp.args.Composite(state=ocp.args.StandardSave(state), about=ocp.args.JsonSave(about))
+    checkpoints.save(iteration, args=args, metrics={"episode_return": worth}, force=True)
 
 
-def restore(checkpoints: ocp.CheckpointManager, like: Any) -> tuple[int, Any] | None:
-    """`(iteration, state)` of the newest checkpoint, or None; `like` is a state of the same run."""
-    newest = checkpoints.latest_step()
-    if newest is None:
-        return None
-    shapes = jax.tree.map(ocp.utils.to_shape_dtype_struct, like)
+def finish(checkpoints: ocp.CheckpointManager) -> None:
+    """Wait for a save under way; if it failed, take away what is there of it, and raise."""
     try:
-        return newest, checkpoints.restore(newest, args=ocp.args.StandardRestore(shapes))
-    except Exception as error:  # orbax raises many kinds: of shape, structure, missing file
-        reason = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
+        checkpoints.wait_until_finished()
+    except Exception:
+        for part in Path(checkpoints.directory).glob("*.orbax-checkpoint-tmp*"):
+            shutil.rmtree(part, ignore_errors=True)
+        raise
+
+
+def restore(
+    checkpoints: ocp.CheckpointManager, like: Any, say: Callable[[str], None] = print
+) -> tuple[int, Any] | None:
+    """`(iteration, state)` of the newest good checkpoint, or None; `like` is a state of this run.
+
+    A damaged one is moved out of the way and `say` tells so in one line. ConfigError if a checkpoint
+    is of another run, or if all are damaged.
+    """
+    folder = Path(checkpoints.directory)
+    for iteration in sorted(checkpoints.all_steps(), reverse=True):
+        try:
+            return iteration, _read(checkpoints, iteration, like)
+        except ConfigError:
+            raise
+        except Exception as error:  # orbax and tensorstore raise many kinds
+            _move_aside(folder / str(iteration), _reason(error), say)
+            checkpoints.reload()
+    damaged = sorted(folder.parent.glob("damaged-*"))
+    if damaged:
         raise ConfigError(
-            f"{checkpoints.directory / str(newest)}: not a checkpoint of this config ({reason}); "
-            "choose another --workdir, or remove it"
-        ) from None
+            f"{folder}: no checkpoint can be read any more; the damaged ones are {damaged[0]} ...; "
+            "start over with --fresh, or in another --workdir"
+        )
+    return None
+
+
+def _move_aside(step: Path, reason: str, say) -> None:
+    """`checkpoints/400` becomes `damaged-400`: the run will write its own 400 again."""
+    names = (f"damaged-{step.name}" + (f".{n}" if n else "") for n in itertools.count())
+    aside = next(p for p in (step.parent.parent / n for n in names) if not p.exists())
+    step.rename(aside)
+    say(f"checkpoint {step.name} is damaged ({reason}); it is now {aside}, an older one is taken")
+
+
+def _read(checkpoints, iteration: int, like):
+    where = Path(checkpoints.directory) / str(iteration)
+    about = checkpoints.restore(iteration, args=ocp.args.Composite(about=ocp.args.JsonRestore()))[
+        "about"
+    ]
+    found, expected = about["arrays"], shapes(like)
+    for name in found | expected:
+        if found.get(name) != expected.get(name):
+            raise ConfigError(
+                f"{where} is not a checkpoint of this run: {name} is {found.get(name, 'absent')} "
+                f"there, {expected.get(name, 'absent')} here; choose another --workdir"
+            )
+    target = jax.tree.map(ocp.utils.to_shape_dtype_struct, like)
+    state = checkpoints.restore(
+        iteration, args=ocp.args.Composite(state=ocp.args.StandardRestore(target))
+    )["state"]
+    if digest(state) != about["sha256"]:
+        raise ValueError("its numbers are not those that were saved")
+    return state
+
+
+def weights(folder: Path, like: Any) -> Any:
+    """`like` with the networks of another run's newest good checkpoint, to start a run from.
+
+    `folder` is its workdir. Policy, value function and, where both runs have one, the transition model
+    with its moments are taken; optimisers, learning rate and robots start anew. ConfigError where a
+    network has another shape.
+    """
+    if not (folder / "checkpoints").is_dir():
+        raise ConfigError(f"--restore={folder}: no checkpoints/ there; expected a run's workdir")
+    checkpoints = manager(folder)
+    steps = sorted(checkpoints.all_steps(), reverse=True)
+    if not steps:
+        raise ConfigError(f"--restore={folder}: it holds no checkpoint yet")
+    try:
+        args = ocp.args.Composite(state=ocp.args.StandardRestore())
+        there = checkpoints.restore(steps[0], args=args)["state"]
+    except Exception as error:
+        reason = _reason(error)
+        raise ConfigError(f"--restore={folder}: checkpoint {steps[0]}: {reason}") from None
+    finally:
+        checkpoints.close()
+    learner = like.learner.replace(
+        params=_taken(folder, like.learner.params, there["learner"]["params"], "policy")
+    )
+    model = like.model
+    if model is not None and there.get("model"):
+        parts = {
+            name: _taken(folder, getattr(model, name), there["model"][name], f"model.{name}")
+            for name in ("params", "inputs", "targets")
+        }
+        model = model.replace(**parts)
+    return like.replace(learner=learner, model=model)
+
+
+def _taken(folder, like, there, what):
+    """The raw arrays `there` in the structure of `like`."""
+    raw, out = log.paths(there), []
+    for name, leaf in log.paths(like).items():
+        found = f"of shape {np.shape(raw[name])}" if name in raw else "absent"
+        if name not in raw or np.shape(raw[name]) != leaf.shape:
+            raise ConfigError(
+                f"--restore={folder}: {what} {name} is {found} there, of shape {leaf.shape} here; "
+                "set the sizes of that run (its config.json has them)"
+            )
+        out.append(jnp.asarray(raw[name], leaf.dtype))
+    return jax.tree.unflatten(jax.tree.structure(like), out)
+
+
+def shapes(state: Any) -> dict[str, str]:
+    """Type and shape of every array of a state, by its path: `learner/params/std: float32[12]`."""
+    return {
+        name: f"{leaf.dtype}{list(leaf.shape)}".replace(" ", "")
+        for name, leaf in log.paths(state).items()
+    }
+
+
+def digest(state: Any) -> str:
+    """SHA-256 of all numbers of a state."""
+    leaves = [
+        jax.random.key_data(x) if jnp.issubdtype(x.dtype, jax.dtypes.prng_key) else x
+        for x in jax.tree.leaves(state)
+    ]
+    out = hashlib.sha256()
+    for leaf in jax.device_get(leaves):
+        out.update(np.ascontiguousarray(leaf).tobytes())
+    return out.hexdigest()
+
+
+def _reason(error: Exception) -> str:
+    text = str(error).strip()
+    return text.splitlines()[0][:160] if text else type(error).__name__

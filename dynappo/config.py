@@ -123,15 +123,14 @@ def to_json(config) -> str:
     return json.dumps(config.to_dict(), indent=2)
 
 
-def difference(old: str, new: str) -> str:
+def difference(old: str, new: str, except_for=()) -> str:
     """The first field in which two `to_json` texts differ, as "ppo.epochs 5 there, 4 here"; or ""."""
-
     try:
         before = flat(json.loads(old))
     except (ValueError, AttributeError):
         return "its config.json cannot be read"
     after = flat(json.loads(new))
     for name in before | after:
-        if before.get(name) != after.get(name):
+        if name not in except_for and before.get(name) != after.get(name):
             return f"{name} {before.get(name)} there, {after.get(name)} here"
     return ""

@@ -3,22 +3,35 @@
 from __future__ import annotations
 
 import argparse
+import signal
 import sys
 from pathlib import Path
+from typing import Any, NamedTuple
 
 from dynappo import config as config_lib
 from dynappo import schedule
 from dynappo.config import ConfigError
 
+GOES_ON = "the same command goes on from the last checkpoint"
 USAGE = """\
 any field of the config (configs/default.py lists them) can be set, as in
   --config.run.num_iterations=200 --config.ppo.learning_rate=3e-4
 variants follow the file's name: configs/go1.py:quick, :ppo16, :dyna4, ...
+the same command again goes on with the run of its workdir
 """
 
 
-def parse(argv: list[str]):
-    """`(config, workdir)` of a command line; ConfigError if it cannot be understood."""
+class Command(NamedTuple):
+    """What a command line asks for."""
+
+    config: Any
+    workdir: Path
+    fresh: bool = False
+    restore: Path | None = None
+
+
+def parse(argv: list[str]) -> Command:
+    """A command line, understood; ConfigError if it cannot be."""
     parser = argparse.ArgumentParser(
         prog="python -m dynappo.train",
         description="Train a quadruped to follow velocity commands.",
@@ -29,6 +42,12 @@ def parse(argv: list[str]):
     )
     parser.add_argument("--config", metavar="FILE.py[:VARIANT]")
     parser.add_argument("--workdir", type=Path, help="default: runs/FILE-VARIANT")
+    parser.add_argument(
+        "--fresh", action="store_true", help="start over; a run that is there is moved aside"
+    )
+    parser.add_argument(
+        "--restore", type=Path, metavar="DIR", help="start from the networks of another workdir"
+    )
     try:
         known, rest = parser.parse_known_args(argv)
     except argparse.ArgumentError as error:
@@ -44,20 +63,48 @@ def parse(argv: list[str]):
         config_lib.override(config, field, text if equals else next(rest, ""))
     name, _, variant = known.config.partition(":")
     folder = Path(name).stem + (f"-{variant}" if variant else "")
-    return config_lib.validate(config), known.workdir or Path("runs") / folder
+    workdir = known.workdir or Path("runs") / folder
+    return Command(config_lib.validate(config), workdir, known.fresh, known.restore)
 
 
 def main(argv: list[str] | None = None) -> None:
-    """The command: exit status 0, 1 if training blew up, 2 if it cannot start, 130 on ctrl-C."""
+    """The command. Exit status 0, 1 if training blew up or a file could not be written, 2 if it cannot
+    start, 130 on ctrl-C, 143 on SIGTERM; both save first."""
+    stop = Stop()
     try:
-        config, workdir = parse(sys.argv[1:] if argv is None else argv)
-        train_and_show(config, workdir)
+        command = parse(sys.argv[1:] if argv is None else argv)
+        with stop:
+            train_and_show(command, stop)
     except ConfigError as error:
         sys.exit(_complain(error, 2))
     except FloatingPointError as error:
         sys.exit(_complain(error, 1))
+    except OSError as error:
+        sys.exit(_complain(f"{error.filename or 'a file'} cannot be written ({error.strerror})", 1))
     except KeyboardInterrupt:
-        sys.exit(_complain("stopped; the same command goes on from the last checkpoint", 130))
+        sys.exit(_complain(f"stopped; {GOES_ON}", stop.status))
+    if stop.status:
+        sys.exit(stop.status)
+
+
+class Stop:
+    """Catches ctrl-C and SIGTERM while it is entered; the first asks the loop to save and stop, and
+    `status` is the exit status it means. Before the loop runs, and at the second, it interrupts."""
+
+    def __init__(self):
+        self.status, self.patient = 0, False
+
+    def __enter__(self):
+        self.old = {s: signal.signal(s, self._handle) for s in (signal.SIGINT, signal.SIGTERM)}
+
+    def __exit__(self, *_):
+        for number, handler in self.old.items():
+            signal.signal(number, handler)
+
+    def _handle(self, number, _):
+        again, self.status = self.status, 128 + number
+        if again or not self.patient:
+            raise KeyboardInterrupt
 
 
 def _complain(message, status: int) -> int:
@@ -65,19 +112,19 @@ def _complain(message, status: int) -> int:
     return status
 
 
-def train_and_show(config, workdir: Path) -> None:
+def train_and_show(command: Command, stop: Stop) -> None:
     """`train.train`, told to a person: what will happen, how it goes, what came out."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
     from dynappo import train
 
-    out = Console(highlight=False)
+    config, out = command.config, Console(highlight=False)
     out.print(f"[bold]dynappo[/bold] {describe(config)}", soft_wrap=True)
-    train.choose_impl(config)  # before anything is written
-    workdir = train.open_workdir(workdir, config)
+    train.check(config)  # before anything is written
+    workdir = train.open_workdir(command.workdir, config, command.fresh)
     with out.status("compiling (under a minute; half of it when cached)"):
-        program = train.setup(config)
+        program = train.setup(config, command.restore)
     steps = schedule.sim_steps(config)
     out.print(
         f"{program.device}, MJX-{program.impl.upper() if program.impl == 'jax' else 'Warp'}; "
@@ -103,7 +150,20 @@ def train_and_show(config, workdir: Path) -> None:
 
     with bar:
         task = bar.add_task("training", total=config.run.num_iterations, line="")
-        state, metrics = train.loop(config, program, workdir, show)
+        stop.patient = True
+        state, metrics = train.loop(
+            config,
+            program,
+            workdir,
+            show,
+            should_stop=lambda: bool(stop.status),
+            say=lambda text: out.print(f"[yellow]{text}", soft_wrap=True),
+        )
+        stop.patient = False
+    done = int(metrics["iteration"][-1])
+    if done < config.run.num_iterations:
+        print(f"dynappo: saved at iteration {done} and stopped; {GOES_ON}", file=sys.stderr)
+        return
     with out.status("evaluating, filming"):
         summary = train.finish(config, program, workdir, state, metrics)
     show_summary(out, config, workdir, summary)
@@ -184,4 +244,5 @@ def show_summary(out, config, workdir: Path, summary: dict) -> None:
     if "video" in summary:
         out.print(str(summary["video"]), soft_wrap=True)
     if config.run.num_iterations < 200:
-        out.print("next: python -m dynappo.train --config=configs/go1.py  (4096 robots, a GPU)")
+        name = config.robot
+        out.print(f"next: python -m dynappo.train --config=configs/{name}.py  (4096 robots, a GPU)")

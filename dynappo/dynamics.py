@@ -168,6 +168,29 @@ def predict(
     return jnp.concatenate([prop, env.context(obs, action)], -1), y[..., -1] * env.dt
 
 
+def errors(static, env: Env, model: ModelState, rows: Transition, steps: int) -> Metrics:
+    """Error of 1 and of `steps` predictions in a row, from row 0 with the actions that were taken.
+
+    Root mean square over robots and predicted numbers, each in units of its spread, as a share of
+    the error of the trivial predictor that repeats the state: 1 is no better than that. Robots whose
+    episode ended on the way are left out. Before a fit, the rows are new to the model.
+    """
+    size = env.prop_size
+    std = scale(model.inputs)[1][:size]
+    obs, alive, out = rows.obs[0], jnp.ones(rows.reward.shape[1]), {}
+    for k in range(steps):
+        obs, _ = predict(static, env, model, obs, rows.action[k])
+        alive = alive * rows.discount[k] * (1 - rows.truncation[k])
+        if k in (0, steps - 1):
+            truth, still = rows.next_obs[k, :, :size], rows.obs[0, :, :size]
+            wrong, change = (
+                jnp.where(alive[:, None] > 0, ((x - truth) / std) ** 2, 0.0).sum()
+                for x in (obs[:, :size], still)
+            )
+            out[f"model_error_{k + 1}"] = jnp.sqrt(wrong / jnp.maximum(change, 1e-12))
+    return out
+
+
 def step(static, env: Env, model: ModelState, state: TailState, action, keys=None) -> tuple:
     """The contract of an environment's step, with the model in place of physics.
 

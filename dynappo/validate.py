@@ -55,12 +55,20 @@ class ConfigError(ValueError):
     """A setting that cannot be run; the message names the field, what was found and expected."""
 
 
+def roots() -> tuple[pathlib.Path, ...]:
+    """Where configs/ and robots/ are looked for: working directory, clone, installed package."""
+    return pathlib.Path.cwd(), PACKAGE.parent, PACKAGE
+
+
 def find(folder: str, name: str) -> pathlib.Path | None:
-    """`folder/name` beside the sources, or inside the installed package; None if in neither."""
-    for root in (PACKAGE.parent, PACKAGE):
-        if (root / folder / name).exists():
-            return root / folder / name
-    return None
+    """The first `folder/name` of `roots`; None if there is none."""
+    return next((root / folder / name for root in roots() if (root / folder / name).exists()), None)
+
+
+def robots() -> list[str]:
+    """Names of all robots in the folders robots/ of `roots`."""
+    files = [path for root in roots() for path in root.glob("robots/*/*.xml")]
+    return sorted({path.stem for path in files if path.stem == path.parent.name})
 
 
 def flat(config, prefix="") -> dict[str, Any]:
@@ -132,9 +140,7 @@ def validate(config: config_dict.ConfigDict) -> config_dict.FrozenConfigDict:
     _validate_schedule(config)
     _validate_sizes(config)
     if not find("robots", f"{config.robot}/{config.robot}.xml"):
-        root = find("robots", "")
-        known = sorted(p.name for p in root.iterdir() if p.is_dir()) if root else []
-        raise ConfigError(f"robot is {config.robot!r}, expected one of {', '.join(known)}")
+        raise ConfigError(f"robot is {config.robot!r}, expected one of {', '.join(robots())}")
     return config_dict.FrozenConfigDict(config)
 
 

@@ -394,7 +394,8 @@ def test_without_tails_the_program_with_a_model_is_plain_ppo(run, run_plain, tai
     with_model, metrics = run(tail[2], first(), columns(tail[0], n_real=N))
     without, expected = run_plain(plain[2], first(0, "plain"), columns(plain[0]))
     assert_same(with_model.replace(model=None), without)
-    assert set(metrics) - set(expected) == {"model_loss", "model_loss_before"}
+    only = {"model_loss", "model_loss_before", "model_error_1", "model_error_4"}
+    assert set(metrics) - set(expected) == only
     assert_same({name: metrics[name] for name in expected}, expected)
 
 

@@ -2,6 +2,7 @@
 
 import pathlib
 import shutil
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -124,6 +125,35 @@ def test_the_newest_of_the_last_three_is_restored(checkpoints, plain):
     assert sorted(int(p.name) for p in folder.iterdir()) == [9, 10, 11]
 
 
+def test_the_best_is_kept_beside_the_newest(checkpoints, plain):
+    """By the return it was saved with; one without a return is never the best."""
+    manager = checkpoints()
+    for iteration, worth in ((1, 3.0), (2, 9.0), (3, 5.0), (4, np.nan), (5, 1.0), (6, 2.0)):
+        checkpoint.save(manager, iteration, plain, worth)
+    manager.wait_until_finished()
+    steps = sorted(int(p.name) for p in manager.directory.iterdir())
+    assert steps == [2, 4, 5, 6]
+    assert checkpoint.restore(checkpoints(), plain)[0] == 6
+
+
+def test_damaged_checkpoints_are_passed_over_one_by_one(checkpoints, plain):
+    """The JSON of one, the arrays of another; the third is good, and both can be written again."""
+    manager = checkpoints()
+    for iteration in (4, 5, 6):
+        checkpoint.save(manager, iteration, plain)
+    manager.wait_until_finished()
+    (manager.directory / "6" / "metrics" / "metrics").write_text("{")
+    shutil.rmtree(manager.directory / "5" / "state" / "d")
+    said, again = [], checkpoints()
+    assert checkpoint.restore(again, plain, said.append)[0] == 4
+    folder = manager.directory.parent
+    assert {p.name for p in folder.glob("damaged-*")} == {"damaged-5", "damaged-6"}
+    assert len(said) == 1 and "checkpoint 5 is damaged" in said[0]
+    checkpoint.save(again, 5, plain)
+    again.wait_until_finished()
+    assert checkpoint.restore(checkpoints(), plain)[0] == 5
+
+
 def assert_one_line(error, folder):
     """The message names the folder, says what to do, and is one line."""
     text = str(error.value)
@@ -163,14 +193,31 @@ def test_a_damaged_checkpoint_is_refused_in_one_line(checkpoints, plain, damage)
     manager.wait_until_finished()
     folder = manager.directory / "5"
     if damage == "item":
-        shutil.rmtree(folder / "default")
+        shutil.rmtree(folder / "state")
     else:
         for file in [p for p in pathlib.Path(folder).rglob("*") if p.is_file()]:
             data = file.read_bytes()
             file.write_bytes(data[: len(data) // 2] if damage == "cut" else b"")
-    with pytest.raises(ConfigError) as error:
+    with pytest.raises(ConfigError, match="no checkpoint can be read") as error:
         checkpoint.restore(checkpoints(), plain)
-    assert_one_line(error, folder)
+    assert_one_line(error, manager.directory)
+    assert (manager.directory.parent / "damaged-5").is_dir() and not folder.exists()
+
+
+def test_a_disk_that_is_too_full_is_an_error_before_anything_is_written(
+    checkpoints, plain, monkeypatch
+):
+    """The message has both numbers; with room it is saved."""
+    manager = checkpoints()
+    size = sum(x.nbytes for x in jax.tree.leaves(plain))
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: SimpleNamespace(free=size))
+    with pytest.raises(OSError, match="No space left on device: .* MB needed, .* MB free"):
+        checkpoint.save(manager, 5, plain)
+    assert not list(manager.directory.iterdir())
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: SimpleNamespace(free=2 * size))
+    checkpoint.save(manager, 5, plain)
+    checkpoint.finish(manager)
+    assert checkpoint.restore(checkpoints(), plain)[0] == 5
 
 
 def test_an_unfinished_checkpoint_is_not_taken(checkpoints, plain):

@@ -26,10 +26,12 @@ ppo.minibatches ppo.shuffle_blocks task.episode_length physics.substeps physics.
 physics.ls_iterations
 """.split()
 STRINGS = """
-robot run.device model.activation model.precision ppo.activation ppo.precision task.formulation
+robot run.device run.wandb model.activation model.precision ppo.activation ppo.precision task.formulation
 physics.impl physics.contacts
 """.split()
-BOOLS = "model.predict_change model.normalize ppo.adaptive ppo.clip_value task.random_clock".split()
+BOOLS = (
+    "run.tensorboard model.predict_change model.normalize ppo.adaptive ppo.clip_value task.random_clock"
+).split()
 SIZES = "model.hidden ppo.hidden".split()
 # What the sizes in the messages below follow from.
 BASE = {

@@ -228,13 +228,13 @@ def test_help_is_printed_and_is_no_mistake():
 )
 def test_a_run_has_a_folder_of_its_own(argv, folder):
     """Named after file and variant, unless `--workdir` says otherwise."""
-    assert console.parse(argv)[1] == pathlib.Path(folder)
+    assert console.parse(argv).workdir == pathlib.Path(folder)
 
 
 def test_fields_are_set_in_both_spellings_and_the_last_one_counts():
     """`--config.a.b=1` and `--config.a.b 1`, with the type of the default."""
     flags = ["--config.ppo.epochs", "3", "--config.ppo.gamma=1", "--config.ppo.epochs=2"]
-    config, _ = console.parse([GO1, *flags, "--config.ppo.hidden=(64,32)"])
+    config = console.parse([GO1, *flags, "--config.ppo.hidden=(64,32)"]).config
     assert config.ppo.epochs == 2 and config.ppo.hidden == (64, 32)
     assert config.ppo.gamma == 1.0 and type(config.ppo.gamma) is float
 

@@ -1,11 +1,15 @@
 """What a run writes: rows in order, numbers that come back, files that are whole or not there."""
 
 import csv
+import errno
 import json
+import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from dynappo import config as config_lib
 from dynappo import log
 
 
@@ -132,3 +136,142 @@ def test_json_is_written_whole_or_not_at_all(tmp_path):
     log.write_json(path, {"robot": "go2"})
     assert json.loads(path.read_text()) == {"robot": "go2"}
     assert [p.name for p in tmp_path.iterdir()] == ["summary.json"]
+
+
+# ---- more columns, full disks, other logs
+
+
+def test_a_new_column_is_added_to_the_rows_that_are_there(tmp_path):
+    """Evaluation began later, or was asked for when the run went on."""
+    path = tmp_path / "metrics.csv"
+    log.append_csv(path, log.rows(metrics(2)))
+    evaluated = metrics(2, first=3) | {"eval_return": np.array([np.nan, 7.5])}
+    log.append_csv(path, log.rows(evaluated))
+    log.append_csv(path, log.rows(metrics(1, first=5)))
+    back = log.read_csv(path)
+    np.testing.assert_array_equal(back["iteration"], [1, 2, 3, 4, 5])
+    np.testing.assert_array_equal(back["eval_return"], [np.nan] * 3 + [7.5, np.nan])
+    np.testing.assert_allclose(back["value_loss"][:2], metrics(2)["value_loss"], 1e-5)
+    assert not list(tmp_path.glob("*.new"))
+
+
+def test_rows_that_could_not_be_written_are_written_with_the_next_and_whole(tmp_path, monkeypatch):
+    """The disk is full in the middle of a row; nothing of it stays in the file."""
+    path = tmp_path / "metrics.csv"
+    sink = log.csv_sink(path)
+    sink.write(log.rows(metrics(1)))
+    before = path.read_bytes()
+    number = log._number
+
+    def full(value):
+        if value == 3:  # in the second of the two rows
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return number(value)
+
+    monkeypatch.setattr(log, "_number", full)
+    with pytest.raises(OSError, match="No space"):
+        sink.write(log.rows(metrics(2, first=2)))
+    assert path.read_bytes() == before
+    monkeypatch.setattr(log, "_number", number)
+    sink.write(log.rows(metrics(1, first=4)))
+    np.testing.assert_array_equal(log.read_csv(path)["iteration"], [1, 2, 3, 4])
+
+
+def test_the_first_bad_number_is_named_in_the_order_of_computation():
+    """A reward before the loss that it spoils; an empty mean return is nothing bad."""
+    data = metrics()
+    assert log.first_nonfinite(data) is None  # the first returns are NaN
+    data["value_loss"][1:] = np.nan
+    assert log.first_nonfinite(data) == ("value_loss", 2)
+    data["reward_action_rate"][1] = np.inf
+    assert log.first_nonfinite(data) == ("reward_action_rate", 2)
+    data = metrics(seeds=3)
+    data["value_loss"][3, 2] = np.nan
+    assert log.first_nonfinite(data) == ("value_loss", 4)
+
+
+def test_chunks_are_joined_with_nan_where_one_lacks_a_column():
+    chunks = [metrics(2), metrics(2, first=3) | {"eval_return": np.array([np.nan, 1.0])}]
+    joined = log.join(chunks)
+    np.testing.assert_array_equal(joined["iteration"], [1, 2, 3, 4])
+    np.testing.assert_array_equal(joined["eval_return"], [np.nan, np.nan, np.nan, 1.0])
+
+
+def events(folder):
+    """`{(tag, step): value}` of TensorBoard's files, in the order of their making."""
+    from tensorboardX.proto.event_pb2 import Event
+
+    out, restarts = {}, []
+    for path in sorted(folder.glob("events.*"), key=lambda p: p.stat().st_mtime_ns):
+        data, at = path.read_bytes(), 0
+        while at < len(data):  # a record: length, its checksum, the event, its checksum
+            size = int.from_bytes(data[at : at + 8], "little")
+            event = Event.FromString(data[at + 12 : at + 12 + size])
+            at += size + 16
+            if event.HasField("session_log"):
+                restarts.append(event.step)
+            for value in event.summary.value:
+                out[value.tag, event.step] = value.simple_value
+    return out, restarts
+
+
+def test_tensorboard_gets_every_finite_number_of_every_row(tmp_path):
+    sink = log.tensorboard_sink(tmp_path, 0)
+    sink.write(log.rows(metrics()))
+    sink.close()
+    found, restarts = events(tmp_path)
+    data = metrics()
+    assert restarts == []
+    assert found["reward/action_rate", 4] == pytest.approx(data["reward_action_rate"][3])
+    assert found["train/value_loss", 1] == pytest.approx(data["value_loss"][0])
+    assert ("train/episode_return", 2) not in found and ("train/episode_return", 3) in found
+    assert {step for _, step in found} == {1, 2, 3, 4}
+
+
+def test_a_run_that_goes_on_takes_back_the_events_after_its_checkpoint(tmp_path):
+    sink = log.tensorboard_sink(tmp_path, 2)
+    sink.write(log.rows(metrics(2, first=3, seeds=2)))
+    sink.close()
+    found, restarts = events(tmp_path)
+    assert restarts == [3]
+    assert ("train/value_loss/seed0", 3) in found and ("train/value_loss/seed1", 4) in found
+
+
+def test_weights_and_biases_gets_the_rows_and_the_same_run_when_it_goes_on(tmp_path, monkeypatch):
+    """A stand-in for the library, which needs an account; the id stays that of the workdir."""
+    calls = []
+
+    class Run:
+        def log(self, row, step):
+            calls.append((step, row))
+
+        def finish(self):
+            calls.append("finished")
+
+    def init(**options):
+        calls.append(options)
+        return Run()
+
+    monkeypatch.setitem(sys.modules, "wandb", SimpleNamespace(init=init, __spec__=object()))
+    config = config_lib.load("configs/go1.py")
+    config.run.wandb = "walking"
+    ids = []
+    for _ in range(2):
+        calls.clear()
+        sink = log.wandb_sink(config_lib.validate(config), tmp_path)
+        sink.write(log.rows(metrics(2)))
+        sink.close()
+        ids.append(calls[0]["id"])
+        assert calls[0]["project"] == "walking" and calls[0]["resume"] == "allow"
+        assert calls[0]["config"]["robot"] == "go1"
+        assert [c[0] for c in calls[1:3]] == [1, 2] and calls[3] == "finished"
+        assert calls[2][1]["train/value_loss"] == pytest.approx(metrics(2)["value_loss"][1])
+    assert ids[0] == ids[1]
+
+
+def test_asking_for_weights_and_biases_without_it_is_one_line(monkeypatch):
+    monkeypatch.setitem(sys.modules, "wandb", None)
+    config = config_lib.load("configs/go1.py")
+    config.run.wandb = "walking"
+    with pytest.raises(config_lib.ConfigError, match="run.wandb is 'walking', but .*not installed"):
+        log.check_wandb(config)

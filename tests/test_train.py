@@ -1,6 +1,7 @@
 """A whole run on the Go1, tiny: what it writes, and that it goes on where it was stopped."""
 
 import csv
+import errno
 import json
 import os
 import shutil
@@ -10,10 +11,12 @@ import sys
 import time
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
+from ml_collections import config_dict
 
-from dynappo import checkpoint, console, log, render, train
+from dynappo import checkpoint, console, log, render, schedule, train
 from dynappo import config as config_lib
 from dynappo.config import ConfigError
 
@@ -40,7 +43,7 @@ N_REAL = [4, 3, 3, 3]
 @pytest.fixture(scope="module")
 def config():
     """The tiny config, as the command line makes it."""
-    return console.parse(FLAGS)[0]
+    return console.parse(FLAGS).config
 
 
 class Run:
@@ -89,7 +92,8 @@ def test_a_run_fills_its_folder(whole):
     """Settings, metrics, summary, policy and checkpoints; no temporary file."""
     expected = {"config.json", "metrics.csv", "summary.json", "policy.npz", "checkpoints"}
     names = {p.name for p in whole.workdir.iterdir()}
-    assert names - {"video.mp4"} == expected
+    events = {name for name in names if name.startswith("events.")}
+    assert len(events) == 1 and names - {"video.mp4"} - events == expected
     steps = {p.name for p in (whole.workdir / "checkpoints").iterdir()}
     assert steps == {"2", "4"}
 
@@ -278,7 +282,7 @@ def test_checkpoints_without_their_metrics_are_refused(config, program, whole, t
 
 def test_a_folder_of_another_config_is_refused(whole, tmp_path):
     """The message names the field and both values; nothing in the folder changes."""
-    other = console.parse([*FLAGS, "--config.ppo.clip_epsilon=0.3"])[0]
+    other = console.parse([*FLAGS, "--config.ppo.clip_epsilon=0.3"]).config
     with pytest.raises(ConfigError, match=r"ppo\.clip_epsilon 0\.2 there, 0\.3 here") as error:
         train.train(other, whole.workdir)
     assert str(whole.workdir) in str(error.value) and "\n" not in str(error.value)
@@ -297,14 +301,228 @@ def test_without_a_folder_nothing_is_written(config, program, whole, tmp_path, m
 # ---- numbers that blow up
 
 
-def test_a_training_that_blows_up_says_so(config, program, tmp_path):
-    """FloatingPointError with the number, the iteration and what to change; no row of NaN."""
-    wild = program()
-    hyper = wild.hyper._replace(model=wild.hyper.model._replace(learning_rate=np.float32(1e30)))
-    with pytest.raises(FloatingPointError, match="after iteration [24]: .* lower ppo.learning"):
-        train.loop(config, wild._replace(hyper=hyper), tmp_path)
-    if (tmp_path / "metrics.csv").exists():
-        assert all("nan" not in row.values() for row in table(tmp_path / "metrics.csv"))
+def poisoned(program, place):
+    """The program with a NaN, or an absurd learning rate, at `place`."""
+    h, state = program.hyper, program.state
+    if place == "model":
+        h = h._replace(model=h.model._replace(learning_rate=np.float32(1e30)))
+    elif place == "policy":
+        h = h._replace(ppo=h.ppo._replace(value_coef=np.float32(np.nan)))
+    elif place == "reward":
+        weights = h.task.weights._replace(action_rate=np.float32(np.nan))
+        h = h._replace(task=h.task._replace(weights=weights))
+    elif place == "moments":  # a parameter, not a loss: found in the state
+        inputs = state.model.targets.replace(weight=jnp.float32(np.inf))
+        state = state.replace(model=state.model.replace(targets=inputs))
+    return program._replace(hyper=h, state=state)
+
+
+@pytest.mark.parametrize(
+    ("place", "name"),
+    [
+        ("model", "model_loss is not finite in iteration 1"),
+        ("policy", "(value|surrogate)_loss is not finite in iteration 1"),
+        ("reward", "reward_action_rate is not finite in iteration 1"),
+        ("moments", "model.*is not finite in iteration 2"),
+    ],
+)
+def test_a_training_that_blows_up_names_the_first_bad_number(
+    config, program, tmp_path, place, name
+):
+    """No row of NaN is written, no checkpoint of it is kept; a bad robot is there for replay."""
+    bad = poisoned(program(), place)
+    with pytest.raises(FloatingPointError, match=name) as error:
+        train.loop(config, bad, tmp_path)
+    assert "\n" not in str(error.value) and "lower ppo.learning_rate" in str(error.value).lower()
+    assert not (tmp_path / "metrics.csv").exists()
+    assert not list((tmp_path / "checkpoints").iterdir())
+    dumped = tmp_path / "nonfinite.npz"
+    assert dumped.exists() == (place == "reward")
+    if place == "reward":
+        found = np.load(dumped)
+        assert f"robot {found['robot']}, as it was before, is in {dumped}" in str(error.value)
+        assert found["env_state/qpos"].shape == (19,) and np.isfinite(found["env_state/qpos"]).all()
+        start = program().state
+        np.testing.assert_array_equal(found["env_state/qpos"], start.env_state.qpos[found["robot"]])
+        assert found["params_physics/base_com"].shape == (3,)
+
+
+def test_a_robot_that_physics_cannot_compute_is_counted_and_training_goes_on(config, program):
+    """NaN in the speed of one robot: its episode ends, the numbers of all others are as they were."""
+    run = program()
+    qvel = run.state.env_state.qvel.at[3, 8].set(np.nan)
+    broken = run.state.replace(env_state=run.state.env_state.replace(qvel=qvel))
+    state, metrics = train.loop(config, run._replace(state=broken), None)
+    assert metrics["blowups"][0] == 1 and metrics["blowups"][1:].sum() == 0
+    assert np.isfinite(state.env_state.qvel).all()
+    assert log.nonfinite_leaf(state.learner) is None
+
+
+# ---- files that cannot be written, and signals
+
+
+def test_a_full_disk_is_told_and_training_goes_on(config, program, whole, tmp_path, monkeypatch):
+    """Checkpoint 2 and the first rows cannot be written: later ones are, and no row is lost."""
+    said, failing = [], [checkpoint.save, log._append]
+    full = OSError(errno.ENOSPC, "No space left on device")
+
+    def save(checkpoints, iteration, *args, **about):
+        if iteration == 2:
+            raise full
+        return failing[0](checkpoints, iteration, *args, **about)
+
+    def append(path, names, table, header):
+        if len(table) == 2:  # of the first chunk; the second time there are four
+            raise full
+        return failing[1](path, names, table, header)
+
+    monkeypatch.setattr(checkpoint, "save", save)
+    monkeypatch.setattr(log, "_append", append)
+    state, _ = train.loop(config, program(), tmp_path, say=said.append)
+    assert_same(state, whole.state)
+    assert [line.split(" could")[0] for line in said] == ["checkpoint 2", "metrics.csv"]
+    assert all("No space left on device" in line and "\n" not in line for line in said)
+    assert table(tmp_path / "metrics.csv") == table(whole.workdir / "metrics.csv")
+    assert {p.name for p in (tmp_path / "checkpoints").iterdir()} == {"4"}
+
+
+def test_a_run_that_is_asked_to_stop_saves_and_returns(config, program, whole, tmp_path):
+    """Between two chunks, also where no checkpoint is due; it goes on as if never stopped."""
+    seldom = config_dict.ConfigDict(config)
+    seldom.run.checkpoint_every = 4
+    workdir = train.open_workdir(tmp_path / "run", config)
+    state, metrics = train.loop(seldom, program(), workdir, should_stop=lambda: True)
+    assert list(metrics["iteration"]) == [1, 2]
+    assert {p.name for p in (workdir / "checkpoints").iterdir()} == {"2"}
+    assert (workdir / "policy.npz").exists()
+    state, _ = train.loop(config, program(), workdir)
+    assert_same(state, whole.state)
+
+
+def test_the_first_signal_asks_the_second_interrupts():
+    """Ctrl-C or SIGTERM while the loop runs; before it, at once."""
+    with console.Stop() as _, pytest.raises(KeyboardInterrupt):
+        os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(1)
+    stop = console.Stop()
+    with stop:
+        stop.patient = True
+        os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(0.01)
+        assert stop.status == 143
+        with pytest.raises(KeyboardInterrupt):
+            os.kill(os.getpid(), signal.SIGINT)
+            time.sleep(1)
+    assert stop.status == 130
+
+
+# ---- damaged and foreign checkpoints, other runs' weights
+
+
+def test_a_damaged_checkpoint_is_moved_aside_and_the_one_before_is_taken(
+    config, program, whole, tmp_path
+):
+    """One bit is flipped in a file that orbax reads without complaint."""
+    workdir, said = tmp_path / "run", []
+    shutil.copytree(whole.workdir, workdir)
+    files = [
+        p for p in (workdir / "checkpoints" / "4" / "state").rglob("*") if p.parent.name == "d"
+    ]
+    largest = max(files, key=lambda p: p.stat().st_size)
+    data = bytearray(largest.read_bytes())
+    data[len(data) // 2] ^= 1
+    largest.write_bytes(data)
+    state, _ = train.loop(config, program(), workdir, say=said.append)
+    assert_same(state, whole.state)
+    assert len(said) == 1 and "checkpoint 4 is damaged" in said[0]
+    assert (workdir / "damaged-4").is_dir() and (workdir / "checkpoints" / "4").is_dir()
+
+
+def test_where_every_checkpoint_is_damaged_the_run_says_so(config, program, whole, tmp_path):
+    """Nothing is deleted and nothing starts over by itself."""
+    workdir = tmp_path / "run"
+    shutil.copytree(whole.workdir, workdir)
+    for step in ("2", "4"):
+        shutil.rmtree(workdir / "checkpoints" / step / "state" / "d")
+    for _ in range(2):
+        with pytest.raises(ConfigError, match="no checkpoint can be read.*--fresh") as error:
+            train.loop(config, program(), workdir)
+        assert "\n" not in str(error.value)
+    assert {"damaged-2", "damaged-4", "metrics.csv"} <= {p.name for p in workdir.iterdir()}
+
+
+def test_a_checkpoint_of_another_shape_names_what_differs(whole):
+    """The first array that differs, with both shapes."""
+    manager = checkpoint.manager(whole.workdir)
+    std = whole.state.learner.params | {"std": jnp.zeros(7)}
+    other = whole.state.replace(learner=whole.state.learner.replace(params=std))
+    with pytest.raises(ConfigError) as error:
+        checkpoint.restore(manager, other)
+    manager.close()
+    assert "learner/params/std is float32[12] there, float32[7] here" in str(error.value)
+
+
+def test_what_a_checkpoint_says_about_itself(whole, config):
+    """Iteration, exact simulator steps, the config, and a hash that the arrays have."""
+    about = json.loads((whole.workdir / "checkpoints" / "4" / "about" / "metadata").read_text())
+    assert about["iteration"] == 4 and about["sim_steps"] == 16 * sum(N_REAL)
+    assert about["config"]["rollout"]["num_envs"] == 16
+    assert about["sha256"] == checkpoint.digest(whole.state)
+
+
+def test_another_run_starts_from_the_networks(program, whole):
+    """Policy, value function, model and its moments are that run's; all else is new."""
+    fresh = program().state
+    state = checkpoint.weights(whole.workdir, fresh)
+    assert_same(state.learner.params, whole.state.learner.params)
+    for part in ("params", "inputs", "targets"):
+        assert_same(getattr(state.model, part), getattr(whole.state.model, part))
+    assert_same(state.learner.opt_state, fresh.learner.opt_state)
+    assert_same(state.env_state, fresh.env_state)
+    plain = checkpoint.weights(whole.workdir, fresh.replace(model=None))
+    assert plain.model is None
+    assert_same(plain.learner.params, whole.state.learner.params)
+
+
+def test_networks_of_another_size_or_none_are_refused(program, whole, tmp_path):
+    """One line with the flag, what was found and what was expected."""
+    fresh = program().state
+    wide = fresh.learner.params | {"std": jnp.zeros(13)}
+    other = fresh.replace(learner=fresh.learner.replace(params=wide))
+    with pytest.raises(ConfigError, match=r"--restore=.*std is of shape \(12,\) there, .*\(13,\)"):
+        checkpoint.weights(whole.workdir, other)
+    with pytest.raises(ConfigError, match="no checkpoints/ there"):
+        checkpoint.weights(tmp_path, fresh)
+
+
+def test_fresh_moves_the_old_run_aside(config, whole, tmp_path):
+    """Twice; nothing of either is lost."""
+    workdir = tmp_path / "run"
+    shutil.copytree(whole.workdir, workdir)
+    for number in (1, 2):
+        train.open_workdir(workdir, config, fresh=True)
+        assert {p.name for p in workdir.iterdir()} == {"config.json"}
+        assert (tmp_path / f"run.old-{number}" / "config.json").exists()
+    assert (tmp_path / "run.old-1" / "metrics.csv").read_bytes() == whole.files["metrics.csv"]
+
+
+def test_a_finished_run_can_be_made_longer(config, program, whole, tmp_path):
+    """Only what does not change the iterations before may differ; fewer than are done is refused."""
+    workdir = tmp_path / "run"
+    shutil.copytree(whole.workdir, workdir)
+    longer = console.parse([*FLAGS, "--config.run.num_iterations=6", "--config.run.eval_envs=3"])
+    train.open_workdir(workdir, longer.config)
+    columns = schedule.columns(longer.config)
+    told = []
+    train.loop(
+        longer.config, program()._replace(columns=columns), workdir, lambda i, last: told.append(i)
+    )
+    assert told == [6]
+    rows = table(workdir / "metrics.csv")
+    assert [row["iteration"] for row in rows] == ["1", "2", "3", "4", "5", "6"]
+    assert rows[:4] == table(whole.workdir / "metrics.csv")
+    with pytest.raises(ConfigError, match="num_iterations is 4, .* has done 6"):
+        train.loop(config, program(), workdir)
 
 
 def test_a_float_can_be_changed_without_compiling(program, config):
@@ -324,7 +542,7 @@ def test_a_float_can_be_changed_without_compiling(program, config):
 def test_several_seeds_train_at_once(config, whole, tmp_path):
     """A row an iteration and seed; the first seed is the run alone, and the run resumes."""
     flags = [*FLAGS, "--config.run.num_seeds=2"]
-    config = console.parse(flags)[0]
+    config = console.parse(flags).config
     state, metrics = train.train(config, tmp_path / "run")
     rows = table(tmp_path / "run" / "metrics.csv")
     assert [(row["iteration"], row["seed"]) for row in rows] == [
@@ -347,7 +565,7 @@ def test_several_seeds_train_at_once(config, whole, tmp_path):
 
 @pytest.mark.slow
 def test_a_run_can_be_killed_at_any_moment(tmp_path):
-    """kill -9, ctrl-C, and at last to the end: every iteration is there once, none is lost."""
+    """kill -9, ctrl-C, SIGTERM, and at last to the end: every iteration is there once, none is lost."""
     workdir = tmp_path / "run"
     flags = [*FLAGS, "--config.run.num_iterations=300", "--config.run.video_seconds=0.0"]
     command = [sys.executable, "-m", "dynappo.train", *flags, f"--workdir={workdir}"]
@@ -363,7 +581,8 @@ def test_a_run_can_be_killed_at_any_moment(tmp_path):
         return int(lines[-1].split(",")[0]) if len(lines) > 1 else 0
 
     reached = 0
-    for kind, status in ((signal.SIGKILL, -signal.SIGKILL), (signal.SIGINT, 130)):
+    kinds = {signal.SIGKILL: -signal.SIGKILL, signal.SIGINT: 130, signal.SIGTERM: 143}
+    for kind, status in kinds.items():
         run = start()
         while last() < reached + 20:
             assert run.poll() is None, run.communicate()
@@ -371,11 +590,12 @@ def test_a_run_can_be_killed_at_any_moment(tmp_path):
         run.send_signal(kind)
         _, err = run.communicate(timeout=60)
         assert run.returncode == status
-        if kind == signal.SIGINT:
-            assert err.count("\n") == 1 and "the same command goes on" in err
         reached = last()
         saved = max(int(p.name) for p in (workdir / "checkpoints").iterdir() if p.name.isdigit())
         assert saved >= reached - 4
+        if kind != signal.SIGKILL:
+            assert err == f"dynappo: saved at iteration {saved} and stopped; {console.GOES_ON}\n"
+            assert saved == reached
     out, err = start().communicate(timeout=300)
     assert err == "" and "return (last 10 iterations)" in out
     rows = table(workdir / "metrics.csv")
