@@ -117,12 +117,12 @@ def train_and_show(command: Command, stop: Stop) -> None:
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-    from dynappo import train
+    from dynappo import files, train
 
     config, out = command.config, Console(highlight=False)
     out.print(f"[bold]dynappo[/bold] {describe(config)}", soft_wrap=True)
     train.check(config)  # before anything is written
-    workdir = train.open_workdir(command.workdir, config, command.fresh)
+    workdir = files.open_workdir(command.workdir, config, command.fresh)
     with out.status("compiling (under a minute; half of it when cached)"):
         program = train.setup(config, command.restore)
     steps = schedule.sim_steps(config)

@@ -1,145 +1,76 @@
-"""A film of a policy: C MuJoCo simulates it, and renders it headless.
+"""A film or a picture of an episode, rendered headless by MuJoCo's OpenGL renderer.
 
-Nothing here needs JAX: the observation, the actuators and the network are evaluated with NumPy. The
-film is made in a process of its own (`python -m dynappo.render EPISODE.npz OUT.mp4`), because the
-OpenGL backend is chosen once a process, and a backend that fails may take the process with it:
-EGL is tried first, then OSMesa.
+Nothing here needs JAX. The film is made in a process of its own (`python -m dynappo.render
+EPISODE.npz OUT`), because the OpenGL backend is chosen once a process, and a backend that fails may
+take the process with it: EGL is tried first, then OSMesa. `page.py` needs neither.
 """
 
 from __future__ import annotations
 
 import itertools
 import os
+import struct
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable
+import zlib
 from pathlib import Path
 from typing import Any
 
 import mujoco
 import numpy as np
 
-from dynappo import actuators, observe
+from dynappo import episode as episode_lib
+from dynappo import policy_file
 from dynappo import robot as robot_lib
+from dynappo.episode import TOUR, tour
+from dynappo.policy_file import actor as policy
+from dynappo.policy_file import load_params, save_params
+
+__all__ = ["TOUR", "film", "load_params", "policy", "save_params", "simulate", "tour"]
 
 FPS, WIDTH, HEIGHT = 25, 640, 360  # software OpenGL on two cores renders about ten a second
+PICTURE = 1280, 720
 NO_OPENGL = "no video: neither EGL nor OSMesa can render here; install libegl1 or libosmesa6"
 LACKS_FFMPEG, CANNOT_WRITE = 3, 4  # exit statuses of the rendering process
 NO_FFMPEG = "no video: imageio-ffmpeg is not installed; pip install 'dynappo[video]'"
-# (seconds share, command vx, vy, yaw rate): what the film after training shows
-TOUR = (
-    (0.3, (0.8, 0.0, 0.0)),
-    (0.2, (0.6, 0.0, 0.8)),
-    (0.2, (0.0, 0.5, 0.0)),
-    (0.3, (1.0, 0.0, 0.0)),
+GREEN, BLUE = (0.1, 0.7, 0.2, 0.9), (0.2, 0.4, 0.9, 0.9)  # arrows of command and velocity
+# half a megabyte a second; a palette of the film's own colours, else the sky shows bands
+GIF = (
+    "fps=12.5,scale=480:-1:flags=lanczos,split[a][b];[a]palettegen=stats_mode=diff[p];"
+    "[b][p]paletteuse=dither=bayer:bayer_scale=5:diff_mode=rectangle"
 )
-
-
-def save_params(path: Path, params: dict) -> None:
-    """Write nested parameters as an npz with names like `actor/params/Dense_0/kernel`."""
-
-    def flat(tree, prefix):
-        for name, value in tree.items():
-            if isinstance(value, dict):
-                yield from flat(value, f"{prefix}{name}/")
-            else:
-                yield prefix + name, np.asarray(value)
-
-    arrays: dict[str, Any] = dict(flat(params, ""))
-    np.savez(path, **arrays)
-
-
-def load_params(path: Path) -> dict:
-    """What `save_params` wrote."""
-    params: dict = {}
-    with np.load(path) as file:
-        for name in file:
-            *groups, leaf = name.split("/")
-            node = params
-            for group in groups:
-                node = node.setdefault(group, {})
-            node[leaf] = file[name]
-    return params
-
-
-def policy(params: dict, activation: str) -> Callable[[np.ndarray], np.ndarray]:
-    """The mean action of an actor's parameters, in NumPy."""
-    layers = params["actor"]["params"]
-    weights = [
-        (np.asarray(layers[f"Dense_{i}"]["kernel"]), np.asarray(layers[f"Dense_{i}"]["bias"]))
-        for i in range(len(layers))
-    ]
-    act = {
-        "elu": lambda x: np.where(x > 0, x, np.expm1(np.minimum(x, 0))),
-        "relu": lambda x: np.maximum(x, 0),
-        "tanh": np.tanh,
-        "swish": lambda x: x / (1 + np.exp(-x)),
-    }[activation]
-
-    def mean(obs):
-        for i, (kernel, bias) in enumerate(weights):
-            obs = obs @ kernel + bias
-            obs = act(obs) if i < len(weights) - 1 else obs
-        return obs
-
-    return mean
-
-
-def tour(seconds: float) -> Callable[[float], np.ndarray]:
-    """`t -> command`: ahead, a turn, sideways, fast ahead."""
-    ends = np.cumsum([share for share, _ in TOUR]) * seconds
-    return lambda t: np.array(TOUR[min(int(np.searchsorted(ends, t, "right")), len(TOUR) - 1)][1])
+ENCODE = {
+    ".mp4": dict(codec="libx264", quality=7, macro_block_size=4),
+    ".gif": dict(
+        codec="gif",
+        pix_fmt_out="pal8",
+        macro_block_size=1,
+        quality=None,
+        output_params=["-filter_complex", GIF, "-loop", "0"],
+    ),
+}
 
 
 def simulate(robot: robot_lib.Robot, config, act, command, seconds: float) -> dict[str, np.ndarray]:
-    """An episode on C MuJoCo with all contacts: `qpos [T, 7 + A]`, `command` and `velocity [T, 3]`,
-    and `dt` (s) between rows.
-
-    `act(obs)` is the policy, `command(t)` what it is asked for; `velocity` is vx, vy, yaw rate in
-    the base frame. `config` is a whole config, of which `task` and `physics` are read.
-    """
-    task, physics = config.task, config.physics
-    model = robot_lib.physics_model(robot, physics)
-    model.geom_conaffinity[robot.parts] = 1
-    model.opt.iterations, model.opt.ls_iterations = 100, 50  # C MuJoCo, run to convergence
-    data = mujoco.MjData(model)
-    data.qpos[:] = robot.home_qpos
-    com = model.body_ipos[robot.base_body]
-    last_action, out = np.zeros(len(robot.joint_names)), {"qpos": [], "command": [], "velocity": []}
-    dt = physics.timestep * physics.substeps
-    for k in range(round(seconds / dt)):
-        asked = command(k * dt)
-        obs = observe.observe(data.qpos, data.qvel, com, robot.default_pose, asked, last_action)
-        action = act(obs)
-        q_target = actuators.target(action, robot.default_pose, task.action_scale)
-        for _ in range(physics.substeps):
-            q, qd = data.qpos[7:], data.qvel[6:]
-            data.ctrl[:] = actuators.clip_dc_motor(
-                actuators.pd(q_target, q, qd, task.kp, task.kd),
-                qd,
-                effort_limit=task.effort_limit,
-                saturation_effort=task.saturation_effort,
-                velocity_limit=task.velocity_limit,
-            )
-            mujoco.mj_step(model, data)
-        last_action = action
-        _, linear, angular = observe.base_motion(data.qpos, data.qvel, com)
-        out["qpos"].append(data.qpos.copy())
-        out["command"].append(asked)
-        out["velocity"].append(np.array([linear[0], linear[1], angular[2]]))
-    return {name: np.stack(rows) for name, rows in out.items()} | {"dt": np.array(dt)}
+    """An episode of a run's robot under its whole config; `episode.rows` says what is in it."""
+    described = policy_file.describe(config, robot)
+    body = episode_lib.load(robot.xml, described, described.timestep)
+    return episode_lib.play(body, act, command, seconds)
 
 
-def film(robot: robot_lib.Robot, episode: dict[str, np.ndarray], out: Path) -> str:
-    """Render `episode` to an mp4 (or, by its suffix, a PNG of the last frame) at `out`.
+def film(
+    robot: robot_lib.Robot | episode_lib.Body, episode: dict[str, np.ndarray], out: Path
+) -> str:
+    """Render `episode` to an mp4 at `out`; by its suffix, a GIF, or a PNG of the last row.
 
     Returns "" if it was written, else one line that says why not and what to install.
     """
     with tempfile.TemporaryDirectory() as folder:
         npz = Path(folder) / "episode.npz"
-        arrays: dict[str, Any] = {"xml": str(robot.xml), **episode}
-        np.savez(npz, **arrays)
+        shown: dict[str, Any] = {"xml": str(robot.xml), "base": robot.base_body}
+        shown |= {name: episode[name] for name in ("qpos", "command", "velocity", "dt")}
+        np.savez(npz, **shown)
         for backend in ("egl", "osmesa"):
             environment = os.environ | {"MUJOCO_GL": backend, "PYOPENGL_PLATFORM": backend}
             command = [sys.executable, "-m", "dynappo.render", str(npz), str(out)]
@@ -153,7 +84,7 @@ def film(robot: robot_lib.Robot, episode: dict[str, np.ndarray], out: Path) -> s
     return NO_OPENGL
 
 
-def _arrow(scene, start, vector, rgba):
+def arrow(scene, start, vector, rgba) -> None:
     """Add an arrow to the scene: the planar velocity `vector` (m/s) at `start`, 0.35 m for 1 m/s."""
     if np.linalg.norm(vector) < 0.05 or scene.ngeom >= scene.maxgeom:
         return
@@ -164,50 +95,86 @@ def _arrow(scene, start, vector, rgba):
     scene.ngeom += 1
 
 
-def frames(xml: str, episode: dict[str, np.ndarray], width: int = WIDTH, height: int = HEIGHT):
-    """Yield RGB frames `[H, W, 3]` of an episode; green arrow: command, blue: velocity."""
+def arrows(scene, data, base: int, command, velocity) -> None:
+    """Add the arrows of command (green) and velocity (blue) above body `base`."""
+    x, y = data.xmat[base].reshape(3, 3)[:2, 0]
+    heading = np.array([[x, -y], [y, x]]) / max(np.hypot(x, y), 1e-6)
+    start = data.xpos[base] + [0, 0, 0.14]
+    for vector, lift, rgba in ((command, 0.0, GREEN), (velocity, 0.04, BLUE)):
+        arrow(scene, start + [0, 0, lift], np.append(heading @ vector[:2], 0.0), rgba)
+
+
+def camera(model, base: int) -> mujoco.MjvCamera:
+    """The file's camera `track`, or one that follows body `base` at the distance of its size."""
+    view = mujoco.MjvCamera()
+    if any(model.camera(i).name == "track" for i in range(model.ncam)):
+        view.type, view.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, model.camera("track").id
+    else:
+        view.type, view.trackbodyid = mujoco.mjtCamera.mjCAMERA_TRACKING, base
+        view.distance, view.azimuth, view.elevation = 1.8, 142, -14
+    return view
+
+
+def options(model, base: int) -> mujoco.MjvOption:
+    """What is drawn: as MuJoCo does, but contact shapes too where a robot has nothing else."""
+    option = mujoco.MjvOption()
+    robot = model.body_rootid[model.geom_bodyid] == base
+    option.geomgroup[3] = not (model.geom_group[robot] < 3).any()
+    return option
+
+
+def frames(xml: str, base: int, episode: dict[str, np.ndarray], width=WIDTH, height=HEIGHT):
+    """Yield RGB frames `[H, W, 3]`, one a row of an episode of the file `xml`."""
     model = mujoco.MjModel.from_xml_path(xml)
     data = mujoco.MjData(model)
+    window = model.vis.global_
+    window.offwidth, window.offheight = max(window.offwidth, width), max(window.offheight, height)
+    view, option = camera(model, base), options(model, base)
     with mujoco.Renderer(model, height, width) as renderer:
-        for qpos, command, velocity in zip(
-            episode["qpos"], episode["command"], episode["velocity"], strict=True
-        ):
+        for k, qpos in enumerate(episode["qpos"]):
             data.qpos[:] = qpos
             mujoco.mj_forward(model, data)
-            renderer.update_scene(data, camera="track")
-            x, y = data.xmat[1].reshape(3, 3)[:2, 0]
-            heading = np.array([[x, -y], [y, x]]) / np.hypot(x, y)
-            start = data.xpos[1] + [0, 0, 0.14]
-            for vector, lift, rgba in (
-                (command, 0.0, (0.1, 0.7, 0.2, 0.9)),
-                (velocity, 0.04, (0.2, 0.4, 0.9, 0.9)),
-            ):
-                planar = np.append(heading @ vector[:2], 0.0)
-                _arrow(renderer.scene, start + [0, 0, lift], planar, rgba)
+            renderer.update_scene(data, view, option)
+            arrows(renderer.scene, data, base, episode["command"][k], episode["velocity"][k])
             yield renderer.render()
 
 
-def main(argv: list[str]) -> None:
-    """`EPISODE.npz OUT.mp4`; OUT.png writes the last frame only."""
-    episode = dict(np.load(argv[0]))
-    xml, dt, out = str(episode.pop("xml")), float(episode.pop("dt")), Path(argv[1])
-    if out.suffix == ".png":
-        from matplotlib import image
+def write_png(out: Path, picture: np.ndarray) -> None:
+    """Write RGB `[H, W, 3]` as a PNG (its chunks by hand, so that no package is needed)."""
 
-        last = {name: rows[-1:] for name, rows in episode.items()}
-        image.imsave(out, next(frames(xml, last, 1280, 720)))
-        return
+    def chunk(kind, content):
+        check = struct.pack(">I", zlib.crc32(kind + content))
+        return struct.pack(">I", len(content)) + kind + content + check
+
+    height, width, _ = picture.shape
+    lines = np.insert(picture.reshape(height, -1), 0, 0, axis=1).astype(np.uint8)  # filter 0
+    header = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
+    content = chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(lines.tobytes(), 9))
+    out.write_bytes(b"\x89PNG\r\n\x1a\n" + content + chunk(b"IEND", b""))
+
+
+def main(argv: list[str]) -> None:
+    """`EPISODE.npz OUT`, with OUT an .mp4, a .gif or a .png."""
+    episode = dict(np.load(argv[0]))
+    xml, base, dt = str(episode.pop("xml")), int(episode.pop("base")), float(episode.pop("dt"))
+    out = Path(argv[1])
     try:
-        import imageio_ffmpeg
-    except ImportError:
-        sys.exit(LACKS_FFMPEG)
-    skip = max(1, round(1 / (FPS * dt)))
-    pictures = frames(xml, {name: rows[::skip] for name, rows in episode.items()})
-    first = next(pictures)  # without OpenGL it fails here, before anything is written
-    try:
+        if out.suffix == ".png":
+            last = {name: rows[-1:] for name, rows in episode.items()}
+            write_png(out, next(frames(xml, base, last, *PICTURE)))
+            return
+        try:
+            import imageio_ffmpeg
+        except ImportError:
+            sys.exit(LACKS_FFMPEG)
+        count = max(1, round(len(episode["qpos"]) * dt * FPS))
+        shown = np.minimum(np.round(np.arange(count) / (FPS * dt)), len(episode["qpos"]) - 1)
+        some = {name: rows[shown.astype(int)] for name, rows in episode.items()}
+        pictures = frames(xml, base, some)
+        first = next(pictures)  # without OpenGL it fails here, before anything is written
         out.open("wb").close()
         writer = imageio_ffmpeg.write_frames(
-            str(out), (WIDTH, HEIGHT), fps=FPS, codec="libx264", quality=7, macro_block_size=4
+            str(out), (WIDTH, HEIGHT), fps=FPS, **ENCODE[out.suffix]
         )
         writer.send(None)
         for picture in itertools.chain([first], pictures):

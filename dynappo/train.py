@@ -10,7 +10,6 @@ exit status 2. `train` is the same as a Python call.
 
 from __future__ import annotations
 
-import itertools
 import os
 import sys
 import time
@@ -22,15 +21,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from dynappo import config as config_lib
-from dynappo import log, schedule
+from dynappo import files, log, schedule
 from dynappo.config import ConfigError
-
-RETURN_ROWS = 10  # the return of a run is the mean of its last rows
-# what may differ when a run goes on: nothing of it changes a number of the iterations before
-MAY_CHANGE = (
-    "run.num_iterations run.checkpoint_every run.eval_every run.eval_envs run.video_seconds "
-    "run.device run.tensorboard run.wandb physics.impl"
-).split()
 
 
 class Program(NamedTuple):
@@ -63,44 +55,12 @@ def train(
     """
     config = config_lib.validate(config)
     check(config)  # before anything is written
-    workdir = None if workdir is None else open_workdir(Path(workdir), config)
+    workdir = None if workdir is None else files.open_workdir(Path(workdir), config)
     program = setup(config)
     state, metrics = loop(config, program, workdir, progress_fn)
     if workdir:
         finish(config, program, workdir, state, metrics)
     return state, metrics
-
-
-def open_workdir(workdir: Path, config, fresh: bool = False) -> Path:
-    """Make the folder and its config.json, or check that it holds a run of this config.
-
-    Fields that do not change what is computed may differ (`MAY_CHANGE`): a run can be made longer or
-    filmed again. `fresh` moves a run that is there aside, to `WORKDIR.old-1`, and starts anew.
-    """
-    text = config_lib.to_json(config)
-    path = workdir / "config.json"
-    try:
-        if fresh and workdir.exists():
-            number = next(n for n in itertools.count(1) if not _old(workdir, n).exists())
-            workdir.rename(_old(workdir, number))
-        workdir.mkdir(parents=True, exist_ok=True)
-        if path.exists():
-            changed = config_lib.difference(path.read_text(), text, MAY_CHANGE)
-            if changed:
-                raise ConfigError(
-                    f"--workdir={workdir} holds a run of another config ({changed}); "
-                    "choose another folder, or --fresh to move that run aside"
-                )
-        log.write_text(path, text + "\n")
-    except OSError as error:
-        raise ConfigError(
-            f"--workdir={workdir}: cannot write there ({error.strerror}); choose another folder"
-        ) from None
-    return workdir
-
-
-def _old(workdir: Path, number: int) -> Path:
-    return workdir.with_name(f"{workdir.name}.old-{number}")
 
 
 def check(config) -> None:
@@ -223,7 +183,7 @@ def loop(
     sinks: list[log.Sink] = []
     try:
         if workdir:
-            start, state, history = resume(config, workdir, checkpoints, state, say)
+            start, state, history = files.resume(config, workdir, checkpoints, state, say)
             sinks = log.sinks(config, workdir, start)
         seconds = float(history[0]["seconds"][-1]) if history else 0.0
         sim_steps, waiting = schedule.sim_steps(config), None
@@ -240,14 +200,12 @@ def loop(
             state, metrics = jax.block_until_ready(running)
             took = time.perf_counter() - began
             metrics = jax.device_get(metrics) | {
-                "iteration": columns["iteration"],
                 "sim_steps": sim_steps[rows],
                 "seconds": seconds + took * np.arange(1, run.log_every + 1) / run.log_every,
-                "n_real": columns["n_real"],
-                "n_synthetic": config.rollout.horizon - columns["n_real"],
             }
+            metrics |= _shared(config, columns)
             seconds += took
-            check_finite(metrics, state, before, workdir)
+            files.check_finite(metrics, state, before, workdir)
             if run.eval_every and done % run.eval_every == 0:
                 metrics |= _at_end(program.assess(state), run.log_every)
             history.append(metrics)
@@ -255,69 +213,36 @@ def loop(
             stopping = should_stop()
             every = run.checkpoint_every and done % run.checkpoint_every == 0
             if workdir and (stopping or every or done == run.num_iterations):
-                about = {"sim_steps": int(sim_steps[done - 1]), "config": config.to_dict()}
-                _save(config, program, workdir, checkpoints, done, state, metrics, about, say)
+                steps = int(sim_steps[done - 1])
+                files.save(
+                    config, program.robot, workdir, checkpoints, done, state, metrics, steps, say
+                )
             if stopping:
                 break
         if waiting:
             _tell(*waiting, sinks, progress_fn, say)
     finally:  # also where it is interrupted: a save under way is finished
         for sink in sinks:
-            _attempt(sink.name, sink.close, say)
+            files.attempt(sink.name, sink.close, say)
         if checkpoints:
-            _attempt("the last checkpoint", partial(checkpoint.finish, checkpoints), say)
+            files.attempt("the last checkpoint", partial(checkpoint.finish, checkpoints), say)
             checkpoints.close()
     return state, log.join(history)
 
 
-def resume(config, workdir: Path, checkpoints, state, say):
-    """`(iterations done, state, [their metrics])` of the newest good checkpoint of `workdir`."""
-    from dynappo import checkpoint
-
-    csv = workdir / "metrics.csv"
-    found = checkpoint.restore(checkpoints, state, say)
-    if not found:
-        csv.unlink(missing_ok=True)  # of a run that ended before its first checkpoint
-        return 0, state, []
-    start, state = found
-    if not csv.exists():
-        raise ConfigError(f"{workdir} has checkpoints but no metrics.csv; choose another --workdir")
-    if start > config.run.num_iterations:
-        raise ConfigError(
-            f"run.num_iterations is {config.run.num_iterations}, but the run in {workdir} has done "
-            f"{start}; expected at least as many"
-        )
-    log.cut_csv(csv, start)
-    return start, state, [log.read_csv(csv, config.run.num_seeds)]
+def _shared(config, columns) -> dict[str, np.ndarray]:
+    n_real = columns["n_real"]
+    n_synthetic = config.rollout.horizon - n_real
+    return {"iteration": columns["iteration"], "n_real": n_real, "n_synthetic": n_synthetic}
 
 
 def _tell(done: int, metrics, sinks, progress_fn, say) -> None:
     """Hand a chunk's metrics to every log, and its last row to `progress_fn`."""
     table = log.rows(metrics)
     for sink in sinks:
-        _attempt(sink.name, partial(sink.write, table), say)
+        files.attempt(sink.name, partial(sink.write, table), say)
     if progress_fn:
         progress_fn(done, {name: value[-1] for name, value in metrics.items()})
-
-
-def _save(config, program, workdir, checkpoints, done, state, metrics, about, say) -> None:
-    """A checkpoint, and the policy as it is now in a file that can be played at once."""
-    from dynappo import checkpoint, render
-
-    worth = float(np.mean(metrics["episode_return"][-1]))
-    _attempt("the checkpoint before", partial(checkpoint.finish, checkpoints), say)
-    save = partial(checkpoint.save, checkpoints, done, state, worth, **about)
-    _attempt(f"checkpoint {done}", save, say)
-    params = best_params(state, metrics)
-    _attempt("policy.npz", partial(render.save_params, workdir / "policy.npz", params), say)
-
-
-def _attempt(what: str, action: Callable[[], Any], say) -> None:
-    try:
-        action()
-    except Exception as error:  # OSError, or what orbax makes of it
-        reason = getattr(error, "strerror", None) or str(error).strip().split("\n")[0][:160]
-        say(f"{what} could not be written ({reason}); training goes on")
 
 
 def _at_end(evaluation: dict, rows: int) -> dict[str, np.ndarray]:
@@ -330,43 +255,13 @@ def _at_end(evaluation: dict, rows: int) -> dict[str, np.ndarray]:
     return columns
 
 
-def check_finite(metrics, state, before, workdir: Path | None) -> None:
-    """FloatingPointError naming the first number of a chunk that is not finite.
-
-    An iteration's numbers are looked at in the order in which they are computed: rewards, model,
-    losses. Where a robot's row was the first to be wrong, `workdir/nonfinite.npz` holds that robot
-    as it was `before` the chunk, to be replayed.
-    """
-    robots = np.asarray(metrics.pop("nonfinite_robot"))  # [I], or [I, S]
-    problem = log.first_nonfinite(metrics)
-    if problem is None:
-        bad = log.nonfinite_leaf({"learner": state.learner, "model": state.model})
-        if bad is None:
-            return
-        problem = (bad, int(metrics["iteration"][-1]))
-    name, iteration = problem
-    where = "no robot's row was"
-    i = list(metrics["iteration"]).index(iteration)
-    if workdir and (robots[i] >= 0).any():
-        seed = int((robots[i] >= 0).argmax())
-        index = (int(robots[i]),) if robots.ndim == 1 else (seed, int(robots[i][seed]))
-        arrays = {k: np.asarray(leaf[index]) for k, leaf in log.paths(before).items()}
-        arrays |= {"iteration": np.array(metrics["iteration"][0]), "robot": np.array(index[-1])}
-        np.savez(workdir / "nonfinite.npz", allow_pickle=False, **arrays)
-        where = f"robot {index[-1]}, as it was before, is in {workdir / 'nonfinite.npz'}"
-    raise FloatingPointError(
-        f"{name} is not finite in iteration {iteration}: training has blown up ({where}). Lower "
-        "ppo.learning_rate or model.learning_rate, or shorten the tail; the last checkpoint is good"
-    )
-
-
 def finish(config, program: Program, workdir: Path, state, metrics) -> dict[str, Any]:
     """Evaluate, write policy.npz, summary.json and the film; returns the summary."""
-    from dynappo import render
+    from dynappo import policy_file, render
 
     summary = summarise(config, program, state, metrics)
-    params = best_params(state, metrics)
-    render.save_params(workdir / "policy.npz", params)
+    params = files.best_params(state, metrics)
+    policy_file.save(workdir / "policy.npz", params, config, program.robot)
     if config.run.video_seconds:
         act = render.policy(params, config.ppo.activation)
         seconds = config.run.video_seconds
@@ -385,7 +280,7 @@ def summarise(config, program: Program, state, metrics) -> dict[str, Any]:
         "num_envs": config.rollout.num_envs,
         "iterations": int(metrics["iteration"][-1]),
         "sim_steps": int(metrics["sim_steps"][-1]),
-        "return": _numbers(returns[-RETURN_ROWS:].mean(0)),
+        "return": _numbers(returns[-files.RETURN_ROWS :].mean(0)),
         "return_max": _numbers(np.fmax.reduce(returns, 0)),
         "seconds": float(metrics["seconds"][-1]),
         "compile_seconds": program.compile_seconds,
@@ -403,15 +298,6 @@ def _numbers(values):
     """A float, or a list of one a seed; None where no episode has ended yet (JSON has no NaN)."""
     numbers = [float(v) if np.isfinite(v) else None for v in np.ravel(values)]
     return numbers if np.ndim(values) else numbers[0]
-
-
-def best_params(state, metrics) -> dict:
-    """The networks as NumPy arrays; of the seed with the highest return, where there are several."""
-    import jax
-
-    params = jax.device_get(state.learner.params)
-    worth = np.nan_to_num(metrics["episode_return"][-RETURN_ROWS:], nan=-np.inf).mean(0)
-    return jax.tree.map(lambda p: p[int(worth.argmax())], params) if worth.ndim else params
 
 
 def _version(package: str) -> str:

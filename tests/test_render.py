@@ -166,6 +166,52 @@ def test_a_film_is_not_blank(filmed):
     assert abs(middle.mean() - frame[: rows // 6].astype(float).mean()) > 3
 
 
+def test_a_gif_has_the_same_pictures(go1, standing, filmed, tmp_path):
+    """Half the pictures, three quarters of the size, for ever; the robot in its middle."""
+    image = pytest.importorskip("PIL.Image")
+    rows = {name: x[:20] if x.ndim else x for name, x in standing.items()}
+    assert render.film(go1[0], rows, tmp_path / "walk.gif") == ""
+    with image.open(tmp_path / "walk.gif") as film:
+        assert film.n_frames == 5 and film.info["duration"] == 80 and film.info["loop"] == 0
+        picture = np.asarray(film.convert("RGB")).astype(float)
+    assert picture.shape == (270, 480, 3) and picture.std() > 10
+    *_, frame = probe(filmed)
+    small = frame[: render.HEIGHT // 20 * 20, :].astype(float).mean((0, 1))
+    np.testing.assert_allclose(picture.mean((0, 1)), small, atol=12)
+
+
+def test_a_png_is_readable(tmp_path):
+    """Every byte as another reader sees it."""
+    from matplotlib import image
+
+    picture = np.random.default_rng(0).integers(0, 256, (7, 5, 3), dtype=np.uint8)
+    render.write_png(tmp_path / "small.png", picture)
+    back = np.round(image.imread(tmp_path / "small.png")[..., :3] * 255).astype(np.uint8)
+    np.testing.assert_array_equal(back, picture)
+
+
+def test_a_file_without_a_camera_is_filmed_from_a_distance(go1, standing, filmed, tmp_path):
+    """Another MJCF, without `track`: the camera follows the base, so the robot stays in the middle."""
+    import mujoco
+
+    robot, _ = go1
+    text = robot.xml.read_text()
+    start, end = text.index("<camera"), text.index("/>", text.index("<camera")) + 2
+    xml = tmp_path / "other.xml"
+    xml.write_text(text[:start] + text[end:])
+    assert render.camera(mujoco.MjModel.from_xml_path(str(xml)), 1).trackbodyid == 1
+    rows = {name: x[-1:].copy() if x.ndim else x for name, x in standing.items()}
+    rows["qpos"][:, :2] += 5  # far from where the file has the robot
+    other = robot._replace(xml=xml)
+    assert render.film(other, rows, tmp_path / "still.png") == ""
+    from matplotlib import image
+
+    picture = image.imread(tmp_path / "still.png")[..., :3]
+    rows, columns = picture.shape[:2]
+    middle = picture[rows // 3 : 2 * rows // 3, columns // 3 : 2 * columns // 3]
+    assert middle.std() > 1.5 * picture[2 * rows // 3 :, : columns // 4].std()
+
+
 def test_a_picture_is_the_last_row(go1, standing, filmed, tmp_path):
     """A PNG instead of an mp4, by the suffix; another last row gives another picture."""
     from matplotlib import image

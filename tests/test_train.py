@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from ml_collections import config_dict
 
-from dynappo import checkpoint, console, log, render, schedule, train
+from dynappo import checkpoint, console, files, log, render, schedule, train
 from dynappo import config as config_lib
 from dynappo.config import ConfigError
 
@@ -226,7 +226,7 @@ def wait_for(path, seconds=60):
 
 def test_a_run_that_was_stopped_goes_on_as_if_it_had_not_been(config, program, whole, tmp_path):
     """Stopped after two iterations and resumed: every bit of state and every row is the same."""
-    workdir = train.open_workdir(tmp_path / "run", config)
+    workdir = files.open_workdir(tmp_path / "run", config)
 
     def stop(iteration, last):
         assert iteration == 2
@@ -390,7 +390,7 @@ def test_a_run_that_is_asked_to_stop_saves_and_returns(config, program, whole, t
     """Between two chunks, also where no checkpoint is due; it goes on as if never stopped."""
     seldom = config_dict.ConfigDict(config)
     seldom.run.checkpoint_every = 4
-    workdir = train.open_workdir(tmp_path / "run", config)
+    workdir = files.open_workdir(tmp_path / "run", config)
     state, metrics = train.loop(seldom, program(), workdir, should_stop=lambda: True)
     assert list(metrics["iteration"]) == [1, 2]
     assert {p.name for p in (workdir / "checkpoints").iterdir()} == {"2"}
@@ -500,7 +500,7 @@ def test_fresh_moves_the_old_run_aside(config, whole, tmp_path):
     workdir = tmp_path / "run"
     shutil.copytree(whole.workdir, workdir)
     for number in (1, 2):
-        train.open_workdir(workdir, config, fresh=True)
+        files.open_workdir(workdir, config, fresh=True)
         assert {p.name for p in workdir.iterdir()} == {"config.json"}
         assert (tmp_path / f"run.old-{number}" / "config.json").exists()
     assert (tmp_path / "run.old-1" / "metrics.csv").read_bytes() == whole.files["metrics.csv"]
@@ -511,7 +511,7 @@ def test_a_finished_run_can_be_made_longer(config, program, whole, tmp_path):
     workdir = tmp_path / "run"
     shutil.copytree(whole.workdir, workdir)
     longer = console.parse([*FLAGS, "--config.run.num_iterations=6", "--config.run.eval_envs=3"])
-    train.open_workdir(workdir, longer.config)
+    files.open_workdir(workdir, longer.config)
     columns = schedule.columns(longer.config)
     told = []
     train.loop(

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dynappo import bench, log, render, train
+from dynappo import bench, files, log, render, train
 from dynappo import config as config_lib
 
 VARIANTS = "ppo12,ppo16,dyna2,dyna4_noschedule,dyna4"
@@ -36,7 +36,7 @@ def main():
         program = train.setup(config)
         state, metrics = train.loop(config, program, None)
         log.append_csv(path.with_suffix(".csv"), log.rows(metrics))
-        render.save_params(path.with_suffix(".npz"), train.best_params(state, metrics))
+        render.save_params(path.with_suffix(".npz"), files.best_params(state, metrics))
         summary = train.summarise(config, program, state, metrics)
         summary["phases_ms"] = bench.phases(config, program, state)
         log.write_json(path, summary)
