@@ -63,17 +63,12 @@ def iterate(
 ) -> tuple[TrainState, Metrics]:
     """One iteration of the paper's Algorithm 1; `columns` is one row of `schedule.columns`."""
     horizon, num_envs = static.rollout.horizon, static.rollout.num_envs
-    n_real, start, end = columns["n_real"], jnp.int32(0), jnp.int32(horizon)
+    n_real, end = columns["n_real"], jnp.int32(horizon)
     key = jax.random.fold_in(state.key, columns["iteration"])
-    keys = rollout.row_keys(jax.random.fold_in(key, ROWS), state.robot_index)
-    act = policy(static.ppo, state.learner.params)
+    rows_key = jax.random.fold_in(key, ROWS)
 
     # Collect N_r steps with physics, from where the last physics step ended
-    step = physics_step(env, hyper.task, state.params_physics)
-    buffer = rollout.allocate(env, horizon, num_envs)
-    buffer, env_state, sums = rollout.fill(
-        buffer, start, n_real, state.env_state, keys, act=act, step=step, metrics=env.metrics
-    )
+    buffer, env_state, sums = collect(env, hyper, state, n_real, rows_key, static=static)
 
     # Train the transition model on them, and let it write the tail of N_s = N - N_r steps
     model, model_metrics, model_errors = state.model, {}, {}
@@ -90,6 +85,8 @@ def iterate(
             columns["model_epochs"],
             jax.random.fold_in(key, FIT),
         )
+        act = policy(static.ppo, state.learner.params)
+        keys = rollout.row_keys(rows_key, state.robot_index)
         tail = dynamics.TailState(obs=env_state.obs)
         step = partial(dynamics.step, static.model, env, model)
         buffer, _, _ = rollout.fill(buffer, n_real, end, tail, keys, act=act, step=step)
@@ -111,6 +108,21 @@ def iterate(
         "policy_std": learner.params["std"].mean(),
         "nonfinite_robot": nonfinite_robot(buffer),
     }
+
+
+def collect(env: Env, hyper, state: TrainState, n_real, key: PRNGKeyArray, *, static):
+    """Rows `t < n_real` of a rollout `[N, R]`, by the policy and physics.
+
+    Returns the buffer, the robots after the last row, and the sums of `env.metrics` over all rows.
+    """
+    keys = rollout.row_keys(key, state.robot_index)
+    act = policy(static.ppo, state.learner.params)
+    step = physics_step(env, hyper.task, state.params_physics)
+    buffer = rollout.allocate(env, static.rollout.horizon, static.rollout.num_envs)
+    start = jnp.int32(0)
+    return rollout.fill(
+        buffer, start, n_real, state.env_state, keys, act=act, step=step, metrics=env.metrics
+    )
 
 
 def run(

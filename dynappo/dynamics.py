@@ -168,26 +168,38 @@ def predict(
     return jnp.concatenate([prop, env.context(obs, action)], -1), y[..., -1] * env.dt
 
 
-def errors(static, env: Env, model: ModelState, rows: Transition, steps: int) -> Metrics:
-    """Error of 1 and of `steps` predictions in a row, from row 0 with the actions that were taken.
+def unroll(
+    static, env: Env, model: ModelState, rows: Transition, steps: int
+) -> tuple[Float[Array, "K R P"], Float[Array, "K R"]]:
+    """`steps` predictions in a row, from row 0 with the actions that were taken.
 
-    Root mean square over robots and predicted numbers, each in units of its spread, as a share of
-    the error of the trivial predictor that repeats the state: 1 is no better than that. Robots whose
-    episode ended on the way are left out. Before a fit, the rows are new to the model.
+    Returns them, to be compared with `rows.next_obs[:K]`, and 1 where the robot's episode had not
+    ended by then.
     """
-    size = env.prop_size
-    std = scale(model.inputs)[1][:size]
-    obs, alive, out = rows.obs[0], jnp.ones(rows.reward.shape[1]), {}
+    obs, predicted = rows.obs[0], []
     for k in range(steps):
         obs, _ = predict(static, env, model, obs, rows.action[k])
-        alive = alive * rows.discount[k] * (1 - rows.truncation[k])
-        if k in (0, steps - 1):
-            truth, still = rows.next_obs[k, :, :size], rows.obs[0, :, :size]
-            wrong, change = (
-                jnp.where(alive[:, None] > 0, ((x - truth) / std) ** 2, 0.0).sum()
-                for x in (obs[:, :size], still)
-            )
-            out[f"model_error_{k + 1}"] = jnp.sqrt(wrong / jnp.maximum(change, 1e-12))
+        predicted.append(obs[:, : env.prop_size])
+    alive = jnp.cumprod(rows.discount[:steps] * (1 - rows.truncation[:steps]), axis=0)
+    return jnp.stack(predicted), alive
+
+
+def errors(static, env: Env, model: ModelState, rows: Transition, steps: int) -> Metrics:
+    """Error of 1 and of `steps` predictions in a row, as a share of that of repeating the state.
+
+    Root mean square over robots and predicted numbers, each in units of its spread; 1 is no better
+    than the trivial predictor. Before a fit, the rows are new to the model.
+    """
+    size, out = env.prop_size, {}
+    std = scale(model.inputs)[1][:size]
+    predicted, alive = unroll(static, env, model, rows, steps)
+    for k in {0, steps - 1}:
+        truth, still = rows.next_obs[k, :, :size], rows.obs[0, :, :size]
+        wrong, change = (
+            jnp.where(alive[k, :, None] > 0, ((x - truth) / std) ** 2, 0.0).sum()
+            for x in (predicted[k], still)
+        )
+        out[f"model_error_{k + 1}"] = jnp.sqrt(wrong / jnp.maximum(change, 1e-12))
     return out
 
 

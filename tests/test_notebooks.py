@@ -28,6 +28,18 @@ TINY = {
             "task.episode_length": 20,
         },
     },
+    "03_model_error": {
+        "spec": "configs/go1.py:quick",
+        "changes": {
+            "run.num_iterations": 4,
+            "run.log_every": 2,
+            "run.eval_envs": 0,
+            "rollout.num_envs": 16,
+            "rollout.horizon": 8,
+            "schedule.end_steps": 2,
+        },
+        "steps": 3,
+    },
 }
 
 
@@ -103,6 +115,17 @@ def test_the_first_run_trains_plots_and_evaluates():
         assert any(line.split()[:1] == [name] for line in text.splitlines()), f"no {name}:\n{text}"
     filmed = "<video" in "".join(outputs(notebook, "text/html"))
     assert filmed or "no video:" in text  # which says what to install
+
+
+def test_the_model_error_is_shown_for_every_group_of_numbers():
+    path = ROOT / "notebooks" / "03_model_error.ipynb"
+    notebook = execute(path, TINY[path.stem])
+    (figure,) = [base64.b64decode(data) for data in outputs(notebook, "image/png")]
+    assert len(figure) > 5000
+    lines = [line for line in printed(notebook).splitlines() if "1 step" in line]
+    assert len(lines) == 5
+    for line in lines:  # the ratios are numbers, and a model fitted twice is not yet wild
+        assert all(0 < float(line.split()[i]) < 30 for i in (-4, -1)), line
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
