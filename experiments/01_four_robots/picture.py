@@ -1,0 +1,102 @@
+"""One picture of the four robots walking: walking.png.
+
+    MUJOCO_GL=egl python experiments/01_four_robots/picture.py [OUT.png] [--frames ROBOT VX]
+
+Each walks ahead at 0.8 m/s on C MuJoCo and is caught in mid-stride. With --frames, a strip of one
+robot at VX m/s, 60 ms apart, to look at its gait.
+"""
+
+import argparse
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import mujoco
+import numpy as np
+import torques
+import walk
+
+NAMES = {"go1": "Unitree Go1", "go2": "Unitree Go2", "anymal_c": "ANYmal-C", "anymal_d": "ANYmal-D"}
+SIZE = 440, 720  # pixels, height and width of one robot
+SPEED = 0.8  # m/s
+# distance from the base (m), height looked at (m), time after which a stride is looked for (s)
+FRAMING = {
+    "go1": (0.97, 0.200, 3.0),
+    "go2": (0.97, 0.185, 3.0),
+    "anymal_c": (1.68, 0.355, 3.0),
+    "anymal_d": (1.68, 0.335, 3.0),
+}
+
+
+def walks(name, command):
+    """`(qpos [T, nq], height of each foot [T, F])` of a walk, one row a control step."""
+    config, body, params = walk.load(name)
+    episode = torques.episode(body, config, params, command)[0]
+    return episode["qpos"][3::4], episode["feet"][3::4, :, 2] - body.foot_radius
+
+
+def stride(feet, start):
+    """The row after `start` where a diagonal pair is highest and the other is down."""
+    one, other = feet[:, [0, 3]], feet[:, [1, 2]]
+    lifted = one.min(1) - 2 * np.maximum(other.max(1), 0)
+    return start + int(lifted[start : start + 100].argmax())
+
+
+def render(name, poses, size=SIZE, azimuth=128.0, elevation=-9.0):
+    """RGB frames of the robot in `poses`, seen from its front left."""
+    model = mujoco.MjModel.from_xml_path(str(Path("robots") / name / f"{name}.xml"))
+    model.vis.global_.offheight, model.vis.global_.offwidth = size
+    data = mujoco.MjData(model)
+    distance, height, _ = FRAMING[name]
+    view = mujoco.MjvCamera()
+    view.distance, view.elevation = distance, elevation
+    with mujoco.Renderer(model, *size) as renderer:
+        for qpos in poses:
+            data.qpos[:] = qpos
+            mujoco.mj_forward(model, data)
+            w, x, y, z = qpos[3:7]
+            heading = np.degrees(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
+            view.azimuth = azimuth + heading
+            view.lookat[:] = [*qpos[:2], height]
+            renderer.update_scene(data, camera=view)
+            yield renderer.render()
+
+
+def sheet(pictures, labels, columns, out, dpi=100):
+    """Write pictures in a grid, each with its label in the corner."""
+    height, width = pictures[0].shape[:2]
+    rows = -(-len(pictures) // columns)
+    gap = 8
+    size = (width * columns + gap * (columns - 1)) / dpi, (height * rows + gap * (rows - 1)) / dpi
+    figure, axes = plt.subplots(rows, columns, figsize=size, dpi=dpi, squeeze=False)
+    figure.subplots_adjust(0, 0, 1, 1, wspace=gap / width, hspace=gap / height)
+    for axis in axes.flat:
+        axis.axis("off")
+    for axis, picture, label in zip(axes.flat, pictures, labels, strict=False):
+        axis.imshow(picture)
+        style = dict(fontsize=width / 46, color="0.15", va="top", transform=axis.transAxes)
+        axis.text(0.03, 0.945, label, **style)
+    figure.savefig(out, dpi=dpi, pil_kwargs={"optimize": True})
+
+
+def main():
+    parser = argparse.ArgumentParser()
+    parser.add_argument("out", nargs="?", type=Path, default=Path(__file__).parent / "walking.png")
+    parser.add_argument("--frames", nargs=2, metavar=("ROBOT", "VX"))
+    args = parser.parse_args()
+    if args.frames:
+        name, speed = args.frames
+        poses, _ = walks(name, np.array([float(speed), 0.0, 0.0]))
+        shown = poses[200:236:3]
+        pictures = list(render(name, shown, (270, 400), azimuth=90.0, elevation=-4.0))
+        sheet(pictures, [f"{60 * i} ms" for i in range(len(shown))], 4, args.out)
+        return
+    pictures = []
+    for name in walk.ROBOTS:
+        poses, feet = walks(name, np.array([SPEED, 0.0, 0.0]))
+        k = stride(feet, round(FRAMING[name][2] / 0.02))
+        pictures += render(name, [poses[k]])
+    sheet(pictures, list(NAMES.values()), 2, args.out)
+
+
+if __name__ == "__main__":
+    main()
