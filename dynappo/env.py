@@ -44,7 +44,7 @@ def make(
     varied = randomize.varied(task.randomize)
     fatal, undesired = ground_rules(robot, task)
     parts = Parts(
-        engine=physics.make(robot, physics_config, varied, impl, num_worlds),
+        engine=physics.make(robot, physics_config, varied, impl, num_worlds, task.remember_ground),
         robot=robot,
         task=task,
         legs=robot_lib.leg_chains(robot),

@@ -1,5 +1,7 @@
 """Deterministic episodes -> what a policy is worth: return, falls and tracking error.
 
+    python -m dynappo.evaluate NAME_OR_DIR      # the command is report.py's
+
 One episode a robot on the nominal task: the policy's mean action, no observation noise, no
 randomised physics, every episode from age 0, commands drawn as in training. Tracking error is the
 root mean square of the planar velocity error (m/s) after the first second, over all robots that
@@ -9,6 +11,11 @@ It runs on the environment that trains: what makes the task nominal are floats.
 """
 
 from __future__ import annotations
+
+if __name__ == "__main__":  # before JAX is imported, which the command may not need
+    from dynappo import report
+
+    raise SystemExit(report.main())
 
 from typing import Any
 
@@ -40,14 +47,23 @@ def nominal(task) -> Any:
 
 
 def evaluate(
-    env: Env, task, params: dict, key: PRNGKeyArray, *, static, num_envs: int, num_steps: int
+    env: Env,
+    task,
+    params: dict,
+    key: PRNGKeyArray,
+    *,
+    static,
+    num_envs: int,
+    num_steps: int,
+    randomize: bool = False,
 ) -> Metrics:
     """Metrics of `num_envs` episodes of at most `num_steps` control steps; `task` is hyper.task.
 
     `return`, `length` (control steps), `fall_rate`, `tracking_error` (m/s), `yaw_error` (rad/s),
-    `return_std` over episodes.
+    `return_std` over episodes. With `randomize`, on the task as it trains: noise, pushes and physics
+    of every robot's own; errors are still those of the true velocities.
     """
-    task = nominal(task)
+    task = task if randomize else nominal(task)
     keys = jax.random.split(key, num_envs)
     physics = jax.vmap(env.randomize, (None, 0))(task, keys)
     state = jax.vmap(env.reset, (None, 0, 0))(task, physics, keys)

@@ -253,8 +253,10 @@ def first_nonfinite(metrics: dict[str, np.ndarray]) -> tuple[str, int] | None:
 
 def nonfinite_leaf(tree: Any) -> str | None:
     """Path of the first array of a tree of parameters with a number that is not finite."""
-    bad = (name for name, leaf in paths(tree).items() if not np.isfinite(np.asarray(leaf)).all())
-    return next(bad, None)
+    import jax
+
+    host = paths(jax.device_get(tree))  # one transfer for all of them
+    return next((name for name, leaf in host.items() if not np.isfinite(leaf).all()), None)
 
 
 def paths(tree: Any) -> dict[str, Any]:

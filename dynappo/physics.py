@@ -48,9 +48,17 @@ class Engine(NamedTuple):
     timestep: float  # s
     floor: tuple[Any, ...]  # robot.floor_distance of the parts
     varied: frozenset[str]  # randomize.varied
+    remember: bool  # parts at the ground: in any physics step of a control step, or in its last
 
 
-def make(robot: robot_lib.Robot, physics, varied: frozenset[str], impl: str, num_worlds: int):
+def make(
+    robot: robot_lib.Robot,
+    physics,
+    varied: frozenset[str],
+    impl: str,
+    num_worlds: int,
+    remember: bool = False,
+):
     """The engine `impl` ("jax" or "warp") for `num_worlds` copies of `robot`.
 
     `physics` is the config's group. MJX-Warp keeps one contact buffer for all worlds; it gets what
@@ -72,6 +80,7 @@ def make(robot: robot_lib.Robot, physics, varied: frozenset[str], impl: str, num
         timestep=physics.timestep,
         floor=robot_lib.floor_distance(mj_model, robot.parts),
         varied=varied,
+        remember=remember,
     )
 
 
@@ -94,7 +103,7 @@ class Substeps(NamedTuple):
     last_air_steps: Any
     torque: Any  # of the last physics step
     qd_before: Any  # joint velocities before it
-    lowest: Any  # m, lowest point of each part over all physics steps
+    lowest: Any  # m, lowest point of each part, in all physics steps (`remember`) or the last
 
 
 def simulate(engine: Engine, hyper, physics, state: EnvState, action) -> Substeps:
@@ -124,6 +133,7 @@ def simulate(engine: Engine, hyper, physics, state: EnvState, action) -> Substep
         row = data.geom_xmat[ids].reshape(-1, 9)[:, 6:]  # third row of the rotation matrix
         drop = fixed + (linear * jnp.abs(row)).sum(-1)
         drop += ring * jnp.sqrt(jnp.maximum(1 - row[:, 2] ** 2, 0))
+        lowest = data.geom_xpos[ids, 2] - drop
         landed = contact & (s.air_steps > 0)
         return Substeps(
             qpos=data.qpos,
@@ -134,7 +144,7 @@ def simulate(engine: Engine, hyper, physics, state: EnvState, action) -> Substep
             last_air_steps=jnp.where(landed, s.air_steps + 1, s.last_air_steps),
             torque=torque,
             qd_before=s.qvel[6:],
-            lowest=jnp.minimum(s.lowest, data.geom_xpos[ids, 2] - drop),
+            lowest=jnp.minimum(s.lowest, lowest) if engine.remember else lowest,
         ), None
 
     first = Substeps(

@@ -13,7 +13,12 @@ from dynappo import schedule
 PACKAGE = pathlib.Path(__file__).resolve().parent
 # What task.formulation decides where the field itself is None (sources: configs/README.md).
 PAPER_TASK = dict(
-    heading=False, resample_steps=0, standing=0.0, termination="parts", undesired="parts"
+    heading=False,
+    resample_steps=0,
+    standing=0.0,
+    termination="parts",
+    undesired="parts",
+    remember_ground=False,
 )
 FORMULATIONS = {
     "isaaclab": dict(tracking_std=0.5, air_time="touchdown", **PAPER_TASK),
@@ -26,6 +31,7 @@ FORMULATIONS = {
         standing=0.02,
         termination="base",
         undesired="thighs",
+        remember_ground=True,
     ),
 }
 CHOICES = {

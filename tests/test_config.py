@@ -51,6 +51,7 @@ OPTIONAL = {
     "task.standing": float,
     "task.termination": str,
     "task.undesired": str,
+    "task.remember_ground": bool,
     "model.late_epochs": int,
 }
 
@@ -464,7 +465,7 @@ def test_where_only_the_base_falls_all_contacts_are_needed():
     task = config_lib.validate(config).task
     assert (task.heading, task.resample_steps, task.standing) == (True, 500, 0.02)
     assert (task.termination, task.undesired, task.air_time) == ("base", "thighs", "touchdown")
-    assert task.tracking_std == 0.5
+    assert task.tracking_std == 0.5 and task.remember_ground
     config.task.update(heading=False, termination="parts")  # each decision alone
     config.physics.contacts = "feet"
     task = config_lib.validate(config).task

@@ -202,7 +202,9 @@ class Reference:
             self.last_air = np.where(landed, self.air + DT, self.last_air)
             self.air = np.where(down, 0.0, self.air + DT)
             self.contact = np.where(down, self.contact + DT, 0.0)
-            self.distances = np.minimum(self.distances, self.heights())
+            heights = self.heights()  # all physics steps count, or the last
+            remember = self.lab.settings.task.remember_ground
+            self.distances = np.minimum(self.distances, heights) if remember else heights
 
     def heights(self):
         """Distance of every part from the floor, where the physics step started."""

@@ -34,17 +34,18 @@ def params(settings):
 
 @pytest.fixture(scope="module")
 def assess(settings):
-    """`assess(params, seed, steps, **kwargs of toy_env.make)`, compiled once for each of these."""
+    """`assess(params, seed, steps, randomize, task, **kwargs of toy_env.make)`, compiled once for each."""
     static, hyper = settings
 
     @functools.cache
-    def program(steps, kwargs):
+    def program(steps, randomize, kwargs):
         env = toy_env.make(**dict(kwargs))
         run = partial(evaluate.evaluate, env, static=static, num_envs=ROBOTS, num_steps=steps)
-        return jax.jit(run)
+        return jax.jit(partial(run, randomize=randomize))
 
-    def call(params, seed=0, steps=STEPS, **kwargs):
-        return program(steps, tuple(kwargs.items()))(hyper.task, params, jax.random.key(seed))
+    def call(params, seed=0, steps=STEPS, randomize=False, task=hyper.task, **kwargs):
+        run = program(steps, randomize, tuple(kwargs.items()))
+        return run(task, params, jax.random.key(seed))
 
     return call
 
@@ -120,6 +121,20 @@ def test_an_evaluation_does_not_depend_on_the_noise_of_the_policy(assess, params
     loud = params | {"std": params["std"] * 10}
     one, other = assess(params), assess(loud)
     assert all(one[name] == other[name] for name in one)
+
+
+def test_a_randomized_evaluation_is_on_the_task_as_it_trains(assess, settings, params):
+    """Noise and bodies of its own matter then: on a task that has none, both are the same to the bit."""
+    task = jax.tree.map(jnp.float32, settings[1].task)
+    nominal = jax.tree.map(jnp.float32, evaluate.nominal(task))
+    plain = assess(params, task=task)
+    same = assess(params, randomize=True, task=nominal)
+    assert all(plain[name] == same[name] for name in plain)
+    randomize, noise = task.randomize, task.noise
+    for part in (nominal._replace(noise=noise), nominal._replace(randomize=randomize), task):
+        hard = assess(params, randomize=True, task=part)
+        assert hard["return"] != plain["return"]
+        assert hard["tracking_error"] != plain["tracking_error"]
 
 
 def test_episodes_start_at_age_zero(assess, params):

@@ -28,6 +28,13 @@ TINY = {
             "task.episode_length": 20,
         },
     },
+    "02_look_at_a_policy": {
+        "what": "go1",
+        "points": 2,
+        "seconds": 1.2,
+        "film_seconds": 0.2,
+        "mjx_episodes": 0,
+    },
     "03_model_error": {
         "spec": "configs/go1.py:quick",
         "changes": {
@@ -126,6 +133,18 @@ def test_the_model_error_is_shown_for_every_group_of_numbers():
     assert len(lines) == 5
     for line in lines:  # the ratios are numbers, and a model fitted twice is not yet wild
         assert all(0 < float(line.split()[i]) < 30 for i in (-4, -1)), line
+
+
+def test_a_look_at_a_policy_shows_tables_maps_and_gaits():
+    path = ROOT / "notebooks" / "02_look_at_a_policy.ipynb"
+    notebook = execute(path, TINY[path.stem])
+    figures = [base64.b64decode(data) for data in outputs(notebook, "image/png")]
+    assert len(figures) >= 3 and all(len(png) > 5000 for png in figures)
+    text = printed(notebook)
+    assert "a policy of go1, an action every 20 ms" in text
+    assert "cost of transport" in text and "1 m/s ahead" in text
+    filmed = "<video" in "".join(outputs(notebook, "text/html"))
+    assert filmed or "no video:" in text  # which says what to install
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)

@@ -1,0 +1,474 @@
+"""What the command `python -m dynappo.evaluate` reads, computes, draws, prints and writes.
+
+Two kinds of episodes, both with the policy's mean action: `measure.sweep`, a grid of commands in C
+MuJoCo (where it tracks well, what walking costs, how the feet move), and `episodes`, the task it was
+trained on, on MJX (`evaluate.py`: the return, the falls and the tracking error by which runs are
+compared). `--fast` leaves the latter out; then JAX is not imported.
+"""
+
+from __future__ import annotations
+
+import argparse
+import io
+import sys
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from dynappo import config as config_lib
+from dynappo import log, measure, policy_file, validate
+from dynappo import robot as robot_lib
+from dynappo.config import ConfigError
+from dynappo.policy_file import Policy
+
+EPISODES = {"gpu": 1000, "cpu": 64}
+WINDOW = 2.0  # s of a gait diagram
+UNITS = {
+    "return": "sum of rewards of an episode",
+    "length": "control steps",
+    "command": "m/s, m/s, rad/s",
+    "tracking_error": "m/s",
+    "yaw_error": "rad/s",
+    "speed": "m/s",
+    "power": "W",
+    "positive_power": "W",
+    "torque": "N m",
+    "action_rate": "rad/s",
+    "air_time": "s",
+    "stride_frequency": "1/s",
+    "fall": "s",
+}
+ROWS = (  # of the table of a sweep: name, label, format
+    ("speed", "speed", "{:.2f} m/s"),
+    ("tracking_error", "tracking error", "{:.2f} m/s"),
+    ("yaw_error", "yaw rate error", "{:.2f} rad/s"),
+    ("cost_of_transport", "cost of transport", "{:.2f}"),
+    ("positive_cost_of_transport", "  of positive work alone", "{:.2f}"),
+    ("torque", "mean torque of a joint", "{:.1f} N m"),
+    ("action_rate", "action rate", "{:.1f} rad/s"),
+    ("air_time", "foot air time", "{:.3f} s"),
+    ("duty_factor", "duty factor", "{:.2f}"),
+    ("stride_frequency", "stride frequency", "{:.2f} /s"),
+)
+NO_PICTURES = "no pictures: matplotlib is not installed; pip install 'dynappo[video]'"
+USAGE = """\
+what is evaluated is a workdir (while it trains: its newest checkpoint), a checkpoint folder, a
+policy.npz, or the name of a robot with a bundled policy
+  python -m dynappo.evaluate runs/quick
+  python -m dynappo.evaluate go1 --fast
+  python -m dynappo.evaluate runs/go1 --randomize --episodes=200 --out=hard
+written are evaluation.json, tracking.png (error by command) and gait.png
+"""
+
+
+# ---- episodes of the task, on MJX
+
+
+def settings(policy: Policy):
+    """The config that a policy was trained with, validated; the device is the one that is here.
+
+    Fields that are newer than the policy have their defaults.
+    """
+    config = config_lib.load("configs/default.py")
+    defaults = config_lib.flat(config)
+    for name, value in config_lib.flat(policy.config).items():
+        if name not in defaults or value is None:
+            continue
+        group, _, leaf = name.rpartition(".")
+        node, default = config[group] if group else config, defaults[name]
+        settled = validate.settle(default, value) if isinstance(default, tuple) else value
+        try:
+            if settled is None:
+                raise TypeError
+            node[leaf] = settled
+        except (TypeError, ValueError):
+            raise ConfigError(
+                f"the policy's config has {name} = {value!r}, expected one like {default!r}"
+            ) from None
+    config.run.device = config.physics.impl = "auto"
+    return config_lib.validate(config)
+
+
+def episodes(
+    policy: Policy, number: int | None = None, randomize: bool = False, seed: int = 0
+) -> dict[str, Any]:
+    """`evaluate.evaluate` of `number` episodes on this machine's device, and what was run.
+
+    Without a number: 1000 on a GPU, 64 on a CPU. `randomize`: the task as it trains.
+    """
+    import jax
+
+    from dynappo import env as env_lib
+    from dynappo import evaluate, train
+
+    config = settings(policy)
+    impl = train.choose_impl(config)
+    static, hyper = config_lib.split(config)
+    number = number or EPISODES.get(jax.default_backend(), EPISODES["cpu"])
+    robot = robot_lib.load(policy.robot)
+    env = env_lib.make(robot, config.task, config.physics, impl=impl, num_worlds=number)
+    assess = partial(
+        evaluate.evaluate,
+        env,
+        static=static,
+        num_envs=number,
+        num_steps=config.task.episode_length,
+        randomize=randomize,
+    )
+    # of a policy file only the actor must be there; its size is read from std
+    params = {"std": np.ones(len(policy.joint_names), np.float32)} | policy.params
+    metrics = jax.device_get(jax.jit(assess)(hyper.task, params, jax.random.key(seed)))
+    numbers = {k: float(v) if np.isfinite(v) else None for k, v in metrics.items()}
+    return {
+        "episodes": number,
+        "seconds": config.task.episode_length * env.dt,
+        "randomize": randomize,
+        "seed": seed,
+        "device": jax.devices()[0].device_kind,
+        "impl": impl,
+    } | numbers
+
+
+# ---- pictures
+
+
+def tracking_figure(title: str, numbers: dict[str, Any]):
+    """Two maps of the errors over the commands of a `sweep`, as a matplotlib Figure."""
+    from matplotlib.figure import Figure
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
+
+    grid, held, rows = numbers["axes"], numbers["held"], numbers["commands"]
+    maps = (  # axis across, its column of the command, the axis that is held and its column
+        ("vy", 1, "wz", 2, "sideways velocity asked for (m/s)", "at a yaw rate of {:g} rad/s"),
+        ("wz", 2, "vy", 1, "yaw rate asked for (rad/s)", "at a sideways velocity of {:g} m/s"),
+    )
+    top = max([0.3, *(row["tracking_error"] for row in rows if not _gone(row))])
+    layout = ConstrainedLayoutEngine(w_pad=0.12, h_pad=0.12, wspace=0.03)
+    figure = Figure(figsize=(11, 6), layout=layout)
+    panels = figure.subplots(1, 2, sharey=True, width_ratios=[len(grid["vy"]), len(grid["wz"])])
+    image: Any = None
+    for panel, (name, column, other, fixed, label, rest) in zip(panels, maps, strict=True):
+        across, ahead = grid[name], grid["vx"]
+        found = {
+            (row["command"][0], row["command"][column]): row
+            for row in rows
+            if row["command"][fixed] == held[other]
+        }
+        cells = [[found[x, c] for c in across] for x in ahead]
+        values = [[np.nan if _gone(c) else c["tracking_error"] for c in line] for line in cells]
+        image = panel.imshow(values, "YlGnBu", vmin=0, vmax=top, origin="lower", aspect="auto")
+        for i, line in enumerate(cells):
+            for j, cell in enumerate(line):
+                _cell(panel, j, i, cell, top)
+        panel.set_xticks(range(len(across)), [f"{value:g}" for value in across])
+        panel.set_yticks(range(len(ahead)), [f"{value:g}" for value in ahead])
+        panel.set_xticks(np.arange(len(across) - 1) + 0.5, minor=True)
+        panel.set_yticks(np.arange(len(ahead) - 1) + 0.5, minor=True)
+        panel.grid(which="minor", color="white", linewidth=2)
+        panel.tick_params(which="both", length=0, labelsize=10)
+        panel.spines[:].set_visible(False)
+        panel.set_xlabel(label, fontsize=11, labelpad=8)
+        panel.set_title(rest.format(held[other]), fontsize=11, color="0.35", pad=8)
+    panels[0].set_ylabel("velocity ahead asked for (m/s)", fontsize=11, labelpad=8)
+    bar = figure.colorbar(image, ax=panels, pad=0.02, aspect=28)
+    bar.set_label("velocity error (m/s); small in the cells: yaw rate error (rad/s)", labelpad=10)
+    bar.outline.set_visible(False)
+    bar.ax.tick_params(length=0)
+    figure.suptitle(title, fontsize=14, fontweight="bold")
+    return figure
+
+
+def _gone(row: dict[str, Any]) -> bool:
+    return row["fall"] is not None or row["tracking_error"] is None
+
+
+def _cell(panel, j: int, i: int, row: dict[str, Any], top: float) -> None:
+    """The numbers of one command; a fall is hatched."""
+    from matplotlib.patches import Rectangle
+
+    middle = dict(ha="center", va="center")
+    if _gone(row):
+        style: dict[str, Any] = dict(facecolor="0.95", edgecolor="0.8", hatch="///", linewidth=0)
+        panel.add_patch(Rectangle((j - 0.5, i - 0.5), 1, 1, **style))
+        text = "too short" if row["fall"] is None else f"fell after\n{row['fall']:.1f} s"
+        clear = dict(facecolor="0.95", edgecolor="none", pad=3)
+        panel.text(j, i, text, fontsize=10, color="#b2182b", bbox=clear, **middle)
+        return
+    dark = row["tracking_error"] > 0.55 * top
+    style = middle | {"color": "white" if dark else "0.12"}
+    panel.text(j, i + 0.06, f"{row['tracking_error']:.2f}", fontsize=14, **style)
+    panel.text(j, i - 0.27, f"{row['yaw_error']:.2f}", fontsize=8.5, alpha=0.75, **style)
+
+
+def gait_figure(title: str, numbers: dict[str, Any], recordings, timestep: float):
+    """Hildebrand's diagram of a `sweep`'s recordings: a bar where a foot is on the ground.
+
+    `timestep` (s) is that of the physics. The last `WINDOW` seconds are shown, or what there is.
+    """
+    from matplotlib.figure import Figure
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
+
+    layout = ConstrainedLayoutEngine(w_pad=0.12, h_pad=0.12, hspace=0.04)
+    figure = Figure(figsize=(11, 1.2 + 2.4 * len(recordings)), layout=layout)
+    panels = np.ravel(figure.subplots(len(recordings), 1, sharex=True))
+    for panel, recording, row in zip(panels, recordings, numbers["ahead"], strict=True):
+        shown = recording["contact"][-round(WINDOW / timestep) :]
+        for j, foot in enumerate(row["feet"].values()):
+            on, off = measure.intervals(shown[:, j])
+            bars = [(a * timestep, (b - a) * timestep) for a, b in zip(on, off, strict=True)]
+            color = "#1f4e79" if j in (0, 3) else "#d9822b"  # the two diagonals
+            panel.broken_barh([(0, WINDOW)], (j - 0.36, 0.72), facecolor="0.955")
+            panel.broken_barh(bars, (j - 0.36, 0.72), facecolor=color)
+            duty = "" if foot["duty_factor"] is None else f"{foot['duty_factor']:.2f}"
+            panel.text(1.012 * WINDOW, j, duty, va="center", fontsize=11, color=color)
+        names = list(row["feet"])
+        panel.text(1.012 * WINDOW, -0.8, "duty\nfactor", va="bottom", fontsize=9, color="0.4")
+        panel.set_yticks(range(len(names)), names, fontsize=11)
+        panel.set_ylim(len(names) - 0.5, -0.6)
+        panel.set_xlim(0, WINDOW)
+        panel.tick_params(length=0)
+        panel.spines[:].set_visible(False)
+        panel.set_title(_gait_title(row), loc="left", fontsize=11.5, color="0.2", pad=8)
+    panels[-1].set_xlabel("time (s)", fontsize=11, labelpad=8)
+    figure.suptitle(title, fontsize=14, fontweight="bold")
+    return figure
+
+
+def _gait_title(row: dict[str, Any]) -> str:
+    """What was asked and what came: speed, strides, duty factor."""
+    formats = (
+        ("fall", "fell after {:.1f} s"),
+        ("speed", "walks at {:.2f} m/s"),
+        ("stride_frequency", "{:.2f} strides/s"),
+        ("duty_factor", "duty factor {:.2f}"),
+    )
+    said = [text.format(row[name]) for name, text in formats if row[name] is not None]
+    return "  \u00b7  ".join([f"asked for {row['command'][0]:g} m/s", *said])
+
+
+def pictures(out: Path, name: str, numbers: dict[str, Any], recordings, timestep: float) -> str:
+    """Write tracking.png and gait.png into `out`; returns "", or one line that says what is missing."""
+    try:
+        import matplotlib  # noqa: F401
+    except ImportError:
+        return NO_PICTURES
+    for file, figure in (
+        ("tracking.png", tracking_figure(f"{name}: how well it does what it is asked", numbers)),
+        ("gait.png", gait_figure(f"{name}: feet on the ground", numbers, recordings, timestep)),
+    ):
+        (out / file).write_bytes(png(figure))
+    return ""
+
+
+def png(figure) -> bytes:
+    """The picture of a matplotlib Figure."""
+    content = io.BytesIO()
+    figure.savefig(content, format="png", dpi=150)
+    return content.getvalue()
+
+
+# ---- the command
+
+
+def parse(argv: list[str]) -> argparse.Namespace:
+    """The flags of a command line; ConfigError if it cannot be understood."""
+    parser = argparse.ArgumentParser(
+        prog="python -m dynappo.evaluate",
+        description="What a policy is worth: return, falls, tracking, effort and gait.",
+        epilog=USAGE,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+        exit_on_error=False,
+    )
+    flag = parser.add_argument
+    flag("what", nargs="?", metavar="NAME_OR_DIR", help="workdir, checkpoint, policy.npz or robot")
+    default = "default: {gpu} on a GPU, {cpu} on a CPU".format(**EPISODES)
+    flag("--episodes", metavar="N", help=f"episodes of the training task, on MJX; {default}")
+    flag("--randomize", action="store_true", help="these with noise, pushes, randomised physics")
+    flag("--seed", metavar="N", help="of their commands and starts; default: 0")
+    flag("--fast", action="store_true", help="without these: C MuJoCo only, half a minute")
+    flag("--out", metavar="DIR", type=Path, help="default: WORKDIR/evaluation, or evaluation-NAME")
+    try:
+        flags, rest = parser.parse_known_args(argv)
+    except argparse.ArgumentError as error:
+        hint = "; write it as --flag=VALUE" if "expected one argument" in str(error) else ""
+        raise ConfigError(str(error).removeprefix("argument ") + hint) from None
+    if rest:
+        raise ConfigError(f"{rest[0]}: no such flag; python -m dynappo.evaluate --help lists them")
+    if flags.what is None:
+        raise ConfigError(
+            "nothing to evaluate is named; try a workdir, as in: "
+            "python -m dynappo.evaluate runs/quick"
+        )
+    for name, least in (("episodes", 1), ("seed", 0)):
+        text = getattr(flags, name)
+        if text is not None:
+            if not text.isdecimal() or int(text) < least:
+                raise ConfigError(f"--{name}={text!r}: expected an integer of {least} or more")
+            setattr(flags, name, int(text))
+    for name in ("episodes", "randomize", "seed"):
+        value = getattr(flags, name)
+        if flags.fast and value is not None and value is not False:
+            raise ConfigError(f"--{name} is for the episodes on MJX, which --fast leaves out")
+    return flags
+
+
+def folder(what: str, path: Path) -> Path:
+    """Where the evaluation of `what`, found at `path`, goes by default."""
+    if what in validate.robots():
+        return Path(f"evaluation-{what}")
+    workdir = path.parent.parent if path.is_dir() else path.parent
+    if (workdir / "config.json").is_file():
+        return workdir / "evaluation"
+    return Path(f"evaluation-{path.stem}")
+
+
+def open_folder(out: Path) -> None:
+    """Make the folder; ConfigError if nothing can be written there."""
+    probe = out / ".evaluation"
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        raise ConfigError(f"--out={out}: cannot write there ({error.strerror})") from None
+
+
+def run(flags) -> None:
+    """Evaluate as the flags say, tell a person what came out, and write it."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    policy, path = policy_file.find(flags.what)
+    robot_lib.load(policy.robot)  # what can be wrong, before anything is written or takes time
+    if not flags.fast:
+        settings(policy)
+    out = flags.out or folder(flags.what, path)
+    open_folder(out)
+    screen = Console(highlight=False)
+    source = "/".join(path.resolve().parts[-2:])
+    screen.print(f"dynappo evaluates {policy.robot}: {source}", soft_wrap=True, markup=False)
+    columns = (TextColumn("commands"), BarColumn(24), TextColumn("{task.completed}/{task.total}"))
+    with Progress(
+        *columns,
+        TimeRemainingColumn(),
+        console=screen,
+        transient=True,
+        disable=not screen.is_terminal,
+    ) as bar:
+        task = bar.add_task("")
+        numbers, recordings = measure.sweep(
+            policy, tell=lambda done, total: bar.update(task, completed=done, total=total)
+        )
+    show_sweep(screen, numbers)
+    on_mjx = None
+    if not flags.fast:
+        import jax
+
+        device = jax.default_backend()
+        number = flags.episodes or EPISODES.get(device, EPISODES["cpu"])
+        told = f"{number} episodes of the training task"
+        if device == "cpu":
+            told += ", a minute or two on two cores (--episodes=N; a GPU's default is 1000)"
+        screen.print(told, soft_wrap=True)
+        with screen.status("compiling and running"):
+            on_mjx = episodes(policy, number, flags.randomize, flags.seed or 0)
+        show_episodes(screen, on_mjx)
+    about = {"robot": policy.robot, "policy": source, "mujoco": mujoco.__version__}
+    result = about | {"episodes": on_mjx, "sweep": numbers, "units": UNITS}
+    log.write_json(out / "evaluation.json", result)
+    problem = pictures(out, policy.robot, numbers, recordings, policy.timestep)
+    files = "evaluation.json" if problem else "evaluation.json, tracking.png, gait.png"
+    screen.print(f"written to {out}: {files}", soft_wrap=True, markup=False)
+    if problem:
+        screen.print(problem, soft_wrap=True, markup=False, style="yellow")
+
+
+def show_sweep(screen, numbers: dict[str, Any]) -> None:
+    """The table of a sweep: over all commands, and at each speed ahead."""
+    from rich.table import Table
+
+    every, ahead = numbers["all"], numbers["ahead"]
+    screen.print(
+        f"{every['episodes']} commands, {numbers['seconds']:g} s each, in C MuJoCo without noise; "
+        f"the first second is left out",
+        soft_wrap=True,
+    )
+    table = Table(box=None, padding=(0, 2, 0, 0), header_style="bold")
+    table.add_column("")
+    for heading in ("all commands", *(f"{row['command'][0]:g} m/s ahead" for row in ahead)):
+        table.add_column(heading, justify="right", no_wrap=True)
+    falls = ["none" if row["fall"] is None else f"after {row['fall']:.1f} s" for row in ahead]
+    table.add_row("falls", f"{every['falls']} of {every['episodes']}", *falls)
+    for name, label, text in ROWS:
+        values = [row[name] for row in (every, *ahead)]
+        table.add_row(label, *("-" if v is None else text.format(v) for v in values))
+    screen.print(table)
+    for line in notes(numbers["commands"]):
+        screen.print(line, soft_wrap=True)
+
+
+def notes(rows: list[dict[str, Any]]) -> list[str]:
+    """A line on the command that is tracked worst, and one on each that made the robot fall."""
+
+    def asked(row):
+        x, y, turn = row["command"]
+        return f"asked for {x:g}, {y:g} m/s, {turn:g} rad/s"
+
+    stood = [row for row in rows if not _gone(row)]
+    fell = [row for row in rows if row["fall"] is not None]
+    lines = [f"fell after {row['fall']:.1f} s, {asked(row)}" for row in fell[:5]]
+    if len(fell) > 5:
+        lines.append(f"fell on {len(fell) - 5} other commands: see evaluation.json")
+    if stood:
+        worst = max(stood, key=lambda row: row["tracking_error"])
+        lines.append(f"worst tracked: {worst['tracking_error']:.2f} m/s, {asked(worst)}")
+    return lines
+
+
+def show_episodes(screen, numbers: dict[str, Any]) -> None:
+    """The table of the episodes on MJX."""
+    from rich.table import Table
+
+    task = "noise, pushes, randomised physics" if numbers["randomize"] else "no noise"
+    engine = "MJX-Warp" if numbers["impl"] == "warp" else "MJX-JAX"
+    screen.print(
+        f"{numbers['seconds']:g} s each, commands as in training, {task}; "
+        f"{engine} on {numbers['device']}",
+        soft_wrap=True,
+    )
+    table = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
+    rows = (
+        ("return", "return", "{:.2f}", 1),
+        ("return_std", "  standard deviation", "{:.2f}", 1),
+        ("fall_rate", "episodes with a fall", "{:.1f} %", 100),
+        ("length", "length", "{:.0f} control steps", 1),
+        ("tracking_error", "tracking error", "{:.2f} m/s", 1),
+        ("yaw_error", "yaw rate error", "{:.2f} rad/s", 1),
+    )
+    for name, label, text, scale in rows:
+        value = numbers.get(name)
+        table.add_row(
+            label, "nobody stood for a second" if value is None else text.format(value * scale)
+        )
+    screen.print(table)
+
+
+def main(argv: list[str] | None = None) -> None:
+    """The command: exit status 0, 1 if a file cannot be written, 2 if it cannot be done, 130 on ctrl-C."""
+    try:
+        run(parse(sys.argv[1:] if argv is None else argv))
+    except ConfigError as error:
+        sys.exit(_complain(error, 2))
+    except OSError as error:
+        sys.exit(_complain(f"{error.filename or 'a file'} cannot be written ({error.strerror})", 1))
+    except KeyboardInterrupt:
+        sys.exit(_complain("stopped; nothing is written", 130))
+
+
+def _complain(message, status: int) -> int:
+    print(f"dynappo: {message}", file=sys.stderr)
+    return status
