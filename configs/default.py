@@ -44,6 +44,7 @@ def get_config(variant: str = "") -> config_dict.ConfigDict:
             eval_every=0,  # iterations; a multiple of log_every; 0: only at the end
             eval_envs=1000,  # robots of an evaluation, one episode each; 0: none
             video_seconds=12.0,  # s of film after training; 0: none
+            time_phases=False,  # measure physics, fit, tail and PPO at the end (bench.py); seconds
             device="auto",  # "auto", "cpu" or "gpu"
             tensorboard=True,  # write TensorBoard's events into the workdir
             wandb="",  # project of Weights & Biases to log to; empty: none

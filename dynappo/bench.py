@@ -1,4 +1,7 @@
-"""Where the time of an iteration goes: `phases` measures each part on the run's own program.
+"""Where the time of an iteration goes: `python -m dynappo.bench --config=configs/go1.py:fast`.
+
+`phases` measures each part on the run's own program; `--vs=CONFIG` lets two configs take turns in one
+process, so that what else the machine does meets both, and gives the ratio of their iterations.
 
 The compiled chunk takes the number of real rows and of epochs as arguments, so the parts come out as
 differences between calls of one and the same program, as they run inside it.
@@ -6,11 +9,19 @@ differences between calls of one and the same program, as they run inside it.
 
 from __future__ import annotations
 
+import argparse
+import sys
 import time
+from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from dynappo import config as config_lib
+from dynappo import log
+from dynappo.config import ConfigError
 
 
 def phases(config, program, state, repeats: int = 5) -> dict[str, float]:
@@ -79,3 +90,144 @@ def _tail_row(program, state, rows: int = 64) -> float:
         jax.block_until_ready(compiled(state, jnp.int32(n)))
         times.append(time.perf_counter() - began)
     return float(np.median(times[2::2]) - np.median(times[3::2])) / rows * 1e3
+
+
+def last_iteration(config, program) -> Callable[[], float]:
+    """A function that runs one chunk as the schedule ends, from the first state, and gives ms of an
+    iteration."""
+    import jax
+    import jax.numpy as jnp
+
+    every, first = config.run.log_every, program.state
+    columns = {
+        name: jnp.full(every, column[-1], jnp.int32) for name, column in program.columns.items()
+    }
+
+    def run():
+        copy = jax.block_until_ready(jax.tree.map(jnp.copy, first))
+        began = time.perf_counter()
+        jax.block_until_ready(program.step(program.hyper, copy, columns))
+        return (time.perf_counter() - began) / every * 1e3
+
+    return run
+
+
+def report(config, program, repeats: int) -> dict[str, Any]:
+    """Phases (ms), rates (1/s), bytes in use at most, and seconds of set-up of one config."""
+    import jax
+
+    ms = phases(config, program, program.state, repeats)
+    real = int(program.columns["n_real"][-1]) * config.rollout.num_envs
+    stats = jax.devices()[0].memory_stats() or {}
+    return {
+        "ms": ms,
+        "iterations_per_second": 1e3 / ms["iteration"],
+        "control_steps_per_second": real * 1e3 / ms["iteration"],
+        "physics_steps_per_second": real * config.physics.substeps * 1e3 / ms["iteration"],
+        "peak_bytes": stats.get("peak_bytes_in_use"),
+        "setup_seconds": program.compile_seconds,
+        "device": program.device,
+        "impl": program.impl,
+    }
+
+
+def compare(configs, programs, repeats: int) -> dict[str, Any]:
+    """ms of an iteration of two configs that take turns, and the second over the first."""
+    runs = [last_iteration(c, p) for c, p in zip(configs, programs, strict=True)]
+    times = np.array([[run() for run in runs] for _ in range(repeats + 1)])[1:]  # the first warms
+    ratio = times[:, 1] / times[:, 0]
+    low, middle, high = (float(np.quantile(ratio, q)) for q in (0.0, 0.5, 1.0))
+    return {"ms": times.tolist(), "ratio": middle, "ratio_min": low, "ratio_max": high}
+
+
+def parse(argv: list[str]):
+    """`(configs, names, repeats, out)` of a command line."""
+    parser = argparse.ArgumentParser(
+        prog="python -m dynappo.bench",
+        description="Time of each phase of a training iteration, on the program that trains.",
+        epilog="--config.GROUP.FIELD=VALUE sets a field of both configs, as in dynappo.train",
+        allow_abbrev=False,
+        exit_on_error=False,
+    )
+    parser.add_argument("--config", metavar="FILE.py[:VARIANT]")
+    parser.add_argument("--vs", metavar="FILE.py[:VARIANT]", help="take turns with this one")
+    parser.add_argument("--repeats", type=int, default=5, help="medians of so many; default: 5")
+    parser.add_argument("--out", type=Path, metavar="FILE.json", help="write all numbers there")
+    try:
+        known, rest = parser.parse_known_args(argv)
+    except argparse.ArgumentError as error:
+        raise ConfigError(str(error)) from None
+    if not known.config:
+        raise ConfigError("--config is missing; try --config=configs/go1.py:quick")
+    if known.repeats < 1:
+        raise ConfigError(f"--repeats is {known.repeats}, expected 1 or more")
+    names = [name for name in (known.config, known.vs) if name]
+    configs = []
+    for name in names:
+        config = config_lib.load(name)
+        for flag in rest:
+            field, equals, text = flag.removeprefix("--config.").partition("=")
+            if not flag.startswith("--config.") or not equals:
+                raise ConfigError(f"{flag}: no such flag; expected --config.GROUP.FIELD=VALUE")
+            config_lib.override(config, field, text)
+        config.run.num_seeds = 1
+        configs.append(config_lib.validate(config))
+    return configs, names, known.repeats, known.out
+
+
+def show(names, reports, versus) -> None:
+    """Print a column a config."""
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(box=None, padding=(0, 2, 0, 0))
+    for title in ("", *names):
+        table.add_column(title, justify="right" if title else "left")
+    rows = {}
+    for name in ("iteration", "physics", "tail", "fit", "ppo"):
+        unit = "ms a row" if name in ("physics", "tail") else "ms"
+        rows[f"{name}, {unit}"] = [
+            f"{r['ms'][name]:.2f}" if name in r["ms"] else "" for r in reports
+        ]
+    for name, scale, label in (
+        ("iterations_per_second", 1, "iterations/s"),
+        ("control_steps_per_second", 1e-6, "control steps/s, M"),
+        ("physics_steps_per_second", 1e-6, "physics steps/s, M"),
+        ("peak_bytes", 2**-30, "memory at most, GiB"),
+        ("setup_seconds", 1, "set-up, s"),
+    ):
+        rows[label] = [f"{r[name] * scale:.2f}" if r[name] else "" for r in reports]
+    for label, cells in rows.items():
+        table.add_row(label, *cells)
+    out = Console(highlight=False)
+    out.print(f"{reports[0]['device']}, MJX-{reports[0]['impl']}")
+    out.print(table)
+    if versus:
+        out.print(
+            f"an iteration of {names[1]} takes {versus['ratio']:.3f} of one of {names[0]} "
+            f"({versus['ratio_min']:.3f} to {versus['ratio_max']:.3f}, taking turns)"
+        )
+
+
+def main(argv: list[str] | None = None) -> None:
+    """The command: exit status 0, or 2 if it cannot start."""
+    from dynappo import train
+
+    try:
+        configs, names, repeats, out = parse(sys.argv[1:] if argv is None else argv)
+        for config in configs:
+            train.check(config)
+    except ConfigError as error:
+        print(f"dynappo: {error}", file=sys.stderr)
+        sys.exit(2)
+    programs = [train.setup(config) for config in configs]
+    reports = [report(c, p, repeats) for c, p in zip(configs, programs, strict=True)]
+    versus = compare(configs, programs, repeats) if len(configs) == 2 else None
+    show(names, reports, versus)
+    if out:
+        log.write_json(out, {"configs": dict(zip(names, reports, strict=True)), "versus": versus})
+        print(out)
+
+
+if __name__ == "__main__":
+    main()

@@ -237,6 +237,8 @@ def show_summary(out, config, workdir: Path, summary: dict) -> None:
             values = [v for v in np.ravel(summary["evaluation"][name]) if v is not None]
             value = float(np.mean(values)) * (100 if unit == " %" else 1) if values else 0.0
             rows[label] = f"{value:.2f}{unit}" if values else "nobody stood for a second"
+    for name, ms in summary.get("phases_ms", {}).items():
+        rows[f"time: {name}"] = f"{ms:.2f} ms" + (" a row" if name in ("tail", "physics") else "")
     for label, value in rows.items():
         table.add_row(label, value)
     out.print(table)

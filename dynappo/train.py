@@ -20,8 +20,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from dynappo import bench, files, log, schedule
 from dynappo import config as config_lib
-from dynappo import files, log, schedule
 from dynappo.config import ConfigError
 
 
@@ -291,6 +291,8 @@ def summarise(config, program: Program, state, metrics) -> dict[str, Any]:
     if config.run.eval_envs:
         evaluation = program.assess(state)
         summary["evaluation"] = {name: _numbers(v) for name, v in evaluation.items()}
+    if config.run.time_phases:
+        summary["phases_ms"] = bench.phases(config, program, state)
     return summary
 
 

@@ -135,6 +135,11 @@ def validate(config: config_dict.ConfigDict) -> config_dict.FrozenConfigDict:
             "episode (task.termination=base, task.formulation=isaaclab_exact): knees would sink "
             "through the floor; set --config.physics.contacts=full"
         )
+    if config.run.time_phases and config.run.num_seeds > 1:
+        raise ConfigError(
+            f"run.time_phases is True with run.num_seeds = {config.run.num_seeds}: "
+            "phases are measured on one seed only"
+        )
     for field in ("ppo.gamma", "ppo.lambda_", "model.stats_decay", "task.standing"):
         if not 0 <= fields[field] <= 1:
             raise ConfigError(f"{field} is {fields[field]}, expected a number from 0 to 1")

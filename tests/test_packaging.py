@@ -155,6 +155,7 @@ def test_the_wheel_carries_configs_and_robots_and_finds_them(tmp_path):
         files = [f for f in (ROOT / folder).rglob("*") if f.is_file()]
         names_here = {f"dynappo/{f.relative_to(ROOT)}" for f in files}
         expected |= {name for name in names_here if "__pycache__" not in name}
+    expected |= {"dynappo/page.html", "dynappo/page.js", "dynappo/robots/go1/policy.npz"}
     assert {"dynappo/configs/go1.py", "dynappo/robots/go1/go1.xml"} < expected <= names
     assert {name.split("/")[0] for name in names} == {
         "dynappo",
@@ -167,11 +168,13 @@ def test_the_wheel_carries_configs_and_robots_and_finds_them(tmp_path):
     elsewhere.mkdir()
     subprocess.run([*pip, "install", "--no-deps", "--target", site, wheel], check=True)
     command = [sys.executable, "-m", "dynappo.train", "--config=configs/go1.py:quick"]
+    play = [sys.executable, "-m", "dynappo.play", "go1", "--command=0.6,0,0", "--seconds=3"]
     environment = os.environ | {"PYTHONPATH": str(site)}
     show = "from dynappo import config, robot; print(config.find('configs', 'go1.py'), robot.load('go1').xml)"
     for arguments, status, text in (
         ([sys.executable, "-c", show], 0, f"{site}/dynappo/configs/go1.py {site}/dynappo/robots/"),
         ([*command, "--config.run.num_iterations=0"], 2, "run.num_iterations is 0"),
+        ([*play, "--out=walk.html"], 0, "fall               none"),
     ):
         done = subprocess.run(
             arguments, cwd=elsewhere, env=environment, capture_output=True, text=True

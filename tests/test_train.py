@@ -416,6 +416,31 @@ def test_the_first_signal_asks_the_second_interrupts():
     assert stop.status == 130
 
 
+def test_evaluations_on_the_way_are_columns_of_the_metrics(config, program, tmp_path):
+    """Every `run.eval_every` iterations; empty in the rows between."""
+    often = config_dict.ConfigDict(config)
+    often.run.eval_every = 4
+    worth = iter([{"return": np.float32(3.5), "fall_rate": np.float32(0.25)}])
+    run = program()._replace(assess=lambda state: next(worth))
+    told = []
+    _, metrics = train.loop(often, run, tmp_path, lambda i, last: told.append(last))
+    np.testing.assert_array_equal(metrics["eval_return"], [np.nan, np.nan, np.nan, 3.5])
+    assert "eval_return" not in told[0] and told[1]["eval_fall_rate"] == 0.25
+    cells = [row["eval_return"] for row in table(tmp_path / "metrics.csv")]
+    assert cells == ["", "", "", "3.5"]
+
+
+def test_the_time_of_each_phase_is_measured_if_asked(config, program):
+    """On the run's own program; physics is most of it with a model this small."""
+    ask = config_dict.ConfigDict(config)
+    ask.run.update(time_phases=True, eval_envs=0)
+    run = program()
+    metrics = {n: np.ones(4) for n in ("iteration", "sim_steps", "seconds", "episode_return")}
+    summary = train.summarise(ask, run, run.state, metrics)
+    assert summary["phases_ms"].keys() == {"iteration", "physics", "tail", "fit", "ppo"}
+    assert 0 < summary["phases_ms"]["physics"] < summary["phases_ms"]["iteration"]
+
+
 # ---- damaged and foreign checkpoints, other runs' weights
 
 
@@ -598,6 +623,15 @@ def test_a_run_can_be_killed_at_any_moment(tmp_path):
             assert saved == reached
     out, err = start().communicate(timeout=300)
     assert err == "" and "return (last 10 iterations)" in out
+    # and as if nothing had happened: every number of every row, every bit of the last state
+    never = tmp_path / "never"
+    subprocess.run([*command[:-1], f"--workdir={never}"], cwd=root, check=True, timeout=300)
+    assert table(workdir / "metrics.csv") == table(never / "metrics.csv")
+    hashes = [
+        json.loads((w / "checkpoints" / "300" / "about" / "metadata").read_text())["sha256"]
+        for w in (workdir, never)
+    ]
+    assert hashes[0] == hashes[1]
     rows = table(workdir / "metrics.csv")
     assert [int(row["iteration"]) for row in rows] == list(range(1, 301))
     real = [int(row["n_real"]) for row in rows]

@@ -1,0 +1,65 @@
+"""What the bench reads and how it computes its numbers; times themselves are not tested."""
+
+from types import SimpleNamespace
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from dynappo import bench
+
+GO1 = "--config=configs/go1.py:quick"
+
+
+@pytest.mark.parametrize(
+    ("argv", "text"),
+    [
+        ([], "--config is missing"),
+        ([GO1, "--repeats=0"], "--repeats is 0"),
+        ([GO1, "--repeats=many"], "invalid int value: 'many'"),
+        ([GO1, "--fast"], "--fast: no such flag"),
+        ([GO1, "--config.ppo.clip=1"], "--config.ppo.clip: no such field"),
+        ([GO1, "--vs=configs/none.py"], "no file 'configs/none.py'"),
+    ],
+)
+def test_a_wrong_flag_is_one_line_and_status_2(argv, text, capsys):
+    with pytest.raises(SystemExit) as stopped:
+        bench.main(argv)
+    err = capsys.readouterr().err
+    assert stopped.value.code == 2 and err.startswith("dynappo: ") and err.count("\n") == 1
+    assert text in err
+
+
+def test_flags_hold_for_both_configs_and_one_seed_is_measured():
+    argv = [GO1, "--vs=configs/go2.py:ppo16", "--config.rollout.num_envs=64"]
+    (one, other), names, repeats, out = bench.parse([*argv, "--config.run.num_seeds=4"])
+    assert names == ["configs/go1.py:quick", "configs/go2.py:ppo16"]
+    assert (one.robot, other.robot, repeats, out) == ("go1", "go2", 5, None)
+    assert one.rollout.num_envs == other.rollout.num_envs == 64
+    assert one.run.num_seeds == other.run.num_seeds == 1
+
+
+def clockwork(monkeypatch, seconds):
+    """Programs whose chunk of 2 iterations takes `seconds[name]`, on a clock of our own."""
+    now = [0.0]
+    monkeypatch.setattr(bench.time, "perf_counter", lambda: now[0])
+
+    def program(name):
+        def step(hyper, state, columns):
+            assert (np.array(columns["n_real"]) == 5).all()  # as the schedule ends
+            now[0] += seconds[name]
+            return state
+
+        columns = {"iteration": np.arange(1, 5), "n_real": np.array([8, 7, 6, 5])}
+        return SimpleNamespace(hyper=None, state=jnp.zeros(3), columns=columns, step=step)
+
+    config = SimpleNamespace(run=SimpleNamespace(log_every=2))
+    return [config, config], [program(name) for name in seconds]
+
+
+def test_two_configs_take_turns_and_the_ratio_is_of_an_iteration(monkeypatch):
+    configs, programs = clockwork(monkeypatch, {"slow": 0.4, "fast": 0.1})
+    found = bench.compare(configs, programs, 3)
+    np.testing.assert_allclose(found["ms"], [[200.0, 50.0]] * 3)
+    assert found["ratio"] == pytest.approx(0.25)
+    assert found["ratio_min"] == pytest.approx(found["ratio_max"])
