@@ -33,7 +33,7 @@ ACTIVATIONS = {
     "elu": lambda x: np.where(x > 0, x, np.expm1(np.minimum(x, 0))),
     "relu": lambda x: np.maximum(x, 0),
     "tanh": np.tanh,
-    "swish": lambda x: x / (1 + np.exp(-x)),
+    "swish": lambda x: x / (1 + np.exp(np.minimum(-x, 80))),  # float32 overflows at 88
 }
 TASK = (
     "action_scale kp kd effort_limit saturation_effort velocity_limit command_x command_y command_yaw"
