@@ -242,9 +242,11 @@ def show_summary(out, config, workdir: Path, summary: dict) -> None:
     for label, value in rows.items():
         table.add_row(label, value)
     out.print(table)
-    out.print(f"written to {workdir}: metrics.csv, summary.json, checkpoints/", soft_wrap=True)
+    names = "metrics.csv, summary.json, policy.npz, checkpoints/"
+    out.print(f"written to {workdir}: {names}", soft_wrap=True)
     if "video" in summary:
         out.print(str(summary["video"]), soft_wrap=True)
+    out.print(f"see it: python -m dynappo.play {workdir} --out=walk.html", soft_wrap=True)
     if config.run.num_iterations < 200:
         name = config.robot
         out.print(f"next: python -m dynappo.train --config=configs/{name}.py  (4096 robots, a GPU)")
