@@ -30,7 +30,8 @@ robot run.device run.wandb model.activation model.precision ppo.activation ppo.p
 physics.impl physics.contacts
 """.split()
 BOOLS = (
-    "run.tensorboard run.time_phases model.predict_change model.normalize ppo.adaptive ppo.clip_value task.random_clock"
+    "run.tensorboard run.time_phases model.predict_change model.normalize ppo.adaptive "
+    "ppo.clip_value task.random_clock"
 ).split()
 SIZES = "model.hidden ppo.hidden".split()
 # What the sizes in the messages below follow from.
