@@ -10,7 +10,7 @@ program; `init` makes the state it starts from. All are pure functions of an `En
     state, metrics = algorithm.run(env, hyper, state, schedule.columns(config), static=static)
 
 Seeds are `jax.vmap(..., in_axes=(None, 0, None))` over `(hyper, state, columns)`: the columns stay
-unbatched, because the number of real rows bounds a loop (rollout.py).
+unbatched, because the number of real rows bounds a loop (rollout.py). sweep.py has that, and devices.
 
 Anchoring: the tail starts at the observation after the last real row and never touches the state of
 physics, from which the next iteration goes on.
@@ -25,6 +25,7 @@ from functools import partial
 
 import jax
 import jax.numpy as jnp
+from jax.sharding import PartitionSpec
 from jaxtyping import Array, Int, PRNGKeyArray
 
 from dynappo import dynamics, gae, networks, ppo, rollout, schedule
@@ -179,10 +180,14 @@ def estimate(static, hyper, params: dict, buffer: Transition) -> ppo.Batch:
 
 
 def physics_step(env: Env, hyper, params_physics):
-    """`step(state, action, keys)` of all robots: the environment's step, then its autoreset."""
+    """`step(state, action, keys)` of all robots: the environment's step, then its autoreset.
+
+    Where a mesh is set (sweep.py), every device steps its own robots: an engine's call is opaque to
+    JAX's partitioner, which would gather all robots on every device.
+    """
     fold = jax.vmap(jax.random.fold_in, (0, None))
 
-    def step(state, action, keys):
+    def step(hyper, params_physics, state, action, keys):
         after, outcome = jax.vmap(env.step, (None, 0, 0, 0, 0))(
             hyper, params_physics, state, action, fold(keys, STEP)
         )
@@ -191,7 +196,12 @@ def physics_step(env: Env, hyper, params_physics):
         )
         return after, outcome
 
-    return step
+    mesh = jax.sharding.get_abstract_mesh()
+    if "env" in mesh.axis_names and mesh.size > 1:
+        one, robots = PartitionSpec(), PartitionSpec("env")
+        specs = (one, robots, robots, robots, robots)
+        step = jax.shard_map(step, in_specs=specs, out_specs=robots, check_vma=False)
+    return partial(step, hyper, params_physics)
 
 
 def finished(state: TrainState, buffer: Transition, n_real):

@@ -9,8 +9,6 @@ differences between calls of one and the same program, as they run inside it.
 
 from __future__ import annotations
 
-import argparse
-import sys
 import time
 from collections.abc import Callable
 from functools import partial
@@ -20,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from dynappo import config as config_lib
-from dynappo import log
+from dynappo import flags, log
 from dynappo.config import ConfigError
 
 
@@ -140,36 +138,24 @@ def compare(configs, programs, repeats: int) -> dict[str, Any]:
     return {"ms": times.tolist(), "ratio": middle, "ratio_min": low, "ratio_max": high}
 
 
-def parse(argv: list[str]):
+def parse(argv: list[str] | None):
     """`(configs, names, repeats, out)` of a command line."""
-    parser = argparse.ArgumentParser(
-        prog="python -m dynappo.bench",
-        description="Time of each phase of a training iteration, on the program that trains.",
-        epilog="--config.GROUP.FIELD=VALUE sets a field of both configs, as in dynappo.train",
-        allow_abbrev=False,
-        exit_on_error=False,
+    parser = flags.parser(
+        "bench",
+        "Time of each phase of a training iteration, on the program that trains.",
+        "--config.GROUP.FIELD=VALUE sets a field of both configs, as in dynappo.train",
     )
     parser.add_argument("--config", metavar="FILE.py[:VARIANT]")
     parser.add_argument("--vs", metavar="FILE.py[:VARIANT]", help="take turns with this one")
     parser.add_argument("--repeats", type=int, default=5, help="medians of so many; default: 5")
     parser.add_argument("--out", type=Path, metavar="FILE.json", help="write all numbers there")
-    try:
-        known, rest = parser.parse_known_args(argv)
-    except argparse.ArgumentError as error:
-        raise ConfigError(str(error)) from None
-    if not known.config:
-        raise ConfigError("--config is missing; try --config=configs/go1.py:quick")
+    known, rest = flags.read_known(parser, argv)
     if known.repeats < 1:
         raise ConfigError(f"--repeats is {known.repeats}, expected 1 or more")
-    names = [name for name in (known.config, known.vs) if name]
+    names = [known.config, known.vs] if known.vs else [known.config]
     configs = []
     for name in names:
-        config = config_lib.load(name)
-        for flag in rest:
-            field, equals, text = flag.removeprefix("--config.").partition("=")
-            if not flag.startswith("--config.") or not equals:
-                raise ConfigError(f"{flag}: no such flag; expected --config.GROUP.FIELD=VALUE")
-            config_lib.override(config, field, text)
+        config = flags.load(name, rest)
         config.run.num_seeds = 1
         configs.append(config_lib.validate(config))
     return configs, names, known.repeats, known.out
@@ -209,17 +195,12 @@ def show(names, reports, versus) -> None:
         )
 
 
-def main(argv: list[str] | None = None) -> None:
-    """The command: exit status 0, or 2 if it cannot start."""
+def run(configs, names, repeats: int, out: Path | None) -> None:
+    """Measure each config, show what came out, and write it if asked."""
     from dynappo import train
 
-    try:
-        configs, names, repeats, out = parse(sys.argv[1:] if argv is None else argv)
-        for config in configs:
-            train.check(config)
-    except ConfigError as error:
-        print(f"dynappo: {error}", file=sys.stderr)
-        sys.exit(2)
+    for config in configs:
+        train.check(config)
     programs = [train.setup(config) for config in configs]
     reports = [report(c, p, repeats) for c, p in zip(configs, programs, strict=True)]
     versus = compare(configs, programs, repeats) if len(configs) == 2 else None
@@ -227,6 +208,11 @@ def main(argv: list[str] | None = None) -> None:
     if out:
         log.write_json(out, {"configs": dict(zip(names, reports, strict=True)), "versus": versus})
         print(out)
+
+
+def main(argv: list[str] | None = None) -> None:
+    """The command; its exit statuses are those of `flags.answer`."""
+    flags.answer(lambda: run(*parse(argv)))
 
 
 if __name__ == "__main__":

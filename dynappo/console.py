@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import argparse
 import signal
 import sys
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from dynappo import config as config_lib
-from dynappo import schedule
-from dynappo.config import ConfigError
+from dynappo import flags, schedule
 
 GOES_ON = "the same command goes on from the last checkpoint"
 USAGE = """\
@@ -30,16 +28,9 @@ class Command(NamedTuple):
     restore: Path | None = None
 
 
-def parse(argv: list[str]) -> Command:
+def parse(argv: list[str] | None) -> Command:
     """A command line, understood; ConfigError if it cannot be."""
-    parser = argparse.ArgumentParser(
-        prog="python -m dynappo.train",
-        description="Train a quadruped to follow velocity commands.",
-        epilog=USAGE,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        allow_abbrev=False,
-        exit_on_error=False,
-    )
+    parser = flags.parser("train", "Train a quadruped to follow velocity commands.", USAGE)
     parser.add_argument("--config", metavar="FILE.py[:VARIANT]")
     parser.add_argument("--workdir", type=Path, help="default: runs/FILE-VARIANT")
     parser.add_argument(
@@ -48,19 +39,8 @@ def parse(argv: list[str]) -> Command:
     parser.add_argument(
         "--restore", type=Path, metavar="DIR", help="start from the networks of another workdir"
     )
-    try:
-        known, rest = parser.parse_known_args(argv)
-    except argparse.ArgumentError as error:
-        raise ConfigError(str(error)) from None
-    if not known.config:
-        raise ConfigError("--config is missing; try --config=configs/go1.py:quick")
-    config = config_lib.load(known.config)
-    rest = iter(rest)
-    for flag in rest:
-        if not flag.startswith("--config."):
-            raise ConfigError(f"{flag}: no such flag; expected --config.GROUP.FIELD=VALUE")
-        field, equals, text = flag.removeprefix("--config.").partition("=")
-        config_lib.override(config, field, text if equals else next(rest, ""))
+    known, rest = flags.read_known(parser, argv)
+    config = flags.load(known.config, rest)
     name, _, variant = known.config.partition(":")
     folder = Path(name).stem + (f"-{variant}" if variant else "")
     workdir = known.workdir or Path("runs") / folder
@@ -68,21 +48,17 @@ def parse(argv: list[str]) -> Command:
 
 
 def main(argv: list[str] | None = None) -> None:
-    """The command. Exit status 0, 1 if training blew up or a file could not be written, 2 if it cannot
-    start, 130 on ctrl-C, 143 on SIGTERM; both save first."""
+    """The command. Its exit statuses are those of `flags.answer`; 130 on ctrl-C, 143 on SIGTERM, and
+    both save first."""
     stop = Stop()
-    try:
-        command = parse(sys.argv[1:] if argv is None else argv)
+
+    def action():
+        command = parse(argv)
         with stop:
             train_and_show(command, stop)
-    except ConfigError as error:
-        sys.exit(_complain(error, 2))
-    except FloatingPointError as error:
-        sys.exit(_complain(error, 1))
-    except OSError as error:
-        sys.exit(_complain(f"{error.filename or 'a file'} cannot be written ({error.strerror})", 1))
-    except KeyboardInterrupt:
-        sys.exit(_complain(f"stopped; {GOES_ON}", stop.status))
+
+    # ctrl-C before `stop` listens leaves no status there
+    flags.answer(action, f"stopped; {GOES_ON}", status=lambda: stop.status or 130)
     if stop.status:
         sys.exit(stop.status)
 
@@ -105,11 +81,6 @@ class Stop:
         again, self.status = self.status, 128 + number
         if again or not self.patient:
             raise KeyboardInterrupt
-
-
-def _complain(message, status: int) -> int:
-    print(f"dynappo: {message}", file=sys.stderr)
-    return status
 
 
 def train_and_show(command: Command, stop: Stop) -> None:

@@ -11,9 +11,10 @@ config field, and `predict_change = normalize = False` is the plain form.
 Never across a reset: rows that ended an episode have weight 0, in the loss and in the moments.
 That excludes every row whose physics blew up.
 
-Why rows drawn with replacement below n_real R: the number of real rows is traced, a permutation of
-a traced length is not to be had, and computing on masked rows would cost what the tail saves. An
-epoch is `n_real R // batch` such minibatches.
+Why rows drawn with replacement below n_real: the number of real rows is traced, a permutation of a
+traced length is not to be had, and computing on masked rows would cost what the tail saves. A
+minibatch has `N / minibatches` rows of every robot, each at times of its own, so that drawing them
+moves no row to another device; an epoch is as many minibatches as n_real rows make.
 """
 
 from __future__ import annotations
@@ -121,7 +122,7 @@ def fit(
     minibatch before any step (rows the model has never seen), and `model_loss`, of the last.
     """
     horizon, num_envs = rows.reward.shape
-    batch = horizon * num_envs // static.minibatches
+    drawn = horizon // static.minibatches  # rows of each robot in a minibatch
     real = (jnp.arange(horizon) < n_real)[:, None]
     weight = jnp.where(real, rows.discount * (1 - rows.truncation), 0.0)
     x, y = jnp.concatenate([rows.obs, rows.action], -1), targets(static, env, rows)
@@ -132,23 +133,22 @@ def fit(
         targets=update_moments(model.targets, y, weight, hyper.stats_decay),
     )
     (x_mean, x_std), (y_mean, y_std) = _scales(static, model)
-    x, y, weight = jax.tree.map(
-        lambda a: a.reshape(horizon * num_envs, *a.shape[2:]),
-        ((x - x_mean) / x_std, (y - y_mean) / y_std, weight),
-    )
-    adam = optax.scale_by_adam()
+    data = jnp.concatenate([(x - x_mean) / x_std, (y - y_mean) / y_std, weight[..., None]], -1)
+    inputs, adam = x.shape[-1], optax.scale_by_adam()
 
     def minibatch(i, carry):
         params, opt_state, before, _ = carry
-        index = jax.random.randint(jax.random.fold_in(key, i), (batch,), 0, n_real * num_envs)
+        times = jax.random.randint(jax.random.fold_in(key, i), (drawn, num_envs, 1), 0, n_real)
+        batch = jnp.take_along_axis(data, times, axis=0)
+        bx, by, bw = batch[..., :inputs], batch[..., inputs:-1], batch[..., -1]
         value, grads = jax.value_and_grad(loss, argnums=1)(
-            static, params, x[index], y[index], weight[index], hyper.huber_delta
+            static, params, bx, by, bw, hyper.huber_delta
         )
         updates, opt_state = adam.update(grads, opt_state)
         params = jax.tree.map(lambda p, u: p - hyper.learning_rate * u, params, updates)
         return params, opt_state, jnp.where(i == 0, value, before), value
 
-    steps = epochs * (n_real * num_envs // batch)
+    steps = epochs * (n_real // drawn)
     start = (model.params, model.opt_state, jnp.zeros(()), jnp.zeros(()))
     params, opt_state, before, after = jax.lax.fori_loop(0, steps, minibatch, start)
     metrics = {"model_loss": after, "model_loss_before": before}

@@ -23,7 +23,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from dynappo import networks
+from dynappo import algorithm, networks
 from dynappo.types import Env, Metrics
 
 SETTLE = 1.0  # s, left out of the tracking error
@@ -73,17 +73,14 @@ def evaluate(
     zero = jnp.zeros(num_envs)
     errors = {name: zero for name in env.metrics if name.endswith("_error_sq")}
 
+    advance = algorithm.physics_step(env, task, physics)
+
     def step(carry, t):
         state, alive, total, length, fell, errors, rows = carry
         action = networks.policy(static.ppo, params, state.obs)
         step_keys = jax.vmap(jax.random.fold_in, (0, None))(keys, t)
-        after, outcome = jax.vmap(env.step, (None, 0, 0, 0, 0))(
-            task, physics, state, action, step_keys
-        )
         # the ended robots go on from a reset, so that no number degenerates, but count no more
-        after = jax.vmap(env.autoreset, (None, 0, 0, 0, 0))(
-            task, physics, after, outcome, step_keys
-        )
+        after, outcome = advance(state, action, step_keys)
         counts = alive * (t >= settle) * outcome.discount
         errors = {name: errors[name] + counts * outcome.metrics[name] for name in errors}
         carry = (

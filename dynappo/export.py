@@ -15,13 +15,13 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import sys
 from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from dynappo import flags as flags_lib
 from dynappo import observe, policy_file
 from dynappo import robot as robot_lib
 from dynappo.config import ConfigError
@@ -85,28 +85,17 @@ what to do with the file on a robot: robots/DEPLOY.md
 """
 
 
-def parse(argv: list[str]) -> argparse.Namespace:
+def parse(argv: list[str] | None) -> argparse.Namespace:
     """The flags of a command line; ConfigError if it cannot be understood."""
-    parser = argparse.ArgumentParser(
-        prog="python -m dynappo.export",
-        description="Write a policy as an ONNX network, or as a policy.npz.",
-        epilog=USAGE,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        allow_abbrev=False,
-        exit_on_error=False,
+    parser = flags_lib.parser(
+        "export", "Write a policy as an ONNX network, or as a policy.npz.", USAGE
     )
     flag = parser.add_argument
     flag("what", nargs="?", metavar="NAME_OR_DIR", help="workdir, checkpoint, policy.npz or robot")
     flag("--out", metavar="FILE", help="FILE.onnx or FILE.npz")
     flag("--joint-order", metavar="ORDER", help=f"{', '.join(ORDERS)} or twelve names, see below")
     flag("--targets", action="store_true", help="a second output: joint position targets, rad")
-    try:
-        flags, rest = parser.parse_known_args(argv)
-    except argparse.ArgumentError as error:
-        hint = "; write it as --flag=VALUE" if "expected one argument" in str(error) else ""
-        raise ConfigError(str(error).removeprefix("argument ") + hint) from None
-    if rest:
-        raise ConfigError(f"{rest[0]}: no such flag; python -m dynappo.export --help lists them")
+    flags = flags_lib.read(parser, argv)
     if flags.what is None:
         raise ConfigError(
             "nothing to export is named; try a workdir, as in: "
@@ -386,12 +375,8 @@ def run(flags) -> None:
 
 
 def main(argv: list[str] | None = None) -> None:
-    """The command: exit status 0, 2 if it cannot be done."""
-    try:
-        run(parse(sys.argv[1:] if argv is None else argv))
-    except ConfigError as error:
-        print(f"dynappo: {error}", file=sys.stderr)
-        sys.exit(2)
+    """The command; its exit statuses are those of `flags.answer`."""
+    flags_lib.answer(lambda: run(parse(argv)))
 
 
 if __name__ == "__main__":

@@ -18,7 +18,7 @@ RETURN_ROWS = 10  # the return of a run is the mean of its last rows
 # what may differ when a run goes on: nothing of it changes a number of the iterations before
 MAY_CHANGE = (
     "run.num_iterations run.checkpoint_every run.eval_every run.eval_envs run.video_seconds "
-    "run.time_phases run.device run.tensorboard run.wandb physics.impl"
+    "run.time_phases run.device run.mesh_seed run.mesh_env run.tensorboard run.wandb physics.impl"
 ).split()
 
 

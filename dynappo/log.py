@@ -8,6 +8,7 @@ logs get the same rows.
 from __future__ import annotations
 
 import csv
+import functools
 import json
 import os
 import time
@@ -253,10 +254,18 @@ def first_nonfinite(metrics: dict[str, np.ndarray]) -> tuple[str, int] | None:
 
 def nonfinite_leaf(tree: Any) -> str | None:
     """Path of the first array of a tree of parameters with a number that is not finite."""
-    import jax
+    named = paths(tree)
+    finite = np.asarray(_finite()(list(named.values())))  # a bool a leaf is all that is transferred
+    return next((name for name, ok in zip(named, finite, strict=True) if not ok), None)
 
-    host = paths(jax.device_get(tree))  # one transfer for all of them
-    return next((name for name, leaf in host.items() if not np.isfinite(leaf).all()), None)
+
+@functools.cache
+def _finite():
+    """The compiled check of `nonfinite_leaf`: a list of arrays to one bool each."""
+    import jax
+    import jax.numpy as jnp
+
+    return jax.jit(lambda leaves: jnp.array([jnp.isfinite(leaf).all() for leaf in leaves], bool))
 
 
 def paths(tree: Any) -> dict[str, Any]:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import argparse
 import math
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
@@ -18,6 +17,7 @@ import numpy as np
 
 from dynappo import config as config_lib
 from dynappo import episode as episode_lib
+from dynappo import flags as flags_lib
 from dynappo import page, policy_file, render, validate, viewer
 from dynappo import robot as robot_lib
 from dynappo.config import ConfigError
@@ -48,16 +48,10 @@ class Commands(NamedTuple):
     seconds: float  # how long to play where nothing else is said
 
 
-def parse(argv: list[str]) -> argparse.Namespace:
+def parse(argv: list[str] | None) -> argparse.Namespace:
     """The flags of a command line; ConfigError if it cannot be understood."""
-    parser = argparse.ArgumentParser(
-        prog="python -m dynappo.play",
-        description="Play a policy in C MuJoCo: to a file, or in a viewer with keys to steer.",
-        epilog=USAGE,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        allow_abbrev=False,
-        exit_on_error=False,
-    )
+    what = "Play a policy in C MuJoCo: to a file, or in a viewer with keys to steer."
+    parser = flags_lib.parser("play", what, USAGE)
     flag = parser.add_argument
     flag("what", nargs="?", metavar="NAME_OR_DIR", help="workdir, checkpoint, policy.npz or robot")
     flag("--command", metavar="VX,VY,WZ|FILE.csv", help="m/s, m/s, rad/s; default: a short tour")
@@ -71,13 +65,7 @@ def parse(argv: list[str]) -> argparse.Namespace:
         action="store_true",
         help="damping and friction of the joints are those of --robot-xml",
     )
-    try:
-        flags, rest = parser.parse_known_args(argv)
-    except argparse.ArgumentError as error:
-        hint = "; write it as --flag=VALUE" if "expected one argument" in str(error) else ""
-        raise ConfigError(str(error).removeprefix("argument ") + hint) from None
-    if rest:
-        raise ConfigError(f"{rest[0]}: no such flag; python -m dynappo.play --help lists them")
+    flags = flags_lib.read(parser, argv)
     if flags.what is None:
         raise ConfigError(
             "nothing to play is named; try a workdir, as in: python -m dynappo.play runs/quick"
@@ -282,20 +270,8 @@ def run(flags) -> None:
 
 
 def main(argv: list[str] | None = None) -> None:
-    """The command: exit status 0, 1 if physics blew up, 2 if it cannot be done, 130 on ctrl-C."""
-    try:
-        run(parse(sys.argv[1:] if argv is None else argv))
-    except ConfigError as error:
-        sys.exit(_complain(error, 2))
-    except FloatingPointError as error:
-        sys.exit(_complain(error, 1))
-    except KeyboardInterrupt:
-        sys.exit(_complain("stopped", 130))
-
-
-def _complain(message, status: int) -> int:
-    print(f"dynappo: {message}", file=sys.stderr)
-    return status
+    """The command; its exit statuses are those of `flags.answer`."""
+    flags_lib.answer(lambda: run(parse(argv)))
 
 
 if __name__ == "__main__":

@@ -112,14 +112,19 @@ def minibatches(static, batch: Batch, key: PRNGKeyArray) -> Batch:
     """`[N, R, ...]` rows as `[minibatches, B, ...]`, each block of robots permuted in itself."""
     blocks, count = static.shuffle_blocks, static.minibatches
     horizon, num_envs = batch.value.shape
-    rows = horizon * num_envs // blocks
-    keys = jax.vmap(jax.random.fold_in, (None, 0))(key, jnp.arange(blocks))
-    order = jax.vmap(lambda k: jax.random.permutation(k, rows))(keys)  # [blocks, rows]
-    # row i of block b is step i // (R / blocks) of robot b R / blocks + i % (R / blocks)
     robots = num_envs // blocks
-    index = (order // robots) * num_envs + jnp.arange(blocks)[:, None] * robots + order % robots
-    index = index.reshape(blocks, count, rows // count).swapaxes(0, 1).reshape(count, -1)
-    return jax.tree.map(lambda x: x.reshape(horizon * num_envs, *x.shape[2:])[index], batch)
+    keys = jax.vmap(jax.random.fold_in, (None, 0))(key, jnp.arange(blocks))
+    order = jax.vmap(lambda k: jax.random.permutation(k, horizon * robots))(keys)
+    order = order.reshape(blocks, count, -1)
+
+    def take(block, order):  # [N, robots of the block, ...] at [minibatches, rows of the block]
+        return block[order // robots, order % robots]
+
+    def shuffle(x):
+        x = x.reshape(horizon, blocks, robots, *x.shape[2:])
+        return jax.vmap(take, (1, 0), 1)(x, order).reshape(count, -1, *x.shape[3:])
+
+    return jax.tree.map(shuffle, batch)
 
 
 def update(static, hyper, learner: Learner, batch: Batch, key) -> tuple[Learner, Metrics]:

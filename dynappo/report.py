@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import argparse
 import io
-import sys
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -19,6 +18,7 @@ import mujoco
 import numpy as np
 
 from dynappo import config as config_lib
+from dynappo import flags as flags_lib
 from dynappo import log, measure, policy_file, validate
 from dynappo import robot as robot_lib
 from dynappo.config import ConfigError
@@ -273,16 +273,10 @@ def png(figure) -> bytes:
 # ---- the command
 
 
-def parse(argv: list[str]) -> argparse.Namespace:
+def parse(argv: list[str] | None) -> argparse.Namespace:
     """The flags of a command line; ConfigError if it cannot be understood."""
-    parser = argparse.ArgumentParser(
-        prog="python -m dynappo.evaluate",
-        description="What a policy is worth: return, falls, tracking, effort and gait.",
-        epilog=USAGE,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        allow_abbrev=False,
-        exit_on_error=False,
-    )
+    what = "What a policy is worth: return, falls, tracking, effort and gait."
+    parser = flags_lib.parser("evaluate", what, USAGE)
     flag = parser.add_argument
     flag("what", nargs="?", metavar="NAME_OR_DIR", help="workdir, checkpoint, policy.npz or robot")
     default = "default: {gpu} on a GPU, {cpu} on a CPU".format(**EPISODES)
@@ -291,13 +285,7 @@ def parse(argv: list[str]) -> argparse.Namespace:
     flag("--seed", metavar="N", help="of their commands and starts; default: 0")
     flag("--fast", action="store_true", help="without these: C MuJoCo only, half a minute")
     flag("--out", metavar="DIR", type=Path, help="default: WORKDIR/evaluation, or evaluation-NAME")
-    try:
-        flags, rest = parser.parse_known_args(argv)
-    except argparse.ArgumentError as error:
-        hint = "; write it as --flag=VALUE" if "expected one argument" in str(error) else ""
-        raise ConfigError(str(error).removeprefix("argument ") + hint) from None
-    if rest:
-        raise ConfigError(f"{rest[0]}: no such flag; python -m dynappo.evaluate --help lists them")
+    flags = flags_lib.read(parser, argv)
     if flags.what is None:
         raise ConfigError(
             "nothing to evaluate is named; try a workdir, as in: "
@@ -458,17 +446,5 @@ def show_episodes(screen, numbers: dict[str, Any]) -> None:
 
 
 def main(argv: list[str] | None = None) -> None:
-    """The command: exit status 0, 1 if a file cannot be written, 2 if it cannot be done, 130 on ctrl-C."""
-    try:
-        run(parse(sys.argv[1:] if argv is None else argv))
-    except ConfigError as error:
-        sys.exit(_complain(error, 2))
-    except OSError as error:
-        sys.exit(_complain(f"{error.filename or 'a file'} cannot be written ({error.strerror})", 1))
-    except KeyboardInterrupt:
-        sys.exit(_complain("stopped; nothing is written", 130))
-
-
-def _complain(message, status: int) -> int:
-    print(f"dynappo: {message}", file=sys.stderr)
-    return status
+    """The command; its exit statuses are those of `flags.answer`."""
+    flags_lib.answer(lambda: run(parse(argv)), "stopped; nothing is written")

@@ -87,8 +87,10 @@ def fill(
             episode_length=outcome.episode_length,
         )
         buffer = jax.tree.map(lambda b, x: b.at[t].set(x), buffer, transition)
-        sums = {name: sums[name] + outcome.metrics[name].sum() for name in metrics}
+        sums = {name: sums[name] + outcome.metrics[name] for name in metrics}
         return buffer, next_state, sums
 
-    sums = {name: jnp.zeros(()) for name in metrics}
-    return jax.lax.fori_loop(lo, hi, row, (buffer, state, sums))
+    # summed over robots once, after the loop: over devices, each sum is a message
+    sums = {name: jnp.zeros(buffer.reward.shape[1]) for name in metrics}
+    buffer, state, sums = jax.lax.fori_loop(lo, hi, row, (buffer, state, sums))
+    return buffer, state, {name: total.sum() for name, total in sums.items()}

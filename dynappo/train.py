@@ -36,6 +36,7 @@ class Program(NamedTuple):
     columns: dict[str, np.ndarray]  # [I]
     step: Callable  # (hyper, state, columns of one chunk) -> state, metrics
     assess: Callable  # (state) -> metrics of deterministic episodes
+    mesh: Any  # jax.sharding.Mesh
     impl: str
     device: str
     compile_seconds: float
@@ -92,6 +93,12 @@ def choose_impl(config) -> str:
             f"physics.impl is warp, but {lack}; install 'dynappo[cuda,warp]' or set "
             "physics.impl=jax"
         )
+    devices, wanted = jax.device_count(), config.run.mesh_seed * config.run.mesh_env
+    if wanted > devices or (jax.process_count() > 1 and wanted < devices):
+        raise ConfigError(
+            f"run.mesh_seed x run.mesh_env is {config.run.mesh_seed} x {config.run.mesh_env}, but "
+            f"JAX sees {devices} devices in {jax.process_count()} processes"
+        )
     if config.physics.impl == "auto":
         return "warp" if gpu and warp else "jax"
     return config.physics.impl
@@ -104,9 +111,10 @@ def setup(config, restore: Path | None = None) -> Program:
     """
     import jax
     import jax.numpy as jnp
+    from jax.sharding import NamedSharding, PartitionSpec
 
     impl = choose_impl(config)
-    from dynappo import algorithm, checkpoint, evaluate
+    from dynappo import algorithm, checkpoint, evaluate, sweep
     from dynappo import env as env_lib
     from dynappo import robot as robot_lib
 
@@ -116,33 +124,40 @@ def setup(config, restore: Path | None = None) -> Program:
     began = time.perf_counter()
     static, hyper = config_lib.split(config)
     robot, run = robot_lib.load(config.robot), config.run
-    worlds = config.rollout.num_envs * run.num_seeds
+    mesh = sweep.mesh(run.mesh_seed, run.mesh_env)
+    robots = max(config.rollout.num_envs, run.eval_envs)
+    worlds = robots * run.num_seeds // mesh.size  # of each device
     env = env_lib.make(robot, config.task, config.physics, impl=impl, num_worlds=worlds)
+    length = config.task.episode_length
+    episodes = dict(static=static, num_envs=run.eval_envs, num_steps=length)
     init = partial(algorithm.init, env, static=static)
     step = partial(algorithm.run, env, static=static)
-    assess = partial(
-        evaluate.evaluate,
-        env,
-        static=static,
-        num_envs=run.eval_envs,
-        num_steps=config.task.episode_length,
-    )
+    assess = partial(evaluate.evaluate, env, **episodes)
     key = jax.random.key(run.seed)
-    if run.num_seeds > 1:  # the columns stay unbatched: they bound the loops over rows
-        key = jnp.stack([jax.random.key(run.seed + s) for s in range(run.num_seeds)])
-        init = jax.vmap(init, (None, 0))
-        step = jax.vmap(step, (None, 0, None), (0, 1))
-        assess = jax.vmap(assess, (None, 0, None))
+    if run.num_seeds > 1:
+        init = partial(sweep.init, env, static=static)
+        step = partial(sweep.run, env, static=static)
+        assess = partial(sweep.evaluate, env, **episodes)
+        key = sweep.keys(run.seed, run.num_seeds)
     columns = schedule.columns(config)
     chunk = {name: jnp.asarray(column[: run.log_every]) for name, column in columns.items()}
-    state = jax.jit(init)(hyper, key)
-    if restore:
-        state = checkpoint.weights(restore, state)
-    compiled = jax.jit(step, donate_argnums=1).lower(hyper, state, chunk).compile()
+    everywhere = NamedSharding(mesh, PartitionSpec())
+    with jax.set_mesh(mesh):
+        spread = sweep.shardings(mesh, jax.eval_shape(init, hyper, key), run.num_seeds)
+        state = jax.jit(init, out_shardings=spread)(hyper, key)
+        if restore:
+            state = checkpoint.weights(restore, state)
+        step = jax.jit(step, donate_argnums=1, out_shardings=(spread, everywhere))
+        compiled = step.lower(hyper, state, chunk).compile()
     if impl == "warp":  # its kernels are built and loaded when they are first called
         once = {name: jnp.minimum(column, 1) for name, column in chunk.items()}
         jax.block_until_ready(compiled(hyper, jax.tree.map(jnp.copy, state), once))
-    assess = jax.jit(assess)
+    assess = jax.jit(assess, out_shardings=everywhere)
+
+    def evaluation(state):
+        with jax.set_mesh(mesh):
+            return jax.device_get(assess(hyper.task, state.learner.params, jax.random.key(0)))
+
     return Program(
         robot=robot,
         env=env,
@@ -151,7 +166,8 @@ def setup(config, restore: Path | None = None) -> Program:
         state=state,
         columns=columns,
         step=compiled,
-        assess=lambda s: jax.device_get(assess(hyper.task, s.learner.params, jax.random.key(0))),
+        assess=evaluation,
+        mesh=mesh,
         impl=impl,
         device=f"{jax.devices()[0].device_kind}",
         compile_seconds=time.perf_counter() - began,

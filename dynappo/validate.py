@@ -48,7 +48,8 @@ CHOICES = {
     "ppo.activation": ("elu", "relu", "tanh", "swish"),
 }
 POSITIVE = (
-    "run.num_seeds run.num_iterations run.log_every rollout.num_envs rollout.horizon model.epochs "
+    "run.num_seeds run.mesh_seed run.mesh_env run.num_iterations run.log_every rollout.num_envs "
+    "rollout.horizon model.epochs "
     "model.minibatches model.huber_delta model.learning_rate ppo.epochs ppo.minibatches "
     "ppo.shuffle_blocks ppo.init_std ppo.min_std ppo.learning_rate ppo.desired_kl "
     "ppo.clip_epsilon ppo.max_grad_norm task.episode_length task.tracking_std "
@@ -150,6 +151,7 @@ def validate(config: config_dict.ConfigDict) -> config_dict.FrozenConfigDict:
         )
     _validate_schedule(config)
     _validate_sizes(config)
+    _validate_mesh(config)
     if not find("robots", f"{config.robot}/{config.robot}.xml"):
         raise ConfigError(f"robot is {config.robot!r}, expected one of {', '.join(robots())}")
     return config_dict.FrozenConfigDict(config)
@@ -216,15 +218,28 @@ def _validate_sizes(config):
     if late is not None and late < 0:
         raise ConfigError(f"model.late_epochs is {late}, expected 0 or more")
     if schedule.uses_model(config):
-        if rows % config.model.minibatches:
+        if rollout.horizon % config.model.minibatches:
             raise ConfigError(
-                f"rollout.num_envs x rollout.horizon is {rows}, expected a multiple of "
-                f"model.minibatches = {config.model.minibatches}"
+                f"rollout.horizon is {rollout.horizon}, expected a multiple of model.minibatches = "
+                f"{config.model.minibatches}: a minibatch has as many rows of every robot"
             )
-        fewest = int(schedule.columns(config)["n_real"].min()) * rollout.num_envs
-        if fewest < rows // config.model.minibatches:
+        drawn = rollout.horizon // config.model.minibatches
+        fewest = int(schedule.columns(config)["n_real"].min())
+        if fewest < drawn:
             raise ConfigError(
-                f"model.minibatches is {config.model.minibatches}: a minibatch has "
-                f"{rows // config.model.minibatches} rows, expected at most the {fewest} real rows "
-                "of the longest tail; raise model.minibatches or lower schedule.end_steps"
+                f"model.minibatches is {config.model.minibatches}: a minibatch has {drawn} rows of "
+                f"every robot, expected at most the {fewest} real rows of the longest tail; raise "
+                "model.minibatches or lower schedule.end_steps"
             )
+
+
+def _validate_mesh(config):
+    run, envs = config.run, config.run.mesh_env
+    for field, value, over, devices in (
+        ("run.num_seeds", run.num_seeds, "run.mesh_seed", run.mesh_seed),
+        ("rollout.num_envs", config.rollout.num_envs, "run.mesh_env", envs),
+        ("ppo.shuffle_blocks", config.ppo.shuffle_blocks, "run.mesh_env", envs),
+        ("run.eval_envs", run.eval_envs, "run.mesh_env", envs),
+    ):
+        if value % devices:
+            raise ConfigError(f"{field} is {value}, expected a multiple of {over} = {devices}")

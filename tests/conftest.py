@@ -2,12 +2,17 @@
 
 import functools
 import inspect
+import os
 import pathlib
 import typing
 
 import numpy as np
 import pytest
 
+# before JAX starts: eight devices for the tests of meshes; all else runs on the first
+os.environ["XLA_FLAGS"] = (
+    os.environ.get("XLA_FLAGS", "") + " --xla_force_host_platform_device_count=8"
+)
 PEERS = pathlib.Path(__file__).parent / "peers"
 
 

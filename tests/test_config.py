@@ -19,11 +19,11 @@ ROOT = pathlib.Path(config_lib.__file__).parent.parent
 VARIANTS = ("", "ppo12", "ppo16", "dyna2", "dyna4_noschedule", "dyna4", "fast", "quick")
 # The type of every field that is not a float or a tuple of floats.
 INTS = """
-run.seed run.num_seeds run.num_iterations run.log_every run.checkpoint_every run.eval_every
-run.eval_envs rollout.num_envs rollout.horizon schedule.start_iteration schedule.end_iteration
-schedule.start_steps schedule.end_steps model.epochs model.late_from model.minibatches ppo.epochs
-ppo.minibatches ppo.shuffle_blocks task.episode_length physics.substeps physics.iterations
-physics.ls_iterations
+run.seed run.num_seeds run.mesh_seed run.mesh_env run.num_iterations run.log_every
+run.checkpoint_every run.eval_every run.eval_envs rollout.num_envs rollout.horizon
+schedule.start_iteration schedule.end_iteration schedule.start_steps schedule.end_steps model.epochs
+model.late_from model.minibatches ppo.epochs ppo.minibatches ppo.shuffle_blocks task.episode_length
+physics.substeps physics.iterations physics.ls_iterations
 """.split()
 STRINGS = """
 robot run.device run.wandb model.activation model.precision ppo.activation ppo.precision task.formulation
@@ -318,7 +318,7 @@ def test_a_tuple_of_another_length_or_of_other_elements_is_refused(field, text):
             ("rollout.num_envs x rollout.horizon", "is 15,", "ppo.minibatches = 4"),
         ),
         ({"ppo.minibatches": 3}, ("rollout.horizon", "is 8192,", "ppo.minibatches = 3")),
-        ({"model.minibatches": 3}, ("rollout.horizon", "65536", "model.minibatches = 3")),
+        ({"model.minibatches": 3}, ("rollout.horizon is 16", "model.minibatches = 3")),
         ({"schedule.end_steps": 16}, ("schedule.end_steps is 16", "rollout.horizon = 16")),
         ({"schedule.end_steps": 40}, ("schedule.end_steps is 40", "rollout.horizon = 16")),
         ({"schedule.end_steps": -1}, ("schedule.start_steps, end_steps", "0, -1", "0 or more")),
@@ -330,8 +330,12 @@ def test_a_tuple_of_another_length_or_of_other_elements_is_refused(field, text):
         ),
         (
             {"schedule.end_steps": 13, "schedule.end_iteration": 100},
-            ("model.minibatches is 4", "16384 rows", "12288 real rows", "schedule.end_steps"),
+            ("model.minibatches is 4", "4 rows of", "3 real rows", "schedule.end_steps"),
         ),
+        ({"run.num_seeds": 3, "run.mesh_seed": 2}, ("run.num_seeds is 3", "run.mesh_seed = 2")),
+        ({"run.mesh_env": 16}, ("ppo.shuffle_blocks is 8", "run.mesh_env = 16")),
+        ({"run.mesh_env": 8, "run.eval_envs": 12}, ("run.eval_envs is 12", "run.mesh_env = 8")),
+        ({"run.mesh_env": 0}, ("run.mesh_env is 0", "more than 0")),
         ({"robot": "go9"}, ("robot is 'go9'", "go1", "go2", "anymal_c", "anymal_d")),
         ({"robot": ""}, ("robot is ''", "go1")),
         ({"run.checkpoint_every": 15}, ("run.checkpoint_every is 15", "run.log_every = 10")),

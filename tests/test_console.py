@@ -207,6 +207,30 @@ def test_a_mistake_is_answered_without_importing_jax():
     assert "schedule.end_steps is 16" in done.stderr
 
 
+@pytest.mark.parametrize(
+    "error, status, expected",
+    [
+        (KeyboardInterrupt(), 130, "stopped; the same command goes on"),
+        (FloatingPointError("a loss is not finite"), 1, "a loss is not finite"),
+        (OSError(28, "No space left on device", "a.csv"), 1, "a.csv cannot be written (No space"),
+        (OSError("libGL.so: cannot open shared object"), 1, "libGL.so: cannot open"),
+    ],
+    ids=["ctrl-C before it listens", "blown up", "disk full", "no library"],
+)
+def test_what_ends_the_command_is_one_line_and_a_status(
+    error, status, expected, monkeypatch, capsys
+):
+    def parse(_):
+        raise error
+
+    monkeypatch.setattr(console, "parse", parse)
+    with pytest.raises(SystemExit) as stopped:
+        console.main([])
+    line = capsys.readouterr().err
+    assert stopped.value.code == status
+    assert line.startswith(f"dynappo: {expected}") and line.count("\n") == 1
+
+
 def test_help_is_printed_and_is_no_mistake():
     """`--help`: status 0, the two flags and how to set a field."""
     done = shell("-m", "dynappo.train", "--help")

@@ -16,7 +16,7 @@ GROUPS = (
     {"networks", "gae", "rewards", "actuators", "observe"},
     {"robot", "env", "commands", "physics", "randomize", "dynamics", "ppo", "rollout", "brax_env"},
     {"algorithm", "evaluate", "sweep"},
-    {"checkpoint", "log", "render", "files", "export", "train", "play", "bench", "console"}
+    {"checkpoint", "log", "render", "files", "export", "train", "play", "bench", "console", "flags"}
     | {"policy_file", "episode", "page", "viewer", "measure", "report"},
 )
 WITHIN = {
@@ -24,11 +24,12 @@ WITHIN = {
     "validate": {"schedule"},
     "env": {"robot", "commands", "randomize", "physics"},
     "physics": {"robot", "randomize"},
-    "evaluate": {"report"},  # only where it is run as a command, before anything else
+    "evaluate": {"algorithm", "report"},  # report: only where it is run as a command
+    "sweep": {"algorithm", "evaluate"},
 }  # allowed inside a group
 HOST = GROUPS[-1]
 READ_FILES = {"config", "validate", "robot"}
-WITHOUT_JAX = {"config", "validate", "schedule", "rewards", "actuators", "observe", "robot"}
+WITHOUT_JAX = set("config validate schedule flags rewards actuators observe robot".split())
 MAX_FILE, MAX_FUNCTION = 300, 70  # lines
 
 FILES = sorted(PACKAGE.glob("*.py"))

@@ -190,6 +190,20 @@ def test_the_first_bad_number_is_named_in_the_order_of_computation():
     assert log.first_nonfinite(data) == ("value_loss", 4)
 
 
+def test_the_first_array_with_a_bad_number_is_named_by_its_path():
+    """NumPy's and JAX's, integers among them; a second look compiles nothing."""
+    import jax.numpy as jnp
+
+    tree = {"a": [jnp.ones(3), np.arange(2)], "b": {"w": jnp.zeros((2, 2))}, "none": None}
+    assert log.nonfinite_leaf(tree) is None and log.nonfinite_leaf({}) is None
+    compiled = log._finite()._cache_size()
+    tree["b"]["w"] = tree["b"]["w"].at[1, 0].set(jnp.inf)
+    assert log.nonfinite_leaf(tree) == "b/w"
+    tree["a"][0] = tree["a"][0].at[2].set(jnp.nan)
+    assert log.nonfinite_leaf(tree) == "a/0"
+    assert log._finite()._cache_size() == compiled
+
+
 def test_chunks_are_joined_with_nan_where_one_lacks_a_column():
     chunks = [metrics(2), metrics(2, first=3) | {"eval_return": np.array([np.nan, 1.0])}]
     joined = log.join(chunks)

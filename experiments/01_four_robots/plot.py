@@ -18,7 +18,7 @@ GOAL = {"go1": 36, "go2": 36, "anymal_c": 22, "anymal_d": 22}
 # folder of results/, line style, what is said of it
 SETS = (
     ("before", ":", "500 iterations, earlier commit"),
-    ("long", "--", "1000 iterations, earlier commit"),
+    ("long", "--", "1000 iterations"),
     ("", "-", "500 iterations"),
 )
 

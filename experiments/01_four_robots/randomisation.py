@@ -111,7 +111,7 @@ def main():
     parser.add_argument("--worlds", type=int, default=256)
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--robots", default=",".join(walk.ROBOTS))
-    parser.add_argument("--policies", type=Path, default=walk.RESULTS)
+    parser.add_argument("--policies", type=Path, help="folder of run.py; default: the bundled ones")
     args = parser.parse_args()
     for name in args.robots.split(","):
         config, body, params = walk.load(name, args.policies)

@@ -69,7 +69,7 @@ def main():
     parser.add_argument("--episodes", type=int, default=32)
     parser.add_argument("--repeats", type=int, default=1)
     parser.add_argument("--robots", default=",".join(walk.ROBOTS))
-    parser.add_argument("--policies", type=Path, default=walk.RESULTS)
+    parser.add_argument("--policies", type=Path, help="folder of run.py; default: the bundled ones")
     args = parser.parse_args()
     for name in args.robots.split(","):
         config, body, params = walk.load(name, args.policies)

@@ -98,7 +98,7 @@ def main():
     parser = argparse.ArgumentParser()
     parser.add_argument("out", type=Path)
     parser.add_argument("--robots", default=",".join(walk.ROBOTS))
-    parser.add_argument("--policies", type=Path, default=walk.RESULTS)
+    parser.add_argument("--policies", type=Path, help="folder of run.py; default: the bundled ones")
     parser.add_argument("--episodes", type=int, default=20)
     args = parser.parse_args()
     commands = np.random.default_rng(0).uniform(-1, 1, (args.episodes, 3))

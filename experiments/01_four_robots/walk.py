@@ -8,7 +8,6 @@ import numpy as np
 from dynappo import actuators, observe, policy_file, robot
 from dynappo import config as config_lib
 
-RESULTS = Path(__file__).parent / "results"
 ROBOTS = ("go1", "go2", "anymal_c", "anymal_d")
 
 
@@ -19,10 +18,11 @@ def settings(name: str, variant: str = "ppo16", **fields):
     return config_lib.validate(config)
 
 
-def load(name: str, policies: Path = RESULTS):
-    """`(config, robot, params)` of the policy in `policies/NAME_ppo16.npz`."""
-    params = policy_file.load_params(policies / f"{name}_ppo16.npz")
-    return settings(name), robot.load(name), params
+def load(name: str, policies: Path | None = None):
+    """`(config, robot, params)` of the bundled policy, or of `policies/NAME_ppo16.npz`."""
+    bundled = config_lib.find("robots", f"{name}/policy.npz")
+    path = policies / f"{name}_ppo16.npz" if policies else bundled
+    return settings(name), robot.load(name), policy_file.load_params(path)
 
 
 def converged(body: robot.Robot, config):

@@ -1,0 +1,116 @@
+"""Many seeds at once by `jax.vmap`, on many devices by a mesh.
+
+    hyper = sweep.vary(hyper, "ppo.learning_rate", [1e-3, 3e-4])    # or none: seeds only
+    with jax.set_mesh(sweep.mesh(2, 4)):                             # or none: one device
+        state = sweep.init(env, hyper, sweep.keys(0, 2), static=static)
+        state, metrics = sweep.run(env, hyper, state, schedule.columns(config), static=static)
+
+The engine is JAX's own: `jax.jit` splits the program by how its arguments lie (`shardings`), and
+puts in the sums over devices where a mean over robots is taken: gradients, normalisers, advantages,
+KL. So nothing of the method knows of devices, and E devices with R robots each compute what one
+with E R robots computes; no random number depends on where a robot lies. Only physics is told to
+stay where its robots are (`algorithm.physics_step`).
+
+Which axis: seeds talk to nobody, so `seed` costs nothing and comes first. Robots of one seed on
+`env` sum gradients after each minibatch, which pays where a device has thousands of robots
+(experiments/02_scaling).
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax.sharding import AxisType, Mesh, NamedSharding, PartitionSpec
+from jaxtyping import Array, Float, Int, PRNGKeyArray
+
+from dynappo import algorithm
+from dynappo import evaluate as evaluate_lib
+from dynappo.types import Env, Metrics, TrainState
+
+ROBOTS = ("env_state", "params_physics", "robot_index")  # fields of TrainState with an axis R
+
+
+def keys(seed: int, num_seeds: int) -> PRNGKeyArray:
+    """The keys `[S]` of the runs `seed`, `seed + 1`, ...; each is that of the run alone."""
+    return jnp.stack([jax.random.key(seed + s) for s in range(num_seeds)])
+
+
+def vary(hyper, field: str, values) -> Any:
+    """`hyper` with one value of `field` ("ppo.learning_rate") for each seed.
+
+    Several calls vary several fields together, value by value. ValueError if there is no such
+    float, or if it is built into the environment (groups run and physics).
+    """
+    group, _, rest = field.partition(".")
+    if group in ("run", "physics"):
+        raise ValueError(
+            f"{field} is part of the compiled program, expected a field of ppo, model or task"
+        )
+    return _set(hyper, field, field.split("."), jnp.asarray(values, jnp.float32))
+
+
+def _set(node, field, path, values):
+    name, *rest = path
+    if name not in getattr(node, "_fields", ()):
+        raise ValueError(f"{field} is no float of the config, expected one like ppo.learning_rate")
+    old = getattr(node, name)
+    if not rest and jnp.ndim(old) + isinstance(old, tuple):
+        raise ValueError(f"{field} has several numbers, expected a field with one")
+    return node._replace(**{name: _set(old, field, rest, values) if rest else values})
+
+
+def axes(hyper) -> Any:
+    """For `jax.vmap`: 0 where `hyper` has a value for each seed, None where one serves all."""
+    return jax.tree.map(lambda leaf: 0 if jnp.ndim(leaf) else None, hyper)
+
+
+def init(env: Env, hyper, keys: PRNGKeyArray, *, static) -> TrainState:
+    """`algorithm.init` of every seed; arrays get an axis S in front."""
+    one = partial(algorithm.init, env, static=static)
+    return jax.vmap(one, (axes(hyper), 0), spmd_axis_name="seed")(hyper, keys)
+
+
+def run(
+    env: Env, hyper, state: TrainState, columns: dict[str, Int[Array, " I"]], *, static
+) -> tuple[TrainState, Metrics]:
+    """`algorithm.run` of every seed; metrics `[I, S]`. The columns bound loops and stay unbatched."""
+    one = partial(algorithm.run, env, static=static)
+    batched = jax.vmap(one, (axes(hyper), 0, None), (0, 1), spmd_axis_name="seed")
+    return batched(hyper, state, columns)
+
+
+def evaluate(
+    env: Env, task, params: dict, key: PRNGKeyArray, *, static, num_envs: int, num_steps: int
+) -> dict[str, Float[Array, " S"]]:
+    """`evaluate.evaluate` of every seed's policy, in the same episodes; `task` is hyper.task."""
+    sizes = dict(static=static, num_envs=num_envs, num_steps=num_steps)
+    one = partial(evaluate_lib.evaluate, env, **sizes)
+    return jax.vmap(one, (axes(task), 0, None), spmd_axis_name="seed")(task, params, key)
+
+
+def mesh(seed: int, env: int) -> Mesh:
+    """`seed x env` of JAX's devices; ValueError if there are not so many."""
+    devices = jax.devices()
+    if seed * env > len(devices):
+        raise ValueError(f"a mesh of {seed} x {env} devices, but JAX sees {len(devices)}")
+    return jax.make_mesh(
+        (seed, env), ("seed", "env"), (AxisType.Auto,) * 2, devices=devices[: seed * env]
+    )
+
+
+def shardings(over: Mesh, state: Any, num_seeds: int) -> Any:
+    """How every array of a TrainState (or of its shapes) lies: seeds over `seed`, robots over `env`."""
+    seeds = ("seed",) if num_seeds > 1 else ()
+
+    def whole(axes):
+        return lambda _: NamedSharding(over, PartitionSpec(*axes))
+
+    return state.replace(
+        **{
+            name: jax.tree.map(whole((*seeds, "env") if name in ROBOTS else seeds), part)
+            for name, part in vars(state).items()
+        }
+    )
