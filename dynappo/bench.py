@@ -156,7 +156,7 @@ def parse(argv: list[str] | None):
     configs = []
     for name in names:
         config = flags.load(name, rest)
-        config.run.num_seeds = 1
+        config.run.update(num_seeds=1, mesh_seed=1)
         configs.append(config_lib.validate(config))
     return configs, names, known.repeats, known.out
 

@@ -144,6 +144,8 @@ def describe(config) -> str:
     """Two lines on what a run will do, before anything is compiled."""
     s, r, run = config.schedule, config.rollout, config.run
     seeds = f" x {run.num_seeds} seeds" if run.num_seeds > 1 else ""
+    devices = run.mesh_seed * run.mesh_env
+    over = f" on {devices} devices ({run.mesh_seed} x {run.mesh_env})" if devices > 1 else ""
     tail = "plain PPO, no model"
     if schedule.uses_model(config):
         tail = f"tail of {s.end_steps}"
@@ -153,7 +155,7 @@ def describe(config) -> str:
     return (
         f"trains {config.robot}: {r.num_envs} robots{seeds}, {r.horizon} rows an iteration, {tail}\n"
         f"{run.num_iterations} iterations, {steps:.2f} M simulator steps; "
-        f"about {memory(config) / 2**30:.1f} GiB of memory"
+        f"about {memory(config) / 2**30:.1f} GiB of memory{over}"
     )
 
 
@@ -188,9 +190,13 @@ def show_summary(out, config, workdir: Path, summary: dict) -> None:
 
     table = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
 
-    def mean(value):
-        values = [v for v in np.ravel(value) if v is not None and np.isfinite(v)]
-        return f"{np.mean(values):.2f}" if values else "no episode has ended"
+    def mean(value, unit="", scale=1, none="no episode has ended"):
+        values = [v * scale for v in np.ravel(value) if v is not None and np.isfinite(v)]
+        if not values:
+            return none
+        text = f"{np.mean(values):.2f}{unit}"
+        several = f" ({len(values)} seeds: {min(values):.2f} to {max(values):.2f})"
+        return text + several * (len(values) > 1)
 
     rows = {
         "return (last 10 iterations)": mean(summary["return"]),
@@ -205,9 +211,9 @@ def show_summary(out, config, workdir: Path, summary: dict) -> None:
         ("yaw_error", "evaluation: yaw rate error", " rad/s"),
     ):
         if "evaluation" in summary:
-            values = [v for v in np.ravel(summary["evaluation"][name]) if v is not None]
-            value = float(np.mean(values)) * (100 if unit == " %" else 1) if values else 0.0
-            rows[label] = f"{value:.2f}{unit}" if values else "nobody stood for a second"
+            scale = 100 if unit == " %" else 1
+            value = summary["evaluation"][name]
+            rows[label] = mean(value, unit, scale, "nobody stood for a second")
     for name, ms in summary.get("phases_ms", {}).items():
         rows[f"time: {name}"] = f"{ms:.2f} ms" + (" a row" if name in ("tail", "physics") else "")
     for label, value in rows.items():

@@ -88,7 +88,8 @@ def settings(policy: Policy):
             raise ConfigError(
                 f"the policy's config has {name} = {value!r}, expected one like {default!r}"
             ) from None
-    config.run.device = config.physics.impl = "auto"
+    config.run.update(device="auto", mesh_seed=1, mesh_env=1)
+    config.physics.impl = "auto"
     return config_lib.validate(config)
 
 
@@ -106,6 +107,7 @@ def episodes(
 
     config = settings(policy)
     impl = train.choose_impl(config)
+    train.remember_programs()
     static, hyper = config_lib.split(config)
     number = number or EPISODES.get(jax.default_backend(), EPISODES["cpu"])
     robot = robot_lib.load(policy.robot)

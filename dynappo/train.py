@@ -104,6 +104,15 @@ def choose_impl(config) -> str:
     return config.physics.impl
 
 
+def remember_programs() -> None:
+    """Keep compiled programs for the next process, where the user has not said otherwise."""
+    import jax
+
+    cache = Path(os.environ.get("XDG_CACHE_HOME", "~/.cache")).expanduser() / "dynappo" / "jax"
+    if not os.environ.get("JAX_COMPILATION_CACHE_DIR"):
+        jax.config.update("jax_compilation_cache_dir", str(cache))
+
+
 def setup(config, restore: Path | None = None) -> Program:
     """Build robot, environment and first state, and compile the one program a run repeats.
 
@@ -118,9 +127,7 @@ def setup(config, restore: Path | None = None) -> Program:
     from dynappo import env as env_lib
     from dynappo import robot as robot_lib
 
-    cache = Path(os.environ.get("XDG_CACHE_HOME", "~/.cache")).expanduser() / "dynappo" / "jax"
-    if not os.environ.get("JAX_COMPILATION_CACHE_DIR"):
-        jax.config.update("jax_compilation_cache_dir", str(cache))
+    remember_programs()
     began = time.perf_counter()
     static, hyper = config_lib.split(config)
     robot, run = robot_lib.load(config.robot), config.run
@@ -195,6 +202,7 @@ def loop(
     from dynappo import checkpoint
 
     run, state, start, history = config.run, program.state, 0, []
+    copy = jax.jit(partial(jax.tree.map, jnp.copy))  # one dispatch, not one an array
     checkpoints = checkpoint.manager(workdir, say) if workdir else None
     sinks: list[log.Sink] = []
     try:
@@ -206,9 +214,7 @@ def loop(
         for first in range(start, run.num_iterations, run.log_every):
             rows, done = slice(first, first + run.log_every), first + run.log_every
             columns = {name: column[rows] for name, column in program.columns.items()}
-            before = jax.tree.map(
-                jnp.copy, {"env_state": state.env_state, "params_physics": state.params_physics}
-            )
+            before = copy({"env_state": state.env_state, "params_physics": state.params_physics})
             began = time.perf_counter()
             running = program.step(program.hyper, state, columns)  # returns at once
             if waiting:
