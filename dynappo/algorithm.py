@@ -182,7 +182,7 @@ def estimate(static, hyper, params: dict, buffer: Transition) -> ppo.Batch:
 def physics_step(env: Env, hyper, params_physics):
     """`step(state, action, keys)` of all robots: the environment's step, then its autoreset.
 
-    Where a mesh is set (sweep.py), every device steps its own robots: an engine's call is opaque to
+    On a mesh (sweep.py) every device steps its own robots: an engine's call is opaque to
     JAX's partitioner, which would gather all robots on every device.
     """
     fold = jax.vmap(jax.random.fold_in, (0, None))
@@ -196,11 +196,10 @@ def physics_step(env: Env, hyper, params_physics):
         )
         return after, outcome
 
-    mesh = jax.sharding.get_abstract_mesh()
-    if "env" in mesh.axis_names and mesh.size > 1:
+    if env.mesh is not None and env.mesh.size > 1:
         one, robots = PartitionSpec(), PartitionSpec("env")
         specs = (one, robots, robots, robots, robots)
-        step = jax.shard_map(step, in_specs=specs, out_specs=robots, check_vma=False)
+        step = jax.shard_map(step, mesh=env.mesh, in_specs=specs, out_specs=robots, check_vma=False)
     return partial(step, hyper, params_physics)
 
 

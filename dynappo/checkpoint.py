@@ -26,7 +26,7 @@ import numpy as np
 import orbax.checkpoint as ocp
 from orbax.checkpoint import checkpoint_managers
 
-from dynappo import log
+from dynappo import distributed, log
 from dynappo.config import ConfigError
 
 KEEP = 3  # newest ones, and the one with the highest return
@@ -58,7 +58,15 @@ def manager(workdir: Path, say: Callable[[str], None] = print) -> ocp.Checkpoint
             ),
         ]
     )
+    alone = {}
+    if distributed.several():  # process 0 alone saves, and waits for no other
+        (workdir / "checkpoints").mkdir(exist_ok=True)
+        processes = ocp.options.MultiprocessingOptions(
+            primary_host=0, active_processes={0}, barrier_sync_key_prefix="first"
+        )
+        alone = dict(multiprocessing_options=processes, create=False)
     options = ocp.CheckpointManagerOptions(
+        **alone,
         preservation_policy=keep,
         best_fn=lambda metrics: metrics["episode_return"],
         cleanup_tmp_directories=True,  # of a save that was killed
@@ -94,7 +102,8 @@ def save(
         raise OSError(errno.ENOSPC, text)
     about |= {"iteration": iteration, "arrays": shapes(state), "sha256": digest(state)}
     worth = episode_return if np.isfinite(episode_return) else -1e9
-    args = ocp.args.Composite(state=ocp.args.StandardSave(state), about=ocp.args.JsonSave(about))
+    raw = distributed.raw_keys(state)[0]  # of several processes, orbax takes NumPy arrays only
+    args = ocp.args.Composite(state=ocp.args.StandardSave(raw), about=ocp.args.JsonSave(about))
     checkpoints.save(iteration, args=args, metrics={"episode_return": worth}, force=True)
 
 
@@ -154,10 +163,13 @@ def _read(checkpoints, iteration: int, like):
                 f"{where} is not a checkpoint of this run: {name} is {found.get(name, 'absent')} "
                 f"there, {expected.get(name, 'absent')} here; choose another --workdir"
             )
-    target = jax.tree.map(ocp.utils.to_shape_dtype_struct, like)
-    state = checkpoints.restore(
-        iteration, args=ocp.args.Composite(state=ocp.args.StandardRestore(target))
-    )["state"]
+    raw, wrap = distributed.raw_keys(like)
+    target = jax.tree.map(ocp.utils.to_shape_dtype_struct, raw)
+    state = wrap(
+        checkpoints.restore(
+            iteration, args=ocp.args.Composite(state=ocp.args.StandardRestore(target))
+        )["state"]
+    )
     if digest(state) != about["sha256"]:
         raise ValueError("its numbers are not those that were saved")
     return state

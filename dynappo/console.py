@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from dynappo import config as config_lib
-from dynappo import flags, schedule
+from dynappo import distributed, flags, schedule
 
 GOES_ON = "the same command goes on from the last checkpoint"
 USAGE = """\
@@ -26,6 +26,7 @@ class Command(NamedTuple):
     workdir: Path
     fresh: bool = False
     restore: Path | None = None
+    processes: tuple = (None, None, None)  # coordinator, how many, which; distributed.join
 
 
 def parse(argv: list[str] | None) -> Command:
@@ -39,12 +40,17 @@ def parse(argv: list[str] | None) -> Command:
     parser.add_argument(
         "--restore", type=Path, metavar="DIR", help="start from the networks of another workdir"
     )
+    several = parser.add_argument_group("several processes, where Slurm does not start them")
+    several.add_argument("--coordinator", metavar="HOST:PORT", help="of process 0")
+    several.add_argument("--processes", type=int, metavar="N")
+    several.add_argument("--process", type=int, metavar="I", help="0 to N-1")
     known, rest = flags.read_known(parser, argv)
     config = flags.load(known.config, rest)
     name, _, variant = known.config.partition(":")
     folder = Path(name).stem + (f"-{variant}" if variant else "")
     workdir = known.workdir or Path("runs") / folder
-    return Command(config_lib.validate(config), workdir, known.fresh, known.restore)
+    processes = (known.coordinator, known.processes, known.process)
+    return Command(config_lib.validate(config), workdir, known.fresh, known.restore, processes)
 
 
 def main(argv: list[str] | None = None) -> None:
@@ -54,7 +60,8 @@ def main(argv: list[str] | None = None) -> None:
 
     def action():
         command = parse(argv)
-        with stop:
+        distributed.join(*command.processes, command.config.run.device)
+        with stop, distributed.together():
             train_and_show(command, stop)
 
     # ctrl-C before `stop` listens leaves no status there
@@ -90,10 +97,11 @@ def train_and_show(command: Command, stop: Stop) -> None:
 
     from dynappo import files, train
 
-    config, out = command.config, Console(highlight=False)
+    config, workdir = command.config, command.workdir
+    out = Console(highlight=False, quiet=not distributed.first())
     out.print(f"[bold]dynappo[/bold] {describe(config)}", soft_wrap=True)
     train.check(config)  # before anything is written
-    workdir = files.open_workdir(command.workdir, config, command.fresh)
+    distributed.on_first(lambda: str(files.open_workdir(workdir, config, command.fresh)))
     with out.status("compiling (under a minute; half of it when cached)"):
         program = train.setup(config, command.restore)
     steps = schedule.sim_steps(config)
@@ -133,7 +141,8 @@ def train_and_show(command: Command, stop: Stop) -> None:
         stop.patient = False
     done = int(metrics["iteration"][-1])
     if done < config.run.num_iterations:
-        print(f"dynappo: saved at iteration {done} and stopped; {GOES_ON}", file=sys.stderr)
+        if distributed.first():
+            print(f"dynappo: saved at iteration {done} and stopped; {GOES_ON}", file=sys.stderr)
         return
     with out.status("evaluating, filming"):
         summary = train.finish(config, program, workdir, state, metrics)
@@ -142,10 +151,12 @@ def train_and_show(command: Command, stop: Stop) -> None:
 
 def describe(config) -> str:
     """Two lines on what a run will do, before anything is compiled."""
+    from dynappo import memory
+
     s, r, run = config.schedule, config.rollout, config.run
     seeds = f" x {run.num_seeds} seeds" if run.num_seeds > 1 else ""
     devices = run.mesh_seed * run.mesh_env
-    over = f" on {devices} devices ({run.mesh_seed} x {run.mesh_env})" if devices > 1 else ""
+    over = f" on each of {run.mesh_seed} x {run.mesh_env} devices" if devices > 1 else ""
     tail = "plain PPO, no model"
     if schedule.uses_model(config):
         tail = f"tail of {s.end_steps}"
@@ -155,17 +166,8 @@ def describe(config) -> str:
     return (
         f"trains {config.robot}: {r.num_envs} robots{seeds}, {r.horizon} rows an iteration, {tail}\n"
         f"{run.num_iterations} iterations, {steps:.2f} M simulator steps; "
-        f"about {memory(config) / 2**30:.1f} GiB of memory{over}"
+        f"about {memory.total(config) / 2**30:.1f} GiB of memory{over}"
     )
-
-
-def memory(config) -> float:
-    """Estimated bytes on the device: rollout, its shuffled copy, physics data, fixed costs."""
-    r, worlds = config.rollout, config.rollout.num_envs * config.run.num_seeds
-    row = 4 * (2 * 48 + 2 * 12 + 8)  # bytes of a Transition
-    data = 16_000 if config.physics.contacts == "feet" else 60_000  # bytes of mjx.Data, measured
-    activations = 4 * 6 * max(config.ppo.hidden) / config.ppo.minibatches
-    return worlds * (r.horizon * (2 * row + activations) + 2 * data) + 3e8
 
 
 def progress_line(last: dict, begun: list) -> str:
@@ -210,7 +212,7 @@ def show_summary(out, config, workdir: Path, summary: dict) -> None:
         ("tracking_error", "evaluation: tracking error", " m/s"),
         ("yaw_error", "evaluation: yaw rate error", " rad/s"),
     ):
-        if "evaluation" in summary:
+        if name in summary.get("evaluation", {}):
             scale = 100 if unit == " %" else 1
             value = summary["evaluation"][name]
             rows[label] = mean(value, unit, scale, "nobody stood for a second")
@@ -221,6 +223,8 @@ def show_summary(out, config, workdir: Path, summary: dict) -> None:
     out.print(table)
     names = "metrics.csv, summary.json, policy.npz, checkpoints/"
     out.print(f"written to {workdir}: {names}", soft_wrap=True)
+    if "curves" in summary:
+        out.print(str(summary["curves"]), soft_wrap=True)
     if "video" in summary:
         out.print(str(summary["video"]), soft_wrap=True)
     out.print(f"see it: python -m dynappo.play {workdir} --out=walk.html", soft_wrap=True)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from dynappo import config as config_lib
-from dynappo import log
+from dynappo import distributed, log
 from dynappo.config import ConfigError
 
 RETURN_ROWS = 10  # the return of a run is the mean of its last rows
@@ -55,7 +55,23 @@ def _old(workdir: Path, number: int) -> Path:
 
 
 def resume(config, workdir: Path, checkpoints, state, say):
-    """`(iterations done, state, [their metrics])` of the newest good checkpoint of `workdir`."""
+    """`(iterations done, state, [their metrics])` of the newest good checkpoint of `workdir`.
+
+    Of several processes the first reads it, and the others get state and iteration from there; a
+    state may come back on other devices than those it was saved from.
+    """
+    history = []
+
+    def read(state):
+        start, state, found = _resume(config, workdir, checkpoints, state, say)
+        history.extend(found)
+        return start, state
+
+    start, state = distributed.from_first(read, state)
+    return start, state, history
+
+
+def _resume(config, workdir: Path, checkpoints, state, say):
     from dynappo import checkpoint
 
     csv = workdir / "metrics.csv"
@@ -81,12 +97,15 @@ def save(
     """A checkpoint, and the policy as it is now in a file that can be played at once."""
     from dynappo import checkpoint, policy_file
 
+    state = distributed.whole(state)
+    if not distributed.first():
+        return
     about = {"sim_steps": sim_steps, "config": config.to_dict()}
     worth = float(np.mean(metrics["episode_return"][-1]))
     attempt("the checkpoint before", partial(checkpoint.finish, checkpoints), say)
     save = partial(checkpoint.save, checkpoints, done, state, worth, **about)
     attempt(f"checkpoint {done}", save, say)
-    params = best_params(state, metrics)
+    params = best_params(state.learner.params, metrics)
     attempt(
         "policy.npz", partial(policy_file.save, workdir / "policy.npz", params, config, robot), say
     )
@@ -101,11 +120,11 @@ def attempt(what: str, action: Callable[[], Any], say) -> None:
         say(f"{what} could not be written ({reason}); training goes on")
 
 
-def best_params(state, metrics) -> dict:
+def best_params(params, metrics) -> dict:
     """The networks as NumPy arrays; of the seed with the highest return, where there are several."""
     import jax
 
-    params = jax.device_get(state.learner.params)
+    params = jax.device_get(params)
     worth = np.nan_to_num(metrics["episode_return"][-RETURN_ROWS:], nan=-np.inf).mean(0)
     return jax.tree.map(lambda p: p[int(worth.argmax())], params) if worth.ndim else params
 
@@ -128,11 +147,13 @@ def check_finite(metrics, state, before, workdir: Path | None) -> None:
     where = "no robot's row was"
     i = list(metrics["iteration"]).index(iteration)
     if workdir and (robots[i] >= 0).any():
+        before = distributed.whole(before)
         seed = int((robots[i] >= 0).argmax())
         index = (int(robots[i]),) if robots.ndim == 1 else (seed, int(robots[i][seed]))
         arrays = {k: np.asarray(leaf[index]) for k, leaf in log.paths(before).items()}
         arrays |= {"iteration": np.array(metrics["iteration"][0]), "robot": np.array(index[-1])}
-        np.savez(workdir / "nonfinite.npz", allow_pickle=False, **arrays)
+        if distributed.first():
+            np.savez(workdir / "nonfinite.npz", allow_pickle=False, **arrays)
         where = f"robot {index[-1]}, as it was before, is in {workdir / 'nonfinite.npz'}"
     raise FloatingPointError(
         f"{name} is not finite in iteration {iteration}: training has blown up ({where}). Lower "

@@ -69,12 +69,13 @@ def make(
     if impl == "warp":
         contacts, rows = most_contacts(mj_model)
         buffers = dict(naconmax=num_worlds * contacts, njmax=rows)
-    model = mjx.put_model(mj_model, impl=impl)
+    here = jax.local_devices()[0]  # MJX takes the first of all processes' otherwise
+    model = mjx.put_model(mj_model, impl=impl, device=here)
     if impl == "warp":  # it prints a line a world a step when the solver's limit is reached
         model = model.tree_replace({"opt._impl.warn_overflow": 0})
     return Engine(
         model=model,
-        data=mjx.make_data(mj_model, impl=impl, **buffers),
+        data=mjx.make_data(mj_model, impl=impl, device=here, **buffers),
         robot=robot,
         substeps=physics.substeps,
         timestep=physics.timestep,

@@ -1,9 +1,12 @@
 """Many seeds at once by `jax.vmap`, on many devices by a mesh.
 
-    hyper = sweep.vary(hyper, "ppo.learning_rate", [1e-3, 3e-4])    # or none: seeds only
-    with jax.set_mesh(sweep.mesh(2, 4)):                             # or none: one device
-        state = sweep.init(env, hyper, sweep.keys(0, 2), static=static)
-        state, metrics = sweep.run(env, hyper, state, schedule.columns(config), static=static)
+    hyper = sweep.vary(hyper, "ppo.learning_rate", [1e-3, 3e-4])    # or not: seeds only
+    state = jax.jit(partial(sweep.init, env, static=static))(hyper, sweep.keys(0, 2))
+    run = jax.jit(partial(sweep.run, env, static=static))
+    state, metrics = run(hyper, state, schedule.columns(config))
+
+On several devices: `env = env._replace(mesh=sweep.mesh(2, 4))`, and `state = jax.device_put(state,
+sweep.shardings(env.mesh, state, 2))` before `run`; `train.train` does that from `run.mesh_*`.
 
 The engine is JAX's own: `jax.jit` splits the program by how its arguments lie (`shardings`), and
 puts in the sums over devices where a mean over robots is taken: gradients, normalisers, advantages,

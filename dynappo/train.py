@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dynappo import bench, files, log, schedule
+from dynappo import bench, curves, distributed, files, log, schedule
 from dynappo import config as config_lib
 from dynappo.config import ConfigError
 
@@ -56,7 +56,9 @@ def train(
     """
     config = config_lib.validate(config)
     check(config)  # before anything is written
-    workdir = None if workdir is None else files.open_workdir(Path(workdir), config)
+    workdir = None if workdir is None else Path(workdir)
+    if workdir:
+        distributed.on_first(lambda: str(files.open_workdir(workdir, config)))
     program = setup(config)
     state, metrics = loop(config, program, workdir, progress_fn)
     if workdir:
@@ -66,11 +68,12 @@ def train(
 
 def check(config) -> None:
     """ConfigError if this machine or the robot's file cannot run `config`."""
-    from dynappo import robot
+    from dynappo import memory, robot
 
-    choose_impl(config)
+    impl = choose_impl(config)
     log.check_wandb(config)
     robot.load(config.robot)
+    memory.check(config, memory.limit(), impl)
 
 
 def choose_impl(config) -> str:
@@ -135,6 +138,7 @@ def setup(config, restore: Path | None = None) -> Program:
     robots = max(config.rollout.num_envs, run.eval_envs)
     worlds = robots * run.num_seeds // mesh.size  # of each device
     env = env_lib.make(robot, config.task, config.physics, impl=impl, num_worlds=worlds)
+    env = env._replace(mesh=mesh)
     length = config.task.episode_length
     episodes = dict(static=static, num_envs=run.eval_envs, num_steps=length)
     init = partial(algorithm.init, env, static=static)
@@ -149,21 +153,17 @@ def setup(config, restore: Path | None = None) -> Program:
     columns = schedule.columns(config)
     chunk = {name: jnp.asarray(column[: run.log_every]) for name, column in columns.items()}
     everywhere = NamedSharding(mesh, PartitionSpec())
-    with jax.set_mesh(mesh):
-        spread = sweep.shardings(mesh, jax.eval_shape(init, hyper, key), run.num_seeds)
-        state = jax.jit(init, out_shardings=spread)(hyper, key)
-        if restore:
-            state = checkpoint.weights(restore, state)
-        step = jax.jit(step, donate_argnums=1, out_shardings=(spread, everywhere))
-        compiled = step.lower(hyper, state, chunk).compile()
+    spread = sweep.shardings(mesh, jax.eval_shape(init, hyper, key), run.num_seeds)
+    state = jax.jit(init, out_shardings=spread)(hyper, key)
+    if restore:
+        _, state = distributed.from_first(lambda s: (0, checkpoint.weights(restore, s)), state)
+        state = jax.device_put(state, spread)
+    step = jax.jit(step, donate_argnums=1, out_shardings=(spread, everywhere))
+    compiled = step.lower(hyper, state, chunk).compile()
     if impl == "warp":  # its kernels are built and loaded when they are first called
         once = {name: jnp.minimum(column, 1) for name, column in chunk.items()}
         jax.block_until_ready(compiled(hyper, jax.tree.map(jnp.copy, state), once))
     assess = jax.jit(assess, out_shardings=everywhere)
-
-    def evaluation(state):
-        with jax.set_mesh(mesh):
-            return jax.device_get(assess(hyper.task, state.learner.params, jax.random.key(0)))
 
     return Program(
         robot=robot,
@@ -173,7 +173,7 @@ def setup(config, restore: Path | None = None) -> Program:
         state=state,
         columns=columns,
         step=compiled,
-        assess=evaluation,
+        assess=lambda s: jax.device_get(assess(hyper.task, s.learner.params, jax.random.key(0))),
         mesh=mesh,
         impl=impl,
         device=f"{jax.devices()[0].device_kind}",
@@ -203,12 +203,13 @@ def loop(
 
     run, state, start, history = config.run, program.state, 0, []
     copy = jax.jit(partial(jax.tree.map, jnp.copy))  # one dispatch, not one an array
-    checkpoints = checkpoint.manager(workdir, say) if workdir else None
+    writes = workdir is not None and distributed.first()
+    checkpoints = checkpoint.manager(workdir, say) if writes else None
     sinks: list[log.Sink] = []
     try:
         if workdir:
             start, state, history = files.resume(config, workdir, checkpoints, state, say)
-            sinks = log.sinks(config, workdir, start)
+            sinks = log.sinks(config, workdir, start) if writes else []
         seconds = float(history[0]["seconds"][-1]) if history else 0.0
         sim_steps, waiting = schedule.sim_steps(config), None
         for first in range(start, run.num_iterations, run.log_every):
@@ -232,7 +233,7 @@ def loop(
                 metrics |= _at_end(program.assess(state), run.log_every)
             history.append(metrics)
             waiting = (done, metrics)
-            stopping = should_stop()
+            stopping = distributed.any_of(should_stop())
             every = run.checkpoint_every and done % run.checkpoint_every == 0
             if workdir and (stopping or every or done == run.num_iterations):
                 steps = int(sim_steps[done - 1])
@@ -282,8 +283,14 @@ def finish(config, program: Program, workdir: Path, state, metrics) -> dict[str,
     from dynappo import policy_file, render
 
     summary = summarise(config, program, state, metrics)
-    params = files.best_params(state, metrics)
+    params = files.best_params(distributed.whole(state.learner.params), metrics)
+    if not distributed.first():
+        return summary
     policy_file.save(workdir / "policy.npz", params, config, program.robot)
+    seeds = f" x {config.run.num_seeds} seeds" if config.run.num_seeds > 1 else ""
+    title = f"{config.robot}: {config.rollout.num_envs} robots{seeds}"
+    problem = curves.draw(metrics, workdir / "curves.png", title)
+    summary["curves"] = problem or str(workdir / "curves.png")
     if config.run.video_seconds:
         act = render.policy(params, config.ppo.activation)
         seconds = config.run.video_seconds

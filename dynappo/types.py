@@ -28,6 +28,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import jax
 from flax import struct
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
@@ -158,3 +159,4 @@ class Env(NamedTuple):
     prop_size: int
     action_size: int
     dt: float  # s, one control step
+    mesh: jax.sharding.Mesh | None = None  # devices over which the robots are spread (sweep.py)

@@ -32,19 +32,18 @@ def train(toy):
     @functools.cache
     def run(shape=None, seeds=1, hyper=default):
         mesh = shape and sweep.mesh(*shape)
-        many = seeds > 1
-        init = partial((sweep if many else algorithm).init, env, static=static)
-        step = partial((sweep if many else algorithm).run, env, static=static)
+        many, placed = seeds > 1, env._replace(mesh=mesh)
+        init = partial((sweep if many else algorithm).init, placed, static=static)
+        step = partial((sweep if many else algorithm).run, placed, static=static)
         key = sweep.keys(0, seeds) if many else jax.random.key(0)
         if mesh is None:
             program = jax.jit(step).lower(hyper, jax.eval_shape(init, hyper, key), columns)
             state = jax.jit(init)(hyper, key)
         else:
-            with jax.set_mesh(mesh):
-                spread = sweep.shardings(mesh, jax.eval_shape(init, hyper, key), seeds)
-                state = jax.jit(init, out_shardings=spread)(hyper, key)
-                out = (spread, NamedSharding(mesh, PartitionSpec()))
-                program = jax.jit(step, out_shardings=out).lower(hyper, state, columns)
+            spread = sweep.shardings(mesh, jax.eval_shape(init, hyper, key), seeds)
+            state = jax.jit(init, out_shardings=spread)(hyper, key)
+            out = (spread, NamedSharding(mesh, PartitionSpec()))
+            program = jax.jit(step, out_shardings=out).lower(hyper, state, columns)
         program = program.compile()
         state, metrics = program(hyper, state, columns)
         return state, jax.device_get(metrics), program.as_text()

@@ -1,0 +1,179 @@
+"""What a run needs of a device's memory, counted before anything is compiled.
+
+The parts of an iteration follow each other in the same memory. The largest is what a robot costs,
+beside the state that is carried:
+
+    rollout      the buffer, and the engine's data of one physics step
+    advantages   the buffer, the batch, and two layers of the critic on all rows
+    update       the batch, its shuffled copy, and the activations of a minibatch
+    fit          the buffer, its scaled rows, and the activations of a minibatch
+
+Sizes follow from the config and the robot's model, without JAX. How many copies the compiler makes was
+fitted to what XLA allots on a CPU, which is 0.86 to 1.04 of this over 17 configs of networks alone, and
+0.96 for a whole Go1 with `dyna4` (tests/test_memory.py; for GPUs experiments/02_scaling/memory.py).
+Warp's own scratch is not counted: it lies in the quarter of a GPU that JAX leaves free.
+"""
+
+from __future__ import annotations
+
+import bisect
+import math
+import os
+from typing import NamedTuple
+
+from dynappo import observe, schedule
+from dynappo import robot as robot_lib
+from dynappo.config import ConfigError
+
+FLOAT = 4  # bytes
+PROP, OBS, ACTION = observe.PROP_SIZE, observe.PROP_SIZE + observe.CONTEXT_SIZE, 12
+# what each engine keeps room for: contacts of one primitive with the floor
+CONTACTS = {
+    "jax": {robot_lib.SPHERE: 1, robot_lib.CAPSULE: 2, robot_lib.CYLINDER: 3, robot_lib.BOX: 4},
+    "warp": {robot_lib.SPHERE: 1, robot_lib.CAPSULE: 2, robot_lib.CYLINDER: 4, robot_lib.BOX: 8},
+}
+ROWS_PER_CONTACT = 4  # constraint rows of a pyramidal cone with sliding friction
+STATE = 145 * FLOAT  # EnvState, and the robot's own physical parameters
+STATES = 3  # before a chunk, after it, and the host's copy
+WARP_COPIES = 2  # of its data: what a call takes and what it gives
+FIXED = 300 << 20  # the program and its constants, workspaces of the libraries
+# of a CPU's memory: Python, JAX, and the compiler while it compiles (a Go1 with dyna4: 1.45 GiB)
+PROCESS = 1500 << 20
+CURES = {
+    "update": ", raise ppo.minibatches",
+    "fit": ", raise model.minibatches",
+    "evaluation": ", lower run.eval_envs",
+}
+
+
+class Estimate(NamedTuple):
+    """Bytes; `estimate` makes it, `total` sums it up."""
+
+    robot: int  # of each robot of each seed, while it trains
+    judged: int  # of each robot of each seed, in an evaluation
+    seed: int  # of each seed: networks, moments, gradients
+    fixed: int
+    largest: str  # the part of an iteration that decides `robot`
+
+
+def estimate(config, impl: str = "auto") -> Estimate:
+    """What a validated config needs; `impl` is the engine, "auto" counts as Warp, which needs more."""
+    parts = phases(config, impl)
+    largest = max(parts, key=lambda name: parts[name])
+    state = STATES * STATE
+    networks = [(OBS, *config.ppo.hidden, ACTION), (OBS, *config.ppo.hidden, 1)]
+    if schedule.uses_model(config):
+        networks.append((OBS + ACTION, *config.model.hidden, PROP + 1))
+    weights = sum((a + 1) * b for sizes in networks for a, b in zip(sizes, sizes[1:], strict=False))
+    return Estimate(
+        robot=parts[largest] + state,
+        judged=physics(config, impl) + state,
+        seed=6 * FLOAT * weights,  # with Adam's two moments, and as many again while they change
+        fixed=FIXED,
+        largest=largest,
+    )
+
+
+def phases(config, impl: str = "auto") -> dict[str, int]:
+    """Bytes of one robot in each part of an iteration; the module says what they hold."""
+    rows, ppo, model = config.rollout.horizon, config.ppo, config.model
+    buffer = FLOAT * (2 * OBS + 2 * ACTION + 7)  # a row of types.Transition
+    batch = FLOAT * (OBS + 2 * ACTION + 4)  # a row of ppo.Batch
+    critic = FLOAT * (OBS + max(a + b for a, b in zip((0, *ppo.hidden), ppo.hidden, strict=False)))
+    # before and after the activation, and its slope; actor and critic take turns
+    activations = 3 * FLOAT * sum(ppo.hidden)
+    out = {
+        "rollout": rows * buffer + physics(config, impl),
+        "advantages": rows * (buffer + batch + critic),
+        "update": rows * (2 * batch + activations // ppo.minibatches),
+    }
+    if schedule.uses_model(config):
+        data = FLOAT * (OBS + ACTION + PROP + 2)  # a row of inputs, targets, weight
+        width = 2 if model.precision == "bfloat16" else 3
+        activations = width * FLOAT * sum(model.hidden) + 2 * data + 2 * FLOAT * (PROP + 1)
+        out["fit"] = rows * (buffer + data + activations // model.minibatches)
+    return out
+
+
+def physics(config, impl: str = "auto") -> int:
+    """Bytes of one robot in a physics step: mjx.Data as its fields add up, times its copies."""
+    model = robot_lib.physics_model(robot_lib.load(config.robot), config.physics)
+    kinds = model.geom_type[model.geom_conaffinity > 0]
+    engine = "jax" if impl == "jax" else "warp"
+    contacts = sum(CONTACTS[engine][int(kind)] for kind in kinds)
+    rows = contacts * ROWS_PER_CONTACT
+    rows += int(model.jnt_limited.sum() + (model.dof_frictionloss > 0).sum())
+    # fields of one size for every quadruped, then those of each geom, contact and constraint row
+    if engine == "jax":  # and the solver holds the Jacobian once more
+        data = 10812 + 48 * model.ngeom + 128 * contacts + (28 + FLOAT * model.nv) * rows
+        return data + FLOAT * (model.nv + 2) * rows
+    padded = math.ceil(rows / 16) * 16
+    data = 13900 + 48 * model.ngeom + 60 * rows + 88 * padded
+    return WARP_COPIES * data + 156 * contacts
+
+
+def total(config, impl: str = "auto") -> int:
+    """Bytes that a run needs on each device of its mesh."""
+    return _total(config, estimate(config, impl), config.rollout.num_envs, config.run.num_seeds)
+
+
+def _total(config, e: Estimate, robots: int, seeds: int) -> int:
+    run = config.run
+    robots, judged = -(-robots // run.mesh_env), -(-run.eval_envs // run.mesh_env)
+    most = max(robots * e.robot, robots * STATES * STATE + judged * e.judged)
+    return e.fixed + seeds // run.mesh_seed * (e.seed + most)
+
+
+def fits(config, limit: int, impl: str = "auto") -> list[tuple[int, int]]:
+    """`(robots, seeds)` that fit: the most robots with the config's seeds, the most seeds with its robots.
+
+    Where neither is to be had, the most robots of the fewest seeds; empty if there are none. Only
+    numbers that `validate` takes, which minibatches and mesh must divide.
+    """
+    e, robots, seeds = estimate(config, impl), config.rollout.num_envs, config.run.num_seeds
+    ppo, by = config.ppo, config.run.mesh_seed
+    step = ppo.shuffle_blocks * ppo.minibatches // math.gcd(ppo.minibatches, config.rollout.horizon)
+
+    def most(needs):
+        return bisect.bisect_right(range(1, 1 << 24), limit, key=needs)
+
+    def robots_of(seeds):
+        return step * most(lambda k: _total(config, e, step * k, seeds)), seeds
+
+    seeds_of = robots, by * most(lambda k: _total(config, e, robots, by * k))
+    found = [pair for pair in (robots_of(seeds), seeds_of) if min(pair)]
+    return found or [pair for pair in (robots_of(by),) if min(pair)]
+
+
+def check(config, limit: int | None, impl: str = "auto") -> None:
+    """ConfigError if a run needs more than the `limit` bytes of a device, with what would fit."""
+    needs = total(config, impl)
+    if limit is None or needs <= limit:
+        return
+    pairs = [f"{robots} x {seeds}" for robots, seeds in fits(config, limit, impl)]
+    most = f"at most {' or '.join(pairs)} fit" if pairs else "no number of robots fits"
+    e = estimate(config, impl)
+    judging = config.run.eval_envs * e.judged > config.rollout.num_envs * e.robot
+    cure = CURES.get("evaluation" if judging else e.largest, "")
+    raise ConfigError(
+        f"rollout.num_envs x run.num_seeds is {config.rollout.num_envs} x {config.run.num_seeds} and "
+        f"needs about {needs / 2**30:.1f} GiB on each device, which has {limit / 2**30:.1f}; {most}. "
+        f"Lower one of them{cure}, or use more devices (run.mesh_seed, run.mesh_env)"
+    )
+
+
+def limit() -> int | None:
+    """Bytes that JAX may use of one device; None where it does not say.
+
+    On a GPU its own limit; on a CPU the machine's memory less `PROCESS`, in equal shares of the devices.
+    """
+    import jax
+
+    device = jax.local_devices()[0]
+    stats = device.memory_stats() or {}
+    if "bytes_limit" in stats:
+        return stats["bytes_limit"]
+    if device.platform != "cpu" or "SC_PHYS_PAGES" not in os.sysconf_names:
+        return None
+    whole = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    return max(0, whole - PROCESS) // jax.local_device_count()
