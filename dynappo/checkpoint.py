@@ -102,7 +102,9 @@ def save(
         raise OSError(errno.ENOSPC, text)
     about |= {"iteration": iteration, "arrays": shapes(state), "sha256": digest(state)}
     worth = episode_return if np.isfinite(episode_return) else -1e9
-    raw = distributed.raw_keys(state)[0]  # of several processes, orbax takes NumPy arrays only
+    raw = distributed.raw_keys(state)[0]
+    if distributed.several():  # orbax takes no array of JAX that is of one process
+        raw = jax.device_get(raw)
     args = ocp.args.Composite(state=ocp.args.StandardSave(raw), about=ocp.args.JsonSave(about))
     checkpoints.save(iteration, args=args, metrics={"episode_return": worth}, force=True)
 

@@ -47,6 +47,21 @@ TINY = {
         },
         "steps": 3,
     },
+    "04_seed_sweep": {
+        "spec": "configs/go1.py:quick",
+        "changes": {
+            "run.num_iterations": 4,
+            "run.log_every": 2,
+            "run.eval_envs": 2,
+            "rollout.num_envs": 8,
+            "rollout.horizon": 8,
+            "schedule.end_steps": 2,
+            "task.episode_length": 20,
+        },
+        "seeds": 2,
+        "field": "ppo.entropy_coef",
+        "values": [0.0, 0.3],
+    },
 }
 
 
@@ -145,6 +160,18 @@ def test_a_look_at_a_policy_shows_tables_maps_and_gaits():
     assert "cost of transport" in text and "1 m/s ahead" in text
     filmed = "<video" in "".join(outputs(notebook, "text/html"))
     assert filmed or "no video:" in text  # which says what to install
+
+
+def test_a_sweep_shows_curves_of_its_seeds_and_of_a_setting():
+    path = ROOT / "notebooks" / "04_seed_sweep.ipynb"
+    notebook = execute(path, TINY[path.stem])
+    figures = [base64.b64decode(data) for data in outputs(notebook, "image/png")]
+    assert len(figures) == 2 and all(len(png) > 5000 for png in figures)
+    text = printed(notebook)
+    assert "95 % interval" in text and text.count("iteration    4  return of each seed") == 2
+    for name in ("return", "fall_rate"):  # a number of each seed
+        (line,) = [line for line in text.splitlines() if line.split()[:1] == [name]]
+        assert len(line.replace("[", " ").replace("]", " ").split()) == 3, line
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
