@@ -102,9 +102,7 @@ def save(
         raise OSError(errno.ENOSPC, text)
     about |= {"iteration": iteration, "arrays": shapes(state), "sha256": digest(state)}
     worth = episode_return if np.isfinite(episode_return) else -1e9
-    raw = distributed.raw_keys(state)[0]
-    if distributed.several():  # orbax takes no array of JAX that is of one process
-        raw = jax.device_get(raw)
+    raw, _ = _raw(state)
     args = ocp.args.Composite(state=ocp.args.StandardSave(raw), about=ocp.args.JsonSave(about))
     checkpoints.save(iteration, args=args, metrics={"episode_return": worth}, force=True)
 
@@ -165,7 +163,7 @@ def _read(checkpoints, iteration: int, like):
                 f"{where} is not a checkpoint of this run: {name} is {found.get(name, 'absent')} "
                 f"there, {expected.get(name, 'absent')} here; choose another --workdir"
             )
-    raw, wrap = distributed.raw_keys(like)
+    raw, wrap = _raw(like)
     target = jax.tree.map(ocp.utils.to_shape_dtype_struct, raw)
     state = wrap(
         checkpoints.restore(
@@ -175,6 +173,12 @@ def _read(checkpoints, iteration: int, like):
     if digest(state) != about["sha256"]:
         raise ValueError("its numbers are not those that were saved")
     return state
+
+
+def _raw(state: Any):
+    """`distributed.raw_keys`, as orbax takes it: of several processes, no array of one of them."""
+    raw, wrap = distributed.raw_keys(state)
+    return jax.device_get(raw) if distributed.several() else raw, wrap
 
 
 def weights(folder: Path, like: Any) -> Any:

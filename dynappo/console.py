@@ -26,7 +26,7 @@ class Command(NamedTuple):
     workdir: Path
     fresh: bool = False
     restore: Path | None = None
-    processes: tuple = (None, None, None)  # coordinator, how many, which; distributed.join
+    processes: tuple[Any, Any, Any] = (None, None, None)  # coordinator, how many, which; distributed.join
 
 
 def parse(argv: list[str] | None) -> Command:
@@ -60,12 +60,14 @@ def main(argv: list[str] | None = None) -> None:
 
     def action():
         command = parse(argv)
-        distributed.join(*command.processes, command.config.run.device)
-        with stop, distributed.together():
+        distributed.join(*command.processes, device=command.config.run.device)
+        with stop:
             train_and_show(command, stop)
+        distributed.leave()
 
-    # ctrl-C before `stop` listens leaves no status there
-    flags.answer(action, f"stopped; {GOES_ON}", status=lambda: stop.status or 130)
+    with distributed.together():
+        # ctrl-C before `stop` listens leaves no status there
+        flags.answer(action, f"stopped; {GOES_ON}", status=lambda: stop.status or 130)
     if stop.status:
         sys.exit(stop.status)
 

@@ -5,7 +5,8 @@ take the same turns. Files belong to process 0 alone, so nothing but it needs to
 
 Where a process dies, JAX ends the others: at once if it was the first, which hosts its service, else
 after `HEARTBEAT`, or when a message to the dead one fails. It does so by an abort with a trace of
-C++; `_last_words` adds the line that says what to do. With one process nothing here does anything.
+C++; `_last_words` adds the line that says what to do. The same where the processes do not meet. With
+one process nothing here does anything.
 """
 
 from __future__ import annotations
@@ -60,10 +61,14 @@ def join(
                 f"--process is {index}, expected 0 to {count - 1} (--processes={count})"
             )
         where = dict(coordinator_address=coordinator, num_processes=count, process_id=index)
+    else:
+        where = dict(local_device_ids=_slurm_devices(os.environ))
     import jax
 
     if device == "cpu":
         jax.config.update("jax_platforms", "cpu")
+    count, index = (count, index) if index is not None else _of_slurm(os.environ)
+    _last_words(GONE.format(index, count))
     # JAX's own handler of SIGTERM would take the place of ours, and the run would not save
     jax.config.update("jax_enable_preemption_service", False)
     try:
@@ -71,6 +76,7 @@ def join(
             **where, initialization_timeout=MEETING, heartbeat_timeout_seconds=HEARTBEAT
         )
     except Exception as error:
+        _say("done")
         reason = str(error).splitlines()[0][:160]
         raise ConfigError(
             f"the processes of this run cannot meet at {coordinator or 'the first Slurm task'} "
@@ -83,49 +89,85 @@ def in_slurm(environment) -> bool:
     return int(environment.get("SLURM_STEP_NUM_TASKS", 1)) > 1 and "SLURM_PROCID" in environment
 
 
+def _of_slurm(environment) -> tuple[int, int]:
+    return int(environment["SLURM_STEP_NUM_TASKS"]), int(environment["SLURM_PROCID"])
+
+
+def _slurm_devices(environment) -> list[int] | None:
+    """The GPUs of this task; None: the one with the task's number on its machine, JAX's own choice."""
+    tasks = environment.get("SLURM_STEP_TASKS_PER_NODE", "").split("(")[0].split(",")[0]
+    visible = environment.get("CUDA_VISIBLE_DEVICES", "").split(",")
+    if tasks == "1" or visible != [""] and len(visible) == 1:  # all, or the one bound to the task
+        return list(range(len(visible)))
+    return None
+
+
 @contextlib.contextmanager
 def together():
-    """What is done inside, the processes do together: where one is lost, this one says so and ends."""
-    import jax
+    """The whole of a command; where it ends badly, this process ends at once, and JAX the others.
 
-    if not several():
-        yield
-        return
-    line = GONE.format(jax.process_index(), jax.process_count())
-    pipe = _last_words(line)
+    Without that, an error in one process would leave it waiting for the others to leave, and them for
+    it to take part. A lost process is told in one line.
+    """
     try:
         yield
-        pipe.write(b"done")
-    except (
-        ConfigError,
-        FloatingPointError,
-        OSError,
-        KeyboardInterrupt,
-    ):  # known to all, or our own
-        pipe.write(b"done")
+    except SystemExit as error:
+        if several() and error.code:
+            _end(int(error.code))
         raise
-    except Exception as error:
-        pipe.write(b"done")
-        pipe.close()
-        reason = str(error).splitlines()[0][:200]
+    except Exception as error:  # of a collective operation without one of its members
+        if not several():
+            raise
+        reason = (str(error).splitlines() or [""])[0][:200]
         if re.search("gloo|nccl|unavailable|coordination|connection", reason, re.IGNORECASE):
-            print(f"{line} ({reason})", file=sys.stderr, flush=True)
+            print(f"{_line} ({reason})", file=sys.stderr)
         else:
             traceback.print_exc()
-        os._exit(1)  # JAX would wait for the others
-    finally:
-        if not pipe.closed:
-            pipe.close()
+        _end(1)
 
 
-def _last_words(line: str):
-    """A pipe to a small process that prints `line` if this one ends without writing to the pipe."""
+def leave() -> None:
+    """Wait for the others, at the end of a run that went well or was stopped by a signal."""
+    import jax
+
+    if several():
+        jax.distributed.shutdown()
+    _say("done")
+
+
+def _end(status: int) -> None:
+    _say("done")
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(status)
+
+
+_line, _pipe = "", None
+
+
+def _last_words(line: str) -> None:
+    """Start a small process that prints `line` if this one is ended by JAX, which aborts it."""
+    global _line, _pipe
     code = "import sys; sys.stdin.read() or print(sys.argv[1], file=sys.stderr, flush=True)"
-    child = subprocess.Popen(
-        [sys.executable, "-S", "-c", code, line], stdin=subprocess.PIPE, start_new_session=True
-    )
-    assert child.stdin
-    return child.stdin
+    command = [sys.executable, "-S", "-c", code, line]
+    _line = line
+    _pipe = subprocess.Popen(command, stdin=subprocess.PIPE, start_new_session=True).stdin
+
+
+def _say(word: str) -> None:
+    """Tell that process that nothing is to be told."""
+    if _pipe and not _pipe.closed:
+        _pipe.write(word.encode())
+        _pipe.close()
+
+
+def meet() -> None:
+    """Wait here for the others: what they compiled may have taken minutes longer, and a first message
+    between two processes waits for half a minute only."""
+    from jax.experimental import multihost_utils
+
+    if several():
+        multihost_utils.sync_global_devices("meet")
 
 
 def several() -> bool:
@@ -206,7 +248,9 @@ def _spread(tree: Any, like: Any) -> Any:
     from jax.experimental import multihost_utils
 
     raw, wrap = raw_keys(like)
-    there = raw_keys(tree)[0] if first() else jax.tree.map(lambda x: np.zeros(x.shape, x.dtype), raw)
+    there = (
+        raw_keys(tree)[0] if first() else jax.tree.map(lambda x: np.zeros(x.shape, x.dtype), raw)
+    )
     there = multihost_utils.broadcast_one_to_all(there)
 
     def lay(array, like):
@@ -221,7 +265,7 @@ def raw_keys(tree: Any):
     import jax
 
     def is_key(x):
-        return jax.dtypes.issubdtype(x.dtype, jax.dtypes.prng_key)
+        return jax.numpy.issubdtype(x.dtype, jax.dtypes.prng_key)
 
     keys = jax.tree.map(is_key, tree)
     raw = jax.tree.map(lambda x, key: jax.random.key_data(x) if key else x, tree, keys)

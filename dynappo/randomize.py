@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from flax import struct
 from jaxtyping import Array, Float, PRNGKeyArray
 
@@ -51,14 +52,18 @@ def draw(ranges, base_mass, base_com, key: PRNGKeyArray) -> Physics:
 def merge(model, physics: Physics, base_body: int, feet, varied: frozenset[str]):
     """The mjx model of one robot; only fields whose range is in `varied` are replaced."""
     fields = {}
+    # masks, because a `where` is one kernel and an `.at` three
+    base = (np.arange(model.nbody) == base_body)[:, None]
+    foot = np.isin(np.arange(model.ngeom), feet)[:, None] & (np.arange(3) == 0)
     if "base_mass" in varied:
         scale = physics.mass_scale
-        fields["body_mass"] = model.body_mass.at[base_body].multiply(scale)
-        fields["body_inertia"] = model.body_inertia.at[base_body].multiply(scale)
+        mass, inertia = model.body_mass, model.body_inertia
+        fields["body_mass"] = jnp.where(base[:, 0], mass * scale, mass)
+        fields["body_inertia"] = jnp.where(base, inertia * scale, inertia)
     if "base_com" in varied:
-        fields["body_ipos"] = model.body_ipos.at[base_body].set(physics.base_com)
+        fields["body_ipos"] = jnp.where(base, physics.base_com, model.body_ipos)
     if "friction" in varied:
-        fields["geom_friction"] = model.geom_friction.at[feet, 0].set(physics.friction)
+        fields["geom_friction"] = jnp.where(foot, physics.friction, model.geom_friction)
     return model.tree_replace(fields) if fields else model
 
 

@@ -160,6 +160,7 @@ def setup(config, restore: Path | None = None) -> Program:
         state = jax.device_put(state, spread)
     step = jax.jit(step, donate_argnums=1, out_shardings=(spread, everywhere))
     compiled = step.lower(hyper, state, chunk).compile()
+    distributed.meet()
     if impl == "warp":  # its kernels are built and loaded when they are first called
         once = {name: jnp.minimum(column, 1) for name, column in chunk.items()}
         jax.block_until_ready(compiled(hyper, jax.tree.map(jnp.copy, state), once))
@@ -203,13 +204,13 @@ def loop(
 
     run, state, start, history = config.run, program.state, 0, []
     copy = jax.jit(partial(jax.tree.map, jnp.copy))  # one dispatch, not one an array
-    writes = workdir is not None and distributed.first()
-    checkpoints = checkpoint.manager(workdir, say) if writes else None
+    first = distributed.first()  # of several processes, only this one writes
+    checkpoints = checkpoint.manager(workdir, say) if workdir and first else None
     sinks: list[log.Sink] = []
     try:
         if workdir:
             start, state, history = files.resume(config, workdir, checkpoints, state, say)
-            sinks = log.sinks(config, workdir, start) if writes else []
+            sinks = log.sinks(config, workdir, start) if first else []
         seconds = float(history[0]["seconds"][-1]) if history else 0.0
         sim_steps, waiting = schedule.sim_steps(config), None
         for first in range(start, run.num_iterations, run.log_every):

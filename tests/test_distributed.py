@@ -142,6 +142,10 @@ def test_four_processes_compute_what_one_does(tmp_path):
         assert status == 0, errors
     expected = table(tmp_path / "one")
     np.testing.assert_allclose(table(tmp_path / "four"), expected, rtol=1e-3, atol=1e-4)
+    longer = ("run.num_iterations=10", *fields[1:], *mesh)  # what one device saved, on eight
+    for status, _, errors in end(start(tmp_path / "one", *longer, processes=4), 2 * DEADLINE):
+        assert status == 0, errors
+    assert table(tmp_path / "one")[-1, 0] == 10
     other = ("ppo.gamma=0.9", *fields, *mesh)
     for status, _, errors in end(start(tmp_path / "one", *other, processes=4)):
         assert status == 2 and "holds a run of another config (ppo.gamma" in errors
@@ -181,6 +185,7 @@ def test_slurm_is_asked_only_where_no_flag_says_otherwise(monkeypatch):
 
     calls = []
     monkeypatch.setattr(jax.distributed, "initialize", lambda **kw: calls.append(kw))
+    monkeypatch.setattr(distributed, "_last_words", lambda line: None)
     monkeypatch.setenv("SLURM_STEP_NUM_TASKS", "4")
     monkeypatch.setenv("SLURM_PROCID", "1")
     distributed.join(None, 1, None)
@@ -195,4 +200,18 @@ def test_with_one_process_nothing_is_asked_of_the_others():
     assert distributed.on_first(lambda: 7) == 7 and distributed.whole(state) is state
     assert distributed.from_first(lambda s: (1, s), state) == (1, state)
     with distributed.together():
-        pass
+        distributed.meet()
+    distributed.leave()
+
+
+@pytest.mark.parametrize(
+    ("variables", "expected"),
+    [
+        ({"SLURM_STEP_TASKS_PER_NODE": "8(x2)"}, None),  # all are visible: the one of its number
+        ({"SLURM_STEP_TASKS_PER_NODE": "2", "CUDA_VISIBLE_DEVICES": "0,1"}, None),
+        ({"SLURM_STEP_TASKS_PER_NODE": "4", "CUDA_VISIBLE_DEVICES": "3"}, [0]),  # --gpus-per-task=1
+        ({"SLURM_STEP_TASKS_PER_NODE": "1(x2)", "CUDA_VISIBLE_DEVICES": "0,1,2,3"}, [0, 1, 2, 3]),
+    ],
+)
+def test_every_task_of_slurm_gets_the_gpus_that_are_its_own(variables, expected):
+    assert distributed._slurm_devices(variables) == expected

@@ -17,7 +17,17 @@ GROUPS = (
     {"robot", "env", "commands", "physics", "randomize", "dynamics", "ppo", "rollout", "brax_env"},
     {"algorithm", "evaluate", "sweep"},
     {"checkpoint", "log", "render", "files", "export", "train", "play", "bench", "console", "flags"}
-    | {"distributed", "curves", "memory", "policy_file", "episode", "page", "viewer", "measure", "report"},
+    | {
+        "distributed",
+        "curves",
+        "memory",
+        "policy_file",
+        "episode",
+        "page",
+        "viewer",
+        "measure",
+        "report",
+    },
 )
 WITHIN = {
     "config": {"validate"},

@@ -1,6 +1,6 @@
 """`python -m dynappo.train` with the toy environment in place of the robot's: starts in seconds.
 
-    python tests/toy_train.py --workdir=DIR [--config.FIELD=VALUE ...]
+python tests/toy_train.py --workdir=DIR [--config.FIELD=VALUE ...]
 """
 
 import sys

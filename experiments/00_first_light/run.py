@@ -36,7 +36,9 @@ def main():
         program = train.setup(config)
         state, metrics = train.loop(config, program, None)
         log.append_csv(path.with_suffix(".csv"), log.rows(metrics))
-        render.save_params(path.with_suffix(".npz"), files.best_params(state.learner.params, metrics))
+        render.save_params(
+            path.with_suffix(".npz"), files.best_params(state.learner.params, metrics)
+        )
         summary = train.summarise(config, program, state, metrics)
         summary["phases_ms"] = bench.phases(config, program, state)
         log.write_json(path, summary)

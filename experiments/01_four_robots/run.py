@@ -39,7 +39,10 @@ def main():
         program = train.setup(config)
         state, metrics = train.loop(config, program, None)
         policy_file.save(
-            path.with_suffix(".npz"), files.best_params(state.learner.params, metrics), config, program.robot
+            path.with_suffix(".npz"),
+            files.best_params(state.learner.params, metrics),
+            config,
+            program.robot,
         )
         if args.model and state.model is not None:
             keep_model(path.with_suffix(".model.npz"), state.model)
