@@ -258,7 +258,9 @@ def test_the_tail_is_written_by_the_model_fitted_in_this_iteration(iterated, tai
     static = tail[1].model
     for n in (5, 3):
         buffer, state, _ = iterated[n]
-        obs, reward = dynamics.predict(static, env, state.model, buffer.obs[n:], buffer.action[n:])
+        obs, reward, _ = dynamics.predict(
+            static, env, state.model, buffer.obs[n:], buffer.action[n:]
+        )
         np.testing.assert_allclose(buffer.next_obs[n:], obs, 1e-5, 1e-5)
         np.testing.assert_allclose(buffer.reward[n:], reward, 1e-5, 1e-5)
 
