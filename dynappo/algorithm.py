@@ -100,6 +100,7 @@ def iterate(
     if model is not None:
         weight = jnp.where(real, 1.0, hyper.ppo.tail_weight)
         batch = batch._replace(weight=jnp.broadcast_to(weight, batch.value.shape))
+        model_errors |= summarise_tail(buffer, real, env.dt)
     learner, ppo_metrics = ppo.update(
         static.ppo, hyper.ppo, state.learner, batch, jax.random.fold_in(key, UPDATE)
     )
@@ -251,6 +252,17 @@ def nonfinite_robot(buffer: Transition) -> Int[Array, ""]:
     good = jnp.isfinite(buffer.reward) & jnp.isfinite(buffer.next_obs).all(-1)
     bad = ~good.all(axis=0)
     return jnp.where(bad.any(), jnp.argmax(bad), -1)
+
+
+def summarise_tail(buffer: Transition, real, dt) -> Metrics:
+    """`tail_bias`, mean reward of synthetic minus real rows (1/s), and `tail_falls`, as predicted."""
+    tail, num_envs = 1.0 - real, buffer.reward.shape[1]
+    mean = [
+        (buffer.reward * part).sum() / jnp.maximum(part.sum() * num_envs, 1)
+        for part in (tail, real)
+    ]
+    bias = jnp.where(tail.any(), (mean[0] - mean[1]) / dt, 0.0)
+    return {"tail_bias": bias, "tail_falls": ((1 - buffer.discount) * tail).sum()}
 
 
 def summarise(sums: Metrics, rows) -> Metrics:

@@ -53,7 +53,7 @@ def _optimizer(hyper):
 
 
 def mean(x: Float[Array, "..."], weight: Float[Array, "..."] | None) -> Float[Array, ""]:
-    """Weighted mean, sum w x / sum w; where every weight is 1, the bits of `x.mean()`."""
+    """Weighted mean, sum w x / sum w."""
     return x.mean() if weight is None else (x * weight).mean() / jnp.maximum(weight.mean(), 1e-8)
 
 

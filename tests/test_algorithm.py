@@ -397,6 +397,7 @@ def test_without_tails_the_program_with_a_model_is_plain_ppo(run, run_plain, tai
     without, expected = run_plain(plain[2], first(0, "plain"), columns(plain[0]))
     assert_same(with_model.replace(model=None), without)
     only = {"model_loss", "model_loss_before", "model_error_1", "model_error_4"}
+    only |= {"tail_bias", "tail_falls"}
     assert set(metrics) - set(expected) == only
     assert_same({name: metrics[name] for name in expected}, expected)
 

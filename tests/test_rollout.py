@@ -111,6 +111,7 @@ def test_rows_are_those_of_a_loop_over_single_steps(fill, blank, start, env, tas
             old, (state, outcome) = state, step(task, physics, state, action, _fold(row, "STEP"))
             expected = {
                 ".obs": old.obs,
+                ".prop": old.prop,
                 ".action": action,
                 ".action_mean": mean,
                 ".log_prob": log_prob,
