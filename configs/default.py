@@ -74,6 +74,11 @@ def get_config(variant: str = "") -> config_dict.ConfigDict:
             normalize=True,  # scale inputs and targets by running moments; False: raw numbers
             stats_decay=0.95,  # weight of the old moments, an iteration
             precision="highest",  # "highest" (float32), "tf32" or "bfloat16"
+            # beyond the paper, each off by default (dynamics.py)
+            clean=False,  # carry the state without noise, and draw the policy's noise anew
+            known_reward=False,  # compute the terms that need no model, and learn the rest
+            falls=False,  # predict the probability of a fall, and know when the time is up
+            bounds=False,  # keep predictions and values in the range of the iteration's real rows
         ),
         ppo=dict(  # RSL, IL agents/rsl_rl_ppo_cfg.py, and the paper's appendix
             hidden=(128, 128, 128),
@@ -95,6 +100,7 @@ def get_config(variant: str = "") -> config_dict.ConfigDict:
             gamma=0.99,
             lambda_=0.95,
             max_grad_norm=1.0,
+            tail_weight=1.0,  # of a synthetic row in every mean over rows; 0: for advantages only
             precision="highest",
         ),
         task=dict(

@@ -75,7 +75,7 @@ def iterate(
     model, model_metrics, model_errors = state.model, {}, {}
     if model is not None:
         unrolled = min(4, horizon - static.schedule.end_steps)
-        model_errors = dynamics.errors(static.model, env, model, buffer, unrolled)
+        model_errors = dynamics.errors(static.model, env, model, buffer, unrolled, hyper.task)
         model, model_metrics = dynamics.fit(
             static.model,
             hyper.model,
@@ -85,15 +85,22 @@ def iterate(
             n_real,
             columns["model_epochs"],
             jax.random.fold_in(key, FIT),
+            hyper.task,
         )
         act = policy(static.ppo, state.learner.params)
         keys = rollout.row_keys(rows_key, state.robot_index)
-        tail = dynamics.TailState(obs=env_state.obs)
-        step = partial(dynamics.step, static.model, env, model)
+        tail = dynamics.tail(static.model, env, env_state)
+        step = model_step(env, hyper.task, model, static=static)
         buffer, _, _ = rollout.fill(buffer, n_real, end, tail, keys, act=act, step=step)
 
     # Update the policy by PPO on real and synthetic rows alike
-    batch = estimate(static.ppo, hyper.ppo, state.learner.params, buffer)
+    real = (jnp.arange(horizon) < n_real)[:, None]
+    bounded = model is not None and static.model.bounds
+    batch = estimate(static.ppo, hyper.ppo, state.learner.params, buffer, real, bounded)
+    if model is not None:
+        weight = jnp.where(real, 1.0, hyper.ppo.tail_weight)
+        batch = batch._replace(weight=jnp.broadcast_to(weight, batch.value.shape))
+        model_errors |= summarise_tail(buffer, real, env.dt)
     learner, ppo_metrics = ppo.update(
         static.ppo, hyper.ppo, state.learner, batch, jax.random.fold_in(key, UPDATE)
     )
@@ -150,20 +157,26 @@ def policy(static, params: dict):
     return act
 
 
-def estimate(static, hyper, params: dict, buffer: Transition) -> ppo.Batch:
+def estimate(static, hyper, params: dict, buffer: Transition, real, bounded=False) -> ppo.Batch:
     """Advantages and returns of a rollout, bootstrapped from V(next_obs) wherever it is cut.
 
-    That is at truncations and at row N-1; elsewhere the next row's value is the same number.
+    That is at truncations and at row N-1; elsewhere the next row's value is the same number. If
+    `bounded`, values of synthetic rows are kept in the range of the `real` ones [N, 1], so that a
+    state that only the model has seen cannot lead values away in a circle.
     """
     with jax.default_matmul_precision("highest"):
         cut = (buffer.truncation == 1).at[-1].set(True)
-        following = jnp.roll(buffer.value, -1, axis=0)
-        bootstrap = jnp.where(cut, networks.value(static, params, buffer.next_obs), following)
+        value, last = buffer.value, networks.value(static, params, buffer.next_obs)
+        if bounded:
+            low = jnp.where(real, value, jnp.inf).min()
+            high = jnp.where(real, value, -jnp.inf).max()
+            value, last = (jnp.where(real, x, jnp.clip(x, low, high)) for x in (value, last))
+        bootstrap = jnp.where(cut, last, jnp.roll(value, -1, axis=0))
         advantages, returns = gae.gae(
             buffer.reward,
             buffer.discount,
             buffer.truncation,
-            buffer.value,
+            value,
             bootstrap,
             gamma=hyper.gamma,
             lambda_=hyper.lambda_,
@@ -203,6 +216,16 @@ def physics_step(env: Env, hyper, params_physics):
     return partial(step, hyper, params_physics)
 
 
+def model_step(env: Env, task, model, *, static):
+    """`step(state, action, keys)` of all robots by the transition model; `task` is hyper.task."""
+    fold = jax.vmap(jax.random.fold_in, (0, None))
+
+    def step(state, action, keys):
+        return dynamics.step(static.model, env, model, state, action, fold(keys, STEP), task)
+
+    return step
+
+
 def finished(state: TrainState, buffer: Transition, n_real):
     """The rings of returns and lengths with the episodes that physics finished, newest last."""
     real = (jnp.arange(buffer.reward.shape[0]) < n_real)[:, None]
@@ -228,6 +251,17 @@ def nonfinite_robot(buffer: Transition) -> Int[Array, ""]:
     good = jnp.isfinite(buffer.reward) & jnp.isfinite(buffer.next_obs).all(-1)
     bad = ~good.all(axis=0)
     return jnp.where(bad.any(), jnp.argmax(bad), -1)
+
+
+def summarise_tail(buffer: Transition, real, dt) -> Metrics:
+    """`tail_bias`, mean reward of synthetic minus real rows (1/s), and `tail_falls`, as predicted."""
+    tail, num_envs = 1.0 - real, buffer.reward.shape[1]
+    mean = [
+        (buffer.reward * part).sum() / jnp.maximum(part.sum() * num_envs, 1)
+        for part in (tail, real)
+    ]
+    bias = jnp.where(tail.any(), (mean[0] - mean[1]) / dt, 0.0)
+    return {"tail_bias": bias, "tail_falls": ((1 - buffer.discount) * tail).sum()}
 
 
 def summarise(sums: Metrics, rows) -> Metrics:

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -75,10 +74,10 @@ def _tail_row(program, state, rows: int = 64) -> float:
             rollout.allocate(env, rows, state.robot_index.size),
             jnp.zeros_like(n),
             n,
-            dynamics.TailState(obs=state.env_state.obs),
+            dynamics.tail(static.model, env, state.env_state),
             rollout.row_keys(state.key, state.robot_index),
             act=algorithm.policy(static.ppo, state.learner.params),
-            step=partial(dynamics.step, static.model, env, state.model),
+            step=algorithm.model_step(env, program.hyper.task, state.model, static=static),
         )[0]
 
     compiled = jax.jit(write)

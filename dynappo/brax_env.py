@@ -112,6 +112,7 @@ class BraxState:
 
     brax: Any  # the environment's own state
     obs: Float[Array, "... O"]
+    prop: Float[Array, "... P"]  # its leading numbers: which noise brax added is not known
     clock: Int[Array, "..."]  # age of the episode in control steps; the first may start aged
     episode_steps: Int[Array, "..."]  # control steps since the reset
     episode_return: Float[Array, "..."]
@@ -161,18 +162,22 @@ def from_brax(
         if not value > 0:
             raise ConfigError(f"from_brax: {field} is {value}, expected more than 0")
     names = tuple(n for n, value in first.metrics.items() if value.shape == ())
-    parts = Parts(brax_env, observe, action_limit, episode_length, starts, random_clock, names)
+    limits = prop_size, action_limit, episode_length
+    parts = Parts(brax_env, observe, *limits, starts, random_clock, names)
     return Env(
         randomize=partial(_starts, parts),
         reset=partial(_reset, parts),
         step=partial(_step, parts),
         autoreset=partial(_autoreset, parts),
         context=context,
+        noise=lambda hyper, key: jnp.zeros(prop_size),
+        known_reward=lambda hyper, obs, action, next_prop: jnp.zeros(()),
         metrics=(*names, *EVENTS),
         obs_size=obs_size,
         prop_size=prop_size,
         action_size=action_size,
         dt=float(getattr(brax_env, "dt", 1.0)),  # it only scales what the model predicts
+        episode_length=episode_length,
     )
 
 
@@ -181,6 +186,7 @@ class Parts(NamedTuple):
 
     brax_env: Any
     observe: Callable
+    prop_size: int
     action_limit: float
     episode_length: int  # control steps
     starts: int
@@ -203,9 +209,11 @@ def _reset(parts: Parts, hyper, body, key) -> BraxState:
 def _fresh(parts: Parts, body, key) -> BraxState:
     index = jax.random.randint(key, (), 0, parts.starts)
     first = jax.tree.map(lambda x: x[index], body)
+    obs = parts.observe(first, jnp.zeros(parts.brax_env.action_size))
     return BraxState(
         brax=first,
-        obs=parts.observe(first, jnp.zeros(parts.brax_env.action_size)),
+        obs=obs,
+        prop=obs[: parts.prop_size],
         clock=jnp.zeros((), jnp.int32),
         episode_steps=jnp.zeros((), jnp.int32),
         episode_return=jnp.zeros(()),
@@ -227,13 +235,15 @@ def _step(parts: Parts, hyper, body, state: BraxState, action, key):
     after = parts.brax_env.step(before, clipped)
     obs = parts.observe(after, action)
     ok = jnp.isfinite(obs).all() & jnp.isfinite(after.reward)
+    obs = jnp.where(ok, obs, state.obs)
     reward = jnp.where(ok, after.reward, 0.0)
     fell = (after.done > 0) | ~ok
     clock = state.clock + 1
     timeout = (clock >= parts.episode_length) & ~fell
     next_state = BraxState(
         brax=_typed_as(state.brax, after),
-        obs=jnp.where(ok, obs, state.obs),
+        obs=obs,
+        prop=obs[: parts.prop_size],
         clock=clock,
         episode_steps=state.episode_steps + 1,
         episode_return=state.episode_return + reward,
@@ -245,6 +255,8 @@ def _step(parts: Parts, hyper, body, state: BraxState, action, key):
         discount=1.0 - fell,
         truncation=timeout * 1.0,
         next_obs=next_state.obs,
+        next_prop=next_state.prop,
+        valid=ok * 1.0,
         episode_return=next_state.episode_return,
         episode_length=next_state.episode_steps * 1.0,
         metrics=metrics,

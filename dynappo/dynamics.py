@@ -11,6 +11,20 @@ config field, and `predict_change = normalize = False` is the plain form.
 Never across a reset: rows that ended an episode have weight 0, in the loss and in the moments.
 That excludes every row whose physics blew up.
 
+Beyond the paper, each by a field of the group model that is off by default:
+
+- `clean`: f_theta carries s, the state without noise, in the place of o_prop, and the policy of the
+  tail sees s + noise drawn anew. The noise is the error floor of a model that has to predict it.
+- `known_reward`: r = k(o, a, s') + f_theta, with k what `env.known_reward` computes of the prediction.
+- `falls`: p = sigmoid(f_theta) is the probability that a row ends in a fall, and the tail's discount
+  is 1 - p, so that advantages and values see it. Its cross-entropy has no class weights: they would
+  make the rare fall easier to see, but p false, and p is a factor of every value. Rows that ended an
+  episode are trained on (with `clean` too), because s' is what it was before the reset; only blow-ups
+  are not. A tail's episode is cut where its clock says so; the robot walks on beyond, which no
+  observation can tell from a new episode, and no advantage crosses the cut.
+- `bounds`: every predicted number stays in the range of this iteration's real rows, and 5 % beyond;
+  values likewise (algorithm.estimate). A tail can then be wrong, but not diverge.
+
 Why rows drawn with replacement below n_real: the number of real rows is traced, a permutation of a
 traced length is not to be had, and computing on masked rows would cost what the tail saves. A
 minibatch has `N / minibatches` rows of every robot, each at times of its own, so that drawing them
@@ -19,9 +33,12 @@ moves no row to another device; an epoch is as many minibatches as n_real rows m
 
 from __future__ import annotations
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import optax
+from flax import linen as nn
 from flax import struct
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
@@ -29,18 +46,29 @@ from dynappo import networks
 from dynappo.types import Env, Metrics, ModelState, Moments, Outcome, Transition
 
 MIN_STD = 1e-4  # of a normalised number; some observations never change
+FALL_LOGIT = -4.6  # added to the network's: untrained, it says 1 %
+MARGIN = 0.05  # of the range of real rows, by which a prediction may leave it
 
 
 @struct.dataclass
 class TailState:
     """What the model carries instead of an environment's state."""
 
-    obs: Float[Array, "R O"]
+    obs: Float[Array, "R O"]  # what the policy sees
+    prop: Float[Array, "R P"]  # what the model carries: without noise, or the same numbers again
+    clock: Int[Array, " R"] | None = None  # age of the episode; with `model.falls` only
+
+
+def tail(static, env: Env, state) -> TailState:
+    """Where a tail begins: at the state that physics carries."""
+    prop = state.prop if static.clean else state.obs[..., : env.prop_size]
+    return TailState(obs=state.obs, prop=prop, clock=state.clock if static.falls else None)
 
 
 def network(static, prop_size: int) -> networks.MLP:
-    """f_theta; `static` is the config's group `model`."""
-    return networks.MLP((*static.hidden, prop_size + 1), static.activation, static.precision)
+    """f_theta: next prop, reward and the logit of a fall; `static` is the config's group `model`."""
+    sizes = (*static.hidden, prop_size + 1 + static.falls)
+    return networks.MLP(sizes, static.activation, static.precision)
 
 
 def init(static, env: Env, key: PRNGKeyArray) -> ModelState:
@@ -51,7 +79,10 @@ def init(static, env: Env, key: PRNGKeyArray) -> ModelState:
         params=params,
         opt_state=optax.scale_by_adam().init(params),
         inputs=_moments(size),
-        targets=_moments(env.prop_size + 1),
+        targets=_moments(env.prop_size + 1 + static.falls),
+        bounds=jnp.outer(jnp.array([-jnp.inf, jnp.inf]), jnp.ones(env.prop_size + 1))
+        if static.bounds
+        else None,
     )
 
 
@@ -85,25 +116,66 @@ def scale(moments: Moments) -> tuple[Float[Array, " K"], Float[Array, " K"]]:
 
 def _scales(static, model: ModelState):
     """`((mean, std) of inputs, (mean, std) of targets)`, or the identity without normalisation."""
-    if static.normalize:
-        return scale(model.inputs), scale(model.targets)
-    return (0.0, 1.0), (0.0, 1.0)
+    if not static.normalize:
+        return (0.0, 1.0), (0.0, 1.0)
+    mean, std = scale(model.targets)
+    if static.falls:  # 0 or 1, as it is
+        mean, std = mean.at[-1].set(0.0), std.at[-1].set(1.0)
+    return scale(model.inputs), (mean, std)
 
 
-def targets(static, env: Env, rows: Transition) -> Float[Array, "... P+1"]:
-    """What the model is to predict of each row: change of (or next) prop, and reward / dt."""
-    size = env.prop_size
-    prop = rows.next_obs[..., :size]
+def before_and_after(static, env: Env, rows: Transition):
+    """`(obs [O], next prop [P])` of each row as the model sees them: without noise if `clean`."""
+    if not static.clean:
+        return rows.obs, rows.next_obs[..., : env.prop_size]
+    return jnp.concatenate([rows.prop, rows.obs[..., env.prop_size :]], -1), rows.next_prop
+
+
+def targets(static, env: Env, rows: Transition, task=None) -> Float[Array, "... P+1"]:
+    """What the model is to predict of each row: change of (or next) prop, and reward / dt.
+
+    Of the reward, what is not known; and with `falls`, one number more: 1 where the episode fell.
+    """
+    obs, prop = before_and_after(static, env, rows)
+    reward, fell = rows.reward, 1.0 - rows.discount
+    if static.known_reward:
+        known = jax.vmap(jax.vmap(partial(env.known_reward, task)))
+        reward = reward - known(rows.obs, rows.action, rows.next_prop)
     if static.predict_change:
-        prop = prop - rows.obs[..., :size]
-    return jnp.concatenate([prop, rows.reward[..., None] / env.dt], axis=-1)
+        prop = prop - obs[..., : env.prop_size]
+    columns = [prop, reward[..., None] / env.dt] + [fell[..., None]] * static.falls
+    return jnp.concatenate(columns, axis=-1)
+
+
+def row_weight(static, rows: Transition, n_real: Int[Array, ""]) -> Float[Array, "N R"]:
+    """1 for the rows that the model learns from, else 0."""
+    real = (jnp.arange(rows.reward.shape[0]) < n_real)[:, None]
+    good = rows.discount * (1 - rows.truncation)
+    return jnp.where(real, rows.valid if static.clean or static.falls else good, 0.0)
 
 
 def loss(static, params, x, y, weight, huber_delta) -> Float[Array, ""]:
-    """Mean Huber loss (eq. 3) over rows of weight 1 and over the predicted numbers."""
-    prediction = networks.apply(network(static, y.shape[-1] - 1), params, x)
-    error = optax.losses.huber_loss(prediction, y, delta=huber_delta).mean(-1)
+    """Mean loss over rows of weight 1 and over the predicted numbers: Huber (eq. 3); of a fall, the
+    cross-entropy."""
+    size = y.shape[-1] - static.falls
+    prediction = networks.apply(network(static, size - 1), params, x)
+    error = optax.losses.huber_loss(prediction[..., :size], y[..., :size], delta=huber_delta)
+    if static.falls:
+        fall = optax.losses.sigmoid_binary_cross_entropy(prediction + FALL_LOGIT, y)[..., size:]
+        error = jnp.concatenate([error, fall], -1)
+    error = error.mean(-1)
     return (error * weight).sum() / jnp.maximum(weight.sum(), 1)
+
+
+def range_of(old, env: Env, static, rows: Transition, weight) -> Float[Array, "2 P+1"]:
+    """`(low, high)` of next prop and reward over the rows of weight 1, and a margin; or `old`."""
+    prop = before_and_after(static, env, rows)[1]
+    numbers = jnp.concatenate([prop, rows.reward[..., None]], -1)
+    used = weight[..., None] > 0
+    low = jnp.where(used, numbers, jnp.inf).min((0, 1))
+    high = jnp.where(used, numbers, -jnp.inf).max((0, 1))
+    margin = MARGIN * (high - low)
+    return jnp.where(used.any(), jnp.stack([low - margin, high + margin]), old)
 
 
 def fit(
@@ -115,22 +187,25 @@ def fit(
     n_real: Int[Array, ""],
     epochs: Int[Array, ""],
     key: PRNGKeyArray,
+    task=None,
 ) -> tuple[ModelState, Metrics]:
     """`epochs` passes of Adam over the rows `t < n_real` of a `[N, R]` buffer.
 
-    `static` and `hyper` are the config's group `model`. Metrics: `model_loss_before`, of the first
-    minibatch before any step (rows the model has never seen), and `model_loss`, of the last.
+    `static` and `hyper` are the config's group `model`, `task` is `hyper.task`. Metrics:
+    `model_loss_before`, of the first minibatch before any step (rows the model has never seen), and
+    `model_loss`, of the last.
     """
     horizon, num_envs = rows.reward.shape
     drawn = horizon // static.minibatches  # rows of each robot in a minibatch
-    real = (jnp.arange(horizon) < n_real)[:, None]
-    weight = jnp.where(real, rows.discount * (1 - rows.truncation), 0.0)
-    x, y = jnp.concatenate([rows.obs, rows.action], -1), targets(static, env, rows)
+    weight = row_weight(static, rows, n_real)
+    obs, _ = before_and_after(static, env, rows)
+    x, y = jnp.concatenate([obs, rows.action], -1), targets(static, env, rows, task)
     # zeroed, not only weighted: nothing times 0 is 0 for a number that is not finite
     x, y = (jnp.where(weight[..., None] > 0, a, 0.0) for a in (x, y))
     model = model.replace(
         inputs=update_moments(model.inputs, x, weight, hyper.stats_decay),
         targets=update_moments(model.targets, y, weight, hyper.stats_decay),
+        bounds=range_of(model.bounds, env, static, rows, weight) if static.bounds else None,
     )
     (x_mean, x_std), (y_mean, y_std) = _scales(static, model)
     data = jnp.concatenate([(x - x_mean) / x_std, (y - y_mean) / y_std, weight[..., None]], -1)
@@ -156,35 +231,48 @@ def fit(
 
 
 def predict(
-    static, env: Env, model: ModelState, obs: Float[Array, "R O"], action: Float[Array, "R A"]
-) -> tuple[Float[Array, "R O"], Float[Array, " R"]]:
-    """`(next observation, reward)`: prop predicted, ctx copied by `env.context`."""
+    static,
+    env: Env,
+    model: ModelState,
+    obs: Float[Array, "*R O"],
+    action: Float[Array, "*R A"],
+    task=None,
+) -> tuple[Float[Array, "*R O"], Float[Array, "*R"], Float[Array, "*R"]]:
+    """`(next observation, reward, discount)`: prop predicted, ctx copied by `env.context`."""
+    size = env.prop_size
     (x_mean, x_std), (y_mean, y_std) = _scales(static, model)
     x = (jnp.concatenate([obs, action], -1) - x_mean) / x_std
-    y = networks.apply(network(static, env.prop_size), model.params, x) * y_std + y_mean
-    prop = y[..., :-1]
+    y = networks.apply(network(static, size), model.params, x) * y_std + y_mean
+    prop, reward = y[..., :size], y[..., size] * env.dt
     if static.predict_change:
-        prop = prop + obs[..., : env.prop_size]
-    return jnp.concatenate([prop, env.context(obs, action)], -1), y[..., -1] * env.dt
+        prop = prop + obs[..., :size]
+    if static.bounds:
+        prop = jnp.clip(prop, model.bounds[0, :size], model.bounds[1, :size])
+    if static.known_reward:
+        reward += jax.vmap(partial(env.known_reward, task))(obs, action, prop)
+    if static.bounds:
+        reward = jnp.clip(reward, model.bounds[0, size], model.bounds[1, size])
+    lives = 1 - nn.sigmoid(y[..., -1] + FALL_LOGIT) if static.falls else jnp.ones_like(reward)
+    return jnp.concatenate([prop, env.context(obs, action)], -1), reward, lives
 
 
 def unroll(
-    static, env: Env, model: ModelState, rows: Transition, steps: int
+    static, env: Env, model: ModelState, rows: Transition, steps: int, task=None
 ) -> tuple[Float[Array, "K R P"], Float[Array, "K R"]]:
     """`steps` predictions in a row, from row 0 with the actions that were taken.
 
-    Returns them, to be compared with `rows.next_obs[:K]`, and 1 where the robot's episode had not
-    ended by then.
+    Returns them, to be compared with the next prop of `before_and_after`, and 1 where the robot's
+    episode had not ended by then.
     """
-    obs, predicted = rows.obs[0], []
+    obs, predicted = before_and_after(static, env, rows)[0][0], []
     for k in range(steps):
-        obs, _ = predict(static, env, model, obs, rows.action[k])
+        obs = predict(static, env, model, obs, rows.action[k], task)[0]
         predicted.append(obs[:, : env.prop_size])
     alive = jnp.cumprod(rows.discount[:steps] * (1 - rows.truncation[:steps]), axis=0)
     return jnp.stack(predicted), alive
 
 
-def errors(static, env: Env, model: ModelState, rows: Transition, steps: int) -> Metrics:
+def errors(static, env: Env, model: ModelState, rows: Transition, steps: int, task=None) -> Metrics:
     """Error of 1 and of `steps` predictions in a row, as a share of that of repeating the state.
 
     Root mean square over robots and predicted numbers, each in units of its spread; 1 is no better
@@ -192,9 +280,10 @@ def errors(static, env: Env, model: ModelState, rows: Transition, steps: int) ->
     """
     size, out = env.prop_size, {}
     std = scale(model.inputs)[1][:size]
-    predicted, alive = unroll(static, env, model, rows, steps)
+    obs, prop = before_and_after(static, env, rows)
+    predicted, alive = unroll(static, env, model, rows, steps, task)
     for k in {0, steps - 1}:
-        truth, still = rows.next_obs[k, :, :size], rows.obs[0, :, :size]
+        truth, still = prop[k], obs[0, :, :size]
         wrong, change = (
             jnp.where(alive[k, :, None] > 0, ((x - truth) / std) ** 2, 0.0).sum()
             for x in (predicted[k], still)
@@ -203,20 +292,31 @@ def errors(static, env: Env, model: ModelState, rows: Transition, steps: int) ->
     return out
 
 
-def step(static, env: Env, model: ModelState, state: TailState, action, keys=None) -> tuple:
+def step(static, env: Env, model: ModelState, state: TailState, action, keys=None, task=None):
     """The contract of an environment's step, with the model in place of physics.
 
-    The model is deterministic: `keys` is not read. No row of a tail falls or times out, because
-    the paper's model predicts no terminations and clocks advance in physics only.
+    The model is deterministic: `keys` are read for the observation's noise (`clean`) only. Without
+    `falls` no row of a tail falls or times out: the paper's model predicts no terminations, and
+    clocks advance in physics only.
     """
-    obs, reward = predict(static, env, model, state.obs, action)
+    size = env.prop_size
+    obs = jnp.concatenate([state.prop, state.obs[..., size:]], -1)
+    obs, reward, discount = predict(static, env, model, obs, action, task)
+    prop, clock, truncation = obs[..., :size], None, jnp.zeros_like(reward)
+    if static.clean:
+        obs = obs.at[..., :size].add(jax.vmap(env.noise, (None, 0))(task, keys))
+    if static.falls:
+        clock = state.clock + 1
+        truncation = (clock == env.episode_length) * 1.0
     outcome = Outcome(
         reward=reward,
-        discount=jnp.ones_like(reward),
-        truncation=jnp.zeros_like(reward),
+        discount=discount,
+        truncation=truncation,
         next_obs=obs,
+        next_prop=prop,
+        valid=jnp.ones_like(reward),
         episode_return=jnp.zeros_like(reward),
         episode_length=jnp.zeros_like(reward),
         metrics={},
     )
-    return TailState(obs=obs), outcome
+    return TailState(obs=obs, prop=prop, clock=clock), outcome

@@ -59,11 +59,14 @@ def make(
         step=partial(step, parts),
         autoreset=partial(autoreset, parts),
         context=observe.context,
+        noise=noise,
+        known_reward=partial(known_reward, parts),
         metrics=(*names, "velocity_error_sq", "yaw_error_sq", "falls", "timeouts", "blowups"),
         obs_size=observe.PROP_SIZE + observe.CONTEXT_SIZE,
         prop_size=observe.PROP_SIZE,
         action_size=len(robot.joint_names),
         dt=parts.dt,
+        episode_length=task.episode_length,
     )
 
 
@@ -126,12 +129,13 @@ def _fresh(parts: Parts, hyper, body, key) -> EnvState:
     qvel = jnp.concatenate([velocity, default * 0])
     command, goal = commands.draw(parts.task, hyper, qpos, keys[4])
     feet = jnp.zeros(len(parts.robot.feet), jnp.int32)
-    obs = _observe(parts, hyper, body, qpos, qvel, command, default * 0, keys[5])
+    prop, obs = _observe(parts, hyper, body, qpos, qvel, command, default * 0, keys[5])
     return EnvState(
         qpos=qpos,
         qvel=qvel,
         qacc_warmstart=jnp.zeros_like(qvel),
         obs=obs,
+        prop=prop,
         command=command,
         goal=goal,
         last_action=default * 0,
@@ -165,10 +169,17 @@ def push(parts: Parts, hyper, qvel, push_in, key):
 
 
 def _observe(parts, hyper, body, qpos, qvel, command, last_action, key):
+    """`(prop, obs)`: the predicted part without noise, and the whole with it."""
     default = jnp.asarray(parts.robot.default_pose, jnp.float32)
     clean = observe.observe(qpos, qvel, body.base_com, default, command, last_action)
     noise = jax.random.uniform(key, clean.shape, minval=-1.0, maxval=1.0)
-    return clean + noise * observe.noise_scale(hyper.noise, jnp)
+    return clean[: observe.PROP_SIZE], clean + noise * observe.noise_scale(hyper.noise, jnp)
+
+
+def noise(hyper, key):
+    """A draw of the noise on `prop`, [33]: uniform, as `step` adds it to an observation."""
+    scale = observe.noise_scale(hyper.noise, jnp)[: observe.PROP_SIZE]
+    return jax.random.uniform(key, scale.shape, minval=-1.0, maxval=1.0) * scale
 
 
 def step(parts: Parts, hyper, body, state: EnvState, action, key):
@@ -196,12 +207,13 @@ def step(parts: Parts, hyper, body, state: EnvState, action, key):
         parts.task, hyper, state.command, state.goal, after.qpos, command_key
     )
     qvel, push_in = push(parts, hyper, after.qvel, state.push_in, push_key)
-    obs = _observe(parts, hyper, body, after.qpos, qvel, command, action, obs_key)
+    prop, obs = _observe(parts, hyper, body, after.qpos, qvel, command, action, obs_key)
     next_state = state.replace(
         qpos=after.qpos,
         qvel=qvel,
         qacc_warmstart=after.qacc_warmstart,
         obs=jnp.where(ok, obs, state.obs),
+        prop=jnp.where(ok, prop, state.prop),
         command=command,
         goal=goal,
         last_action=action,
@@ -226,6 +238,8 @@ def step(parts: Parts, hyper, body, state: EnvState, action, key):
         discount=1.0 - fell,
         truncation=timeout * 1.0,
         next_obs=next_state.obs,
+        next_prop=next_state.prop,
+        valid=ok * 1.0,
         episode_return=next_state.episode_return,
         episode_length=next_state.episode_steps * 1.0,
         metrics=metrics,
@@ -237,7 +251,6 @@ def reward_terms(
     parts: Parts, hyper, state: EnvState, action, after: physics.Substeps, motion
 ) -> dict:
     """Every term of the reward, unweighted, by the name of its weight in `task.weights`."""
-    gravity, linear, angular = motion
     contact = after.contact_steps > 0
     if parts.task.air_time == "touchdown":
         touchdown = contact & (after.contact_steps <= parts.engine.substeps)
@@ -248,13 +261,7 @@ def reward_terms(
     qd = after.qvel[6:]
     lowest = jnp.where(parts.undesired, after.lowest, jnp.inf).min(-1)
     return {
-        "track_linear_velocity": rewards.track_linear_velocity(
-            linear, state.command, hyper.tracking_std
-        ),
-        "track_yaw_rate": rewards.track_yaw_rate(angular, state.command, hyper.tracking_std),
-        "vertical_velocity": rewards.vertical_velocity(linear),
-        "roll_pitch_rate": rewards.roll_pitch_rate(angular),
-        "flat_orientation": rewards.flat_orientation(gravity),
+        **motion_terms(hyper, state.command, motion),
         "joint_torques": rewards.joint_torques(after.torque),
         "joint_accelerations": rewards.joint_accelerations(
             qd, after.qd_before, parts.engine.timestep
@@ -263,3 +270,29 @@ def reward_terms(
         "feet_air_time": air,
         "undesired_contacts": rewards.undesired_contacts(lowest),
     }
+
+
+def motion_terms(hyper, command, motion) -> dict:
+    """The terms that follow from the base's `(gravity, linear, angular)` and the command."""
+    gravity, linear, angular = motion
+    return {
+        "track_linear_velocity": rewards.track_linear_velocity(linear, command, hyper.tracking_std),
+        "track_yaw_rate": rewards.track_yaw_rate(angular, command, hyper.tracking_std),
+        "vertical_velocity": rewards.vertical_velocity(linear),
+        "roll_pitch_rate": rewards.roll_pitch_rate(angular),
+        "flat_orientation": rewards.flat_orientation(gravity),
+    }
+
+
+def known_reward(parts: Parts, hyper, obs, action, next_prop):
+    """The share of a row's reward that is a function of `obs` [48], `action` and `next_prop` [33].
+
+    Exact unless a push changed the velocity after the reward (`push`). The rest is torques,
+    accelerations, air times and contacts, which no observation shows.
+    """
+    command, last_action = obs[observe.COMMAND], obs[observe.LAST_ACTION]
+    parts_of_motion = observe.GRAVITY, observe.LINEAR_VELOCITY, observe.ANGULAR_VELOCITY
+    terms = motion_terms(hyper, command, [next_prop[part] for part in parts_of_motion])
+    terms["action_rate"] = rewards.action_rate(action, last_action)
+    weights = {name: getattr(hyper.weights, name) for name in terms}
+    return rewards.total(terms, weights, parts.dt)[0]

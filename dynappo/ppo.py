@@ -35,6 +35,7 @@ class Batch(NamedTuple):
     value: Float[Array, "..."]
     advantages: Float[Array, "..."]
     returns: Float[Array, "..."]
+    weight: Float[Array, "..."] | None = None  # of each row in all means; None: 1
 
 
 def init(static, hyper, obs_size: int, action_size: int, key: PRNGKeyArray) -> Learner:
@@ -51,9 +52,21 @@ def _optimizer(hyper):
     return optax.chain(optax.clip_by_global_norm(hyper.max_grad_norm), optax.scale_by_adam())
 
 
-def normalize(advantages: Float[Array, "..."]) -> Float[Array, "..."]:
-    """Zero mean and unit sample standard deviation (ddof 1, plus 1e-8) over the whole batch."""
-    return (advantages - advantages.mean()) / (advantages.std(ddof=1) + 1e-8)
+def mean(x: Float[Array, "..."], weight: Float[Array, "..."] | None) -> Float[Array, ""]:
+    """Weighted mean, sum w x / sum w."""
+    return x.mean() if weight is None else (x * weight).mean() / jnp.maximum(weight.mean(), 1e-8)
+
+
+def normalize(advantages: Float[Array, "..."], weight=None) -> Float[Array, "..."]:
+    """Zero mean and unit sample standard deviation (ddof 1, plus 1e-8) over the whole batch.
+
+    With weights, mean and deviation are weighted: std^2 = sum w (A - mean)^2 / (sum w - 1).
+    """
+    centred = advantages - mean(advantages, weight)
+    if weight is None:
+        return centred / (advantages.std(ddof=1) + 1e-8)
+    count = jnp.maximum(weight.sum() - 1, 1)
+    return centred / (jnp.sqrt((weight * centred**2).sum() / count) + 1e-8)
 
 
 def loss(static, hyper, params: dict, batch: Batch, old_std: Float[Array, " A"]):
@@ -62,21 +75,23 @@ def loss(static, hyper, params: dict, batch: Batch, old_std: Float[Array, " A"])
         surrogate = mean max(-A rho, -A clip(rho, 1 - eps, 1 + eps)),  rho = pi / pi_old
         value     = mean max((V - R)^2, (V_old + clip(V - V_old, -eps, eps) - R)^2)
 
-    `metrics["kl"]` is the mean KL(old || new), for the learning rate.
+    `metrics["kl"]` is the mean KL(old || new), for the learning rate. Means are over rows with
+    their weights.
     """
-    mean, std = networks.policy(static, params, batch.obs), params["std"]
+    action_mean, std = networks.policy(static, params, batch.obs), params["std"]
     value = networks.value(static, params, batch.obs)
     chex.assert_equal_shape([value, batch.value, batch.returns, batch.advantages])
-    ratio = jnp.exp(networks.log_prob(mean, std, batch.action) - batch.log_prob)
+    ratio = jnp.exp(networks.log_prob(action_mean, std, batch.action) - batch.log_prob)
     clipped = jnp.clip(ratio, 1 - hyper.clip_epsilon, 1 + hyper.clip_epsilon)
-    surrogate = -jnp.minimum(batch.advantages * ratio, batch.advantages * clipped).mean()
+    surrogate = jnp.minimum(batch.advantages * ratio, batch.advantages * clipped)
+    surrogate = -mean(surrogate, batch.weight)
     error = (value - batch.returns) ** 2
     if static.clip_value:
         change = jnp.clip(value - batch.value, -hyper.clip_epsilon, hyper.clip_epsilon)
         error = jnp.maximum(error, (batch.value + change - batch.returns) ** 2)
-    value_loss, entropy = error.mean(), networks.entropy(std)
+    value_loss, entropy = mean(error, batch.weight), networks.entropy(std)
     metrics = {
-        "kl": networks.kl(batch.action_mean, old_std, mean, std).mean(),
+        "kl": mean(networks.kl(batch.action_mean, old_std, action_mean, std), batch.weight),
         "surrogate_loss": surrogate,
         "value_loss": value_loss,
         "entropy": entropy,
@@ -133,7 +148,7 @@ def update(static, hyper, learner: Learner, batch: Batch, key) -> tuple[Learner,
     Metrics are means over all steps; `learning_rate` is the one the last step used.
     """
     old_std = learner.params["std"]
-    batch = batch._replace(advantages=normalize(batch.advantages))
+    batch = batch._replace(advantages=normalize(batch.advantages, batch.weight))
     shuffled = minibatches(static, batch, key)
 
     def epoch(learner, _):

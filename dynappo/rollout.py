@@ -25,6 +25,7 @@ def allocate(env: Env, horizon: int, num_envs: int) -> Transition:
     """An empty buffer of N rows of R robots."""
     one = jnp.zeros((horizon, num_envs))
     obs = jnp.zeros((horizon, num_envs, env.obs_size))
+    prop = jnp.zeros((horizon, num_envs, env.prop_size))
     action = jnp.zeros((horizon, num_envs, env.action_size))
     return Transition(
         obs=obs,
@@ -36,6 +37,9 @@ def allocate(env: Env, horizon: int, num_envs: int) -> Transition:
         discount=one,
         truncation=one,
         next_obs=obs,
+        prop=prop,
+        next_prop=prop,
+        valid=one,
         episode_return=one,
         episode_length=one,
     )
@@ -64,7 +68,7 @@ def fill(
     """Write rows `lo <= t < hi`; returns `(buffer, state after the last row, sums)`.
 
     `act(obs, keys) -> action, action_mean, log_prob, value` and `step(state, action, keys) ->
-    state, Outcome` work on all R robots; of `state` only `.obs` is read here. `sums` are the
+    state, Outcome` work on all R robots; of `state` only `.obs` and `.prop` are read here. `sums` are the
     `metrics` of the outcomes, summed over these rows and all robots.
     """
 
@@ -83,6 +87,9 @@ def fill(
             discount=outcome.discount,
             truncation=outcome.truncation,
             next_obs=outcome.next_obs,
+            prop=state.prop,
+            next_prop=outcome.next_prop,
+            valid=outcome.valid,
             episode_return=outcome.episode_return,
             episode_length=outcome.episode_length,
         )

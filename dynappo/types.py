@@ -12,10 +12,12 @@ Shapes in the comments are those of one seed; seeds exist only outside, as a `ja
 Meanings, stated once:
 
 - `discount` is 0 where the episode ended for good (a fall), else 1; gamma is applied in `gae.py` only.
+  In a tail with `model.falls` it is the probability that the episode goes on.
 - `truncation` is 1 where the time limit cut the episode: its value is bootstrapped from `next_obs`
   and no advantage crosses it. A row is never both.
 - `next_obs` is observed before any reset. Unless a reset lies between, it is the same array as the
   next row's `obs`, noise included.
+- `prop` is the predicted part of the observation without its noise, `next_prop` that of `next_obs`.
 - Row t is real if and only if `t < n_real`; that is not stored.
 
 Why no iteration counter in `TrainState`: a counter that is a leaf of a stacked state becomes batched
@@ -43,6 +45,8 @@ class Outcome:
     discount: Float[Array, "..."]
     truncation: Float[Array, "..."]
     next_obs: Float[Array, "... O"]
+    next_prop: Float[Array, "... P"]
+    valid: Float[Array, "..."]  # 0 where physics blew up: nothing of this row may be learned
     episode_return: Float[Array, "..."]  # sum of rewards of this episode, this row included
     episode_length: Float[Array, "..."]  # rows of this episode, this one included
     metrics: Metrics  # per robot; summed over the rows that physics wrote
@@ -61,6 +65,9 @@ class Transition:
     discount: Float[Array, "..."]
     truncation: Float[Array, "..."]
     next_obs: Float[Array, "... O"]
+    prop: Float[Array, "... P"]
+    next_prop: Float[Array, "... P"]
+    valid: Float[Array, "..."]
     episode_return: Float[Array, "..."]
     episode_length: Float[Array, "..."]
 
@@ -86,6 +93,7 @@ class EnvState:
     qvel: Float[Array, "... nv"]
     qacc_warmstart: Float[Array, "... nv"]
     obs: Float[Array, "... O"]
+    prop: Float[Array, "... P"]  # the observation's predicted part, before its noise
     command: Float[Array, "... 3"]  # m/s, m/s, rad/s in the base frame
     goal: Goal
     last_action: Float[Array, "... A"]
@@ -124,6 +132,7 @@ class ModelState:
     opt_state: Any
     inputs: Moments
     targets: Moments
+    bounds: Float[Array, "2 P+1"] | None = None  # low, high of a prediction; None: without any
 
 
 @struct.dataclass
@@ -146,7 +155,11 @@ class Env(NamedTuple):
     `hyper` is the pytree of the task's floats, `body` the robot's own physical parameters.
     `step` never resets, `autoreset` does. `context(obs, action)` is the part of the next
     observation that follows from the row itself and is copied, not predicted: the trailing
-    `obs_size - prop_size` numbers. States must have the field `obs`.
+    `obs_size - prop_size` numbers. States must have the fields `obs` and `prop`.
+
+    For a tail that is as good as it can be (group model; else not called): `noise` is what `obs` adds
+    to `prop`, `known_reward` the share of the reward that is a function of obs, action and next prop,
+    and with `model.falls` states have a `clock`, at `episode_length` of which an episode is cut.
     """
 
     randomize: Callable[..., Any]  # (hyper, key) -> body
@@ -154,9 +167,12 @@ class Env(NamedTuple):
     step: Callable[..., Any]  # (hyper, body, state, action, key) -> state, Outcome
     autoreset: Callable[..., Any]  # (hyper, body, state, Outcome, key) -> state
     context: Callable[..., Any]  # (obs, action) -> [O - P]
+    noise: Callable[..., Any]  # (hyper, key) -> [P]
+    known_reward: Callable[..., Any]  # (hyper, obs, action, next_prop) -> []
     metrics: tuple[str, ...]  # names in Outcome.metrics
     obs_size: int
     prop_size: int
     action_size: int
     dt: float  # s, one control step
+    episode_length: int  # control steps
     mesh: jax.sharding.Mesh | None = None  # devices over which the robots are spread (sweep.py)

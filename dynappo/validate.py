@@ -141,7 +141,8 @@ def validate(config: config_dict.ConfigDict) -> config_dict.FrozenConfigDict:
             f"run.time_phases is True with run.num_seeds = {config.run.num_seeds}: "
             "phases are measured on one seed only"
         )
-    for field in ("ppo.gamma", "ppo.lambda_", "model.stats_decay", "task.standing"):
+    shares = "ppo.gamma ppo.lambda_ ppo.tail_weight model.stats_decay task.standing"
+    for field in shares.split():
         if not 0 <= fields[field] <= 1:
             raise ConfigError(f"{field} is {fields[field]}, expected a number from 0 to 1")
     if config.ppo.min_learning_rate > config.ppo.max_learning_rate:

@@ -21,7 +21,8 @@ from dynappo import log, train
 
 KEPT = (
     "iteration sim_steps seconds episode_return episode_length velocity_error policy_std "
-    "learning_rate kl value_loss model_loss model_error_1 model_error_4 falls"
+    "learning_rate kl value_loss model_loss model_error_1 model_error_4 falls "
+    "surrogate_loss tail_bias tail_falls"
 ).split()
 
 

@@ -258,7 +258,9 @@ def test_the_tail_is_written_by_the_model_fitted_in_this_iteration(iterated, tai
     static = tail[1].model
     for n in (5, 3):
         buffer, state, _ = iterated[n]
-        obs, reward = dynamics.predict(static, env, state.model, buffer.obs[n:], buffer.action[n:])
+        obs, reward, _ = dynamics.predict(
+            static, env, state.model, buffer.obs[n:], buffer.action[n:]
+        )
         np.testing.assert_allclose(buffer.next_obs[n:], obs, 1e-5, 1e-5)
         np.testing.assert_allclose(buffer.reward[n:], reward, 1e-5, 1e-5)
 
@@ -395,6 +397,7 @@ def test_without_tails_the_program_with_a_model_is_plain_ppo(run, run_plain, tai
     without, expected = run_plain(plain[2], first(0, "plain"), columns(plain[0]))
     assert_same(with_model.replace(model=None), without)
     only = {"model_loss", "model_loss_before", "model_error_1", "model_error_4"}
+    only |= {"tail_bias", "tail_falls"}
     assert set(metrics) - set(expected) == only
     assert_same({name: metrics[name] for name in expected}, expected)
 

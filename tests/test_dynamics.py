@@ -33,11 +33,14 @@ ENV = Env(
     step=None,
     autoreset=None,
     context=lambda obs, action: jnp.concatenate([obs[..., PROP : PROP + COMMAND], action], -1),
+    noise=None,
+    known_reward=None,
     metrics=(),
     obs_size=OBS,
     prop_size=PROP,
     action_size=ACTIONS,
     dt=DT,
+    episode_length=1000,
 )
 
 
@@ -135,7 +138,7 @@ def test_a_fit_learns_a_linear_world_and_predicts_rows_it_has_not_seen(model_set
     assert {x.dtype.name for x in jax.tree.leaves(model)} == {"float32", "int32"}
 
     rows = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), linear_rows(1000))
-    next_obs, reward = dynamics.predict(static, ENV, model, rows.obs, rows.action)
+    next_obs, reward, _ = dynamics.predict(static, ENV, model, rows.obs, rows.action)
     assert next_obs.dtype == reward.dtype == jnp.float32
     change = (rows.next_obs - rows.obs)[:, :PROP]
     error = next_obs[:, :PROP] - rows.next_obs[:, :PROP]
@@ -149,7 +152,7 @@ def test_the_plain_form_learns_the_next_state_itself(model_settings):
     model, rows = start(static), linear_rows(0)
     model, metrics = fit(static)(hyper, model, rows, i32(HORIZON), i32(100), jax.random.key(0))
     assert metrics["model_loss"] < 0.2 * metrics["model_loss_before"]
-    next_obs, _ = dynamics.predict(static, ENV, model, rows.obs[0], rows.action[0])
+    next_obs, _, _ = dynamics.predict(static, ENV, model, rows.obs[0], rows.action[0])
     error = (next_obs - rows.next_obs[0])[:, :PROP]
     assert rms(error)[0] < 0.5 * rms(rows.next_obs[0])[0]  # of the number around 5
 
@@ -160,7 +163,7 @@ def test_the_first_reported_loss_is_the_huber_loss_of_the_untrained_model(model_
     rows = jax.tree.map(lambda x: jnp.broadcast_to(x[:1, :1], x.shape), rows)  # all rows alike
     # no step: the loss of the one row, by hand
     y = np.append(np.asarray(rows.next_obs - rows.obs)[0, 0, :PROP], rows.reward[0, 0] / DT)
-    next_obs, reward = dynamics.predict(static, ENV, model, rows.obs[0], rows.action[0])
+    next_obs, reward, _ = dynamics.predict(static, ENV, model, rows.obs[0], rows.action[0])
     guess = np.append(np.asarray(next_obs - rows.obs[0])[0, :PROP], reward[0] / DT)
     total = 0.0
     for error in np.abs(np.float64(guess) - y):
@@ -412,7 +415,7 @@ def test_a_prediction_is_unscaled_added_to_the_state_and_the_reward_multiplied_b
     static, _ = model_settings(normalize=normalize, predict_change=predict_change)
     model, rows = constant_model(static, OUTPUT, MEAN, STD), linear_rows(0)
     obs, action = rows.obs[0], rows.action[0]
-    next_obs, reward = typed(dynamics.predict)(static, ENV, model, obs, action)
+    next_obs, reward, discount = typed(dynamics.predict)(static, ENV, model, obs, action)
     # outputs 1, -2, 0.5, 0, 3: 2.1, -0.8, 0.8, 0.4 and 11 after scaling
     expected = np.array([2.1, -0.8, 0.8, 0.4, 11.0] if normalize else OUTPUT)
     before = np.asarray(obs[:, :PROP]) if predict_change else 0.0
@@ -442,11 +445,10 @@ def test_targets_are_the_change_of_state_or_the_next_state_and_the_reward_per_se
 def test_a_step_of_the_tail_carries_the_prediction_and_ends_no_episode(model_settings):
     static, _ = model_settings()
     model, rows = constant_model(static, OUTPUT, MEAN, STD), linear_rows(0)
-    state, outcome = dynamics.step(
-        static, ENV, model, dynamics.TailState(obs=rows.obs[0]), rows.action[0]
-    )
+    state = dynamics.TailState(obs=rows.obs[0], prop=rows.obs[0, :, :PROP])
+    state, outcome = dynamics.step(static, ENV, model, state, rows.action[0])
     expected = dynamics.predict(static, ENV, model, rows.obs[0], rows.action[0])
-    assert_same_bits((outcome.next_obs, outcome.reward), expected)
+    assert_same_bits((outcome.next_obs, outcome.reward, outcome.discount), expected)
     np.testing.assert_array_equal(state.obs, outcome.next_obs)
     np.testing.assert_array_equal(outcome.discount, 1)
     np.testing.assert_array_equal(outcome.truncation, 0)

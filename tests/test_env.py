@@ -462,6 +462,45 @@ def test_the_reward_is_the_sum_of_the_metrics_times_the_control_step(lab, walk):
         np.testing.assert_allclose(outcome.reward, 0.02 * np.sum(parts, axis=0), rtol=1e-5)
 
 
+def test_the_known_share_of_the_reward_is_that_of_six_terms(lab, physics, walk):
+    """Of observation, action and next state alone, against the terms that `step` reports; with noise
+    on both observations, because they are not read where noise is."""
+    moves, states, outcomes = walk
+    names = (
+        "track_linear_velocity track_yaw_rate vertical_velocity roll_pitch_rate flat_orientation"
+    )
+    known = jax.jit(jax.vmap(lab.env.known_reward, (None, 0, 0, 0)))
+    hyper, noise, total = weights(lab.quiet), np.zeros(48), 0.0
+    noise[: observe.PROP_SIZE] = 0.3
+    for t in range(9, 100, 10):  # not 0: `standing` has another command than it shows
+        metrics, state = outcomes[t].metrics, states[t]
+        found = known(hyper, state.obs + noise, moves[t], outcomes[t].next_prop)
+        parts = [metrics[f"reward_{name}"] for name in (*names.split(), "action_rate")]
+        np.testing.assert_allclose(found, 0.02 * np.sum(parts, axis=0), rtol=1e-4, atol=1e-6)
+        total += np.abs(metrics["reward_action_rate"]).sum()
+    assert total > 0 and np.abs(found - outcomes[99].reward).max() > 1e-4  # not all of it
+
+
+def test_prop_is_the_observation_without_its_noise_and_noise_is_drawn_as_it_was(lab, physics, walk):
+    moves, states, _ = walk
+    size, samples = observe.PROP_SIZE, []
+    for t in range(0, 100, 5):
+        keys = jax.random.split(jax.random.key(t), ROBOTS)
+        quiet, _ = lab.step(lab.quiet, physics, states[t], moves[t], keys)
+        noisy, outcome = lab.step(lab.hyper, physics, states[t], moves[t], keys)
+        np.testing.assert_array_equal(quiet.prop, quiet.obs[:, :size])
+        np.testing.assert_array_equal(noisy.prop, quiet.prop)
+        np.testing.assert_array_equal(outcome.next_prop, quiet.prop)
+        samples.append(noisy.obs - quiet.obs)
+    fresh = lab.reset(lab.hyper, physics, lab.keys)
+    assert (np.abs(fresh.obs[:, :size] - fresh.prop) <= np.array(NOISE[:size]) + 1e-6).all()
+    drawn = jax.vmap(lab.env.noise, (None, 0))(lab.hyper, jax.random.split(jax.random.key(3), 320))
+    for k in range(size):
+        fills(np.concatenate(samples)[:, k], -NOISE[k], NOISE[k])
+        fills(drawn[:, k], -NOISE[k], NOISE[k])
+    assert np.abs(np.corrcoef(drawn.T) - np.eye(size)).max() < 5 / np.sqrt(len(drawn))
+
+
 def test_tracking_errors_in_the_metrics_are_those_of_the_observed_velocities(walk):
     _, states, outcomes = walk
     for state, outcome in zip(states[:-1:10], outcomes[::10], strict=True):

@@ -111,6 +111,7 @@ def test_rows_are_those_of_a_loop_over_single_steps(fill, blank, start, env, tas
             old, (state, outcome) = state, step(task, physics, state, action, _fold(row, "STEP"))
             expected = {
                 ".obs": old.obs,
+                ".prop": old.prop,
                 ".action": action,
                 ".action_mean": mean,
                 ".log_prob": log_prob,
@@ -193,9 +194,10 @@ def test_a_key_belongs_to_one_row_and_one_robot():
 
 
 class OnlyObs(NamedTuple):
-    """A state in which there is nothing to read but the observation."""
+    """A state in which there is nothing to read but the observation and its predicted part."""
 
     obs: jax.Array
+    prop: jax.Array = jnp.zeros((R, 3))
 
 
 def test_of_the_state_only_the_observation_is_read(env):
@@ -204,7 +206,7 @@ def test_of_the_state_only_the_observation_is_read(env):
     def step(state, action, keys):
         obs = state.obs + 1
         one = jnp.ones(R)
-        return OnlyObs(obs), Outcome(one, one, one * 0, obs, one, one, {})
+        return OnlyObs(obs), Outcome(one, one, one * 0, obs, obs[:, :3], one, one, one, {})
 
     call = partial(rollout.fill, act=act, step=step)
     first = OnlyObs(jnp.arange(R * env.obs_size, dtype=jnp.float32).reshape(R, -1))

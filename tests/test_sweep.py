@@ -93,6 +93,26 @@ def test_a_mesh_computes_what_one_device_computes(train, alone, seeds, shape):
             np.testing.assert_allclose(leaf, value, rtol=2e-3, atol=2e-4, equal_nan=True)
 
 
+def test_a_tail_with_everything_on_is_the_same_on_a_mesh():
+    """Noise, bounds (a minimum over robots), falls, known rewards and weights: 2 x 4 devices."""
+    names = ("clean", "known_reward", "falls", "bounds")
+    fields = {f"model.{name}": True for name in names} | {"ppo.tail_weight": 0.5}
+    fields |= toy_env.TAIL | {"rollout.num_envs": 64, "ppo.shuffle_blocks": 8}
+    config, static, hyper = toy_env.settings(fields)
+    env, columns = toy_env.make(), schedule.columns(config)
+    init, run = (partial(f, env, static=static) for f in (sweep.init, sweep.run))
+    state = jax.jit(init)(hyper, sweep.keys(0, 2))
+    expected = jax.jit(run)(hyper, state, columns)[1]
+    mesh = sweep.mesh(2, 4)
+    with jax.set_mesh(mesh):
+        spread = sweep.shardings(mesh, state, 2)
+        state = jax.jit(init, out_shardings=spread)(hyper, sweep.keys(0, 2))
+        out = (spread, NamedSharding(mesh, PartitionSpec()))
+        found = jax.jit(run, out_shardings=out)(hyper, state, columns)[1]
+    assert expected["tail_falls"][-1].min() > 0
+    same(jax.device_get(found), jax.device_get(expected))
+
+
 def test_robots_lie_on_their_devices_and_networks_on_all(train):
     """After a run each of 2 x 4 devices holds two seeds, a quarter of their robots, whole networks."""
     state, _, _ = train((2, 4), SEEDS)

@@ -137,16 +137,23 @@ def make(*, episode_length: int = 20, aged: bool = True, blowup_action: float = 
         step=step,
         autoreset=autoreset,
         context=lambda obs, action: jnp.concatenate([obs[..., 3:4], action], -1),
+        noise=lambda hyper, key: (
+            hyper.noise.joint_pos * jax.random.uniform(key, (3,), minval=-1.0, maxval=1.0)
+        ),
+        known_reward=lambda hyper, obs, action, prop: DT * (1.0 - (prop[0] - obs[3]) ** 2),
         metrics=METRICS,
         obs_size=6,
         prop_size=3,
         action_size=2,
         dt=DT,
+        episode_length=episode_length,
     )
 
 
 def _outcome(state, reward, fell, timeout, metrics):
     return Outcome(
+        next_prop=jnp.where(metrics["blowups"], 0.0, state.prop),
+        valid=1.0 - metrics["blowups"],
         reward=reward,
         discount=1.0 - fell,
         truncation=timeout * 1.0,
@@ -167,7 +174,7 @@ def like_model(static, model) -> Env:
     env = make(aged=False)
 
     def step(hyper, body, state, action, key):
-        obs, reward = dynamics.predict(static, env, model, state.obs, action)
+        obs, reward, _ = dynamics.predict(static, env, model, state.obs, action)
         after = state.replace(prop=obs[:3], obs=obs, last_action=action)
         none = jnp.zeros(())
         return after, _outcome(after, reward, none, none, dict.fromkeys(METRICS, none))
@@ -202,6 +209,8 @@ class ProbeState(NamedTuple):
     steps: jax.Array
     total: jax.Array
 
+    prop = property(lambda self: self.obs)
+
 
 def probe() -> Env:
     """The environment whose `hyper.task` is a `Case`; observation and action are one number."""
@@ -221,6 +230,8 @@ def probe() -> Env:
             discount=1.0 - end * (1.0 - case.timeout),
             truncation=end * case.timeout,
             next_obs=after.obs,
+            next_prop=after.obs,
+            valid=jnp.ones(()),
             episode_return=after.total,
             episode_length=count * 1.0,
             metrics={},
@@ -233,9 +244,12 @@ def probe() -> Env:
         step=step,
         autoreset=lambda c, p, state, outcome, key: _choose(outcome, reset(c, p, key), state),
         context=lambda obs, action: obs[..., :0],
+        noise=lambda case, key: jnp.zeros(1),
+        known_reward=lambda case, obs, action, next_prop: jnp.zeros(()),
         metrics=(),
         obs_size=1,
         prop_size=1,
         action_size=1,
         dt=1.0,
+        episode_length=1,
     )

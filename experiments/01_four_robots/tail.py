@@ -77,7 +77,7 @@ def compare(env, static, hyper, params, model, worlds):
         for k in range(ROWS):
             state, (action, outcome) = step(state, WARM + s * ROWS + k)
             valid &= (outcome.discount == 1) & (outcome.truncation == 0)
-            obs, reward = dynamics.predict(static.model, env, model, obs, action)
+            obs, reward, _ = dynamics.predict(static.model, env, model, obs, action)
             columns = (outcome.reward / env.dt, reward / env.dt, outcome.next_obs, obs)
             out[k].append([np.array(c)[np.array(valid)] for c in columns])
     return [measure(*[np.concatenate(c) for c in zip(*some, strict=True)]) for some in out]
