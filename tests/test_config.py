@@ -16,7 +16,7 @@ from dynappo import config as config_lib
 from dynappo.config import ConfigError
 
 ROOT = pathlib.Path(config_lib.__file__).parent.parent
-VARIANTS = ("", "ppo12", "ppo16", "dyna2", "dyna4_noschedule", "dyna4", "fast", "quick")
+VARIANTS = ("", "ppo12", "ppo16", "dyna2", "dyna4_noschedule", "dyna4", "fast", "best", "quick")
 # The type of every field that is not a float or a tuple of floats.
 INTS = """
 run.seed run.num_seeds run.mesh_seed run.mesh_env run.num_iterations run.log_every
