@@ -15,9 +15,9 @@ metrics, info`, which brax 0.14.2 and MuJoCo Playground 0.2.0 share. Of brax its
 `jax.device_put_replicated` and its swimmer `jnp.clip(a_min=)`, which JAX 0.10 has not; its wrappers,
 `acting.generate_unroll` and `acting.Evaluator` work.
 
-Playground installs from PyPI. Its locomotion tasks clone MuJoCo Menagerie when they are first loaded,
-for meshes that only the eye sees; its Go1 has a dict for an observation, with the action before the
-last one in it, which no `context(obs, action)` can know. experiments/02_brax trains it all the same.
+Playground's locomotion tasks clone MuJoCo Menagerie when first loaded, for meshes that only the eye
+sees; its Go1 observes a dict, with the action before the last one in it, which no `context(obs, action)`
+can know. experiments/02_brax trains it all the same.
 """
 
 from __future__ import annotations
@@ -47,9 +47,9 @@ def to_brax(env: Env, task, backend: str = "mjx") -> envs.Env:
     its time limits learned as falls. Give the wrappers the task's own `episode_length`; without
     them, `info["truncation"]` is 1 from that age on.
 
-    `pipeline_state` is the whole state of the episode, because it is what AutoResetWrapper puts back.
-    `info["body"]` and `info["rng"]` stay with the robot: its physical parameters, drawn at reset, and
-    the key of its next step, so that no two episodes see the same noise. Episodes start at age 0.
+    `pipeline_state` is the whole state of the episode: it is what AutoResetWrapper puts back. What
+    stays with the robot is in `info`: "body", its physical parameters, and "rng", the key of its next
+    step, so that no two episodes see the same noise. Episodes start at age 0.
     """
     return _Task(env, task, backend)
 
@@ -136,17 +136,16 @@ def from_brax(
     the rest is `context(obs, action) -> [O - P]`, exact; without `prop_size`, plain PPO only. Actions
     are clipped to +-`action_limit` before the step: brax's own policies end in a tanh.
 
-    A `done` is a fall (discount 0), `episode_length` control steps a truncation; `random_clock` lets the
-    first episodes end early at random, so that time-outs spread. A step with an observation or a
-    reward that is not finite ends its episode with reward 0, counted in `blowups` and `falls`.
+    A `done` is a fall, `episode_length` control steps a truncation; `random_clock` ends the first
+    episodes at random, so that time-outs spread. A step with an observation or reward that is not
+    finite ends its episode with reward 0, counted in `blowups` and `falls`.
 
-    An episode starts from one of `starts` states that each robot drew with `brax_env.reset` in
-    `algorithm.init`: under vmap a reset would run in every row for every robot, at the price of its
-    kinematics. brax's wrapper keeps one, but puts back physics and observation only: last actions
-    and air times in `info` leak into the next episode. Here all comes back but the random keys in
-    `info`, which run on, so that no episode repeats another's noise.
+    An episode starts from one of `starts` states that each robot drew with `brax_env.reset` at first:
+    under vmap a reset would run in every row for every robot. brax's wrapper keeps one, but puts back
+    physics and observation only: last actions and air times in `info` leak into the next episode.
+    Here all comes back but the random keys in `info`: no episode repeats another's noise.
 
-    Raises ConfigError for an environment that resets itself, or for sizes that do not fit.
+    ConfigError for an environment that resets itself, or for sizes that do not fit.
     """
     observe = observe or (lambda state, action: state.obs)
     name, action_size = type(brax_env).__name__, brax_env.action_size
@@ -162,8 +161,8 @@ def from_brax(
         if not value > 0:
             raise ConfigError(f"from_brax: {field} is {value}, expected more than 0")
     names = tuple(n for n, value in first.metrics.items() if value.shape == ())
-    limits = prop_size, action_limit, episode_length
-    parts = Parts(brax_env, observe, *limits, starts, random_clock, names)
+    limits = action_limit, episode_length, starts, random_clock
+    parts = Parts(brax_env, observe, prop_size, *limits, names)
     return Env(
         randomize=partial(_starts, parts),
         reset=partial(_reset, parts),
@@ -209,15 +208,12 @@ def _reset(parts: Parts, hyper, body, key) -> BraxState:
 def _fresh(parts: Parts, body, key) -> BraxState:
     index = jax.random.randint(key, (), 0, parts.starts)
     first = jax.tree.map(lambda x: x[index], body)
-    obs = parts.observe(first, jnp.zeros(parts.brax_env.action_size))
-    return BraxState(
-        brax=first,
-        obs=obs,
-        prop=obs[: parts.prop_size],
-        clock=jnp.zeros((), jnp.int32),
-        episode_steps=jnp.zeros((), jnp.int32),
-        episode_return=jnp.zeros(()),
+    obs, zero = (
+        parts.observe(first, jnp.zeros(parts.brax_env.action_size)),
+        jnp.zeros((), jnp.int32),
     )
+    prop = obs[: parts.prop_size]
+    return BraxState(first, obs, prop, clock=zero, episode_steps=zero, episode_return=zero * 1.0)
 
 
 def _autoreset(parts: Parts, hyper, body, state: BraxState, outcome: Outcome, key) -> BraxState:
@@ -231,34 +227,27 @@ def _autoreset(parts: Parts, hyper, body, state: BraxState, outcome: Outcome, ke
 def _step(parts: Parts, hyper, body, state: BraxState, action, key):
     """One control step -> `(BraxState, Outcome)`; never resets."""
     before = jax.tree.map(lambda x: x, state.brax)  # brax's steps write into the dicts they get
-    clipped = jnp.clip(action, -parts.action_limit, parts.action_limit)
-    after = parts.brax_env.step(before, clipped)
+    after = parts.brax_env.step(before, jnp.clip(action, -parts.action_limit, parts.action_limit))
     obs = parts.observe(after, action)
     ok = jnp.isfinite(obs).all() & jnp.isfinite(after.reward)
     obs = jnp.where(ok, obs, state.obs)
-    reward = jnp.where(ok, after.reward, 0.0)
+    reward, clock = jnp.where(ok, after.reward, 0.0), state.clock + 1
     fell = (after.done > 0) | ~ok
-    clock = state.clock + 1
     timeout = (clock >= parts.episode_length) & ~fell
-    next_state = BraxState(
-        brax=_typed_as(state.brax, after),
-        obs=obs,
-        prop=obs[: parts.prop_size],
-        clock=clock,
-        episode_steps=state.episode_steps + 1,
-        episode_return=state.episode_return + reward,
-    )
+    steps, total = state.episode_steps + 1, state.episode_return + reward
+    brax, prop = _typed_as(state.brax, after), obs[: parts.prop_size]
+    next_state = BraxState(brax, obs, prop, clock, steps, total)
     metrics = {name: jnp.where(ok, after.metrics[name], 0.0) for name in parts.names}
     metrics |= dict(zip(EVENTS, (reward, fell * 1.0, timeout * 1.0, ~ok * 1.0), strict=True))
     outcome = Outcome(
         reward=reward,
         discount=1.0 - fell,
         truncation=timeout * 1.0,
-        next_obs=next_state.obs,
-        next_prop=next_state.prop,
+        next_obs=obs,
+        next_prop=prop,
         valid=ok * 1.0,
-        episode_return=next_state.episode_return,
-        episode_length=next_state.episode_steps * 1.0,
+        episode_return=total,
+        episode_length=steps * 1.0,
         metrics=metrics,
     )
     return next_state, outcome
@@ -271,8 +260,7 @@ def _typed_as(old, new):
 
 def _is_key(x):
     """Whether a leaf of one robot's `info` is a random key, typed or raw."""
-    typed = jnp.issubdtype(x.dtype, jax.dtypes.prng_key)
-    return typed or (x.dtype == jnp.uint32 and x.shape == (2,))
+    return jnp.issubdtype(x.dtype, jax.dtypes.prng_key) or (x.dtype, x.shape) == (jnp.uint32, (2,))
 
 
 def _obs_size(name, first, observe, action_size) -> int:

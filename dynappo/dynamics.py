@@ -8,22 +8,19 @@ and Adam moments. The paper leaves open activation, batch size, Huber delta and 
 the target is the change of state, and inputs and targets are scaled by running moments; each is a
 config field, and `predict_change = normalize = False` is the plain form.
 
-Never across a reset: rows that ended an episode have weight 0, in the loss and in the moments.
-That excludes every row whose physics blew up.
+Never across a reset: rows that ended an episode, blow-ups among them, have weight 0 everywhere.
 
 Beyond the paper, each by a field of the group model that is off by default:
 
-- `clean`: f_theta carries s, the state without noise, in the place of o_prop, and the policy of the
-  tail sees s + noise drawn anew. The noise is the error floor of a model that has to predict it.
+- `clean`: f_theta carries s, the state without noise, instead of o_prop; the policy of the tail sees
+  s + noise drawn anew. Noise is the error floor of a model that has to predict it.
 - `known_reward`: r = k(o, a, s') + f_theta, with k what `env.known_reward` computes of the prediction.
-- `falls`: p = sigmoid(f_theta) is the probability that a row ends in a fall, and the tail's discount
-  is 1 - p, so that advantages and values see it. Its cross-entropy has no class weights: they would
-  make the rare fall easier to see, but p false, and p is a factor of every value. Rows that ended an
-  episode are trained on (with `clean` too), because s' is what it was before the reset; only blow-ups
-  are not. A tail's episode is cut where its clock says so; the robot walks on beyond, which no
-  observation can tell from a new episode, and no advantage crosses the cut.
-- `bounds`: every predicted number stays in the range of this iteration's real rows, and 5 % beyond;
-  values likewise (algorithm.estimate). A tail can then be wrong, but not diverge.
+- `falls`: p = sigmoid(f_theta) is the probability of a fall, and a tail's discount 1 - p. No class
+  weights in its cross-entropy: p is a factor of every value and must be true. Fallen rows are trained
+  on (with `clean` too: s' is from before the reset), blow-ups never. A tail is cut where the episode's
+  clock says so; no advantage crosses, and the robot walks on, as the policy sees no clock.
+- `bounds`: every prediction stays in the range of this iteration's real rows, and 5 % beyond; values
+  too (algorithm.estimate). A tail can then be wrong, but not diverge.
 
 Why rows drawn with replacement below n_real: the number of real rows is traced, a permutation of a
 traced length is not to be had, and computing on masked rows would cost what the tail saves. A
@@ -38,7 +35,6 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 import optax
-from flax import linen as nn
 from flax import struct
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
@@ -56,7 +52,7 @@ class TailState:
 
     obs: Float[Array, "R O"]  # what the policy sees
     prop: Float[Array, "R P"]  # what the model carries: without noise, or the same numbers again
-    clock: Int[Array, " R"] | None = None  # age of the episode; with `model.falls` only
+    clock: Int[Array, " R"] | None = None  # age of the episode, with `falls`
 
 
 def tail(static, env: Env, state) -> TailState:
@@ -75,14 +71,13 @@ def init(static, env: Env, key: PRNGKeyArray) -> ModelState:
     """An untrained model; its moments have weight 0 until the first fit."""
     size = env.obs_size + env.action_size
     params = network(static, env.prop_size).init(key, jnp.zeros(size))
+    unbounded = jnp.array([[-jnp.inf], [jnp.inf]]) + jnp.zeros(env.prop_size + 1)
     return ModelState(
         params=params,
         opt_state=optax.scale_by_adam().init(params),
         inputs=_moments(size),
         targets=_moments(env.prop_size + 1 + static.falls),
-        bounds=jnp.outer(jnp.array([-jnp.inf, jnp.inf]), jnp.ones(env.prop_size + 1))
-        if static.bounds
-        else None,
+        bounds=unbounded if static.bounds else None,
     )
 
 
@@ -126,18 +121,16 @@ def _scales(static, model: ModelState):
 
 def before_and_after(static, env: Env, rows: Transition):
     """`(obs [O], next prop [P])` of each row as the model sees them: without noise if `clean`."""
+    size = env.prop_size
     if not static.clean:
-        return rows.obs, rows.next_obs[..., : env.prop_size]
-    return jnp.concatenate([rows.prop, rows.obs[..., env.prop_size :]], -1), rows.next_prop
+        return rows.obs, rows.next_obs[..., :size]
+    return jnp.concatenate([rows.prop, rows.obs[..., size:]], -1), rows.next_prop
 
 
 def targets(static, env: Env, rows: Transition, task=None) -> Float[Array, "... P+1"]:
-    """What the model is to predict of each row: change of (or next) prop, and reward / dt.
-
-    Of the reward, what is not known; and with `falls`, one number more: 1 where the episode fell.
-    """
-    obs, prop = before_and_after(static, env, rows)
-    reward, fell = rows.reward, 1.0 - rows.discount
+    """What the model is to predict of each row: change of (or next) prop, reward / dt, and, with
+    `falls`, 1 where the episode fell. Of the reward, what is not known."""
+    (obs, prop), reward, fell = before_and_after(static, env, rows), rows.reward, 1 - rows.discount
     if static.known_reward:
         known = jax.vmap(jax.vmap(partial(env.known_reward, task)))
         reward = reward - known(rows.obs, rows.action, rows.next_prop)
@@ -150,28 +143,25 @@ def targets(static, env: Env, rows: Transition, task=None) -> Float[Array, "... 
 def row_weight(static, rows: Transition, n_real: Int[Array, ""]) -> Float[Array, "N R"]:
     """1 for the rows that the model learns from, else 0."""
     real = (jnp.arange(rows.reward.shape[0]) < n_real)[:, None]
-    good = rows.discount * (1 - rows.truncation)
-    return jnp.where(real, rows.valid if static.clean or static.falls else good, 0.0)
+    every = static.clean or static.falls
+    return jnp.where(real, rows.valid if every else rows.discount * (1 - rows.truncation), 0.0)
 
 
 def loss(static, params, x, y, weight, huber_delta) -> Float[Array, ""]:
-    """Mean loss over rows of weight 1 and over the predicted numbers: Huber (eq. 3); of a fall, the
-    cross-entropy."""
+    """Mean over rows of weight 1 and predicted numbers: Huber (eq. 3); of a fall, cross-entropy."""
     size = y.shape[-1] - static.falls
     prediction = networks.apply(network(static, size - 1), params, x)
     error = optax.losses.huber_loss(prediction[..., :size], y[..., :size], delta=huber_delta)
     if static.falls:
         fall = optax.losses.sigmoid_binary_cross_entropy(prediction + FALL_LOGIT, y)[..., size:]
         error = jnp.concatenate([error, fall], -1)
-    error = error.mean(-1)
-    return (error * weight).sum() / jnp.maximum(weight.sum(), 1)
+    return (error.mean(-1) * weight).sum() / jnp.maximum(weight.sum(), 1)
 
 
 def range_of(old, env: Env, static, rows: Transition, weight) -> Float[Array, "2 P+1"]:
     """`(low, high)` of next prop and reward over the rows of weight 1, and a margin; or `old`."""
-    prop = before_and_after(static, env, rows)[1]
+    used, prop = weight[..., None] > 0, before_and_after(static, env, rows)[1]
     numbers = jnp.concatenate([prop, rows.reward[..., None]], -1)
-    used = weight[..., None] > 0
     low = jnp.where(used, numbers, jnp.inf).min((0, 1))
     high = jnp.where(used, numbers, -jnp.inf).max((0, 1))
     margin = MARGIN * (high - low)
@@ -191,15 +181,13 @@ def fit(
 ) -> tuple[ModelState, Metrics]:
     """`epochs` passes of Adam over the rows `t < n_real` of a `[N, R]` buffer.
 
-    `static` and `hyper` are the config's group `model`, `task` is `hyper.task`. Metrics:
-    `model_loss_before`, of the first minibatch before any step (rows the model has never seen), and
-    `model_loss`, of the last.
+    `static` and `hyper` are the config's group `model`, `task` is `hyper.task`. Metrics: the loss of
+    the first minibatch before any step (rows the model has never seen), and of the last.
     """
-    horizon, num_envs = rows.reward.shape
-    drawn = horizon // static.minibatches  # rows of each robot in a minibatch
+    drawn = rows.reward.shape[0] // static.minibatches  # rows of each robot in a minibatch
     weight = row_weight(static, rows, n_real)
-    obs, _ = before_and_after(static, env, rows)
-    x, y = jnp.concatenate([obs, rows.action], -1), targets(static, env, rows, task)
+    x = jnp.concatenate([before_and_after(static, env, rows)[0], rows.action], -1)
+    y = targets(static, env, rows, task)
     # zeroed, not only weighted: nothing times 0 is 0 for a number that is not finite
     x, y = (jnp.where(weight[..., None] > 0, a, 0.0) for a in (x, y))
     model = model.replace(
@@ -213,12 +201,13 @@ def fit(
 
     def minibatch(i, carry):
         params, opt_state, before, _ = carry
-        times = jax.random.randint(jax.random.fold_in(key, i), (drawn, num_envs, 1), 0, n_real)
+        times = jax.random.randint(
+            jax.random.fold_in(key, i), (drawn, *weight.shape[1:], 1), 0, n_real
+        )
         batch = jnp.take_along_axis(data, times, axis=0)
         bx, by, bw = batch[..., :inputs], batch[..., inputs:-1], batch[..., -1]
-        value, grads = jax.value_and_grad(loss, argnums=1)(
-            static, params, bx, by, bw, hyper.huber_delta
-        )
+        ask = jax.value_and_grad(loss, argnums=1)
+        value, grads = ask(static, params, bx, by, bw, hyper.huber_delta)
         updates, opt_state = adam.update(grads, opt_state)
         params = jax.tree.map(lambda p, u: p - hyper.learning_rate * u, params, updates)
         return params, opt_state, jnp.where(i == 0, value, before), value
@@ -231,13 +220,8 @@ def fit(
 
 
 def predict(
-    static,
-    env: Env,
-    model: ModelState,
-    obs: Float[Array, "*R O"],
-    action: Float[Array, "*R A"],
-    task=None,
-) -> tuple[Float[Array, "*R O"], Float[Array, "*R"], Float[Array, "*R"]]:
+    static, env: Env, model: ModelState, obs: Float[Array, "R O"], action, task=None
+) -> tuple[Float[Array, "R O"], Float[Array, " R"], Float[Array, " R"]]:
     """`(next observation, reward, discount)`: prop predicted, ctx copied by `env.context`."""
     size = env.prop_size
     (x_mean, x_std), (y_mean, y_std) = _scales(static, model)
@@ -252,18 +236,13 @@ def predict(
         reward += jax.vmap(partial(env.known_reward, task))(obs, action, prop)
     if static.bounds:
         reward = jnp.clip(reward, model.bounds[0, size], model.bounds[1, size])
-    lives = 1 - nn.sigmoid(y[..., -1] + FALL_LOGIT) if static.falls else jnp.ones_like(reward)
+    lives = 1 - jax.nn.sigmoid(y[..., -1] + FALL_LOGIT) if static.falls else jnp.ones_like(reward)
     return jnp.concatenate([prop, env.context(obs, action)], -1), reward, lives
 
 
-def unroll(
-    static, env: Env, model: ModelState, rows: Transition, steps: int, task=None
-) -> tuple[Float[Array, "K R P"], Float[Array, "K R"]]:
-    """`steps` predictions in a row, from row 0 with the actions that were taken.
-
-    Returns them, to be compared with the next prop of `before_and_after`, and 1 where the robot's
-    episode had not ended by then.
-    """
+def unroll(static, env: Env, model: ModelState, rows: Transition, steps: int, task=None):
+    """`steps` next props [K, R, P] predicted in a row, from row 0 with the actions that were taken,
+    and [K, R] 1 where the robot's episode had not ended by then."""
     obs, predicted = before_and_after(static, env, rows)[0][0], []
     for k in range(steps):
         obs = predict(static, env, model, obs, rows.action[k], task)[0]
@@ -275,8 +254,8 @@ def unroll(
 def errors(static, env: Env, model: ModelState, rows: Transition, steps: int, task=None) -> Metrics:
     """Error of 1 and of `steps` predictions in a row, as a share of that of repeating the state.
 
-    Root mean square over robots and predicted numbers, each in units of its spread; 1 is no better
-    than the trivial predictor. Before a fit, the rows are new to the model.
+    Root mean square over robots and predicted numbers, each in units of its spread; 1 is that of the
+    trivial predictor. Before a fit, the rows are new to the model.
     """
     size, out = env.prop_size, {}
     std = scale(model.inputs)[1][:size]
@@ -295,9 +274,8 @@ def errors(static, env: Env, model: ModelState, rows: Transition, steps: int, ta
 def step(static, env: Env, model: ModelState, state: TailState, action, keys=None, task=None):
     """The contract of an environment's step, with the model in place of physics.
 
-    The model is deterministic: `keys` are read for the observation's noise (`clean`) only. Without
-    `falls` no row of a tail falls or times out: the paper's model predicts no terminations, and
-    clocks advance in physics only.
+    The model is deterministic: `keys` are read for the noise of `clean` only. Without `falls` no row
+    falls or times out: the paper's model predicts no terminations, clocks advance in physics only.
     """
     size = env.prop_size
     obs = jnp.concatenate([state.prop, state.obs[..., size:]], -1)

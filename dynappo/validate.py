@@ -125,7 +125,10 @@ def validate(config: config_dict.ConfigDict) -> config_dict.FrozenConfigDict:
         is_range = len(numbers) == 2 and type(numbers[0]) is float
         if is_range and numbers[0] > numbers[-1]:
             raise ConfigError(f"{field} is {value}, expected (low, high) with low <= high")
-    for field in ("run.eval_envs run.video_seconds task.push.velocity task.resample_steps").split():
+    counts = (
+        "run.eval_envs run.video_seconds ppo.tail_weight task.push.velocity task.resample_steps"
+    )
+    for field in counts.split():
         if fields[field] < 0:
             raise ConfigError(f"{field} is {fields[field]}, expected 0 or more")
     if not -(2**31) <= config.run.seed <= 2**31 - config.run.num_seeds:
@@ -141,8 +144,7 @@ def validate(config: config_dict.ConfigDict) -> config_dict.FrozenConfigDict:
             f"run.time_phases is True with run.num_seeds = {config.run.num_seeds}: "
             "phases are measured on one seed only"
         )
-    shares = "ppo.gamma ppo.lambda_ ppo.tail_weight model.stats_decay task.standing"
-    for field in shares.split():
+    for field in ("ppo.gamma", "ppo.lambda_", "model.stats_decay", "task.standing"):
         if not 0 <= fields[field] <= 1:
             raise ConfigError(f"{field} is {fields[field]}, expected a number from 0 to 1")
     if config.ppo.min_learning_rate > config.ppo.max_learning_rate:

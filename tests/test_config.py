@@ -31,7 +31,7 @@ physics.impl physics.contacts
 """.split()
 BOOLS = (
     "run.tensorboard run.time_phases model.predict_change model.normalize ppo.adaptive "
-    "ppo.clip_value task.random_clock"
+    "ppo.clip_value task.random_clock model.clean model.known_reward model.falls model.bounds"
 ).split()
 SIZES = "model.hidden ppo.hidden".split()
 # What the sizes in the messages below follow from.
