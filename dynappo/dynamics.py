@@ -230,11 +230,11 @@ def predict(
     prop, reward = y[..., :size], y[..., size] * env.dt
     if static.predict_change:
         prop = prop + obs[..., :size]
-    if static.bounds:
+    if model.bounds is not None:
         prop = jnp.clip(prop, model.bounds[0, :size], model.bounds[1, :size])
     if static.known_reward:
         reward += jax.vmap(partial(env.known_reward, task))(obs, action, prop)
-    if static.bounds:
+    if model.bounds is not None:
         reward = jnp.clip(reward, model.bounds[0, size], model.bounds[1, size])
     lives = 1 - jax.nn.sigmoid(y[..., -1] + FALL_LOGIT) if static.falls else jnp.ones_like(reward)
     return jnp.concatenate([prop, env.context(obs, action)], -1), reward, lives
@@ -283,7 +283,7 @@ def step(static, env: Env, model: ModelState, state: TailState, action, keys=Non
     prop, clock, truncation = obs[..., :size], None, jnp.zeros_like(reward)
     if static.clean:
         obs = obs.at[..., :size].add(jax.vmap(env.noise, (None, 0))(task, keys))
-    if static.falls:
+    if state.clock is not None:
         clock = state.clock + 1
         truncation = (clock == env.episode_length) * 1.0
     outcome = Outcome(
