@@ -33,7 +33,7 @@ CONTACTS = {
     "warp": {robot_lib.SPHERE: 1, robot_lib.CAPSULE: 2, robot_lib.CYLINDER: 4, robot_lib.BOX: 8},
 }
 ROWS_PER_CONTACT = 4  # constraint rows of a pyramidal cone with sliding friction
-STATE = 145 * FLOAT  # EnvState, and the robot's own physical parameters
+STATE = 178 * FLOAT  # EnvState, and the robot's own physical parameters
 STATES = 3  # before a chunk, after it, and the host's copy
 WARP_COPIES = 2  # of its data: what a call takes and what it gives
 FIXED = 300 << 20  # the program and its constants, workspaces of the libraries
@@ -77,8 +77,8 @@ def estimate(config, impl: str = "auto") -> Estimate:
 def phases(config, impl: str = "auto") -> dict[str, int]:
     """Bytes of one robot in each part of an iteration; the module says what they hold."""
     rows, ppo, model = config.rollout.horizon, config.ppo, config.model
-    buffer = FLOAT * (2 * OBS + 2 * ACTION + 7)  # a row of types.Transition
-    batch = FLOAT * (OBS + 2 * ACTION + 4)  # a row of ppo.Batch
+    buffer = FLOAT * (2 * OBS + 2 * ACTION + 2 * PROP + 8)  # a row of types.Transition
+    batch = FLOAT * (OBS + 2 * ACTION + 5)  # a row of ppo.Batch
     critic = FLOAT * (OBS + max(a + b for a, b in zip((0, *ppo.hidden), ppo.hidden, strict=False)))
     # before and after the activation, and its slope; actor and critic take turns
     activations = 3 * FLOAT * sum(ppo.hidden)

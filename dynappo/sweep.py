@@ -99,6 +99,10 @@ def mesh(seed: int, env: int) -> Mesh:
     devices = jax.devices()
     if seed * env > len(devices):
         raise ValueError(f"a mesh of {seed} x {env} devices, but JAX sees {len(devices)}")
+    if seed * env > 1:
+        # JAX 0.11.2's other partitioner, Shardy, ends in a segmentation fault where it compiles physics
+        # (of either engine) under shard_map for GPUs
+        jax.config.update("jax_use_shardy_partitioner", False)
     return jax.make_mesh(
         (seed, env), ("seed", "env"), (AxisType.Auto,) * 2, devices=devices[: seed * env]
     )

@@ -99,6 +99,10 @@ class Dot:
 
     obs: jax.Array
 
+    @property
+    def prop(self):
+        return self.obs[..., : memory.PROP]
+
 
 def walker() -> Env:
     """The velocity task's sizes without its physics: what is left is the learner's memory."""
@@ -108,7 +112,14 @@ def walker() -> Env:
     def step(hyper, body, state, action, key):
         obs = 0.9 * state.obs + 0.1 * jnp.tile(action, 4)
         names = ("reward", "truncation", "episode_return", "episode_length")
-        outcome = Outcome(discount=zero + 1, next_obs=obs, metrics={}, **dict.fromkeys(names, zero))
+        outcome = Outcome(
+            discount=zero + 1,
+            next_obs=obs,
+            next_prop=obs[: memory.PROP],
+            valid=zero + 1,
+            metrics={},
+            **dict.fromkeys(names, zero),
+        )
         return state.replace(obs=obs), outcome
 
     return Env(
@@ -117,8 +128,11 @@ def walker() -> Env:
         step=step,
         autoreset=lambda hyper, body, state, outcome, key: state,
         context=lambda obs, action: jnp.concatenate([obs[..., 33:36], action], -1),
+        noise=lambda hyper, key: jnp.zeros(memory.PROP),
+        known_reward=lambda hyper, obs, action, next_prop: zero,
         metrics=(),
         dt=0.02,
+        episode_length=1000,
         **sizes,
     )
 
