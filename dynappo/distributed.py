@@ -172,6 +172,8 @@ def meet() -> None:
 
 def several() -> bool:
     """Whether this is one of several processes; JAX is not made to look at its devices for it."""
+    if "jax" not in sys.modules:
+        return False
     import jax
 
     return jax.distributed.is_initialized() and jax.process_count() > 1

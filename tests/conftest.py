@@ -16,6 +16,15 @@ os.environ["XLA_FLAGS"] = (
 PEERS = pathlib.Path(__file__).parent / "peers"
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items):
+    """Half a minute of compilation a robot: by default those that differ most, with `-m slow` all."""
+    for item in items:
+        name = getattr(item, "callspec", None) and item.callspec.params.get("name")
+        if "world" in item.fixturenames and name in ("go2", "anymal_d"):
+            item.add_marker(pytest.mark.slow)
+
+
 @pytest.fixture(scope="session")
 def settings():
     """`settings(fields, spec) -> (static, hyper)`: a valid config with `fields` set, split."""

@@ -508,6 +508,7 @@ def test_ppo_learns_to_go_fast():
     assert metrics["episode_return"][-1] > 1.4 * 4.42  # with exploration
 
 
+@pytest.mark.slow
 def test_dyna_learns_to_balance_brax_s_pendulum(pendulum):
     _, env = pendulum
     iterations = 30

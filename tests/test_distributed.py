@@ -113,6 +113,7 @@ def test_what_was_lost_goes_on_on_one_process_and_other_devices(killed, tmp_path
     np.testing.assert_allclose(found[:10], expected[:10], rtol=1e-3, atol=1e-4, equal_nan=True)
 
 
+@pytest.mark.slow
 def test_processes_meet_stop_together_and_only_the_first_writes_and_speaks(tmp_path):
     """SIGTERM reaches one of them only: both stop after the same chunk, saved, with status 143 where
     the signal came and 0 elsewhere; then one process finds all of it."""
@@ -135,19 +136,21 @@ def test_four_processes_compute_what_one_does(tmp_path):
     """Four processes of two devices, as 2 x 4, against one process with one device; then a bad
     workdir is told to all of them."""
     fields = ("run.num_iterations=6", "run.checkpoint_every=6")
-    mesh = ("run.mesh_seed=2", "run.mesh_env=2")
-    handles = start(tmp_path / "four", *fields, *mesh, processes=4)
+    mesh = ("run.mesh_seed=2", "run.mesh_env=4")
+    handles = start(tmp_path / "four", *fields, *mesh, processes=4, devices=8)
     handles += start(tmp_path / "one", *fields, devices=1)
     for status, _, errors in end(handles, 2 * DEADLINE):
         assert status == 0, errors
     expected = table(tmp_path / "one")
     np.testing.assert_allclose(table(tmp_path / "four"), expected, rtol=1e-3, atol=1e-4)
     longer = ("run.num_iterations=10", *fields[1:], *mesh)  # what one device saved, on eight
-    for status, _, errors in end(start(tmp_path / "one", *longer, processes=4), 2 * DEADLINE):
+    for status, _, errors in end(
+        start(tmp_path / "one", *longer, processes=4, devices=8), 2 * DEADLINE
+    ):
         assert status == 0, errors
     assert table(tmp_path / "one")[-1, 0] == 10
     other = ("ppo.gamma=0.9", *fields, *mesh)
-    for status, _, errors in end(start(tmp_path / "one", *other, processes=4)):
+    for status, _, errors in end(start(tmp_path / "one", *other, processes=4, devices=8)):
         assert status == 2 and "holds a run of another config (ppo.gamma" in errors
 
 

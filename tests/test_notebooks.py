@@ -139,6 +139,7 @@ def test_the_first_run_trains_plots_and_evaluates():
     assert filmed or "no video:" in text  # which says what to install
 
 
+@pytest.mark.slow
 def test_the_model_error_is_shown_for_every_group_of_numbers():
     path = ROOT / "notebooks" / "03_model_error.ipynb"
     notebook = execute(path, TINY[path.stem])
@@ -162,6 +163,7 @@ def test_a_look_at_a_policy_shows_tables_maps_and_gaits():
     assert filmed or "no video:" in text  # which says what to install
 
 
+@pytest.mark.slow
 def test_a_sweep_shows_curves_of_its_seeds_and_of_a_setting():
     path = ROOT / "notebooks" / "04_seed_sweep.ipynb"
     notebook = execute(path, TINY[path.stem])
@@ -170,7 +172,7 @@ def test_a_sweep_shows_curves_of_its_seeds_and_of_a_setting():
     text = printed(notebook)
     assert "95 % interval" in text and text.count("iteration    4  return of each seed") == 2
     for name in ("return", "fall_rate"):  # a number of each seed
-        (line,) = [line for line in text.splitlines() if line.split()[:1] == [name]]
+        (line,) = [line for line in text.splitlines() if line.startswith(f"{name:15s} [")]
         assert len(line.replace("[", " ").replace("]", " ").split()) == 3, line
 
 

@@ -90,7 +90,14 @@ def assert_same(one, other):
 
 def test_a_run_fills_its_folder(whole):
     """Settings, metrics, summary, policy and checkpoints; no temporary file."""
-    expected = {"config.json", "metrics.csv", "summary.json", "policy.npz", "checkpoints"}
+    expected = {
+        "config.json",
+        "metrics.csv",
+        "summary.json",
+        "policy.npz",
+        "curves.png",
+        "checkpoints",
+    }
     names = {p.name for p in whole.workdir.iterdir()}
     events = {name for name in names if name.startswith("events.")}
     assert len(events) == 1 and names - {"video.mp4"} - events == expected
