@@ -9,6 +9,7 @@ differences between calls of one and the same program, as they run inside it.
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -17,8 +18,18 @@ from typing import Any
 import numpy as np
 
 from dynappo import config as config_lib
-from dynappo import flags, log
+from dynappo import flags, log, observe
 from dynappo.config import ConfigError
+
+# TFLOP/s of dense matrix products by precision, and TB/s of memory: NVIDIA's data sheets (SXM)
+PEAKS = {
+    "H200": {"highest": 67, "tf32": 495, "bfloat16": 989, "memory": 4.8},
+    "H100": {"highest": 67, "tf32": 495, "bfloat16": 989, "memory": 3.35},
+    "A100": {"highest": 19.5, "tf32": 156, "bfloat16": 312, "memory": 2.0},
+}
+PASSES = (
+    10  # reads and writes of each activation, forward and backward (experiments/03_speed/ppo.md)
+)
 
 
 def phases(config, program, state, repeats: int = 5) -> dict[str, float]:
@@ -122,10 +133,74 @@ def report(config, program, repeats: int) -> dict[str, Any]:
         "control_steps_per_second": real * 1e3 / ms["iteration"],
         "physics_steps_per_second": real * config.physics.substeps * 1e3 / ms["iteration"],
         "peak_bytes": stats.get("peak_bytes_in_use"),
+        "shares": shares(
+            config, program.device, {n: int(c[-1]) for n, c in program.columns.items()}, ms
+        ),
         "setup_seconds": program.compile_seconds,
         "device": program.device,
         "impl": program.impl,
     }
+
+
+def work(config, last: dict[str, int]) -> dict[str, np.ndarray]:
+    """`[floating-point operations, bytes]` of the model's fit and of the PPO update in an iteration.
+
+    `last` is a row of `schedule.columns`. Six operations a weight and row, two forward and four for the
+    gradients, but for the first layer, whose input has none. Bytes are those of activations, which
+    pass through memory once a kernel: `PASSES` times.
+    """
+    action, prop = observe.CONTEXT_SIZE - 3, observe.PROP_SIZE
+    obs, ppo, model = prop + observe.CONTEXT_SIZE, config.ppo, config.model
+
+    def of(sizes, rows, width):
+        weights = [a * b for a, b in zip(sizes, sizes[1:], strict=False)]
+        flops = (6.0 * sum(weights) - 2.0 * weights[0]) * rows
+        return np.array([flops, PASSES * width * sum(sizes[1:-1]) * rows])
+
+    rows = ppo.epochs * config.rollout.num_envs * config.rollout.horizon
+    out = {"ppo": sum(of((obs, *ppo.hidden, end), rows, 4) for end in (action, 1))}
+    if "model_epochs" in last:
+        drawn = config.rollout.horizon // model.minibatches
+        rows = last["model_epochs"] * (last["n_real"] // drawn) * drawn * config.rollout.num_envs
+        width = 2 if model.precision == "bfloat16" else 4
+        out["fit"] = of((obs + action, *model.hidden, prop + 1 + model.falls), rows, width)
+    return out
+
+
+def shares(config, device: str, last: dict[str, int], ms: dict[str, float]) -> dict[str, float]:
+    """Of the device's limits in arithmetic and in memory, what fit and PPO reach; {} if not known."""
+    peak = next((p for name, p in PEAKS.items() if name in device), None)
+    out = {}
+    for part, (flops, size) in work(config, last).items() if peak else ():
+        group = config.ppo if part == "ppo" else config.model
+        out[f"{part}_arithmetic"] = flops / (ms[part] * 1e-3) / (peak[group.precision] * 1e12)
+        out[f"{part}_memory"] = size / (ms[part] * 1e-3) / (peak["memory"] * 1e12)
+    return out
+
+
+def compilation(config) -> dict[str, float]:
+    """Seconds of set-up without and with JAX's cache of compiled programs (Warp's kernels are kept)."""
+    import tempfile
+
+    import jax
+    from jax.experimental.compilation_cache import compilation_cache
+
+    from dynappo import train
+
+    before, out = os.environ.get("JAX_COMPILATION_CACHE_DIR"), {}
+    with tempfile.TemporaryDirectory() as folder:
+        os.environ["JAX_COMPILATION_CACHE_DIR"] = folder  # train.setup then leaves it alone
+        jax.config.update("jax_compilation_cache_dir", folder)
+        compilation_cache.reset_cache()
+        try:
+            out = {name: train.setup(config).compile_seconds for name in ("cold", "warm")}
+        finally:
+            compilation_cache.reset_cache()
+            jax.config.update("jax_compilation_cache_dir", before)
+            os.environ.pop("JAX_COMPILATION_CACHE_DIR")
+            if before is not None:
+                os.environ["JAX_COMPILATION_CACHE_DIR"] = before
+    return out
 
 
 def compare(configs, programs, repeats: int) -> dict[str, Any]:
@@ -138,7 +213,7 @@ def compare(configs, programs, repeats: int) -> dict[str, Any]:
 
 
 def parse(argv: list[str] | None):
-    """`(configs, names, repeats, out)` of a command line."""
+    """`(configs, names, repeats, out, compile)` of a command line."""
     parser = flags.parser(
         "bench",
         "Time of each phase of a training iteration, on the program that trains.",
@@ -147,6 +222,9 @@ def parse(argv: list[str] | None):
     parser.add_argument("--config", metavar="FILE.py[:VARIANT]")
     parser.add_argument("--vs", metavar="FILE.py[:VARIANT]", help="take turns with this one")
     parser.add_argument("--repeats", type=int, default=5, help="medians of so many; default: 5")
+    parser.add_argument(
+        "--compile", action="store_true", help="time the set-up too, with cold and warm caches"
+    )
     parser.add_argument("--out", type=Path, metavar="FILE.json", help="write all numbers there")
     known, rest = flags.read_known(parser, argv)
     if known.repeats < 1:
@@ -157,7 +235,7 @@ def parse(argv: list[str] | None):
         config = flags.load(name, rest)
         config.run.update(num_seeds=1, mesh_seed=1)
         configs.append(config_lib.validate(config))
-    return configs, names, known.repeats, known.out
+    return configs, names, known.repeats, known.out, known.compile
 
 
 def show(names, reports, versus) -> None:
@@ -182,6 +260,15 @@ def show(names, reports, versus) -> None:
         ("setup_seconds", 1, "set-up, s"),
     ):
         rows[label] = [f"{r[name] * scale:.2f}" if r[name] else "" for r in reports]
+    for part in ("fit", "ppo"):
+        for kind in ("arithmetic", "memory"):
+            cells = [r["shares"].get(f"{part}_{kind}") for r in reports]
+            if any(cells):
+                label = f"{part}, share of the limit in {kind}"
+                rows[label] = [f"{100 * share:.0f} %" if share else "" for share in cells]
+    for name in ("cold", "warm"):
+        if "compilation" in reports[0]:
+            rows[f"set-up, {name} cache, s"] = [f"{r['compilation'][name]:.1f}" for r in reports]
     for label, cells in rows.items():
         table.add_row(label, *cells)
     out = Console(highlight=False)
@@ -194,7 +281,7 @@ def show(names, reports, versus) -> None:
         )
 
 
-def run(configs, names, repeats: int, out: Path | None) -> None:
+def run(configs, names, repeats: int, out: Path | None, compile: bool) -> None:
     """Measure each config, show what came out, and write it if asked."""
     from dynappo import train
 
@@ -202,6 +289,9 @@ def run(configs, names, repeats: int, out: Path | None) -> None:
         train.check(config)
     programs = [train.setup(config) for config in configs]
     reports = [report(c, p, repeats) for c, p in zip(configs, programs, strict=True)]
+    for config, found in zip(configs, reports, strict=True):
+        if compile:
+            found["compilation"] = compilation(config)
     versus = compare(configs, programs, repeats) if len(configs) == 2 else None
     show(names, reports, versus)
     if out:

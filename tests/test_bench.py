@@ -33,9 +33,9 @@ def test_a_wrong_flag_is_one_line_and_status_2(argv, text, capsys):
 
 def test_flags_hold_for_both_configs_and_one_seed_is_measured():
     argv = [GO1, "--vs=configs/go2.py:ppo16", "--config.rollout.num_envs=64"]
-    (one, other), names, repeats, out = bench.parse([*argv, "--config.run.num_seeds=4"])
+    (one, other), names, repeats, out, compiles = bench.parse([*argv, "--config.run.num_seeds=4"])
     assert names == ["configs/go1.py:quick", "configs/go2.py:ppo16"]
-    assert (one.robot, other.robot, repeats, out) == ("go1", "go2", 5, None)
+    assert (one.robot, other.robot, repeats, out) == ("go1", "go2", 5, None) and not compiles
     assert one.rollout.num_envs == other.rollout.num_envs == 64
     assert one.run.num_seeds == other.run.num_seeds == 1
 
@@ -64,3 +64,38 @@ def test_two_configs_take_turns_and_the_ratio_is_of_an_iteration(monkeypatch):
     np.testing.assert_allclose(found["ms"], [[200.0, 50.0]] * 3)
     assert found["ratio"] == pytest.approx(0.25)
     assert found["ratio_min"] == pytest.approx(found["ratio_max"])
+
+
+def test_work_is_that_of_the_products_of_every_layer_counted_one_by_one():
+    """PPO: 5 x 4 steps of 16,384 rows through 48-128-128-128-12 and -1; the fit: 25 steps of 32,768 rows
+    through 60-256-256-256-256-34. A product [a, b] x [b, c] takes 2abc; forward, and for the gradients of
+    weights and input."""
+    from dynappo import config as config_lib
+    from dynappo import schedule
+
+    config = config_lib.validate(config_lib.load("configs/go1.py:dyna4"))
+    last = {name: int(column[-1]) for name, column in schedule.columns(config).items()}
+
+    def step(rows, *sizes):
+        total = 0
+        for i, (a, b) in enumerate(zip(sizes, sizes[1:], strict=False)):
+            total += 2 * rows * a * b * (2 if i == 0 else 3)
+        return total
+
+    found = bench.work(config, last)
+    nets = step(16384, 48, 128, 128, 128, 12) + step(16384, 48, 128, 128, 128, 1)
+    assert found["ppo"][0] == 20 * nets and 7.4e9 < nets < 7.42e9
+    assert found["fit"][0] == 25 * step(32768, 60, 256, 256, 256, 256, 34)
+    plain = config_lib.validate(config_lib.load("configs/go1.py:ppo16"))
+    assert set(bench.work(plain, {"n_real": 16})) == {"ppo"}
+
+
+def test_shares_are_of_the_limits_of_the_device_that_is_there():
+    """PPO in 9.14 ms on an H200: 17 TFLOP/s of 67 (experiments/03_speed/ppo.md); nothing on a CPU."""
+    from dynappo import config as config_lib
+
+    config = config_lib.validate(config_lib.load("configs/go1.py:ppo16"))
+    found = bench.shares(config, "NVIDIA H200", {"n_real": 16}, {"ppo": 9.14})
+    assert found["ppo_arithmetic"] == pytest.approx(20 * 7.41e9 / 9.14e-3 / 67e12, rel=0.01)
+    assert 0.2 < found["ppo_memory"] < 0.3 and len(found) == 2
+    assert bench.shares(config, "cpu", {"n_real": 16}, {"ppo": 9.14}) == {}
