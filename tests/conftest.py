@@ -9,9 +9,11 @@ import typing
 import numpy as np
 import pytest
 
-# before JAX starts: eight devices for the tests of meshes; all else runs on the first
+# before JAX starts: eight devices for the tests of meshes, all else runs on the first; and half of the
+# time of these tests would be LLVM's optimisation of programs that run for a second
 os.environ["XLA_FLAGS"] = (
-    os.environ.get("XLA_FLAGS", "") + " --xla_force_host_platform_device_count=8"
+    os.environ.get("XLA_FLAGS", "")
+    + " --xla_force_host_platform_device_count=8 --xla_backend_optimization_level=0"
 )
 PEERS = pathlib.Path(__file__).parent / "peers"
 

@@ -25,6 +25,7 @@ def start(workdir, *fields, processes=1, devices=4):
         s.bind(("127.0.0.1", 0))
         meet = f"--coordinator=127.0.0.1:{s.getsockname()[1]}"
     forced = f"--xla_force_host_platform_device_count={devices // processes}"
+    forced += " --xla_backend_optimization_level=0"  # the program runs for a second only
     environment = os.environ | {"XLA_FLAGS": forced, "PYTHONPATH": f"{HERE.parent}:{HERE}"}
     command = [sys.executable, HERE / "toy_train.py", f"--workdir={workdir}"]
     command += [f"--config.{field}" for field in fields]
