@@ -158,7 +158,8 @@ def work(config, last: dict[str, int]) -> dict[str, np.ndarray]:
         return np.array([flops, PASSES * width * sum(sizes[1:-1]) * rows])
 
     rows = ppo.epochs * config.rollout.num_envs * config.rollout.horizon
-    out = {"ppo": sum(of((obs, *ppo.hidden, end), rows, 4) for end in (action, 1))}
+    actor, critic = (of((obs, *ppo.hidden, end), rows, 4) for end in (action, 1))
+    out = {"ppo": actor + critic}
     if "model_epochs" in last:
         drawn = config.rollout.horizon // model.minibatches
         rows = last["model_epochs"] * (last["n_real"] // drawn) * drawn * config.rollout.num_envs
@@ -170,8 +171,10 @@ def work(config, last: dict[str, int]) -> dict[str, np.ndarray]:
 def shares(config, device: str, last: dict[str, int], ms: dict[str, float]) -> dict[str, float]:
     """Of the device's limits in arithmetic and in memory, what fit and PPO reach; {} if not known."""
     peak = next((p for name, p in PEAKS.items() if name in device), None)
-    out = {}
-    for part, (flops, size) in work(config, last).items() if peak else ():
+    out: dict[str, float] = {}
+    if peak is None:
+        return out
+    for part, (flops, size) in work(config, last).items():
         group = config.ppo if part == "ppo" else config.model
         out[f"{part}_arithmetic"] = flops / (ms[part] * 1e-3) / (peak[group.precision] * 1e12)
         out[f"{part}_memory"] = size / (ms[part] * 1e-3) / (peak["memory"] * 1e12)
