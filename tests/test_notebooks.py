@@ -125,6 +125,7 @@ def test_every_notebook_is_executed_by_a_test():
     assert NOTEBOOKS and {path.stem for path in NOTEBOOKS} == set(TINY)
 
 
+@pytest.mark.slow
 def test_the_first_run_trains_plots_and_evaluates():
     path = ROOT / "notebooks" / "01_first_run.ipynb"
     notebook = execute(path, TINY[path.stem])

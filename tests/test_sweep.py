@@ -91,6 +91,7 @@ def test_a_mesh_computes_what_one_device_computes(train, alone, seeds, shape):
             np.testing.assert_allclose(leaf, value, rtol=2e-3, atol=2e-4, equal_nan=True)
 
 
+@pytest.mark.slow
 def test_a_tail_with_everything_on_is_the_same_on_a_mesh():
     """Noise, bounds (a minimum over robots), falls, known rewards and weights: 2 x 4 devices."""
     names = ("clean", "known_reward", "falls", "bounds")
