@@ -204,13 +204,13 @@ def loop(
 
     run, state, start, history = config.run, program.state, 0, []
     copy = jax.jit(partial(jax.tree.map, jnp.copy))  # one dispatch, not one an array
-    first = distributed.first()  # of several processes, only this one writes
-    checkpoints = checkpoint.manager(workdir, say) if workdir and first else None
+    writes = distributed.first()  # of several processes, only one
+    checkpoints = checkpoint.manager(workdir, say) if workdir and writes else None
     sinks: list[log.Sink] = []
     try:
         if workdir:
             start, state, history = files.resume(config, workdir, checkpoints, state, say)
-            sinks = log.sinks(config, workdir, start) if first else []
+            sinks = log.sinks(config, workdir, start) if writes else []
         seconds = float(history[0]["seconds"][-1]) if history else 0.0
         sim_steps, waiting = schedule.sim_steps(config), None
         for first in range(start, run.num_iterations, run.log_every):

@@ -25,6 +25,7 @@ class Idea(NamedTuple):
     once: bool = False  # one scan over all steps instead of two
     unroll: int = 1  # minibatches
     precision: Any = "highest"
+    half: bool = False  # weights and activations in bfloat16, as networks.MLP with that precision
     # "exp": exp(x) - 1 in place of expm1; "out": the slope from the value, not the argument;
     # "remat": computed again for the gradient
     elu: str = ""
@@ -52,6 +53,10 @@ def forward(idea, params, obs):
     actor, critic = params["actor"]["params"], params["critic"]["params"]
     act, p = partial(elu, idea.elu), idea.precision
     names = sorted(actor)
+    if idea.half:
+        half = partial(jax.tree.map, lambda x: x.astype(jnp.bfloat16))
+        found = forward(idea._replace(half=False, precision="default"), half(params), half(obs))
+        return tuple(x.astype(jnp.float32) for x in found)
 
     def dense(layer, x):
         return jnp.dot(x, layer["kernel"], precision=p) + layer["bias"]

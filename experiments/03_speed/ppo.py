@@ -65,6 +65,11 @@ def updates():
         for pair in ("bk", "kb", "kb2", "wide"):
             all_of_them = new._replace(pair=pair, packed="all", precision=how)
             out[f"all {pair} {name}"] = (all_of_them, {})
+    for pair in ("", "bk", "kb2", "wide"):
+        name = f"all {pair} bfloat16" if pair else "before bfloat16"
+        idea = new._replace(pair=pair, packed="all", half=True) if pair else Idea(half=True)
+        out[name] = (idea, {})
+        out[f"{name} slope of output"] = (idea._replace(elu="out"), {})
     for name, options in {
         "loops": LOOPS,
         "unrolled loops": UNROLLED,
@@ -205,7 +210,7 @@ def programs(args):
 
     def tail(static, rows=16):
         def run(params, model, obs, key, n):
-            state = dynamics.TailState(obs=obs)
+            state = dynamics.TailState(obs=obs, prop=obs[:, :33])
             keys = rollout.row_keys(key, jnp.arange(args.robots))
             empty = rollout.allocate(task, rows, args.robots)
             act = algorithm.policy(static.ppo, params)
