@@ -255,14 +255,14 @@ def show(names, reports, versus) -> None:
         rows[f"{name}, {unit}"] = [
             f"{r['ms'][name]:.2f}" if name in r["ms"] else "" for r in reports
         ]
-    for name, scale, label in (
-        ("iterations_per_second", 1, "iterations/s"),
-        ("control_steps_per_second", 1e-6, "control steps/s, M"),
-        ("physics_steps_per_second", 1e-6, "physics steps/s, M"),
-        ("peak_bytes", 2**-30, "memory at most, GiB"),
-        ("setup_seconds", 1, "set-up, s"),
+    for name, scale, digits, label in (
+        ("iterations_per_second", 1, 2, "iterations/s"),
+        ("control_steps_per_second", 1, 0, "control steps/s"),
+        ("physics_steps_per_second", 1, 0, "physics steps/s"),
+        ("peak_bytes", 2**-30, 2, "memory at most, GiB"),
+        ("setup_seconds", 1, 1, "set-up, s"),
     ):
-        rows[label] = [f"{r[name] * scale:.2f}" if r[name] else "" for r in reports]
+        rows[label] = [f"{r[name] * scale:,.{digits}f}" if r[name] else "" for r in reports]
     for part in ("fit", "ppo"):
         for kind in ("arithmetic", "memory"):
             cells = [r["shares"].get(f"{part}_{kind}") for r in reports]

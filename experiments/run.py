@@ -6,6 +6,10 @@
 OUT/NAME.csv, one row an iteration and seed with the columns of `KEPT`, and OUT/NAME.json (summary with
 the evaluation of each seed, the config's differences, hardware). NAME is the job with `_` for `:` and
 `=`. A job whose JSON is there is skipped, so a batch that was cut off goes on with the same command.
+
+To keep a CSV of 500 iterations and 5 seeds below 150 kB, numbers have four digits, and after the 20th
+iteration all columns but those of `EACH` are written in every fifth only. `--thin 10` keeps every
+tenth row; best and final return in the JSON are of all rows.
 """
 
 import argparse
@@ -24,6 +28,7 @@ KEPT = (
     "learning_rate kl value_loss model_loss model_error_1 model_error_4 falls "
     "surrogate_loss tail_bias tail_falls"
 ).split()
+EACH = ("iteration", "sim_steps", "seconds", "episode_return")  # what thresholds are counted on
 
 
 def main():
@@ -32,33 +37,60 @@ def main():
     parser.add_argument("jobs", nargs="+", metavar="ROBOT:VARIANT[:FIELD=VALUE]")
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--set", action="append", default=[], metavar="FIELD=VALUE", help="in all")
+    parser.add_argument("--thin", type=int, default=1, help="iterations to a row of the CSV")
     args = parser.parse_args()
-    args.out.mkdir(parents=True, exist_ok=True)
-    for job in args.jobs:
-        path = args.out / (re.sub(r"[:=]", "_", job) + ".json")
+    batch(args.out, args.jobs, args.seeds, args.set, args.thin)
+
+
+def batch(out: Path, jobs, seeds: int, settings=(), thin: int = 1) -> None:
+    """Run all `jobs` that have no JSON in `out` yet; `settings` are FIELD=VALUE of all of them."""
+    out.mkdir(parents=True, exist_ok=True)
+    for job in jobs:
+        path = out / (name(job) + ".json")
         if path.exists():
             continue
         began = time.perf_counter()
-        robot, variant, *fields = job.split(":")
-        config = config_lib.load(f"configs/{robot}.py:{variant}")
-        config.run.num_seeds = args.seeds
-        for text in args.set + fields:
-            config_lib.override(config, *text.split("=", 1))
-        config = config_lib.validate(config)
+        config = configure(job, seeds, settings)
         program = train.setup(config)
         try:
             state, metrics = train.loop(config, program, None)
         except FloatingPointError as error:  # a result too: this setting diverges
-            log.write_json(path, {"job": job, "set": args.set, "diverged": str(error)})
+            log.write_json(path, {"job": job, "set": list(settings), "diverged": str(error)})
             print(f"{job:44s} {error}", flush=True)
             continue
-        kept = {name: metrics[name] for name in KEPT if name in metrics}
         path.with_suffix(".csv").unlink(missing_ok=True)
-        log.append_csv(path.with_suffix(".csv"), log.rows(kept))
+        log.append_csv(path.with_suffix(".csv"), log.rows(kept(metrics, thin)))
         summary = train.summarise(config, program, state, metrics)
-        summary |= {"job": job, "set": args.set, "date": f"{datetime.date.today()}"}
+        summary["policy_std"] = np.ravel(metrics["policy_std"][-10:].mean(0)).tolist()
+        summary |= {"job": job, "set": list(settings), "date": f"{datetime.date.today()}"}
         log.write_json(path, summary)
         print(row(job, summary), f"{time.perf_counter() - began:6.0f}", flush=True)
+
+
+def name(job: str) -> str:
+    """Of a job's files, without suffix."""
+    return re.sub(r"[:=]", "_", job)
+
+
+def configure(job: str, seeds: int, settings=()):
+    """The validated config of a job; its own fields come after `settings`."""
+    robot, variant, *fields = job.split(":")
+    config = config_lib.load(f"configs/{robot}.py:{variant}")
+    config.run.num_seeds = seeds
+    for text in [*settings, *fields]:
+        config_lib.override(config, *text.split("=", 1))
+    return config_lib.validate(config)
+
+
+def kept(metrics, thin: int = 1):
+    """The columns and rows of the CSV: NaN, an empty cell, where a number is left out."""
+    few = {n: metrics[n][thin - 1 :: thin] for n in KEPT if n in metrics}
+    iteration = few["iteration"]
+    for n in few.keys() - {"iteration", "sim_steps"}:
+        few[n] = np.vectorize(lambda x: float(f"{x:.4g}"), otypes=[float])(few[n])
+        if n not in EACH:
+            few[n][(iteration > 20) & (iteration % 5 != 0)] = np.nan
+    return few
 
 
 def row(job, summary):
