@@ -79,6 +79,8 @@ def get_config(variant: str = "") -> config_dict.ConfigDict:
             clean=False,  # carry the state without noise, and draw the policy's noise anew
             known_reward=False,  # compute the terms that need no model, and learn the rest
             falls=False,  # predict the probability of a fall, and know when the time is up
+            ensemble=1,  # networks; where they disagree, a synthetic row weighs less
+            unroll=1,  # predictions in a row, each from the one before, in the loss
             bounds=False,  # keep predictions and values in the range of the iteration's real rows
         ),
         ppo=dict(  # RSL, IL agents/rsl_rl_ppo_cfg.py, and the paper's appendix

@@ -98,8 +98,7 @@ def iterate(
     bounded = model is not None and static.model.bounds
     batch = estimate(static.ppo, hyper.ppo, state.learner.params, buffer, real, bounded)
     if model is not None:
-        weight = jnp.where(real, 1.0, hyper.ppo.tail_weight)
-        batch = batch._replace(weight=jnp.broadcast_to(weight, batch.value.shape))
+        batch = batch._replace(weight=jnp.where(real, 1.0, hyper.ppo.tail_weight * buffer.valid))
         model_errors |= summarise_tail(buffer, real, env.dt)
     learner, ppo_metrics = ppo.update(
         static.ppo, hyper.ppo, state.learner, batch, jax.random.fold_in(key, UPDATE)

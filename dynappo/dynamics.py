@@ -19,6 +19,9 @@ Beyond the paper, each by a field of the group model that is off by default:
   weights in its cross-entropy: p is a factor of every value and must be true. Fallen rows are trained
   on (with `clean` too: s' is from before the reset), blow-ups never. A tail is cut where the episode's
   clock says so; no advantage crosses, and the robot walks on, as the policy sees no clock.
+- `ensemble` networks learn the same rows from different starts; their mean predicts, and where they
+  disagree more than on real rows, s > s_real, a synthetic row has weight (s_real / s)^2 in PPO's means.
+- `unroll`: the loss of so many predictions in a row, each from the one before, with the actions taken.
 - `bounds`: every prediction stays in the range of this iteration's real rows, and 5 % beyond; values
   too (algorithm.estimate). A tail can then be wrong, but not diverge.
 
@@ -71,6 +74,9 @@ def init(static, env: Env, key: PRNGKeyArray) -> ModelState:
     """An untrained model; its moments have weight 0 until the first fit."""
     size = env.obs_size + env.action_size
     params = network(static, env.prop_size).init(key, jnp.zeros(size))
+    if static.ensemble > 1:
+        one = network(static, env.prop_size).init
+        params = jax.vmap(one, (0, None))(jax.random.split(key, static.ensemble), jnp.zeros(size))
     unbounded = jnp.array([[-jnp.inf], [jnp.inf]]) + jnp.zeros(env.prop_size + 1)
     return ModelState(
         params=params,
@@ -78,7 +84,22 @@ def init(static, env: Env, key: PRNGKeyArray) -> ModelState:
         inputs=_moments(size),
         targets=_moments(env.prop_size + 1 + static.falls),
         bounds=unbounded if static.bounds else None,
+        spread=jnp.zeros(()) if static.ensemble > 1 else None,
     )
+
+
+def members(static, params, x: Float[Array, "... I"], prop_size: int) -> Float[Array, "E ... K"]:
+    """What each network of the ensemble says of a normalised input."""
+    net = network(static, prop_size)
+    if static.ensemble == 1:
+        return networks.apply(net, params, x)[None]
+    return jax.vmap(partial(networks.apply, net), (0, None))(params, x)
+
+
+def disagreement(static, params, x: Float[Array, "... I"], prop_size: int) -> Float[Array, "..."]:
+    """Root mean square, over predicted numbers in normalised units, of the networks' deviation."""
+    y = members(static, params, x, prop_size)[..., : prop_size + 1]
+    return jnp.sqrt(y.var(0).mean(-1))
 
 
 def _moments(size):
@@ -147,15 +168,29 @@ def row_weight(static, rows: Transition, n_real: Int[Array, ""]) -> Float[Array,
     return jnp.where(real, rows.valid if every else rows.discount * (1 - rows.truncation), 0.0)
 
 
-def loss(static, params, x, y, weight, huber_delta) -> Float[Array, ""]:
-    """Mean over rows of weight 1 and predicted numbers: Huber (eq. 3); of a fall, cross-entropy."""
-    size = y.shape[-1] - static.falls
-    prediction = networks.apply(network(static, size - 1), params, x)
-    error = optax.losses.huber_loss(prediction[..., :size], y[..., :size], delta=huber_delta)
-    if static.falls:
-        fall = optax.losses.sigmoid_binary_cross_entropy(prediction + FALL_LOGIT, y)[..., size:]
-        error = jnp.concatenate([error, fall], -1)
-    return (error.mean(-1) * weight).sum() / jnp.maximum(weight.sum(), 1)
+def loss(static, params, batches, huber_delta, ratio=1.0) -> Float[Array, ""]:
+    """Mean over rows of weight 1, predicted numbers, networks and `batches`: Huber (eq. 3); of a
+    fall, cross-entropy.
+
+    A batch is `(x, y, weight)`; there is one, or `unroll` that follow each other. From the second on,
+    x and y are moved by the drift of prop, in units of y: predicted minus true. `ratio` is y's unit over
+    x's.
+    """
+    total, drift = jnp.zeros(()), 0.0
+    for x, y, weight in batches:
+        size = y.shape[-1] - static.falls  # predicted numbers: prop and reward
+        if len(batches) > 1:
+            x = x.at[..., : size - 1].add(drift * ratio)
+            y = y.at[..., : size - 1].add(-drift if static.predict_change else 0.0)
+        prediction = members(static, params, x, size - 1)
+        error = optax.losses.huber_loss(prediction[..., :size], y[..., :size], delta=huber_delta)
+        if static.falls:
+            fall = optax.losses.sigmoid_binary_cross_entropy(prediction + FALL_LOGIT, y)[..., size:]
+            error = jnp.concatenate([error, fall], -1)
+        error = error.mean((0, -1))
+        total += (error * weight).sum() / jnp.maximum(weight.sum(), 1)
+        drift = (prediction.mean(0) - y)[..., : size - 1]
+    return total / len(batches)
 
 
 def range_of(old, env: Env, static, rows: Transition, weight) -> Float[Array, "2 P+1"]:
@@ -197,17 +232,23 @@ def fit(
     )
     (x_mean, x_std), (y_mean, y_std) = _scales(static, model)
     data = jnp.concatenate([(x - x_mean) / x_std, (y - y_mean) / y_std, weight[..., None]], -1)
-    inputs, adam = x.shape[-1], optax.scale_by_adam()
+    inputs, adam, ahead = x.shape[-1], optax.scale_by_adam(), static.unroll - 1
+    ratio = (y_std / x_std[: y.shape[-1]])[: env.prop_size] if static.normalize else 1.0
+    goes_on = rows.discount * (1 - rows.truncation) * rows.valid if ahead else None
 
     def minibatch(i, carry):
         params, opt_state, before, _ = carry
         times = jax.random.randint(
-            jax.random.fold_in(key, i), (drawn, *weight.shape[1:], 1), 0, n_real
+            jax.random.fold_in(key, i), (drawn, *weight.shape[1:], 1), 0, n_real - ahead
         )
-        batch = jnp.take_along_axis(data, times, axis=0)
-        bx, by, bw = batch[..., :inputs], batch[..., inputs:-1], batch[..., -1]
+        batches, alive = [], 1.0
+        for k in range(static.unroll):
+            batch = jnp.take_along_axis(data, times + k, axis=0)
+            batches.append((batch[..., :inputs], batch[..., inputs:-1], batch[..., -1] * alive))
+            if ahead:
+                alive = alive * jnp.take_along_axis(goes_on, times[..., 0] + k, axis=0)
         ask = jax.value_and_grad(loss, argnums=1)
-        value, grads = ask(static, params, bx, by, bw, hyper.huber_delta)
+        value, grads = ask(static, params, batches, hyper.huber_delta, ratio)
         updates, opt_state = adam.update(grads, opt_state)
         params = jax.tree.map(lambda p, u: p - hyper.learning_rate * u, params, updates)
         return params, opt_state, jnp.where(i == 0, value, before), value
@@ -216,7 +257,12 @@ def fit(
     start = (model.params, model.opt_state, jnp.zeros(()), jnp.zeros(()))
     params, opt_state, before, after = jax.lax.fori_loop(0, steps, minibatch, start)
     metrics = {"model_loss": after, "model_loss_before": before}
-    return model.replace(params=params, opt_state=opt_state), metrics
+    model = model.replace(params=params, opt_state=opt_state)
+    if static.ensemble > 1:
+        seen = disagreement(static, params, data[0, :, :inputs], env.prop_size)
+        seen = jnp.sqrt((seen**2 * weight[0]).sum() / jnp.maximum(weight[0].sum(), 1))
+        model = model.replace(spread=seen)
+    return model, metrics
 
 
 def predict(
@@ -226,7 +272,7 @@ def predict(
     size = env.prop_size
     (x_mean, x_std), (y_mean, y_std) = _scales(static, model)
     x = (jnp.concatenate([obs, action], -1) - x_mean) / x_std
-    y = networks.apply(network(static, size), model.params, x) * y_std + y_mean
+    y = members(static, model.params, x, size).mean(0) * y_std + y_mean
     prop, reward = y[..., :size], y[..., size] * env.dt
     if static.predict_change:
         prop = prop + obs[..., :size]
@@ -238,6 +284,16 @@ def predict(
         reward = jnp.clip(reward, model.bounds[0, size], model.bounds[1, size])
     lives = 1 - jax.nn.sigmoid(y[..., -1] + FALL_LOGIT) if static.falls else jnp.ones_like(reward)
     return jnp.concatenate([prop, env.context(obs, action)], -1), reward, lives
+
+
+def trust(static, model: ModelState, obs, action, prop_size: int) -> Float[Array, " R"]:
+    """Of a synthetic row in PPO's means: min(1, s_real / s)^2 of an ensemble's disagreement s."""
+    if model.spread is None:
+        return jnp.ones(obs.shape[:-1])
+    x_mean, x_std = _scales(static, model)[0]
+    x = (jnp.concatenate([obs, action], -1) - x_mean) / x_std
+    spread = disagreement(static, model.params, x, prop_size)
+    return jnp.minimum(1.0, model.spread / jnp.maximum(spread, 1e-8)) ** 2
 
 
 def unroll(static, env: Env, model: ModelState, rows: Transition, steps: int, task=None):
@@ -279,6 +335,7 @@ def step(static, env: Env, model: ModelState, state: TailState, action, keys=Non
     """
     size = env.prop_size
     obs = jnp.concatenate([state.prop, state.obs[..., size:]], -1)
+    valid = trust(static, model, obs, action, size)
     obs, reward, discount = predict(static, env, model, obs, action, task)
     prop, clock, truncation = obs[..., :size], None, jnp.zeros_like(reward)
     if static.clean:
@@ -292,7 +349,7 @@ def step(static, env: Env, model: ModelState, state: TailState, action, keys=Non
         truncation=truncation,
         next_obs=obs,
         next_prop=prop,
-        valid=jnp.ones_like(reward),
+        valid=valid,
         episode_return=jnp.zeros_like(reward),
         episode_length=jnp.zeros_like(reward),
         metrics={},

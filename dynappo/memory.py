@@ -63,7 +63,8 @@ def estimate(config, impl: str = "auto") -> Estimate:
     state = STATES * STATE
     networks = [(OBS, *config.ppo.hidden, ACTION), (OBS, *config.ppo.hidden, 1)]
     if schedule.uses_model(config):
-        networks.append((OBS + ACTION, *config.model.hidden, PROP + 1))
+        network = (OBS + ACTION, *config.model.hidden, PROP + 1)
+        networks += config.model.ensemble * [network]
     weights = sum((a + 1) * b for sizes in networks for a, b in zip(sizes, sizes[1:], strict=False))
     return Estimate(
         robot=parts[largest] + state,
@@ -90,7 +91,8 @@ def phases(config, impl: str = "auto") -> dict[str, int]:
     if schedule.uses_model(config):
         data = FLOAT * (OBS + ACTION + PROP + 2)  # a row of inputs, targets, weight
         width = 2 if model.precision == "bfloat16" else 3
-        activations = width * FLOAT * sum(model.hidden) + 2 * data + 2 * FLOAT * (PROP + 1)
+        activations = model.ensemble * width * FLOAT * sum(model.hidden)
+        activations = model.unroll * (activations + 2 * data + 2 * FLOAT * (PROP + 1))
         out["fit"] = rows * (buffer + data + activations // model.minibatches)
     return out
 

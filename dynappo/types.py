@@ -133,6 +133,7 @@ class ModelState:
     inputs: Moments
     targets: Moments
     bounds: Float[Array, "2 P+1"] | None = None  # low, high of a prediction; None: without any
+    spread: Float[Array, ""] | None = None  # an ensemble's disagreement on real rows
 
 
 @struct.dataclass

@@ -49,8 +49,8 @@ CHOICES = {
 }
 POSITIVE = (
     "run.num_seeds run.mesh_seed run.mesh_env run.num_iterations run.log_every rollout.num_envs "
-    "rollout.horizon model.epochs "
-    "model.minibatches model.huber_delta model.learning_rate ppo.epochs ppo.minibatches "
+    "rollout.horizon model.epochs model.minibatches model.ensemble model.unroll "
+    "model.huber_delta model.learning_rate ppo.epochs ppo.minibatches "
     "ppo.shuffle_blocks ppo.init_std ppo.min_std ppo.learning_rate ppo.desired_kl "
     "ppo.clip_epsilon ppo.max_grad_norm task.episode_length task.tracking_std "
     "task.action_scale task.effort_limit task.saturation_effort task.velocity_limit "
@@ -228,6 +228,11 @@ def _validate_sizes(config):
             )
         drawn = rollout.horizon // config.model.minibatches
         fewest = int(schedule.columns(config)["n_real"].min())
+        if fewest < config.model.unroll:
+            raise ConfigError(
+                f"model.unroll is {config.model.unroll}, expected at most the {fewest} real rows of "
+                "the longest tail"
+            )
         if fewest < drawn:
             raise ConfigError(
                 f"model.minibatches is {config.model.minibatches}: a minibatch has {drawn} rows of "

@@ -180,10 +180,10 @@ def test_the_loss_is_the_mean_over_rows_of_weight_1(model_settings, typed):
     params = start(static).params
     weight = jnp.array([1.0, 0, 1, 1, 0, 1])
     chosen = np.array([0, 2, 3, 5])
-    some = typed(dynamics.loss)(static, params, x, y, weight, 1.0)
-    alone = dynamics.loss(static, params, x[chosen], y[chosen], jnp.ones(4), 1.0)
+    some = typed(dynamics.loss)(static, params, [(x, y, weight)], 1.0)
+    alone = dynamics.loss(static, params, [(x[chosen], y[chosen], jnp.ones(4))], 1.0)
     np.testing.assert_allclose(some, alone, rtol=1e-5)
-    assert dynamics.loss(static, params, x, y, jnp.zeros(6), 1.0) == 0  # and not 0 / 0
+    assert dynamics.loss(static, params, [(x, y, jnp.zeros(6))], 1.0) == 0  # and not 0 / 0
 
 
 # which rows count
