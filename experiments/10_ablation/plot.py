@@ -1,0 +1,125 @@
+"""results.csv and figure of the runs in results/, beside the paper's Table I.
+
+python experiments/10_ablation/plot.py
+"""
+
+from pathlib import Path
+
+import numpy as np
+
+from experiments import paper, run
+
+ENVS, HORIZONS = (512, 1024, 2048, 4096, 8192), (12, 16, 20, 24, 28, 32)
+# what decides most comes first: the paper's 4096 robots, and its best cell
+GRID = [(envs, n) for envs in (4096, 8192, 2048, 1024, 512) for n in HORIZONS]
+SHADES = ("#bcd4ea", "#85b1dc", "#4a86c2", "#1f5a99", "#0b2f57")
+COLUMNS = (
+    "envs horizon status max_reward_mean paper_max_reward policy_std_mean paper_policy_std".split()
+)
+
+
+def job(envs: int, horizon: int) -> str:
+    return f"go1:ppo16:rollout.num_envs={envs}:rollout.horizon={horizon}"
+
+
+def main():
+    make(Path(__file__).parent, GRID)
+
+
+def make(out: Path, grid) -> None:
+    rows = build(out / "results", grid)
+    paper.write(out / "results.csv", rows)
+    paper.show(rows, COLUMNS)
+    for line in findings(rows):
+        print(line)
+    draw(rows, out / "ablation")
+
+
+def build(folder: Path, grid) -> list[dict]:
+    """A row a cell, R and N rising; minutes are of all its seeds, which train at once."""
+    printed, rows = paper.table("ablation"), []
+    for envs, horizon in sorted(grid):
+        found = paper.load(folder, run.name(job(envs, horizon)))
+        row = {"envs": envs, "horizon": horizon, "status": paper.status(found)}
+        if found and found.columns:
+            row["seeds"] = len(paper.peak(found))
+            row |= paper.spread("max_reward", paper.peak(found))
+            row |= paper.spread("return", paper.final(found))
+            row |= paper.spread("policy_std", paper.policy_std(found))
+            row["minutes"] = found.summary["seconds"] / 60
+            row["sim_steps_M"] = found.summary["sim_steps"] / 1e6
+            row["device"] = found.summary["device"]
+        theirs = paper.pick(printed, envs=float(envs), horizon=float(horizon))
+        names = {"max_reward": "max_reward", "policy_std": "policy_std", "minutes": "time_min"}
+        rows.append(row | {f"paper_{ours}": theirs.get(name) for ours, name in names.items()})
+    return rows
+
+
+def best(rows, name: str = "max_reward_mean") -> dict:
+    """The cell of the highest `name`, or {}."""
+    return max((row for row in rows if row.get(name)), key=lambda row: row[name], default={})
+
+
+def findings(rows) -> list[str]:
+    """What the paper says of its table, for both."""
+    out = []
+    for who, reward, std in (
+        ("ours", "max_reward_mean", "policy_std_mean"),
+        ("paper", "paper_max_reward", "paper_policy_std"),
+    ):
+        cells = {(row["envs"], row["horizon"]): row[reward] for row in rows if row.get(reward)}
+        if not cells:
+            continue
+        top = best(rows, reward)
+        line = f"{who}: best {top[reward]:.1f} at R={top['envs']}, N={top['horizon']}; 80 % of it "
+        line += f"{0.8 * top[reward]:.2f}"
+        pairs = np.array([(row[reward], row[std]) for row in rows if row.get(reward)])
+        if len(pairs) > 2:
+            correlation = np.corrcoef(pairs.T)[0, 1]
+            line += f"; correlation of policy std and reward {correlation:.2f}"
+        steps = zip(HORIZONS, HORIZONS[1:], strict=False)
+        gains = {
+            (envs, n, m): cells[envs, m] - cells[envs, n]
+            for n, m in steps
+            for envs in ENVS
+            if (envs, n) in cells and (envs, m) in cells
+        }
+        if gains:
+            (envs, n, m), gain = max(gains.items(), key=lambda item: item[1])
+            line += f"; largest step R={envs}, N {n} to {m}: {gain:+.1f}"
+        out.append(line)
+    return out
+
+
+def draw(rows, path: Path) -> None:
+    """Figure 4: best return against N, a line for each R; ours beside the paper's."""
+    page, axes = paper.figure(1, 2, (9.5, 3.9), sharey=True)
+    for axis, who, mean in zip(
+        axes[0], ("ours", "paper"), ("max_reward_mean", "paper_max_reward"), strict=True
+    ):
+        every = sorted({row["envs"] for row in rows})
+        for envs, colour in zip(every, SHADES[-len(every) :], strict=True):
+            line = [row for row in rows if row["envs"] == envs and row.get(mean) is not None]
+            x, y = [row["horizon"] for row in line], [row[mean] for row in line]
+            if not line:
+                continue
+            axis.plot(x, y, "o-", color=colour, markersize=4, linewidth=1.6, label=f"R = {envs}")
+            if who == "ours":
+                low, high = (
+                    [r["max_reward_low"] for r in line],
+                    [r["max_reward_high"] for r in line],
+                )
+                axis.vlines(x, low, high, color=colour, linewidth=1.2)
+        if not axis.lines:
+            paper.missing(axis)
+        title = "this repository (bar: 95 % interval of the mean)" if who == "ours" else "paper"
+        axis.set_title(title, loc="left", fontsize=10)
+        axis.set(xlabel="rows of a rollout N (control steps)", xticks=HORIZONS, xlim=(11, 33))
+    axes[0, 0].set_ylabel("best return of 500 iterations,\nmean of 3 seeds")
+    handles, labels = axes[0, 1 if axes[0, 1].lines else 0].get_legend_handles_labels()
+    page.legend(handles[::-1], labels[::-1], loc="outside right center", frameon=False)
+    paper.save(page, path)
+
+
+if __name__ == "__main__":
+    main()

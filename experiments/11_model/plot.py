@@ -1,0 +1,133 @@
+"""settings.csv (Table II), results.csv, and figures 5 and 6 of what run.py wrote into results/.
+
+python experiments/11_model/plot.py
+"""
+
+import csv
+from pathlib import Path
+
+import numpy as np
+
+from dynappo import config as config_lib
+from experiments import paper
+
+LOSSES = ("model_loss", "model_loss_before")
+STEPS, SHADES = (1, 2, 4, 8, 16), ("#0b2f57", "#1f5a99", "#4a86c2", "#e09a5a", "#c8481f")
+AT = (10, 50, 100, 200, 500)  # iterations of the table
+COLUMNS = "group steps iteration rmse_mean rmse_sd share_of_spread_mean status".split()
+
+
+def main():
+    make(Path(__file__).parent)
+
+
+def make(out: Path) -> None:
+    paper.write(out / "settings.csv", settings())
+    losses, errors = load(out / "results" / "loss.csv"), load(out / "results" / "errors.csv")
+    rows = build(errors)
+    paper.write(out / "results.csv", rows)
+    paper.show([r for r in rows if r.get("steps") in (None, 1, 4, 16)], COLUMNS)
+    draw_loss(losses, out / "loss")
+    draw_errors(errors, out / "errors")
+
+
+def settings() -> list[dict]:
+    """Table II beside configs/go1.py:dyna4."""
+    model = config_lib.load("configs/go1.py:dyna4").model
+    ours = {
+        "predictive_network": f"MLP{list(model.hidden)}",
+        "learning_rate": model.learning_rate,
+        "epochs_per_iteration": model.epochs,
+    }
+    theirs = {row["setting"]: row["value"] for row in paper.table("model_config")}
+    return [{"setting": name, "ours": ours[name], "paper": theirs[name]} for name in theirs]
+
+
+def load(path: Path) -> dict[str, np.ndarray]:
+    """Columns of a CSV as flat arrays; {} if it is not there."""
+    if not path.exists():
+        return {}
+    with path.open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    out = {name: np.array([row[name] for row in rows]) for name in rows[0]}
+    return {n: c if n == "group" else c.astype(float) for n, c in out.items()}
+
+
+def build(errors) -> list[dict]:
+    """A row a group, number of predictions and iteration: rmse in the group's unit, and its share of the
+    spread over robots."""
+    if not errors:
+        return [{"group": "all", "status": "not run"}]
+    rows, last = [], int(errors["iteration"].max())
+    for group in dict.fromkeys(errors["group"].tolist()):
+        for k in STEPS:
+            for iteration in sorted({*AT, last} & set(errors["iteration"].astype(int).tolist())):
+                at = (errors["iteration"] == iteration) & (errors["steps"] == k)
+                at &= errors["group"] == group
+                rmse, spread = errors["rmse"][at], errors["spread"][at]
+                row = {"group": group, "steps": k, "iteration": iteration}
+                row |= paper.spread("rmse", rmse) | paper.spread("share_of_spread", rmse / spread)
+                rows.append(row)
+    return rows
+
+
+def curve(columns, name: str, where) -> tuple[np.ndarray, np.ndarray]:
+    """`(iterations [I], values [I, S])` of the rows `where`."""
+    iteration, seeds = columns["iteration"][where], len(set(columns["seed"].tolist()))
+    order = np.lexsort((columns["seed"][where], iteration))
+    return np.unique(iteration), columns[name][where][order].reshape(-1, seeds)
+
+
+def draw_loss(losses, path: Path) -> None:
+    """Figure 5: the loss before and after each fit, over iterations."""
+    page, ((axis,),) = paper.figure(1, 1, (6, 3.4))
+    if losses:
+        everywhere = np.ones(len(losses["iteration"]), bool)
+        texts = ("last minibatch of the fit", "first minibatch: rows not seen before")
+        for name, label, colour in zip(LOSSES, texts, ("#1f5a99", "#c8481f"), strict=True):
+            paper.band(axis, *curve(losses, name, everywhere), colour, label, most=250)
+        paper.log(axis)
+        axis.legend(frameon=False)
+    else:
+        paper.missing(axis)
+    axis.set(
+        xlabel="iteration", ylabel="Huber loss of the model\n(normalised targets)", xlim=(0, None)
+    )
+    axis.set_title("Fig. 5: loss of the transition model, Go1", loc="left", fontsize=10)
+    paper.save(page, path)
+
+
+def draw_errors(errors, path: Path) -> None:
+    """Figure 6: error of k predictions in a row over iterations, a panel a group."""
+    groups = list(dict.fromkeys(errors["group"].tolist())) if errors else [""] * 6
+    page, axes = paper.figure(2, 3, (11, 5.8))
+    for axis, group in zip(axes.flat, groups, strict=True):
+        axis.set_title(group, loc="left", fontsize=10)
+        axis.set_xlabel("iteration")
+        if not errors:
+            paper.missing(axis)
+            continue
+        for k, colour in zip(STEPS, SHADES, strict=True):
+            where = (errors["group"] == group) & (errors["steps"] == k)
+            label = f"{k} step" + "s" * (k > 1)
+            paper.band(axis, *curve(errors, "rmse", where), colour, label)
+        x, spread = curve(errors, "spread", (errors["group"] == group) & (errors["steps"] == 1))
+        axis.plot(
+            x, spread.mean(1), color="0.5", linestyle=":", linewidth=1.2, label="spread over robots"
+        )
+        axis.set_xlim(left=0)
+        paper.log(axis)
+    page.suptitle(
+        "Fig. 6: root mean square error of predictions in a row, Go1, rows not seen before",
+        x=0.01,
+        ha="left",
+        fontsize=10,
+    )
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    if handles:
+        page.legend(handles, labels, loc="outside lower center", ncols=6, frameon=False)
+    paper.save(page, path)
+
+
+if __name__ == "__main__":
+    main()

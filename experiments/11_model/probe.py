@@ -1,0 +1,83 @@
+"""Errors of k predictions in a row, by groups of numbers, on a rollout that the model has not seen."""
+
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from dynappo import algorithm, dynamics, observe
+
+# of the predicted numbers, the reward last; units as in observe.py, the reward for a second
+GROUPS = {
+    "joint positions (rad)": observe.JOINT_POS,
+    "joint velocities (rad/s)": observe.JOINT_VEL,
+    "gravity direction": observe.GRAVITY,
+    "linear velocity (m/s)": observe.LINEAR_VELOCITY,
+    "angular velocity (rad/s)": observe.ANGULAR_VELOCITY,
+    "reward (1/s)": slice(observe.PROP_SIZE, None),
+}
+FRESH = 2**30  # in place of an iteration's number: random numbers that training does not use
+
+
+def compiled(program) -> Callable:
+    """`ask(state) -> (rmse, spread)`, each `[S, N, groups]`, of a run with several seeds."""
+    env, static, hyper = program.env, program.static, program.hyper
+    horizon = static.rollout.horizon
+
+    def one(state):
+        key = jax.random.fold_in(state.key, FRESH)
+        buffer, _, _ = algorithm.collect(env, hyper, state, jnp.int32(horizon), key, static=static)
+        start = dynamics.before_and_after(static.model, env, buffer)[0][0]
+        return errors(env, static.model, state.model, hyper.task, buffer, start)
+
+    return jax.jit(jax.vmap(one, spmd_axis_name="seed"))
+
+
+def errors(env, static, model, task, rows, obs):
+    """Root mean square error of the prediction from `obs` [R, O] to each row, and the truth's spread.
+
+    Over robots that have not ended their episode by then, against the state without noise. The spread is
+    the standard deviation over robots: what an error would be that knows the mean alone.
+    """
+
+    def predict(obs, action):
+        obs, reward, _ = dynamics.predict(static, env, model, obs, action, task)
+        return obs, jnp.concatenate([obs[:, : env.prop_size], reward[:, None] / env.dt], -1)
+
+    _, predicted = jax.lax.scan(predict, obs, rows.action)
+    truth = jnp.concatenate([rows.next_prop, rows.reward[..., None] / env.dt], -1)
+    alive = jnp.cumprod(rows.discount * (1 - rows.truncation), axis=0)[..., None] > 0
+    count = jnp.maximum(alive.sum(1), 1)  # [N, 1]
+
+    def mean(x):
+        return jnp.where(alive, x, 0.0).sum(1) / count
+
+    wrong = mean((predicted - truth) ** 2)
+    varied = mean((truth - mean(truth)[:, None]) ** 2)
+    return tuple(
+        jnp.stack([jnp.sqrt(x[:, part].mean(-1)) for part in _parts(env)], -1)
+        for x in (wrong, varied)
+    )
+
+
+def _parts(env):
+    """The groups; of an environment that is no quadruped, all predicted numbers and the reward."""
+    whole = env.prop_size == observe.PROP_SIZE
+    return GROUPS.values() if whole else (slice(0, env.prop_size), slice(env.prop_size, None))
+
+
+def rows(iteration: int, seed: int, rmse: np.ndarray, spread: np.ndarray, steps) -> list[dict]:
+    """Of one seed `[N, groups]`: a row a group and number of predictions, of those in `steps`."""
+    return [
+        {
+            "iteration": iteration,
+            "seed": seed,
+            "group": group,
+            "steps": k,
+            "rmse": f"{rmse[k - 1, g]:.4g}",
+            "spread": f"{spread[k - 1, g]:.4g}",
+        }
+        for g, group in enumerate(GROUPS)
+        for k in steps
+    ]

@@ -1,0 +1,30 @@
+"""Tables III and V: five variants on four robots, and ours; 5 seeds each.
+
+    python experiments/12_platforms/run.py [--quick] [--out DIR]
+
+The same runs one at a time: python experiments/run.py DIR/results go1:ppo16 go1:dyna4 ... --seeds 5
+Runs whose JSON is in DIR/results are skipped. Then tables and figure, as plot.py.
+"""
+
+from pathlib import Path
+
+import plot
+
+from experiments import paper, run
+
+SEEDS = 5
+FIRST = ("ppo16", "dyna4", "best", "fast", "ppo12", "dyna2", "dyna4_noschedule")
+
+
+def main():
+    args = paper.options(Path(__file__).parent, __doc__ or "")
+    jobs = [f"{robot}:{variant}" for variant in FIRST for robot in paper.ROBOTS]
+    seeds, settings = SEEDS, ()
+    if args.quick:
+        jobs, seeds, settings = ["go1:ppo16", "go1:dyna4"], 2, paper.QUICK
+    run.batch(args.out / "results", jobs, seeds, settings)
+    plot.make(args.out)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,116 @@
+"""results.csv (Table IV) and figure of what bench.py wrote into results/.
+
+python experiments/13_step_time/plot.py
+"""
+
+import json
+from pathlib import Path
+
+from experiments import paper
+
+VARIANTS = ("ppo16", "dyna4", "fast", "best")
+# phase of bench.py -> the paper's name
+PHASES = {
+    "physics": "Ground-truth Simulation (p)",
+    "tail": "Synthetic Generation (p_hat)",
+    "fit": "Model Training (L_model)",
+    "ppo": "Policy Training (L_CLIP)",
+}
+SHADES = ("#2b2b2b", "#c8481f", "#6aa5d8", "#b9b9b9")
+LABELS = ("physics", "synthetic steps", "fit of the model", "PPO update")
+
+
+def main():
+    make(Path(__file__).parent)
+
+
+def make(out: Path) -> None:
+    reports = {name: load(out / "results" / f"go1_{name}.json") for name in VARIANTS}
+    rows = build(reports)
+    paper.write(out / "results.csv", rows)
+    paper.show(rows, list(rows[0]))
+    for name, report in reports.items():
+        print(f"{name}: {report['device']}, MJX-{report['impl']}" if report else f"{name}: not run")
+    draw(rows, out / "step_time")
+
+
+def load(path: Path) -> dict | None:
+    """The report of the one config that bench.py measured; None if it has not."""
+    if not path.exists():
+        return None
+    (report,) = json.loads(path.read_text())["configs"].values()
+    return report
+
+
+def build(reports: dict[str, dict | None]) -> list[dict]:
+    """ms a phase, and what follows from them for every variant: see `derived`."""
+    printed = paper.table("step_time")
+    theirs = {ours: paper.pick(printed, phase=name)["avg_time_ms"] for ours, name in PHASES.items()}
+    rows = []
+    for phase in PHASES:
+        unit = "ms a step" if phase in ("physics", "tail") else "ms an iteration"
+        row = {"phase": phase, "unit": unit, "paper": theirs[phase]}
+        rows.append(row | {name: r["ms"].get(phase) if r else None for name, r in reports.items()})
+    measured = {"phase": "iteration, as the schedule ends", "unit": "ms", "paper": None}
+    rows.append(measured | {n: r["ms"]["iteration"] if r else None for n, r in reports.items()})
+    columns = {"paper": derived(theirs)}
+    for name, report in reports.items():  # `best` has another rollout: its row above says it all
+        columns[name] = derived(report["ms"]) if report and name != "best" else {}
+    for label, unit in DERIVED:
+        row = {"phase": label, "unit": unit}
+        rows.append(row | {name: cells.get(label) for name, cells in columns.items()})
+    return rows
+
+
+DERIVED = (
+    ("PPO-12, sum", "ms an iteration"),
+    ("PPO-16, sum", "ms an iteration"),
+    ("4-step tail of 16, sum", "ms an iteration"),
+    ("saved by it of PPO-16", "%"),
+    ("steps from which a tail pays", "steps"),
+)
+
+
+def derived(ms: dict) -> dict:
+    """Iterations as sums of phases; and where a tail pays: N_s (physics - tail) = fit."""
+    out = {f"PPO-{n}, sum": n * ms["physics"] + ms["ppo"] for n in (12, 16)}
+    if ms.get("fit"):
+        with_tail = 12 * ms["physics"] + 4 * ms["tail"] + ms["fit"] + ms["ppo"]
+        out["4-step tail of 16, sum"] = with_tail
+        out["saved by it of PPO-16"] = 100 * (1 - with_tail / out["PPO-16, sum"])
+        gain = ms["physics"] - ms["tail"]
+        out["steps from which a tail pays"] = ms["fit"] / gain if gain > 0 else None
+    return out
+
+
+def draw(rows, path: Path) -> None:
+    """Bars: an iteration of PPO-16 and of the 4-step tail, by phase; each panel has its own scale."""
+    page, axes = paper.figure(1, 2, (9.5, 2.6))
+    ms = {row["phase"]: row for row in rows}
+    for axis, who, title in zip(
+        axes[0], ("dyna4", "paper"), ("this repository, 4096 robots", "paper (A40)"), strict=True
+    ):
+        axis.set_title(title, loc="left", fontsize=10)
+        axis.set(
+            xlabel="ms an iteration", yticks=[0, 1], yticklabels=["4-step tail", "PPO, 16 steps"]
+        )
+        axis.set_ylim(-0.6, 1.6)
+        if ms["fit"][who] is None:
+            paper.missing(axis)
+            continue
+        for y, (real, tail, fit) in enumerate(((12, 4, 1), (16, 0, 0))):
+            left, counts = 0.0, dict(zip(PHASES, (real, tail, fit, 1), strict=True))
+            for (phase, count), *look in zip(counts.items(), SHADES, LABELS, strict=True):
+                width, (colour, label) = count * ms[phase][who], look
+                label = label if y == 0 else ""  # once in the legend
+                axis.barh(y, width, left=left, color=colour, height=0.55, label=label)
+                left += width
+            axis.text(left, y, f" {left:.0f}", va="center", fontsize=9)
+        axis.margins(x=0.1)
+    handles, labels = axes[0, 1].get_legend_handles_labels()
+    page.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False)
+    paper.save(page, path)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,133 @@
+"""What run.py writes: thresholds, table and figure.
+
+Thresholds: the paper's 30.5; 80 % of the best cell of our own ablation, as the paper defines its 30.5; 80 %
+of the mean over seeds of PPO-16's best return (DESIGN's word, for every robot). Steps, iterations and
+seconds are means over the seeds that get there; how many do is the success rate. Seconds are those of
+all seeds of a run, which train at once.
+"""
+
+import csv
+from pathlib import Path
+
+import numpy as np
+
+from experiments import paper
+
+PAPER_LIMIT = 30.5
+COLUMNS = (
+    "robot threshold limit variant status success_rate_pct sim_steps_M_mean sim_steps_M_low "
+    "sim_steps_M_high share_of_ppo16_pct iterations_mean seconds_mean paper_sim_steps_M paper_iterations"
+).split()
+
+
+def make(out: Path, others: Path) -> None:
+    rows = build(others / "12_platforms" / "results", ablation_peak(others / "10_ablation"))
+    paper.write(out / "results.csv", rows)
+    paper.show(rows, COLUMNS)
+    draw(rows, out / "efficiency")
+
+
+def ablation_peak(folder: Path) -> float | None:
+    """The best cell's mean over seeds of the best return; None until it is measured."""
+    path = folder / "results.csv"
+    if not path.exists():
+        return None
+    with path.open(newline="") as file:
+        cells = [row.get("max_reward_mean") for row in csv.DictReader(file)]
+    return max((float(cell) for cell in cells if cell), default=None)
+
+
+def thresholds(robot: str, runs: dict, ablation: float | None) -> dict[str, float | None]:
+    """Returns to be reached; None where it rests on runs that are not there."""
+    base = runs["ppo16"]
+    top = 0.8 * float(paper.peak(base).mean()) if base and base.columns else None
+    last = {"80 % of PPO-16": top}
+    if robot != "go1":  # the paper's table is of Go1
+        return last
+    best = None if ablation is None else 0.8 * ablation
+    return {"paper, 30.5": PAPER_LIMIT, "80 % of the ablation's best": best} | last
+
+
+def build(folder: Path, ablation: float | None) -> list[dict]:
+    """A row a robot, threshold and variant."""
+    rows = []
+    for robot in paper.ROBOTS:
+        variants = (*paper.VARIANTS, *paper.OURS)
+        runs = {variant: paper.load(folder, f"{robot}_{variant}") for variant in variants}
+        for label, limit in thresholds(robot, runs, ablation).items():
+            some = [row(robot, label, limit, name, run) for name, run in runs.items()]
+            base = paper.pick(some, variant="ppo16").get("sim_steps_M_mean", np.nan)
+            for cells in some:
+                if "sim_steps_M_mean" in cells:
+                    cells["share_of_ppo16_pct"] = 100 * cells["sim_steps_M_mean"] / base
+                if label.startswith("paper"):
+                    cells |= theirs(cells["variant"])
+            rows += some
+    return rows
+
+
+def row(robot: str, label: str, limit: float | None, variant: str, run) -> dict:
+    """What it took a variant to get to `limit`."""
+    cells = {"robot": robot, "threshold": label, "limit": limit, "variant": variant}
+    cells["status"] = paper.status(run)
+    if limit is None and not cells["status"]:
+        cells["status"] = "no threshold yet"
+    if limit is None or not (run and run.columns):
+        return cells
+    took = paper.reached(run, limit)
+    there = np.isfinite(took["iteration"])
+    cells |= {"seeds": len(there), "success_rate_pct": 100 * there.mean()}
+    if there.any():
+        cells |= paper.spread("sim_steps_M", took["sim_steps"] / 1e6)
+        cells |= paper.spread("iterations", took["iteration"])
+        cells |= paper.spread("seconds", took["seconds"])
+    return cells
+
+
+def theirs(variant: str) -> dict:
+    """The paper's row, and its steps as they follow from its iterations by our schedule."""
+    printed = paper.pick(paper.table("efficiency"), variant=variant)
+    if not printed:
+        return {}
+    names = ("success_rate_pct", "sim_steps_M", "iterations")
+    cells = {f"paper_{name}": printed[name] for name in names}
+    if printed["iterations"]:
+        steps = paper.sim_steps(f"configs/go1.py:{variant}", int(printed["iterations"]))
+        cells["paper_sim_steps_M_by_schedule"] = steps / 1e6
+    return cells
+
+
+def draw(rows, path: Path) -> None:
+    """Go1: M simulator steps to each threshold, ours as dots with intervals, the paper's as diamonds."""
+    labels = list(dict.fromkeys(r["threshold"] for r in rows if r["robot"] == "go1"))
+    names = [*paper.VARIANTS, *paper.OURS]
+    page, axes = paper.figure(1, len(labels), (12, 3.4), sharey=True, sharex=True)
+    for axis, label in zip(axes[0], labels, strict=True):
+        some = [r for r in rows if r["robot"] == "go1" and r["threshold"] == label]
+        for y, variant in enumerate(names):
+            cells = paper.pick(some, variant=variant)
+            note, colour = cells["status"], paper.COLOURS[variant]
+            if "sim_steps_M_mean" in cells:
+                ends = [cells["sim_steps_M_low"], cells["sim_steps_M_high"]]
+                axis.plot(ends, [y, y], color=colour)
+                axis.plot(cells["sim_steps_M_mean"], y, "o", color=colour, markersize=6)
+            if "success_rate_pct" in cells and cells["success_rate_pct"] < 100:
+                note = f"{cells['success_rate_pct']:.0f} % of seeds"
+            axis.text(0.3, y - 0.25, note, color="0.5", fontsize=8, va="center")
+            if cells.get("paper_sim_steps_M"):
+                steps = cells["paper_sim_steps_M"]
+                axis.plot(steps, y + 0.2, "D", color="white", markeredgecolor="0.45", markersize=5)
+        limit = some[0]["limit"]
+        title = label + (f": {limit:.1f}" if limit and not label.startswith("paper") else "")
+        axis.set_title(title, loc="left", fontsize=10)
+        axis.set(xlabel="simulator steps (M)", xlim=(0, 33), ylim=(len(names) - 0.5, -0.6))
+    texts = [(paper.VARIANTS | paper.OURS)[name] for name in names]
+    axes[0, 0].set_yticks(range(len(names)), texts)
+    page.suptitle(
+        "Go1: dots: seeds that get there, bar: 95 % interval of the mean     diamonds: paper",
+        x=0.01,
+        ha="left",
+        fontsize=9,
+        color="0.35",
+    )
+    paper.save(page, path)

@@ -1,0 +1,23 @@
+"""Figures 7, 8 and 10: return, policy std and learning rate over training, of all variants.
+
+    python experiments/15_curves/run.py [--quick] [--out DIR]
+
+Trains nothing: reads the runs of 12_platforms (with --quick, those that its --quick made). Writes
+results.csv, and ROBOT.png and .svg of every robot that has a run; Go1's always.
+"""
+
+from pathlib import Path
+
+import plot
+
+from experiments import paper
+
+
+def main():
+    args = paper.options(Path(__file__).parent, __doc__ or "")
+    others = Path("runs/quick") if args.quick else Path(__file__).parents[1]
+    plot.make(args.out, others / "12_platforms" / "results")
+
+
+if __name__ == "__main__":
+    main()

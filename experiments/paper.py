@@ -1,0 +1,284 @@
+"""What the folders 10 to 16 share: the paper's tables, runs as arrays, statistics, tables and figures.
+
+The numbers of "Learning to Walk With Less" are in paper/*.csv, as printed there. A run is what
+`run.py` writes, NAME.csv and NAME.json; where it is missing or has diverged, tables say so.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+import os
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from dynappo import config as config_lib
+from dynappo import curves, schedule
+
+PAPER_SEEDS = 3
+ROBOTS = {
+    "go1": "Unitree Go1",
+    "go2": "Unitree Go2",
+    "anymal_c": "ANYmal-C",
+    "anymal_d": "ANYmal-D",
+}
+VARIANTS = {  # the paper's five
+    "ppo12": "PPO, 12 steps",
+    "ppo16": "PPO, 16 steps",
+    "dyna2": "2-step tail, no ramp",
+    "dyna4_noschedule": "4-step tail, no ramp",
+    "dyna4": "4-step tail",
+}
+OURS = {"fast": "fast (4-step tail)", "best": "best (16 of 24)"}
+COLOURS = {
+    "ppo12": "#9a9a9a",
+    "ppo16": "#2b2b2b",
+    "dyna2": "#6aa5d8",
+    "dyna4_noschedule": "#d9a05b",
+    "dyna4": "#c8481f",
+    "fast": "#3b8f5a",
+    "best": "#7a4fa3",
+}
+# two CPU cores, minutes: shows that the scripts work, and nothing else
+QUICK = (
+    "rollout.num_envs=32 run.num_iterations=10 run.log_every=5 run.checkpoint_every=0 run.eval_envs=0 "
+    "model.epochs=2 physics.iterations=1 physics.ls_iterations=4"
+).split()
+
+
+class Run(NamedTuple):
+    """A run that has ended; no columns if it diverged."""
+
+    columns: dict[str, np.ndarray]  # [I, S]; NaN where a cell is empty
+    summary: dict[str, Any]
+
+
+def options(folder: Path, about: str) -> argparse.Namespace:
+    """`quick` and `out` of a command line: where results/, tables and figures go."""
+    parser = argparse.ArgumentParser(
+        description=about, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--quick", action="store_true", help="tiny, on two CPU cores, in minutes")
+    parser.add_argument("--out", type=Path, help=f"default: {folder.name}, or runs/quick/ of it")
+    args = parser.parse_args()
+    args.out = args.out or (Path("runs/quick") / folder.name if args.quick else folder)
+    if args.quick:  # half of its time would be LLVM's optimisation of programs that run for seconds
+        os.environ["XLA_FLAGS"] = (
+            os.environ.get("XLA_FLAGS", "") + " --xla_backend_optimization_level=0"
+        )
+    return args
+
+
+def table(name: str) -> list[dict[str, Any]]:
+    """Rows of paper/NAME.csv: numbers as floats, None for a dash, all else text."""
+    with (Path(__file__).parent / "paper" / f"{name}.csv").open(newline="") as file:
+        return [{key: _cell(text) for key, text in row.items()} for row in csv.DictReader(file)]
+
+
+def _cell(text: str):
+    try:
+        return float(text) if text else None
+    except ValueError:
+        return text
+
+
+def pick(rows, **wanted) -> dict[str, Any]:
+    """The first row with these values, or {}."""
+    return next((row for row in rows if wanted.items() <= row.items()), {})
+
+
+def load(folder: Path, name: str) -> Run | None:
+    """The run NAME of `folder`; None if it has not ended."""
+    path = folder / f"{name}.json"
+    if not path.exists():
+        return None
+    summary = json.loads(path.read_text())
+    return Run({} if "diverged" in summary else read(folder / f"{name}.csv"), summary)
+
+
+def read(path: Path) -> dict[str, np.ndarray]:
+    """Columns `[I, S]` of a CSV with a row an iteration and seed."""
+    with path.open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    seeds = len({row.get("seed") for row in rows})
+    return {n: np.array([float(r[n] or "nan") for r in rows]).reshape(-1, seeds) for n in rows[0]}
+
+
+def chunks(config):
+    """Train, and yield `(program, iterations done, state, metrics)` after each `run.log_every` of them.
+
+    For what `train.loop` keeps to itself: the state. It is given away when the next chunk begins.
+    """
+    import jax
+    import jax.numpy as jnp
+
+    from dynappo import train
+
+    program = train.setup(config)
+    state, every = program.state, config.run.log_every
+    for first in range(0, config.run.num_iterations, every):
+        columns = {n: jnp.asarray(c[first : first + every]) for n, c in program.columns.items()}
+        state, metrics = program.step(program.hyper, state, columns)
+        metrics = jax.device_get(metrics)
+        if not np.isfinite(metrics["policy_std"]).all():
+            raise FloatingPointError(f"training has blown up before iteration {first + every}")
+        yield program, first + every, state, metrics
+
+
+def status(run: Run | None) -> str:
+    """In words for a table."""
+    return "not run" if run is None else "" if run.columns else "diverged"
+
+
+def peak(run: Run) -> np.ndarray:
+    """The best return of each seed, of all iterations: the paper's "max reward"."""
+    return _per_seed(run, "return_max")
+
+
+def final(run: Run) -> np.ndarray:
+    """The return of each seed: mean of its last ten iterations."""
+    return _per_seed(run, "return")
+
+
+def _per_seed(run, name):
+    return np.atleast_1d(np.array(run.summary[name], float))
+
+
+def policy_std(run: Run) -> np.ndarray:
+    """Of each seed, mean of the last ten iterations (of runs before it was in the JSON: of the CSV)."""
+    if "policy_std" in run.summary:
+        return _per_seed(run, "policy_std")
+    last = run.columns["iteration"][:, 0] > run.columns["iteration"][-1, 0] - 10
+    return np.nanmean(run.columns["policy_std"][last], 0)
+
+
+def reached(run: Run, limit: float) -> dict[str, np.ndarray]:
+    """Iteration, simulator steps and seconds at which each seed's return first is `limit`; or NaN."""
+    there = run.columns["episode_return"] >= limit
+    first, seeds = there.argmax(0), np.arange(there.shape[1])
+    names = ("iteration", "sim_steps", "seconds")
+    return {n: np.where(there.any(0), run.columns[n][first, seeds], np.nan) for n in names}
+
+
+def sim_steps(spec: str, iteration: int) -> int:
+    """Simulator steps of one seed after `iteration` iterations of a config, counted by its schedule."""
+    config = config_lib.load(spec)
+    config.run.num_iterations = max(iteration, config.run.num_iterations)
+    return int(schedule.sim_steps(config)[iteration - 1])
+
+
+def spread(prefix: str, values) -> dict[str, Any]:
+    """Mean, sample standard deviation and bootstrap 95 % interval of the mean over seeds, as cells."""
+    values = np.asarray(values, float)
+    values = values[np.isfinite(values)]
+    low, high = curves.interval(values)
+    mean, sd = _moments(values)
+    cells = {"mean": mean, "sd": sd, "low": float(low), "high": float(high)}
+    return {f"{prefix}_{name}": value for name, value in cells.items()}
+
+
+def _moments(values):
+    """`(mean, sample sd)`; NaN where there are too few."""
+    n = len(values)
+    return values.mean() if n else np.nan, values.std(ddof=1) if n > 1 else np.nan
+
+
+def welch(one, other) -> tuple[float, float, float]:
+    """Welch's test of two means, each `(mean, sample sd, number)`: t, degrees of freedom, p (two-sided)."""
+    from scipy import special  # comes with JAX
+
+    (mean, sd, n), (mean_, sd_, n_) = one, other
+    if min(n, n_) < 2 or not sd + sd_ > 0:
+        return np.nan, np.nan, np.nan
+    a, b = sd**2 / n, sd_**2 / n_
+    t = (mean - mean_) / np.sqrt(a + b)
+    df = (a + b) ** 2 / (a**2 / (n - 1) + b**2 / (n_ - 1))
+    return float(t), float(df), float(2 * special.stdtr(df, -abs(t)))
+
+
+def welch_of(one, other) -> float:
+    """p of two lists of numbers, one a seed."""
+    return welch(*((*_moments(x), len(x)) for x in map(np.asarray, (one, other))))[2]
+
+
+def write(path: Path, rows: list[dict[str, Any]]) -> None:
+    """A table as CSV: five digits, empty where there is no number."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    with path.open("w", newline="") as file:
+        writer = csv.DictWriter(file, names, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows({n: text(v, 5) for n, v in row.items()} for row in rows)
+    print(path)
+
+
+def text(value, digits: int = 3) -> str:
+    """A cell as text; "" for None and NaN."""
+    if isinstance(value, (float, np.floating)):
+        return "" if np.isnan(value) else f"{value:.{digits}g}"
+    return "" if value is None else str(value)
+
+
+def show(rows: list[dict[str, Any]], columns) -> None:
+    """Print some columns in Markdown, to be put into a README."""
+    print("| " + " | ".join(columns) + " |\n|" + "---|" * len(columns))
+    for row in rows:
+        print("| " + " | ".join(text(row.get(name)) for name in columns) + " |")
+
+
+def figure(rows: int, columns: int, size: tuple[float, float], **more):
+    """A Figure and its axes `[rows, columns]`, plain."""
+    import matplotlib
+
+    matplotlib.use("agg")
+    import matplotlib.pyplot as plt
+
+    plt.rcParams.update({"font.size": 9, "svg.hashsalt": "dynappo", "axes.axisbelow": True})
+    page, axes = plt.subplots(
+        rows, columns, figsize=size, layout="constrained", squeeze=False, **more
+    )
+    for axis in axes.flat:
+        axis.grid(alpha=0.25, linewidth=0.7)
+        axis.spines[["top", "right"]].set_visible(False)
+    return page, axes
+
+
+def missing(axis, what: str = "not run yet") -> None:
+    """Say in the picture that there is nothing to draw."""
+    axis.text(
+        0.5, 0.5, what, transform=axis.transAxes, ha="center", va="center", color="0.6", fontsize=11
+    )
+
+
+def log(axis) -> None:
+    """A logarithmic y axis with plain numbers."""
+    axis.set_yscale("log")
+    axis.yaxis.get_major_locator().set_params(subs=(1, 2, 5))
+    axis.yaxis.set_major_formatter("{x:g}")
+    axis.minorticks_off()
+
+
+def save(page, path: Path) -> None:
+    """As PNG and SVG; the same numbers give the same file."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    page.savefig(path.with_suffix(".png"), dpi=130)
+    page.savefig(path.with_suffix(".svg"), metadata={"Date": None})
+    print(path.with_suffix(".png"))
+
+
+def band(axis, x, values, colour: str, label: str = "", most: int = 50) -> None:
+    """The mean over seeds of `values` [I, S] and its 95 % interval, at `most` points of `x` [I].
+
+    Rows with an empty cell are left out: before the first episodes end, and where a CSV is thin.
+    """
+    whole = np.flatnonzero(np.isfinite(values).all(1))
+    if not len(whole):
+        return
+    rows = whole[np.unique(np.linspace(0, len(whole) - 1, most).round().astype(int))]
+    if values.shape[1] > 1:
+        low, high = curves.interval(values[rows].T)
+        axis.fill_between(x[rows], low, high, color=colour, alpha=0.18, linewidth=0)
+    axis.plot(x[rows], values[rows].mean(1), color=colour, linewidth=1.6, label=label)
