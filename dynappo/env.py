@@ -34,17 +34,12 @@ class Parts(NamedTuple):
     dt: float  # s
 
 
-def make(
-    robot: robot_lib.Robot, task, physics_config, *, impl: str = "jax", num_worlds: int = 1
-) -> Env:
-    """The task of `task` and `physics_config` (config groups) on `robot`, stepped by `impl`.
-
-    `num_worlds` is robots times seeds: MJX-Warp keeps one contact buffer for all of them.
-    """
+def make(robot: robot_lib.Robot, task, physics_config, *, impl: str = "jax") -> Env:
+    """The task of `task` and `physics_config` (config groups) on `robot`, stepped by `impl`."""
     varied = randomize.varied(task.randomize)
     fatal, undesired = ground_rules(robot, task)
     parts = Parts(
-        engine=physics.make(robot, physics_config, varied, impl, num_worlds, task.remember_ground),
+        engine=physics.make(robot, physics_config, varied, impl, task.remember_ground),
         robot=robot,
         task=task,
         legs=robot_lib.leg_chains(robot),

@@ -3,7 +3,7 @@
 The parts of an iteration follow each other in the same memory. The largest is what a robot costs,
 beside the state that is carried:
 
-    rollout      the buffer, and the engine's data of one physics step
+    rollout      the buffer, and what JAX has of one physics step
     advantages   the buffer, the batch, and two layers of the critic on all rows
     update       the batch, its shuffled copy, and the activations of a minibatch
     fit          the buffer, its scaled rows, and the activations of a minibatch
@@ -11,7 +11,8 @@ beside the state that is carried:
 Sizes follow from the config and the robot's model, without JAX. How many copies the compiler makes was
 fitted to what XLA allots on a CPU, which is 0.86 to 1.04 of this over 17 configs of networks alone, and
 0.96 for a whole Go1 with `dyna4` (tests/test_memory.py; for GPUs experiments/02_scaling/memory.py).
-Warp's own scratch is not counted: it lies in the quarter of a GPU that JAX leaves free.
+MuJoCo Warp has arrays of its own (warp_physics.py) in the quarter of a GPU that JAX leaves free, for
+the robots that train and for those of an evaluation; its scratch there is not counted.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ CONTACTS = {
 ROWS_PER_CONTACT = 4  # constraint rows of a pyramidal cone with sliding friction
 STATE = 178 * FLOAT  # EnvState, and the robot's own physical parameters
 STATES = 3  # before a chunk, after it, and the host's copy
-WARP_COPIES = 2  # of its data: what a call takes and what it gives
+BESIDE = 3  # JAX's share of a GPU, of what it leaves to Warp; a run may have set another one
 FIXED = 300 << 20  # the program and its constants, workspaces of the libraries
 # of a CPU's memory: Python, JAX, and the compiler while it compiles (a Go1 with dyna4: 1.45 GiB)
 PROCESS = 1500 << 20
@@ -43,6 +44,7 @@ CURES = {
     "update": ", raise ppo.minibatches",
     "fit": ", raise model.minibatches",
     "evaluation": ", lower run.eval_envs",
+    "engine": ", lower run.eval_envs",
 }
 
 
@@ -51,13 +53,14 @@ class Estimate(NamedTuple):
 
     robot: int  # of each robot of each seed, while it trains
     judged: int  # of each robot of each seed, in an evaluation
+    engine: int  # of each robot that trains or is judged: Warp's own arrays
     seed: int  # of each seed: networks, moments, gradients
     fixed: int
     largest: str  # the part of an iteration that decides `robot`
 
 
 def estimate(config, impl: str = "auto") -> Estimate:
-    """What a validated config needs; `impl` is the engine, "auto" counts as Warp, which needs more."""
+    """What a validated config needs; `impl` is the engine, "auto" counts as both."""
     parts = phases(config, impl)
     largest = max(parts, key=lambda name: parts[name])
     state = STATES * STATE
@@ -69,6 +72,7 @@ def estimate(config, impl: str = "auto") -> Estimate:
     return Estimate(
         robot=parts[largest] + state,
         judged=physics(config, impl) + state,
+        engine=0 if impl == "jax" else beside(config),
         seed=6 * FLOAT * weights,  # with Adam's two moments, and as many again while they change
         fixed=FIXED,
         largest=largest,
@@ -98,20 +102,30 @@ def phases(config, impl: str = "auto") -> dict[str, int]:
 
 
 def physics(config, impl: str = "auto") -> int:
-    """Bytes of one robot in a physics step: mjx.Data as its fields add up, times its copies."""
+    """Bytes of one robot in a physics step that are JAX's: mjx.Data, or what MuJoCo Warp is called with."""
+    model, contacts, rows = _sizes(config, "jax")
+    if impl == "warp":
+        state = model.nq + 2 * model.nv + model.nu
+        return FLOAT * (state + 7 * model.nbody + 15 * model.ngeom)
+    # fields of one size for every quadruped, then those of each geom, contact and constraint row
+    data = 10812 + 48 * model.ngeom + 128 * contacts + (28 + FLOAT * model.nv) * rows
+    return data + FLOAT * (model.nv + 2) * rows  # the solver holds the Jacobian once more
+
+
+def beside(config) -> int:
+    """Bytes of one robot in MuJoCo Warp's own arrays, with its share of the contact buffer."""
+    model, contacts, rows = _sizes(config, "warp")
+    padded = math.ceil(rows / 16) * 16
+    return 13900 + 48 * model.ngeom + 60 * rows + 88 * padded + 156 * contacts
+
+
+def _sizes(config, engine: str):
+    """`(model, contacts, constraint rows)` that an engine keeps room for."""
     model = robot_lib.physics_model(robot_lib.load(config.robot), config.physics)
     kinds = model.geom_type[model.geom_conaffinity > 0]
-    engine = "jax" if impl == "jax" else "warp"
     contacts = sum(CONTACTS[engine][int(kind)] for kind in kinds)
-    rows = contacts * ROWS_PER_CONTACT
-    rows += int(model.jnt_limited.sum() + (model.dof_frictionloss > 0).sum())
-    # fields of one size for every quadruped, then those of each geom, contact and constraint row
-    if engine == "jax":  # and the solver holds the Jacobian once more
-        data = 10812 + 48 * model.ngeom + 128 * contacts + (28 + FLOAT * model.nv) * rows
-        return data + FLOAT * (model.nv + 2) * rows
-    padded = math.ceil(rows / 16) * 16
-    data = 13900 + 48 * model.ngeom + 60 * rows + 88 * padded
-    return WARP_COPIES * data + 156 * contacts
+    limits = int(model.jnt_limited.sum() + (model.dof_frictionloss > 0).sum())
+    return model, contacts, contacts * ROWS_PER_CONTACT + limits
 
 
 def total(config, impl: str = "auto") -> int:
@@ -120,10 +134,20 @@ def total(config, impl: str = "auto") -> int:
 
 
 def _total(config, e: Estimate, robots: int, seeds: int) -> int:
+    return max(_kinds(config, e, robots, seeds).values())
+
+
+def _kinds(config, e: Estimate, robots: int, seeds: int) -> dict[str, int]:
+    """What training and evaluation need of JAX's memory, and what it must be for Warp's to suffice."""
     run = config.run
     robots, judged = -(-robots // run.mesh_env), -(-run.eval_envs // run.mesh_env)
-    most = max(robots * e.robot, robots * STATES * STATE + judged * e.judged)
-    return e.fixed + seeds // run.mesh_seed * (e.seed + most)
+    seeds = seeds // run.mesh_seed
+    sets = seeds + (seeds > 1)  # Warp also gets arrays for the robots of one seed
+    return {
+        "training": e.fixed + seeds * (e.seed + robots * e.robot),
+        "evaluation": e.fixed + seeds * (e.seed + robots * STATES * STATE + judged * e.judged),
+        "engine": e.fixed + BESIDE * sets * (robots + judged) * e.engine,
+    }
 
 
 def fits(config, limit: int, impl: str = "auto") -> list[tuple[int, int]]:
@@ -155,8 +179,9 @@ def check(config, limit: int | None, impl: str = "auto") -> None:
     pairs = [f"{robots} x {seeds}" for robots, seeds in fits(config, limit, impl)]
     most = f"at most {' or '.join(pairs)} fit" if pairs else "no number of robots fits"
     e = estimate(config, impl)
-    judging = config.run.eval_envs * e.judged > config.rollout.num_envs * e.robot
-    cure = CURES.get("evaluation" if judging else e.largest, "")
+    kinds = _kinds(config, e, config.rollout.num_envs, config.run.num_seeds)
+    largest = max(kinds, key=lambda name: kinds[name])
+    cure = CURES.get(e.largest if largest == "training" else largest, "")
     raise ConfigError(
         f"rollout.num_envs x run.num_seeds is {config.rollout.num_envs} x {config.run.num_seeds} and "
         f"needs about {needs / 2**30:.1f} GiB on each device, which has {limit / 2**30:.1f}; {most}. "

@@ -10,19 +10,21 @@ that must not touch the ground need no collision pairs (`physics.contacts = feet
 
 Why the data are rebuilt from a template in every control step: what is carried is then small, a reset
 costs no physics call, and a checkpoint does not depend on the engine. Not in every physics step:
-filling the 168 arrays of mjx.Data took 0.6 of 4.4 ms (experiments/03_speed).
+filling the 168 arrays of mjx.Data took 0.6 of 4.4 ms (experiments/03_speed). MuJoCo Warp is called
+past mjx.Data (warp_physics.py).
 """
 
 from __future__ import annotations
 
 import contextlib
 import io
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
-from dynappo import actuators, randomize
+from dynappo import actuators, randomize, warp_physics
 from dynappo import robot as robot_lib
 from dynappo.types import EnvState
 
@@ -43,7 +45,8 @@ class Engine(NamedTuple):
     """A robot in an engine; constants of the compiled program."""
 
     model: Any  # mjx.Model
-    data: Any  # mjx.Data, a template
+    data: Any  # mjx.Data or warp_physics.Moved, a template
+    step: Callable[..., Any]  # (model, data, ctrl) -> data, one physics step
     robot: robot_lib.Robot
     substeps: int
     timestep: float  # s
@@ -53,30 +56,19 @@ class Engine(NamedTuple):
 
 
 def make(
-    robot: robot_lib.Robot,
-    physics,
-    varied: frozenset[str],
-    impl: str,
-    num_worlds: int,
-    remember: bool = False,
-):
-    """The engine `impl` ("jax" or "warp") for `num_worlds` copies of `robot`.
-
-    `physics` is the config's group. MJX-Warp keeps one contact buffer for all worlds; it gets what
-    all robots of all seeds can need at most, so that it cannot overflow.
-    """
+    robot: robot_lib.Robot, physics, varied: frozenset[str], impl: str, remember: bool = False
+) -> Engine:
+    """The engine `impl` ("jax" or "warp") of `robot`; `physics` is the config's group."""
     mj_model = robot_lib.physics_model(robot, physics)
-    buffers = {}
-    if impl == "warp":
-        contacts, rows = most_contacts(mj_model)
-        buffers = dict(naconmax=num_worlds * contacts, njmax=rows)
     here = jax.local_devices()[0]  # MJX takes the first of all processes' otherwise
-    model = mjx.put_model(mj_model, impl=impl, device=here)
-    if impl == "warp":  # it prints a line a world a step when the solver's limit is reached
-        model = model.tree_replace({"opt._impl.warn_overflow": 0})
+    if impl == "warp":
+        data, step = warp_physics.make(mj_model, *most_contacts(mj_model))
+    else:
+        data, step = mjx.make_data(mj_model, impl=impl, device=here), _mjx_step
     return Engine(
-        model=model,
-        data=mjx.make_data(mj_model, impl=impl, device=here, **buffers),
+        model=mjx.put_model(mj_model, impl=impl, device=here),
+        data=data,
+        step=step,
         robot=robot,
         substeps=physics.substeps,
         timestep=physics.timestep,
@@ -84,6 +76,10 @@ def make(
         varied=varied,
         remember=remember,
     )
+
+
+def _mjx_step(model, data, ctrl):
+    return mjx.step(model, data.replace(ctrl=ctrl))
 
 
 def most_contacts(model) -> tuple[int, int]:
@@ -128,24 +124,21 @@ def simulate(engine: Engine, hyper, physics, state: EnvState, action) -> Substep
     def substep(carry, _):
         s, data = carry
         torque = actuators.clip_dc_motor(
-            actuators.pd(q_target, s.qpos[7:], s.qvel[6:], kp, kd),
-            s.qvel[6:],
+            actuators.pd(q_target, data.qpos[7:], data.qvel[6:], kp, kd),
+            data.qvel[6:],
             effort_limit=hyper.effort_limit,
             saturation_effort=hyper.saturation_effort,
             velocity_limit=hyper.velocity_limit,
         )
-        data = mjx.step(model, data.replace(ctrl=torque))
+        before, data = data.qvel[6:], engine.step(model, data, torque)
         contact = data.geom_xpos[feet, 2] < engine.robot.foot_radius
         landed = contact & (s.air_steps > 0)
-        s = Substeps(
-            qpos=data.qpos,
-            qvel=data.qvel,
-            qacc_warmstart=data.qacc_warmstart,
+        s = s._replace(
             air_steps=jnp.where(contact, 0, s.air_steps + 1),
             contact_steps=jnp.where(contact, s.contact_steps + 1, 0),
             last_air_steps=jnp.where(landed, s.air_steps + 1, s.last_air_steps),
             torque=torque,
-            qd_before=s.qvel[6:],
+            qd_before=before,
             lowest=jnp.minimum(s.lowest, lowest(data)) if engine.remember else s.lowest,
         )
         return (s, data), None
@@ -166,4 +159,5 @@ def simulate(engine: Engine, hyper, physics, state: EnvState, action) -> Substep
     )
     with jax.default_matmul_precision("highest"):
         (s, data), _ = jax.lax.scan(substep, (first, data), None, length=engine.substeps)
+    s = s._replace(qpos=data.qpos, qvel=data.qvel, qacc_warmstart=data.qacc_warmstart)
     return s if engine.remember else s._replace(lowest=lowest(data))

@@ -111,7 +111,7 @@ def episodes(
     static, hyper = config_lib.split(config)
     number = number or EPISODES.get(jax.default_backend(), EPISODES["cpu"])
     robot = robot_lib.load(policy.robot)
-    env = env_lib.make(robot, config.task, config.physics, impl=impl, num_worlds=number)
+    env = env_lib.make(robot, config.task, config.physics, impl=impl)
     assess = partial(
         evaluate.evaluate,
         env,

@@ -135,10 +135,7 @@ def setup(config, restore: Path | None = None) -> Program:
     static, hyper = config_lib.split(config)
     robot, run = robot_lib.load(config.robot), config.run
     mesh = sweep.mesh(run.mesh_seed, run.mesh_env)
-    robots = max(config.rollout.num_envs, run.eval_envs)
-    worlds = robots * run.num_seeds // mesh.size  # of each device
-    env = env_lib.make(robot, config.task, config.physics, impl=impl, num_worlds=worlds)
-    env = env._replace(mesh=mesh)
+    env = env_lib.make(robot, config.task, config.physics, impl=impl)._replace(mesh=mesh)
     length = config.task.episode_length
     episodes = dict(static=static, num_envs=run.eval_envs, num_steps=length)
     init = partial(algorithm.init, env, static=static)

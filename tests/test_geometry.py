@@ -25,7 +25,7 @@ ROUNDING = 2e-6  # m, of single precision at the end of a leg; measured 6e-7
 
 def shipped(loaded, settings):
     """`read(qpos [N, 19]) -> (lowest [N, G], down [N, F])` by `physics.simulate`."""
-    engine = physics.make(loaded, settings.physics, frozenset(), "jax", 1)
+    engine = physics.make(loaded, settings.physics, frozenset(), "jax")
     hyper = config.split(settings)[1].task
     body = SimpleNamespace(kp_scale=1.0, kd_scale=1.0)
     timers = ("air_steps", "contact_steps", "last_air_steps")

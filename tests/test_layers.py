@@ -14,7 +14,8 @@ CONFIGS = PACKAGE.parent / "configs"
 GROUPS = (
     {"types", "config", "schedule", "validate"},
     {"networks", "gae", "rewards", "actuators", "observe"},
-    {"robot", "env", "commands", "physics", "randomize", "dynamics", "ppo", "rollout", "brax_env"},
+    {"robot", "env", "commands", "physics", "warp_physics", "randomize", "dynamics", "ppo"}
+    | {"rollout", "brax_env"},
     {"algorithm", "evaluate", "sweep"},
     {"checkpoint", "log", "render", "files", "export", "train", "play", "bench", "console", "flags"}
     | {
@@ -33,7 +34,7 @@ WITHIN = {
     "config": {"validate"},
     "validate": {"schedule"},
     "env": {"robot", "commands", "randomize", "physics"},
-    "physics": {"robot", "randomize"},
+    "physics": {"robot", "randomize", "warp_physics"},
     "evaluate": {"algorithm", "report"},  # report: only where it is run as a command
     "sweep": {"algorithm", "evaluate"},
 }  # allowed inside a group

@@ -1,5 +1,6 @@
 """The memory a run needs: against the arrays of both engines and against what XLA allots."""
 
+import dataclasses
 import itertools
 import os
 import subprocess
@@ -32,20 +33,14 @@ def config(spec="configs/go1.py", **fields):
     return config_lib.validate(config)
 
 
-def engine(impl, robot, contacts, worlds=1):
-    """`(config, the engine's data of one world)`."""
-    run = config(f"configs/{robot}.py", physics__contacts=contacts)
-    made = physics.make(robot_lib.load(robot), run.physics, frozenset(), impl, worlds)
-    return run, made.data
-
-
 # ---- the engine's data
 
 
 @pytest.mark.parametrize("robot, contacts", itertools.product(ROBOTS, ("feet", "full")))
 def test_the_data_of_mjx_are_counted_to_the_byte(robot, contacts):
     """mjx.Data of MJX-JAX, and the Jacobian and two vectors of rows that the solver holds beside it."""
-    run, data = engine("jax", robot, contacts)
+    run = config(f"configs/{robot}.py", physics__contacts=contacts)
+    data = physics.make(robot_lib.load(robot), run.physics, frozenset(), "jax").data
     solver = data._impl.efc_J.nbytes + 2 * data._impl.efc_pos.nbytes
     whole = sum(leaf.nbytes for leaf in jax.tree.leaves(data))
     assert memory.physics(run, "jax") == whole + solver
@@ -53,21 +48,23 @@ def test_the_data_of_mjx_are_counted_to_the_byte(robot, contacts):
 
 @pytest.mark.parametrize("robot, contacts", itertools.product(ROBOTS, ("feet", "full")))
 def test_the_data_of_warp_are_counted_to_the_byte(robot, contacts):
-    """mjx.Data of MJX-Warp: twice what each world has, once what the worlds share."""
+    """What each robot more takes of the arrays that Warp keeps, its share of the contacts included."""
     pytest.importorskip("warp")
-    from mujoco.mjx.warp.types import DATA_NON_VMAP
+    from mujoco.mjx.third_party import mujoco_warp
 
-    def parts(worlds):
-        run, data = engine("warp", robot, contacts, worlds)
-        impl = {n: x for n, x in vars(data._impl).items() if hasattr(x, "nbytes")}
-        public = [x for n, x in vars(data).items() if n != "_impl"]
-        common = sum(x.nbytes for n, x in impl.items() if n in DATA_NON_VMAP)
-        own = sum(x.nbytes for n, x in impl.items() if n not in DATA_NON_VMAP)
-        return run, own + sum(x.nbytes for x in jax.tree.leaves(public)), common
+    run = config(f"configs/{robot}.py", physics__contacts=contacts)
+    model = robot_lib.physics_model(robot_lib.load(robot), run.physics)
+    most, rows = physics.most_contacts(model)
 
-    run, own, common = parts(32)
-    shared = (common - parts(16)[2]) // 16
-    assert abs(memory.physics(run, "warp") - (memory.WARP_COPIES * own + shared)) <= 16
+    def size(node):
+        if dataclasses.is_dataclass(node):
+            return sum(size(getattr(node, f.name)) for f in dataclasses.fields(node))
+        return getattr(node, "capacity", 0)
+
+    def kept(worlds):
+        return size(mujoco_warp.make_data(model, nworld=worlds, naconmax=worlds * most, njmax=rows))
+
+    assert abs(memory.beside(run) - (kept(32) - kept(16)) // 16) <= 16
 
 
 @pytest.mark.slow
@@ -296,10 +293,25 @@ def test_a_run_that_fits_passes_and_one_that_does_not_is_one_line():
         memory.check(run, GIB // 100)
 
 
-def test_auto_counts_as_the_engine_that_needs_more():
+def test_auto_counts_as_both_engines():
     """What JAX will find is not known before it is imported."""
-    run = config(physics__contacts="full")
-    assert memory.physics(run) == memory.physics(run, "warp") > memory.physics(run, "jax")
+    for spec in ("configs/go1.py:ppo16", "configs/go1.py:dyna4"):
+        run = config(spec, physics__contacts="full", rollout__num_envs=32768)
+        assert memory.total(run) == max(memory.total(run, impl) for impl in ("jax", "warp"))
+        assert memory.physics(run) == memory.physics(run, "jax") > memory.physics(run, "warp")
+
+
+def test_warps_own_arrays_must_fit_into_what_jax_leaves():
+    """A third of JAX's share; for the robots that train, those of an evaluation, and those of one seed."""
+    fields = dict(physics__contacts="full", rollout__num_envs=65536, run__eval_envs=1000)
+    run = config("configs/go1.py:ppo16", **fields)
+    two = config("configs/go1.py:ppo16", **fields, run__num_seeds=2)
+    e, own = memory.estimate(run, "warp"), memory.beside(run)
+    assert memory.total(run, "warp") == e.fixed + 3 * 66536 * own
+    assert memory.total(two, "warp") == e.fixed + 3 * 3 * 66536 * own
+    assert memory.estimate(run, "jax").engine == 0
+    with pytest.raises(ConfigError, match="them, lower run.eval_envs, or use more"):
+        memory.check(run, memory.total(run, "warp") - 1, "warp")
 
 
 def test_the_limit_of_a_device(monkeypatch):

@@ -50,7 +50,7 @@ def measure(body, config, params, start, worlds, impl, repeats):
 
     count = len(start["qpos"])
     tiled = {n: jnp.asarray(np.resize(c, (worlds, *c.shape[1:]))) for n, c in start.items()}
-    engine = physics.make(body, config.physics, frozenset(), impl, worlds)
+    engine = physics.make(body, config.physics, frozenset(), impl)
     run, bodies = walk.on_mjx(engine, config, params, STEPS), walk.nominal(body, worlds)
     qpos, qvel, _ = jax.block_until_ready(run(bodies, tiled))
     times = []

@@ -1,13 +1,24 @@
 """Where the time of one control step goes, piece by piece, on the states of the task.
 
-    python experiments/03_speed/rows.py OUT.json [--worlds 4096] [--cases raw,fill] [--trace DIR]
+    python experiments/03_speed/rows.py OUT.json [--worlds 4096] [--cases RE,RE] [--trace RE,RE]
 
-Every case does 16 control steps from the same states (after 48 rows of an untrained policy). The
-cases take turns; printed is the median, ms a control step.
+Every case does 16 control steps of Go1 from the same states (after 48 rows of an untrained policy)
+on MJX-Warp, and the cases take turns; printed is the median, ms a control step. They are
+
+    raw_*    mjx.step x 4 in a scan that carries its data; `const`: torques stay, `pd`: PD in each step,
+             `fixed`: the solver does all its iterations instead of asking after each
+    sim_*    physics.simulate
+    step_*   env.step, `pstep_*` with the autoreset
+    fill_*   the whole row: policy, random numbers, buffer; `dyn` with a bound that is an argument, as
+             in training, `static` with one that the compiler knows
+
+each with the engine as it is (`own`: MuJoCo Warp called with ten arrays), and as it was before: by
+mjx.step on data that are filled once a control step (`carry`) or in every physics step (`template`).
+Traces say which kernels run and how long the device waits; with command buffers off
+(XLA_FLAGS=--xla_gpu_enable_command_buffer=) each has its place in the program.
 """
 
 import argparse
-import contextlib
 import gzip
 import json
 import re
@@ -18,14 +29,14 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import numpy as np
-import variants
 
-from dynappo import algorithm, physics, ppo, rollout
+from dynappo import algorithm, physics, ppo, rollout, warp_physics
 from dynappo import config as config_lib
 from dynappo import env as env_lib
 from dynappo import robot as robot_lib
 
 ROWS = 16
+FIELDS = ("qpos", "qvel", "qacc_warmstart", "geom_xpos", "geom_xmat")
 HOST = {"calls": 0, "seconds": 0.0, "captures": 0}
 
 
@@ -47,73 +58,61 @@ def watch_host():
     ffi.FfiCallable.ffi_callback = callback
 
 
-@contextlib.contextmanager
-def simulating(function):
-    """`physics.simulate` is `function` while a case is traced."""
-    kept, physics.simulate = physics.simulate, function
-    try:
-        yield
-    finally:
-        physics.simulate = kept
-
-
 class Bench:
     def __init__(self, worlds, impl):
         config = config_lib.validate(config_lib.load("configs/go1.py:ppo16"))
         self.static, hyper = config_lib.split(config)
-        self.hyper = hyper.task
+        self.hyper, self.impl, self.worlds = hyper.task, impl, worlds
         robot = robot_lib.load(config.robot)
-        self.env = env_lib.make(robot, config.task, config.physics, impl=impl, num_worlds=worlds)
-        self.engine = self.env.step.args[0].engine
-        self.impl, self.worlds = impl, worlds
+        env = env_lib.make(robot, config.task, config.physics, impl=impl)
+        engine = env.step.args[0].engine
+        model = robot_lib.physics_model(robot, config.physics)
+        self.template = template(model, impl, worlds)
+        if impl == "warp":
+            quiet = {"opt._impl.warn_overflow": 0}  # or mjx.step prints
+            engine = engine._replace(model=engine.model.tree_replace(quiet))
+        self.engine = engine
+        engines = {
+            "own": engine,
+            "carry": engine._replace(data=self.template, step=physics._mjx_step),
+            "template": engine._replace(data=self.moved(self.template), step=self.by_template),
+        }
+        self.envs = {name: on_engine(env, engine) for name, engine in engines.items()}
         key = jax.random.key(0)
         self.robots = jnp.arange(worlds)
         keys = rollout.row_keys(key, self.robots)(0)
-        self.body = jax.jit(jax.vmap(self.env.randomize, (None, 0)))(self.hyper, keys)
-        state = jax.jit(jax.vmap(self.env.reset, (None, 0, 0)))(self.hyper, self.body, keys)
-        learner = ppo.init(self.static.ppo, hyper.ppo, self.env.obs_size, self.env.action_size, key)
+        self.body = jax.jit(jax.vmap(env.randomize, (None, 0)))(self.hyper, keys)
+        state = jax.jit(jax.vmap(env.reset, (None, 0, 0)))(self.hyper, self.body, keys)
+        learner = ppo.init(self.static.ppo, hyper.ppo, env.obs_size, env.action_size, key)
         self.params = learner.params
-        self.direct = {}
-        if impl == "warp":
-            model = robot_lib.physics_model(robot, config.physics)
-            per_world = physics.most_contacts(model)
-            self.direct = {
-                "direct": variants.direct(model, per_world),
-                "direct_fixed": variants.direct(model, per_world, conditional=False),
-                "direct_jax": variants.direct(model, per_world, conditional=False, mode="JAX"),
-            }
         # where the cases start
-        run = jax.jit(partial(self.fill, "base", True))
+        run = jax.jit(partial(self.fill, "own", True))
         for _ in range(3):
             _, state, _ = run(self.params, self.body, state, key, jnp.int32(ROWS))
         self.state, self.key = jax.block_until_ready(state), key
-        self.action = jax.random.normal(key, (worlds, self.env.action_size)) * 0.5
+        self.action = jax.random.normal(key, (worlds, env.action_size)) * 0.5
 
-    def simulate(self, how):
-        if how == "base":
-            return physics.simulate
-        engine_how = "direct" if how.startswith("direct") else "carry"
+    def moved(self, data):
+        return warp_physics.Moved(**{n: getattr(data, n) for n in FIELDS})
 
-        def call(engine, hyper, body, state, action):
-            return variants.simulate(
-                engine_how, engine, hyper, body, state, action, advance=self.direct.get(how)
-            )[0]
-
-        return call
+    def by_template(self, model, at, ctrl):
+        """mjx.step on data filled from a template."""
+        kept = {name: getattr(at, name) for name in FIELDS[:3]}
+        return self.moved(physics.mjx.step(model, self.template.replace(ctrl=ctrl, **kept)))
 
     # --- cases: functions of (params, body, state, key, n) ---
 
-    def raw(self, control, model_change, params, body, state, key, n):
-        """mjx.step x 4, data carried; `control` is "const" or "pd"."""
+    def raw(self, control, change, params, body, state, key, n):
+        """mjx.step x 4, data carried."""
         engine, hyper = self.engine, self.hyper
         default = jnp.asarray(engine.robot.default_pose, jnp.float32)
         target = default + 0.25 * self.action
-        model = engine.model.tree_replace(model_change) if model_change else engine.model
+        model = engine.model.tree_replace(change) if change else engine.model
 
         def torque(data):
             return hyper.kp * (target - data.qpos[:, 7:]) - hyper.kd * data.qvel[:, 6:]
 
-        data = variants.worlds(engine, self.worlds)
+        data = jax.vmap(lambda _: self.template)(self.robots)
         data = data.replace(qpos=state.qpos, qvel=state.qvel, qacc_warmstart=state.qacc_warmstart)
         data = data.replace(ctrl=torque(data))
 
@@ -128,108 +127,81 @@ class Bench:
 
     def sim(self, how, params, body, state, key, n):
         """physics.simulate alone."""
-        simulate = self.simulate(how)
+        engine = self.envs[how].step.args[0].engine
 
         def row(_, state):
-            after = jax.vmap(simulate, (None, None, 0, 0, 0))(
-                self.engine, self.hyper, body, state, self.action
+            after = jax.vmap(physics.simulate, (None, None, 0, 0, 0))(
+                engine, self.hyper, body, state, self.action
             )
             names = "qpos qvel qacc_warmstart air_steps contact_steps last_air_steps".split()
-            last = (
-                state.last_action + after.torque + after.qd_before + after.lowest.sum(-1)[:, None]
+            used = after.torque + after.qd_before + after.lowest.sum(-1)[:, None]
+            return state.replace(
+                last_action=state.last_action + used, **{k: getattr(after, k) for k in names}
             )
-            return state.replace(last_action=last, **{k: getattr(after, k) for k in names})
 
         return jax.lax.fori_loop(0, ROWS, row, state)
 
     def steps(self, how, reset, params, body, state, key, n):
         """env.step, or algorithm.physics_step with its autoreset."""
-        with simulating(self.simulate(how)):
-            if reset:
-                step = algorithm.physics_step(self.env, self.hyper, body)
-            else:
-                step = partial(jax.vmap(self.env.step, (None, 0, 0, 0, 0)), self.hyper, body)
+        env = self.envs[how]
+        step = partial(jax.vmap(env.step, (None, 0, 0, 0, 0)), self.hyper, body)
+        if reset:
+            step = algorithm.physics_step(env, self.hyper, body)
 
-            def row(t, carry):
-                state, total = carry
-                keys = rollout.row_keys(key, self.robots)(t)
-                state, outcome = step(state, self.action, keys)
-                return state, total + outcome.reward + sum(outcome.metrics.values())
+        def row(t, carry):
+            state, total = carry
+            keys = rollout.row_keys(key, self.robots)(t)
+            state, outcome = step(state, self.action, keys)
+            return state, total + outcome.reward + sum(outcome.metrics.values())
 
-            return jax.lax.fori_loop(0, ROWS, row, (state, jnp.zeros(self.worlds)))
+        return jax.lax.fori_loop(0, ROWS, row, (state, jnp.zeros(self.worlds)))
 
     def fill(self, how, dynamic, params, body, state, key, n):
         """rollout.fill with the policy: what `algorithm.collect` does."""
-        act = scoped("policy", algorithm.policy(self.static.ppo, params))
-        buffer = rollout.allocate(self.env, ROWS, self.worlds)
-        keys = rollout.row_keys(key, self.robots)
+        env = self.envs[how]
+        env = env._replace(step=scoped("task", env.step), autoreset=scoped("reset", env.autoreset))
         lo, hi = (jnp.int32(0), n) if dynamic else (0, ROWS)
-        if how == "rows":
-            step, state = (
-                self.rows_step(body),
-                variants.Rows(state, variants.worlds(self.engine, self.worlds), state.obs),
-            )
-        else:
-            step = self.scoped_step(body)
-        with simulating(scoped("simulate", self.simulate(how if how != "rows" else "base"))):
-            out = rollout.fill(
-                buffer, lo, hi, state, keys, act=act, step=step, metrics=self.env.metrics
-            )
-        if how == "rows":
-            return out[0], out[1].env, out[2]
-        return out
-
-    def scoped_step(self, body):
-        env = self.env._replace(
-            step=scoped("task", self.env.step), autoreset=scoped("reset", self.env.autoreset)
+        return rollout.fill(
+            rollout.allocate(env, ROWS, self.worlds),
+            lo,
+            hi,
+            state,
+            rollout.row_keys(key, self.robots),
+            act=scoped("policy", algorithm.policy(self.static.ppo, params)),
+            step=algorithm.physics_step(env, self.hyper, body),
+            metrics=env.metrics,
         )
-        return algorithm.physics_step(env, self.hyper, body)
-
-    def rows_step(self, body):
-        def one(hyper, body, state, data, action, key):
-            cell = []
-
-            def simulate(engine, hyper, body, state, action):
-                out, after = variants.simulate(
-                    "carry", engine, hyper, body, state, action, data=data
-                )
-                cell.append(after)
-                return out
-
-            with simulating(scoped("simulate", simulate)):
-                after, outcome = scoped("task", self.env.step)(hyper, body, state, action, key)
-            return after, outcome, cell[0]
-
-        def step(state, action, keys):
-            fold = jax.vmap(jax.random.fold_in, (0, None))
-            after, outcome, data = jax.vmap(one, (None, 0, 0, 0, 0, 0))(
-                self.hyper, body, state.env, state.data, action, fold(keys, algorithm.STEP)
-            )
-            after = jax.vmap(scoped("reset", self.env.autoreset), (None, 0, 0, 0, 0))(
-                self.hyper, body, after, outcome, fold(keys, algorithm.RESET)
-            )
-            return variants.Rows(after, data, after.obs), outcome
-
-        return step
 
     def cases(self):
-        fixed = {"opt._impl.graph_conditional": False}
         out = {
             "raw_const": partial(self.raw, "const", None),
             "raw_pd": partial(self.raw, "pd", None),
-            "raw_pd_fixed": partial(self.raw, "pd", fixed),
         }
-        for how in ("base", "carry", "direct", "direct_fixed"):
+        if self.impl == "warp":
+            fixed = {"opt._impl.graph_conditional": False}
+            out["raw_pd_fixed"] = partial(self.raw, "pd", fixed)
+        for how in self.envs:
             out[f"sim_{how}"] = partial(self.sim, how)
-        for how in ("base", "direct"):
             out[f"step_{how}"] = partial(self.steps, how, False)
             out[f"pstep_{how}"] = partial(self.steps, how, True)
-        for how in ("base", "carry", "rows", "direct", "direct_fixed", "direct_jax"):
             out[f"fill_{how}_dyn"] = partial(self.fill, how, True)
             out[f"fill_{how}_static"] = partial(self.fill, how, False)
-        if self.impl != "warp":
-            out = {k: v for k, v in out.items() if "direct" not in k and "fixed" not in k}
         return out
+
+
+def template(model, impl, worlds):
+    """mjx.Data of one robot, with contact buffers for all."""
+    buffers = {}
+    if impl == "warp":
+        contacts, rows = physics.most_contacts(model)
+        buffers = dict(naconmax=worlds * contacts, njmax=rows)
+    return physics.mjx.make_data(model, impl=impl, **buffers)
+
+
+def on_engine(env, engine):
+    """`env` with another engine."""
+    engine = engine._replace(step=scoped("simulate", engine.step))
+    return env._replace(step=partial(env_lib.step, env.step.args[0]._replace(engine=engine)))
 
 
 def scoped(name, function):
@@ -273,16 +245,8 @@ def summarise(folder, hlo, calls):
     idle = 0.0
     for start, duration, name, op, _ in events:
         place = stages.get(op, stages.get(op.split("__")[0], ""))
-        stage = next(
-            (
-                s
-                for s in ("simulate", "task", "reset", "policy")
-                if f"{s}/" in place or f"({s})" in place
-            ),
-            "other",
-        )
-        if stage == "task" and "simulate" in place:
-            stage = "simulate"
+        names = ("simulate", "task", "reset", "policy")  # simulate lies in task
+        stage = next((s for s in names if f"{s}/" in place or f"({s})" in place), "other")
         key = f"{stage}: {re.sub(r'[.0-9]+$', '', name)}"
         for table, k in ((by_stage, stage), (by_kernel, key)):
             row = table.setdefault(k, [0, 0.0])
@@ -395,8 +359,9 @@ def main():
     for name, case in result["cases"].items():
         print(
             f"{name:24s} {case['median_ms']:7.3f} ms  {min(case['ms']):7.3f}  "
-            f"host {case['host_us_a_call']:6.0f} us x {case['host_calls_a_row']:.0f}, captures "
-            f"{case['captures_first']}+{case['captures']}, set-up {case['setup_s']:.0f} s",
+            f"host {case['host_us_a_call']:6.0f} us x {case['host_calls_a_row']:.0f}, "
+            f"captures {case['captures_first']}+{case['captures']}, "
+            f"set-up {case['setup_s']:.0f} s",
             flush=True,
         )
     for name, function in compiled.items():
@@ -412,17 +377,8 @@ def main():
         result["traces"][name] = summary
         (args.out.parent / f"{name}.hlo.gz").write_bytes(gzip.compress(hlo[name].encode()))
         write()
-        print(
-            name,
-            json.dumps(
-                {
-                    k: v
-                    for k, v in summary.items()
-                    if k in ("span_us", "idle_us", "stages", "events", "error", "planes")
-                }
-            )[:1200],
-            flush=True,
-        )
+        brief = ("span_us", "idle_us", "stages", "events", "error", "planes")
+        print(name, json.dumps({k: summary.get(k) for k in brief})[:1200], flush=True)
 
 
 if __name__ == "__main__":

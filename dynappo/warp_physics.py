@@ -1,0 +1,142 @@
+"""MuJoCo Warp, called with only the ten arrays of a robot that a physics step needs from outside.
+
+Why past `mjx.step`: that takes and gives all 168 arrays of mjx.Data, which a step overwrites, so they
+are filled and copied for nothing. On an H100, 4096 Go1, that was 0.95 of a row's 4.40 ms, and still
+0.32 where they were filled once a control step (prototypes, experiments/03_speed). The kernels are
+MJX's own, and so is the way to call them: `wp.jax_callable`, captured as a CUDA graph for each set of
+addresses that JAX passes (`GraphMode.WARP`, MJX's default), of which the last 32 are kept.
+
+Warp keeps the other arrays itself, one set for each number of robots that a program is traced with
+(while it is batched over seeds also for the robots of one seed), on each device of this process. They
+lie outside of what JAX takes of a GPU (memory.py) and stay while the process lives. Calls on one device
+share them; JAX runs a device's programs one after the other.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import inspect
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+
+STATE = 4  # arrays of a call that every robot has its own of: qpos, qvel, qacc_warmstart, ctrl
+
+
+@struct.dataclass
+class Moved:
+    """What is kept of a physics step, under the names of mjx.Data; geoms are where it began."""
+
+    qpos: Any
+    qvel: Any
+    qacc_warmstart: Any
+    geom_xpos: Any
+    geom_xmat: Any
+
+
+def make(mj_model, contacts: int, rows: int) -> tuple[Moved, Callable[..., Moved]]:
+    """A template, and `step(mjx model, Moved, ctrl)` of one robot, for `jax.vmap`.
+
+    All robots share one contact buffer with `contacts` for each, every one has `rows` constraint rows:
+    as many as one robot can need, so that neither can overflow.
+    """
+    zeros = {name: jnp.zeros(size) for name, size in _sizes(mj_model).items()}
+    together = _batched(_of_many(mj_model, contacts, rows))
+
+    def step(model, at: Moved, ctrl) -> Moved:
+        fields = model.body_mass, model.body_inertia, model.body_ipos, model.geom_friction
+        args = (at.qpos, at.qvel, at.qacc_warmstart, ctrl, *fields)
+        return Moved(*(x[0] for x in together(*(x[None] for x in args))))
+
+    return Moved(**zeros), step
+
+
+def _sizes(mj_model) -> dict[str, tuple[int, ...]]:
+    nq, nv, geoms = mj_model.nq, mj_model.nv, mj_model.ngeom
+    return dict(
+        qpos=(nq,), qvel=(nv,), qacc_warmstart=(nv,), geom_xpos=(geoms, 3), geom_xmat=(geoms, 3, 3)
+    )
+
+
+def _of_many(mj_model, contacts: int, rows: int) -> Callable[..., list]:
+    """`step(*arrays)` of W robots; fields of the model have W rows or one for all."""
+    import warp as wp  # pyright: ignore[reportMissingImports]
+    from mujoco.mjx.third_party import mujoco_warp
+    from warp._src.jax import ffi  # pyright: ignore[reportMissingImports]
+
+    gpu = jax.local_devices()[0].platform == "gpu"
+    own: dict[tuple[str, int], tuple[Any, Any]] = {}
+
+    def prepare(count: int) -> None:
+        """Arrays of `count` robots; here, because nothing can be allocated while a graph is captured."""
+        # the ordinal is what the callback is called with, in any of several processes
+        places = [wp.get_cuda_device(d.local_hardware_id) for d in jax.local_devices() if gpu]
+        for place in places or [wp.get_device("cpu")]:
+            if (place.alias, count) in own:
+                continue
+            # the lock: Warp's device and stream are those of a call while another thread captures it
+            with ffi._FFI_CALLBACK_LOCK, wp.ScopedDevice(place):
+                model = mujoco_warp.put_model(mj_model)
+                model.opt.warn_overflow = 0  # it prints a line a world a step at the solver's limit
+                data = mujoco_warp.make_data(
+                    mj_model, nworld=count, naconmax=count * contacts, njmax=rows
+                )
+                wp.synchronize_stream(place)  # JAX's does not wait for it
+            own[place.alias, count] = model, data
+
+    def call(qpos, qvel, qacc_warmstart, ctrl, mass, inertia, ipos, friction, xpos, xmat):
+        model, data = own[qpos.device.alias, qpos.shape[0]]
+        model = dataclasses.replace(
+            model, body_mass=mass, body_inertia=inertia, body_ipos=ipos, geom_friction=friction
+        )
+        data = dataclasses.replace(
+            data, qpos=qpos, qvel=qvel, qacc_warmstart=qacc_warmstart, ctrl=ctrl
+        )
+        mujoco_warp.step(model, data)
+        wp.copy(xpos, data.geom_xpos)  # a step writes only those of geoms that can move
+        wp.copy(xmat, data.geom_xmat)
+
+    kinds = [float] * 5 + [wp.vec3] * 4 + [wp.mat33]
+    names = inspect.signature(call).parameters
+    call.__annotations__ = {n: wp.array2d(dtype=k) for n, k in zip(names, kinds, strict=True)}
+    modes = wp.JaxCallableGraphMode
+    few = wp.jax_callable(
+        call,
+        num_outputs=5,
+        in_out_argnames=["qpos", "qvel", "qacc_warmstart"],
+        graph_mode=modes.WARP if gpu else modes.NONE,
+        vmap_method=None,
+    )
+
+    def step(*args):
+        prepare(len(args[0]))
+        geoms = (len(args[0]), mj_model.ngeom)
+        return few(*args, output_dims=dict(xpos=geoms, xmat=geoms))
+
+    return step
+
+
+def _batched(step: Callable[..., list]) -> Callable[..., list]:
+    """`step` under `jax.vmap`: an axis that is added is one of more robots."""
+
+    @jax.custom_batching.custom_vmap
+    def together(*args):
+        return step(*args)
+
+    @together.def_vmap
+    def more(axis, batched, *args):
+        count = args[0].shape[int(batched[0])]
+
+        def flat(i, x):
+            if i >= STATE and not batched[i] and len(x) == 1:
+                return x
+            x = x if batched[i] else x[None]
+            return jnp.broadcast_to(x, (axis, count, *x.shape[2:])).reshape(-1, *x.shape[2:])
+
+        found = together(*(flat(i, x) for i, x in enumerate(args)))
+        return [x.reshape(axis, count, *x.shape[1:]) for x in found], [True] * len(found)
+
+    return together
