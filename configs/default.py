@@ -199,7 +199,7 @@ def apply_variant(config: config_dict.ConfigDict, variant: str) -> config_dict.C
     elif variant == "best":
         # two of three rows are synthetic: half of PPO-16's simulator steps and a higher return (Go1)
         config.rollout.horizon = 24
-        config.schedule.update(start_iteration=0, end_iteration=100, start_steps=0, end_steps=16)
+        config.schedule.update(start_iteration=0, end_iteration=20, start_steps=0, end_steps=16)
         config.model.update(clean=True, known_reward=True, falls=True, bounds=True, minibatches=6)
         config.model.update(late_epochs=5, late_from=50, precision="bfloat16")
     elif variant == "quick":

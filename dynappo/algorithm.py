@@ -147,11 +147,11 @@ def policy(static, params: dict):
     std = params["std"]
 
     def act(obs, keys):
-        mean = networks.policy(static, params, obs)
+        mean, value = networks.policy_and_value(static, params, obs)
         keys = jax.vmap(jax.random.fold_in, (0, None))(keys, ACTION)
         action = mean + std * jax.vmap(lambda k: jax.random.normal(k, std.shape))(keys)
         log_prob = networks.log_prob(mean, std, action)
-        return action, mean, log_prob, networks.value(static, params, obs)
+        return action, mean, log_prob, value
 
     return act
 

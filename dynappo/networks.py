@@ -9,6 +9,7 @@ standard deviation is one free parameter an action, used directly and not throug
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 import flax.linen as nn
 import jax
@@ -18,6 +19,8 @@ from jaxtyping import Array, Float, PRNGKeyArray
 LOG_2PI = 1.8378770664093453
 # jax.lax.Precision of each setting that a network can have; bfloat16 also sets the layers' dtype
 PRECISION = {"highest": "highest", "tf32": "tensorfloat32", "bfloat16": "default"}
+
+PARTS = ("kernel", "bias")  # of a layer
 
 
 class MLP(nn.Module):
@@ -84,6 +87,33 @@ def policy(static, params: dict, obs: Float[Array, "... O"]) -> Float[Array, "..
 def value(static, params: dict, obs: Float[Array, "... O"]) -> Float[Array, "..."]:
     """V(obs): the expected discounted return."""
     return apply(critic(static), params["critic"], obs)[..., 0]
+
+
+def policy_and_value(static, params: dict, obs: Float[Array, "... O"]):
+    """`(policy(...), value(...))`: the same numbers, a hidden layer of both networks as one product.
+
+    Half as many and larger matrix products: an update of 9.3 ms takes 7.7 in float32 (by its kernels),
+    5.2 instead of 6.3 in TF32 and 4.0 in bfloat16 (one H200; experiments/03_speed/ppo.md).
+    """
+    dtype = jnp.bfloat16 if static.precision == "bfloat16" else jnp.float32
+    dot = partial(jnp.einsum, precision=PRECISION[static.precision])
+    both = [params[name]["params"] for name in ("actor", "critic")]
+    both = jax.tree.map(lambda p: p.astype(dtype), both)
+    *hidden, last = (f"Dense_{i}" for i in range(len(both[0])))
+    # the first layer has one input, so it is one plain product; [B, 2, H] would be copied later
+    kernel, bias = (jnp.concatenate([net[hidden[0]][p] for net in both], -1) for p in PARTS)
+    x = dot("...i,io->...o", obs.astype(dtype), kernel) + bias
+    act = getattr(nn, static.activation)
+    x = act(jnp.moveaxis(x.reshape(*x.shape[:-1], 2, -1), -2, 0))
+    for name in hidden[1:]:
+        kernel, bias = (jnp.stack([net[name][part] for net in both]) for part in PARTS)
+        bias = jnp.expand_dims(bias, range(1, x.ndim - 1))
+        x = act(dot("k...i,kio->k...o", x, kernel) + bias)
+    mean, found = (
+        (dot("...i,io->...o", x[i], net[last]["kernel"]) + net[last]["bias"]).astype(jnp.float32)
+        for i, net in enumerate(both)
+    )
+    return mean, found[..., 0]
 
 
 def log_prob(

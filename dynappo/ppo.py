@@ -78,8 +78,7 @@ def loss(static, hyper, params: dict, batch: Batch, old_std: Float[Array, " A"])
     `metrics["kl"]` is the mean KL(old || new), for the learning rate. Means are over rows with
     their weights.
     """
-    action_mean, std = networks.policy(static, params, batch.obs), params["std"]
-    value = networks.value(static, params, batch.obs)
+    (action_mean, value), std = networks.policy_and_value(static, params, batch.obs), params["std"]
     chex.assert_equal_shape([value, batch.value, batch.returns, batch.advantages])
     ratio = jnp.exp(networks.log_prob(action_mean, std, batch.action) - batch.log_prob)
     clipped = jnp.clip(ratio, 1 - hyper.clip_epsilon, 1 + hyper.clip_epsilon)

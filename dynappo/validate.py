@@ -43,7 +43,7 @@ CHOICES = {
     "task.termination": ("parts", "base"),
     "task.undesired": ("parts", "thighs"),
     "model.precision": ("highest", "tf32", "bfloat16"),
-    "ppo.precision": ("highest", "tf32"),
+    "ppo.precision": ("highest", "tf32", "bfloat16"),
     "model.activation": ("elu", "relu", "tanh", "swish"),
     "ppo.activation": ("elu", "relu", "tanh", "swish"),
 }

@@ -1,5 +1,7 @@
 """The networks against rsl_rl's outputs, the Gaussian against numerical integrals."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -31,6 +33,32 @@ def test_mean_and_value_are_those_of_rsl_rls_networks(static, peer, typed, from_
     assert mean.shape == (8, 32, ACTIONS) and value.shape == (8, 32)
     typed(networks.policy)(static, params, obs[0, 0])
     typed(networks.value)(static, params, obs)
+
+
+@pytest.mark.parametrize("hidden", [(24,), (32, 16, 8)])
+@pytest.mark.parametrize("precision", ["highest", "bfloat16"])
+def test_both_networks_at_once_say_what_each_says_alone(settings, typed, hidden, precision):
+    """Outputs for one row, a batch and a rollout, and gradients of both."""
+    static = settings({"ppo.hidden": hidden, "ppo.precision": precision})[0].ppo
+    params = networks.init_policy(static, 1.0, OBS, ACTIONS, jax.random.key(0))
+    everything = jnp.asarray(np.random.default_rng(0).normal(size=(3, 5, OBS)), jnp.float32)
+    close = dict(rtol=2e-5, atol=1e-6) if precision == "highest" else dict(rtol=0.05, atol=0.01)
+
+    def apart(params, obs):
+        return networks.policy(static, params, obs), networks.value(static, params, obs)
+
+    def total(call, params):
+        mean, value = call(params, everything)
+        return (mean**2).sum() + (value**3).sum()
+
+    together = partial(typed(networks.policy_and_value), static)
+    for obs in (everything[0, 0], everything[0], everything):
+        for found, expected in zip(together(params, obs), apart(params, obs), strict=True):
+            assert found.shape == expected.shape and found.dtype == expected.dtype
+            np.testing.assert_allclose(found, expected, **close)
+    if precision == "highest":
+        found, expected = (jax.grad(partial(total, call))(params) for call in (together, apart))
+        jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, 1e-4, 1e-5), found, expected)
 
 
 def test_log_prob_entropy_and_kl_are_those_of_rsl_rl(peer, typed):
@@ -152,15 +180,19 @@ def test_every_matrix_product_has_the_precision_of_the_setting(precision, expect
         assert {v.aval.dtype.name for v in e.invars} == {kind}
 
 
-@pytest.mark.parametrize(("setting", "expected"), [("highest", "HIGHEST"), ("tf32", "HIGH")])
-@pytest.mark.parametrize("network", [networks.policy, networks.value])
+@pytest.mark.parametrize(
+    ("setting", "expected"), [("highest", "HIGHEST"), ("tf32", "HIGH"), ("bfloat16", "DEFAULT")]
+)
+@pytest.mark.parametrize("network", [networks.policy, networks.value, networks.policy_and_value])
 def test_policy_and_value_have_the_precision_of_the_config(settings, network, setting, expected):
     static = settings({"ppo.hidden": (8,), "ppo.precision": setting})[0].ppo
     params = networks.init_policy(static, 1.0, OBS, ACTIONS, jax.random.key(0))
     equations = jax.make_jaxpr(lambda p, x: network(static, p, x))(params, jnp.zeros(OBS)).eqns
     products = [e for e in equations if e.primitive.name == "dot_general"]
-    assert len(products) == 2
+    assert len(products) == 2 + (network is networks.policy_and_value)
     assert {p.name for e in products for p in e.params["precision"]} == {expected}
+    kind = "bfloat16" if setting == "bfloat16" else "float32"
+    assert {v.aval.dtype.name for e in products for v in e.invars} == {kind}
 
 
 @pytest.mark.parametrize("activation", ["elu", "relu", "tanh", "swish"])
