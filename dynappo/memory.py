@@ -85,8 +85,9 @@ def phases(config, impl: str = "auto") -> dict[str, int]:
     buffer = FLOAT * (2 * OBS + 2 * ACTION + 2 * PROP + 8)  # a row of types.Transition
     batch = FLOAT * (OBS + 2 * ACTION + 5)  # a row of ppo.Batch
     critic = FLOAT * (OBS + max(a + b for a, b in zip((0, *ppo.hidden), ppo.hidden, strict=False)))
-    # before and after the activation, and its slope; actor and critic take turns
-    activations = 3 * FLOAT * sum(ppo.hidden)
+    # before and after the activation, and its slope, of actor and critic
+    width = 2 if ppo.precision == "bfloat16" else 4
+    activations = 6 * width * sum(ppo.hidden)
     out = {
         "rollout": rows * buffer + physics(config, impl),
         "advantages": rows * (buffer + batch + critic),

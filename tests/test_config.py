@@ -22,8 +22,8 @@ INTS = """
 run.seed run.num_seeds run.mesh_seed run.mesh_env run.num_iterations run.log_every
 run.checkpoint_every run.eval_every run.eval_envs rollout.num_envs rollout.horizon
 schedule.start_iteration schedule.end_iteration schedule.start_steps schedule.end_steps model.epochs
-model.late_from model.minibatches ppo.epochs ppo.minibatches ppo.shuffle_blocks task.episode_length
-physics.substeps physics.iterations physics.ls_iterations
+model.late_from model.minibatches model.ensemble model.unroll ppo.epochs ppo.minibatches ppo.shuffle_blocks
+task.episode_length physics.substeps physics.iterations physics.ls_iterations
 """.split()
 STRINGS = """
 robot run.device run.wandb model.activation model.precision ppo.activation ppo.precision task.formulation
@@ -361,7 +361,7 @@ def test_a_tuple_of_another_length_or_of_other_elements_is_refused(field, text):
         ({"task.formulation": "mine"}, ("task.formulation is 'mine'", "isaaclab, paper_text")),
         ({"task.air_time": "long"}, ("task.air_time is 'long'", "touchdown, indicator")),
         ({"model.precision": "float64"}, ("model.precision is 'float64'", "highest, tf32, bfloat")),
-        ({"ppo.precision": "bfloat16"}, ("ppo.precision is 'bfloat16'", "highest, tf32")),
+        ({"ppo.precision": "float16"}, ("ppo.precision is 'float16'", "highest, tf32, bfloat16")),
         ({"model.activation": "gelu"}, ("model.activation is 'gelu'", "elu, relu, tanh, swish")),
         ({"ppo.activation": "ELU"}, ("ppo.activation is 'ELU'", "elu, relu, tanh, swish")),
     ],

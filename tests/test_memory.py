@@ -148,7 +148,10 @@ def temporaries(run) -> int:
 
 CASES = {
     "update": ("ppo16", {"ppo__minibatches": 1}),
-    "advantages": ("ppo16", {"run__num_seeds": 4, "ppo__hidden": (256, 128)}),
+    "advantages": (
+        "ppo16",
+        {"run__num_seeds": 4, "ppo__hidden": (256, 128), "ppo__minibatches": 8},
+    ),
     "fit": ("dyna4", {}),
     "fit, bfloat16": ("fast", {"rollout__horizon": 32, "model__minibatches": 4}),
 }
