@@ -13,7 +13,7 @@ default = runpy.run_path(str(pathlib.Path(__file__).with_name("default.py")))
 
 def get_config(variant=""):
     """The defaults with this robot's differences."""
-    config = default["get_config"]()
+    config = default["defaults"]()
     config.robot = "anymal_c"
     config.ppo.entropy_coef = 0.005  # IL
     # Isaac Lab: 1.0, which is 42 N m of noise here (kp x action_scale); with it 4 of 5 seeds stand still

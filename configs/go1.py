@@ -14,6 +14,6 @@ default = runpy.run_path(str(pathlib.Path(__file__).with_name("default.py")))
 
 def get_config(variant=""):
     """The defaults are Go1's."""
-    config = default["get_config"]()
+    config = default["defaults"]()
     config.robot = "go1"
     return default["apply_variant"](config, variant)

@@ -13,7 +13,7 @@ default = runpy.run_path(str(pathlib.Path(__file__).with_name("default.py")))
 
 def get_config(variant=""):
     """The defaults with this robot's differences."""
-    config = default["get_config"]()
+    config = default["defaults"]()
     config.robot = "go2"
     config.task.update(effort_limit=23.5, saturation_effort=23.5)
     return default["apply_variant"](config, variant)

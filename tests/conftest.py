@@ -32,7 +32,7 @@ def settings():
     """`settings(fields, spec) -> (static, hyper)`: a valid config with `fields` set, split."""
     from dynappo import config as config_lib
 
-    def make(fields=None, spec="configs/go1.py"):
+    def make(fields=None, spec="configs/go1.py:dyna4"):
         config = config_lib.load(spec)
         for name, value in (fields or {}).items():
             group, _, leaf = name.rpartition(".")

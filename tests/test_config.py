@@ -57,7 +57,7 @@ OPTIONAL = {
 }
 
 
-def load(variant="", robot="go1"):
+def load(variant="dyna4", robot="go1"):
     """The config of one of the package's files."""
     return config_lib.load(f"configs/{robot}.py" + (f":{variant}" if variant else ""))
 
@@ -112,9 +112,12 @@ def test_every_variant_of_every_config_file_is_valid(file, variant):
     json.loads(config_lib.to_json(frozen))
 
 
-def test_no_variant_means_dyna4():
-    assert config_lib.to_json(load()) == config_lib.to_json(load("dyna4"))
-    assert config_lib.to_json(load()) != config_lib.to_json(load("ppo16"))
+@pytest.mark.parametrize("robot", ["default", "go1", "go2", "anymal_c", "anymal_d"])
+def test_no_variant_means_best(robot):
+    bare = config_lib.to_json(load("", robot))
+    assert (
+        bare == config_lib.to_json(load("best", robot)) != config_lib.to_json(load("dyna4", robot))
+    )
 
 
 @pytest.mark.parametrize(
@@ -148,7 +151,7 @@ def test_a_file_in_the_working_directory_comes_before_the_packages_own(monkeypat
     (tmp_path / "configs").mkdir()
     text = "import runpy\n"
     text += f"d = runpy.run_path({str(ROOT / 'configs' / 'default.py')!r})\n"
-    text += "def get_config(variant=''):\n    c = d['get_config']()\n    c.run.seed = 77\n"
+    text += "def get_config(variant=''):\n    c = d['defaults']()\n    c.run.seed = 77\n"
     (tmp_path / "configs" / "go1.py").write_text(text + "    return c\n")
     monkeypatch.chdir(tmp_path)
     assert load().run.seed == 77

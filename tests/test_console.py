@@ -14,7 +14,7 @@ from dynappo import config as config_lib
 from dynappo import console
 
 ROOT = pathlib.Path(config_lib.__file__).parent.parent
-GO1 = "--config=configs/go1.py"
+GO1 = "--config=configs/go1.py:dyna4"
 NOWHERE = ["--workdir=taken"]  # a file: a mistake that goes unnoticed trains nothing
 # name -> flags after the config file, what the line must say
 SETTINGS = {
@@ -245,7 +245,7 @@ def test_help_is_printed_and_is_no_mistake():
 @pytest.mark.parametrize(
     "argv, folder",
     [
-        ([GO1], "runs/go1"),
+        (["--config=configs/go1.py"], "runs/go1"),
         (["--config", "configs/go1.py:quick"], "runs/go1-quick"),
         (["--config=configs/go1.py:ppo12", "--workdir=a/b"], "a/b"),
     ],
@@ -266,7 +266,7 @@ def test_fields_are_set_in_both_spellings_and_the_last_one_counts():
 # ---- what it prints
 
 
-def config(spec="configs/go1.py", **fields):
+def config(spec="configs/go1.py:dyna4", **fields):
     """A valid config with `group__field` set."""
     config = config_lib.load(spec)
     for name, value in fields.items():

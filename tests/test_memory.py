@@ -24,7 +24,7 @@ ROBOTS = ("go1", "go2", "anymal_c", "anymal_d")
 GIB = 2**30
 
 
-def config(spec="configs/go1.py", **fields):
+def config(spec="configs/go1.py:dyna4", **fields):
     """A valid config with `group__field` set."""
     config = config_lib.load(spec)
     for name, value in fields.items():
@@ -339,7 +339,7 @@ def test_it_is_counted_without_jax():
     """The first line of a run says it, before anything heavy is imported."""
     code = (
         "import sys; from dynappo import config, memory;"
-        "run = config.validate(config.load('configs/go1.py'));"
+        "run = config.validate(config.load('configs/go1.py:dyna4'));"
         "memory.check(run, memory.total(run));"
         "print(sorted({'jax', 'jaxlib', 'flax', 'mujoco.mjx'} & set(sys.modules)))"
     )
