@@ -1,88 +1,108 @@
-"""Simulator steps that a tail saves, against PPO-16: a table, and the curves as PNG and SVG.
+"""What a tail saves against PPO-16: tables in Markdown and CSV, and curves as PNG and SVG.
 
-    python experiments/20_tail/compare.py [RUN ...] [--robot go1]
+    python experiments/20_tail/compare.py
 
-Reads results/ROBOT_RUN.csv of `experiments/run.py` (a row an iteration and seed). The threshold is 80 %
-of the mean over seeds of PPO-16's best return; a seed that never reaches it counts as none.
+Reads the runs of `experiments/run.py` here and in 12_platforms. The threshold is 80 % of the mean over
+seeds of the best return of the first run of a group, PPO-16; a seed that never reaches it counts as
+none. The paired difference is that of the returns, seed by seed, with its 95 % interval.
 """
 
-import argparse
-import csv
 from pathlib import Path
 
-import matplotlib.pyplot as plt
 import numpy as np
 
 from dynappo import curves
+from experiments import paper
 
 HERE = Path(__file__).parent
-RUNS = "ppo16 tail4of16 tail12of16 tail16of24".split()
-COLOURS = dict(zip(RUNS, ("0.35", "#7a9cc6", "#d08a3c", "#1f4e79"), strict=True))
+FOLDERS = (HERE / "results", HERE.parent / "12_platforms" / "results")
+# group -> (first, and what is compared with it); a group is of one batch unless the README says otherwise
+GROUPS = {
+    "Go1": (
+        "go1_ppo16",
+        "go1_best",
+        "go1_best_float32",
+        "go1_24of32",
+        "go1_fast",
+        "go1_ppo16_bfloat16",
+    ),
+    "Go1, ramp": ("go1_ppo16", "go1_ramp0", "go1_ramp20", "go1_ramp50"),
+    "Go1, 1024 robots": ("go1_ppo16_1024", "go1_best_1024"),
+    "Go2": ("go2_ppo16", "go2_best_float32"),
+    "ANYmal-C": ("anymal_c_ppo16", "anymal_c_best_float32"),
+}
+COLUMNS = (
+    "group run return_mean return_low return_high difference_low difference_high evaluation falls_pct "
+    "policy_std steps_M_mean steps_M_low steps_M_high share_pct iterations seeds"
+).split()
+DRAWN = {
+    "Go1": {"PPO-16": "go1_ppo16", "best": "go1_best", "24 of 32": "go1_24of32"},
+    "ANYmal-C": {"PPO-16": "anymal_c_ppo16", "best": "anymal_c_best_float32"},
+}
 
 
 def main():
-    parser = argparse.ArgumentParser()
-    parser.add_argument("runs", nargs="*", default=RUNS)
-    parser.add_argument("--robot", default="go1")
-    args = parser.parse_args()
-    runs = {name: load(HERE / "results" / f"{args.robot}_{name}.csv") for name in args.runs}
-    best = np.nanmax(runs["ppo16"]["episode_return"], 0).mean()
-    limits = {"80 %": 0.8 * best, "34": 34.0}
-    print("threshold", {name: round(limit, 2) for name, limit in limits.items()})
-    base = {}
-    for name, run in runs.items():
-        final = run["episode_return"][-10:].mean(0)
-        low, high = curves.interval(final)
-        text = f"{name:12s} return {final.mean():6.2f} ({low:5.2f} to {high:5.2f})"
-        for label, limit in limits.items():
-            steps = steps_to(run, limit)
-            base.setdefault(label, np.nanmean(steps))
-            low, high = curves.interval(steps[np.isfinite(steps)])
-            share = np.nanmean(steps) / base[label]
-            text += (
-                f" | to {label}: {np.nanmean(steps):5.2f} M ({low:5.2f} to {high:5.2f}), {share:4.0%}, "
-                f"{np.isfinite(steps).sum()}/{len(steps)} seeds"
+    rows = [row for group, names in GROUPS.items() for row in table(group, names)]
+    paper.write(HERE / "results.csv", rows)
+    paper.show(rows, COLUMNS)
+    draw(HERE / "steps")
+
+
+def find(name: str):
+    """The run, wherever it is; None if it is not there."""
+    return next(filter(None, (paper.load(folder, name) for folder in FOLDERS)), None)
+
+
+def table(group: str, names) -> list[dict]:
+    """A row a run."""
+    base, rows = find(names[0]), []
+    limit = 0.8 * float(paper.peak(base).mean()) if base else None
+    for name in names:
+        run = find(name)
+        row = {"group": group, "run": name}
+        rows.append(row)
+        if run is None:
+            continue
+        row |= paper.spread("return", paper.final(run)) | {
+            "policy_std": paper.policy_std(run).mean()
+        }
+        if base and run is not base:
+            difference = paper.final(run) - paper.final(base)
+            row["difference_low"], row["difference_high"] = map(float, curves.interval(difference))
+        if "evaluation" in run.summary:
+            row["evaluation"] = np.mean(run.summary["evaluation"]["return"])
+            row["falls_pct"] = 100 * np.mean(run.summary["evaluation"]["fall_rate"])
+        if limit is None:
+            continue
+        took = paper.reached(run, limit)
+        there = np.isfinite(took["iteration"])
+        row |= {"limit": limit, "seeds": f"{there.sum()} of {len(there)}"}
+        if there.any():
+            row |= paper.spread("steps_M", took["sim_steps"][there] / 1e6)
+            row["iterations"] = took["iteration"][there].mean()
+            row["share_pct"] = 100 * row["steps_M_mean"] / rows[0]["steps_M_mean"]
+    return rows
+
+
+def draw(path: Path) -> None:
+    """Return over simulator steps, mean of the seeds and its interval, and the threshold."""
+    page, axes = paper.figure(1, len(DRAWN), (12, 4.2))
+    for axis, (group, runs) in zip(axes[0], DRAWN.items(), strict=True):
+        for (label, name), colour in zip(
+            runs.items(), ("0.35", "#7a4fa3", "#c8481f"), strict=False
+        ):
+            columns = find(name).columns
+            paper.band(
+                axis, columns["sim_steps"][:, 0] / 1e6, columns["episode_return"], colour, label
             )
-        print(text)
-    draw(runs, limits["80 %"], HERE / f"{args.robot}.png")
-
-
-def load(path):
-    """Columns `[I, S]`."""
-    with path.open(newline="") as file:
-        rows = list(csv.DictReader(file))
-    seeds = 1 + max(int(row["seed"]) for row in rows)
-    return {
-        name: np.array([float(row[name] or "nan") for row in rows]).reshape(-1, seeds)
-        for name in rows[0]
-    }
-
-
-def steps_to(run, limit):
-    """M simulator steps of each seed until its return is `limit`; NaN if never."""
-    there = run["episode_return"] >= limit
-    first = run["sim_steps"][there.argmax(0), 0] / 1e6
-    return np.where(there.any(0), first, np.nan)
-
-
-def draw(runs, limit, path):
-    figure, axis = plt.subplots(figsize=(9, 4.8), layout="constrained")
-    for name, run in runs.items():
-        steps, returns = run["sim_steps"][:, 0] / 1e6, run["episode_return"]
-        low, high = curves.interval(returns.T)
-        axis.fill_between(steps, low, high, color=COLOURS.get(name), alpha=0.18, linewidth=0)
-        axis.plot(steps, returns.mean(1), color=COLOURS.get(name), linewidth=2)
-        end = (steps[-1], returns[-10:].mean())
-        axis.annotate(
-            name, end, (6, 0), textcoords="offset points", va="center", color=COLOURS.get(name)
+        limit = 0.8 * float(paper.peak(find(GROUPS[group][0])).mean())
+        axis.axhline(limit, color="0.6", linewidth=0.8, linestyle="--")
+        axis.text(
+            33, limit, "80 % of PPO-16's best", ha="right", va="bottom", color="0.4", fontsize=8
         )
-    axis.axhline(limit, color="0.6", linewidth=0.8, linestyle="--")
-    axis.set(xlabel="simulator steps (M)", ylabel="episode return", xlim=(0, 38))
-    axis.set_title("mean of 5 seeds, its 95 % interval; dashed: 80 % of PPO-16's best", loc="left")
-    axis.grid(alpha=0.25)
-    axis.spines[["top", "right"]].set_visible(False)
-    figure.savefig(path, dpi=130)
-    figure.savefig(path.with_suffix(".svg"))
+        axis.set(xlabel="simulator steps (M)", ylabel="episode return", xlim=(0, 33.5), title=group)
+        axis.legend(frameon=False, loc="lower right")
+    paper.save(page, path)
 
 
 if __name__ == "__main__":
