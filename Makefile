@@ -19,8 +19,9 @@ help:  ## list the targets
 train: $(VENV)/.train  ## train a Go1 on two CPU cores, five minutes with the set-up at most; ends with a film
 	$(BIN)/python -m dynappo.train --config=$(CONFIG) --workdir=$(WORKDIR)
 
+# a file stays in one of the two processes: its tests share compiled programs
 test: $(VENV)/.dev  ## run the tests (the slow ones: .venv/bin/pytest -m slow)
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n 2 --dist loadfile
 
 check: $(VENV)/.dev  ## lint, format and types: what must be clean before a commit
 	$(BIN)/ruff check
