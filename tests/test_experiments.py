@@ -173,7 +173,9 @@ def test_the_platforms_are_compared_with_both_baselines_and_the_paper(tmp_path):
     assert row["p_vs_ppo12"] == expected and 0.9 < row["p_vs_ppo16"] <= 1
     assert round(row["paper_p_vs_ppo16"], 2) == 0.95 and round(row["paper_p_vs_ppo12"], 4) == 0.0044
     worse = platforms.difference(np.array([1.0, 2.0]), np.array([3.0, 4.0]), 1.0)
-    assert worse["verdict"] == "not shown"
+    assert worse["verdict"] == "worse"
+    open_ = platforms.difference(np.array([1.0, 5.0]), np.array([3.0, 4.0]), 1.0)
+    assert open_["verdict"] == "not shown"
     missing = paper.pick(rows, robot="anymal_d", variant="dyna2")
     assert missing["status"] == "not run" and missing["paper_max_reward_sd"] == 6.17
 

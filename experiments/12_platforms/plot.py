@@ -68,10 +68,13 @@ def build(folder: Path) -> list[dict]:
 
 
 def difference(ours, base, margin: float) -> dict:
-    """Of returns, paired by seed, and whether `ours` are not worse by more than `margin`; {} if unpaired."""
+    """Of returns, paired by seed, and whether `ours` are worse by more than `margin`, not worse, or neither
+    is shown; {} if unpaired."""
     if len(ours) != len(base) or len(ours) < 2:
         return {}
     cells = paper.spread("difference", ours - base)
+    if cells["difference_high"] < -margin:
+        return cells | {"verdict": "worse"}
     return cells | {"verdict": "not worse" if cells["difference_low"] > -margin else "not shown"}
 
 
