@@ -28,7 +28,7 @@ import jax.numpy as jnp
 from jax.sharding import PartitionSpec
 from jaxtyping import Array, Int, PRNGKeyArray
 
-from dynappo import dynamics, gae, networks, ppo, rollout, schedule
+from dynappo import dynamics, gae, model_error, networks, ppo, rollout, schedule
 from dynappo.types import Env, Metrics, TrainState, Transition
 
 # purposes of random numbers
@@ -75,7 +75,7 @@ def iterate(
     model, model_metrics, model_errors = state.model, {}, {}
     if model is not None:
         unrolled = min(4, horizon - static.schedule.end_steps)
-        model_errors = dynamics.errors(static.model, env, model, buffer, unrolled, hyper.task)
+        model_errors = model_error.errors(static.model, env, model, buffer, unrolled, hyper.task)
         model, model_metrics = dynamics.fit(
             static.model,
             hyper.model,

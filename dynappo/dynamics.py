@@ -41,10 +41,9 @@ import optax
 from flax import struct
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
-from dynappo import networks
-from dynappo.types import Env, Metrics, ModelState, Moments, Outcome, Transition
+from dynappo import moments, networks
+from dynappo.types import Env, Metrics, ModelState, Outcome, Transition
 
-MIN_STD = 1e-4  # of a normalised number; some observations never change
 FALL_LOGIT = -4.6  # added to the network's: untrained, it says 1 %
 MARGIN = 0.05  # of the range of real rows, by which a prediction may leave it
 
@@ -81,8 +80,8 @@ def init(static, env: Env, key: PRNGKeyArray) -> ModelState:
     return ModelState(
         params=params,
         opt_state=optax.scale_by_adam().init(params),
-        inputs=_moments(size),
-        targets=_moments(env.prop_size + 1 + static.falls),
+        inputs=moments.init(size),
+        targets=moments.init(env.prop_size + 1 + static.falls),
         bounds=unbounded if static.bounds else None,
         spread=jnp.zeros(()) if static.ensemble > 1 else None,
     )
@@ -102,42 +101,16 @@ def disagreement(static, params, x: Float[Array, "... I"], prop_size: int) -> Fl
     return jnp.sqrt(y.var(0).mean(-1))
 
 
-def _moments(size):
-    return Moments(mean=jnp.zeros(size), var=jnp.zeros(size), weight=jnp.zeros(()))
-
-
-def update_moments(
-    moments: Moments, x: Float[Array, "... K"], weight: Float[Array, "..."], decay
-) -> Moments:
-    """Exponential moving mean and variance over calls, of the rows of `x` with `weight` 1.
-
-    `weight` of the moments tends to 1 as `1 - decay^calls`; `scale` divides by it, so the first
-    call's moments are the batch's own. A call without valid rows changes nothing.
-    """
-    axes = tuple(range(weight.ndim))
-    count = weight.sum()
-    total = jnp.maximum(count, 1)
-    mean = (x * weight[..., None]).sum(axes) / total
-    var = ((x - mean) ** 2 * weight[..., None]).sum(axes) / total
-    decay = jnp.where(count > 0, decay, 1.0)
-    new = Moments(mean=mean, var=var, weight=jnp.ones(()))
-    return jax.tree.map(lambda m, b: decay * m + (1 - decay) * b, moments, new)
-
-
-def scale(moments: Moments) -> tuple[Float[Array, " K"], Float[Array, " K"]]:
-    """`(mean, std)` free of the bias of the first calls; std at least 1e-4."""
-    weight = jnp.maximum(moments.weight, 1e-8)
-    return moments.mean / weight, jnp.sqrt(jnp.maximum(moments.var / weight, MIN_STD**2))
-
-
 def _scales(static, model: ModelState):
     """`((mean, std) of inputs, (mean, std) of targets)`, or the identity without normalisation."""
     if not static.normalize:
-        return (0.0, 1.0), (0.0, 1.0)
-    mean, std = scale(model.targets)
+        return [
+            (jnp.zeros_like(m.mean), jnp.ones_like(m.mean)) for m in (model.inputs, model.targets)
+        ]
+    mean, std = moments.scale(model.targets)
     if static.falls:  # 0 or 1, as it is
         mean, std = mean.at[-1].set(0.0), std.at[-1].set(1.0)
-    return scale(model.inputs), (mean, std)
+    return moments.scale(model.inputs), (mean, std)
 
 
 def before_and_after(static, env: Env, rows: Transition):
@@ -226,15 +199,15 @@ def fit(
     # zeroed, not only weighted: nothing times 0 is 0 for a number that is not finite
     x, y = (jnp.where(weight[..., None] > 0, a, 0.0) for a in (x, y))
     model = model.replace(
-        inputs=update_moments(model.inputs, x, weight, hyper.stats_decay),
-        targets=update_moments(model.targets, y, weight, hyper.stats_decay),
+        inputs=moments.update(model.inputs, x, weight, hyper.stats_decay),
+        targets=moments.update(model.targets, y, weight, hyper.stats_decay),
         bounds=range_of(model.bounds, env, static, rows, weight) if static.bounds else None,
     )
     (x_mean, x_std), (y_mean, y_std) = _scales(static, model)
     data = jnp.concatenate([(x - x_mean) / x_std, (y - y_mean) / y_std, weight[..., None]], -1)
     inputs, adam, ahead = x.shape[-1], optax.scale_by_adam(), static.unroll - 1
-    ratio = (y_std / x_std[: y.shape[-1]])[: env.prop_size] if static.normalize else 1.0
-    goes_on = rows.discount * (1 - rows.truncation) * rows.valid if ahead else None
+    ratio = y_std[: env.prop_size] / x_std[: env.prop_size]
+    goes_on = rows.discount * (1 - rows.truncation) * rows.valid
 
     def minibatch(i, carry):
         params, opt_state, before, _ = carry
@@ -245,8 +218,7 @@ def fit(
         for k in range(static.unroll):
             batch = jnp.take_along_axis(data, times + k, axis=0)
             batches.append((batch[..., :inputs], batch[..., inputs:-1], batch[..., -1] * alive))
-            if ahead:
-                alive = alive * jnp.take_along_axis(goes_on, times[..., 0] + k, axis=0)
+            alive = alive * jnp.take_along_axis(goes_on, times[..., 0] + k, axis=0)
         ask = jax.value_and_grad(loss, argnums=1)
         value, grads = ask(static, params, batches, hyper.huber_delta, ratio)
         updates, opt_state = adam.update(grads, opt_state)
@@ -294,37 +266,6 @@ def trust(static, model: ModelState, obs, action, prop_size: int) -> Float[Array
     x = (jnp.concatenate([obs, action], -1) - x_mean) / x_std
     spread = disagreement(static, model.params, x, prop_size)
     return jnp.minimum(1.0, model.spread / jnp.maximum(spread, 1e-8)) ** 2
-
-
-def unroll(static, env: Env, model: ModelState, rows: Transition, steps: int, task=None):
-    """`steps` next props [K, R, P] predicted in a row, from row 0 with the actions that were taken,
-    and [K, R] 1 where the robot's episode had not ended by then."""
-    obs, predicted = before_and_after(static, env, rows)[0][0], []
-    for k in range(steps):
-        obs = predict(static, env, model, obs, rows.action[k], task)[0]
-        predicted.append(obs[:, : env.prop_size])
-    alive = jnp.cumprod(rows.discount[:steps] * (1 - rows.truncation[:steps]), axis=0)
-    return jnp.stack(predicted), alive
-
-
-def errors(static, env: Env, model: ModelState, rows: Transition, steps: int, task=None) -> Metrics:
-    """Error of 1 and of `steps` predictions in a row, as a share of that of repeating the state.
-
-    Root mean square over robots and predicted numbers, each in units of its spread; 1 is that of the
-    trivial predictor. Before a fit, the rows are new to the model.
-    """
-    size, out = env.prop_size, {}
-    std = scale(model.inputs)[1][:size]
-    obs, prop = before_and_after(static, env, rows)
-    predicted, alive = unroll(static, env, model, rows, steps, task)
-    for k in {0, steps - 1}:
-        truth, still = prop[k], obs[0, :, :size]
-        wrong, change = (
-            jnp.where(alive[k, :, None] > 0, ((x - truth) / std) ** 2, 0.0).sum()
-            for x in (predicted[k], still)
-        )
-        out[f"model_error_{k + 1}"] = jnp.sqrt(wrong / jnp.maximum(change, 1e-12))
-    return out
 
 
 def step(static, env: Env, model: ModelState, state: TailState, action, keys=None, task=None):

@@ -74,10 +74,13 @@ def evaluate(
     errors = {name: zero for name in env.metrics if name.endswith("_error_sq")}
 
     advance = algorithm.physics_step(env, task, physics)
+    exact = static.ppo._replace(
+        precision="highest"
+    )  # as the policy is used, however it was trained
 
     def step(carry, t):
         state, alive, total, length, fell, errors, rows = carry
-        action = networks.policy(static.ppo, params, state.obs)
+        action = networks.policy(exact, params, state.obs)
         step_keys = jax.vmap(jax.random.fold_in, (0, None))(keys, t)
         # the ended robots go on from a reset, so that no number degenerates, but count no more
         after, outcome = advance(state, action, step_keys)

@@ -19,6 +19,7 @@ import chex
 import jax
 import jax.numpy as jnp
 import optax
+from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from dynappo import networks
@@ -43,7 +44,7 @@ def init(static, hyper, obs_size: int, action_size: int, key: PRNGKeyArray) -> L
     params = networks.init_policy(static, hyper.init_std, obs_size, action_size, key)
     return Learner(
         params=params,
-        opt_state=_optimizer(hyper).init(params),
+        opt_state=_optimizer(hyper).init(ravel_pytree(params)[0]),
         learning_rate=jnp.asarray(hyper.learning_rate, jnp.float32),
     )
 
@@ -52,9 +53,11 @@ def _optimizer(hyper):
     return optax.chain(optax.clip_by_global_norm(hyper.max_grad_norm), optax.scale_by_adam())
 
 
-def mean(x: Float[Array, "..."], weight: Float[Array, "..."] | None) -> Float[Array, ""]:
-    """Weighted mean, sum w x / sum w."""
-    return x.mean() if weight is None else (x * weight).mean() / jnp.maximum(weight.mean(), 1e-8)
+def mean(x: Float[Array, "... B"], weight: Float[Array, " B"] | None) -> Float[Array, "..."]:
+    """Weighted mean over rows, sum w x / sum w."""
+    if weight is None:
+        return x.mean(-1)
+    return (x * weight).mean(-1) / jnp.maximum(weight.mean(), 1e-8)
 
 
 def normalize(advantages: Float[Array, "..."], weight=None) -> Float[Array, "..."]:
@@ -62,9 +65,10 @@ def normalize(advantages: Float[Array, "..."], weight=None) -> Float[Array, "...
 
     With weights, mean and deviation are weighted: std^2 = sum w (A - mean)^2 / (sum w - 1).
     """
-    centred = advantages - mean(advantages, weight)
     if weight is None:
-        return centred / (advantages.std(ddof=1) + 1e-8)
+        return (advantages - advantages.mean()) / (advantages.std(ddof=1) + 1e-8)
+    share = jnp.maximum(weight.mean(), 1e-8)
+    centred = advantages - (advantages * weight).mean() / share
     count = jnp.maximum(weight.sum() - 1, 1)
     return centred / (jnp.sqrt((weight * centred**2).sum() / count) + 1e-8)
 
@@ -82,15 +86,16 @@ def loss(static, hyper, params: dict, batch: Batch, old_std: Float[Array, " A"])
     chex.assert_equal_shape([value, batch.value, batch.returns, batch.advantages])
     ratio = jnp.exp(networks.log_prob(action_mean, std, batch.action) - batch.log_prob)
     clipped = jnp.clip(ratio, 1 - hyper.clip_epsilon, 1 + hyper.clip_epsilon)
-    surrogate = jnp.minimum(batch.advantages * ratio, batch.advantages * clipped)
-    surrogate = -mean(surrogate, batch.weight)
+    surrogate = -jnp.minimum(batch.advantages * ratio, batch.advantages * clipped)
     error = (value - batch.returns) ** 2
     if static.clip_value:
         change = jnp.clip(value - batch.value, -hyper.clip_epsilon, hyper.clip_epsilon)
         error = jnp.maximum(error, (batch.value + change - batch.returns) ** 2)
-    value_loss, entropy = mean(error, batch.weight), networks.entropy(std)
+    kl, entropy = networks.kl(batch.action_mean, old_std, action_mean, std), networks.entropy(std)
+    # one array, one mean: each would be some kernels of its own
+    surrogate, value_loss, kl = mean(jnp.stack([surrogate, error, kl]), batch.weight)
     metrics = {
-        "kl": mean(networks.kl(batch.action_mean, old_std, action_mean, std), batch.weight),
+        "kl": kl,
         "surrogate_loss": surrogate,
         "value_loss": value_loss,
         "entropy": entropy,
@@ -110,15 +115,22 @@ def adapt(static, hyper, learning_rate: Float[Array, ""], kl: Float[Array, ""]):
     return jnp.where(kl > hyper.desired_kl * 2, lower, kept)
 
 
-def minibatch_step(static, hyper, learner: Learner, batch: Batch, old_std):
-    """One gradient step: loss, KL, learning rate, clipped gradient, Adam; `(learner, metrics)`."""
-    grads, metrics = jax.grad(loss, argnums=2, has_aux=True)(
-        static, hyper, learner.params, batch, old_std
-    )
+def minibatch_step(static, hyper, unflatten, learner: Learner, batch: Batch, old_std):
+    """One gradient step: loss, KL, learning rate, clipped gradient, Adam; `(learner, metrics)`.
+
+    Parameters are one vector, as Adam's moments are, and `unflatten` gives their tree: clipping and Adam are
+    then 4 kernels and not 33. `std` comes last in it.
+    """
+
+    def of_vector(params):
+        return loss(static, hyper, unflatten(params), batch, old_std)
+
+    grads, metrics = jax.grad(of_vector, has_aux=True)(learner.params)
     rate = adapt(static, hyper, learner.learning_rate, metrics["kl"])
     updates, opt_state = _optimizer(hyper).update(grads, learner.opt_state)
-    params = jax.tree.map(lambda p, u: p - rate * u, learner.params, updates)
-    params["std"] = jnp.maximum(params["std"], hyper.min_std)
+    params = learner.params - rate * updates
+    is_std = jnp.arange(params.size) >= params.size - old_std.size
+    params = jnp.where(is_std, jnp.maximum(params, hyper.min_std), params)
     return Learner(params=params, opt_state=opt_state, learning_rate=rate), metrics
 
 
@@ -149,14 +161,13 @@ def update(static, hyper, learner: Learner, batch: Batch, key) -> tuple[Learner,
     old_std = learner.params["std"]
     batch = batch._replace(advantages=normalize(batch.advantages, batch.weight))
     shuffled = minibatches(static, batch, key)
+    params, unflatten = ravel_pytree(learner.params)
 
-    def epoch(learner, _):
-        return jax.lax.scan(
-            lambda learner, rows: minibatch_step(static, hyper, learner, rows, old_std),
-            learner,
-            shuffled,
-        )
+    def step(learner, i):
+        rows = jax.tree.map(lambda x: x[i % static.minibatches], shuffled)
+        return minibatch_step(static, hyper, unflatten, learner, rows, old_std)
 
-    learner, metrics = jax.lax.scan(epoch, learner, None, length=static.epochs)
-    metrics = jax.tree.map(jnp.mean, metrics)
-    return learner, metrics | {"learning_rate": learner.learning_rate}
+    steps = jnp.arange(static.epochs * static.minibatches)
+    learner, metrics = jax.lax.scan(step, learner.replace(params=params), steps)
+    metrics = jax.tree.map(jnp.mean, metrics) | {"learning_rate": learner.learning_rate}
+    return learner.replace(params=unflatten(learner.params)), metrics

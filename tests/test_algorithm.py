@@ -12,7 +12,7 @@ import pytest
 import toy_env
 from jax.extend import core as jax_core
 
-from dynappo import algorithm, dynamics, networks, ppo, rollout, schedule
+from dynappo import algorithm, dynamics, moments, networks, ppo, rollout, schedule
 from dynappo.types import Transition
 
 N, R, ITERATIONS = 8, 16, 6
@@ -276,8 +276,8 @@ def test_the_model_sees_real_rows_that_end_no_episode(iterated, n_real):
     y = np.concatenate(
         [(buffer.next_obs - buffer.obs)[..., :3], buffer.reward[..., None] / toy_env.DT], -1
     )[kept]
-    for moments, rows in ((state.model.inputs, x), (state.model.targets, y)):
-        mean, std = dynamics.scale(moments)
+    for numbers, rows in ((state.model.inputs, x), (state.model.targets, y)):
+        mean, std = moments.scale(numbers)
         np.testing.assert_allclose(mean, rows.mean(0), 1e-4, 1e-4)
         np.testing.assert_allclose(std, rows.std(0), 1e-3, 1e-4)
 
@@ -663,7 +663,7 @@ def test_a_blown_up_robot_enters_neither_model_nor_policy(tail, first):
     for name, x in leaves((buffer, state.replace(returns=0, lengths=0), metrics)).items():
         assert np.isfinite(x).all(), name
     kept = (rows.discount == 1) & (rows.truncation == 0) & (np.arange(N) < 5)[:, None]
-    mean, _ = dynamics.scale(state.model.inputs)
+    mean, _ = moments.scale(state.model.inputs)
     np.testing.assert_allclose(mean[:6], rows.obs[kept].mean(0), 1e-4, 1e-4)
 
 

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dynappo import dynamics, rollout
+from dynappo import dynamics, model_error, moments, rollout
 from dynappo.types import Env, Moments
 
 PROP, COMMAND, ACTIONS = 4, 2, 2
@@ -341,35 +341,33 @@ def test_fit_and_tail_compute_in_the_precision_of_the_setting(model_settings, pr
 
 def test_moments_are_the_weighted_average_of_each_calls_mean_and_variance(typed):
     rng, decay, calls = np.random.default_rng(0), 0.9, 5
-    moments, means, variances = dynamics._moments(3), [], []
+    found, means, variances = moments.init(3), [], []
     for k in range(calls):
         x = 2.0 + k + rng.normal(size=(4, 6, 3)).astype(np.float32) * [1, 10, 0.1]
         weight = (rng.random((4, 6)) < 0.7).astype(np.float32)
         kept = [x[t, r] for t in range(4) for r in range(6) if weight[t, r] == 1]
         means.append(np.mean(kept, axis=0))
         variances.append(np.var(kept, axis=0))
-        moments = typed(dynamics.update_moments)(
-            moments, jnp.asarray(x, jnp.float32), jnp.asarray(weight), decay
+        found = typed(moments.update)(
+            found, jnp.asarray(x, jnp.float32), jnp.asarray(weight), decay
         )
         share = [decay ** (k - j) for j in range(k + 1)]  # of each call so far, the newest 1
-        mean, std = typed(dynamics.scale)(moments)
+        mean, std = typed(moments.scale)(found)
         np.testing.assert_allclose(mean, np.average(means, 0, share), rtol=1e-5)
         np.testing.assert_allclose(std**2, np.average(variances, 0, share), rtol=1e-4)
-    np.testing.assert_allclose(moments.weight, 1 - decay**calls, rtol=1e-5)
+    np.testing.assert_allclose(found.weight, 1 - decay**calls, rtol=1e-5)
 
 
 def test_a_call_without_valid_rows_leaves_the_moments_as_they_are():
     x = jnp.asarray(np.random.default_rng(0).normal(size=(4, 6, 3)), jnp.float32)
-    moments = dynamics.update_moments(dynamics._moments(3), x, jnp.ones((4, 6)), 0.9)
-    after = dynamics.update_moments(moments, 5 * x, jnp.zeros((4, 6)), 0.9)
-    assert_same_bits(after, moments)
+    before = moments.update(moments.init(3), x, jnp.ones((4, 6)), 0.9)
+    after = moments.update(before, 5 * x, jnp.zeros((4, 6)), 0.9)
+    assert_same_bits(after, before)
 
 
 def test_a_number_that_never_changes_is_scaled_by_1e_minus_4_and_not_by_0():
-    moments = dynamics.update_moments(
-        dynamics._moments(2), jnp.full((4, 6, 2), 0.5), jnp.ones((4, 6)), 0.9
-    )
-    mean, std = dynamics.scale(moments)
+    found = moments.update(moments.init(2), jnp.full((4, 6, 2), 0.5), jnp.ones((4, 6)), 0.9)
+    mean, std = moments.scale(found)
     np.testing.assert_allclose(mean, 0.5, rtol=1e-5)
     np.testing.assert_allclose(std, 1e-4, rtol=1e-5)
 
@@ -397,10 +395,10 @@ def constant_model(static, output, mean, std):
         "kernel": jnp.zeros_like(layers["Dense_2"]["kernel"]),
         "bias": jnp.asarray(output, jnp.float32),
     }
-    moments = Moments(
+    targets = Moments(
         mean=0.5 * jnp.asarray(mean), var=0.5 * jnp.asarray(std) ** 2, weight=jnp.float32(0.5)
     )
-    return model.replace(params={"params": layers}, targets=moments)
+    return model.replace(params={"params": layers}, targets=targets)
 
 
 OUTPUT = np.array([1.0, -2.0, 0.5, 0.0, 3.0])
@@ -476,9 +474,9 @@ def test_the_error_of_several_steps_is_that_of_a_loop_over_robots(model_settings
     discount[0, 3] = discount[2, 4] = truncation[1, 5] = 1
     discount[0, 3] = discount[2, 4] = 0
     rows = rows.replace(discount=discount, truncation=truncation)
-    found = dynamics.errors(static, ENV, model, jax.tree.map(jnp.asarray, rows), 4)
+    found = model_error.errors(static, ENV, model, jax.tree.map(jnp.asarray, rows), 4)
     assert found.keys() == {"model_error_1", "model_error_4"}
-    std = np.array(dynamics.scale(model.inputs)[1])[:PROP]
+    std = np.array(moments.scale(model.inputs)[1])[:PROP]
     for steps, left_out in ((1, {3}), (4, {3, 4, 5})):
         wrong, still = 0.0, 0.0
         for i in sorted(set(range(ROBOTS)) - left_out):
@@ -495,6 +493,6 @@ def test_a_perfect_model_has_error_0_and_one_that_repeats_the_state_1(model_sett
     static, _ = model_settings()
     rows = jax.tree.map(jnp.asarray, linear_rows(6))
     repeats = constant_model(static, np.zeros(PROP + 1), np.zeros(PROP + 1), np.ones(PROP + 1))
-    assert dynamics.errors(static, ENV, repeats, rows, 1)["model_error_1"] == pytest.approx(1)
+    assert model_error.errors(static, ENV, repeats, rows, 1)["model_error_1"] == pytest.approx(1)
     known = rows.replace(next_obs=rows.next_obs.at[0, :, :PROP].set(rows.obs[0, :, :PROP]))
-    assert dynamics.errors(static, ENV, repeats, known, 1)["model_error_1"] == 0
+    assert model_error.errors(static, ENV, repeats, known, 1)["model_error_1"] == 0

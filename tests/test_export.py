@@ -42,7 +42,7 @@ def described(name, settings, activation="elu", hidden=(32, 24), seed=0):
     """`(policy, robot, static)`: of a bundled robot's config, with random networks."""
     changes = {"ppo.activation": activation, "ppo.hidden": hidden}
     static, hyper = settings(changes, f"configs/{name}.py")
-    config = config_lib.load(f"configs/{name}.py")
+    config = config_lib.load(f"configs/{name}.py:dyna4")
     for field, value in changes.items():
         config.ppo[field.partition(".")[2]] = value
     robot = robot_lib.load(name)
@@ -231,7 +231,7 @@ def test_metadata_hold_all_that_a_robot_needs(settings, name):
     names = order_of("isaaclab", name)
     net = session(export.permute(policy, names), robot)
     facts = {k: json.loads(v) for k, v in net.get_modelmeta().custom_metadata_map.items()}
-    config = config_lib.validate(config_lib.load(f"configs/{name}.py"))
+    config = config_lib.validate(config_lib.load(f"configs/{name}.py:dyna4"))
     model = mujoco.MjModel.from_xml_path(str(robot.xml))
     home = model.key("home").qpos
     assert set(facts) == {*policy_file.Policy._fields, *export.UNITS} - {"params"} | {
@@ -301,7 +301,7 @@ def test_the_page_for_robots_says_the_same():
         assert cells[4] == (f"+-{noise[field]:g}" if field else "none")
     for column, robots in ((1, ["go1"]), (2, ["go2"]), (3, ["anymal_c", "anymal_d"])):
         for name in robots:
-            task = config_lib.load(f"configs/{name}.py").task
+            task = config_lib.load(f"configs/{name}.py:dyna4").task
             cell = {
                 line.split(" | ")[0].strip("| "): line.strip("| ").split(" | ")[column]
                 for line in PAGE.splitlines()

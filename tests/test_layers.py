@@ -13,9 +13,9 @@ CONFIGS = PACKAGE.parent / "configs"
 # A file imports only from earlier groups; the last group imports what it likes.
 GROUPS = (
     {"types", "config", "schedule", "validate"},
-    {"networks", "gae", "rewards", "actuators", "observe"},
+    {"networks", "gae", "rewards", "actuators", "observe", "moments"},
     {"robot", "env", "commands", "physics", "warp_physics", "randomize", "dynamics", "ppo"}
-    | {"rollout", "brax_env"},
+    | {"rollout", "brax_env", "model_error"},
     {"algorithm", "evaluate", "sweep"},
     {"checkpoint", "log", "render", "files", "export", "train", "play", "bench", "console", "flags"}
     | {
@@ -35,6 +35,7 @@ WITHIN = {
     "validate": {"schedule"},
     "env": {"robot", "commands", "randomize", "physics"},
     "physics": {"robot", "randomize", "warp_physics"},
+    "model_error": {"dynamics"},
     "evaluate": {"algorithm", "report"},  # report: only where it is run as a command
     "sweep": {"algorithm", "evaluate"},
 }  # allowed inside a group

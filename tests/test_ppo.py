@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax.flatten_util import ravel_pytree
 
 from dynappo import networks, ppo
 from dynappo.types import Learner
@@ -55,8 +56,8 @@ def ppo_settings(settings, peer):
 
 @pytest.fixture(scope="module")
 def step(ppo_settings):
-    """`ppo.minibatch_step` compiled with the settings of the recorded updates."""
-    return jax.jit(partial(ppo.minibatch_step, *ppo_settings()))
+    """`one_step` compiled with the settings of the recorded updates."""
+    return jax.jit(partial(one_step, *ppo_settings()))
 
 
 @pytest.fixture(scope="module")
@@ -89,6 +90,14 @@ def small_batch():
         obs=obs, action=mean + noise, action_mean=mean, **dict(zip(names, scalars, strict=True))
     )
     return jax.tree.map(jnp.asarray, batch)
+
+
+def one_step(static, hyper, learner, batch, old_std):
+    """`ppo.minibatch_step` of a learner with a tree of parameters."""
+    params, unflatten = ravel_pytree(learner.params)
+    learner = learner.replace(params=params)
+    after, metrics = ppo.minibatch_step(static, hyper, unflatten, learner, batch, old_std)
+    return after.replace(params=unflatten(after.params)), metrics
 
 
 def flat(batch):
@@ -366,7 +375,7 @@ def test_no_std_falls_below_min_std(recorded, ppo_settings, min_std, held):
     learner, batch, old_std = recorded("updates")
     start = learner.params | {"std": jnp.full(ACTIONS, 0.55)}
     learner = learner.replace(params=start, learning_rate=jnp.float32(0.1))
-    step = jax.jit(partial(ppo.minibatch_step, static, hyper))
+    step = jax.jit(partial(one_step, static, hyper))
     after, _ = step(learner, flat(batch), old_std)
     std = np.asarray(after.params["std"])
     assert (std >= np.float32(min_std)).all()

@@ -9,7 +9,7 @@ import pytest
 import toy_env
 from test_algorithm import N, R, leaves, observe, row
 
-from dynappo import algorithm, dynamics, networks, ppo, rollout
+from dynappo import algorithm, dynamics, moments, networks, ppo, rollout
 
 ON = {f"model.{name}": True for name in ("clean", "known_reward", "falls", "bounds")}
 A, B = np.array(toy_env.A), np.array(toy_env.B)
@@ -485,7 +485,7 @@ def test_the_loss_of_predictions_in_a_row_is_that_of_a_loop(env, fallible):
     drawn = N // static.model.minibatches
     times = jax.random.randint(jax.random.fold_in(key, 0), (drawn, 512, 1), 0, n_real - 2)
     times, robots = np.asarray(times)[..., 0], np.arange(512)
-    std = np.asarray(dynamics.scale(model.targets)[1])
+    std = np.asarray(moments.scale(model.targets)[1])
     total, alive, state = 0.0, 1.0, None
     for k in range(3):
         row = jax.tree.map(lambda x, t=times + k: np.asarray(x)[t, robots], rows)

@@ -1,0 +1,40 @@
+"""Running mean and variance of vectors: what scales the transition model's inputs and targets."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from dynappo.types import Moments
+
+MIN_STD = 1e-4  # of a normalised number; some observations never change
+
+
+def init(size: int) -> Moments:
+    """Of no data yet: weight 0."""
+    return Moments(mean=jnp.zeros(size), var=jnp.zeros(size), weight=jnp.zeros(()))
+
+
+def update(
+    moments: Moments, x: Float[Array, "... K"], weight: Float[Array, "..."], decay
+) -> Moments:
+    """Exponential moving mean and variance over calls, of the rows of `x` with `weight` 1.
+
+    `weight` of the moments tends to 1 as `1 - decay^calls`; `scale` divides by it, so the first
+    call's moments are the batch's own. A call without valid rows changes nothing.
+    """
+    axes = tuple(range(weight.ndim))
+    count = weight.sum()
+    total = jnp.maximum(count, 1)
+    mean = (x * weight[..., None]).sum(axes) / total
+    var = ((x - mean) ** 2 * weight[..., None]).sum(axes) / total
+    decay = jnp.where(count > 0, decay, 1.0)
+    new = Moments(mean=mean, var=var, weight=jnp.ones(()))
+    return jax.tree.map(lambda m, b: decay * m + (1 - decay) * b, moments, new)
+
+
+def scale(moments: Moments) -> tuple[Float[Array, " K"], Float[Array, " K"]]:
+    """`(mean, std)` free of the bias of the first calls; std at least 1e-4."""
+    weight = jnp.maximum(moments.weight, 1e-8)
+    return moments.mean / weight, jnp.sqrt(jnp.maximum(moments.var / weight, MIN_STD**2))
