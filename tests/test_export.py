@@ -41,7 +41,7 @@ SHUFFLED = tuple(np.random.default_rng(5).permutation(MOTORS).tolist())
 def described(name, settings, activation="elu", hidden=(32, 24), seed=0):
     """`(policy, robot, static)`: of a bundled robot's config, with random networks."""
     changes = {"ppo.activation": activation, "ppo.hidden": hidden}
-    static, hyper = settings(changes, f"configs/{name}.py")
+    static, hyper = settings(changes, f"configs/{name}.py:dyna4")
     config = config_lib.load(f"configs/{name}.py:dyna4")
     for field, value in changes.items():
         config.ppo[field.partition(".")[2]] = value

@@ -354,7 +354,7 @@ def test_a_weight_is_a_share_of_a_row_in_every_mean(learner):
     std = start.params["std"] * 0.9
 
     def ask(rows):
-        return value(start.params, rows, std)
+        return value(start.params, jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), rows), std)
 
     zero = jnp.broadcast_to(1.0 * first, (N, R))
     half = 0.5 + 0.5 * zero
