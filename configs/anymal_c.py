@@ -17,7 +17,7 @@ def get_config(variant=""):
     config.robot = "anymal_c"
     config.ppo.entropy_coef = 0.005  # IL
     # Isaac Lab: 1.0, which is 42 N m of noise here (kp x action_scale); with it 4 of 5 seeds stand still
-    # at iteration 300, with 0.5 all five walk (experiments/20_tail)
+    # at iteration 300, with 0.5 nine of ten walk (experiments/20_tail)
     config.ppo.init_std = 0.5
     task = config.task
     # PACE's identified gains; armature and joint damping are in the MJCF. Isaac Lab's simple model,

@@ -3,7 +3,7 @@
     python -m dynappo.train --config=configs/go1.py
 
 `:quick` trains on two CPU cores in two minutes (with tracking std 1: the default kernel makes
-episodes shorter before it makes them longer); the other variants are the paper's (see default.py).
+episodes shorter before it makes them longer); `default.py` lists the paper's variants and ours.
 """
 
 import pathlib

@@ -158,7 +158,8 @@ def work(config, last: dict[str, int]) -> dict[str, np.ndarray]:
         return np.array([flops, PASSES * width * sum(sizes[1:-1]) * rows])
 
     rows = ppo.epochs * config.rollout.num_envs * config.rollout.horizon
-    actor, critic = (of((obs, *ppo.hidden, end), rows, 4) for end in (action, 1))
+    width = 2 if ppo.precision == "bfloat16" else 4
+    actor, critic = (of((obs, *ppo.hidden, end), rows, width) for end in (action, 1))
     out = {"ppo": actor + critic}
     if "model_epochs" in last:
         drawn = config.rollout.horizon // model.minibatches

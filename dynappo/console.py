@@ -14,7 +14,7 @@ GOES_ON = "the same command goes on from the last checkpoint"
 USAGE = """\
 any field of the config (configs/default.py lists them) can be set, as in
   --config.run.num_iterations=200 --config.ppo.learning_rate=3e-4
-variants follow the file's name: configs/go1.py:quick, :ppo16, :dyna4, ...
+variants follow the file's name: configs/go1.py:quick, :ppo16, :dyna4, ... (none: best)
 the same command again goes on with the run of its workdir
 """
 

@@ -92,8 +92,8 @@ def value(static, params: dict, obs: Float[Array, "... O"]) -> Float[Array, "...
 def policy_and_value(static, params: dict, obs: Float[Array, "... O"]):
     """`(policy(...), value(...))`: the same numbers, a hidden layer of both networks as one product.
 
-    Half as many and larger matrix products: an update of 9.3 ms takes 7.7 in float32 (by its kernels),
-    5.2 instead of 6.3 in TF32 and 4.0 in bfloat16 (one H200; experiments/03_speed/ppo.md).
+    Half as many and larger matrix products: with it an update takes 9.0 ms in float32 (9.4 without), 6.4 in
+    TF32, 5.0 in bfloat16 (H200; experiments/03_speed/peers.md). In bfloat16 outputs are rounded to it, too.
     """
     dtype = jnp.bfloat16 if static.precision == "bfloat16" else jnp.float32
     dot = partial(jnp.einsum, precision=PRECISION[static.precision])

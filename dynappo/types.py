@@ -46,7 +46,9 @@ class Outcome:
     truncation: Float[Array, "..."]
     next_obs: Float[Array, "... O"]
     next_prop: Float[Array, "... P"]
-    valid: Float[Array, "..."]  # 0 where physics blew up: nothing of this row may be learned
+    valid: Float[
+        Array, "..."
+    ]  # 0 where physics blew up: no row for the model; synthetic: its weight
     episode_return: Float[Array, "..."]  # sum of rewards of this episode, this row included
     episode_length: Float[Array, "..."]  # rows of this episode, this one included
     metrics: Metrics  # per robot; summed over the rows that physics wrote

@@ -6,7 +6,7 @@ are filled and copied for nothing. On an H100, 4096 Go1, that was 0.95 of a row'
 MJX's own, and so is the way to call them: `wp.jax_callable`, captured as a CUDA graph for each set of
 addresses that JAX passes (`GraphMode.WARP`, MJX's default), of which the last 32 are kept.
 
-Warp keeps the other arrays itself, one set for each number of robots that a program is traced with
+Warp keeps the other arrays itself, for each model one set for each number of robots that a program is traced with
 (while it is batched over seeds also for the robots of one seed), on each device of this process. They
 lie outside of what JAX takes of a GPU (memory.py) and stay while the process lives. Calls on one device
 share them; JAX runs a device's programs one after the other.
@@ -15,14 +15,19 @@ share them; JAX runs a device's programs one after the other.
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import inspect
 from collections.abc import Callable
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+import mujoco
+import numpy as np
 from flax import struct
 
+# of each model, because Warp keeps what `jax_callable` was given, arrays and all, while the process lives
+_TOGETHER: dict[tuple[str, int, int], Callable[..., list]] = {}
 STATE = 4  # arrays of a call that every robot has its own of: qpos, qvel, qacc_warmstart, ctrl
 
 
@@ -44,7 +49,10 @@ def make(mj_model, contacts: int, rows: int) -> tuple[Moved, Callable[..., Moved
     as many as one robot can need, so that neither can overflow.
     """
     zeros = {name: jnp.zeros(size) for name, size in _sizes(mj_model).items()}
-    together = _batched(_of_many(mj_model, contacts, rows))
+    key = _hash(mj_model), contacts, rows
+    if key not in _TOGETHER:
+        _TOGETHER[key] = _batched(_of_many(mj_model, contacts, rows))
+    together = _TOGETHER[key]
 
     def step(model, at: Moved, ctrl) -> Moved:
         fields = model.body_mass, model.body_inertia, model.body_ipos, model.geom_friction
@@ -52,6 +60,13 @@ def make(mj_model, contacts: int, rows: int) -> tuple[Moved, Callable[..., Moved
         return Moved(*(x[0] for x in together(*(x[None] for x in args))))
 
     return Moved(**zeros), step
+
+
+def _hash(mj_model) -> str:
+    """Of all of a compiled model."""
+    content = np.empty(mujoco.mj_sizeModel(mj_model), np.uint8)
+    mujoco.mj_saveModel(mj_model, None, content)
+    return hashlib.sha256(content).hexdigest()
 
 
 def _sizes(mj_model) -> dict[str, tuple[int, ...]]:

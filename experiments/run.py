@@ -51,6 +51,7 @@ def batch(out: Path, jobs, seeds: int, settings=(), thin: int = 1) -> None:
             continue
         began = time.perf_counter()
         config = configure(job, seeds, settings)
+        train.check(config)
         program = train.setup(config)
         try:
             state, metrics = train.loop(config, program, None)

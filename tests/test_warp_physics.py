@@ -10,7 +10,7 @@ import pytest
 from jax.sharding import PartitionSpec
 
 from dynappo import config as config_lib
-from dynappo import physics, randomize, sweep
+from dynappo import physics, randomize, sweep, warp_physics
 from dynappo import robot as robot_lib
 from dynappo.warp_physics import Moved
 
@@ -133,3 +133,16 @@ def test_every_device_of_a_mesh_steps_its_own_robots(world, expected):
     found = jax.jit(seeds)(world.bodies, *world.start)
     assert len(found.qpos.sharding.device_set) == 2
     compare(found, expected)
+
+
+def test_environments_of_one_model_share_what_warp_keeps():
+    """Each more would stay in memory while the process lives: a batch of runs has dozens."""
+    before = set(warp_physics._TOGETHER)
+    kept = []
+    for iterations in (4, 4, 5):
+        config = config_lib.load("configs/go1.py")
+        config.physics.iterations = iterations
+        config = config_lib.validate(config)
+        physics.make(robot_lib.load("go1"), config.physics, frozenset(), "warp")
+        kept.append(len(set(warp_physics._TOGETHER) - before))
+    assert kept[1] == kept[0] and kept[2] == kept[1] + 1

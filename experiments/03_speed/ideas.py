@@ -1,4 +1,4 @@
-"""The PPO update with every idea for its speed as a switch; all off is the code as it was."""
+"""The PPO update with every idea for its speed as a switch; all off is the code as it was at 8de2e8e."""
 
 from __future__ import annotations
 
@@ -143,21 +143,20 @@ def update(idea, static, hyper, learner, batch, key):
     old_std = learner.params["std"]
     batch = batch._replace(advantages=ppo.normalize(batch.advantages))
     shuffled = ppo.minibatches(static, batch, key)
-    unravel = lambda x: x  # noqa: E731
+    vector, unravel = ravel_pytree(learner.params)
+    is_std = jnp.arange(vector.size) >= vector.size - old_std.size
+    clip, adam = learner.opt_state  # of vectors, as ppo.py keeps them
     if idea.flat:
-        vector, unravel = ravel_pytree(learner.params)
-        is_std = jnp.arange(vector.size) >= vector.size - old_std.size
-        state = jax.tree.map(
-            lambda x: ravel_pytree(x)[0] if isinstance(x, dict) else x,
-            learner.opt_state,
-            is_leaf=lambda x: isinstance(x, dict),
-        )
-        learner = Learner(params=vector, opt_state=state, learning_rate=learner.learning_rate)
+        learner = learner.replace(params=vector)
+    else:
+        adam = adam._replace(mu=unravel(adam.mu), nu=unravel(adam.nu))
+        learner = learner.replace(opt_state=(clip, adam))
     optimizer = optax.chain(optax.clip_by_global_norm(hyper.max_grad_norm), optax.scale_by_adam())
 
     def step(learner, rows):
         def of(params):
-            return loss(idea, static, hyper, unravel(params), rows, old_std)
+            params = unravel(params) if idea.flat else params
+            return loss(idea, static, hyper, params, rows, old_std)
 
         grads, metrics = jax.grad(of, has_aux=True)(learner.params)
         rate = ppo.adapt(static, hyper, learner.learning_rate, metrics["kl"])
@@ -191,6 +190,9 @@ def update(idea, static, hyper, learner, batch, key):
         metrics = dict(zip(names, jnp.moveaxis(metrics, -1, 0), strict=True))
     metrics = jax.tree.map(jnp.mean, metrics)
     if idea.flat:
-        state = jax.tree.map(lambda x: unravel(x) if x.ndim else x, learner.opt_state)
-        learner = learner.replace(params=unravel(learner.params), opt_state=state)
+        learner = learner.replace(params=unravel(learner.params))
+    else:
+        clip, adam = learner.opt_state
+        adam = adam._replace(mu=ravel_pytree(adam.mu)[0], nu=ravel_pytree(adam.nu)[0])
+        learner = learner.replace(opt_state=(clip, adam))
     return learner, metrics | {"learning_rate": learner.learning_rate}

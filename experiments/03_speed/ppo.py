@@ -48,7 +48,7 @@ EMULATED = {
 
 def updates():
     """Name -> (idea, compiler options) of PPO updates."""
-    new = Idea(flat=True, packed="mean", once=True)  # not kept: 7 % by the profile
+    new = Idea(flat=True, packed="mean", once=True)  # in ppo.py since 4d4e006, with pair="kb2"
     out = {
         "before": (Idea(), {}),
         "flat": (Idea(flat=True), {}),

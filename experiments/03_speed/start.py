@@ -30,19 +30,20 @@ FIELDS = dict(
 def main():
     parser = argparse.ArgumentParser()
     parser.add_argument("out", type=Path)
-    parser.add_argument("--config", default="configs/go1.py:ppo16")
+    parser.add_argument("--config", default="configs/go1.py")
     parser.add_argument("--set", action="append", default=[], metavar="FIELD=VALUE")
     parser.add_argument("--cases", nargs="+", default=["cold", "primed", "warm", "warm"])
     args = parser.parse_args()
-    seconds, programs = [], Path(os.environ.get("XDG_CACHE_HOME", "~/.cache")).expanduser()
+    seconds, programs = [], None
     with tempfile.TemporaryDirectory() as folder:
         for number, case in enumerate(args.cases):
             if case != "warm":  # the warm ones have what the last of these has built
                 programs = Path(folder, f"programs{number}")
-            environment = os.environ | {"XDG_CACHE_HOME": str(programs)}
+            environment = dict(os.environ)
+            if programs:
+                environment["JAX_COMPILATION_CACHE_DIR"] = str(programs)
             if "cold" in args.cases:  # else the machine's own kernels
                 environment["WARP_CACHE_PATH"] = str(Path(folder, "warp"))
-            environment.pop("JAX_COMPILATION_CACHE_DIR", None)
             took = first_row(args, Path(folder, f"run{number}"), environment)
             seconds.append({"case": case, "seconds": took})
             print(f"{case:8s} {took:6.1f} s", flush=True)
@@ -60,7 +61,7 @@ def first_row(args, workdir: Path, environment) -> float:
         )
         metrics = workdir / "metrics.csv"
         while not (metrics.exists() and metrics.read_text().count("\n") >= 2):
-            if run.poll():
+            if run.poll() is not None and not metrics.exists():
                 sys.exit((workdir.parent / "log").read_text())
             time.sleep(0.02)
         took = time.perf_counter() - began

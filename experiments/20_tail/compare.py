@@ -66,7 +66,7 @@ def table(group: str, names) -> list[dict]:
         row |= paper.spread("return", paper.final(run)) | {
             "policy_std": paper.policy_std(run).mean()
         }
-        if base and run is not base:
+        if base and name != names[0]:
             difference = paper.final(run) - paper.final(base)
             row["difference_low"], row["difference_high"] = map(float, curves.interval(difference))
         if "evaluation" in run.summary:
@@ -80,7 +80,7 @@ def table(group: str, names) -> list[dict]:
         if there.any():
             row |= paper.spread("steps_M", took["sim_steps"][there] / 1e6)
             row["iterations"] = took["iteration"][there].mean()
-            row["share_pct"] = 100 * row["steps_M_mean"] / rows[0]["steps_M_mean"]
+            row["share_pct"] = 100 * row["steps_M_mean"] / rows[0].get("steps_M_mean", np.nan)
     return rows
 
 
@@ -91,11 +91,14 @@ def draw(path: Path) -> None:
         for (label, name), colour in zip(
             runs.items(), ("0.35", "#7a4fa3", "#c8481f"), strict=False
         ):
-            columns = find(name).columns
+            run = find(name)
+            if run is None:
+                continue
+            columns = run.columns
             paper.band(
                 axis, columns["sim_steps"][:, 0] / 1e6, columns["episode_return"], colour, label
             )
-        limit = 0.8 * float(paper.peak(find(GROUPS[group][0])).mean())
+        limit = 0.8 * float(paper.peak(find(GROUPS[group][0])).mean())  # all is measured against it
         axis.axhline(limit, color="0.6", linewidth=0.8, linestyle="--")
         axis.text(
             33, limit, "80 % of PPO-16's best", ha="right", va="bottom", color="0.4", fontsize=8
