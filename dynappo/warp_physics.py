@@ -6,9 +6,9 @@ are filled and copied for nothing. On an H100, 4096 Go1, that was 0.95 of a row'
 MJX's own, and so is the way to call them: `wp.jax_callable`, captured as a CUDA graph for each set of
 addresses that JAX passes (`GraphMode.WARP`, MJX's default), of which the last 32 are kept.
 
-Warp keeps the other arrays itself, for each model one set for each number of robots that a program is traced with
-(while it is batched over seeds also for the robots of one seed), on each device of this process. They
-lie outside of what JAX takes of a GPU (memory.py) and stay while the process lives. Calls on one device
+Warp keeps the other arrays itself, for each model one set for each number of robots that a program is
+traced with (while it is batched over seeds also for the robots of one seed), on each device of this
+process. They lie outside of what JAX takes of a GPU (memory.py) and stay while the process lives. Calls on one device
 share them; JAX runs a device's programs one after the other.
 """
 
