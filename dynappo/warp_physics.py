@@ -66,7 +66,7 @@ def _hash(mj_model) -> str:
     """Of all of a compiled model."""
     content = np.empty(mujoco.mj_sizeModel(mj_model), np.uint8)
     mujoco.mj_saveModel(mj_model, None, content)
-    return hashlib.sha256(content).hexdigest()
+    return hashlib.sha256(content.tobytes()).hexdigest()
 
 
 def _sizes(mj_model) -> dict[str, tuple[int, ...]]:
