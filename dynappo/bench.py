@@ -27,9 +27,8 @@ PEAKS = {
     "H100": {"highest": 67, "tf32": 495, "bfloat16": 989, "memory": 3.35},
     "A100": {"highest": 19.5, "tf32": 156, "bfloat16": 312, "memory": 2.0},
 }
-PASSES = (
-    10  # reads and writes of each activation, forward and backward (experiments/03_speed/ppo.md)
-)
+# reads and writes of each activation, forward and backward (experiments/03_speed/ppo.md)
+PASSES = 10
 
 
 def phases(config, program, state, repeats: int = 5) -> dict[str, float]:

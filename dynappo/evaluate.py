@@ -74,9 +74,8 @@ def evaluate(
     errors = {name: zero for name in env.metrics if name.endswith("_error_sq")}
 
     advance = algorithm.physics_step(env, task, physics)
-    exact = static.ppo._replace(
-        precision="highest"
-    )  # as the policy is used, however it was trained
+    # as the policy is used, however it was trained
+    exact = static.ppo._replace(precision="highest")
 
     def step(carry, t):
         state, alive, total, length, fell, errors, rows = carry

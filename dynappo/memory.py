@@ -22,18 +22,12 @@ import math
 import os
 from typing import NamedTuple
 
-from dynappo import observe, schedule
+from dynappo import contacts, observe, schedule
 from dynappo import robot as robot_lib
 from dynappo.config import ConfigError
 
 FLOAT = 4  # bytes
 PROP, OBS, ACTION = observe.PROP_SIZE, observe.PROP_SIZE + observe.CONTEXT_SIZE, 12
-# what each engine keeps room for: contacts of one primitive with the floor
-CONTACTS = {
-    "jax": {robot_lib.SPHERE: 1, robot_lib.CAPSULE: 2, robot_lib.CYLINDER: 3, robot_lib.BOX: 4},
-    "warp": {robot_lib.SPHERE: 1, robot_lib.CAPSULE: 2, robot_lib.CYLINDER: 4, robot_lib.BOX: 8},
-}
-ROWS_PER_CONTACT = 4  # constraint rows of a pyramidal cone with sliding friction
 STATE = 178 * FLOAT  # EnvState, and the robot's own physical parameters
 STATES = 3  # before a chunk, after it, and the host's copy
 BESIDE = 3  # JAX's share of a GPU, of what it leaves to Warp; a run may have set another one
@@ -104,29 +98,26 @@ def phases(config, impl: str = "auto") -> dict[str, int]:
 
 def physics(config, impl: str = "auto") -> int:
     """Bytes of one robot in a physics step that are JAX's: mjx.Data, or what MuJoCo Warp is called with."""
-    model, contacts, rows = _sizes(config, "jax")
+    model, touching, rows = _sizes(config, "jax")
     if impl == "warp":
         state = model.nq + 2 * model.nv + model.nu
         return FLOAT * (state + 7 * model.nbody + 15 * model.ngeom)
     # fields of one size for every quadruped, then those of each geom, contact and constraint row
-    data = 10812 + 48 * model.ngeom + 128 * contacts + (28 + FLOAT * model.nv) * rows
+    data = 10812 + 48 * model.ngeom + 128 * touching + (28 + FLOAT * model.nv) * rows
     return data + FLOAT * (model.nv + 2) * rows  # the solver holds the Jacobian once more
 
 
 def beside(config) -> int:
     """Bytes of one robot in MuJoCo Warp's own arrays, with its share of the contact buffer."""
-    model, contacts, rows = _sizes(config, "warp")
+    model, touching, rows = _sizes(config, "warp")
     padded = math.ceil(rows / 16) * 16
-    return 13900 + 48 * model.ngeom + 60 * rows + 88 * padded + 156 * contacts
+    return 13900 + 48 * model.ngeom + 60 * rows + 88 * padded + 156 * touching
 
 
 def _sizes(config, engine: str):
     """`(model, contacts, constraint rows)` that an engine keeps room for."""
     model = robot_lib.physics_model(robot_lib.load(config.robot), config.physics)
-    kinds = model.geom_type[model.geom_conaffinity > 0]
-    contacts = sum(CONTACTS[engine][int(kind)] for kind in kinds)
-    limits = int(model.jnt_limited.sum() + (model.dof_frictionloss > 0).sum())
-    return model, contacts, contacts * ROWS_PER_CONTACT + limits
+    return model, *contacts.most(model, engine)
 
 
 def total(config, impl: str = "auto") -> int:

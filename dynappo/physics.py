@@ -24,21 +24,12 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from dynappo import actuators, randomize, warp_physics
+from dynappo import actuators, contacts, randomize, warp_physics
 from dynappo import robot as robot_lib
 from dynappo.types import EnvState
 
 with contextlib.redirect_stdout(io.StringIO()):  # it prints two lines where warp-lang is absent
     from mujoco import mjx
-
-# contacts of one primitive with the floor at most (mujoco_warp/_src/collision_primitive_core.py)
-MOST_CONTACTS = {
-    robot_lib.SPHERE: 1,
-    robot_lib.CAPSULE: 2,
-    robot_lib.CYLINDER: 4,
-    robot_lib.BOX: 8,
-}
-ROWS_PER_CONTACT = 4  # constraint rows of a pyramidal cone with sliding friction
 
 
 class Engine(NamedTuple):
@@ -62,7 +53,7 @@ def make(
     mj_model = robot_lib.physics_model(robot, physics)
     here = jax.local_devices()[0]  # MJX takes the first of all processes' otherwise
     if impl == "warp":
-        data, step = warp_physics.make(mj_model, *most_contacts(mj_model))
+        data, step = warp_physics.make(mj_model, *contacts.most(mj_model))
     else:
         data, step = mjx.make_data(mj_model, impl=impl, device=here), _mjx_step
     return Engine(
@@ -80,14 +71,6 @@ def make(
 
 def _mjx_step(model, data, ctrl):
     return mjx.step(model, data.replace(ctrl=ctrl))
-
-
-def most_contacts(model) -> tuple[int, int]:
-    """`(contacts, constraint rows)` that one robot on the floor can have at most."""
-    touching = model.geom_conaffinity > 0
-    contacts = sum(MOST_CONTACTS[int(kind)] for kind in model.geom_type[touching])
-    limits = int(model.jnt_limited.sum() + (model.dof_frictionloss > 0).sum())
-    return contacts, contacts * ROWS_PER_CONTACT + limits
 
 
 class Substeps(NamedTuple):

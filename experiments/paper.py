@@ -261,6 +261,18 @@ def log(axis) -> None:
     axis.minorticks_off()
 
 
+def head(page, text: str, **more) -> None:
+    """A line above the whole picture."""
+    page.suptitle(text, x=0.01, ha="left", **{"fontsize": 10} | more)
+
+
+def legend(page, axis, columns: int) -> None:
+    """One legend below the whole picture, of the lines of `axis`; none without lines."""
+    handles, labels = axis.get_legend_handles_labels()
+    if handles:
+        page.legend(handles, labels, loc="outside lower center", ncols=columns, frameon=False)
+
+
 def save(page, path: Path) -> None:
     """As PNG and SVG; the same numbers give the same file."""
     path.parent.mkdir(parents=True, exist_ok=True)

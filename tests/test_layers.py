@@ -14,7 +14,17 @@ CONFIGS = PACKAGE.parent / "configs"
 GROUPS = (
     {"types", "config", "schedule", "validate"},
     {"networks", "gae", "rewards", "actuators", "observe", "moments"},
-    {"robot", "env", "commands", "physics", "warp_physics", "randomize", "dynamics", "ppo"}
+    {
+        "robot",
+        "env",
+        "commands",
+        "physics",
+        "warp_physics",
+        "contacts",
+        "randomize",
+        "dynamics",
+        "ppo",
+    }
     | {"rollout", "brax_env", "model_error"},
     {"algorithm", "evaluate", "sweep"},
     {"checkpoint", "log", "render", "files", "export", "train", "play", "bench", "console", "flags"}
@@ -34,7 +44,8 @@ WITHIN = {
     "config": {"validate"},
     "validate": {"schedule"},
     "env": {"robot", "commands", "randomize", "physics"},
-    "physics": {"robot", "randomize", "warp_physics"},
+    "physics": {"robot", "randomize", "warp_physics", "contacts"},
+    "contacts": {"robot"},
     "model_error": {"dynamics"},
     "evaluate": {"algorithm", "report"},  # report: only where it is run as a command
     "sweep": {"algorithm", "evaluate"},

@@ -15,6 +15,7 @@ from flax import struct
 
 from dynappo import algorithm, memory, physics, schedule, sweep
 from dynappo import config as config_lib
+from dynappo import contacts as contacts_lib
 from dynappo import env as env_lib
 from dynappo import robot as robot_lib
 from dynappo.config import ConfigError
@@ -54,7 +55,7 @@ def test_the_data_of_warp_are_counted_to_the_byte(robot, contacts):
 
     run = config(f"configs/{robot}.py", physics__contacts=contacts)
     model = robot_lib.physics_model(robot_lib.load(robot), run.physics)
-    most, rows = physics.most_contacts(model)
+    most, rows = contacts_lib.most(model)
 
     def size(node):
         if dataclasses.is_dataclass(node):

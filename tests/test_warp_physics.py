@@ -10,6 +10,7 @@ import pytest
 from jax.sharding import PartitionSpec
 
 from dynappo import config as config_lib
+from dynappo import contacts as contacts_lib
 from dynappo import physics, randomize, sweep, warp_physics
 from dynappo import robot as robot_lib
 from dynappo.warp_physics import Moved
@@ -57,10 +58,10 @@ class World:
 
     def whole(self, body, qpos, qvel, warm, torque) -> Moved:
         """The same by `mjx.step`."""
-        contacts, rows = physics.most_contacts(self.mj_model)
+        touching, rows = contacts_lib.most(self.mj_model)
         worlds = SEEDS * ROBOTS
         data = physics.mjx.make_data(
-            self.mj_model, impl="warp", naconmax=worlds * contacts, njmax=rows
+            self.mj_model, impl="warp", naconmax=worlds * touching, njmax=rows
         )
         data = data.replace(qpos=qpos, qvel=qvel, qacc_warmstart=warm, ctrl=torque)
         model = self.merge(body)

@@ -22,8 +22,8 @@ from mujoco import mjx
 from mujoco.mjx.third_party import mujoco_warp as mjw
 
 from dynappo import config as config_lib
+from dynappo import contacts
 from dynappo import env as env_lib
-from dynappo import physics
 from dynappo import robot as robot_lib
 
 STEPS, REPLAYS = 4, 16
@@ -52,11 +52,11 @@ def start(config, robot, worlds, states):
 def by_warp(config, robot, worlds, first, repeats, conditional=True):
     """ms of each repeat, for four steps."""
     model = robot_lib.physics_model(robot, config.physics)
-    contacts, rows = physics.most_contacts(model)
+    touching, rows = contacts.most(model)
     m = mjw.put_model(model)
     m.opt.warn_overflow = 0
     m.opt.graph_conditional = conditional
-    d = mjw.make_data(model, nworld=worlds, naconmax=worlds * contacts, njmax=rows)
+    d = mjw.make_data(model, nworld=worlds, naconmax=worlds * touching, njmax=rows)
     arrays = [wp.array(x, dtype=float) for x in first]
 
     def begin():
@@ -84,8 +84,8 @@ def by_warp(config, robot, worlds, first, repeats, conditional=True):
 def by_mjx(config, robot, worlds, first, repeats):
     """ms of each repeat, for four steps."""
     model = robot_lib.physics_model(robot, config.physics)
-    contacts, rows = physics.most_contacts(model)
-    template = mjx.make_data(model, impl="warp", naconmax=worlds * contacts, njmax=rows)
+    touching, rows = contacts.most(model)
+    template = mjx.make_data(model, impl="warp", naconmax=worlds * touching, njmax=rows)
     model = mjx.put_model(model, impl="warp").tree_replace({"opt._impl.warn_overflow": 0})
     qpos, qvel, warm, torque = map(jnp.asarray, first)
 

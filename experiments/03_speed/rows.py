@@ -30,7 +30,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dynappo import algorithm, physics, ppo, rollout, warp_physics
+from dynappo import algorithm, contacts, physics, ppo, rollout, warp_physics
 from dynappo import config as config_lib
 from dynappo import env as env_lib
 from dynappo import robot as robot_lib
@@ -193,8 +193,8 @@ def template(model, impl, worlds):
     """mjx.Data of one robot, with contact buffers for all."""
     buffers = {}
     if impl == "warp":
-        contacts, rows = physics.most_contacts(model)
-        buffers = dict(naconmax=worlds * contacts, njmax=rows)
+        touching, rows = contacts.most(model)
+        buffers = dict(naconmax=worlds * touching, njmax=rows)
     return physics.mjx.make_data(model, impl=impl, **buffers)
 
 

@@ -117,15 +117,10 @@ def draw_errors(errors, path: Path) -> None:
         )
         axis.set_xlim(left=0)
         paper.log(axis)
-    page.suptitle(
-        "Fig. 6: root mean square error of predictions in a row, Go1, rows not seen before",
-        x=0.01,
-        ha="left",
-        fontsize=10,
+    paper.head(
+        page, "Fig. 6: root mean square error of predictions in a row, Go1, rows not seen before"
     )
-    handles, labels = axes[0, 0].get_legend_handles_labels()
-    if handles:
-        page.legend(handles, labels, loc="outside lower center", ncols=6, frameon=False)
+    paper.legend(page, axes[0, 0], 6)
     paper.save(page, path)
 
 

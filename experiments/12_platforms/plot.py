@@ -132,13 +132,8 @@ def draw(rows, path: Path) -> None:
         axis.set(xlabel="best return", xlim=(0, None), ylim=(len(names) - 0.5, -0.5))
     labels = [(paper.VARIANTS | paper.OURS)[name] for name in names]
     axes[0, 0].set_yticks(range(len(names)), labels)
-    page.suptitle(
-        "dots: this repository, bar: 95 % interval of the mean     diamonds: paper, bar: ± sd of 3 seeds",
-        x=0.01,
-        ha="left",
-        fontsize=9,
-        color="0.35",
-    )
+    text = "dots: this repository, bar: 95 % interval of the mean     diamonds: paper, bar: ± sd of 3 seeds"
+    paper.head(page, text, fontsize=9, color="0.35")
     paper.save(page, path)
 
 

@@ -107,8 +107,7 @@ def draw(rows, path: Path) -> None:
                 left += width
             axis.text(left, y, f" {left:.0f}", va="center", fontsize=9)
         axis.margins(x=0.1)
-    handles, labels = axes[0, 1].get_legend_handles_labels()
-    page.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False)
+    paper.legend(page, axes[0, 1], 4)
     paper.save(page, path)
 
 

@@ -123,11 +123,6 @@ def draw(rows, path: Path) -> None:
         axis.set(xlabel="simulator steps (M)", xlim=(0, 33), ylim=(len(names) - 0.5, -0.6))
     texts = [(paper.VARIANTS | paper.OURS)[name] for name in names]
     axes[0, 0].set_yticks(range(len(names)), texts)
-    page.suptitle(
-        "Go1: dots: seeds that get there, bar: 95 % interval of the mean     diamonds: paper",
-        x=0.01,
-        ha="left",
-        fontsize=9,
-        color="0.35",
-    )
+    text = "Go1: dots: seeds that get there, bar: 95 % interval of the mean     diamonds: paper"
+    paper.head(page, text, fontsize=9, color="0.35")
     paper.save(page, path)

@@ -76,13 +76,6 @@ def draw(runs: dict, title: str, path: Path) -> None:
     lacks = [v for v in paper.VARIANTS if v not in some]
     note = f"     not run: {', '.join(lacks)}" if lacks else ""
     seeds = max((len(paper.peak(run)) for run in some.values()), default=0)
-    page.suptitle(
-        f"{title}: mean of {seeds} seeds, band: its 95 % interval{note}",
-        x=0.01,
-        ha="left",
-        fontsize=10,
-    )
-    handles, labels = axes[0, 0].get_legend_handles_labels()
-    if handles:
-        page.legend(handles, labels, loc="outside lower center", ncols=7, frameon=False)
+    paper.head(page, f"{title}: mean of {seeds} seeds, band: its 95 % interval{note}")
+    paper.legend(page, axes[0, 0], 7)
     paper.save(page, path)

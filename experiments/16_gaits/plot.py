@@ -108,9 +108,7 @@ def draw(episodes, path: Path) -> None:
                 axis.plot(x, mean, line, color=colour, linewidth=1.6, label=text)
         axis.set_xticks(range(len(every)), [f"{i:.0f}" for i in every])
         axis.set_ylim(bottom=0)
-    handles, labels = axes[0, 0].get_legend_handles_labels()
-    if handles:
-        page.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False)
+    paper.legend(page, axes[0, 0], 4)
     paper.save(page, path)
 
 
