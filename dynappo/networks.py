@@ -93,7 +93,8 @@ def policy_and_value(static, params: dict, obs: Float[Array, "... O"]):
     """`(policy(...), value(...))`: the same numbers, a hidden layer of both networks as one product.
 
     Half as many and larger matrix products: with it an update takes 9.0 ms in float32 (9.4 without), 6.4 in
-    TF32, 5.0 in bfloat16 (H200; experiments/03_speed/peers.md). In bfloat16 outputs are rounded to it, too.
+    TF32, 5.0 in bfloat16 (H200; experiments/03_speed/peers.md). In bfloat16 the last products are float32: a
+    value of 5 would be rounded by up to 0.016, as much as half the reward of a step.
     """
     dtype = jnp.bfloat16 if static.precision == "bfloat16" else jnp.float32
     dot = partial(jnp.einsum, precision=PRECISION[static.precision])
@@ -109,10 +110,8 @@ def policy_and_value(static, params: dict, obs: Float[Array, "... O"]):
         kernel, bias = (jnp.stack([net[name][part] for net in both]) for part in PARTS)
         bias = jnp.expand_dims(bias, range(1, x.ndim - 1))
         x = act(dot("k...i,kio->k...o", x, kernel) + bias)
-    mean, found = (
-        (dot("...i,io->...o", x[i], net[last]["kernel"]) + net[last]["bias"]).astype(jnp.float32)
-        for i, net in enumerate(both)
-    )
+    dot = partial(dot, "...i,io->...o", preferred_element_type=jnp.float32)
+    mean, found = (dot(x[i], net[last]["kernel"]) + net[last]["bias"] for i, net in enumerate(both))
     return mean, found[..., 0]
 
 

@@ -11,10 +11,13 @@ To keep a CSV of 500 iterations and 5 seeds below 150 kB, numbers have four digi
 iteration all columns but those of `EACH` are written in every fifth only. `--thin 10` keeps every
 tenth row; best and final return in the JSON are of all rows. `--policies` writes OUT/NAME.npz, the policy
 of the seed with the highest return, for `play`, `evaluate` and `export` (340 kB; not to be committed).
+`--lock FILE`: of several batches on one GPU only one trains at a time, while the others compile.
 """
 
 import argparse
+import contextlib
 import datetime
+import fcntl
 import re
 import time
 from pathlib import Path
@@ -40,11 +43,12 @@ def main():
     parser.add_argument("--set", action="append", default=[], metavar="FIELD=VALUE", help="in all")
     parser.add_argument("--thin", type=int, default=1, help="iterations to a row of the CSV")
     parser.add_argument("--policies", action="store_true", help="write the best seed's policy")
+    parser.add_argument("--lock", type=Path, help="a file that one batch holds while it trains")
     args = parser.parse_args()
-    batch(args.out, args.jobs, args.seeds, args.set, args.thin, args.policies)
+    batch(args.out, args.jobs, args.seeds, args.set, args.thin, args.policies, args.lock)
 
 
-def batch(out: Path, jobs, seeds: int, settings=(), thin: int = 1, policies: bool = False) -> None:
+def batch(out: Path, jobs, seeds: int, settings=(), thin=1, policies=False, lock=None) -> None:
     """Run all `jobs` that have no JSON in `out` yet; `settings` are FIELD=VALUE of all of them."""
     out.mkdir(parents=True, exist_ok=True)
     for job in jobs:
@@ -56,7 +60,8 @@ def batch(out: Path, jobs, seeds: int, settings=(), thin: int = 1, policies: boo
         train.check(config)
         program = train.setup(config)
         try:
-            state, metrics = train.loop(config, program, None)
+            with alone(lock):
+                state, metrics = train.loop(config, program, None)
         except FloatingPointError as error:  # a result too: this setting diverges
             log.write_json(path, {"job": job, "set": list(settings), "diverged": str(error)})
             print(f"{job:44s} {error}", flush=True)
@@ -71,6 +76,17 @@ def batch(out: Path, jobs, seeds: int, settings=(), thin: int = 1, policies: boo
             policy_file.save(path.with_suffix(".npz"), params, config, program.robot)
         log.write_json(path, summary)
         print(row(job, summary), f"{time.perf_counter() - began:6.0f}", flush=True)
+
+
+@contextlib.contextmanager
+def alone(lock: Path | None):
+    """Wait until no other process holds `lock`, and hold it."""
+    if lock is None:
+        yield
+        return
+    with lock.open("w") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        yield
 
 
 def name(job: str) -> str:
