@@ -66,6 +66,10 @@ def defaults() -> config_dict.ConfigDict:
             end_iteration=100,  # b
             start_steps=0,  # x
             end_steps=4,  # y
+            # beyond the paper: a tail is no longer than that share of eq. 5's at which the model's error
+            # of 4 predictions in a row, over that of repeating the state, would be max_error
+            by_error=False,
+            max_error=0.5,
         ),
         model=dict(
             hidden=(256, 256, 256, 256),  # paper, Table II
@@ -86,6 +90,8 @@ def defaults() -> config_dict.ConfigDict:
             falls=False,  # predict the probability of a fall, and know when the time is up
             ensemble=1,  # networks; where they disagree, a synthetic row weighs less
             unroll=1,  # predictions in a row, each from the one before, in the loss
+            private=False,  # carry contacts, air times and the robot's own body too; needs clean
+            history=0,  # earlier iterations whose rows are learned from again
             bounds=False,  # keep predictions and values in the range of the iteration's real rows
         ),
         ppo=dict(  # RSL, IL agents/rsl_rl_ppo_cfg.py, and the paper's appendix
@@ -110,6 +116,9 @@ def defaults() -> config_dict.ConfigDict:
             max_grad_norm=1.0,
             tail_weight=1.0,  # of a synthetic row in every mean over rows; 0: for advantages only
             precision="highest",
+            # predictions in a row that the return is differentiated through, beside PPO; 0: none
+            first_order_steps=0,
+            first_order_weight=1.0,  # of that objective in the loss
         ),
         task=dict(
             # "isaaclab", "paper_text" or "isaaclab_exact": decides the fields below that are None,

@@ -26,14 +26,24 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 from jax.sharding import PartitionSpec
-from jaxtyping import Array, Int, PRNGKeyArray
+from jaxtyping import Array, Float, Int, PRNGKeyArray
 
-from dynappo import dynamics, gae, model_error, networks, ppo, rollout, schedule
+from dynappo import (
+    dynamics,
+    first_order,
+    gae,
+    model_error,
+    model_rows,
+    networks,
+    ppo,
+    rollout,
+    schedule,
+    summary,
+)
 from dynappo.types import Env, Metrics, TrainState, Transition
 
 # purposes of random numbers
 ROWS, FIT, UPDATE, ACTION, STEP, RESET = range(6)
-RETURNS = 100  # finished episodes in the mean return, as rsl_rl's on_policy_runner
 
 
 def init(env: Env, hyper, key: PRNGKeyArray, *, static) -> TrainState:
@@ -47,14 +57,22 @@ def init(env: Env, hyper, key: PRNGKeyArray, *, static) -> TrainState:
     env_state = jax.vmap(env.reset, (None, 0, 0))(
         hyper.task, params_physics, per_robot(reset_key, robot_index)
     )
+    model = past = None
+    if schedule.uses_model(static):
+        model = dynamics.init(static.model, env, model_key)
+        if static.schedule.by_error:
+            model = model.replace(error=jnp.full((), jnp.inf))
+        kept = static.rollout.horizon - static.schedule.end_steps  # real in every iteration
+        past = model_rows.forget(static.model, env, static.rollout.num_envs, kept)
     return TrainState(
         learner=ppo.init(static.ppo, hyper.ppo, env.obs_size, env.action_size, policy_key),
-        model=dynamics.init(static.model, env, model_key) if schedule.uses_model(static) else None,
+        model=model,
         env_state=env_state,
         params_physics=params_physics,
+        past=past,
         robot_index=robot_index,
-        returns=jnp.full(RETURNS, jnp.nan),
-        lengths=jnp.full(RETURNS, jnp.nan),
+        returns=jnp.full(summary.RETURNS, jnp.nan),
+        lengths=jnp.full(summary.RETURNS, jnp.nan),
         key=run_key,
     )
 
@@ -65,6 +83,8 @@ def iterate(
     """One iteration of the paper's Algorithm 1; `columns` is one row of `schedule.columns`."""
     horizon, num_envs = static.rollout.horizon, static.rollout.num_envs
     n_real, end = columns["n_real"], jnp.int32(horizon)
+    if state.model is not None and static.schedule.by_error:
+        n_real = end - trusted(static, hyper.schedule, state.model.error, end - n_real)
     key = jax.random.fold_in(state.key, columns["iteration"])
     rows_key = jax.random.fold_in(key, ROWS)
 
@@ -72,49 +92,68 @@ def iterate(
     buffer, env_state, sums = collect(env, hyper, state, n_real, rows_key, static=static)
 
     # Train the transition model on them, and let it write the tail of N_s = N - N_r steps
-    model, model_metrics, model_errors = state.model, {}, {}
+    model, past, slope, metrics = state.model, state.past, None, {}
     if model is not None:
-        unrolled = min(4, horizon - static.schedule.end_steps)
-        model_errors = model_error.errors(static.model, env, model, buffer, unrolled, hyper.task)
-        model, model_metrics = dynamics.fit(
-            static.model,
-            hyper.model,
-            env,
-            model,
-            buffer,
-            n_real,
-            columns["model_epochs"],
-            jax.random.fold_in(key, FIT),
-            hyper.task,
-        )
+        epochs, fit_key = columns["model_epochs"], jax.random.fold_in(key, FIT)
+        learned = learn(env, hyper, state, buffer, n_real, epochs, fit_key, static=static)
+        model, past, metrics = learned
         act = policy(static.ppo, state.learner.params)
         keys = rollout.row_keys(rows_key, state.robot_index)
-        tail = dynamics.tail(static.model, env, env_state)
+        tail = dynamics.tail(static.model, env, env_state, state.params_physics)
         step = model_step(env, hyper.task, model, static=static)
         buffer, _, _ = rollout.fill(buffer, n_real, end, tail, keys, act=act, step=step)
 
     # Update the policy by PPO on real and synthetic rows alike
-    real = (jnp.arange(horizon) < n_real)[:, None]
+    params, real = state.learner.params, (jnp.arange(horizon) < n_real)[:, None]
     bounded = model is not None and static.model.bounds
-    batch = estimate(static.ppo, hyper.ppo, state.learner.params, buffer, real, bounded)
+    batch = estimate(static.ppo, hyper.ppo, params, buffer, real, bounded)
     if model is not None:
         batch = batch._replace(weight=jnp.where(real, 1.0, hyper.ppo.tail_weight * buffer.valid))
-        model_errors |= summarise_tail(buffer, real, env.dt)
+        metrics |= summary.of_tail(buffer, real, env.dt)
+        if static.ppo.first_order_steps:
+            beyond, unit = lambda k: keys(horizon + k), batch.advantages.std()
+            slope = first_order.gradient(static.ppo, hyper.ppo, params, step, tail, beyond, unit)
+    update_key = jax.random.fold_in(key, UPDATE)
     learner, ppo_metrics = ppo.update(
-        static.ppo, hyper.ppo, state.learner, batch, jax.random.fold_in(key, UPDATE)
+        static.ppo, hyper.ppo, state.learner, batch, update_key, slope
     )
 
-    returns, lengths = finished(state, buffer, n_real)
-    state = state.replace(
-        learner=learner, model=model, env_state=env_state, returns=returns, lengths=lengths
-    )
-    metrics = ppo_metrics | model_metrics | model_errors | summarise(sums, n_real * num_envs)
-    return state, metrics | {
+    returns, lengths = summary.finished(state, buffer, n_real)
+    state = state.replace(learner=learner, model=model, past=past, env_state=env_state)
+    metrics |= ppo_metrics | summary.of_rows(sums, n_real * num_envs)
+    metrics |= summary.of_episodes(buffer, n_real)
+    return state.replace(returns=returns, lengths=lengths), metrics | {
         "episode_return": jnp.nanmean(returns),
         "episode_length": jnp.nanmean(lengths),
         "policy_std": learner.params["std"].mean(),
-        "nonfinite_robot": nonfinite_robot(buffer),
+        "nonfinite_robot": summary.nonfinite_robot(buffer),
     }
+
+
+def learn(env: Env, hyper, state: TrainState, buffer: Transition, n_real, epochs, key, *, static):
+    """`(model, rows to keep, metrics)`: the fit of eq. 3, after the model's error on these new rows."""
+    unrolled = min(4, static.rollout.horizon - static.schedule.end_steps)
+    task, model = hyper.task, state.model
+    metrics = model_error.errors(static.model, env, model, buffer, unrolled, task)
+    if static.schedule.by_error:
+        model = model.replace(error=metrics[f"model_error_{unrolled}"])
+        metrics["n_real"] = n_real
+    fit = partial(dynamics.fit, static.model, hyper.model, env)
+    model, fit_metrics = fit(model, buffer, n_real, epochs, key, task, state.past)
+    past = model_rows.remember(static.model, env, state.past, buffer, n_real, task)
+    return model, past, metrics | fit_metrics
+
+
+def trusted(static, hyper, error: Float[Array, ""], steps: Int[Array, ""]) -> Int[Array, ""]:
+    """Of the `steps` that the schedule allows a tail, as many as `schedule.max_error` admits.
+
+    floor(steps min(1, max_error / error)), with the error of the last iteration's model on the rows after
+    it; of several seeds the largest, because the number of rows bounds a loop.
+    """
+    if static.run.num_seeds > 1:
+        error = jax.lax.pmax(error, "seeds")
+    share = jnp.minimum(1.0, hyper.max_error / error)
+    return jnp.floor(steps * share + 1e-4).astype(jnp.int32)
 
 
 def collect(env: Env, hyper, state: TrainState, n_real, key: PRNGKeyArray, *, static):
@@ -124,11 +163,20 @@ def collect(env: Env, hyper, state: TrainState, n_real, key: PRNGKeyArray, *, st
     """
     keys = rollout.row_keys(key, state.robot_index)
     act = policy(static.ppo, state.learner.params)
-    step = physics_step(env, hyper.task, state.params_physics)
-    buffer = rollout.allocate(env, static.rollout.horizon, static.rollout.num_envs)
-    start = jnp.int32(0)
+    model, body = static.model, state.params_physics
+    step = physics_step(env, hyper.task, body, model.private)
+    sizes = static.rollout.horizon, static.rollout.num_envs
+    buffer = rollout.allocate(env, *sizes, model_rows.carried_size(model, env))
     return rollout.fill(
-        buffer, start, n_real, state.env_state, keys, act=act, step=step, metrics=env.metrics
+        buffer,
+        jnp.int32(0),
+        n_real,
+        state.env_state,
+        keys,
+        act=act,
+        step=step,
+        carried=partial(model_rows.carried, model, env, body),
+        metrics=env.metrics,
     )
 
 
@@ -191,8 +239,10 @@ def estimate(static, hyper, params: dict, buffer: Transition, real, bounded=Fals
     )
 
 
-def physics_step(env: Env, hyper, params_physics):
+def physics_step(env: Env, hyper, params_physics, private=False):
     """`step(state, action, keys)` of all robots: the environment's step, then its autoreset.
+
+    If `private`, `next_prop` goes on with the numbers of `env.private`, as they are before a reset.
 
     On a mesh (sweep.py) every device steps its own robots: an engine's call is opaque to
     JAX's partitioner, which would gather all robots on every device.
@@ -203,6 +253,9 @@ def physics_step(env: Env, hyper, params_physics):
         after, outcome = jax.vmap(env.step, (None, 0, 0, 0, 0))(
             hyper, params_physics, state, action, fold(keys, STEP)
         )
+        if private:
+            hidden = jax.vmap(env.private)(params_physics, after)
+            outcome = outcome.replace(next_prop=jnp.concatenate([outcome.next_prop, hidden], -1))
         after = jax.vmap(env.autoreset, (None, 0, 0, 0, 0))(
             hyper, params_physics, after, outcome, fold(keys, RESET)
         )
@@ -223,54 +276,3 @@ def model_step(env: Env, task, model, *, static):
         return dynamics.step(static.model, env, model, state, action, fold(keys, STEP), task)
 
     return step
-
-
-def finished(state: TrainState, buffer: Transition, n_real):
-    """The rings of returns and lengths with the episodes that physics finished, newest last."""
-    real = (jnp.arange(buffer.reward.shape[0]) < n_real)[:, None]
-    ended = (real & ((buffer.discount == 0) | (buffer.truncation == 1))).reshape(-1)
-    # slot of each finished episode in ring + new ones, of which the last RETURNS are kept
-    slot = RETURNS + jnp.cumsum(ended) - 1 - ended.sum()
-    slot = jnp.where(ended & (slot >= 0), slot, RETURNS)  # out of bounds: dropped
-
-    def push(ring, values):
-        padded = jnp.concatenate([ring, jnp.full_like(ring, jnp.nan)])
-        start = jnp.minimum(ended.sum(), RETURNS)
-        kept = jax.lax.dynamic_slice(padded, (start,), (RETURNS,))
-        return kept.at[slot].set(values.reshape(-1), mode="drop")
-
-    return push(state.returns, buffer.episode_return), push(state.lengths, buffer.episode_length)
-
-
-def nonfinite_robot(buffer: Transition) -> Int[Array, ""]:
-    """Index of the first robot of a rollout with a reward or observation that is not finite; or -1.
-
-    The host stops a run where a loss is not finite, and then wants to know whose row it was.
-    """
-    good = jnp.isfinite(buffer.reward) & jnp.isfinite(buffer.next_obs).all(-1)
-    bad = ~good.all(axis=0)
-    return jnp.where(bad.any(), jnp.argmax(bad), -1)
-
-
-def summarise_tail(buffer: Transition, real, dt) -> Metrics:
-    """`tail_bias`, mean reward of synthetic minus real rows (1/s), and `tail_falls`, as predicted."""
-    tail, num_envs = 1.0 - real, buffer.reward.shape[1]
-    mean = [
-        (buffer.reward * part).sum() / jnp.maximum(part.sum() * num_envs, 1)
-        for part in (tail, real)
-    ]
-    bias = jnp.where(tail.any(), (mean[0] - mean[1]) / dt, 0.0)
-    return {"tail_bias": bias, "tail_falls": ((1 - buffer.discount) * tail).sum()}
-
-
-def summarise(sums: Metrics, rows) -> Metrics:
-    """Sums over real rows -> means; squared errors -> roots; events stay counts."""
-    out = {}
-    for name, total in sums.items():
-        if name in ("falls", "timeouts", "blowups"):
-            out[name] = total
-        elif name.endswith("_error_sq"):
-            out[name.removesuffix("_sq")] = jnp.sqrt(total / rows)
-        else:
-            out[name] = total / rows
-    return out

@@ -22,6 +22,8 @@ Beyond the paper, each by a field of the group model that is off by default:
 - `ensemble` networks learn the same rows from different starts; their mean predicts, and where they
   disagree more than on real rows, s > s_real, a synthetic row has weight (s_real / s)^2 in PPO's means.
 - `unroll`: the loss of so many predictions in a row, each from the one before, with the actions taken.
+- `private`: the model carries what no observation shows, too: contacts, air times, the robot's own body.
+- `history`: the fit also draws rows of so many earlier iterations, from each as many as from this one.
 - `bounds`: every prediction stays in the range of this iteration's real rows, and 5 % beyond; values
   too (algorithm.estimate). A tail can then be wrong, but not diverge.
 
@@ -41,11 +43,10 @@ import optax
 from flax import struct
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
-from dynappo import moments, networks
+from dynappo import model_rows, moments, networks
 from dynappo.types import Env, Metrics, ModelState, Outcome, Transition
 
 FALL_LOGIT = -4.6  # added to the network's: untrained, it says 1 %
-MARGIN = 0.05  # of the range of real rows, by which a prediction may leave it
 
 
 @struct.dataclass
@@ -53,13 +54,15 @@ class TailState:
     """What the model carries instead of an environment's state."""
 
     obs: Float[Array, "R O"]  # what the policy sees
-    prop: Float[Array, "R P"]  # what the model carries: without noise, or the same numbers again
+    prop: Float[Array, "R P"]  # what the model carries (model_rows.py)
     clock: Int[Array, " R"] | None = None  # age of the episode, with `falls`
 
 
-def tail(static, env: Env, state) -> TailState:
+def tail(static, env: Env, state, params_physics=None) -> TailState:
     """Where a tail begins: at the state that physics carries."""
-    prop = state.prop if static.clean else state.obs[..., : env.prop_size]
+    prop = state.obs[..., : env.prop_size]
+    if static.clean:
+        prop = model_rows.carried(static, env, params_physics, state)
     return TailState(obs=state.obs, prop=prop, clock=state.clock if static.falls else None)
 
 
@@ -71,17 +74,18 @@ def network(static, prop_size: int) -> networks.MLP:
 
 def init(static, env: Env, key: PRNGKeyArray) -> ModelState:
     """An untrained model; its moments have weight 0 until the first fit."""
-    size = env.obs_size + env.action_size
-    params = network(static, env.prop_size).init(key, jnp.zeros(size))
+    carried = model_rows.carried_size(static, env)
+    size = carried + env.obs_size - env.prop_size + env.action_size
+    params = network(static, carried).init(key, jnp.zeros(size))
     if static.ensemble > 1:
-        one = network(static, env.prop_size).init
+        one = network(static, carried).init
         params = jax.vmap(one, (0, None))(jax.random.split(key, static.ensemble), jnp.zeros(size))
-    unbounded = jnp.array([[-jnp.inf], [jnp.inf]]) + jnp.zeros(env.prop_size + 1)
+    unbounded = jnp.array([[-jnp.inf], [jnp.inf]]) + jnp.zeros(carried + 1)
     return ModelState(
         params=params,
         opt_state=optax.scale_by_adam().init(params),
         inputs=moments.init(size),
-        targets=moments.init(env.prop_size + 1 + static.falls),
+        targets=moments.init(carried + 1 + static.falls),
         bounds=unbounded if static.bounds else None,
         spread=jnp.zeros(()) if static.ensemble > 1 else None,
     )
@@ -113,34 +117,6 @@ def _scales(static, model: ModelState):
     return moments.scale(model.inputs), (mean, std)
 
 
-def before_and_after(static, env: Env, rows: Transition):
-    """`(obs [O], next prop [P])` of each row as the model sees them: without noise if `clean`."""
-    size = env.prop_size
-    if not static.clean:
-        return rows.obs, rows.next_obs[..., :size]
-    return jnp.concatenate([rows.prop, rows.obs[..., size:]], -1), rows.next_prop
-
-
-def targets(static, env: Env, rows: Transition, task=None) -> Float[Array, "... P+1"]:
-    """What the model is to predict of each row: change of (or next) prop, reward / dt, and, with
-    `falls`, 1 where the episode fell. Of the reward, what is not known."""
-    (obs, prop), reward, fell = before_and_after(static, env, rows), rows.reward, 1 - rows.discount
-    if static.known_reward:
-        known = jax.vmap(jax.vmap(partial(env.known_reward, task)))
-        reward = reward - known(rows.obs, rows.action, rows.next_prop)
-    if static.predict_change:
-        prop = prop - obs[..., : env.prop_size]
-    columns = [prop, reward[..., None] / env.dt] + [fell[..., None]] * static.falls
-    return jnp.concatenate(columns, axis=-1)
-
-
-def row_weight(static, rows: Transition, n_real: Int[Array, ""]) -> Float[Array, "N R"]:
-    """1 for the rows that the model learns from, else 0."""
-    real = (jnp.arange(rows.reward.shape[0]) < n_real)[:, None]
-    every = static.clean or static.falls
-    return jnp.where(real, rows.valid if every else rows.discount * (1 - rows.truncation), 0.0)
-
-
 def loss(static, params, batches, huber_delta, ratio=1.0) -> Float[Array, ""]:
     """Mean over rows of weight 1, predicted numbers, networks and `batches`: Huber (eq. 3); of a
     fall, cross-entropy.
@@ -166,16 +142,6 @@ def loss(static, params, batches, huber_delta, ratio=1.0) -> Float[Array, ""]:
     return total / len(batches)
 
 
-def range_of(old, env: Env, static, rows: Transition, weight) -> Float[Array, "2 P+1"]:
-    """`(low, high)` of next prop and reward over the rows of weight 1, and a margin; or `old`."""
-    used, prop = weight[..., None] > 0, before_and_after(static, env, rows)[1]
-    numbers = jnp.concatenate([prop, rows.reward[..., None]], -1)
-    low = jnp.where(used, numbers, jnp.inf).min((0, 1))
-    high = jnp.where(used, numbers, -jnp.inf).max((0, 1))
-    margin = MARGIN * (high - low)
-    return jnp.where(used.any(), jnp.stack([low - margin, high + margin]), old)
-
-
 def fit(
     static,
     hyper,
@@ -186,35 +152,46 @@ def fit(
     epochs: Int[Array, ""],
     key: PRNGKeyArray,
     task=None,
+    past=None,
 ) -> tuple[ModelState, Metrics]:
     """`epochs` passes of Adam over the rows `t < n_real` of a `[N, R]` buffer.
 
-    `static` and `hyper` are the config's group `model`, `task` is `hyper.task`. Metrics: the loss of
-    the first minibatch before any step (rows the model has never seen), and of the last.
+    `static` and `hyper` are the config's group `model`, `task` is `hyper.task`; of `past` rows
+    (model_rows.remember) as many are drawn an iteration. Metrics: the loss of the first minibatch
+    before any step (without `past`, rows the model has never seen), and of the last.
     """
-    drawn = rows.reward.shape[0] // static.minibatches  # rows of each robot in a minibatch
-    weight = row_weight(static, rows, n_real)
-    x = jnp.concatenate([before_and_after(static, env, rows)[0], rows.action], -1)
-    y = targets(static, env, rows, task)
-    # zeroed, not only weighted: nothing times 0 is 0 for a number that is not finite
-    x, y = (jnp.where(weight[..., None] > 0, a, 0.0) for a in (x, y))
+    horizon = rows.reward.shape[0]
+    drawn = horizon // static.minibatches  # rows of each robot in a minibatch
+    size = model_rows.carried_size(static, env)
+    x, y, weight = model_rows.examples(static, env, rows, n_real, task)
+    bounds = model_rows.range_of(model.bounds, env, static, rows, weight) if static.bounds else None
     model = model.replace(
         inputs=moments.update(model.inputs, x, weight, hyper.stats_decay),
         targets=moments.update(model.targets, y, weight, hyper.stats_decay),
-        bounds=range_of(model.bounds, env, static, rows, weight) if static.bounds else None,
+        bounds=bounds,
     )
     (x_mean, x_std), (y_mean, y_std) = _scales(static, model)
     data = jnp.concatenate([(x - x_mean) / x_std, (y - y_mean) / y_std, weight[..., None]], -1)
     inputs, adam, ahead = x.shape[-1], optax.scale_by_adam(), static.unroll - 1
-    ratio = y_std[: env.prop_size] / x_std[: env.prop_size]
+    if past is not None:
+        mean, std = jnp.r_[x_mean, y_mean, 0], jnp.r_[x_std, y_std, 1]
+        data = jnp.concatenate([data, jnp.moveaxis((past - mean) / std, 1, 0)])
+    ratio = y_std[:size] / x_std[:size]
     goes_on = rows.discount * (1 - rows.truncation) * rows.valid
+    shape = (drawn, *weight.shape[1:], 1)
+
+    def draw(key):
+        times = jax.random.randint(key, shape, 0, n_real - ahead)
+        if past is None:
+            return times
+        which, when = jax.random.split(jax.random.fold_in(key, 1))
+        earlier = jax.random.randint(when, shape, horizon, len(data))
+        now = jax.random.uniform(which, shape) < 1 / (1 + static.history)
+        return jnp.where(now, times, earlier)
 
     def minibatch(i, carry):
         params, opt_state, before, _ = carry
-        times = jax.random.randint(
-            jax.random.fold_in(key, i), (drawn, *weight.shape[1:], 1), 0, n_real - ahead
-        )
-        batches, alive = [], 1.0
+        times, batches, alive = draw(jax.random.fold_in(key, i)), [], 1.0
         for k in range(static.unroll):
             batch = jnp.take_along_axis(data, times + k, axis=0)
             batches.append((batch[..., :inputs], batch[..., inputs:-1], batch[..., -1] * alive))
@@ -231,17 +208,18 @@ def fit(
     metrics = {"model_loss": after, "model_loss_before": before}
     model = model.replace(params=params, opt_state=opt_state)
     if static.ensemble > 1:
-        seen = disagreement(static, params, data[0, :, :inputs], env.prop_size)
-        seen = jnp.sqrt((seen**2 * weight[0]).sum() / jnp.maximum(weight[0].sum(), 1))
-        model = model.replace(spread=seen)
+        spread = disagreement(static, params, data[0, :, :inputs], size)
+        spread = jnp.sqrt((spread**2 * weight[0]).sum() / jnp.maximum(weight[0].sum(), 1))
+        model = model.replace(spread=spread)
     return model, metrics
 
 
 def predict(
-    static, env: Env, model: ModelState, obs: Float[Array, "R O"], action, task=None
-) -> tuple[Float[Array, "R O"], Float[Array, " R"], Float[Array, " R"]]:
-    """`(next observation, reward, discount)`: prop predicted, ctx copied by `env.context`."""
-    size = env.prop_size
+    static, env: Env, model: ModelState, obs: Float[Array, "R M"], action, task=None
+) -> tuple[Float[Array, "R M"], Float[Array, " R"], Float[Array, " R"]]:
+    """`(next observation, reward, discount)` of the model's own observation (model_rows.py): what it
+    carries predicted, the context copied by `env.context`."""
+    size, shown = model_rows.carried_size(static, env), model_rows.seen(static, env, obs)
     (x_mean, x_std), (y_mean, y_std) = _scales(static, model)
     x = (jnp.concatenate([obs, action], -1) - x_mean) / x_std
     y = members(static, model.params, x, size).mean(0) * y_std + y_mean
@@ -251,11 +229,11 @@ def predict(
     if model.bounds is not None:
         prop = jnp.clip(prop, model.bounds[0, :size], model.bounds[1, :size])
     if static.known_reward:
-        reward += jax.vmap(partial(env.known_reward, task))(obs, action, prop)
+        reward += jax.vmap(partial(env.known_reward, task))(shown, action, prop)
     if model.bounds is not None:
         reward = jnp.clip(reward, model.bounds[0, size], model.bounds[1, size])
     lives = 1 - jax.nn.sigmoid(y[..., -1] + FALL_LOGIT) if static.falls else jnp.ones_like(reward)
-    return jnp.concatenate([prop, env.context(obs, action)], -1), reward, lives
+    return jnp.concatenate([prop, env.context(shown, action)], -1), reward, lives
 
 
 def trust(static, model: ModelState, obs, action, prop_size: int) -> Float[Array, " R"]:
@@ -274,13 +252,14 @@ def step(static, env: Env, model: ModelState, state: TailState, action, keys=Non
     The model is deterministic: `keys` are read for the noise of `clean` only. Without `falls` no row
     falls or times out: the paper's model predicts no terminations, clocks advance in physics only.
     """
-    size = env.prop_size
-    obs = jnp.concatenate([state.prop, state.obs[..., size:]], -1)
+    size = model_rows.carried_size(static, env)
+    obs = jnp.concatenate([state.prop, state.obs[..., env.prop_size :]], -1)
     valid = trust(static, model, obs, action, size)
     obs, reward, discount = predict(static, env, model, obs, action, task)
     prop, clock, truncation = obs[..., :size], None, jnp.zeros_like(reward)
+    obs = model_rows.seen(static, env, obs)
     if static.clean:
-        obs = obs.at[..., :size].add(jax.vmap(env.noise, (None, 0))(task, keys))
+        obs = obs.at[..., : env.prop_size].add(jax.vmap(env.noise, (None, 0))(task, keys))
     if state.clock is not None:
         clock = state.clock + 1
         truncation = (clock == env.episode_length) * 1.0

@@ -56,9 +56,11 @@ def make(robot: robot_lib.Robot, task, physics_config, *, impl: str = "jax") -> 
         context=observe.context,
         noise=noise,
         known_reward=partial(known_reward, parts),
+        private=partial(private, parts),
         metrics=(*names, "velocity_error_sq", "yaw_error_sq", "falls", "timeouts", "blowups"),
         obs_size=observe.PROP_SIZE + observe.CONTEXT_SIZE,
         prop_size=observe.PROP_SIZE,
+        private_size=2 * len(robot.feet) + 7,
         action_size=len(robot.joint_names),
         dt=parts.dt,
         episode_length=task.episode_length,
@@ -83,8 +85,7 @@ def ground_rules(robot: robot_lib.Robot, task) -> tuple[np.ndarray, np.ndarray]:
 def _randomize(parts: Parts, hyper, key):
     base = parts.robot.base_body
     model = parts.robot.mj_model
-    com = jnp.asarray(model.body_ipos[base], jnp.float32)
-    return randomize.draw(hyper.randomize, model.body_mass[base], com, key)
+    return randomize.draw(hyper.randomize, model.body_mass[base], model.body_ipos[base], key)
 
 
 def reset(parts: Parts, hyper, body, key) -> EnvState:
@@ -220,8 +221,7 @@ def step(parts: Parts, hyper, body, state: EnvState, action, key):
         episode_steps=state.episode_steps + 1,
         episode_return=state.episode_return + reward,
     )
-    metrics = {f"reward_{name}": jnp.where(ok, value, 0.0) for name, value in weighted.items()}
-    metrics |= {
+    metrics = {f"reward_{name}": jnp.where(ok, value, 0.0) for name, value in weighted.items()} | {
         "velocity_error_sq": jnp.where(ok, ((linear - state.command)[:2] ** 2).sum(), 0.0),
         "yaw_error_sq": jnp.where(ok, (angular[2] - state.command[2]) ** 2, 0.0),
         "falls": fell * 1.0,
@@ -285,9 +285,16 @@ def known_reward(parts: Parts, hyper, obs, action, next_prop):
     Exact unless a push changed the velocity after the reward (`push`). The rest is torques,
     accelerations, air times and contacts, which no observation shows.
     """
-    command, last_action = obs[observe.COMMAND], obs[observe.LAST_ACTION]
-    parts_of_motion = observe.GRAVITY, observe.LINEAR_VELOCITY, observe.ANGULAR_VELOCITY
-    terms = motion_terms(hyper, command, [next_prop[part] for part in parts_of_motion])
-    terms["action_rate"] = rewards.action_rate(action, last_action)
+    motion = observe.GRAVITY, observe.LINEAR_VELOCITY, observe.ANGULAR_VELOCITY
+    terms = motion_terms(hyper, obs[observe.COMMAND], [next_prop[part] for part in motion])
+    terms["action_rate"] = rewards.action_rate(action, obs[observe.LAST_ACTION])
     weights = {name: getattr(hyper.weights, name) for name in terms}
     return rewards.total(terms, weights, parts.dt)[0]
+
+
+def private(parts: Parts, body, state: EnvState):
+    """What no observation shows, [2 F + 7]: each foot's time in the air (s, at most 1) and whether it is
+    down; the robot's own mass, friction, gains and centre of mass."""
+    air = jnp.minimum(state.air_steps * parts.engine.timestep, 1.0)
+    own = jnp.stack([body.mass_scale, body.friction, body.kp_scale, body.kd_scale, *body.base_com])
+    return jnp.concatenate([air, state.contact_steps > 0, own])

@@ -28,6 +28,7 @@ from dynappo.config import ConfigError
 
 FLOAT = 4  # bytes
 PROP, OBS, ACTION = observe.PROP_SIZE, observe.PROP_SIZE + observe.CONTEXT_SIZE, 12
+PRIVATE = 15  # env.private
 STATE = 178 * FLOAT  # EnvState, and the robot's own physical parameters
 STATES = 3  # before a chunk, after it, and the host's copy
 BESIDE = 3  # JAX's share of a GPU, of what it leaves to Warp; a run may have set another one
@@ -57,10 +58,11 @@ def estimate(config, impl: str = "auto") -> Estimate:
     """What a validated config needs; `impl` is the engine, "auto" counts as both."""
     parts = phases(config, impl)
     largest = max(parts, key=lambda name: parts[name])
-    state = STATES * STATE
+    state = STATES * (STATE + past(config))
     networks = [(OBS, *config.ppo.hidden, ACTION), (OBS, *config.ppo.hidden, 1)]
     if schedule.uses_model(config):
-        network = (OBS + ACTION, *config.model.hidden, PROP + 1)
+        private = PRIVATE * config.model.private
+        network = (OBS + private + ACTION, *config.model.hidden, PROP + private + 1)
         networks += config.model.ensemble * [network]
     weights = sum((a + 1) * b for sizes in networks for a, b in zip(sizes, sizes[1:], strict=False))
     return Estimate(
@@ -76,7 +78,8 @@ def estimate(config, impl: str = "auto") -> Estimate:
 def phases(config, impl: str = "auto") -> dict[str, int]:
     """Bytes of one robot in each part of an iteration; the module says what they hold."""
     rows, ppo, model = config.rollout.horizon, config.ppo, config.model
-    buffer = FLOAT * (2 * OBS + 2 * ACTION + 2 * PROP + 8)  # a row of types.Transition
+    private = PRIVATE * model.private
+    buffer = FLOAT * (2 * OBS + 2 * ACTION + 2 * (PROP + private) + 8)  # a row of types.Transition
     batch = FLOAT * (OBS + 2 * ACTION + 5)  # a row of ppo.Batch
     critic = FLOAT * (OBS + max(a + b for a, b in zip((0, *ppo.hidden), ppo.hidden, strict=False)))
     # before and after the activation, and its slope, of actor and critic
@@ -88,12 +91,19 @@ def phases(config, impl: str = "auto") -> dict[str, int]:
         "update": rows * (2 * batch + activations // ppo.minibatches),
     }
     if schedule.uses_model(config):
-        data = FLOAT * (OBS + ACTION + PROP + 2)  # a row of inputs, targets, weight
+        data = FLOAT * (OBS + ACTION + PROP + 2 * private + 2)  # a row of inputs, targets, weight
         width = 2 if model.precision == "bfloat16" else 3
         activations = model.ensemble * width * FLOAT * sum(model.hidden)
         activations = model.unroll * (activations + 2 * data + 2 * FLOAT * (PROP + 1))
-        out["fit"] = rows * (buffer + data + activations // model.minibatches)
+        out["fit"] = rows * (buffer + data + activations // model.minibatches) + past(config)
     return out
+
+
+def past(config) -> int:
+    """Bytes of one robot in the rows of earlier iterations (model_rows.remember)."""
+    kept = config.rollout.horizon - config.schedule.end_steps
+    sizes = OBS + ACTION + PROP + 2 + 2 * PRIVATE * config.model.private + config.model.falls
+    return FLOAT * config.model.history * kept * sizes
 
 
 def physics(config, impl: str = "auto") -> int:

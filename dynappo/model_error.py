@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import jax.numpy as jnp
 
-from dynappo import dynamics, moments
+from dynappo import dynamics, model_rows, moments
 from dynappo.types import Env, Metrics, ModelState, Transition
 
 
 def unroll(static, env: Env, model: ModelState, rows: Transition, steps: int, task=None):
     """`steps` next props [K, R, P] predicted in a row, from row 0 with the actions that were taken,
     and [K, R] 1 where the robot's episode had not ended by then."""
-    obs, predicted = dynamics.before_and_after(static, env, rows)[0][0], []
+    obs, predicted = model_rows.before_and_after(static, env, rows)[0][0], []
     for k in range(steps):
         obs = dynamics.predict(static, env, model, obs, rows.action[k], task)[0]
         predicted.append(obs[:, : env.prop_size])
@@ -27,10 +27,10 @@ def errors(static, env: Env, model: ModelState, rows: Transition, steps: int, ta
     """
     size, out = env.prop_size, {}
     std = moments.scale(model.inputs)[1][:size]
-    obs, prop = dynamics.before_and_after(static, env, rows)
+    obs, after = model_rows.before_and_after(static, env, rows)
     predicted, alive = unroll(static, env, model, rows, steps, task)
     for k in {0, steps - 1}:
-        truth, still = prop[k], obs[0, :, :size]
+        truth, still = after[k, :, :size], obs[0, :, :size]
         wrong, change = (
             jnp.where(alive[k, :, None] > 0, ((x - truth) / std) ** 2, 0.0).sum()
             for x in (predicted[k], still)

@@ -115,8 +115,12 @@ def adapt(static, hyper, learning_rate: Float[Array, ""], kl: Float[Array, ""]):
     return jnp.where(kl > hyper.desired_kl * 2, lower, kept)
 
 
-def minibatch_step(static, hyper, unflatten, learner: Learner, batch: Batch, old_std):
+def minibatch_step(
+    static, hyper, unflatten, learner: Learner, batch: Batch, old_std, slope=None
+) -> tuple[Learner, Metrics]:
     """One gradient step: loss, KL, learning rate, clipped gradient, Adam; `(learner, metrics)`.
+
+    `slope` is added to the gradient.
 
     Parameters are one vector, as Adam's moments are, and `unflatten` gives their tree: clipping and Adam are
     then 4 kernels and not 33. `std` comes last in it.
@@ -126,6 +130,8 @@ def minibatch_step(static, hyper, unflatten, learner: Learner, batch: Batch, old
         return loss(static, hyper, unflatten(params), batch, old_std)
 
     grads, metrics = jax.grad(of_vector, has_aux=True)(learner.params)
+    if slope is not None:
+        grads += slope
     rate = adapt(static, hyper, learner.learning_rate, metrics["kl"])
     updates, opt_state = _optimizer(hyper).update(grads, learner.opt_state)
     params = learner.params - rate * updates
@@ -153,19 +159,23 @@ def minibatches(static, batch: Batch, key: PRNGKeyArray) -> Batch:
     return jax.tree.map(shuffle, batch)
 
 
-def update(static, hyper, learner: Learner, batch: Batch, key) -> tuple[Learner, Metrics]:
+def update(
+    static, hyper, learner: Learner, batch: Batch, key, slope: dict | None = None
+) -> tuple[Learner, Metrics]:
     """`epochs` x `minibatches` steps on one rollout `[N, R]` with raw advantages.
 
-    Metrics are means over all steps; `learning_rate` is the one the last step used.
+    `slope` is the gradient of another objective, as a tree of parameters (first_order.py). Metrics are
+    means over all steps; `learning_rate` is the one the last step used.
     """
     old_std = learner.params["std"]
     batch = batch._replace(advantages=normalize(batch.advantages, batch.weight))
     shuffled = minibatches(static, batch, key)
     params, unflatten = ravel_pytree(learner.params)
+    slope = None if slope is None else ravel_pytree(slope)[0]
 
     def step(learner, i):
         rows = jax.tree.map(lambda x: x[i % static.minibatches], shuffled)
-        return minibatch_step(static, hyper, unflatten, learner, rows, old_std)
+        return minibatch_step(static, hyper, unflatten, learner, rows, old_std, slope)
 
     steps = jnp.arange(static.epochs * static.minibatches)
     learner, metrics = jax.lax.scan(step, learner.replace(params=params), steps)

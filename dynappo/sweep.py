@@ -33,7 +33,12 @@ from dynappo import algorithm
 from dynappo import evaluate as evaluate_lib
 from dynappo.types import Env, Metrics, TrainState
 
-ROBOTS = ("env_state", "params_physics", "robot_index")  # fields of TrainState with an axis R
+ROBOTS = (
+    "env_state",
+    "params_physics",
+    "robot_index",
+    "past",
+)  # fields of TrainState with an axis R
 
 
 def keys(seed: int, num_seeds: int) -> PRNGKeyArray:
@@ -81,7 +86,8 @@ def run(
 ) -> tuple[TrainState, Metrics]:
     """`algorithm.run` of every seed; metrics `[I, S]`. The columns bound loops and stay unbatched."""
     one = partial(algorithm.run, env, static=static)
-    batched = jax.vmap(one, (axes(hyper), 0, None), (0, 1), spmd_axis_name="seed")
+    names = dict(axis_name="seeds", spmd_axis_name="seed")
+    batched = jax.vmap(one, (axes(hyper), 0, None), (0, 1), **names)
     return batched(hyper, state, columns)
 
 

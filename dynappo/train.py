@@ -209,7 +209,8 @@ def loop(
             start, state, history = files.resume(config, workdir, checkpoints, state, say)
             sinks = log.sinks(config, workdir, start) if writes else []
         seconds = float(history[0]["seconds"][-1]) if history else 0.0
-        sim_steps, waiting = schedule.sim_steps(config), None
+        sim_steps = int(history[0]["sim_steps"][-1]) if history else 0
+        waiting = None
         for first in range(start, run.num_iterations, run.log_every):
             rows, done = slice(first, first + run.log_every), first + run.log_every
             columns = {name: column[rows] for name, column in program.columns.items()}
@@ -220,12 +221,10 @@ def loop(
                 _tell(*waiting, sinks, progress_fn, say)
             state, metrics = jax.block_until_ready(running)
             took = time.perf_counter() - began
-            metrics = jax.device_get(metrics) | {
-                "sim_steps": sim_steps[rows],
-                "seconds": seconds + took * np.arange(1, run.log_every + 1) / run.log_every,
-            }
-            metrics |= _shared(config, columns)
-            seconds += took
+            metrics = jax.device_get(metrics)
+            metrics |= _shared(config, columns, metrics, sim_steps)
+            metrics["seconds"] = seconds + took * np.arange(1, run.log_every + 1) / run.log_every
+            seconds, sim_steps = seconds + took, int(metrics["sim_steps"][-1])
             files.check_finite(metrics, state, before, workdir)
             if run.eval_every and done % run.eval_every == 0:
                 metrics |= _at_end(program.assess(state), run.log_every)
@@ -234,10 +233,8 @@ def loop(
             stopping = distributed.any_of(should_stop())
             every = run.checkpoint_every and done % run.checkpoint_every == 0
             if workdir and (stopping or every or done == run.num_iterations):
-                steps = int(sim_steps[done - 1])
-                files.save(
-                    config, program.robot, workdir, checkpoints, done, state, metrics, steps, say
-                )
+                at = done, state, metrics, sim_steps
+                files.save(config, program.robot, workdir, checkpoints, *at, say)
             if stopping:
                 break
         if waiting:
@@ -251,10 +248,18 @@ def loop(
     return state, log.join(history)
 
 
-def _shared(config, columns) -> dict[str, np.ndarray]:
-    n_real = columns["n_real"]
-    n_synthetic = config.rollout.horizon - n_real
-    return {"iteration": columns["iteration"], "n_real": n_real, "n_synthetic": n_synthetic}
+def _shared(config, columns, metrics, sim_steps: int) -> dict[str, np.ndarray]:
+    """Columns `[I]` that all seeds share; real rows are the schedule's, unless `metrics` has others."""
+    n_real = np.asarray(metrics.get("n_real", columns["n_real"])).reshape(
+        len(columns["n_real"]), -1
+    )
+    n_real = n_real[:, 0].astype(np.int64)
+    return {
+        "iteration": columns["iteration"],
+        "n_real": n_real,
+        "n_synthetic": config.rollout.horizon - n_real,
+        "sim_steps": sim_steps + np.cumsum(n_real) * config.rollout.num_envs,
+    }
 
 
 def _tell(done: int, metrics, sinks, progress_fn, say) -> None:
@@ -309,6 +314,7 @@ def summarise(config, program: Program, state, metrics) -> dict[str, Any]:
         "sim_steps": int(metrics["sim_steps"][-1]),
         "return": _numbers(returns[-files.RETURN_ROWS :].mean(0)),
         "return_max": _numbers(np.fmax.reduce(returns, 0)),
+        "return_of_all": _numbers(_return_of_all(config, metrics)),
         "seconds": float(metrics["seconds"][-1]),
         "compile_seconds": program.compile_seconds,
         "device": program.device,
@@ -321,6 +327,16 @@ def summarise(config, program: Program, state, metrics) -> dict[str, Any]:
     if config.run.time_phases:
         summary["phases_ms"] = bench.phases(config, program, state)
     return summary
+
+
+def _return_of_all(config, metrics):
+    """Mean return of all episodes that ended in the last episode's length of control steps."""
+    after = (
+        np.cumsum(metrics["n_real"][::-1])[::-1] - metrics["n_real"]
+    )  # steps after each iteration
+    last = after < config.task.episode_length
+    count, total = (metrics[n][last].sum(0) for n in ("episodes", "episode_return_sum"))
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
 
 def _numbers(values):

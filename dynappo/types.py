@@ -17,7 +17,8 @@ Meanings, stated once:
   and no advantage crosses it. A row is never both.
 - `next_obs` is observed before any reset. Unless a reset lies between, it is the same array as the
   next row's `obs`, noise included.
-- `prop` is the predicted part of the observation without its noise, `next_prop` that of `next_obs`.
+- `prop` is the predicted part of the observation without its noise, `next_prop` that of `next_obs`;
+  in a rollout with `model.private` the model's private numbers follow in both.
 - Row t is real if and only if `t < n_real`; that is not stored.
 
 Why no iteration counter in `TrainState`: a counter that is a leaf of a stacked state becomes batched
@@ -31,6 +32,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
@@ -136,6 +138,7 @@ class ModelState:
     targets: Moments
     bounds: Float[Array, "2 P+1"] | None = None  # low, high of a prediction; None: without any
     spread: Float[Array, ""] | None = None  # an ensemble's disagreement on real rows
+    error: Float[Array, ""] | None = None  # with schedule.by_error: of several predictions in a row
 
 
 @struct.dataclass
@@ -147,6 +150,7 @@ class TrainState:
     env_state: Any  # [R]
     params_physics: Any  # [R], drawn once in `algorithm.init`
     robot_index: Int[Array, " R"]  # global, so that no random number depends on the device
+    past: Float[Array, "R H D"] | None  # earlier rows that the model still learns from
     returns: Float[Array, "100"]  # of the last finished episodes, newest last; NaN before
     lengths: Float[Array, "100"]
     key: PRNGKeyArray
@@ -163,6 +167,7 @@ class Env(NamedTuple):
     For a tail that is as good as it can be (group model; else not called): `noise` is what `obs` adds
     to `prop`, `known_reward` the share of the reward that is a function of obs, action and next prop,
     and with `model.falls` states have a `clock`, at `episode_length` of which an episode is cut.
+    `private` is what else the model may carry: numbers of body and state that no observation shows.
     """
 
     randomize: Callable[..., Any]  # (hyper, key) -> body
@@ -178,4 +183,6 @@ class Env(NamedTuple):
     action_size: int
     dt: float  # s, one control step
     episode_length: int  # control steps
+    private: Callable[..., Any] = lambda body, state: jnp.zeros(0)  # (body, state) -> [Q]
+    private_size: int = 0
     mesh: jax.sharding.Mesh | None = None  # devices over which the robots are spread (sweep.py)

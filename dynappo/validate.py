@@ -49,7 +49,7 @@ CHOICES = {
 }
 POSITIVE = (
     "run.num_seeds run.mesh_seed run.mesh_env run.num_iterations run.log_every rollout.num_envs "
-    "rollout.horizon model.epochs model.minibatches model.ensemble model.unroll "
+    "rollout.horizon schedule.max_error model.epochs model.minibatches model.ensemble model.unroll "
     "model.huber_delta model.learning_rate ppo.epochs ppo.minibatches "
     "ppo.shuffle_blocks ppo.init_std ppo.min_std ppo.learning_rate ppo.desired_kl "
     "ppo.clip_epsilon ppo.max_grad_norm task.episode_length task.tracking_std "
@@ -126,7 +126,8 @@ def validate(config: config_dict.ConfigDict) -> config_dict.FrozenConfigDict:
         if is_range and numbers[0] > numbers[-1]:
             raise ConfigError(f"{field} is {value}, expected (low, high) with low <= high")
     counts = (
-        "run.eval_envs run.video_seconds ppo.tail_weight task.push.velocity task.resample_steps"
+        "run.eval_envs run.video_seconds ppo.tail_weight ppo.first_order_steps "
+        "ppo.first_order_weight model.history task.push.velocity task.resample_steps"
     )
     for field in counts.split():
         if fields[field] < 0:
@@ -153,6 +154,7 @@ def validate(config: config_dict.ConfigDict) -> config_dict.FrozenConfigDict:
             f"ppo.max_learning_rate = {config.ppo.max_learning_rate}"
         )
     _validate_schedule(config)
+    _validate_tail(config)
     _validate_sizes(config)
     _validate_mesh(config)
     if not find("robots", f"{config.robot}/{config.robot}.xml"):
@@ -195,6 +197,24 @@ def _validate_schedule(config):
         raise ConfigError(
             f"schedule.end_steps is {s.end_steps}, expected less than rollout.horizon = {horizon}: "
             "a rollout needs at least one real row"
+        )
+
+
+def _validate_tail(config):
+    model = config.model
+    if model.private and not model.clean:
+        raise ConfigError(
+            "model.private is True, expected model.clean=True too: it goes with the state without noise"
+        )
+    if model.history and model.unroll > 1:
+        raise ConfigError(
+            f"model.history is {model.history}, expected 0 with model.unroll = {model.unroll}: an unrolled "
+            "loss needs rows that follow each other"
+        )
+    if config.ppo.first_order_steps and not schedule.uses_model(config):
+        raise ConfigError(
+            f"ppo.first_order_steps is {config.ppo.first_order_steps}, expected 0 without a tail "
+            "(schedule.end_steps = 0): there is no model to differentiate"
         )
 
 

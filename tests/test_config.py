@@ -22,7 +22,8 @@ INTS = """
 run.seed run.num_seeds run.mesh_seed run.mesh_env run.num_iterations run.log_every
 run.checkpoint_every run.eval_every run.eval_envs rollout.num_envs rollout.horizon
 schedule.start_iteration schedule.end_iteration schedule.start_steps schedule.end_steps model.epochs
-model.late_from model.minibatches model.ensemble model.unroll ppo.epochs ppo.minibatches ppo.shuffle_blocks
+model.late_from model.minibatches model.ensemble model.unroll model.history
+ppo.first_order_steps ppo.epochs ppo.minibatches ppo.shuffle_blocks
 task.episode_length physics.substeps physics.iterations physics.ls_iterations
 """.split()
 STRINGS = """
@@ -31,7 +32,8 @@ physics.impl physics.contacts
 """.split()
 BOOLS = (
     "run.tensorboard run.time_phases model.predict_change model.normalize ppo.adaptive "
-    "ppo.clip_value task.random_clock model.clean model.known_reward model.falls model.bounds"
+    "ppo.clip_value task.random_clock model.clean model.known_reward model.falls model.bounds "
+    "model.private schedule.by_error"
 ).split()
 SIZES = "model.hidden ppo.hidden".split()
 # What the sizes in the messages below follow from.

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dynappo import dynamics, model_error, moments, rollout
+from dynappo import dynamics, model_error, model_rows, moments, rollout
 from dynappo.types import Env, Moments
 
 PROP, COMMAND, ACTIONS = 4, 2, 2
@@ -430,7 +430,7 @@ def test_targets_are_the_change_of_state_or_the_next_state_and_the_reward_per_se
 ):
     rows = linear_rows(0)
     changes, nexts = (
-        dynamics.targets(model_settings(predict_change=c)[0], ENV, rows) for c in (True, False)
+        model_rows.targets(model_settings(predict_change=c)[0], ENV, rows) for c in (True, False)
     )
     assert changes.shape == nexts.shape == (HORIZON, ROBOTS, PROP + 1)
     np.testing.assert_array_equal(nexts[..., :PROP], rows.next_obs[..., :PROP])

@@ -25,7 +25,7 @@ GROUPS = (
         "dynamics",
         "ppo",
     }
-    | {"rollout", "brax_env", "model_error"},
+    | {"rollout", "brax_env", "model_error", "model_rows", "first_order", "summary"},
     {"algorithm", "evaluate", "sweep"},
     {"checkpoint", "log", "render", "files", "export", "train", "play", "bench", "console", "flags"}
     | {
@@ -46,7 +46,8 @@ WITHIN = {
     "env": {"robot", "commands", "randomize", "physics"},
     "physics": {"robot", "randomize", "warp_physics", "contacts"},
     "contacts": {"robot"},
-    "model_error": {"dynamics"},
+    "dynamics": {"model_rows"},
+    "model_error": {"dynamics", "model_rows"},
     "evaluate": {"algorithm", "report"},  # report: only where it is run as a command
     "sweep": {"algorithm", "evaluate"},
 }  # allowed inside a group

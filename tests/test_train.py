@@ -168,6 +168,8 @@ def test_the_summary_says_what_the_run_came_to(whole):
     returns = whole.metrics["episode_return"]
     assert summary["return"] == pytest.approx(returns.mean(), rel=1e-4)
     assert summary["return_max"] == pytest.approx(returns.max(), rel=1e-4)
+    ended, total = (whole.metrics[n].sum() for n in ("episodes", "episode_return_sum"))
+    assert ended > 0 and summary["return_of_all"] == pytest.approx(total / ended, rel=1e-4)
     assert summary["seconds"] == pytest.approx(whole.metrics["seconds"][-1], rel=1e-4)
     assert summary["compile_seconds"] > 0 and summary["impl"] == "jax"
     assert {"dynappo", "jax", "mujoco-mjx"} <= summary["versions"].keys()
@@ -175,6 +177,25 @@ def test_the_summary_says_what_the_run_came_to(whole):
     names = {"return", "return_std", "length", "fall_rate", "tracking_error", "yaw_error"}
     assert evaluation.keys() == names
     assert 0 <= evaluation["fall_rate"] <= 1 and 1 <= evaluation["length"] <= 60
+
+
+@pytest.mark.parametrize("seeds", [None, 2])
+def test_the_return_of_all_is_that_of_the_episodes_of_the_last_episodes_length(config, seeds):
+    """60 control steps are 12 iterations of 5; against a loop back from the end. Without any: none."""
+    rng, shape = np.random.default_rng(0), (20, seeds) if seeds else (20,)
+    count, total = rng.integers(0, 3, shape), rng.normal(size=shape)
+    n_real = np.full(20, 5)
+    n_real[:10] = 8  # 10 iterations of 5, and two of 8
+    metrics = {"n_real": n_real, "episodes": count, "episode_return_sum": total * (count > 0)}
+    steps, ended, returns = 0, 0, 0.0
+    for i in reversed(range(20)):
+        if steps < 60:
+            steps, ended = steps + n_real[i], ended + count[i]
+            returns = returns + metrics["episode_return_sum"][i]
+    assert config.task.episode_length == 60 and steps == 66
+    np.testing.assert_allclose(train._return_of_all(config, metrics), returns / ended, rtol=1e-6)
+    metrics["episodes"] = 0 * count
+    assert np.isnan(train._return_of_all(config, metrics)).all()
 
 
 def test_the_policy_is_in_a_plain_file(whole, config):
@@ -442,7 +463,8 @@ def test_the_time_of_each_phase_is_measured_if_asked(config, program):
     ask = config_dict.ConfigDict(config)
     ask.run.update(time_phases=True, eval_envs=0)
     run = program()
-    metrics = {n: np.ones(4) for n in ("iteration", "sim_steps", "seconds", "episode_return")}
+    names = "iteration sim_steps seconds episode_return n_real episodes episode_return_sum"
+    metrics = {n: np.ones(4) for n in names.split()}
     summary = train.summarise(ask, run, run.state, metrics)
     assert summary["phases_ms"].keys() == {"iteration", "physics", "tail", "fit", "ppo"}
     assert 0 < summary["phases_ms"]["physics"] < summary["phases_ms"]["iteration"]

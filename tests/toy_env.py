@@ -140,10 +140,12 @@ def make(*, episode_length: int = 20, aged: bool = True, blowup_action: float = 
         noise=lambda hyper, key: (
             hyper.noise.joint_pos * jax.random.uniform(key, (3,), minval=-1.0, maxval=1.0)
         ),
+        private=lambda body, state: jnp.stack([body, body**2]),
         known_reward=lambda hyper, obs, action, prop: DT * (1.0 - (prop[0] - obs[3]) ** 2),
         metrics=METRICS,
         obs_size=6,
         prop_size=3,
+        private_size=2,
         action_size=2,
         dt=DT,
         episode_length=episode_length,

@@ -33,11 +33,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dynappo import algorithm, ppo, schedule, train
+from dynappo import algorithm, ppo, schedule, summary, train
 from dynappo import config as config_lib
 
 UPDATES = 4  # in one measurement
-RETURNS = algorithm.RETURNS  # finished episodes in a mean return; brax's logger has 100 too
+RETURNS = summary.RETURNS  # finished episodes in a mean return; brax's logger has 100 too
 
 
 # ---- update
