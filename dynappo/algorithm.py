@@ -22,11 +22,12 @@ the robot's global index. So two chunks equal one run, and a row does not depend
 from __future__ import annotations
 
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 from jax.sharding import PartitionSpec
-from jaxtyping import Array, Float, Int, PRNGKeyArray
+from jaxtyping import Array, Int, PRNGKeyArray
 
 from dynappo import (
     dynamics,
@@ -40,7 +41,7 @@ from dynappo import (
     schedule,
     summary,
 )
-from dynappo.types import Env, Metrics, TrainState, Transition
+from dynappo.types import Env, Metrics, ModelState, TrainState, Transition
 
 # purposes of random numbers
 ROWS, FIT, UPDATE, ACTION, STEP, RESET = range(6)
@@ -84,7 +85,7 @@ def iterate(
     horizon, num_envs = static.rollout.horizon, static.rollout.num_envs
     n_real, end = columns["n_real"], jnp.int32(horizon)
     if state.model is not None and static.schedule.by_error:
-        n_real = end - trusted(static, hyper.schedule, state.model.error, end - n_real)
+        n_real = end - trusted(static, hyper.schedule, state.model, end - n_real)
     key = jax.random.fold_in(state.key, columns["iteration"])
     rows_key = jax.random.fold_in(key, ROWS)
 
@@ -95,8 +96,8 @@ def iterate(
     model, past, slope, metrics = state.model, state.past, None, {}
     if model is not None:
         epochs, fit_key = columns["model_epochs"], jax.random.fold_in(key, FIT)
-        learned = learn(env, hyper, state, buffer, n_real, epochs, fit_key, static=static)
-        model, past, metrics = learned
+        what = buffer, n_real, epochs, fit_key
+        model, past, metrics = learn(env, hyper, model, past, *what, static=static)
         act = policy(static.ppo, state.learner.params)
         keys = rollout.row_keys(rows_key, state.robot_index)
         tail = dynamics.tail(static.model, env, env_state, state.params_physics)
@@ -130,26 +131,30 @@ def iterate(
     }
 
 
-def learn(env: Env, hyper, state: TrainState, buffer: Transition, n_real, epochs, key, *, static):
+def learn(
+    env: Env, hyper, model: ModelState, past, buffer: Transition, n_real, epochs, key, *, static
+) -> tuple[ModelState, Any, Metrics]:
     """`(model, rows to keep, metrics)`: the fit of eq. 3, after the model's error on these new rows."""
     unrolled = min(4, static.rollout.horizon - static.schedule.end_steps)
-    task, model = hyper.task, state.model
+    task = hyper.task
     metrics = model_error.errors(static.model, env, model, buffer, unrolled, task)
     if static.schedule.by_error:
         model = model.replace(error=metrics[f"model_error_{unrolled}"])
         metrics["n_real"] = n_real
     fit = partial(dynamics.fit, static.model, hyper.model, env)
-    model, fit_metrics = fit(model, buffer, n_real, epochs, key, task, state.past)
-    past = model_rows.remember(static.model, env, state.past, buffer, n_real, task)
+    model, fit_metrics = fit(model, buffer, n_real, epochs, key, task, past)
+    past = model_rows.remember(static.model, env, past, buffer, n_real, task)
     return model, past, metrics | fit_metrics
 
 
-def trusted(static, hyper, error: Float[Array, ""], steps: Int[Array, ""]) -> Int[Array, ""]:
+def trusted(static, hyper, model: ModelState, steps: Int[Array, ""]) -> Int[Array, ""]:
     """Of the `steps` that the schedule allows a tail, as many as `schedule.max_error` admits.
 
     floor(steps min(1, max_error / error)), with the error of the last iteration's model on the rows after
     it; of several seeds the largest, because the number of rows bounds a loop.
     """
+    error = model.error
+    assert error is not None  # with schedule.by_error it is there
     if static.run.num_seeds > 1:
         error = jax.lax.pmax(error, "seeds")
     share = jnp.minimum(1.0, hyper.max_error / error)

@@ -171,11 +171,11 @@ def update(
     batch = batch._replace(advantages=normalize(batch.advantages, batch.weight))
     shuffled = minibatches(static, batch, key)
     params, unflatten = ravel_pytree(learner.params)
-    slope = None if slope is None else ravel_pytree(slope)[0]
+    constant = None if slope is None else ravel_pytree(slope)[0]
 
     def step(learner, i):
         rows = jax.tree.map(lambda x: x[i % static.minibatches], shuffled)
-        return minibatch_step(static, hyper, unflatten, learner, rows, old_std, slope)
+        return minibatch_step(static, hyper, unflatten, learner, rows, old_std, constant)
 
     steps = jnp.arange(static.epochs * static.minibatches)
     learner, metrics = jax.lax.scan(step, learner.replace(params=params), steps)

@@ -86,8 +86,8 @@ def run(
 ) -> tuple[TrainState, Metrics]:
     """`algorithm.run` of every seed; metrics `[I, S]`. The columns bound loops and stay unbatched."""
     one = partial(algorithm.run, env, static=static)
-    names = dict(axis_name="seeds", spmd_axis_name="seed")
-    batched = jax.vmap(one, (axes(hyper), 0, None), (0, 1), **names)
+    over = (axes(hyper), 0, None), (0, 1)
+    batched = jax.vmap(one, *over, axis_name="seeds", spmd_axis_name="seed")
     return batched(hyper, state, columns)
 
 

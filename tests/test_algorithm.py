@@ -12,7 +12,18 @@ import pytest
 import toy_env
 from jax.extend import core as jax_core
 
-from dynappo import algorithm, dynamics, moments, networks, ppo, rollout, schedule, summary
+from dynappo import (
+    algorithm,
+    dynamics,
+    moments,
+    networks,
+    ppo,
+    rollout,
+    schedule,
+    summary,
+    sweep,
+    train,
+)
 from dynappo.types import Transition
 
 N, R, ITERATIONS = 8, 16, 6
@@ -766,3 +777,49 @@ def test_values_that_are_known_are_learned(probes, name, obs, value):
 def test_actions_that_are_best_are_learned(probes, name, obs, action):
     """An action that pays, and one whose sign the observation tells."""
     assert probes(name, obs)[1] == pytest.approx(action, abs=0.15)
+
+
+# ---- a ramp by the model's error
+
+
+@pytest.mark.parametrize("steps", [0, 1, 4, 16])
+def test_a_tail_is_as_long_as_the_models_error_admits(steps):
+    """floor(steps min(1, max_error / error)); none where nothing is known of the model yet."""
+    _, static, hyper = toy_env.settings({"schedule.max_error": 0.25})
+    for error in (0.1, 0.25, 0.26, 0.4, 0.5, 1.0, 7.0, np.inf):
+        model = SimpleNamespace(error=jnp.float32(error))
+        found = algorithm.trusted(static, hyper.schedule, model, jnp.int32(steps))
+        assert found == int(np.floor(steps * min(1.0, 0.25 / error) + 1e-4))
+
+
+def test_a_ramp_by_error_is_one_for_all_seeds_and_counted_as_it_was(env):
+    """Against the errors that the metrics tell: those of an iteration shorten the next one's tail."""
+    on = {"schedule.by_error": True, "schedule.max_error": 0.3, "run.num_seeds": 3}
+    steps = {"schedule.start_steps": 4, "schedule.end_iteration": 0, "schedule.start_iteration": 0}
+    config, static, hyper = toy_env.settings(toy_env.TAIL | steps | on | {"run.num_iterations": 12})
+    state = sweep.init(env, hyper, sweep.keys(0, 3), static=static)
+    call = jax.jit(partial(sweep.run, env, static=static))
+    state, metrics = call(hyper, state, columns(config, epochs=10))
+    n_real, errors = np.asarray(metrics["n_real"]), np.asarray(metrics["model_error_4"]).max(1)
+    assert (n_real == n_real[:, :1]).all()  # [I, S]
+    assert n_real[0, 0] == N and len(np.unique(n_real)) > 2
+    expected = N - np.floor(4 * np.minimum(1, 0.3 / errors[:-1]) + 1e-4)
+    np.testing.assert_array_equal(n_real[1:, 0], expected)
+    np.testing.assert_allclose(state.model.error, metrics["model_error_4"][-1], 1e-6)
+    shared = train._shared(config, schedule.columns(config), metrics, 1000)
+    np.testing.assert_array_equal(shared["n_real"] + shared["n_synthetic"], N)
+    counted = 1000 + np.cumsum([R * n for n in n_real[:, 0]])
+    np.testing.assert_array_equal(shared["sim_steps"], counted)
+
+
+def test_a_loop_over_seeds_keeps_one_bound_with_a_ramp_by_error(env):
+    """Under vmap the trip count of the physics loop has no seed axis."""
+    on = {"schedule.by_error": True, "run.num_seeds": 2}
+    config, static, hyper = toy_env.settings(toy_env.TAIL | on)
+    state = jax.eval_shape(partial(sweep.init, env, static=static), hyper, sweep.keys(0, 2))
+    jaxpr = jax.make_jaxpr(partial(sweep.run, env, static=static))(hyper, state, columns(config))
+    loops = [e for e in inner(jaxpr.jaxpr) if e.primitive.name == "while"]
+    assert loops
+    for loop in loops:
+        (test,) = loop.params["cond_jaxpr"].jaxpr.outvars
+        assert test.aval.shape == ()

@@ -398,6 +398,35 @@ def test_numbers_that_no_run_can_have_are_refused(fields):
     refused(lambda: config_lib.validate(config), *fields)
 
 
+@pytest.mark.parametrize(
+    ("fields", "words"),
+    [
+        ({"model.private": True}, ("model.private is True", "model.clean=True")),
+        (
+            {"model.history": 2, "model.unroll": 3},
+            ("model.history is 2", "expected 0", "model.unroll = 3"),
+        ),
+        (
+            {"ppo.first_order_steps": 4, "schedule.end_steps": 0},
+            ("ppo.first_order_steps is 4", "expected 0", "schedule.end_steps = 0"),
+        ),
+        ({"ppo.first_order_steps": -1}, ("ppo.first_order_steps is -1", "expected 0 or more")),
+        ({"model.history": -1}, ("model.history is -1", "expected 0 or more")),
+        ({"schedule.max_error": 0.0}, ("schedule.max_error is 0.0", "expected more than 0")),
+    ],
+    ids=str,
+)
+def test_ideas_for_a_tail_that_cannot_go_together_are_refused(fields, words):
+    config = load()
+    for field, value in (BASE | fields).items():
+        put(config, field, value)
+    refused(lambda: config_lib.validate(config), *words)
+    for field, value in {"model.clean": True, "model.unroll": 1, "schedule.end_steps": 4}.items():
+        put(config, field, value)
+    if not any(value in (-1, 0.0) for value in fields.values()):
+        config_lib.validate(config)
+
+
 def test_whole_numbers_in_a_tuple_of_floats_of_a_config_file_are_floats_or_refused():
     config = load()
     config.task.command_x = (0, 1)

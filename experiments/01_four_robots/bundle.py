@@ -18,7 +18,9 @@ from ml_collections import config_dict
 from dynappo import log, policy_file
 from dynappo import robot as robot_lib
 
-KEEP = "robot job return return_max iterations sim_steps seconds device impl versions evaluation set"
+KEEP = (
+    "robot job return return_max iterations sim_steps seconds device impl versions evaluation set"
+)
 
 
 def main():
