@@ -95,7 +95,9 @@ def phases(config, impl: str = "auto") -> dict[str, int]:
         width = 2 if model.precision == "bfloat16" else 3
         activations = model.ensemble * width * FLOAT * sum(model.hidden)
         activations = model.unroll * (activations + 2 * data + 2 * FLOAT * (PROP + 1))
-        out["fit"] = rows * (buffer + data + activations // model.minibatches) + past(config)
+        out["fit"] = rows * (buffer + data + activations // model.minibatches)
+        if model.history:  # put together with this iteration's
+            out["fit"] += rows * data + past(config)
     return out
 
 

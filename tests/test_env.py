@@ -653,6 +653,23 @@ def test_a_touchdown_is_paid_once_whichever_substep_it_falls_in(lab, standing):
     np.testing.assert_allclose(outcome.metrics["reward_feet_air_time"], expected, atol=1e-6)
 
 
+def test_private_are_air_times_contacts_and_the_robots_own_body(lab, standing):
+    rng = np.random.default_rng(0)
+    air = rng.integers(0, 400, (ROBOTS, 4)) * rng.integers(0, 2, (ROBOTS, 4))  # steps of 5 ms
+    down = (air == 0) * rng.integers(1, 90, (ROBOTS, 4))
+    state = standing.replace(air_steps=jnp.asarray(air), contact_steps=jnp.asarray(down))
+    own = {name: rng.uniform(0.5, 2, ROBOTS) for name in ("mass_scale", "friction")}
+    own |= {"kp_scale": rng.uniform(0.5, 2, ROBOTS), "kd_scale": rng.uniform(0.5, 2, ROBOTS)}
+    com = rng.normal(size=(ROBOTS, 3))
+    body = nominal(
+        lab.robot, base_com=jnp.asarray(com), **{k: jnp.asarray(v) for k, v in own.items()}
+    )
+    found = jax.vmap(lab.env.private)(body, state)
+    parts = [np.minimum(air * DT, 1.0), down > 0, np.column_stack(list(own.values())), com]
+    np.testing.assert_allclose(found, np.concatenate(parts, 1), rtol=1e-6)
+    assert found.shape == (ROBOTS, lab.env.private_size)
+
+
 # --- pushes ---
 
 

@@ -129,6 +129,8 @@ def walker() -> Env:
         noise=lambda hyper, key: jnp.zeros(memory.PROP),
         known_reward=lambda hyper, obs, action, next_prop: zero,
         metrics=(),
+        private=lambda body, state: jnp.zeros(memory.PRIVATE),
+        private_size=memory.PRIVATE,
         dt=0.02,
         episode_length=1000,
         **sizes,
@@ -154,6 +156,8 @@ CASES = {
         {"run__num_seeds": 4, "ppo__hidden": (256, 128), "ppo__minibatches": 8},
     ),
     "fit": ("dyna4", {}),
+    "fit, private inputs": ("dyna4", {"model__clean": True, "model__private": True}),
+    "fit, rows of earlier iterations": ("dyna4", {"model__history": 3}),
     "fit, bfloat16": ("fast", {"rollout__horizon": 32, "model__minibatches": 4}),
 }
 
