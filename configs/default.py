@@ -211,8 +211,8 @@ def apply_variant(config: config_dict.ConfigDict, variant: str) -> config_dict.C
     elif variant == "fast":
         config.model.update(late_epochs=5, late_from=50, precision="bfloat16")
     elif variant == "best":
-        # Two of three rows are synthetic: 45 to 50 % of PPO-16's simulator steps to 80 % of its best
-        # return, and no lower return in the end (Go1; ANYmal-C in float32; 5 seeds; experiments/20_tail).
+        # Two of three rows are synthetic: 45 to 57 % of PPO-16's simulator steps to 80 % of its best
+        # return, and better policies in the end (four robots, 5 seeds; experiments/20_tail).
         config.rollout.horizon = 24
         config.schedule.update(start_iteration=0, end_iteration=20, start_steps=0, end_steps=16)
         config.model.update(clean=True, known_reward=True, falls=True, bounds=True, minibatches=6)

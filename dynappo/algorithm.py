@@ -10,7 +10,8 @@ program; `init` makes the state it starts from. All are pure functions of an `En
     state, metrics = algorithm.run(env, hyper, state, schedule.columns(config), static=static)
 
 Seeds are `jax.vmap(..., in_axes=(None, 0, None))` over `(hyper, state, columns)`: the columns stay
-unbatched, because the number of real rows bounds a loop (rollout.py). sweep.py has that, and devices.
+unbatched, because the number of real rows bounds a loop (rollout.py). sweep.py has that, and devices,
+and the axis name "seeds" by which `schedule.by_error` asks the other seeds.
 
 Anchoring: the tail starts at the observation after the last real row and never touches the state of
 physics, from which the next iteration goes on.
@@ -150,15 +151,14 @@ def learn(
 def trusted(static, hyper, model: ModelState, steps: Int[Array, ""]) -> Int[Array, ""]:
     """Of the `steps` that the schedule allows a tail, as many as `schedule.max_error` admits.
 
-    floor(steps min(1, max_error / error)), with the error of the last iteration's model on the rows after
-    it; of several seeds the largest, because the number of rows bounds a loop.
+    floor(steps min(1, max_error / error)), with the error that the last iteration found before its fit; of
+    several seeds the fewest, because the number of rows bounds a loop.
     """
     error = model.error
     assert error is not None  # with schedule.by_error it is there
-    if static.run.num_seeds > 1:
-        error = jax.lax.pmax(error, "seeds")
     share = jnp.minimum(1.0, hyper.max_error / error)
-    return jnp.floor(steps * share + 1e-4).astype(jnp.int32)
+    steps = jnp.floor(steps * share + 1e-4).astype(jnp.int32)
+    return jax.lax.pmin(steps, "seeds") if static.run.num_seeds > 1 else steps
 
 
 def collect(env: Env, hyper, state: TrainState, n_real, key: PRNGKeyArray, *, static):

@@ -75,16 +75,17 @@ def _tail_row(program, state, rows: int = 64) -> float:
     import jax
     import jax.numpy as jnp
 
-    from dynappo import algorithm, dynamics, rollout
+    from dynappo import algorithm, dynamics, model_rows, rollout
 
     static, env = program.static, program.env
+    carried = model_rows.carried_size(static.model, env)
 
     def write(state, n):
         return rollout.fill(
-            rollout.allocate(env, rows, state.robot_index.size),
+            rollout.allocate(env, rows, state.robot_index.size, carried),
             jnp.zeros_like(n),
             n,
-            dynamics.tail(static.model, env, state.env_state),
+            dynamics.tail(static.model, env, state.env_state, state.params_physics),
             rollout.row_keys(state.key, state.robot_index),
             act=algorithm.policy(static.ppo, state.learner.params),
             step=algorithm.model_step(env, program.hyper.task, state.model, static=static),
@@ -164,7 +165,8 @@ def work(config, last: dict[str, int]) -> dict[str, np.ndarray]:
         drawn = config.rollout.horizon // model.minibatches
         rows = last["model_epochs"] * (last["n_real"] // drawn) * drawn * config.rollout.num_envs
         width = 2 if model.precision == "bfloat16" else 4
-        out["fit"] = of((obs + action, *model.hidden, prop + 1 + model.falls), rows, width)
+        end = prop + 1 + model.falls
+        out["fit"] = model.ensemble * of((obs + action, *model.hidden, end), rows, width)
     return out
 
 
@@ -237,6 +239,7 @@ def parse(argv: list[str] | None):
     for name in names:
         config = flags.load(name, rest)
         config.run.update(num_seeds=1, mesh_seed=1)
+        config.schedule.by_error = False  # it would choose other numbers of rows than are asked for
         configs.append(config_lib.validate(config))
     return configs, names, known.repeats, known.out, known.compile
 

@@ -110,7 +110,6 @@ def train_and_show(command: Command, stop: Stop) -> None:
     distributed.on_first(lambda: str(files.open_workdir(workdir, config, command.fresh)))
     with out.status("compiling (under a minute; half of it when cached)"):
         program = train.setup(config, command.restore)
-    steps = schedule.sim_steps(config)
     out.print(
         f"{program.device}, MJX-{program.impl.upper() if program.impl == 'jax' else 'Warp'}; "
         f"compiled in {program.compile_seconds:.0f} s"
@@ -127,7 +126,7 @@ def train_and_show(command: Command, stop: Stop) -> None:
     begun: list[tuple[float, float]] = []
 
     def show(iteration, last):
-        begun.append((float(last["seconds"]), float(steps[iteration - 1])))
+        begun.append((float(last["seconds"]), float(last["sim_steps"])))
         line = progress_line(last, begun)
         bar.update(task, completed=iteration, line=line)
         if not out.is_terminal and (10 * iteration) % config.run.num_iterations < 10:
@@ -169,9 +168,10 @@ def describe(config) -> str:
         if s.end_iteration > s.start_iteration:
             tail += f", from {s.start_steps} over iterations {s.start_iteration}-{s.end_iteration}"
     steps = schedule.sim_steps(config)[-1] / 1e6
+    least = "at least " * s.by_error
     return (
         f"trains {config.robot}: {r.num_envs} robots{seeds}, {r.horizon} rows an iteration, {tail}\n"
-        f"{run.num_iterations} iterations, {steps:.2f} M simulator steps; "
+        f"{run.num_iterations} iterations, {least}{steps:.2f} M simulator steps; "
         f"about {memory.total(config) / 2**30:.1f} GiB of memory{over}"
     )
 

@@ -229,7 +229,7 @@ def predict(
     if model.bounds is not None:
         prop = jnp.clip(prop, model.bounds[0, :size], model.bounds[1, :size])
     if static.known_reward:
-        reward += jax.vmap(partial(env.known_reward, task))(shown, action, prop)
+        reward += jax.vmap(partial(env.known_reward, task))(shown, action, prop[:, : env.prop_size])
     if model.bounds is not None:
         reward = jnp.clip(reward, model.bounds[0, size], model.bounds[1, size])
     lives = 1 - jax.nn.sigmoid(y[..., -1] + FALL_LOGIT) if static.falls else jnp.ones_like(reward)

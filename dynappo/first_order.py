@@ -25,8 +25,8 @@ def gradient(
     """The gradient of -w J / (H unit) in `params`, that of the critic 0; w is `ppo.first_order_weight`.
 
     `static` and `hyper` are the config's group `ppo`, `step` and `state` of a tail (algorithm.py),
-    `keys(k)` those of its k-th step. `unit` is the deviation of the advantages, by which PPO divides too;
-    H because PPO's loss is a mean over actions.
+    `keys(k)` those of its k-th step. `unit` is the deviation of all advantages, about what PPO divides them
+    by; H because PPO's loss is a mean over actions.
     """
     steps = static.first_order_steps
 

@@ -58,7 +58,7 @@ def estimate(config, impl: str = "auto") -> Estimate:
     """What a validated config needs; `impl` is the engine, "auto" counts as both."""
     parts = phases(config, impl)
     largest = max(parts, key=lambda name: parts[name])
-    state = STATES * (STATE + past(config))
+    state = STATES * STATE
     networks = [(OBS, *config.ppo.hidden, ACTION), (OBS, *config.ppo.hidden, 1)]
     if schedule.uses_model(config):
         private = PRIVATE * config.model.private
@@ -66,7 +66,7 @@ def estimate(config, impl: str = "auto") -> Estimate:
         networks += config.model.ensemble * [network]
     weights = sum((a + 1) * b for sizes in networks for a, b in zip(sizes, sizes[1:], strict=False))
     return Estimate(
-        robot=parts[largest] + state,
+        robot=parts[largest] + state + STATES * past(config),
         judged=physics(config, impl) + state,
         engine=0 if impl == "jax" else beside(config),
         seed=6 * FLOAT * weights,  # with Adam's two moments, and as many again while they change
@@ -103,6 +103,8 @@ def phases(config, impl: str = "auto") -> dict[str, int]:
 
 def past(config) -> int:
     """Bytes of one robot in the rows of earlier iterations (model_rows.remember)."""
+    if not schedule.uses_model(config):
+        return 0
     kept = config.rollout.horizon - config.schedule.end_steps
     sizes = OBS + ACTION + PROP + 2 + 2 * PRIVATE * config.model.private + config.model.falls
     return FLOAT * config.model.history * kept * sizes
@@ -146,10 +148,11 @@ def _kinds(config, e: Estimate, robots: int, seeds: int) -> dict[str, int]:
     run = config.run
     robots, judged = -(-robots // run.mesh_env), -(-run.eval_envs // run.mesh_env)
     seeds = seeds // run.mesh_seed
+    kept = STATES * (STATE + past(config))
     sets = seeds + (seeds > 1)  # Warp also gets arrays for the robots of one seed
     return {
         "training": e.fixed + seeds * (e.seed + robots * e.robot),
-        "evaluation": e.fixed + seeds * (e.seed + robots * STATES * STATE + judged * e.judged),
+        "evaluation": e.fixed + seeds * (e.seed + robots * kept + judged * e.judged),
         "engine": e.fixed + BESIDE * sets * (robots + judged) * e.engine,
     }
 

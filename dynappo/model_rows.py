@@ -19,7 +19,12 @@ MARGIN = 0.05  # of the range of real rows, by which a prediction may leave it
 
 
 def carried_size(static, env: Env) -> int:
-    """Numbers that the model carries and predicts; `static` is the config's group `model`."""
+    """Numbers that the model carries and predicts; `static` is the config's group `model`.
+
+    ValueError with `model.private` where the environment has nothing private.
+    """
+    if static.private and not env.private_size:
+        raise ValueError("model.private is True, but this environment has no private numbers")
     return env.prop_size + (env.private_size if static.private else 0)
 
 
@@ -52,7 +57,7 @@ def targets(static, env: Env, rows: Transition, task=None) -> Float[Array, "... 
     (obs, after), reward, fell = before_and_after(static, env, rows), rows.reward, 1 - rows.discount
     if static.known_reward:
         known = jax.vmap(jax.vmap(partial(env.known_reward, task)))
-        reward = reward - known(rows.obs, rows.action, rows.next_prop)
+        reward = reward - known(rows.obs, rows.action, rows.next_prop[..., : env.prop_size])
     if static.predict_change:
         after = after - obs[..., : after.shape[-1]]
     columns = [after, reward[..., None] / env.dt] + [fell[..., None]] * static.falls

@@ -21,6 +21,8 @@ LOG_2PI = 1.8378770664093453
 PRECISION = {"highest": "highest", "tf32": "tensorfloat32", "bfloat16": "default"}
 
 PARTS = ("kernel", "bias")  # of a layer
+# of a last layer: in bfloat16 a value of 5 would be rounded by up to 0.016, half the reward of a step
+FLOAT32_DOT = partial(jax.lax.dot_general, preferred_element_type=jnp.float32)
 
 
 class MLP(nn.Module):
@@ -35,14 +37,16 @@ class MLP(nn.Module):
         dtype = jnp.bfloat16 if self.precision == "bfloat16" else jnp.float32
         for i, size in enumerate(self.sizes):
             bound = x.shape[-1] ** -0.5
+            last = i == len(self.sizes) - 1
             x = nn.Dense(
                 size,
                 dtype=dtype,
+                dot_general=FLOAT32_DOT if last else None,
                 precision=PRECISION[self.precision],
                 kernel_init=_uniform(bound),
                 bias_init=_uniform(bound),
             )(x)
-            if i < len(self.sizes) - 1:
+            if not last:
                 x = getattr(nn, self.activation)(x)
         return x.astype(jnp.float32)
 
@@ -93,8 +97,7 @@ def policy_and_value(static, params: dict, obs: Float[Array, "... O"]):
     """`(policy(...), value(...))`: the same numbers, a hidden layer of both networks as one product.
 
     Half as many and larger matrix products: with it an update takes 9.0 ms in float32 (9.4 without), 6.4 in
-    TF32, 5.0 in bfloat16 (H200; experiments/03_speed/peers.md). In bfloat16 the last products are float32: a
-    value of 5 would be rounded by up to 0.016, as much as half the reward of a step.
+    TF32, 5.0 in bfloat16 (H200; experiments/03_speed/peers.md). In bfloat16 the last products are float32.
     """
     dtype = jnp.bfloat16 if static.precision == "bfloat16" else jnp.float32
     dot = partial(jnp.einsum, precision=PRECISION[static.precision])

@@ -285,7 +285,7 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
     flag("--episodes", metavar="N", help=f"episodes of the training task, on MJX; {default}")
     flag("--randomize", action="store_true", help="these with noise, pushes, randomised physics")
     flag("--seed", metavar="N", help="of their commands and starts; default: 0")
-    flag("--fast", action="store_true", help="without these: C MuJoCo only, half a minute")
+    flag("--fast", action="store_true", help="without these: C MuJoCo only, seconds")
     flag("--out", metavar="DIR", type=Path, help="default: WORKDIR/evaluation, or evaluation-NAME")
     flags = flags_lib.read(parser, argv)
     if flags.what is None:

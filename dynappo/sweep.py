@@ -14,7 +14,8 @@ KL. So nothing of the method knows of devices, and E devices with R robots each 
 with E R robots computes; no random number depends on where a robot lies. Only physics is told to
 stay where its robots are (`algorithm.physics_step`).
 
-Which axis: seeds talk to nobody, so `seed` costs nothing and comes first. Robots of one seed on
+Which axis: seeds talk to nobody (but with `schedule.by_error`, whose tail is one for all), so `seed`
+costs nothing and comes first. Robots of one seed on
 `env` sum gradients after each minibatch, which pays where a device has thousands of robots
 (experiments/02_scaling).
 """

@@ -209,6 +209,7 @@ def loop(
             start, state, history = files.resume(config, workdir, checkpoints, state, say)
             sinks = log.sinks(config, workdir, start) if writes else []
         seconds = float(history[0]["seconds"][-1]) if history else 0.0
+        # only the first process has the history, and only there the number is written
         sim_steps = int(history[0]["sim_steps"][-1]) if history else 0
         waiting = None
         for first in range(start, run.num_iterations, run.log_every):

@@ -145,6 +145,11 @@ def validate(config: config_dict.ConfigDict) -> config_dict.FrozenConfigDict:
             f"run.time_phases is True with run.num_seeds = {config.run.num_seeds}: "
             "phases are measured on one seed only"
         )
+    if config.run.time_phases and config.schedule.by_error:
+        raise ConfigError(
+            "run.time_phases is True with schedule.by_error = True: phases are differences between "
+            "numbers of rows, which the model's error would change"
+        )
     for field in ("ppo.gamma", "ppo.lambda_", "model.stats_decay", "task.standing"):
         if not 0 <= fields[field] <= 1:
             raise ConfigError(f"{field} is {fields[field]}, expected a number from 0 to 1")

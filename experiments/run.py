@@ -10,7 +10,7 @@ the evaluation of each seed, the config's differences, hardware). NAME is the jo
 To keep a CSV of 500 iterations and 5 seeds below 150 kB, numbers have four digits, and after the 20th
 iteration all columns but those of `EACH` are written in every fifth only. `--thin 10` keeps every
 tenth row; best and final return in the JSON are of all rows. `--policies` writes OUT/NAME.npz, the policy
-of the seed with the highest return, for `play`, `evaluate` and `export` (340 kB; not to be committed).
+of the seed with the highest return (of the evaluation, if there is one), for `play`, `evaluate` and `export` (340 kB; not to be committed).
 `--lock FILE`: of several batches on one GPU only one trains at a time, while the others compile.
 """
 
@@ -22,10 +22,11 @@ import re
 import time
 from pathlib import Path
 
+import jax
 import numpy as np
 
 from dynappo import config as config_lib
-from dynappo import files, log, policy_file, train
+from dynappo import log, policy_file, train
 
 KEPT = (
     "iteration sim_steps seconds episode_return episode_length velocity_error policy_std "
@@ -72,7 +73,11 @@ def batch(out: Path, jobs, seeds: int, settings=(), thin=1, policies=False, lock
         summary["policy_std"] = np.ravel(metrics["policy_std"][-10:].mean(0)).tolist()
         summary |= {"job": job, "set": list(settings), "date": f"{datetime.date.today()}"}
         if policies:
-            params = files.best_params(state.learner.params, metrics)
+            worth = summary.get("evaluation", summary)["return"]
+            summary["policy_seed"] = int(np.argmax(worth))
+            params = jax.device_get(state.learner.params)
+            if seeds > 1:
+                params = jax.tree.map(lambda leaf, s=summary["policy_seed"]: leaf[s], params)
             policy_file.save(path.with_suffix(".npz"), params, config, program.robot)
         log.write_json(path, summary)
         print(row(job, summary), f"{time.perf_counter() - began:6.0f}", flush=True)

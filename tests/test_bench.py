@@ -2,11 +2,13 @@
 
 from types import SimpleNamespace
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import toy_env
 
-from dynappo import bench
+from dynappo import algorithm, bench
 
 GO1 = "--config=configs/go1.py:quick"
 
@@ -56,6 +58,21 @@ def clockwork(monkeypatch, seconds):
 
     config = SimpleNamespace(run=SimpleNamespace(log_every=2))
     return [config, config], [program(name) for name in seconds]
+
+
+def test_ramps_by_error_are_off_because_they_choose_their_own_rows():
+    ((config,), *_) = bench.parse([GO1, "--config.schedule.by_error=True"])
+    assert not config.schedule.by_error
+
+
+@pytest.mark.parametrize("private", [False, True])
+def test_a_row_of_the_tail_is_timed_with_what_the_model_carries(private):
+    on = {"model.clean": True, "model.private": private}
+    _, static, hyper = toy_env.settings(toy_env.TAIL | on)
+    env = toy_env.make()
+    state = algorithm.init(env, hyper, jax.random.key(0), static=static)
+    program = SimpleNamespace(static=static, env=env, hyper=hyper)
+    assert abs(bench._tail_row(program, state, rows=4)) < 1e3  # ms, of which nothing else is said
 
 
 def test_two_configs_take_turns_and_the_ratio_is_of_an_iteration(monkeypatch):

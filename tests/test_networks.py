@@ -35,6 +35,18 @@ def test_mean_and_value_are_those_of_rsl_rls_networks(static, peer, typed, from_
     typed(networks.value)(static, params, obs)
 
 
+def test_in_bfloat16_no_output_is_rounded_to_it(settings):
+    """Values near 5 would be multiples of 1 / 32."""
+    static = settings({"ppo.hidden": (64,), "ppo.precision": "bfloat16"})[0].ppo
+    params = networks.init_policy(static, 1.0, OBS, ACTIONS, jax.random.key(0))
+    params["critic"]["params"]["Dense_1"]["bias"] += 5.0
+    obs = jax.random.normal(jax.random.key(1), (200, OBS))
+    outputs = [networks.policy(static, params, obs), networks.value(static, params, obs)]
+    for out in (*outputs, *networks.policy_and_value(static, params, obs)):
+        rounded = out.astype(jnp.bfloat16).astype(jnp.float32)
+        assert (out != rounded).mean() > 0.9
+
+
 @pytest.mark.parametrize("hidden", [(24,), (32, 16, 8)])
 @pytest.mark.parametrize("precision", ["highest", "bfloat16"])
 def test_both_networks_at_once_say_what_each_says_alone(settings, typed, hidden, precision):

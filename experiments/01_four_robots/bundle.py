@@ -4,8 +4,8 @@
     python experiments/01_four_robots/bundle.py go1=OUT/go1_best anymal_c=OUT/anymal_c_best ...
 
 Takes NAME.npz and NAME.json of run.py; writes robots/ROBOT/policy.npz without the value function,
-which only training needs, and policy.json with what is known of it. Of several seeds it is the one with the
-highest return.
+which only training needs, and policy.json with what is known of it. Of several seeds it is the one that
+run.py chose.
 """
 
 import json
@@ -32,7 +32,8 @@ def main():
         folder = Path("robots") / name
         policy_file.save(folder / "policy.npz", params, config, robot_lib.load(name))
         summary = json.loads(Path(f"{source}.json").read_text())
-        seed = int(np.argmax(summary["return"]))  # 0 where there is one
+        # files of before 2026-11-22 hold the seed with the highest return in the end; 0 where there is one
+        seed = summary.get("policy_seed", int(np.argmax(summary["return"])))
         known = {"seed": seed} | {k: summary[k] for k in KEEP.split() if k in summary}
         log.write_json(folder / "policy.json", of_seed(known, seed))
         print(name, (folder / "policy.npz").stat().st_size // 1000, "kB")

@@ -13,6 +13,7 @@ import contextlib
 import functools
 import gzip
 import json
+import tempfile
 import time
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
@@ -324,12 +325,13 @@ def main():
     (args.out / "times.json").write_text(json.dumps(results))
     for name in args.profile:
         if name in ready:
-            with jax.profiler.trace(f"/tmp/profile/{name}"):
-                jax.block_until_ready(ready[name][0]())
-            for file in Path(f"/tmp/profile/{name}").rglob("*.xplane.pb"):
-                plain = name.replace(": ", "-").replace(" ", "-")
-                packed = gzip.compress(file.read_bytes())
-                (args.out / f"{plain}.xplane.pb.gz").write_bytes(packed)
+            plain = name.replace(": ", "-").replace(" ", "-")
+            with tempfile.TemporaryDirectory() as folder:
+                with jax.profiler.trace(folder):
+                    jax.block_until_ready(ready[name][0]())
+                for file in Path(folder).rglob("*.xplane.pb"):
+                    packed = gzip.compress(file.read_bytes())
+                    (args.out / f"{plain}.xplane.pb.gz").write_bytes(packed)
     if args.errors:
         results["errors"] = gradient_errors(static, hyper, learner, batch)
         for name, error in results["errors"].items():

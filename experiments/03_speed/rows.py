@@ -22,6 +22,7 @@ import argparse
 import gzip
 import json
 import re
+import tempfile
 import time
 from functools import partial
 from pathlib import Path
@@ -294,7 +295,8 @@ def main():
         watch_host()
     bench = Bench(args.worlds, args.impl)
     names = ("qpos", "qvel", "qacc_warmstart")
-    np.savez("/tmp/states.npz", **{k: np.asarray(getattr(bench.state, k)) for k in names})
+    states = args.out.with_name("states.npz")  # for raw.py --states
+    np.savez(states, **{k: np.asarray(getattr(bench.state, k)) for k in names})
     print(f"set up {time.perf_counter() - clock:.0f} s", flush=True)
     wanted = re.compile(args.cases.replace(",", "|") or ".")
     traced = re.compile(args.trace.replace(",", "|") or "^$")
@@ -368,10 +370,10 @@ def main():
         if not traced.search(name):
             continue
         try:
-            folder = f"/tmp/trace_{name}"
-            with jax.profiler.trace(folder):
-                jax.block_until_ready(function(*inputs))
-            summary = summarise(folder, hlo[name], 1)
+            with tempfile.TemporaryDirectory() as folder:
+                with jax.profiler.trace(folder):
+                    jax.block_until_ready(function(*inputs))
+                summary = summarise(folder, hlo[name], 1)
         except Exception as error:
             summary = {"error": repr(error)[:500]}
         result["traces"][name] = summary

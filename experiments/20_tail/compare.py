@@ -94,7 +94,7 @@ def table(group: str, names) -> list[dict]:
         row["policy_std"] = paper.policy_std(run).mean()
         returns = {"difference": paper.final, "all": of_all, "evaluated": evaluated}
         for label, of in returns.items():
-            if base and name != names[0]:
+            if base and name != names[0] and ("seed5" in name) == ("seed5" in names[0]):
                 low, high = curves.interval(of(run) - of(base))
                 row |= {f"{label}_low": float(low), f"{label}_high": float(high)}
         if "evaluation" in run.summary:
