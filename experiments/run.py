@@ -10,8 +10,9 @@ the evaluation of each seed, the config's differences, hardware). NAME is the jo
 To keep a CSV of 500 iterations and 5 seeds below 150 kB, numbers have four digits, and after the 20th
 iteration all columns but those of `EACH` are written in every fifth only. `--thin 10` keeps every
 tenth row; best and final return in the JSON are of all rows. `--policies` writes OUT/NAME.npz, the policy
-of the seed with the highest return (of the evaluation, if there is one), for `play`, `evaluate` and `export` (340 kB; not to be committed).
-`--lock FILE`: of several batches on one GPU only one trains at a time, while the others compile.
+of the seed with the highest return (of the evaluation, if there is one), for `play`, `evaluate` and
+`export` (340 kB; not to be committed). `--lock FILE`: of several batches on one GPU only one trains at
+a time, while the others compile.
 """
 
 import argparse

@@ -32,7 +32,7 @@ def main():
         folder = Path("robots") / name
         policy_file.save(folder / "policy.npz", params, config, robot_lib.load(name))
         summary = json.loads(Path(f"{source}.json").read_text())
-        # files of before 2026-11-22 hold the seed with the highest return in the end; 0 where there is one
+        # without it, that of the highest return in the end: 0 where there is one seed
         seed = summary.get("policy_seed", int(np.argmax(summary["return"])))
         known = {"seed": seed} | {k: summary[k] for k in KEEP.split() if k in summary}
         log.write_json(folder / "policy.json", of_seed(known, seed))
