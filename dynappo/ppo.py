@@ -26,6 +26,9 @@ from dynappo import networks
 from dynappo.types import Learner, Metrics
 
 
+METRICS = ("kl", "surrogate_loss", "value_loss", "entropy")  # of every step
+
+
 class Batch(NamedTuple):
     """What the loss reads; `[N, R]` or `[B]` in front."""
 
@@ -175,9 +178,13 @@ def update(
 
     def step(learner, i):
         rows = jax.tree.map(lambda x: x[i % static.minibatches], shuffled)
-        return minibatch_step(static, hyper, unflatten, learner, rows, old_std, constant)
+        learner, metrics = minibatch_step(
+            static, hyper, unflatten, learner, rows, old_std, constant
+        )
+        return learner, jnp.stack([metrics[name] for name in METRICS])  # one array: one kernel
 
     steps = jnp.arange(static.epochs * static.minibatches)
-    learner, metrics = jax.lax.scan(step, learner.replace(params=params), steps)
-    metrics = jax.tree.map(jnp.mean, metrics) | {"learning_rate": learner.learning_rate}
+    learner, table = jax.lax.scan(step, learner.replace(params=params), steps)
+    metrics = dict(zip(METRICS, table.mean(0), strict=True))
+    metrics["learning_rate"] = learner.learning_rate
     return learner.replace(params=unflatten(learner.params)), metrics

@@ -75,7 +75,7 @@ def test_the_known_reward_reads_the_policys_observation_and_not_the_private_numb
 
 def test_a_model_that_knows_the_body_predicts_its_robot_better(env):
     """b multiplies the action in the toy's physics; without it the model can only know the mean."""
-    rng, count, errors = np.random.default_rng(0), 512, {}
+    rng, count, errors = np.random.default_rng(0), 256, {}
     prop, action = (rng.normal(size=(N, count, k)) for k in (3, 2))
     body = rng.uniform(0.5, 2.0, count)
     after, own = (
@@ -91,7 +91,7 @@ def test_a_model_that_knows_the_body_predicts_its_robot_better(env):
         rows = rows.replace(valid=rows.valid + 1, discount=rows.discount + 1)
         model = dynamics.init(static.model, env, jax.random.key(0))
         fit = jax.jit(partial(dynamics.fit, static.model, hyper.model, env))
-        model, _ = fit(model, rows, jnp.int32(N), jnp.int32(200), jax.random.key(1), hyper.task)
+        model, _ = fit(model, rows, jnp.int32(N), jnp.int32(120), jax.random.key(1), hyper.task)
         obs = model_rows.before_and_after(static.model, env, rows)[0]
         call = partial(dynamics.predict, static.model, env, model, task=hyper.task)
         found = jax.vmap(call)(obs, rows.action)[0][..., :2]
