@@ -26,7 +26,7 @@ from dynappo import networks
 from dynappo.types import Learner, Metrics
 
 
-METRICS = ("kl", "surrogate_loss", "value_loss", "entropy")  # of every step
+METRICS: tuple[str, ...] = ("kl", "surrogate_loss", "value_loss", "entropy")  # of every step
 
 
 class Batch(NamedTuple):
