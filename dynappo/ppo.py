@@ -25,7 +25,6 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from dynappo import networks
 from dynappo.types import Learner, Metrics
 
-
 METRICS: tuple[str, ...] = ("kl", "surrogate_loss", "value_loss", "entropy")  # of every step
 
 
