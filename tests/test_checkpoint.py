@@ -44,6 +44,13 @@ def tail(state):
     return state(toy_env.TAIL)
 
 
+@pytest.fixture(scope="module")
+def ideas(state):
+    """A state with everything that a model may carry beside its networks."""
+    on = {"model.clean": True, "model.private": True, "model.history": 2, "model.ensemble": 2}
+    return state(toy_env.TAIL | on | {"model.bounds": True, "schedule.by_error": True})
+
+
 @pytest.fixture
 def checkpoints(tmp_path):
     """`checkpoints()` is a manager of the test's own workdir."""
@@ -68,7 +75,7 @@ def assert_same(one, other):
         np.testing.assert_array_equal(x, y, jax.tree_util.keystr(path))
 
 
-@pytest.mark.parametrize("kind", ["plain", "tail"])
+@pytest.mark.parametrize("kind", ["plain", "tail", "ideas"])
 def test_a_state_comes_back_to_the_bit(checkpoints, request, kind):
     """Weights, moments, physics, rings with NaN and the typed key, with a model and without."""
     state = request.getfixturevalue(kind)
