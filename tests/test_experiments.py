@@ -9,13 +9,17 @@ import json
 import pathlib
 import subprocess
 import sys
+from functools import partial
 from types import SimpleNamespace
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
+import toy_env
 
+from dynappo import algorithm, log, policy_file
 from dynappo import config as config_lib
-from dynappo import log, policy_file
 from experiments import paper, run
 
 ROOT = pathlib.Path(config_lib.__file__).parent.parent
@@ -357,3 +361,43 @@ def test_every_folder_runs_on_two_cores_and_again_from_what_is_there(tmp_path):
         assert (out / "results.csv").read_bytes() == first
         assert {p: p.stat().st_mtime_ns for p in out.glob("results/*")} == trained
         assert list(out.glob("*.png")) and list(out.glob("*.svg"))
+
+
+# 20_tail
+
+
+def test_the_tail_table_counts_steps_seconds_and_pairs_seeds(tmp_path, monkeypatch):
+    """Two runs of two seeds by hand; the second has the return of all episodes, the third nothing."""
+    compare = module("20_tail.compare")
+    monkeypatch.setattr(compare, "FOLDERS", (tmp_path,))
+    keep(tmp_path, "base", [[0.0, 0.0], [4.0, 5.0], [9.0, 7.0], [10.0, 10.0]])
+    keep(tmp_path, "tail", [[8.0, 1.0], [9.0, 8.5], [11.0, 12.0], [12.0, 12.0]])
+    base, tail, none = compare.table("group", ("base", "tail", "missing"))
+    assert none == {"group": "group", "run": "missing"}
+    assert base["limit"] == tail["limit"] == 8.0 and tail["seeds"] == "2 of 2"
+    assert base["steps_M_mean"] == pytest.approx((3000 + 4000) / 2 / 1e6)
+    assert tail["steps_M_mean"] == pytest.approx((1000 + 2000) / 2 / 1e6)
+    assert tail["share_pct"] == tail["seconds_share_pct"] == pytest.approx(100 * 1.5 / 3.5)
+    difference = np.array([10.0, 8.375]) - [5.75, 5.5]
+    assert difference.min() <= tail["difference_low"] <= tail["difference_high"] <= difference.max()
+    assert np.isnan(tail["all_low"]) and tail["evaluated_low"] == tail["evaluated_high"] == 0
+
+
+def test_the_model_is_measured_offline_on_rows_that_it_has_not_seen():
+    """On the toy: the policy stays as it is, eight rows an iteration, and the error falls."""
+    offline = module("20_tail.offline")
+    config, static, hyper = toy_env.settings(
+        toy_env.TAIL | {"rollout.horizon": 12, "model.clean": True, "model.minibatches": 3}
+    )
+    env = toy_env.make()
+    state = algorithm.init(env, hyper, jax.random.key(0), static=static)
+    step = jax.jit(partial(offline.iterate, env, static=static))
+    learner, errors = state.learner, []
+    for i in range(12):
+        state, found = step(hyper, state, jnp.int32(i), jnp.int32(5))
+        errors.append({name: float(value) for name, value in found.items()})
+    assert {"model_error_1", "model_error_4", "model_error_8", "falls", "loss"} == set(errors[0])
+    assert errors[0]["model_error_1"] > 0.8 and errors[-1]["model_error_1"] < 0.5
+    for one, other in zip(*map(jax.tree.leaves, (learner, state.learner)), strict=True):
+        np.testing.assert_array_equal(one, other)
+    assert offline.configure("model.unroll=3:model.history=0", 64).model.unroll == 3
