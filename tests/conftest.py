@@ -20,10 +20,10 @@ PEERS = pathlib.Path(__file__).parent / "peers"
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items):
-    """Half a minute of compilation a robot: by default those that differ most, with `-m slow` all."""
+    """Half a minute of compilation a robot: by default Go1 (and ANYmal-D in test_env), with `-m slow` all."""
     for item in items:
         name = getattr(item, "callspec", None) and item.callspec.params.get("name")
-        if "world" in item.fixturenames and name in ("go2", "anymal_d"):
+        if "world" in item.fixturenames and name in ("go2", "anymal_c", "anymal_d"):
             item.add_marker(pytest.mark.slow)
 
 
