@@ -251,10 +251,9 @@ def loop(
 
 def _shared(config, columns, metrics, sim_steps: int) -> dict[str, np.ndarray]:
     """Columns `[I]` that all seeds share; real rows are the schedule's, unless `metrics` has others."""
-    n_real = np.asarray(metrics.get("n_real", columns["n_real"])).reshape(
-        len(columns["n_real"]), -1
-    )
-    n_real = n_real[:, 0].astype(np.int64)
+    n_real = np.asarray(metrics.get("n_real", columns["n_real"]), np.int64)
+    if n_real.ndim > 1:
+        n_real = n_real[:, 0]  # one for all seeds
     return {
         "iteration": columns["iteration"],
         "n_real": n_real,
@@ -332,10 +331,9 @@ def summarise(config, program: Program, state, metrics) -> dict[str, Any]:
 
 def _return_of_all(config, metrics):
     """Mean return of all episodes that ended in the last episode's length of control steps."""
-    after = (
-        np.cumsum(metrics["n_real"][::-1])[::-1] - metrics["n_real"]
-    )  # steps after each iteration
-    last = after < config.task.episode_length
+    n_real = metrics["n_real"]
+    steps_after = np.cumsum(n_real[::-1])[::-1] - n_real  # those of later iterations
+    last = steps_after < config.task.episode_length
     count, total = (metrics[n][last].sum(0) for n in ("episodes", "episode_return_sum"))
     return np.where(count > 0, total / np.maximum(count, 1), np.nan)
 

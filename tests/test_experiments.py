@@ -203,6 +203,13 @@ def test_phase_times_of_table_4_make_the_minutes_of_table_5(tmp_path):
     ms = dict(physics=4.0, tail=0.5, fit=7.0, ppo=10.0)
     assert plot.derived(ms)["steps from which a tail pays"] == 2
     assert plot.derived(ms)["4-step tail of 16, sum"] == 67
+    phases = {name: {"paper": cells[name]["paper"], "ppo16": None, "dyna4": None} for name in ms}
+    for name, value in ms.items():
+        phases[name] |= {"fast": None, "best": value}
+    ours, theirs = plot.bars(phases, True), plot.bars(phases, False)
+    assert [found is None for found in ours.values()] == [True, True, True, False]
+    assert ours["best (16 of 24)"] == [8 * 4.0, 16 * 0.5, 7.0, 10.0]
+    assert [round(sum(widths or ())) for widths in theirs.values()] == [593, 522]
 
 
 def test_efficiency_counts_steps_and_success(tmp_path):

@@ -17,6 +17,9 @@ PHASES = {
     "ppo": "Policy Training (L_CLIP)",
 }
 SHADES = ("#2b2b2b", "#c8481f", "#6aa5d8", "#b9b9b9")
+NAMES = paper.VARIANTS | paper.OURS
+# real rows, synthetic rows, fits of an iteration as the schedule ends
+ROWS = {"ppo16": (16, 0, 0), "dyna4": (12, 4, 1), "fast": (12, 4, 1), "best": (8, 16, 1)}
 LABELS = ("physics", "synthetic steps", "fit of the model", "PPO update")
 
 
@@ -83,30 +86,47 @@ def derived(ms: dict) -> dict:
     return out
 
 
+def bars(ms: dict, ours: bool) -> dict[str, list[float] | None]:
+    """Label -> ms of an iteration by phase, of every bar of a panel; None where it is not measured."""
+    if not ours:
+        wanted = {
+            "PPO, 16 steps": ("paper", ROWS["ppo16"]),
+            "4-step tail": ("paper", ROWS["dyna4"]),
+        }
+    else:
+        wanted = {NAMES[name]: (name, rows) for name, rows in ROWS.items()}
+    out: dict[str, list[float] | None] = {}
+    for label, (column, (real, tail, fit)) in wanted.items():
+        if ms["ppo"][column] is None:
+            out[label] = None
+            continue
+        counts = dict(zip(PHASES, (real, tail, fit, 1), strict=True))
+        out[label] = [count * (ms[phase][column] or 0.0) for phase, count in counts.items()]
+    return out
+
+
 def draw(rows, path: Path) -> None:
-    """Bars: an iteration of PPO-16 and of the 4-step tail, by phase; each panel has its own scale."""
+    """Bars: an iteration by phase, of what is measured; each panel has its own scale."""
     page, axes = paper.figure(1, 2, (9.5, 2.6))
     ms = {row["phase"]: row for row in rows}
-    for axis, who, title in zip(
-        axes[0], ("dyna4", "paper"), ("this repository, 4096 robots", "paper (A40)"), strict=True
-    ):
+    panels = ((True, "this repository, 4096 robots"), (False, "paper (A40)"))
+    for axis, (ours, title) in zip(axes[0], panels, strict=True):
+        found = bars(ms, ours)
         axis.set_title(title, loc="left", fontsize=10)
-        axis.set(
-            xlabel="ms an iteration", yticks=[0, 1], yticklabels=["4-step tail", "PPO, 16 steps"]
-        )
-        axis.set_ylim(-0.6, 1.6)
-        if ms["fit"][who] is None:
-            paper.missing(axis)
-            continue
-        for y, (real, tail, fit) in enumerate(((12, 4, 1), (16, 0, 0))):
-            left, counts = 0.0, dict(zip(PHASES, (real, tail, fit, 1), strict=True))
-            for (phase, count), *look in zip(counts.items(), SHADES, LABELS, strict=True):
-                width, (colour, label) = count * ms[phase][who], look
-                label = label if y == 0 else ""  # once in the legend
-                axis.barh(y, width, left=left, color=colour, height=0.55, label=label)
+        axis.set(xlabel="ms an iteration", yticks=range(len(found)), yticklabels=found)
+        axis.set_ylim(len(found) - 0.4, -0.6)
+        for y, widths in enumerate(found.values()):
+            if widths is None:
+                axis.text(0, y, " not run yet", va="center", fontsize=9, color="0.6")
+                continue
+            left = 0.0
+            for width, colour in zip(widths, SHADES, strict=True):
+                axis.barh(y, width, left=left, color=colour, height=0.55)
                 left += width
             axis.text(left, y, f" {left:.0f}", va="center", fontsize=9)
         axis.margins(x=0.1)
+    for colour, label in zip(SHADES, LABELS, strict=True):  # for the legend
+        axes[0, 1].barh(0, 0, color=colour, label=label)
     paper.legend(page, axes[0, 1], 4)
     paper.save(page, path)
 
