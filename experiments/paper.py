@@ -57,12 +57,13 @@ class Run(NamedTuple):
 
 
 def options(folder: Path, about: str) -> argparse.Namespace:
-    """`quick` and `out` of a command line: where results/, tables and figures go."""
+    """A command line: `quick`; `out`, where results/, tables and figures go; `lock`, as of run.py."""
     parser = argparse.ArgumentParser(
         description=about, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--quick", action="store_true", help="tiny, on two CPU cores, in minutes")
     parser.add_argument("--out", type=Path, help=f"default: {folder.name}, or runs/quick/ of it")
+    parser.add_argument("--lock", type=Path, help="a file that one process holds while it trains")
     args = parser.parse_args()
     args.out = args.out or (Path("runs/quick") / folder.name if args.quick else folder)
     if args.quick:  # half of its time would be LLVM's optimisation of programs that run for seconds
@@ -107,7 +108,7 @@ def read(path: Path) -> dict[str, np.ndarray]:
     return {n: np.array([float(r[n] or "nan") for r in rows]).reshape(-1, seeds) for n in rows[0]}
 
 
-def chunks(config):
+def chunks(config, lock: Path | None = None):
     """Train, and yield `(program, iterations done, state, metrics)` after each `run.log_every` of them.
 
     For what `train.loop` keeps to itself: the state. It is given away when the next chunk begins.
@@ -116,16 +117,18 @@ def chunks(config):
     import jax.numpy as jnp
 
     from dynappo import train
+    from experiments import run
 
     program = train.setup(config)
     state, every = program.state, config.run.log_every
-    for first in range(0, config.run.num_iterations, every):
-        columns = {n: jnp.asarray(c[first : first + every]) for n, c in program.columns.items()}
-        state, metrics = program.step(program.hyper, state, columns)
-        metrics = jax.device_get(metrics)
-        if not np.isfinite(metrics["policy_std"]).all():
-            raise FloatingPointError(f"training has blown up before iteration {first + every}")
-        yield program, first + every, state, metrics
+    with run.alone(lock):
+        for first in range(0, config.run.num_iterations, every):
+            columns = {n: jnp.asarray(c[first : first + every]) for n, c in program.columns.items()}
+            state, metrics = program.step(program.hyper, state, columns)
+            metrics = jax.device_get(metrics)
+            if not np.isfinite(metrics["policy_std"]).all():
+                raise FloatingPointError(f"training has blown up before iteration {first + every}")
+            yield program, first + every, state, metrics
 
 
 def status(run: Run | None) -> str:

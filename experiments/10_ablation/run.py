@@ -20,7 +20,7 @@ def main():
     grid = [(16, 12), (32, 16)] if args.quick else plot.GRID
     seeds, settings = (2, paper.QUICK) if args.quick else (SEEDS, SETTINGS)
     jobs = [plot.job(envs, horizon) for envs, horizon in grid]
-    run.batch(args.out / "results", jobs, seeds, settings, thin=5 if args.quick else 10)
+    run.batch(args.out / "results", jobs, seeds, settings, thin=5 if args.quick else 10, lock=args.lock)
     plot.make(args.out, grid)
 
 

@@ -25,15 +25,15 @@ AT = (5, 10, 15, 20, 30, 40, 50, 75, 100, 150, 200, 250, 300, 350, 400, 450, 500
 def main():
     args = paper.options(Path(__file__).parent, __doc__ or "")
     if not (args.out / "results" / "about.json").exists():
-        measure(args.out / "results", args.quick)
+        measure(args.out / "results", args.quick, args.lock)
     plot.make(args.out)
 
 
-def measure(folder: Path, quick: bool) -> None:
+def measure(folder: Path, quick: bool, lock: Path | None) -> None:
     settings = (f"run.log_every={EVERY}", "run.eval_envs=0", "run.checkpoint_every=0")
     config = run.configure("go1:dyna4", 2 if quick else SEEDS, paper.QUICK if quick else settings)
     losses, errors, began, program, ask = [], [], time.perf_counter(), None, None
-    for program, done, state, metrics in paper.chunks(config):
+    for program, done, state, metrics in paper.chunks(config, lock):
         for i in range(EVERY):
             for s, values in enumerate(zip(*(metrics[n][i] for n in plot.LOSSES), strict=True)):
                 row = {"iteration": done - EVERY + i + 1, "seed": s}

@@ -22,7 +22,7 @@ def main():
     seeds, settings = SEEDS, ()
     if args.quick:
         jobs, seeds, settings = ["go1:ppo16", "go1:dyna4"], 2, paper.QUICK
-    run.batch(args.out / "results", jobs, seeds, settings)
+    run.batch(args.out / "results", jobs, seeds, settings, lock=args.lock)
     plot.make(args.out)
 
 

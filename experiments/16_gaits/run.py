@@ -17,7 +17,7 @@ import plot
 from dynappo import policy_file
 from experiments import paper, run
 
-SEEDS, SECONDS = 5, 10.0
+SEEDS, SECONDS = 3, 10.0
 AT = (300, 400, 500)
 SETTINGS = ("run.eval_envs=0", "run.checkpoint_every=0")
 
@@ -28,7 +28,7 @@ def main():
     policies, results = args.out / "policies", args.out / "results"
     for variant in plot.VARIANTS:
         if not policy(policies, variant, at[-1], seeds - 1).exists():
-            keep(policies, variant, at, seeds, settings)
+            keep(policies, variant, at, seeds, settings, args.lock)
     if not (results / "episodes.csv").exists():
         rows, poses = [], {}
         for variant in plot.VARIANTS:
@@ -51,11 +51,11 @@ def policy(folder: Path, variant: str, iteration: int, seed: int) -> Path:
     return folder / f"go1_{variant}_{iteration}_seed{seed}.npz"
 
 
-def keep(folder: Path, variant: str, at, seeds: int, settings) -> None:
+def keep(folder: Path, variant: str, at, seeds: int, settings, lock=None) -> None:
     """Train, and write the actor of every seed at the iterations `at`."""
     folder.mkdir(parents=True, exist_ok=True)
     config = run.configure(f"go1:{variant}", seeds, settings)
-    for program, done, state, _ in paper.chunks(config):
+    for program, done, state, _ in paper.chunks(config, lock):
         if done in at:
             actor = jax.device_get(state.learner.params["actor"])
             for s in range(seeds):
