@@ -49,6 +49,11 @@ QUICK = (
 ).split()
 
 
+def variants(robot: str) -> tuple[str, ...]:
+    """Of a robot's tables: the paper's and ours; `fast` was run on Go1 only."""
+    return (*VARIANTS, *(name for name in OURS if name != "fast" or robot == "go1"))
+
+
 class Run(NamedTuple):
     """A run that has ended; no columns if it diverged."""
 

@@ -23,7 +23,7 @@ from dynappo import config as config_lib
 from experiments import paper, run
 
 ROOT = pathlib.Path(config_lib.__file__).parent.parent
-FOLDERS = "10_ablation 12_platforms 11_model 13_step_time 14_efficiency 15_curves 16_gaits".split()
+FOLDERS = "10_ablation 12_platforms 11_model 13_step_time 14_efficiency 15_curves 16_gaits 17_regimes".split()
 
 
 def module(name):
@@ -163,13 +163,68 @@ def test_the_ablation_names_its_best_cell_and_what_the_paper_says_of_its_own(tmp
     assert module("14_efficiency.plot").ablation_peak(tmp_path) == 31
 
 
+def test_a_cell_that_another_folder_has_is_read_from_there(tmp_path, monkeypatch):
+    """12_platforms has 4096 robots and 12 rows; not 2048 robots. An own run comes first."""
+    ablation = module("10_ablation.plot")
+    monkeypatch.setattr(ablation, "PLATFORMS", tmp_path / "other")
+    keep(tmp_path / "other", "go1_ppo12", [[7.0] * 5] * 12)
+    cells = ablation.build(tmp_path / "own", [(2048, 12), (4096, 12)])
+    assert [cell["status"] for cell in cells] == ["not run", ""]
+    assert (cells[1]["seeds"], cells[1]["max_reward_mean"]) == (5, 7)
+    other = run.configure("go1:ppo12", 5).to_dict()
+    assert run.configure(ablation.job(4096, 12), 5).to_dict() == other  # the same setting
+    keep(tmp_path / "own", run.name(ablation.job(4096, 12)), [[3.0] * 3] * 12)
+    assert ablation.build(tmp_path / "own", [(4096, 12)])[0]["seeds"] == 3
+
+
+def test_regimes_are_judged_by_the_threshold_of_their_task(tmp_path, monkeypatch):
+    regimes = module("17_regimes.plot")
+    few, usual = regimes.Regime("few", 64), regimes.Regime("usual", 4096)
+    words = regimes.Regime("words", 64, "task.formulation=paper_text")
+    monkeypatch.setattr(regimes, "__file__", str(tmp_path / "17_regimes" / "plot.py"))
+    jobs = {
+        (usual, "ppo16"): [[10, 10], [20, 30], [40, 40]],  # 80 % of 40 is 32
+        (few, "ppo16"): [[1, 1], [31, 33], [31, 34]],
+        (few, "dyna4"): [[33, 35], [34, 34], [34, 34]],
+        (words, "ppo16"): [[1, 1], [6, 9], [10, 10]],  # of its own task: 8
+    }
+    for (regime, variant), returns in jobs.items():
+        keep(tmp_path, run.name(regimes.job(regime, variant)), returns)
+    rows = regimes.build(tmp_path, [few, usual, words])
+    assert len(rows) == 3 * len(regimes.VARIANTS)
+    one = paper.pick(rows, regime="few", variant="ppo16")
+    assert (one["limit"], one["success_rate_pct"], one["sim_steps_M_mean"]) == (32, 50, 0.002)
+    tail = paper.pick(rows, regime="few", variant="dyna4")
+    assert (tail["success_rate_pct"], tail["share_of_ppo16_pct"]) == (100, 50)
+    assert tail["p_vs_ppo16"] == paper.welch_of([34, 35], [31, 34])
+    own = paper.pick(rows, regime="words", variant="ppo16")
+    assert (own["limit"], own["sim_steps_M_mean"]) == (8, 0.0025)
+    regimes.draw(rows, [few, usual, words], tmp_path / "regimes")
+    assert (tmp_path / "regimes.svg").exists()
+
+
+def test_a_regime_is_read_from_the_folder_that_has_it(tmp_path, monkeypatch):
+    regimes = module("17_regimes.plot")
+    monkeypatch.setattr(regimes, "__file__", str(tmp_path / "17_regimes" / "plot.py"))
+    cell = regimes.Regime("", 2048)
+    for folder, name in (
+        ("10_ablation", "go1_ppo16_rollout.num_envs_2048_rollout.horizon_12"),
+        ("20_tail", "go1_best_2048"),
+    ):
+        keep(tmp_path / folder / "results", name, [[1.0, 2.0]] * 12)
+    have = [v for v in regimes.VARIANTS if regimes.found(tmp_path, regimes.job(cell, v))]
+    assert have == ["ppo12", "best"]
+    other = regimes.Regime("", 2048, "task.formulation=paper_text")
+    assert not any(regimes.found(tmp_path, regimes.job(other, v)) for v in regimes.VARIANTS)
+
+
 def test_the_platforms_are_compared_with_both_baselines_and_the_paper(tmp_path):
     platforms = module("12_platforms.plot")
     keep(tmp_path, "go1_ppo12", [[1.0, 2.0, 4.0, 5.5]] * 12)
     keep(tmp_path, "go1_ppo16", [[30.0, 31.0, 32.0, 35.0]] * 12)
     keep(tmp_path, "go1_dyna4", [[30.5, 31.5, 31.5, 34.5]] * 12)
     rows = platforms.build(tmp_path)
-    assert len(rows) == 28 and len({(row["robot"], row["variant"]) for row in rows}) == 28
+    assert len(rows) == len({(row["robot"], row["variant"]) for row in rows}) == 7 + 3 * 6
     row = paper.pick(rows, robot="go1", variant="dyna4")
     assert (row["max_reward_mean"], row["difference_mean"], row["evaluated_return"]) == (32, 0, 2)
     assert row["verdict"] == "not worse" and row["difference_low"] == pytest.approx(-0.5, abs=0.1)
@@ -205,9 +260,9 @@ def test_phase_times_of_table_4_make_the_minutes_of_table_5(tmp_path):
     assert plot.derived(ms)["4-step tail of 16, sum"] == 67
     phases = {name: {"paper": cells[name]["paper"], "ppo16": None, "dyna4": None} for name in ms}
     for name, value in ms.items():
-        phases[name] |= {"fast": None, "best": value}
+        phases[name] |= {"best": value}
     ours, theirs = plot.bars(phases, True), plot.bars(phases, False)
-    assert [found is None for found in ours.values()] == [True, True, True, False]
+    assert [found is None for found in ours.values()] == [True, True, False]
     assert ours["best (16 of 24)"] == [8 * 4.0, 16 * 0.5, 7.0, 10.0]
     assert [round(sum(widths or ())) for widths in theirs.values()] == [593, 522]
 
@@ -314,7 +369,7 @@ def test_figures_are_made_of_what_is_there(tmp_path, monkeypatch):
     assert (tmp_path / "go1.png").exists() and (tmp_path / "go1.svg").stat().st_size < 300_000
     assert not (tmp_path / "go2.png").exists()
     rows = (tmp_path / "results.csv").read_text().splitlines()
-    assert len(rows) == 1 + 7 * 6 + 3 * 7  # six iterations of the seven, and three robots not run
+    assert len(rows) == 1 + 7 * 6 + 3 * 6  # six iterations of the seven, and three robots not run
     module("16_gaits.plot").make(tmp_path / "none")
     assert "not run" in (tmp_path / "none" / "results.csv").read_text()
     assert (tmp_path / "none" / "measures.svg").exists()

@@ -1,8 +1,9 @@
-"""Table I and figure 4: plain PPO on Go1 by number of robots R and rows N; 30 runs of 3 seeds.
+"""Table I and figure 4: plain PPO on Go1 by number of robots R and rows N; 30 cells, 3 seeds.
 
     python experiments/10_ablation/run.py [--quick] [--out DIR]
 
-Runs whose JSON is in DIR/results are skipped. Then table and figure, as plot.py.
+Runs whose JSON is in DIR/results are skipped, and those that 12_platforms has (4096 robots, 12 and 16
+rows; 5 seeds). Then table and figure, as plot.py.
 """
 
 from pathlib import Path
@@ -19,8 +20,10 @@ def main():
     args = paper.options(Path(__file__).parent, __doc__ or "")
     grid = [(16, 12), (32, 16)] if args.quick else plot.GRID
     seeds, settings = (2, paper.QUICK) if args.quick else (SEEDS, SETTINGS)
-    jobs = [plot.job(envs, horizon) for envs, horizon in grid]
-    run.batch(args.out / "results", jobs, seeds, settings, thin=5 if args.quick else 10, lock=args.lock)
+    jobs = [plot.job(*cell) for cell in grid if not plot.load(args.out / "results", *cell)]
+    run.batch(
+        args.out / "results", jobs, seeds, settings, thin=5 if args.quick else 10, lock=args.lock
+    )
     plot.make(args.out, grid)
 
 

@@ -51,8 +51,7 @@ def build(folder: Path) -> list[dict]:
     """A row a robot and variant; minutes are of all seeds, which train at once."""
     printed, rows = paper.table("platforms"), []
     for robot in paper.ROBOTS:
-        variants = (*paper.VARIANTS, *paper.OURS)
-        runs = {variant: paper.load(folder, f"{robot}_{variant}") for variant in variants}
+        runs = {name: paper.load(folder, f"{robot}_{name}") for name in paper.variants(robot)}
         for variant, run in runs.items():
             row: dict = {"robot": robot, "variant": variant, "status": paper.status(run)}
             if run and run.columns:
@@ -122,7 +121,7 @@ def draw(rows, path: Path) -> None:
                     [row["max_reward_low"], row["max_reward_high"]], [y - 0.12] * 2, color=colour
                 )
                 axis.plot(mean, y - 0.12, "o", color=colour, markersize=6)
-            elif row["status"]:
+            elif row.get("status"):
                 axis.text(0.5, y - 0.12, row["status"], color="0.6", fontsize=8, va="center")
             if row.get("paper_max_reward_mean"):
                 mean, sd = row["paper_max_reward_mean"], row["paper_max_reward_sd"]

@@ -13,12 +13,11 @@ import plot
 from experiments import paper, run
 
 SEEDS = 5
-FIRST = ("ppo16", "dyna4", "best", "fast", "ppo12", "dyna2", "dyna4_noschedule")
 
 
 def main():
     args = paper.options(Path(__file__).parent, __doc__ or "")
-    jobs = [f"{robot}:{variant}" for variant in FIRST for robot in paper.ROBOTS]
+    jobs = [f"{robot}:{variant}" for robot in paper.ROBOTS for variant in paper.variants(robot)]
     seeds, settings = SEEDS, ()
     if args.quick:
         jobs, seeds, settings = ["go1:ppo16", "go1:dyna4"], 2, paper.QUICK

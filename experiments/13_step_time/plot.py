@@ -8,7 +8,7 @@ from pathlib import Path
 
 from experiments import paper
 
-VARIANTS = ("ppo16", "dyna4", "fast", "best")
+VARIANTS = ("ppo16", "dyna4", "best")
 # phase of bench.py -> the paper's name
 PHASES = {
     "physics": "Ground-truth Simulation (p)",
@@ -19,7 +19,7 @@ PHASES = {
 SHADES = ("#2b2b2b", "#c8481f", "#6aa5d8", "#b9b9b9")
 NAMES = paper.VARIANTS | paper.OURS
 # real rows, synthetic rows, fits of an iteration as the schedule ends
-ROWS = {"ppo16": (16, 0, 0), "dyna4": (12, 4, 1), "fast": (12, 4, 1), "best": (8, 16, 1)}
+ROWS = {"ppo16": (16, 0, 0), "dyna4": (12, 4, 1), "best": (8, 16, 1)}
 LABELS = ("physics", "synthetic steps", "fit of the model", "PPO update")
 
 

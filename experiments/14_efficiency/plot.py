@@ -52,8 +52,7 @@ def build(folder: Path, ablation: float | None) -> list[dict]:
     """A row a robot, threshold and variant."""
     rows = []
     for robot in paper.ROBOTS:
-        variants = (*paper.VARIANTS, *paper.OURS)
-        runs = {variant: paper.load(folder, f"{robot}_{variant}") for variant in variants}
+        runs = {name: paper.load(folder, f"{robot}_{name}") for name in paper.variants(robot)}
         for label, limit in thresholds(robot, runs, ablation).items():
             some = [row(robot, label, limit, name, run) for name, run in runs.items()]
             base = paper.pick(some, variant="ppo16").get("sim_steps_M_mean", np.nan)

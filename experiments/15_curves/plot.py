@@ -13,8 +13,7 @@ METRICS = ("episode_return", "policy_std", "learning_rate", "velocity_error")
 def make(out: Path, folder: Path) -> None:
     rows = []
     for robot, title in paper.ROBOTS.items():
-        variants = (*paper.VARIANTS, *paper.OURS)
-        runs = {variant: paper.load(folder, f"{robot}_{variant}") for variant in variants}
+        runs = {name: paper.load(folder, f"{robot}_{name}") for name in paper.variants(robot)}
         rows += [row for name, run in runs.items() for row in build(robot, name, run)]
         if robot == "go1" or any(run and run.columns for run in runs.values()):
             draw(runs, title, out / robot)

@@ -1,0 +1,153 @@
+"""results.csv and figure of the runs in results/ and of other folders' runs of the same settings.
+
+    python experiments/17_regimes/plot.py
+
+"limit" is 80 % of the mean over seeds of PPO-16's best return: with 4096 robots for Isaac Lab's task, and
+with as many as the regime has for another task, whose returns are another number.
+"""
+
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from experiments import paper, run
+
+VARIANTS = ("ppo12", "ppo16", "dyna4_noschedule", "dyna4", "best")
+COLUMNS = (
+    "regime variant status seeds max_reward_mean max_reward_low max_reward_high p_vs_ppo16 "
+    "evaluated_return limit success_rate_pct sim_steps_M_mean share_of_ppo16_pct policy_std_mean"
+).split()
+
+
+class Regime(NamedTuple):
+    """A task and a number of robots."""
+
+    label: str
+    envs: int
+    fields: str = ""  # of the task, as in a job of run.py
+
+
+ROBOTS = (512, 1024, 2048, 4096)
+TASKS = {"the paper's words": "task.formulation=paper_text"}
+REGIMES = [Regime(f"R = {envs}", envs) for envs in ROBOTS]
+REGIMES += [Regime(f"R = 1024, {label}", 1024, fields) for label, fields in TASKS.items()]
+
+
+def main():
+    make(Path(__file__).parent, REGIMES)
+
+
+def make(out: Path, regimes) -> None:
+    rows = build(out / "results", regimes)
+    paper.write(out / "results.csv", rows)
+    paper.show(rows, COLUMNS)
+    draw(rows, regimes, out / "regimes")
+
+
+def job(regime: Regime, variant: str) -> str:
+    return f"go1:{variant}:rollout.num_envs={regime.envs}" + f":{regime.fields}" * bool(
+        regime.fields
+    )
+
+
+def found(folder: Path, job: str) -> paper.Run | None:
+    """The run of a job, in `folder` or where another folder has the same settings (with more seeds first)."""
+    return next(
+        (some for path, name in places(folder, job) if (some := paper.load(path, name))), None
+    )
+
+
+def places(folder: Path, job: str) -> list[tuple[Path, str]]:
+    """`(folder, name)` that a job's run can be under."""
+    out, others = [(folder, run.name(job))], Path(__file__).parent.parent
+    _, variant, envs, *fields = job.split(":")
+    robots = int(envs.split("=")[1])
+    if fields:
+        return out
+    if robots == 4096:
+        out.append((others / "12_platforms" / "results", f"go1_{variant}"))
+    out.append((others / "20_tail" / "results", f"go1_{variant}_{robots}"))
+    if variant in ("ppo12", "ppo16"):
+        cell = f"go1:ppo16:rollout.num_envs={robots}:rollout.horizon={variant[3:]}"
+        out.append((others / "10_ablation" / "results", run.name(cell)))
+    return out
+
+
+def build(folder: Path, regimes) -> list[dict]:
+    """A row a regime and variant."""
+    rows, usual = [], found(folder, "go1:ppo16:rollout.num_envs=4096")
+    for regime in regimes:
+        runs = {name: found(folder, job(regime, name)) for name in VARIANTS}
+        base = runs["ppo16"]
+        known = base if regime.fields else usual
+        limit = 0.8 * float(paper.peak(known).mean()) if known and known.columns else None
+        some = [row(regime, name, one, base, limit) for name, one in runs.items()]
+        steps = paper.pick(some, variant="ppo16").get("sim_steps_M_mean", np.nan)
+        for cells in some:
+            if "sim_steps_M_mean" in cells:
+                cells["share_of_ppo16_pct"] = 100 * cells["sim_steps_M_mean"] / steps
+        rows += some
+    return rows
+
+
+def row(regime: Regime, variant: str, one, base, limit: float | None) -> dict:
+    """What a variant came to, and what it took to get to `limit`."""
+    cells = {"regime": regime.label, "envs": regime.envs, "variant": variant}
+    cells["status"] = paper.status(one)
+    if not (one and one.columns):
+        return cells
+    cells["seeds"] = len(paper.peak(one))
+    cells |= paper.spread("max_reward", paper.peak(one))
+    cells |= paper.spread("return", paper.final(one))
+    cells |= paper.spread("policy_std", paper.policy_std(one))
+    if base and base.columns and one is not base:
+        cells["p_vs_ppo16"] = paper.welch_of(paper.peak(one), paper.peak(base))
+    if evaluation := one.summary.get("evaluation"):
+        cells["evaluated_return"] = float(np.mean(evaluation["return"]))
+    if limit is not None:
+        took = paper.reached(one, limit)
+        there = np.isfinite(took["iteration"])
+        cells |= {"limit": limit, "success_rate_pct": 100 * there.mean()}
+        if there.any():
+            cells |= paper.spread("sim_steps_M", took["sim_steps"] / 1e6)
+            cells["iterations_mean"] = float(np.nanmean(took["iteration"]))
+    return cells | {"device": one.summary["device"], "date": one.summary["date"]}
+
+
+def draw(rows, regimes, path: Path) -> None:
+    """Best return and simulator steps to the limit, a group of bars a regime."""
+    page, axes = paper.figure(2, 1, (9.5, 6), sharex=True)
+    names, wide = paper.VARIANTS | paper.OURS, 0.8 / len(VARIANTS)
+    for axis, name in zip(axes[:, 0], ("max_reward", "sim_steps_M"), strict=True):
+        for v, variant in enumerate(VARIANTS):
+            colour = paper.COLOURS[variant]
+            axis.bar(0, np.nan, color=colour, label=names[variant])  # for the legend
+            for g, regime in enumerate(regimes):
+                cells = paper.pick(rows, regime=regime.label, variant=variant)
+                x = g + (v - (len(VARIANTS) - 1) / 2) * wide
+                mean, note = cells.get(f"{name}_mean", 0), cells["status"]
+                if name == "sim_steps_M" and cells.get("success_rate_pct", 100) < 100:
+                    note = f"{cells['success_rate_pct']:.0f} %"
+                if mean:
+                    axis.bar(x, mean, 0.92 * wide, color=colour)
+                    axis.vlines(x, cells[f"{name}_low"], cells[f"{name}_high"], color="0.5")
+                style: dict = {"ha": "center", "va": "bottom", "fontsize": 7, "color": "0.4"}
+                style |= {
+                    "xytext": (0, 3),
+                    "textcoords": "offset points",
+                    "rotation": 0 if mean else 90,
+                }
+                axis.annotate(note, (x, max(mean, 0)), **style)
+    axes[1, 0].set_xticks(range(len(regimes)), [r.label.replace(", ", ",\n") for r in regimes])
+    axes[1, 0].set_xlim(-0.5, len(regimes) - 0.5)
+    axes[0, 0].set_ylabel("best return of 500 iterations")
+    axes[1, 0].set_ylabel("simulator steps (M) to\n80 % of PPO-16's best return")
+    text = "Go1: mean of 3 or 5 seeds, bar: its 95 % interval; %: seeds that get there, if not all"
+    paper.head(page, text)
+    paper.legend(page, axes[0, 0], 5)
+    paper.save(page, path)
+
+
+if __name__ == "__main__":
+    main()
