@@ -45,7 +45,9 @@ def keep(folder, name, returns, every=100, **more):
     numbers = {"return": returns[-10:].mean(0), "return_max": np.nanmax(returns, 0)}
     summary |= {n: v.tolist() for n, v in numbers.items()} | {"date": "2026-01-01"}
     summary["policy_std"] = metrics["policy_std"][-10:].mean(0).tolist()
-    summary["evaluation"] = {"return": [1.0, 3.0], "fall_rate": [0.0, 0.5]}
+    summary["evaluation"] = {"return": [1.0, 3.0]} | dict.fromkeys(
+        ("fall_rate", "tracking_error"), [0.0, 0.5]
+    )
     (folder / f"{name}.json").write_text(json.dumps(summary))
 
 
@@ -207,15 +209,20 @@ def test_a_regime_is_read_from_the_folder_that_has_it(tmp_path, monkeypatch):
     regimes = module("17_regimes.plot")
     monkeypatch.setattr(regimes, "__file__", str(tmp_path / "17_regimes" / "plot.py"))
     cell = regimes.Regime("", 2048)
+    ablation = module("10_ablation.plot")
+    assert regimes.job(cell, "ppo12") == ablation.job(2048, 12)
     for folder, name in (
-        ("10_ablation", "go1_ppo16_rollout.num_envs_2048_rollout.horizon_12"),
+        ("10_ablation", run.name(ablation.job(2048, 12))),
+        ("10_ablation", run.name(ablation.job(2048, 24))),
         ("20_tail", "go1_best_2048"),
+        ("12_platforms", "go1_dyna4"),  # 4096 robots
     ):
         keep(tmp_path / folder / "results", name, [[1.0, 2.0]] * 12)
-    have = [v for v in regimes.VARIANTS if regimes.found(tmp_path, regimes.job(cell, v))]
-    assert have == ["ppo12", "best"]
+    have = [v for v in regimes.VARIANTS if regimes.found(tmp_path, cell, v)]
+    assert have == ["ppo12", "best", "ppo24"]
+    assert regimes.found(tmp_path, regimes.Regime("", 4096), "dyna4")
     other = regimes.Regime("", 2048, "task.formulation=paper_text")
-    assert not any(regimes.found(tmp_path, regimes.job(other, v)) for v in regimes.VARIANTS)
+    assert not any(regimes.found(tmp_path, other, v) for v in regimes.VARIANTS)
 
 
 def test_the_platforms_are_compared_with_both_baselines_and_the_paper(tmp_path):
@@ -226,7 +233,12 @@ def test_the_platforms_are_compared_with_both_baselines_and_the_paper(tmp_path):
     rows = platforms.build(tmp_path)
     assert len(rows) == len({(row["robot"], row["variant"]) for row in rows}) == 7 + 3 * 6
     row = paper.pick(rows, robot="go1", variant="dyna4")
-    assert (row["max_reward_mean"], row["difference_mean"], row["evaluated_return"]) == (32, 0, 2)
+    assert (row["max_reward_mean"], row["difference_mean"], row["evaluated_return_mean"]) == (
+        32,
+        0,
+        2,
+    )
+    assert row["p_evaluated"] == pytest.approx(1)
     assert row["verdict"] == "not worse" and row["difference_low"] == pytest.approx(-0.5, abs=0.1)
     expected = paper.welch_of([30.5, 31.5, 31.5, 34.5], [1.0, 2.0, 4.0, 5.5])
     assert row["p_vs_ppo12"] == expected and 0.9 < row["p_vs_ppo16"] <= 1

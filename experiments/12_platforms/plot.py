@@ -9,12 +9,15 @@ to PPO-16, seed by seed; "not worse" means that its interval's lower end is abov
 
 from pathlib import Path
 
+import numpy as np
+
 from dynappo import config as config_lib
 from experiments import paper
 
 COLUMNS = (
     "robot variant status max_reward_mean max_reward_sd paper_max_reward_mean paper_max_reward_sd "
-    "p_vs_ppo16 paper_p_vs_ppo16 p_vs_ppo12 paper_p_vs_ppo12 return_mean return_low return_high "
+    "p_vs_ppo16 paper_p_vs_ppo16 p_vs_ppo12 paper_p_vs_ppo12 evaluated_return_mean p_evaluated "
+    "return_mean return_low return_high "
     "difference_low verdict policy_std_mean paper_policy_std_mean"
 ).split()
 MARGIN = {"go1": 1.0, "go2": 1.0, "anymal_c": 0.7, "anymal_d": 0.7}
@@ -62,6 +65,10 @@ def build(folder: Path) -> list[dict]:
                         row[f"p_vs_{base}"] = paper.welch_of(paper.peak(run), paper.peak(other))
                         if base == "ppo16":
                             row |= difference(paper.final(run), paper.final(other), MARGIN[robot])
+                            pair = [
+                                r.summary.get("evaluation", {"return": []}) for r in (run, other)
+                            ]
+                            row["p_evaluated"] = paper.welch_of(*(e["return"] for e in pair))
             rows.append(row | theirs(printed, robot, variant))
     return rows
 
@@ -84,9 +91,10 @@ def measures(run: paper.Run) -> dict:
     row |= paper.spread("max_reward", paper.peak(run))
     row |= paper.spread("return", paper.final(run))
     row |= paper.spread("policy_std", paper.policy_std(run))
-    for name in ("return", "fall_rate", "tracking_error"):
-        if name in evaluation:
-            row[f"evaluated_{name}"] = paper.spread("", evaluation[name])["_mean"]
+    if evaluation:
+        row |= paper.spread("evaluated_return", evaluation["return"])
+        for name in ("fall_rate", "tracking_error"):
+            row[f"evaluated_{name}"] = float(np.mean(evaluation[name]))
     row |= {"sim_steps_M": summary["sim_steps"] / 1e6, "minutes": summary["seconds"] / 60}
     return row | {"device": summary["device"], "impl": summary["impl"], "date": summary["date"]}
 

@@ -13,7 +13,10 @@ import numpy as np
 
 from experiments import paper, run
 
-VARIANTS = ("ppo12", "ppo16", "dyna4_noschedule", "dyna4", "best")
+PPO = {"ppo12": 12, "ppo16": 16, "ppo24": 24}
+VARIANTS = ("ppo12", "ppo16", "dyna4_noschedule", "dyna4", "best", "ppo24")
+NAMES = paper.VARIANTS | paper.OURS | {"ppo24": "PPO, 24 steps"}
+COLOURS = paper.COLOURS | {"ppo24": "#b9a6cf"}
 COLUMNS = (
     "regime variant status seeds max_reward_mean max_reward_low max_reward_high p_vs_ppo16 "
     "evaluated_return limit success_rate_pct sim_steps_M_mean share_of_ppo16_pct policy_std_mean"
@@ -46,39 +49,30 @@ def make(out: Path, regimes) -> None:
 
 
 def job(regime: Regime, variant: str) -> str:
-    return f"go1:{variant}:rollout.num_envs={regime.envs}" + f":{regime.fields}" * bool(
-        regime.fields
-    )
+    """As run.py takes it; PPO's are named as in 10_ablation."""
+    fields = [f"rollout.num_envs={regime.envs}"]
+    if variant in PPO:
+        variant, fields = "ppo16", [*fields, f"rollout.horizon={PPO[variant]}"]
+    return ":".join(["go1", variant, *fields, *filter(None, [regime.fields])])
 
 
-def found(folder: Path, job: str) -> paper.Run | None:
-    """The run of a job, in `folder` or where another folder has the same settings (with more seeds first)."""
-    return next(
-        (some for path, name in places(folder, job) if (some := paper.load(path, name))), None
-    )
-
-
-def places(folder: Path, job: str) -> list[tuple[Path, str]]:
-    """`(folder, name)` that a job's run can be under."""
-    out, others = [(folder, run.name(job))], Path(__file__).parent.parent
-    _, variant, envs, *fields = job.split(":")
-    robots = int(envs.split("=")[1])
-    if fields:
-        return out
-    if robots == 4096:
-        out.append((others / "12_platforms" / "results", f"go1_{variant}"))
-    out.append((others / "20_tail" / "results", f"go1_{variant}_{robots}"))
-    if variant in ("ppo12", "ppo16"):
-        cell = f"go1:ppo16:rollout.num_envs={robots}:rollout.horizon={variant[3:]}"
-        out.append((others / "10_ablation" / "results", run.name(cell)))
-    return out
+def found(folder: Path, regime: Regime, variant: str) -> paper.Run | None:
+    """A run, in `folder` or where another folder has the same settings, that with five seeds first."""
+    others, own = Path(__file__).parent.parent, run.name(job(regime, variant))
+    places = [(folder, own)]
+    if not regime.fields:
+        places += [(others / "20_tail" / "results", f"go1_{variant}_{regime.envs}")]
+        places += [(others / "10_ablation" / "results", own)]
+        if regime.envs == 4096:
+            places.insert(1, (others / "12_platforms" / "results", f"go1_{variant}"))
+    return next((one for path, name in places if (one := paper.load(path, name))), None)
 
 
 def build(folder: Path, regimes) -> list[dict]:
     """A row a regime and variant."""
-    rows, usual = [], found(folder, "go1:ppo16:rollout.num_envs=4096")
+    rows, usual = [], found(folder, Regime("", 4096), "ppo16")
     for regime in regimes:
-        runs = {name: found(folder, job(regime, name)) for name in VARIANTS}
+        runs = {name: found(folder, regime, name) for name in VARIANTS}
         base = runs["ppo16"]
         known = base if regime.fields else usual
         limit = 0.8 * float(paper.peak(known).mean()) if known and known.columns else None
@@ -116,13 +110,14 @@ def row(regime: Regime, variant: str, one, base, limit: float | None) -> dict:
 
 
 def draw(rows, regimes, path: Path) -> None:
-    """Best return and simulator steps to the limit, a group of bars a regime."""
+    """Best return and simulator steps to the limit, a group of bars a regime that has a run."""
+    regimes = [r for r in regimes if any("seeds" in c for c in rows if c["regime"] == r.label)]
     page, axes = paper.figure(2, 1, (9.5, 6), sharex=True)
-    names, wide = paper.VARIANTS | paper.OURS, 0.8 / len(VARIANTS)
+    wide = 0.84 / len(VARIANTS)
     for axis, name in zip(axes[:, 0], ("max_reward", "sim_steps_M"), strict=True):
         for v, variant in enumerate(VARIANTS):
-            colour = paper.COLOURS[variant]
-            axis.bar(0, np.nan, color=colour, label=names[variant])  # for the legend
+            colour = COLOURS[variant]
+            axis.bar(0, np.nan, color=colour, label=NAMES[variant])  # for the legend
             for g, regime in enumerate(regimes):
                 cells = paper.pick(rows, regime=regime.label, variant=variant)
                 x = g + (v - (len(VARIANTS) - 1) / 2) * wide
@@ -138,14 +133,14 @@ def draw(rows, regimes, path: Path) -> None:
                     "textcoords": "offset points",
                     "rotation": 0 if mean else 90,
                 }
-                axis.annotate(note, (x, max(mean, 0)), **style)
+                axis.annotate(note, (x, max(cells.get(f"{name}_high") or mean, 0)), **style)
     axes[1, 0].set_xticks(range(len(regimes)), [r.label.replace(", ", ",\n") for r in regimes])
     axes[1, 0].set_xlim(-0.5, len(regimes) - 0.5)
     axes[0, 0].set_ylabel("best return of 500 iterations")
     axes[1, 0].set_ylabel("simulator steps (M) to\n80 % of PPO-16's best return")
     text = "Go1: mean of 3 or 5 seeds, bar: its 95 % interval; %: seeds that get there, if not all"
     paper.head(page, text)
-    paper.legend(page, axes[0, 0], 5)
+    paper.legend(page, axes[0, 0], 6)
     paper.save(page, path)
 
 

@@ -21,8 +21,8 @@ def main():
     regimes = [plot.Regime("R = 32", 32)] if args.quick else plot.REGIMES
     seeds, settings = (2, paper.QUICK) if args.quick else (SEEDS, SETTINGS)
     results, names = args.out / "results", ("ppo16", "dyna4") if args.quick else plot.VARIANTS
-    jobs = [plot.job(regime, name) for regime in regimes for name in names]
-    jobs = [job for job in jobs if not plot.found(results, job)]
+    cells = [(regime, name) for regime in regimes for name in names]
+    jobs = [plot.job(*cell) for cell in cells if not plot.found(results, *cell)]
     run.batch(results, jobs, seeds, settings, lock=args.lock)
     plot.make(args.out, regimes)
 
