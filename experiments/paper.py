@@ -1,4 +1,4 @@
-"""What the folders 10 to 16 share: the paper's tables, runs as arrays, statistics, tables and figures.
+"""What the folders 10 to 17 share: the paper's tables, runs as arrays, statistics, tables and figures.
 
 The numbers of "Learning to Walk With Less" are in paper/*.csv, as printed there. A run is what
 `run.py` writes, NAME.csv and NAME.json; where it is missing or has diverged, tables say so.
@@ -163,12 +163,17 @@ def policy_std(run: Run) -> np.ndarray:
     return np.nanmean(run.columns["policy_std"][last], 0)
 
 
-def reached(run: Run, limit: float) -> dict[str, np.ndarray]:
-    """Iteration, simulator steps and seconds at which each seed's return first is `limit`; or NaN."""
-    there = run.columns["episode_return"] >= limit
+def reached(run: Run, limit: float, every: int = 1) -> dict[str, np.ndarray]:
+    """Iteration, simulator steps and seconds at which each seed's return first is `limit`; or NaN.
+
+    Looked at in every `every`-th iteration: returns are noisy, and a run that is looked at more often
+    seems to get there earlier, so runs are to be compared at the same iterations.
+    """
+    rows = run.columns["iteration"][:, 0] % every == 0
+    there = run.columns["episode_return"][rows] >= limit
     first, seeds = there.argmax(0), np.arange(there.shape[1])
     names = ("iteration", "sim_steps", "seconds")
-    return {n: np.where(there.any(0), run.columns[n][first, seeds], np.nan) for n in names}
+    return {n: np.where(there.any(0), run.columns[n][rows][first, seeds], np.nan) for n in names}
 
 
 def sim_steps(spec: str, iteration: int) -> int:

@@ -86,6 +86,8 @@ def test_a_threshold_is_reached_where_the_return_first_is_there(tmp_path):
     np.testing.assert_array_equal(took["iteration"], [3, 2, nan])
     np.testing.assert_array_equal(took["sim_steps"], [3000, 2000, nan])
     np.testing.assert_array_equal(took["seconds"], [6, 4, nan])
+    every = paper.reached(found, 9.0, 2)  # iterations 2 and 4 only
+    np.testing.assert_array_equal(every["iteration"], [nan, 2, nan])
 
 
 @pytest.mark.parametrize(
@@ -190,17 +192,17 @@ def test_regimes_are_judged_by_the_threshold_of_their_task(tmp_path, monkeypatch
         (few, "dyna4"): [[33, 35], [34, 34], [34, 34]],
         (words, "ppo16"): [[1, 1], [6, 9], [10, 10]],  # of its own task: 8
     }
-    for (regime, variant), returns in jobs.items():
-        keep(tmp_path, run.name(regimes.job(regime, variant)), returns)
+    for (regime, variant), returns in jobs.items():  # each return for ten iterations
+        keep(tmp_path, run.name(regimes.job(regime, variant)), np.repeat(returns, 10, 0))
     rows = regimes.build(tmp_path, [few, usual, words])
     assert len(rows) == 3 * len(regimes.VARIANTS)
     one = paper.pick(rows, regime="few", variant="ppo16")
-    assert (one["limit"], one["success_rate_pct"], one["sim_steps_M_mean"]) == (32, 50, 0.002)
+    assert (one["limit"], one["success_rate_pct"], one["sim_steps_M_mean"]) == (32, 50, 0.02)
     tail = paper.pick(rows, regime="few", variant="dyna4")
     assert (tail["success_rate_pct"], tail["share_of_ppo16_pct"]) == (100, 50)
     assert tail["p_vs_ppo16"] == paper.welch_of([34, 35], [31, 34])
     own = paper.pick(rows, regime="words", variant="ppo16")
-    assert (own["limit"], own["sim_steps_M_mean"]) == (8, 0.0025)
+    assert (own["limit"], own["sim_steps_M_mean"]) == (8, 0.025)
     regimes.draw(rows, [few, usual, words], tmp_path / "regimes")
     assert (tmp_path / "regimes.svg").exists()
 

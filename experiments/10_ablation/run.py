@@ -22,7 +22,12 @@ def main():
     seeds, settings = (2, paper.QUICK) if args.quick else (SEEDS, SETTINGS)
     jobs = [plot.job(*cell) for cell in grid if not plot.load(args.out / "results", *cell)]
     run.batch(
-        args.out / "results", jobs, seeds, settings, thin=5 if args.quick else 10, lock=args.lock
+        args.out / "results",
+        jobs,
+        seeds,
+        settings,
+        thin=5 if args.quick else plot.EVERY,
+        lock=args.lock,
     )
     plot.make(args.out, grid)
 

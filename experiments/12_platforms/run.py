@@ -18,7 +18,7 @@ SEEDS = 5
 def main():
     args = paper.options(Path(__file__).parent, __doc__ or "")
     jobs = [f"{robot}:{variant}" for robot in paper.ROBOTS for variant in paper.variants(robot)]
-    seeds, settings = SEEDS, ()
+    seeds, settings = SEEDS, ("run.eval_envs=200", "run.checkpoint_every=0")
     if args.quick:
         jobs, seeds, settings = ["go1:ppo16", "go1:dyna4"], 2, paper.QUICK
     run.batch(args.out / "results", jobs, seeds, settings, lock=args.lock)

@@ -1,7 +1,7 @@
 """What run.py writes: thresholds, table and figure.
 
 Thresholds: the paper's 30.5; 80 % of the best cell of our own ablation, as the paper defines its 30.5; 80 %
-of the mean over seeds of PPO-16's best return (DESIGN's word, for every robot). Steps, iterations and
+of the mean over seeds of PPO-16's best return (the project's measure, for every robot). Steps, iterations and
 seconds are means over the seeds that get there; how many do is the success rate. Seconds are those of
 all seeds of a run, which train at once.
 """

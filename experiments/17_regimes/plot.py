@@ -13,6 +13,7 @@ import numpy as np
 
 from experiments import paper, run
 
+EVERY = 10  # iterations between two looks at a return: 10_ablation keeps no more
 PPO = {"ppo12": 12, "ppo16": 16, "ppo24": 24}
 VARIANTS = ("ppo12", "ppo16", "dyna4_noschedule", "dyna4", "best", "ppo24")
 NAMES = paper.VARIANTS | paper.OURS | {"ppo24": "PPO, 24 steps"}
@@ -100,7 +101,7 @@ def row(regime: Regime, variant: str, one, base, limit: float | None) -> dict:
     if evaluation := one.summary.get("evaluation"):
         cells["evaluated_return"] = float(np.mean(evaluation["return"]))
     if limit is not None:
-        took = paper.reached(one, limit)
+        took = paper.reached(one, limit, EVERY)
         there = np.isfinite(took["iteration"])
         cells |= {"limit": limit, "success_rate_pct": 100 * there.mean()}
         if there.any():
