@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from dynappo import config as config_lib
-from dynappo import flags, log, observe
+from dynappo import flags, log, observe, versions
 from dynappo.config import ConfigError
 
 # TFLOP/s of dense matrix products by precision, and TB/s of memory: NVIDIA's data sheets (SXM)
@@ -139,6 +139,7 @@ def report(config, program, repeats: int) -> dict[str, Any]:
         "setup_seconds": program.compile_seconds,
         "device": program.device,
         "impl": program.impl,
+        "commit": versions.commit(),
     }
 
 

@@ -15,14 +15,13 @@ from __future__ import annotations
 import argparse
 import json
 import os
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from dynappo import flags as flags_lib
-from dynappo import observe, policy_file
+from dynappo import observe, policy_file, versions
 from dynappo import robot as robot_lib
 from dynappo.config import ConfigError
 from dynappo.policy_file import Policy
@@ -229,18 +228,10 @@ def about(policy: Policy, robot: robot_lib.Robot) -> dict[str, Any]:
         "control_rate": 1 / control_dt,
         "observation_table": observation_table(policy),
         "units": UNITS,
-        "dynappo": version(),
+        "dynappo": versions.of("dynappo"),
         "licence": LICENCE,
         "config": config,
     }
-
-
-def version() -> str:
-    """Of dynappo, as it is installed."""
-    try:
-        return metadata.version("dynappo")
-    except metadata.PackageNotFoundError:
-        return "unknown"
 
 
 def onnx_model(policy: Policy, facts: dict[str, Any], targets: bool = False):

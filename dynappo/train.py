@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dynappo import bench, curves, distributed, files, log, schedule
+from dynappo import bench, curves, distributed, files, log, schedule, versions
 from dynappo import config as config_lib
 from dynappo.config import ConfigError
 
@@ -319,7 +319,8 @@ def summarise(config, program: Program, state, metrics) -> dict[str, Any]:
         "compile_seconds": program.compile_seconds,
         "device": program.device,
         "impl": program.impl,
-        "versions": {name: _version(name) for name in ("dynappo", "jax", "mujoco-mjx")},
+        "versions": {name: versions.of(name) for name in ("dynappo", "jax", "mujoco-mjx")},
+        "commit": versions.commit(),
     }
     if config.run.eval_envs:
         evaluation = program.assess(state)
@@ -342,15 +343,6 @@ def _numbers(values):
     """A float, or a list of one a seed; None where no episode has ended yet (JSON has no NaN)."""
     numbers = [float(v) if np.isfinite(v) else None for v in np.ravel(values)]
     return numbers if np.ndim(values) else numbers[0]
-
-
-def _version(package: str) -> str:
-    from importlib import metadata
-
-    try:
-        return metadata.version(package)
-    except metadata.PackageNotFoundError:
-        return "unknown"
 
 
 if __name__ == "__main__":

@@ -18,7 +18,7 @@ import onnxruntime
 import pytest
 from test_console import ROOT, shell
 
-from dynappo import actuators, episode, export, networks, observe, play, policy_file
+from dynappo import actuators, episode, export, networks, observe, play, policy_file, versions
 from dynappo import config as config_lib
 from dynappo import robot as robot_lib
 from dynappo.config import ConfigError
@@ -254,7 +254,7 @@ def test_metadata_hold_all_that_a_robot_needs(settings, name):
     assert facts["base_com"] == model.body(1).ipos.tolist()
     assert facts["activation"] == "elu" and facts["observation"] == "velocity-48"
     assert facts["config"]["task"] == json.loads(config_lib.to_json(config))["task"]
-    assert facts["dynappo"] == export.version() and "Apache-2.0" in facts["licence"]
+    assert facts["dynappo"] == versions.of("dynappo") and "Apache-2.0" in facts["licence"]
     assert net.get_modelmeta().producer_name == "dynappo"
     assert name in net.get_modelmeta().description
     numbers = {k for k, v in facts.items() if isinstance(v, float)}

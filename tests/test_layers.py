@@ -38,6 +38,7 @@ GROUPS = (
         "viewer",
         "measure",
         "report",
+        "versions",
     },
 )
 WITHIN = {

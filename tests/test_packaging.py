@@ -16,6 +16,8 @@ from packaging.requirements import Requirement
 from packaging.specifiers import SpecifierSet
 from packaging.utils import canonicalize_name
 
+from dynappo import versions
+
 ROOT = pathlib.Path(__file__).parents[1]
 PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 PROJECT = PYPROJECT["project"]
@@ -183,3 +185,20 @@ def test_the_wheel_carries_configs_and_robots_and_finds_them(tmp_path):
         )
         assert done.returncode == status, done.stderr
         assert text in done.stdout + done.stderr
+
+
+def test_a_result_names_the_commit_of_its_checkout_and_of_no_other(tmp_path):
+    """Not of a repository around the folder in which a wheel lies."""
+    git = ["git", "-c", "user.name=a", "-c", "user.email=a@b.c", "-C", str(tmp_path)]
+    assert versions.commit(tmp_path) is None
+    (tmp_path / "a").write_text("1")
+    for command in (["init", "-q"], ["add", "a"], ["commit", "-qm", "a"]):
+        subprocess.run(git + command, check=True)
+    head = subprocess.run([*git, "rev-parse", "HEAD"], capture_output=True, text=True, check=True)
+    commit = versions.commit(tmp_path)
+    assert commit and len(commit) == 12 and head.stdout.startswith(commit)
+    (tmp_path / "a").write_text("2")
+    assert versions.commit(tmp_path) == f"{commit}-dirty"
+    (tmp_path / "site").mkdir()
+    assert versions.commit(tmp_path / "site") is None
+    assert versions.of("jax") == metadata.version("jax") and versions.of("no-such") == "unknown"

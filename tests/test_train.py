@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from ml_collections import config_dict
 
-from dynappo import checkpoint, console, files, log, render, schedule, train
+from dynappo import checkpoint, console, files, log, render, schedule, train, versions
 from dynappo import config as config_lib
 from dynappo.config import ConfigError
 
@@ -173,6 +173,7 @@ def test_the_summary_says_what_the_run_came_to(whole):
     assert summary["seconds"] == pytest.approx(whole.metrics["seconds"][-1], rel=1e-4)
     assert summary["compile_seconds"] > 0 and summary["impl"] == "jax"
     assert {"dynappo", "jax", "mujoco-mjx"} <= summary["versions"].keys()
+    assert summary["commit"] == versions.commit()
     evaluation = summary["evaluation"]
     names = {"return", "return_std", "length", "fall_rate", "tracking_error", "yaw_error"}
     assert evaluation.keys() == names

@@ -15,7 +15,7 @@ import numpy as np
 import plot
 import probe
 
-from dynappo import log
+from dynappo import log, versions
 from experiments import paper, run
 
 SEEDS, EVERY = 3, 5
@@ -49,7 +49,8 @@ def measure(folder: Path, quick: bool, lock: Path | None) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     paper.write(folder / "loss.csv", losses)
     paper.write(folder / "errors.csv", errors)
-    about = {"device": program.device, "impl": program.impl, "date": f"{datetime.date.today()}"}
+    about = {"device": program.device, "impl": program.impl, "commit": versions.commit()}
+    about["date"] = f"{datetime.date.today()}"
     about |= {"robots": config.rollout.num_envs, "iterations": config.run.num_iterations}
     log.write_json(folder / "about.json", about | {"seconds": time.perf_counter() - began})
 
