@@ -123,6 +123,7 @@ def draw(rows, regimes, path: Path) -> None:
                 cells = paper.pick(rows, regime=regime.label, variant=variant)
                 x = g + (v - (len(VARIANTS) - 1) / 2) * wide
                 mean, note = cells.get(f"{name}_mean", 0), cells["status"]
+                top = np.nanmax([0, mean, cells.get(f"{name}_high", 0)])  # NaN of one seed alone
                 if name == "sim_steps_M" and cells.get("success_rate_pct", 100) < 100:
                     note = f"{cells['success_rate_pct']:.0f} %"
                 if mean:
@@ -134,7 +135,7 @@ def draw(rows, regimes, path: Path) -> None:
                     "textcoords": "offset points",
                     "rotation": 0 if mean else 90,
                 }
-                axis.annotate(note, (x, max(cells.get(f"{name}_high") or mean, 0)), **style)
+                axis.annotate(note, (x, top), **style)
     axes[1, 0].set_xticks(range(len(regimes)), [r.label.replace(", ", ",\n") for r in regimes])
     axes[1, 0].set_xlim(-0.5, len(regimes) - 0.5)
     axes[0, 0].set_ylabel("best return of 500 iterations")
