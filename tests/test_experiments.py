@@ -207,6 +207,15 @@ def test_regimes_are_judged_by_the_threshold_of_their_task(tmp_path, monkeypatch
     assert (tmp_path / "regimes.svg").exists()
 
 
+def test_every_regime_is_a_valid_config_with_a_name_of_its_own():
+    regimes = module("17_regimes.plot")
+    jobs = [regimes.job(r, v) for r in regimes.REGIMES for v in regimes.VARIANTS]
+    configs = [run.configure(job, 3) for job in jobs]
+    assert len({run.name(job) for job in jobs}) == len(jobs) == len({str(c) for c in configs})
+    task = configs[-1].task
+    assert (task.randomize.base_mass, task.noise.joint_vel) == ((0.0, 0.0), 0.0)
+
+
 def test_a_regime_is_read_from_the_folder_that_has_it(tmp_path, monkeypatch):
     regimes = module("17_regimes.plot")
     monkeypatch.setattr(regimes, "__file__", str(tmp_path / "17_regimes" / "plot.py"))
