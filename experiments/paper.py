@@ -19,6 +19,8 @@ from dynappo import config as config_lib
 from dynappo import curves, schedule
 
 PAPER_SEEDS = 3
+LIMIT = 30.5  # the return of Table VI
+EVERY = 10  # iterations between two rows of the CSVs of 10_ablation
 ROBOTS = {
     "go1": "Unitree Go1",
     "go2": "Unitree Go2",
@@ -174,6 +176,32 @@ def reached(run: Run, limit: float, every: int = 1) -> dict[str, np.ndarray]:
     first, seeds = there.argmax(0), np.arange(there.shape[1])
     names = ("iteration", "sim_steps", "seconds")
     return {n: np.where(there.any(0), run.columns[n][rows][first, seeds], np.nan) for n in names}
+
+
+def returns(run: Run) -> dict[str, Any]:
+    """Cells of a table: best and final return and policy std, over seeds."""
+    cells: dict[str, Any] = {"seeds": len(peak(run))}
+    cells |= spread("max_reward", peak(run)) | spread("return", final(run))
+    return cells | spread("policy_std", policy_std(run))
+
+
+def effort(run: Run, limit: float, every: int = 1) -> dict[str, Any]:
+    """Cells: how many seeds get to `limit`, and what it took those (`reached`)."""
+    took = reached(run, limit, every)
+    there = np.isfinite(took["iteration"])
+    cells: dict[str, Any] = {"success_rate_pct": 100 * there.mean()}
+    if there.any():
+        cells |= spread("sim_steps_M", took["sim_steps"] / 1e6)
+        cells |= spread("iterations", took["iteration"]) | spread("seconds", took["seconds"])
+    return cells
+
+
+def add_shares(rows: list[dict[str, Any]]) -> None:
+    """To rows of one threshold: simulator steps as a share of PPO-16's."""
+    base = pick(rows, variant="ppo16").get("sim_steps_M_mean", np.nan)
+    for cells in rows:
+        if "sim_steps_M_mean" in cells:
+            cells["share_of_ppo16_pct"] = 100 * cells["sim_steps_M_mean"] / base
 
 
 def sim_steps(spec: str, iteration: int) -> int:

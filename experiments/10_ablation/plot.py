@@ -13,12 +13,10 @@ ENVS, HORIZONS = (512, 1024, 2048, 4096, 8192), (12, 16, 20, 24, 28, 32)
 # what decides most comes first: the paper's 4096 robots, and its best cell
 GRID = [(envs, n) for envs in (4096, 8192, 2048, 1024, 512) for n in HORIZONS]
 PLATFORMS = Path(__file__).parent.parent / "12_platforms" / "results"
-PAPER_LIMIT = 30.5
-EVERY = 10  # iterations between two rows of the CSVs
 SHADES = ("#bcd4ea", "#85b1dc", "#4a86c2", "#1f5a99", "#0b2f57")
 COLUMNS = (
     "envs horizon status max_reward_mean max_reward_low max_reward_high paper_max_reward policy_std_mean "
-    "paper_policy_std success_rate_pct sim_steps_M_to_30.5_mean".split()
+    "paper_policy_std to_30.5_success_rate_pct to_30.5_sim_steps_M_mean".split()
 )
 
 
@@ -46,13 +44,9 @@ def build(folder: Path, grid) -> list[dict]:
         found = load(folder, envs, horizon)
         row = {"envs": envs, "horizon": horizon, "status": paper.status(found)}
         if found and found.columns:
-            row["seeds"] = len(paper.peak(found))
-            row |= paper.spread("max_reward", paper.peak(found))
-            row |= paper.spread("return", paper.final(found))
-            row |= paper.spread("policy_std", paper.policy_std(found))
-            took = paper.reached(found, PAPER_LIMIT, EVERY)["sim_steps"] / 1e6
-            row["success_rate_pct"] = 100 * np.isfinite(took).mean()
-            row |= paper.spread("sim_steps_M_to_30.5", took)
+            row |= paper.returns(found)
+            took = paper.effort(found, paper.LIMIT, paper.EVERY)
+            row |= {f"to_{paper.LIMIT}_{name}": value for name, value in took.items()}
             row["minutes"] = found.summary["seconds"] / 60
             row["sim_steps_M"] = found.summary["sim_steps"] / 1e6
             row["device"] = found.summary["device"]

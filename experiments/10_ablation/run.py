@@ -26,7 +26,7 @@ def main():
         jobs,
         seeds,
         settings,
-        thin=5 if args.quick else plot.EVERY,
+        thin=5 if args.quick else paper.EVERY,
         lock=args.lock,
     )
     plot.make(args.out, grid)

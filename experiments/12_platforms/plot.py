@@ -87,10 +87,7 @@ def difference(ours, base, margin: float) -> dict:
 def measures(run: paper.Run) -> dict:
     """What a run came to: over seeds."""
     summary, evaluation = run.summary, run.summary.get("evaluation", {})
-    row: dict = {"seeds": len(paper.peak(run))}
-    row |= paper.spread("max_reward", paper.peak(run))
-    row |= paper.spread("return", paper.final(run))
-    row |= paper.spread("policy_std", paper.policy_std(run))
+    row = paper.returns(run)
     if evaluation:
         row |= paper.spread("evaluated_return", evaluation["return"])
         for name in ("fall_rate", "tracking_error"):

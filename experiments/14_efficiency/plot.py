@@ -9,11 +9,8 @@ all seeds of a run, which train at once.
 import csv
 from pathlib import Path
 
-import numpy as np
-
 from experiments import paper
 
-PAPER_LIMIT = 30.5
 COLUMNS = (
     "robot threshold limit variant status success_rate_pct sim_steps_M_mean sim_steps_M_low "
     "sim_steps_M_high share_of_ppo16_pct iterations_mean seconds_mean paper_sim_steps_M paper_iterations"
@@ -45,7 +42,7 @@ def thresholds(robot: str, runs: dict, ablation: float | None) -> dict[str, floa
     if robot != "go1":  # the paper's table is of Go1
         return last
     best = None if ablation is None else 0.8 * ablation
-    return {"paper, 30.5": PAPER_LIMIT, "80 % of the ablation's best": best} | last
+    return {"paper, 30.5": paper.LIMIT, "80 % of the ablation's best": best} | last
 
 
 def build(folder: Path, ablation: float | None) -> list[dict]:
@@ -55,10 +52,8 @@ def build(folder: Path, ablation: float | None) -> list[dict]:
         runs = {name: paper.load(folder, f"{robot}_{name}") for name in paper.variants(robot)}
         for label, limit in thresholds(robot, runs, ablation).items():
             some = [row(robot, label, limit, name, run) for name, run in runs.items()]
-            base = paper.pick(some, variant="ppo16").get("sim_steps_M_mean", np.nan)
+            paper.add_shares(some)
             for cells in some:
-                if "sim_steps_M_mean" in cells:
-                    cells["share_of_ppo16_pct"] = 100 * cells["sim_steps_M_mean"] / base
                 if label.startswith("paper"):
                     cells |= theirs(cells["variant"])
             rows += some
@@ -73,14 +68,7 @@ def row(robot: str, label: str, limit: float | None, variant: str, run) -> dict:
         cells["status"] = "no threshold yet"
     if limit is None or not (run and run.columns):
         return cells
-    took = paper.reached(run, limit)
-    there = np.isfinite(took["iteration"])
-    cells |= {"seeds": len(there), "success_rate_pct": 100 * there.mean()}
-    if there.any():
-        cells |= paper.spread("sim_steps_M", took["sim_steps"] / 1e6)
-        cells |= paper.spread("iterations", took["iteration"])
-        cells |= paper.spread("seconds", took["seconds"])
-    return cells
+    return cells | {"seeds": len(paper.peak(run))} | paper.effort(run, limit)
 
 
 def theirs(variant: str) -> dict:

@@ -13,7 +13,6 @@ import numpy as np
 
 from experiments import paper, run
 
-EVERY = 10  # iterations between two looks at a return: 10_ablation keeps no more
 PPO = {"ppo12": 12, "ppo16": 16, "ppo24": 24}
 VARIANTS = ("ppo12", "ppo16", "dyna4_noschedule", "dyna4", "best", "ppo24")
 NAMES = paper.VARIANTS | paper.OURS | {"ppo24": "PPO, 24 steps"}
@@ -82,10 +81,7 @@ def build(folder: Path, regimes) -> list[dict]:
         known = base if regime.fields else usual
         limit = 0.8 * float(paper.peak(known).mean()) if known and known.columns else None
         some = [row(regime, name, one, base, limit) for name, one in runs.items()]
-        steps = paper.pick(some, variant="ppo16").get("sim_steps_M_mean", np.nan)
-        for cells in some:
-            if "sim_steps_M_mean" in cells:
-                cells["share_of_ppo16_pct"] = 100 * cells["sim_steps_M_mean"] / steps
+        paper.add_shares(some)
         rows += some
     return rows
 
@@ -96,21 +92,13 @@ def row(regime: Regime, variant: str, one, base, limit: float | None) -> dict:
     cells["status"] = paper.status(one)
     if not (one and one.columns):
         return cells
-    cells["seeds"] = len(paper.peak(one))
-    cells |= paper.spread("max_reward", paper.peak(one))
-    cells |= paper.spread("return", paper.final(one))
-    cells |= paper.spread("policy_std", paper.policy_std(one))
+    cells |= paper.returns(one)
     if base and base.columns and one is not base:
         cells["p_vs_ppo16"] = paper.welch_of(paper.peak(one), paper.peak(base))
     if evaluation := one.summary.get("evaluation"):
         cells["evaluated_return"] = float(np.mean(evaluation["return"]))
     if limit is not None:
-        took = paper.reached(one, limit, EVERY)
-        there = np.isfinite(took["iteration"])
-        cells |= {"limit": limit, "success_rate_pct": 100 * there.mean()}
-        if there.any():
-            cells |= paper.spread("sim_steps_M", took["sim_steps"] / 1e6)
-            cells["iterations_mean"] = float(np.nanmean(took["iteration"]))
+        cells |= {"limit": limit} | paper.effort(one, limit, paper.EVERY)
     return cells | {"device": one.summary["device"], "date": one.summary["date"]}
 
 
@@ -133,13 +121,9 @@ def draw(rows, regimes, path: Path) -> None:
                 if mean:
                     axis.bar(x, mean, 0.92 * wide, color=colour)
                     axis.vlines(x, cells[f"{name}_low"], cells[f"{name}_high"], color="0.5")
-                style: dict = {"ha": "center", "va": "bottom", "fontsize": 7, "color": "0.4"}
-                style |= {
-                    "xytext": (0, 3),
-                    "textcoords": "offset points",
-                    "rotation": 0 if mean else 90,
-                }
-                axis.annotate(note, (x, top), **style)
+                above = dict(xytext=(0, 3), textcoords="offset points", ha="center", va="bottom")
+                turned = 0 if mean else 90
+                axis.annotate(note, (x, top), rotation=turned, fontsize=7, color="0.4", **above)
     axes[1, 0].set_xticks(range(len(regimes)), [r.label.replace(", ", ",\n") for r in regimes])
     axes[1, 0].set_xlim(-0.5, len(regimes) - 0.5)
     axes[0, 0].set_ylabel("best return of 500 iterations")
