@@ -101,7 +101,7 @@ def train_and_show(command: Command, stop: Stop) -> None:
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-    from dynappo import files, train
+    from dynappo import files, results, train
 
     config, workdir = command.config, command.workdir
     out = Console(highlight=False, quiet=not distributed.first())
@@ -150,7 +150,7 @@ def train_and_show(command: Command, stop: Stop) -> None:
             print(f"dynappo: saved at iteration {done} and stopped; {GOES_ON}", file=sys.stderr)
         return
     with out.status("evaluating, filming"):
-        summary = train.finish(config, program, workdir, state, metrics)
+        summary = results.finish(config, program, workdir, state, metrics)
     show_summary(out, config, workdir, summary)
 
 

@@ -32,7 +32,7 @@ def of_episodes(buffer: Transition, n_real) -> Metrics:
 
     Why beside the ring: falls of the first iterations start all episodes at about the same time, and most
     end together, an episode later. In between the ring holds those few that fell; the mean over all
-    that end in an episode's length does not (train.summarise).
+    that end in an episode's length does not (results.summarise).
     """
     ended = _ended(buffer, n_real)
     total = jnp.where(ended, buffer.episode_return, 0.0).sum()

@@ -20,8 +20,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dynappo import bench, curves, distributed, files, log, schedule, versions
 from dynappo import config as config_lib
+from dynappo import distributed, files, log, results, schedule
 from dynappo.config import ConfigError
 
 
@@ -62,7 +62,7 @@ def train(
     program = setup(config)
     state, metrics = loop(config, program, workdir, progress_fn)
     if workdir:
-        finish(config, program, workdir, state, metrics)
+        results.finish(config, program, workdir, state, metrics)
     return state, metrics
 
 
@@ -279,70 +279,6 @@ def _at_end(evaluation: dict, rows: int) -> dict[str, np.ndarray]:
         columns[f"eval_{name}"] = np.full((rows, *value.shape), np.nan)
         columns[f"eval_{name}"][-1] = value
     return columns
-
-
-def finish(config, program: Program, workdir: Path, state, metrics) -> dict[str, Any]:
-    """Evaluate, write policy.npz, summary.json and the film; returns the summary."""
-    from dynappo import policy_file, render
-
-    summary = summarise(config, program, state, metrics)
-    params = files.best_params(distributed.whole(state.learner.params), metrics)
-    if not distributed.first():
-        return summary
-    policy_file.save(workdir / "policy.npz", params, config, program.robot)
-    seeds = f" x {config.run.num_seeds} seeds" if config.run.num_seeds > 1 else ""
-    title = f"{config.robot}: {config.rollout.num_envs} robots{seeds}"
-    problem = curves.draw(metrics, workdir / "curves.png", title)
-    summary["curves"] = problem or str(workdir / "curves.png")
-    if config.run.video_seconds:
-        act = render.policy(params, config.ppo.activation)
-        seconds = config.run.video_seconds
-        episode = render.simulate(program.robot, config, act, render.tour(seconds), seconds)
-        problem = render.film(program.robot, episode, workdir / "video.mp4")
-        summary["video"] = problem or str(workdir / "video.mp4")
-    log.write_json(workdir / "summary.json", summary)
-    return summary
-
-
-def summarise(config, program: Program, state, metrics) -> dict[str, Any]:
-    """What a run came to: return (mean of the last 10 rows), cost, and evaluation if asked."""
-    returns = metrics["episode_return"]
-    summary = {
-        "robot": config.robot,
-        "num_envs": config.rollout.num_envs,
-        "iterations": int(metrics["iteration"][-1]),
-        "sim_steps": int(metrics["sim_steps"][-1]),
-        "return": _numbers(returns[-files.RETURN_ROWS :].mean(0)),
-        "return_max": _numbers(np.fmax.reduce(returns, 0)),
-        "return_of_all": _numbers(_return_of_all(config, metrics)),
-        "seconds": float(metrics["seconds"][-1]),
-        "compile_seconds": program.compile_seconds,
-        "device": program.device,
-        "impl": program.impl,
-        "versions": {name: versions.of(name) for name in ("dynappo", "jax", "mujoco-mjx")},
-        "commit": versions.commit(),
-    }
-    if config.run.eval_envs:
-        evaluation = program.assess(state)
-        summary["evaluation"] = {name: _numbers(v) for name, v in evaluation.items()}
-    if config.run.time_phases:
-        summary["phases_ms"] = bench.phases(config, program, state)
-    return summary
-
-
-def _return_of_all(config, metrics):
-    """Mean return of all episodes that ended in the last episode's length of control steps."""
-    n_real = metrics["n_real"]
-    steps_after = np.cumsum(n_real[::-1])[::-1] - n_real  # those of later iterations
-    last = steps_after < config.task.episode_length
-    count, total = (metrics[n][last].sum(0) for n in ("episodes", "episode_return_sum"))
-    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
-
-
-def _numbers(values):
-    """A float, or a list of one a seed; None where no episode has ended yet (JSON has no NaN)."""
-    numbers = [float(v) if np.isfinite(v) else None for v in np.ravel(values)]
-    return numbers if np.ndim(values) else numbers[0]
 
 
 if __name__ == "__main__":

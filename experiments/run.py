@@ -27,7 +27,7 @@ import jax
 import numpy as np
 
 from dynappo import config as config_lib
-from dynappo import log, policy_file, train
+from dynappo import log, policy_file, results, train
 
 KEPT = (
     "iteration sim_steps seconds episode_return episode_length velocity_error policy_std "
@@ -70,7 +70,7 @@ def batch(out: Path, jobs, seeds: int, settings=(), thin=1, policies=False, lock
             continue
         path.with_suffix(".csv").unlink(missing_ok=True)
         log.append_csv(path.with_suffix(".csv"), log.rows(kept(metrics, thin)))
-        summary = train.summarise(config, program, state, metrics)
+        summary = results.summarise(config, program, state, metrics)
         summary["policy_std"] = np.ravel(metrics["policy_std"][-10:].mean(0)).tolist()
         summary |= {"job": job, "set": list(settings), "date": f"{datetime.date.today()}"}
         if policies:

@@ -18,7 +18,17 @@ import onnxruntime
 import pytest
 from test_console import ROOT, shell
 
-from dynappo import actuators, episode, export, networks, observe, play, policy_file, versions
+from dynappo import (
+    actuators,
+    episode,
+    export,
+    joint_order,
+    networks,
+    observe,
+    play,
+    policy_file,
+    versions,
+)
 from dynappo import config as config_lib
 from dynappo import robot as robot_lib
 from dynappo.config import ConfigError
@@ -163,7 +173,7 @@ def test_the_file_is_plain_onnx_that_old_runtimes_read(settings):
 def order_of(text, name):
     """The names that `--joint-order=TEXT` means for a robot's policy in MJCF order."""
     robot = robot_lib.load(name)
-    return export.joint_order(text, robot.joint_names, robot)[0]
+    return joint_order.find(text, robot.joint_names, robot)[0]
 
 
 def test_named_orders_are_those_of_their_sources():
@@ -188,7 +198,7 @@ def test_named_orders_are_those_of_their_sources():
 def test_another_order_is_the_same_policy(settings, name, names):
     """Observations of the same situations, joints reordered by name, give the reordered actions."""
     policy, robot, static = described(name, settings)
-    other = export.permute(policy, names)
+    other = joint_order.permute(policy, names)
     there = [policy.joint_names.index(joint) for joint in names]
     assert there != list(range(12))
     obs, reordered = observations(policy.joint_names), observations(names)
@@ -209,14 +219,14 @@ def test_another_order_is_the_same_policy(settings, name, names):
             dict(zip(p.joint_names, getattr(p, field), strict=True)) for p in (policy, other)
         ]
         assert by_name[0] == by_name[1], field
-    back = export.permute(other, policy.joint_names)
+    back = joint_order.permute(other, policy.joint_names)
     jax.tree.map(np.testing.assert_array_equal, back.params, policy.params)
 
 
 def test_permuting_leaves_the_policy_that_was_given_alone(settings):
     policy, _, _ = described("go1", settings)
     before = jax.tree.map(np.copy, policy.params)
-    export.permute(policy, MOTORS)
+    joint_order.permute(policy, MOTORS)
     jax.tree.map(np.testing.assert_array_equal, policy.params, before)
     assert policy.joint_names == robot_lib.load("go1").joint_names
 
@@ -229,7 +239,7 @@ def test_metadata_hold_all_that_a_robot_needs(settings, name):
     """Each value against the config and the compiled MJCF, as JSON that ONNX Runtime gives back."""
     policy, robot, _ = described(name, settings)
     names = order_of("isaaclab", name)
-    net = session(export.permute(policy, names), robot)
+    net = session(joint_order.permute(policy, names), robot)
     facts = {k: json.loads(v) for k, v in net.get_modelmeta().custom_metadata_map.items()}
     config = config_lib.validate(config_lib.load(f"configs/{name}.py:dyna4"))
     model = mujoco.MjModel.from_xml_path(str(robot.xml))
@@ -347,7 +357,7 @@ def test_the_onnx_file_walks_for_ten_seconds_in_c_mujoco(bundled, order, tmp_pat
     net = onnxruntime.InferenceSession(out)
     facts = {k: json.loads(v) for k, v in net.get_modelmeta().custom_metadata_map.items()}
     # the body is read and driven in the order that the file says
-    policy = export.permute(bundled, tuple(facts["joint_names"]))
+    policy = joint_order.permute(bundled, tuple(facts["joint_names"]))
     body = play.body_of(policy, None)
     walked = episode.play(body, lambda obs: infer(net, obs[None])[0], lambda t: AHEAD, 10.0)
     m = episode.measures(body, walked)
@@ -368,7 +378,7 @@ def loop(bundled, tmp_path, monkeypatch):
     export.main(["go1", f"--out={tmp_path}/policy.onnx", "--joint-order=unitree"])
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(time, "sleep", lambda seconds: None)
-    policy = export.permute(bundled, MOTORS)
+    policy = joint_order.permute(bundled, MOTORS)
     body = play.body_of(policy, None)
 
     def run(steps, broken=lambda step: None):
@@ -559,7 +569,7 @@ def test_a_policy_of_other_joints_than_its_robot_is_refused(settings, tmp_path, 
     assert run(str(path), f"--out={tmp_path}/a.onnx") == 2
     assert "its joints are LF_HAA" in capsys.readouterr().err
     with pytest.raises(ConfigError, match="anymal_c has the legs LF RF LH RH"):
-        export.joint_order("unitree", robot.joint_names, robot)
+        joint_order.find("unitree", robot.joint_names, robot)
 
 
 def test_export_needs_neither_jax_nor_torch(small, tmp_path):

@@ -38,6 +38,9 @@ GROUPS = (
         "viewer",
         "measure",
         "report",
+        "figures",
+        "results",
+        "joint_order",
         "versions",
     },
 )

@@ -12,7 +12,7 @@ from test_console import shell
 from test_play import actor, described, refused
 
 from dynappo import config as config_lib
-from dynappo import evaluate, measure, policy_file, report, train
+from dynappo import evaluate, figures, measure, policy_file, report, train
 from dynappo import robot as robot_lib
 
 FEET = ("FL", "FR", "RL", "RR")
@@ -80,7 +80,7 @@ def test_every_cell_of_the_maps_shows_its_command():
     """Colour and both numbers; a fall is said, and has no colour."""
     fell = {(-1.0, 0.5, 0.0), (0.5, 0.0, -1.0)}
     numbers = numbers_of(fell)
-    panels = report.tracking_figure("go1", numbers).axes[:2]
+    panels = figures.tracking("go1", numbers).axes[:2]
     labels = [text.get_text() for text in panels[0].get_yticklabels()]
     assert labels == ["-1", "0", "0.5", "1"]
     for panel, axis in zip(panels, ("vy", "wz"), strict=True):
@@ -104,7 +104,7 @@ def test_every_cell_of_the_maps_shows_its_command():
 
 
 def test_the_colours_begin_at_zero_and_end_at_the_largest_error():
-    image = report.tracking_figure("go1", numbers_of()).axes[0].images[0]
+    image = figures.tracking("go1", numbers_of()).axes[0].images[0]
     worst = max(row["tracking_error"] for row in numbers_of()["commands"])
     assert image.get_clim() == (0, pytest.approx(worst))
 
@@ -113,7 +113,7 @@ def test_the_bars_of_a_gait_are_the_contacts_of_its_last_two_seconds():
     """Every bar against a loop over the raw contacts, of a long and of a short episode."""
     rng = np.random.default_rng(0)
     recordings = [{"contact": np.repeat(rng.random((n, 4)) < 0.5, 20, 0)} for n in (40, 9)]
-    panels, count = report.gait_figure("go1", numbers_of(), recordings, 0.005).axes, 0
+    panels, count = figures.gait("go1", numbers_of(), recordings, 0.005).axes, 0
     for panel, recording in zip(panels, recordings, strict=True):
         shown = recording["contact"][-400:]
         for j, name in enumerate(FEET):
@@ -141,8 +141,8 @@ def test_the_bars_of_a_gait_are_the_contacts_of_its_last_two_seconds():
 def test_no_pictures_without_matplotlib(tmp_path, monkeypatch):
     """The reason is one line, and nothing is written."""
     monkeypatch.setitem(__import__("sys").modules, "matplotlib", None)
-    problem = report.pictures(tmp_path, "go1", numbers_of(), [], 0.005)
-    assert problem == report.NO_PICTURES and not list(tmp_path.iterdir())
+    problem = figures.write(tmp_path, "go1", numbers_of(), [], 0.005)
+    assert problem == figures.NO_PICTURES and not list(tmp_path.iterdir())
 
 
 # ---- the episodes of the task

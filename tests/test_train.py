@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from ml_collections import config_dict
 
-from dynappo import checkpoint, console, files, log, render, schedule, train, versions
+from dynappo import checkpoint, console, files, log, render, results, schedule, train, versions
 from dynappo import config as config_lib
 from dynappo.config import ConfigError
 
@@ -194,9 +194,9 @@ def test_the_return_of_all_is_that_of_the_episodes_of_the_last_episodes_length(c
             steps, ended = steps + n_real[i], ended + count[i]
             returns = returns + metrics["episode_return_sum"][i]
     assert config.task.episode_length == 60 and steps == 66
-    np.testing.assert_allclose(train._return_of_all(config, metrics), returns / ended, rtol=1e-6)
+    np.testing.assert_allclose(results._return_of_all(config, metrics), returns / ended, rtol=1e-6)
     metrics["episodes"] = 0 * count
-    assert np.isnan(train._return_of_all(config, metrics)).all()
+    assert np.isnan(results._return_of_all(config, metrics)).all()
 
 
 def test_the_policy_is_in_a_plain_file(whole, config):
@@ -466,7 +466,7 @@ def test_the_time_of_each_phase_is_measured_if_asked(config, program):
     run = program()
     names = "iteration sim_steps seconds episode_return n_real episodes episode_return_sum"
     metrics = {n: np.ones(4) for n in names.split()}
-    summary = train.summarise(ask, run, run.state, metrics)
+    summary = results.summarise(ask, run, run.state, metrics)
     assert summary["phases_ms"].keys() == {"iteration", "physics", "tail", "fit", "ppo"}
     assert 0 < summary["phases_ms"]["physics"] < summary["phases_ms"]["iteration"]
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dynappo import bench, files, log, render, train
+from dynappo import bench, files, log, render, results, train
 from dynappo import config as config_lib
 
 VARIANTS = "ppo12,ppo16,dyna2,dyna4_noschedule,dyna4"
@@ -39,7 +39,7 @@ def main():
         render.save_params(
             path.with_suffix(".npz"), files.best_params(state.learner.params, metrics)
         )
-        summary = train.summarise(config, program, state, metrics)
+        summary = results.summarise(config, program, state, metrics)
         summary["phases_ms"] = bench.phases(config, program, state)
         log.write_json(path, summary)
         print(row(variant, summary), flush=True)

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from dynappo import config as config_lib
-from dynappo import files, log, policy_file, train
+from dynappo import files, log, policy_file, results, train
 
 EVERY = 10  # rows of the metrics to one of the CSV
 
@@ -49,7 +49,7 @@ def main():
         thin = {n: m[EVERY - 1 :: EVERY] for n, m in metrics.items()}
         path.with_suffix(".csv").unlink(missing_ok=True)
         log.append_csv(path.with_suffix(".csv"), log.rows(thin))
-        summary = train.summarise(config, program, state, metrics)
+        summary = results.summarise(config, program, state, metrics)
         summary["set"] = args.set
         summary["last_10"] = {
             n: np.mean(m[-10:], axis=0).tolist() for n, m in metrics.items() if m.dtype != np.int32
