@@ -93,7 +93,7 @@ def _cell(text: str):
         return text
 
 
-def pick(rows, **wanted) -> dict[str, Any]:
+def pick(rows, /, **wanted) -> dict[str, Any]:
     """The first row with these values, or {}."""
     return next((row for row in rows if wanted.items() <= row.items()), {})
 

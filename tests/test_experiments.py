@@ -144,8 +144,9 @@ def test_a_run_that_is_done_is_not_run_again(tmp_path, monkeypatch):
 # Tables
 
 
-def test_the_ablation_names_its_best_cell_and_what_the_paper_says_of_its_own(tmp_path):
+def test_the_ablation_names_its_best_cell_and_what_the_paper_says_of_its_own(tmp_path, monkeypatch):
     ablation = module("10_ablation.plot")
+    monkeypatch.setattr(ablation, "OTHERS", tmp_path)
     for n, top in ((12, 4.0), (16, 30.0)):
         returns = [[top, top + 2]] * 20
         keep(tmp_path, run.name(ablation.job(4096, n)), returns)
@@ -170,8 +171,8 @@ def test_the_ablation_names_its_best_cell_and_what_the_paper_says_of_its_own(tmp
 def test_a_cell_that_another_folder_has_is_read_from_there(tmp_path, monkeypatch):
     """12_platforms has 4096 robots and 12 rows; not 2048 robots. An own run comes first."""
     ablation = module("10_ablation.plot")
-    monkeypatch.setattr(ablation, "PLATFORMS", tmp_path / "other")
-    keep(tmp_path / "other", "go1_ppo12", [[7.0] * 5] * 12)
+    monkeypatch.setattr(ablation, "OTHERS", tmp_path)
+    keep(tmp_path / "12_platforms" / "results", "go1_ppo12", [[7.0] * 5] * 12)
     cells = ablation.build(tmp_path / "own", [(2048, 12), (4096, 12)])
     assert [cell["status"] for cell in cells] == ["not run", ""]
     assert (cells[1]["seeds"], cells[1]["max_reward_mean"]) == (5, 7)
@@ -179,6 +180,13 @@ def test_a_cell_that_another_folder_has_is_read_from_there(tmp_path, monkeypatch
     assert run.configure(ablation.job(4096, 12), 5).to_dict() == other  # the same setting
     keep(tmp_path / "own", run.name(ablation.job(4096, 12)), [[3.0] * 3] * 12)
     assert ablation.build(tmp_path / "own", [(4096, 12)])[0]["seeds"] == 3
+    for cell, path in ablation.ELSEWHERE.items():
+        known = paper.load((ROOT / "experiments" / path).parent, pathlib.Path(path).name)
+        assert (
+            known
+            and len(paper.peak(known)) == 5
+            and known.columns["sim_steps"][-1, 0] == (500 * np.prod(cell))
+        )
 
 
 def test_regimes_are_judged_by_the_threshold_of_their_task(tmp_path, monkeypatch):
@@ -234,6 +242,38 @@ def test_a_regime_is_read_from_the_folder_that_has_it(tmp_path, monkeypatch):
     assert regimes.found(tmp_path, regimes.Regime("", 4096), "dyna4")
     other = regimes.Regime("", 2048, "task.formulation=paper_text")
     assert not any(regimes.found(tmp_path, other, v) for v in regimes.VARIANTS)
+
+
+def test_tails_are_compared_with_the_real_rows_that_they_stand_for(tmp_path, monkeypatch):
+    """24 rows of 1024 robots: 20 real and 4 of the model, against PPO with 20 and with 24."""
+    regimes = module("17_regimes.plot")
+    monkeypatch.setitem(sys.modules, "plot", regimes)  # as a script of the folder finds it
+    cliff = module("17_regimes.cliff")
+    monkeypatch.setattr(regimes, "__file__", str(tmp_path / "17_regimes" / "plot.py"))
+    ablation, folder = tmp_path / "10_ablation" / "results", tmp_path / "17_regimes" / "results"
+    assert len(cliff.jobs(folder)) == 6
+    configs = [run.configure(job, 5) for job in cliff.jobs(folder)]
+    assert sorted(c.rollout.horizon for c in configs) == [16, 16, 20, 20, 24, 24]
+    assert {c.rollout.num_envs for c in configs} == {1024}
+    returns = {20: [10.0, 14.0], 24: [30.0, 34.0]}
+    for rows, last in returns.items():
+        job = module("10_ablation.plot").job(1024, rows)
+        keep(ablation, run.name(job), [last] * 10)
+    keep(folder, "go1_dyna4_rollout.num_envs_1024_rollout.horizon_24", [[20.0, 28.0]] * 10)
+    keep(tmp_path / "12_platforms" / "results", "go1_ppo16", [[30.0, 30.0]] * 10)  # limit 24
+    assert len(cliff.jobs(folder)) == 5
+    rows = cliff.build(folder)
+    assert [row["status"] for row in rows].count("") == 4  # PPO-20 is in two groups
+    tail = paper.pick(rows, variant="dyna4", rows=24)
+    assert (tail["max_reward_mean"], tail["success_rate_pct"], tail["sim_steps_M_mean"]) == (
+        24,
+        50,
+        0.01,
+    )
+    assert tail["p_vs_fewer"] == paper.welch_of([20, 28], returns[20])
+    assert tail["p_vs_all"] == paper.welch_of([20, 28], returns[24])
+    cliff.make(tmp_path / "17_regimes", [1024])
+    assert (tmp_path / "17_regimes" / "cliff.svg").exists()
 
 
 def test_the_platforms_are_compared_with_both_baselines_and_the_paper(tmp_path):

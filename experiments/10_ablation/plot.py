@@ -12,7 +12,13 @@ from experiments import paper, run
 ENVS, HORIZONS = (512, 1024, 2048, 4096, 8192), (12, 16, 20, 24, 28, 32)
 # what decides most comes first: the paper's 4096 robots, and its best cell
 GRID = [(envs, n) for envs in (4096, 8192, 2048, 1024, 512) for n in HORIZONS]
-PLATFORMS = Path(__file__).parent.parent / "12_platforms" / "results"
+FIVE = ((1024, 12), (1024, 20), (1024, 24))  # five seeds where the return rises most, as ELSEWHERE
+OTHERS = Path(__file__).parent.parent
+ELSEWHERE = {  # runs of the same setting, with five seeds
+    (4096, 12): "12_platforms/results/go1_ppo12",
+    (4096, 16): "12_platforms/results/go1_ppo16",
+    (1024, 16): "20_tail/results/go1_ppo16_1024",
+}
 SHADES = ("#bcd4ea", "#85b1dc", "#4a86c2", "#1f5a99", "#0b2f57")
 COLUMNS = (
     "envs horizon status max_reward_mean max_reward_low max_reward_high paper_max_reward policy_std_mean "
@@ -57,9 +63,12 @@ def build(folder: Path, grid) -> list[dict]:
 
 
 def load(folder: Path, envs: int, horizon: int) -> paper.Run | None:
-    """A cell's run, or that of the same setting in 12_platforms, with five seeds."""
+    """A cell's run, or that of the same setting in another folder."""
     own = paper.load(folder, run.name(job(envs, horizon)))
-    return own or (paper.load(PLATFORMS, f"go1_ppo{horizon}") if envs == 4096 else None)
+    if own or (envs, horizon) not in ELSEWHERE:
+        return own
+    path = OTHERS / ELSEWHERE[envs, horizon]
+    return paper.load(path.parent, path.name)
 
 
 def best(rows, name: str = "max_reward_mean") -> dict:

@@ -52,23 +52,26 @@ def make(out: Path, regimes) -> None:
     draw(rows, regimes, out / "regimes")
 
 
-def job(regime: Regime, variant: str) -> str:
-    """As run.py takes it; PPO's are named as in 10_ablation."""
+def job(regime: Regime, variant: str, rows: int | None = None) -> str:
+    """As run.py takes it; `rows` of a rollout, if not the variant's; PPO's are named as in 10_ablation."""
     fields = [f"rollout.num_envs={regime.envs}"]
     if variant in PPO:
-        variant, fields = "ppo16", [*fields, f"rollout.horizon={PPO[variant]}"]
+        variant, rows = "ppo16", rows or PPO[variant]
+    if rows:
+        fields.append(f"rollout.horizon={rows}")
     return ":".join(["go1", variant, *fields, *filter(None, [regime.fields])])
 
 
-def found(folder: Path, regime: Regime, variant: str) -> paper.Run | None:
+def found(folder: Path, regime: Regime, variant: str, rows: int | None = None) -> paper.Run | None:
     """A run, in `folder` or where another folder has the same settings, that with five seeds first."""
-    others, own = Path(__file__).parent.parent, run.name(job(regime, variant))
+    others, own = Path(__file__).parent.parent, run.name(job(regime, variant, rows))
     places = [(folder, own)]
     if not regime.fields:
-        places += [(others / "20_tail" / "results", f"go1_{variant}_{regime.envs}")]
-        places += [(others / "10_ablation" / "results", own)]
-        if regime.envs == 4096:
-            places.insert(1, (others / "12_platforms" / "results", f"go1_{variant}"))
+        places.append((others / "10_ablation" / "results", own))
+        if rows in (None, PPO.get(variant)):
+            places.insert(1, (others / "20_tail" / "results", f"go1_{variant}_{regime.envs}"))
+            if regime.envs == 4096:
+                places.insert(1, (others / "12_platforms" / "results", f"go1_{variant}"))
     return next((one for path, name in places if (one := paper.load(path, name))), None)
 
 
@@ -122,8 +125,7 @@ def draw(rows, regimes, path: Path) -> None:
                     axis.bar(x, mean, 0.92 * wide, color=colour)
                     axis.vlines(x, cells[f"{name}_low"], cells[f"{name}_high"], color="0.5")
                 above = dict(xytext=(0, 3), textcoords="offset points", ha="center", va="bottom")
-                turned = 0 if mean else 90
-                axis.annotate(note, (x, top), rotation=turned, fontsize=7, color="0.4", **above)
+                axis.annotate(note, (x, top), rotation=90, fontsize=7, color="0.4", **above)
     axes[1, 0].set_xticks(range(len(regimes)), [r.label.replace(", ", ",\n") for r in regimes])
     axes[1, 0].set_xlim(-0.5, len(regimes) - 0.5)
     axes[0, 0].set_ylabel("best return of 500 iterations")
