@@ -23,9 +23,10 @@ ROBOTS = {"go1": "Go1", "go2": "Go2", "anymal_c": "ANYmal-C", "anymal_d": "ANYma
 WITHOUT = ("clean", "known_reward", "falls", "bounds")
 # group -> (first, and what is compared with it); a group is of one batch unless the README says otherwise
 GROUPS = {
-    label: tuple(f"{robot}_{run}" for run in ("ppo16", "best", "24of32", "dyna4"))
+    label: tuple(f"{robot}_{run}" for run in ("ppo16", "best", "24of32", "dyna4", "ppo24"))
     for robot, label in ROBOTS.items()
 }
+GROUPS["Go1"] = GROUPS["Go1"][:-1]  # PPO-24 of Go1 is in 17_regimes
 GROUPS |= {
     f"{label}, 1024 robots": tuple(f"{robot}_{run}_1024" for run in ("ppo16", "best"))
     for robot, label in ROBOTS.items()
@@ -49,8 +50,16 @@ GROUPS |= {
         "idea_by_error",
         "idea_first_order_4",
         "idea_first_order_8",
+        "idea_first_order_weight_0.1",
+        "idea_first_order_weight_0.01",
     ),
-    "ideas, 4096 Go1": ("go1_best", "go1_first_order_4", "go1_private"),
+    "ideas, 4096 Go1": (
+        "go1_best",
+        "go1_first_order_4",
+        "go1_private",
+        "go1_unroll_3",
+        "go1_by_error",
+    ),
     "second batch": tuple(
         f"second/go1_{run}"
         for run in "ppo16 best best_float32 24of32 fast ppo16_bfloat16 ramp0 ramp20 ramp50".split()
