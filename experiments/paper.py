@@ -1,4 +1,4 @@
-"""What the folders 10 to 17 share: the paper's tables, runs as arrays, statistics, tables and figures.
+"""What the folders 10 to 18 share: the paper's tables, runs as arrays, statistics, tables and figures.
 
 The numbers of "Learning to Walk With Less" are in paper/*.csv, as printed there. A run is what
 `run.py` writes, NAME.csv and NAME.json; where it is missing or has diverged, tables say so.

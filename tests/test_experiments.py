@@ -9,6 +9,7 @@ import json
 import pathlib
 import subprocess
 import sys
+import types
 from functools import partial
 from types import SimpleNamespace
 
@@ -23,7 +24,10 @@ from dynappo import config as config_lib
 from experiments import paper, run
 
 ROOT = pathlib.Path(config_lib.__file__).parent.parent
-FOLDERS = "10_ablation 12_platforms 11_model 13_step_time 14_efficiency 15_curves 16_gaits 17_regimes".split()
+FOLDERS = (
+    "10_ablation 12_platforms 11_model 13_step_time 14_efficiency 15_curves 16_gaits 17_regimes "
+    "18_rollouts"
+).split()
 
 
 def module(name):
@@ -436,6 +440,43 @@ def test_figures_are_made_of_what_is_there(tmp_path, monkeypatch):
     module("16_gaits.plot").make(tmp_path / "none")
     assert "not run" in (tmp_path / "none" / "results.csv").read_text()
     assert (tmp_path / "none" / "measures.svg").exists()
+
+
+def test_tails_begin_where_physics_ended_and_overlap_the_next_rollouts(monkeypatch, tmp_path):
+    """By hand: numbers of a buffer; and in the committed rows the real ones are one curve."""
+    plot = module("18_rollouts.plot")
+    rng, buffers = np.random.default_rng(0), []
+    for _ in range(plot.SHOWN):
+        obs = np.zeros((24, 3, 48))
+        obs[..., plot.observe.COMMAND.start] = [0.2, 0.9, 0.5]
+        one = np.ones((24, 3))
+        one[3, 1] = 0  # the fastest falls
+        prop = rng.normal(size=(24, 3, 33))
+        buffer = dict(obs=obs, next_prop=prop, reward=one, discount=one, truncation=0 * one)
+        buffers.append(types.SimpleNamespace(**buffer))
+    rows = plot.rows(buffers, 0.02)
+    assert len(rows) == 24 * plot.SHOWN
+    k = plot.CURVES["calf"][0]
+    for row, i, t in ((rows[30], 1, 6), (rows[40], 1, 16)):
+        assert (row["rollout"], row["step"], row["synthetic"]) == (f"{i}", f"{t}", f"{int(t >= 8)}")
+        assert float(row["time"]) == pytest.approx((8 * i + t + 1) * 0.02)
+        assert float(row["calf"]) == pytest.approx(buffers[i].next_prop[t, 2, k], rel=1e-4)
+    paper.write(tmp_path / "rows.csv", rows)
+    first = plot.errors(paper.read(tmp_path / "rows.csv"))[0]
+    tail = buffers[0].next_prop[8:24, 2, k]
+    real = np.concatenate([buffers[1].next_prop[:8, 2, k], buffers[2].next_prop[:8, 2, k]])
+    assert first["rows"] == 16
+    assert first["calf_rms"] == pytest.approx(np.sqrt(np.mean((tail - real) ** 2)), rel=1e-3)
+
+    kept = paper.read(ROOT / "experiments" / "18_rollouts" / "results" / "rows.csv")
+    kept = {name: column[:, 0] for name, column in kept.items()}
+    real = kept["synthetic"] == 0
+    np.testing.assert_allclose(np.diff(kept["time"][real]), 0.02, atol=1e-6)
+    for name in ("thigh", "calf"):  # from row to row less than 10 rad/s, at anchors too
+        assert np.abs(np.diff(kept[name][real])).max() < 0.2
+        begins = kept["step"] == plot.REAL
+        anchors = kept["step"] == plot.REAL - 1
+        assert np.abs(kept[name][begins] - kept[name][anchors]).max() < 0.2
 
 
 # All of it

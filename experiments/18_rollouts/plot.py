@@ -1,0 +1,235 @@
+"""overview, model and tail as PNG and SVG: the paper's figures 1 to 3, drawn as their captions say.
+
+    python experiments/18_rollouts/plot.py
+
+The rows of `overview` are those of schedule.py, the curves of `tail` those of results/rows.csv.
+"""
+
+from pathlib import Path
+
+import numpy as np
+
+from dynappo import config as config_lib
+from dynappo import observe, schedule
+from experiments import paper
+
+REAL, SHOWN = 8, 4  # real rows of an iteration of `best`, iterations kept
+GREY, ORANGE, INK = "#8c8c8c", "#e07b28", "0.2"
+CURVES = {  # column of rows.csv -> number of the state, label
+    "speed": (observe.LINEAR_VELOCITY.start, "velocity ahead (m/s)"),
+    "thigh": (observe.JOINT_POS.start + 1, "first leg, thigh (rad)"),
+    "calf": (observe.JOINT_POS.start + 2, "first leg, calf (rad)"),
+}
+
+
+def main():
+    make(Path(__file__).parent)
+
+
+def make(out: Path) -> None:
+    columns = paper.read(out / "results" / "rows.csv")
+    paper.write(out / "results.csv", errors(columns))
+    draw_overview(out / "overview")
+    draw_model(out / "model")
+    draw_tail(columns, out / "tail")
+
+
+def rows(buffers, dt: float) -> list[dict]:
+    """A row a control step of the robot with the fastest command ahead of those that do not fall.
+
+    `time` (s) is that of physics: the tail of an iteration overlaps the real rows of the next ones.
+    """
+    alive = np.all([(b.discount == 1).all(0) & (b.truncation == 0).all(0) for b in buffers], 0)
+    commands = np.stack([b.obs[..., observe.COMMAND.start] for b in buffers])
+    steady = (np.ptp(commands, axis=(0, 1)) == 0) & alive
+    robot = int(np.argmax(np.where(steady, commands[0, 0], -np.inf)))
+    out = []
+    for i, buffer in enumerate(buffers):
+        for t in range(len(buffer.reward)):
+            state = {n: float(buffer.next_prop[t, robot, k]) for n, (k, _) in CURVES.items()}
+            head = {
+                "rollout": i,
+                "step": t,
+                "time": (i * REAL + t + 1) * dt,
+                "synthetic": int(t >= REAL),
+            }
+            out.append({n: f"{v:.5g}" for n, v in (head | state).items()})
+    return out
+
+
+def errors(columns) -> list[dict]:
+    """How far a tail is from where physics went, in the rows that both have; not of the last rollout."""
+    get = {name: column[:, 0] for name, column in columns.items()}
+    real, out = get["synthetic"] == 0, []
+    for i in range(SHOWN - 1):
+        tail = (get["rollout"] == i) & ~real & (get["time"] <= get["time"][real].max() + 1e-6)
+        at = np.searchsorted(get["time"][real], get["time"][tail] - 1e-6)
+        out.append({"rollout": i, "rows": int(tail.sum())})
+        for name in CURVES:
+            difference = get[name][tail] - get[name][real][at]
+            out[-1][f"{name}_rms"] = float(np.sqrt(np.mean(difference**2)))
+    return out
+
+
+def box(axis, x, y, text, colour="white", wide=1.0, high=0.62, **more):
+    """A box with its text about (x, y)."""
+    from matplotlib.patches import FancyBboxPatch
+
+    shape = dict(
+        boxstyle=f"round,pad=0,rounding_size={min(0.08, wide / 4)}", facecolor=colour, edgecolor=INK
+    )
+    axis.add_patch(FancyBboxPatch((x - wide / 2, y - high / 2), wide, high, linewidth=1, **shape))
+    axis.text(x, y, text, **{"ha": "center", "va": "center", "fontsize": 9} | more)
+
+
+def arrow(axis, start, end, text="", bend=0.0, **more):
+    """An arrow with a word at its middle."""
+    style = f"arc3,rad={bend}"
+    how = dict(arrowstyle="-|>", color=INK, connectionstyle=style, shrinkA=0, shrinkB=0)
+    axis.annotate("", end, start, arrowprops=how)
+    if text:
+        middle = ((start[0] + end[0]) / 2, (start[1] + end[1]) / 2)
+        axis.text(*middle, text, **{"ha": "center", "va": "bottom", "fontsize": 8} | more)
+
+
+def blank(axis, across, up) -> None:
+    """An axis to draw on, without ticks; `across` and `up` are its limits."""
+    axis.set(xlim=across, ylim=up, aspect="equal")
+    axis.axis("off")
+
+
+def draw_overview(path: Path) -> None:
+    """Figure 1: the pipeline of an iteration, and its rows over the iterations of the paper's ramp."""
+    page, axes = paper.figure(2, 2, (9.5, 5.4), height_ratios=(1.4, 1))
+    axis = axes[0, 0]
+    axes[0, 1].remove()
+    axis.set_subplotspec(axis.get_gridspec()[0, :])  # as wide as the page
+    blank(axis, (0, 12.4), (-0.35, 2.9))
+    box(axis, 1.2, 2.2, "physics $p$\n(MuJoCo)", wide=1.9, high=0.9)
+    for n in range(24):
+        colour = GREY if n < REAL else ORANGE
+        box(axis, 3.3 + 0.17 * n, 2.2, "", colour, wide=0.13, high=0.55)
+    axis.text(3.9, 2.62, f"$N_r$ = {REAL} real rows", ha="center", fontsize=8, color=INK)
+    axis.text(6.0, 2.62, "tail: $N_s$ = 16 synthetic rows", ha="center", fontsize=8, color=ORANGE)
+    box(axis, 3.9, 0.75, "fit $f_\\theta$\n$\\mathcal{L}_{model}$", wide=1.5, high=0.9)
+    box(axis, 6.3, 0.75, "model $f_\\theta$\nas physics", "#fbe6d3", wide=1.5, high=0.9)
+    box(axis, 9.2, 2.2, "GAE, PPO\n$\\mathcal{L}_{CLIP}$", wide=1.7, high=0.9)
+    box(axis, 11.4, 2.2, "policy $\\pi$", wide=1.3, high=0.9)
+    arrow(axis, (2.15, 2.2), (3.2, 2.2))
+    arrow(axis, (3.9, 1.9), (3.9, 1.22))
+    arrow(axis, (4.65, 0.75), (5.55, 0.75))
+    arrow(axis, (6.3, 1.22), (6.3, 1.9))
+    arrow(axis, (7.35, 2.2), (8.35, 2.2))
+    arrow(axis, (10.05, 2.2), (10.75, 2.2))
+    axis.plot([11.4, 11.4, 1.2, 1.2], [1.72, -0.25, -0.25, 1.2], color=INK, linewidth=1)
+    arrow(axis, (1.2, 1.2), (1.2, 1.72))
+    below = "next iteration: from the state after the last real row, never from a predicted one"
+    axis.text(6.3, -0.17, below, ha="center", va="bottom", fontsize=8, color=INK)
+    for axis, variant, who in zip(
+        axes[1], ("dyna4", "best"), ("the paper's ramp", "ours"), strict=True
+    ):
+        config = config_lib.load(f"configs/go1.py:{variant}")
+        steps, rows = schedule.table(config)[:120], config.rollout.horizon
+        i = np.arange(1, len(steps) + 1)
+        axis.stackplot(
+            i,
+            rows - steps,
+            steps,
+            colors=(GREY, ORANGE),
+            step="mid",
+            labels=("simulated", "synthetic"),
+        )
+        axis.set(
+            xlim=(1, len(i)), ylim=(0, 24), xlabel="iteration", yticks=(0, 4, 8, 12, 16, 20, 24)
+        )
+        axis.set_title(f"{variant}, {who}", loc="left", fontsize=10)
+        axis.grid(visible=False)
+    axes[1, 0].set_ylabel("rows of a rollout")
+    axes[1, 0].legend(loc="lower right", framealpha=1)
+    paper.save(page, path)
+
+
+def draw_model(path: Path) -> None:
+    """Figure 2: real rows feed the model's loss; policy and model write the tail by turns."""
+    page, axes = paper.figure(1, 1, (9.5, 3.6))
+    axis = axes[0, 0]
+    blank(axis, (0, 13.2), (0.5, 4.6))
+    names = (
+        "$o_k$",
+        "$o_{k+1}$",
+        "$\\cdots$",
+        "$o_{N_r}$",
+        "$\\hat{o}_{N_r+1}$",
+        "$\\cdots$",
+        "$\\hat{o}_N$",
+    )
+    at = [0.9 + 1.9 * n for n in range(len(names))]
+    for n, (x, name) in enumerate(zip(at, names, strict=True)):
+        synthetic = n > 3
+        box(axis, x, 2.9, name, "#fbe6d3" if synthetic else "#dddddd", wide=0.95)
+        if n + 1 < len(at):
+            maker = "$f_\\theta$" if n >= 3 else "$p$"
+            start, end = (x + 0.48, 2.9), (at[n + 1] - 0.48, 2.9)
+            arrow(axis, start, end, maker, color=ORANGE if n >= 3 else INK, fontsize=11)
+            box(axis, x + 0.95, 4.25, "$\\pi$", wide=0.5, high=0.5)
+            arrow(axis, (x + 0.25, 3.22), (x + 0.75, 4.0))
+            arrow(axis, (x + 1.0, 4.0), (x + 1.0, 3.3))
+            axis.text(x + 1.12, 3.6, "$a$", fontsize=9)
+    box(axis, at[1], 1.0, "rollout buffer: $o, a, r, o'$ of the real rows", wide=4.4, high=0.7)
+    box(
+        axis,
+        at[3] + 1.5,
+        1.0,
+        "$\\mathcal{L}_{model}$ = Huber$(f_\\theta(o, a), (o'-o, r))$",
+        wide=4.2,
+        high=0.7,
+    )
+    arrow(axis, (at[1], 2.57), (at[1], 1.37))
+    arrow(axis, (at[1] + 2.2, 1.0), (at[3] - 0.62, 1.0))
+    arrow(axis, (at[4], 1.37), (at[4] - 0.9, 2.75))
+    axis.text(at[0] - 0.4, 2.25, "simulated", fontsize=9, color=INK)
+    axis.text(at[4] + 0.6, 2.25, "tail: policy and model by turns", fontsize=9, color=ORANGE)
+    paper.save(page, path)
+
+
+def draw_tail(columns, path: Path) -> None:
+    """Figure 3: successive rollouts of one robot; each goes on from the last state of physics."""
+    page, axes = paper.figure(len(CURVES), 1, (9.5, 6), sharex=True)
+    get = {name: column[:, 0] for name, column in columns.items()}
+    real = get["synthetic"] == 0
+    for axis, (name, (_, label)) in zip(axes[:, 0], CURVES.items(), strict=True):
+        axis.plot(
+            get["time"][real], get[name][real], ".-", color=GREY, linewidth=2, label="physics"
+        )
+        for i in range(SHOWN):
+            tail = (get["rollout"] == i) & (get["step"] >= REAL - 1)
+            label_ = "tails of the model" if i == 0 else ""
+            axis.plot(
+                get["time"][tail],
+                get[name][tail],
+                ".-",
+                color=ORANGE,
+                linewidth=1.2,
+                markersize=3,
+                label=label_,
+            )
+            anchor = np.flatnonzero(tail)[0]
+            first = "anchor: the next rollout goes on from here" if i == 0 else ""
+            axis.plot(
+                get["time"][anchor],
+                get[name][anchor],
+                "o",
+                color=INK,
+                markersize=6,
+                fillstyle="none",
+                label=first,
+            )
+        axis.set_ylabel(label)
+    axes[-1, 0].set_xlabel("time of physics (s)")
+    paper.head(page, f"One Go1, {SHOWN} rollouts of best: {REAL} real rows and a tail of 16")
+    paper.legend(page, axes[0, 0], 3)
+    paper.save(page, path)
+
+
+if __name__ == "__main__":
+    main()
