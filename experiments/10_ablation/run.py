@@ -14,17 +14,19 @@ from experiments import paper, run
 
 SEEDS = 3  # as the paper
 SETTINGS = ("run.eval_envs=0", "run.checkpoint_every=0")  # the table needs returns only
+FIVE = ("run.eval_envs=200", "run.checkpoint_every=0")  # 17_regimes needs more of plot.FIVE
 
 
 def main():
     args = paper.options(Path(__file__).parent, __doc__ or "")
     grid = [(16, 12), (32, 16)] if args.quick else plot.GRID
-    settings, thin = (paper.QUICK, 5) if args.quick else (SETTINGS, paper.EVERY)
+    results, thin = args.out / "results", 5 if args.quick else paper.EVERY
     for cell in grid:
-        if not plot.load(args.out / "results", *cell):
-            seeds = 2 if args.quick else 5 if cell in plot.FIVE else SEEDS
-            jobs = [plot.job(*cell)]
-            run.batch(args.out / "results", jobs, seeds, settings, thin=thin, lock=args.lock)
+        if not plot.load(results, *cell):
+            seeds, settings = (5, FIVE) if cell in plot.FIVE else (SEEDS, SETTINGS)
+            if args.quick:
+                seeds, settings = 2, paper.QUICK
+            run.batch(results, [plot.job(*cell)], seeds, settings, thin=thin, lock=args.lock)
     plot.make(args.out, grid)
 
 
