@@ -114,13 +114,7 @@ def check_out(out: Path, source: Path) -> None:
     """ConfigError if nothing can be written at `out`; leaves no file behind."""
     if out.exists() and source.exists() and out.samefile(source):
         raise ConfigError(f"--out={out}: is the policy itself; name another file")
-    fresh = not out.exists()
-    try:
-        out.open("ab").close()
-    except OSError as error:
-        raise ConfigError(f"--out={out}: cannot write there ({error.strerror})") from None
-    if fresh:
-        out.unlink()
+    flags_lib.check_writable(out)
 
 
 def observation_table(policy: Policy) -> list[dict[str, Any]]:

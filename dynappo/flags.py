@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Callable
+from pathlib import Path
 
 from dynappo import config as config_lib
 from dynappo.config import ConfigError
@@ -53,6 +54,17 @@ def load(spec: str | None, rest: list[str]):
         field, equals, text = flag.removeprefix("--config.").partition("=")
         config_lib.override(config, field, text if equals else next(more, ""))
     return config
+
+
+def check_writable(out: Path) -> None:
+    """ConfigError if no file can be written at `out`; leaves none behind."""
+    fresh = not out.exists()
+    try:
+        out.open("ab").close()
+    except OSError as error:
+        raise ConfigError(f"--out={out}: cannot write there ({error.strerror})") from None
+    if fresh:
+        out.unlink()
 
 
 def answer(

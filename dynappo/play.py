@@ -197,13 +197,7 @@ def check_out(out: Path) -> None:
     """ConfigError if nothing can be written at `out`; leaves no file behind."""
     if out.suffix not in FILES:
         raise ConfigError(f"--out={out}: expected a file named {', '.join(FILES)}")
-    fresh = not out.exists()
-    try:
-        out.open("ab").close()
-    except OSError as error:
-        raise ConfigError(f"--out={out}: cannot write there ({error.strerror})") from None
-    if fresh:
-        out.unlink()
+    flags_lib.check_writable(out)
 
 
 def table(body: episode_lib.Body, episode: dict) -> list[tuple[str, str]]:
