@@ -97,8 +97,9 @@ def iterate(
     model, past, slope, metrics = state.model, state.past, None, {}
     if model is not None:
         epochs, fit_key = columns["model_epochs"], jax.random.fold_in(key, FIT)
-        what = buffer, n_real, epochs, fit_key
-        model, past, metrics = learn(env, hyper, model, past, *what, static=static)
+        model, past, metrics = learn(
+            env, hyper, model, past, buffer, n_real, epochs, fit_key, static=static
+        )
         act = policy(static.ppo, state.learner.params)
         keys = rollout.row_keys(rows_key, state.robot_index)
         tail = dynamics.tail(static.model, env, env_state, state.params_physics)
@@ -113,8 +114,10 @@ def iterate(
         batch = batch._replace(weight=jnp.where(real, 1.0, hyper.ppo.tail_weight * buffer.valid))
         metrics |= summary.of_tail(buffer, real, env.dt)
         if static.ppo.first_order_steps:
-            beyond, unit = lambda k: keys(horizon + k), batch.advantages.std()
-            slope = first_order.gradient(static.ppo, hyper.ppo, params, step, tail, beyond, unit)
+            unit = batch.advantages.std()
+            slope = first_order.gradient(
+                static.ppo, hyper.ppo, params, step, tail, lambda k: keys(horizon + k), unit
+            )
     update_key = jax.random.fold_in(key, UPDATE)
     learner, ppo_metrics = ppo.update(
         static.ppo, hyper.ppo, state.learner, batch, update_key, slope

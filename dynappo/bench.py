@@ -235,6 +235,8 @@ def parse(argv: list[str] | None):
     known, rest = flags.read_known(parser, argv)
     if known.repeats < 1:
         raise ConfigError(f"--repeats is {known.repeats}, expected 1 or more")
+    if known.out:  # before minutes of measuring
+        flags.check_writable(known.out)
     names = [known.config, known.vs] if known.vs else [known.config]
     configs = []
     for name in names:

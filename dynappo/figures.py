@@ -15,6 +15,7 @@ import numpy as np
 from dynappo import measure
 
 WINDOW = 2.0  # s of a gait diagram
+LARGE_YAW = 0.2  # rad/s, an error that is shown in red
 NO_PICTURES = "no pictures: matplotlib is not installed; pip install 'dynappo[video]'"
 
 
@@ -84,7 +85,9 @@ def _cell(panel, j: int, i: int, row: dict[str, Any], top: float) -> None:
     dark = row["tracking_error"] > 0.55 * top
     style = middle | {"color": "white" if dark else "0.12"}
     panel.text(j, i + 0.06, f"{row['tracking_error']:.2f}", fontsize=14, **style)
-    panel.text(j, i - 0.27, f"{row['yaw_error']:.2f}", fontsize=8.5, alpha=0.75, **style)
+    yaw = row["yaw_error"]
+    loud = {"color": "#b2182b", "fontweight": "bold"} if yaw > LARGE_YAW else {"alpha": 0.75}
+    panel.text(j, i - 0.27, f"{yaw:.2f}", fontsize=8.5, **style | loud)
 
 
 def gait(title: str, numbers: dict[str, Any], recordings, timestep: float):

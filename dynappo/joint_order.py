@@ -5,6 +5,8 @@ Nothing needs to be reordered on the robot: rows and columns of a policy's first
 
 from __future__ import annotations
 
+import collections
+
 import numpy as np
 
 from dynappo import observe
@@ -31,7 +33,7 @@ def find(
             raise ConfigError(f"--joint-order={text}: {reason}")
 
     names = robot.joint_names
-    legs = {name.partition("_")[0]: [] for name in names}
+    legs = collections.defaultdict(list)
     for name in names:
         legs[name.partition("_")[0]].append(name)
     if text is None:
@@ -49,7 +51,7 @@ def find(
     given = tuple(name.strip() for name in text.split(","))
     unknown = [name for name in given if name not in names]
     known = f"expected {', '.join(ORDERS)} or the joints {','.join(names)}"
-    expect(not unknown, f"{robot.name} has no joint {', '.join(unknown) or ''}; {known}")
+    expect(not unknown, f"{robot.name} has no joint {', '.join(unknown)}; {known}")
     twice = [name for name in names if given.count(name) > 1]
     expect(not twice, f"{', '.join(twice)} is there more than once")
     lacks = [name for name in names if name not in given]

@@ -207,7 +207,7 @@ def table(body: episode_lib.Body, episode: dict) -> list[tuple[str, str]]:
     def value(name, text, otherwise):
         return otherwise if m[name] is None else text.format(m[name])
 
-    short = "stood for less than a second"
+    short = "only after a second"
     return [
         ("played", f"{m['seconds']:.1f} s"),
         ("distance", f"{m['distance']:.1f} m"),

@@ -258,7 +258,7 @@ def show_sweep(screen, numbers: dict[str, Any]) -> None:
 
 
 def notes(rows: list[dict[str, Any]]) -> list[str]:
-    """A line on the command that is tracked worst, and one on each that made the robot fall."""
+    """Lines on the commands tracked worst and turned worst, and on those that made the robot fall."""
 
     def asked(row):
         x, y, turn = row["command"]
@@ -270,8 +270,12 @@ def notes(rows: list[dict[str, Any]]) -> list[str]:
     if len(fell) > 5:
         lines.append(f"fell on {len(fell) - 5} other commands: see evaluation.json")
     if stood:
-        worst = max(stood, key=lambda row: row["tracking_error"])
-        lines.append(f"worst tracked: {worst['tracking_error']:.2f} m/s, {asked(worst)}")
+        for name, label, unit in (
+            ("tracking_error", "worst tracked", "m/s"),
+            ("yaw_error", "worst turned", "rad/s"),
+        ):
+            worst = max(stood, key=lambda row, name=name: row[name])
+            lines.append(f"{label}: {worst[name]:.2f} {unit}, {asked(worst)}")
     return lines
 
 

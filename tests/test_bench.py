@@ -23,6 +23,7 @@ GO1 = "--config=configs/go1.py:quick"
         ([GO1, "--config.ppo.clip=1"], "--config.ppo.clip: no such field"),
         ([GO1, "--vs=configs/none.py"], "no file 'configs/none.py'"),
         ([GO1, "--out"], "--out: expected one argument; write it as --flag=VALUE"),
+        ([GO1, "--out=/no/folder/b.json"], "--out=/no/folder/b.json: cannot write there"),
     ],
 )
 def test_a_wrong_flag_is_one_line_and_status_2(argv, text, capsys):

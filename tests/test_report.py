@@ -299,7 +299,12 @@ def test_where_an_evaluation_goes(tmp_path):
 def test_falls_are_named():
     """The first five, and how many more; the worst is one that stood."""
     rows = numbers_of()["commands"]
-    assert report.notes(rows) == ["worst tracked: 0.43 m/s, asked for 1, 0 m/s, 1 rad/s"]
+    turned = max(rows, key=lambda row: row["yaw_error"])
+    x, y, turn = turned["command"]
+    assert report.notes(rows) == [
+        "worst tracked: 0.43 m/s, asked for 1, 0 m/s, 1 rad/s",
+        f"worst turned: {turned['yaw_error']:.2f} rad/s, asked for {x:g}, {y:g} m/s, {turn:g} rad/s",
+    ]
     fell = {tuple(row["command"]) for row in rows[-7:]}
     lines = report.notes(numbers_of(fell)["commands"])
     assert sum(line.startswith("fell after 1.5 s, asked for") for line in lines) == 5
