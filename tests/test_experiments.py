@@ -446,28 +446,68 @@ def test_tails_begin_where_physics_ended_and_overlap_the_next_rollouts(monkeypat
     """By hand: numbers of a buffer; and in the committed rows the real ones are one curve."""
     plot = module("18_rollouts.plot")
     rng, buffers = np.random.default_rng(0), []
-    for _ in range(plot.SHOWN):
-        obs = np.zeros((24, 3, 48))
-        obs[..., plot.observe.COMMAND.start] = [0.2, 0.9, 0.5]
-        one = np.ones((24, 3))
+    for i in range(plot.KEPT):
+        obs = np.zeros((24, 4, 48))
+        obs[..., plot.observe.COMMAND.start] = [
+            0.2,
+            0.9,
+            0.5,
+            0.7 + (i == 3),
+        ]  # the last is told anew
+        one = np.ones((24, 4))
         one[3, 1] = 0  # the fastest falls
-        prop = rng.normal(size=(24, 3, 33))
-        buffer = dict(obs=obs, next_prop=prop, reward=one, discount=one, truncation=0 * one)
-        buffers.append(types.SimpleNamespace(**buffer))
-    rows = plot.rows(buffers, 0.02)
-    assert len(rows) == 24 * plot.SHOWN
-    k = plot.CURVES["calf"][0]
+        one[20, 2] = 0  # in a tail, where physics does not
+        buffer = dict(obs=obs, next_prop=rng.normal(size=(24, 4, 33)), reward=one, discount=one)
+        buffers.append(types.SimpleNamespace(**buffer, truncation=0 * one))
+    assert plot.steady(buffers).tolist() == [True, False, True, False]
+    rows, k = plot.rows(buffers, 0.02), plot.CURVES["calf"][0]
+    assert len(rows) == 24 * plot.KEPT
     for row, i, t in ((rows[30], 1, 6), (rows[40], 1, 16)):
         assert (row["rollout"], row["step"], row["synthetic"]) == (f"{i}", f"{t}", f"{int(t >= 8)}")
         assert float(row["time"]) == pytest.approx((8 * i + t + 1) * 0.02)
         assert float(row["calf"]) == pytest.approx(buffers[i].next_prop[t, 2, k], rel=1e-4)
-    paper.write(tmp_path / "rows.csv", rows)
-    first = plot.errors(paper.read(tmp_path / "rows.csv"))[0]
-    tail = buffers[0].next_prop[8:24, 2, k]
-    real = np.concatenate([buffers[1].next_prop[:8, 2, k], buffers[2].next_prop[:8, 2, k]])
-    assert first["rows"] == 16
-    assert first["calf_rms"] == pytest.approx(np.sqrt(np.mean((tail - real) ** 2)), rel=1e-3)
+    errors = plot.distance(buffers)
+    assert [row["row"] for row in errors] == list(range(1, 17))
+    for t, later, at in ((8, 1, 0), (15, 1, 7), (16, 2, 0), (23, 2, 7)):
+        tail, still = [], []
+        for i in range(plot.TAILS):
+            for robot in (0, 2):
+                went = buffers[i + later].next_prop[at, robot, k]
+                tail.append(buffers[i].next_prop[t, robot, k] - went)
+                still.append(buffers[i].next_prop[7, robot, k] - went)
+        row = errors[t - 8]
+        assert float(row["calf_tail"]) == pytest.approx(np.sqrt(np.mean(np.square(tail))), rel=1e-3)
+        assert float(row["calf_still"]) == pytest.approx(
+            np.sqrt(np.mean(np.square(still))), rel=1e-3
+        )
 
+
+def test_figures_1_to_3_are_drawn_from_the_schedule_and_the_rows(tmp_path, monkeypatch):
+    """Tails start at the anchor, the last real row; `best` has 8 real rows from iteration 20 on."""
+    plot, pages = module("18_rollouts.plot"), {}
+    monkeypatch.setattr(plot.paper, "save", lambda page, path: pages.update({path.name: page}))
+    folder = ROOT / "experiments" / "18_rollouts" / "results"
+    plot.draw_tail(paper.read(folder / "rows.csv"), tmp_path / "tail")
+    kept = {n: column[:, 0] for n, column in paper.read(folder / "rows.csv").items()}
+    lines = pages["tail"].axes[2].lines[1:]
+    assert len(lines) == 2 * plot.TAILS
+    for i, (line, anchor) in enumerate(zip(lines[::2], lines[1::2], strict=True)):
+        ((x,), (y,)) = anchor.get_data()
+        last = (kept["rollout"] == i) & (kept["step"] == plot.REAL - 1)
+        assert (x, y) == (kept["time"][last], kept["calf"][last])
+        assert len(line.get_xdata()) == 17 and line.get_xdata()[0] == x
+    plot.draw_overview(tmp_path / "overview")
+    real, tail = pages["overview"].axes[2].collections
+    assert real.get_paths()[0].contains_point((100, 7.9)) and tail.get_paths()[0].contains_point(
+        (100, 8.1)
+    )
+    plot.draw_model(tmp_path / "model")
+    assert set(pages) == {"tail", "overview", "model"}
+
+
+def test_the_kept_rollouts_go_on_from_their_anchors():
+    """The committed rows: the real ones are one curve, which tails leave without a jump."""
+    plot = module("18_rollouts.plot")
     kept = paper.read(ROOT / "experiments" / "18_rollouts" / "results" / "rows.csv")
     kept = {name: column[:, 0] for name, column in kept.items()}
     real = kept["synthetic"] == 0

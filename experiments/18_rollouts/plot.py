@@ -13,8 +13,8 @@ from dynappo import config as config_lib
 from dynappo import observe, schedule
 from experiments import paper
 
-REAL, SHOWN = 8, 4  # real rows of an iteration of `best`, iterations kept
-GREY, ORANGE, INK = "#8c8c8c", "#e07b28", "0.2"
+REAL, KEPT, TAILS = 8, 6, 4  # real rows of an iteration of `best`, iterations kept, tails shown
+GREY, ORANGE, BROWN, INK = "#8c8c8c", "#e07b28", "#8f3f0d", "0.2"
 CURVES = {  # column of rows.csv -> number of the state, label
     "speed": (observe.LINEAR_VELOCITY.start, "velocity ahead (m/s)"),
     "thigh": (observe.JOINT_POS.start + 1, "first leg, thigh (rad)"),
@@ -28,46 +28,53 @@ def main():
 
 def make(out: Path) -> None:
     columns = paper.read(out / "results" / "rows.csv")
-    paper.write(out / "results.csv", errors(columns))
+    found = paper.read(out / "results" / "distance.csv")
+    far = [{n: column[k - 1, 0] for n, column in found.items()} for k in (1, 4, 8, 16)]
+    paper.write(out / "results.csv", far)
+    paper.show(far, far[0])
     draw_overview(out / "overview")
     draw_model(out / "model")
     draw_tail(columns, out / "tail")
 
 
-def rows(buffers, dt: float) -> list[dict]:
-    """A row a control step of the robot with the fastest command ahead of those that do not fall.
+def steady(buffers) -> np.ndarray:
+    """Which robots `[R]` neither end an episode nor get another command in any of these rollouts."""
+    alive = np.all([((b.discount == 1) & (b.truncation == 0))[:REAL].all(0) for b in buffers], 0)
+    commands = np.stack([b.obs[..., observe.COMMAND] for b in buffers])
+    return alive & (np.ptp(commands, axis=(0, 1)) == 0).all(-1)
 
-    `time` (s) is that of physics: the tail of an iteration overlaps the real rows of the next ones.
+
+def rows(buffers, dt: float) -> list[dict]:
+    """A row a control step, of the steady robot with the fastest command ahead.
+
+    `time` (s) is that of physics: the tail of an iteration overlaps the real rows of the next two.
     """
-    alive = np.all([(b.discount == 1).all(0) & (b.truncation == 0).all(0) for b in buffers], 0)
-    commands = np.stack([b.obs[..., observe.COMMAND.start] for b in buffers])
-    steady = (np.ptp(commands, axis=(0, 1)) == 0) & alive
-    robot = int(np.argmax(np.where(steady, commands[0, 0], -np.inf)))
-    out = []
+    ahead = buffers[0].obs[0, :, observe.COMMAND.start]
+    robot, out = int(np.argmax(np.where(steady(buffers), ahead, -np.inf))), []
     for i, buffer in enumerate(buffers):
         for t in range(len(buffer.reward)):
-            state = {n: float(buffer.next_prop[t, robot, k]) for n, (k, _) in CURVES.items()}
-            head = {
-                "rollout": i,
-                "step": t,
-                "time": (i * REAL + t + 1) * dt,
-                "synthetic": int(t >= REAL),
-            }
-            out.append({n: f"{v:.5g}" for n, v in (head | state).items()})
+            time, synthetic = (i * REAL + t + 1) * dt, int(t >= REAL)
+            cells = {"rollout": i, "step": t, "time": time, "synthetic": synthetic}
+            cells |= {n: float(buffer.next_prop[t, robot, k]) for n, (k, _) in CURVES.items()}
+            out.append({n: f"{v:.5g}" for n, v in cells.items()})
     return out
 
 
-def errors(columns) -> list[dict]:
-    """How far a tail is from where physics went, in the rows that both have; not of the last rollout."""
-    get = {name: column[:, 0] for name, column in columns.items()}
-    real, out = get["synthetic"] == 0, []
-    for i in range(SHOWN - 1):
-        tail = (get["rollout"] == i) & ~real & (get["time"] <= get["time"][real].max() + 1e-6)
-        at = np.searchsorted(get["time"][real], get["time"][tail] - 1e-6)
-        out.append({"rollout": i, "rows": int(tail.sum())})
-        for name in CURVES:
-            difference = get[name][tail] - get[name][real][at]
-            out[-1][f"{name}_rms"] = float(np.sqrt(np.mean(difference**2)))
+def distance(buffers) -> list[dict]:
+    """How far row k of the tails is from where physics went: root mean square, steady robots and tails.
+
+    "still" is the same for repeating the last real state. Actions differ too: their noise is another one.
+    """
+    states = np.stack([b.next_prop for b in buffers])[:, :, steady(buffers)]  # [I, N, R, P]
+    real, tails, out = states[:, :REAL], states[:TAILS, REAL:], []
+    for k in range(tails.shape[1]):
+        ahead, row = divmod(k, REAL)
+        went = real[1 + ahead :, row][:TAILS]  # [TAILS, R, P]
+        cells: dict = {"row": k + 1, "robots": states.shape[2]}
+        for name, (n, _) in CURVES.items():
+            for label, guess in (("tail", tails[:, k]), ("still", real[:TAILS, -1])):
+                cells[f"{name}_{label}"] = f"{np.sqrt(np.mean((guess - went)[..., n] ** 2)):.4g}"
+        out.append(cells)
     return out
 
 
@@ -104,13 +111,13 @@ def draw_overview(path: Path) -> None:
     axis = axes[0, 0]
     axes[0, 1].remove()
     axis.set_subplotspec(axis.get_gridspec()[0, :])  # as wide as the page
-    blank(axis, (0, 12.4), (-0.35, 2.9))
+    blank(axis, (0, 12.4), (-0.3, 3.3))
     box(axis, 1.2, 2.2, "physics $p$\n(MuJoCo)", wide=1.9, high=0.9)
     for n in range(24):
         colour = GREY if n < REAL else ORANGE
         box(axis, 3.3 + 0.17 * n, 2.2, "", colour, wide=0.13, high=0.55)
-    axis.text(3.9, 2.62, f"$N_r$ = {REAL} real rows", ha="center", fontsize=8, color=INK)
-    axis.text(6.0, 2.62, "tail: $N_s$ = 16 synthetic rows", ha="center", fontsize=8, color=ORANGE)
+    axis.text(3.25, 2.55, f"{REAL} real rows", fontsize=8, color=INK)
+    axis.text(5.95, 2.55, "tail: 16 synthetic rows", ha="center", fontsize=8, color=ORANGE)
     box(axis, 3.9, 0.75, "fit $f_\\theta$\n$\\mathcal{L}_{model}$", wide=1.5, high=0.9)
     box(axis, 6.3, 0.75, "model $f_\\theta$\nas physics", "#fbe6d3", wide=1.5, high=0.9)
     box(axis, 9.2, 2.2, "GAE, PPO\n$\\mathcal{L}_{CLIP}$", wide=1.7, high=0.9)
@@ -121,10 +128,17 @@ def draw_overview(path: Path) -> None:
     arrow(axis, (6.3, 1.22), (6.3, 1.9))
     arrow(axis, (7.35, 2.2), (8.35, 2.2))
     arrow(axis, (10.05, 2.2), (10.75, 2.2))
-    axis.plot([11.4, 11.4, 1.2, 1.2], [1.72, -0.25, -0.25, 1.2], color=INK, linewidth=1)
+    axis.plot([11.4, 11.4, 1.2, 1.2], [1.72, -0.2, -0.2, 1.2], color=INK, linewidth=1)
     arrow(axis, (1.2, 1.2), (1.2, 1.72))
-    below = "next iteration: from the state after the last real row, never from a predicted one"
-    axis.text(6.3, -0.17, below, ha="center", va="bottom", fontsize=8, color=INK)
+    arrow(axis, (6.3, -0.2), (6.3, 0.28))
+    axis.text(8.9, -0.14, "acts in physics and in the model", ha="center", va="bottom", fontsize=8)
+    anchor = 3.3 + 0.17 * (REAL - 0.5)
+    axis.plot(
+        [anchor, anchor, 1.2, 1.2], [2.5, 3.1, 3.1, 2.95], color=INK, linewidth=1, linestyle="--"
+    )
+    arrow(axis, (1.2, 2.95), (1.2, 2.68))
+    text = "anchor: the tail begins here, and so does the next rollout"
+    axis.text(anchor + 0.12, 3.1, text, va="center", fontsize=8, color=INK)
     for axis, variant, who in zip(
         axes[1], ("dyna4", "best"), ("the paper's ramp", "ours"), strict=True
     ):
@@ -142,7 +156,7 @@ def draw_overview(path: Path) -> None:
         axis.set(
             xlim=(1, len(i)), ylim=(0, 24), xlabel="iteration", yticks=(0, 4, 8, 12, 16, 20, 24)
         )
-        axis.set_title(f"{variant}, {who}", loc="left", fontsize=10)
+        axis.set_title(f"{variant}, {who}: {rows} rows", loc="left", fontsize=10)
         axis.grid(visible=False)
     axes[1, 0].set_ylabel("rows of a rollout")
     axes[1, 0].legend(loc="lower right", framealpha=1)
@@ -154,79 +168,59 @@ def draw_model(path: Path) -> None:
     page, axes = paper.figure(1, 1, (9.5, 3.6))
     axis = axes[0, 0]
     blank(axis, (0, 13.2), (0.5, 4.6))
-    names = (
-        "$o_k$",
-        "$o_{k+1}$",
-        "$\\cdots$",
-        "$o_{N_r}$",
-        "$\\hat{o}_{N_r+1}$",
-        "$\\cdots$",
-        "$\\hat{o}_N$",
-    )
+    names = "$o_0$ $o_1$ $\\cdots$ $o_{N_r}$ $\\hat{o}_{N_r+1}$ $\\cdots$ $\\hat{o}_N$".split()
     at = [0.9 + 1.9 * n for n in range(len(names))]
     for n, (x, name) in enumerate(zip(at, names, strict=True)):
-        synthetic = n > 3
-        box(axis, x, 2.9, name, "#fbe6d3" if synthetic else "#dddddd", wide=0.95)
+        box(axis, x, 2.9, name, "#fbe6d3" if n > 3 else "#dddddd", wide=0.95)
         if n + 1 < len(at):
-            maker = "$f_\\theta$" if n >= 3 else "$p$"
-            start, end = (x + 0.48, 2.9), (at[n + 1] - 0.48, 2.9)
-            arrow(axis, start, end, maker, color=ORANGE if n >= 3 else INK, fontsize=11)
+            maker, colour = ("$f_\\theta$", ORANGE) if n >= 3 else ("$p$", INK)
+            arrow(axis, (x + 0.48, 2.9), (at[n + 1] - 0.48, 2.9))
+            axis.text(x + 0.95, 2.8, maker, color=colour, fontsize=11, ha="center", va="top")
             box(axis, x + 0.95, 4.25, "$\\pi$", wide=0.5, high=0.5)
             arrow(axis, (x + 0.25, 3.22), (x + 0.75, 4.0))
-            arrow(axis, (x + 1.0, 4.0), (x + 1.0, 3.3))
-            axis.text(x + 1.12, 3.6, "$a$", fontsize=9)
-    box(axis, at[1], 1.0, "rollout buffer: $o, a, r, o'$ of the real rows", wide=4.4, high=0.7)
-    box(
-        axis,
-        at[3] + 1.5,
-        1.0,
-        "$\\mathcal{L}_{model}$ = Huber$(f_\\theta(o, a), (o'-o, r))$",
-        wide=4.2,
-        high=0.7,
-    )
-    arrow(axis, (at[1], 2.57), (at[1], 1.37))
-    arrow(axis, (at[1] + 2.2, 1.0), (at[3] - 0.62, 1.0))
-    arrow(axis, (at[4], 1.37), (at[4] - 0.9, 2.75))
-    axis.text(at[0] - 0.4, 2.25, "simulated", fontsize=9, color=INK)
-    axis.text(at[4] + 0.6, 2.25, "tail: policy and model by turns", fontsize=9, color=ORANGE)
+            arrow(axis, (x + 0.95, 4.0), (x + 0.95, 2.93))
+            axis.text(x + 1.07, 3.5, "$a$", fontsize=9)
+    brace(axis, at[0] - 0.48, at[3] + 0.2, 2.25)
+    brace(axis, at[3] + 0.6, at[6] - 0.6, 2.25)
+    left, right = (at[0] + at[3] - 0.28) / 2, (at[3] + at[6]) / 2
+    box(axis, left, 1.0, "rollout buffer: $o, a, r, o'$ of the real rows", wide=4.6, high=0.7)
+    loss = "$\\mathcal{L}_{model}$ = Huber$(f_\\theta(o, a), (o'-o, r))$"
+    box(axis, right, 1.0, loss, wide=4.4, high=0.7)
+    arrow(axis, (left, 2.15), (left, 1.37))
+    arrow(axis, (left + 2.3, 1.0), (right - 2.2, 1.0))
+    arrow(axis, (right, 1.37), (right, 2.15))
+    axis.text(left + 0.15, 1.75, "simulated", fontsize=9, color=INK, va="center")
+    text = "tail: policy and model by turns"
+    axis.text(right + 0.15, 1.75, text, fontsize=9, color=ORANGE, va="center")
     paper.save(page, path)
+
+
+def brace(axis, left: float, right: float, y: float) -> None:
+    """A bracket below the boxes from `left` to `right`."""
+    middle, across = (left + right) / 2, [left, left, right, right]
+    axis.plot(across, [y + 0.15, y, y, y + 0.15], color=INK, linewidth=1)
+    axis.plot([middle, middle], [y, y - 0.1], color=INK, linewidth=1)
 
 
 def draw_tail(columns, path: Path) -> None:
     """Figure 3: successive rollouts of one robot; each goes on from the last state of physics."""
-    page, axes = paper.figure(len(CURVES), 1, (9.5, 6), sharex=True)
+    page, axes = paper.figure(len(CURVES), 1, (9.5, 6.2), sharex=True)
     get = {name: column[:, 0] for name, column in columns.items()}
     real = get["synthetic"] == 0
     for axis, (name, (_, label)) in zip(axes[:, 0], CURVES.items(), strict=True):
         axis.plot(
-            get["time"][real], get[name][real], ".-", color=GREY, linewidth=2, label="physics"
+            get["time"][real], get[name][real], ".-", color=GREY, linewidth=3, label="physics"
         )
-        for i in range(SHOWN):
+        for i in range(TAILS):
             tail = (get["rollout"] == i) & (get["step"] >= REAL - 1)
-            label_ = "tails of the model" if i == 0 else ""
-            axis.plot(
-                get["time"][tail],
-                get[name][tail],
-                ".-",
-                color=ORANGE,
-                linewidth=1.2,
-                markersize=3,
-                label=label_,
-            )
-            anchor = np.flatnonzero(tail)[0]
-            first = "anchor: the next rollout goes on from here" if i == 0 else ""
-            axis.plot(
-                get["time"][anchor],
-                get[name][anchor],
-                "o",
-                color=INK,
-                markersize=6,
-                fillstyle="none",
-                label=first,
-            )
+            x, y, colour = get["time"][tail], get[name][tail], (ORANGE, BROWN)[i % 2]
+            text = "tails of the model" if i == 0 else ""
+            axis.plot(x, y, ".-", color=colour, linewidth=1.2, markersize=3, label=text)
+            text = "anchor: the next rollout begins here, too" if i == 0 else ""
+            axis.plot(x[0], y[0], "o", color=INK, markersize=7, fillstyle="none", label=text)
         axis.set_ylabel(label)
     axes[-1, 0].set_xlabel("time of physics (s)")
-    paper.head(page, f"One Go1, {SHOWN} rollouts of best: {REAL} real rows and a tail of 16")
+    paper.head(page, f"One Go1, rollouts of best: {REAL} real rows and a tail of 16")
     paper.legend(page, axes[0, 0], 3)
     paper.save(page, path)
 

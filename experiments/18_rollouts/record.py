@@ -7,7 +7,7 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import plot
-from plot import REAL, SHOWN
+from plot import KEPT, REAL
 
 from dynappo import algorithm, dynamics, log, policy_file, rollout, versions
 from dynappo import config as config_lib
@@ -19,7 +19,7 @@ WARM, EPOCHS = 25, 5  # iterations until the robots walk; passes of a fit
 
 
 def measure(folder: Path, robots: int, fits: int) -> None:
-    """Write rows.csv: the last iterations of one robot, after `fits` of the model."""
+    """Write rows.csv, the last rollouts of one robot, and distance.csv, of all; `fits` of the model."""
     config = config_lib.load("configs/go1.py:best")
     config.rollout.num_envs = robots
     config.model.precision = config.ppo.precision = "highest"
@@ -32,10 +32,11 @@ def measure(folder: Path, robots: int, fits: int) -> None:
     walker = jax.tree.map(jnp.asarray, {name: walker[name] for name in ("actor", "std")})
     state = state.replace(learner=state.learner.replace(params=state.learner.params | walker))
     step, kept = jax.jit(partial(iterate, env, hyper, static=static)), []
-    for i in range(WARM + fits + SHOWN):
+    for i in range(WARM + fits + KEPT):
         state, buffer = step(state, jnp.int32(i), jnp.int32(EPOCHS if i >= WARM else 0))
-        kept = [*kept, jax.device_get(buffer)][-SHOWN:]
+        kept = [*kept, jax.device_get(buffer)][-KEPT:]
     paper.write(folder / "rows.csv", plot.rows(kept, env.dt))
+    paper.write(folder / "distance.csv", plot.distance(kept))
     about = {"device": jax.devices()[0].device_kind, "commit": versions.commit(), "robots": robots}
     log.write_json(
         folder / "about.json", about | {"fits": fits, "date": f"{datetime.date.today()}"}
@@ -48,8 +49,9 @@ def iterate(env, hyper, state, iteration, epochs, *, static):
     rows_key, real = jax.random.fold_in(key, algorithm.ROWS), jnp.int32(REAL)
     buffer, env_state, _ = algorithm.collect(env, hyper, state, real, rows_key, static=static)
     fit_key = jax.random.fold_in(key, algorithm.FIT)
-    what = buffer, real, epochs, fit_key
-    model, past, _ = algorithm.learn(env, hyper, state.model, state.past, *what, static=static)
+    model, past, _ = algorithm.learn(
+        env, hyper, state.model, state.past, buffer, real, epochs, fit_key, static=static
+    )
     buffer, _, _ = rollout.fill(
         buffer,
         real,
