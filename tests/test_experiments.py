@@ -15,6 +15,7 @@ from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
+import matplotlib.colors as mcolors
 import numpy as np
 import pytest
 import toy_env
@@ -278,6 +279,18 @@ def test_tails_are_compared_with_the_real_rows_that_they_stand_for(tmp_path, mon
     assert tail["p_vs_all"] == paper.welch_of([20, 28], returns[24])
     cliff.make(tmp_path / "17_regimes", [1024])
     assert (tmp_path / "17_regimes" / "cliff.svg").exists()
+    pages = []
+    monkeypatch.setattr(cliff.paper, "save", lambda page, path: pages.append(page))
+    cliff.draw(folder, [1024], tmp_path)
+    axis, colour = pages[0].axes[0], cliff.plot.COLOURS["dyna4"]
+    drawn = [line for line in axis.lines if line.get_color() == colour and len(line.get_xdata())]
+    assert [(*line.get_xdata(), *line.get_ydata()) for line in drawn] == [(20, 24.0)]  # real rows
+    ends = [
+        line.get_segments()[0].tolist()
+        for line in axis.collections
+        if mcolors.same_color(line.get_color()[0], colour)
+    ]
+    assert [[20.0, 24.0], [24.0, 24.0]] in ends  # the model's four rows
 
 
 def test_the_platforms_are_compared_with_both_baselines_and_the_paper(tmp_path):

@@ -9,6 +9,7 @@ simulated and PPO without the rows that a tail writes.
 
 from pathlib import Path
 
+import numpy as np
 import plot
 
 from experiments import paper
@@ -31,8 +32,8 @@ def main():
 def jobs(folder: Path) -> list[str]:
     """The runs of this question that nobody has."""
     here = plot.Regime("", ENVS)
-    cells = [(name, rows if rows != 16 else None) for rows in ROWS for name in TAILS]
-    return [plot.job(here, *cell) for cell in cells if not plot.found(folder, here, *cell)]
+    cells = [(here, name, rows) for rows in ROWS for name in TAILS]
+    return [plot.job(*cell) for cell in cells if not plot.found(folder, *cell)]
 
 
 def make(out: Path, robots) -> None:
@@ -42,96 +43,85 @@ def make(out: Path, robots) -> None:
     draw(out / "results", robots, out / "cliff")
 
 
-def ppo(folder: Path, envs: int, rows: int) -> paper.Run | None:
-    """Plain PPO with so many rows."""
-    named = {n: name for name, n in plot.PPO.items()}
-    variant = named.get(rows)
-    regime = plot.Regime("", envs)
-    return (
-        plot.found(folder, regime, variant)
-        if variant
-        else plot.found(folder, regime, "ppo16", rows)
-    )
-
-
-def tail(folder: Path, envs: int, variant: str, rows: int) -> paper.Run | None:
-    """One of the paper's tails in rollouts of so many rows."""
-    return plot.found(folder, plot.Regime("", envs), variant, rows if rows != 16 else None)
+def run(folder: Path, envs: int, variant: str, rows: int) -> paper.Run | None:
+    """A tail, or "ppo", in rollouts of so many rows."""
+    if variant == "ppo":
+        variant = {n: name for name, n in plot.PPO.items()}.get(rows, "ppo16")
+    return plot.found(folder, plot.Regime("", envs), variant, rows)
 
 
 def build(folder: Path) -> list[dict]:
     """Four rows a length: PPO with fewer rows, the tails, PPO with all rows."""
     usual = plot.found(folder, plot.Regime("", 4096), "ppo16")
     limit = 0.8 * float(paper.peak(usual).mean()) if usual and usual.columns else None
-    out = []
-    for rows in ROWS:
-        fewer, every = ppo(folder, ENVS, rows - TAIL), ppo(folder, ENVS, rows)
-        runs = {f"ppo{rows - TAIL}": fewer}
-        runs |= {name: tail(folder, ENVS, name, rows) for name in TAILS} | {f"ppo{rows}": every}
-        for name, one in runs.items():
-            cells = {"envs": ENVS, "rows": rows, "variant": name, "status": paper.status(one)}
-            if one and one.columns:
-                cells |= paper.returns(one)
-                if evaluation := one.summary.get("evaluation"):
-                    cells["evaluated_return"] = sum(evaluation["return"]) / len(
-                        evaluation["return"]
-                    )
-                for column, other in (("p_vs_fewer", fewer), ("p_vs_all", every)):
-                    if name in TAILS and other and other.columns:
-                        cells[column] = paper.welch_of(paper.peak(one), paper.peak(other))
-                if limit is not None:
-                    cells |= {"limit": limit} | paper.effort(one, limit, paper.EVERY)
-            out.append(cells)
+    return [
+        cells(folder, name, rows, limit)
+        for rows in ROWS
+        for name in (f"ppo{rows - TAIL}", *TAILS, f"ppo{rows}")
+    ]
+
+
+def cells(folder: Path, name: str, rows: int, limit: float | None) -> dict:
+    """What PPO or a tail came to, and a tail's p against PPO with fewer and with all rows."""
+    is_tail, known = name in TAILS, {n: run(folder, ENVS, "ppo", n) for n in (rows - TAIL, rows)}
+    found = run(folder, ENVS, name, rows) if is_tail else known[int(name.removeprefix("ppo"))]
+    out = {"envs": ENVS, "rows": rows, "variant": name, "status": paper.status(found)}
+    if not (found and found.columns):
+        return out
+    out |= paper.returns(found)
+    if evaluation := found.summary.get("evaluation"):
+        out["evaluated_return"] = float(np.mean(evaluation["return"]))
+    for column, other in zip(("p_vs_fewer", "p_vs_all"), known.values(), strict=True):
+        if is_tail and other and other.columns:
+            out[column] = paper.welch_of(paper.peak(found), paper.peak(other))
+    if limit is not None:
+        out |= {"limit": limit} | paper.effort(found, limit, paper.EVERY)
     return out
 
 
 def draw(folder: Path, robots, path: Path) -> None:
     """Best return over simulated rows, a panel for each R; a thin line to all rows, synthetic ones too."""
-    page, axes = paper.figure(
-        1, len(robots), (2.6 * len(robots) + 0.6, 3.9), sharey=True, sharex=True
-    )
-    names = plot.NAMES | {"ppo16": "PPO"}
+    size = 2.6 * len(robots) + 0.6, 4.1
+    page, axes = paper.figure(1, len(robots), size, sharey=True, sharex=True)
+    names = plot.NAMES | {"ppo": "PPO", "best": "best: 8 simulated rows, 16 of the model"}
+    colours = plot.COLOURS | {"ppo": plot.COLOURS["ppo16"]}
     for axis, envs in zip(axes[0], robots, strict=True):
-        line = [
-            (n, paper.spread("", paper.peak(one)))
-            for n in PPO_ROWS
-            if (one := ppo(folder, envs, n))
-        ]
-        point(axis, line, "ppo16", "-")
-        for name in TAILS:
-            known = ((rows, tail(folder, envs, name, rows)) for rows in ROWS)
-            some = [(rows, paper.spread("", paper.peak(one))) for rows, one in known if one]
-            shift = 0.25 if name == "dyna4" else -0.25  # beside each other
-            point(axis, [(rows - TAIL + shift, cells) for rows, cells in some], name)
-            for rows, cells in some:
-                axis.hlines(cells["_mean"], rows - TAIL, rows, plot.COLOURS[name], linewidth=0.8)
-        if one := plot.found(folder, plot.Regime("", envs), "best"):
-            cells = paper.spread("", paper.peak(one))
-            point(axis, [(BEST[0], cells)], "best")
-            axis.hlines(cells["_mean"], *BEST, plot.COLOURS["best"], linewidth=0.8)
+        line = [(n, found) for n in PPO_ROWS if (found := run(folder, envs, "ppo", n))]
+        points(axis, [n for n, _ in line], [found for _, found in line], colours["ppo"], line="-")
+        for name, shift in zip(TAILS, (-0.25, 0.25), strict=True):  # beside each other
+            some = [(n, found) for n in ROWS if (found := run(folder, envs, name, n))]
+            x = [n - TAIL for n, _ in some]
+            points(axis, x, [found for _, found in some], colours[name], TAIL, shift)
+        if found := run(folder, envs, "best", BEST[1]):
+            points(axis, [BEST[0]], [found], colours["best"], BEST[1] - BEST[0])
         axis.set_title(f"{envs} robots", loc="left", fontsize=10)
         axis.set(xticks=(8, *PPO_ROWS), xlabel="simulated rows of a rollout")
-    for name in ("ppo16", *TAILS, "best"):
-        style = dict(color=plot.COLOURS[name], marker="o", markersize=4)
-        axes[0, 0].plot(
-            [], [], label=names[name], linestyle="-" if name == "ppo16" else "", **style
-        )
+    for name in ("ppo", *TAILS, "best"):
+        style = dict(color=colours[name], marker="o", markersize=4)
+        line = "-" if name == "ppo" else ""
+        axes[0, 0].plot([], [], label=names[name], linestyle=line, **style)
     axes[0, 0].set_ylabel("best return of 500 iterations")
-    text = "Go1: mean of 3 or 5 seeds, bar: its 95 % interval; thin line to the right: the model's rows"
-    paper.head(page, text)
+    text = (
+        "Go1. A thin line goes from the simulated rows to all rows, the model's too: where it meets PPO's,\n"
+        "they do what simulated rows would. Mean of 3 or 5 seeds, bar: its 95 % interval; tails in rollouts\n"
+        "of 20 and 24 rows with 1024 robots only"
+    )
+    paper.head(page, text, fontsize=9)
     paper.legend(page, axes[0, 0], 4)
     paper.save(page, path)
 
 
-def point(axis, some, name: str, line: str = "") -> None:
-    """Means with their intervals."""
-    if some:
-        x, cells = zip(*some, strict=True)
-        colour, mean = plot.COLOURS[name], [c["_mean"] for c in cells]
-        axis.plot(x, mean, "o" + line, color=colour, markersize=4, linewidth=1.4)
-        axis.vlines(
-            x, [c["_low"] for c in cells], [c["_high"] for c in cells], colour, linewidth=1.2
-        )
+def points(
+    axis, x, runs, colour: str, synthetic: int = 0, shift: float = 0.0, line: str = ""
+) -> None:
+    """Best returns at `x` rows, with intervals moved by `shift`, and a line over the `synthetic` rows."""
+    for n, found in zip(x, runs, strict=True):
+        best = paper.spread("best", paper.peak(found))
+        axis.vlines(n + shift, best["best_low"], best["best_high"], colour, linewidth=1.2)
+        axis.hlines(best["best_mean"], n, n + synthetic, colour, linewidth=0.8)
+    axis.plot(
+        x, [paper.peak(found).mean() for found in runs], "o" + line, color=colour, markersize=4
+    )
 
 
 if __name__ == "__main__":

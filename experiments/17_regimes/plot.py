@@ -15,9 +15,10 @@ import numpy as np
 from experiments import paper, run
 
 PPO = {"ppo12": 12, "ppo16": 16, "ppo24": 24}
+OWN_ROWS = PPO | {"dyna4": 16, "dyna4_noschedule": 16, "best": 24}
 VARIANTS = ("ppo12", "ppo16", "dyna4_noschedule", "dyna4", "best", "ppo24")
 NAMES = paper.VARIANTS | paper.OURS | {"ppo24": "PPO, 24 steps"}
-COLOURS = paper.COLOURS | {"ppo24": "#b9a6cf"}
+COLOURS = paper.COLOURS | {"ppo24": "#6b8796"}
 COLUMNS = (
     "regime variant status seeds max_reward_mean max_reward_low max_reward_high p_vs_ppo16 "
     "evaluated_return limit success_rate_pct sim_steps_M_mean share_of_ppo16_pct policy_std_mean "
@@ -56,11 +57,10 @@ def make(out: Path, regimes) -> None:
 
 def job(regime: Regime, variant: str, rows: int | None = None) -> str:
     """As run.py takes it; `rows` of a rollout, if not the variant's; PPO's are named as in 10_ablation."""
-    fields = [f"rollout.num_envs={regime.envs}"]
-    if variant in PPO:
-        variant, rows = "ppo16", rows or PPO[variant]
-    if rows:
+    fields, rows = [f"rollout.num_envs={regime.envs}"], rows or OWN_ROWS[variant]
+    if variant in PPO or rows != OWN_ROWS[variant]:
         fields.append(f"rollout.horizon={rows}")
+    variant = "ppo16" if variant in PPO else variant
     return ":".join(["go1", variant, *fields, *filter(None, [regime.fields])])
 
 
@@ -70,7 +70,7 @@ def found(folder: Path, regime: Regime, variant: str, rows: int | None = None) -
     places = [(folder, own)]
     if not regime.fields:
         places.append((others / "10_ablation" / "results", own))
-        if rows in (None, PPO.get(variant)):
+        if rows in (None, OWN_ROWS[variant]):
             places.insert(1, (others / "20_tail" / "results", f"go1_{variant}_{regime.envs}"))
             if regime.envs == 4096:
                 places.insert(1, (others / "12_platforms" / "results", f"go1_{variant}"))
@@ -131,11 +131,14 @@ def draw(rows, regimes, path: Path) -> None:
                     note = f"{cells['success_rate_pct']:.0f} %"
                 if mean:
                     axis.bar(x, mean, 0.92 * wide, color=colour)
-                    axis.vlines(x, cells[f"{name}_low"], cells[f"{name}_high"], color="0.5")
+                    ends = cells[f"{name}_low"], cells[f"{name}_high"]
+                    for colour_, width in (("white", 3), ("0.2", 1.2)):  # seen on every bar
+                        axis.vlines(x, *ends, colour_, linewidth=width)
                 above = dict(xytext=(0, 3), textcoords="offset points", ha="center", va="bottom")
                 axis.annotate(note, (x, top), rotation=90, fontsize=7, color="0.4", **above)
     axes[1, 0].set_xticks(range(len(regimes)), [r.label.replace(", ", ",\n") for r in regimes])
     axes[1, 0].set_xlim(-0.5, len(regimes) - 0.5)
+    axes[1, 0].margins(y=0.15)
     axes[0, 0].set_ylabel("best return of 500 iterations")
     axes[1, 0].set_ylabel("simulator steps (M) to the\nthreshold of the task")
     text = (
