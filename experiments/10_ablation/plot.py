@@ -125,7 +125,8 @@ def draw(rows, path: Path) -> None:
                     [r["max_reward_low"] for r in line],
                     [r["max_reward_high"] for r in line],
                 )
-                axis.vlines(x, low, high, color=colour, linewidth=1.2)
+                beside = np.add(x, 0.13 * (every.index(envs) - len(every) // 2))
+                axis.vlines(beside, low, high, color=colour, linewidth=1.2)
         if not axis.lines:
             paper.missing(axis)
         title = "this repository (bar: 95 % interval of the mean)" if who == "ours" else "paper"

@@ -93,23 +93,24 @@ def draw(rows, path: Path) -> None:
         some = [r for r in rows if r["robot"] == "go1" and r["threshold"] == label]
         for y, variant in enumerate(names):
             cells = paper.pick(some, variant=variant)
-            note, colour = cells["status"], paper.COLOURS[variant]
+            note, colour, x = cells["status"], paper.COLOURS[variant], 0.3
             if "sim_steps_M_mean" in cells:
                 ends = [cells["sim_steps_M_low"], cells["sim_steps_M_high"]]
                 axis.plot(ends, [y, y], color=colour)
                 axis.plot(cells["sim_steps_M_mean"], y, "o", color=colour, markersize=6)
+                x = ends[1] + 0.6
             if "success_rate_pct" in cells and cells["success_rate_pct"] < 100:
                 note = f"{cells['success_rate_pct']:.0f} % of seeds"
-            axis.text(0.3, y - 0.25, note, color="0.5", fontsize=8, va="center")
+            axis.text(x, y, note, color="0.5", fontsize=8, va="center")
             if cells.get("paper_sim_steps_M"):
                 steps = cells["paper_sim_steps_M"]
-                axis.plot(steps, y + 0.2, "D", color="white", markeredgecolor="0.45", markersize=5)
+                axis.plot(steps, y, "D", color="white", markeredgecolor="0.45", markersize=5)
         limit = some[0]["limit"]
         title = label + (f": {limit:.1f}" if limit and not label.startswith("paper") else "")
         axis.set_title(title, loc="left", fontsize=10)
         axis.set(xlabel="simulator steps (M)", xlim=(0, 33), ylim=(len(names) - 0.5, -0.6))
     texts = [(paper.VARIANTS | paper.OURS)[name] for name in names]
     axes[0, 0].set_yticks(range(len(names)), texts)
-    text = "Go1: dots: seeds that get there, bar: 95 % interval of the mean     diamonds: paper"
+    text = "Go1. Dot and bar: mean and its 95 % interval, of the seeds that get there; diamond: the paper"
     paper.head(page, text, fontsize=9, color="0.35")
     paper.save(page, path)

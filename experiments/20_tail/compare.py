@@ -150,7 +150,8 @@ def draw(path: Path) -> None:
         axis.text(
             33, limit, "80 % of PPO-16's best", ha="right", va="bottom", color="0.4", fontsize=8
         )
-        axis.set(xlabel="simulator steps (M)", ylabel="episode return", xlim=(0, 33.5), title=group)
+        axis.set(xlabel="simulator steps (M)", ylabel="episode return", xlim=(0, 33.5))
+        axis.set_title(group, loc="left", fontsize=10)
         axis.legend(frameon=False, loc="lower right")
     paper.save(page, path)
 
