@@ -26,7 +26,7 @@ import numpy as np
 import orbax.checkpoint as ocp
 from orbax.checkpoint import checkpoint_managers
 
-from dynappo import distributed, log
+from dynappo import distributed, files, log, policy_file
 from dynappo.config import ConfigError
 
 KEEP = 3  # newest ones, and the one with the highest return
@@ -181,51 +181,66 @@ def _raw(state: Any):
     return jax.device_get(raw) if distributed.several() else raw, wrap
 
 
-def weights(folder: Path, like: Any) -> Any:
+def weights(folder: Path, like: Any, say: Callable[[str], None] = print) -> Any:
     """`like` with the networks of another run's newest good checkpoint, to start a run from.
 
-    `folder` is its workdir. Policy, value function and, where both runs have one, the transition model
-    with its moments are taken; optimisers, learning rate and robots start anew. ConfigError where a
-    network has another shape.
+    `folder` is its workdir, in which nothing is changed. Policy, value function and, where both runs
+    have one, the transition model with its moments are taken; optimisers, learning rate and robots
+    start anew. `say` tells of damaged checkpoints that were passed over. ConfigError where none is
+    good, or a network has another shape.
     """
-    if not (folder / "checkpoints").is_dir():
-        raise ConfigError(f"--restore={folder}: no checkpoints/ there; expected a run's workdir")
-    checkpoints = manager(folder)
-    steps = sorted(checkpoints.all_steps(), reverse=True)
-    if not steps:
-        raise ConfigError(f"--restore={folder}: it holds no checkpoint yet")
-    try:
-        args = ocp.args.Composite(state=ocp.args.StandardRestore())
-        there = checkpoints.restore(steps[0], args=args)["state"]
-    except Exception as error:
-        reason = _reason(error)
-        raise ConfigError(f"--restore={folder}: checkpoint {steps[0]}: {reason}") from None
-    finally:
-        checkpoints.close()
+    there, problems = None, []
+    for step in steps_to_restore(folder):
+        try:
+            there = policy_file.read_checkpoint(folder / "checkpoints" / str(step))
+        except ConfigError as error:
+            problems.append(str(error))
+            continue
+        for problem in problems:
+            say(f"{problem}; checkpoint {step} is taken")
+        break
+    if there is None:
+        raise ConfigError(
+            f"--restore={folder}: none of its {len(problems)} checkpoints can be read ({problems[0]}); "
+            "expected a run with a good one"
+        )
     learner = like.learner.replace(
-        params=_taken(folder, like.learner.params, there["learner"]["params"], "policy")
+        params=_taken(folder, like.learner.params, there, "policy", "learner.params")
     )
     model = like.model
-    if model is not None and there.get("model"):
+    if model is not None and any(name.startswith("model.") for name in there):
         parts = {
-            name: _taken(folder, getattr(model, name), there["model"][name], f"model.{name}")
+            name: _taken(folder, getattr(model, name), there, f"model.{name}", f"model.{name}")
             for name in ("params", "inputs", "targets")
         }
         model = model.replace(**parts)
     return like.replace(learner=learner, model=model)
 
 
-def _taken(folder, like, there, what):
-    """The raw arrays `there` in the structure of `like`."""
-    raw, out = log.paths(there), []
+def steps_to_restore(folder: Path) -> list[int]:
+    """Iterations of the checkpoints of another run, newest first; ConfigError if there is none."""
+    if not (folder / "checkpoints").is_dir():
+        raise ConfigError(f"--restore={folder}: no checkpoints/ there; expected a run's workdir")
+    steps = files.steps(folder)
+    if not steps:
+        raise ConfigError(
+            f"--restore={folder}: it holds no checkpoint yet; expected a run that has saved one"
+        )
+    return steps
+
+
+def _taken(folder, like, there, what, prefix):
+    """The arrays of `there` under `prefix`, in the structure of `like`."""
+    out = []
     for name, leaf in log.paths(like).items():
-        found = f"of shape {np.shape(raw[name])}" if name in raw else "absent"
-        if name not in raw or np.shape(raw[name]) != leaf.shape:
+        array = there.get(f"{prefix}.{name.replace('/', '.')}")
+        if array is None or array.shape != leaf.shape:
+            found = "absent" if array is None else f"of shape {array.shape}"
             raise ConfigError(
                 f"--restore={folder}: {what} {name} is {found} there, of shape {leaf.shape} here; "
                 "set the sizes of that run (its config.json has them)"
             )
-        out.append(jnp.asarray(raw[name], leaf.dtype))
+        out.append(jnp.asarray(array, leaf.dtype))
     return jax.tree.unflatten(jax.tree.structure(like), out)
 
 

@@ -64,16 +64,30 @@ def main(argv: list[str] | None = None) -> None:
 
     def action():
         command = parse(argv)
-        distributed.join(*command.processes, device=command.config.run.device)
-        with stop:
-            train_and_show(command, stop)
+        try:
+            distributed.join(*command.processes, device=command.config.run.device)
+            with stop:
+                train_and_show(command, stop)
+        except KeyboardInterrupt:  # ctrl-C before `stop` listens leaves no status there
+            print(f"dynappo: stopped; {afterwards(command)}", file=sys.stderr)
+            sys.exit(stop.status or 130)
         distributed.leave()
 
     with distributed.together():
-        # ctrl-C before `stop` listens leaves no status there
-        flags.answer(action, f"stopped; {GOES_ON}", status=lambda: stop.status or 130)
+        flags.answer(action)
     if stop.status:
         sys.exit(stop.status)
+
+
+def afterwards(command: Command) -> str:
+    """What the same command will do with what a stopped one has left."""
+    from dynappo import files
+
+    if distributed.several() and not distributed.first():
+        return f"{GOES_ON}, if there is one"  # which the first process can see
+    if not files.steps(command.workdir):
+        return "there is no checkpoint yet, the same command starts anew"
+    return GOES_ON.replace("command", "command without --fresh") if command.fresh else GOES_ON
 
 
 class Stop:
@@ -99,17 +113,30 @@ class Stop:
 def train_and_show(command: Command, stop: Stop) -> None:
     """`train.train`, told to a person: what will happen, how it goes, what came out."""
     from rich.console import Console
+
+    from dynappo import checkpoint, files, train
+
+    config, restore = command.config, command.restore
+    out = Console(highlight=False, quiet=not distributed.first())
+    out.print(f"[bold]dynappo[/bold] {describe(config)}", soft_wrap=True)
+    train.check(config)  # before anything is written
+    if restore:
+        distributed.on_first(lambda: len(checkpoint.steps_to_restore(restore)))
+    with files.open_workdir(command.workdir, config, command.fresh):
+        _train_and_show(command, stop, out)
+
+
+def _train_and_show(command: Command, stop: Stop, out) -> None:
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
     from dynappo import files, results, train
 
+    def say(text):
+        out.print(text, style="yellow", markup=False, soft_wrap=True)
+
     config, workdir = command.config, command.workdir
-    out = Console(highlight=False, quiet=not distributed.first())
-    out.print(f"[bold]dynappo[/bold] {describe(config)}", soft_wrap=True)
-    train.check(config)  # before anything is written
-    distributed.on_first(lambda: str(files.open_workdir(workdir, config, command.fresh)))
     with out.status("compiling (under a minute; half of it when cached)"):
-        program = train.setup(config, command.restore)
+        program = train.setup(config, command.restore, say)
     out.print(
         f"{program.device}, MJX-{program.impl.upper() if program.impl == 'jax' else 'Warp'}; "
         f"compiled in {program.compile_seconds:.0f} s"
@@ -141,13 +168,16 @@ def train_and_show(command: Command, stop: Stop) -> None:
             workdir,
             show,
             should_stop=lambda: bool(stop.status),
-            say=lambda text: out.print(f"[yellow]{text}", soft_wrap=True),
+            say=say,
         )
         stop.patient = False
     done = int(metrics["iteration"][-1])
     if done < config.run.num_iterations:
         if distributed.first():
-            print(f"dynappo: saved at iteration {done} and stopped; {GOES_ON}", file=sys.stderr)
+            saved = f"saved at iteration {done} and stopped"
+            if done not in files.steps(workdir):
+                saved = f"stopped at iteration {done}, which could not be saved"
+            print(f"dynappo: {saved}; {afterwards(command)}", file=sys.stderr)
         return
     with out.status("evaluating, filming"):
         summary = results.finish(config, program, workdir, state, metrics)

@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
+import errno
 import itertools
+import json
+import os
+import socket
+import sys
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -20,38 +26,137 @@ MAY_CHANGE = (
     "run.num_iterations run.checkpoint_every run.eval_every run.eval_envs run.video_seconds "
     "run.time_phases run.device run.mesh_seed run.mesh_env run.tensorboard run.wandb physics.impl"
 ).split()
+NO_FLOCK = (errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS)  # of some file systems
 
 
-def open_workdir(workdir: Path, config, fresh: bool = False) -> Path:
-    """Make the folder and its config.json, or check that it holds a run of this config.
+@contextlib.contextmanager
+def open_workdir(workdir: Path, config, fresh: bool = False):
+    """The folder of a run with its config.json, closed to other processes until the `with` ends.
 
-    Fields that do not change what is computed may differ (`MAY_CHANGE`): a run can be made longer or
-    filmed again. `fresh` moves a run that is there aside, to `WORKDIR.old-1`, and starts anew.
+    Where a run has begun in it, only fields that do not change what is computed may differ
+    (`MAY_CHANGE`): a run can be made longer or filmed again. `fresh` moves a run that is there aside,
+    to `WORKDIR.old-1`, and starts anew. Of several processes the first does all this.
     """
-    text = config_lib.to_json(config)
-    path = workdir / "config.json"
+    with contextlib.ExitStack() as held:
+        distributed.on_first(lambda: _open(workdir, config, fresh, held))
+        yield workdir
+
+
+def _open(workdir: Path, config, fresh: bool, held: contextlib.ExitStack) -> None:
     try:
         if fresh and workdir.exists():
-            number = next(n for n in itertools.count(1) if not _old(workdir, n).exists())
-            workdir.rename(_old(workdir, number))
+            with _hold(workdir):
+                number = next(n for n in itertools.count(1) if not _old(workdir, n).exists())
+                old = workdir.rename(_old(workdir, number))
+                (old / "lock").unlink(missing_ok=True)
         workdir.mkdir(parents=True, exist_ok=True)
+        held.enter_context(_hold(workdir))
+        text, path = config_lib.to_json(config), workdir / "config.json"
         if path.exists():
-            changed = config_lib.difference(path.read_text(), text, MAY_CHANGE)
-            if changed:
-                raise ConfigError(
-                    f"--workdir={workdir} holds a run of another config ({changed}); "
-                    "choose another folder, or --fresh to move that run aside"
-                )
+            _compare(workdir, path.read_text(), text)
+        done = max(steps(workdir), default=0)
+        if done > config.run.num_iterations:
+            raise ConfigError(
+                f"run.num_iterations is {config.run.num_iterations}, but the run in {workdir} has done "
+                f"{done}; expected at least as many"
+            )
         log.write_text(path, text + "\n")
     except OSError as error:
         raise ConfigError(
             f"--workdir={workdir}: cannot write there ({error.strerror}); choose another folder"
         ) from None
-    return workdir
+
+
+def _compare(workdir: Path, there: str, here: str) -> None:
+    """ConfigError if the config.json of `workdir` is that of another run, which has begun."""
+    if _begun(workdir):
+        changed = config_lib.difference(there, here, MAY_CHANGE)
+        if changed:
+            raise ConfigError(
+                f"--workdir={workdir} holds a run of another config ({changed}); "
+                "choose another folder, or --fresh to move that run aside"
+            )
+        return
+    try:  # somebody else's file is not overwritten
+        ours = {"robot", "rollout", "run"} <= json.loads(there).keys()
+    except (ValueError, AttributeError):
+        ours = False
+    if not ours:
+        raise ConfigError(
+            f"--workdir={workdir} holds a config.json that is not of a run; choose another folder"
+        )
+
+
+def _begun(workdir: Path) -> bool:
+    """Whether a run has left results here: a checkpoint, also a damaged one, or a row of metrics."""
+    if steps(workdir) or any(workdir.glob("damaged-*")):
+        return True
+    csv = workdir / "metrics.csv"
+    if not csv.exists():
+        return False
+    with csv.open() as file:
+        return len(list(itertools.islice(file, 2))) > 1
+
+
+def steps(workdir: Path) -> list[int]:
+    """Iterations of the checkpoints of `workdir` that are complete, newest first."""
+    names = (path.name for path in (workdir / "checkpoints").glob("[0-9]*"))
+    return sorted((int(name) for name in names if name.isdigit()), reverse=True)
 
 
 def _old(workdir: Path, number: int) -> Path:
     return workdir.with_name(f"{workdir.name}.old-{number}")
+
+
+@contextlib.contextmanager
+def _hold(workdir: Path):
+    """Keeps other processes from holding `workdir`; ConfigError if one does.
+
+    It is `flock` on `workdir/lock`, which ends with the process, however that ends: a file that a
+    killed run leaves behind holds nobody up. File systems without it go without.
+    """
+    if sys.platform == "win32":
+        yield
+        return
+    with _locked(workdir / "lock") as file:
+        try:
+            yield
+        finally:
+            with contextlib.suppress(OSError):  # the folder may be gone, or moved aside
+                if os.path.samestat(os.fstat(file.fileno()), (workdir / "lock").stat()):
+                    (workdir / "lock").unlink()
+
+
+def _locked(path: Path):
+    """The file `path`, opened and locked, with the name of this process in it."""
+    import fcntl
+
+    while True:
+        file = path.open("a+")
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            # what was locked may have been removed, by a run that ended after it was opened here
+            there = path.exists() and os.path.samestat(os.fstat(file.fileno()), path.stat())
+        except BlockingIOError:
+            file.seek(0)
+            who = file.read().strip()
+            file.close()
+            raise ConfigError(
+                f"--workdir={path.parent}: another run is writing in this folder ({who}); "
+                "wait for it, or take another --workdir"
+            ) from None
+        except OSError as error:
+            if error.errno not in NO_FLOCK:
+                file.close()
+                raise
+            there = True
+        if there:
+            break
+        file.close()
+    file.truncate(0)
+    file.write(f"pid {os.getpid()} on {socket.gethostname()}\n")
+    file.flush()
+    return file
 
 
 def resume(config, workdir: Path, checkpoints, state, say):
@@ -82,12 +187,15 @@ def _resume(config, workdir: Path, checkpoints, state, say):
     start, state = found
     if not csv.exists():
         raise ConfigError(f"{workdir} has checkpoints but no metrics.csv; choose another --workdir")
-    if start > config.run.num_iterations:
-        raise ConfigError(
-            f"run.num_iterations is {config.run.num_iterations}, but the run in {workdir} has done "
-            f"{start}; expected at least as many"
-        )
     log.cut_csv(csv, start)
+    if start < config.run.num_iterations:
+        say(f"goes on from iteration {start} of {workdir}")
+    else:
+        again = ["evaluated"] * bool(config.run.eval_envs) + ["filmed"] * (
+            config.run.video_seconds > 0
+        )
+        again = " and ".join(again) or "summed up"
+        say(f"the run in {workdir} is complete ({start} iterations); it is only {again} again")
     return start, state, [log.read_csv(csv, config.run.num_seeds)]
 
 

@@ -10,6 +10,7 @@ with that of its workdir; its arrays are read with tensorstore, because orbax wo
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import zipfile
@@ -235,27 +236,44 @@ def _check(path: Path, policy: Policy) -> Policy:
 
 def load_checkpoint(folder: Path) -> Policy:
     """The policy of an orbax checkpoint `WORKDIR/checkpoints/ITERATION`; of several seeds the first."""
-    import tensorstore
-
     config, robot = _run_of(folder.parent.parent, folder)
     prefix, arrays = "learner.params.", {}
-    saved = next((folder / name for name in SAVED if (folder / name).is_dir()), folder)
-    store = {"driver": "ocdbt", "base": f"file://{saved.resolve()}/"}
-    try:
-        names = tensorstore.KvStore.open(store).result().list().result()
-        for name in {n.decode().rpartition("/")[0] for n in names}:
-            if name.startswith(prefix):
-                spec = {"driver": "zarr", "kvstore": store | {"path": f"{name}/"}}
-                array = tensorstore.open(spec, open=True, read=True).result().read().result()
-                seeds = config.run.num_seeds > 1
-                arrays[name.removeprefix(prefix).replace(".", "/")] = array[0] if seeds else array
-    except Exception as error:  # tensorstore raises ValueError, KeyError and others of its own
-        raise ConfigError(
-            f"{folder}: not a checkpoint, or damaged ({str(error).splitlines()[0][:80]})"
-        ) from None
+    several = config.get("run", {}).get("num_seeds", 1) > 1
+    for name, array in read_checkpoint(folder).items():
+        if name.startswith(prefix):
+            arrays[name.removeprefix(prefix).replace(".", "/")] = array[0] if several else array
     if not arrays:
         raise ConfigError(f"{folder}: not a checkpoint of dynappo (it holds no networks)")
     return _check(folder, describe(config, robot, _nested(arrays)))
+
+
+def read_checkpoint(folder: Path) -> dict[str, np.ndarray]:
+    """All arrays of an orbax checkpoint by name, as `learner.params.std`; nothing there is changed.
+
+    They are some MB, and all are read because the hash that was saved with them is one of all.
+    Checkpoints from before version 0.2 have none. ConfigError if anything is damaged.
+    """
+    import tensorstore
+
+    saved = next((folder / name for name in SAVED if (folder / name).is_dir()), folder)
+    store = {"driver": "ocdbt", "base": f"file://{saved.resolve()}/"}
+    arrays = {}
+    try:
+        names = tensorstore.KvStore.open(store).result().list().result()
+        for name in {n.decode().rpartition("/")[0] for n in names}:
+            spec = {"driver": "zarr", "kvstore": store | {"path": f"{name}/"}}
+            array = tensorstore.open(spec, open=True, read=True).result().read().result()
+            arrays[name] = np.asarray(array)
+        if saved == folder / SAVED[0]:
+            about, found = json.loads((folder / "about" / "metadata").read_text()), hashlib.sha256()
+            for name in about["arrays"]:  # in the order of `checkpoint.digest`
+                found.update(arrays[name.replace("/", ".")].tobytes())
+            if found.hexdigest() != about["sha256"]:
+                raise ValueError("its numbers are not those that were saved")
+    except Exception as error:  # tensorstore raises ValueError, KeyError and others of its own
+        reason = (str(error).splitlines() or [type(error).__name__])[0][:80]
+        raise ConfigError(f"{folder}: not a checkpoint, or damaged ({reason})") from None
+    return arrays
 
 
 def locate(text: str) -> Path:

@@ -10,6 +10,7 @@ exit status 2. `train` is the same as a Python call.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import sys
 import time
@@ -57,13 +58,17 @@ def train(
     config = config_lib.validate(config)
     check(config)  # before anything is written
     workdir = None if workdir is None else Path(workdir)
-    if workdir:
-        distributed.on_first(lambda: str(files.open_workdir(workdir, config)))
-    program = setup(config)
-    state, metrics = loop(config, program, workdir, progress_fn)
-    if workdir:
-        results.finish(config, program, workdir, state, metrics)
+    with files.open_workdir(workdir, config) if workdir else contextlib.nullcontext():
+        program = setup(config)
+        state, metrics = loop(config, program, workdir, progress_fn)
+        if workdir:
+            results.finish(config, program, workdir, state, metrics)
     return state, metrics
+
+
+def tell(text: str) -> None:
+    """A line to whoever sits there, where no console was given."""
+    print(f"dynappo: {text}", file=sys.stderr)
 
 
 def check(config) -> None:
@@ -116,10 +121,11 @@ def remember_programs() -> None:
         jax.config.update("jax_compilation_cache_dir", str(cache))
 
 
-def setup(config, restore: Path | None = None) -> Program:
+def setup(config, restore: Path | None = None, say: Callable[[str], None] = tell) -> Program:
     """Build robot, environment and first state, and compile the one program a run repeats.
 
-    `restore` is the workdir of another run, whose networks the first state takes.
+    `restore` is the workdir of another run, whose networks the first state takes; `say` is told of
+    damaged checkpoints there.
     """
     import jax
     import jax.numpy as jnp
@@ -153,7 +159,7 @@ def setup(config, restore: Path | None = None) -> Program:
     spread = sweep.shardings(mesh, jax.eval_shape(init, hyper, key), run.num_seeds)
     state = jax.jit(init, out_shardings=spread)(hyper, key)
     if restore:
-        _, state = distributed.from_first(lambda s: (0, checkpoint.weights(restore, s)), state)
+        _, state = distributed.from_first(lambda s: (0, checkpoint.weights(restore, s, say)), state)
         state = jax.device_put(state, spread)
     step = jax.jit(step, donate_argnums=1, out_shardings=(spread, everywhere))
     compiled = step.lower(hyper, state, chunk).compile()
@@ -186,7 +192,7 @@ def loop(
     progress_fn=None,
     *,
     should_stop: Callable[[], bool] = lambda: False,
-    say: Callable[[str], None] = lambda text: print(f"dynappo: {text}", file=sys.stderr),
+    say: Callable[[str], None] = tell,
 ):
     """All iterations that are still to do; returns `(state, metrics of every iteration)`.
 

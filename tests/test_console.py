@@ -159,10 +159,33 @@ def test_the_folder_of_another_run_is_refused_by_the_field_that_differs(refusal,
     (tmp_path / "old").mkdir()
     config = config_lib.validate(config_lib.load("configs/go1.py:ppo12"))
     (tmp_path / "old" / "config.json").write_text(config_lib.to_json(config))
+    (tmp_path / "old" / "metrics.csv").write_text("iteration\n1\n")
     argv = ["--config=configs/go1.py:ppo12", "--config.ppo.epochs=4", "--workdir=old"]
     assert "ppo.epochs 5 there, 4 here" in refusal(argv, left=["old", "taken"])
     assert (tmp_path / "old" / "config.json").read_text() == config_lib.to_json(config)
-    assert len(list((tmp_path / "old").iterdir())) == 1
+    assert {p.name for p in (tmp_path / "old").iterdir()} == {"config.json", "metrics.csv"}
+
+
+def test_a_config_of_something_else_is_not_overwritten(refusal, tmp_path):
+    """A folder whose config.json is no run's: of another program, or no JSON."""
+    (tmp_path / "model").mkdir()
+    for text in ('{"layers": 3}', "[1]", "{"):
+        (tmp_path / "model" / "config.json").write_text(text)
+        line = refusal([GO1, "--workdir=model"], left=["model", "taken"])
+        assert "--workdir=model holds a config.json that is not of a run" in line
+        assert (tmp_path / "model" / "config.json").read_text() == text
+
+
+def test_a_run_to_start_from_is_looked_for_before_anything_is_written(refusal, tmp_path):
+    """Nothing there, or nothing saved there yet: no workdir is made, none is moved aside."""
+    argv = [GO1, "--workdir=new", "--fresh"]
+    line = refusal([*argv, "--restore=none"], left=["taken"])
+    assert "--restore=none: no checkpoints/ there" in line
+    for folder in ("young/checkpoints", "new"):
+        (tmp_path / folder).mkdir(parents=True)
+    line = refusal([*argv, "--restore=young"], left=["new", "taken", "young"])
+    assert "--restore=young: it holds no checkpoint yet" in line
+    assert not list((tmp_path / "new").iterdir())
 
 
 @pytest.fixture
@@ -210,7 +233,7 @@ def test_a_mistake_is_answered_without_importing_jax():
 @pytest.mark.parametrize(
     "error, status, expected",
     [
-        (KeyboardInterrupt(), 130, "stopped; the same command goes on"),
+        (KeyboardInterrupt(), 130, "stopped\n"),
         (FloatingPointError("a loss is not finite"), 1, "a loss is not finite"),
         (OSError(28, "No space left on device", "a.csv"), 1, "a.csv cannot be written (No space"),
         (OSError("libGL.so: cannot open shared object"), 1, "libGL.so: cannot open"),
@@ -229,6 +252,29 @@ def test_what_ends_the_command_is_one_line_and_a_status(
     line = capsys.readouterr().err
     assert stopped.value.code == status
     assert line.startswith(f"dynappo: {expected}") and line.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    "flags, saved, expected",
+    [
+        ([], False, "there is no checkpoint yet, the same command starts anew"),
+        ([], True, "the same command goes on from the last checkpoint"),
+        (["--fresh"], True, "the same command without --fresh goes on from the last checkpoint"),
+    ],
+    ids=["nothing saved", "saved", "fresh"],
+)
+def test_ctrl_c_promises_what_is_there(flags, saved, expected, monkeypatch, capsys, tmp_path):
+    """While it compiles: it goes on from a checkpoint only where there is one."""
+
+    def interrupted(command, stop):
+        (tmp_path / "run" / "checkpoints" / ("4" if saved else "4.tmp")).mkdir(parents=True)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(console, "train_and_show", interrupted)
+    with pytest.raises(SystemExit) as stopped:
+        console.main([GO1, f"--workdir={tmp_path / 'run'}", *flags])
+    assert stopped.value.code == 130
+    assert capsys.readouterr().err == f"dynappo: stopped; {expected}\n"
 
 
 def test_help_is_printed_and_is_no_mistake():

@@ -114,6 +114,24 @@ def test_what_was_lost_goes_on_on_one_process_and_other_devices(killed, tmp_path
     np.testing.assert_allclose(found[:10], expected[:10], rtol=1e-3, atol=1e-4, equal_nan=True)
 
 
+def test_a_second_run_in_the_same_folder_is_refused_and_harms_nothing(tmp_path):
+    """Status 2 and one line that names the process; killed -9, the first keeps nobody out."""
+    workdir = tmp_path / "run"
+    (first,) = start(workdir, "run.num_iterations=100000", devices=1)
+    until(lambda: saved(workdir), [first])
+    ((status, _, errors),) = end(start(workdir, "run.num_iterations=100000", devices=1))
+    assert status == 2 and errors.count("\n") == 1
+    assert f"another run is writing in this folder (pid {first.pid} on " in errors
+    assert first.poll() is None
+    first.kill()
+    end([first])
+    total = max(saved(workdir)) + 2
+    ((status, said, errors),) = end(start(workdir, f"run.num_iterations={total}", devices=1))
+    assert status == 0 and f"goes on from iteration {total - 2} of {workdir}" in said, errors
+    assert list(table(workdir)[::2, 0]) == list(range(1, total + 1)) and errors == ""
+    assert not (workdir / "lock").exists()
+
+
 @pytest.mark.slow
 def test_processes_meet_stop_together_and_only_the_first_writes_and_speaks(tmp_path):
     """SIGTERM reaches one of them only: both stop after the same chunk, saved, with status 143 where

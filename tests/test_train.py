@@ -2,10 +2,12 @@
 
 import csv
 import errno
+import fcntl
 import json
 import os
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -16,7 +18,18 @@ import numpy as np
 import pytest
 from ml_collections import config_dict
 
-from dynappo import checkpoint, console, files, log, render, results, schedule, train, versions
+from dynappo import (
+    checkpoint,
+    console,
+    files,
+    log,
+    policy_file,
+    render,
+    results,
+    schedule,
+    train,
+    versions,
+)
 from dynappo import config as config_lib
 from dynappo.config import ConfigError
 
@@ -83,6 +96,27 @@ def assert_same(one, other):
         if jax.dtypes.issubdtype(x.dtype, jax.dtypes.prng_key):
             x, y = jax.random.key_data(x), jax.random.key_data(y)
         np.testing.assert_array_equal(x, y, jax.tree_util.keystr(path))
+
+
+def opened(workdir, config, **how):
+    """The folder of a run, opened and let go of."""
+    with files.open_workdir(workdir, config, **how) as path:
+        return path
+
+
+def everything(folder):
+    """What is in a folder, with the bytes and the time of every file."""
+    return {
+        p.relative_to(folder): (p.read_bytes(), p.stat().st_mtime_ns) if p.is_file() else None
+        for p in folder.rglob("*")
+    }
+
+
+def other_hash(step):
+    """Makes the arrays of the checkpoint `step` others than those that were saved."""
+    path = step / "about" / "metadata"
+    about = json.loads(path.read_text())
+    path.write_text(json.dumps(about | {"sha256": about["sha256"][::-1]}))
 
 
 # ---- what a run leaves
@@ -235,7 +269,8 @@ def test_the_same_command_again_trains_no_more(whole, tmp_path, capsys, monkeypa
     console.main([*FLAGS, f"--workdir={workdir}"])
     out, err = capsys.readouterr()
     assert "trains go1: 16 robots, 4 rows" in out and "return (last 10 iterations)" in out
-    assert str(workdir) in out and err == ""
+    assert f"the run in {workdir} is complete (4 iterations)" in out and err == ""
+    assert "it is only evaluated and filmed again" in out
     assert (workdir / "metrics.csv").read_bytes() == whole.files["metrics.csv"]
     assert_same(*(render.load_params(w / "policy.npz") for w in (workdir, whole.workdir)))
     before, after = (json.loads((w / "summary.json").read_text()) for w in (whole.workdir, workdir))
@@ -255,7 +290,7 @@ def wait_for(path, seconds=60):
 
 def test_a_run_that_was_stopped_goes_on_as_if_it_had_not_been(config, program, whole, tmp_path):
     """Stopped after two iterations and resumed: every bit of state and every row is the same."""
-    workdir = files.open_workdir(tmp_path / "run", config)
+    workdir = opened(tmp_path / "run", config)
 
     def stop(iteration, last):
         assert iteration == 2
@@ -265,9 +300,11 @@ def test_a_run_that_was_stopped_goes_on_as_if_it_had_not_been(config, program, w
         train.loop(config, program(), workdir, stop)
     wait_for(workdir / "checkpoints" / "2")
     assert table(workdir / "metrics.csv") == table(whole.workdir / "metrics.csv")[:2]
-    told = []
-    state, metrics = train.loop(config, program(), workdir, lambda i, last: told.append(i))
-    assert told == [4]
+    told, said = [], []
+    state, metrics = train.loop(
+        config, program(), workdir, lambda i, last: told.append(i), say=said.append
+    )
+    assert told == [4] and said == [f"goes on from iteration 2 of {workdir}"]
     assert_same(state, whole.state)
     assert table(workdir / "metrics.csv") == table(whole.workdir / "metrics.csv")
     for name, column in whole.metrics.items():
@@ -419,7 +456,7 @@ def test_a_run_that_is_asked_to_stop_saves_and_returns(config, program, whole, t
     """Between two chunks, also where no checkpoint is due; it goes on as if never stopped."""
     seldom = config_dict.ConfigDict(config)
     seldom.run.checkpoint_every = 4
-    workdir = files.open_workdir(tmp_path / "run", config)
+    workdir = opened(tmp_path / "run", config)
     state, metrics = train.loop(seldom, program(), workdir, should_stop=lambda: True)
     assert list(metrics["iteration"]) == [1, 2]
     assert {p.name for p in (workdir / "checkpoints").iterdir()} == {"2"}
@@ -487,7 +524,8 @@ def test_a_damaged_checkpoint_is_moved_aside_and_the_one_before_is_taken(
             path.write_bytes(data)
     state, _ = train.loop(config, program(), workdir, say=said.append)
     assert_same(state, whole.state)
-    assert len(said) == 1 and "checkpoint 4 is damaged" in said[0]
+    assert "checkpoint 4 is damaged" in said[0]
+    assert said[1:] == [f"goes on from iteration 2 of {workdir}"]
     assert (workdir / "damaged-4").is_dir() and (workdir / "checkpoints" / "4").is_dir()
 
 
@@ -548,12 +586,145 @@ def test_networks_of_another_size_or_none_are_refused(program, whole, tmp_path):
         checkpoint.weights(tmp_path, fresh)
 
 
+def test_the_run_that_another_starts_from_is_only_read(program, whole, tmp_path):
+    """A save of it that is in progress stays, so does a damaged checkpoint; the one before is taken."""
+    other, said = tmp_path / "other", []
+    shutil.copytree(whole.workdir, other)
+    folder = other / "checkpoints"
+    shutil.copytree(folder / "4", folder / "6.orbax-checkpoint-tmp-0")
+    shutil.copytree(folder / "4", folder / "6")
+    (folder / "6" / "metrics" / "metrics").write_text("{")
+    shutil.rmtree(folder / "6" / "state" / "d")
+    shutil.copytree(folder / "4", folder / "5")
+    other_hash(folder / "5")
+    before = everything(other)
+    state = checkpoint.weights(other, program().state, said.append)
+    assert_same(state.learner.params, whole.state.learner.params)
+    assert everything(other) == before
+    assert [line.split(":")[0] for line in said] == [str(folder / "6"), str(folder / "5")]
+    assert all(line.endswith("checkpoint 4 is taken") and "\n" not in line for line in said)
+    assert "its numbers are not those that were saved" in said[1]
+    for step in ("2", "4"):
+        other_hash(folder / step)
+    with pytest.raises(ConfigError, match="none of its 4 checkpoints can be read") as error:
+        checkpoint.weights(other, program().state)
+    assert "\n" not in str(error.value) and f"--restore={other}" in str(error.value)
+
+
+def test_a_policy_is_not_read_from_a_checkpoint_with_other_numbers(whole, tmp_path):
+    """By the hash of all arrays, as a run that goes on finds it."""
+    workdir = tmp_path / "run"
+    shutil.copytree(whole.workdir, workdir)
+    step = workdir / "checkpoints" / "4"
+    params = jax.device_get(whole.state.learner.params)
+    assert_same(policy_file.find(str(step))[0].params, params)
+    other_hash(step)
+    with pytest.raises(ConfigError, match=r"4: .* damaged \(its numbers are not those"):
+        policy_file.find(str(step))
+
+
+# ---- the folder
+
+
+def test_a_folder_is_one_runs_at_a_time(config, tmp_path):
+    """The line names the process; `fresh` moves nothing away; an end of any kind lets go."""
+    workdir = tmp_path / "run"
+    who = rf"in this folder \(pid {os.getpid()} on {socket.gethostname()}\); wait for it, or take"
+    with pytest.raises(RuntimeError), files.open_workdir(workdir, config):
+        for fresh in (False, True):
+            with pytest.raises(ConfigError, match=who) as error:
+                opened(workdir, config, fresh=fresh)
+            assert "\n" not in str(error.value) and f"--workdir={workdir}" in str(error.value)
+        assert [p.name for p in tmp_path.iterdir()] == ["run"]
+        assert {p.name for p in workdir.iterdir()} == {"config.json", "lock"}
+        raise RuntimeError
+    for fresh in (False, True, False):
+        opened(workdir, config, fresh=fresh)
+    for folder in tmp_path.iterdir():
+        assert {p.name for p in folder.iterdir()} == {"config.json"}
+
+
+def test_a_lock_that_a_killed_run_left_holds_nobody_up(config, tmp_path):
+    """The file is there, nobody holds it."""
+    (tmp_path / "lock").write_text("pid 1 on a machine far away, with a long name\n")
+    with files.open_workdir(tmp_path, config):
+        assert (tmp_path / "lock").read_text() == f"pid {os.getpid()} on {socket.gethostname()}\n"
+
+
+def test_a_lock_that_was_taken_away_meanwhile_is_taken_anew(config, tmp_path, monkeypatch):
+    """Its run ended between the opening of the file and the locking: another could make a new one."""
+    (tmp_path / "lock").write_text("")
+    flock, removed = fcntl.flock, []
+
+    def late(file, how):
+        if not removed:
+            removed.append((tmp_path / "lock").unlink())
+        flock(file, how)
+
+    monkeypatch.setattr(fcntl, "flock", late)
+    with (
+        files.open_workdir(tmp_path, config),
+        pytest.raises(ConfigError, match="another run is writing"),
+    ):
+        opened(tmp_path, config)
+
+
+@pytest.mark.parametrize("number", [errno.ENOLCK, errno.ENOTSUP, errno.EIO])
+def test_a_file_system_without_locks_is_used_without(config, tmp_path, monkeypatch, number):
+    """Any other error is one that the folder has."""
+
+    def flock(file, how):
+        raise OSError(number, "no")
+
+    monkeypatch.setattr(fcntl, "flock", flock)
+    if number == errno.EIO:
+        with pytest.raises(ConfigError, match=r"cannot write there \(no\)"):
+            opened(tmp_path, config)
+    else:
+        opened(tmp_path, config)
+        assert (tmp_path / "config.json").exists()
+
+
+def test_train_holds_its_folder_until_it_ends(config, tmp_path, monkeypatch):
+    """Also where it is interrupted; then the next call in the same process trains there."""
+    ends = []
+
+    def setup(*_):
+        with pytest.raises(ConfigError, match="another run is writing"):
+            opened(tmp_path, config)
+        ends.append(1)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(train, "setup", setup)
+    for _ in range(2):
+        with pytest.raises(KeyboardInterrupt):
+            train.train(config, tmp_path)
+    assert len(ends) == 2 and {p.name for p in tmp_path.iterdir()} == {"config.json"}
+
+
+@pytest.mark.parametrize("begun", ["checkpoints/2", "damaged-2", "metrics.csv"])
+def test_a_folder_in_which_nothing_was_computed_takes_another_config(config, tmp_path, begun):
+    """After ctrl-C while it compiled; from the first checkpoint or row on it is a run."""
+    other = console.parse([*FLAGS, "--config.ppo.clip_epsilon=0.3"]).config
+    opened(tmp_path, other)
+    (tmp_path / "checkpoints").mkdir()
+    (tmp_path / "metrics.csv").write_text("iteration,seconds\n")
+    opened(tmp_path, config)
+    assert json.loads((tmp_path / "config.json").read_text())["ppo"]["clip_epsilon"] == 0.2
+    if begun == "metrics.csv":
+        (tmp_path / begun).write_text("iteration,seconds\n1,2\n")
+    else:
+        (tmp_path / begun).mkdir()
+    with pytest.raises(ConfigError, match=r"ppo\.clip_epsilon 0\.2 there, 0\.3 here"):
+        opened(tmp_path, other)
+
+
 def test_fresh_moves_the_old_run_aside(config, whole, tmp_path):
     """Twice; nothing of either is lost."""
     workdir = tmp_path / "run"
     shutil.copytree(whole.workdir, workdir)
     for number in (1, 2):
-        files.open_workdir(workdir, config, fresh=True)
+        opened(workdir, config, fresh=True)
         assert {p.name for p in workdir.iterdir()} == {"config.json"}
         assert (tmp_path / f"run.old-{number}" / "config.json").exists()
     assert (tmp_path / "run.old-1" / "metrics.csv").read_bytes() == whole.files["metrics.csv"]
@@ -564,7 +735,7 @@ def test_a_finished_run_can_be_made_longer(config, program, whole, tmp_path):
     workdir = tmp_path / "run"
     shutil.copytree(whole.workdir, workdir)
     longer = console.parse([*FLAGS, "--config.run.num_iterations=6", "--config.run.eval_envs=3"])
-    files.open_workdir(workdir, longer.config)
+    opened(workdir, longer.config)
     columns = schedule.columns(longer.config)
     told = []
     train.loop(
@@ -574,8 +745,10 @@ def test_a_finished_run_can_be_made_longer(config, program, whole, tmp_path):
     rows = table(workdir / "metrics.csv")
     assert [row["iteration"] for row in rows] == ["1", "2", "3", "4", "5", "6"]
     assert rows[:4] == table(whole.workdir / "metrics.csv")
+    kept = (workdir / "config.json").read_bytes()
     with pytest.raises(ConfigError, match="num_iterations is 4, .* has done 6"):
-        train.loop(config, program(), workdir)
+        opened(workdir, config)  # before anything is compiled
+    assert (workdir / "config.json").read_bytes() == kept
 
 
 def test_a_float_can_be_changed_without_compiling(program, config):
