@@ -114,6 +114,7 @@ def test_what_was_lost_goes_on_on_one_process_and_other_devices(killed, tmp_path
     np.testing.assert_allclose(found[:10], expected[:10], rtol=1e-3, atol=1e-4, equal_nan=True)
 
 
+@pytest.mark.slow
 def test_a_second_run_in_the_same_folder_is_refused_and_harms_nothing(tmp_path):
     """Status 2 and one line that names the process; killed -9, the first keeps nobody out."""
     workdir = tmp_path / "run"
