@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from dynappo import config as config_lib
-from dynappo import distributed, log
+from dynappo import distributed, log, policy_file
 from dynappo.config import ConfigError
 
 RETURN_ROWS = 10  # the return of a run is the mean of its last rows
@@ -100,8 +100,7 @@ def _begun(workdir: Path) -> bool:
 
 def steps(workdir: Path) -> list[int]:
     """Iterations of the checkpoints of `workdir` that are complete, newest first."""
-    names = (path.name for path in (workdir / "checkpoints").glob("[0-9]*"))
-    return sorted((int(name) for name in names if name.isdigit()), reverse=True)
+    return policy_file.steps(workdir / "checkpoints")
 
 
 def _old(workdir: Path, number: int) -> Path:
@@ -203,7 +202,7 @@ def save(
     config, robot, workdir, checkpoints, done: int, state, metrics, sim_steps: int, say
 ) -> None:
     """A checkpoint, and the policy as it is now in a file that can be played at once."""
-    from dynappo import checkpoint, policy_file
+    from dynappo import checkpoint
 
     state = distributed.whole(state)
     if not distributed.first():

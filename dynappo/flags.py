@@ -67,13 +67,11 @@ def check_writable(out: Path) -> None:
         out.unlink()
 
 
-def answer(
-    action: Callable[[], None], stopped: str = "stopped", status: Callable[[], int] = lambda: 130
-) -> None:
+def answer(action: Callable[[], None], stopped: str = "stopped") -> None:
     """Do `action`; what ends it is one line and an exit status.
 
-    2: it cannot be done as asked; 1: numbers blew up, or a file cannot be written; `status()` where it
-    is interrupted, with the line `stopped`.
+    2: it cannot be done as asked; 1: numbers blew up, or a file cannot be written; 130 where it is
+    interrupted, with the line `stopped`.
     """
     try:
         return action()
@@ -85,6 +83,6 @@ def answer(
         full = f"{error.filename or 'a file'} cannot be written ({error.strerror})"
         line, code = full if error.strerror else str(error), 1  # without: a library, not a file
     except KeyboardInterrupt:
-        line, code = stopped, status()
+        line, code = stopped, 130
     print(f"dynappo: {line}", file=sys.stderr)
     sys.exit(code)

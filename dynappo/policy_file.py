@@ -276,6 +276,12 @@ def read_checkpoint(folder: Path) -> dict[str, np.ndarray]:
     return arrays
 
 
+def steps(folder: Path) -> list[int]:
+    """Iterations of the checkpoints in `folder` that are complete, newest first."""
+    names = (path.name for path in folder.glob("[0-9]*"))
+    return sorted((int(name) for name in names if name.isdigit()), reverse=True)
+
+
 def locate(text: str) -> Path:
     """The policy.npz or checkpoint folder that a name, a workdir or a path means.
 
@@ -303,10 +309,10 @@ def locate(text: str) -> Path:
     if any((path / name).is_dir() for name in SAVED):
         return path
     folder = path / "checkpoints" if (path / "checkpoints").is_dir() else path
-    steps = sorted((p for p in folder.iterdir() if p.name.isdigit()), key=lambda p: int(p.name))
-    if not steps:
+    saved = steps(folder)
+    if not saved:
         raise ConfigError(f"{text}: holds neither a policy.npz nor checkpoints/")
-    return steps[-1]
+    return folder / str(saved[0])
 
 
 def find(text: str) -> tuple[Policy, Path]:

@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from dynappo import bench, curves, distributed, files, log, versions
+from dynappo import bench, curves, distributed, files, log, policy_file, versions
 
 
 def finish(config, program, workdir: Path, state, metrics) -> dict[str, Any]:
     """Evaluate, write policy.npz, summary.json and the film; returns the summary."""
-    from dynappo import policy_file, render
+    from dynappo import render
 
     summary = summarise(config, program, state, metrics)
     params = files.best_params(distributed.whole(state.learner.params), metrics)

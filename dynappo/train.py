@@ -66,7 +66,7 @@ def train(
     return state, metrics
 
 
-def tell(text: str) -> None:
+def to_stderr(text: str) -> None:
     """A line to whoever sits there, where no console was given."""
     print(f"dynappo: {text}", file=sys.stderr)
 
@@ -121,7 +121,7 @@ def remember_programs() -> None:
         jax.config.update("jax_compilation_cache_dir", str(cache))
 
 
-def setup(config, restore: Path | None = None, say: Callable[[str], None] = tell) -> Program:
+def setup(config, restore: Path | None = None, say: Callable[[str], None] = to_stderr) -> Program:
     """Build robot, environment and first state, and compile the one program a run repeats.
 
     `restore` is the workdir of another run, whose networks the first state takes; `say` is told of
@@ -192,7 +192,7 @@ def loop(
     progress_fn=None,
     *,
     should_stop: Callable[[], bool] = lambda: False,
-    say: Callable[[str], None] = tell,
+    say: Callable[[str], None] = to_stderr,
 ):
     """All iterations that are still to do; returns `(state, metrics of every iteration)`.
 

@@ -14,7 +14,7 @@ from experiments import paper, run
 
 SEEDS = 3  # as the paper
 SETTINGS = ("run.eval_envs=0", "run.checkpoint_every=0")  # the table needs returns only
-FIVE = ("run.eval_envs=200", "run.checkpoint_every=0")  # 17_regimes needs more of plot.FIVE
+EVALUATED = ("run.eval_envs=200", "run.checkpoint_every=0")  # 17_regimes needs more of plot.FIVE
 
 
 def main():
@@ -23,7 +23,7 @@ def main():
     results, thin = args.out / "results", 5 if args.quick else paper.EVERY
     for cell in grid:
         if not plot.load(results, *cell):
-            seeds, settings = (5, FIVE) if cell in plot.FIVE else (SEEDS, SETTINGS)
+            seeds, settings = (5, EVALUATED) if cell in plot.FIVE else (SEEDS, SETTINGS)
             if args.quick:
                 seeds, settings = 2, paper.QUICK
             run.batch(results, [plot.job(*cell)], seeds, settings, thin=thin, lock=args.lock)

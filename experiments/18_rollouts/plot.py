@@ -89,14 +89,10 @@ def box(axis, x, y, text, colour="white", wide=1.0, high=0.62, **more):
     axis.text(x, y, text, **{"ha": "center", "va": "center", "fontsize": 9} | more)
 
 
-def arrow(axis, start, end, text="", bend=0.0, **more):
-    """An arrow with a word at its middle."""
-    style = f"arc3,rad={bend}"
-    how = dict(arrowstyle="-|>", color=INK, connectionstyle=style, shrinkA=0, shrinkB=0)
+def arrow(axis, start, end):
+    """A straight arrow."""
+    how = dict(arrowstyle="-|>", color=INK, shrinkA=0, shrinkB=0)
     axis.annotate("", end, start, arrowprops=how)
-    if text:
-        middle = ((start[0] + end[0]) / 2, (start[1] + end[1]) / 2)
-        axis.text(*middle, text, **{"ha": "center", "va": "bottom", "fontsize": 8} | more)
 
 
 def blank(axis, across, up) -> None:
@@ -106,7 +102,7 @@ def blank(axis, across, up) -> None:
 
 
 def draw_overview(path: Path) -> None:
-    """Figure 1: the pipeline of an iteration, and its rows over the iterations of the paper's ramp."""
+    """Figure 1: the pipeline of an iteration, and its rows over the ramps of the paper and of `best`."""
     page, axes = paper.figure(2, 2, (9.5, 5.4), height_ratios=(1.4, 1))
     axis = axes[0, 0]
     axes[0, 1].remove()
