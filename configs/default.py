@@ -52,7 +52,6 @@ def defaults() -> config_dict.ConfigDict:
             eval_every=0,  # iterations; a multiple of log_every; 0: only at the end
             eval_envs=1000,  # robots of an evaluation, one episode each; 0: none
             video_seconds=12.0,  # s of film after training; 0: none
-            time_phases=False,  # measure physics, fit, tail and PPO at the end (bench.py); seconds
             device="auto",  # "auto", "cpu" or "gpu"
             tensorboard=True,  # write TensorBoard's events into the workdir
             wandb="",  # project of Weights & Biases to log to; empty: none
@@ -66,10 +65,6 @@ def defaults() -> config_dict.ConfigDict:
             end_iteration=100,  # b
             start_steps=0,  # x
             end_steps=4,  # y
-            # beyond the paper: a tail is no longer than that share of eq. 5's at which the model's error
-            # of 4 predictions in a row, over that of repeating the state, would be max_error
-            by_error=False,
-            max_error=0.5,
         ),
         model=dict(
             hidden=(256, 256, 256, 256),  # paper, Table II
@@ -84,14 +79,10 @@ def defaults() -> config_dict.ConfigDict:
             normalize=True,  # scale inputs and targets by running moments; False: raw numbers
             stats_decay=0.95,  # weight of the old moments, an iteration
             precision="highest",  # "highest" (float32), "tf32" or "bfloat16"
-            # beyond the paper, each off by default (dynamics.py)
+            # beyond the paper, each off in the paper's variants (model/dynamics.py)
             clean=False,  # carry the state without noise, and draw the policy's noise anew
             known_reward=False,  # compute the terms that need no model, and learn the rest
             falls=False,  # predict the probability of a fall, and know when the time is up
-            ensemble=1,  # networks; where they disagree, a synthetic row weighs less
-            unroll=1,  # predictions in a row, each from the one before, in the loss
-            private=False,  # carry contacts, air times and the robot's own body too; needs clean
-            history=0,  # earlier iterations whose rows are learned from again
             bounds=False,  # keep predictions and values in the range of the iteration's real rows
         ),
         ppo=dict(  # RSL, IL agents/rsl_rl_ppo_cfg.py, and the paper's appendix
@@ -114,11 +105,7 @@ def defaults() -> config_dict.ConfigDict:
             gamma=0.99,
             lambda_=0.95,
             max_grad_norm=1.0,
-            tail_weight=1.0,  # of a synthetic row in every mean over rows; 0: for advantages only
             precision="highest",
-            # predictions in a row that the return is differentiated through, beside PPO; 0: none
-            first_order_steps=0,
-            first_order_weight=1.0,  # of that objective in the loss
         ),
         task=dict(
             # "isaaclab", "paper_text" or "isaaclab_exact": decides the fields below that are None,

@@ -1,7 +1,11 @@
 """dynappo: PPO whose rollout tails are written by a learned transition model.
 
-Start at `algorithm.py`. Importing the package sets two flags of XLA's CPU compiler, before JAX starts;
-a value of the user's own is kept.
+Start reading at `algorithm.py`: the files beside it are the method, each folder is one subject, and its
+`__init__` says what is in it. The public functions can be imported from here, as in
+
+    from dynappo import algorithm, config, env, gae, robot, schedule, train
+
+Importing the package sets two flags of XLA's CPU compiler, before JAX starts; a value of your own is kept.
 
 - The concurrency-optimised scheduler is off: with it, jaxlib 0.10.2 deadlocks on two cores at 256
   robots, when loops that run side by side (random bits, the constraint solver) take all threads and
@@ -11,8 +15,22 @@ a value of the user's own is kept.
   there were none. The fusion that does it is off, in that version only; no GPU is affected.
 """
 
+import importlib
 import os
 from importlib import metadata
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:  # what an editor completes
+    from dynappo.learner import gae as gae
+    from dynappo.physics import robot as robot
+    from dynappo.task import env as env
+
+# public modules that are not in this folder, loaded when they are first asked for
+_PUBLIC = {
+    "env": "dynappo.task.env",
+    "gae": "dynappo.learner.gae",
+    "robot": "dynappo.physics.robot",
+}
 
 _FLAGS = {"--xla_cpu_enable_concurrency_optimized_scheduler": "false"}
 if metadata.version("jaxlib") == "0.10.2":
@@ -20,3 +38,9 @@ if metadata.version("jaxlib") == "0.10.2":
 for _flag, _value in _FLAGS.items():
     if _flag not in os.environ.get("XLA_FLAGS", ""):
         os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {_flag}={_value}".strip()
+
+
+def __getattr__(name: str):
+    if name not in _PUBLIC:
+        raise AttributeError(f"module 'dynappo' has no attribute {name!r}")
+    return importlib.import_module(_PUBLIC[name])

@@ -21,11 +21,11 @@ from jaxtyping import Array, Int, PRNGKeyArray
 from dynappo.types import Env, Metrics, Transition
 
 
-def allocate(env: Env, horizon: int, num_envs: int, carried: int | None = None) -> Transition:
-    """An empty buffer of N rows of R robots; `prop` has `carried` numbers, by default `env.prop_size`."""
+def allocate(env: Env, horizon: int, num_envs: int) -> Transition:
+    """An empty buffer of N rows of R robots."""
     one = jnp.zeros((horizon, num_envs))
     obs = jnp.zeros((horizon, num_envs, env.obs_size))
-    prop = jnp.zeros((horizon, num_envs, carried or env.prop_size))
+    prop = jnp.zeros((horizon, num_envs, env.prop_size))
     action = jnp.zeros((horizon, num_envs, env.action_size))
     return Transition(
         obs=obs,
@@ -63,13 +63,12 @@ def fill(
     *,
     act: Callable,
     step: Callable,
-    carried: Callable = lambda state: state.prop,
     metrics: tuple[str, ...] = (),
 ) -> tuple[Transition, Any, Metrics]:
     """Write rows `lo <= t < hi`; returns `(buffer, state after the last row, sums)`.
 
     `act(obs, keys) -> action, action_mean, log_prob, value` and `step(state, action, keys) ->
-    state, Outcome` work on all R robots; of `state` only `.obs` and `carried(state)` are read here. `sums`
+    state, Outcome` work on all R robots; of `state` only `.obs` and `.prop` are read here. `sums`
     are the `metrics` of the outcomes, summed over these rows and all robots.
     """
 
@@ -88,7 +87,7 @@ def fill(
             discount=outcome.discount,
             truncation=outcome.truncation,
             next_obs=outcome.next_obs,
-            prop=carried(state),
+            prop=state.prop,
             next_prop=outcome.next_prop,
             valid=outcome.valid,
             episode_return=outcome.episode_return,

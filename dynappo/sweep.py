@@ -6,7 +6,8 @@
     state, metrics = run(hyper, state, schedule.columns(config))
 
 On several devices: `env = env._replace(mesh=sweep.mesh(2, 4))`, and `state = jax.device_put(state,
-sweep.shardings(env.mesh, state, 2))` before `run`; `train.train` does that from `run.mesh_*`.
+sweep.shardings(env.mesh, state, 2))` before `run`, called in a `with sweep.partitioner(env.mesh)`;
+`train.train` does that from `run.mesh_*`.
 
 The engine is JAX's own: `jax.jit` splits the program by how its arguments lie (`shardings`), and
 puts in the sums over devices where a mean over robots is taken: gradients, normalisers, advantages,
@@ -14,14 +15,15 @@ KL. So nothing of the method knows of devices, and E devices with R robots each 
 with E R robots computes; no random number depends on where a robot lies. Only physics is told to
 stay where its robots are (`algorithm.physics_step`).
 
-Which axis: seeds talk to nobody (but with `schedule.by_error`, whose tail is one for all), so `seed`
-costs nothing and comes first. Robots of one seed on
+Which axis: seeds talk to nobody, so `seed` costs nothing and comes first. Robots of one seed on
 `env` sum gradients after each minibatch, which pays where a device has thousands of robots
 (experiments/02_scaling).
 """
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
@@ -30,16 +32,10 @@ import jax.numpy as jnp
 from jax.sharding import AxisType, Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
-from dynappo import algorithm
-from dynappo import evaluate as evaluate_lib
+from dynappo import algorithm, evaluation
 from dynappo.types import Env, Metrics, TrainState
 
-ROBOTS = (
-    "env_state",
-    "params_physics",
-    "robot_index",
-    "past",
-)  # fields of TrainState with an axis R
+ROBOTS = ("env_state", "params_physics", "robot_index")  # fields of TrainState with an axis R
 
 
 def keys(seed: int, num_seeds: int) -> PRNGKeyArray:
@@ -88,31 +84,41 @@ def run(
     """`algorithm.run` of every seed; metrics `[I, S]`. The columns bound loops and stay unbatched."""
     one = partial(algorithm.run, env, static=static)
     over = (axes(hyper), 0, None), (0, 1)
-    batched = jax.vmap(one, *over, axis_name="seeds", spmd_axis_name="seed")
-    return batched(hyper, state, columns)
+    return jax.vmap(one, *over, spmd_axis_name="seed")(hyper, state, columns)
 
 
 def evaluate(
-    env: Env, task, params: dict, key: PRNGKeyArray, *, static, num_envs: int, num_steps: int
+    env: Env, hyper, params: dict, key: PRNGKeyArray, *, static, num_envs: int, num_steps: int
 ) -> dict[str, Float[Array, " S"]]:
-    """`evaluate.evaluate` of every seed's policy, in the same episodes; `task` is hyper.task."""
+    """`evaluation.evaluate` of every seed's policy, in the same episodes."""
     sizes = dict(static=static, num_envs=num_envs, num_steps=num_steps)
-    one = partial(evaluate_lib.evaluate, env, **sizes)
-    return jax.vmap(one, (axes(task), 0, None), spmd_axis_name="seed")(task, params, key)
+    one = partial(evaluation.evaluate, env, **sizes)
+    return jax.vmap(one, (axes(hyper), 0, None), spmd_axis_name="seed")(hyper, params, key)
 
 
-def mesh(seed: int, env: int) -> Mesh:
-    """`seed x env` of JAX's devices; ValueError if there are not so many."""
-    devices = jax.devices()
+def mesh(seed: int, env: int, devices: Sequence | None = None) -> Mesh:
+    """`seed x env` of JAX's devices, or of those given; ValueError if there are not so many."""
+    devices = list(devices or jax.devices())
     if seed * env > len(devices):
         raise ValueError(f"a mesh of {seed} x {env} devices, but JAX sees {len(devices)}")
-    if seed * env > 1:
-        # JAX 0.11.2's other partitioner, Shardy, ends in a segmentation fault where it compiles physics
-        # (of either engine) under shard_map for GPUs
-        jax.config.update("jax_use_shardy_partitioner", False)
     return jax.make_mesh(
         (seed, env), ("seed", "env"), (AxisType.Auto,) * 2, devices=devices[: seed * env]
     )
+
+
+@contextlib.contextmanager
+def partitioner(over: Mesh):
+    """Compile under this where a mesh has several devices; JAX's own setting is put back.
+
+    JAX 0.11.2's other partitioner, Shardy, ends in a segmentation fault where it compiles physics (of
+    either engine) under shard_map for GPUs.
+    """
+    before = jax.config.jax_use_shardy_partitioner
+    jax.config.update("jax_use_shardy_partitioner", before and over.size == 1)
+    try:
+        yield
+    finally:
+        jax.config.update("jax_use_shardy_partitioner", before)
 
 
 def shardings(over: Mesh, state: Any, num_seeds: int) -> Any:

@@ -17,8 +17,9 @@ Meanings, stated once:
   and no advantage crosses it. A row is never both.
 - `next_obs` is observed before any reset. Unless a reset lies between, it is the same array as the
   next row's `obs`, noise included.
-- `prop` is the predicted part of the observation without its noise, `next_prop` that of `next_obs`;
-  in a rollout with `model.private` the model's private numbers follow in both.
+- `prop` is the predicted part of the observation without its noise, `next_prop` that of `next_obs`.
+- `static` and `hyper` are the two halves of the whole config (config/splitting.py); a robot's `body` is
+  its own physical parameters, those of all robots are `params_physics`.
 - Row t is real if and only if `t < n_real`; that is not stored.
 
 Why no iteration counter in `TrainState`: a counter that is a leaf of a stacked state becomes batched
@@ -32,7 +33,6 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
@@ -48,9 +48,7 @@ class Outcome:
     truncation: Float[Array, "..."]
     next_obs: Float[Array, "... O"]
     next_prop: Float[Array, "... P"]
-    valid: Float[
-        Array, "..."
-    ]  # 0 where physics blew up: no row for the model; synthetic: its weight
+    valid: Float[Array, "..."]  # 0 where physics blew up: no row for the model
     episode_return: Float[Array, "..."]  # sum of rewards of this episode, this row included
     episode_length: Float[Array, "..."]  # rows of this episode, this one included
     metrics: Metrics  # per robot; summed over the rows that physics wrote
@@ -137,8 +135,6 @@ class ModelState:
     inputs: Moments
     targets: Moments
     bounds: Float[Array, "2 P+1"] | None = None  # low, high of a prediction; None: without any
-    spread: Float[Array, ""] | None = None  # an ensemble's disagreement on real rows
-    error: Float[Array, ""] | None = None  # with schedule.by_error: of several predictions in a row
 
 
 @struct.dataclass
@@ -148,9 +144,8 @@ class TrainState:
     learner: Learner
     model: ModelState | None  # None: plain PPO, no model in the compiled program
     env_state: Any  # [R]
-    params_physics: Any  # [R], drawn once in `algorithm.init`
+    params_physics: Any  # [R] bodies, drawn once in `algorithm.init`
     robot_index: Int[Array, " R"]  # global, so that no random number depends on the device
-    past: Float[Array, "R H D"] | None  # earlier rows that the model still learns from
     returns: Float[Array, "100"]  # of the last finished episodes, newest last; NaN before
     lengths: Float[Array, "100"]
     key: PRNGKeyArray
@@ -159,15 +154,14 @@ class TrainState:
 class Env(NamedTuple):
     """An environment as pure functions of one robot, and the sizes the learner must know.
 
-    `hyper` is the pytree of the task's floats, `body` the robot's own physical parameters.
+    `hyper` is the pytree of the config's floats, `body` the robot's own physical parameters.
     `step` never resets, `autoreset` does. `context(obs, action)` is the part of the next
     observation that follows from the row itself and is copied, not predicted: the trailing
     `obs_size - prop_size` numbers. States must have the fields `obs` and `prop`.
 
-    For a tail that is as good as it can be (group model; else not called): `noise` is what `obs` adds
-    to `prop`, `known_reward` the share of the reward that is a function of obs, action and next prop,
-    and with `model.falls` states have a `clock`, at `episode_length` of which an episode is cut.
-    `private` is what else the model may carry: numbers of body and state that no observation shows.
+    Only options of the model ask for the rest: with `model.clean`, `noise` is what `obs` adds to `prop`;
+    with `model.known_reward`, `known_reward` is the share of the reward that is a function of obs, action
+    and next prop; with `model.falls`, states have a `clock`, at `episode_length` of which an episode is cut.
     """
 
     randomize: Callable[..., Any]  # (hyper, key) -> body
@@ -183,6 +177,4 @@ class Env(NamedTuple):
     action_size: int
     dt: float  # s, one control step
     episode_length: int  # control steps
-    private: Callable[..., Any] = lambda body, state: jnp.zeros(0)  # (body, state) -> [Q]
-    private_size: int = 0
     mesh: jax.sharding.Mesh | None = None  # devices over which the robots are spread (sweep.py)

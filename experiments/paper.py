@@ -16,7 +16,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from dynappo import config as config_lib
-from dynappo import curves, schedule
+from dynappo import schedule
+from dynappo.train import curves
 
 PAPER_SEEDS = 3
 LIMIT = 30.5  # the return of Table VI

@@ -27,7 +27,10 @@ import jax
 import numpy as np
 
 from dynappo import config as config_lib
-from dynappo import log, policy_file, results, train
+from dynappo import train
+from dynappo.config import files
+from dynappo.policy import policy_file
+from dynappo.train import finish, log
 
 KEPT = (
     "iteration sim_steps seconds episode_return episode_length velocity_error policy_std "
@@ -65,12 +68,12 @@ def batch(out: Path, jobs, seeds: int, settings=(), thin=1, policies=False, lock
             with alone(lock):
                 state, metrics = train.loop(config, program, None)
         except FloatingPointError as error:  # a result too: this setting diverges
-            log.write_json(path, {"job": job, "set": list(settings), "diverged": str(error)})
+            files.write_json(path, {"job": job, "set": list(settings), "diverged": str(error)})
             print(f"{job:44s} {error}", flush=True)
             continue
         path.with_suffix(".csv").unlink(missing_ok=True)
         log.append_csv(path.with_suffix(".csv"), log.rows(kept(metrics, thin)))
-        summary = results.summarise(config, program, state, metrics)
+        summary = finish.summarise(config, program, state, metrics)
         summary["policy_std"] = np.ravel(metrics["policy_std"][-10:].mean(0)).tolist()
         summary |= {"job": job, "set": list(settings), "date": f"{datetime.date.today()}"}
         if policies:
@@ -80,7 +83,7 @@ def batch(out: Path, jobs, seeds: int, settings=(), thin=1, policies=False, lock
             if seeds > 1:
                 params = jax.tree.map(lambda leaf, s=summary["policy_seed"]: leaf[s], params)
             policy_file.save(path.with_suffix(".npz"), params, config, program.robot)
-        log.write_json(path, summary)
+        files.write_json(path, summary)
         print(row(job, summary), f"{time.perf_counter() - began:6.0f}", flush=True)
 
 

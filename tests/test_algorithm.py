@@ -12,18 +12,9 @@ import pytest
 import toy_env
 from jax.extend import core as jax_core
 
-from dynappo import (
-    algorithm,
-    dynamics,
-    moments,
-    networks,
-    ppo,
-    rollout,
-    schedule,
-    summary,
-    sweep,
-    train,
-)
+from dynappo import algorithm, rollout, schedule, stats, sweep, train
+from dynappo.learner import networks, ppo
+from dynappo.model import dynamics, moments
 from dynappo.types import Transition
 
 N, R, ITERATIONS = 8, 16, 6
@@ -578,7 +569,7 @@ def test_the_rings_are_those_of_a_deque(env, rate):
     @jax.jit
     def push(returns, lengths, buffer, n_real):
         state = SimpleNamespace(returns=returns, lengths=lengths)
-        return summary.finished(state, buffer, n_real)
+        return stats.finished(state, buffer, n_real)
 
     returns = lengths = jnp.full(100, jnp.nan)
     expected_returns, expected_lengths, most = [], [], 0
@@ -649,7 +640,7 @@ def test_metrics_describe_the_real_rows(observed, tail, first):
 def test_summaries_are_means_roots_and_counts():
     """Sums over 8 rows: a term, a squared error, an event."""
     sums = {"reward_x": 4.0, "yaw_error_sq": 72.0, "falls": 3.0, "timeouts": 2.0, "blowups": 1.0}
-    out = summary.of_rows({n: jnp.asarray(v) for n, v in sums.items()}, 8)
+    out = stats.of_rows({n: jnp.asarray(v) for n, v in sums.items()}, 8)
     expected = {"reward_x": 0.5, "yaw_error": 3.0, "falls": 3.0, "timeouts": 2.0, "blowups": 1.0}
     assert {n: float(v) for n, v in out.items()} == expected
 

@@ -20,8 +20,10 @@ import numpy as np
 import pytest
 import toy_env
 
-from dynappo import algorithm, log, policy_file
+from dynappo import algorithm
 from dynappo import config as config_lib
+from dynappo.policy import policy_file
+from dynappo.train import log
 from experiments import paper, run
 
 ROOT = pathlib.Path(config_lib.__file__).parent.parent
@@ -545,7 +547,7 @@ def test_chunks_train_as_the_loop_does_and_hand_out_the_state(tmp_path, monkeypa
     """With the toy environment: run.py's CSV against `paper.chunks`, and the probe of its model."""
     import toy_env
 
-    from dynappo import env as env_lib
+    from dynappo.task import env as env_lib
 
     monkeypatch.setattr(env_lib, "make", lambda *_, **__: toy_env.make())
     run.batch(tmp_path, ["go1:dyna4"], 2, TOY)

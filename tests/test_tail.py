@@ -9,7 +9,9 @@ import pytest
 import toy_env
 from test_algorithm import N, R, leaves, observe, row
 
-from dynappo import algorithm, dynamics, model_rows, moments, networks, ppo, rollout
+from dynappo import algorithm, rollout
+from dynappo.learner import networks, ppo
+from dynappo.model import dynamics, examples, moments
 
 ON = {f"model.{name}": True for name in ("clean", "known_reward", "falls", "bounds")}
 A, B = np.array(toy_env.A), np.array(toy_env.B)
@@ -124,7 +126,7 @@ def test_known_and_learned_reward_make_the_reward(env, iterated):
     """On real rows the learned rest is the effort to the digit, however loud the noise."""
     static, hyper, _, out = iterated
     rows = out[N][0]
-    rest = model_rows.targets(static.model, env, rows, hyper.task)[..., 3]
+    rest = examples.targets(static.model, env, rows, hyper.task)[..., 3]
     np.testing.assert_allclose(rest, -0.01 * (rows.action**2).sum(-1), 1e-3, 1e-5)
     error = (rows.next_prop[..., 0] - rows.obs[..., 3]) ** 2
     np.testing.assert_allclose(rows.reward, DT * (1 - error + rest), 1e-4, 1e-5)

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from flax import struct
 
 from dynappo import config as config_lib
-from dynappo import dynamics
+from dynappo.model import dynamics
 from dynappo.types import Env, Outcome
 
 DT = 0.1  # s, so that the first second, which evaluation leaves out, is 10 steps

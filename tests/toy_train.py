@@ -7,8 +7,8 @@ import sys
 
 import toy_env
 
-from dynappo import console
-from dynappo import env as env_lib
+from dynappo.task import env as env_lib
+from dynappo.train import command as train_command
 
 env_lib.make = lambda *_, **__: toy_env.make()
 SMALL = (
@@ -20,4 +20,4 @@ SMALL = (
 
 if __name__ == "__main__":
     fields = [f"--config.{field}" for field in SMALL]
-    console.main(["--config=configs/go1.py:dyna4", *fields, *sys.argv[1:]])
+    train_command.main(["--config=configs/go1.py:dyna4", *fields, *sys.argv[1:]])

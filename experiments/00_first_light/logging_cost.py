@@ -16,7 +16,8 @@ import jax
 import jax.numpy as jnp
 
 from dynappo import config as config_lib
-from dynappo import log, train
+from dynappo import train
+from dynappo.config import files
 
 
 def main():
@@ -44,7 +45,7 @@ def main():
                 times.append((t1 - t0) / (i1 - i0) * 1e3)
     medians = {name: sorted(times)[len(times) // 2] for name, times in ms.items()}
     ratio = medians["everything"] / medians["nothing"]
-    log.write_json(args.out, {"ms": ms, "median": medians, "ratio": ratio})
+    files.write_json(args.out, {"ms": ms, "median": medians, "ratio": ratio})
     print(medians, f"ratio {ratio:.4f}")
 
 

@@ -7,8 +7,8 @@ import sys
 from pathlib import Path
 
 from dynappo import config as config_lib
-from dynappo import render
-from dynappo import robot as robot_lib
+from dynappo.physics import robot as robot_lib
+from dynappo.policy import render
 
 HERE = Path(__file__).parent
 SECONDS, MOMENT = 8.0, 2.3  # s of film, and of the picture

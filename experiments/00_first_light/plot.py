@@ -9,7 +9,7 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 
-from dynappo import log
+from dynappo.train import log
 
 HERE = Path(__file__).parent
 

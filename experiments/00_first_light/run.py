@@ -11,8 +11,13 @@ from pathlib import Path
 
 import numpy as np
 
-from dynappo import bench, files, log, render, results, train
 from dynappo import config as config_lib
+from dynappo import train
+from dynappo.bench import command as bench_command
+from dynappo.config import files
+from dynappo.policy import render
+from dynappo.train import finish, log
+from dynappo.train import workdir as workdir_lib
 
 VARIANTS = "ppo12,ppo16,dyna2,dyna4_noschedule,dyna4"
 
@@ -37,11 +42,11 @@ def main():
         state, metrics = train.loop(config, program, None)
         log.append_csv(path.with_suffix(".csv"), log.rows(metrics))
         render.save_params(
-            path.with_suffix(".npz"), files.best_params(state.learner.params, metrics)
+            path.with_suffix(".npz"), workdir_lib.best_params(state.learner.params, metrics)
         )
-        summary = results.summarise(config, program, state, metrics)
-        summary["phases_ms"] = bench.phases(config, program, state)
-        log.write_json(path, summary)
+        summary = finish.summarise(config, program, state, metrics)
+        summary["phases_ms"] = bench_command.phases(config, program, state)
+        files.write_json(path, summary)
         print(row(variant, summary), flush=True)
 
 

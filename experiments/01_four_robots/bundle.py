@@ -15,8 +15,9 @@ from pathlib import Path
 import numpy as np
 from ml_collections import config_dict
 
-from dynappo import log, policy_file
-from dynappo import robot as robot_lib
+from dynappo.config import files
+from dynappo.physics import robot as robot_lib
+from dynappo.policy import policy_file
 
 KEEP = (
     "robot job return return_max iterations sim_steps seconds device impl versions evaluation set"
@@ -35,7 +36,7 @@ def main():
         # without it, that of the highest return in the end: 0 where there is one seed
         seed = summary.get("policy_seed", int(np.argmax(summary["return"])))
         known = {"seed": seed} | {k: summary[k] for k in KEEP.split() if k in summary}
-        log.write_json(folder / "policy.json", of_seed(known, seed))
+        files.write_json(folder / "policy.json", of_seed(known, seed))
         print(name, (folder / "policy.npz").stat().st_size // 1000, "kB")
 
 

@@ -9,7 +9,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import walk
 
-from dynappo import log
+from dynappo.train import log
 
 HERE = Path(__file__).parent
 NAMES = {"go1": "Unitree Go1", "go2": "Unitree Go2", "anymal_c": "ANYmal-C", "anymal_d": "ANYmal-D"}

@@ -21,7 +21,8 @@ import numpy as np
 import solver
 import walk
 
-from dynappo import physics, randomize
+from dynappo.physics import engine as engine_lib
+from dynappo.physics import randomize
 
 STEPS = 50
 NONE = dict(
@@ -62,7 +63,7 @@ def cost(body, config, params, worlds, impl, repeats):
     runs, wide = {}, ranges(config)
     for count in range(len(FIELDS)):  # the gains, last, come together
         some = FIELDS[: count if count < 4 else 5]
-        engine = physics.make(body, config.physics, frozenset(some), impl)
+        engine = engine_lib.make(body, config.physics, frozenset(some), impl)
         bodies = draw(body, NONE | {n: wide[n] for n in some}, worlds)
         runs["+".join(some) or "none"] = walk.on_mjx(engine, config, params, STEPS), bodies
     times = {name: [] for name in runs}
@@ -86,7 +87,7 @@ def motion(body, config, params, impl):
     one = {n: np.array(getattr(data, n)) for n in ("qpos", "qvel", "qacc_warmstart")}
     one |= {"command": np.array([0.5, 0.0, 0.0]), "last_action": np.zeros(12)}
     start = {n: jnp.asarray(np.stack([c, c]), jnp.float32) for n, c in one.items()}
-    engine = physics.make(body, config.physics, frozenset(FIELDS), impl)
+    engine = engine_lib.make(body, config.physics, frozenset(FIELDS), impl)
     run = walk.on_mjx(engine, config, params, STEPS)
     actions = run(walk.nominal(body, 2), start)[2]
     actions = jnp.broadcast_to(actions[:, :1], actions.shape)

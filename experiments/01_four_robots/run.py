@@ -14,7 +14,11 @@ from pathlib import Path
 import numpy as np
 
 from dynappo import config as config_lib
-from dynappo import files, log, policy_file, results, train
+from dynappo import train
+from dynappo.config import files
+from dynappo.policy import policy_file
+from dynappo.train import finish, log
+from dynappo.train import workdir as workdir_lib
 
 EVERY = 10  # rows of the metrics to one of the CSV
 
@@ -40,7 +44,7 @@ def main():
         state, metrics = train.loop(config, program, None)
         policy_file.save(
             path.with_suffix(".npz"),
-            files.best_params(state.learner.params, metrics),
+            workdir_lib.best_params(state.learner.params, metrics),
             config,
             program.robot,
         )
@@ -49,12 +53,12 @@ def main():
         thin = {n: m[EVERY - 1 :: EVERY] for n, m in metrics.items()}
         path.with_suffix(".csv").unlink(missing_ok=True)
         log.append_csv(path.with_suffix(".csv"), log.rows(thin))
-        summary = results.summarise(config, program, state, metrics)
+        summary = finish.summarise(config, program, state, metrics)
         summary["set"] = args.set
         summary["last_10"] = {
             n: np.mean(m[-10:], axis=0).tolist() for n, m in metrics.items() if m.dtype != np.int32
         }
-        log.write_json(path, summary)
+        files.write_json(path, summary)
         print(row(path.stem, summary), f"{time.perf_counter() - began:6.1f}", flush=True)
 
 

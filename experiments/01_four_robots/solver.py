@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 import walk
 
-from dynappo import policy_file
+from dynappo.policy import policy_file
 
 SETTINGS = ((1, 4), (2, 4), (2, 8), (3, 8), (4, 4), (4, 8), (5, 8), (6, 8), (10, 20))
 STEPS = 50  # control steps, 1 s
@@ -46,11 +46,11 @@ def measure(body, config, params, start, worlds, impl, repeats):
     import jax
     import jax.numpy as jnp
 
-    from dynappo import physics
+    from dynappo.physics import engine as engine_lib
 
     count = len(start["qpos"])
     tiled = {n: jnp.asarray(np.resize(c, (worlds, *c.shape[1:]))) for n, c in start.items()}
-    engine = physics.make(body, config.physics, frozenset(), impl)
+    engine = engine_lib.make(body, config.physics, frozenset(), impl)
     run, bodies = walk.on_mjx(engine, config, params, STEPS), walk.nominal(body, worlds)
     qpos, qvel, _ = jax.block_until_ready(run(bodies, tiled))
     times = []

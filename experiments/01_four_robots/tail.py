@@ -15,10 +15,12 @@ import jax.numpy as jnp
 import numpy as np
 import walk
 
-from dynappo import algorithm, dynamics, policy_file, rollout
+from dynappo import algorithm, rollout
 from dynappo import config as config_lib
-from dynappo import env as env_lib
-from dynappo import robot as robot_lib
+from dynappo.model import dynamics
+from dynappo.physics import robot as robot_lib
+from dynappo.policy import policy_file
+from dynappo.task import env as env_lib
 
 WARM, ROWS, STARTS = 100, 4, 5  # control steps before the first tail, in a tail; tails of a robot
 

@@ -14,7 +14,8 @@ import numpy as np
 import solver
 import walk
 
-from dynappo import policy_file, robot
+from dynappo.physics import robot
+from dynappo.policy import policy_file
 
 SECONDS, SETTLE = 10.0, 1.0
 

@@ -5,14 +5,17 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from dynappo import actuators, observe, policy_file, robot
 from dynappo import config as config_lib
+from dynappo.config import files
+from dynappo.physics import actuators, robot
+from dynappo.policy import policy_file
+from dynappo.task import observe
 
 ROBOTS = ("go1", "go2", "anymal_c", "anymal_d")
 
 
 def settings(name: str, variant: str = "ppo16", **fields):
-    """The config of a robot, with `physics.FIELD=VALUE` for each of `fields`."""
+    """The config of a robot, with `engine_lib.FIELD=VALUE` for each of `fields`."""
     config = config_lib.load(f"configs/{name}.py:{variant}")
     config.physics.update(fields)
     return config_lib.validate(config)
@@ -20,7 +23,7 @@ def settings(name: str, variant: str = "ppo16", **fields):
 
 def load(name: str, policies: Path | None = None):
     """`(config, robot, params)` of the bundled policy, or of `policies/NAME_ppo16.npz`."""
-    bundled = config_lib.find("robots", f"{name}/policy.npz")
+    bundled = files.find("robots", f"{name}/policy.npz")
     path = policies / f"{name}_ppo16.npz" if policies else bundled
     return settings(name), robot.load(name), policy_file.load_params(path)
 
@@ -83,7 +86,7 @@ def nominal(body: robot.Robot, worlds: int):
     """`randomize.Physics` of `worlds` robots as the file has them."""
     import jax.numpy as jnp
 
-    from dynappo import randomize
+    from dynappo.physics import randomize
 
     one = jnp.ones(worlds)
     com = jnp.asarray(body.mj_model.body_ipos[body.base_body], jnp.float32)
@@ -101,19 +104,20 @@ def on_mjx(engine, config, params, steps: int):
     import jax
     import jax.numpy as jnp
 
-    from dynappo import networks, physics
+    from dynappo.learner import networks
+    from dynappo.physics import engine as engine_lib
 
     static, hyper = config_lib.split(config)
     body = engine.robot
     default = jnp.asarray(body.default_pose, jnp.float32)
     params = jax.tree.map(jnp.asarray, params)
     observe_all = jax.vmap(observe.observe, (0, 0, 0, None, 0, 0))
-    simulate = jax.vmap(physics.simulate, (None, None, 0, 0, 0))
+    simulate = jax.vmap(engine_lib.simulate, (None, None, 0, 0, 0))
 
     def walk(parameters, start, actions=None):
         worlds = len(start["qpos"])
         feet, joints = jnp.zeros((worlds, 4), jnp.int32), jnp.zeros((worlds, 12))
-        state = physics.Substeps(
+        state = engine_lib.Substeps(
             start["qpos"],
             start["qvel"],
             start["qacc_warmstart"],

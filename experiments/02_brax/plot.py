@@ -4,7 +4,7 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 
-from dynappo import log
+from dynappo.train import log
 
 HERE = Path(__file__).parent
 TITLES = {"hopper": "hopper", "go1_joystick": "Go1"}

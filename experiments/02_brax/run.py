@@ -13,8 +13,9 @@ from pathlib import Path
 import jax
 import tasks
 
-from dynappo import algorithm, log, schedule
+from dynappo import algorithm, schedule
 from dynappo import config as config_lib
+from dynappo.train import log
 
 KEEP = """iteration sim_steps seconds episode_return episode_length reward falls timeouts blowups
 policy_std learning_rate n_real model_loss model_loss_before""".split()

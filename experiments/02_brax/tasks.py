@@ -7,7 +7,7 @@ from pathlib import Path
 import jax.numpy as jnp
 from brax import envs
 
-from dynappo import brax_env
+from dynappo.task import brax_env
 from dynappo.types import Env
 
 SMALL = """

@@ -41,7 +41,8 @@ def measure(args):
     import jax
 
     from dynappo import config as config_lib
-    from dynappo import log, memory, train
+    from dynappo import train
+    from dynappo.program import memory
 
     seeds, robots = (int(n) for n in re.fullmatch(r"(\d+)x(\d+)", args.jobs[0]).groups())
     config = config_lib.load(args.config)
@@ -72,7 +73,7 @@ def measure(args):
         "device": f"{program.device}, jax {jax.__version__}",
     }
     rows = json.loads(args.out.read_text()) if args.out.exists() else []
-    log.write_json(args.out, [*rows, row])
+    files.write_json(args.out, [*rows, row])
     gib = {
         name: row[name] / 2**30 for name in ("estimate", "peak", "program", "taken") if row[name]
     }

@@ -19,7 +19,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from dynappo import config as config_lib
-from dynappo import log, train
+from dynappo import train
+from dynappo.config import files
 
 WARM = 3  # chunks
 
@@ -55,7 +56,7 @@ def main():
         row["peak_bytes"] = stats.get("peak_bytes_in_use")
         row["device"] = f"{jax.device_count()} x {program.device}, jax {jax.__version__}"
         results.append(row)
-        log.write_json(args.out, results)
+        files.write_json(args.out, results)
         print(
             f"{job:16s} {args.config:24s} iteration {ms['iteration']:8.2f} ms (spread "
             f"{ms['spread']:.2f})  physics {ms['physics']:7.3f} ms a row  "

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import optax
 from jax.flatten_util import ravel_pytree
 
-from dynappo import networks, ppo
+from dynappo.learner import networks, ppo
 from dynappo.types import Learner
 
 

@@ -33,11 +33,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dynappo import algorithm, ppo, schedule, summary, train
+from dynappo import algorithm, schedule, stats, train
 from dynappo import config as config_lib
+from dynappo.learner import ppo
 
 UPDATES = 4  # in one measurement
-RETURNS = summary.RETURNS  # finished episodes in a mean return; brax's logger has 100 too
+RETURNS = stats.RETURNS  # finished episodes in a mean return; brax's logger has 100 too
 
 
 # ---- update
@@ -244,7 +245,7 @@ def brax_ppo(env, config, own, progress_fn, episodes_fn):
     from brax.training.agents.ppo import train as ppo_train
     from brax.training.logger import EpisodeMetricsLogger
 
-    from dynappo import brax_env
+    from dynappo.task import brax_env
 
     static, hyper = config_lib.split(config)
     robots, iterations = config.rollout.num_envs, config.run.num_iterations

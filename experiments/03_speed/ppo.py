@@ -27,8 +27,10 @@ import jax.numpy as jnp
 import numpy as np
 from ideas import Idea
 
-from dynappo import algorithm, dynamics, networks, ppo, rollout
+from dynappo import algorithm, rollout
 from dynappo import config as config_lib
+from dynappo.learner import networks, ppo
+from dynappo.model import dynamics
 from dynappo.types import Transition
 
 PRESET = jax.lax.DotAlgorithmPreset

@@ -22,9 +22,9 @@ from mujoco import mjx
 from mujoco.mjx.third_party import mujoco_warp as mjw
 
 from dynappo import config as config_lib
-from dynappo import contacts
-from dynappo import env as env_lib
-from dynappo import robot as robot_lib
+from dynappo.physics import contacts
+from dynappo.physics import robot as robot_lib
+from dynappo.task import env as env_lib
 
 STEPS, REPLAYS = 4, 16
 

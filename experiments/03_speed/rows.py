@@ -7,7 +7,7 @@ on MJX-Warp, and the cases take turns; printed is the median, ms a control step.
 
     raw_*    mjx.step x 4 in a scan that carries its data; `const`: torques stay, `pd`: PD in each step,
              `fixed`: the solver does all its iterations instead of asking after each
-    sim_*    physics.simulate
+    sim_*    engine_lib.simulate
     step_*   env.step, `pstep_*` with the autoreset
     fill_*   the whole row: policy, random numbers, buffer; `dyn` with a bound that is an argument, as
              in training, `static` with one that the compiler knows
@@ -31,10 +31,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dynappo import algorithm, contacts, physics, ppo, rollout, warp_physics
+from dynappo import algorithm, rollout
 from dynappo import config as config_lib
-from dynappo import env as env_lib
-from dynappo import robot as robot_lib
+from dynappo.learner import ppo
+from dynappo.physics import contacts, warp_engine
+from dynappo.physics import engine as engine_lib
+from dynappo.physics import robot as robot_lib
+from dynappo.task import env as env_lib
 
 ROWS = 16
 FIELDS = ("qpos", "qvel", "qacc_warmstart", "geom_xpos", "geom_xmat")
@@ -75,7 +78,7 @@ class Bench:
         self.engine = engine
         engines = {
             "own": engine,
-            "carry": engine._replace(data=self.template, step=physics._mjx_step),
+            "carry": engine._replace(data=self.template, step=engine_lib._mjx_step),
             "template": engine._replace(data=self.moved(self.template), step=self.by_template),
         }
         self.envs = {name: on_engine(env, engine) for name, engine in engines.items()}
@@ -94,12 +97,12 @@ class Bench:
         self.action = jax.random.normal(key, (worlds, env.action_size)) * 0.5
 
     def moved(self, data):
-        return warp_physics.Moved(**{n: getattr(data, n) for n in FIELDS})
+        return warp_engine.Moved(**{n: getattr(data, n) for n in FIELDS})
 
     def by_template(self, model, at, ctrl):
         """mjx.step on data filled from a template."""
         kept = {name: getattr(at, name) for name in FIELDS[:3]}
-        return self.moved(physics.mjx.step(model, self.template.replace(ctrl=ctrl, **kept)))
+        return self.moved(engine_lib.mjx.step(model, self.template.replace(ctrl=ctrl, **kept)))
 
     # --- cases: functions of (params, body, state, key, n) ---
 
@@ -120,7 +123,7 @@ class Bench:
         def step(data, _):
             if control == "pd":
                 data = data.replace(ctrl=torque(data))
-            return jax.vmap(physics.mjx.step, (None, 0))(model, data), None
+            return jax.vmap(engine_lib.mjx.step, (None, 0))(model, data), None
 
         with jax.default_matmul_precision("highest"):
             data = jax.lax.scan(step, data, None, length=ROWS * engine.substeps)[0]
@@ -131,7 +134,7 @@ class Bench:
         engine = self.envs[how].step.args[0].engine
 
         def row(_, state):
-            after = jax.vmap(physics.simulate, (None, None, 0, 0, 0))(
+            after = jax.vmap(engine_lib.simulate, (None, None, 0, 0, 0))(
                 engine, self.hyper, body, state, self.action
             )
             names = "qpos qvel qacc_warmstart air_steps contact_steps last_air_steps".split()
@@ -196,7 +199,7 @@ def template(model, impl, worlds):
     if impl == "warp":
         touching, rows = contacts.most(model)
         buffers = dict(naconmax=worlds * touching, njmax=rows)
-    return physics.mjx.make_data(model, impl=impl, **buffers)
+    return engine_lib.mjx.make_data(model, impl=impl, **buffers)
 
 
 def on_engine(env, engine):

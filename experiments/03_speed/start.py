@@ -15,7 +15,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from dynappo import log
+from dynappo.config import files
 
 FIELDS = dict(
     num_iterations=2,
@@ -47,7 +47,7 @@ def main():
             took = first_row(args, Path(folder, f"run{number}"), environment)
             seconds.append({"case": case, "seconds": took})
             print(f"{case:8s} {took:6.1f} s", flush=True)
-            log.write_json(args.out, {"config": args.config, "set": args.set, "start": seconds})
+            files.write_json(args.out, {"config": args.config, "set": args.set, "start": seconds})
 
 
 def first_row(args, workdir: Path, environment) -> float:

@@ -6,7 +6,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dynappo import algorithm, dynamics, model_rows, observe
+from dynappo import algorithm
+from dynappo.model import dynamics, examples
+from dynappo.task import observe
 
 # of the predicted numbers, the reward last; units as in observe.py, the reward for a second
 GROUPS = {
@@ -28,7 +30,7 @@ def compiled(program) -> Callable:
     def one(state):
         key = jax.random.fold_in(state.key, FRESH)
         buffer, _, _ = algorithm.collect(env, hyper, state, jnp.int32(horizon), key, static=static)
-        start = model_rows.before_and_after(static.model, env, buffer)[0][0]
+        start = examples.before_and_after(static.model, env, buffer)[0][0]
         return errors(env, static.model, state.model, hyper.task, buffer, start)
 
     return jax.jit(jax.vmap(one, spmd_axis_name="seed"))

@@ -15,7 +15,7 @@ import numpy as np
 import plot
 import probe
 
-from dynappo import log, versions
+from dynappo.config import files, versions
 from experiments import paper, run
 
 SEEDS, EVERY = 3, 5
@@ -52,7 +52,7 @@ def measure(folder: Path, quick: bool, lock: Path | None) -> None:
     about = {"device": program.device, "impl": program.impl, "commit": versions.commit()}
     about["date"] = f"{datetime.date.today()}"
     about |= {"robots": config.rollout.num_envs, "iterations": config.run.num_iterations}
-    log.write_json(folder / "about.json", about | {"seconds": time.perf_counter() - began})
+    files.write_json(folder / "about.json", about | {"seconds": time.perf_counter() - began})
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import plot
 
-from dynappo import bench
+from dynappo.bench import command as bench_command
 from experiments import paper
 
 REPEATS = 9  # medians of so many
@@ -27,7 +27,7 @@ def main():
         if not path.exists():
             path.parent.mkdir(parents=True, exist_ok=True)
             argv = [f"--config=configs/go1.py:{name}", f"--out={path}", *flags]
-            bench.run(*bench.parse(argv))
+            bench_command.run(*bench_command.parse(argv))
     plot.make(args.out)
 
 

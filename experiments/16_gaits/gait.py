@@ -5,9 +5,9 @@ import itertools
 import mujoco
 import numpy as np
 
-from dynappo import episode as episode_lib
-from dynappo import policy_file
-from dynappo import robot as robot_lib
+from dynappo.physics import robot as robot_lib
+from dynappo.policy import episode as episode_lib
+from dynappo.policy import policy_file
 
 START, FRAMES, APART = 3.0, 7, 0.06  # s, number, s: the moments of a film strip
 

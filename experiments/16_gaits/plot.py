@@ -137,7 +137,7 @@ def frames(poses: np.ndarray, name: str = "go1"):
     """RGB pictures of the robot from its side; the floor's squares show how far it gets."""
     import mujoco
 
-    from dynappo import robot as robot_lib
+    from dynappo.physics import robot as robot_lib
 
     model = mujoco.MjModel.from_xml_path(str(robot_lib.load(name).xml))
     data, view = mujoco.MjData(model), mujoco.MjvCamera()
@@ -157,8 +157,8 @@ def films(out: Path, seconds: float = 6.0) -> None:
     """films/VARIANT_ITERATION_SPEED.mp4 of the policies of seed 0."""
     import gait
 
-    from dynappo import policy_file, render
-    from dynappo import robot as robot_lib
+    from dynappo.physics import robot as robot_lib
+    from dynappo.policy import policy_file, render
 
     (out / "films").mkdir(exist_ok=True)
     for path in sorted((out / "policies").glob("*_seed0.npz")):

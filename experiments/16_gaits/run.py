@@ -14,7 +14,7 @@ import jax
 import numpy as np
 import plot
 
-from dynappo import policy_file
+from dynappo.policy import policy_file
 from experiments import paper, run
 
 SEEDS, SECONDS = 3, 10.0

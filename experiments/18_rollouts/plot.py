@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from dynappo import config as config_lib
-from dynappo import observe, schedule
+from dynappo import schedule
+from dynappo.task import observe
 from experiments import paper
 
 REAL, KEPT, TAILS = 8, 6, 4  # real rows of an iteration of `best`, iterations kept, tails shown

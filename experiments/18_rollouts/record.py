@@ -9,10 +9,13 @@ import jax.numpy as jnp
 import plot
 from plot import KEPT, REAL
 
-from dynappo import algorithm, dynamics, log, policy_file, rollout, versions
+from dynappo import algorithm, rollout
 from dynappo import config as config_lib
-from dynappo import env as env_lib
-from dynappo import robot as robot_lib
+from dynappo.config import files, versions
+from dynappo.model import dynamics
+from dynappo.physics import robot as robot_lib
+from dynappo.policy import policy_file
+from dynappo.task import env as env_lib
 from experiments import paper
 
 WARM, EPOCHS = 25, 5  # iterations until the robots walk; passes of a fit
@@ -28,7 +31,7 @@ def measure(folder: Path, robots: int, fits: int) -> None:
     robot = robot_lib.load(config.robot)
     env = env_lib.make(robot, config.task, config.physics)
     state = algorithm.init(env, hyper, jax.random.key(0), static=static)
-    walker = policy_file.load_params(config_lib.find("robots", f"{config.robot}/policy.npz"))
+    walker = policy_file.load_params(files.find("robots", f"{config.robot}/policy.npz"))
     walker = jax.tree.map(jnp.asarray, {name: walker[name] for name in ("actor", "std")})
     state = state.replace(learner=state.learner.replace(params=state.learner.params | walker))
     step, kept = jax.jit(partial(iterate, env, hyper, static=static)), []
@@ -38,7 +41,7 @@ def measure(folder: Path, robots: int, fits: int) -> None:
     paper.write(folder / "rows.csv", plot.rows(kept, env.dt))
     paper.write(folder / "distance.csv", plot.distance(kept))
     about = {"device": jax.devices()[0].device_kind, "commit": versions.commit(), "robots": robots}
-    log.write_json(
+    files.write_json(
         folder / "about.json", about | {"fits": fits, "date": f"{datetime.date.today()}"}
     )
 

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dynappo import curves
+from dynappo.train import curves
 from experiments import paper
 
 HERE = Path(__file__).parent

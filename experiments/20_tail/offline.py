@@ -5,7 +5,7 @@
 The bundled Go1 walks by its policy and that policy's noise; each iteration has eight real rows, and the
 model is fitted to them as `best` does after iteration 50 (5 epochs, float32). Before each fit its error is
 measured on those rows, which it has not seen: of 1, 4 and 8 predictions in a row, as a share of that of
-repeating the state (model_error.py). Written is a row a setting and seed: means over the last 20 of 60
+repeating the state (errors.py). Written is a row a setting and seed: means over the last 20 of 60
 iterations.
 """
 
@@ -17,10 +17,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dynappo import algorithm, model_error, policy_file
+from dynappo import algorithm
 from dynappo import config as config_lib
-from dynappo import env as env_lib
-from dynappo import robot as robot_lib
+from dynappo.config import files
+from dynappo.physics import robot as robot_lib
+from dynappo.policy import policy_file
+from dynappo.task import env as env_lib
 from experiments import paper
 
 SETTINGS = (
@@ -65,7 +67,7 @@ def measure(setting: str, robots: int, seeds: int) -> list[dict]:
     static, hyper = config_lib.split(config)
     robot = robot_lib.load(config.robot)
     env = env_lib.make(robot, config.task, config.physics)
-    path = config_lib.find("robots", f"{config.robot}/policy.npz")
+    path = files.find("robots", f"{config.robot}/policy.npz")
     walker = {name: jax.tree.map(jnp.asarray, part) for name, part in policy_of(path).items()}
     step = jax.jit(partial(iterate, env, static=static))
     rows = []
@@ -95,7 +97,7 @@ def iterate(env, hyper, state, iteration, epochs, *, static):
     buffer, env_state, sums = algorithm.collect(env, hyper, state, n_real, key, static=static)
     errors = {}
     for steps in (1, 4, ROWS):
-        errors |= model_error.errors(static.model, env, state.model, buffer, steps, hyper.task)
+        errors |= errors.errors(static.model, env, state.model, buffer, steps, hyper.task)
     fit_key = jax.random.fold_in(key, algorithm.FIT)
     model, past, metrics = algorithm.learn(
         env, hyper, state.model, state.past, buffer, n_real, epochs, fit_key, static=static

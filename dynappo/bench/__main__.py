@@ -1,0 +1,5 @@
+"""`python -m dynappo.bench`."""
+
+from dynappo.bench import command
+
+command.main()

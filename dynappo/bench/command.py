@@ -1,0 +1,135 @@
+"""Where the time of an iteration goes: `python -m dynappo.bench --config=configs/go1.py:fast`.
+
+`--vs=CONFIG` alternates two configs in one process, so that what else the machine does meets both, and
+gives the ratio of their iterations.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from dynappo import config as config_lib
+from dynappo.bench import phases
+from dynappo.config import ConfigError, files, flags, versions
+from dynappo.program import build, devices
+
+
+def report(config, program, repeats: int) -> dict[str, Any]:
+    """Phases (ms), rates (1/s), bytes in use at most, and seconds of set-up of one config."""
+    import jax
+
+    ms = phases.measure(config, program, program.state, repeats)
+    real = int(program.columns["n_real"][-1]) * config.rollout.num_envs
+    stats = jax.devices()[0].memory_stats() or {}
+    return {
+        "ms": ms,
+        "iterations_per_second": 1e3 / ms["iteration"],
+        "control_steps_per_second": real * 1e3 / ms["iteration"],
+        "physics_steps_per_second": real * config.physics.substeps * 1e3 / ms["iteration"],
+        "peak_bytes": stats.get("peak_bytes_in_use"),
+        "shares": phases.shares(
+            config, program.device, {n: int(c[-1]) for n, c in program.columns.items()}, ms
+        ),
+        "setup_seconds": program.compile_seconds,
+        "device": program.device,
+        "impl": program.impl,
+        "commit": versions.commit(),
+    }
+
+
+def parse(argv: list[str] | None):
+    """`(configs, names, repeats, out, compile)` of a command line."""
+    parser = flags.parser(
+        "bench",
+        "Time of each phase of a training iteration, on the program that trains.",
+        "--config.GROUP.FIELD=VALUE sets a field of both configs, as in dynappo.train",
+    )
+    parser.add_argument("--config", metavar="FILE.py[:VARIANT]")
+    parser.add_argument("--vs", metavar="FILE.py[:VARIANT]", help="alternate with this one")
+    parser.add_argument("--repeats", type=int, default=5, help="medians of so many; default: 5")
+    parser.add_argument(
+        "--compile", action="store_true", help="time the set-up too, with cold and warm caches"
+    )
+    parser.add_argument("--out", type=Path, metavar="FILE.json", help="write all numbers there")
+    known, rest = flags.read_known(parser, argv)
+    if known.repeats < 1:
+        raise ConfigError(f"--repeats is {known.repeats}, expected 1 or more")
+    if known.out:  # before minutes of measuring
+        flags.check_writable(known.out)
+    names = [known.config, known.vs] if known.vs else [known.config]
+    configs = []
+    for name in names:
+        config = flags.load(name, rest)
+        config.run.update(num_seeds=1, mesh_seed=1)
+        configs.append(config_lib.validate(config))
+    return configs, names, known.repeats, known.out, known.compile
+
+
+def show(names, reports, versus) -> None:
+    """Print a column a config."""
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(box=None, padding=(0, 2, 0, 0))
+    for title in ("", *names):
+        table.add_column(title, justify="right" if title else "left")
+    rows = {}
+    for name in ("iteration", "physics", "tail", "fit", "ppo"):
+        unit = "ms a row" if name in ("physics", "tail") else "ms"
+        rows[f"{name}, {unit}"] = [
+            f"{r['ms'][name]:.2f}" if name in r["ms"] else "" for r in reports
+        ]
+    for name, scale, digits, label in (
+        ("iterations_per_second", 1, 2, "iterations/s"),
+        ("control_steps_per_second", 1, 0, "control steps/s"),
+        ("physics_steps_per_second", 1, 0, "physics steps/s"),
+        ("peak_bytes", 2**-30, 2, "memory at most, GiB"),
+        ("setup_seconds", 1, 1, "set-up, s"),
+    ):
+        rows[label] = [f"{r[name] * scale:,.{digits}f}" if r[name] else "" for r in reports]
+    for part in ("fit", "ppo"):
+        for kind in ("arithmetic", "memory"):
+            cells = [r["shares"].get(f"{part}_{kind}") for r in reports]
+            if any(cells):
+                label = f"{part}, share of the limit in {kind}"
+                rows[label] = [f"{100 * share:.0f} %" if share else "" for share in cells]
+    for name in ("cold", "warm"):
+        if "compilation" in reports[0]:
+            rows[f"set-up, {name} cache, s"] = [f"{r['compilation'][name]:.1f}" for r in reports]
+    for label, cells in rows.items():
+        table.add_row(label, *cells)
+    out = Console(highlight=False)
+    out.print(f"{reports[0]['device']}, MJX-{reports[0]['impl']}")
+    out.print(table)
+    if versus:
+        out.print(
+            f"an iteration of {names[1]} takes {versus['ratio']:.3f} of one of {names[0]} "
+            f"({versus['ratio_min']:.3f} to {versus['ratio_max']:.3f}, alternating)"
+        )
+
+
+def run(configs, names, repeats: int, out: Path | None, compile: bool) -> None:
+    """Measure each config, show what came out, and write it if asked."""
+    devices.own_process(configs[0].run.device)
+    for config in configs:
+        build.check(config)
+    programs = [build.program(config) for config in configs]
+    reports = [report(c, p, repeats) for c, p in zip(configs, programs, strict=True)]
+    for config, found in zip(configs, reports, strict=True):
+        if compile:
+            found["compilation"] = phases.compilation(config)
+    versus = phases.compare(configs, programs, repeats) if len(configs) == 2 else None
+    show(names, reports, versus)
+    if out:
+        files.write_json(out, {"configs": dict(zip(names, reports, strict=True)), "versus": versus})
+        print(out)
+
+
+def main(argv: list[str] | None = None) -> None:
+    """The command; its exit statuses are those of `flags.answer`."""
+    flags.answer(lambda: run(*parse(argv)))
+
+
+if __name__ == "__main__":
+    main()

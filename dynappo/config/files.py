@@ -1,0 +1,36 @@
+"""Where configs/ and robots/ are found, and how small files are written: whole or not at all."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+PACKAGE = Path(__file__).resolve().parents[1]
+
+
+def roots() -> tuple[Path, ...]:
+    """Where configs/ and robots/ are looked for: working directory, clone, installed package."""
+    return Path.cwd(), PACKAGE.parent, PACKAGE
+
+
+def find(folder: str, name: str) -> Path | None:
+    """The first `folder/name` of `roots`; None if there is none."""
+    return next((root / folder / name for root in roots() if (root / folder / name).exists()), None)
+
+
+def robots() -> list[str]:
+    """Names of all robots in the folders robots/ of `roots`."""
+    files = [path for root in roots() for path in root.glob("robots/*/*.xml")]
+    return sorted({path.stem for path in files if path.stem == path.parent.name})
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write whole or not at all."""
+    temporary = path.with_suffix(path.suffix + ".new")
+    temporary.write_text(text)
+    temporary.replace(path)
+
+
+def write_json(path: Path, value) -> None:
+    """Write whole or not at all."""
+    write_text(path, json.dumps(value, indent=2) + "\n")

@@ -1,0 +1,226 @@
+"""Which settings can be run: every number that can be wrong is checked before JAX is imported."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from ml_collections import config_dict
+
+from dynappo import schedule
+from dynappo.config.files import find, robots
+
+# What task.formulation decides where the field itself is None (sources: configs/README.md).
+PAPER_TASK = dict(
+    heading=False,
+    resample_steps=0,
+    standing=0.0,
+    termination="parts",
+    undesired="parts",
+    remember_ground=False,
+)
+FORMULATIONS = {
+    "isaaclab": dict(tracking_std=0.5, air_time="touchdown", **PAPER_TASK),
+    "paper_text": dict(tracking_std=1.0, air_time="indicator", **PAPER_TASK),
+    "isaaclab_exact": dict(
+        tracking_std=0.5,
+        air_time="touchdown",
+        heading=True,
+        resample_steps=500,
+        standing=0.02,
+        termination="base",
+        undesired="thighs",
+        remember_ground=True,
+    ),
+}
+CHOICES = {
+    "physics.impl": ("auto", "jax", "warp"),
+    "physics.contacts": ("feet", "full"),
+    "run.device": ("auto", "cpu", "gpu"),
+    "task.formulation": tuple(FORMULATIONS),
+    "task.air_time": ("touchdown", "indicator"),
+    "task.termination": ("parts", "base"),
+    "task.undesired": ("parts", "thighs"),
+    "model.precision": ("highest", "tf32", "bfloat16"),
+    "ppo.precision": ("highest", "tf32", "bfloat16"),
+    "model.activation": ("elu", "relu", "tanh", "swish"),
+    "ppo.activation": ("elu", "relu", "tanh", "swish"),
+}
+# (what is expected, whether a number is that, fields)
+RANGES = (
+    (
+        "more than 0",
+        lambda v: v > 0,
+        "run.num_seeds run.mesh_seed run.mesh_env run.num_iterations run.log_every rollout.num_envs "
+        "rollout.horizon model.epochs model.minibatches model.huber_delta model.learning_rate "
+        "ppo.epochs ppo.minibatches ppo.shuffle_blocks ppo.init_std ppo.min_std ppo.learning_rate "
+        "ppo.desired_kl ppo.clip_epsilon ppo.max_grad_norm task.episode_length task.tracking_std "
+        "task.action_scale task.effort_limit task.saturation_effort task.velocity_limit "
+        "physics.timestep physics.substeps physics.iterations physics.ls_iterations",
+    ),
+    (
+        "0 or more",
+        lambda v: v >= 0,
+        "run.checkpoint_every run.eval_every run.eval_envs run.video_seconds schedule.start_steps "
+        "schedule.end_steps model.late_epochs task.push.velocity task.resample_steps",
+    ),
+    (
+        "a number from 0 to 1",
+        lambda v: 0 <= v <= 1,
+        "ppo.gamma ppo.lambda_ model.stats_decay task.standing",
+    ),
+)
+AT_LEAST = (  # field, another that it must not be below
+    ("schedule.end_steps", "schedule.start_steps"),
+    ("schedule.end_iteration", "schedule.start_iteration"),
+    ("ppo.max_learning_rate", "ppo.min_learning_rate"),
+)
+MULTIPLES = (  # field, another that must divide it
+    ("rollout.num_envs", "ppo.shuffle_blocks"),
+    ("run.num_seeds", "run.mesh_seed"),
+    ("rollout.num_envs", "run.mesh_env"),
+    ("ppo.shuffle_blocks", "run.mesh_env"),
+    ("run.eval_envs", "run.mesh_env"),
+)
+
+
+class ConfigError(ValueError):
+    """A setting that cannot be run; the message names the field, what was found and expected."""
+
+
+def flat(config, prefix="") -> dict[str, Any]:
+    out = {}
+    for name, value in config.items():
+        if hasattr(value, "items"):
+            out |= flat(value, f"{prefix}{name}.")
+        else:
+            out[prefix + name] = value
+    return out
+
+
+def settle(old: tuple, value) -> tuple | None:
+    """`value` with the element type of `old`, and its length unless those are sizes; else None."""
+    if not isinstance(value, (tuple, list)) or not value:
+        return None
+    if type(old[0]) is float:
+        numbers = all(type(v) in (int, float) for v in value)
+        return tuple(map(float, value)) if numbers and len(value) == len(old) else None
+    return tuple(value) if all(type(v) is int and v > 0 for v in value) else None
+
+
+def validate(config: config_dict.ConfigDict) -> config_dict.FrozenConfigDict:
+    """Resolve `task.formulation` and check every number that can be wrong; returns it frozen."""
+    config = config_dict.ConfigDict(config).copy_and_resolve_references()
+    formulation = config.task.formulation
+    _expect(formulation in FORMULATIONS, "task.formulation", formulation, _one_of(FORMULATIONS))
+    for name, value in FORMULATIONS[formulation].items():
+        if config.task[name] is None:
+            config.task[name] = value
+    config.run.log_every = min(config.run.log_every, config.run.num_iterations)
+    _settle_tuples(config)
+    fields = flat(config)
+    _check_fields(fields)
+    _check_pairs(config, fields)
+    if schedule.uses_model(config):
+        _check_model(config)
+    _expect(
+        find("robots", f"{config.robot}/{config.robot}.xml"),
+        "robot",
+        config.robot,
+        _one_of(robots()),
+    )
+    return config_dict.FrozenConfigDict(config)
+
+
+def _expect(ok, field: str, value, expected: str) -> None:
+    """Raise the ConfigError of a field: what was found, and what was expected."""
+    if not ok:
+        shown = repr(value) if isinstance(value, str) else value
+        raise ConfigError(f"{field} is {shown}, expected {expected}")
+
+
+def _one_of(choices) -> str:
+    return f"one of {', '.join(choices)}"
+
+
+def _check_fields(fields: dict[str, Any]) -> None:
+    """Each field by itself."""
+    for field, choices in CHOICES.items():
+        _expect(fields[field] in choices, field, fields[field], _one_of(choices))
+    for expected, right, names in RANGES:
+        for field in names.split():
+            value = fields[field]
+            _expect(value is None or right(value), field, value, expected)
+    for field, value in fields.items():
+        numbers = value if isinstance(value, tuple) else (value,)
+        finite = all(math.isfinite(v) for v in numbers if isinstance(v, float))
+        _expect(finite, field, value, "finite numbers")
+        is_range = len(numbers) == 2 and type(numbers[0]) is float
+        ordered = not is_range or numbers[0] <= numbers[-1]
+        _expect(ordered, field, value, "(low, high) with low <= high")
+
+
+def _check_pairs(config, fields: dict[str, Any]) -> None:
+    """Fields that must fit each other."""
+    for field, other in AT_LEAST:
+        expected = f"at least {other} = {fields[other]}"
+        _expect(fields[field] >= fields[other], field, fields[field], expected)
+    for field, other in MULTIPLES:
+        expected = f"a multiple of {other} = {fields[other]}"
+        _expect(fields[field] % fields[other] == 0, field, fields[field], expected)
+    run, rollout, ppo = config.run, config.rollout, config.ppo
+    for name in ("checkpoint_every", "eval_every", "num_iterations"):
+        fits = run[name] % run.log_every == 0 or run[name] > run.num_iterations
+        _expect(fits, f"run.{name}", run[name], f"a multiple of run.log_every = {run.log_every}")
+    small = -(2**31) <= run.seed <= 2**31 - run.num_seeds
+    _expect(small, "run.seed", run.seed, "an integer of 32 bits")
+    rows = rollout.num_envs * rollout.horizon // ppo.shuffle_blocks
+    _expect(
+        rows % ppo.minibatches == 0,
+        "rollout.num_envs x rollout.horizon / ppo.shuffle_blocks",
+        rows,
+        f"a multiple of ppo.minibatches = {ppo.minibatches}",
+    )
+    _expect(
+        config.schedule.end_steps < rollout.horizon,
+        "schedule.end_steps",
+        config.schedule.end_steps,
+        f"less than rollout.horizon = {rollout.horizon}: a rollout needs at least one real row",
+    )
+    _expect(
+        config.task.termination == "parts" or config.physics.contacts == "full",
+        "physics.contacts",
+        config.physics.contacts,
+        "full where only the base ends an episode (task.termination=base, "
+        "task.formulation=isaaclab_exact): knees would sink through the floor; set "
+        "--config.physics.contacts=full",
+    )
+
+
+def _check_model(config) -> None:
+    """Whether there are real rows enough for a minibatch of the model."""
+    horizon, minibatches = config.rollout.horizon, config.model.minibatches
+    expected = f"a multiple of model.minibatches = {minibatches}: a minibatch has as many rows of every robot"
+    _expect(horizon % minibatches == 0, "rollout.horizon", horizon, expected)
+    drawn, fewest = horizon // minibatches, int(schedule.columns(config)["n_real"].min())
+    if fewest < drawn:
+        raise ConfigError(
+            f"model.minibatches is {minibatches}: a minibatch has {drawn} rows of every robot, expected at "
+            f"most the {fewest} real rows of the longest tail; raise model.minibatches or lower "
+            "schedule.end_steps"
+        )
+
+
+def _settle_tuples(config, prefix=""):
+    """Layer sizes become ints above 0, every other tuple floats; in place."""
+    for name, value in config.items():
+        if isinstance(value, config_dict.ConfigDict):
+            _settle_tuples(value, f"{prefix}{name}.")
+        elif isinstance(value, (tuple, list)):
+            sizes = name == "hidden"
+            settled = settle((1,) if sizes else (0.0,) * len(value), value)
+            if settled is None:
+                what = "one or more sizes above 0" if sizes else "numbers"
+                raise ConfigError(f"{prefix}{name} is {value}, expected {what}")
+            with config.ignore_type():
+                config[name] = settled

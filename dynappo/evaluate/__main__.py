@@ -1,0 +1,5 @@
+"""`python -m dynappo.evaluate`."""
+
+from dynappo.evaluate import command
+
+command.main()

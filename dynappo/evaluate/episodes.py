@@ -1,0 +1,85 @@
+"""Episodes of the task that a policy was trained on, on MJX: what `dynappo/evaluation.py` finds in them.
+
+JAX is imported only where they are run.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from dynappo import config as config_lib
+from dynappo.config import ConfigError, validation
+from dynappo.physics import robot as robot_lib
+from dynappo.policy.policy_file import Policy
+from dynappo.program import devices
+
+NUMBER = {"gpu": 1000, "cpu": 64}
+
+
+def settings(policy: Policy):
+    """The config that a policy was trained with, validated; the device is the one that is here.
+
+    Fields that are newer than the policy have their defaults.
+    """
+    config = config_lib.load("configs/default.py")
+    defaults = config_lib.flat(config)
+    for name, value in config_lib.flat(policy.config).items():
+        if name not in defaults or value is None:
+            continue
+        group, _, leaf = name.rpartition(".")
+        node, default = config[group] if group else config, defaults[name]
+        settled = validation.settle(default, value) if isinstance(default, tuple) else value
+        try:
+            if settled is None:
+                raise TypeError
+            node[leaf] = settled
+        except (TypeError, ValueError):
+            raise ConfigError(
+                f"the policy's config has {name} = {value!r}, expected one like {default!r}"
+            ) from None
+    config.run.update(device="auto", mesh_seed=1, mesh_env=1)
+    config.physics.impl = "auto"
+    return config_lib.validate(config)
+
+
+def run(
+    policy: Policy, number: int | None = None, randomize: bool = False, seed: int = 0
+) -> dict[str, Any]:
+    """`evaluation.evaluate` of `number` episodes on this machine's device, and what was run.
+
+    Without a number: 1000 on a GPU, 64 on a CPU. `randomize`: the task as it trains.
+    """
+    import jax
+
+    from dynappo import evaluation
+    from dynappo.task import env as env_lib
+
+    config = settings(policy)
+    impl = devices.engine(config)
+    static, hyper = config_lib.split(config)
+    number = number or NUMBER.get(jax.default_backend(), NUMBER["cpu"])
+    robot = robot_lib.load(policy.robot)
+    env = env_lib.make(robot, config.task, config.physics, impl=impl)
+    assess = partial(
+        evaluation.evaluate,
+        env,
+        static=static,
+        num_envs=number,
+        num_steps=config.task.episode_length,
+        randomize=randomize,
+    )
+    # of a policy file only the actor must be there; its size is read from std
+    params = {"std": np.ones(len(policy.joint_names), np.float32)} | policy.params
+    metrics = jax.device_get(jax.jit(assess)(hyper, params, jax.random.key(seed)))
+    numbers = {k: float(v) if np.isfinite(v) else None for k, v in metrics.items()}
+    return {
+        "episodes": number,
+        "seconds": config.task.episode_length * env.dt,
+        "randomize": randomize,
+        "seed": seed,
+        "device": jax.devices()[0].device_kind,
+        "impl": impl,
+    } | numbers

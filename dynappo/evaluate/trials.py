@@ -1,0 +1,244 @@
+"""What a policy does with every command of a grid: tracking, effort and gait, in C MuJoCo and NumPy.
+
+Every contact, a solver that converges, no noise, and one episode a command. Definitions, over the
+time after the first second and before a fall:
+
+- `tracking_error`, `yaw_error`: root mean squares of the planar velocity and of the yaw rate, as in
+  `evaluate.py`;
+- `speed`: length of the mean planar velocity in the base frame;
+- `power`: sum over the joints of |torque x speed|; `positive_power` counts only what the motors give
+  (torque and speed of one sign), as if braking cost nothing;
+- `cost_of_transport`: power / (weight x speed); below 0.1 m/s nothing is transported;
+- `torque`: mean over joints of |torque|; `action_rate`: root mean square over joints of the speed at
+  which the policy moves the joints' targets;
+- `duty_factor`: share of time a foot is on the ground; `air_time`: mean duration of its swings;
+  `stride_frequency`: touch-downs a second. Contacts and swings shorter than a control step are
+  bounces, and no step of their own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from dynappo.physics import robot as robot_lib
+from dynappo.policy import episode as episode_lib
+from dynappo.policy import policy_file
+from dynappo.policy.episode import SETTLE, Body
+from dynappo.policy.policy_file import Policy
+from dynappo.task import observe
+
+SECONDS = 6.0  # of an episode
+POINTS = 5  # of a command's range
+SPEEDS = (0.5, 1.0)  # m/s ahead, at which the gait is looked at
+MIN_SPEED = 0.1  # m/s, from which on something is transported
+
+
+def feet(body: Body) -> tuple[np.ndarray, list[str]]:
+    """`(geom ids [F], names)` of the geoms `LEG_foot`; the names are those of the legs."""
+    names = {i: body.model.geom(i).name for i in range(body.model.ngeom)}
+    ids = [i for i, name in names.items() if name.endswith("_foot")]
+    return np.array(ids, int), [names[i].removesuffix("_foot") for i in ids]
+
+
+def record(body: Body, act: Callable, command, seconds: float = SECONDS) -> dict[str, Any]:
+    """An episode under one `command` (vx, vy, yaw rate), until it ends or the robot falls.
+
+    A row a control step: `velocity [T, 3]` (as the command, in the base frame) and `action [T, A]`. A
+    row a physics step: `torque [P, A]` (N m), `speed [P, A]` (rad/s) at which it was applied, and
+    `contact [P, F]`, whether a foot touches the ground. `fall` (s), or None. A blow-up of the physics is
+    a fall, and its step has no rows.
+    """
+    mujoco.set_mju_user_warning(lambda message: None)  # else they go into a file in the folder
+    single = body._replace(substeps=1)  # so that every physics step can be looked at
+    data, ids, dt = mujoco.MjData(body.model), feet(body)[0], episode_lib.period(body)
+    com, action = body.model.body_ipos[body.base_body], np.zeros(len(body.policy.joint_names))
+    joints = len(action)
+    widths = dict(velocity=3, action=joints, torque=joints, speed=joints, contact=len(ids))
+    rows: dict[str, list] = {name: [] for name in widths}
+    command, fall = np.asarray(command, float), None
+    episode_lib.reset(body, data)
+    for k in range(round(seconds / dt)):
+        action = act(episode_lib.look(body, data, command, action))
+        fell, inside = False, []
+        for _ in range(body.substeps):
+            speed = data.qvel[body.joint_v].copy()
+            fell |= episode_lib.step(single, data, action)[1]
+            pairs = data.contact.geom[data.contact.dist < 0]
+            touched = pairs[body.ground[pairs].any(1)]
+            torque = data.qfrc_applied[body.joint_v].copy()
+            inside.append((torque, speed, np.isin(ids, touched)))
+        finite = np.isfinite(data.qpos).all() and np.isfinite(data.qvel).all()
+        if finite:
+            coordinates = episode_lib.coordinates(body, data)
+            _, linear, angular = observe.base_motion(*coordinates, com)
+            rows["velocity"].append([linear[0], linear[1], angular[2]])
+            rows["action"].append(action)
+            for row in inside:
+                for name, values in zip(("torque", "speed", "contact"), row, strict=True):
+                    rows[name].append(values)
+        if fell or not finite:
+            fall = (k + 1) * dt
+            break
+    columns = {name: np.reshape(rows[name], (-1, width)) for name, width in widths.items()}
+    return columns | {"command": command, "fall": fall}
+
+
+def settled(body: Body, recording: dict[str, Any]) -> dict[str, np.ndarray]:
+    """The rows that count: after the first second, before the control step of a fall.
+
+    `change [T, A]` (rad/s) is the speed of the joints' targets, from the action before each row.
+    """
+    dt, first = episode_lib.period(body), round(SETTLE / episode_lib.period(body))
+    last = len(recording["velocity"])
+    if recording["fall"] is not None:
+        last = min(last, round(recording["fall"] / dt) - 1)
+    last = max(first, last)
+    fine = slice(first * body.substeps, last * body.substeps)
+    cut = {name: recording[name][fine] for name in ("torque", "speed", "contact")}
+    targets = body.policy.action_scale * recording["action"]
+    change = np.diff(targets, axis=0, prepend=0 * targets[:1]) / dt
+    velocity = recording["velocity"][first:last]
+    error = velocity - recording["command"]
+    return cut | {"velocity": velocity, "error": error, "change": change[first:last]}
+
+
+def measures(body: Body, recordings: Iterable[dict[str, Any]]) -> dict[str, float | None]:
+    """What episodes came to, taken together; None where it cannot be said."""
+    parts = [part for r in recordings if len((part := settled(body, r))["velocity"])]
+    names = "tracking_error yaw_error speed power positive_power torque action_rate"
+    if not parts:
+        return dict.fromkeys([*names.split(), "cost_of_transport", "positive_cost_of_transport"])
+    weight = body.model.body_subtreemass[body.base_body] * np.linalg.norm(body.model.opt.gravity)
+    steps = np.array([len(part["velocity"]) for part in parts])
+    speed = np.array([np.linalg.norm(part["velocity"][:, :2].mean(0)) for part in parts])
+    power = [part["torque"] * part["speed"] for part in parts]  # [P, A] each
+    watts = np.array([np.abs(p).sum(-1).mean() for p in power])
+    positive = np.array([np.clip(p, 0, None).sum(-1).mean() for p in power])
+    error, change, torque = (
+        np.concatenate([part[name] for part in parts]) for name in ("error", "change", "torque")
+    )
+    walks = speed > MIN_SPEED
+    carried = weight * (speed * steps)[walks].sum()
+
+    def cost(some):
+        return float((some * steps)[walks].sum() / carried) if walks.any() else None
+
+    return {
+        "tracking_error": float(np.sqrt((error[:, :2] ** 2).sum(-1).mean())),
+        "yaw_error": float(np.sqrt((error[:, 2] ** 2).mean())),
+        "speed": float((speed * steps).sum() / steps.sum()),
+        "power": float((watts * steps).sum() / steps.sum()),
+        "positive_power": float((positive * steps).sum() / steps.sum()),
+        "torque": float(np.abs(torque).mean()),
+        "action_rate": float(np.sqrt((change**2).mean())),
+        "cost_of_transport": cost(watts),
+        "positive_cost_of_transport": cost(positive),
+    }
+
+
+def strides(contact: np.ndarray, brief: int) -> tuple[np.ndarray, np.ndarray]:
+    """`(swings, touchdowns)` of one foot's `contact [P]`: their lengths, and when each step begins.
+
+    A contact or a swing of fewer than `brief` rows is a bounce: it belongs to what is around it.
+    Swings that the recording cuts are left out.
+    """
+    on, off = intervals(contact)
+    cut = (on == 0) | (off == len(contact))
+    on, off = on[cut | (off - on >= brief)], off[cut | (off - on >= brief)]
+    swings = on[1:] - off[:-1]
+    real = swings >= brief
+    first = on[:1][on[:1] > 0]  # the end of a swing that had begun before
+    return swings[real], np.concatenate([first, on[1:][real]])
+
+
+def intervals(contact: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """`(first rows, rows after the last)` of the stretches of `contact [P]` that are True."""
+    edges = np.diff(np.concatenate([[0], contact.astype(int), [0]]))
+    return np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
+
+
+def gait(body: Body, recordings: Iterable[dict[str, Any]]) -> dict[str, Any]:
+    """How the feet move: `duty_factor`, `air_time`, `stride_frequency`, and these of each foot."""
+    contacts = [c for r in recordings if len(c := settled(body, r)["contact"])]
+    timestep, each = body.model.opt.timestep, {}
+    for j, name in enumerate(feet(body)[1]):
+        found = [strides(c[:, j], body.substeps) for c in contacts]
+        swings = np.concatenate([np.zeros(0), *[swing for swing, _ in found]])
+        steps = [begins for _, begins in found if len(begins) > 1]
+        lasted = sum(int(begins[-1] - begins[0]) for begins in steps) * timestep
+        count = sum(len(begins) - 1 for begins in steps)
+        down = np.concatenate([c[:, j] for c in contacts]) if contacts else None
+        each[name] = {
+            "duty_factor": None if down is None else float(down.mean()),
+            "air_time": float(swings.mean() * timestep) if len(swings) else None,
+            "stride_frequency": count / lasted if count else None,
+        }
+    mean = {name: _mean(foot[name] for foot in each.values()) for name in [*each.values()][0]}
+    return mean | {"feet": each}
+
+
+def _mean(values: Iterable[float | None]) -> float | None:
+    known = [value for value in values if value is not None]
+    return float(np.mean(known)) if known else None
+
+
+def axes(policy: Policy, points: int = POINTS) -> dict[str, np.ndarray]:
+    """The commands of the grid on each axis, over the range that was trained."""
+    ranges = {"vx": policy.command_x, "vy": policy.command_y, "wz": policy.command_yaw}
+    return {
+        name: np.unique(np.round(np.linspace(low, high, points), 6))
+        for name, (low, high) in ranges.items()
+    }
+
+
+def speeds(policy: Policy) -> list[float]:
+    """The speeds ahead (m/s) of the gait diagrams: `SPEEDS`, as far as they were trained."""
+    low, high = policy.command_x
+    return sorted({float(np.clip(speed, low, high)) for speed in SPEEDS})
+
+
+def sweep(
+    policy: Policy,
+    seconds: float = SECONDS,
+    points: int = POINTS,
+    tell: Callable[[int, int], None] = lambda done, total: None,
+) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+    """`(numbers, recordings)` of one episode a command; `recordings` are those of `speeds`.
+
+    The grid is vx by vy without turning, and vx by yaw rate without going sideways (`held`); `all`
+    is over these, its gait without the command to stand. `tell(done, total)` is called before every
+    episode, and at the end.
+    """
+    body = episode_lib.load(robot_lib.load(policy.robot).xml, policy, policy.timestep)
+    act, grid = policy_file.actor(policy.params, policy.activation), axes(policy, points)
+    held = {name: float(np.clip(0.0, values[0], values[-1])) for name, values in grid.items()}
+    cells = [(x, y, held["wz"]) for x in grid["vx"] for y in grid["vy"]]
+    cells += [(x, held["vy"], turn) for x in grid["vx"] for turn in grid["wz"]]
+    cells = [tuple(float(v) for v in cell) for cell in dict.fromkeys(cells)]
+    ahead = [(speed, held["vy"], held["wz"]) for speed in speeds(policy)]
+    every, found = [*dict.fromkeys([*cells, *ahead])], {}
+    for command in every:
+        tell(len(found), len(every))
+        found[command] = record(body, act, command, seconds)
+    tell(len(every), len(every))
+    some = [found[command] for command in cells]
+    walks = [r for r in some if np.linalg.norm(r["command"]) > MIN_SPEED]
+    fallen = sum(r["fall"] is not None for r in some)
+    numbers = {
+        "seconds": seconds,
+        "axes": {name: values.tolist() for name, values in grid.items()},
+        "held": {name: held[name] for name in ("vy", "wz")},
+        "all": {"episodes": len(some), "falls": fallen} | measures(body, some) | gait(body, walks),
+        "ahead": [_row(body, found[command]) | gait(body, [found[command]]) for command in ahead],
+        "commands": [_row(body, r) for r in some],
+    }
+    return numbers, [found[command] for command in ahead]
+
+
+def _row(body: Body, recording: dict[str, Any]) -> dict[str, Any]:
+    command, fall = recording["command"].tolist(), recording["fall"]
+    return {"command": command, "fall": fall} | measures(body, [recording])

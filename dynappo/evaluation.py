@@ -1,0 +1,107 @@
+"""Deterministic episodes -> what a policy is worth: return, falls and tracking error.
+
+    python -m dynappo.evaluate NAME_OR_DIR      # the command is evaluate_command.py's
+
+One episode a robot on the nominal task: the policy's mean action, no observation noise, no
+randomised physics, every episode from age 0, commands drawn as in training. Tracking error is the
+root mean square of the planar velocity error (m/s) after the first second, over all robots that
+still stand; `yaw_error` the same of the yaw rate (rad/s).
+
+It runs on the environment that trains: what makes the task nominal are floats.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from dynappo import algorithm
+from dynappo.learner import networks
+from dynappo.types import Env, Metrics
+
+SETTLE = 1.0  # s, left out of the tracking error
+
+
+def nominal(hyper) -> Any:
+    """`hyper` for a task without noise and pushes, every range of physics at its nominal value."""
+    task, r = hyper.task, hyper.task.randomize
+    still = jax.tree.map(jnp.zeros_like, task.noise)
+    one = (jnp.ones(()), jnp.ones(()))
+    friction = (r.friction[0] + r.friction[1]) / 2
+    bodies = r._replace(
+        base_mass=jax.tree.map(jnp.zeros_like, r.base_mass),
+        base_com=jax.tree.map(jnp.zeros_like, r.base_com),
+        friction=(friction, friction),
+        kp_scale=one,
+        kd_scale=one,
+    )
+    push = task.push._replace(velocity=jnp.zeros(()))
+    return hyper._replace(task=task._replace(noise=still, randomize=bodies, push=push))
+
+
+def evaluate(
+    env: Env,
+    hyper,
+    params: dict,
+    key: PRNGKeyArray,
+    *,
+    static,
+    num_envs: int,
+    num_steps: int,
+    randomize: bool = False,
+) -> Metrics:
+    """Metrics of `num_envs` episodes of at most `num_steps` control steps.
+
+    `return`, `length` (control steps), `fall_rate`, `tracking_error` (m/s), `yaw_error` (rad/s),
+    `return_std` over episodes. With `randomize`, on the task as it trains: noise, pushes and physics
+    of every robot's own; errors are still those of the true velocities.
+    """
+    hyper = hyper if randomize else nominal(hyper)
+    keys = jax.random.split(key, num_envs)
+    bodies = jax.vmap(env.randomize, (None, 0))(hyper, keys)
+    state = jax.vmap(env.reset, (None, 0, 0))(hyper, bodies, keys)
+    if hasattr(state, "clock"):  # a training environment may start episodes aged
+        state = state.replace(clock=jnp.zeros_like(state.clock))
+    settle = round(SETTLE / env.dt)
+    zero = jnp.zeros(num_envs)
+    errors = {name: zero for name in env.metrics if name.endswith("_error_sq")}
+
+    advance = algorithm.physics_step(env, hyper, bodies)
+    # as the policy is used, however it was trained
+    exact = static._replace(ppo=static.ppo._replace(precision="highest"))
+
+    def step(carry, t):
+        state, alive, total, length, fell, errors, rows = carry
+        action = networks.policy(exact, params, state.obs)
+        step_keys = jax.vmap(jax.random.fold_in, (0, None))(keys, t)
+        # the ended robots go on from a reset, so that no number degenerates, but count no more
+        after, outcome = advance(state, action, step_keys)
+        counts = alive * (t >= settle) * outcome.discount
+        errors = {name: errors[name] + counts * outcome.metrics[name] for name in errors}
+        carry = (
+            after,
+            alive * outcome.discount * (1 - outcome.truncation),
+            total + alive * outcome.reward,
+            length + alive,
+            fell + alive * (1 - outcome.discount),
+            errors,
+            rows + counts,
+        )
+        return carry, None
+
+    start = (state, zero + 1, zero, zero, zero, errors, zero)
+    (_, _, total, length, fell, errors, rows), _ = jax.lax.scan(step, start, jnp.arange(num_steps))
+    metrics: dict[str, Float[Array, ""]] = {
+        "return": total.mean(),
+        "return_std": total.std(),
+        "length": length.mean(),
+        "fall_rate": fell.mean(),
+    }
+    names = {"velocity_error_sq": "tracking_error"}
+    for name, value in errors.items():
+        root = jnp.sqrt(value.sum() / rows.sum())  # NaN where nobody stood for the first second
+        metrics[names.get(name, name.removesuffix("_sq"))] = root
+    return metrics

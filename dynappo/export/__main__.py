@@ -1,0 +1,5 @@
+"""`python -m dynappo.export`."""
+
+from dynappo.export import command
+
+command.main()

@@ -1,0 +1,92 @@
+"""Another order of the joints: what robots and simulators call them by number, and policies that follow.
+
+Nothing needs to be reordered on the robot: rows and columns of a policy's first and last weights are.
+"""
+
+from __future__ import annotations
+
+import collections
+
+import numpy as np
+
+from dynappo.config import ConfigError
+from dynappo.physics import robot as robot_lib
+from dynappo.policy.policy_file import Policy
+from dynappo.task import observe
+
+ORDERS = ("mjcf", "isaaclab", "unitree")
+# Motor numbers 0-11 of Go1 and Go2, each leg hip to calf: unitree_legged_sdk, quadruped.h (FR_0 = 0,
+# FL_0 = 3, RR_0 = 6, RL_0 = 9) and unitree_sdk2, dds_wrapper/robots/go2/defines.h (JointIndex)
+UNITREE_LEGS = ("FR", "FL", "RR", "RL")
+
+
+def find(
+    text: str | None, own: tuple[str, ...], robot: robot_lib.Robot
+) -> tuple[tuple[str, ...], str]:
+    """`(names, text)` of `--joint-order=TEXT`; without it the policy's own order, `own`.
+
+    ConfigError if the robot has no such order, or the names are not its twelve joints, once each.
+    """
+
+    def expect(ok, reason):
+        if not ok:
+            raise ConfigError(f"--joint-order={text}: {reason}")
+
+    names = robot.joint_names
+    legs = collections.defaultdict(list)
+    for name in names:
+        legs[name.partition("_")[0]].append(name)
+    if text is None:
+        return own, "mjcf" if own == names else "the policy's own"
+    if text == "mjcf":
+        return names, text
+    if text == "isaaclab":
+        # PhysX numbers joints breadth first, and siblings by name: isaac-sim/IsaacLab
+        # .../velocity/mdp/symmetry/anymal.py lists ANYmal's; for Go2 `joint_ids_map` of the deploy.yaml
+        # that unitree_rl_lab writes is 3 0 9 6, 4 1 10 7, 5 2 11 8 in motor numbers
+        return tuple(legs[leg][k] for k in range(3) for leg in sorted(legs)), text
+    if text == "unitree":
+        expect(set(legs) == set(UNITREE_LEGS), f"{robot.name} has the legs {' '.join(legs)}")
+        return tuple(name for leg in UNITREE_LEGS for name in legs[leg]), text
+    given = tuple(name.strip() for name in text.split(","))
+    unknown = [name for name in given if name not in names]
+    known = f"expected {', '.join(ORDERS)} or the joints {','.join(names)}"
+    expect(not unknown, f"{robot.name} has no joint {', '.join(unknown)}; {known}")
+    twice = [name for name in names if given.count(name) > 1]
+    expect(not twice, f"{', '.join(twice)} is there more than once")
+    lacks = [name for name in names if name not in given]
+    expect(not lacks, f"lacks {', '.join(lacks)}")
+    return given, "as named"
+
+
+def permute(policy: Policy, names: tuple[str, ...]) -> Policy:
+    """The same policy with its joints in the order `names`, in observations and actions alike.
+
+    If the robot's joints are read and driven in that order, it does what it did before.
+    """
+    order = np.array([policy.joint_names.index(name) for name in names])
+    rows = np.arange(observe.PROP_SIZE + observe.CONTEXT_SIZE)
+    for part in (observe.JOINT_POS, observe.JOINT_VEL, observe.LAST_ACTION):
+        rows[part] = rows[part][order]
+
+    def layers(network):
+        """The layers of a network, for observations in the new order."""
+        first = network["params"]["Dense_0"]
+        return network["params"] | {"Dense_0": first | {"kernel": first["kernel"][rows]}}
+
+    params = dict(policy.params)
+    for name in {"actor", "critic"} & set(params):
+        params[name] = {"params": layers(params[name])}
+    actor = params["actor"]["params"]
+    name = f"Dense_{len(actor) - 1}"
+    last = actor[name]
+    actor[name] = last | {"kernel": last["kernel"][:, order], "bias": last["bias"][order]}
+    if "std" in params:
+        params["std"] = params["std"][order]
+    # whatever else has one value a joint
+    fields = {
+        field: tuple(value[i] for i in order) if isinstance(value, tuple) else value[order]
+        for field, value in policy._asdict().items()
+        if isinstance(value, tuple | np.ndarray) and len(value) == len(order)
+    }
+    return policy._replace(params=params, **fields)

@@ -1,0 +1,8 @@
+"""What learns to act: PPO, its advantages, and the networks. Start at `ppo.py`.
+
+- `ppo`: the loss, a minibatch's step, the update of an iteration
+- `gae`: advantages and returns of a rollout
+- `networks`: multilayer perceptrons and the Gaussian policy
+
+Pure functions of arrays. The method imports it, and so may everybody; it imports `types` only.
+"""

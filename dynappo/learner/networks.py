@@ -1,0 +1,146 @@
+"""Multilayer perceptrons and the diagonal Gaussian policy.
+
+Initial weights and biases are uniform in +-1/sqrt(fan_in), PyTorch's default for linear layers,
+because rsl_rl uses it (rsl_rl/networks/mlp.py) and early learning depends on it. The policy's
+standard deviation is one free parameter an action, used directly and not through an exponential
+(rsl_rl/modules/actor_critic.py, noise_std_type "scalar").
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+
+import flax.linen as nn
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, PRNGKeyArray
+
+LOG_2PI = 1.8378770664093453
+# jax.lax.Precision of each setting that a network can have; bfloat16 also sets the layers' dtype
+PRECISION = {"highest": "highest", "tf32": "tensorfloat32", "bfloat16": "default"}
+
+PARTS = ("kernel", "bias")  # of a layer
+# of a last layer: in bfloat16 a value of 5 would be rounded by up to 0.016, half the reward of a step
+FLOAT32_DOT = partial(jax.lax.dot_general, preferred_element_type=jnp.float32)
+
+
+class MLP(nn.Module):
+    """Linear layers with an activation between them; float32 parameters and output."""
+
+    sizes: Sequence[int]  # of every layer, the output last
+    activation: str = "elu"
+    precision: str = "highest"
+
+    @nn.compact
+    def __call__(self, x: Float[Array, "... in"]) -> Float[Array, "... out"]:
+        dtype = jnp.bfloat16 if self.precision == "bfloat16" else jnp.float32
+        for i, size in enumerate(self.sizes):
+            bound = x.shape[-1] ** -0.5
+            last = i == len(self.sizes) - 1
+            x = nn.Dense(
+                size,
+                dtype=dtype,
+                dot_general=FLOAT32_DOT if last else None,
+                precision=PRECISION[self.precision],
+                kernel_init=_uniform(bound),
+                bias_init=_uniform(bound),
+            )(x)
+            if not last:
+                x = getattr(nn, self.activation)(x)
+        return x.astype(jnp.float32)
+
+
+def _uniform(bound):
+    return lambda key, shape, dtype=jnp.float32: jax.random.uniform(
+        key, shape, dtype, -bound, bound
+    )
+
+
+def apply(network: MLP, params, x: Float[Array, "... in"]) -> Float[Array, "... out"]:
+    """`network` with `params` on `x`."""
+    return jnp.asarray(network.apply(params, x))  # flax may also return a tuple, ours never do
+
+
+def actor(static, action_size: int) -> MLP:
+    """The network of the policy's mean."""
+    return MLP((*static.ppo.hidden, action_size), static.ppo.activation, static.ppo.precision)
+
+
+def critic(static) -> MLP:
+    """The network of the value function."""
+    return MLP((*static.ppo.hidden, 1), static.ppo.activation, static.ppo.precision)
+
+
+def init_policy(static, hyper, obs_size: int, action_size: int, key: PRNGKeyArray) -> dict:
+    """Parameters `{"actor", "critic", "std"}` of policy and value function."""
+    obs = jnp.zeros(obs_size)
+    actor_key, critic_key = jax.random.split(key)
+    return {
+        "actor": actor(static, action_size).init(actor_key, obs),
+        "critic": critic(static).init(critic_key, obs),
+        "std": jnp.full(action_size, hyper.ppo.init_std, jnp.float32),
+    }
+
+
+def policy(static, params: dict, obs: Float[Array, "... O"]) -> Float[Array, "... A"]:
+    """Mean action. Its standard deviation is `params["std"]`, whatever the observation."""
+    return apply(actor(static, params["std"].shape[-1]), params["actor"], obs)
+
+
+def value(static, params: dict, obs: Float[Array, "... O"]) -> Float[Array, "..."]:
+    """V(obs): the expected discounted return."""
+    return apply(critic(static), params["critic"], obs)[..., 0]
+
+
+def policy_and_value(static, params: dict, obs: Float[Array, "... O"]):
+    """`(policy(...), value(...))`: the same numbers, a hidden layer of both networks as one product.
+
+    Half as many and larger matrix products: with it an update takes 9.0 ms in float32 (9.4 without), 6.4 in
+    TF32, 5.0 in bfloat16 (H200; experiments/03_speed/peers.md). In bfloat16 the last products are float32.
+    """
+    dtype = jnp.bfloat16 if static.ppo.precision == "bfloat16" else jnp.float32
+    dot = partial(jnp.einsum, precision=PRECISION[static.ppo.precision])
+    both = [params[name]["params"] for name in ("actor", "critic")]
+    both = jax.tree.map(lambda p: p.astype(dtype), both)
+    *hidden, last = (f"Dense_{i}" for i in range(len(both[0])))
+    # the first layer has one input, so it is one plain product; [B, 2, H] would be copied later
+    kernel, bias = (jnp.concatenate([net[hidden[0]][p] for net in both], -1) for p in PARTS)
+    x = dot("...i,io->...o", obs.astype(dtype), kernel) + bias
+    act = getattr(nn, static.ppo.activation)
+    x = act(jnp.moveaxis(x.reshape(*x.shape[:-1], 2, -1), -2, 0))
+    for name in hidden[1:]:
+        kernel, bias = (jnp.stack([net[name][part] for net in both]) for part in PARTS)
+        bias = jnp.expand_dims(bias, range(1, x.ndim - 1))
+        x = act(dot("k...i,kio->k...o", x, kernel) + bias)
+    dot = partial(dot, "...i,io->...o", preferred_element_type=jnp.float32)
+    mean, found = (dot(x[i], net[last]["kernel"]) + net[last]["bias"] for i, net in enumerate(both))
+    return mean, found[..., 0]
+
+
+def log_prob(
+    mean: Float[Array, "... A"], std: Float[Array, "... A"], action: Float[Array, "... A"]
+) -> Float[Array, "..."]:
+    """Log density of a diagonal Gaussian, summed over the action; no squashing."""
+    z = (action - mean) / std
+    return (-0.5 * z**2 - jnp.log(std) - 0.5 * LOG_2PI).sum(-1)
+
+
+def entropy(std: Float[Array, "... A"]) -> Float[Array, "..."]:
+    """Differential entropy of a diagonal Gaussian, summed over the action."""
+    return (0.5 + 0.5 * LOG_2PI + jnp.log(std)).sum(-1)
+
+
+def kl(
+    old_mean: Float[Array, "... A"],
+    old_std: Float[Array, "... A"],
+    mean: Float[Array, "... A"],
+    std: Float[Array, "... A"],
+) -> Float[Array, "..."]:
+    """KL(old || new) of diagonal Gaussians as rsl_rl computes it (algorithms/ppo.py).
+
+    sum log(s_new / s_old + 1e-5) + (s_old^2 + (m_old - m_new)^2) / (2 s_new^2) - 1/2; the 1e-5
+    is theirs, so that the learning-rate rule takes the same branch.
+    """
+    spread = (old_std**2 + (old_mean - mean) ** 2) / (2 * std**2)
+    return (jnp.log(std / old_std + 1e-5) + spread - 0.5).sum(-1)

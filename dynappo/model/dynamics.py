@@ -1,0 +1,203 @@
+"""The transition model: what physics does to the predicted part of the observation, and the reward.
+
+    o_prop_{k+1}, r_k = f_theta(o_k, a_k)                                        (paper, eq. 2)
+    L(theta) = sum over robots and real rows of Huber((o_prop_{k+1}, r_k) - f_theta(o_k, a_k))  (3)
+
+An MLP fitted anew in every iteration to that iteration's real rows, warm-started with its weights
+and Adam moments. The paper leaves open activation, batch size, Huber delta and scaling. By default
+the target is the change of state, and inputs and targets are scaled by running moments; each is a
+config field, and `predict_change = normalize = False` is the plain form.
+
+Never across a reset: rows that ended an episode, blow-ups among them, have weight 0 everywhere.
+
+Beyond the paper, each by a field of the group model that is off in the paper's variants:
+
+- `clean`: f_theta carries s, the state without noise, instead of o_prop; the policy of the tail sees
+  s + noise drawn anew. Noise is the error floor of a model that has to predict it.
+- `known_reward`: r = k(o, a, s') + f_theta, with k what `env.known_reward` computes of the prediction.
+- `falls`: p = sigmoid(f_theta) is the probability of a fall, and a tail's discount 1 - p. No class
+  weights in its cross-entropy: p is a factor of every value and must be true. Fallen rows are trained
+  on (with `clean` too: s' is from before the reset), blow-ups never. A tail is cut where the episode's
+  clock says so; no advantage crosses, and the robot walks on, as the policy sees no clock.
+- `bounds`: every prediction stays in the range of this iteration's real rows, and 5 % beyond; values
+  too (algorithm.estimate). A tail can then be wrong, but not diverge.
+
+Why rows drawn with replacement below n_real: the number of real rows is traced, JAX cannot permute a
+traced length, and computing on masked rows would cost what the tail saves. A minibatch has
+`N / minibatches` rows of every robot, each at times of its own, so that drawing them moves no row to
+another device; an epoch is as many minibatches as n_real rows make.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import optax
+from flax import struct
+from jaxtyping import Array, Float, Int, PRNGKeyArray
+
+from dynappo.learner import networks
+from dynappo.model import examples, moments
+from dynappo.types import Env, Metrics, ModelState, Outcome, Transition
+
+FALL_LOGIT = -4.6  # added to the network's: untrained, it says 1 %
+
+
+@struct.dataclass
+class TailState:
+    """What the model carries instead of an environment's state."""
+
+    obs: Float[Array, "R O"]  # what the policy sees
+    prop: Float[Array, "R P"]  # what the model carries (examples.py)
+    clock: Int[Array, " R"] | None = None  # age of the episode, with `falls`
+
+
+def tail(static, env: Env, state) -> TailState:
+    """Where a tail begins: at the state that physics carries."""
+    prop = state.prop if static.model.clean else state.obs[..., : env.prop_size]
+    return TailState(obs=state.obs, prop=prop, clock=state.clock if static.model.falls else None)
+
+
+def network(static, prop_size: int) -> networks.MLP:
+    """f_theta: next prop, reward and the logit of a fall."""
+    model = static.model
+    sizes = (*model.hidden, prop_size + 1 + model.falls)
+    return networks.MLP(sizes, model.activation, model.precision)
+
+
+def init(static, env: Env, key: PRNGKeyArray) -> ModelState:
+    """An untrained model; its moments have weight 0 until the first fit."""
+    inputs, outputs = env.obs_size + env.action_size, env.prop_size + 1
+    params = network(static, env.prop_size).init(key, jnp.zeros(inputs))
+    unbounded = jnp.array([[-jnp.inf], [jnp.inf]]) + jnp.zeros(outputs)
+    return ModelState(
+        params=params,
+        opt_state=optax.scale_by_adam().init(params),
+        inputs=moments.init(inputs),
+        targets=moments.init(outputs + static.model.falls),
+        bounds=unbounded if static.model.bounds else None,
+    )
+
+
+def _scales(static, model: ModelState):
+    """`((mean, std) of inputs, (mean, std) of targets)`, or the identity without normalisation."""
+    if not static.model.normalize:
+        return [
+            (jnp.zeros_like(m.mean), jnp.ones_like(m.mean)) for m in (model.inputs, model.targets)
+        ]
+    mean, std = moments.scale(model.targets)
+    if static.model.falls:  # 0 or 1, as it is
+        mean, std = mean.at[-1].set(0.0), std.at[-1].set(1.0)
+    return moments.scale(model.inputs), (mean, std)
+
+
+def loss(static, hyper, params, x, y, weight) -> Float[Array, ""]:
+    """Mean over rows of weight 1 and predicted numbers: Huber (eq. 3); of a fall, cross-entropy."""
+    size = y.shape[-1] - static.model.falls  # predicted numbers: prop and reward
+    prediction = networks.apply(network(static, size - 1), params, x)
+    delta = hyper.model.huber_delta
+    error = optax.losses.huber_loss(prediction[..., :size], y[..., :size], delta=delta)
+    if static.model.falls:
+        fall = optax.losses.sigmoid_binary_cross_entropy(prediction + FALL_LOGIT, y)[..., size:]
+        error = jnp.concatenate([error, fall], -1)
+    return (error.mean(-1) * weight).sum() / jnp.maximum(weight.sum(), 1)
+
+
+def fit(
+    static,
+    hyper,
+    env: Env,
+    model: ModelState,
+    rows: Transition,
+    n_real: Int[Array, ""],
+    epochs: Int[Array, ""],
+    key: PRNGKeyArray,
+) -> tuple[ModelState, Metrics]:
+    """`epochs` passes of Adam over the rows `t < n_real` of a `[N, R]` buffer.
+
+    Metrics: the loss of the first minibatch before any step, of rows the model has never seen, and of
+    the last.
+    """
+    horizon, num_envs = rows.reward.shape
+    drawn = horizon // static.model.minibatches  # rows of each robot in a minibatch
+    x, y, weight = examples.examples(static, hyper, env, rows, n_real)
+    bounds, decay = model.bounds, hyper.model.stats_decay
+    model = model.replace(
+        inputs=moments.update(model.inputs, x, weight, decay),
+        targets=moments.update(model.targets, y, weight, decay),
+        bounds=None if bounds is None else examples.range_of(static, env, rows, weight, bounds),
+    )
+    (x_mean, x_std), (y_mean, y_std) = _scales(static, model)
+    data = jnp.concatenate([(x - x_mean) / x_std, (y - y_mean) / y_std, weight[..., None]], -1)
+    inputs, adam = x.shape[-1], optax.scale_by_adam()
+
+    def minibatch(i, carry):
+        params, opt_state, before, _ = carry
+        shape = (drawn, num_envs, 1)
+        times = jax.random.randint(jax.random.fold_in(key, i), shape, 0, n_real)
+        batch = jnp.take_along_axis(data, times, axis=0)
+        batch = batch[..., :inputs], batch[..., inputs:-1], batch[..., -1]
+        value, grads = jax.value_and_grad(loss, argnums=2)(static, hyper, params, *batch)
+        updates, opt_state = adam.update(grads, opt_state)
+        rate = hyper.model.learning_rate
+        params = jax.tree.map(lambda p, u: p - rate * u, params, updates)
+        return params, opt_state, jnp.where(i == 0, value, before), value
+
+    steps = epochs * (n_real // drawn)
+    start = (model.params, model.opt_state, jnp.zeros(()), jnp.zeros(()))
+    params, opt_state, before, after = jax.lax.fori_loop(0, steps, minibatch, start)
+    metrics = {"model_loss": after, "model_loss_before": before}
+    return model.replace(params=params, opt_state=opt_state), metrics
+
+
+def predict(
+    static, hyper, env: Env, model: ModelState, obs: Float[Array, "R O"], action
+) -> tuple[Float[Array, "R O"], Float[Array, " R"], Float[Array, " R"]]:
+    """`(next observation, reward, discount)`: prop predicted, the context copied by `env.context`."""
+    size = env.prop_size
+    (x_mean, x_std), (y_mean, y_std) = _scales(static, model)
+    x = (jnp.concatenate([obs, action], -1) - x_mean) / x_std
+    y = networks.apply(network(static, size), model.params, x) * y_std + y_mean
+    prop, reward = y[..., :size], y[..., size] * env.dt
+    if static.model.predict_change:
+        prop = prop + obs[..., :size]
+    if model.bounds is not None:
+        prop = jnp.clip(prop, model.bounds[0, :size], model.bounds[1, :size])
+    if static.model.known_reward:
+        reward += jax.vmap(partial(env.known_reward, hyper))(obs, action, prop)
+    if model.bounds is not None:
+        reward = jnp.clip(reward, model.bounds[0, size], model.bounds[1, size])
+    lives = jnp.ones_like(reward)
+    if static.model.falls:
+        lives = 1 - jax.nn.sigmoid(y[..., -1] + FALL_LOGIT)
+    return jnp.concatenate([prop, env.context(obs, action)], -1), reward, lives
+
+
+def step(static, hyper, env: Env, model: ModelState, state: TailState, action, keys=None):
+    """The contract of an environment's step, with the model in place of physics.
+
+    The model is deterministic: `keys` are read for the noise of `clean` only. Without `falls` no row
+    falls or times out: the paper's model predicts no terminations, clocks advance in physics only.
+    """
+    obs = jnp.concatenate([state.prop, state.obs[..., env.prop_size :]], -1)
+    obs, reward, discount = predict(static, hyper, env, model, obs, action)
+    prop, clock, truncation = obs[..., : env.prop_size], None, jnp.zeros_like(reward)
+    if static.model.clean:
+        obs = obs.at[..., : env.prop_size].add(jax.vmap(env.noise, (None, 0))(hyper, keys))
+    if state.clock is not None:
+        clock = state.clock + 1
+        truncation = (clock == env.episode_length) * 1.0
+    outcome = Outcome(
+        reward=reward,
+        discount=discount,
+        truncation=truncation,
+        next_obs=obs,
+        next_prop=prop,
+        valid=jnp.ones_like(reward),
+        episode_return=jnp.zeros_like(reward),
+        episode_length=jnp.zeros_like(reward),
+        metrics={},
+    )
+    return TailState(obs=obs, prop=prop, clock=clock), outcome

@@ -1,0 +1,39 @@
+"""How wrong the transition model is on rows it has not seen: one prediction, and several in a row."""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+
+from dynappo.model import dynamics, examples, moments
+from dynappo.types import Env, Metrics, ModelState, Transition
+
+
+def unroll(static, hyper, env: Env, model: ModelState, rows: Transition, steps: int):
+    """`steps` next props [K, R, P] predicted in a row, from row 0 with the actions that were taken,
+    and [K, R] 1 where the robot's episode had not ended by then."""
+    obs, predicted = examples.before_and_after(static, env, rows)[0][0], []
+    for k in range(steps):
+        obs = dynamics.predict(static, hyper, env, model, obs, rows.action[k])[0]
+        predicted.append(obs[:, : env.prop_size])
+    alive = jnp.cumprod(rows.discount[:steps] * (1 - rows.truncation[:steps]), axis=0)
+    return jnp.stack(predicted), alive
+
+
+def errors(static, hyper, env: Env, model: ModelState, rows: Transition, steps: int) -> Metrics:
+    """Error of 1 and of `steps` predictions in a row, as a share of that of repeating the state.
+
+    Root mean square over robots and predicted numbers, each in units of its spread; 1 is that of the
+    trivial predictor. Before a fit, the rows are new to the model.
+    """
+    size, out = env.prop_size, {}
+    std = moments.scale(model.inputs)[1][:size]
+    obs, after = examples.before_and_after(static, env, rows)
+    predicted, alive = unroll(static, hyper, env, model, rows, steps)
+    for k in {0, steps - 1}:
+        truth, still = after[k], obs[0, :, :size]
+        wrong, change = (
+            jnp.where(alive[k, :, None] > 0, ((x - truth) / std) ** 2, 0.0).sum()
+            for x in (predicted[k], still)
+        )
+        out[f"model_error_{k + 1}"] = jnp.sqrt(wrong / jnp.maximum(change, 1e-12))
+    return out

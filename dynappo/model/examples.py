@@ -1,0 +1,65 @@
+"""What the transition model learns from: rows of a rollout as inputs, targets and weights.
+
+What the model carries is the observation's `prop`, with `model.clean` without its noise; the rest of an
+observation, the context, is copied (`Env.context`).
+"""
+
+from __future__ import annotations
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from dynappo.types import Env, Transition
+
+MARGIN = 0.05  # of the range of real rows, by which a prediction may leave it
+
+
+def before_and_after(static, env: Env, rows: Transition):
+    """`(obs [O], next prop [P])` of each row as the model sees them: without noise if `model.clean`."""
+    size = env.prop_size
+    if not static.model.clean:
+        return rows.obs, rows.next_obs[..., :size]
+    return jnp.concatenate([rows.prop, rows.obs[..., size:]], -1), rows.next_prop
+
+
+def targets(static, hyper, env: Env, rows: Transition) -> Float[Array, "... K"]:
+    """What the model is to predict of each row: change of (or next) prop, reward / dt, and, with
+    `model.falls`, 1 where the episode fell. Of the reward, what is not known."""
+    (obs, after), reward, fell = before_and_after(static, env, rows), rows.reward, 1 - rows.discount
+    if static.model.known_reward:
+        known = jax.vmap(jax.vmap(partial(env.known_reward, hyper)))
+        reward = reward - known(rows.obs, rows.action, rows.next_prop)
+    if static.model.predict_change:
+        after = after - obs[..., : env.prop_size]
+    columns = [after, reward[..., None] / env.dt] + [fell[..., None]] * static.model.falls
+    return jnp.concatenate(columns, axis=-1)
+
+
+def row_weight(static, rows: Transition, n_real: Int[Array, ""]) -> Float[Array, "N R"]:
+    """1 for the rows that the model learns from, else 0."""
+    real = (jnp.arange(rows.reward.shape[0]) < n_real)[:, None]
+    every = static.model.clean or static.model.falls
+    return jnp.where(real, rows.valid if every else rows.discount * (1 - rows.truncation), 0.0)
+
+
+def examples(static, hyper, env: Env, rows: Transition, n_real: Int[Array, ""]):
+    """`(inputs [N, R, O+A], targets [N, R, K], weight [N, R])` of a rollout's rows `t < n_real`."""
+    weight = row_weight(static, rows, n_real)
+    x = jnp.concatenate([before_and_after(static, env, rows)[0], rows.action], -1)
+    y = targets(static, hyper, env, rows)
+    # zeroed, not only weighted: nothing times 0 is 0 for a number that is not finite
+    x, y = (jnp.where(weight[..., None] > 0, a, 0.0) for a in (x, y))
+    return x, y, weight
+
+
+def range_of(static, env: Env, rows: Transition, weight, old) -> Float[Array, "2 P+1"]:
+    """`(low, high)` of next prop and reward over rows of weight 1, and a margin; `old` if there are none."""
+    used, after = weight[..., None] > 0, before_and_after(static, env, rows)[1]
+    numbers = jnp.concatenate([after, rows.reward[..., None]], -1)
+    low = jnp.where(used, numbers, jnp.inf).min((0, 1))
+    high = jnp.where(used, numbers, -jnp.inf).max((0, 1))
+    margin = MARGIN * (high - low)
+    return jnp.where(used.any(), jnp.stack([low - margin, high + margin]), old)

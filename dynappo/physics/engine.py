@@ -1,0 +1,146 @@
+"""Physics of one control step on MJX: PD, motor limits, four physics steps, contacts by geometry.
+
+Why kinematics one substep old: `mjx.step` computes positions of geoms from the coordinates it
+starts from, so after it they are those of 5 ms before. Foot contacts (a foot sphere's centre lower
+than its radius) and the lowest points of other parts are read there, at no cost; observations and
+rewards are computed from the new qpos and qvel.
+
+Why contact by geometry: it is the same for every engine and needs no contact forces, so the parts
+that must not touch the ground need no collision pairs (`physics.contacts = feet`).
+
+Why the data are rebuilt from a template in every control step: what is carried is then small, a reset
+costs no physics call, and a checkpoint does not depend on the engine. Not in every physics step:
+filling the 168 arrays of mjx.Data took 0.6 of 4.4 ms (experiments/03_speed). MuJoCo Warp is called
+past mjx.Data (warp_engine.py).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from dynappo.physics import actuators, contacts, randomize, warp_engine
+from dynappo.physics import robot as robot_lib
+from dynappo.types import EnvState
+
+with contextlib.redirect_stdout(io.StringIO()):  # it prints two lines where warp-lang is absent
+    from mujoco import mjx
+
+
+class Engine(NamedTuple):
+    """A robot in an engine; constants of the compiled program."""
+
+    model: Any  # mjx.Model
+    data: Any  # mjx.Data or warp_engine.Moved, a template
+    step: Callable[..., Any]  # (model, data, ctrl) -> data, one physics step
+    robot: robot_lib.Robot
+    substeps: int
+    timestep: float  # s
+    floor: tuple[Any, ...]  # robot.floor_distance of the parts
+    varied: frozenset[str]  # randomize.varied
+    remember: bool  # parts at the ground: in any physics step of a control step, or in its last
+
+
+def make(
+    robot: robot_lib.Robot, physics, varied: frozenset[str], impl: str, remember: bool = False
+) -> Engine:
+    """The engine `impl` ("jax" or "warp") of `robot`; `physics` is the config's group."""
+    mj_model = robot_lib.physics_model(robot, physics)
+    here = next(iter(jnp.zeros(()).devices()))  # MJX takes the first of all processes' otherwise
+    if impl == "warp":
+        data, step = warp_engine.make(mj_model, *contacts.most(mj_model))
+    else:
+        data, step = mjx.make_data(mj_model, impl=impl, device=here), _mjx_step
+    return Engine(
+        model=mjx.put_model(mj_model, impl=impl, device=here),
+        data=data,
+        step=step,
+        robot=robot,
+        substeps=physics.substeps,
+        timestep=physics.timestep,
+        floor=robot_lib.floor_distance(mj_model, robot.parts),
+        varied=varied,
+        remember=remember,
+    )
+
+
+def _mjx_step(model, data, ctrl):
+    return mjx.step(model, data.replace(ctrl=ctrl))
+
+
+class Substeps(NamedTuple):
+    """What a control step carries from one physics step to the next."""
+
+    qpos: Any
+    qvel: Any
+    qacc_warmstart: Any
+    air_steps: Any
+    contact_steps: Any
+    last_air_steps: Any
+    torque: Any  # of the last physics step
+    qd_before: Any  # joint velocities before it
+    lowest: Any  # m, lowest point of each part, in all physics steps (`remember`) or the last
+
+
+def simulate(engine: Engine, hyper, body, state: EnvState, action) -> Substeps:
+    """`substeps` physics steps under explicit PD towards the action's joint targets."""
+    model = randomize.merge(
+        engine.model, body, engine.robot.base_body, engine.robot.feet, engine.varied
+    )
+    default = jnp.asarray(engine.robot.default_pose, jnp.float32)
+    q_target = actuators.target(action, default, hyper.task.action_scale)
+    kp, kd = hyper.task.kp * body.kp_scale, hyper.task.kd * body.kd_scale
+    fixed, linear, ring = engine.floor
+    ids, feet = engine.robot.parts, engine.robot.feet
+
+    def lowest(data):
+        row = data.geom_xmat[ids].reshape(-1, 9)[:, 6:]  # third row of the rotation matrix
+        drop = fixed + (linear * jnp.abs(row)).sum(-1)
+        drop += ring * jnp.sqrt(jnp.maximum(1 - row[:, 2] ** 2, 0))
+        return data.geom_xpos[ids, 2] - drop
+
+    def substep(carry, _):
+        s, data = carry
+        torque = actuators.clip_dc_motor(
+            actuators.pd(q_target, data.qpos[7:], data.qvel[6:], kp, kd),
+            data.qvel[6:],
+            effort_limit=hyper.task.effort_limit,
+            saturation_effort=hyper.task.saturation_effort,
+            velocity_limit=hyper.task.velocity_limit,
+        )
+        before, data = data.qvel[6:], engine.step(model, data, torque)
+        contact = data.geom_xpos[feet, 2] < engine.robot.foot_radius
+        landed = contact & (s.air_steps > 0)
+        s = s._replace(
+            air_steps=jnp.where(contact, 0, s.air_steps + 1),
+            contact_steps=jnp.where(contact, s.contact_steps + 1, 0),
+            last_air_steps=jnp.where(landed, s.air_steps + 1, s.last_air_steps),
+            torque=torque,
+            qd_before=before,
+            lowest=jnp.minimum(s.lowest, lowest(data)) if engine.remember else s.lowest,
+        )
+        return (s, data), None
+
+    first = Substeps(
+        qpos=state.qpos,
+        qvel=state.qvel,
+        qacc_warmstart=state.qacc_warmstart,
+        air_steps=state.air_steps,
+        contact_steps=state.contact_steps,
+        last_air_steps=state.last_air_steps,
+        torque=default * 0,
+        qd_before=default * 0,
+        lowest=jnp.full(len(ids), jnp.inf),
+    )
+    data = engine.data.replace(
+        qpos=state.qpos, qvel=state.qvel, qacc_warmstart=state.qacc_warmstart
+    )
+    with jax.default_matmul_precision("highest"):
+        (s, data), _ = jax.lax.scan(substep, (first, data), None, length=engine.substeps)
+    s = s._replace(qpos=data.qpos, qvel=data.qvel, qacc_warmstart=data.qacc_warmstart)
+    return s if engine.remember else s._replace(lowest=lowest(data))

@@ -1,0 +1,5 @@
+"""`python -m dynappo.play`."""
+
+from dynappo.play import command
+
+command.main()

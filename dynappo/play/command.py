@@ -1,0 +1,273 @@
+"""Play a policy: `python -m dynappo.play NAME_OR_DIR --command=0.8,0,0 --out=walk.html`.
+
+C MuJoCo and NumPy, without JAX. With `--out` it writes a film, a picture or an HTML page; without,
+it opens MuJoCo's viewer, where keys steer the robot. `--robot-xml` puts the policy into another file
+of the same robot (sim-to-sim): `episode.py` says what such a file must have.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from dynappo import config as config_lib
+from dynappo.config import ConfigError, files
+from dynappo.config import flags as flags_lib
+from dynappo.physics import robot as robot_lib
+from dynappo.play import page, viewer
+from dynappo.policy import episode as episode_lib
+from dynappo.policy import policy_file, render
+from dynappo.policy.policy_file import Policy
+
+FILES = {".mp4": "a film", ".gif": "a film", ".png": "its last moment", ".html": "a page"}
+SECONDS = 12.0
+AFTER_SCRIPT = 2.0  # s, how long the last row of a command script lasts
+AXES = ("vx", "vy", "wz")
+USAGE = f"""\
+what is played is a workdir (while it trains: its newest checkpoint), a checkpoint folder, a
+policy.npz, or the name of a robot with a bundled policy
+  python -m dynappo.play runs/quick --out=walk.html
+  python -m dynappo.play go1 --command=0.8,0,0.3 --seconds=6 --out=turn.mp4
+  python -m dynappo.play go1 --command=drill.csv --robot-xml=other/scene.xml --out=drill.gif
+  python -m dynappo.play anymal_c --policy=random
+a command script has rows t,vx,vy,wz (s, m/s, m/s, rad/s); a row holds until the next one
+without --out MuJoCo's viewer opens; {viewer.KEYS}
+"""
+
+
+class Commands(NamedTuple):
+    """What the robot is asked for."""
+
+    at: Callable[[float], np.ndarray]  # t (s) -> vx, vy, yaw rate
+    rows: np.ndarray  # [K, 3] all that occur
+    text: str
+    seconds: float  # how long to play where nothing else is said
+
+
+def parse(argv: list[str] | None) -> argparse.Namespace:
+    """The flags of a command line; ConfigError if it cannot be understood."""
+    what = "Play a policy in C MuJoCo: to a file, or in a viewer with keys to steer."
+    parser = flags_lib.parser("play", what, USAGE)
+    flag = parser.add_argument
+    flag("what", nargs="?", metavar="NAME_OR_DIR", help="workdir, checkpoint, policy.npz or robot")
+    flag("--command", metavar="VX,VY,WZ|FILE.csv", help="m/s, m/s, rad/s; default: a short tour")
+    flag("--seconds", metavar="N", help=f"default: {SECONDS:g}, or until the script has ended")
+    flag("--out", metavar="FILE", help="FILE.html, .mp4, .gif, or .png (the last moment)")
+    flag("--policy", metavar="zero|random", help="these actions instead of the policy's")
+    flag("--seed", metavar="N", default="0", help="of --policy=random; default: 0")
+    flag("--robot-xml", metavar="FILE", help="another MJCF with the same joint names")
+    flag(
+        "--keep-joints",
+        action="store_true",
+        help="damping and friction of the joints are those of --robot-xml",
+    )
+    flags = flags_lib.read(parser, argv)
+    if flags.what is None:
+        raise ConfigError(
+            "nothing to play is named; try a workdir, as in: python -m dynappo.play runs/quick"
+        )
+    if flags.keep_joints and flags.robot_xml is None:
+        raise ConfigError("--keep-joints needs --robot-xml=FILE")
+    if flags.policy not in (None, "zero", "random"):
+        raise ConfigError(f"--policy={flags.policy!r}: expected zero or random")
+    try:
+        flags.seed = int(flags.seed)
+    except ValueError:
+        raise ConfigError(f"--seed={flags.seed!r}: expected an integer") from None
+    if flags.seed < 0:
+        raise ConfigError(f"--seed={flags.seed}: expected 0 or more")
+    if flags.seconds is not None:
+        seconds = _number(flags.seconds)
+        if seconds is None or not 0 < seconds <= 3600:
+            raise ConfigError(
+                f"--seconds={flags.seconds!r}: expected a number above 0, at most 3600"
+            )
+        flags.seconds = seconds
+    return flags
+
+
+def _number(text: str) -> float | None:
+    """A finite number, or None."""
+    try:
+        value = float(text)
+    except ValueError:
+        return None
+    return value if math.isfinite(value) else None
+
+
+def commands(text: str | None, seconds: float | None) -> Commands:
+    """What `--command=TEXT` means; without it the tour, over `seconds`."""
+    if text is None:
+        length = seconds or SECONDS
+        rows = np.array([row for _, row in episode_lib.TOUR])
+        named = "a tour: ahead, a turn, sideways, fast ahead"
+        return Commands(episode_lib.tour(length), rows, named, length)
+    if text.endswith(".csv") or Path(text).is_file():
+        return script(Path(text))
+    values = [_number(part) for part in text.split(",")]
+    if len(values) != 3 or None in values:
+        raise ConfigError(
+            f"--command={text!r}: expected three numbers VX,VY,WZ (m/s, m/s, rad/s) as in "
+            "--command=0.8,0,0, or a FILE.csv with rows t,vx,vy,wz"
+        )
+    asked = np.array(values, float)
+    said = f"{asked[0]:g}, {asked[1]:g} m/s, {asked[2]:g} rad/s"
+    return Commands(lambda t: asked, asked[None], said, SECONDS)
+
+
+def script(path: Path) -> Commands:
+    """The commands of a file with rows `t,vx,vy,wz`; before the first row the robot stands."""
+
+    def wrong(reason):
+        return ConfigError(f"--command={path}: {reason}")
+
+    try:
+        lines = path.read_text().splitlines()
+    except OSError as error:
+        raise wrong(f"cannot be read ({error.strerror})") from None
+    except UnicodeDecodeError:
+        raise wrong("not a text file; expected rows t,vx,vy,wz") from None
+    rows: list[list[float]] = []
+    for number, line in enumerate(lines, 1):
+        cells = [cell.strip() for cell in line.split(",")]
+        if not line.strip() or line.startswith("#") or cells == ["t", *AXES]:
+            continue
+        row = [value for cell in cells if (value := _number(cell)) is not None]
+        if len(row) != 4 or len(cells) != 4:
+            raise wrong(f"line {number} is {line!r}, expected four numbers t,vx,vy,wz")
+        if row[0] < 0 or (rows and row[0] <= rows[-1][0]):
+            raise wrong(f"line {number}: t is {row[0]:g}, expected times from 0 on that increase")
+        rows.append(row)
+    if not rows:
+        raise wrong("has no rows; expected t,vx,vy,wz")
+    table = np.array([[-math.inf, 0, 0, 0], *rows])
+    # k x dt may lie a rounding error before the time of a row
+    at = lambda t: table[np.searchsorted(table[:, 0], t + 1e-9, "right") - 1, 1:]  # noqa: E731
+    return Commands(at, table[1:, 1:], f"commands of {path}", rows[-1][0] + AFTER_SCRIPT)
+
+
+def outside(policy: Policy, asked: Commands) -> str:
+    """A line on a command that the policy was not trained for, or ""."""
+    ranges = (policy.command_x, policy.command_y, policy.command_yaw)
+    for axis, (low, high), column in zip(AXES, ranges, asked.rows.T, strict=True):
+        worst = column[np.argmax(np.maximum(column - high, low - column))]
+        if not low <= worst <= high:
+            return f"note: {axis} = {worst:g} was not trained; it was from {low:g} to {high:g}"
+    return ""
+
+
+def choose(flags) -> tuple[Policy, Callable[[np.ndarray], np.ndarray], str]:
+    """`(policy, act, text)` of the command line; `text` says what acts."""
+    if flags.policy is None:
+        policy, path = policy_file.find(flags.what)
+        text = "/".join(path.resolve().parts[-2:])
+        return policy, policy_file.actor(policy.params, policy.activation), text
+    if flags.what in files.robots():
+        name = f"{flags.what}.py"
+        if files.find("configs", name) is None:
+            raise ConfigError(f"{flags.what}: there is no configs/{name} with its gains")
+        config = config_lib.validate(config_lib.load(f"configs/{name}"))
+        policy = policy_file.describe(config, robot_lib.load(flags.what))
+    else:
+        policy, _ = policy_file.find(flags.what)
+    size = len(policy.joint_names)
+    if flags.policy == "zero":
+        return policy, lambda obs: np.zeros(size), "zero actions"
+    draw = np.random.default_rng(flags.seed)
+    return policy, lambda obs: draw.normal(size=size), f"random actions, seed {flags.seed}"
+
+
+def body_of(policy: Policy, xml: str | None, keep_joints: bool = False) -> episode_lib.Body:
+    """The policy's robot, or the one of `--robot-xml`."""
+    if xml is None:
+        return episode_lib.load(robot_lib.load(policy.robot).xml, policy, policy.timestep)
+    if not Path(xml).is_file():
+        raise ConfigError(f"--robot-xml={xml}: no such file")
+    try:
+        return episode_lib.load(Path(xml), policy, keep_joints=keep_joints)
+    except ConfigError as error:  # begins with the path
+        raise ConfigError(f"--robot-xml={error}") from None
+
+
+def check_out(out: Path) -> None:
+    """ConfigError if nothing can be written at `out`; leaves no file behind."""
+    if out.suffix not in FILES:
+        raise ConfigError(f"--out={out}: expected a file named {', '.join(FILES)}")
+    flags_lib.check_writable(out)
+
+
+def table(body: episode_lib.Body, episode: dict) -> list[tuple[str, str]]:
+    """What an episode came to, as (name, value) for a person."""
+    m = episode_lib.measures(body, episode)
+
+    def value(name, text, otherwise):
+        return otherwise if m[name] is None else text.format(m[name])
+
+    short = "only after a second"
+    return [
+        ("played", f"{m['seconds']:.1f} s"),
+        ("distance", f"{m['distance']:.1f} m"),
+        ("tracking error", value("tracking_error", "{:.2f} m/s", short)),
+        ("yaw rate error", value("yaw_error", "{:.2f} rad/s", short)),
+        ("fall", value("fall", "after {:.1f} s", "none")),
+        ("cost of transport", value("cost_of_transport", "{:.2f}", "did not go anywhere")),
+    ]
+
+
+def write(body: episode_lib.Body, episode: dict, out: Path, acts: str, rows) -> None:
+    """The file that `--out` asks for; ConfigError if something that it needs is not there."""
+    if out.suffix == ".html":
+        page.write(body, episode, out, body.policy.robot, acts, rows)
+        return
+    problem = render.film(body, episode, out)
+    if problem:
+        raise ConfigError(f"--out={out}: {problem}; a page needs neither: --out={out.stem}.html")
+
+
+def run(flags) -> None:
+    """Play as the flags say, and tell what came out."""
+    out = None if flags.out is None else Path(flags.out)
+    if out is not None:
+        check_out(out)
+    asked = commands(flags.command, flags.seconds)
+    policy, act, acts = choose(flags)
+    body = body_of(policy, flags.robot_xml, flags.keep_joints)
+    seconds = flags.seconds or asked.seconds
+    if out is None:
+        viewer.check_display()
+        if flags.command is None:  # to be steered from standing
+            asked = asked._replace(at=lambda t: np.zeros(3), text=viewer.KEYS)
+    note = outside(policy, asked)
+    print(f"dynappo plays {policy.robot}: {acts}; {asked.text}")
+    if flags.robot_xml:
+        ms = body.model.opt.timestep * 1e3
+        motors = "motors, joint damping and friction are the policy's"
+        if flags.keep_joints or not policy.joint_damping:
+            motors = "motors are the policy's, joint damping and friction its own"
+        print(f"in {body.xml}: {body.substeps} steps of {ms:g} ms between two actions; {motors}")
+    if note:
+        print(note)
+    if out is None:
+        episode = viewer.watch(body, act, asked.at, flags.seconds)
+    else:
+        episode = episode_lib.play(body, act, asked.at, seconds)
+    rows = table(body, episode)
+    if out is not None:
+        write(body, episode, out, acts, rows)
+        rows.append(("written", f"{out} ({out.stat().st_size / 1024:.0f} KiB)"))
+    for name, text in rows:
+        print(f"{name:18s} {text}")
+
+
+def main(argv: list[str] | None = None) -> None:
+    """The command; its exit statuses are those of `flags.answer`."""
+    flags_lib.answer(lambda: run(parse(argv)))
+
+
+if __name__ == "__main__":
+    main()

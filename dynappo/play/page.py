@@ -1,0 +1,161 @@
+"""One HTML file that plays an episode: the recording and its viewer, nothing to fetch or install.
+
+It is written without OpenGL. `page.js` draws it (WebGL 2, or a canvas where there is none), from
+what `scene` records: shapes and materials of the MJCF, and the pose of every body at every row.
+"""
+
+from __future__ import annotations
+
+import base64
+import html
+import json
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from dynappo.policy.episode import Body
+
+HERE = Path(__file__).parent
+ANONYMOUS = (0.5, 0.5, 0.5, 1.0)  # MuJoCo's rgba of a geom that names no colour
+DRAWN = "sphere capsule ellipsoid cylinder box mesh".split()
+PLAIN = dict(specular=0.5, shininess=0.5, emission=0.0)  # MuJoCo's defaults of a material
+
+
+def write(body: Body, episode: dict[str, np.ndarray], out: Path, heading, subtitle, rows) -> int:
+    """Write the page and return its size (bytes); `rows` are (name, value) shown beneath the title.
+
+    Raises OSError if `out` cannot be written.
+    """
+    data = scene(body, episode)
+    cells = "".join(
+        f"<tr><td>{html.escape(name)}</td><td>{html.escape(value)}</td></tr>"
+        for name, value in rows
+    )
+    parts = {
+        "TITLE": html.escape(f"{heading}, dynappo"),
+        "HEADING": html.escape(heading),
+        "SUBTITLE": html.escape(subtitle),
+        "MEASURES": cells,
+        "SECONDS": f"{data['rows'] * data['dt']:.1f}",
+        "SCENE": json.dumps(data, separators=(",", ":")),  # numbers and base64: no text to escape
+        "CODE": (HERE / "page.js").read_text(encoding="utf-8"),
+    }
+    text = (HERE / "page.html").read_text(encoding="utf-8")
+    pieces = text.split("{{")
+    for i, piece in enumerate(pieces[1:], 1):
+        name, _, rest = piece.partition("}}")
+        pieces[i] = parts[name] + rest
+    content = "".join(pieces).encode()
+    out.write_bytes(content)
+    return len(content)
+
+
+def scene(body: Body, episode: dict[str, np.ndarray]) -> dict[str, Any]:
+    """What the page draws, as JSON; arrays are base64 of little-endian numbers, row by row.
+
+    `root [T, 3]` float32: positions (m) of the base; `position [T, B, 3]` int16: positions of the
+    bodies less that of the base, in units of `unit` m; `rotation [T, B, 4]` int16: their quaternions
+    (w, x, y, z) times 32767; `command`, `velocity [T, 3]` float32 as in the episode. A geom's `pos`
+    and `quat` are in the frame of its `body`, an index in 0..B-1, or -1: fixed in the world.
+    """
+    model, dt, fell = body.model, float(episode["dt"]), np.flatnonzero(episode["fell"])
+    geoms = [i for i in range(model.ngeom) if _kind(model, i) in DRAWN and _rgba(model, i)[3] > 0]
+    moving = {int(model.geom_bodyid[i]) for i in geoms if not body.ground[i]}
+    ids = [body.base_body, *sorted(moving - {body.base_body})]
+    position, quat = poses(model, episode["qpos"], ids)
+    root = position[:, 0].astype(np.float32)
+    relative = position - root[:, None]
+    unit = max(float(np.abs(relative).max()), 1e-3) / 32767
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    planes = [
+        i for i in range(model.ngeom) if body.ground[i] and _kind(model, i) == "plane"
+    ]  # one of them is drawn, without end
+    meshes = sorted({int(model.geom_dataid[i]) for i in geoms if _kind(model, i) == "mesh"})
+    reach = np.linalg.norm(relative, axis=-1).max(0)
+    robot = [b for b in range(len(ids)) if model.body_rootid[ids[b]] == body.base_body]
+    return {
+        "rows": len(root),
+        "bodies": len(ids),
+        "base": 0,
+        "dt": dt,
+        "unit": unit,
+        "floor": float(data.geom_xpos[planes[0], 2]) if planes else 0.0,
+        "radius": float(reach[robot].max()) * 1.15,  # m, about that of the robot
+        "tile": 0.25,  # m, the side of a field of the floor
+        "fall": float((fell[0] + 1) * dt) if len(fell) else None,
+        "geoms": [_geom(model, data, i, ids, meshes, bool(body.ground[i])) for i in geoms],
+        "meshes": [_mesh(model, i) for i in meshes],
+        "root": _packed(root, "<f4"),
+        "position": _packed(np.round(relative / unit), "<i2"),
+        "rotation": _packed(np.round(quat * 32767), "<i2"),
+        "command": _packed(episode["command"], "<f4"),
+        "velocity": _packed(episode["velocity"], "<f4"),
+    }
+
+
+def poses(model, qpos: np.ndarray, ids: list[int]) -> tuple[np.ndarray, np.ndarray]:
+    """`(position [T, B, 3], quat [T, B, 4])` of the bodies `ids` at every row of `qpos`."""
+    data, position, quat = mujoco.MjData(model), [], []
+    for row in qpos:
+        data.qpos[:] = row
+        mujoco.mj_kinematics(model, data)
+        position.append(data.xpos[ids].copy())
+        quat.append(data.xquat[ids].copy())
+    return np.stack(position), np.stack(quat)
+
+
+def _packed(values, kind: str) -> str:
+    return base64.b64encode(np.ascontiguousarray(values, np.dtype(kind)).tobytes()).decode()
+
+
+def _short(values, digits: int) -> list[float]:
+    return np.round(np.asarray(values, np.float64), digits).tolist()
+
+
+def _kind(model, geom: int) -> str:
+    return mujoco.mjtGeom(model.geom_type[geom]).name.removeprefix("mjGEOM_").lower()
+
+
+def _rgba(model, geom: int) -> np.ndarray:
+    """The geom's own colour, or its material's where it has none of its own."""
+    own, material = model.geom_rgba[geom], int(model.geom_matid[geom])
+    return model.mat_rgba[material] if material >= 0 and np.allclose(own, ANONYMOUS) else own
+
+
+def _geom(model, data, i: int, ids: list[int], meshes: list[int], fixed: bool) -> dict[str, Any]:
+    """A geom as the page draws it; sizes, pose and colours to the digits that can be seen."""
+    material = int(model.geom_matid[i])
+    finish = PLAIN
+    if material >= 0:
+        finish = {name: float(getattr(model, f"mat_{name}")[material]) for name in PLAIN}
+    pos, quat = model.geom_pos[i], model.geom_quat[i]
+    if fixed:
+        pos, quat = data.geom_xpos[i], np.zeros(4)
+        mujoco.mju_mat2Quat(quat, data.geom_xmat[i])
+    shape = {"mesh": meshes.index(int(model.geom_dataid[i]))} if _kind(model, i) == "mesh" else {}
+    return shape | {
+        "type": _kind(model, i),
+        "size": _short(model.geom_size[i], 5),
+        "pos": _short(pos, 5),
+        "quat": _short(quat, 6),
+        "color": _short(_rgba(model, i)[:3], 3),
+        **{name: round(value, 3) for name, value in finish.items()},
+        "body": -1 if fixed else ids.index(int(model.geom_bodyid[i])),
+        "group": int(model.geom_group[i]),
+    }
+
+
+def _mesh(model, i: int) -> dict[str, str]:
+    """Mesh `i` in the frame of its geoms: points, normals, and three indices of each a face."""
+    points = slice(model.mesh_vertadr[i], model.mesh_vertadr[i] + model.mesh_vertnum[i])
+    normals = slice(model.mesh_normaladr[i], model.mesh_normaladr[i] + model.mesh_normalnum[i])
+    faces = slice(model.mesh_faceadr[i], model.mesh_faceadr[i] + model.mesh_facenum[i])
+    return {
+        "vertices": _packed(model.mesh_vert[points], "<f4"),
+        "normals": _packed(model.mesh_normal[normals], "<f4"),
+        "faces": _packed(model.mesh_face[faces], "<u4"),
+        "face_normals": _packed(model.mesh_facenormal[faces], "<u4"),
+    }

@@ -1,0 +1,9 @@
+"""A trained policy: its file, and an episode of it in C MuJoCo. Start at `policy_file.py`.
+
+- `policy_file`: `policy.npz`, and what a name, a workdir or a path means
+- `checkpoint_file`: the arrays of a checkpoint, read without JAX
+- `episode`: a robot under a policy in C MuJoCo and NumPy
+- `render`: a film or a picture of an episode
+
+Shared by the commands. Nothing here needs JAX. It imports `config`, `physics` and `task.observe`.
+"""

@@ -1,0 +1,288 @@
+"""An episode of a policy on C MuJoCo, in NumPy: in the robot's own file or in another (sim-to-sim).
+
+What another MJCF must have: the policy's twelve hinge joints by name, in any order and with anything
+else between; the base as a body with a free joint above them, x ahead and z up; something to stand
+on in the world body. Everything else is as that file says: masses, contacts, armature, time step.
+
+Only its actuators are replaced: they are switched off, and the policy's own motor model acts on the
+joints: PD and limits (`actuators.py`), joint damping and friction. Why the last two: in a file made
+for position servos (MuJoCo Menagerie's Go1: kp 100, damping 2) they are those of the servo.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+
+from dynappo.config import ConfigError
+from dynappo.physics import actuators
+from dynappo.physics import robot as robot_lib
+from dynappo.policy.policy_file import Policy
+from dynappo.task import observe
+
+SETTLE = 1.0  # s, left out of the tracking error, as in evaluate.py
+STRIDE = 0.5  # s between the points of the path walked, so that sway is no distance
+# (seconds share, command vx, vy, yaw rate): what is shown where no command is given
+TOUR = (
+    (0.3, (0.8, 0.0, 0.0)),
+    (0.2, (0.6, 0.0, 0.8)),
+    (0.2, (0.0, 0.5, 0.0)),
+    (0.3, (1.0, 0.0, 0.0)),
+)
+
+
+class Body(NamedTuple):
+    """A robot in a compiled model; arrays of `A` joints are in the policy's order."""
+
+    xml: Path
+    model: mujoco.MjModel
+    policy: Policy
+    base_body: int
+    root: tuple[int, int]  # of the free joint, in qpos and in qvel
+    joint_q: np.ndarray  # [A] in qpos
+    joint_v: np.ndarray  # [A] in qvel
+    ground: np.ndarray  # [ngeom] bool: fixed to the world
+    parts: np.ndarray  # [ngeom] bool: of the robot, and not a foot
+    substeps: int
+
+
+def load(
+    xml: Path, policy: Policy, timestep: float | None = None, keep_joints: bool = False
+) -> Body:
+    """The robot of `xml` under `policy`; `timestep` (s) replaces that of the file.
+
+    A file's own time step is stretched to the next that divides the time between two actions.
+    `keep_joints`: joint damping and friction stay those of the file.
+    ConfigError if the file lacks what the module's docstring asks for.
+    """
+
+    def expect(ok, text):
+        if not ok:
+            raise ConfigError(f"{xml}: expected {text}")
+
+    try:
+        model = mujoco.MjModel.from_xml_path(str(xml))
+    except ValueError as error:
+        raise ConfigError(f"{xml}: {' '.join(str(error).split())}") from None
+    kinds = {model.joint(i).name: int(model.jnt_type[i]) for i in range(model.njnt)}
+    hinge, free = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_FREE)
+    lacks = [name for name in policy.joint_names if kinds.get(name) != hinge]
+    found = ", ".join(name for name in kinds if name) or "none"
+    expect(not lacks, f"hinge joints {', '.join(lacks)} of the policy; its joints are {found}")
+    joints = np.array([model.joint(name).id for name in policy.joint_names])
+    top = model.body_rootid[model.jnt_bodyid[joints]]
+    roots = [
+        i for i in range(model.njnt) if model.jnt_type[i] == free and model.jnt_bodyid[i] in top
+    ]
+    expect(len(roots) == 1 and (top == top[0]).all(), "one base with a free joint above all joints")
+    ground, parts, robot = _roles(model, joints, top[0])
+    touches = (model.geom_contype > 0) | (model.geom_conaffinity > 0)
+    expect((ground & touches).any(), "a floor: a geom of the world body that can be touched")
+    expect((robot & touches).any(), "geoms of the robot that can touch the floor")
+    if not keep_joints and policy.joint_damping:
+        model.dof_damping[model.jnt_dofadr[joints]] = policy.joint_damping
+        model.dof_frictionloss[model.jnt_dofadr[joints]] = policy.joint_friction
+    between = policy.timestep * policy.substeps  # s, two actions
+    substeps = max(1, round(between / (timestep or model.opt.timestep)))
+    model.opt.timestep = between / substeps
+    model.opt.iterations = max(model.opt.iterations, 100)  # solved until it has converged
+    model.opt.ls_iterations = max(model.opt.ls_iterations, 50)
+    # actuators: ours act instead; autoreset: a blow-up is reported, not hidden
+    flags = mujoco.mjtDisableBit
+    model.opt.disableflags |= int(flags.mjDSBL_ACTUATION) | int(flags.mjDSBL_AUTORESET)
+    return Body(
+        xml=xml,
+        model=model,
+        policy=policy,
+        base_body=int(top[0]),
+        root=(int(model.jnt_qposadr[roots[0]]), int(model.jnt_dofadr[roots[0]])),
+        joint_q=model.jnt_qposadr[joints],
+        joint_v=model.jnt_dofadr[joints],
+        ground=ground,
+        parts=parts & touches,
+        substeps=substeps,
+    )
+
+
+def _roles(model, joints, base):
+    """`(ground, parts, robot)`, bool of every geom.
+
+    The feet are the geoms named `LEG_foot`; in a file that names none so, all geoms of the bodies
+    that the last joints of the legs carry.
+    """
+    body = model.geom_bodyid
+    ground = model.body_weldid[body] == 0
+    robot = model.body_rootid[body] == base
+    feet = np.array([model.geom(i).name.endswith("_foot") for i in range(model.ngeom)]) & robot
+    if not feet.any():
+        legs = set(model.jnt_bodyid[joints].tolist())
+        inner = {int(b) for leg in legs for b in _above(model, leg)}
+        last = legs - inner
+        feet = np.array([bool(last & {b, *_above(model, b)}) for b in body.tolist()])
+    return ground, robot & ~feet, robot
+
+
+def _above(model, body):
+    """The bodies above `body`, without the world."""
+    while (body := int(model.body_parentid[body])) > 0:
+        yield body
+
+
+def coordinates(body: Body, data) -> tuple[np.ndarray, np.ndarray]:
+    """`(qpos [7 + A], qvel [6 + A])` as `observe.py` reads them: the base, then the policy's joints."""
+    q, v = body.root
+    qpos = np.concatenate([data.qpos[q : q + 7], data.qpos[body.joint_q]])
+    return qpos, np.concatenate([data.qvel[v : v + 6], data.qvel[body.joint_v]])
+
+
+def reset(body: Body, data) -> None:
+    """Stand `data` at the default pose, upright, its lowest point on the floor (z = 0)."""
+    mujoco.mj_resetData(body.model, data)
+    q = body.root[0]
+    data.qpos[q + 3 : q + 7] = [1, 0, 0, 0]
+    data.qpos[body.joint_q] = body.policy.default_pose
+    mujoco.mj_kinematics(body.model, data)
+    data.qpos[q + 2] -= _lowest(body, data)
+    mujoco.mj_forward(body.model, data)
+
+
+def _lowest(body: Body, data) -> float:
+    """Height (m) of the lowest point of the robot's geoms that can touch something."""
+    m = body.model
+    touches = (m.geom_contype > 0) | (m.geom_conaffinity > 0)
+    ids = np.flatnonzero((m.body_rootid[m.geom_bodyid] == body.base_body) & touches)
+    exact = np.isin(
+        m.geom_type[ids],
+        (robot_lib.SPHERE, robot_lib.CAPSULE, robot_lib.BOX, robot_lib.CYLINDER),
+    )
+    down = data.geom_xmat[ids].reshape(-1, 3, 3)[:, 2]  # third rows
+    fixed, linear, ring = robot_lib.floor_distance(m, ids)
+    reach = fixed + (linear * np.abs(down)).sum(-1)
+    reach += ring * np.sqrt(np.clip(1 - down[:, 2] ** 2, 0, None))
+    centre, half = m.geom_aabb[ids, :3], m.geom_aabb[ids, 3:]  # of meshes and the rest: their box
+    around = (half * np.abs(down)).sum(-1) - (centre * down).sum(-1)
+    return float((data.geom_xpos[ids, 2] - np.where(exact, reach, around)).min())
+
+
+def look(body: Body, data, asked, last_action) -> np.ndarray:
+    """The observation of the robot in `data`, without noise."""
+    com = body.model.body_ipos[body.base_body]
+    return observe.observe(
+        *coordinates(body, data), com, body.policy.default_pose, asked, last_action
+    )
+
+
+def step(body: Body, data, action) -> tuple[float, bool]:
+    """One control step of `action` in `data`; `(work, fell)`.
+
+    `work` (J) is the integral of the sum over joints of |torque x speed|; `fell`: a part that is not
+    a foot has touched the ground.
+    """
+    p, model = body.policy, body.model
+    target = actuators.target(action, p.default_pose, p.action_scale)
+    work, fell = 0.0, False
+    for _ in range(body.substeps):
+        q, qd = data.qpos[body.joint_q], data.qvel[body.joint_v]
+        torque = actuators.clip_dc_motor(
+            actuators.pd(target, q, qd, p.kp, p.kd),
+            qd,
+            effort_limit=p.effort_limit,
+            saturation_effort=p.saturation_effort,
+            velocity_limit=p.velocity_limit,
+        )
+        data.qfrc_applied[body.joint_v] = torque
+        mujoco.mj_step(model, data)
+        work += float(np.abs(torque * qd).sum()) * model.opt.timestep
+        one, other = data.contact.geom[data.contact.dist < 0].T
+        ground, parts = body.ground, body.parts
+        fell |= bool(((ground[one] & parts[other]) | (ground[other] & parts[one])).any())
+    return work, fell
+
+
+def rows(body: Body, data, act: Callable, command: Callable):
+    """Stand the robot in `data` and yield a row after every control step, without end.
+
+    A row: `qpos [nq]` of the file's own model; `command` and `velocity [3]` (vx, vy, yaw rate in the
+    base frame; m/s, rad/s); `work` (J) and `fell` as of `step`. `act(obs)` is the policy, `command(t)`
+    what it is asked for. Raises FloatingPointError if the physics blows up.
+    """
+    # MuJoCo would write its warnings into a file of the working directory; what matters is raised
+    mujoco.set_mju_user_warning(lambda message: None)
+    reset(body, data)
+    dt, com = period(body), body.model.body_ipos[body.base_body]
+    action = np.zeros(len(body.policy.joint_names))
+    for k in itertools.count():
+        asked = np.asarray(command(k * dt), float)
+        action = act(look(body, data, asked, action))
+        work, fell = step(body, data, action)
+        if not (np.isfinite(data.qpos).all() and np.isfinite(data.qvel).all()):
+            raise FloatingPointError(
+                f"{body.xml}: its physics has blown up after {k * dt:.2f} s (numbers that are not "
+                "finite)"
+            )
+        _, linear, angular = observe.base_motion(*coordinates(body, data), com)
+        velocity = np.array([linear[0], linear[1], angular[2]])
+        row = dict(command=asked, velocity=velocity, work=work, fell=fell)
+        yield dict(qpos=data.qpos.copy(), **row)
+
+
+def period(body: Body) -> float:
+    """Seconds between two actions."""
+    return body.model.opt.timestep * body.substeps
+
+
+def stack(body: Body, some: Iterable[dict]) -> dict[str, np.ndarray]:
+    """An episode of `rows`: the same names, stacked to `[T, ...]`, and `dt` (s) between rows."""
+    some = list(some)
+    columns = {name: np.stack([row[name] for row in some]) for name in some[0]}
+    return columns | {"dt": np.array(period(body))}
+
+
+def play(body: Body, act: Callable, command: Callable, seconds: float) -> dict[str, np.ndarray]:
+    """An episode of `seconds`, of at least one row."""
+    steps = max(1, round(seconds / period(body)))
+    every = rows(body, mujoco.MjData(body.model), act, command)
+    return stack(body, itertools.islice(every, steps))
+
+
+def measures(body: Body, episode: dict[str, np.ndarray]) -> dict[str, float | None]:
+    """What an episode came to; None where it cannot be said.
+
+    `seconds`; `distance` (m), along points 0.5 s apart; `tracking_error` (m/s) and `yaw_error`
+    (rad/s), root mean squares after the first second and before a fall; `fall` (s), when the robot
+    fell; `cost_of_transport`, work / (weight x distance).
+    """
+    dt, count = float(episode["dt"]), len(episode["qpos"])
+    q = body.root[0]
+    every = max(1, round(STRIDE / dt))
+    points = episode["qpos"][[*range(0, count - 1, every), count - 1], q : q + 2]
+    distance = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
+    fallen = np.flatnonzero(episode["fell"])
+    stood = slice(round(SETTLE / dt), fallen[0] if len(fallen) else count)
+    error = (episode["velocity"] - episode["command"])[stood]
+    weight = body.model.body_subtreemass[body.base_body] * np.linalg.norm(body.model.opt.gravity)
+
+    def root_mean_square(columns):
+        return float(np.sqrt((error[:, columns] ** 2).sum(-1).mean())) if len(error) else None
+
+    return {
+        "seconds": count * dt,
+        "distance": distance,
+        "tracking_error": root_mean_square([0, 1]),
+        "yaw_error": root_mean_square([2]),
+        "fall": float((fallen[0] + 1) * dt) if len(fallen) else None,
+        "cost_of_transport": float(episode["work"].sum() / (weight * distance))
+        if distance > 0.5
+        else None,
+    }
+
+
+def tour(seconds: float) -> Callable[[float], np.ndarray]:
+    """`t -> command`: ahead, a turn, sideways, fast ahead."""
+    ends = np.cumsum([share for share, _ in TOUR]) * seconds
+    return lambda t: np.array(TOUR[min(int(np.searchsorted(ends, t, "right")), len(TOUR) - 1)][1])

@@ -1,0 +1,190 @@
+"""A film or a picture of an episode, rendered headless by MuJoCo's OpenGL renderer.
+
+Nothing here needs JAX. The film is made in a process of its own (`python -m dynappo.render
+EPISODE.npz OUT`), because the OpenGL backend is chosen once a process, and a backend that fails may
+take the process with it: EGL is tried first, then OSMesa. `page.py` needs neither.
+"""
+
+from __future__ import annotations
+
+import itertools
+import os
+import struct
+import subprocess
+import sys
+import tempfile
+import zlib
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from dynappo.physics import robot as robot_lib
+from dynappo.policy import episode as episode_lib
+from dynappo.policy import policy_file
+from dynappo.policy.episode import TOUR, tour
+from dynappo.policy.policy_file import actor as policy
+from dynappo.policy.policy_file import load_params, save_params
+
+__all__ = ["TOUR", "film", "load_params", "policy", "save_params", "simulate", "tour"]
+
+FPS, WIDTH, HEIGHT = 25, 640, 360  # software OpenGL on two cores renders about ten a second
+PICTURE = 1280, 720
+NO_OPENGL = "no video: neither EGL nor OSMesa can render here; install libegl1 or libosmesa6"
+LACKS_FFMPEG, CANNOT_WRITE = 3, 4  # exit statuses of the rendering process
+NO_FFMPEG = "no video: imageio-ffmpeg is not installed; pip install 'dynappo[video]'"
+GREEN, BLUE = (0.1, 0.7, 0.2, 0.9), (0.2, 0.4, 0.9, 0.9)  # arrows of command and velocity
+# half a megabyte a second; a palette of the film's own colours, else the sky shows bands
+GIF = (
+    "fps=12.5,scale=480:-1:flags=lanczos,split[a][b];[a]palettegen=stats_mode=diff[p];"
+    "[b][p]paletteuse=dither=bayer:bayer_scale=5:diff_mode=rectangle"
+)
+ENCODE = {
+    ".mp4": dict(codec="libx264", quality=7, macro_block_size=4),
+    ".gif": dict(
+        codec="gif",
+        pix_fmt_out="pal8",
+        macro_block_size=1,
+        quality=None,
+        output_params=["-filter_complex", GIF, "-loop", "0"],
+    ),
+}
+
+
+def simulate(robot: robot_lib.Robot, config, act, command, seconds: float) -> dict[str, np.ndarray]:
+    """An episode of a run's robot under its whole config; `episode.rows` says what is in it."""
+    described = policy_file.describe(config, robot)
+    body = episode_lib.load(robot.xml, described, described.timestep)
+    return episode_lib.play(body, act, command, seconds)
+
+
+def film(
+    robot: robot_lib.Robot | episode_lib.Body, episode: dict[str, np.ndarray], out: Path
+) -> str:
+    """Render `episode` to an mp4 at `out`; by its suffix, a GIF, or a PNG of the last row.
+
+    Returns "" if it was written, else one line that says why not and what to install.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        npz = Path(folder) / "episode.npz"
+        shown: dict[str, Any] = {"xml": str(robot.xml), "base": robot.base_body}
+        shown |= {name: episode[name] for name in ("qpos", "command", "velocity", "dt")}
+        np.savez(npz, **shown)
+        for backend in ("egl", "osmesa"):
+            environment = os.environ | {"MUJOCO_GL": backend, "PYOPENGL_PLATFORM": backend}
+            command = [sys.executable, "-m", "dynappo.render", str(npz), str(out)]
+            done = subprocess.run(command, env=environment, capture_output=True, text=True)
+            if done.returncode == 0:
+                return ""
+            if done.returncode == LACKS_FFMPEG:
+                return NO_FFMPEG
+            if done.returncode == CANNOT_WRITE:
+                return f"no video: {done.stderr.strip().splitlines()[-1]}"
+    return NO_OPENGL
+
+
+def arrow(scene, start, vector, rgba) -> None:
+    """Add an arrow to the scene: the planar velocity `vector` (m/s) at `start`, 0.35 m for 1 m/s."""
+    if np.linalg.norm(vector) < 0.05 or scene.ngeom >= scene.maxgeom:
+        return
+    geom = scene.geoms[scene.ngeom]
+    kind = mujoco.mjtGeom.mjGEOM_ARROW
+    mujoco.mjv_initGeom(geom, kind, np.zeros(3), np.zeros(3), np.zeros(9), np.float32(rgba))
+    mujoco.mjv_connector(geom, kind, 0.012, start, start + 0.35 * vector)
+    scene.ngeom += 1
+
+
+def arrows(scene, data, base: int, command, velocity) -> None:
+    """Add the arrows of command (green) and velocity (blue) above body `base`."""
+    x, y = data.xmat[base].reshape(3, 3)[:2, 0]
+    heading = np.array([[x, -y], [y, x]]) / max(np.hypot(x, y), 1e-6)
+    start = data.xpos[base] + [0, 0, 0.14]
+    for vector, lift, rgba in ((command, 0.0, GREEN), (velocity, 0.04, BLUE)):
+        arrow(scene, start + [0, 0, lift], np.append(heading @ vector[:2], 0.0), rgba)
+
+
+def camera(model, base: int) -> mujoco.MjvCamera:
+    """The file's camera `track`, or one that follows body `base` at the distance of its size."""
+    view = mujoco.MjvCamera()
+    if any(model.camera(i).name == "track" for i in range(model.ncam)):
+        view.type, view.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, model.camera("track").id
+    else:
+        view.type, view.trackbodyid = mujoco.mjtCamera.mjCAMERA_TRACKING, base
+        view.distance, view.azimuth, view.elevation = 1.8, 142, -14
+    return view
+
+
+def options(model, base: int) -> mujoco.MjvOption:
+    """What is drawn: as MuJoCo does, but contact shapes too where a robot has nothing else."""
+    option = mujoco.MjvOption()
+    robot = model.body_rootid[model.geom_bodyid] == base
+    option.geomgroup[3] = not (model.geom_group[robot] < 3).any()
+    return option
+
+
+def frames(xml: str, base: int, episode: dict[str, np.ndarray], width=WIDTH, height=HEIGHT):
+    """Yield RGB frames `[H, W, 3]`, one a row of an episode of the file `xml`."""
+    model = mujoco.MjModel.from_xml_path(xml)
+    data = mujoco.MjData(model)
+    window = model.vis.global_
+    window.offwidth, window.offheight = max(window.offwidth, width), max(window.offheight, height)
+    view, option = camera(model, base), options(model, base)
+    with mujoco.Renderer(model, height, width) as renderer:
+        for k, qpos in enumerate(episode["qpos"]):
+            data.qpos[:] = qpos
+            mujoco.mj_forward(model, data)
+            renderer.update_scene(data, view, option)
+            arrows(renderer.scene, data, base, episode["command"][k], episode["velocity"][k])
+            yield renderer.render()
+
+
+def write_png(out: Path, picture: np.ndarray) -> None:
+    """Write RGB `[H, W, 3]` as a PNG (its chunks by hand, so that no package is needed)."""
+
+    def chunk(kind, content):
+        check = struct.pack(">I", zlib.crc32(kind + content))
+        return struct.pack(">I", len(content)) + kind + content + check
+
+    height, width, _ = picture.shape
+    lines = np.insert(picture.reshape(height, -1), 0, 0, axis=1).astype(np.uint8)  # filter 0
+    header = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
+    content = chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(lines.tobytes(), 9))
+    out.write_bytes(b"\x89PNG\r\n\x1a\n" + content + chunk(b"IEND", b""))
+
+
+def main(argv: list[str]) -> None:
+    """`EPISODE.npz OUT`, with OUT an .mp4, a .gif or a .png."""
+    episode = dict(np.load(argv[0]))
+    xml, base, dt = str(episode.pop("xml")), int(episode.pop("base")), float(episode.pop("dt"))
+    out = Path(argv[1])
+    try:
+        if out.suffix == ".png":
+            last = {name: rows[-1:] for name, rows in episode.items()}
+            write_png(out, next(frames(xml, base, last, *PICTURE)))
+            return
+        try:
+            import imageio_ffmpeg
+        except ImportError:
+            sys.exit(LACKS_FFMPEG)
+        count = max(1, round(len(episode["qpos"]) * dt * FPS))
+        shown = np.minimum(np.round(np.arange(count) / (FPS * dt)), len(episode["qpos"]) - 1)
+        some = {name: rows[shown.astype(int)] for name, rows in episode.items()}
+        pictures = frames(xml, base, some)
+        first = next(pictures)  # without OpenGL it fails here, before anything is written
+        out.open("wb").close()
+        writer = imageio_ffmpeg.write_frames(
+            str(out), (WIDTH, HEIGHT), fps=FPS, **ENCODE[out.suffix]
+        )
+        writer.send(None)
+        for picture in itertools.chain([first], pictures):
+            writer.send(np.ascontiguousarray(picture))
+        writer.close()
+    except OSError as error:
+        print(f"cannot write {out}: {error.strerror or error}", file=sys.stderr)
+        out.unlink(missing_ok=True)
+        sys.exit(CANNOT_WRITE)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

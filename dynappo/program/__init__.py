@@ -1,0 +1,9 @@
+"""From a config to a compiled program on this machine. Start at `build.py`: `program(config)`.
+
+- `build`: robot, environment, first state, the compiled call that a run repeats
+- `devices`: which devices and engine, and what a command sets for its own process
+- `memory`: whether it fits
+- `distributed`: one run over several processes
+
+Shared by the commands `train`, `bench` and `evaluate`. It imports the method, the task and `config`.
+"""

@@ -1,0 +1,111 @@
+"""From a validated config to a compiled program: `program(config)`; `check(config)` in a second before.
+
+Robot, environment, first state, the one compiled call that a run repeats, and the evaluation.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from dynappo import config as config_lib
+from dynappo import schedule
+from dynappo.program import devices, distributed, memory
+
+
+class Program(NamedTuple):
+    """A run that is compiled and ready to start."""
+
+    robot: Any
+    env: Any
+    static: Any
+    hyper: Any
+    state: Any
+    columns: dict[str, np.ndarray]  # [I]
+    step: Callable  # (hyper, state, columns of one chunk) -> state, metrics
+    assess: Callable  # (state) -> metrics of deterministic episodes
+    place: Callable  # (state) -> the state, lying over the devices as `step` takes it
+    impl: str
+    device: str
+    bytes_needed: int  # on each device, by the compiler's count
+    compile_seconds: float
+
+
+def check(config) -> None:
+    """ConfigError if this machine or the robot's file cannot run `config`; nothing is compiled."""
+    from dynappo.physics import robot
+
+    devices.engine(config)
+    robot.load(config.robot)
+    memory.check(config, memory.limit(devices.find(config.run.device)[0]))
+
+
+def program(config) -> Program:
+    """Build robot, environment and first state, and compile the program that a run repeats.
+
+    ConfigError as `check`, and where the compiled program needs more memory than a device has.
+    """
+    import jax
+    import jax.numpy as jnp
+    from jax.sharding import NamedSharding, PartitionSpec
+
+    impl = devices.engine(config)
+    from dynappo import algorithm, evaluation, sweep
+    from dynappo.physics import robot as robot_lib
+    from dynappo.task import env as env_lib
+
+    began = time.perf_counter()
+    static, hyper = config_lib.split(config)
+    robot, run, here = robot_lib.load(config.robot), config.run, devices.find(config.run.device)
+    mesh = sweep.mesh(run.mesh_seed, run.mesh_env, here)
+    with jax.default_device(next(d for d in here if d.process_index == jax.process_index())):
+        env = env_lib.make(robot, config.task, config.physics, impl=impl)._replace(mesh=mesh)
+    episodes = dict(static=static, num_envs=run.eval_envs, num_steps=config.task.episode_length)
+    init = partial(algorithm.init, env, static=static)
+    step = partial(algorithm.run, env, static=static)
+    assess = partial(evaluation.evaluate, env, **episodes)
+    key = jax.random.key(run.seed)
+    if run.num_seeds > 1:
+        init = partial(sweep.init, env, static=static)
+        step = partial(sweep.run, env, static=static)
+        assess = partial(sweep.evaluate, env, **episodes)
+        key = sweep.keys(run.seed, run.num_seeds)
+    columns = schedule.columns(config)
+    chunk = {name: jnp.asarray(column[: run.log_every]) for name, column in columns.items()}
+    everywhere = NamedSharding(mesh, PartitionSpec())
+    spread = sweep.shardings(mesh, jax.eval_shape(init, hyper, key), run.num_seeds)
+    state = jax.jit(init, out_shardings=spread)(hyper, key)
+    step = jax.jit(step, donate_argnums=1, out_shardings=(spread, everywhere))
+    with sweep.partitioner(mesh):
+        compiled = step.lower(hyper, state, chunk).compile()
+    size = memory.needed(compiled)
+    memory.check_compiled(config, size, memory.limit(mesh.local_devices[0]))
+    distributed.meet()
+    if impl == "warp":  # its kernels are built and loaded when they are first called
+        once = {name: jnp.minimum(column, 1) for name, column in chunk.items()}
+        jax.block_until_ready(compiled(hyper, jax.tree.map(jnp.copy, state), once))
+    assess = jax.jit(assess, out_shardings=everywhere)
+
+    def judge(state):
+        with sweep.partitioner(mesh):  # it is compiled at the first call
+            return jax.device_get(assess(hyper, state.learner.params, jax.random.key(0)))
+
+    return Program(
+        robot=robot,
+        env=env,
+        static=static,
+        hyper=hyper,
+        state=state,
+        columns=columns,
+        step=compiled,
+        assess=judge,
+        place=partial(jax.device_put, device=spread),
+        impl=impl,
+        device=f"{here[0].device_kind}",
+        bytes_needed=size,
+        compile_seconds=time.perf_counter() - began,
+    )

@@ -1,0 +1,60 @@
+"""Which devices and which engine a run uses, and what a command sets for its whole process.
+
+Only a command calls `own_process`: in a notebook these settings would surprise whoever set others.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+from pathlib import Path
+
+from dynappo.config import ConfigError
+
+
+def own_process(device: str = "auto") -> None:
+    """JAX's settings for a process that is ours: no GPU is touched for "cpu", and compiled programs are
+    kept for the next process, where the user has not said otherwise."""
+    import jax
+
+    if device == "cpu":
+        jax.config.update("jax_platforms", "cpu")
+    cache = Path(os.environ.get("XDG_CACHE_HOME", "~/.cache")).expanduser() / "dynappo" / "jax"
+    if not os.environ.get("JAX_COMPILATION_CACHE_DIR"):
+        jax.config.update("jax_compilation_cache_dir", str(cache))
+
+
+def find(device: str) -> list:
+    """JAX's devices that `run.device` means, of all processes; ConfigError if there is none."""
+    import jax
+
+    if device == "cpu":
+        return jax.devices("cpu")
+    if device == "gpu" and jax.default_backend() != "gpu":
+        raise ConfigError(
+            "run.device is gpu, but JAX sees none; install 'dynappo[cuda]' or set run.device=cpu"
+        )
+    return jax.devices()
+
+
+def engine(config) -> str:
+    """The engine that `physics.impl` means here, "jax" or "warp"; ConfigError if it cannot run."""
+    import jax
+
+    devices, wanted = find(config.run.device), config.run.mesh_seed * config.run.mesh_env
+    gpu = devices[0].platform == "gpu"
+    warp = importlib.util.find_spec("warp") is not None
+    if config.physics.impl == "warp" and not (gpu and warp):
+        lack = "warp-lang is not installed" if gpu else "JAX sees no NVIDIA GPU"
+        raise ConfigError(
+            f"physics.impl is warp, but {lack}; install 'dynappo[cuda,warp]' or set "
+            "physics.impl=jax"
+        )
+    if wanted > len(devices) or (jax.process_count() > 1 and wanted < len(devices)):
+        raise ConfigError(
+            f"run.mesh_seed x run.mesh_env is {config.run.mesh_seed} x {config.run.mesh_env}, but "
+            f"JAX sees {len(devices)} devices in {jax.process_count()} processes"
+        )
+    if config.physics.impl == "auto":
+        return "warp" if gpu and warp else "jax"
+    return config.physics.impl

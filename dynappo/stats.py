@@ -1,0 +1,78 @@
+"""Metrics of an iteration: finished episodes, the tail, sums over its real rows."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Int
+
+from dynappo.types import Metrics, TrainState, Transition
+
+RETURNS = 100  # finished episodes in the mean return, as rsl_rl's on_policy_runner
+
+
+def finished(state: TrainState, buffer: Transition, n_real):
+    """The rings of returns and lengths with the episodes that physics finished, newest last."""
+    ended = _ended(buffer, n_real).reshape(-1)
+    # slot of each finished episode in ring + new ones, of which the last RETURNS are kept
+    slot = RETURNS + jnp.cumsum(ended) - 1 - ended.sum()
+    slot = jnp.where(ended & (slot >= 0), slot, RETURNS)  # out of bounds: dropped
+
+    def push(ring, values):
+        padded = jnp.concatenate([ring, jnp.full_like(ring, jnp.nan)])
+        start = jnp.minimum(ended.sum(), RETURNS)
+        kept = jax.lax.dynamic_slice(padded, (start,), (RETURNS,))
+        return kept.at[slot].set(values.reshape(-1), mode="drop")
+
+    return push(state.returns, buffer.episode_return), push(state.lengths, buffer.episode_length)
+
+
+def of_episodes(buffer: Transition, n_real) -> Metrics:
+    """`episodes` that physics finished in this iteration, and the sum of their returns.
+
+    Why beside the ring: falls of the first iterations start all episodes at about the same time, and most
+    end together, an episode later. In between the ring holds those few that fell; the mean over all
+    that end in an episode's length does not (train/finish.py).
+    """
+    ended = _ended(buffer, n_real)
+    total = jnp.where(ended, buffer.episode_return, 0.0).sum()
+    return {"episodes": ended.sum(), "episode_return_sum": total}
+
+
+def _ended(buffer: Transition, n_real):
+    real = (jnp.arange(buffer.reward.shape[0]) < n_real)[:, None]
+    return real & ((buffer.discount == 0) | (buffer.truncation == 1))
+
+
+def nonfinite_robot(buffer: Transition) -> Int[Array, ""]:
+    """Index of the first robot of a rollout with a reward or observation that is not finite; or -1.
+
+    The host stops a run where a loss is not finite, and then wants to know whose row it was.
+    """
+    good = jnp.isfinite(buffer.reward) & jnp.isfinite(buffer.next_obs).all(-1)
+    bad = ~good.all(axis=0)
+    return jnp.where(bad.any(), jnp.argmax(bad), -1)
+
+
+def of_tail(buffer: Transition, real, dt) -> Metrics:
+    """`tail_bias`, mean reward of synthetic minus real rows (1/s), and `tail_falls`, as predicted."""
+    tail, num_envs = 1.0 - real, buffer.reward.shape[1]
+    mean = [
+        (buffer.reward * part).sum() / jnp.maximum(part.sum() * num_envs, 1)
+        for part in (tail, real)
+    ]
+    bias = jnp.where(tail.any(), (mean[0] - mean[1]) / dt, 0.0)
+    return {"tail_bias": bias, "tail_falls": ((1 - buffer.discount) * tail).sum()}
+
+
+def of_rows(sums: Metrics, rows) -> Metrics:
+    """Sums over real rows -> means; squared errors -> roots; events stay counts."""
+    out = {}
+    for name, total in sums.items():
+        if name in ("falls", "timeouts", "blowups"):
+            out[name] = total
+        elif name.endswith("_error_sq"):
+            out[name.removesuffix("_sq")] = jnp.sqrt(total / rows)
+        else:
+            out[name] = total / rows
+    return out

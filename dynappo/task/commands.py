@@ -1,0 +1,59 @@
+"""What the robot is asked for: forward, sideways and yaw velocity in the base frame.
+
+The paper draws a command uniformly and keeps it for the episode. Isaac Lab's tasks
+(isaaclab/envs/mdp/commands/velocity_command.py, 2.2.1), under `task.formulation = isaaclab_exact`,
+do three things more, each a field of its own:
+
+- `task.heading`: a world heading is drawn, and the yaw rate is `task.heading_gain` times what is left
+  to turn, inside the range `command_yaw`; it changes at every step and fades as the robot turns;
+- `task.resample_steps`: the command is drawn again after so many control steps (0: never);
+- `task.standing`: with this probability, at each draw, the robot is asked to stand still.
+
+The part of a rollout that the transition model writes keeps the command of its first row.
+"""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from dynappo.task import observe
+from dynappo.types import Goal
+
+
+def draw(task, hyper, qpos, key: PRNGKeyArray) -> tuple[Float[Array, " 3"], Goal]:
+    """A fresh `(command, goal)` for a robot at `qpos`; m/s, m/s, rad/s."""
+    keys = jax.random.split(key, 5)
+    ranges = (hyper.task.command_x, hyper.task.command_y, hyper.task.command_yaw)
+    velocity = [
+        jax.random.uniform(k, (), minval=low, maxval=high)
+        for k, (low, high) in zip(keys[:3], ranges, strict=True)
+    ]
+    goal = Goal(
+        heading=jax.random.uniform(keys[3], (), minval=-jnp.pi, maxval=jnp.pi),
+        standing=(jax.random.uniform(keys[4]) < hyper.task.standing).astype(jnp.float32),
+        steps_left=jnp.int32(task.resample_steps),
+    )
+    return follow(task, hyper, jnp.stack(velocity), goal, qpos), goal
+
+
+def follow(task, hyper, command, goal: Goal, qpos):
+    """The command now: the yaw rate turns towards the heading; zero where the robot shall stand."""
+    if task.heading:
+        left = goal.heading - observe.heading(qpos[3:7])
+        left = (left + jnp.pi) % (2 * jnp.pi) - jnp.pi  # the shorter way round
+        low, high = hyper.task.command_yaw
+        command = command.at[2].set(jnp.clip(hyper.task.heading_gain * left, low, high))
+    return command * (1 - goal.standing)
+
+
+def advance(task, hyper, command, goal: Goal, qpos, key: PRNGKeyArray):
+    """`(command, goal)` of the next control step, for a robot that has come to `qpos`."""
+    command = follow(task, hyper, command, goal, qpos)
+    if not task.resample_steps:
+        return command, goal
+    goal = goal.replace(steps_left=goal.steps_left - 1)
+    fresh = draw(task, hyper, qpos, key)
+    due = goal.steps_left <= 0
+    return jax.tree.map(lambda new, old: jnp.where(due, new, old), fresh, (command, goal))

@@ -1,0 +1,294 @@
+"""The velocity task on MJX: `make(robot, task, physics) -> Env`, all functions of one robot.
+
+Follows Isaac Lab's flat velocity tasks and the paper; where they differ, `task.formulation` and
+configs/README.md say what is done. Order inside a control step (isaaclab/envs/manager_based_rl_env.py):
+action, four physics steps with the actuator model in each, terminations, rewards, command, push,
+observation. The reset is `autoreset`'s.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from dynappo.physics import engine as engine_lib
+from dynappo.physics import randomize
+from dynappo.physics import robot as robot_lib
+from dynappo.task import commands, observe, rewards
+from dynappo.types import Env, EnvState, Outcome
+
+MAX_JOINT_SPEED, MAX_BASE_SPEED = 100.0, 20.0  # rad/s, m/s: beyond is a numerical blow-up
+
+
+class Parts(NamedTuple):
+    """What the task's functions need of robot, task and engine; constants of the program."""
+
+    engine: engine_lib.Engine
+    robot: robot_lib.Robot
+    task: Any  # the config's group `task`, for its non-float fields
+    legs: tuple[Any, ...]  # robot.leg_chains
+    fatal: np.ndarray  # [G] bool: the parts that end an episode at the ground
+    undesired: np.ndarray  # [K, G] bool: the parts that count as one undesired contact
+    dt: float  # s
+
+
+def make(robot: robot_lib.Robot, task, physics_config, *, impl: str = "jax") -> Env:
+    """The task of `task` and `physics_config` (config groups) on `robot`, stepped by `impl`."""
+    varied = randomize.varied(task.randomize)
+    fatal, undesired = ground_rules(robot, task)
+    parts = Parts(
+        engine=engine_lib.make(robot, physics_config, varied, impl, task.remember_ground),
+        robot=robot,
+        task=task,
+        legs=robot_lib.leg_chains(robot),
+        fatal=fatal,
+        undesired=undesired,
+        dt=physics_config.substeps * physics_config.timestep,
+    )
+    names = [f"reward_{name}" for name in task.weights]
+    return Env(
+        randomize=partial(_randomize, parts),
+        reset=partial(reset, parts),
+        step=partial(step, parts),
+        autoreset=partial(autoreset, parts),
+        context=observe.context,
+        noise=noise,
+        known_reward=partial(known_reward, parts),
+        metrics=(*names, "velocity_error_sq", "yaw_error_sq", "falls", "timeouts", "blowups"),
+        obs_size=observe.PROP_SIZE + observe.CONTEXT_SIZE,
+        prop_size=observe.PROP_SIZE,
+        action_size=len(robot.joint_names),
+        dt=parts.dt,
+        episode_length=task.episode_length,
+    )
+
+
+def ground_rules(robot: robot_lib.Robot, task) -> tuple[np.ndarray, np.ndarray]:
+    """`(fatal [G], undesired [K, G])`: what `task.termination` and `task.undesired` mean here.
+
+    The paper: a fall is any part at the ground, and each part counts. Isaac Lab: only the base
+    falls, and each thigh, the second body of a leg, counts.
+    """
+    bodies = robot.mj_model.geom_bodyid[robot.parts]
+    every = task.termination == "parts"
+    fatal = (bodies == robot.base_body) | every
+    if task.undesired == "parts":
+        return fatal, np.eye(len(bodies), dtype=bool)
+    thighs = robot.mj_model.jnt_bodyid[1:].reshape(-1, 3)[:, 1]
+    return fatal, bodies == thighs[:, None]
+
+
+def _randomize(parts: Parts, hyper, key):
+    base = parts.robot.base_body
+    model = parts.robot.mj_model
+    return randomize.draw(hyper.task.randomize, model.body_mass[base], model.body_ipos[base], key)
+
+
+def reset(parts: Parts, hyper, body, key) -> EnvState:
+    """A robot at the start of an episode; with `task.random_clock`, at a random age of it."""
+    key, clock_key = jax.random.split(key)
+    state = _fresh(parts, hyper, body, key)
+    if not parts.task.random_clock:
+        return state
+    clock = jax.random.randint(clock_key, (), 0, parts.task.episode_length)
+    return state.replace(clock=clock.astype(jnp.int32))
+
+
+def autoreset(parts: Parts, hyper, body, state: EnvState, outcome: Outcome, key) -> EnvState:
+    """`state`, or a fresh episode where `outcome` ended one."""
+    ended = (outcome.discount == 0) | (outcome.truncation == 1)
+    fresh = _fresh(parts, hyper, body, key)
+    return jax.tree.map(lambda new, old: jnp.where(ended, new, old), fresh, state)
+
+
+def _fresh(parts: Parts, hyper, body, key) -> EnvState:
+    """Pose, velocity and command as tasks.md sections 4 and 7; lifted until no foot is below ground."""
+    keys = jax.random.split(key, 7)
+    r, default = hyper.task.reset, jnp.asarray(parts.robot.default_pose, jnp.float32)
+    joints = default * jax.random.uniform(
+        keys[0], default.shape, minval=r.joint_scale[0], maxval=r.joint_scale[1]
+    )
+    low, high = jnp.asarray(parts.robot.mj_model.jnt_range[1:].T, jnp.float32)
+    spare = (1 - r.soft_limit) / 2 * (high - low)
+    joints = jnp.clip(joints, low + spare, high - spare)
+    lowest = (robot_lib.feet_in_base(parts.legs, joints)[:, 2] - parts.robot.foot_radius).min()
+    height = jnp.maximum(r.spawn_height, r.foot_clearance - lowest)
+    xy = jax.random.uniform(keys[1], (2,), minval=-1.0, maxval=1.0) * r.position
+    yaw = jax.random.uniform(keys[2], (), minval=-1.0, maxval=1.0) * r.yaw
+    quat = jnp.stack([jnp.cos(yaw / 2), yaw * 0, yaw * 0, jnp.sin(yaw / 2)])
+    qpos = jnp.concatenate([xy, height[None], quat, joints])
+    velocity = jax.random.uniform(keys[3], (6,), minval=-1.0, maxval=1.0) * r.velocity
+    qvel = jnp.concatenate([velocity, default * 0])
+    command, goal = commands.draw(parts.task, hyper, qpos, keys[4])
+    feet = jnp.zeros(len(parts.robot.feet), jnp.int32)
+    prop, obs = _observe(parts, hyper, body, qpos, qvel, command, default * 0, keys[5])
+    return EnvState(
+        qpos=qpos,
+        qvel=qvel,
+        qacc_warmstart=jnp.zeros_like(qvel),
+        obs=obs,
+        prop=prop,
+        command=command,
+        goal=goal,
+        last_action=default * 0,
+        air_steps=feet,
+        contact_steps=feet,
+        last_air_steps=feet,
+        clock=jnp.zeros((), jnp.int32),
+        episode_steps=jnp.zeros((), jnp.int32),
+        push_in=_push_in(parts, hyper, keys[6]),
+        episode_return=jnp.zeros(()),
+    )
+
+
+def _push_in(parts: Parts, hyper, key):
+    low, high = hyper.task.push.interval
+    seconds = jax.random.uniform(key, (), minval=low, maxval=high)
+    return jnp.round(seconds / parts.dt).astype(jnp.int32)
+
+
+def push(parts: Parts, hyper, qvel, push_in, key):
+    """`(qvel, push_in)` after one step of the clock: a kick in world x and y when it runs out.
+
+    Isaac Lab's push_by_setting_velocity (isaaclab/envs/mdp/events.py): after the reward, before the
+    observation.
+    """
+    due = push_in <= 1
+    kick_key, next_key = jax.random.split(key)
+    kick = jax.random.uniform(kick_key, (2,), minval=-1.0, maxval=1.0) * hyper.task.push.velocity
+    qvel = qvel.at[:2].add(jnp.where(due, kick, 0.0))
+    return qvel, jnp.where(due, _push_in(parts, hyper, next_key), push_in - 1)
+
+
+def _observe(parts, hyper, body, qpos, qvel, command, last_action, key):
+    """`(prop, obs)`: the predicted part without noise, and the whole with it."""
+    default = jnp.asarray(parts.robot.default_pose, jnp.float32)
+    clean = observe.observe(qpos, qvel, body.base_com, default, command, last_action)
+    noise = jax.random.uniform(key, clean.shape, minval=-1.0, maxval=1.0)
+    return clean[: observe.PROP_SIZE], clean + noise * observe.noise_scale(hyper.task.noise, jnp)
+
+
+def noise(hyper, key):
+    """A draw of the noise on `prop`, [33]: uniform, as `step` adds it to an observation."""
+    scale = observe.noise_scale(hyper.task.noise, jnp)[: observe.PROP_SIZE]
+    return jax.random.uniform(key, scale.shape, minval=-1.0, maxval=1.0) * scale
+
+
+def step(parts: Parts, hyper, body, state: EnvState, action, key):
+    """One control step -> `(EnvState, Outcome)`; the episode's end is in the outcome only.
+
+    A robot whose state is not finite, or moves faster than 100 rad/s or 20 m/s, has left what the
+    solver can compute: its episode ends with reward 0, it is counted in `blowups`, and no number
+    of that row but zeros and the old observation leaves this function.
+    """
+    after = engine_lib.simulate(parts.engine, hyper, body, state, action)
+    speed = jnp.abs(after.qvel)
+    ok = jnp.isfinite(after.qpos).all() & jnp.isfinite(after.qacc_warmstart).all()
+    ok &= (speed[6:] < MAX_JOINT_SPEED).all() & (speed[:3] < MAX_BASE_SPEED).all()
+
+    gravity, linear, angular = observe.base_motion(after.qpos, after.qvel, body.base_com)
+    terms = reward_terms(parts, hyper, state, action, after, (gravity, linear, angular))
+    reward, weighted = rewards.total(terms, hyper.task.weights._asdict(), parts.dt)
+    reward = jnp.where(ok, reward, 0.0)
+
+    fell = (parts.fatal & (after.lowest < 0)).any() | ~ok
+    clock = state.clock + 1
+    timeout = (clock >= parts.task.episode_length) & ~fell
+    obs_key, push_key, command_key = jax.random.split(key, 3)
+    command, goal = commands.advance(
+        parts.task, hyper, state.command, state.goal, after.qpos, command_key
+    )
+    qvel, push_in = push(parts, hyper, after.qvel, state.push_in, push_key)
+    prop, obs = _observe(parts, hyper, body, after.qpos, qvel, command, action, obs_key)
+    next_state = state.replace(
+        qpos=after.qpos,
+        qvel=qvel,
+        qacc_warmstart=after.qacc_warmstart,
+        obs=jnp.where(ok, obs, state.obs),
+        prop=jnp.where(ok, prop, state.prop),
+        command=command,
+        goal=goal,
+        last_action=action,
+        air_steps=after.air_steps,
+        contact_steps=after.contact_steps,
+        last_air_steps=after.last_air_steps,
+        clock=clock,
+        push_in=push_in,
+        episode_steps=state.episode_steps + 1,
+        episode_return=state.episode_return + reward,
+    )
+    metrics = {f"reward_{name}": jnp.where(ok, value, 0.0) for name, value in weighted.items()} | {
+        "velocity_error_sq": jnp.where(ok, ((linear - state.command)[:2] ** 2).sum(), 0.0),
+        "yaw_error_sq": jnp.where(ok, (angular[2] - state.command[2]) ** 2, 0.0),
+        "falls": fell * 1.0,
+        "timeouts": timeout * 1.0,
+        "blowups": ~ok * 1.0,
+    }
+    outcome = Outcome(
+        reward=reward,
+        discount=1.0 - fell,
+        truncation=timeout * 1.0,
+        next_obs=next_state.obs,
+        next_prop=next_state.prop,
+        valid=ok * 1.0,
+        episode_return=next_state.episode_return,
+        episode_length=next_state.episode_steps * 1.0,
+        metrics=metrics,
+    )
+    return next_state, outcome
+
+
+def reward_terms(
+    parts: Parts, hyper, state: EnvState, action, after: engine_lib.Substeps, motion
+) -> dict:
+    """Every term of the reward, unweighted, by the name of its weight in `task.weights`."""
+    contact = after.contact_steps > 0
+    if parts.task.air_time == "touchdown":
+        touchdown = contact & (after.contact_steps <= parts.engine.substeps)
+        last_air_time = after.last_air_steps * parts.engine.timestep
+        air = rewards.feet_air_time(last_air_time, touchdown, state.command)
+    else:
+        air = rewards.feet_in_air(contact)
+    qd = after.qvel[6:]
+    lowest = jnp.where(parts.undesired, after.lowest, jnp.inf).min(-1)
+    return {
+        **motion_terms(hyper, state.command, motion),
+        "joint_torques": rewards.joint_torques(after.torque),
+        "joint_accelerations": rewards.joint_accelerations(
+            qd, after.qd_before, parts.engine.timestep
+        ),
+        "action_rate": rewards.action_rate(action, state.last_action),
+        "feet_air_time": air,
+        "undesired_contacts": rewards.undesired_contacts(lowest),
+    }
+
+
+def motion_terms(hyper, command, motion) -> dict:
+    """The terms that follow from the base's `(gravity, linear, angular)` and the command."""
+    gravity, linear, angular = motion
+    return {
+        "track_linear_velocity": rewards.track_linear_velocity(
+            linear, command, hyper.task.tracking_std
+        ),
+        "track_yaw_rate": rewards.track_yaw_rate(angular, command, hyper.task.tracking_std),
+        "vertical_velocity": rewards.vertical_velocity(linear),
+        "roll_pitch_rate": rewards.roll_pitch_rate(angular),
+        "flat_orientation": rewards.flat_orientation(gravity),
+    }
+
+
+def known_reward(parts: Parts, hyper, obs, action, next_prop):
+    """The share of a row's reward that is a function of `obs` [48], `action` and `next_prop` [33].
+
+    Exact unless a push changed the velocity after the reward (`push`). The rest is torques,
+    accelerations, air times and contacts, which no observation shows.
+    """
+    motion = observe.GRAVITY, observe.LINEAR_VELOCITY, observe.ANGULAR_VELOCITY
+    terms = motion_terms(hyper, obs[observe.COMMAND], [next_prop[part] for part in motion])
+    terms["action_rate"] = rewards.action_rate(action, obs[observe.LAST_ACTION])
+    weights = {name: getattr(hyper.task.weights, name) for name in terms}
+    return rewards.total(terms, weights, parts.dt)[0]

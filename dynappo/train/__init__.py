@@ -1,0 +1,15 @@
+"""The command `python -m dynappo.train`, and the same from Python, `train(config)`. Start at `run.py`.
+
+- `command`: what the command reads and prints
+- `run`: the loop over chunks of iterations
+- `workdir`: the folder of a run: opened, gone on with, saved into
+- `checkpoint`, `log`: what is written while it trains
+- `finish`, `curves`: what a run that has ended leaves: summary, policy, film, picture
+- `nonfinite`: what is said and kept when numbers blow up
+
+No other command imports it. It imports `program`, `policy`, `config` and the method.
+"""
+
+from dynappo.train.run import train
+
+__all__ = ["train"]

@@ -1,0 +1,5 @@
+"""`python -m dynappo.train`."""
+
+from dynappo.train import command
+
+command.main()

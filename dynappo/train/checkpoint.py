@@ -1,0 +1,314 @@
+"""Checkpoints of a run (orbax): the whole `TrainState`, saved beside training, atomic.
+
+Each holds two things: `state`, and `about`, a JSON text with the iteration, the
+simulator steps, the config, the shape of every array and a hash of their bytes. The hash finds a
+damaged file, the shapes say in words why a checkpoint of another run does not fit.
+
+The state holds no `mjx.Data` (orbax refuses its empty arrays, and it depends on the engine), so a
+checkpoint made with MJX-Warp on a GPU goes on with MJX-JAX on a CPU.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import hashlib
+import itertools
+import json
+import logging
+import shutil
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import orbax.checkpoint as ocp
+from orbax.checkpoint import checkpoint_managers
+
+from dynappo.config import ConfigError
+from dynappo.policy import checkpoint_file
+from dynappo.program import distributed
+from dynappo.train import log
+
+KEEP = 3  # newest ones, and the one with the highest return in an evaluation
+
+
+@contextlib.contextmanager
+def opened(workdir: Path, say: Callable[[str], None] = print):
+    """Yields what keeps the newest checkpoints of `workdir/checkpoints`, named by iteration, and the best.
+
+    Orbax reads the small JSON texts of all of them at once and fails if one is damaged: such a
+    checkpoint is moved out of the way first, and `say` tells so in one line. At the end a save under way
+    is waited for. Meanwhile orbax's loggers are silent: they log every step of every save, and tracebacks
+    of what is raised too.
+    """
+    for step in (workdir / "checkpoints").glob("[0-9]*"):
+        if step.name.isdigit():
+            try:
+                for text in ("about/metadata", "_CHECKPOINT_METADATA"):
+                    json.loads((step / text).read_text())
+                if (step / "metrics").exists():
+                    json.loads((step / "metrics" / "metrics").read_text())
+            except (OSError, ValueError) as error:
+                _move_aside(step, _reason(error), say)
+    loggers = [logging.getLogger(name) for name in ("absl", "asyncio")]
+    levels = [logger.level for logger in loggers]
+    for logger in loggers:
+        logger.setLevel(logging.CRITICAL)
+    checkpoints = None
+    try:
+        checkpoints = manager(workdir)
+        yield checkpoints
+    finally:
+        if checkpoints:
+            log.attempt("the last checkpoint", partial(finish, checkpoints), say)
+            checkpoints.close()
+        for logger, level in zip(loggers, levels, strict=True):
+            logger.setLevel(level)
+
+
+def manager(workdir: Path) -> ocp.CheckpointManager:
+    """Orbax's manager of `workdir/checkpoints`; use `opened`."""
+
+    def worth(metrics):  # checkpoints from before evaluations were kept have another number
+        return metrics.get("eval_return", -np.inf)
+
+    keep = checkpoint_managers.AnyPreservationPolicy(
+        [
+            checkpoint_managers.LatestN(KEEP),
+            checkpoint_managers.BestN(
+                get_metric_fn=worth, n=1, keep_checkpoints_without_metrics=False
+            ),
+        ]
+    )
+    alone = {}
+    if distributed.several():  # process 0 alone saves, and waits for no other
+        (workdir / "checkpoints").mkdir(exist_ok=True)
+        processes = ocp.options.MultiprocessingOptions(
+            primary_host=0, active_processes={0}, barrier_sync_key_prefix="first"
+        )
+        alone = dict(multiprocessing_options=processes, create=False)
+    options = ocp.CheckpointManagerOptions(
+        **alone,
+        preservation_policy=keep,
+        best_fn=worth,
+        cleanup_tmp_directories=True,  # of a save that was killed
+    )
+    handlers = {"state": ocp.StandardCheckpointHandler(), "about": ocp.JsonCheckpointHandler()}
+    registry = ocp.handlers.DefaultCheckpointHandlerRegistry()
+    registry.add("state", ocp.args.StandardSave, handlers["state"])
+    registry.add("state", ocp.args.StandardRestore, handlers["state"])
+    registry.add("about", ocp.args.JsonSave, handlers["about"])
+    registry.add("about", ocp.args.JsonRestore, handlers["about"])
+    return ocp.CheckpointManager(
+        (workdir / "checkpoints").resolve(), options=options, handler_registry=registry
+    )
+
+
+def save(
+    checkpoints: ocp.CheckpointManager,
+    iteration: int,
+    state: Any,
+    eval_return: float | None = None,
+    **about,
+) -> None:
+    """Start saving; the arrays are copied off the device before this returns.
+
+    `eval_return` is its return where it was evaluated: the highest one is kept.
+    `about` (JSON: `sim_steps`, `config`) is kept beside the state. The save goes on in threads:
+    `finish` waits for it, and raises what went wrong. A disk that is too full for it is an OSError
+    before anything is written: orbax's threads would print a traceback an array.
+    """
+    needed = 1.5 * sum(x.nbytes for x in jax.tree.leaves(state))
+    free = shutil.disk_usage(Path(checkpoints.directory)).free
+    if free < needed:
+        text = f"No space left on device: {needed / 1e6:.0f} MB needed, {free / 1e6:.0f} MB free"
+        raise OSError(errno.ENOSPC, text)
+    about |= {"iteration": iteration, "arrays": shapes(state), "sha256": digest(state)}
+    raw, _ = _raw(state)
+    args = ocp.args.Composite(state=ocp.args.StandardSave(raw), about=ocp.args.JsonSave(about))
+    metrics = None if eval_return is None else {"eval_return": eval_return}
+    checkpoints.save(iteration, args=args, metrics=metrics, force=True)
+
+
+def finish(checkpoints: ocp.CheckpointManager) -> None:
+    """Wait for a save under way; if it failed, take away what is there of it, and raise."""
+    try:
+        checkpoints.wait_until_finished()
+    except Exception:
+        for part in Path(checkpoints.directory).glob("*.orbax-checkpoint-tmp*"):
+            shutil.rmtree(part, ignore_errors=True)
+        raise
+
+
+def restore(
+    checkpoints: ocp.CheckpointManager, like: Any, say: Callable[[str], None] = print
+) -> tuple[int, Any] | None:
+    """`(iteration, state)` of the newest good checkpoint, or None; `like` is a state of this run.
+
+    A damaged one is moved out of the way and `say` tells so in one line. ConfigError if a checkpoint
+    is of another run, or if all are damaged.
+    """
+    folder = Path(checkpoints.directory)
+    for iteration in sorted(checkpoints.all_steps(), reverse=True):
+        try:
+            return iteration, _read(checkpoints, iteration, like)
+        except ConfigError:
+            raise
+        except Exception as error:  # orbax and tensorstore raise many kinds
+            _move_aside(folder / str(iteration), _reason(error), say)
+            checkpoints.reload()
+    damaged = sorted(folder.parent.glob("damaged-*"))
+    if damaged:
+        raise ConfigError(
+            f"{folder}: no checkpoint can be read any more; the damaged ones are {damaged[0]} ...; "
+            "start over with --fresh, or in another --workdir"
+        )
+    return None
+
+
+def _move_aside(step: Path, reason: str, say) -> None:
+    """`checkpoints/400` becomes `damaged-400`: the run will write its own 400 again."""
+    names = (f"damaged-{step.name}" + (f".{n}" if n else "") for n in itertools.count())
+    aside = next(p for p in (step.parent.parent / n for n in names) if not p.exists())
+    step.rename(aside)
+    say(f"checkpoint {step.name} is damaged ({reason}); it is now {aside}, an older one is taken")
+
+
+def _read(checkpoints, iteration: int, like):
+    where = Path(checkpoints.directory) / str(iteration)
+    about = checkpoints.restore(iteration, args=ocp.args.Composite(about=ocp.args.JsonRestore()))[
+        "about"
+    ]
+    found, expected = about["arrays"], shapes(like)
+    for name in found | expected:
+        if found.get(name) != expected.get(name):
+            raise ConfigError(
+                f"{where} is not a checkpoint of this run: {name} is {found.get(name, 'absent')} "
+                f"there, {expected.get(name, 'absent')} here; choose another --workdir"
+            )
+    raw, wrap = _raw(like)
+    target = jax.tree.map(ocp.utils.to_shape_dtype_struct, raw)
+    state = wrap(
+        checkpoints.restore(
+            iteration, args=ocp.args.Composite(state=ocp.args.StandardRestore(target))
+        )["state"]
+    )
+    if digest(state) != about["sha256"]:
+        raise ValueError("its numbers are not those that were saved")
+    return state
+
+
+def _raw(state: Any):
+    """`distributed.raw_keys`, as orbax takes it: of several processes, no array of one of them."""
+    raw, wrap = distributed.raw_keys(state)
+    return jax.device_get(raw) if distributed.several() else raw, wrap
+
+
+def start_from(folder: Path, program: Any, say: Callable[[str], None] = print) -> Any:
+    """`program` with the networks of another run in its first state (`weights`)."""
+    _, state = distributed.from_first(lambda s: (0, weights(folder, s, say)), program.state)
+    return program._replace(state=program.place(state))
+
+
+def weights(folder: Path, like: Any, say: Callable[[str], None] = print) -> Any:
+    """`like` with the networks of another run's newest good checkpoint, to start a run from.
+
+    `folder` is its workdir, in which nothing is changed. Policy, value function and, where both runs
+    have one, the transition model with its moments are taken; optimisers, learning rate and robots
+    start anew. `say` tells of damaged checkpoints that were passed over. ConfigError where none is
+    good, or a network has another shape.
+    """
+    there, problems = None, []
+    for step in steps_to_restore(folder):
+        try:
+            there = checkpoint_file.read(folder / "checkpoints" / str(step))
+        except ConfigError as error:
+            problems.append(str(error))
+            continue
+        for problem in problems:
+            say(f"{problem}; checkpoint {step} is taken")
+        break
+    if there is None:
+        raise ConfigError(
+            f"--restore={folder}: none of its {len(problems)} checkpoints can be read ({problems[0]}); "
+            "expected a run with a good one"
+        )
+    learner = like.learner.replace(
+        params=_taken(folder, like.learner.params, there, "policy", "learner.params")
+    )
+    model = like.model
+    if model is not None and any(name.startswith("model.") for name in there):
+        parts = {
+            name: _taken(folder, getattr(model, name), there, f"model.{name}", f"model.{name}")
+            for name in ("params", "inputs", "targets")
+        }
+        model = model.replace(**parts)
+    return like.replace(learner=learner, model=model)
+
+
+def steps_to_restore(folder: Path) -> list[int]:
+    """Iterations of the checkpoints of another run, newest first; ConfigError if there is none."""
+    if not (folder / "checkpoints").is_dir():
+        raise ConfigError(f"--restore={folder}: no checkpoints/ there; expected a run's workdir")
+    steps = checkpoint_file.steps(folder / "checkpoints")
+    if not steps:
+        raise ConfigError(
+            f"--restore={folder}: it holds no checkpoint yet; expected a run that has saved one"
+        )
+    return steps
+
+
+def _taken(folder, like, there, what, prefix):
+    """The arrays of `there` under `prefix`, in the structure of `like`."""
+    out = []
+    for name, leaf in paths(like).items():
+        array = there.get(f"{prefix}.{name.replace('/', '.')}")
+        if array is None or array.shape != leaf.shape:
+            found = "absent" if array is None else f"of shape {array.shape}"
+            raise ConfigError(
+                f"--restore={folder}: {what} {name} is {found} there, of shape {leaf.shape} here; "
+                "set the sizes of that run (its config.json has them)"
+            )
+        out.append(jnp.asarray(array, leaf.dtype))
+    return jax.tree.unflatten(jax.tree.structure(like), out)
+
+
+def shapes(state: Any) -> dict[str, str]:
+    """Type and shape of every array of a state, by its path: `learner/params/std: float32[12]`."""
+    return {
+        name: f"{leaf.dtype}{list(leaf.shape)}".replace(" ", "")
+        for name, leaf in paths(state).items()
+    }
+
+
+def digest(state: Any) -> str:
+    """SHA-256 of all numbers of a state."""
+    leaves = [
+        jax.random.key_data(x) if jnp.issubdtype(x.dtype, jax.dtypes.prng_key) else x
+        for x in jax.tree.leaves(state)
+    ]
+    out = hashlib.sha256()
+    for leaf in jax.device_get(leaves):
+        out.update(np.ascontiguousarray(leaf).tobytes())
+    return out.hexdigest()
+
+
+def _reason(error: Exception) -> str:
+    text = str(error).strip()
+    return text.splitlines()[0][:160] if text else type(error).__name__
+
+
+def paths(tree: Any) -> dict[str, Any]:
+    """The arrays of a tree by their paths, as `learner/params/std`."""
+    import jax
+
+    def name(path):
+        return "/".join(
+            str(getattr(k, "name", getattr(k, "key", getattr(k, "idx", k)))) for k in path
+        )
+
+    return {name(path): leaf for path, leaf in jax.tree.leaves_with_path(tree)}

@@ -1,0 +1,169 @@
+"""How a run learned: curves over iterations of one seed or several, and the interval of a mean.
+
+For notebooks and experiments too:
+
+    metrics = log.read_csv(Path("runs/go1/metrics.csv"), seeds=5)
+    curves.draw(metrics, Path("curves.png"), "Go1, dyna4")
+    low, high = curves.interval(metrics["episode_return"][-10:].mean(0))
+"""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from dynappo.train import workdir as workdir_lib
+
+RESAMPLES, LEVEL = 2000, 0.95
+BLUE, GREY = "#1f4e79", "0.45"
+MOST_NAMED = 10  # seeds with a label of their own
+NUMBERS = f"numbers: last {workdir_lib.RETURN_ROWS} iterations"
+LINES = "thin: each seed    thick: their mean    band: its 95 % interval    "
+NO_PICTURE = "no curves.png: matplotlib is not installed; pip install 'dynappo[video]'"
+
+
+class Panel(NamedTuple):
+    """One picture of the page."""
+
+    metric: str
+    title: str  # with its unit
+    number: str  # format of what it comes to
+    axis: str = "from 0"
+
+
+PANELS = (
+    Panel("episode_return", "episode return", "{:.1f}", "free"),
+    Panel("episode_length", "episode length (control steps)", "{:.0f}"),
+    Panel("velocity_error", "velocity error (m/s)", "{:.2f}"),
+    Panel("policy_std", "policy std (units of action)", "{:.2f}"),
+    Panel("model_loss", "model loss (Huber)", "{:.2g}", "log"),
+)
+
+
+def interval(values, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """`(low, high)`: bootstrap 95 % percentile interval of the mean over the first axis (seeds).
+
+    `values` is `[S]` or `[S, ...]`. Deterministic, and every number is resampled alike, so that a band
+    is no rougher than its seeds. NaN with one seed, which says nothing about the next, and where a
+    seed is NaN. With few seeds it is too short: of normal numbers it holds the true mean in 84 % of
+    cases with 5 seeds, in 90 % with 10 (tests/test_curves.py).
+    """
+    values = np.asarray(values, float)
+    count = len(values)
+    if count < 2:
+        blank = np.full(values.shape[1:], np.nan)
+        return blank, blank
+    drawn = np.random.default_rng(seed).integers(count, size=(RESAMPLES, count))
+    times = (drawn[:, :, None] == np.arange(count)).sum(1)  # [resamples, S]: how often
+    with np.errstate(invalid="ignore"):  # 0 times NaN is NaN: no mean without all seeds
+        means = times @ values.reshape(count, -1) / count
+        low, high = np.percentile(means, [50 * (1 - LEVEL), 50 * (1 + LEVEL)], axis=0)
+    return low.reshape(values.shape[1:]), high.reshape(values.shape[1:])
+
+
+def draw(metrics: dict[str, np.ndarray], path: Path, title: str = "") -> str:
+    """Write `figure(metrics, title)` as a PNG; returns "", or one line that says what is missing."""
+    try:
+        import matplotlib  # noqa: F401
+    except ImportError:
+        return NO_PICTURE
+    content = io.BytesIO()
+    figure(metrics, title).savefig(content, format="png", dpi=150)
+    path.write_bytes(content.getvalue())
+    return ""
+
+
+def figure(metrics: dict[str, np.ndarray], title: str = "") -> Any:
+    """The return, and below it what explains it, as a matplotlib Figure; metrics `[I]` or `[I, S]`.
+
+    Of several seeds: the mean, its 95 % interval as a band, and each seed as a thin line. The mean
+    begins where every seed has a number: after an episode of each has ended.
+    """
+    from matplotlib.figure import Figure
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
+
+    iteration = np.asarray(metrics["iteration"])
+    shown = [panel for panel in PANELS if panel.metric in metrics]
+    layout = ConstrainedLayoutEngine(w_pad=0.12, h_pad=0.1, hspace=0.05, wspace=0.02)
+    page = Figure(figsize=(12, 7.5), layout=layout)
+    grid = page.add_gridspec(2, max(1, len(shown) - 1), height_ratios=(1.5, 1))
+    for i, panel in enumerate(shown):
+        axes = page.add_subplot(grid[0, :] if i == 0 else grid[1, i - 1])
+        values = np.asarray(metrics[panel.metric], float).reshape(len(iteration), -1)
+        _style(axes, panel, iteration, large=i == 0)
+        _lines(axes, iteration, values, thick=2.4 if i == 0 else 1.8)
+        if panel.axis == "from 0":
+            axes.set_ylim(bottom=0)
+        _labels(axes, panel, values, named=i == 0)
+    page.suptitle(title, x=0.015, ha="left", fontsize=16, fontweight="bold")
+    return page
+
+
+def _style(axes, panel: Panel, iteration, large: bool) -> None:
+    axes.set_title(panel.title, loc="left", fontsize=13 if large else 10.5, color="0.2", pad=8)
+    axes.set_xlabel("iteration", fontsize=10, color=GREY)
+    axes.set_xlim(min(iteration[0], 1) - 1, iteration[-1])
+    if panel.axis == "log":
+        axes.set_yscale("log")
+        axes.yaxis.get_major_locator().set_params(subs=(1, 2, 5))
+        axes.yaxis.set_major_formatter("{x:g}")
+        axes.minorticks_off()
+    axes.grid(color="0.92", linewidth=0.8)
+    axes.set_axisbelow(True)
+    axes.tick_params(length=0, labelsize=10 if large else 9, labelcolor=GREY)
+    axes.spines[["top", "right", "left"]].set_visible(False)
+    axes.spines["bottom"].set_color("0.8")
+
+
+def _lines(axes, iteration, values, thick: float) -> None:
+    """The seeds, the band and the mean of `values` `[I, S]`; of one seed its line alone."""
+    if values.shape[1] > 1:
+        low, high = interval(values.T)
+        axes.fill_between(iteration, low, high, color=BLUE, alpha=0.16, linewidth=0, label="band")
+        for s, line in enumerate(values.T):
+            axes.plot(iteration, line, color=BLUE, alpha=0.4, linewidth=0.8, label=f"seed {s}")
+    axes.plot(iteration, values.mean(1), color=BLUE, linewidth=thick, label="mean")
+
+
+def _labels(axes, panel: Panel, values, named: bool) -> None:
+    """What is at the end of the lines: the mean of the last rows, and, where `named`, of each seed."""
+    ends = values[-workdir_lib.RETURN_ROWS :].mean(0)
+    texts = {panel.number.format(ends.mean()): ends.mean()}
+    if named:
+        said = LINES * (ends.size > 1) + NUMBERS
+        axes.set_title(said, loc="right", fontsize=9.5, color=GREY, pad=8)
+    if named and ends.size > 1:
+        texts = {f"mean {text}": end for text, end in texts.items()}
+        for s, end in enumerate(ends[: MOST_NAMED if ends.size <= MOST_NAMED else 0]):
+            texts[f"seed {s}   {panel.number.format(end)}"] = end
+    texts = {text: end for text, end in texts.items() if np.isfinite(end)}
+    if not texts:
+        return
+    axes.autoscale_view()
+    scaled = axes.transScale + axes.transLimits  # data to shares of the axes
+    heights = [scaled.transform((1, end))[1] for end in texts.values()]
+    strong: dict[str, Any] = dict(fontsize=11.5, fontweight="bold", color=BLUE)
+    weak: dict[str, Any] = dict(fontsize=9.5, color=GREY)
+    for i, (text, height) in enumerate(zip(texts, _apart(heights, 0.06), strict=True)):
+        at: dict[str, Any] = dict(xy=(1, height), xycoords="axes fraction", va="center")
+        axes.annotate(
+            text, xytext=(8, 0), textcoords="offset points", **at, **(weak if i else strong)
+        )
+
+
+def _apart(heights, gap: float) -> np.ndarray:
+    """`heights`, moved as little as it takes to be `gap` apart, in order, and not above 1."""
+    order = np.argsort(heights, kind="stable")
+    steps = gap * np.arange(len(order))
+    free = np.asarray(heights, float)[order] - steps  # now they must not fall, and may be equal
+    blocks: list[list[float]] = []
+    for height in free:
+        blocks.append([height])
+        while len(blocks) > 1 and np.mean(blocks[-2]) >= np.mean(blocks[-1]):
+            blocks[-2:] = [blocks[-2] + blocks[-1]]
+    moved = np.empty(len(order))
+    moved[order] = np.concatenate([np.full(len(b), np.mean(b)) for b in blocks]) + steps
+    return moved - max(0.0, moved.max() - 1)

@@ -1,0 +1,79 @@
+"""What a run that has ended leaves: its policy, summary.json, curves and film."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dynappo.config import files, versions
+from dynappo.policy import policy_file
+from dynappo.program import distributed
+from dynappo.train import curves, log
+from dynappo.train import workdir as workdir_lib
+
+
+def finish(config, program, workdir: Path, state, metrics) -> dict[str, Any]:
+    """Evaluate, write policy.npz, summary.json and the film; returns the summary."""
+    from dynappo.policy import render
+
+    summary = summarise(config, program, state, metrics)
+    judged = summary.get("evaluation", {}).get("return", log.last_evaluation(metrics))
+    judged = None if judged is None else np.array(judged, float)
+    params = workdir_lib.best_params(config, distributed.whole(state.learner.params), judged)
+    if not distributed.first():
+        return summary
+    policy_file.save(workdir / "policy.npz", params, config, program.robot)
+    seeds = f" x {config.run.num_seeds} seeds" if config.run.num_seeds > 1 else ""
+    title = f"{config.robot}: {config.rollout.num_envs} robots{seeds}"
+    problem = curves.draw(metrics, workdir / "curves.png", title)
+    summary["curves"] = problem or str(workdir / "curves.png")
+    if config.run.video_seconds:
+        act = render.policy(params, config.ppo.activation)
+        seconds = config.run.video_seconds
+        episode = render.simulate(program.robot, config, act, render.tour(seconds), seconds)
+        problem = render.film(program.robot, episode, workdir / "video.mp4")
+        summary["video"] = problem or str(workdir / "video.mp4")
+    files.write_json(workdir / "summary.json", summary)
+    return summary
+
+
+def summarise(config, program, state, metrics) -> dict[str, Any]:
+    """What a run came to: return (mean of the last 10 rows), cost, and evaluation if asked."""
+    returns = metrics["episode_return"]
+    summary = {
+        "robot": config.robot,
+        "num_envs": config.rollout.num_envs,
+        "iterations": int(metrics["iteration"][-1]),
+        "sim_steps": int(metrics["sim_steps"][-1]),
+        "return": _numbers(returns[-workdir_lib.RETURN_ROWS :].mean(0)),
+        "return_max": _numbers(np.fmax.reduce(returns, 0)),
+        "return_of_all": _numbers(_return_of_all(config, metrics)),
+        "seconds": float(metrics["seconds"][-1]),
+        "compile_seconds": program.compile_seconds,
+        "bytes_needed": program.bytes_needed,
+        "device": program.device,
+        "impl": program.impl,
+        "versions": {name: versions.of(name) for name in ("dynappo", "jax", "mujoco-mjx")},
+        "commit": versions.commit(),
+    }
+    if config.run.eval_envs:
+        evaluation = program.assess(state)
+        summary["evaluation"] = {name: _numbers(v) for name, v in evaluation.items()}
+    return summary
+
+
+def _return_of_all(config, metrics):
+    """Mean return of all episodes that ended in the last episode's length of control steps."""
+    n_real = metrics["n_real"]
+    steps_after = np.cumsum(n_real[::-1])[::-1] - n_real  # those of later iterations
+    last = steps_after < config.task.episode_length
+    count, total = (metrics[n][last].sum(0) for n in ("episodes", "episode_return_sum"))
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+
+
+def _numbers(values):
+    """A float, or a list of one a seed; None where no episode has ended yet (JSON has no NaN)."""
+    numbers = [float(v) if np.isfinite(v) else None for v in np.ravel(values)]
+    return numbers if np.ndim(values) else numbers[0]

@@ -1,0 +1,253 @@
+"""What a run writes: metrics.csv, TensorBoard's events, Weights & Biases, summary.json (host side).
+
+metrics.csv has one row an iteration, and one an iteration and seed (column `seed`) where several
+seeds train at once. Columns in the order of `FIRST`, then every other metric by name. The other
+logs get the same rows.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import os
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from dynappo.config import ConfigError
+
+FIRST = (
+    "iteration sim_steps seconds episode_return episode_length policy_std learning_rate kl "
+    "n_real n_synthetic model_loss velocity_error yaw_error falls timeouts blowups"
+).split()
+
+SHARED = ("iteration", "sim_steps", "seconds", "n_real", "n_synthetic")
+
+
+def rows(metrics: dict[str, np.ndarray]) -> list[dict[str, float]]:
+    """Metrics `[I]`, or `[I, S]` of S seeds, as one dict an iteration (and seed), columns in order."""
+    names = [n for n in FIRST if n in metrics] + sorted(n for n in metrics if n not in FIRST)
+    iterations = len(metrics["iteration"])
+    seeds = max((m.shape[1] for m in metrics.values() if m.ndim == 2), default=0)
+    out = []
+    for i in range(iterations):
+        for s in range(max(seeds, 1)):
+            row = {n: metrics[n][i, s] if metrics[n].ndim == 2 else metrics[n][i] for n in names}
+            out.append(row | {"seed": s} if seeds else row)
+    return out
+
+
+class Sink(NamedTuple):
+    """Something that takes the rows of every chunk."""
+
+    name: str
+    write: Callable[[list[dict]], None]
+    close: Callable[[], Any]
+
+
+@contextlib.contextmanager
+def opened(config, workdir: Path, start: int, say):
+    """metrics.csv, and what `run.tensorboard` and `run.wandb` ask for; `start` rows are there."""
+    sinks = [csv_sink(workdir / "metrics.csv")]
+    if config.run.tensorboard:
+        sinks.append(tensorboard_sink(workdir, start))
+    if config.run.wandb:
+        sinks.append(wandb_sink(config, workdir))
+    try:
+        yield sinks
+    finally:
+        for sink in sinks:
+            attempt(sink.name, sink.close, say)
+
+
+def csv_sink(path: Path) -> Sink:
+    """Appends to metrics.csv; rows that could not be written are written with the next."""
+    waiting: list[dict] = []
+
+    def write(table):
+        waiting.extend(table)
+        append_csv(path, waiting)
+        waiting.clear()
+
+    return Sink("metrics.csv", write, lambda: None)
+
+
+def tensorboard_sink(workdir: Path, start: int) -> Sink:
+    """Scalars of every row, one event a row; those after `start`, of a killed run, are taken back.
+
+    Not tensorboardX's SummaryWriter: its thread dies of a full disk and then waits for ever. After a
+    failure a new file is begun, because a record that was cut off ends what can be read of the old.
+    """
+    from tensorboardX.event_file_writer import EventsWriter
+    from tensorboardX.proto.event_pb2 import Event, SessionLog
+    from tensorboardX.proto.summary_pb2 import Summary
+
+    files: list[EventsWriter] = []
+    waiting: list[dict] = []
+
+    def write(table):
+        waiting.extend(table)
+        try:
+            if not files:
+                files.append(EventsWriter(str(workdir / "events")))
+                if start:
+                    status = SessionLog(status=SessionLog.START)
+                    files[0].write_event(Event(step=start + 1, session_log=status))
+            for row in waiting:
+                values = [Summary.Value(tag=t, simple_value=v) for t, v in scalars(row)]
+                event = Event(wall_time=time.time(), step=int(row["iteration"]))
+                event.summary.value.extend(values)
+                files[0].write_event(event)
+            files[0].flush()
+        except OSError:
+            files.clear()
+            raise
+        waiting.clear()
+
+    return Sink("TensorBoard's events", write, lambda: [file.close() for file in files])
+
+
+def wandb_sink(config, workdir: Path) -> Sink:
+    """A run of the project `run.wandb`; the run of a workdir goes on under the same id."""
+    check_wandb(config)
+    import wandb  # pyright: ignore[reportMissingImports]
+
+    path = workdir / "wandb_id"
+    if not path.exists():
+        path.write_text(os.urandom(4).hex())
+    run = wandb.init(
+        project=config.run.wandb,
+        name=workdir.name,
+        id=path.read_text().strip(),
+        resume="allow",
+        dir=str(workdir),
+        config=config.to_dict(),
+    )
+
+    def write(table):
+        for row in table:
+            run.log(dict(scalars(row)), step=int(row["iteration"]))
+
+    return Sink("Weights & Biases", write, run.finish)
+
+
+def check_wandb(config) -> None:
+    """ConfigError if `run.wandb` asks for what is not installed."""
+    import importlib.util
+
+    if config.run.wandb and importlib.util.find_spec("wandb") is None:
+        raise ConfigError(
+            f"run.wandb is {config.run.wandb!r}, but wandb is not installed; "
+            "pip install 'dynappo[wandb]', or leave run.wandb empty"
+        )
+
+
+def scalars(row: dict):
+    """`(tag, value)` of a row's finite numbers: reward terms and evaluation in groups of their own."""
+    seed = f"/seed{row['seed']}" if "seed" in row else ""
+    for name, value in row.items():
+        if name in ("iteration", "seed") or not np.isfinite(value):
+            continue
+        group, _, rest = name.partition("_")
+        tag = f"{group}/{rest}" if group in ("reward", "eval", "model") else f"train/{name}"
+        yield tag + seed, float(value)
+
+
+def append_csv(path: Path, table: list[dict]) -> None:
+    """Append rows, with a header if the file is new; empty where a number is not yet defined.
+
+    If a column is new, the file is written anew with it. What cannot be written whole (a full disk)
+    is taken back.
+    """
+    names, old = list(dict.fromkeys(name for row in table for name in row)), []
+    if path.exists():
+        with path.open(newline="") as file:
+            reader = csv.DictReader(file)
+            header = list(reader.fieldnames or [])
+            more = [name for name in names if name not in header]
+            old = list(reader) if more else []
+        names = header + more
+        if not old and not more:
+            return _append(path, names, table, header=False)
+    temporary = path.with_suffix(".csv.new")
+    temporary.unlink(missing_ok=True)
+    _append(temporary, names, old + table, header=True)
+    temporary.replace(path)
+
+
+def _append(path: Path, names, table, header: bool) -> None:
+    size = path.stat().st_size if path.exists() else 0
+    try:
+        with path.open("a", newline="") as file:
+            writer = csv.DictWriter(file, names, restval="", lineterminator="\n")
+            if header:
+                writer.writeheader()
+            writer.writerows({k: _number(v) for k, v in row.items()} for row in table)
+    except OSError:
+        os.truncate(path, size)
+        raise
+
+
+def _number(value):
+    if isinstance(value, str):
+        return value
+    if isinstance(value, (int, np.integer)):
+        return int(value)
+    return "" if np.isnan(value) else f"{float(value):.6g}"
+
+
+def cut_csv(path: Path, iteration: int) -> None:
+    """Drop the rows after `iteration`: what a run did after the checkpoint it resumes from."""
+    if not path.exists():
+        return
+    header, *lines = path.read_text().splitlines(keepends=True)
+    whole = [line for line in lines if line.endswith("\n")]  # the last may be cut off
+    kept = [line for line in whole if int(line.split(",")[0]) <= iteration]
+    temporary = path.with_suffix(".csv.new")
+    temporary.write_text(header + "".join(kept))
+    temporary.replace(path)
+
+
+def read_csv(path: Path, seeds: int = 1) -> dict[str, np.ndarray]:
+    """Columns of a metrics.csv, `[I]` or `[I, S]`; NaN where a cell is empty.
+
+    Columns that all seeds share (those the host counts) stay `[I]`.
+    """
+    with path.open(newline="") as file:
+        table = list(csv.DictReader(file))
+    columns = {n: np.array([float(row[n] or "nan") for row in table]) for n in table[0]}
+    if seeds == 1:
+        return columns
+    columns = {n: c.reshape(-1, seeds) for n, c in columns.items() if n != "seed"}
+    return {n: c[:, 0] if n in SHARED else c for n, c in columns.items()}
+
+
+def join(history: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+    """The metrics of consecutive chunks as one; NaN where a chunk lacks a column."""
+    names = dict.fromkeys(name for chunk in history for name in chunk)
+    blank = {n: next(c[n] for c in history if n in c) for n in names}
+
+    def column(chunk, name):
+        shape = (len(chunk["iteration"]), *blank[name].shape[1:])
+        return chunk[name] if name in chunk else np.full(shape, np.nan)
+
+    return {name: np.concatenate([column(c, name) for c in history]) for name in names}
+
+
+def last_evaluation(metrics: dict[str, np.ndarray]) -> Any:
+    """The return of the last evaluation, one a seed if there are several; None if there was none."""
+    returns = np.atleast_1d(metrics.get("eval_return", np.nan))
+    there = np.isfinite(returns.reshape(len(returns), -1)).any(1)
+    return returns[there][-1] if there.any() else None
+
+
+def attempt(what: str, action: Callable[[], Any], say) -> None:
+    """Do `action`; where it fails, `say` so in one line and go on."""
+    try:
+        action()
+    except Exception as error:  # OSError, or what orbax makes of it
+        reason = getattr(error, "strerror", None) or str(error).strip().split("\n")[0][:160]
+        say(f"{what} could not be written ({reason}); training goes on")

@@ -1,0 +1,79 @@
+"""What is said, and kept, when a number of a run is not finite."""
+
+from __future__ import annotations
+
+import functools
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dynappo.program import distributed
+from dynappo.train import checkpoint
+
+
+def check(metrics, state, before, workdir: Path | None) -> None:
+    """FloatingPointError naming the first number of a chunk that is not finite.
+
+    An iteration's numbers are looked at in the order in which they are computed: rewards, model,
+    losses. Where a robot's row was the first to be wrong, `workdir/nonfinite.npz` holds that robot
+    as it was `before` the chunk, to be replayed.
+    """
+    robots = np.asarray(metrics.pop("nonfinite_robot"))  # [I], or [I, S]
+    problem = first_metric(metrics)
+    if problem is None:
+        bad = first_leaf({"learner": state.learner, "model": state.model})
+        if bad is None:
+            return
+        problem = (bad, int(metrics["iteration"][-1]))
+    name, iteration = problem
+    where = "no robot's row was"
+    i = list(metrics["iteration"]).index(iteration)
+    if workdir and (robots[i] >= 0).any():
+        before = distributed.whole(before)
+        seed = int((robots[i] >= 0).argmax())
+        index = (int(robots[i]),) if robots.ndim == 1 else (seed, int(robots[i][seed]))
+        arrays = {k: np.asarray(leaf[index]) for k, leaf in checkpoint.paths(before).items()}
+        arrays |= {"iteration": np.array(metrics["iteration"][0]), "robot": np.array(index[-1])}
+        if distributed.first():
+            np.savez(workdir / "nonfinite.npz", allow_pickle=False, **arrays)
+        where = f"robot {index[-1]}, as it was before, is in {workdir / 'nonfinite.npz'}"
+    raise FloatingPointError(
+        f"{name} is not finite in iteration {iteration}: training has blown up ({where}). Lower "
+        "ppo.learning_rate or model.learning_rate, or shorten the tail; the last checkpoint is good"
+    )
+
+
+def first_metric(metrics: dict[str, np.ndarray]) -> tuple[str, int] | None:
+    """`(name, iteration)` of the first number that is not finite, in the order of computation.
+
+    The mean return and length are undefined before the first episode has ended.
+    """
+
+    def stage(name):
+        stages = ("reward_", "velocity_", "yaw_", "model_", "value_", "surrogate_")
+        return next((i for i, s in enumerate(stages) if name.startswith(s)), len(stages))
+
+    undefined = ("episode_return", "episode_length")
+    names = sorted((n for n in metrics if n not in undefined and n[:5] != "eval_"), key=stage)
+    for i, iteration in enumerate(metrics["iteration"]):
+        for name in names:
+            if not np.isfinite(metrics[name][i]).all():
+                return name, int(iteration)
+    return None
+
+
+def first_leaf(tree: Any) -> str | None:
+    """Path of the first array of a tree of parameters with a number that is not finite."""
+    named = checkpoint.paths(tree)
+    finite = np.asarray(_finite()(list(named.values())))  # a bool a leaf is all that is transferred
+    return next((name for name, ok in zip(named, finite, strict=True) if not ok), None)
+
+
+@functools.cache
+def _finite():
+    """The compiled check of `first_leaf`: a list of arrays to one bool each."""
+    import jax
+    import jax.numpy as jnp
+
+    return jax.jit(lambda leaves: jnp.array([jnp.isfinite(leaf).all() for leaf in leaves], bool))

@@ -1,0 +1,211 @@
+"""The folder of a run: opened, gone on with, saved into, and what is left there when numbers blow up."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import itertools
+import json
+import os
+import socket
+from functools import partial
+from pathlib import Path
+
+import filelock
+import numpy as np
+
+from dynappo import config as config_lib
+from dynappo.config import ConfigError, files
+from dynappo.policy import checkpoint_file, policy_file
+from dynappo.program import distributed
+from dynappo.train import log
+
+RETURN_ROWS = 10  # the return of a run is the mean of its last rows
+# what may differ when a run goes on: nothing of it changes a number of the iterations before
+MAY_CHANGE = (
+    "run.num_iterations run.checkpoint_every run.eval_every run.eval_envs run.video_seconds "
+    "run.device run.mesh_seed run.mesh_env run.tensorboard run.wandb physics.impl"
+).split()
+NO_LOCKS = (errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS)  # of some file systems
+
+
+@contextlib.contextmanager
+def open_workdir(workdir: Path, config, fresh: bool = False):
+    """The folder of a run with its config.json, closed to other processes until the `with` ends.
+
+    Where a run has begun in it, only fields that do not change what is computed may differ
+    (`MAY_CHANGE`): a run can be made longer or filmed again. `fresh` moves a run that is there aside,
+    to `WORKDIR.old-1`, and starts anew. Of several processes the first does all this.
+    """
+    with contextlib.ExitStack() as held:
+        distributed.on_first(lambda: _open(workdir, config, fresh, held))
+        yield workdir
+
+
+def _open(workdir: Path, config, fresh: bool, held: contextlib.ExitStack) -> None:
+    try:
+        if fresh and workdir.exists():
+            with _hold(workdir):
+                number = next(n for n in itertools.count(1) if not _old(workdir, n).exists())
+                old = workdir.rename(_old(workdir, number))
+                (old / "lock").unlink(missing_ok=True)
+        workdir.mkdir(parents=True, exist_ok=True)
+        held.enter_context(_hold(workdir))
+        text, path = config_lib.to_json(config), workdir / "config.json"
+        if path.exists():
+            _compare(workdir, path.read_text(), text)
+        done = max(steps(workdir), default=0)
+        if done > config.run.num_iterations:
+            raise ConfigError(
+                f"run.num_iterations is {config.run.num_iterations}, but the run in {workdir} has done "
+                f"{done}; expected at least as many"
+            )
+        files.write_text(path, text + "\n")
+    except OSError as error:
+        raise ConfigError(
+            f"--workdir={workdir}: cannot write there ({error.strerror}); choose another folder"
+        ) from None
+
+
+def _compare(workdir: Path, there: str, here: str) -> None:
+    """ConfigError if the config.json of `workdir` is that of another run, which has begun."""
+    if _begun(workdir):
+        changed = config_lib.difference(there, here, MAY_CHANGE)
+        if changed:
+            raise ConfigError(
+                f"--workdir={workdir} holds a run of another config ({changed}); "
+                "choose another folder, or --fresh to move that run aside"
+            )
+        return
+    try:  # somebody else's file is not overwritten
+        ours = {"robot", "rollout", "run"} <= json.loads(there).keys()
+    except (ValueError, AttributeError):
+        ours = False
+    if not ours:
+        raise ConfigError(
+            f"--workdir={workdir} holds a config.json that is not of a run; choose another folder"
+        )
+
+
+def _begun(workdir: Path) -> bool:
+    """Whether a run has left results here: a checkpoint, also a damaged one, or a row of metrics."""
+    if steps(workdir) or any(workdir.glob("damaged-*")):
+        return True
+    csv = workdir / "metrics.csv"
+    if not csv.exists():
+        return False
+    with csv.open() as file:
+        return len(list(itertools.islice(file, 2))) > 1
+
+
+def steps(workdir: Path) -> list[int]:
+    """Iterations of the checkpoints of `workdir` that are complete, newest first."""
+    return checkpoint_file.steps(workdir / "checkpoints")
+
+
+def _old(workdir: Path, number: int) -> Path:
+    return workdir.with_name(f"{workdir.name}.old-{number}")
+
+
+@contextlib.contextmanager
+def _hold(workdir: Path):
+    """Keeps other processes from holding `workdir`; ConfigError if one does.
+
+    The lock of `workdir/lock` ends with the process, however that ends: a file that a killed run leaves
+    behind holds nobody up. File systems without locks go without.
+    """
+    path = workdir / "lock"
+    lock = filelock.FileLock(path)
+    try:
+        lock.acquire(blocking=False)
+        path.write_text(f"pid {os.getpid()} on {socket.gethostname()}\n")
+    except filelock.Timeout:
+        raise ConfigError(
+            f"--workdir={workdir}: another run is writing in this folder ({path.read_text().strip()}); "
+            "wait for it, or take another --workdir"
+        ) from None
+    except OSError as error:
+        if error.errno not in NO_LOCKS:
+            raise
+    try:
+        yield
+    finally:
+        lock.release()
+
+
+def resume(config, workdir: Path, checkpoints, state, say):
+    """`(iterations done, state, [their metrics])` of the newest good checkpoint of `workdir`.
+
+    Of several processes the first reads it, and the others get state and iteration from there; a
+    state may come back on other devices than those it was saved from.
+    """
+    history = []
+
+    def read(state):
+        start, state, found = _resume(config, workdir, checkpoints, state, say)
+        history.extend(found)
+        return start, state
+
+    start, state = distributed.from_first(read, state)
+    return start, state, history
+
+
+def _resume(config, workdir: Path, checkpoints, state, say):
+    from dynappo.train import checkpoint
+
+    csv = workdir / "metrics.csv"
+    found = checkpoint.restore(checkpoints, state, say)
+    if not found:
+        csv.unlink(missing_ok=True)  # of a run that ended before its first checkpoint
+        return 0, state, []
+    start, state = found
+    if not csv.exists():
+        raise ConfigError(f"{workdir} has checkpoints but no metrics.csv; choose another --workdir")
+    log.cut_csv(csv, start)
+    if start < config.run.num_iterations:
+        say(f"goes on from iteration {start} of {workdir}")
+    else:
+        again = ["evaluated"] * bool(config.run.eval_envs) + ["filmed"] * (
+            config.run.video_seconds > 0
+        )
+        again = " and ".join(again) or "summed up"
+        say(f"the run in {workdir} is complete ({start} iterations); it is only {again} again")
+    return start, state, [log.read_csv(csv, config.run.num_seeds)]
+
+
+def save(
+    config, robot, workdir, checkpoints, done: int, state, metrics, sim_steps: int, judged, say
+) -> None:
+    """A checkpoint, and the policy as it is now in a file that can be played at once.
+
+    `judged` is the return of the last evaluation, of each seed if there are several; None before one.
+    """
+    from dynappo.train import checkpoint
+
+    state = distributed.whole(state)
+    if not distributed.first():
+        return
+    about = {"sim_steps": sim_steps, "config": config.to_dict()}
+    now = "eval_return" in metrics and np.isfinite(metrics["eval_return"][-1]).all()
+    worth = float(np.mean(judged)) if now else None
+    log.attempt("the checkpoint before", partial(checkpoint.finish, checkpoints), say)
+    save = partial(checkpoint.save, checkpoints, done, state, worth, **about)
+    log.attempt(f"checkpoint {done}", save, say)
+    params = best_params(config, state.learner.params, judged)
+    write = partial(policy_file.save, workdir / "policy.npz", params, config, robot)
+    log.attempt("policy.npz", write, say)
+
+
+def best_params(config, params, judged) -> dict:
+    """The networks as NumPy arrays; of several seeds, those of the best in the evaluation `judged`.
+
+    Of the first seed where nothing was evaluated: an exploring policy's returns would favour a seed whose
+    robots have just fallen (experiments/20_tail).
+    """
+    import jax
+
+    params = jax.device_get(params)
+    if config.run.num_seeds == 1:
+        return params
+    best = 0 if judged is None else int(np.nan_to_num(judged, nan=-np.inf).argmax())
+    return jax.tree.map(lambda p: p[best], params)

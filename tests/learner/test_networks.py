@@ -1,0 +1,232 @@
+"""The networks against rsl_rl's outputs, the Gaussian against numerical integrals."""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from dynappo.learner import networks
+
+OBS, ACTIONS = 48, 12
+
+
+@pytest.fixture(scope="module")
+def static(settings):
+    return settings({"ppo.hidden": (32, 32, 32), "ppo.activation": "elu"})[0].ppo
+
+
+def densities(mean, std, points=4001):
+    """`(x, p)`: a fine grid around every mean and the normal density there, float64."""
+    mean, std = np.float64(mean)[..., None], np.float64(std)[..., None]
+    x = mean + np.linspace(-12, 12, points) * std
+    return x, np.exp(-((x - mean) ** 2) / (2 * std**2)) / np.sqrt(2 * np.pi * std**2)
+
+
+def test_mean_and_value_are_those_of_rsl_rls_networks(static, peer, typed, from_torch):
+    z = peer("update")
+    params, obs = from_torch(z, "collect."), jnp.asarray(z["obs"])
+    mean, value = networks.policy(static, params, obs), networks.value(static, params, obs)
+    np.testing.assert_allclose(mean, z["mean"], rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(value, z["value"], rtol=1e-5, atol=1e-6)
+    assert mean.shape == (8, 32, ACTIONS) and value.shape == (8, 32)
+    typed(networks.policy)(static, params, obs[0, 0])
+    typed(networks.value)(static, params, obs)
+
+
+def test_in_bfloat16_no_output_is_rounded_to_it(settings):
+    """Values near 5 would be multiples of 1 / 32."""
+    static = settings({"ppo.hidden": (64,), "ppo.precision": "bfloat16"})[0].ppo
+    params = networks.init_policy(static, 1.0, OBS, ACTIONS, jax.random.key(0))
+    params["critic"]["params"]["Dense_1"]["bias"] += 5.0
+    obs = jax.random.normal(jax.random.key(1), (200, OBS))
+    outputs = [networks.policy(static, params, obs), networks.value(static, params, obs)]
+    for out in (*outputs, *networks.policy_and_value(static, params, obs)):
+        rounded = out.astype(jnp.bfloat16).astype(jnp.float32)
+        assert (out != rounded).mean() > 0.9
+
+
+@pytest.mark.parametrize("hidden", [(24,), (32, 16, 8)])
+@pytest.mark.parametrize("precision", ["highest", "bfloat16"])
+def test_both_networks_at_once_say_what_each_says_alone(settings, typed, hidden, precision):
+    """Outputs for one row, a batch and a rollout, and gradients of both."""
+    static = settings({"ppo.hidden": hidden, "ppo.precision": precision})[0].ppo
+    params = networks.init_policy(static, 1.0, OBS, ACTIONS, jax.random.key(0))
+    everything = jnp.asarray(np.random.default_rng(0).normal(size=(3, 5, OBS)), jnp.float32)
+    close = dict(rtol=2e-5, atol=1e-6) if precision == "highest" else dict(rtol=0.05, atol=0.01)
+
+    def apart(params, obs):
+        return networks.policy(static, params, obs), networks.value(static, params, obs)
+
+    def total(call, params):
+        mean, value = call(params, everything)
+        return (mean**2).sum() + (value**3).sum()
+
+    together = partial(typed(networks.policy_and_value), static)
+    for obs in (everything[0, 0], everything[0], everything):
+        for found, expected in zip(together(params, obs), apart(params, obs), strict=True):
+            assert found.shape == expected.shape and found.dtype == expected.dtype
+            np.testing.assert_allclose(found, expected, **close)
+    if precision == "highest":
+        found, expected = (jax.grad(partial(total, call))(params) for call in (together, apart))
+        jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, 1e-4, 1e-5), found, expected)
+
+
+def test_log_prob_entropy_and_kl_are_those_of_rsl_rl(peer, typed):
+    z = {name: jnp.asarray(x) for name, x in peer("policy").items() if name != "versions"}
+    log_prob = typed(networks.log_prob)(z["mean"], z["std"], z["action"])
+    np.testing.assert_allclose(log_prob, z["log_prob"], rtol=1e-5)
+    np.testing.assert_allclose(typed(networks.entropy)(z["std"]), z["entropy"], rtol=1e-5)
+    kl = typed(networks.kl)(z["old_mean"], z["old_std"], z["mean"], z["std"])
+    np.testing.assert_allclose(kl, z["kl"], rtol=1e-5)
+    np.testing.assert_allclose(kl.mean(), z["kl_mean"], rtol=1e-5)
+
+
+def test_log_prob_is_the_logarithm_of_the_product_of_normal_densities(peer):
+    z = peer("policy")
+    mean, std, action = (np.float64(z[name]) for name in ("mean", "std", "action"))
+    for i in range(8):
+        product = 1.0
+        for j in range(ACTIONS):
+            z_score = (action[i, j] - mean[i, j]) / std[i, j]
+            product *= np.exp(-(z_score**2) / 2) / (np.sqrt(2 * np.pi) * std[i, j])
+        ours = networks.log_prob(z["mean"][i], z["std"][i], z["action"][i])
+        np.testing.assert_allclose(ours, np.log(product), rtol=1e-5)
+
+
+def test_entropy_is_the_integral_of_minus_p_log_p(peer):
+    z = peer("policy")
+    x, p = densities(z["mean"][:4], z["std"][:4])
+    integrand = -p * np.log(p)
+    expected = (integrand.sum(-1) * (x[..., 1] - x[..., 0])).sum(-1)
+    np.testing.assert_allclose(networks.entropy(z["std"][:4]), expected, rtol=1e-5)
+
+
+def test_kl_is_the_integral_of_p_log_p_over_q_from_old_to_new(peer):
+    z = {name: x[:4] for name, x in peer("policy").items() if x.ndim == 2}
+    x, p = densities(z["old_mean"], z["old_std"])
+    mean, std = np.float64(z["mean"])[..., None], np.float64(z["std"])[..., None]
+    log_q = -((x - mean) ** 2) / (2 * std**2) - np.log(std) - 0.5 * np.log(2 * np.pi)
+    expected = (p * (np.log(p) - log_q) * (x[..., 1:2] - x[..., :1])).sum((-1, -2))
+    ours = networks.kl(z["old_mean"], z["old_std"], z["mean"], z["std"])
+    # rsl_rl's 1e-5 inside the logarithm adds about 1e-5 an action
+    np.testing.assert_allclose(ours, expected, atol=5e-4, rtol=0)
+
+
+def test_kl_of_a_distribution_from_itself_is_the_1e_minus_5_of_rsl_rl_per_action(peer):
+    z = peer("policy")
+    kl = networks.kl(z["mean"], z["std"], z["mean"], z["std"])
+    np.testing.assert_allclose(kl, ACTIONS * 1e-5, rtol=0.05)
+
+
+def test_initial_weights_are_uniform_within_one_over_the_root_of_fan_in():
+    sizes, fan_in = (200, 150, 6), (100, 200, 150)
+    params = networks.MLP(sizes).init(jax.random.key(0), jnp.zeros(100))["params"]
+    for i, n in enumerate(fan_in):
+        bound = n**-0.5
+        for name, shape in (("kernel", (n, sizes[i])), ("bias", (sizes[i],))):
+            x = np.asarray(params[f"Dense_{i}"][name])
+            assert x.shape == shape and x.dtype == np.float32
+            assert np.abs(x).max() <= bound
+            if x.size >= 800:
+                assert np.abs(x).max() > 0.98 * bound
+                np.testing.assert_allclose(x.var(), bound**2 / 3, rtol=0.1)
+                assert abs(x.mean()) < 0.1 * bound
+                # the four quarters of the range are equally full
+                counts = np.histogram(x, 4, (-bound, bound))[0] / x.size
+                np.testing.assert_allclose(counts, 0.25, atol=0.05)
+            assert np.unique(x).size > 0.9 * x.size
+
+
+def test_weights_depend_on_the_key_and_the_initial_std_is_the_one_asked_for(static):
+    first = networks.init_policy(static, 0.7, OBS, ACTIONS, jax.random.key(0))
+    again = networks.init_policy(static, 0.7, OBS, ACTIONS, jax.random.key(0))
+    other = networks.init_policy(static, 0.7, OBS, ACTIONS, jax.random.key(1))
+    for a, b, c in zip(*map(jax.tree.leaves, (first, again, other)), strict=True):
+        assert (a == b).all()
+        assert a.shape == (ACTIONS,) or not (a == c).any()
+    np.testing.assert_allclose(first["std"], np.full(ACTIONS, 0.7, np.float32))
+
+
+def test_actor_and_critic_share_no_weight(static):
+    params = networks.init_policy(static, 1.0, OBS, ACTIONS, jax.random.key(0))
+    obs = jax.random.normal(jax.random.key(1), (3, OBS))
+    hidden = [params[name]["params"]["Dense_0"]["kernel"] for name in ("actor", "critic")]
+    assert not (hidden[0] == hidden[1]).any()
+    of_policy = jax.grad(lambda p: networks.policy(static, p, obs).sum())(params)
+    of_value = jax.grad(lambda p: networks.value(static, p, obs).sum())(params)
+    assert not any(g.any() for g in jax.tree.leaves((of_policy["critic"], of_policy["std"])))
+    assert not any(g.any() for g in jax.tree.leaves((of_value["actor"], of_value["std"])))
+    assert all(g.any() for g in jax.tree.leaves((of_policy["actor"], of_value["critic"])))
+
+
+@pytest.mark.parametrize("precision", ["highest", "tf32", "bfloat16"])
+def test_every_precision_keeps_float32_parameters_and_output(precision):
+    model = networks.MLP((32, 4), precision=precision)
+    x = jax.random.normal(jax.random.key(0), (64, 16))
+    params = model.init(jax.random.key(1), x)
+    out, exact = model.apply(params, x), networks.MLP((32, 4)).apply(params, x)
+    grads = jax.grad(lambda p: model.apply(p, x).sum())(params)
+    assert {a.dtype for a in jax.tree.leaves((params, out, grads))} == {jnp.dtype("float32")}
+    np.testing.assert_allclose(out, exact, atol=0.03)
+    if precision == "bfloat16":
+        assert jnp.abs(out - exact).max() > 1e-4  # it really is less precise
+
+
+@pytest.mark.parametrize(
+    ("precision", "expected"),
+    [("highest", "HIGHEST"), ("tf32", "HIGH"), ("bfloat16", "DEFAULT")],
+)
+def test_every_matrix_product_has_the_precision_of_the_setting(precision, expected):
+    model, x = networks.MLP((8, 4), precision=precision), jnp.zeros((3, 5))
+    params = model.init(jax.random.key(0), x)
+    # a global default must not win over the setting
+    with jax.default_matmul_precision("bfloat16" if precision == "highest" else "highest"):
+        equations = jax.make_jaxpr(model.apply)(params, x).eqns
+    products = [e for e in equations if e.primitive.name == "dot_general"]
+    assert len(products) == 2
+    for e in products:
+        assert {p.name for p in e.params["precision"]} == {expected}
+        kind = "bfloat16" if precision == "bfloat16" else "float32"
+        assert {v.aval.dtype.name for v in e.invars} == {kind}
+
+
+@pytest.mark.parametrize(
+    ("setting", "expected"), [("highest", "HIGHEST"), ("tf32", "HIGH"), ("bfloat16", "DEFAULT")]
+)
+@pytest.mark.parametrize("network", [networks.policy, networks.value, networks.policy_and_value])
+def test_policy_and_value_have_the_precision_of_the_config(settings, network, setting, expected):
+    static = settings({"ppo.hidden": (8,), "ppo.precision": setting})[0].ppo
+    params = networks.init_policy(static, 1.0, OBS, ACTIONS, jax.random.key(0))
+    equations = jax.make_jaxpr(lambda p, x: network(static, p, x))(params, jnp.zeros(OBS)).eqns
+    products = [e for e in equations if e.primitive.name == "dot_general"]
+    assert len(products) == 2 + (network is networks.policy_and_value)
+    assert {p.name for e in products for p in e.params["precision"]} == {expected}
+    kind = "bfloat16" if setting == "bfloat16" else "float32"
+    assert {v.aval.dtype.name for e in products for v in e.invars} == {kind}
+
+
+@pytest.mark.parametrize("activation", ["elu", "relu", "tanh", "swish"])
+def test_the_activation_stands_between_layers_and_not_after_the_last(activation):
+    functions = {
+        "elu": lambda x: x if x > 0 else np.expm1(x),
+        "relu": lambda x: max(x, 0.0),
+        "tanh": np.tanh,
+        "swish": lambda x: x / (1 + np.exp(-x)),
+    }
+    model = networks.MLP((6, 3), activation)
+    x = np.random.default_rng(0).normal(size=5).astype(np.float32)
+    params = model.init(jax.random.key(2), x)
+    h = [float(v) for v in x]
+    for i in range(2):
+        layer = jax.tree.map(np.float64, params["params"][f"Dense_{i}"])
+        outputs = []
+        for j in range(layer["bias"].size):
+            total = layer["bias"][j] + sum(
+                v * w for v, w in zip(h, layer["kernel"][:, j], strict=True)
+            )
+            outputs.append(functions[activation](total) if i == 0 else total)
+        h = outputs
+    assert min(h) < 0  # else relu after the last layer would pass
+    np.testing.assert_allclose(model.apply(params, x), h, rtol=1e-5, atol=1e-6)

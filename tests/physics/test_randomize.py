@@ -1,0 +1,215 @@
+"""Per-robot physical parameters: their ranges, and what of the model they change."""
+
+from types import SimpleNamespace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from mujoco import mjx
+
+from dynappo import config
+from dynappo.physics import randomize, robot
+from dynappo.task import env
+
+ROBOTS = 512
+WIDE = dict(
+    base_mass=(-1.0, 3.0),
+    base_com=(0.05, 0.04, 0.01),
+    friction=(0.4, 1.2),
+    kp_scale=(0.8, 1.2),
+    kd_scale=(0.5, 2.0),
+)
+NARROW = dict(
+    base_mass=(0.0, 0.0),
+    base_com=(0.0, 0.0, 0.0),
+    friction=(0.8, 0.8),
+    kp_scale=(1.0, 1.0),
+    kd_scale=(1.0, 1.0),
+)
+MODEL_FIELDS = dict(
+    base_mass={".body_mass", ".body_inertia"},
+    base_com={".body_ipos"},
+    friction={".geom_friction"},
+    kp_scale=set(),
+    kd_scale=set(),
+)
+
+
+@pytest.fixture(scope="module")
+def go1():
+    return robot.load("go1")
+
+
+@pytest.fixture(scope="module")
+def model(go1):
+    return mjx.put_model(go1.mj_model, impl="jax")
+
+
+def ranges(base, **changes):
+    return SimpleNamespace(**(base | changes))
+
+
+def base_of(go1):
+    return go1.mj_model.body_mass[go1.base_body], go1.mj_model.body_ipos[go1.base_body]
+
+
+def draw(go1, bounds, count=ROBOTS):
+    mass, com = base_of(go1)
+    keys = jax.random.split(jax.random.key(0), count)
+    return jax.vmap(lambda key: randomize.draw(bounds, mass, jnp.asarray(com), key))(keys)
+
+
+@pytest.fixture(scope="module")
+def drawn(go1):
+    return jax.tree.map(np.asarray, draw(go1, ranges(WIDE)))
+
+
+def fills(values, low, high):
+    """Within [low, high], reaching both ends, with the mean of a uniform distribution."""
+    assert values.min() >= low - 1e-6 and values.max() <= high + 1e-6
+    width = high - low
+    assert values.min() < low + 0.03 * width and values.max() > high - 0.03 * width
+    # the mean of n uniform numbers has a deviation of width / sqrt(12 n)
+    assert abs(values.mean() - (low + high) / 2) < 4 * width / np.sqrt(12 * values.size)
+
+
+def test_the_mass_scale_is_one_plus_the_added_mass_over_the_base_mass(go1, drawn):
+    mass, _ = base_of(go1)
+    assert drawn.mass_scale.shape == (ROBOTS,)
+    fills((drawn.mass_scale - 1) * mass, -1.0, 3.0)
+
+
+def test_the_centre_of_mass_is_drawn_about_the_robots_own_within_each_half_width(go1, drawn):
+    offset = drawn.base_com - base_of(go1)[1]
+    for axis, half in enumerate(WIDE["base_com"]):
+        fills(offset[:, axis], -half, half)
+
+
+@pytest.mark.parametrize("field", ["friction", "kp_scale", "kd_scale"])
+def test_friction_and_gains_are_drawn_uniformly_within_their_range(drawn, field):
+    fills(getattr(drawn, field), *WIDE[field])
+
+
+def test_parameters_are_drawn_independently_of_one_another(drawn):
+    columns = [*drawn.base_com.T, drawn.mass_scale, drawn.friction, drawn.kp_scale, drawn.kd_scale]
+    correlation = np.corrcoef(columns) - np.eye(len(columns))
+    assert np.abs(correlation).max() < 5 / np.sqrt(ROBOTS)
+
+
+def test_collapsed_ranges_draw_the_nominal_robot(go1):
+    found = draw(go1, ranges(NARROW), count=4)
+    np.testing.assert_array_equal(found.mass_scale, 1.0)
+    np.testing.assert_allclose(found.base_com, np.tile(base_of(go1)[1], (4, 1)), rtol=1e-6)
+    np.testing.assert_allclose(found.friction, 0.8, rtol=1e-6)
+    np.testing.assert_array_equal(found.kp_scale, 1.0)
+    np.testing.assert_array_equal(found.kd_scale, 1.0)
+
+
+def test_the_same_key_draws_the_same_robot_and_another_key_another(go1):
+    mass, com = base_of(go1)
+    first, again, other = (
+        randomize.draw(ranges(WIDE), mass, jnp.asarray(com), jax.random.key(k)) for k in (1, 1, 2)
+    )
+    for a, b, c in zip(*map(jax.tree.leaves, (first, again, other)), strict=True):
+        assert (a == b).all() and (a != c).all()
+
+
+def test_ranges_count_as_varied_unless_collapsed_to_the_value_of_the_file():
+    assert randomize.varied(ranges(NARROW)) == frozenset()
+    assert randomize.varied(ranges(WIDE)) == set(WIDE)
+    for name, bounds in WIDE.items():
+        assert randomize.varied(ranges(NARROW, **{name: bounds})) == {name}
+    assert randomize.varied(ranges(NARROW, base_com=(0.0, 0.0, 0.01))) == {"base_com"}
+    assert randomize.varied(ranges(NARROW, friction=(0.5, 0.5))) == {"friction"}
+    assert randomize.varied(ranges(NARROW, base_mass=(2.0, 2.0))) == {"base_mass"}
+
+
+def by_path(model):
+    return {jax.tree_util.keystr(p): leaf for p, leaf in jax.tree_util.tree_leaves_with_path(model)}
+
+
+def one_robot(go1):
+    return jax.tree.map(lambda x: x[0], draw(go1, ranges(WIDE), count=1))
+
+
+@pytest.mark.parametrize("name", WIDE)
+def test_collapsed_ranges_leave_the_models_fields_the_very_same_objects(go1, model, name):
+    merged = randomize.merge(model, one_robot(go1), go1.base_body, go1.feet, frozenset({name}))
+    before, after = by_path(model), by_path(merged)
+    assert before.keys() == after.keys()
+    changed = {path for path in before if after[path] is not before[path]}
+    assert changed == MODEL_FIELDS[name]
+
+
+def test_with_nothing_varied_the_model_is_the_very_same_object(go1, model):
+    merged = randomize.merge(model, one_robot(go1), go1.base_body, go1.feet, frozenset())
+    assert merged is model
+
+
+def test_mass_and_inertia_of_the_base_scale_together_and_of_no_other_body(go1, model):
+    physics = one_robot(go1)
+    merged = randomize.merge(model, physics, go1.base_body, go1.feet, frozenset(WIDE))
+    scale = np.ones(model.nbody)
+    scale[go1.base_body] = physics.mass_scale
+    nominal = go1.mj_model
+    np.testing.assert_allclose(merged.body_mass, nominal.body_mass * scale, rtol=1e-6)
+    np.testing.assert_allclose(
+        merged.body_inertia, nominal.body_inertia * scale[:, None], rtol=1e-6
+    )
+    assert abs(scale[go1.base_body] - 1) > 0.01
+
+
+def test_the_centre_of_mass_is_set_for_the_base_only(go1, model):
+    physics = one_robot(go1)
+    merged = randomize.merge(model, physics, go1.base_body, go1.feet, frozenset(WIDE))
+    expected = go1.mj_model.body_ipos.copy()
+    expected[go1.base_body] = physics.base_com
+    np.testing.assert_allclose(merged.body_ipos, expected, rtol=1e-6)
+
+
+def test_friction_is_set_at_the_feet_and_only_its_sliding_part(go1, model):
+    physics = one_robot(go1)
+    merged = randomize.merge(model, physics, go1.base_body, go1.feet, frozenset(WIDE))
+    expected = go1.mj_model.geom_friction.copy()
+    expected[go1.feet, 0] = physics.friction
+    np.testing.assert_allclose(merged.geom_friction, expected, rtol=1e-6)
+
+
+@pytest.mark.parametrize("names", [(), ("base_mass",), ("base_com", "friction"), tuple(WIDE)])
+def test_under_vmap_only_the_varied_fields_get_a_batch(go1, model, names):
+    """`out_axes=None` is an error for a batched value, so each field's axis is proved."""
+    physics = draw(go1, ranges(WIDE), count=3)
+    batched = set().union(*(MODEL_FIELDS[name] for name in names))
+    axes = {path: 0 if path in batched else None for path in by_path(model)}
+
+    def merge(physics):
+        return by_path(randomize.merge(model, physics, go1.base_body, go1.feet, frozenset(names)))
+
+    merged = jax.vmap(merge, out_axes=axes)(physics)
+    for path, value in by_path(model).items():
+        expected = (3, *value.shape) if path in batched else value.shape
+        assert merged[path].shape == expected, path
+    if "base_mass" in names:
+        assert len(set(np.asarray(merged[".body_mass"][:, go1.base_body]))) == 3
+
+
+def test_the_environment_draws_about_the_robots_own_base(go1):
+    settings = config.validate(config.load("go1.py"))
+    made = env.make(go1, settings.task, settings.physics)
+    hyper = config.split(settings)[1].task
+    found = jax.vmap(made.randomize, (None, 0))(hyper, jax.random.split(jax.random.key(3), 64))
+    added = (np.asarray(found.mass_scale) - 1) * base_of(go1)[0]
+    assert (-1 <= added).all() and (added <= 3).all() and np.ptp(added) > 3
+    np.testing.assert_allclose(found.base_com, np.tile(base_of(go1)[1], (64, 1)), rtol=1e-6)
+
+
+@pytest.mark.parametrize(("name", "bounds"), [("base_mass", (2.0, 2.0)), ("friction", (0.4, 0.4))])
+def test_a_range_collapsed_to_another_value_still_changes_the_model(go1, model, name, bounds):
+    one_value = ranges(NARROW, **{name: bounds})
+    mass, com = base_of(go1)
+    physics = randomize.draw(one_value, mass, jnp.asarray(com), jax.random.key(0))
+    merged = randomize.merge(model, physics, go1.base_body, go1.feet, randomize.varied(one_value))
+    before, after = by_path(model), by_path(merged)
+    changed = {p for p in before if not np.allclose(before[p], after[p])}
+    assert changed == MODEL_FIELDS[name]

@@ -1,0 +1,240 @@
+"""Several processes of one run, on this machine: same numbers, one writer, and no one left hanging."""
+
+import csv
+import os
+import pathlib
+import signal
+import socket
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from dynappo.config import ConfigError
+from dynappo.program import distributed
+
+HERE = pathlib.Path(__file__).parent
+DEADLINE = 240  # s for a command that must come to an end by itself
+
+
+def start(workdir, *fields, processes=1, devices=4):
+    """The toy training as `processes` processes with `devices` devices in all; their handles."""
+    with socket.socket() as s:
+        s.bind(("127.0.0.1", 0))
+        meet = f"--coordinator=127.0.0.1:{s.getsockname()[1]}"
+    forced = f"--xla_force_host_platform_device_count={devices // processes}"
+    forced += " --xla_backend_optimization_level=0"  # the program runs for a second only
+    environment = os.environ | {"XLA_FLAGS": forced, "PYTHONPATH": f"{HERE.parent}:{HERE}"}
+    command = [sys.executable, HERE / "toy_train.py", f"--workdir={workdir}"]
+    command += [f"--config.{field}" for field in fields]
+    several = [[meet, f"--processes={processes}", f"--process={i}"] for i in range(processes)]
+    return [
+        subprocess.Popen(
+            command + (flags if processes > 1 else []),
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            env=environment,
+        )
+        for flags in several
+    ]
+
+
+def end(handles, timeout=DEADLINE):
+    """`[(exit status, stdout, stderr)]`; none of them is left running."""
+    try:
+        outputs = [handle.communicate(timeout=timeout) for handle in handles]
+        return [(h.returncode, *out) for h, out in zip(handles, outputs, strict=True)]
+    finally:
+        for handle in handles:
+            handle.kill()
+
+
+def table(workdir):
+    """metrics.csv without the seconds, `[rows, columns]`."""
+    with (workdir / "metrics.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    return np.array([[float(v or "nan") for k, v in r.items() if k != "seconds"] for r in rows])
+
+
+def until(condition, handles):
+    """Wait for it; fails if a process ends first, or after two minutes."""
+    began = time.monotonic()
+    while not condition():
+        assert time.monotonic() - began < DEADLINE
+        assert all(handle.poll() is None for handle in handles), end(handles)
+        time.sleep(0.1)
+
+
+def saved(workdir):
+    """Iterations of the checkpoints that are complete."""
+    return [int(p.name) for p in (workdir / "checkpoints").glob("*") if p.name.isdigit()]
+
+
+LONG = ("run.num_iterations=100000", "run.mesh_seed=2", "run.mesh_env=2")
+
+
+@pytest.fixture(scope="module")
+def killed(tmp_path_factory):
+    """Two processes, of which the second is killed -9 after the first checkpoint.
+
+    `(workdir, iterations at the death, end of the first, seconds that it took to end)`.
+    """
+    workdir = tmp_path_factory.mktemp("killed") / "run"
+    handles = start(workdir, *LONG, processes=2)
+    until(lambda: saved(workdir), handles)
+    handles[1].kill()
+    began = time.monotonic()
+    outcome = end(handles[:1], timeout=90)[0]
+    return workdir, outcome, time.monotonic() - began
+
+
+def test_a_process_that_dies_ends_the_others_within_a_minute_with_one_clear_line(killed):
+    _, (status, _, errors), seconds = killed
+    assert status != 0 and seconds < 60
+    lines = [line for line in errors.splitlines() if line.startswith("dynappo:")]
+    assert len(lines) == 1 and "process 0 of 2 stops, because another one is gone" in lines[0]
+    assert "the same command goes on from the last checkpoint" in lines[0]
+
+
+def test_what_was_lost_goes_on_on_one_process_and_other_devices(killed, tmp_path):
+    """The checkpoint of 2 processes x 2 devices is resumed by one process on one device, and the
+    numbers are those of a run that never stopped and had one device from the start."""
+    workdir, *_ = killed
+    total = max(saved(workdir)) + 4
+    fields = f"run.num_iterations={total}"
+    handles = start(workdir, fields, devices=1) + start(tmp_path / "whole", fields, devices=1)
+    for status, _, errors in end(handles):
+        assert status == 0, errors
+    found, expected = table(workdir), table(tmp_path / "whole")
+    assert found.shape == expected.shape and found[-1, 0] == total
+    # chaos grows with the iterations; the first ones are those of the mesh of two processes
+    np.testing.assert_allclose(found[:10], expected[:10], rtol=1e-3, atol=1e-4, equal_nan=True)
+
+
+@pytest.mark.slow
+def test_a_second_run_in_the_same_folder_is_refused_and_harms_nothing(tmp_path):
+    """Status 2 and one line that names the process; killed -9, the first keeps nobody out."""
+    workdir = tmp_path / "run"
+    (first,) = start(workdir, "run.num_iterations=100000", devices=1)
+    until(lambda: saved(workdir), [first])
+    ((status, _, errors),) = end(start(workdir, "run.num_iterations=100000", devices=1))
+    assert status == 2 and errors.count("\n") == 1
+    assert f"another run is writing in this folder (pid {first.pid} on " in errors
+    assert first.poll() is None
+    first.kill()
+    end([first])
+    total = max(saved(workdir)) + 2
+    ((status, said, errors),) = end(start(workdir, f"run.num_iterations={total}", devices=1))
+    assert status == 0 and f"goes on from iteration {total - 2} of {workdir}" in said, errors
+    assert list(table(workdir)[::2, 0]) == list(range(1, total + 1)) and errors == ""
+    assert not (workdir / "lock").exists()
+
+
+@pytest.mark.slow
+def test_processes_meet_stop_together_and_only_the_first_writes_and_speaks(tmp_path):
+    """SIGTERM reaches one of them only: both stop after the same chunk, saved, with status 143 where
+    the signal came and 0 elsewhere; then one process finds all of it."""
+    workdir = tmp_path / "run"
+    handles = start(workdir, *LONG, processes=2)
+    until(lambda: (workdir / "metrics.csv").exists(), handles)
+    handles[0].send_signal(signal.SIGTERM)
+    (first, said, errors), (second, said_1, errors_1) = end(handles)
+    assert (first, second) == (143, 0), (errors, errors_1)
+    assert "dynappo trains go1" in said
+    assert all(line.startswith("[Gloo]") for line in said_1.splitlines())
+    assert "saved at iteration" in errors and "saved at iteration" not in errors_1
+    iteration = int(errors.split("saved at iteration ")[1].split()[0])
+    assert (workdir / "checkpoints" / f"{iteration}").is_dir()
+    assert table(workdir)[-1, 0] == iteration
+
+
+@pytest.mark.slow
+def test_four_processes_compute_what_one_does(tmp_path):
+    """Four processes of two devices, as 2 x 4, against one process with one device; then a bad
+    workdir is told to all of them."""
+    fields = ("run.num_iterations=6", "run.checkpoint_every=6")
+    mesh = ("run.mesh_seed=2", "run.mesh_env=4")
+    handles = start(tmp_path / "four", *fields, *mesh, processes=4, devices=8)
+    handles += start(tmp_path / "one", *fields, devices=1)
+    for status, _, errors in end(handles, 2 * DEADLINE):
+        assert status == 0, errors
+    expected = table(tmp_path / "one")
+    np.testing.assert_allclose(table(tmp_path / "four"), expected, rtol=1e-3, atol=1e-4)
+    longer = ("run.num_iterations=10", *fields[1:], *mesh)  # what one device saved, on eight
+    for status, _, errors in end(
+        start(tmp_path / "one", *longer, processes=4, devices=8), 2 * DEADLINE
+    ):
+        assert status == 0, errors
+    assert table(tmp_path / "one")[-1, 0] == 10
+    other = ("ppo.gamma=0.9", *fields, *mesh)
+    for status, _, errors in end(start(tmp_path / "one", *other, processes=4, devices=8)):
+        assert status == 2 and "holds a run of another config (ppo.gamma" in errors
+
+
+@pytest.mark.parametrize(
+    ("flags", "words"),
+    [
+        (("host:1", 2, None), "--process is missing; --coordinator, --processes needs it"),
+        ((None, 2, 0), "--coordinator is missing"),
+        (("host", 2, 0), "--coordinator is 'host', expected HOST:PORT"),
+        (("host:1", 2, 2), "--process is 2, expected 0 to 1"),
+        (("host:1", 2, -1), "--process is -1, expected 0 to 1"),
+    ],
+)
+def test_flags_that_do_not_make_a_run_are_refused(flags, words):
+    with pytest.raises(ConfigError, match=words):
+        distributed.join(*flags)
+
+
+@pytest.mark.parametrize(
+    ("variables", "expected"),
+    [
+        ({}, False),
+        ({"SLURM_JOB_ID": "7", "SLURM_NTASKS": "4"}, False),  # in the batch script
+        ({"SLURM_STEP_NUM_TASKS": "1", "SLURM_PROCID": "0"}, False),
+        ({"SLURM_STEP_NUM_TASKS": "4", "SLURM_PROCID": "2"}, True),
+    ],
+)
+def test_a_step_of_slurm_with_several_tasks_is_several_processes(variables, expected):
+    assert distributed.in_slurm(variables) is expected
+
+
+def test_slurm_is_asked_only_where_no_flag_says_otherwise(monkeypatch):
+    """A step of four tasks joins by JAX's own detection; `--processes=1` makes four runs of it."""
+    import jax
+
+    calls = []
+    monkeypatch.setattr(jax.distributed, "initialize", lambda **kw: calls.append(kw))
+    monkeypatch.setattr(distributed, "_last_words", lambda line: None)
+    monkeypatch.setenv("SLURM_STEP_NUM_TASKS", "4")
+    monkeypatch.setenv("SLURM_PROCID", "1")
+    distributed.join(None, 1, None)
+    assert not calls
+    distributed.join(None, None, None)
+    assert len(calls) == 1 and "coordinator_address" not in calls[0]
+
+
+def test_with_one_process_nothing_is_asked_of_the_others():
+    state = {"x": np.ones(3)}
+    assert distributed.first() and distributed.any_of(True) and not distributed.any_of(False)
+    assert distributed.on_first(lambda: 7) == 7 and distributed.whole(state) is state
+    assert distributed.from_first(lambda s: (1, s), state) == (1, state)
+    with distributed.together():
+        distributed.meet()
+    distributed.leave()
+
+
+@pytest.mark.parametrize(
+    ("variables", "expected"),
+    [
+        ({"SLURM_STEP_TASKS_PER_NODE": "8(x2)"}, None),  # all are visible: the one of its number
+        ({"SLURM_STEP_TASKS_PER_NODE": "2", "CUDA_VISIBLE_DEVICES": "0,1"}, None),
+        ({"SLURM_STEP_TASKS_PER_NODE": "4", "CUDA_VISIBLE_DEVICES": "3"}, [0]),  # --gpus-per-task=1
+        ({"SLURM_STEP_TASKS_PER_NODE": "1(x2)", "CUDA_VISIBLE_DEVICES": "0,1,2,3"}, [0, 1, 2, 3]),
+    ],
+)
+def test_every_task_of_slurm_gets_the_gpus_that_are_its_own(variables, expected):
+    assert distributed._slurm_devices(variables) == expected

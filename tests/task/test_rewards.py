@@ -1,0 +1,288 @@
+"""Reward terms against NumPy loops on random states, by hand, and their weighted sum."""
+
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from dynappo import config
+from dynappo.task import rewards
+
+STATES = 64
+# Isaac-Velocity-Flat-*-v0 of Isaac Lab 2.2.1: the terms and their weights, per second.
+UNITREE = dict(
+    track_linear_velocity=1.5,
+    track_yaw_rate=0.75,
+    vertical_velocity=-2.0,
+    roll_pitch_rate=-0.05,
+    flat_orientation=-2.5,
+    joint_torques=-2e-4,
+    joint_accelerations=-2.5e-7,
+    action_rate=-0.01,
+    feet_air_time=0.25,
+    undesired_contacts=0.0,
+)
+ANYMAL = dict(
+    track_linear_velocity=1.0,
+    track_yaw_rate=0.5,
+    vertical_velocity=-2.0,
+    roll_pitch_rate=-0.05,
+    flat_orientation=-5.0,
+    joint_torques=-2.5e-5,
+    joint_accelerations=-2.5e-7,
+    action_rate=-0.01,
+    feet_air_time=0.5,
+    undesired_contacts=-1.0,
+)
+WEIGHTS = dict(go1=UNITREE, go2=UNITREE, anymal_c=ANYMAL, anymal_d=ANYMAL)
+
+
+def random_state(seed):
+    """One robot's arrays (float32), as the terms take them; commands are slow half of the time."""
+    rng = np.random.default_rng(seed)
+    gravity = rng.normal(size=3)
+    state = dict(
+        linear=rng.normal(size=3),
+        angular=rng.normal(size=3),
+        gravity=gravity / np.linalg.norm(gravity),
+        command=rng.uniform(-1, 1, 3) * (1.0 if seed % 2 else 0.08),
+        torque=rng.normal(size=12) * 10,
+        qd=rng.normal(size=12) * 5,
+        qd_before=rng.normal(size=12) * 5,
+        action=rng.normal(size=12),
+        last_action=rng.normal(size=12),
+        last_air_time=rng.uniform(0, 1, 4),
+        lowest=rng.normal(size=14),
+    )
+    state = {name: value.astype(np.float32) for name, value in state.items()}
+    return state | {"touchdown": rng.random(4) < 0.5, "contact": rng.random(4) < 0.5}
+
+
+def by_loops(s, std):
+    """The formulas of the task's definition, one number at a time in double precision."""
+    s = {name: [float(x) for x in value] for name, value in s.items()}
+    error = sum((s["linear"][i] - s["command"][i]) ** 2 for i in range(2))
+    yaw_error = (s["angular"][2] - s["command"][2]) ** 2
+    air, speed = 0.0, math.hypot(s["command"][0], s["command"][1])
+    for last, down in zip(s["last_air_time"], s["touchdown"], strict=True):
+        if down and speed > 0.1:
+            air += last - 0.5
+    return dict(
+        track_linear_velocity=math.exp(-error / std**2),
+        track_yaw_rate=math.exp(-yaw_error / std**2),
+        vertical_velocity=s["linear"][2] ** 2,
+        roll_pitch_rate=s["angular"][0] ** 2 + s["angular"][1] ** 2,
+        flat_orientation=s["gravity"][0] ** 2 + s["gravity"][1] ** 2,
+        joint_torques=sum(t**2 for t in s["torque"]),
+        joint_accelerations=sum(
+            ((a - b) / 0.005) ** 2 for a, b in zip(s["qd"], s["qd_before"], strict=True)
+        ),
+        action_rate=sum((a - b) ** 2 for a, b in zip(s["action"], s["last_action"], strict=True)),
+        feet_air_time=air,
+        feet_in_air=float(sum(not c for c in s["contact"])),
+        undesired_contacts=float(sum(low < 0 for low in s["lowest"])),
+    )
+
+
+def shipped(s, std):
+    """Every term of `dynappo.rewards`, of NumPy or JAX arrays."""
+    return dict(
+        track_linear_velocity=rewards.track_linear_velocity(s["linear"], s["command"], std),
+        track_yaw_rate=rewards.track_yaw_rate(s["angular"], s["command"], std),
+        vertical_velocity=rewards.vertical_velocity(s["linear"]),
+        roll_pitch_rate=rewards.roll_pitch_rate(s["angular"]),
+        flat_orientation=rewards.flat_orientation(s["gravity"]),
+        joint_torques=rewards.joint_torques(s["torque"]),
+        joint_accelerations=rewards.joint_accelerations(s["qd"], s["qd_before"], 0.005),
+        action_rate=rewards.action_rate(s["action"], s["last_action"]),
+        feet_air_time=rewards.feet_air_time(s["last_air_time"], s["touchdown"], s["command"]),
+        feet_in_air=rewards.feet_in_air(s["contact"]),
+        undesired_contacts=rewards.undesired_contacts(s["lowest"]),
+    )
+
+
+@pytest.fixture(scope="module")
+def states():
+    return [random_state(seed) for seed in range(STATES)]
+
+
+@pytest.mark.parametrize("std", [0.5, 1.0])
+def test_every_term_in_numpy_is_that_of_plain_loops(states, std):
+    for state in states:
+        expected, found = by_loops(state, std), shipped(state, std)
+        assert expected.keys() == found.keys()
+        for name, value in expected.items():
+            np.testing.assert_allclose(found[name], value, rtol=1e-5, atol=1e-6, err_msg=name)
+
+
+@pytest.mark.parametrize("std", [0.5, 1.0])
+def test_every_term_in_jax_under_jit_and_vmap_is_that_of_plain_loops(states, std):
+    batch = {name: jnp.stack([s[name] for s in states]) for name in states[0]}
+    found = jax.jit(jax.vmap(lambda s: shipped(s, std)))(batch)
+    for i, state in enumerate(states):
+        for name, value in by_loops(state, std).items():
+            np.testing.assert_allclose(found[name][i], value, rtol=1e-5, atol=1e-6, err_msg=name)
+
+
+def test_the_random_states_exercise_every_branch(states):
+    found = [by_loops(s, 0.5) for s in states]
+    air = [f["feet_air_time"] for f in found]
+    assert min(air) < 0 < max(air) and sum(a == 0 for a in air) >= STATES // 2
+    assert {f["feet_in_air"] for f in found} == {0.0, 1.0, 2.0, 3.0, 4.0}
+
+
+def test_no_term_but_feet_air_time_is_ever_negative(states):
+    for state in states:
+        terms = shipped(state, 0.5)
+        assert all(value >= 0 for name, value in terms.items() if name != "feet_air_time")
+
+
+def make_state(**changes):
+    """Standing upright and still on four feet, with no command and no action."""
+    zeros = {name: np.zeros_like(value) for name, value in random_state(0).items()}
+    still = dict(
+        gravity=np.array([0.0, 0.0, -1.0]),
+        contact=np.ones(4, bool),
+        lowest=np.full(14, 0.1),
+    )
+    return zeros | still | {name: np.asarray(value) for name, value in changes.items()}
+
+
+def weighted_per_second(weights, **changes):
+    """Reward per second of a hand-made state, and each weighted term."""
+    terms = shipped(make_state(**changes), 0.5)
+    terms.pop("feet_in_air")
+    reward, parts = rewards.total(terms, weights, dt=0.02)
+    return float(reward) / 0.02, {name: float(value) for name, value in parts.items()}
+
+
+@pytest.mark.parametrize(("weights", "best"), [(UNITREE, 2.25), (ANYMAL, 1.5)])
+def test_standing_still_under_a_zero_command_earns_the_most_there_is(weights, best):
+    reward, parts = weighted_per_second(weights)
+    assert reward == pytest.approx(best, abs=1e-12)
+    earning = {name for name, value in parts.items() if value}
+    assert earning == {"track_linear_velocity", "track_yaw_rate"}
+
+
+def test_standing_still_under_a_fast_command_earns_almost_nothing():
+    reward, parts = weighted_per_second(UNITREE, command=[1.0, 0.0, 0.0])
+    assert parts["track_linear_velocity"] == pytest.approx(1.5 * math.exp(-4))
+    assert reward == pytest.approx(0.75 + 1.5 * math.exp(-4))
+
+
+def test_hopping_costs_twice_the_squared_vertical_velocity():
+    up, _ = weighted_per_second(UNITREE, linear=[0.0, 0.0, 0.5])
+    down, _ = weighted_per_second(UNITREE, linear=[0.0, 0.0, -0.5])
+    assert up == down == pytest.approx(2.25 - 2.0 * 0.25)
+
+
+def test_flying_earns_no_air_time_before_the_feet_come_down():
+    flying = dict(contact=np.zeros(4, bool), last_air_time=np.full(4, 0.9), command=[1.0, 0, 0])
+    _, parts = weighted_per_second(UNITREE, **flying)
+    assert parts["feet_air_time"] == 0
+    assert shipped(make_state(**flying), 0.5)["feet_in_air"] == 4
+
+
+def test_falling_over_costs_orientation_roll_rate_and_parts_at_the_ground():
+    fallen = dict(
+        gravity=[0.0, 1.0, 0.0], angular=[3.0, 4.0, 0.0], lowest=[-0.01, 0.0, -0.2] + [0.1] * 11
+    )
+    _, parts = weighted_per_second(ANYMAL, **fallen)
+    assert parts["flat_orientation"] == -5.0
+    assert parts["roll_pitch_rate"] == pytest.approx(-0.05 * 25)
+    assert parts["undesired_contacts"] == -2.0  # a part that only touches height 0 is not counted
+
+
+def test_a_touchdown_after_half_a_second_in_the_air_is_worth_nothing():
+    for air, expected in ((0.5, 0.0), (0.4, -0.1), (0.75, 0.25)):
+        last = np.array([air, 9.0, 9.0, 9.0])
+        down = np.array([True, False, False, False])
+        found = rewards.feet_air_time(last, down, np.array([0.5, 0.0, 0.0]))
+        assert found == pytest.approx(expected, abs=1e-12)
+
+
+def test_air_time_sums_over_the_feet_that_came_down():
+    last, down = np.array([0.6, 0.7, 0.2, 9.0]), np.array([True, True, True, False])
+    found = rewards.feet_air_time(last, down, np.array([0.0, -1.0, 0.0]))
+    assert found == pytest.approx(0.1 + 0.2 - 0.3)
+
+
+@pytest.mark.parametrize(
+    ("command", "counts"),
+    [
+        ((0.0, 0.0, 1.0), False),  # turning on the spot is slow, however fast the turn
+        ((0.09, 0.0, 0.0), False),
+        ((0.06, -0.07, 0.5), False),
+        ((-0.11, 0.0, 0.0), True),
+        ((0.08, 0.08, 0.0), True),
+    ],
+)
+def test_air_time_counts_for_planar_commands_above_a_tenth_of_a_metre_per_second(command, counts):
+    found = rewards.feet_air_time(np.full(4, 0.8), np.ones(4, bool), np.array(command))
+    assert found == pytest.approx(4 * 0.3 if counts else 0.0)
+
+
+def test_tracking_falls_with_the_error_and_only_with_the_planar_error():
+    command = np.array([0.3, -0.2, 0.1])
+    values = [
+        rewards.track_linear_velocity(command + [e, 0.0, 7.0], command, 0.5)
+        for e in (0.0, 0.25, 0.5, 1.0)
+    ]
+    assert values == pytest.approx([1.0, math.exp(-0.25), math.exp(-1), math.exp(-4)])
+
+
+def test_joint_acceleration_is_taken_over_one_physics_step():
+    before, after = np.zeros(12), np.eye(12)[3] * 0.01
+    assert rewards.joint_accelerations(after, before, 0.005) == pytest.approx(4.0)  # (2 rad/s^2)^2
+
+
+def test_the_total_is_the_sum_of_the_weighted_terms_times_the_control_step():
+    terms = {"a": np.float32(2.0), "b": np.float32(-3.0)}
+    reward, weighted = rewards.total(terms, {"b": 0.5, "a": 4.0}, dt=0.02)
+    assert weighted == {"a": 8.0, "b": -1.5}
+    assert reward == pytest.approx(0.02 * 6.5)
+    assert rewards.total(terms, {"b": 0.5, "a": 4.0}, dt=0.04)[0] == pytest.approx(2 * reward)
+
+
+def test_the_total_is_linear_in_each_weight(states):
+    terms = shipped(states[1], 0.5)
+    base = rewards.total(terms, dict.fromkeys(terms, 1.0), dt=1.0)[0]
+    for name, value in terms.items():
+        weights = dict.fromkeys(terms, 1.0) | {name: 3.0}
+        assert rewards.total(terms, weights, dt=1.0)[0] == pytest.approx(base + 2 * value, rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("terms", "weights", "words"),
+    [
+        (("a", "b"), ("a",), r"terms without a weight: \['b'\]"),
+        (("a",), ("a", "speed"), r"weights without a term: \['speed'\]"),
+    ],
+)
+def test_a_term_without_a_weight_or_a_weight_without_a_term_is_named(terms, weights, words):
+    with pytest.raises(ValueError, match=words):
+        rewards.total(dict.fromkeys(terms, 1.0), dict.fromkeys(weights, 1.0), dt=0.02)
+
+
+@pytest.mark.parametrize("name", WEIGHTS)
+def test_weights_of_a_config_are_those_of_the_named_task(name):
+    task = config.load(f"{name}.py").task
+    assert task.weights.to_dict() == WEIGHTS[name]
+
+
+@pytest.mark.parametrize(
+    ("name", "best"), [("go1", 45.0), ("go2", 45.0), ("anymal_c", 30.0), ("anymal_d", 30.0)]
+)
+def test_an_episode_of_twenty_seconds_that_tracks_perfectly_earns(name, best):
+    settings = config.load(f"{name}.py")
+    dt = settings.physics.timestep * settings.physics.substeps
+    command = np.array([0.4, -0.3, 0.2])
+    terms = shipped(
+        make_state(command=command, linear=command * [1, 1, 0], angular=command * [0, 0, 1]), 0.5
+    )
+    terms.pop("feet_in_air")
+    reward, _ = rewards.total(terms, settings.task.weights.to_dict(), dt)
+    assert settings.task.episode_length * dt == pytest.approx(20.0)
+    assert settings.task.episode_length * reward == pytest.approx(best)

@@ -1,0 +1,199 @@
+"""Deterministic episodes against a NumPy loop, one robot and one step at a time."""
+
+import functools
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import toy_env
+
+from dynappo import evaluation
+from dynappo.learner import ppo
+
+ROBOTS, STEPS, LIMIT = 12, 25, 20  # episodes of 20 steps, the time limit
+SETTLED = 10  # steps of the first second, at 0.1 s
+
+
+@pytest.fixture(scope="module")
+def settings():
+    """`(static, hyper)` of the toy, with noise and randomised bodies that must not matter."""
+    fields = {"task.noise.joint_pos": 0.5, "task.randomize.base_mass": (-5.0, 20.0)}
+    return toy_env.settings(fields)[1:]
+
+
+@pytest.fixture(scope="module")
+def params(settings):
+    """A policy whose robots do not all fall, and do not all stand."""
+    static, hyper = settings
+    params = ppo.init(static.ppo, hyper.ppo, 6, 2, jax.random.key(4)).params
+    last = params["actor"]["params"]["Dense_2"]
+    last["kernel"] = last["kernel"] * 3
+    return params
+
+
+@pytest.fixture(scope="module")
+def assess(settings):
+    """`assess(params, seed, steps, randomize, task, **kwargs of toy_env.make)`, compiled once for each."""
+    static, hyper = settings
+
+    @functools.cache
+    def program(steps, randomize, kwargs):
+        env = toy_env.make(**dict(kwargs))
+        run = partial(evaluation.evaluate, env, static=static, num_envs=ROBOTS, num_steps=steps)
+        return jax.jit(partial(run, randomize=randomize))
+
+    def call(params, seed=0, steps=STEPS, randomize=False, task=hyper.task, **kwargs):
+        run = program(steps, randomize, tuple(kwargs.items()))
+        return run(task, params, jax.random.key(seed))
+
+    return call
+
+
+def actor(params, obs):
+    """The mean action of one robot, in NumPy."""
+    layers = params["actor"]["params"]
+    for i in range(len(layers)):
+        kernel, bias = (np.asarray(layers[f"Dense_{i}"][k], np.float64) for k in ("kernel", "bias"))
+        obs = obs @ kernel + bias
+        if i < len(layers) - 1:
+            obs = np.where(obs > 0, obs, np.expm1(np.minimum(obs, 0)))
+    return obs
+
+
+def start(settings, seed):
+    """`(prop [3], command)` of every robot, from the environment's reset on the nominal task."""
+    task, env = evaluation.nominal(settings[1].task), toy_env.make()
+    keys = jax.random.split(jax.random.key(seed), ROBOTS)
+    physics = jax.vmap(env.randomize, (None, 0))(task, keys)
+    np.testing.assert_array_equal(physics, 1.0)
+    state = jax.vmap(env.reset, (None, 0, 0))(task, physics, keys)
+    return np.asarray(state.prop, np.float64), np.asarray(state.command, np.float64)
+
+
+def reference(settings, params, seed, steps, episode_length):
+    """Every metric, and how many robots fell, by loops over robots and steps."""
+    returns, lengths, falls, errors = [], [], [], []
+    for prop, command in zip(*start(settings, seed), strict=True):
+        action, total, fell = np.zeros(2), 0.0, False
+        for t in range(min(steps, episode_length)):
+            action = actor(params, np.concatenate([prop, [command], action]))
+            prop = np.array(toy_env.A) @ prop + np.array(toy_env.B) @ action
+            error = (prop[0] - command) ** 2
+            total += toy_env.DT * (1 - error - 0.01 * (action**2).sum())
+            fell = abs(prop[1]) > toy_env.LIMIT
+            if t >= SETTLED and not fell:
+                errors.append(error)
+            if fell:
+                break
+        returns.append(total)
+        lengths.append(t + 1)
+        falls.append(fell)
+    return {
+        "return": np.mean(returns),
+        "return_std": np.std(returns),
+        "length": np.mean(lengths),
+        "fall_rate": np.mean(falls),
+        "tracking_error": np.sqrt(np.mean(errors)),
+    }
+
+
+@pytest.mark.parametrize("seed, steps", [(0, STEPS), (1, STEPS), (0, 15)])
+def test_episodes_are_those_of_a_loop(assess, settings, params, seed, steps):
+    """Return, its spread, length, falls, and the tracking error after the first second."""
+    metrics = assess(params, seed, steps)
+    expected = reference(settings, params, seed, steps, LIMIT)
+    assert metrics.keys() == expected.keys()
+    assert 0 < expected["fall_rate"] < 1
+    for name, value in expected.items():
+        np.testing.assert_allclose(metrics[name], value, 2e-4, err_msg=name)
+
+
+def test_an_evaluation_is_deterministic_and_its_commands_are_drawn(assess, params):
+    """The same key gives the same bits, another key other commands."""
+    one, two, other = assess(params), assess(params), assess(params, 1)
+    assert all(one[name] == two[name] for name in one)
+    assert one["return"] != other["return"]
+
+
+def test_an_evaluation_does_not_depend_on_the_noise_of_the_policy(assess, params):
+    """Actions are the policy's mean: its standard deviation changes nothing."""
+    loud = params | {"std": params["std"] * 10}
+    one, other = assess(params), assess(loud)
+    assert all(one[name] == other[name] for name in one)
+
+
+def test_a_randomized_evaluation_is_on_the_task_as_it_trains(assess, settings, params):
+    """Noise and bodies of its own matter then: on a task that has none, both are the same to the bit."""
+    task = jax.tree.map(jnp.float32, settings[1].task)
+    nominal = jax.tree.map(jnp.float32, evaluation.nominal(task))
+    plain = assess(params, task=task)
+    same = assess(params, randomize=True, task=nominal)
+    assert all(plain[name] == same[name] for name in plain)
+    randomize, noise = task.randomize, task.noise
+    for part in (nominal._replace(noise=noise), nominal._replace(randomize=randomize), task):
+        hard = assess(params, randomize=True, task=part)
+        assert hard["return"] != plain["return"]
+        assert hard["tracking_error"] != plain["tracking_error"]
+
+
+def test_episodes_start_at_age_zero(assess, params):
+    """An environment that starts its robots aged is evaluated over whole episodes."""
+    aged, young = assess(params), assess(params, aged=False)
+    np.testing.assert_allclose(aged["length"], young["length"])
+
+
+def test_a_robot_that_fell_counts_no_more(assess, settings, params):
+    """With a time limit that nobody reaches, a fall ends return, length and error for good."""
+    metrics = assess(params, 0, STEPS, episode_length=1000)
+    expected = reference(settings, params, 0, STEPS, 1000)
+    for name in ("return", "length", "fall_rate", "tracking_error"):
+        np.testing.assert_allclose(metrics[name], expected[name], 2e-4, err_msg=name)
+
+
+def test_a_blow_up_is_a_fall_and_leaves_no_nan(assess, params):
+    """Every metric is finite where physics diverges in the middle of episodes."""
+    calm, wild = assess(params), assess(params, blowup_action=0.2)
+    assert wild["fall_rate"] > calm["fall_rate"]
+    assert all(np.isfinite(value) for value in wild.values())
+
+
+def test_no_tracking_error_is_reported_where_nobody_stood_long_enough(assess, params):
+    """An error that was never measured is NaN: 0 would read as perfect tracking."""
+    metrics = assess(params, 0, SETTLED)
+    assert np.isnan(metrics["tracking_error"])
+
+
+def test_the_nominal_task_has_no_noise_and_one_body():
+    """Noise, pushes, added mass and shift 0, gains 1, friction its middle; all else as it was."""
+    fields = {
+        "task.randomize.friction": (0.4, 1.0),
+        "task.randomize.kp_scale": (0.9, 1.1),
+        "task.randomize.kd_scale": (0.9, 1.1),
+        "task.randomize.base_com": (0.05, 0.05, 0.01),
+        "task.push.velocity": 0.5,
+    }
+    task = toy_env.settings(fields)[2].task
+    nominal = evaluation.nominal(task)
+    assert all(x == 0 for x in jax.tree.leaves(nominal.noise))
+    assert nominal.push.velocity == 0 and nominal.push.interval == task.push.interval
+    middle = nominal.randomize
+    assert [float(x) for x in middle.base_mass + middle.base_com] == [0.0] * 5
+    assert [float(x) for x in middle.kp_scale + middle.kd_scale] == [1.0] * 4
+    np.testing.assert_allclose(middle.friction, (0.7, 0.7), 1e-6)
+    kept = nominal._replace(noise=task.noise, randomize=task.randomize, push=task.push)
+    assert kept == task and any(x > 0 for x in jax.tree.leaves(task.noise))
+    assert jax.tree.structure(nominal) == jax.tree.structure(task)
+
+
+def test_a_nominal_robot_is_the_robot_of_its_file():
+    """Drawn from the nominal ranges, every robot has the masses and gains of the XML."""
+    from dynappo.physics import randomize
+
+    task = evaluation.nominal(toy_env.settings()[2].task)
+    com = jnp.array([0.01, 0.0, -0.02])
+    draws = [randomize.draw(task.randomize, 5.2, com, jax.random.key(seed)) for seed in range(3)]
+    for draw in draws[1:]:
+        jax.tree.map(np.testing.assert_array_equal, draw, draws[0])
+    np.testing.assert_allclose(draws[0].base_com, com, 1e-6)

@@ -1,0 +1,202 @@
+"""Curves of a run: the interval against exact and published ones, the picture against its data."""
+
+import itertools
+import sys
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from dynappo.train import curves, log
+
+# ---- the interval of a mean
+
+
+def test_it_is_the_percentiles_of_every_resample_there_is():
+    """Five seeds have 5^5 resamples, all equally likely: counted one by one."""
+    values = np.array([34.0, 31.5, 33.8, 12.0, 35.1])
+    means = [np.mean(drawn) for drawn in itertools.product(values, repeat=5)]
+    low, high = curves.interval(values)
+    for found, share in ((low, 0.025), (high, 0.975)):
+        below = [np.quantile(means, share + error) for error in (-0.012, 0.012)]  # of 2,000 drawn
+        assert below[0] <= found <= below[1]
+
+
+def test_it_is_scipys_percentile_bootstrap():
+    """scipy.stats.bootstrap of the mean, for each of several columns."""
+    values = np.random.default_rng(0).gamma(2.0, size=(9, 4))
+    low, high = curves.interval(values)
+    for k in range(4):
+        theirs = stats.bootstrap(
+            (values[:, k],), np.mean, method="percentile", n_resamples=20_000, rng=1
+        ).confidence_interval
+        width = theirs.high - theirs.low
+        assert abs(low[k] - theirs.low) < 0.05 * width and abs(high[k] - theirs.high) < 0.05 * width
+
+
+def test_of_many_seeds_it_is_the_normal_interval():
+    """Mean +- 1.96 standard errors."""
+    values = np.random.default_rng(3).normal(5.0, 2.0, 400)
+    low, high = curves.interval(values)
+    half = 1.96 * values.std(ddof=1) / 20
+    np.testing.assert_allclose(
+        [low, high], [values.mean() - half, values.mean() + half], atol=0.015
+    )
+
+
+@pytest.mark.parametrize("seeds, share", [(5, 0.84), (10, 0.90), (50, 0.94)])
+def test_it_holds_the_true_mean_as_often_as_its_docstring_says(seeds, share):
+    """Too short for few seeds, 95 % for many: counted over 10,000 experiments."""
+    values = np.random.default_rng(seeds).normal(size=(seeds, 10_000))
+    low, high = curves.interval(values)
+    assert abs(((low < 0) & (high > 0)).mean() - share) < 0.012
+
+
+def test_it_is_deterministic_and_takes_any_shape():
+    """Every number as if it were alone; another seed draws other resamples."""
+    values = np.random.default_rng(0).normal(size=(6, 3, 2))
+    low, high = curves.interval(values)
+    assert low.shape == high.shape == (3, 2) and (low < values.mean(0)).all()
+    alone = [curves.interval(values[:, i, j]) for i, j in np.ndindex(3, 2)]
+    np.testing.assert_allclose(alone, np.stack([low.ravel(), high.ravel()], 1), rtol=1e-12)
+    again, other = curves.interval(values), curves.interval(values, seed=1)
+    assert (again[0] == low).all() and (other[0] != low).all()
+    np.testing.assert_allclose(curves.interval(values + 7)[1], high + 7)
+
+
+def test_nothing_is_claimed_of_one_seed_or_of_a_seed_without_a_number():
+    """NaN, not an interval of width 0; other columns are not touched."""
+    assert np.isnan(curves.interval([3.0])).all()
+    assert np.isnan(curves.interval(np.ones((1, 4)))).all()
+    values = np.arange(12.0).reshape(4, 3)
+    values[2, 1] = np.nan
+    low, high = curves.interval(values)
+    assert np.isnan(low).tolist() == np.isnan(high).tolist() == [False, True, False]
+    np.testing.assert_allclose(low[0], curves.interval(values[:, 0])[0])
+
+
+# ---- the picture
+
+
+def run(seeds: int, iterations: int = 40) -> dict[str, np.ndarray]:
+    """Metrics as `train.loop` returns them; the first episode of seed s ends in iteration 3 + s."""
+    rng = np.random.default_rng(0)
+    shape = (iterations, seeds) if seeds > 1 else (iterations,)
+    names = [panel.metric for panel in curves.PANELS]
+    metrics = {name: rng.uniform(0.1, 1.0, shape).cumsum(0) for name in names}
+    for s in range(seeds):
+        for name in ("episode_return", "episode_length"):
+            metrics[name].reshape(iterations, -1)[: 2 + s, s] = np.nan
+    i = np.arange(1, iterations + 1)
+    return metrics | {"iteration": i, "sim_steps": 96 * i, "seconds": 0.1 * i}
+
+
+def lines(axes) -> dict[str, np.ndarray]:
+    """`{label: [I, 2]}` of what is drawn."""
+    return {line.get_label(): np.stack(line.get_data(), 1) for line in axes.get_lines()}
+
+
+def test_every_seed_their_mean_and_its_band_are_drawn():
+    """The lines of each panel hold the columns; the band's corners are the interval's."""
+    metrics = run(seeds=3)
+    page = curves.figure(metrics, "three seeds")
+    assert len(page.axes) == 5
+    for axes, panel in zip(page.axes, curves.PANELS, strict=True):
+        drawn, values = lines(axes), metrics[panel.metric]
+        assert sorted(drawn) == ["mean", "seed 0", "seed 1", "seed 2"]
+        for s in range(3):
+            np.testing.assert_array_equal(drawn[f"seed {s}"][:, 1], values[:, s])
+        np.testing.assert_allclose(drawn["mean"][:, 1], values.mean(1))
+        np.testing.assert_array_equal(drawn["mean"][:, 0], metrics["iteration"])
+        low, high = curves.interval(values.T)
+        (band,) = axes.collections
+        corners = {tuple(corner) for path in band.get_paths() for corner in path.vertices}
+        for k in np.flatnonzero(np.isfinite(low)):
+            assert {(k + 1.0, low[k]), (k + 1.0, high[k])} <= corners
+        assert panel.title == axes.get_title("left") and axes.get_xlabel() == "iteration"
+    assert np.isnan(lines(page.axes[0])["mean"][:4, 1]).all()  # seed 2 has no number before row 5
+    assert np.isfinite(lines(page.axes[0])["mean"][4:, 1]).all()
+
+
+def test_the_numbers_at_the_ends_are_those_of_the_last_ten_rows():
+    """As the summary's return; each seed is named beside the large panel only."""
+    metrics = run(seeds=2)
+    page = curves.figure(metrics)
+    last = metrics["episode_return"][-10:].mean(0)
+    found = [text.get_text() for text in page.axes[0].texts]
+    assert found == [
+        f"mean {last.mean():.1f}",
+        f"seed 0   {last[0]:.1f}",
+        f"seed 1   {last[1]:.1f}",
+    ]
+    assert [t.get_text() for t in page.axes[2].texts] == [
+        f"{metrics['velocity_error'][-10:].mean():.2f}"
+    ]
+    many = {name: np.repeat(v, 8, 1) if v.ndim == 2 else v for name, v in metrics.items()}
+    assert len(curves.figure(many).axes[0].texts) == 1  # sixteen names would cover each other
+
+
+@pytest.mark.parametrize("two_dimensional", [False, True])
+def test_of_one_seed_its_line_alone_is_drawn(two_dimensional):
+    """[I] and [I, 1] alike."""
+    metrics = run(seeds=1)
+    returns = metrics["episode_return"]
+    if two_dimensional:
+        metrics["episode_return"] = returns[:, None]
+    axes = curves.figure(metrics).axes[0]
+    assert list(lines(axes)) == ["mean"] and not axes.collections
+    np.testing.assert_array_equal(lines(axes)["mean"][:, 1], returns)
+
+
+def test_what_a_run_lacks_is_left_out():
+    """Plain PPO has no model; a run in which no episode ended has no return to show."""
+    metrics = run(seeds=2)
+    del metrics["model_loss"]
+    metrics["episode_return"][:] = metrics["episode_length"][:] = np.nan
+    page = curves.figure(metrics)
+    assert [a.get_title("left") for a in page.axes] == [p.title for p in curves.PANELS[:-1]]
+    assert not page.axes[0].texts
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("seeds, iterations", [(1, 40), (3, 40), (3, 1), (12, 40)])
+def test_a_png_is_written(tmp_path, seeds, iterations):
+    """From the metrics of a run and from its metrics.csv, with the same bytes; without a warning."""
+    metrics = run(seeds, iterations)
+    assert curves.draw(metrics, tmp_path / "a.png", "a run") == ""
+    content = (tmp_path / "a.png").read_bytes()
+    assert content[:8] == b"\x89PNG\r\n\x1a\n" and len(content) > 20_000
+    assert int.from_bytes(content[16:20]) == 1800
+    rounded = {n: np.array([float(f"{x:.6g}") for x in v.flat]) for n, v in metrics.items()}
+    rounded = {n: v.reshape(metrics[n].shape) for n, v in rounded.items()}
+    log.append_csv(tmp_path / "metrics.csv", log.rows(metrics))
+    read = log.read_csv(tmp_path / "metrics.csv", seeds)
+    assert curves.draw(read, tmp_path / "b.png", "a run") == ""
+    assert curves.draw(rounded, tmp_path / "c.png", "a run") == ""
+    assert (tmp_path / "b.png").read_bytes() == (tmp_path / "c.png").read_bytes()
+
+
+def test_without_matplotlib_it_says_what_to_install(tmp_path, monkeypatch):
+    """One line, and no file."""
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    said = curves.draw(run(seeds=2), tmp_path / "a.png")
+    assert "pip install 'dynappo[video]'" in said and "\n" not in said
+    assert not list(tmp_path.iterdir())
+
+
+def test_labels_are_moved_apart_and_no_further():
+    """Against the least squares that scipy finds; order and gap are kept, none is above the top."""
+    from scipy import optimize
+
+    for trial in range(5):
+        heights = np.random.default_rng(trial).uniform(0.2, 0.7, 6)
+        moved = curves._apart(heights, 0.08)
+        order = np.argsort(heights)
+        gaps = optimize.LinearConstraint(np.diff(np.eye(6)[order], axis=0), 0.08, np.inf)
+        best = optimize.minimize(
+            lambda x, h=heights: ((x - h) ** 2).sum(), heights, constraints=gaps
+        )
+        np.testing.assert_allclose(moved - max(0, moved.max() - 1), best.x, atol=1e-4)
+        assert (np.diff(moved[order]) >= 0.08 - 1e-12).all()
+    assert curves._apart([0.99, 0.98], 0.06).max() == pytest.approx(1.0)
+    np.testing.assert_allclose(curves._apart([0.9, 0.1], 0.06), [0.9, 0.1])

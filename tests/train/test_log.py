@@ -1,0 +1,292 @@
+"""What a run writes: rows in order, numbers that come back, files that are whole or not there."""
+
+import csv
+import errno
+import json
+import sys
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from dynappo import config as config_lib
+from dynappo.config import files
+from dynappo.train import log
+
+
+def metrics(iterations=4, seeds=0, first=1):
+    """Metrics as the trainer makes them; before the third iteration no episode has ended."""
+    rng = np.random.default_rng(first)
+    shape = (iterations, seeds) if seeds else (iterations,)
+    index = np.arange(first, first + iterations, dtype=np.int32)
+    out = {
+        "value_loss": rng.random(shape).astype(np.float32),
+        "episode_return": rng.normal(size=shape).astype(np.float32),
+        "reward_action_rate": -rng.random(shape).astype(np.float32),
+        "n_synthetic": index % 3,
+        "n_real": 16 - index % 3,
+        "iteration": index,
+        "seconds": 0.25 * index,
+        "sim_steps": np.int64(4_000_000_000) * index,  # more than 32 bits hold
+    }
+    out["episode_return"][:2] = np.nan
+    return out
+
+
+def test_there_is_one_row_an_iteration_and_its_columns_are_ordered():
+    """First what one looks for, then all other metrics by name."""
+    table = log.rows(metrics())
+    assert len(table) == 4
+    assert list(table[0]) == [
+        "iteration",
+        "sim_steps",
+        "seconds",
+        "episode_return",
+        "n_real",
+        "n_synthetic",
+        "reward_action_rate",
+        "value_loss",
+    ]
+    assert [row["iteration"] for row in table] == [1, 2, 3, 4]
+
+
+def test_with_seeds_there_is_one_row_an_iteration_and_seed():
+    """Seeds of an iteration follow each other; what they share is repeated."""
+    data = metrics(seeds=3)
+    table = log.rows(data)
+    assert [(row["iteration"], row["seed"]) for row in table] == [
+        (i, s) for i in (1, 2, 3, 4) for s in (0, 1, 2)
+    ]
+    for row in table:
+        i, s = row["iteration"] - 1, row["seed"]
+        assert row["value_loss"] == data["value_loss"][i, s]
+        assert row["sim_steps"] == data["sim_steps"][i]
+
+
+@pytest.mark.parametrize("seeds", [0, 3])
+def test_a_file_appended_in_two_chunks_reads_back_as_one(tmp_path, seeds):
+    """Six digits of every number, all digits of counts, NaN as NaN, and seeds as columns."""
+    path = tmp_path / "metrics.csv"
+    chunks = [metrics(2, seeds), metrics(2, seeds, first=3)]
+    for chunk in chunks:
+        log.append_csv(path, log.rows(chunk))
+    back = log.read_csv(path, max(seeds, 1))
+    assert set(back) == set(chunks[0])
+    for name, column in back.items():
+        expected = np.concatenate([chunk[name] for chunk in chunks])
+        assert column.shape == expected.shape, name
+        np.testing.assert_allclose(column, expected, 1e-5, err_msg=name)
+    np.testing.assert_array_equal(back["sim_steps"], np.arange(1, 5) * 4_000_000_000)
+
+
+def test_one_seed_of_several_is_a_column_all_the_same(tmp_path):
+    """Metrics `[I, 1]` have the column `seed`, and come back as they were."""
+    path = tmp_path / "metrics.csv"
+    log.append_csv(path, log.rows(metrics(seeds=1)))
+    with path.open() as file:
+        assert [row["seed"] for row in csv.DictReader(file)] == ["0"] * 4
+
+
+def test_the_header_is_written_once_and_undefined_numbers_are_empty(tmp_path):
+    """Plain text that any tool reads: counts without a point, no "nan"."""
+    path = tmp_path / "metrics.csv"
+    log.append_csv(path, log.rows(metrics(2)))
+    log.append_csv(path, log.rows(metrics(2, first=3)))
+    lines = path.read_text().splitlines()
+    assert len(lines) == 5
+    assert lines[0].startswith("iteration,sim_steps,seconds,episode_return")
+    assert lines[1].startswith("1,4000000000,0.25,,15,1,")
+    assert "nan" not in path.read_text()
+    assert sum(line.startswith("iteration") for line in lines) == 1
+
+
+def test_rows_after_the_checkpoint_are_cut(tmp_path):
+    """Rows up to the iteration keep every byte, header included; a missing file stays missing."""
+    path = tmp_path / "metrics.csv"
+    log.cut_csv(path, 2)
+    assert not path.exists()
+    log.append_csv(path, log.rows(metrics(12, seeds=2)))
+    before = path.read_bytes().splitlines(keepends=True)
+    for iteration, kept in ((10, 20), (3, 6), (3, 6), (0, 0)):
+        log.cut_csv(path, iteration)
+        assert path.read_bytes() == b"".join(before[: 1 + kept])
+    assert [p.name for p in tmp_path.iterdir()] == ["metrics.csv"]
+
+
+def test_a_line_that_was_cut_off_while_writing_is_dropped(tmp_path):
+    """A run killed in the middle of a line resumes without half a row: "1" is no iteration 12."""
+    path = tmp_path / "metrics.csv"
+    log.append_csv(path, log.rows(metrics(12)))
+    whole = path.read_text()
+    begin = whole.index("12,480")
+    for written in ("12,480", "12", "1"):
+        path.write_text(whole[:begin] + written)
+        log.cut_csv(path, 10)
+        back = log.read_csv(path)
+        np.testing.assert_array_equal(back["iteration"], np.arange(1, 11))
+
+
+def test_json_is_written_whole_or_not_at_all(tmp_path):
+    """A value that JSON cannot hold leaves the old file, and a good one replaces it."""
+    path = tmp_path / "summary.json"
+    files.write_json(path, {"return": [1.5, None], "robot": "go1"})
+    assert json.loads(path.read_text()) == {"return": [1.5, None], "robot": "go1"}
+    with pytest.raises(TypeError):
+        files.write_json(path, {"return": object()})
+    assert json.loads(path.read_text())["robot"] == "go1"
+    files.write_json(path, {"robot": "go2"})
+    assert json.loads(path.read_text()) == {"robot": "go2"}
+    assert [p.name for p in tmp_path.iterdir()] == ["summary.json"]
+
+
+# ---- more columns, full disks, other logs
+
+
+def test_a_new_column_is_added_to_the_rows_that_are_there(tmp_path):
+    """Evaluation began later, or was asked for when the run went on."""
+    path = tmp_path / "metrics.csv"
+    log.append_csv(path, log.rows(metrics(2)))
+    evaluated = metrics(2, first=3) | {"eval_return": np.array([np.nan, 7.5])}
+    log.append_csv(path, log.rows(evaluated))
+    log.append_csv(path, log.rows(metrics(1, first=5)))
+    back = log.read_csv(path)
+    np.testing.assert_array_equal(back["iteration"], [1, 2, 3, 4, 5])
+    np.testing.assert_array_equal(back["eval_return"], [np.nan] * 3 + [7.5, np.nan])
+    np.testing.assert_allclose(back["value_loss"][:2], metrics(2)["value_loss"], 1e-5)
+    assert not list(tmp_path.glob("*.new"))
+
+
+def test_rows_that_could_not_be_written_are_written_with_the_next_and_whole(tmp_path, monkeypatch):
+    """The disk is full in the middle of a row; nothing of it stays in the file."""
+    path = tmp_path / "metrics.csv"
+    sink = log.csv_sink(path)
+    sink.write(log.rows(metrics(1)))
+    before = path.read_bytes()
+    number = log._number
+
+    def full(value):
+        if value == 3:  # in the second of the two rows
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return number(value)
+
+    monkeypatch.setattr(log, "_number", full)
+    with pytest.raises(OSError, match="No space"):
+        sink.write(log.rows(metrics(2, first=2)))
+    assert path.read_bytes() == before
+    monkeypatch.setattr(log, "_number", number)
+    sink.write(log.rows(metrics(1, first=4)))
+    np.testing.assert_array_equal(log.read_csv(path)["iteration"], [1, 2, 3, 4])
+
+
+def test_the_first_bad_number_is_named_in_the_order_of_computation():
+    """A reward before the loss that it spoils; an empty mean return is nothing bad."""
+    data = metrics()
+    assert log.first_nonfinite(data) is None  # the first returns are NaN
+    data["value_loss"][1:] = np.nan
+    assert log.first_nonfinite(data) == ("value_loss", 2)
+    data["reward_action_rate"][1] = np.inf
+    assert log.first_nonfinite(data) == ("reward_action_rate", 2)
+    data = metrics(seeds=3)
+    data["value_loss"][3, 2] = np.nan
+    assert log.first_nonfinite(data) == ("value_loss", 4)
+
+
+def test_the_first_array_with_a_bad_number_is_named_by_its_path():
+    """NumPy's and JAX's, integers among them; a second look compiles nothing."""
+    import jax.numpy as jnp
+
+    tree = {"a": [jnp.ones(3), np.arange(2)], "b": {"w": jnp.zeros((2, 2))}, "none": None}
+    assert log.nonfinite_leaf(tree) is None and log.nonfinite_leaf({}) is None
+    compiled = log._finite()._cache_size()
+    tree["b"]["w"] = tree["b"]["w"].at[1, 0].set(jnp.inf)
+    assert log.nonfinite_leaf(tree) == "b/w"
+    tree["a"][0] = tree["a"][0].at[2].set(jnp.nan)
+    assert log.nonfinite_leaf(tree) == "a/0"
+    assert log._finite()._cache_size() == compiled
+
+
+def test_chunks_are_joined_with_nan_where_one_lacks_a_column():
+    chunks = [metrics(2), metrics(2, first=3) | {"eval_return": np.array([np.nan, 1.0])}]
+    joined = log.join(chunks)
+    np.testing.assert_array_equal(joined["iteration"], [1, 2, 3, 4])
+    np.testing.assert_array_equal(joined["eval_return"], [np.nan, np.nan, np.nan, 1.0])
+
+
+def events(folder):
+    """`{(tag, step): value}` of TensorBoard's files, in the order of their making."""
+    from tensorboardX.proto.event_pb2 import Event
+
+    out, restarts = {}, []
+    for path in sorted(folder.glob("events.*"), key=lambda p: p.stat().st_mtime_ns):
+        data, at = path.read_bytes(), 0
+        while at < len(data):  # a record: length, its checksum, the event, its checksum
+            size = int.from_bytes(data[at : at + 8], "little")
+            event = Event.FromString(data[at + 12 : at + 12 + size])
+            at += size + 16
+            if event.HasField("session_log"):
+                restarts.append(event.step)
+            for value in event.summary.value:
+                out[value.tag, event.step] = value.simple_value
+    return out, restarts
+
+
+def test_tensorboard_gets_every_finite_number_of_every_row(tmp_path):
+    sink = log.tensorboard_sink(tmp_path, 0)
+    sink.write(log.rows(metrics()))
+    sink.close()
+    found, restarts = events(tmp_path)
+    data = metrics()
+    assert restarts == []
+    assert found["reward/action_rate", 4] == pytest.approx(data["reward_action_rate"][3])
+    assert found["train/value_loss", 1] == pytest.approx(data["value_loss"][0])
+    assert ("train/episode_return", 2) not in found and ("train/episode_return", 3) in found
+    assert {step for _, step in found} == {1, 2, 3, 4}
+
+
+def test_a_run_that_goes_on_takes_back_the_events_after_its_checkpoint(tmp_path):
+    sink = log.tensorboard_sink(tmp_path, 2)
+    sink.write(log.rows(metrics(2, first=3, seeds=2)))
+    sink.close()
+    found, restarts = events(tmp_path)
+    assert restarts == [3]
+    assert ("train/value_loss/seed0", 3) in found and ("train/value_loss/seed1", 4) in found
+
+
+def test_weights_and_biases_gets_the_rows_and_the_same_run_when_it_goes_on(tmp_path, monkeypatch):
+    """A stand-in for the library, which needs an account; the id stays that of the workdir."""
+    calls = []
+
+    class Run:
+        def log(self, row, step):
+            calls.append((step, row))
+
+        def finish(self):
+            calls.append("finished")
+
+    def init(**options):
+        calls.append(options)
+        return Run()
+
+    monkeypatch.setitem(sys.modules, "wandb", SimpleNamespace(init=init, __spec__=object()))
+    config = config_lib.load("configs/go1.py")
+    config.run.wandb = "walking"
+    ids = []
+    for _ in range(2):
+        calls.clear()
+        sink = log.wandb_sink(config_lib.validate(config), tmp_path)
+        sink.write(log.rows(metrics(2)))
+        sink.close()
+        ids.append(calls[0]["id"])
+        assert calls[0]["project"] == "walking" and calls[0]["resume"] == "allow"
+        assert calls[0]["config"]["robot"] == "go1"
+        assert [c[0] for c in calls[1:3]] == [1, 2] and calls[3] == "finished"
+        assert calls[2][1]["train/value_loss"] == pytest.approx(metrics(2)["value_loss"][1])
+    assert ids[0] == ids[1]
+
+
+def test_asking_for_weights_and_biases_without_it_is_one_line(monkeypatch):
+    monkeypatch.setitem(sys.modules, "wandb", None)
+    config = config_lib.load("configs/go1.py")
+    config.run.wandb = "walking"
+    with pytest.raises(config_lib.ConfigError, match="run.wandb is 'walking', but .*not installed"):
+        log.check_wandb(config)
