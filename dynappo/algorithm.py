@@ -5,18 +5,16 @@ program; `init` makes the state it starts from. All are pure functions of an `En
 
     settings = config.validate(config.load("configs/go1.py"))
     static, hyper = config.split(settings)
-    env = env.make(robot.load(settings.robot), settings.task, settings.physics)
-    state = algorithm.init(env, hyper, jax.random.key(0), static=static)
-    state, metrics = algorithm.run(env, hyper, state, schedule.columns(settings), static=static)
-
-Seeds are `jax.vmap(..., in_axes=(None, 0, None))` over `(hyper, state, columns)`: the columns stay
-unbatched, because the number of real rows bounds a loop (rollout.py). sweep.py has that, and devices.
+    task = env.make(robot.load(settings.robot), settings.task, settings.physics)
+    state = algorithm.init(task, hyper, jax.random.key(0), static=static)
+    state, metrics = algorithm.run(task, hyper, state, schedule.columns(settings), static=static)
 
 Anchoring: the tail starts at the observation after the last real row and never touches the state of
 physics, from which the next iteration goes on.
 
 Every random number comes from `fold_in` of the run's key with the iteration, a purpose, the row and
-the robot's global index. So two chunks equal one run, and a row does not depend on N_r.
+the robot's global index. So two chunks equal one run, and a row does not depend on N_r. Many seeds,
+and many devices, are sweep.py's.
 """
 
 from __future__ import annotations
@@ -33,8 +31,7 @@ from dynappo.learner import gae, networks, ppo
 from dynappo.model import dynamics, errors
 from dynappo.types import Env, Metrics, TrainState, Transition
 
-# purposes of random numbers
-ROWS, FIT, UPDATE, ACTION, STEP, RESET = range(6)
+ROWS, FIT, UPDATE, ACTION, STEP, RESET = range(6)  # purposes of random numbers
 
 
 def init(env: Env, hyper, key: PRNGKeyArray, *, static) -> TrainState:
@@ -62,32 +59,30 @@ def iterate(
 ) -> tuple[TrainState, Metrics]:
     """One iteration of the paper's Algorithm 1; `columns` is one row of `schedule.columns`."""
     horizon, num_envs = static.rollout.horizon, static.rollout.num_envs
+    params = state.learner.params
     n_real, end = columns["n_real"], jnp.int32(horizon)
     real = (jnp.arange(horizon) < n_real)[:, None]
     key = jax.random.fold_in(state.key, columns["iteration"])
     keys = rollout.row_keys(jax.random.fold_in(key, ROWS), state.robot_index)
-    act, params = policy(static, state.learner.params), state.learner.params
+    fill = partial(rollout.fill, keys=keys, act=policy(static, params))
 
     # Collect N_r steps with physics, from where the last physics step ended
-    step = physics_step(env, hyper, state.params_physics)
-    buffer, start = rollout.allocate(env, horizon, num_envs), jnp.int32(0)
-    buffer, env_state, sums = rollout.fill(
-        buffer, start, n_real, state.env_state, keys, act=act, step=step, metrics=env.metrics
-    )
+    buffer = rollout.allocate(env, horizon, num_envs)
+    step, now = physics_step(env, hyper, state.params_physics), state.env_state
+    buffer, now, sums = fill(buffer, jnp.int32(0), n_real, now, step=step, metrics=env.metrics)
+    state, metrics = state.replace(env_state=now), stats.of_rows(sums, n_real * num_envs)
 
     # Train the transition model on them, and let it write the tail of N_s = N - N_r steps
-    model, metrics = state.model, {}
-    if model is not None:
+    if state.model is not None:
         unrolled = min(4, horizon - static.schedule.end_steps)
-        metrics = errors.errors(static, hyper, env, model, buffer, unrolled)
+        metrics |= errors.errors(static, hyper, env, state.model, buffer, unrolled)
         epochs, fit_key = columns["model_epochs"], jax.random.fold_in(key, FIT)
-        model, fitted = dynamics.fit(static, hyper, env, model, buffer, n_real, epochs, fit_key)
-        step, tail = (
-            model_step(env, hyper, model, static=static),
-            dynamics.tail(static, env, env_state),
-        )
-        buffer, _, _ = rollout.fill(buffer, n_real, end, tail, keys, act=act, step=step)
-        metrics |= fitted | stats.of_tail(buffer, real, env.dt)
+        rows = buffer, n_real, epochs, fit_key
+        model, fitted = dynamics.fit(static, hyper, env, state.model, *rows)
+        step = partial(dynamics.step, static, hyper, env, model)
+        buffer, _, _ = fill(buffer, n_real, end, dynamics.tail(static, env, now), step=step)
+        state, metrics = state.replace(model=model), metrics | fitted
+        metrics |= stats.of_tail(buffer, real, env.dt)
 
     # Update the policy by PPO on real and synthetic rows alike
     batch = estimate(static, hyper, params, buffer, real)
@@ -95,9 +90,8 @@ def iterate(
     learner, learned = ppo.update(static, hyper, state.learner, batch, update_key)
 
     returns, lengths = stats.finished(state, buffer, n_real)
-    state = state.replace(learner=learner, model=model, env_state=env_state)
-    metrics |= learned | stats.of_rows(sums, n_real * num_envs) | stats.of_episodes(buffer, n_real)
-    return state.replace(returns=returns, lengths=lengths), metrics | {
+    state = state.replace(learner=learner, returns=returns, lengths=lengths)
+    return state, metrics | learned | stats.of_episodes(buffer, n_real) | {
         "episode_return": jnp.nanmean(returns),
         "episode_length": jnp.nanmean(lengths),
         "policy_std": learner.params["std"].mean(),
@@ -123,18 +117,36 @@ def policy(static, params: dict):
         mean, value = networks.policy_and_value(static, params, obs)
         keys = jax.vmap(jax.random.fold_in, (0, None))(keys, ACTION)
         action = mean + std * jax.vmap(lambda k: jax.random.normal(k, std.shape))(keys)
-        log_prob = networks.log_prob(mean, std, action)
-        return action, mean, log_prob, value
+        return action, mean, networks.log_prob(mean, std, action), value
 
     return act
 
 
-def estimate(static, hyper, params: dict, buffer: Transition, real) -> ppo.Batch:
-    """Advantages and returns of a rollout, bootstrapped from V(next_obs) wherever it is cut.
+def physics_step(env: Env, hyper, bodies):
+    """`step(state, action, keys)` of all robots: the environment's step, then its autoreset.
 
-    That is at truncations and at row N-1; elsewhere the next row's value is the same number. With
-    `model.bounds`, values of synthetic rows are kept in the range of the `real` ones [N, 1], so that a
-    state that only the model has seen cannot lead values away in a circle.
+    On a mesh (sweep.py) every device steps its own robots: an engine's call is opaque to
+    JAX's partitioner, which would gather all robots on every device.
+    """
+    fold, robots = jax.vmap(jax.random.fold_in, (0, None)), (None, 0, 0, 0, 0)
+
+    def step(hyper, bodies, state, action, keys):
+        after, outcome = jax.vmap(env.step, robots)(hyper, bodies, state, action, fold(keys, STEP))
+        autoreset = jax.vmap(env.autoreset, robots)
+        return autoreset(hyper, bodies, after, outcome, fold(keys, RESET)), outcome
+
+    if env.mesh is not None and env.mesh.size > 1:
+        one, own = PartitionSpec(), PartitionSpec("env")
+        specs = (one, own, own, own, own)
+        step = jax.shard_map(step, mesh=env.mesh, in_specs=specs, out_specs=own, check_vma=False)
+    return partial(step, hyper, bodies)
+
+
+def estimate(static, hyper, params: dict, buffer: Transition, real) -> ppo.Batch:
+    """Advantages and returns of a rollout, bootstrapped from V(next_obs) at truncations and at row N-1.
+
+    Elsewhere the next row's value is the same number. With `model.bounds`, values of synthetic rows are
+    kept in the range of the `real` ones [N, 1]: what only the model has seen cannot lead them away.
     """
     uses_model = schedule.uses_model(static)
     with jax.default_matmul_precision("highest"):
@@ -145,25 +157,10 @@ def estimate(static, hyper, params: dict, buffer: Transition, real) -> ppo.Batch
             high = jnp.where(real, value, -jnp.inf).max()
             value, last = (jnp.where(real, x, jnp.clip(x, low, high)) for x in (value, last))
         bootstrap = jnp.where(cut, last, jnp.roll(value, -1, axis=0))
-        advantages, returns = gae.gae(
-            buffer.reward,
-            buffer.discount,
-            buffer.truncation,
-            value,
-            bootstrap,
-            gamma=hyper.ppo.gamma,
-            lambda_=hyper.ppo.lambda_,
-        )
-    return ppo.Batch(
-        obs=buffer.obs,
-        action=buffer.action,
-        action_mean=buffer.action_mean,
-        log_prob=buffer.log_prob,
-        value=buffer.value,
-        advantages=advantages,
-        returns=returns,
-        weight=presence(buffer, real) if uses_model else None,
-    )
+        rows = buffer.reward, buffer.discount, buffer.truncation, value, bootstrap
+        advantages, returns = gae.gae(*rows, gamma=hyper.ppo.gamma, lambda_=hyper.ppo.lambda_)
+    weight = presence(buffer, real) if uses_model else None
+    return ppo.batch(buffer, advantages, returns, weight)
 
 
 def presence(buffer: Transition, real) -> Float[Array, "N R"]:
@@ -171,42 +168,8 @@ def presence(buffer: Transition, real) -> Float[Array, "N R"]:
 
         w_t = product of discount_k over the tail's rows k < t
 
-    After a predicted fall a tail goes on, and its rows are of a robot that lies on the ground and cannot be
-    there. DreamerV3 weighs imagined rows likewise (Hafner et al. 2023, by the continue predictor).
+    After a predicted fall a tail goes on, with rows of a robot that cannot be there. DreamerV3 weighs
+    imagined rows in the same way, by its continue predictor (Hafner et al. 2023).
     """
     lived = jnp.cumprod(jnp.where(real, 1.0, buffer.discount), axis=0)
     return jnp.roll(lived, 1, axis=0).at[0].set(1.0)
-
-
-def physics_step(env: Env, hyper, bodies):
-    """`step(state, action, keys)` of all robots: the environment's step, then its autoreset.
-
-    On a mesh (sweep.py) every device steps its own robots: an engine's call is opaque to
-    JAX's partitioner, which would gather all robots on every device.
-    """
-    fold = jax.vmap(jax.random.fold_in, (0, None))
-
-    def step(hyper, bodies, state, action, keys):
-        after, outcome = jax.vmap(env.step, (None, 0, 0, 0, 0))(
-            hyper, bodies, state, action, fold(keys, STEP)
-        )
-        after = jax.vmap(env.autoreset, (None, 0, 0, 0, 0))(
-            hyper, bodies, after, outcome, fold(keys, RESET)
-        )
-        return after, outcome
-
-    if env.mesh is not None and env.mesh.size > 1:
-        one, robots = PartitionSpec(), PartitionSpec("env")
-        specs = (one, robots, robots, robots, robots)
-        step = jax.shard_map(step, mesh=env.mesh, in_specs=specs, out_specs=robots, check_vma=False)
-    return partial(step, hyper, bodies)
-
-
-def model_step(env: Env, hyper, model, *, static):
-    """`step(state, action, keys)` of all robots by the transition model."""
-    fold = jax.vmap(jax.random.fold_in, (0, None))
-
-    def step(state, action, keys):
-        return dynamics.step(static, hyper, env, model, state, action, fold(keys, STEP))
-
-    return step

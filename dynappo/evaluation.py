@@ -60,9 +60,9 @@ def evaluate(
     of every robot's own; errors are still those of the true velocities.
     """
     hyper = hyper if randomize else nominal(hyper)
-    keys = jax.random.split(key, num_envs)
-    bodies = jax.vmap(env.randomize, (None, 0))(hyper, keys)
-    state = jax.vmap(env.reset, (None, 0, 0))(hyper, bodies, keys)
+    body_keys, reset_keys, keys = (jax.random.split(k, num_envs) for k in jax.random.split(key, 3))
+    bodies = jax.vmap(env.randomize, (None, 0))(hyper, body_keys)
+    state = jax.vmap(env.reset, (None, 0, 0))(hyper, bodies, reset_keys)
     if hasattr(state, "clock"):  # a training environment may start episodes aged
         state = state.replace(clock=jnp.zeros_like(state.clock))
     settle = round(SETTLE / env.dt)

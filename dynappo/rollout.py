@@ -11,6 +11,7 @@ batched: under `jax.vmap` over seeds it comes in with `in_axes=None`.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any
 
@@ -18,31 +19,19 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Int, PRNGKeyArray
 
-from dynappo.types import Env, Metrics, Transition
+from dynappo.types import Env, Metrics, Outcome, Transition
+
+# what a row keeps of an Outcome
+TOLD = [field.name for field in dataclasses.fields(Outcome) if field.name != "metrics"]
 
 
 def allocate(env: Env, horizon: int, num_envs: int) -> Transition:
     """An empty buffer of N rows of R robots."""
-    one = jnp.zeros((horizon, num_envs))
-    obs = jnp.zeros((horizon, num_envs, env.obs_size))
-    prop = jnp.zeros((horizon, num_envs, env.prop_size))
-    action = jnp.zeros((horizon, num_envs, env.action_size))
-    return Transition(
-        obs=obs,
-        action=action,
-        action_mean=action,
-        log_prob=one,
-        value=one,
-        reward=one,
-        discount=one,
-        truncation=one,
-        next_obs=obs,
-        prop=prop,
-        next_prop=prop,
-        valid=one,
-        episode_return=one,
-        episode_length=one,
-    )
+    sizes = 0, env.obs_size, env.prop_size, env.action_size
+    one, obs, prop, action = (jnp.zeros((horizon, num_envs, *[n] * (n > 0))) for n in sizes)
+    told = dict.fromkeys(TOLD, one) | {"next_obs": obs, "next_prop": prop}
+    made = {"action": action, "action_mean": action, "log_prob": one, "value": one}
+    return Transition(obs=obs, prop=prop, **told, **made)
 
 
 def row_keys(key: PRNGKeyArray, robot_index: Int[Array, " R"]) -> Callable[..., PRNGKeyArray]:
@@ -79,19 +68,12 @@ def fill(
         next_state, outcome = step(state, action, key)
         transition = Transition(
             obs=state.obs,
+            prop=state.prop,
             action=action,
             action_mean=action_mean,
             log_prob=log_prob,
             value=value,
-            reward=outcome.reward,
-            discount=outcome.discount,
-            truncation=outcome.truncation,
-            next_obs=outcome.next_obs,
-            prop=state.prop,
-            next_prop=outcome.next_prop,
-            valid=outcome.valid,
-            episode_return=outcome.episode_return,
-            episode_length=outcome.episode_length,
+            **{name: getattr(outcome, name) for name in TOLD},
         )
         buffer = jax.tree.map(lambda b, x: b.at[t].set(x), buffer, transition)
         sums = {name: sums[name] + outcome.metrics[name] for name in metrics}

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -82,7 +83,7 @@ def _tail_row(program, state, rows: int = 64) -> float:
             dynamics.tail(static, env, state.env_state),
             rollout.row_keys(state.key, state.robot_index),
             act=algorithm.policy(static, state.learner.params),
-            step=algorithm.model_step(env, program.hyper, state.model, static=static),
+            step=partial(dynamics.step, static, program.hyper, env, state.model),
         )[0]
 
     compiled = jax.jit(write)
@@ -135,7 +136,8 @@ def work(config, last: dict[str, int]) -> dict[str, np.ndarray]:
     out = {"ppo": actor + critic}
     if "model_epochs" in last:
         drawn = config.rollout.horizon // model.minibatches
-        rows = last["model_epochs"] * (last["n_real"] // drawn) * drawn * config.rollout.num_envs
+        steps = -(-last["model_epochs"] * last["n_real"] // drawn)
+        rows = steps * drawn * config.rollout.num_envs
         width = 2 if model.precision == "bfloat16" else 4
         end = prop + 1 + model.falls
         out["fit"] = of((obs + action, *model.hidden, end), rows, width)

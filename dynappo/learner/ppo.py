@@ -1,19 +1,16 @@
 """Proximal policy optimisation as RSL-RL 3.0.1 does it (rsl_rl/algorithms/ppo.py).
 
-Agreed with to 1e-5 on its own numbers (tests/test_ppo.py): one Adam (eps 1e-8) for actor, critic
-and std; advantages normalised over the whole batch by the sample standard deviation; clipped
-surrogate and clipped value loss without a factor 1/2; one global gradient norm; the learning rate
-changed by the KL before each minibatch step and used in it. One permutation serves all epochs, so
-the rows are gathered once.
-
-Differences: std is kept at or above `ppo.min_std` (theirs may reach 0), and rows are permuted inside
-`ppo.shuffle_blocks` blocks of robots, so that a minibatch does not depend on how robots are spread
-over devices.
+It gives RSL-RL's own numbers to 1e-5 (tests/learner/test_ppo.py): one Adam (eps 1e-8) for actor, critic and
+std; advantages normalised over the whole batch; clipped surrogate, and clipped value loss without a
+factor 1/2; one global gradient norm; the KL changes the learning rate before each minibatch step. One
+permutation serves all epochs. Differences: std is kept at or above `ppo.min_std` (theirs may reach 0), and
+rows are permuted inside `ppo.shuffle_blocks` blocks of robots, so that a minibatch does not depend on
+how robots are spread over devices.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import chex
 import jax
@@ -23,7 +20,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from dynappo.learner import networks
-from dynappo.types import Learner, Metrics
+from dynappo.types import Learner, Metrics, Transition
 
 METRICS: tuple[str, ...] = ("kl", "surrogate_loss", "value_loss", "entropy")  # of every step
 
@@ -41,14 +38,17 @@ class Batch(NamedTuple):
     weight: Float[Array, "..."] | None = None  # of each row in all means; None: 1
 
 
+def batch(rows: Transition, advantages, returns, weight=None) -> Batch:
+    """What the loss reads of a rollout, with its advantages and returns."""
+    kept: dict[str, Any] = {name: getattr(rows, name) for name in Batch._fields[:5]}
+    return Batch(**kept, advantages=advantages, returns=returns, weight=weight)
+
+
 def init(static, hyper, obs_size: int, action_size: int, key: PRNGKeyArray) -> Learner:
     """A fresh learner."""
     params = networks.init_policy(static, hyper, obs_size, action_size, key)
-    return Learner(
-        params=params,
-        opt_state=_optimizer(hyper).init(ravel_pytree(params)[0]),
-        learning_rate=jnp.asarray(hyper.ppo.learning_rate, jnp.float32),
-    )
+    moments, rate = _optimizer(hyper).init(ravel_pytree(params)[0]), hyper.ppo.learning_rate
+    return Learner(params=params, opt_state=moments, learning_rate=jnp.asarray(rate, jnp.float32))
 
 
 def _optimizer(hyper):
@@ -96,14 +96,8 @@ def loss(static, hyper, params: dict, batch: Batch, old_std: Float[Array, " A"])
     kl, entropy = networks.kl(batch.action_mean, old_std, action_mean, std), networks.entropy(std)
     # one array, one mean: each would be some kernels of its own
     surrogate, value_loss, kl = mean(jnp.stack([surrogate, error, kl]), batch.weight)
-    metrics = {
-        "kl": kl,
-        "surrogate_loss": surrogate,
-        "value_loss": value_loss,
-        "entropy": entropy,
-    }
     total = surrogate + hyper.ppo.value_coef * value_loss - hyper.ppo.entropy_coef * entropy
-    return total, metrics
+    return total, dict(zip(METRICS, (kl, surrogate, value_loss, entropy), strict=True))
 
 
 def adapt(static, hyper, learning_rate: Float[Array, ""], kl: Float[Array, ""]):
@@ -158,9 +152,9 @@ def minibatches(static, batch: Batch, key: PRNGKeyArray) -> Batch:
 
 
 def update(static, hyper, learner: Learner, batch: Batch, key) -> tuple[Learner, Metrics]:
-    """`epochs` x `minibatches` steps on one rollout `[N, R]` with raw advantages.
+    """`epochs` x `minibatches` steps on one rollout `[N, R]` with raw advantages; metrics are their means.
 
-    Metrics are means over all steps; `learning_rate` is the one the last step used.
+    `learning_rate` is the one the last step used.
     """
     old_std = learner.params["std"]
     batch = batch._replace(advantages=normalize(batch.advantages, batch.weight))

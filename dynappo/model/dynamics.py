@@ -3,29 +3,26 @@
     o_prop_{k+1}, r_k = f_theta(o_k, a_k)                                        (paper, eq. 2)
     L(theta) = sum over robots and real rows of Huber((o_prop_{k+1}, r_k) - f_theta(o_k, a_k))  (3)
 
-An MLP fitted anew in every iteration to that iteration's real rows, warm-started with its weights
-and Adam moments. The paper leaves open activation, batch size, Huber delta and scaling. By default
-the target is the change of state, and inputs and targets are scaled by running moments; each is a
-config field, and `predict_change = normalize = False` is the plain form.
-
-Never across a reset: rows that ended an episode, blow-ups among them, have weight 0 everywhere.
+An MLP fitted in every iteration to that iteration's real rows, from its weights and Adam moments of the
+last. The paper leaves open activation, batch size, Huber delta and scaling. By default the target is the
+change of state, and inputs and targets are scaled by running moments; with `predict_change = normalize
+= False` it is the plain form. Nothing is learned across a reset.
 
 Beyond the paper, each by a field of the group model that is off in the paper's variants:
 
-- `clean`: f_theta carries s, the state without noise, instead of o_prop; the policy of the tail sees
-  s + noise drawn anew. Noise is the error floor of a model that has to predict it.
-- `known_reward`: r = k(o, a, s') + f_theta, with k what `env.known_reward` computes of the prediction.
-- `falls`: p = sigmoid(f_theta) is the probability of a fall, and a tail's discount 1 - p. No class
-  weights in its cross-entropy: p is a factor of every value and must be true. Fallen rows are trained
-  on (with `clean` too: s' is from before the reset), blow-ups never. A tail is cut where the episode's
-  clock says so; no advantage crosses, and the robot walks on, as the policy sees no clock.
+- `clean`: f_theta carries the state without noise, and the policy of the tail sees it with noise drawn
+  anew. Noise is the error floor of a model that has to predict it.
+- `known_reward`: the reward is what `env.known_reward` computes of the prediction, plus f_theta's.
+- `falls`: sigmoid(f_theta) is the probability of a fall, and 1 minus it a tail's discount. Its
+  cross-entropy has no class weights: it is a factor of every value and must be true. Fallen rows are
+  learned from too. The episode's clock cuts a tail: no advantage crosses, and the robot walks on.
 - `bounds`: every prediction stays in the range of this iteration's real rows, and 5 % beyond; values
   too (algorithm.estimate). A tail can then be wrong, but not diverge.
 
-Why rows drawn with replacement below n_real: the number of real rows is traced, JAX cannot permute a
-traced length, and computing on masked rows would cost what the tail saves. A minibatch has
-`N / minibatches` rows of every robot, each at times of its own, so that drawing them moves no row to
-another device; an epoch is as many minibatches as n_real rows make.
+Why an epoch goes through each robot's rows, and not through all rows in any order (`times`): the number
+of real rows is traced, JAX cannot permute a traced length, and computing on masked rows would cost what
+the tail saves. Every minibatch has as many rows of every robot, so that drawing them moves no row to
+another device, and may begin in one epoch and end in the next.
 """
 
 from __future__ import annotations
@@ -43,6 +40,7 @@ from dynappo.model import examples, moments
 from dynappo.types import Env, Metrics, ModelState, Outcome, Transition
 
 FALL_LOGIT = -4.6  # added to the network's: untrained, it says 1 %
+NOISE = 4  # purpose of a row's random numbers, as algorithm.STEP is of a physics row's
 
 
 @struct.dataclass
@@ -84,9 +82,8 @@ def init(static, env: Env, key: PRNGKeyArray) -> ModelState:
 def _scales(static, model: ModelState):
     """`((mean, std) of inputs, (mean, std) of targets)`, or the identity without normalisation."""
     if not static.model.normalize:
-        return [
-            (jnp.zeros_like(m.mean), jnp.ones_like(m.mean)) for m in (model.inputs, model.targets)
-        ]
+        zeros = jnp.zeros_like(model.inputs.mean), jnp.zeros_like(model.targets.mean)
+        return tuple((zero, zero + 1) for zero in zeros)
     mean, std = moments.scale(model.targets)
     if static.model.falls:  # 0 or 1, as it is
         mean, std = mean.at[-1].set(0.0), std.at[-1].set(1.0)
@@ -117,8 +114,7 @@ def fit(
 ) -> tuple[ModelState, Metrics]:
     """`epochs` passes of Adam over the rows `t < n_real` of a `[N, R]` buffer.
 
-    Metrics: the loss of the first minibatch before any step, of rows the model has never seen, and of
-    the last.
+    Metrics: the loss of the last minibatch, and of the first, whose rows the model has never seen.
     """
     horizon, num_envs = rows.reward.shape
     drawn = horizon // static.model.minibatches  # rows of each robot in a minibatch
@@ -135,21 +131,41 @@ def fit(
 
     def minibatch(i, carry):
         params, opt_state, before, _ = carry
-        shape = (drawn, num_envs, 1)
-        times = jax.random.randint(jax.random.fold_in(key, i), shape, 0, n_real)
-        batch = jnp.take_along_axis(data, times, axis=0)
-        batch = batch[..., :inputs], batch[..., inputs:-1], batch[..., -1]
+        place = i * drawn + jnp.arange(drawn)  # in the epochs one after another
+        batch = jnp.take_along_axis(data, times(place, horizon, num_envs, n_real, key), axis=0)
+        weight = batch[..., -1] * (place < epochs * n_real)[:, None]
+        batch = batch[..., :inputs], batch[..., inputs:-1], weight
         value, grads = jax.value_and_grad(loss, argnums=2)(static, hyper, params, *batch)
         updates, opt_state = adam.update(grads, opt_state)
         rate = hyper.model.learning_rate
         params = jax.tree.map(lambda p, u: p - rate * u, params, updates)
         return params, opt_state, jnp.where(i == 0, value, before), value
 
-    steps = epochs * (n_real // drawn)
+    steps = (epochs * n_real + drawn - 1) // drawn
     start = (model.params, model.opt_state, jnp.zeros(()), jnp.zeros(()))
     params, opt_state, before, after = jax.lax.fori_loop(0, steps, minibatch, start)
     metrics = {"model_loss": after, "model_loss_before": before}
     return model.replace(params=params, opt_state=opt_state), metrics
+
+
+def times(
+    place: Int[Array, " D"], horizon: int, num_envs: int, n_real: Int[Array, ""], key: PRNGKeyArray
+) -> Int[Array, "D R 1"]:
+    """The rows of every robot at places `epoch n_real + k`, `k < n_real`, of at most two epochs.
+
+    An epoch has every row once, in a random order that all robots share; each begins elsewhere in it.
+    """
+    epoch = place // n_real
+
+    def order(epoch):
+        order_key, first_key = jax.random.split(jax.random.fold_in(key, epoch))
+        rank = jax.random.uniform(order_key, (horizon,))
+        rank = jnp.where(jnp.arange(horizon) < n_real, rank, 1.0)  # real rows come first
+        return jnp.argsort(rank), jax.random.randint(first_key, (num_envs,), 0, n_real)
+
+    orders, first = jax.vmap(order)(epoch[0] + jnp.arange(2))
+    which = epoch - epoch[0]
+    return orders[which[:, None], (place[:, None] + first[which]) % n_real][..., None]
 
 
 def predict(
@@ -163,28 +179,27 @@ def predict(
     prop, reward = y[..., :size], y[..., size] * env.dt
     if static.model.predict_change:
         prop = prop + obs[..., :size]
-    if model.bounds is not None:
-        prop = jnp.clip(prop, model.bounds[0, :size], model.bounds[1, :size])
+    bounds = model.bounds
+    prop = prop if bounds is None else jnp.clip(prop, bounds[0, :size], bounds[1, :size])
     if static.model.known_reward:
         reward += jax.vmap(partial(env.known_reward, hyper))(obs, action, prop)
-    if model.bounds is not None:
-        reward = jnp.clip(reward, model.bounds[0, size], model.bounds[1, size])
+    reward = reward if bounds is None else jnp.clip(reward, bounds[0, size], bounds[1, size])
     lives = jnp.ones_like(reward)
     if static.model.falls:
         lives = 1 - jax.nn.sigmoid(y[..., -1] + FALL_LOGIT)
     return jnp.concatenate([prop, env.context(obs, action)], -1), reward, lives
 
 
-def step(static, hyper, env: Env, model: ModelState, state: TailState, action, keys=None):
-    """The contract of an environment's step, with the model in place of physics.
+def step(static, hyper, env: Env, model: ModelState, state: TailState, action, keys):
+    """The contract of an environment's step; the `keys` are for the noise of `clean` only.
 
-    The model is deterministic: `keys` are read for the noise of `clean` only. Without `falls` no row
-    falls or times out: the paper's model predicts no terminations, clocks advance in physics only.
+    Without `falls` no row falls or times out: the paper's model predicts no terminations.
     """
     obs = jnp.concatenate([state.prop, state.obs[..., env.prop_size :]], -1)
     obs, reward, discount = predict(static, hyper, env, model, obs, action)
     prop, clock, truncation = obs[..., : env.prop_size], None, jnp.zeros_like(reward)
     if static.model.clean:
+        keys = jax.vmap(jax.random.fold_in, (0, None))(keys, NOISE)
         obs = obs.at[..., : env.prop_size].add(jax.vmap(env.noise, (None, 0))(hyper, keys))
     if state.clock is not None:
         clock = state.clock + 1
