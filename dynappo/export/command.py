@@ -1,72 +1,23 @@
 """A policy as one file for a robot: `python -m dynappo.export NAME_OR_DIR --out=policy.onnx`.
 
-An ONNX network, `obs [batch, 48]` to `action [batch, 12]`, made from the parameters alone (no JAX, no
-torch) and computed in float32 whatever `ppo.precision` is; its metadata hold all else that a robot needs:
-observation table, joints, default pose, gains, limits, times. `--out=FILE.npz` writes the project's
-own policy file instead.
-
-With `--joint-order` the network speaks another order of the joints: rows and columns of its first
-and last weights are permuted, so nothing needs to be reordered on the robot. robots/DEPLOY.md says how to
-go on.
+`--out=FILE.npz` writes the project's own policy file instead. With `--joint-order` the network speaks
+another order of the joints: rows and columns of its first and last weights are permuted, so nothing needs
+to be reordered on the robot. robots/DEPLOY.md says how to go on.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
-import os
 from pathlib import Path
-from typing import Any
 
-import numpy as np
-
-from dynappo.config import ConfigError, versions
+from dynappo.config import ConfigError
 from dynappo.config import flags as flags_lib
-from dynappo.export import joint_order
+from dynappo.export import joint_order, onnx_file
 from dynappo.physics import robot as robot_lib
 from dynappo.policy import policy_file
 from dynappo.policy.policy_file import Policy
-from dynappo.task import observe
 
 FILES = (".onnx", ".npz")
-# Everything used here is in opset 14 already, and ONNX Runtime reads opset 17 from its 1.12 (2022) on
-OPSET, IR_VERSION = 17, 8
-# name, rows, unit, content, field of the config's `task.noise`
-TABLE = (
-    ("joint_position", observe.JOINT_POS, "rad", "minus default_pose", "joint_pos"),
-    ("joint_velocity", observe.JOINT_VEL, "rad/s", "of each joint", "joint_vel"),
-    ("gravity", observe.GRAVITY, "1", "its direction, base frame (0 0 -1 upright)", "gravity"),
-    (
-        "linear_velocity",
-        observe.LINEAR_VELOCITY,
-        "m/s",
-        "of the base's centre of mass (base_com), base frame",
-        "linear_velocity",
-    ),
-    ("angular_velocity", observe.ANGULAR_VELOCITY, "rad/s", "base frame", "angular_velocity"),
-    ("command", observe.COMMAND, "m/s, m/s, rad/s", "vx, vy, yaw rate, base frame", ""),
-    ("previous_action", observe.LAST_ACTION, "1", "action of the step before; zero at first", ""),
-)
-UNITS = {
-    "default_pose": "rad",
-    "joint_range": "rad",
-    "joint_damping": "N m s/rad",
-    "joint_friction": "N m",
-    "action_scale": "rad",
-    "kp": "N m/rad",
-    "kd": "N m s/rad",
-    "effort_limit": "N m",
-    "saturation_effort": "N m",
-    "velocity_limit": "rad/s",
-    "command_x": "m/s",
-    "command_y": "m/s",
-    "command_yaw": "rad/s",
-    "base_com": "m",
-    "timestep": "s",
-    "control_dt": "s",
-    "control_rate": "Hz",
-}
-LICENCE = "dynappo and its bundled policies: Apache-2.0; a policy of your own: as you decide"
 USAGE = """\
 what is exported is a workdir, a checkpoint folder, a policy.npz, or the name of a robot with a
 bundled policy
@@ -119,141 +70,9 @@ def check_out(out: Path, source: Path) -> None:
     flags_lib.check_writable(out)
 
 
-def observation_table(policy: Policy) -> list[dict[str, Any]]:
-    """The observation as rows `name start stop unit content noise`; numbers [start, stop) of `obs`.
-
-    `noise` is the half width of the uniform noise in training, None where the config lacks it.
-    """
-    noise = policy.config.get("task", {}).get("noise", {})
-    return [
-        dict(
-            name=name,
-            start=part.start,
-            stop=part.stop,
-            unit=unit,
-            content=content,
-            noise=noise.get(field) if field else 0.0,
-        )
-        for name, part, unit, content, field in TABLE
-    ]
-
-
-def about(policy: Policy, robot: robot_lib.Robot) -> dict[str, Any]:
-    """All that a robot needs beside the network: the policy's fields, and what follows from them."""
-    model, control_dt = robot.mj_model, policy.timestep * policy.substeps
-    fields = policy._asdict()
-    config = fields.pop("config")
-    del fields["params"]
-    return fields | {
-        "default_pose": policy.default_pose.tolist(),
-        "joint_range": [model.joint(name).range.tolist() for name in policy.joint_names],
-        "base_com": model.body_ipos[robot.base_body].tolist(),
-        "control_dt": control_dt,
-        "control_rate": 1 / control_dt,
-        "observation_table": observation_table(policy),
-        "units": UNITS,
-        "dynappo": versions.of("dynappo"),
-        "licence": LICENCE,
-        "config": config,
-    }
-
-
-def onnx_model(policy: Policy, facts: dict[str, Any], targets: bool = False):
-    """The actor as an `onnx.ModelProto`, checked; every metadata value is JSON.
-
-    `targets` adds an output: the joint position targets, `default_pose + action_scale * action` (rad).
-    """
-    import onnx
-    from onnx import helper, numpy_helper
-
-    layers = policy.params["actor"]["params"]
-    nodes, weights, x = [], [], "obs"
-
-    def constant(name, value):
-        weights.append(numpy_helper.from_array(np.ascontiguousarray(value, np.float32), name))
-        return name
-
-    def node(kind, *inputs, to):
-        nodes.append(helper.make_node(kind, inputs, [to]))
-        return to
-
-    for i in range(len(layers)):
-        layer, last = layers[f"Dense_{i}"], i == len(layers) - 1
-        kernel = constant(f"kernel_{i}", layer["kernel"])
-        bias = constant(f"bias_{i}", layer["bias"])
-        x = node("Gemm", x, kernel, bias, to="action" if last else f"linear_{i}")
-        if last:
-            break
-        if policy.activation == "swish":  # an operator of its own only from opset 24 on
-            gate = node("Sigmoid", x, to=f"gate_{i}")
-            x = node("Mul", x, gate, to=f"hidden_{i}")
-        else:
-            x = node(policy.activation.capitalize(), x, to=f"hidden_{i}")
-    if targets:
-        scaled = node("Mul", x, constant("action_scale", policy.action_scale), to="scaled")
-        node("Add", scaled, constant("default_pose", policy.default_pose), to="targets")
-
-    def values(name, size, text):
-        kind = onnx.TensorProto.FLOAT
-        return helper.make_tensor_value_info(name, kind, ["batch", size], doc_string=text)
-
-    size, joints = observe.PROP_SIZE + observe.CONTEXT_SIZE, len(policy.joint_names)
-    rows = [
-        f"{r['start']}-{r['stop'] - 1} {r['name']} ({r['unit']})"
-        for r in facts["observation_table"]
-    ]
-    outputs = [values("action", joints, "raw; it is also the previous_action of the next step")]
-    if targets:
-        outputs.append(values("targets", joints, "joint positions, rad"))
-    graph = helper.make_graph(
-        nodes, "policy", [values("obs", size, "; ".join(rows))], outputs, initializer=weights
-    )
-    model = helper.make_model(
-        graph,
-        opset_imports=[helper.make_opsetid("", OPSET)],
-        ir_version=IR_VERSION,
-        producer_name="dynappo",
-        producer_version=facts["dynappo"],
-        doc_string=(
-            f"Walking policy of {policy.robot}. Joint position targets (rad) are default_pose + "
-            "action_scale * action, followed by a PD of gains kp and kd at the motors; one action "
-            "every control_dt. Each metadata value is JSON. How to use it: robots/DEPLOY.md of dynappo."
-        ),
-    )
-    helper.set_model_props(model, {name: json.dumps(value) for name, value in facts.items()})
-    onnx.checker.check_model(model, full_check=True)
-    return model
-
-
-def save(policy: Policy, robot: robot_lib.Robot, out: Path, targets: bool = False) -> None:
-    """Write `policy` as `out` says by its suffix; the file appears at once, whole.
-
-    ConfigError if onnx is not installed, or the file cannot be written.
-    """
-    try:
-        if out.suffix == ".npz":
-            fields = policy._asdict() | {"format": policy_file.FORMAT}
-            del fields["params"]
-            text = json.dumps(fields, default=np.ndarray.tolist)
-            policy_file.save_params(out, policy.params, about=text)
-            return
-        data = onnx_model(policy, about(policy, robot), targets).SerializeToString(
-            deterministic=True
-        )
-        part = out.with_name(out.name + ".part")
-        part.write_bytes(data)
-        os.replace(part, out)
-    except ImportError as error:
-        raise ConfigError(
-            f"--out={out}: {error.name} is not installed; pip install 'dynappo[export]'"
-        ) from None
-    except OSError as error:
-        raise ConfigError(f"--out={out}: cannot be written ({error.strerror})") from None
-
-
 def table(policy: Policy, out: Path, order: str, targets: bool) -> list[tuple[str, str]]:
     """What was written and how to use it, as (name, text) for a person."""
-    kind = f"ONNX, float32, opset {OPSET}" if out.suffix == ".onnx" else "policy file"
+    kind = f"ONNX, float32, opset {onnx_file.OPSET}" if out.suffix == ".onnx" else "policy file"
     rows = [("written", f"{out} ({out.stat().st_size / 1024:.0f} KiB, {kind})")]
     if out.suffix == ".onnx":
         code = (
@@ -283,7 +102,7 @@ def run(flags) -> None:
         )
     names, order = joint_order.find(flags.joint_order, policy.joint_names, robot)
     policy = joint_order.permute(policy, names)
-    save(policy, robot, flags.out, flags.targets)
+    onnx_file.save(policy, robot, flags.out, flags.targets)
     print(f"dynappo exports {policy.robot}: {'/'.join(path.resolve().parts[-2:])}")
     for name, text in table(policy, flags.out, order, flags.targets):
         print(f"{name:10s}  {text}")

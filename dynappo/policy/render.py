@@ -1,6 +1,6 @@
 """A film or a picture of an episode, rendered headless by MuJoCo's OpenGL renderer.
 
-Nothing here needs JAX. The film is made in a process of its own (`python -m dynappo.render
+Nothing here needs JAX. The film is made in a process of its own (`python -m dynappo.policy.render
 EPISODE.npz OUT`), because the OpenGL backend is chosen once a process, and a backend that fails may
 take the process with it: EGL is tried first, then OSMesa. `page.py` needs neither.
 """
@@ -9,11 +9,9 @@ from __future__ import annotations
 
 import itertools
 import os
-import struct
 import subprocess
 import sys
 import tempfile
-import zlib
 from pathlib import Path
 from typing import Any
 
@@ -32,8 +30,8 @@ __all__ = ["TOUR", "film", "load_params", "policy", "save_params", "simulate", "
 FPS, WIDTH, HEIGHT = 25, 640, 360  # software OpenGL on two cores renders about ten a second
 PICTURE = 1280, 720
 NO_OPENGL = "no video: neither EGL nor OSMesa can render here; install libegl1 or libosmesa6"
-LACKS_FFMPEG, CANNOT_WRITE = 3, 4  # exit statuses of the rendering process
-NO_FFMPEG = "no video: imageio-ffmpeg is not installed; pip install 'dynappo[video]'"
+LACKS_PACKAGE, CANNOT_WRITE = 3, 4  # exit statuses of the rendering process
+LACKS = "no video: {} is not installed; pip install 'dynappo[video]'"
 GREEN, BLUE = (0.1, 0.7, 0.2, 0.9), (0.2, 0.4, 0.9, 0.9)  # arrows of command and velocity
 # half a megabyte a second; a palette of the film's own colours, else the sky shows bands
 GIF = (
@@ -73,12 +71,12 @@ def film(
         np.savez(npz, **shown)
         for backend in ("egl", "osmesa"):
             environment = os.environ | {"MUJOCO_GL": backend, "PYOPENGL_PLATFORM": backend}
-            command = [sys.executable, "-m", "dynappo.render", str(npz), str(out)]
+            command = [sys.executable, "-m", "dynappo.policy.render", str(npz), str(out)]
             done = subprocess.run(command, env=environment, capture_output=True, text=True)
             if done.returncode == 0:
                 return ""
-            if done.returncode == LACKS_FFMPEG:
-                return NO_FFMPEG
+            if done.returncode == LACKS_PACKAGE:
+                return LACKS.format("pillow" if out.suffix == ".png" else "imageio-ffmpeg")
             if done.returncode == CANNOT_WRITE:
                 return f"no video: {done.stderr.strip().splitlines()[-1]}"
     return NO_OPENGL
@@ -139,20 +137,6 @@ def frames(xml: str, base: int, episode: dict[str, np.ndarray], width=WIDTH, hei
             yield renderer.render()
 
 
-def write_png(out: Path, picture: np.ndarray) -> None:
-    """Write RGB `[H, W, 3]` as a PNG (its chunks by hand, so that no package is needed)."""
-
-    def chunk(kind, content):
-        check = struct.pack(">I", zlib.crc32(kind + content))
-        return struct.pack(">I", len(content)) + kind + content + check
-
-    height, width, _ = picture.shape
-    lines = np.insert(picture.reshape(height, -1), 0, 0, axis=1).astype(np.uint8)  # filter 0
-    header = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
-    content = chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(lines.tobytes(), 9))
-    out.write_bytes(b"\x89PNG\r\n\x1a\n" + content + chunk(b"IEND", b""))
-
-
 def main(argv: list[str]) -> None:
     """`EPISODE.npz OUT`, with OUT an .mp4, a .gif or a .png."""
     episode = dict(np.load(argv[0]))
@@ -160,13 +144,13 @@ def main(argv: list[str]) -> None:
     out = Path(argv[1])
     try:
         if out.suffix == ".png":
+            from PIL import Image
+
             last = {name: rows[-1:] for name, rows in episode.items()}
-            write_png(out, next(frames(xml, base, last, *PICTURE)))
+            Image.fromarray(next(frames(xml, base, last, *PICTURE))).save(out, optimize=True)
             return
-        try:
-            import imageio_ffmpeg
-        except ImportError:
-            sys.exit(LACKS_FFMPEG)
+        import imageio_ffmpeg
+
         count = max(1, round(len(episode["qpos"]) * dt * FPS))
         shown = np.minimum(np.round(np.arange(count) / (FPS * dt)), len(episode["qpos"]) - 1)
         some = {name: rows[shown.astype(int)] for name, rows in episode.items()}
@@ -180,6 +164,8 @@ def main(argv: list[str]) -> None:
         for picture in itertools.chain([first], pictures):
             writer.send(np.ascontiguousarray(picture))
         writer.close()
+    except ImportError:
+        sys.exit(LACKS_PACKAGE)
     except OSError as error:
         print(f"cannot write {out}: {error.strerror or error}", file=sys.stderr)
         out.unlink(missing_ok=True)

@@ -32,8 +32,7 @@ def check(config, limit: int | None) -> None:
     if limit is not None and least(config) > limit:
         raise ConfigError(
             f"rollout.num_envs x run.num_seeds is {config.rollout.num_envs} x {config.run.num_seeds}: "
-            f"the rollout alone needs {least(config) / 2**30:.1f} GiB on each device, which has "
-            f"{limit / 2**30:.1f}; {CURE}"
+            f"the rollout alone needs {text(least(config))} on each device, which has {text(limit)}; {CURE}"
         )
 
 
@@ -49,8 +48,7 @@ def check_compiled(config, size: int, limit: int | None) -> None:
     if limit is not None and size > limit:
         raise ConfigError(
             f"rollout.num_envs x run.num_seeds is {config.rollout.num_envs} x {config.run.num_seeds}: "
-            f"the compiled program needs {size / 2**30:.1f} GiB on each device, which has "
-            f"{limit / 2**30:.1f}; {CURE}"
+            f"the compiled program needs {text(size)} on each device, which has {text(limit)}; {CURE}"
         )
 
 
@@ -68,3 +66,8 @@ def limit(device: Any) -> int | None:
         return None
     whole = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     return whole // jax.local_device_count("cpu")
+
+
+def text(size: int) -> str:
+    """A number of bytes for a person."""
+    return f"{size / 2**30:.1f} GiB" if size >= 2**30 else f"{size / 2**20:.0f} MiB"

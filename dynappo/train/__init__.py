@@ -4,6 +4,7 @@
 - `run`: the loop over chunks of iterations
 - `workdir`: the folder of a run: opened, gone on with, saved into
 - `checkpoint`, `log`: what is written while it trains
+- `restore`: starting from the networks of another run
 - `finish`, `curves`: what a run that has ended leaves: summary, policy, film, picture
 - `nonfinite`: what is said and kept when numbers blow up
 

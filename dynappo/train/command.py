@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 from dynappo import config as config_lib
 from dynappo import schedule
 from dynappo.config import flags
-from dynappo.program import build, devices, distributed
+from dynappo.program import build, devices, distributed, memory
 from dynappo.train import finish
 from dynappo.train import run as run_lib
 from dynappo.train import workdir as workdir_lib
@@ -118,22 +118,20 @@ def train_and_show(command: Command, stop: Stop) -> None:
     """`train.train`, told to a person: what will happen, how it goes, what came out."""
     from rich.console import Console
 
-    from dynappo.train import checkpoint
-
-    config, restore = command.config, command.restore
+    config, folder = command.config, command.restore
     out = Console(highlight=False, quiet=not distributed.first())
     out.print(f"[bold]dynappo[/bold] {describe(config)}", soft_wrap=True)
     run_lib.check(config)  # before anything is written
-    if restore:
-        distributed.on_first(lambda: len(checkpoint.steps_to_restore(restore)))
+    if folder:
+        from dynappo.train import restore
+
+        distributed.on_first(lambda: len(restore.steps(folder)))
     with workdir_lib.open_workdir(command.workdir, config, command.fresh):
         _train_and_show(command, stop, out)
 
 
 def _train_and_show(command: Command, stop: Stop, out) -> None:
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-
-    from dynappo.train import checkpoint
 
     def say(text):
         out.print(text, style="yellow", markup=False, soft_wrap=True)
@@ -142,11 +140,13 @@ def _train_and_show(command: Command, stop: Stop, out) -> None:
     with out.status("compiling (under a minute; half of it when cached)"):
         program = build.program(config)
         if command.restore:
-            program = checkpoint.start_from(command.restore, program, say)
+            from dynappo.train import restore
+
+            program = restore.start_from(command.restore, program, say)
     engine = "MJX-JAX" if program.impl == "jax" else "MJX-Warp"
     out.print(
         f"{program.device}, {engine}; compiled in {program.compile_seconds:.0f} s, "
-        f"{program.bytes_needed / 2**30:.1f} GiB of memory"
+        f"{memory.text(program.bytes_needed)} of memory"
     )
     bar = Progress(
         TextColumn("{task.description}"),
