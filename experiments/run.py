@@ -3,22 +3,23 @@
     python experiments/run.py OUT ROBOT:VARIANT[:FIELD=VALUE[:FIELD=VALUE...]] ... [--seeds 5]
 
 `go1:fast:schedule.end_steps=8` is configs/go1.py:fast with that field set. Each run writes
-OUT/NAME.csv, one row an iteration and seed with the columns of `KEPT`, and OUT/NAME.json (summary with
-the evaluation of each seed, the config's differences, hardware). NAME is the job with `_` for `:` and
-`=`. A job whose JSON is there is skipped, so a batch that was cut off goes on with the same command.
+OUT/NAME.csv.xz, one row an iteration and seed with the columns of `KEPT` (`paper.read` reads it, and so do
+xzcat and pandas), and OUT/NAME.json (summary with the evaluation of each seed, the config's
+differences, hardware). NAME is the job with `_` for `:` and `=`. A job whose JSON is there is skipped,
+so a batch that was cut off goes on with the same command.
 
-To keep a CSV of 500 iterations and 5 seeds below 150 kB, numbers have four digits, and after the 20th
-iteration all columns but those of `EACH` are written in every fifth only. `--thin 10` keeps every
+To keep 500 iterations of 5 seeds below 40 kB, numbers have four digits, and after the 20th iteration
+all columns but those of `EACH` are written in every fifth only. `--thin 10` keeps every
 tenth row; best and final return in the JSON are of all rows. `--policies` writes OUT/NAME.npz, the policy
 of the seed with the highest return (of the evaluation, if there is one), for `play`, `evaluate` and
 `export` (340 kB; not to be committed). `--lock FILE`: of several batches on one GPU only one trains at
 a time, while the others compile.
 """
 
-import argparse
 import contextlib
 import datetime
 import fcntl
+import lzma
 import re
 import time
 from pathlib import Path
@@ -27,10 +28,12 @@ import jax
 import numpy as np
 
 from dynappo import config as config_lib
-from dynappo import train
 from dynappo.config import files
 from dynappo.policy import policy_file
+from dynappo.program import build, devices
 from dynappo.train import finish, log
+from dynappo.train import run as trainer
+from experiments import paper
 
 KEPT = (
     "iteration sim_steps seconds episode_return episode_length velocity_error policy_std "
@@ -41,7 +44,7 @@ EACH = ("iteration", "sim_steps", "seconds", "episode_return")  # what threshold
 
 
 def main():
-    parser = argparse.ArgumentParser()
+    parser = paper.parser(__doc__)
     parser.add_argument("out", type=Path)
     parser.add_argument("jobs", nargs="+", metavar="ROBOT:VARIANT[:FIELD=VALUE]")
     parser.add_argument("--seeds", type=int, default=5)
@@ -50,6 +53,7 @@ def main():
     parser.add_argument("--policies", action="store_true", help="write the best seed's policy")
     parser.add_argument("--lock", type=Path, help="a file that one batch holds while it trains")
     args = parser.parse_args()
+    devices.own_process()
     batch(args.out, args.jobs, args.seeds, args.set, args.thin, args.policies, args.lock)
 
 
@@ -62,17 +66,16 @@ def batch(out: Path, jobs, seeds: int, settings=(), thin=1, policies=False, lock
             continue
         began = time.perf_counter()
         config = configure(job, seeds, settings)
-        train.check(config)
-        program = train.setup(config)
+        trainer.check(config)
+        program = build.program(config)
         try:
             with alone(lock):
-                state, metrics = train.loop(config, program, None)
+                state, metrics = trainer.loop(config, program, None)
         except FloatingPointError as error:  # a result too: this setting diverges
             files.write_json(path, {"job": job, "set": list(settings), "diverged": str(error)})
             print(f"{job:44s} {error}", flush=True)
             continue
-        path.with_suffix(".csv").unlink(missing_ok=True)
-        log.append_csv(path.with_suffix(".csv"), log.rows(kept(metrics, thin)))
+        write_csv(path.with_suffix(".csv"), kept(metrics, thin))
         summary = finish.summarise(config, program, state, metrics)
         summary["policy_std"] = np.ravel(metrics["policy_std"][-10:].mean(0)).tolist()
         summary |= {"job": job, "set": list(settings), "date": f"{datetime.date.today()}"}
@@ -85,6 +88,14 @@ def batch(out: Path, jobs, seeds: int, settings=(), thin=1, policies=False, lock
             policy_file.save(path.with_suffix(".npz"), params, config, program.robot)
         files.write_json(path, summary)
         print(row(job, summary), f"{time.perf_counter() - began:6.0f}", flush=True)
+
+
+def write_csv(path: Path, metrics) -> None:
+    """Metrics as a new CSV, packed: `path` and ".xz"."""
+    path.unlink(missing_ok=True)
+    log.append_csv(path, log.rows(metrics))
+    path.with_suffix(".csv.xz").write_bytes(lzma.compress(path.read_bytes(), preset=9))
+    path.unlink()
 
 
 @contextlib.contextmanager

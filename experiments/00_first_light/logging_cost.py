@@ -6,7 +6,6 @@ Alternates both on one compiled program (Go1, `:fast`) and prints ms of an itera
 wall sees it, from the first to the last chunk.
 """
 
-import argparse
 import shutil
 import tempfile
 import time
@@ -16,28 +15,31 @@ import jax
 import jax.numpy as jnp
 
 from dynappo import config as config_lib
-from dynappo import train
 from dynappo.config import files
+from dynappo.program import build, devices
+from dynappo.train import run as trainer
+from experiments import paper
 
 
 def main():
-    parser = argparse.ArgumentParser()
+    parser = paper.parser(__doc__)
     parser.add_argument("out", type=Path)
     parser.add_argument("--set", action="append", default=[], metavar="FIELD=VALUE")
     args = parser.parse_args()
+    devices.own_process()
     config = config_lib.load("configs/go1.py:fast")
     config.run.update(num_iterations=150, checkpoint_every=50, eval_envs=0)
     for text in args.set:
         config_lib.override(config, *text.split("=", 1))
     config = config_lib.validate(config)
-    program = train.setup(config)
+    program = build.program(config)
     first, ms = program.state, {"nothing": [], "everything": []}
     for repeat in range(6):
         for name, times in ms.items():
             folder = Path(tempfile.mkdtemp()) if name == "everything" else None
             fresh = program._replace(state=jax.tree.map(jnp.copy, first))
             stamps = []
-            train.loop(config, fresh, folder, lambda i, last, s=stamps: s.append((i, now())))
+            trainer.loop(config, fresh, folder, lambda i, last, s=stamps: s.append((i, now())))
             if folder:
                 shutil.rmtree(folder)
             (i0, t0), (i1, t1) = stamps[0], stamps[-1]

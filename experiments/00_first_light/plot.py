@@ -1,4 +1,4 @@
-"""Draw curves.png and curves.svg from the CSV files of results/.
+"""Draw curves.png from the CSV files of results/.
 
 python experiments/00_first_light/plot.py
 """
@@ -9,14 +9,18 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 
-from dynappo.train import log
+from experiments import paper
 
 HERE = Path(__file__).parent
 
 
 def main():
-    names = [n for n in ("ppo12", "ppo16", "dyna2", "dyna4_noschedule", "dyna4", "fast")]
-    runs = {n: log.read_csv(HERE / "results" / f"{n}.csv") for n in names}
+    make(HERE)
+
+
+def make(out: Path) -> None:
+    names = ("ppo12", "ppo16", "dyna2", "dyna4_noschedule", "dyna4", "fast")
+    runs = {n: paper.read_one(HERE / "results" / f"{n}.csv.xz") for n in names}
     figure, axes = plt.subplots(1, 3, figsize=(13, 3.8), constrained_layout=True, sharey=True)
     labels = ("iteration", "simulator steps (M)", "training time (s)")
     for axis, column, label in zip(
@@ -32,8 +36,7 @@ def main():
     axes[0].legend(frameon=False, fontsize=8)
     device = json.loads((HERE / "results" / "ppo16.json").read_text())["device"]
     figure.suptitle(f"Go1, 4096 robots, one seed, {device}", fontsize=10)
-    for suffix in ("png", "svg"):
-        figure.savefig(HERE / f"curves.{suffix}", dpi=130)
+    paper.save(figure, out / "curves")
 
 
 if __name__ == "__main__":

@@ -2,33 +2,35 @@
 
     python experiments/00_first_light/run.py OUT [--variants ppo16,dyna4] [--set FIELD=VALUE ...]
 
-Writes OUT/VARIANT.csv (metrics), OUT/VARIANT.json (summary, evaluation of 1000 episodes, ms of each
+Writes OUT/VARIANT.csv.xz (metrics), OUT/VARIANT.json (summary, evaluation of 1000 episodes, ms of each
 phase) and OUT/VARIANT.npz (the policy), and prints a table. A variant that is there is skipped.
 """
 
-import argparse
 from pathlib import Path
 
 import numpy as np
 
 from dynappo import config as config_lib
-from dynappo import train
-from dynappo.bench import command as bench_command
+from dynappo.bench import phases
 from dynappo.config import files
-from dynappo.policy import render
-from dynappo.train import finish, log
-from dynappo.train import workdir as workdir_lib
+from dynappo.policy import policy_file
+from dynappo.program import build, devices
+from dynappo.train import finish, workdir
+from dynappo.train import run as trainer
+from experiments import paper
+from experiments import run as runs
 
 VARIANTS = "ppo12,ppo16,dyna2,dyna4_noschedule,dyna4"
 
 
 def main():
-    parser = argparse.ArgumentParser()
+    parser = paper.parser(__doc__)
     parser.add_argument("out", type=Path)
     parser.add_argument("--variants", default=VARIANTS)
     parser.add_argument("--robot", default="go1")
     parser.add_argument("--set", action="append", default=[], metavar="FIELD=VALUE")
     args = parser.parse_args()
+    devices.own_process()
     args.out.mkdir(parents=True, exist_ok=True)
     for variant in args.variants.split(","):
         path = args.out / f"{variant}.json"
@@ -38,14 +40,14 @@ def main():
         for text in args.set:
             config_lib.override(config, *text.split("=", 1))
         config = config_lib.validate(config)
-        program = train.setup(config)
-        state, metrics = train.loop(config, program, None)
-        log.append_csv(path.with_suffix(".csv"), log.rows(metrics))
-        render.save_params(
-            path.with_suffix(".npz"), workdir_lib.best_params(state.learner.params, metrics)
-        )
+        program = build.program(config)
+        state, metrics = trainer.loop(config, program, None)
+        runs.write_csv(path.with_suffix(".csv"), metrics)
         summary = finish.summarise(config, program, state, metrics)
-        summary["phases_ms"] = bench_command.phases(config, program, state)
+        judged = np.array(summary["evaluation"]["return"], float)
+        params = workdir.best_params(config, state.learner.params, judged)
+        policy_file.save_params(path.with_suffix(".npz"), params)
+        summary["phases_ms"] = phases.measure(config, program, state)
         files.write_json(path, summary)
         print(row(variant, summary), flush=True)
 

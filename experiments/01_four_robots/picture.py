@@ -6,7 +6,6 @@ Each walks ahead at 0.8 m/s on C MuJoCo and is caught in mid-stride. With --fram
 robot at VX m/s, 60 ms apart, to look at its gait.
 """
 
-import argparse
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -14,6 +13,8 @@ import mujoco
 import numpy as np
 import torques
 import walk
+
+from experiments import paper
 
 NAMES = {"go1": "Unitree Go1", "go2": "Unitree Go2", "anymal_c": "ANYmal-C", "anymal_d": "ANYmal-D"}
 SIZE = 440, 720  # pixels, height and width of one robot
@@ -75,11 +76,12 @@ def sheet(pictures, labels, columns, out, dpi=100):
         axis.imshow(picture)
         style = dict(fontsize=width / 46, color="0.15", va="top", transform=axis.transAxes)
         axis.text(0.03, 0.945, label, **style)
-    figure.savefig(out, dpi=dpi, pil_kwargs={"optimize": True})
+    figure.savefig(out, dpi=dpi)
+    paper.palette(out)
 
 
 def main():
-    parser = argparse.ArgumentParser()
+    parser = paper.parser(__doc__)
     parser.add_argument("out", nargs="?", type=Path, default=Path(__file__).parent / "walking.png")
     parser.add_argument("--frames", nargs=2, metavar=("ROBOT", "VX"))
     args = parser.parse_args()

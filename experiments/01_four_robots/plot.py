@@ -1,4 +1,4 @@
-"""Draw curves.png and curves.svg from results/: return over iterations and over simulator steps.
+"""Draw curves.png from results/: return over iterations and over simulator steps.
 
 python experiments/01_four_robots/plot.py
 """
@@ -9,7 +9,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import walk
 
-from dynappo.train import log
+from experiments import paper
 
 HERE = Path(__file__).parent
 NAMES = {"go1": "Unitree Go1", "go2": "Unitree Go2", "anymal_c": "ANYmal-C", "anymal_d": "ANYmal-D"}
@@ -26,13 +26,13 @@ SETS = (
 def find(folder, name, variant):
     """The CSV of a run; Go1's earlier ones are those of 00_first_light."""
     if (folder, name) == ("before", "go1"):
-        return HERE.parent / "00_first_light" / "results" / f"{variant}.csv"
-    return HERE / "results" / folder / f"{name}_{variant}.csv"
+        return HERE.parent / "00_first_light" / "results" / f"{variant}.csv.xz"
+    return HERE / "results" / folder / f"{name}_{variant}.csv.xz"
 
 
 def curve(axis, path, x, **style):
     """Return over column `x` of every 10th iteration, as a mean of three rows."""
-    run = log.read_csv(path)
+    run = paper.read_one(path)
     tenth = run["iteration"] % 10 == 0
     run = {n: c[tenth] for n, c in run.items()}
     smooth = np.convolve(run["episode_return"], np.ones(3) / 3, "valid")
@@ -40,6 +40,10 @@ def curve(axis, path, x, **style):
 
 
 def main():
+    make(HERE)
+
+
+def make(out: Path) -> None:
     plt.rcParams.update({"font.size": 9, "axes.spines.top": False, "axes.spines.right": False})
     figure, axes = plt.subplots(2, 4, figsize=(13, 6), layout="constrained", sharey="col")
     for column, name in zip(axes.T, walk.ROBOTS, strict=True):
@@ -65,8 +69,7 @@ def main():
         plt.Line2D([], [], color="0.55", lw=0.8, ls=(0, (6, 3)), label="36 of 45, 22 of 30")
     )
     figure.legend(handles=lines, loc="outside lower center", ncols=len(lines), frameon=False)
-    for suffix in ("png", "svg"):
-        figure.savefig(HERE / f"curves.{suffix}", dpi=130)
+    paper.save(figure, out / "curves")
 
 
 if __name__ == "__main__":

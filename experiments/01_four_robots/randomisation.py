@@ -9,7 +9,6 @@ each robot; the programs take turns, medians. Motion: two robots, equal but for 
 both ends of its range, repeat the actions of a nominal robot for one second.
 """
 
-import argparse
 import time
 from pathlib import Path
 from types import SimpleNamespace
@@ -23,6 +22,7 @@ import walk
 
 from dynappo.physics import engine as engine_lib
 from dynappo.physics import randomize
+from experiments import paper
 
 STEPS = 50
 NONE = dict(
@@ -106,7 +106,7 @@ def motion(body, config, params, impl):
 
 
 def main():
-    parser = argparse.ArgumentParser()
+    parser = paper.parser(__doc__)
     parser.add_argument("out", type=Path)
     parser.add_argument("--impl", default="jax")
     parser.add_argument("--worlds", type=int, default=256)

@@ -2,35 +2,37 @@
 
     python experiments/01_four_robots/run.py OUT go1:ppo16 go1:dyna4 ... [--set FIELD=VALUE ...]
 
-Writes OUT/ROBOT_VARIANT.csv (every 10th row of the metrics), .json (summary with 1000 evaluated
+Writes OUT/ROBOT_VARIANT.csv.xz (every 10th row of the metrics), .json (summary with 1000 evaluated
 episodes, mean terms of the last 10 iterations) and .npz (policy), and prints a table. `--name` adds
 to the file names.
 """
 
-import argparse
 import time
 from pathlib import Path
 
 import numpy as np
 
 from dynappo import config as config_lib
-from dynappo import train
 from dynappo.config import files
 from dynappo.policy import policy_file
-from dynappo.train import finish, log
-from dynappo.train import workdir as workdir_lib
+from dynappo.program import build, devices
+from dynappo.train import finish, workdir
+from dynappo.train import run as trainer
+from experiments import paper
+from experiments import run as runs
 
 EVERY = 10  # rows of the metrics to one of the CSV
 
 
 def main():
-    parser = argparse.ArgumentParser()
+    parser = paper.parser(__doc__)
     parser.add_argument("out", type=Path)
     parser.add_argument("jobs", nargs="+", metavar="ROBOT:VARIANT")
     parser.add_argument("--set", action="append", default=[], metavar="FIELD=VALUE")
     parser.add_argument("--name", default="")
     parser.add_argument("--model", action="store_true", help="keep the transition model too")
     args = parser.parse_args()
+    devices.own_process()
     args.out.mkdir(parents=True, exist_ok=True)
     for job in args.jobs:
         began = time.perf_counter()
@@ -40,20 +42,16 @@ def main():
         for text in args.set:
             config_lib.override(config, *text.split("=", 1))
         config = config_lib.validate(config)
-        program = train.setup(config)
-        state, metrics = train.loop(config, program, None)
-        policy_file.save(
-            path.with_suffix(".npz"),
-            workdir_lib.best_params(state.learner.params, metrics),
-            config,
-            program.robot,
-        )
+        program = build.program(config)
+        state, metrics = trainer.loop(config, program, None)
+        summary = finish.summarise(config, program, state, metrics)
+        judged = np.array(summary["evaluation"]["return"], float)
+        params = workdir.best_params(config, state.learner.params, judged)
+        policy_file.save(path.with_suffix(".npz"), params, config, program.robot)
         if args.model and state.model is not None:
             keep_model(path.with_suffix(".model.npz"), state.model)
         thin = {n: m[EVERY - 1 :: EVERY] for n, m in metrics.items()}
-        path.with_suffix(".csv").unlink(missing_ok=True)
-        log.append_csv(path.with_suffix(".csv"), log.rows(thin))
-        summary = finish.summarise(config, program, state, metrics)
+        runs.write_csv(path.with_suffix(".csv"), thin)
         summary["set"] = args.set
         summary["last_10"] = {
             n: np.mean(m[-10:], axis=0).tolist() for n, m in metrics.items() if m.dtype != np.int32

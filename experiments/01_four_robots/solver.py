@@ -7,7 +7,6 @@ one control step (20 ms), and then walks on for one second by itself. Errors are
 MuJoCo, float64, Newton 100 / 50; what the last setting has is the rounding of float32.
 """
 
-import argparse
 import time
 from pathlib import Path
 
@@ -16,6 +15,7 @@ import numpy as np
 import walk
 
 from dynappo.policy import policy_file
+from experiments import paper
 
 SETTINGS = ((1, 4), (2, 4), (2, 8), (3, 8), (4, 4), (4, 8), (5, 8), (6, 8), (10, 20))
 STEPS = 50  # control steps, 1 s
@@ -62,7 +62,7 @@ def measure(body, config, params, start, worlds, impl, repeats):
 
 
 def main():
-    parser = argparse.ArgumentParser()
+    parser = paper.parser(__doc__)
     parser.add_argument("out", type=Path)
     parser.add_argument("--impl", default="jax")
     parser.add_argument("--worlds", type=int, default=256)
@@ -102,6 +102,7 @@ def main():
 def write(path: Path, row: dict) -> None:
     """Append one row to a CSV, with a header if it is new, and print it."""
     row = {n: v if isinstance(v, str) else f"{v:.4g}" for n, v in row.items()}
+    path.parent.mkdir(parents=True, exist_ok=True)
     new = not path.exists()
     with path.open("a") as file:
         file.write(",".join(row) + "\n" if new else "")

@@ -7,7 +7,6 @@ Robots that walk under the trained policy, with its exploration and the noise of
 four steps by physics and by the model, with the same actions. MJX-JAX on the CPU.
 """
 
-import argparse
 from pathlib import Path
 
 import jax
@@ -21,12 +20,13 @@ from dynappo.model import dynamics
 from dynappo.physics import robot as robot_lib
 from dynappo.policy import policy_file
 from dynappo.task import env as env_lib
+from experiments import paper
 
 WARM, ROWS, STARTS = 100, 4, 5  # control steps before the first tail, in a tail; tails of a robot
 
 
 def main():
-    parser = argparse.ArgumentParser()
+    parser = paper.parser(__doc__)
     parser.add_argument("folder", type=Path)
     parser.add_argument("robots", nargs="+")
     parser.add_argument("--variant", default="dyna4")
@@ -46,7 +46,7 @@ def main():
 
 def load_model(static, env, path):
     """The `ModelState` whose leaves `run.py --model` wrote."""
-    state = dynamics.init(static.model, env, jax.random.key(0))
+    state = dynamics.init(static, env, jax.random.key(0))
     some = (state.params, state.inputs, state.targets)
     file = np.load(path)
     leaves = [jnp.asarray(file[n]) for n in file]
@@ -58,10 +58,10 @@ def compare(env, static, hyper, params, model, worlds):
     """A dict for each of the `ROWS` steps, over all robots that did not fall or start anew."""
     key = jax.random.key(0)
     keys = jax.random.split(key, worlds)
-    bodies = jax.vmap(env.randomize, (None, 0))(hyper.task, keys)
-    state = jax.vmap(env.reset, (None, 0, 0))(hyper.task, bodies, keys)
-    act = algorithm.policy(static.ppo, params)
-    physics = algorithm.physics_step(env, hyper.task, bodies)
+    bodies = jax.vmap(env.randomize, (None, 0))(hyper, keys)
+    state = jax.vmap(env.reset, (None, 0, 0))(hyper, bodies, keys)
+    act = algorithm.policy(static, params)
+    physics = algorithm.physics_step(env, hyper, bodies)
     index = jnp.arange(worlds)
 
     @jax.jit
@@ -79,7 +79,7 @@ def compare(env, static, hyper, params, model, worlds):
         for k in range(ROWS):
             state, (action, outcome) = step(state, WARM + s * ROWS + k)
             valid &= (outcome.discount == 1) & (outcome.truncation == 0)
-            obs, reward, _ = dynamics.predict(static.model, env, model, obs, action)
+            obs, reward, _ = dynamics.predict(static, hyper, env, model, obs, action)
             columns = (outcome.reward / env.dt, reward / env.dt, outcome.next_obs, obs)
             out[k].append([np.array(c)[np.array(valid)] for c in columns])
     return [measure(*[np.concatenate(c) for c in zip(*some, strict=True)]) for some in out]

@@ -6,7 +6,6 @@ Episodes of 10 s, the first second left out: commands drawn as in training, and 
 and 1.0 m/s. Every part of the robot can touch the floor here.
 """
 
-import argparse
 from pathlib import Path
 
 import mujoco
@@ -16,6 +15,7 @@ import walk
 
 from dynappo.physics import robot
 from dynappo.policy import policy_file
+from experiments import paper
 
 SECONDS, SETTLE = 10.0, 1.0
 
@@ -96,7 +96,7 @@ def measures(body, config, episodes):
 
 
 def main():
-    parser = argparse.ArgumentParser()
+    parser = paper.parser(__doc__)
     parser.add_argument("out", type=Path)
     parser.add_argument("--robots", default=",".join(walk.ROBOTS))
     parser.add_argument("--policies", type=Path, help="folder of run.py; default: the bundled ones")

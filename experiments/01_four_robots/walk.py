@@ -15,7 +15,7 @@ ROBOTS = ("go1", "go2", "anymal_c", "anymal_d")
 
 
 def settings(name: str, variant: str = "ppo16", **fields):
-    """The config of a robot, with `engine_lib.FIELD=VALUE` for each of `fields`."""
+    """The config of a robot, with `physics.FIELD=VALUE` for each of `fields`."""
     config = config_lib.load(f"configs/{name}.py:{variant}")
     config.physics.update(fields)
     return config_lib.validate(config)
@@ -83,7 +83,7 @@ def states(body: robot.Robot, config, params, episodes: int, seconds: float, eve
 
 
 def nominal(body: robot.Robot, worlds: int):
-    """`randomize.Physics` of `worlds` robots as the file has them."""
+    """`randomize.Body` of `worlds` robots as the file has them."""
     import jax.numpy as jnp
 
     from dynappo.physics import randomize
@@ -91,13 +91,13 @@ def nominal(body: robot.Robot, worlds: int):
     one = jnp.ones(worlds)
     com = jnp.asarray(body.mj_model.body_ipos[body.base_body], jnp.float32)
     com = jnp.broadcast_to(com, (worlds, 3))
-    return randomize.Physics(
+    return randomize.Body(
         mass_scale=one, base_com=com, friction=0.8 * one, kp_scale=one, kd_scale=one
     )
 
 
 def on_mjx(engine, config, params, steps: int):
-    """`walk(physics, start, actions=None) -> (qpos, qvel, actions)`, each `[steps, K, ...]`, jitted.
+    """`walk(bodies, start, actions=None) -> (qpos, qvel, actions)`, each `[steps, K, ...]`, jitted.
 
     Every robot walks under its policy, or repeats `actions`; `start` is as `states` returns it.
     """
@@ -114,7 +114,7 @@ def on_mjx(engine, config, params, steps: int):
     observe_all = jax.vmap(observe.observe, (0, 0, 0, None, 0, 0))
     simulate = jax.vmap(engine_lib.simulate, (None, None, 0, 0, 0))
 
-    def walk(parameters, start, actions=None):
+    def walk(bodies, start, actions=None):
         worlds = len(start["qpos"])
         feet, joints = jnp.zeros((worlds, 4), jnp.int32), jnp.zeros((worlds, 12))
         state = engine_lib.Substeps(
@@ -128,10 +128,10 @@ def on_mjx(engine, config, params, steps: int):
         def step(carry, action):
             state, last = carry
             if action is None:
-                com = parameters.base_com
+                com = bodies.base_com
                 obs = observe_all(state.qpos, state.qvel, com, default, start["command"], last)
-                action = networks.policy(static.ppo, params, obs)
-            state = simulate(engine, hyper.task, parameters, state, action)
+                action = networks.policy(static, params, obs)
+            state = simulate(engine, hyper, bodies, state, action)
             return (state, action), (state.qpos, state.qvel, action)
 
         return jax.lax.scan(step, (state, start["last_action"]), actions, length=steps)[1]

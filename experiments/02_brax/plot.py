@@ -4,7 +4,7 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 
-from dynappo.train import log
+from experiments import paper
 
 HERE = Path(__file__).parent
 TITLES = {"hopper": "hopper", "go1_joystick": "Go1"}
@@ -16,10 +16,14 @@ PANELS = {
 
 
 def main():
+    make(HERE)
+
+
+def make(out: Path) -> None:
     figure, axes = plt.subplots(2, 3, figsize=(12, 6), constrained_layout=True)
     for row, (task, title) in zip(axes, TITLES.items(), strict=True):
         for method in ("ppo", "dyna"):
-            run = log.read_csv(HERE / "results" / f"{task}_{method}.csv")
+            run = paper.read_one(HERE / "results" / f"{task}_{method}.csv")
             for axis, name in zip(row, PANELS, strict=True):
                 axis.plot(run["sim_steps"] / 1e6, run[name], label=method, lw=1.4)
         for axis, label in zip(row, PANELS.values(), strict=True):
@@ -27,7 +31,7 @@ def main():
             axis.grid(alpha=0.3)
             axis.set_xlabel("simulator steps (M)")
         row[0].legend(frameon=False)
-    figure.savefig(HERE / "curves.png", dpi=110)
+    paper.save(figure, out / "curves", dpi=110)
 
 
 if __name__ == "__main__":

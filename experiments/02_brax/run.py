@@ -5,7 +5,6 @@
 Writes OUT/TASK_METHOD.csv, one row an iteration; one that is there is skipped.
 """
 
-import argparse
 import time
 from functools import partial
 from pathlib import Path
@@ -15,7 +14,9 @@ import tasks
 
 from dynappo import algorithm, schedule
 from dynappo import config as config_lib
+from dynappo.program import devices
 from dynappo.train import log
+from experiments import paper
 
 KEEP = """iteration sim_steps seconds episode_return episode_length reward falls timeouts blowups
 policy_std learning_rate n_real model_loss model_loss_before""".split()
@@ -23,7 +24,7 @@ policy_std learning_rate n_real model_loss model_loss_before""".split()
 
 def train(task: str, method: str, changes: list[str]):
     """Yields the rows of one run; `seconds` are without compilation."""
-    config = config_lib.load("configs/default.py")
+    config = config_lib.load("configs/default.py:dyna4")
     tail = ["schedule.start_steps=0", f"schedule.end_steps={4 if method == 'dyna' else 0}"]
     for text in tasks.SMALL + tasks.FIELDS[task] + tail + changes:
         config_lib.override(config, *text.split("=", 1))
@@ -44,11 +45,12 @@ def train(task: str, method: str, changes: list[str]):
 
 
 def main():
-    parser = argparse.ArgumentParser()
+    parser = paper.parser(__doc__)
     parser.add_argument("out", type=Path)
     parser.add_argument("--tasks", default=",".join(tasks.MAKE))
     parser.add_argument("--set", action="append", default=[], metavar="FIELD=VALUE")
     args = parser.parse_args()
+    devices.own_process()
     args.out.mkdir(exist_ok=True)
     for task in args.tasks.split(","):
         for method in ("ppo", "dyna"):

@@ -8,7 +8,6 @@ times chunks of the last iterations: whole, and without physics (zero real rows)
 seed. The jobs of one call share a machine, so their ratios are of one run.
 """
 
-import argparse
 import json
 import re
 import time
@@ -19,20 +18,22 @@ import jax.numpy as jnp
 import numpy as np
 
 from dynappo import config as config_lib
-from dynappo import train
 from dynappo.config import files
+from dynappo.program import build, devices
+from experiments import paper
 
 WARM = 3  # chunks
 
 
 def main():
-    parser = argparse.ArgumentParser()
+    parser = paper.parser(__doc__)
     parser.add_argument("out", type=Path)
     parser.add_argument("jobs", nargs="+")
     parser.add_argument("--config", default="configs/go1.py:ppo16")
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--set", action="append", default=[], metavar="FIELD=VALUE")
     args = parser.parse_args()
+    devices.own_process()
     results = json.loads(args.out.read_text()) if args.out.exists() else []
     for job in args.jobs:
         seeds, robots, mesh_seed, mesh_env = (
@@ -46,14 +47,14 @@ def main():
         for text in args.set:
             config_lib.override(config, *text.split("=", 1))
         config = config_lib.validate(config)
-        program = train.setup(config)
+        program = build.program(config)
         ms = times(config, program, args.repeats)
         real = int(program.columns["n_real"][-1])
         row = {"job": job, "config": args.config, "set": args.set} | ms
         row["control_steps_per_second"] = seeds * robots * real / ms["iteration"] * 1e3
         row["setup_seconds"] = program.compile_seconds
         stats = jax.devices()[0].memory_stats() or {}
-        row["peak_bytes"] = stats.get("peak_bytes_in_use")
+        row |= {"peak_bytes": stats.get("peak_bytes_in_use"), "bytes_needed": program.bytes_needed}
         row["device"] = f"{jax.device_count()} x {program.device}, jax {jax.__version__}"
         results.append(row)
         files.write_json(args.out, results)

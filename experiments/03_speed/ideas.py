@@ -116,6 +116,7 @@ def forward(idea, params, obs):
 
 
 def loss(idea, static, hyper, params, batch, old_std):
+    hyper = hyper.ppo
     mean, value = forward(idea, params, batch.obs)
     std = params["std"]
     ratio = jnp.exp(networks.log_prob(mean, std, batch.action) - batch.log_prob)
@@ -151,7 +152,8 @@ def update(idea, static, hyper, learner, batch, key):
     else:
         adam = adam._replace(mu=unravel(adam.mu), nu=unravel(adam.nu))
         learner = learner.replace(opt_state=(clip, adam))
-    optimizer = optax.chain(optax.clip_by_global_norm(hyper.max_grad_norm), optax.scale_by_adam())
+    clipped = optax.clip_by_global_norm(hyper.ppo.max_grad_norm)
+    optimizer = optax.chain(clipped, optax.scale_by_adam())
 
     def step(learner, rows):
         def of(params):
@@ -163,10 +165,10 @@ def update(idea, static, hyper, learner, batch, key):
         updates, opt_state = optimizer.update(grads, learner.opt_state)
         params = jax.tree.map(lambda p, u: p - rate * u, learner.params, updates)
         if idea.flat:
-            lowest = jnp.where(is_std, hyper.min_std, -jnp.inf)
+            lowest = jnp.where(is_std, hyper.ppo.min_std, -jnp.inf)
             params = jnp.maximum(params, lowest)
         else:
-            params["std"] = jnp.maximum(params["std"], hyper.min_std)
+            params["std"] = jnp.maximum(params["std"], hyper.ppo.min_std)
         learner = Learner(params=params, opt_state=opt_state, learning_rate=rate)
         if idea.packed == "all":
             metrics = jnp.stack(list(metrics.values()))
@@ -177,14 +179,14 @@ def update(idea, static, hyper, learner, batch, key):
         def indexed(learner, i):
             return step(learner, jax.tree.map(lambda x: x[i], shuffled))
 
-        order = jnp.arange(static.epochs * static.minibatches) % static.minibatches
+        order = jnp.arange(static.ppo.epochs * static.ppo.minibatches) % static.ppo.minibatches
         learner, metrics = jax.lax.scan(indexed, learner, order, unroll=idea.unroll)
     else:
 
         def epoch(learner, _):
             return jax.lax.scan(step, learner, shuffled, unroll=idea.unroll)
 
-        learner, metrics = jax.lax.scan(epoch, learner, None, length=static.epochs)
+        learner, metrics = jax.lax.scan(epoch, learner, None, length=static.ppo.epochs)
     if idea.packed == "all":
         names = ("kl", "surrogate_loss", "value_loss", "entropy")
         metrics = dict(zip(names, jnp.moveaxis(metrics, -1, 0), strict=True))

@@ -18,7 +18,6 @@ import os
 # before JAX starts: leave memory to PyTorch; rsl_rl imports GitPython for its logs, git may be absent
 os.environ |= {"XLA_PYTHON_CLIENT_PREALLOCATE": "false", "GIT_PYTHON_REFRESH": "quiet"}
 
-import argparse
 import collections
 import contextlib
 import functools
@@ -33,9 +32,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dynappo import algorithm, schedule, stats, train
+from dynappo import algorithm, schedule, stats
 from dynappo import config as config_lib
 from dynappo.learner import ppo
+from dynappo.program import build, devices
+from experiments import paper
 
 UPDATES = 4  # in one measurement
 RETURNS = stats.RETURNS  # finished episodes in a mean return; brax's logger has 100 too
@@ -45,14 +46,13 @@ RETURNS = stats.RETURNS  # finished episodes in a mean return; brax's logger has
 
 
 def learners(config):
-    """Each precision's `(static, hyper)` of group ppo; and a learner and rows that all start from."""
+    """Each precision's `(static, hyper)`; and a learner and rows that all start from."""
     from ppo import rollout_of  # the file beside this one
 
     groups = {}
     for name in ("highest", "tf32", "bfloat16"):
         config.ppo.precision = name
-        static, hyper = config_lib.split(config)
-        groups[name] = static.ppo, hyper.ppo
+        groups[name] = config_lib.split(config)
     static, hyper = groups["highest"]
     learner = jax.jit(lambda key: ppo.init(static, hyper, 48, 12, key))(jax.random.key(0))
     buffer = rollout_of(static, learner.params, config.rollout.num_envs, config.rollout.horizon)
@@ -95,6 +95,7 @@ def rsl_rl(static, hyper, learner, buffer, device):
 
     horizon, robots = buffer.reward.shape
     obs = TensorDict({"policy": tensor(buffer.next_obs[-1])}, [robots], device=device)
+    static, hyper = static.ppo, hyper.ppo
     groups, sizes = {"policy": ["policy"], "critic": ["policy"]}, list(static.hidden)
     with contextlib.redirect_stdout(io.StringIO()):  # it prints its networks
         policy = ActorCritic(
@@ -300,7 +301,7 @@ def brax_ppo(env, config, own, progress_fn, episodes_fn):
         shims.enter_context(
             mock.patch.object(EpisodeMetricsLogger, "update_episode_metrics", episodes_fn)
         )
-        ppo_train.train(brax_env.to_brax(task, hyper.task), **(arguments | own))
+        ppo_train.train(brax_env.to_brax(task, hyper), **(arguments | own))
 
 
 def measure_train(config, own, seconds):
@@ -310,7 +311,7 @@ def measure_train(config, own, seconds):
     """
     config.run.update(eval_envs=0, video_seconds=0.0)
     config = config_lib.validate(config)
-    program = train.setup(config)
+    program = build.program(config)
     every, batch = config.run.log_every, config.rollout.num_envs * config.rollout.horizon
     chunks = iter(np.arange(config.run.num_iterations).reshape(-1, every))
     out = {name: {"chunk_seconds": [], "returns": []} for name in ("dynappo", "brax")}
@@ -402,7 +403,7 @@ def show_train(result, goal):
 
 
 def main():
-    parser = argparse.ArgumentParser()
+    parser = paper.parser(__doc__)
     parser.add_argument("out", type=Path)
     parser.add_argument("--only", choices=("update", "train"))
     parser.add_argument("--config", default="configs/go1.py:ppo16")
@@ -414,6 +415,7 @@ def main():
     parser.add_argument("--rounds", type=int, default=15, help="of the update")
     parser.add_argument("--goal", type=float, default=34.0, help="the return to reach")
     args = parser.parse_args()
+    devices.own_process()
     config = config_lib.load(args.config)
     for text in args.set:
         config_lib.override(config, *text.split("=", 1))

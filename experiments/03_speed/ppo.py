@@ -8,7 +8,6 @@ in training. Writes OUT_DIR/times.json, the compiled programs, and profiles of t
 `--only` picks programs by their names, or by words in them, in this order.
 """
 
-import argparse
 import contextlib
 import functools
 import gzip
@@ -32,6 +31,7 @@ from dynappo import config as config_lib
 from dynappo.learner import networks, ppo
 from dynappo.model import dynamics
 from dynappo.types import Transition
+from experiments import paper
 
 PRESET = jax.lax.DotAlgorithmPreset
 UPDATES = 4  # in one call
@@ -138,13 +138,13 @@ def rollout_of(static, params, robots, horizon):
 def programs(args):
     """Name -> `(function, arguments, compiler options, precision of "highest" or "", divisor of ms)`;
     and what they work on."""
-    static, hyper = config_lib.split(config_lib.load("configs/go1.py:dyna4"))
+    static, hyper = config_lib.split(config_lib.load("configs/go1.py:ppo16"))  # model as dyna4's
     fast, _ = config_lib.split(config_lib.load("configs/go1.py:fast"))
     task = env()
-    make = jax.jit(lambda key: ppo.init(static.ppo, hyper.ppo, 48, 12, key))
+    make = jax.jit(lambda key: ppo.init(static, hyper, 48, 12, key))
     learner = make(jax.random.key(0))
-    buffer = rollout_of(static.ppo, learner.params, args.robots, 16)
-    estimate = jax.jit(partial(algorithm.estimate, static.ppo, hyper.ppo, real=jnp.bool_(True)))
+    buffer = rollout_of(static, learner.params, args.robots, 16)
+    estimate = jax.jit(partial(algorithm.estimate, static, hyper, real=jnp.bool_(True)))
     batch = estimate(learner.params, buffer)
     out = {}
 
@@ -159,13 +159,13 @@ def programs(args):
 
     key = jax.random.key(2)
     for name, (idea, options) in updates().items():
-        run = repeated(partial(ideas.update, idea, static.ppo, hyper.ppo))
+        run = repeated(partial(ideas.update, idea, static, hyper))
         out[f"update: {name}"] = (run, (learner, batch, key), options, "", UPDATES)
-    run = repeated(partial(ppo.update, static.ppo, hyper.ppo))
+    run = repeated(partial(ppo.update, static, hyper))
     out["update: dynappo.ppo"] = (run, (learner, batch, key), {}, "", UPDATES)
 
     def shuffles(learner, batch, key):
-        rows = ppo.minibatches(static.ppo, batch, key)
+        rows = ppo.minibatches(static, batch, key)
         rows = jax.tree.map(lambda x: x.swapaxes(0, 1), rows)
         like = jax.tree.map(lambda x, b: x.reshape(b.shape), rows, batch)
         return learner, like
@@ -180,9 +180,8 @@ def programs(args):
 
     def estimates(params, buffer):
         def one(value, _):
-            new = algorithm.estimate(
-                static.ppo, hyper.ppo, params, buffer.replace(value=value), jnp.bool_(True)
-            )
+            rows = buffer.replace(value=value)
+            new = algorithm.estimate(static, hyper, params, rows, jnp.bool_(True))
             return new.returns, None
 
         return jax.lax.scan(one, buffer.value, jnp.arange(UPDATES))[0]
@@ -200,27 +199,27 @@ def programs(args):
 
     def fit(static, epochs):
         def run(model, buffer, n_real, epochs, key):
-            return dynamics.fit(static, hyper.model, task, model, buffer, n_real, epochs, key)
+            return dynamics.fit(static, hyper, task, model, buffer, n_real, epochs, key)
 
         model = jax.jit(lambda key: dynamics.init(static, task, key))(jax.random.key(3))
         return run, (model, buffer, jnp.int32(12), jnp.int32(epochs), key)
 
     for name, how in (("highest", "highest"), *EMULATED.items()):
-        out[f"fit: dyna4 {name}"] = (*fit(static.model, 25), {}, how, 1)
-    out["fit: fast"] = (*fit(fast.model, 5), {}, "", 1)
-    out["fit: fast none"] = (*fit(fast.model, 0), {}, "", 1)
-    out["fit: fast loops"] = (*fit(fast.model, 5), LOOPS, "", 1)
+        out[f"fit: dyna4 {name}"] = (*fit(static, 25), {}, how, 1)
+    out["fit: fast"] = (*fit(fast, 5), {}, "", 1)
+    out["fit: fast none"] = (*fit(fast, 0), {}, "", 1)
+    out["fit: fast loops"] = (*fit(fast, 5), LOOPS, "", 1)
 
     def tail(static, rows=16):
         def run(params, model, obs, key, n):
             state = dynamics.TailState(obs=obs, prop=obs[:, :33])
             keys = rollout.row_keys(key, jnp.arange(args.robots))
             empty = rollout.allocate(task, rows, args.robots)
-            act = algorithm.policy(static.ppo, params)
-            step = partial(dynamics.step, static.model, task, model)
+            act = algorithm.policy(static, params)
+            step = partial(dynamics.step, static, hyper, task, model)
             return rollout.fill(empty, jnp.int32(0), n, state, keys, act=act, step=step)[:2]
 
-        model = jax.jit(lambda key: dynamics.init(static.model, task, key))(jax.random.key(3))
+        model = jax.jit(lambda key: dynamics.init(static, task, key))(jax.random.key(3))
         return run, (learner.params, model, buffer.obs[0], key, jnp.int32(rows))
 
     for name in ("highest", "tf32x3", "tf32"):
@@ -244,7 +243,7 @@ def gradient_errors(static, hyper, learner, batch):
     old_std = learner.params["std"]
 
     def gradient(idea, params, rows, old_std):
-        of = partial(ideas.loss, idea, static.ppo, hyper.ppo)
+        of = partial(ideas.loss, idea, static, hyper)
         return jax.grad(of, has_aux=True)(params, rows, old_std)[0]
 
     with jax.enable_x64(True):
@@ -270,7 +269,7 @@ def gradient_errors(static, hyper, learner, batch):
 
 
 def main():
-    parser = argparse.ArgumentParser()
+    parser = paper.parser(__doc__)
     parser.add_argument("out", type=Path)
     parser.add_argument("--only", nargs="*", default=[""], help="names that contain one of these")
     parser.add_argument("--robots", type=int, default=4096)

@@ -2,14 +2,13 @@
 
     python experiments/03_speed/raw.py OUT.json [--worlds 4096,8192,16384,32768] [--states FILE.npz]
 
-Same model, solver iterations and contact buffers as dynappo's (`physics.make`), same states (standing
+Same model, solver iterations and contact buffers as dynappo's (`physics/engine.py`), same states (standing
 after a reset; or qpos, qvel and qacc_warmstart of FILE) and constant torques (PD towards the default
 pose). MuJoCo Warp replays a CUDA graph of the four steps; `mjx.step` runs in a scan that carries its
 data. Each measurement starts from the same states and does 64 physics steps; printed are medians,
 ms for four steps.
 """
 
-import argparse
 import json
 import time
 from pathlib import Path
@@ -17,14 +16,13 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import numpy as np
-import warp as wp
 from mujoco import mjx
-from mujoco.mjx.third_party import mujoco_warp as mjw
 
 from dynappo import config as config_lib
 from dynappo.physics import contacts
 from dynappo.physics import robot as robot_lib
 from dynappo.task import env as env_lib
+from experiments import paper
 
 STEPS, REPLAYS = 4, 16
 
@@ -38,7 +36,7 @@ def start(config, robot, worlds, states):
         qpos, qvel, warm = (loaded[name][rows] for name in names)
     else:
         env = env_lib.make(robot, config.task, config.physics, impl="jax")
-        hyper = config_lib.split(config)[1].task
+        hyper = config_lib.split(config)[1]
         keys = jax.random.split(jax.random.key(0), worlds)
         body = jax.vmap(env.randomize, (None, 0))(hyper, keys)
         state = jax.jit(jax.vmap(env.reset, (None, 0, 0)))(hyper, body, keys)
@@ -51,6 +49,9 @@ def start(config, robot, worlds, states):
 
 def by_warp(config, robot, worlds, first, repeats, conditional=True):
     """ms of each repeat, for four steps."""
+    import warp as wp
+    from mujoco.mjx.third_party import mujoco_warp as mjw
+
     model = robot_lib.physics_model(robot, config.physics)
     touching, rows = contacts.most(model)
     m = mjw.put_model(model)
@@ -109,12 +110,14 @@ def by_mjx(config, robot, worlds, first, repeats):
 
 
 def main():
-    parser = argparse.ArgumentParser()
+    parser = paper.parser(__doc__)
     parser.add_argument("out", type=Path)
     parser.add_argument("--worlds", default="4096,8192,16384,32768")
     parser.add_argument("--states")
     parser.add_argument("--repeats", type=int, default=7)
     args = parser.parse_args()
+    import warp as wp
+
     config = config_lib.validate(config_lib.load("configs/go1.py:ppo16"))
     robot = robot_lib.load(config.robot)
     result = {

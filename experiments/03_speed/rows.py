@@ -7,7 +7,7 @@ on MJX-Warp, and the cases take turns; printed is the median, ms a control step.
 
     raw_*    mjx.step x 4 in a scan that carries its data; `const`: torques stay, `pd`: PD in each step,
              `fixed`: the solver does all its iterations instead of asking after each
-    sim_*    engine_lib.simulate
+    sim_*    engine.simulate (dynappo/physics)
     step_*   env.step, `pstep_*` with the autoreset
     fill_*   the whole row: policy, random numbers, buffer; `dyn` with a bound that is an argument, as
              in training, `static` with one that the compiler knows
@@ -18,7 +18,6 @@ Traces say which kernels run and how long the device waits; with command buffers
 (XLA_FLAGS=--xla_gpu_enable_command_buffer=) each has its place in the program.
 """
 
-import argparse
 import gzip
 import json
 import re
@@ -38,6 +37,7 @@ from dynappo.physics import contacts, warp_engine
 from dynappo.physics import engine as engine_lib
 from dynappo.physics import robot as robot_lib
 from dynappo.task import env as env_lib
+from experiments import paper
 
 ROWS = 16
 FIELDS = ("qpos", "qvel", "qacc_warmstart", "geom_xpos", "geom_xmat")
@@ -66,7 +66,7 @@ class Bench:
     def __init__(self, worlds, impl):
         config = config_lib.validate(config_lib.load("configs/go1.py:ppo16"))
         self.static, hyper = config_lib.split(config)
-        self.hyper, self.impl, self.worlds = hyper.task, impl, worlds
+        self.hyper, self.impl, self.worlds = hyper, impl, worlds
         robot = robot_lib.load(config.robot)
         env = env_lib.make(robot, config.task, config.physics, impl=impl)
         engine = env.step.args[0].engine
@@ -87,7 +87,7 @@ class Bench:
         keys = rollout.row_keys(key, self.robots)(0)
         self.body = jax.jit(jax.vmap(env.randomize, (None, 0)))(self.hyper, keys)
         state = jax.jit(jax.vmap(env.reset, (None, 0, 0)))(self.hyper, self.body, keys)
-        learner = ppo.init(self.static.ppo, hyper.ppo, env.obs_size, env.action_size, key)
+        learner = ppo.init(self.static, hyper, env.obs_size, env.action_size, key)
         self.params = learner.params
         # where the cases start
         run = jax.jit(partial(self.fill, "own", True))
@@ -108,13 +108,13 @@ class Bench:
 
     def raw(self, control, change, params, body, state, key, n):
         """mjx.step x 4, data carried."""
-        engine, hyper = self.engine, self.hyper
+        engine, task = self.engine, self.hyper.task
         default = jnp.asarray(engine.robot.default_pose, jnp.float32)
         target = default + 0.25 * self.action
         model = engine.model.tree_replace(change) if change else engine.model
 
         def torque(data):
-            return hyper.kp * (target - data.qpos[:, 7:]) - hyper.kd * data.qvel[:, 6:]
+            return task.kp * (target - data.qpos[:, 7:]) - task.kd * data.qvel[:, 6:]
 
         data = jax.vmap(lambda _: self.template)(self.robots)
         data = data.replace(qpos=state.qpos, qvel=state.qvel, qacc_warmstart=state.qacc_warmstart)
@@ -130,7 +130,7 @@ class Bench:
         return data.qpos, data.qvel
 
     def sim(self, how, params, body, state, key, n):
-        """physics.simulate alone."""
+        """engine.simulate alone."""
         engine = self.envs[how].step.args[0].engine
 
         def row(_, state):
@@ -161,7 +161,7 @@ class Bench:
         return jax.lax.fori_loop(0, ROWS, row, (state, jnp.zeros(self.worlds)))
 
     def fill(self, how, dynamic, params, body, state, key, n):
-        """rollout.fill with the policy: what `algorithm.collect` does."""
+        """rollout.fill with the policy: what `algorithm.iterate` does first."""
         env = self.envs[how]
         env = env._replace(step=scoped("task", env.step), autoreset=scoped("reset", env.autoreset))
         lo, hi = (jnp.int32(0), n) if dynamic else (0, ROWS)
@@ -171,7 +171,7 @@ class Bench:
             hi,
             state,
             rollout.row_keys(key, self.robots),
-            act=scoped("policy", algorithm.policy(self.static.ppo, params)),
+            act=scoped("policy", algorithm.policy(self.static, params)),
             step=algorithm.physics_step(env, self.hyper, body),
             metrics=env.metrics,
         )
@@ -285,7 +285,7 @@ def summarise(folder, hlo, calls):
 
 
 def main():
-    parser = argparse.ArgumentParser()
+    parser = paper.parser(__doc__)
     parser.add_argument("out", type=Path)
     parser.add_argument("--worlds", type=int, default=4096)
     parser.add_argument("--cases", default="")

@@ -7,7 +7,6 @@ builds them once for a version of MuJoCo MJX). `warm`: both are, as from the sec
 a `python -m dynappo.train` of its own; the clock stops when its first row of metrics.csv is there.
 """
 
-import argparse
 import os
 import subprocess
 import sys
@@ -16,6 +15,7 @@ import time
 from pathlib import Path
 
 from dynappo.config import files
+from experiments import paper
 
 FIELDS = dict(
     num_iterations=2,
@@ -28,7 +28,7 @@ FIELDS = dict(
 
 
 def main():
-    parser = argparse.ArgumentParser()
+    parser = paper.parser(__doc__)
     parser.add_argument("out", type=Path)
     parser.add_argument("--config", default="configs/go1.py")
     parser.add_argument("--set", action="append", default=[], metavar="FIELD=VALUE")

@@ -31,10 +31,10 @@ def job(envs: int, horizon: int) -> str:
 
 
 def main():
-    make(Path(__file__).parent, GRID)
+    make(Path(__file__).parent)
 
 
-def make(out: Path, grid) -> None:
+def make(out: Path, grid=GRID) -> None:
     rows = build(out / "results", grid)
     paper.write(out / "results.csv", rows)
     paper.show(rows, COLUMNS)

@@ -18,7 +18,7 @@ EVALUATED = ("run.eval_envs=200", "run.checkpoint_every=0")  # 17_regimes needs 
 
 
 def main():
-    args = paper.options(Path(__file__).parent, __doc__ or "")
+    args = paper.options(Path(__file__).parent, __doc__)
     grid = [(16, 12), (32, 16)] if args.quick else plot.GRID
     results, thin = args.out / "results", 5 if args.quick else paper.EVERY
     for cell in grid:

@@ -6,9 +6,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dynappo import algorithm
 from dynappo.model import dynamics, examples
 from dynappo.task import observe
+from experiments import walking
 
 # of the predicted numbers, the reward last; units as in observe.py, the reward for a second
 GROUPS = {
@@ -29,14 +29,15 @@ def compiled(program) -> Callable:
 
     def one(state):
         key = jax.random.fold_in(state.key, FRESH)
-        buffer, _, _ = algorithm.collect(env, hyper, state, jnp.int32(horizon), key, static=static)
-        start = examples.before_and_after(static.model, env, buffer)[0][0]
-        return errors(env, static.model, state.model, hyper.task, buffer, start)
+        every = jnp.int32(horizon)
+        buffer, _, _ = walking.collect(env, hyper, state, every, key, static=static)
+        start = examples.before_and_after(static, env, buffer)[0][0]
+        return errors(static, hyper, env, state.model, buffer, start)
 
     return jax.jit(jax.vmap(one, spmd_axis_name="seed"))
 
 
-def errors(env, static, model, task, rows, obs):
+def errors(static, hyper, env, model, rows, obs):
     """Root mean square error of the prediction from `obs` [R, O] to each row, and the truth's spread.
 
     Over robots that have not ended their episode by then, against the state without noise. The spread is
@@ -44,7 +45,7 @@ def errors(env, static, model, task, rows, obs):
     """
 
     def predict(obs, action):
-        obs, reward, _ = dynamics.predict(static, env, model, obs, action, task)
+        obs, reward, _ = dynamics.predict(static, hyper, env, model, obs, action)
         return obs, jnp.concatenate([obs[:, : env.prop_size], reward[:, None] / env.dt], -1)
 
     _, predicted = jax.lax.scan(predict, obs, rows.action)

@@ -23,7 +23,7 @@ AT = (5, 10, 15, 20, 30, 40, 50, 75, 100, 150, 200, 250, 300, 350, 400, 450, 500
 
 
 def main():
-    args = paper.options(Path(__file__).parent, __doc__ or "")
+    args = paper.options(Path(__file__).parent, __doc__)
     if not (args.out / "results" / "about.json").exists():
         measure(args.out / "results", args.quick, args.lock)
     plot.make(args.out)

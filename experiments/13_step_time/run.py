@@ -17,7 +17,7 @@ REPEATS = 9  # medians of so many
 
 
 def main():
-    args = paper.options(Path(__file__).parent, __doc__ or "")
+    args = paper.options(Path(__file__).parent, __doc__)
     names, flags = plot.VARIANTS, [f"--repeats={REPEATS}"]
     if args.quick:
         names = ("ppo16", "dyna4")

@@ -11,13 +11,14 @@ from pathlib import Path
 
 from experiments import paper
 
+HERE = Path(__file__).parent
 COLUMNS = (
     "robot threshold limit variant status success_rate_pct sim_steps_M_mean sim_steps_M_low "
     "sim_steps_M_high share_of_ppo16_pct iterations_mean seconds_mean paper_sim_steps_M paper_iterations"
 ).split()
 
 
-def make(out: Path, others: Path) -> None:
+def make(out: Path, others: Path = HERE.parent) -> None:
     rows = build(others / "12_platforms" / "results", ablation_peak(others / "10_ablation"))
     paper.write(out / "results.csv", rows)
     paper.show(rows, COLUMNS)

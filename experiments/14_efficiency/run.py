@@ -14,9 +14,8 @@ from experiments import paper
 
 
 def main():
-    args = paper.options(Path(__file__).parent, __doc__ or "")
-    others = Path("runs/quick") if args.quick else Path(__file__).parents[1]
-    plot.make(args.out, others)
+    args = paper.options(Path(__file__).parent, __doc__)
+    plot.make(args.out, Path("runs/quick") if args.quick else plot.HERE.parent)
 
 
 if __name__ == "__main__":

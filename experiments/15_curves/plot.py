@@ -6,12 +6,13 @@ import numpy as np
 
 from experiments import paper
 
+HERE = Path(__file__).parent
 AT = (50, 100, 200, 300, 400, 500)  # iterations of the table
 METRICS = ("episode_return", "policy_std", "learning_rate", "velocity_error")
 
 
-def make(out: Path, folder: Path) -> None:
-    rows = []
+def make(out: Path, others: Path = HERE.parent) -> None:
+    rows, folder = [], others / "12_platforms" / "results"
     for robot, title in paper.ROBOTS.items():
         runs = {name: paper.load(folder, f"{robot}_{name}") for name in paper.variants(robot)}
         rows += [row for name, run in runs.items() for row in build(robot, name, run)]

@@ -3,7 +3,7 @@
     python experiments/15_curves/run.py [--quick] [--out DIR]
 
 Trains nothing: reads the runs of 12_platforms (with --quick, those that its --quick made). Writes
-results.csv, and ROBOT.png and .svg of every robot that has a run; Go1's always.
+results.csv, and ROBOT.png of every robot that has a run; Go1's always.
 """
 
 from pathlib import Path
@@ -14,9 +14,8 @@ from experiments import paper
 
 
 def main():
-    args = paper.options(Path(__file__).parent, __doc__ or "")
-    others = Path("runs/quick") if args.quick else Path(__file__).parents[1]
-    plot.make(args.out, others / "12_platforms" / "results")
+    args = paper.options(Path(__file__).parent, __doc__)
+    plot.make(args.out, Path("runs/quick") if args.quick else plot.HERE.parent)
 
 
 if __name__ == "__main__":

@@ -32,6 +32,7 @@ def main():
         return strips(Path(sys.argv[2]))
     here = Path(__file__).parent
     make(here)
+    make_strips(here)
     if "--films" in sys.argv:
         films(here)
 
@@ -42,9 +43,13 @@ def make(out: Path) -> None:
     paper.write(out / "results.csv", rows)
     paper.show(rows, COLUMNS)
     draw(episodes, out / "measures")
-    # a process of its own: MuJoCo chooses its OpenGL when it is imported, and a wrong one may end it
+
+
+def make_strips(out: Path) -> None:
+    """The film strips, in a process of its own: MuJoCo chooses its OpenGL when it is imported, and a
+    wrong one may end it."""
     command = [sys.executable, __file__, "--strips", str(out)]
-    for backend in ("egl", "osmesa") if episodes else ():
+    for backend in ("egl", "osmesa"):
         environment = os.environ | {"MUJOCO_GL": backend, "PYOPENGL_PLATFORM": backend}
         if subprocess.run(command, env=environment, stderr=subprocess.DEVNULL).returncode == 0:
             return
@@ -129,8 +134,10 @@ def strips(out: Path) -> None:
                     text = f"{paper.VARIANTS[variant]}, asked for {speed} m/s, 60 ms apart"
                     axis.set_title(text, loc="left", fontsize=9)
             row[0].set_ylabel(f"iteration {iteration}", fontsize=8)
-        page.savefig(out / f"strips_{speed}.png", dpi=130, pil_kwargs={"optimize": True})
-        print(out / f"strips_{speed}.png")
+        path = out / f"strips_{speed}.png"
+        page.savefig(path, dpi=130)
+        paper.palette(path)
+        print(path)
 
 
 def frames(poses: np.ndarray, name: str = "go1"):

@@ -23,7 +23,7 @@ SETTINGS = ("run.eval_envs=0", "run.checkpoint_every=0")
 
 
 def main():
-    args = paper.options(Path(__file__).parent, __doc__ or "")
+    args = paper.options(Path(__file__).parent, __doc__)
     at, seeds, settings = ((5, 10), 2, paper.QUICK) if args.quick else (AT, SEEDS, SETTINGS)
     policies, results = args.out / "policies", args.out / "results"
     for variant in plot.VARIANTS:
@@ -45,6 +45,7 @@ def main():
         paper.write(results / "episodes.csv", rows)
         np.savez_compressed(results / "poses.npz", **poses)
     plot.make(args.out)
+    plot.make_strips(args.out)
 
 
 def policy(folder: Path, variant: str, iteration: int, seed: int) -> Path:

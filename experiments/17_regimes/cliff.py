@@ -26,7 +26,7 @@ COLUMNS = (
 
 
 def main():
-    make(Path(__file__).parent, plot.ROBOTS)
+    make(Path(__file__).parent)
 
 
 def jobs(folder: Path) -> list[str]:
@@ -36,7 +36,7 @@ def jobs(folder: Path) -> list[str]:
     return [plot.job(*cell) for cell in cells if not plot.found(folder, *cell)]
 
 
-def make(out: Path, robots) -> None:
+def make(out: Path, robots=plot.ROBOTS) -> None:
     rows = build(out / "results")
     paper.write(out / "cliff.csv", rows)
     paper.show(rows, COLUMNS)

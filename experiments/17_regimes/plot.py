@@ -45,10 +45,10 @@ REGIMES += [Regime(f"R = 1024, {label}", 1024, fields) for label, fields in TASK
 
 
 def main():
-    make(Path(__file__).parent, REGIMES)
+    make(Path(__file__).parent)
 
 
-def make(out: Path, regimes) -> None:
+def make(out: Path, regimes=REGIMES) -> None:
     rows = build(out / "results", regimes)
     paper.write(out / "results.csv", rows)
     paper.show(rows, COLUMNS)

@@ -1,4 +1,4 @@
-"""overview, model and tail as PNG and SVG: the paper's figures 1 to 3, drawn as their captions say.
+"""overview, model and tail as PNG: the paper's figures 1 to 3, drawn as their captions say.
 
     python experiments/18_rollouts/plot.py
 
@@ -28,9 +28,9 @@ def main():
 
 
 def make(out: Path) -> None:
-    columns = paper.read(out / "results" / "rows.csv")
-    found = paper.read(out / "results" / "distance.csv")
-    far = [{n: column[k - 1, 0] for n, column in found.items()} for k in (1, 4, 8, 16)]
+    columns = paper.read_one(out / "results" / "rows.csv")
+    found = paper.read_one(out / "results" / "distance.csv")
+    far = [{n: column[k - 1] for n, column in found.items()} for k in (1, 4, 8, 16)]
     paper.write(out / "results.csv", far)
     paper.show(far, far[0])
     draw_overview(out / "overview")
@@ -199,10 +199,9 @@ def brace(axis, left: float, right: float, y: float) -> None:
     axis.plot([middle, middle], [y, y - 0.1], color=INK, linewidth=1)
 
 
-def draw_tail(columns, path: Path) -> None:
+def draw_tail(get, path: Path) -> None:
     """Figure 3: successive rollouts of one robot; each goes on from the last state of physics."""
     page, axes = paper.figure(len(CURVES), 1, (9.5, 6.2), sharex=True)
-    get = {name: column[:, 0] for name, column in columns.items()}
     real = get["synthetic"] == 0
     for axis, (name, (_, label)) in zip(axes[:, 0], CURVES.items(), strict=True):
         axis.plot(

@@ -1,4 +1,4 @@
-"""What a tail saves against PPO-16: tables in Markdown and CSV, and curves as PNG and SVG.
+"""What a tail saves against PPO-16: tables in Markdown and CSV, and curves.
 
     python experiments/20_tail/compare.py
 
@@ -76,10 +76,14 @@ DRAWN = {label: GROUPS[label][:2] for label in ROBOTS.values()}
 
 
 def main():
+    make(HERE)
+
+
+def make(out: Path) -> None:
     rows = [row for group, names in GROUPS.items() for row in table(group, names)]
-    paper.write(HERE / "results.csv", rows)
+    paper.write(out / "results.csv", rows)
     paper.show(rows, COLUMNS)
-    draw(HERE / "steps")
+    draw(out / "steps")
 
 
 def find(name: str):

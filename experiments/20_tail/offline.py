@@ -5,12 +5,10 @@
 The bundled Go1 walks by its policy and that policy's noise; each iteration has eight real rows, and the
 model is fitted to them as `best` does after iteration 50 (5 epochs, float32). Before each fit its error is
 measured on those rows, which it has not seen: of 1, 4 and 8 predictions in a row, as a share of that of
-repeating the state (errors.py). Written is a row a setting and seed: means over the last 20 of 60
-iterations.
+repeating the state (dynappo/model/errors.py). Written is a row a setting and seed: means over the last 20
+of 60 iterations.
 """
 
-import argparse
-from functools import partial
 from pathlib import Path
 
 import jax
@@ -18,33 +16,22 @@ import jax.numpy as jnp
 import numpy as np
 
 from dynappo import algorithm
-from dynappo import config as config_lib
-from dynappo.config import files
-from dynappo.physics import robot as robot_lib
-from dynappo.policy import policy_file
-from dynappo.task import env as env_lib
-from experiments import paper
+from dynappo.model import dynamics, errors
+from dynappo.program import devices
+from experiments import paper, walking
 
-SETTINGS = (
-    "",
-    "model.unroll=3",
-    "model.unroll=6",
-    "model.history=3",
-    "model.private=True",
-    "model.ensemble=2",
-    "model.clean=False",
-    "model.predict_change=False",
-)
-ROWS, WARM, ITERATIONS, LAST, EPOCHS = 8, 25, 60, 20, 5
+SETTINGS = ("", "model.clean=False", "model.predict_change=False")
+ROWS, ITERATIONS, LAST = 8, 60, 20
 
 
 def main():
-    parser = argparse.ArgumentParser()
+    parser = paper.parser(__doc__)
     parser.add_argument("out", type=Path)
     parser.add_argument("settings", nargs="*", default=SETTINGS)
     parser.add_argument("--robots", type=int, default=256)
     parser.add_argument("--seeds", type=int, default=3)
     args = parser.parse_args()
+    devices.own_process()
     rows = []
     for setting in args.settings:
         rows += measure(setting, args.robots, args.seeds)
@@ -52,58 +39,28 @@ def main():
         print(rows[-1], flush=True)
 
 
-def configure(setting: str, robots: int):
-    config = config_lib.load("configs/go1.py:best")
-    config.rollout.num_envs = robots
-    config.model.precision = config.ppo.precision = "highest"
-    for text in filter(None, setting.split(":")):
-        config_lib.override(config, *text.split("=", 1))
-    return config_lib.validate(config)
-
-
 def measure(setting: str, robots: int, seeds: int) -> list[dict]:
     """A row a seed."""
-    config = configure(setting, robots)
-    static, hyper = config_lib.split(config)
-    robot = robot_lib.load(config.robot)
-    env = env_lib.make(robot, config.task, config.physics)
-    path = files.find("robots", f"{config.robot}/policy.npz")
-    walker = {name: jax.tree.map(jnp.asarray, part) for name, part in policy_of(path).items()}
-    step = jax.jit(partial(iterate, env, static=static))
-    rows = []
+    config = walking.configure(robots, filter(None, setting.split(":")))
+    walk, rows = walking.walker(config, iterate), []
     for seed in range(seeds):
-        state = algorithm.init(env, hyper, jax.random.key(seed), static=static)
-        params = state.learner.params | walker
-        state = state.replace(learner=state.learner.replace(params=params))
-        found = []
-        for i in range(WARM + ITERATIONS):
-            epochs = EPOCHS if i >= WARM else 0  # first the robots start to walk
-            state, errors = step(hyper, state, jnp.int32(i), jnp.int32(epochs))
-            found.append(jax.device_get(errors))
-        last = {n: np.mean([errors[n] for errors in found[-LAST:]]) for n in found[-1]}
+        found = list(walk(seed, walking.WARM + ITERATIONS))[-LAST:]
+        last = {name: float(np.mean([each[name] for each in found])) for name in found[-1]}
         rows.append({"setting": setting or "best", "seed": seed, "robots": robots} | last)
     return rows
 
 
-def policy_of(path) -> dict:
-    params = policy_file.load_params(path)
-    return {name: params[name] for name in ("actor", "std")}
-
-
 def iterate(env, hyper, state, iteration, epochs, *, static):
     """`algorithm.iterate` without tail and without PPO: rows, errors, fit."""
-    key = jax.random.fold_in(state.key, iteration)
-    n_real = jnp.int32(ROWS)
-    buffer, env_state, sums = algorithm.collect(env, hyper, state, n_real, key, static=static)
-    errors = {}
+    key, real = jax.random.fold_in(state.key, iteration), jnp.int32(ROWS)
+    buffer, env_state, sums = walking.collect(env, hyper, state, real, key, static=static)
+    found = {}
     for steps in (1, 4, ROWS):
-        errors |= errors.errors(static.model, env, state.model, buffer, steps, hyper.task)
+        found |= errors.errors(static, hyper, env, state.model, buffer, steps)
     fit_key = jax.random.fold_in(key, algorithm.FIT)
-    model, past, metrics = algorithm.learn(
-        env, hyper, state.model, state.past, buffer, n_real, epochs, fit_key, static=static
-    )
-    errors |= {"falls": sums["falls"], "loss": metrics["model_loss_before"]}
-    return state.replace(model=model, past=past, env_state=env_state), errors
+    model, fitted = dynamics.fit(static, hyper, env, state.model, buffer, real, epochs, fit_key)
+    found |= {"falls": sums["falls"], "loss": fitted["model_loss_before"]}
+    return state.replace(model=model, env_state=env_state), found
 
 
 if __name__ == "__main__":

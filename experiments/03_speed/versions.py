@@ -1,0 +1,94 @@
+"""Is this checkout slower than another? An iteration of both, alternating on one GPU.
+
+    python experiments/03_speed/versions.py OTHER_CHECKOUT go1:ppo16 go1:best --out FILE.json
+
+Each checkout has a process of its own, which compiles its program and then runs one chunk of iterations
+whenever it is asked; the two are asked in turns. FILE.json gets the ms of every call and the ratio
+this / other of neighbouring calls: median, minimum, maximum.
+"""
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+
+HERE = Path(__file__).resolve().parents[2]
+
+
+def main():
+    parser = argparse.ArgumentParser()
+    parser.add_argument("other", help="another checkout; for a process of a checkout: serve")
+    parser.add_argument("jobs", nargs="+", metavar="ROBOT:VARIANT")
+    parser.add_argument("--repeats", type=int, default=20)
+    parser.add_argument("--set", action="append", default=[], metavar="FIELD=VALUE")
+    parser.add_argument("--out", type=Path)
+    args = parser.parse_args()
+    if args.other == "serve":
+        return serve(args.jobs[0], args.set)
+    found = {}
+    for job in args.jobs:
+        other, this = (start(Path(path).resolve(), job, args.set) for path in (args.other, HERE))
+        for process in (other, this):
+            print(job, ask(process), flush=True)  # it has compiled
+        times = np.array([[float(ask(p)) for p in (other, this)] for _ in range(args.repeats + 1)])
+        for process in (other, this):
+            process.stdin.close()
+            process.wait()
+        ratio = times[1:, 1] / times[1:, 0]  # the first warms
+        found[job] = {"ms": times[1:].round(3).tolist(), "ratio": float(np.median(ratio))}
+        found[job] |= {"ratio_min": float(ratio.min()), "ratio_max": float(ratio.max())}
+        ms = np.median(times[1:], 0)
+        print(f"{job}: {ms[1]:.2f} ms here, {ms[0]:.2f} there, ratio {np.median(ratio):.4f}")
+        if args.out:
+            args.out.write_text(json.dumps(found, indent=1) + "\n")
+
+
+def start(checkout: Path, job: str, settings) -> subprocess.Popen:
+    """A process of a checkout that serves `job`."""
+    path = os.pathsep.join([str(checkout), os.environ.get("PYTHONPATH", "")])
+    command = [sys.executable, __file__, "serve", job, *(f"--set={s}" for s in settings)]
+    environment = os.environ | {"PYTHONPATH": path, "XLA_PYTHON_CLIENT_MEM_FRACTION": "0.35"}
+    pipe = subprocess.PIPE
+    return subprocess.Popen(
+        command, env=environment, cwd=checkout, stdin=pipe, stdout=pipe, text=True
+    )
+
+
+def ask(process: subprocess.Popen) -> str:
+    """One line in, one line out."""
+    assert process.stdin and process.stdout
+    process.stdin.write("go\n")
+    process.stdin.flush()
+    return process.stdout.readline().strip()
+
+
+def serve(job: str, settings) -> None:
+    """Compile `job`, answer the first line with the checkout, every other with ms of an iteration."""
+    answers = os.fdopen(os.dup(1), "w")
+    os.dup2(2, 1)  # Warp prints what it compiles
+    import dynappo
+    from dynappo import config as config_lib
+
+    robot, _, variant = job.partition(":")
+    config = config_lib.load(f"configs/{robot}.py:{variant}")
+    for setting in settings:
+        field, _, value = setting.partition("=")
+        config_lib.override(config, field, value)
+    config = config_lib.validate(config)
+    try:
+        from dynappo.bench.phases import last_iteration
+        from dynappo.program.build import program
+    except ImportError:  # a checkout from before the folders
+        from dynappo.bench import last_iteration  # pyright: ignore
+        from dynappo.train import setup as program  # pyright: ignore
+    run = last_iteration(config, program(config))
+    for i, _ in enumerate(sys.stdin):
+        print(Path(dynappo.__file__).parent if i == 0 else run(), file=answers, flush=True)
+
+
+if __name__ == "__main__":
+    main()
