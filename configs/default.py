@@ -18,6 +18,8 @@ Variants, appended to the file name as in `configs/go1.py:ppo16`:
 | `quick`            | 24     | 0 to 4                      | two CPU cores, two minutes |
 """
 
+from typing import Any, NamedTuple, get_args
+
 from ml_collections import config_dict
 
 # variant -> horizon, (start_iteration, end_iteration, start_steps, end_steps)
@@ -31,159 +33,224 @@ PAPER = {
 VARIANTS = (*PAPER, "fast", "best", "quick")
 
 
+class Run(NamedTuple):
+    """How long, on what, and what is written."""
+
+    seed: int = 0
+    num_seeds: int = 1  # seeds trained at once by jax.vmap
+    mesh_seed: int = 1  # devices over which the seeds are spread; they do not communicate
+    mesh_env: int = 1  # devices over which the robots of each seed are spread
+    num_iterations: int = 500  # paper
+    log_every: int = 10  # iterations in one compiled call, and between two looks at the metrics
+    checkpoint_every: int = 100  # iterations; a multiple of log_every; 0: only the last
+    eval_every: int = 0  # iterations; a multiple of log_every; 0: only at the end
+    eval_envs: int = 1000  # robots of an evaluation, one episode each; 0: none
+    video_seconds: float = 12.0  # s of film after training; 0: none
+    device: str = "auto"  # "auto", "cpu" or "gpu"
+    tensorboard: bool = True  # write TensorBoard's events into the workdir
+    wandb: str = ""  # project of Weights & Biases to log to; empty: none
+
+
+class Rollout(NamedTuple):
+    """How many robots and rows."""
+
+    num_envs: int = 4096  # R; paper
+    horizon: int = 16  # N = N_r + N_s; paper
+
+
+class Schedule(NamedTuple):
+    """How many rows the model writes: the paper's eq. 5; all zero is plain PPO."""
+
+    start_iteration: int = 0  # a
+    end_iteration: int = 100  # b
+    start_steps: int = 0  # x
+    end_steps: int = 4  # y
+
+
+class Model(NamedTuple):
+    """The transition model."""
+
+    hidden: tuple[int, ...] = (256, 256, 256, 256)  # paper, Table II
+    activation: str = "elu"
+    learning_rate: float = 3e-3  # paper, Table II
+    epochs: int = 25  # paper, Table II
+    late_epochs: int | None = None  # epochs after iteration late_from; None: the same
+    late_from: int = 50
+    minibatches: int = 2  # gradient steps of an epoch when all N rows are real; divides N
+    huber_delta: float = 1.0  # in units of the (normalised) target
+    predict_change: bool = True  # the target is the change of state; False: the next state
+    normalize: bool = True  # scale inputs and targets by running moments; False: raw numbers
+    stats_decay: float = 0.95  # weight of the old moments, an iteration
+    precision: str = "highest"  # "highest" (float32), "tf32" or "bfloat16"
+    # beyond the paper, each off in the paper's variants (model/dynamics.py)
+    clean: bool = False  # carry the state without noise, and draw the policy's noise anew
+    known_reward: bool = False  # compute the terms that need no model, and learn the rest
+    falls: bool = False  # predict the probability of a fall, and know when the time is up
+    bounds: bool = False  # keep predictions and values in the range of the iteration's real rows
+
+
+class Ppo(NamedTuple):
+    """PPO: RSL, IL agents/rsl_rl_ppo_cfg.py, and the paper's appendix."""
+
+    hidden: tuple[int, ...] = (128, 128, 128)
+    activation: str = "elu"
+    init_std: float = 1.0  # of the Gaussian policy, in units of the action
+    min_std: float = 0.01
+    learning_rate: float = 1e-3
+    adaptive: bool = True  # the KL adapts the learning rate, at every minibatch
+    desired_kl: float = 0.01
+    min_learning_rate: float = 1e-5
+    max_learning_rate: float = 1e-2
+    epochs: int = 5
+    minibatches: int = 4
+    shuffle_blocks: int = 8  # rows are permuted inside this many blocks of robots; see run.mesh_env
+    clip_epsilon: float = 0.2
+    clip_value: bool = True
+    value_coef: float = 1.0
+    entropy_coef: float = 0.01
+    gamma: float = 0.99
+    lambda_: float = 0.95
+    max_grad_norm: float = 1.0
+    precision: str = "highest"
+
+
+class Weights(NamedTuple):
+    """1/s: each term of the reward is multiplied by its weight and by 0.02 s."""
+
+    track_linear_velocity: float = 1.5
+    track_yaw_rate: float = 0.75
+    vertical_velocity: float = -2.0
+    roll_pitch_rate: float = -0.05
+    flat_orientation: float = -2.5
+    joint_torques: float = -2e-4
+    joint_accelerations: float = -2.5e-7
+    action_rate: float = -0.01
+    feet_air_time: float = 0.25
+    undesired_contacts: float = 0.0
+
+
+class Noise(NamedTuple):
+    """Half width of the uniform noise on each part of the observation; IL."""
+
+    joint_pos: float = 0.01  # rad
+    joint_vel: float = 1.5  # rad/s
+    gravity: float = 0.05
+    linear_velocity: float = 0.1  # m/s
+    angular_velocity: float = 0.2  # rad/s
+
+
+class Reset(NamedTuple):
+    """How an episode starts; IL."""
+
+    spawn_height: float = 0.4  # m
+    foot_clearance: float = 0.01  # m, at least this much air below the lowest foot
+    position: float = 0.5  # m, half width in x and y
+    yaw: float = 3.14  # rad, half width
+    velocity: float = 0.0  # m/s and rad/s, half width on all six axes
+    joint_scale: tuple[float, float] = (1.0, 1.0)  # default pose times uniform(...), per joint
+    soft_limit: float = 0.9  # share of each joint's range that a reset may use
+
+
+class Push(NamedTuple):
+    """A kick to the base's horizontal velocity; IL, ANYmal only."""
+
+    velocity: float = 0.0  # m/s, half width in world x and y; 0: none
+    interval: tuple[float, float] = (10.0, 15.0)  # s
+
+
+class Randomize(NamedTuple):
+    """A robot's own body: ranges, drawn once."""
+
+    base_mass: tuple[float, float] = (-1.0, 3.0)  # kg, added to the base; IL
+    base_com: tuple[float, float, float] = (0.0, 0.0, 0.0)  # m, half widths in x, y, z
+    friction: tuple[float, float] = (0.8, 0.8)  # of the feet
+    kp_scale: tuple[float, float] = (1.0, 1.0)
+    kd_scale: tuple[float, float] = (1.0, 1.0)
+
+
+class Task(NamedTuple):
+    """What the robot is asked and paid for."""
+
+    # "isaaclab", "paper_text" or "isaaclab_exact": decides the fields below that are None,
+    # term by term in configs/README.md
+    formulation: str = "isaaclab"
+    tracking_std: float | None = None  # m/s, rad/s; 0.5 (isaaclab*) or 1.0
+    air_time: str | None = None  # "touchdown" (isaaclab*) or "indicator"
+    heading: bool | None = None  # the yaw rate turns the robot to a heading; exact only
+    resample_steps: int | None = None  # control steps between two commands; 0: an episode
+    standing: float | None = None  # share of commands that are zero
+    termination: str | None = None  # "parts", or "base" (exact; needs physics.contacts="full")
+    undesired: str | None = None  # what an undesired contact is: "parts", or "thighs" (exact)
+    # parts at the ground are seen in every physics step (exact) or in the last of a row. Seen
+    # in every one, Go1 fell 39 and 58 % more often at iteration 50, and 5 of 17 runs stood
+    # still at iteration 300, against none of 18 (experiments/01_four_robots)
+    remember_ground: bool | None = None
+    episode_length: int = 1000  # control steps, 20 s; IL
+    random_clock: bool = True  # episodes start at random ages, so that time-outs spread; IL
+    action_scale: float = 0.25  # rad per unit of action; IL
+    kp: float = 25.0  # N m/rad
+    kd: float = 0.5  # N m s/rad
+    effort_limit: float = 23.7  # N m
+    saturation_effort: float = 23.7  # N m, torque of the motor at standstill
+    velocity_limit: float = 30.0  # rad/s, speed of the motor without load
+    command_x: tuple[float, float] = (-1.0, 1.0)  # m/s; paper and IL
+    command_y: tuple[float, float] = (-1.0, 1.0)  # m/s
+    command_yaw: tuple[float, float] = (-1.0, 1.0)  # rad/s
+    heading_gain: float = 0.5  # 1/s, yaw rate for each rad that is left to turn; IL
+    weights: Weights = Weights()
+    noise: Noise = Noise()
+    reset: Reset = Reset()
+    push: Push = Push()
+    randomize: Randomize = Randomize()
+
+
+class Physics(NamedTuple):
+    """The engine and its solver."""
+
+    impl: str = "auto"  # "warp" on an NVIDIA GPU with warp-lang, else "jax"
+    contacts: str = (
+        "feet"  # what meets the floor: "feet" (other parts end the episode first), "full"
+    )
+    timestep: float = 0.005  # s; IL
+    substeps: int = 4  # physics steps in a control step; IL
+    iterations: int = 4  # of the constraint solver
+    ls_iterations: int = 8  # of its line search
+
+
+class Config(NamedTuple):
+    """Every field, as the paper's `dyna4` has it."""
+
+    robot: str = "go1"  # a folder of robots/
+    run: Run = Run()
+    rollout: Rollout = Rollout()
+    schedule: Schedule = Schedule()
+    model: Model = Model()
+    ppo: Ppo = Ppo()
+    task: Task = Task()
+    physics: Physics = Physics()
+
+
 def get_config(variant: str = "") -> config_dict.ConfigDict:
     """Go1's config; robot files call `defaults`, and `apply_variant` after their own differences."""
     return apply_variant(defaults(), variant)
 
 
 def defaults() -> config_dict.ConfigDict:
-    """Every field, as the paper's `dyna4` has it."""
-    optional = config_dict.placeholder  # None until set: "as task.formulation says"
-    config = config_dict.create(
-        robot="go1",  # a folder of robots/
-        run=dict(
-            seed=0,
-            num_seeds=1,  # seeds trained at once by jax.vmap
-            mesh_seed=1,  # devices over which the seeds are spread; they do not communicate
-            mesh_env=1,  # devices over which the robots of each seed are spread
-            num_iterations=500,  # paper
-            log_every=10,  # iterations in one compiled call, and between two looks at the metrics
-            checkpoint_every=100,  # iterations; a multiple of log_every; 0: only the last
-            eval_every=0,  # iterations; a multiple of log_every; 0: only at the end
-            eval_envs=1000,  # robots of an evaluation, one episode each; 0: none
-            video_seconds=12.0,  # s of film after training; 0: none
-            device="auto",  # "auto", "cpu" or "gpu"
-            tensorboard=True,  # write TensorBoard's events into the workdir
-            wandb="",  # project of Weights & Biases to log to; empty: none
-        ),
-        rollout=dict(
-            num_envs=4096,  # R; paper
-            horizon=16,  # N = N_r + N_s; paper
-        ),
-        schedule=dict(  # paper, eq. 5; all zero is plain PPO
-            start_iteration=0,  # a
-            end_iteration=100,  # b
-            start_steps=0,  # x
-            end_steps=4,  # y
-        ),
-        model=dict(
-            hidden=(256, 256, 256, 256),  # paper, Table II
-            activation="elu",
-            learning_rate=3e-3,  # paper, Table II
-            epochs=25,  # paper, Table II
-            late_epochs=optional(int),  # epochs after iteration late_from; None: the same
-            late_from=50,
-            minibatches=2,  # gradient steps of an epoch when all N rows are real; divides N
-            huber_delta=1.0,  # in units of the (normalised) target
-            predict_change=True,  # the target is the change of state; False: the next state
-            normalize=True,  # scale inputs and targets by running moments; False: raw numbers
-            stats_decay=0.95,  # weight of the old moments, an iteration
-            precision="highest",  # "highest" (float32), "tf32" or "bfloat16"
-            # beyond the paper, each off in the paper's variants (model/dynamics.py)
-            clean=False,  # carry the state without noise, and draw the policy's noise anew
-            known_reward=False,  # compute the terms that need no model, and learn the rest
-            falls=False,  # predict the probability of a fall, and know when the time is up
-            bounds=False,  # keep predictions and values in the range of the iteration's real rows
-        ),
-        ppo=dict(  # RSL, IL agents/rsl_rl_ppo_cfg.py, and the paper's appendix
-            hidden=(128, 128, 128),
-            activation="elu",
-            init_std=1.0,  # of the Gaussian policy, in units of the action
-            min_std=0.01,
-            learning_rate=1e-3,
-            adaptive=True,  # the KL adapts the learning rate, at every minibatch
-            desired_kl=0.01,
-            min_learning_rate=1e-5,
-            max_learning_rate=1e-2,
-            epochs=5,
-            minibatches=4,
-            shuffle_blocks=8,  # rows are permuted inside this many blocks of robots; see run.mesh_env
-            clip_epsilon=0.2,
-            clip_value=True,
-            value_coef=1.0,
-            entropy_coef=0.01,
-            gamma=0.99,
-            lambda_=0.95,
-            max_grad_norm=1.0,
-            precision="highest",
-        ),
-        task=dict(
-            # "isaaclab", "paper_text" or "isaaclab_exact": decides the fields below that are None,
-            # term by term in configs/README.md
-            formulation="isaaclab",
-            tracking_std=optional(float),  # m/s, rad/s; 0.5 (isaaclab*) or 1.0
-            air_time=optional(str),  # "touchdown" (isaaclab*) or "indicator"
-            heading=optional(bool),  # the yaw rate turns the robot to a heading; exact only
-            resample_steps=optional(int),  # control steps between two commands; 0: an episode
-            standing=optional(float),  # share of commands that are zero
-            termination=optional(str),  # "parts", or "base" (exact; needs physics.contacts="full")
-            undesired=optional(str),  # what an undesired contact is: "parts", or "thighs" (exact)
-            # parts at the ground are seen in every physics step (exact) or in the last of a row. Seen
-            # in every one, Go1 fell 39 and 58 % more often at iteration 50, and 5 of 17 runs stood
-            # still at iteration 300, against none of 18 (experiments/01_four_robots)
-            remember_ground=optional(bool),
-            episode_length=1000,  # control steps, 20 s; IL
-            random_clock=True,  # episodes start at random ages, so that time-outs spread; IL
-            action_scale=0.25,  # rad per unit of action; IL
-            kp=25.0,  # N m/rad
-            kd=0.5,  # N m s/rad
-            effort_limit=23.7,  # N m
-            saturation_effort=23.7,  # N m, torque of the motor at standstill
-            velocity_limit=30.0,  # rad/s, speed of the motor without load
-            command_x=(-1.0, 1.0),  # m/s; paper and IL
-            command_y=(-1.0, 1.0),  # m/s
-            command_yaw=(-1.0, 1.0),  # rad/s
-            heading_gain=0.5,  # 1/s, yaw rate for each rad that is left to turn; IL
-            weights=dict(  # 1/s: each term is multiplied by its weight and by 0.02 s
-                track_linear_velocity=1.5,
-                track_yaw_rate=0.75,
-                vertical_velocity=-2.0,
-                roll_pitch_rate=-0.05,
-                flat_orientation=-2.5,
-                joint_torques=-2e-4,
-                joint_accelerations=-2.5e-7,
-                action_rate=-0.01,
-                feet_air_time=0.25,
-                undesired_contacts=0.0,
-            ),
-            noise=dict(  # half width of the uniform noise on each part of the observation; IL
-                joint_pos=0.01,  # rad
-                joint_vel=1.5,  # rad/s
-                gravity=0.05,
-                linear_velocity=0.1,  # m/s
-                angular_velocity=0.2,  # rad/s
-            ),
-            reset=dict(  # IL
-                spawn_height=0.4,  # m
-                foot_clearance=0.01,  # m, at least this much air below the lowest foot
-                position=0.5,  # m, half width in x and y
-                yaw=3.14,  # rad, half width
-                velocity=0.0,  # m/s and rad/s, half width on all six axes
-                joint_scale=(1.0, 1.0),  # default pose times uniform(...), per joint
-                soft_limit=0.9,  # share of each joint's range that a reset may use
-            ),
-            push=dict(  # a kick to the base's horizontal velocity; IL, ANYmal only
-                velocity=0.0,  # m/s, half width in world x and y; 0: none
-                interval=(10.0, 15.0),  # s
-            ),
-            randomize=dict(  # per robot, drawn once
-                base_mass=(-1.0, 3.0),  # kg, added to the base; IL
-                base_com=(0.0, 0.0, 0.0),  # m, half widths in x, y, z
-                friction=(0.8, 0.8),  # of the feet
-                kp_scale=(1.0, 1.0),
-                kd_scale=(1.0, 1.0),
-            ),
-        ),
-        physics=dict(
-            impl="auto",  # "warp" on an NVIDIA GPU with warp-lang, else "jax"
-            contacts="feet",  # what meets the floor: "feet" (other parts end the episode first), "full"
-            timestep=0.005,  # s; IL
-            substeps=4,  # physics steps in a control step; IL
-            iterations=4,  # of the constraint solver
-            ls_iterations=8,  # of its line search
-        ),
-    )
-    return config.lock()
+    """`Config` as a config that can be changed: of every field the value may, the type may not."""
+    return config_dict.ConfigDict(_nested(Config())).lock()
+
+
+def _nested(group: Any) -> dict[str, Any]:
+    """A group as a dict; a field that is None until it is set keeps the type it will have."""
+    out = {}
+    for name, value in group._asdict().items():
+        if value is None:
+            kind = next(
+                t for t in get_args(type(group).__annotations__[name]) if t is not type(None)
+            )
+            value = config_dict.placeholder(kind)
+        out[name] = _nested(value) if hasattr(value, "_fields") else value
+    return out
 
 
 def apply_variant(config: config_dict.ConfigDict, variant: str) -> config_dict.ConfigDict:

@@ -24,17 +24,17 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 from jax.sharding import PartitionSpec
-from jaxtyping import Array, Float, Int, PRNGKeyArray
+from jaxtyping import Array, Float, PRNGKeyArray
 
 from dynappo import rollout, schedule, stats
 from dynappo.learner import gae, networks, ppo
 from dynappo.model import dynamics, errors
-from dynappo.types import Env, Metrics, TrainState, Transition
+from dynappo.types import Columns, Config, Env, Metrics, TrainState, Transition
 
 ROWS, FIT, UPDATE, ACTION, STEP, RESET = range(6)  # purposes of random numbers
 
 
-def init(env: Env, hyper, key: PRNGKeyArray, *, static) -> TrainState:
+def init(env: Env, hyper: Config, key: PRNGKeyArray, *, static: Config) -> TrainState:
     """Untrained networks and R robots, each with its own body, at their start."""
     policy_key, model_key, physics_key, reset_key, run_key = jax.random.split(key, 5)
     robot_index = jnp.arange(static.rollout.num_envs)
@@ -55,15 +55,15 @@ def init(env: Env, hyper, key: PRNGKeyArray, *, static) -> TrainState:
 
 
 def iterate(
-    env: Env, hyper, state: TrainState, columns: dict[str, Int[Array, ""]], *, static
+    env: Env, hyper: Config, state: TrainState, columns: Columns, *, static: Config
 ) -> tuple[TrainState, Metrics]:
     """One iteration of the paper's Algorithm 1; `columns` is one row of `schedule.columns`."""
     horizon, num_envs = static.rollout.horizon, static.rollout.num_envs
     params = state.learner.params
     n_real, end = columns["n_real"], jnp.int32(horizon)
     real = (jnp.arange(horizon) < n_real)[:, None]
-    key = jax.random.fold_in(state.key, columns["iteration"])
-    keys = rollout.row_keys(jax.random.fold_in(key, ROWS), state.robot_index)
+    key = partial(jax.random.fold_in, jax.random.fold_in(state.key, columns["iteration"]))
+    keys = rollout.row_keys(key(ROWS), state.robot_index)
     fill = partial(rollout.fill, keys=keys, act=policy(static, params))
 
     # Collect N_r steps with physics, from where the last physics step ended
@@ -76,8 +76,7 @@ def iterate(
     if state.model is not None:
         unrolled = min(4, horizon - static.schedule.end_steps)
         metrics |= errors.errors(static, hyper, env, state.model, buffer, unrolled)
-        epochs, fit_key = columns["model_epochs"], jax.random.fold_in(key, FIT)
-        rows = buffer, n_real, epochs, fit_key
+        rows = buffer, n_real, columns["model_epochs"], key(FIT)
         model, fitted = dynamics.fit(static, hyper, env, state.model, *rows)
         step = partial(dynamics.step, static, hyper, env, model)
         buffer, _, _ = fill(buffer, n_real, end, dynamics.tail(static, env, now), step=step)
@@ -86,8 +85,7 @@ def iterate(
 
     # Update the policy by PPO on real and synthetic rows alike
     batch = estimate(static, hyper, params, buffer, real)
-    update_key = jax.random.fold_in(key, UPDATE)
-    learner, learned = ppo.update(static, hyper, state.learner, batch, update_key)
+    learner, learned = ppo.update(static, hyper, state.learner, batch, key(UPDATE))
 
     returns, lengths = stats.finished(state, buffer, n_real)
     state = state.replace(learner=learner, returns=returns, lengths=lengths)
@@ -100,7 +98,7 @@ def iterate(
 
 
 def run(
-    env: Env, hyper, state: TrainState, columns: dict[str, Int[Array, " I"]], *, static
+    env: Env, hyper: Config, state: TrainState, columns: Columns, *, static: Config
 ) -> tuple[TrainState, Metrics]:
     """`iterate` over every row of the schedule; metrics have shape `[I]`."""
     columns = {name: jnp.asarray(column) for name, column in columns.items()}
@@ -109,7 +107,7 @@ def run(
     )
 
 
-def policy(static, params: dict):
+def policy(static: Config, params: dict):
     """`act(obs, keys)`: a Gaussian action of every robot, with what PPO must remember of it."""
     std = params["std"]
 
@@ -122,7 +120,7 @@ def policy(static, params: dict):
     return act
 
 
-def physics_step(env: Env, hyper, bodies):
+def physics_step(env: Env, hyper: Config, bodies):
     """`step(state, action, keys)` of all robots: the environment's step, then its autoreset.
 
     On a mesh (sweep.py) every device steps its own robots: an engine's call is opaque to
@@ -142,7 +140,7 @@ def physics_step(env: Env, hyper, bodies):
     return partial(step, hyper, bodies)
 
 
-def estimate(static, hyper, params: dict, buffer: Transition, real) -> ppo.Batch:
+def estimate(static: Config, hyper: Config, params: dict, buffer: Transition, real) -> ppo.Batch:
     """Advantages and returns of a rollout, bootstrapped from V(next_obs) at truncations and at row N-1.
 
     Elsewhere the next row's value is the same number. With `model.bounds`, values of synthetic rows are

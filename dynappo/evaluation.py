@@ -1,6 +1,6 @@
 """Deterministic episodes -> what a policy is worth: return, falls and tracking error.
 
-    python -m dynappo.evaluate NAME_OR_DIR      # the command is evaluate_command.py's
+By it runs are compared. Trials of one command after another in C MuJoCo are evaluate/trials.py's.
 
 One episode a robot on the nominal task: the policy's mean action, no observation noise, no
 randomised physics, every episode from age 0, commands drawn as in training. Tracking error is the
@@ -20,12 +20,12 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from dynappo import algorithm
 from dynappo.learner import networks
-from dynappo.types import Env, Metrics
+from dynappo.types import Config, Env, Metrics
 
 SETTLE = 1.0  # s, left out of the tracking error
 
 
-def nominal(hyper) -> Any:
+def nominal(hyper: Config) -> Any:
     """`hyper` for a task without noise and pushes, every range of physics at its nominal value."""
     task, r = hyper.task, hyper.task.randomize
     still = jax.tree.map(jnp.zeros_like, task.noise)
@@ -44,11 +44,11 @@ def nominal(hyper) -> Any:
 
 def evaluate(
     env: Env,
-    hyper,
+    hyper: Config,
     params: dict,
     key: PRNGKeyArray,
     *,
-    static,
+    static: Config,
     num_envs: int,
     num_steps: int,
     randomize: bool = False,

@@ -33,7 +33,7 @@ from jax.sharding import AxisType, Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from dynappo import algorithm, evaluation
-from dynappo.types import Env, Metrics, TrainState
+from dynappo.types import Config, Env, Metrics, TrainState
 
 ROBOTS = ("env_state", "params_physics", "robot_index")  # fields of TrainState with an axis R
 
@@ -43,7 +43,7 @@ def keys(seed: int, num_seeds: int) -> PRNGKeyArray:
     return jnp.stack([jax.random.key(seed + s) for s in range(num_seeds)])
 
 
-def vary(hyper, field: str, values) -> Any:
+def vary(hyper: Config, field: str, values) -> Any:
     """`hyper` with one value of `field` ("ppo.learning_rate") for each seed.
 
     Several calls vary several fields together, value by value. ValueError if there is no such
@@ -67,19 +67,24 @@ def _set(node, field, path, values):
     return node._replace(**{name: _set(old, field, rest, values) if rest else values})
 
 
-def axes(hyper) -> Any:
+def axes(hyper: Config) -> Any:
     """For `jax.vmap`: 0 where `hyper` has a value for each seed, None where one serves all."""
     return jax.tree.map(lambda leaf: 0 if jnp.ndim(leaf) else None, hyper)
 
 
-def init(env: Env, hyper, keys: PRNGKeyArray, *, static) -> TrainState:
+def init(env: Env, hyper: Config, keys: PRNGKeyArray, *, static: Config) -> TrainState:
     """`algorithm.init` of every seed; arrays get an axis S in front."""
     one = partial(algorithm.init, env, static=static)
     return jax.vmap(one, (axes(hyper), 0), spmd_axis_name="seed")(hyper, keys)
 
 
 def run(
-    env: Env, hyper, state: TrainState, columns: dict[str, Int[Array, " I"]], *, static
+    env: Env,
+    hyper: Config,
+    state: TrainState,
+    columns: dict[str, Int[Array, " I"]],
+    *,
+    static: Config,
 ) -> tuple[TrainState, Metrics]:
     """`algorithm.run` of every seed; metrics `[I, S]`. The columns bound loops and stay unbatched."""
     one = partial(algorithm.run, env, static=static)
@@ -88,7 +93,14 @@ def run(
 
 
 def evaluate(
-    env: Env, hyper, params: dict, key: PRNGKeyArray, *, static, num_envs: int, num_steps: int
+    env: Env,
+    hyper: Config,
+    params: dict,
+    key: PRNGKeyArray,
+    *,
+    static: Config,
+    num_envs: int,
+    num_steps: int,
 ) -> dict[str, Float[Array, " S"]]:
     """`evaluation.evaluate` of every seed's policy, in the same episodes."""
     sizes = dict(static=static, num_envs=num_envs, num_steps=num_steps)

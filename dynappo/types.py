@@ -30,13 +30,22 @@ column of the schedule instead, and simulator steps are counted by the host in P
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
 from flax import struct
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
+if TYPE_CHECKING:  # `static` and `hyper` have the fields of one class, each a half of them
+    try:
+        from configs.default import Config as Config
+    except ImportError:  # in an installed package
+        from dynappo.configs.default import Config as Config  # pyright: ignore
+else:
+    Config = Any
+
 Metrics = dict[str, Array]  # scalars; a dict because it only leaves the loop
+Columns = dict[str, Int[Array, "..."]]  # of schedule.columns, `[I]`, or one row of them
 
 
 @struct.dataclass

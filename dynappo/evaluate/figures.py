@@ -1,6 +1,6 @@
 """Pictures of a policy's evaluation: errors over commands, and when which foot is on the ground.
 
-Drawn from what `trials.sweep` returns, by `report.py` into files and by a notebook. matplotlib is asked
+Drawn from what `trials.sweep` returns, by `command.py` into files and by a notebook. matplotlib is asked
 for only here and may be absent.
 """
 

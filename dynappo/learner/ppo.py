@@ -20,7 +20,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from dynappo.learner import networks
-from dynappo.types import Learner, Metrics, Transition
+from dynappo.types import Config, Learner, Metrics, Transition
 
 METRICS: tuple[str, ...] = ("kl", "surrogate_loss", "value_loss", "entropy")  # of every step
 
@@ -44,14 +44,16 @@ def batch(rows: Transition, advantages, returns, weight=None) -> Batch:
     return Batch(**kept, advantages=advantages, returns=returns, weight=weight)
 
 
-def init(static, hyper, obs_size: int, action_size: int, key: PRNGKeyArray) -> Learner:
+def init(
+    static: Config, hyper: Config, obs_size: int, action_size: int, key: PRNGKeyArray
+) -> Learner:
     """A fresh learner."""
     params = networks.init_policy(static, hyper, obs_size, action_size, key)
     moments, rate = _optimizer(hyper).init(ravel_pytree(params)[0]), hyper.ppo.learning_rate
     return Learner(params=params, opt_state=moments, learning_rate=jnp.asarray(rate, jnp.float32))
 
 
-def _optimizer(hyper):
+def _optimizer(hyper: Config):
     return optax.chain(optax.clip_by_global_norm(hyper.ppo.max_grad_norm), optax.scale_by_adam())
 
 
@@ -75,7 +77,7 @@ def normalize(advantages: Float[Array, "..."], weight=None) -> Float[Array, "...
     return centred / (jnp.sqrt((weight * centred**2).sum() / count) + 1e-8)
 
 
-def loss(static, hyper, params: dict, batch: Batch, old_std: Float[Array, " A"]):
+def loss(static: Config, hyper: Config, params: dict, batch: Batch, old_std: Float[Array, " A"]):
     """`(scalar, metrics)`: clipped surrogate + value_coef x value loss - entropy_coef x entropy.
 
         surrogate = mean max(-A rho, -A clip(rho, 1 - eps, 1 + eps)),  rho = pi / pi_old
@@ -100,19 +102,18 @@ def loss(static, hyper, params: dict, batch: Batch, old_std: Float[Array, " A"])
     return total, dict(zip(METRICS, (kl, surrogate, value_loss, entropy), strict=True))
 
 
-def adapt(static, hyper, learning_rate: Float[Array, ""], kl: Float[Array, ""]):
+def adapt(static: Config, hyper: Config, learning_rate: Float[Array, ""], kl: Float[Array, ""]):
     """The learning rate after a minibatch's KL: / 1.5 above twice the goal, x 1.5 below half."""
     if not static.ppo.adaptive:
         return learning_rate
     lower = jnp.maximum(hyper.ppo.min_learning_rate, learning_rate / 1.5)
     higher = jnp.minimum(hyper.ppo.max_learning_rate, learning_rate * 1.5)
-    too_small = (kl > 0) & (kl < hyper.ppo.desired_kl / 2)
-    kept = jnp.where(too_small, higher, learning_rate)
+    kept = jnp.where((kl > 0) & (kl < hyper.ppo.desired_kl / 2), higher, learning_rate)
     return jnp.where(kl > hyper.ppo.desired_kl * 2, lower, kept)
 
 
 def minibatch_step(
-    static, hyper, unflatten, learner: Learner, batch: Batch, old_std
+    static: Config, hyper: Config, unflatten, learner: Learner, batch: Batch, old_std
 ) -> tuple[Learner, Metrics]:
     """One gradient step: loss, KL, learning rate, clipped gradient, Adam; `(learner, metrics)`.
 
@@ -132,7 +133,7 @@ def minibatch_step(
     return Learner(params=params, opt_state=opt_state, learning_rate=rate), metrics
 
 
-def minibatches(static, batch: Batch, key: PRNGKeyArray) -> Batch:
+def minibatches(static: Config, batch: Batch, key: PRNGKeyArray) -> Batch:
     """`[N, R, ...]` rows as `[minibatches, B, ...]`, each block of robots permuted in itself."""
     blocks, count = static.ppo.shuffle_blocks, static.ppo.minibatches
     horizon, num_envs = batch.value.shape
@@ -151,7 +152,9 @@ def minibatches(static, batch: Batch, key: PRNGKeyArray) -> Batch:
     return jax.tree.map(shuffle, batch)
 
 
-def update(static, hyper, learner: Learner, batch: Batch, key) -> tuple[Learner, Metrics]:
+def update(
+    static: Config, hyper: Config, learner: Learner, batch: Batch, key
+) -> tuple[Learner, Metrics]:
     """`epochs` x `minibatches` steps on one rollout `[N, R]` with raw advantages; metrics are their means.
 
     `learning_rate` is the one the last step used.

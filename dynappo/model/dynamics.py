@@ -3,10 +3,9 @@
     o_prop_{k+1}, r_k = f_theta(o_k, a_k)                                        (paper, eq. 2)
     L(theta) = sum over robots and real rows of Huber((o_prop_{k+1}, r_k) - f_theta(o_k, a_k))  (3)
 
-An MLP fitted in every iteration to that iteration's real rows, from its weights and Adam moments of the
-last. The paper leaves open activation, batch size, Huber delta and scaling. By default the target is the
-change of state, and inputs and targets are scaled by running moments; with `predict_change = normalize
-= False` it is the plain form. Nothing is learned across a reset.
+An MLP fitted in every iteration to its real rows, from the last weights and Adam moments. Where the paper
+is silent: the target is the change of state, and inputs and targets are scaled by running moments; with
+`predict_change = normalize = False` it is the plain form. Nothing is learned across a reset.
 
 Beyond the paper, each by a field of the group model that is off in the paper's variants:
 
@@ -37,10 +36,10 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from dynappo.learner import networks
 from dynappo.model import examples, moments
-from dynappo.types import Env, Metrics, ModelState, Outcome, Transition
+from dynappo.types import Config, Env, Metrics, ModelState, Outcome, Transition
 
 FALL_LOGIT = -4.6  # added to the network's: untrained, it says 1 %
-NOISE = 4  # purpose of a row's random numbers, as algorithm.STEP is of a physics row's
+NOISE = 4  # purpose of a row's random numbers, as algorithm.STEP is
 
 
 @struct.dataclass
@@ -52,20 +51,20 @@ class TailState:
     clock: Int[Array, " R"] | None = None  # age of the episode, with `falls`
 
 
-def tail(static, env: Env, state) -> TailState:
+def tail(static: Config, env: Env, state) -> TailState:
     """Where a tail begins: at the state that physics carries."""
     prop = state.prop if static.model.clean else state.obs[..., : env.prop_size]
     return TailState(obs=state.obs, prop=prop, clock=state.clock if static.model.falls else None)
 
 
-def network(static, prop_size: int) -> networks.MLP:
+def network(static: Config, prop_size: int) -> networks.MLP:
     """f_theta: next prop, reward and the logit of a fall."""
     model = static.model
     sizes = (*model.hidden, prop_size + 1 + model.falls)
     return networks.MLP(sizes, model.activation, model.precision)
 
 
-def init(static, env: Env, key: PRNGKeyArray) -> ModelState:
+def init(static: Config, env: Env, key: PRNGKeyArray) -> ModelState:
     """An untrained model; its moments have weight 0 until the first fit."""
     inputs, outputs = env.obs_size + env.action_size, env.prop_size + 1
     params = network(static, env.prop_size).init(key, jnp.zeros(inputs))
@@ -79,7 +78,7 @@ def init(static, env: Env, key: PRNGKeyArray) -> ModelState:
     )
 
 
-def _scales(static, model: ModelState):
+def _scales(static: Config, model: ModelState):
     """`((mean, std) of inputs, (mean, std) of targets)`, or the identity without normalisation."""
     if not static.model.normalize:
         zeros = jnp.zeros_like(model.inputs.mean), jnp.zeros_like(model.targets.mean)
@@ -90,7 +89,7 @@ def _scales(static, model: ModelState):
     return moments.scale(model.inputs), (mean, std)
 
 
-def loss(static, hyper, params, x, y, weight) -> Float[Array, ""]:
+def loss(static: Config, hyper: Config, params, x, y, weight) -> Float[Array, ""]:
     """Mean over rows of weight 1 and predicted numbers: Huber (eq. 3); of a fall, cross-entropy."""
     size = y.shape[-1] - static.model.falls  # predicted numbers: prop and reward
     prediction = networks.apply(network(static, size - 1), params, x)
@@ -103,8 +102,8 @@ def loss(static, hyper, params, x, y, weight) -> Float[Array, ""]:
 
 
 def fit(
-    static,
-    hyper,
+    static: Config,
+    hyper: Config,
     env: Env,
     model: ModelState,
     rows: Transition,
@@ -144,14 +143,14 @@ def fit(
     steps = (epochs * n_real + drawn - 1) // drawn
     start = (model.params, model.opt_state, jnp.zeros(()), jnp.zeros(()))
     params, opt_state, before, after = jax.lax.fori_loop(0, steps, minibatch, start)
-    metrics = {"model_loss": after, "model_loss_before": before}
-    return model.replace(params=params, opt_state=opt_state), metrics
+    model = model.replace(params=params, opt_state=opt_state)
+    return model, {"model_loss": after, "model_loss_before": before}
 
 
 def times(
     place: Int[Array, " D"], horizon: int, num_envs: int, n_real: Int[Array, ""], key: PRNGKeyArray
 ) -> Int[Array, "D R 1"]:
-    """The rows of every robot at places `epoch n_real + k`, `k < n_real`, of at most two epochs.
+    """The rows of every robot at places `epoch n_real + k`, `k < n_real`, of two epochs (D <= n_real + 1).
 
     An epoch has every row once, in a random order that all robots share; each begins elsewhere in it.
     """
@@ -169,7 +168,7 @@ def times(
 
 
 def predict(
-    static, hyper, env: Env, model: ModelState, obs: Float[Array, "R O"], action
+    static: Config, hyper: Config, env: Env, model: ModelState, obs: Float[Array, "R O"], action
 ) -> tuple[Float[Array, "R O"], Float[Array, " R"], Float[Array, " R"]]:
     """`(next observation, reward, discount)`: prop predicted, the context copied by `env.context`."""
     size = env.prop_size
@@ -190,7 +189,9 @@ def predict(
     return jnp.concatenate([prop, env.context(obs, action)], -1), reward, lives
 
 
-def step(static, hyper, env: Env, model: ModelState, state: TailState, action, keys):
+def step(
+    static: Config, hyper: Config, env: Env, model: ModelState, state: TailState, action, keys
+):
     """The contract of an environment's step; the `keys` are for the noise of `clean` only.
 
     Without `falls` no row falls or times out: the paper's model predicts no terminations.

@@ -5,10 +5,12 @@ from __future__ import annotations
 import jax.numpy as jnp
 
 from dynappo.model import dynamics, examples, moments
-from dynappo.types import Env, Metrics, ModelState, Transition
+from dynappo.types import Config, Env, Metrics, ModelState, Transition
 
 
-def unroll(static, hyper, env: Env, model: ModelState, rows: Transition, steps: int):
+def unroll(
+    static: Config, hyper: Config, env: Env, model: ModelState, rows: Transition, steps: int
+):
     """`steps` next props [K, R, P] predicted in a row, from row 0 with the actions that were taken,
     and [K, R] 1 where the robot's episode had not ended by then."""
     obs, predicted = examples.before_and_after(static, env, rows)[0][0], []
@@ -19,7 +21,9 @@ def unroll(static, hyper, env: Env, model: ModelState, rows: Transition, steps: 
     return jnp.stack(predicted), alive
 
 
-def errors(static, hyper, env: Env, model: ModelState, rows: Transition, steps: int) -> Metrics:
+def errors(
+    static: Config, hyper: Config, env: Env, model: ModelState, rows: Transition, steps: int
+) -> Metrics:
     """Error of 1 and of `steps` predictions in a row, as a share of that of repeating the state.
 
     Root mean square over robots and predicted numbers, each in units of its spread; 1 is that of the

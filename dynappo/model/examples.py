@@ -12,12 +12,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from dynappo.types import Env, Transition
+from dynappo.types import Config, Env, Transition
 
 MARGIN = 0.05  # of the range of real rows, by which a prediction may leave it
 
 
-def before_and_after(static, env: Env, rows: Transition):
+def before_and_after(static: Config, env: Env, rows: Transition):
     """`(obs [O], next prop [P])` of each row as the model sees them: without noise if `model.clean`."""
     size = env.prop_size
     if not static.model.clean:
@@ -25,7 +25,7 @@ def before_and_after(static, env: Env, rows: Transition):
     return jnp.concatenate([rows.prop, rows.obs[..., size:]], -1), rows.next_prop
 
 
-def targets(static, hyper, env: Env, rows: Transition) -> Float[Array, "... K"]:
+def targets(static: Config, hyper: Config, env: Env, rows: Transition) -> Float[Array, "... K"]:
     """What the model is to predict of each row: change of (or next) prop, reward / dt, and, with
     `model.falls`, 1 where the episode fell. Of the reward, what is not known."""
     (obs, after), reward, fell = before_and_after(static, env, rows), rows.reward, 1 - rows.discount
@@ -38,14 +38,14 @@ def targets(static, hyper, env: Env, rows: Transition) -> Float[Array, "... K"]:
     return jnp.concatenate(columns, axis=-1)
 
 
-def row_weight(static, rows: Transition, n_real: Int[Array, ""]) -> Float[Array, "N R"]:
+def row_weight(static: Config, rows: Transition, n_real: Int[Array, ""]) -> Float[Array, "N R"]:
     """1 for the rows that the model learns from, else 0."""
     real = (jnp.arange(rows.reward.shape[0]) < n_real)[:, None]
     every = static.model.clean or static.model.falls
     return jnp.where(real, rows.valid if every else rows.discount * (1 - rows.truncation), 0.0)
 
 
-def examples(static, hyper, env: Env, rows: Transition, n_real: Int[Array, ""]):
+def examples(static: Config, hyper: Config, env: Env, rows: Transition, n_real: Int[Array, ""]):
     """`(inputs [N, R, O+A], targets [N, R, K], weight [N, R])` of a rollout's rows `t < n_real`."""
     weight = row_weight(static, rows, n_real)
     x = jnp.concatenate([before_and_after(static, env, rows)[0], rows.action], -1)
@@ -55,7 +55,7 @@ def examples(static, hyper, env: Env, rows: Transition, n_real: Int[Array, ""]):
     return x, y, weight
 
 
-def range_of(static, env: Env, rows: Transition, weight, old) -> Float[Array, "2 P+1"]:
+def range_of(static: Config, env: Env, rows: Transition, weight, old) -> Float[Array, "2 P+1"]:
     """`(low, high)` of next prop and reward over rows of weight 1, and a margin; `old` if there are none."""
     used, after = weight[..., None] > 0, before_and_after(static, env, rows)[1]
     numbers = jnp.concatenate([after, rows.reward[..., None]], -1)

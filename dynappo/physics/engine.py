@@ -26,7 +26,7 @@ import jax.numpy as jnp
 
 from dynappo.physics import actuators, contacts, randomize, warp_engine
 from dynappo.physics import robot as robot_lib
-from dynappo.types import EnvState
+from dynappo.types import Config, EnvState
 
 with contextlib.redirect_stdout(io.StringIO()):  # it prints two lines where warp-lang is absent
     from mujoco import mjx
@@ -87,7 +87,7 @@ class Substeps(NamedTuple):
     lowest: Any  # m, lowest point of each part, in all physics steps (`remember`) or the last
 
 
-def simulate(engine: Engine, hyper, body, state: EnvState, action) -> Substeps:
+def simulate(engine: Engine, hyper: Config, body, state: EnvState, action) -> Substeps:
     """`substeps` physics steps under explicit PD towards the action's joint targets."""
     model = randomize.merge(
         engine.model, body, engine.robot.base_body, engine.robot.feet, engine.varied

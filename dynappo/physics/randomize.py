@@ -1,6 +1,6 @@
 """Per-robot physical parameters: drawn once at the start, merged into the model at every step.
 
-Ranges are tasks.md's (Isaac Lab 2.2.1, velocity_env_cfg.py, events at start-up): added base mass
+Ranges are those of Isaac Lab (2.2.1, velocity_env_cfg.py, events at start-up): added base mass
 with the inertia scaled in proportion, centre of mass, foot friction, PD gains. Ranges of the last
 three are collapsed on Go1; a range collapsed to the file's value costs nothing, because that field of
 the model then stays one array for all robots.

@@ -8,7 +8,7 @@ addresses that JAX passes (`GraphMode.WARP`, MJX's default), of which the last 3
 
 Warp keeps the other arrays itself, for each model one set for each number of robots that a program is
 traced with (while it is batched over seeds also for the robots of one seed), on each device of this
-process. They lie outside of what JAX takes of a GPU (memory.py) and stay while the process lives.
+process. They lie outside of what JAX takes of a GPU (program/memory.py) and stay while the process lives.
 Calls on one device share them; JAX runs a device's programs one after the other.
 """
 

@@ -19,10 +19,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from dynappo.task import observe
-from dynappo.types import Goal
+from dynappo.types import Config, Goal
 
 
-def draw(task, hyper, qpos, key: PRNGKeyArray) -> tuple[Float[Array, " 3"], Goal]:
+def draw(task, hyper: Config, qpos, key: PRNGKeyArray) -> tuple[Float[Array, " 3"], Goal]:
     """A fresh `(command, goal)` for a robot at `qpos`; m/s, m/s, rad/s."""
     keys = jax.random.split(key, 5)
     ranges = (hyper.task.command_x, hyper.task.command_y, hyper.task.command_yaw)
@@ -32,13 +32,15 @@ def draw(task, hyper, qpos, key: PRNGKeyArray) -> tuple[Float[Array, " 3"], Goal
     ]
     goal = Goal(
         heading=jax.random.uniform(keys[3], (), minval=-jnp.pi, maxval=jnp.pi),
-        standing=(jax.random.uniform(keys[4]) < hyper.task.standing).astype(jnp.float32),
+        standing=(jax.random.uniform(keys[4]) < jnp.float32(hyper.task.standing)).astype(
+            jnp.float32
+        ),
         steps_left=jnp.int32(task.resample_steps),
     )
     return follow(task, hyper, jnp.stack(velocity), goal, qpos), goal
 
 
-def follow(task, hyper, command, goal: Goal, qpos):
+def follow(task, hyper: Config, command, goal: Goal, qpos):
     """The command now: the yaw rate turns towards the heading; zero where the robot shall stand."""
     if task.heading:
         left = goal.heading - observe.heading(qpos[3:7])
@@ -48,7 +50,7 @@ def follow(task, hyper, command, goal: Goal, qpos):
     return command * (1 - goal.standing)
 
 
-def advance(task, hyper, command, goal: Goal, qpos, key: PRNGKeyArray):
+def advance(task, hyper: Config, command, goal: Goal, qpos, key: PRNGKeyArray):
     """`(command, goal)` of the next control step, for a robot that has come to `qpos`."""
     command = follow(task, hyper, command, goal, qpos)
     if not task.resample_steps:

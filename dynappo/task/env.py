@@ -19,7 +19,7 @@ from dynappo.physics import engine as engine_lib
 from dynappo.physics import randomize
 from dynappo.physics import robot as robot_lib
 from dynappo.task import commands, observe, rewards
-from dynappo.types import Env, EnvState, Outcome
+from dynappo.types import Config, Env, EnvState, Outcome
 
 MAX_JOINT_SPEED, MAX_BASE_SPEED = 100.0, 20.0  # rad/s, m/s: beyond is a numerical blow-up
 
@@ -82,13 +82,13 @@ def ground_rules(robot: robot_lib.Robot, task) -> tuple[np.ndarray, np.ndarray]:
     return fatal, bodies == thighs[:, None]
 
 
-def _randomize(parts: Parts, hyper, key):
+def _randomize(parts: Parts, hyper: Config, key):
     base = parts.robot.base_body
     model = parts.robot.mj_model
     return randomize.draw(hyper.task.randomize, model.body_mass[base], model.body_ipos[base], key)
 
 
-def reset(parts: Parts, hyper, body, key) -> EnvState:
+def reset(parts: Parts, hyper: Config, body, key) -> EnvState:
     """A robot at the start of an episode; with `task.random_clock`, at a random age of it."""
     key, clock_key = jax.random.split(key)
     state = _fresh(parts, hyper, body, key)
@@ -98,15 +98,17 @@ def reset(parts: Parts, hyper, body, key) -> EnvState:
     return state.replace(clock=clock.astype(jnp.int32))
 
 
-def autoreset(parts: Parts, hyper, body, state: EnvState, outcome: Outcome, key) -> EnvState:
+def autoreset(
+    parts: Parts, hyper: Config, body, state: EnvState, outcome: Outcome, key
+) -> EnvState:
     """`state`, or a fresh episode where `outcome` ended one."""
     ended = (outcome.discount == 0) | (outcome.truncation == 1)
     fresh = _fresh(parts, hyper, body, key)
     return jax.tree.map(lambda new, old: jnp.where(ended, new, old), fresh, state)
 
 
-def _fresh(parts: Parts, hyper, body, key) -> EnvState:
-    """Pose, velocity and command as tasks.md sections 4 and 7; lifted until no foot is below ground."""
+def _fresh(parts: Parts, hyper: Config, body, key) -> EnvState:
+    """Pose, velocity and command as Isaac Lab draws them (configs/README.md); lifted until no foot is below ground."""
     keys = jax.random.split(key, 7)
     r, default = hyper.task.reset, jnp.asarray(parts.robot.default_pose, jnp.float32)
     joints = default * jax.random.uniform(
@@ -145,13 +147,13 @@ def _fresh(parts: Parts, hyper, body, key) -> EnvState:
     )
 
 
-def _push_in(parts: Parts, hyper, key):
+def _push_in(parts: Parts, hyper: Config, key):
     low, high = hyper.task.push.interval
     seconds = jax.random.uniform(key, (), minval=low, maxval=high)
     return jnp.round(seconds / parts.dt).astype(jnp.int32)
 
 
-def push(parts: Parts, hyper, qvel, push_in, key):
+def push(parts: Parts, hyper: Config, qvel, push_in, key):
     """`(qvel, push_in)` after one step of the clock: a kick in world x and y when it runs out.
 
     Isaac Lab's push_by_setting_velocity (isaaclab/envs/mdp/events.py): after the reward, before the
@@ -164,7 +166,7 @@ def push(parts: Parts, hyper, qvel, push_in, key):
     return qvel, jnp.where(due, _push_in(parts, hyper, next_key), push_in - 1)
 
 
-def _observe(parts, hyper, body, qpos, qvel, command, last_action, key):
+def _observe(parts, hyper: Config, body, qpos, qvel, command, last_action, key):
     """`(prop, obs)`: the predicted part without noise, and the whole with it."""
     default = jnp.asarray(parts.robot.default_pose, jnp.float32)
     clean = observe.observe(qpos, qvel, body.base_com, default, command, last_action)
@@ -172,13 +174,13 @@ def _observe(parts, hyper, body, qpos, qvel, command, last_action, key):
     return clean[: observe.PROP_SIZE], clean + noise * observe.noise_scale(hyper.task.noise, jnp)
 
 
-def noise(hyper, key):
+def noise(hyper: Config, key):
     """A draw of the noise on `prop`, [33]: uniform, as `step` adds it to an observation."""
     scale = observe.noise_scale(hyper.task.noise, jnp)[: observe.PROP_SIZE]
     return jax.random.uniform(key, scale.shape, minval=-1.0, maxval=1.0) * scale
 
 
-def step(parts: Parts, hyper, body, state: EnvState, action, key):
+def step(parts: Parts, hyper: Config, body, state: EnvState, action, key):
     """One control step -> `(EnvState, Outcome)`; the episode's end is in the outcome only.
 
     A robot whose state is not finite, or moves faster than 100 rad/s or 20 m/s, has left what the
@@ -243,7 +245,7 @@ def step(parts: Parts, hyper, body, state: EnvState, action, key):
 
 
 def reward_terms(
-    parts: Parts, hyper, state: EnvState, action, after: engine_lib.Substeps, motion
+    parts: Parts, hyper: Config, state: EnvState, action, after: engine_lib.Substeps, motion
 ) -> dict:
     """Every term of the reward, unweighted, by the name of its weight in `task.weights`."""
     contact = after.contact_steps > 0
@@ -267,7 +269,7 @@ def reward_terms(
     }
 
 
-def motion_terms(hyper, command, motion) -> dict:
+def motion_terms(hyper: Config, command, motion) -> dict:
     """The terms that follow from the base's `(gravity, linear, angular)` and the command."""
     gravity, linear, angular = motion
     return {
@@ -281,7 +283,7 @@ def motion_terms(hyper, command, motion) -> dict:
     }
 
 
-def known_reward(parts: Parts, hyper, obs, action, next_prop):
+def known_reward(parts: Parts, hyper: Config, obs, action, next_prop):
     """The share of a row's reward that is a function of `obs` [48], `action` and `next_prop` [33].
 
     Exact unless a push changed the velocity after the reward (`push`). The rest is torques,

@@ -49,7 +49,7 @@ def interval(values, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
     `values` is `[S]` or `[S, ...]`. Deterministic, and every number is resampled alike, so that a band
     is no rougher than its seeds. NaN with one seed, which says nothing about the next, and where a
     seed is NaN. With few seeds it is too short: of normal numbers it holds the true mean in 84 % of
-    cases with 5 seeds, in 90 % with 10 (tests/test_curves.py).
+    cases with 5 seeds, in 90 % with 10 (tests/train/test_curves.py).
     """
     values = np.asarray(values, float)
     count = len(values)
