@@ -94,13 +94,16 @@ def to_json(config) -> str:
 
 
 def difference(old: str, new: str, except_for=()) -> str:
-    """The first field in which two `to_json` texts differ, as "ppo.epochs 5 there, 4 here"; or ""."""
+    """The first field in which two `to_json` texts differ, as "ppo.epochs 5 there, 4 here"; or "".
+
+    A field that only one of them has, because another version of dynappo wrote the text, is no difference.
+    """
     try:
         before = flat(json.loads(old))
     except (ValueError, AttributeError):
         return "its config.json cannot be read"
     after = flat(json.loads(new))
-    for name in before | after:
-        if name not in except_for and before.get(name) != after.get(name):
-            return f"{name} {before.get(name)} there, {after.get(name)} here"
+    for name in (name for name in before if name in after and name not in except_for):
+        if before[name] != after[name]:
+            return f"{name} {before[name]} there, {after[name]} here"
     return ""

@@ -16,31 +16,52 @@ from dynappo.config import ConfigError
 STATE = "state"  # where a checkpoint has its arrays
 
 
+class Damaged(ConfigError):
+    """A checkpoint that cannot be read, or whose numbers are not those that were saved."""
+
+    def __init__(self, folder: Path, reason: str):
+        super().__init__(f"{folder}: not a checkpoint, or damaged ({reason})")
+        self.reason = reason
+
+
+def about(folder: Path) -> dict:
+    """What was saved beside the arrays: iteration, config, the shape of every array, a hash of all."""
+    try:
+        found = json.loads((folder / "about" / "metadata").read_text())
+        if not {"arrays", "sha256"} <= found.keys():
+            raise ValueError("its `about` lacks shapes or hash")
+    except (OSError, ValueError, AttributeError) as error:
+        raise Damaged(folder, _reason(error)) from None
+    return found
+
+
 def read(folder: Path) -> dict[str, np.ndarray]:
     """All arrays of an orbax checkpoint by name, as `learner.params.std`; nothing there is changed.
 
     They are some MB, and all are read because the hash that was saved with them is one of all.
-    ConfigError if anything is damaged.
     """
     import tensorstore
 
+    expected = about(folder)
     store = {"driver": "ocdbt", "base": f"file://{(folder / STATE).resolve()}/"}
-    arrays = {}
+    arrays, found = {}, hashlib.sha256()
     try:
         names = tensorstore.KvStore.open(store).result().list().result()
         for name in {n.decode().rpartition("/")[0] for n in names}:
             spec = {"driver": "zarr", "kvstore": store | {"path": f"{name}/"}}
             array = tensorstore.open(spec, open=True, read=True).result().read().result()
             arrays[name] = np.asarray(array)
-        about, found = json.loads((folder / "about" / "metadata").read_text()), hashlib.sha256()
-        for name in about["arrays"]:  # in the order of `checkpoint.digest`
+        for name in expected["arrays"]:  # in the order of `checkpoint.digest`
             found.update(arrays[name.replace("/", ".")].tobytes())
-        if found.hexdigest() != about["sha256"]:
+        if found.hexdigest() != expected["sha256"]:
             raise ValueError("its numbers are not those that were saved")
     except Exception as error:  # tensorstore raises ValueError, KeyError and others of its own
-        reason = (str(error).splitlines() or [type(error).__name__])[0][:80]
-        raise ConfigError(f"{folder}: not a checkpoint, or damaged ({reason})") from None
+        raise Damaged(folder, _reason(error)) from None
     return arrays
+
+
+def _reason(error: Exception) -> str:
+    return (str(error).splitlines() or [type(error).__name__])[0][:80]
 
 
 def steps(folder: Path) -> list[int]:

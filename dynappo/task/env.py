@@ -108,7 +108,7 @@ def autoreset(
 
 
 def _fresh(parts: Parts, hyper: Config, body, key) -> EnvState:
-    """Pose, velocity and command as Isaac Lab draws them (configs/README.md); lifted until no foot is below ground."""
+    """Pose, velocity and command (configs/README.md), lifted until no foot is below ground."""
     keys = jax.random.split(key, 7)
     r, default = hyper.task.reset, jnp.asarray(parts.robot.default_pose, jnp.float32)
     joints = default * jax.random.uniform(

@@ -4,8 +4,9 @@ Each holds two things: `state`, and `about`, a JSON text with the iteration, the
 simulator steps, the config, the shape of every array and a hash of their bytes. The hash finds a
 damaged file, the shapes say in words why a checkpoint of another run does not fit.
 
-The state holds no `mjx.Data` (orbax refuses its empty arrays, and it depends on the engine), so a
-checkpoint made with MJX-Warp on a GPU goes on with MJX-JAX on a CPU.
+Orbax writes them; they are read array by array (policy/checkpoint_file.py), so that a checkpoint of a
+version with other options still loads. The state holds no `mjx.Data` (orbax refuses its empty arrays, and it
+depends on the engine), so one made with MJX-Warp on a GPU goes on with MJX-JAX on a CPU.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ import orbax.checkpoint as ocp
 from orbax.checkpoint import checkpoint_managers
 
 from dynappo.config import ConfigError
+from dynappo.policy import checkpoint_file
 from dynappo.program import distributed
 from dynappo.train import log
 
@@ -99,9 +101,7 @@ def manager(workdir: Path) -> ocp.CheckpointManager:
     handlers = {"state": ocp.StandardCheckpointHandler(), "about": ocp.JsonCheckpointHandler()}
     registry = ocp.handlers.DefaultCheckpointHandlerRegistry()
     registry.add("state", ocp.args.StandardSave, handlers["state"])
-    registry.add("state", ocp.args.StandardRestore, handlers["state"])
     registry.add("about", ocp.args.JsonSave, handlers["about"])
-    registry.add("about", ocp.args.JsonRestore, handlers["about"])
     return ocp.CheckpointManager(
         (workdir / "checkpoints").resolve(), options=options, handler_registry=registry
     )
@@ -154,11 +154,9 @@ def restore(
     folder = Path(checkpoints.directory)
     for iteration in sorted(checkpoints.all_steps(), reverse=True):
         try:
-            return iteration, _read(checkpoints, iteration, like)
-        except ConfigError:
-            raise
-        except Exception as error:  # orbax and tensorstore raise many kinds
-            _move_aside(folder / str(iteration), _reason(error), say)
+            return iteration, _read(folder / str(iteration), like)
+        except checkpoint_file.Damaged as error:
+            _move_aside(folder / str(iteration), error.reason, say)
             checkpoints.reload()
     damaged = sorted(folder.parent.glob("damaged-*"))
     if damaged:
@@ -177,28 +175,21 @@ def _move_aside(step: Path, reason: str, say) -> None:
     say(f"checkpoint {step.name} is damaged ({reason}); it is now {aside}, an older one is taken")
 
 
-def _read(checkpoints, iteration: int, like):
-    where = Path(checkpoints.directory) / str(iteration)
-    about = checkpoints.restore(iteration, args=ocp.args.Composite(about=ocp.args.JsonRestore()))[
-        "about"
-    ]
-    found, expected = about["arrays"], shapes(like)
+def _read(folder: Path, like):
+    """The state in a checkpoint, lying over the devices as `like` does."""
+    found, expected = checkpoint_file.about(folder)["arrays"], shapes(like)
     for name in found | expected:
         if found.get(name) != expected.get(name):
             raise ConfigError(
-                f"{where} is not a checkpoint of this run: {name} is {found.get(name, 'absent')} "
+                f"{folder} is not a checkpoint of this run: {name} is {found.get(name, 'absent')} "
                 f"there, {expected.get(name, 'absent')} here; choose another --workdir"
             )
-    raw, wrap = _raw(like)
-    target = jax.tree.map(ocp.utils.to_shape_dtype_struct, raw)
-    state = wrap(
-        checkpoints.restore(
-            iteration, args=ocp.args.Composite(state=ocp.args.StandardRestore(target))
-        )["state"]
-    )
-    if digest(state) != about["sha256"]:
-        raise ValueError("its numbers are not those that were saved")
-    return state
+    arrays, (raw, wrap) = checkpoint_file.read(folder), distributed.raw_keys(like)
+    leaves = [
+        jax.device_put(arrays[name.replace("/", ".")], getattr(leaf, "sharding", None))
+        for name, leaf in paths(raw).items()
+    ]
+    return wrap(jax.tree.unflatten(jax.tree.structure(raw), leaves))
 
 
 def _raw(state: Any):
