@@ -58,19 +58,17 @@ def iterate(
     env: Env, hyper: Config, state: TrainState, columns: Columns, *, static: Config
 ) -> tuple[TrainState, Metrics]:
     """One iteration of the paper's Algorithm 1; `columns` is one row of `schedule.columns`."""
-    horizon, num_envs = static.rollout.horizon, static.rollout.num_envs
-    params = state.learner.params
+    horizon, params = static.rollout.horizon, state.learner.params
     n_real, end = columns["n_real"], jnp.int32(horizon)
     real = (jnp.arange(horizon) < n_real)[:, None]
     key = partial(jax.random.fold_in, jax.random.fold_in(state.key, columns["iteration"]))
-    keys = rollout.row_keys(key(ROWS), state.robot_index)
-    fill = partial(rollout.fill, keys=keys, act=policy(static, params))
 
     # Collect N_r steps with physics, from where the last physics step ended
-    buffer = rollout.allocate(env, horizon, num_envs)
-    step, now = physics_step(env, hyper, state.params_physics), state.env_state
-    buffer, now, sums = fill(buffer, jnp.int32(0), n_real, now, step=step, metrics=env.metrics)
-    state, metrics = state.replace(env_state=now), stats.of_rows(sums, n_real * num_envs)
+    buffer, now, sums = collect(env, hyper, state, n_real, key(ROWS), static=static)
+    state, metrics = (
+        state.replace(env_state=now),
+        stats.of_rows(sums, n_real * state.robot_index.size),
+    )
 
     # Train the transition model on them, and let it write the tail of N_s = N - N_r steps
     if state.model is not None:
@@ -78,8 +76,9 @@ def iterate(
         metrics |= errors.errors(static, hyper, env, state.model, buffer, unrolled)
         rows = buffer, n_real, columns["model_epochs"], key(FIT)
         model, fitted = dynamics.fit(static, hyper, env, state.model, *rows)
-        step = partial(dynamics.step, static, hyper, env, model)
-        buffer, _, _ = fill(buffer, n_real, end, dynamics.tail(static, env, now), step=step)
+        step, act = partial(dynamics.step, static, hyper, env, model), policy(static, params)
+        keys, tail = rollout.row_keys(key(ROWS), state.robot_index), dynamics.tail(static, env, now)
+        buffer, _, _ = rollout.fill(buffer, n_real, end, tail, keys, act=act, step=step)
         state, metrics = state.replace(model=model), metrics | fitted
         metrics |= stats.of_tail(buffer, real, env.dt)
 
@@ -95,6 +94,20 @@ def iterate(
         "policy_std": learner.params["std"].mean(),
         "nonfinite_robot": stats.nonfinite_robot(buffer),
     }
+
+
+def collect(env: Env, hyper: Config, state: TrainState, n_real, key, *, static: Config):
+    """Rows `t < n_real` by policy and physics: `(buffer, robots after them, sums of env.metrics)`."""
+    return rollout.fill(
+        rollout.allocate(env, static.rollout.horizon, static.rollout.num_envs),
+        jnp.int32(0),
+        n_real,
+        state.env_state,
+        rollout.row_keys(key, state.robot_index),
+        act=policy(static, state.learner.params),
+        step=physics_step(env, hyper, state.params_physics),
+        metrics=env.metrics,
+    )
 
 
 def run(
@@ -166,8 +179,7 @@ def presence(buffer: Transition, real) -> Float[Array, "N R"]:
 
         w_t = product of discount_k over the tail's rows k < t
 
-    After a predicted fall a tail goes on, with rows of a robot that cannot be there. DreamerV3 weighs
-    imagined rows in the same way, by its continue predictor (Hafner et al. 2023).
+    A tail goes on after a predicted fall, with rows of a robot that cannot be there. DreamerV3 does the same.
     """
     lived = jnp.cumprod(jnp.where(real, 1.0, buffer.discount), axis=0)
     return jnp.roll(lived, 1, axis=0).at[0].set(1.0)

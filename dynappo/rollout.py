@@ -1,7 +1,7 @@
 """Rows [lo, hi) of a rollout, written by any step function: the hinge of the method.
 
-One `fill` serves physics and the transition model, as one `recurrent_fn` serves real and learned
-dynamics in google-deepmind/mctx. The buffer is `[N, R, ...]` whatever the number of real rows.
+One `fill` serves physics and the transition model, as in google-deepmind/mctx. The buffer is `[N, R, ...]`
+whatever the number of real rows.
 
 Why a `fori_loop` with a traced bound: it compiles the physics once for every N_r of the ramp and
 stops after N_r rows. A `scan` with a `cond` inside, or a `switch` over lengths, turns into a

@@ -7,8 +7,6 @@ with a, b = `schedule.start_iteration, end_iteration` and x, y = `start_steps, e
 Why floor(. + 0.5) and i from 1: it is the only rounding that gives the 19.64 M simulator steps of
 the paper's Table VI for its scheduled tail (floor gives 19.83 M, ceil 19.44 M, counting from 0
 19.65 M). For a = b the equation is 0 / 0 and the paper means y throughout (`dyna2`).
-
-NumPy only: a table can be printed, plotted and tested without a device.
 """
 
 import numpy as np
@@ -32,11 +30,8 @@ def uses_model(config) -> bool:
 
 
 def columns(config) -> dict[str, np.ndarray]:
-    """What `algorithm.run` scans over, each int32 `[I]`.
-
-    `iteration` counts from 1 and seeds the random numbers of the iteration; `n_real` is N_r;
-    `model_epochs` is the number of passes of the model fit (absent from plain PPO).
-    """
+    """What `algorithm.run` scans over, each int32 `[I]`: `iteration`, from 1; `n_real`, N_r;
+    `model_epochs`, the passes of the model's fit (absent from plain PPO)."""
     i = np.arange(1, config.run.num_iterations + 1, dtype=np.int32)
     out = {"iteration": i, "n_real": np.int32(config.rollout.horizon) - table(config)}
     if uses_model(config):

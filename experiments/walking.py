@@ -1,6 +1,6 @@
 """The bundled robot walks by its policy and that policy's noise, and a model learns: PPO never runs.
 
-What 18_rollouts and 20_tail/offline.py share, and of it `collect` with 11_model.
+What 18_rollouts and 20_tail/offline.py share.
 """
 
 from functools import partial
@@ -8,7 +8,7 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 
-from dynappo import algorithm, rollout
+from dynappo import algorithm
 from dynappo import config as config_lib
 from dynappo.config import files
 from dynappo.physics import robot as robot_lib
@@ -47,17 +47,3 @@ def walker(config, iterate):
             yield jax.device_get(found)
 
     return walk
-
-
-def collect(env, hyper, state, n_real, key, *, static):
-    """Rows `t < n_real` by policy and physics: `(buffer, robots after them, sums of env.metrics)`."""
-    return rollout.fill(
-        rollout.allocate(env, static.rollout.horizon, static.rollout.num_envs),
-        jnp.int32(0),
-        n_real,
-        state.env_state,
-        rollout.row_keys(key, state.robot_index),
-        act=algorithm.policy(static, state.learner.params),
-        step=algorithm.physics_step(env, hyper, state.params_physics),
-        metrics=env.metrics,
-    )

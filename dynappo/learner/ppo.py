@@ -65,10 +65,8 @@ def mean(x: Float[Array, "... B"], weight: Float[Array, " B"] | None) -> Float[A
 
 
 def normalize(advantages: Float[Array, "..."], weight=None) -> Float[Array, "..."]:
-    """Zero mean and unit sample standard deviation (ddof 1, plus 1e-8) over the whole batch.
-
-    With weights, mean and deviation are weighted: std^2 = sum w (A - mean)^2 / (sum w - 1).
-    """
+    """Zero mean and unit sample standard deviation (plus 1e-8) over the whole batch; weighted,
+    std^2 = sum w (A - mean)^2 / (sum w - 1)."""
     if weight is None:
         return (advantages - advantages.mean()) / (advantages.std(ddof=1) + 1e-8)
     share = jnp.maximum(weight.mean(), 1e-8)
@@ -83,8 +81,7 @@ def loss(static: Config, hyper: Config, params: dict, batch: Batch, old_std: Flo
         surrogate = mean max(-A rho, -A clip(rho, 1 - eps, 1 + eps)),  rho = pi / pi_old
         value     = mean max((V - R)^2, (V_old + clip(V - V_old, -eps, eps) - R)^2)
 
-    `metrics["kl"]` is the mean KL(old || new), for the learning rate. Means are over rows with
-    their weights.
+    `metrics["kl"]` is the mean KL(old || new). Means are over rows with their weights.
     """
     (action_mean, value), std = networks.policy_and_value(static, params, batch.obs), params["std"]
     chex.assert_equal_shape([value, batch.value, batch.returns, batch.advantages])

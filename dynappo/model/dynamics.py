@@ -12,16 +12,14 @@ Beyond the paper, each by a field of the group model that is off in the paper's 
 - `clean`: f_theta carries the state without noise, and the policy of the tail sees it with noise drawn
   anew. Noise is the error floor of a model that has to predict it.
 - `known_reward`: the reward is what `env.known_reward` computes of the prediction, plus f_theta's.
-- `falls`: sigmoid(f_theta) is the probability of a fall, and 1 minus it a tail's discount. Its
-  cross-entropy has no class weights: it is a factor of every value and must be true. Fallen rows are
-  learned from too. The episode's clock cuts a tail: no advantage crosses, and the robot walks on.
+- `falls`: sigmoid(f_theta) is the probability of a fall, and 1 minus it a tail's discount. Fallen rows are
+  learned from too, without class weights. The episode's clock cuts a tail, and the robot walks on.
 - `bounds`: every prediction stays in the range of this iteration's real rows, and 5 % beyond; values
   too (algorithm.estimate). A tail can then be wrong, but not diverge.
 
-Why an epoch goes through each robot's rows, and not through all rows in any order (`times`): the number
-of real rows is traced, JAX cannot permute a traced length, and computing on masked rows would cost what
-the tail saves. Every minibatch has as many rows of every robot, so that drawing them moves no row to
-another device, and may begin in one epoch and end in the next.
+Why an epoch goes through each robot's rows, and not through all rows in any order (`times`): JAX cannot
+permute a traced number of rows, and computing on masked ones would cost what the tail saves. Every
+minibatch has as many rows of every robot, so that none moves to another device.
 """
 
 from __future__ import annotations
@@ -150,10 +148,8 @@ def fit(
 def times(
     place: Int[Array, " D"], horizon: int, num_envs: int, n_real: Int[Array, ""], key: PRNGKeyArray
 ) -> Int[Array, "D R 1"]:
-    """The rows of every robot at places `epoch n_real + k`, `k < n_real`, of two epochs (D <= n_real + 1).
-
-    An epoch has every row once, in a random order that all robots share; each begins elsewhere in it.
-    """
+    """The rows of every robot at places `epoch n_real + k`, `k < n_real`, of two epochs (D <= n_real + 1):
+    an epoch has every row once, in a random order that all robots share, and each begins elsewhere."""
     epoch = place // n_real
 
     def order(epoch):

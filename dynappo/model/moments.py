@@ -21,8 +21,8 @@ def update(
 ) -> Moments:
     """Exponential moving mean and variance over calls, of the rows of `x` with `weight` 1.
 
-    `weight` of the moments tends to 1 as `1 - decay^calls`; `scale` divides by it, so the first
-    call's moments are the batch's own. A call without valid rows changes nothing.
+    `weight` of the moments tends to 1 as `1 - decay^calls`; `scale` divides by it, so the first call's
+    moments are the batch's own. A call without such rows changes nothing.
     """
     axes = tuple(range(weight.ndim))
     count = weight.sum()

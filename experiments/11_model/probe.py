@@ -8,7 +8,6 @@ import numpy as np
 
 from dynappo.model import dynamics, examples
 from dynappo.task import observe
-from experiments import walking
 
 # of the predicted numbers, the reward last; units as in observe.py, the reward for a second
 GROUPS = {
@@ -30,7 +29,7 @@ def compiled(program) -> Callable:
     def one(state):
         key = jax.random.fold_in(state.key, FRESH)
         every = jnp.int32(horizon)
-        buffer, _, _ = walking.collect(env, hyper, state, every, key, static=static)
+        buffer, _, _ = algorithm.collect(env, hyper, state, every, key, static=static)
         start = examples.before_and_after(static, env, buffer)[0][0]
         return errors(static, hyper, env, state.model, buffer, start)
 

@@ -33,7 +33,7 @@ def iterate(env, hyper, state, iteration, epochs, *, static):
     """`algorithm.iterate` without PPO: the policy stays; returns the buffer too."""
     key, real = jax.random.fold_in(state.key, iteration), jnp.int32(REAL)
     rows_key, fit_key = (jax.random.fold_in(key, n) for n in (algorithm.ROWS, algorithm.FIT))
-    buffer, env_state, _ = walking.collect(env, hyper, state, real, rows_key, static=static)
+    buffer, env_state, _ = algorithm.collect(env, hyper, state, real, rows_key, static=static)
     model, _ = dynamics.fit(static, hyper, env, state.model, buffer, real, epochs, fit_key)
     buffer, _, _ = rollout.fill(
         buffer,

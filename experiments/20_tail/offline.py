@@ -53,7 +53,7 @@ def measure(setting: str, robots: int, seeds: int) -> list[dict]:
 def iterate(env, hyper, state, iteration, epochs, *, static):
     """`algorithm.iterate` without tail and without PPO: rows, errors, fit."""
     key, real = jax.random.fold_in(state.key, iteration), jnp.int32(ROWS)
-    buffer, env_state, sums = walking.collect(env, hyper, state, real, key, static=static)
+    buffer, env_state, sums = algorithm.collect(env, hyper, state, real, key, static=static)
     found = {}
     for steps in (1, 4, ROWS):
         found |= errors.errors(static, hyper, env, state.model, buffer, steps)
