@@ -129,30 +129,6 @@ def read_one(path: Path) -> dict[str, np.ndarray]:
     return {name: column[:, 0] for name, column in read(path).items()}
 
 
-def chunks(config, lock: Path | None = None):
-    """Train, and yield `(program, iterations done, state, metrics)` after each `run.log_every` of them.
-
-    For what `run.loop` of the trainer keeps to itself: the state. It is given away when the next chunk
-    begins.
-    """
-    import jax
-    import jax.numpy as jnp
-
-    from dynappo.program import build
-    from experiments import run
-
-    program = build.program(config)
-    state, every = program.state, config.run.log_every
-    with run.alone(lock):
-        for first in range(0, config.run.num_iterations, every):
-            columns = {n: jnp.asarray(c[first : first + every]) for n, c in program.columns.items()}
-            state, metrics = program.step(program.hyper, state, columns)
-            metrics = jax.device_get(metrics)
-            if not np.isfinite(metrics["policy_std"]).all():
-                raise FloatingPointError(f"training has blown up before iteration {first + every}")
-            yield program, first + every, state, metrics
-
-
 def status(run: Run | None) -> str:
     """In words for a table."""
     return "not run" if run is None else "" if run.columns else "diverged"

@@ -25,6 +25,7 @@ import time
 from pathlib import Path
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from dynappo import config as config_lib
@@ -96,6 +97,24 @@ def write_csv(path: Path, metrics) -> None:
     log.append_csv(path, log.rows(metrics))
     path.with_suffix(".csv.xz").write_bytes(lzma.compress(path.read_bytes(), preset=9))
     path.unlink()
+
+
+def chunks(config, lock: Path | None = None):
+    """Train, and yield `(program, iterations done, state, metrics)` after each `run.log_every` of them.
+
+    For what `run.loop` of the trainer keeps to itself: the state. It is given away when the next chunk
+    begins.
+    """
+    program = build.program(config)
+    state, every = program.state, config.run.log_every
+    with alone(lock):
+        for first in range(0, config.run.num_iterations, every):
+            columns = {n: jnp.asarray(c[first : first + every]) for n, c in program.columns.items()}
+            state, metrics = program.step(program.hyper, state, columns)
+            metrics = jax.device_get(metrics)
+            if not np.isfinite(metrics["policy_std"]).all():
+                raise FloatingPointError(f"training has blown up before iteration {first + every}")
+            yield program, first + every, state, metrics
 
 
 @contextlib.contextmanager

@@ -30,16 +30,13 @@ def pytest_collection_modifyitems(items):
 @pytest.fixture(scope="session")
 def settings():
     """`settings(fields, spec) -> (static, hyper)`: a valid config with `fields` set, split."""
+    from toy_env import configure  # not above: it starts JAX
+
     from dynappo import config as config_lib
 
-    def make(fields=None, spec="configs/go1.py:dyna4"):
-        config = config_lib.load(spec)
-        for name, value in (fields or {}).items():
-            group, _, leaf = name.rpartition(".")
-            functools.reduce(lambda node, key: node[key], group.split("."), config)[leaf] = value
-        return config_lib.split(config_lib.validate(config))
-
-    return make
+    return lambda fields=None, spec="configs/go1.py:dyna4": config_lib.split(
+        configure(fields, spec)
+    )
 
 
 @pytest.fixture(scope="session")

@@ -209,7 +209,7 @@ def test_a_batch_goes_on_where_it_was_cut_off_and_chunks_train_as_it_does(tmp_pa
     assert found.columns["sim_steps"][-1, 0] == 16 * np.sum([8, 6, 4, 4])
     assert len(found.summary["policy_std"]) == 2
     ask, done, std = None, [], []
-    for program, iteration, state, metrics in paper.chunks(run.configure("go1:dyna4", 2, TOY)):
+    for program, iteration, state, metrics in run.chunks(run.configure("go1:dyna4", 2, TOY)):
         done.append(iteration)
         std += metrics["policy_std"].tolist()
         ask = ask or script("11_model/probe").compiled(program)

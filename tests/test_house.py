@@ -1,184 +1,149 @@
-"""Who may import whom, who may print and read files, and how long things may get."""
+"""Who may import whom, by folder; who may print and touch files; how long things may get."""
 
 import ast
+import functools
+import graphlib
 import pathlib
-import sys
 
 import pytest
 
 import dynappo
 
 PACKAGE = pathlib.Path(dynappo.__file__).parent
-CONFIGS = PACKAGE.parent / "configs"
-# A file imports only from earlier groups; the last group imports what it likes.
-GROUPS = (
-    {"types", "config", "schedule", "validate"},
-    {"networks", "gae", "rewards", "actuators", "observe", "moments"},
-    {
-        "robot",
-        "env",
-        "commands",
-        "physics",
-        "warp_physics",
-        "contacts",
-        "randomize",
-        "dynamics",
-        "ppo",
-    }
-    | {"rollout", "brax_env", "model_error", "model_rows", "first_order", "summary"},
-    {"algorithm", "evaluate", "sweep"},
-    {"checkpoint", "log", "render", "files", "export", "train", "play", "bench", "console", "flags"}
-    | {
-        "distributed",
-        "curves",
-        "memory",
-        "policy_file",
-        "episode",
-        "page",
-        "viewer",
-        "measure",
-        "report",
-        "figures",
-        "results",
-        "joint_order",
-        "versions",
-    },
-)
-WITHIN = {
-    "config": {"validate"},
-    "validate": {"schedule"},
-    "env": {"robot", "commands", "randomize", "physics"},
-    "physics": {"robot", "randomize", "warp_physics", "contacts"},
-    "contacts": {"robot"},
-    "dynamics": {"model_rows"},
-    "model_error": {"dynamics", "model_rows"},
-    "evaluate": {"algorithm", "report"},  # report: only where it is run as a command
-    "sweep": {"algorithm", "evaluate"},
-}  # allowed inside a group
-HOST = GROUPS[-1]
-READ_FILES = {"config", "validate", "robot"}
-WITHOUT_JAX = set("config validate schedule flags rewards actuators observe robot".split())
-MAX_FILE, MAX_FUNCTION = 300, 70  # lines
-
-FILES = sorted(PACKAGE.glob("*.py"))
-MODULES = [f for f in FILES if f.stem != "__init__"]
-CORE = [f for f in MODULES if f.stem not in HOST]
+METHOD = {"types", "schedule", "stats", "rollout", "algorithm", "evaluation", "sweep"}
+# folder -> folders and modules that its own may import; `method` are the files beside the folders
+MAY_IMPORT = {
+    "method": {"method", "learner", "model"},
+    "learner": {"learner", "types"},
+    "model": {"model", "learner.networks", "types"},
+    "physics": {"physics", "config", "types"},
+    "task": {"task", "physics", "config", "types"},
+    "config": {"config", "schedule"},
+    "policy": {"policy", "physics", "task.observe", "config"},
+    "program": {"program", "method", "task", "physics", "config"},
+    "train": {"train", "program", "policy", "config", "method"},
+    "evaluate": {"evaluate", "program", "policy", "task", "physics", "config", "evaluation"},
+    "play": {"play", "policy", "physics", "config"},
+    "export": {"export", "policy", "physics", "task.observe", "config"},
+    "bench": {"bench", "program", "config", "method", "model", "task.observe"},
+}
+WITHOUT_JAX = {"policy", "play", "export", "config", "schedule"}
+WITHOUT_JAX |= {"task.rewards", "task.observe", "physics.robot", "physics.actuators"}
+JAX = {"jax", "jaxlib", "flax", "optax", "orbax", "brax", "chex", "jaxtyping", "mujoco.mjx"}
+# pure functions: nothing printed, no clock, no file; robot.py reads a robot's file
+PURE = {"method", "learner", "model", "task", "physics", "config.splitting", "config.validation"}
+SPEAKS = set("print input breakpoint callback pure_callback io_callback".split())
+FILES = set("open read_text write_text read_bytes write_bytes mkdir unlink".split())
+CLOCKS = set("time datetime timeit logging subprocess socket threading".split())
+PATHS = set("pathlib os shutil tempfile glob".split())
+MAX_MODULES, MAX_FILE, MAX_FUNCTION, MAX_METHOD = 11, 300, 70, 850  # modules, lines, lines, lines
 
 
-def tree(file):
-    """The syntax tree of a file."""
-    return ast.parse(file.read_text(), str(file))
+def name_of(file):
+    """`train.run` of dynappo/train/run.py; of an __init__ its folder, "" for that of the package."""
+    parts = file.relative_to(PACKAGE).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
-def imports(file):
-    """Dotted names of everything a file imports, at its top or inside functions."""
+MODULES = {name_of(file): file for file in sorted(PACKAGE.rglob("*.py"))}
+FOLDERS = sorted({file.parent for file in MODULES.values()} - {PACKAGE})
+
+
+def inside(name, places):
+    """Whether a module is one of `places`, or in one of these folders."""
+    own = "method" in places and name in METHOD
+    return own or any(name == p or name.startswith(f"{p}.") for p in places)
+
+
+@functools.cache
+def tree(name):
+    """The syntax tree of a module, without what is there for type checkers only."""
+
+    class Runs(ast.NodeTransformer):
+        def visit_If(self, node):
+            return None if ast.unparse(node.test) == "TYPE_CHECKING" else self.generic_visit(node)
+
+    return Runs().visit(ast.parse(MODULES[name].read_text()))
+
+
+@functools.cache
+def imports(name):
+    """Dotted names of all that a module imports, also inside functions."""
     names = set()
-    for node in ast.walk(tree(file)):
+    for node in ast.walk(tree(name)):
         if isinstance(node, ast.Import):
             names |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
-            assert node.level == 0, f"{file.name} imports relatively, line {node.lineno}"
+            assert node.level == 0, f"{name} imports relatively, line {node.lineno}"
             names |= {f"{node.module}.{alias.name}" for alias in node.names}
     return names
 
 
-def modules_of_ours(file):
-    """The modules of dynappo that a file imports."""
-    parts = [name.split(".") for name in imports(file)]
-    return {p[1] for p in parts if p[0] == "dynappo" and len(p) > 1}
+@functools.cache
+def ours(name):
+    """The modules of dynappo that a module imports; a name in one counts as the module."""
+    paths = [n.split(".")[1:] for n in imports(name) if n.split(".")[0] == "dynappo"]
+    found = {".".join(p if ".".join(p) in MODULES else p[:-1]) for p in paths}
+    return found - {name, ""}
 
 
-def third_party(file):
-    """The packages outside Python and dynappo that a file imports."""
-    return {name.split(".")[0] for name in imports(file)} - sys.stdlib_module_names - {"dynappo"}
+@functools.cache
+def reached(name):
+    """All that is imported where a module is, its folders' __init__ among it."""
+    seen, todo = set(), [name, ""]
+    while todo:
+        module = todo.pop()
+        if module not in seen:
+            seen.add(module)
+            todo += [*ours(module), *([module.rpartition(".")[0]] if "." in module else [])]
+    return seen
 
 
-def calls(file):
-    """`(name, line)` of every call by its last name: `print(...)`, `jax.debug.print(...)`."""
-    for node in ast.walk(tree(file)):
-        if isinstance(node, ast.Call):
-            name = getattr(node.func, "id", None) or getattr(node.func, "attr", None)
-            yield name, node.lineno
+@pytest.mark.parametrize("name", [n for n in MODULES if n])
+def test_a_module_imports_from_the_folders_that_its_own_may(name):
+    folder = "method" if name in METHOD else name.split(".")[0]
+    wrong = {other for other in ours(name) if not inside(other, MAY_IMPORT[folder])}
+    assert not wrong, f"{folder} may import {sorted(MAY_IMPORT[folder])}"
 
 
-def test_the_checks_see_the_package():
-    assert {"types", "algorithm", "env"} <= {f.stem for f in MODULES}
-    assert "ppo" in modules_of_ours(PACKAGE / "algorithm.py")
-    assert "types" in modules_of_ours(PACKAGE / "ppo.py")
-    assert "jax" in third_party(PACKAGE / "ppo.py")
+def test_no_import_goes_round_in_a_circle():
+    graphlib.TopologicalSorter({name: ours(name) for name in MODULES}).prepare()
 
 
-@pytest.mark.parametrize("file", MODULES, ids=lambda f: f.stem)
-def test_every_file_belongs_to_one_group(file):
-    assert sum(file.stem in group for group in GROUPS) == 1, (
-        f"dynappo/{file.name} is in no group of tests/test_layers.py: say what it may import"
-    )
+@pytest.mark.parametrize("name", [n for n in MODULES if inside(n, WITHOUT_JAX)])
+def test_what_plays_exports_and_checks_settings_needs_no_jax(name):
+    found = {f"{m}: {n}" for m in reached(name) for n in imports(m) if inside(n, JAX)}
+    assert not found
 
 
-@pytest.mark.parametrize("file", CORE, ids=lambda f: f.stem)
-def test_a_file_imports_from_earlier_groups_only(file):
-    earlier = set()
-    for group in GROUPS:
-        if file.stem in group:
-            break
-        earlier |= group
-    wrong = modules_of_ours(file) - earlier - WITHIN.get(file.stem, set())
-    assert not wrong, f"dynappo/{file.name} imports {', '.join(sorted(wrong))}"
+@pytest.mark.parametrize("name", [n for n in MODULES if inside(n, PURE)])
+def test_pure_modules_do_not_print_read_the_clock_or_touch_files(name):
+    reads = name == "physics.robot"
+    banned, modules = (SPEAKS, CLOCKS) if reads else (SPEAKS | FILES, CLOCKS | PATHS)
+    calls = [n.func for n in ast.walk(tree(name)) if isinstance(n, ast.Call)]
+    found = {getattr(f, "id", None) or getattr(f, "attr", None) for f in calls} & banned
+    assert not found and not {n.split(".")[0] for n in imports(name)} & modules
 
 
-def test_the_package_itself_imports_nothing():
-    assert imports(PACKAGE / "__init__.py") <= {"os", "importlib.metadata"}
+def test_nothing_is_too_long_and_every_file_says_what_it_is_for():
+    for folder in FOLDERS:
+        assert len(list(folder.glob("*.py"))) <= MAX_MODULES, folder
+    for name, file in MODULES.items():
+        assert len(file.read_text().splitlines()) <= MAX_FILE, file
+        assert ast.get_docstring(tree(name)), file
+        functions = [n for n in ast.walk(tree(name)) if isinstance(n, ast.FunctionDef)]
+        long = [f.name for f in functions if f.end_lineno - f.lineno >= MAX_FUNCTION]
+        assert not long, f"{file}: {long}"
 
 
-@pytest.mark.parametrize(
-    "file", [f for f in MODULES if f.stem in WITHOUT_JAX], ids=lambda f: f.stem
-)
-def test_what_play_and_validation_need_starts_without_jax(file):
-    names = imports(file)
-    heavy = {"jax", "jaxlib", "flax", "optax", "brax", "chex"}
-    assert not third_party(file) & heavy
-    assert not [name for name in names if name.startswith("mujoco.mjx")]
-    # and so does everything of ours that it imports
-    assert modules_of_ours(file) <= WITHOUT_JAX
+def test_the_method_can_be_read_in_an_hour():
+    method = "algorithm rollout schedule model.dynamics model.examples model.moments"
+    texts = [MODULES[name].read_text() for name in [*method.split(), "learner.ppo", "learner.gae"]]
+    assert sum(text.count("\n") for text in texts) < MAX_METHOD
 
 
-@pytest.mark.parametrize("file", CORE, ids=lambda f: f.stem)
-def test_only_host_files_print_read_the_clock_and_touch_files(file):
-    banned = {"print", "input", "breakpoint", "callback", "pure_callback", "io_callback"}
-    if file.stem not in READ_FILES:
-        banned |= {"open", "read_text", "write_text", "read_bytes", "write_bytes", "mkdir"}
-    found = [f"{name}() in line {line}" for name, line in calls(file) if name in banned]
-    assert not found, f"dynappo/{file.name}: {', '.join(found)}"
-    modules = {name.split(".")[0] for name in imports(file)}
-    clocks = {"time", "datetime", "timeit", "logging", "subprocess", "socket", "threading"}
-    assert not modules & clocks
-    if file.stem not in READ_FILES:
-        assert not modules & {"pathlib", "os", "shutil", "tempfile", "glob"}
-
-
-@pytest.mark.parametrize("file", sorted(CONFIGS.glob("*.py")), ids=lambda f: f.stem)
-def test_config_files_import_ml_collections_and_the_standard_library_only(file):
-    assert third_party(file) <= {"ml_collections"} and not modules_of_ours(file)
-
-
-@pytest.mark.parametrize("file", CORE, ids=lambda f: f.stem)
-def test_core_files_stay_short(file):
-    lines = len(file.read_text().splitlines())
-    assert lines <= MAX_FILE, f"dynappo/{file.name} has {lines} lines, at most {MAX_FILE}"
-
-
-@pytest.mark.parametrize("file", FILES, ids=lambda f: f.stem)
-def test_functions_stay_short(file):
-    functions = [n for n in ast.walk(tree(file)) if isinstance(n, ast.FunctionDef)]
-    lengths = [(f.name, f.end_lineno - f.lineno + 1) for f in functions]
-    long = [f"{name} has {n} lines" for name, n in lengths if n > MAX_FUNCTION]
-    assert not long, f"dynappo/{file.name}: {', '.join(long)}, at most {MAX_FUNCTION}"
-
-
-def test_no_file_is_a_drawer_for_anything():
-    drawers = ("util", "common", "base", "misc", "helper")
-    assert not [f.name for f in FILES if any(word in f.stem for word in drawers)]
-
-
-def test_every_file_says_what_it_is_for():
-    assert not [f.name for f in FILES if not ast.get_docstring(tree(f))]
+@pytest.mark.parametrize("folder", FOLDERS, ids=lambda f: f.name)
+def test_a_folder_says_what_is_in_it_and_who_imports_it(folder):
+    text = ast.get_docstring(tree(folder.name)) or ""
+    names = [f.stem for f in folder.glob("*.py") if not f.stem.startswith("__")]
+    assert "import" in text and not [name for name in names if f"`{name}`" not in text]

@@ -2,14 +2,14 @@
 
 import ast
 import base64
+import importlib
 import os
-import pathlib
 
 import nbformat
 import pytest
+from answers import ROOT
 from nbclient import NotebookClient
 
-ROOT = pathlib.Path(__file__).parents[1]
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 MAX_BYTES, MAX_CELL_LINES = 20_000, 25
 # notebook -> what its cell "parameters" is replaced by
@@ -175,6 +175,23 @@ def test_a_sweep_shows_curves_of_its_seeds_and_of_a_setting():
     for name in ("return", "fall_rate"):  # a number of each seed
         (line,) = [line for line in text.splitlines() if line.startswith(f"{name:15s} [")]
         assert len(line.replace("[", " ").replace("]", " ").split()) == 3, line
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
+def test_a_notebook_uses_only_what_there_is(path):
+    """Every module of dynappo that it imports, and every name that it takes from one."""
+    nodes = [n for cell in code(read(path)) for n in ast.walk(ast.parse(cell.source))]
+    modules = {}
+    for node in nodes:
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("dynappo"):
+            for alias in node.names:
+                name = f"{node.module}.{alias.name}"
+                found = getattr(importlib.import_module(node.module), alias.name, None)
+                modules[alias.asname or alias.name] = found or importlib.import_module(name)
+    used = [n for n in nodes if isinstance(n, ast.Attribute) and isinstance(n.value, ast.Name)]
+    taken = {(n.value.id, n.attr) for n in used if n.value.id in modules}
+    missing = [f"{name}.{attr}" for name, attr in taken if not hasattr(modules[name], attr)]
+    assert taken and not missing
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)

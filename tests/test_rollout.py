@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import toy_env
+from toy_runs import assert_same, leaves
 
 from dynappo import algorithm, rollout
 from dynappo.types import Outcome
@@ -30,24 +31,24 @@ def env():
 
 
 @pytest.fixture(scope="module")
-def task():
-    """The floats of the task."""
-    return toy_env.settings()[2].task
+def hyper():
+    """The floats of the config."""
+    return toy_env.settings()[2]
 
 
 @pytest.fixture(scope="module")
-def start(env, task):
-    """`(physics, state)` of R robots."""
+def start(env, hyper):
+    """`(bodies, state)` of R robots."""
     keys = jax.random.split(jax.random.key(1), R)
-    physics = jax.vmap(env.randomize, (None, 0))(task, keys)
-    return physics, jax.vmap(env.reset, (None, 0, 0))(task, physics, keys)
+    bodies = jax.vmap(env.randomize, (None, 0))(hyper, keys)
+    return bodies, jax.vmap(env.reset, (None, 0, 0))(hyper, bodies, keys)
 
 
 @pytest.fixture(scope="module")
-def fill(env, task):
-    """`fill(buffer, lo, hi, physics, state, robot_index)`, compiled once."""
+def fill(env, hyper):
+    """`fill(buffer, lo, hi, bodies, state, robot_index)`, compiled once."""
 
-    def call(buffer, lo, hi, physics, state, robot_index):
+    def call(buffer, lo, hi, bodies, state, robot_index):
         return rollout.fill(
             buffer,
             lo,
@@ -55,7 +56,7 @@ def fill(env, task):
             state,
             rollout.row_keys(jax.random.key(5), robot_index),
             act=act,
-            step=algorithm.physics_step(env, task, physics),
+            step=algorithm.physics_step(env, hyper, bodies),
             metrics=env.metrics,
         )
 
@@ -66,16 +67,6 @@ def fill(env, task):
 def blank(env):
     """A buffer in which every number is recognisable as not written."""
     return jax.tree.map(lambda x: jnp.full_like(x, BLANK), rollout.allocate(env, N, R))
-
-
-def leaves(tree):
-    """`{path: NumPy array}` of a pytree without keys."""
-    return {jax.tree_util.keystr(k): np.asarray(x) for k, x in jax.tree.leaves_with_path(tree)}
-
-
-def assert_same(one, other):
-    """Two pytrees are equal to the bit."""
-    jax.tree.map(np.testing.assert_array_equal, leaves(one), leaves(other))
 
 
 def test_an_allocated_buffer_has_rows_of_all_robots(env):
@@ -97,18 +88,18 @@ def test_exactly_the_rows_from_lo_to_hi_are_written(fill, blank, start, lo, hi):
         np.testing.assert_array_equal(written.any(1), expected, name)
 
 
-def test_rows_are_those_of_a_loop_over_single_steps(fill, blank, start, env, task):
+def test_rows_are_those_of_a_loop_over_single_steps(fill, blank, start, env, hyper):
     """Policy, step, reset, one row and one robot at a time, with the documented meanings."""
     buffer, after, _ = fill(blank, 0, N, *start, jnp.arange(R))
     buffer, after = leaves(buffer), leaves(after)
     step, autoreset = jax.jit(env.step), jax.jit(env.autoreset)
     key, ended = jax.random.key(5), 0
     for robot in range(2):
-        physics, state = jax.tree.map(lambda x, robot=robot: x[robot], start)
+        body, state = jax.tree.map(lambda x, robot=robot: x[robot], start)
         for t in range(N):
             row = jax.random.fold_in(jax.random.fold_in(key, t), robot)
             action, mean, log_prob, value = (x[0] for x in act(state.obs[None], row[None]))
-            old, (state, outcome) = state, step(task, physics, state, action, _fold(row, "STEP"))
+            old, (state, outcome) = state, step(hyper, body, state, action, _fold(row, "STEP"))
             expected = {
                 ".obs": old.obs,
                 ".prop": old.prop,
@@ -121,7 +112,7 @@ def test_rows_are_those_of_a_loop_over_single_steps(fill, blank, start, env, tas
             for name, x in expected.items():
                 np.testing.assert_allclose(buffer[name][t, robot], x, 1e-5, 1e-5, err_msg=name)
             ended += bool(outcome.discount == 0) + bool(outcome.truncation == 1)
-            state = autoreset(task, physics, state, outcome, _fold(row, "RESET"))
+            state = autoreset(hyper, body, state, outcome, _fold(row, "RESET"))
         for name, x in leaves(state).items():
             np.testing.assert_allclose(after[name][robot], x, 1e-5, 1e-5, err_msg=name)
     assert ended >= 3  # or the resets were not tried
@@ -141,21 +132,6 @@ def test_metrics_are_summed_over_the_rows_written(fill, blank, start):
     np.testing.assert_allclose(total, rows.reward.sum(), 1e-5, 1e-5)
 
 
-def test_metrics_that_nobody_asks_for_are_not_summed(env, task, start):
-    """Without the argument `metrics` there are none, whatever the outcomes hold."""
-    physics, state = start
-    _, _, sums = rollout.fill(
-        rollout.allocate(env, N, R),
-        0,
-        1,
-        state,
-        rollout.row_keys(jax.random.key(5), jnp.arange(R)),
-        act=act,
-        step=algorithm.physics_step(env, task, physics),
-    )
-    assert sums == {}
-
-
 def test_a_row_does_not_depend_on_how_many_rows_are_real(fill, blank, start):
     """The first 3 rows of 3 and of 7 have the same bits."""
     short, _, _ = fill(blank, 0, 3, *start, jnp.arange(R))
@@ -165,10 +141,10 @@ def test_a_row_does_not_depend_on_how_many_rows_are_real(fill, blank, start):
 
 def test_filling_in_two_parts_is_filling_at_once(fill, blank, start):
     """Rows [0, 3) and then [3, 8) from the state that the first part left, to the bit."""
-    physics, state = start
-    whole, last, _ = fill(blank, 0, N, physics, state, jnp.arange(R))
-    part, middle, _ = fill(blank, 0, 3, physics, state, jnp.arange(R))
-    part, end, _ = fill(part, 3, N, physics, middle, jnp.arange(R))
+    bodies, state = start
+    whole, last, _ = fill(blank, 0, N, bodies, state, jnp.arange(R))
+    part, middle, _ = fill(blank, 0, 3, bodies, state, jnp.arange(R))
+    part, end, _ = fill(part, 3, N, bodies, middle, jnp.arange(R))
     assert_same(whole, part)
     assert_same(last, end)
 
@@ -201,19 +177,23 @@ class OnlyObs(NamedTuple):
 
 
 def test_of_the_state_only_the_observation_is_read(env):
-    """A state that has no other field will do; the seam lies at the observation carried in."""
+    """A state that has no other field will do; the seam lies at the observation carried in.
+
+    And metrics that nobody asks for are not summed, whatever the outcomes hold.
+    """
 
     def step(state, action, keys):
         obs = state.obs + 1
         one = jnp.ones(R)
-        return OnlyObs(obs), Outcome(one, one, one * 0, obs, obs[:, :3], one, one, one, {})
+        return OnlyObs(obs), Outcome(one, one, one * 0, obs, obs[:, :3], one, one, one, {"x": one})
 
     call = partial(rollout.fill, act=act, step=step)
     first = OnlyObs(jnp.arange(R * env.obs_size, dtype=jnp.float32).reshape(R, -1))
     keys = rollout.row_keys(jax.random.key(5), jnp.arange(R))
-    buffer, after, _ = jax.jit(
+    buffer, after, sums = jax.jit(
         lambda lo, hi: call(rollout.allocate(env, N, R), lo, hi, first, keys)
     )(5, 7)
     np.testing.assert_array_equal(buffer.obs[5], first.obs)
     np.testing.assert_array_equal(buffer.obs[6], buffer.next_obs[5])
     np.testing.assert_array_equal(after.obs, first.obs + 2)
+    assert sums == {}

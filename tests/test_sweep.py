@@ -1,6 +1,6 @@
 """Seeds by vmap and devices by a mesh: the numbers are those of one seed on one device."""
 
-import functools
+import math
 import re
 from functools import partial
 
@@ -10,10 +10,12 @@ import numpy as np
 import pytest
 import toy_env
 from jax.sharding import NamedSharding, PartitionSpec
+from toy_runs import leaves
 
-from dynappo import algorithm, schedule, sweep
+from dynappo import algorithm, evaluation, schedule, sweep
 
-SEEDS = 4
+SEEDS, SHAPE = 4, (2, 4)  # two seeds, and a quarter of their robots, on each of 2 x 4 devices
+VALUES = (1e-3, 3e-4, 1e-4, 3e-3)
 
 
 @pytest.fixture(scope="module")
@@ -25,151 +27,194 @@ def toy():
 
 
 @pytest.fixture(scope="module")
-def train(toy):
-    """`f(shape of a mesh, seeds, hyper) -> (state, metrics, text of the program)`, six iterations."""
-    env, static, default, columns = toy
-
-    @functools.cache
-    def run(shape=None, seeds=1, hyper=default):
-        mesh = shape and sweep.mesh(*shape)
-        many, placed = seeds > 1, env._replace(mesh=mesh)
-        init = partial((sweep if many else algorithm).init, placed, static=static)
-        step = partial((sweep if many else algorithm).run, placed, static=static)
-        key = sweep.keys(0, seeds) if many else jax.random.key(0)
-        if mesh is None:
-            program = jax.jit(step).lower(hyper, jax.eval_shape(init, hyper, key), columns)
-            state = jax.jit(init)(hyper, key)
-        else:
-            spread = sweep.shardings(mesh, jax.eval_shape(init, hyper, key), seeds)
-            state = jax.jit(init, out_shardings=spread)(hyper, key)
-            out = (spread, NamedSharding(mesh, PartitionSpec()))
-            program = jax.jit(step, out_shardings=out).lower(hyper, state, columns)
-        program = program.compile()
-        state, metrics = program(hyper, state, columns)
-        return state, jax.device_get(metrics), program.as_text()
-
-    return run
-
-
-@pytest.fixture(scope="module")
 def single(toy):
     """`f(seed, hyper) -> (state, metrics)` of a run without vmap, by one program."""
     env, static, default, columns = toy
-    program = jax.jit(partial(algorithm.run, env, static=static))
+    init, step = (jax.jit(partial(f, env, static=static)) for f in (algorithm.init, algorithm.run))
 
     def run(seed=0, hyper=default):
-        state = algorithm.init(env, hyper, jax.random.key(seed), static=static)
-        return jax.device_get(program(jax.tree.map(jnp.asarray, hyper), state, columns))
+        hyper = jax.tree.map(jnp.asarray, hyper)
+        return jax.device_get(step(hyper, init(hyper, jax.random.key(seed)), columns))
 
     return run
 
 
 @pytest.fixture(scope="module")
-def alone(train, single):
-    """One seed, and four seeds, on one device."""
-    return {1: single(), SEEDS: train(seeds=SEEDS)[:2]}
+def start(toy):
+    """The first states of four seeds."""
+    env, static, hyper, _ = toy
+    return jax.jit(partial(sweep.init, env, static=static))(hyper, sweep.keys(0, SEEDS))
 
 
-def same(found, expected, rtol=1e-4):
+@pytest.fixture(scope="module")
+def together(toy, start):
+    """`(state, metrics)` of four seeds on one device."""
+    env, static, hyper, columns = toy
+    return jax.jit(partial(sweep.run, env, static=static))(hyper, start, columns)
+
+
+@pytest.fixture(scope="module")
+def swept(toy):
+    """`(hyper, [hyper of each seed])`: two fields with a value for each of four seeds."""
+    hyper = toy[2]
+    fields = ("model.learning_rate", "ppo.entropy_coef")
+    alone = []
+    for value in VALUES:
+        model, ppo = hyper.model._replace(learning_rate=value), hyper.ppo
+        alone.append(hyper._replace(model=model, ppo=ppo._replace(entropy_coef=value)))
+    for field in fields:
+        hyper = sweep.vary(hyper, field, VALUES)
+    return hyper, alone
+
+
+def on_a_mesh(toy, shape, step, hyper, state, seeds):
+    """`(state, metrics, text of the program)` of a run on a mesh."""
+    env, static, _, columns = toy
+    mesh = sweep.mesh(*shape)
+    spread = sweep.shardings(mesh, state, seeds)
+    out = (spread, NamedSharding(mesh, PartitionSpec()))
+    step = partial(step, env._replace(mesh=mesh), static=static)
+    state = jax.device_put(state, spread)
+    program = jax.jit(step, out_shardings=out).lower(hyper, state, columns).compile()
+    state, metrics = program(hyper, state, columns)
+    return state, jax.device_get(metrics), program.as_text()
+
+
+@pytest.fixture(scope="module")
+def mesh_of_robots(toy):
+    """One seed whose robots lie on eight devices."""
+    env, static, hyper, _ = toy
+    state = jax.jit(partial(algorithm.init, env, static=static))(hyper, jax.random.key(0))
+    return on_a_mesh(toy, (1, 8), algorithm.run, hyper, state, 1)
+
+
+@pytest.fixture(scope="module")
+def mesh_of_both(toy, swept, start):
+    """Four seeds, each with values of its own, on 2 x 4 devices."""
+    return on_a_mesh(toy, SHAPE, sweep.run, swept[0], start, SEEDS)
+
+
+def same(found, expected, rtol=1e-4, atol=2e-5):
     """Every number, to float tolerance; a learning rate that took another step is 50 % off."""
+    found, expected = leaves(found), leaves(expected)
+    assert found.keys() == expected.keys()
     for name, value in expected.items():
-        np.testing.assert_allclose(
-            found[name], value, rtol=rtol, atol=2e-5, err_msg=name, equal_nan=True
-        )
+        np.testing.assert_allclose(found[name], value, rtol, atol, err_msg=name, equal_nan=True)
 
 
-@pytest.mark.parametrize(("seeds", "shape"), [(1, (1, 8)), (SEEDS, (4, 1)), (SEEDS, (2, 4))])
-def test_a_mesh_computes_what_one_device_computes(train, alone, seeds, shape):
+def one_of(tree, seed, axis=0):
+    """The part of one seed."""
+    return jax.tree.map(
+        lambda x: x.take(seed, axis) if isinstance(x, np.ndarray) else x[seed], tree
+    )
+
+
+def test_robots_on_eight_devices_compute_what_one_device_computes(mesh_of_robots, single):
     """E devices with R robots each are one device with E R robots, over six iterations: every
     metric, the learning rate's path, and every array of the state."""
-    state, metrics, _ = train(shape, seeds)
-    expected_state, expected = alone[seeds]
+    (state, metrics, _), (expected_state, expected) = mesh_of_robots, single()
     assert len(np.unique(expected["learning_rate"])) > 2  # the path has turns to get wrong
     same(metrics, expected)
-    for leaf, value in zip(jax.tree.leaves(state), jax.tree.leaves(expected_state), strict=True):
-        if not jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key):
-            np.testing.assert_allclose(leaf, value, rtol=2e-3, atol=2e-4, equal_nan=True)
+    same(state, expected_state, 2e-3, 2e-4)
+
+
+@pytest.mark.parametrize("seed", range(SEEDS))
+def test_a_seed_of_a_sweep_on_a_mesh_is_its_run_alone(mesh_of_both, swept, single, seed):
+    """With values of its own for two fields: every metric, and every array of the state."""
+    state, metrics, _ = mesh_of_both
+    expected_state, expected = single(seed, swept[1][seed])
+    same(one_of(metrics, seed, 1), expected)
+    same(one_of(state, seed), expected_state, 2e-3, 2e-4)
+    assert len(np.unique(metrics["model_loss"][-1])) == SEEDS
+
+
+@pytest.mark.parametrize("seed", range(SEEDS))
+def test_a_seed_among_others_is_the_run_of_that_seed(single, together, seed):
+    """Metrics to 1e-5 over five iterations, with the same learning rates."""
+    state, metrics = jax.device_get(together)
+    expected_state, expected = single(seed)
+    same(*(jax.tree.map(lambda x: x[:5], m) for m in (one_of(metrics, seed, 1), expected)), 1e-5)
+    same(one_of(state, seed), expected_state, 2e-3, 2e-4)
+
+
+def test_an_evaluation_of_a_sweep_is_that_of_each_seed_in_the_same_episodes(toy, together, swept):
+    env, static, hyper, _ = toy
+    sizes = dict(static=static, num_envs=8, num_steps=15)
+    params, key = together[0].learner.params, jax.random.key(3)
+    found = jax.jit(partial(sweep.evaluate, env, **sizes))(swept[0], params, key)
+    one = jax.jit(partial(evaluation.evaluate, env, **sizes))
+    for seed in range(SEEDS):
+        same(one_of(jax.device_get(found), seed), one(hyper, one_of(params, seed), key), 1e-5)
+    assert len(np.unique(found["return"])) == SEEDS
 
 
 @pytest.mark.slow
 def test_a_tail_with_everything_on_is_the_same_on_a_mesh():
-    """Noise, bounds (a minimum over robots), falls, known rewards and weights: 2 x 4 devices."""
+    """Noise, bounds (a minimum over robots), falls and their weights, known rewards."""
     names = ("clean", "known_reward", "falls", "bounds")
-    fields = {f"model.{name}": True for name in names} | {"ppo.tail_weight": 0.5}
+    fields = {f"model.{name}": True for name in names}
     fields |= toy_env.TAIL | {"rollout.num_envs": 64, "ppo.shuffle_blocks": 8}
     config, static, hyper = toy_env.settings(fields)
-    env, columns = toy_env.make(), schedule.columns(config)
-    init, run = (partial(f, env, static=static) for f in (sweep.init, sweep.run))
-    state = jax.jit(init)(hyper, sweep.keys(0, 2))
-    expected = jax.jit(run)(hyper, state, columns)[1]
-    mesh = sweep.mesh(2, 4)
-    with jax.set_mesh(mesh):
-        spread = sweep.shardings(mesh, state, 2)
-        state = jax.jit(init, out_shardings=spread)(hyper, sweep.keys(0, 2))
-        out = (spread, NamedSharding(mesh, PartitionSpec()))
-        found = jax.jit(run, out_shardings=out)(hyper, state, columns)[1]
+    toy = toy_env.make(), static, hyper, schedule.columns(config)
+    state = jax.jit(partial(sweep.init, toy[0], static=static))(hyper, sweep.keys(0, 2))
+    _, expected = jax.jit(partial(sweep.run, toy[0], static=static))(hyper, state, toy[3])
+    _, found, _ = on_a_mesh(toy, SHAPE, sweep.run, hyper, state, 2)
     assert expected["tail_falls"][-1].min() > 0
-    same(jax.device_get(found), jax.device_get(expected))
+    same(found, jax.device_get(expected))
 
 
-def test_robots_lie_on_their_devices_and_networks_on_all(train):
+def test_robots_lie_on_their_devices_and_networks_on_all(mesh_of_both):
     """After a run each of 2 x 4 devices holds two seeds, a quarter of their robots, whole networks."""
-    state, _, _ = train((2, 4), SEEDS)
+    state, _, _ = mesh_of_both
     shards = state.env_state.obs.addressable_shards
     assert len(shards) == 8 and {s.data.shape for s in shards} == {
         (2, 16, state.env_state.obs.shape[-1])
     }
+    for x in (state.params_physics, state.robot_index):
+        assert {s.data.shape for s in x.addressable_shards} == {(2, 16)}
     std = state.learner.params["std"]
     assert {s.data.shape for s in std.addressable_shards} == {(2, *std.shape[1:])}
 
 
 def messages(text):
-    """`(kind, elements)` of what devices send each other inside loops of a program."""
-    out = []
+    """`(kind, elements, line)` of what devices send each other inside loops of a program."""
     for line in text.splitlines():
         found = re.search(r" = (.*?) (all-\w+|collective-permute|reduce-scatter)(-start)?\(", line)
         if found and "while/body" in line:
             shapes = re.findall(r"\w+\[([\d,]*)\]", found[1])
-            out.append(
-                (found[2], sum(int(np.prod([int(n) for n in s.split(",") if n])) for s in shapes))
-            )
-    return out
+            sizes = [int(np.prod([int(n) for n in s.split(",") if n])) for s in shapes]
+            yield found[2], sum(sizes), line
 
 
-def test_seeds_on_devices_of_their_own_send_nothing(train):
-    """No message in any loop: four seeds on four devices are four runs."""
-    assert not messages(train((4, 1), SEEDS)[2])
+def talking(line):
+    """The groups of devices of a message, in either way that XLA writes them."""
+    mesh = re.search(r"replica_groups=mesh\[(.*?)\] \{(.*?)\}", line)
+    if mesh:
+        axes = {name: int(size) for name, size in re.findall(r"'(\w+)'=(\d+)", mesh[1])}
+        used = [list(axes).index(name) for name in re.findall(r"'(\w+)'", mesh[2])]
+        grid = np.moveaxis(np.arange(8).reshape(*axes.values()), used, range(-len(used), 0))
+        return grid.reshape(-1, math.prod(grid.shape[-len(used) :]))
+    rows, size = re.search(r"replica_groups=\[(\d+),(\d+)\]<=\[8\][^T]", line).groups()
+    return np.arange(8).reshape(int(rows), int(size))
 
 
-def test_robots_on_devices_of_their_own_send_sums_and_finished_episodes_only(train, toy):
+def test_seeds_on_devices_of_their_own_send_each_other_nothing(mesh_of_both):
+    """In loops every message stays among the four devices of one row of the mesh."""
+    groups = [group for *_, line in messages(mesh_of_both[2]) for group in talking(line)]
+    assert len(groups) > 10 and all(len({device // 4 for device in group}) == 1 for group in groups)
+    assert any(len(group) == 4 for group in groups)
+
+
+def test_robots_on_devices_of_their_own_send_sums_and_finished_episodes_only(mesh_of_robots, toy):
     """No row of a rollout travels: gradients and moments are sums, and of rows only reward-sized
     numbers [N, R] are gathered, for the mean return of the last 100 episodes."""
     env, static, _, _ = toy
     rows = static.rollout.horizon * static.rollout.num_envs
-    sent = messages(train((1, 8), 1)[2])
+    sent = [message[:2] for message in messages(mesh_of_robots[2])]
     assert any(kind == "all-reduce" for kind, _ in sent)
     assert all(kind in ("all-reduce", "all-gather") for kind, _ in sent)
     assert max(size for kind, size in sent if kind == "all-gather") <= rows
     assert rows * env.obs_size > max(size for _, size in sent)
-
-
-def test_seed_k_of_a_sweep_is_the_run_of_that_seed(single, alone):
-    """To 1e-5 over five iterations, with the same learning rates."""
-    for k in range(SEEDS):
-        five = {name: value[:5] for name, value in single(k)[1].items()}
-        same({name: value[:5, k] for name, value in alone[SEEDS][1].items()}, five, rtol=1e-5)
-
-
-def test_a_float_of_the_config_can_differ_between_seeds(toy, train, single):
-    """Two fields with a value for each of four seeds: each is the run with those values."""
-    hyper = toy[2]
-    values = (1e-3, 3e-4, 1e-4, 3e-3)
-    swept = sweep.vary(sweep.vary(hyper, "model.learning_rate", values), "ppo.entropy_coef", values)
-    _, metrics, _ = train.__wrapped__(seeds=SEEDS, hyper=swept)
-    model = hyper.model._replace(learning_rate=values[2])
-    one = hyper._replace(model=model, ppo=hyper.ppo._replace(entropy_coef=values[2]))
-    same({name: value[:, 2] for name, value in metrics.items()}, single(2, one)[1])
-    assert len(np.unique(metrics["model_loss"][-1])) == SEEDS
 
 
 @pytest.mark.parametrize(

@@ -1,9 +1,9 @@
 """Environments without MuJoCo, small enough to be computed by hand and compiled at once.
 
 `make` has every part of the velocity task's contract: predicted and copied observations, noise,
-randomised bodies, falls, time limits, blow-ups, aged starts. `like_model` is an environment that
+bodies of their own, falls, time limits, blow-ups, aged starts. `like_model` is an environment that
 equals a transition model. `probe` makes environments whose values are known in closed form.
-`settings` is a small valid config for them, split.
+`settings` is a small valid config for them, split; toy_runs.py runs them.
 """
 
 import functools
@@ -37,9 +37,17 @@ class State:
     episode_return: jax.Array
 
 
+def configure(fields, spec):
+    """The valid config of `spec` with `fields` (dotted names) set."""
+    config = config_lib.load(spec)
+    for name, value in (fields or {}).items():
+        group, _, leaf = name.rpartition(".")
+        functools.reduce(lambda node, key: node[key], group.split("."), config)[leaf] = value
+    return config_lib.validate(config)
+
+
 def settings(fields=None, variant="ppo12"):
-    """`(config, static, hyper)`: 16 robots, 8 rows, narrow networks, and `fields` (dotted) set."""
-    config = config_lib.load("configs/go1.py" + (f":{variant}" if variant else ""))
+    """`(config, static, hyper)`: 16 robots, 8 rows, narrow networks, and `fields` set."""
     small = {
         "rollout.num_envs": 16,
         "rollout.horizon": 8,
@@ -54,10 +62,9 @@ def settings(fields=None, variant="ppo12"):
         "ppo.shuffle_blocks": 2,
         "task.episode_length": 20,
     }
-    for name, value in (small | (fields or {})).items():
-        group, _, leaf = name.rpartition(".")
-        functools.reduce(lambda node, key: node[key], group.split("."), config)[leaf] = value
-    config = config_lib.validate(config)
+    config = configure(
+        small | (fields or {}), "configs/go1.py" + (f":{variant}" if variant else "")
+    )
     return config, *config_lib.split(config)
 
 
@@ -69,27 +76,28 @@ TAIL = {  # from no tail to half of the rows within the six iterations
 }
 
 
-def make(*, episode_length: int = 20, aged: bool = True, blowup_action: float = jnp.inf) -> Env:
+@functools.cache
+def make(*, episode_length: int = 20, aged: bool = True) -> Env:
     """A robot with a speed to hold and an unstable tilt.
 
-    Of `hyper.task` it reads `command_x`, `noise.joint_pos` and `randomize.base_mass`. A first
-    action above `blowup_action` leaves a state of NaN behind, as a diverged solver does.
+    Of `hyper.task` it reads `command_x`, `noise.joint_pos`, `randomize.base_mass`, and `effort_limit`:
+    a first action above that leaves a state of NaN behind, as a diverged solver does.
     """
     a, b = jnp.asarray(A), jnp.asarray(B)
 
     def randomize(hyper, key):
-        low, high = hyper.randomize.base_mass
+        low, high = hyper.task.randomize.base_mass
         return 10.0 / (10.0 + jax.random.uniform(key, (), minval=low, maxval=high))
 
     def observe(hyper, prop, command, last_action, key):
         noise = jax.random.uniform(key, prop.shape, minval=-1.0, maxval=1.0)
-        noisy = prop + noise * hyper.noise.joint_pos
+        noisy = prop + noise * hyper.task.noise.joint_pos
         return jnp.concatenate([noisy, command[None], last_action])
 
     def fresh(hyper, key):
         start_key, command_key, noise_key = jax.random.split(key, 3)
         prop = jax.random.uniform(start_key, (3,), minval=-START, maxval=START)
-        low, high = hyper.command_x
+        low, high = hyper.task.command_x
         command = jax.random.uniform(command_key, (), minval=low, maxval=high)
         return State(
             prop=prop,
@@ -108,7 +116,7 @@ def make(*, episode_length: int = 20, aged: bool = True, blowup_action: float = 
 
     def step(hyper, body, state, action, key):
         prop = a @ state.prop + body * (b @ action)
-        prop = jnp.where(action[0] > blowup_action, jnp.nan, prop)
+        prop = jnp.where(action[0] > hyper.task.effort_limit, jnp.nan, prop)
         ok = jnp.isfinite(prop).all()
         error = jnp.where(ok, (prop[0] - state.command) ** 2, 0.0)
         tracking, effort = jnp.where(ok, 1.0 - error, 0.0), -0.01 * (action**2).sum() * ok
@@ -138,14 +146,12 @@ def make(*, episode_length: int = 20, aged: bool = True, blowup_action: float = 
         autoreset=autoreset,
         context=lambda obs, action: jnp.concatenate([obs[..., 3:4], action], -1),
         noise=lambda hyper, key: (
-            hyper.noise.joint_pos * jax.random.uniform(key, (3,), minval=-1.0, maxval=1.0)
+            hyper.task.noise.joint_pos * jax.random.uniform(key, (3,), minval=-1.0, maxval=1.0)
         ),
-        private=lambda body, state: jnp.stack([body, body**2]),
         known_reward=lambda hyper, obs, action, prop: DT * (1.0 - (prop[0] - obs[3]) ** 2),
         metrics=METRICS,
         obs_size=6,
         prop_size=3,
-        private_size=2,
         action_size=2,
         dt=DT,
         episode_length=episode_length,
@@ -172,11 +178,11 @@ def _choose(outcome, fresh, state):
 
 
 def like_model(static, model) -> Env:
-    """An environment that is the transition model: no noise, no end, `static` is group `model`."""
+    """An environment that is the transition model: no noise, no end."""
     env = make(aged=False)
 
     def step(hyper, body, state, action, key):
-        obs, reward, _ = dynamics.predict(static, env, model, state.obs, action)
+        obs, reward, _ = dynamics.predict(static, hyper, env, model, state.obs, action)
         after = state.replace(prop=obs[:3], obs=obs, last_action=action)
         none = jnp.zeros(())
         return after, _outcome(after, reward, none, none, dict.fromkeys(METRICS, none))
@@ -217,12 +223,13 @@ class ProbeState(NamedTuple):
 def probe() -> Env:
     """The environment whose `hyper.task` is a `Case`; observation and action are one number."""
 
-    def reset(case, body, key):
+    def reset(hyper, body, key):
         sign = 1.0 - 2.0 * jax.random.bernoulli(key)
-        return ProbeState((case.random * sign)[None], jnp.zeros((), jnp.int32), jnp.zeros(()))
+        start = (hyper.task.random * sign)[None]
+        return ProbeState(start, jnp.zeros((), jnp.int32), jnp.zeros(()))
 
-    def step(case, body, state, action, key):
-        count = state.steps + 1
+    def step(hyper, body, state, action, key):
+        case, count = hyper.task, state.steps + 1
         end = (count == case.steps) * 1.0
         obs, error = state.obs[0], action[0] - case.aim - case.follow * state.obs[0]
         reward = case.each + case.ending * end + case.gain * obs - case.cost * error**2
@@ -241,13 +248,13 @@ def probe() -> Env:
         return after, outcome
 
     return Env(
-        randomize=lambda case, key: jnp.zeros(()),
+        randomize=lambda hyper, key: jnp.zeros(()),
         reset=reset,
         step=step,
-        autoreset=lambda c, p, state, outcome, key: _choose(outcome, reset(c, p, key), state),
+        autoreset=lambda h, b, state, outcome, key: _choose(outcome, reset(h, b, key), state),
         context=lambda obs, action: obs[..., :0],
-        noise=lambda case, key: jnp.zeros(1),
-        known_reward=lambda case, obs, action, next_prop: jnp.zeros(()),
+        noise=lambda hyper, key: jnp.zeros(1),
+        known_reward=lambda hyper, obs, action, next_prop: jnp.zeros(()),
         metrics=(),
         obs_size=1,
         prop_size=1,

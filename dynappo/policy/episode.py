@@ -25,7 +25,7 @@ from dynappo.physics import robot as robot_lib
 from dynappo.policy.policy_file import Policy
 from dynappo.task import observe
 
-SETTLE = 1.0  # s, left out of the tracking error, as in evaluate.py
+SETTLE = 1.0  # s, left out of the tracking error, as in dynappo/evaluation.py
 STRIDE = 0.5  # s between the points of the path walked, so that sway is no distance
 # (seconds share, command vx, vy, yaw rate): what is shown where no command is given
 TOUR = (

@@ -41,7 +41,7 @@ def check(config) -> None:
 
     devices.engine(config)
     robot.load(config.robot)
-    memory.check(config, memory.limit(devices.find(config.run.device)[0]))
+    memory.check(config, memory.limit(devices.here(config.run.device)))
 
 
 def program(config) -> Program:
@@ -60,9 +60,9 @@ def program(config) -> Program:
 
     began = time.perf_counter()
     static, hyper = config_lib.split(config)
-    robot, run, here = robot_lib.load(config.robot), config.run, devices.find(config.run.device)
-    mesh = sweep.mesh(run.mesh_seed, run.mesh_env, here)
-    with jax.default_device(next(d for d in here if d.process_index == jax.process_index())):
+    robot, run = robot_lib.load(config.robot), config.run
+    mesh = sweep.mesh(run.mesh_seed, run.mesh_env, devices.find(run.device))
+    with jax.default_device(devices.here(run.device)):
         env = env_lib.make(robot, config.task, config.physics, impl=impl)._replace(mesh=mesh)
     episodes = dict(static=static, num_envs=run.eval_envs, num_steps=config.task.episode_length)
     init = partial(algorithm.init, env, static=static)
@@ -105,7 +105,7 @@ def program(config) -> Program:
         assess=judge,
         place=partial(jax.device_put, device=spread),
         impl=impl,
-        device=f"{here[0].device_kind}",
+        device=devices.here(run.device).device_kind,
         bytes_needed=size,
         compile_seconds=time.perf_counter() - began,
     )

@@ -37,6 +37,13 @@ def find(device: str) -> list:
     return jax.devices()
 
 
+def here(device: str):
+    """The first of these devices that belongs to this process."""
+    import jax
+
+    return next(d for d in find(device) if d.process_index == jax.process_index())
+
+
 def engine(config) -> str:
     """The engine that `physics.impl` means here, "jax" or "warp"; ConfigError if it cannot run."""
     import jax

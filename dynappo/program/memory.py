@@ -16,7 +16,7 @@ from dynappo.task import observe
 
 OBS, ACTION = observe.PROP_SIZE + observe.CONTEXT_SIZE, 12
 ROW = 4 * (2 * OBS + 2 * ACTION + 2 * observe.PROP_SIZE + 8)  # bytes of a types.Transition
-STATE = 4 * 178  # bytes of an EnvState, and of the robot's own body
+STATE = 4 * 177  # bytes of an EnvState, and of the robot's own body
 CURE = "lower one of them, or use more devices (run.mesh_seed, run.mesh_env)"
 
 

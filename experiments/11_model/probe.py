@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from dynappo import algorithm
 from dynappo.model import dynamics, examples
 from dynappo.task import observe
 

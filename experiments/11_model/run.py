@@ -33,7 +33,7 @@ def measure(folder: Path, quick: bool, lock: Path | None) -> None:
     settings = (f"run.log_every={EVERY}", "run.eval_envs=0", "run.checkpoint_every=0")
     config = run.configure("go1:dyna4", 2 if quick else SEEDS, paper.QUICK if quick else settings)
     losses, errors, began, program, ask = [], [], time.perf_counter(), None, None
-    for program, done, state, metrics in paper.chunks(config, lock):
+    for program, done, state, metrics in run.chunks(config, lock):
         for i in range(EVERY):
             for s, values in enumerate(zip(*(metrics[n][i] for n in plot.LOSSES), strict=True)):
                 row = {"iteration": done - EVERY + i + 1, "seed": s}

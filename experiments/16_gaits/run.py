@@ -56,7 +56,7 @@ def keep(folder: Path, variant: str, at, seeds: int, settings, lock=None) -> Non
     """Train, and write the actor of every seed at the iterations `at`."""
     folder.mkdir(parents=True, exist_ok=True)
     config = run.configure(f"go1:{variant}", seeds, settings)
-    for program, done, state, _ in paper.chunks(config, lock):
+    for program, done, state, _ in run.chunks(config, lock):
         if done in at:
             actor = jax.device_get(state.learner.params["actor"])
             for s in range(seeds):

@@ -1,14 +1,11 @@
-"""What the bench reads and how it computes its numbers; times themselves are not tested."""
+"""The command `python -m dynappo.bench`: what it reads, prints and writes."""
 
-from types import SimpleNamespace
+import json
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
-import toy_env
+from answers import mistake, status
 
-from dynappo import algorithm
 from dynappo.bench import command as bench_command
 
 GO1 = "--config=configs/go1.py:quick"
@@ -27,12 +24,8 @@ GO1 = "--config=configs/go1.py:quick"
         ([GO1, "--out=/no/folder/b.json"], "--out=/no/folder/b.json: cannot write there"),
     ],
 )
-def test_a_wrong_flag_is_one_line_and_status_2(argv, text, capsys):
-    with pytest.raises(SystemExit) as stopped:
-        bench_command.main(argv)
-    err = capsys.readouterr().err
-    assert stopped.value.code == 2 and err.startswith("dynappo: ") and err.count("\n") == 1
-    assert text in err
+def test_a_mistake_is_one_line_and_status_2(argv, text, capsys):
+    assert text in mistake(bench_command.main, argv, capsys)
 
 
 def test_flags_hold_for_both_configs_and_one_seed_is_measured():
@@ -46,79 +39,44 @@ def test_flags_hold_for_both_configs_and_one_seed_is_measured():
     assert one.run.num_seeds == other.run.num_seeds == 1
 
 
-def clockwork(monkeypatch, seconds):
-    """Programs whose chunk of 2 iterations takes `seconds[name]`, on a clock of our own."""
-    now = [0.0]
-    monkeypatch.setattr(bench_command.time, "perf_counter", lambda: now[0])
+class Program:
+    """Of a run that is not compiled."""
 
-    def program(name):
-        def step(hyper, state, columns):
-            assert (np.array(columns["n_real"]) == 5).all()  # as the schedule ends
-            now[0] += seconds[name]
-            return state
-
-        columns = {"iteration": np.arange(1, 5), "n_real": np.array([8, 7, 6, 5])}
-        return SimpleNamespace(hyper=None, state=jnp.zeros(3), columns=columns, step=step)
-
-    config = SimpleNamespace(run=SimpleNamespace(log_every=2))
-    return [config, config], [program(name) for name in seconds]
+    compile_seconds, device, impl, state = 4.0, "cpu", "jax", None
+    columns = {"iteration": np.arange(1, 71), "n_real": np.full(70, 20)}
 
 
-def test_ramps_by_error_are_off_because_they_choose_their_own_rows():
-    ((config,), *_) = bench_command.parse([GO1, "--config.schedule.by_error=True"])
-    assert not config.schedule.by_error
-
-
-@pytest.mark.parametrize("private", [False, True])
-def test_a_row_of_the_tail_is_timed_with_what_the_model_carries(private):
-    on = {"model.clean": True, "model.private": private}
-    _, static, hyper = toy_env.settings(toy_env.TAIL | on)
-    env = toy_env.make()
-    state = algorithm.init(env, hyper, jax.random.key(0), static=static)
-    program = SimpleNamespace(static=static, env=env, hyper=hyper)
-    assert (
-        abs(bench_command._tail_row(program, state, rows=4)) < 1e3
-    )  # ms, of which nothing else is said
-
-
-def test_two_configs_take_turns_and_the_ratio_is_of_an_iteration(monkeypatch):
-    configs, programs = clockwork(monkeypatch, {"slow": 0.4, "fast": 0.1})
-    found = bench_command.compare(configs, programs, 3)
-    np.testing.assert_allclose(found["ms"], [[200.0, 50.0]] * 3)
-    assert found["ratio"] == pytest.approx(0.25)
-    assert found["ratio_min"] == pytest.approx(found["ratio_max"])
-
-
-def test_work_is_that_of_the_products_of_every_layer_counted_one_by_one():
-    """PPO: 5 x 4 steps of 16,384 rows through 48-128-128-128-12 and -1; the fit: 25 steps of 32,768 rows
-    through 60-256-256-256-256-34. A product [a, b] x [b, c] takes 2abc; forward, and for the gradients of
-    weights and input."""
-    from dynappo import config as config_lib
-    from dynappo import schedule
-
-    config = config_lib.validate(config_lib.load("configs/go1.py:dyna4"))
-    last = {name: int(column[-1]) for name, column in schedule.columns(config).items()}
-
-    def step(rows, *sizes):
-        total = 0
-        for i, (a, b) in enumerate(zip(sizes, sizes[1:], strict=False)):
-            total += 2 * rows * a * b * (2 if i == 0 else 3)
-        return total
-
-    found = bench_command.work(config, last)
-    nets = step(16384, 48, 128, 128, 128, 12) + step(16384, 48, 128, 128, 128, 1)
-    assert found["ppo"][0] == 20 * nets and 7.4e9 < nets < 7.42e9
-    assert found["fit"][0] == 25 * step(32768, 60, 256, 256, 256, 256, 34)
-    plain = config_lib.validate(config_lib.load("configs/go1.py:ppo16"))
-    assert set(bench_command.work(plain, {"n_real": 16})) == {"ppo"}
-
-
-def test_shares_are_of_the_limits_of_the_device_that_is_there():
-    """PPO in 9.14 ms on an H200: 17 TFLOP/s of 67 (experiments/03_speed/ppo.md); nothing on a CPU."""
-    from dynappo import config as config_lib
-
-    config = config_lib.validate(config_lib.load("configs/go1.py:ppo16"))
-    found = bench_command.shares(config, "NVIDIA H200", {"n_real": 16}, {"ppo": 9.14})
-    assert found["ppo_arithmetic"] == pytest.approx(20 * 7.41e9 / 9.14e-3 / 67e12, rel=0.01)
-    assert 0.2 < found["ppo_memory"] < 0.3 and len(found) == 2
-    assert bench_command.shares(config, "cpu", {"n_real": 16}, {"ppo": 9.14}) == {}
+def test_it_prints_a_column_a_config_and_writes_the_same_numbers(tmp_path, monkeypatch, capsys):
+    """Phases, rates from them, and the ratio of two configs."""
+    asked = []
+    for name in ("check", "program"):
+        monkeypatch.setattr(
+            bench_command.build, name, lambda config: asked.append(config) or Program()
+        )
+    monkeypatch.setattr(bench_command.devices, "own_process", asked.append)
+    ms = {"iteration": 50.0, "physics": 1.5, "tail": 0.25, "fit": 8.0, "ppo": 11.0}
+    monkeypatch.setattr(bench_command.phases, "measure", lambda *_: ms)
+    ratio = {"ms": [[50.0, 25.0]], "ratio": 0.5, "ratio_min": 0.45, "ratio_max": 0.55}
+    monkeypatch.setattr(bench_command.phases, "compare", lambda *_: ratio)
+    monkeypatch.setattr(bench_command.phases, "compilation", lambda _: {"cold": 30.0, "warm": 6.0})
+    vs, out = "configs/go2.py:quick", tmp_path / "bench.json"
+    assert status(bench_command.main, GO1, f"--vs={vs}", "--compile", f"--out={out}") == 0
+    text = capsys.readouterr().out
+    rows = [line.rsplit(maxsplit=2) for line in text.splitlines() if len(line.split()) > 2]
+    assert "cpu, MJX-jax" in text
+    for expected in (
+        ["physics, ms a row", "1.50", "1.50"],
+        ["ppo, ms", "11.00", "11.00"],
+        ["iterations/s", "20.00", "20.00"],
+        ["control steps/s", "102,400", "102,400"],  # 256 robots, 20 real rows, 20 times a second
+        ["physics steps/s", "409,600", "409,600"],
+        ["set-up, warm cache, s", "6.0", "6.0"],
+    ):
+        assert expected in rows
+    said = f"an iteration of {vs} takes 0.500 of one of configs/go1.py:quick (0.450 to 0.550"
+    assert said in " ".join(text.split())
+    written = json.loads(out.read_text())
+    assert written["versus"] == ratio and list(written["configs"]) == ["configs/go1.py:quick", vs]
+    found = written["configs"][vs]
+    assert found["ms"] == ms and found["control_steps_per_second"] == 102_400
+    assert asked[0] == "auto" and [config.robot for config in asked[1:]] == ["go1", "go2"] * 2

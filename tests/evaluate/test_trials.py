@@ -6,7 +6,7 @@ import math
 import mujoco
 import numpy as np
 import pytest
-from test_play import GO1, actor, described
+from toy_policy import GO1, actor, described
 
 from dynappo.evaluate import trials
 from dynappo.policy import episode, policy_file

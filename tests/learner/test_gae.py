@@ -6,13 +6,6 @@ import pytest
 
 from dynappo.learner import gae
 
-GAMMA, LAMBDA = 0.9, 0.8
-
-
-def rows(*columns):
-    """Arrays [N, 1] from lists of length N."""
-    return [jnp.asarray(column, jnp.float32)[:, None] for column in columns]
-
 
 def random_rollout(seed, horizon=12, num_envs=7):
     """Rewards, discounts, truncations, values and bootstraps [N, R] with falls and time-outs."""
@@ -54,46 +47,28 @@ def test_advantages_equal_the_sum_of_discounted_deltas_up_to_the_end_of_the_epis
     np.testing.assert_allclose(returns, expected + rollout[3], rtol=1e-5, atol=1e-5)
 
 
-def test_three_steps_without_an_end_give_the_numbers_computed_by_hand():
-    reward, discount, truncation, value, bootstrap = rows(
-        [1.0, 2.0, 3.0], [1, 1, 1], [0, 0, 0], [0.5, 1.0, 1.5], [1.0, 1.5, 2.0]
-    )
-    # delta_2 = 3 + 0.9 x 2.0 - 1.5 = 3.30          A_2 = 3.30
-    # delta_1 = 2 + 0.9 x 1.5 - 1.0 = 2.35          A_1 = 2.35 + 0.72 x 3.30  = 4.726
-    # delta_0 = 1 + 0.9 x 1.0 - 0.5 = 1.40          A_0 = 1.40 + 0.72 x 4.726 = 4.80272
-    advantages, returns = gae.gae(
-        reward, discount, truncation, value, bootstrap, gamma=GAMMA, lambda_=LAMBDA
-    )
-    np.testing.assert_allclose(advantages[:, 0], [4.80272, 4.726, 3.30], rtol=1e-6)
-    np.testing.assert_allclose(returns[:, 0], [5.30272, 5.726, 4.80], rtol=1e-6)
+# three rows of rewards 1, 2, 3 and values 0.5, 1.0, 1.5, the last bootstrapped with 2:
+#     delta_2 = 3 + 0.9 x 2.0 - 1.5 = 3.30          A_2 = 3.30
+#     delta_1 = 2 + 0.9 x   b - 1.0                 A_1 = delta_1 + 0.72 x A_2, if nothing ended there
+#     delta_0 = 1 + 0.9 x 1.0 - 0.5 = 1.40          A_0 = 1.40 + 0.72 x A_1
+BY_HAND = {
+    # b = 1.5: delta_1 = 2.35
+    "no end": ([1, 1, 1], [0, 0, 0], 1.5, [4.80272, 4.726, 3.30]),
+    # delta_1 = 2 - 1: nothing comes after it, V = 99 is unused
+    "a fall": ([1, 0, 1], [0, 0, 0], 99.0, [2.12, 1.00, 3.30]),
+    # delta_1 = 4.60: V(next_obs) = 4 counts, A_2 of the next episode does not
+    "a time limit": ([1, 1, 1], [0, 1, 0], 4.0, [4.712, 4.60, 3.30]),
+}
 
 
-def test_three_steps_with_a_fall_in_the_second_give_the_numbers_computed_by_hand():
-    reward, discount, truncation, value, bootstrap = rows(
-        [1.0, 2.0, 3.0], [1, 0, 1], [0, 0, 0], [0.5, 1.0, 1.5], [1.0, 99.0, 2.0]
-    )
-    # delta_2 = 3 + 0.9 x 2.0 - 1.5 = 3.30          A_2 = 3.30, of the next episode
-    # delta_1 = 2 - 1.0             = 1.00          A_1 = 1.00: nothing after it, V = 99 unused
-    # delta_0 = 1 + 0.9 x 1.0 - 0.5 = 1.40          A_0 = 1.40 + 0.72 x 1.00 = 2.12
-    advantages, returns = gae.gae(
-        reward, discount, truncation, value, bootstrap, gamma=GAMMA, lambda_=LAMBDA
-    )
-    np.testing.assert_allclose(advantages[:, 0], [2.12, 1.00, 3.30], rtol=1e-6)
-    np.testing.assert_allclose(returns[:, 0], [2.62, 2.00, 4.80], rtol=1e-6)
-
-
-def test_three_steps_with_a_time_limit_in_the_second_give_the_numbers_computed_by_hand():
-    reward, discount, truncation, value, bootstrap = rows(
-        [1.0, 2.0, 3.0], [1, 1, 1], [0, 1, 0], [0.5, 1.0, 1.5], [1.0, 4.0, 2.0]
-    )
-    # delta_2 = 3 + 0.9 x 2.0 - 1.5 = 3.30          A_2 = 3.30, of the next episode
-    # delta_1 = 2 + 0.9 x 4.0 - 1.0 = 4.60          A_1 = 4.60: V(next_obs) = 4 counts, A_2 does not
-    # delta_0 = 1 + 0.9 x 1.0 - 0.5 = 1.40          A_0 = 1.40 + 0.72 x 4.60 = 4.712
-    advantages, returns = gae.gae(
-        reward, discount, truncation, value, bootstrap, gamma=GAMMA, lambda_=LAMBDA
-    )
-    np.testing.assert_allclose(advantages[:, 0], [4.712, 4.60, 3.30], rtol=1e-6)
-    np.testing.assert_allclose(returns[:, 0], [5.212, 5.60, 4.80], rtol=1e-6)
+@pytest.mark.parametrize("case", BY_HAND)
+def test_three_rows_give_the_numbers_computed_by_hand(case):
+    discount, truncation, bootstrap, expected = BY_HAND[case]
+    columns = [1.0, 2.0, 3.0], discount, truncation, [0.5, 1.0, 1.5], [1.0, bootstrap, 2.0]
+    rows = [jnp.asarray(column, jnp.float32)[:, None] for column in columns]
+    advantages, returns = gae.gae(*rows, gamma=0.9, lambda_=0.8)
+    np.testing.assert_allclose(advantages[:, 0], expected, rtol=1e-6)
+    np.testing.assert_allclose(returns[:, 0], np.add(expected, [0.5, 1.0, 1.5]), rtol=1e-6)
 
 
 def test_advantages_and_returns_are_those_of_rsl_rl_with_its_bootstrap(peer):
@@ -121,13 +96,13 @@ def test_with_lambda_1_the_return_is_the_discounted_sum_of_rewards_and_of_the_la
     rng = np.random.default_rng(6)
     last = rng.normal(size=reward.shape[1]).astype(np.float32)
     bootstrap = np.concatenate([value[1:], last[None]])  # consistent values: they telescope
-    _, returns = gae.gae(reward, discount, truncation, value, bootstrap, gamma=GAMMA, lambda_=1.0)
+    _, returns = gae.gae(reward, discount, truncation, value, bootstrap, gamma=0.9, lambda_=1.0)
     for r in range(reward.shape[1]):
         for t in range(len(reward)):
             total, factor = 0.0, 1.0
             for k in range(t, len(reward)):
                 total += factor * reward[k, r]
-                factor *= GAMMA * discount[k, r]
+                factor *= 0.9 * discount[k, r]
             total += factor * last[r]
             np.testing.assert_allclose(returns[t, r], total, rtol=1e-4, atol=1e-5)
 
@@ -135,4 +110,4 @@ def test_with_lambda_1_the_return_is_the_discounted_sum_of_rewards_and_of_the_la
 def test_shapes_that_differ_are_refused_instead_of_broadcast():
     one = jnp.ones((3, 2))
     with pytest.raises(AssertionError):
-        gae.gae(one, one, one, one, one[:1], gamma=GAMMA, lambda_=LAMBDA)
+        gae.gae(one, one, one, one, one[:1], gamma=0.9, lambda_=0.8)

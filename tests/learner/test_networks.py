@@ -13,8 +13,15 @@ OBS, ACTIONS = 48, 12
 
 
 @pytest.fixture(scope="module")
-def static(settings):
-    return settings({"ppo.hidden": (32, 32, 32), "ppo.activation": "elu"})[0].ppo
+def make(settings):
+    """`make(fields, seed) -> (static, params)`: fresh networks under a config with fields of ppo set."""
+
+    def fresh(fields=None, seed=0):
+        fields = {"hidden": (32, 32, 32)} | (fields or {})
+        static, hyper = settings({f"ppo.{name}": value for name, value in fields.items()})
+        return static, networks.init_policy(static, hyper, OBS, ACTIONS, jax.random.key(seed))
+
+    return fresh
 
 
 def densities(mean, std, points=4001):
@@ -24,8 +31,8 @@ def densities(mean, std, points=4001):
     return x, np.exp(-((x - mean) ** 2) / (2 * std**2)) / np.sqrt(2 * np.pi * std**2)
 
 
-def test_mean_and_value_are_those_of_rsl_rls_networks(static, peer, typed, from_torch):
-    z = peer("update")
+def test_mean_and_value_are_those_of_rsl_rls_networks(make, peer, typed, from_torch):
+    static, z = make()[0], peer("update")
     params, obs = from_torch(z, "collect."), jnp.asarray(z["obs"])
     mean, value = networks.policy(static, params, obs), networks.value(static, params, obs)
     np.testing.assert_allclose(mean, z["mean"], rtol=1e-5, atol=1e-6)
@@ -35,10 +42,9 @@ def test_mean_and_value_are_those_of_rsl_rls_networks(static, peer, typed, from_
     typed(networks.value)(static, params, obs)
 
 
-def test_in_bfloat16_no_output_is_rounded_to_it(settings):
+def test_in_bfloat16_no_output_is_rounded_to_it(make):
     """Values near 5 would be multiples of 1 / 32."""
-    static = settings({"ppo.hidden": (64,), "ppo.precision": "bfloat16"})[0].ppo
-    params = networks.init_policy(static, 1.0, OBS, ACTIONS, jax.random.key(0))
+    static, params = make({"hidden": (64,), "precision": "bfloat16"})
     params["critic"]["params"]["Dense_1"]["bias"] += 5.0
     obs = jax.random.normal(jax.random.key(1), (200, OBS))
     outputs = [networks.policy(static, params, obs), networks.value(static, params, obs)]
@@ -49,13 +55,13 @@ def test_in_bfloat16_no_output_is_rounded_to_it(settings):
 
 @pytest.mark.parametrize("hidden", [(24,), (32, 16, 8)])
 @pytest.mark.parametrize("precision", ["highest", "bfloat16"])
-def test_both_networks_at_once_say_what_each_says_alone(settings, typed, hidden, precision):
+def test_both_networks_at_once_say_what_each_says_alone(make, typed, hidden, precision):
     """Outputs for one row, a batch and a rollout, and gradients of both."""
-    static = settings({"ppo.hidden": hidden, "ppo.precision": precision})[0].ppo
-    params = networks.init_policy(static, 1.0, OBS, ACTIONS, jax.random.key(0))
+    static, params = make({"hidden": hidden, "precision": precision})
     everything = jnp.asarray(np.random.default_rng(0).normal(size=(3, 5, OBS)), jnp.float32)
     close = dict(rtol=2e-5, atol=1e-6) if precision == "highest" else dict(rtol=0.05, atol=0.01)
 
+    @jax.jit
     def apart(params, obs):
         return networks.policy(static, params, obs), networks.value(static, params, obs)
 
@@ -63,13 +69,15 @@ def test_both_networks_at_once_say_what_each_says_alone(settings, typed, hidden,
         mean, value = call(params, everything)
         return (mean**2).sum() + (value**3).sum()
 
-    together = partial(typed(networks.policy_and_value), static)
+    together = jax.jit(partial(typed(networks.policy_and_value), static))
     for obs in (everything[0, 0], everything[0], everything):
         for found, expected in zip(together(params, obs), apart(params, obs), strict=True):
             assert found.shape == expected.shape and found.dtype == expected.dtype
             np.testing.assert_allclose(found, expected, **close)
     if precision == "highest":
-        found, expected = (jax.grad(partial(total, call))(params) for call in (together, apart))
+        found, expected = (
+            jax.jit(jax.grad(partial(total, call)))(params) for call in (together, apart)
+        )
         jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, 1e-4, 1e-5), found, expected)
 
 
@@ -139,18 +147,16 @@ def test_initial_weights_are_uniform_within_one_over_the_root_of_fan_in():
             assert np.unique(x).size > 0.9 * x.size
 
 
-def test_weights_depend_on_the_key_and_the_initial_std_is_the_one_asked_for(static):
-    first = networks.init_policy(static, 0.7, OBS, ACTIONS, jax.random.key(0))
-    again = networks.init_policy(static, 0.7, OBS, ACTIONS, jax.random.key(0))
-    other = networks.init_policy(static, 0.7, OBS, ACTIONS, jax.random.key(1))
+def test_weights_depend_on_the_key_and_the_initial_std_is_the_one_asked_for(make):
+    first, again, other = (make({"init_std": 0.7}, seed)[1] for seed in (0, 0, 1))
     for a, b, c in zip(*map(jax.tree.leaves, (first, again, other)), strict=True):
         assert (a == b).all()
         assert a.shape == (ACTIONS,) or not (a == c).any()
     np.testing.assert_allclose(first["std"], np.full(ACTIONS, 0.7, np.float32))
 
 
-def test_actor_and_critic_share_no_weight(static):
-    params = networks.init_policy(static, 1.0, OBS, ACTIONS, jax.random.key(0))
+def test_actor_and_critic_share_no_weight(make):
+    static, params = make()
     obs = jax.random.normal(jax.random.key(1), (3, OBS))
     hidden = [params[name]["params"]["Dense_0"]["kernel"] for name in ("actor", "critic")]
     assert not (hidden[0] == hidden[1]).any()
@@ -175,32 +181,15 @@ def test_every_precision_keeps_float32_parameters_and_output(precision):
 
 
 @pytest.mark.parametrize(
-    ("precision", "expected"),
-    [("highest", "HIGHEST"), ("tf32", "HIGH"), ("bfloat16", "DEFAULT")],
-)
-def test_every_matrix_product_has_the_precision_of_the_setting(precision, expected):
-    model, x = networks.MLP((8, 4), precision=precision), jnp.zeros((3, 5))
-    params = model.init(jax.random.key(0), x)
-    # a global default must not win over the setting
-    with jax.default_matmul_precision("bfloat16" if precision == "highest" else "highest"):
-        equations = jax.make_jaxpr(model.apply)(params, x).eqns
-    products = [e for e in equations if e.primitive.name == "dot_general"]
-    assert len(products) == 2
-    for e in products:
-        assert {p.name for p in e.params["precision"]} == {expected}
-        kind = "bfloat16" if precision == "bfloat16" else "float32"
-        assert {v.aval.dtype.name for v in e.invars} == {kind}
-
-
-@pytest.mark.parametrize(
     ("setting", "expected"), [("highest", "HIGHEST"), ("tf32", "HIGH"), ("bfloat16", "DEFAULT")]
 )
 @pytest.mark.parametrize("network", [networks.policy, networks.value, networks.policy_and_value])
-def test_policy_and_value_have_the_precision_of_the_config(settings, network, setting, expected):
-    static = settings({"ppo.hidden": (8,), "ppo.precision": setting})[0].ppo
-    params = networks.init_policy(static, 1.0, OBS, ACTIONS, jax.random.key(0))
-    equations = jax.make_jaxpr(lambda p, x: network(static, p, x))(params, jnp.zeros(OBS)).eqns
-    products = [e for e in equations if e.primitive.name == "dot_general"]
+def test_every_matrix_product_has_the_precision_of_the_config(make, network, setting, expected):
+    static, params = make({"hidden": (8,), "precision": setting})
+    # a global default must not win over the setting
+    with jax.default_matmul_precision("bfloat16" if setting == "highest" else "highest"):
+        program = jax.make_jaxpr(lambda p, x: network(static, p, x))(params, jnp.zeros(OBS))
+    products = [e for e in program.eqns if e.primitive.name == "dot_general"]
     assert len(products) == 2 + (network is networks.policy_and_value)
     assert {p.name for e in products for p in e.params["precision"]} == {expected}
     kind = "bfloat16" if setting == "bfloat16" else "float32"

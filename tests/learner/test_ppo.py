@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import toy_env
 from jax.flatten_util import ravel_pytree
 
 from dynappo.learner import networks, ppo
@@ -41,15 +42,14 @@ SETTINGS = {
 
 @pytest.fixture(scope="module")
 def ppo_settings(settings, peer):
-    """`f(fields) -> (static, hyper)` of group ppo: that of the recorded updates, changed."""
+    """`f(fields) -> (static, hyper)`: group ppo is that of the recorded updates, changed."""
     recorded = {ours: float(peer("update")[theirs]) for ours, theirs in FIELDS.items()}
 
     def make(**fields):
         fields = SETTINGS | recorded | fields
         sizes = {"rollout.num_envs": ROBOTS, "rollout.horizon": HORIZON}
         sizes |= {"schedule.end_iteration": 0, "schedule.end_steps": 0}
-        static, hyper = settings(sizes | {f"ppo.{k}": v for k, v in fields.items()})
-        return static.ppo, hyper.ppo
+        return settings(sizes | {f"ppo.{k}": v for k, v in fields.items()})
 
     return make
 
@@ -182,7 +182,7 @@ def test_equal_advantages_normalise_to_zero_and_not_to_nan():
 def test_the_recorded_values_are_still_those_of_the_installed_rsl_rl(peer):
     for name in ("torch", "tensordict", "rsl_rl"):
         pytest.importorskip(name, exc_type=ImportError)
-    path = pathlib.Path(__file__).parent / "peers" / "rsl_rl_reference.py"
+    path = pathlib.Path(__file__).parents[1] / "peers" / "rsl_rl_reference.py"
     spec = importlib.util.spec_from_file_location("rsl_rl_reference", path)
     reference = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(reference)
@@ -390,3 +390,68 @@ def test_a_fresh_learner_has_the_initial_std_learning_rate_and_float32_leaves(pp
     np.testing.assert_allclose(learner.params["std"], np.full(ACTIONS, 0.8), rtol=1e-6)
     assert float(learner.learning_rate) == np.float32(2e-3)
     assert {x.dtype.name for x in jax.tree.leaves(learner)} == {"float32", "int32"}
+
+
+# weights of rows
+
+
+def random_batch(seed):
+    """A batch [HORIZON, ROBOTS] of random numbers that a policy of the toy could have made."""
+    rng = np.random.default_rng(seed)
+    sizes = dict(obs=(6,), action=(2,), action_mean=(2,))
+    shapes = {name: (HORIZON, ROBOTS, *sizes.get(name, ())) for name in ppo.Batch._fields[:-1]}
+    numbers = {name: rng.normal(size=shape).astype(np.float32) for name, shape in shapes.items()}
+    numbers["log_prob"] = -2 + 0.1 * numbers["log_prob"]
+    return ppo.Batch(**jax.tree.map(jnp.asarray, numbers))
+
+
+@pytest.fixture(scope="module")
+def toy():
+    """`(static, hyper, learner, update(batch))` of a small learner."""
+    _, static, hyper = toy_env.settings({"rollout.num_envs": ROBOTS})
+    learner = ppo.init(static, hyper, 6, 2, jax.random.key(0))
+    update = jax.jit(lambda batch: ppo.update(static, hyper, learner, batch, jax.random.key(1)))
+    return static, hyper, learner, update
+
+
+def test_weights_of_1_are_no_weights(toy):
+    """To rounding: the compiler may order a product's sum otherwise."""
+    batch, update = random_batch(0), toy[-1]
+    assert_trees_close(update(batch._replace(weight=jnp.ones((HORIZON, ROBOTS)))), update(batch))
+
+
+def test_a_weight_is_a_share_of_a_row_in_every_mean(toy):
+    """Weights 0 and 1: loss, KL, gradient and normalised advantages are those of the rows of weight
+    1; weights 1 and 1/2: the mean over two copies of the first rows and one of the others."""
+    static, hyper, learner, _ = toy
+    batch, first = random_batch(0), np.arange(HORIZON)[:, None] < 5
+    loss = jax.jit(jax.value_and_grad(partial(ppo.loss, static, hyper), has_aux=True))
+
+    def ask(rows):
+        rows = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), rows)
+        return loss(learner.params, rows, 0.9 * learner.params["std"])
+
+    zero = jnp.broadcast_to(1.0 * first, (HORIZON, ROBOTS))
+    some = jax.tree.map(lambda x: x[:5], batch)
+    twice = jax.tree.map(lambda x: jnp.concatenate([x, x[:5]]), batch)
+    for weight, same in ((zero, some), (0.5 + 0.5 * zero, twice)):
+        assert_trees_close(ask(batch._replace(weight=weight)), ask(same), 1e-4)
+    normal = ppo.normalize(batch.advantages, zero)[:5]
+    np.testing.assert_allclose(normal, ppo.normalize(some.advantages), 1e-4, 1e-5)
+
+
+@pytest.mark.parametrize("weight", [0.0, 1.0])
+def test_of_a_row_of_weight_0_nothing_is_learned(toy, weight):
+    """Other numbers in the tail: the same learner, unless its weight is 1."""
+    tail = (np.arange(HORIZON) >= 5)[:, None]
+    batch, update = random_batch(0), toy[-1]
+
+    def spoil(x, y):
+        return jnp.where(tail.reshape(HORIZON, 1, *[1] * (x.ndim - 2)), 10 * y, x)
+
+    spoilt = jax.tree.map(spoil, batch, random_batch(1))
+    weights = jnp.broadcast_to(jnp.where(tail, weight, 1.0), (HORIZON, ROBOTS))
+    one, two = (update(b._replace(weight=weights)) for b in (batch, spoilt))
+    pairs = zip(jax.tree.leaves(one), jax.tree.leaves(two), strict=True)
+    close = [np.allclose(x, y, 1e-4, 1e-6) for x, y in pairs]
+    assert all(close) if weight == 0 else not any(close[:3])

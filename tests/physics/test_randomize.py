@@ -1,4 +1,4 @@
-"""Per-robot physical parameters: their ranges, and what of the model they change."""
+"""A robot's own body: the ranges it is drawn from, and what of the model it changes."""
 
 from types import SimpleNamespace
 
@@ -91,7 +91,7 @@ def test_friction_and_gains_are_drawn_uniformly_within_their_range(drawn, field)
     fills(getattr(drawn, field), *WIDE[field])
 
 
-def test_parameters_are_drawn_independently_of_one_another(drawn):
+def test_the_parts_of_a_body_are_drawn_independently_of_one_another(drawn):
     columns = [*drawn.base_com.T, drawn.mass_scale, drawn.friction, drawn.kp_scale, drawn.kd_scale]
     correlation = np.corrcoef(columns) - np.eye(len(columns))
     assert np.abs(correlation).max() < 5 / np.sqrt(ROBOTS)
@@ -147,46 +147,35 @@ def test_with_nothing_varied_the_model_is_the_very_same_object(go1, model):
     assert merged is model
 
 
-def test_mass_and_inertia_of_the_base_scale_together_and_of_no_other_body(go1, model):
-    physics = one_robot(go1)
-    merged = randomize.merge(model, physics, go1.base_body, go1.feet, frozenset(WIDE))
+def test_a_body_is_set_at_the_base_and_the_feet_only(go1, model):
+    """Mass and inertia of the base scale together; of friction the sliding part is the feet's own."""
+    body, nominal = one_robot(go1), go1.mj_model
+    merged = randomize.merge(model, body, go1.base_body, go1.feet, frozenset(WIDE))
     scale = np.ones(model.nbody)
-    scale[go1.base_body] = physics.mass_scale
-    nominal = go1.mj_model
-    np.testing.assert_allclose(merged.body_mass, nominal.body_mass * scale, rtol=1e-6)
-    np.testing.assert_allclose(
-        merged.body_inertia, nominal.body_inertia * scale[:, None], rtol=1e-6
-    )
-    assert abs(scale[go1.base_body] - 1) > 0.01
-
-
-def test_the_centre_of_mass_is_set_for_the_base_only(go1, model):
-    physics = one_robot(go1)
-    merged = randomize.merge(model, physics, go1.base_body, go1.feet, frozenset(WIDE))
-    expected = go1.mj_model.body_ipos.copy()
-    expected[go1.base_body] = physics.base_com
-    np.testing.assert_allclose(merged.body_ipos, expected, rtol=1e-6)
-
-
-def test_friction_is_set_at_the_feet_and_only_its_sliding_part(go1, model):
-    physics = one_robot(go1)
-    merged = randomize.merge(model, physics, go1.base_body, go1.feet, frozenset(WIDE))
-    expected = go1.mj_model.geom_friction.copy()
-    expected[go1.feet, 0] = physics.friction
-    np.testing.assert_allclose(merged.geom_friction, expected, rtol=1e-6)
+    scale[go1.base_body] = body.mass_scale
+    assert abs(body.mass_scale - 1) > 0.01
+    com, friction = nominal.body_ipos.copy(), nominal.geom_friction.copy()
+    com[go1.base_body], friction[go1.feet, 0] = body.base_com, body.friction
+    for name, expected in dict(
+        body_mass=nominal.body_mass * scale,
+        body_inertia=nominal.body_inertia * scale[:, None],
+        body_ipos=com,
+        geom_friction=friction,
+    ).items():
+        np.testing.assert_allclose(getattr(merged, name), expected, rtol=1e-6, err_msg=name)
 
 
 @pytest.mark.parametrize("names", [(), ("base_mass",), ("base_com", "friction"), tuple(WIDE)])
 def test_under_vmap_only_the_varied_fields_get_a_batch(go1, model, names):
     """`out_axes=None` is an error for a batched value, so each field's axis is proved."""
-    physics = draw(go1, ranges(WIDE), count=3)
+    bodies = draw(go1, ranges(WIDE), count=3)
     batched = set().union(*(MODEL_FIELDS[name] for name in names))
     axes = {path: 0 if path in batched else None for path in by_path(model)}
 
-    def merge(physics):
-        return by_path(randomize.merge(model, physics, go1.base_body, go1.feet, frozenset(names)))
+    def merge(body):
+        return by_path(randomize.merge(model, body, go1.base_body, go1.feet, frozenset(names)))
 
-    merged = jax.vmap(merge, out_axes=axes)(physics)
+    merged = jax.vmap(merge, out_axes=axes)(bodies)
     for path, value in by_path(model).items():
         expected = (3, *value.shape) if path in batched else value.shape
         assert merged[path].shape == expected, path
@@ -197,7 +186,7 @@ def test_under_vmap_only_the_varied_fields_get_a_batch(go1, model, names):
 def test_the_environment_draws_about_the_robots_own_base(go1):
     settings = config.validate(config.load("go1.py"))
     made = env.make(go1, settings.task, settings.physics)
-    hyper = config.split(settings)[1].task
+    hyper = config.split(settings)[1]
     found = jax.vmap(made.randomize, (None, 0))(hyper, jax.random.split(jax.random.key(3), 64))
     added = (np.asarray(found.mass_scale) - 1) * base_of(go1)[0]
     assert (-1 <= added).all() and (added <= 3).all() and np.ptp(added) > 3
@@ -208,8 +197,8 @@ def test_the_environment_draws_about_the_robots_own_base(go1):
 def test_a_range_collapsed_to_another_value_still_changes_the_model(go1, model, name, bounds):
     one_value = ranges(NARROW, **{name: bounds})
     mass, com = base_of(go1)
-    physics = randomize.draw(one_value, mass, jnp.asarray(com), jax.random.key(0))
-    merged = randomize.merge(model, physics, go1.base_body, go1.feet, randomize.varied(one_value))
+    body = randomize.draw(one_value, mass, jnp.asarray(com), jax.random.key(0))
+    merged = randomize.merge(model, body, go1.base_body, go1.feet, randomize.varied(one_value))
     before, after = by_path(model), by_path(merged)
     changed = {p for p in before if not np.allclose(before[p], after[p])}
     assert changed == MODEL_FIELDS[name]

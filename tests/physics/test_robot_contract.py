@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from dynappo import config
+from dynappo.config import files
 from dynappo.physics import robot
 
-GO1 = config.find("robots", "go1/go1.xml").read_text()
+GO1 = files.find("robots", "go1/go1.xml").read_text()
 
 
 def edit(*pairs):
@@ -217,6 +218,11 @@ GEOMS = {
         "the geom floor to be a plane at height 0 of the world, found type plane, "
         "pos [0. 0. 0.], quat [0.8 0.6 0. 0. ]",
     ),
+    "a raised floor": (
+        edit((FLOOR, f'{FLOOR} pos="0 0 0.1"')),
+        "the geom floor to be a plane at height 0 of the world, found type plane, "
+        "pos [0. 0. 0.1], quat [1. 0. 0. 0.]",
+    ),
     "a floor with MuJoCo's own defaults": (
         edit((FLOOR, '<geom name="floor" type="plane" size="0 0 0.05"')),
         "the geom floor with contype 1 and conaffinity 0, found 1 and 1",
@@ -342,11 +348,3 @@ def test_home_need_not_be_the_first_keyframe(tmp_path):
     path.write_text(edit(("<keyframe>", '<keyframe><key name="other"/>'))(GO1))
     expected = robot.load("go1").home_qpos
     np.testing.assert_array_equal(robot.load_xml(path).home_qpos, expected)
-
-
-def test_damping_rate_is_that_of_a_single_pendulum_on_a_heavy_base(tmp_path):
-    """With huge armatures M is nearly diagonal: dt kd / armature."""
-    path = tmp_path / "mine.xml"
-    path.write_text(edit(('armature="0.01"', 'armature="1e6"'))(GO1))
-    rate = robot.damping_rate(robot.load_xml(path), kd=2e6, timestep=0.005)
-    assert rate == pytest.approx(0.01, rel=1e-5)

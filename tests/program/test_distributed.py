@@ -2,7 +2,6 @@
 
 import csv
 import os
-import pathlib
 import signal
 import socket
 import subprocess
@@ -11,11 +10,11 @@ import time
 
 import numpy as np
 import pytest
+from answers import ROOT, refused
 
-from dynappo.config import ConfigError
 from dynappo.program import distributed
 
-HERE = pathlib.Path(__file__).parent
+TESTS = ROOT / "tests"
 DEADLINE = 240  # s for a command that must come to an end by itself
 
 
@@ -26,8 +25,8 @@ def start(workdir, *fields, processes=1, devices=4):
         meet = f"--coordinator=127.0.0.1:{s.getsockname()[1]}"
     forced = f"--xla_force_host_platform_device_count={devices // processes}"
     forced += " --xla_backend_optimization_level=0"  # the program runs for a second only
-    environment = os.environ | {"XLA_FLAGS": forced, "PYTHONPATH": f"{HERE.parent}:{HERE}"}
-    command = [sys.executable, HERE / "toy_train.py", f"--workdir={workdir}"]
+    environment = os.environ | {"XLA_FLAGS": forced, "PYTHONPATH": f"{ROOT}:{TESTS}"}
+    command = [sys.executable, TESTS / "toy_train.py", f"--workdir={workdir}"]
     command += [f"--config.{field}" for field in fields]
     several = [[meet, f"--processes={processes}", f"--process={i}"] for i in range(processes)]
     return [
@@ -130,7 +129,6 @@ def test_a_second_run_in_the_same_folder_is_refused_and_harms_nothing(tmp_path):
     ((status, said, errors),) = end(start(workdir, f"run.num_iterations={total}", devices=1))
     assert status == 0 and f"goes on from iteration {total - 2} of {workdir}" in said, errors
     assert list(table(workdir)[::2, 0]) == list(range(1, total + 1)) and errors == ""
-    assert not (workdir / "lock").exists()
 
 
 @pytest.mark.slow
@@ -185,8 +183,7 @@ def test_four_processes_compute_what_one_does(tmp_path):
     ],
 )
 def test_flags_that_do_not_make_a_run_are_refused(flags, words):
-    with pytest.raises(ConfigError, match=words):
-        distributed.join(*flags)
+    assert words in refused(distributed.join, *flags)
 
 
 @pytest.mark.parametrize(

@@ -11,6 +11,7 @@ import toy_env
 from brax import envs
 from brax.envs.wrappers import training
 from brax.training import acting
+from toy_runs import assert_same
 
 from dynappo import algorithm, evaluation, schedule
 from dynappo.config import ConfigError
@@ -67,41 +68,31 @@ def copied(obs, action):
     return obs[..., 2:]
 
 
-def assert_same(one, other):
-    """Two pytrees are equal to the bit, keys included."""
-
-    def plain(x):
-        is_key = jnp.issubdtype(jnp.asarray(x).dtype, jax.dtypes.prng_key)
-        return np.asarray(jax.random.key_data(x) if is_key else x)
-
-    chex.assert_trees_all_equal(jax.tree.map(plain, one), jax.tree.map(plain, other))
-
-
 # Our task as a brax environment
 
 
 @pytest.fixture(scope="module")
 def toy():
-    """`(env, hyper.task)`: noise, randomised bodies, falls, and a limit of `LIMIT` steps."""
+    """`(env, hyper)`: noise, randomised bodies, falls, and a limit of `LIMIT` steps."""
     fields = {"task.randomize.base_mass": (-3.0, 3.0), "task.episode_length": LIMIT}
-    return toy_env.make(episode_length=LIMIT), toy_env.settings(fields)[2].task
+    return toy_env.make(episode_length=LIMIT), toy_env.settings(fields)[2]
 
 
 def test_reset_and_step_are_ours_to_the_bit(toy):
-    env, task = toy
-    brax_env = door.to_brax(env, task)
+    env, hyper = toy
+    brax_env = door.to_brax(env, hyper)
     rng = jax.random.key(3)
     state = brax_env.reset(rng)
     body_key, reset_key, run_key = jax.random.split(rng, 3)
-    body = env.randomize(task, body_key)
-    ours = env.reset(task, body, reset_key).replace(clock=jnp.int32(0))
+    body = env.randomize(hyper, body_key)
+    ours = env.reset(hyper, body, reset_key).replace(clock=jnp.int32(0))
     assert_same(state.pipeline_state, ours)
     assert_same(state.obs, ours.obs)
     assert_same(state.info["body"], body)
     for t in range(LIMIT):
         action = jnp.array([0.3, -0.1 * ours.prop[1]])
         run_key, key = jax.random.split(run_key)
-        ours, outcome = env.step(task, body, ours, action, key)
+        ours, outcome = env.step(hyper, body, ours, action, key)
         state = brax_env.step(state, action)
         assert_same(state.pipeline_state, ours)
         assert_same(state.obs, outcome.next_obs)
@@ -195,8 +186,8 @@ def test_time_limits_are_truncations_and_falls_are_not(unroll):
 
 
 def test_brax_puts_back_the_whole_episode_but_not_its_noise(toy):
-    env, task = toy
-    brax_env = training.wrap(door.to_brax(env._replace(step=_falls_at(env, 3)), task), LIMIT)
+    env, hyper = toy
+    brax_env = training.wrap(door.to_brax(env._replace(step=_falls_at(env, 3)), hyper), LIMIT)
     step = jax.jit(brax_env.step)
     state = first = brax_env.reset(jax.random.split(jax.random.PRNGKey(2), 2))
     seen = []
@@ -225,18 +216,19 @@ def _falls_at(env, steps):
 
 
 def test_a_fall_at_the_time_limit_is_a_fall(toy):
-    env, task = toy
-    brax_env = training.wrap(door.to_brax(env._replace(step=_falls_at(env, 3)), task), 3)
-    state = brax_env.reset(jax.random.split(jax.random.PRNGKey(0), 1))
+    env, hyper = toy
+    brax_env = training.wrap(door.to_brax(env._replace(step=_falls_at(env, 3)), hyper), 3)
+    reset, step = jax.jit(brax_env.reset), jax.jit(brax_env.step)
+    state = reset(jax.random.split(jax.random.PRNGKey(0), 1))
     for _ in range(3):
-        state = brax_env.step(state, jnp.zeros((1, 2)))
+        state = step(state, jnp.zeros((1, 2)))
     assert state.done == 1 and state.info["truncation"] == 0
 
 
 def test_brax_evaluates_our_task(toy):
-    env, task = toy
+    env, hyper = toy
     evaluator = acting.Evaluator(
-        training.wrap(door.to_brax(env, task), LIMIT),
+        training.wrap(door.to_brax(env, hyper), LIMIT),
         lambda params: lambda obs, key: (jnp.zeros((*obs.shape[:-1], 2)), {}),
         num_eval_envs=8,
         episode_length=LIMIT,
@@ -256,7 +248,7 @@ def go1():
     """The velocity task of a Go1 behind brax's wrappers, not compiled."""
     config, _, hyper = toy_env.settings({"task.episode_length": 2}, variant="quick")
     env = env_lib.make(robot_lib.load("go1"), config.task, config.physics)
-    return training.wrap(door.to_brax(env, hyper.task), 2)
+    return training.wrap(door.to_brax(env, hyper), 2)
 
 
 def test_a_go1_fits_brax_without_being_run(go1):
@@ -502,7 +494,7 @@ def test_ppo_learns_to_go_fast():
         partial(evaluation.evaluate, env, static=static, num_envs=16, num_steps=50),
     )
     state, metrics = jax.jit(partial(algorithm.run, env, static=static))(hyper, state, columns)
-    after = worth(hyper.task, state.learner.params, jax.random.key(1))
+    after = worth(hyper, state.learner.params, jax.random.key(1))
     np.testing.assert_allclose(after["return"], 8.84, rtol=1e-4)
     assert after["length"] == 50 and after["fall_rate"] == 0
     assert metrics["episode_return"][-1] > 1.4 * 4.42  # with exploration

@@ -13,14 +13,11 @@ from dynappo.types import Goal
 
 PAPER = SimpleNamespace(heading=False, resample_steps=0)
 ISAAC = SimpleNamespace(heading=True, resample_steps=500)
-HYPER = SimpleNamespace(
-    command_x=(-1.0, 0.5),
-    command_y=(-0.25, 0.75),
-    command_yaw=(-0.8, 1.0),
-    heading_gain=0.5,
-    standing=0.0,
+RANGES = dict(command_x=(-1.0, 0.5), command_y=(-0.25, 0.75), command_yaw=(-0.8, 1.0))
+HYPER, HALF = (
+    SimpleNamespace(task=SimpleNamespace(**RANGES, heading_gain=0.5, standing=standing))
+    for standing in (0.0, 0.5)
 )
-HALF = SimpleNamespace(**{**vars(HYPER), "standing": 0.5})
 LEVEL = jnp.array([0.0, 0.0, 0.3, 1.0, 0.0, 0.0, 0.0])
 
 
@@ -38,9 +35,7 @@ def yaw_of(quat):
 
 def test_the_papers_command_is_uniform_in_its_ranges_and_never_changes():
     command, goal = draws(PAPER, HYPER)
-    for column, (low, high) in zip(
-        command.T, (HYPER.command_x, HYPER.command_y, HYPER.command_yaw), strict=True
-    ):
+    for column, (low, high) in zip(command.T, RANGES.values(), strict=True):
         assert low <= column.min() and column.max() <= high
         deciles = np.quantile(column, np.linspace(0.1, 0.9, 9))
         expected = low + (high - low) * np.linspace(0.1, 0.9, 9)

@@ -50,13 +50,13 @@ def build(name, ranges=None, contacts="feet", **task):
 
         return jax.jit(batch)
 
-    hyper = config.split(settings)[1].task
+    hyper = config.split(settings)[1]
     return SimpleNamespace(
         env=env,
         robot=loaded,
         settings=settings,
         hyper=hyper,
-        quiet=hyper._replace(noise=hyper.noise._make([0.0] * 5)),
+        quiet=of_task(hyper, noise=hyper.task.noise._make([0.0] * 5)),
         model=robot.physics_model(loaded, settings.physics),
         reset=batched(env.reset, (None, 0, 0)),
         step=batched(env.step, (None, 0, 0, 0, 0)),
@@ -77,7 +77,7 @@ def nominal(loaded, **changes):
         kp_scale=one,
         kd_scale=one,
     )
-    return randomize.Physics(**(fields | changes))
+    return randomize.Body(**(fields | changes))
 
 
 @pytest.fixture(scope="module")
@@ -103,7 +103,7 @@ def exact():
 
 
 @pytest.fixture(scope="module")
-def physics(lab):
+def bodies(lab):
     """Half of the robots as their file has them, half drawn from the ranges."""
     drawn = jax.vmap(lab.env.randomize, (None, 0))(lab.hyper, lab.keys)
     half = jnp.arange(ROBOTS) < ROBOTS // 2
@@ -113,9 +113,9 @@ def physics(lab):
 
 
 @pytest.fixture(scope="module")
-def standing(lab, physics):
+def standing(lab, bodies):
     """In the default pose, 5 mm into the soft ground: no foot is at the edge of a contact."""
-    state = lab.reset(lab.quiet, physics, lab.keys)
+    state = lab.reset(lab.quiet, bodies, lab.keys)
     qpos = np.tile(lab.robot.home_qpos, (ROBOTS, 1)).astype(np.float32)
     qpos[:, 2] -= 0.005
     command = np.random.default_rng(1).uniform(-1, 1, (ROBOTS, 3)).astype(np.float32)
@@ -136,10 +136,15 @@ def actions(rows, size=0.3, seed=0):
     return (size * (wave + 0.3 * rng.normal(size=wave.shape))).astype(np.float32)
 
 
+def of_task(hyper, **fields):
+    """`hyper` with fields of the group task changed."""
+    return hyper._replace(task=hyper.task._replace(**fields))
+
+
 def weights(hyper, value=1.0, **changes):
     """`hyper` with every reward weight `value`, so that metrics show the terms themselves."""
-    fields = dict.fromkeys(hyper.weights._fields, value) | changes
-    return hyper._replace(weights=hyper.weights._replace(**fields))
+    fields = dict.fromkeys(hyper.task.weights._fields, value) | changes
+    return of_task(hyper, weights=hyper.task.weights._replace(**fields))
 
 
 def turned(quat, by):
@@ -154,14 +159,14 @@ def turned(quat, by):
 class Reference:
     """One robot in C MuJoCo, with its own physical parameters and Isaac Lab's contact timers."""
 
-    def __init__(self, lab, physics, i):
-        self.lab, self.physics = lab, jax.tree.map(lambda x: np.asarray(x[i], float), physics)
+    def __init__(self, lab, bodies, i):
+        self.lab, self.body = lab, jax.tree.map(lambda x: np.asarray(x[i], float), bodies)
         base = lab.robot.base_body
         self.model = lab.model.__copy__()
-        self.model.body_mass[base] *= self.physics.mass_scale
-        self.model.body_inertia[base] *= self.physics.mass_scale
-        self.model.body_ipos[base] = self.physics.base_com
-        self.model.geom_friction[lab.robot.feet, 0] = self.physics.friction
+        self.model.body_mass[base] *= self.body.mass_scale
+        self.model.body_inertia[base] *= self.body.mass_scale
+        self.model.body_ipos[base] = self.body.base_com
+        self.model.geom_friction[lab.robot.feet, 0] = self.body.friction
         self.data = mujoco.MjData(self.model)
         self.air, self.contact, self.last_air = np.zeros((3, 4))
 
@@ -178,7 +183,7 @@ class Reference:
 
     def step(self, action):
         """Four physics steps; sets what the task needs to know of them."""
-        h, data, feet = self.lab.hyper, self.data, self.lab.robot.feet
+        h, data, feet = self.lab.hyper.task, self.data, self.lab.robot.feet
         target = actuators.target(action.astype(float), self.lab.robot.default_pose, h.action_scale)
         self.distances = np.inf
         for _ in range(SUBSTEPS):
@@ -188,8 +193,8 @@ class Reference:
                     target,
                     q,
                     self.qd_before,
-                    h.kp * self.physics.kp_scale,
-                    h.kd * self.physics.kd_scale,
+                    h.kp * self.body.kp_scale,
+                    h.kd * self.body.kd_scale,
                 ),
                 self.qd_before,
                 effort_limit=h.effort_limit,
@@ -257,13 +262,13 @@ class Reference:
 
 
 @pytest.fixture(scope="module")
-def walk(lab, physics, standing):
+def walk(lab, bodies, standing):
     """100 rows of MJX under small actions: `(actions, states [101], outcomes [100])`."""
     moves = actions(100)
     states, outcomes = [standing], []
     hyper = weights(lab.quiet)
     for row in moves:
-        state, outcome = lab.step(hyper, physics, states[-1], row, lab.keys)
+        state, outcome = lab.step(hyper, bodies, states[-1], row, lab.keys)
         states.append(state), outcomes.append(outcome)
     return moves, jax.device_get(states), jax.device_get(outcomes)
 
@@ -271,7 +276,7 @@ def walk(lab, physics, standing):
 # --- motion ---
 
 
-def test_100_rows_of_mjx_follow_c_mujoco(lab, physics, walk):
+def test_100_rows_of_mjx_follow_c_mujoco(lab, bodies, walk):
     """Same actions, same solver settings (4 / 8), no restart in between; half of the robots with
     their own masses, centre of mass, friction and gains.
 
@@ -283,7 +288,7 @@ def test_100_rows_of_mjx_follow_c_mujoco(lab, physics, walk):
     both sides all by less than 2e-5 and 3e-4). So two of the 16 may leave the tolerance.
     """
     moves, states, outcomes = walk
-    references = [Reference(lab, physics, i) for i in range(ROBOTS)]
+    references = [Reference(lab, bodies, i) for i in range(ROBOTS)]
     for i, reference in enumerate(references):
         reference.put(states[0], i)
     errors = np.zeros((len(moves), ROBOTS, 2))
@@ -301,10 +306,10 @@ def test_100_rows_of_mjx_follow_c_mujoco(lab, physics, walk):
     assert (moved > 0.05).all()  # they did not just stand
 
 
-def test_one_row_of_mjx_is_that_of_c_mujoco_and_so_is_every_reward_term(lab, physics, walk):
+def test_one_row_of_mjx_is_that_of_c_mujoco_and_so_is_every_reward_term(lab, bodies, walk):
     """Restarted from MJX's state in every seventh row; the median error is 1e-7 and 4e-6."""
     moves, states, outcomes = walk
-    references = [Reference(lab, physics, i) for i in range(ROBOTS)]
+    references = [Reference(lab, bodies, i) for i in range(ROBOTS)]
     errors, compared = [], 0
     for t in range(0, len(moves), 7):
         before, after, metrics = states[t], states[t + 1], outcomes[t].metrics
@@ -330,19 +335,19 @@ def test_one_row_of_mjx_is_that_of_c_mujoco_and_so_is_every_reward_term(lab, phy
 @pytest.fixture(scope="module")
 def many_anymals(anymal):
     many = jax.jit(jax.vmap(anymal.env.reset, (None, None, 0)))
-    physics = jax.tree.map(lambda x: x[0], anymal.nominal)
-    return jax.device_get(many(anymal.quiet, physics, jax.random.split(jax.random.key(5), MANY)))
+    body = jax.tree.map(lambda x: x[0], anymal.nominal)
+    return jax.device_get(many(anymal.quiet, body, jax.random.split(jax.random.key(5), MANY)))
 
 
 def test_anymal_d_with_damped_joints_moves_as_in_c_mujoco_in_every_row(anymal, many_anymals):
     """From scattered resets, each row from MJX's state; joint damping is taken implicitly."""
-    physics = jax.vmap(anymal.env.randomize, (None, 0))(anymal.hyper, anymal.keys)
-    references = [Reference(anymal, physics, i) for i in range(ROBOTS)]
+    bodies = jax.vmap(anymal.env.randomize, (None, 0))(anymal.hyper, anymal.keys)
+    references = [Reference(anymal, bodies, i) for i in range(ROBOTS)]
     assert references[0].model.dof_damping[6:].all()
     state = jax.tree.map(lambda x: jnp.asarray(x[:ROBOTS]), many_anymals)
     errors = []
     for row in actions(40, size=0.5):
-        after, _ = anymal.step(anymal.quiet, physics, state, row, anymal.keys)
+        after, _ = anymal.step(anymal.quiet, bodies, state, row, anymal.keys)
         for i, reference in enumerate(references):
             reference.put(state, i)
             reference.step(row[i])
@@ -367,7 +372,7 @@ def test_physical_parameters_change_the_motion_as_they_should(lab, standing):
     com = np.array(lab.nominal.base_com)
     com[at["forward"], 0] += 0.05
     com[at["backward"], 0] -= 0.05
-    physics = nominal(
+    bodies = nominal(
         lab.robot,
         mass_scale=values(1.0, heavy=1.6, light=0.8),
         kp_scale=values(1.0, stiff=1.2, soft=0.8),
@@ -380,7 +385,7 @@ def test_physical_parameters_change_the_motion_as_they_should(lab, standing):
     state = standing.replace(qvel=jnp.asarray(push))
     track = []
     for _ in range(15):
-        state, outcome = lab.step(lab.quiet, physics, state, jnp.zeros((ROBOTS, 12)), lab.keys)
+        state, outcome = lab.step(lab.quiet, bodies, state, jnp.zeros((ROBOTS, 12)), lab.keys)
         track.append(jax.device_get(state))
     height, side = track[-1].qpos[:, 2], track[-1].qpos[:, 1]
     pitch = outcome.next_obs[:, observe.GRAVITY][:, 0]  # positive with the nose down
@@ -420,19 +425,19 @@ def test_an_action_moves_its_own_joint_by_its_scale_towards_the_target(lab):
 # --- what is carried ---
 
 
-def test_a_state_rebuilt_from_its_numbers_continues_to_the_bit(lab, physics, walk):
+def test_a_state_rebuilt_from_its_numbers_continues_to_the_bit(lab, bodies, walk):
     """No field of the simulator but qpos, qvel and qacc_warmstart is carried."""
     moves, states, _ = walk
     numbers = {name: getattr(states[50], name) for name in EnvState.__annotations__}
     assert {n for n in numbers if n.startswith("q")} == {"qpos", "qvel", "qacc_warmstart"}
     state = jax.tree.map(lambda leaf: jnp.asarray(np.array(leaf)), EnvState(**numbers))
     for t in range(50, 60):
-        state, _ = lab.step(weights(lab.quiet), physics, state, moves[t], lab.keys)
+        state, _ = lab.step(weights(lab.quiet), bodies, state, moves[t], lab.keys)
     chex.assert_trees_all_equal(jax.device_get(state), states[60])
 
 
 def test_observation_return_and_age_of_the_episode_do_not_feed_back_into_the_motion(
-    lab, physics, walk
+    lab, bodies, walk
 ):
     moves, states, _ = walk
     other = jax.tree.map(jnp.asarray, states[50]).replace(
@@ -441,7 +446,7 @@ def test_observation_return_and_age_of_the_episode_do_not_feed_back_into_the_mot
         episode_steps=jnp.full(ROBOTS, 5, jnp.int32),
         clock=jnp.full(ROBOTS, 3, jnp.int32),
     )
-    after, outcome = lab.step(weights(lab.quiet), physics, other, moves[50], lab.keys)
+    after, outcome = lab.step(weights(lab.quiet), bodies, other, moves[50], lab.keys)
     for name in ("qpos", "qvel", "qacc_warmstart", "obs", "air_steps", "contact_steps"):
         np.testing.assert_array_equal(getattr(after, name), getattr(states[51], name))
     np.testing.assert_array_equal(outcome.episode_length, 6.0)
@@ -464,7 +469,7 @@ def test_the_reward_is_the_sum_of_the_metrics_times_the_control_step(lab, walk):
         np.testing.assert_allclose(outcome.reward, 0.02 * np.sum(parts, axis=0), rtol=1e-5)
 
 
-def test_the_known_share_of_the_reward_is_that_of_six_terms(lab, physics, walk):
+def test_the_known_share_of_the_reward_is_that_of_six_terms(lab, bodies, walk):
     """Of observation, action and next state alone, against the terms that `step` reports; with noise
     on both observations, because they are not read where noise is."""
     moves, states, outcomes = walk
@@ -483,24 +488,29 @@ def test_the_known_share_of_the_reward_is_that_of_six_terms(lab, physics, walk):
     assert total > 0 and np.abs(found - outcomes[99].reward).max() > 1e-4  # not all of it
 
 
-def test_prop_is_the_observation_without_its_noise_and_noise_is_drawn_as_it_was(lab, physics, walk):
+def test_prop_is_the_observation_without_its_noise_which_spares_command_and_action(
+    lab, bodies, walk
+):
+    """The noise of a step, and that drawn for a tail, fill their half widths independently."""
     moves, states, _ = walk
     size, samples = observe.PROP_SIZE, []
     for t in range(0, 100, 5):
         keys = jax.random.split(jax.random.key(t), ROBOTS)
-        quiet, _ = lab.step(lab.quiet, physics, states[t], moves[t], keys)
-        noisy, outcome = lab.step(lab.hyper, physics, states[t], moves[t], keys)
+        quiet, _ = lab.step(lab.quiet, bodies, states[t], moves[t], keys)
+        noisy, outcome = lab.step(lab.hyper, bodies, states[t], moves[t], keys)
         np.testing.assert_array_equal(quiet.prop, quiet.obs[:, :size])
         np.testing.assert_array_equal(noisy.prop, quiet.prop)
         np.testing.assert_array_equal(outcome.next_prop, quiet.prop)
+        np.testing.assert_array_equal(noisy.obs[:, size:], quiet.obs[:, size:])
+        np.testing.assert_array_equal(noisy.qpos, quiet.qpos)
         samples.append(noisy.obs - quiet.obs)
-    fresh = lab.reset(lab.hyper, physics, lab.keys)
+    fresh = lab.reset(lab.hyper, bodies, lab.keys)
     assert (np.abs(fresh.obs[:, :size] - fresh.prop) <= np.array(NOISE[:size]) + 1e-6).all()
     drawn = jax.vmap(lab.env.noise, (None, 0))(lab.hyper, jax.random.split(jax.random.key(3), 320))
-    for k in range(size):
-        fills(np.concatenate(samples)[:, k], -NOISE[k], NOISE[k])
-        fills(drawn[:, k], -NOISE[k], NOISE[k])
-    assert np.abs(np.corrcoef(drawn.T) - np.eye(size)).max() < 5 / np.sqrt(len(drawn))
+    for noise in (np.concatenate(samples)[:, :size], drawn):
+        for k in range(size):
+            fills(noise[:, k], -NOISE[k], NOISE[k])
+        assert np.abs(np.corrcoef(noise.T) - np.eye(size)).max() < 5 / np.sqrt(len(noise))
 
 
 def test_tracking_errors_in_the_metrics_are_those_of_the_observed_velocities(walk):
@@ -524,7 +534,7 @@ def test_the_environment_states_its_sizes(lab):
 # --- observations ---
 
 
-def test_the_observation_is_that_of_the_new_state_and_holds_command_and_action(lab, physics, walk):
+def test_the_observation_is_that_of_the_new_state_and_holds_command_and_action(lab, bodies, walk):
     moves, states, outcomes = walk
     for t in range(1, 100, 20):
         after = states[t + 1]
@@ -532,7 +542,7 @@ def test_the_observation_is_that_of_the_new_state_and_holds_command_and_action(l
             observe.observe(
                 after.qpos[i].astype(float),
                 after.qvel[i].astype(float),
-                np.asarray(physics.base_com[i], float),
+                np.asarray(bodies.base_com[i], float),
                 lab.robot.default_pose,
                 states[t].command[i],
                 moves[t, i],
@@ -545,37 +555,19 @@ def test_the_observation_is_that_of_the_new_state_and_holds_command_and_action(l
         np.testing.assert_array_equal(outcomes[t].next_obs[:, 33:], copied)
 
 
-def test_the_next_observation_is_the_one_carried_noise_included(lab, physics, standing):
-    state, outcome = lab.step(lab.hyper, physics, standing, actions(1)[0], lab.keys)
+def test_the_next_observation_is_the_one_carried_noise_included(lab, bodies, standing):
+    state, outcome = lab.step(lab.hyper, bodies, standing, actions(1)[0], lab.keys)
     np.testing.assert_array_equal(outcome.next_obs, state.obs)
-    kept = lab.autoreset(lab.hyper, physics, state, outcome, lab.keys)
+    kept = lab.autoreset(lab.hyper, bodies, state, outcome, lab.keys)
     chex.assert_trees_all_equal(kept, state)
 
 
-def test_observation_noise_fills_its_half_widths_and_spares_command_and_action(
-    lab, physics, standing
-):
-    move, seen = actions(1)[0], []
-    _, clean = lab.step(lab.quiet, physics, standing, move, lab.keys)
-    for seed in range(20):
-        keys = jax.random.split(jax.random.key(seed), ROBOTS)
-        _, noisy = lab.step(lab.hyper, physics, standing, move, keys)
-        seen.append(np.asarray(noisy.next_obs - clean.next_obs))
-        np.testing.assert_array_equal(noisy.next_obs[:, 33:], clean.next_obs[:, 33:])
-    noise, half = np.concatenate(seen)[:, :33], np.array(NOISE[:33])
-    assert (np.abs(noise) <= half + 1e-5).all()
-    assert (np.abs(noise).max(axis=0) > 0.9 * half).all()
-    assert (np.abs(noise.mean(axis=0)) < 4 * half / np.sqrt(3 * len(noise))).all()
-    unit = noise / half
-    assert np.abs(np.corrcoef(unit.T) - np.eye(33)).max() < 5 / np.sqrt(len(noise))
-
-
-def test_the_same_keys_give_the_same_step_and_other_keys_only_other_noise(lab, physics, standing):
+def test_the_same_keys_give_the_same_step_and_other_keys_only_other_noise(lab, bodies, standing):
     move = actions(1)[0]
-    first = lab.step(lab.hyper, physics, standing, move, lab.keys)
-    again = lab.step(lab.hyper, physics, standing, move, lab.keys)
+    first = lab.step(lab.hyper, bodies, standing, move, lab.keys)
+    again = lab.step(lab.hyper, bodies, standing, move, lab.keys)
     chex.assert_trees_all_equal(first, again)
-    other, outcome = lab.step(lab.hyper, physics, standing, move, lab.keys[::-1])
+    other, outcome = lab.step(lab.hyper, bodies, standing, move, lab.keys[::-1])
     np.testing.assert_array_equal(other.qpos, first[0].qpos)
     np.testing.assert_array_equal(outcome.reward, first[1].reward)
     assert (outcome.next_obs[:, :33] != first[1].next_obs[:, :33]).mean() > 0.9
@@ -655,23 +647,6 @@ def test_a_touchdown_is_paid_once_whichever_substep_it_falls_in(lab, standing):
     np.testing.assert_allclose(outcome.metrics["reward_feet_air_time"], expected, atol=1e-6)
 
 
-def test_private_are_air_times_contacts_and_the_robots_own_body(lab, standing):
-    rng = np.random.default_rng(0)
-    air = rng.integers(0, 400, (ROBOTS, 4)) * rng.integers(0, 2, (ROBOTS, 4))  # steps of 5 ms
-    down = (air == 0) * rng.integers(1, 90, (ROBOTS, 4))
-    state = standing.replace(air_steps=jnp.asarray(air), contact_steps=jnp.asarray(down))
-    own = {name: rng.uniform(0.5, 2, ROBOTS) for name in ("mass_scale", "friction")}
-    own |= {"kp_scale": rng.uniform(0.5, 2, ROBOTS), "kd_scale": rng.uniform(0.5, 2, ROBOTS)}
-    com = rng.normal(size=(ROBOTS, 3))
-    body = nominal(
-        lab.robot, base_com=jnp.asarray(com), **{k: jnp.asarray(v) for k, v in own.items()}
-    )
-    found = jax.vmap(lab.env.private)(body, state)
-    parts = [np.minimum(air * DT, 1.0), down > 0, np.column_stack(list(own.values())), com]
-    np.testing.assert_allclose(found, np.concatenate(parts, 1), rtol=1e-6)
-    assert found.shape == (ROBOTS, lab.env.private_size)
-
-
 # --- pushes ---
 
 
@@ -681,7 +656,7 @@ def test_a_push_kicks_the_base_on_the_plane_after_the_reward_and_before_the_obse
     """Isaac Lab's interval event: only the robots whose time has come, by up to 0.5 m/s."""
     due = np.arange(ROBOTS) % 2 == 0
     state = standing.replace(push_in=jnp.asarray(np.where(due, 1, 7), jnp.int32))
-    pushed_hyper = weights(lab.quiet)._replace(push=lab.hyper.push._replace(velocity=0.5))
+    pushed_hyper = of_task(weights(lab.quiet), push=lab.hyper.task.push._replace(velocity=0.5))
     move, kicks, waits = actions(1)[0], [], []
     for seed in range(20):
         keys = jax.random.split(jax.random.key(seed), ROBOTS)
@@ -711,7 +686,7 @@ def test_a_push_kicks_the_base_on_the_plane_after_the_reward_and_before_the_obse
 
 def test_a_push_comes_in_the_row_in_which_its_time_runs_out_and_then_not_again(lab, standing):
     state = standing.replace(push_in=jnp.full(ROBOTS, 3, jnp.int32))
-    hyper = lab.quiet._replace(push=lab.hyper.push._replace(velocity=0.5))
+    hyper = of_task(lab.quiet, push=lab.hyper.task.push._replace(velocity=0.5))
     kicked = []
     for row in actions(6):
         pushed, _ = lab.step(hyper, lab.nominal, state, row, lab.keys)
@@ -722,7 +697,7 @@ def test_a_push_comes_in_the_row_in_which_its_time_runs_out_and_then_not_again(l
 
 
 def test_anymals_are_pushed_every_10_to_15_seconds_and_go1_never(lab, anymal, many_anymals):
-    assert anymal.hyper.push.velocity == 0.5 and lab.hyper.push.velocity == 0.0
+    assert anymal.hyper.task.push.velocity == 0.5 and lab.hyper.task.push.velocity == 0.0
     fills(many_anymals.push_in, 500, 750)
 
 
@@ -788,9 +763,9 @@ def test_the_time_limit_truncates_and_a_fall_at_the_time_limit_is_only_a_fall(la
     np.testing.assert_array_equal(after.clock[:4], [999, 1000, 999, 1000])
 
 
-def test_autoreset_starts_exactly_the_ended_robots_anew_with_clock_zero(lab, physics, standing):
+def test_autoreset_starts_exactly_the_ended_robots_anew_with_clock_zero(lab, bodies, standing):
     rng = np.random.default_rng(0)
-    state, outcome = lab.step(lab.hyper, physics, standing, actions(1)[0], lab.keys)
+    state, outcome = lab.step(lab.hyper, bodies, standing, actions(1)[0], lab.keys)
     ended = np.zeros(ROBOTS, bool)
     fell, timed_out = rng.permutation(ROBOTS)[:6].reshape(2, 3)
     ended[fell] = ended[timed_out] = True
@@ -799,7 +774,7 @@ def test_autoreset_starts_exactly_the_ended_robots_anew_with_clock_zero(lab, phy
         truncation=outcome.truncation.at[timed_out].set(1.0),
     )
     keys = jax.random.split(jax.random.key(9), ROBOTS)
-    new = jax.device_get(lab.autoreset(lab.hyper, physics, state, outcome, keys))
+    new = jax.device_get(lab.autoreset(lab.hyper, bodies, state, outcome, keys))
     chex.assert_trees_all_equal(
         *(jax.tree.map(lambda leaf: np.asarray(leaf)[~ended], tree) for tree in (state, new))
     )
@@ -859,7 +834,7 @@ def test_where_only_the_base_falls_a_thigh_at_the_floor_counts_and_does_not_end_
 
 def test_with_all_contacts_a_robot_without_torque_lies_on_the_floor_and_does_not_sink(exact):
     state, zero = laid(exact, np.tile([1.0, 0, 0, 0], (ROBOTS, 1)), 0), jnp.zeros((ROBOTS, 12))
-    limp = exact.quiet._replace(effort_limit=0.0)
+    limp = of_task(exact.quiet, effort_limit=0.0)
     for _ in range(100):
         state, outcome = exact.step(limp, exact.nominal, state, zero, exact.keys)
     assert not outcome.metrics["blowups"].any()
@@ -960,11 +935,11 @@ MANY = 400
 def resets(lab):
     """`draw(**fields of task.reset)`: fresh states of `MANY` robots."""
     many = jax.jit(jax.vmap(lab.env.reset, (None, None, 0)))
-    physics = jax.tree.map(lambda x: x[0], lab.nominal)
+    body = jax.tree.map(lambda x: x[0], lab.nominal)
 
     def draw(**fields):
-        hyper = lab.quiet._replace(reset=lab.hyper.reset._replace(**fields))
-        return jax.device_get(many(hyper, physics, jax.random.split(jax.random.key(5), MANY)))
+        hyper = of_task(lab.quiet, reset=lab.hyper.task.reset._replace(**fields))
+        return jax.device_get(many(hyper, body, jax.random.split(jax.random.key(5), MANY)))
 
     return draw
 
@@ -1081,16 +1056,16 @@ def test_the_same_key_resets_to_the_same_state_and_another_to_another(lab):
 # --- rewards ---
 
 
-def test_a_changed_weight_changes_the_reward_without_a_new_trace(lab, physics, standing):
+def test_a_changed_weight_changes_the_reward_without_a_new_trace(lab, bodies, standing):
     """`lab.step` raises at a second trace."""
     move = actions(1)[0]
     base = weights(lab.quiet, 0.0)
-    _, nothing = lab.step(base, physics, standing, move, lab.keys)
+    _, nothing = lab.step(base, bodies, standing, move, lab.keys)
     assert not nothing.reward.any()
-    for name in lab.hyper.weights._fields:
+    _, all_ones = lab.step(weights(lab.quiet), bodies, standing, move, lab.keys)
+    for name in lab.hyper.task.weights._fields:
         single = weights(lab.quiet, 0.0, **{name: 2.5})
-        _, outcome = lab.step(single, physics, standing, move, lab.keys)
-        _, all_ones = lab.step(weights(lab.quiet), physics, standing, move, lab.keys)
+        _, outcome = lab.step(single, bodies, standing, move, lab.keys)
         term = all_ones.metrics[f"reward_{name}"]
         np.testing.assert_allclose(outcome.reward, 0.02 * 2.5 * term, rtol=1e-5)
 
@@ -1161,7 +1136,7 @@ def test_as_the_paper_prints_it_tracking_has_no_sigma_and_feet_are_paid_in_the_a
 def test_tracking_std_is_a_number_of_the_task_that_needs_no_new_trace(plain, standing):
     move = actions(1)[0]
     _, one = plain.step(plain.quiet, plain.nominal, standing, move, plain.keys)
-    narrow = plain.quiet._replace(tracking_std=0.5)
+    narrow = of_task(plain.quiet, tracking_std=0.5)
     _, half = plain.step(narrow, plain.nominal, standing, move, plain.keys)
     name = "reward_track_linear_velocity"
     share_one, share_half = one.metrics[name] / 1.5, half.metrics[name] / 1.5

@@ -1,5 +1,7 @@
-"""Checkpoints: every bit comes back, and one that does not fit is said so in one line."""
+"""Checkpoints: every bit comes back, the best in an evaluation is kept, damage is one line."""
 
+import json
+import logging
 import pathlib
 import shutil
 from types import SimpleNamespace
@@ -7,11 +9,15 @@ from types import SimpleNamespace
 import jax
 import jax.numpy as jnp
 import numpy as np
+import orbax.checkpoint as ocp
 import pytest
 import toy_env
+import workdirs
+from answers import refused
+from toy_runs import assert_same
+from workdirs import N_REAL
 
 from dynappo import algorithm
-from dynappo.config import ConfigError
 from dynappo.train import checkpoint
 
 
@@ -33,207 +39,227 @@ def state():
     return make
 
 
+BOUNDS = {"model.clean": True, "model.falls": True, "model.bounds": True}
+KINDS = {"plain": {}, "tail": toy_env.TAIL, "bounds": toy_env.TAIL | BOUNDS}
+
+
 @pytest.fixture(scope="module")
 def plain(state):
     """A state without a model."""
-    return state({})
+    return state(KINDS["plain"])
 
 
-@pytest.fixture(scope="module")
-def tail(state):
-    """A state with a model."""
-    return state(toy_env.TAIL)
+def save(workdir, some, **how):
+    """Save `{iteration: state}` in a workdir, with nobody to tell of problems; the folder they are in."""
+    with checkpoint.opened(workdir, pytest.fail) as checkpoints:
+        for iteration, state in some.items():
+            checkpoint.save(checkpoints, iteration, state, **how)
+    return workdir / "checkpoints"
 
 
-@pytest.fixture(scope="module")
-def ideas(state):
-    """A state with everything that a model may carry beside its networks."""
-    on = {"model.clean": True, "model.private": True, "model.history": 2, "model.ensemble": 2}
-    return state(toy_env.TAIL | on | {"model.bounds": True, "schedule.by_error": True})
+def restore(workdir, like, say=pytest.fail):
+    """What a run finds that begins in a workdir."""
+    with checkpoint.opened(workdir, say) as checkpoints:
+        return checkpoint.restore(checkpoints, like, say)
 
 
-@pytest.fixture
-def checkpoints(tmp_path):
-    """`checkpoints()` is a manager of the test's own workdir."""
-    made = []
-
-    def make():
-        made.append(checkpoint.manager(tmp_path))
-        return made[-1]
-
-    yield make
-    for manager in made:
-        manager.close()
+# ---- every bit comes back
 
 
-def assert_same(one, other):
-    """Two states are equal to the bit, keys included, NaN equal to NaN."""
-    assert jax.tree.structure(one) == jax.tree.structure(other)
-    for (path, x), y in zip(jax.tree.leaves_with_path(one), jax.tree.leaves(other), strict=True):
-        assert x.dtype == y.dtype and x.shape == y.shape
-        if jax.dtypes.issubdtype(x.dtype, jax.dtypes.prng_key):
-            x, y = jax.random.key_data(x), jax.random.key_data(y)
-        np.testing.assert_array_equal(x, y, jax.tree_util.keystr(path))
-
-
-@pytest.mark.parametrize("kind", ["plain", "tail", "ideas"])
-def test_a_state_comes_back_to_the_bit(checkpoints, request, kind):
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_state_comes_back_to_the_bit(tmp_path, state, kind):
     """Weights, moments, physics, rings with NaN and the typed key, with a model and without."""
-    state = request.getfixturevalue(kind)
-    assert (state.model is None) == (kind == "plain")
-    first = checkpoints()
-    checkpoint.save(first, 20, state)
-    first.wait_until_finished()
+    there = state(KINDS[kind])
+    assert (there.model is None) == (kind == "plain")
+    save(tmp_path, {20: there})
     blank = jax.tree.map(
-        lambda x: x if jax.dtypes.issubdtype(x.dtype, jax.dtypes.prng_key) else x * 0, state
+        lambda x: x if jax.dtypes.issubdtype(x.dtype, jax.dtypes.prng_key) else x * 0, there
     ).replace(key=jax.random.key(99))
-    iteration, back = checkpoint.restore(checkpoints(), blank)
+    iteration, back = restore(tmp_path, blank)
     assert iteration == 20
-    assert_same(back, state)
+    assert_same(back, there)
     np.testing.assert_array_equal(  # and the key works
-        jax.random.normal(back.key, (3,)), jax.random.normal(state.key, (3,))
+        jax.random.normal(back.key, (3,)), jax.random.normal(there.key, (3,))
     )
 
 
-def test_several_seeds_come_back_to_the_bit(checkpoints, plain):
+def test_several_seeds_come_back_to_the_bit(tmp_path, plain):
     """A state with a seed axis in front, as `run.num_seeds` makes it."""
     seeds = jax.tree.map(lambda x: jnp.stack([x, x]), plain)
-    manager = checkpoints()
-    checkpoint.save(manager, 1, seeds)
-    manager.wait_until_finished()
-    assert_same(checkpoint.restore(manager, seeds)[1], seeds)
+    save(tmp_path, {1: seeds})
+    assert_same(restore(tmp_path, seeds)[1], seeds)
 
 
-def test_a_state_can_be_given_away_while_it_is_saved(checkpoints, plain):
+def test_a_state_can_be_given_away_while_it_is_saved(tmp_path, plain):
     """`save` has copied the arrays when it returns: the trainer donates them at once."""
     state = jax.tree.map(jnp.copy, plain)
-    manager = checkpoints()
-    checkpoint.save(manager, 1, state)
-    gone = jax.jit(lambda s: jax.tree.map(lambda x: x, s), donate_argnums=0)(state)
-    jax.tree.map(lambda x: x.delete(), gone)
-    manager.wait_until_finished()
-    assert_same(checkpoint.restore(manager, plain)[1], plain)
+    with checkpoint.opened(tmp_path, pytest.fail) as checkpoints:
+        checkpoint.save(checkpoints, 1, state)
+        gone = jax.jit(lambda s: jax.tree.map(lambda x: x, s), donate_argnums=0)(state)
+        jax.tree.map(lambda x: x.delete(), gone)
+    assert_same(restore(tmp_path, plain)[1], plain)
 
 
-def test_without_a_checkpoint_there_is_nothing_to_restore(checkpoints, plain):
-    """A new workdir gives None."""
-    assert checkpoint.restore(checkpoints(), plain) is None
+def test_what_a_checkpoint_says_about_itself(whole, config):
+    """Iteration, exact simulator steps, the config, and a hash that the arrays have."""
+    about = json.loads((whole.workdir / "checkpoints" / "4" / "about" / "metadata").read_text())
+    assert about["iteration"] == 4 and about["sim_steps"] == 16 * sum(N_REAL)
+    assert about["config"] == json.loads(json.dumps(config.to_dict()))
+    assert about["sha256"] == checkpoint.digest(whole.state)
+    iteration, state = restore(whole.workdir, whole.state)
+    assert iteration == 4
+    assert_same(state, whole.state)
 
 
-def test_the_newest_of_the_last_three_is_restored(checkpoints, plain):
-    """By iteration, 9 before 10; older ones are deleted."""
-    manager = checkpoints()
-    for iteration in (8, 9, 10, 11):
-        state = plain.replace(lengths=jnp.full(100, float(iteration)))
-        checkpoint.save(manager, iteration, state)
-    manager.wait_until_finished()
-    iteration, back = checkpoint.restore(checkpoints(), plain)
+# ---- which are kept
+
+
+def test_the_newest_three_are_kept_and_the_newest_is_restored(tmp_path, plain):
+    """By iteration, 9 before 10; a save that was killed counts as none; at first there is nothing."""
+    assert restore(tmp_path, plain) is None
+    states = {i: plain.replace(lengths=jnp.full(100, float(i))) for i in (8, 9, 10, 11)}
+    folder = save(tmp_path, states)
+    assert workdirs.steps(tmp_path) == {"9", "10", "11"}
+    shutil.copytree(folder / "11", folder / "12.orbax-checkpoint-tmp-0")
+    iteration, back = restore(tmp_path, plain)
     assert iteration == 11 and (back.lengths == 11).all()
-    folder = manager.directory
-    assert sorted(int(p.name) for p in folder.iterdir()) == [9, 10, 11]
 
 
-def test_the_best_is_kept_beside_the_newest(checkpoints, plain):
-    """By the return it was saved with; one without a return is never the best."""
-    manager = checkpoints()
-    for iteration, worth in ((1, 3.0), (2, 9.0), (3, 5.0), (4, np.nan), (5, 1.0), (6, 2.0)):
-        checkpoint.save(manager, iteration, plain, worth)
-    manager.wait_until_finished()
-    steps = sorted(int(p.name) for p in manager.directory.iterdir())
-    assert steps == [2, 4, 5, 6]
-    assert checkpoint.restore(checkpoints(), plain)[0] == 6
+def test_the_best_in_an_evaluation_is_kept_beside_the_newest(tmp_path, plain):
+    """One without an evaluation is never the best, whatever its training episodes were worth."""
+    worth = {1: 3.0, 2: 9.0, 3: 5.0, 4: None, 5: 1.0, 6: 2.0}
+    with checkpoint.opened(tmp_path, pytest.fail) as checkpoints:
+        for iteration, eval_return in worth.items():
+            checkpoint.save(checkpoints, iteration, plain, eval_return)
+    assert workdirs.steps(tmp_path) == {"2", "4", "5", "6"}
+    assert restore(tmp_path, plain)[0] == 6
 
 
-def test_damaged_checkpoints_are_passed_over_one_by_one(checkpoints, plain):
-    """The JSON of one, the arrays of another; the third is good, and both can be written again."""
-    manager = checkpoints()
-    for iteration in (4, 5, 6):
-        checkpoint.save(manager, iteration, plain)
-    manager.wait_until_finished()
-    (manager.directory / "6" / "metrics" / "metrics").write_text("{")
-    shutil.rmtree(manager.directory / "5" / "state" / "d")
-    said, again = [], checkpoints()
-    assert checkpoint.restore(again, plain, said.append)[0] == 4
-    folder = manager.directory.parent
-    assert {p.name for p in folder.glob("damaged-*")} == {"damaged-5", "damaged-6"}
-    assert len(said) == 1 and "checkpoint 5 is damaged" in said[0]
-    checkpoint.save(again, 5, plain)
-    again.wait_until_finished()
-    assert checkpoint.restore(checkpoints(), plain)[0] == 5
+def test_without_an_evaluation_no_checkpoint_is_the_best(tmp_path, plain):
+    save(tmp_path, dict.fromkeys(range(1, 7), plain))
+    assert workdirs.steps(tmp_path) == {"4", "5", "6"}
 
 
-def assert_one_line(error, folder):
-    """The message names the folder, says what to do, and is one line."""
-    text = str(error.value)
-    assert "\n" not in text and str(folder) in text and "--workdir" in text
+def test_checkpoints_of_before_with_the_return_of_training_episodes_are_still_good(tmp_path, plain):
+    """They can be gone on from, and an evaluated one is better than any of them."""
+    args = ocp.args.Composite(
+        state=ocp.args.StandardSave(checkpoint._raw(plain)[0]),
+        about=ocp.args.JsonSave(
+            {
+                "iteration": 1,
+                "arrays": checkpoint.shapes(plain),
+                "sha256": checkpoint.digest(plain),
+            }
+        ),
+    )
+    with checkpoint.opened(tmp_path, pytest.fail) as checkpoints:
+        checkpoints.save(1, args=args, metrics={"episode_return": 99.0}, force=True)
+    iteration, state = restore(tmp_path, plain)
+    assert iteration == 1
+    assert_same(state, plain)
+    save(tmp_path, {2: plain}, eval_return=-5.0)
+    save(tmp_path, dict.fromkeys((3, 4, 5), plain))
+    assert workdirs.steps(tmp_path) == {"2", "3", "4", "5"}
+
+
+# ---- another run's
 
 
 @pytest.mark.parametrize(
-    "fields",
-    [{"rollout.num_envs": 32}, {"ppo.hidden": (16, 8)}, toy_env.TAIL],
-    ids=["robots", "network", "model"],
+    ("there", "here", "differs"),
+    [
+        ({}, {"rollout.num_envs": 32}, "float32[16,3] there, float32[32,3] here"),
+        ({}, {"ppo.hidden": (16, 8)}, "Dense_1/bias is float32[16] there, float32[8] here"),
+        ({}, toy_env.TAIL, "absent there"),
+        (toy_env.TAIL, {}, "absent here"),  # nothing of it is silently left out
+    ],
+    ids=["robots", "network", "model", "no model"],
 )
-def test_a_checkpoint_of_another_shape_is_refused_in_one_line(checkpoints, state, plain, fields):
-    """Other robots, another network, or a model where there was none."""
-    manager = checkpoints()
-    checkpoint.save(manager, 5, plain)
-    manager.wait_until_finished()
-    with pytest.raises(ConfigError) as error:
-        checkpoint.restore(manager, state(fields))
-    assert_one_line(error, manager.directory / "5")
+def test_a_checkpoint_of_another_shape_is_refused_in_one_line(
+    tmp_path, state, there, here, differs
+):
+    """The first array that differs, with both shapes; the checkpoint is not taken for a damaged one."""
+    folder = save(tmp_path, {5: state(there)})
+    line = refused(restore, tmp_path, state(here))
+    assert line.startswith(f"{folder.resolve() / '5'} is not a checkpoint of this run: ")
+    assert differs in line and line.endswith("choose another --workdir")
+    assert (folder / "5").is_dir()
 
 
-def test_a_checkpoint_with_a_model_is_no_checkpoint_of_plain_ppo(checkpoints, plain, tail):
-    """Nothing of it is silently left out."""
-    manager = checkpoints()
-    checkpoint.save(manager, 5, tail)
-    manager.wait_until_finished()
-    with pytest.raises(ConfigError) as error:
-        checkpoint.restore(manager, plain)
-    assert_one_line(error, manager.directory / "5")
+# ---- damaged
+
+
+def test_damaged_checkpoints_are_passed_over_one_by_one(tmp_path, plain):
+    """The JSON of one, the arrays of another; the third is good, and both can be written again."""
+    folder = save(tmp_path, {4: plain, 5: plain, 6: plain}, eval_return=1.0)
+    (folder / "6" / "metrics" / "metrics").write_text("{")
+    shutil.rmtree(folder / "5" / "state" / "d")
+    said = []
+    assert restore(tmp_path, plain, said.append)[0] == 4
+    assert {p.name for p in tmp_path.glob("damaged-*")} == {"damaged-5", "damaged-6"}
+    assert ["checkpoint 6 is damaged" in said[0], "checkpoint 5 is damaged" in said[1]] == [
+        True
+    ] * 2
+    assert all("an older one is taken" in line and "\n" not in line for line in said)
+    save(tmp_path, {5: plain})
+    assert restore(tmp_path, plain)[0] == 5
 
 
 @pytest.mark.parametrize("damage", ["empty", "cut", "item"])
-def test_a_damaged_checkpoint_is_refused_in_one_line(checkpoints, plain, damage):
+def test_a_damaged_checkpoint_is_refused_in_one_line(tmp_path, plain, damage):
     """Files of no bytes, files cut in half, or the arrays missing."""
-    manager = checkpoints()
-    checkpoint.save(manager, 5, plain)
-    manager.wait_until_finished()
-    folder = manager.directory / "5"
+    folder = save(tmp_path, {5: plain})
     if damage == "item":
-        shutil.rmtree(folder / "state")
+        shutil.rmtree(folder / "5" / "state")
     else:
-        for file in [p for p in pathlib.Path(folder).rglob("*") if p.is_file()]:
+        for file in [p for p in pathlib.Path(folder / "5").rglob("*") if p.is_file()]:
             data = file.read_bytes()
             file.write_bytes(data[: len(data) // 2] if damage == "cut" else b"")
-    with pytest.raises(ConfigError, match="no checkpoint can be read") as error:
-        checkpoint.restore(checkpoints(), plain)
-    assert_one_line(error, manager.directory)
-    assert (manager.directory.parent / "damaged-5").is_dir() and not folder.exists()
+    said = []
+    line = refused(restore, tmp_path, plain, said.append)
+    assert "no checkpoint can be read any more" in line and "--workdir" in line and len(said) == 1
+    assert (tmp_path / "damaged-5").is_dir() and not (folder / "5").exists()
+
+
+def test_other_numbers_than_were_saved_are_damage(tmp_path, plain):
+    """Found by the hash of all arrays."""
+    folder = save(tmp_path, {4: plain, 5: plain})
+    workdirs.other_hash(folder / "5")
+    said = []
+    assert restore(tmp_path, plain, said.append)[0] == 4
+    assert "its numbers are not those that were saved" in said[0]
 
 
 def test_a_disk_that_is_too_full_is_an_error_before_anything_is_written(
-    checkpoints, plain, monkeypatch
+    tmp_path, plain, monkeypatch
 ):
     """The message has both numbers; with room it is saved."""
-    manager = checkpoints()
     size = sum(x.nbytes for x in jax.tree.leaves(plain))
-    monkeypatch.setattr(shutil, "disk_usage", lambda path: SimpleNamespace(free=size))
-    with pytest.raises(OSError, match="No space left on device: .* MB needed, .* MB free"):
-        checkpoint.save(manager, 5, plain)
-    assert not list(manager.directory.iterdir())
-    monkeypatch.setattr(shutil, "disk_usage", lambda path: SimpleNamespace(free=2 * size))
-    checkpoint.save(manager, 5, plain)
-    checkpoint.finish(manager)
-    assert checkpoint.restore(checkpoints(), plain)[0] == 5
+    free = [size, 2 * size]
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: SimpleNamespace(free=free[0]))
+    with checkpoint.opened(tmp_path, pytest.fail) as checkpoints:
+        with pytest.raises(OSError, match="No space left on device: .* MB needed, .* MB free"):
+            checkpoint.save(checkpoints, 5, plain)
+        assert not workdirs.steps(tmp_path)
+        del free[0]
+        checkpoint.save(checkpoints, 5, plain)
+    assert restore(tmp_path, plain)[0] == 5
 
 
-def test_an_unfinished_checkpoint_is_not_taken(checkpoints, plain):
-    """A folder that a killed run left with orbax's temporary name counts as none."""
-    manager = checkpoints()
-    checkpoint.save(manager, 5, plain)
-    manager.wait_until_finished()
-    finished = manager.directory / "5"
-    shutil.copytree(finished, manager.directory / "6.orbax-checkpoint-tmp-0")
-    iteration, _ = checkpoint.restore(checkpoints(), plain)
-    assert iteration == 5
+# ---- the loggers
+
+
+def test_orbaxs_loggers_are_silent_meanwhile_and_as_they_were_afterwards(tmp_path):
+    """Also where it is interrupted."""
+    loggers = [logging.getLogger(name) for name in ("absl", "asyncio")]
+    before = [logger.level for logger in loggers]
+    try:
+        for level, logger in enumerate(loggers, 17):
+            logger.setLevel(level)
+        with pytest.raises(KeyboardInterrupt), checkpoint.opened(tmp_path):
+            assert not any(logger.isEnabledFor(logging.ERROR) for logger in loggers)
+            raise KeyboardInterrupt
+        assert [logger.level for logger in loggers] == [17, 18]
+    finally:
+        for level, logger in zip(before, loggers, strict=True):
+            logger.setLevel(level)

@@ -1,295 +1,159 @@
-"""What the train command answers: one line and status 2 for every mistake, and what it prints."""
+"""The command `python -m dynappo.train`: a first run, every mistake, what stops it, what it prints."""
 
+import csv
 import io
+import json
 import os
 import pathlib
+import signal
 import subprocess
 import sys
+import time
 
 import numpy as np
 import pytest
+import workdirs
+from answers import ROOT, mistake, refused, shell, status
 from rich.console import Console
 
 from dynappo import config as config_lib
+from dynappo.policy import policy_file, render
+from dynappo.program import devices
 from dynappo.train import command as train_command
 
-ROOT = pathlib.Path(config_lib.__file__).parent.parent
 GO1 = "--config=configs/go1.py:dyna4"
-NOWHERE = ["--workdir=taken"]  # a file: a mistake that goes unnoticed trains nothing
-# name -> flags after the config file, what the line must say
-SETTINGS = {
+
+
+@pytest.fixture(autouse=True)
+def not_our_process(monkeypatch):
+    """What the command sets for its own process stays out of this one."""
+    monkeypatch.setattr(devices, "own_process", lambda device: None)
+
+
+# ---- a first run
+
+FIRST = """
+--config=configs/go1.py:quick --config.rollout.num_envs=16 --config.rollout.horizon=4
+--config.schedule.end_iteration=4 --config.schedule.end_steps=1 --config.model.hidden=(16,16)
+--config.model.minibatches=2 --config.ppo.hidden=(16,16) --config.task.episode_length=60
+--config.run.num_iterations=4 --config.run.log_every=2 --config.run.eval_envs=0
+--config.run.video_seconds=0.2
+""".split()
+
+
+def test_a_first_run_on_the_go1(tmp_path, monkeypatch):
+    """Status 0, nothing on stderr; metrics of every reward, a policy that can be played, a film."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    workdir = tmp_path / "run"
+    done = shell("-m", "dynappo.train", *FIRST, f"--workdir={workdir}")
+    assert done.returncode == 0 and done.stderr == ""
+    for words in (
+        "dynappo trains go1: 16 robots, 4 rows an iteration, tail of 1, from 0 over iterations 0-4",
+        "iteration    4  return",
+        "return (last 10 iterations)",
+        f"see it: python -m dynappo.play {workdir} --out=walk.html",
+    ):
+        assert words in done.stdout, done.stdout
+    with (workdir / "metrics.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["iteration"] for row in rows] == ["1", "2", "3", "4"]
+    config = config_lib.load("configs/go1.py")
+    names = {f"reward_{name}" for name in config.task.weights}
+    assert names | {"velocity_error", "yaw_error", "falls", "timeouts", "blowups"} <= set(rows[0])
+    for row in rows:
+        some = {k: v for k, v in row.items() if not k.startswith("episode_")}
+        assert all(np.isfinite(float(value)) for value in some.values()), some
+    policy, path = policy_file.find(str(workdir))
+    assert path == workdir / "policy.npz" and policy.robot == "go1"
+    assert np.isfinite(policy_file.actor(policy.params, policy.activation)(np.zeros(48))).all()
+    video = json.loads((workdir / "summary.json").read_text())["video"]
+    if (workdir / "video.mp4").exists():
+        assert video == str(workdir / "video.mp4")
+    else:
+        assert video in (render.NO_OPENGL, render.LACKS.format("imageio-ffmpeg"))
+    assert any((tmp_path / "cache" / "dynappo" / "jax").iterdir())  # for the next process
+
+
+# ---- mistakes
+
+MISTAKES = {  # flags after the config file, what the line must say
     "unknown field": (["--config.ppo.learning_rat=1e-3"], "did you mean ppo.learning_rate?"),
-    "field of no group": (["--config.zzz=1"], "no such field"),
-    "a group": (["--config.rollout=3"], "is a group"),
-    "float for int": (["--config.ppo.epochs=2.5"], "ppo.epochs='2.5': expected int"),
-    "text for float": (["--config.ppo.gamma=high"], "ppo.gamma='high': expected float"),
-    "number for bool": (["--config.ppo.adaptive=1"], "expected bool"),
-    "number for tuple": (["--config.ppo.hidden=64"], "ppo.hidden='64': expected"),
-    "text in a tuple of ints": (["--config.ppo.hidden=('a','b')"], "ppo.hidden"),
-    "text in a range": (["--config.task.command_x=('a',1)"], "task.command_x"),
-    "empty network": (["--config.ppo.hidden=()"], "ppo.hidden"),
-    "negative width": (["--config.model.hidden=(64,-3)"], "model.hidden"),
+    "wrong value": (["--config.ppo.epochs=2.5"], "ppo.epochs='2.5': expected int"),
     "value missing": (["--config.run.num_iterations"], "run.num_iterations=''"),
+    "wrong setting": (["--config.run.num_iterations=0"], "expected more than 0"),
     "unknown flag": (["--learning_rate=3"], "--learning_rate=3: no such flag"),
     "abbreviated flag": (["--work=x"], "--work=x: no such flag"),
     "stray word": (["quick"], "quick: no such flag"),
     "workdir missing": (["--workdir"], "--workdir: expected one argument"),
-    "minibatches do not divide": (
-        ["--config.ppo.minibatches=7"],
-        "expected a multiple of ppo.minibatches = 7",
-    ),
-    "robots do not divide": (["--config.rollout.num_envs=100"], "ppo.shuffle_blocks = 8"),
-    "tail as long as the rollout": (
-        ["--config.schedule.end_steps=16"],
-        "schedule.end_steps is 16, expected less than rollout.horizon = 16",
-    ),
-    "negative steps": (["--config.schedule.start_steps=-1"], "expected 0 or more"),
-    "fewer steps at the end": (
-        ["--config.schedule.start_steps=3", "--config.schedule.end_steps=2"],
-        "schedule.end_steps is 2, expected at least schedule.start_steps = 3",
-    ),
-    "end before start": (
-        ["--config.schedule.start_iteration=200"],
-        "schedule.end_iteration is 100, expected at least schedule.start_iteration = 200",
-    ),
-    "no iterations": (["--config.run.num_iterations=0"], "expected more than 0"),
-    "negative evaluation": (["--config.run.eval_envs=-1"], "run.eval_envs is -1"),
-    "negative film": (["--config.run.video_seconds=-1.0"], "run.video_seconds is -1"),
-    "infinite rate": (["--config.ppo.learning_rate=1e999"], "ppo.learning_rate is inf"),
-    "seed of 70 bits": (["--config.run.seed=999999999999999999999"], "run.seed"),
-    "unknown robot": (["--config.robot=spot"], "robot is 'spot', expected one of anymal_c"),
-    "robot by a path": (["--config.robot=../go1"], "robot is '../go1'"),
-    "unknown engine": (["--config.physics.impl=cuda"], "expected one of auto, jax, warp"),
-    "unknown device": (["--config.run.device=tpu"], "expected one of auto, cpu, gpu"),
-    "unknown formulation": (["--config.task.formulation=mine"], "expected one of isaaclab"),
-}
-# name -> text of a config file, what the line must say besides the file's name
-FILES = {
-    "no get_config": ("x = 1\n", "get_config"),
-    "syntax error": ("def get_config(variant\n    return 1\n", "line 1"),
-    "error at import": ("import no_such_package\n", "no_such_package"),
-    "error inside": ('def get_config(variant=""):\n    return 1 / 0\n', "division by zero"),
-    "missing key": ('def get_config(variant=""):\n    return {}["speed"]\n', "speed"),
-    "missing attribute": ('def get_config(variant=""):\n    return variant.speed\n', "speed"),
-    "no variant": ("def get_config():\n    return 1\n", "get_config"),
-    "another type": ('def get_config(variant=""):\n    return 3\n', "get_config"),
-    "fields missing": (
-        "from ml_collections import config_dict\n\n\n"
-        'def get_config(variant=""):\n    return config_dict.create(robot="go1")\n',
-        "mine.py",
-    ),
+    "no number": (["--processes=two"], "--processes: invalid int value: 'two'"),
+    "workdir is a file": (["--workdir=taken"], "--workdir=taken: cannot write there"),
+    "another run": (["--config.ppo.epochs=4", "--workdir=old"], "ppo.epochs 5 there, 4 here"),
+    "restore nothing": (["--restore=none", "--fresh"], "--restore=none: no checkpoints/ there"),
+    "restore a young run": (["--restore=young", "--fresh"], "it holds no checkpoint yet"),
+    "no GPU": (["--config.run.device=gpu"], "set run.device=cpu"),
+    "no Warp": (["--config.physics.impl=warp"], "set physics.impl=jax"),
+    "too large": (["--config.rollout.num_envs=4194304"], "the rollout alone needs"),
 }
 
 
-@pytest.fixture
-def refusal(capsys, tmp_path, monkeypatch):
-    """`refusal(argv)` is the one line that the command answers with status 2, nothing written."""
+@pytest.mark.parametrize("name", MISTAKES)
+def test_a_mistake_is_one_line_and_status_2(name, tmp_path, monkeypatch, capsys):
+    """Nothing is written, nothing is compiled; no workdir stays behind that would refuse the cure."""
     monkeypatch.chdir(tmp_path)
+    flags, expected = MISTAKES[name]
     (tmp_path / "taken").write_text("mine")
-
-    def call(argv, left):
-        with pytest.raises(SystemExit) as stopped:
-            train_command.main(argv)
-        assert stopped.value.code == 2
-        out, line = capsys.readouterr()
-        assert line.count("\n") == 1 and line.endswith("\n"), line
-        assert line.startswith("dynappo: ") and len(line) < 400
-        assert "Traceback" not in out + line
-        assert sorted(p.name for p in tmp_path.iterdir()) == sorted(left)
-        return line
-
-    return call
-
-
-def shell(*arguments, cwd=ROOT):
-    """A fresh Python with these arguments; environment and package as here."""
-    path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))
-    return subprocess.run(
-        [sys.executable, *arguments],
-        cwd=cwd,
-        env=os.environ | {"PYTHONPATH": path},
-        capture_output=True,
-        text=True,
-        timeout=120,
-    )
-
-
-@pytest.mark.parametrize("name", SETTINGS)
-def test_a_wrong_setting_is_one_line_and_status_2(refusal, name):
-    """The line names the field, what was found and what was expected."""
-    flags, expected = SETTINGS[name]
-    assert expected in refusal([GO1, *NOWHERE, *flags], left=["taken"])
-
-
-@pytest.mark.parametrize("name", FILES)
-def test_a_wrong_config_file_is_one_line_and_status_2(refusal, tmp_path, name):
-    """The line names the file and what is wrong in it; no traceback of ours."""
-    text, expected = FILES[name]
-    (tmp_path / "mine.py").write_text(text)
-    line = refusal(["--config=mine.py", *NOWHERE], left=["mine.py", "taken"])
-    assert "mine.py" in line and expected in line
-
-
-@pytest.mark.parametrize(
-    "argv, expected",
-    [
-        (["--config=none.py"], "no file 'none.py'"),
-        (["--config=."], "no file '.'"),
-        (["--config=configs/go1.py:ppo13"], "variant 'ppo13' is not one of ppo12, ppo16"),
-        (["--config"], "--config: expected one argument"),
-        ([], "--config"),
-    ],
-    ids=["missing", "folder", "variant", "no value", "no arguments"],
-)
-def test_without_a_config_file_the_answer_is_one_line(refusal, argv, expected):
-    """A file that is not there, a variant that is not, no file at all."""
-    assert expected in refusal(argv, left=["taken"])
-
-
-def test_a_workdir_that_is_a_file_is_refused(refusal, tmp_path):
-    """Nothing is written over it, nor under it."""
-    for workdir in ("taken", "taken/below"):
-        line = refusal([GO1, f"--workdir={workdir}"], left=["taken"])
-        assert f"--workdir={workdir}" in line and "cannot write there" in line
-    assert (tmp_path / "taken").read_text() == "mine"
-
-
-def test_the_folder_of_another_run_is_refused_by_the_field_that_differs(refusal, tmp_path):
-    """Its config.json stays as it is."""
+    (tmp_path / "young" / "checkpoints").mkdir(parents=True)
+    old = config_lib.to_json(config_lib.validate(config_lib.load("configs/go1.py:dyna4")))
     (tmp_path / "old").mkdir()
-    config = config_lib.validate(config_lib.load("configs/go1.py:ppo12"))
-    (tmp_path / "old" / "config.json").write_text(config_lib.to_json(config))
+    (tmp_path / "old" / "config.json").write_text(old)
     (tmp_path / "old" / "metrics.csv").write_text("iteration\n1\n")
-    argv = ["--config=configs/go1.py:ppo12", "--config.ppo.epochs=4", "--workdir=old"]
-    assert "ppo.epochs 5 there, 4 here" in refusal(argv, left=["old", "taken"])
-    assert (tmp_path / "old" / "config.json").read_text() == config_lib.to_json(config)
-    assert {p.name for p in (tmp_path / "old").iterdir()} == {"config.json", "metrics.csv"}
+    monkeypatch.setattr(train_command.build, "program", lambda _: pytest.fail("compiled"))
+    before = workdirs.everything(tmp_path)
+    monkeypatch.setattr(train_command.memory, "limit", lambda device: 8 * 2**30)
+    assert status(train_command.main, GO1, *flags) == 2
+    said = capsys.readouterr()
+    assert said.err.startswith("dynappo: ") and expected in said.err and said.err.count("\n") == 1
+    after = workdirs.everything(tmp_path)
+    assert {str(p) for p in after if p not in before or after[p] != before[p]} <= {"old/lock"}
 
 
-def test_a_config_of_something_else_is_not_overwritten(refusal, tmp_path):
-    """A folder whose config.json is no run's: of another program, or no JSON."""
-    (tmp_path / "model").mkdir()
-    for text in ('{"layers": 3}', "[1]", "{"):
-        (tmp_path / "model" / "config.json").write_text(text)
-        line = refusal([GO1, "--workdir=model"], left=["model", "taken"])
-        assert "--workdir=model holds a config.json that is not of a run" in line
-        assert (tmp_path / "model" / "config.json").read_text() == text
-
-
-def test_a_run_to_start_from_is_looked_for_before_anything_is_written(refusal, tmp_path):
-    """Nothing there, or nothing saved there yet: no workdir is made, none is moved aside."""
-    argv = [GO1, "--workdir=new", "--fresh"]
-    line = refusal([*argv, "--restore=none"], left=["taken"])
-    assert "--restore=none: no checkpoints/ there" in line
-    for folder in ("young/checkpoints", "new"):
-        (tmp_path / folder).mkdir(parents=True)
-    line = refusal([*argv, "--restore=young"], left=["new", "taken", "young"])
-    assert "--restore=young: it holds no checkpoint yet" in line
-    assert not list((tmp_path / "new").iterdir())
-
-
-@pytest.fixture
-def without_gpu():
-    """Skips where JAX has a GPU, on which these settings can run."""
-    import jax
-
-    if jax.default_backend() == "gpu":
-        pytest.skip("this machine has a GPU")
-
-
-@pytest.mark.parametrize(
-    "flag, cure",
-    [("run.device=gpu", "run.device=cpu"), ("physics.impl=warp", "physics.impl=jax")],
-)
-def test_a_machine_that_cannot_run_it_says_so_and_what_to_do(refusal, without_gpu, flag, cure):
-    """One line with the cure, and no workdir behind that would refuse the cure."""
-    assert cure in refusal([GO1, f"--config.{flag}", "--workdir=run"], left=["taken"])
-
-
-def test_the_command_itself_answers_in_one_line():
-    """`python -m dynappo.train` with an unknown field: status 2, one line, nothing on stdout."""
-    done = shell("-m", "dynappo.train", GO1, "--config.task.kq=30.0")
-    assert done.returncode == 2 and done.stdout == ""
-    assert done.stderr.startswith("dynappo: --config.task.kq: no such field; did you mean task.k")
-    assert done.stderr.count("\n") == 1
+def test_a_config_file_that_is_not_there_is_one_line(capsys):
+    for argv, expected in (
+        ([], "--config is missing; try --config=configs/go1.py:quick"),
+        (["--config=none.py"], "no file 'none.py'"),
+        (["--config"], "--config: expected one argument"),
+    ):
+        assert expected in mistake(train_command.main, argv, capsys)
 
 
 def test_a_mistake_is_answered_without_importing_jax():
-    """Settings are checked before anything heavy is loaded."""
+    """Settings are checked before anything heavy is loaded; the module itself is the command."""
     code = (
-        "import sys\n"
-        "from dynappo import console\n"
+        "import runpy, sys\n"
         "try:\n"
-        f"    train_command.main(['{GO1}', '--config.schedule.end_steps=16'])\n"
+        "    runpy.run_module('dynappo.train', run_name='__main__', alter_sys=True)\n"
         "except SystemExit as stop:\n"
-        "    heavy = {'jax', 'jaxlib', 'flax', 'optax', 'orbax', 'mujoco', 'brax'}\n"
+        "    heavy = {'jax', 'jaxlib', 'flax', 'optax', 'orbax', 'mujoco.mjx', 'brax'}\n"
         "    print(stop.code, sorted(heavy & set(sys.modules)))\n"
     )
-    done = shell("-c", code)
+    done = shell("-c", code, GO1, "--config.schedule.end_steps=16")
     assert done.stdout == "2 []\n", done.stderr
-    assert "schedule.end_steps is 16" in done.stderr
+    assert done.stderr.startswith("dynappo: schedule.end_steps is 16, expected less than rollout")
+    assert done.stderr.count("\n") == 1
 
 
-@pytest.mark.parametrize(
-    "error, status, expected",
-    [
-        (KeyboardInterrupt(), 130, "stopped\n"),
-        (FloatingPointError("a loss is not finite"), 1, "a loss is not finite"),
-        (OSError(28, "No space left on device", "a.csv"), 1, "a.csv cannot be written (No space"),
-        (OSError("libGL.so: cannot open shared object"), 1, "libGL.so: cannot open"),
-    ],
-    ids=["ctrl-C before it listens", "blown up", "disk full", "no library"],
-)
-def test_what_ends_the_command_is_one_line_and_a_status(
-    error, status, expected, monkeypatch, capsys
-):
-    def parse(_):
-        raise error
-
-    monkeypatch.setattr(train_command, "parse", parse)
-    with pytest.raises(SystemExit) as stopped:
-        train_command.main([])
-    line = capsys.readouterr().err
-    assert stopped.value.code == status
-    assert line.startswith(f"dynappo: {expected}") and line.count("\n") == 1
-
-
-@pytest.mark.parametrize(
-    "flags, saved, expected",
-    [
-        ([], False, "there is no checkpoint yet, the same command starts anew"),
-        ([], True, "the same command goes on from the last checkpoint"),
-        (["--fresh"], True, "the same command without --fresh goes on from the last checkpoint"),
-    ],
-    ids=["nothing saved", "saved", "fresh"],
-)
-def test_ctrl_c_promises_what_is_there(flags, saved, expected, monkeypatch, capsys, tmp_path):
-    """While it compiles: it goes on from a checkpoint only where there is one."""
-
-    def interrupted(command, stop):
-        (tmp_path / "run" / "checkpoints" / ("4" if saved else "4.tmp")).mkdir(parents=True)
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(train_command, "train_and_show", interrupted)
-    with pytest.raises(SystemExit) as stopped:
-        train_command.main([GO1, f"--workdir={tmp_path / 'run'}", *flags])
-    assert stopped.value.code == 130
-    assert capsys.readouterr().err == f"dynappo: stopped; {expected}\n"
-
-
-def test_help_is_printed_and_is_no_mistake():
-    """`--help`: status 0, the two flags and how to set a field."""
-    done = shell("-m", "dynappo.train", "--help")
-    assert done.returncode == 0 and done.stderr == ""
-    for word in ("--config", "--workdir", "--config.run.num_iterations=200", ":quick"):
-        assert word in done.stdout
+def test_help_is_printed_and_is_no_mistake(capsys):
+    assert status(train_command.main, "--help") == 0
+    said = capsys.readouterr()
+    words = "--config --workdir --fresh --restore --config.run.num_iterations=200 :dyna4".split()
+    assert said.err == "" and all(word in said.out for word in words)
 
 
 # ---- what it reads
 
 
 @pytest.mark.parametrize(
-    "argv, folder",
+    ("argv", "folder"),
     [
         (["--config=configs/go1.py"], "runs/go1"),
         (["--config", "configs/go1.py:quick"], "runs/go1-quick"),
@@ -298,141 +162,193 @@ def test_help_is_printed_and_is_no_mistake():
 )
 def test_a_run_has_a_folder_of_its_own(argv, folder):
     """Named after file and variant, unless `--workdir` says otherwise."""
-    assert train_command.parse(argv).workdir == pathlib.Path(folder)
+    found = train_command.parse([*argv, "--config.run.seed=3"])
+    assert found.workdir == pathlib.Path(folder) and found.config.run.seed == 3
+    assert (found.fresh, found.restore, found.processes) == (False, None, (None,) * 3)
+    assert "run.seed is" in refused(train_command.parse, [*argv, "--config.run.seed=99999999999"])
 
 
-def test_fields_are_set_in_both_spellings_and_the_last_one_counts():
-    """`--config.a.b=1` and `--config.a.b 1`, with the type of the default."""
-    flags = ["--config.ppo.epochs", "3", "--config.ppo.gamma=1", "--config.ppo.epochs=2"]
-    config = train_command.parse([GO1, *flags, "--config.ppo.hidden=(64,32)"]).config
-    assert config.ppo.epochs == 2 and config.ppo.hidden == (64, 32)
-    assert config.ppo.gamma == 1.0 and type(config.ppo.gamma) is float
+# ---- what stops it
+
+
+def test_the_first_signal_asks_the_second_interrupts():
+    """Ctrl-C or SIGTERM while the loop runs; before it, at once. Then handlers are as they were."""
+    before = signal.getsignal(signal.SIGTERM)
+    with train_command.Stop() as _, pytest.raises(KeyboardInterrupt):
+        os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(1)
+    stop = train_command.Stop()
+    with stop:
+        stop.patient = True
+        os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(0.01)
+        assert stop.status == 143
+        with pytest.raises(KeyboardInterrupt):
+            os.kill(os.getpid(), signal.SIGINT)
+            time.sleep(1)
+    assert stop.status == 130 and signal.getsignal(signal.SIGTERM) is before
+
+
+@pytest.mark.parametrize(
+    ("flags", "saved", "expected"),
+    [
+        ([], "4.tmp", "there is no checkpoint yet, the same command starts anew"),
+        ([], "4", "the same command goes on from the last checkpoint"),
+        (["--fresh"], "4", "the same command without --fresh goes on from the last checkpoint"),
+    ],
+)
+def test_ctrl_c_promises_what_is_there(flags, saved, expected, monkeypatch, capsys, tmp_path):
+    """While it compiles: it goes on from a checkpoint only where there is one."""
+
+    def interrupted(command, stop):
+        (tmp_path / "run" / "checkpoints" / saved).mkdir(parents=True)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(train_command, "train_and_show", interrupted)
+    flags = [GO1, f"--workdir={tmp_path / 'run'}", *flags]
+    assert status(train_command.main, *flags) == 130
+    assert capsys.readouterr().err == f"dynappo: stopped; {expected}\n"
+
+
+def test_before_it_listens_ctrl_c_is_one_line_too(monkeypatch, capsys):
+    def interrupted(argv):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(train_command, "parse", interrupted)
+    assert status(train_command.main) == 130
+    assert capsys.readouterr().err == "dynappo: stopped\n"
+
+
+@pytest.mark.slow
+def test_a_run_can_be_killed_at_any_moment(tmp_path):
+    """kill -9, ctrl-C, SIGTERM, and at last to the end: every iteration is there once, none is lost."""
+    toy = [sys.executable, str(ROOT / "tests" / "toy_train.py"), "--config.run.num_iterations=400"]
+    toy += ["--config.run.num_seeds=1", "--config.run.eval_envs=0"]
+    environment = os.environ | {"PYTHONPATH": f"{ROOT}:{ROOT / 'tests'}"}
+
+    def start(workdir):
+        command = [*toy, f"--workdir={workdir}"]
+        pipe = subprocess.PIPE
+        return subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True, env=environment)
+
+    def last(workdir):
+        path = workdir / "metrics.csv"
+        lines = path.read_text().splitlines() if path.exists() else []
+        return int(lines[-1].split(",")[0]) if len(lines) > 1 else 0
+
+    workdir, never, reached = tmp_path / "run", tmp_path / "never", 0
+    for kind, code in ((signal.SIGKILL, -9), (signal.SIGINT, 130), (signal.SIGTERM, 143)):
+        run = start(workdir)
+        while last(workdir) < reached + 20:
+            assert run.poll() is None, run.communicate()
+            time.sleep(0.01)
+        run.send_signal(kind)
+        _, err = run.communicate(timeout=60)
+        assert run.returncode == code
+        reached = last(workdir)
+        saved = max(int(name) for name in workdirs.steps(workdir) if name.isdigit())
+        assert saved >= reached - 6
+        if kind != signal.SIGKILL:
+            goes_on = "the same command goes on from the last checkpoint"
+            assert err == f"dynappo: saved at iteration {saved} and stopped; {goes_on}\n"
+            assert saved == reached
+    out, err = start(workdir).communicate(timeout=300)
+    assert err == "" and "return (last 10 iterations)" in out
+    # as if nothing had happened: every number of every row, every bit of the last state
+    assert start(never).wait(timeout=300) == 0
+    rows = workdirs.table(workdir)
+    assert rows == workdirs.table(never)
+    assert [int(row["iteration"]) for row in rows] == list(range(1, 401))
+    real = [int(row["n_real"]) for row in rows]
+    assert [int(row["sim_steps"]) for row in rows] == list(16 * np.cumsum(real))
+    about = (w / "checkpoints" / "400" / "about" / "metadata" for w in (workdir, never))
+    one, other = (json.loads(path.read_text())["sha256"] for path in about)
+    assert one == other
 
 
 # ---- what it prints
 
 
 def config(spec="configs/go1.py:dyna4", **fields):
-    """A valid config with `group__field` set."""
+    """A valid config with fields of `run` set."""
     config = config_lib.load(spec)
-    for name, value in fields.items():
-        group, _, leaf = name.partition("__")
-        config[group][leaf] = value
+    config.run.update(**fields)
     return config_lib.validate(config)
 
 
-def test_the_description_says_what_will_happen():
-    """Robots, rows, tail, iterations, simulator steps and memory, in two lines."""
-    lines = train_command.describe(config("configs/go1.py:dyna4")).split("\n")
-    assert lines[0] == (
-        "trains go1: 4096 robots, 16 rows an iteration, tail of 4, from 0 over iterations 0-100"
-    )
-    steps = sum(4096 * (16 - min(int(i / 25 + 0.5), 4)) for i in range(1, 501))
-    assert lines[1].startswith(f"500 iterations, {steps / 1e6:.2f} M simulator steps; about ")
-    assert lines[1].endswith(" GiB of memory") and len(lines) == 2
-
-
 @pytest.mark.parametrize(
-    "spec, expected",
+    ("spec", "tail"),
     [
-        ("configs/go1.py:ppo16", "4096 robots, 16 rows an iteration, plain PPO, no model"),
-        ("configs/go1.py:dyna2", "4096 robots, 16 rows an iteration, tail of 2\n"),
-        ("configs/go1.py:quick", "256 robots, 24 rows an iteration, tail of 4, from 0 over"),
+        ("ppo16", "plain PPO, no model"),
+        ("dyna2", "tail of 2"),
+        ("dyna4", "tail of 4, from 0 over iterations 0-100"),
     ],
 )
-def test_the_description_names_the_kind_of_tail(spec, expected):
-    """None, one of constant length, or a ramp."""
-    assert expected in train_command.describe(config(spec))
-    seeds = train_command.describe(config(spec, run__num_seeds=5))
-    assert "robots x 5 seeds," in seeds
-
-
-LAST = {
-    "episode_return": np.float32(12.345),
-    "episode_length": np.float32(987.6),
-    "velocity_error": np.float32(0.234),
-    "policy_std": np.float32(0.5678),
-}
+def test_the_description_says_what_will_happen(spec, tail):
+    """Robots, rows, tail, iterations and simulator steps, in two lines; seeds and devices if several."""
+    run = config(f"configs/go1.py:{spec}")
+    tails = [0] * 500 if spec == "ppo16" else [2] * 500
+    if spec == "dyna4":
+        tails = [min(int(i / 25 + 0.5), 4) for i in range(1, 501)]
+    steps = sum(4096 * (16 - n) for n in tails) / 1e6
+    first = f"trains go1: 4096 robots, 16 rows an iteration, {tail}"
+    second = f"500 iterations, {steps:.2f} M simulator steps"
+    assert train_command.describe(run) == f"{first}\n{second}"
+    many = config(f"configs/go1.py:{spec}", num_seeds=4, mesh_seed=4, mesh_env=2)
+    first = first.replace("robots,", "robots x 4 seeds,")
+    assert train_command.describe(many) == f"{first}\n{second} on each of 4 x 2 devices"
 
 
 def test_the_progress_line_shows_return_length_error_std_and_pace():
-    """The pace is of the last chunks, not of the whole run."""
+    """The pace is of the last chunks; of seeds the mean; a dash before the first episode ends."""
+    numbers = dict(episode_return=12.345, episode_length=987.6, velocity_error=0.234)
+    last = {name: np.float32(value) for name, value in numbers.items()}
+    last["policy_std"] = np.float32(0.5678)
     begun = [(10.0 * i, 1e6 * i) for i in range(1, 4)]
-    line = train_command.progress_line(LAST, begun)
-    assert line == "return  12.35  length  988  error 0.23 m/s  std 0.57  100.0 k steps/s"
+    line = "return  12.35  length  988  error 0.23 m/s  std 0.57  100.0 k steps/s"
+    assert train_command.progress_line(last, begun) == line
+    seeds = {name: np.array([value - 0.1, value + 0.1]) for name, value in last.items()}
+    assert train_command.progress_line(seeds, begun) == line
     slow = [(0.0, 0.0)] + [(1000.0 + i, 1e6 + 2000.0 * i) for i in range(10)]
-    assert train_command.progress_line(LAST, slow).endswith("  2.0 k steps/s")
-    assert train_command.progress_line(LAST, [(4.0, 8000.0)]).endswith("  2.0 k steps/s")
+    for chunks in (slow, [(4.0, 8000.0)]):
+        assert train_command.progress_line(last, chunks).endswith("  2.0 k steps/s")
+    line = train_command.progress_line(last | {"episode_return": np.float32("nan")}, begun)
+    assert "nan" not in line and line.startswith("return     -   length  988")
 
 
-def test_the_progress_line_shows_the_mean_of_seeds_and_no_nan():
-    """Before the first episode ends there is a dash."""
-    seeds = {name: np.array([value - 0.1, value + 0.1]) for name, value in LAST.items()}
-    begun = [(1.0, 1e3), (2.0, 2e3)]
-    assert train_command.progress_line(seeds, begun) == train_command.progress_line(LAST, begun)
-    line = train_command.progress_line(LAST | {"episode_return": np.float32("nan")}, begun)
-    assert "nan" not in line and " - " in line
-
-
-def shown(summary):
-    """What is printed after training."""
-    text = io.StringIO()
-    out = Console(file=text, width=120)
-    run = config("configs/go1.py:quick")
-    train_command.show_summary(out, run, pathlib.Path("runs/x"), summary)
-    return text.getvalue()
-
-
-SUMMARY = {
-    "return": 3.25,
-    "return_max": 4.5,
-    "sim_steps": 2_345_678,
-    "seconds": 61.2,
-    "compile_seconds": 20.0,
-    "evaluation": {
-        "return": 5.5,
-        "fall_rate": 0.125,
-        "tracking_error": 0.31,
-        "yaw_error": 0.42,
-        "length": 900.0,
-    },
-    "video": "runs/x/video.mp4",
+EVALUATION = {"return": 5.5, "fall_rate": 0.125, "tracking_error": 0.31, "yaw_error": 0.42}
+COST = {"sim_steps": 2_345_678, "seconds": 61.2, "compile_seconds": 20.0}
+SUMMARY = COST | {"return": 3.25, "return_max": 4.5, "evaluation": EVALUATION, "video": "a.mp4"}
+NOBODY = EVALUATION | {"tracking_error": None, "yaw_error": None}
+TABLES = {  # what differs in the summary, what is shown, what is not
+    "one seed": ({}, "3.25 | 4.50 | 2.35 M | 61.2 s | 5.50 | 12.50 % | 0.31 m/s | a.mp4", "seeds"),
+    "two seeds": (
+        {"return": [3.0, 3.5], "evaluation": {"fall_rate": [0.1, 0.3]}},
+        "3.25 (2 seeds: 3.00 to 3.50) | 20.00 % (2 seeds: 10.00 to 30.00)",
+        "nan",
+    ),
+    "no episode ended": (
+        {"return": float("nan"), "return_max": None},
+        "best return | no episode has ended",
+        "nan",
+    ),
+    "nobody stood": ({"evaluation": NOBODY}, "tracking error | nobody stood for a second", "None"),
+    "one of two stood": (
+        {"evaluation": {"tracking_error": [None, 0.5]}},
+        "0.50 m/s",
+        "None",
+    ),
+    "no evaluation": ({"evaluation": {}}, "3.25 | runs/x: metrics.csv", "evaluation:"),
 }
 
 
-def test_the_last_table_has_the_numbers_the_video_and_the_next_command():
-    """Return, best return, cost, evaluation, where things are, what to try next."""
-    text = shown(SUMMARY)
-    for part in ("3.25", "4.50", "2.35 M", "61.2 s", "5.50", "12.50 %", "0.31 m/s", "0.42 rad/s"):
-        assert part in text
-    assert "runs/x/video.mp4" in text and "python -m dynappo.train --config=" in text
-
-
-def test_the_last_table_of_several_seeds_shows_their_means():
-    """Lists in the summary, one number a seed: the mean, and from where to where they go."""
-    many = SUMMARY | {"return": [3.0, 3.5], "return_max": [4.0, 5.0]}
-    many["evaluation"] = {name: [x - 0.01, x + 0.01] for name, x in SUMMARY["evaluation"].items()}
-    text = shown(many)
-    assert "3.25 (2 seeds: 3.00 to 3.50)" in text and "4.50 (2 seeds: 4.00 to 5.00)" in text
-    assert "%" in shown(SUMMARY) and "seeds" not in shown(SUMMARY)
-
-
-def test_a_run_in_which_no_episode_ended_is_shown_without_a_return():
-    """The summary then holds None: a dash, no traceback and no "nan"."""
-    text = shown(SUMMARY | {"return": float("nan"), "return_max": None})
-    assert "best return" in text and "nan" not in text
-
-
-def test_an_error_that_nobody_stood_long_enough_to_measure_is_shown():
-    """The summary then holds None for it, of one seed or of all: no traceback and no "nan"."""
-    for nothing in (None, [None, None]):
-        lost = SUMMARY["evaluation"] | {"tracking_error": nothing, "yaw_error": nothing}
-        text = shown(SUMMARY | {"evaluation": lost})
-        assert "tracking error" in text and "nan" not in text and "None" not in text
-
-
-def test_a_run_without_evaluation_and_film_is_shown():
-    """Both are settings."""
-    bare = {k: v for k, v in SUMMARY.items() if k not in ("evaluation", "video")}
-    text = shown(bare)
-    assert "evaluation" not in text and "3.25" in text
+@pytest.mark.parametrize("name", TABLES)
+def test_the_last_table_has_the_numbers_and_what_to_do_next(name):
+    change, shown, hidden = TABLES[name]
+    text = io.StringIO()
+    out, run = Console(file=text, width=120), config("configs/go1.py:quick")
+    train_command.show_summary(out, run, pathlib.Path("runs/x"), SUMMARY | change)
+    found = text.getvalue()
+    assert all(part in found for part in shown.split(" | ")) and hidden not in found
+    assert "python -m dynappo.play runs/x --out=walk.html" in found
+    assert "next: python -m dynappo.train --config=configs/go1.py" in found

@@ -1,8 +1,6 @@
 """What a run writes: rows in order, numbers that come back, files that are whole or not there."""
 
-import csv
 import errno
-import json
 import sys
 from types import SimpleNamespace
 
@@ -10,7 +8,6 @@ import numpy as np
 import pytest
 
 from dynappo import config as config_lib
-from dynappo.config import files
 from dynappo.train import log
 
 
@@ -79,14 +76,6 @@ def test_a_file_appended_in_two_chunks_reads_back_as_one(tmp_path, seeds):
     np.testing.assert_array_equal(back["sim_steps"], np.arange(1, 5) * 4_000_000_000)
 
 
-def test_one_seed_of_several_is_a_column_all_the_same(tmp_path):
-    """Metrics `[I, 1]` have the column `seed`, and come back as they were."""
-    path = tmp_path / "metrics.csv"
-    log.append_csv(path, log.rows(metrics(seeds=1)))
-    with path.open() as file:
-        assert [row["seed"] for row in csv.DictReader(file)] == ["0"] * 4
-
-
 def test_the_header_is_written_once_and_undefined_numbers_are_empty(tmp_path):
     """Plain text that any tool reads: counts without a point, no "nan"."""
     path = tmp_path / "metrics.csv"
@@ -126,19 +115,6 @@ def test_a_line_that_was_cut_off_while_writing_is_dropped(tmp_path):
         np.testing.assert_array_equal(back["iteration"], np.arange(1, 11))
 
 
-def test_json_is_written_whole_or_not_at_all(tmp_path):
-    """A value that JSON cannot hold leaves the old file, and a good one replaces it."""
-    path = tmp_path / "summary.json"
-    files.write_json(path, {"return": [1.5, None], "robot": "go1"})
-    assert json.loads(path.read_text()) == {"return": [1.5, None], "robot": "go1"}
-    with pytest.raises(TypeError):
-        files.write_json(path, {"return": object()})
-    assert json.loads(path.read_text())["robot"] == "go1"
-    files.write_json(path, {"robot": "go2"})
-    assert json.loads(path.read_text()) == {"robot": "go2"}
-    assert [p.name for p in tmp_path.iterdir()] == ["summary.json"]
-
-
 # ---- more columns, full disks, other logs
 
 
@@ -176,33 +152,6 @@ def test_rows_that_could_not_be_written_are_written_with_the_next_and_whole(tmp_
     monkeypatch.setattr(log, "_number", number)
     sink.write(log.rows(metrics(1, first=4)))
     np.testing.assert_array_equal(log.read_csv(path)["iteration"], [1, 2, 3, 4])
-
-
-def test_the_first_bad_number_is_named_in_the_order_of_computation():
-    """A reward before the loss that it spoils; an empty mean return is nothing bad."""
-    data = metrics()
-    assert log.first_nonfinite(data) is None  # the first returns are NaN
-    data["value_loss"][1:] = np.nan
-    assert log.first_nonfinite(data) == ("value_loss", 2)
-    data["reward_action_rate"][1] = np.inf
-    assert log.first_nonfinite(data) == ("reward_action_rate", 2)
-    data = metrics(seeds=3)
-    data["value_loss"][3, 2] = np.nan
-    assert log.first_nonfinite(data) == ("value_loss", 4)
-
-
-def test_the_first_array_with_a_bad_number_is_named_by_its_path():
-    """NumPy's and JAX's, integers among them; a second look compiles nothing."""
-    import jax.numpy as jnp
-
-    tree = {"a": [jnp.ones(3), np.arange(2)], "b": {"w": jnp.zeros((2, 2))}, "none": None}
-    assert log.nonfinite_leaf(tree) is None and log.nonfinite_leaf({}) is None
-    compiled = log._finite()._cache_size()
-    tree["b"]["w"] = tree["b"]["w"].at[1, 0].set(jnp.inf)
-    assert log.nonfinite_leaf(tree) == "b/w"
-    tree["a"][0] = tree["a"][0].at[2].set(jnp.nan)
-    assert log.nonfinite_leaf(tree) == "a/0"
-    assert log._finite()._cache_size() == compiled
 
 
 def test_chunks_are_joined_with_nan_where_one_lacks_a_column():
@@ -290,3 +239,51 @@ def test_asking_for_weights_and_biases_without_it_is_one_line(monkeypatch):
     config.run.wandb = "walking"
     with pytest.raises(config_lib.ConfigError, match="run.wandb is 'walking', but .*not installed"):
         log.check_wandb(config)
+
+
+# ---- evaluations, and what fails
+
+
+@pytest.mark.parametrize(
+    ("returns", "last"),
+    [
+        (None, None),
+        ([np.nan, np.nan], None),
+        ([np.nan, 3.5, np.nan, 4.5, np.nan], 4.5),
+        ([[1.0, 2.0], [np.nan, np.nan]], [1.0, 2.0]),
+        ([[1.0, 2.0], [np.nan, 5.0]], [np.nan, 5.0]),  # nobody of the first seed lived
+    ],
+)
+def test_the_last_evaluation_is_that_of_the_last_row_that_has_one(returns, last):
+    found = log.last_evaluation({} if returns is None else {"eval_return": np.array(returns)})
+    assert (found is None) == (last is None)
+    if last is not None:
+        np.testing.assert_array_equal(found, last)
+
+
+def test_what_fails_is_told_in_one_line_and_training_goes_on():
+    def fail(error):
+        raise error
+
+    said = []
+    for error in (OSError(28, "No space left on device"), ValueError("first line\nsecond"), None):
+        log.attempt("metrics.csv", lambda e=error: fail(e) if e else None, said.append)
+    assert said == [
+        "metrics.csv could not be written (No space left on device); training goes on",
+        "metrics.csv could not be written (first line); training goes on",
+    ]
+
+
+@pytest.mark.parametrize("tensorboard", [False, True])
+def test_what_was_asked_for_is_opened_and_closed(tmp_path, tensorboard):
+    """Also where the run is interrupted."""
+    config = config_lib.load("configs/go1.py")
+    config.run.tensorboard = tensorboard
+    names = ["metrics.csv"] + ["TensorBoard's events"] * tensorboard
+    with pytest.raises(KeyboardInterrupt), log.opened(config, tmp_path, 0, pytest.fail) as sinks:
+        assert [sink.name for sink in sinks] == names
+        for sink in sinks:
+            sink.write(log.rows(metrics(2)))
+        raise KeyboardInterrupt
+    assert len(log.read_csv(tmp_path / "metrics.csv")["iteration"]) == 2
+    assert len(list(tmp_path.glob("events.*"))) == tensorboard

@@ -1,0 +1,52 @@
+"""What a command answers: its exit status, the one line of a refusal, and what a fresh Python says."""
+
+import os
+import pathlib
+import subprocess
+import sys
+
+import pytest
+
+from dynappo.config import ConfigError
+
+ROOT = pathlib.Path(__file__).parents[1]
+
+
+def refused(function, *arguments, **options) -> str:
+    """The one line of the ConfigError that a call raises."""
+    with pytest.raises(ConfigError) as caught:
+        function(*arguments, **options)
+    text = str(caught.value)
+    assert text and "\n" not in text
+    return text
+
+
+def status(main, *arguments) -> int:
+    """The exit status of a command's `main`, called with these arguments."""
+    try:
+        main([str(argument) for argument in arguments])
+    except SystemExit as stop:
+        return int(stop.code or 0)
+    return 0
+
+
+def mistake(main, arguments, capsys) -> str:
+    """The one line with which `main` answers a mistake: status 2, and nothing on stdout."""
+    assert status(main, *arguments) == 2
+    said = capsys.readouterr()
+    assert said.out == "" and said.err.startswith("dynappo: ") and said.err.count("\n") == 1
+    assert len(said.err) < 400
+    return said.err
+
+
+def shell(*arguments, cwd=ROOT):
+    """A fresh Python with these arguments; environment and package as here."""
+    path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))
+    return subprocess.run(
+        [sys.executable, *map(str, arguments)],
+        cwd=cwd,
+        env=os.environ | {"PYTHONPATH": path},
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )

@@ -1,0 +1,218 @@
+"""Config files and the command line: values with the type of their field, mistakes in one line."""
+
+import functools
+import json
+
+import pytest
+from answers import ROOT, refused
+from ml_collections import config_dict
+
+from dynappo import config as config_lib
+
+VARIANTS = ("", "ppo12", "ppo16", "dyna2", "dyna4_noschedule", "dyna4", "fast", "best", "quick")
+FILES = sorted(p.stem for p in (ROOT / "configs").glob("*.py"))
+
+
+def load(variant="dyna4", robot="go1"):
+    """The config of one of the package's files."""
+    return config_lib.load(f"configs/{robot}.py" + (f":{variant}" if variant else ""))
+
+
+def get(config, field):
+    """The value of a dotted field."""
+    return functools.reduce(lambda node, key: node[key], field.split("."), config)
+
+
+# ---- files and variants
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_every_variant_of_every_file_is_valid_and_keeps_the_types_of_the_defaults(name):
+    """An int in place of a float would be compiled in; an empty variant means `best`."""
+    defaults = config_lib.flat(load(robot="default"))
+    for variant in VARIANTS:
+        config = load(variant, name)
+        fields = config_lib.flat(config)
+        assert fields.keys() == defaults.keys()
+        for field, value in fields.items():
+            expected = defaults[field]
+            assert expected is None or type(value) is type(expected), field
+            if isinstance(expected, tuple):
+                assert {type(x) for x in value} == {type(x) for x in expected}, field
+        frozen = config_lib.validate(config)
+        assert isinstance(frozen, config_dict.FrozenConfigDict)
+        assert config_lib.split(frozen)[0].robot == frozen.robot
+    texts = {variant: config_lib.to_json(load(variant, name)) for variant in VARIANTS}
+    assert texts[""] == texts["best"] != texts["dyna4"]
+
+
+@pytest.mark.parametrize(
+    ("variant", "expected"),
+    [
+        ("ppo12", (12, 0, 0, 0, 0)),
+        ("ppo16", (16, 0, 0, 0, 0)),
+        ("dyna2", (16, 0, 0, 2, 2)),
+        ("dyna4_noschedule", (16, 0, 0, 4, 4)),
+        ("dyna4", (16, 0, 100, 0, 4)),
+    ],
+)
+def test_the_papers_variants_differ_in_horizon_and_schedule_only(variant, expected):
+    fields = "rollout.horizon schedule.start_iteration schedule.end_iteration"
+    fields = f"{fields} schedule.start_steps schedule.end_steps".split()
+    config = load(variant)
+    assert tuple(get(config, field) for field in fields) == expected
+    ours, theirs = config_lib.flat(config), config_lib.flat(load())
+    assert {name for name in ours if ours[name] != theirs[name]} <= set(fields)
+    assert config.model.epochs == 25 and config.model.precision == "highest"
+
+
+def test_the_packages_files_are_found_from_anywhere_and_ones_own_come_first(monkeypatch, tmp_path):
+    expected = config_lib.to_json(load("dyna2"))
+    monkeypatch.chdir(tmp_path)
+    assert config_lib.to_json(load("dyna2")) == expected
+    config_lib.validate(load())  # finds the robot too
+    (tmp_path / "configs").mkdir()
+    text = "import runpy\n"
+    text += f"d = runpy.run_path({str(ROOT / 'configs' / 'default.py')!r})\n"
+    text += "def get_config(variant=''):\n    c = d['defaults']()\n    c.run.seed = 77\n"
+    (tmp_path / "configs" / "go1.py").write_text(text + "    return c\n")
+    assert load().run.seed == 77
+
+
+BAD_FILES = {  # text of mine.py, what the line must say beside its name
+    "no get_config": ("x = 1\n", "get_config"),
+    "syntax error": ("def get_config(variant\n    return 1\n", "line 1"),
+    "error at import": ("import no_such_package\n", "no_such_package"),
+    "error inside": ('def get_config(variant=""):\n    return 1 / 0\n', "division by zero"),
+    "missing key": ('def get_config(variant=""):\n    return {}["speed"]\n', "speed"),
+    "missing attribute": ('def get_config(variant=""):\n    return variant.speed\n', "speed"),
+    "no variant": ("def get_config():\n    return 1\n", "get_config"),
+    "another type": ('def get_config(variant=""):\n    return 3\n', "get_config"),
+    "fields missing": (
+        "from ml_collections import config_dict\n\n\n"
+        'def get_config(variant=""):\n    return config_dict.create(robot="go1")\n',
+        "start from configs/default.py",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", BAD_FILES)
+def test_a_file_that_cannot_be_used_is_refused_by_name(tmp_path, name):
+    text, expected = BAD_FILES[name]
+    (tmp_path / "mine.py").write_text(text)
+    line = refused(config_lib.load, str(tmp_path / "mine.py"))
+    assert "mine.py" in line and expected in line
+
+
+@pytest.mark.parametrize(
+    ("spec", "expected"),
+    [
+        ("configs/nobody.py", "no file 'configs/nobody.py'"),
+        ("", "no file ''"),
+        ("configs", "no file 'configs'"),
+        ("configs/go1.py:dyna3", "variant 'dyna3' is not one of ppo12, ppo16, dyna2"),
+    ],
+)
+def test_a_file_or_variant_that_is_not_there_is_refused(spec, expected):
+    line = refused(config_lib.load, spec)
+    assert line.startswith("--config") and expected in line
+
+
+# ---- a field of the command line
+
+
+@pytest.mark.parametrize(
+    ("field", "text", "value"),
+    [
+        ("ppo.clip_epsilon", "0.3", 0.3),
+        ("ppo.learning_rate", "3e-4", 3e-4),
+        ("ppo.clip_epsilon", "1", 1.0),  # a float stays a float
+        ("task.weights.action_rate", "-1", -1.0),
+        ("run.seed", "-7", -7),
+        ("ppo.adaptive", "False", False),
+        ("robot", "go2", "go2"),
+        ("ppo.hidden", "(64, 32)", (64, 32)),
+        ("ppo.hidden", "[64]", (64,)),
+        ("task.command_x", "(0, 1)", (0.0, 1.0)),
+        ("task.command_x", "-0.5,0.5", (-0.5, 0.5)),
+        ("task.randomize.base_com", "(1, 2, 3)", (1.0, 2.0, 3.0)),
+        ("task.tracking_std", "1", 1.0),  # None in the file
+        ("task.air_time", "indicator", "indicator"),
+        ("model.late_epochs", "5", 5),
+    ],
+)
+def test_an_override_has_the_value_and_the_type_of_the_field(field, text, value):
+    config = load()
+    config_lib.override(config, field, text)
+    found = get(config, field)
+    assert found == value and type(found) is type(value)
+    if isinstance(value, tuple):
+        assert [type(x) for x in found] == [type(x) for x in value]
+    config_lib.split(config_lib.validate(config))
+
+
+BAD_OVERRIDES = [  # field, text, what the line must say
+    ("ppo.clip_epsilom", "1", "did you mean ppo.clip_epsilon?"),
+    ("rollout.num_env", "1", "did you mean rollout.num_envs?"),
+    ("task.weights.action_rat", "1", "did you mean task.weights.action_rate?"),
+    ("ppoo.gamma", "1", "did you mean ppo.gamma?"),
+    ("gamma", "1", "did you mean ppo.gamma?"),
+    ("robot.name", "1", "did you mean robot?"),
+    ("zzzz", "1", "configs/default.py lists all fields"),
+    ("schedule", "1", "a group, expected one of end_iteration, end_steps, start_iter"),
+    ("task.push", "1", "a group, expected one of interval, velocity"),
+    ("run.seed", "1.5", "='1.5': expected int"),
+    ("run.seed", "True", "='True': expected int"),
+    ("run.seed", "", "='': expected int"),
+    ("ppo.clip_epsilon", "small", "='small': expected float"),
+    ("ppo.clip_epsilon", "nan", "expected float"),
+    ("ppo.clip_epsilon", "True", "expected float"),
+    ("ppo.clip_epsilon", "(0.1,)", "expected float"),
+    ("ppo.adaptive", "1", "expected bool"),
+    ("ppo.adaptive", "true", "expected bool"),
+    ("ppo.hidden", "64", "expected tuple"),
+    ("ppo.hidden", "(64", "expected tuple"),
+    ("ppo.hidden", "(64.5, 64)", "expected tuple"),
+    ("ppo.hidden", "()", "expected tuple"),
+    ("ppo.hidden", "(0, 64)", "expected tuple"),
+    ("task.command_x", "1.0", "expected tuple like (-1.0, 1.0)"),
+    ("task.command_x", "(1, 2, 3)", "expected tuple"),
+    ("task.command_x", "('low', 1)", "expected tuple"),
+    ("model.late_epochs", "5.0", "expected int"),
+    ("task.tracking_std", "wide", "expected float"),
+]
+
+
+@pytest.mark.parametrize(("field", "text", "expected"), BAD_OVERRIDES)
+def test_a_wrong_field_or_value_is_refused_and_changes_nothing(field, text, expected):
+    config = load()
+    before = config_lib.to_json(config)
+    line = refused(config_lib.override, config, field, text)
+    assert line.startswith(f"--config.{field}") and expected in line
+    assert config_lib.to_json(config) == before
+
+
+# ---- config.json
+
+
+def test_json_holds_every_field_and_its_value():
+    config = config_lib.validate(load("quick"))
+    tree = json.loads(config_lib.to_json(config))
+    for field, value in config_lib.flat(config).items():
+        assert get(tree, field) == (list(value) if isinstance(value, tuple) else value), field
+
+
+def test_the_difference_of_two_configs_is_the_first_field_that_differs_with_both_values():
+    """A field that only one of them has is none: another version of dynappo wrote the text."""
+    old = config_lib.to_json(config_lib.validate(load()))
+    config = load()
+    config.ppo.epochs = 4
+    new = config_lib.to_json(config_lib.validate(config))
+    assert config_lib.difference(old, old) == config_lib.difference(old, new, ["ppo.epochs"]) == ""
+    assert config_lib.difference(old, new) == "ppo.epochs 5 there, 4 here"
+    other = json.loads(old)
+    other["ppo"]["epochs_of_before"] = other["gone"] = 3
+    assert config_lib.difference(old, json.dumps(other)) == ""
+    assert config_lib.difference(json.dumps(other), old) == ""
+    for text in ("{", "[]"):
+        assert "cannot be read" in config_lib.difference(text, new)

@@ -1,0 +1,169 @@
+"""Which settings can be run: every other one is a line with the field, what it is and what it may be."""
+
+import functools
+import math
+
+import pytest
+from answers import refused
+
+from dynappo import config as config_lib
+from dynappo.config import validation
+
+# What the sizes in the messages below follow from.
+BASE = {
+    "run.num_iterations": 500,
+    "run.log_every": 10,
+    "rollout.num_envs": 4096,
+    "rollout.horizon": 16,
+    "model.minibatches": 4,
+    "ppo.minibatches": 4,
+    "ppo.shuffle_blocks": 8,
+}
+
+
+def config(fields):
+    """`dyna4` with BASE and `fields` set, as a config file does."""
+    out = config_lib.load("configs/go1.py:dyna4")
+    for field, value in (BASE | fields).items():
+        *groups, leaf = field.split(".")
+        functools.reduce(lambda node, key: node[key], groups, out)[leaf] = value
+    return out
+
+
+WRONG = [  # fields, what the line begins with, what is expected
+    # one field by itself
+    ({"run.log_every": 0}, "run.log_every is 0", "more than 0"),
+    ({"run.num_iterations": 0}, "run.", "more than 0"),
+    ({"run.mesh_env": 0}, "run.mesh_env is 0", "more than 0"),
+    ({"rollout.num_envs": 0}, "rollout.num_envs is 0", "more than 0"),
+    ({"model.epochs": -2}, "model.epochs is -2", "more than 0"),
+    ({"ppo.learning_rate": 0.0}, "ppo.learning_rate is 0.0", "more than 0"),
+    ({"ppo.min_std": -0.1}, "ppo.min_std is -0.1", "more than 0"),
+    ({"task.tracking_std": -1.0}, "task.tracking_std is -1.0", "more than 0"),
+    ({"run.checkpoint_every": -10}, "run.checkpoint_every is -10", "0 or more"),
+    ({"run.eval_every": -1}, "run.eval_every is -1", "0 or more"),
+    ({"run.eval_envs": -1}, "run.eval_envs is -1", "0 or more"),
+    ({"run.video_seconds": -1.0}, "run.video_seconds is -1.0", "0 or more"),
+    ({"schedule.start_steps": -1}, "schedule.start_steps is -1", "0 or more"),
+    ({"schedule.end_steps": -1}, "schedule.end_steps is -1", "0 or more"),
+    ({"model.late_epochs": -1}, "model.late_epochs is -1", "0 or more"),
+    ({"ppo.gamma": 1.01}, "ppo.gamma is 1.01", "a number from 0 to 1"),
+    ({"ppo.gamma": math.nan}, "ppo.gamma is nan", "a number from 0 to 1"),
+    ({"task.standing": -0.1}, "task.standing is -0.1", "a number from 0 to 1"),
+    ({"ppo.learning_rate": math.nan}, "ppo.learning_rate is nan", "more than 0"),
+    ({"ppo.learning_rate": math.inf}, "ppo.learning_rate is inf", "finite"),
+    ({"task.weights.action_rate": math.nan}, "task.weights.action_rate is nan", "finite"),
+    ({"task.command_x": (0.0, math.inf)}, "task.command_x is (0.0, inf)", "finite"),
+    ({"task.command_x": (1.0, -1.0)}, "task.command_x is (1.0, -1.0)", "low <= high"),
+    ({"task.randomize.friction": (0.9, 0.8)}, "task.randomize.friction is", "low <= high"),
+    ({"ppo.hidden": (64, -3)}, "ppo.hidden is (64, -3)", "one or more sizes above 0"),
+    ({"run.seed": 2**31}, "run.seed is 2147483648", "an integer of 32 bits"),
+    ({"run.seed": 2**31 - 1, "run.num_seeds": 2}, "run.seed is 2147483647", "32 bits"),
+    ({"robot": "go9"}, "robot is 'go9'", "one of anymal_c, anymal_d, go1, go2"),
+    ({"robot": "../go1"}, "robot is '../go1'", "one of anymal_c"),
+    ({"robot": ""}, "robot is ''", "one of anymal_c"),
+    ({"task.formulation": "mine"}, "task.formulation is 'mine'", "one of isaaclab, paper_text"),
+    # two that must fit each other
+    ({"rollout.num_envs": 4090}, "rollout.num_envs is 4090", "of ppo.shuffle_blocks = 8"),
+    ({"run.num_seeds": 3, "run.mesh_seed": 2}, "run.num_seeds is 3", "of run.mesh_seed = 2"),
+    ({"run.mesh_env": 16}, "ppo.shuffle_blocks is 8", "a multiple of run.mesh_env = 16"),
+    ({"run.mesh_env": 8, "run.eval_envs": 12}, "run.eval_envs is 12", "of run.mesh_env = 8"),
+    ({"run.checkpoint_every": 15}, "run.checkpoint_every is 15", "of run.log_every = 10"),
+    ({"run.eval_every": 5}, "run.eval_every is 5", "of run.log_every = 10"),
+    ({"run.num_iterations": 505}, "run.num_iterations is 505", "of run.log_every = 10"),
+    (
+        {"ppo.min_learning_rate": 0.1},
+        "ppo.max_learning_rate is 0.01",
+        "at least ppo.min_learning_rate = 0.1",
+    ),
+    ({"schedule.start_steps": 5}, "schedule.end_steps is 4", "at least schedule.start_steps = 5"),
+    (
+        {"schedule.start_iteration": 101},
+        "schedule.end_iteration is 100",
+        "at least schedule.start_iteration = 101",
+    ),
+    ({"schedule.end_steps": 16}, "schedule.end_steps is 16", "less than rollout.horizon = 16"),
+    (
+        {"ppo.minibatches": 3},
+        "rollout.num_envs x rollout.horizon / ppo.shuffle_blocks is 8192",
+        "a multiple of ppo.minibatches = 3",
+    ),
+    ({"model.minibatches": 3}, "rollout.horizon is 16", "a multiple of model.minibatches = 3"),
+    (
+        {"schedule.end_steps": 13},
+        "model.minibatches is 4: a minibatch has 4 rows",
+        "at most the 3 real rows of the longest tail",
+    ),
+    (
+        {"task.formulation": "isaaclab_exact"},
+        "physics.contacts is 'feet'",
+        "--config.physics.contacts=full",
+    ),
+]
+WRONG += [
+    ({field: "no such"}, f"{field} is 'no such'", f"one of {', '.join(choices)}")
+    for field, choices in validation.CHOICES.items()
+]
+
+
+@pytest.mark.parametrize(("fields", "found", "expected"), WRONG, ids=str)
+def test_a_setting_that_cannot_run_is_one_line(fields, found, expected):
+    line = refused(config_lib.validate, config(fields))
+    assert line.startswith(found) and "expected" in line and expected in line
+
+
+WHOLE = ("model.late_epochs", "task.resample_steps")  # None in the file
+
+
+def test_every_bound_of_the_tables_is_checked():
+    """A number just outside of each is refused, so that no field of a table is misspelt."""
+    values = config_lib.flat(config_lib.load("configs/go1.py:dyna4"))
+    for expected, right, names in validation.RANGES:
+        for field in names.split():
+            kind = int if isinstance(values[field], int) or field in WHOLE else float
+            line = refused(config_lib.validate, config({field: kind(-1)}))
+            assert line == f"{field} is {kind(-1)}, expected {expected}" and right(kind(1))
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [
+        {"schedule.end_steps": 15, "model.minibatches": 16},  # one real row is enough
+        {"schedule.end_steps": 0, "model.minibatches": 3},  # no model: its sizes do not matter
+        {"schedule.start_iteration": 100},  # a ramp of no length
+        {"run.checkpoint_every": 0, "run.eval_every": 0},
+        {"run.checkpoint_every": 1001},  # beyond the run: only the last
+        {"task.command_x": (0.5, 0.5)},  # a collapsed range
+        {"run.num_iterations": 7, "run.log_every": 7, "run.checkpoint_every": 7},
+    ],
+    ids=str,
+)
+def test_settings_at_the_edge_of_what_can_run_are_accepted(fields):
+    config_lib.validate(config(fields))
+
+
+def test_what_is_settled():
+    """A short run is one chunk, whole numbers become floats; all is frozen, and the argument is not."""
+    given = config({"run.num_iterations": 3, "task.command_x": (0, 1)})
+    before = config_lib.to_json(given)
+    frozen = config_lib.validate(given)
+    assert frozen.run.log_every == 3
+    assert frozen.task.command_x == (0.0, 1.0) and type(frozen.task.command_x[0]) is float
+    with pytest.raises(AttributeError):
+        frozen.run.seed = 1
+    assert config_lib.to_json(given) == before
+    assert config_lib.to_json(config_lib.validate(frozen)) == config_lib.to_json(frozen)
+
+
+def test_fields_left_open_are_what_the_formulation_says_and_set_ones_stay():
+    """Each of them by itself, too: a formulation is a set of decisions."""
+    open_fields = {name: None for name in validation.FORMULATIONS["isaaclab"]}
+    for name, expected in validation.FORMULATIONS.items():
+        fields = {"task.formulation": name, "physics.contacts": "full"}
+        task = config_lib.validate(config(fields)).task
+        assert {field: task[field] for field in open_fields} == expected
+        task = config_lib.validate(config(fields | {"task.tracking_std": 0.3})).task
+        assert {field: task[field] for field in open_fields} == expected | {"tracking_std": 0.3}
+    mixed = {"task.formulation": "isaaclab_exact", "task.termination": "parts"}
+    task = config_lib.validate(config(mixed)).task
+    assert (task.heading, task.resample_steps, task.termination) == (True, 500, "parts")

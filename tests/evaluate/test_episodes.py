@@ -1,0 +1,89 @@
+"""Episodes of the task that a policy was trained on: with its own settings, on this machine."""
+
+import json
+
+import jax
+import jax.numpy as jnp
+import pytest
+from answers import refused
+from toy_policy import actor, described
+
+from dynappo import config as config_lib
+from dynappo import evaluation
+from dynappo.evaluate import episodes
+from dynappo.policy import policy_file
+from dynappo.program import devices
+
+
+@pytest.fixture(scope="module")
+def policy():
+    return policy_file.describe(*described(), actor())
+
+
+def test_the_settings_are_those_of_training(policy):
+    """Every field as it was, but for the device; newer fields have their defaults."""
+    for name in ("go1", "anymal_d"):
+        trained = described(name)[0].to_dict()
+        found = episodes.settings(policy_file.describe(*described(name), actor()))
+        assert found.to_dict() == trained
+    expected = described()[0].to_dict()
+    old = json.loads(json.dumps(expected))
+    old["run"].update(device="gpu", mesh_env=8)
+    old["physics"]["impl"] = "warp"
+    old["task"]["kp"] = expected["task"]["kp"] = 33.0
+    del old["run"]["video_seconds"], old["task"]["push"], old["model"]
+    old["task"]["no_longer_there"] = 1
+    assert episodes.settings(policy._replace(config=old)).to_dict() == expected
+
+
+@pytest.mark.parametrize(
+    ("field", "value"), [("kp", "stiff"), ("command_x", [1.0]), ("formulation", "mine")]
+)
+def test_a_config_that_does_not_fit_is_one_line(policy, field, value):
+    damaged = json.loads(json.dumps(policy.config))
+    damaged["task"][field] = value
+    assert f"task.{field}" in refused(episodes.settings, policy._replace(config=damaged))
+
+
+def test_the_policy_is_evaluated_on_its_task(policy, monkeypatch):
+    """What `evaluation.evaluate` gets, and what is handed on; NaN is None."""
+    got = {}
+
+    def spy(env, hyper, params, key, **options):
+        got.update(env=env, hyper=hyper, params=params, key=key, **options)
+        return {"return": jnp.float32(3.5), "tracking_error": jnp.float32(jnp.nan)}
+
+    monkeypatch.setattr(evaluation, "evaluate", spy)
+    lone = policy._replace(params={"actor": policy.params["actor"]})
+    found = episodes.run(lone, 7, randomize=True, seed=3)
+    static, hyper = config_lib.split(episodes.settings(policy))
+    assert (got["num_envs"], got["num_steps"], got["randomize"]) == (7, 1000, True)
+    assert got["static"] == static and got["env"].action_size == 12
+    assert got["hyper"]._fields == hyper._fields
+    assert got["params"]["std"].shape == (12,)
+    assert got["params"]["actor"].keys() == policy.params["actor"].keys()
+    assert found == {
+        "episodes": 7,
+        "seconds": 20.0,
+        "randomize": True,
+        "seed": 3,
+        "device": jax.devices()[0].device_kind,
+        "impl": devices.engine(episodes.settings(policy)),
+        "return": 3.5,
+        "tracking_error": None,
+    }
+    default = {"gpu": 1000, "cpu": 64}[jax.default_backend()]
+    assert episodes.run(policy)["episodes"] == default and got["randomize"] is False
+
+
+@pytest.mark.slow
+def test_a_robot_that_stands_is_evaluated_on_mjx(policy):
+    """Two seconds of the real task: nobody falls, and the error is the command's size."""
+    config = json.loads(json.dumps(policy.config))
+    asked = {"command_x": [0.4, 0.4], "command_y": [0.3, 0.3], "command_yaw": [-0.6, -0.6]}
+    config["task"].update(asked, episode_length=100)
+    stands = policy._replace(config=config, params=actor(size=0.0, hidden=(128, 128, 128)))
+    found = episodes.run(stands, 4, seed=5)
+    assert (found["episodes"], found["fall_rate"], found["length"]) == (4, 0, 100)
+    assert found["tracking_error"] == pytest.approx(0.5, abs=0.05)
+    assert found["yaw_error"] == pytest.approx(0.6, abs=0.05)

@@ -1,0 +1,143 @@
+"""A policy on a robot, as robots/DEPLOY.md says it: its tables, its loop, ten seconds of walking."""
+
+import json
+import re
+import sys
+import time
+import types
+
+import mujoco
+import numpy as np
+import onnxruntime
+import pytest
+from answers import ROOT
+from toy_onnx import MOTORS, infer, onnx_file
+
+from dynappo import config as config_lib
+from dynappo.export import command as export_command
+from dynappo.export import joint_order
+from dynappo.physics import actuators
+from dynappo.physics import robot as robot_lib
+from dynappo.policy import episode, policy_file
+from dynappo.task import observe
+
+PAGE = (ROOT / "robots" / "DEPLOY.md").read_text()
+AHEAD = np.array([0.6, 0.0, 0.0])  # m/s, m/s, rad/s
+
+
+@pytest.fixture(scope="module")
+def bundled():
+    """The policy that comes with the Go1."""
+    return policy_file.find("go1")[0]
+
+
+def body_of(policy):
+    """The policy's robot in its own file."""
+    return episode.load(robot_lib.load(policy.robot).xml, policy, policy.timestep)
+
+
+def test_its_tables_are_those_of_the_code():
+    """Indices, units, noise; gains, limits and scales of the configs."""
+    rows = [line.split(" | ") for line in PAGE.splitlines() if re.match(r"\| \d+-\d+ \|", line)]
+    noise = config_lib.load("configs/go1.py").task.noise
+    for cells, (_, part, unit, _, field) in zip(rows, onnx_file.TABLE, strict=True):
+        assert cells[0] == f"| {part.start}-{part.stop - 1}" and cells[2] == unit
+        assert cells[4] == (f"+-{noise[field]:g}" if field else "none")
+    numbers = ("| `kp`", "| `effort", "| `action_scale`")
+    lines = [line for line in PAGE.splitlines() if line.startswith(numbers)]
+    for column, robots in ((1, ["go1"]), (2, ["go2"]), (3, ["anymal_c", "anymal_d"])):
+        for name in robots:
+            task = config_lib.load(f"configs/{name}.py:dyna4").task
+            gains, limits, scale = (line.strip("| ").split(" | ")[column] for line in lines)
+            assert gains.split(", and")[0] == f"{task.kp:g}, {task.kd:g}"
+            assert limits == f"{task.effort_limit:g}, {task.velocity_limit:g}"
+            assert scale == f"{task.action_scale:g}"
+
+
+@pytest.mark.parametrize("order", ["mjcf", "isaaclab"])
+def test_the_onnx_file_walks_for_ten_seconds_in_c_mujoco(bundled, order, tmp_path):
+    """0.6 m/s ahead: no fall, the distance that was asked for, close to the command."""
+    out = tmp_path / "policy.onnx"
+    export_command.main(["go1", f"--out={out}", f"--joint-order={order}"])
+    net = onnxruntime.InferenceSession(out)
+    facts = {k: json.loads(v) for k, v in net.get_modelmeta().custom_metadata_map.items()}
+    # the body is read and driven in the order that the file says
+    body = body_of(joint_order.permute(bundled, tuple(facts["joint_names"])))
+    walked = episode.play(body, lambda obs: infer(net, obs[None])[0], lambda t: AHEAD, 10.0)
+    m = episode.measures(body, walked)
+    assert m["fall"] is None and m["seconds"] == 10.0
+    assert walked["qpos"][-1, 0] > 5.0  # m ahead, of 6
+    assert m["tracking_error"] is not None and m["tracking_error"] < 0.15  # m/s
+
+
+@pytest.fixture
+def loop(bundled, tmp_path, monkeypatch):
+    """`loop(steps, broken)`: the code of the page as it stands there, with C MuJoCo for a robot.
+
+    The button is pressed after `steps`; before, `broken(step)` is called. Returns where the base was
+    [steps, 3], whether the robot fell, and how often it was told to damp.
+    """
+    (code,) = re.findall(r"```python\n(.*?)```", PAGE, re.S)
+    assert len(code.splitlines()) <= 40
+    export_command.main(["go1", f"--out={tmp_path}/policy.onnx", "--joint-order=unitree"])
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(time, "sleep", lambda seconds: None)
+    policy = joint_order.permute(bundled, MOTORS)
+    body = body_of(policy)
+
+    def run(steps, broken=lambda step: None):
+        data = mujoco.MjData(body.model)
+        episode.reset(body, data)
+        path, fell, damped = [], [], []
+
+        def read():
+            qpos, qvel = episode.coordinates(body, data)
+            com = body.model.body_ipos[body.base_body]
+            _, velocity, gyro = observe.base_motion(qpos, qvel, com)
+            joints = dict(q=qpos[7:], qd=qvel[6:])
+            return types.SimpleNamespace(**joints, quat=qpos[3:7], gyro=gyro, velocity=velocity)
+
+        def send(target, kp, kd):
+            assert (kp, kd) == (policy.kp, policy.kd) and not damped
+            torque = actuators.pd(target, data.qpos[body.joint_q], data.qvel[body.joint_v], kp, kd)
+            assert np.abs(torque).max() <= policy.effort_limit + 1e-9
+            broken(len(path))
+            action = (target - policy.default_pose) / policy.action_scale
+            fell.append(episode.step(body, data, action)[1])
+            path.append(data.qpos[:3].copy())
+
+        robot = types.ModuleType("my_robot")
+        robot.__dict__.update(
+            read=read,
+            send=send,
+            stick=lambda: AHEAD,
+            stop=lambda: len(path) >= steps,
+            damp=lambda: damped.append(True),
+        )
+        monkeypatch.setitem(sys.modules, "my_robot", robot)
+        try:
+            exec(code, {})
+        except InterruptedError:
+            damped.append(False)
+        return np.array(path), any(fell), damped
+
+    return run
+
+
+def test_the_loop_walks_in_c_mujoco(loop):
+    """It ramps in for 3 s, walks ahead for 10 s, and damps when the button is pressed."""
+    path, fell, damped = loop(650)
+    assert len(path) == 650 and not fell and damped == [True]
+    assert np.abs(path[149][:2]).max() < 0.05  # m: it stands where it was
+    assert path[-1][0] > 5.0
+
+
+def test_the_loop_damps_whatever_happens(loop):
+    """An error of the SDK in the middle of a step: damped, then raised."""
+
+    def broken(step):
+        if step == 20:
+            raise InterruptedError("no answer")
+
+    path, _, damped = loop(30, broken)
+    assert len(path) == 20 and damped == [True, False]

@@ -1,0 +1,92 @@
+"""Joint orders: those of their sources, and policies that do the same in each of them."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from answers import refused
+from toy_onnx import (
+    ANYMAL_IN_ISAACLAB,
+    GO2_IN_ISAACLAB,
+    MOTORS,
+    SHUFFLED,
+    described,
+    infer,
+    observations,
+    session,
+)
+from toy_policy import ROBOTS
+
+from dynappo.export import joint_order
+from dynappo.learner import networks
+from dynappo.physics import actuators
+from dynappo.physics import robot as robot_lib
+
+
+def order_of(text, name):
+    """The names that `--joint-order=TEXT` means for a robot's policy in MJCF order."""
+    robot = robot_lib.load(name)
+    return joint_order.find(text, robot.joint_names, robot)[0]
+
+
+def test_named_orders_are_those_of_their_sources():
+    for name in ("go1", "go2"):
+        assert order_of("unitree", name) == MOTORS
+        assert order_of("isaaclab", name) == GO2_IN_ISAACLAB
+    for name in ("anymal_c", "anymal_d"):
+        assert order_of("isaaclab", name) == ANYMAL_IN_ISAACLAB
+    for name in ROBOTS:
+        assert order_of(None, name) == order_of("mjcf", name) == robot_lib.load(name).joint_names
+    assert order_of(", ".join(SHUFFLED), "go1") == SHUFFLED
+
+
+def test_an_order_that_a_robot_has_not_is_one_line():
+    """A name that is no joint, one too few, one twice, motor numbers of another maker."""
+    for text, name, expected in (
+        ("x,FL_hip_joint", "go2", "go2 has no joint x; expected mjcf, isaaclab, unitree or"),
+        ("", "go2", "expected mjcf, isaaclab, unitree or"),
+        (",".join(MOTORS[:11]), "go2", "lacks RL_calf_joint"),
+        (",".join(MOTORS + MOTORS[:1]), "go2", "FR_hip_joint is there more than once"),
+        ("unitree", "anymal_c", "anymal_c has the legs LF RF LH RH"),
+    ):
+        line = refused(order_of, text, name)
+        assert line.startswith(f"--joint-order={text}: ") and expected in line
+
+
+@pytest.mark.parametrize(
+    ("name", "names"),
+    [
+        ("go1", MOTORS),
+        ("go2", GO2_IN_ISAACLAB),
+        ("anymal_c", ANYMAL_IN_ISAACLAB),
+        ("go1", SHUFFLED),
+    ],
+)
+def test_another_order_is_the_same_policy(name, names):
+    """Observations of the same situations, joints reordered by name, give the reordered actions."""
+    policy, robot, static = described(name)
+    before = jax.tree.map(np.copy, policy.params)
+    other = joint_order.permute(policy, names)
+    there = [policy.joint_names.index(joint) for joint in names]
+    assert there != list(range(12)) and other.joint_names == names
+    obs, reordered = observations(policy.joint_names), observations(names)
+    expected = infer(session(policy, robot), obs)
+    net = session(other, robot, targets=True)
+    np.testing.assert_allclose(infer(net, reordered), expected[:, there], atol=1e-6)
+    targets = actuators.target(expected, policy.default_pose, policy.action_scale)
+    np.testing.assert_allclose(infer(net, reordered, "targets"), targets[:, there], atol=1e-6)
+    one, same = (
+        networks.value(static, p.params, jnp.asarray(x))
+        for p, x in ((policy, obs), (other, reordered))
+    )
+    np.testing.assert_allclose(one, same, atol=1e-5)
+    np.testing.assert_array_equal(other.params["std"], policy.params["std"][there])
+    for field in ("default_pose", "joint_damping", "joint_friction"):
+        by_name = [
+            dict(zip(p.joint_names, getattr(p, field), strict=True)) for p in (policy, other)
+        ]
+        assert by_name[0] == by_name[1], field
+    # there and back is the same, and the policy that was given is as it was
+    back = joint_order.permute(other, policy.joint_names)
+    for params in (back.params, policy.params):
+        jax.tree.map(np.testing.assert_array_equal, params, before)

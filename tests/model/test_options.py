@@ -1,0 +1,287 @@
+"""The model's options beyond the paper: the state without noise, known rewards, falls, bounds."""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import toy_env
+from toy_model import start, that_says
+from toy_runs import N, R, assert_close, assert_same, observe, row
+
+from dynappo import algorithm, rollout
+from dynappo.learner import ppo
+from dynappo.model import dynamics
+
+ON = {f"model.{name}": True for name in ("clean", "known_reward", "falls", "bounds")}
+A, B = np.array(toy_env.A), np.array(toy_env.B)
+NOISE, DT, LIMIT = 0.3, toy_env.DT, toy_env.LIMIT
+
+
+def settings(fields):
+    """`(config, static, hyper)` of the toy with a tail, loud noise and `fields`."""
+    return toy_env.settings(toy_env.TAIL | {"task.noise.joint_pos": NOISE} | fields)
+
+
+@pytest.fixture(scope="module")
+def env():
+    """The toy environment with noise, aged starts, falls and time limits."""
+    return toy_env.make()
+
+
+@pytest.fixture(scope="module")
+def iterated(env):
+    """`(static, hyper, first state, {n_real: (rollout, state, metrics)})` with every field on."""
+    config, static, hyper = settings(ON)
+    state = algorithm.init(env, hyper, jax.random.key(0), static=static)
+    # some iterations on, the model has seen falls and its bounds are set
+    call = observe(env, static)
+    for i in range(1, 4):
+        _, state, _ = call(hyper, state, row(config, first=i, n_real=N))
+    out = {n: call(hyper, state, row(config, first=4, n_real=n, epochs=20)) for n in (N, 5, 3)}
+    return static, hyper, state, jax.device_get(out)
+
+
+def moved(body, prop, action):
+    """The toy's physics in NumPy, for rows `[N, R]`."""
+    return prop @ A.T + np.asarray(body)[:, None] * (action @ B.T)
+
+
+# ---- the state without noise
+
+
+def test_real_rows_hold_the_state_without_noise_before_any_reset(iterated):
+    """Against the toy's own matrices and reward; the observations around it are off by the noise."""
+    _, _, state, out = iterated
+    rows = out[N][0]
+    expected = moved(state.params_physics, rows.prop, rows.action)
+    np.testing.assert_allclose(rows.next_prop, expected, 1e-5, 1e-5)
+    error, effort = (rows.next_prop[..., 0] - rows.obs[..., 3]) ** 2, (rows.action**2).sum(-1)
+    np.testing.assert_allclose(rows.reward, DT * (1 - error - 0.01 * effort), 1e-4, 1e-5)
+    assert (np.abs(rows.next_prop[rows.discount == 0][:, 1]) > LIMIT).all()  # fallen, and not reset
+    assert (rows.discount == 0).sum() > 2
+    for obs, prop in ((rows.obs, rows.prop), (rows.next_obs, rows.next_prop)):
+        noise = obs[..., :3] - prop
+        assert (np.abs(noise) <= NOISE + 1e-5).all() and (np.abs(noise) > 0.5 * NOISE).mean() > 0.4
+
+
+@pytest.mark.parametrize("n_real", [N, 5])
+def test_the_model_is_asked_and_told_states_without_noise(iterated, n_real):
+    """Moments and bounds of the fit: of prop and next prop in all real rows, fallen ones too."""
+    static, hyper, first, out = iterated
+    rows, state, _ = out[n_real]
+    kept = jax.tree.map(lambda x: x[:n_real].reshape(-1, *x.shape[2:]), rows)
+    rest = -0.01 * (kept.action**2).sum(-1)  # what no one knows but the toy
+    change, fell = kept.next_prop - kept.prop, 1.0 * (kept.discount == 0)
+    x = np.concatenate([kept.prop, kept.obs[:, 3:], kept.action], -1)
+    y = np.column_stack([change, rest, fell])
+    decay = hyper.model.stats_decay
+    for before, after, numbers in (
+        (first.model.inputs, state.model.inputs, x),
+        (first.model.targets, state.model.targets, y),
+    ):
+        batch = (np.asarray(after.mean) - decay * np.asarray(before.mean)) / (1 - decay)
+        np.testing.assert_allclose(batch, numbers.mean(0), 1e-3, 1e-3)
+    numbers = np.column_stack([kept.next_prop, kept.reward])
+    low, high = numbers.min(0), numbers.max(0)
+    margin = 0.05 * (high - low)
+    np.testing.assert_allclose(state.model.bounds, [low - margin, high + margin], 1e-4, 1e-5)
+
+
+def test_a_tail_carries_the_state_and_shows_the_policy_fresh_noise(iterated, env):
+    """Rows after N_r: the model on its own states, noise of the task's width, each row's its own."""
+    static, hyper, _, out = iterated
+    for n in (5, 3):
+        rows, state, _ = out[n]
+        np.testing.assert_array_equal(rows.obs[n], state.env_state.obs)
+        np.testing.assert_array_equal(rows.prop[n], state.env_state.prop)
+        np.testing.assert_array_equal(rows.prop[n + 1 :], rows.next_prop[n:-1])
+        np.testing.assert_array_equal(rows.obs[n + 1 :], rows.next_obs[n:-1])
+        np.testing.assert_array_equal(rows.next_obs[n:, :, 3], rows.obs[n:, :, 3])
+        np.testing.assert_array_equal(rows.next_obs[n:, :, 4:], rows.action[n:])
+        known = np.concatenate([rows.prop, rows.obs[..., 3:]], -1)[n:]
+        call = partial(dynamics.predict, static, hyper, env, state.model)
+        obs, reward, discount = jax.vmap(call)(known, rows.action[n:])
+        np.testing.assert_allclose(rows.next_prop[n:], obs[..., :3], 1e-4, 1e-5)
+        np.testing.assert_allclose(rows.reward[n:], reward, 1e-4, 1e-5)
+        np.testing.assert_allclose(rows.discount[n:], discount, 1e-4, 1e-5)
+        noise = (rows.next_obs[..., :3] - rows.next_prop)[n:]
+        assert np.abs(noise).max() <= NOISE + 1e-5
+        assert 0.8 * NOISE**2 / 3 < noise.var() < 1.2 * NOISE**2 / 3
+        assert len(np.unique(noise.round(6))) > 0.99 * noise.size
+
+
+def test_without_noise_the_policy_sees_what_the_model_carries(env, iterated):
+    static, _, first, _ = iterated
+    config, _, hyper = settings(ON | {"task.noise.joint_pos": 0.0})
+    rows, _, _ = observe(env, static)(hyper, first, row(config, n_real=4))
+    np.testing.assert_array_equal(rows.next_obs[4:, :, :3], rows.next_prop[4:])
+
+
+# ---- known rewards
+
+
+def test_a_predicted_reward_is_that_of_the_predicted_state_and_the_rest(env):
+    """Network says next state + (0.2, 0.3, -0.1), rest -0.5, logit 2: numbers by hand."""
+    on = {"model.clean": True, "model.known_reward": True, "model.falls": True}
+    _, static, hyper = settings(on | {"model.normalize": False})
+    model = that_says([0.2, 0.3, -0.1, -0.5, 2.0], start(static, env))
+    obs = jnp.asarray(np.random.default_rng(0).normal(size=(7, 6)), jnp.float32)
+    action = jnp.ones((7, 2))
+    after, reward, discount = dynamics.predict(static, hyper, env, model, obs, action)
+    np.testing.assert_allclose(after[:, :3], obs[:, :3] + jnp.array([0.2, 0.3, -0.1]), 1e-5)
+    known = 1 - (obs[:, 0] + 0.2 - obs[:, 3]) ** 2
+    np.testing.assert_allclose(reward, DT * (known - 0.5), 1e-4, 1e-6)
+    np.testing.assert_allclose(discount, 1 / (1 + np.exp(2.0 - 4.6)) + 0 * reward, 1e-5)
+
+
+# ---- falls and time limits
+
+
+@pytest.fixture(scope="module")
+def fallible(env):
+    """`(static, hyper, fit, rows)`: 8 x 512 independent rows, of which about one in 20 falls."""
+    _, static, hyper = settings({"model.clean": True, "model.falls": True})
+    rng, count = np.random.default_rng(0), 512
+    rows = jax.tree.map(np.asarray, rollout.allocate(env, N, count))
+    prop, action = (rng.normal(size=(N, count, k)).astype(np.float32) for k in (3, 2))
+    prop *= [1.0, 0.6, 1.0]
+    after = moved(np.ones(count), prop, action)
+    obs = np.concatenate([prop + NOISE, prop * 0], -1)
+    discount = (np.abs(after[..., 1]) <= LIMIT) * 1.0
+    rows = rows.replace(
+        obs=obs,
+        prop=prop,
+        action=action,
+        next_prop=after,
+        discount=discount,
+        valid=discount * 0 + 1,
+    )
+    rows = jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), rows)
+    fit = jax.jit(
+        lambda model, rows, epochs: dynamics.fit(
+            static, hyper, env, model, rows, N, epochs, jax.random.key(1)
+        )
+    )
+    return static, hyper, fit, rows
+
+
+def probability(static, hyper, env, model, rows):
+    """Predicted probability of a fall in every row."""
+    obs = jnp.concatenate([rows.prop, rows.obs[..., 3:]], -1)
+    call = partial(dynamics.predict, static, hyper, env, model)
+    return 1 - np.asarray(jax.vmap(call)(obs, rows.action)[2])
+
+
+def test_the_head_learns_which_rows_fall_and_how_many(env, fallible):
+    """From 1 % everywhere to sure of most rows; the mean stays the share of falls."""
+    static, hyper, fit, rows = fallible
+    model = start(static, env)
+    fell = np.asarray(rows.discount) == 0
+    assert 0.02 < fell.mean() < 0.1
+    model, _ = fit(model, rows, 0)  # moments only
+    np.testing.assert_allclose(probability(static, hyper, env, model, rows), 0.01, atol=0.01)
+    model, _ = fit(model, rows, 300)
+    found = probability(static, hyper, env, model, rows)
+    assert found[fell].mean() > 0.75 and found[~fell].mean() < 0.02
+    assert found.mean() == pytest.approx(fell.mean(), rel=0.15)
+
+
+def test_rows_that_blew_up_are_no_falls_and_nothing_of_them_is_learned(env, fallible):
+    """Garbage in rows of `valid` 0, which look like falls, changes no bit of the fit."""
+    static, _, fit, rows = fallible
+    blown = np.random.default_rng(1).random((N, 512)) < 0.2
+    rows = rows.replace(
+        valid=jnp.asarray(1.0 - blown, jnp.float32), discount=jnp.where(blown, 0.0, rows.discount)
+    )
+    spoilt = rows.replace(
+        next_prop=jnp.where(blown[..., None], jnp.nan, rows.next_prop),
+        prop=jnp.where(blown[..., None], 1e30, rows.prop),
+    )
+    model = start(static, env)
+    assert_same(*(fit(model, r, 2) for r in (rows, spoilt)))
+    # a fall counts
+    fallen = rows.replace(discount=jnp.where(rows.valid == 1, 0.0, rows.discount))
+    assert not np.array_equal(
+        fit(model, fallen, 2)[0].targets.mean, fit(model, rows, 2)[0].targets.mean
+    )
+
+
+def test_a_tail_is_cut_where_the_clock_of_the_episode_says_so(iterated, env):
+    """Row by row from the age of the robot at the seam; the robot then walks on."""
+    _, _, _, out = iterated
+    for n in (5, 3):
+        rows, state, _ = out[n]
+        age = np.asarray(state.env_state.clock) + np.arange(1, N - n + 1)[:, None]
+        np.testing.assert_array_equal(rows.truncation[n:], age == env.episode_length)
+        assert rows.truncation[n:-1].sum() > 0
+        assert ((rows.discount[n:] < 1) & (rows.discount[n:] > 0)).all()
+        np.testing.assert_array_equal(rows.valid[n:], 1)
+
+
+def test_a_summary_of_the_tail_tells_its_falls_and_how_much_better_it_looks(iterated):
+    """Rewards a second of synthetic rows above real ones; falls expected; 0 without a tail."""
+    for n, (rows, _, metrics) in iterated[3].items():
+        bias = (rows.reward[n:].mean() - rows.reward[:n].mean()) / DT if n < N else 0.0
+        np.testing.assert_allclose(metrics["tail_bias"], bias, 1e-3, 1e-4)
+        np.testing.assert_allclose(metrics["tail_falls"], (1 - rows.discount[n:]).sum(), 1e-3, 1e-4)
+
+
+# ---- bounds
+
+
+def test_a_wild_model_stays_in_the_range_of_real_rows(env, iterated):
+    """Weights 30 times too large: no number of a tail leaves the range, and the learner stays sane;
+    without bounds most of the same predictions are outside."""
+    static, hyper, first, _ = iterated
+    config = settings(ON)[0]
+    wild = first.model.replace(params=jax.tree.map(lambda x: 30 * x, first.model.params))
+    call = observe(env, static)
+    rows, after, metrics = call(hyper, first.replace(model=wild), row(config, n_real=3, epochs=0))
+    free = static._replace(model=static.model._replace(bounds=False))
+    obs = jnp.concatenate([rows.prop, rows.obs[..., 3:]], -1)
+    asked = partial(dynamics.predict, free, hyper, env, wild.replace(bounds=None))
+    prop, reward, _ = jax.vmap(asked)(obs, rows.action)
+    real = jax.tree.map(lambda x: np.asarray(x[:3]).reshape(3 * R, -1), rows)
+    for seen, made, unbounded in (
+        (real.next_prop, rows.next_prop, prop[..., :3]),
+        (real.reward, rows.reward[..., None], reward[..., None]),
+    ):
+        low, high = seen.min(0), seen.max(0)
+        margin = 0.0501 * (high - low) + 1e-5
+
+        def inside(x, low=low - margin, high=high + margin):
+            return (x[3:] >= low) & (x[3:] <= high)
+
+        assert inside(made).all() and inside(unbounded).mean() < 0.5
+    assert all(np.isfinite(x).all() for x in jax.tree.leaves(after.learner.params))
+    assert metrics["value_loss"] < 10
+
+
+# ---- what the policy learns of such a tail
+
+
+def test_the_policy_learns_from_a_tail_by_what_survives_of_it(iterated, env):
+    """The new learner is PPO's update with the product of the discounts before as a row's weight."""
+    static, hyper, first, _ = iterated
+    layers = dict(first.model.params["params"])
+    last = f"Dense_{len(layers) - 1}"
+    layers[last] = layers[last] | {"bias": layers[last]["bias"].at[-1].add(3.0)}  # sees falls
+    first = first.replace(model=first.model.replace(params={"params": layers}))
+    columns = row(settings(ON)[0], first=4, n_real=3, epochs=0)
+    rows, state, _ = observe(env, static)(hyper, first, columns)
+    weight = np.ones((N, R))
+    for t in range(4, N):
+        weight[t] = weight[t - 1] * rows.discount[t - 1]
+    assert weight.min() < 0.5
+    real = np.arange(N)[:, None] < 3
+    batch = algorithm.estimate(static, hyper, first.learner.params, rows, real)
+    key = jax.random.fold_in(jax.random.fold_in(first.key, 4), algorithm.UPDATE)
+    update = jax.jit(partial(ppo.update, static, hyper))
+    expected, other = (
+        update(first.learner, batch._replace(weight=jnp.asarray(w, jnp.float32)), key)[0].params
+        for w in (weight, np.ones((N, R)))
+    )
+    assert_close(state.learner.params, expected, 1e-4)
+    assert np.abs(expected["std"] - other["std"]).max() > 1e-3

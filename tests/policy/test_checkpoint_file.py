@@ -1,0 +1,71 @@
+"""The arrays of a checkpoint without JAX: the newest by number, and no other numbers than were saved."""
+
+import json
+import shutil
+
+import jax
+import numpy as np
+import pytest
+from answers import refused, shell
+from toy_policy import actor
+
+from dynappo import config as config_lib
+from dynappo.policy import checkpoint_file, policy_file
+from dynappo.train import checkpoint
+from dynappo.types import Learner
+
+
+def written(workdir, seeds=1):
+    """Checkpoints 9 and 10 of a run, as orbax saves them; `{step: networks of the first seed}`."""
+    config = config_lib.load("configs/go1.py")
+    config.run.num_seeds = seeds
+    workdir.mkdir()
+    (workdir / "config.json").write_text(config_lib.to_json(config_lib.validate(config)))
+    networks = {}
+    with checkpoint.opened(workdir) as checkpoints:
+        for step in (9, 10):
+            params = [actor(100 * step + s) for s in range(seeds)]
+            networks[step] = params[0]
+            stacked = jax.tree.map(lambda *x: np.stack(x), *params) if seeds > 1 else params[0]
+            rest = dict.fromkeys(Learner.__dataclass_fields__, np.zeros(1))
+            learner = Learner(**rest | {"params": stacked})
+            checkpoint.save(checkpoints, step, {"learner": learner})
+    return networks
+
+
+@pytest.mark.parametrize("seeds", [1, 3])
+def test_a_checkpoint_is_played_without_a_policy_file(tmp_path, seeds):
+    """The newest by number, not by name; of several seeds the first."""
+    workdir = tmp_path / "run"
+    networks = written(workdir, seeds)
+    (workdir / "checkpoints" / "11.orbax-checkpoint-tmp-0").mkdir()  # a save in progress
+    assert checkpoint_file.steps(workdir / "checkpoints") == [10, 9]
+    for place, step in (("", 10), ("checkpoints", 10), ("checkpoints/9", 9)):
+        found, path = policy_file.find(str(workdir / place))
+        assert path == workdir / "checkpoints" / str(step)
+        jax.tree.map(np.testing.assert_array_equal, found.params, networks[step])
+
+
+def test_it_is_read_without_jax(tmp_path):
+    """JAX would take a GPU that trains."""
+    written(tmp_path / "run")
+    code = "import sys; from dynappo.policy import policy_file; policy_file.find(sys.argv[1]); "
+    code += "print(sorted({'jax', 'flax', 'orbax'} & set(sys.modules)))"
+    done = shell("-c", code, tmp_path / "run")
+    assert done.stdout == "[]\n", done.stderr
+
+
+def test_damage_is_one_line_and_nothing_is_changed(tmp_path):
+    """Arrays that are gone, other numbers than were saved, no config.json beside them."""
+    workdir = tmp_path / "run"
+    written(workdir)
+    shutil.rmtree(workdir / "checkpoints" / "10" / "state" / "ocdbt.process_0")
+    assert "10: not a checkpoint, or damaged" in refused(policy_file.find, str(workdir))
+    about = workdir / "checkpoints" / "9" / "about" / "metadata"
+    text = json.loads(about.read_text())
+    about.write_text(json.dumps(text | {"sha256": text["sha256"][::-1]}))
+    line = refused(policy_file.find, str(workdir / "checkpoints" / "9"))
+    assert "9: not a checkpoint, or damaged (its numbers are not those that were saved)" in line
+    assert checkpoint_file.steps(workdir / "checkpoints") == [10, 9]
+    (workdir / "config.json").unlink()
+    assert "config.json" in refused(policy_file.find, str(workdir / "checkpoints" / "9"))

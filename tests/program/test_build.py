@@ -1,0 +1,51 @@
+"""From a config to a compiled program: what does not fit is refused before, nothing else is changed."""
+
+import jax
+import numpy as np
+import pytest
+import workdirs
+from answers import refused
+from toy_runs import assert_close
+
+from dynappo.program import build, memory
+
+
+def first_chunk(program):
+    """State and metrics after the first two iterations."""
+    columns = {name: column[:2] for name, column in program.columns.items()}
+    return program.step(program.hyper, program.state, columns)
+
+
+def size(tree):
+    return sum(x.nbytes for x in jax.tree.leaves(tree))
+
+
+def test_a_mesh_of_devices_computes_what_one_does_and_changes_no_setting(monkeypatch):
+    """Two seeds with their robots on two devices each; the partitioner is JAX's own again."""
+    workdirs.toy(monkeypatch)
+    names = "jax_platforms jax_use_shardy_partitioner jax_compilation_cache_dir".split()
+    before, checked = [getattr(jax.config, name) for name in names], []
+    monkeypatch.setattr(memory, "check_compiled", lambda *of: checked.append(of))
+    plain = dict(schedule__end_steps=0, run__num_seeds=2, run__num_iterations=2)
+    configs = workdirs.config(**plain), workdirs.config(**plain, run__mesh_seed=2, run__mesh_env=2)
+    one, four = map(build.program, configs)
+    for config, program, devices, seen in zip(configs, (one, four), (1, 4), checked, strict=True):
+        assert len(program.state.env_state.prop.sharding.device_set) == devices
+        limit = memory.limit(jax.devices("cpu")[0])
+        assert seen == (config, program.bytes_needed, limit)
+        assert program.bytes_needed > size(program.state) / devices
+    (state, metrics), (spread, same) = first_chunk(one), first_chunk(four)
+    assert_close(metrics, same, 1e-3)
+    np.testing.assert_allclose(state.env_state.prop, spread.env_state.prop, atol=1e-3)
+    judged = four.assess(four.place(jax.device_get(spread)))
+    assert judged["return"].shape == (2,) and isinstance(judged["return"], np.ndarray)
+    assert [getattr(jax.config, name) for name in names] == before
+
+
+def test_a_hopeless_size_is_refused_before_anything_is_compiled(monkeypatch):
+    """In one line: a rollout that no compiler can make smaller."""
+    monkeypatch.setattr(jax, "jit", lambda *_, **__: pytest.fail("compiled"))
+    monkeypatch.setattr(memory, "limit", lambda device: 8 * 2**30)
+    run = workdirs.config(rollout__num_envs=2**26)
+    assert "the rollout alone needs" in refused(build.check, run)
+    build.check(workdirs.config())

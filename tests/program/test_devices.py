@@ -1,0 +1,80 @@
+"""Which devices and which engine: what a config asks for and this machine has not is one line."""
+
+import importlib.util
+from types import SimpleNamespace
+
+import jax
+import pytest
+from answers import refused, shell
+
+from dynappo import config as config_lib
+from dynappo.program import devices
+
+
+def config(**fields):
+    """A valid config with `group__field` set."""
+    config = config_lib.load("configs/go1.py:dyna4")
+    for name, value in fields.items():
+        group, _, leaf = name.partition("__")
+        config[group][leaf] = value
+    return config_lib.validate(config)
+
+
+@pytest.fixture
+def machine(monkeypatch):
+    """`machine(platform, count, warp)`: JAX sees so many devices of a kind, with warp-lang or without."""
+
+    def pretend(platform, count=1, warp=True):
+        these = [SimpleNamespace(platform=platform) for _ in range(count)]
+        cpus = [SimpleNamespace(platform="cpu")]
+        monkeypatch.setattr(jax, "devices", lambda kind=None: cpus if kind == "cpu" else these)
+        monkeypatch.setattr(jax, "default_backend", lambda: platform)
+        found = object() if warp else None
+        monkeypatch.setattr(importlib.util, "find_spec", lambda name: found)
+
+    return pretend
+
+
+@pytest.mark.parametrize(
+    ("impl", "device", "platform", "warp", "expected"),
+    [
+        ("auto", "auto", "gpu", True, "warp"),
+        ("auto", "auto", "gpu", False, "jax"),
+        ("auto", "auto", "cpu", True, "jax"),
+        ("auto", "cpu", "gpu", True, "jax"),
+        ("jax", "gpu", "gpu", True, "jax"),
+        ("warp", "gpu", "gpu", True, "warp"),
+    ],
+)
+def test_the_engine_is_warp_where_it_can_run(machine, impl, device, platform, warp, expected):
+    machine(platform, warp=warp)
+    assert devices.engine(config(physics__impl=impl, run__device=device)) == expected
+
+
+@pytest.mark.parametrize(
+    ("fields", "platform", "warp", "expected"),
+    [
+        ({"run__device": "gpu"}, "cpu", True, "run.device is gpu, but JAX sees none; install"),
+        ({"physics__impl": "warp"}, "cpu", True, "JAX sees no NVIDIA GPU; install"),
+        ({"physics__impl": "warp"}, "gpu", False, "warp-lang is not installed; install"),
+        ({"run__mesh_env": 4}, "gpu", True, "is 1 x 4, but JAX sees 2 devices in 1 processes"),
+    ],
+)
+def test_what_is_not_there_is_one_line(machine, fields, platform, warp, expected):
+    machine(platform, 2, warp)
+    assert expected in refused(devices.engine, config(**fields))
+
+
+def test_a_process_of_our_own_keeps_its_programs_and_leaves_the_gpu_alone(tmp_path, monkeypatch):
+    """Compiled programs go into the user's cache, unless they have a place already."""
+    code = (
+        "import sys, jax; from dynappo.program import devices; devices.own_process(sys.argv[1]); "
+    )
+    code += "print(jax.config.jax_platforms, jax.config.jax_compilation_cache_dir)"
+    monkeypatch.delenv("JAX_PLATFORMS", raising=False)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    ours, theirs = tmp_path / "dynappo" / "jax", tmp_path / "theirs"
+    for device, place, expected in (("auto", "", f"None {ours}"), ("cpu", theirs, f"cpu {theirs}")):
+        monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(place))
+        done = shell("-c", code, device)
+        assert done.stdout == f"{expected}\n", done.stderr

@@ -1,0 +1,127 @@
+"""What a run leaves: the summary, the policy of the best seed, the picture and the film or why not."""
+
+import json
+import sys
+
+import jax
+import numpy as np
+import pytest
+import workdirs
+from toy_runs import assert_same
+from workdirs import N_REAL
+
+from dynappo.config import versions
+from dynappo.policy import policy_file, render
+from dynappo.train import finish
+
+
+def test_a_run_fills_its_folder(whole):
+    """Settings, metrics, summary, policy, curves, events and checkpoints; no temporary file."""
+    names = {p.name for p in whole.workdir.iterdir()} - {"lock"}
+    events = {name for name in names if name.startswith("events.")}
+    expected = "config.json metrics.csv summary.json policy.npz curves.png checkpoints".split()
+    assert len(events) == 1 and names - events == set(expected)
+    assert workdirs.steps(whole.workdir) == {"2", "4"}
+
+
+def test_the_summary_says_what_the_run_came_to(whole):
+    """Return over the last rows, cost, evaluation, machine and versions."""
+    text = whole.files["summary.json"].decode()
+    summary = json.loads(text, parse_constant=lambda word: pytest.fail(f"{word} is no JSON"))
+    assert summary["robot"] == "go1" and summary["num_envs"] == 16
+    assert summary["iterations"] == 4 and summary["sim_steps"] == 16 * sum(N_REAL)
+    returns = whole.metrics["episode_return"]
+    assert summary["return"] == pytest.approx(returns.mean(), rel=1e-4)
+    assert summary["return_max"] == pytest.approx(returns.max(), rel=1e-4)
+    ended, total = (whole.metrics[n].sum() for n in ("episodes", "episode_return_sum"))
+    assert ended > 0 and summary["return_of_all"] == pytest.approx(total / ended, rel=1e-4)
+    assert summary["seconds"] == pytest.approx(whole.metrics["seconds"][-1], rel=1e-4)
+    assert summary["compile_seconds"] > 0 and summary["impl"] == "jax"
+    size = sum(x.nbytes for x in jax.tree.leaves((whole.state.env_state, whole.state.learner)))
+    assert summary["bytes_needed"] > size
+    assert {"dynappo", "jax", "mujoco-mjx"} <= summary["versions"].keys()
+    assert (summary["commit"] is None) == (versions.commit() is None)
+    evaluation = summary["evaluation"]
+    assert evaluation.keys() == {"return", "return_std", "length", "fall_rate", "tracking_error"}
+    assert 0 <= evaluation["fall_rate"] <= 1 and 1 <= evaluation["length"] <= 20
+
+
+def test_the_policy_is_in_a_plain_file(whole):
+    """policy.npz holds the last parameters to the bit."""
+    params = policy_file.load_params(whole.workdir / "policy.npz")
+    assert_same(params, jax.device_get(whole.state.learner.params))
+
+
+@pytest.mark.parametrize("seeds", [None, 2])
+def test_the_return_of_all_is_that_of_the_episodes_of_the_last_episodes_length(config, seeds):
+    """20 control steps are 4 iterations of 5; against a loop back from the end. Without any: none."""
+    rng, shape = np.random.default_rng(0), (20, seeds) if seeds else (20,)
+    count, total = rng.integers(0, 3, shape), rng.normal(size=shape)
+    n_real = np.full(20, 8)
+    n_real[-3:] = 5  # and one of 8
+    metrics = {"n_real": n_real, "episodes": count, "episode_return_sum": total * (count > 0)}
+    steps, ended, returns = 0, 0, 0.0
+    for i in reversed(range(20)):
+        if steps < 20:
+            steps, ended = steps + n_real[i], ended + count[i]
+            returns = returns + metrics["episode_return_sum"][i]
+    assert config.task.episode_length == 20 and steps == 23
+    np.testing.assert_allclose(finish._return_of_all(config, metrics), returns / ended, rtol=1e-6)
+    metrics["episodes"] = 0 * count
+    assert np.isnan(finish._return_of_all(config, metrics)).all()
+
+
+# ---- several seeds
+
+
+@pytest.mark.parametrize(
+    ("at_the_end", "on_the_way", "best"),
+    [
+        ([1.0, 3.0], None, 1),
+        ([3.0, 1.0], [1.0, 3.0], 0),  # the last one counts
+        (None, [1.0, 3.0], 1),
+        ([np.nan, -7.0], None, 1),
+        (None, None, 0),
+    ],
+)
+def test_the_policy_of_the_best_seed_is_that_of_the_best_evaluation(
+    program, whole, tmp_path, at_the_end, on_the_way, best
+):
+    """Whatever the training episodes say: they favour the other one."""
+    seeds = workdirs.config(run__num_seeds=2, run__eval_envs=8 if at_the_end else 0)
+    state = jax.tree.map(lambda x: jax.numpy.stack([x, x]), whole.state)
+    params = jax.tree.map(lambda x: np.stack([x[0], x[1] + 1]), state.learner.params)
+    state = state.replace(learner=state.learner.replace(params=params))
+    shared = ("iteration", "n_real", "n_synthetic", "sim_steps", "seconds")
+    metrics = {
+        name: column if name in shared else np.stack([column, column], 1)
+        for name, column in whole.metrics.items()
+    }
+    metrics["episode_return"] = metrics["episode_return"] + [10 * best, 10 * (1 - best)]
+    if on_the_way:
+        metrics["eval_return"] = np.array([[np.nan] * 2, on_the_way, [np.nan] * 2, [np.nan] * 2])
+    run = program()._replace(assess=lambda state: {"return": np.array(at_the_end)})
+    summary = finish.finish(seeds, run, tmp_path, state, metrics)
+    kept = policy_file.load_params(tmp_path / "policy.npz")
+    assert_same(kept, jax.tree.map(lambda x: x[best], params))
+    assert len(summary["return"]) == len(summary["return_max"]) == 2
+    if at_the_end:
+        none = [None if np.isnan(x) else x for x in at_the_end]
+        assert json.loads((tmp_path / "summary.json").read_text())["evaluation"]["return"] == none
+
+
+# ---- pictures
+
+
+def test_there_is_a_film_or_the_reason(program, whole, tmp_path, monkeypatch):
+    """The summary says which; without matplotlib too."""
+    filmed = workdirs.config(run__video_seconds=0.1, run__eval_envs=0)
+    monkeypatch.setattr(render, "simulate", lambda *_: {"qpos": np.zeros((5, 19))})
+    for problem in ("", "no video: no OpenGL"):
+        monkeypatch.setattr(render, "film", lambda *_, problem=problem: problem)
+        summary = finish.finish(filmed, program(), tmp_path, whole.state, whole.metrics)
+        assert summary["video"] == (problem or str(tmp_path / "video.mp4"))
+        assert summary["curves"] == str(tmp_path / "curves.png")
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    summary = finish.finish(filmed, program(), tmp_path, whole.state, whole.metrics)
+    assert "pip install 'dynappo[video]'" in summary["curves"]

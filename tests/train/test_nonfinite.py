@@ -1,0 +1,89 @@
+"""Numbers that blow up: the first of them is named, and the robot that it came from is kept."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from dynappo.train import nonfinite
+from dynappo.train import run as run_lib
+
+
+def metrics(shape=(4,)):
+    """Of four iterations; before the third no episode has ended."""
+    out = {name: np.ones(shape) for name in ("value_loss", "reward_x", "episode_return")}
+    out["episode_return"][:2] = np.nan
+    return out | {"iteration": np.arange(1, 5)}
+
+
+def test_the_first_bad_number_is_named_in_the_order_of_computation():
+    """A reward before the loss that it spoils; neither an empty mean return nor an evaluation is bad."""
+    data = metrics() | {"eval_return": np.full(4, np.nan)}
+    assert nonfinite.first_metric(data) is None
+    data["value_loss"][1:] = np.nan
+    assert nonfinite.first_metric(data) == ("value_loss", 2)
+    data["reward_x"][1] = np.inf
+    assert nonfinite.first_metric(data) == ("reward_x", 2)
+    data = metrics((4, 3))
+    data["value_loss"][3, 2] = np.nan
+    assert nonfinite.first_metric(data) == ("value_loss", 4)
+
+
+def test_the_first_array_with_a_bad_number_is_named_by_its_path():
+    """NumPy's and JAX's, integers among them; a second look compiles nothing."""
+    tree = {"a": [jnp.ones(3), np.arange(2)], "b": {"w": jnp.zeros((2, 2))}, "none": None}
+    assert nonfinite.first_leaf(tree) is None and nonfinite.first_leaf({}) is None
+    compiled = nonfinite._finite()._cache_size()
+    tree["b"]["w"] = tree["b"]["w"].at[1, 0].set(jnp.inf)
+    assert nonfinite.first_leaf(tree) == "b/w"
+    tree["a"][0] = tree["a"][0].at[2].set(jnp.nan)
+    assert nonfinite.first_leaf(tree) == "a/0"
+    assert nonfinite._finite()._cache_size() == compiled
+
+
+def poisoned(program, place):
+    """The program with a NaN, or an absurd learning rate, at `place`."""
+    h, state = program.hyper, program.state
+    nan = np.float32(np.nan)
+    if place == "model":
+        h = h._replace(model=h.model._replace(learning_rate=np.float32(1e30)))
+    elif place == "policy":
+        h = h._replace(ppo=h.ppo._replace(value_coef=nan))
+    elif place == "observation":  # the commands of the episodes to come
+        h = h._replace(task=h.task._replace(command_x=(nan, nan)))
+    elif place == "parameter":  # no loss: found in the state
+        moments = state.model.targets.replace(weight=jnp.float32(np.inf))
+        state = state.replace(model=state.model.replace(targets=moments))
+    return program._replace(hyper=h, state=state)
+
+
+@pytest.mark.parametrize(
+    ("place", "name"),
+    [
+        ("model", "model_loss is not finite in iteration 1"),
+        ("policy", "(value|surrogate)_loss is not finite in iteration 1"),
+        ("observation", "(value|surrogate)_loss is not finite in iteration 1"),
+        ("parameter", "model.*is not finite in iteration"),
+    ],
+)
+def test_a_training_that_blows_up_names_the_first_bad_number(
+    config, program, tmp_path, place, name
+):
+    """No row of NaN is written, no checkpoint of it is kept; a bad robot is there for replay."""
+    bad = poisoned(program(), place)
+    with pytest.raises(FloatingPointError, match=name) as error:
+        run_lib.loop(config, bad, tmp_path)
+    text = str(error.value)
+    assert "\n" not in text and "Lower ppo.learning_rate or model.learning_rate" in text
+    assert not (tmp_path / "metrics.csv").exists()
+    assert not list((tmp_path / "checkpoints").iterdir())
+    dumped = tmp_path / "nonfinite.npz"
+    assert dumped.exists() == (place == "observation")
+    if place == "observation":
+        found = np.load(dumped)
+        robot = int(found["robot"])
+        assert f"robot {robot}, as it was before, is in {dumped}" in text
+        start = program().state
+        for name in ("prop", "command"):
+            kept = found[f"env_state/{name}"]
+            np.testing.assert_array_equal(kept, getattr(start.env_state, name)[robot])
+        np.testing.assert_array_equal(found["params_physics"], start.params_physics[robot])

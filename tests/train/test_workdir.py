@@ -1,0 +1,209 @@
+"""The folder of a run: one run at a time, no other config, and the best of its policies in a file."""
+
+import errno
+import json
+import os
+import shutil
+import socket
+
+import filelock
+import jax
+import numpy as np
+import pytest
+import workdirs
+from answers import refused
+from toy_policy import GO1
+from toy_runs import assert_same
+from workdirs import opened
+
+from dynappo import train
+from dynappo.policy import policy_file
+from dynappo.program import build
+from dynappo.train import checkpoint
+from dynappo.train import workdir as workdir_lib
+
+OTHER = workdirs.config(ppo__clip_epsilon=0.3)
+HELD = f"pid {os.getpid()} on {socket.gethostname()}"
+
+
+# ---- held by one run
+
+
+def test_a_folder_is_one_runs_at_a_time(config, tmp_path):
+    """The line names the process; `fresh` moves nothing away; an end of any kind lets go."""
+    workdir = tmp_path / "run"
+    with pytest.raises(RuntimeError), workdir_lib.open_workdir(workdir, config):
+        for fresh in (False, True):
+            line = refused(opened, workdir, config, fresh=fresh)
+            assert f"--workdir={workdir}: another run is writing in this folder ({HELD})" in line
+            assert "wait for it, or take another --workdir" in line
+        assert [p.name for p in tmp_path.iterdir()] == ["run"]
+        raise RuntimeError
+    for fresh in (False, True, False):
+        opened(workdir, config, fresh=fresh)
+
+
+def test_a_lock_that_a_killed_run_left_holds_nobody_up(config, tmp_path):
+    """The file is there, nobody holds it."""
+    (tmp_path / "lock").write_text("pid 1 on a machine far away, with a long name\n")
+    with workdir_lib.open_workdir(tmp_path, config):
+        assert (tmp_path / "lock").read_text() == f"{HELD}\n"
+
+
+@pytest.mark.parametrize("number", [errno.ENOLCK, errno.ENOTSUP, errno.EIO])
+def test_a_file_system_without_locks_is_used_without(config, tmp_path, monkeypatch, number):
+    """Any other error is one that the folder has."""
+
+    def acquire(self, **how):
+        raise OSError(number, "no")
+
+    monkeypatch.setattr(filelock.FileLock, "acquire", acquire)
+    if number == errno.EIO:
+        assert "cannot write there (no)" in refused(opened, tmp_path, config)
+    else:
+        opened(tmp_path, config)
+        assert (tmp_path / "config.json").exists()
+
+
+def test_train_holds_its_folder_until_it_ends(config, tmp_path, monkeypatch):
+    """Also where it is interrupted; then the next call in the same process trains there."""
+    ends = []
+
+    def program(*_):
+        assert "another run is writing" in refused(opened, tmp_path, config)
+        ends.append(1)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(build, "program", program)
+    for _ in range(2):
+        with pytest.raises(KeyboardInterrupt):
+            train.train(config, tmp_path)
+    assert len(ends) == 2 and {p.name for p in tmp_path.iterdir()} <= {"config.json", "lock"}
+
+
+# ---- of one config
+
+
+def test_the_settings_are_kept(whole, config):
+    """config.json holds every field, resolved."""
+    kept = json.loads(whole.files["config.json"])
+    assert kept == json.loads(json.dumps(config.to_dict()))
+    assert kept["rollout"]["num_envs"] == 16 and kept["task"]["air_time"] == "touchdown"
+
+
+def test_a_folder_of_another_config_is_refused(whole):
+    """By the field that differs, with both values; nothing in the folder changes."""
+    before = workdirs.everything(whole.workdir)
+    line = refused(train.train, OTHER, whole.workdir)
+    assert f"--workdir={whole.workdir} holds a run of another config" in line
+    assert "(ppo.clip_epsilon 0.2 there, 0.3 here); choose another folder, or --fresh" in line
+    after = workdirs.everything(whole.workdir)
+    assert {str(p) for p in after if after[p] != before.get(p)} <= {"lock"}
+
+
+@pytest.mark.parametrize("begun", ["checkpoints/2", "damaged-2", "metrics.csv"])
+def test_a_folder_in_which_nothing_was_computed_takes_another_config(config, tmp_path, begun):
+    """After ctrl-C while it compiled; from the first checkpoint or row on it is a run."""
+    opened(tmp_path, OTHER)
+    (tmp_path / "checkpoints").mkdir()
+    (tmp_path / "metrics.csv").write_text("iteration,seconds\n")
+    opened(tmp_path, config)
+    assert json.loads((tmp_path / "config.json").read_text())["ppo"]["clip_epsilon"] == 0.2
+    if begun == "metrics.csv":
+        (tmp_path / begun).write_text("iteration,seconds\n1,2\n")
+    else:
+        (tmp_path / begun).mkdir()
+    assert "ppo.clip_epsilon 0.2 there, 0.3 here" in refused(opened, tmp_path, OTHER)
+
+
+def test_what_changes_no_number_may_differ(whole, config, tmp_path):
+    """A run goes on with other devices, logs and evaluations, and not with another seed."""
+    workdir = tmp_path / "run"
+    shutil.copytree(whole.workdir, workdir)
+    other = dict(run__eval_envs=16, run__tensorboard=False, run__video_seconds=1.0)
+    opened(workdir, workdirs.config(**other, run__num_iterations=8, physics__impl="jax"))
+    assert "run.seed 0 there, 1 here" in refused(opened, workdir, workdirs.config(run__seed=1))
+
+
+@pytest.mark.parametrize("text", ['{"layers": 3}', "[1]", "{"])
+def test_a_config_of_something_else_is_not_overwritten(config, tmp_path, text):
+    """Of another program, or no JSON."""
+    (tmp_path / "config.json").write_text(text)
+    line = refused(opened, tmp_path, config)
+    assert f"--workdir={tmp_path} holds a config.json that is not of a run" in line
+    assert (tmp_path / "config.json").read_text() == text
+
+
+def test_a_folder_that_cannot_be_written_is_refused(config, tmp_path):
+    """A file, or a folder below one: nothing is written over it, nor under it."""
+    (tmp_path / "taken").write_text("mine")
+    for name in ("taken", "taken/below"):
+        line = refused(opened, tmp_path / name, config)
+        assert f"--workdir={tmp_path / name}: cannot write there (" in line
+    assert (tmp_path / "taken").read_text() == "mine"
+
+
+def test_fresh_moves_the_old_run_aside(config, whole, tmp_path):
+    """Twice; nothing of either is lost."""
+    workdir = tmp_path / "run"
+    shutil.copytree(whole.workdir, workdir)
+    for number in (1, 2):
+        opened(workdir, config, fresh=True)
+        assert {p.name for p in workdir.iterdir()} <= {"config.json", "lock"}
+        assert (tmp_path / f"run.old-{number}" / "config.json").exists()
+    old = tmp_path / "run.old-1"
+    assert {p.name for p in old.iterdir()} >= set(whole.files) - {"lock"}
+    assert (old / "metrics.csv").read_bytes() == whole.files["metrics.csv"]
+
+
+# ---- the policy that is kept
+
+NAN = float("nan")
+
+
+@pytest.mark.parametrize(
+    ("judged", "best"),
+    [
+        (None, 0),  # never evaluated: the training episodes of an exploring policy say nothing
+        ([1.0, 2.0, 3.0], 2),
+        ([-5.0, -1.0, -3.0], 1),
+        ([NAN, -1.0, -3.0], 1),
+        ([NAN, NAN, NAN], 0),
+    ],
+)
+def test_the_best_of_several_seeds_is_the_best_in_the_evaluation(judged, best):
+    params = {"std": np.arange(3.0), "actor": {"kernel": np.arange(12.0).reshape(3, 4)}}
+    config = workdirs.config(run__num_seeds=3)
+    judged = None if judged is None else np.array(judged)
+    found = workdir_lib.best_params(config, params, judged)
+    assert_same(found, jax.tree.map(lambda x: x[best], params))
+    one = workdirs.config()
+    assert_same(workdir_lib.best_params(one, params, np.array(3.0)), params)
+
+
+def test_a_save_has_the_worth_of_its_own_evaluation_and_the_policy_that_was_judged_best(
+    whole, tmp_path, monkeypatch
+):
+    """The episodes in training favour the first seed, the evaluation the second."""
+    config = workdirs.config(run__num_seeds=2)
+    state = jax.tree.map(lambda x: jax.numpy.stack([x, x]), whole.state)
+    params = jax.tree.map(lambda x: np.stack([x[0], x[1] + 1]), state.learner.params)
+    state = state.replace(learner=state.learner.replace(params=params))
+    saved = []
+    monkeypatch.setattr(
+        checkpoint, "save", lambda _, done, state, worth, **__: saved.append((done, worth))
+    )
+    monkeypatch.setattr(checkpoint, "finish", lambda manager: None)
+    training = np.array([[9.0, 1.0], [9.0, 1.0]])
+    now = {"episode_return": training, "eval_return": np.array([[NAN, NAN], [3.0, 5.0]])}
+    before = {"episode_return": training}
+    for done, metrics, judged, worth, best in (
+        (2, before, None, None, 0),
+        (4, now, np.array([3.0, 5.0]), 4.0, 1),
+        (6, before, np.array([3.0, 5.0]), None, 1),  # judged earlier, not now
+    ):
+        at = done, state, metrics, 96, judged
+        workdir_lib.save(config, GO1, tmp_path, None, *at, pytest.fail)
+        assert saved[-1] == (done, worth)
+        kept = policy_file.load_params(tmp_path / "policy.npz")
+        assert_same(kept, jax.tree.map(lambda x, best=best: x[best], params))
