@@ -4,8 +4,7 @@ Parameters under names like `actor/params/Dense_0/kernel`, and one JSON text, `a
 turns them into torques: robot, joints in the policy's order, default pose, gains, motor limits,
 times, the ranges of its commands, and the config it was trained with. NumPy only.
 
-Runs from before `about` was written are read with the `config.json` beside them, and a checkpoint
-with that of its workdir; its arrays are read with tensorstore, because orbax would import JAX.
+A checkpoint is read in the same way, with the config that is saved in it (checkpoint_file.py).
 """
 
 from __future__ import annotations
@@ -159,7 +158,7 @@ def load(path: Path) -> Policy:
         raise ConfigError(f"{path}: not a policy.npz, or damaged") from None
     text = arrays.pop("about", None)
     if text is None:
-        return _check(path, describe(*_run_of(path.parent, path), _nested(arrays)))
+        raise ConfigError(f"{path}: no entry `about`: not a policy.npz as training writes it")
     try:
         about = json.loads(str(text))
         version = about.pop("format")
@@ -178,22 +177,6 @@ def load(path: Path) -> Policy:
         reason = str(error).removeprefix("Policy.__new__() ")
         raise ConfigError(f"{path}: its entry `about` is damaged ({reason})") from None
     return _check(path, policy)
-
-
-def _run_of(workdir: Path, path: Path):
-    """`(config, robot)` of the config.json in `workdir`, for a `path` that needs it."""
-    file = workdir / "config.json"
-    try:
-        config = config_dict.ConfigDict(json.loads(file.read_text()))
-        robot = config.robot
-    except OSError:
-        raise ConfigError(
-            f"{path}: does not say which robot and gains it is for (no entry `about`), and there is "
-            f"no {file}; expected a policy.npz or a workdir as training writes it"
-        ) from None
-    except (ValueError, AttributeError, TypeError):
-        raise ConfigError(f"{file}: not the config.json of a run") from None
-    return config, robot_lib.load(robot)
 
 
 def _check(path: Path, policy: Policy) -> Policy:
@@ -234,9 +217,12 @@ def _check(path: Path, policy: Policy) -> Policy:
 
 def load_checkpoint(folder: Path) -> Policy:
     """The policy of an orbax checkpoint `WORKDIR/checkpoints/ITERATION`; of several seeds the first."""
-    config, robot = _run_of(folder.parent.parent, folder)
+    try:
+        config = config_dict.ConfigDict(checkpoint_file.about(folder)["config"])
+        robot, several = robot_lib.load(config.robot), config.run.num_seeds > 1
+    except (KeyError, AttributeError, TypeError):
+        raise ConfigError(f"{folder}: not a checkpoint of dynappo (it holds no config)") from None
     prefix, arrays = "learner.params.", {}
-    several = config.get("run", {}).get("num_seeds", 1) > 1
     for name, array in checkpoint_file.read(folder).items():
         if name.startswith(prefix):
             arrays[name.removeprefix(prefix).replace(".", "/")] = array[0] if several else array

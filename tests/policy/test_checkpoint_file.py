@@ -20,8 +20,7 @@ def written(workdir, seeds=1):
     config = config_lib.load("configs/go1.py")
     config.run.num_seeds = seeds
     workdir.mkdir()
-    (workdir / "config.json").write_text(config_lib.to_json(config_lib.validate(config)))
-    networks = {}
+    about, networks = {"config": config_lib.validate(config).to_dict()}, {}
     with checkpoint.opened(workdir) as checkpoints:
         for step in (9, 10):
             params = [actor(100 * step + s) for s in range(seeds)]
@@ -29,7 +28,7 @@ def written(workdir, seeds=1):
             stacked = jax.tree.map(lambda *x: np.stack(x), *params) if seeds > 1 else params[0]
             rest = dict.fromkeys(Learner.__dataclass_fields__, np.zeros(1))
             learner = Learner(**rest | {"params": stacked})
-            checkpoint.save(checkpoints, step, {"learner": learner})
+            checkpoint.save(checkpoints, step, {"learner": learner}, **about)
     return networks
 
 
@@ -56,7 +55,7 @@ def test_it_is_read_without_jax(tmp_path):
 
 
 def test_damage_is_one_line_and_nothing_is_changed(tmp_path):
-    """Arrays that are gone, other numbers than were saved, no config.json beside them."""
+    """Arrays that are gone, other numbers than were saved, no config."""
     workdir = tmp_path / "run"
     written(workdir)
     shutil.rmtree(workdir / "checkpoints" / "10" / "state" / "ocdbt.process_0")
@@ -67,5 +66,6 @@ def test_damage_is_one_line_and_nothing_is_changed(tmp_path):
     line = refused(policy_file.find, str(workdir / "checkpoints" / "9"))
     assert "9: not a checkpoint, or damaged (its numbers are not those that were saved)" in line
     assert checkpoint_file.steps(workdir / "checkpoints") == [10, 9]
-    (workdir / "config.json").unlink()
-    assert "config.json" in refused(policy_file.find, str(workdir / "checkpoints" / "9"))
+    del text["config"]
+    about.write_text(json.dumps(text))
+    assert "it holds no config" in refused(policy_file.find, str(workdir / "checkpoints" / "9"))
