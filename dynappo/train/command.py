@@ -196,7 +196,7 @@ def describe(config) -> str:
     s, r, run = config.schedule, config.rollout, config.run
     seeds = f" x {run.num_seeds} seeds" if run.num_seeds > 1 else ""
     devices = run.mesh_seed * run.mesh_env
-    over = f" on each of {run.mesh_seed} x {run.mesh_env} devices" if devices > 1 else ""
+    over = f" over {run.mesh_seed} x {run.mesh_env} devices" if devices > 1 else ""
     tail = "plain PPO, no model"
     if schedule.uses_model(config):
         tail = f"tail of {s.end_steps}"
@@ -204,8 +204,8 @@ def describe(config) -> str:
             tail += f", from {s.start_steps} over iterations {s.start_iteration}-{s.end_iteration}"
     steps = schedule.sim_steps(config)[-1] / 1e6
     return (
-        f"trains {config.robot}: {r.num_envs} robots{seeds}, {r.horizon} rows an iteration, {tail}\n"
-        f"{run.num_iterations} iterations, {steps:.2f} M simulator steps{over}"
+        f"trains {config.robot}: {r.num_envs} robots{seeds}{over}, {r.horizon} rows an iteration, {tail}\n"
+        f"{run.num_iterations} iterations, {steps:.2f} M simulator steps"
     )
 
 

@@ -295,8 +295,8 @@ def test_the_description_says_what_will_happen(spec, tail):
     second = f"500 iterations, {steps:.2f} M simulator steps"
     assert train_command.describe(run) == f"{first}\n{second}"
     many = config(f"configs/go1.py:{spec}", num_seeds=4, mesh_seed=4, mesh_env=2)
-    first = first.replace("robots,", "robots x 4 seeds,")
-    assert train_command.describe(many) == f"{first}\n{second} on each of 4 x 2 devices"
+    first = first.replace("robots,", "robots x 4 seeds over 4 x 2 devices,")
+    assert train_command.describe(many) == f"{first}\n{second}"
 
 
 def test_the_progress_line_shows_return_length_error_std_and_pace():
