@@ -1,12 +1,14 @@
 """Rows after a predicted fall weighed down, and true epochs: the default before and after.
 
-    python experiments/20_tail/ghost_rows.py OUT.csv --label after go1:best anymal_c:best
-    PYTHONPATH=CHECKOUT_OF_4b8027e python experiments/20_tail/ghost_rows.py OUT.csv --label before ...
+    python experiments/20_tail/ghost_rows.py OUT.csv go1:best anymal_c:best --label after
+    python experiments/20_tail/ghost_rows.py OUT.csv anymal_c:best --label after --seed 105
+    python experiments/20_tail/ghost_rows.py OUT.csv go1:best --label "true epochs alone" --weights one
+    PYTHONPATH=CHECKOUT_OF_4b8027e python experiments/20_tail/ghost_rows.py OUT.csv go1:best --label before
     python experiments/20_tail/ghost_rows.py OUT.csv --show
 
-Seeds 100 to 104 at once, 500 iterations, an evaluation of 200 episodes a seed every 20. OUT.csv gets a
-row an evaluation and seed; runs that are there are skipped. `--weights-one` undoes the weights alone. It uses
-only what both commits share: `config.load`, `train.train` and the columns of metrics.csv.
+Five seeds at once, from 100 on, 500 iterations, an evaluation of 200 episodes a seed every 20. OUT.csv gets
+a row an evaluation and seed; runs that are there are skipped. It uses only what both commits share:
+`config.load`, `train.train` and the columns of metrics.csv.
 """
 
 import argparse
@@ -37,7 +39,8 @@ def main():
 
         algorithm.presence = functools.partial(presence, args.weights)
     for job in args.jobs:
-        if not any((row["label"], row["job"]) == (args.label, job) for row in rows):
+        run_of = args.label, job, str(args.seed)
+        if not any((row["label"], row["job"], row["seed"]) == run_of for row in rows):
             append(args.out, run(args.label, job, args.seed, args.iterations))
     if args.show:
         show(read(args.out))
