@@ -1,9 +1,9 @@
 """dynappo: PPO whose rollout tails are written by a learned transition model.
 
 Start reading at `algorithm.py`: the files beside it are the method, each folder is one subject, and its
-`__init__` says what is in it. The public functions can be imported from here, as in
+`__init__` says what is in it. The public modules can be imported from here:
 
-    from dynappo import algorithm, config, env, gae, robot, schedule, train
+    from dynappo import algorithm, config, env, evaluation, gae, robot, schedule, sweep, train
 
 Importing the package sets two flags of XLA's CPU compiler, before JAX starts; a value of your own is kept.
 

@@ -65,17 +65,15 @@ def iterate(
 
     # Collect N_r steps with physics, from where the last physics step ended
     buffer, now, sums = collect(env, hyper, state, n_real, key(ROWS), static=static)
-    state, metrics = (
-        state.replace(env_state=now),
-        stats.of_rows(sums, n_real * state.robot_index.size),
-    )
+    state = state.replace(env_state=now)
+    metrics = stats.of_rows(sums, n_real * static.rollout.num_envs)
 
     # Train the transition model on them, and let it write the tail of N_s = N - N_r steps
     if state.model is not None:
         unrolled = min(4, horizon - static.schedule.end_steps)
         metrics |= errors.errors(static, hyper, env, state.model, buffer, unrolled)
-        rows = buffer, n_real, columns["model_epochs"], key(FIT)
-        model, fitted = dynamics.fit(static, hyper, env, state.model, *rows)
+        new = buffer, n_real, columns["model_epochs"], key(FIT)
+        model, fitted = dynamics.fit(static, hyper, env, state.model, *new)
         step, act = partial(dynamics.step, static, hyper, env, model), policy(static, params)
         keys, tail = rollout.row_keys(key(ROWS), state.robot_index), dynamics.tail(static, env, now)
         buffer, _, _ = rollout.fill(buffer, n_real, end, tail, keys, act=act, step=step)
@@ -92,7 +90,7 @@ def iterate(
         "episode_return": jnp.nanmean(returns),
         "episode_length": jnp.nanmean(lengths),
         "policy_std": learner.params["std"].mean(),
-        "nonfinite_robot": stats.nonfinite_robot(buffer),
+        "nonfinite_robot": stats.nonfinite_robot(buffer, real),
     }
 
 

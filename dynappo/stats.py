@@ -44,12 +44,13 @@ def _ended(buffer: Transition, n_real):
     return real & ((buffer.discount == 0) | (buffer.truncation == 1))
 
 
-def nonfinite_robot(buffer: Transition) -> Int[Array, ""]:
-    """Index of the first robot of a rollout with a reward or observation that is not finite; or -1.
+def nonfinite_robot(buffer: Transition, real) -> Int[Array, ""]:
+    """Index of the first robot with a `real` row whose reward or observation is not finite; or -1.
 
-    The host stops a run where a loss is not finite, and then wants to know whose row it was.
+    The host stops a run where a loss is not finite, and then wants to know whose row it was. A tail's rows
+    are the model's: they blame no robot.
     """
-    good = jnp.isfinite(buffer.reward) & jnp.isfinite(buffer.next_obs).all(-1)
+    good = ~real | (jnp.isfinite(buffer.reward) & jnp.isfinite(buffer.next_obs).all(-1))
     bad = ~good.all(axis=0)
     return jnp.where(bad.any(), jnp.argmax(bad), -1)
 

@@ -7,7 +7,7 @@
 
 On several devices: `env = env._replace(mesh=sweep.mesh(2, 4))`, and `state = jax.device_put(state,
 sweep.shardings(env.mesh, state, 2))` before `run`, called in a `with sweep.partitioner(env.mesh)`;
-`train.train` does that from `run.mesh_*`.
+`program.build.program` does that from `run.mesh_*`.
 
 The engine is JAX's own: `jax.jit` splits the program by how its arguments lie (`shardings`), and
 puts in the sums over devices where a mean over robots is taken: gradients, normalisers, advantages,

@@ -11,10 +11,10 @@ Shapes in the comments are those of one seed; seeds exist only outside, as a `ja
 
 Meanings, stated once:
 
-- `discount` is 0 where the episode ended for good (a fall), else 1; gamma is applied in `gae.py` only.
-  In a tail with `model.falls` it is the probability that the episode goes on.
+- `discount` is 0 where the episode ended for good (a fall), else 1; gamma is applied in learner/gae.py
+  only. In a tail with `model.falls` it is the probability that the episode goes on.
 - `truncation` is 1 where the time limit cut the episode: its value is bootstrapped from `next_obs`
-  and no advantage crosses it. A row is never both.
+  and no advantage crosses it. A row of physics is never both.
 - `next_obs` is observed before any reset. Unless a reset lies between, it is the same array as the
   next row's `obs`, noise included.
 - `prop` is the predicted part of the observation without its noise, `next_prop` that of `next_obs`.
@@ -85,7 +85,7 @@ class Transition:
 
 @struct.dataclass
 class Goal:
-    """What stands behind a robot's command until the next draw (commands.py)."""
+    """What stands behind a robot's command until the next draw (task/commands.py)."""
 
     heading: Float[Array, "..."]  # rad in the world; read with `task.heading` only
     standing: Float[Array, "..."]  # 1: asked to stand

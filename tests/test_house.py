@@ -21,7 +21,7 @@ MAY_IMPORT = {
     "config": {"config", "schedule"},
     "policy": {"policy", "physics", "task.observe", "config"},
     "program": {"program", "method", "task", "physics", "config"},
-    "train": {"train", "program", "policy", "config", "method"},
+    "train": {"train", "program", "policy", "config", "schedule"},
     "evaluate": {"evaluate", "program", "policy", "task", "physics", "config", "evaluation"},
     "play": {"play", "policy", "physics", "config"},
     "export": {"export", "policy", "physics", "task.observe", "config"},

@@ -87,10 +87,12 @@ def test_sums_become_means_and_roots_and_events_stay_counts():
 
 
 def test_the_first_robot_with_a_number_that_is_not_finite_is_named():
-    """In a reward or anywhere in the next observation, in any row; -1 where all are finite."""
+    """In a reward or anywhere in the next observation, in any real row; -1 where all are finite."""
     buffer = jax.tree.map(jnp.asarray, rows(0.3))
-    assert stats.nonfinite_robot(buffer) == -1
+    real = jnp.ones((len(buffer.reward), 1), bool)
+    assert stats.nonfinite_robot(buffer, real) == -1
     wrong = buffer.replace(reward=buffer.reward.at[6, 30].set(jnp.inf))
-    assert stats.nonfinite_robot(wrong) == 30
+    assert stats.nonfinite_robot(wrong, real) == 30
     wrong = wrong.replace(next_obs=wrong.next_obs.at[2, 17, 3].set(jnp.nan))
-    assert stats.nonfinite_robot(wrong) == 17
+    assert stats.nonfinite_robot(wrong, real) == 17
+    assert stats.nonfinite_robot(wrong, real.at[2:].set(False)) == -1  # a tail blames no robot

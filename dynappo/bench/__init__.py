@@ -3,5 +3,6 @@
 - `command`: what it reads, prints and writes
 - `phases`: the time of each part, measured on the program that trains
 
-No other command imports it. It imports `program`, `config` and the method.
+No other command imports it. It imports `program`, `config`, the method, `model` and
+`task.observe`.
 """

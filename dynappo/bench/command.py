@@ -129,7 +129,3 @@ def run(configs, names, repeats: int, out: Path | None, compile: bool) -> None:
 def main(argv: list[str] | None = None) -> None:
     """The command; its exit statuses are those of `flags.answer`."""
     flags.answer(lambda: run(*parse(argv)))
-
-
-if __name__ == "__main__":
-    main()

@@ -6,7 +6,7 @@
 - `files`: where configs/ and robots/ are found, and how small files are written
 - `flags`, `versions`: what every command shares: its flags and how it ends, which code made a result
 
-Everybody may import it. It imports `schedule` and nothing that needs JAX.
+Every folder but those of the method may import it. It imports `schedule` and nothing that needs JAX.
 """
 
 from dynappo.config.loading import difference, load, override, to_json

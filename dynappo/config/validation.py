@@ -172,6 +172,8 @@ def _check_pairs(config, fields: dict[str, Any]) -> None:
     for name in ("checkpoint_every", "eval_every", "num_iterations"):
         fits = run[name] % run.log_every == 0 or run[name] > run.num_iterations
         _expect(fits, f"run.{name}", run[name], f"a multiple of run.log_every = {run.log_every}")
+    sensible = run.eval_envs or not run.eval_every
+    _expect(sensible, "run.eval_every", run.eval_every, "0 where run.eval_envs is 0")
     small = -(2**31) <= run.seed <= 2**31 - run.num_seeds
     _expect(small, "run.seed", run.seed, "an integer of 32 bits")
     rows = rollout.num_envs * rollout.horizon // ppo.shuffle_blocks

@@ -5,5 +5,6 @@
 - `trials`: one trial a command of a grid, in C MuJoCo: tracking, effort, gait
 - `figures`: pictures of the trials
 
-No other command imports it. It imports `program`, `policy`, `config` and `evaluation`.
+No other command imports it. It imports `program`, `policy`, `physics`, `task`, `config` and
+`evaluation`.
 """

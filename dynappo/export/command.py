@@ -111,7 +111,3 @@ def run(flags) -> None:
 def main(argv: list[str] | None = None) -> None:
     """The command; its exit statuses are those of `flags.answer`."""
     flags_lib.answer(lambda: run(parse(argv)))
-
-
-if __name__ == "__main__":
-    main()

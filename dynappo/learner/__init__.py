@@ -4,5 +4,5 @@
 - `gae`: advantages and returns of a rollout
 - `networks`: multilayer perceptrons and the Gaussian policy
 
-Pure functions of arrays. The method imports it, and so may everybody; it imports `types` only.
+Pure functions of arrays. The method imports it, and `model` its networks; it imports `types` only.
 """

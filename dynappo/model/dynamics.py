@@ -37,7 +37,7 @@ from dynappo.model import examples, moments
 from dynappo.types import Config, Env, Metrics, ModelState, Outcome, Transition
 
 FALL_LOGIT = -4.6  # added to the network's: untrained, it says 1 %
-NOISE = 4  # purpose of a row's random numbers, as algorithm.STEP is
+NOISE = 4  # purpose of random numbers, as algorithm.STEP is; no row is written by both
 
 
 @struct.dataclass
@@ -130,8 +130,8 @@ def fit(
         params, opt_state, before, _ = carry
         place = i * drawn + jnp.arange(drawn)  # in the epochs one after another
         batch = jnp.take_along_axis(data, times(place, horizon, num_envs, n_real, key), axis=0)
-        weight = batch[..., -1] * (place < epochs * n_real)[:, None]
-        batch = batch[..., :inputs], batch[..., inputs:-1], weight
+        used = batch[..., -1] * (place < epochs * n_real)[:, None]
+        batch = batch[..., :inputs], batch[..., inputs:-1], used
         value, grads = jax.value_and_grad(loss, argnums=2)(static, hyper, params, *batch)
         updates, opt_state = adam.update(grads, opt_state)
         rate = hyper.model.learning_rate

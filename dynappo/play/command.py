@@ -2,7 +2,7 @@
 
 C MuJoCo and NumPy, without JAX. With `--out` it writes a film, a picture or an HTML page; without,
 it opens MuJoCo's viewer, where keys steer the robot. `--robot-xml` puts the policy into another file
-of the same robot (sim-to-sim): `episode.py` says what such a file must have.
+of the same robot (sim-to-sim): `policy/episode.py` says what such a file must have.
 """
 
 from __future__ import annotations
@@ -267,7 +267,3 @@ def run(flags) -> None:
 def main(argv: list[str] | None = None) -> None:
     """The command; its exit statuses are those of `flags.answer`."""
     flags_lib.answer(lambda: run(parse(argv)))
-
-
-if __name__ == "__main__":
-    main()

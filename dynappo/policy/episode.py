@@ -5,7 +5,7 @@ else between; the base as a body with a free joint above them, x ahead and z up;
 on in the world body. Everything else is as that file says: masses, contacts, armature, time step.
 
 Only its actuators are replaced: they are switched off, and the policy's own motor model acts on the
-joints: PD and limits (`actuators.py`), joint damping and friction. Why the last two: in a file made
+joints: PD and limits (`physics/actuators.py`), joint damping and friction. Why the last two: in a file made
 for position servos (MuJoCo Menagerie's Go1: kp 100, damping 2) they are those of the servo.
 """
 
@@ -134,7 +134,7 @@ def _above(model, body):
 
 
 def coordinates(body: Body, data) -> tuple[np.ndarray, np.ndarray]:
-    """`(qpos [7 + A], qvel [6 + A])` as `observe.py` reads them: the base, then the policy's joints."""
+    """`(qpos [7 + A], qvel [6 + A])` as `task/observe.py` reads them: the base, then the policy's joints."""
     q, v = body.root
     qpos = np.concatenate([data.qpos[q : q + 7], data.qpos[body.joint_q]])
     return qpos, np.concatenate([data.qvel[v : v + 6], data.qvel[body.joint_v]])

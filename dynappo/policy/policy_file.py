@@ -26,7 +26,9 @@ from dynappo.policy import checkpoint_file
 from dynappo.task import observe
 
 FORMAT = 1  # of `about`
-OBSERVATION = "velocity-48"  # the table of observe.py; a layout that differs needs another name
+OBSERVATION = (
+    "velocity-48"  # the table of task/observe.py; a layout that differs needs another name
+)
 ACTIVATIONS = {
     "elu": lambda x: np.where(x > 0, x, np.expm1(np.minimum(x, 0))),
     "relu": lambda x: np.maximum(x, 0),

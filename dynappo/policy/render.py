@@ -2,7 +2,7 @@
 
 Nothing here needs JAX. The film is made in a process of its own (`python -m dynappo.policy.render
 EPISODE.npz OUT`), because the OpenGL backend is chosen once a process, and a backend that fails may
-take the process with it: EGL is tried first, then OSMesa. `page.py` needs neither.
+take the process with it: EGL is tried first, then OSMesa. `play/page.py` needs neither.
 """
 
 from __future__ import annotations

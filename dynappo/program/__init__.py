@@ -5,5 +5,6 @@
 - `memory`: whether it fits
 - `distributed`: one run over several processes
 
-Shared by the commands `train`, `bench` and `evaluate`. It imports the method, the task and `config`.
+Shared by the commands `train`, `bench` and `evaluate`. It imports the method, `task`,
+`physics` and `config`.
 """

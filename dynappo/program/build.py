@@ -27,7 +27,7 @@ class Program(NamedTuple):
     state: Any
     columns: dict[str, np.ndarray]  # [I]
     step: Callable  # (hyper, state, columns of one chunk) -> state, metrics
-    assess: Callable  # (state) -> metrics of deterministic episodes
+    evaluate: Callable  # (state) -> metrics of deterministic episodes
     place: Callable  # (state) -> the state, lying over the devices as `step` takes it
     impl: str
     device: str
@@ -67,12 +67,12 @@ def program(config) -> Program:
     episodes = dict(static=static, num_envs=run.eval_envs, num_steps=config.task.episode_length)
     init = partial(algorithm.init, env, static=static)
     step = partial(algorithm.run, env, static=static)
-    assess = partial(evaluation.evaluate, env, **episodes)
+    episodes_of = partial(evaluation.evaluate, env, **episodes)
     key = jax.random.key(run.seed)
     if run.num_seeds > 1:
         init = partial(sweep.init, env, static=static)
         step = partial(sweep.run, env, static=static)
-        assess = partial(sweep.evaluate, env, **episodes)
+        episodes_of = partial(sweep.evaluate, env, **episodes)
         key = sweep.keys(run.seed, run.num_seeds)
     columns = schedule.columns(config)
     chunk = {name: jnp.asarray(column[: run.log_every]) for name, column in columns.items()}
@@ -88,11 +88,11 @@ def program(config) -> Program:
     if impl == "warp":  # its kernels are built and loaded when they are first called
         once = {name: jnp.minimum(column, 1) for name, column in chunk.items()}
         jax.block_until_ready(compiled(hyper, jax.tree.map(jnp.copy, state), once))
-    assess = jax.jit(assess, out_shardings=everywhere)
+    episodes_of = jax.jit(episodes_of, out_shardings=everywhere)
 
-    def judge(state):
+    def evaluate(state):
         with sweep.partitioner(mesh):  # it is compiled at the first call
-            return jax.device_get(assess(hyper, state.learner.params, jax.random.key(0)))
+            return jax.device_get(episodes_of(hyper, state.learner.params, jax.random.key(0)))
 
     return Program(
         robot=robot,
@@ -102,7 +102,7 @@ def program(config) -> Program:
         state=state,
         columns=columns,
         step=compiled,
-        assess=judge,
+        evaluate=evaluate,
         place=partial(jax.device_put, device=spread),
         impl=impl,
         device=devices.here(run.device).device_kind,

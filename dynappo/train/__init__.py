@@ -8,7 +8,8 @@
 - `finish`, `curves`: what a run that has ended leaves: summary, policy, film, picture
 - `nonfinite`: what is said and kept when numbers blow up
 
-No other command imports it. It imports `program`, `policy`, `config` and the method.
+No other command imports it. It imports `program`, `policy`, `config` and `schedule`. What a checkpoint
+holds is `types.TrainState`, and what `workdir.save` puts beside it.
 """
 
 from dynappo.train.run import train

@@ -65,7 +65,7 @@ def opened(workdir: Path, say: Callable[[str], None] = print):
         yield checkpoints
     finally:
         if checkpoints:
-            log.attempt("the last checkpoint", partial(finish, checkpoints), say)
+            log.attempt("the last checkpoint", partial(wait, checkpoints), say)
             checkpoints.close()
         for logger, level in zip(loggers, levels, strict=True):
             logger.setLevel(level)
@@ -118,7 +118,7 @@ def save(
 
     `eval_return` is its return where it was evaluated: the highest one is kept.
     `about` (JSON: `sim_steps`, `config`) is kept beside the state. The save goes on in threads:
-    `finish` waits for it, and raises what went wrong. A disk that is too full for it is an OSError
+    `wait` does for it, and raises what went wrong. A disk that is too full for it is an OSError
     before anything is written: orbax's threads would print a traceback an array.
     """
     needed = 1.5 * sum(x.nbytes for x in jax.tree.leaves(state))
@@ -133,7 +133,7 @@ def save(
     checkpoints.save(iteration, args=args, metrics=metrics, force=True)
 
 
-def finish(checkpoints: ocp.CheckpointManager) -> None:
+def wait(checkpoints: ocp.CheckpointManager) -> None:
     """Wait for a save under way; if it failed, take away what is there of it, and raise."""
     try:
         checkpoints.wait_until_finished()
@@ -143,7 +143,7 @@ def finish(checkpoints: ocp.CheckpointManager) -> None:
         raise
 
 
-def restore(
+def newest(
     checkpoints: ocp.CheckpointManager, like: Any, say: Callable[[str], None] = print
 ) -> tuple[int, Any] | None:
     """`(iteration, state)` of the newest good checkpoint, or None; `like` is a state of this run.

@@ -31,11 +31,7 @@ class Command(NamedTuple):
     workdir: Path
     fresh: bool = False
     restore: Path | None = None
-    processes: tuple[Any, Any, Any] = (
-        None,
-        None,
-        None,
-    )  # coordinator, how many, which; distributed.join
+    processes: tuple[Any, Any, Any] = (None, None, None)  # of distributed.join
 
 
 def parse(argv: list[str] | None) -> Command:

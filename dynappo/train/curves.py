@@ -15,12 +15,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dynappo.train import workdir as workdir_lib
+from dynappo.train import log
 
 RESAMPLES, LEVEL = 2000, 0.95
 BLUE, GREY = "#1f4e79", "0.45"
 MOST_NAMED = 10  # seeds with a label of their own
-NUMBERS = f"numbers: last {workdir_lib.RETURN_ROWS} iterations"
+NUMBERS = f"numbers: last {log.RETURN_ROWS} iterations"
 LINES = "thin: each seed    thick: their mean    band: its 95 % interval    "
 NO_PICTURE = "no curves.png: matplotlib is not installed; pip install 'dynappo[video]'"
 
@@ -130,7 +130,7 @@ def _lines(axes, iteration, values, thick: float) -> None:
 
 def _labels(axes, panel: Panel, values, named: bool) -> None:
     """What is at the end of the lines: the mean of the last rows, and, where `named`, of each seed."""
-    ends = values[-workdir_lib.RETURN_ROWS :].mean(0)
+    ends = values[-log.RETURN_ROWS :].mean(0)
     texts = {panel.number.format(ends.mean()): ends.mean()}
     if named:
         said = LINES * (ends.size > 1) + NUMBERS

@@ -19,9 +19,9 @@ def finish(config, program, workdir: Path, state, metrics) -> dict[str, Any]:
     from dynappo.policy import render
 
     summary = summarise(config, program, state, metrics)
-    judged = summary.get("evaluation", {}).get("return", log.last_evaluation(metrics))
-    judged = None if judged is None else np.array(judged, float)
-    params = workdir_lib.best_params(config, distributed.whole(state.learner.params), judged)
+    evaluated = summary.get("evaluation", {}).get("return", log.last_evaluation(metrics))
+    evaluated = None if evaluated is None else np.array(evaluated, float)
+    params = workdir_lib.best_params(config, distributed.whole(state.learner.params), evaluated)
     if not distributed.first():
         return summary
     policy_file.save(workdir / "policy.npz", params, config, program.robot)
@@ -47,7 +47,7 @@ def summarise(config, program, state, metrics) -> dict[str, Any]:
         "num_envs": config.rollout.num_envs,
         "iterations": int(metrics["iteration"][-1]),
         "sim_steps": int(metrics["sim_steps"][-1]),
-        "return": _numbers(returns[-workdir_lib.RETURN_ROWS :].mean(0)),
+        "return": _numbers(returns[-log.RETURN_ROWS :].mean(0)),
         "return_max": _numbers(np.fmax.reduce(returns, 0)),
         "return_of_all": _numbers(_return_of_all(config, metrics)),
         "seconds": float(metrics["seconds"][-1]),
@@ -59,7 +59,7 @@ def summarise(config, program, state, metrics) -> dict[str, Any]:
         "commit": versions.commit(),
     }
     if config.run.eval_envs:
-        evaluation = program.assess(state)
+        evaluation = program.evaluate(state)
         summary["evaluation"] = {name: _numbers(v) for name, v in evaluation.items()}
     return summary
 

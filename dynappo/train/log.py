@@ -19,6 +19,7 @@ import numpy as np
 
 from dynappo.config import ConfigError
 
+RETURN_ROWS = 10  # the return of a run is the mean of its last rows
 FIRST = (
     "iteration sim_steps seconds episode_return episode_length policy_std learning_rate kl "
     "n_real n_synthetic model_loss velocity_error yaw_error falls timeouts blowups"

@@ -78,7 +78,7 @@ def _taken(folder, like, there, what, prefix):
             found = "absent" if array is None else f"of shape {array.shape}"
             raise ConfigError(
                 f"--restore={folder}: {what} {name} is {found} there, of shape {leaf.shape} here; "
-                "set the sizes of that run (its config.json has them)"
+                "set the sizes and run.num_seeds of that run (its config.json has them)"
             )
         out.append(jnp.asarray(array, leaf.dtype))
     return jax.tree.unflatten(jax.tree.structure(like), out)

@@ -89,7 +89,7 @@ def loop(
         if writes:
             sinks = stack.enter_context(log.opened(config, writes, start, say))
         # only the first process has the history, and only there these numbers are written
-        seconds, sim_steps, judged, waiting = *_reached(history), None
+        seconds, sim_steps, evaluated, waiting = *_reached(history), None
         for first in range(start, run.num_iterations, run.log_every):
             rows, done = slice(first, first + run.log_every), first + run.log_every
             columns = {name: column[rows] for name, column in program.columns.items()}
@@ -106,14 +106,14 @@ def loop(
             seconds, sim_steps = seconds + took, int(metrics["sim_steps"][-1])
             nonfinite.check(metrics, state, before, workdir)
             if run.eval_every and done % run.eval_every == 0:
-                metrics |= _at_end(program.assess(state), run.log_every)
-                judged = metrics["eval_return"][-1]
+                metrics |= _at_end(program.evaluate(state), run.log_every)
+                evaluated = metrics["eval_return"][-1]
             history.append(metrics)
             waiting = (done, metrics)
             stopping = distributed.any_of(should_stop())
             every = run.checkpoint_every and done % run.checkpoint_every == 0
             if workdir and (stopping or every or done == run.num_iterations):
-                at = done, state, metrics, sim_steps, judged
+                at = done, state, metrics, sim_steps, evaluated
                 workdir_lib.save(config, program.robot, workdir, checkpoints, *at, say)
             if stopping:
                 break

@@ -1,4 +1,4 @@
-"""The folder of a run: opened, gone on with, saved into, and what is left there when numbers blow up."""
+"""The folder of a run: opened, gone on with, saved into."""
 
 from __future__ import annotations
 
@@ -20,7 +20,6 @@ from dynappo.policy import checkpoint_file, policy_file
 from dynappo.program import distributed
 from dynappo.train import log
 
-RETURN_ROWS = 10  # the return of a run is the mean of its last rows
 # what may differ when a run goes on: nothing of it changes a number of the iterations before
 MAY_CHANGE = (
     "run.num_iterations run.checkpoint_every run.eval_every run.eval_envs run.video_seconds "
@@ -154,7 +153,7 @@ def _resume(config, workdir: Path, checkpoints, state, say):
     from dynappo.train import checkpoint
 
     csv = workdir / "metrics.csv"
-    found = checkpoint.restore(checkpoints, state, say)
+    found = checkpoint.newest(checkpoints, state, say)
     if not found:
         csv.unlink(missing_ok=True)  # of a run that ended before its first checkpoint
         return 0, state, []
@@ -174,11 +173,11 @@ def _resume(config, workdir: Path, checkpoints, state, say):
 
 
 def save(
-    config, robot, workdir, checkpoints, done: int, state, metrics, sim_steps: int, judged, say
+    config, robot, workdir, checkpoints, done: int, state, metrics, sim_steps: int, evaluated, say
 ) -> None:
     """A checkpoint, and the policy as it is now in a file that can be played at once.
 
-    `judged` is the return of the last evaluation, of each seed if there are several; None before one.
+    `evaluated` is the return of the last evaluation, of each seed if there are several; None before one.
     """
     from dynappo.train import checkpoint
 
@@ -187,17 +186,17 @@ def save(
         return
     about = {"sim_steps": sim_steps, "config": config.to_dict()}
     now = "eval_return" in metrics and np.isfinite(metrics["eval_return"][-1]).all()
-    worth = float(np.mean(judged)) if now else None
-    log.attempt("the checkpoint before", partial(checkpoint.finish, checkpoints), say)
-    save = partial(checkpoint.save, checkpoints, done, state, worth, **about)
-    log.attempt(f"checkpoint {done}", save, say)
-    params = best_params(config, state.learner.params, judged)
+    worth = float(np.mean(evaluated)) if now else None
+    log.attempt("the checkpoint before", partial(checkpoint.wait, checkpoints), say)
+    keep = partial(checkpoint.save, checkpoints, done, state, worth, **about)
+    log.attempt(f"checkpoint {done}", keep, say)
+    params = best_params(config, state.learner.params, evaluated)
     write = partial(policy_file.save, workdir / "policy.npz", params, config, robot)
     log.attempt("policy.npz", write, say)
 
 
-def best_params(config, params, judged) -> dict:
-    """The networks as NumPy arrays; of several seeds, those of the best in the evaluation `judged`.
+def best_params(config, params, evaluated) -> dict:
+    """The networks as NumPy arrays; of several seeds, those of the best in the evaluation `evaluated`.
 
     Of the first seed where nothing was evaluated: an exploring policy's returns would favour a seed whose
     robots have just fallen (experiments/20_tail).
@@ -207,5 +206,5 @@ def best_params(config, params, judged) -> dict:
     params = jax.device_get(params)
     if config.run.num_seeds == 1:
         return params
-    best = 0 if judged is None else int(np.nan_to_num(judged, nan=-np.inf).argmax())
+    best = 0 if evaluated is None else int(np.nan_to_num(evaluated, nan=-np.inf).argmax())
     return jax.tree.map(lambda p: p[best], params)

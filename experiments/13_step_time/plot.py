@@ -1,4 +1,4 @@
-"""results.csv (Table IV) and figure of what bench.py wrote into results/.
+"""results.csv (Table IV) and figure of what `dynappo.bench` wrote into results/.
 
 python experiments/13_step_time/plot.py
 """
@@ -9,7 +9,7 @@ from pathlib import Path
 from experiments import paper
 
 VARIANTS = ("ppo16", "dyna4", "best")
-# phase of bench.py -> the paper's name
+# phase of dynappo.bench -> the paper's name
 PHASES = {
     "physics": "Ground-truth Simulation (p)",
     "tail": "Synthetic Generation (p_hat)",
@@ -38,7 +38,7 @@ def make(out: Path) -> None:
 
 
 def load(path: Path) -> dict | None:
-    """The report of the one config that bench.py measured; None if it has not."""
+    """The report of the one config that `dynappo.bench` measured; None if it has not."""
     if not path.exists():
         return None
     (report,) = json.loads(path.read_text())["configs"].values()

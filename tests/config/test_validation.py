@@ -69,6 +69,7 @@ WRONG = [  # fields, what the line begins with, what is expected
     ({"run.mesh_env": 16}, "ppo.shuffle_blocks is 8", "a multiple of run.mesh_env = 16"),
     ({"run.mesh_env": 8, "run.eval_envs": 12}, "run.eval_envs is 12", "of run.mesh_env = 8"),
     ({"run.checkpoint_every": 15}, "run.checkpoint_every is 15", "of run.log_every = 10"),
+    ({"run.eval_every": 10, "run.eval_envs": 0}, "run.eval_every is 10", "run.eval_envs is 0"),
     ({"run.eval_every": 5}, "run.eval_every is 5", "of run.log_every = 10"),
     ({"run.num_iterations": 505}, "run.num_iterations is 505", "of run.log_every = 10"),
     (

@@ -37,7 +37,7 @@ def test_a_mesh_of_devices_computes_what_one_does_and_changes_no_setting(monkeyp
     (state, metrics), (spread, same) = first_chunk(one), first_chunk(four)
     assert_close(metrics, same, 1e-3)
     np.testing.assert_allclose(state.env_state.prop, spread.env_state.prop, atol=1e-3)
-    judged = four.assess(four.place(jax.device_get(spread)))
+    judged = four.evaluate(four.place(jax.device_get(spread)))
     assert judged["return"].shape == (2,) and isinstance(judged["return"], np.ndarray)
     assert [getattr(jax.config, name) for name in names] == before
 

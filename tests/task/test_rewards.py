@@ -87,7 +87,7 @@ def by_loops(s, std):
 
 
 def shipped(s, std):
-    """Every term of `dynappo.rewards`, of NumPy or JAX arrays."""
+    """Every term of `dynappo.task.rewards`, of NumPy or JAX arrays."""
     return dict(
         track_linear_velocity=rewards.track_linear_velocity(s["linear"], s["command"], std),
         track_yaw_rate=rewards.track_yaw_rate(s["angular"], s["command"], std),

@@ -60,7 +60,7 @@ def save(workdir, some, **how):
 def restore(workdir, like, say=pytest.fail):
     """What a run finds that begins in a workdir."""
     with checkpoint.opened(workdir, say) as checkpoints:
-        return checkpoint.restore(checkpoints, like, say)
+        return checkpoint.newest(checkpoints, like, say)
 
 
 # ---- every bit comes back

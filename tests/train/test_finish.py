@@ -100,7 +100,7 @@ def test_the_policy_of_the_best_seed_is_that_of_the_best_evaluation(
     metrics["episode_return"] = metrics["episode_return"] + [10 * best, 10 * (1 - best)]
     if on_the_way:
         metrics["eval_return"] = np.array([[np.nan] * 2, on_the_way, [np.nan] * 2, [np.nan] * 2])
-    run = program()._replace(assess=lambda state: {"return": np.array(at_the_end)})
+    run = program()._replace(evaluate=lambda state: {"return": np.array(at_the_end)})
     summary = finish.finish(seeds, run, tmp_path, state, metrics)
     kept = policy_file.load_params(tmp_path / "policy.npz")
     assert_same(kept, jax.tree.map(lambda x: x[best], params))

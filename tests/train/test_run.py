@@ -70,7 +70,7 @@ def test_evaluations_on_the_way_are_columns_and_say_which_checkpoint_is_best(
     often = config_dict.ConfigDict(config)
     often.run.eval_every = 4
     run = program()._replace(
-        assess=lambda state: {"return": np.float32(3.5), "fall_rate": np.float32(0.25)}
+        evaluate=lambda state: {"return": np.float32(3.5), "fall_rate": np.float32(0.25)}
     )
     _, metrics, _ = loop(often, run, tmp_path)
     np.testing.assert_array_equal(metrics["eval_return"], [np.nan] * 3 + [3.5])

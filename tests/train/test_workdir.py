@@ -193,7 +193,7 @@ def test_a_save_has_the_worth_of_its_own_evaluation_and_the_policy_that_was_judg
     monkeypatch.setattr(
         checkpoint, "save", lambda _, done, state, worth, **__: saved.append((done, worth))
     )
-    monkeypatch.setattr(checkpoint, "finish", lambda manager: None)
+    monkeypatch.setattr(checkpoint, "wait", lambda manager: None)
     training = np.array([[9.0, 1.0], [9.0, 1.0]])
     now = {"episode_return": training, "eval_return": np.array([[NAN, NAN], [3.0, 5.0]])}
     before = {"episode_return": training}
