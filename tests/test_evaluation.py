@@ -2,6 +2,7 @@
 
 import functools
 from functools import partial
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -9,9 +10,10 @@ import numpy as np
 import pytest
 import toy_env
 
-from dynappo import evaluation
+from dynappo import algorithm, evaluation
 from dynappo.learner import ppo
 from dynappo.physics import randomize
+from dynappo.types import Outcome
 
 ROBOTS, STEPS, LIMIT = 12, 25, 20  # episodes of 20 steps, the time limit
 SETTLED = 10  # steps of the first second, at 0.1 s
@@ -200,3 +202,45 @@ def test_a_nominal_robot_is_the_robot_of_its_file():
     for draw in draws[1:]:
         jax.tree.map(np.testing.assert_array_equal, draw, draws[0])
     np.testing.assert_allclose(draws[0].base_com, com, 1e-6)
+
+
+class Spy(NamedTuple):
+    """A robot that remembers the keys of its body and of its start."""
+
+    obs: jax.Array
+    prop: jax.Array
+    keys: jax.Array
+    t: jax.Array
+
+
+def test_no_random_number_is_used_twice(settings, params):
+    """In threefry `split(k)[i]` is `fold_in(k, i)`: a start and the steps after it need keys of their own,
+    else a command has the bits of a later noise. Here a step tells whether its key is one of those."""
+    static, hyper = settings
+
+    def reset(hyper, body, key):
+        zero = jnp.zeros(6)
+        return Spy(zero, zero[:3], jnp.stack([body, key]), jnp.zeros((), jnp.int32))
+
+    def step(hyper, body, state, action, key):
+        fold = jax.vmap(jax.random.fold_in, (0, None))
+        own = fold(fold(state.keys, state.t), algorithm.STEP)
+        same = jax.vmap(lambda k: (jax.random.key_data(k) == jax.random.key_data(key)).all())(own)
+        same |= (jax.random.key_data(state.keys[0]) == jax.random.key_data(state.keys[1])).all()
+        one, zero = jnp.ones(()), jnp.zeros(())
+        values = dict(reward=zero, discount=one, truncation=zero, valid=one)
+        values |= dict(next_obs=state.obs, next_prop=state.prop)
+        values |= dict(episode_return=zero, episode_length=one)
+        outcome = Outcome(**values, metrics={"same_error_sq": same.any() * 1.0})
+        return state._replace(t=state.t + 1), outcome
+
+    spy = toy_env.make()._replace(
+        randomize=lambda hyper, key: key,
+        reset=reset,
+        step=step,
+        autoreset=lambda hyper, body, state, outcome, key: state,
+        metrics=("same_error_sq",),
+    )
+    sizes = dict(static=static, num_envs=ROBOTS, num_steps=STEPS)
+    found = evaluation.evaluate(spy, hyper, params, jax.random.key(0), **sizes)
+    assert found["same_error"] == 0
