@@ -5,9 +5,9 @@ program; `init` makes the state it starts from. All are pure functions of an `En
 
     settings = config.validate(config.load("configs/go1.py"))
     static, hyper = config.split(settings)
-    task = env.make(robot.load(settings.robot), settings.task, settings.physics)
-    state = algorithm.init(task, hyper, jax.random.key(0), static=static)
-    state, metrics = algorithm.run(task, hyper, state, schedule.columns(settings), static=static)
+    env = env_lib.make(robot.load(settings.robot), settings.task, settings.physics)
+    state = algorithm.init(env, hyper, jax.random.key(0), static=static)
+    state, metrics = algorithm.run(env, hyper, state, schedule.columns(settings), static=static)
 
 Anchoring: the tail starts at the observation after the last real row and never touches the state of
 physics, from which the next iteration goes on.

@@ -49,8 +49,9 @@ def init(
 ) -> Learner:
     """A fresh learner."""
     params = networks.init_policy(static, hyper, obs_size, action_size, key)
-    moments, rate = _optimizer(hyper).init(ravel_pytree(params)[0]), hyper.ppo.learning_rate
-    return Learner(params=params, opt_state=moments, learning_rate=jnp.asarray(rate, jnp.float32))
+    opt_state = _optimizer(hyper).init(ravel_pytree(params)[0])
+    learning_rate = jnp.asarray(hyper.ppo.learning_rate, jnp.float32)
+    return Learner(params=params, opt_state=opt_state, learning_rate=learning_rate)
 
 
 def _optimizer(hyper: Config):

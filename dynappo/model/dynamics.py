@@ -148,8 +148,10 @@ def fit(
 def times(
     place: Int[Array, " D"], horizon: int, num_envs: int, n_real: Int[Array, ""], key: PRNGKeyArray
 ) -> Int[Array, "D R 1"]:
-    """The rows of every robot at places `epoch n_real + k`, `k < n_real`, of two epochs (D <= n_real + 1):
-    an epoch has every row once, in a random order that all robots share, and each begins elsewhere."""
+    """The row that each robot takes at places `epoch n_real + k`, `k < n_real`, of two epochs at most.
+
+    An epoch has every real row once, in an order drawn for all robots, which each begins elsewhere.
+    """
     epoch = place // n_real
 
     def order(epoch):

@@ -21,11 +21,9 @@ import numpy as np
 from dynappo.physics import robot as robot_lib
 from dynappo.policy import episode as episode_lib
 from dynappo.policy import policy_file
-from dynappo.policy.episode import TOUR, tour
-from dynappo.policy.policy_file import actor as policy
-from dynappo.policy.policy_file import load_params, save_params
+from dynappo.policy.episode import tour
 
-__all__ = ["TOUR", "film", "load_params", "policy", "save_params", "simulate", "tour"]
+__all__ = ["film", "simulate", "tour"]
 
 FPS, WIDTH, HEIGHT = 25, 640, 360  # software OpenGL on two cores renders about ten a second
 PICTURE = 1280, 720

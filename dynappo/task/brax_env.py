@@ -162,12 +162,12 @@ def from_brax(
             raise ConfigError(f"from_brax: {field} is {value}, expected more than 0")
     names = tuple(n for n, value in first.metrics.items() if value.shape == ())
     limits = action_limit, episode_length, starts, random_clock
-    parts = Parts(brax_env, observe, prop_size, *limits, names)
+    const = Constants(brax_env, observe, prop_size, *limits, names)
     return Env(
-        randomize=partial(_starts, parts),
-        reset=partial(_reset, parts),
-        step=partial(_step, parts),
-        autoreset=partial(_autoreset, parts),
+        randomize=partial(_starts, const),
+        reset=partial(_reset, const),
+        step=partial(_step, const),
+        autoreset=partial(_autoreset, const),
         context=context,
         noise=lambda hyper, key: jnp.zeros(prop_size),
         known_reward=lambda hyper, obs, action, next_prop: jnp.zeros(()),
@@ -180,7 +180,7 @@ def from_brax(
     )
 
 
-class Parts(NamedTuple):
+class Constants(NamedTuple):
     """What the functions of a brax environment need; constants of the program."""
 
     brax_env: Any
@@ -193,51 +193,51 @@ class Parts(NamedTuple):
     names: tuple[str, ...]  # of brax's metrics
 
 
-def _starts(parts: Parts, hyper, key):
+def _starts(const: Constants, hyper, key):
     """The robot's `body`: the brax states that its episodes start from, `[starts]`."""
-    keys = jax.random.key_data(jax.random.split(key, parts.starts))
-    return jax.vmap(parts.brax_env.reset)(keys)
+    keys = jax.random.key_data(jax.random.split(key, const.starts))
+    return jax.vmap(const.brax_env.reset)(keys)
 
 
-def _reset(parts: Parts, hyper, body, key) -> BraxState:
+def _reset(const: Constants, hyper, body, key) -> BraxState:
     key, clock_key = jax.random.split(key)
-    clock = jax.random.randint(clock_key, (), 0, parts.episode_length, jnp.int32)
-    return _fresh(parts, body, key).replace(clock=clock * parts.random_clock)
+    clock = jax.random.randint(clock_key, (), 0, const.episode_length, jnp.int32)
+    return _fresh(const, body, key).replace(clock=clock * const.random_clock)
 
 
-def _fresh(parts: Parts, body, key) -> BraxState:
-    index = jax.random.randint(key, (), 0, parts.starts)
+def _fresh(const: Constants, body, key) -> BraxState:
+    index = jax.random.randint(key, (), 0, const.starts)
     first = jax.tree.map(lambda x: x[index], body)
     obs, zero = (
-        parts.observe(first, jnp.zeros(parts.brax_env.action_size)),
+        const.observe(first, jnp.zeros(const.brax_env.action_size)),
         jnp.zeros((), jnp.int32),
     )
-    prop = obs[: parts.prop_size]
+    prop = obs[: const.prop_size]
     return BraxState(first, obs, prop, clock=zero, episode_steps=zero, episode_return=zero * 1.0)
 
 
-def _autoreset(parts: Parts, hyper, body, state: BraxState, outcome: Outcome, key) -> BraxState:
+def _autoreset(const: Constants, hyper, body, state: BraxState, outcome: Outcome, key) -> BraxState:
     ended = (outcome.discount == 0) | (outcome.truncation == 1)
-    new = _fresh(parts, body, key)
+    new = _fresh(const, body, key)
     info = jax.tree.map(lambda x, now: now if _is_key(now) else x, new.brax.info, state.brax.info)
     new = new.replace(brax=new.brax.replace(info=info))
     return jax.tree.map(lambda x, now: jnp.where(ended, x, now), new, state)
 
 
-def _step(parts: Parts, hyper, body, state: BraxState, action, key):
+def _step(const: Constants, hyper, body, state: BraxState, action, key):
     """One control step -> `(BraxState, Outcome)`; never resets."""
     before = jax.tree.map(lambda x: x, state.brax)  # brax's steps write into the dicts they get
-    after = parts.brax_env.step(before, jnp.clip(action, -parts.action_limit, parts.action_limit))
-    obs = parts.observe(after, action)
+    after = const.brax_env.step(before, jnp.clip(action, -const.action_limit, const.action_limit))
+    obs = const.observe(after, action)
     ok = jnp.isfinite(obs).all() & jnp.isfinite(after.reward)
     obs = jnp.where(ok, obs, state.obs)
     reward, clock = jnp.where(ok, after.reward, 0.0), state.clock + 1
     fell = (after.done > 0) | ~ok
-    timeout = (clock >= parts.episode_length) & ~fell
+    timeout = (clock >= const.episode_length) & ~fell
     steps, total = state.episode_steps + 1, state.episode_return + reward
-    brax, prop = _typed_as(state.brax, after), obs[: parts.prop_size]
+    brax, prop = _typed_as(state.brax, after), obs[: const.prop_size]
     next_state = BraxState(brax, obs, prop, clock, steps, total)
-    metrics = {name: jnp.where(ok, after.metrics[name], 0.0) for name in parts.names}
+    metrics = {name: jnp.where(ok, after.metrics[name], 0.0) for name in const.names}
     metrics |= dict(zip(EVENTS, (reward, fell * 1.0, timeout * 1.0, ~ok * 1.0), strict=True))
     outcome = Outcome(
         reward=reward,

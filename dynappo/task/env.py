@@ -24,7 +24,7 @@ from dynappo.types import Config, Env, EnvState, Outcome
 MAX_JOINT_SPEED, MAX_BASE_SPEED = 100.0, 20.0  # rad/s, m/s: beyond is a numerical blow-up
 
 
-class Parts(NamedTuple):
+class Constants(NamedTuple):
     """What the task's functions need of robot, task and engine; constants of the program."""
 
     engine: engine_lib.Engine
@@ -40,7 +40,7 @@ def make(robot: robot_lib.Robot, task, physics_config, *, impl: str = "jax") -> 
     """The task of `task` and `physics_config` (config groups) on `robot`, stepped by `impl`."""
     varied = randomize.varied(task.randomize)
     fatal, undesired = ground_rules(robot, task)
-    parts = Parts(
+    const = Constants(
         engine=engine_lib.make(robot, physics_config, varied, impl, task.remember_ground),
         robot=robot,
         task=task,
@@ -51,18 +51,18 @@ def make(robot: robot_lib.Robot, task, physics_config, *, impl: str = "jax") -> 
     )
     names = [f"reward_{name}" for name in task.weights]
     return Env(
-        randomize=partial(_randomize, parts),
-        reset=partial(reset, parts),
-        step=partial(step, parts),
-        autoreset=partial(autoreset, parts),
+        randomize=partial(_randomize, const),
+        reset=partial(reset, const),
+        step=partial(step, const),
+        autoreset=partial(autoreset, const),
         context=observe.context,
         noise=noise,
-        known_reward=partial(known_reward, parts),
+        known_reward=partial(known_reward, const),
         metrics=(*names, "velocity_error_sq", "yaw_error_sq", "falls", "timeouts", "blowups"),
         obs_size=observe.PROP_SIZE + observe.CONTEXT_SIZE,
         prop_size=observe.PROP_SIZE,
         action_size=len(robot.joint_names),
-        dt=parts.dt,
+        dt=const.dt,
         episode_length=task.episode_length,
     )
 
@@ -82,42 +82,42 @@ def ground_rules(robot: robot_lib.Robot, task) -> tuple[np.ndarray, np.ndarray]:
     return fatal, bodies == thighs[:, None]
 
 
-def _randomize(parts: Parts, hyper: Config, key):
-    base = parts.robot.base_body
-    model = parts.robot.mj_model
+def _randomize(const: Constants, hyper: Config, key):
+    base = const.robot.base_body
+    model = const.robot.mj_model
     return randomize.draw(hyper.task.randomize, model.body_mass[base], model.body_ipos[base], key)
 
 
-def reset(parts: Parts, hyper: Config, body, key) -> EnvState:
+def reset(const: Constants, hyper: Config, body, key) -> EnvState:
     """A robot at the start of an episode; with `task.random_clock`, at a random age of it."""
     key, clock_key = jax.random.split(key)
-    state = _fresh(parts, hyper, body, key)
-    if not parts.task.random_clock:
+    state = _fresh(const, hyper, body, key)
+    if not const.task.random_clock:
         return state
-    clock = jax.random.randint(clock_key, (), 0, parts.task.episode_length)
+    clock = jax.random.randint(clock_key, (), 0, const.task.episode_length)
     return state.replace(clock=clock.astype(jnp.int32))
 
 
 def autoreset(
-    parts: Parts, hyper: Config, body, state: EnvState, outcome: Outcome, key
+    const: Constants, hyper: Config, body, state: EnvState, outcome: Outcome, key
 ) -> EnvState:
     """`state`, or a fresh episode where `outcome` ended one."""
     ended = (outcome.discount == 0) | (outcome.truncation == 1)
-    fresh = _fresh(parts, hyper, body, key)
+    fresh = _fresh(const, hyper, body, key)
     return jax.tree.map(lambda new, old: jnp.where(ended, new, old), fresh, state)
 
 
-def _fresh(parts: Parts, hyper: Config, body, key) -> EnvState:
+def _fresh(const: Constants, hyper: Config, body, key) -> EnvState:
     """Pose, velocity and command (configs/README.md), lifted until no foot is below ground."""
     keys = jax.random.split(key, 7)
-    r, default = hyper.task.reset, jnp.asarray(parts.robot.default_pose, jnp.float32)
+    r, default = hyper.task.reset, jnp.asarray(const.robot.default_pose, jnp.float32)
     joints = default * jax.random.uniform(
         keys[0], default.shape, minval=r.joint_scale[0], maxval=r.joint_scale[1]
     )
-    low, high = jnp.asarray(parts.robot.mj_model.jnt_range[1:].T, jnp.float32)
+    low, high = jnp.asarray(const.robot.mj_model.jnt_range[1:].T, jnp.float32)
     spare = (1 - r.soft_limit) / 2 * (high - low)
     joints = jnp.clip(joints, low + spare, high - spare)
-    lowest = (robot_lib.feet_in_base(parts.legs, joints)[:, 2] - parts.robot.foot_radius).min()
+    lowest = (robot_lib.feet_in_base(const.legs, joints)[:, 2] - const.robot.foot_radius).min()
     height = jnp.maximum(r.spawn_height, r.foot_clearance - lowest)
     xy = jax.random.uniform(keys[1], (2,), minval=-1.0, maxval=1.0) * r.position
     yaw = jax.random.uniform(keys[2], (), minval=-1.0, maxval=1.0) * r.yaw
@@ -125,9 +125,9 @@ def _fresh(parts: Parts, hyper: Config, body, key) -> EnvState:
     qpos = jnp.concatenate([xy, height[None], quat, joints])
     velocity = jax.random.uniform(keys[3], (6,), minval=-1.0, maxval=1.0) * r.velocity
     qvel = jnp.concatenate([velocity, default * 0])
-    command, goal = commands.draw(parts.task, hyper, qpos, keys[4])
-    feet = jnp.zeros(len(parts.robot.feet), jnp.int32)
-    prop, obs = _observe(parts, hyper, body, qpos, qvel, command, default * 0, keys[5])
+    command, goal = commands.draw(const.task, hyper, qpos, keys[4])
+    feet = jnp.zeros(len(const.robot.feet), jnp.int32)
+    prop, obs = _observe(const, hyper, body, qpos, qvel, command, default * 0, keys[5])
     return EnvState(
         qpos=qpos,
         qvel=qvel,
@@ -142,18 +142,18 @@ def _fresh(parts: Parts, hyper: Config, body, key) -> EnvState:
         last_air_steps=feet,
         clock=jnp.zeros((), jnp.int32),
         episode_steps=jnp.zeros((), jnp.int32),
-        push_in=_push_in(parts, hyper, keys[6]),
+        push_in=_push_in(const, hyper, keys[6]),
         episode_return=jnp.zeros(()),
     )
 
 
-def _push_in(parts: Parts, hyper: Config, key):
+def _push_in(const: Constants, hyper: Config, key):
     low, high = hyper.task.push.interval
     seconds = jax.random.uniform(key, (), minval=low, maxval=high)
-    return jnp.round(seconds / parts.dt).astype(jnp.int32)
+    return jnp.round(seconds / const.dt).astype(jnp.int32)
 
 
-def push(parts: Parts, hyper: Config, qvel, push_in, key):
+def push(const: Constants, hyper: Config, qvel, push_in, key):
     """`(qvel, push_in)` after one step of the clock: a kick in world x and y when it runs out.
 
     Isaac Lab's push_by_setting_velocity (isaaclab/envs/mdp/events.py): after the reward, before the
@@ -163,12 +163,12 @@ def push(parts: Parts, hyper: Config, qvel, push_in, key):
     kick_key, next_key = jax.random.split(key)
     kick = jax.random.uniform(kick_key, (2,), minval=-1.0, maxval=1.0) * hyper.task.push.velocity
     qvel = qvel.at[:2].add(jnp.where(due, kick, 0.0))
-    return qvel, jnp.where(due, _push_in(parts, hyper, next_key), push_in - 1)
+    return qvel, jnp.where(due, _push_in(const, hyper, next_key), push_in - 1)
 
 
-def _observe(parts, hyper: Config, body, qpos, qvel, command, last_action, key):
+def _observe(const, hyper: Config, body, qpos, qvel, command, last_action, key):
     """`(prop, obs)`: the predicted part without noise, and the whole with it."""
-    default = jnp.asarray(parts.robot.default_pose, jnp.float32)
+    default = jnp.asarray(const.robot.default_pose, jnp.float32)
     clean = observe.observe(qpos, qvel, body.base_com, default, command, last_action)
     noise = jax.random.uniform(key, clean.shape, minval=-1.0, maxval=1.0)
     return clean[: observe.PROP_SIZE], clean + noise * observe.noise_scale(hyper.task.noise, jnp)
@@ -180,32 +180,32 @@ def noise(hyper: Config, key):
     return jax.random.uniform(key, scale.shape, minval=-1.0, maxval=1.0) * scale
 
 
-def step(parts: Parts, hyper: Config, body, state: EnvState, action, key):
+def step(const: Constants, hyper: Config, body, state: EnvState, action, key):
     """One control step -> `(EnvState, Outcome)`; the episode's end is in the outcome only.
 
     A robot whose state is not finite, or moves faster than 100 rad/s or 20 m/s, has left what the
     solver can compute: its episode ends with reward 0, it is counted in `blowups`, and no number
     of that row but zeros and the old observation leaves this function.
     """
-    after = engine_lib.simulate(parts.engine, hyper, body, state, action)
+    after = engine_lib.simulate(const.engine, hyper, body, state, action)
     speed = jnp.abs(after.qvel)
     ok = jnp.isfinite(after.qpos).all() & jnp.isfinite(after.qacc_warmstart).all()
     ok &= (speed[6:] < MAX_JOINT_SPEED).all() & (speed[:3] < MAX_BASE_SPEED).all()
 
     gravity, linear, angular = observe.base_motion(after.qpos, after.qvel, body.base_com)
-    terms = reward_terms(parts, hyper, state, action, after, (gravity, linear, angular))
-    reward, weighted = rewards.total(terms, hyper.task.weights._asdict(), parts.dt)
+    terms = reward_terms(const, hyper, state, action, after, (gravity, linear, angular))
+    reward, weighted = rewards.total(terms, hyper.task.weights._asdict(), const.dt)
     reward = jnp.where(ok, reward, 0.0)
 
-    fell = (parts.fatal & (after.lowest < 0)).any() | ~ok
+    fell = (const.fatal & (after.lowest < 0)).any() | ~ok
     clock = state.clock + 1
-    timeout = (clock >= parts.task.episode_length) & ~fell
+    timeout = (clock >= const.task.episode_length) & ~fell
     obs_key, push_key, command_key = jax.random.split(key, 3)
     command, goal = commands.advance(
-        parts.task, hyper, state.command, state.goal, after.qpos, command_key
+        const.task, hyper, state.command, state.goal, after.qpos, command_key
     )
-    qvel, push_in = push(parts, hyper, after.qvel, state.push_in, push_key)
-    prop, obs = _observe(parts, hyper, body, after.qpos, qvel, command, action, obs_key)
+    qvel, push_in = push(const, hyper, after.qvel, state.push_in, push_key)
+    prop, obs = _observe(const, hyper, body, after.qpos, qvel, command, action, obs_key)
     next_state = state.replace(
         qpos=after.qpos,
         qvel=qvel,
@@ -245,23 +245,23 @@ def step(parts: Parts, hyper: Config, body, state: EnvState, action, key):
 
 
 def reward_terms(
-    parts: Parts, hyper: Config, state: EnvState, action, after: engine_lib.Substeps, motion
+    const: Constants, hyper: Config, state: EnvState, action, after: engine_lib.Substeps, motion
 ) -> dict:
     """Every term of the reward, unweighted, by the name of its weight in `task.weights`."""
     contact = after.contact_steps > 0
-    if parts.task.air_time == "touchdown":
-        touchdown = contact & (after.contact_steps <= parts.engine.substeps)
-        last_air_time = after.last_air_steps * parts.engine.timestep
+    if const.task.air_time == "touchdown":
+        touchdown = contact & (after.contact_steps <= const.engine.substeps)
+        last_air_time = after.last_air_steps * const.engine.timestep
         air = rewards.feet_air_time(last_air_time, touchdown, state.command)
     else:
         air = rewards.feet_in_air(contact)
     qd = after.qvel[6:]
-    lowest = jnp.where(parts.undesired, after.lowest, jnp.inf).min(-1)
+    lowest = jnp.where(const.undesired, after.lowest, jnp.inf).min(-1)
     return {
         **motion_terms(hyper, state.command, motion),
         "joint_torques": rewards.joint_torques(after.torque),
         "joint_accelerations": rewards.joint_accelerations(
-            qd, after.qd_before, parts.engine.timestep
+            qd, after.qd_before, const.engine.timestep
         ),
         "action_rate": rewards.action_rate(action, state.last_action),
         "feet_air_time": air,
@@ -283,7 +283,7 @@ def motion_terms(hyper: Config, command, motion) -> dict:
     }
 
 
-def known_reward(parts: Parts, hyper: Config, obs, action, next_prop):
+def known_reward(const: Constants, hyper: Config, obs, action, next_prop):
     """The share of a row's reward that is a function of `obs` [48], `action` and `next_prop` [33].
 
     Exact unless a push changed the velocity after the reward (`push`). The rest is torques,
@@ -293,4 +293,4 @@ def known_reward(parts: Parts, hyper: Config, obs, action, next_prop):
     terms = motion_terms(hyper, obs[observe.COMMAND], [next_prop[part] for part in motion])
     terms["action_rate"] = rewards.action_rate(action, obs[observe.LAST_ACTION])
     weights = {name: getattr(hyper.task.weights, name) for name in terms}
-    return rewards.total(terms, weights, parts.dt)[0]
+    return rewards.total(terms, weights, const.dt)[0]

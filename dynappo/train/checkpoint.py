@@ -127,7 +127,7 @@ def save(
         text = f"No space left on device: {needed / 1e6:.0f} MB needed, {free / 1e6:.0f} MB free"
         raise OSError(errno.ENOSPC, text)
     about |= {"iteration": iteration, "arrays": shapes(state), "sha256": digest(state)}
-    raw, _ = _raw(state)
+    raw = _raw(state)
     args = ocp.args.Composite(state=ocp.args.StandardSave(raw), about=ocp.args.JsonSave(about))
     metrics = None if eval_return is None else {"eval_return": eval_return}
     checkpoints.save(iteration, args=args, metrics=metrics, force=True)
@@ -194,8 +194,8 @@ def _read(folder: Path, like):
 
 def _raw(state: Any):
     """`distributed.raw_keys`, as orbax takes it: of several processes, no array of one of them."""
-    raw, wrap = distributed.raw_keys(state)
-    return jax.device_get(raw) if distributed.several() else raw, wrap
+    raw, _ = distributed.raw_keys(state)
+    return jax.device_get(raw) if distributed.several() else raw
 
 
 def shapes(state: Any) -> dict[str, str]:

@@ -30,7 +30,7 @@ def finish(config, program, workdir: Path, state, metrics) -> dict[str, Any]:
     problem = curves.draw(metrics, workdir / "curves.png", title)
     summary["curves"] = problem or str(workdir / "curves.png")
     if config.run.video_seconds:
-        act = render.policy(params, config.ppo.activation)
+        act = policy_file.actor(params, config.ppo.activation)
         seconds = config.run.video_seconds
         episode = render.simulate(program.robot, config, act, render.tour(seconds), seconds)
         problem = render.film(program.robot, episode, workdir / "video.mp4")

@@ -89,7 +89,7 @@ def loop(
         if writes:
             sinks = stack.enter_context(log.opened(config, writes, start, say))
         # only the first process has the history, and only there these numbers are written
-        seconds, sim_steps, evaluated, waiting = *_reached(history), None
+        (seconds, sim_steps, evaluated), waiting = _reached(history), None
         for first in range(start, run.num_iterations, run.log_every):
             rows, done = slice(first, first + run.log_every), first + run.log_every
             columns = {name: column[rows] for name, column in program.columns.items()}

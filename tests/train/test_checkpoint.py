@@ -143,7 +143,7 @@ def test_without_an_evaluation_no_checkpoint_is_the_best(tmp_path, plain):
 def test_checkpoints_of_before_with_the_return_of_training_episodes_are_still_good(tmp_path, plain):
     """They can be gone on from, and an evaluated one is better than any of them."""
     args = ocp.args.Composite(
-        state=ocp.args.StandardSave(checkpoint._raw(plain)[0]),
+        state=ocp.args.StandardSave(checkpoint._raw(plain)),
         about=ocp.args.JsonSave(
             {
                 "iteration": 1,
