@@ -18,12 +18,12 @@ a time, while the others compile.
 
 import contextlib
 import datetime
-import fcntl
 import lzma
 import re
 import time
 from pathlib import Path
 
+import filelock
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -123,8 +123,7 @@ def alone(lock: Path | None):
     if lock is None:
         yield
         return
-    with lock.open("w") as file:
-        fcntl.flock(file, fcntl.LOCK_EX)
+    with filelock.FileLock(lock):
         yield
 
 

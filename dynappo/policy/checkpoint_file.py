@@ -64,7 +64,7 @@ def _reason(error: Exception) -> str:
     return (str(error).splitlines() or [type(error).__name__])[0][:80]
 
 
-def steps(folder: Path) -> list[int]:
+def iterations(folder: Path) -> list[int]:
     """Iterations of the checkpoints in `folder` that are complete, newest first."""
     names = (path.name for path in folder.glob("[0-9]*"))
     return sorted((int(name) for name in names if name.isdigit()), reverse=True)

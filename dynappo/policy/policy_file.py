@@ -260,7 +260,7 @@ def locate(text: str) -> Path:
     if (path / checkpoint_file.STATE).is_dir():
         return path
     folder = path / "checkpoints" if (path / "checkpoints").is_dir() else path
-    saved = checkpoint_file.steps(folder)
+    saved = checkpoint_file.iterations(folder)
     if not saved:
         raise ConfigError(f"{text}: holds neither a policy.npz nor checkpoints/")
     return folder / str(saved[0])

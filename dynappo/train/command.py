@@ -85,7 +85,7 @@ def afterwards(command: Command) -> str:
     """What the same command will do with what a stopped one has left."""
     if distributed.several() and not distributed.first():
         return f"{GOES_ON}, if there is one"  # which the first process can see
-    if not workdir_lib.steps(command.workdir):
+    if not workdir_lib.saved(command.workdir):
         return "there is no checkpoint yet, the same command starts anew"
     return GOES_ON.replace("command", "command without --fresh") if command.fresh else GOES_ON
 
@@ -121,7 +121,7 @@ def train_and_show(command: Command, stop: Stop) -> None:
     if folder:
         from dynappo.train import restore
 
-        distributed.on_first(lambda: len(restore.steps(folder)))
+        distributed.on_first(lambda: len(restore.saved(folder)))
     with workdir_lib.open_workdir(command.workdir, config, command.fresh):
         _train_and_show(command, stop, out)
 
@@ -178,7 +178,7 @@ def _train_and_show(command: Command, stop: Stop, out) -> None:
     if done < config.run.num_iterations:
         if distributed.first():
             saved = f"saved at iteration {done} and stopped"
-            if done not in workdir_lib.steps(workdir):
+            if done not in workdir_lib.saved(workdir):
                 saved = f"stopped at iteration {done}, which could not be saved"
             print(f"dynappo: {saved}; {afterwards(command)}", file=sys.stderr)
         return

@@ -39,11 +39,11 @@ def check(metrics, state, before, workdir: Path | None) -> None:
         if distributed.first():
             np.savez(workdir / "nonfinite.npz", allow_pickle=False, **arrays)
         where = f"robot {index[-1]}, as it was before, is in {workdir / 'nonfinite.npz'}"
-    saved = workdir and checkpoint_file.steps(workdir / "checkpoints")
+    kept = workdir and checkpoint_file.iterations(workdir / "checkpoints")
     raise FloatingPointError(
         f"{name} is not finite in iteration {iteration}: training has blown up ({where}). Lower "
         "ppo.learning_rate or model.learning_rate, or shorten the tail; "
-        + ("the last checkpoint is good" if saved else "nothing has been saved yet")
+        + ("the last checkpoint is good" if kept else "nothing has been saved yet")
     )
 
 

@@ -30,7 +30,7 @@ def weights(folder: Path, like: Any, say: Callable[[str], None] = print) -> Any:
     good, or a network has another shape.
     """
     there, problems = None, []
-    for step in steps(folder):
+    for step in saved(folder):
         try:
             there = checkpoint_file.read(folder / "checkpoints" / str(step))
         except ConfigError as error:
@@ -57,11 +57,11 @@ def weights(folder: Path, like: Any, say: Callable[[str], None] = print) -> Any:
     return like.replace(learner=learner, model=model)
 
 
-def steps(folder: Path) -> list[int]:
+def saved(folder: Path) -> list[int]:
     """Iterations of the checkpoints of another run, newest first; ConfigError if there is none."""
     if not (folder / "checkpoints").is_dir():
         raise ConfigError(f"--restore={folder}: no checkpoints/ there; expected a run's workdir")
-    found = checkpoint_file.steps(folder / "checkpoints")
+    found = checkpoint_file.iterations(folder / "checkpoints")
     if not found:
         raise ConfigError(
             f"--restore={folder}: it holds no checkpoint yet; expected a run that has saved one"

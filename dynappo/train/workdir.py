@@ -53,7 +53,7 @@ def _open(workdir: Path, config, fresh: bool, held: contextlib.ExitStack) -> Non
         text, path = config_lib.to_json(config), workdir / "config.json"
         if path.exists():
             _compare(workdir, path.read_text(), text)
-        done = max(steps(workdir), default=0)
+        done = max(saved(workdir), default=0)
         if done > config.run.num_iterations:
             raise ConfigError(
                 f"run.num_iterations is {config.run.num_iterations}, but the run in {workdir} has done "
@@ -88,7 +88,7 @@ def _compare(workdir: Path, there: str, here: str) -> None:
 
 def _begun(workdir: Path) -> bool:
     """Whether a run has left results here: a checkpoint, also a damaged one, or a row of metrics."""
-    if steps(workdir) or any(workdir.glob("damaged-*")):
+    if saved(workdir) or any(workdir.glob("damaged-*")):
         return True
     csv = workdir / "metrics.csv"
     if not csv.exists():
@@ -97,9 +97,9 @@ def _begun(workdir: Path) -> bool:
         return len(list(itertools.islice(file, 2))) > 1
 
 
-def steps(workdir: Path) -> list[int]:
+def saved(workdir: Path) -> list[int]:
     """Iterations of the checkpoints of `workdir` that are complete, newest first."""
-    return checkpoint_file.steps(workdir / "checkpoints")
+    return checkpoint_file.iterations(workdir / "checkpoints")
 
 
 def _old(workdir: Path, number: int) -> Path:

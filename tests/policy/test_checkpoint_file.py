@@ -38,7 +38,7 @@ def test_a_checkpoint_is_played_without_a_policy_file(tmp_path, seeds):
     workdir = tmp_path / "run"
     networks = written(workdir, seeds)
     (workdir / "checkpoints" / "11.orbax-checkpoint-tmp-0").mkdir()  # a save in progress
-    assert checkpoint_file.steps(workdir / "checkpoints") == [10, 9]
+    assert checkpoint_file.iterations(workdir / "checkpoints") == [10, 9]
     for place, step in (("", 10), ("checkpoints", 10), ("checkpoints/9", 9)):
         found, path = policy_file.find(str(workdir / place))
         assert path == workdir / "checkpoints" / str(step)
@@ -65,7 +65,7 @@ def test_damage_is_one_line_and_nothing_is_changed(tmp_path):
     about.write_text(json.dumps(text | {"sha256": text["sha256"][::-1]}))
     line = refused(policy_file.find, str(workdir / "checkpoints" / "9"))
     assert "9: not a checkpoint, or damaged (its numbers are not those that were saved)" in line
-    assert checkpoint_file.steps(workdir / "checkpoints") == [10, 9]
+    assert checkpoint_file.iterations(workdir / "checkpoints") == [10, 9]
     del text["config"]
     about.write_text(json.dumps(text))
     assert "it holds no config" in refused(policy_file.find, str(workdir / "checkpoints" / "9"))
