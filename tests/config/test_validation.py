@@ -140,7 +140,8 @@ def test_every_bound_of_the_tables_is_checked():
     ids=str,
 )
 def test_settings_at_the_edge_of_what_can_run_are_accepted(fields):
-    config_lib.validate(config(fields))
+    settled = config_lib.flat(config_lib.validate(config(fields)))
+    assert {name: settled[name] for name in fields} == fields
 
 
 def test_what_is_settled():
