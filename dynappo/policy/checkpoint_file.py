@@ -28,9 +28,9 @@ def about(folder: Path) -> dict:
     """What was saved beside the arrays: iteration, config, the shape of every array, a hash of all."""
     try:
         found = json.loads((folder / "about" / "metadata").read_text())
-        if not {"arrays", "sha256"} <= found.keys():
+        if not isinstance(found["arrays"], dict) or not isinstance(found["sha256"], str):
             raise ValueError("its `about` lacks shapes or hash")
-    except (OSError, ValueError, AttributeError) as error:
+    except (OSError, ValueError, TypeError, KeyError) as error:
         raise Damaged(folder, _reason(error)) from None
     return found
 

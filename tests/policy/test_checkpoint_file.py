@@ -69,3 +69,12 @@ def test_damage_is_one_line_and_nothing_is_changed(tmp_path):
     del text["config"]
     about.write_text(json.dumps(text))
     assert "it holds no config" in refused(policy_file.find, str(workdir / "checkpoints" / "9"))
+
+
+@pytest.mark.parametrize("about", ["[]", "{}", '{"arrays": [], "sha256": ""}', '{"arrays": {}}'])
+def test_a_text_that_is_not_ours_is_damage(tmp_path, about):
+    """JSON of another form beside the arrays is answered like numbers that have changed."""
+    (tmp_path / "about").mkdir()
+    (tmp_path / "about" / "metadata").write_text(about)
+    with pytest.raises(checkpoint_file.Damaged, match="not a checkpoint, or damaged"):
+        checkpoint_file.about(tmp_path)
