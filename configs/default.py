@@ -30,7 +30,7 @@ PAPER = {
     "dyna4_noschedule": (16, (0, 0, 4, 4)),
     "dyna4": (16, (0, 100, 0, 4)),
 }
-VARIANTS = (*PAPER, "fast", "best", "quick")
+VARIANTS = (*PAPER, "fast", "best", "quick", "laptop")
 
 
 class Run(NamedTuple):
@@ -207,7 +207,8 @@ class Task(NamedTuple):
 class Physics(NamedTuple):
     """The engine and its solver."""
 
-    impl: str = "auto"  # "warp" on an NVIDIA GPU with warp-lang, else "jax"
+    impl: str = "auto"  # "warp" on an NVIDIA GPU with warp-lang, else "jax"; or "c", on a CPU
+    threads: int = 0  # of C MuJoCo; 0: one for each core that this process may use
     contacts: str = (
         "feet"  # what meets the floor: "feet" (other parts end the episode first), "full"
     )
@@ -272,6 +273,15 @@ def apply_variant(config: config_dict.ConfigDict, variant: str) -> config_dict.C
         config.model.update(clean=True, known_reward=True, falls=True, bounds=True, minibatches=6)
         config.model.update(late_epochs=5, late_from=50, precision="bfloat16")
         config.ppo.precision = "bfloat16"
+    elif variant == "laptop":
+        config.task.tracking_std = 1.0
+        config.physics.impl = "c"
+        config.run.device = "cpu"
+        config.rollout.update(num_envs=512, horizon=24)
+        config.schedule.update(start_iteration=0, end_iteration=20, start_steps=0, end_steps=16)
+        config.model.update(clean=True, known_reward=True, falls=True, bounds=True, minibatches=6)
+        config.model.update(hidden=(128, 128, 128), epochs=4, late_epochs=2, late_from=50)
+        config.run.update(num_iterations=600, log_every=10, eval_envs=64)
     elif variant == "quick":
         # The default kernel (std 0.5) first makes episodes shorter, because a fall ends negative
         # rewards; std 1 lets a robot learn within two minutes of two CPU cores.

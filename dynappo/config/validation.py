@@ -34,7 +34,7 @@ FORMULATIONS = {
     ),
 }
 CHOICES = {
-    "physics.impl": ("auto", "jax", "warp"),
+    "physics.impl": ("auto", "jax", "warp", "c"),
     "physics.contacts": ("feet", "full"),
     "run.device": ("auto", "cpu", "gpu"),
     "task.formulation": tuple(FORMULATIONS),
@@ -62,7 +62,7 @@ RANGES = (
         "0 or more",
         lambda v: v >= 0,
         "run.checkpoint_every run.eval_every run.eval_envs run.video_seconds schedule.start_steps "
-        "schedule.end_steps model.late_epochs task.push.velocity task.resample_steps",
+        "schedule.end_steps model.late_epochs task.push.velocity task.resample_steps physics.threads",
     ),
     (
         "a number from 0 to 1",

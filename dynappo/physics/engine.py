@@ -24,7 +24,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from dynappo.physics import actuators, contacts, randomize, warp_engine
+from dynappo.physics import actuators, c_engine, contacts, randomize, warp_engine
 from dynappo.physics import robot as robot_lib
 from dynappo.types import Config, EnvState
 
@@ -37,7 +37,10 @@ class Engine(NamedTuple):
 
     model: Any  # mjx.Model
     data: Any  # mjx.Data or warp_engine.Moved, a template
-    step: Callable[..., Any]  # (model, data, ctrl) -> data, one physics step
+    step: Callable[
+        ..., Any
+    ]  # (model, data, ctrl) -> data, one physics step; of C MuJoCo c_engine's
+    impl: str  # "jax", "warp" or "c"
     robot: robot_lib.Robot
     substeps: int
     timestep: float  # s
@@ -49,17 +52,22 @@ class Engine(NamedTuple):
 def make(
     robot: robot_lib.Robot, physics, varied: frozenset[str], impl: str, remember: bool = False
 ) -> Engine:
-    """The engine `impl` ("jax" or "warp") of `robot`; `physics` is the config's group."""
-    mj_model = robot_lib.physics_model(robot, physics)
+    """The engine `impl` ("jax", "warp" or "c") of `robot`; `physics` is the config's group."""
+    mj_model, model, data = robot_lib.physics_model(robot, physics), None, None
     here = next(iter(jnp.zeros(()).devices()))  # MJX takes the first of all processes' otherwise
-    if impl == "warp":
+    if impl == "c":
+        step = c_engine.make(robot, physics, varied)
+    elif impl == "warp":
         data, step = warp_engine.make(mj_model, *contacts.most(mj_model))
     else:
         data, step = mjx.make_data(mj_model, impl=impl, device=here), _mjx_step
+    if impl != "c":
+        model = mjx.put_model(mj_model, impl=impl, device=here)
     return Engine(
-        model=mjx.put_model(mj_model, impl=impl, device=here),
+        model=model,
         data=data,
         step=step,
+        impl=impl,
         robot=robot,
         substeps=physics.substeps,
         timestep=physics.timestep,
@@ -89,43 +97,9 @@ class Substeps(NamedTuple):
 
 def simulate(engine: Engine, hyper: Config, body, state: EnvState, action) -> Substeps:
     """`substeps` physics steps under explicit PD towards the action's joint targets."""
-    model = randomize.merge(
-        engine.model, body, engine.robot.base_body, engine.robot.feet, engine.varied
-    )
     default = jnp.asarray(engine.robot.default_pose, jnp.float32)
-    q_target = actuators.target(action, default, hyper.task.action_scale)
+    target = actuators.target(action, default, hyper.task.action_scale)
     kp, kd = hyper.task.kp * body.kp_scale, hyper.task.kd * body.kd_scale
-    fixed, linear, ring = engine.floor
-    ids, feet = engine.robot.parts, engine.robot.feet
-
-    def lowest(data):
-        row = data.geom_xmat[ids].reshape(-1, 9)[:, 6:]  # third row of the rotation matrix
-        drop = fixed + (linear * jnp.abs(row)).sum(-1)
-        drop += ring * jnp.sqrt(jnp.maximum(1 - row[:, 2] ** 2, 0))
-        return data.geom_xpos[ids, 2] - drop
-
-    def substep(carry, _):
-        s, data = carry
-        torque = actuators.clip_dc_motor(
-            actuators.pd(q_target, data.qpos[7:], data.qvel[6:], kp, kd),
-            data.qvel[6:],
-            effort_limit=hyper.task.effort_limit,
-            saturation_effort=hyper.task.saturation_effort,
-            velocity_limit=hyper.task.velocity_limit,
-        )
-        before, data = data.qvel[6:], engine.step(model, data, torque)
-        contact = data.geom_xpos[feet, 2] < engine.robot.foot_radius
-        landed = contact & (s.air_steps > 0)
-        s = s._replace(
-            air_steps=jnp.where(contact, 0, s.air_steps + 1),
-            contact_steps=jnp.where(contact, s.contact_steps + 1, 0),
-            last_air_steps=jnp.where(landed, s.air_steps + 1, s.last_air_steps),
-            torque=torque,
-            qd_before=before,
-            lowest=jnp.minimum(s.lowest, lowest(data)) if engine.remember else s.lowest,
-        )
-        return (s, data), None
-
     first = Substeps(
         qpos=state.qpos,
         qvel=state.qvel,
@@ -135,12 +109,85 @@ def simulate(engine: Engine, hyper: Config, body, state: EnvState, action) -> Su
         last_air_steps=state.last_air_steps,
         torque=default * 0,
         qd_before=default * 0,
-        lowest=jnp.full(len(ids), jnp.inf),
-    )
-    data = engine.data.replace(
-        qpos=state.qpos, qvel=state.qvel, qacc_warmstart=state.qacc_warmstart
+        lowest=jnp.full(len(engine.robot.parts), jnp.inf),
     )
     with jax.default_matmul_precision("highest"):
-        (s, data), _ = jax.lax.scan(substep, (first, data), None, length=engine.substeps)
+        simulated = _simulate_in_c if engine.impl == "c" else _simulate_in_mjx
+        return simulated(engine, hyper, body, first, target, kp, kd)
+
+
+def _simulate_in_mjx(engine: Engine, hyper: Config, body, first: Substeps, target, kp, kd):
+    robot = engine.robot
+    model = randomize.merge(engine.model, body, robot.base_body, robot.feet, engine.varied)
+
+    def lowest(data):
+        row = data.geom_xmat[robot.parts].reshape(-1, 9)[:, 6:]  # third row of the rotation matrix
+        return _lowest(engine, data.geom_xpos[robot.parts, 2], row)
+
+    def substep(carry, _):
+        s, data = carry
+        torque = actuators.clip_dc_motor(
+            actuators.pd(target, data.qpos[7:], data.qvel[6:], kp, kd),
+            data.qvel[6:],
+            effort_limit=hyper.task.effort_limit,
+            saturation_effort=hyper.task.saturation_effort,
+            velocity_limit=hyper.task.velocity_limit,
+        )
+        before, data = data.qvel[6:], engine.step(model, data, torque)
+        s = _feet(engine, s, data.geom_xpos[robot.feet, 2])
+        s = s._replace(
+            torque=torque,
+            qd_before=before,
+            lowest=jnp.minimum(s.lowest, lowest(data)) if engine.remember else s.lowest,
+        )
+        return (s, data), None
+
+    data = engine.data.replace(
+        qpos=first.qpos, qvel=first.qvel, qacc_warmstart=first.qacc_warmstart
+    )
+    (s, data), _ = jax.lax.scan(substep, (first, data), None, length=engine.substeps)
     s = s._replace(qpos=data.qpos, qvel=data.qvel, qacc_warmstart=data.qacc_warmstart)
     return s if engine.remember else s._replace(lowest=lowest(data))
+
+
+def _simulate_in_c(engine: Engine, hyper: Config, body, first: Substeps, target, kp, kd):
+    task = hyper.task
+    motor = task.effort_limit, task.saturation_effort, task.velocity_limit
+    numbers = [body.mass_scale, *body.base_com, body.friction, kp, kd, *motor]
+    moved = engine.step(
+        first.qpos,
+        first.qvel,
+        first.qacc_warmstart,
+        target,
+        jnp.stack(jnp.broadcast_arrays(*numbers)),
+    )
+    s = first
+    for heights in moved.feet:
+        s = _feet(engine, s, heights)
+    w, x, y, z = jnp.moveaxis(moved.quat, -1, 0)
+    row = jnp.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], -1)
+    seen = slice(None) if engine.remember else slice(-1, None)
+    lowest = _lowest(engine, moved.height[seen], row[seen]).min(0)
+    told = {name: getattr(moved, name) for name in ("torque", "qd_before", *STATE)}
+    return s._replace(lowest=lowest, **told)
+
+
+STATE = ("qpos", "qvel", "qacc_warmstart")
+
+
+def _feet(engine: Engine, s: Substeps, heights) -> Substeps:
+    """The clocks of the feet after one more physics step, at whose start they were at `heights` [F]."""
+    contact = heights < engine.robot.foot_radius
+    landed = contact & (s.air_steps > 0)
+    return s._replace(
+        air_steps=jnp.where(contact, 0, s.air_steps + 1),
+        contact_steps=jnp.where(contact, s.contact_steps + 1, 0),
+        last_air_steps=jnp.where(landed, s.air_steps + 1, s.last_air_steps),
+    )
+
+
+def _lowest(engine: Engine, height, row):
+    """The lowest point of each part [..., G], from its centre's height and `row` [..., G, 3] of its rotation."""
+    fixed, linear, ring = engine.floor
+    drop = fixed + (linear * jnp.abs(row)).sum(-1)
+    return height - (drop + ring * jnp.sqrt(jnp.maximum(1 - row[..., 2] ** 2, 0)))

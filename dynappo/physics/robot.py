@@ -20,6 +20,7 @@ NumPy and C MuJoCo only, so that a policy can be played without JAX.
 from __future__ import annotations
 
 import copy
+import hashlib
 from pathlib import Path
 from typing import NamedTuple
 
@@ -61,10 +62,8 @@ def load(name: str) -> Robot:
 def load_xml(xml: Path) -> Robot:
     """As `load`, from any file that keeps the contract."""
     try:
-        spec = mujoco.MjSpec.from_file(str(xml))
+        spec = physics_spec(xml)
         _check_bodies(spec)
-        for geom in [g for g in spec.geoms if g.group == VISUAL_GROUP]:
-            spec.delete(geom)
         model = spec.compile()
         _check_legs(model)
         _check_motors(model)
@@ -86,6 +85,18 @@ def load_xml(xml: Path) -> Robot:
         parts=parts,
         base_body=int(model.jnt_bodyid[0]),
     )
+
+
+def physics_spec(xml: Path) -> mujoco.MjSpec:
+    """A robot's file without what is only looks: geoms of group 2, materials, textures."""
+    spec = mujoco.MjSpec.from_file(str(xml))
+    for geom in list(spec.geoms):
+        geom.material = ""
+        if geom.group == VISUAL_GROUP:
+            spec.delete(geom)
+    for look in (*spec.materials, *spec.textures):
+        spec.delete(look)
+    return spec
 
 
 def _expect(ok, rule: str, found="") -> None:
@@ -221,13 +232,24 @@ def physics_model(robot: Robot, physics) -> mujoco.MjModel:
     `contacts="feet"`: only the feet touch the floor. Enough wherever any other part at the ground
     ends the episode, and fewer constraints. Cone, impratio and integrator are the file's.
     """
-    model = copy.copy(robot.mj_model)
+    return settle(copy.copy(robot.mj_model), physics, robot.parts)
+
+
+def settle(model: mujoco.MjModel, physics, parts: np.ndarray) -> mujoco.MjModel:
+    """`model` itself, with the settings of `physics_model`."""
     model.opt.timestep = physics.timestep
     model.opt.iterations = physics.iterations
     model.opt.ls_iterations = physics.ls_iterations
     if physics.contacts == "feet":
-        model.geom_conaffinity[robot.parts] = 0
+        model.geom_conaffinity[parts] = 0
     return model
+
+
+def digest(model: mujoco.MjModel) -> str:
+    """A name for all that a compiled model contains."""
+    content = np.empty(mujoco.mj_sizeModel(model), np.uint8)
+    mujoco.mj_saveModel(model, None, content)
+    return hashlib.sha256(content.tobytes()).hexdigest()
 
 
 def floor_distance(model: mujoco.MjModel, geoms: np.ndarray):

@@ -15,16 +15,15 @@ Calls on one device share them; JAX runs a device's programs one after the other
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 import inspect
 from collections.abc import Callable
 from typing import Any
 
 import jax
 import jax.numpy as jnp
-import mujoco
-import numpy as np
 from flax import struct
+
+from dynappo.physics import robot as robot_lib
 
 # of each model, because Warp keeps what `jax_callable` was given, arrays and all, while the process lives
 _TOGETHER: dict[tuple[str, int, int], Callable[..., list]] = {}
@@ -49,7 +48,7 @@ def make(mj_model, contacts: int, rows: int) -> tuple[Moved, Callable[..., Moved
     as many as one robot can need, so that neither can overflow.
     """
     zeros = {name: jnp.zeros(size) for name, size in _sizes(mj_model).items()}
-    key = _hash(mj_model), contacts, rows
+    key = robot_lib.digest(mj_model), contacts, rows
     if key not in _TOGETHER:
         _TOGETHER[key] = _batched(_of_many(mj_model, contacts, rows))
     together = _TOGETHER[key]
@@ -60,13 +59,6 @@ def make(mj_model, contacts: int, rows: int) -> tuple[Moved, Callable[..., Moved
         return Moved(*(x[0] for x in together(*(x[None] for x in args))))
 
     return Moved(**zeros), step
-
-
-def _hash(mj_model) -> str:
-    """Of all of a compiled model."""
-    content = np.empty(mujoco.mj_sizeModel(mj_model), np.uint8)
-    mujoco.mj_saveModel(mj_model, None, content)
-    return hashlib.sha256(content.tobytes()).hexdigest()
 
 
 def _sizes(mj_model) -> dict[str, tuple[int, ...]]:

@@ -45,7 +45,7 @@ def here(device: str):
 
 
 def engine(config) -> str:
-    """The engine that `physics.impl` means here, "jax" or "warp"; ConfigError if it cannot run."""
+    """The engine that `physics.impl` means here, "jax", "warp" or "c"; ConfigError if it cannot run."""
     import jax
 
     devices, wanted = find(config.run.device), config.run.mesh_seed * config.run.mesh_env
@@ -56,6 +56,12 @@ def engine(config) -> str:
         raise ConfigError(
             f"physics.impl is warp, but {lack}; install 'dynappo[cuda,warp]' or set "
             "physics.impl=jax"
+        )
+    if config.physics.impl == "c" and devices[0].platform != "cpu":
+        raise ConfigError(
+            "physics.impl is c, which runs on a CPU, but run.device is "
+            f"{config.run.device} and JAX sees a {devices[0].platform}; set run.device=cpu or "
+            "physics.impl=auto"
         )
     if wanted > len(devices) or (jax.process_count() > 1 and wanted < len(devices)):
         raise ConfigError(

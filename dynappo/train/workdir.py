@@ -23,7 +23,7 @@ from dynappo.train import log
 # what may differ when a run goes on: nothing of it changes a number of the iterations before
 MAY_CHANGE = (
     "run.num_iterations run.checkpoint_every run.eval_every run.eval_envs run.video_seconds "
-    "run.device run.mesh_seed run.mesh_env run.tensorboard run.wandb physics.impl"
+    "run.device run.mesh_seed run.mesh_env run.tensorboard run.wandb physics.impl physics.threads"
 ).split()
 NO_LOCKS = (errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS)  # of some file systems
 

@@ -1,0 +1,205 @@
+"""C MuJoCo on all cores: a whole control step of all robots as one call from the compiled program.
+
+On two CPU cores it is several times faster than MJX (experiments/03_speed). `mujoco.rollout` keeps a
+pool of threads in C; each takes the next robots, so that none waits while another works, and what a
+robot does depends on neither the thread nor its neighbours.
+
+Why a control step and not a physics step a call: every robot has a body of its own, so a model of its own,
+and four steps read it from memory once. With 512 Go1 on two cores that is 34 instead of 21 k control steps/s.
+PD and motor limits are therefore MuJoCo's: its DC motor with a position input computes what
+`actuators.clip_dc_motor` does (tests/physics/test_c_engine.py).
+
+Where the geoms of a physics step began, `mujoco.rollout` tells only by sensors, which cost nothing that
+can be measured. It does not tell accelerations either: the solver's start in the next control step is the
+change of velocity in the last physics step, which without joint damping is the same.
+"""
+
+from __future__ import annotations
+
+import copy
+import os
+import threading
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+from mujoco import rollout
+
+from dynappo.physics import robot as robot_lib
+from dynappo.physics import xla_call
+
+# what a robot's model is made from, in this order in the last argument of a call
+NUMBERS = (
+    "mass_scale",
+    *["base_com"] * 3,
+    "friction",
+    "kp",
+    "kd",
+    "effort_limit",
+    "saturation_effort",
+    "velocity_limit",
+)
+FAR = 1e6  # a state or a target beyond it is not given to MuJoCo, which would log it
+_ONE_AT_A_TIME = threading.Lock()  # the pool of threads serves one call
+
+
+class Moved(NamedTuple):
+    """A robot after a control step of `n` physics steps; geoms are where each of them began."""
+
+    qpos: Any
+    qvel: Any
+    qacc_warmstart: Any
+    torque: Any  # [A] N m, in the last physics step
+    qd_before: Any  # [A] rad/s, before it
+    feet: Any  # [n, F] m, heights of the feet's centres
+    height: Any  # [n, G] m, of the parts' centres
+    quat: Any  # [n, G, 4], orientations of the parts
+
+
+def cores(threads: int) -> int:
+    """The threads that `physics.threads` means here: 0 is every core that this process may use."""
+    if threads:
+        return threads
+    affinity = getattr(os, "sched_getaffinity", None)  # not on macOS
+    return len(affinity(0)) if affinity else os.cpu_count() or 1
+
+
+def make(robot: robot_lib.Robot, physics, varied: frozenset[str]):
+    """`step(qpos, qvel, qacc_warmstart, target, numbers) -> Moved` of one robot, for `jax.vmap`.
+
+    `physics` is the config's group; `target` are joint angles, `numbers` those of `NUMBERS`.
+    """
+    steps, threads = physics.substeps, cores(physics.threads)
+    world = _World(robot, _model(robot, physics), steps, threads, varied)
+    kind = "_".join(sorted(varied))
+    name = f"dynappo_c_{steps}_{threads}_{kind}_{robot_lib.digest(world.model)}"
+    xla_call.register(name, world.step)
+    model, parts, feet = world.model, len(robot.parts), len(robot.feet)
+    shapes = (model.nq,), (model.nv,), (model.nv,), (model.nu,), (model.nu,)
+    shapes += (steps, feet), (steps, parts), (steps, parts, 4)
+    shapes = [jax.ShapeDtypeStruct(shape, jnp.float32) for shape in shapes]
+    call = jax.ffi.ffi_call(name, shapes, vmap_method="broadcast_all")
+    return lambda *args: Moved(*call(*args))
+
+
+def _model(robot: robot_lib.Robot, physics) -> mujoco.MjModel:
+    """The robot's model with sensors for the geoms, and DC motors that hold a joint angle."""
+    spec = robot_lib.physics_spec(robot.xml)
+    geom, kinds = mujoco.mjtObj.mjOBJ_GEOM, mujoco.mjtSensor
+    feet, parts = ([spec.geoms[i] for i in ids] for ids in (robot.feet, robot.parts))
+    for i, shape in enumerate(spec.geoms):
+        shape.name = shape.name or f"geom {i}"
+    for kind, shapes in (
+        (kinds.mjSENS_FRAMEPOS, feet + parts),
+        (kinds.mjSENS_FRAMEQUAT, parts),
+    ):
+        for shape in shapes:
+            spec.add_sensor(type=kind, objtype=geom, objname=shape.name)
+    for motor in spec.actuators:
+        spec.add_sensor(
+            type=kinds.mjSENS_ACTUATORFRC, objtype=mujoco.mjtObj.mjOBJ_ACTUATOR, objname=motor.name
+        )
+        motor.set_to_dcmotor([1, 1], 1.0, controller=[1, 0, 1, 0, 0, 1], ctrlspec=POSITION)
+        motor.forcelimited, motor.forcerange = True, [-1, 1]  # numbers are each robot's own
+    model = robot_lib.settle(spec.compile(), physics, robot.parts)
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # a blow-up is to be seen
+    return model
+
+
+POSITION = int(mujoco.mjtCtrlInput.mjINPUT_POS)
+
+
+class _World:
+    """Models, scratch arrays and threads; `step` is what XLA calls."""
+
+    def __init__(self, robot, model, steps: int, threads: int, varied):
+        self.robot, self.model, self.steps, self.varied = robot, model, steps, varied
+        self.models: list[mujoco.MjModel] = []
+        self.written = np.zeros((0, len(NUMBERS)), np.float32)  # what they were made from
+        self.datas = [mujoco.MjData(model) for _ in range(threads)]
+        self.pool = rollout.Rollout(nthread=threads if threads > 1 else 0)
+
+    def step(self, args: list[np.ndarray], outs: list[np.ndarray]) -> None:
+        with _ONE_AT_A_TIME:
+            self._step([a.reshape(-1, a.shape[-1]) for a in args], outs)
+
+    def _step(self, args, outs) -> None:
+        qpos, qvel, warm, target, numbers = args
+        count, robot, model = len(qpos), self.robot, self.model
+        good = np.abs(np.concatenate(args[:4], 1)).max(1) < FAR  # not so where one is NaN
+        state = np.empty((count, 1 + model.nq + model.nv))
+        state[:, 0], state[:, 1 : 1 + model.nq], state[:, 1 + model.nq :] = 0, qpos, qvel
+        control = np.repeat(target[:, None], self.steps, 1).astype(float)
+        warm = warm.astype(float)
+        if not good.all():
+            bad = ~good
+            state[bad, 1 : 1 + model.nq], state[bad, 1 + model.nq :] = robot.home_qpos, 0
+            control[bad], warm[bad] = robot.default_pose, 0
+        after = np.empty((count, self.steps, state.shape[1]))
+        sensed = np.empty((count, self.steps, model.nsensordata))
+        self.pool.rollout(
+            self._models(numbers),
+            self.datas,
+            state,
+            control,
+            skip_checks=True,
+            nstep=self.steps,
+            initial_warmstart=warm,
+            state=after,
+            sensordata=sensed,
+        )
+        feet, parts = len(robot.feet), len(robot.parts)
+        positions, quats, torque = np.split(
+            sensed, [3 * (feet + parts), 3 * (feet + parts) + 4 * parts], 2
+        )
+        heights = positions[..., 2::3]
+        velocity = after[..., 1 + model.nq :]
+        before = velocity[:, -2] if self.steps > 1 else state[:, 1 + model.nq :]
+        found = (
+            after[:, -1, 1 : 1 + model.nq],
+            velocity[:, -1],
+            (velocity[:, -1] - before) / model.opt.timestep,
+            torque[:, -1],
+            before[:, 6:],
+            heights[..., :feet],
+            heights[..., feet:],
+            quats.reshape(count, self.steps, parts, 4),
+        )
+        for out, value in zip(outs, found, strict=True):
+            out = out.reshape(count, *value.shape[1:])
+            out[...] = value
+            if not good.all():
+                out[~good] = np.nan
+
+    def _models(self, numbers: np.ndarray) -> list[mujoco.MjModel]:
+        """A model for each row of `numbers`; the same for all where they are equal."""
+        count = 1 if (numbers == numbers[0]).all() else len(numbers)
+        while len(self.models) < count:
+            self.models.append(copy.copy(self.model))
+        old = np.full((count, len(NUMBERS)), np.nan, np.float32)
+        old[: len(self.written)] = self.written[:count]
+        for i in np.flatnonzero((old != numbers[:count]).any(1)):
+            self._write(self.models[i], numbers[i].astype(float))
+        kept = self.written[count:]
+        self.written = np.concatenate([numbers[:count], kept])
+        return self.models[:count] * (len(numbers) // count)
+
+    def _write(self, model: mujoco.MjModel, numbers: np.ndarray) -> None:
+        """The body and motors of one robot, as `randomize.merge` and `actuators` have them."""
+        base, feet, nominal = self.robot.base_body, self.robot.feet, self.model
+        scale, com, (friction, kp, kd) = numbers[0], numbers[1:4], numbers[4:7]
+        effort, stall, speed = numbers[7:]
+        if "base_mass" in self.varied:
+            model.body_mass[base] = nominal.body_mass[base] * scale
+            model.body_inertia[base] = nominal.body_inertia[base] * scale
+        if "base_com" in self.varied:
+            model.body_ipos[base] = com
+        if "friction" in self.varied:
+            model.geom_friction[feet, 0] = friction
+        # with resistance 1 and constant k: torque <= k (V - k qd) = stall (1 - qd / speed)
+        k = np.sqrt(stall / speed)
+        motors = model.actuator_gainprm
+        motors[:, 1], motors[:, 4], motors[:, 6], motors[:, 7] = k, kp, kd, stall / k
+        model.actuator_forcerange[:] = -effort, effort
