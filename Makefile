@@ -2,8 +2,8 @@
 # needs it makes, with the exact versions of constraints.txt. Another Python: make PYTHON=python3.12
 
 PYTHON ?= python3
-CONFIG ?= configs/go1.py:quick
-WORKDIR ?= runs/quick
+CONFIG ?= configs/go1.py:laptop
+WORKDIR ?= runs/laptop
 
 VENV := .venv
 BIN := $(VENV)/bin

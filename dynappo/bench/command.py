@@ -1,7 +1,7 @@
 """Where the time of an iteration goes: `python -m dynappo.bench --config=configs/go1.py:fast`.
 
 `--vs=CONFIG` alternates two configs in one process, so that what else the machine does meets both, and
-gives the ratio of their iterations.
+gives the ratio of their iterations. `--engines=c,jax` does so for one config on two engines.
 """
 
 from __future__ import annotations
@@ -47,6 +47,7 @@ def parse(argv: list[str] | None):
     )
     parser.add_argument("--config", metavar="FILE.py[:VARIANT]")
     parser.add_argument("--vs", metavar="FILE.py[:VARIANT]", help="alternate with this one")
+    parser.add_argument("--engines", metavar="ENGINE,ENGINE", help="alternate these engines")
     parser.add_argument("--repeats", type=int, default=5, help="medians of so many; default: 5")
     parser.add_argument(
         "--compile", action="store_true", help="time the set-up too, with cold and warm caches"
@@ -58,9 +59,19 @@ def parse(argv: list[str] | None):
     if known.out:  # before minutes of measuring
         flags.check_writable(known.out)
     names = [known.config, known.vs] if known.vs else [known.config]
+    sources = [(name, rest) for name in names]
+    if known.engines:
+        engines = known.engines.split(",")
+        if len(engines) != 2 or known.vs:
+            raise ConfigError(
+                f"--engines is {known.engines}, expected two engines of one config, as in "
+                "--engines=c,jax, without --vs"
+            )
+        names = engines
+        sources = [(known.config, [*rest, f"--config.physics.impl={e}"]) for e in engines]
     configs = []
-    for name in names:
-        config = flags.load(name, rest)
+    for name, fields in sources:
+        config = flags.load(name, fields)
         config.run.update(num_seeds=1, mesh_seed=1)
         configs.append(config_lib.validate(config))
     return configs, names, known.repeats, known.out, known.compile
@@ -100,7 +111,8 @@ def show(names, reports, versus) -> None:
     for label, cells in rows.items():
         table.add_row(label, *cells)
     out = Console(highlight=False)
-    out.print(f"{reports[0]['device']}, MJX-{reports[0]['impl']}")
+    engines = " and ".join(dict.fromkeys(devices.ENGINES[r["impl"]] for r in reports))
+    out.print(f"{reports[0]['device']}, {engines}")
     out.print(table)
     if versus:
         out.print(

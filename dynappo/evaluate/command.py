@@ -208,11 +208,11 @@ def notes(rows: list[dict[str, Any]]) -> list[str]:
 
 
 def show_episodes(screen, numbers: dict[str, Any]) -> None:
-    """The table of the episodes on MJX."""
+    """The table of the episodes of the task."""
     from rich.table import Table
 
     task = "noise, pushes, randomised physics" if numbers["randomize"] else "no noise"
-    engine = "MJX-Warp" if numbers["impl"] == "warp" else "MJX-JAX"
+    engine = devices.ENGINES[numbers["impl"]]
     screen.print(
         f"{numbers['seconds']:g} s each, commands as in training, {task}; "
         f"{engine} on {numbers['device']}",

@@ -1,4 +1,4 @@
-"""Episodes of the task that a policy was trained on, on MJX: what `dynappo/evaluation.py` finds in them.
+"""Episodes of the task that a policy was trained on, on its engine: what `evaluation.py` finds in them.
 
 JAX is imported only where they are run.
 """
@@ -20,7 +20,7 @@ NUMBER = {"gpu": 1000, "cpu": 64}
 
 
 def settings(policy: Policy):
-    """The config that a policy was trained with, validated; the device is the one that is here.
+    """The config that a policy was trained with, validated; device and engine are those that are here.
 
     Fields that are newer than the policy have their defaults.
     """
@@ -41,7 +41,7 @@ def settings(policy: Policy):
                 f"the policy's config has {name} = {value!r}, expected one like {default!r}"
             ) from None
     config.run.update(device="auto", mesh_seed=1, mesh_env=1)
-    config.physics.impl = "auto"
+    config.physics.update(impl="auto", threads=0)
     return config_lib.validate(config)
 
 
@@ -50,7 +50,8 @@ def run(
 ) -> dict[str, Any]:
     """`evaluation.evaluate` of `number` episodes on this machine's device, and what was run.
 
-    Without a number: 1000 on a GPU, 64 on a CPU. `randomize`: the task as it trains.
+    Without a number: 1000 on a GPU, 64 on a CPU. `randomize`: the task as it trains. What was trained
+    on C MuJoCo is evaluated on it where the device is a CPU.
     """
     import jax
 
@@ -58,7 +59,9 @@ def run(
     from dynappo.task import env as env_lib
 
     config = settings(policy)
-    impl = devices.engine(config)
+    trained = policy.config.get("physics", {}).get("impl")
+    in_c = trained == "c" and jax.default_backend() == "cpu"
+    impl = "c" if in_c else devices.engine(config)
     static, hyper = config_lib.split(config)
     number = number or NUMBER.get(jax.default_backend(), NUMBER["cpu"])
     robot = robot_lib.load(policy.robot)

@@ -187,7 +187,7 @@ def _feet(engine: Engine, s: Substeps, heights) -> Substeps:
 
 
 def _lowest(engine: Engine, height, row):
-    """The lowest point of each part [..., G], from its centre's height and `row` [..., G, 3] of its rotation."""
+    """The lowest point of each part [..., G]: from its centre's height, row 3 of its rotation [..., G, 3]."""
     fixed, linear, ring = engine.floor
     drop = fixed + (linear * jnp.abs(row)).sum(-1)
     return height - (drop + ring * jnp.sqrt(jnp.maximum(1 - row[..., 2] ** 2, 0)))

@@ -11,6 +11,8 @@ from pathlib import Path
 
 from dynappo.config import ConfigError
 
+ENGINES = {"jax": "MJX-JAX", "warp": "MJX-Warp", "c": "C MuJoCo"}  # as people are told
+
 
 def own_process(device: str = "auto") -> None:
     """JAX's settings for a process that is ours: no GPU is touched for "cpu", and compiled programs are

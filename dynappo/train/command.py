@@ -139,11 +139,13 @@ def _train_and_show(command: Command, stop: Stop, out) -> None:
             from dynappo.train import restore
 
             program = restore.start_from(command.restore, program, say)
-    engine = "MJX-JAX" if program.impl == "jax" else "MJX-Warp"
+    engine = devices.ENGINES[program.impl]
     out.print(
         f"{program.device}, {engine}; compiled in {program.compile_seconds:.0f} s, "
         f"{memory.text(program.bytes_needed)} of memory"
     )
+    if program.impl == "jax" and program.device == "cpu":
+        say("on a CPU C MuJoCo is several times faster than MJX: --config.physics.impl=c")
     bar = Progress(
         TextColumn("{task.description}"),
         BarColumn(16),
@@ -157,7 +159,7 @@ def _train_and_show(command: Command, stop: Stop, out) -> None:
 
     def show(iteration, last):
         begun.append((float(last["seconds"]), float(last["sim_steps"])))
-        line = progress_line(last, begun)
+        line = f"{progress_line(last, begun)} on {engine}"
         bar.update(task, completed=iteration, line=line)
         if not out.is_terminal and (10 * iteration) % config.run.num_iterations < 10:
             out.print(f"iteration {iteration:4d}  {line}", soft_wrap=True)
@@ -238,7 +240,7 @@ def show_summary(out, config, workdir: Path, summary: dict) -> None:
     rows = {
         "return (last 10 iterations)": mean(summary["return"]),
         "best return": mean(summary["return_max"]),
-        "simulator steps": f"{summary['sim_steps'] / 1e6:.2f} M",
+        "simulator steps": f"{summary['sim_steps'] / 1e6:.2f} M on {devices.ENGINES[summary['impl']]}",
         "training": f"{summary['seconds']:.1f} s, after {summary['compile_seconds']:.0f} s of set-up",
     }
     for name, label, unit in (

@@ -11,7 +11,6 @@ import time
 from pathlib import Path
 
 import jax
-import numpy as np
 
 from dynappo import config as config_lib
 from dynappo.config import files
@@ -48,7 +47,9 @@ def walk(job: str, fields, seconds: float) -> dict:
             found = {k: float(v) for k, v in program.evaluate(state).items()}
             steps = int(program.columns["n_real"][:done].sum()) * config.rollout.num_envs
             ring = float(metrics["episode_return"][-1])
-            rows.append({"iteration": done, "seconds": spent, "steps": steps, "ring": ring, **found})
+            rows.append(
+                {"iteration": done, "seconds": spent, "steps": steps, "ring": ring, **found}
+            )
         if last:
             break
         began = time.perf_counter()
@@ -60,7 +61,8 @@ def line(found: dict) -> str:
     last = found["rows"][-1]
     return (
         f"{found['job']} {' '.join(found['fields']):60s} {last['iteration']:4d} it {last['seconds']:6.1f} s "
-        f"{last['steps'] / 1e6:5.2f} M  return {last['return']:5.1f}  falls {100 * last['fall_rate']:5.1f} %  "
+        f"{last['steps'] / 1e6:5.2f} M  return {last['return']:5.1f}  "
+        f"falls {100 * last['fall_rate']:5.1f} %  "
         f"{last['tracking_error']:.3f} m/s  {last['yaw_error']:.3f} rad/s"
     )
 
