@@ -45,6 +45,7 @@ class Run(NamedTuple):
     checkpoint_every: int = 100  # iterations; a multiple of log_every; 0: only the last
     eval_every: int = 0  # iterations; a multiple of log_every; 0: only at the end
     eval_envs: int = 1000  # robots of an evaluation, one episode each; 0: none
+    eval_steps: int = 0  # control steps of such an episode; 0: task.episode_length
     video_seconds: float = 12.0  # s of film after training; 0: none
     device: str = "auto"  # "auto", "cpu" or "gpu"
     tensorboard: bool = True  # write TensorBoard's events into the workdir

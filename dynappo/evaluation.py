@@ -63,8 +63,9 @@ def evaluate(
     body_keys, reset_keys, keys = (jax.random.split(k, num_envs) for k in jax.random.split(key, 3))
     bodies = jax.vmap(env.randomize, (None, 0))(hyper, body_keys)
     state = jax.vmap(env.reset, (None, 0, 0))(hyper, bodies, reset_keys)
-    if hasattr(state, "clock"):  # a training environment may start episodes aged
-        state = state.replace(clock=jnp.zeros_like(state.clock))
+    if hasattr(state, "clock"):  # in training episodes may start aged, and may be shorter
+        clock = min(0, env.episode_length - num_steps)
+        state = state.replace(clock=jnp.full_like(state.clock, clock))
     settle = round(SETTLE / env.dt)
     zero = jnp.zeros(num_envs)
     errors = {name: zero for name in env.metrics if name.endswith("_error_sq")}

@@ -15,7 +15,7 @@ MAX_BYTES, MAX_CELL_LINES = 20_000, 25
 # notebook -> what its cell "parameters" is replaced by
 TINY = {
     "01_first_run": {
-        "spec": "configs/go1.py:quick",
+        "spec": "configs/go1.py:laptop",
         "changes": {
             "run.num_iterations": 2,
             "run.log_every": 1,

@@ -65,13 +65,14 @@ def run(
     static, hyper = config_lib.split(config)
     number = number or NUMBER.get(jax.default_backend(), NUMBER["cpu"])
     robot = robot_lib.load(policy.robot)
+    length = config.run.eval_steps or config.task.episode_length
     env = env_lib.make(robot, config.task, config.physics, impl=impl)
     assess = partial(
         evaluation.evaluate,
         env,
         static=static,
         num_envs=number,
-        num_steps=config.task.episode_length,
+        num_steps=length,
         randomize=randomize,
     )
     # of a policy file only the actor must be there; its size is read from std
@@ -80,7 +81,7 @@ def run(
     numbers = {k: float(v) if np.isfinite(v) else None for k, v in metrics.items()}
     return {
         "episodes": number,
-        "seconds": config.task.episode_length * env.dt,
+        "seconds": length * env.dt,
         "randomize": randomize,
         "seed": seed,
         "device": jax.devices()[0].device_kind,

@@ -1,11 +1,17 @@
-"""How many contacts with the floor a robot can have: what MuJoCo Warp must keep room for.
+"""How a robot's primitives meet the floor: how far each reaches down, how many contacts it can have.
 
-By kind of primitive, as it counts them (mujoco_warp/_src/collision_primitive_core.py).
+Contacts are counted as MuJoCo Warp counts them, which must keep room for all
+(mujoco_warp/_src/collision_primitive_core.py).
 """
 
-from dynappo.physics import robot as robot_lib
+import mujoco
+import numpy as np
 
-MOST = {robot_lib.SPHERE: 1, robot_lib.CAPSULE: 2, robot_lib.CYLINDER: 4, robot_lib.BOX: 8}
+BOX, SPHERE, CAPSULE, CYLINDER = (
+    int(getattr(mujoco.mjtGeom, f"mjGEOM_{name}"))
+    for name in ("BOX", "SPHERE", "CAPSULE", "CYLINDER")
+)
+MOST = {SPHERE: 1, CAPSULE: 2, CYLINDER: 4, BOX: 8}
 ROWS_PER_CONTACT = 4  # constraint rows of a pyramidal cone with sliding friction
 
 
@@ -15,3 +21,24 @@ def most(model) -> tuple[int, int]:
     contacts = sum(MOST[int(kind)] for kind in kinds)
     limits = int(model.jnt_limited.sum() + (model.dof_frictionloss > 0).sum())
     return contacts, contacts * ROWS_PER_CONTACT + limits
+
+
+def floor_distance(model: mujoco.MjModel, geoms: np.ndarray):
+    """Constants `(fixed [G], linear [G, 3], ring [G])` of how far each geom reaches down.
+
+    With r the third row of a geom's rotation matrix, its lowest point lies below its centre by
+
+        fixed + linear . |r| + ring sqrt(1 - r_z^2)
+
+    (sphere: radius; capsule: radius + half |r_z|; box: half sizes . |r|; cylinder: half |r_z| +
+    radius sqrt(1 - r_z^2)), which holds for MuJoCo's conventions of size and axis.
+    """
+    size, kind = model.geom_size[geoms], model.geom_type[geoms]
+    round_end = np.isin(kind, (SPHERE, CAPSULE))
+    axial = np.isin(kind, (CAPSULE, CYLINDER))
+    box = kind == BOX
+    fixed = np.where(round_end, size[:, 0], 0.0)
+    linear = np.where(box[:, None], size, 0.0)
+    linear[axial, 2] = size[axial, 1]
+    ring = np.where(kind == CYLINDER, size[:, 0], 0.0)
+    return fixed, linear, ring

@@ -44,7 +44,7 @@ class Engine(NamedTuple):
     robot: robot_lib.Robot
     substeps: int
     timestep: float  # s
-    floor: tuple[Any, ...]  # robot.floor_distance of the parts
+    floor: tuple[Any, ...]  # contacts.floor_distance of the parts
     varied: frozenset[str]  # randomize.varied
     remember: bool  # parts at the ground: in any physics step of a control step, or in its last
 
@@ -71,7 +71,7 @@ def make(
         robot=robot,
         substeps=physics.substeps,
         timestep=physics.timestep,
-        floor=robot_lib.floor_distance(mj_model, robot.parts),
+        floor=contacts.floor_distance(mj_model, robot.parts),
         varied=varied,
         remember=remember,
     )

@@ -1,20 +1,7 @@
 """A robot folder -> `Robot`: the compiled physics model and everything the task must know of it.
 
-The contract of `robots/NAME/NAME.xml`, checked here (robots/README.md says how to keep it):
-
-- one top-level body with a free joint: the base; on it four legs, each a chain of three bodies
-  with one hinge joint each, named `LEG_...`, leg by leg, hip to knee, every joint with a range;
-- at joint angles zero all frames are parallel: no `quat` in a leg, no `pos` at a joint;
-- every body has its `inertial`; geoms of group 2 are looks and are left out of physics;
-- one `motor` a joint, named and ordered as the joints, gear 1; PD and limits are `actuators.py`'s;
-- four sphere geoms named `LEG_foot`, each in the last body of its leg, of higher priority than
-  the floor, so that their friction holds;
-- every other geom with `conaffinity` is a part that must not touch the ground: box, sphere,
-  capsule or cylinder; only the floor has a `contype`, so the robot never collides with itself;
-- a plane `floor` at height 0, a camera `track`, a keyframe `home`: the default pose, upright,
-  the feet on the floor.
-
-NumPy and C MuJoCo only, so that a policy can be played without JAX.
+What its file must keep to is contract.py's. NumPy and C MuJoCo only, so that a policy can be played
+without JAX.
 """
 
 from __future__ import annotations
@@ -28,11 +15,8 @@ import mujoco
 import numpy as np
 
 from dynappo.config import ConfigError, files
+from dynappo.physics import contract
 
-BOX, SPHERE, CAPSULE, CYLINDER = (
-    int(getattr(mujoco.mjtGeom, f"mjGEOM_{name}"))
-    for name in ("BOX", "SPHERE", "CAPSULE", "CYLINDER")
-)
 VISUAL_GROUP = 2
 
 
@@ -63,13 +47,9 @@ def load_xml(xml: Path) -> Robot:
     """As `load`, from any file that keeps the contract."""
     try:
         spec = physics_spec(xml)
-        _check_bodies(spec)
+        contract.check_file(spec)
         model = spec.compile()
-        _check_legs(model)
-        _check_motors(model)
-        feet, parts = _check_geoms(model)
-        _check_home(model, feet, parts)
-        _expect("track" in _names(model.ncam, model.camera), "a camera named track")
+        feet, parts = contract.check(model)
     except ValueError as error:  # MuJoCo's, or a rule of the contract
         raise ConfigError(f"{xml}: {' '.join(str(error).split())}") from None
     home = model.key("home").qpos.copy()
@@ -79,7 +59,7 @@ def load_xml(xml: Path) -> Robot:
         mj_model=model,
         default_pose=home[7:],
         home_qpos=home,
-        joint_names=tuple(_names(model.njnt, model.joint)[1:]),
+        joint_names=tuple(contract.names(model.njnt, model.joint)[1:]),
         feet=feet,
         foot_radius=model.geom_size[feet, 0],
         parts=parts,
@@ -97,133 +77,6 @@ def physics_spec(xml: Path) -> mujoco.MjSpec:
     for look in (*spec.materials, *spec.textures):
         spec.delete(look)
     return spec
-
-
-def _expect(ok, rule: str, found="") -> None:
-    """Raise a ConfigError naming the rule of the contract, and what breaks it."""
-    if not ok:
-        raise ConfigError(f"expected {rule}" + f", found {found}" * bool(found))
-
-
-def _names(count: int, get) -> list[str]:
-    return [get(i).name or f"number {i}" for i in range(count)]
-
-
-def _check_bodies(spec: mujoco.MjSpec) -> None:
-    """What MuJoCo, when it compiles, would not mind or name a consequence of."""
-    kinds = [mujoco.mjtJoint(j.type).name.removeprefix("mjJNT_").lower() for j in spec.joints]
-    found = [f"{joint.name} ({kind})" for joint, kind in zip(spec.joints, kinds, strict=True)]
-    rule = "a free joint on the base, before all other joints"
-    _expect(kinds[:1] == ["free"], rule, [*found, "no joint"][0])
-    top = [body.name for body in spec.worldbody.bodies]
-    _expect(len(top) == 1, "one top-level body, the base", ", ".join(top))
-    odd = ", ".join(text for text in found[1:] if not text.endswith("(hinge)"))
-    rule = "12 hinge joints after the free one"
-    _expect(not odd and len(found) == 13, rule, odd or str(len(found) - 1))
-    legs = [joint.name.partition("_")[0] for joint in spec.joints[1:]]
-    same = all(len({*legs[i : i + 3]}) == 1 for i in (0, 3, 6, 9)) and len({*legs}) == 4
-    rule = "the three joints LEG_... of each of four legs in turn"
-    _expect(same, rule, " ".join(joint.name for joint in spec.joints[1:]))
-    for body in spec.bodies[1:]:
-        _expect(body.joints, "links without a joint merged into their parent", body.name)
-        _expect(body.explicitinertial, "an inertial in every body", f"none in {body.name}")
-    keys = {key.name: len(key.qpos) for key in spec.keys}
-    _expect("home" in keys, "a keyframe named home", ", ".join(keys) or "none")
-    _expect(keys["home"] == 19, "19 numbers in the keyframe home", str(keys["home"]))
-
-
-def _check_legs(model: mujoco.MjModel) -> None:
-    """Three bodies in a chain, with the frames that `leg_chains` relies on."""
-    for i in range(1, 13):
-        joint, body = model.joint(i), model.body(model.jnt_bodyid[i])
-        parent = model.body(model.jnt_bodyid[0 if i % 3 == 1 else i - 1])
-        rule = "each leg to be a chain of three bodies from the base, hip to knee"
-        found = f"{body.name} in {model.body(body.parentid[0]).name}, not in {parent.name}"
-        _expect(body.parentid[0] == parent.id, rule, found)
-        rule = "leg bodies with frames parallel to the base's (no quat, no euler)"
-        _expect(np.allclose(body.quat, [1, 0, 0, 0]), rule, f"{body.name} turned")
-        rule = "joints without pos and ref: at their body's origin, zero where frames are parallel"
-        _expect(not joint.pos.any() and not joint.qpos0[0], rule, joint.name)
-        _expect(joint.limited[0], "a range at every joint", f"none at {joint.name}")
-
-
-def _check_motors(model: mujoco.MjModel) -> None:
-    joints = _names(model.njnt, model.joint)
-    rule = "one motor of gear 1 a joint, named and ordered as the joints"
-    for i, joint in enumerate(joints[1:]):
-        _expect(i < model.nu, rule, f"none for {joint}")
-        motor, to_joint = model.actuator(i), model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_JOINT
-        on = joints[motor.trnid[0]] if to_joint else "no joint"
-        found = f"{motor.name} on {on} as number {i + 1} where {joint} should be"
-        _expect(motor.name == on == joint, rule, found)
-        plain = motor.gear[0] * motor.gainprm[0] == 1 and not motor.dyntype[0]
-        plain = plain and motor.biastype[0] == mujoco.mjtBias.mjBIAS_NONE
-        _expect(plain, rule, f"{joint} of another gear, gain or kind")
-        limited = motor.ctrllimited[0] or motor.forcelimited[0] or model.jnt_actfrclimited[i + 1]
-        _expect(not limited, "motors without limits, which are the config's", f"one at {joint}")
-    _expect(model.nu == 12, rule, f"{model.nu} actuators")
-
-
-def _check_geoms(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
-    """`(feet [F], parts [G])`: what touches the floor."""
-    geoms = _names(model.ngeom, model.geom)
-
-    def listed(ids):
-        return ", ".join(geoms[i] for i in ids)
-
-    planes = listed(np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE))
-    _expect("floor" in geoms, "a geom named floor, not in group 2", planes or "no plane")
-    floor = model.geom("floor")
-    kind = mujoco.mjtGeom(floor.type[0]).name.removeprefix("mjGEOM_").lower()
-    flat = kind == "plane" and not (floor.quat[1:3].any() or floor.pos[2] or floor.bodyid[0])
-    found = f"type {kind}, pos {floor.pos}, quat {floor.quat}"
-    _expect(flat, "the geom floor to be a plane at height 0 of the world", found)
-    found = f"{floor.contype[0]} and {floor.conaffinity[0]}"
-    _expect(found == "1 and 0", "the geom floor with contype 1 and conaffinity 0", found)
-    odd = [i for i in np.flatnonzero(model.geom_contype) if i != floor.id]
-    _expect(not odd, "contype 0 at every geom but the floor", listed(odd))
-
-    touching = np.flatnonzero(model.geom_conaffinity & 1)
-    feet = np.array([i for i, name in enumerate(geoms) if name.endswith("_foot")], int)
-    _expect(len(feet) == 4, "4 sphere geoms named LEG_foot", listed(feet) or "none outside group 2")
-    for rule, kept in (
-        ("the feet to be spheres", model.geom_type[feet] == SPHERE),
-        ("the feet to touch the floor (conaffinity 1)", np.isin(feet, touching)),
-        ("the feet of higher priority than the floor", model.geom_priority[feet] > floor.priority),
-    ):
-        _expect(kept.all(), rule, f"another {listed(feet[~kept])}")
-    for joint in map(model.joint, range(3, 13, 3)):
-        body, foot = model.body(joint.bodyid[0]), joint.name.partition("_")[0] + "_foot"
-        inside = listed(feet[model.geom_bodyid[feet] == body.id])
-        rule = "the foot geoms in the last body of each leg, in the order of the legs"
-        _expect(inside == foot, rule, f"{inside or 'none'} in {body.name} where {foot} should be")
-
-    odd = listed(touching[~np.isin(model.geom_type[touching], (BOX, SPHERE, CAPSULE, CYLINDER))])
-    _expect(not odd, f"parts of type box, sphere, capsule or cylinder, not {odd}")
-    odd = listed(touching[model.geom_condim[touching] > 3])
-    _expect(not odd, "condim 1 or 3 where something touches the floor", odd)
-    return feet, np.setdiff1d(touching, feet)
-
-
-def _check_home(model: mujoco.MjModel, feet: np.ndarray, parts: np.ndarray) -> None:
-    """The default pose: within the joints' ranges, upright, on its feet."""
-    home = model.key("home").qpos
-    for i, angle in enumerate(home[7:], 1):
-        joint, (low, high) = model.joint(i), model.jnt_range[i]
-        found = f"{joint.name} at {angle:g}, outside {low:g} to {high:g}"
-        _expect(low <= angle <= high, "the keyframe home within the joints' ranges", found)
-    _expect(np.allclose(home[3:7], [1, 0, 0, 0]), "the keyframe home upright", f"quat {home[3:7]}")
-    data = mujoco.MjData(model)
-    data.qpos[:] = home
-    mujoco.mj_kinematics(model, data)
-    lowest = (data.geom_xpos[feet, 2] - model.geom_size[feet, 0]).min()
-    found = f"it at {lowest:.4f} m; the base belongs at {home[2] - lowest:.6g} m"
-    _expect(abs(lowest) < 0.01, "the keyframe home with the lowest foot on the floor", found)
-    fixed, linear, ring = floor_distance(model, parts)
-    row = data.geom_xmat[parts][:, 6:]
-    drop = fixed + (linear * abs(row)).sum(-1) + ring * np.sqrt(np.maximum(1 - row[:, 2] ** 2, 0))
-    under = [model.geom(i).name for i in parts[data.geom_xpos[parts, 2] < drop]]
-    _expect(not under, "no part but the feet at the floor in the keyframe home", ", ".join(under))
 
 
 def physics_model(robot: Robot, physics) -> mujoco.MjModel:
@@ -250,27 +103,6 @@ def digest(model: mujoco.MjModel) -> str:
     content = np.empty(mujoco.mj_sizeModel(model), np.uint8)
     mujoco.mj_saveModel(model, None, content)
     return hashlib.sha256(content.tobytes()).hexdigest()
-
-
-def floor_distance(model: mujoco.MjModel, geoms: np.ndarray):
-    """Constants `(fixed [G], linear [G, 3], ring [G])` of how far each geom reaches down.
-
-    With r the third row of a geom's rotation matrix, its lowest point lies below its centre by
-
-        fixed + linear . |r| + ring sqrt(1 - r_z^2)
-
-    (sphere: radius; capsule: radius + half |r_z|; box: half sizes . |r|; cylinder: half |r_z| +
-    radius sqrt(1 - r_z^2)), which holds for MuJoCo's conventions of size and axis.
-    """
-    size, kind = model.geom_size[geoms], model.geom_type[geoms]
-    round_end = np.isin(kind, (SPHERE, CAPSULE))
-    axial = np.isin(kind, (CAPSULE, CYLINDER))
-    box = kind == BOX
-    fixed = np.where(round_end, size[:, 0], 0.0)
-    linear = np.where(box[:, None], size, 0.0)
-    linear[axial, 2] = size[axial, 1]
-    ring = np.where(kind == CYLINDER, size[:, 0], 0.0)
-    return fixed, linear, ring
 
 
 def leg_chains(robot: Robot):

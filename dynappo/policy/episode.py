@@ -20,8 +20,7 @@ import mujoco
 import numpy as np
 
 from dynappo.config import ConfigError
-from dynappo.physics import actuators
-from dynappo.physics import robot as robot_lib
+from dynappo.physics import actuators, contacts
 from dynappo.policy.policy_file import Policy
 from dynappo.task import observe
 
@@ -158,10 +157,10 @@ def _lowest(body: Body, data) -> float:
     ids = np.flatnonzero((m.body_rootid[m.geom_bodyid] == body.base_body) & touches)
     exact = np.isin(
         m.geom_type[ids],
-        (robot_lib.SPHERE, robot_lib.CAPSULE, robot_lib.BOX, robot_lib.CYLINDER),
+        (contacts.SPHERE, contacts.CAPSULE, contacts.BOX, contacts.CYLINDER),
     )
     down = data.geom_xmat[ids].reshape(-1, 3, 3)[:, 2]  # third rows
-    fixed, linear, ring = robot_lib.floor_distance(m, ids)
+    fixed, linear, ring = contacts.floor_distance(m, ids)
     reach = fixed + (linear * np.abs(down)).sum(-1)
     reach += ring * np.sqrt(np.clip(1 - down[:, 2] ** 2, 0, None))
     centre, half = m.geom_aabb[ids, :3], m.geom_aabb[ids, 3:]  # of meshes and the rest: their box

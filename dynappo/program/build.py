@@ -64,7 +64,8 @@ def program(config) -> Program:
     mesh = sweep.mesh(run.mesh_seed, run.mesh_env, devices.find(run.device))
     with jax.default_device(devices.here(run.device)):
         env = env_lib.make(robot, config.task, config.physics, impl=impl)._replace(mesh=mesh)
-    episodes = dict(static=static, num_envs=run.eval_envs, num_steps=config.task.episode_length)
+    length = run.eval_steps or config.task.episode_length
+    episodes = dict(static=static, num_envs=run.eval_envs, num_steps=length)
     init = partial(algorithm.init, env, static=static)
     step = partial(algorithm.run, env, static=static)
     episodes_of = partial(evaluation.evaluate, env, **episodes)

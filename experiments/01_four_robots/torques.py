@@ -13,7 +13,7 @@ import numpy as np
 import solver
 import walk
 
-from dynappo.physics import robot
+from dynappo.physics import contacts, robot
 from dynappo.policy import policy_file
 from experiments import paper
 
@@ -32,7 +32,7 @@ def episode(body, config, params, command):
     model, act = full(body, config), policy_file.actor(params, config.ppo.activation)
     data, rows, action = mujoco.MjData(model), [], np.zeros(12)
     data.qpos[:] = body.home_qpos
-    fixed, linear, ring = robot.floor_distance(model, body.parts)
+    fixed, linear, ring = contacts.floor_distance(model, body.parts)
     for _ in range(round(SECONDS / 0.02)):
         action = act(walk.look(body, data, command, action))
         for asked, torque, speed in walk.substeps(model, data, body, config, action):

@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 from answers import mistake, status
+from ml_collections import config_dict
 
 from dynappo.bench import command as bench_command
 
@@ -20,6 +21,9 @@ GO1 = "--config=configs/go1.py:quick"
         ([GO1, "--fast"], "--fast: no such flag"),
         ([GO1, "--config.ppo.clip=1"], "--config.ppo.clip: no such field"),
         ([GO1, "--vs=configs/none.py"], "no file 'configs/none.py'"),
+        ([GO1, "--engines=c"], "--engines is c, expected two engines of one config"),
+        ([GO1, "--engines=c,jax", f"--vs={GO1[9:]}"], "without --vs"),
+        ([GO1, "--engines=c,cuda"], "physics.impl is 'cuda', expected one of auto, jax, warp, c"),
         ([GO1, "--out"], "--out: expected one argument; write it as --flag=VALUE"),
         ([GO1, "--out=/no/folder/b.json"], "--out=/no/folder/b.json: cannot write there"),
     ],
@@ -37,6 +41,15 @@ def test_flags_hold_for_both_configs_and_one_seed_is_measured():
     assert (one.robot, other.robot, repeats, out) == ("go1", "go2", 5, None) and not compiles
     assert one.rollout.num_envs == other.rollout.num_envs == 64
     assert one.run.num_seeds == other.run.num_seeds == 1
+
+
+def test_engines_are_one_config_with_each_of_them():
+    configs, names, *_ = bench_command.parse([GO1, "--engines=c,jax", "--config.ppo.epochs=3"])
+    assert names == ["c", "jax"] == [config.physics.impl for config in configs]
+    one, other = (config_dict.ConfigDict(config) for config in configs)
+    assert one.ppo.epochs == 3 and one.rollout.num_envs == 256
+    other.physics.impl = "c"
+    assert one == other
 
 
 class Program:
@@ -63,7 +76,7 @@ def test_it_prints_a_column_a_config_and_writes_the_same_numbers(tmp_path, monke
     assert status(bench_command.main, GO1, f"--vs={vs}", "--compile", f"--out={out}") == 0
     text = capsys.readouterr().out
     rows = [line.rsplit(maxsplit=2) for line in text.splitlines() if len(line.split()) > 2]
-    assert "cpu, MJX-jax" in text
+    assert "cpu, MJX-JAX" in text
     for expected in (
         ["physics, ms a row", "1.50", "1.50"],
         ["ppo, ms", "11.00", "11.00"],

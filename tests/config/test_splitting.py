@@ -11,7 +11,7 @@ run.seed run.num_seeds run.mesh_seed run.mesh_env run.num_iterations run.log_eve
 run.checkpoint_every run.eval_every run.eval_envs rollout.num_envs rollout.horizon
 schedule.start_iteration schedule.end_iteration schedule.start_steps schedule.end_steps model.epochs
 model.late_from model.minibatches ppo.epochs ppo.minibatches ppo.shuffle_blocks
-task.episode_length physics.substeps physics.iterations physics.ls_iterations
+task.episode_length physics.threads physics.substeps physics.iterations physics.ls_iterations
 """.split()
 STRINGS = """
 robot run.device run.wandb model.activation model.precision ppo.activation ppo.precision task.formulation

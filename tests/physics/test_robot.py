@@ -14,7 +14,7 @@ import pytest
 
 from dynappo import config
 from dynappo.config import files
-from dynappo.physics import actuators, randomize, robot
+from dynappo.physics import actuators, contacts, randomize, robot
 
 FACTS = json.loads((pathlib.Path(__file__).parents[1] / "facts" / "robots.json").read_text())
 ROBOTS = [name for name in files.robots() if name in FACTS]  # a fifth one has no facts here
@@ -396,7 +396,7 @@ def random_primitives(seed, count=40):
     spec = mujoco.MjSpec()
     floor = spec.worldbody.add_geom(name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE)
     floor.size = [0, 0, 1]
-    kinds = (robot.BOX, robot.SPHERE, robot.CAPSULE, robot.CYLINDER)
+    kinds = (contacts.BOX, contacts.SPHERE, contacts.CAPSULE, contacts.CYLINDER)
     for i in range(count):
         body = spec.worldbody.add_body(pos=rng.uniform(-0.5, 0.5, 3))
         body.add_freejoint()
@@ -412,10 +412,10 @@ def random_primitives(seed, count=40):
 
 def surface(kind, size):
     """Points on a primitive that hold its lowest point, in its own frame; finely sampled."""
-    if kind == robot.BOX:
+    if kind == contacts.BOX:
         return np.stack(np.meshgrid(*[[-s, s] for s in size]), -1).reshape(-1, 3)
     angle = np.linspace(0, 2 * np.pi, 361)
-    if kind == robot.CYLINDER:
+    if kind == contacts.CYLINDER:
         ring = np.stack([np.cos(angle), np.sin(angle), 0 * angle], -1) * size[0]
         return np.concatenate([ring + [0, 0, z] for z in (-size[1], size[1])])
     polar, around = np.meshgrid(np.linspace(0, np.pi, 181), angle)
@@ -423,13 +423,13 @@ def surface(kind, size):
         [np.sin(polar) * np.cos(around), np.sin(polar) * np.sin(around), np.cos(polar)], -1
     )
     ball = ball.reshape(-1, 3) * size[0]
-    ends = (-size[1], size[1]) if kind == robot.CAPSULE else (0.0,)
+    ends = (-size[1], size[1]) if kind == contacts.CAPSULE else (0.0,)
     return np.concatenate([ball + [0, 0, z] for z in ends])
 
 
 def lowest_points(model, data, geoms):
     """World height of the lowest point of each geom, by the formula of `floor_distance`."""
-    fixed, linear, ring = robot.floor_distance(model, geoms)
+    fixed, linear, ring = contacts.floor_distance(model, geoms)
     row = data.geom_xmat[geoms][:, 6:]
     sine = np.sqrt(np.maximum(1 - row[:, 2] ** 2, 0))
     return data.geom_xpos[geoms, 2] - (fixed + (linear * np.abs(row)).sum(-1) + ring * sine)
@@ -443,7 +443,7 @@ def test_the_lowest_point_is_that_of_many_points_on_the_surface():
         kind = model.geom_type[geom]
         points = surface(kind, model.geom_size[geom])
         heights = data.geom_xpos[geom, 2] + points @ data.geom_xmat[geom][6:]
-        tolerance = 1e-12 if kind == robot.BOX else 1e-4
+        tolerance = 1e-12 if kind == contacts.BOX else 1e-4
         assert lowest == pytest.approx(heights.min(), abs=tolerance)
         assert lowest <= heights.min() + 1e-12
 

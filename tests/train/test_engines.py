@@ -1,0 +1,65 @@
+"""Whole runs on C MuJoCo: the same bits twice, resumed and as seeds; checkpoints that move to MJX."""
+
+import jax
+import numpy as np
+import pytest
+from toy_runs import assert_same, leaves
+
+from dynappo import config as config_lib
+from dynappo import train
+
+SMALL = (
+    "rollout.num_envs=16 rollout.horizon=8 schedule.end_iteration=1 schedule.end_steps=4 model.hidden=(16,) "
+    "model.minibatches=2 ppo.hidden=(16,) run.num_iterations=4 run.log_every=2 run.checkpoint_every=2 "
+    "run.eval_envs=4 run.video_seconds=0.0 run.tensorboard=False task.episode_length=40"
+).split()
+
+
+def settings(*fields):
+    config = config_lib.load("configs/go1.py:laptop")
+    for text in [*SMALL, *fields]:
+        config_lib.override(config, *text.split("=", 1))
+    return config
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """`(state, metrics, workdir)` of a run without interruption."""
+    folder = tmp_path_factory.mktemp("whole")
+    return *train.train(settings(), folder), folder
+
+
+def test_a_run_on_c_mujoco_learns_from_real_rows_and_evaluates(whole):
+    state, metrics, folder = whole
+    assert (metrics["n_real"] == [8, 4, 4, 4]).all()
+    assert all(np.isfinite(metrics[name]).all() for name in ("kl", "value_loss", "model_loss"))
+    assert not metrics["blowups"].any()
+    assert np.isfinite(state.env_state.qpos).all() and np.ptp(state.env_state.qpos[:, 2]) > 0.01
+    assert '"impl": "c"' in (folder / "summary.json").read_text()
+
+
+def test_it_resumes_to_the_bit_and_does_not_depend_on_the_threads(whole, tmp_path):
+    train.train(settings("run.num_iterations=2", "physics.threads=1"), tmp_path)
+    state, metrics = train.train(settings("physics.threads=3"), tmp_path)
+    assert_same(state, whole[0])
+    for name in ("episode_return", "model_loss"):  # the first rows come from the CSV
+        np.testing.assert_array_equal(metrics[name][2:], whole[1][name][2:])
+
+
+def test_a_seed_among_several_is_the_run_alone(whole):
+    state, _ = train.train(settings("run.num_seeds=2"))
+    first = jax.tree.map(lambda x: x[0], state.env_state)
+    for name, value in leaves(whole[0].env_state).items():
+        # batched products of the networks round otherwise
+        np.testing.assert_allclose(leaves(first)[name], value, 2e-3, 2e-3, err_msg=name)
+
+
+@pytest.mark.slow
+def test_a_checkpoint_moves_to_mjx_and_back(whole, tmp_path):
+    train.train(settings("run.num_iterations=2"), tmp_path)
+    state, _ = train.train(settings("physics.impl=jax"), tmp_path)
+    for name in ("qpos", "qvel"):
+        a, b = (np.asarray(getattr(s.env_state, name)) for s in (state, whole[0]))
+        assert np.abs(a - b).mean() < 0.05, name
+    state, metrics = train.train(settings("run.num_iterations=6"), tmp_path)
+    assert metrics["iteration"][-1] == 6 and np.isfinite(state.env_state.qpos).all()
