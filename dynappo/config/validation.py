@@ -62,7 +62,8 @@ RANGES = (
         "0 or more",
         lambda v: v >= 0,
         "run.checkpoint_every run.eval_every run.eval_envs run.eval_steps run.video_seconds "
-        "schedule.start_steps schedule.end_steps model.late_epochs task.push.velocity task.resample_steps physics.threads",
+        "schedule.start_steps schedule.end_steps model.late_epochs task.push.velocity "
+        "task.resample_steps physics.threads",
     ),
     (
         "a number from 0 to 1",
