@@ -15,7 +15,8 @@ Variants, appended to the file name as in `configs/go1.py:ppo16`:
 | `dyna4`            | 16     | 0 to 4 over iterations 0-100| paper, Table III           |
 | `fast`             | 16     | as dyna4                    | 5 epochs after 50, bfloat16|
 | `best` (default)   | 24     | 0 to 16 over 0-20           | experiments/20_tail        |
-| `quick`            | 24     | 0 to 4                      | two CPU cores, two minutes |
+| `laptop`           | 24     | 0 to 16 over 0-20           | two CPU cores: it walks    |
+| `quick`            | 24     | 0 to 4                      | the smallest run on MJX    |
 """
 
 from typing import Any, NamedTuple, get_args

@@ -2,8 +2,8 @@
 
     python -m dynappo.train --config=configs/go1.py
 
-`:quick` trains on two CPU cores in two minutes (with tracking std 1: the default kernel makes
-episodes shorter before it makes them longer); `default.py` lists the paper's variants and ours.
+`:laptop` walks after two minutes of training on two CPU cores; `default.py` lists the paper's variants
+and ours.
 """
 
 import pathlib

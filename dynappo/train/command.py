@@ -243,6 +243,12 @@ def show_summary(out, config, workdir: Path, summary: dict) -> None:
         "simulator steps": f"{summary['sim_steps'] / 1e6:.2f} M on {devices.ENGINES[summary['impl']]}",
         "training": f"{summary['seconds']:.1f} s, after {summary['compile_seconds']:.0f} s of set-up",
     }
+    if config.run.eval_steps and config.run.eval_envs:
+        dt = config.physics.substeps * config.physics.timestep
+        steps = config.task.episode_length, config.run.eval_steps
+        rows["episodes"] = "{:g} s in training, {:g} s in the evaluation".format(
+            *(dt * n for n in steps)
+        )
     for name, label, unit in (
         ("return", "evaluation: return", ""),
         ("fall_rate", "evaluation: episodes with a fall", " %"),
