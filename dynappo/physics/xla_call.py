@@ -4,6 +4,9 @@ Why not `jax.pure_callback`: that puts its arguments back into JAX arrays, which
 cores can wait for the very thread that the call occupies, and JAX never keeps a program with such a call
 in its cache. Here XLA's C interface for foreign functions (jaxlib/include/xla/ffi/api/c_api.h, whose
 names these structures have) hands over where the arrays lie, and the program is cached as any other.
+
+A script must wait for its results before it ends (`jax.block_until_ready`): a program that still runs would
+call into a Python that is gone. The commands do (program/devices.py).
 """
 
 from __future__ import annotations

@@ -122,14 +122,14 @@ PAIRS = [(r, c) for r in files.robots() for c in CASES if CASES[c] != FEW or r n
 
 @pytest.mark.parametrize(("robot", "case"), PAIRS)
 def test_ten_steps_are_those_of_a_plain_loop_in_c_mujoco(robot, case):
-    """Measured after one and ten steps: 6e-8 and 2e-7 m or rad, 1e-6 and 8e-6 rad/s, 4e-6 and 8e-5 N m.
+    """Measured after one and ten steps: 6e-8 and 3e-7 m or rad, 9e-7 and 7e-6 rad/s, 4e-6 and 8e-5 N m.
     Without joint damping the solver's start is the acceleration, and few iterations do as well."""
     world = place(robot, case[:4], **CASES[case])
     hands = [list(by_hand(world, i)) for i in range(ROBOTS)]
     run, start, touched = world.run("c"), world.start, np.zeros(2)
     for t, action in enumerate(world.actions):
         after, more = run(start, action), 10 if t else 1
-        close = dict(qpos=3e-7, qvel=3e-6, torque=2e-5, qd_before=3e-6, lowest=3e-7)
+        close = dict(qpos=3e-7, qvel=3e-6, torque=2e-5, qd_before=3e-6, lowest=5e-7)
         close |= dict.fromkeys(CLOCKS, 0) | ({} if robot in DAMPED else {"qacc_warmstart": 1e-2})
         for name, atol in close.items():
             hand = np.array([row[t][name] for row in hands])
@@ -145,8 +145,8 @@ SLOW = [pytest.param(*case, marks=pytest.mark.slow) for case in OTHERS]
 
 @pytest.mark.parametrize(("robot", "touching"), [("go1", "feet"), *SLOW])
 def test_every_step_is_that_of_mjx(robot, touching):
-    """Measured: median 1e-7 and 4e-6, nine tenths below 3e-7 and 1e-5. With contacts of all parts one
-    step in ten differs, by up to 2 rad/s: there MJX differs from a plain loop in C MuJoCo as well."""
+    """Measured: median 1e-7 and 5e-6, nine tenths below 3e-7 and 1e-5. With contacts of all parts some
+    of the rest differ by up to 11 rad/s: there MJX differs from a plain loop in C MuJoCo as well."""
     world = place(robot, touching)
     in_c, in_mjx, start = world.run("c"), world.run("jax"), world.start
     bounds = dict(qpos=(1e-6, 5e-6), qvel=(2e-5, 2e-4), torque=(1e-4, 1e-3))
@@ -158,7 +158,7 @@ def test_every_step_is_that_of_mjx(robot, touching):
             error[t] = np.abs(getattr(found, name) - getattr(expected, name)).max(-1)
         start = {name: getattr(found, name) for name in CARRIED}
     for name, bound in bounds.items():
-        found = np.quantile(errors[name], [0.5, 0.9 if touching == "feet" else 0.8])
+        found = np.quantile(errors[name], [0.5, 0.9])
         assert (found <= bound).all(), (name, found)
 
 

@@ -321,7 +321,11 @@ COST = {"impl": "c", "sim_steps": 2_345_678, "seconds": 61.2, "compile_seconds":
 SUMMARY = COST | {"return": 3.25, "return_max": 4.5, "evaluation": EVALUATION, "video": "a.mp4"}
 NOBODY = EVALUATION | {"tracking_error": None, "yaw_error": None}
 TABLES = {  # what differs in the summary, what is shown, what is not
-    "one seed": ({}, "3.25 | 4.50 | 2.35 M on C MuJoCo | 61.2 s | 5.50 | 12.50 % | 0.31 m/s | a.mp4", "seeds"),
+    "one seed": (
+        {},
+        "3.25 | 4.50 | 2.35 M on C MuJoCo | 61.2 s | 5.50 | 12.50 % | 0.31 m/s | a.mp4",
+        "seeds",
+    ),
     "two seeds": (
         {"return": [3.0, 3.5], "evaluation": {"fall_rate": [0.1, 0.3]}},
         "3.25 (2 seeds: 3.00 to 3.50) | 20.00 % (2 seeds: 10.00 to 30.00)",
