@@ -269,6 +269,6 @@ def show_summary(out, config, workdir: Path, summary: dict) -> None:
     if "video" in summary:
         out.print(str(summary["video"]), soft_wrap=True)
     out.print(f"see it: python -m dynappo.play {workdir} --out=walk.html", soft_wrap=True)
-    if config.run.num_iterations < 200:
+    if config.run.num_iterations < 200 or summary["impl"] == "c":
         name = config.robot
         out.print(f"next: python -m dynappo.train --config=configs/{name}.py  (4096 robots, a GPU)")
