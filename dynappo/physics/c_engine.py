@@ -27,6 +27,7 @@ import mujoco
 import numpy as np
 from mujoco import rollout
 
+from dynappo.config import ConfigError
 from dynappo.physics import robot as robot_lib
 from dynappo.physics import xla_call
 
@@ -41,7 +42,8 @@ NUMBERS = (
     "saturation_effort",
     "velocity_limit",
 )
-FAR = 1e6  # a state or a target beyond it is not given to MuJoCo, which would log it
+FAR = 500.0  # a state or a target beyond it is not given to MuJoCo, which would log it
+FAR_ACCELERATION = 1e6
 _ONE_AT_A_TIME = threading.Lock()  # the pool of threads serves one call
 
 
@@ -66,21 +68,35 @@ def cores(threads: int) -> int:
     return len(affinity(0)) if affinity else os.cpu_count() or 1
 
 
+def check(robot: robot_lib.Robot) -> None:
+    """ConfigError for a file whose integrator would take the motors' own damping implicitly."""
+    integrator = mujoco.mjtIntegrator(robot.mj_model.opt.integrator)
+    if integrator != mujoco.mjtIntegrator.mjINT_EULER:
+        name = integrator.name.removeprefix("mjINT_").lower()
+        raise ConfigError(
+            f"physics.impl is c, but {robot.xml} has the integrator {name}, with which C MuJoCo's motors are "
+            "not those of the other engines; set physics.impl=jax, or take the integrator out of the file"
+        )
+
+
 def make(robot: robot_lib.Robot, physics, varied: frozenset[str]):
     """`step(qpos, qvel, qacc_warmstart, target, numbers) -> Moved` of one robot, for `jax.vmap`.
 
     `physics` is the config's group; `target` are joint angles, `numbers` those of `NUMBERS`.
     """
-    steps, threads = physics.substeps, cores(physics.threads)
-    world = _World(robot, _model(robot, physics), steps, threads, varied)
-    kind = "_".join(sorted(varied))
-    name = f"dynappo_c_{steps}_{threads}_{kind}_{robot_lib.digest(world.model)}"
-    xla_call.register(name, world.step)
-    model, parts, feet = world.model, len(robot.parts), len(robot.feet)
+    check(robot)
+    steps, threads, model = physics.substeps, cores(physics.threads), _model(robot, physics)
+    name = f"dynappo_c_{steps}_{threads}_{'_'.join(sorted(varied))}_{robot_lib.digest(model)}"
+    if not xla_call.registered(name):
+        xla_call.register(name, _World(robot, model, steps, threads, varied).step)
+    parts, feet = len(robot.parts), len(robot.feet)
     shapes = (model.nq,), (model.nv,), (model.nv,), (model.nu,), (model.nu,)
     shapes += (steps, feet), (steps, parts), (steps, parts, 4)
     shapes = [jax.ShapeDtypeStruct(shape, jnp.float32) for shape in shapes]
-    call = jax.ffi.ffi_call(name, shapes, vmap_method="broadcast_all")
+    how: Any = dict(
+        vmap_method="broadcast_all", has_side_effect=True
+    )  # for the latter see xla_call.py
+    call = jax.ffi.ffi_call(name, shapes, **how)
     return lambda *args: Moved(*call(*args))
 
 
@@ -89,6 +105,8 @@ def _model(robot: robot_lib.Robot, physics) -> mujoco.MjModel:
     spec = robot_lib.physics_spec(robot.xml)
     geom, kinds = mujoco.mjtObj.mjOBJ_GEOM, mujoco.mjtSensor
     feet, parts = ([spec.geoms[i] for i in ids] for ids in (robot.feet, robot.parts))
+    for sensor in list(spec.sensors):  # the file's own
+        spec.delete(sensor)
     for i, shape in enumerate(spec.geoms):
         shape.name = shape.name or f"geom {i}"
     for kind, shapes in (
@@ -127,8 +145,13 @@ class _World:
 
     def _step(self, args, outs) -> None:
         qpos, qvel, warm, target, numbers = args
+        if not np.isfinite(numbers).all():
+            raise ValueError("a body or a motor with numbers that are not finite")
         count, robot, model = len(qpos), self.robot, self.model
-        good = np.abs(np.concatenate(args[:4], 1)).max(1) < FAR  # not so where one is NaN
+        good = (
+            np.abs(np.concatenate([qpos, qvel, target], 1)).max(1) < FAR
+        )  # not so where one is NaN
+        good &= np.abs(warm).max(1) < FAR_ACCELERATION
         state = np.empty((count, 1 + model.nq + model.nv))
         state[:, 0], state[:, 1 : 1 + model.nq], state[:, 1 + model.nq :] = 0, qpos, qvel
         control = np.repeat(target[:, None], self.steps, 1).astype(float)

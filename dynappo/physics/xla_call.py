@@ -5,8 +5,8 @@ cores can wait for the very thread that the call occupies, and JAX never keeps a
 in its cache. Here XLA's C interface for foreign functions (jaxlib/include/xla/ffi/api/c_api.h, whose
 names these structures have) hands over where the arrays lie, and the program is cached as any other.
 
-A script must wait for its results before it ends (`jax.block_until_ready`): a program that still runs would
-call into a Python that is gone. The commands do (program/devices.py).
+Call it with `has_side_effect=True`: JAX then waits for the program before Python ends. Otherwise one that
+still runs calls into a Python that is gone, and the process hangs or crashes.
 """
 
 from __future__ import annotations
@@ -64,6 +64,11 @@ _Api = _struct("Api", *_BASE, ("version", _Version), ("internal", c_void_p), ("f
 _HANDLER = ctypes.CFUNCTYPE(c_void_p, POINTER(_Frame))
 
 _KEPT: dict[str, object] = {}  # XLA has no way to forget a target
+
+
+def registered(name: str) -> bool:
+    """Whether there is a function of this name."""
+    return name in _KEPT
 
 
 def register(name: str, function: Callable[[list[np.ndarray], list[np.ndarray]], None]) -> None:

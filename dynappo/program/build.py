@@ -39,8 +39,11 @@ def check(config) -> None:
     """ConfigError if this machine or the robot's file cannot run `config`; nothing is compiled."""
     from dynappo.physics import robot
 
-    devices.engine(config)
-    robot.load(config.robot)
+    impl, loaded = devices.engine(config), robot.load(config.robot)
+    if impl == "c":
+        from dynappo.physics import c_engine
+
+        c_engine.check(loaded)
     memory.check(config, memory.limit(devices.here(config.run.device)))
 
 

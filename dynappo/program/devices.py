@@ -16,14 +16,9 @@ ENGINES = {"jax": "MJX-JAX", "warp": "MJX-Warp", "c": "C MuJoCo"}  # as people a
 
 def own_process(device: str = "auto") -> None:
     """JAX's settings for a process that is ours: no GPU is touched for "cpu", and compiled programs are
-    kept for the next process, where the user has not said otherwise.
-
-    Programs on a CPU run in the thread that calls them: one that still runs in another thread when Python
-    ends, and then calls C MuJoCo (physics/xla_call.py), would wait for ever or crash.
-    """
+    kept for the next process, where the user has not said otherwise."""
     import jax
 
-    jax.config.update("jax_cpu_enable_async_dispatch", False)
     if device == "cpu":
         jax.config.update("jax_platforms", "cpu")
     cache = Path(os.environ.get("XDG_CACHE_HOME", "~/.cache")).expanduser() / "dynappo" / "jax"
