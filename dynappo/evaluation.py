@@ -3,7 +3,7 @@
 By it runs are compared. Trials of one command after another in C MuJoCo are evaluate/trials.py's.
 
 One episode a robot on the nominal task: the policy's mean action, no observation noise, no
-randomised physics, every episode from age 0, commands drawn as in training. Tracking error is the
+randomised physics, every episode whole, commands drawn as in training. Tracking error is the
 root mean square of the planar velocity error (m/s) after the first second, over all robots that
 still stand; `yaw_error` the same of the yaw rate (rad/s).
 

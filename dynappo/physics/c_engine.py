@@ -1,11 +1,12 @@
 """C MuJoCo on all cores: a whole control step of all robots as one call from the compiled program.
 
-On two CPU cores it is several times faster than MJX (experiments/03_speed). `mujoco.rollout` keeps a
+On two CPU cores it makes more than twice as many steps as MJX (CHANGELOG.md). `mujoco.rollout` keeps a
 pool of threads in C; each takes the next robots, so that none waits while another works, and what a
 robot does depends on neither the thread nor its neighbours.
 
 Why a control step and not a physics step a call: every robot has a body of its own, so a model of its own,
-and four steps read it from memory once. With 512 Go1 on two cores that is 34 instead of 21 k control steps/s.
+and four steps read it from memory once. With 512 Go1 on two cores that is 34 instead of 21 k control steps/s
+(a prototype, 2026-11-22).
 PD and motor limits are therefore MuJoCo's: its DC motor with a position input computes what
 `actuators.clip_dc_motor` does (tests/physics/test_c_engine.py).
 
@@ -42,6 +43,7 @@ NUMBERS = (
     "saturation_effort",
     "velocity_limit",
 )
+POSITION = int(mujoco.mjtCtrlInput.mjINPUT_POS)  # what a motor's control is
 FAR = 500.0  # a state or a target beyond it is not given to MuJoCo, which would log it
 FAR_ACCELERATION = 1e6
 _ONE_AT_A_TIME = threading.Lock()  # the pool of threads serves one call
@@ -93,10 +95,8 @@ def make(robot: robot_lib.Robot, physics, varied: frozenset[str]):
     shapes = (model.nq,), (model.nv,), (model.nv,), (model.nu,), (model.nu,)
     shapes += (steps, feet), (steps, parts), (steps, parts, 4)
     shapes = [jax.ShapeDtypeStruct(shape, jnp.float32) for shape in shapes]
-    how: Any = dict(
-        vmap_method="broadcast_all", has_side_effect=True
-    )  # for the latter see xla_call.py
-    call = jax.ffi.ffi_call(name, shapes, **how)
+    # a side effect, so that JAX waits for it before Python ends (xla_call.py)
+    call = jax.ffi.ffi_call(name, shapes, vmap_method="broadcast_all", has_side_effect=True)
     return lambda *args: Moved(*call(*args))
 
 
@@ -124,9 +124,6 @@ def _model(robot: robot_lib.Robot, physics) -> mujoco.MjModel:
     model = robot_lib.settle(spec.compile(), physics, robot.parts)
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # a blow-up is to be seen
     return model
-
-
-POSITION = int(mujoco.mjtCtrlInput.mjINPUT_POS)
 
 
 class _World:

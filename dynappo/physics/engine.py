@@ -168,11 +168,8 @@ def _simulate_in_c(engine: Engine, hyper: Config, body, first: Substeps, target,
     row = jnp.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], -1)
     seen = slice(None) if engine.remember else slice(-1, None)
     lowest = _lowest(engine, moved.height[seen], row[seen]).min(0)
-    told = {name: getattr(moved, name) for name in ("torque", "qd_before", *STATE)}
-    return s._replace(lowest=lowest, **told)
-
-
-STATE = ("qpos", "qvel", "qacc_warmstart")
+    told = "qpos", "qvel", "qacc_warmstart", "torque", "qd_before"
+    return s._replace(lowest=lowest, **{name: getattr(moved, name) for name in told})
 
 
 def _feet(engine: Engine, s: Substeps, heights) -> Substeps:

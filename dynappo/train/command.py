@@ -145,7 +145,7 @@ def _train_and_show(command: Command, stop: Stop, out) -> None:
         f"{memory.text(program.bytes_needed)} of memory"
     )
     if program.impl == "jax" and program.device == "cpu":
-        say("on a CPU C MuJoCo is several times faster than MJX: --config.physics.impl=c")
+        say("on a CPU C MuJoCo is more than twice as fast as MJX: --config.physics.impl=c")
     bar = Progress(
         TextColumn("{task.description}"),
         BarColumn(16),

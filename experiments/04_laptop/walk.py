@@ -1,9 +1,9 @@
 """Evaluations of one run on a CPU, over the seconds that it trained: what `:laptop` was chosen by.
 
-    taskset -c 0,1 python -m experiments.04_laptop.walk OUT.json go1:laptop [FIELD=VALUE ...]
+    taskset -c 0,1 python experiments/04_laptop/walk.py OUT.json go1:laptop [FIELD=VALUE ...]
 
 trains `run.num_iterations` iterations, or `--seconds` of training at most, and evaluates every
-`run.eval_every` of them. The clock stops while it evaluates and compiles.
+`run.eval_every` of them (0: only at the end). The clock stops while it evaluates and compiles.
 """
 
 import os
@@ -12,7 +12,6 @@ from pathlib import Path
 
 import jax
 
-from dynappo import config as config_lib
 from dynappo.config import files
 from dynappo.program import devices
 from experiments import paper, run
@@ -32,18 +31,15 @@ def main():
 
 
 def walk(job: str, fields, seconds: float) -> dict:
-    robot, variant = job.split(":")
-    config = config_lib.load(f"configs/{robot}.py:{variant}")
-    for text in fields:
-        config_lib.override(config, *text.split("=", 1))
-    config = config_lib.validate(config)
+    config = run.configure(job, 1, fields)
+    every = config.run.eval_every or config.run.num_iterations
     rows, spent, began = [], 0.0, None
     for program, done, state, metrics in run.chunks(config):
         jax.block_until_ready(state)
         if began is not None:  # the first chunk is also compiled
             spent += time.perf_counter() - began
         last = done >= config.run.num_iterations or spent >= seconds
-        if last or done % config.run.eval_every == 0:
+        if last or done % every == 0:
             found = {k: float(v) for k, v in program.evaluate(state).items()}
             steps = int(program.columns["n_real"][:done].sum()) * config.rollout.num_envs
             ring = float(metrics["episode_return"][-1])
