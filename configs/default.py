@@ -114,6 +114,7 @@ class Ppo(NamedTuple):
     lambda_: float = 0.95
     max_grad_norm: float = 1.0
     precision: str = "highest"
+    symmetry: bool = False  # what is learned of the left holds for the right (learner/symmetry.py)
 
 
 class Weights(NamedTuple):
@@ -287,7 +288,8 @@ def apply_variant(config: config_dict.ConfigDict, variant: str) -> config_dict.C
         config.model.update(hidden=(128, 128, 128), activation="swish")
         config.model.update(epochs=4, late_epochs=2, late_from=50)
         config.ppo.update(hidden=(128, 64), activation="swish", gamma=0.98, desired_kl=0.02)
-        config.run.update(device="cpu", num_iterations=500, log_every=10)
+        config.ppo.symmetry = True
+        config.run.update(device="cpu", num_iterations=400, log_every=10)
         config.run.update(eval_envs=200, eval_steps=1000)
     elif variant == "quick":
         # The default kernel (std 0.5) first makes episodes shorter, because a fall ends negative

@@ -43,7 +43,7 @@ def init(env: Env, hyper: Config, key: PRNGKeyArray, *, static: Config) -> Train
     env_state = jax.vmap(env.reset, (None, 0, 0))(hyper, bodies, per_robot(reset_key, robot_index))
     uses_model = schedule.uses_model(static)
     return TrainState(
-        learner=ppo.init(static, hyper, env.obs_size, env.action_size, policy_key),
+        learner=ppo.init(static, hyper, env.obs_size, env.action_size, policy_key, env.mirror),
         model=dynamics.init(static, env, model_key) if uses_model else None,
         env_state=env_state,
         params_physics=bodies,
@@ -82,7 +82,7 @@ def iterate(
 
     # Update the policy by PPO on real and synthetic rows alike
     batch = estimate(static, hyper, params, buffer, real)
-    learner, learned = ppo.update(static, hyper, state.learner, batch, key(UPDATE))
+    learner, learned = ppo.update(static, hyper, state.learner, batch, key(UPDATE), env.mirror)
 
     returns, lengths = stats.finished(state, buffer, n_real)
     state = state.replace(learner=learner, returns=returns, lengths=lengths)

@@ -33,6 +33,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
+import numpy as np
 from flax import struct
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
@@ -160,6 +161,13 @@ class TrainState:
     key: PRNGKeyArray
 
 
+class Mirror(NamedTuple):
+    """The mirror image, left for right, of a vector: `sign * x[index]`. Its own inverse."""
+
+    index: np.ndarray  # [K] int
+    sign: np.ndarray  # [K] 1.0 or -1.0
+
+
 class Env(NamedTuple):
     """An environment as pure functions of one robot, and the sizes the learner must know.
 
@@ -186,4 +194,5 @@ class Env(NamedTuple):
     action_size: int
     dt: float  # s, one control step
     episode_length: int  # control steps
+    mirror: tuple[Mirror, Mirror] | None = None  # of obs and action, with `ppo.symmetry`
     mesh: jax.sharding.Mesh | None = None  # devices over which the robots are spread (sweep.py)

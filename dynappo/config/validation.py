@@ -184,6 +184,8 @@ def _check_pairs(config, fields: dict[str, Any]) -> None:
         rows,
         f"a multiple of ppo.minibatches = {ppo.minibatches}",
     )
+    halves = not ppo.symmetry or all(size % 2 == 0 for size in ppo.hidden)
+    _expect(halves, "ppo.hidden", ppo.hidden, "even sizes where ppo.symmetry is True")
     _expect(
         config.schedule.end_steps < rollout.horizon,
         "schedule.end_steps",

@@ -19,7 +19,7 @@ import optax
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from dynappo.learner import networks
+from dynappo.learner import networks, symmetry
 from dynappo.types import Config, Learner, Metrics, Transition
 
 METRICS: tuple[str, ...] = ("kl", "surrogate_loss", "value_loss", "entropy")  # of every step
@@ -45,13 +45,13 @@ def batch(rows: Transition, advantages, returns, weight=None) -> Batch:
 
 
 def init(
-    static: Config, hyper: Config, obs_size: int, action_size: int, key: PRNGKeyArray
+    static: Config, hyper: Config, obs_size: int, action_size: int, key: PRNGKeyArray, mirror=None
 ) -> Learner:
-    """A fresh learner."""
+    """A fresh learner; `mirror` as of `update`."""
     params = networks.init_policy(static, hyper, obs_size, action_size, key)
+    params = symmetry.tie(params, symmetry.policy_image(static, mirror))
     opt_state = _optimizer(hyper).init(ravel_pytree(params)[0])
-    learning_rate = jnp.asarray(hyper.ppo.learning_rate, jnp.float32)
-    return Learner(params=params, opt_state=opt_state, learning_rate=learning_rate)
+    return Learner(params, opt_state, jnp.asarray(hyper.ppo.learning_rate, jnp.float32))
 
 
 def _optimizer(hyper: Config):
@@ -111,18 +111,19 @@ def adapt(static: Config, hyper: Config, learning_rate: Float[Array, ""], kl: Fl
 
 
 def minibatch_step(
-    static: Config, hyper: Config, unflatten, learner: Learner, batch: Batch, old_std
+    static: Config, hyper: Config, unflatten, learner: Learner, batch: Batch, old_std, image=None
 ) -> tuple[Learner, Metrics]:
     """One gradient step: loss, KL, learning rate, clipped gradient, Adam; `(learner, metrics)`.
 
     Parameters are one vector, as Adam's moments are, and `unflatten` gives their tree: clipping and Adam are
-    then 4 kernels and not 33. `std` comes last in it.
+    then 4 kernels and not 33. `std` comes last in it. With an `image`: the gradient of mirrored rows too.
     """
 
     def of_vector(params):
         return loss(static, hyper, unflatten(params), batch, old_std)
 
     grads, metrics = jax.grad(of_vector, has_aux=True)(learner.params)
+    grads = symmetry.mean(grads, unflatten, image)
     rate = adapt(static, hyper, learner.learning_rate, metrics["kl"])
     updates, opt_state = _optimizer(hyper).update(grads, learner.opt_state)
     params = learner.params - rate * updates
@@ -151,20 +152,19 @@ def minibatches(static: Config, batch: Batch, key: PRNGKeyArray) -> Batch:
 
 
 def update(
-    static: Config, hyper: Config, learner: Learner, batch: Batch, key
+    static: Config, hyper: Config, learner: Learner, batch: Batch, key, mirror=None
 ) -> tuple[Learner, Metrics]:
-    """`epochs` x `minibatches` steps on one rollout `[N, R]` with raw advantages; metrics are their means.
-
-    `learning_rate` is the one the last step used.
-    """
+    """`epochs` x `minibatches` steps on one rollout `[N, R]` with raw advantages; metrics are their means,
+    and the learning rate of the last step. `mirror` is `Env.mirror`, read with `ppo.symmetry`."""
     old_std = learner.params["std"]
     batch = batch._replace(advantages=normalize(batch.advantages, batch.weight))
     shuffled = minibatches(static, batch, key)
     params, unflatten = ravel_pytree(learner.params)
+    image = symmetry.policy_image(static, mirror)
 
     def step(learner, i):
         rows = jax.tree.map(lambda x: x[i % static.ppo.minibatches], shuffled)
-        learner, metrics = minibatch_step(static, hyper, unflatten, learner, rows, old_std)
+        learner, metrics = minibatch_step(static, hyper, unflatten, learner, rows, old_std, image)
         return learner, jnp.stack([metrics[name] for name in METRICS])  # one array: one kernel
 
     steps = jnp.arange(static.ppo.epochs * static.ppo.minibatches)

@@ -38,8 +38,11 @@ class Program(NamedTuple):
 def check(config) -> None:
     """ConfigError if this machine or the robot's file cannot run `config`; nothing is compiled."""
     from dynappo.physics import robot
+    from dynappo.task import mirror
 
     impl, loaded = devices.engine(config), robot.load(config.robot)
+    if config.ppo.symmetry:
+        mirror.joints(loaded)
     if impl == "c":
         from dynappo.physics import c_engine
 

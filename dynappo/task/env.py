@@ -18,7 +18,7 @@ import numpy as np
 from dynappo.physics import engine as engine_lib
 from dynappo.physics import randomize
 from dynappo.physics import robot as robot_lib
-from dynappo.task import commands, observe, rewards
+from dynappo.task import commands, mirror, observe, rewards
 from dynappo.types import Config, Env, EnvState, Outcome
 
 MAX_JOINT_SPEED, MAX_BASE_SPEED = 100.0, 20.0  # rad/s, m/s: beyond is a numerical blow-up
@@ -64,6 +64,7 @@ def make(robot: robot_lib.Robot, task, physics_config, *, impl: str = "jax") -> 
         action_size=len(robot.joint_names),
         dt=const.dt,
         episode_length=task.episode_length,
+        mirror=mirror.find(robot),
     )
 
 

@@ -19,7 +19,7 @@ physics.impl physics.contacts
 """.split()
 BOOLS = """
 run.tensorboard model.predict_change model.normalize model.clean model.known_reward model.falls
-model.bounds ppo.adaptive ppo.clip_value task.random_clock
+model.bounds ppo.adaptive ppo.clip_value ppo.symmetry task.random_clock
 """.split()
 SIZES = "model.hidden ppo.hidden".split()
 OPTIONAL = {  # None in the file

@@ -1,0 +1,102 @@
+"""Left and right: a policy for which the mirror image of a robot is as good as the robot itself.
+
+A legged robot that is its own mirror image moves as its mirror image does: the mirrored action in the
+mirrored state leads to the mirrored next state, for the same reward. With M the mirror image of a vector
+(task/mirror.py), the best policy and its value have
+
+    policy(M o) = M policy(o)        value(M o) = value(o)
+
+`policy_image` gives the weights of M policy(M o), where the image of a hidden unit is the unit half a layer
+away. A policy whose weights are their own image is symmetric. They start so (`tie`), and stay so
+because every gradient becomes the mean of itself and its image (`mean`): the gradient of the loss on all
+rows and their mirror images, at the cost of the rows alone. The networks stay ordinary ones.
+
+Why not rows and mirrored rows (Mittal et al. 2024, arXiv:2403.04359): the same gradient in twice the
+time. Why not the transition model too: it learns no faster with it (experiments/04_laptop).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Float
+
+from dynappo.types import Config, Mirror
+
+Image = Callable[[Any], Any]  # of a tree of weights, or of its gradient; its own inverse
+
+
+def vector(mirror: Mirror, x: Float[Array, "... K"]) -> Float[Array, "... K"]:
+    """The mirror image of `x`."""
+    return jnp.asarray(mirror.sign, x.dtype) * x[..., mirror.index]
+
+
+def unchanged(size: int) -> Mirror:
+    """Of numbers that a mirror does not change."""
+    return Mirror(np.arange(size), np.ones(size))
+
+
+def network_image(params, inputs: Mirror, outputs: Mirror):
+    """Weights of the network `outputs f(inputs x)`, for those of the MLP f (networks.py)."""
+    layers, before, out = params["params"], inputs, {}
+    for i in range(len(layers)):
+        layer = layers[f"Dense_{i}"]
+        size = layer["bias"].shape[-1]
+        half = Mirror(np.roll(np.arange(size), size // 2), np.ones(size))
+        after = outputs if i == len(layers) - 1 else half
+        kernel = vector(after, vector(before, layer["kernel"].T).T)
+        out[f"Dense_{i}"] = {"kernel": kernel, "bias": vector(after, layer["bias"])}
+        before = half
+    return {"params": out}
+
+
+def policy_image(static: Config, mirror: tuple[Mirror, Mirror] | None) -> Image | None:
+    """Of `{"actor", "critic", "std"}`, or None without `ppo.symmetry`; `mirror` is `Env.mirror`.
+
+    A ValueError where an environment without a mirror image is asked for one.
+    """
+    if not static.ppo.symmetry:
+        return None
+    if mirror is None:
+        raise ValueError(
+            "ppo.symmetry is True: this environment has no mirror image; set it to False"
+        )
+    obs, action = mirror
+
+    def image(params: dict) -> dict:
+        actor = network_image(params["actor"], obs, action)
+        critic = network_image(params["critic"], obs, unchanged(1))
+        return {"actor": actor, "critic": critic, "std": params["std"][action.index]}
+
+    return image
+
+
+def mean(grads: Float[Array, " K"], unflatten: Callable, image: Image | None):
+    """The mean of a gradient and its image, `unflatten` giving its tree; itself without an image."""
+    if image is None:
+        return grads
+    return (grads + ravel_pytree(image(unflatten(grads)))[0]) / 2
+
+
+def tie(params, image: Image | None):
+    """Fresh weights as their own image: of two that are each other's, the second follows the first."""
+    if image is None:
+        return params
+    leaves, treedef = jax.tree.flatten(params)
+    starts = np.cumsum([0, *(leaf.size for leaf in leaves)])
+    numbers = [
+        jnp.arange(start, start + leaf.size, dtype=jnp.float32).reshape(leaf.shape)
+        for start, leaf in zip(starts, leaves, strict=False)
+    ]
+    numbers = jax.tree.unflatten(treedef, numbers)
+
+    def one(number, other, x, y):  # a weight that is its own image is their mean
+        first = jnp.where(number < jnp.abs(other), x, y)
+        return jnp.where(number == jnp.abs(other), (x + y) / 2, first)
+
+    return jax.tree.map(one, numbers, image(numbers), params, image(params))

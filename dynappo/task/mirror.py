@@ -1,0 +1,48 @@
+"""The mirror image, left for right, of what a policy sees and of what it does: `find(robot)`.
+
+Read from the robot's own model: the partner of a joint is the joint at the mirrored place in the home
+pose, and turns the other way or the same way as their axes say. NumPy and C MuJoCo only.
+"""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from dynappo.config import ConfigError
+from dynappo.physics.robot import Robot
+from dynappo.types import Mirror
+
+CLOSE = 5e-3  # m; of axes, no unit; of the home pose, rad
+# the mirror has the base's y axis as its normal; what turns is mirrored the other way round
+MOVES, TURNS = np.array([1.0, -1.0, 1.0]), np.array([-1.0, 1.0, -1.0])
+
+
+def joints(robot: Robot) -> Mirror:
+    """Of joint positions, velocities and actions [A]; a ConfigError names joints without a partner."""
+    data = mujoco.MjData(robot.mj_model)
+    data.qpos[:] = robot.home_qpos
+    mujoco.mj_forward(robot.mj_model, data)
+    place, axis = data.xanchor[1:] - robot.home_qpos[:3], data.xaxis[1:]
+    index = np.linalg.norm((place * MOVES)[:, None] - place, axis=-1).argmin(-1)
+    sign = np.sign((axis * TURNS * axis[index]).sum(-1))
+    apart = np.abs(place * MOVES - place[index]).max(-1)
+    apart = np.maximum(apart, np.abs(axis * TURNS - sign[:, None] * axis[index]).max(-1))
+    apart = np.maximum(apart, np.abs(robot.default_pose - sign * robot.default_pose[index]))
+    if (apart > CLOSE).any():
+        names = ", ".join(np.array(robot.joint_names)[apart > CLOSE])
+        raise ConfigError(f"robot {robot.name} is not its own mirror image: no partner of {names}")
+    return Mirror(index, sign)
+
+
+def find(robot: Robot) -> tuple[Mirror, Mirror] | None:
+    """Of an observation (observe.py) and of an action; None if the robot is not its own image."""
+    try:
+        own = joints(robot)
+    except ConfigError:
+        return None
+    command = np.array([1.0, -1.0, -1.0])
+    vectors = np.concatenate([MOVES, MOVES, TURNS, command])  # gravity, velocities, command
+    sizes = [own.index, own.index + 12, np.arange(24, 36), own.index + 36]
+    signs = [own.sign, own.sign, vectors, own.sign]
+    return Mirror(np.concatenate(sizes), np.concatenate(signs)), own
