@@ -8,6 +8,7 @@ import itertools
 import json
 import os
 import socket
+from fnmatch import fnmatch
 from functools import partial
 from pathlib import Path
 
@@ -24,6 +25,11 @@ from dynappo.train import log
 MAY_CHANGE = (
     "run.num_iterations run.checkpoint_every run.eval_every run.eval_envs run.video_seconds "
     "run.device run.mesh_seed run.mesh_env run.tensorboard run.wandb physics.impl physics.threads"
+).split()
+# what runs write into their folder, `evaluate` too, and what people film or export into it
+WRITTEN = (
+    "config.json* lock metrics.csv* checkpoints damaged-* events* policy.npz* summary.json* curves.png "
+    "video.mp4* nonfinite.npz wandb* evaluation* *.html *.mp4 *.gif *.png *.onnx"
 ).split()
 NO_LOCKS = (errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS)  # of some file systems
 
@@ -43,7 +49,7 @@ def open_workdir(workdir: Path, config, fresh: bool = False):
 
 def _open(workdir: Path, config, fresh: bool, held: contextlib.ExitStack) -> None:
     try:
-        if fresh and workdir.exists():
+        if fresh and _movable(workdir):
             with _hold(workdir):
                 number = next(n for n in itertools.count(1) if not _old(workdir, n).exists())
                 old = workdir.rename(_old(workdir, number))
@@ -100,6 +106,23 @@ def _begun(workdir: Path) -> bool:
 def saved(workdir: Path) -> list[int]:
     """Iterations of the checkpoints of `workdir` that are complete, newest first."""
     return checkpoint_file.iterations(workdir / "checkpoints")
+
+
+def _movable(workdir: Path) -> bool:
+    """Whether `fresh` has a run to move; ConfigError where the folder is more than that."""
+    if not workdir.is_dir() or not any(workdir.iterdir()):
+        return False
+    if Path.cwd().is_relative_to(workdir.resolve()):
+        raise ConfigError(
+            f"--workdir={workdir}: --fresh cannot move the folder that you are in; call it from outside"
+        )
+    names = [path.name for path in sorted(workdir.iterdir())]
+    if others := [name for name in names if not any(fnmatch(name, ours) for ours in WRITTEN)]:
+        raise ConfigError(
+            f"--workdir={workdir} holds {others[0]}, which no run writes: --fresh moves whole runs only; "
+            "move it yourself, or choose another folder"
+        )
+    return True
 
 
 def _old(workdir: Path, number: int) -> Path:

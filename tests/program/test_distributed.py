@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from answers import ROOT, refused
 
-from dynappo.program import distributed
+from dynappo.program import distributed, meeting
 
 TESTS = ROOT / "tests"
 DEADLINE = 240  # s for a command that must come to an end by itself
@@ -196,7 +196,7 @@ def test_flags_that_do_not_make_a_run_are_refused(flags, words):
     ],
 )
 def test_a_step_of_slurm_with_several_tasks_is_several_processes(variables, expected):
-    assert distributed.in_slurm(variables) is expected
+    assert meeting.in_slurm(variables) is expected
 
 
 def test_slurm_is_asked_only_where_no_flag_says_otherwise(monkeypatch):
@@ -234,4 +234,4 @@ def test_with_one_process_nothing_is_asked_of_the_others():
     ],
 )
 def test_every_task_of_slurm_gets_the_gpus_that_are_its_own(variables, expected):
-    assert distributed._slurm_devices(variables) == expected
+    assert meeting.slurm_devices(variables) == expected

@@ -86,6 +86,26 @@ MISTAKES = {  # flags after the config file, what the line must say
     "stray word": (["quick"], "quick: no such flag"),
     "workdir missing": (["--workdir"], "--workdir: expected one argument"),
     "no number": (["--processes=two"], "--processes: invalid int value: 'two'"),
+    "workdir empty": (["--workdir="], "--workdir: is empty, expected a path"),
+    "restore empty": (["--restore="], "--restore: is empty, expected a path"),
+    "long name": ([f"--workdir={'a' * 300}"], "cannot write there (File name too long)"),
+    "two lines": (["--workdir=taken/a\nb"], "--workdir=taken/a\\nb: cannot write there (Not a dir"),
+    "long line": (["--config.run.seed=" + "x" * 9999], "... "),
+    "a folder of others": (
+        ["--workdir=thesis", "--fresh"],
+        "thesis holds thesis.txt, which no run",
+    ),
+    "here": (["--workdir=.", "--fresh"], "--fresh cannot move the folder that you are in"),
+    "above": (["--workdir=..", "--fresh"], "--fresh cannot move the folder that you are in"),
+    "restore and move": (["--workdir=old", "--restore=old", "--fresh"], "--restore=old: "),
+    "lighter than nothing": (
+        ["--config.task.randomize.base_mass=(-9,0)"],
+        "task.randomize.base_mass is (-9.0, 0.0), expected more than -5.20 kg",
+    ),
+    "nobody to meet": (
+        ["--coordinator=localhost:99999999", "--processes=2", "--process=0"],
+        "--coordinator is 'localhost:99999999', expected HOST:PORT",
+    ),
     "workdir is a file": (["--workdir=taken"], "--workdir=taken: cannot write there"),
     "another run": (["--config.ppo.epochs=4", "--workdir=old"], "ppo.epochs 5 there, 4 here"),
     "restore nothing": (["--restore=none", "--fresh"], "--restore=none: no checkpoints/ there"),
@@ -106,6 +126,9 @@ def test_a_mistake_is_one_line_and_status_2(name, tmp_path, monkeypatch, capsys)
     old = config_lib.to_json(config_lib.validate(config_lib.load("configs/go1.py:dyna4")))
     (tmp_path / "old").mkdir()
     (tmp_path / "old" / "config.json").write_text(old)
+    (tmp_path / "old" / "checkpoints" / "5").mkdir(parents=True)
+    (tmp_path / "thesis").mkdir()
+    (tmp_path / "thesis" / "thesis.txt").write_text("years")
     (tmp_path / "old" / "metrics.csv").write_text("iteration\n1\n")
     monkeypatch.setattr(train_command.build, "program", lambda _: pytest.fail("compiled"))
     before = workdirs.everything(tmp_path)
