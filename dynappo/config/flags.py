@@ -120,28 +120,22 @@ def answer(action: Callable[[], None], stopped: str | Callable[[], str] = "stopp
         code = end.code
     except KeyboardInterrupt as stop:
         line, code = stopped if isinstance(stopped, str) else stopped(), (*stop.args, 130)[0]
+    except BrokenPipeError:
+        code = 1
     except Exception as error:
         line, code = _told(error)
-        if isinstance(error, BrokenPipeError) and _unread():
-            line = ""
-        elif not line:
+        if not line:
             raise
-    unread = _unread()
-    if line:
-        print(f"dynappo: {_one_line(line)}", file=sys.stderr)
-    if code or unread:
-        sys.exit(code or 1)
-
-
-def _unread() -> bool:
-    """Whether nobody reads what is printed (`| head`); if so, Python will not complain at its end."""
     try:
         if sys.stdout:
             sys.stdout.flush()
-    except BrokenPipeError:
+    except BrokenPipeError:  # else Python would complain of it at its end
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return True
-    return False
+        code = code or 1
+    if line:
+        print(f"dynappo: {_one_line(line)}", file=sys.stderr)
+    if code:
+        sys.exit(code)
 
 
 def _told(error: Exception) -> tuple[str, int]:

@@ -130,8 +130,9 @@ def _last_words(line: str) -> None:
 def _say(word: str) -> None:
     """Tell that process that nothing is to be told."""
     if _pipe and not _pipe.closed:
-        _pipe.write(word.encode())
-        _pipe.close()
+        with contextlib.suppress(BrokenPipeError):  # somebody has ended it
+            _pipe.write(word.encode())
+            _pipe.close()
 
 
 def meet() -> None:
