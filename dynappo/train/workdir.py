@@ -110,18 +110,24 @@ def saved(workdir: Path) -> list[int]:
 
 def _movable(workdir: Path) -> bool:
     """Whether `fresh` has a run to move; ConfigError where the folder is more than that."""
-    if not workdir.is_dir() or not any(workdir.iterdir()):
+    names = sorted(path.name for path in workdir.iterdir()) if workdir.is_dir() else []
+    if not set(names) - {"lock"}:
         return False
     if Path.cwd().is_relative_to(workdir.resolve()):
         raise ConfigError(
             f"--workdir={workdir}: --fresh cannot move the folder that you are in; call it from outside"
         )
-    names = [path.name for path in sorted(workdir.iterdir())]
-    if others := [name for name in names if not any(fnmatch(name, ours) for ours in WRITTEN)]:
+    others = [name for name in names if not any(fnmatch(name, ours) for ours in WRITTEN)]
+    if not {"config.json", "checkpoints", "metrics.csv"} & set(names):
+        others = others or names
+    if others:
         raise ConfigError(
-            f"--workdir={workdir} holds {others[0]}, which no run writes: --fresh moves whole runs only; "
-            "move it yourself, or choose another folder"
+            f"--workdir={workdir} holds {others[0]}, which no run writes: --fresh moves runs, and nothing "
+            "else; move it yourself, or choose another folder"
         )
+    if "config.json" in names and not _begun(workdir):
+        there = (workdir / "config.json").read_text()
+        _compare(workdir, there, there)  # somebody else's
     return True
 
 

@@ -5,6 +5,7 @@ import json
 import os
 import shutil
 import socket
+from pathlib import Path
 
 import filelock
 import jax
@@ -154,6 +155,67 @@ def test_fresh_moves_the_old_run_aside(config, whole, tmp_path):
     old = tmp_path / "run.old-1"
     assert {p.name for p in old.iterdir()} >= set(whole.files) - {"lock"}
     assert (old / "metrics.csv").read_bytes() == whole.files["metrics.csv"]
+
+
+THEIRS = {  # what else is in the folder, what is said
+    "thesis.txt": "holds thesis.txt, which no run writes",
+    "src/main.c": "holds src, which no run writes",
+    ".ssh/id": "holds .ssh, which no run writes",
+    "config.json.new": None,
+    "walk.html": None,  # of `play`, into the folder of the run
+    "evaluation/evaluation.json": None,
+    "damaged-5/x": None,
+}
+
+
+@pytest.mark.parametrize("run", [True, False])
+@pytest.mark.parametrize("name", [n for n, said in THEIRS.items() if said])
+def test_fresh_moves_nothing_that_no_run_wrote(config, tmp_path, name, run):
+    """Somebody's folder, also one that a run was once started in; a line, and all is as it was."""
+    workdir = tmp_path / "mine"
+    (workdir / name).parent.mkdir(parents=True)
+    (workdir / name).write_text("years")
+    if run:
+        opened(workdir, config)
+    before = workdirs.everything(tmp_path)
+    line = refused(opened, workdir, config, fresh=True)
+    assert line.startswith(f"--workdir={workdir} {THEIRS[name]}")
+    assert workdirs.everything(tmp_path) == before
+
+
+@pytest.mark.parametrize("name", [n for n, said in THEIRS.items() if not said])
+def test_fresh_moves_what_our_commands_wrote(config, tmp_path, name):
+    workdir = tmp_path / "run"
+    (workdir / name).parent.mkdir(parents=True)
+    (workdir / name).write_text("a")
+    opened(workdir, config)
+    opened(workdir, config, fresh=True)
+    assert (tmp_path / "run.old-1" / name).read_text() == "a"
+
+
+@pytest.mark.parametrize("name", ["walk.html", "config.json"])
+def test_fresh_moves_no_folder_without_a_run(config, tmp_path, name):
+    """Pictures, or another program's settings."""
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / name).write_text("{}")
+    line = refused(opened, tmp_path / "mine", config, fresh=True)
+    assert f"holds {name}, which no run" in line or "that is not of a run" in line
+    assert [path.name for path in tmp_path.iterdir()] == ["mine"]
+    assert [path.name for path in (tmp_path / "mine").iterdir()] == [name]
+
+
+def test_fresh_moves_no_folder_that_somebody_is_in_and_no_empty_one(config, tmp_path, monkeypatch):
+    """What is written next would land in the old one."""
+    workdir = tmp_path / "run"
+    workdir.mkdir()
+    opened(workdir, config, fresh=True)
+    assert [path.name for path in tmp_path.iterdir()] == ["run"]
+    (workdir / "events").mkdir()
+    for inside, name in ((workdir, "."), (workdir / "events", ".."), (workdir / "events", workdir)):
+        monkeypatch.chdir(inside)
+        line = refused(opened, Path(name), config, fresh=True)
+        assert "--fresh cannot move the folder that you are in" in line
+    assert [path.name for path in tmp_path.iterdir()] == ["run"]
 
 
 # ---- the policy that is kept
