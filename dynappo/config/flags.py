@@ -44,10 +44,14 @@ def read_known(
 ) -> tuple[argparse.Namespace, list[str]]:
     """`(flags, the rest)` of `argv`, or of the command line; ConfigError if one cannot be understood."""
     try:
-        return of.parse_known_args(argv)
+        flags, rest = of.parse_known_args(argv)
     except argparse.ArgumentError as error:
         hint = "; write it as --flag=VALUE" if "expected one argument" in str(error) else ""
         raise ConfigError(str(error).removeprefix("argument ") + hint) from None
+    for name, value in vars(flags).items():
+        if value == []:  # what argparse makes of `--flag=--`
+            raise ConfigError(f"--{name.replace('_', '-')}: expected a value, not '--'")
+    return flags, rest
 
 
 def read(of: argparse.ArgumentParser, argv: list[str] | None) -> argparse.Namespace:
@@ -76,6 +80,8 @@ def path(text: str) -> Path:
     """For `add_argument(type=path)`: an empty one would mean the working directory."""
     if not text:
         raise argparse.ArgumentTypeError("is empty, expected a path")
+    if len(text) > LONGEST:  # to make so many folders Python would need a deeper stack
+        raise argparse.ArgumentTypeError(f"has {len(text)} characters, expected at most {LONGEST}")
     return Path(text)
 
 

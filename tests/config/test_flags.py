@@ -151,6 +151,7 @@ def test_flags_are_written_out_and_complete():
     parser.add_argument("--workdir")
     assert flags.read(parser, ["--workdir=a"]).workdir == "a"
     for argv, expected in (
+        (["--workdir=--"], "--workdir: expected a value, not '--'"),
         (["--work=a"], "--work=a: no such flag; python -m dynappo.show --help lists them"),
         (["--workdir"], "--workdir: expected one argument; write it as --flag=VALUE"),
     ):
@@ -161,6 +162,8 @@ def test_an_empty_path_and_a_far_number_are_refused():
     parser = flags.parser("show", "Shows.", "")
     parser.add_argument("--workdir", type=flags.path)
     assert "--workdir: is empty, expected a path" in refused(flags.read, parser, ["--workdir="])
+    deep = refused(flags.read, parser, ["--workdir=" + "a/" * 2000])
+    assert deep == "--workdir: has 4000 characters, expected at most 600"
     assert flags.whole("seed", "7", 0) == 7
     for text in ("-1", "2147483648", "1" + "0" * 30, "9" * 9999, "1.5", "", "x"):
         line = refused(flags.whole, "seed", text, 0)

@@ -161,7 +161,7 @@ THEIRS = {  # what else is in the folder, what is said
     "thesis.txt": "holds thesis.txt, which no run writes",
     "src/main.c": "holds src, which no run writes",
     ".ssh/id": "holds .ssh, which no run writes",
-    "config.json.new": None,
+    "policy.npz.part": None,
     "walk.html": None,  # of `play`, into the folder of the run
     "evaluation/evaluation.json": None,
     "damaged-5/x": None,
