@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 
 PACKAGE = Path(__file__).resolve().parents[1]
@@ -15,7 +16,8 @@ def roots() -> tuple[Path, ...]:
 
 def find(folder: str, name: str) -> Path | None:
     """The first `folder/name` of `roots`; None if there is none."""
-    return next((root / folder / name for root in roots() if (root / folder / name).exists()), None)
+    paths = (root / folder / name for root in roots())
+    return next((path for path in paths if os.path.exists(path)), None)  # also of a name too long
 
 
 def robots() -> list[str]:

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import importlib
+import io
+import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -58,8 +61,8 @@ def load(spec: str | None, rest: list[str]):
 
 def check_writable(out: Path) -> None:
     """ConfigError if no file can be written at `out`; leaves none behind."""
-    fresh = not out.exists()
     try:
+        fresh = not out.exists()  # raises where the name is too long
         out.open("ab").close()
     except OSError as error:
         raise ConfigError(f"--out={out}: cannot write there ({error.strerror})") from None
@@ -67,12 +70,25 @@ def check_writable(out: Path) -> None:
         out.unlink()
 
 
+def start(command: str) -> None:
+    """Run `dynappo.COMMAND`, whatever MUJOCO_GL is.
+
+    MuJoCo reads it when it is imported, and fails where it names what is not there. No command draws
+    in its own process: films are made in another (policy/render.py), the viewer has its own window.
+    """
+    os.environ["MUJOCO_GL"] = "disable"
+    importlib.import_module(f"dynappo.{command}.command").main()
+
+
 def answer(action: Callable[[], None], stopped: str = "stopped") -> None:
     """Do `action`; what ends it is one line and an exit status.
 
     2: it cannot be done as asked; 1: numbers blew up, or a file cannot be written; 130 where it is
-    interrupted, with the line `stopped`.
+    interrupted, with the line `stopped`. What a stream cannot show (names in ASCII) it shows as `\\xe4`.
     """
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # not what a notebook or a test has put there
+            stream.reconfigure(errors="backslashreplace")
     try:
         return action()
     except ConfigError as error:
@@ -84,5 +100,8 @@ def answer(action: Callable[[], None], stopped: str = "stopped") -> None:
         line, code = full if error.strerror else str(error), 1  # without: a library, not a file
     except KeyboardInterrupt:
         line, code = stopped, 130
-    print(f"dynappo: {line}", file=sys.stderr)
+    shown = "".join(
+        c if c.isprintable() else ascii(c)[1:-1] for c in line
+    )  # names may hold anything
+    print(f"dynappo: {shown}", file=sys.stderr)
     sys.exit(code)

@@ -48,6 +48,7 @@ ROWS = (  # of the table of a sweep: name, label, format
     ("duty_factor", "duty factor", "{:.2f}"),
     ("stride_frequency", "stride frequency", "{:.2f} /s"),
 )
+MAX_EPISODES = 10**6  # of which each is a robot in memory
 USAGE = """\
 what is evaluated is a workdir (while it trains: its newest checkpoint), a checkpoint folder, a
 policy.npz, or the name of a robot with a bundled policy
@@ -76,11 +77,13 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
             "nothing to evaluate is named; try a workdir, as in: "
             "python -m dynappo.evaluate runs/quick"
         )
-    for name, least in (("episodes", 1), ("seed", 0)):
+    for name, least, most in (("episodes", 1, MAX_EPISODES), ("seed", 0, 2**31 - 1)):
         text = getattr(flags, name)
         if text is not None:
-            if not text.isdecimal() or int(text) < least:
-                raise ConfigError(f"--{name}={text!r}: expected an integer of {least} or more")
+            if not text.isdecimal() or (len(text) < 20 and int(text) < least):
+                raise ConfigError(f"--{name}={text[:40]!r}: expected an integer of {least} or more")
+            if len(text) >= 20 or int(text) > most:
+                raise ConfigError(f"--{name}={text[:40]!r}: expected an integer of at most {most}")
             setattr(flags, name, int(text))
     for name in ("episodes", "randomize", "seed"):
         value = getattr(flags, name)

@@ -20,7 +20,7 @@ import mujoco
 import numpy as np
 
 from dynappo.config import ConfigError
-from dynappo.physics import actuators, contacts
+from dynappo.physics import actuators, contacts, mjcf
 from dynappo.policy.policy_file import Policy
 from dynappo.task import observe
 
@@ -64,10 +64,8 @@ def load(
         if not ok:
             raise ConfigError(f"{xml}: expected {text}")
 
-    try:
-        model = mujoco.MjModel.from_xml_path(str(xml))
-    except ValueError as error:
-        raise ConfigError(f"{xml}: {' '.join(str(error).split())}") from None
+    with mjcf.reading(xml):
+        model = mjcf.check_model(mujoco.MjModel.from_xml_path(str(xml)))
     kinds = {model.joint(i).name: int(model.jnt_type[i]) for i in range(model.njnt)}
     hinge, free = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_FREE)
     lacks = [name for name in policy.joint_names if kinds.get(name) != hinge]
