@@ -23,6 +23,8 @@ MAX_ELEMENTS = 20_000  # of XML, each as often as it is repeated
 MAX_BODIES, MAX_SPEEDS = 2000, 1000  # the mass matrix has the square of the latter
 TIMESTEP = 1e-5, 0.1  # s
 REPEATS = ("replicate", "composite", "flexcomp")  # their `count` is how often, along each axis
+NAN = {"nan", "+nan", "-nan"}  # MuJoCo would warn of it, into a file of the working directory
+NAMES = {"name", "class", "childclass", "file"}  # attributes that may well be called so
 # attribute, or TAG.attribute -> largest number in it
 MOST = {
     "count": 10_000,
@@ -112,6 +114,8 @@ def _elements(text: str, times: int, counted: list[int], of: str) -> list[tuple[
     def start(tag, attributes):
         often = stack[-1]
         for name, value in attributes.items():
+            if name not in NAMES and NAN & set(value.lower().split()):
+                raise ValueError(f"{of}{tag} has {name}={value[:40]!r}, expected numbers")
             numbers = _within(tag, name, value, of)
             if tag in REPEATS and name == "count":
                 often *= math.prod(max(1, math.ceil(n)) for n in numbers)

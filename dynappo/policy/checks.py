@@ -147,7 +147,8 @@ def _check_layers(network: str, tree, inputs: int, outputs: int) -> None:
     width = inputs
     for i in range(len(layers)):
         layer = layers.get(f"Dense_{i}", {})
-        _expect(isinstance(layer, dict) and set(layer) == {"kernel", "bias"}, f"{rule}: Dense_{i}")
+        pair = isinstance(layer, dict) and set(layer) == {"kernel", "bias"}
+        _expect(pair, f"{rule}: Dense_{i} is no kernel and bias")
         kernel, bias = (np.shape(layer[name]) for name in ("kernel", "bias"))
         chains = len(kernel) == 2 and kernel[0] == width and min(kernel) > 0
         found = f"Dense_{i} has a kernel {kernel} and a bias {bias} after {width} numbers"

@@ -125,7 +125,7 @@ def _array(path: Path, archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> np.n
 
 
 def nested(arrays: dict[str, np.ndarray]) -> dict:
-    """`{"actor/params": x}` as `{"actor": {"params": x}}`; ValueError if a name lies inside of another."""
+    """`{"actor/params": x}` as `{"actor": {"params": x}}`; ValueError if one cannot be placed."""
     tree: dict = {}
     for name, value in arrays.items():
         *groups, leaf = name.split("/")
@@ -135,6 +135,6 @@ def nested(arrays: dict[str, np.ndarray]) -> dict:
             if not isinstance(node, dict):
                 break
         if not isinstance(node, dict) or leaf in node or len(groups) > 10:
-            raise ValueError(f"{name} lies inside of another array")
+            raise ValueError(f"its entry `{name}` lies inside of another, or too deep")
         node[leaf] = value
     return tree

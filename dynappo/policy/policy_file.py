@@ -151,6 +151,10 @@ def load(path: Path) -> Policy:
     if text is None:
         raise ConfigError(f"{path}: no entry `about`: not a policy.npz as training writes it")
     try:
+        params = npz_file.nested(arrays)
+    except ValueError as error:
+        raise ConfigError(f"{path}: {error}") from None
+    try:
         about = json.loads(str(text))
         version = about.pop("format")
         if version != FORMAT:
@@ -158,7 +162,7 @@ def load(path: Path) -> Policy:
             raise ConfigError(
                 f"{path}: written in format {version}, this dynappo reads {FORMAT}; update dynappo"
             )
-        policy = Policy(**about, params=npz_file.nested(arrays))
+        policy = Policy(**about, params=params)
     except ConfigError:
         raise
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:

@@ -207,9 +207,18 @@ ARRAYS = {  # arrays that are put in, what the line must say
         {KERNEL: np.zeros((16, 0), np.float32), "actor/params/Dense_1/bias": np.zeros(0, "f4")},
         "kernel (16, 0)",
     ),
-    "a layer too many": ({"actor/params/Dense_9/kernel": np.zeros((2, 2), "f4")}, "Dense_3"),
-    "a layer in a layer": ({f"{KERNEL}/more": np.zeros(2, "f4")}, "lies inside of another array"),
-    "thousands of groups": ({"a/" * 40 + "b": np.zeros(2, "f4")}, "lies inside of another array"),
+    "a layer too many": (
+        {"actor/params/Dense_9/kernel": np.zeros((2, 2), "f4")},
+        "Dense_3 is no kernel",
+    ),
+    "a layer in a layer": (
+        {f"{KERNEL}/more": np.zeros(2, "f4")},
+        "lies inside of another, or too deep",
+    ),
+    "thousands of groups": (
+        {"a/" * 40 + "b": np.zeros(2, "f4")},
+        "lies inside of another, or too deep",
+    ),
     "a critic that is no network": ({"critic/x": np.zeros(2, "f4")}, "not the layers of a critic"),
     "NaN beside the actor": ({"std": np.full(12, np.nan, "f4")}, "std is not finite"),
     "11 standard deviations": ({"std": np.ones(11, "f4")}, "std has the shape (11,)"),
