@@ -39,7 +39,8 @@ def settings(policy: Policy):
         node, default = config[group] if group else config, defaults[name]
         settled = validation.settle(default, value) if isinstance(default, tuple) else value
         try:
-            if settled is None:
+            truth = default is not None and isinstance(settled, bool) != isinstance(default, bool)
+            if settled is None or truth:  # True would pass for 1
                 raise TypeError
             node[leaf] = settled
         except (TypeError, ValueError):

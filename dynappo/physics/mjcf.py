@@ -68,7 +68,7 @@ def reading(xml: Path):
         yield
     except ConfigError:
         raise
-    except (ValueError, MemoryError, mujoco.FatalError) as error:
+    except (ValueError, RuntimeError, MemoryError, mujoco.FatalError) as error:
         text = " ".join(str(error).split()) or "it needs more memory than there is"
         raise ConfigError(f"{xml}: {text}") from None
 

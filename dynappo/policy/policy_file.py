@@ -96,9 +96,10 @@ def actor(params: dict, activation: str) -> Callable[[np.ndarray], np.ndarray]:
     act = ACTIVATIONS[activation]
 
     def mean(obs):
-        for i, (kernel, bias) in enumerate(weights):
-            obs = obs @ kernel + bias
-            obs = act(obs) if i < len(weights) - 1 else obs
+        with np.errstate(over="ignore", invalid="ignore"):  # told as a blow-up where it is played
+            for i, (kernel, bias) in enumerate(weights):
+                obs = obs @ kernel + bias
+                obs = act(obs) if i < len(weights) - 1 else obs
         return obs
 
     return mean
@@ -203,7 +204,10 @@ def load_checkpoint(folder: Path) -> Policy:
     """The policy of an orbax checkpoint `WORKDIR/checkpoints/ITERATION`; of several seeds the first."""
     try:
         config = config_dict.ConfigDict(checkpoint_file.about(folder)["config"])
-        robot, several = robot_lib.load(config.robot), config.run.num_seeds > 1
+        several, name = config.run.num_seeds > 1, config.robot
+        if not isinstance(name, str):
+            raise TypeError
+        policy = describe(config, robot_lib.load(name))
     except ConfigError:
         raise
     except (KeyError, AttributeError, TypeError, ValueError):
@@ -215,7 +219,11 @@ def load_checkpoint(folder: Path) -> Policy:
             arrays[name.removeprefix(prefix).replace(".", "/")] = first
     if not arrays:
         raise ConfigError(f"{folder}: not a checkpoint of dynappo (it holds no networks)")
-    return _checked(folder, describe(config, robot, npz_file.nested(arrays)))
+    try:
+        params = npz_file.nested(arrays)
+    except ValueError as error:
+        raise ConfigError(f"{folder}: {error}") from None
+    return _checked(folder, policy._replace(params=params))
 
 
 def locate(text: str) -> Path:

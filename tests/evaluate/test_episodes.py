@@ -48,6 +48,7 @@ def test_the_settings_are_those_of_training(policy):
         ("run.eval_steps", 10**12),
         ("physics.iterations", 10**9),
         ("ppo.hidden", [64, 64]),
+        ("run.mesh_seed", True),
     ],
 )
 def test_a_config_that_does_not_fit_is_one_line(policy, field, value):

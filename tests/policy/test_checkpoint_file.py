@@ -69,6 +69,12 @@ def test_damage_is_one_line_and_nothing_is_changed(tmp_path):
     line = refused(policy_file.find, str(workdir / "checkpoints" / "9"))
     assert "9: not a checkpoint, or damaged (its numbers are not those that were saved)" in line
     assert checkpoint_file.iterations(workdir / "checkpoints") == [10, 9]
+    config = text["config"]
+    wrong = ([], {"a.b": 1}, config | {"task": 1}, config | {"robot": {}}, config | {"ppo": [1]})
+    for found in wrong:
+        about.write_text(json.dumps(text | {"config": found}))
+        line = refused(policy_file.find, str(workdir / "checkpoints" / "9"))
+        assert line.endswith("9: not a checkpoint of dynappo (it holds no config)")
     del text["config"]
     about.write_text(json.dumps(text))
     assert "it holds no config" in refused(policy_file.find, str(workdir / "checkpoints" / "9"))
