@@ -2,9 +2,9 @@
 
 A few characters can ask for a hundred thousand bodies (`replicate`), a field of 40 GB or a time step of
 1e-12 s; MuJoCo would compute for hours, or end the process. Not looked at are the meshes, pictures and
-other data that a file names, which may be as large as they like. Nor is it said where a file may read:
-`include` and all others may name any file of the machine. So an MJCF is trusted as code is
-(robots/README.md); the checks here are against mistakes, and against what is meant to harm at no cost.
+other data that a file names, nor what its plugins are told: these can take all time and memory. Nor is
+it said where a file may read: `include` and all others may name any file of the machine. So an MJCF is
+trusted as code is (robots/README.md); what is checked here are mistakes, and harm that costs nothing.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ MOST = {
     "cellcount": 1000,
     "nrow": 4096,
     "ncol": 4096,
-    "texture.width": 8192,
-    "texture.height": 8192,
+    "texture.width": 4096,
+    "texture.height": 4096,
     "mesh.params": 1000,
     "numeric.size": 10**6,
     "contact.num": 1000,
@@ -60,17 +60,23 @@ UNITS = "KMGTPE"  # of `size.memory`, each 1024 times the one before
 
 
 @contextlib.contextmanager
-def reading(xml: Path):
-    """Check the file, and turn what is said inside of it, by MuJoCo or by us, into a ConfigError of one
-    line that begins with its path."""
+def one_line(xml: Path):
+    """What MuJoCo or we say of a file in here, as a ConfigError of one line that begins with its path."""
     try:
-        check_text(xml)
         yield
     except ConfigError:
         raise
     except (ValueError, RuntimeError, MemoryError, mujoco.FatalError) as error:
         text = " ".join(str(error).split()) or "it needs more memory than there is"
         raise ConfigError(f"{xml}: {text}") from None
+
+
+@contextlib.contextmanager
+def reading(xml: Path):
+    """As `one_line`, for what compiles the file: its text is checked first."""
+    with one_line(xml):
+        check_text(xml)
+        yield
 
 
 def check_text(xml: Path) -> None:

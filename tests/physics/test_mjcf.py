@@ -67,7 +67,7 @@ HOSTILE = {  # a file, what the line must say
     "a field of 40 GB": (top(FIELD.format(100_000)), "hfield has nrow='100000', expected at most"),
     "a picture of 30 GB": (
         texture('width="100000" height="100000"'),
-        "texture has width='100000', expected at most 8192",
+        "texture has width='100000', expected at most 4096",
     ),
     "8 GB of nothing": (
         top('<custom><numeric name="n" size="1000000000"/></custom>'),
@@ -124,6 +124,17 @@ def test_what_a_file_includes_is_looked_at_too(tmp_path, policy):
     assert line.startswith(f"{path}: {tmp_path}/parts/balls.xml: more than 20000 elements")
     path.write_text(world('<include file="mine.xml"/>'))
     assert str(path) in refused(episode.load, path, policy)
+
+
+def test_what_mujoco_cannot_compute_is_one_line(tmp_path, policy):
+    """150 boxes in one place have more contacts than its memory holds."""
+    box = '<body pos="3 0 1"><freejoint/><geom type="box" size=".1 .1 .1"/></body>'
+    path = tmp_path / "mine.xml"
+    path.write_text(world(f'<replicate count="150" offset="0 0 0.001">{box}</replicate>'))
+    body = episode.load(path, policy)
+    act = policy_file.actor(policy.params, policy.activation)
+    line = refused(episode.play, body, act, lambda t: [0, 0, 0], 0.1)
+    assert line.startswith(f"{path}: ") and "out of memory" in line
 
 
 def test_a_robot_with_a_terrain_is_none_of_them(tmp_path, policy):
