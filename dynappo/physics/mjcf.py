@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import os
 from pathlib import Path
 from xml.parsers import expat
 
@@ -25,6 +26,7 @@ TIMESTEP = 1e-5, 0.1  # s
 REPEATS = ("replicate", "composite", "flexcomp")  # their `count` is how often, along each axis
 NAN = {"nan", "+nan", "-nan"}  # MuJoCo would warn of it, into a file of the working directory
 NAMES = {"name", "class", "childclass", "file"}  # attributes that may well be called so
+FOLDERS = {"assetdir", "meshdir", "texturedir"}  # where files may lie
 # attribute, or TAG.attribute -> largest number in it
 MOST = {
     "count": 10_000,
@@ -98,11 +100,15 @@ def check_text(xml: Path) -> None:
             raise ValueError(f"expected at most {MAX_BYTES} bytes, with all that it includes")
         text = content.decode("utf-8-sig", errors="replace")
         for tag, attributes, often in _elements(text, times, counted, _of(path, xml)):
-            folders |= {attributes[name] for name in ("assetdir", "meshdir") if name in attributes}
-            if tag in ("include", "model") and "file" in attributes:
-                named = attributes["file"]
-                places = [p / f / named for p in (xml.parent, path.parent) for f in folders]
-                todo += [(place, often) for place in dict.fromkeys(places) if place.is_file()]
+            folders |= {attributes[name] for name in FOLDERS & set(attributes)}
+            if not (named := attributes.get("file")):
+                continue
+            places = {p / f / named for p in (xml.parent, path.parent) for f in folders}
+            for place in (place for place in places if os.path.exists(place)):
+                if not os.path.isfile(place) and not os.path.isdir(place):  # it would wait for ever
+                    raise ValueError(f"{_of(path, xml)}{place} is a device, expected a file")
+                if tag in ("include", "model") and os.path.isfile(place):
+                    todo.append((place, often))
 
 
 def _of(path: Path, xml: Path) -> str:

@@ -19,9 +19,9 @@ NUMBERS = {
     "action_scale": (1e-6, 100, "rad"),
     "kp": (0, 1e5, "N m/rad"),
     "kd": (0, 1e4, "N m s/rad"),
-    "effort_limit": (1e-6, 1e5, "N m"),
-    "saturation_effort": (1e-6, 1e6, "N m"),
-    "velocity_limit": (1e-6, 1e4, "rad/s"),
+    "effort_limit": (1e-6, 1e6, "N m"),
+    "saturation_effort": (1e-6, 1e9, "N m"),
+    "velocity_limit": (1e-6, 1e9, "rad/s"),
     "timestep": (1e-5, 0.1, "s"),
 }
 LISTS = {  # one number a joint

@@ -18,7 +18,7 @@ from numpy.lib import format as npy
 
 from dynappo.config import ConfigError
 
-MAX_BYTES = 2**28  # of all arrays together; a policy has less than 1 MiB
+MAX_BYTES = 2**27  # of all arrays together; a policy has less than 1 MiB
 MAX_TEXT = 2**22  # bytes of `about`, four a character
 MAX_NAME = 100  # characters
 MAX_TABLE = 2**18  # bytes of the list of entries at the end of a zip file, about 50 an entry

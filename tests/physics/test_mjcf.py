@@ -1,5 +1,6 @@
 """An MJCF from anybody: what MuJoCo would compute for hours is refused at once, in one line."""
 
+import os
 import time
 
 import mujoco
@@ -124,6 +125,15 @@ def test_what_a_file_includes_is_looked_at_too(tmp_path, policy):
     assert line.startswith(f"{path}: {tmp_path}/parts/balls.xml: more than 20000 elements")
     path.write_text(world('<include file="mine.xml"/>'))
     assert str(path) in refused(episode.load, path, policy)
+
+
+@pytest.mark.parametrize("inside", ['<include file="{}"/>', '<asset><mesh file="{}"/></asset>'])
+def test_a_device_is_no_file(tmp_path, policy, inside):
+    """MuJoCo would read /dev/zero until memory ends, and wait for what nobody writes into a pipe."""
+    os.mkfifo(tmp_path / "pipe.stl")
+    (tmp_path / "mine.xml").write_text(top(inside.format("pipe.stl")))
+    line = refused(episode.load, tmp_path / "mine.xml", policy)
+    assert "pipe.stl is a device, expected a file" in line
 
 
 def test_what_mujoco_cannot_compute_is_one_line(tmp_path, policy):
