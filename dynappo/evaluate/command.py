@@ -48,6 +48,7 @@ ROWS = (  # of the table of a sweep: name, label, format
     ("duty_factor", "duty factor", "{:.2f}"),
     ("stride_frequency", "stride frequency", "{:.2f} /s"),
 )
+MAX_EPISODES = 10**6  # of which each is a robot in memory
 USAGE = """\
 what is evaluated is a workdir (while it trains: its newest checkpoint), a checkpoint folder, a
 policy.npz, or the name of a robot with a bundled policy
@@ -81,7 +82,7 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
             "nothing to evaluate is named; try a workdir, as in: "
             "python -m dynappo.evaluate runs/quick"
         )
-    for name, *bounds in (("episodes", 1, 1_000_000), ("seed", 0)):
+    for name, *bounds in (("episodes", 1, MAX_EPISODES), ("seed", 0)):
         text = getattr(flags, name)
         if text is not None:
             setattr(flags, name, flags_lib.whole(name, text, *bounds))

@@ -4,8 +4,13 @@ An input is a command, its arguments, and a file or two beside them. Most hold o
 wrong; some are right, so that the generator itself is seen to reach what lies behind the checks.
 """
 
+import io
+import json
 import random
+import re
 from typing import NamedTuple
+
+import numpy as np
 
 from dynappo.config import fields, files
 
@@ -148,7 +153,7 @@ RIGHT = {  # arguments with which a command goes on; one of each group
     "play": (
         ["go1", "anymal_d", "mine.npz"],
         ["--out=walk.html"],
-        ["--seconds=2", "--policy=zero"],
+        ["--command=mine.csv", "--robot-xml=mine.xml", "--policy=zero"],
     ),
     "evaluate": (["go1", "anymal_d", "mine.npz"], [], ["--out=new", "--seed=3", "--episodes=9"]),
     "export": (["go1", "go2", "mine.npz"], ["--out=a.onnx", "--out=a.npz"], ["--joint-order=mjcf"]),
@@ -248,15 +253,37 @@ def _script(rng) -> bytes:
 
 
 def _xml(rng) -> bytes:
-    """The Go1's file, damaged."""
-    data = files.find("robots", "go1/go1.xml", own=True).read_bytes()
-    return _damaged(rng, data)
+    """The Go1's file, damaged, or with another value of an attribute."""
+    text = files.find("robots", "go1/go1.xml", own=True).read_text()
+    if rng.random() < 0.5:
+        return _damaged(rng, text.encode())
+    at = rng.choice(list(re.finditer(r'="([^"]*)"', text)))
+    value = rng.choice([*NUMBERS, "", "x", "0 0 0", "1 1 1", "nan nan nan", "9" * 400])
+    return f'{text[: at.start()]}="{value}"{text[at.end() :]}'.encode()
 
 
 def _policy(rng) -> bytes:
     """A small policy.npz, damaged, or with another value in its `about`."""
-    data = files.find("robots", "go1/policy.npz", own=True).read_bytes()
-    return _damaged(rng, data)
+    path = files.find("robots", "go1/policy.npz", own=True)
+    if rng.random() < 0.5:
+        return _damaged(rng, path.read_bytes())
+    with np.load(path) as file:
+        arrays = dict(file)
+    about = json.loads(str(arrays["about"]))
+    name = rng.choice(list(about))
+    about[name] = rng.choice(
+        [None, [], {}, "x", True, -1, 0, 1e12, 1e999, float("nan"), [1.0] * 12, "go2"]
+    )
+    if rng.random() < 0.2:
+        del about[name]
+    arrays["about"] = np.array(json.dumps(about))
+    if rng.random() < 0.3:
+        name = rng.choice(list(arrays))
+        others = np.zeros(3), np.zeros((0, 2)), np.array("x"), np.array([[np.nan]])
+        arrays[name] = others[rng.randrange(4)]
+    out = io.BytesIO()
+    np.savez(out, **arrays)
+    return out.getvalue()
 
 
 MAKERS = {"mine.py": _config_file, "mine.csv": _script, "mine.xml": _xml, "mine.npz": _policy}
