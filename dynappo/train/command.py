@@ -134,11 +134,13 @@ def _train_and_show(command: Command, stop: Stop, out) -> None:
 
     config, workdir = command.config, command.workdir
     with out.status("compiling (under a minute; half of it when cached)"):
+        config = workdir_lib.in_step(config, workdir)
         program = build.program(config)
-        if command.restore:
+        source = workdir_lib.start_from(workdir, command.restore)
+        if source:
             from dynappo.train import restore
 
-            program = restore.start_from(command.restore, program, say)
+            program = restore.start_from(source, program, say)
     engine = devices.ENGINES[program.impl]
     out.print(
         f"{program.device}, {engine}; compiled in {program.compile_seconds:.0f} s, "
@@ -186,7 +188,9 @@ def _train_and_show(command: Command, stop: Stop, out) -> None:
         return
     with out.status("evaluating, filming"):
         summary = finish.finish(config, program, workdir, state, metrics)
-    show_summary(out, config, workdir, summary)
+    if summary:
+        show_summary(out, config, workdir, summary)
+    workdir_lib.check_saved(workdir, done)
 
 
 def describe(config) -> str:

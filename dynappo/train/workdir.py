@@ -6,6 +6,7 @@ import contextlib
 import errno
 import itertools
 import json
+import math
 import os
 import socket
 from functools import partial
@@ -13,17 +14,20 @@ from pathlib import Path
 
 import filelock
 import numpy as np
+from ml_collections import config_dict
 
 from dynappo import config as config_lib
+from dynappo import schedule
 from dynappo.config import ConfigError, files
 from dynappo.policy import checkpoint_file, policy_file
 from dynappo.program import distributed
 from dynappo.train import log
 
-# what may differ when a run goes on: nothing of it changes a number of the iterations before
+# what may differ when a run goes on: nothing of it changes a number that training computes
 MAY_CHANGE = (
-    "run.num_iterations run.checkpoint_every run.eval_every run.eval_envs run.video_seconds "
-    "run.device run.mesh_seed run.mesh_env run.tensorboard run.wandb physics.impl physics.threads"
+    "run.num_iterations run.log_every run.checkpoint_every run.eval_every run.eval_envs run.eval_steps "
+    "run.video_seconds run.device run.mesh_seed run.mesh_env run.tensorboard run.wandb "
+    "physics.impl physics.threads"
 ).split()
 NO_LOCKS = (errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS)  # of some file systems
 
@@ -51,8 +55,7 @@ def _open(workdir: Path, config, fresh: bool, held: contextlib.ExitStack) -> Non
         workdir.mkdir(parents=True, exist_ok=True)
         held.enter_context(_hold(workdir))
         text, path = config_lib.to_json(config), workdir / "config.json"
-        if path.exists():
-            _compare(workdir, path.read_text(), text)
+        _compare(workdir, text)
         done = max(saved(workdir), default=0)
         if done > config.run.num_iterations:
             raise ConfigError(
@@ -66,24 +69,38 @@ def _open(workdir: Path, config, fresh: bool, held: contextlib.ExitStack) -> Non
         ) from None
 
 
-def _compare(workdir: Path, there: str, here: str) -> None:
-    """ConfigError if the config.json of `workdir` is that of another run, which has begun."""
-    if _begun(workdir):
-        changed = config_lib.difference(there, here, MAY_CHANGE)
-        if changed:
+def _compare(workdir: Path, here: str) -> None:
+    """ConfigError if `workdir` holds the config.json of another run that has begun, or of something else.
+
+    Where that file is lost, the config in a checkpoint stands for it.
+    """
+    path = workdir / "config.json"
+    there = path.read_bytes().decode(errors="replace") if path.exists() else "{}"
+    try:
+        ours = {"robot", "rollout", "run"} <= json.loads(there).keys()
+    except (ValueError, AttributeError, RecursionError):
+        ours = False
+    if not _begun(workdir):
+        if path.exists() and not ours:  # somebody else's file is not overwritten
             raise ConfigError(
-                f"--workdir={workdir} holds a run of another config ({changed}); "
-                "choose another folder, or --fresh to move that run aside"
+                f"--workdir={workdir} holds a config.json that is not of a run; choose another folder"
             )
         return
-    try:  # somebody else's file is not overwritten
-        ours = {"robot", "rollout", "run"} <= json.loads(there).keys()
-    except (ValueError, AttributeError):
-        ours = False
-    if not ours:
+    changed = config_lib.difference(there if ours else _of_checkpoints(workdir), here, MAY_CHANGE)
+    if changed:
         raise ConfigError(
-            f"--workdir={workdir} holds a config.json that is not of a run; choose another folder"
+            f"--workdir={workdir} holds a run of another config ({changed}); "
+            "choose another folder, or --fresh to move that run aside"
         )
+
+
+def _of_checkpoints(workdir: Path) -> str:
+    """The config that the newest good checkpoint has; "" if there is none."""
+    for step in saved(workdir):
+        with contextlib.suppress(checkpoint_file.Damaged, KeyError):
+            folder = workdir / "checkpoints" / str(step)
+            return json.dumps(checkpoint_file.about(folder)["config"])
+    return ""
 
 
 def _begun(workdir: Path) -> bool:
@@ -93,13 +110,52 @@ def _begun(workdir: Path) -> bool:
     csv = workdir / "metrics.csv"
     if not csv.exists():
         return False
-    with csv.open() as file:
+    with csv.open("rb") as file:
         return len(list(itertools.islice(file, 2))) > 1
 
 
 def saved(workdir: Path) -> list[int]:
     """Iterations of the checkpoints of `workdir` that are complete, newest first."""
     return checkpoint_file.iterations(workdir / "checkpoints")
+
+
+def in_step(config, workdir: Path | None):
+    """`config`, with chunks so short that one ends at every checkpoint the run may go on from.
+
+    They are `run.log_every` long, but where a run began with another `run.log_every`, or was shorter than
+    one chunk.
+    """
+    done = distributed.on_first(lambda: saved(workdir)) if workdir else []
+    every = math.gcd(config.run.log_every, *done)
+    if every == config.run.log_every:
+        return config
+    config = config_dict.ConfigDict(config)
+    config.run.log_every = every
+    return config_dict.FrozenConfigDict(config)
+
+
+def start_from(workdir: Path, asked: Path | None) -> Path | None:
+    """The run whose networks this one is to start from; None where it starts with untrained ones, or goes on.
+
+    `asked` is `--restore`; `workdir/restored_from` remembers it. ConfigError if the run that is there began
+    from something else.
+    """
+
+    def settle():
+        path = workdir / "restored_from"
+        there = path.read_text().strip() if path.exists() else ""
+        here = str(asked.resolve()) if asked else there
+        if _begun(workdir) and here != there:
+            raise ConfigError(
+                f"--restore={asked}: the run in {workdir} began from {there or 'untrained networks'}; leave "
+                "--restore out to go on with it, or --fresh to start over"
+            )
+        if asked:
+            files.write_text(path, f"{here}\n")
+        return "" if saved(workdir) else here
+
+    found = distributed.on_first(settle)
+    return Path(found) if found else None
 
 
 def _old(workdir: Path, number: int) -> Path:
@@ -146,6 +202,8 @@ def resume(config, workdir: Path, checkpoints, state, say):
         return start, state
 
     start, state = distributed.from_first(read, state)
+    if start and not history:  # of several processes, only the first reads the rest
+        history.append(counted(config, start))
     return start, state, history
 
 
@@ -158,9 +216,7 @@ def _resume(config, workdir: Path, checkpoints, state, say):
         csv.unlink(missing_ok=True)  # of a run that ended before its first checkpoint
         return 0, state, []
     start, state = found
-    if not csv.exists():
-        raise ConfigError(f"{workdir} has checkpoints but no metrics.csv; choose another --workdir")
-    log.cut_csv(csv, start)
+    history = log.go_on_csv(csv, counted(config, start), config.run.num_seeds, say)
     if start < config.run.num_iterations:
         say(f"goes on from iteration {start} of {workdir}")
     else:
@@ -169,12 +225,22 @@ def _resume(config, workdir: Path, checkpoints, state, say):
         )
         again = " and ".join(again) or "summed up"
         say(f"the run in {workdir} is complete ({start} iterations); it is only {again} again")
-    return start, state, [log.read_csv(csv, config.run.num_seeds)]
+    return start, state, [history]
 
 
-def save(
-    config, robot, workdir, checkpoints, done: int, state, metrics, sim_steps: int, evaluated, say
-) -> None:
+def counted(config, end: int, begin: int = 0) -> dict[str, np.ndarray]:
+    """Columns `[I]` of the iterations after `begin` up to `end` that follow from the schedule alone."""
+    n_real = np.asarray(schedule.columns(config)["n_real"], np.int64)
+    columns = {
+        "iteration": np.arange(1, len(n_real) + 1),
+        "n_real": n_real,
+        "n_synthetic": config.rollout.horizon - n_real,
+        "sim_steps": np.cumsum(n_real) * config.rollout.num_envs,
+    }
+    return {name: column[begin:end] for name, column in columns.items()}
+
+
+def save(config, robot, workdir, checkpoints, done: int, state, metrics, evaluated, say) -> None:
     """A checkpoint, and the policy as it is now in a file that can be played at once.
 
     `evaluated` is the return of the last evaluation, of each seed if there are several; None before one.
@@ -184,7 +250,7 @@ def save(
     state = distributed.whole(state)
     if not distributed.first():
         return
-    about = {"sim_steps": sim_steps, "config": config.to_dict()}
+    about = {"sim_steps": int(metrics["sim_steps"][-1]), "config": config.to_dict()}
     now = "eval_return" in metrics and np.isfinite(metrics["eval_return"][-1]).all()
     worth = float(np.mean(evaluated)) if now else None
     log.attempt("the checkpoint before", partial(checkpoint.wait, checkpoints), say)
@@ -193,6 +259,15 @@ def save(
     params = best_params(config, state.learner.params, evaluated)
     write = partial(policy_file.save, workdir / "policy.npz", params, config, robot)
     log.attempt("policy.npz", write, say)
+
+
+def check_saved(workdir: Path, done: int) -> None:
+    """OSError if the last checkpoint of a run that has ended is not there."""
+    if distributed.first() and done not in saved(workdir):
+        raise OSError(
+            f"{workdir}: the checkpoint of iteration {done} could not be saved; policy.npz and summary.json "
+            "may be missing too. Make room, and give the same command again: it goes on from the one before"
+        )
 
 
 def best_params(config, params, evaluated) -> dict:

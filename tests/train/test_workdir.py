@@ -202,7 +202,7 @@ def test_a_save_has_the_worth_of_its_own_evaluation_and_the_policy_that_was_judg
         (4, now, np.array([3.0, 5.0]), 4.0, 1),
         (6, before, np.array([3.0, 5.0]), None, 1),  # judged earlier, not now
     ):
-        at = done, state, metrics, 96, judged
+        at = done, state, metrics | {"sim_steps": np.array([96])}, judged
         workdir_lib.save(config, GO1, tmp_path, None, *at, pytest.fail)
         assert saved[-1] == (done, worth)
         kept = policy_file.load_params(tmp_path / "policy.npz")
