@@ -66,7 +66,8 @@ def opened(workdir: Path, say: Callable[[str], None] = print):
     finally:
         if checkpoints:
             log.attempt("the last checkpoint", partial(wait, checkpoints), say)
-            checkpoints.close()
+            with contextlib.suppress(Exception):  # it raises once more what `wait` has told
+                checkpoints.close()
         for logger, level in zip(loggers, levels, strict=True):
             logger.setLevel(level)
 
@@ -103,6 +104,8 @@ def manager(workdir: Path) -> ocp.CheckpointManager:
         preservation_policy=keep,
         best_fn=worth,
         cleanup_tmp_directories=True,  # of a save that was killed
+        # else a thread of orbax waits five minutes for a folder that could not be made
+        async_options=ocp.AsyncOptions(create_directories_asynchronously=False),
     )
     handlers = {"state": ocp.StandardCheckpointHandler(), "about": ocp.JsonCheckpointHandler()}
     registry = ocp.handlers.DefaultCheckpointHandlerRegistry()

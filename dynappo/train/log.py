@@ -66,7 +66,7 @@ def opened(config, workdir: Path, start: int, say):
 
 
 def csv_sink(path: Path) -> Sink:
-    """Appends to metrics.csv; rows that could not be written are written with the next."""
+    """Appends to metrics.csv; rows that could not be written are written with the next, or at the end."""
     waiting: list[dict] = []
 
     def write(table):
@@ -74,7 +74,7 @@ def csv_sink(path: Path) -> Sink:
         append_csv(path, waiting)
         waiting.clear()
 
-    return Sink("metrics.csv", write, lambda: None)
+    return Sink("metrics.csv", write, lambda: write([]) if waiting else None)
 
 
 def tensorboard_sink(workdir: Path, start: int) -> Sink:

@@ -172,17 +172,17 @@ def _hold(workdir: Path):
     path = workdir / "lock"
     lock = filelock.FileLock(path)
     try:
-        lock.acquire(blocking=False)
-        path.write_text(f"pid {os.getpid()} on {socket.gethostname()}\n")
-    except filelock.Timeout:
-        raise ConfigError(
-            f"--workdir={workdir}: another run is writing in this folder ({path.read_text().strip()}); "
-            "wait for it, or take another --workdir"
-        ) from None
-    except OSError as error:
-        if error.errno not in NO_LOCKS:
-            raise
-    try:
+        try:
+            lock.acquire(blocking=False)
+            path.write_text(f"pid {os.getpid()} on {socket.gethostname()}\n")
+        except filelock.Timeout:
+            raise ConfigError(
+                f"--workdir={workdir}: another run is writing in this folder ({path.read_text().strip()}); "
+                "wait for it, or take another --workdir"
+            ) from None
+        except OSError as error:
+            if error.errno not in NO_LOCKS:
+                raise
         yield
     finally:
         lock.release()
