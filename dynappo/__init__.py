@@ -17,6 +17,7 @@ Importing the package sets two flags of XLA's CPU compiler, before JAX starts; a
 
 import importlib
 import os
+import sys
 from importlib import metadata
 from typing import TYPE_CHECKING
 
@@ -38,6 +39,20 @@ if metadata.version("jaxlib") == "0.10.2":
 for _flag, _value in _FLAGS.items():
     if _flag not in os.environ.get("XLA_FLAGS", ""):
         os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {_flag}={_value}".strip()
+
+
+def _interrupted(kind, error, trace) -> None:
+    """As Python tells of an error, but ctrl-C is one line."""
+    if not issubclass(kind, KeyboardInterrupt):
+        return sys.__excepthook__(kind, error, trace)
+    print("dynappo: stopped", file=sys.stderr, flush=True)
+    os._exit(130)
+
+
+if sys.argv[:1] == [
+    "-m"
+]:  # Python looks for the module of one of our commands: half a second of imports
+    sys.excepthook = _interrupted
 
 
 def __getattr__(name: str):

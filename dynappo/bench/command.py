@@ -48,14 +48,17 @@ def parse(argv: list[str] | None):
     parser.add_argument("--config", metavar="FILE.py[:VARIANT]")
     parser.add_argument("--vs", metavar="FILE.py[:VARIANT]", help="alternate with this one")
     parser.add_argument("--engines", metavar="ENGINE,ENGINE", help="alternate these engines")
-    parser.add_argument("--repeats", type=int, default=5, help="medians of so many; default: 5")
+    parser.add_argument(
+        "--repeats", metavar="N", default="5", help="medians of so many; default: 5"
+    )
     parser.add_argument(
         "--compile", action="store_true", help="time the set-up too, with cold and warm caches"
     )
-    parser.add_argument("--out", type=Path, metavar="FILE.json", help="write all numbers there")
+    parser.add_argument(
+        "--out", type=flags.path, metavar="FILE.json", help="write all numbers there"
+    )
     known, rest = flags.read_known(parser, argv)
-    if known.repeats < 1:
-        raise ConfigError(f"--repeats is {known.repeats}, expected 1 or more")
+    repeats = flags.whole("repeats", known.repeats, 1, 10_000)
     if known.out:  # before minutes of measuring
         flags.check_writable(known.out)
     names = [known.config, known.vs] if known.vs else [known.config]
@@ -74,7 +77,7 @@ def parse(argv: list[str] | None):
         config = flags.load(name, fields)
         config.run.update(num_seeds=1, mesh_seed=1)
         configs.append(config_lib.validate(config))
-    return configs, names, known.repeats, known.out, known.compile
+    return configs, names, repeats, known.out, known.compile
 
 
 def show(names, reports, versus) -> None:

@@ -1,7 +1,8 @@
 """Settings: from a config file to what the compiled program takes. Start at `loading.py`.
 
 - `loading`: a config file and the fields set on the command line
-- `validation`: which settings can be run; `ConfigError`
+- `fields`: which fields there are, and their types; `ConfigError`
+- `validation`: which settings can be run
 - `splitting`: `static` and `hyper`, the two halves that the program takes
 - `files`: where configs/ and robots/ are found, and how small files are written
 - `flags`, `versions`: what every command shares: its flags and how it ends, which code made a result
@@ -9,8 +10,9 @@
 Every folder but those of the method may import it. It imports `schedule` and nothing that needs JAX.
 """
 
+from dynappo.config.fields import ConfigError, flat
 from dynappo.config.loading import difference, load, override, to_json
 from dynappo.config.splitting import split
-from dynappo.config.validation import ConfigError, flat, validate
+from dynappo.config.validation import validate
 
 __all__ = ["ConfigError", "difference", "flat", "load", "override", "split", "to_json", "validate"]

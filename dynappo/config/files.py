@@ -13,9 +13,10 @@ def roots() -> tuple[Path, ...]:
     return Path.cwd(), PACKAGE.parent, PACKAGE
 
 
-def find(folder: str, name: str) -> Path | None:
-    """The first `folder/name` of `roots`; None if there is none."""
-    return next((root / folder / name for root in roots() if (root / folder / name).exists()), None)
+def find(folder: str, name: str, own: bool = False) -> Path | None:
+    """The first `folder/name` of `roots`, with `own` not of the working directory; None if there is none."""
+    paths = (root / folder / name for root in roots()[own:])
+    return next((path for path in paths if path.exists()), None)
 
 
 def robots() -> list[str]:

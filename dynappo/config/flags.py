@@ -3,12 +3,28 @@
 from __future__ import annotations
 
 import argparse
+import errno
+import io
+import os
+import reprlib
 import sys
 from collections.abc import Callable
 from pathlib import Path
 
 from dynappo import config as config_lib
 from dynappo.config import ConfigError
+
+# what is wrong with a path that somebody named; any other error of a file is the machine's
+OF_A_NAME = (
+    errno.ENOENT,
+    errno.ENOTDIR,
+    errno.EISDIR,
+    errno.EACCES,
+    errno.EPERM,
+    errno.ENAMETOOLONG,
+)
+OF_A_NAME += (errno.ELOOP,)
+LONGEST = 600  # characters of a line
 
 
 def parser(command: str, description: str, epilog: str) -> argparse.ArgumentParser:
@@ -28,10 +44,14 @@ def read_known(
 ) -> tuple[argparse.Namespace, list[str]]:
     """`(flags, the rest)` of `argv`, or of the command line; ConfigError if one cannot be understood."""
     try:
-        return of.parse_known_args(argv)
+        flags, rest = of.parse_known_args(argv)
     except argparse.ArgumentError as error:
         hint = "; write it as --flag=VALUE" if "expected one argument" in str(error) else ""
         raise ConfigError(str(error).removeprefix("argument ") + hint) from None
+    for name, value in vars(flags).items():
+        if value == []:  # what argparse makes of `--flag=--`
+            raise ConfigError(f"--{name.replace('_', '-')}: expected a value, not '--'")
+    return flags, rest
 
 
 def read(of: argparse.ArgumentParser, argv: list[str] | None) -> argparse.Namespace:
@@ -56,10 +76,32 @@ def load(spec: str | None, rest: list[str]):
     return config
 
 
+def path(text: str) -> Path:
+    """For `add_argument(type=path)`: an empty one would mean the working directory."""
+    if not text:
+        raise argparse.ArgumentTypeError("is empty, expected a path")
+    if len(text) > LONGEST:  # to make so many folders Python would need a deeper stack
+        raise argparse.ArgumentTypeError(f"has {len(text)} characters, expected at most {LONGEST}")
+    return Path(text)
+
+
+def whole(name: str, text: str, least: int, most: int = 2**31 - 1) -> int:
+    """The integer of `--NAME=TEXT`; ConfigError if it is none, or not from `least` to `most`."""
+    try:
+        value = int(text)
+    except ValueError:  # also of more digits than Python reads
+        value = least - 1
+    if not least <= value <= most:
+        raise ConfigError(
+            f"--{name}={reprlib.repr(text)}: expected an integer of {least} or more, at most {most:,}"
+        )
+    return value
+
+
 def check_writable(out: Path) -> None:
     """ConfigError if no file can be written at `out`; leaves none behind."""
-    fresh = not out.exists()
     try:
+        fresh = not out.exists()
         out.open("ab").close()
     except OSError as error:
         raise ConfigError(f"--out={out}: cannot write there ({error.strerror})") from None
@@ -67,22 +109,66 @@ def check_writable(out: Path) -> None:
         out.unlink()
 
 
-def answer(action: Callable[[], None], stopped: str = "stopped") -> None:
-    """Do `action`; what ends it is one line and an exit status.
+def answer(action: Callable[[], None], stopped: str | Callable[[], str] = "stopped") -> None:
+    """Do `action`; what ends it is one line and an exit status. The only place that decides it.
 
-    2: it cannot be done as asked; 1: numbers blew up, or a file cannot be written; 130 where it is
-    interrupted, with the line `stopped`.
+    2: it cannot be done as asked; 1: numbers blew up, or the machine failed (disk, memory, another
+    process), or nobody reads what is printed any more, which has no line; 130 where it is interrupted,
+    with the line `stopped`, or the status that the KeyboardInterrupt holds. A defect keeps its traceback.
     """
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # what a terminal has no letter for
+            stream.reconfigure(errors="backslashreplace")
+    line, code = "", 0
     try:
-        return action()
-    except ConfigError as error:
-        line, code = str(error), 2
-    except FloatingPointError as error:
-        line, code = str(error), 1
-    except OSError as error:
-        full = f"{error.filename or 'a file'} cannot be written ({error.strerror})"
-        line, code = full if error.strerror else str(error), 1  # without: a library, not a file
-    except KeyboardInterrupt:
-        line, code = stopped, 130
-    print(f"dynappo: {line}", file=sys.stderr)
-    sys.exit(code)
+        action()
+    except SystemExit as end:  # of --help
+        code = end.code
+    except KeyboardInterrupt as stop:
+        line, code = stopped if isinstance(stopped, str) else stopped(), (*stop.args, 130)[0]
+    except BrokenPipeError:
+        code = 1
+    except Exception as error:
+        line, code = _told(error)
+        if not line:
+            raise
+    try:
+        if sys.stdout:
+            sys.stdout.flush()
+    except BrokenPipeError:  # else Python would complain of it at its end
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        code = code or 1
+    if line:
+        print(f"dynappo: {_one_line(line)}", file=sys.stderr)
+    if code:
+        sys.exit(code)
+
+
+def _told(error: Exception) -> tuple[str, int]:
+    """What is said of an error, and the exit status; no line for a defect of ours."""
+    text = str(error)
+    if isinstance(error, ConfigError):
+        return text, 2
+    if isinstance(error, FloatingPointError):
+        return text, 1
+    if isinstance(error, MemoryError):
+        return f"out of memory ({text or 'Python'}); ask for less, or take a larger machine", 1
+    if "RESOURCE_EXHAUSTED" in text:  # JAX, which is not imported here
+        return (
+            f"out of memory ({text.splitlines()[0][:160]}); ask for less, or take more devices",
+            1,
+        )
+    if isinstance(error, OSError) and error.strerror:
+        name = error.filename or "a file"
+        if error.errno in OF_A_NAME:
+            return f"{name} cannot be used ({error.strerror}); name another file or folder", 2
+        return f"{name} cannot be written ({error.strerror})", 1
+    return (text, 1) if isinstance(error, OSError) else ("", 1)  # a library, not a file
+
+
+def _one_line(text: str) -> str:
+    """A text that may hold anything a user typed, in one line that a terminal can show."""
+    if len(text) > LONGEST:
+        half = LONGEST // 2
+        text = f"{text[:half]} ... {text[-half:]}"
+    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)

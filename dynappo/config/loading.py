@@ -15,41 +15,57 @@ import runpy
 
 from ml_collections import config_dict
 
+from dynappo.config import fields
+from dynappo.config.fields import ConfigError, flat
 from dynappo.config.files import find
-from dynappo.config.validation import ConfigError, flat, settle
+
+OWN = (pathlib.Path(), pathlib.Path("configs"))  # a name in one of these may mean dynappo's own
 
 
 def load(spec: str) -> config_dict.ConfigDict:
-    """The config of `FILE.py` or `FILE.py:VARIANT`, looked up in the working directory first."""
+    """The config of `FILE.py` or `FILE.py:VARIANT`; not validated.
+
+    `NAME.py` and `configs/NAME.py` are looked up here, then among dynappo's own configs; a path with
+    another folder is that file or none. The file is run: it may do whatever its author may.
+    """
     name, _, variant = spec.partition(":")
     path = pathlib.Path(name)
-    if not path.is_file():
+    looked_up = path.parent in OWN
+    if looked_up and not path.is_file():
         path = find("configs", path.name) or path
     if not path.is_file():
-        raise ConfigError(f"--config: no file {name!r} here or among dynappo's own configs")
+        where = " here or among dynappo's own configs" if looked_up else ""
+        raise ConfigError(f"--config: no file {name!r}{where}")
     try:
-        get_config = runpy.run_path(str(path)).get("get_config")
-        if get_config is None:
-            raise ConfigError("defines no function get_config(variant)")
-        config = get_config(variant)
-        missing = sorted(set(flat(_default())) - set(flat(config)))
+        config = _run(path, variant)
+        fields.check_names(flat(config).keys())
     except ConfigError as error:
-        raise ConfigError(f"--config: {path} {error}") from None
+        raise ConfigError(f"--config: {path}: {error}") from None
     except ValueError as error:  # of a variant
-        raise ConfigError(f"--config={spec}: {error}") from None
-    except Exception as error:
-        reason = " ".join(str(error).split())
+        raise ConfigError(f"--config={spec}: {_line(error)}") from None
+    except (Exception, SystemExit) as error:  # a file that ends Python must not look like a success
         raise ConfigError(
-            f"--config: {path}: get_config cannot be run: {type(error).__name__}: {reason}"
+            f"--config: {path}: get_config cannot be run: {type(error).__name__}: {_line(error)}"
         ) from None
-    if missing:
-        raise ConfigError(f"--config: {path} lacks {missing[0]}; start from configs/default.py")
     return config
 
 
-@functools.cache
-def _default():
-    return runpy.run_path(str(find("configs", "default.py")))["get_config"]()
+def _run(path: pathlib.Path, variant: str) -> config_dict.ConfigDict:
+    """What get_config of a file returns, if it is a config."""
+    get_config = runpy.run_path(str(path)).get("get_config")
+    if get_config is None:
+        raise ConfigError("defines no function get_config(variant)")
+    config = get_config(variant)
+    if not isinstance(config, config_dict.ConfigDict):
+        kind = type(config).__name__
+        raise ConfigError(
+            f"get_config returns {kind}, expected a ConfigDict; see configs/default.py"
+        )
+    return config_dict.ConfigDict(config)  # a frozen one can be changed again
+
+
+def _line(error: BaseException) -> str:
+    return " ".join(str(error).split())
 
 
 def override(config: config_dict.ConfigDict, field: str, text: str) -> None:
@@ -59,33 +75,19 @@ def override(config: config_dict.ConfigDict, field: str, text: str) -> None:
         node = functools.reduce(lambda c, k: c[k], filter(None, group.split(".")), config)
         old = node[leaf]
     except (KeyError, TypeError, AttributeError):
-        raise ConfigError(f"--config.{field}: no such field; {_near(config, field)}") from None
+        raise ConfigError(f"--config.{field}: no such field; {fields.near(field)}") from None
     if isinstance(old, config_dict.ConfigDict):
         raise ConfigError(f"--config.{field} is a group, expected one of {', '.join(old)}")
-    kind = node.get_type(leaf)
+    kind = fields.every()[field]
     try:
-        value = text if kind is str else ast.literal_eval(text.strip())
-    except (ValueError, SyntaxError):
-        raise ConfigError(_wrong(field, text, old, kind)) from None
-    if isinstance(old, tuple):
-        value = settle(old, value)
-    elif kind is float and type(value) is int:
-        value = float(value)
-    if type(value) is not kind:
-        raise ConfigError(_wrong(field, text, old, kind))
-    node[leaf] = value
-
-
-def _wrong(field, text, old, kind):
-    what = f"tuple like {old}" if isinstance(old, tuple) else kind.__name__
-    return f"--config.{field}={text!r}: expected {what}"
-
-
-def _near(config, field):
-    import difflib
-
-    close = difflib.get_close_matches(field, flat(config), 1, 0.4)
-    return f"did you mean {close[0]}?" if close else "configs/default.py lists all fields"
+        value = text if kind.kind is str else ast.literal_eval(text.strip())
+    except (ValueError, SyntaxError, TypeError, RecursionError, MemoryError):  # of deep nesting too
+        value = None
+    value = fields.settle(kind, value)
+    if value is None:
+        raise ConfigError(f"--config.{field}={text!r}: expected {fields.meant(kind)}")
+    with node.ignore_type():
+        node[leaf] = value
 
 
 def to_json(config) -> str:

@@ -8,6 +8,7 @@ from typing import Any
 from ml_collections import config_dict
 
 from dynappo import schedule
+from dynappo.config.fields import ConfigError, flat, typed
 from dynappo.config.files import find, robots
 
 # What task.formulation decides where the field itself is None (sources: configs/README.md).
@@ -46,7 +47,9 @@ CHOICES = {
     "model.activation": ("elu", "relu", "tanh", "swish"),
     "ppo.activation": ("elu", "relu", "tanh", "swish"),
 }
-# (what is expected, whether a number is that, fields)
+INTEGER = "an integer of 32 bits"  # as the compiled program counts
+# (what is expected, whether a number is that, fields); of a tuple it holds for each number. The upper
+# bounds are far above what is of use: beyond them memory, an int32 or a lifetime does not suffice
 RANGES = (
     (
         "more than 0",
@@ -54,23 +57,52 @@ RANGES = (
         "run.num_seeds run.mesh_seed run.mesh_env run.num_iterations run.log_every rollout.num_envs "
         "rollout.horizon model.epochs model.minibatches model.huber_delta model.learning_rate "
         "ppo.epochs ppo.minibatches ppo.shuffle_blocks ppo.init_std ppo.min_std ppo.learning_rate "
-        "ppo.desired_kl ppo.clip_epsilon ppo.max_grad_norm task.episode_length task.tracking_std "
-        "task.action_scale task.effort_limit task.saturation_effort task.velocity_limit "
-        "physics.timestep physics.substeps physics.iterations physics.ls_iterations",
+        "ppo.max_learning_rate ppo.desired_kl ppo.clip_epsilon ppo.max_grad_norm task.episode_length "
+        "task.tracking_std task.action_scale task.effort_limit task.saturation_effort "
+        "task.velocity_limit physics.substeps physics.iterations "
+        "physics.ls_iterations",
     ),
     (
         "0 or more",
         lambda v: v >= 0,
         "run.checkpoint_every run.eval_every run.eval_envs run.eval_steps run.video_seconds "
-        "schedule.start_steps schedule.end_steps model.late_epochs task.push.velocity "
-        "task.resample_steps physics.threads",
+        "schedule.start_steps schedule.end_steps model.late_epochs ppo.min_learning_rate "
+        "ppo.value_coef task.push.velocity task.push.interval task.resample_steps task.kp task.kd "
+        "task.noise.joint_pos task.noise.joint_vel task.noise.gravity task.noise.linear_velocity "
+        "task.noise.angular_velocity task.reset.foot_clearance task.reset.position task.reset.yaw "
+        "task.reset.velocity task.randomize.base_com task.randomize.friction "
+        "task.randomize.kp_scale task.randomize.kd_scale physics.threads",
     ),
     (
         "a number from 0 to 1",
         lambda v: 0 <= v <= 1,
-        "ppo.gamma ppo.lambda_ model.stats_decay task.standing",
+        "ppo.gamma ppo.lambda_ model.stats_decay task.standing task.reset.soft_limit",
     ),
+    ("a number from 0.0001 to 0.1", lambda v: 1e-4 <= v <= 0.1, "physics.timestep"),
+    (
+        "a number from -100 to 100",
+        lambda v: -100 <= v <= 100,
+        "task.action_scale task.command_x task.command_y task.command_yaw task.heading_gain "
+        "task.reset.spawn_height task.reset.foot_clearance task.reset.yaw task.reset.velocity "
+        "task.reset.joint_scale task.push.velocity",
+    ),
+    ("at most 600", lambda v: v <= 600, "run.video_seconds"),
+    ("at most 1,000", lambda v: v <= 1_000, "physics.substeps physics.threads"),
+    (
+        "at most 10,000",
+        lambda v: v <= 10_000,
+        "run.num_seeds rollout.horizon model.hidden model.epochs model.late_epochs ppo.hidden "
+        "ppo.epochs physics.iterations physics.ls_iterations",
+    ),
+    (
+        "at most 1,000,000",
+        lambda v: v <= 1_000_000,
+        "run.num_iterations run.eval_envs run.eval_steps task.episode_length task.resample_steps "
+        "task.push.interval",
+    ),
+    ("at most 10,000,000", lambda v: v <= 10_000_000, "rollout.num_envs"),
 )
+LAYERS = 32  # of a network, at most
 AT_LEAST = (  # field, another that it must not be below
     ("schedule.end_steps", "schedule.start_steps"),
     ("schedule.end_iteration", "schedule.start_iteration"),
@@ -85,40 +117,15 @@ MULTIPLES = (  # field, another that must divide it
 )
 
 
-class ConfigError(ValueError):
-    """A setting that cannot be run; the message names the field, what was found and expected."""
-
-
-def flat(config, prefix="") -> dict[str, Any]:
-    out = {}
-    for name, value in config.items():
-        if hasattr(value, "items"):
-            out |= flat(value, f"{prefix}{name}.")
-        else:
-            out[prefix + name] = value
-    return out
-
-
-def settle(old: tuple, value) -> tuple | None:
-    """`value` with the element type of `old`, and its length unless those are sizes; else None."""
-    if not isinstance(value, (tuple, list)) or not value:
-        return None
-    if type(old[0]) is float:
-        numbers = all(type(v) in (int, float) for v in value)
-        return tuple(map(float, value)) if numbers and len(value) == len(old) else None
-    return tuple(value) if all(type(v) is int and v > 0 for v in value) else None
-
-
 def validate(config: config_dict.ConfigDict) -> config_dict.FrozenConfigDict:
     """Resolve `task.formulation` and check every number that can be wrong; returns it frozen."""
-    config = config_dict.ConfigDict(config).copy_and_resolve_references()
+    config = typed(config)
     formulation = config.task.formulation
     _expect(formulation in FORMULATIONS, "task.formulation", formulation, _one_of(FORMULATIONS))
     for name, value in FORMULATIONS[formulation].items():
         if config.task[name] is None:
             config.task[name] = value
     config.run.log_every = min(config.run.log_every, config.run.num_iterations)
-    _settle_tuples(config)
     fields = flat(config)
     _check_fields(fields)
     _check_pairs(config, fields)
@@ -151,11 +158,17 @@ def _check_fields(fields: dict[str, Any]) -> None:
     for expected, right, names in RANGES:
         for field in names.split():
             value = fields[field]
-            _expect(value is None or right(value), field, value, expected)
+            numbers = value if isinstance(value, tuple) else (value,)
+            _expect(value is None or all(map(right, numbers)), field, value, expected)
     for field, value in fields.items():
         numbers = value if isinstance(value, tuple) else (value,)
-        finite = all(math.isfinite(v) for v in numbers if isinstance(v, float))
-        _expect(finite, field, value, "finite numbers")
+        for v in numbers:
+            if isinstance(v, float):
+                _expect(math.isfinite(v), field, value, "finite numbers")
+                _expect(
+                    v == 0 or 1e-12 <= abs(v) <= 1e9, field, value, "0, or 1e-12 to 1e9 in size"
+                )
+            _expect(type(v) is not int or abs(v) < 2**31, field, value, INTEGER)
         is_range = len(numbers) == 2 and type(numbers[0]) is float
         ordered = not is_range or numbers[0] <= numbers[-1]
         _expect(ordered, field, value, "(low, high) with low <= high")
@@ -175,8 +188,9 @@ def _check_pairs(config, fields: dict[str, Any]) -> None:
         _expect(fits, f"run.{name}", run[name], f"a multiple of run.log_every = {run.log_every}")
     sensible = run.eval_envs or not run.eval_every
     _expect(sensible, "run.eval_every", run.eval_every, "0 where run.eval_envs is 0")
-    small = -(2**31) <= run.seed <= 2**31 - run.num_seeds
-    _expect(small, "run.seed", run.seed, "an integer of 32 bits")
+    _expect(run.seed <= 2**31 - run.num_seeds, "run.seed", run.seed, INTEGER)
+    rows = rollout.num_envs * rollout.horizon
+    _expect(rows < 2**31, "rollout.num_envs x rollout.horizon", rows, INTEGER)
     rows = rollout.num_envs * rollout.horizon // ppo.shuffle_blocks
     _expect(
         rows % ppo.minibatches == 0,
@@ -184,6 +198,11 @@ def _check_pairs(config, fields: dict[str, Any]) -> None:
         rows,
         f"a multiple of ppo.minibatches = {ppo.minibatches}",
     )
+    for name in ("model.hidden", "ppo.hidden"):
+        _expect(len(fields[name]) <= LAYERS, name, fields[name], f"at most {LAYERS} layers")
+    seconds = config.physics.substeps * config.physics.timestep
+    text = "a control step of 0.001 to 1 s"
+    _expect(0.001 <= seconds <= 1, "physics.substeps x physics.timestep", seconds, text)
     halves = not ppo.symmetry or all(size % 2 == 0 for size in ppo.hidden)
     _expect(halves, "ppo.hidden", ppo.hidden, "even sizes where ppo.symmetry is True")
     _expect(
@@ -214,18 +233,3 @@ def _check_model(config) -> None:
             f"most the {fewest} real rows of the longest tail; raise model.minibatches or lower "
             "schedule.end_steps"
         )
-
-
-def _settle_tuples(config, prefix=""):
-    """Layer sizes become ints above 0, every other tuple floats; in place."""
-    for name, value in config.items():
-        if isinstance(value, config_dict.ConfigDict):
-            _settle_tuples(value, f"{prefix}{name}.")
-        elif isinstance(value, (tuple, list)):
-            sizes = name == "hidden"
-            settled = settle((1,) if sizes else (0.0,) * len(value), value)
-            if settled is None:
-                what = "one or more sizes above 0" if sizes else "numbers"
-                raise ConfigError(f"{prefix}{name} is {value}, expected {what}")
-            with config.ignore_type():
-                config[name] = settled

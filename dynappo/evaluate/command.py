@@ -69,19 +69,22 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
     flag("--randomize", action="store_true", help="these with noise, pushes, randomised physics")
     flag("--seed", metavar="N", help="of their commands and starts; default: 0")
     flag("--fast", action="store_true", help="without these: C MuJoCo only, seconds")
-    flag("--out", metavar="DIR", type=Path, help="default: WORKDIR/evaluation, or evaluation-NAME")
+    flag(
+        "--out",
+        metavar="DIR",
+        type=flags_lib.path,
+        help="default: WORKDIR/evaluation, or evaluation-NAME",
+    )
     flags = flags_lib.read(parser, argv)
-    if flags.what is None:
+    if not flags.what:
         raise ConfigError(
             "nothing to evaluate is named; try a workdir, as in: "
             "python -m dynappo.evaluate runs/quick"
         )
-    for name, least in (("episodes", 1), ("seed", 0)):
+    for name, *bounds in (("episodes", 1, 1_000_000), ("seed", 0)):
         text = getattr(flags, name)
         if text is not None:
-            if not text.isdecimal() or int(text) < least:
-                raise ConfigError(f"--{name}={text!r}: expected an integer of {least} or more")
-            setattr(flags, name, int(text))
+            setattr(flags, name, flags_lib.whole(name, text, *bounds))
     for name in ("episodes", "randomize", "seed"):
         value = getattr(flags, name)
         if flags.fast and value is not None and value is not False:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from dynappo import config as config_lib
-from dynappo.config import ConfigError, validation
+from dynappo.config import ConfigError, fields
 from dynappo.physics import robot as robot_lib
 from dynappo.policy.policy_file import Policy
 from dynappo.program import devices
@@ -25,21 +25,17 @@ def settings(policy: Policy):
     Fields that are newer than the policy have their defaults.
     """
     config = config_lib.load("configs/default.py")
-    defaults = config_lib.flat(config)
     for name, value in config_lib.flat(policy.config).items():
-        if name not in defaults or value is None:
+        field = fields.every().get(name)
+        if field is None or value is None:
             continue
         group, _, leaf = name.rpartition(".")
-        node, default = config[group] if group else config, defaults[name]
-        settled = validation.settle(default, value) if isinstance(default, tuple) else value
-        try:
-            if settled is None:
-                raise TypeError
-            node[leaf] = settled
-        except (TypeError, ValueError):
+        node, settled = config[group] if group else config, fields.settle(field, value)
+        if settled is None:
             raise ConfigError(
-                f"the policy's config has {name} = {value!r}, expected one like {default!r}"
-            ) from None
+                f"the policy's config has {name} = {value!r}, expected one like {field.default!r}"
+            )
+        node[leaf] = settled
     config.run.update(device="auto", mesh_seed=1, mesh_env=1)
     config.physics.update(impl="auto", threads=0)
     return config_lib.validate(config)

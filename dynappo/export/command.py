@@ -40,7 +40,7 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
     )
     flag = parser.add_argument
     flag("what", nargs="?", metavar="NAME_OR_DIR", help="workdir, checkpoint, policy.npz or robot")
-    flag("--out", metavar="FILE", help="FILE.onnx or FILE.npz")
+    flag("--out", metavar="FILE", type=flags_lib.path, help="FILE.onnx or FILE.npz")
     flag(
         "--joint-order",
         metavar="ORDER",
@@ -48,14 +48,13 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
     )
     flag("--targets", action="store_true", help="a second output: joint position targets, rad")
     flags = flags_lib.read(parser, argv)
-    if flags.what is None:
+    if not flags.what:
         raise ConfigError(
             "nothing to export is named; try a workdir, as in: "
             "python -m dynappo.export runs/quick --out=policy.onnx"
         )
     if flags.out is None:
         raise ConfigError("--out is missing; try --out=policy.onnx")
-    flags.out = Path(flags.out)
     if flags.out.suffix not in FILES:
         raise ConfigError(f"--out={flags.out}: expected a file named {' or '.join(FILES)}")
     if flags.targets and flags.out.suffix != ".onnx":

@@ -168,7 +168,7 @@ def onnx_model(policy: Policy, facts: dict[str, Any], targets: bool = False):
 def save(policy: Policy, robot: robot_lib.Robot, out: Path, targets: bool = False) -> None:
     """Write `policy` as `out` says by its suffix; the file appears at once, whole.
 
-    ConfigError if onnx is not installed, or the file cannot be written.
+    ConfigError if onnx is not installed.
     """
     try:
         if out.suffix == ".npz":
@@ -187,5 +187,3 @@ def save(policy: Policy, robot: robot_lib.Robot, out: Path, targets: bool = Fals
         raise ConfigError(
             f"--out={out}: {error.name} is not installed; pip install 'dynappo[export]'"
         ) from None
-    except OSError as error:
-        raise ConfigError(f"--out={out}: cannot be written ({error.strerror})") from None

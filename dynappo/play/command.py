@@ -57,7 +57,8 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
     flag("what", nargs="?", metavar="NAME_OR_DIR", help="workdir, checkpoint, policy.npz or robot")
     flag("--command", metavar="VX,VY,WZ|FILE.csv", help="m/s, m/s, rad/s; default: a short tour")
     flag("--seconds", metavar="N", help=f"default: {SECONDS:g}, or until the script has ended")
-    flag("--out", metavar="FILE", help="FILE.html, .mp4, .gif, or .png (the last moment)")
+    names = "FILE.html, .mp4, .gif, or .png (the last moment)"
+    flag("--out", metavar="FILE", type=flags_lib.path, help=names)
     flag("--policy", metavar="zero|random", help="these actions instead of the policy's")
     flag("--seed", metavar="N", default="0", help="of --policy=random; default: 0")
     flag("--robot-xml", metavar="FILE", help="another MJCF with the same joint names")
@@ -67,7 +68,7 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
         help="damping and friction of the joints are those of --robot-xml",
     )
     flags = flags_lib.read(parser, argv)
-    if flags.what is None:
+    if not flags.what:
         raise ConfigError(
             "nothing to play is named; try a workdir, as in: python -m dynappo.play runs/quick"
         )
@@ -75,12 +76,7 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
         raise ConfigError("--keep-joints needs --robot-xml=FILE")
     if flags.policy not in (None, "zero", "random"):
         raise ConfigError(f"--policy={flags.policy!r}: expected zero or random")
-    try:
-        flags.seed = int(flags.seed)
-    except ValueError:
-        raise ConfigError(f"--seed={flags.seed!r}: expected an integer") from None
-    if flags.seed < 0:
-        raise ConfigError(f"--seed={flags.seed}: expected 0 or more")
+    flags.seed = flags_lib.whole("seed", flags.seed, 0)
     if flags.seconds is not None:
         seconds = _number(flags.seconds)
         if seconds is None or not 0 < seconds <= 3600:
@@ -231,7 +227,7 @@ def write(body: episode_lib.Body, episode: dict, out: Path, acts: str, rows) -> 
 
 def run(flags) -> None:
     """Play as the flags say, and tell what came out."""
-    out = None if flags.out is None else Path(flags.out)
+    out = flags.out
     if out is not None:
         check_out(out)
     asked = commands(flags.command, flags.seconds)

@@ -3,7 +3,7 @@
 - `build`: robot, environment, first state, the compiled call that a run repeats
 - `devices`: which devices and engine, and what a command sets for its own process
 - `memory`: whether it fits
-- `distributed`: one run over several processes
+- `distributed`: one run over several processes; `meeting`: where they meet
 
 Shared by the commands `train`, `bench` and `evaluate`. It imports the method, `task`,
 `physics` and `config`.

@@ -14,6 +14,7 @@ import numpy as np
 
 from dynappo import config as config_lib
 from dynappo import schedule
+from dynappo.config import ConfigError
 from dynappo.program import devices, distributed, memory
 
 
@@ -41,6 +42,12 @@ def check(config) -> None:
     from dynappo.task import mirror
 
     impl, loaded = devices.engine(config), robot.load(config.robot)
+    lightest, base = config.task.randomize.base_mass[0], loaded.mj_model.body_mass[loaded.base_body]
+    if lightest <= -base:
+        raise ConfigError(
+            f"task.randomize.base_mass is {config.task.randomize.base_mass}, expected more than "
+            f"-{base:.2f} kg, the mass of the base of {config.robot}"
+        )
     if config.ppo.symmetry:
         mirror.joints(loaded)
     if impl == "c":

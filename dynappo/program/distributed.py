@@ -24,11 +24,12 @@ from typing import Any
 import numpy as np
 
 from dynappo.config import ConfigError
+from dynappo.program import meeting
 
 HEARTBEAT = 30  # s without a sign of life after which JAX takes a process for dead
 MEETING = 300  # s for all processes to come
 GONE = (
-    "dynappo: process {} of {} stops, because another one is gone or cannot be reached; "
+    "process {} of {} stops, because another one is gone or cannot be reached; "
     "the same command goes on from the last checkpoint"
 )
 MESSAGE = 4096  # bytes
@@ -41,29 +42,12 @@ def join(coordinator: str | None, count: int | None, index: int | None) -> None:
     variables of a Slurm step with several tasks; `--processes=1` says that those are runs of their
     own. ConfigError if flags are wrong, or not all processes come.
     """
-    flags = {"--coordinator": coordinator, "--processes": count, "--process": index}
-    slurm = all(value is None for value in flags.values()) and in_slurm(os.environ)
-    if not slurm and (count == 1 or set(flags.values()) == {None}):
+    found = meeting.find(coordinator, count, index, os.environ)
+    if found is None:
         return
-    where: dict[str, Any] = {}
-    if not slurm:
-        missing = [name for name, value in flags.items() if value is None]
-        if missing:
-            given = ", ".join(name for name in flags if name not in missing)
-            raise ConfigError(f"{missing[0]} is missing; {given} needs it, see --help")
-        assert coordinator and count is not None and index is not None
-        if not coordinator.rpartition(":")[2].isdigit() or not coordinator.rpartition(":")[0]:
-            raise ConfigError(f"--coordinator is {coordinator!r}, expected HOST:PORT of process 0")
-        if not 0 <= index < count:
-            raise ConfigError(
-                f"--process is {index}, expected 0 to {count - 1} (--processes={count})"
-            )
-        where = dict(coordinator_address=coordinator, num_processes=count, process_id=index)
-    else:
-        where = dict(local_device_ids=_slurm_devices(os.environ))
+    where, count, index = found
     import jax
 
-    count, index = (count, index) if index is not None else _of_slurm(os.environ)
     _last_words(GONE.format(index, count))
     # JAX's own handler of SIGTERM would take the place of ours, and the run would not save
     jax.config.update("jax_enable_preemption_service", False)
@@ -80,30 +64,12 @@ def join(coordinator: str | None, count: int | None, index: int | None) -> None:
         ) from None
 
 
-def in_slurm(environment) -> bool:
-    """Whether this is one of several tasks of a Slurm step (`srun`), not its batch script."""
-    return int(environment.get("SLURM_STEP_NUM_TASKS", 1)) > 1 and "SLURM_PROCID" in environment
-
-
-def _of_slurm(environment) -> tuple[int, int]:
-    return int(environment["SLURM_STEP_NUM_TASKS"]), int(environment["SLURM_PROCID"])
-
-
-def _slurm_devices(environment) -> list[int] | None:
-    """The GPUs of this task; None: the one with the task's number on its machine, JAX's own choice."""
-    tasks = environment.get("SLURM_STEP_TASKS_PER_NODE", "").split("(")[0].split(",")[0]
-    visible = environment.get("CUDA_VISIBLE_DEVICES", "").split(",")
-    if tasks == "1" or visible != [""] and len(visible) == 1:  # all, or the one bound to the task
-        return list(range(len(visible)))
-    return None
-
-
 @contextlib.contextmanager
 def together():
     """The whole of a command; where it ends badly, this process ends at once, and JAX the others.
 
     Without that, an error in one process would leave it waiting for the others to leave, and them for
-    it to take part. A lost process is told in one line.
+    it to take part.
     """
     try:
         yield
@@ -111,15 +77,26 @@ def together():
         if several() and error.code:
             _end(int(error.code))
         raise
-    except Exception as error:  # of a collective operation without one of its members
+    except Exception:
         if not several():
             raise
-        reason = (str(error).splitlines() or [""])[0][:200]
-        if re.search("gloo|nccl|unavailable|coordination|connection", reason, re.IGNORECASE):
-            print(f"{_line} ({reason})", file=sys.stderr)
-        else:
-            traceback.print_exc()
+        traceback.print_exc()
         _end(1)
+
+
+@contextlib.contextmanager
+def watched():
+    """ConnectionError of one line where another process is lost, as a collective operation finds."""
+    try:
+        yield
+    except ConfigError:
+        raise
+    except Exception as error:
+        reason = (str(error).splitlines() or [""])[0][:200]
+        lost = re.search("gloo|nccl|unavailable|coordination|connection", reason, re.IGNORECASE)
+        if several() and lost:
+            raise ConnectionError(f"{_line} ({reason})") from None
+        raise
 
 
 def leave() -> None:
@@ -145,7 +122,7 @@ def _last_words(line: str) -> None:
     """Start a small process that prints `line` if this one is ended by JAX, which aborts it."""
     global _line, _pipe
     code = "import sys; sys.stdin.read() or print(sys.argv[1], file=sys.stderr, flush=True)"
-    command = [sys.executable, "-S", "-c", code, line]
+    command = [sys.executable, "-S", "-c", code, f"dynappo: {line}"]
     _line = line
     _pipe = subprocess.Popen(command, stdin=subprocess.PIPE, start_new_session=True).stdin
 
@@ -153,8 +130,9 @@ def _last_words(line: str) -> None:
 def _say(word: str) -> None:
     """Tell that process that nothing is to be told."""
     if _pipe and not _pipe.closed:
-        _pipe.write(word.encode())
-        _pipe.close()
+        with contextlib.suppress(BrokenPipeError):  # somebody has ended it
+            _pipe.write(word.encode())
+            _pipe.close()
 
 
 def meet() -> None:

@@ -38,12 +38,15 @@ def parse(argv: list[str] | None) -> Command:
     """A command line, understood; ConfigError if it cannot be."""
     parser = flags.parser("train", "Train a quadruped to follow velocity commands.", USAGE)
     parser.add_argument("--config", metavar="FILE.py[:VARIANT]")
-    parser.add_argument("--workdir", type=Path, help="default: runs/FILE-VARIANT")
+    parser.add_argument("--workdir", type=flags.path, help="default: runs/FILE-VARIANT")
     parser.add_argument(
         "--fresh", action="store_true", help="start over; a run that is there is moved aside"
     )
     parser.add_argument(
-        "--restore", type=Path, metavar="DIR", help="start from the networks of another workdir"
+        "--restore",
+        type=flags.path,
+        metavar="DIR",
+        help="start from the networks of another workdir",
     )
     several = parser.add_argument_group("several processes, where Slurm does not start them")
     several.add_argument("--coordinator", metavar="HOST:PORT", help="of process 0")
@@ -61,22 +64,23 @@ def parse(argv: list[str] | None) -> Command:
 def main(argv: list[str] | None = None) -> None:
     """The command. Its exit statuses are those of `flags.answer`; 130 on ctrl-C, 143 on SIGTERM, and
     both save first."""
-    stop = Stop()
+    stop, asked = Stop(), []
 
     def action():
-        command = parse(argv)
-        try:
+        asked.append(parse(argv))
+        (command,) = asked
+        with distributed.watched():
             devices.own_process(command.config.run.device)
             distributed.join(*command.processes)
             with stop:
                 train_and_show(command, stop)
-        except KeyboardInterrupt:  # ctrl-C before `stop` listens leaves no status there
-            print(f"dynappo: stopped; {afterwards(command)}", file=sys.stderr)
-            sys.exit(stop.status or 130)
-        distributed.leave()
+            distributed.leave()
+
+    def stopped():
+        return f"stopped; {afterwards(*asked)}" if asked else "stopped"
 
     with distributed.together():
-        flags.answer(action)
+        flags.answer(action, stopped)
     if stop.status:
         sys.exit(stop.status)
 
@@ -92,22 +96,32 @@ def afterwards(command: Command) -> str:
 
 class Stop:
     """Catches ctrl-C and SIGTERM while it is entered; the first asks the loop to save and stop, and
-    `status` is the exit status it means. Before the loop runs, and at the second, it interrupts."""
+    `status` is the exit status it means. Before the loop runs, and at the second, it interrupts.
+
+    Where Python cannot raise that (in a finalizer of JAX's, while it compiles) it would print a
+    traceback and go on; nothing is printed then, and the loop stops at its first look at `status`.
+    """
 
     def __init__(self):
         self.status, self.patient = 0, False
 
     def __enter__(self):
         self.old = {s: signal.signal(s, self._handle) for s in (signal.SIGINT, signal.SIGTERM)}
+        self.told, sys.unraisablehook = sys.unraisablehook, self._unraisable
 
     def __exit__(self, *_):
+        sys.unraisablehook = self.told
         for number, handler in self.old.items():
             signal.signal(number, handler)
 
     def _handle(self, number, _):
         again, self.status = self.status, 128 + number
         if again or not self.patient:
-            raise KeyboardInterrupt
+            raise KeyboardInterrupt(self.status)
+
+    def _unraisable(self, lost):
+        if not isinstance(lost.exc_value, KeyboardInterrupt):
+            self.told(lost)
 
 
 def train_and_show(command: Command, stop: Stop) -> None:
@@ -122,6 +136,10 @@ def train_and_show(command: Command, stop: Stop) -> None:
         from dynappo.train import restore
 
         distributed.on_first(lambda: len(restore.saved(folder)))
+        if command.fresh and folder.resolve() == command.workdir.resolve():
+            raise config_lib.ConfigError(
+                f"--restore={folder}: --fresh moves that run aside; name the folder of another one"
+            )
     with workdir_lib.open_workdir(command.workdir, config, command.fresh):
         _train_and_show(command, stop, out)
 
@@ -133,13 +151,13 @@ def _train_and_show(command: Command, stop: Stop, out) -> None:
         out.print(text, style="yellow", markup=False, soft_wrap=True)
 
     config, workdir = command.config, command.workdir
+    from dynappo.train import restore
+
+    source = restore.source(workdir, command.restore)
     with out.status("compiling (under a minute; half of it when cached)"):
         config = workdir_lib.in_step(config, workdir)
         program = build.program(config)
-        source = workdir_lib.start_from(workdir, command.restore)
         if source:
-            from dynappo.train import restore
-
             program = restore.start_from(source, program, say)
     engine = devices.ENGINES[program.impl]
     out.print(
@@ -179,7 +197,7 @@ def _train_and_show(command: Command, stop: Stop, out) -> None:
         )
         stop.patient = False
     done = int(metrics["iteration"][-1])
-    if done < config.run.num_iterations:
+    if distributed.any_of(bool(stop.status)) or done < config.run.num_iterations:
         if distributed.first():
             saved = f"saved at iteration {done} and stopped"
             if done not in workdir_lib.saved(workdir):
@@ -190,7 +208,7 @@ def _train_and_show(command: Command, stop: Stop, out) -> None:
         summary = finish.finish(config, program, workdir, state, metrics)
     if summary:
         show_summary(out, config, workdir, summary)
-    workdir_lib.check_saved(workdir, done)
+    finish.check_saved(workdir, done)
 
 
 def describe(config) -> str:

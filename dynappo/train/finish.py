@@ -44,6 +44,15 @@ def finish(config, program, workdir: Path, state, metrics) -> dict[str, Any]:
     return summary
 
 
+def check_saved(workdir: Path, done: int) -> None:
+    """OSError if the last checkpoint of a run that has ended is not there."""
+    if distributed.first() and done not in workdir_lib.saved(workdir):
+        raise OSError(
+            f"{workdir}: the checkpoint of iteration {done} could not be saved; policy.npz and summary.json "
+            "may be missing too. Make room, and give the same command again: it goes on from the one before"
+        )
+
+
 def summarise(config, program, state, metrics) -> dict[str, Any]:
     """What a run came to: return (mean of the last 10 rows), cost, and evaluation if asked."""
     returns = metrics["episode_return"]

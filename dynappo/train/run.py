@@ -44,7 +44,7 @@ def train(
         state, metrics = loop(config, program, workdir, progress_fn)
         if workdir:
             finish.finish(config, program, workdir, state, metrics)
-            workdir_lib.check_saved(workdir, config.run.num_iterations)
+            finish.check_saved(workdir, config.run.num_iterations)
     return state, metrics
 
 

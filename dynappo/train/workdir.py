@@ -9,6 +9,7 @@ import json
 import math
 import os
 import socket
+from fnmatch import fnmatch
 from functools import partial
 from pathlib import Path
 
@@ -29,6 +30,11 @@ MAY_CHANGE = (
     "run.video_seconds run.device run.mesh_seed run.mesh_env run.tensorboard run.wandb "
     "physics.impl physics.threads"
 ).split()
+# what runs write into their folder, `evaluate` too, and what people film or export into it
+WRITTEN = (
+    "config.json* lock metrics.csv* checkpoints damaged-* events* policy.npz* summary.json* curves.png "
+    "video.mp4* nonfinite.npz restored_from wandb* evaluation* *.html *.mp4 *.gif *.png *.onnx"
+).split()
 NO_LOCKS = (errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS)  # of some file systems
 
 
@@ -47,7 +53,7 @@ def open_workdir(workdir: Path, config, fresh: bool = False):
 
 def _open(workdir: Path, config, fresh: bool, held: contextlib.ExitStack) -> None:
     try:
-        if fresh and workdir.exists():
+        if fresh and _movable(workdir):
             with _hold(workdir):
                 number = next(n for n in itertools.count(1) if not _old(workdir, n).exists())
                 old = workdir.rename(_old(workdir, number))
@@ -80,7 +86,7 @@ def _compare(workdir: Path, here: str) -> None:
         ours = {"robot", "rollout", "run"} <= json.loads(there).keys()
     except (ValueError, AttributeError, RecursionError):
         ours = False
-    if not _begun(workdir):
+    if not begun(workdir):
         if path.exists() and not ours:  # somebody else's file is not overwritten
             raise ConfigError(
                 f"--workdir={workdir} holds a config.json that is not of a run; choose another folder"
@@ -103,7 +109,7 @@ def _of_checkpoints(workdir: Path) -> str:
     return ""
 
 
-def _begun(workdir: Path) -> bool:
+def begun(workdir: Path) -> bool:
     """Whether a run has left results here: a checkpoint, also a damaged one, or a row of metrics."""
     if saved(workdir) or any(workdir.glob("damaged-*")):
         return True
@@ -134,28 +140,26 @@ def in_step(config, workdir: Path | None):
     return config_dict.FrozenConfigDict(config)
 
 
-def start_from(workdir: Path, asked: Path | None) -> Path | None:
-    """The run whose networks this one is to start from; None where it starts with untrained ones, or goes on.
-
-    `asked` is `--restore`; `workdir/restored_from` remembers it. ConfigError if the run that is there began
-    from something else.
-    """
-
-    def settle():
-        path = workdir / "restored_from"
-        there = path.read_text().strip() if path.exists() else ""
-        here = str(asked.resolve()) if asked else there
-        if _begun(workdir) and here != there:
-            raise ConfigError(
-                f"--restore={asked}: the run in {workdir} began from {there or 'untrained networks'}; leave "
-                "--restore out to go on with it, or --fresh to start over"
-            )
-        if asked:
-            files.write_text(path, f"{here}\n")
-        return "" if saved(workdir) else here
-
-    found = distributed.on_first(settle)
-    return Path(found) if found else None
+def _movable(workdir: Path) -> bool:
+    """Whether `fresh` has a run to move; ConfigError where the folder is more than that."""
+    names = sorted(path.name for path in workdir.iterdir()) if workdir.is_dir() else []
+    if not set(names) - {"lock"}:
+        return False
+    if Path.cwd().is_relative_to(workdir.resolve()):
+        raise ConfigError(
+            f"--workdir={workdir}: --fresh cannot move the folder that you are in; call it from outside"
+        )
+    others = [name for name in names if not any(fnmatch(name, ours) for ours in WRITTEN)]
+    if not {"config.json", "checkpoints", "metrics.csv"} & set(names):
+        others = others or names
+    if others:
+        raise ConfigError(
+            f"--workdir={workdir} holds {others[0]}, which no run writes: --fresh moves runs, and nothing "
+            "else; move it yourself, or choose another folder"
+        )
+    if "config.json" in names and not begun(workdir):
+        _compare(workdir, "{}")  # somebody else's
+    return True
 
 
 def _old(workdir: Path, number: int) -> Path:
@@ -259,15 +263,6 @@ def save(config, robot, workdir, checkpoints, done: int, state, metrics, evaluat
     params = best_params(config, state.learner.params, evaluated)
     write = partial(policy_file.save, workdir / "policy.npz", params, config, robot)
     log.attempt("policy.npz", write, say)
-
-
-def check_saved(workdir: Path, done: int) -> None:
-    """OSError if the last checkpoint of a run that has ended is not there."""
-    if distributed.first() and done not in saved(workdir):
-        raise OSError(
-            f"{workdir}: the checkpoint of iteration {done} could not be saved; policy.npz and summary.json "
-            "may be missing too. Make room, and give the same command again: it goes on from the one before"
-        )
 
 
 def best_params(config, params, evaluated) -> dict:

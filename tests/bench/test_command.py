@@ -16,8 +16,10 @@ GO1 = "--config=configs/go1.py:quick"
     ("argv", "text"),
     [
         ([], "--config is missing"),
-        ([GO1, "--repeats=0"], "--repeats is 0"),
-        ([GO1, "--repeats=many"], "invalid int value: 'many'"),
+        ([GO1, "--repeats=0"], "--repeats='0': expected an integer of 1 or more"),
+        ([GO1, "--repeats=many"], "--repeats='many': expected an integer of 1 or more"),
+        ([GO1, "--repeats=1000000000"], "at most 10,000"),
+        ([GO1, "--out="], "--out: is empty, expected a path"),
         ([GO1, "--fast"], "--fast: no such flag"),
         ([GO1, "--config.ppo.clip=1"], "--config.ppo.clip: no such field"),
         ([GO1, "--vs=configs/none.py"], "no file 'configs/none.py'"),

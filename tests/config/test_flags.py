@@ -1,7 +1,12 @@
 """What every command shares: flags in both spellings, and an end that is one line and a status."""
 
+import importlib
+import os
+import subprocess
+import sys
+
 import pytest
-from answers import refused, status
+from answers import ROOT, refused, shell, status
 
 from dynappo.config import ConfigError, flags
 
@@ -16,6 +21,31 @@ ENDS = {  # what an action raises, exit status, the line after "dynappo: "
         "a.csv cannot be written (No space left on device)\n",
     ),
     "no library": (OSError("libGL.so: cannot open"), 1, "libGL.so: cannot open\n"),
+    "SIGTERM": (KeyboardInterrupt(143), 143, "stopped; nothing is written\n"),
+    "no memory": (
+        MemoryError("Unable to allocate 4 TiB"),
+        1,
+        "out of memory (Unable to allocate 4 TiB); ask for less, or take a larger machine\n",
+    ),
+    "no memory of JAX's": (
+        RuntimeError("RESOURCE_EXHAUSTED: Out of memory allocating 9 bytes.\nand more"),
+        1,
+        "out of memory (RESOURCE_EXHAUSTED: Out of memory allocating 9 bytes.); ask for less, or take "
+        "more devices\n",
+    ),
+    "another process lost": (ConnectionError("process 0 of 2 stops"), 1, "process 0 of 2 stops\n"),
+    "a name that is no file's": (
+        OSError(36, "File name too long", "aaa"),
+        2,
+        "aaa cannot be used (File name too long); name another file or folder\n",
+    ),
+    "not ours to read": (
+        PermissionError(13, "Permission denied", "a"),
+        2,
+        "a cannot be used (Permission denied); name another file or folder\n",
+    ),
+    "what a user typed": (ConfigError("a\nb\x1b[2J\udcff"), 2, "a\\nb\\x1b[2J\\udcff\n"),
+    "very much of it": (ConfigError("x" * 9999), 2, "x" * 300 + " ... " + "x" * 300 + "\n"),
 }
 
 
@@ -37,6 +67,74 @@ def test_an_error_of_ours_keeps_its_traceback():
         flags.answer(lambda: 1 / 0)  # type: ignore
 
 
+def test_what_is_said_of_an_interruption_may_depend_on_when_it_is(capsys):
+    said = []
+
+    def action():
+        said.append("at the second iteration")
+        raise KeyboardInterrupt
+
+    assert status(lambda _: flags.answer(action, lambda: f"stopped {said[0]}")) == 130
+    assert capsys.readouterr().err == "dynappo: stopped at the second iteration\n"
+
+
+COMMANDS = ("train", "play", "evaluate", "export", "bench")
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_ends_so(name, monkeypatch, capsys):
+    """By its own `main`: no command has an answer of its own to what may happen in it."""
+    command = importlib.import_module(f"dynappo.{name}.command")
+
+    def ends(error):
+        def parse(argv):
+            raise error
+
+        monkeypatch.setattr(command, "parse", parse)
+        return status(command.main), capsys.readouterr().err
+
+    assert ends(ConfigError("wrong")) == (2, "dynappo: wrong\n")
+    code, line = ends(MemoryError())
+    assert code == 1 and line.startswith("dynappo: out of memory (Python)")
+    code, line = ends(KeyboardInterrupt())
+    assert code == 130 and line.startswith("dynappo: stopped") and line.count("\n") == 1
+    with pytest.raises(ZeroDivisionError):
+        ends(ZeroDivisionError())
+
+
+PRINTS = "from dynappo.config import flags; flags.answer(lambda: print('Ünïcode ' * {}))"
+
+
+@pytest.mark.parametrize(("count", "unbuffered"), [(1, ""), (99999, ""), (1, "1")])
+def test_where_nobody_reads_any_more_a_command_ends_in_silence(count, unbuffered):
+    """As under `| head`: no traceback, nor what Python says where it cannot write at its end."""
+    read, write = os.pipe()
+    os.close(read)
+    environment = os.environ | {"PYTHONPATH": str(ROOT), "PYTHONUNBUFFERED": unbuffered}
+    command = [sys.executable, "-c", PRINTS.format(count)]
+    done = subprocess.run(command, stdout=write, stderr=subprocess.PIPE, env=environment)
+    os.close(write)
+    assert (done.returncode, done.stderr) == (1, b"")
+
+
+def test_what_a_terminal_has_no_letter_for_is_printed_as_its_number():
+    environment = os.environ | {"PYTHONPATH": str(ROOT), "PYTHONIOENCODING": "ascii", "LANG": "C"}
+    command = [sys.executable, "-c", PRINTS.format(1)]
+    done = subprocess.run(command, capture_output=True, env=environment)
+    assert (done.returncode, done.stdout, done.stderr) == (0, rb"\xdcn\xefcode " + b"\n", b"")
+
+
+def test_ctrl_c_while_a_command_is_imported_is_one_line():
+    """Half a second in which nothing of ours could catch it; in another program nothing is changed."""
+    code = "import sys; sys.argv[0] = '-m'; import dynappo; raise KeyboardInterrupt"
+    done = shell("-c", code)
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "dynappo: stopped\n")
+    code = "import sys; import dynappo; assert sys.excepthook is sys.__excepthook__"
+    assert shell("-c", code).returncode == 0
+    code = "import sys; sys.argv[0] = '-m'; import dynappo; 1 / 0"
+    assert "ZeroDivisionError" in shell("-c", code).stderr
+
+
 def test_fields_are_set_in_both_spellings_and_the_last_one_counts():
     """`--config.a.b=1` and `--config.a.b 1`."""
     more = ["--config.ppo.epochs", "3", "--config.ppo.gamma=1", "--config.ppo.epochs=2"]
@@ -53,10 +151,24 @@ def test_flags_are_written_out_and_complete():
     parser.add_argument("--workdir")
     assert flags.read(parser, ["--workdir=a"]).workdir == "a"
     for argv, expected in (
+        (["--workdir=--"], "--workdir: expected a value, not '--'"),
         (["--work=a"], "--work=a: no such flag; python -m dynappo.show --help lists them"),
         (["--workdir"], "--workdir: expected one argument; write it as --flag=VALUE"),
     ):
         assert refused(flags.read, parser, argv) == expected
+
+
+def test_an_empty_path_and_a_far_number_are_refused():
+    parser = flags.parser("show", "Shows.", "")
+    parser.add_argument("--workdir", type=flags.path)
+    assert "--workdir: is empty, expected a path" in refused(flags.read, parser, ["--workdir="])
+    deep = refused(flags.read, parser, ["--workdir=" + "a/" * 2000])
+    assert deep == "--workdir: has 4000 characters, expected at most 600"
+    assert flags.whole("seed", "7", 0) == 7
+    for text in ("-1", "2147483648", "1" + "0" * 30, "9" * 9999, "1.5", "", "x"):
+        line = refused(flags.whole, "seed", text, 0)
+        assert line.endswith("expected an integer of 0 or more, at most 2,147,483,647")
+        assert len(line) < 120
 
 
 def test_where_nothing_can_be_written_it_is_said_before_anything_is_done(tmp_path):

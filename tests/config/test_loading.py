@@ -69,7 +69,8 @@ def test_the_papers_variants_differ_in_horizon_and_schedule_only(variant, expect
 def test_the_packages_files_are_found_from_anywhere_and_ones_own_come_first(monkeypatch, tmp_path):
     expected = config_lib.to_json(load("dyna2"))
     monkeypatch.chdir(tmp_path)
-    assert config_lib.to_json(load("dyna2")) == expected
+    for spec in ("configs/go1.py:dyna2", "go1.py:dyna2", "./go1.py:dyna2"):
+        assert config_lib.to_json(config_lib.load(spec)) == expected
     config_lib.validate(load())  # finds the robot too
     (tmp_path / "configs").mkdir()
     text = "import runpy\n"
@@ -87,7 +88,12 @@ BAD_FILES = {  # text of mine.py, what the line must say beside its name
     "missing key": ('def get_config(variant=""):\n    return {}["speed"]\n', "speed"),
     "missing attribute": ('def get_config(variant=""):\n    return variant.speed\n', "speed"),
     "no variant": ("def get_config():\n    return 1\n", "get_config"),
-    "another type": ('def get_config(variant=""):\n    return 3\n', "get_config"),
+    "another type": ('def get_config(variant=""):\n    return 3\n', "get_config returns int"),
+    "a dict": ('def get_config(variant=""):\n    return {"robot": "go1"}\n', "returns dict"),
+    "ends Python": ("import sys\nsys.exit(0)\n", "SystemExit: 0"),
+    "ends Python later": ('def get_config(variant=""):\n    exit()\n', "SystemExit"),
+    "not text": ("\0", "null bytes"),
+    "two lines": ('def get_config(variant=""):\n    raise ValueError("a\\nb")\n', "a b"),
     "fields missing": (
         "from ml_collections import config_dict\n\n\n"
         'def get_config(variant=""):\n    return config_dict.create(robot="go1")\n',
@@ -107,7 +113,10 @@ def test_a_file_that_cannot_be_used_is_refused_by_name(tmp_path, name):
 @pytest.mark.parametrize(
     ("spec", "expected"),
     [
-        ("configs/nobody.py", "no file 'configs/nobody.py'"),
+        ("configs/nobody.py", "no file 'configs/nobody.py' here or among dynappo's own configs"),
+        ("/no/such/dir/go1.py:quick", "no file '/no/such/dir/go1.py'"),  # not dynappo's go1.py
+        ("my/configs/go1.py", "no file 'my/configs/go1.py'"),
+        ("../configs/go1.py", "no file '../configs/go1.py'"),
         ("", "no file ''"),
         ("configs", "no file 'configs'"),
         ("configs/go1.py:dyna3", "variant 'dyna3' is not one of ppo12, ppo16, dyna2"),
@@ -116,6 +125,15 @@ def test_a_file_that_cannot_be_used_is_refused_by_name(tmp_path, name):
 def test_a_file_or_variant_that_is_not_there_is_refused(spec, expected):
     line = refused(config_lib.load, spec)
     assert line.startswith("--config") and expected in line
+
+
+def test_a_field_that_is_none_of_dynappos_is_refused(tmp_path):
+    """It would change nothing, and nobody would know."""
+    text = f"import runpy\nd = runpy.run_path({str(ROOT / 'configs' / 'go1.py')!r})\n"
+    text += "def get_config(variant):\n    c = d['get_config'](variant).unlock()\n"
+    (tmp_path / "mine.py").write_text(text + "    c.ppo.epoch = 3\n    return c\n")
+    line = refused(config_lib.load, str(tmp_path / "mine.py"))
+    assert line.endswith("mine.py: ppo.epoch is no field; did you mean ppo.epochs?")
 
 
 # ---- a field of the command line
@@ -180,6 +198,12 @@ BAD_OVERRIDES = [  # field, text, what the line must say
     ("task.command_x", "('low', 1)", "expected tuple"),
     ("model.late_epochs", "5.0", "expected int"),
     ("task.tracking_std", "wide", "expected float"),
+    ("ppo.clip_epsilon", "1" + "0" * 400, "expected float"),  # no float can hold it
+    ("task.command_x", "(0, 1" + "0" * 400 + ")", "expected tuple"),
+    ("run.seed", "-" * 5000 + "1", "expected int"),
+    ("run.seed", "9" * 5000, "expected int"),
+    ("ppo.hidden", "{[]: 1}", "expected tuple"),
+    ("ppo.hidden", "(64, True)", "expected tuple"),
 ]
 
 

@@ -2,12 +2,14 @@
 
 import functools
 import math
+import time
 
 import pytest
 from answers import refused
+from ml_collections import config_dict
 
 from dynappo import config as config_lib
-from dynappo.config import validation
+from dynappo.config import fields, validation
 
 # What the sizes in the messages below follow from.
 BASE = {
@@ -21,10 +23,10 @@ BASE = {
 }
 
 
-def config(fields):
-    """`dyna4` with BASE and `fields` set, as a config file does."""
+def config(some):
+    """`dyna4` with BASE and the fields `some` set, as a config file does."""
     out = config_lib.load("configs/go1.py:dyna4")
-    for field, value in (BASE | fields).items():
+    for field, value in (BASE | some).items():
         *groups, leaf = field.split(".")
         functools.reduce(lambda node, key: node[key], groups, out)[leaf] = value
     return out
@@ -53,7 +55,8 @@ WRONG = [  # fields, what the line begins with, what is expected
     ({"ppo.learning_rate": math.nan}, "ppo.learning_rate is nan", "more than 0"),
     ({"ppo.learning_rate": math.inf}, "ppo.learning_rate is inf", "finite"),
     ({"task.weights.action_rate": math.nan}, "task.weights.action_rate is nan", "finite"),
-    ({"task.command_x": (0.0, math.inf)}, "task.command_x is (0.0, inf)", "finite"),
+    ({"task.command_x": (0.0, math.inf)}, "task.command_x is (0.0, inf)", "from -100 to 100"),
+    ({"task.randomize.base_mass": (0.0, math.inf)}, "task.randomize.base_mass is", "finite"),
     ({"task.command_x": (1.0, -1.0)}, "task.command_x is (1.0, -1.0)", "low <= high"),
     ({"task.randomize.friction": (0.9, 0.8)}, "task.randomize.friction is", "low <= high"),
     ({"ppo.hidden": (64, -3)}, "ppo.hidden is (64, -3)", "one or more sizes above 0"),
@@ -113,17 +116,126 @@ def test_a_setting_that_cannot_run_is_one_line(fields, found, expected):
     assert line.startswith(found) and "expected" in line and expected in line
 
 
-WHOLE = ("model.late_epochs", "task.resample_steps")  # None in the file
-
-
 def test_every_bound_of_the_tables_is_checked():
-    """A number just outside of each is refused, so that no field of a table is misspelt."""
-    values = config_lib.flat(config_lib.load("configs/go1.py:dyna4"))
+    """A number outside of each is refused, so that no field of a table is misspelt."""
     for expected, right, names in validation.RANGES:
-        for field in names.split():
-            kind = int if isinstance(values[field], int) or field in WHOLE else float
-            line = refused(config_lib.validate, config({field: kind(-1)}))
-            assert line == f"{field} is {kind(-1)}, expected {expected}" and right(kind(1))
+        wrong = next(number for number in (-1, 10**8) if not right(number))
+        for name in names.split():
+            field = fields.every()[name]
+            value = fields.settle(
+                field._replace(kind=float if field.kind is tuple else field.kind), wrong
+            )
+            if field.kind is tuple:
+                value = (int(value),) if fields.sizes(field) else (value,) * len(field.default)
+            line = refused(config_lib.validate, config({name: value}))
+            assert line == f"{name} is {value}, expected {expected}"
+
+
+FAR = 3_000_000_000  # more than an int32 holds
+TOO_FAR = [  # what made a traceback, wrapped round, overflowed in float32 or took for ever
+    {"run.num_iterations": 10**12},
+    {"run.log_every": 10**12, "run.num_iterations": 10**12},
+    {"run.checkpoint_every": FAR},
+    {"run.eval_every": FAR},
+    {"run.eval_envs": 10**9},
+    {"run.eval_steps": 10**9},
+    {"run.num_seeds": 10**9},
+    {"run.video_seconds": 1e9},
+    {"run.seed": -FAR},
+    {"rollout.num_envs": 10**9},
+    {"rollout.horizon": 10**9},
+    {"rollout.num_envs": 8 * 10**6, "rollout.horizon": 8192},
+    {"schedule.end_iteration": 10**12},
+    {"schedule.start_iteration": -(10**30)},
+    {"model.epochs": 10**12},
+    {"model.late_epochs": 10**12},
+    {"model.late_from": FAR},
+    {"model.minibatches": FAR, "schedule.end_steps": 0},
+    {"model.hidden": (10**9,)},
+    {"ppo.hidden": (64,) * 1000},
+    {"ppo.epochs": FAR},
+    {"ppo.value_coef": 1e39},
+    {"ppo.min_std": 1e-40},
+    {"ppo.min_learning_rate": -1e-5},
+    {"task.episode_length": FAR},
+    {"task.resample_steps": FAR},
+    {"task.kp": math.nan},
+    {"task.kp": -1.0},
+    {"task.noise.joint_vel": -1.0},
+    {"task.reset.soft_limit": 1.5},
+    {"task.randomize.friction": (-1.0, 1.0)},
+    {"task.randomize.base_com": (0.0, 0.0, -0.1)},
+    {"task.push.interval": (-5.0, -1.0)},
+    {"task.push.interval": (1e9, 1e9)},
+    {"physics.timestep": 1e-12},
+    {"physics.timestep": 5.0},
+    {"physics.substeps": 10**9},
+    {"physics.timestep": 1e-4, "physics.substeps": 1},
+    {"physics.iterations": FAR},
+    {"physics.ls_iterations": FAR},
+    {"physics.threads": 10**9},
+]
+
+
+@pytest.mark.parametrize("some", TOO_FAR, ids=str)
+def test_a_number_that_nothing_can_hold_is_refused_at_once(some):
+    began = time.perf_counter()
+    line = refused(config_lib.validate, config(some))
+    assert time.perf_counter() - began < 1
+    assert "expected" in line and any(name in line for name in some)
+
+
+def test_the_largest_run_is_checked_in_well_below_a_second():
+    largest = {"run.num_iterations": 10**6, "run.checkpoint_every": 0, "rollout.horizon": 9984}
+    began = time.perf_counter()
+    config_lib.validate(config(largest | {"schedule.end_steps": 100}))
+    assert time.perf_counter() - began < 1
+
+
+def by_hand(field, value):
+    """A config whose fields have no types, as somebody may make one: `field` is `value`."""
+    tree = config({}).to_dict()
+    *groups, leaf = field.split(".")
+    functools.reduce(lambda node, key: node[key], groups, tree)[leaf] = value
+    return config_dict.ConfigDict(tree)
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "line"),
+    [
+        ("run.num_iterations", "many", "run.num_iterations is 'many', expected int"),
+        ("run.num_iterations", 10.0, "run.num_iterations is 10.0, expected int"),
+        ("run.log_every", None, "run.log_every is None, expected int"),
+        ("ppo.gamma", "1", "ppo.gamma is '1', expected float"),
+        ("ppo.gamma", 10**400, f"ppo.gamma is {10**400}, expected float"),
+        ("ppo.adaptive", 1, "ppo.adaptive is 1, expected bool"),
+        ("task.formulation", [], "task.formulation is [], expected str"),
+        (
+            "task.noise",
+            3,
+            "the config lacks task.noise.angular_velocity; start from configs/default.py",
+        ),
+        ("task.command_x", (1.0,), "task.command_x is (1.0,), expected tuple like (-1.0, 1.0)"),
+        (
+            "task.command_x",
+            {"a": 1},
+            "the config lacks task.command_x; start from configs/default.py",
+        ),
+        (
+            "ppo.hidden",
+            "64",
+            "ppo.hidden is '64', expected tuple like (128, 128, 128), one or more",
+        ),
+    ],
+)
+def test_a_value_of_another_type_is_one_line(field, value, line):
+    assert refused(config_lib.validate, by_hand(field, value)).startswith(line)
+
+
+def test_whole_numbers_become_floats_however_the_config_was_made():
+    """Else they would be compiled in; a list is a tuple."""
+    assert type(config_lib.validate(by_hand("ppo.gamma", 1)).ppo.gamma) is float
+    assert config_lib.validate(by_hand("ppo.hidden", [64, 32])).ppo.hidden == (64, 32)
 
 
 @pytest.mark.parametrize(

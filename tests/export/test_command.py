@@ -100,6 +100,9 @@ MISTAKES = {  # arguments, what the line must say
     "no folder": (["small", "--out=no/a.onnx"], "--out=no/a.onnx: cannot write there (No such"),
     "a folder": (["small", "--out=taken.npz"], "--out=taken.npz: cannot write there (Is a dir"),
     "itself": (["small", "--out=small/policy.npz"], "--out=small/policy.npz: is the policy itself"),
+    "long": (["small", f"--out={'a' * 300}.npz"], "cannot be used (File name too long)"),
+    "empty out": (["small", "--out="], "--out: is empty, expected a path"),
+    "no name": (["", "--out=a.onnx"], "nothing to export is named"),
     "order": (["small", "--out=a.onnx", "--joint-order=x"], "go2 has no joint x; expected mjcf"),
     "joints": (["spot.npz", "--out=a.onnx"], "its joints are LF_HAA"),
 }
@@ -128,13 +131,16 @@ def test_without_onnx_the_line_says_what_to_install(small, tmp_path, monkeypatch
 
 
 def test_a_disk_that_is_full_is_one_line(small, tmp_path, monkeypatch, capsys):
-    def full(*_):
-        raise OSError(28, "No space left on device")
+    """The machine's fault: status 1, as in every command."""
+
+    def full(part, out):
+        raise OSError(28, "No space left on device", str(part))
 
     monkeypatch.setattr("os.replace", full)
     for name in ("a.onnx", "a.npz"):
-        line = mistake(export_command.main, [small[0], f"--out={tmp_path / name}"], capsys)
-        assert f"{name}: cannot be written (No space left" in line
+        assert run(small[0], f"--out={tmp_path / name}") == 1
+        line = capsys.readouterr().err
+        assert f"{name}.part cannot be written (No space left" in line and line.count("\n") == 1
         assert not (tmp_path / name).exists()
 
 

@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 from answers import ROOT, refused
 
-from dynappo.program import distributed
+from dynappo.config import ConfigError
+from dynappo.program import distributed, meeting
 
 TESTS = ROOT / "tests"
 DEADLINE = 240  # s for a command that must come to an end by itself
@@ -178,6 +179,14 @@ def test_four_processes_compute_what_one_does(tmp_path):
         (("host:1", 2, None), "--process is missing; --coordinator, --processes needs it"),
         ((None, 2, 0), "--coordinator is missing"),
         (("host", 2, 0), "--coordinator is 'host', expected HOST:PORT"),
+        (("", 2, 0), "--coordinator is '', expected HOST:PORT"),
+        ((":1", 2, 0), "--coordinator is ':1', expected HOST:PORT"),
+        (("localhost:99999999", 2, 0), "is 'localhost:99999999', expected HOST:PORT"),
+        (("localhost:65536", 2, 0), "a port from 1 to 65535"),
+        (("localhost:0", 2, 0), "a port from 1 to 65535"),
+        (("localhost:²", 2, 0), "a port from 1 to 65535"),
+        (("no.such.host.invalid:7", 2, 1), "no host 'no.such.host.invalid' is known here"),
+        (("a" * 300 + ":7", 2, 1), "is known here"),
         (("host:1", 2, 2), "--process is 2, expected 0 to 1"),
         (("host:1", 2, -1), "--process is -1, expected 0 to 1"),
     ],
@@ -196,7 +205,36 @@ def test_flags_that_do_not_make_a_run_are_refused(flags, words):
     ],
 )
 def test_a_step_of_slurm_with_several_tasks_is_several_processes(variables, expected):
-    assert distributed.in_slurm(variables) is expected
+    assert meeting.in_slurm(variables) is expected
+
+
+@pytest.mark.parametrize("name", ["SLURM_STEP_NUM_TASKS", "SLURM_PROCID"])
+@pytest.mark.parametrize("text", ["2(x3)", "", "-1", "1e9", "9" * 99])
+def test_variables_that_slurm_does_not_set_so_are_one_line(name, text, monkeypatch):
+    """`--processes=1` says that they do not matter."""
+    for variable in ("SLURM_STEP_NUM_TASKS", "SLURM_PROCID"):
+        monkeypatch.setenv(variable, "2")
+    monkeypatch.setenv(name, text)
+    line = refused(distributed.join, None, None, None)
+    assert line.startswith(f"{name} is {text!r}, expected a number") and "--processes=1" in line
+    distributed.join(None, 1, None)
+
+
+def test_a_lost_process_is_an_error_of_one_line_and_a_defect_stays_one(monkeypatch):
+    monkeypatch.setattr(distributed, "_line", "process 0 of 2 stops")
+    for error in ("Gloo all-reduce failed\nmore", "UNAVAILABLE: connection reset"):
+        for several, kind in ((True, ConnectionError), (False, RuntimeError)):
+            monkeypatch.setattr(distributed, "several", lambda several=several: several)
+            with pytest.raises(kind) as caught, distributed.watched():
+                raise RuntimeError(error)
+    assert str(caught.value) == error
+    monkeypatch.setattr(distributed, "several", lambda: True)
+    with pytest.raises(ConnectionError, match=r"^process 0 of 2 stops \(gloo failed\)$"):
+        with distributed.watched():
+            raise RuntimeError("gloo failed\nmore")
+    for defect in (ZeroDivisionError("a"), ConfigError("the connection")):
+        with pytest.raises(type(defect)), distributed.watched():
+            raise defect
 
 
 def test_slurm_is_asked_only_where_no_flag_says_otherwise(monkeypatch):
@@ -234,4 +272,4 @@ def test_with_one_process_nothing_is_asked_of_the_others():
     ],
 )
 def test_every_task_of_slurm_gets_the_gpus_that_are_its_own(variables, expected):
-    assert distributed._slurm_devices(variables) == expected
+    assert meeting.slurm_devices(variables) == expected

@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -86,6 +87,26 @@ MISTAKES = {  # flags after the config file, what the line must say
     "stray word": (["quick"], "quick: no such flag"),
     "workdir missing": (["--workdir"], "--workdir: expected one argument"),
     "no number": (["--processes=two"], "--processes: invalid int value: 'two'"),
+    "workdir empty": (["--workdir="], "--workdir: is empty, expected a path"),
+    "restore empty": (["--restore="], "--restore: is empty, expected a path"),
+    "long name": ([f"--workdir={'a' * 300}"], "cannot write there (File name too long)"),
+    "two lines": (["--workdir=taken/a\nb"], "--workdir=taken/a\\nb: cannot write there (Not a dir"),
+    "long line": (["--config.run.seed=" + "x" * 9999], "... "),
+    "a folder of others": (
+        ["--workdir=thesis", "--fresh"],
+        "thesis holds thesis.txt, which no run",
+    ),
+    "here": (["--workdir=.", "--fresh"], "--fresh cannot move the folder that you are in"),
+    "above": (["--workdir=..", "--fresh"], "--fresh cannot move the folder that you are in"),
+    "restore and move": (["--workdir=old", "--restore=old", "--fresh"], "--restore=old: "),
+    "lighter than nothing": (
+        ["--config.task.randomize.base_mass=(-9,0)"],
+        "task.randomize.base_mass is (-9.0, 0.0), expected more than -5.20 kg",
+    ),
+    "nobody to meet": (
+        ["--coordinator=localhost:99999999", "--processes=2", "--process=0"],
+        "--coordinator is 'localhost:99999999', expected HOST:PORT",
+    ),
     "workdir is a file": (["--workdir=taken"], "--workdir=taken: cannot write there"),
     "another run": (["--config.ppo.epochs=4", "--workdir=old"], "ppo.epochs 5 there, 4 here"),
     "restore nothing": (["--restore=none", "--fresh"], "--restore=none: no checkpoints/ there"),
@@ -106,6 +127,9 @@ def test_a_mistake_is_one_line_and_status_2(name, tmp_path, monkeypatch, capsys)
     old = config_lib.to_json(config_lib.validate(config_lib.load("configs/go1.py:dyna4")))
     (tmp_path / "old").mkdir()
     (tmp_path / "old" / "config.json").write_text(old)
+    (tmp_path / "old" / "checkpoints" / "5").mkdir(parents=True)
+    (tmp_path / "thesis").mkdir()
+    (tmp_path / "thesis" / "thesis.txt").write_text("years")
     (tmp_path / "old" / "metrics.csv").write_text("iteration\n1\n")
     monkeypatch.setattr(train_command.build, "program", lambda _: pytest.fail("compiled"))
     before = workdirs.everything(tmp_path)
@@ -208,6 +232,81 @@ def test_ctrl_c_promises_what_is_there(flags, saved, expected, monkeypatch, caps
     flags = [GO1, f"--workdir={tmp_path / 'run'}", *flags]
     assert status(train_command.main, *flags) == 130
     assert capsys.readouterr().err == f"dynappo: stopped; {expected}\n"
+
+
+def finished(monkeypatch, when):
+    """Runs the command with a loop that does all it should; ctrl-C comes `when` it says."""
+    loops = []
+
+    def loop(config, program, workdir, show, should_stop, say):
+        loops.append(should_stop)
+        if when == "in the last iteration":
+            os.kill(os.getpid(), signal.SIGINT)
+            time.sleep(0.01)
+        return None, {"iteration": np.array([config.run.num_iterations])}
+
+    def finish(*_):
+        loops.append("finished")
+        if when == "while it is evaluated":
+            os.kill(os.getpid(), signal.SIGINT)
+            time.sleep(1)
+        raise AssertionError("not stopped")
+
+    program = SimpleNamespace(impl="c", device="cpu", compile_seconds=0, bytes_needed=1)
+    monkeypatch.setattr(train_command.build, "program", lambda config: program)
+    monkeypatch.setattr(train_command.run_lib, "loop", loop)
+    monkeypatch.setattr(train_command.finish, "finish", finish)
+    monkeypatch.setattr(train_command.workdir_lib, "saved", lambda workdir: [4])
+    return loops
+
+
+@pytest.mark.parametrize(
+    ("when", "line"),
+    [
+        (
+            "in the last iteration",
+            "saved at iteration 4 and stopped; the same command goes on from",
+        ),
+        ("while it is evaluated", "stopped; the same command goes on from the last checkpoint"),
+    ],
+)
+def test_ctrl_c_at_the_end_of_a_run_is_one_line_too(when, line, monkeypatch, capsys, tmp_path):
+    loops = finished(monkeypatch, when)
+    assert status(train_command.main, *FIRST, f"--workdir={tmp_path / 'run'}") == 130
+    said = capsys.readouterr().err
+    assert said.startswith(f"dynappo: {line}") and said.count("\n") == 1
+    assert ("finished" in loops) == (when == "while it is evaluated")
+
+
+def test_ctrl_c_where_python_cannot_raise_it_prints_no_traceback(capsys):
+    """In a finalizer; the loop sees it. Other errors there are told as ever."""
+
+    class Dying:
+        def __init__(self, does):
+            self.does = does
+
+        def __del__(self):
+            self.does()
+
+    def interrupt():
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(0.01)
+
+    told, before = [], sys.unraisablehook
+    sys.unraisablehook = told.append
+    try:
+        with train_command.Stop() as _:
+            pass
+        stop = train_command.Stop()
+        with stop:
+            Dying(interrupt)
+            assert stop.status == 130 and not told
+            Dying(lambda: 1 / 0)
+        assert len(told) == 1 and told.pop().exc_type is ZeroDivisionError
+        assert sys.unraisablehook == told.append
+    finally:
+        sys.unraisablehook = before
+    assert capsys.readouterr().err == ""
 
 
 def test_before_it_listens_ctrl_c_is_one_line_too(monkeypatch, capsys):

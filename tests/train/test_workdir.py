@@ -6,6 +6,7 @@ import os
 import shutil
 import socket
 from functools import partial
+from pathlib import Path
 
 import filelock
 import jax
@@ -20,7 +21,7 @@ from workdirs import opened
 from dynappo import train
 from dynappo.policy import policy_file
 from dynappo.program import build
-from dynappo.train import checkpoint
+from dynappo.train import checkpoint, finish, restore
 from dynappo.train import workdir as workdir_lib
 
 OTHER = workdirs.config(ppo__clip_epsilon=0.3)
@@ -149,7 +150,7 @@ def test_the_run_that_networks_come_from_is_remembered(whole, config, tmp_path):
     """Until there is a checkpoint each start takes them from there; another source is refused."""
     workdir, source = tmp_path / "run", whole.workdir.resolve()
     opened(workdir, config)
-    start_from = partial(workdir_lib.start_from, workdir)
+    start_from = partial(restore.source, workdir)
     assert start_from(None) is None
     assert start_from(whole.workdir) == source == start_from(None)
     (workdir / "metrics.csv").write_text("iteration,seconds\n1,2\n")
@@ -164,9 +165,9 @@ def test_the_run_that_networks_come_from_is_remembered(whole, config, tmp_path):
 
 def test_a_run_without_its_last_checkpoint_has_not_gone_well(whole, tmp_path):
     """A full disk at the very end is an error, and not only a line on the way."""
-    workdir_lib.check_saved(whole.workdir, 4)
+    finish.check_saved(whole.workdir, 4)
     with pytest.raises(OSError, match="the checkpoint of iteration 5 could not be saved"):
-        workdir_lib.check_saved(whole.workdir, 5)
+        finish.check_saved(whole.workdir, 5)
 
 
 @pytest.mark.parametrize("text", ['{"layers": 3}', "[1]", "{"])
@@ -198,6 +199,67 @@ def test_fresh_moves_the_old_run_aside(config, whole, tmp_path):
     old = tmp_path / "run.old-1"
     assert {p.name for p in old.iterdir()} >= set(whole.files) - {"lock"}
     assert (old / "metrics.csv").read_bytes() == whole.files["metrics.csv"]
+
+
+THEIRS = {  # what else is in the folder, what is said
+    "thesis.txt": "holds thesis.txt, which no run writes",
+    "src/main.c": "holds src, which no run writes",
+    ".ssh/id": "holds .ssh, which no run writes",
+    "policy.npz.part": None,
+    "walk.html": None,  # of `play`, into the folder of the run
+    "evaluation/evaluation.json": None,
+    "damaged-5/x": None,
+}
+
+
+@pytest.mark.parametrize("run", [True, False])
+@pytest.mark.parametrize("name", [n for n, said in THEIRS.items() if said])
+def test_fresh_moves_nothing_that_no_run_wrote(config, tmp_path, name, run):
+    """Somebody's folder, also one that a run was once started in; a line, and all is as it was."""
+    workdir = tmp_path / "mine"
+    (workdir / name).parent.mkdir(parents=True)
+    (workdir / name).write_text("years")
+    if run:
+        opened(workdir, config)
+    before = workdirs.everything(tmp_path)
+    line = refused(opened, workdir, config, fresh=True)
+    assert line.startswith(f"--workdir={workdir} {THEIRS[name]}")
+    assert workdirs.everything(tmp_path) == before
+
+
+@pytest.mark.parametrize("name", [n for n, said in THEIRS.items() if not said])
+def test_fresh_moves_what_our_commands_wrote(config, tmp_path, name):
+    workdir = tmp_path / "run"
+    (workdir / name).parent.mkdir(parents=True)
+    (workdir / name).write_text("a")
+    opened(workdir, config)
+    opened(workdir, config, fresh=True)
+    assert (tmp_path / "run.old-1" / name).read_text() == "a"
+
+
+@pytest.mark.parametrize("name", ["walk.html", "config.json"])
+def test_fresh_moves_no_folder_without_a_run(config, tmp_path, name):
+    """Pictures, or another program's settings."""
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / name).write_text("{}")
+    line = refused(opened, tmp_path / "mine", config, fresh=True)
+    assert f"holds {name}, which no run" in line or "that is not of a run" in line
+    assert [path.name for path in tmp_path.iterdir()] == ["mine"]
+    assert [path.name for path in (tmp_path / "mine").iterdir()] == [name]
+
+
+def test_fresh_moves_no_folder_that_somebody_is_in_and_no_empty_one(config, tmp_path, monkeypatch):
+    """What is written next would land in the old one."""
+    workdir = tmp_path / "run"
+    workdir.mkdir()
+    opened(workdir, config, fresh=True)
+    assert [path.name for path in tmp_path.iterdir()] == ["run"]
+    (workdir / "events").mkdir()
+    for inside, name in ((workdir, "."), (workdir / "events", ".."), (workdir / "events", workdir)):
+        monkeypatch.chdir(inside)
+        line = refused(opened, Path(name), config, fresh=True)
+        assert "--fresh cannot move the folder that you are in" in line
+    assert [path.name for path in tmp_path.iterdir()] == ["run"]
 
 
 # ---- the policy that is kept
