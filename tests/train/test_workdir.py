@@ -230,9 +230,9 @@ def test_fresh_moves_nothing_that_no_run_wrote(config, tmp_path, name, run):
 @pytest.mark.parametrize("name", [n for n, said in THEIRS.items() if not said])
 def test_fresh_moves_what_our_commands_wrote(config, tmp_path, name):
     workdir = tmp_path / "run"
-    (workdir / name).parent.mkdir(parents=True)
-    (workdir / name).write_text("a")
     opened(workdir, config)
+    (workdir / name).parent.mkdir(exist_ok=True)
+    (workdir / name).write_text("a")
     opened(workdir, config, fresh=True)
     assert (tmp_path / "run.old-1" / name).read_text() == "a"
 
