@@ -21,6 +21,19 @@ import sys
 from importlib import metadata
 from typing import TYPE_CHECKING
 
+
+def _interrupted(kind, error, trace) -> None:
+    """As Python tells of an error, but ctrl-C is one line."""
+    if not issubclass(kind, KeyboardInterrupt):
+        return sys.__excepthook__(kind, error, trace)
+    print("dynappo: stopped", file=sys.stderr, flush=True)
+    os._exit(130)
+
+
+# Python is importing one of our commands, which takes half a second; in no other program is it so
+if sys.argv[:1] == ["-m"]:
+    sys.excepthook = _interrupted
+
 if TYPE_CHECKING:  # what an editor completes
     from dynappo.learner import gae as gae
     from dynappo.physics import robot as robot
@@ -39,20 +52,6 @@ if metadata.version("jaxlib") == "0.10.2":
 for _flag, _value in _FLAGS.items():
     if _flag not in os.environ.get("XLA_FLAGS", ""):
         os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {_flag}={_value}".strip()
-
-
-def _interrupted(kind, error, trace) -> None:
-    """As Python tells of an error, but ctrl-C is one line."""
-    if not issubclass(kind, KeyboardInterrupt):
-        return sys.__excepthook__(kind, error, trace)
-    print("dynappo: stopped", file=sys.stderr, flush=True)
-    os._exit(130)
-
-
-if sys.argv[:1] == [
-    "-m"
-]:  # Python looks for the module of one of our commands: half a second of imports
-    sys.excepthook = _interrupted
 
 
 def __getattr__(name: str):

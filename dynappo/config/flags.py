@@ -7,7 +7,9 @@ import errno
 import io
 import os
 import reprlib
+import signal
 import sys
+import threading
 from collections.abc import Callable
 from pathlib import Path
 
@@ -120,6 +122,7 @@ def answer(action: Callable[[], None], stopped: str | Callable[[], str] = "stopp
         if isinstance(stream, io.TextIOWrapper):  # what a terminal has no letter for
             stream.reconfigure(errors="backslashreplace")
     line, code = "", 0
+    told, sys.unraisablehook = sys.unraisablehook, _once_more
     try:
         action()
     except SystemExit as end:  # of --help
@@ -132,6 +135,8 @@ def answer(action: Callable[[], None], stopped: str | Callable[[], str] = "stopp
         line, code = _told(error)
         if not line:
             raise
+    finally:
+        sys.unraisablehook = told
     try:
         if sys.stdout:
             sys.stdout.flush()
@@ -142,6 +147,15 @@ def answer(action: Callable[[], None], stopped: str | Callable[[], str] = "stopp
         print(f"dynappo: {_one_line(line)}", file=sys.stderr)
     if code:
         sys.exit(code)
+
+
+def _once_more(lost) -> None:
+    """What is raised in a finalizer (JAX has some) Python prints, and goes on; ctrl-C comes again instead."""
+    if isinstance(lost.exc_value, KeyboardInterrupt):
+        again = threading.main_thread().ident, signal.SIGINT
+        threading.Timer(0.05, signal.pthread_kill, again).start()
+    else:
+        sys.__unraisablehook__(lost)
 
 
 def _told(error: Exception) -> tuple[str, int]:

@@ -96,21 +96,15 @@ def afterwards(command: Command) -> str:
 
 class Stop:
     """Catches ctrl-C and SIGTERM while it is entered; the first asks the loop to save and stop, and
-    `status` is the exit status it means. Before the loop runs, and at the second, it interrupts.
-
-    Where Python cannot raise that (in a finalizer of JAX's, while it compiles) it would print a
-    traceback and go on; nothing is printed then, and the loop stops at its first look at `status`.
-    """
+    `status` is the exit status it means. Before the loop runs, and at the second, it interrupts."""
 
     def __init__(self):
         self.status, self.patient = 0, False
 
     def __enter__(self):
         self.old = {s: signal.signal(s, self._handle) for s in (signal.SIGINT, signal.SIGTERM)}
-        self.told, sys.unraisablehook = sys.unraisablehook, self._unraisable
 
     def __exit__(self, *_):
-        sys.unraisablehook = self.told
         for number, handler in self.old.items():
             signal.signal(number, handler)
 
@@ -118,10 +112,6 @@ class Stop:
         again, self.status = self.status, 128 + number
         if again or not self.patient:
             raise KeyboardInterrupt(self.status)
-
-    def _unraisable(self, lost):
-        if not isinstance(lost.exc_value, KeyboardInterrupt):
-            self.told(lost)
 
 
 def train_and_show(command: Command, stop: Stop) -> None:

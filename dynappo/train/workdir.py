@@ -33,7 +33,7 @@ MAY_CHANGE = (
 # what runs write into their folder, `evaluate` too, and what people film or export into it
 WRITTEN = (
     "config.json* lock metrics.csv* checkpoints damaged-* events* policy.npz* summary.json* curves.png "
-    "video.mp4* nonfinite.npz restored_from wandb* evaluation* *.html *.mp4 *.gif *.png *.onnx"
+    "video.mp4* nonfinite.npz restored_from* wandb* evaluation* *.html *.mp4 *.gif *.png *.onnx"
 ).split()
 NO_LOCKS = (errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS)  # of some file systems
 

@@ -2,8 +2,10 @@
 
 import importlib
 import os
+import signal
 import subprocess
 import sys
+import time
 
 import pytest
 from answers import ROOT, refused, shell, status
@@ -76,6 +78,34 @@ def test_what_is_said_of_an_interruption_may_depend_on_when_it_is(capsys):
 
     assert status(lambda _: flags.answer(action, lambda: f"stopped {said[0]}")) == 130
     assert capsys.readouterr().err == "dynappo: stopped at the second iteration\n"
+
+
+class Dying:
+    """Does something in its finalizer, where Python prints errors and goes on."""
+
+    def __init__(self, does):
+        self.does = does
+
+    def __del__(self):
+        self.does()
+
+
+def test_ctrl_c_in_a_finalizer_interrupts_a_moment_later(capsys):
+    """It is not lost, as once in a callback of JAX's; another error there is told as ever."""
+
+    def action():
+        Dying(lambda: 1 / 0)
+        Dying(lambda: signal.raise_signal(signal.SIGINT))
+        said.append("goes on")
+        time.sleep(5)
+        said.append("was never interrupted")
+
+    said, before, began = [], sys.unraisablehook, time.monotonic()
+    assert status(lambda _: flags.answer(action)) == 130
+    assert said == ["goes on"] and time.monotonic() - began < 2
+    err = capsys.readouterr().err
+    assert "ZeroDivisionError" in err and "KeyboardInterrupt" not in err
+    assert err.endswith("dynappo: stopped\n") and sys.unraisablehook is before
 
 
 COMMANDS = ("train", "play", "evaluate", "export", "bench")
