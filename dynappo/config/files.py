@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 
 PACKAGE = Path(__file__).resolve().parents[1]
@@ -16,7 +17,7 @@ def roots() -> tuple[Path, ...]:
 def find(folder: str, name: str, own: bool = False) -> Path | None:
     """The first `folder/name` of `roots`, with `own` not of the working directory; None if there is none."""
     paths = (root / folder / name for root in roots()[own:])
-    return next((path for path in paths if path.exists()), None)
+    return next((path for path in paths if os.path.exists(path)), None)  # also of a name too long
 
 
 def robots() -> list[str]:

@@ -100,7 +100,7 @@ RANGES = (
         "run.num_iterations run.eval_envs run.eval_steps task.episode_length task.resample_steps "
         "task.push.interval",
     ),
-    ("at most 10,000,000", lambda v: v <= 10_000_000, "rollout.num_envs"),
+    ("at most 100,000,000", lambda v: v <= 100_000_000, "rollout.num_envs"),
 )
 LAYERS = 32  # of a network, at most
 AT_LEAST = (  # field, another that it must not be below
