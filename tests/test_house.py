@@ -29,9 +29,11 @@ MAY_IMPORT = {
 }
 WITHOUT_JAX = {"policy", "play", "export", "config", "schedule"}
 WITHOUT_JAX |= {"task.rewards", "task.observe"}
-WITHOUT_JAX |= {f"physics.{name}" for name in ("robot", "contract", "contacts", "actuators")}
+WITHOUT_JAX |= {
+    f"physics.{name}" for name in ("robot", "mjcf", "contract", "contacts", "actuators")
+}
 JAX = {"jax", "jaxlib", "flax", "optax", "orbax", "brax", "chex", "jaxtyping", "mujoco.mjx"}
-# pure functions: nothing printed, no clock, no file; robot.py reads a robot's file, and c_engine.py
+# pure functions: nothing printed, no clock, no file; robot.py and mjcf.py read a robot's file, c_engine.py
 # asks for the cores that it may use and locks its threads
 PURE = {"method", "learner", "model", "task", "physics", "config.splitting", "config.validation"}
 SPEAKS = set("print input breakpoint callback pure_callback io_callback".split())
@@ -120,7 +122,7 @@ def test_what_plays_exports_and_checks_settings_needs_no_jax(name):
 
 @pytest.mark.parametrize("name", [n for n in MODULES if inside(n, PURE)])
 def test_pure_modules_do_not_print_read_the_clock_or_touch_files(name):
-    reads = name == "physics.robot"
+    reads = name in ("physics.robot", "physics.mjcf")
     banned, modules = (SPEAKS, CLOCKS) if reads else (SPEAKS | FILES, CLOCKS | PATHS)
     calls = [n.func for n in ast.walk(tree(name)) if isinstance(n, ast.Call)]
     found = {getattr(f, "id", None) or getattr(f, "attr", None) for f in calls} & banned

@@ -1,5 +1,5 @@
 """`python -m dynappo.bench`."""
 
-from dynappo.bench import command
+from dynappo.config import flags
 
-command.main()
+flags.start("bench")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import errno
+import importlib
 import io
 import os
 import reprlib
@@ -103,12 +104,22 @@ def whole(name: str, text: str, least: int, most: int = 2**31 - 1) -> int:
 def check_writable(out: Path) -> None:
     """ConfigError if no file can be written at `out`; leaves none behind."""
     try:
-        fresh = not out.exists()
+        fresh = not out.exists()  # raises where the name is too long
         out.open("ab").close()
     except OSError as error:
         raise ConfigError(f"--out={out}: cannot write there ({error.strerror})") from None
     if fresh:
         out.unlink()
+
+
+def start(command: str) -> None:
+    """Run `dynappo.COMMAND`, whatever MUJOCO_GL is.
+
+    MuJoCo reads it when it is imported, and fails where it names what is not there. No command draws
+    in its own process: films are made in another (policy/render.py), the viewer has its own window.
+    """
+    os.environ["MUJOCO_GL"] = "disable"
+    importlib.import_module(f"dynappo.{command}.command").main()
 
 
 def answer(action: Callable[[], None], stopped: str | Callable[[], str] = "stopped") -> None:

@@ -1,5 +1,5 @@
 """`python -m dynappo.evaluate`."""
 
-from dynappo.evaluate import command
+from dynappo.config import flags
 
-command.main()
+flags.start("evaluate")

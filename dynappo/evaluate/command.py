@@ -48,6 +48,7 @@ ROWS = (  # of the table of a sweep: name, label, format
     ("duty_factor", "duty factor", "{:.2f}"),
     ("stride_frequency", "stride frequency", "{:.2f} /s"),
 )
+MAX_EPISODES = 10**6  # of which each is a robot in memory
 USAGE = """\
 what is evaluated is a workdir (while it trains: its newest checkpoint), a checkpoint folder, a
 policy.npz, or the name of a robot with a bundled policy

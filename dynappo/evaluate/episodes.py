@@ -17,6 +17,12 @@ from dynappo.policy.policy_file import Policy
 from dynappo.program import devices
 
 NUMBER = {"gpu": 1000, "cpu": 64}
+MOST = {  # field -> what it may be in a file from anybody
+    "run.eval_steps": 100_000,
+    "task.episode_length": 100_000,
+    "physics.iterations": 1000,
+    "physics.ls_iterations": 1000,
+}
 
 
 def settings(policy: Policy):
@@ -38,7 +44,25 @@ def settings(policy: Policy):
         node[leaf] = settled
     config.run.update(device="auto", mesh_seed=1, mesh_env=1)
     config.physics.update(impl="auto", threads=0)
-    return config_lib.validate(config)
+    config = config_lib.validate(config)
+    _check(config, policy)
+    return config
+
+
+def _check(config, policy: Policy) -> None:
+    """ConfigError where the config of a policy's file would keep this machine busy for ever, or where
+    it is that of another network."""
+    for field, most in MOST.items():
+        group, _, leaf = field.rpartition(".")
+        value = config[group][leaf]
+        if value > most:
+            raise ConfigError(f"the policy's config has {field} = {value}, expected at most {most}")
+    layers = policy.params["actor"]["params"]
+    sizes = tuple(len(layers[f"Dense_{i}"]["bias"]) for i in range(len(layers) - 1))
+    if config.ppo.hidden != sizes:
+        raise ConfigError(
+            f"the policy's config has ppo.hidden = {config.ppo.hidden}, its network has {sizes}"
+        )
 
 
 def run(

@@ -1,5 +1,5 @@
 """`python -m dynappo.export`."""
 
-from dynappo.export import command
+from dynappo.config import flags
 
-command.main()
+flags.start("export")

@@ -8,6 +8,7 @@ to be reordered on the robot. robots/DEPLOY.md says how to go on.
 from __future__ import annotations
 
 import argparse
+import os
 from pathlib import Path
 
 from dynappo.config import ConfigError
@@ -64,7 +65,7 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
 
 def check_out(out: Path, source: Path) -> None:
     """ConfigError if nothing can be written at `out`; leaves no file behind."""
-    if out.exists() and source.exists() and out.samefile(source):
+    if os.path.exists(out) and source.exists() and out.samefile(source):
         raise ConfigError(f"--out={out}: is the policy itself; name another file")
     flags_lib.check_writable(out)
 

@@ -6,7 +6,6 @@ is. Its metadata hold the rest: observation table, joints, default pose, gains, 
 
 from __future__ import annotations
 
-import json
 import os
 from pathlib import Path
 from typing import Any
@@ -98,6 +97,15 @@ def about(policy: Policy, robot: robot_lib.Robot) -> dict[str, Any]:
     }
 
 
+def _float32(name: str, value) -> np.ndarray:
+    """As the network holds it; ConfigError where that is not finite."""
+    with np.errstate(over="ignore"):
+        array = np.ascontiguousarray(value, np.float32)
+    if not np.isfinite(array).all():
+        raise ConfigError(f"not written: {name} is not finite in float32")
+    return array
+
+
 def onnx_model(policy: Policy, facts: dict[str, Any], targets: bool = False):
     """The actor as an `onnx.ModelProto`, checked; every metadata value is JSON.
 
@@ -110,7 +118,7 @@ def onnx_model(policy: Policy, facts: dict[str, Any], targets: bool = False):
     nodes, weights, x = [], [], "obs"
 
     def constant(name, value):
-        weights.append(numpy_helper.from_array(np.ascontiguousarray(value, np.float32), name))
+        weights.append(numpy_helper.from_array(_float32(name, value), name))
         return name
 
     def node(kind, *inputs, to):
@@ -160,7 +168,9 @@ def onnx_model(policy: Policy, facts: dict[str, Any], targets: bool = False):
             "every control_dt. Each metadata value is JSON. How to use it: robots/DEPLOY.md of dynappo."
         ),
     )
-    helper.set_model_props(model, {name: json.dumps(value) for name, value in facts.items()})
+    helper.set_model_props(
+        model, {name: policy_file.to_json(value) for name, value in facts.items()}
+    )
     onnx.checker.check_model(model, full_check=True)
     return model
 
@@ -168,14 +178,13 @@ def onnx_model(policy: Policy, facts: dict[str, Any], targets: bool = False):
 def save(policy: Policy, robot: robot_lib.Robot, out: Path, targets: bool = False) -> None:
     """Write `policy` as `out` says by its suffix; the file appears at once, whole.
 
-    ConfigError if onnx is not installed.
+    ConfigError if onnx is not installed, a number is not finite, or the file cannot be written.
     """
     try:
         if out.suffix == ".npz":
             fields = policy._asdict() | {"format": policy_file.FORMAT}
             del fields["params"]
-            text = json.dumps(fields, default=np.ndarray.tolist)
-            policy_file.save_params(out, policy.params, about=text)
+            policy_file.save_params(out, policy.params, about=policy_file.to_json(fields))
             return
         data = onnx_model(policy, about(policy, robot), targets).SerializeToString(
             deterministic=True

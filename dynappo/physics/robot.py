@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 
 from dynappo.config import ConfigError, files
-from dynappo.physics import contract
+from dynappo.physics import contract, mjcf
 
 VISUAL_GROUP = 2
 
@@ -37,7 +37,8 @@ class Robot(NamedTuple):
 
 def load(name: str) -> Robot:
     """The robot of folder `robots/NAME`; a ConfigError names what its file lacks."""
-    xml = files.find("robots", f"{name}/{name}.xml")
+    plain = isinstance(name, str) and not {"/", "\\"} & set(name)  # no path out of robots/
+    xml = files.find("robots", f"{name}/{name}.xml") if plain else None
     if xml is None:
         raise ConfigError(f"robot is {name!r}: there is no robots/{name}/{name}.xml")
     return load_xml(xml)
@@ -45,13 +46,11 @@ def load(name: str) -> Robot:
 
 def load_xml(xml: Path) -> Robot:
     """As `load`, from any file that keeps the contract."""
-    try:
+    with mjcf.reading(xml):
         spec = physics_spec(xml)
         contract.check_file(spec)
-        model = spec.compile()
+        model = mjcf.check_model(spec.compile())
         feet, parts = contract.check(model)
-    except ValueError as error:  # MuJoCo's, or a rule of the contract
-        raise ConfigError(f"{xml}: {' '.join(str(error).split())}") from None
     home = model.key("home").qpos.copy()
     return Robot(
         name=xml.stem,

@@ -1,5 +1,5 @@
 """`python -m dynappo.play`."""
 
-from dynappo.play import command
+from dynappo.config import flags
 
-command.main()
+flags.start("play")

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
@@ -27,6 +28,9 @@ from dynappo.policy.policy_file import Policy
 FILES = {".mp4": "a film", ".gif": "a film", ".png": "its last moment", ".html": "a page"}
 SECONDS = 12.0
 AFTER_SCRIPT = 2.0  # s, how long the last row of a command script lasts
+LONGEST = 3600  # s that can be played
+MAX_SCRIPT = 2**24  # bytes of a command script; a row each 0.02 s of an hour has less
+FASTEST = 100  # m/s or rad/s that can be asked for
 AXES = ("vx", "vy", "wz")
 USAGE = f"""\
 what is played is a workdir (while it trains: its newest checkpoint), a checkpoint folder, a
@@ -79,9 +83,9 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
     flags.seed = flags_lib.whole("seed", flags.seed, 0)
     if flags.seconds is not None:
         seconds = _number(flags.seconds)
-        if seconds is None or not 0 < seconds <= 3600:
+        if seconds is None or not 0 < seconds <= LONGEST:
             raise ConfigError(
-                f"--seconds={flags.seconds!r}: expected a number above 0, at most 3600"
+                f"--seconds={flags.seconds!r}: expected a number above 0, at most {LONGEST}"
             )
         flags.seconds = seconds
     return flags
@@ -103,7 +107,7 @@ def commands(text: str | None, seconds: float | None) -> Commands:
         rows = np.array([row for _, row in episode_lib.TOUR])
         named = "a tour: ahead, a turn, sideways, fast ahead"
         return Commands(episode_lib.tour(length), rows, named, length)
-    if text.endswith(".csv") or Path(text).is_file():
+    if text.endswith(".csv") or os.path.isfile(text):  # False where the name is too long
         return script(Path(text))
     values = [_number(part) for part in text.split(",")]
     if len(values) != 3 or None in values:
@@ -112,6 +116,8 @@ def commands(text: str | None, seconds: float | None) -> Commands:
             "--command=0.8,0,0, or a FILE.csv with rows t,vx,vy,wz"
         )
     asked = np.array(values, float)
+    if np.abs(asked).max() > FASTEST:
+        raise ConfigError(f"--command={text!r}: expected numbers from -{FASTEST} to {FASTEST}")
     said = f"{asked[0]:g}, {asked[1]:g} m/s, {asked[2]:g} rad/s"
     return Commands(lambda t: asked, asked[None], said, SECONDS)
 
@@ -123,11 +129,15 @@ def script(path: Path) -> Commands:
         return ConfigError(f"--command={path}: {reason}")
 
     try:
-        lines = path.read_text().splitlines()
+        with path.open("rb") as file:
+            content = file.read(MAX_SCRIPT + 1)
+        lines = content.decode().splitlines()
     except OSError as error:
         raise wrong(f"cannot be read ({error.strerror})") from None
     except UnicodeDecodeError:
         raise wrong("not a text file; expected rows t,vx,vy,wz") from None
+    if len(content) > MAX_SCRIPT:
+        raise wrong(f"more than {MAX_SCRIPT} bytes; expected rows t,vx,vy,wz of an hour at most")
     rows: list[list[float]] = []
     for number, line in enumerate(lines, 1):
         cells = [cell.strip() for cell in line.split(",")]
@@ -135,16 +145,21 @@ def script(path: Path) -> Commands:
             continue
         row = [value for cell in cells if (value := _number(cell)) is not None]
         if len(row) != 4 or len(cells) != 4:
-            raise wrong(f"line {number} is {line!r}, expected four numbers t,vx,vy,wz")
+            raise wrong(f"line {number} is {line[:80]!r}, expected four numbers t,vx,vy,wz")
         if row[0] < 0 or (rows and row[0] <= rows[-1][0]):
             raise wrong(f"line {number}: t is {row[0]:g}, expected times from 0 on that increase")
+        if row[0] > LONGEST:
+            raise wrong(f"line {number}: t is {row[0]:g}, expected at most {LONGEST} s")
+        if max(map(abs, row[1:])) > FASTEST:
+            raise wrong(f"line {number} is {line[:80]!r}, expected commands up to {FASTEST}")
         rows.append(row)
     if not rows:
         raise wrong("has no rows; expected t,vx,vy,wz")
     table = np.array([[-math.inf, 0, 0, 0], *rows])
     # k x dt may lie a rounding error before the time of a row
     at = lambda t: table[np.searchsorted(table[:, 0], t + 1e-9, "right") - 1, 1:]  # noqa: E731
-    return Commands(at, table[1:, 1:], f"commands of {path}", rows[-1][0] + AFTER_SCRIPT)
+    seconds = min(rows[-1][0] + AFTER_SCRIPT, LONGEST)
+    return Commands(at, table[1:, 1:], f"commands of {path}", seconds)
 
 
 def outside(policy: Policy, asked: Commands) -> str:
@@ -182,7 +197,7 @@ def body_of(policy: Policy, xml: str | None, keep_joints: bool = False) -> episo
     """The policy's robot, or the one of `--robot-xml`."""
     if xml is None:
         return episode_lib.load(robot_lib.load(policy.robot).xml, policy, policy.timestep)
-    if not Path(xml).is_file():
+    if not os.path.isfile(xml):
         raise ConfigError(f"--robot-xml={xml}: no such file")
     try:
         return episode_lib.load(Path(xml), policy, keep_joints=keep_joints)

@@ -47,7 +47,7 @@ def write(body: Body, episode: dict[str, np.ndarray], out: Path, heading, subtit
     for i, piece in enumerate(pieces[1:], 1):
         name, _, rest = piece.partition("}}")
         pieces[i] = parts[name] + rest
-    content = "".join(pieces).encode()
+    content = "".join(pieces).encode(errors="backslashreplace")  # names of files may be no UTF-8
     out.write_bytes(content)
     return len(content)
 

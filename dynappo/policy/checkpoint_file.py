@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import os
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from dynappo.config import ConfigError
 
 STATE = "state"  # where a checkpoint has its arrays
 LOST = (FileNotFoundError, NotADirectoryError, IsADirectoryError)  # they will not come back
+MEMORY = 2**36  # bytes, taken for that of a machine that does not tell
 
 
 class Damaged(ConfigError):
@@ -62,15 +64,18 @@ def read(folder: Path) -> dict[str, np.ndarray]:
             memory.write(name, content).result()
         store = {"driver": "ocdbt", "base": "memory://"}
         names = tensorstore.KvStore.open(store, context=context).result().list().result()
+        stored = {}
         for name in {n.decode().rpartition("/")[0] for n in names}:
             spec = {"driver": "zarr", "kvstore": store | {"path": f"{name}/"}}
-            opened = tensorstore.open(spec, open=True, read=True, context=context).result()
-            arrays[name] = np.asarray(opened.read().result())
+            stored[name] = tensorstore.open(spec, open=True, read=True, context=context).result()
+        _check_sizes(folder, stored, expected["arrays"])
+        for name, array in stored.items():
+            arrays[name] = np.asarray(array.read().result())
         for name in expected["arrays"]:  # in the order of `checkpoint.digest`
             found.update(arrays[name.replace("/", ".")].tobytes())
         if found.hexdigest() != expected["sha256"]:
             raise ValueError("its numbers are not those that were saved")
-    except MemoryError:
+    except (MemoryError, ConfigError):  # too large for this machine: no damage
         raise
     except Exception as error:  # tensorstore raises ValueError, KeyError and others of its own
         raise Damaged(folder, _reason(error)) from None
@@ -95,6 +100,32 @@ def _raise(error: OSError):
     raise error
 
 
+def _check_sizes(folder: Path, stored: dict, expected: dict[str, str]) -> None:
+    """Of arrays not read yet, by what they say of themselves: terabytes would end the process.
+
+    ValueError where one is not what `about` says; ConfigError where all do not fit into memory.
+    """
+    total = 0
+    for name, array in stored.items():
+        size, chunk = math.prod(array.shape), math.prod(array.chunk_layout.read_chunk.shape or ())
+        total += size * array.dtype.numpy_dtype.itemsize
+        if chunk > max(size, 1):
+            raise ValueError(f"{name} is stored in pieces of {chunk} numbers, and has {size}")
+    for name, known in expected.items():
+        array = stored[name.replace("/", ".")]
+        found = f"{array.dtype.name}{list(array.shape)}".replace(" ", "")
+        if found != known and not known.startswith("key<"):  # random keys are stored as integers
+            raise ValueError(f"{name} is {found}, its `about` says {known}")
+    try:
+        memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    except (AttributeError, ValueError, OSError):  # not every system tells
+        memory = MEMORY
+    if total > memory:
+        raise ConfigError(
+            f"{folder}: its arrays are {total / 1e9:.0f} GB, this machine has {memory / 1e9:.0f} GB"
+        )
+
+
 def _reason(error: Exception) -> str:
     return (str(error).splitlines() or [type(error).__name__])[0][:80]
 
@@ -102,4 +133,4 @@ def _reason(error: Exception) -> str:
 def iterations(folder: Path) -> list[int]:
     """Iterations of the checkpoints in `folder` that are complete, newest first."""
     names = (path.name for path in folder.glob("[0-9]*"))
-    return sorted((int(name) for name in names if name.isdigit()), reverse=True)
+    return sorted((int(name) for name in names if name.isdecimal()), reverse=True)

@@ -20,7 +20,7 @@ import mujoco
 import numpy as np
 
 from dynappo.config import ConfigError
-from dynappo.physics import actuators, contacts
+from dynappo.physics import actuators, contacts, mjcf
 from dynappo.policy.policy_file import Policy
 from dynappo.task import observe
 
@@ -64,10 +64,8 @@ def load(
         if not ok:
             raise ConfigError(f"{xml}: expected {text}")
 
-    try:
-        model = mujoco.MjModel.from_xml_path(str(xml))
-    except ValueError as error:
-        raise ConfigError(f"{xml}: {' '.join(str(error).split())}") from None
+    with mjcf.reading(xml):
+        model = mjcf.check_model(mujoco.MjModel.from_xml_path(str(xml)))
     kinds = {model.joint(i).name: int(model.jnt_type[i]) for i in range(model.njnt)}
     hinge, free = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_FREE)
     lacks = [name for name in policy.joint_names if kinds.get(name) != hinge]
@@ -208,17 +206,20 @@ def rows(body: Body, data, act: Callable, command: Callable):
 
     A row: `qpos [nq]` of the file's own model; `command` and `velocity [3]` (vx, vy, yaw rate in the
     base frame; m/s, rad/s); `work` (J) and `fell` as of `step`. `act(obs)` is the policy, `command(t)`
-    what it is asked for. Raises FloatingPointError if the physics blows up.
+    what it is asked for. Raises FloatingPointError if the physics blows up,
+    ConfigError if MuJoCo cannot compute it.
     """
     # MuJoCo would write its warnings into a file of the working directory; what matters is raised
     mujoco.set_mju_user_warning(lambda message: None)
-    reset(body, data)
+    with mjcf.one_line(body.xml):
+        reset(body, data)
     dt, com = period(body), body.model.body_ipos[body.base_body]
     action = np.zeros(len(body.policy.joint_names))
     for k in itertools.count():
         asked = np.asarray(command(k * dt), float)
         action = act(look(body, data, asked, action))
-        work, fell = step(body, data, action)
+        with mjcf.one_line(body.xml):  # what does not fit into MuJoCo's memory
+            work, fell = step(body, data, action)
         if not (np.isfinite(data.qpos).all() and np.isfinite(data.qvel).all()):
             raise FloatingPointError(
                 f"{body.xml}: its physics has blown up after {k * dt:.2f} s (numbers that are not "

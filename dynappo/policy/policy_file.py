@@ -11,8 +11,7 @@ from __future__ import annotations
 
 import json
 import os
-import zipfile
-import zlib
+import reprlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -22,8 +21,7 @@ from ml_collections import config_dict
 
 from dynappo.config import ConfigError, files
 from dynappo.physics import robot as robot_lib
-from dynappo.policy import checkpoint_file
-from dynappo.task import observe
+from dynappo.policy import checkpoint_file, checks, npz_file
 
 FORMAT = 1  # of `about`
 OBSERVATION = (
@@ -98,9 +96,10 @@ def actor(params: dict, activation: str) -> Callable[[np.ndarray], np.ndarray]:
     act = ACTIVATIONS[activation]
 
     def mean(obs):
-        for i, (kernel, bias) in enumerate(weights):
-            obs = obs @ kernel + bias
-            obs = act(obs) if i < len(weights) - 1 else obs
+        with np.errstate(over="ignore", invalid="ignore"):  # told as a blow-up where it is played
+            for i, (kernel, bias) in enumerate(weights):
+                obs = obs @ kernel + bias
+                obs = act(obs) if i < len(weights) - 1 else obs
         return obs
 
     return mean
@@ -110,20 +109,29 @@ def save(path: Path, params: dict, config, robot: robot_lib.Robot) -> None:
     """Write `policy.npz`: the nested parameters, and what `config` and `robot` say of them."""
     about = describe(config, robot)._asdict() | {"format": FORMAT}
     del about["params"]
-    save_params(path, params, about=json.dumps(about, default=np.ndarray.tolist))
+    save_params(path, params, about=to_json(about))
+
+
+def to_json(value) -> str:
+    """JSON of what a file says of a policy; ConfigError if a number in it is not finite."""
+    try:
+        return json.dumps(value, default=np.ndarray.tolist, allow_nan=False)
+    except ValueError:
+        raise ConfigError(
+            "not written: a number in the description of the policy is not finite"
+        ) from None
 
 
 def save_params(path: Path, params: dict, **entries) -> None:
-    """Write nested parameters as an npz, named by their path in it; the file appears at once, whole."""
+    """Write nested parameters as an npz, named by their path in it; the file appears at once, whole.
 
-    def flat(tree, prefix):
-        for name, value in tree.items():
-            if isinstance(value, dict):
-                yield from flat(value, f"{prefix}{name}/")
-            else:
-                yield prefix + name, np.asarray(value)
-
-    arrays: dict[str, Any] = dict(flat(params, "")) | entries
+    ConfigError if a number is not finite: nothing is written then.
+    """
+    arrays: dict[str, Any] = dict(checks.leaves(params))
+    for name, value in arrays.items():
+        if not np.isfinite(value).all():
+            raise ConfigError(f"{path}: not written, {name} is not finite: training had blown up")
+    arrays |= entries
     path = Path(path)
     part = path.with_name(path.name + ".part")
     with part.open("wb") as file:
@@ -133,104 +141,89 @@ def save_params(path: Path, params: dict, **entries) -> None:
 
 def load_params(path: Path) -> dict:
     """The nested parameters that `save` or `save_params` wrote."""
-    with np.load(path) as file:
-        return _nested({name: file[name] for name in file if name != "about"})
-
-
-def _nested(arrays: dict) -> dict:
-    tree: dict = {}
-    for name, value in arrays.items():
-        *groups, leaf = name.split("/")
-        node = tree
-        for group in groups:
-            node = node.setdefault(group, {})
-        node[leaf] = value
-    return tree
+    arrays = npz_file.read(path)
+    return npz_file.nested({name: arrays[name] for name in arrays if name != "about"})
 
 
 def load(path: Path) -> Policy:
-    """The policy of a `policy.npz`; a ConfigError of one line says what the file lacks."""
-    try:
-        with np.load(path) as file:
-            arrays = {name: file[name] for name in file}
-    except OSError as error:
-        reason = error.strerror or "it is not an npz file"
-        raise ConfigError(f"{path}: cannot be read ({reason})") from None
-    except (ValueError, EOFError, KeyError, zipfile.BadZipFile, zlib.error, AttributeError):
-        raise ConfigError(f"{path}: not a policy.npz, or damaged") from None
+    """The policy of a `policy.npz` from anybody; a ConfigError of one line says what is wrong with it."""
+    arrays = npz_file.read(path)
     text = arrays.pop("about", None)
     if text is None:
         raise ConfigError(f"{path}: no entry `about`: not a policy.npz as training writes it")
     try:
+        params = npz_file.nested(arrays)
+    except ValueError as error:
+        raise ConfigError(f"{path}: {error}") from None
+    try:
         about = json.loads(str(text))
         version = about.pop("format")
         if version != FORMAT:
+            version = reprlib.repr(version)
             raise ConfigError(
                 f"{path}: written in format {version}, this dynappo reads {FORMAT}; update dynappo"
             )
-        about["joint_names"] = tuple(about["joint_names"])
-        about["default_pose"] = np.array(about["default_pose"], float)
-        for name in ("joint_damping", "joint_friction"):
-            about[name] = tuple(about.get(name, ()))
-        policy = Policy(**about, params=_nested(arrays))
+        policy = Policy(**about, params=params)
     except ConfigError:
         raise
-    except (ValueError, TypeError, KeyError, AttributeError) as error:
-        reason = str(error).removeprefix("Policy.__new__() ")
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
+        reason = str(error).removeprefix("Policy.__new__() ")[:200]
         raise ConfigError(f"{path}: its entry `about` is damaged ({reason})") from None
-    return _check(path, policy)
+    return _checked(path, policy)
 
 
-def _check(path: Path, policy: Policy) -> Policy:
-    """The policy, if its numbers fit together; else a ConfigError."""
+def _checked(path: Path, policy: Policy) -> Policy:
+    """The policy, its lists as tuples and arrays, if all of it makes sense; else a ConfigError."""
 
     def expect(ok, text):
         if not ok:
             raise ConfigError(f"{path}: {text}")
 
-    inputs, outputs = observe.PROP_SIZE + observe.CONTEXT_SIZE, len(policy.joint_names)
     expect(
         policy.observation == OBSERVATION,
-        f"its observation is {policy.observation!r}, this dynappo computes {OBSERVATION!r}",
+        f"its observation is {reprlib.repr(policy.observation)}, this dynappo computes {OBSERVATION!r}",
     )
     expect(
-        policy.activation in ACTIVATIONS,
-        f"its activation is {policy.activation!r}, expected one of {', '.join(ACTIVATIONS)}",
+        policy.activation in tuple(ACTIVATIONS),
+        f"its activation is {reprlib.repr(policy.activation)}, expected one of {', '.join(ACTIVATIONS)}",
     )
-    expect(
-        policy.default_pose.shape == (outputs,),
-        f"{len(policy.default_pose)} angles of the default pose for {outputs} joints",
-    )
-    for name in ("joint_damping", "joint_friction"):
-        count = len(getattr(policy, name))
-        expect(count in (0, outputs), f"{count} values of {name} for {outputs} joints")
     try:
-        arrays = [x for layer in policy.params["actor"]["params"].values() for x in layer.values()]
-        shape = actor(policy.params, policy.activation)(np.zeros(inputs)).shape
-    except (KeyError, TypeError, AttributeError, ValueError):
-        raise ConfigError(
-            f"{path}: not the layers of an actor of {inputs} observations (actor/params/Dense_0/...)"
-        ) from None
-    expect(shape == (outputs,), f"its actor gives {shape} actions for {outputs} joints")
-    finite = all(np.isfinite(x).all() for x in arrays)
-    expect(finite, "its parameters are not finite: training had blown up")
-    return policy
+        checks.check(policy._asdict())
+        checks.check_params(policy.params, len(policy.joint_names))
+    except ValueError as error:
+        raise ConfigError(f"{path}: {error}") from None
+    return policy._replace(
+        joint_names=tuple(policy.joint_names),
+        default_pose=np.array(policy.default_pose, float),
+        joint_damping=tuple(policy.joint_damping),
+        joint_friction=tuple(policy.joint_friction),
+    )
 
 
 def load_checkpoint(folder: Path) -> Policy:
     """The policy of an orbax checkpoint `WORKDIR/checkpoints/ITERATION`; of several seeds the first."""
     try:
         config = config_dict.ConfigDict(checkpoint_file.about(folder)["config"])
-        robot, several = robot_lib.load(config.robot), config.run.num_seeds > 1
-    except (KeyError, AttributeError, TypeError):
+        several, name = config.run.num_seeds > 1, config.robot
+        if not isinstance(name, str):
+            raise TypeError
+        policy = describe(config, robot_lib.load(name))
+    except ConfigError:
+        raise
+    except (KeyError, AttributeError, TypeError, ValueError):
         raise ConfigError(f"{folder}: not a checkpoint of dynappo (it holds no config)") from None
     prefix, arrays = "learner.params.", {}
     for name, array in checkpoint_file.read(folder).items():
         if name.startswith(prefix):
-            arrays[name.removeprefix(prefix).replace(".", "/")] = array[0] if several else array
+            first = array[0] if several and array.shape[:1] > (0,) else array
+            arrays[name.removeprefix(prefix).replace(".", "/")] = first
     if not arrays:
         raise ConfigError(f"{folder}: not a checkpoint of dynappo (it holds no networks)")
-    return _check(folder, describe(config, robot, _nested(arrays)))
+    try:
+        params = npz_file.nested(arrays)
+    except ValueError as error:
+        raise ConfigError(f"{folder}: {error}") from None
+    return _checked(folder, policy._replace(params=params))
 
 
 def locate(text: str) -> Path:
@@ -248,9 +241,9 @@ def locate(text: str) -> Path:
             )
         return path
     path = Path(text)
-    if path.is_file():
+    if os.path.isfile(path):  # False, not an error, where the name is too long
         return path
-    if not path.is_dir():
+    if not os.path.isdir(path):
         raise ConfigError(
             f"{text}: no such file or folder; expected a workdir, a checkpoint, a policy.npz or one "
             f"of {', '.join(files.robots())}"

@@ -7,6 +7,7 @@ take the process with it: EGL is tried first, then OSMesa. `play/page.py` needs 
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import os
 import subprocess
@@ -62,11 +63,15 @@ def film(
 
     Returns "" if it was written, else one line that says why not and what to install.
     """
-    with tempfile.TemporaryDirectory() as folder:
-        npz = Path(folder) / "episode.npz"
-        shown: dict[str, Any] = {"xml": str(robot.xml), "base": robot.base_body}
-        shown |= {name: episode[name] for name in ("qpos", "command", "velocity", "dt")}
-        np.savez(npz, **shown)
+    with contextlib.ExitStack() as stack:
+        try:
+            folder = stack.enter_context(tempfile.TemporaryDirectory())
+            npz = Path(folder) / "episode.npz"
+            shown: dict[str, Any] = {"xml": str(robot.xml), "base": robot.base_body}
+            shown |= {name: episode[name] for name in ("qpos", "command", "velocity", "dt")}
+            np.savez(npz, **shown)
+        except OSError as error:  # no temporary folder, or a full disk
+            return f"no video: cannot write a temporary file ({error.strerror or error})"
         for backend in ("egl", "osmesa"):
             environment = os.environ | {"MUJOCO_GL": backend, "PYOPENGL_PLATFORM": backend}
             command = [sys.executable, "-m", "dynappo.policy.render", str(npz), str(out)]

@@ -12,6 +12,18 @@ No other command imports it. It imports `program`, `policy`, `config` and `sched
 holds is `types.TrainState`, and what `workdir.save` puts beside it.
 """
 
-from dynappo.train.run import train
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:  # what an editor completes
+    from dynappo.train.run import train as train
 
 __all__ = ["train"]
+
+
+def __getattr__(name: str):
+    if name != "train":
+        raise AttributeError(f"module 'dynappo.train' has no attribute {name!r}")
+    # not above: it imports MuJoCo, which the command must prepare (`config.flags.start`)
+    from dynappo.train.run import train
+
+    return train

@@ -1,5 +1,5 @@
 """`python -m dynappo.train`."""
 
-from dynappo.train import command
+from dynappo.config import flags
 
-command.main()
+flags.start("train")

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from dynappo.config import files, versions
+from dynappo.config import ConfigError, files, versions
 from dynappo.policy import policy_file
 from dynappo.program import distributed
 from dynappo.train import curves, log
@@ -35,8 +35,11 @@ def finish(config, program, workdir: Path, state, metrics) -> dict[str, Any]:
     if config.run.video_seconds:
         act = policy_file.actor(params, config.ppo.activation)
         seconds = config.run.video_seconds
-        episode = render.simulate(program.robot, config, act, render.tour(seconds), seconds)
-        problem = render.film(program.robot, episode, workdir / "video.mp4")
+        try:
+            episode = render.simulate(program.robot, config, act, render.tour(seconds), seconds)
+            problem = render.film(program.robot, episode, workdir / "video.mp4")
+        except (FloatingPointError, ConfigError) as error:  # the run itself has ended well
+            problem = f"no video: {error}"
         summary["video"] = problem or str(workdir / "video.mp4")
     if (workdir / "restored_from").exists():
         summary["restored_from"] = (workdir / "restored_from").read_text().strip()

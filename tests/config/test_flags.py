@@ -22,6 +22,7 @@ ENDS = {  # what an action raises, exit status, the line after "dynappo: "
         1,
         "a.csv cannot be written (No space left on device)\n",
     ),
+    "a name of several lines": (ConfigError("a\n\x1b[2Jb\udcff"), 2, "a\\n\\x1b[2Jb\\udcff\n"),
     "no library": (OSError("libGL.so: cannot open"), 1, "libGL.so: cannot open\n"),
     "SIGTERM": (KeyboardInterrupt(143), 143, "stopped; nothing is written\n"),
     "no memory": (
@@ -61,6 +62,14 @@ def test_what_ends_a_command_is_one_line_and_a_status(name, capsys):
     assert status(lambda _: flags.answer(action, "stopped; nothing is written")) == code
     said = capsys.readouterr()
     assert said.err == f"dynappo: {line}" and said.out == ""
+
+
+@pytest.mark.parametrize("command", "bench evaluate export play train".split())
+def test_no_command_needs_the_opengl_that_is_asked_for(command, monkeypatch):
+    """MuJoCo raises at its import where MUJOCO_GL names nothing that is there."""
+    monkeypatch.setenv("MUJOCO_GL", "nonsense")
+    done = shell("-m", f"dynappo.{command}", "--help")
+    assert done.returncode == 0 and f"dynappo.{command}" in done.stdout, done.stderr
 
 
 def test_an_error_of_ours_keeps_its_traceback():
@@ -208,5 +217,9 @@ def test_where_nothing_can_be_written_it_is_said_before_anything_is_done(tmp_pat
     (tmp_path / "old.json").write_text("mine")
     flags.check_writable(tmp_path / "old.json")
     assert (tmp_path / "old.json").read_text() == "mine"
-    for out, reason in ((tmp_path / "no" / "a.json", "No such file"), (tmp_path, "Is a directory")):
+    for out, reason in (
+        (tmp_path / "no" / "a.json", "No such file"),
+        (tmp_path, "Is a directory"),
+        (tmp_path / ("n" * 256), "File name too long"),
+    ):
         assert f"--out={out}: cannot write there ({reason}" in refused(flags.check_writable, out)

@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 import toy_sweep
 from answers import mistake, shell, status
-from toy_policy import actor, described, save
+from ml_collections import config_dict
+from toy_policy import actor, described
 
 from dynappo import config as config_lib
 from dynappo.evaluate import command as evaluate_command
@@ -20,7 +21,12 @@ from dynappo.policy import policy_file
 @pytest.fixture(scope="module")
 def saved(tmp_path_factory):
     """The policy.npz of a Go1 that moves its legs a little."""
-    return save(tmp_path_factory.mktemp("saved") / "mover.npz")
+    path = tmp_path_factory.mktemp("saved") / "mover.npz"
+    config, robot = described()
+    config = config_dict.ConfigDict(config)
+    config.ppo.hidden = (16, 16)
+    policy_file.save(path, actor(), config, robot)
+    return path
 
 
 @pytest.fixture

@@ -14,17 +14,19 @@ from dynappo.evaluate import episodes
 from dynappo.policy import policy_file
 from dynappo.program import devices
 
+HIDDEN = (128, 128, 128)  # of the bundled configs
+
 
 @pytest.fixture(scope="module")
 def policy():
-    return policy_file.describe(*described(), actor())
+    return policy_file.describe(*described(), actor(hidden=HIDDEN))
 
 
 def test_the_settings_are_those_of_training(policy):
     """Every field as it was, but for the device; newer fields have their defaults."""
     for name in ("go1", "anymal_d"):
         trained = described(name)[0].to_dict()
-        found = episodes.settings(policy_file.describe(*described(name), actor()))
+        found = episodes.settings(policy_file.describe(*described(name), actor(hidden=HIDDEN)))
         assert found.to_dict() == trained
     expected = described()[0].to_dict()
     old = json.loads(json.dumps(expected))
@@ -37,12 +39,24 @@ def test_the_settings_are_those_of_training(policy):
 
 
 @pytest.mark.parametrize(
-    ("field", "value"), [("kp", "stiff"), ("command_x", [1.0]), ("formulation", "mine")]
+    ("field", "value"),
+    [
+        ("task.kp", "stiff"),
+        ("task.command_x", [1.0]),
+        ("task.formulation", "mine"),
+        ("task.episode_length", 3_000_000_000),
+        ("run.eval_steps", 10**12),
+        ("physics.iterations", 10**9),
+        ("ppo.hidden", [64, 64]),
+        ("run.mesh_seed", True),
+    ],
 )
 def test_a_config_that_does_not_fit_is_one_line(policy, field, value):
+    """Of another type, of another network, or of a length that nobody waits for."""
     damaged = json.loads(json.dumps(policy.config))
-    damaged["task"][field] = value
-    assert f"task.{field}" in refused(episodes.settings, policy._replace(config=damaged))
+    group, leaf = field.split(".")
+    damaged[group][leaf] = value
+    assert field in refused(episodes.settings, policy._replace(config=damaged))
 
 
 def test_the_policy_is_evaluated_on_its_task(policy, monkeypatch):

@@ -98,6 +98,8 @@ MISTAKES = {  # arguments, what the line must say
     "no suffix": (["small", "--out=a"], "--out=a: expected a file named .onnx or .npz"),
     "targets": (["small", "--out=a.npz", "--targets"], "--targets: only an .onnx has outputs"),
     "no folder": (["small", "--out=no/a.onnx"], "--out=no/a.onnx: cannot write there (No such"),
+    "a long name": (["n" * 256, "--out=a.onnx"], f"{'n' * 256}: no such file or folder"),
+    "a long out": (["small", f"--out={'n' * 256}.onnx"], "cannot write there (File name too long)"),
     "a folder": (["small", "--out=taken.npz"], "--out=taken.npz: cannot write there (Is a dir"),
     "itself": (["small", "--out=small/policy.npz"], "--out=small/policy.npz: is the policy itself"),
     "long": (["small", f"--out={'a' * 300}.npz"], "cannot be used (File name too long)"),

@@ -7,6 +7,7 @@ import mujoco
 import numpy as np
 import onnx
 import pytest
+from answers import refused
 from toy_onnx import described, infer, observations, onnx_file, session
 from toy_policy import ROBOTS
 
@@ -68,6 +69,34 @@ def test_the_same_policy_gives_the_same_bytes_in_one_whole_file(tmp_path):
         onnx_file.save(policy, robot, tmp_path / name)
     assert (tmp_path / "one.onnx").read_bytes() == (tmp_path / "two.onnx").read_bytes()
     assert sorted(p.name for p in tmp_path.iterdir()) == ["one.onnx", "two.onnx"]
+
+
+WRONG = {  # what is put into a policy, what the line must say of an ONNX file, and of an npz
+    "kp": (lambda p: p._replace(kp=np.nan), "description of the policy is not finite", True),
+    "a pose": (lambda p: p._replace(default_pose=p.default_pose + np.inf), "is not finite", True),
+    "the config": (lambda p: p._replace(config={"task": {"x": -np.inf}}), "is not finite", True),
+    "a weight": (lambda p: with_weight(p, np.nan), "is not finite", True),
+    "a weight beyond float32": (lambda p: with_weight(p, 1e300), "not finite in float32", False),
+}
+
+
+def with_weight(policy, value):
+    """The policy with one weight of its actor in float64."""
+    layers = policy.params["actor"]["params"]
+    kernel = layers["Dense_0"]["kernel"].astype(np.float64)
+    kernel[3, 4] = value
+    layers = layers | {"Dense_0": layers["Dense_0"] | {"kernel": kernel}}
+    return policy._replace(params=policy.params | {"actor": {"params": layers}})
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_nothing_that_is_not_finite_is_written(tmp_path, name):
+    """Whatever came so far; no file is left. float64, as an npz may hold it, can be finite there alone."""
+    change, expected, both = WRONG[name]
+    policy, robot, _ = described("go1")
+    for file in ("a.onnx", "a.npz") if both else ("a.onnx",):
+        assert expected in refused(onnx_file.save, change(policy), robot, tmp_path / file)
+    assert not list(tmp_path.iterdir())
 
 
 # ---- what is beside the network

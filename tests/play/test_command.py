@@ -1,5 +1,6 @@
 """The command `python -m dynappo.play`: what is asked of the robot, what it writes, every mistake."""
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -52,13 +53,26 @@ def test_a_script_is_piecewise_constant(tmp_path):
         ("t,vx,vy,wz\n0,1,0,0\n1,fast,0,0\n", "line 3 is '1,fast,0,0'"),
         ("0,1,0,0\n2,1,0,0\n1,0,0,0\n", "line 3: t is 1, expected times from 0 on that increase"),
         ("-1,1,0,0\n", "line 1: t is -1"),
+        ("0,1,0,0\n1e9,1,0,0\n", "line 2: t is 1e+09, expected at most 3600 s"),
+        ("0,nan,0,0\n", "line 1 is '0,nan,0,0', expected four numbers"),
+        ("0,1e300,0,0\n", "line 1 is '0,1e300,0,0', expected commands up to 100"),
+        ("0,1,0,0\n" + "9" * 10**6, "line 2 is '9999"),
+        ("#" * (play_command.MAX_SCRIPT + 1), "more than 16777216 bytes"),
+        ("\xff\xfe", "not a text file"),
     ],
 )
 def test_a_wrong_script_is_one_line(tmp_path, text, expected):
     path = tmp_path / "drill.csv"
-    path.write_text(text)
+    path.write_bytes(text.encode("latin-1"))
     line = refused(play_command.commands, str(path), None)
-    assert line.startswith(f"--command={path}: ") and expected in line
+    assert line.startswith(f"--command={path}: ") and expected in line and len(line) < 300
+
+
+def test_a_script_is_an_hour_at_most(tmp_path):
+    """Its last row lasts no longer than what --seconds may be."""
+    path = tmp_path / "drill.csv"
+    path.write_text("0,1,0,0\n3599,0,0,0\n")
+    assert play_command.commands(str(path), None).seconds == 3600
 
 
 def test_commands_outside_the_training_are_pointed_out(saved):
@@ -152,6 +166,13 @@ MISTAKES = {  # flags, what the line must say
     "four numbers": (["go1", "--command=1,2,3,4"], "expected three numbers"),
     "a word": (["go1", "--command=fast,0,0"], "expected three numbers"),
     "not finite": (["go1", "--command=nan,0,0"], "expected three numbers"),
+    "too fast": (["go1", "--command=1e300,0,0"], "expected numbers from -100 to 100"),
+    "a long name": (["n" * 256], f"{'n' * 256}: no such file or folder"),
+    "a long command": (["go1", f"--command={'n' * 256}"], "expected three numbers"),
+    "a long script": (["go1", f"--command={'n' * 256}.csv"], "cannot be read (File name too long"),
+    "a long robot": (["go1", f"--robot-xml={'n' * 256}"], "no such file"),
+    "a long out": (["go1", f"--out={'n' * 256}.html"], "cannot write there (File name too long)"),
+    "a seed of 5000 digits": (["go1", f"--seed={'9' * 5000}"], "expected an integer"),
     "no script": (["go1", "--command=no.csv"], "--command=no.csv: cannot be read (No such file"),
     "command with a file": (["go1", "--out=new.html", "--command=1,2"], "--command='1,2'"),
     "suffix": (["go1", "--out=walk.avi"], "--out=walk.avi: expected a file named .mp4, .gif"),
@@ -177,6 +198,32 @@ def test_a_mistake_is_one_line_and_status_2(tmp_path, monkeypatch, capsys, name)
     acts = [] if named or not flags else ["--policy=zero"]
     assert expected in mistake(play_command.main, [*flags, *acts], capsys)
     assert {p.name for p in tmp_path.iterdir()} == {"taken.html", "empty.xml"}
+
+
+def test_a_name_that_a_stream_or_a_page_cannot_show_is_written_in_ascii(
+    saved, tmp_path, monkeypatch
+):
+    """Streams of ASCII (PYTHONIOENCODING), and a file name that is no UTF-8."""
+    monkeypatch.setenv("PYTHONIOENCODING", "ascii")
+    folder = tmp_path / "ü\udcff"
+    folder.mkdir()
+    shutil.copy(saved, folder)
+    out = tmp_path / "walk.html"
+    done = shell("-m", "dynappo.play", folder / "policy.npz", "--seconds=0.1", f"--out={out}")
+    assert done.returncode == 0 and "\\xfc\\udcff/policy.npz" in done.stdout, done.stderr
+    assert "ü\\udcff/policy.npz" in out.read_text(encoding="utf-8")
+    done = shell("-m", "dynappo.play", folder / "no.npz", f"--out={out}")
+    assert done.returncode == 2 and "\\xfc\\udcff/no.npz: no such file" in done.stderr
+
+
+@pytest.mark.parametrize("backend", ["osmesa", "nonsense"])
+def test_a_page_needs_no_opengl_whatever_is_asked_for(saved, tmp_path, monkeypatch, backend):
+    """MuJoCo cannot be imported with a MUJOCO_GL that is not there; a page is written nevertheless."""
+    monkeypatch.setenv("MUJOCO_GL", backend)
+    out = tmp_path / "walk.html"
+    done = shell("-m", "dynappo.play", saved, "--seconds=0.1", f"--out={out}")
+    assert done.returncode == 0, done.stderr
+    assert out.stat().st_size > 50_000
 
 
 def test_help_explains_what_can_be_played(capsys):

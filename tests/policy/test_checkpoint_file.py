@@ -1,15 +1,18 @@
 """The arrays of a checkpoint without JAX: the newest by number, and no other numbers than were saved."""
 
 import json
+import re
 import shutil
 
 import jax
 import numpy as np
 import pytest
+import tensorstore
 from answers import refused, shell
 from toy_policy import actor
 
 from dynappo import config as config_lib
+from dynappo.config import ConfigError
 from dynappo.policy import checkpoint_file, policy_file
 from dynappo.train import checkpoint
 from dynappo.types import Learner
@@ -38,6 +41,7 @@ def test_a_checkpoint_is_played_without_a_policy_file(tmp_path, seeds):
     workdir = tmp_path / "run"
     networks = written(workdir, seeds)
     (workdir / "checkpoints" / "11.orbax-checkpoint-tmp-0").mkdir()  # a save in progress
+    (workdir / "checkpoints" / "1²").mkdir()  # digits to Python, but no number
     assert checkpoint_file.iterations(workdir / "checkpoints") == [10, 9]
     for place, step in (("", 10), ("checkpoints", 10), ("checkpoints/9", 9)):
         found, path = policy_file.find(str(workdir / place))
@@ -66,12 +70,58 @@ def test_damage_is_one_line_and_nothing_is_changed(tmp_path):
     line = refused(policy_file.find, str(workdir / "checkpoints" / "9"))
     assert "9: not a checkpoint, or damaged (its numbers are not those that were saved)" in line
     assert checkpoint_file.iterations(workdir / "checkpoints") == [10, 9]
+    config = text["config"]
+    wrong = ([], {"a.b": 1}, config | {"task": 1}, config | {"robot": {}}, config | {"ppo": [1]})
+    for found in wrong:
+        about.write_text(json.dumps(text | {"config": found}))
+        line = refused(policy_file.find, str(workdir / "checkpoints" / "9"))
+        assert line.endswith("9: not a checkpoint of dynappo (it holds no config)")
     del text["config"]
     about.write_text(json.dumps(text))
     assert "it holds no config" in refused(policy_file.find, str(workdir / "checkpoints" / "9"))
 
 
-@pytest.mark.parametrize("about", ["[]", "{}", '{"arrays": [], "sha256": ""}', '{"arrays": {}}'])
+def claim(folder, name, shape, chunks):
+    """Let the array `name` of a checkpoint say that it has this shape, in pieces of `chunks`."""
+    base = f"file://{(folder / 'state').resolve()}/"
+    store = tensorstore.KvStore.open({"driver": "ocdbt", "base": base}).result()
+    key = f"{name}/.zarray"
+    said = json.loads(bytes(store.read(key).result().value)) | {"shape": shape, "chunks": chunks}
+    store.write(key, json.dumps(said).encode()).result()
+
+
+HUGE = 10**12
+CLAIMS = {  # shape and pieces of an array, what `about` says of it, what the line must say
+    "4 TB": ([HUGE], [1000], "float32[12]", "float32[1000000000000], its `about` says float32[12]"),
+    "4 TB twice": ([HUGE], [1000], f"float32[{HUGE}]", "its arrays are 4000 GB, this machine has"),
+    "a piece of 4 TB": (
+        [12],
+        [HUGE],
+        "float32[12]",
+        "in pieces of 1000000000000 numbers, and has 12",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", CLAIMS)
+def test_an_array_of_terabytes_is_not_read(tmp_path, name):
+    """Reading it would end the process. What both agree on is too large, not damaged."""
+    shape, chunks, known, expected = CLAIMS[name]
+    written(tmp_path / "run")
+    folder = tmp_path / "run" / "checkpoints" / "10"
+    claim(folder, "learner.params.std", shape, chunks)
+    about = folder / "about" / "metadata"
+    text = json.loads(about.read_text())
+    text["arrays"]["learner/params/std"] = known
+    about.write_text(json.dumps(text))
+    with pytest.raises(ConfigError, match=re.escape(expected)) as caught:
+        checkpoint_file.read(folder)
+    assert isinstance(caught.value, checkpoint_file.Damaged) == ("machine" not in expected)
+
+
+@pytest.mark.parametrize(
+    "about", ["[]", "{}", '{"arrays": [], "sha256": ""}', '{"arrays": {}}', "[" * 99_999]
+)
 def test_a_text_that_is_not_ours_is_damage(tmp_path, about):
     """JSON of another form beside the arrays is answered like numbers that have changed."""
     (tmp_path / "about").mkdir()

@@ -157,6 +157,17 @@ def test_a_film_that_cannot_be_written_is_not_a_missing_package(standing, filmed
     assert problem.startswith("no video: cannot write ") and "No such file" in problem
 
 
+def test_without_room_for_its_own_files_a_film_is_one_line(standing, tmp_path, monkeypatch):
+    """A disk that is full: the run that wanted it goes on."""
+
+    def full(*_, **__):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(render.np, "savez", full)
+    problem = render.film(GO1, rows_of(standing, slice(2)), tmp_path / "video.mp4")
+    assert problem == "no video: cannot write a temporary file (No space left on device)"
+
+
 def test_the_script_that_looks_at_a_robot_says_whether_it_stands(tmp_path):
     """The one of robots/README.md, as it is printed there, with a bundled robot."""
     page = (ROOT / "robots" / "README.md").read_text()

@@ -122,6 +122,13 @@ def test_there_is_a_film_or_the_reason(program, whole, tmp_path, monkeypatch):
         summary = finish.finish(filmed, program(), tmp_path, whole.state, whole.metrics)
         assert summary["video"] == (problem or str(tmp_path / "video.mp4"))
         assert summary["curves"] == str(tmp_path / "curves.png")
+
+    def blown_up(*_):
+        raise FloatingPointError("its physics has blown up")
+
+    monkeypatch.setattr(render, "simulate", blown_up)
+    summary = finish.finish(filmed, program(), tmp_path, whole.state, whole.metrics)
+    assert summary["video"] == "no video: its physics has blown up"
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     summary = finish.finish(filmed, program(), tmp_path, whole.state, whole.metrics)
     assert "pip install 'dynappo[video]'" in summary["curves"]

@@ -1,0 +1,180 @@
+"""An MJCF from anybody: looked at before MuJoCo compiles it, and after.
+
+A few characters can ask for a hundred thousand bodies (`replicate`), a field of 40 GB or a time step of
+1e-12 s; MuJoCo would compute for hours, or end the process. Not looked at are the meshes, pictures and
+other data that a file names, nor what its plugins are told: these can take all time and memory. Nor is
+it said where a file may read: `include` and all others may name any file of the machine. So an MJCF is
+trusted as code is (robots/README.md); what is checked here are mistakes, and harm that costs nothing.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import os
+from pathlib import Path
+from xml.parsers import expat
+
+import mujoco
+
+from dynappo.config import ConfigError
+
+MAX_BYTES = 2**24  # of a file and all that it includes; the robots here have 10 KiB
+MAX_ELEMENTS = 20_000  # of XML, each as often as it is repeated
+MAX_BODIES, MAX_SPEEDS = 2000, 1000  # the mass matrix has the square of the latter
+TIMESTEP = 1e-5, 0.1  # s
+REPEATS = ("replicate", "composite", "flexcomp")  # their `count` is how often, along each axis
+NAN = {"nan", "+nan", "-nan"}  # MuJoCo would warn of it, into a file of the working directory
+NAMES = {"name", "class", "childclass", "file"}  # attributes that may well be called so
+FOLDERS = {"assetdir", "meshdir", "texturedir"}  # where files may lie
+# attribute, or TAG.attribute -> largest number in it
+MOST = {
+    "count": 10_000,
+    "cellcount": 1000,
+    "nrow": 4096,
+    "ncol": 4096,
+    "texture.width": 4096,
+    "texture.height": 4096,
+    "mesh.params": 1000,
+    "numeric.size": 10**6,
+    "contact.num": 1000,
+    "nsample": 10**5,
+    "resolution": 8192,
+    "offwidth": 8192,
+    "offheight": 8192,
+    "offsamples": 64,
+    "shadowsize": 16384,
+    "iterations": 1000,
+    "ls_iterations": 1000,
+    "noslip_iterations": 1000,
+    "ccd_iterations": 1000,
+    "sdf_iterations": 1000,
+    "sdf_initpoints": 1000,
+    "size.memory": 2**32,
+    "size.nstack": 10**8,
+    "size.njmax": 10**6,
+    "size.nconmax": 10**6,
+    "size.nuserdata": 10**6,
+    "size.nkey": 10_000,
+}
+MOST_OF_SIZE = 1000  # of every other attribute of `size`
+UNITS = "KMGTPE"  # of `size.memory`, each 1024 times the one before
+
+
+@contextlib.contextmanager
+def one_line(xml: Path):
+    """What MuJoCo or we say of a file in here, as a ConfigError of one line that begins with its path."""
+    try:
+        yield
+    except ConfigError:
+        raise
+    except (ValueError, RuntimeError, MemoryError, mujoco.FatalError) as error:
+        text = " ".join(str(error).split()) or "it needs more memory than there is"
+        raise ConfigError(f"{xml}: {text}") from None
+
+
+@contextlib.contextmanager
+def reading(xml: Path):
+    """As `one_line`, for what compiles the file: its text is checked first."""
+    with one_line(xml):
+        check_text(xml)
+        yield
+
+
+def check_text(xml: Path) -> None:
+    """ValueError if a file, or one that it includes, is no XML or asks for more than a robot needs."""
+    left, counted, seen = MAX_BYTES, [0], set()
+    todo, folders = [(Path(xml), 1)], {""}
+    while todo:
+        path, times = todo.pop()
+        if path.resolve() in seen:  # MuJoCo refuses it
+            continue
+        seen.add(path.resolve())
+        try:
+            with path.open("rb") as file:
+                content = file.read(left + 1)
+        except OSError as error:
+            raise ValueError(f"{_of(path, xml)}cannot be read ({error.strerror})") from None
+        left -= len(content)
+        if left < 0:
+            raise ValueError(f"expected at most {MAX_BYTES} bytes, with all that it includes")
+        text = content.decode(errors="replace")
+        for tag, attributes, often in _elements(text, times, counted, _of(path, xml)):
+            folders |= {attributes[name] for name in FOLDERS & set(attributes)}
+            if not (named := attributes.get("file")):
+                continue
+            places = {p / f / named for p in (xml.parent, path.parent) for f in folders}
+            for place in (place for place in places if os.path.exists(place)):
+                if not os.path.isfile(place) and not os.path.isdir(place):  # it would wait for ever
+                    raise ValueError(f"{_of(path, xml)}{place} is a device, expected a file")
+                if tag in ("include", "model") and os.path.isfile(place):
+                    todo.append((place, often))
+
+
+def _of(path: Path, xml: Path) -> str:
+    """How a line on a file begins that is not the one which was named."""
+    return "" if path == xml else f"{path}: "
+
+
+def _elements(text: str, times: int, counted: list[int], of: str) -> list[tuple[str, dict, int]]:
+    """`(tag, attributes, how often)` of every element in a text that stands there `times` times.
+
+    `counted[0]` is how many there have been; `of` begins an error.
+    """
+    found, stack = [], [times]
+
+    def start(tag, attributes):
+        often = stack[-1]
+        for name, value in attributes.items():
+            if name not in NAMES and NAN & set(value.lower().split()):
+                raise ValueError(f"{of}{tag} has {name}={value[:40]!r}, expected numbers")
+            numbers = _within(tag, name, value, of)
+            if tag in REPEATS and name == "count":
+                often *= math.prod(max(1, math.ceil(n)) for n in numbers)
+        counted[0] += often
+        if counted[0] > MAX_ELEMENTS:
+            raise ValueError(f"{of}more than {MAX_ELEMENTS} elements, expected a robot")
+        stack.append(often)
+        found.append((tag, attributes, often))
+
+    def refuse(*_):
+        raise ValueError(f"{of}a DOCTYPE, which MJCF does not have")
+
+    parser = expat.ParserCreate()
+    parser.StartElementHandler, parser.EndElementHandler = start, lambda _: stack.pop()
+    parser.StartDoctypeDeclHandler = refuse
+    try:
+        parser.Parse(text, True)
+    except expat.ExpatError as error:
+        raise ValueError(f"{of}XML parse error: {error}") from None
+    return found
+
+
+def _within(tag: str, name: str, value: str, of: str) -> list[float]:
+    """The numbers of an attribute that has a limit; ValueError if one is above it."""
+    most = MOST.get(f"{tag}.{name}", MOST.get(name, MOST_OF_SIZE if tag == "size" else math.inf))
+    numbers = []
+    for text in value.split() if most < math.inf else ():
+        power = UNITS.find(text[-1].upper()) + 1
+        try:
+            number = float(text[:-1] if power else text) * 1024**power
+        except ValueError:
+            number = math.inf
+        if not number <= most:
+            raise ValueError(f"{of}{tag} has {name}={value[:40]!r}, expected at most {most}")
+        numbers.append(number)
+    return numbers
+
+
+def check_model(model: mujoco.MjModel) -> mujoco.MjModel:
+    """The compiled model, if it can be stepped in a time that somebody waits for; else a ValueError."""
+    low, high = TIMESTEP
+    step = model.opt.timestep
+    for ok, text in (
+        (low <= step <= high, f"a timestep of {low:g} to {high:g} s, found {step:g}"),
+        (model.nbody <= MAX_BODIES, f"at most {MAX_BODIES} bodies, found {model.nbody}"),
+        (model.nv <= MAX_SPEEDS, f"at most {MAX_SPEEDS} degrees of freedom, found {model.nv}"),
+    ):
+        if not ok:
+            raise ValueError(f"expected {text}")
+    return model
