@@ -98,7 +98,7 @@ def check_text(xml: Path) -> None:
         left -= len(content)
         if left < 0:
             raise ValueError(f"expected at most {MAX_BYTES} bytes, with all that it includes")
-        text = content.decode("utf-8-sig", errors="replace")
+        text = content.decode(errors="replace")
         for tag, attributes, often in _elements(text, times, counted, _of(path, xml)):
             folders |= {attributes[name] for name in FOLDERS & set(attributes)}
             if not (named := attributes.get("file")):

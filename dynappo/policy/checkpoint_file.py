@@ -1,6 +1,8 @@
 """The arrays of a checkpoint, read without JAX: its hash is checked, and nothing in the folder is changed.
 
-With tensorstore, because orbax would import JAX, and JAX would take a GPU that trains.
+With tensorstore, because orbax would import JAX, and JAX would take a GPU that trains. Python reads the
+files, and tensorstore only what is then in memory. So the two ways to fail are never confused: what the
+machine cannot give now is an OSError or a MemoryError, and what it gave but cannot be right is `Damaged`.
 """
 
 from __future__ import annotations
@@ -16,11 +18,12 @@ import numpy as np
 from dynappo.config import ConfigError
 
 STATE = "state"  # where a checkpoint has its arrays
+LOST = (FileNotFoundError, NotADirectoryError, IsADirectoryError)  # they will not come back
 MEMORY = 2**36  # bytes, taken for that of a machine that does not tell
 
 
 class Damaged(ConfigError):
-    """A checkpoint that cannot be read, or whose numbers are not those that were saved."""
+    """A checkpoint without what belongs to it, or whose numbers are not those that were saved."""
 
     def __init__(self, folder: Path, reason: str):
         super().__init__(f"{folder}: not a checkpoint, or damaged ({reason})")
@@ -29,12 +32,20 @@ class Damaged(ConfigError):
 
 def about(folder: Path) -> dict:
     """What was saved beside the arrays: iteration, config, the shape of every array, a hash of all."""
+    found = read_json(folder, "about/metadata")
+    if not isinstance(found.get("arrays"), dict) or not isinstance(found.get("sha256"), str):
+        raise Damaged(folder, "its `about` lacks shapes or hash")
+    return found
+
+
+def read_json(folder: Path, name: str) -> dict:
+    """The JSON object in a file of a checkpoint."""
     try:
-        found = json.loads((folder / "about" / "metadata").read_text())
-        if not isinstance(found["arrays"], dict) or not isinstance(found["sha256"], str):
-            raise ValueError("its `about` lacks shapes or hash")
-    except (OSError, ValueError, TypeError, KeyError, RecursionError) as error:
+        found = json.loads((folder / name).read_bytes())
+    except (*LOST, ValueError, RecursionError) as error:
         raise Damaged(folder, _reason(error)) from None
+    if not isinstance(found, dict):
+        raise Damaged(folder, f"{name} holds no JSON object")
     return found
 
 
@@ -45,15 +56,18 @@ def read(folder: Path) -> dict[str, np.ndarray]:
     """
     import tensorstore
 
-    expected = about(folder)
-    store = {"driver": "ocdbt", "base": f"file://{(folder / STATE).resolve()}/"}
-    arrays, found = {}, hashlib.sha256()
+    expected, context = about(folder), tensorstore.Context()
+    files, arrays, found = _files(folder), {}, hashlib.sha256()
     try:
-        names = tensorstore.KvStore.open(store).result().list().result()
+        memory = tensorstore.KvStore.open({"driver": "memory"}, context=context).result()
+        for name, content in files.items():
+            memory.write(name, content).result()
+        store = {"driver": "ocdbt", "base": "memory://"}
+        names = tensorstore.KvStore.open(store, context=context).result().list().result()
         stored = {}
         for name in {n.decode().rpartition("/")[0] for n in names}:
             spec = {"driver": "zarr", "kvstore": store | {"path": f"{name}/"}}
-            stored[name] = tensorstore.open(spec, open=True, read=True).result()
+            stored[name] = tensorstore.open(spec, open=True, read=True, context=context).result()
         _check_sizes(folder, stored, expected["arrays"])
         for name, array in stored.items():
             arrays[name] = np.asarray(array.read().result())
@@ -61,11 +75,29 @@ def read(folder: Path) -> dict[str, np.ndarray]:
             found.update(arrays[name.replace("/", ".")].tobytes())
         if found.hexdigest() != expected["sha256"]:
             raise ValueError("its numbers are not those that were saved")
-    except ConfigError:  # too large, and no damage
+    except (MemoryError, ConfigError):  # too large for this machine: no damage
         raise
     except Exception as error:  # tensorstore raises ValueError, KeyError and others of its own
         raise Damaged(folder, _reason(error)) from None
     return arrays
+
+
+def _files(folder: Path) -> dict[str, bytes]:
+    """The bytes of every file of the arrays, by its path."""
+    state = folder / STATE
+    try:
+        walk = os.walk(state, onerror=_raise)  # rglob would leave out what it may not read
+        paths = [Path(where) / name for where, _, names in walk for name in names]
+        files = {path.relative_to(state).as_posix(): path.read_bytes() for path in paths}
+    except LOST as error:
+        raise Damaged(folder, _reason(error)) from None
+    if not files:
+        raise Damaged(folder, "its arrays are missing")
+    return files
+
+
+def _raise(error: OSError):
+    raise error
 
 
 def _check_sizes(folder: Path, stored: dict, expected: dict[str, str]) -> None:

@@ -161,23 +161,33 @@ def first() -> bool:
 
 
 def on_first(action: Callable[[], Any]) -> Any:
-    """What `action` returns in process 0 (JSON), in all of them; its ConfigError is raised in all."""
+    """What `action` returns in process 0 (JSON), in all of them; its error too.
+
+    A ConfigError is one in all of them. Of any other the others raise an OSError that quotes it, because
+    they would wait for ever.
+    """
     from jax.experimental import multihost_utils
 
     if not several():
         return action()
-    text = b""
+    text, failed = b"", None
     if first():
         try:
             text = json.dumps({"value": action()}).encode()
-        except ConfigError as error:
-            text = json.dumps({"error": str(error)[: MESSAGE // 2]}).encode()
+        except Exception as error:
+            failed = error
+            kind = "error" if isinstance(error, ConfigError) else "fault"
+            text = json.dumps({kind: str(error)[: MESSAGE // 2]}).encode()
     padded = np.zeros(MESSAGE, np.uint8)
     padded[: len(text)] = np.frombuffer(text, np.uint8)
     message = np.asarray(multihost_utils.broadcast_one_to_all(padded)).tobytes().rstrip(b"\0")
+    if failed:
+        raise failed
     answer = json.loads(message)
     if "error" in answer:
         raise ConfigError(answer["error"])
+    if "fault" in answer:
+        raise OSError(f"process 0 has stopped: {answer['fault']}")
     return answer["value"]
 
 

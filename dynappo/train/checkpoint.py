@@ -15,7 +15,6 @@ import contextlib
 import errno
 import hashlib
 import itertools
-import json
 import logging
 import shutil
 from collections.abc import Callable
@@ -42,7 +41,8 @@ def opened(workdir: Path, say: Callable[[str], None] = print):
     """Yields what keeps the newest checkpoints of `workdir/checkpoints`, named by iteration, and the best.
 
     Orbax reads the small JSON texts of all of them at once and fails if one is damaged: such a
-    checkpoint is moved out of the way first, and `say` tells so in one line. At the end a save under way
+    checkpoint is moved out of the way first, and `say` tells so in one line. What cannot be read now is an
+    OSError, and nothing is moved: a disk may come back. At the end a save under way
     is waited for. Meanwhile orbax's loggers are silent: they log every step of every save, and tracebacks
     of what is raised too.
     """
@@ -50,11 +50,11 @@ def opened(workdir: Path, say: Callable[[str], None] = print):
         if step.name.isdigit():
             try:
                 for text in ("about/metadata", "_CHECKPOINT_METADATA"):
-                    json.loads((step / text).read_text())
-                if (step / "metrics").exists():
-                    json.loads((step / "metrics" / "metrics").read_text())
-            except (OSError, ValueError) as error:
-                _move_aside(step, _reason(error), say)
+                    checkpoint_file.read_json(step, text)
+                if (step / "metrics").exists() and not _worth(step):
+                    raise checkpoint_file.Damaged(step, "its metrics are not a number")
+            except checkpoint_file.Damaged as error:
+                _move_aside(step, error.reason, say)
     loggers = [logging.getLogger(name) for name in ("absl", "asyncio")]
     levels = [logger.level for logger in loggers]
     for logger in loggers:
@@ -66,9 +66,16 @@ def opened(workdir: Path, say: Callable[[str], None] = print):
     finally:
         if checkpoints:
             log.attempt("the last checkpoint", partial(wait, checkpoints), say)
-            checkpoints.close()
+            with contextlib.suppress(Exception):  # it raises once more what `wait` has told
+                checkpoints.close()
         for logger, level in zip(loggers, levels, strict=True):
             logger.setLevel(level)
+
+
+def _worth(step: Path) -> bool:
+    """Whether what orbax chooses the best by is there."""
+    found = checkpoint_file.read_json(step, "metrics/metrics").values()
+    return bool(found) and all(type(x) in (int, float) for x in found)
 
 
 def manager(workdir: Path) -> ocp.CheckpointManager:
@@ -97,6 +104,8 @@ def manager(workdir: Path) -> ocp.CheckpointManager:
         preservation_policy=keep,
         best_fn=worth,
         cleanup_tmp_directories=True,  # of a save that was killed
+        # else a thread of orbax waits five minutes for a folder that could not be made
+        async_options=ocp.AsyncOptions(create_directories_asynchronously=False),
     )
     handlers = {"state": ocp.StandardCheckpointHandler(), "about": ocp.JsonCheckpointHandler()}
     registry = ocp.handlers.DefaultCheckpointHandlerRegistry()
@@ -149,7 +158,8 @@ def newest(
     """`(iteration, state)` of the newest good checkpoint, or None; `like` is a state of this run.
 
     A damaged one is moved out of the way and `say` tells so in one line. ConfigError if a checkpoint
-    is of another run, or if all are damaged.
+    is of another run, or if all are damaged; OSError or MemoryError, and nothing moved, where the machine
+    cannot read one now.
     """
     folder = Path(checkpoints.directory)
     for iteration in sorted(checkpoints.all_steps(), reverse=True):
@@ -216,11 +226,6 @@ def digest(state: Any) -> str:
     for leaf in jax.device_get(leaves):
         out.update(np.ascontiguousarray(leaf).tobytes())
     return out.hexdigest()
-
-
-def _reason(error: Exception) -> str:
-    text = str(error).strip()
-    return text.splitlines()[0][:160] if text else type(error).__name__
 
 
 def paths(tree: Any) -> dict[str, Any]:

@@ -141,12 +141,14 @@ def _train_and_show(command: Command, stop: Stop, out) -> None:
         out.print(text, style="yellow", markup=False, soft_wrap=True)
 
     config, workdir = command.config, command.workdir
-    with out.status("compiling (under a minute; half of it when cached)"):
-        program = build.program(config)
-        if command.restore:
-            from dynappo.train import restore
+    from dynappo.train import restore
 
-            program = restore.start_from(command.restore, program, say)
+    source = restore.source(workdir, command.restore)
+    with out.status("compiling (under a minute; half of it when cached)"):
+        config = workdir_lib.in_step(config, workdir)
+        program = build.program(config)
+        if source:
+            program = restore.start_from(source, program, say)
     engine = devices.ENGINES[program.impl]
     out.print(
         f"{program.device}, {engine}; compiled in {program.compile_seconds:.0f} s, "
@@ -194,7 +196,9 @@ def _train_and_show(command: Command, stop: Stop, out) -> None:
         return
     with out.status("evaluating, filming"):
         summary = finish.finish(config, program, workdir, state, metrics)
-    show_summary(out, config, workdir, summary)
+    if summary:
+        show_summary(out, config, workdir, summary)
+    finish.check_saved(workdir, done)
 
 
 def describe(config) -> str:

@@ -18,12 +18,15 @@ def finish(config, program, workdir: Path, state, metrics) -> dict[str, Any]:
     """Evaluate, write policy.npz, summary.json and the film; returns the summary."""
     from dynappo.policy import render
 
+    if not distributed.first():  # they take part in the evaluation, and have no history to sum up
+        if config.run.eval_envs:
+            program.evaluate(state)
+        distributed.whole(state.learner.params)
+        return {}
     summary = summarise(config, program, state, metrics)
     evaluated = summary.get("evaluation", {}).get("return", log.last_evaluation(metrics))
     evaluated = None if evaluated is None else np.array(evaluated, float)
     params = workdir_lib.best_params(config, distributed.whole(state.learner.params), evaluated)
-    if not distributed.first():
-        return summary
     policy_file.save(workdir / "policy.npz", params, config, program.robot)
     seeds = f" x {config.run.num_seeds} seeds" if config.run.num_seeds > 1 else ""
     title = f"{config.robot}: {config.rollout.num_envs} robots{seeds}"
@@ -38,8 +41,19 @@ def finish(config, program, workdir: Path, state, metrics) -> dict[str, Any]:
         except (FloatingPointError, ConfigError) as error:  # the run itself has ended well
             problem = f"no video: {error}"
         summary["video"] = problem or str(workdir / "video.mp4")
+    if (workdir / "restored_from").exists():
+        summary["restored_from"] = (workdir / "restored_from").read_text().strip()
     files.write_json(workdir / "summary.json", summary)
     return summary
+
+
+def check_saved(workdir: Path, done: int) -> None:
+    """OSError if the last checkpoint of a run that has ended is not there."""
+    if distributed.first() and done not in workdir_lib.saved(workdir):
+        raise OSError(
+            f"{workdir}: the checkpoint of iteration {done} could not be saved; policy.npz and summary.json "
+            "may be missing too. Make room, and give the same command again: it goes on from the one before"
+        )
 
 
 def summarise(config, program, state, metrics) -> dict[str, Any]:

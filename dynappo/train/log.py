@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import csv
+import itertools
 import os
 import time
 from collections.abc import Callable
@@ -65,7 +66,7 @@ def opened(config, workdir: Path, start: int, say):
 
 
 def csv_sink(path: Path) -> Sink:
-    """Appends to metrics.csv; rows that could not be written are written with the next."""
+    """Appends to metrics.csv; rows that could not be written are written with the next, or at the end."""
     waiting: list[dict] = []
 
     def write(table):
@@ -73,7 +74,7 @@ def csv_sink(path: Path) -> Sink:
         append_csv(path, waiting)
         waiting.clear()
 
-    return Sink("metrics.csv", write, lambda: None)
+    return Sink("metrics.csv", write, lambda: write([]) if waiting else None)
 
 
 def tensorboard_sink(workdir: Path, start: int) -> Sink:
@@ -200,16 +201,54 @@ def _number(value):
     return "" if np.isnan(value) else f"{float(value):.6g}"
 
 
-def cut_csv(path: Path, iteration: int) -> None:
-    """Drop the rows after `iteration`: what a run did after the checkpoint it resumes from."""
-    if not path.exists():
-        return
-    header, *lines = path.read_text().splitlines(keepends=True)
-    whole = [line for line in lines if line.endswith("\n")]  # the last may be cut off
-    kept = [line for line in whole if int(line.split(",")[0]) <= iteration]
+def go_on_csv(path: Path, counted: dict[str, np.ndarray], seeds: int, say) -> dict[str, np.ndarray]:
+    """The metrics of the iterations that are done, to which metrics.csv is cut: those after the checkpoint
+    are computed again.
+
+    `counted` is what the schedule says of them, `SHARED` but for the seconds. Rows that are missing, or that
+    no longer hold numbers, get that and empty cells; then the file that was there is kept as
+    `metrics.csv.damaged`, and `say` tells so.
+    """
+    found = _whole_rows(path)
+    table, lost = [], []
+    for i, iteration in enumerate(counted["iteration"]):
+        for seed in range(seeds):
+            blank = {name: int(column[i]) for name, column in counted.items()}
+            blank |= {"seed": seed} if seeds > 1 else {}
+            table.append(found.get((int(iteration), seed), blank))
+            lost += [int(iteration)] if table[-1] is blank else []
+    if lost:
+        numbers = (f".{n}" if n else "" for n in itertools.count())
+        kept = next(p for n in numbers if not (p := path.with_suffix(f".csv.damaged{n}")).exists())
+        was = "is gone" if not path.exists() else f"is damaged, and kept as {path.rename(kept)}"
+        say(
+            f"{path} {was}: rows of {len(set(lost))} iterations, from {lost[0]} to {lost[-1]}, are lost and "
+            "stay empty; the run itself lacks nothing"
+        )
     temporary = path.with_suffix(".csv.new")
-    temporary.write_text(header + "".join(kept))
+    temporary.unlink(missing_ok=True)
+    names = list(dict.fromkeys(name for row in [*found.values(), *table] for name in row))
+    _append(temporary, names, table, header=True)
     temporary.replace(path)
+    return read_csv(path, seeds)
+
+
+def _whole_rows(path: Path) -> dict[tuple[int, int], dict[str, str]]:
+    """The rows of a metrics.csv by iteration and seed, as text; only those that are whole."""
+    try:
+        text = path.read_bytes().decode(errors="replace").replace("\0", "\ufffd")
+    except FileNotFoundError:
+        return {}
+    lines = [line for line in text.splitlines(keepends=True) if line.endswith("\n")]
+    header, *rows = [line.strip("\r\n").split(",") for line in lines] or [[]]
+    found = {}
+    for cells in rows:
+        row = dict(zip(header, cells, strict=False))
+        with contextlib.suppress(ValueError):  # a row with a cell that is no number
+            numbers = [float(cell or 0) for cell in cells]
+            if len(cells) == len(header) and np.isfinite(numbers).all() and "iteration" in row:
+                found[int(row["iteration"]), int(row.get("seed", 0))] = row
+    return found
 
 
 def read_csv(path: Path, seeds: int = 1) -> dict[str, np.ndarray]:
@@ -218,8 +257,10 @@ def read_csv(path: Path, seeds: int = 1) -> dict[str, np.ndarray]:
     Columns that all seeds share (those the host counts) stay `[I]`.
     """
     with path.open(newline="") as file:
-        table = list(csv.DictReader(file))
-    columns = {n: np.array([float(row[n] or "nan") for row in table]) for n in table[0]}
+        reader = csv.DictReader(file)
+        table = list(reader)
+    names = reader.fieldnames or []
+    columns = {n: np.array([float(row[n] or "nan") for row in table]) for n in names}
     if seeds == 1:
         return columns
     columns = {n: c.reshape(-1, seeds) for n, c in columns.items() if n != "seed"}

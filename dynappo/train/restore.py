@@ -9,16 +9,41 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from dynappo.config import ConfigError
+from dynappo.config import ConfigError, files
 from dynappo.policy import checkpoint_file
 from dynappo.program import distributed
 from dynappo.train import checkpoint
+from dynappo.train import workdir as workdir_lib
 
 
 def start_from(folder: Path, program: Any, say: Callable[[str], None] = print) -> Any:
     """`program` with the networks of another run in its first state (`weights`)."""
     _, state = distributed.from_first(lambda s: (0, weights(folder, s, say)), program.state)
     return program._replace(state=program.place(state))
+
+
+def source(workdir: Path, asked: Path | None) -> Path | None:
+    """The run whose networks this one is to start from; None where it starts with untrained ones, or goes on.
+
+    `asked` is `--restore`; `workdir/restored_from` remembers it. ConfigError if the run that is there began
+    from something else.
+    """
+
+    def settle():
+        path = workdir / "restored_from"
+        there = path.read_text().strip() if path.exists() else ""
+        here = str(asked.resolve()) if asked else there
+        if workdir_lib.begun(workdir) and here != there:
+            raise ConfigError(
+                f"--restore={asked}: the run in {workdir} began from {there or 'untrained networks'}; leave "
+                "--restore out to go on with it, or --fresh to start over"
+            )
+        if asked:
+            files.write_text(path, f"{here}\n")
+        return "" if workdir_lib.saved(workdir) else here
+
+    found = distributed.on_first(settle)
+    return Path(found) if found else None
 
 
 def weights(folder: Path, like: Any, say: Callable[[str], None] = print) -> Any:

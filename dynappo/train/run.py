@@ -33,16 +33,18 @@ def train(
     With a `workdir`, it is filled, and a run found there is resumed; without, nothing is written.
     `progress_fn(iteration, metrics of that iteration)` is called every `run.log_every` iterations,
     while the device is at the next ones. Raises ConfigError for settings that cannot be run,
-    FloatingPointError if numbers blow up.
+    FloatingPointError if numbers blow up, OSError where the last checkpoint could not be saved.
     """
     config = config_lib.validate(config)
     check(config)  # before anything is written
     workdir = None if workdir is None else Path(workdir)
     with workdir_lib.open_workdir(workdir, config) if workdir else contextlib.nullcontext():
+        config = workdir_lib.in_step(config, workdir)
         program = build.program(config)
         state, metrics = loop(config, program, workdir, progress_fn)
         if workdir:
             finish.finish(config, program, workdir, state, metrics)
+            finish.check_saved(workdir, config.run.num_iterations)
     return state, metrics
 
 
@@ -89,7 +91,7 @@ def loop(
         if writes:
             sinks = stack.enter_context(log.opened(config, writes, start, say))
         # only the first process has the history, and only there these numbers are written
-        (seconds, sim_steps, evaluated), waiting = _reached(history), None
+        (seconds, evaluated), waiting = _reached(history), None
         for first in range(start, run.num_iterations, run.log_every):
             rows, done = slice(first, first + run.log_every), first + run.log_every
             columns = {name: column[rows] for name, column in program.columns.items()}
@@ -101,9 +103,9 @@ def loop(
             state, metrics = jax.block_until_ready(running)
             took = time.perf_counter() - began
             metrics = jax.device_get(metrics)
-            metrics |= _shared(config, columns, sim_steps)
+            metrics |= workdir_lib.counted(config, done, first)
             metrics["seconds"] = seconds + took * np.arange(1, run.log_every + 1) / run.log_every
-            seconds, sim_steps = seconds + took, int(metrics["sim_steps"][-1])
+            seconds += took
             nonfinite.check(metrics, state, before, workdir)
             if run.eval_every and done % run.eval_every == 0:
                 metrics |= _at_end(program.evaluate(state), run.log_every)
@@ -113,7 +115,7 @@ def loop(
             stopping = distributed.any_of(should_stop())
             every = run.checkpoint_every and done % run.checkpoint_every == 0
             if workdir and (stopping or every or done == run.num_iterations):
-                at = done, state, metrics, sim_steps, evaluated
+                at = done, state, metrics, evaluated
                 workdir_lib.save(config, program.robot, workdir, checkpoints, *at, say)
             if stopping:
                 break
@@ -122,23 +124,12 @@ def loop(
     return state, log.join(history)
 
 
-def _reached(history) -> tuple[float, int, Any]:
-    """Seconds and simulator steps of the iterations that are done, and their last evaluated return."""
+def _reached(history) -> tuple[float, Any]:
+    """Seconds of the iterations that are done, and their last evaluated return."""
     if not history:
-        return 0.0, 0, None
-    done = history[0]
-    return float(done["seconds"][-1]), int(done["sim_steps"][-1]), log.last_evaluation(done)
-
-
-def _shared(config, columns, sim_steps: int) -> dict[str, np.ndarray]:
-    """Columns `[I]` that all seeds share."""
-    n_real = np.asarray(columns["n_real"], np.int64)
-    return {
-        "iteration": columns["iteration"],
-        "n_real": n_real,
-        "n_synthetic": config.rollout.horizon - n_real,
-        "sim_steps": sim_steps + np.cumsum(n_real) * config.rollout.num_envs,
-    }
+        return 0.0, None
+    seconds = history[0].get("seconds", np.zeros(1))
+    return float(np.nanmax(seconds, initial=0.0)), log.last_evaluation(history[0])
 
 
 def _tell(done: int, metrics, sinks, progress_fn, say) -> None:

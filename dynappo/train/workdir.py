@@ -6,6 +6,7 @@ import contextlib
 import errno
 import itertools
 import json
+import math
 import os
 import socket
 from fnmatch import fnmatch
@@ -14,17 +15,20 @@ from pathlib import Path
 
 import filelock
 import numpy as np
+from ml_collections import config_dict
 
 from dynappo import config as config_lib
+from dynappo import schedule
 from dynappo.config import ConfigError, files
 from dynappo.policy import checkpoint_file, policy_file
 from dynappo.program import distributed
 from dynappo.train import log
 
-# what may differ when a run goes on: nothing of it changes a number of the iterations before
+# what may differ when a run goes on: nothing of it changes a number that training computes
 MAY_CHANGE = (
-    "run.num_iterations run.checkpoint_every run.eval_every run.eval_envs run.video_seconds "
-    "run.device run.mesh_seed run.mesh_env run.tensorboard run.wandb physics.impl physics.threads"
+    "run.num_iterations run.log_every run.checkpoint_every run.eval_every run.eval_envs run.eval_steps "
+    "run.video_seconds run.device run.mesh_seed run.mesh_env run.tensorboard run.wandb "
+    "physics.impl physics.threads"
 ).split()
 # what runs write into their folder, `evaluate` too, and what people film or export into it
 WRITTEN = (
@@ -57,8 +61,7 @@ def _open(workdir: Path, config, fresh: bool, held: contextlib.ExitStack) -> Non
         workdir.mkdir(parents=True, exist_ok=True)
         held.enter_context(_hold(workdir))
         text, path = config_lib.to_json(config), workdir / "config.json"
-        if path.exists():
-            _compare(workdir, path.read_text(), text)
+        _compare(workdir, text)
         done = max(saved(workdir), default=0)
         if done > config.run.num_iterations:
             raise ConfigError(
@@ -72,40 +75,69 @@ def _open(workdir: Path, config, fresh: bool, held: contextlib.ExitStack) -> Non
         ) from None
 
 
-def _compare(workdir: Path, there: str, here: str) -> None:
-    """ConfigError if the config.json of `workdir` is that of another run, which has begun."""
-    if _begun(workdir):
-        changed = config_lib.difference(there, here, MAY_CHANGE)
-        if changed:
+def _compare(workdir: Path, here: str) -> None:
+    """ConfigError if `workdir` holds the config.json of another run that has begun, or of something else.
+
+    Where that file is lost, the config in a checkpoint stands for it.
+    """
+    path = workdir / "config.json"
+    there = path.read_bytes().decode(errors="replace") if path.exists() else "{}"
+    try:
+        ours = {"robot", "rollout", "run"} <= json.loads(there).keys()
+    except (ValueError, AttributeError, RecursionError):
+        ours = False
+    if not begun(workdir):
+        if path.exists() and not ours:  # somebody else's file is not overwritten
             raise ConfigError(
-                f"--workdir={workdir} holds a run of another config ({changed}); "
-                "choose another folder, or --fresh to move that run aside"
+                f"--workdir={workdir} holds a config.json that is not of a run; choose another folder"
             )
         return
-    try:  # somebody else's file is not overwritten
-        ours = {"robot", "rollout", "run"} <= json.loads(there).keys()
-    except (ValueError, AttributeError):
-        ours = False
-    if not ours:
+    changed = config_lib.difference(there if ours else _of_checkpoints(workdir), here, MAY_CHANGE)
+    if changed:
         raise ConfigError(
-            f"--workdir={workdir} holds a config.json that is not of a run; choose another folder"
+            f"--workdir={workdir} holds a run of another config ({changed}); "
+            "choose another folder, or --fresh to move that run aside"
         )
 
 
-def _begun(workdir: Path) -> bool:
+def _of_checkpoints(workdir: Path) -> str:
+    """The config that the newest good checkpoint has; "" if there is none."""
+    for step in saved(workdir):
+        with contextlib.suppress(checkpoint_file.Damaged, KeyError):
+            folder = workdir / "checkpoints" / str(step)
+            return json.dumps(checkpoint_file.about(folder)["config"])
+    return ""
+
+
+def begun(workdir: Path) -> bool:
     """Whether a run has left results here: a checkpoint, also a damaged one, or a row of metrics."""
     if saved(workdir) or any(workdir.glob("damaged-*")):
         return True
     csv = workdir / "metrics.csv"
     if not csv.exists():
         return False
-    with csv.open() as file:
+    with csv.open("rb") as file:
         return len(list(itertools.islice(file, 2))) > 1
 
 
 def saved(workdir: Path) -> list[int]:
     """Iterations of the checkpoints of `workdir` that are complete, newest first."""
     return checkpoint_file.iterations(workdir / "checkpoints")
+
+
+def in_step(config, workdir: Path | None):
+    """`config`, with chunks so short that one ends at every checkpoint the run may go on from.
+
+    They are `run.log_every` long, but where a run began with another `run.log_every`, or was shorter than
+    one chunk.
+    """
+    done = distributed.on_first(lambda: saved(workdir)) if workdir else []
+    every = math.gcd(config.run.log_every, *done)
+    if every == config.run.log_every:
+        return config
+    config = config_dict.ConfigDict(config)
+    config.run.log_every = every
+    return config_dict.FrozenConfigDict(config)
 
 
 def _movable(workdir: Path) -> bool:
@@ -125,9 +157,8 @@ def _movable(workdir: Path) -> bool:
             f"--workdir={workdir} holds {others[0]}, which no run writes: --fresh moves runs, and nothing "
             "else; move it yourself, or choose another folder"
         )
-    if "config.json" in names and not _begun(workdir):
-        there = (workdir / "config.json").read_text()
-        _compare(workdir, there, there)  # somebody else's
+    if "config.json" in names and not begun(workdir):
+        _compare(workdir, "{}")  # somebody else's
     return True
 
 
@@ -145,17 +176,17 @@ def _hold(workdir: Path):
     path = workdir / "lock"
     lock = filelock.FileLock(path)
     try:
-        lock.acquire(blocking=False)
-        path.write_text(f"pid {os.getpid()} on {socket.gethostname()}\n")
-    except filelock.Timeout:
-        raise ConfigError(
-            f"--workdir={workdir}: another run is writing in this folder ({path.read_text().strip()}); "
-            "wait for it, or take another --workdir"
-        ) from None
-    except OSError as error:
-        if error.errno not in NO_LOCKS:
-            raise
-    try:
+        try:
+            lock.acquire(blocking=False)
+            path.write_text(f"pid {os.getpid()} on {socket.gethostname()}\n")
+        except filelock.Timeout:
+            raise ConfigError(
+                f"--workdir={workdir}: another run is writing in this folder ({path.read_text().strip()}); "
+                "wait for it, or take another --workdir"
+            ) from None
+        except OSError as error:
+            if error.errno not in NO_LOCKS:
+                raise
         yield
     finally:
         lock.release()
@@ -175,6 +206,8 @@ def resume(config, workdir: Path, checkpoints, state, say):
         return start, state
 
     start, state = distributed.from_first(read, state)
+    if start and not history:  # of several processes, only the first reads the rest
+        history.append(counted(config, start))
     return start, state, history
 
 
@@ -187,9 +220,7 @@ def _resume(config, workdir: Path, checkpoints, state, say):
         csv.unlink(missing_ok=True)  # of a run that ended before its first checkpoint
         return 0, state, []
     start, state = found
-    if not csv.exists():
-        raise ConfigError(f"{workdir} has checkpoints but no metrics.csv; choose another --workdir")
-    log.cut_csv(csv, start)
+    history = log.go_on_csv(csv, counted(config, start), config.run.num_seeds, say)
     if start < config.run.num_iterations:
         say(f"goes on from iteration {start} of {workdir}")
     else:
@@ -198,12 +229,22 @@ def _resume(config, workdir: Path, checkpoints, state, say):
         )
         again = " and ".join(again) or "summed up"
         say(f"the run in {workdir} is complete ({start} iterations); it is only {again} again")
-    return start, state, [log.read_csv(csv, config.run.num_seeds)]
+    return start, state, [history]
 
 
-def save(
-    config, robot, workdir, checkpoints, done: int, state, metrics, sim_steps: int, evaluated, say
-) -> None:
+def counted(config, end: int, begin: int = 0) -> dict[str, np.ndarray]:
+    """Columns `[I]` of the iterations after `begin` up to `end` that follow from the schedule alone."""
+    n_real = np.asarray(schedule.columns(config)["n_real"], np.int64)
+    columns = {
+        "iteration": np.arange(1, len(n_real) + 1),
+        "n_real": n_real,
+        "n_synthetic": config.rollout.horizon - n_real,
+        "sim_steps": np.cumsum(n_real) * config.rollout.num_envs,
+    }
+    return {name: column[begin:end] for name, column in columns.items()}
+
+
+def save(config, robot, workdir, checkpoints, done: int, state, metrics, evaluated, say) -> None:
     """A checkpoint, and the policy as it is now in a file that can be played at once.
 
     `evaluated` is the return of the last evaluation, of each seed if there are several; None before one.
@@ -213,7 +254,7 @@ def save(
     state = distributed.whole(state)
     if not distributed.first():
         return
-    about = {"sim_steps": sim_steps, "config": config.to_dict()}
+    about = {"sim_steps": int(metrics["sim_steps"][-1]), "config": config.to_dict()}
     now = "eval_return" in metrics and np.isfinite(metrics["eval_return"][-1]).all()
     worth = float(np.mean(evaluated)) if now else None
     log.attempt("the checkpoint before", partial(checkpoint.wait, checkpoints), say)

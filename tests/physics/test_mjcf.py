@@ -65,6 +65,10 @@ HOSTILE = {  # a file, what the line must say
         world(f'<replicate count="2500" offset="1 0 0">{BALL}</replicate>'),
         "expected at most 2000 bodies, found 2514",
     ),
+    "too many ways to move": (
+        world(f'<replicate count="200" offset="1 0 0">{BALL}</replicate>'),
+        "expected at most 1000 degrees of freedom, found 1218",
+    ),
     "a field of 40 GB": (top(FIELD.format(100_000)), "hfield has nrow='100000', expected at most"),
     "a picture of 30 GB": (
         texture('width="100000" height="100000"'),
@@ -136,8 +140,8 @@ def test_a_device_is_no_file(tmp_path, policy, inside):
     assert "pipe.stl is a device, expected a file" in line
 
 
-def test_what_mujoco_cannot_compute_is_one_line(tmp_path, policy):
-    """150 boxes in one place have more contacts than its memory holds."""
+def test_what_mujoco_cannot_compute_is_one_line(tmp_path, policy, monkeypatch):
+    """150 boxes in one place have more contacts than its memory holds, at once or when they have fallen."""
     box = '<body pos="3 0 1"><freejoint/><geom type="box" size=".1 .1 .1"/></body>'
     path = tmp_path / "mine.xml"
     path.write_text(world(f'<replicate count="150" offset="0 0 0.001">{box}</replicate>'))
@@ -146,16 +150,24 @@ def test_what_mujoco_cannot_compute_is_one_line(tmp_path, policy):
     line = refused(episode.play, body, act, lambda t: [0, 0, 0], 0.1)
     assert line.startswith(f"{path}: ") and "out of memory" in line
 
+    def full(model, data):
+        raise mujoco.FatalError("mj_stackAlloc: out of memory")
+
+    body = episode.load(GO1.xml, policy)
+    monkeypatch.setattr(mujoco, "mj_step", full)
+    line = refused(episode.play, body, act, lambda t: [0, 0, 0], 0.1)
+    assert line == f"{GO1.xml}: mj_stackAlloc: out of memory"
+
 
 def test_a_robot_with_a_terrain_is_none_of_them(tmp_path, policy):
-    """A thousand boxes, a height field of a megapixel, an included file, a comment, a byte order mark."""
+    """A thousand boxes, a height field of a megapixel, an included file, a byte order mark, Latin-1."""
     boxes = (
         '<replicate count="1000" offset="0.3 0 0"><geom type="box" size=".1 .1 .1"/></replicate>'
     )
     (tmp_path / "field.xml").write_text(f"<mujoco>{FIELD.format(1024)}</mujoco>")
     text = world(boxes).replace("<worldbody>", '<include file="field.xml"/><worldbody>', 1)
     path = tmp_path / "mine.xml"
-    path.write_text("\ufeff" + text + "<!-- Grüße -->", encoding="utf-8")
+    path.write_bytes(("\ufeff" + text).encode() + "<!-- Grüße -->".encode("latin-1"))
     body = episode.load(path, policy)
     assert body.model.ngeom > 1000 and body.model.nhfielddata == 1024**2
     assert body.model.opt.timestep == mujoco.MjModel.from_xml_path(str(GO1.xml)).opt.timestep

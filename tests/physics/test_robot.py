@@ -5,6 +5,7 @@
 
 import json
 import pathlib
+import re
 from types import SimpleNamespace
 
 import jax.numpy as jnp
@@ -456,6 +457,12 @@ def test_the_lowest_point_is_mujocos_distance_to_the_floor():
     np.testing.assert_allclose(lowest_points(model, data, geoms), expected, atol=1e-6)
 
 
-def test_an_unknown_robot_is_refused_by_name():
-    with pytest.raises(config.ConfigError, match="robot is 'go7'"):
-        robot.load("go7")
+def test_an_unknown_robot_is_refused_by_name(tmp_path, monkeypatch):
+    """A name that is too long for a folder too, and one that is a path out of robots/."""
+    monkeypatch.chdir(tmp_path)
+    for folder in ("robots", "mine"):
+        (tmp_path / folder).mkdir()
+    (tmp_path / "mine.xml").write_text(robot.load("go1").xml.read_text())
+    for name in ("go7", "n" * 256, "../mine"):
+        with pytest.raises(config.ConfigError, match=f"robot is '{re.escape(name)}'"):
+            robot.load(name)

@@ -1,5 +1,6 @@
 """Checkpoints: every bit comes back, the best in an evaluation is kept, damage is one line."""
 
+import errno
 import json
 import logging
 import pathlib
@@ -219,6 +220,59 @@ def test_a_damaged_checkpoint_is_refused_in_one_line(tmp_path, plain, damage):
     line = refused(restore, tmp_path, plain, said.append)
     assert "no checkpoint can be read any more" in line and "--workdir" in line and len(said) == 1
     assert (tmp_path / "damaged-5").is_dir() and not (folder / "5").exists()
+
+
+FAULTS = [
+    OSError(errno.EIO, "Input/output error"),
+    OSError(errno.EMFILE, "Too many open files"),
+    MemoryError(),
+]
+
+
+@pytest.mark.parametrize("fault", FAULTS, ids=lambda error: str(error) or "memory")
+def test_what_cannot_be_read_now_is_not_damaged(tmp_path, plain, monkeypatch, fault):
+    """Whichever file it is that the machine does not give: the fault is told, and nothing is moved."""
+    folder = save(tmp_path, {4: plain, 5: plain}, eval_return=1.0)
+    before, read = workdirs.everything(tmp_path), pathlib.Path.read_bytes
+    reads = []
+
+    def counted(path):
+        reads.append(path)
+        return read(path)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(pathlib.Path, "read_bytes", counted)
+        assert restore(tmp_path, plain)[0] == 5
+    names = [path for path in dict.fromkeys(reads) if tmp_path in path.parents]
+    assert len(names) > 8 and any("state" in path.parts for path in names)
+    for bad in names:
+
+        def fails(path, bad=bad):
+            if path == bad:
+                raise fault
+            return read(path)
+
+        with monkeypatch.context() as patch, pytest.raises(type(fault)):
+            patch.setattr(pathlib.Path, "read_bytes", fails)
+            restore(tmp_path, plain)
+        assert workdirs.everything(tmp_path) == before
+    assert restore(tmp_path, plain)[0] == 5 and (folder / "5").is_dir()
+
+
+@pytest.mark.parametrize("name", ["about/metadata", "_CHECKPOINT_METADATA", "metrics/metrics"])
+@pytest.mark.parametrize(
+    "text", ["[]", "{", "", "null", "[" * 100_000, "gone", '{"eval_return": "x"}']
+)
+def test_a_text_that_is_not_what_was_written_is_damage(tmp_path, plain, name, text):
+    """And the next save is kept."""
+    folder, said = save(tmp_path, {4: plain, 5: plain}, eval_return=1.0), []
+    path = folder / "5" / name
+    path.unlink() if text == "gone" else path.write_text(text)
+    whole = name == "_CHECKPOINT_METADATA" and text[:2] == '{"'  # of that only orbax reads more
+    assert restore(tmp_path, plain, said.append)[0] == (5 if whole else 4)
+    assert whole or ("checkpoint 5 is damaged" in said[0] and len(said) == 1)
+    save(tmp_path, {6: plain}, eval_return=2.0)
+    assert "6" in workdirs.steps(tmp_path)
 
 
 def test_other_numbers_than_were_saved_are_damage(tmp_path, plain):

@@ -1,6 +1,7 @@
 """What a run writes: rows in order, numbers that come back, files that are whole or not there."""
 
 import errno
+import re
 import sys
 from types import SimpleNamespace
 
@@ -89,16 +90,24 @@ def test_the_header_is_written_once_and_undefined_numbers_are_empty(tmp_path):
     assert sum(line.startswith("iteration") for line in lines) == 1
 
 
+def counted(iterations):
+    """What the schedule says of `metrics(iterations)`."""
+    found = metrics(iterations)
+    return {name: found[name] for name in ("iteration", "sim_steps")}
+
+
 def test_rows_after_the_checkpoint_are_cut(tmp_path):
-    """Rows up to the iteration keep every byte, header included; a missing file stays missing."""
+    """Rows up to the iteration keep every byte, header included, and come back."""
     path = tmp_path / "metrics.csv"
-    log.cut_csv(path, 2)
-    assert not path.exists()
     log.append_csv(path, log.rows(metrics(12, seeds=2)))
     before = path.read_bytes().splitlines(keepends=True)
-    for iteration, kept in ((10, 20), (3, 6), (3, 6), (0, 0)):
-        log.cut_csv(path, iteration)
+    for iteration, kept in ((10, 20), (3, 6), (3, 6)):
+        back = log.go_on_csv(path, counted(iteration), 2, pytest.fail)
         assert path.read_bytes() == b"".join(before[: 1 + kept])
+        np.testing.assert_array_equal(back["iteration"], np.arange(1, iteration + 1))
+        np.testing.assert_allclose(
+            back["value_loss"], metrics(12, seeds=2)["value_loss"][:iteration], 1e-5
+        )
     assert [p.name for p in tmp_path.iterdir()] == ["metrics.csv"]
 
 
@@ -110,9 +119,56 @@ def test_a_line_that_was_cut_off_while_writing_is_dropped(tmp_path):
     begin = whole.index("12,480")
     for written in ("12,480", "12", "1"):
         path.write_text(whole[:begin] + written)
-        log.cut_csv(path, 10)
-        back = log.read_csv(path)
+        back = log.go_on_csv(path, counted(10), 1, pytest.fail)
         np.testing.assert_array_equal(back["iteration"], np.arange(1, 11))
+
+
+DAMAGE = {  # what happened to the text of 12 rows -> iterations that are lost of the first 10
+    "the end is missing": (lambda text: text[: text.index("\n8,") + 1], [8, 9, 10]),
+    "the middle is missing": (
+        lambda text: text.replace(text[text.index("\n3,") : text.index("\n6,")], ""),
+        [3, 4, 5],
+    ),
+    "a cell is no number": (lambda text: text.replace("\n4,", "\n4,x", 1), [4]),
+    "a cell is infinite": (lambda text: re.sub("(?m)^4,[^,]*,[^,]*", "4,160,inf", text), [4]),
+    "a row is longer": (lambda text: text.replace("\n7,", "\n7,7,", 1), [7]),
+    "NUL": (lambda text: text.replace("\n2,", "\n\0", 1), [2]),
+    "not text": (lambda text: text.replace("\n9,", "\n\udcff,", 1), [9]),
+    "only the header": (lambda text: text[: text.index("\n") + 1], list(range(1, 11))),
+    "empty": (lambda text: "", list(range(1, 11))),
+    "something else": (lambda text: "to be or not to be\n" * 3, list(range(1, 11))),
+    "gone": (None, list(range(1, 11))),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGE)
+def test_rows_that_are_lost_are_said_to_be_and_what_follows_from_the_schedule_is_right(
+    tmp_path, damage
+):
+    """The steps are those that were taken; what was there is kept; the rows that are whole stay."""
+    path, said = tmp_path / "metrics.csv", []
+    log.append_csv(path, log.rows(metrics(12)))
+    rows = path.read_text().splitlines()
+    change, lost = DAMAGE[damage]
+    path.unlink() if change is None else path.write_bytes(
+        change(path.read_text()).encode(errors="surrogateescape")
+    )
+    before = path.read_bytes() if path.exists() else None
+    back = log.go_on_csv(path, counted(10), 1, said.append)
+    np.testing.assert_array_equal(back["sim_steps"], metrics(10)["sim_steps"])
+    np.testing.assert_array_equal(back["iteration"], np.arange(1, 11))
+    expected = metrics(10)["value_loss"].copy()
+    expected[np.array(lost) - 1] = np.nan
+    if "value_loss" in back:  # not where even its name is lost
+        np.testing.assert_allclose(back["value_loss"], expected, 1e-5)
+        now = path.read_text().splitlines()
+        assert all(now[i] == rows[i] for i in range(1, 11) if i not in lost)
+    (line,) = said
+    assert f"rows of {len(lost)} iterations, from {lost[0]} to {lost[-1]}, are lost" in line
+    if before is not None:
+        assert (tmp_path / "metrics.csv.damaged").read_bytes() == before
+        assert "kept as" in line
+    log.go_on_csv(path, counted(10), 1, pytest.fail)  # it is whole now
 
 
 # ---- more columns, full disks, other logs

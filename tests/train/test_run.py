@@ -16,9 +16,11 @@ from ml_collections import config_dict
 from toy_runs import assert_same
 from workdirs import N_REAL, table
 
+from dynappo import config as config_lib
 from dynappo import schedule, train
 from dynappo.train import checkpoint, log
 from dynappo.train import run as run_lib
+from dynappo.train import workdir as workdir_lib
 
 
 def loop(config, program, workdir=None, **how):
@@ -221,12 +223,42 @@ def test_a_finished_run_is_complete_and_can_be_made_longer(config, program, whol
     assert (workdir / "config.json").read_bytes() == kept
 
 
-def test_checkpoints_without_their_metrics_are_refused(config, program, whole, tmp_path):
-    """Somebody removed metrics.csv."""
-    shutil.copytree(whole.workdir, tmp_path / "run")
-    (tmp_path / "run" / "metrics.csv").unlink()
-    line = refused(run_lib.loop, config, program(), tmp_path / "run")
-    assert "has checkpoints but no metrics.csv" in line
+@pytest.mark.parametrize("damage", ["gone", "cut"])
+def test_a_run_whose_metrics_are_lost_goes_on_with_the_same_numbers(
+    config, program, whole, tmp_path, damage
+):
+    """It says so; the steps are counted on, the rows after are those of the whole run."""
+    workdir, said = tmp_path / "run", []
+    shutil.copytree(whole.workdir, workdir)
+    shutil.rmtree(workdir / "checkpoints" / "4")
+    csv = workdir / "metrics.csv"
+    csv.unlink() if damage == "gone" else csv.write_text(
+        "".join(csv.read_text().splitlines(keepends=True)[:2])
+    )
+    state, metrics, _ = loop(config, program(), workdir, say=said.append)
+    assert_same(state, whole.state)
+    np.testing.assert_array_equal(metrics["sim_steps"], whole.metrics["sim_steps"])
+    assert "are lost and stay empty" in said[0] and len(said) == 2
+    rows, before = table(workdir), table(whole.workdir)
+    assert [row["sim_steps"] for row in rows] == [row["sim_steps"] for row in before]
+    assert all(rows[i][name] == before[i][name] for i in (2, 3) for name in before[i])
+
+
+def test_a_run_goes_on_with_chunks_of_another_length(program, whole, tmp_path):
+    """Of one iteration, and where it was shorter than a chunk: chunks end where the run stopped."""
+    workdir = tmp_path / "run"
+    shutil.copytree(whole.workdir, workdir)
+    for every, number in ((1, 1), (2, 2), (3, 1), (8, 2)):
+        longer = workdirs.config(
+            run__log_every=every, run__num_iterations=24, run__checkpoint_every=24
+        )
+        with workdir_lib.open_workdir(workdir, longer):
+            found = workdir_lib.in_step(longer, workdir)
+        assert found.run.log_every == number
+        assert config_lib.difference(config_lib.to_json(found), config_lib.to_json(longer)) in (
+            "",
+            f"run.log_every {number} there, {every} here",
+        )
 
 
 def test_a_damaged_checkpoint_is_moved_aside_and_the_one_before_is_taken(

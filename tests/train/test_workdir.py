@@ -5,6 +5,7 @@ import json
 import os
 import shutil
 import socket
+from functools import partial
 from pathlib import Path
 
 import filelock
@@ -20,7 +21,7 @@ from workdirs import opened
 from dynappo import train
 from dynappo.policy import policy_file
 from dynappo.program import build
-from dynappo.train import checkpoint
+from dynappo.train import checkpoint, finish, restore
 from dynappo.train import workdir as workdir_lib
 
 OTHER = workdirs.config(ppo__clip_epsilon=0.3)
@@ -122,8 +123,51 @@ def test_what_changes_no_number_may_differ(whole, config, tmp_path):
     workdir = tmp_path / "run"
     shutil.copytree(whole.workdir, workdir)
     other = dict(run__eval_envs=16, run__tensorboard=False, run__video_seconds=1.0)
+    other |= dict(run__log_every=1, run__eval_steps=5)
     opened(workdir, workdirs.config(**other, run__num_iterations=8, physics__impl="jax"))
     assert "run.seed 0 there, 1 here" in refused(opened, workdir, workdirs.config(run__seed=1))
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", "\udcff", "gone"])
+def test_a_lost_config_is_that_of_the_checkpoint(whole, config, tmp_path, text):
+    """The run goes on with the config it had, and with no other; then the file is whole again."""
+    workdir = tmp_path / "run"
+    shutil.copytree(whole.workdir, workdir)
+    path = workdir / "config.json"
+    path.unlink() if text == "gone" else path.write_bytes(text.encode(errors="surrogateescape"))
+    assert "ppo.clip_epsilon 0.2 there, 0.3 here" in refused(opened, workdir, OTHER)
+    opened(workdir, config)
+    assert path.read_bytes() == whole.files["config.json"]
+
+
+def test_without_config_and_checkpoints_nobody_knows_what_the_rows_are_of(config, tmp_path):
+    """Rows alone are a run too, and it is not overwritten."""
+    (tmp_path / "metrics.csv").write_text("iteration,seconds\n1,2\n")
+    assert "its config.json cannot be read" in refused(opened, tmp_path, config)
+
+
+def test_the_run_that_networks_come_from_is_remembered(whole, config, tmp_path):
+    """Until there is a checkpoint each start takes them from there; another source is refused."""
+    workdir, source = tmp_path / "run", whole.workdir.resolve()
+    opened(workdir, config)
+    start_from = partial(restore.source, workdir)
+    assert start_from(None) is None
+    assert start_from(whole.workdir) == source == start_from(None)
+    (workdir / "metrics.csv").write_text("iteration,seconds\n1,2\n")
+    assert start_from(None) == source  # it was killed before it had saved
+    line = refused(start_from, tmp_path)
+    assert f"--restore={tmp_path}: the run in {workdir} began from {source}; leave" in line
+    shutil.copytree(whole.workdir / "checkpoints", workdir / "checkpoints")
+    assert start_from(None) is None and start_from(whole.workdir) is None
+    (workdir / "restored_from").unlink()
+    assert "began from untrained networks; leave" in refused(start_from, whole.workdir)
+
+
+def test_a_run_without_its_last_checkpoint_has_not_gone_well(whole, tmp_path):
+    """A full disk at the very end is an error, and not only a line on the way."""
+    finish.check_saved(whole.workdir, 4)
+    with pytest.raises(OSError, match="the checkpoint of iteration 5 could not be saved"):
+        finish.check_saved(whole.workdir, 5)
 
 
 @pytest.mark.parametrize("text", ['{"layers": 3}', "[1]", "{"])
@@ -186,9 +230,9 @@ def test_fresh_moves_nothing_that_no_run_wrote(config, tmp_path, name, run):
 @pytest.mark.parametrize("name", [n for n, said in THEIRS.items() if not said])
 def test_fresh_moves_what_our_commands_wrote(config, tmp_path, name):
     workdir = tmp_path / "run"
-    (workdir / name).parent.mkdir(parents=True)
-    (workdir / name).write_text("a")
     opened(workdir, config)
+    (workdir / name).parent.mkdir(exist_ok=True)
+    (workdir / name).write_text("a")
     opened(workdir, config, fresh=True)
     assert (tmp_path / "run.old-1" / name).read_text() == "a"
 
@@ -264,7 +308,7 @@ def test_a_save_has_the_worth_of_its_own_evaluation_and_the_policy_that_was_judg
         (4, now, np.array([3.0, 5.0]), 4.0, 1),
         (6, before, np.array([3.0, 5.0]), None, 1),  # judged earlier, not now
     ):
-        at = done, state, metrics, 96, judged
+        at = done, state, metrics | {"sim_steps": np.array([96])}, judged
         workdir_lib.save(config, GO1, tmp_path, None, *at, pytest.fail)
         assert saved[-1] == (done, worth)
         kept = policy_file.load_params(tmp_path / "policy.npz")
