@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import reprlib
 import struct
+import tokenize
 import zipfile
 import zlib
 from pathlib import Path
@@ -27,7 +28,7 @@ END = struct.Struct(
 )  # what a zip file ends with; the sixth number is the size of its list
 BIG_END = b"PK\6\7"  # before it in a zip file of more than 4 GiB or 65,535 entries
 DAMAGE = (ValueError, EOFError, KeyError, RuntimeError, MemoryError)  # NumPy's and the parser's too
-DAMAGE += (zipfile.BadZipFile, zlib.error, struct.error, SyntaxError)
+DAMAGE += (zipfile.BadZipFile, zlib.error, struct.error, SyntaxError, tokenize.TokenError)
 
 
 def read(path: Path) -> dict[str, np.ndarray]:
