@@ -24,15 +24,16 @@ PEAKS = {
 }
 # reads and writes of each activation, forward and backward (experiments/03_speed/ppo.md)
 PASSES = 10
+FITS = 10  # times the epochs of a fit, to measure one
 
 
 def measure(config, program, state, repeats: int = 5) -> dict[str, float]:
     """Median ms of `iteration` (as the schedule ends), `physics` and `tail` (a row), `fit`, `ppo`.
 
-    With T(rows, epochs) the time of an iteration: `fit` = T(N_r, epochs) - T(N_r, 0) at the last
-    N_r; without a model `physics` = (T(N) - T(0)) / N. With one, T(0, 0) has N tail rows: their
-    cost is measured by itself (`tail`, one row), and `physics` is corrected by it. `ppo` is the
-    rest: advantages, minibatches, 5 x 4 gradient steps.
+    With T(rows, epochs) the time of an iteration: `fit` = (T(N_r, 10 epochs) - T(N_r, 0)) / 10 at the
+    last N_r, because one fit can be less than a CPU's physics varies; without a model `physics` =
+    (T(N) - T(0)) / N. With one, T(0, 0) has N tail rows: their cost is measured by itself (`tail`, one
+    row), and `physics` is corrected by it. `ppo` is the rest: advantages, minibatches, gradient steps.
     """
     import jax
     import jax.numpy as jnp
@@ -60,7 +61,8 @@ def measure(config, program, state, repeats: int = 5) -> dict[str, float]:
     out["tail"] = _tail_row(program, state) if epochs else 0.0
     out["physics"] = (full - none) / horizon + out["tail"]
     if epochs:
-        out["fit"] = out["iteration"] - ms(last["n_real"], 0)
+        many = ms(last["n_real"], FITS * epochs)
+        out["fit"] = (many - ms(last["n_real"], 0)) / FITS
     out["ppo"] = none - horizon * out["tail"]
     return out
 
