@@ -71,6 +71,7 @@ WRONG = [  # fields, what the line begins with, what is expected
     ({"rollout.num_envs": 4090}, "rollout.num_envs is 4090", "of ppo.shuffle_blocks = 8"),
     ({"run.num_seeds": 3, "run.mesh_seed": 2}, "run.num_seeds is 3", "of run.mesh_seed = 2"),
     ({"run.mesh_env": 16}, "ppo.shuffle_blocks is 8", "a multiple of run.mesh_env = 16"),
+    ({"ppo.symmetry": True, "ppo.hidden": (64, 33)}, "ppo.hidden is (64, 33)", "even sizes"),
     ({"run.mesh_env": 8, "run.eval_envs": 12}, "run.eval_envs is 12", "of run.mesh_env = 8"),
     ({"run.checkpoint_every": 15}, "run.checkpoint_every is 15", "of run.log_every = 10"),
     ({"run.eval_every": 10, "run.eval_envs": 0}, "run.eval_every is 10", "run.eval_envs is 0"),

@@ -9,6 +9,7 @@ import pytest
 from dynappo import config as config_lib
 from dynappo.config import ConfigError, files
 from dynappo.physics import robot as robot_lib
+from dynappo.program import build
 from dynappo.task import env as env_lib
 from dynappo.task import mirror
 from dynappo.types import Mirror
@@ -101,3 +102,20 @@ def test_a_robot_with_two_sides_that_differ_has_no_mirror_image(tmp_path):
     assert mirror.find(robot) is None
     with pytest.raises(ConfigError, match="robot lame is not its own mirror image: .*FL_hip_joint"):
         mirror.joints(robot)
+
+
+def test_a_robot_without_a_mirror_image_is_refused_before_anything_is_compiled(
+    tmp_path, monkeypatch
+):
+    """Where `ppo.symmetry` asks for one; else it trains."""
+    folder = tmp_path / "robots" / "lame"
+    folder.mkdir(parents=True)
+    text = files.find("robots", "go1/go1.xml").read_text()
+    (folder / "lame.xml").write_text(text.replace("0.1881 0.04675 0", "0.1881 0.06 0"))
+    monkeypatch.chdir(tmp_path)
+    config = config_lib.load("configs/go1.py:laptop")
+    config.robot = "lame"
+    with pytest.raises(ConfigError, match="robot lame is not its own mirror image"):
+        build.check(config_lib.validate(config))
+    config.ppo.symmetry = False
+    build.check(config_lib.validate(config))
