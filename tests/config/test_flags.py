@@ -99,7 +99,15 @@ class Dying:
         self.does()
 
 
-def test_ctrl_c_in_a_finalizer_interrupts_a_moment_later(capsys):
+@pytest.fixture
+def listening():
+    """SIGINT interrupts, also where these tests run in the background of a shell, which ignores it."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+def test_ctrl_c_in_a_finalizer_interrupts_a_moment_later(capsys, listening):
     """It is not lost, as once in a callback of JAX's; another error there is told as ever."""
 
     def action():
