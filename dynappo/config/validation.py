@@ -87,19 +87,23 @@ RANGES = (
         "task.reset.joint_scale task.push.velocity",
     ),
     ("at most 600", lambda v: v <= 600, "run.video_seconds"),
-    ("at most 1,000", lambda v: v <= 1_000, "physics.substeps physics.threads"),
+    (
+        "at most 1,000",
+        lambda v: v <= 1_000,
+        "physics.substeps physics.threads physics.iterations physics.ls_iterations",
+    ),
     (
         "at most 10,000",
         lambda v: v <= 10_000,
         "run.num_seeds rollout.horizon model.hidden model.epochs model.late_epochs ppo.hidden "
-        "ppo.epochs physics.iterations physics.ls_iterations",
+        "ppo.epochs",
     ),
     (
         "at most 1,000,000",
         lambda v: v <= 1_000_000,
-        "run.num_iterations run.eval_envs run.eval_steps task.episode_length task.resample_steps "
-        "task.push.interval",
+        "run.num_iterations run.eval_envs task.resample_steps task.push.interval",
     ),
+    ("at most 100,000", lambda v: v <= 100_000, "run.eval_steps task.episode_length"),
     ("at most 100,000,000", lambda v: v <= 100_000_000, "rollout.num_envs"),
 )
 LAYERS = 32  # of a network, at most
