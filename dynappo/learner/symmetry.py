@@ -90,7 +90,7 @@ def tie(params, image: Image | None):
     leaves, treedef = jax.tree.flatten(params)
     starts = np.cumsum([0, *(leaf.size for leaf in leaves)])
     numbers = [
-        jnp.arange(start, start + leaf.size, dtype=jnp.float32).reshape(leaf.shape)
+        jnp.arange(start, start + leaf.size, dtype=jnp.int32).reshape(leaf.shape)
         for start, leaf in zip(starts, leaves, strict=False)
     ]
     numbers = jax.tree.unflatten(treedef, numbers)
