@@ -100,7 +100,7 @@ def about(policy: Policy, robot: robot_lib.Robot) -> dict[str, Any]:
 def _float32(name: str, value) -> np.ndarray:
     """As the network holds it; ConfigError where that is not finite."""
     with np.errstate(over="ignore"):
-        array = np.ascontiguousarray(value, np.float32)
+        array = np.asarray(value, np.float32, order="C")
     if not np.isfinite(array).all():
         raise ConfigError(f"not written: {name} is not finite in float32")
     return array
@@ -129,8 +129,11 @@ def onnx_model(policy: Policy, facts: dict[str, Any], targets: bool = False):
         layer, last = layers[f"Dense_{i}"], i == len(layers) - 1
         kernel = constant(f"kernel_{i}", layer["kernel"])
         bias = constant(f"bias_{i}", layer["bias"])
-        x = node("Gemm", x, kernel, bias, to="action" if last else f"linear_{i}")
+        x = node("Gemm", x, kernel, bias, to=f"linear_{i}")
         if last:
+            limit = policy_file.MAX_MEAN
+            ends = constant("lowest_action", -limit), constant("highest_action", limit)
+            x = node("Clip", x, *ends, to="action")
             break
         if policy.activation == "swish":  # an operator of its own only from opset 24 on
             gate = node("Sigmoid", x, to=f"gate_{i}")

@@ -4,6 +4,11 @@ Initial weights and biases are uniform in +-1/sqrt(fan_in), PyTorch's default fo
 because rsl_rl uses it (rsl_rl/networks/mlp.py) and early learning depends on it. The policy's
 standard deviation is one free parameter an action, used directly and not through an exponential
 (rsl_rl/modules/actor_critic.py, noise_std_type "scalar").
+
+The mean action stays within +-10. Why: the last action is part of the observation, so a network can feed
+itself. In a pose that training hardly knew, actions of ANYmal grew by a factor a step, at saturated motors
+and without a fall: one such episode had a return of -1e14, and values then overflowed. A policy that walks
+stays below 6; 10 is 2.5 rad of a Unitree joint, beyond what it can turn.
 """
 
 from __future__ import annotations
@@ -22,6 +27,7 @@ LOG_2PI = 1.8378770664093453
 # jax.lax.Precision of each setting that a network can have; bfloat16 also sets the layers' dtype
 PRECISION = {"highest": "highest", "tf32": "tensorfloat32", "bfloat16": "default"}
 
+MAX_MEAN = 10.0  # units of the action; policy/policy_file.py and the ONNX file cut there too
 PARTS = ("kernel", "bias")  # of a layer
 # of a last layer: in bfloat16 a value of 5 would be rounded by up to 0.016, half the reward of a step
 FLOAT32_DOT = partial(jax.lax.dot_general, preferred_element_type=jnp.float32)
@@ -96,8 +102,9 @@ def init_policy(
 
 
 def policy(static: Config, params: dict, obs: Float[Array, "... O"]) -> Float[Array, "... A"]:
-    """Mean action. Its standard deviation is `params["std"]`, whatever the observation."""
-    return apply(actor(static, params["std"].shape[-1]), params["actor"], obs)
+    """Mean action, cut at `MAX_MEAN`. Its standard deviation is `params["std"]`, whatever the observation."""
+    mean = apply(actor(static, params["std"].shape[-1]), params["actor"], obs)
+    return jnp.clip(mean, -MAX_MEAN, MAX_MEAN)
 
 
 def value(static: Config, params: dict, obs: Float[Array, "... O"]) -> Float[Array, "..."]:
@@ -127,7 +134,7 @@ def policy_and_value(static: Config, params: dict, obs: Float[Array, "... O"]):
         x = act(dot("k...i,kio->k...o", x, kernel) + bias)
     dot = partial(dot, "...i,io->...o", preferred_element_type=jnp.float32)
     mean, found = (dot(x[i], net[last]["kernel"]) + net[last]["bias"] for i, net in enumerate(both))
-    return mean, found[..., 0]
+    return jnp.clip(mean, -MAX_MEAN, MAX_MEAN), found[..., 0]
 
 
 def log_prob(

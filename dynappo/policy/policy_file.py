@@ -27,6 +27,7 @@ FORMAT = 1  # of `about`
 OBSERVATION = (
     "velocity-48"  # the table of task/observe.py; a layout that differs needs another name
 )
+MAX_MEAN = 10.0  # of the mean action (learner/networks.py)
 ACTIVATIONS = {
     "elu": lambda x: np.where(x > 0, x, np.expm1(np.minimum(x, 0))),
     "relu": lambda x: np.maximum(x, 0),
@@ -100,7 +101,7 @@ def actor(params: dict, activation: str) -> Callable[[np.ndarray], np.ndarray]:
             for i, (kernel, bias) in enumerate(weights):
                 obs = obs @ kernel + bias
                 obs = act(obs) if i < len(weights) - 1 else obs
-        return obs
+        return np.clip(obs, -MAX_MEAN, MAX_MEAN)
 
     return mean
 

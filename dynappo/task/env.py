@@ -21,7 +21,7 @@ from dynappo.physics import robot as robot_lib
 from dynappo.task import commands, mirror, observe, rewards
 from dynappo.types import Config, Env, EnvState, Outcome
 
-MAX_JOINT_SPEED, MAX_BASE_SPEED = 100.0, 20.0  # rad/s, m/s: beyond is a numerical blow-up
+MAX_TURN, MAX_BASE_SPEED = 100.0, 20.0  # rad/s, m/s: beyond is a numerical blow-up
 
 
 class Constants(NamedTuple):
@@ -184,14 +184,14 @@ def noise(hyper: Config, key):
 def step(const: Constants, hyper: Config, body, state: EnvState, action, key):
     """One control step -> `(EnvState, Outcome)`; the episode's end is in the outcome only.
 
-    A robot whose state is not finite, or moves faster than 100 rad/s or 20 m/s, has left what the
+    A robot whose state is not finite, or moves faster than 100 rad/s or 20 m/s (base or joint), has left what the
     solver can compute: its episode ends with reward 0, it is counted in `blowups`, and no number
     of that row but zeros and the old observation leaves this function.
     """
     after = engine_lib.simulate(const.engine, hyper, body, state, action)
-    speed = jnp.abs(after.qvel)
+    speed = jnp.abs(jnp.concatenate([after.qvel, after.qd_before]))
     ok = jnp.isfinite(after.qpos).all() & jnp.isfinite(after.qacc_warmstart).all()
-    ok &= (speed[6:] < MAX_JOINT_SPEED).all() & (speed[:3] < MAX_BASE_SPEED).all()
+    ok &= (speed[3:] < MAX_TURN).all() & (speed[:3] < MAX_BASE_SPEED).all()
 
     gravity, linear, angular = observe.base_motion(after.qpos, after.qvel, body.base_com)
     terms = reward_terms(const, hyper, state, action, after, (gravity, linear, angular))

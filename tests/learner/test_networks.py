@@ -53,6 +53,25 @@ def test_in_bfloat16_no_output_is_rounded_to_it(make):
         assert (out != rounded).mean() > 0.9
 
 
+def test_a_policy_that_feeds_on_its_last_action_stays_within_its_limit(make):
+    """By its weights alone it would triple its action in every step."""
+    static, params = make({"hidden": (2 * ACTIONS,), "activation": "relu"})
+    one, shape = jnp.eye(ACTIONS), (OBS - ACTIONS, 2 * ACTIONS)
+    first, last = params["actor"]["params"]["Dense_0"], params["actor"]["params"]["Dense_1"]
+    first["kernel"] = jnp.concatenate([jnp.zeros(shape), jnp.concatenate([one, -one], 1)])
+    last["kernel"] = 3 * jnp.concatenate([one, -one])
+    first["bias"], last["bias"] = first["bias"] * 0, last["bias"] * 0
+    action = jnp.linspace(-1, 1, ACTIONS)
+    for k in range(40):
+        obs = jnp.concatenate([jnp.zeros(OBS - ACTIONS), action])
+        together = networks.policy_and_value(static, params, obs)[0]
+        action = networks.policy(static, params, obs)
+        np.testing.assert_array_equal(together, action)
+        if k == 0:
+            np.testing.assert_allclose(action, 3 * jnp.linspace(-1, 1, ACTIONS), rtol=1e-5)
+    np.testing.assert_array_equal(jnp.abs(action), networks.MAX_MEAN)
+
+
 @pytest.mark.parametrize("hidden", [(24,), (32, 16, 8)])
 @pytest.mark.parametrize("precision", ["highest", "bfloat16"])
 def test_both_networks_at_once_say_what_each_says_alone(make, typed, hidden, precision):

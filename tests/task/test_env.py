@@ -880,6 +880,8 @@ BLOWUPS = dict(
     fast_base=("qvel", 0, 21.0),
     fast_fall=("qvel", 2, -25.0),
     fast_joint=("qvel", 7, 300.0),  # half of it is left at the end of the row, where it is checked
+    joint_fast_until_the_last_step=("qvel", 7, 185.0),  # 93 at the end of it
+    spinning_base=("qvel", 4, 150.0),
 )
 
 
