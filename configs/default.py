@@ -67,6 +67,7 @@ class Schedule(NamedTuple):
     end_iteration: int = 100  # b
     start_steps: int = 0  # x
     end_steps: int = 4  # y
+    rounds: int = 1  # of imagination in an iteration (algorithm.py); paper: 1
 
 
 class Model(NamedTuple):

@@ -9,8 +9,12 @@ program; `init` makes the state it starts from. All are pure functions of an `En
     state = algorithm.init(env, hyper, jax.random.key(0), static=static)
     state, metrics = algorithm.run(env, hyper, state, schedule.columns(settings), static=static)
 
-Anchoring: the tail starts at the observation after the last real row and never touches the state of
-physics, from which the next iteration goes on.
+Anchoring: a tail starts at a state that physics has reached in this iteration, the first at the one after
+the last real row, and never touches the state of physics, from which the next iteration goes on.
+
+Rounds of imagination (`schedule.rounds`; the paper has one): after its update, the policy writes tails again
+from real rows drawn at random, and learns from these alone. The simulator is asked less often for each
+change of the policy: with two, Go1 walks after two thirds of the steps (experiments/21_less).
 
 Every random number comes from `fold_in` of the run's key with the iteration, a purpose, the row and
 the robot's global index. So two chunks equal one run, and a row does not depend on N_r. Many seeds,
@@ -31,7 +35,7 @@ from dynappo.learner import gae, networks, ppo
 from dynappo.model import dynamics, errors
 from dynappo.types import Columns, Config, Env, Metrics, TrainState, Transition
 
-ROWS, FIT, UPDATE, ACTION, STEP, RESET = range(6)  # purposes of random numbers
+ROWS, FIT, UPDATE, ACTION, STEP, RESET, ANCHOR = range(7)  # purposes of random numbers
 
 
 def init(env: Env, hyper: Config, key: PRNGKeyArray, *, static: Config) -> TrainState:
@@ -58,31 +62,47 @@ def iterate(
     env: Env, hyper: Config, state: TrainState, columns: Columns, *, static: Config
 ) -> tuple[TrainState, Metrics]:
     """One iteration of the paper's Algorithm 1; `columns` is one row of `schedule.columns`."""
-    horizon, params = static.rollout.horizon, state.learner.params
-    n_real, end = columns["n_real"], jnp.int32(horizon)
+    horizon, n_real = static.rollout.horizon, columns["n_real"]
     real = (jnp.arange(horizon) < n_real)[:, None]
-    key = partial(jax.random.fold_in, jax.random.fold_in(state.key, columns["iteration"]))
+    now = jax.random.fold_in(state.key, columns["iteration"])
+
+    def key(purpose, k=0):
+        return jax.random.fold_in(now, purpose + (ANCHOR + 1) * k)
 
     # Collect N_r steps with physics, from where the last physics step ended
-    buffer, now, sums = collect(env, hyper, state, n_real, key(ROWS), static=static)
-    state = state.replace(env_state=now)
+    buffer, env_state, sums = collect(env, hyper, state, n_real, key(ROWS), static=static)
+    state = state.replace(env_state=env_state)
     metrics = stats.of_rows(sums, n_real * static.rollout.num_envs)
 
-    # Train the transition model on them, and let it write the tail of N_s = N - N_r steps
+    # Train the transition model on them
     if state.model is not None:
         unrolled = min(4, horizon - static.schedule.end_steps)
         metrics |= errors.errors(static, hyper, env, state.model, buffer, unrolled)
         new = buffer, n_real, columns["model_epochs"], key(FIT)
         model, fitted = dynamics.fit(static, hyper, env, state.model, *new)
-        step, act = partial(dynamics.step, static, hyper, env, model), policy(static, params)
-        keys, tail = rollout.row_keys(key(ROWS), state.robot_index), dynamics.tail(static, env, now)
-        buffer, _, _ = rollout.fill(buffer, n_real, end, tail, keys, act=act, step=step)
         state, metrics = state.replace(model=model), metrics | fitted
-        metrics |= stats.of_tail(buffer, real, env.dt)
 
-    # Update the policy by PPO on real and synthetic rows alike
-    batch = estimate(static, hyper, params, buffer, real)
-    learner, learned = ppo.update(static, hyper, state.learner, batch, key(UPDATE), env.mirror)
+    # Let it write the tail of N_s = N - N_r steps, and update the policy by PPO on real and synthetic rows
+    # alike; in further rounds, on new tails of the new policy
+    def imagine(k, carry):
+        learner, buffer, _ = carry
+        if state.model is not None:
+            last = dynamics.tail(static, env, env_state)
+            drawn = dynamics.anchors(static, env, buffer, n_real, key(ANCHOR, k))
+            start = jax.tree.map(partial(jnp.where, k == 0), last, drawn)
+            keys = rollout.row_keys(key(ROWS, k), state.robot_index)
+            act = policy(static, learner.params)
+            step = partial(dynamics.step, static, hyper, env, state.model)
+            part = n_real, jnp.int32(horizon)
+            buffer = rollout.fill(buffer, *part, start, keys, act=act, step=step)[0]
+        batch = estimate(static, hyper, learner.params, buffer, real, k)
+        learner, learned = ppo.update(static, hyper, learner, batch, key(UPDATE, k), env.mirror)
+        return learner, buffer, learned
+
+    start = state.learner, buffer, dict.fromkeys(ppo.METRICS, jnp.zeros(()))
+    learner, buffer, learned = jax.lax.fori_loop(0, columns.get("rounds", 1), imagine, start)
+    if state.model is not None:
+        metrics |= stats.of_tail(buffer, real, env.dt)
 
     returns, lengths = stats.finished(state, buffer, n_real)
     state = state.replace(learner=learner, returns=returns, lengths=lengths)
@@ -151,11 +171,14 @@ def physics_step(env: Env, hyper: Config, bodies):
     return partial(step, hyper, bodies)
 
 
-def estimate(static: Config, hyper: Config, params: dict, buffer: Transition, real) -> ppo.Batch:
+def estimate(
+    static: Config, hyper: Config, params: dict, buffer: Transition, real, k=0
+) -> ppo.Batch:
     """Advantages and returns of a rollout, bootstrapped from V(next_obs) at truncations and at row N-1.
 
     Elsewhere the next row's value is the same number. With `model.bounds`, values of synthetic rows are
     kept in the range of the `real` ones [N, 1]: what only the model has seen cannot lead them away.
+    In rounds `k` > 0 real rows have no weight: their actions are those of a policy before.
     """
     uses_model = schedule.uses_model(static)
     with jax.default_matmul_precision("highest"):
@@ -168,7 +191,7 @@ def estimate(static: Config, hyper: Config, params: dict, buffer: Transition, re
         bootstrap = jnp.where(cut, last, jnp.roll(value, -1, axis=0))
         rows = buffer.reward, buffer.discount, buffer.truncation, value, bootstrap
         advantages, returns = gae.gae(*rows, gamma=hyper.ppo.gamma, lambda_=hyper.ppo.lambda_)
-    weight = presence(buffer, real) if uses_model else None
+    weight = presence(buffer, real) * (~real | (k == 0)) if uses_model else None
     return ppo.batch(buffer, advantages, returns, weight)
 
 

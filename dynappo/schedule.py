@@ -31,13 +31,16 @@ def uses_model(config) -> bool:
 
 def columns(config) -> dict[str, np.ndarray]:
     """What `algorithm.run` scans over, each int32 `[I]`: `iteration`, from 1; `n_real`, N_r;
-    `model_epochs`, the passes of the model's fit (absent from plain PPO)."""
+    with a tail `model_epochs`, the passes of the model's fit, and with several `rounds` their number."""
     i = np.arange(1, config.run.num_iterations + 1, dtype=np.int32)
     out = {"iteration": i, "n_real": np.int32(config.rollout.horizon) - table(config)}
     if uses_model(config):
         m = config.model
         late = m.epochs if m.late_epochs is None else m.late_epochs
         out["model_epochs"] = np.where(i > m.late_from, late, m.epochs).astype(np.int32)
+        if config.schedule.rounds > 1:  # one where there is no tail yet
+            has_tail = out["n_real"] < config.rollout.horizon
+            out["rounds"] = np.where(has_tail, config.schedule.rounds, 1).astype(np.int32)
     return out
 
 

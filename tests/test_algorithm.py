@@ -383,6 +383,84 @@ def test_where_the_model_predicts_no_falls_every_row_weighs_one(iterated, tail, 
     assert estimate(plain, first, rows, real).weight is None
 
 
+# ---- rounds of imagination
+
+
+@pytest.fixture(scope="module")
+def rounds(env, first):
+    """`rounds(k, n_real) -> (static, hyper, rollout, state, metrics)` of the first iteration."""
+    config, static, hyper = toy_env.settings(toy_env.TAIL | {"schedule.rounds": 3})
+    call = observe(env, static)
+
+    def iterated(k, n_real=5):
+        columns = row(config, n_real=n_real) | {"rounds": jnp.int32(k)}
+        return static, hyper, *call(hyper, first(), columns)
+
+    return iterated
+
+
+def test_one_round_of_several_is_the_iteration_without_rounds(rounds, iterated):
+    for n_real in (N, 5):
+        assert_close(rounds(1, n_real)[2:], iterated[n_real], 1e-5)
+
+
+def test_a_second_round_learns_from_new_tails_of_the_new_policy_alone(rounds, iterated, env):
+    """Against the parts by hand: anchors, rows, advantages by a NumPy loop, PPO with weights 0 and 1."""
+    static, hyper, buffer, after, metrics = rounds(2)
+    old, state, before = iterated[5]
+    learner, n = state.learner, 5
+    assert_same(*(jax.tree.map(lambda x: x[:n], rows) for rows in (buffer, old)))  # physics
+    assert_same((after.env_state, after.returns), (state.env_state, state.returns))
+    # each tail begins at an observation that its own robot had in this iteration, not all at one row
+    same = np.asarray((buffer.obs[:n] == buffer.obs[n]).all(-1))
+    assert same.any(0).all() and len(set(np.argmax(same, 0).tolist())) > 2
+    # and is what the new policy does in the model
+    mean = networks.policy(static, learner.params, buffer.obs[n:])
+    np.testing.assert_allclose(buffer.action_mean[n:], mean, 1e-4, 1e-4)
+    obs, reward, _ = dynamics.predict(
+        static, hyper, env, state.model, buffer.obs[n:], buffer.action[n:]
+    )
+    np.testing.assert_allclose(buffer.next_obs[n:], obs, 1e-4, 1e-4)
+    np.testing.assert_allclose(buffer.reward[n:], reward, 1e-4, 1e-4)
+    noise = ((buffer.action - buffer.action_mean) / learner.params["std"])[n:]
+    assert (np.abs(noise - ((old.action - old.action_mean) / 1.0)[n:]) > 1e-3).all()
+    # of which alone it learns
+    rows = jax.tree.map(np.asarray, buffer)
+    last = np.asarray(networks.value(static, learner.params, buffer.next_obs))
+    gamma, lambda_ = hyper.ppo.gamma, hyper.ppo.lambda_
+    found = advantages(rows, rows.value, last, gamma=gamma, lambda_=lambda_)
+    weight = np.broadcast_to(np.arange(N)[:, None] >= n, (N, R))
+    batch = ppo.batch(buffer, jnp.asarray(found), jnp.asarray(found + rows.value))
+    batch = batch._replace(weight=jnp.asarray(weight, jnp.float32))
+    now = jax.random.fold_in(state.key, 1)
+    key = jax.random.fold_in(now, algorithm.UPDATE + algorithm.ANCHOR + 1)
+    expected, told = jax.jit(partial(ppo.update, static, hyper))(learner, batch, key)
+    assert_close(after.learner, expected, 1e-4)
+    assert_close({name: metrics[name] for name in told}, told, 1e-4)
+    assert metrics["kl"] != before["kl"]
+
+
+def test_every_round_is_another(rounds):
+    """Other anchors, other noise, and the learner goes on from the round before."""
+    two, three = rounds(2), rounds(3)
+    starts = [np.asarray(r[2].obs[5]) for r in (two, three)]
+    assert (starts[0] != starts[1]).any()
+    steps = [r[3].learner.params["std"] for r in (rounds(1), two, three)]
+    assert len({tuple(np.asarray(s).tolist()) for s in steps}) == 3
+
+
+def test_there_are_rounds_where_there_is_a_tail():
+    """The schedule's column: one round without a tail, and no column without rounds."""
+    fields = toy_env.TAIL | {"schedule.rounds": 3}
+    table = schedule.columns(toy_env.settings(fields)[0])
+    tails = N - table["n_real"]
+    assert 0 in tails and tails.max() == 4
+    np.testing.assert_array_equal(table["rounds"], np.where(tails > 0, 3, 1))
+    assert "rounds" not in schedule.columns(toy_env.settings(toy_env.TAIL)[0])
+    without = toy_env.settings({"schedule.rounds": 3})[0]
+    assert "rounds" not in schedule.columns(without)
+
+
 # ---- what is carried on
 
 

@@ -15,7 +15,9 @@ from dynappo import schedule
 def config_of(a, b, x, y, iterations, horizon=16):
     """What the schedule reads of a config."""
     return SimpleNamespace(
-        schedule=SimpleNamespace(start_iteration=a, end_iteration=b, start_steps=x, end_steps=y),
+        schedule=SimpleNamespace(
+            start_iteration=a, end_iteration=b, start_steps=x, end_steps=y, rounds=1
+        ),
         run=SimpleNamespace(num_iterations=iterations),
         rollout=SimpleNamespace(num_envs=4096, horizon=horizon),
         model=SimpleNamespace(epochs=25, late_epochs=None, late_from=50),

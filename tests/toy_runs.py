@@ -32,16 +32,16 @@ def row(config, **kwargs):
 
 
 def carries_a_rollout(equation, seeds=()):
-    """Whether an equation is a `while` over the rollout buffer: the loop of `rollout.fill`."""
+    """Whether an equation is a loop over the rollout buffer: of `rollout.fill`, or of rounds."""
     shapes = [v.aval.shape for v in equation.outvars]
-    return equation.primitive.name == "while" and shapes.count((*seeds, N, R, 6)) >= 2
+    return equation.primitive.name in ("while", "scan") and shapes.count((*seeds, N, R, 6)) >= 2
 
 
 @functools.cache
 def observe(env, static):
     """`f(hyper, state, row) -> (rollout, state, metrics)`: `iterate`, and the rollout inside it.
 
-    The rollout is what the last loop of `rollout.fill` leaves in the program of `iterate`: the
+    The rollout is what the last loop of rounds leaves in the program of `iterate`: the
     program itself is asked for it.
     """
 

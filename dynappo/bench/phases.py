@@ -34,6 +34,7 @@ def measure(config, program, state, repeats: int = 5) -> dict[str, float]:
     last N_r, because one fit can be less than a CPU's physics varies; without a model `physics` =
     (T(N) - T(0)) / N. With one, T(0, 0) has N tail rows: their cost is measured by itself (`tail`, one
     row), and `physics` is corrected by it. `ppo` is the rest: advantages, minibatches, gradient steps.
+    `tail` and `ppo` are those of one round.
     """
     import jax
     import jax.numpy as jnp
@@ -41,11 +42,13 @@ def measure(config, program, state, repeats: int = 5) -> dict[str, float]:
     every, horizon = config.run.log_every, config.rollout.horizon
     last = {name: int(column[-1]) for name, column in program.columns.items()}
 
-    def ms(n_real, epochs):
+    def ms(n_real, epochs, rounds=1):
         columns: dict[str, Any] = {"iteration": np.arange(1, every + 1)}
         columns["n_real"] = np.full(every, n_real)
         if "model_epochs" in last:
             columns["model_epochs"] = np.full(every, epochs)
+        if "rounds" in last:
+            columns["rounds"] = np.full(every, rounds)
         columns = {name: jnp.asarray(column, jnp.int32) for name, column in columns.items()}
         times = []
         for _ in range(repeats):
@@ -56,7 +59,7 @@ def measure(config, program, state, repeats: int = 5) -> dict[str, float]:
         return float(np.median(times))
 
     epochs = last.get("model_epochs", 0)
-    out = {"iteration": ms(last["n_real"], epochs)}
+    out = {"iteration": ms(last["n_real"], epochs, last.get("rounds", 1))}
     full, none = ms(horizon, 0), ms(0, 0)
     out["tail"] = _tail_row(program, state) if epochs else 0.0
     out["physics"] = (full - none) / horizon + out["tail"]

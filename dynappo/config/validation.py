@@ -55,7 +55,8 @@ RANGES = (
         "more than 0",
         lambda v: v > 0,
         "run.num_seeds run.mesh_seed run.mesh_env run.num_iterations run.log_every rollout.num_envs "
-        "rollout.horizon model.epochs model.minibatches model.huber_delta model.learning_rate "
+        "rollout.horizon schedule.rounds "
+        "model.epochs model.minibatches model.huber_delta model.learning_rate "
         "ppo.epochs ppo.minibatches ppo.shuffle_blocks ppo.init_std ppo.min_std ppo.learning_rate "
         "ppo.max_learning_rate ppo.desired_kl ppo.clip_epsilon ppo.max_grad_norm task.episode_length "
         "task.tracking_std task.action_scale task.effort_limit task.saturation_effort "
@@ -90,7 +91,7 @@ RANGES = (
     (
         "at most 1,000",
         lambda v: v <= 1_000,
-        "physics.substeps physics.threads physics.iterations physics.ls_iterations",
+        "physics.substeps physics.threads physics.iterations physics.ls_iterations schedule.rounds",
     ),
     (
         "at most 10,000",

@@ -22,7 +22,8 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from dynappo.learner import networks, symmetry
 from dynappo.types import Config, Learner, Metrics, Transition
 
-METRICS: tuple[str, ...] = ("kl", "surrogate_loss", "value_loss", "entropy")  # of every step
+OF_STEP: tuple[str, ...] = ("kl", "surrogate_loss", "value_loss", "entropy")
+METRICS = *OF_STEP, "learning_rate"
 
 
 class Batch(NamedTuple):
@@ -97,7 +98,7 @@ def loss(static: Config, hyper: Config, params: dict, batch: Batch, old_std: Flo
     # one array, one mean: each would be some kernels of its own
     surrogate, value_loss, kl = mean(jnp.stack([surrogate, error, kl]), batch.weight)
     total = surrogate + hyper.ppo.value_coef * value_loss - hyper.ppo.entropy_coef * entropy
-    return total, dict(zip(METRICS, (kl, surrogate, value_loss, entropy), strict=True))
+    return total, dict(zip(OF_STEP, (kl, surrogate, value_loss, entropy), strict=True))
 
 
 def adapt(static: Config, hyper: Config, learning_rate: Float[Array, ""], kl: Float[Array, ""]):
@@ -165,10 +166,10 @@ def update(
     def step(learner, i):
         rows = jax.tree.map(lambda x: x[i % static.ppo.minibatches], shuffled)
         learner, metrics = minibatch_step(static, hyper, unflatten, learner, rows, old_std, image)
-        return learner, jnp.stack([metrics[name] for name in METRICS])  # one array: one kernel
+        return learner, jnp.stack([metrics[name] for name in OF_STEP])  # one array: one kernel
 
     steps = jnp.arange(static.ppo.epochs * static.ppo.minibatches)
     learner, table = jax.lax.scan(step, learner.replace(params=params), steps)
-    metrics = dict(zip(METRICS, table.mean(0), strict=True))
+    metrics = dict(zip(OF_STEP, table.mean(0), strict=True))
     metrics["learning_rate"] = learner.learning_rate
     return learner.replace(params=unflatten(learner.params)), metrics

@@ -13,7 +13,7 @@ Beyond the paper, each by a field of the group model that is off in the paper's 
   anew. Noise is the error floor of a model that has to predict it.
 - `known_reward`: the reward is what `env.known_reward` computes of the prediction, plus f_theta's.
 - `falls`: sigmoid(f_theta) is the probability of a fall, and 1 minus it a tail's discount. Fallen rows are
-  learned from too, without class weights. The episode's clock cuts a tail, and the robot walks on.
+  learned from too, without class weights.
 - `bounds`: every prediction stays in the range of this iteration's real rows, and 5 % beyond; values
   too (algorithm.estimate). A tail can then be wrong, but not diverge.
 
@@ -46,13 +46,19 @@ class TailState:
 
     obs: Float[Array, "R O"]  # what the policy sees
     prop: Float[Array, "R P"]  # what the model carries (examples.py)
-    clock: Int[Array, " R"] | None = None  # age of the episode, with `falls`
 
 
 def tail(static: Config, env: Env, state) -> TailState:
-    """Where a tail begins: at the state that physics carries."""
+    """Where a tail begins: at the `obs` and `prop` of a state of physics, or of a row."""
     prop = state.prop if static.model.clean else state.obs[..., : env.prop_size]
-    return TailState(obs=state.obs, prop=prop, clock=state.clock if static.model.falls else None)
+    return TailState(obs=state.obs, prop=prop)
+
+
+def anchors(static: Config, env: Env, rows: Transition, n_real: Int[Array, ""], key) -> TailState:
+    """Of each robot one of its rows `t < n_real`, drawn at random."""
+    t = jax.random.randint(key, rows.reward.shape[1:], 0, n_real)[None, :, None]
+    states = tail(static, env, rows)
+    return jax.tree.map(lambda x: jnp.take_along_axis(x, t, axis=0)[0], states)
 
 
 def network(static: Config, prop_size: int) -> networks.MLP:
@@ -192,21 +198,18 @@ def step(
 ):
     """The contract of an environment's step; the `keys` are for the noise of `clean` only.
 
-    Without `falls` no row falls or times out: the paper's model predicts no terminations.
+    Without `falls` no row falls: the paper's model predicts no terminations. No row times out.
     """
     obs = jnp.concatenate([state.prop, state.obs[..., env.prop_size :]], -1)
     obs, reward, discount = predict(static, hyper, env, model, obs, action)
-    prop, clock, truncation = obs[..., : env.prop_size], None, jnp.zeros_like(reward)
+    prop = obs[..., : env.prop_size]
     if static.model.clean:
         keys = jax.vmap(jax.random.fold_in, (0, None))(keys, NOISE)
         obs = obs.at[..., : env.prop_size].add(jax.vmap(env.noise, (None, 0))(hyper, keys))
-    if state.clock is not None:
-        clock = state.clock + 1
-        truncation = (clock == env.episode_length) * 1.0
     outcome = Outcome(
         reward=reward,
         discount=discount,
-        truncation=truncation,
+        truncation=jnp.zeros_like(reward),
         next_obs=obs,
         next_prop=prop,
         valid=jnp.ones_like(reward),
@@ -214,4 +217,4 @@ def step(
         episode_length=jnp.zeros_like(reward),
         metrics={},
     )
-    return TailState(obs=obs, prop=prop, clock=clock), outcome
+    return TailState(obs=obs, prop=prop), outcome

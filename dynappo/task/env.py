@@ -184,8 +184,8 @@ def noise(hyper: Config, key):
 def step(const: Constants, hyper: Config, body, state: EnvState, action, key):
     """One control step -> `(EnvState, Outcome)`; the episode's end is in the outcome only.
 
-    A robot whose state is not finite, or moves faster than 100 rad/s or 20 m/s (base or joint), has left what the
-    solver can compute: its episode ends with reward 0, it is counted in `blowups`, and no number
+    A robot whose state is not finite, or with a joint or base faster than 100 rad/s or 20 m/s, has left
+    what the solver can compute: its episode ends with reward 0, it is counted in `blowups`, and no number
     of that row but zeros and the old observation leaves this function.
     """
     after = engine_lib.simulate(const.engine, hyper, body, state, action)

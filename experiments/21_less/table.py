@@ -1,12 +1,15 @@
-"""Simulator steps to fixed evaluated returns, and where runs end, of the CSVs of run.py.
+"""Simulator steps to fixed evaluated returns, and where runs end, of what run.py wrote.
 
     python experiments/21_less/table.py FOLDER [NAME ...]
+    python experiments/21_less/table.py experiments/21_less/results/tuning.csv.xz [NAME ...]
 
 Mean over seeds of the first evaluation that reaches a level, and in brackets the last seed's; a seed that
-never does is counted as missing. Intervals are Student's t, 95 %.
+never does is counted as missing. The end is the mean of a seed's last three evaluations. Intervals are
+Student's t, 95 %. A return of 10 s (run.eval_steps=500) counts twice.
 """
 
 import csv
+import lzma
 from pathlib import Path
 
 import numpy as np
@@ -14,39 +17,52 @@ from scipy import stats
 
 from experiments import paper
 
+TEXT = ("job", "name", "batch")
+END = ("return", "fall_rate", "tracking_error")
 LEVELS = {45: (20, 30, 35, 38, 40), 30: (15, 20, 22, 24, 25)}  # of the best possible return
 
 
 def main():
     parser = paper.parser(__doc__)
-    parser.add_argument("folder", type=Path)
+    parser.add_argument("path", type=Path)
     parser.add_argument("names", nargs="*")
     args = parser.parse_args()
-    names = args.names or sorted(path.stem for path in args.folder.glob("*.csv"))
+    jobs = read(args.path)
+    jobs = {name: jobs[name] for name in args.names or jobs}
     for top in LEVELS:
-        mine = {name: read(args.folder / f"{name}.csv") for name in names}
-        mine = {name: rows for name, rows in mine.items() if top == best(rows)}
+        mine = {name: job for name, job in jobs.items() if top == best(job)}
         if mine:
             print(table(mine, LEVELS[top]), end="\n\n")
 
 
-def read(path: Path) -> list[dict]:
-    """Rows of a CSV, numbers as such."""
-    with path.open(newline="") as file:
-        return [
-            {k: v if k == "job" else float(v) for k, v in row.items()}
-            for row in csv.DictReader(file)
-        ]
+def read(path: Path) -> dict[str, list[dict]]:
+    """`name -> rows`, numbers as such: of a folder of NAME.csv, or of one packed file."""
+    if path.is_dir():
+        return {file.stem: rows(file.open(newline="")) for file in sorted(path.glob("*.csv"))}
+    jobs = {}
+    for row in rows(lzma.open(path, "rt", newline="")):
+        jobs.setdefault(row["name"], []).append(row)
+    return jobs
 
 
-def best(rows) -> int:
+def rows(file) -> list[dict]:
+    """The rows of an open CSV."""
+    with file:
+        found = list(csv.DictReader(file))
+    found = [{k: v if k in TEXT else float(v) for k, v in row.items()} for row in found]
+    for row in found:
+        row["return"] *= 2 if "run.eval_steps=500" in row["job"] else 1
+    return found
+
+
+def best(job) -> int:
     """The best possible return of a job's robot."""
-    return 30 if rows[0]["job"].startswith("anymal") else 45
+    return 30 if job[0]["job"].startswith("anymal") else 45
 
 
-def seeds(rows) -> list[list[dict]]:
+def seeds(job) -> list[list[dict]]:
     """The rows of each seed, in order."""
-    return [[r for r in rows if r["seed"] == s] for s in sorted({r["seed"] for r in rows})]
+    return [[r for r in job if r["seed"] == s] for s in sorted({r["seed"] for r in job})]
 
 
 def first(run: list[dict], level: float, name: str = "sim_steps") -> float:
@@ -60,7 +76,7 @@ def spread(values, digits: int = 1) -> str:
     return f"{np.mean(values):.{digits}f} ± {half:.{digits}f}"
 
 
-def table(jobs: dict[str, list[dict]], levels) -> str:
+def table(jobs, levels) -> str:
     """In Markdown, a line a job."""
     head = [
         "",
@@ -69,20 +85,22 @@ def table(jobs: dict[str, list[dict]], levels) -> str:
         "M steps in all",
         "at the end",
         "falls",
+        "error, m/s",
     ]
     lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
-    for name, rows in jobs.items():
-        runs = seeds(rows)
+    for name, mine in jobs.items():
+        runs = seeds(mine)
         cells = [name, str(len(runs))]
         for level in levels:
             steps = np.array([first(run, level) / 1e6 for run in runs])
             gone = int(np.isnan(steps).sum())
             some = f"{np.nanmean(steps):.2f} ({np.nanmax(steps):.2f})" if gone < len(steps) else "-"
             cells.append(some + (f", {gone} never" if gone else ""))
-        last = [run[-1] for run in runs]
-        cells.append(f"{last[0]['sim_steps'] / 1e6:.1f}")
-        cells.append(spread([row["return"] for row in last]))
-        cells.append(f"{100 * np.mean([row['fall_rate'] for row in last]):.1f} %")
+        ends = [{k: np.mean([row[k] for row in run[-3:]]) for k in END} for run in runs]
+        cells.append(f"{runs[0][-1]['sim_steps'] / 1e6:.1f}")
+        cells += [spread([end["return"] for end in ends])]
+        cells += [f"{100 * np.mean([end['fall_rate'] for end in ends]):.1f} %"]
+        cells += [f"{np.mean([end['tracking_error'] for end in ends]):.3f}"]
         lines.append("| " + " | ".join(cells) + " |")
     return "\n".join(lines)
 

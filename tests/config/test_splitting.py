@@ -9,7 +9,8 @@ from dynappo import config as config_lib
 INTS = """
 run.seed run.num_seeds run.mesh_seed run.mesh_env run.num_iterations run.log_every
 run.checkpoint_every run.eval_every run.eval_envs run.eval_steps rollout.num_envs rollout.horizon
-schedule.start_iteration schedule.end_iteration schedule.start_steps schedule.end_steps model.epochs
+schedule.start_iteration schedule.end_iteration schedule.start_steps schedule.end_steps schedule.rounds
+model.epochs
 model.late_from model.minibatches ppo.epochs ppo.minibatches ppo.shuffle_blocks
 task.episode_length physics.threads physics.substeps physics.iterations physics.ls_iterations
 """.split()
