@@ -187,7 +187,7 @@ def _told(error: Exception) -> tuple[str, int]:
         name = error.filename or "a file"
         if error.errno in OF_A_NAME:
             return f"{name} cannot be used ({error.strerror}); name another file or folder", 2
-        return f"{name} cannot be written ({error.strerror})", 1
+        return f"{name} cannot be read or written ({error.strerror})", 1
     return (text, 1) if isinstance(error, OSError) else ("", 1)  # a library, not a file
 
 

@@ -88,6 +88,7 @@ RANGES = (
         "task.reset.joint_scale task.push.velocity",
     ),
     ("at most 600", lambda v: v <= 600, "run.video_seconds"),
+    ("at most 100,000", lambda v: v <= 1e5, "task.kp task.kd"),
     (
         "at most 1,000",
         lambda v: v <= 1_000,

@@ -6,13 +6,12 @@ is. Its metadata hold the rest: observation table, joints, default pose, gains, 
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from dynappo.config import ConfigError, versions
+from dynappo.config import ConfigError, files, versions
 from dynappo.physics import robot as robot_lib
 from dynappo.policy import policy_file
 from dynappo.policy.policy_file import Policy
@@ -192,9 +191,8 @@ def save(policy: Policy, robot: robot_lib.Robot, out: Path, targets: bool = Fals
         data = onnx_model(policy, about(policy, robot), targets).SerializeToString(
             deterministic=True
         )
-        part = out.with_name(out.name + ".part")
-        part.write_bytes(data)
-        os.replace(part, out)
+        with files.replacing(out) as part:
+            part.write_bytes(data)
     except ImportError as error:
         raise ConfigError(
             f"--out={out}: {error.name} is not installed; pip install 'dynappo[export]'"

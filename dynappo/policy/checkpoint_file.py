@@ -11,6 +11,7 @@ import hashlib
 import json
 import math
 import os
+import re
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,8 @@ import numpy as np
 from dynappo.config import ConfigError
 
 STATE = "state"  # where a checkpoint has its arrays
+JSON = 2**24  # bytes of a text, at most
+ROOM = 2**26  # bytes of a checkpoint's files beside those of its arrays, at most
 LOST = (FileNotFoundError, NotADirectoryError, IsADirectoryError)  # they will not come back
 MEMORY = 2**36  # bytes, taken for that of a machine that does not tell
 
@@ -41,6 +44,9 @@ def about(folder: Path) -> dict:
 def read_json(folder: Path, name: str) -> dict:
     """The JSON object in a file of a checkpoint."""
     try:
+        size = (folder / name).stat().st_size
+        if size > JSON:
+            raise ValueError(f"{name} has {size / 1e6:.0f} MB")
         found = json.loads((folder / name).read_bytes())
     except (*LOST, ValueError, RecursionError) as error:
         raise Damaged(folder, _reason(error)) from None
@@ -57,7 +63,7 @@ def read(folder: Path) -> dict[str, np.ndarray]:
     import tensorstore
 
     expected, context = about(folder), tensorstore.Context()
-    files, arrays, found = _files(folder), {}, hashlib.sha256()
+    files, arrays, found = _files(folder, expected["arrays"]), {}, hashlib.sha256()
     try:
         memory = tensorstore.KvStore.open({"driver": "memory"}, context=context).result()
         for name, content in files.items():
@@ -82,12 +88,19 @@ def read(folder: Path) -> dict[str, np.ndarray]:
     return arrays
 
 
-def _files(folder: Path) -> dict[str, bytes]:
-    """The bytes of every file of the arrays, by its path."""
+def _files(folder: Path, arrays: dict[str, str]) -> dict[str, bytes]:
+    """The bytes of every file of the `arrays`, by its path; compressed, they are no more than these."""
     state = folder / STATE
+    sizes = (re.findall(r"\d{1,18}", str(text).rpartition("[")[2]) for text in arrays.values())
+    most = 8 * sum(math.prod(map(int, size)) for size in sizes) + ROOM
     try:
         walk = os.walk(state, onerror=_raise)  # rglob would leave out what it may not read
         paths = [Path(where) / name for where, _, names in walk for name in names]
+        size = sum(path.stat().st_size for path in paths)
+        if size > most:
+            raise Damaged(
+                folder, f"its files have {size / 1e6:.0f} MB, its arrays {most / 1e6:.0f}"
+            )
         files = {path.relative_to(state).as_posix(): path.read_bytes() for path in paths}
     except LOST as error:
         raise Damaged(folder, _reason(error)) from None

@@ -133,11 +133,8 @@ def save_params(path: Path, params: dict, **entries) -> None:
         if not np.isfinite(value).all():
             raise ConfigError(f"{path}: not written, {name} is not finite: training had blown up")
     arrays |= entries
-    path = Path(path)
-    part = path.with_name(path.name + ".part")
-    with part.open("wb") as file:
+    with files.replacing(Path(path)) as part, part.open("wb") as file:
         np.savez(file, **arrays)
-    os.replace(part, path)
 
 
 def load_params(path: Path) -> dict:

@@ -28,7 +28,10 @@ __all__ = ["film", "simulate", "tour"]
 
 FPS, WIDTH, HEIGHT = 25, 640, 360  # software OpenGL on two cores renders about ten a second
 PICTURE = 1280, 720
-NO_OPENGL = "no video: neither EGL nor OSMesa can render here; install libegl1 or libosmesa6"
+NO_OPENGL = (
+    "no video: neither EGL nor OSMesa can render here; Debian and Ubuntu: apt install libegl1"
+)
+PATIENCE = 20.0  # s for a second of film, at most: a driver may hang
 LACKS_PACKAGE, CANNOT_WRITE = 3, 4  # exit statuses of the rendering process
 LACKS = "no video: {} is not installed; pip install 'dynappo[video]'"
 GREEN, BLUE = (0.1, 0.7, 0.2, 0.9), (0.2, 0.4, 0.9, 0.9)  # arrows of command and velocity
@@ -72,10 +75,16 @@ def film(
             np.savez(npz, **shown)
         except OSError as error:  # no temporary folder, or a full disk
             return f"no video: cannot write a temporary file ({error.strerror or error})"
+        limit = PATIENCE * (10 + float(episode["dt"]) * len(episode["qpos"]))  # s
         for backend in ("egl", "osmesa"):
             environment = os.environ | {"MUJOCO_GL": backend, "PYOPENGL_PLATFORM": backend}
             command = [sys.executable, "-m", "dynappo.policy.render", str(npz), str(out)]
-            done = subprocess.run(command, env=environment, capture_output=True, text=True)
+            try:
+                done = subprocess.run(
+                    command, env=environment, capture_output=True, text=True, timeout=limit
+                )
+            except subprocess.TimeoutExpired:
+                return f"no video: rendering by {backend} took more than {limit:.0f} s"
             if done.returncode == 0:
                 return ""
             if done.returncode == LACKS_PACKAGE:

@@ -47,7 +47,7 @@ def opened(workdir: Path, say: Callable[[str], None] = print):
     of what is raised too.
     """
     for step in (workdir / "checkpoints").glob("[0-9]*"):
-        if step.name.isdigit():
+        if step.name.isdecimal():
             try:
                 for text in ("about/metadata", "_CHECKPOINT_METADATA"):
                     checkpoint_file.read_json(step, text)

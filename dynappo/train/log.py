@@ -11,6 +11,7 @@ import contextlib
 import csv
 import itertools
 import os
+import shutil
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -18,7 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dynappo.config import ConfigError
+from dynappo.config import ConfigError, files
 
 RETURN_ROWS = 10  # the return of a run is the mean of its last rows
 FIRST = (
@@ -174,10 +175,8 @@ def append_csv(path: Path, table: list[dict]) -> None:
         names = header + more
         if not old and not more:
             return _append(path, names, table, header=False)
-    temporary = path.with_suffix(".csv.new")
-    temporary.unlink(missing_ok=True)
-    _append(temporary, names, old + table, header=True)
-    temporary.replace(path)
+    with files.replacing(path) as part:
+        _append(part, names, old + table, header=True)
 
 
 def _append(path: Path, names, table, header: bool) -> None:
@@ -220,16 +219,16 @@ def go_on_csv(path: Path, counted: dict[str, np.ndarray], seeds: int, say) -> di
     if lost:
         numbers = (f".{n}" if n else "" for n in itertools.count())
         kept = next(p for n in numbers if not (p := path.with_suffix(f".csv.damaged{n}")).exists())
-        was = "is gone" if not path.exists() else f"is damaged, and kept as {path.rename(kept)}"
+        was = "is gone"
+        if path.exists():  # copied: if what follows fails, all is as it was
+            was = f"is damaged, and kept as {shutil.copyfile(path, kept)}"
         say(
             f"{path} {was}: rows of {len(set(lost))} iterations, from {lost[0]} to {lost[-1]}, are lost and "
             "stay empty; the run itself lacks nothing"
         )
-    temporary = path.with_suffix(".csv.new")
-    temporary.unlink(missing_ok=True)
     names = list(dict.fromkeys(name for row in [*found.values(), *table] for name in row))
-    _append(temporary, names, table, header=True)
-    temporary.replace(path)
+    with files.replacing(path) as part:
+        _append(part, names, table, header=True)
     return read_csv(path, seeds)
 
 

@@ -20,6 +20,26 @@ def test_json_is_written_whole_or_not_at_all(tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["summary.json"]
 
 
+def test_nothing_is_left_of_what_could_not_be_written(tmp_path, monkeypatch):
+    """Neither after an error of whoever writes, nor of the disk; what a killed process left is replaced."""
+    path = tmp_path / "curves.png"
+    (tmp_path / "curves.png.part").write_text("half of one")
+    with pytest.raises(KeyboardInterrupt), files.replacing(path) as part:
+        part.write_text("a third")
+        raise KeyboardInterrupt
+    assert not list(tmp_path.iterdir())
+    with files.replacing(path) as part:
+        part.write_text("whole")
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("os.replace", full)
+    with pytest.raises(OSError, match="No space"), files.replacing(path) as part:
+        part.write_text("another")
+    assert [p.read_text() for p in tmp_path.iterdir()] == ["whole"]
+
+
 def test_ones_own_robot_is_found_before_the_packages(tmp_path, monkeypatch):
     """A folder robots/NAME with NAME.xml in it; another file there makes no robot."""
     monkeypatch.chdir(tmp_path)

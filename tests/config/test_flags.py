@@ -20,7 +20,7 @@ ENDS = {  # what an action raises, exit status, the line after "dynappo: "
     "disk full": (
         OSError(28, "No space left on device", "a.csv"),
         1,
-        "a.csv cannot be written (No space left on device)\n",
+        "a.csv cannot be read or written (No space left on device)\n",
     ),
     "a name of several lines": (ConfigError("a\n\x1b[2Jb\udcff"), 2, "a\\n\\x1b[2Jb\\udcff\n"),
     "no library": (OSError("libGL.so: cannot open"), 1, "libGL.so: cannot open\n"),

@@ -48,6 +48,8 @@ WRONG = [  # fields, what the line begins with, what is expected
     ({"run.video_seconds": -1.0}, "run.video_seconds is -1.0", "0 or more"),
     ({"schedule.start_steps": -1}, "schedule.start_steps is -1", "0 or more"),
     ({"schedule.end_steps": -1}, "schedule.end_steps is -1", "0 or more"),
+    ({"schedule.rounds": 0}, "schedule.rounds is 0", "more than 0"),
+    ({"task.kp": 1e9}, "task.kp is 1000000000.0", "at most 100,000"),
     ({"model.late_epochs": -1}, "model.late_epochs is -1", "0 or more"),
     ({"ppo.gamma": 1.01}, "ppo.gamma is 1.01", "a number from 0 to 1"),
     ({"ppo.gamma": math.nan}, "ppo.gamma is nan", "a number from 0 to 1"),

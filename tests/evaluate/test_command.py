@@ -190,7 +190,7 @@ def test_stopped_and_disk_full(saved, tmp_path, monkeypatch, capsys):
 
     monkeypatch.setattr(evaluate_command.files, "write_json", full)
     assert run(saved, "--fast", f"--out={tmp_path}") == 1
-    assert "evaluation.json cannot be written (No space left" in capsys.readouterr().err
+    assert "evaluation.json cannot be read or written (No space left" in capsys.readouterr().err
 
 
 def test_help_names_the_flags(capsys):

@@ -141,7 +141,10 @@ def test_a_disk_that_is_full_is_one_line(small, tmp_path, monkeypatch, capsys):
     for name in ("a.onnx", "a.npz"):
         assert run(small[0], f"--out={tmp_path / name}") == 1
         line = capsys.readouterr().err
-        assert f"{name}.part cannot be written (No space left" in line and line.count("\n") == 1
+        assert (
+            f"{name}.part cannot be read or written (No space left" in line
+            and line.count("\n") == 1
+        )
         assert not (tmp_path / name).exists()
 
 

@@ -119,6 +119,18 @@ def test_an_array_of_terabytes_is_not_read(tmp_path, name):
     assert isinstance(caught.value, checkpoint_file.Damaged) == ("machine" not in expected)
 
 
+@pytest.mark.parametrize("name", ["state/d/junk", "about/metadata"])
+def test_a_file_that_is_too_large_is_not_read(tmp_path, name):
+    """Empty, but of 200 GB: that much would be read into memory."""
+    written(tmp_path / "run")
+    folder = tmp_path / "run" / "checkpoints" / "10"
+    (folder / name).parent.mkdir(exist_ok=True)
+    with (folder / name).open("ab") as file:
+        file.truncate(200 * 10**9)
+    with pytest.raises(checkpoint_file.Damaged, match="200000 MB"):
+        checkpoint_file.read(folder)
+
+
 @pytest.mark.parametrize(
     "about", ["[]", "{}", '{"arrays": [], "sha256": ""}', '{"arrays": {}}', "[" * 99_999]
 )

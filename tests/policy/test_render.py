@@ -148,7 +148,15 @@ def test_without_its_packages_a_film_is_one_line(standing, tmp_path, monkeypatch
     monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=":")
     problem = render.film(GO1, rows_of(standing, slice(2)), tmp_path / file)
     assert problem == expected and "\n" not in problem and not (tmp_path / file).exists()
-    assert re.search("libegl1|libosmesa6|pip install", problem)
+    assert re.search("apt install|pip install", problem)
+
+
+def test_a_driver_that_hangs_is_not_waited_for_for_ever(standing, tmp_path, monkeypatch):
+    """The limit grows with the film, and here is less than Python needs to start."""
+    monkeypatch.setattr(render, "PATIENCE", 1e-3)
+    problem = render.film(GO1, rows_of(standing, slice(2)), tmp_path / "a.mp4")
+    assert problem == "no video: rendering by egl took more than 0 s"
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_film_that_cannot_be_written_is_not_a_missing_package(standing, filmed, tmp_path):

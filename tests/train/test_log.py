@@ -171,6 +171,24 @@ def test_rows_that_are_lost_are_said_to_be_and_what_follows_from_the_schedule_is
     log.go_on_csv(path, counted(10), 1, pytest.fail)  # it is whole now
 
 
+def test_a_full_disk_while_damaged_rows_are_mended_costs_none(tmp_path, monkeypatch):
+    """The file is as it was, and the same call then mends it."""
+    path = tmp_path / "metrics.csv"
+    log.append_csv(path, log.rows(metrics(12)))
+    path.write_text(path.read_text().replace("\n4,", "\n4,x", 1))
+    before = path.read_bytes()
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as disk, pytest.raises(OSError, match="No space"):
+        disk.setattr("os.replace", full)
+        log.go_on_csv(path, counted(10), 1, str)
+    assert path.read_bytes() == before and not list(tmp_path.glob("*.part"))
+    back = log.go_on_csv(path, counted(10), 1, str)
+    assert np.flatnonzero(np.isnan(back["value_loss"])).tolist() == [3]
+
+
 # ---- more columns, full disks, other logs
 
 
@@ -185,7 +203,7 @@ def test_a_new_column_is_added_to_the_rows_that_are_there(tmp_path):
     np.testing.assert_array_equal(back["iteration"], [1, 2, 3, 4, 5])
     np.testing.assert_array_equal(back["eval_return"], [np.nan] * 3 + [7.5, np.nan])
     np.testing.assert_allclose(back["value_loss"][:2], metrics(2)["value_loss"], 1e-5)
-    assert not list(tmp_path.glob("*.new"))
+    assert not list(tmp_path.glob("*.part"))
 
 
 def test_rows_that_could_not_be_written_are_written_with_the_next_and_whole(tmp_path, monkeypatch):
