@@ -36,7 +36,9 @@ def replacing(path: Path) -> Iterator[Path]:
         part.unlink(missing_ok=True)  # of a process that was killed
         yield part
         os.replace(part, path)
-    except BaseException:
+    except BaseException as error:
+        if isinstance(error, OSError) and error.filename is None:  # a full disk does not name it
+            error.filename = str(path)
         with contextlib.suppress(OSError):
             part.unlink(missing_ok=True)
         raise

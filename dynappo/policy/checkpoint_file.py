@@ -49,7 +49,7 @@ def read_json(folder: Path, name: str) -> dict:
             raise ValueError(f"{name} has {size / 1e6:.0f} MB")
         found = json.loads((folder / name).read_bytes())
     except (*LOST, ValueError, RecursionError) as error:
-        raise Damaged(folder, _reason(error)) from None
+        raise _wrong(folder, error) from None
     if not isinstance(found, dict):
         raise Damaged(folder, f"{name} holds no JSON object")
     return found
@@ -103,7 +103,7 @@ def _files(folder: Path, arrays: dict[str, str]) -> dict[str, bytes]:
             )
         files = {path.relative_to(state).as_posix(): path.read_bytes() for path in paths}
     except LOST as error:
-        raise Damaged(folder, _reason(error)) from None
+        raise _wrong(folder, error) from None
     if not files:
         raise Damaged(folder, "its arrays are missing")
     return files
@@ -137,6 +137,13 @@ def _check_sizes(folder: Path, stored: dict, expected: dict[str, str]) -> None:
         raise ConfigError(
             f"{folder}: its arrays are {total / 1e9:.0f} GB, this machine has {memory / 1e9:.0f} GB"
         )
+
+
+def _wrong(folder: Path, error: Exception) -> ConfigError:
+    """Damage, unless the whole folder has gone."""
+    if folder.exists():
+        return Damaged(folder, _reason(error))
+    return ConfigError(f"{folder}: no such checkpoint; a run keeps its newest ones and the best")
 
 
 def _reason(error: Exception) -> str:

@@ -119,6 +119,17 @@ def test_an_array_of_terabytes_is_not_read(tmp_path, name):
     assert isinstance(caught.value, checkpoint_file.Damaged) == ("machine" not in expected)
 
 
+def test_a_checkpoint_that_has_gone_is_not_damaged(tmp_path, monkeypatch):
+    """A run that goes on takes old ones away; it may do so while another command begins to read."""
+    written(tmp_path / "run")
+    folder = tmp_path / "run" / "checkpoints" / "9"
+    known = checkpoint_file.about(folder)
+    shutil.rmtree(folder)
+    monkeypatch.setattr(checkpoint_file, "about", lambda folder: known)
+    line = refused(checkpoint_file.read, folder)
+    assert line == f"{folder}: no such checkpoint; a run keeps its newest ones and the best"
+
+
 @pytest.mark.parametrize("name", ["state/d/junk", "about/metadata"])
 def test_a_file_that_is_too_large_is_not_read(tmp_path, name):
     """Empty, but of 200 GB: that much would be read into memory."""
