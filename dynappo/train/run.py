@@ -92,6 +92,7 @@ def loop(
             sinks = stack.enter_context(log.opened(config, writes, start, say))
         # only the first process has the history, and only there these numbers are written
         (seconds, evaluated), waiting = _reached(history), None
+        counted = workdir_lib.counted(config, run.num_iterations)
         for first in range(start, run.num_iterations, run.log_every):
             rows, done = slice(first, first + run.log_every), first + run.log_every
             columns = {name: column[rows] for name, column in program.columns.items()}
@@ -102,8 +103,9 @@ def loop(
                 _tell(*waiting, sinks, progress_fn, say)
             state, metrics = jax.block_until_ready(running)
             took = time.perf_counter() - began
-            metrics = jax.device_get(metrics)
-            metrics |= workdir_lib.counted(config, done, first)
+            # copies: else each chunk would keep its buffers of JAX, and the columns of the whole run
+            metrics = jax.tree.map(np.array, jax.device_get(metrics))
+            metrics |= {name: column[rows].copy() for name, column in counted.items()}
             metrics["seconds"] = seconds + took * np.arange(1, run.log_every + 1) / run.log_every
             seconds += took
             nonfinite.check(metrics, state, before, workdir)

@@ -232,8 +232,8 @@ def _resume(config, workdir: Path, checkpoints, state, say):
     return start, state, [history]
 
 
-def counted(config, end: int, begin: int = 0) -> dict[str, np.ndarray]:
-    """Columns `[I]` of the iterations after `begin` up to `end` that follow from the schedule alone."""
+def counted(config, end: int) -> dict[str, np.ndarray]:
+    """Columns `[I]` of the iterations up to `end` that follow from the schedule alone."""
     n_real = np.asarray(schedule.columns(config)["n_real"], np.int64)
     columns = {
         "iteration": np.arange(1, len(n_real) + 1),
@@ -241,7 +241,7 @@ def counted(config, end: int, begin: int = 0) -> dict[str, np.ndarray]:
         "n_synthetic": config.rollout.horizon - n_real,
         "sim_steps": np.cumsum(n_real) * config.rollout.num_envs,
     }
-    return {name: column[begin:end] for name, column in columns.items()}
+    return {name: column[:end] for name, column in columns.items()}
 
 
 def save(config, robot, workdir, checkpoints, done: int, state, metrics, evaluated, say) -> None:
