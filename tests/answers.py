@@ -39,7 +39,7 @@ def mistake(main, arguments, capsys) -> str:
     return said.err
 
 
-def shell(*arguments, cwd=ROOT):
+def shell(*arguments, cwd=ROOT, timeout=120):
     """A fresh Python with these arguments; environment and package as here."""
     path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))
     return subprocess.run(
@@ -48,5 +48,5 @@ def shell(*arguments, cwd=ROOT):
         env=os.environ | {"PYTHONPATH": path},
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=timeout,
     )

@@ -56,6 +56,16 @@ def test_every_iteration_is_a_row_and_every_chunk_is_told(whole):
     assert (np.diff(seconds) > 0).all() and seconds[0] > 0
 
 
+def test_what_is_kept_of_a_chunk_is_its_own(config, program, monkeypatch):
+    """No view into a column of the whole run or a buffer of JAX: a long run would keep all of them."""
+    joined = []
+    monkeypatch.setattr(log, "join", lambda history: joined.extend(history) or {})
+    loop(config, program())
+    assert [len(chunk["iteration"]) for chunk in joined] == [2, 2]
+    kept = [(name, column) for chunk in joined for name, column in chunk.items()]
+    assert [name for name, column in kept if column.base is not None] == []
+
+
 def test_without_a_folder_nothing_is_written(config, program, whole, tmp_path, monkeypatch):
     """In a notebook: the same numbers, no file."""
     monkeypatch.chdir(tmp_path)
