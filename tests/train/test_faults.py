@@ -132,4 +132,5 @@ def test_every_fault(config, program, half, whole, tmp_path, kind):
     n = 0
     while survives(config, program, half, whole, tmp_path / "run", kind, n):
         n += 1
+    print(f"{n} operations")
     assert n > 50
