@@ -13,6 +13,7 @@ PACKAGE = pathlib.Path(dynappo.__file__).parent
 METHOD = {"types", "schedule", "stats", "rollout", "algorithm", "evaluation", "sweep"}
 # folder -> folders and modules that its own may import; `method` are the files beside the folders
 MAY_IMPORT = {
+    "__main__": {"config"},
     "method": {"method", "learner", "model"},
     "learner": {"learner", "types"},
     "model": {"model", "learner.networks", "types"},

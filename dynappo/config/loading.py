@@ -23,13 +23,13 @@ OWN = (pathlib.Path(), pathlib.Path("configs"))  # a name in one of these may me
 
 
 def load(spec: str) -> config_dict.ConfigDict:
-    """The config of `FILE.py` or `FILE.py:VARIANT`; not validated.
+    """The config of `NAME`, `FILE.py`, `NAME:VARIANT` or `FILE.py:VARIANT`; not validated.
 
-    `NAME.py` and `configs/NAME.py` are looked up here, then among dynappo's own configs; a path with
-    another folder is that file or none. The file is run: it may do whatever its author may.
+    `NAME` is `configs/NAME.py`; that and `NAME.py` are looked up here, then among dynappo's own configs; a
+    path with another folder is that file or none. The file is run: it may do whatever its author may.
     """
     name, _, variant = spec.partition(":")
-    path = pathlib.Path(name)
+    path = pathlib.Path(f"configs/{name}.py" if name.isidentifier() else name)
     looked_up = path.parent in OWN
     if looked_up and not path.is_file():
         path = find("configs", path.name) or path

@@ -37,7 +37,7 @@ class Command(NamedTuple):
 def parse(argv: list[str] | None) -> Command:
     """A command line, understood; ConfigError if it cannot be."""
     parser = flags.parser("train", "Train a quadruped to follow velocity commands.", USAGE)
-    parser.add_argument("--config", metavar="FILE.py[:VARIANT]")
+    parser.add_argument("--config", metavar="NAME[:VARIANT]|FILE.py[:VARIANT]")
     parser.add_argument("--workdir", type=flags.path, help="default: runs/FILE-VARIANT")
     parser.add_argument(
         "--fresh", action="store_true", help="start over; a run that is there is moved aside"

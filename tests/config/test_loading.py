@@ -46,6 +46,12 @@ def test_every_variant_of_every_file_is_valid_and_keeps_the_types_of_the_default
     assert texts[""] == texts["best"] != texts["dyna4"]
 
 
+@pytest.mark.parametrize("variant", ["", ":ppo16"])
+def test_a_name_means_its_file_in_configs(variant):
+    by_name, by_path = (config_lib.load(f"{n}{variant}") for n in ("go2", "configs/go2.py"))
+    assert config_lib.to_json(by_name) == config_lib.to_json(by_path)
+
+
 @pytest.mark.parametrize(
     ("variant", "expected"),
     [
