@@ -46,7 +46,9 @@ def parse(argv: list[str] | None):
         "--config.GROUP.FIELD=VALUE sets a field of both configs, as in dynappo.train",
     )
     parser.add_argument("--config", metavar="NAME[:VARIANT]|FILE.py[:VARIANT]")
-    parser.add_argument("--vs", metavar="NAME[:VARIANT]|FILE.py[:VARIANT]", help="alternate with this one")
+    parser.add_argument(
+        "--vs", metavar="NAME[:VARIANT]|FILE.py[:VARIANT]", help="alternate with this one"
+    )
     parser.add_argument("--engines", metavar="ENGINE,ENGINE", help="alternate these engines")
     parser.add_argument(
         "--repeats", metavar="N", default="5", help="medians of so many; default: 5"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import json
 import os
 from collections.abc import Iterator
@@ -26,6 +27,12 @@ def robots() -> list[str]:
     """Names of all robots in the folders robots/ of `roots`."""
     files = [path for root in roots() for path in root.glob("robots/*/*.xml")]
     return sorted({path.stem for path in files if path.stem == path.parent.name})
+
+
+def check_regular(path: Path) -> None:
+    """OSError where there is a pipe or a device: reading it may block, or never end."""
+    if path.exists() and not path.is_file() and not path.is_dir():
+        raise OSError(errno.EINVAL, "Not a regular file", str(path))
 
 
 @contextlib.contextmanager

@@ -15,7 +15,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from dynappo import config as config_lib
-from dynappo.config import ConfigError
+from dynappo.config import ConfigError, files
 
 # what is wrong with a path that somebody named; any other error of a file is the machine's
 OF_A_NAME = (
@@ -85,6 +85,10 @@ def path(text: str) -> Path:
         raise argparse.ArgumentTypeError("is empty, expected a path")
     if len(text) > LONGEST:  # to make so many folders Python would need a deeper stack
         raise argparse.ArgumentTypeError(f"has {len(text)} characters, expected at most {LONGEST}")
+    try:
+        os.fsencode(text).decode()
+    except UnicodeDecodeError:  # files there would have names that no text can hold
+        raise argparse.ArgumentTypeError(f"is {text!r}, which is not UTF-8") from None
     return Path(text)
 
 
@@ -104,12 +108,15 @@ def whole(name: str, text: str, least: int, most: int = 2**31 - 1) -> int:
 def check_writable(out: Path) -> None:
     """ConfigError if no file can be written at `out`; leaves none behind."""
     try:
-        fresh = not out.exists()
-        out.open("ab").close()
-    except OSError as error:
-        raise ConfigError(f"--out={out}: cannot write there ({error.strerror})") from None
+        target = out.resolve()  # what a link points to may be missing
+        fresh = not target.exists()
+        files.check_regular(target)
+        target.open("ab").close()
+    except (OSError, RuntimeError) as error:  # links in a circle
+        reason = getattr(error, "strerror", None) or error
+        raise ConfigError(f"--out={out}: cannot write there ({reason})") from None
     if fresh:
-        out.unlink()
+        target.unlink()
 
 
 def start(command: str) -> None:

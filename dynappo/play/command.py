@@ -129,6 +129,7 @@ def script(path: Path) -> Commands:
         return ConfigError(f"--command={path}: {reason}")
 
     try:
+        files.check_regular(path)
         with path.open("rb") as file:
             content = file.read(MAX_SCRIPT + 1)
         lines = content.decode().splitlines()

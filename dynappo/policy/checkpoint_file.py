@@ -20,6 +20,7 @@ from dynappo.config import ConfigError
 
 STATE = "state"  # where a checkpoint has its arrays
 JSON = 2**24  # bytes of a text, at most
+SQUEEZED = 100  # times, at most, that arrays are larger than the files that hold them
 ROOM = 2**26  # bytes of a checkpoint's files beside those of its arrays, at most
 LOST = (FileNotFoundError, NotADirectoryError, IsADirectoryError)  # they will not come back
 MEMORY = 2**36  # bytes, taken for that of a machine that does not tell
@@ -36,6 +37,8 @@ class Damaged(ConfigError):
 def about(folder: Path) -> dict:
     """What was saved beside the arrays: iteration, config, the shape of every array, a hash of all."""
     found = read_json(folder, "about/metadata")
+    if folder.name.isdecimal() and found.get("iteration", int(folder.name)) != int(folder.name):
+        raise Damaged(folder, f"it says that it is of iteration {found['iteration']}")
     if not isinstance(found.get("arrays"), dict) or not isinstance(found.get("sha256"), str):
         raise Damaged(folder, "its `about` lacks shapes or hash")
     return found
@@ -44,6 +47,8 @@ def about(folder: Path) -> dict:
 def read_json(folder: Path, name: str) -> dict:
     """The JSON object in a file of a checkpoint."""
     try:
+        if (folder / name).exists() and not (folder / name).is_file():
+            raise ValueError(f"{name} is not a file")
         size = (folder / name).stat().st_size
         if size > JSON:
             raise ValueError(f"{name} has {size / 1e6:.0f} MB")
@@ -74,7 +79,8 @@ def read(folder: Path) -> dict[str, np.ndarray]:
         for name in {n.decode().rpartition("/")[0] for n in names}:
             spec = {"driver": "zarr", "kvstore": store | {"path": f"{name}/"}}
             stored[name] = tensorstore.open(spec, open=True, read=True, context=context).result()
-        _check_sizes(folder, stored, expected["arrays"])
+        held = sum(map(len, files.values()))
+        _check_sizes(folder, stored, expected["arrays"], SQUEEZED * held + ROOM)
         for name, array in stored.items():
             arrays[name] = np.asarray(array.read().result())
         for name in expected["arrays"]:  # in the order of `checkpoint.digest`
@@ -91,11 +97,13 @@ def read(folder: Path) -> dict[str, np.ndarray]:
 def _files(folder: Path, arrays: dict[str, str]) -> dict[str, bytes]:
     """The bytes of every file of the `arrays`, by its path; compressed, they are no more than these."""
     state = folder / STATE
-    sizes = (re.findall(r"\d{1,18}", str(text).rpartition("[")[2]) for text in arrays.values())
+    sizes = (re.findall(r"\d{1,18}", str(text).rpartition("[")[2])[:8] for text in arrays.values())
     most = 8 * sum(math.prod(map(int, size)) for size in sizes) + ROOM
     try:
         walk = os.walk(state, onerror=_raise)  # rglob would leave out what it may not read
         paths = [Path(where) / name for where, _, names in walk for name in names]
+        if not all(path.is_file() for path in paths):  # a pipe, a device, a link to nothing
+            raise Damaged(folder, "it holds something that is not a file")
         size = sum(path.stat().st_size for path in paths)
         if size > most:
             raise Damaged(
@@ -113,8 +121,10 @@ def _raise(error: OSError):
     raise error
 
 
-def _check_sizes(folder: Path, stored: dict, expected: dict[str, str]) -> None:
+def _check_sizes(folder: Path, stored: dict, expected: dict[str, str], most: int) -> None:
     """Of arrays not read yet, by what they say of themselves: terabytes would end the process.
+
+    A piece that is not stored is zero, so that a small file can claim much: `most` bytes are believed.
 
     ValueError where one is not what `about` says; ConfigError where all do not fit into memory.
     """
@@ -133,6 +143,8 @@ def _check_sizes(folder: Path, stored: dict, expected: dict[str, str]) -> None:
         memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     except (AttributeError, ValueError, OSError):  # not every system tells
         memory = MEMORY
+    if most < total <= memory:
+        raise ValueError(f"its arrays are {total / 1e6:.0f} MB, too much for its files")
     if total > memory:
         raise ConfigError(
             f"{folder}: its arrays are {total / 1e9:.0f} GB, this machine has {memory / 1e9:.0f} GB"

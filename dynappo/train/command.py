@@ -249,11 +249,12 @@ def show_summary(out, config, workdir: Path, summary: dict) -> None:
         several = f" ({len(values)} seeds: {min(values):.2f} to {max(values):.2f})"
         return text + several * (len(values) > 1)
 
+    took = "not known" if summary["seconds"] is None else f"{summary['seconds']:.1f} s"
     rows = {
         "return (last 10 iterations)": mean(summary["return"]),
         "best return": mean(summary["return_max"]),
         "simulator steps": f"{summary['sim_steps'] / 1e6:.2f} M on {devices.ENGINES[summary['impl']]}",
-        "training": f"{summary['seconds']:.1f} s, after {summary['compile_seconds']:.0f} s of set-up",
+        "training": f"{took}, after {summary['compile_seconds']:.0f} s of set-up",
     }
     if config.run.eval_steps and config.run.eval_envs:
         dt = config.physics.substeps * config.physics.timestep

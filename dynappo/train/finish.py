@@ -42,7 +42,8 @@ def finish(config, program, workdir: Path, state, metrics) -> dict[str, Any]:
             problem = f"no video: {error}"
         summary["video"] = problem or str(workdir / "video.mp4")
     if (workdir / "restored_from").exists():
-        summary["restored_from"] = (workdir / "restored_from").read_text().strip()
+        text = (workdir / "restored_from").read_bytes().decode(errors="replace")
+        summary["restored_from"] = text.strip()
     files.write_json(workdir / "summary.json", summary)
     return summary
 
@@ -67,7 +68,7 @@ def summarise(config, program, state, metrics) -> dict[str, Any]:
         "return": _numbers(returns[-log.RETURN_ROWS :].mean(0)),
         "return_max": _numbers(np.fmax.reduce(returns, 0)),
         "return_of_all": _numbers(_return_of_all(config, metrics)),
-        "seconds": float(metrics["seconds"][-1]),
+        "seconds": _numbers(metrics["seconds"][-1]),
         "compile_seconds": program.compile_seconds,
         "bytes_needed": program.bytes_needed,
         "device": program.device,

@@ -27,6 +27,7 @@ FIRST = (
     "n_real n_synthetic model_loss velocity_error yaw_error falls timeouts blowups"
 ).split()
 
+LONGEST = 40  # characters of a number
 SHARED = ("iteration", "sim_steps", "seconds", "n_real", "n_synthetic")
 
 
@@ -244,8 +245,8 @@ def _whole_rows(path: Path) -> dict[tuple[int, int], dict[str, str]]:
     for cells in rows:
         row = dict(zip(header, cells, strict=False))
         with contextlib.suppress(ValueError):  # a row with a cell that is no number
-            numbers = [float(cell or 0) for cell in cells]
-            if len(cells) == len(header) and np.isfinite(numbers).all() and "iteration" in row:
+            numbers = [float(cell or 0) for cell in cells if len(cell) < LONGEST]
+            if len(numbers) == len(header) and np.isfinite(numbers).all() and "iteration" in row:
                 found[int(row["iteration"]), int(row.get("seed", 0))] = row
     return found
 

@@ -31,7 +31,7 @@ def source(workdir: Path, asked: Path | None) -> Path | None:
 
     def settle():
         path = workdir / "restored_from"
-        there = path.read_text().strip() if path.exists() else ""
+        there = path.read_bytes().decode(errors="replace").strip() if path.exists() else ""
         here = str(asked.resolve()) if asked else there
         if workdir_lib.begun(workdir) and here != there:
             raise ConfigError(

@@ -35,6 +35,11 @@ WRITTEN = (
     "config.json* lock metrics.csv* checkpoints damaged-* events* policy.npz* summary.json* curves.png "
     "video.mp4* nonfinite.npz restored_from* wandb* evaluation* *.html *.mp4 *.gif *.png *.onnx"
 ).split()
+SUMMED = (
+    "episode_return",
+    "episodes",
+    "episode_return_sum",
+)  # what summary.json needs of every row
 NO_LOCKS = (errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS)  # of some file systems
 
 
@@ -60,6 +65,8 @@ def _open(workdir: Path, config, fresh: bool, held: contextlib.ExitStack) -> Non
                 (old / "lock").unlink(missing_ok=True)
         workdir.mkdir(parents=True, exist_ok=True)
         held.enter_context(_hold(workdir))
+        for name in ("config.json", "metrics.csv", "restored_from"):
+            files.check_regular(workdir / name)
         text, path = config_lib.to_json(config), workdir / "config.json"
         _compare(workdir, text)
         done = max(saved(workdir), default=0)
@@ -78,7 +85,7 @@ def _open(workdir: Path, config, fresh: bool, held: contextlib.ExitStack) -> Non
 def _compare(workdir: Path, here: str) -> None:
     """ConfigError if `workdir` holds the config.json of another run that has begun, or of something else.
 
-    Where that file is lost, the config in a checkpoint stands for it.
+    The config in the newest good checkpoint counts as much, and stands for that file where it is lost.
     """
     path = workdir / "config.json"
     there = path.read_bytes().decode(errors="replace") if path.exists() else "{}"
@@ -92,12 +99,14 @@ def _compare(workdir: Path, here: str) -> None:
                 f"--workdir={workdir} holds a config.json that is not of a run; choose another folder"
             )
         return
-    changed = config_lib.difference(there if ours else _of_checkpoints(workdir), here, MAY_CHANGE)
-    if changed:
-        raise ConfigError(
-            f"--workdir={workdir} holds a run of another config ({changed}); "
-            "choose another folder, or --fresh to move that run aside"
-        )
+    kept = _of_checkpoints(workdir)
+    for text in [there] * ours + [kept] * (bool(kept) or not ours):
+        changed = config_lib.difference(text, here, MAY_CHANGE)
+        if changed:
+            raise ConfigError(
+                f"--workdir={workdir} holds a run of another config ({changed}); "
+                "choose another folder, or --fresh to move that run aside"
+            )
 
 
 def _of_checkpoints(workdir: Path) -> str:
@@ -220,7 +229,10 @@ def _resume(config, workdir: Path, checkpoints, state, say):
         csv.unlink(missing_ok=True)  # of a run that ended before its first checkpoint
         return 0, state, []
     start, state = found
-    history = log.go_on_csv(csv, counted(config, start), config.run.num_seeds, say)
+    known, seeds = counted(config, start), config.run.num_seeds
+    history = log.go_on_csv(csv, known, seeds, say) | known
+    blank = np.full((start, seeds) if seeds > 1 else start, np.nan)
+    history = dict.fromkeys(SUMMED, blank) | {"seconds": np.full(start, np.nan)} | history
     if start < config.run.num_iterations:
         say(f"goes on from iteration {start} of {workdir}")
     else:

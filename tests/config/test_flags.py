@@ -1,5 +1,6 @@
 """What every command shares: flags in both spellings, and an end that is one line and a status."""
 
+import argparse
 import importlib
 import os
 import signal
@@ -216,6 +217,22 @@ def test_an_empty_path_and_a_far_number_are_refused():
         line = refused(flags.whole, "seed", text, 0)
         assert line.endswith("expected an integer of 0 or more, at most 2,147,483,647")
         assert len(line) < 120
+
+
+def test_a_link_to_nothing_stays_and_a_pipe_is_not_waited_for(tmp_path):
+    link, pipe = tmp_path / "walk.html", tmp_path / "pipe.html"
+    link.symlink_to("target.html")
+    os.mkfifo(pipe)
+    flags.check_writable(link)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["pipe.html", "walk.html"]
+    assert "cannot write there (Not a regular file)" in refused(flags.check_writable, pipe)
+
+
+def test_a_name_that_is_not_utf_8_is_refused():
+    """Orbax could not save below it, after a whole training."""
+    with pytest.raises(argparse.ArgumentTypeError, match="which is not UTF-8"):
+        flags.path("runs/w\udcff")
+    assert flags.path("runs/ü b").name == "ü b"
 
 
 def test_where_nothing_can_be_written_it_is_said_before_anything_is_done(tmp_path):

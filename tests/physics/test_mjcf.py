@@ -111,7 +111,7 @@ def test_a_hostile_file_is_one_line(tmp_path, policy, name, monkeypatch, capfd):
     path.write_text(text)
     start = time.perf_counter()
     lines = refused(episode.load, path, policy), refused(robot.load_xml, path)
-    assert time.perf_counter() - start < 5
+    assert time.perf_counter() - start < 30  # it does not hang, also beside other work
     for line in lines:
         assert line.startswith(f"{path}: ") and line.isprintable()
     assert expected in lines[0]

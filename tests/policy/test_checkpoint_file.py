@@ -1,6 +1,7 @@
 """The arrays of a checkpoint without JAX: the newest by number, and no other numbers than were saved."""
 
 import json
+import os
 import re
 import shutil
 
@@ -117,6 +118,40 @@ def test_an_array_of_terabytes_is_not_read(tmp_path, name):
     with pytest.raises(ConfigError, match=re.escape(expected)) as caught:
         checkpoint_file.read(folder)
     assert isinstance(caught.value, checkpoint_file.Damaged) == ("machine" not in expected)
+
+
+def test_a_pipe_or_a_device_in_a_checkpoint_is_not_read(tmp_path):
+    """Reading one would wait for ever, or fill the memory."""
+    written(tmp_path / "run")
+    for step, name in (("9", "state/pipe"), ("10", "about/metadata")):
+        path = tmp_path / "run" / "checkpoints" / step / name
+        path.unlink(missing_ok=True)
+        os.mkfifo(path) if step == "9" else path.symlink_to("/dev/zero")
+        with pytest.raises(checkpoint_file.Damaged, match="not a file"):
+            checkpoint_file.read(tmp_path / "run" / "checkpoints" / step)
+
+
+def test_a_checkpoint_of_another_name_is_damaged(tmp_path):
+    """One that was copied or renamed by hand: the run would count on from there."""
+    written(tmp_path / "run")
+    folder = tmp_path / "run" / "checkpoints"
+    (folder / "10").rename(folder / "15")
+    with pytest.raises(checkpoint_file.Damaged, match="it says that it is of iteration 10"):
+        checkpoint_file.read(folder / "15")
+
+
+@pytest.mark.parametrize("size", ["9" * 18 + ",1" * 100_000, str(2 * 10**8)])
+def test_a_small_file_that_claims_much_is_damaged(tmp_path, size):
+    """Numbers that are not stored are zeros: 0.8 GB of them, or a shape that takes minutes to multiply."""
+    written(tmp_path / "run")
+    folder = tmp_path / "run" / "checkpoints" / "10"
+    claim(folder, "learner.params.std", [2 * 10**8], [1000])
+    about = folder / "about" / "metadata"
+    text = json.loads(about.read_text())
+    text["arrays"]["learner/params/std"] = f"float32[{size}]"
+    about.write_text(json.dumps(text))
+    with pytest.raises(checkpoint_file.Damaged, match="too much for its files|its `about` says"):
+        checkpoint_file.read(folder)
 
 
 def test_a_checkpoint_that_has_gone_is_not_damaged(tmp_path, monkeypatch):

@@ -18,7 +18,7 @@ from workdirs import N_REAL, table
 
 from dynappo import config as config_lib
 from dynappo import schedule, train
-from dynappo.train import checkpoint, log
+from dynappo.train import checkpoint, finish, log
 from dynappo.train import run as run_lib
 from dynappo.train import workdir as workdir_lib
 
@@ -231,6 +231,29 @@ def test_a_finished_run_is_complete_and_can_be_made_longer(config, program, whol
     line = refused(workdirs.opened, workdir, config)  # before anything is compiled
     assert f"run.num_iterations is 4, but the run in {workdir} has done 6" in line
     assert (workdir / "config.json").read_bytes() == kept
+
+
+@pytest.mark.parametrize("damage", ["gone", "columns", "a long cell"])
+def test_a_finished_run_whose_metrics_are_lost_is_summed_up(
+    config, program, whole, tmp_path, damage
+):
+    """What is not known is None; the steps are those of the schedule."""
+    workdir = tmp_path / "run"
+    shutil.copytree(whole.workdir, workdir)
+    csv = workdir / "metrics.csv"
+    text = csv.read_text()
+    lost = {
+        "gone": None,
+        "columns": "iteration,kl\n" + "".join(f"{i},0.01\n" for i in (1, 2, 3, 4)),
+        "a long cell": text.replace("\n4,", f"\n4.{'0' * 200_000},", 1),
+    }[damage]
+    csv.unlink() if lost is None else csv.write_text(lost)
+    state, metrics, _ = loop(config, program(), workdir, say=lambda line: None)
+    np.testing.assert_array_equal(metrics["sim_steps"], whole.metrics["sim_steps"])
+    summary = finish.summarise(config, program(), state, metrics)
+    assert summary["iterations"] == 4 and summary["sim_steps"] == whole.metrics["sim_steps"][-1]
+    if damage != "a long cell":
+        assert summary["return"] is summary["seconds"] is None
 
 
 @pytest.mark.parametrize("damage", ["gone", "cut"])

@@ -103,6 +103,27 @@ def test_a_folder_of_another_config_is_refused(whole):
     assert {str(p) for p in after if after[p] != before.get(p)} <= {"lock"}
 
 
+def test_the_config_in_the_newest_checkpoint_counts_as_much_as_config_json(config, whole, tmp_path):
+    """A config.json that lacks the field, or a checkpoint that came from another run."""
+    workdir = tmp_path / "run"
+    shutil.copytree(whole.workdir, workdir)
+    (workdir / "config.json").write_text('{"robot": "go1", "rollout": {}, "run": {}}')
+    line = refused(opened, workdir, OTHER)
+    assert "holds a run of another config (ppo.clip_epsilon 0.2 there, 0.3 here)" in line
+    shutil.copy(whole.workdir / "config.json", workdir)
+    about = workdir / "checkpoints" / "4" / "about" / "metadata"
+    text = json.loads(about.read_text())
+    text["config"]["run"]["seed"] = 7
+    about.write_text(json.dumps(text))
+    assert "(run.seed 7 there, 0 here)" in refused(opened, workdir, config)
+
+
+@pytest.mark.parametrize("name", ["config.json", "metrics.csv"])
+def test_a_pipe_in_a_workdir_is_not_waited_for(config, tmp_path, name):
+    os.mkfifo(tmp_path / name)
+    assert "cannot write there (Not a regular file)" in refused(opened, tmp_path, config)
+
+
 @pytest.mark.parametrize("begun", ["checkpoints/2", "damaged-2", "metrics.csv"])
 def test_a_folder_in_which_nothing_was_computed_takes_another_config(config, tmp_path, begun):
     """After ctrl-C while it compiled; from the first checkpoint or row on it is a run."""
