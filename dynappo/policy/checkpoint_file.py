@@ -164,5 +164,5 @@ def _reason(error: Exception) -> str:
 
 def iterations(folder: Path) -> list[int]:
     """Iterations of the checkpoints in `folder` that are complete, newest first."""
-    names = (path.name for path in folder.glob("[0-9]*"))
+    names = (path.name for path in folder.glob("[0-9]*") if path.is_dir())
     return sorted((int(name) for name in names if name.isdecimal()), reverse=True)

@@ -125,7 +125,7 @@ def train_and_show(command: Command, stop: Stop) -> None:
     if folder:
         from dynappo.train import restore
 
-        distributed.on_first(lambda: len(restore.saved(folder)))
+        distributed.on_first(lambda: restore.check(folder, config))
         if command.fresh and folder.resolve() == command.workdir.resolve():
             raise config_lib.ConfigError(
                 f"--restore={folder}: --fresh moves that run aside; name the folder of another one"

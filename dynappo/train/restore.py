@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
+from dynappo import config as config_lib
+from dynappo import schedule
 from dynappo.config import ConfigError, files
 from dynappo.policy import checkpoint_file
 from dynappo.program import distributed
@@ -80,6 +84,29 @@ def weights(folder: Path, like: Any, say: Callable[[str], None] = print) -> Any:
         }
         model = model.replace(**parts)
     return like.replace(learner=learner, model=model)
+
+
+def check(folder: Path, config) -> None:
+    """ConfigError if the run in `folder` has networks of other sizes than `config`, as its checkpoint says:
+    before anything is compiled, written or moved. `weights` looks at the arrays themselves.
+    """
+    steps, there = saved(folder), {}
+    for step in steps:
+        with contextlib.suppress(checkpoint_file.Damaged, KeyError, TypeError, AttributeError):
+            about = checkpoint_file.about(folder / "checkpoints" / str(step))
+            there = config_lib.flat(about["config"])
+            break
+    here = config_lib.flat(config)
+    names = ["run.num_seeds", "ppo.hidden"]
+    if schedule.uses_model(config) and there.get("schedule.end_steps"):
+        names += ["model.hidden", "model.falls"]
+    for name in names:
+        one, other = (d[name] for d in (there if name in there else here, here))
+        if np.ravel(one).tolist() != np.ravel(other).tolist():
+            raise ConfigError(
+                f"--restore={folder}: {name} is {one} there, {other} here; "
+                "set the sizes and run.num_seeds of that run (its config.json has them)"
+            )
 
 
 def saved(folder: Path) -> list[int]:

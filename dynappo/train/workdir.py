@@ -77,6 +77,8 @@ def _open(workdir: Path, config, fresh: bool, held: contextlib.ExitStack) -> Non
             )
         files.write_text(path, text + "\n")
     except OSError as error:
+        if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EIO):  # the machine's, not the name's
+            raise
         raise ConfigError(
             f"--workdir={workdir}: cannot write there ({error.strerror}); choose another folder"
         ) from None

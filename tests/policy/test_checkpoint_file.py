@@ -43,6 +43,8 @@ def test_a_checkpoint_is_played_without_a_policy_file(tmp_path, seeds):
     networks = written(workdir, seeds)
     (workdir / "checkpoints" / "11.orbax-checkpoint-tmp-0").mkdir()  # a save in progress
     (workdir / "checkpoints" / "1²").mkdir()  # digits to Python, but no number
+    (workdir / "checkpoints" / "99").write_text("no folder")
+    (workdir / "checkpoints" / "98").symlink_to("nowhere")
     assert checkpoint_file.iterations(workdir / "checkpoints") == [10, 9]
     for place, step in (("", 10), ("checkpoints", 10), ("checkpoints/9", 9)):
         found, path = policy_file.find(str(workdir / place))

@@ -60,3 +60,20 @@ def test_the_run_that_another_starts_from_is_only_read(program, whole, tmp_path)
         workdirs.other_hash(folder / step)
     line = refused(restore.weights, other, program().state)
     assert line.startswith(f"--restore={other}: none of its 4 checkpoints can be read")
+
+
+SIZES = {  # what differs from the run that is there, what the line says
+    "policy": ({"ppo__hidden": (8,)}, "ppo.hidden is "),
+    "model": ({"model__hidden": (8, 8)}, "model.hidden is "),
+    "falls": ({"model__falls": True}, "model.falls is False there, True here"),
+    "seeds": ({"run__num_seeds": 2}, "run.num_seeds is 1 there, 2 here"),
+}
+
+
+@pytest.mark.parametrize("name", SIZES)
+def test_networks_of_another_size_are_refused_before_anything_is_done(whole, config, name):
+    """By the config in the checkpoint; the sizes of the run itself are fine."""
+    restore.check(whole.workdir, config)
+    fields, said = SIZES[name]
+    line = refused(restore.check, whole.workdir, workdirs.config(**fields))
+    assert line.startswith(f"--restore={whole.workdir}: {said}") and "set the sizes" in line
