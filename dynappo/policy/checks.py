@@ -31,6 +31,7 @@ LISTS = {  # one number a joint
 }
 COMMANDS = {"command_x": "m/s", "command_y": "m/s", "command_yaw": "rad/s"}
 FASTEST = 100  # m/s or rad/s that can be asked for
+WIDEST = 10_000  # units of a layer: more would take minutes a second
 SUBSTEPS, PERIOD = 1000, 1.0  # physics steps between two actions, and their time (s), at most
 
 
@@ -154,4 +155,5 @@ def _check_layers(network: str, tree, inputs: int, outputs: int) -> None:
         found = f"Dense_{i} has a kernel {kernel} and a bias {bias} after {width} numbers"
         _expect(chains and bias == kernel[1:], f"{rule}: {found}")
         width = kernel[1]
+        _expect(width <= WIDEST, f"its {network} has a layer of {width} units, at most {WIDEST}")
     _expect(width == outputs, f"its {network} gives {width} numbers, expected {outputs} ({rule})")

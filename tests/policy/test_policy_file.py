@@ -101,6 +101,12 @@ DAMAGE = {  # what is done to the arrays or to `about`, what the line must say
     "a damping too few": (lambda _, about: about["joint_damping"].pop(), "11 values"),
     "one number is not finite": (lambda a, _: a[FIRST].put(7, np.nan), "not finite"),
     "another size": (lambda a, _: a.update({FIRST: a[FIRST][:30]}), "48 observations"),
+    "a layer without end": (
+        lambda a, _: a.update(
+            {FIRST: np.zeros((48, 20_000), "f2"), FIRST.replace("kernel", "bias"): np.zeros(20_000)}
+        ),
+        "a layer of 20000 units, at most 10000",
+    ),
     "a layer is missing": (lambda a, _: a.pop(FIRST), "Dense_0"),
     "no actor": (lambda a, _: [a.pop(n) for n in [*a] if n.startswith("actor")], "an actor"),
 }
