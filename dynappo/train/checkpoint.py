@@ -47,7 +47,7 @@ def opened(workdir: Path, say: Callable[[str], None] = print):
     of what is raised too.
     """
     for step in (workdir / "checkpoints").glob("[0-9]*"):
-        if step.name.isdecimal():
+        if step.name.isdecimal() and step.exists():  # not a link to nothing
             try:
                 for text in ("about/metadata", "_CHECKPOINT_METADATA"):
                     checkpoint_file.read_json(step, text)
