@@ -35,11 +35,8 @@ WRITTEN = (
     "config.json* lock metrics.csv* checkpoints damaged-* events* policy.npz* summary.json* curves.png "
     "video.mp4* nonfinite.npz restored_from* wandb* evaluation* *.html *.mp4 *.gif *.png *.onnx"
 ).split()
-SUMMED = (
-    "episode_return",
-    "episodes",
-    "episode_return_sum",
-)  # what summary.json needs of every row
+# what summary.json needs of every row
+SUMMED = ("episode_return", "episodes", "episode_return_sum")
 NO_LOCKS = (errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS)  # of some file systems
 
 
