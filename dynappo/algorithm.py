@@ -176,22 +176,18 @@ def estimate(
 ) -> ppo.Batch:
     """Advantages and returns of a rollout, bootstrapped from V(next_obs) at truncations and at row N-1.
 
-    Elsewhere the next row's value is the same number. With `model.bounds`, values of synthetic rows are
-    kept in the range of the `real` ones [N, 1]: what only the model has seen cannot lead them away.
-    In rounds `k` > 0 real rows have no weight: their actions are those of a policy before.
+    Elsewhere the next row's value is the same number. In rounds `k` > 0 `real` rows [N, 1] have no
+    weight: their actions are those of a policy before.
     """
-    uses_model = schedule.uses_model(static)
     with jax.default_matmul_precision("highest"):
         cut = (buffer.truncation == 1).at[-1].set(True)
         value, last = buffer.value, networks.value(static, params, buffer.next_obs)
-        if uses_model and static.model.bounds:
-            low = jnp.where(real, value, jnp.inf).min()
-            high = jnp.where(real, value, -jnp.inf).max()
-            value, last = (jnp.where(real, x, jnp.clip(x, low, high)) for x in (value, last))
         bootstrap = jnp.where(cut, last, jnp.roll(value, -1, axis=0))
         rows = buffer.reward, buffer.discount, buffer.truncation, value, bootstrap
         advantages, returns = gae.gae(*rows, gamma=hyper.ppo.gamma, lambda_=hyper.ppo.lambda_)
-    weight = presence(buffer, real) * (~real | (k == 0)) if uses_model else None
+    weight = None
+    if schedule.uses_model(static):
+        weight = presence(buffer, real) * (~real | (k == 0))
     return ppo.batch(buffer, advantages, returns, weight)
 
 

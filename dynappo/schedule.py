@@ -4,6 +4,8 @@
 
 with a, b = `schedule.start_iteration, end_iteration` and x, y = `start_steps, end_steps`.
 
+After `last_iteration` no row is synthetic: what walks is made to walk well by physics alone.
+
 Why floor(. + 0.5) and i from 1: it is the only rounding that gives the 19.64 M simulator steps of
 the paper's Table VI for its scheduled tail (floor gives 19.83 M, ceil 19.44 M, counting from 0
 19.65 M). For a = b the equation is 0 / 0 and the paper means y throughout (`dyna2`).
@@ -15,32 +17,41 @@ import numpy as np
 def table(config) -> np.ndarray:
     """N_s of every iteration, int32 `[I]`; `config` is a whole config (groups schedule, run)."""
     s = config.schedule
-    if s.start_iteration == s.end_iteration:
-        return np.full(config.run.num_iterations, s.end_steps, np.int32)
     i = np.arange(1, config.run.num_iterations + 1)
-    # multiplied before it is divided: an exact half then stays one, and rounds up
-    rise = (i - s.start_iteration) * (s.end_steps - s.start_steps)
-    steps = s.start_steps + rise / (s.end_iteration - s.start_iteration)
-    return np.floor(np.clip(steps, s.start_steps, s.end_steps) + 0.5).astype(np.int32)
+    steps = np.full(len(i), float(s.end_steps))
+    if s.start_iteration != s.end_iteration:
+        # multiplied before it is divided: an exact half then stays one, and rounds up
+        rise = (i - s.start_iteration) * (s.end_steps - s.start_steps)
+        steps = s.start_steps + rise / (s.end_iteration - s.start_iteration)
+    steps = np.floor(np.clip(steps, s.start_steps, s.end_steps) + 0.5)
+    return np.where(_over(config, i), 0, steps).astype(np.int32)
+
+
+def _over(config, iteration):
+    """Whether no tail comes any more."""
+    last = config.schedule.last_iteration
+    return False if last is None else iteration > last
 
 
 def uses_model(config) -> bool:
     """Whether the schedule has a tail; if not, no model is in the compiled program at all."""
-    return max(config.schedule.start_steps, config.schedule.end_steps) > 0
+    s = config.schedule
+    return max(s.start_steps, s.end_steps) > 0 and s.last_iteration != 0
 
 
 def columns(config) -> dict[str, np.ndarray]:
     """What `algorithm.run` scans over, each int32 `[I]`: `iteration`, from 1; `n_real`, N_r;
     with a tail `model_epochs`, the passes of the model's fit, and with several `rounds` their number."""
     i = np.arange(1, config.run.num_iterations + 1, dtype=np.int32)
-    out = {"iteration": i, "n_real": np.int32(config.rollout.horizon) - table(config)}
+    tail = table(config)
+    out = {"iteration": i, "n_real": np.int32(config.rollout.horizon) - tail}
     if uses_model(config):
         m = config.model
         late = m.epochs if m.late_epochs is None else m.late_epochs
-        out["model_epochs"] = np.where(i > m.late_from, late, m.epochs).astype(np.int32)
-        if config.schedule.rounds > 1:  # one where there is no tail yet
-            has_tail = out["n_real"] < config.rollout.horizon
-            out["rounds"] = np.where(has_tail, config.schedule.rounds, 1).astype(np.int32)
+        epochs = np.where(i > m.late_from, late, m.epochs)
+        out["model_epochs"] = np.where(_over(config, i), 0, epochs).astype(np.int32)
+        if config.schedule.rounds > 1:  # one where there is no tail
+            out["rounds"] = np.where(tail > 0, config.schedule.rounds, 1).astype(np.int32)
     return out
 
 

@@ -144,7 +144,6 @@ class ModelState:
     opt_state: Any
     inputs: Moments
     targets: Moments
-    bounds: Float[Array, "2 P+1"] | None = None  # low, high of a prediction; None: without any
 
 
 @struct.dataclass

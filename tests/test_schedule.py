@@ -16,7 +16,12 @@ def config_of(a, b, x, y, iterations, horizon=16):
     """What the schedule reads of a config."""
     return SimpleNamespace(
         schedule=SimpleNamespace(
-            start_iteration=a, end_iteration=b, start_steps=x, end_steps=y, rounds=1
+            start_iteration=a,
+            end_iteration=b,
+            start_steps=x,
+            end_steps=y,
+            last_iteration=None,
+            rounds=1,
         ),
         run=SimpleNamespace(num_iterations=iterations),
         rollout=SimpleNamespace(num_envs=4096, horizon=horizon),
@@ -153,6 +158,32 @@ def test_late_epochs_replace_epochs_after_iteration_late_from():
     )
     config.model.late_epochs = 0  # not the same as None
     assert schedule.columns(config)["model_epochs"][-1] == 0
+
+
+def test_after_the_last_iteration_of_a_tail_rows_are_real_and_no_model_is_fitted():
+    """Rows, epochs and rounds of a run against a list by hand; the simulator steps follow."""
+    config = config_of(0, 4, 0, 8, 8)
+    config.schedule.last_iteration, config.schedule.rounds = 5, 3
+    columns = schedule.columns(config)
+    np.testing.assert_array_equal(columns["n_real"], [14, 12, 10, 8, 8, 16, 16, 16])
+    np.testing.assert_array_equal(columns["model_epochs"], [25] * 5 + [0] * 3)
+    np.testing.assert_array_equal(columns["rounds"], [3] * 5 + [1] * 3)
+    assert schedule.sim_steps(config)[-1] == 4096 * (52 + 48)
+    config.schedule.last_iteration = 8
+    assert (schedule.table(config)[4:] == 8).all()
+    config.schedule.last_iteration = 0
+    assert not schedule.uses_model(config) and (schedule.table(config) == 0).all()
+
+
+def test_a_tail_of_one_length_ends_after_the_last_iteration_too():
+    config = config_of(0, 0, 0, 2, 6)
+    config.schedule.last_iteration = 2
+    np.testing.assert_array_equal(schedule.table(config), [2, 2, 0, 0, 0, 0])
+
+
+def test_a_model_is_fitted_before_a_tail_that_comes_late():
+    config = config_of(6, 8, 0, 2, 8)
+    np.testing.assert_array_equal(schedule.columns(config)["model_epochs"], [25] * 8)
 
 
 def test_the_variant_fast_fits_fewer_epochs_in_later_iterations():

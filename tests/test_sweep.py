@@ -150,8 +150,8 @@ def test_an_evaluation_of_a_sweep_is_that_of_each_seed_in_the_same_episodes(toy,
 
 @pytest.mark.slow
 def test_a_tail_with_everything_on_is_the_same_on_a_mesh():
-    """Noise, bounds (a minimum over robots), falls and their weights, known rewards."""
-    names = ("clean", "known_reward", "falls", "bounds")
+    """Noise, falls and their weights, known rewards."""
+    names = ("clean", "known_reward", "falls")
     fields = {f"model.{name}": True for name in names}
     fields |= toy_env.TAIL | {"rollout.num_envs": 64, "ppo.shuffle_blocks": 8}
     config, static, hyper = toy_env.settings(fields)

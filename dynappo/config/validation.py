@@ -67,12 +67,12 @@ RANGES = (
         "0 or more",
         lambda v: v >= 0,
         "run.checkpoint_every run.eval_every run.eval_envs run.eval_steps run.video_seconds "
-        "schedule.start_steps schedule.end_steps model.late_epochs ppo.min_learning_rate "
-        "ppo.value_coef task.push.velocity task.push.interval task.resample_steps task.kp task.kd "
-        "task.noise.joint_pos task.noise.joint_vel task.noise.gravity task.noise.linear_velocity "
-        "task.noise.angular_velocity task.reset.foot_clearance task.reset.position task.reset.yaw "
-        "task.reset.velocity task.randomize.base_com task.randomize.friction "
-        "task.randomize.kp_scale task.randomize.kd_scale physics.threads",
+        "schedule.start_steps schedule.end_steps schedule.last_iteration model.late_epochs "
+        "ppo.min_learning_rate ppo.value_coef task.push.velocity task.push.interval task.resample_steps "
+        "task.kp task.kd task.noise.joint_pos task.noise.joint_vel task.noise.gravity "
+        "task.noise.linear_velocity task.noise.angular_velocity task.reset.foot_clearance "
+        "task.reset.position task.reset.yaw task.reset.velocity task.randomize.base_com "
+        "task.randomize.friction task.randomize.kp_scale task.randomize.kd_scale physics.threads",
     ),
     (
         "a number from 0 to 1",

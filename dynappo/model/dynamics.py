@@ -14,8 +14,6 @@ Beyond the paper, each by a field of the group model that is off in the paper's 
 - `known_reward`: the reward is what `env.known_reward` computes of the prediction, plus f_theta's.
 - `falls`: sigmoid(f_theta) is the probability of a fall, and 1 minus it a tail's discount. Fallen rows are
   learned from too, without class weights.
-- `bounds`: every prediction stays in the range of this iteration's real rows, and 5 % beyond; values
-  too (algorithm.estimate). A tail can then be wrong, but not diverge.
 
 Why an epoch goes through each robot's rows, and not through all rows in any order (`times`): JAX cannot
 permute a traced number of rows, and computing on masked ones would cost what the tail saves. Every
@@ -72,13 +70,11 @@ def init(static: Config, env: Env, key: PRNGKeyArray) -> ModelState:
     """An untrained model; its moments have weight 0 until the first fit."""
     inputs, outputs = env.obs_size + env.action_size, env.prop_size + 1
     params = network(static, env.prop_size).init(key, jnp.zeros(inputs))
-    unbounded = jnp.array([[-jnp.inf], [jnp.inf]]) + jnp.zeros(outputs)
     return ModelState(
         params=params,
         opt_state=optax.scale_by_adam().init(params),
         inputs=moments.init(inputs),
         targets=moments.init(outputs + static.model.falls),
-        bounds=unbounded if static.model.bounds else None,
     )
 
 
@@ -122,11 +118,10 @@ def fit(
     horizon, num_envs = rows.reward.shape
     drawn = horizon // static.model.minibatches  # rows of each robot in a minibatch
     x, y, weight = examples.examples(static, hyper, env, rows, n_real)
-    bounds, decay = model.bounds, hyper.model.stats_decay
+    decay = hyper.model.stats_decay
     model = model.replace(
         inputs=moments.update(model.inputs, x, weight, decay),
         targets=moments.update(model.targets, y, weight, decay),
-        bounds=None if bounds is None else examples.range_of(static, env, rows, weight, bounds),
     )
     (x_mean, x_std), (y_mean, y_std) = _scales(static, model)
     data = jnp.concatenate([(x - x_mean) / x_std, (y - y_mean) / y_std, weight[..., None]], -1)
@@ -182,11 +177,8 @@ def predict(
     prop, reward = y[..., :size], y[..., size] * env.dt
     if static.model.predict_change:
         prop = prop + obs[..., :size]
-    bounds = model.bounds
-    prop = prop if bounds is None else jnp.clip(prop, bounds[0, :size], bounds[1, :size])
     if static.model.known_reward:
         reward += jax.vmap(partial(env.known_reward, hyper))(obs, action, prop)
-    reward = reward if bounds is None else jnp.clip(reward, bounds[0, size], bounds[1, size])
     lives = jnp.ones_like(reward)
     if static.model.falls:
         lives = 1 - jax.nn.sigmoid(y[..., -1] + FALL_LOGIT)

@@ -14,8 +14,6 @@ from jaxtyping import Array, Float, Int
 
 from dynappo.types import Config, Env, Transition
 
-MARGIN = 0.05  # of the range of real rows, by which a prediction may leave it
-
 
 def before_and_after(static: Config, env: Env, rows: Transition):
     """`(obs [O], next prop [P])` of each row as the model sees them: without noise if `model.clean`."""
@@ -53,13 +51,3 @@ def examples(static: Config, hyper: Config, env: Env, rows: Transition, n_real: 
     # zeroed, not only weighted: nothing times 0 is 0 for a number that is not finite
     x, y = (jnp.where(weight[..., None] > 0, a, 0.0) for a in (x, y))
     return x, y, weight
-
-
-def range_of(static: Config, env: Env, rows: Transition, weight, old) -> Float[Array, "2 P+1"]:
-    """`(low, high)` of next prop and reward over rows of weight 1, and a margin; `old` if there are none."""
-    used, after = weight[..., None] > 0, before_and_after(static, env, rows)[1]
-    numbers = jnp.concatenate([after, rows.reward[..., None]], -1)
-    low = jnp.where(used, numbers, jnp.inf).min((0, 1))
-    high = jnp.where(used, numbers, -jnp.inf).max((0, 1))
-    margin = MARGIN * (high - low)
-    return jnp.where(used.any(), jnp.stack([low - margin, high + margin]), old)

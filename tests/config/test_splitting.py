@@ -20,7 +20,7 @@ physics.impl physics.contacts
 """.split()
 BOOLS = """
 run.tensorboard model.predict_change model.normalize model.clean model.known_reward model.falls
-model.bounds ppo.adaptive ppo.clip_value ppo.symmetry task.random_clock
+ppo.adaptive ppo.clip_value ppo.symmetry task.random_clock
 """.split()
 SIZES = "model.hidden ppo.hidden".split()
 OPTIONAL = {  # None in the file
@@ -33,6 +33,7 @@ OPTIONAL = {  # None in the file
     "task.undesired": str,
     "task.remember_ground": bool,
     "model.late_epochs": int,
+    "schedule.last_iteration": int,
 }
 
 

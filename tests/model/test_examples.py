@@ -75,19 +75,3 @@ def test_no_number_of_a_row_of_weight_0_is_left(rows):
         spoilt = rows.replace(**{name: spoil(getattr(rows, name)) for name in names})
         for found in examples.examples(static, hyper, ENV, spoilt, 5):
             assert np.isfinite(found).all()
-
-
-@pytest.mark.parametrize("clean", [False, True])
-def test_the_range_is_that_of_next_states_and_rewards_and_a_twentieth_more(rows, clean):
-    """Of rows of weight 1; where there are none it stays what it was."""
-    static, _ = settings(clean=clean)
-    arrays, old = jax.tree.map(jnp.asarray, rows), jnp.full((2, PROP + 1), 7.0)
-    weight = np.random.default_rng(1).random((HORIZON, ROBOTS)) < 0.5
-    found = examples.range_of(static, ENV, arrays, jnp.asarray(weight), old)
-    after = rows.next_prop if clean else rows.next_obs[..., :PROP]
-    numbers = np.concatenate([after, rows.reward[..., None]], -1)[weight]
-    low, high = numbers.min(0), numbers.max(0)
-    margin = 0.05 * (high - low)
-    np.testing.assert_allclose(found, [low - margin, high + margin], 1e-5)
-    none = examples.range_of(static, ENV, arrays, jnp.zeros((HORIZON, ROBOTS)), old)
-    np.testing.assert_array_equal(none, old)

@@ -1,4 +1,4 @@
-"""The model's options beyond the paper: the state without noise, known rewards, falls, bounds."""
+"""The model's options beyond the paper: the state without noise, known rewards, falls."""
 
 from functools import partial
 
@@ -14,7 +14,7 @@ from dynappo import algorithm, rollout
 from dynappo.learner import ppo
 from dynappo.model import dynamics
 
-ON = {f"model.{name}": True for name in ("clean", "known_reward", "falls", "bounds")}
+ON = {f"model.{name}": True for name in ("clean", "known_reward", "falls")}
 A, B = np.array(toy_env.A), np.array(toy_env.B)
 NOISE, DT, LIMIT = 0.3, toy_env.DT, toy_env.LIMIT
 
@@ -35,7 +35,7 @@ def iterated(env):
     """`(static, hyper, first state, {n_real: (rollout, state, metrics)})` with every field on."""
     config, static, hyper = settings(ON)
     state = algorithm.init(env, hyper, jax.random.key(0), static=static)
-    # some iterations on, the model has seen falls and its bounds are set
+    # some iterations on, the model has seen falls
     call = observe(env, static)
     for i in range(1, 4):
         _, state, _ = call(hyper, state, row(config, first=i, n_real=N))
@@ -68,7 +68,7 @@ def test_real_rows_hold_the_state_without_noise_before_any_reset(iterated):
 
 @pytest.mark.parametrize("n_real", [N, 5])
 def test_the_model_is_asked_and_told_states_without_noise(iterated, n_real):
-    """Moments and bounds of the fit: of prop and next prop in all real rows, fallen ones too."""
+    """Moments of the fit: of prop and next prop in all real rows, fallen ones too."""
     static, hyper, first, out = iterated
     rows, state, _ = out[n_real]
     kept = jax.tree.map(lambda x: x[:n_real].reshape(-1, *x.shape[2:]), rows)
@@ -83,10 +83,6 @@ def test_the_model_is_asked_and_told_states_without_noise(iterated, n_real):
     ):
         batch = (np.asarray(after.mean) - decay * np.asarray(before.mean)) / (1 - decay)
         np.testing.assert_allclose(batch, numbers.mean(0), 1e-3, 1e-3)
-    numbers = np.column_stack([kept.next_prop, kept.reward])
-    low, high = numbers.min(0), numbers.max(0)
-    margin = 0.05 * (high - low)
-    np.testing.assert_allclose(state.model.bounds, [low - margin, high + margin], 1e-4, 1e-5)
 
 
 def test_a_tail_carries_the_state_and_shows_the_policy_fresh_noise(iterated, env):
@@ -222,37 +218,6 @@ def test_a_summary_of_the_tail_tells_its_falls_and_how_much_better_it_looks(iter
         bias = (rows.reward[n:].mean() - rows.reward[:n].mean()) / DT if n < N else 0.0
         np.testing.assert_allclose(metrics["tail_bias"], bias, 1e-3, 1e-4)
         np.testing.assert_allclose(metrics["tail_falls"], (1 - rows.discount[n:]).sum(), 1e-3, 1e-4)
-
-
-# ---- bounds
-
-
-def test_a_wild_model_stays_in_the_range_of_real_rows(env, iterated):
-    """Weights 30 times too large: no number of a tail leaves the range, and the learner stays sane;
-    without bounds most of the same predictions are outside."""
-    static, hyper, first, _ = iterated
-    config = settings(ON)[0]
-    wild = first.model.replace(params=jax.tree.map(lambda x: 30 * x, first.model.params))
-    call = observe(env, static)
-    rows, after, metrics = call(hyper, first.replace(model=wild), row(config, n_real=3, epochs=0))
-    free = static._replace(model=static.model._replace(bounds=False))
-    obs = jnp.concatenate([rows.prop, rows.obs[..., 3:]], -1)
-    asked = partial(dynamics.predict, free, hyper, env, wild.replace(bounds=None))
-    prop, reward, _ = jax.vmap(asked)(obs, rows.action)
-    real = jax.tree.map(lambda x: np.asarray(x[:3]).reshape(3 * R, -1), rows)
-    for seen, made, unbounded in (
-        (real.next_prop, rows.next_prop, prop[..., :3]),
-        (real.reward, rows.reward[..., None], reward[..., None]),
-    ):
-        low, high = seen.min(0), seen.max(0)
-        margin = 0.0501 * (high - low) + 1e-5
-
-        def inside(x, low=low - margin, high=high + margin):
-            return (x[3:] >= low) & (x[3:] <= high)
-
-        assert inside(made).all() and inside(unbounded).mean() < 0.5
-    assert all(np.isfinite(x).all() for x in jax.tree.leaves(after.learner.params))
-    assert metrics["value_loss"] < 10
 
 
 # ---- what the policy learns of such a tail

@@ -40,8 +40,8 @@ def state():
     return make
 
 
-BOUNDS = {"model.clean": True, "model.falls": True, "model.bounds": True}
-KINDS = {"plain": {}, "tail": toy_env.TAIL, "bounds": toy_env.TAIL | BOUNDS}
+FALLS = {"model.clean": True, "model.falls": True}
+KINDS = {"plain": {}, "tail": toy_env.TAIL, "falls": toy_env.TAIL | FALLS}
 
 
 @pytest.fixture(scope="module")
