@@ -32,7 +32,7 @@ VARIED = dict(
 
 def build(name, ranges=None, contacts="feet", **task):
     """Environment, jitted batch functions that may trace once, and what tests need beside."""
-    settings = config.load(f"{name}.py")
+    settings = config.load(f"{name}.py:ppo16")
     settings.physics.contacts = contacts
     settings.task.update(task)
     settings.task.randomize.update(ranges or {})

@@ -276,7 +276,7 @@ def test_weights_of_a_config_are_those_of_the_named_task(name):
     ("name", "best"), [("go1", 45.0), ("go2", 45.0), ("anymal_c", 30.0), ("anymal_d", 30.0)]
 )
 def test_an_episode_of_twenty_seconds_that_tracks_perfectly_earns(name, best):
-    settings = config.load(f"{name}.py")
+    settings = config.load(f"{name}.py:ppo16")
     dt = settings.physics.timestep * settings.physics.substeps
     command = np.array([0.4, -0.3, 0.2])
     terms = shipped(
