@@ -1,6 +1,6 @@
 """Runs of run.py, packed into one file: a batch is appended, one of the same number replaced.
 
-    python experiments/21_less/pack.py results/fresh.csv.xz BATCH OUT_FOLDER
+python experiments/21_less/pack.py results/fresh.csv.xz BATCH OUT_FOLDER
 """
 
 import csv
