@@ -15,24 +15,40 @@ Importing the package sets two flags of XLA's CPU compiler, before JAX starts; a
   there were none. The fusion that does it is off, in that version only; no GPU is affected.
 """
 
+import contextlib
 import importlib
 import os
 import sys
 from importlib import metadata
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 
-def _interrupted(kind, error, trace) -> None:
-    """As Python tells of an error, but ctrl-C is one line."""
-    if not issubclass(kind, KeyboardInterrupt):
+def _in_a_line(kind, error, trace) -> None:
+    """As Python tells of an error, but ctrl-C and what is not installed are one line."""
+    if issubclass(kind, KeyboardInterrupt):
+        line, status = "stopped", 130
+    elif issubclass(kind, ModuleNotFoundError) and not str(error.name).startswith("dynappo"):
+        line, status = f"{error.name} is not installed for {sys.executable}; {_remedy()}", 2
+    else:
         return sys.__excepthook__(kind, error, trace)
-    print("dynappo: stopped", file=sys.stderr, flush=True)
-    os._exit(130)
+    print(f"dynappo: {line}", file=sys.stderr, flush=True)
+    os._exit(status)
+
+
+def _remedy() -> str:
+    """What to do where this Python has not what dynappo needs: of a clone, its own Python has."""
+    root = Path(__file__).resolve().parents[1]
+    if (root / ".venv" / "bin" / "python").exists() and root / ".venv" != Path(sys.prefix):
+        return f"source {root}/.venv/bin/activate"
+    if (root / "constraints.txt").exists():
+        return f"{sys.executable} -m pip install -c {root}/constraints.txt -e {root}"
+    return f"{sys.executable} -m pip install --force-reinstall dynappo"
 
 
 # Python is importing one of our commands, which takes half a second; in no other program is it so
-if sys.argv[:1] == ["-m"]:
-    sys.excepthook = _interrupted
+if sys.argv[:1] == ["-m"] or os.path.basename(sys.argv[0] if sys.argv else "") == "dynappo":
+    sys.excepthook = _in_a_line
 
 if TYPE_CHECKING:  # what an editor completes
     from dynappo.learner import gae as gae
@@ -47,8 +63,9 @@ _PUBLIC = {
 }
 
 _FLAGS = {"--xla_cpu_enable_concurrency_optimized_scheduler": "false"}
-if metadata.version("jaxlib") == "0.10.2":
-    _FLAGS["--xla_cpu_experimental_ynn_fusion_type"] = ""
+with contextlib.suppress(metadata.PackageNotFoundError):  # told where jax is imported
+    if metadata.version("jaxlib") == "0.10.2":
+        _FLAGS["--xla_cpu_experimental_ynn_fusion_type"] = ""
 for _flag, _value in _FLAGS.items():
     if _flag not in os.environ.get("XLA_FLAGS", ""):
         os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {_flag}={_value}".strip()

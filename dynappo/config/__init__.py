@@ -5,7 +5,8 @@
 - `validation`: which settings can be run
 - `splitting`: `static` and `hyper`, the two halves that the program takes
 - `files`: where configs/ and robots/ are found, and how small files are written
-- `flags`, `versions`: what every command shares: its flags and how it ends, which code made a result
+- `flags`, `shell`, `versions`: what every command shares: its flags and how it ends, how commands are
+  called here, which code made a result
 
 Every folder but those of the method may import it. It imports `schedule` and nothing that needs JAX.
 """

@@ -15,7 +15,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from dynappo import config as config_lib
-from dynappo.config import ConfigError, files
+from dynappo.config import ConfigError, files, shell
 
 # what is wrong with a path that somebody named; any other error of a file is the machine's
 OF_A_NAME = (
@@ -31,11 +31,11 @@ LONGEST = 600  # characters of a line
 
 
 def parser(command: str, description: str, epilog: str) -> argparse.ArgumentParser:
-    """A parser of `python -m dynappo.COMMAND`; `epilog` is printed as it stands."""
+    """A parser of `dynappo COMMAND`; the commands in `epilog` are printed as they are called here."""
     return argparse.ArgumentParser(
-        prog=f"python -m dynappo.{command}",
+        prog=f"dynappo {command}",
         description=description,
-        epilog=epilog,
+        epilog=shell.pasted(epilog),
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
         exit_on_error=False,
@@ -61,7 +61,8 @@ def read(of: argparse.ArgumentParser, argv: list[str] | None) -> argparse.Namesp
     """The flags; ConfigError also where there are others."""
     flags, rest = read_known(of, argv)
     if rest:
-        raise ConfigError(f"{rest[0]}: no such flag; {of.prog} --help lists them")
+        of_all = f"python -m {of.prog.replace(' ', '.')} --help"
+        raise ConfigError(f"{rest[0]}: no such flag; {of_all} lists them")
     return flags
 
 
@@ -162,7 +163,7 @@ def answer(action: Callable[[], None], stopped: str | Callable[[], str] = "stopp
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         code = code or 1
     if line:
-        print(f"dynappo: {_one_line(line)}", file=sys.stderr)
+        print(f"dynappo: {_one_line(shell.pasted(line))}", file=sys.stderr)
     if code:
         sys.exit(code)
 
@@ -191,11 +192,20 @@ def _told(error: Exception) -> tuple[str, int]:
             1,
         )
     if isinstance(error, OSError) and error.strerror:
-        name = error.filename or "a file"
+        name = error.filename or _present()
         if error.errno in OF_A_NAME:
             return f"{name} cannot be used ({error.strerror}); name another file or folder", 2
         return f"{name} cannot be read or written ({error.strerror})", 1
     return (text, 1) if isinstance(error, OSError) else ("", 1)  # a library, not a file
+
+
+def _present() -> str:
+    """What an error of a file without a name can be about."""
+    try:
+        os.getcwd()
+    except OSError:
+        return "the working directory"
+    return "a file"
 
 
 def _one_line(text: str) -> str:

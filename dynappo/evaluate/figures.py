@@ -12,11 +12,12 @@ from typing import Any
 
 import numpy as np
 
+from dynappo.config import shell
 from dynappo.evaluate import trials
 
 WINDOW = 2.0  # s of a gait diagram
 LARGE_YAW = 0.2  # rad/s, an error that is shown in red
-NO_PICTURES = "no pictures: matplotlib is not installed; pip install 'dynappo[video]'"
+NO_PICTURES = "no pictures: matplotlib is not installed; "
 
 
 def tracking(title: str, numbers: dict[str, Any]):
@@ -141,7 +142,7 @@ def write(out: Path, name: str, numbers: dict[str, Any], recordings, timestep: f
     try:
         import matplotlib  # noqa: F401
     except ImportError:
-        return NO_PICTURES
+        return NO_PICTURES + shell.install("video")
     for file, figure in (
         ("tracking.png", tracking(f"{name}: how well it does what it is asked", numbers)),
         ("gait.png", gait(f"{name}: feet on the ground", numbers, recordings, timestep)),

@@ -11,7 +11,7 @@ import argparse
 import os
 from pathlib import Path
 
-from dynappo.config import ConfigError
+from dynappo.config import ConfigError, shell
 from dynappo.config import flags as flags_lib
 from dynappo.export import joint_order, onnx_file
 from dynappo.physics import robot as robot_lib
@@ -85,7 +85,7 @@ def table(policy: Policy, out: Path, order: str, targets: bool) -> list[tuple[st
         ]
         after = f'python -c "{code}"'
     else:
-        after = f"python -m dynappo.play {out} --out=walk.html"
+        after = f"{shell.program()} play {out} --out=walk.html"
     joints = f"{' '.join(policy.joint_names)} ({order})"
     return [*rows, ("joints", joints), ("try", after), ("on a robot", "robots/DEPLOY.md")]
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from dynappo.config import ConfigError, files, versions
+from dynappo.config import ConfigError, files, shell, versions
 from dynappo.physics import robot as robot_lib
 from dynappo.policy import policy_file
 from dynappo.policy.policy_file import Policy
@@ -195,5 +195,5 @@ def save(policy: Policy, robot: robot_lib.Robot, out: Path, targets: bool = Fals
             part.write_bytes(data)
     except ImportError as error:
         raise ConfigError(
-            f"--out={out}: {error.name} is not installed; pip install 'dynappo[export]'"
+            f"--out={out}: {error.name} is not installed; {shell.install('export')}"
         ) from None

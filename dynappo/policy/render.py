@@ -19,6 +19,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from dynappo.config import shell
 from dynappo.physics import robot as robot_lib
 from dynappo.policy import episode as episode_lib
 from dynappo.policy import policy_file
@@ -33,7 +34,7 @@ NO_OPENGL = (
 )
 PATIENCE = 20.0  # s for a second of film, at most: a driver may hang
 LACKS_PACKAGE, CANNOT_WRITE = 3, 4  # exit statuses of the rendering process
-LACKS = "no video: {} is not installed; pip install 'dynappo[video]'"
+LACKS = "no video: {} is not installed; "
 GREEN, BLUE = (0.1, 0.7, 0.2, 0.9), (0.2, 0.4, 0.9, 0.9)  # arrows of command and velocity
 # half a megabyte a second; a palette of the film's own colours, else the sky shows bands
 GIF = (
@@ -88,7 +89,8 @@ def film(
             if done.returncode == 0:
                 return ""
             if done.returncode == LACKS_PACKAGE:
-                return LACKS.format("pillow" if out.suffix == ".png" else "imageio-ffmpeg")
+                lacking = "pillow" if out.suffix == ".png" else "imageio-ffmpeg"
+                return LACKS.format(lacking) + shell.install("video")
             if done.returncode == CANNOT_WRITE:
                 return f"no video: {done.stderr.strip().splitlines()[-1]}"
     return NO_OPENGL

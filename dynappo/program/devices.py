@@ -7,18 +7,24 @@ from __future__ import annotations
 
 import importlib.util
 import os
+import warnings
 from pathlib import Path
 
-from dynappo.config import ConfigError
+from dynappo.config import ConfigError, shell
 
 ENGINES = {"jax": "MJX-JAX", "warp": "MJX-Warp", "c": "C MuJoCo"}  # as people are told
 
 
 def own_process(device: str = "auto") -> None:
     """JAX's settings for a process that is ours: no GPU is touched for "cpu", and compiled programs are
-    kept for the next process, where the user has not said otherwise."""
-    import jax
-
+    kept for the next process, where the user has not said otherwise. Warnings of libraries are one line."""
+    try:
+        import jax
+    except ValueError as error:  # a setting of JAX's that is no number, or no truth value
+        raise ConfigError(
+            f"JAX does not start: {error}; correct that variable of the shell"
+        ) from None
+    warnings.formatwarning = lambda message, *_, **__: f"dynappo: {str(message).splitlines()[0]}\n"
     if device == "cpu":
         jax.config.update("jax_platforms", "cpu")
     cache = Path(os.environ.get("XDG_CACHE_HOME", "~/.cache")).expanduser() / "dynappo" / "jax"
@@ -30,11 +36,15 @@ def find(device: str) -> list:
     """JAX's devices that `run.device` means, of all processes; ConfigError if there is none."""
     import jax
 
+    try:
+        jax.devices("cpu" if device == "cpu" else None)
+    except RuntimeError as error:  # as JAX_PLATFORMS and JAX_NUM_CPU_DEVICES can bring about
+        raise ConfigError(f"JAX finds no device: {error}") from None
     if device == "cpu":
         return jax.devices("cpu")
     if device == "gpu" and jax.default_backend() != "gpu":
         raise ConfigError(
-            "run.device is gpu, but JAX sees none; install 'dynappo[cuda]' or set run.device=cpu"
+            f"run.device is gpu, but JAX sees none; {shell.install('cuda')}, or set run.device=cpu"
         )
     return jax.devices()
 
@@ -56,7 +66,7 @@ def engine(config) -> str:
     if config.physics.impl == "warp" and not (gpu and warp):
         lack = "warp-lang is not installed" if gpu else "JAX sees no NVIDIA GPU"
         raise ConfigError(
-            f"physics.impl is warp, but {lack}; install 'dynappo[cuda,warp]' or set "
+            f"physics.impl is warp, but {lack}; {shell.install('warp' if gpu else 'cuda')}, or set "
             "physics.impl=jax"
         )
     if config.physics.impl == "c" and devices[0].platform != "cpu":

@@ -17,6 +17,8 @@ import hashlib
 import itertools
 import logging
 import shutil
+import sys
+import traceback
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -43,8 +45,7 @@ def opened(workdir: Path, say: Callable[[str], None] = print):
     Orbax reads the small JSON texts of all of them at once and fails if one is damaged: such a
     checkpoint is moved out of the way first, and `say` tells so in one line. What cannot be read now is an
     OSError, and nothing is moved: a disk may come back. At the end a save under way
-    is waited for. Meanwhile orbax's loggers are silent: they log every step of every save, and tracebacks
-    of what is raised too.
+    is waited for. Meanwhile orbax's loggers are silent: they log every step of every save.
     """
     for step in (workdir / "checkpoints").glob("[0-9]*"):
         if step.name.isdecimal() and step.exists():  # not a link to nothing
@@ -55,21 +56,44 @@ def opened(workdir: Path, say: Callable[[str], None] = print):
                     raise checkpoint_file.Damaged(step, "its metrics are not a number")
             except checkpoint_file.Damaged as error:
                 _move_aside(step, error.reason, say)
-    loggers = [logging.getLogger(name) for name in ("absl", "asyncio")]
-    levels = [logger.level for logger in loggers]
-    for logger in loggers:
-        logger.setLevel(logging.CRITICAL)
-    checkpoints = None
+    with _quiet():
+        checkpoints = None
+        try:
+            checkpoints = manager(workdir)
+            yield checkpoints
+        finally:
+            if checkpoints:
+                log.attempt("the last checkpoint", partial(wait, checkpoints), say)
+                with contextlib.suppress(Exception):  # it raises once more what `wait` has told
+                    checkpoints.close()
+
+
+@contextlib.contextmanager
+def _quiet():
+    """Meanwhile orbax logs nothing. Of a failed save, which `wait` tells in one line, its threads and what
+    they leave behind say nothing later either: it would be hundreds of lines.
+    """
+    orbax, told = logging.getLogger("absl"), sys.unraisablehook
+    level = orbax.level
+
+    def hook(lost):
+        if "Event loop is closed" not in str(lost.exc_value):
+            told(lost)
+
+    orbax.setLevel(logging.CRITICAL)
+    logging.getLogger("asyncio").addFilter(_of_others)
+    sys.unraisablehook = hook
     try:
-        checkpoints = manager(workdir)
-        yield checkpoints
+        yield
     finally:
-        if checkpoints:
-            log.attempt("the last checkpoint", partial(wait, checkpoints), say)
-            with contextlib.suppress(Exception):  # it raises once more what `wait` has told
-                checkpoints.close()
-        for logger, level in zip(loggers, levels, strict=True):
-            logger.setLevel(level)
+        sys.unraisablehook = told
+        orbax.setLevel(level)
+
+
+def _of_others(record: logging.LogRecord) -> bool:
+    """Whether a record of asyncio is of no write of orbax's."""
+    trace = record.exc_info[2] if record.exc_info else None
+    return "orbax" not in record.getMessage() + "".join(traceback.format_tb(trace))
 
 
 def _worth(step: Path) -> bool:

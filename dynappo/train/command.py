@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 from dynappo import config as config_lib
 from dynappo import schedule
-from dynappo.config import flags
+from dynappo.config import flags, shell
 from dynappo.program import build, devices, distributed, memory
 from dynappo.train import finish
 from dynappo.train import run as run_lib
@@ -281,7 +281,7 @@ def show_summary(out, config, workdir: Path, summary: dict) -> None:
         out.print(str(summary["curves"]), soft_wrap=True)
     if "video" in summary:
         out.print(str(summary["video"]), soft_wrap=True)
-    out.print(f"see it: python -m dynappo.play {workdir} --out=walk.html", soft_wrap=True)
+    out.print(f"see it: {shell.program()} play {workdir} --out=walk.html", soft_wrap=True)
     if config.run.num_iterations < 200 or summary["impl"] == "c":
         name = config.robot
-        out.print(f"next: python -m dynappo.train --config=configs/{name}.py  (4096 robots, a GPU)")
+        out.print(f"next: {shell.program()} train --config={name}  (on a GPU)")

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from dynappo.config import shell
 from dynappo.train import log
 
 RESAMPLES, LEVEL = 2000, 0.95
@@ -22,7 +23,7 @@ BLUE, GREY = "#1f4e79", "0.45"
 MOST_NAMED = 10  # seeds with a label of their own
 NUMBERS = f"numbers: last {log.RETURN_ROWS} iterations"
 LINES = "thin: each seed    thick: their mean    band: its 95 % interval    "
-NO_PICTURE = "no curves.png: matplotlib is not installed; pip install 'dynappo[video]'"
+NO_PICTURE = "no curves.png: matplotlib is not installed; "
 
 
 class Panel(NamedTuple):
@@ -69,7 +70,7 @@ def draw(metrics: dict[str, np.ndarray], path: Path, title: str = "") -> str:
     try:
         import matplotlib  # noqa: F401
     except ImportError:
-        return NO_PICTURE
+        return NO_PICTURE + shell.install("video")
     content = io.BytesIO()
     figure(metrics, title).savefig(content, format="png", dpi=150)
     path.write_bytes(content.getvalue())

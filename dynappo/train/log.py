@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dynappo.config import ConfigError, files
+from dynappo.config import ConfigError, files, shell
 
 RETURN_ROWS = 10  # the return of a run is the mean of its last rows
 FIRST = (
@@ -145,7 +145,7 @@ def check_wandb(config) -> None:
     if config.run.wandb and importlib.util.find_spec("wandb") is None:
         raise ConfigError(
             f"run.wandb is {config.run.wandb!r}, but wandb is not installed; "
-            "pip install 'dynappo[wandb]', or leave run.wandb empty"
+            f"{shell.install('wandb')}, or leave run.wandb empty"
         )
 
 

@@ -70,7 +70,7 @@ def test_no_command_needs_the_opengl_that_is_asked_for(command, monkeypatch):
     """MuJoCo raises at its import where MUJOCO_GL names nothing that is there."""
     monkeypatch.setenv("MUJOCO_GL", "nonsense")
     done = shell("-m", f"dynappo.{command}", "--help")
-    assert done.returncode == 0 and f"dynappo.{command}" in done.stdout, done.stderr
+    assert done.returncode == 0 and f"usage: dynappo {command}" in done.stdout, done.stderr
 
 
 def test_an_error_of_ours_keeps_its_traceback():

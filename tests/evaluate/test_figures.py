@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import toy_sweep
 
+from dynappo.config import shell
 from dynappo.evaluate import figures
 
 
@@ -75,4 +76,4 @@ def test_no_pictures_without_matplotlib(tmp_path, monkeypatch):
     """The reason is one line, and nothing is written."""
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     problem = figures.write(tmp_path, "go1", toy_sweep.numbers(), [], 0.005)
-    assert problem == figures.NO_PICTURES and not list(tmp_path.iterdir())
+    assert problem == figures.NO_PICTURES + shell.install("video") and not list(tmp_path.iterdir())

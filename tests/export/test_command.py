@@ -12,6 +12,7 @@ import pytest
 from answers import ROOT, mistake, shell, status
 from toy_onnx import GO2_IN_ISAACLAB, MOTORS, described, onnx_file
 
+from dynappo.config import shell as shell_lib
 from dynappo.export import command as export_command
 from dynappo.physics import robot as robot_lib
 from dynappo.policy import episode, policy_file
@@ -126,7 +127,7 @@ def test_a_mistake_is_one_line_and_status_2(small, tmp_path, monkeypatch, capsys
 def test_without_onnx_the_line_says_what_to_install(small, tmp_path, monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "onnx", None)
     line = mistake(export_command.main, [small[0], f"--out={tmp_path}/a.onnx"], capsys)
-    assert "onnx is not installed; pip install 'dynappo[export]'" in line
+    assert f"onnx is not installed; {shell_lib.install('export')}" in line
     assert run(small[0], f"--out={tmp_path}/a.npz") == 0
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.npz", "small"]
 

@@ -9,10 +9,12 @@ import pytest
 from answers import ROOT, shell
 from toy_policy import GO1, described
 
+from dynappo.config import shell as shell_lib
 from dynappo.policy import episode, policy_file, render
 
 image = pytest.importorskip("matplotlib.image")
-NO_FFMPEG = render.LACKS.format("imageio-ffmpeg")
+NO_FFMPEG = render.LACKS.format("imageio-ffmpeg") + shell_lib.install("video")
+NO_PILLOW = render.LACKS.format("pillow") + shell_lib.install("video")
 
 
 @pytest.fixture(scope="module")
@@ -135,7 +137,7 @@ MISSING = {  # a package of the process that renders, what its import does, the 
     "no backend": ("OpenGL", "ImportError('no libEGL.so.1')", "a.mp4", render.NO_OPENGL),
     "backend dies": ("OpenGL", "SystemExit(139)", "a.mp4", render.NO_OPENGL),
     "no ffmpeg": ("imageio_ffmpeg", "ModuleNotFoundError('not here')", "a.gif", NO_FFMPEG),
-    "no pillow": ("PIL", "ModuleNotFoundError('not here')", "a.png", render.LACKS.format("pillow")),
+    "no pillow": ("PIL", "ModuleNotFoundError('not here')", "a.png", NO_PILLOW),
 }
 
 

@@ -18,6 +18,7 @@ from answers import ROOT, mistake, refused, shell, status
 from rich.console import Console
 
 from dynappo import config as config_lib
+from dynappo.config import shell as shell_lib
 from dynappo.policy import policy_file, render
 from dynappo.program import devices
 from dynappo.train import command as train_command
@@ -52,7 +53,7 @@ def test_a_first_run_on_the_go1(tmp_path, monkeypatch):
         "dynappo trains go1: 16 robots, 4 rows an iteration, tail of 1, from 0 over iterations 0-4",
         "iteration    4  return",
         "return (last 10 iterations)",
-        f"see it: python -m dynappo.play {workdir} --out=walk.html",
+        f"see it: {shell_lib.program()} play {workdir} --out=walk.html",
     ):
         assert words in done.stdout, done.stdout
     with (workdir / "metrics.csv").open(newline="") as file:
@@ -71,7 +72,10 @@ def test_a_first_run_on_the_go1(tmp_path, monkeypatch):
     if (workdir / "video.mp4").exists():
         assert video == str(workdir / "video.mp4")
     else:
-        assert video in (render.NO_OPENGL, render.LACKS.format("imageio-ffmpeg"))
+        assert video in (
+            render.NO_OPENGL,
+            render.LACKS.format("imageio-ffmpeg") + shell_lib.install("video"),
+        )
     assert any((tmp_path / "cache" / "dynappo" / "jax").iterdir())  # for the next process
 
 
@@ -422,5 +426,5 @@ def test_the_last_table_has_the_numbers_and_what_to_do_next(name):
     train_command.show_summary(out, run, pathlib.Path("runs/x"), SUMMARY | change)
     found = text.getvalue()
     assert all(part in found for part in shown.split(" | ")) and hidden not in found
-    assert "python -m dynappo.play runs/x --out=walk.html" in found
-    assert "next: python -m dynappo.train --config=configs/go1.py" in found
+    assert f"see it: {shell_lib.program()} play runs/x --out=walk.html" in found
+    assert f"next: {shell_lib.program()} train --config=go1" in found

@@ -1,0 +1,53 @@
+"""The shell commands that people are told, written so that they work where they are read.
+
+Somebody who pastes a line has another folder, no activated environment, or a wheel instead of a clone.
+"""
+
+import os
+import re
+import shlex
+import shutil
+import sys
+from importlib import metadata
+from pathlib import Path
+
+from dynappo.config import versions
+
+
+def program() -> str:
+    """What starts dynappo here: `dynappo` if the shell finds that of this Python, else its full call."""
+    found = shutil.which("dynappo")
+    if found and Path(found).absolute().parent == Path(sys.executable).parent:
+        return "dynappo"
+    return f"{_python()} -m dynappo"
+
+
+def pasted(text: str) -> str:
+    """`text` with every `python -m dynappo.COMMAND` as it can be typed here."""
+    return re.sub(r"python -m dynappo\.(\w+)", lambda m: f"{program()} {m[1]}", text)
+
+
+def install(extra: str) -> str:
+    """What installs `dynappo[EXTRA]` into this Python: from the clone, else the extra's own packages.
+
+    By name, dynappo itself is not to be had everywhere.
+    """
+    pip = f"{_python()} -m pip install"
+    if (versions.ROOT / "constraints.txt").exists():
+        root = os.path.relpath(versions.ROOT)
+        root = root if len(root) < len(str(versions.ROOT)) else str(versions.ROOT)
+        pinned = shlex.quote(os.path.join(root, "constraints.txt"))
+        return f"{pip} -c {pinned} -e {shlex.quote(f'{root}[{extra}]')}"
+    try:
+        asked = metadata.requires("dynappo") or []
+    except metadata.PackageNotFoundError:
+        asked = []
+    of = [re.split(r"\s*;", text)[0] for text in asked if re.search(rf"extra == .{extra}\b", text)]
+    return f"{pip} {shlex.join(of)}" if of else f"{pip} 'dynappo[{extra}]'"
+
+
+def _python() -> str:
+    """This Python, by the shortest path."""
+    short = os.path.relpath(sys.executable)
+    name = sys.executable if short.startswith("..") else short
+    return shlex.quote(name)

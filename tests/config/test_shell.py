@@ -1,0 +1,74 @@
+"""Commands that people are told: as they can be pasted where they are read."""
+
+import os
+import subprocess
+import sys
+from importlib import metadata
+from pathlib import Path
+
+import pytest
+from answers import ROOT
+
+from dynappo.config import shell, versions
+
+
+def test_the_program_is_one_word_where_the_shell_finds_that_of_this_python(tmp_path, monkeypatch):
+    """Else the whole call: somebody has not activated the environment."""
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert shell.program().endswith(" -m dynappo")
+    one = tmp_path / "dynappo"
+    one.write_text("#!/bin/sh")
+    one.chmod(0o755)
+    assert shell.program().endswith(" -m dynappo")  # another Python's
+    monkeypatch.setattr(sys, "executable", str(tmp_path / "python"))
+    assert shell.program() == "dynappo"
+
+
+@pytest.mark.parametrize("folder", [ROOT, ROOT / "configs", Path("/")])
+def test_what_is_told_can_be_run_from_every_folder(folder, monkeypatch):
+    """The line is given to a real shell."""
+    monkeypatch.chdir(folder)
+    monkeypatch.setenv("PATH", os.defpath)
+    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    line = shell.pasted("python -m dynappo.play --help")
+    done = subprocess.run(line, shell=True, capture_output=True, text=True)
+    assert done.returncode == 0 and done.stdout.startswith("usage: dynappo play"), done.stderr
+
+
+def test_only_our_own_calls_are_written_anew():
+    text = "python -m venv; python -m dynappo.play x; python -m dynappo.train"
+    program = shell.program()
+    assert shell.pasted(text) == f"python -m venv; {program} play x; {program} train"
+
+
+@pytest.mark.parametrize("folder", [".", "tests"])
+def test_in_a_clone_an_extra_is_installed_from_it_with_its_versions(folder, monkeypatch):
+    monkeypatch.chdir(ROOT / folder)
+    words = shell.install("export").split()
+    pinned, source = words[words.index("-c") + 1], words[words.index("-e") + 1].strip("'")
+    assert Path(pinned).samefile(ROOT / "constraints.txt")
+    assert source.endswith("[export]") and Path(source.removesuffix("[export]")).samefile(ROOT)
+
+
+def test_beside_a_wheel_an_extra_is_its_packages(tmp_path, monkeypatch):
+    """dynappo itself may not be where pip looks."""
+    monkeypatch.setattr(versions, "ROOT", tmp_path)
+    asked = ["numpy>=2", "onnx>=1.20; extra == 'export'", 'wandb; extra == "wandb"']
+    monkeypatch.setattr(metadata, "requires", lambda name: asked)
+    assert shell.install("export").endswith("-m pip install 'onnx>=1.20'")
+    assert shell.install("wandb").endswith("-m pip install wandb")
+    assert shell.install("else").endswith("-m pip install 'dynappo[else]'")
+
+
+def test_without_a_package_that_it_needs_every_command_says_what_to_do(tmp_path):
+    """A Python that lacks one, as the system's: one line, status 2."""
+    (tmp_path / "ml_collections.py").write_text(
+        "raise ModuleNotFoundError(\"No module named 'ml_collections'\", name='ml_collections')"
+    )
+    env = os.environ | {"PYTHONPATH": f"{tmp_path}:{ROOT}"}
+    for module in ("dynappo", "dynappo.play"):
+        command = [sys.executable, "-m", module, "play", "go1"]
+        done = subprocess.run(command, env=env, capture_output=True, text=True, cwd=tmp_path)
+        assert done.returncode == 2 and done.stderr.count("\n") == 1
+        assert done.stderr.startswith("dynappo: ml_collections is not installed for ")
+        assert "pip install" in done.stderr or "activate" in done.stderr
