@@ -40,6 +40,7 @@ def replacing(path: Path) -> Iterator[Path]:
     """Yields a file beside `path` that becomes `path` at the end, whole; after an error it is gone."""
     part = path.with_name(path.name + ".part")
     try:
+        path.parent.mkdir(parents=True, exist_ok=True)
         part.unlink(missing_ok=True)  # of a process that was killed
         yield part
         os.replace(part, path)

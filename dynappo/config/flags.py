@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import errno
 import importlib
 import io
 import os
+import re
 import reprlib
 import signal
 import sys
@@ -107,17 +109,25 @@ def whole(name: str, text: str, least: int, most: int = 2**31 - 1) -> int:
 
 
 def check_writable(out: Path) -> None:
-    """ConfigError if no file can be written at `out`; leaves none behind."""
+    """ConfigError if no file can be written at `out`; leaves none behind, and no folder."""
+    missing: list[Path] = []
     try:
         target = out.resolve()  # what a link points to may be missing
         fresh = not target.exists()
+        missing += [folder for folder in target.parents if not folder.exists()]
+        target.parent.mkdir(parents=True, exist_ok=True)
         files.check_regular(target)
         target.open("ab").close()
     except (OSError, RuntimeError) as error:  # links in a circle
         reason = getattr(error, "strerror", None) or error
         raise ConfigError(f"--out={out}: cannot write there ({reason})") from None
-    if fresh:
-        target.unlink()
+    else:
+        if fresh:
+            target.unlink()
+    finally:
+        for folder in missing:
+            with contextlib.suppress(OSError):
+                folder.rmdir()
 
 
 def start(command: str) -> None:
@@ -180,6 +190,8 @@ def _once_more(lost) -> None:
 def _told(error: Exception) -> tuple[str, int]:
     """What is said of an error, and the exit status; no line for a defect of ours."""
     text = str(error)
+    if isinstance(error, ImportError) and re.search("map segment|allocate memory", text):
+        return "out of memory (Python's imports); take a larger machine", 1
     if isinstance(error, ConfigError):
         return text, 2
     if isinstance(error, FloatingPointError):

@@ -132,7 +132,7 @@ def script(path: Path) -> Commands:
         files.check_regular(path)
         with path.open("rb") as file:
             content = file.read(MAX_SCRIPT + 1)
-        lines = content.decode().splitlines()
+        lines = content.decode("utf-8-sig").splitlines()  # spreadsheets write a mark first
     except OSError as error:
         raise wrong(f"cannot be read ({error.strerror})") from None
     except UnicodeDecodeError:

@@ -15,6 +15,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from dynappo.config import files
 from dynappo.policy.episode import Body
 
 HERE = Path(__file__).parent
@@ -48,7 +49,8 @@ def write(body: Body, episode: dict[str, np.ndarray], out: Path, heading, subtit
         name, _, rest = piece.partition("}}")
         pieces[i] = parts[name] + rest
     content = "".join(pieces).encode(errors="backslashreplace")  # names of files may be no UTF-8
-    out.write_bytes(content)
+    with files.replacing(out) as part:
+        part.write_bytes(content)
     return len(content)
 
 

@@ -74,6 +74,7 @@ def film(
             shown: dict[str, Any] = {"xml": str(robot.xml), "base": robot.base_body}
             shown |= {name: episode[name] for name in ("qpos", "command", "velocity", "dt")}
             np.savez(npz, **shown)
+            out.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:  # no temporary folder, or a full disk
             return f"no video: cannot write a temporary file ({error.strerror or error})"
         limit = PATIENCE * (10 + float(episode["dt"]) * len(episode["qpos"]))  # s
@@ -182,7 +183,8 @@ def main(argv: list[str]) -> None:
         sys.exit(LACKS_PACKAGE)
     except OSError as error:
         print(f"cannot write {out}: {error.strerror or error}", file=sys.stderr)
-        out.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            out.unlink(missing_ok=True)
         sys.exit(CANNOT_WRITE)
 
 

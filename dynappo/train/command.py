@@ -45,8 +45,8 @@ def parse(argv: list[str] | None) -> Command:
     parser.add_argument(
         "--restore",
         type=flags.path,
-        metavar="DIR",
-        help="start from the networks of another workdir",
+        metavar="SOURCE",
+        help="start from the networks of another workdir, a checkpoint or a policy.npz",
     )
     several = parser.add_argument_group("several processes, where Slurm does not start them")
     several.add_argument("--coordinator", metavar="HOST:PORT", help="of process 0")
@@ -148,7 +148,7 @@ def _train_and_show(command: Command, stop: Stop, out) -> None:
         config = workdir_lib.in_step(config, workdir)
         program = build.program(config)
         if source:
-            program = restore.start_from(source, program, say)
+            program = restore.start_from(source, program, workdir, say)
     engine = devices.ENGINES[program.impl]
     out.print(
         f"{program.device}, {engine}; compiled in {program.compile_seconds:.0f} s, "
@@ -212,11 +212,16 @@ def describe(config) -> str:
         tail = f"tail of {s.end_steps}"
         if s.end_iteration > s.start_iteration:
             tail += f", from {s.start_steps} over iterations {s.start_iteration}-{s.end_iteration}"
-    steps = schedule.sim_steps(config)[-1] / 1e6
+    steps = count(schedule.sim_steps(config)[-1])
     return (
         f"trains {config.robot}: {r.num_envs} robots{seeds}{over}, {r.horizon} rows an iteration, {tail}\n"
-        f"{run.num_iterations} iterations, {steps:.2f} M simulator steps"
+        f"{run.num_iterations} iterations, {steps} simulator steps"
     )
+
+
+def count(steps: int) -> str:
+    """A number of steps for a person."""
+    return f"{steps / 1e6:.2f} M" if steps >= 1e5 else f"{steps:,}"
 
 
 def progress_line(last: dict, begun: list) -> str:
@@ -253,7 +258,7 @@ def show_summary(out, config, workdir: Path, summary: dict) -> None:
     rows = {
         "return (last 10 iterations)": mean(summary["return"]),
         "best return": mean(summary["return_max"]),
-        "simulator steps": f"{summary['sim_steps'] / 1e6:.2f} M on {devices.ENGINES[summary['impl']]}",
+        "simulator steps": f"{count(summary['sim_steps'])} on {devices.ENGINES[summary['impl']]}",
         "training": f"{took}, after {summary['compile_seconds']:.0f} s of set-up",
     }
     if config.run.eval_steps and config.run.eval_envs:
@@ -272,6 +277,8 @@ def show_summary(out, config, workdir: Path, summary: dict) -> None:
             scale = 100 if unit == " %" else 1
             value = summary["evaluation"][name]
             rows[label] = mean(value, unit, scale, "nobody stood for a second")
+    words = finish.in_words(config.task, summary.get("evaluation", {}))
+    rows |= {"the policy": words} if words else {}
     for label, value in rows.items():
         table.add_row(label, value)
     out.print(table)

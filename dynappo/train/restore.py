@@ -1,4 +1,4 @@
-"""`--restore=DIR`: start a run from the networks of another one, in whose folder nothing is changed."""
+"""`--restore=SOURCE`: start a run from the networks of another one, in whose folder nothing is changed."""
 
 from __future__ import annotations
 
@@ -14,15 +14,25 @@ import numpy as np
 from dynappo import config as config_lib
 from dynappo import schedule
 from dynappo.config import ConfigError, files
-from dynappo.policy import checkpoint_file
+from dynappo.policy import checkpoint_file, checks, policy_file
 from dynappo.program import distributed
 from dynappo.train import checkpoint
 from dynappo.train import workdir as workdir_lib
 
 
-def start_from(folder: Path, program: Any, say: Callable[[str], None] = print) -> Any:
-    """`program` with the networks of another run in its first state (`weights`)."""
-    _, state = distributed.from_first(lambda s: (0, weights(folder, s, say)), program.state)
+def start_from(
+    folder: Path, program: Any, workdir: Path, say: Callable[[str], None] = print
+) -> Any:
+    """`program` with the networks of another run in its first state (`weights`).
+
+    `workdir/restored_from` then also names the checkpoint that was taken.
+    """
+    taken = []
+    _, state = distributed.from_first(
+        lambda s: (0, weights(folder, s, say, taken.append)), program.state
+    )
+    if taken:
+        files.write_text(workdir / "restored_from", f"{folder.resolve()}\n{taken[0]}\n")
     return program._replace(state=program.place(state))
 
 
@@ -35,14 +45,15 @@ def source(workdir: Path, asked: Path | None) -> Path | None:
 
     def settle():
         path = workdir / "restored_from"
-        there = path.read_bytes().decode(errors="replace").strip() if path.exists() else ""
+        there = path.read_bytes().decode(errors="replace") if path.exists() else ""
+        there = there.strip().partition("\n")[0]
         here = str(asked.resolve()) if asked else there
         if workdir_lib.begun(workdir) and here != there:
             raise ConfigError(
                 f"--restore={asked}: the run in {workdir} began from {there or 'untrained networks'}; leave "
                 "--restore out to go on with it, or --fresh to start over"
             )
-        if asked:
+        if asked and not workdir_lib.begun(workdir):
             files.write_text(path, f"{here}\n")
         return "" if workdir_lib.saved(workdir) else here
 
@@ -50,69 +61,95 @@ def source(workdir: Path, asked: Path | None) -> Path | None:
     return Path(found) if found else None
 
 
-def weights(folder: Path, like: Any, say: Callable[[str], None] = print) -> Any:
-    """`like` with the networks of another run's newest good checkpoint, to start a run from.
+def weights(
+    source: Path,
+    like: Any,
+    say: Callable[[str], None] = print,
+    taken: Callable[[str], None] = lambda text: None,
+) -> Any:
+    """`like` with the networks of another run, to start from.
 
-    `folder` is its workdir, in which nothing is changed. Policy, value function and, where both runs
-    have one, the transition model with its moments are taken; optimisers, learning rate and robots
-    start anew. `say` tells of damaged checkpoints that were passed over. ConfigError where none is
-    good, or a network has another shape.
+    `source` is its workdir, of which the newest good checkpoint counts, a checkpoint's folder, or a
+    policy.npz; nothing is changed there. Policy, value function and, where both runs have one, the
+    transition model with its moments are taken; optimisers, learning rate and robots start anew. A
+    policy.npz may have the policy alone, and is taken for every seed. `say` tells of what was passed over or
+    is not there, `taken` what it was. ConfigError where nothing is good, or a network has another shape.
     """
-    there, problems = None, []
-    for step in saved(folder):
-        try:
-            there = checkpoint_file.read(folder / "checkpoints" / str(step))
-        except ConfigError as error:
-            problems.append(str(error))
-            continue
-        for problem in problems:
-            say(f"{problem}; checkpoint {step} is taken")
-        break
-    if there is None:
-        raise ConfigError(
-            f"--restore={folder}: none of its {len(problems)} checkpoints can be read ({problems[0]}); "
-            "expected a run with a good one"
-        )
-    learner = like.learner.replace(
-        params=_taken(folder, like.learner.params, there, "policy", "learner.params")
-    )
+    there, name = _read(source, say)
+    taken(name)
+    alone = not any(name.startswith("learner.params.critic") for name in there)
+    params = like.learner.params
+    if alone:
+        say(f"--restore={source} holds a policy alone: its value function starts untrained")
+    some = {name: part for name, part in params.items() if not (alone and name == "critic")}
+    found = _taken(source, some, there, "policy", "learner.params")
+    learner = like.learner.replace(params=params | found)
     model = like.model
     if model is not None and any(name.startswith("model.") for name in there):
         parts = {
-            name: _taken(folder, getattr(model, name), there, f"model.{name}", f"model.{name}")
+            name: _taken(source, getattr(model, name), there, f"model.{name}", f"model.{name}")
             for name in ("params", "inputs", "targets")
         }
         model = model.replace(**parts)
     return like.replace(learner=learner, model=model)
 
 
-def check(folder: Path, config) -> None:
-    """ConfigError if the run in `folder` has networks of other sizes than `config`, as its checkpoint says:
+def _read(source: Path, say) -> tuple[dict[str, np.ndarray], str]:
+    """The arrays of a policy.npz or a checkpoint, named as in a checkpoint, and what they are of."""
+    if source.is_file():
+        leaves = checks.leaves(policy_file.load(source).params)
+        return {f"learner.params.{k.replace('/', '.')}": v for k, v in leaves}, "policy.npz"
+    if (source / checkpoint_file.STATE).is_dir():
+        return checkpoint_file.read(source), f"checkpoint {source.name}"
+    problems = []
+    for step in saved(source):
+        try:
+            there = checkpoint_file.read(source / "checkpoints" / str(step))
+        except ConfigError as error:
+            problems.append(str(error))
+            continue
+        for problem in problems:
+            say(f"{problem}; checkpoint {step} is taken")
+        return there, f"checkpoint {step}"
+    raise ConfigError(
+        f"--restore={source}: none of its {len(problems)} checkpoints can be read ({problems[0]}); "
+        "expected a run with a good one"
+    )
+
+
+def check(source: Path, config) -> None:
+    """ConfigError if `source` (`weights`) has networks of other sizes than `config`, as it says itself:
     before anything is compiled, written or moved. `weights` looks at the arrays themselves.
     """
-    steps, there = saved(folder), {}
-    for step in steps:
-        with contextlib.suppress(checkpoint_file.Damaged, KeyError, TypeError, AttributeError):
-            about = checkpoint_file.about(folder / "checkpoints" / str(step))
-            there = config_lib.flat(about["config"])
-            break
-    here = config_lib.flat(config)
-    names = ["run.num_seeds", "ppo.hidden"]
-    if schedule.uses_model(config) and there.get("schedule.end_steps"):
-        names += ["model.hidden", "model.falls"]
+    here, there = config_lib.flat(config), {}
+    names = ["ppo.hidden", "ppo.activation"]
+    if source.is_file():
+        there = config_lib.flat(policy_file.load(source).config)
+    else:
+        one = (source / checkpoint_file.STATE).is_dir()
+        folders = [source] if one else [source / "checkpoints" / str(s) for s in saved(source)]
+        for folder in folders:
+            with contextlib.suppress(checkpoint_file.Damaged, KeyError, TypeError, AttributeError):
+                there = config_lib.flat(checkpoint_file.about(folder)["config"])
+                break
+        names.append("run.num_seeds")
+        if schedule.uses_model(config) and there.get("schedule.end_steps"):
+            names += ["model.hidden", "model.activation", "model.falls"]
     for name in names:
         one, other = (d[name] for d in (there if name in there else here, here))
         if np.ravel(one).tolist() != np.ravel(other).tolist():
             raise ConfigError(
-                f"--restore={folder}: {name} is {one} there, {other} here; "
-                "set the sizes and run.num_seeds of that run (its config.json has them)"
+                f"--restore={source}: {name} is {one} there, {other} here; "
+                "set what that run has (its config.json says it)"
             )
 
 
 def saved(folder: Path) -> list[int]:
     """Iterations of the checkpoints of another run, newest first; ConfigError if there is none."""
     if not (folder / "checkpoints").is_dir():
-        raise ConfigError(f"--restore={folder}: no checkpoints/ there; expected a run's workdir")
+        raise ConfigError(
+            f"--restore={folder}: no checkpoints/ there; expected a workdir, a checkpoint or a policy.npz"
+        )
     found = checkpoint_file.iterations(folder / "checkpoints")
     if not found:
         raise ConfigError(
@@ -126,6 +163,8 @@ def _taken(folder, like, there, what, prefix):
     out = []
     for name, leaf in checkpoint.paths(like).items():
         array = there.get(f"{prefix}.{name.replace('/', '.')}")
+        if array is not None and folder.is_file() and array.shape == leaf.shape[1:]:
+            array = np.broadcast_to(array, leaf.shape)  # one policy for all seeds
         if array is None or array.shape != leaf.shape:
             found = "absent" if array is None else f"of shape {array.shape}"
             raise ConfigError(

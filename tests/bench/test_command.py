@@ -27,7 +27,7 @@ GO1 = "--config=configs/go1.py:quick"
         ([GO1, "--engines=c,jax", f"--vs={GO1[9:]}"], "without --vs"),
         ([GO1, "--engines=c,cuda"], "physics.impl is 'cuda', expected one of auto, jax, warp, c"),
         ([GO1, "--out"], "--out: expected one argument; write it as --flag=VALUE"),
-        ([GO1, "--out=/no/folder/b.json"], "--out=/no/folder/b.json: cannot write there"),
+        ([GO1, "--out=/proc/no/b.json"], "--out=/proc/no/b.json: cannot write there"),
     ],
 )
 def test_a_mistake_is_one_line_and_status_2(argv, text, capsys):

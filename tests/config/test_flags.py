@@ -242,8 +242,10 @@ def test_where_nothing_can_be_written_it_is_said_before_anything_is_done(tmp_pat
     (tmp_path / "old.json").write_text("mine")
     flags.check_writable(tmp_path / "old.json")
     assert (tmp_path / "old.json").read_text() == "mine"
+    flags.check_writable(tmp_path / "some" / "new" / "a.json")  # a folder is made when it is needed
+    assert [path.name for path in tmp_path.iterdir()] == ["old.json"]
     for out, reason in (
-        (tmp_path / "no" / "a.json", "No such file"),
+        (tmp_path / "old.json" / "a.json", "File exists"),
         (tmp_path, "Is a directory"),
         (tmp_path / ("n" * 256), "File name too long"),
     ):

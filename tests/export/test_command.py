@@ -98,7 +98,10 @@ MISTAKES = {  # arguments, what the line must say
     "suffix": (["small", "--out=a.pt"], "--out=a.pt: expected a file named .onnx or .npz"),
     "no suffix": (["small", "--out=a"], "--out=a: expected a file named .onnx or .npz"),
     "targets": (["small", "--out=a.npz", "--targets"], "--targets: only an .onnx has outputs"),
-    "no folder": (["small", "--out=no/a.onnx"], "--out=no/a.onnx: cannot write there (No such"),
+    "no folder": (
+        ["small", "--out=/proc/no/a.onnx"],
+        "--out=/proc/no/a.onnx: cannot write there (No",
+    ),
     "a long name": (["n" * 256, "--out=a.onnx"], f"{'n' * 256}: no such file or folder"),
     "a long out": (["small", f"--out={'n' * 256}.onnx"], "cannot write there (File name too long)"),
     "a folder": (["small", "--out=taken.npz"], "--out=taken.npz: cannot write there (Is a dir"),

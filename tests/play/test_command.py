@@ -174,7 +174,10 @@ MISTAKES = {  # flags, what the line must say
     "no script": (["go1", "--command=no.csv"], "--command=no.csv: cannot be read (No such file"),
     "command with a file": (["go1", "--out=new.html", "--command=1,2"], "--command='1,2'"),
     "suffix": (["go1", "--out=walk.avi"], "--out=walk.avi: expected a file named .mp4, .gif"),
-    "no folder": (["go1", "--out=no/walk.html"], "--out=no/walk.html: cannot write there (No such"),
+    "no folder": (
+        ["go1", "--out=/proc/no/w.html"],
+        "--out=/proc/no/w.html: cannot write there (No such",
+    ),
     "a folder": (["go1", "--out=taken.html"], "--out=taken.html: cannot write there (Is a dir"),
     "no file": (["go1", "--robot-xml=no.xml"], "--robot-xml=no.xml: no such file"),
     "no robot": (["go1", "--robot-xml=empty.xml"], "--robot-xml=empty.xml: expected hinge joints"),

@@ -1,20 +1,26 @@
 """`--restore`: a run that starts from the networks of another, in whose folder nothing is changed."""
 
+import pathlib
 import shutil
 
+import jax
 import jax.numpy as jnp
+import numpy as np
 import pytest
 import workdirs
 from answers import refused
 from toy_runs import assert_same
 
+from dynappo import config as config_lib
+from dynappo.learner import ppo
+from dynappo.policy import checkpoint_file, policy_file
 from dynappo.train import restore
 
 
-def test_another_run_starts_from_the_networks(program, whole):
+def test_another_run_starts_from_the_networks(program, whole, tmp_path):
     """Policy, value function, model and its moments are that run's; all else is new."""
     run = program()
-    fresh, state = run.state, restore.start_from(whole.workdir, run, pytest.fail).state
+    fresh, state = run.state, restore.start_from(whole.workdir, run, tmp_path, pytest.fail).state
     assert_same(state.learner.params, whole.state.learner.params)
     for part in ("params", "inputs", "targets"):
         assert_same(getattr(state.model, part), getattr(whole.state.model, part))
@@ -23,6 +29,49 @@ def test_another_run_starts_from_the_networks(program, whole):
     plain = restore.weights(whole.workdir, fresh.replace(model=None), pytest.fail)
     assert plain.model is None
     assert_same(plain.learner.params, whole.state.learner.params)
+    written = (tmp_path / "restored_from").read_text()
+    assert written == f"{whole.workdir}\ncheckpoint 4\n"
+
+
+def test_a_checkpoint_of_it_may_be_named(program, whole, config):
+    """Against a run that goes on from that one; what was taken is told."""
+    taken, older = [], whole.workdir / "checkpoints" / "2"
+    state = restore.weights(older, program().state, pytest.fail, taken.append)
+    arrays = checkpoint_file.read(older)
+    np.testing.assert_array_equal(state.learner.params["std"], arrays["learner.params.std"])
+    assert (state.learner.params["std"] != whole.state.learner.params["std"]).any()
+    assert taken == ["checkpoint 2"]
+    restore.check(older, config)
+
+
+@pytest.mark.parametrize("seeds", [1, 3])
+def test_a_policy_file_is_where_every_seed_may_start(program, seeds):
+    """The bundled Go1: its policy in every seed; its value function is not in the file, and stays new."""
+    config = config_lib.load("go1:ppo16")
+    static, hyper = config_lib.split(config_lib.validate(config))
+    keys = jax.random.split(jax.random.key(0), seeds)
+    new = jax.vmap(lambda key: ppo.init(static, hyper, 48, 12, key))(keys)
+    new = jax.tree.map(lambda x: x[0], new) if seeds == 1 else new
+    like, said, taken = program().state.replace(learner=new, model=None), [], []
+    file = pathlib.Path("robots/go1/policy.npz")
+    learner = restore.weights(file, like, said.append, taken.append).learner
+    expected = policy_file.load(file).params
+    for name in ("actor", "std"):
+        for ours, theirs in zip(
+            jax.tree.leaves(learner.params[name]), jax.tree.leaves(expected[name]), strict=True
+        ):
+            np.testing.assert_array_equal(ours, np.broadcast_to(theirs, ours.shape))
+    assert_same(learner.params["critic"], new.params["critic"])
+    assert "value function starts untrained" in said[0] and taken == ["policy.npz"]
+
+
+def test_a_policy_of_another_activation_is_refused():
+    """Its weights would fit, and mean something else."""
+    config = config_lib.load("go1:ppo16")
+    activation = policy_file.load(pathlib.Path("robots/go1/policy.npz")).activation
+    config.ppo.activation = "tanh"
+    line = refused(restore.check, pathlib.Path("robots/go1/policy.npz"), config)
+    assert f"ppo.activation is {activation} there, tanh here" in line
 
 
 def test_networks_of_another_size_or_none_are_refused(program, whole, tmp_path):
@@ -76,4 +125,4 @@ def test_networks_of_another_size_are_refused_before_anything_is_done(whole, con
     restore.check(whole.workdir, config)
     fields, said = SIZES[name]
     line = refused(restore.check, whole.workdir, workdirs.config(**fields))
-    assert line.startswith(f"--restore={whole.workdir}: {said}") and "set the sizes" in line
+    assert line.startswith(f"--restore={whole.workdir}: {said}") and "set what that run has" in line
