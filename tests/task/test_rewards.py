@@ -318,12 +318,12 @@ def wrong_weights(task, monkeypatch):
 
 
 def wrong_term(task, monkeypatch):
-    add(monkeypatch, "joint_power", lambda torque: 0.0)
+    add(monkeypatch, "spent_power", lambda torque: 0.0)
 
 
 def wrong_parameter(task, monkeypatch):
-    add(monkeypatch, "joint_power", lambda torqe: 0.0)
-    task.weights.joint_power = -1.0
+    add(monkeypatch, "spent_power", lambda torqe: 0.0)
+    task.weights.spent_power = -1.0
 
 
 def add(monkeypatch, name, term):
@@ -336,8 +336,8 @@ def add(monkeypatch, name, term):
     ("break_it", "words"),
     [
         (wrong_weights, "task.weights.action_rat is the weight of no term.*has action_rate"),
-        (wrong_term, "no weight of the term joint_power.*`joint_power: float = 0.0` to Weights"),
-        (wrong_parameter, "joint_power .* asks for torqe, which .*did you mean torque"),
+        (wrong_term, "no weight of the term spent_power.*`spent_power: float = 0.0` to Weights"),
+        (wrong_parameter, "spent_power .* asks for torqe, which .*did you mean torque"),
     ],
 )
 def test_a_term_and_a_weight_that_do_not_fit_are_one_line_before_anything_is_compiled(
