@@ -29,7 +29,7 @@ MAY_IMPORT = {
     "bench": {"bench", "program", "config", "method", "model", "task.observe"},
 }
 WITHOUT_JAX = {"policy", "play", "export", "config", "schedule"}
-WITHOUT_JAX |= {"task.rewards", "task.observe"}
+WITHOUT_JAX |= {"task.rewards", "task.payment", "task.observe"}
 WITHOUT_JAX |= {
     f"physics.{name}" for name in ("robot", "mjcf", "contract", "contacts", "actuators")
 }

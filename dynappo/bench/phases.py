@@ -127,7 +127,7 @@ def work(config, last: dict[str, int]) -> dict[str, np.ndarray]:
     gradients, but for the first layer, whose input has none. Bytes are those of activations, which
     pass through memory once a kernel: `PASSES` times.
     """
-    action, prop = observe.CONTEXT_SIZE - 3, observe.PROP_SIZE
+    action, prop = observe.PARTS["previous_action"].size, observe.PROP_SIZE
     obs, ppo, model = prop + observe.CONTEXT_SIZE, config.ppo, config.model
 
     def of(sizes, rows, width):

@@ -17,6 +17,7 @@ from dynappo.export import joint_order, onnx_file
 from dynappo.physics import robot as robot_lib
 from dynappo.policy import policy_file
 from dynappo.policy.policy_file import Policy
+from dynappo.task import observe
 
 FILES = (".onnx", ".npz")
 USAGE = """\
@@ -75,12 +76,13 @@ def table(policy: Policy, out: Path, order: str, targets: bool) -> list[tuple[st
     kind = f"ONNX, float32, opset {onnx_file.OPSET}" if out.suffix == ".onnx" else "policy file"
     rows = [("written", f"{out} ({out.stat().st_size / 1024:.0f} KiB, {kind})")]
     if out.suffix == ".onnx":
+        size = observe.PROP_SIZE + observe.CONTEXT_SIZE
         code = (
             "import numpy as np, onnxruntime as ort; print(ort.InferenceSession("
-            f"{str(out)!r}).run(None, {{'obs': np.zeros((1, 48), np.float32)}}))"
+            f"{str(out)!r}).run(None, {{'obs': np.zeros((1, {size}), np.float32)}}))"
         )
         rows += [
-            ("input", "obs [batch, 48]; its table is in robots/DEPLOY.md and in the metadata"),
+            ("input", f"obs [batch, {size}]; its table is in robots/DEPLOY.md and in the metadata"),
             ("output", "action [batch, 12]" + ", targets [batch, 12] (rad)" * targets),
         ]
         after = f'python -c "{code}"'

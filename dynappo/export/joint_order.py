@@ -66,8 +66,8 @@ def permute(policy: Policy, names: tuple[str, ...]) -> Policy:
     """
     order = np.array([policy.joint_names.index(name) for name in names])
     rows = np.arange(observe.PROP_SIZE + observe.CONTEXT_SIZE)
-    for part in (observe.JOINT_POS, observe.JOINT_VEL, observe.LAST_ACTION):
-        rows[part] = rows[part][order]
+    for name in (name for name, part in observe.PARTS.items() if part.signs is None):
+        rows[observe.ROWS[name]] = rows[observe.ROWS[name]][order]  # a number a joint
 
     def layers(network):
         """The layers of a network, for observations in the new order."""

@@ -20,20 +20,9 @@ from dynappo.task import observe
 # Everything used here is in opset 14 already, and ONNX Runtime reads opset 17 from its 1.12 (2022) on
 OPSET, IR_VERSION = 17, 8
 # name, rows, unit, content, field of the config's `task.noise`
-TABLE = (
-    ("joint_position", observe.JOINT_POS, "rad", "minus default_pose", "joint_pos"),
-    ("joint_velocity", observe.JOINT_VEL, "rad/s", "of each joint", "joint_vel"),
-    ("gravity", observe.GRAVITY, "1", "its direction, base frame (0 0 -1 upright)", "gravity"),
-    (
-        "linear_velocity",
-        observe.LINEAR_VELOCITY,
-        "m/s",
-        "of the base's centre of mass (base_com), base frame",
-        "linear_velocity",
-    ),
-    ("angular_velocity", observe.ANGULAR_VELOCITY, "rad/s", "base frame", "angular_velocity"),
-    ("command", observe.COMMAND, "m/s, m/s, rad/s", "vx, vy, yaw rate, base frame", ""),
-    ("previous_action", observe.LAST_ACTION, "1", "action of the step before; zero at first", ""),
+TABLE = tuple(
+    (name, observe.ROWS[name], part.unit, part.content, part.noise)
+    for name, part in observe.PARTS.items()
 )
 UNITS = {
     "default_pose": "rad",

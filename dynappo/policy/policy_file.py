@@ -22,11 +22,9 @@ from ml_collections import config_dict
 from dynappo.config import ConfigError, files
 from dynappo.physics import robot as robot_lib
 from dynappo.policy import checkpoint_file, checks, npz_file
+from dynappo.task import observe
 
 FORMAT = 1  # of `about`
-OBSERVATION = (
-    "velocity-48"  # the table of task/observe.py; a layout that differs needs another name
-)
 MAX_MEAN = 10.0  # of the mean action (learner/networks.py)
 ACTIVATIONS = {
     "elu": lambda x: np.where(x > 0, x, np.expm1(np.minimum(x, 0))),
@@ -71,7 +69,7 @@ def describe(config, robot: robot_lib.Robot, params: dict | None = None) -> Poli
         task, physics = fields["task"], fields["physics"]
         return Policy(
             robot=robot.name,
-            observation=OBSERVATION,
+            observation=observe.NAME,
             activation=fields["ppo"]["activation"],
             joint_names=robot.joint_names,
             default_pose=robot.default_pose,
@@ -178,8 +176,8 @@ def _checked(path: Path, policy: Policy) -> Policy:
             raise ConfigError(f"{path}: {text}")
 
     expect(
-        policy.observation == OBSERVATION,
-        f"its observation is {reprlib.repr(policy.observation)}, this dynappo computes {OBSERVATION!r}",
+        policy.observation == observe.NAME,
+        f"its observation is {reprlib.repr(policy.observation)}, this dynappo computes {observe.NAME!r}",
     )
     expect(
         policy.activation in tuple(ACTIVATIONS),

@@ -39,7 +39,7 @@ class Program(NamedTuple):
 def check(config) -> None:
     """ConfigError if this machine or the robot's file cannot run `config`; nothing is compiled."""
     from dynappo.physics import robot
-    from dynappo.task import mirror
+    from dynappo.task import mirror, payment
 
     impl, loaded = devices.engine(config), robot.load(config.robot)
     lightest, base = config.task.randomize.base_mass[0], loaded.mj_model.body_mass[loaded.base_body]
@@ -48,6 +48,7 @@ def check(config) -> None:
             f"task.randomize.base_mass is {config.task.randomize.base_mass}, expected more than "
             f"-{base:.2f} kg, the mass of the base of {config.robot}"
         )
+    payment.find(config.task)
     if config.ppo.symmetry:
         mirror.joints(loaded)
     if impl == "c":

@@ -18,7 +18,7 @@ import numpy as np
 from dynappo.physics import engine as engine_lib
 from dynappo.physics import randomize
 from dynappo.physics import robot as robot_lib
-from dynappo.task import commands, mirror, observe, rewards
+from dynappo.task import commands, mirror, observe, payment, rewards
 from dynappo.types import Config, Env, EnvState, Outcome
 
 MAX_TURN, MAX_BASE_SPEED = 100.0, 20.0  # rad/s, m/s: beyond is a numerical blow-up
@@ -33,11 +33,17 @@ class Constants(NamedTuple):
     legs: tuple[Any, ...]  # robot.leg_chains
     fatal: np.ndarray  # [G] bool: the parts that end an episode at the ground
     undesired: np.ndarray  # [K, G] bool: the parts that count as one undesired contact
+    terms: payment.Terms  # of the reward
+    known: payment.Terms  # those that need no physics
     dt: float  # s
 
 
 def make(robot: robot_lib.Robot, task, physics_config, *, impl: str = "jax") -> Env:
-    """The task of `task` and `physics_config` (config groups) on `robot`, stepped by `impl`."""
+    """The task of `task` and `physics_config` (config groups) on `robot`, stepped by `impl`.
+
+    ConfigError where terms of the reward and their weights do not fit (payment.py).
+    """
+    terms = payment.find(task)
     varied = randomize.varied(task.randomize)
     fatal, undesired = ground_rules(robot, task)
     const = Constants(
@@ -47,6 +53,8 @@ def make(robot: robot_lib.Robot, task, physics_config, *, impl: str = "jax") -> 
         legs=robot_lib.leg_chains(robot),
         fatal=fatal,
         undesired=undesired,
+        terms=terms,
+        known=payment.known(terms, task),
         dt=physics_config.substeps * physics_config.timestep,
     )
     names = [f"reward_{name}" for name in task.weights]
@@ -128,13 +136,12 @@ def _fresh(const: Constants, hyper: Config, body, key) -> EnvState:
     qvel = jnp.concatenate([velocity, default * 0])
     command, goal = commands.draw(const.task, hyper, qpos, keys[4])
     feet = jnp.zeros(len(const.robot.feet), jnp.int32)
-    prop, obs = _observe(const, hyper, body, qpos, qvel, command, default * 0, keys[5])
-    return EnvState(
+    state = EnvState(
         qpos=qpos,
         qvel=qvel,
         qacc_warmstart=jnp.zeros_like(qvel),
-        obs=obs,
-        prop=prop,
+        obs=jnp.zeros(()),  # below
+        prop=jnp.zeros(()),
         command=command,
         goal=goal,
         last_action=default * 0,
@@ -146,6 +153,8 @@ def _fresh(const: Constants, hyper: Config, body, key) -> EnvState:
         push_in=_push_in(const, hyper, keys[6]),
         episode_return=jnp.zeros(()),
     )
+    prop, obs = _observe(const, hyper, body, state, keys[5])
+    return state.replace(prop=prop, obs=obs)
 
 
 def _push_in(const: Constants, hyper: Config, key):
@@ -167,10 +176,17 @@ def push(const: Constants, hyper: Config, qvel, push_in, key):
     return qvel, jnp.where(due, _push_in(const, hyper, next_key), push_in - 1)
 
 
-def _observe(const, hyper: Config, body, qpos, qvel, command, last_action, key):
-    """`(prop, obs)`: the predicted part without noise, and the whole with it."""
+def _see(const: Constants, body, state: EnvState):
+    """The observation of a state, without noise."""
     default = jnp.asarray(const.robot.default_pose, jnp.float32)
-    clean = observe.observe(qpos, qvel, body.base_com, default, command, last_action)
+    return observe.observe(
+        state.qpos, state.qvel, body.base_com, default, state.command, state.last_action
+    )
+
+
+def _observe(const: Constants, hyper: Config, body, state: EnvState, key):
+    """`(prop, obs)`: the predicted part without noise, and the whole with it."""
+    clean = _see(const, body, state)
     noise = jax.random.uniform(key, clean.shape, minval=-1.0, maxval=1.0)
     return clean[: observe.PROP_SIZE], clean + noise * observe.noise_scale(hyper.task.noise, jnp)
 
@@ -193,9 +209,11 @@ def step(const: Constants, hyper: Config, body, state: EnvState, action, key):
     ok = jnp.isfinite(after.qpos).all() & jnp.isfinite(after.qacc_warmstart).all()
     ok &= (speed[3:] < MAX_TURN).all() & (speed[:3] < MAX_BASE_SPEED).all()
 
-    gravity, linear, angular = observe.base_motion(after.qpos, after.qvel, body.base_com)
-    terms = reward_terms(const, hyper, state, action, after, (gravity, linear, angular))
-    reward, weighted = rewards.total(terms, hyper.task.weights._asdict(), const.dt)
+    moved = state.replace(qpos=after.qpos, qvel=after.qvel)
+    known = _known(hyper, _see(const, body, moved), action)
+    facts = known | _measured(const, after)._asdict()
+    terms = payment.values(const.terms, facts)
+    reward, weighted = payment.total(terms, hyper.task.weights, const.dt)
     reward = jnp.where(ok, reward, 0.0)
 
     fell = (const.fatal & (after.lowest < 0)).any() | ~ok
@@ -206,13 +224,10 @@ def step(const: Constants, hyper: Config, body, state: EnvState, action, key):
         const.task, hyper, state.command, state.goal, after.qpos, command_key
     )
     qvel, push_in = push(const, hyper, after.qvel, state.push_in, push_key)
-    prop, obs = _observe(const, hyper, body, after.qpos, qvel, command, action, obs_key)
     next_state = state.replace(
         qpos=after.qpos,
         qvel=qvel,
         qacc_warmstart=after.qacc_warmstart,
-        obs=jnp.where(ok, obs, state.obs),
-        prop=jnp.where(ok, prop, state.prop),
         command=command,
         goal=goal,
         last_action=action,
@@ -224,9 +239,15 @@ def step(const: Constants, hyper: Config, body, state: EnvState, action, key):
         episode_steps=state.episode_steps + 1,
         episode_return=state.episode_return + reward,
     )
+    prop, obs = _observe(const, hyper, body, next_state, obs_key)
+    next_state = next_state.replace(
+        prop=jnp.where(ok, prop, state.prop), obs=jnp.where(ok, obs, state.obs)
+    )
+    error = known["linear_velocity"] - state.command
+    yaw_error = known["angular_velocity"][2] - state.command[2]
     metrics = {f"reward_{name}": jnp.where(ok, value, 0.0) for name, value in weighted.items()} | {
-        "velocity_error_sq": jnp.where(ok, ((linear - state.command)[:2] ** 2).sum(), 0.0),
-        "yaw_error_sq": jnp.where(ok, (angular[2] - state.command[2]) ** 2, 0.0),
+        "velocity_error_sq": jnp.where(ok, (error[:2] ** 2).sum(), 0.0),
+        "yaw_error_sq": jnp.where(ok, yaw_error**2, 0.0),
         "falls": fell * 1.0,
         "timeouts": timeout * 1.0,
         "blowups": ~ok * 1.0,
@@ -245,53 +266,31 @@ def step(const: Constants, hyper: Config, body, state: EnvState, action, key):
     return next_state, outcome
 
 
-def reward_terms(
-    const: Constants, hyper: Config, state: EnvState, action, after: engine_lib.Substeps, motion
-) -> dict:
-    """Every term of the reward, unweighted, by the name of its weight in `task.weights`."""
+def _known(hyper: Config, seen, action) -> dict[str, Any]:
+    """What a term can ask for that the transition model knows too (rewards.py): `seen` are the predicted
+    parts of the next observation and the copied ones of this."""
+    return hyper.task._asdict() | observe.split(seen) | {"action": action}
+
+
+def _measured(const: Constants, after: engine_lib.Substeps) -> rewards.Measured:
     contact = after.contact_steps > 0
-    if const.task.air_time == "touchdown":
-        touchdown = contact & (after.contact_steps <= const.engine.substeps)
-        last_air_time = after.last_air_steps * const.engine.timestep
-        air = rewards.feet_air_time(last_air_time, touchdown, state.command)
-    else:
-        air = rewards.feet_in_air(contact)
-    qd = after.qvel[6:]
-    lowest = jnp.where(const.undesired, after.lowest, jnp.inf).min(-1)
-    return {
-        **motion_terms(hyper, state.command, motion),
-        "joint_torques": rewards.joint_torques(after.torque),
-        "joint_accelerations": rewards.joint_accelerations(
-            qd, after.qd_before, const.engine.timestep
-        ),
-        "action_rate": rewards.action_rate(action, state.last_action),
-        "feet_air_time": air,
-        "undesired_contacts": rewards.undesired_contacts(lowest),
-    }
-
-
-def motion_terms(hyper: Config, command, motion) -> dict:
-    """The terms that follow from the base's `(gravity, linear, angular)` and the command."""
-    gravity, linear, angular = motion
-    return {
-        "track_linear_velocity": rewards.track_linear_velocity(
-            linear, command, hyper.task.tracking_std
-        ),
-        "track_yaw_rate": rewards.track_yaw_rate(angular, command, hyper.task.tracking_std),
-        "vertical_velocity": rewards.vertical_velocity(linear),
-        "roll_pitch_rate": rewards.roll_pitch_rate(angular),
-        "flat_orientation": rewards.flat_orientation(gravity),
-    }
+    return rewards.Measured(
+        torque=after.torque,
+        joint_velocity_before=after.qd_before,
+        timestep=const.engine.timestep,
+        height=after.qpos[2],
+        contact=contact,
+        touchdown=contact & (after.contact_steps <= const.engine.substeps),
+        last_air_time=after.last_air_steps * const.engine.timestep,
+        lowest=jnp.where(const.undesired, after.lowest, jnp.inf).min(-1),
+    )
 
 
 def known_reward(const: Constants, hyper: Config, obs, action, next_prop):
     """The share of a row's reward that is a function of `obs` [48], `action` and `next_prop` [33].
 
-    Exact unless a push changed the velocity after the reward (`push`). The rest is torques,
-    accelerations, air times and contacts, which no observation shows.
+    Exact unless a push changed the velocity after the reward (`push`).
     """
-    motion = observe.GRAVITY, observe.LINEAR_VELOCITY, observe.ANGULAR_VELOCITY
-    terms = motion_terms(hyper, obs[observe.COMMAND], [next_prop[part] for part in motion])
-    terms["action_rate"] = rewards.action_rate(action, obs[observe.LAST_ACTION])
-    weights = {name: getattr(hyper.task.weights, name) for name in terms}
-    return rewards.total(terms, weights, const.dt)[0]
+    seen = jnp.concatenate([next_prop, obs[observe.PROP_SIZE :]])
+    terms = payment.values(const.known, _known(hyper, seen, action))
+    return payment.total(terms, hyper.task.weights, const.dt)[0]

@@ -11,11 +11,12 @@ import numpy as np
 
 from dynappo.config import ConfigError
 from dynappo.physics.robot import Robot
+from dynappo.task import observe
 from dynappo.types import Mirror
 
 CLOSE = 5e-3  # m; of axes, no unit; of the home pose, rad
-# the mirror has the base's y axis as its normal; what turns is mirrored the other way round
-MOVES, TURNS = np.array([1.0, -1.0, 1.0]), np.array([-1.0, 1.0, -1.0])
+# the mirror has the base's y axis as its normal
+MOVES, TURNS = np.array(observe.MOVES, float), np.array(observe.TURNS, float)
 
 
 def joints(robot: Robot) -> Mirror:
@@ -41,8 +42,9 @@ def find(robot: Robot) -> tuple[Mirror, Mirror] | None:
         own = joints(robot)
     except ConfigError:
         return None
-    command = np.array([1.0, -1.0, -1.0])
-    vectors = np.concatenate([MOVES, MOVES, TURNS, command])  # gravity, velocities, command
-    sizes = [own.index, own.index + 12, np.arange(24, 36), own.index + 36]
-    signs = [own.sign, own.sign, vectors, own.sign]
-    return Mirror(np.concatenate(sizes), np.concatenate(signs)), own
+    index, sign = [], []
+    for name, part in observe.PARTS.items():
+        rows, joints_too = np.arange(*observe.ROWS[name].indices(10**6)), part.signs is None
+        index.append(rows[own.index] if joints_too else rows)
+        sign.append(own.sign if joints_too else np.array(part.signs, float))
+    return Mirror(np.concatenate(index), np.concatenate(sign)), own

@@ -14,12 +14,60 @@ qpos and qvel alone: after `mjx.step` every derived quantity is one substep old.
 |            | 36-47 | previous action                                     |       |
 
 The paper's order, o = [q, qd, g, v, w] and [c, a]: the transition model predicts prop and copies ctx.
+`PREDICTED` and `COPIED` say it; noise, mirror image, the tables of ONNX files and what a reward term can
+ask for follow from them. A part of your own is an entry there and a value in `observe`, of `COPIED` also
+one in `context` (docs/task.md).
 """
 
-PROP_SIZE, CONTEXT_SIZE = 33, 15
-JOINT_POS, JOINT_VEL = slice(0, 12), slice(12, 24)
-GRAVITY, LINEAR_VELOCITY, ANGULAR_VELOCITY = slice(24, 27), slice(27, 30), slice(30, 33)
-COMMAND, LAST_ACTION = slice(33, 36), slice(36, 48)
+from itertools import accumulate
+from typing import NamedTuple
+
+# of policy files: a policy that sees other numbers is refused by this name, so change it with them
+NAME = "velocity-48"
+
+
+class Part(NamedTuple):
+    """Numbers of an observation that belong together."""
+
+    size: int
+    unit: str
+    content: str
+    noise: str = ""  # the field of task.noise with its half width; "": none
+    # of each number in the mirror image, left for right; None: a number a joint, mirrored as the joints are
+    signs: tuple[int, ...] | None = None
+
+
+MOVES, TURNS = (
+    (1, -1, 1),
+    (-1, 1, -1),
+)  # signs of vectors; what turns is mirrored the other way round
+# how it stands at the end of a row: the transition model predicts it
+PREDICTED = dict(
+    joint_position=Part(12, "rad", "minus default_pose", "joint_pos"),
+    joint_velocity=Part(12, "rad/s", "of each joint", "joint_vel"),
+    gravity=Part(3, "1", "its direction, base frame (0 0 -1 upright)", "gravity", MOVES),
+    linear_velocity=Part(
+        3, "m/s", "of the base's centre of mass (base_com), base frame", "linear_velocity", MOVES
+    ),
+    angular_velocity=Part(3, "rad/s", "base frame", "angular_velocity", TURNS),
+)
+# what follows from the row before (`context`): the model copies it
+COPIED = dict(
+    command=Part(3, "m/s, m/s, rad/s", "vx, vy, yaw rate, base frame", signs=(1, -1, -1)),
+    previous_action=Part(12, "1", "action of the step before; zero at first"),
+)
+PARTS = PREDICTED | COPIED
+PROP_SIZE, CONTEXT_SIZE = (sum(p.size for p in group.values()) for group in (PREDICTED, COPIED))
+ROWS = {
+    name: slice(stop - part.size, stop)
+    for (name, part), stop in zip(
+        PARTS.items(), accumulate(part.size for part in PARTS.values()), strict=True
+    )
+}
+GRAVITY, LINEAR_VELOCITY = ROWS["gravity"], ROWS["linear_velocity"]
+ANGULAR_VELOCITY, COMMAND = ROWS["angular_velocity"], ROWS["command"]
+JOINT_POS, JOINT_VEL = ROWS["joint_position"], ROWS["joint_velocity"]
+LAST_ACTION = ROWS["previous_action"]
 
 
 def rotate_inverse(quat, vector):
@@ -66,24 +114,36 @@ def observe(qpos, qvel, base_com, default_pose, command, last_action):
     """The observation [48] of one robot, without noise; see the module's table."""
     xp = qpos.__array_namespace__()
     gravity, linear, angular = base_motion(qpos, qvel, base_com)
-    parts = (qpos[7:] - default_pose, qvel[6:], gravity, linear, angular, command, last_action)
-    return xp.concat(parts)
+    values = dict(
+        joint_position=qpos[7:] - default_pose,
+        joint_velocity=qvel[6:],
+        gravity=gravity,
+        linear_velocity=linear,
+        angular_velocity=angular,
+        command=command,
+        previous_action=last_action,
+    )
+    return xp.concat([values[name] for name in PARTS])
 
 
 def context(obs, action):
     """The copied part [15] of the observation that follows `obs` [..., 48] and `action`."""
     xp = obs.__array_namespace__()
-    return xp.concat((obs[..., COMMAND], action), axis=-1)
+    values = dict(
+        command=obs[..., COMMAND],
+        previous_action=action,
+    )
+    return xp.concat([values[name] for name in COPIED], axis=-1)
+
+
+def split(obs):
+    """The parts of observations [..., 48], by name."""
+    return {name: obs[..., rows] for name, rows in ROWS.items()}
 
 
 def noise_scale(noise, xp):
     """Half widths [48] of the uniform observation noise; `noise` is the config's group."""
-    parts = (
-        [noise.joint_pos] * 12,
-        [noise.joint_vel] * 12,
-        [noise.gravity] * 3,
-        [noise.linear_velocity] * 3,
-        [noise.angular_velocity] * 3,
-        [0.0] * CONTEXT_SIZE,
-    )
-    return xp.stack([xp.asarray(v) for part in parts for v in part])
+    scales = [
+        getattr(noise, p.noise) if p.noise else 0.0 for p in PARTS.values() for _ in range(p.size)
+    ]
+    return xp.stack([xp.asarray(v) for v in scales])

@@ -1,34 +1,59 @@
-"""The reward of the velocity task: one function a term, and their weighted sum.
+"""The reward of the velocity task: one public function a term, one weight of its name in `task.weights`.
 
 Terms are those of the paper's appendix and of Isaac Lab's flat velocity tasks (isaaclab_tasks
-.../velocity/mdp/rewards.py and isaaclab/envs/mdp/rewards.py, 2.2.1). Every term is a function of
-one robot's arrays and is at least 0, `feet_air_time` excepted; the weight carries the sign, and
-`total` multiplies by the control step. Written once for NumPy and jax.numpy.
+.../velocity/mdp/rewards.py and isaaclab/envs/mdp/rewards.py, 2.2.1). Every term is a number of one robot
+and is at least 0, `feet_air_time` excepted; the weight carries the sign, and payment.py multiplies by the
+control step and sums. Written once for NumPy and jax.numpy.
+
+A term asks for what it needs by the names of its parameters. It may ask for:
+
+- each part of the observation (observe.py), without noise: the predicted ones as they are at the end of the
+  control step, before a push; the copied ones as the policy saw them, `command` and `previous_action`
+- `action`, the raw one of this step, and each number of the config's group `task`, as `tracking_std`
+- the fields of `Measured`, which physics alone can tell
+
+A term that asks for nothing of `Measured` is known in the rows that the transition model writes
+(`model.known_reward`); of the others the model learns the sum. A parameter with a default is the term's own.
 
 `track_*` is the only source of a positive return: an episode of T seconds that tracks perfectly
 earns (w_lin + w_yaw) T, 45 on Go1. While the robot can do nothing yet, the penalties outweigh it
 and a fall ends them, so early in training episodes get shorter before they get longer.
 """
 
-
-def track_linear_velocity(linear, command, std):
-    """exp(-|v_xy - c_xy|^2 / std^2), base frame, m/s. Isaac Lab: std 0.5; as printed: std 1."""
-    return _exp(-((linear[:2] - command[:2]) ** 2).sum() / std**2)
+from typing import Any, NamedTuple
 
 
-def track_yaw_rate(angular, command, std):
-    """exp(-(w_z - c_yaw)^2 / std^2), base frame, rad/s."""
-    return _exp(-((angular[2] - command[2]) ** 2) / std**2)
+class Measured(NamedTuple):
+    """What a term may ask for that no observation shows; of A joints, F feet, K parts."""
+
+    torque: Any  # [A] N m, applied in the last physics step, after all limits
+    joint_velocity_before: Any  # [A] rad/s, before that step
+    timestep: float  # s, of a physics step
+    height: Any  # m, of the base's frame above the floor
+    contact: Any  # [F] bool: the foot is on the ground
+    touchdown: Any  # [F] bool: it came down in this control step
+    last_air_time: Any  # [F] s, length of its air phase that ended last
+    lowest: Any  # [K] m, lowest point above the floor of what counts as an undesired contact
 
 
-def vertical_velocity(linear):
+def track_linear_velocity(linear_velocity, command, tracking_std):
+    """exp(-|v_xy - c_xy|^2 / tracking_std^2), base frame, m/s. Isaac Lab: std 0.5; as printed: std 1."""
+    return _exp(-((linear_velocity[:2] - command[:2]) ** 2).sum() / tracking_std**2)
+
+
+def track_yaw_rate(angular_velocity, command, tracking_std):
+    """exp(-(w_z - c_yaw)^2 / tracking_std^2), base frame, rad/s."""
+    return _exp(-((angular_velocity[2] - command[2]) ** 2) / tracking_std**2)
+
+
+def vertical_velocity(linear_velocity):
     """v_z^2 in the base frame, (m/s)^2."""
-    return linear[2] ** 2
+    return linear_velocity[2] ** 2
 
 
-def roll_pitch_rate(angular):
+def roll_pitch_rate(angular_velocity):
     """w_x^2 + w_y^2 in the base frame, (rad/s)^2."""
-    return (angular[:2] ** 2).sum()
+    return (angular_velocity[:2] ** 2).sum()
 
 
 def flat_orientation(gravity):
@@ -41,14 +66,14 @@ def joint_torques(torque):
     return (torque**2).sum()
 
 
-def joint_accelerations(qd, qd_before, timestep):
+def joint_accelerations(joint_velocity, joint_velocity_before, timestep):
     """Sum of squared joint accelerations, (rad/s^2)^2, over the last physics step (s)."""
-    return (((qd - qd_before) / timestep) ** 2).sum()
+    return (((joint_velocity - joint_velocity_before) / timestep) ** 2).sum()
 
 
-def action_rate(action, last_action):
+def action_rate(action, previous_action):
     """Sum of squared changes of the raw action."""
-    return ((action - last_action) ** 2).sum()
+    return ((action - previous_action) ** 2).sum()
 
 
 def feet_air_time(last_air_time, touchdown, command, threshold=0.5):
@@ -68,20 +93,6 @@ def feet_in_air(contact):
 def undesired_contacts(lowest):
     """Number of non-foot parts at the ground, from their `lowest` points (m above the floor)."""
     return (lowest < 0).sum() * 1.0
-
-
-def total(terms: dict, weights: dict, dt: float):
-    """`(reward, weighted)`: sum of weight x term x dt, and each weight x term (per second).
-
-    Raises ValueError if a term has no weight or a weight no term.
-    """
-    if set(terms) != set(weights):
-        raise ValueError(
-            f"reward terms without a weight: {sorted(set(terms) - set(weights))}; "
-            f"weights without a term: {sorted(set(weights) - set(terms))} (task.weights)"
-        )
-    weighted = {name: weights[name] * term for name, term in terms.items()}
-    return sum(weighted.values()) * dt, weighted
 
 
 def _exp(x):

@@ -18,7 +18,7 @@ import pytest
 from dynappo import config
 from dynappo.physics import actuators, randomize, robot
 from dynappo.task import env as env_lib
-from dynappo.task import observe
+from dynappo.task import observe, payment
 from dynappo.types import EnvState
 
 ROBOTS, SUBSTEPS, DT = 16, 4, 0.005
@@ -471,18 +471,19 @@ def test_the_reward_is_the_sum_of_the_metrics_times_the_control_step(lab, walk):
 
 def test_the_known_share_of_the_reward_is_that_of_six_terms(lab, bodies, walk):
     """Of observation, action and next state alone, against the terms that `step` reports; with noise
-    on both observations, because they are not read where noise is."""
+    on both observations, because they are not read where noise is. Terms of your own may be among them."""
     moves, states, outcomes = walk
-    names = (
-        "track_linear_velocity track_yaw_rate vertical_velocity roll_pitch_rate flat_orientation"
-    )
+    task = lab.settings.task
+    names = set(payment.known(payment.find(task), task))
+    six = "track_linear_velocity track_yaw_rate vertical_velocity roll_pitch_rate flat_orientation"
+    assert names >= {*six.split(), "action_rate"}
     known = jax.jit(jax.vmap(lab.env.known_reward, (None, 0, 0, 0)))
     hyper, noise, total = weights(lab.quiet), np.zeros(48), 0.0
     noise[: observe.PROP_SIZE] = 0.3
     for t in range(9, 100, 10):  # not 0: `standing` has another command than it shows
         metrics, state = outcomes[t].metrics, states[t]
         found = known(hyper, state.obs + noise, moves[t], outcomes[t].next_prop)
-        parts = [metrics[f"reward_{name}"] for name in (*names.split(), "action_rate")]
+        parts = [metrics[f"reward_{name}"] for name in names]
         np.testing.assert_allclose(found, 0.02 * np.sum(parts, axis=0), rtol=1e-4, atol=1e-6)
         total += np.abs(metrics["reward_action_rate"]).sum()
     assert total > 0 and np.abs(found - outcomes[99].reward).max() > 1e-4  # not all of it

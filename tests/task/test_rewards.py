@@ -1,6 +1,7 @@
 """Reward terms against NumPy loops on random states, by hand, and their weighted sum."""
 
 import math
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -8,10 +9,12 @@ import numpy as np
 import pytest
 
 from dynappo import config
-from dynappo.task import rewards
+from dynappo.program import build
+from dynappo.task import observe, payment, rewards
 
 STATES = 64
-# Isaac-Velocity-Flat-*-v0 of Isaac Lab 2.2.1: the terms and their weights, per second.
+# Isaac-Velocity-Flat-*-v0 of Isaac Lab 2.2.1: the terms and their weights, per second. Terms of your own
+# need not be here.
 UNITREE = dict(
     track_linear_velocity=1.5,
     track_yaw_rate=0.75,
@@ -150,11 +153,16 @@ def make_state(**changes):
     return zeros | still | {name: np.asarray(value) for name, value in changes.items()}
 
 
+def total(terms, weights, dt):
+    """`payment.total` with weights from a dict."""
+    return payment.total(terms, SimpleNamespace(**weights), dt)
+
+
 def weighted_per_second(weights, **changes):
     """Reward per second of a hand-made state, and each weighted term."""
     terms = shipped(make_state(**changes), 0.5)
     terms.pop("feet_in_air")
-    reward, parts = rewards.total(terms, weights, dt=0.02)
+    reward, parts = total(terms, weights, dt=0.02)
     return float(reward) / 0.02, {name: float(value) for name, value in parts.items()}
 
 
@@ -240,49 +248,135 @@ def test_joint_acceleration_is_taken_over_one_physics_step():
 
 def test_the_total_is_the_sum_of_the_weighted_terms_times_the_control_step():
     terms = {"a": np.float32(2.0), "b": np.float32(-3.0)}
-    reward, weighted = rewards.total(terms, {"b": 0.5, "a": 4.0}, dt=0.02)
+    reward, weighted = total(terms, {"b": 0.5, "a": 4.0}, dt=0.02)
     assert weighted == {"a": 8.0, "b": -1.5}
     assert reward == pytest.approx(0.02 * 6.5)
-    assert rewards.total(terms, {"b": 0.5, "a": 4.0}, dt=0.04)[0] == pytest.approx(2 * reward)
+    assert total(terms, {"b": 0.5, "a": 4.0}, dt=0.04)[0] == pytest.approx(2 * reward)
 
 
 def test_the_total_is_linear_in_each_weight(states):
     terms = shipped(states[1], 0.5)
-    base = rewards.total(terms, dict.fromkeys(terms, 1.0), dt=1.0)[0]
+    base = total(terms, dict.fromkeys(terms, 1.0), dt=1.0)[0]
     for name, value in terms.items():
         weights = dict.fromkeys(terms, 1.0) | {name: 3.0}
-        assert rewards.total(terms, weights, dt=1.0)[0] == pytest.approx(base + 2 * value, rel=1e-5)
+        assert total(terms, weights, dt=1.0)[0] == pytest.approx(base + 2 * value, rel=1e-5)
+
+
+@pytest.fixture
+def task():
+    """Go1's group `task`, unlocked: weights can be added."""
+    settings = config.load("configs/go1.py:laptop")
+    settings.task.update(tracking_std=0.5, air_time="touchdown")
+    return settings.task.unlock()
+
+
+def test_a_term_is_given_what_the_names_of_its_parameters_ask_for(task, states):
+    """Every weight has a term, and they are the terms of `shipped`."""
+    names = dict(linear="linear_velocity", angular="angular_velocity", qd="joint_velocity")
+    names |= dict(qd_before="joint_velocity_before", last_action="previous_action")
+    for air_time, other in (("touchdown", "feet_air_time"), ("indicator", "feet_in_air")):
+        task.air_time = air_time
+        terms = payment.find(task)
+        assert set(terms) == set(task.weights) and "feet_in_air" not in terms
+        for state in states[:8]:
+            facts = {names.get(name, name): value for name, value in state.items()}
+            found = payment.values(terms, facts | dict(tracking_std=0.5, timestep=0.005))
+            expected = by_loops(state, 0.5)
+            expected["feet_air_time"] = expected[other]
+            for name in set(found) & set(UNITREE):
+                np.testing.assert_allclose(found[name], expected[name], rtol=1e-5, err_msg=name)
+
+
+def test_a_term_is_known_without_physics_if_it_asks_for_nothing_that_is_measured(task):
+    known = set(payment.known(payment.find(task), task))
+    assert known & set(UNITREE) == {
+        "track_linear_velocity",
+        "track_yaw_rate",
+        "vertical_velocity",
+        "roll_pitch_rate",
+        "flat_orientation",
+        "action_rate",
+    }
+    own = {
+        "straight": lambda joint_position: 0.0,
+        "high": lambda height: 0.0,
+        "both": lambda gravity, torque: 0.0,
+        "scaled": lambda action, kp, threshold=0.5: 0.0,
+    }
+    assert set(payment.known(own, task)) == {"straight", "scaled"}
+
+
+def test_no_two_things_that_a_term_may_ask_for_have_one_name(task):
+    parts, measured = {*observe.PARTS, "action"}, set(rewards.Measured._fields)
+    numbers = payment.known_names(task) - parts
+    assert not parts & measured and not numbers & measured
+    assert {"tracking_std", "kp"} <= numbers and not parts & set(task)
+
+
+def wrong_weights(task, monkeypatch):
+    task.weights.action_rat = -1.0
+
+
+def wrong_term(task, monkeypatch):
+    add(monkeypatch, "spent_power", lambda torque: 0.0)
+
+
+def wrong_parameter(task, monkeypatch):
+    add(monkeypatch, "spent_power", lambda torqe: 0.0)
+    task.weights.spent_power = -1.0
+
+
+def add(monkeypatch, name, term):
+    """As if it stood in rewards.py."""
+    term.__module__ = rewards.__name__
+    monkeypatch.setattr(rewards, name, term, raising=False)
 
 
 @pytest.mark.parametrize(
-    ("terms", "weights", "words"),
+    ("break_it", "words"),
     [
-        (("a", "b"), ("a",), r"terms without a weight: \['b'\]"),
-        (("a",), ("a", "speed"), r"weights without a term: \['speed'\]"),
+        (wrong_weights, "task.weights.action_rat is the weight of no term.*has action_rate"),
+        (wrong_term, "no weight of the term spent_power.*`spent_power: float = 0.0` to Weights"),
+        (wrong_parameter, "spent_power .* asks for torqe, which .*did you mean torque"),
     ],
 )
-def test_a_term_without_a_weight_or_a_weight_without_a_term_is_named(terms, weights, words):
-    with pytest.raises(ValueError, match=words):
-        rewards.total(dict.fromkeys(terms, 1.0), dict.fromkeys(weights, 1.0), dt=0.02)
+def test_a_term_and_a_weight_that_do_not_fit_are_one_line_before_anything_is_compiled(
+    task, monkeypatch, break_it, words
+):
+    break_it(task, monkeypatch)
+    with pytest.raises(config.ConfigError, match=words) as error:
+        payment.find(task)
+    assert "\n" not in str(error.value)
+    settings = config.load("configs/go1.py:laptop").unlock()
+    settings.task = task
+    with pytest.raises(config.ConfigError, match=words):
+        build.check(settings)
+
+
+def test_a_term_that_is_no_single_number_is_named():
+    with pytest.raises(
+        config.ConfigError, match=r"the term power .* has the shape \(12,\).*sum it"
+    ):
+        payment.values({"power": lambda torque: torque**2}, {"torque": np.ones(12)})
 
 
 @pytest.mark.parametrize("name", WEIGHTS)
 def test_weights_of_a_config_are_those_of_the_named_task(name):
     task = config.load(f"{name}.py").task
-    assert task.weights.to_dict() == WEIGHTS[name]
+    assert {term: task.weights[term] for term in WEIGHTS[name]} == WEIGHTS[name]
 
 
 @pytest.mark.parametrize(
     ("name", "best"), [("go1", 45.0), ("go2", 45.0), ("anymal_c", 30.0), ("anymal_d", 30.0)]
 )
 def test_an_episode_of_twenty_seconds_that_tracks_perfectly_earns(name, best):
-    settings = config.load(f"{name}.py:ppo16")
+    settings = config.load(f"{name}.py:dyna4")
     dt = settings.physics.timestep * settings.physics.substeps
     command = np.array([0.4, -0.3, 0.2])
     terms = shipped(
         make_state(command=command, linear=command * [1, 1, 0], angular=command * [0, 0, 1]), 0.5
     )
     terms.pop("feet_in_air")
-    reward, _ = rewards.total(terms, settings.task.weights.to_dict(), dt)
+    reward, _ = total(terms, settings.task.weights.to_dict(), dt)
     assert settings.task.episode_length * dt == pytest.approx(20.0)
     assert settings.task.episode_length * reward == pytest.approx(best)

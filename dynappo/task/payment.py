@@ -1,0 +1,105 @@
+"""What the robot is paid: finds each weight's term, gives it what it asks for, and sums.
+
+`task.weights.NAME` is the weight of the function `NAME` of rewards.py; what the function asks for are its
+parameters, so that a term is written in one place and its weight in another, and nothing else is told.
+"""
+
+from __future__ import annotations
+
+import difflib
+import inspect
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from dynappo.config import ConfigError
+from dynappo.task import observe, rewards
+
+Terms = dict[str, Callable[..., Any]]  # by the name of the weight, in the order of rewards.py
+# a term that stands in for another, and the value of task.air_time with which it does
+INSTEAD = {"feet_in_air": ("feet_air_time", "indicator")}
+
+
+def written() -> Terms:
+    """Every public function of rewards.py."""
+    return {
+        name: value
+        for name, value in vars(rewards).items()
+        if inspect.isfunction(value) and value.__module__ == rewards.__name__ and name[0] != "_"
+    }
+
+
+def find(task) -> Terms:
+    """The term of each weight of the config's group `task`.
+
+    ConfigError for a weight without a term, a term without a weight, and a term that asks for what
+    nobody knows.
+    """
+    terms, weights = written(), set(task.weights)
+    for name in sorted(weights - terms.keys()):
+        close = difflib.get_close_matches(name, terms, 1)
+        raise ConfigError(
+            f"task.weights.{name} is the weight of no term; expected a function {name} in "
+            f"dynappo/task/rewards.py{f', which has {close[0]}' if close else ''}"
+        )
+    for name in (n for n in terms if n not in weights and n not in INSTEAD):
+        raise ConfigError(
+            f"task.weights has no weight of the term {name} of dynappo/task/rewards.py; add "
+            f"`{name}: float = 0.0` to Weights in configs/default.py"
+        )
+    names = {*known_names(task), *rewards.Measured._fields}
+    for name, term in terms.items():
+        for wrong in sorted(set(asks(term)) - names):
+            close = difflib.get_close_matches(wrong, names, 1)
+            raise ConfigError(
+                f"the term {name} of dynappo/task/rewards.py asks for {wrong}, which is no part of the "
+                "observation, no number of the config's group task and no field of Measured"
+                + (f"; did you mean {close[0]}?" if close else "")
+            )
+    for name, (other, air_time) in INSTEAD.items():
+        if task.air_time == air_time:
+            terms[other] = terms[name]
+    return {name: term for name, term in terms.items() if name in weights}
+
+
+def asks(term: Callable[..., Any]) -> list[str]:
+    """What a term asks for: its parameters without a default."""
+    parameters = inspect.signature(term).parameters.values()
+    return [p.name for p in parameters if p.default is p.empty]
+
+
+def known_names(task) -> set[str]:
+    """What a term may ask for and is known without physics; the numbers of `task` are its floats."""
+    numbers = {name for name, value in task.items() if type(value) is float}
+    return {*observe.PARTS, "action"} | numbers
+
+
+def known(terms: Terms, task) -> Terms:
+    """Those of `terms` that ask for nothing that physics alone can tell."""
+    names = known_names(task)
+    return {name: term for name, term in terms.items() if names.issuperset(asks(term))}
+
+
+def values(terms: Terms, facts: dict[str, Any]) -> dict[str, Any]:
+    """Each term of one robot, unweighted; `facts` are by the names that terms ask for.
+
+    ConfigError for a term that is not one number.
+    """
+    out = {name: term(**{ask: facts[ask] for ask in asks(term)}) for name, term in terms.items()}
+    for name, value in out.items():
+        if np.shape(value) != ():
+            raise ConfigError(
+                f"the term {name} of dynappo/task/rewards.py has the shape {np.shape(value)}, expected "
+                "one number of one robot; sum it"
+            )
+    return out
+
+
+def total(terms: dict[str, Any], weights: Any, dt: float) -> tuple[Any, dict[str, Any]]:
+    """`(reward, weighted)`: sum of weight x term x `dt` (s), and each weight x term (per second).
+
+    `terms` are values by name; `weights` has a field of each name.
+    """
+    weighted = {name: getattr(weights, name) * term for name, term in terms.items()}
+    return sum(weighted.values()) * dt, weighted
