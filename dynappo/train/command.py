@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 from dynappo import config as config_lib
 from dynappo import schedule
 from dynappo.config import flags
-from dynappo.program import build, devices, distributed, memory
+from dynappo.program import build, devices, distributed, environment, memory
 from dynappo.train import finish
 from dynappo.train import run as run_lib
 from dynappo.train import workdir as workdir_lib
@@ -21,6 +21,7 @@ any field of the config (configs/default.py lists them) can be set, as in
   --config.run.num_iterations=200 --config.ppo.learning_rate=3e-4
 variants follow the file's name: configs/go1.py:quick, :ppo16, :dyna4, ... (none: best)
 the same command again goes on with the run of its workdir
+a FILE.py with get_env(config) trains an environment of your own: docs/environment.md
 """
 
 
@@ -32,6 +33,8 @@ class Command(NamedTuple):
     fresh: bool = False
     restore: Path | None = None
     processes: tuple[Any, Any, Any] = (None, None, None)  # of distributed.join
+    get_env: Any = None  # of the config's file, if it has an environment of its own
+    env: Any = None  # what that returned
 
 
 def parse(argv: list[str] | None) -> Command:
@@ -53,12 +56,13 @@ def parse(argv: list[str] | None) -> Command:
     several.add_argument("--processes", type=int, metavar="N")
     several.add_argument("--process", type=int, metavar="I", help="0 to N-1")
     known, rest = flags.read_known(parser, argv)
-    config = flags.load(known.config, rest)
+    config, get_env = flags.load_both(known.config, rest)
     name, _, variant = known.config.partition(":")
     folder = Path(name).stem + (f"-{variant}" if variant else "")
     workdir = known.workdir or Path("runs") / folder
     processes = (known.coordinator, known.processes, known.process)
-    return Command(config_lib.validate(config), workdir, known.fresh, known.restore, processes)
+    config = config_lib.validate(config)
+    return Command(config, workdir, known.fresh, known.restore, processes, get_env)
 
 
 def main(argv: list[str] | None = None) -> None:
@@ -118,10 +122,11 @@ def train_and_show(command: Command, stop: Stop) -> None:
     """`train.train`, told to a person: what will happen, how it goes, what came out."""
     from rich.console import Console
 
-    config, folder = command.config, command.restore
+    config, env = environment.made(command.get_env, command.config)
+    command, folder = command._replace(config=config, env=env), command.restore
     out = Console(highlight=False, quiet=not distributed.first())
     out.print(f"[bold]dynappo[/bold] {describe(config)}", soft_wrap=True)
-    run_lib.check(config)  # before anything is written
+    run_lib.check(config, env)  # before anything is written
     if folder:
         from dynappo.train import restore
 
@@ -146,7 +151,7 @@ def _train_and_show(command: Command, stop: Stop, out) -> None:
     source = restore.source(workdir, command.restore)
     with out.status("compiling (under a minute; half of it when cached)"):
         config = workdir_lib.in_step(config, workdir)
-        program = build.program(config)
+        program = build.program(config, command.env)
         if source:
             program = restore.start_from(source, program, say)
     engine = devices.ENGINES[program.impl]
@@ -205,6 +210,9 @@ def describe(config) -> str:
     """Two lines on what a run will do, before anything is compiled."""
     s, r, run = config.schedule, config.rollout, config.run
     seeds = f" x {run.num_seeds} seeds" if run.num_seeds > 1 else ""
+    what = f"{config.robot}: {r.num_envs} robots"
+    if not config.robot:
+        what = f"an environment of your own: {r.num_envs} copies"
     devices = run.mesh_seed * run.mesh_env
     over = f" over {run.mesh_seed} x {run.mesh_env} devices" if devices > 1 else ""
     tail = "plain PPO, no model"
@@ -214,7 +222,7 @@ def describe(config) -> str:
             tail += f", from {s.start_steps} over iterations {s.start_iteration}-{s.end_iteration}"
     steps = schedule.sim_steps(config)[-1] / 1e6
     return (
-        f"trains {config.robot}: {r.num_envs} robots{seeds}{over}, {r.horizon} rows an iteration, {tail}\n"
+        f"trains {what}{seeds}{over}, {r.horizon} rows an iteration, {tail}\n"
         f"{run.num_iterations} iterations, {steps:.2f} M simulator steps"
     )
 
@@ -226,10 +234,10 @@ def progress_line(last: dict, begun: list) -> str:
     (t0, s0), (t1, s1) = begun[max(0, len(begun) - 6)], begun[-1]
     pace = (s1 - s0) / (t1 - t0) if t1 > t0 else s1 / max(t1, 1e-9)
     mean = {name: float(np.mean(value)) for name, value in last.items()}
+    error = f"error {mean['velocity_error']:.2f} m/s  " if "velocity_error" in mean else ""
     text = (
-        f"return {mean['episode_return']:6.2f}  length {mean['episode_length']:4.0f}  "
-        f"error {mean.get('velocity_error', float('nan')):.2f} m/s  std {mean['policy_std']:.2f}  "
-        f"{pace / 1e3:.1f} k steps/s"
+        f"return {mean['episode_return']:6.2f}  length {mean['episode_length']:4.0f}  {error}"
+        f"std {mean['policy_std']:.2f}  {pace / 1e3:.1f} k steps/s"
     )
     return text.replace("nan", " - ")
 
@@ -256,7 +264,7 @@ def show_summary(out, config, workdir: Path, summary: dict) -> None:
         "simulator steps": f"{summary['sim_steps'] / 1e6:.2f} M on {devices.ENGINES[summary['impl']]}",
         "training": f"{took}, after {summary['compile_seconds']:.0f} s of set-up",
     }
-    if config.run.eval_steps and config.run.eval_envs:
+    if config.run.eval_steps and config.run.eval_envs and config.robot:
         dt = config.physics.substeps * config.physics.timestep
         steps = config.task.episode_length, config.run.eval_steps
         rows["episodes"] = "{:g} s in training, {:g} s in the evaluation".format(
@@ -281,6 +289,11 @@ def show_summary(out, config, workdir: Path, summary: dict) -> None:
         out.print(str(summary["curves"]), soft_wrap=True)
     if "video" in summary:
         out.print(str(summary["video"]), soft_wrap=True)
+    if not config.robot:
+        text = (
+            f"no film, no play: it is no robot; policy_file.load_actor('{workdir}/policy.npz') acts"
+        )
+        return out.print(text, soft_wrap=True, markup=False)
     out.print(f"see it: python -m dynappo.play {workdir} --out=walk.html", soft_wrap=True)
     if config.run.num_iterations < 200 or summary["impl"] == "c":
         name = config.robot

@@ -29,7 +29,8 @@ def finish(config, program, workdir: Path, state, metrics) -> dict[str, Any]:
     params = workdir_lib.best_params(config, distributed.whole(state.learner.params), evaluated)
     policy_file.save(workdir / "policy.npz", params, config, program.robot)
     seeds = f" x {config.run.num_seeds} seeds" if config.run.num_seeds > 1 else ""
-    title = f"{config.robot}: {config.rollout.num_envs} robots{seeds}"
+    robots = f"{config.robot}: {config.rollout.num_envs} robots"
+    title = (robots if config.robot else workdir.resolve().name) + seeds
     problem = curves.draw(metrics, workdir / "curves.png", title)
     summary["curves"] = problem or str(workdir / "curves.png")
     if config.run.video_seconds:
