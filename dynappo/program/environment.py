@@ -138,11 +138,11 @@ def _shapes(name: str, function: Any, *arguments) -> Any:
         raise
     except Exception as error:
         frames = traceback.extract_tb(error.__traceback__)
-        theirs = [f for f in frames if "site-packages" not in f.filename and f.filename != __file__]
+        theirs = [f for f in frames if "-packages" not in f.filename and f.filename != __file__]
         place = f" ({Path(theirs[-1].filename).name}, line {theirs[-1].lineno})" if theirs else ""
         text = " ".join(str(error).split())[:240]
         raise _wrong(
-            f"{name} cannot be run: {type(error).__name__}: {text}{place}",
+            f"{name} cannot be run{place}: {type(error).__name__}: {text}",
             "a function that JAX traces",
         ) from None
 
