@@ -1,4 +1,4 @@
-"""docs/environment.md: its example, straight out of the page, trains by the command and acts from its file."""
+"""docs/environment.md: its example, straight out of the page, trains by the command and acts."""
 
 import csv
 import json

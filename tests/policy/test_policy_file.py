@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 import pytest
 from answers import refused
+from ml_collections import config_dict
 from toy_policy import ROBOTS, actor, described, save
 
 from dynappo import config as config_lib
@@ -188,9 +189,10 @@ def test_the_actor_of_a_file_acts_as_its_policy_does(saved, policy, tmp_path):
 
 def test_a_policy_without_a_robot_keeps_its_networks_and_its_config(policy, tmp_path):
     """Of an environment of one's own: it acts, and is told from one that can be played."""
-    config, path = described()[0], tmp_path / "policy.npz"
+    config, path = config_dict.ConfigDict(described()[0]), tmp_path / "policy.npz"
+    config.ppo.activation = "tanh"
     policy_file.save(path, policy.params, config, None)
     act = policy_file.load_actor(path)
-    one = policy_file.actor(policy.params, config.ppo.activation)(np.ones(48))
+    one = policy_file.actor(policy.params, "tanh")(np.ones(48))
     np.testing.assert_array_equal(act(np.ones(48)), one)
     assert "which is not a robot of dynappo's" in refused(policy_file.load, path)

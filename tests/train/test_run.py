@@ -382,7 +382,7 @@ def test_several_seeds_train_at_once(whole, tmp_path, monkeypatch):
 def test_an_environment_that_is_handed_over_trains_to_the_bit_as_in_the_robots_place(
     config, whole, tmp_path
 ):
-    """`train(config, workdir, env=...)`: the same rows, state and networks; the config says it is no robot's."""
+    """`train(config, workdir, env=...)`: the same rows and networks; the config names no robot."""
     state, metrics = train.train(config, tmp_path, env=toy_env.make())
     assert_same(state, whole.state)
     assert table(tmp_path) == table(whole.workdir)
