@@ -58,10 +58,10 @@ class Outcome:
     truncation: Float[Array, "..."]
     next_obs: Float[Array, "... O"]
     next_prop: Float[Array, "... P"]
-    valid: Float[Array, "..."]  # 0 where physics blew up: no row for the model
     episode_return: Float[Array, "..."]  # sum of rewards of this episode, this row included
     episode_length: Float[Array, "..."]  # rows of this episode, this one included
-    metrics: Metrics  # per robot; summed over the rows that physics wrote
+    valid: Any = 1.0  # [...]; 0 where physics blew up: no row for the model
+    metrics: Metrics = struct.field(default_factory=dict)  # per robot; summed over physics' rows
 
 
 @struct.dataclass
@@ -173,25 +173,38 @@ class Env(NamedTuple):
     `hyper` is the pytree of the config's floats, `body` the robot's own physical parameters.
     `step` never resets, `autoreset` does. `context(obs, action)` is the part of the next
     observation that follows from the row itself and is copied, not predicted: the trailing
-    `obs_size - prop_size` numbers. States must have the fields `obs` and `prop`.
+    `obs_size - prop_size` numbers. States must have the fields `obs` and `prop`; where they have a `clock`,
+    the age of the episode, an evaluation sets it.
 
-    Only options of the model ask for the rest: with `model.clean`, `noise` is what `obs` adds to `prop`;
-    with `model.known_reward`, `known_reward` is the share of the reward that is a function of obs, action
-    and next prop; with `model.falls`, states have a `clock`, at `episode_length` of which an episode is cut.
+    What has a default may be left out. Only options of the model ask for some of it: with `model.clean`,
+    `noise` is what `obs` adds to `prop`; with `model.known_reward`, `known_reward` is the share of the
+    reward that is a function of obs, action and next prop. docs/environment.md has an example.
     """
 
-    randomize: Callable[..., Any]  # (hyper, key) -> body
     reset: Callable[..., Any]  # (hyper, body, key) -> state
     step: Callable[..., Any]  # (hyper, body, state, action, key) -> state, Outcome
     autoreset: Callable[..., Any]  # (hyper, body, state, Outcome, key) -> state
-    context: Callable[..., Any]  # (obs, action) -> [O - P]
-    noise: Callable[..., Any]  # (hyper, key) -> [P]
-    known_reward: Callable[..., Any]  # (hyper, obs, action, next_prop) -> []
-    metrics: tuple[str, ...]  # names in Outcome.metrics
     obs_size: int
     prop_size: int
     action_size: int
     dt: float  # s, one control step
     episode_length: int  # control steps
+    metrics: tuple[str, ...] = ()  # names in Outcome.metrics
+    randomize: Callable[..., Any] = lambda hyper, key: None  # (hyper, key) -> body
+    context: Callable[..., Any] = lambda obs, action: obs[..., :0]  # (obs, action) -> [O - P]
+    noise: Callable[..., Any] = lambda hyper, key: np.zeros(1, np.float32)  # (hyper, key) -> [P]
+    # (hyper, obs, action, next_prop) -> []
+    known_reward: Callable[..., Any] = lambda hyper, obs, action, next_prop: np.float32(0)
     mirror: tuple[Mirror, Mirror] | None = None  # of obs and action, with `ppo.symmetry`
     mesh: jax.sharding.Mesh | None = None  # devices over which the robots are spread (sweep.py)
+
+
+def autoreset(reset: Callable[..., Any]) -> Callable[..., Any]:
+    """`Env.autoreset` of an environment whose every episode starts by its `reset`."""
+
+    def restart(hyper, body, state, outcome, key):
+        ended = (outcome.discount == 0) | (outcome.truncation == 1)
+        fresh = reset(hyper, body, key)
+        return jax.tree.map(lambda new, old: jax.numpy.where(ended, new, old), fresh, state)
+
+    return restart

@@ -41,7 +41,7 @@ SPEAKS = set("print input breakpoint callback pure_callback io_callback".split()
 FILES = set("open read_text write_text read_bytes write_bytes mkdir unlink".split())
 CLOCKS = set("time datetime timeit logging subprocess socket threading".split())
 PATHS = set("pathlib os shutil tempfile glob".split())
-MAX_MODULES, MAX_FILE, MAX_FUNCTION, MAX_METHOD = 11, 300, 70, 870  # modules, lines, lines, lines
+MAX_MODULES, MAX_FILE, MAX_FUNCTION, MAX_METHOD = 10, 300, 70, 870  # modules, lines, lines, lines
 
 
 def name_of(file):
@@ -133,7 +133,7 @@ def test_pure_modules_do_not_print_read_the_clock_or_touch_files(name):
 
 def test_nothing_is_too_long_and_every_file_says_what_it_is_for():
     for folder in FOLDERS:
-        assert len(list(folder.glob("*.py"))) <= MAX_MODULES, folder
+        assert len(list(folder.glob("[a-z]*.py"))) <= MAX_MODULES, folder
     for name, file in MODULES.items():
         assert len(file.read_text().splitlines()) <= MAX_FILE, file
         assert ast.get_docstring(tree(name)), file

@@ -12,8 +12,18 @@ Every folder but those of the method may import it. It imports `schedule` and no
 """
 
 from dynappo.config.fields import ConfigError, flat
-from dynappo.config.loading import difference, load, override, to_json
+from dynappo.config.loading import difference, load, load_both, override, to_json
 from dynappo.config.splitting import split
 from dynappo.config.validation import validate
 
-__all__ = ["ConfigError", "difference", "flat", "load", "override", "split", "to_json", "validate"]
+__all__ = [
+    "ConfigError",
+    "difference",
+    "flat",
+    "load",
+    "load_both",
+    "override",
+    "split",
+    "to_json",
+    "validate",
+]

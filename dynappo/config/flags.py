@@ -70,16 +70,21 @@ def read(of: argparse.ArgumentParser, argv: list[str] | None) -> argparse.Namesp
 
 def load(spec: str | None, rest: list[str]):
     """The config `--config=SPEC` with every `--config.GROUP.FIELD=VALUE` of `rest`; not validated."""
+    return load_both(spec, rest)[0]
+
+
+def load_both(spec: str | None, rest: list[str]):
+    """`load(spec, rest)`, and the `get_env` that the file may define (`loading.load_both`)."""
     if not spec:
         raise ConfigError("--config is missing; try --config=configs/go1.py:quick")
-    config = config_lib.load(spec)
+    config, get_env = config_lib.load_both(spec)
     more = iter(rest)
     for flag in more:
         if not flag.startswith("--config."):
             raise ConfigError(f"{flag}: no such flag; expected --config.GROUP.FIELD=VALUE")
         field, equals, text = flag.removeprefix("--config.").partition("=")
         config_lib.override(config, field, text if equals else next(more, ""))
-    return config
+    return config, get_env
 
 
 def path(text: str) -> Path:

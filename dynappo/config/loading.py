@@ -12,6 +12,8 @@ import functools
 import json
 import pathlib
 import runpy
+from collections.abc import Callable
+from typing import Any
 
 from ml_collections import config_dict
 
@@ -28,6 +30,15 @@ def load(spec: str) -> config_dict.ConfigDict:
     `NAME` is `configs/NAME.py`; that and `NAME.py` are looked up here, then among dynappo's own configs; a
     path with another folder is that file or none. The file is run: it may do whatever its author may.
     """
+    return load_both(spec)[0]
+
+
+def load_both(spec: str) -> tuple[config_dict.ConfigDict, Callable[[Any], Any] | None]:
+    """`load(spec)`, and the `get_env(config)` that the file may define; else None.
+
+    Where it does, `robot` is "": what is trained is no robot of dynappo's. What `get_env` raises comes as a
+    ConfigError of one line.
+    """
     name, _, variant = spec.partition(":")
     path = pathlib.Path(f"configs/{name}.py" if name.isidentifier() else name)
     looked_up = path.parent in OWN
@@ -37,22 +48,37 @@ def load(spec: str) -> config_dict.ConfigDict:
         where = " here or among dynappo's own configs" if looked_up else ""
         raise ConfigError(f"--config: no file {name!r}{where}")
     try:
-        config = _run(path, variant)
+        config, get_env = _run(path, variant)
         fields.check_names(flat(config).keys())
     except ConfigError as error:
         raise ConfigError(f"--config: {path}: {error}") from None
     except ValueError as error:  # of a variant
         raise ConfigError(f"--config={spec}: {_line(error)}") from None
     except (Exception, SystemExit) as error:  # a file that ends Python must not look like a success
-        raise ConfigError(
-            f"--config: {path}: get_config cannot be run: {type(error).__name__}: {_line(error)}"
-        ) from None
-    return config
+        raise ConfigError(f"--config: {path}: get_config {_cannot_be_run(error)}") from None
+    if get_env is None:
+        return config, None
+    config.robot = ""
+
+    def one_line(config):
+        try:
+            return get_env(config)
+        except ConfigError as error:
+            raise ConfigError(f"--config: {path}: {error}") from None
+        except (Exception, SystemExit) as error:
+            raise ConfigError(f"--config: {path}: get_env {_cannot_be_run(error)}") from None
+
+    return config, one_line
 
 
-def _run(path: pathlib.Path, variant: str) -> config_dict.ConfigDict:
-    """What get_config of a file returns, if it is a config."""
-    get_config = runpy.run_path(str(path)).get("get_config")
+def _cannot_be_run(error: BaseException) -> str:
+    return f"cannot be run: {type(error).__name__}: {_line(error)}"
+
+
+def _run(path: pathlib.Path, variant: str) -> tuple[config_dict.ConfigDict, Any]:
+    """What get_config of a file returns, if it is a config, and its get_env."""
+    names = runpy.run_path(str(path))
+    get_config = names.get("get_config")
     if get_config is None:
         raise ConfigError("defines no function get_config(variant)")
     config = get_config(variant)
@@ -61,7 +87,8 @@ def _run(path: pathlib.Path, variant: str) -> config_dict.ConfigDict:
         raise ConfigError(
             f"get_config returns {kind}, expected a ConfigDict; see configs/default.py"
         )
-    return config_dict.ConfigDict(config)  # a frozen one can be changed again
+    # a frozen one can be changed again
+    return config_dict.ConfigDict(config), names.get("get_env")
 
 
 def _line(error: BaseException) -> str:

@@ -138,7 +138,8 @@ def validate(config: config_dict.ConfigDict) -> config_dict.FrozenConfigDict:
     if schedule.uses_model(config):
         _check_model(config)
     _expect(
-        find("robots", f"{config.robot}/{config.robot}.xml"),
+        # "" is that of an environment of one's own (program/environment.py)
+        not config.robot or find("robots", f"{config.robot}/{config.robot}.xml"),
         "robot",
         config.robot,
         _one_of(robots()),

@@ -104,10 +104,15 @@ def actor(params: dict, activation: str) -> Callable[[np.ndarray], np.ndarray]:
     return mean
 
 
-def save(path: Path, params: dict, config, robot: robot_lib.Robot) -> None:
-    """Write `policy.npz`: the nested parameters, and what `config` and `robot` say of them."""
-    about = describe(config, robot)._asdict() | {"format": FORMAT}
-    del about["params"]
+def save(path: Path, params: dict, config, robot: robot_lib.Robot | None) -> None:
+    """Write `policy.npz`: the nested parameters, and what `config` and `robot` say of them.
+
+    Without a robot, of an environment of one's own, only the config: `load_actor` reads that.
+    """
+    about: dict[str, Any] = {"robot": "", "config": config.to_dict(), "format": FORMAT}
+    if robot is not None:
+        about |= describe(config, robot)._asdict()
+        del about["params"]
     save_params(path, params, about=to_json(about))
 
 
@@ -141,6 +146,30 @@ def load_params(path: Path) -> dict:
     return npz_file.nested({name: arrays[name] for name in arrays if name != "about"})
 
 
+def load_actor(path: str | Path) -> Callable[[np.ndarray], np.ndarray]:
+    """`act(obs [..., O]) -> mean action [..., A]` of any `policy.npz`, also of an environment of one's own.
+
+    NumPy only. ConfigError where the file is none, or is damaged.
+    """
+    arrays = npz_file.read(Path(path))
+    try:
+        activation = json.loads(str(arrays.pop("about")))["config"]["ppo"]["activation"]
+        act = actor(npz_file.nested(arrays), activation)
+    except (KeyError, TypeError, ValueError, AttributeError, RecursionError):
+        raise ConfigError(
+            f"{path}: holds no actor, or does not say which activation it has; expected a policy.npz "
+            "as training writes it"
+        ) from None
+    return act
+
+
+def _not_a_robot(path: Path) -> ConfigError:
+    return ConfigError(
+        f"{path}: a policy of an environment of your own, which is not a robot of dynappo's; training has "
+        "evaluated it, and policy_file.load_actor(POLICY_NPZ) acts with it: see docs/environment.md"
+    )
+
+
 def load(path: Path) -> Policy:
     """The policy of a `policy.npz` from anybody; a ConfigError of one line says what is wrong with it."""
     arrays = npz_file.read(path)
@@ -159,6 +188,8 @@ def load(path: Path) -> Policy:
             raise ConfigError(
                 f"{path}: written in format {version}, this dynappo reads {FORMAT}; update dynappo"
             )
+        if about.get("robot") == "":
+            raise _not_a_robot(path)
         policy = Policy(**about, params=params)
     except ConfigError:
         raise
@@ -203,6 +234,8 @@ def load_checkpoint(folder: Path) -> Policy:
         several, name = config.run.num_seeds > 1, config.robot
         if not isinstance(name, str):
             raise TypeError
+        if not name:
+            raise _not_a_robot(folder)
         policy = describe(config, robot_lib.load(name))
     except ConfigError:
         raise

@@ -21,7 +21,7 @@ from dynappo.program import devices, distributed, memory
 class Program(NamedTuple):
     """A run that is compiled and ready to start."""
 
-    robot: Any
+    robot: Any  # None for an environment of one's own
     env: Any
     static: Any
     hyper: Any
@@ -36,11 +36,16 @@ class Program(NamedTuple):
     compile_seconds: float
 
 
-def check(config) -> None:
-    """ConfigError if this machine or the robot's file cannot run `config`; nothing is compiled."""
+def check(config, env: Any = None) -> None:
+    """ConfigError if machine, robot's file or an `env` of one's own cannot be run; nothing is compiled."""
     from dynappo.physics import robot
+    from dynappo.program import environment
     from dynappo.task import mirror, payment
 
+    if env is not None:
+        devices.engine(config)
+        return environment.check(env, config)
+    environment.check_robot(config)
     impl, loaded = devices.engine(config), robot.load(config.robot)
     lightest, base = config.task.randomize.base_mass[0], loaded.mj_model.body_mass[loaded.base_body]
     if lightest <= -base:
@@ -58,9 +63,10 @@ def check(config) -> None:
     memory.check(config, memory.limit(devices.here(config.run.device)))
 
 
-def program(config) -> Program:
+def program(config, env: Any = None) -> Program:
     """Build robot, environment and first state, and compile the program that a run repeats.
 
+    `env` is an environment of one's own (a `types.Env`), with a config of `environment.settle`.
     ConfigError as `check`, and where the compiled program needs more memory than a device has.
     """
     import jax
@@ -69,15 +75,14 @@ def program(config) -> Program:
 
     impl = devices.engine(config)
     from dynappo import algorithm, evaluation, sweep
-    from dynappo.physics import robot as robot_lib
-    from dynappo.task import env as env_lib
+    from dynappo.program import environment
 
     began = time.perf_counter()
     static, hyper = config_lib.split(config)
-    robot, run = robot_lib.load(config.robot), config.run
+    run = config.run
     mesh = sweep.mesh(run.mesh_seed, run.mesh_env, devices.find(run.device))
-    with jax.default_device(devices.here(run.device)):
-        env = env_lib.make(robot, config.task, config.physics, impl=impl)._replace(mesh=mesh)
+    robot, env, impl = _environment(config, env, impl)
+    env = env._replace(mesh=mesh)
     length = run.eval_steps or config.task.episode_length
     episodes = dict(static=static, num_envs=run.eval_envs, num_steps=length)
     init = partial(algorithm.init, env, static=static)
@@ -94,6 +99,8 @@ def program(config) -> Program:
     everywhere = NamedSharding(mesh, PartitionSpec())
     spread = sweep.shardings(mesh, jax.eval_shape(init, hyper, key), run.num_seeds)
     state = jax.jit(init, out_shardings=spread)(hyper, key)
+    if robot is None:
+        environment.check_start(state.env_state)
     step = jax.jit(step, donate_argnums=1, out_shardings=(spread, everywhere))
     with sweep.partitioner(mesh):
         compiled = step.lower(hyper, state, chunk).compile()
@@ -124,3 +131,19 @@ def program(config) -> Program:
         bytes_needed=size,
         compile_seconds=time.perf_counter() - began,
     )
+
+
+def _environment(config, env: Any, impl: str) -> tuple[Any, Any, str]:
+    """`(robot, environment, engine)`: the velocity task of the config's robot, or the user's own `env`."""
+    import jax
+
+    from dynappo.physics import robot as robot_lib
+    from dynappo.program import environment
+    from dynappo.task import env as env_lib
+
+    if env is not None:
+        return None, env, "own"
+    environment.check_robot(config)
+    robot = robot_lib.load(config.robot)
+    with jax.default_device(devices.here(config.run.device)):
+        return robot, env_lib.make(robot, config.task, config.physics, impl=impl), impl

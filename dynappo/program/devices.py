@@ -12,7 +12,8 @@ from pathlib import Path
 
 from dynappo.config import ConfigError, shell
 
-ENGINES = {"jax": "MJX-JAX", "warp": "MJX-Warp", "c": "C MuJoCo"}  # as people are told
+# as people are told; "own" is whatever an environment of one's own does
+ENGINES = {"jax": "MJX-JAX", "warp": "MJX-Warp", "c": "C MuJoCo", "own": "JAX"}
 
 
 def own_process(device: str = "auto") -> None:

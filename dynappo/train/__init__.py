@@ -1,6 +1,6 @@
 """The command `python -m dynappo.train`, and the same from Python, `train(config)`. Start at `run.py`.
 
-- `command`: what the command reads and prints
+- `command`, `show`: what the command reads, and what it tells
 - `run`: the loop over chunks of iterations
 - `workdir`: the folder of a run: opened, gone on with, saved into
 - `checkpoint`, `log`: what is written while it trains

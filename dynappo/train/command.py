@@ -8,10 +8,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from dynappo import config as config_lib
-from dynappo import schedule
-from dynappo.config import flags, shell
-from dynappo.program import build, devices, distributed, memory
-from dynappo.train import finish
+from dynappo.config import flags
+from dynappo.program import build, devices, distributed, environment, memory
+from dynappo.train import finish, show
 from dynappo.train import run as run_lib
 from dynappo.train import workdir as workdir_lib
 
@@ -21,6 +20,7 @@ any field of the config (configs/default.py lists them) can be set, as in
   --config.run.num_iterations=200 --config.ppo.learning_rate=3e-4
 variants follow the file's name: configs/go1.py:quick, :ppo16, :dyna4, ... (none: best)
 the same command again goes on with the run of its workdir
+a FILE.py with get_env(config) trains an environment of your own: docs/environment.md
 """
 
 
@@ -32,6 +32,8 @@ class Command(NamedTuple):
     fresh: bool = False
     restore: Path | None = None
     processes: tuple[Any, Any, Any] = (None, None, None)  # of distributed.join
+    get_env: Any = None  # of the config's file, if it has an environment of its own
+    env: Any = None  # what that returned
 
 
 def parse(argv: list[str] | None) -> Command:
@@ -53,12 +55,13 @@ def parse(argv: list[str] | None) -> Command:
     several.add_argument("--processes", type=int, metavar="N")
     several.add_argument("--process", type=int, metavar="I", help="0 to N-1")
     known, rest = flags.read_known(parser, argv)
-    config = flags.load(known.config, rest)
+    config, get_env = flags.load_both(known.config, rest)
     name, _, variant = known.config.partition(":")
     folder = Path(name).stem + (f"-{variant}" if variant else "")
     workdir = known.workdir or Path("runs") / folder
     processes = (known.coordinator, known.processes, known.process)
-    return Command(config_lib.validate(config), workdir, known.fresh, known.restore, processes)
+    config = config_lib.validate(config)
+    return Command(config, workdir, known.fresh, known.restore, processes, get_env)
 
 
 def main(argv: list[str] | None = None) -> None:
@@ -118,10 +121,11 @@ def train_and_show(command: Command, stop: Stop) -> None:
     """`train.train`, told to a person: what will happen, how it goes, what came out."""
     from rich.console import Console
 
-    config, folder = command.config, command.restore
+    config, env = environment.made(command.get_env, command.config)
+    command, folder = command._replace(config=config, env=env), command.restore
     out = Console(highlight=False, quiet=not distributed.first())
-    out.print(f"[bold]dynappo[/bold] {describe(config)}", soft_wrap=True)
-    run_lib.check(config)  # before anything is written
+    out.print(f"[bold]dynappo[/bold] {show.describe(config)}", soft_wrap=True)
+    run_lib.check(config, env)  # before anything is written
     if folder:
         from dynappo.train import restore
 
@@ -146,7 +150,7 @@ def _train_and_show(command: Command, stop: Stop, out) -> None:
     source = restore.source(workdir, command.restore)
     with out.status("compiling (under a minute; half of it when cached)"):
         config = workdir_lib.in_step(config, workdir)
-        program = build.program(config)
+        program = build.program(config, command.env)
         if source:
             program = restore.start_from(source, program, workdir, say)
     engine = devices.ENGINES[program.impl]
@@ -167,9 +171,9 @@ def _train_and_show(command: Command, stop: Stop, out) -> None:
     )
     begun: list[tuple[float, float]] = []
 
-    def show(iteration, last):
+    def tell(iteration, last):
         begun.append((float(last["seconds"]), float(last["sim_steps"])))
-        line = f"{progress_line(last, begun)} on {engine}"
+        line = f"{show.progress_line(last, begun)} on {engine}"
         bar.update(task, completed=iteration, line=line)
         if not out.is_terminal and (10 * iteration) % config.run.num_iterations < 10:
             out.print(f"iteration {iteration:4d}  {line}", soft_wrap=True)
@@ -181,7 +185,7 @@ def _train_and_show(command: Command, stop: Stop, out) -> None:
             config,
             program,
             workdir,
-            show,
+            tell,
             should_stop=lambda: bool(stop.status),
             say=say,
         )
@@ -197,98 +201,5 @@ def _train_and_show(command: Command, stop: Stop, out) -> None:
     with out.status("evaluating, filming"):
         summary = finish.finish(config, program, workdir, state, metrics)
     if summary:
-        show_summary(out, config, workdir, summary)
+        show.summary(out, config, workdir, summary)
     finish.check_saved(workdir, done)
-
-
-def describe(config) -> str:
-    """Two lines on what a run will do, before anything is compiled."""
-    s, r, run = config.schedule, config.rollout, config.run
-    seeds = f" x {run.num_seeds} seeds" if run.num_seeds > 1 else ""
-    devices = run.mesh_seed * run.mesh_env
-    over = f" over {run.mesh_seed} x {run.mesh_env} devices" if devices > 1 else ""
-    tail = "plain PPO, no model"
-    if schedule.uses_model(config):
-        tail = f"tail of {s.end_steps}"
-        if s.end_iteration > s.start_iteration:
-            tail += f", from {s.start_steps} over iterations {s.start_iteration}-{s.end_iteration}"
-    steps = count(schedule.sim_steps(config)[-1])
-    return (
-        f"trains {config.robot}: {r.num_envs} robots{seeds}{over}, {r.horizon} rows an iteration, {tail}\n"
-        f"{run.num_iterations} iterations, {steps} simulator steps"
-    )
-
-
-def count(steps: int) -> str:
-    """A number of steps for a person."""
-    return f"{steps / 1e6:.2f} M" if steps >= 1e5 else f"{steps:,}"
-
-
-def progress_line(last: dict, begun: list) -> str:
-    """Return, episode length, tracking error, policy std and pace of one iteration."""
-    import numpy as np
-
-    (t0, s0), (t1, s1) = begun[max(0, len(begun) - 6)], begun[-1]
-    pace = (s1 - s0) / (t1 - t0) if t1 > t0 else s1 / max(t1, 1e-9)
-    mean = {name: float(np.mean(value)) for name, value in last.items()}
-    text = (
-        f"return {mean['episode_return']:6.2f}  length {mean['episode_length']:4.0f}  "
-        f"error {mean.get('velocity_error', float('nan')):.2f} m/s  std {mean['policy_std']:.2f}  "
-        f"{pace / 1e3:.1f} k steps/s"
-    )
-    return text.replace("nan", " - ")
-
-
-def show_summary(out, config, workdir: Path, summary: dict) -> None:
-    """The final table, where things are, and what to try next."""
-    import numpy as np
-    from rich.table import Table
-
-    table = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
-
-    def mean(value, unit="", scale=1, none="no episode has ended"):
-        values = [v * scale for v in np.ravel(value) if v is not None and np.isfinite(v)]
-        if not values:
-            return none
-        text = f"{np.mean(values):.2f}{unit}"
-        several = f" ({len(values)} seeds: {min(values):.2f} to {max(values):.2f})"
-        return text + several * (len(values) > 1)
-
-    took = "not known" if summary["seconds"] is None else f"{summary['seconds']:.1f} s"
-    rows = {
-        "return (last 10 iterations)": mean(summary["return"]),
-        "best return": mean(summary["return_max"]),
-        "simulator steps": f"{count(summary['sim_steps'])} on {devices.ENGINES[summary['impl']]}",
-        "training": f"{took}, after {summary['compile_seconds']:.0f} s of set-up",
-    }
-    if config.run.eval_steps and config.run.eval_envs:
-        dt = config.physics.substeps * config.physics.timestep
-        steps = config.task.episode_length, config.run.eval_steps
-        rows["episodes"] = "{:g} s in training, {:g} s in the evaluation".format(
-            *(dt * n for n in steps)
-        )
-    for name, label, unit in (
-        ("return", "evaluation: return", ""),
-        ("fall_rate", "evaluation: episodes with a fall", " %"),
-        ("tracking_error", "evaluation: tracking error", " m/s"),
-        ("yaw_error", "evaluation: yaw rate error", " rad/s"),
-    ):
-        if name in summary.get("evaluation", {}):
-            scale = 100 if unit == " %" else 1
-            value = summary["evaluation"][name]
-            rows[label] = mean(value, unit, scale, "nobody stood for a second")
-    words = finish.in_words(config.task, summary.get("evaluation", {}))
-    rows |= {"the policy": words} if words else {}
-    for label, value in rows.items():
-        table.add_row(label, value)
-    out.print(table)
-    names = "metrics.csv, summary.json, policy.npz, checkpoints/"
-    out.print(f"written to {workdir}: {names}", soft_wrap=True)
-    if "curves" in summary:
-        out.print(str(summary["curves"]), soft_wrap=True)
-    if "video" in summary:
-        out.print(str(summary["video"]), soft_wrap=True)
-    out.print(f"see it: {shell.program()} play {workdir} --out=walk.html", soft_wrap=True)
-    if config.run.num_iterations < 200 or summary["impl"] == "c":
-        name = config.robot
-        out.print(f"next: {shell.program()} train --config={name}  (on a GPU)")

@@ -29,7 +29,8 @@ def finish(config, program, workdir: Path, state, metrics) -> dict[str, Any]:
     params = workdir_lib.best_params(config, distributed.whole(state.learner.params), evaluated)
     policy_file.save(workdir / "policy.npz", params, config, program.robot)
     seeds = f" x {config.run.num_seeds} seeds" if config.run.num_seeds > 1 else ""
-    title = f"{config.robot}: {config.rollout.num_envs} robots{seeds}"
+    robots = f"{config.robot}: {config.rollout.num_envs} robots"
+    title = (robots if config.robot else workdir.resolve().name) + seeds
     problem = curves.draw(metrics, workdir / "curves.png", title)
     summary["curves"] = problem or str(workdir / "curves.png")
     if config.run.video_seconds:
@@ -80,35 +81,6 @@ def summarise(config, program, state, metrics) -> dict[str, Any]:
         evaluation = program.evaluate(state)
         summary["evaluation"] = {name: _numbers(v) for name, v in evaluation.items()}
     return summary
-
-
-def in_words(task, evaluation: dict[str, Any]) -> str:
-    """What evaluated policies do: stand, walk, turn, fall; of several seeds, how many walk.
-
-    Their errors are judged by those of a robot that stands still: the root mean square of the commands.
-    """
-
-    def share(name, *ranges):
-        still = sum((low * low + low * high + high * high) / 3 for low, high in ranges) ** 0.5
-        return np.array(np.ravel(evaluation[name]), float) / max(still, 1e-6)
-
-    if not {"tracking_error", "yaw_error"} <= evaluation.keys():
-        return ""
-    errors = share("tracking_error", task.command_x, task.command_y)
-    walking, falls = errors < 0.33, np.array(np.ravel(evaluation["fall_rate"]), float)
-    falling = (
-        f"falls in {100 * falls.mean():.0f} % of episodes"
-        if falls.mean() >= 0.005
-        else "does not fall"
-    )
-    if len(errors) > 1:
-        return f"{walking.sum()} of {len(errors)} seeds walk; {falling}"
-    if not np.isfinite(errors[0]):  # nobody stood for the first second
-        return "falls at once"
-    turning = "turns" if share("yaw_error", task.command_yaw)[0] < 0.5 else "does not turn yet"
-    if walking[0]:
-        return f"walks, {turning}, {falling}"
-    return f"{'stands, does not walk yet' if errors[0] > 0.8 else 'begins to walk'}; {falling}"
 
 
 def _return_of_all(config, metrics):

@@ -30,15 +30,18 @@ def check(metrics, state, before, workdir: Path | None) -> None:
     name, iteration = problem
     where = "no robot's row was"
     i = list(metrics["iteration"]).index(iteration)
-    if workdir and (robots[i] >= 0).any():
-        before = distributed.whole(before)
+    bad_robot = (robots[i] >= 0).any()
+    if bad_robot:
         seed = int((robots[i] >= 0).argmax())
         index = (int(robots[i]),) if robots.ndim == 1 else (seed, int(robots[i][seed]))
+        where = f"first a reward or an observation of robot {index[-1]}"
+    if workdir and bad_robot:
+        before = distributed.whole(before)
         arrays = {k: np.asarray(leaf[index]) for k, leaf in checkpoint.paths(before).items()}
         arrays |= {"iteration": np.array(metrics["iteration"][0]), "robot": np.array(index[-1])}
         if distributed.first():
             np.savez(workdir / "nonfinite.npz", allow_pickle=False, **arrays)
-        where = f"robot {index[-1]}, as it was before, is in {workdir / 'nonfinite.npz'}"
+        where += f"; robot {index[-1]}, as it was before, is in {workdir / 'nonfinite.npz'}"
     kept = workdir and checkpoint_file.iterations(workdir / "checkpoints")
     raise FloatingPointError(
         f"{name} is not finite in iteration {iteration}: training has blown up ({where}). Lower "

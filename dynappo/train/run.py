@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from dynappo import config as config_lib
-from dynappo.program import build, distributed
+from dynappo.program import build, distributed, environment
 from dynappo.program.build import Program
 from dynappo.train import finish, log
 from dynappo.train import workdir as workdir_lib
@@ -27,20 +27,23 @@ def train(
     config,
     workdir: str | Path | None = None,
     progress_fn: Callable[[int, dict], None] | None = None,
+    env: Any = None,
 ) -> tuple[Any, dict[str, np.ndarray]]:
     """Train as `config` says; returns `(TrainState, metrics [I])`, `[I, S]` for S seeds.
 
     With a `workdir`, it is filled, and a run found there is resumed; without, nothing is written.
     `progress_fn(iteration, metrics of that iteration)` is called every `run.log_every` iterations,
-    while the device is at the next ones. Raises ConfigError for settings that cannot be run,
-    FloatingPointError if numbers blow up, OSError where the last checkpoint could not be saved.
+    while the device is at the next ones. `env`, a `types.Env` of your own, is trained in place of the
+    robot's velocity task (docs/environment.md). Raises ConfigError for settings or an environment that
+    cannot be run, FloatingPointError if numbers blow up, OSError where the last checkpoint could not be
+    saved.
     """
-    config = config_lib.validate(config)
-    check(config)  # before anything is written
+    config = environment.settle(config_lib.validate(config), env)
+    check(config, env)  # before anything is written
     workdir = None if workdir is None else Path(workdir)
     with workdir_lib.open_workdir(workdir, config) if workdir else contextlib.nullcontext():
         config = workdir_lib.in_step(config, workdir)
-        program = build.program(config)
+        program = build.program(config, env)
         state, metrics = loop(config, program, workdir, progress_fn)
         if workdir:
             finish.finish(config, program, workdir, state, metrics)
@@ -53,10 +56,10 @@ def to_stderr(text: str) -> None:
     print(f"dynappo: {text}", file=sys.stderr)
 
 
-def check(config) -> None:
-    """ConfigError if this machine, the robot's file or the logs cannot run `config`."""
+def check(config, env: Any = None) -> None:
+    """ConfigError if this machine, the robot's file, an `env` of one's own or the logs cannot run."""
     log.check_wandb(config)
-    build.check(config)
+    build.check(config, env)
 
 
 def loop(

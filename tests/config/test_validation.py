@@ -67,7 +67,6 @@ WRONG = [  # fields, what the line begins with, what is expected
     ({"robot": "go9"}, "robot is 'go9'", "one of anymal_c, anymal_d, go1, go2"),
     ({"robot": "../go1"}, "robot is '../go1'", "one of anymal_c"),
     ({"robot": "a" * 300}, "robot is 'aaa", "one of anymal_c"),
-    ({"robot": ""}, "robot is ''", "one of anymal_c"),
     ({"task.formulation": "mine"}, "task.formulation is 'mine'", "one of isaaclab, paper_text"),
     # two that must fit each other
     ({"rollout.num_envs": 4090}, "rollout.num_envs is 4090", "of ppo.shuffle_blocks = 8"),

@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 import pytest
 from answers import refused
+from ml_collections import config_dict
 from toy_policy import ROBOTS, actor, described, save
 
 from dynappo import config as config_lib
@@ -173,3 +174,25 @@ def test_a_bundled_policy_is_of_its_robot(name):
     assert found.robot == name and found.joint_names == robot.joint_names
     np.testing.assert_allclose(found.default_pose, robot.default_pose)
     assert (found.kp, found.kd) == (config.task.kp, config.task.kd)
+
+
+def test_the_actor_of_a_file_acts_as_its_policy_does(saved, policy, tmp_path):
+    """Of a robot; what is no policy, or does not say its activation, is one line."""
+    obs = np.random.default_rng(0).normal(size=(5, 48))
+    expected = policy_file.actor(policy.params, policy.activation)(obs)
+    np.testing.assert_array_equal(policy_file.load_actor(saved)(obs), expected)
+    bad = tmp_path / "bad.npz"
+    for entries in ({"x": np.ones(2)}, {"about": "{}"}, {"about": "5"}):
+        np.savez(bad, allow_pickle=False, **entries)
+        assert "holds no actor, or does not say which" in refused(policy_file.load_actor, bad)
+
+
+def test_a_policy_without_a_robot_keeps_its_networks_and_its_config(policy, tmp_path):
+    """Of an environment of one's own: it acts, and is told from one that can be played."""
+    config, path = config_dict.ConfigDict(described()[0]), tmp_path / "policy.npz"
+    config.ppo.activation = "tanh"
+    policy_file.save(path, policy.params, config, None)
+    act = policy_file.load_actor(path)
+    one = policy_file.actor(policy.params, "tanh")(np.ones(48))
+    np.testing.assert_array_equal(act(np.ones(48)), one)
+    assert "which is not a robot of dynappo's" in refused(policy_file.load, path)

@@ -1,7 +1,6 @@
-"""The command `python -m dynappo.train`: a first run, every mistake, what stops it, what it prints."""
+"""The command `python -m dynappo.train`: a first run, every mistake, what stops it."""
 
 import csv
-import io
 import json
 import os
 import pathlib
@@ -15,7 +14,6 @@ import numpy as np
 import pytest
 import workdirs
 from answers import ROOT, mistake, refused, shell, status
-from rich.console import Console
 
 from dynappo import config as config_lib
 from dynappo.config import shell as shell_lib
@@ -336,95 +334,3 @@ def test_a_run_can_be_killed_at_any_moment(tmp_path):
     about = (w / "checkpoints" / "400" / "about" / "metadata" for w in (workdir, never))
     one, other = (json.loads(path.read_text())["sha256"] for path in about)
     assert one == other
-
-
-# ---- what it prints
-
-
-def config(spec="configs/go1.py:dyna4", **fields):
-    """A valid config with fields of `run` set."""
-    config = config_lib.load(spec)
-    config.run.update(**fields)
-    return config_lib.validate(config)
-
-
-@pytest.mark.parametrize(
-    ("spec", "tail"),
-    [
-        ("ppo16", "plain PPO, no model"),
-        ("dyna2", "tail of 2"),
-        ("dyna4", "tail of 4, from 0 over iterations 0-100"),
-    ],
-)
-def test_the_description_says_what_will_happen(spec, tail):
-    """Robots, rows, tail, iterations and simulator steps, in two lines; seeds and devices if several."""
-    run = config(f"configs/go1.py:{spec}")
-    tails = [0] * 500 if spec == "ppo16" else [2] * 500
-    if spec == "dyna4":
-        tails = [min(int(i / 25 + 0.5), 4) for i in range(1, 501)]
-    steps = sum(4096 * (16 - n) for n in tails) / 1e6
-    first = f"trains go1: 4096 robots, 16 rows an iteration, {tail}"
-    second = f"500 iterations, {steps:.2f} M simulator steps"
-    assert train_command.describe(run) == f"{first}\n{second}"
-    many = config(f"configs/go1.py:{spec}", num_seeds=4, mesh_seed=4, mesh_env=2)
-    first = first.replace("robots,", "robots x 4 seeds over 4 x 2 devices,")
-    assert train_command.describe(many) == f"{first}\n{second}"
-
-
-def test_the_progress_line_shows_return_length_error_std_and_pace():
-    """The pace is of the last chunks; of seeds the mean; a dash before the first episode ends."""
-    numbers = dict(episode_return=12.345, episode_length=987.6, velocity_error=0.234)
-    last = {name: np.float32(value) for name, value in numbers.items()}
-    last["policy_std"] = np.float32(0.5678)
-    begun = [(10.0 * i, 1e6 * i) for i in range(1, 4)]
-    line = "return  12.35  length  988  error 0.23 m/s  std 0.57  100.0 k steps/s"
-    assert train_command.progress_line(last, begun) == line
-    seeds = {name: np.array([value - 0.1, value + 0.1]) for name, value in last.items()}
-    assert train_command.progress_line(seeds, begun) == line
-    slow = [(0.0, 0.0)] + [(1000.0 + i, 1e6 + 2000.0 * i) for i in range(10)]
-    for chunks in (slow, [(4.0, 8000.0)]):
-        assert train_command.progress_line(last, chunks).endswith("  2.0 k steps/s")
-    line = train_command.progress_line(last | {"episode_return": np.float32("nan")}, begun)
-    assert "nan" not in line and line.startswith("return     -   length  988")
-
-
-EVALUATION = {"return": 5.5, "fall_rate": 0.125, "tracking_error": 0.31, "yaw_error": 0.42}
-COST = {"impl": "c", "sim_steps": 2_345_678, "seconds": 61.2, "compile_seconds": 20.0}
-SUMMARY = COST | {"return": 3.25, "return_max": 4.5, "evaluation": EVALUATION, "video": "a.mp4"}
-NOBODY = EVALUATION | {"tracking_error": None, "yaw_error": None}
-TABLES = {  # what differs in the summary, what is shown, what is not
-    "one seed": (
-        {},
-        "3.25 | 4.50 | 2.35 M on C MuJoCo | 61.2 s | 5.50 | 12.50 % | 0.31 m/s | a.mp4",
-        "seeds",
-    ),
-    "two seeds": (
-        {"return": [3.0, 3.5], "evaluation": {"fall_rate": [0.1, 0.3]}},
-        "3.25 (2 seeds: 3.00 to 3.50) | 20.00 % (2 seeds: 10.00 to 30.00)",
-        "nan",
-    ),
-    "no episode ended": (
-        {"return": float("nan"), "return_max": None},
-        "best return | no episode has ended",
-        "nan",
-    ),
-    "nobody stood": ({"evaluation": NOBODY}, "tracking error | nobody stood for a second", "None"),
-    "one of two stood": (
-        {"evaluation": {"tracking_error": [None, 0.5]}},
-        "0.50 m/s",
-        "None",
-    ),
-    "no evaluation": ({"evaluation": {}}, "3.25 | runs/x: metrics.csv", "evaluation:"),
-}
-
-
-@pytest.mark.parametrize("name", TABLES)
-def test_the_last_table_has_the_numbers_and_what_to_do_next(name):
-    change, shown, hidden = TABLES[name]
-    text = io.StringIO()
-    out, run = Console(file=text, width=120), config("configs/go1.py:quick")
-    train_command.show_summary(out, run, pathlib.Path("runs/x"), SUMMARY | change)
-    found = text.getvalue()
-    assert all(part in found for part in shown.split(" | ")) and hidden not in found
-    assert f"see it: {shell_lib.program()} play runs/x --out=walk.html" in found
-    assert f"next: {shell_lib.program()} train --config=go1" in found

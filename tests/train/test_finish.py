@@ -10,7 +10,6 @@ import workdirs
 from toy_runs import assert_same
 from workdirs import N_REAL
 
-from dynappo import config as config_lib
 from dynappo.config import shell, versions
 from dynappo.policy import policy_file, render
 from dynappo.train import finish
@@ -133,38 +132,3 @@ def test_there_is_a_film_or_the_reason(program, whole, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     summary = finish.finish(filmed, program(), tmp_path, whole.state, whole.metrics)
     assert summary["curves"].endswith(shell.install("video"))
-
-
-SAID = {  # (tracking error, yaw error, fall rate), of commands from -1 to 1: what the summary says
-    "stands": ((0.8, 0.57, 0.0), "stands, does not walk yet; does not fall"),
-    "begins": ((0.5, 0.4, 0.2), "begins to walk; falls in 20 % of episodes"),
-    "walks": ((0.05, 0.05, 0.001), "walks, turns, does not fall"),
-    "no turn": ((0.1, 0.5, 0.03), "walks, does not turn yet, falls in 3 % of episodes"),
-    "falls": ((float("nan"), float("nan"), 1.0), "falls at once"),
-    "seeds": (
-        ([0.05, 0.8], [0.1, 0.5], [0.0, 0.5]),
-        "1 of 2 seeds walk; falls in 25 % of episodes",
-    ),
-    "nobody": (
-        ([None, 0.8], [None, 0.5], [1.0, 1.0]),
-        "0 of 2 seeds walk; falls in 100 % of episodes",
-    ),
-}
-
-
-@pytest.mark.parametrize("name", SAID)
-def test_the_summary_says_in_words_what_the_policy_does(name):
-    """A robot that stands still under these commands errs by 0.816 m/s and 0.577 rad/s."""
-    errors, said = SAID[name]
-    evaluation = dict(zip(("tracking_error", "yaw_error", "fall_rate"), errors, strict=True))
-    assert finish.in_words(config_lib.load("go1:best").task, evaluation) == said
-
-
-def test_an_error_is_judged_by_the_commands_that_were_given():
-    """0.2 m/s is little where robots are asked for 1 m/s, and all where they are asked for 0.2 m/s."""
-    task = config_lib.load("go1:best").task
-    evaluation = dict(tracking_error=0.2, yaw_error=0.1, fall_rate=0.0)
-    assert finish.in_words(task, evaluation).startswith("walks")
-    task.update(command_x=(0.2, 0.2), command_y=(0.0, 0.0))
-    assert finish.in_words(task, evaluation).startswith("stands")
-    assert finish.in_words(task, {"return": 1.0}) == ""

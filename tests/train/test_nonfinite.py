@@ -82,6 +82,7 @@ def test_a_training_that_blows_up_names_the_first_bad_number(
         found = np.load(dumped)
         robot = int(found["robot"])
         assert f"robot {robot}, as it was before, is in {dumped}" in text
+        assert f"first a reward or an observation of robot {robot};" in text
         start = program().state
         for name in ("prop", "command"):
             kept = found[f"env_state/{name}"]

@@ -2,6 +2,7 @@
 
 import errno
 import gc
+import json
 import logging
 import os
 import shutil
@@ -10,6 +11,7 @@ import signal
 import jax
 import numpy as np
 import pytest
+import toy_env
 import workdirs
 from answers import refused, shell
 from ml_collections import config_dict
@@ -18,6 +20,7 @@ from workdirs import N_REAL, table
 
 from dynappo import config as config_lib
 from dynappo import schedule, train
+from dynappo.policy import policy_file
 from dynappo.train import checkpoint, finish, log
 from dynappo.train import run as run_lib
 from dynappo.train import workdir as workdir_lib
@@ -371,3 +374,24 @@ def test_several_seeds_train_at_once(whole, tmp_path, monkeypatch):
     again, back = train.train(config, workdir)
     assert_same(again, state)
     np.testing.assert_allclose(back["episode_return"], returns, 1e-5)
+
+
+# ---- an environment of one's own
+
+
+def test_an_environment_that_is_handed_over_trains_to_the_bit_as_in_the_robots_place(
+    config, whole, tmp_path
+):
+    """`train(config, workdir, env=...)`: the same rows and networks; the config names no robot."""
+    state, metrics = train.train(config, tmp_path, env=toy_env.make())
+    assert_same(state, whole.state)
+    assert table(tmp_path) == table(whole.workdir)
+    assert metrics["sim_steps"][-1] == 16 * sum(N_REAL)
+    one, other = (
+        policy_file.load_params(folder / "policy.npz") for folder in (tmp_path, whole.workdir)
+    )
+    assert_same(one, other)
+    about = json.loads((tmp_path / "config.json").read_text())
+    assert about["robot"] == "" and about["task"]["episode_length"] == 20
+    again = refused(workdirs.opened, tmp_path, config)  # go1's
+    assert "robot" in again and "--fresh" in again

@@ -1,0 +1,139 @@
+"""What `dynappo train` tells a person: what a run will do, how it goes, what came out, what to do next."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dynappo import schedule
+from dynappo.config import shell
+from dynappo.program import devices
+
+
+def describe(config) -> str:
+    """Two lines on what a run will do, before anything is compiled."""
+    s, r, run = config.schedule, config.rollout, config.run
+    seeds = f" x {run.num_seeds} seeds" if run.num_seeds > 1 else ""
+    what = f"{config.robot}: {r.num_envs} robots"
+    if not config.robot:
+        what = f"an environment of your own: {r.num_envs} copies"
+    devices = run.mesh_seed * run.mesh_env
+    over = f" over {run.mesh_seed} x {run.mesh_env} devices" if devices > 1 else ""
+    tail = "plain PPO, no model"
+    if schedule.uses_model(config):
+        tail = f"tail of {s.end_steps}"
+        if s.end_iteration > s.start_iteration:
+            tail += f", from {s.start_steps} over iterations {s.start_iteration}-{s.end_iteration}"
+    steps = count(schedule.sim_steps(config)[-1])
+    return (
+        f"trains {what}{seeds}{over}, {r.horizon} rows an iteration, {tail}\n"
+        f"{run.num_iterations} iterations, {steps} simulator steps"
+    )
+
+
+def count(steps: int) -> str:
+    """A number of steps for a person."""
+    return f"{steps / 1e6:.2f} M" if steps >= 1e5 else f"{steps:,}"
+
+
+def progress_line(last: dict, begun: list) -> str:
+    """Return, episode length, tracking error, policy std and pace of one iteration."""
+    (t0, s0), (t1, s1) = begun[max(0, len(begun) - 6)], begun[-1]
+    pace = (s1 - s0) / (t1 - t0) if t1 > t0 else s1 / max(t1, 1e-9)
+    mean = {name: float(np.mean(value)) for name, value in last.items()}
+    error = f"error {mean['velocity_error']:.2f} m/s  " if "velocity_error" in mean else ""
+    text = (
+        f"return {mean['episode_return']:6.2f}  length {mean['episode_length']:4.0f}  {error}"
+        f"std {mean['policy_std']:.2f}  {pace / 1e3:.1f} k steps/s"
+    )
+    return text.replace("nan", " - ")
+
+
+def summary(out, config, workdir: Path, summary: dict[str, Any]) -> None:
+    """The final table, where things are, and what to try next."""
+    from rich.table import Table
+
+    table = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
+
+    def mean(value, unit="", scale=1, none="no episode has ended"):
+        values = [v * scale for v in np.ravel(value) if v is not None and np.isfinite(v)]
+        if not values:
+            return none
+        text = f"{np.mean(values):.2f}{unit}"
+        several = f" ({len(values)} seeds: {min(values):.2f} to {max(values):.2f})"
+        return text + several * (len(values) > 1)
+
+    took = "not known" if summary["seconds"] is None else f"{summary['seconds']:.1f} s"
+    rows = {
+        "return (last 10 iterations)": mean(summary["return"]),
+        "best return": mean(summary["return_max"]),
+        "simulator steps": f"{count(summary['sim_steps'])} on {devices.ENGINES[summary['impl']]}",
+        "training": f"{took}, after {summary['compile_seconds']:.0f} s of set-up",
+    }
+    if config.run.eval_steps and config.run.eval_envs and config.robot:
+        dt = config.physics.substeps * config.physics.timestep
+        steps = config.task.episode_length, config.run.eval_steps
+        rows["episodes"] = "{:g} s in training, {:g} s in the evaluation".format(
+            *(dt * n for n in steps)
+        )
+    for name, label, unit in (
+        ("return", "evaluation: return", ""),
+        ("fall_rate", "evaluation: episodes with a fall", " %"),
+        ("tracking_error", "evaluation: tracking error", " m/s"),
+        ("yaw_error", "evaluation: yaw rate error", " rad/s"),
+    ):
+        if name in summary.get("evaluation", {}):
+            scale = 100 if unit == " %" else 1
+            value = summary["evaluation"][name]
+            rows[label] = mean(value, unit, scale, "nobody stood for a second")
+    words = in_words(config.task, summary.get("evaluation", {}))
+    rows |= {"the policy": words} if words else {}
+    for label, value in rows.items():
+        table.add_row(label, value)
+    out.print(table)
+    names = "metrics.csv, summary.json, policy.npz, checkpoints/"
+    out.print(f"written to {workdir}: {names}", soft_wrap=True)
+    if "curves" in summary:
+        out.print(str(summary["curves"]), soft_wrap=True)
+    if "video" in summary:
+        out.print(str(summary["video"]), soft_wrap=True)
+    if not config.robot:
+        text = (
+            f"no film, no play: it is no robot; policy_file.load_actor('{workdir}/policy.npz') acts"
+        )
+        return out.print(text, soft_wrap=True, markup=False)
+    out.print(f"see it: {shell.program()} play {workdir} --out=walk.html", soft_wrap=True)
+    if config.run.num_iterations < 200 or summary["impl"] == "c":
+        name = config.robot
+        out.print(f"next: {shell.program()} train --config={name}  (on a GPU)")
+
+
+def in_words(task, evaluation: dict[str, Any]) -> str:
+    """What evaluated policies do: stand, walk, turn, fall; of several seeds, how many walk.
+
+    Their errors are judged by those of a robot that stands still: the root mean square of the commands.
+    """
+
+    def share(name, *ranges):
+        still = sum((low * low + low * high + high * high) / 3 for low, high in ranges) ** 0.5
+        return np.array(np.ravel(evaluation[name]), float) / max(still, 1e-6)
+
+    if not {"tracking_error", "yaw_error"} <= evaluation.keys():
+        return ""
+    errors = share("tracking_error", task.command_x, task.command_y)
+    walking, falls = errors < 0.33, np.array(np.ravel(evaluation["fall_rate"]), float)
+    falling = (
+        f"falls in {100 * falls.mean():.0f} % of episodes"
+        if falls.mean() >= 0.005
+        else "does not fall"
+    )
+    if len(errors) > 1:
+        return f"{walking.sum()} of {len(errors)} seeds walk; {falling}"
+    if not np.isfinite(errors[0]):  # nobody stood for the first second
+        return "falls at once"
+    turning = "turns" if share("yaw_error", task.command_yaw)[0] < 0.5 else "does not turn yet"
+    if walking[0]:
+        return f"walks, {turning}, {falling}"
+    return f"{'stands, does not walk yet' if errors[0] > 0.8 else 'begins to walk'}; {falling}"

@@ -1,0 +1,211 @@
+"""An environment of one's own: each thing in which it is not as `types.Env` has it is one line."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import toy_env
+import workdirs
+from answers import refused
+
+from dynappo import config as config_lib
+from dynappo.program import build, environment
+from dynappo.types import Env, Mirror, Outcome, autoreset
+
+TOY = toy_env.make()
+
+
+def outcome(**fields):
+    """The toy's step, with these fields of its outcome."""
+
+    def step(*arguments):
+        state, out = TOY.step(*arguments)
+        return state, out.replace(**fields)
+
+    return step
+
+
+def state_of(function, **fields):
+    """The toy's reset or step, with these fields of its state."""
+
+    def changed(*arguments):
+        out = function(*arguments)
+        return (
+            (out[0].replace(**fields), out[1]) if isinstance(out, tuple) else out.replace(**fields)
+        )
+
+    return changed
+
+
+def raising(*_):
+    raise RuntimeError("no\nluck")
+
+
+def outcome_that_lacks_a_field(*_):
+    return TOY.step, Outcome(reward=1.0, discount=1.0)  # pyright: ignore
+
+
+class Clocked(NamedTuple):
+    """A state that evaluation cannot set the clock of."""
+
+    obs: jax.Array
+    prop: jax.Array
+    clock: jax.Array
+
+
+WRONG = {  # what is changed of the toy, what the line says
+    "no obs": ({"reset": lambda *_: {"a": jnp.zeros(3)}}, "dict without obs"),
+    "obs": ({"obs_size": 7}, r"reset's obs is of shape \(6,\), expected \(7,\) \(obs_size = 7\)"),
+    "prop": ({"prop_size": 2}, r"reset's prop is of shape \(3,\), expected \(2,\)"),
+    "more predicted than seen": ({"prop_size": 9}, "prop_size is 9, expected at most obs_size = 6"),
+    "size": ({"action_size": 0}, "action_size is 0, expected an integer above 0"),
+    "time": ({"dt": -1.0}, "dt is -1.0, expected seconds above 0"),
+    "length": ({"episode_length": 2.5}, "episode_length is 2.5, expected an integer"),
+    "kind of obs": (
+        {"reset": state_of(TOY.reset, obs=jnp.zeros(6, jnp.int32))},
+        "obs is int32, expected real numbers",
+    ),
+    "clock": (
+        {"reset": lambda *_: Clocked(jnp.zeros(6), jnp.zeros(3), jnp.zeros(()))},
+        "Clocked has a clock and no replace, expected a flax.struct.dataclass",
+    ),
+    "raised": (
+        {"step": raising},
+        r"step cannot be run \(test_environment.py, line \d+\): RuntimeError: no luck,",
+    ),
+    "field of Outcome": (
+        {"step": outcome_that_lacks_a_field},
+        r"\(test_environment.py, line \d+\): TypeError: .*missing 5 required .*'truncation'",
+    ),
+    "kind of outcome": (
+        {"step": lambda *_: (1.0, 2.0, 3)},
+        r"step returns \(.*expected \(state, dyn",
+    ),
+    "reward": (
+        {"step": outcome(reward=jnp.zeros(1))},
+        r"Outcome.reward is of shape \(1,\), expected \(\)",
+    ),
+    "next_obs": (
+        {"step": outcome(next_obs=jnp.zeros(3))},
+        r"next_obs is of shape \(3,\), expected \(6,\)",
+    ),
+    "next_prop": ({"step": outcome(next_prop=None)}, r"next_prop is None, expected \(3,\)"),
+    "metrics": ({"step": outcome(metrics={})}, "Outcome.metrics has no 'reward_x'"),
+    "state of step": (
+        {"step": state_of(TOY.step, command=jnp.zeros(2))},
+        r"step returns a state with \.command float32\[2\], expected float32\[\] as reset's",
+    ),
+    "kind of state": (
+        {"autoreset": lambda *_: jnp.zeros(3)},
+        "autoreset returns .*expected a state as reset's, State",
+    ),
+    "context": ({"context": lambda obs, action: action}, r"context.* \(3, 2\), expected \(3, 3\)"),
+    "noise": ({"noise": lambda hyper, key: jnp.zeros(2)}, r"noise.* \(2,\), expected \(3,\)"),
+    "known reward": (
+        {"known_reward": lambda h, obs, action, prop: prop},
+        r"known_reward.* \(3,\), expected \(\)",
+    ),
+}
+ASKS = {"model__clean": True, "model__known_reward": True}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_what_is_not_as_the_contract_has_it_is_one_line(case):
+    """What was found and what was expected, before anything is compiled."""
+    fields, words = WRONG[case]
+    with pytest.raises(config_lib.ConfigError, match=f"the environment: .*{words}") as error:
+        env = TOY._replace(**fields)
+        build.check(environment.settle(workdirs.config(**ASKS), env), env)
+    text = str(error.value)
+    assert "\n" not in text and text.endswith("docs/environment.md has the contract")
+
+
+def test_an_environment_that_keeps_the_contract_passes():
+    """With a model and without; what only the model asks for is not looked at without it."""
+    config = environment.settle(workdirs.config(**ASKS), TOY)
+    build.check(config, TOY)
+    plain = workdirs.config(schedule__end_steps=0, **ASKS)
+    build.check(plain, TOY._replace(context=raising, noise=raising, known_reward=raising))
+    assert "context cannot be run" in refused(build.check, config, TOY._replace(context=raising))
+
+
+def test_what_is_left_out_has_defaults_that_a_model_can_use():
+    """Six fields and two sizes make an environment: no noise, no context, no known reward, no bodies."""
+
+    class State(NamedTuple):
+        obs: jax.Array
+        prop: jax.Array
+
+    def start(hyper, body, key):
+        assert body is None
+        obs = jax.random.normal(key, (2,))
+        return State(obs, obs)
+
+    def step(hyper, body, state, action, key):
+        after = State(state.obs + action, state.prop + action)
+        told = Outcome(1.0, 1.0, 0.0, after.obs, after.prop, 0.0, 0.0)  # pyright: ignore
+        return after, told
+
+    env = Env(start, step, autoreset(start), 2, 2, 2, 0.1, 5)
+    build.check(environment.settle(workdirs.config(**ASKS), env), env)
+    assert env.metrics == () and env.context(np.ones((4, 2)), None).shape == (4, 0)
+    assert env.known_reward(None, 1, 2, 3) == 0 and env.noise(None, None) == [0]
+
+
+def test_a_state_starts_anew_where_an_episode_ended_and_only_there():
+    """`types.autoreset`: by a fall, or by the time."""
+    again = autoreset(lambda hyper, body, key: {"x": jnp.float32(body)})
+    zero, one = jnp.zeros(()), jnp.ones(())
+    for discount, truncation, expected in ((one, zero, 7), (zero, zero, 3), (one, one, 3)):
+        out = Outcome(one, discount, truncation, one, one, one, one)
+        assert again(None, 3, {"x": jnp.float32(7)}, out, None)["x"] == expected
+
+
+def test_symmetry_needs_the_mirror_of_every_number():
+    """Of an environment without, or with one of another size, it is one line."""
+    config = workdirs.config(ppo__symmetry=True)
+    mirror = Mirror(np.arange(6), np.ones(6)), Mirror(np.arange(2), np.ones(2))
+    build.check(config, TOY._replace(mirror=mirror))
+    assert "mirror is None where ppo.symmetry is True" in refused(build.check, config, TOY)
+    wrong = refused(build.check, config, TOY._replace(mirror=mirror[::-1]))
+    assert "the mirror's index of obs is of shape (2,), expected (6,)" in wrong
+
+
+def test_what_is_no_environment_is_named():
+    """What a get_env returned that forgot its return, or returned something else."""
+    config = workdirs.config()
+    nothing = refused(environment.made, lambda config: None, own(config))
+    assert "it is None, expected a dynappo.types.Env" in nothing
+    assert "it is int, expected" in refused(environment.settle, config, 5)
+
+
+def own(config):
+    """The config of an environment of one's own."""
+    return environment.settle(config, TOY)
+
+
+def test_the_config_says_that_it_is_no_robots():
+    """Its name, the length of episodes, no film; without the environment it cannot be run."""
+    config = workdirs.config(run__video_seconds=3.0, task__episode_length=77)
+    settled = own(config)
+    assert settled.robot == "" and settled.run.video_seconds == 0 and settled.physics.impl == "jax"
+    assert settled.task.episode_length == TOY.episode_length == 20
+    assert environment.settle(config, None) is config
+    for function in (build.check, build.program):
+        assert "robot is '': this config is of an environment of your own" in refused(
+            function, settled
+        )
+    assert environment.made(None, config) == (config, None)
+    assert environment.made(lambda config: TOY, settled) == (settled, TOY)
+    both = refused(environment.made, lambda config: TOY, config)
+    assert "robot is 'go1', but the config's file defines get_env" in both
+
+
+def test_a_start_that_is_not_finite_is_one_line():
+    """NaN in the first observation of one copy."""
+    good = toy_env.State(*[jnp.zeros((4, 3))] * 7)
+    environment.check_start(good)
+    bad = good.replace(obs=good.obs.at[2, 1].set(jnp.nan))
+    assert "reset's obs is not finite" in refused(environment.check_start, bad)

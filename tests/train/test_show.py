@@ -1,0 +1,136 @@
+"""What the command says of a run, in words."""
+
+import io
+import pathlib
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from dynappo import config as config_lib
+from dynappo.config import shell as shell_lib
+from dynappo.train import show
+
+
+def config(spec="configs/go1.py:dyna4", **fields):
+    """A valid config with fields of `run` set."""
+    config = config_lib.load(spec)
+    config.run.update(**fields)
+    return config_lib.validate(config)
+
+
+@pytest.mark.parametrize(
+    ("spec", "tail"),
+    [
+        ("ppo16", "plain PPO, no model"),
+        ("dyna2", "tail of 2"),
+        ("dyna4", "tail of 4, from 0 over iterations 0-100"),
+    ],
+)
+def test_the_description_says_what_will_happen(spec, tail):
+    """Robots, rows, tail, iterations and simulator steps, in two lines; seeds and devices if several."""
+    run = config(f"configs/go1.py:{spec}")
+    tails = [0] * 500 if spec == "ppo16" else [2] * 500
+    if spec == "dyna4":
+        tails = [min(int(i / 25 + 0.5), 4) for i in range(1, 501)]
+    steps = sum(4096 * (16 - n) for n in tails) / 1e6
+    first = f"trains go1: 4096 robots, 16 rows an iteration, {tail}"
+    second = f"500 iterations, {steps:.2f} M simulator steps"
+    assert show.describe(run) == f"{first}\n{second}"
+    many = config(f"configs/go1.py:{spec}", num_seeds=4, mesh_seed=4, mesh_env=2)
+    first = first.replace("robots,", "robots x 4 seeds over 4 x 2 devices,")
+    assert show.describe(many) == f"{first}\n{second}"
+
+
+def test_the_progress_line_shows_return_length_error_std_and_pace():
+    """The pace is of the last chunks; of seeds the mean; a dash before the first episode ends."""
+    numbers = dict(episode_return=12.345, episode_length=987.6, velocity_error=0.234)
+    last = {name: np.float32(value) for name, value in numbers.items()}
+    last["policy_std"] = np.float32(0.5678)
+    begun = [(10.0 * i, 1e6 * i) for i in range(1, 4)]
+    line = "return  12.35  length  988  error 0.23 m/s  std 0.57  100.0 k steps/s"
+    assert show.progress_line(last, begun) == line
+    seeds = {name: np.array([value - 0.1, value + 0.1]) for name, value in last.items()}
+    assert show.progress_line(seeds, begun) == line
+    slow = [(0.0, 0.0)] + [(1000.0 + i, 1e6 + 2000.0 * i) for i in range(10)]
+    for chunks in (slow, [(4.0, 8000.0)]):
+        assert show.progress_line(last, chunks).endswith("  2.0 k steps/s")
+    line = show.progress_line(last | {"episode_return": np.float32("nan")}, begun)
+    assert "nan" not in line and line.startswith("return     -   length  988")
+
+
+EVALUATION = {"return": 5.5, "fall_rate": 0.125, "tracking_error": 0.31, "yaw_error": 0.42}
+COST = {"impl": "c", "sim_steps": 2_345_678, "seconds": 61.2, "compile_seconds": 20.0}
+SUMMARY = COST | {"return": 3.25, "return_max": 4.5, "evaluation": EVALUATION, "video": "a.mp4"}
+NOBODY = EVALUATION | {"tracking_error": None, "yaw_error": None}
+TABLES = {  # what differs in the summary, what is shown, what is not
+    "one seed": (
+        {},
+        "3.25 | 4.50 | 2.35 M on C MuJoCo | 61.2 s | 5.50 | 12.50 % | 0.31 m/s | a.mp4",
+        "seeds",
+    ),
+    "two seeds": (
+        {"return": [3.0, 3.5], "evaluation": {"fall_rate": [0.1, 0.3]}},
+        "3.25 (2 seeds: 3.00 to 3.50) | 20.00 % (2 seeds: 10.00 to 30.00)",
+        "nan",
+    ),
+    "no episode ended": (
+        {"return": float("nan"), "return_max": None},
+        "best return | no episode has ended",
+        "nan",
+    ),
+    "nobody stood": ({"evaluation": NOBODY}, "tracking error | nobody stood for a second", "None"),
+    "one of two stood": (
+        {"evaluation": {"tracking_error": [None, 0.5]}},
+        "0.50 m/s",
+        "None",
+    ),
+    "no evaluation": ({"evaluation": {}}, "3.25 | runs/x: metrics.csv", "evaluation:"),
+}
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_the_last_table_has_the_numbers_and_what_to_do_next(name):
+    change, shown, hidden = TABLES[name]
+    text = io.StringIO()
+    out, run = Console(file=text, width=120), config("configs/go1.py:quick")
+    show.summary(out, run, pathlib.Path("runs/x"), SUMMARY | change)
+    found = text.getvalue()
+    assert all(part in found for part in shown.split(" | ")) and hidden not in found
+    assert f"see it: {shell_lib.program()} play runs/x --out=walk.html" in found
+    assert f"next: {shell_lib.program()} train --config=go1" in found
+
+
+SAID = {  # (tracking error, yaw error, fall rate), of commands from -1 to 1: what the summary says
+    "stands": ((0.8, 0.57, 0.0), "stands, does not walk yet; does not fall"),
+    "begins": ((0.5, 0.4, 0.2), "begins to walk; falls in 20 % of episodes"),
+    "walks": ((0.05, 0.05, 0.001), "walks, turns, does not fall"),
+    "no turn": ((0.1, 0.5, 0.03), "walks, does not turn yet, falls in 3 % of episodes"),
+    "falls": ((float("nan"), float("nan"), 1.0), "falls at once"),
+    "seeds": (
+        ([0.05, 0.8], [0.1, 0.5], [0.0, 0.5]),
+        "1 of 2 seeds walk; falls in 25 % of episodes",
+    ),
+    "nobody": (
+        ([None, 0.8], [None, 0.5], [1.0, 1.0]),
+        "0 of 2 seeds walk; falls in 100 % of episodes",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", SAID)
+def test_the_summary_says_in_words_what_the_policy_does(name):
+    """A robot that stands still under these commands errs by 0.816 m/s and 0.577 rad/s."""
+    errors, said = SAID[name]
+    evaluation = dict(zip(("tracking_error", "yaw_error", "fall_rate"), errors, strict=True))
+    assert show.in_words(config_lib.load("go1:best").task, evaluation) == said
+
+
+def test_an_error_is_judged_by_the_commands_that_were_given():
+    """0.2 m/s is little where robots are asked for 1 m/s, and all where they are asked for 0.2 m/s."""
+    task = config_lib.load("go1:best").task
+    evaluation = dict(tracking_error=0.2, yaw_error=0.1, fall_rate=0.0)
+    assert show.in_words(task, evaluation).startswith("walks")
+    task.update(command_x=(0.2, 0.2), command_y=(0.0, 0.0))
+    assert show.in_words(task, evaluation).startswith("stands")
+    assert show.in_words(task, {"return": 1.0}) == ""
