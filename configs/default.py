@@ -225,7 +225,7 @@ class Physics(NamedTuple):
 class Config(NamedTuple):
     """Every field, as the paper's `dyna4` has it."""
 
-    robot: str = "go1"  # a folder of robots/
+    robot: str = "go1"  # a folder of robots/; "": of an environment of your own
     run: Run = Run()
     rollout: Rollout = Rollout()
     schedule: Schedule = Schedule()
