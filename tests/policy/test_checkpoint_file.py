@@ -10,21 +10,24 @@ import numpy as np
 import pytest
 import tensorstore
 from answers import refused, shell
-from toy_policy import actor
+from toy_policy import GO1, actor, save
 
 from dynappo import config as config_lib
 from dynappo.config import ConfigError
-from dynappo.policy import checkpoint_file, policy_file
+from dynappo.policy import carried, checkpoint_file, policy_file
 from dynappo.train import checkpoint
 from dynappo.types import Learner
 
 
-def written(workdir, seeds=1):
-    """Checkpoints 9 and 10 of a run, as orbax saves them; `{step: networks of the first seed}`."""
+def written(workdir, seeds=1, **more):
+    """Checkpoints 9 and 10 of a run, as orbax saves them; `{step: networks of the first seed}`.
+
+    `more` is said beside config and arrays.
+    """
     config = config_lib.load("configs/go1.py")
     config.run.num_seeds = seeds
     workdir.mkdir()
-    about, networks = {"config": config_lib.validate(config).to_dict()}, {}
+    about, networks = {"config": config_lib.validate(config).to_dict()} | more, {}
     with checkpoint.opened(workdir) as checkpoints:
         for step in (9, 10):
             params = [actor(100 * step + s) for s in range(seeds)]
@@ -50,6 +53,72 @@ def test_a_checkpoint_is_played_without_a_policy_file(tmp_path, seeds):
         found, path = policy_file.find(str(workdir / place))
         assert path == workdir / "checkpoints" / str(step)
         jax.tree.map(np.testing.assert_array_equal, found.params, networks[step])
+
+
+@pytest.mark.parametrize(
+    ("seed", "best", "expected"), [(None, 2, 2), (None, None, 0), (0, 2, 0), (1, 2, 1), (2, 0, 2)]
+)
+def test_one_of_several_seeds_is_played(tmp_path, seed, best, expected):
+    """By its number; else the best in the last evaluation, which its `about` names, or the first."""
+    written(tmp_path / "run", 3, **({} if best is None else {"best_seed": best}))
+    found, path = policy_file.find(str(tmp_path / "run"), seed)
+    assert path.name == "10" and found.seed == expected
+    jax.tree.map(np.testing.assert_array_equal, found.params, actor(1000 + expected))
+
+
+def test_a_seed_of_a_workdir_is_of_its_newest_checkpoint(tmp_path):
+    """Not of its policy.npz, which holds one seed alone."""
+    written(tmp_path / "run", 3)
+    save(tmp_path / "run" / "policy.npz", 7)
+    assert policy_file.find(str(tmp_path / "run"))[1].name == "policy.npz"
+    found, path = policy_file.find(str(tmp_path / "run"), 1)
+    assert path.name == "10"
+    jax.tree.map(np.testing.assert_array_equal, found.params, actor(1001))
+
+
+def test_a_seed_that_is_not_there_is_one_line(tmp_path):
+    """Past the last one, of a run of one seed, of files with one policy, of claims that do not fit."""
+    several, one = tmp_path / "several", tmp_path / "one"
+    written(several, 3)
+    written(one)
+    npz = save(tmp_path / "policy.npz")
+    line = refused(policy_file.find, str(several), 3)
+    assert line == f"{several}/checkpoints/10: it holds no seed 3; expected 0 to 2"
+    assert "holds no seed 1; expected 0: the run has one seed" in refused(
+        policy_file.find, str(one), 1
+    )
+    assert policy_file.find(str(one), 0)[0].seed is None
+    for what, path in ((npz, npz), ("go1", "robots/go1/policy.npz")):
+        line = refused(policy_file.find, str(what), 0)
+        assert line.startswith("--run-seed=0: ") and f"{path} holds one policy" in line
+    (tmp_path / "young").mkdir()
+    save(tmp_path / "young" / "policy.npz")
+    line = refused(policy_file.find, str(tmp_path / "young"), 0)
+    assert line == f"{tmp_path}/young: holds no checkpoints/"
+    about = several / "checkpoints" / "10" / "about" / "metadata"
+    text = json.loads(about.read_text())
+    for best in (3, -1, "1", True, 1e9):
+        about.write_text(json.dumps(text | {"best_seed": best}))
+        assert "it holds no seed" in refused(policy_file.find, str(several))
+    text["config"]["run"]["num_seeds"] = 10**6
+    about.write_text(json.dumps(text))
+    assert "expected 1000000 seeds" in refused(policy_file.find, str(several), 99)
+
+
+def test_a_checkpoint_carries_its_robot(tmp_path, monkeypatch):
+    """It is played where robots/ has none of that name; a hostile one is one line."""
+    monkeypatch.chdir(tmp_path)
+    config = config_lib.load("configs/go1.py").to_dict() | {"robot": "spot"}
+    written(tmp_path / "run", mjcf=GO1.alone)
+    about = tmp_path / "run" / "checkpoints" / "10" / "about" / "metadata"
+    text = json.loads(about.read_text()) | {"config": config}
+    about.write_text(json.dumps(text))
+    found, _ = policy_file.find("run")
+    assert found.robot == "spot" and found.joint_names == GO1.joint_names
+    assert carried.robot(found)[0].mj_model.body_mass.sum() == GO1.mj_model.body_mass.sum()
+    for wrong, expected in ((7, "holds no config"), ("<mujoco/>", "the robot that it carries: ")):
+        about.write_text(json.dumps(text | {"mjcf": wrong}))
+        assert expected in refused(policy_file.find, "run")
 
 
 def test_it_is_read_without_jax(tmp_path):

@@ -43,7 +43,7 @@ def test_a_policy_file_holds_all_that_its_robot_needs(saved, policy):
     model = mujoco.MjModel.from_xml_path(str(robot.xml))
     assert about["joint_names"] == [model.joint(i).name for i in range(1, 13)]
     np.testing.assert_array_equal(about["default_pose"], model.key("home").qpos[7:])
-    assert (about["robot"], about["format"], about["observation"]) == ("go1", 1, "velocity-48")
+    assert (about["robot"], about["format"], about["observation"]) == ("go1", 2, "velocity-48")
     assert about["activation"] == config.ppo.activation
     for name in policy_file.TASK:
         value = config.task[name]
@@ -94,7 +94,7 @@ DAMAGE = {  # what is done to the arrays or to `about`, what the line must say
     "about is a list": (lambda a, _: a.update(about="[1]"), "`about` is damaged"),
     "a field is missing": (lambda _, about: about.pop("kp"), "kp"),
     "a field too many": (lambda _, about: about.update(mass=1), "mass"),
-    "another format": (lambda _, about: about.update(format=2), "format 2"),
+    "another format": (lambda _, about: about.update(format=3), "format 3, this dynappo reads 2"),
     "another observation": (lambda _, about: about.update(observation="scan-187"), "'scan-187'"),
     "another activation": (lambda _, about: about.update(activation="mish"), "'mish'"),
     "a joint too few": (lambda _, about: about["joint_names"].pop(), "joints"),
