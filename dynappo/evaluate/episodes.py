@@ -39,7 +39,7 @@ def settings(policy: Policy):
         node[leaf] = settled
     config.run.update(device="auto", mesh_seed=1, mesh_env=1)
     config.physics.update(impl="auto", threads=0)
-    config = config_lib.validate(config)
+    config = config_lib.validate(config, robot_here=False)  # the policy may carry it
     _check(config, policy)
     return config
 

@@ -81,6 +81,10 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
     if flags.policy not in (None, "zero", "random"):
         raise ConfigError(f"--policy={flags.policy!r}: expected zero or random")
     choice.check(flags)
+    if flags.policy and flags.run_seed is not None:
+        raise ConfigError(
+            f"--run-seed={flags.run_seed}: --policy={flags.policy} plays none of a run"
+        )
     flags.seed = flags_lib.whole("seed", flags.seed, 0)
     if flags.seconds is not None:
         seconds = _number(flags.seconds)

@@ -48,8 +48,12 @@ def test_what_should_be_changed_is_a_note(capsys):
 
 
 def test_physics_that_blows_up_is_one_line_after_what_is_known(capsys):
-    assert run("anymal_c", "--config.task.kd=100", "--config.task.effort_limit=100000") in (0, 1)
-    assert "  is    unstable: " in capsys.readouterr().out
+    strong = ["effort_limit", "saturation_effort"]
+    fields = [f"--config.task.{name}=100000" for name in strong]
+    assert run("anymal_c", "--config.task.kd=100", *fields) == 1
+    said = capsys.readouterr()
+    assert "  is    unstable: damping takes 6.13" in said.out and "sag" not in said.out
+    assert said.err.count("\n") == 1 and "its physics has blown up after" in said.err
 
 
 def test_a_robot_of_ones_own_is_looked_at_from_its_folder(tmp_path, monkeypatch, capsys):

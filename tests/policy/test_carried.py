@@ -1,15 +1,18 @@
 """The robot that a policy carries: played anywhere, checked as any other file, told where it differs."""
 
 import json
+from functools import partial
 from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
 from answers import mistake, refused, shell, status
+from ml_collections import config_dict
 from toy_policy import GO1, actor, described, save
 
 from dynappo.evaluate import command as evaluate_command
+from dynappo.evaluate import trials
 from dynappo.export import command as export_command
 from dynappo.physics import mjcf, robot
 from dynappo.play import command as play_command
@@ -54,7 +57,10 @@ def test_a_policy_is_played_where_there_is_no_robot_of_its_name(tmp_path, monkey
     np.testing.assert_array_equal(moved(found.mj_model), moved(GO1.mj_model))
     assert status(play_command.main, "spot.npz", "--seconds=0.2", "--out=walk.html") == 0
     assert "dynappo plays spot: " in capsys.readouterr().out
-    monkeypatch.setattr(evaluate_command.trials, "SECONDS", 0.1)
+    sweep = partial(trials.sweep, seconds=0.1, points=1)
+    monkeypatch.setattr(trials, "sweep", sweep)
+    assert status(evaluate_command.main, "spot.npz", "--fast") == 0
+    assert "dynappo evaluates spot: " in capsys.readouterr().out
     assert status(export_command.main, "spot.npz", "--out=again.npz") == 0
     assert status(export_command.main, "again.npz", "--out=spot.xml") == 0
     assert Path("spot.xml").read_text() == TEXT
@@ -188,6 +194,22 @@ def test_a_carried_robot_is_drawn(tmp_path):
         assert problem.startswith("no video: ") and shell("-c", "import mujoco").returncode == 0
         pytest.skip(problem)
     assert (tmp_path / "a.png").stat().st_size > 10_000
+
+
+def test_the_task_needs_no_robot_of_its_name_either(tmp_path, monkeypatch):
+    """The settings of the episodes on MJX; an order of joints that is not the robot's is refused."""
+    monkeypatch.chdir(tmp_path)
+    config, loaded = described()
+    fields = config_dict.ConfigDict(config)
+    fields.robot, fields.ppo.hidden = "spot", (16, 16)
+    policy_file.save(Path("spot.npz"), actor(), fields, loaded._replace(name="spot"))
+    policy = policy_file.load(Path("spot.npz"))
+    assert evaluate_command.episodes.settings(policy).robot == "spot"
+    own, _ = carried.robot(policy)
+    evaluate_command.episodes.check_robot(policy, own)
+    turned = policy._replace(joint_names=policy.joint_names[::-1])
+    line = refused(evaluate_command.episodes.check_robot, turned, own)
+    assert "episodes on MJX need the same order (--fast leaves them out)" in line
 
 
 @pytest.mark.parametrize("main", [play_command.main, evaluate_command.main, export_command.main])
