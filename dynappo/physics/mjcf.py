@@ -22,6 +22,7 @@ from dynappo.config import ConfigError
 
 MAX_BYTES = 2**24  # of a file and all that it includes; the robots here have 10 KiB
 MAX_CARRIED = 2**19  # of one in a policy.npz or a checkpoint, as JSON
+MAX_NUMBERS = 2**24  # that all elements of a carried one ask for: pixels, heights, user's numbers
 MAX_ELEMENTS = 20_000  # of XML, each as often as it is repeated
 MAX_BODIES, MAX_SPEEDS = 2000, 1000  # the mass matrix has the square of the latter
 TIMESTEP = 1e-5, 0.1  # s
@@ -60,6 +61,12 @@ MOST = {
     "size.nuserdata": 10**6,
     "size.nkey": 10_000,
 }
+SETTINGS = {
+    "option",
+    "size",
+    "global",
+    "quality",
+}  # their limits are of steps and buffers, not lists
 MOST_OF_SIZE = 1000  # of every other attribute of `size`
 UNITS = "KMGTPE"  # of `size.memory`, each 1024 times the one before
 
@@ -101,11 +108,26 @@ def check_alone(text: str) -> None:
     """ValueError if an MJCF that something else carries names a file, or asks for more than a robot needs."""
     if not isinstance(text, str) or len(json.dumps(text)) > MAX_CARRIED:
         raise ValueError(f"expected an MJCF of at most {MAX_CARRIED} bytes")
-    for tag, attributes, _ in _elements(text, 1, [0], ""):
+    asked = 0
+    for tag, attributes, often in _elements(text, 1, [0], ""):
+        asked += often * _numbers(tag, attributes)
+        if asked > MAX_NUMBERS:
+            raise ValueError(f"{tag} brings it to {asked} numbers, expected at most {MAX_NUMBERS}")
         named = [name for name in attributes if name.startswith("file")]
         if named or tag in OUTSIDE:
             found = f"{tag} {named[0]}={attributes[named[0]][:40]!r}" if named else tag
             raise ValueError(f"expected an MJCF that needs no other file, found {found}")
+
+
+def _numbers(tag: str, attributes: dict[str, str]) -> int:
+    """How many numbers an element asks for by attributes that have a limit: a picture its pixels."""
+    if tag in SETTINGS:
+        return 0
+    if tag == "texture" and attributes.get("type", "cube") != "2d":  # six squares
+        width = attributes.get("width", "0")
+        attributes = {"width": width, "height": width, "sides": "6"}
+    found = [n for name, text in attributes.items() for n in _within(tag, name, text, "")]
+    return math.prod(max(1, math.ceil(n)) for n in found) * (6 if "sides" in attributes else 1)
 
 
 def check_text(xml: Path) -> None:

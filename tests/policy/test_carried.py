@@ -7,7 +7,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from answers import mistake, refused, shell, status
+from answers import mistake, refused, status
 from ml_collections import config_dict
 from toy_policy import GO1, actor, described, save
 
@@ -88,6 +88,8 @@ def test_a_robot_is_one_text_without_other_files(tmp_path):
     assert GO1.alone == TEXT  # which is one text already
 
 
+PICTURE = '<texture type="{}" builtin="flat" width="4096" height="4000"/>'
+NUMBERS = '<numeric size="1000000"/>' * 20
 HOSTILE = {  # what `about` says, what the line must say
     "an include": ({"mjcf": '<mujoco><include file="/etc/passwd"/></mujoco>'}, "include file="),
     "a mesh": ({"mjcf": TEXT.replace("</asset>", '<mesh file="a.obj"/></asset>')}, "mesh file="),
@@ -107,6 +109,18 @@ HOSTILE = {  # what `about` says, what the line must say
             )
         },
         "",
+    ),
+    "gigabytes of pictures": (
+        {"mjcf": TEXT.replace("</asset>", PICTURE.format("2d") * 40 + "</asset>")},
+        "texture brings it to",
+    ),
+    "a cube of pictures": (
+        {"mjcf": TEXT.replace("</asset>", PICTURE.format("cube") + "</asset>")},
+        "numbers, expected at most 16777216",
+    ),
+    "gigabytes of numbers": (
+        {"mjcf": TEXT.replace("<worldbody>", f"<custom>{NUMBERS}</custom><worldbody>", 1)},
+        "numeric brings it to",
     ),
     "no text": ({"mjcf": 7}, "mjcf is 7, expected a text"),
     "no XML": ({"mjcf": "go1"}, "XML parse error"),
@@ -189,10 +203,9 @@ def test_a_carried_robot_is_drawn(tmp_path):
     policy = policy_file.load(spot(tmp_path / "spot.npz"))
     body, _ = choice.body(policy, None)
     rows = episode.play(body, lambda obs: np.zeros(12), lambda t: np.zeros(3), 0.02)
-    problem = render.film(body, rows, tmp_path / "a.png")
-    if problem:
-        assert problem.startswith("no video: ") and shell("-c", "import mujoco").returncode == 0
-        pytest.skip(problem)
+    if render.film(GO1, rows, tmp_path / "b.png"):
+        pytest.skip("no pictures here")
+    assert render.film(body, rows, tmp_path / "a.png") == ""
     assert (tmp_path / "a.png").stat().st_size > 10_000
 
 
