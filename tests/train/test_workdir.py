@@ -341,7 +341,9 @@ def test_a_save_has_the_worth_of_its_own_evaluation_and_the_policy_that_was_judg
     state = state.replace(learner=state.learner.replace(params=params))
     saved = []
     monkeypatch.setattr(
-        checkpoint, "save", lambda _, done, state, worth, **__: saved.append((done, worth))
+        checkpoint,
+        "save",
+        lambda _, done, state, worth, **about: saved.append((done, worth, about["best_seed"])),
     )
     monkeypatch.setattr(checkpoint, "wait", lambda manager: None)
     training = np.array([[9.0, 1.0], [9.0, 1.0]])
@@ -354,6 +356,6 @@ def test_a_save_has_the_worth_of_its_own_evaluation_and_the_policy_that_was_judg
     ):
         at = done, state, metrics | {"sim_steps": np.array([96])}, judged
         workdir_lib.save(config, GO1, tmp_path, None, *at, pytest.fail)
-        assert saved[-1] == (done, worth)
+        assert saved[-1] == (done, worth, best)
         kept = policy_file.load_params(tmp_path / "policy.npz")
         assert_same(kept, jax.tree.map(lambda x, best=best: x[best], params))
