@@ -6,6 +6,7 @@ from dynappo.config import flags
 
 COMMANDS = {
     "train": "train a robot, or go on with a run",
+    "look": "look at a robot before it is trained: does it stand?",
     "play": "watch a policy: a page, a film, or MuJoCo's viewer",
     "evaluate": "measure a policy on a grid of commands",
     "export": "write a policy as ONNX or npz, for a robot",

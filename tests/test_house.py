@@ -24,11 +24,12 @@ MAY_IMPORT = {
     "program": {"program", "method", "task", "physics", "config"},
     "train": {"train", "program", "policy", "config", "schedule"},
     "evaluate": {"evaluate", "program", "policy", "task", "physics", "config", "evaluation"},
+    "look": {"look", "policy", "physics", "config"},
     "play": {"play", "policy", "physics", "config"},
     "export": {"export", "policy", "physics", "task.observe", "config"},
     "bench": {"bench", "program", "config", "method", "model", "task.observe"},
 }
-WITHOUT_JAX = {"policy", "play", "export", "config", "schedule"}
+WITHOUT_JAX = {"policy", "look", "play", "export", "config", "schedule"}
 WITHOUT_JAX |= {"task.rewards", "task.payment", "task.observe"}
 WITHOUT_JAX |= {
     f"physics.{name}" for name in ("robot", "mjcf", "contract", "contacts", "actuators")

@@ -123,8 +123,13 @@ MULTIPLES = (  # field, another that must divide it
 )
 
 
-def validate(config: config_dict.ConfigDict) -> config_dict.FrozenConfigDict:
-    """Resolve `task.formulation` and check every number that can be wrong; returns it frozen."""
+def validate(
+    config: config_dict.ConfigDict, robot_here: bool = True
+) -> config_dict.FrozenConfigDict:
+    """Resolve `task.formulation` and check every number that can be wrong; returns it frozen.
+
+    `robot_here`: also that robots/ has its robot, which a policy may carry instead.
+    """
     config = typed(config)
     formulation = config.task.formulation
     _expect(formulation in FORMULATIONS, "task.formulation", formulation, _one_of(FORMULATIONS))
@@ -139,7 +144,7 @@ def validate(config: config_dict.ConfigDict) -> config_dict.FrozenConfigDict:
         _check_model(config)
     _expect(
         # "" is that of an environment of one's own (program/environment.py)
-        not config.robot or find("robots", f"{config.robot}/{config.robot}.xml"),
+        not (robot_here and config.robot) or find("robots", f"{config.robot}/{config.robot}.xml"),
         "robot",
         config.robot,
         _one_of(robots()),

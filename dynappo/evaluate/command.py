@@ -17,8 +17,10 @@ import mujoco
 from dynappo.config import ConfigError, files
 from dynappo.config import flags as flags_lib
 from dynappo.evaluate import episodes, figures, trials
-from dynappo.physics import robot as robot_lib
-from dynappo.policy import policy_file
+from dynappo.physics.robot import Robot
+from dynappo.policy import choice
+from dynappo.policy.episode import Body
+from dynappo.policy.policy_file import Policy
 from dynappo.program import devices
 
 UNITS = {
@@ -55,6 +57,9 @@ policy.npz, or the name of a robot with a bundled policy
   python -m dynappo.evaluate runs/quick
   python -m dynappo.evaluate go1 --fast
   python -m dynappo.evaluate runs/go1 --randomize --episodes=200 --out=hard
+  python -m dynappo.evaluate runs/sweep --run-seed=3 --out=third
+  python -m dynappo.evaluate go1 --fast --robot-xml=other/scene.xml
+with --robot-xml the episodes on MJX need a file that keeps to robots/README.md; --fast does not
 written are evaluation.json, tracking.png (error by command) and gait.png
 """
 
@@ -64,7 +69,7 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
     what = "What a policy is worth: return, falls, tracking, effort and gait."
     parser = flags_lib.parser("evaluate", what, USAGE)
     flag = parser.add_argument
-    flag("what", nargs="?", metavar="NAME_OR_DIR", help="workdir, checkpoint, policy.npz or robot")
+    choice.add_flags(parser)
     default = "default: {gpu} on a GPU, {cpu} on a CPU".format(**episodes.NUMBER)
     flag("--episodes", metavar="N", help=f"episodes of the training task, on MJX; {default}")
     flag("--randomize", action="store_true", help="these with noise, pushes, randomised physics")
@@ -82,6 +87,7 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
             "nothing to evaluate is named; try a workdir, as in: "
             "python -m dynappo.evaluate runs/quick"
         )
+    choice.check(flags)
     for name, *bounds in (("episodes", 1, MAX_EPISODES), ("seed", 0)):
         text = getattr(flags, name)
         if text is not None:
@@ -114,20 +120,36 @@ def open_folder(out: Path) -> None:
         raise ConfigError(f"--out={out}: cannot write there ({error.strerror})") from None
 
 
+def what(flags) -> tuple[Policy, Body, Robot | None, Path, tuple[str, str]]:
+    """`(policy, body, robot, path, (source, note))` of the flags; `robot` is None with --fast.
+
+    ConfigError for all that can be wrong, before anything is written or takes time.
+    """
+    policy, path, source = choice.find(flags)
+    body, note = choice.body(policy, flags.robot_xml)
+    robot = None
+    if not flags.fast:
+        episodes.settings(policy)
+        robot, _ = choice.robot(policy, flags.robot_xml)
+        episodes.check_robot(policy, robot)
+    return policy, body, robot, path, (source, note)
+
+
 def run(flags) -> None:
     """Evaluate as the flags say, tell a person what came out, and write it."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-    policy, path = policy_file.find(flags.what)
-    robot_lib.load(policy.robot)  # what can be wrong, before anything is written or takes time
-    if not flags.fast:
-        episodes.settings(policy)
+    policy, body, robot, path, (source, note) = what(flags)
     out = flags.out or folder(flags.what, path)
     open_folder(out)
     screen = Console(highlight=False)
-    source = "/".join(path.resolve().parts[-2:])
-    screen.print(f"dynappo evaluates {policy.robot}: {source}", soft_wrap=True, markup=False)
+    inside = f" in {body.xml}" if flags.robot_xml else ""
+    screen.print(
+        f"dynappo evaluates {policy.robot}: {source}{inside}", soft_wrap=True, markup=False
+    )
+    if note:
+        screen.print(note, soft_wrap=True, markup=False)
     columns = (TextColumn("commands"), BarColumn(24), TextColumn("{task.completed}/{task.total}"))
     with Progress(
         *columns,
@@ -138,7 +160,9 @@ def run(flags) -> None:
     ) as bar:
         task = bar.add_task("")
         numbers, recordings = trials.sweep(
-            policy, tell=lambda done, total: bar.update(task, completed=done, total=total)
+            policy,
+            tell=lambda done, total: bar.update(task, completed=done, total=total),
+            body=body,
         )
     show_sweep(screen, numbers)
     on_mjx = None
@@ -153,9 +177,10 @@ def run(flags) -> None:
             told += ", a minute or two on two cores (--episodes=N; a GPU's default is 1000)"
         screen.print(told, soft_wrap=True)
         with screen.status("compiling and running"):
-            on_mjx = episodes.run(policy, number, flags.randomize, flags.seed or 0)
+            on_mjx = episodes.run(policy, number, flags.randomize, flags.seed or 0, robot)
         show_episodes(screen, on_mjx)
     about = {"robot": policy.robot, "policy": source, "mujoco": mujoco.__version__}
+    about |= {"robot_xml": flags.robot_xml} if flags.robot_xml else {}
     result = about | {"episodes": on_mjx, "sweep": numbers, "units": UNITS}
     files.write_json(out / "evaluation.json", result)
     problem = figures.write(out, policy.robot, numbers, recordings, policy.timestep)

@@ -12,7 +12,8 @@ import numpy as np
 
 from dynappo import config as config_lib
 from dynappo.config import ConfigError, fields
-from dynappo.physics import robot as robot_lib
+from dynappo.physics.robot import Robot
+from dynappo.policy import carried
 from dynappo.policy.policy_file import Policy
 from dynappo.program import devices
 
@@ -38,7 +39,7 @@ def settings(policy: Policy):
         node[leaf] = settled
     config.run.update(device="auto", mesh_seed=1, mesh_env=1)
     config.physics.update(impl="auto", threads=0)
-    config = config_lib.validate(config)
+    config = config_lib.validate(config, robot_here=False)  # the policy may carry it
     _check(config, policy)
     return config
 
@@ -53,13 +54,26 @@ def _check(config, policy: Policy) -> None:
         )
 
 
+def check_robot(policy: Policy, robot: Robot) -> None:
+    """ConfigError where the task would read the joints of `robot` in another order than the policy."""
+    if robot.joint_names != policy.joint_names:
+        raise ConfigError(
+            f"the policy's joints are {' '.join(policy.joint_names)}, those of {robot.xml} are "
+            f"{' '.join(robot.joint_names)}; episodes on MJX need the same order (--fast leaves them out)"
+        )
+
+
 def run(
-    policy: Policy, number: int | None = None, randomize: bool = False, seed: int = 0
+    policy: Policy,
+    number: int | None = None,
+    randomize: bool = False,
+    seed: int = 0,
+    robot: Robot | None = None,
 ) -> dict[str, Any]:
     """`evaluation.evaluate` of `number` episodes on this machine's device, and what was run.
 
     Without a number: 1000 on a GPU, 64 on a CPU. `randomize`: the task as it trains. What was trained
-    on C MuJoCo is evaluated on it where the device is a CPU.
+    on C MuJoCo is evaluated on it where the device is a CPU. `robot`: None for the policy's own.
     """
     import jax
 
@@ -72,7 +86,8 @@ def run(
     impl = "c" if in_c else devices.engine(config)
     static, hyper = config_lib.split(config)
     number = number or NUMBER.get(jax.default_backend(), NUMBER["cpu"])
-    robot = robot_lib.load(policy.robot)
+    robot = robot or carried.robot(policy)[0]
+    check_robot(policy, robot)
     length = config.run.eval_steps or config.task.episode_length
     env = env_lib.make(robot, config.task, config.physics, impl=impl)
     assess = partial(

@@ -24,9 +24,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from dynappo.physics import robot as robot_lib
+from dynappo.policy import choice, policy_file
 from dynappo.policy import episode as episode_lib
-from dynappo.policy import policy_file
 from dynappo.policy.episode import SETTLE, Body
 from dynappo.policy.policy_file import Policy
 from dynappo.task import observe
@@ -206,14 +205,15 @@ def sweep(
     seconds: float = SECONDS,
     points: int = POINTS,
     tell: Callable[[int, int], None] = lambda done, total: None,
+    body: Body | None = None,
 ) -> tuple[dict[str, Any], list[dict[str, Any]]]:
     """`(numbers, recordings)` of one episode a command; `recordings` are those of `speeds`.
 
     The grid is vx by vy without turning, and vx by yaw rate without going sideways (`held`); `all`
     is over these, its gait without the command to stand. `tell(done, total)` is called before every
-    episode, and at the end.
+    episode, and at the end. `body` is the robot; None: the policy's own.
     """
-    body = episode_lib.load(robot_lib.load(policy.robot).xml, policy, policy.timestep)
+    body = body or choice.body(policy, None)[0]
     act, grid = policy_file.actor(policy.params, policy.activation), axes(policy, points)
     held = {name: float(np.clip(0.0, values[0], values[-1])) for name, values in grid.items()}
     cells = [(x, y, held["wz"]) for x in grid["vx"] for y in grid["vy"]]

@@ -11,21 +11,24 @@ import argparse
 import os
 from pathlib import Path
 
-from dynappo.config import ConfigError, shell
+from dynappo.config import ConfigError, files, shell
 from dynappo.config import flags as flags_lib
 from dynappo.export import joint_order, onnx_file
-from dynappo.physics import robot as robot_lib
-from dynappo.policy import policy_file
+from dynappo.physics.robot import Robot
+from dynappo.policy import choice
 from dynappo.policy.policy_file import Policy
 from dynappo.task import observe
 
-FILES = (".onnx", ".npz")
+FILES = (".onnx", ".npz", ".xml")
 USAGE = """\
 what is exported is a workdir, a checkpoint folder, a policy.npz, or the name of a robot with a
 bundled policy
   python -m dynappo.export runs/go1 --out=policy.onnx
   python -m dynappo.export go2 --out=policy.onnx --joint-order=unitree --targets
   python -m dynappo.export anymal_c --out=policy.npz --joint-order=isaaclab
+  python -m dynappo.export runs/sweep --run-seed=3 --out=third.npz
+  python -m dynappo.export old.npz --robot-xml=mine.xml --out=policy.npz
+a policy.npz carries its robot's MJCF, so that it can be played anywhere
 joint orders, of the observation, the action and everything in the metadata
   mjcf      as in robots/NAME/NAME.xml: leg by leg (what training uses)
   isaaclab  as Isaac Sim numbers them: all hips, all thighs, all calves, legs by name
@@ -41,8 +44,9 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
         "export", "Write a policy as an ONNX network, or as a policy.npz.", USAGE
     )
     flag = parser.add_argument
-    flag("what", nargs="?", metavar="NAME_OR_DIR", help="workdir, checkpoint, policy.npz or robot")
-    flag("--out", metavar="FILE", type=flags_lib.path, help="FILE.onnx or FILE.npz")
+    choice.add_flags(parser)
+    names = "FILE.onnx, FILE.npz, or FILE.xml: the robot alone"
+    flag("--out", metavar="FILE", type=flags_lib.path, help=names)
     flag(
         "--joint-order",
         metavar="ORDER",
@@ -58,7 +62,10 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
     if flags.out is None:
         raise ConfigError("--out is missing; try --out=policy.onnx")
     if flags.out.suffix not in FILES:
-        raise ConfigError(f"--out={flags.out}: expected a file named {' or '.join(FILES)}")
+        raise ConfigError(f"--out={flags.out}: expected a file named {', '.join(FILES)}")
+    if flags.joint_order and flags.out.suffix == ".xml":
+        raise ConfigError(f"--joint-order: an MJCF has its own, not {flags.out}")
+    choice.check(flags)
     if flags.targets and flags.out.suffix != ".onnx":
         raise ConfigError(f"--targets: only an .onnx has outputs, not {flags.out}")
     return flags
@@ -89,25 +96,40 @@ def table(policy: Policy, out: Path, order: str, targets: bool) -> list[tuple[st
     else:
         after = f"{shell.program()} play {out} --out=walk.html"
     joints = f"{' '.join(policy.joint_names)} ({order})"
+    if out.suffix == ".xml":
+        rows = [("written", f"{out} ({out.stat().st_size / 1024:.0f} KiB, MJCF)")]
+        return [*rows, ("joints", joints)]
     return [*rows, ("joints", joints), ("try", after), ("on a robot", "robots/DEPLOY.md")]
 
 
 def run(flags) -> None:
     """Export as the flags say, and tell what was written."""
-    policy, path = policy_file.find(flags.what)
+    policy, path, source = choice.find(flags)
     check_out(flags.out, path)
-    robot = robot_lib.load(policy.robot)
+    robot, note = choice.robot(policy, flags.robot_xml)
     if set(robot.joint_names) != set(policy.joint_names):
         raise ConfigError(
             f"{path}: its joints are {', '.join(policy.joint_names)}, "
             f"those of {robot.xml} are {', '.join(robot.joint_names)}"
         )
     names, order = joint_order.find(flags.joint_order, policy.joint_names, robot)
-    policy = joint_order.permute(policy, names)
-    onnx_file.save(policy, robot, flags.out, flags.targets)
-    print(f"dynappo exports {policy.robot}: {'/'.join(path.resolve().parts[-2:])}")
+    policy = joint_order.permute(policy, names)._replace(mjcf=robot.alone)
+    if flags.out.suffix == ".xml":
+        save_robot(robot, flags.out)
+    else:
+        onnx_file.save(policy, robot, flags.out, flags.targets)
+    print(f"dynappo exports {policy.robot}: {source}")
+    if note:
+        print(note)
     for name, text in table(policy, flags.out, order, flags.targets):
         print(f"{name:10s}  {text}")
+
+
+def save_robot(robot: Robot, out: Path) -> None:
+    """Write the MJCF of a robot as one file; ConfigError if it needs others."""
+    if not robot.alone:
+        raise ConfigError(f"--out={out}: {robot.xml} needs other files; copy it with these")
+    files.write_text(out, robot.alone)
 
 
 def main(argv: list[str] | None = None) -> None:

@@ -70,7 +70,7 @@ def about(policy: Policy, robot: robot_lib.Robot) -> dict[str, Any]:
     model, control_dt = robot.mj_model, policy.timestep * policy.substeps
     fields = policy._asdict()
     config = fields.pop("config")
-    del fields["params"]
+    del fields["params"], fields["mjcf"], fields["seed"]
     return fields | {
         "default_pose": policy.default_pose.tolist(),
         "joint_range": [model.joint(name).range.tolist() for name in policy.joint_names],

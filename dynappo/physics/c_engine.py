@@ -102,7 +102,7 @@ def make(robot: robot_lib.Robot, physics, varied: frozenset[str]):
 
 def _model(robot: robot_lib.Robot, physics) -> mujoco.MjModel:
     """The robot's model with sensors for the geoms, and DC motors that hold a joint angle."""
-    spec = robot_lib.physics_spec(robot.xml)
+    spec = robot_lib.physics_spec(robot.xml, robot.text)
     geom, kinds = mujoco.mjtObj.mjOBJ_GEOM, mujoco.mjtSensor
     feet, parts = ([spec.geoms[i] for i in ids] for ids in (robot.feet, robot.parts))
     for sensor in list(spec.sensors):  # the file's own

@@ -10,6 +10,7 @@ trusted as code is (robots/README.md); what is checked here are mistakes, and ha
 from __future__ import annotations
 
 import contextlib
+import json
 import math
 import os
 from pathlib import Path
@@ -20,12 +21,15 @@ import mujoco
 from dynappo.config import ConfigError
 
 MAX_BYTES = 2**24  # of a file and all that it includes; the robots here have 10 KiB
+MAX_CARRIED = 2**19  # of one in a policy.npz or a checkpoint, as JSON
+MAX_NUMBERS = 2**24  # that all elements of a carried one ask for: pixels, heights, user's numbers
 MAX_ELEMENTS = 20_000  # of XML, each as often as it is repeated
 MAX_BODIES, MAX_SPEEDS = 2000, 1000  # the mass matrix has the square of the latter
 TIMESTEP = 1e-5, 0.1  # s
 REPEATS = ("replicate", "composite", "flexcomp")  # their `count` is how often, along each axis
 NAN = {"nan", "+nan", "-nan"}  # MuJoCo would warn of it, into a file of the working directory
 NAMES = {"name", "class", "childclass", "file"}  # attributes that may well be called so
+OUTSIDE = {"include", "model", "extension", "plugin"}  # elements that bring other files, or code
 FOLDERS = {"assetdir", "meshdir", "texturedir"}  # where files may lie
 # attribute, or TAG.attribute -> largest number in it
 MOST = {
@@ -57,20 +61,29 @@ MOST = {
     "size.nuserdata": 10**6,
     "size.nkey": 10_000,
 }
+SETTINGS = {
+    "option",
+    "size",
+    "global",
+    "quality",
+}  # their limits are of steps and buffers, not lists
 MOST_OF_SIZE = 1000  # of every other attribute of `size`
 UNITS = "KMGTPE"  # of `size.memory`, each 1024 times the one before
 
 
 @contextlib.contextmanager
-def one_line(xml: Path):
-    """What MuJoCo or we say of a file in here, as a ConfigError of one line that begins with its path."""
+def one_line(xml: Path, what: str = ""):
+    """What MuJoCo or we say of a file in here, as a ConfigError of one line that begins with its path.
+
+    `what` follows it: the part of the file that is meant.
+    """
     try:
         yield
     except ConfigError:
         raise
     except (ValueError, RuntimeError, MemoryError, mujoco.FatalError) as error:
         text = " ".join(str(error).split()) or "it needs more memory than there is"
-        raise ConfigError(f"{xml}: {text}") from None
+        raise ConfigError(f"{xml}: {what}{text}") from None
 
 
 @contextlib.contextmanager
@@ -79,6 +92,42 @@ def reading(xml: Path):
     with one_line(xml):
         check_text(xml)
         yield
+
+
+def model(xml: Path, text: str = "") -> mujoco.MjModel:
+    """The compiled model of a file, or of the MJCF `text` that a file carries, checked before and after."""
+    if text:
+        with one_line(xml):
+            check_alone(text)
+            return check_model(mujoco.MjModel.from_xml_string(text))
+    with reading(xml):
+        return check_model(mujoco.MjModel.from_xml_path(str(xml)))
+
+
+def check_alone(text: str) -> None:
+    """ValueError if an MJCF that something else carries names a file, or asks for more than a robot needs."""
+    if not isinstance(text, str) or len(json.dumps(text)) > MAX_CARRIED:
+        raise ValueError(f"expected an MJCF of at most {MAX_CARRIED} bytes")
+    asked = 0
+    for tag, attributes, often in _elements(text, 1, [0], ""):
+        asked += often * _numbers(tag, attributes)
+        if asked > MAX_NUMBERS:
+            raise ValueError(f"{tag} brings it to {asked} numbers, expected at most {MAX_NUMBERS}")
+        named = [name for name in attributes if name.startswith("file")]
+        if named or tag in OUTSIDE:
+            found = f"{tag} {named[0]}={attributes[named[0]][:40]!r}" if named else tag
+            raise ValueError(f"expected an MJCF that needs no other file, found {found}")
+
+
+def _numbers(tag: str, attributes: dict[str, str]) -> int:
+    """How many numbers an element asks for by attributes that have a limit: a picture its pixels."""
+    if tag in SETTINGS:
+        return 0
+    if tag == "texture" and attributes.get("type", "cube") != "2d":  # six squares
+        width = attributes.get("width", "0")
+        attributes = {"width": width, "height": width, "sides": "6"}
+    found = [n for name, text in attributes.items() for n in _within(tag, name, text, "")]
+    return math.prod(max(1, math.ceil(n)) for n in found) * (6 if "sides" in attributes else 1)
 
 
 def check_text(xml: Path) -> None:

@@ -6,6 +6,7 @@ without JAX.
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import hashlib
 from pathlib import Path
@@ -33,6 +34,8 @@ class Robot(NamedTuple):
     foot_radius: np.ndarray  # [F] m
     parts: np.ndarray  # [G] geom ids
     base_body: int
+    text: str  # its MJCF where it does not lie in `xml`, but is carried by that file; else ""
+    alone: str  # its MJCF as one text that needs no other file, to be carried; "" if there is none
 
 
 def load(name: str) -> Robot:
@@ -47,13 +50,27 @@ def load(name: str) -> Robot:
 def load_xml(xml: Path) -> Robot:
     """As `load`, from any file that keeps the contract."""
     with mjcf.reading(xml):
-        spec = physics_spec(xml)
-        contract.check_file(spec)
-        model = mjcf.check_model(spec.compile())
-        feet, parts = contract.check(model)
+        return _robot(xml.stem, xml, "", alone(xml))
+
+
+def load_text(text: str, name: str, source: Path) -> Robot:
+    """As `load`, of an MJCF that the file `source` carries; a ConfigError begins with its path.
+
+    It comes from anybody: it may name no other file, and is checked before MuJoCo sees it.
+    """
+    with mjcf.one_line(source, "the robot that it carries: "):
+        mjcf.check_alone(text)
+        return _robot(name, source, text, text)
+
+
+def _robot(name: str, xml: Path, text: str, alone: str) -> Robot:
+    spec = physics_spec(xml, text)
+    contract.check_file(spec)
+    model = mjcf.check_model(spec.compile())
+    feet, parts = contract.check(model)
     home = model.key("home").qpos.copy()
     return Robot(
-        name=xml.stem,
+        name=name,
         xml=xml,
         mj_model=model,
         default_pose=home[7:],
@@ -63,12 +80,49 @@ def load_xml(xml: Path) -> Robot:
         foot_radius=model.geom_size[feet, 0],
         parts=parts,
         base_body=int(model.jnt_bodyid[0]),
+        text=text,
+        alone=alone,
     )
 
 
-def physics_spec(xml: Path) -> mujoco.MjSpec:
-    """A robot's file without what is only looks: geoms of group 2, materials, textures."""
-    spec = mujoco.MjSpec.from_file(str(xml))
+def alone(xml: Path) -> str:
+    """A robot's MJCF as one text that needs no other file: the file's own, where it is that already.
+
+    Else with all that it includes, and without the looks: they may be meshes and pictures. The shapes
+    that touch are drawn instead. "" where that names files still (plugins, height fields) or is too long.
+    """
+    with contextlib.suppress(ValueError):
+        text = xml.read_bytes().decode()
+        mjcf.check_alone(text)
+        return text
+    with contextlib.suppress(ValueError, mujoco.FatalError):
+        spec = physics_spec(xml)
+        for geom in list(spec.geoms):
+            if geom.type == mujoco.mjtGeom.mjGEOM_MESH:  # the contract lets none touch
+                spec.delete(geom)
+            elif geom.group > VISUAL_GROUP:
+                geom.group = 0
+        for mesh in list(spec.meshes):
+            spec.delete(mesh)
+        spec.compile()
+        text = spec.to_xml()
+        mjcf.check_alone(text)
+        return text
+    return ""
+
+
+def same(one: Robot, other: Robot) -> bool:
+    """Whether two robots are the same but for their looks, names of files and comments."""
+    if one.alone == other.alone != "":
+        return True
+    texts = [robot.alone and load_text(robot.alone, one.name, robot.xml) for robot in (one, other)]
+    models = [robot.mj_model for robot in texts if robot]
+    return len(models) == 2 and digest(models[0]) == digest(models[1])
+
+
+def physics_spec(xml: Path, text: str = "") -> mujoco.MjSpec:
+    """A robot's file, or its `text`, without what is only looks: geoms of group 2, materials, textures."""
+    spec = mujoco.MjSpec.from_string(text) if text else mujoco.MjSpec.from_file(str(xml))
     for geom in list(spec.geoms):
         geom.material = ""
         if geom.group == VISUAL_GROUP:

@@ -21,8 +21,8 @@ from dynappo.config import ConfigError, files
 from dynappo.config import flags as flags_lib
 from dynappo.physics import robot as robot_lib
 from dynappo.play import page, viewer
+from dynappo.policy import choice, policy_file, render
 from dynappo.policy import episode as episode_lib
-from dynappo.policy import policy_file, render
 from dynappo.policy.policy_file import Policy
 
 FILES = {".mp4": "a film", ".gif": "a film", ".png": "its last moment", ".html": "a page"}
@@ -39,6 +39,7 @@ policy.npz, or the name of a robot with a bundled policy
   python -m dynappo.play go1 --command=0.8,0,0.3 --seconds=6 --out=turn.mp4
   python -m dynappo.play go1 --command=drill.csv --robot-xml=other/scene.xml --out=drill.gif
   python -m dynappo.play anymal_c --policy=random
+  python -m dynappo.play runs/sweep --run-seed=3 --out=walk.html
 a command script has rows t,vx,vy,wz (s, m/s, m/s, rad/s); a row holds until the next one
 without --out MuJoCo's viewer opens; {viewer.KEYS}
 """
@@ -58,14 +59,13 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
     what = "Play a policy in C MuJoCo: to a file, or in a viewer with keys to steer."
     parser = flags_lib.parser("play", what, USAGE)
     flag = parser.add_argument
-    flag("what", nargs="?", metavar="NAME_OR_DIR", help="workdir, checkpoint, policy.npz or robot")
+    choice.add_flags(parser)
     flag("--command", metavar="VX,VY,WZ|FILE.csv", help="m/s, m/s, rad/s; default: a short tour")
     flag("--seconds", metavar="N", help=f"default: {SECONDS:g}, or until the script has ended")
     names = "FILE.html, .mp4, .gif, or .png (the last moment)"
     flag("--out", metavar="FILE", type=flags_lib.path, help=names)
     flag("--policy", metavar="zero|random", help="these actions instead of the policy's")
     flag("--seed", metavar="N", default="0", help="of --policy=random; default: 0")
-    flag("--robot-xml", metavar="FILE", help="another MJCF with the same joint names")
     flag(
         "--keep-joints",
         action="store_true",
@@ -80,6 +80,11 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
         raise ConfigError("--keep-joints needs --robot-xml=FILE")
     if flags.policy not in (None, "zero", "random"):
         raise ConfigError(f"--policy={flags.policy!r}: expected zero or random")
+    choice.check(flags)
+    if flags.policy and flags.run_seed is not None:
+        raise ConfigError(
+            f"--run-seed={flags.run_seed}: --policy={flags.policy} plays none of a run"
+        )
     flags.seed = flags_lib.whole("seed", flags.seed, 0)
     if flags.seconds is not None:
         seconds = _number(flags.seconds)
@@ -176,34 +181,21 @@ def outside(policy: Policy, asked: Commands) -> str:
 def choose(flags) -> tuple[Policy, Callable[[np.ndarray], np.ndarray], str]:
     """`(policy, act, text)` of the command line; `text` says what acts."""
     if flags.policy is None:
-        policy, path = policy_file.find(flags.what)
-        text = "/".join(path.resolve().parts[-2:])
+        policy, _, text = choice.find(flags)
         return policy, policy_file.actor(policy.params, policy.activation), text
     if flags.what in files.robots():
         name = f"{flags.what}.py"
         if files.find("configs", name) is None:
             raise ConfigError(f"{flags.what}: there is no configs/{name} with its gains")
         config = config_lib.validate(config_lib.load(f"configs/{name}"))
-        policy = policy_file.describe(config, robot_lib.load(flags.what))
+        policy = policy_file.describe(config, robot_lib.load(flags.what))._replace(mjcf="")
     else:
-        policy, _ = policy_file.find(flags.what)
+        policy, _, _ = choice.find(flags)
     size = len(policy.joint_names)
     if flags.policy == "zero":
         return policy, lambda obs: np.zeros(size), "zero actions"
     draw = np.random.default_rng(flags.seed)
     return policy, lambda obs: draw.normal(size=size), f"random actions, seed {flags.seed}"
-
-
-def body_of(policy: Policy, xml: str | None, keep_joints: bool = False) -> episode_lib.Body:
-    """The policy's robot, or the one of `--robot-xml`."""
-    if xml is None:
-        return episode_lib.load(robot_lib.load(policy.robot).xml, policy, policy.timestep)
-    if not os.path.isfile(xml):
-        raise ConfigError(f"--robot-xml={xml}: no such file")
-    try:
-        return episode_lib.load(Path(xml), policy, keep_joints=keep_joints)
-    except ConfigError as error:  # begins with the path
-        raise ConfigError(f"--robot-xml={error}") from None
 
 
 def check_out(out: Path) -> None:
@@ -248,13 +240,13 @@ def run(flags) -> None:
         check_out(out)
     asked = commands(flags.command, flags.seconds)
     policy, act, acts = choose(flags)
-    body = body_of(policy, flags.robot_xml, flags.keep_joints)
+    body, other = choice.body(policy, flags.robot_xml, flags.keep_joints)
     seconds = flags.seconds or asked.seconds
     if out is None:
         viewer.check_display()
         if flags.command is None:  # to be steered from standing
             asked = asked._replace(at=lambda t: np.zeros(3), text=viewer.KEYS)
-    note = outside(policy, asked)
+    notes = [other, outside(policy, asked)]
     print(f"dynappo plays {policy.robot}: {acts}; {asked.text}")
     if flags.robot_xml:
         ms = body.model.opt.timestep * 1e3
@@ -262,7 +254,7 @@ def run(flags) -> None:
         if flags.keep_joints or not policy.joint_damping:
             motors = "motors are the policy's, joint damping and friction its own"
         print(f"in {body.xml}: {body.substeps} steps of {ms:g} ms between two actions; {motors}")
-    if note:
+    for note in filter(None, notes):
         print(note)
     if out is None:
         episode = viewer.watch(body, act, asked.at, flags.seconds)

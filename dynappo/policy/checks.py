@@ -61,6 +61,10 @@ def check(fields: dict[str, Any]) -> None:
     steps = fields["substeps"]
     _expect(type(steps) is int, f"substeps is {reprlib.repr(steps)}, expected an integer")
     _expect_number("substeps", steps, 1, SUBSTEPS, "physics steps")
+    text, seed = fields["mjcf"], fields["seed"]
+    _expect(isinstance(text, str), f"mjcf is {reprlib.repr(text)}, expected a text")
+    known = seed is None or (type(seed) is int and 0 <= seed < 2**31)
+    _expect(known, f"seed is {reprlib.repr(seed)}, expected a number from 0 on")
     period = steps * fields["timestep"]
     _expect(period <= PERIOD, f"{period:g} s lie between two actions, expected at most {PERIOD:g}")
     _check_config(fields)

@@ -39,6 +39,7 @@ class Body(NamedTuple):
     """A robot in a compiled model; arrays of `A` joints are in the policy's order."""
 
     xml: Path
+    text: str  # the MJCF where `xml` only carries it; else ""
     model: mujoco.MjModel
     policy: Policy
     base_body: int
@@ -51,11 +52,16 @@ class Body(NamedTuple):
 
 
 def load(
-    xml: Path, policy: Policy, timestep: float | None = None, keep_joints: bool = False
+    xml: Path,
+    policy: Policy,
+    timestep: float | None = None,
+    keep_joints: bool = False,
+    text: str = "",
 ) -> Body:
     """The robot of `xml` under `policy`; `timestep` (s) replaces that of the file.
 
-    A file's own time step is stretched to the next that divides the time between two actions.
+    With a `text`, that is the MJCF, and `xml` what carries it. A file's own time step is stretched to
+    the next that divides the time between two actions.
     `keep_joints`: joint damping and friction stay those of the file.
     ConfigError if the file lacks what the module's docstring asks for.
     """
@@ -64,8 +70,7 @@ def load(
         if not ok:
             raise ConfigError(f"{xml}: expected {text}")
 
-    with mjcf.reading(xml):
-        model = mjcf.check_model(mujoco.MjModel.from_xml_path(str(xml)))
+    model = mjcf.model(xml, text)
     kinds = {model.joint(i).name: int(model.jnt_type[i]) for i in range(model.njnt)}
     hinge, free = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_FREE)
     lacks = [name for name in policy.joint_names if kinds.get(name) != hinge]
@@ -94,6 +99,7 @@ def load(
     model.opt.disableflags |= int(flags.mjDSBL_ACTUATION) | int(flags.mjDSBL_AUTORESET)
     return Body(
         xml=xml,
+        text=text,
         model=model,
         policy=policy,
         base_body=int(top[0]),

@@ -2,7 +2,7 @@
 
 Parameters under names like `actor/params/Dense_0/kernel`, and one JSON text, `about`, with all that
 turns them into torques: robot, joints in the policy's order, default pose, gains, motor limits,
-times, the ranges of its commands, and the config it was trained with. NumPy only.
+times, the ranges of its commands, the config it was trained with, and the robot's MJCF. NumPy only.
 
 A checkpoint is read in the same way, with the config that is saved in it (checkpoint_file.py).
 """
@@ -10,7 +10,6 @@ A checkpoint is read in the same way, with the config that is saved in it (check
 from __future__ import annotations
 
 import json
-import os
 import reprlib
 from collections.abc import Callable
 from pathlib import Path
@@ -24,7 +23,8 @@ from dynappo.physics import robot as robot_lib
 from dynappo.policy import checkpoint_file, checks, npz_file
 from dynappo.task import observe
 
-FORMAT = 1  # of `about`
+FORMAT = 2  # of `about`; 1 is without the MJCF, and its robot is found by name
+READ = (1, 2)
 MAX_MEAN = 10.0  # of the mean action (learner/networks.py)
 ACTIVATIONS = {
     "elu": lambda x: np.where(x > 0, x, np.expm1(np.minimum(x, 0))),
@@ -60,6 +60,10 @@ class Policy(NamedTuple):
     params: dict[str, Any]
     joint_damping: tuple[float, ...] = ()  # [A] N m s/rad, in the MJCF; empty: not known
     joint_friction: tuple[float, ...] = ()  # [A] N m
+    mjcf: str = (
+        ""  # the robot's, without other files; empty: its robot is found by name (carried.py)
+    )
+    seed: int | None = None  # its number in a run of several seeds, from 0; None: not known
 
 
 def describe(config, robot: robot_lib.Robot, params: dict | None = None) -> Policy:
@@ -79,6 +83,7 @@ def describe(config, robot: robot_lib.Robot, params: dict | None = None) -> Poli
             params=params or {},
             joint_damping=tuple(robot.mj_model.dof_damping[6:].tolist()),
             joint_friction=tuple(robot.mj_model.dof_frictionloss[6:].tolist()),
+            mjcf=robot.alone,
             **{name: task[name] for name in TASK},
         )
     except KeyError as error:
@@ -104,14 +109,17 @@ def actor(params: dict, activation: str) -> Callable[[np.ndarray], np.ndarray]:
     return mean
 
 
-def save(path: Path, params: dict, config, robot: robot_lib.Robot | None) -> None:
+def save(
+    path: Path, params: dict, config, robot: robot_lib.Robot | None, seed: int | None = None
+) -> None:
     """Write `policy.npz`: the nested parameters, and what `config` and `robot` say of them.
 
-    Without a robot, of an environment of one's own, only the config: `load_actor` reads that.
+    `seed` is their number in a run of several seeds. Without a robot, of an environment of one's own,
+    only the config: `load_actor` reads that.
     """
     about: dict[str, Any] = {"robot": "", "config": config.to_dict(), "format": FORMAT}
     if robot is not None:
-        about |= describe(config, robot)._asdict()
+        about |= describe(config, robot)._asdict() | {"seed": seed}
         del about["params"]
     save_params(path, params, about=to_json(about))
 
@@ -183,10 +191,10 @@ def load(path: Path) -> Policy:
     try:
         about = json.loads(str(text))
         version = about.pop("format")
-        if version != FORMAT:
-            version = reprlib.repr(version)
+        if version not in READ:
+            version, newest = reprlib.repr(version), max(READ)
             raise ConfigError(
-                f"{path}: written in format {version}, this dynappo reads {FORMAT}; update dynappo"
+                f"{path}: written in format {version}, this dynappo reads {newest}; update dynappo"
             )
         if about.get("robot") == "":
             raise _not_a_robot(path)
@@ -219,6 +227,11 @@ def _checked(path: Path, policy: Policy) -> Policy:
         checks.check_params(policy.params, len(policy.joint_names))
     except ValueError as error:
         raise ConfigError(f"{path}: {error}") from None
+    if policy.mjcf:
+        robot = robot_lib.load_text(policy.mjcf, policy.robot, path)
+        same = set(robot.joint_names) == set(policy.joint_names)
+        lists = ", ".join(policy.joint_names), ", ".join(robot.joint_names)
+        expect(same, "its joints are {}, those of the robot that it carries {}".format(*lists))
     return policy._replace(
         joint_names=tuple(policy.joint_names),
         default_pose=np.array(policy.default_pose, float),
@@ -227,68 +240,41 @@ def _checked(path: Path, policy: Policy) -> Policy:
     )
 
 
-def load_checkpoint(folder: Path) -> Policy:
-    """The policy of an orbax checkpoint `WORKDIR/checkpoints/ITERATION`; of several seeds the first."""
+def load_checkpoint(folder: Path, seed: int | None = None) -> Policy:
+    """The policy of an orbax checkpoint `WORKDIR/checkpoints/ITERATION`, of several seeds number `seed`.
+
+    None: the best in the last evaluation before it, the first where there was none.
+    """
     try:
-        config = config_dict.ConfigDict(checkpoint_file.about(folder)["config"])
-        several, name = config.run.num_seeds > 1, config.robot
-        if not isinstance(name, str):
+        about = checkpoint_file.about(folder)
+        config = config_dict.ConfigDict(about["config"])
+        seeds, name, text = config.run.num_seeds, config.robot, about.get("mjcf", "")
+        if not isinstance(name, str) or not isinstance(text, str) or type(seeds) is not int:
             raise TypeError
         if not name:
             raise _not_a_robot(folder)
-        policy = describe(config, robot_lib.load(name))
+        robot = robot_lib.load_text(text, name, folder) if text else robot_lib.load(name)
+        policy = describe(config, robot)._replace(mjcf=text)
     except ConfigError:
         raise
     except (KeyError, AttributeError, TypeError, ValueError):
         raise ConfigError(f"{folder}: not a checkpoint of dynappo (it holds no config)") from None
+    chosen = seed if seed is not None else about.get("best_seed", 0)
+    if type(chosen) is not int or not 0 <= chosen < seeds:
+        expected = f"expected 0 to {seeds - 1}" if seeds > 1 else "expected 0: the run has one seed"
+        raise ConfigError(f"{folder}: it holds no seed {reprlib.repr(chosen)}; {expected}")
     prefix, arrays = "learner.params.", {}
     for name, array in checkpoint_file.read(folder).items():
         if name.startswith(prefix):
-            first = array[0] if several and array.shape[:1] > (0,) else array
-            arrays[name.removeprefix(prefix).replace(".", "/")] = first
+            if seeds > 1 and array.shape[:1] != (seeds,):
+                what = f"{name} has the shape {array.shape}, expected {seeds} seeds"
+                raise ConfigError(f"{folder}: not a checkpoint of dynappo ({what})")
+            one = array[chosen] if seeds > 1 else array
+            arrays[name.removeprefix(prefix).replace(".", "/")] = one
     if not arrays:
         raise ConfigError(f"{folder}: not a checkpoint of dynappo (it holds no networks)")
     try:
         params = npz_file.nested(arrays)
     except ValueError as error:
         raise ConfigError(f"{folder}: {error}") from None
-    return _checked(folder, policy._replace(params=params))
-
-
-def locate(text: str) -> Path:
-    """The policy.npz or checkpoint folder that a name, a workdir or a path means.
-
-    A bundled policy comes first, `./go1` is a folder; of a workdir its policy.npz, or, while it
-    trains, its newest checkpoint.
-    """
-    if text in files.robots():
-        path = files.find("robots", f"{text}/policy.npz")
-        if path is None:
-            raise ConfigError(
-                f"{text}: no policy is bundled with this robot (robots/{text}/policy.npz); "
-                "train one, or see the robot with --policy=zero or --policy=random"
-            )
-        return path
-    path = Path(text)
-    if os.path.isfile(path):  # False, not an error, where the name is too long
-        return path
-    if not os.path.isdir(path):
-        raise ConfigError(
-            f"{text}: no such file or folder; expected a workdir, a checkpoint, a policy.npz or one "
-            f"of {', '.join(files.robots())}"
-        )
-    if (path / "policy.npz").is_file():
-        return path / "policy.npz"
-    if (path / checkpoint_file.STATE).is_dir():
-        return path
-    folder = path / "checkpoints" if (path / "checkpoints").is_dir() else path
-    saved = checkpoint_file.iterations(folder)
-    if not saved:
-        raise ConfigError(f"{text}: holds neither a policy.npz nor checkpoints/")
-    return folder / str(saved[0])
-
-
-def find(text: str) -> tuple[Policy, Path]:
-    """The policy that `text` means (see `locate`), and where it is."""
-    path = locate(text)
-    return (load_checkpoint if path.is_dir() else load)(path), path
+    return _checked(folder, policy._replace(params=params, seed=chosen if seeds > 1 else None))

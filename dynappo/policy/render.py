@@ -20,6 +20,7 @@ import mujoco
 import numpy as np
 
 from dynappo.config import shell
+from dynappo.physics import mjcf
 from dynappo.physics import robot as robot_lib
 from dynappo.policy import episode as episode_lib
 from dynappo.policy import policy_file
@@ -56,7 +57,7 @@ ENCODE = {
 def simulate(robot: robot_lib.Robot, config, act, command, seconds: float) -> dict[str, np.ndarray]:
     """An episode of a run's robot under its whole config; `episode.rows` says what is in it."""
     described = policy_file.describe(config, robot)
-    body = episode_lib.load(robot.xml, described, described.timestep)
+    body = episode_lib.load(robot.xml, described, described.timestep, text=robot.text)
     return episode_lib.play(body, act, command, seconds)
 
 
@@ -71,7 +72,8 @@ def film(
         try:
             folder = stack.enter_context(tempfile.TemporaryDirectory())
             npz = Path(folder) / "episode.npz"
-            shown: dict[str, Any] = {"xml": str(robot.xml), "base": robot.base_body}
+            shown: dict[str, Any] = {"xml": str(robot.xml), "text": robot.text}
+            shown |= {"base": robot.base_body}
             shown |= {name: episode[name] for name in ("qpos", "command", "velocity", "dt")}
             np.savez(npz, **shown)
             out.parent.mkdir(parents=True, exist_ok=True)
@@ -136,9 +138,11 @@ def options(model, base: int) -> mujoco.MjvOption:
     return option
 
 
-def frames(xml: str, base: int, episode: dict[str, np.ndarray], width=WIDTH, height=HEIGHT):
-    """Yield RGB frames `[H, W, 3]`, one a row of an episode of the file `xml`."""
-    model = mujoco.MjModel.from_xml_path(xml)
+def frames(
+    xml: str, text: str, base: int, episode: dict[str, np.ndarray], width=WIDTH, height=HEIGHT
+):
+    """Yield RGB frames `[H, W, 3]`, one a row of an episode of the file `xml`, or of the `text` there."""
+    model = mjcf.model(Path(xml), text)
     data = mujoco.MjData(model)
     window = model.vis.global_
     window.offwidth, window.offheight = max(window.offwidth, width), max(window.offheight, height)
@@ -155,21 +159,22 @@ def frames(xml: str, base: int, episode: dict[str, np.ndarray], width=WIDTH, hei
 def main(argv: list[str]) -> None:
     """`EPISODE.npz OUT`, with OUT an .mp4, a .gif or a .png."""
     episode = dict(np.load(argv[0]))
-    xml, base, dt = str(episode.pop("xml")), int(episode.pop("base")), float(episode.pop("dt"))
+    xml, text = str(episode.pop("xml")), str(episode.pop("text"))
+    base, dt = int(episode.pop("base")), float(episode.pop("dt"))
     out = Path(argv[1])
     try:
         if out.suffix == ".png":
             from PIL import Image
 
             last = {name: rows[-1:] for name, rows in episode.items()}
-            Image.fromarray(next(frames(xml, base, last, *PICTURE))).save(out, optimize=True)
+            Image.fromarray(next(frames(xml, text, base, last, *PICTURE))).save(out, optimize=True)
             return
         import imageio_ffmpeg
 
         count = max(1, round(len(episode["qpos"]) * dt * FPS))
         shown = np.minimum(np.round(np.arange(count) / (FPS * dt)), len(episode["qpos"]) - 1)
         some = {name: rows[shown.astype(int)] for name, rows in episode.items()}
-        pictures = frames(xml, base, some)
+        pictures = frames(xml, text, base, some)
         first = next(pictures)  # without OpenGL it fails here, before anything is written
         out.open("wb").close()
         writer = imageio_ffmpeg.write_frames(

@@ -27,7 +27,8 @@ def finish(config, program, workdir: Path, state, metrics) -> dict[str, Any]:
     evaluated = summary.get("evaluation", {}).get("return", log.last_evaluation(metrics))
     evaluated = None if evaluated is None else np.array(evaluated, float)
     params = workdir_lib.best_params(config, distributed.whole(state.learner.params), evaluated)
-    policy_file.save(workdir / "policy.npz", params, config, program.robot)
+    seed = workdir_lib.best_seed(config, evaluated)
+    policy_file.save(workdir / "policy.npz", params, config, program.robot, seed)
     seeds = f" x {config.run.num_seeds} seeds" if config.run.num_seeds > 1 else ""
     robots = f"{config.robot}: {config.rollout.num_envs} robots"
     title = (robots if config.robot else workdir.resolve().name) + seeds

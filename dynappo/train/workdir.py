@@ -20,7 +20,7 @@ from ml_collections import config_dict
 from dynappo import config as config_lib
 from dynappo import schedule
 from dynappo.config import ConfigError, files
-from dynappo.policy import checkpoint_file, policy_file
+from dynappo.policy import carried, checkpoint_file, policy_file
 from dynappo.program import distributed
 from dynappo.train import log
 
@@ -66,6 +66,7 @@ def _open(workdir: Path, config, fresh: bool, held: contextlib.ExitStack) -> Non
             files.check_regular(workdir / name)
         text, path = config_lib.to_json(config), workdir / "config.json"
         _compare(workdir, text)
+        carried.check_same(workdir, _newest(workdir), config.robot)
         done = max(saved(workdir), default=0)
         if done > config.run.num_iterations:
             raise ConfigError(
@@ -98,8 +99,8 @@ def _compare(workdir: Path, here: str) -> None:
                 f"--workdir={workdir} holds a config.json that is not of a run; choose another folder"
             )
         return
-    kept = _of_checkpoints(workdir)
-    for text in [there] * ours + [kept] * (bool(kept) or not ours):
+    kept = _newest(workdir).get("config")
+    for text in [there] * ours + [json.dumps(kept)] * (bool(kept) or not ours):
         changed = config_lib.difference(text, here, MAY_CHANGE)
         if changed:
             raise ConfigError(
@@ -108,13 +109,14 @@ def _compare(workdir: Path, here: str) -> None:
             )
 
 
-def _of_checkpoints(workdir: Path) -> str:
-    """The config that the newest good checkpoint has; "" if there is none."""
+def _newest(workdir: Path) -> dict:
+    """What the newest good checkpoint says of itself; {} if there is none."""
     for step in saved(workdir):
-        with contextlib.suppress(checkpoint_file.Damaged, KeyError):
-            folder = workdir / "checkpoints" / str(step)
-            return json.dumps(checkpoint_file.about(folder)["config"])
-    return ""
+        with contextlib.suppress(checkpoint_file.Damaged):
+            about = checkpoint_file.about(workdir / "checkpoints" / str(step))
+            if "config" in about:
+                return about
+    return {}
 
 
 def begun(workdir: Path) -> bool:
@@ -266,26 +268,32 @@ def save(config, robot, workdir, checkpoints, done: int, state, metrics, evaluat
     if not distributed.first():
         return
     about = {"sim_steps": int(metrics["sim_steps"][-1]), "config": config.to_dict()}
+    best = best_seed(config, evaluated)
+    about |= {"mjcf": robot.alone, "best_seed": best or 0}
     now = "eval_return" in metrics and np.isfinite(metrics["eval_return"][-1]).all()
     worth = float(np.mean(evaluated)) if now else None
     log.attempt("the checkpoint before", partial(checkpoint.wait, checkpoints), say)
     keep = partial(checkpoint.save, checkpoints, done, state, worth, **about)
     log.attempt(f"checkpoint {done}", keep, say)
     params = best_params(config, state.learner.params, evaluated)
-    write = partial(policy_file.save, workdir / "policy.npz", params, config, robot)
+    write = partial(policy_file.save, workdir / "policy.npz", params, config, robot, best)
     log.attempt("policy.npz", write, say)
 
 
-def best_params(config, params, evaluated) -> dict:
-    """The networks as NumPy arrays; of several seeds, those of the best in the evaluation `evaluated`.
+def best_seed(config, evaluated) -> int | None:
+    """The number of the best of several seeds in the evaluation `evaluated`; None where there is one.
 
-    Of the first seed where nothing was evaluated: an exploring policy's returns would favour a seed whose
+    The first where nothing was evaluated: an exploring policy's returns would favour a seed whose
     robots have just fallen (experiments/20_tail).
     """
+    if config.run.num_seeds == 1:
+        return None
+    return 0 if evaluated is None else int(np.nan_to_num(evaluated, nan=-np.inf).argmax())
+
+
+def best_params(config, params, evaluated) -> dict:
+    """The networks as NumPy arrays; of several seeds, those of `best_seed`."""
     import jax
 
-    params = jax.device_get(params)
-    if config.run.num_seeds == 1:
-        return params
-    best = 0 if evaluated is None else int(np.nan_to_num(evaluated, nan=-np.inf).argmax())
-    return jax.tree.map(lambda p: p[best], params)
+    best = best_seed(config, evaluated)
+    return jax.tree.map(lambda p: p if best is None else p[best], jax.device_get(params))

@@ -45,7 +45,7 @@ def test_the_command_writes_what_it_prints(saved, tmp_path, monkeypatch, capsys,
     on_mjx |= {"return": 33.25, "return_std": 1.5, "length": 987.0, "fall_rate": 0.2}
     on_mjx |= {"tracking_error": 0.12, "yaw_error": None}
     calls = []
-    monkeypatch.setattr(episodes, "run", lambda *a: calls.append(a[1:]) or on_mjx)
+    monkeypatch.setattr(episodes, "run", lambda *a: calls.append(a[1:4]) or on_mjx)
     monkeypatch.setattr(evaluate_command.devices, "own_process", lambda: calls.append("settings"))
     assert run(saved, "--episodes=5", "--randomize") == 0
     assert calls == ["settings", (5, True, 0)]
@@ -166,7 +166,7 @@ def test_a_mistake_is_one_line_and_status_2(name, saved, tmp_path, monkeypatch, 
     """Nothing is written, and nothing is computed before."""
     monkeypatch.chdir(tmp_path)
     Path("config.json").write_text("{}")
-    spot = robot_lib.load("go1")._replace(name="spot")
+    spot = robot_lib.load("go1")._replace(name="spot", alone="")  # of before robots were carried
     policy_file.save(Path("spot.npz"), actor(), described()[0], spot)
     monkeypatch.setattr(trials, "sweep", None)
     arguments, expected = MISTAKES[name]

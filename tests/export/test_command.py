@@ -95,8 +95,8 @@ MISTAKES = {  # arguments, what the line must say
     "unknown flag": (["small", "--out=a.onnx", "--opset=9"], "--opset=9: no such flag"),
     "value missing": (["small", "--out", "--targets"], "--out: expected one argument"),
     "no out": (["small"], "--out is missing; try --out=policy.onnx"),
-    "suffix": (["small", "--out=a.pt"], "--out=a.pt: expected a file named .onnx or .npz"),
-    "no suffix": (["small", "--out=a"], "--out=a: expected a file named .onnx or .npz"),
+    "suffix": (["small", "--out=a.pt"], "--out=a.pt: expected a file named .onnx, .npz"),
+    "no suffix": (["small", "--out=a"], "--out=a: expected a file named .onnx, .npz"),
     "targets": (["small", "--out=a.npz", "--targets"], "--targets: only an .onnx has outputs"),
     "no folder": (
         ["small", "--out=/proc/no/a.onnx"],
@@ -120,7 +120,7 @@ def test_a_mistake_is_one_line_and_status_2(small, tmp_path, monkeypatch, capsys
     monkeypatch.chdir(tmp_path)
     Path("taken.npz").mkdir()
     policy, robot, _ = described("anymal_c")  # its joints under the name of a Go1
-    onnx_file.save(policy._replace(robot="go1"), robot, Path("spot.npz"))
+    onnx_file.save(policy._replace(robot="go1", mjcf=""), robot, Path("spot.npz"))
     before = small[0].read_bytes()
     assert expected in mistake(export_command.main, arguments, capsys)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["small", "spot.npz", "taken.npz"]

@@ -18,7 +18,7 @@ from dynappo.export import command as export_command
 from dynappo.export import joint_order
 from dynappo.physics import actuators
 from dynappo.physics import robot as robot_lib
-from dynappo.policy import episode, policy_file
+from dynappo.policy import episode, source
 from dynappo.task import observe
 
 PAGE = (ROOT / "robots" / "DEPLOY.md").read_text()
@@ -28,7 +28,7 @@ AHEAD = np.array([0.6, 0.0, 0.0])  # m/s, m/s, rad/s
 @pytest.fixture(scope="module")
 def bundled():
     """The policy that comes with the Go1."""
-    return policy_file.find("go1")[0]
+    return source.find("go1")[0]
 
 
 def body_of(policy):

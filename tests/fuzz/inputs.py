@@ -14,7 +14,7 @@ import numpy as np
 
 from dynappo.config import fields, files
 
-COMMANDS = ("train", "bench", "play", "evaluate", "export")
+COMMANDS = ("train", "bench", "play", "evaluate", "export", "look")
 NUMBERS = """
 -1 0 1 2 3 7 16 64 100 4096 -0.0 0.5 1.0 1.5 -1.5 1e-45 1e-12 1e-9 1e-3 1e3 1e9 1e12 1e39 1e308 1e999 -1e12
 2147483647 2147483648 -2147483649 3000000000 1000000000000 nan inf -inf 1_000 0x10 1j
@@ -131,19 +131,25 @@ FLAGS = {  # command -> flag: texts that its value may be
         "--seed": [*NUMBERS, *TEXTS],
         "--robot-xml": ["mine.xml", "no.xml", *PATHS],
         "--keep-joints": None,
+        "--run-seed": [*NUMBERS, "best", *TEXTS],
     },
     "evaluate": {
         "--episodes": [*NUMBERS, *TEXTS],
         "--randomize": None,
         "--seed": [*NUMBERS, *TEXTS],
+        "--run-seed": [*NUMBERS, "best", *TEXTS],
+        "--robot-xml": ["mine.xml", "no.xml", *PATHS],
         "--fast": None,
         "--out": PATHS,
     },
     "export": {
-        "--out": ["a.onnx", "a.npz", "a.pt", "no/a.onnx", "a" * 300 + ".npz", *PATHS],
+        "--out": ["a.onnx", "a.npz", "a.xml", "a.pt", "no/a.onnx", "a" * 300 + ".npz", *PATHS],
         "--joint-order": ["mjcf", "isaaclab", "unitree", ",", "FR_hip_joint", *TEXTS],
         "--targets": None,
+        "--run-seed": [*NUMBERS, "best", *TEXTS],
+        "--robot-xml": ["mine.xml", "no.xml", *PATHS],
     },
+    "look": {"--out": ["a.png", "a.html", "no/a.png", *PATHS]},
 }
 
 
@@ -157,6 +163,7 @@ RIGHT = {  # arguments with which a command goes on; one of each group
     ),
     "evaluate": (["go1", "anymal_d", "mine.npz"], [], ["--out=new", "--seed=3", "--episodes=9"]),
     "export": (["go1", "go2", "mine.npz"], ["--out=a.onnx", "--out=a.npz"], ["--joint-order=mjcf"]),
+    "look": (GOOD[:-1] + ["mine.py", "go1"], [], ["--out=a.png"]),
 }
 
 
@@ -172,10 +179,10 @@ def draw(number: int, seed: int = 20) -> Input:
     """Input `number`."""
     rng = random.Random(f"{seed} {number}")
     command = COMMANDS[number % len(COMMANDS)]
-    configured = command in ("train", "bench")
+    configured = command in ("train", "bench", "look")
     what, needed, more = RIGHT[command]
     argv = [rng.choice(what if rng.random() < 0.9 else SPECS if configured else [*PATHS, *TEXTS])]
-    if configured:
+    if configured and command != "look":  # it names its config without a flag
         argv[0] = f"--config={argv[0]}"
     argv += [rng.choice(group) for group in (needed, more) if group and rng.random() < 0.9]
     for _ in range(rng.choice((0, 1, 1, 1, 2, 3))):

@@ -24,6 +24,7 @@ import workdirs
 from dynappo import config as config_lib
 from dynappo.config import flags
 from dynappo.evaluate import episodes, trials
+from dynappo.export import command as export_command
 from dynappo.export import onnx_file
 from dynappo.play import viewer
 from dynappo.policy import episode
@@ -60,6 +61,7 @@ def nothing_is_compiled(monkeypatch):
         (episode, "play"),
         (viewer, "watch"),
         (onnx_file, "save"),
+        (export_command, "save_robot"),
         (jax.distributed, "initialize"),
     ):
         monkeypatch.setattr(module, name, reached)

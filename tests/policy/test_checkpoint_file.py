@@ -10,21 +10,24 @@ import numpy as np
 import pytest
 import tensorstore
 from answers import refused, shell
-from toy_policy import actor
+from toy_policy import GO1, actor, save
 
 from dynappo import config as config_lib
 from dynappo.config import ConfigError
-from dynappo.policy import checkpoint_file, policy_file
+from dynappo.policy import carried, checkpoint_file, source
 from dynappo.train import checkpoint
 from dynappo.types import Learner
 
 
-def written(workdir, seeds=1):
-    """Checkpoints 9 and 10 of a run, as orbax saves them; `{step: networks of the first seed}`."""
+def written(workdir, seeds=1, **more):
+    """Checkpoints 9 and 10 of a run, as orbax saves them; `{step: networks of the first seed}`.
+
+    `more` is said beside config and arrays.
+    """
     config = config_lib.load("configs/go1.py")
     config.run.num_seeds = seeds
     workdir.mkdir()
-    about, networks = {"config": config_lib.validate(config).to_dict()}, {}
+    about, networks = {"config": config_lib.validate(config).to_dict()} | more, {}
     with checkpoint.opened(workdir) as checkpoints:
         for step in (9, 10):
             params = [actor(100 * step + s) for s in range(seeds)]
@@ -47,15 +50,79 @@ def test_a_checkpoint_is_played_without_a_policy_file(tmp_path, seeds):
     (workdir / "checkpoints" / "98").symlink_to("nowhere")
     assert checkpoint_file.iterations(workdir / "checkpoints") == [10, 9]
     for place, step in (("", 10), ("checkpoints", 10), ("checkpoints/9", 9)):
-        found, path = policy_file.find(str(workdir / place))
+        found, path = source.find(str(workdir / place))
         assert path == workdir / "checkpoints" / str(step)
         jax.tree.map(np.testing.assert_array_equal, found.params, networks[step])
+
+
+@pytest.mark.parametrize(
+    ("seed", "best", "expected"), [(None, 2, 2), (None, None, 0), (0, 2, 0), (1, 2, 1), (2, 0, 2)]
+)
+def test_one_of_several_seeds_is_played(tmp_path, seed, best, expected):
+    """By its number; else the best in the last evaluation, which its `about` names, or the first."""
+    written(tmp_path / "run", 3, **({} if best is None else {"best_seed": best}))
+    found, path = source.find(str(tmp_path / "run"), seed)
+    assert path.name == "10" and found.seed == expected
+    jax.tree.map(np.testing.assert_array_equal, found.params, actor(1000 + expected))
+
+
+def test_a_seed_of_a_workdir_is_of_its_newest_checkpoint(tmp_path):
+    """Not of its policy.npz, which holds one seed alone."""
+    written(tmp_path / "run", 3)
+    save(tmp_path / "run" / "policy.npz", 7)
+    assert source.find(str(tmp_path / "run"))[1].name == "policy.npz"
+    found, path = source.find(str(tmp_path / "run"), 1)
+    assert path.name == "10"
+    jax.tree.map(np.testing.assert_array_equal, found.params, actor(1001))
+
+
+def test_a_seed_that_is_not_there_is_one_line(tmp_path):
+    """Past the last one, of a run of one seed, of files with one policy, of claims that do not fit."""
+    several, one = tmp_path / "several", tmp_path / "one"
+    written(several, 3)
+    written(one)
+    npz = save(tmp_path / "policy.npz")
+    line = refused(source.find, str(several), 3)
+    assert line == f"{several}/checkpoints/10: it holds no seed 3; expected 0 to 2"
+    assert "holds no seed 1; expected 0: the run has one seed" in refused(source.find, str(one), 1)
+    assert source.find(str(one), 0)[0].seed is None
+    for what, path in ((npz, npz), ("go1", "robots/go1/policy.npz")):
+        line = refused(source.find, str(what), 0)
+        assert line.startswith("--run-seed=0: ") and f"{path} holds one policy" in line
+    (tmp_path / "young").mkdir()
+    save(tmp_path / "young" / "policy.npz")
+    line = refused(source.find, str(tmp_path / "young"), 0)
+    assert line == f"{tmp_path}/young: holds no checkpoints/"
+    about = several / "checkpoints" / "10" / "about" / "metadata"
+    text = json.loads(about.read_text())
+    for best in (3, -1, "1", True, 1e9):
+        about.write_text(json.dumps(text | {"best_seed": best}))
+        assert "it holds no seed" in refused(source.find, str(several))
+    text["config"]["run"]["num_seeds"] = 10**6
+    about.write_text(json.dumps(text))
+    assert "expected 1000000 seeds" in refused(source.find, str(several), 99)
+
+
+def test_a_checkpoint_carries_its_robot(tmp_path, monkeypatch):
+    """It is played where robots/ has none of that name; a hostile one is one line."""
+    monkeypatch.chdir(tmp_path)
+    config = config_lib.load("configs/go1.py").to_dict() | {"robot": "spot"}
+    written(tmp_path / "run", mjcf=GO1.alone)
+    about = tmp_path / "run" / "checkpoints" / "10" / "about" / "metadata"
+    text = json.loads(about.read_text()) | {"config": config}
+    about.write_text(json.dumps(text))
+    found, _ = source.find("run")
+    assert found.robot == "spot" and found.joint_names == GO1.joint_names
+    assert carried.robot(found)[0].mj_model.body_mass.sum() == GO1.mj_model.body_mass.sum()
+    for wrong, expected in ((7, "holds no config"), ("<mujoco/>", "the robot that it carries: ")):
+        about.write_text(json.dumps(text | {"mjcf": wrong}))
+        assert expected in refused(source.find, "run")
 
 
 def test_it_is_read_without_jax(tmp_path):
     """JAX would take a GPU that trains."""
     written(tmp_path / "run")
-    code = "import sys; from dynappo.policy import policy_file; policy_file.find(sys.argv[1]); "
+    code = "import sys; from dynappo.policy import policy_file; source.find(sys.argv[1]); "
     code += "print(sorted({'jax', 'flax', 'orbax'} & set(sys.modules)))"
     done = shell("-c", code, tmp_path / "run")
     assert done.stdout == "[]\n", done.stderr
@@ -66,22 +133,22 @@ def test_damage_is_one_line_and_nothing_is_changed(tmp_path):
     workdir = tmp_path / "run"
     written(workdir)
     shutil.rmtree(workdir / "checkpoints" / "10" / "state" / "ocdbt.process_0")
-    assert "10: not a checkpoint, or damaged" in refused(policy_file.find, str(workdir))
+    assert "10: not a checkpoint, or damaged" in refused(source.find, str(workdir))
     about = workdir / "checkpoints" / "9" / "about" / "metadata"
     text = json.loads(about.read_text())
     about.write_text(json.dumps(text | {"sha256": text["sha256"][::-1]}))
-    line = refused(policy_file.find, str(workdir / "checkpoints" / "9"))
+    line = refused(source.find, str(workdir / "checkpoints" / "9"))
     assert "9: not a checkpoint, or damaged (its numbers are not those that were saved)" in line
     assert checkpoint_file.iterations(workdir / "checkpoints") == [10, 9]
     config = text["config"]
     wrong = ([], {"a.b": 1}, config | {"task": 1}, config | {"robot": {}}, config | {"ppo": [1]})
     for found in wrong:
         about.write_text(json.dumps(text | {"config": found}))
-        line = refused(policy_file.find, str(workdir / "checkpoints" / "9"))
+        line = refused(source.find, str(workdir / "checkpoints" / "9"))
         assert line.endswith("9: not a checkpoint of dynappo (it holds no config)")
     del text["config"]
     about.write_text(json.dumps(text))
-    assert "it holds no config" in refused(policy_file.find, str(workdir / "checkpoints" / "9"))
+    assert "it holds no config" in refused(source.find, str(workdir / "checkpoints" / "9"))
 
 
 def claim(folder, name, shape, chunks):

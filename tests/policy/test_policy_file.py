@@ -17,7 +17,7 @@ from toy_policy import ROBOTS, actor, described, save
 from dynappo import config as config_lib
 from dynappo.config import files
 from dynappo.learner import networks
-from dynappo.policy import policy_file
+from dynappo.policy import policy_file, source
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +44,7 @@ def test_a_policy_file_holds_all_that_its_robot_needs(saved, policy):
     model = mujoco.MjModel.from_xml_path(str(robot.xml))
     assert about["joint_names"] == [model.joint(i).name for i in range(1, 13)]
     np.testing.assert_array_equal(about["default_pose"], model.key("home").qpos[7:])
-    assert (about["robot"], about["format"], about["observation"]) == ("go1", 1, "velocity-48")
+    assert (about["robot"], about["format"], about["observation"]) == ("go1", 2, "velocity-48")
     assert about["activation"] == config.ppo.activation
     for name in policy_file.TASK:
         value = config.task[name]
@@ -95,7 +95,7 @@ DAMAGE = {  # what is done to the arrays or to `about`, what the line must say
     "about is a list": (lambda a, _: a.update(about="[1]"), "`about` is damaged"),
     "a field is missing": (lambda _, about: about.pop("kp"), "kp"),
     "a field too many": (lambda _, about: about.update(mass=1), "mass"),
-    "another format": (lambda _, about: about.update(format=2), "format 2"),
+    "another format": (lambda _, about: about.update(format=3), "format 3, this dynappo reads 2"),
     "another observation": (lambda _, about: about.update(observation="scan-187"), "'scan-187'"),
     "another activation": (lambda _, about: about.update(activation="mish"), "'mish'"),
     "a joint too few": (lambda _, about: about["joint_names"].pop(), "joints"),
@@ -125,7 +125,7 @@ def test_a_damaged_policy_is_one_line(saved, tmp_path, name):
     if arrays.get("about") is whole:
         arrays["about"] = json.dumps(about)
     np.savez(tmp_path / "mine.npz", allow_pickle=False, **arrays)
-    line = refused(policy_file.find, str(tmp_path / "mine.npz"))
+    line = refused(source.find, str(tmp_path / "mine.npz"))
     assert line.startswith(str(tmp_path / "mine.npz")) and expected in line
 
 
@@ -140,7 +140,7 @@ def test_a_file_of_another_kind_is_one_line(saved, tmp_path, content):
     else:
         cut = whole[: len(whole) // 2]
         path.write_bytes({"cut": cut, "text": b"robot: go1", "empty": b""}[content])
-    line = refused(policy_file.find, str(path))
+    line = refused(source.find, str(path))
     assert line.startswith(f"{path}: ") and ("damaged" in line or "cannot be read" in line)
 
 
@@ -153,14 +153,14 @@ def test_names_files_and_folders_are_told_apart(saved, tmp_path, monkeypatch):
     for folder in ("robots/spot", "spot"):
         Path(folder).mkdir(parents=True)
     Path("robots/spot/spot.xml").write_text("<mujoco/>")
-    line = refused(policy_file.locate, "spot")
+    line = refused(source.locate, "spot")
     assert "(robots/spot/policy.npz)" in line and "--policy=zero" in line
     shutil.copy(saved, "robots/spot/policy.npz")
-    assert policy_file.locate("spot") == tmp_path / "robots" / "spot" / "policy.npz"
-    assert "./spot: holds neither" in refused(policy_file.locate, "./spot")
+    assert source.locate("spot") == tmp_path / "robots" / "spot" / "policy.npz"
+    assert "./spot: holds neither" in refused(source.locate, "./spot")
     shutil.copy(saved, "spot/policy.npz")
-    assert policy_file.locate("./spot") == Path("spot/policy.npz")
-    line = refused(policy_file.locate, "sptt")
+    assert source.locate("./spot") == Path("spot/policy.npz")
+    line = refused(source.locate, "sptt")
     assert line.startswith("sptt: no such file or folder") and "go2, spot" in line
 
 

@@ -1,12 +1,11 @@
 """The film: a file with the robot in its middle, or a line that says why not and what to install."""
 
 import re
-import textwrap
 
 import mujoco
 import numpy as np
 import pytest
-from answers import ROOT, shell
+from answers import shell
 from toy_policy import GO1, described
 
 from dynappo.config import shell as shell_lib
@@ -177,15 +176,3 @@ def test_without_room_for_its_own_files_a_film_is_one_line(standing, tmp_path, m
     monkeypatch.setattr(render.np, "savez", full)
     problem = render.film(GO1, rows_of(standing, slice(2)), tmp_path / "video.mp4")
     assert problem == "no video: cannot write a temporary file (No space left on device)"
-
-
-def test_the_script_that_looks_at_a_robot_says_whether_it_stands(tmp_path):
-    """The one of robots/README.md, as it is printed there, with a bundled robot."""
-    page = (ROOT / "robots" / "README.md").read_text()
-    lines = page.partition("    import sys\n")[2].partition("\nIt plays")[0]
-    script = tmp_path / "look.py"
-    script.write_text("import sys\n" + textwrap.dedent(lines))
-    done = shell(script, "configs/go1.py", cwd=tmp_path)
-    assert re.search(r"^[\d.]+ kg; dt kd", done.stdout), done.stderr
-    before, after = re.search(r"base at ([\d.]+) m, after 5 s at ([\d.]+) m", done.stdout).groups()
-    assert 0.7 * float(before) < float(after) < float(before)  # it sags, and stands

@@ -17,7 +17,7 @@ from answers import ROOT, mistake, refused, shell, status
 
 from dynappo import config as config_lib
 from dynappo.config import shell as shell_lib
-from dynappo.policy import policy_file, render
+from dynappo.policy import policy_file, render, source
 from dynappo.program import devices
 from dynappo.train import command as train_command
 
@@ -63,7 +63,7 @@ def test_a_first_run_on_the_go1(tmp_path, monkeypatch):
     for row in rows:
         some = {k: v for k, v in row.items() if not k.startswith("episode_")}
         assert all(np.isfinite(float(value)) for value in some.values()), some
-    policy, path = policy_file.find(str(workdir))
+    policy, path = source.find(str(workdir))
     assert path == workdir / "policy.npz" and policy.robot == "go1"
     assert np.isfinite(policy_file.actor(policy.params, policy.activation)(np.zeros(48))).all()
     video = json.loads((workdir / "summary.json").read_text())["video"]

@@ -284,6 +284,28 @@ def test_fresh_moves_no_folder_that_somebody_is_in_and_no_empty_one(config, tmp_
     assert [path.name for path in tmp_path.iterdir()] == ["run"]
 
 
+# ---- its robot
+
+
+def test_a_run_does_not_go_on_with_another_robot(whole, config, tmp_path, monkeypatch):
+    """Its checkpoints hold the robot; a heavier one of that name is refused, another colour is not."""
+    workdir = tmp_path / "run"
+    shutil.copytree(whole.workdir, workdir)
+    before = workdirs.everything(workdir)
+    text, folder = GO1.xml.read_text(), tmp_path / "robots" / "go1"
+    folder.mkdir(parents=True)
+    monkeypatch.chdir(tmp_path)
+    (folder / "go1.xml").write_text(text.replace('mass="5.204"', 'mass="6.5"', 1))
+    assert (folder / "go1.xml").read_text() != text
+    line = refused(opened, workdir, config)
+    assert f"--workdir={workdir}: {folder}/go1.xml is another robot than the run began with" in line
+    after = workdirs.everything(workdir)
+    assert {p for p in before | after if before.get(p) != after.get(p)} <= {Path("lock")}
+    (folder / "go1.xml").write_text(text + "<!-- mine -->")
+    opened(workdir, config)
+    opened(workdir, config, fresh=True)
+
+
 # ---- the policy that is kept
 
 NAN = float("nan")
@@ -319,7 +341,9 @@ def test_a_save_has_the_worth_of_its_own_evaluation_and_the_policy_that_was_judg
     state = state.replace(learner=state.learner.replace(params=params))
     saved = []
     monkeypatch.setattr(
-        checkpoint, "save", lambda _, done, state, worth, **__: saved.append((done, worth))
+        checkpoint,
+        "save",
+        lambda _, done, state, worth, **about: saved.append((done, worth, about["best_seed"])),
     )
     monkeypatch.setattr(checkpoint, "wait", lambda manager: None)
     training = np.array([[9.0, 1.0], [9.0, 1.0]])
@@ -332,6 +356,6 @@ def test_a_save_has_the_worth_of_its_own_evaluation_and_the_policy_that_was_judg
     ):
         at = done, state, metrics | {"sim_steps": np.array([96])}, judged
         workdir_lib.save(config, GO1, tmp_path, None, *at, pytest.fail)
-        assert saved[-1] == (done, worth)
+        assert saved[-1] == (done, worth, best)
         kept = policy_file.load_params(tmp_path / "policy.npz")
         assert_same(kept, jax.tree.map(lambda x, best=best: x[best], params))

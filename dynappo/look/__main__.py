@@ -1,0 +1,5 @@
+"""`python -m dynappo.look`."""
+
+from dynappo.config import flags
+
+flags.start("look")

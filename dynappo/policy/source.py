@@ -1,0 +1,57 @@
+"""What the name of a policy means: a bundled one, a workdir, a checkpoint, a file."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from dynappo.config import ConfigError, files
+from dynappo.policy import checkpoint_file, policy_file
+
+
+def locate(text: str, seed: int | None = None) -> Path:
+    """The policy.npz or checkpoint folder that a name, a workdir or a path means.
+
+    A bundled policy comes first, `./go1` is a folder; of a workdir its policy.npz, or, while it
+    trains, its newest checkpoint. With a `seed` always a checkpoint: only they hold all seeds.
+    """
+    path = _bundled(text) if text in files.robots() else Path(text)
+    if os.path.isfile(path):  # False, not an error, where the name is too long
+        if seed is not None:
+            raise ConfigError(
+                f"--run-seed={seed}: {path} holds one policy; name the workdir of a run, or a checkpoint"
+            )
+        return path
+    if not os.path.isdir(path):
+        raise ConfigError(
+            f"{text}: no such file or folder; expected a workdir, a checkpoint, a policy.npz or one "
+            f"of {', '.join(files.robots())}"
+        )
+    if seed is None and (path / "policy.npz").is_file():
+        return path / "policy.npz"
+    if (path / checkpoint_file.STATE).is_dir():
+        return path
+    folder = path / "checkpoints" if (path / "checkpoints").is_dir() else path
+    saved = checkpoint_file.iterations(folder)
+    if not saved:
+        lacks = "neither a policy.npz nor checkpoints/" if seed is None else "no checkpoints/"
+        raise ConfigError(f"{text}: holds {lacks}")
+    return folder / str(saved[0])
+
+
+def _bundled(name: str) -> Path:
+    path = files.find("robots", f"{name}/policy.npz")
+    if path is None:
+        raise ConfigError(
+            f"{name}: no policy is bundled with this robot (robots/{name}/policy.npz); "
+            "train one, or see the robot with --policy=zero or --policy=random"
+        )
+    return path
+
+
+def find(text: str, seed: int | None = None) -> tuple[policy_file.Policy, Path]:
+    """The policy that `text` means, of several seeds number `seed` (see `locate`), and where it is."""
+    path = locate(text, seed)
+    return (
+        policy_file.load_checkpoint(path, seed) if path.is_dir() else policy_file.load(path)
+    ), path

@@ -1,0 +1,241 @@
+"""The robot that a policy carries: played anywhere, checked as any other file, told where it differs."""
+
+import json
+from functools import partial
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from answers import mistake, refused, status
+from ml_collections import config_dict
+from toy_policy import GO1, actor, described, save
+
+from dynappo.evaluate import command as evaluate_command
+from dynappo.evaluate import trials
+from dynappo.export import command as export_command
+from dynappo.physics import mjcf, robot
+from dynappo.play import command as play_command
+from dynappo.policy import carried, choice, policy_file, source
+
+TEXT = GO1.xml.read_text()
+HEAVY = TEXT.replace('mass="5.204"', 'mass="7.5"', 1)
+CUBE = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+
+
+def spot(path, text=TEXT):
+    """A policy.npz of a robot that no folder here has, with this MJCF."""
+    config, loaded = described()
+    policy_file.save(path, actor(), config, loaded._replace(name="spot", alone=text))
+    return path
+
+
+def carrying(path, **fields):
+    """A policy.npz whose `about` says this."""
+    save(path)
+    with np.load(path) as file:
+        arrays = {name: file[name] for name in file}
+    arrays["about"] = json.dumps(json.loads(str(arrays["about"])) | fields)
+    np.savez(path, allow_pickle=False, **arrays)
+    return path
+
+
+def moved(model, steps=200):
+    """Where a robot is that falls for a second without motors."""
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    mujoco.mj_step(model, data, steps)
+    return data.qpos.copy()
+
+
+def test_a_policy_is_played_where_there_is_no_robot_of_its_name(tmp_path, monkeypatch, capsys):
+    """By play, evaluate and export, from one file."""
+    monkeypatch.chdir(tmp_path)
+    spot(tmp_path / "spot.npz")
+    found, note = carried.robot(policy_file.load(tmp_path / "spot.npz"))
+    assert (found.name, note) == ("spot", "")
+    np.testing.assert_array_equal(moved(found.mj_model), moved(GO1.mj_model))
+    assert status(play_command.main, "spot.npz", "--seconds=0.2", "--out=walk.html") == 0
+    assert "dynappo plays spot: " in capsys.readouterr().out
+    sweep = partial(trials.sweep, seconds=0.1, points=1)
+    monkeypatch.setattr(trials, "sweep", sweep)
+    assert status(evaluate_command.main, "spot.npz", "--fast") == 0
+    assert "dynappo evaluates spot: " in capsys.readouterr().out
+    assert status(export_command.main, "spot.npz", "--out=again.npz") == 0
+    assert status(export_command.main, "again.npz", "--out=spot.xml") == 0
+    assert Path("spot.xml").read_text() == TEXT
+    assert not Path("robots").exists()
+
+
+def test_a_robot_is_one_text_without_other_files(tmp_path):
+    """Meshes as looks and an included file: what is carried moves as the file does."""
+    (tmp_path / "cube.obj").write_text(CUBE)
+    (tmp_path / "more.xml").write_text('<mujoco><option impratio="3"/></mujoco>')
+    looks = '<geom type="mesh" mesh="cube" group="2"/>'
+    text = TEXT.replace("<worldbody>", '<include file="more.xml"/><worldbody>', 1)
+    text = text.replace("</asset>", '<mesh name="cube" file="cube.obj"/></asset>', 1)
+    text = text.replace("<inertial", f"{looks}<inertial", 1)
+    path = tmp_path / "mine.xml"
+    path.write_text(text)
+    loaded = robot.load_xml(path)
+    assert "file=" not in loaded.alone and "mesh" not in loaded.alone
+    back = robot.load_text(loaded.alone, "mine", Path("policy.npz"))
+    assert back.mj_model.opt.impratio == loaded.mj_model.opt.impratio == 3
+    np.testing.assert_allclose(moved(back.mj_model), moved(loaded.mj_model), atol=1e-6)
+    assert robot.same(loaded, back) and back.joint_names == loaded.joint_names
+    drawn = mujoco.MjModel.from_xml_string(loaded.alone)
+    assert (drawn.geom_group <= 2).all()  # the looks have gone: what touches is drawn
+    assert GO1.alone == TEXT  # which is one text already
+
+
+PICTURE = '<texture type="{}" builtin="flat" width="4096" height="4000"/>'
+NUMBERS = '<numeric size="1000000"/>' * 20
+HOSTILE = {  # what `about` says, what the line must say
+    "an include": ({"mjcf": '<mujoco><include file="/etc/passwd"/></mujoco>'}, "include file="),
+    "a mesh": ({"mjcf": TEXT.replace("</asset>", '<mesh file="a.obj"/></asset>')}, "mesh file="),
+    "a picture": (
+        {"mjcf": TEXT.replace("</asset>", '<texture type="cube" fileup="/dev/zero"/></asset>')},
+        "texture fileup='/dev/zero'",
+    ),
+    "a plugin": (
+        {"mjcf": TEXT.replace("<worldbody>", "<extension/><worldbody>")},
+        "found extension",
+    ),
+    "too long": ({"mjcf": TEXT + " " * mjcf.MAX_CARRIED}, "an MJCF of at most 524288 bytes"),
+    "bodies": (
+        {
+            "mjcf": TEXT.replace(
+                "<worldbody>", '<worldbody><replicate count="9999">' + "<geom/>" * 9
+            )
+        },
+        "",
+    ),
+    "gigabytes of pictures": (
+        {"mjcf": TEXT.replace("</asset>", PICTURE.format("2d") * 40 + "</asset>")},
+        "texture brings it to",
+    ),
+    "a cube of pictures": (
+        {"mjcf": TEXT.replace("</asset>", PICTURE.format("cube") + "</asset>")},
+        "numbers, expected at most 16777216",
+    ),
+    "gigabytes of numbers": (
+        {"mjcf": TEXT.replace("<worldbody>", f"<custom>{NUMBERS}</custom><worldbody>", 1)},
+        "numeric brings it to",
+    ),
+    "no text": ({"mjcf": 7}, "mjcf is 7, expected a text"),
+    "no XML": ({"mjcf": "go1"}, "XML parse error"),
+    "no robot": ({"mjcf": "<mujoco/>"}, "expected"),
+    "another robot": ({"mjcf": robot.load("anymal_c").alone}, "those of the robot that it carries"),
+    "a seed": ({"seed": -1}, "seed is -1"),
+}
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_a_hostile_robot_is_one_line(tmp_path, monkeypatch, capfd, name):
+    """It names the policy's file; nothing is read beside it or written, and MuJoCo says nothing."""
+    fields, expected = HOSTILE[name]
+    monkeypatch.chdir(tmp_path)
+    path = carrying(tmp_path / "mine.npz", **fields)
+    line = refused(policy_file.load, path)
+    assert line.startswith(f"{path}: ") and expected in line and len(line) < 600
+    assert [*tmp_path.iterdir()] == [path] and not any(capfd.readouterr())
+
+
+def test_where_the_robot_here_is_another_a_line_says_so(tmp_path, monkeypatch, capsys):
+    """The carried one is played; --robot-xml takes the one that is here."""
+    folder = tmp_path / "robots" / "go1"
+    folder.mkdir(parents=True)
+    monkeypatch.chdir(tmp_path)
+    save(tmp_path / "mine.npz")
+    policy = policy_file.load(tmp_path / "mine.npz")
+    mass = GO1.mj_model.body_mass.sum()
+
+    def total(xml=None):
+        return choice.body(policy, xml)[0].model.body_mass.sum()
+
+    (folder / "go1.xml").write_text(HEAVY)
+    assert total() == pytest.approx(mass) and total("robots/go1/go1.xml") == mass + 7.5 - 5.204
+    assert choice.robot(policy, "robots/go1/go1.xml")[0].name == "go1"
+    for main, out in ((play_command.main, "a.html"), (export_command.main, "a.npz")):
+        assert status(main, "mine.npz", f"--out={out}", *["--seconds=0.1"] * (out[2] == "h")) == 0
+        notes = [n for n in capsys.readouterr().out.splitlines() if n.startswith("note: ")]
+        (line,) = notes
+        assert line.startswith(f"note: {folder}/go1.xml is another robot than the go1 that")
+    (folder / "go1.xml").write_text(TEXT + "<!-- a word -->")
+    found, note = carried.robot(policy)
+    assert (note, found.xml) == ("", folder / "go1.xml")  # the same: here it may have looks
+    (folder / "go1.xml").write_text("<mujoco/>")  # no robot: the policy has its own
+    assert carried.robot(policy)[1] == "" and total() == pytest.approx(mass)
+
+
+def test_a_policy_of_before_is_played_in_the_robot_of_its_name(tmp_path):
+    """Format 1, without MJCF, as the bundled ones are."""
+    path = carrying(tmp_path / "old.npz", format=1)
+    with np.load(path) as file:
+        arrays = {name: file[name] for name in file}
+    about = json.loads(str(arrays["about"]))
+    del about["mjcf"], about["seed"]
+    np.savez(path, allow_pickle=False, **arrays | {"about": json.dumps(about)})
+    found, note = carried.robot(policy_file.load(path))
+    assert (found.xml, found.text, note) == (GO1.xml, "", "")
+    assert source.find("go1")[0].mjcf == ""
+
+
+def test_a_robot_is_written_as_one_file(tmp_path, monkeypatch, capsys):
+    """`--robot-xml` puts another into a policy.npz; one that breaks the contract is one line."""
+    monkeypatch.chdir(tmp_path)
+    Path("heavy.xml").write_text(HEAVY)
+    arguments = ["go1", "--robot-xml=heavy.xml", "--out=policy.npz"]
+    assert status(export_command.main, *arguments) == 0
+    assert policy_file.load(Path("policy.npz")).mjcf == HEAVY
+    capsys.readouterr()
+    Path("none.xml").write_text("<mujoco/>")
+    line = mistake(export_command.main, ["go1", "--robot-xml=none.xml", "--out=b.npz"], capsys)
+    assert "--robot-xml=none.xml: expected" in line and not Path("b.npz").exists()
+    line = mistake(export_command.main, ["go1", "--robot-xml=no.xml", "--out=b.npz"], capsys)
+    assert "--robot-xml=no.xml: no such file" in line
+
+
+def test_a_carried_robot_is_drawn(tmp_path):
+    """By the process that renders, which is given its text; no file of it is anywhere."""
+    from dynappo.policy import episode, render
+
+    policy = policy_file.load(spot(tmp_path / "spot.npz"))
+    body, _ = choice.body(policy, None)
+    rows = episode.play(body, lambda obs: np.zeros(12), lambda t: np.zeros(3), 0.02)
+    if render.film(GO1, rows, tmp_path / "b.png"):
+        pytest.skip("no pictures here")
+    assert render.film(body, rows, tmp_path / "a.png") == ""
+    assert (tmp_path / "a.png").stat().st_size > 10_000
+
+
+def test_the_task_needs_no_robot_of_its_name_either(tmp_path, monkeypatch):
+    """The settings of the episodes on MJX; an order of joints that is not the robot's is refused."""
+    monkeypatch.chdir(tmp_path)
+    config, loaded = described()
+    fields = config_dict.ConfigDict(config)
+    fields.robot, fields.ppo.hidden = "spot", (16, 16)
+    policy_file.save(Path("spot.npz"), actor(), fields, loaded._replace(name="spot"))
+    policy = policy_file.load(Path("spot.npz"))
+    assert evaluate_command.episodes.settings(policy).robot == "spot"
+    own, _ = carried.robot(policy)
+    evaluate_command.episodes.check_robot(policy, own)
+    turned = policy._replace(joint_names=policy.joint_names[::-1])
+    line = refused(evaluate_command.episodes.check_robot, turned, own)
+    assert "episodes on MJX need the same order (--fast leaves them out)" in line
+
+
+@pytest.mark.parametrize("main", [play_command.main, evaluate_command.main, export_command.main])
+def test_every_command_takes_a_seed_in_the_same_way(main, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    out = ["--out=a.onnx"] if main is export_command.main else []
+    for seed, expected in (
+        ("3", "robots/go1/policy.npz holds one policy"),
+        ("-1", "--run-seed='-1': expected an integer of 0 or more, at most 2,147,483,647; or best"),
+        ("worst", "--run-seed='worst': expected an integer of 0 or more"),
+    ):
+        assert expected in mistake(main, ["go1", f"--run-seed={seed}", *out], capsys)
+    assert status(main, "--help") == 0
+    text = " ".join(capsys.readouterr().out.split())
+    assert "--run-seed K|best" in text and "--robot-xml FILE" in text
+    assert "number K, 0 to run.num_seeds - 1, or the best in the last evaluation" in text
