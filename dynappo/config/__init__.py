@@ -12,7 +12,15 @@ Every folder but those of the method may import it. It imports `schedule` and no
 """
 
 from dynappo.config.fields import ConfigError, flat
-from dynappo.config.loading import difference, load, load_both, override, to_json
+from dynappo.config.loading import (
+    difference,
+    from_json,
+    load,
+    load_both,
+    override,
+    to_json,
+    versions_apart,
+)
 from dynappo.config.splitting import split
 from dynappo.config.validation import validate
 
@@ -20,10 +28,12 @@ __all__ = [
     "ConfigError",
     "difference",
     "flat",
+    "from_json",
     "load",
     "load_both",
     "override",
     "split",
     "to_json",
     "validate",
+    "versions_apart",
 ]

@@ -38,6 +38,11 @@ def _defaults() -> config_dict.ConfigDict:
     return runpy.run_path(str(find("configs", "default.py", own=True)))["defaults"]()
 
 
+def defaults() -> config_dict.ConfigDict:
+    """A config of every field's default."""
+    return copy.deepcopy(_defaults())
+
+
 @functools.cache
 def every() -> dict[str, Field]:
     """The fields by their dotted names."""

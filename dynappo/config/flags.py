@@ -76,15 +76,36 @@ def load(spec: str | None, rest: list[str]):
 def load_both(spec: str | None, rest: list[str]):
     """`load(spec, rest)`, and the `get_env` that the file may define (`loading.load_both`)."""
     if not spec:
-        raise ConfigError("--config is missing; try --config=configs/go1.py:quick")
+        raise ConfigError("--config is missing; try --config=go1:laptop")
     config, get_env = config_lib.load_both(spec)
+    set_fields(config, rest)
+    return config, get_env
+
+
+def load_run(workdir: Path, rest: list[str]):
+    """The config of the run in `workdir`, with every flag of `rest`; not validated."""
+    try:
+        config = config_lib.from_json((workdir / "config.json").read_text())
+    except UnicodeDecodeError:
+        raise ConfigError(f"{workdir}/config.json: it is not text") from None
+    except ConfigError as error:
+        raise ConfigError(f"{workdir}/config.json: {error}; name the run's --config too") from None
+    if not config.robot:
+        raise ConfigError(
+            f"--workdir={workdir}: its environment is one's own; name its file too: --config=FILE.py"
+        )
+    set_fields(config, rest)
+    return config
+
+
+def set_fields(config, rest: list[str]) -> None:
+    """Set every `--config.GROUP.FIELD=VALUE` of `rest`."""
     more = iter(rest)
     for flag in more:
         if not flag.startswith("--config."):
             raise ConfigError(f"{flag}: no such flag; expected --config.GROUP.FIELD=VALUE")
         field, equals, text = flag.removeprefix("--config.").partition("=")
         config_lib.override(config, field, text if equals else next(more, ""))
-    return config, get_env
 
 
 def path(text: str) -> Path:

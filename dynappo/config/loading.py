@@ -122,6 +122,41 @@ def to_json(config) -> str:
     return json.dumps(config.to_dict(), indent=2)
 
 
+def from_json(text: str) -> config_dict.ConfigDict:
+    """The config that `to_json` wrote, perhaps of another version: what it lacks has its default, and what
+    this version lacks is left out (`versions_apart` tells both). ConfigError where it is no config.
+    """
+    try:
+        found = flat(json.loads(text))
+    except (ValueError, AttributeError, RecursionError):
+        raise ConfigError("it is not the JSON of a config") from None
+    config = fields.defaults()
+    for name in fields.every().keys() & found.keys():
+        value = found[name]
+        kind = fields.every()[name]
+        value = None if value is None and kind.default is None else fields.settle(kind, value)
+        if value is None and kind.default is not None:
+            raise ConfigError(f"{name} is {found[name]!r}, expected {fields.meant(kind)}")
+        group, _, leaf = name.rpartition(".")
+        node = functools.reduce(lambda c, k: c[k], filter(None, group.split(".")), config)
+        with node.ignore_type():
+            node[leaf] = value
+    return config
+
+
+def versions_apart(old: str, config) -> str:
+    """A line on the fields that only one of a run's `to_json` text and `config` has; "" if there are none."""
+    try:
+        before, here = flat(json.loads(old)), flat(config)
+    except (ValueError, AttributeError, RecursionError):
+        return ""
+    new = [f"{name} is new, and {value!r}" for name, value in here.items() if name not in before]
+    gone = [f"{name} is gone" for name in before if name not in here]
+    return (
+        "the run is of another version of dynappo: " + "; ".join(new + gone) if new + gone else ""
+    )
+
+
 def difference(old: str, new: str, except_for=()) -> str:
     """The first field in which two `to_json` texts differ, as "ppo.epochs 5 there, 4 here"; or "".
 

@@ -19,7 +19,7 @@ USAGE = """\
 any field of the config (configs/default.py lists them) can be set, as in
   --config.run.num_iterations=200 --config.ppo.learning_rate=3e-4
 variants follow the file's name: configs/go1.py:quick, :ppo16, :dyna4, ... (none: best)
-the same command again goes on with the run of its workdir
+the same command again goes on with the run of its workdir, and so does --workdir=DIR alone
 a FILE.py with get_env(config) trains an environment of your own: docs/environment.md
 """
 
@@ -55,10 +55,13 @@ def parse(argv: list[str] | None) -> Command:
     several.add_argument("--processes", type=int, metavar="N")
     several.add_argument("--process", type=int, metavar="I", help="0 to N-1")
     known, rest = flags.read_known(parser, argv)
-    config, get_env = flags.load_both(known.config, rest)
-    name, _, variant = known.config.partition(":")
-    folder = Path(name).stem + (f"-{variant}" if variant else "")
-    workdir = known.workdir or Path("runs") / folder
+    if known.config is None and known.workdir and (known.workdir / "config.json").is_file():
+        config, get_env, workdir = flags.load_run(known.workdir, rest), None, known.workdir
+    else:
+        config, get_env = flags.load_both(known.config, rest)
+        name, _, variant = str(known.config).partition(":")
+        folder = Path(name).stem + (f"-{variant}" if variant else "")
+        workdir = known.workdir or Path("runs") / folder
     processes = (known.coordinator, known.processes, known.process)
     config = config_lib.validate(config)
     return Command(config, workdir, known.fresh, known.restore, processes, get_env)
@@ -134,8 +137,22 @@ def train_and_show(command: Command, stop: Stop) -> None:
             raise config_lib.ConfigError(
                 f"--restore={folder}: --fresh moves that run aside; name the folder of another one"
             )
+    text = distributed.on_first(lambda: "" if command.fresh else written(command.workdir))
+    apart = config_lib.versions_apart(text, config)
+    if apart:
+        out.print(apart, style="yellow", markup=False, soft_wrap=True)
     with workdir_lib.open_workdir(command.workdir, config, command.fresh):
         _train_and_show(command, stop, out)
+
+
+def written(workdir: Path) -> str:
+    """The config.json of a run that has begun in `workdir`; "" if there is none."""
+    path = workdir / "config.json"
+    return (
+        path.read_bytes().decode(errors="replace")
+        if path.is_file() and workdir_lib.begun(workdir)
+        else ""
+    )
 
 
 def _train_and_show(command: Command, stop: Stop, out) -> None:

@@ -246,3 +246,45 @@ def test_the_difference_of_two_configs_is_the_first_field_that_differs_with_both
     assert config_lib.difference(json.dumps(other), old) == ""
     for text in ("{", "[]"):
         assert "cannot be read" in config_lib.difference(text, new)
+
+
+# ---- a run's config.json
+
+
+@pytest.mark.parametrize("spec", ["go1:best", "anymal_c:laptop", "go2:dyna4"])
+def test_a_config_comes_back_from_its_json(spec):
+    """Every field, tuples as tuples and floats as floats."""
+    config = config_lib.load(spec)
+    config.task.command_x = (-1.0, 2.0)
+    found = config_lib.from_json(config_lib.to_json(config))
+    assert config_lib.flat(found) == config_lib.flat(config)
+    kinds = {name: type(value) for name, value in config_lib.flat(config).items()}
+    assert {name: type(value) for name, value in config_lib.flat(found).items()} == kinds
+    assert config_lib.versions_apart(config_lib.to_json(config), found) == ""
+
+
+def test_what_another_version_wrote_is_filled_and_told():
+    """A field that is new here has its default, one that is gone is left out."""
+    text = json.loads(config_lib.to_json(config_lib.load("go1:best")))
+    del text["schedule"]["last_iteration"], text["ppo"]["symmetry"]
+    text["model"]["bounds"] = True
+    found = config_lib.from_json(json.dumps(text))
+    assert found.schedule.last_iteration is None and found.ppo.symmetry is False
+    line = config_lib.versions_apart(json.dumps(text), found)
+    said = {"schedule.last_iteration is new, and None", "ppo.symmetry is new, and False"}
+    assert set(line.split(": ", 1)[1].split("; ")) == said | {"model.bounds is gone"}
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("[1", "not the JSON of a config"),
+        ("3", "not the JSON of a config"),
+        ('{"ppo": {"epochs": "many"}}', "ppo.epochs is 'many', expected int"),
+        ('{"ppo": {"epochs": null}}', "ppo.epochs is None, expected int"),
+        ('{"task": {"command_x": [1]}}', "task.command_x is [1], expected tuple"),
+    ],
+)
+def test_a_json_that_is_no_config_is_refused(text, said):
+    with pytest.raises(config_lib.ConfigError, match=re.escape(said)):
+        config_lib.from_json(text)
