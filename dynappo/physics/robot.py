@@ -19,6 +19,9 @@ from dynappo.config import ConfigError, files
 from dynappo.physics import contract, mjcf
 
 VISUAL_GROUP = 2
+# beginnings of the names of arrays of a model that say how it moves, and ends of those that do not
+MOVES = ("body_", "jnt_", "dof_", "geom_", "qpos", "key_", "actuator_", "eq_", "tendon_")
+LOOKS = ("_group", "_rgba", "_matid", "_user", "_bvhadr", "_bvhnum")
 
 
 class Robot(NamedTuple):
@@ -112,12 +115,25 @@ def alone(xml: Path) -> str:
 
 
 def same(one: Robot, other: Robot) -> bool:
-    """Whether two robots are the same but for their looks, names of files and comments."""
-    if one.alone == other.alone != "":
+    """Whether two robots move alike: the same but for looks, names, comments, and digits after the sixth."""
+    if not one.alone or not other.alone:
+        return False
+    if one.alone == other.alone:
         return True
-    texts = [robot.alone and load_text(robot.alone, one.name, robot.xml) for robot in (one, other)]
-    models = [robot.mj_model for robot in texts if robot]
-    return len(models) == 2 and digest(models[0]) == digest(models[1])
+    first, second = (load_text(robot.alone, one.name, robot.xml) for robot in (one, other))
+    here, there = _motion(first.mj_model), _motion(second.mj_model)
+    return first.joint_names == second.joint_names and all(
+        here[name].shape == there[name].shape and np.allclose(here[name], there[name], 1e-6, 2e-8)
+        for name in here
+    )
+
+
+def _motion(model: mujoco.MjModel) -> dict[str, np.ndarray]:
+    """The arrays of a model, and its options, by which it moves."""
+    names = [n for n in dir(model) if n.startswith(MOVES) and not n.endswith(LOOKS)]
+    arrays = {name: np.asarray(getattr(model, name)) for name in names}
+    options = {n: np.asarray(getattr(model.opt, n)) for n in dir(model.opt) if n[0] != "_"}
+    return arrays | options
 
 
 def physics_spec(xml: Path, text: str = "") -> mujoco.MjSpec:

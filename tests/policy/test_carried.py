@@ -83,6 +83,11 @@ def test_a_robot_is_one_text_without_other_files(tmp_path):
     assert back.mj_model.opt.impratio == loaded.mj_model.opt.impratio == 3
     np.testing.assert_allclose(moved(back.mj_model), moved(loaded.mj_model), atol=1e-6)
     assert robot.same(loaded, back) and back.joint_names == loaded.joint_names
+    plain, more = tmp_path / "plain.xml", text.replace('file="more.xml"', 'file="none.xml"')
+    (tmp_path / "none.xml").write_text("<mujoco><worldbody/></mujoco>")
+    plain.write_text(more)
+    assert robot.same(robot.load_xml(plain), GO1)  # but for looks, and the digits of a text
+    assert not robot.same(loaded, GO1)
     drawn = mujoco.MjModel.from_xml_string(loaded.alone)
     assert (drawn.geom_group <= 2).all()  # the looks have gone: what touches is drawn
     assert GO1.alone == TEXT  # which is one text already
@@ -166,6 +171,28 @@ def test_where_the_robot_here_is_another_a_line_says_so(tmp_path, monkeypatch, c
     assert (note, found.xml) == ("", folder / "go1.xml")  # the same: here it may have looks
     (folder / "go1.xml").write_text("<mujoco/>")  # no robot: the policy has its own
     assert carried.robot(policy)[1] == "" and total() == pytest.approx(mass)
+
+
+CHANGES = {  # what is changed in the Go1, and whether it is another robot
+    "a mass": ('mass="5.204"', 'mass="5.2041"', False),
+    "a joint's range": ('range="-0.863 0.863"', 'range="-0.86 0.863"', False),
+    "friction": ('friction="0.8', 'friction="0.9', False),
+    "armature": ('armature="0.01"', 'armature="0.011"', False),
+    "the default pose": ("0.1 0.8 -1.5", "0.1 0.81 -1.5", False),
+    "the solver": ("<option ", '<option impratio="2" ', False),
+    "a colour": ('rgba="0.85 0.35 0.25 0.5"', 'rgba="0 1 0 1"', True),
+    "a comment": ("<worldbody>", "<!-- here --><worldbody>", True),
+    "the sky": ('<headlight ambient="0.42', '<headlight ambient="0.5', True),
+}
+
+
+@pytest.mark.parametrize("name", CHANGES)
+def test_what_moves_otherwise_is_another_robot(tmp_path, name):
+    before, after, same = CHANGES[name]
+    assert before in TEXT
+    (tmp_path / "go1.xml").write_text(TEXT.replace(before, after, 1))
+    other = robot.load_xml(tmp_path / "go1.xml")
+    assert robot.same(GO1, other) is robot.same(other, GO1) is same
 
 
 def test_a_policy_of_before_is_played_in_the_robot_of_its_name(tmp_path):
