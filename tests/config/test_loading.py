@@ -2,6 +2,7 @@
 
 import functools
 import json
+import re
 
 import pytest
 from answers import ROOT, refused
