@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 from pathlib import Path
@@ -55,7 +56,7 @@ def parse(argv: list[str] | None) -> Command:
     several.add_argument("--processes", type=int, metavar="N")
     several.add_argument("--process", type=int, metavar="I", help="0 to N-1")
     known, rest = flags.read_known(parser, argv)
-    if known.config is None and known.workdir and (known.workdir / "config.json").is_file():
+    if known.config is None and known.workdir and os.path.isfile(known.workdir / "config.json"):
         config, get_env, workdir = flags.load_run(known.workdir, rest), None, known.workdir
     else:
         config, get_env = flags.load_both(known.config, rest)
@@ -150,7 +151,7 @@ def written(workdir: Path) -> str:
     path = workdir / "config.json"
     return (
         path.read_bytes().decode(errors="replace")
-        if path.is_file() and workdir_lib.begun(workdir)
+        if os.path.isfile(path) and workdir_lib.begun(workdir)
         else ""
     )
 

@@ -269,7 +269,7 @@ def save(config, robot, workdir, checkpoints, done: int, state, metrics, evaluat
         return
     about = {"sim_steps": int(metrics["sim_steps"][-1]), "config": config.to_dict()}
     best = best_seed(config, evaluated)
-    about |= {"mjcf": robot.alone, "best_seed": best or 0}
+    about |= {"mjcf": robot.alone if robot else "", "best_seed": best or 0}
     now = "eval_return" in metrics and np.isfinite(metrics["eval_return"][-1]).all()
     worth = float(np.mean(evaluated)) if now else None
     log.attempt("the checkpoint before", partial(checkpoint.wait, checkpoints), say)

@@ -90,10 +90,13 @@ def test_a_picture_is_written_or_one_line_says_why_not(tmp_path, monkeypatch, ca
 
 
 MISTAKES = {  # arguments, what the line must say
-    "nothing": ([], "no config is named; try: python -m dynappo.look go1"),
+    "nothing": ([], "no config is named; try: "),
     "unknown": (["wlk"], "--config: no file 'wlk'"),
     "suffix": (["go1", "--out=a.html"], "--out=a.html: expected a file named .png"),
-    "no folder": (["go1", "--out=no/a.png"], "--out=no/a.png: cannot write there (No such"),
+    "no folder": (
+        ["go1", "--out=/proc/no/a.png"],
+        "--out=/proc/no/a.png: cannot write there (No such",
+    ),
     "a flag": (["go1", "--fast"], "--fast: no such flag"),
     "a field": (["go1", "--config.task.kq=3"], "--config.task.kq: no such field"),
     "a value": (["go1", "--config.task.kp=-3"], "task.kp"),

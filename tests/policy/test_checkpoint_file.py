@@ -122,7 +122,7 @@ def test_a_checkpoint_carries_its_robot(tmp_path, monkeypatch):
 def test_it_is_read_without_jax(tmp_path):
     """JAX would take a GPU that trains."""
     written(tmp_path / "run")
-    code = "import sys; from dynappo.policy import policy_file; source.find(sys.argv[1]); "
+    code = "import sys; from dynappo.policy import source; source.find(sys.argv[1]); "
     code += "print(sorted({'jax', 'flax', 'orbax'} & set(sys.modules)))"
     done = shell("-c", code, tmp_path / "run")
     assert done.stdout == "[]\n", done.stderr

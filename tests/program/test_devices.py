@@ -54,9 +54,9 @@ def test_the_engine_is_warp_where_it_can_run(machine, impl, device, platform, wa
 @pytest.mark.parametrize(
     ("fields", "platform", "warp", "expected"),
     [
-        ({"run__device": "gpu"}, "cpu", True, "run.device is gpu, but JAX sees none; install"),
-        ({"physics__impl": "warp"}, "cpu", True, "JAX sees no NVIDIA GPU; install"),
-        ({"physics__impl": "warp"}, "gpu", False, "warp-lang is not installed; install"),
+        ({"run__device": "gpu"}, "cpu", True, "run.device is gpu, but JAX sees none; "),
+        ({"physics__impl": "warp"}, "cpu", True, "JAX sees no NVIDIA GPU; "),
+        ({"physics__impl": "warp"}, "gpu", False, "warp-lang is not installed; "),
         ({"run__mesh_env": 4}, "gpu", True, "is 1 x 4, but JAX sees 2 devices in 1 processes"),
     ],
 )

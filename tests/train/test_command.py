@@ -145,7 +145,7 @@ def test_a_mistake_is_one_line_and_status_2(name, tmp_path, monkeypatch, capsys)
 
 def test_a_config_file_that_is_not_there_is_one_line(capsys):
     for argv, expected in (
-        ([], "--config is missing; try --config=configs/go1.py:quick"),
+        ([], "--config is missing; try --config=go1:laptop"),
         (["--config=none.py"], "no file 'none.py'"),
         (["--config"], "--config: expected one argument"),
     ):
@@ -256,7 +256,7 @@ def finished(monkeypatch, when):
         raise AssertionError("not stopped")
 
     program = SimpleNamespace(impl="c", device="cpu", compile_seconds=0, bytes_needed=1)
-    monkeypatch.setattr(train_command.build, "program", lambda config: program)
+    monkeypatch.setattr(train_command.build, "program", lambda config, env: program)
     monkeypatch.setattr(train_command.run_lib, "loop", loop)
     monkeypatch.setattr(train_command.finish, "finish", finish)
     return loops
