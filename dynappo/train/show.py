@@ -124,10 +124,9 @@ def in_words(task, evaluation: dict[str, Any]) -> str:
         return ""
     errors = share("tracking_error", task.command_x, task.command_y)
     walking, falls = errors < 0.33, np.array(np.ravel(evaluation["fall_rate"]), float)
+    often = falls.mean()
     falling = (
-        f"falls in {100 * falls.mean():.0f} % of episodes"
-        if falls.mean() >= 0.005
-        else "does not fall"
+        "often falls" if often > 0.1 else "seldom falls" if often >= 0.005 else "does not fall"
     )
     if len(errors) > 1:
         return f"{walking.sum()} of {len(errors)} seeds walk; {falling}"

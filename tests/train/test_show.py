@@ -103,17 +103,17 @@ def test_the_last_table_has_the_numbers_and_what_to_do_next(name):
 
 SAID = {  # (tracking error, yaw error, fall rate), of commands from -1 to 1: what the summary says
     "stands": ((0.8, 0.57, 0.0), "stands, does not walk yet; does not fall"),
-    "begins": ((0.5, 0.4, 0.2), "begins to walk; falls in 20 % of episodes"),
+    "begins": ((0.5, 0.4, 0.2), "begins to walk; often falls"),
     "walks": ((0.05, 0.05, 0.001), "walks, turns, does not fall"),
-    "no turn": ((0.1, 0.5, 0.03), "walks, does not turn yet, falls in 3 % of episodes"),
+    "no turn": ((0.1, 0.5, 0.03), "walks, does not turn yet, seldom falls"),
     "falls": ((float("nan"), float("nan"), 1.0), "falls at once"),
     "seeds": (
         ([0.05, 0.8], [0.1, 0.5], [0.0, 0.5]),
-        "1 of 2 seeds walk; falls in 25 % of episodes",
+        "1 of 2 seeds walk; often falls",
     ),
     "nobody": (
         ([None, 0.8], [None, 0.5], [1.0, 1.0]),
-        "0 of 2 seeds walk; falls in 100 % of episodes",
+        "0 of 2 seeds walk; often falls",
     ),
 }
 
