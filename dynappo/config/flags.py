@@ -94,6 +94,12 @@ def load_run(workdir: Path, rest: list[str]):
         raise ConfigError(
             f"--workdir={workdir}: its environment is one's own; name its file too: --config=FILE.py"
         )
+    xml = f"{config.robot}/{config.robot}.xml"
+    if not files.find("robots", xml):
+        raise ConfigError(
+            f"--workdir={workdir}: there is no robots/{xml} here; write it from the run by "
+            f"python -m dynappo.export {workdir} --out=robots/{xml}"
+        )
     set_fields(config, rest)
     return config
 

@@ -334,3 +334,42 @@ def test_a_run_can_be_killed_at_any_moment(tmp_path):
     about = (w / "checkpoints" / "400" / "about" / "metadata" for w in (workdir, never))
     one, other = (json.loads(path.read_text())["sha256"] for path in about)
     assert one == other
+
+
+# ---- a run that goes on by its folder alone
+
+
+def saved_config(folder, **fields):
+    """A folder with the config.json of a run of `:quick`."""
+    config = config_lib.load("go1:quick")
+    config.update(fields)
+    folder.mkdir(parents=True)
+    (folder / "config.json").write_text(config_lib.to_json(config))
+    return folder
+
+
+def test_a_workdir_alone_is_enough_to_go_on(tmp_path):
+    """Its settings, and those of the command line above them."""
+    run = saved_config(tmp_path / "run")
+    command = train_command.parse([f"--workdir={run}", "--config.run.num_iterations=80"])
+    named = train_command.parse(["--config=go1:quick", f"--workdir={run}"])
+    changed = config_lib.flat(command.config) | {"run.num_iterations": 70}
+    assert changed == config_lib.flat(named.config) and command.config.run.num_iterations == 80
+    assert command.workdir == run and command.get_env is None
+
+
+def test_a_workdir_that_is_not_enough_says_what_else(tmp_path):
+    """None there, one's own environment, a robot that is elsewhere, a config.json that is none."""
+    empty = tmp_path / "empty"
+    assert "--config is missing" in refused(train_command.parse, [f"--workdir={empty}"])
+    own = saved_config(tmp_path / "own", robot="")
+    assert "name its file too: --config=FILE.py" in refused(
+        train_command.parse, [f"--workdir={own}"]
+    )
+    away = saved_config(tmp_path / "away", robot="mydog")
+    line = refused(train_command.parse, [f"--workdir={away}"])
+    assert f"export {away} --out=robots/mydog/mydog.xml" in line
+    (own / "config.json").write_bytes(b"\xff{")
+    assert "config.json: it is not text" in refused(train_command.parse, [f"--workdir={own}"])
+    (own / "config.json").write_text("{")
+    assert "not the JSON of a config" in refused(train_command.parse, [f"--workdir={own}"])
