@@ -128,7 +128,7 @@ def train_and_show(command: Command, stop: Stop) -> None:
     config, env = environment.made(command.get_env, command.config)
     command, folder = command._replace(config=config, env=env), command.restore
     out = Console(highlight=False, quiet=not distributed.first())
-    out.print(f"[bold]dynappo[/bold] {show.describe(config)}", soft_wrap=True)
+    out.print(f"dynappo {show.describe(config)}", markup=False, soft_wrap=True)
     run_lib.check(config, env)  # before anything is written
     if folder:
         from dynappo.train import restore

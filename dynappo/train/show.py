@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -93,21 +94,22 @@ def summary(out, config, workdir: Path, summary: dict[str, Any]) -> None:
     for label, value in rows.items():
         table.add_row(label, value)
     out.print(table)
+    say = partial(out.print, markup=False, soft_wrap=True)  # names may have brackets
     names = "metrics.csv, summary.json, policy.npz, checkpoints/"
-    out.print(f"written to {workdir}: {names}", soft_wrap=True)
+    say(f"written to {workdir}: {names}")
     if "curves" in summary:
-        out.print(str(summary["curves"]), soft_wrap=True)
+        say(str(summary["curves"]))
     if "video" in summary:
-        out.print(str(summary["video"]), soft_wrap=True)
+        say(str(summary["video"]))
     if not config.robot:
         text = (
             f"no film, no play: it is no robot; policy_file.load_actor('{workdir}/policy.npz') acts"
         )
-        return out.print(text, soft_wrap=True, markup=False)
-    out.print(f"see it: {shell.program()} play {workdir} --out=walk.html", soft_wrap=True)
+        return say(text)
+    say(f"see it: {shell.program()} play {workdir} --out=walk.html")
     if config.run.num_iterations < 200 or summary["impl"] == "c":
         name = config.robot
-        out.print(f"next: {shell.program()} train --config={name}  (on a GPU)")
+        say(f"next: {shell.program()} train --config={name}  (on a GPU)")
 
 
 def in_words(task, evaluation: dict[str, Any]) -> str:

@@ -101,6 +101,14 @@ def test_the_last_table_has_the_numbers_and_what_to_do_next(name):
     assert f"next: {shell_lib.program()} train --config=go1" in found
 
 
+def test_brackets_are_no_markup():
+    """What installs an extra, and a folder's name."""
+    text, lacking = io.StringIO(), SUMMARY | {"video": "no video: pip install -e '.[video]'"}
+    folder = pathlib.Path("runs/[bold]x")
+    show.summary(Console(file=text, width=120), config("configs/go1.py:quick"), folder, lacking)
+    assert "'.[video]'" in text.getvalue() and "play runs/[bold]x " in text.getvalue()
+
+
 SAID = {  # (tracking error, yaw error, fall rate), of commands from -1 to 1: what the summary says
     "stands": ((0.8, 0.57, 0.0), "stands, does not walk yet; does not fall"),
     "begins": ((0.5, 0.4, 0.2), "begins to walk; often falls"),
