@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import sys
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -139,10 +140,11 @@ def train_and_show(command: Command, stop: Stop) -> None:
                 f"--restore={folder}: --fresh moves that run aside; name the folder of another one"
             )
     text = distributed.on_first(lambda: "" if command.fresh else written(command.workdir))
+    say = partial(out.print, style="yellow", markup=False, soft_wrap=True)
     apart = config_lib.versions_apart(text, config)
     if apart:
-        out.print(apart, style="yellow", markup=False, soft_wrap=True)
-    with workdir_lib.open_workdir(command.workdir, config, command.fresh):
+        say(apart)
+    with workdir_lib.open_workdir(command.workdir, config, command.fresh, say):
         _train_and_show(command, stop, out)
 
 

@@ -32,6 +32,7 @@ def start_from(
         lambda s: (0, weights(folder, s, say, taken.append)), program.state
     )
     if taken:
+        say(f"starts from {folder}, {taken[0]}")
         files.write_text(workdir / "restored_from", f"{folder.resolve()}\n{taken[0]}\n")
     return program._replace(state=program.place(state))
 

@@ -41,7 +41,7 @@ NO_LOCKS = (errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS)  # of s
 
 
 @contextlib.contextmanager
-def open_workdir(workdir: Path, config, fresh: bool = False):
+def open_workdir(workdir: Path, config, fresh: bool = False, say=lambda text: None):
     """The folder of a run with its config.json, closed to other processes until the `with` ends.
 
     Where a run has begun in it, only fields that do not change what is computed may differ
@@ -49,17 +49,18 @@ def open_workdir(workdir: Path, config, fresh: bool = False):
     to `WORKDIR.old-1`, and starts anew. Of several processes the first does all this.
     """
     with contextlib.ExitStack() as held:
-        distributed.on_first(lambda: _open(workdir, config, fresh, held))
+        distributed.on_first(lambda: _open(workdir, config, fresh, held, say))
         yield workdir
 
 
-def _open(workdir: Path, config, fresh: bool, held: contextlib.ExitStack) -> None:
+def _open(workdir: Path, config, fresh: bool, held: contextlib.ExitStack, say) -> None:
     try:
         if fresh and _movable(workdir):
             with _hold(workdir):
                 number = next(n for n in itertools.count(1) if not _old(workdir, n).exists())
                 old = workdir.rename(_old(workdir, number))
                 (old / "lock").unlink(missing_ok=True)
+                say(f"the run that was there is {old} now")
         workdir.mkdir(parents=True, exist_ok=True)
         held.enter_context(_hold(workdir))
         for name in ("config.json", "metrics.csv", "restored_from"):

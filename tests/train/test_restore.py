@@ -20,7 +20,9 @@ from dynappo.train import restore
 def test_another_run_starts_from_the_networks(program, whole, tmp_path):
     """Policy, value function, model and its moments are that run's; all else is new."""
     run = program()
-    fresh, state = run.state, restore.start_from(whole.workdir, run, tmp_path, pytest.fail).state
+    said = []
+    fresh, state = run.state, restore.start_from(whole.workdir, run, tmp_path, said.append).state
+    assert said == [f"starts from {whole.workdir}, checkpoint 4"]
     assert_same(state.learner.params, whole.state.learner.params)
     for part in ("params", "inputs", "targets"):
         assert_same(getattr(state.model, part), getattr(whole.state.model, part))
