@@ -23,10 +23,11 @@ train: $(VENV)/.train  ## train a Go1 on two CPU cores, three minutes with the s
 test: $(VENV)/.dev  ## run the tests (the slow ones: .venv/bin/pytest -m slow; 2000 bad inputs: -m fuzz)
 	$(BIN)/python -m pytest -n 2 --dist loadfile
 
-check: $(VENV)/.dev  ## lint, format and types: what must be clean before a commit
+check: $(VENV)/.dev  ## lint, format, types and spelling: what must be clean before a commit
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	$(BIN)/pyright
+	$(BIN)/codespell
 
 format: $(VENV)/.dev  ## put the code into the project's format
 	$(BIN)/ruff check --fix

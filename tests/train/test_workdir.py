@@ -215,7 +215,9 @@ def test_fresh_moves_the_old_run_aside(config, whole, tmp_path):
     workdir = tmp_path / "run"
     shutil.copytree(whole.workdir, workdir)
     for number in (1, 2):
-        opened(workdir, config, fresh=True)
+        said = []
+        opened(workdir, config, fresh=True, say=said.append)
+        assert said == [f"the run that was there is {tmp_path}/run.old-{number} now"]
         assert {p.name for p in workdir.iterdir()} <= {"config.json", "lock"}
         assert (tmp_path / f"run.old-{number}" / "config.json").exists()
     old = tmp_path / "run.old-1"
