@@ -14,7 +14,8 @@ from dynappo import schedule
 from dynappo.task import observe
 from experiments import paper
 
-REAL, KEPT, TAILS = 8, 6, 4  # real rows of an iteration of `best`, iterations kept, tails shown
+REAL, KEPT, TAILS = 8, 6, 4  # real rows of an iteration in results/, iterations kept, tails shown
+OF_BEST = 4  # real rows of an iteration of `best`
 GREY, ORANGE, BROWN, INK = "#8c8c8c", "#e07b28", "#8f3f0d", "0.2"
 CURVES = {  # column of rows.csv -> number of the state, label
     "speed": (observe.LINEAR_VELOCITY.start, "velocity ahead (m/s)"),
@@ -110,10 +111,10 @@ def draw_overview(path: Path) -> None:
     axis.set_subplotspec(axis.get_gridspec()[0, :])  # as wide as the page
     blank(axis, (0, 12.4), (-0.3, 3.3))
     box(axis, 1.2, 2.2, "physics $p$\n(MuJoCo)", wide=1.9, high=0.9)
-    for n in range(24):
-        colour = GREY if n < REAL else ORANGE
-        box(axis, 3.3 + 0.17 * n, 2.2, "", colour, wide=0.13, high=0.55)
-    axis.text(3.25, 2.55, f"{REAL} real rows", fontsize=8, color=INK)
+    for n in range(20):
+        colour = GREY if n < OF_BEST else ORANGE
+        box(axis, 3.3 + 0.2 * n, 2.2, "", colour, wide=0.15, high=0.55)
+    axis.text(3.2, 2.55, f"{OF_BEST} real", fontsize=8, color=INK)
     axis.text(5.95, 2.55, "tail: 16 synthetic rows", ha="center", fontsize=8, color=ORANGE)
     box(axis, 3.9, 0.75, "fit $f_\\theta$\n$\\mathcal{L}_{model}$", wide=1.5, high=0.9)
     box(axis, 6.3, 0.75, "model $f_\\theta$\nas physics", "#fbe6d3", wide=1.5, high=0.9)
@@ -129,7 +130,9 @@ def draw_overview(path: Path) -> None:
     arrow(axis, (1.2, 1.2), (1.2, 1.72))
     arrow(axis, (6.3, -0.2), (6.3, 0.28))
     axis.text(8.9, -0.14, "acts in physics and in the model", ha="center", va="bottom", fontsize=8)
-    anchor = 3.3 + 0.17 * (REAL - 0.5)
+    text = "three rounds an iteration:\nnew tail, new update"
+    axis.text(7.2, 0.75, text, va="center", fontsize=8, color=BROWN)
+    anchor = 3.3 + 0.2 * (OF_BEST - 0.5)
     axis.plot(
         [anchor, anchor, 1.2, 1.2], [2.5, 3.1, 3.1, 2.95], color=INK, linewidth=1, linestyle="--"
     )
@@ -140,7 +143,7 @@ def draw_overview(path: Path) -> None:
         axes[1], ("dyna4", "best"), ("the paper's ramp", "ours"), strict=True
     ):
         config = config_lib.load(f"configs/go1.py:{variant}")
-        steps, rows = schedule.table(config)[:120], config.rollout.horizon
+        steps, rows = schedule.table(config)[:200], config.rollout.horizon
         i = np.arange(1, len(steps) + 1)
         axis.stackplot(
             i,
