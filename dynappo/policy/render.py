@@ -2,7 +2,7 @@
 
 Nothing here needs JAX. The film is made in a process of its own (`python -m dynappo.policy.render
 EPISODE.npz OUT`), because the OpenGL backend is chosen once a process, and a backend that fails may
-take the process with it: EGL is tried first, then OSMesa. `play/page.py` needs neither.
+take the process with it: on Linux EGL is tried first, then OSMesa. `play/page.py` needs neither.
 """
 
 from __future__ import annotations
@@ -30,9 +30,17 @@ __all__ = ["film", "simulate", "tour"]
 
 FPS, WIDTH, HEIGHT = 25, 640, 360  # software OpenGL on two cores renders about ten a second
 PICTURE = 1280, 720
+# what MUJOCO_GL may be, in the order in which it is tried; a Mac and Windows have their own OpenGL
+BACKENDS = {"darwin": ("cgl", "glfw"), "win32": ("wgl", "glfw")}.get(
+    sys.platform, ("egl", "osmesa")
+)
 NO_OPENGL = (
     "no video: neither EGL nor OSMesa can render here; Debian and Ubuntu: apt install libegl1"
 )
+if sys.platform in ("darwin", "win32"):
+    NO_OPENGL = (
+        "no video: OpenGL cannot render here; log in to the desktop, or write a page instead"
+    )
 PATIENCE = 20.0  # s for a second of film, at most: a driver may hang
 LACKS_PACKAGE, CANNOT_WRITE = 3, 4  # exit statuses of the rendering process
 LACKS = "no video: {} is not installed; "
@@ -80,8 +88,9 @@ def film(
         except OSError as error:  # no temporary folder, or a full disk
             return f"no video: cannot write a temporary file ({error.strerror or error})"
         limit = PATIENCE * (10 + float(episode["dt"]) * len(episode["qpos"]))  # s
-        for backend in ("egl", "osmesa"):
-            environment = os.environ | {"MUJOCO_GL": backend, "PYOPENGL_PLATFORM": backend}
+        for backend in BACKENDS:
+            environment = os.environ | {"MUJOCO_GL": backend}
+            environment |= {"PYOPENGL_PLATFORM": backend} if backend in ("egl", "osmesa") else {}
             command = [sys.executable, "-m", "dynappo.policy.render", str(npz), str(out)]
             try:
                 done = subprocess.run(
