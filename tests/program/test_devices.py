@@ -59,7 +59,7 @@ def test_the_engine_is_warp_where_it_can_run(machine, impl, device, platform, wa
             {"run__device": "gpu"},
             "cpu",
             True,
-            "run.device is gpu, but JAX sees none; .* pip install .*cuda12 where",
+            "run.device is gpu, but JAX sees none; .* pip install .*cuda12",
         ),
         ({"physics__impl": "warp"}, "cpu", True, "JAX sees no NVIDIA GPU; .* pip install "),
         ({"physics__impl": "warp"}, "gpu", False, "warp-lang is not installed; .* pip install "),
