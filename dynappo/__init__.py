@@ -39,15 +39,18 @@ def _in_a_line(kind, error, trace) -> None:
 def _remedy() -> str:
     """What to do where this Python has not what dynappo needs: of a clone, its own Python has."""
     root = Path(__file__).resolve().parents[1]
-    if (root / ".venv" / "bin" / "python").exists() and root / ".venv" != Path(sys.prefix):
-        return f"source {root}/.venv/bin/activate"
+    own = root / ".venv"
+    if (own / "bin" / "python").exists() and own != Path(sys.prefix):
+        return f"source {own}/bin/activate"
+    if (own / "Scripts" / "python.exe").exists() and own != Path(sys.prefix):
+        return rf"{own}\Scripts\activate"
     if (root / "constraints.txt").exists():
         return f"{sys.executable} -m pip install -c {root}/constraints.txt -e {root}"
     return f"{sys.executable} -m pip install --force-reinstall dynappo"
 
 
 # Python is importing one of our commands, which takes half a second; in no other program is it so
-if sys.argv[:1] == ["-m"] or os.path.basename(sys.argv[0] if sys.argv else "") == "dynappo":
+if sys.argv[:1] == ["-m"] or Path(sys.argv[0] if sys.argv else "").stem == "dynappo":
     sys.excepthook = _in_a_line
 
 if TYPE_CHECKING:  # what an editor completes

@@ -96,6 +96,17 @@ def test_what_is_installed_is_what_constraints_say():
     assert not found, f"{found}: pip install -c constraints.txt -e '.[dev,video]'"
 
 
+def test_cuda_is_a_name_of_cuda13():
+    """And each is what JAX calls so, of the version that is pinned for the CPU too."""
+    extras = PROJECT["optional-dependencies"]
+    assert extras["cuda"] == extras["cuda13"] == ["jax[cuda13]"] and extras["cuda12"] == [
+        "jax[cuda12]"
+    ]
+    provided = metadata.metadata("jax").get_all("Provides-Extra") or []
+    assert {"cuda12", "cuda13"} <= set(provided)
+    assert exact(pins()["jax"]) == exact(pins()["jaxlib"])
+
+
 @pytest.mark.parametrize("folder", ["dynappo", "configs"])
 def test_everything_imported_is_declared(folder):
     distributions = metadata.packages_distributions()

@@ -1,4 +1,4 @@
-"""Where configs/ and robots/ are found, and how small files are written: whole or not at all."""
+"""Where configs/ and robots/ are found, how small files are written (whole or not at all), and locks."""
 
 from __future__ import annotations
 
@@ -6,10 +6,17 @@ import contextlib
 import errno
 import json
 import os
+import socket
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 PACKAGE = Path(__file__).resolve().parents[1]
+NO_LOCKS = (errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS)  # of some file systems
+
+
+class Locked(Exception):
+    """Another process holds a lock; the text says which."""
 
 
 def roots() -> tuple[Path, ...]:
@@ -36,6 +43,34 @@ def check_regular(path: Path) -> None:
 
 
 @contextlib.contextmanager
+def locked(path: Path) -> Iterator[Any]:
+    """Yields the lock `path`, which this process holds until the `with` ends; Locked if another one does.
+
+    The lock ends with the process, however that ends: a file that a killed run leaves behind holds
+    nobody up. File systems without locks go without.
+    """
+    import filelock
+
+    lock = filelock.FileLock(path)
+    try:
+        try:
+            lock.acquire(blocking=False)
+            with contextlib.suppress(PermissionError):  # Windows locks what the file holds, too
+                path.write_text(f"pid {os.getpid()} on {socket.gethostname()}\n")
+        except filelock.Timeout:
+            holder = "its process is unknown"
+            with contextlib.suppress(PermissionError):
+                holder = path.read_text().strip()
+            raise Locked(holder) from None
+        except OSError as error:
+            if error.errno not in NO_LOCKS:
+                raise
+        yield lock
+    finally:
+        lock.release()
+
+
+@contextlib.contextmanager
 def replacing(path: Path) -> Iterator[Path]:
     """Yields a file beside `path` that becomes `path` at the end, whole; after an error it is gone."""
     part = path.with_name(path.name + ".part")
@@ -53,9 +88,9 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write whole or not at all."""
+    """Write whole or not at all, with the same bytes on every system."""
     with replacing(path) as part:
-        part.write_text(text)
+        part.write_text(text, encoding="utf-8", newline="\n")
 
 
 def write_json(path: Path, value) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import _thread
 import argparse
 import contextlib
 import errno
@@ -85,7 +86,7 @@ def load_both(spec: str | None, rest: list[str]):
 def load_run(workdir: Path, rest: list[str]):
     """The config of the run in `workdir`, with every flag of `rest`; not validated."""
     try:
-        config = config_lib.from_json((workdir / "config.json").read_text())
+        config = config_lib.from_json((workdir / "config.json").read_text(encoding="utf-8"))
     except UnicodeDecodeError:
         raise ConfigError(f"{workdir}/config.json: it is not text") from None
     except ConfigError as error:
@@ -213,10 +214,17 @@ def answer(action: Callable[[], None], stopped: str | Callable[[], str] = "stopp
 def _once_more(lost) -> None:
     """What is raised in a finalizer (JAX has some) Python prints, and goes on; ctrl-C comes again instead."""
     if isinstance(lost.exc_value, KeyboardInterrupt):
-        again = threading.main_thread().ident, signal.SIGINT
-        threading.Timer(0.05, signal.pthread_kill, again).start()
+        threading.Timer(0.05, _interrupt).start()
     else:
         sys.__unraisablehook__(lost)
+
+
+def _interrupt() -> None:
+    """Ctrl-C for the main thread, also where it waits in a system call; Windows has only the plainer way."""
+    if hasattr(signal, "pthread_kill"):
+        signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
+    else:
+        _thread.interrupt_main()
 
 
 def _told(error: Exception) -> tuple[str, int]:

@@ -7,6 +7,7 @@ import os
 import re
 import shlex
 import shutil
+import string
 import sys
 from importlib import metadata
 from pathlib import Path
@@ -34,20 +35,37 @@ def install(extra: str) -> str:
     """
     pip = f"{_python()} -m pip install"
     if (versions.ROOT / "constraints.txt").exists():
-        root = os.path.relpath(versions.ROOT)
-        root = root if len(root) < len(str(versions.ROOT)) else str(versions.ROOT)
-        pinned = shlex.quote(os.path.join(root, "constraints.txt"))
-        return f"{pip} -c {pinned} -e {shlex.quote(f'{root}[{extra}]')}"
+        root, short = str(versions.ROOT), _relative(str(versions.ROOT))
+        root = short if len(short) < len(root) else root
+        pinned = quoted(os.path.join(root, "constraints.txt"))
+        return f"{pip} -c {pinned} -e {quoted(f'{root}[{extra}]')}"
     try:
         asked = metadata.requires("dynappo") or []
     except metadata.PackageNotFoundError:
         asked = []
     of = [re.split(r"\s*;", text)[0] for text in asked if re.search(rf"extra == .{extra}\b", text)]
-    return f"{pip} {shlex.join(of)}" if of else f"{pip} 'dynappo[{extra}]'"
+    return f"{pip} {' '.join(map(quoted, of or [f'dynappo[{extra}]']))}"
+
+
+def quoted(word: str) -> str:
+    """A word as the shell here reads it: Windows has no single quotes, and a path there needs none."""
+    if sys.platform != "win32":
+        return shlex.quote(word)
+    return f'"{word}"' if set(word) - _PLAIN else word
+
+
+_PLAIN = set(string.ascii_letters + string.digits + "._-:\\/")
+
+
+def _relative(path: str) -> str:
+    """From the working directory; as it is where it lies on another drive."""
+    try:
+        return os.path.relpath(path)
+    except ValueError:
+        return path
 
 
 def _python() -> str:
     """This Python, by the shortest path."""
-    short = os.path.relpath(sys.executable)
-    name = sys.executable if short.startswith("..") else short
-    return shlex.quote(name)
+    short = _relative(sys.executable)
+    return quoted(sys.executable if short.startswith("..") else short)

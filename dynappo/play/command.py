@@ -20,8 +20,8 @@ from dynappo import config as config_lib
 from dynappo.config import ConfigError, files
 from dynappo.config import flags as flags_lib
 from dynappo.physics import robot as robot_lib
-from dynappo.play import page, viewer
-from dynappo.policy import choice, policy_file, render
+from dynappo.play import film, page, viewer
+from dynappo.policy import choice, policy_file
 from dynappo.policy import episode as episode_lib
 from dynappo.policy.policy_file import Policy
 
@@ -64,6 +64,9 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
     flag("--seconds", metavar="N", help=f"default: {SECONDS:g}, or until the script has ended")
     names = "FILE.html, .mp4, .gif, or .png (the last moment)"
     flag("--out", metavar="FILE", type=flags_lib.path, help=names)
+    flag(
+        "--size", metavar="WIDTHxHEIGHT", help="of a film or a picture; default: 640x360, 1280x720"
+    )
     flag("--policy", metavar="zero|random", help="these actions instead of the policy's")
     flag("--seed", metavar="N", default="0", help="of --policy=random; default: 0")
     flag(
@@ -86,6 +89,7 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
             f"--run-seed={flags.run_seed}: --policy={flags.policy} plays none of a run"
         )
     flags.seed = flags_lib.whole("seed", flags.seed, 0)
+    flags.size = None if flags.size is None else film.size(flags.size, flags.out)
     if flags.seconds is not None:
         seconds = _number(flags.seconds)
         if seconds is None or not 0 < seconds <= LONGEST:
@@ -223,12 +227,12 @@ def table(body: episode_lib.Body, episode: dict) -> list[tuple[str, str]]:
     ]
 
 
-def write(body: episode_lib.Body, episode: dict, out: Path, acts: str, rows) -> None:
+def write(body: episode_lib.Body, episode: dict, out: Path, acts: str, rows, pixels=None) -> None:
     """The file that `--out` asks for; ConfigError if something that it needs is not there."""
     if out.suffix == ".html":
         page.write(body, episode, out, body.policy.robot, acts, rows)
         return
-    problem = render.film(body, episode, out)
+    problem = film.write(body, episode, out, pixels)
     if problem:
         raise ConfigError(f"--out={out}: {problem}; a page needs neither: --out={out.stem}.html")
 
@@ -262,7 +266,7 @@ def run(flags) -> None:
         episode = episode_lib.play(body, act, asked.at, seconds)
     rows = table(body, episode)
     if out is not None:
-        write(body, episode, out, acts, rows)
+        write(body, episode, out, acts, rows, flags.size)
         rows.append(("written", f"{out} ({out.stat().st_size / 1024:.0f} KiB)"))
     for name, text in rows:
         print(f"{name:18s} {text}")

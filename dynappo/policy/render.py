@@ -2,7 +2,7 @@
 
 Nothing here needs JAX. The film is made in a process of its own (`python -m dynappo.policy.render
 EPISODE.npz OUT`), because the OpenGL backend is chosen once a process, and a backend that fails may
-take the process with it: EGL is tried first, then OSMesa. `play/page.py` needs neither.
+take the process with it: on Linux EGL is tried first, then OSMesa. `play/page.py` needs neither.
 """
 
 from __future__ import annotations
@@ -13,6 +13,8 @@ import os
 import subprocess
 import sys
 import tempfile
+import threading
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -30,26 +32,36 @@ __all__ = ["film", "simulate", "tour"]
 
 FPS, WIDTH, HEIGHT = 25, 640, 360  # software OpenGL on two cores renders about ten a second
 PICTURE = 1280, 720
+# what MUJOCO_GL may be, in the order in which it is tried; a Mac and Windows have their own OpenGL
+BACKENDS = {"darwin": ("cgl", "glfw"), "win32": ("wgl", "glfw")}.get(
+    sys.platform, ("egl", "osmesa")
+)
 NO_OPENGL = (
     "no video: neither EGL nor OSMesa can render here; Debian and Ubuntu: apt install libegl1"
 )
+if sys.platform in ("darwin", "win32"):
+    NO_OPENGL = (
+        "no video: OpenGL cannot render here; log in to the desktop, or write a page instead"
+    )
 PATIENCE = 20.0  # s for a second of film, at most: a driver may hang
 LACKS_PACKAGE, CANNOT_WRITE = 3, 4  # exit statuses of the rendering process
 LACKS = "no video: {} is not installed; "
+SHORTEST = 0.05  # m/s that have an arrow
 GREEN, BLUE = (0.1, 0.7, 0.2, 0.9), (0.2, 0.4, 0.9, 0.9)  # arrows of command and velocity
 # half a megabyte a second; a palette of the film's own colours, else the sky shows bands
 GIF = (
-    "fps=12.5,scale=480:-1:flags=lanczos,split[a][b];[a]palettegen=stats_mode=diff[p];"
+    "fps=12.5,scale={}:-1:flags=lanczos,split[a][b];[a]palettegen=stats_mode=diff[p];"
     "[b][p]paletteuse=dither=bayer:bayer_scale=5:diff_mode=rectangle"
 )
+GIF_SHARE = 0.75  # of the film's width
 ENCODE = {
-    ".mp4": dict(codec="libx264", quality=7, macro_block_size=4),
+    ".mp4": dict(codec="libx264", quality=7, macro_block_size=2),
     ".gif": dict(
         codec="gif",
         pix_fmt_out="pal8",
         macro_block_size=1,
         quality=None,
-        output_params=["-filter_complex", GIF, "-loop", "0"],
+        output_params=["-loop", "0"],
     ),
 }
 
@@ -62,12 +74,20 @@ def simulate(robot: robot_lib.Robot, config, act, command, seconds: float) -> di
 
 
 def film(
-    robot: robot_lib.Robot | episode_lib.Body, episode: dict[str, np.ndarray], out: Path
+    robot: robot_lib.Robot | episode_lib.Body,
+    episode: dict[str, np.ndarray],
+    out: Path,
+    size: tuple[int, int] | None = None,
+    tell: Callable[[float], None] = lambda share: None,
 ) -> str:
     """Render `episode` to an mp4 at `out`; by its suffix, a GIF, or a PNG of the last row.
 
-    Returns "" if it was written, else one line that says why not and what to install.
+    `size` is width and height (even numbers); without it that of the kind of file. `tell(share)` is
+    called after each picture. Returns "" if it was written, else one line that says why not and what to
+    install.
     """
+    asked, size = size, size or (PICTURE if out.suffix == ".png" else (WIDTH, HEIGHT))
+    gif = asked[0] if asked else round(GIF_SHARE * WIDTH)
     with contextlib.ExitStack() as stack:
         try:
             folder = stack.enter_context(tempfile.TemporaryDirectory())
@@ -80,28 +100,58 @@ def film(
         except OSError as error:  # no temporary folder, or a full disk
             return f"no video: cannot write a temporary file ({error.strerror or error})"
         limit = PATIENCE * (10 + float(episode["dt"]) * len(episode["qpos"]))  # s
-        for backend in ("egl", "osmesa"):
-            environment = os.environ | {"MUJOCO_GL": backend, "PYOPENGL_PLATFORM": backend}
+        limit *= max(1.0, size[0] * size[1] / (PICTURE[0] * PICTURE[1]))
+        for backend in BACKENDS:
+            environment = os.environ | {"MUJOCO_GL": backend}
+            environment |= {"PYOPENGL_PLATFORM": backend} if backend in ("egl", "osmesa") else {}
             command = [sys.executable, "-m", "dynappo.policy.render", str(npz), str(out)]
-            try:
-                done = subprocess.run(
-                    command, env=environment, capture_output=True, text=True, timeout=limit
-                )
-            except subprocess.TimeoutExpired:
+            command += map(str, (*size, gif))
+            status, said = _process(command, environment, limit, tell)
+            if status is None:
                 return f"no video: rendering by {backend} took more than {limit:.0f} s"
-            if done.returncode == 0:
+            if status == 0:
                 return ""
-            if done.returncode == LACKS_PACKAGE:
+            if status == LACKS_PACKAGE:
                 lacking = "pillow" if out.suffix == ".png" else "imageio-ffmpeg"
                 return LACKS.format(lacking) + shell.install("video")
-            if done.returncode == CANNOT_WRITE:
-                return f"no video: {done.stderr.strip().splitlines()[-1]}"
+            if status == CANNOT_WRITE:
+                return f"no video: {said.strip().splitlines()[-1]}"
     return NO_OPENGL
+
+
+def _process(command: list[str], environment, limit: float, tell) -> tuple[int | None, str]:
+    """`(exit status, what it wrote to stderr)`; None where it took more than `limit` seconds.
+
+    It prints the share that is done, a number a line.
+    """
+    late = threading.Event()
+    with (
+        tempfile.TemporaryFile() as errors,
+        subprocess.Popen(
+            command, env=environment, stdout=subprocess.PIPE, stderr=errors, text=True
+        ) as process,
+    ):
+        timer = threading.Timer(limit, lambda: (late.set(), process.kill()))
+        timer.start()
+        try:
+            for line in process.stdout or ():
+                with contextlib.suppress(ValueError):  # what a driver has to say
+                    tell(float(line))
+            process.wait()
+        except BaseException:
+            process.kill()
+            raise
+        finally:
+            timer.cancel()
+        errors.seek(0)
+        return (None if late.is_set() else process.returncode), errors.read().decode(
+            errors="replace"
+        )
 
 
 def arrow(scene, start, vector, rgba) -> None:
     """Add an arrow to the scene: the planar velocity `vector` (m/s) at `start`, 0.35 m for 1 m/s."""
-    if np.linalg.norm(vector) < 0.05 or scene.ngeom >= scene.maxgeom:
+    if np.linalg.norm(vector) < SHORTEST or scene.ngeom >= scene.maxgeom:
         return
     geom = scene.geoms[scene.ngeom]
     kind = mujoco.mjtGeom.mjGEOM_ARROW
@@ -156,33 +206,79 @@ def frames(
             yield renderer.render()
 
 
+def legend(episode: dict, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
+    """`(colours [h, w, 3], opacity [h, w, 1])` of a card for the upper left corner: what the arrows mean.
+
+    Empty where no row of the episode has an arrow, and without Pillow, which a film does not need.
+    """
+    planar = np.stack([episode[name][:, :2] for name in ("command", "velocity")])
+    none = np.zeros((0, 0, 3)), np.zeros((0, 0, 1))
+    if np.linalg.norm(planar, axis=-1).max() < SHORTEST:
+        return none
+    try:
+        from PIL import Image, ImageDraw, ImageFont
+    except ImportError:
+        return none
+    unit = max(4, round(min(height / 60, width / 100)))  # the rest are multiples of it
+    font, rows = ImageFont.load_default(2.5 * unit), ((GREEN, "command"), (BLUE, "velocity"))
+    wide = round(max(font.getlength(text) for _, text in rows))
+    card = Image.new("RGBA", (wide + 10 * unit, 9 * unit))
+    draw = ImageDraw.Draw(card)
+    edges = (unit, unit, card.width - 1, card.height - 1)
+    draw.rounded_rectangle(edges, unit, fill=(250, 252, 254, 200))
+    for i, (rgba, text) in enumerate(rows):
+        color, y = tuple(round(255 * c) for c in rgba[:3]), (3 + 3.5 * i) * unit
+        draw.line([(2.2 * unit, y), (5.5 * unit, y)], color, width=max(2, unit // 2))
+        head = [(5.2 * unit, y - unit), (7 * unit, y), (5.2 * unit, y + unit)]
+        draw.polygon(head, color)
+        draw.text((8 * unit, y), text, (22, 32, 46), font, anchor="lm")
+    pixels = np.asarray(card, float)
+    return pixels[..., :3], pixels[..., 3:] / 255
+
+
+def with_legend(picture: np.ndarray, card: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+    """A copy of `picture` with `card` in its corner, as far as it fits."""
+    out = np.array(picture)
+    colours, opacity = (part[: out.shape[0], : out.shape[1]] for part in card)
+    corner = out[: len(colours), : colours.shape[1]]
+    corner[:] = np.round(corner * (1 - opacity) + colours * opacity)
+    return out
+
+
 def main(argv: list[str]) -> None:
-    """`EPISODE.npz OUT`, with OUT an .mp4, a .gif or a .png."""
+    """`EPISODE.npz OUT WIDTH HEIGHT GIF`: OUT an .mp4, a .gif (of width GIF) or a .png.
+
+    Prints the share that is done after each picture.
+    """
     episode = dict(np.load(argv[0]))
     xml, text = str(episode.pop("xml")), str(episode.pop("text"))
     base, dt = int(episode.pop("base")), float(episode.pop("dt"))
-    out = Path(argv[1])
+    out, (width, height, gif) = Path(argv[1]), map(int, argv[2:5])
     try:
         if out.suffix == ".png":
             from PIL import Image
 
             last = {name: rows[-1:] for name, rows in episode.items()}
-            Image.fromarray(next(frames(xml, text, base, last, *PICTURE))).save(out, optimize=True)
+            picture = next(frames(xml, text, base, last, width, height))
+            picture = with_legend(picture, legend(last, width, height))
+            Image.fromarray(picture).save(out, optimize=True)
             return
         import imageio_ffmpeg
 
         count = max(1, round(len(episode["qpos"]) * dt * FPS))
         shown = np.minimum(np.round(np.arange(count) / (FPS * dt)), len(episode["qpos"]) - 1)
         some = {name: rows[shown.astype(int)] for name, rows in episode.items()}
-        pictures = frames(xml, text, base, some)
+        pictures, card = frames(xml, text, base, some, width, height), legend(some, width, height)
         first = next(pictures)  # without OpenGL it fails here, before anything is written
         out.open("wb").close()
-        writer = imageio_ffmpeg.write_frames(
-            str(out), (WIDTH, HEIGHT), fps=FPS, **ENCODE[out.suffix]
-        )
+        how: dict[str, Any] = dict(ENCODE[out.suffix])
+        if out.suffix == ".gif":
+            how["output_params"] = ["-filter_complex", GIF.format(gif), *how["output_params"]]
+        writer = imageio_ffmpeg.write_frames(str(out), (width, height), fps=FPS, **how)
         writer.send(None)
-        for picture in itertools.chain([first], pictures):
-            writer.send(np.ascontiguousarray(picture))
+        for done, picture in enumerate(itertools.chain([first], pictures), 1):
+            writer.send(with_legend(picture, card))
+            print(done / count, flush=True)
         writer.close()
     except ImportError:
         sys.exit(LACKS_PACKAGE)

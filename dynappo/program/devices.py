@@ -45,7 +45,8 @@ def find(device: str) -> list:
         return jax.devices("cpu")
     if device == "gpu" and jax.default_backend() != "gpu":
         raise ConfigError(
-            f"run.device is gpu, but JAX sees none; {shell.install('cuda')}, or set run.device=cpu"
+            f"run.device is gpu, but JAX sees none; {shell.install('cuda')} (cuda12 where nvidia-smi "
+            "shows a driver before 580), or set run.device=cpu"
         )
     return jax.devices()
 

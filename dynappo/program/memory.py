@@ -62,7 +62,7 @@ def limit(device: Any) -> int | None:
     stats = device.memory_stats() or {}
     if "bytes_limit" in stats:
         return stats["bytes_limit"]
-    if device.platform != "cpu" or "SC_PHYS_PAGES" not in os.sysconf_names:
+    if device.platform != "cpu" or "SC_PHYS_PAGES" not in getattr(os, "sysconf_names", ()):
         return None
     whole = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     return whole // jax.local_device_count("cpu")

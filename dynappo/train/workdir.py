@@ -7,13 +7,11 @@ import errno
 import itertools
 import json
 import math
-import os
-import socket
+import sys
 from fnmatch import fnmatch
 from functools import partial
 from pathlib import Path
 
-import filelock
 import numpy as np
 from ml_collections import config_dict
 
@@ -37,7 +35,6 @@ WRITTEN = (
 ).split()
 # what summary.json needs of every row
 SUMMED = ("episode_return", "episodes", "episode_return_sum")
-NO_LOCKS = (errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS)  # of some file systems
 
 
 @contextlib.contextmanager
@@ -56,8 +53,10 @@ def open_workdir(workdir: Path, config, fresh: bool = False, say=lambda text: No
 def _open(workdir: Path, config, fresh: bool, held: contextlib.ExitStack, say) -> None:
     try:
         if fresh and _movable(workdir):
-            with _hold(workdir):
+            with _hold(workdir) as lock:
                 number = next(n for n in itertools.count(1) if not _old(workdir, n).exists())
+                if sys.platform == "win32":  # which moves no folder with an open file in it
+                    lock.release()
                 old = workdir.rename(_old(workdir, number))
                 (old / "lock").unlink(missing_ok=True)
                 say(f"the run that was there is {old} now")
@@ -179,28 +178,15 @@ def _old(workdir: Path, number: int) -> Path:
 
 @contextlib.contextmanager
 def _hold(workdir: Path):
-    """Keeps other processes from holding `workdir`; ConfigError if one does.
-
-    The lock of `workdir/lock` ends with the process, however that ends: a file that a killed run leaves
-    behind holds nobody up. File systems without locks go without.
-    """
-    path = workdir / "lock"
-    lock = filelock.FileLock(path)
+    """Keeps other processes from holding `workdir`, by `workdir/lock`; ConfigError if one does."""
     try:
-        try:
-            lock.acquire(blocking=False)
-            path.write_text(f"pid {os.getpid()} on {socket.gethostname()}\n")
-        except filelock.Timeout:
-            raise ConfigError(
-                f"--workdir={workdir}: another run is writing in this folder ({path.read_text().strip()}); "
-                "wait for it, or take another --workdir"
-            ) from None
-        except OSError as error:
-            if error.errno not in NO_LOCKS:
-                raise
-        yield
-    finally:
-        lock.release()
+        with files.locked(workdir / "lock") as lock:
+            yield lock
+    except files.Locked as error:
+        raise ConfigError(
+            f"--workdir={workdir}: another run is writing in this folder ({error}); "
+            "wait for it, or take another --workdir"
+        ) from None
 
 
 def resume(config, workdir: Path, checkpoints, state, say):

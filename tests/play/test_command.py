@@ -10,7 +10,7 @@ from answers import mistake, refused, shell, status
 from toy_policy import other_file, save
 
 from dynappo.play import command as play_command
-from dynappo.policy import episode, policy_file
+from dynappo.policy import episode, policy_file, render
 
 
 @pytest.fixture(scope="module")
@@ -136,7 +136,7 @@ def test_the_module_makes_a_page_without_jax_and_without_opengl(saved, tmp_path)
 
 
 def test_a_film_that_cannot_be_made_points_to_the_page(saved, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(play_command.render, "film", lambda *_: "no video: no such thing")
+    monkeypatch.setattr(render, "film", lambda *_: "no video: no such thing")
     out = tmp_path / "walk.mp4"
     assert status(play_command.main, saved, "--seconds=0.1", f"--out={out}") == 2
     said = capsys.readouterr().err
@@ -181,6 +181,20 @@ MISTAKES = {  # flags, what the line must say
     "a folder": (["go1", "--out=taken.html"], "--out=taken.html: cannot write there (Is a dir"),
     "no file": (["go1", "--robot-xml=no.xml"], "--robot-xml=no.xml: no such file"),
     "no robot": (["go1", "--robot-xml=empty.xml"], "--robot-xml=empty.xml: expected hinge joints"),
+    "size": (
+        ["go1", "--out=a.mp4", "--size=big"],
+        "--size='big': expected WIDTHxHEIGHT, even numbers",
+    ),
+    "an odd size": (
+        ["go1", "--out=a.mp4", "--size=641x360"],
+        "--size='641x360': expected WIDTHxHEIGHT",
+    ),
+    "a huge size": (["go1", "--out=a.gif", "--size=99998x2"], "even numbers from 64 to 3840"),
+    "size of a page": (
+        ["go1", "--out=a.html", "--size=64x64"],
+        "--size=64x64: is for films and pictures",
+    ),
+    "size of no file": (["go1", "--size=64x64"], "--size=64x64: is for films and pictures"),
     "joints of no file": (["go1", "--keep-joints"], "--keep-joints needs --robot-xml=FILE"),
     "no display": (["go1"], "no display for the viewer; write a file instead: --out=walk.html"),
 }

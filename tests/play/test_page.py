@@ -109,6 +109,20 @@ def test_a_page_shows_its_title_as_text(written):
     assert [tag for tag, _ in reader.tags].count("script") == 2
 
 
+def test_a_page_says_what_its_arrows_mean(written):
+    """In the colours in which page.js draws them."""
+    text = written.read_text()
+    legend = text[text.index('id="legend"') : text.index('id="fell"')]
+    styles = dict(re.findall(r"--(command|velocity): #(\w{6})", text))
+    drawn = dict(re.findall(r"(command|velocity): \[([\d., ]+)\]", text))
+    for name, shown in (("command", "command"), ("velocity", "robot's velocity")):
+        assert re.search(
+            rf'<span style="color: var\(--{name}\)"><svg.*?</svg>{shown}</span>', legend
+        )
+        one = np.array([int(styles[name][i : i + 2], 16) for i in (0, 2, 4)]) / 255
+        np.testing.assert_allclose(one, [float(x) for x in drawn[name].split(",")], atol=0.01)
+
+
 def test_a_page_grows_by_ten_kilobytes_a_second(body, act, tmp_path):
     sizes = []
     for seconds in (0.2, 1.2):

@@ -1,6 +1,7 @@
 """The film: a file with the robot in its middle, or a line that says why not and what to install."""
 
 import re
+import sys
 
 import mujoco
 import numpy as np
@@ -128,6 +129,54 @@ def test_a_file_without_a_camera_is_filmed_from_a_distance(standing, filmed, tmp
     rows, columns = picture.shape[:2]
     middle = picture[rows // 3 : 2 * rows // 3, columns // 3 : 2 * columns // 3]
     assert middle.std() > 1.5 * picture[2 * rows // 3 :, : columns // 4].std()
+
+
+def test_a_film_has_the_size_that_is_asked_for_and_tells_how_far_it_is(standing, filmed, tmp_path):
+    """Also one that is no multiple of four; a share a picture, up to the whole."""
+    shares, rows = [], rows_of(standing, slice(20))
+    assert render.film(GO1, rows, tmp_path / "a.mp4", (322, 182), shares.append) == ""
+    assert probe(tmp_path / "a.mp4")[:3] == (10, 322, 182)
+    np.testing.assert_allclose(shares, np.arange(1, 11) / 10)
+    assert render.film(GO1, rows, tmp_path / "a.gif", (322, 182)) == ""
+    assert pytest.importorskip("PIL.Image").open(tmp_path / "a.gif").size == (322, 182)
+    assert render.film(GO1, rows, tmp_path / "a.png", (64, 66)) == ""
+    assert read(tmp_path / "a.png").shape == (66, 64, 3)
+
+
+# ---- the legend
+
+
+def test_the_legend_names_the_colours_of_the_arrows(standing, filmed, tmp_path):
+    """In the upper left corner: a line of each colour, and beside it a text; nothing elsewhere changes."""
+    pytest.importorskip("PIL")
+    rows = rows_of(standing, slice(-1, None)) | {"command": np.array([[0.8, 0.0, 0.0]])}
+    colours, opacity = card = render.legend(rows, 640, 360)
+    for rgba in (render.GREEN, render.BLUE):
+        assert (np.abs(colours - 255 * np.array(rgba[:3])).max(-1) < 1).sum() > 50
+    texts = (colours.max(-1) < 60) & (opacity[..., 0] > 0.9)
+    assert texts[: len(texts) // 2].any() and texts[len(texts) // 2 :].any()
+    picture = np.full((360, 640, 3), 99, np.uint8)
+    shown = render.with_legend(picture, card)
+    changed = np.argwhere((shown != picture).any(-1))
+    assert len(changed) > 1000 and (changed.max(0) < np.array([90, 160])).all()
+    assert (picture == 99).all() and shown.dtype == np.uint8
+    assert render.film(GO1, rows, tmp_path / "a.png", (640, 360)) == ""
+    np.testing.assert_allclose(
+        255 * read(tmp_path / "a.png")[opacity[..., 0].nonzero()].mean(0), 235, atol=35
+    )
+
+
+def test_without_arrows_or_without_pillow_there_is_no_legend(standing, monkeypatch):
+    """A robot that stands and shall stand; and a card that is larger than its picture is cut."""
+    still = standing | {name: np.zeros((5, 3)) for name in ("command", "velocity")}
+    walking = still | {"command": np.ones((5, 3))}
+    picture = np.full((20, 20, 3), 99, np.uint8)
+    np.testing.assert_array_equal(
+        render.with_legend(picture, render.legend(still, 640, 360)), picture
+    )
+    assert (render.with_legend(picture, render.legend(walking, 640, 360)) != 99).any()
+    monkeypatch.setitem(sys.modules, "PIL", None)
+    assert render.legend(walking, 640, 360)[0].size == 0
 
 
 # ---- what can be missing

@@ -1,0 +1,47 @@
+"""Films and pictures that `play` writes: their size, and how far they are."""
+
+from __future__ import annotations
+
+import re
+import sys
+from pathlib import Path
+
+from dynappo.config import ConfigError
+from dynappo.policy import render
+from dynappo.policy.episode import Body
+
+SMALLEST, WIDEST = 64, 3840  # pixels a side
+
+
+def size(text: str, out: Path | None) -> tuple[int, int]:
+    """Width and height of `--size=TEXT`; ConfigError if no film can have them, or `out` is none."""
+    found = re.fullmatch(r"(\d{1,5})[xX](\d{1,5})", text, re.ASCII)
+    width, height = map(int, found.groups()) if found else (0, 0)
+    if (
+        width % 2
+        or height % 2
+        or not (SMALLEST <= width <= WIDEST and SMALLEST <= height <= WIDEST)
+    ):
+        raise ConfigError(
+            f"--size={text!r}: expected WIDTHxHEIGHT, even numbers from {SMALLEST} to {WIDEST}, as in "
+            "--size=1280x720"
+        )
+    if out is None or out.suffix not in (".mp4", ".gif", ".png"):
+        raise ConfigError(f"--size={text}: is for films and pictures: --out=FILE.mp4, .gif or .png")
+    return width, height
+
+
+def write(body: Body, episode: dict, out: Path, pixels: tuple[int, int] | None = None) -> str:
+    """`render.film`, which on two cores takes a minute: on a terminal, a line says how far it is."""
+
+    def tell(share):
+        doing = ", encoding" if share >= 1 else ""
+        print(f"\r{f'rendering: {share:4.0%}{doing}':26}", end="", file=sys.stderr, flush=True)
+
+    if not sys.stderr.isatty():
+        return render.film(body, episode, out, pixels)
+    tell(0.0)
+    try:
+        return render.film(body, episode, out, pixels, tell)
+    finally:
+        print(f"\r{'':26}\r", end="", file=sys.stderr, flush=True)
