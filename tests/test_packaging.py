@@ -19,6 +19,7 @@ from packaging.utils import canonicalize_name
 ROOT = pathlib.Path(__file__).parents[1]
 PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 PROJECT = PYPROJECT["project"]
+NAMES_NO_INDEX = ("pyproject.toml", "constraints.txt", "Makefile", ".ci/run", "Dockerfile")
 PINNED_EXTRAS = ("dev", "video", "export", "notebook", "warp")
 
 
@@ -118,11 +119,33 @@ def test_everything_imported_is_declared(folder):
         assert providers & optional, f"{folder} imports {name}, which pyproject.toml lacks"
 
 
-@pytest.mark.parametrize("name", ["pyproject.toml", "constraints.txt", "Makefile", ".ci/run"])
+@pytest.mark.parametrize("name", NAMES_NO_INDEX)
 def test_no_file_names_an_index_or_a_machine(name):
     text = (ROOT / name).read_text()
     for word in ("index-url", "find-links", "://", "/root", "/home", "/tmp", "/opt"):
         assert word not in text, f"{name} has {word}"
+
+
+def test_the_container_has_what_the_package_is_made_of():
+    """Every path that it copies is there, and sent to Docker; they hold what the wheel and its build need."""
+    text = (ROOT / "Dockerfile").read_text()
+    words = [line.split() for line in text.splitlines()]
+    copied = {name for line in words if line[:1] == ["COPY"] for name in line[1:-1]}
+    sent = (ROOT / ".dockerignore").read_text().splitlines()
+    assert copied == {line[1:] for line in sent if line.startswith("!")} and "*" in sent
+    wheel = PYPROJECT["tool"]["hatch"]["build"]["targets"]["wheel"]["only-include"]
+    needed = {
+        *wheel,
+        "pyproject.toml",
+        PROJECT["readme"],
+        *PROJECT["license-files"],
+        "constraints.txt",
+    }
+    assert copied == needed and all((ROOT / name).exists() for name in copied)
+    (extras,) = re.findall(r"ARG EXTRAS=(\S+)", text)
+    for extra in [*extras.split(","), "cuda12"]:
+        assert extra in PROJECT["optional-dependencies"]
+    assert 'pip install --no-cache-dir -c constraints.txt -e ".[${EXTRAS}]"' in text
 
 
 def test_the_licence_and_the_citation_agree_with_the_project():

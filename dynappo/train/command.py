@@ -219,7 +219,7 @@ def _train_and_show(command: Command, stop: Stop, out) -> None:
             print(f"dynappo: {saved}; {afterwards(command)}", file=sys.stderr)
         return
     with out.status("evaluating, filming"):
-        summary = finish.finish(config, program, workdir, state, metrics)
+        summary = finish.finish(config, program, workdir, state, metrics, say)
     if summary:
         show.summary(out, config, workdir, summary)
     finish.check_saved(workdir, done)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +17,10 @@ from dynappo.train import curves, log
 from dynappo.train import workdir as workdir_lib
 
 
-def finish(config, program, workdir: Path, state, metrics) -> dict[str, Any]:
-    """Evaluate, write policy.npz, summary.json and the film; returns the summary."""
+def finish(
+    config, program, workdir: Path, state, metrics, say: Callable[[str], None] = print
+) -> dict[str, Any]:
+    """Evaluate, write policy.npz, summary.json, curves and film, and log them; returns the summary."""
     from dynappo.policy import render
 
     if not distributed.first():  # they take part in the evaluation, and have no history to sum up
@@ -47,7 +52,61 @@ def finish(config, program, workdir: Path, state, metrics) -> dict[str, Any]:
         text = (workdir / "restored_from").read_bytes().decode(errors="replace")
         summary["restored_from"] = ", ".join(text.split("\n")).strip(", ")
     files.write_json(workdir / "summary.json", summary)
+    shown = config, workdir, summary
+    if config.run.tensorboard:
+        log.attempt(
+            "TensorBoard's events", partial(to_tensorboard, *shown), say, "all else is there"
+        )
+    if config.run.wandb:
+        log.attempt("Weights & Biases", partial(to_wandb, *shown), say, "all else is there")
     return summary
+
+
+def final(summary: dict[str, Any]) -> dict[str, float]:
+    """The numbers of the last evaluation by their names in the logs: `final/return`, `.../seed0`, ..."""
+    numbers = {}
+    for name, value in summary.get("evaluation", {}).items():
+        seeds = isinstance(value, list)
+        for seed, number in enumerate(value if seeds else [value]):
+            if number is not None:
+                numbers[f"final/{name}" + (f"/seed{seed}" if seeds else "")] = number
+    return numbers
+
+
+def to_tensorboard(config, workdir: Path, summary: dict[str, Any]) -> None:
+    """The last evaluation, and the curves as a picture, in a file of their own beside the other events."""
+    from tensorboardX.event_file_writer import EventsWriter
+    from tensorboardX.proto.event_pb2 import Event
+    from tensorboardX.proto.summary_pb2 import Summary
+
+    values = [Summary.Value(tag=tag, simple_value=x) for tag, x in final(summary).items()]
+    if summary["curves"] == str(workdir / "curves.png"):
+        png = (workdir / "curves.png").read_bytes()
+        width, height = (int.from_bytes(png[i : i + 4], "big") for i in (16, 20))
+        picture = Summary.Image(height=height, width=width, colorspace=4, encoded_image_string=png)
+        values.append(Summary.Value(tag="final/curves", image=picture))
+    # else a run of less than a second would write over the events of its training
+    file = EventsWriter(str(workdir / "events"), filename_suffix=".final")
+    event = Event(wall_time=time.time(), step=summary["iterations"])
+    event.summary.value.extend(values)
+    file.write_event(event)
+    file.close()
+
+
+def to_wandb(config, workdir: Path, summary: dict[str, Any]) -> None:
+    """The last evaluation, the curves as a picture and the film, in the run of this workdir."""
+    run = log.wandb_run(config, workdir)
+    import wandb  # pyright: ignore[reportMissingImports]
+
+    content: dict[str, Any] = dict(final(summary))
+    if summary["curves"] == str(workdir / "curves.png"):
+        content["final/curves"] = wandb.Image(summary["curves"])
+    if summary.get("video") == str(workdir / "video.mp4"):
+        content["final/film"] = wandb.Video(summary["video"], format="mp4")
+    try:
+        run.log(content)  # without a step: that of the last row is taken
+    finally:
+        run.finish()
 
 
 def check_saved(workdir: Path, done: int) -> None:

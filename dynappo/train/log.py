@@ -1,4 +1,4 @@
-"""What a run writes: metrics.csv, TensorBoard's events, Weights & Biases, summary.json (host side).
+"""What a run writes while it trains: metrics.csv, TensorBoard's events, Weights & Biases (host side).
 
 metrics.csv has one row an iteration, and one an iteration and seed (column `seed`) where several
 seeds train at once. Columns in the order of `FIRST`, then every other metric by name. The other
@@ -114,7 +114,7 @@ def tensorboard_sink(workdir: Path, start: int) -> Sink:
     return Sink("TensorBoard's events", write, lambda: [file.close() for file in files])
 
 
-def wandb_sink(config, workdir: Path) -> Sink:
+def wandb_run(config, workdir: Path) -> Any:
     """A run of the project `run.wandb`; the run of a workdir goes on under the same id."""
     check_wandb(config)
     import wandb  # pyright: ignore[reportMissingImports]
@@ -122,7 +122,7 @@ def wandb_sink(config, workdir: Path) -> Sink:
     path = workdir / "wandb_id"
     if not path.exists():
         path.write_text(os.urandom(4).hex())
-    run = wandb.init(
+    return wandb.init(
         project=config.run.wandb,
         name=workdir.name,
         id=path.read_text().strip(),
@@ -130,6 +130,11 @@ def wandb_sink(config, workdir: Path) -> Sink:
         dir=str(workdir),
         config=config.to_dict(),
     )
+
+
+def wandb_sink(config, workdir: Path) -> Sink:
+    """Scalars of every row, a step a row."""
+    run = wandb_run(config, workdir)
 
     def write(table):
         for row in table:
@@ -286,10 +291,10 @@ def last_evaluation(metrics: dict[str, np.ndarray]) -> Any:
     return returns[there][-1] if there.any() else None
 
 
-def attempt(what: str, action: Callable[[], Any], say) -> None:
+def attempt(what: str, action: Callable[[], Any], say, then: str = "training goes on") -> None:
     """Do `action`; where it fails, `say` so in one line and go on."""
     try:
         action()
     except Exception as error:  # OSError, or what orbax makes of it
         reason = getattr(error, "strerror", None) or str(error).strip().split("\n")[0][:160]
-        say(f"{what} could not be written ({reason}); training goes on")
+        say(f"{what} could not be written ({reason}); {then}")

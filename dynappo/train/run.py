@@ -46,7 +46,7 @@ def train(
         program = build.program(config, env)
         state, metrics = loop(config, program, workdir, progress_fn)
         if workdir:
-            finish.finish(config, program, workdir, state, metrics)
+            finish.finish(config, program, workdir, state, metrics, to_stderr)
             finish.check_saved(workdir, config.run.num_iterations)
     return state, metrics
 

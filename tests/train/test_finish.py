@@ -2,6 +2,7 @@
 
 import json
 import sys
+from types import SimpleNamespace
 
 import jax
 import numpy as np
@@ -20,7 +21,8 @@ def test_a_run_fills_its_folder(whole):
     names = {p.name for p in whole.workdir.iterdir()} - {"lock"}
     events = {name for name in names if name.startswith("events.")}
     expected = "config.json metrics.csv summary.json policy.npz curves.png checkpoints".split()
-    assert len(events) == 1 and names - events == set(expected)
+    assert len(events) == 2 and names - events == set(expected)
+    assert [name.endswith(".final") for name in sorted(events)] == [False, True]
     assert workdirs.steps(whole.workdir) == {"2", "4"}
 
 
@@ -132,3 +134,91 @@ def test_there_is_a_film_or_the_reason(program, whole, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     summary = finish.finish(filmed, program(), tmp_path, whole.state, whole.metrics)
     assert summary["curves"].endswith(shell.install("video"))
+
+
+# ---- in the logs too
+
+
+def logged(path):
+    """`{tag: value}` of the one event in a file of TensorBoard's, and its step."""
+    from tensorboardX.proto.event_pb2 import Event
+
+    data, found, at = path.read_bytes(), [], 0
+    while at < len(data):  # a record: length, its checksum, the event, its checksum
+        size = int.from_bytes(data[at : at + 8], "little")
+        found.append(Event.FromString(data[at + 12 : at + 12 + size]))
+        at += size + 16
+    (event,) = [event for event in found if event.summary.value]
+    return {value.tag: value for value in event.summary.value}, event.step
+
+
+def test_tensorboard_has_the_last_evaluation_and_the_curves(whole):
+    """The numbers of summary.json, at the last iteration; the picture is the file's own bytes."""
+    (path,) = whole.workdir.glob("events.*.final")
+    values, step = logged(path)
+    evaluation = json.loads(whole.files["summary.json"])["evaluation"]
+    assert step == 4 and set(values) == {f"final/{name}" for name in [*evaluation, "curves"]}
+    for name, number in evaluation.items():
+        assert values[f"final/{name}"].simple_value == pytest.approx(number)
+    picture = values["final/curves"].image
+    assert picture.encoded_image_string == whole.files["curves.png"]
+    assert (picture.width, picture.height) == (1800, 1125)  # 12 x 7.5 inches of 150 dots
+
+
+def test_seeds_are_apart_and_what_is_not_finite_is_left_out():
+    summary = {"evaluation": {"return": [1.0, None, 3.0], "length": [5.0, 6.0, 7.0]}}
+    assert finish.final(summary) == {
+        "final/return/seed0": 1.0,
+        "final/return/seed2": 3.0,
+        **{f"final/length/seed{s}": 5.0 + s for s in range(3)},
+    }
+    assert finish.final({"evaluation": {"return": 2.5}}) == {"final/return": 2.5}
+    assert finish.final({}) == {}
+
+
+@pytest.mark.parametrize("there", [True, False])
+def test_weights_and_biases_has_them_and_the_film(tmp_path, monkeypatch, there):
+    """A stand-in for the library; the run is that of the workdir, and is finished."""
+    calls = []
+    run = SimpleNamespace(log=calls.append, finish=lambda: calls.append("finished"))
+    fake = SimpleNamespace(
+        init=lambda **options: calls.append(options["id"]) or run,
+        Image=lambda path: ("image", path),
+        Video=lambda path, format: ("video", path, format),
+        __spec__=object(),
+    )
+    monkeypatch.setitem(sys.modules, "wandb", fake)
+    (tmp_path / "wandb_id").write_text("abcd")
+    curves, film = str(tmp_path / "curves.png"), str(tmp_path / "video.mp4")
+    summary = {
+        "evaluation": {"return": 2.5},
+        "curves": "no curves.png: ...",
+        "video": "no video: ...",
+    }
+    summary |= {"curves": curves, "video": film} if there else {}
+    finish.to_wandb(workdirs.config(run__wandb="walking"), tmp_path, summary)
+    expected = {"final/return": 2.5}
+    if there:
+        expected |= {"final/curves": ("image", curves), "final/film": ("video", film, "mp4")}
+    assert calls == ["abcd", expected, "finished"]
+
+
+def test_logs_that_fail_are_told_and_the_run_ends_well(program, whole, tmp_path, monkeypatch):
+    """An account that is gone, and a disk that is full: a line each; summary.json is there before."""
+
+    def fail(error):
+        assert (tmp_path / "summary.json").exists()
+        raise error
+
+    fake = SimpleNamespace(
+        init=lambda **_: fail(RuntimeError("no account\nat all")), __spec__=object()
+    )
+    monkeypatch.setitem(sys.modules, "wandb", fake)
+    full = OSError(28, "No space left on device")
+    monkeypatch.setattr("tensorboardX.event_file_writer.EventsWriter", lambda *_, **__: fail(full))
+    config, said = workdirs.config(run__wandb="walking", run__eval_envs=0), []
+    finish.finish(config, program(), tmp_path, whole.state, whole.metrics, said.append)
+    assert said == [
+        "TensorBoard's events could not be written (No space left on device); all else is there",
+        "Weights & Biases could not be written (no account); all else is there",
+    ]
