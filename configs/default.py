@@ -191,6 +191,7 @@ class Task(NamedTuple):
     remember_ground: bool | None = None
     episode_length: int = 1000  # control steps, 20 s; IL
     random_clock: bool = True  # episodes start at random ages, so that time-outs spread; IL
+    carry_on: bool = False  # half of those that time out stay where they are, with a new command
     action_scale: float = 0.25  # rad per unit of action; IL
     kp: float = 25.0  # N m/rad
     kd: float = 0.5  # N m s/rad
@@ -279,15 +280,15 @@ def apply_variant(config: config_dict.ConfigDict, variant: str) -> config_dict.C
         config.model.update(late_epochs=5, late_from=50, activation="swish", precision="bfloat16")
         config.ppo.update(symmetry=True, gamma=0.98, desired_kl=0.02)
         config.ppo.update(activation="swish", precision="bfloat16")
-        # Episodes of 5 s: robots fall in an episode's first second, so they must begin many.
-        config.task.episode_length = 250
+        # Episodes of 5 s: robots fall in the first second of a command, so they must begin many.
+        config.task.update(episode_length=250, carry_on=True)
         config.run.eval_steps = 1000
     elif variant == "laptop":
         # Learning takes half of a CPU's time, so the networks are small and the model has few epochs. Swish,
         # a larger KL and gamma 0.98 let it learn from fewer steps (experiments/04_laptop).
         config.physics.impl = "c"
-        # Episodes of 5 s: robots fall in an episode's first second, so they must begin many.
-        config.task.update(tracking_std=1.0, episode_length=250)
+        # Episodes of 5 s: robots fall in the first second of a command, so they must begin many.
+        config.task.update(tracking_std=1.0, episode_length=250, carry_on=True)
         config.rollout.update(num_envs=512, horizon=24)
         config.schedule.update(start_iteration=0, end_iteration=20, start_steps=0, end_steps=16)
         config.model.update(clean=True, known_reward=True, falls=True, minibatches=6)

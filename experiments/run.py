@@ -10,10 +10,9 @@ so a batch that was cut off goes on with the same command.
 
 To keep 500 iterations of 5 seeds below 40 kB, numbers have four digits, and after the 20th iteration
 all columns but those of `EACH` are written in every fifth only. `--thin 10` keeps every
-tenth row; best and final return in the JSON are of all rows. `--policies` writes OUT/NAME.npz, the policy
-of the seed with the highest return (of the evaluation, if there is one), for `play`, `evaluate` and
-`export` (340 kB; not to be committed). `--lock FILE`: of several batches on one GPU only one trains at
-a time, while the others compile.
+tenth row; best and final return in the JSON are of all rows. `--policies` writes OUT/NAME.K.npz, the policy
+of seed K (0, 1, ...), for `play`, `evaluate` and `export` (340 kB each; not to be committed). `--lock FILE`:
+of several batches on one GPU only one trains at a time, while the others compile.
 """
 
 import contextlib
@@ -51,7 +50,7 @@ def main():
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--set", action="append", default=[], metavar="FIELD=VALUE", help="in all")
     parser.add_argument("--thin", type=int, default=1, help="iterations to a row of the CSV")
-    parser.add_argument("--policies", action="store_true", help="write the best seed's policy")
+    parser.add_argument("--policies", action="store_true", help="write each seed's policy")
     parser.add_argument("--lock", type=Path, help="a file that one batch holds while it trains")
     args = parser.parse_args()
     devices.own_process()
@@ -81,12 +80,10 @@ def batch(out: Path, jobs, seeds: int, settings=(), thin=1, policies=False, lock
         summary["policy_std"] = np.ravel(metrics["policy_std"][-10:].mean(0)).tolist()
         summary |= {"job": job, "set": list(settings), "date": f"{datetime.date.today()}"}
         if policies:
-            worth = summary.get("evaluation", summary)["return"]
-            summary["policy_seed"] = int(np.argmax(worth))
             params = jax.device_get(state.learner.params)
-            if seeds > 1:
-                params = jax.tree.map(lambda leaf, s=summary["policy_seed"]: leaf[s], params)
-            policy_file.save(path.with_suffix(".npz"), params, config, program.robot)
+            for k in range(seeds):
+                one = jax.tree.map(lambda leaf, k=k: leaf[k], params) if seeds > 1 else params
+                policy_file.save(path.with_suffix(f".{k}.npz"), one, config, program.robot)
         files.write_json(path, summary)
         print(row(job, summary), f"{time.perf_counter() - began:6.0f}", flush=True)
 

@@ -25,9 +25,9 @@ from dynappo.policy.policy_file import Policy
 from dynappo.task import observe
 
 SETTLE = 1.0  # s, left out of the tracking error, as in dynappo/evaluation.py
+UNEVEN = 0.02  # rad, about a degree
 STRIDE = 0.5  # s between the points of the path walked, so that sway is no distance
-# (seconds share, command vx, vy, yaw rate): what is shown where no command is given
-TOUR = (
+TOUR = (  # shown where no command is given: (share of the time, (vx, vy, yaw rate))
     (0.3, (0.8, 0.0, 0.0)),
     (0.2, (0.6, 0.0, 0.8)),
     (0.2, (0.0, 0.5, 0.0)),
@@ -144,11 +144,17 @@ def coordinates(body: Body, data) -> tuple[np.ndarray, np.ndarray]:
 
 
 def reset(body: Body, data) -> None:
-    """Stand `data` at the default pose, upright, its lowest point on the floor (z = 0)."""
+    """Stand `data` upright in the default pose, its lowest point on the floor (z = 0).
+
+    Each joint is off by up to `UNEVEN`, always by the same: a policy that treats left and right alike can
+    take its first step only from a pose that does not. No real robot stands exactly even.
+    """
     mujoco.mj_resetData(body.model, data)
     q = body.root[0]
     data.qpos[q + 3 : q + 7] = [1, 0, 0, 0]
-    data.qpos[body.joint_q] = body.policy.default_pose
+    off = np.random.default_rng(0).uniform(-UNEVEN, UNEVEN, len(body.joint_q))
+    off = off[np.argsort(np.argsort(body.policy.joint_names))]  # in any order of the joints
+    data.qpos[body.joint_q] = body.policy.default_pose + off
     mujoco.mj_kinematics(body.model, data)
     data.qpos[q + 2] -= _lowest(body, data)
     mujoco.mj_forward(body.model, data)

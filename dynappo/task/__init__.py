@@ -2,7 +2,7 @@
 
 - `env`: the velocity task as pure functions of one robot: reset, step, autoreset
 - `rewards`, `payment`: the terms of the reward, one function each; finds them by their weights and sums
-- `commands`, `observe`: what it asks for, the 48 numbers a policy sees
+- `commands`, `observe`, `pushes`: what it asks for, the 48 numbers a policy sees, kicks
 - `mirror`: the mirror image of an observation and an action, from the robot's model
 - `brax_env`: our task as a brax environment, and brax's environments under our trainer
 

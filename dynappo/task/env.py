@@ -18,9 +18,10 @@ import numpy as np
 from dynappo.physics import engine as engine_lib
 from dynappo.physics import randomize
 from dynappo.physics import robot as robot_lib
-from dynappo.task import commands, mirror, observe, payment, rewards
+from dynappo.task import commands, mirror, observe, payment, pushes, rewards
 from dynappo.types import Config, Env, EnvState, Outcome
 
+AGES = ("clock", "episode_steps", "episode_return")  # zero where an episode begins
 MAX_TURN, MAX_BASE_SPEED = 100.0, 20.0  # rad/s, m/s: beyond is a numerical blow-up
 
 
@@ -110,9 +111,21 @@ def reset(const: Constants, hyper: Config, body, key) -> EnvState:
 def autoreset(
     const: Constants, hyper: Config, body, state: EnvState, outcome: Outcome, key
 ) -> EnvState:
-    """`state`, or a fresh episode where `outcome` ended one."""
+    """`state`, or a fresh episode where `outcome` ended one.
+
+    With `task.carry_on` half of those that timed out begin theirs where the robot is, with a new command.
+    Without it no policy sees a command change: the bundled Go1 fell at every fourth change (C MuJoCo).
+    """
     ended = (outcome.discount == 0) | (outcome.truncation == 1)
     fresh = _fresh(const, hyper, body, key)
+    if const.task.carry_on:
+        keys = jax.random.split(jax.random.fold_in(key, 1), 3)
+        command, goal = commands.draw(const.task, hyper, state.qpos, keys[0])
+        same = state.replace(command=command, goal=goal, **dict.fromkeys(AGES, 0))
+        prop, obs = _observe(const, hyper, body, same, keys[1])
+        same = same.replace(prop=prop, obs=obs)
+        stays = (outcome.truncation == 1) & jax.random.bernoulli(keys[2])
+        fresh = jax.tree.map(lambda here, there: jnp.where(stays, here, there), same, fresh)
     return jax.tree.map(lambda new, old: jnp.where(ended, new, old), fresh, state)
 
 
@@ -150,30 +163,11 @@ def _fresh(const: Constants, hyper: Config, body, key) -> EnvState:
         last_air_steps=feet,
         clock=jnp.zeros((), jnp.int32),
         episode_steps=jnp.zeros((), jnp.int32),
-        push_in=_push_in(const, hyper, keys[6]),
+        push_in=pushes.wait(hyper.task.push, const.dt, keys[6]),
         episode_return=jnp.zeros(()),
     )
     prop, obs = _observe(const, hyper, body, state, keys[5])
     return state.replace(prop=prop, obs=obs)
-
-
-def _push_in(const: Constants, hyper: Config, key):
-    low, high = hyper.task.push.interval
-    seconds = jax.random.uniform(key, (), minval=low, maxval=high)
-    return jnp.round(seconds / const.dt).astype(jnp.int32)
-
-
-def push(const: Constants, hyper: Config, qvel, push_in, key):
-    """`(qvel, push_in)` after one step of the clock: a kick in world x and y when it runs out.
-
-    Isaac Lab's push_by_setting_velocity (isaaclab/envs/mdp/events.py): after the reward, before the
-    observation.
-    """
-    due = push_in <= 1
-    kick_key, next_key = jax.random.split(key)
-    kick = jax.random.uniform(kick_key, (2,), minval=-1.0, maxval=1.0) * hyper.task.push.velocity
-    qvel = qvel.at[:2].add(jnp.where(due, kick, 0.0))
-    return qvel, jnp.where(due, _push_in(const, hyper, next_key), push_in - 1)
 
 
 def _see(const: Constants, body, state: EnvState):
@@ -223,7 +217,7 @@ def step(const: Constants, hyper: Config, body, state: EnvState, action, key):
     command, goal = commands.advance(
         const.task, hyper, state.command, state.goal, after.qpos, command_key
     )
-    qvel, push_in = push(const, hyper, after.qvel, state.push_in, push_key)
+    qvel, push_in = pushes.push(hyper.task.push, const.dt, after.qvel, state.push_in, push_key)
     next_state = state.replace(
         qpos=after.qpos,
         qvel=qvel,
@@ -289,7 +283,7 @@ def _measured(const: Constants, after: engine_lib.Substeps) -> rewards.Measured:
 def known_reward(const: Constants, hyper: Config, obs, action, next_prop):
     """The share of a row's reward that is a function of `obs` [48], `action` and `next_prop` [33].
 
-    Exact unless a push changed the velocity after the reward (`push`).
+    Exact unless a push changed the velocity after the reward (pushes.py).
     """
     seen = jnp.concatenate([next_prop, obs[observe.PROP_SIZE :]])
     terms = payment.values(const.known, _known(hyper, seen, action))

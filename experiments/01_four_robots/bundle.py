@@ -1,21 +1,22 @@
-"""Put trained policies beside their robots: the files that `python -m dynappo.play go1` plays.
+r"""Put trained policies beside their robots: the files that `dynappo play go1` plays.
 
-    python experiments/run.py OUT go1:best go2:best anymal_c:best anymal_d:best --policies
-    python experiments/01_four_robots/bundle.py go1=OUT/go1_best anymal_c=OUT/anymal_c_best ...
+    python experiments/run.py OUT go1:best go2:best anymal_c:best anymal_d:best \
+        --policies --seeds 6 --set run.eval_envs=500
+    python experiments/01_four_robots/bundle.py go1=OUT/go1_best.5.npz go2=OUT/go2_best.2.npz ...
 
-Takes NAME.npz and NAME.json of run.py; writes robots/ROBOT/policy.npz without the value function,
-which only training needs, and policy.json with what is known of it. Of several seeds it is the one that
-run.py chose.
+Writes robots/ROBOT/policy.npz without the value function, which only training needs, and policy.json with
+what is known of it: from OUT/go1_best.json, the numbers of that seed. A policy that falls on one of the 45
+commands of `dynappo evaluate` is not taken.
 """
 
 import json
 import sys
 from pathlib import Path
 
-import numpy as np
 from ml_collections import config_dict
 
 from dynappo.config import files
+from dynappo.evaluate import trials
 from dynappo.physics import robot as robot_lib
 from dynappo.policy import policy_file
 
@@ -27,16 +28,18 @@ KEEP = (
 def main():
     for argument in sys.argv[1:]:
         name, source = argument.split("=")
-        policy = policy_file.load(Path(f"{source}.npz"))
+        policy = policy_file.load(Path(source))
+        falls = trials.sweep(policy)[0]["all"]["falls"]
+        if falls:
+            raise SystemExit(f"{source} falls on {falls} commands")
+        run, seed = source.removesuffix(".npz").rsplit(".", 1)
         params = {part: policy.params[part] for part in ("actor", "std")}
         config = config_dict.ConfigDict(policy.config)
         folder = Path("robots") / name
         policy_file.save(folder / "policy.npz", params, config, robot_lib.load(name))
-        summary = json.loads(Path(f"{source}.json").read_text())
-        # without it, that of the highest return in the end: 0 where there is one seed
-        seed = summary.get("policy_seed", int(np.argmax(summary["return"])))
-        known = {"seed": seed} | {k: summary[k] for k in KEEP.split() if k in summary}
-        files.write_json(folder / "policy.json", of_seed(known, seed))
+        summary = json.loads(Path(f"{run}.json").read_text())
+        known = {k: summary[k] for k in KEEP.split() if k in summary}
+        files.write_json(folder / "policy.json", {"seed": int(seed)} | of_seed(known, int(seed)))
         print(name, (folder / "policy.npz").stat().st_size // 1000, "kB")
 
 

@@ -11,9 +11,11 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import mujoco
 import numpy as np
-import torques
 import walk
 
+from dynappo.config import files
+from dynappo.evaluate import trials
+from dynappo.policy import choice, episode, policy_file
 from experiments import paper
 
 NAMES = {"go1": "Unitree Go1", "go2": "Unitree Go2", "anymal_c": "ANYmal-C", "anymal_d": "ANYmal-D"}
@@ -28,11 +30,19 @@ FRAMING = {
 }
 
 
-def walks(name, command):
+def walks(name, command, seconds=6.0):
     """`(qpos [T, nq], height of each foot [T, F])` of a walk, one row a control step."""
-    config, body, params = walk.load(name)
-    episode = torques.episode(body, config, params, command)[0]
-    return episode["qpos"][3::4], episode["feet"][3::4, :, 2] - body.foot_radius
+    policy = policy_file.load(files.find("robots", f"{name}/policy.npz"))
+    body = choice.body(policy, None)[0]
+    act = policy_file.actor(policy.params, policy.activation)
+    poses = episode.play(body, act, lambda t: command, seconds)["qpos"]
+    feet, data = trials.feet(body)[0], mujoco.MjData(body.model)
+    heights = np.empty((len(poses), len(feet)))
+    for row, pose in zip(heights, poses, strict=True):
+        data.qpos[:] = pose
+        mujoco.mj_kinematics(body.model, data)
+        row[:] = data.geom_xpos[feet, 2] - body.model.geom_size[feet, 0]
+    return poses, heights
 
 
 def stride(feet, start):

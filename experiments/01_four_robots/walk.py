@@ -22,10 +22,12 @@ def settings(name: str, variant: str = "ppo16", **fields):
 
 
 def load(name: str, policies: Path | None = None):
-    """`(config, robot, params)` of the bundled policy, or of `policies/NAME_ppo16.npz`."""
+    """`(config, robot, params)` of the bundled policy, or of `policies/NAME_ppo16.0.npz`."""
     bundled = files.find("robots", f"{name}/policy.npz")
-    path = policies / f"{name}_ppo16.npz" if policies else bundled
-    return settings(name), robot.load(name), policy_file.load_params(path)
+    path = policies / f"{name}_ppo16.0.npz" if policies else bundled
+    policy, config = policy_file.load(path), config_lib.load(f"configs/{name}.py:ppo16")
+    config.ppo.activation = policy.activation
+    return config_lib.validate(config), robot.load(name), policy.params
 
 
 def converged(body: robot.Robot, config):

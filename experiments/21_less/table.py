@@ -2,6 +2,10 @@
 
     python experiments/21_less/table.py FOLDER [NAME ...]
     python experiments/21_less/table.py experiments/21_less/results/tuning.csv.xz [NAME ...]
+    python experiments/21_less/table.py experiments/21_less/results/ablation.csv.xz --parts
+
+`--parts`: a line a part that was taken out, a column a robot: steps until it walks, then return and
+falls at the end.
 
 Mean over seeds of the first evaluation that reaches a level, and in brackets the last seed's; a seed that
 never does is counted as missing. The end is the mean of a seed's last three evaluations. Intervals are
@@ -26,9 +30,13 @@ def main():
     parser = paper.parser(__doc__)
     parser.add_argument("path", type=Path)
     parser.add_argument("names", nargs="*")
+    parser.add_argument("--parts", action="store_true")
     args = parser.parse_args()
     jobs = read(args.path)
     jobs = {name: jobs[name] for name in args.names or jobs}
+    if args.parts:
+        print(parts(jobs))
+        return
     for top in LEVELS:
         mine = {name: job for name, job in jobs.items() if top == best(job)}
         if mine:
@@ -103,6 +111,30 @@ def table(jobs, levels) -> str:
         cells += [f"{np.mean([end['tracking_error'] for end in ends]):.3f}"]
         lines.append("| " + " | ".join(cells) + " |")
     return "\n".join(lines)
+
+
+def parts(jobs) -> str:
+    """In Markdown, a line for the jobs `NAME-g`, `-h`, `-c` and `-d`: Go1, Go2, ANYmal-C and -D."""
+    head = ["", "Go1", "Go2", "ANYmal-C", "ANYmal-D"]
+    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
+    for name in dict.fromkeys(name[:-2] for name in jobs):
+        cells = [
+            part(jobs[f"{name}-{robot}"]) if f"{name}-{robot}" in jobs else "" for robot in "ghcd"
+        ]
+        lines.append("| " + " | ".join([name, *cells]) + " |")
+    return "\n".join(lines)
+
+
+def part(job) -> str:
+    """Million steps until the mean seed walks, those that never did; return and falls at the end."""
+    runs = seeds(job)
+    steps = np.array([first(run, LEVELS[best(job)][3]) / 1e6 for run in runs])
+    gone = int(np.isnan(steps).sum())
+    some = f"{np.nanmean(steps):.2f}" if gone < len(steps) else ""
+    some += f" ({gone} never)" if 0 < gone < len(steps) else "never" * (gone > 0)
+    last = [row for run in runs for row in run[-3:]]
+    total, falls = (np.mean([row[name] for row in last]) for name in ("return", "fall_rate"))
+    return f"**{some}**; {total:.1f}, {100 * falls:.1f} %"
 
 
 if __name__ == "__main__":

@@ -20,7 +20,7 @@ physics.impl physics.contacts
 """.split()
 BOOLS = """
 run.tensorboard model.predict_change model.normalize model.clean model.known_reward model.falls
-ppo.adaptive ppo.clip_value ppo.symmetry task.random_clock
+ppo.adaptive ppo.clip_value ppo.symmetry task.random_clock task.carry_on
 """.split()
 SIZES = "model.hidden ppo.hidden".split()
 OPTIONAL = {  # None in the file

@@ -52,12 +52,30 @@ def still(t):
 # ---- in the robot's own file
 
 
+def uneven():
+    """What the joints are off at first: the draws go to them in the order of their names."""
+    names = [GO1.mj_model.joint(i).name for i in range(1, 13)]
+    of_name = dict(
+        zip(sorted(names), np.random.default_rng(0).uniform(-0.02, 0.02, 12), strict=True)
+    )
+    return np.array([of_name[name] for name in names])
+
+
+def lowest(model, data):
+    """Height of the lowest foot above the floor."""
+    mujoco.mj_kinematics(model, data)
+    feet = [f"{leg}_foot" for leg in ("FL", "FR", "RL", "RR")]
+    return min(data.geom(name).xpos[2] - model.geom(name).size[0] for name in feet)
+
+
 def by_hand(policy, seconds):
     """The same episode, written again: MuJoCo's own motors, frames and velocities."""
     model = mujoco.MjModel.from_xml_path(str(GO1.xml))
     model.opt.iterations, model.opt.ls_iterations = 100, 50
     data, action, rows = mujoco.MjData(model), np.zeros(12), []
     mujoco.mj_resetDataKeyframe(model, data, 0)
+    data.qpos[7:] += uneven()
+    data.qpos[2] -= lowest(model, data)
     layers = [policy.params["actor"]["params"][f"Dense_{i}"] for i in range(3)]
     home = model.key("home").qpos[7:]
     for _ in range(round(seconds / 0.02)):
@@ -104,20 +122,23 @@ def test_the_policy_sees_what_it_was_trained_on(body):
     np.testing.assert_allclose(
         np.stack(seen)[:, 36:], np.outer(0.01 * np.arange(5), np.ones(12)), atol=1e-12
     )
-    np.testing.assert_allclose(seen[0][:24], 0, atol=1e-6)
+    np.testing.assert_allclose(seen[0][:12], uneven(), atol=1e-6)
+    np.testing.assert_allclose(seen[0][12:24], 0, atol=1e-6)
     np.testing.assert_allclose(seen[0][24:27], [0, 0, -1], atol=1e-6)
 
 
 @pytest.mark.parametrize("name", ROBOTS)
 def test_an_episode_begins_with_the_feet_on_the_floor(name):
-    """Upright, at the default pose, the lowest foot touching: by MuJoCo's own distances."""
+    """Upright, about the default pose, the lowest foot touching: by MuJoCo's own distances."""
     config, robot = described(name)
     body = episode.load(robot.xml, policy_file.describe(config, robot), 0.005)
     model, data = body.model, mujoco.MjData(body.model)
     data.qpos[:] = np.random.default_rng(0).normal(size=model.nq)
     episode.reset(body, data)
     np.testing.assert_allclose(data.qpos[3:7], [1, 0, 0, 0])
-    np.testing.assert_allclose(data.qpos[7:], robot.default_pose)
+    np.testing.assert_allclose(data.qpos[7:], robot.default_pose, atol=0.02)
+    left, right = data.qpos[7:].reshape(4, 3)[::2], data.qpos[7:].reshape(4, 3)[1::2]
+    assert (np.abs(np.abs(left) - np.abs(right)).max(0) > 1e-3).all()  # not even
     floor = model.geom("floor").id
     gaps = {
         model.geom(i).name: mujoco.mj_geomDistance(model, data, floor, i, 1.0, None)

@@ -91,6 +91,11 @@ def plain():
 
 
 @pytest.fixture(scope="module")
+def carries():
+    return build("go1", random_clock=False, carry_on=True)
+
+
+@pytest.fixture(scope="module")
 def anymal():
     return build("anymal_d")
 
@@ -788,6 +793,36 @@ def test_autoreset_starts_exactly_the_ended_robots_anew_with_clock_zero(lab, bod
     assert (new.command[ended] != np.asarray(state.command)[ended]).all()
     assert (new.obs[ended, 33:36] == new.command[ended]).all()
     assert len(np.unique(new.qpos[ended, 0])) == ended.sum()
+
+
+def test_with_carry_on_half_of_the_timed_out_stay_where_they_are_under_a_new_command(carries):
+    """Those that fell never do; what begins anew is the command, the clock and the count."""
+    lab = carries
+    state = lab.reset(lab.hyper, lab.nominal, lab.keys)
+    for action in actions(3):
+        state, outcome = lab.step(lab.hyper, lab.nominal, state, action, lab.keys)
+    before = jax.device_get(state)
+    half = np.arange(ROBOTS) < ROBOTS // 2
+    outcome = outcome.replace(discount=jnp.asarray(half * 1.0), truncation=jnp.asarray(half * 1.0))
+    stayed = np.zeros(ROBOTS)
+    for seed in range(20):
+        keys = jax.random.split(jax.random.key(seed), ROBOTS)
+        new = jax.device_get(lab.autoreset(lab.hyper, lab.nominal, state, outcome, keys))
+        stays = (new.qpos == before.qpos).all(1)
+        assert not stays[~half].any() and not new.clock[stays].any()
+        for name in ("qvel", "last_action", "air_steps", "push_in", "qacc_warmstart"):
+            of_new, of_old = getattr(new, name)[stays], getattr(before, name)[stays]
+            np.testing.assert_array_equal(of_new, of_old, err_msg=name)
+        for name in ("episode_steps", "episode_return"):
+            assert not getattr(new, name).any() and getattr(before, name).all(), name
+        assert (new.command[stays] != before.command[stays]).all()
+        np.testing.assert_array_equal(new.obs[stays, 33:36], new.command[stays])
+        np.testing.assert_array_equal(new.obs[stays, 36:], before.last_action[stays])
+        np.testing.assert_allclose(new.prop[stays], before.prop[stays], atol=1e-6)
+        stayed += stays
+    share = stayed[half].mean() / 20
+    assert abs(share - 0.5) < 4 * 0.5 / np.sqrt(20 * half.sum())
+    assert (0 < stayed[half]).all() and (stayed[half] < 20).all()  # each robot draws for itself
 
 
 # --- the task as Isaac Lab computes it ---

@@ -1,0 +1,23 @@
+"""Kicks: from time to time the base is given another horizontal velocity.
+
+Isaac Lab's push_by_setting_velocity (isaaclab/envs/mdp/events.py): after the reward, before the observation.
+`settings` is the group `task.push` of the config, `dt` the seconds of a control step.
+"""
+
+import jax
+import jax.numpy as jnp
+
+
+def wait(settings, dt: float, key):
+    """Control steps until the next push."""
+    low, high = settings.interval
+    return jnp.round(jax.random.uniform(key, (), minval=low, maxval=high) / dt).astype(jnp.int32)
+
+
+def push(settings, dt: float, qvel, push_in, key):
+    """`(qvel, push_in)` after one step of the clock: a kick in world x and y when it runs out."""
+    due = push_in <= 1
+    kick_key, next_key = jax.random.split(key)
+    kick = jax.random.uniform(kick_key, (2,), minval=-1.0, maxval=1.0) * settings.velocity
+    qvel = qvel.at[:2].add(jnp.where(due, kick, 0.0))
+    return qvel, jnp.where(due, wait(settings, dt, next_key), push_in - 1)
