@@ -33,7 +33,7 @@ MAY_CHANGE = (
 # what runs write into their folder, `evaluate` too, and what people film or export into it
 WRITTEN = (
     "config.json* lock metrics.csv* checkpoints damaged-* events* policy.npz* summary.json* curves.png "
-    "video.mp4* nonfinite.npz restored_from* wandb* evaluation* *.html *.mp4 *.gif *.png *.onnx"
+    "video.mp4* nonfinite.* restored_from* wandb* evaluation* *.html *.mp4 *.gif *.png *.onnx"
 ).split()
 # what summary.json needs of every row
 SUMMED = ("episode_return", "episodes", "episode_return_sum")
@@ -56,12 +56,12 @@ def open_workdir(workdir: Path, config, fresh: bool = False):
 def _open(workdir: Path, config, fresh: bool, held: contextlib.ExitStack) -> None:
     try:
         if fresh and _movable(workdir):
-            with _hold(workdir):
+            with hold(workdir):
                 number = next(n for n in itertools.count(1) if not _old(workdir, n).exists())
                 old = workdir.rename(_old(workdir, number))
                 (old / "lock").unlink(missing_ok=True)
         workdir.mkdir(parents=True, exist_ok=True)
-        held.enter_context(_hold(workdir))
+        held.enter_context(hold(workdir))
         for name in ("config.json", "metrics.csv", "restored_from"):
             files.check_regular(workdir / name)
         text, path = config_lib.to_json(config), workdir / "config.json"
@@ -177,7 +177,7 @@ def _old(workdir: Path, number: int) -> Path:
 
 
 @contextlib.contextmanager
-def _hold(workdir: Path):
+def hold(workdir: Path):
     """Keeps other processes from holding `workdir`; ConfigError if one does.
 
     The lock of `workdir/lock` ends with the process, however that ends: a file that a killed run leaves
