@@ -100,8 +100,9 @@ def _check_source(source: Path | None, combinations: list[Combination]) -> None:
     """ConfigError where one of them cannot start from the networks of `source`."""
     from dynappo.train import restore  # not above: it starts JAX
 
-    for one in combinations if source else []:
-        restore.check(source, one.config)
+    if source:
+        for one in combinations:
+            restore.check(source, one.config)
 
 
 def _todo(workdir: Path, combinations: list[Combination]) -> list[Combination]:

@@ -41,26 +41,30 @@ def figure(workdir: Path, table: list[dict[str, Any]], swept: list[str]) -> Any:
     page = Figure(figsize=(13, height), layout="constrained")
     left, right = page.subplots(1, 2, width_ratios=(1.6, 1))
     shades = matplotlib.colormaps["viridis"](np.linspace(0, 0.88, max(len(shown), 1)))
+    most = max((one["sim_steps"] for one in shown), default=0)
+    scale, unit = (1e6, "million simulator steps") if most >= 1e5 else (1, "simulator steps")
     for rank, (one, color) in enumerate(zip(shown, shades, strict=True)):
         metrics = log.read_csv(workdir / one["folder"] / "metrics.csv", one["seeds"])
         returns = np.asarray(metrics["episode_return"]).reshape(len(metrics["sim_steps"]), -1)
         best: dict[str, Any] = dict(color=color, zorder=len(shown) - rank)
-        left.plot(metrics["sim_steps"] / 1e6, returns.mean(1), lw=2 if rank == 0 else 1.3, **best)
+        left.plot(metrics["sim_steps"] / scale, returns.mean(1), lw=2 if rank == 0 else 1.3, **best)
         ends = np.array(one["returns"].split(), float)
-        right.scatter(ends, np.full(len(ends), rank), s=16, alpha=0.45, linewidths=0, **best)
+        right.scatter(ends, np.full(len(ends), rank), s=34, edgecolors="white", **best)
         right.plot(one["return_mean"], rank, "|", ms=15, mew=2.4, **best)
         if one["return_low"] is not None:
-            right.plot([one["return_low"], one["return_high"]], [rank, rank], lw=2, **best)
+            right.plot([one["return_low"], one["return_high"]], [rank, rank], lw=1.4, **best)
     for axes, title in (
         (left, "episode return while training, mean of the seeds"),
-        (right, f"{_ends(shown)} at the end: dots are seeds, bars means and 95 % intervals"),
+        (right, f"{_ends(shown)} at the end"),
     ):
         axes.set_title(title, loc="left", fontsize=10.5, color="0.2", pad=8)
         axes.grid(color="0.92", linewidth=0.8)
         axes.set_axisbelow(True)
         axes.tick_params(length=0, labelsize=9, labelcolor=curves.GREY)
         axes.spines[["top", "right", "left"]].set_visible(False)
-    left.set_xlabel("million simulator steps of a seed", fontsize=9.5, color=curves.GREY)
+    left.set_xlabel(f"{unit} of each seed", fontsize=9.5, color=curves.GREY)
+    marks = "dots: seeds    tick: their mean    line: its 95 % interval"
+    right.set_xlabel(marks, fontsize=9.5, color=curves.GREY)
     named = shown if len(shown) <= 3 * MOST_NAMED else shown[:MOST_NAMED]
     labels = [", ".join(str(one[field]) for field in swept) for one in named]
     right.set_yticks(range(len(named)), labels, fontsize=9.5, color="0.2")
