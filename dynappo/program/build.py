@@ -63,10 +63,11 @@ def check(config, env: Any = None) -> None:
     memory.check(config, memory.limit(devices.here(config.run.device)))
 
 
-def program(config, env: Any = None) -> Program:
+def program(config, env: Any = None, each: tuple[Any, Any] | None = None) -> Program:
     """Build robot, environment and first state, and compile the program that a run repeats.
 
-    `env` is an environment of one's own (a `types.Env`), with a config of `environment.settle`.
+    `env` is an environment of one's own (a `types.Env`), with a config of `environment.settle`. `each`
+    is `(hyper, keys)` where the `run.num_seeds` seeds have values (`sweep.vary`) or keys of their own.
     ConfigError as `check`, and where the compiled program needs more memory than a device has.
     """
     import jax
@@ -93,7 +94,7 @@ def program(config, env: Any = None) -> Program:
         init = partial(sweep.init, env, static=static)
         step = partial(sweep.run, env, static=static)
         episodes_of = partial(sweep.evaluate, env, **episodes)
-        key = sweep.keys(run.seed, run.num_seeds)
+        hyper, key = each or (hyper, sweep.keys(run.seed, run.num_seeds))
     columns = schedule.columns(config)
     chunk = {name: jnp.asarray(column[: run.log_every]) for name, column in columns.items()}
     everywhere = NamedSharding(mesh, PartitionSpec())

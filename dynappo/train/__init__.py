@@ -8,7 +8,8 @@
 - `finish`, `curves`: what a run that has ended leaves: summary, policy, film, picture
 - `nonfinite`: what is said and kept when numbers blow up
 
-No other command imports it. It imports `program`, `policy`, `config` and `schedule`. What a checkpoint
+No other command imports it, but for `sweeps`, which `command` starts. It imports `program`, `policy`,
+`config` and `schedule`. What a checkpoint
 holds is `types.TrainState`, and what `workdir.save` puts beside it.
 """
 

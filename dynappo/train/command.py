@@ -12,6 +12,9 @@ from typing import Any, NamedTuple
 from dynappo import config as config_lib
 from dynappo.config import flags
 from dynappo.program import build, devices, distributed, environment, memory
+from dynappo.sweeps import command as sweeps
+from dynappo.sweeps import folder as sweep_folder
+from dynappo.sweeps import grid
 from dynappo.train import finish, show
 from dynappo.train import run as run_lib
 from dynappo.train import workdir as workdir_lib
@@ -36,6 +39,9 @@ class Command(NamedTuple):
     processes: tuple[Any, Any, Any] = (None, None, None)  # of distributed.join
     get_env: Any = None  # of the config's file, if it has an environment of its own
     env: Any = None  # what that returned
+    sweep: sweeps.Sweep | None = (
+        None  # instead of one run; `config` is then its first combination's
+    )
 
 
 def parse(argv: list[str] | None) -> Command:
@@ -52,21 +58,40 @@ def parse(argv: list[str] | None) -> Command:
         metavar="SOURCE",
         help="start from the networks of another workdir, a checkpoint or a policy.npz",
     )
+    parser.add_argument(
+        "--sweep",
+        action="append",
+        metavar="FIELD=VALUE,VALUE,...",
+        help="a run for each value, in one folder; several make a grid (docs/sweeps.md)",
+    )
     several = parser.add_argument_group("several processes, where Slurm does not start them")
     several.add_argument("--coordinator", metavar="HOST:PORT", help="of process 0")
     several.add_argument("--processes", type=int, metavar="N")
     several.add_argument("--process", type=int, metavar="I", help="0 to N-1")
     known, rest = flags.read_known(parser, argv)
-    if known.config is None and known.workdir and os.path.isfile(known.workdir / "config.json"):
-        config, get_env, workdir = flags.load_run(known.workdir, rest), None, known.workdir
+    here = known.config is None and known.workdir
+    swept = grid.read(known.sweep or [])
+    if here and not swept and sweep_folder.is_one(known.workdir):
+        (config, swept), get_env = sweep_folder.load(known.workdir, rest), None
+    elif here and not swept and os.path.isfile(known.workdir / "config.json"):
+        config, get_env = flags.load_run(known.workdir, rest), None
     else:
         config, get_env = flags.load_both(known.config, rest)
-        name, _, variant = str(known.config).partition(":")
-        folder = Path(name).stem + (f"-{variant}" if variant else "")
-        workdir = known.workdir or Path("runs") / folder
+    name, _, variant = str(known.config).partition(":")
+    folder = Path(name).stem + (f"-{variant}" if variant else "") + "-sweep" * bool(swept)
+    workdir = known.workdir or Path("runs") / folder
+    if not swept and sweep_folder.is_one(workdir):
+        raise config_lib.ConfigError(
+            f"--workdir={workdir} holds a sweep: --workdir={workdir} alone goes on with it; choose another "
+            "folder for a run"
+        )
+    sweep = None
+    if swept:
+        sweep = sweeps.Sweep(swept, config, grid.combinations(config, swept))
+    config = sweep.combinations[0].config if sweep else config_lib.validate(config)
     processes = (known.coordinator, known.processes, known.process)
-    config = config_lib.validate(config)
-    return Command(config, workdir, known.fresh, known.restore, processes, get_env)
+    own = known.fresh, known.restore, processes, get_env
+    return Command(config, workdir, *own, sweep=sweep)
 
 
 def main(argv: list[str] | None = None) -> None:
@@ -81,7 +106,11 @@ def main(argv: list[str] | None = None) -> None:
             devices.own_process(command.config.run.device)
             distributed.join(*command.processes)
             with stop:
-                train_and_show(command, stop)
+                if command.sweep:
+                    own = command.fresh, command.restore, command.get_env
+                    sweeps.train_and_show(command.sweep, command.workdir, *own, stop)
+                else:
+                    train_and_show(command, stop)
             distributed.leave()
 
     def stopped():
@@ -95,6 +124,8 @@ def main(argv: list[str] | None = None) -> None:
 
 def afterwards(command: Command) -> str:
     """What the same command will do with what a stopped one has left."""
+    if command.sweep:
+        return sweeps.afterwards(command.fresh)
     if distributed.several() and not distributed.first():
         return f"{GOES_ON}, if there is one"  # which the first process can see
     if not workdir_lib.saved(command.workdir):

@@ -94,7 +94,7 @@ def loop(
         if writes:
             sinks = stack.enter_context(log.opened(config, writes, start, say))
         # only the first process has the history, and only there these numbers are written
-        (seconds, evaluated), waiting = _reached(history), None
+        (seconds, evaluated), waiting = reached(history), None
         counted = workdir_lib.counted(config, run.num_iterations)
         for first in range(start, run.num_iterations, run.log_every):
             rows, done = slice(first, first + run.log_every), first + run.log_every
@@ -103,7 +103,7 @@ def loop(
             began = time.perf_counter()
             running = program.step(program.hyper, state, columns)  # returns at once
             if waiting:
-                _tell(*waiting, sinks, progress_fn, say)
+                tell(*waiting, sinks, progress_fn, say)
             state, metrics = jax.block_until_ready(running)
             took = time.perf_counter() - began
             # copies: else each chunk would keep its buffers of JAX, and the columns of the whole run
@@ -113,7 +113,7 @@ def loop(
             seconds += took
             nonfinite.check(metrics, state, before, workdir)
             if run.eval_every and done % run.eval_every == 0:
-                metrics |= _at_end(program.evaluate(state), run.log_every)
+                metrics |= at_end(program.evaluate(state), run.log_every)
                 evaluated = metrics["eval_return"][-1]
             history.append(metrics)
             waiting = (done, metrics)
@@ -125,11 +125,11 @@ def loop(
             if stopping:
                 break
         if waiting:
-            _tell(*waiting, sinks, progress_fn, say)
+            tell(*waiting, sinks, progress_fn, say)
     return state, log.join(history)
 
 
-def _reached(history) -> tuple[float, Any]:
+def reached(history) -> tuple[float, Any]:
     """Seconds of the iterations that are done, and their last evaluated return."""
     if not history:
         return 0.0, None
@@ -137,7 +137,7 @@ def _reached(history) -> tuple[float, Any]:
     return float(np.nanmax(seconds, initial=0.0)), log.last_evaluation(history[0])
 
 
-def _tell(done: int, metrics, sinks, progress_fn, say) -> None:
+def tell(done: int, metrics, sinks, progress_fn, say) -> None:
     """Hand a chunk's metrics to every log, and its last row to `progress_fn`."""
     table = log.rows(metrics)
     for sink in sinks:
@@ -146,7 +146,7 @@ def _tell(done: int, metrics, sinks, progress_fn, say) -> None:
         progress_fn(done, {name: value[-1] for name, value in metrics.items()})
 
 
-def _at_end(evaluation: dict, rows: int) -> dict[str, np.ndarray]:
+def at_end(evaluation: dict, rows: int) -> dict[str, np.ndarray]:
     """Columns `eval_*` `[I]` with the numbers in the last row, NaN above."""
     columns = {}
     for name, value in evaluation.items():

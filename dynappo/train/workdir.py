@@ -31,7 +31,7 @@ MAY_CHANGE = (
 # what runs write into their folder, `evaluate` too, and what people film or export into it
 WRITTEN = (
     "config.json* lock metrics.csv* checkpoints damaged-* events* policy.npz* summary.json* curves.png "
-    "video.mp4* nonfinite.npz restored_from* wandb* evaluation* *.html *.mp4 *.gif *.png *.onnx"
+    "video.mp4* nonfinite.* restored_from* wandb* evaluation* *.html *.mp4 *.gif *.png *.onnx"
 ).split()
 # what summary.json needs of every row
 SUMMED = ("episode_return", "episodes", "episode_return_sum")
@@ -53,7 +53,7 @@ def open_workdir(workdir: Path, config, fresh: bool = False, say=lambda text: No
 def _open(workdir: Path, config, fresh: bool, held: contextlib.ExitStack, say) -> None:
     try:
         if fresh and _movable(workdir):
-            with _hold(workdir) as lock:
+            with hold(workdir) as lock:
                 number = next(n for n in itertools.count(1) if not _old(workdir, n).exists())
                 if sys.platform == "win32":  # which moves no folder with an open file in it
                     lock.release()
@@ -61,7 +61,7 @@ def _open(workdir: Path, config, fresh: bool, held: contextlib.ExitStack, say) -
                 (old / "lock").unlink(missing_ok=True)
                 say(f"the run that was there is {old} now")
         workdir.mkdir(parents=True, exist_ok=True)
-        held.enter_context(_hold(workdir))
+        held.enter_context(hold(workdir))
         for name in ("config.json", "metrics.csv", "restored_from"):
             files.check_regular(workdir / name)
         text, path = config_lib.to_json(config), workdir / "config.json"
@@ -177,7 +177,7 @@ def _old(workdir: Path, number: int) -> Path:
 
 
 @contextlib.contextmanager
-def _hold(workdir: Path):
+def hold(workdir: Path):
     """Keeps other processes from holding `workdir`, by `workdir/lock`; ConfigError if one does."""
     try:
         with files.locked(workdir / "lock") as lock:

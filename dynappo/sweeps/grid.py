@@ -1,0 +1,159 @@
+"""The combinations of a sweep, from the text of a command line; and which of them train in one program."""
+
+from __future__ import annotations
+
+import copy
+import itertools
+import json
+import math
+import re
+from typing import Any, NamedTuple
+
+from dynappo import config as config_lib
+from dynappo.config import ConfigError, fields
+
+MOST, LONGEST = 1000, 200  # combinations; characters of a folder's name
+# floats that are built into the program, or say what is (which bodies differ: physics.randomize)
+BUILT_IN = ("run.", "physics.", "task.randomize.")
+NOT_HERE = {  # what one process or one folder has once
+    "run.device": "a process has one; give a command for each",
+    "run.wandb": "a sweep does not log to Weights & Biases",
+}
+
+
+class Combination(NamedTuple):
+    """One combination of values, and the run it means."""
+
+    name: str  # of its folder: "ppo.entropy_coef=0.003,ppo.epochs=3"
+    values: dict[str, Any]  # by field
+    config: Any  # validated
+    env: Any = None  # of one's own, instead of the robot's
+
+
+def read(texts: list[str]) -> dict[str, list[str]]:
+    """The values of each field, as text: of ["ppo.epochs=3,5"] {"ppo.epochs": ["3", "5"]}.
+
+    Commas inside of brackets or quotes part no values: `ppo.hidden=(64,64),(128,128)` has two.
+    """
+    swept: dict[str, list[str]] = {}
+    for text in texts:
+        field, equals, values = text.partition("=")
+        field = field.removeprefix("config.")
+        if not equals:
+            raise ConfigError(f"--sweep={text}: expected FIELD=VALUE,VALUE,...")
+        if field in swept:
+            raise ConfigError(f"--sweep={text}: {field} is swept twice; name all values in one")
+        if field in NOT_HERE:
+            raise ConfigError(f"--sweep={text}: {field} cannot be swept: {NOT_HERE[field]}")
+        swept[field] = _parts(values)
+        if "" in swept[field]:
+            raise ConfigError(f"--sweep={text}: a value is empty, expected FIELD=VALUE,VALUE,...")
+    return swept
+
+
+def _parts(text: str) -> list[str]:
+    """`text` cut at its commas, but for those inside of brackets or quotes."""
+    parts, depth, quote = [""], 0, ""
+    for letter in text:
+        if quote:
+            quote = "" if letter == quote else quote
+        elif letter in "\"'":
+            quote = letter
+        depth += 0 if quote else (letter in "([") - (letter in ")]")
+        if letter == "," and depth == 0 and not quote:
+            parts.append("")
+        else:
+            parts[-1] += letter
+    return [part.strip() for part in parts]
+
+
+def combinations(config, swept: dict[str, list[str]]) -> list[Combination]:
+    """Every combination of the values, the last field's change fastest; ConfigError for the first that is
+    wrong.
+
+    `config` is not validated; each combination's is, as if its values were `--config.FIELD=VALUE`.
+    """
+    count = math.prod(len(values) for values in swept.values())
+    if count > MOST:
+        raise ConfigError(f"--sweep: {count:,} combinations, expected at most {MOST:,}")
+    found: dict[str, Combination] = {}
+    for texts in itertools.product(*swept.values()):
+        own = copy.deepcopy(config)
+        for field, text in zip(swept, texts, strict=True):
+            try:
+                config_lib.override(own, field, text)
+            except ConfigError as error:
+                raise ConfigError(str(error).replace("--config.", "--sweep=", 1)) from None
+        values = {field: config_lib.flat(own)[field] for field in swept}
+        name = ",".join(f"{field}={_short(value)}" for field, value in values.items())
+        if name in found:
+            raise ConfigError(f"--sweep: {name} is there twice; name each value once")
+        if len(name) > LONGEST:
+            raise ConfigError(
+                f"--sweep: the folder of a combination would have a name of {len(name)} characters, "
+                f"expected at most {LONGEST}; sweep fewer fields at once"
+            )
+        try:
+            found[name] = Combination(name, values, config_lib.validate(own))
+        except ConfigError as error:
+            raise ConfigError(f"--sweep: {error} (the combination {name})") from None
+    return list(found.values())
+
+
+def _short(value: Any) -> str:
+    """A value as a part of a folder's name that needs no quotes in a shell: (64, 64) is 64x64."""
+    text = "x".join(map(str, value)) if isinstance(value, tuple) else str(value)
+    return re.sub(r"[^\w.+-]", "_", text)
+
+
+def by_vmap(field: str, own_env: bool = False) -> bool:
+    """Whether values of a field can differ between the seeds of one program: floats, alone or in a tuple.
+
+    With an environment of one's own only those of `ppo` and `model`: what `get_env` makes of others, nobody
+    knows.
+    """
+    kind = fields.every()[field]
+    number = kind.default[0] if kind.kind is tuple else kind.kind()
+    return (
+        isinstance(number, float)
+        and not field.startswith(BUILT_IN)
+        and (not own_env or field.startswith(("ppo.", "model.")))
+    )
+
+
+def groups(combinations: list[Combination], done: list[int]) -> list[list[Combination]]:
+    """The combinations that can go on in one program, in the order of their firsts.
+
+    They differ in floats alone (`by_vmap`), and have `done` as many iterations.
+    """
+    found: dict[str, list[Combination]] = {}
+    for one, iterations in zip(combinations, done, strict=True):
+        own = one.env is not None
+        known = config_lib.flat(one.config)
+        static = {name: value for name, value in known.items() if not by_vmap(name, own)}
+        found.setdefault(json.dumps([iterations, static]), []).append(one)
+    return list(found.values())
+
+
+def whole(group: list[Combination]) -> Any:
+    """The validated config of the program of a group: the first's, with the seeds of all.
+
+    ConfigError where these are too many.
+    """
+    config = fields.typed(group[0].config)  # a copy: ConfigDict(config) would share its groups
+    config.run.num_seeds *= len(group)
+    try:
+        return config_lib.validate(config)
+    except ConfigError as error:
+        raise too_many(error, group) from None
+
+
+def too_many(error: ConfigError, group: list[Combination]) -> ConfigError:
+    """The line for a group that does not fit, with what to do."""
+    if len(group) == 1:
+        return error
+    seeds = group[0].config.run.num_seeds
+    return ConfigError(
+        f"{error}. {len(group)} combinations x {seeds} seeds of the sweep train at once: name fewer values, "
+        "and add the others in a second command"
+    )

@@ -1,0 +1,113 @@
+"""What a sweep came to: a row for each combination, best first; on screen and as sweep.csv."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy import stats
+
+from dynappo.config import files
+from dynappo.sweeps import folder
+from dynappo.sweeps.grid import Combination
+from dynappo.train import show
+
+
+def half_width(values) -> float:
+    """Half of Student's 95 % interval of the mean of `values` [S] (seeds); NaN of one, or of a NaN."""
+    values = np.asarray(values, float)
+    if len(values) < 2:
+        return float("nan")
+    return float(stats.t.ppf(0.975, len(values) - 1) * stats.sem(values))
+
+
+def rows(workdir: Path, combinations: list[Combination]) -> list[dict[str, Any]]:
+    """A row for each combination: highest return first, then those without one, with a `note` that says why.
+
+    Returns are evaluated ones, or of training (its last 10 iterations) where `run.eval_envs` is 0.
+    """
+    found = [row(workdir, one) for one in combinations]
+    return sorted(
+        found, key=lambda r: -r["return_mean"] if r["return_mean"] is not None else np.inf
+    )
+
+
+def row(workdir: Path, one: Combination) -> dict[str, Any]:
+    """One combination's: its values, its numbers over seeds (None where there are none), its folder."""
+    summary = folder.summary(workdir, one)
+    problem = folder.blown_up(workdir, one)
+    evaluation = summary.get("evaluation", {})
+    returns = np.ravel(evaluation.get("return", summary.get("return", [])))
+    returns = np.array([np.nan if x is None else x for x in returns], float)
+    mean = float(returns.mean()) if returns.size else np.nan
+    around = half_width(returns)
+    at = folder.reached(workdir, one)
+    note = "" if summary else "blew up" if problem else f"at iteration {at}"
+    numbers = {
+        "return_mean": mean,
+        "return_low": mean - around,
+        "return_high": mean + around,
+        "fall_rate": _mean(evaluation.get("fall_rate")),
+        "tracking_error": _mean(evaluation.get("tracking_error")),
+        "sim_steps": summary.get("sim_steps", np.nan),
+        "seconds": _mean(summary.get("seconds")),
+    }
+    return (
+        one.values
+        | {"seeds": one.config.run.num_seeds}
+        | {name: float(v) if np.isfinite(v) else None for name, v in numbers.items()}
+        | {
+            "returns": " ".join(f"{x:.6g}" for x in returns),
+            "return_of": "evaluation" if "return" in evaluation else "training",
+            "folder": one.name,
+            "note": note,
+        }
+    )
+
+
+def _mean(values) -> float:
+    """Of the seeds that have a number."""
+    some = [v for v in np.ravel(values) if v is not None and np.isfinite(v)]
+    return float(np.mean(some)) if some else np.nan
+
+
+def write(path: Path, table: list[dict[str, Any]]) -> None:
+    """The rows as a CSV, whole or not at all; empty where there is no number."""
+    with files.replacing(path) as part, part.open("w", newline="") as file:
+        writer = csv.DictWriter(file, list(table[0]), lineterminator="\n")
+        writer.writeheader()
+        for one in table:
+            writer.writerow({k: f"{v:.6g}" if type(v) is float else v for k, v in one.items()})
+
+
+def print_table(out, table: list[dict[str, Any]], swept: list[str]) -> None:
+    """The rows for a person."""
+    from rich.table import Table
+
+    page = Table(box=None, padding=(0, 2, 0, 0))
+    evaluated = all(one["return_of"] == "evaluation" for one in table if not one["note"])
+    names = ["seeds", "evaluated return" if evaluated else "return", "falls", "steps", "seconds"]
+    for field in swept:
+        page.add_column(field)
+    for name in names:
+        page.add_column(name, justify="right")
+    for i, one in enumerate(table):
+        page.add_row(*(str(one[field]) for field in swept), *_cells(one), style="bold" * (i == 0))
+    out.print(page)
+
+
+def _cells(one: dict[str, Any]) -> list[str]:
+    """Seeds, return with its interval, falls, simulator steps, seconds."""
+    if one["note"]:
+        return [str(one["seeds"]), one["note"], "", "", ""]
+    mean, high, falls = one["return_mean"], one["return_high"], one["fall_rate"]
+    text = "no episode ended" if mean is None else f"{mean:.2f}"
+    return [
+        str(one["seeds"]),
+        text if high is None else f"{text} ± {high - mean:.2f}",
+        "" if falls is None else f"{100 * falls:.1f} %",
+        show.count(int(one["sim_steps"])),
+        "" if one["seconds"] is None else f"{one['seconds']:.1f}",
+    ]
