@@ -99,7 +99,7 @@ def test_every_command_is_real(command):
 @pytest.mark.parametrize(
     "command",
     [
-        "dynappo trian --config=go1",
+        "dynappo teach --config=go1",
         "dynappo train --config=go1 --worker=3",
         "dynappo train --config=go1:bset",
         "dynappo train --config=go3",
@@ -121,11 +121,11 @@ def test_every_command_is_real(command):
         "python experiments/run.py OUT go1:bset",
         "python experiments/run.py OUT go1:best --set run.eval_env=200",
         "make tests",
-        "make COMFIG=go1 train",
+        "make CONFIGS=go1 train",
         "pip install -e '.[cuda14]'",
         "sbatch experiments/cluster/train.sbatch --config=configs/go1.py --nodes=4",
         "sbatch experiments/cluster/no_such.sbatch",
-        "docker run --rm dynappo trian --config=go1",
+        "docker run --rm dynappo teach --config=go1",
     ],
 )
 def test_a_wrong_command_is_found(command):
