@@ -1,4 +1,4 @@
-"""The Markdown pages: every link and picture leads somewhere, and the README stays short."""
+"""The Markdown pages: links and pictures lead somewhere, messages are real, the README stays short."""
 
 import ast
 import re
