@@ -1,5 +1,6 @@
-"""The Markdown pages: every link and picture leads somewhere, and the README stays short."""
+"""The Markdown pages: links and pictures lead somewhere, messages are real, the README stays short."""
 
+import ast
 import re
 
 import pytest
@@ -32,3 +33,26 @@ def test_every_link_leads_somewhere(page):
 
 def test_the_readme_is_short():
     assert len((ROOT / "README.md").read_bytes()) <= 7_000
+
+
+def said():
+    """All that dynappo can say: texts of its source, one a line, with `...` for what is put in."""
+    for path in [*ROOT.glob("dynappo/**/*.py"), *ROOT.glob("configs/*.py")]:
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.JoinedStr):
+                yield "".join(
+                    getattr(part, "value", "...") if isinstance(part, ast.Constant) else "..."
+                    for part in node.values
+                )
+            elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+                yield node.value
+    yield (ROOT / "Makefile").read_text()
+
+
+def test_the_messages_in_troubleshooting_are_those_of_the_code():
+    text, known = (ROOT / "docs" / "troubleshooting.md").read_text(), "\n".join(said())
+    cells = re.findall(r"^\| (.*?) \| ", text, re.M)
+    assert len(cells) > 20
+    for message in (span for cell in cells for span in re.findall(r"`([^`]+)`", cell)):
+        for piece in message.split("..."):
+            assert piece.strip() in known, message
