@@ -12,9 +12,9 @@ from typing import Any, NamedTuple
 from dynappo import config as config_lib
 from dynappo.config import flags
 from dynappo.program import build, devices, distributed, environment, memory
-from dynappo.sweeps import command as sweeps
 from dynappo.sweeps import folder as sweep_folder
 from dynappo.sweeps import grid
+from dynappo.sweeps import run as sweeps
 from dynappo.train import finish, show
 from dynappo.train import run as run_lib
 from dynappo.train import workdir as workdir_lib

@@ -13,8 +13,8 @@ from ml_collections import config_dict
 
 from dynappo.policy import checkpoint_file, source
 from dynappo.program import devices
-from dynappo.sweeps import command as sweeps
 from dynappo.sweeps import folder, grid, together
+from dynappo.sweeps import run as sweeps
 from dynappo.train import command as train_command
 from dynappo.train import run as run_lib
 
@@ -77,13 +77,7 @@ def same(one, other, tolerance):
 
 
 @pytest.mark.parametrize(
-    "name",
-    [
-        NAMES[0],
-        pytest.param(NAMES[1], marks=pytest.mark.slow),
-        pytest.param(NAMES[2], marks=pytest.mark.slow),
-        NAMES[3],
-    ],
+    "name", [NAMES[0], *(pytest.param(name, marks=pytest.mark.slow) for name in NAMES[1:])]
 )
 def test_a_combination_is_the_run_without_a_sweep(whole, name, tmp_path):
     """Every number of metrics.csv, evaluation and checkpoint of both seeds, to 1e-4."""
@@ -245,6 +239,7 @@ def test_values_may_be_added_and_nothing_else_may_change(whole, tmp_path, stop, 
     ]
 
 
+@pytest.mark.slow
 def test_a_combination_that_blows_up_is_told_and_the_others_end(whole, tmp_path, stop, capsys):
     """Status 1 at the end; the same command does not train it again, until its folder is removed."""
     workdir, texts = tmp_path / "sweep", ["model.learning_rate=1e-3,1e9"]
