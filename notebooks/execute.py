@@ -26,7 +26,8 @@ def execute(path: Path) -> None:
     """Run every cell of the notebook in its folder, and save it with its outputs."""
     notebook = nbformat.read(path, as_version=4)
     metadata = dict(notebook.metadata)
-    client = NotebookClient(notebook, timeout=900, kernel_name="python3", record_timing=False)
+    how = {"kernel_name": "python3", "record_timing": False, "coalesce_streams": True}
+    client = NotebookClient(notebook, timeout=900, **how)
     client.resources = {"metadata": {"path": str(path.parent)}}
     folders = str(HERE.parent), os.environ.get("PYTHONPATH", "")
     client.execute(env=os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, folders))})
