@@ -19,7 +19,7 @@ from nbclient import NotebookClient
 from PIL import Image
 
 HERE = Path(__file__).resolve().parent
-COLOURS = 64  # of a PNG: enough for lines and maps, a third of the size
+COLOURS = 128  # of a PNG: enough for lines and maps, and half of the size
 
 
 def execute(path: Path) -> None:

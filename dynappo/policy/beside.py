@@ -22,9 +22,9 @@ from dynappo.policy import render
 
 SIZE = 440, 184  # pixels
 COLOURS = 28
-LANE = 0.8  # m between two robots
+LANE = 1.0  # m between two robots
 FIELD = 24.0  # degrees, the vertical field of view: a long lens, so that far robots are not small
-TILT = 14.0  # degrees, how far the camera looks down
+TILT = 17.0  # degrees, how far the camera looks down
 AROUND = 0.6  # m, on both sides of where the robots go
 HEIGHT = 0.25  # m, what the camera looks at
 TINTS = (0.95, 0.50, 0.10), (0.20, 0.50, 0.95), (0.25, 0.70, 0.35)  # orange, blue, green
@@ -96,6 +96,7 @@ def _look(scene, places: np.ndarray) -> None:
     wide = ((right - left) / 2 + AROUND) / (up * SIZE[0] / SIZE[1])
     high = (near * np.sin(down) + 1.5 * HEIGHT) / up
     away = max(wide, high) + near  # m from the middle
+    scene.visual.map.shadowclip *= 3  # the light may follow one robot: a shadow for the others too
     scene.worldbody.add_camera(
         name="track",
         pos=[
