@@ -31,7 +31,7 @@ TINY = {
             "run.eval_envs": 2,
             "run.video_seconds": 0.1,
             "rollout.num_envs": 16,
-            "rollout.horizon": 8,
+            "rollout.horizon": 12,
             "schedule.end_iteration": 1,  # a tail from the first iteration
             "schedule.end_steps": 2,
             "task.episode_length": 20,
