@@ -1,6 +1,6 @@
 """Run notebooks and write their outputs into them.
 
-    .venv/bin/python notebooks/execute.py                                 # 01 to 04: about six minutes
+    .venv/bin/python notebooks/execute.py                                 # 01 to 04, some ten minutes
     .venv/bin/python notebooks/execute.py notebooks/03_model_error.ipynb
 
 Run it after a change to a notebook (or `make notebooks`), look at the pictures, and commit. Needs the
@@ -19,7 +19,7 @@ from nbclient import NotebookClient
 from PIL import Image
 
 HERE = Path(__file__).resolve().parent
-COLOURS = 128  # of a PNG: enough for lines and maps, and half of the size
+COLOURS = 128  # of a PNG: enough for lines and maps
 
 
 def execute(path: Path) -> None:
