@@ -11,10 +11,10 @@ BIN := $(VENV)/bin
 INSTALL := $(BIN)/python -m pip install -q --disable-pip-version-check --no-compile -c constraints.txt
 
 .DEFAULT_GOAL := help
-.PHONY: help train test check format clean
+.PHONY: help train test check format notebooks clean
 
 help:  ## list the targets
-	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-8s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-9s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 
 train: $(VENV)/.train  ## train a Go1 on two CPU cores, three minutes with the set-up; ends with a film
 	$(BIN)/python -m dynappo.train --config=$(CONFIG) --workdir=$(WORKDIR)
@@ -32,6 +32,9 @@ check: $(VENV)/.dev  ## lint, format, types and spelling: what must be clean bef
 format: $(VENV)/.dev  ## put the code into the project's format
 	$(BIN)/ruff check --fix
 	$(BIN)/ruff format
+
+notebooks: $(VENV)/.dev  ## run notebooks 01 to 04 and write their outputs into them
+	$(BIN)/python notebooks/execute.py
 
 clean:  ## remove .venv, caches and builds (runs/ stays)
 	rm -rf $(VENV) build dist .pytest_cache .ruff_cache *.egg-info

@@ -9,6 +9,7 @@
 - `checkpoint_file`: the arrays of a checkpoint, read without JAX
 - `episode`: a robot under a policy in C MuJoCo and NumPy
 - `render`: a film or a picture of an episode
+- `beside`: a small GIF of several episodes side by side
 
 Shared by the commands. Nothing here needs JAX. It imports `config`, `physics` and `task.observe`.
 """
