@@ -8,6 +8,7 @@ import argparse
 import ast
 import functools
 import importlib
+import json
 import re
 import shlex
 import tomllib
@@ -77,12 +78,17 @@ def all_commands():
 
 @pytest.fixture(autouse=True)
 def elsewhere(tmp_path, monkeypatch):
-    """A folder with a run in runs/go1, in which configs that a reader would write are there."""
+    """A folder with a run in runs/go1 and a sweep in runs/go1-sweep, in which configs that a reader would write are there."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "runs" / "go1").mkdir(parents=True)
     (tmp_path / "runs" / "go1" / "config.json").write_text(
         config_lib.to_json(config_lib.load("go1:best"))
     )
+    sweep = tmp_path / "runs" / "go1-sweep"
+    sweep.mkdir()
+    about = dict(sweep={"ppo.gamma": ["0.97"]}, combinations={}, restore=None, own_env=False)
+    about["config"] = config_lib.load("go1:best").to_dict()
+    (sweep / "sweep.json").write_text(json.dumps(about))
     for name, config in WRITTEN.items():
         (tmp_path / name).parent.mkdir(exist_ok=True)
         text = (
