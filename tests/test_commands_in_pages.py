@@ -78,7 +78,7 @@ def all_commands():
 
 @pytest.fixture(autouse=True)
 def elsewhere(tmp_path, monkeypatch):
-    """A folder with a run in runs/go1 and a sweep in runs/go1-sweep, in which configs that a reader would write are there."""
+    """A folder with a run, a sweep, and the configs that a reader would write."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "runs" / "go1").mkdir(parents=True)
     (tmp_path / "runs" / "go1" / "config.json").write_text(
