@@ -75,7 +75,7 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
     default = "default: {gpu} on a GPU, {cpu} on a CPU".format(**episodes.NUMBER)
     flag("--episodes", metavar="N", help=f"episodes of the training task, on MJX; {default}")
     flag("--randomize", action="store_true", help="MJX episodes with noise, pushes, random physics")
-    flag("--seed", metavar="N", help="random seed of the MJX episodes; default: 0")
+    flag("--seed", metavar="N", help="random seed of their commands and starts; default: 0")
     flag("--fast", action="store_true", help="no MJX episodes: C MuJoCo only, takes seconds")
     flag(
         "--out",

@@ -8,7 +8,7 @@ over the time after the first second and before a fall:
 - `speed`: length of the mean planar velocity in the base frame;
 - `power`: sum over the joints of |torque x speed|; `positive_power` counts only what the motors give
   (torque and speed of one sign), as if braking cost nothing;
-- `cost_of_transport`: power / (weight x speed), without times slower than 0.1 m/s;
+- `cost_of_transport`: power / (weight x speed), without commands where it is slower than 0.1 m/s;
 - `torque`: mean over joints of |torque|; `action_rate`: root mean square over joints of the speed at
   which the policy moves the joints' targets;
 - `duty_factor`: share of time a foot is on the ground; `air_time`: mean duration of its swings;
