@@ -5,8 +5,8 @@ import sys
 from dynappo.config import flags
 
 COMMANDS = {
-    "train": "train a robot, or go on with a run",
-    "look": "look at a robot before it is trained: does it stand?",
+    "train": "train a robot, or resume a run",
+    "look": "check a robot before training: does it stand?",
     "play": "watch a policy: a page, a film, or MuJoCo's viewer",
     "evaluate": "measure a policy on a grid of commands",
     "export": "write a policy as ONNX or npz, for a robot",

@@ -1,7 +1,7 @@
-"""Where the time of an iteration goes: `python -m dynappo.bench --config=configs/go1.py:fast`.
+"""Where the time of an iteration goes: `dynappo bench --config=configs/go1.py:fast`.
 
-`--vs=CONFIG` alternates two configs in one process, so that what else the machine does meets both, and
-gives the ratio of their iterations. `--engines=c,jax` does so for one config on two engines.
+`--vs=CONFIG` alternates two configs in one process, so that other load on the machine affects both, and
+prints the ratio of their iterations. `--engines=c,jax` does the same for one config on two engines.
 """
 
 from __future__ import annotations
@@ -42,22 +42,29 @@ def parse(argv: list[str] | None):
     """`(configs, names, repeats, out, compile)` of a command line."""
     parser = flags.parser(
         "bench",
-        "Time of each phase of a training iteration, on the program that trains.",
-        "--config.GROUP.FIELD=VALUE sets a field of both configs, as in dynappo.train",
+        "Time each phase of a training iteration, on the program that trains.",
+        "examples\n"
+        "  python -m dynappo.bench --config=go1\n"
+        "  python -m dynappo.bench --config=go1:ppo16 --vs=go1:best --out=bench.json\n"
+        "--config.GROUP.FIELD=VALUE sets a field of both configs, as in dynappo train",
     )
-    parser.add_argument("--config", metavar="NAME[:VARIANT]|FILE.py[:VARIANT]")
     parser.add_argument(
-        "--vs", metavar="NAME[:VARIANT]|FILE.py[:VARIANT]", help="alternate with this one"
+        "--config",
+        metavar="NAME[:VARIANT]|FILE.py[:VARIANT]",
+        help="what to time: a robot, or a config file",
+    )
+    parser.add_argument(
+        "--vs", metavar="NAME[:VARIANT]|FILE.py[:VARIANT]", help="alternate with this config"
     )
     parser.add_argument("--engines", metavar="ENGINE,ENGINE", help="alternate these engines")
     parser.add_argument(
-        "--repeats", metavar="N", default="5", help="medians of so many; default: 5"
+        "--repeats", metavar="N", default="5", help="print medians of N measurements; default: 5"
     )
     parser.add_argument(
-        "--compile", action="store_true", help="time the set-up too, with cold and warm caches"
+        "--compile", action="store_true", help="also time the set-up, with cold and warm caches"
     )
     parser.add_argument(
-        "--out", type=flags.path, metavar="FILE.json", help="write all numbers there"
+        "--out", type=flags.path, metavar="FILE.json", help="write all numbers to this file"
     )
     known, rest = flags.read_known(parser, argv)
     repeats = flags.whole("repeats", known.repeats, 1, 10_000)

@@ -1,7 +1,7 @@
 """The time of each part of an iteration, measured on the program that trains.
 
-The compiled chunk takes the number of real rows and of epochs as arguments, so the parts come out as
-differences between calls of one and the same program, as they run inside it.
+The compiled chunk takes the number of real rows and of epochs as arguments, so the parts are
+differences between calls of the same program: the times they take inside it.
 """
 
 from __future__ import annotations

@@ -1,12 +1,12 @@
-"""Settings: from a config file to what the compiled program takes. Start at `loading.py`.
+"""Settings: from a config file to the input of the compiled program. Start reading at `loading.py`.
 
-- `loading`: a config file and the fields set on the command line
+- `loading`: reads a config file and the fields set on the command line
 - `fields`: which fields there are, and their types; `ConfigError`
-- `validation`: which settings can be run
+- `validation`: checks which settings can run
 - `splitting`: `static` and `hyper`, the two halves that the program takes
-- `files`: where configs/ and robots/ are found, and how small files are written
-- `flags`, `shell`, `versions`: what every command shares: its flags and how it ends, how commands are
-  called here, which code made a result
+- `files`: finds configs/ and robots/, writes small files, locks
+- `flags`, `shell`, `versions`: shared by every command: its flags and exit status, how to call commands
+  on this machine, which code made a result
 
 Every folder but those of the method may import it. It imports `schedule` and nothing that needs JAX.
 """

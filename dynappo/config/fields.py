@@ -1,4 +1,4 @@
-"""Which fields a config has and of which type: those of dynappo's own configs/default.py."""
+"""Which fields a config has, and their types: those of dynappo's own configs/default.py."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where configs/ and robots/ are found, how small files are written (whole or not at all), and locks."""
+"""Find configs/ and robots/, write small files (whole or not at all), lock a workdir."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What every command shares: how its flags are read, and how it ends."""
+"""What every command shares: reading its flags, and its exit status."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""A config file as a config, and its fields set from the text of a command line.
+"""Load a config file, and set its fields from a command line.
 
-Why not absl's `config_flags`: it answers a missing file with an object that fails later, and an
-unknown field with a traceback. Every error here is a `ConfigError` of one line, raised before JAX
+Why not absl's `config_flags`: for a missing file it returns an object that fails later, and for an
+unknown field it prints a traceback. Every error here is a `ConfigError` of one line, raised before JAX
 is imported.
 """
 

@@ -1,6 +1,6 @@
-"""The shell commands that people are told, written so that they work where they are read.
+"""Shell commands in messages, written so that they work when pasted.
 
-Somebody who pastes a line has another folder, no activated environment, or a wheel instead of a clone.
+The reader may be in another folder, without an activated environment, or with a wheel instead of a clone.
 """
 
 import os

@@ -1,9 +1,9 @@
 """`static` and `hyper`: the two halves of a config that the compiled program takes.
 
 `static` (ints, strings, bools) is hashable and part of the compiled program; `hyper` (floats) is a pytree
-argument, so a changed learning rate costs no compilation and a sweep is a `jax.vmap` over its leaves.
+argument, so a new learning rate needs no compilation and a sweep is a `jax.vmap` over its leaves.
 Both are nested named tuples with the config's own names: `static.ppo.epochs`, `hyper.ppo.clip_epsilon`.
-Every function that takes `static` or `hyper` takes the whole of it and reads its own group.
+Every function that takes `static` or `hyper` takes all of it and reads its own group.
 """
 
 from __future__ import annotations

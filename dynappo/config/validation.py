@@ -1,4 +1,4 @@
-"""Which settings can be run: every number that can be wrong is checked before JAX is imported."""
+"""Which settings can run: checks every number that can be wrong, before JAX is imported."""
 
 from __future__ import annotations
 

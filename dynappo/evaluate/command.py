@@ -1,9 +1,11 @@
-"""What the command `python -m dynappo.evaluate` reads, computes, prints and writes.
+"""The command `dynappo evaluate`: its flags, what it computes, prints and writes.
 
-Two kinds of episodes, both with the policy's mean action: `trials.sweep`, a grid of commands in C
-MuJoCo (where it tracks well, what walking costs, how the feet move), and `episodes`, the task it was
-trained on, on MJX (`evaluation.py`: the return, the falls and the tracking error by which runs are
-compared). `--fast` leaves the latter out; then JAX is not imported.
+It runs two kinds of episodes, both with the policy's mean action:
+
+- `trials.sweep`, a grid of commands in C MuJoCo: where it tracks well, what walking costs, how the
+  feet move;
+- `episodes`, the task it was trained on, on MJX (`evaluation.py`): return, falls and tracking error,
+  the numbers to compare runs by. `--fast` leaves these out; then JAX is not imported.
 """
 
 from __future__ import annotations
@@ -52,34 +54,34 @@ ROWS = (  # of the table of a sweep: name, label, format
 )
 MAX_EPISODES = 10**6  # of which each is a robot in memory
 USAGE = """\
-what is evaluated is a workdir (while it trains: its newest checkpoint), a checkpoint folder, a
-policy.npz, or the name of a robot with a bundled policy
+NAME_OR_DIR is a workdir (while it trains: its newest checkpoint), a checkpoint folder, a policy.npz,
+or the name of a robot with a bundled policy
   python -m dynappo.evaluate runs/quick
   python -m dynappo.evaluate go1 --fast
   python -m dynappo.evaluate runs/go1 --randomize --episodes=200 --out=hard
   python -m dynappo.evaluate runs/sweep --run-seed=3 --out=third
   python -m dynappo.evaluate go1 --fast --robot-xml=other/scene.xml
-with --robot-xml the episodes on MJX need a file that keeps to robots/README.md; --fast does not
-written are evaluation.json, tracking.png (error by command) and gait.png
+with --robot-xml the episodes on MJX need a file that keeps the rules of robots/README.md; --fast does not
+it writes evaluation.json, tracking.png (error by command) and gait.png
 """
 
 
 def parse(argv: list[str] | None) -> argparse.Namespace:
     """The flags of a command line; ConfigError if it cannot be understood."""
-    what = "What a policy is worth: return, falls, tracking, effort and gait."
+    what = "Measure a policy: return, falls, tracking, effort and gait."
     parser = flags_lib.parser("evaluate", what, USAGE)
     flag = parser.add_argument
     choice.add_flags(parser)
     default = "default: {gpu} on a GPU, {cpu} on a CPU".format(**episodes.NUMBER)
     flag("--episodes", metavar="N", help=f"episodes of the training task, on MJX; {default}")
-    flag("--randomize", action="store_true", help="these with noise, pushes, randomised physics")
-    flag("--seed", metavar="N", help="of their commands and starts; default: 0")
-    flag("--fast", action="store_true", help="without these: C MuJoCo only, seconds")
+    flag("--randomize", action="store_true", help="MJX episodes with noise, pushes, random physics")
+    flag("--seed", metavar="N", help="random seed of their commands and starts; default: 0")
+    flag("--fast", action="store_true", help="no MJX episodes: C MuJoCo only, takes seconds")
     flag(
         "--out",
         metavar="DIR",
         type=flags_lib.path,
-        help="default: WORKDIR/evaluation, or evaluation-NAME",
+        help="folder for the results; default: WORKDIR/evaluation, or evaluation-NAME",
     )
     flags = flags_lib.read(parser, argv)
     if not flags.what:

@@ -1,6 +1,6 @@
-"""Episodes of the task that a policy was trained on, on its engine: what `evaluation.py` finds in them.
+"""Episodes of the task that a policy was trained on, on the same engine, measured by `evaluation.py`.
 
-JAX is imported only where they are run.
+JAX is imported only when they run.
 """
 
 from __future__ import annotations

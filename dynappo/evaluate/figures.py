@@ -1,7 +1,7 @@
 """Pictures of a policy's evaluation: errors over commands, and when which foot is on the ground.
 
-Drawn from what `trials.sweep` returns, by `command.py` into files and by a notebook. matplotlib is asked
-for only here and may be absent.
+They draw what `trials.sweep` returns; `command.py` writes them to files, a notebook shows them.
+matplotlib is imported only here, and may be absent.
 """
 
 from __future__ import annotations

@@ -1,19 +1,19 @@
-"""What a policy does with every command of a grid: tracking, effort and gait, in C MuJoCo and NumPy.
+"""How a policy follows every command of a grid: tracking, effort and gait, in C MuJoCo and NumPy.
 
-Every contact, a solver that converges, no noise, and one episode a command. Definitions, over the
-time after the first second and before a fall:
+With every contact, a solver that converges, no noise, and one episode for each command. Definitions,
+over the time after the first second and before a fall:
 
 - `tracking_error`, `yaw_error`: root mean squares of the planar velocity and of the yaw rate, as in
   `dynappo/evaluation.py`;
 - `speed`: length of the mean planar velocity in the base frame;
 - `power`: sum over the joints of |torque x speed|; `positive_power` counts only what the motors give
   (torque and speed of one sign), as if braking cost nothing;
-- `cost_of_transport`: power / (weight x speed); below 0.1 m/s nothing is transported;
+- `cost_of_transport`: power / (weight x speed), without commands where it is slower than 0.1 m/s;
 - `torque`: mean over joints of |torque|; `action_rate`: root mean square over joints of the speed at
   which the policy moves the joints' targets;
 - `duty_factor`: share of time a foot is on the ground; `air_time`: mean duration of its swings;
   `stride_frequency`: touch-downs a second. Contacts and swings shorter than a control step are
-  bounces, and no step of their own.
+  bounces and do not count.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""The command `python -m dynappo.export`: a policy for another program or a robot. Start at `command.py`.
+"""Export: the command `dynappo export`, a policy for a robot or another program. See `command.py` first.
 
-- `command`: what it reads and prints
-- `onnx_file`: the policy as an ONNX network with all that a robot needs in its metadata
+- `command`: its flags and what it prints
+- `onnx_file`: the policy as an ONNX network with everything a robot needs in its metadata
 - `joint_order`: the orders of joints that robots and simulators use
 
 No other command imports it. It imports `policy`, `physics`, `task.observe` and `config`, and no JAX.

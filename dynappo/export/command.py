@@ -1,8 +1,8 @@
-"""A policy as one file for a robot: `python -m dynappo.export NAME_OR_DIR --out=policy.onnx`.
+"""A policy as one file for a robot: `dynappo export NAME_OR_DIR --out=policy.onnx`.
 
-`--out=FILE.npz` writes the project's own policy file instead. With `--joint-order` the network speaks
-another order of the joints: rows and columns of its first and last weights are permuted, so nothing needs
-to be reordered on the robot. robots/DEPLOY.md says how to go on.
+`--out=FILE.npz` writes the project's own policy file instead. `--joint-order` gives the network another
+order of the joints: it permutes rows and columns of the first and last weights, so the robot need not
+reorder anything. Next: robots/DEPLOY.md.
 """
 
 from __future__ import annotations
@@ -21,38 +21,37 @@ from dynappo.task import observe
 
 FILES = (".onnx", ".npz", ".xml")
 USAGE = """\
-what is exported is a workdir, a checkpoint folder, a policy.npz, or the name of a robot with a
-bundled policy
+NAME_OR_DIR is a workdir, a checkpoint folder, a policy.npz, or the name of a robot with a bundled policy
   python -m dynappo.export runs/go1 --out=policy.onnx
   python -m dynappo.export go2 --out=policy.onnx --joint-order=unitree --targets
   python -m dynappo.export anymal_c --out=policy.npz --joint-order=isaaclab
   python -m dynappo.export runs/sweep --run-seed=3 --out=third.npz
   python -m dynappo.export old.npz --robot-xml=mine.xml --out=policy.npz
-a policy.npz carries its robot's MJCF, so that it can be played anywhere
-joint orders, of the observation, the action and everything in the metadata
+a policy.npz carries its robot's MJCF, so you can play it anywhere
+joint orders (of the observation, the action and everything in the metadata)
   mjcf      as in robots/NAME/NAME.xml: leg by leg (what training uses)
-  isaaclab  as Isaac Sim numbers them: all hips, all thighs, all calves, legs by name
+  isaaclab  as Isaac Sim numbers them: all hips, all thighs, all calves; legs by name
   unitree   the motor numbers of Go1 and Go2: FR FL RR RL, leg by leg
   or the twelve names, comma-separated
-what to do with the file on a robot: robots/DEPLOY.md
+how to use the file on a robot: robots/DEPLOY.md
 """
 
 
 def parse(argv: list[str] | None) -> argparse.Namespace:
     """The flags of a command line; ConfigError if it cannot be understood."""
     parser = flags_lib.parser(
-        "export", "Write a policy as an ONNX network, or as a policy.npz.", USAGE
+        "export", "Write a policy for a robot: an ONNX network, or a policy.npz.", USAGE
     )
     flag = parser.add_argument
     choice.add_flags(parser)
-    names = "FILE.onnx, FILE.npz, or FILE.xml: the robot alone"
+    names = "FILE.onnx, FILE.npz, or FILE.xml (only the robot)"
     flag("--out", metavar="FILE", type=flags_lib.path, help=names)
     flag(
         "--joint-order",
         metavar="ORDER",
         help=f"{', '.join(joint_order.ORDERS)} or twelve names, see below",
     )
-    flag("--targets", action="store_true", help="a second output: joint position targets, rad")
+    flag("--targets", action="store_true", help="add a second output: joint position targets, rad")
     flags = flags_lib.read(parser, argv)
     if not flags.what:
         raise ConfigError(

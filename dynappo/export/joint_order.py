@@ -1,6 +1,7 @@
-"""Another order of the joints: what robots and simulators call them by number, and policies that follow.
+"""The joint orders of robots and simulators, and policies permuted to them.
 
-Nothing needs to be reordered on the robot: rows and columns of a policy's first and last weights are.
+Rows and columns of a policy's first and last weights are permuted, so the robot need not reorder
+anything.
 """
 
 from __future__ import annotations

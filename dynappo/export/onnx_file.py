@@ -1,7 +1,7 @@
-"""A policy as an ONNX network, `obs [batch, 48]` to `action [batch, 12]`, with all that a robot needs.
+"""A policy as an ONNX network, `obs [batch, 48]` to `action [batch, 12]`, with everything a robot needs.
 
-It is made from the parameters alone (no JAX, no torch) and computed in float32 whatever `ppo.precision`
-is. Its metadata hold the rest: observation table, joints, default pose, gains, limits, times.
+It is made from the parameters alone (no JAX, no torch) and computes in float32 whatever `ppo.precision`
+is. Its metadata holds the rest: observation table, joints, default pose, gains, limits, times.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""The command `python -m dynappo.look`: a robot before it is trained. Start at `command.py`.
+"""Look: the command `dynappo look`, which checks a robot before training. Start reading at `command.py`.
 
-- `command`: what it reads and prints
+- `command`: its flags and what it prints
 - `facts`: mass, joints, stability of the PD, and how it stands
 
 No other command imports it. It imports `policy`, `physics` and `config`, and no JAX.

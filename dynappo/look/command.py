@@ -1,7 +1,7 @@
-"""A robot before it is trained: `python -m dynappo.look CONFIG --out=look.png`.
+"""Check a robot before training: `dynappo look CONFIG --out=look.png`.
 
-What its MJCF and its config make together: mass, joints, whether the PD is stable, and how the robot
-stands under it. C MuJoCo and NumPy, without JAX; it takes a second or two.
+It shows what the MJCF and the config add up to: mass, joints, whether the PD is stable, and how the
+robot stands with it. C MuJoCo and NumPy, without JAX; it takes a second or two.
 """
 
 from __future__ import annotations
@@ -21,21 +21,26 @@ from dynappo.policy import policy_file, render
 SINKS = 0.2  # of its height: more is no sag
 RESTS = 0.02  # m in the last second: more is not at rest
 USAGE = """\
-CONFIG is a robot's name, or its config file; any field can be set
+CONFIG is a robot's name, or its config file; you can set any field
   python -m dynappo.look go1
   python -m dynappo.look configs/mine.py --out=look.png
   python -m dynappo.look configs/mine.py --config.task.kp=60 --config.task.kd=2
-how to add a robot, and what to do about what you see: robots/README.md
+how to add a robot, and how to fix what you see: robots/README.md
 """
 
 
 def parse(argv: list[str] | None) -> argparse.Namespace:
     """The flags of a command line, its config loaded; ConfigError if it cannot be understood."""
-    what = "Look at a robot before it is trained: mass, joints, stability, how it stands."
+    what = "Check a robot before training: mass, joints, stability, how it stands."
     parser = flags_lib.parser("look", what, USAGE)
     flag = parser.add_argument
-    flag("what", nargs="?", metavar="CONFIG", help="NAME[:VARIANT] or FILE.py[:VARIANT]")
-    flag("--out", metavar="FILE.png", type=flags_lib.path, help="a picture of it, after 5 s")
+    flag(
+        "what",
+        nargs="?",
+        metavar="CONFIG",
+        help="a robot or a config file: NAME[:VARIANT] or FILE.py[:VARIANT]",
+    )
+    flag("--out", metavar="FILE.png", type=flags_lib.path, help="a picture of the robot after 5 s")
     flags, rest = flags_lib.read_known(parser, argv)
     if not flags.what:
         raise ConfigError("no config is named; try: python -m dynappo.look go1")

@@ -1,4 +1,4 @@
-"""What can be said of a robot and its config before training: the PD, and how it stands under it."""
+"""What is known of a robot and its config before training: the PD, and how the robot stands with it."""
 
 from __future__ import annotations
 

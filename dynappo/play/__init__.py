@@ -1,7 +1,7 @@
-"""The command `python -m dynappo.play`: see a policy walk. Start at `command.py`.
+"""Play: the command `dynappo play`, which shows a policy walking. Start reading at `command.py`.
 
-- `command`: what it reads and prints
-- `film`: films and pictures, by `policy.render`
+- `command`: its flags and what it prints
+- `film`: films and pictures, drawn with `policy.render`
 - `page`, `page.html`, `page.js`: one HTML file that plays an episode
 - `viewer`: MuJoCo's viewer, with keys that steer
 

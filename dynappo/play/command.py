@@ -1,8 +1,8 @@
-"""Play a policy: `python -m dynappo.play NAME_OR_DIR --command=0.8,0,0 --out=walk.html`.
+"""Show a policy walking: `dynappo play NAME_OR_DIR --command=0.8,0,0 --out=walk.html`.
 
 C MuJoCo and NumPy, without JAX. With `--out` it writes a film, a picture or an HTML page; without,
-it opens MuJoCo's viewer, where keys steer the robot. `--robot-xml` puts the policy into another file
-of the same robot (sim-to-sim): `policy/episode.py` says what such a file must have.
+it opens MuJoCo's viewer, where keys steer the robot. `--robot-xml` runs the policy in another file of
+the same robot (sim-to-sim): `policy/episode.py` says what such a file must have.
 """
 
 from __future__ import annotations
@@ -33,15 +33,16 @@ MAX_SCRIPT = 2**24  # bytes of a command script; a row each 0.02 s of an hour ha
 FASTEST = 100  # m/s or rad/s that can be asked for
 AXES = ("vx", "vy", "wz")
 USAGE = f"""\
-what is played is a workdir (while it trains: its newest checkpoint), a checkpoint folder, a
-policy.npz, or the name of a robot with a bundled policy
+NAME_OR_DIR is a workdir (while it trains: its newest checkpoint), a checkpoint folder, a policy.npz,
+or the name of a robot with a bundled policy
   python -m dynappo.play runs/quick --out=walk.html
   python -m dynappo.play go1 --command=0.8,0,0.3 --seconds=6 --out=turn.mp4
   python -m dynappo.play go1 --command=drill.csv --robot-xml=other/scene.xml --out=drill.gif
   python -m dynappo.play anymal_c --policy=random
   python -m dynappo.play runs/sweep --run-seed=3 --out=walk.html
 a command script has rows t,vx,vy,wz (s, m/s, m/s, rad/s); a row holds until the next one
-without --out MuJoCo's viewer opens; {viewer.KEYS}
+without --out MuJoCo's viewer opens, with these keys
+  {viewer.KEYS}
 """
 
 
@@ -56,23 +57,29 @@ class Commands(NamedTuple):
 
 def parse(argv: list[str] | None) -> argparse.Namespace:
     """The flags of a command line; ConfigError if it cannot be understood."""
-    what = "Play a policy in C MuJoCo: to a file, or in a viewer with keys to steer."
+    what = "Show a policy walking: in a page, a film, or a viewer with keys to steer."
     parser = flags_lib.parser("play", what, USAGE)
     flag = parser.add_argument
     choice.add_flags(parser)
-    flag("--command", metavar="VX,VY,WZ|FILE.csv", help="m/s, m/s, rad/s; default: a short tour")
-    flag("--seconds", metavar="N", help=f"default: {SECONDS:g}, or until the script has ended")
+    flag(
+        "--command",
+        metavar="VX,VY,WZ|FILE.csv",
+        help="velocities to follow: m/s, m/s, rad/s; default: a short tour",
+    )
+    flag("--seconds", metavar="N", help=f"how long; default: {SECONDS:g}, or until the script ends")
     names = "FILE.html, .mp4, .gif, or .png (the last moment)"
     flag("--out", metavar="FILE", type=flags_lib.path, help=names)
     flag(
-        "--size", metavar="WIDTHxHEIGHT", help="of a film or a picture; default: 640x360, 1280x720"
+        "--size",
+        metavar="WIDTHxHEIGHT",
+        help="pixels; default: 640x360 for a film, 1280x720 for a picture",
     )
-    flag("--policy", metavar="zero|random", help="these actions instead of the policy's")
-    flag("--seed", metavar="N", default="0", help="of --policy=random; default: 0")
+    flag("--policy", metavar="zero|random", help="zero or random actions instead of the policy's")
+    flag("--seed", metavar="N", default="0", help="random seed of --policy=random; default: 0")
     flag(
         "--keep-joints",
         action="store_true",
-        help="damping and friction of the joints are those of --robot-xml",
+        help="with --robot-xml: keep its damping and friction of the joints",
     )
     flags = flags_lib.read(parser, argv)
     if not flags.what:

@@ -1,4 +1,4 @@
-"""Films and pictures that `play` writes: their size, and how far they are."""
+"""The films and pictures that `play` writes: their size and progress."""
 
 from __future__ import annotations
 

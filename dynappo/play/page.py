@@ -1,7 +1,7 @@
-"""One HTML file that plays an episode: the recording and its viewer, nothing to fetch or install.
+"""One HTML file that plays an episode: recording and viewer, with nothing to download or install.
 
-It is written without OpenGL. `page.js` draws it (WebGL 2, or a canvas where there is none), from
-what `scene` records: shapes and materials of the MJCF, and the pose of every body at every row.
+Writing it needs no OpenGL. `page.js` draws it (WebGL 2, or else a canvas) from what `scene` records:
+shapes and materials of the MJCF, and the pose of every body at every row.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""MuJoCo's viewer of a policy, with keys that steer the robot.
+"""MuJoCo's viewer, with keys that steer the robot.
 
-A passive viewer: this process steps the physics, the viewer's thread draws and reads the keyboard.
+The viewer is passive: this process steps the physics, its thread draws and reads the keyboard.
 """
 
 from __future__ import annotations

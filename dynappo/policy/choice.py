@@ -24,7 +24,7 @@ def add_flags(parser: argparse.ArgumentParser) -> None:
         metavar="K|best",
         default="best",
         help="of a run of several seeds: number K, 0 to run.num_seeds - 1, or the best in the last "
-        "evaluation (the first where there was none); default: best",
+        "evaluation (the first if there was none); default: best",
     )
     parser.add_argument(
         "--robot-xml", metavar="FILE", help="another MJCF with the same joint names"

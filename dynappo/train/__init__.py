@@ -1,12 +1,12 @@
-"""The command `python -m dynappo.train`, and the same from Python, `train(config)`. Start at `run.py`.
+"""Train: the command `dynappo train`, and `train(config)` from Python. Start reading at `run.py`.
 
-- `command`, `show`: what the command reads, and what it tells
+- `command`, `show`: the flags the command reads, and what it prints
 - `run`: the loop over chunks of iterations
-- `workdir`: the folder of a run: opened, gone on with, saved into
-- `checkpoint`, `log`: what is written while it trains
-- `restore`: starting from the networks of another run
-- `finish`, `curves`: what a run that has ended leaves: summary, policy, film, picture
-- `nonfinite`: what is said and kept when numbers blow up
+- `workdir`: the folder of a run: open it, resume it, save into it
+- `checkpoint`, `log`: what a run writes while it trains
+- `restore`: start from the networks of another run
+- `finish`, `curves`: what a run writes at its end: summary, policy, film, picture
+- `nonfinite`: what is printed and saved when numbers blow up
 
 No other command imports it, but for `sweeps`, which `command` starts. It imports `program`, `policy`,
 `config` and `schedule`. What a checkpoint

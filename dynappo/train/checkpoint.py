@@ -1,8 +1,8 @@
-"""Checkpoints of a run (orbax): the whole `TrainState`, saved beside training, atomic.
+"""Checkpoints of a run (orbax): the whole `TrainState`, saved while training goes on, atomic.
 
 Each holds two things: `state`, and `about`, a JSON text with the iteration, the
 simulator steps, the config, the shape of every array and a hash of their bytes. The hash finds a
-damaged file, the shapes say in words why a checkpoint of another run does not fit.
+damaged file; the shapes explain why a checkpoint of another run does not fit.
 
 Orbax writes them; they are read array by array (policy/checkpoint_file.py), so that a checkpoint of a
 version with other options still loads. The state holds no `mjx.Data` (orbax refuses its empty arrays, and it

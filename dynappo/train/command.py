@@ -1,4 +1,4 @@
-"""What the command `python -m dynappo.train` reads and prints; the work is `run.py`'s."""
+"""The command `dynappo train`: its flags and what it prints. `run.py` does the work."""
 
 from __future__ import annotations
 
@@ -21,10 +21,14 @@ from dynappo.train import workdir as workdir_lib
 
 GOES_ON = "the same command goes on from the last checkpoint"
 USAGE = """\
-any field of the config (configs/default.py lists them) can be set, as in
+examples
+  python -m dynappo.train --config=go1
+  python -m dynappo.train --config=go1:laptop --workdir=runs/try
+  python -m dynappo.train --workdir=runs/try
+variants follow the name: go1:quick, :ppo16, :dyna4, ... (none: best)
+set any field of the config (configs/default.py lists them), as in
   --config.run.num_iterations=200 --config.ppo.learning_rate=3e-4
-variants follow the file's name: configs/go1.py:quick, :ppo16, :dyna4, ... (none: best)
-the same command again goes on with the run of its workdir, and so does --workdir=DIR alone
+the same command again resumes the run in its workdir, and so does --workdir=DIR alone
 a FILE.py with get_env(config) trains an environment of your own: docs/environment.md
 """
 
@@ -47,10 +51,16 @@ class Command(NamedTuple):
 def parse(argv: list[str] | None) -> Command:
     """A command line, understood; ConfigError if it cannot be."""
     parser = flags.parser("train", "Train a quadruped to follow velocity commands.", USAGE)
-    parser.add_argument("--config", metavar="NAME[:VARIANT]|FILE.py[:VARIANT]")
-    parser.add_argument("--workdir", type=flags.path, help="default: runs/FILE-VARIANT")
     parser.add_argument(
-        "--fresh", action="store_true", help="start over; a run that is there is moved aside"
+        "--config",
+        metavar="NAME[:VARIANT]|FILE.py[:VARIANT]",
+        help="what to train: a robot, or a config file",
+    )
+    parser.add_argument(
+        "--workdir", type=flags.path, help="folder of the run; default: runs/FILE-VARIANT"
+    )
+    parser.add_argument(
+        "--fresh", action="store_true", help="start over; an earlier run is moved aside"
     )
     parser.add_argument(
         "--restore",

@@ -1,4 +1,4 @@
-"""What a run that has ended leaves: its policy, summary.json, curves and film."""
+"""What a run writes at its end: policy, summary.json, curves and film."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """What a run writes while it trains: metrics.csv, TensorBoard's events, Weights & Biases (host side).
 
-metrics.csv has one row an iteration, and one an iteration and seed (column `seed`) where several
-seeds train at once. Columns in the order of `FIRST`, then every other metric by name. The other
+metrics.csv has one row for each iteration; with several seeds, one for each iteration and seed
+(column `seed`). Columns are in the order of `FIRST`, then every other metric by name. The other
 logs get the same rows.
 """
 

@@ -1,4 +1,4 @@
-"""What is said, and kept, when a number of a run is not finite."""
+"""What a run prints and saves when one of its numbers is not finite."""
 
 from __future__ import annotations
 

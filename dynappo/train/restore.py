@@ -1,4 +1,4 @@
-"""`--restore=SOURCE`: start a run from the networks of another one, in whose folder nothing is changed."""
+"""`--restore=SOURCE`: start a run from the networks of another one, whose folder stays unchanged."""
 
 from __future__ import annotations
 

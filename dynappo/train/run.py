@@ -1,7 +1,7 @@
-"""A training run: `train(config, workdir)`, the loop over chunks of iterations, and what is written between.
+"""A training run: `train(config, workdir)`, the loop over chunks of iterations that writes after each.
 
-Nothing of the method is here. Settings are checked before JAX is imported, so a wrong one is answered at
-once. Nothing of the process is set either: what a command sets for itself is `devices.own_process`.
+The method is not here (see `algorithm.py`). Settings are checked before JAX is imported, so a wrong one
+fails at once. `train` changes no setting of the process; the commands do, in `devices.own_process`.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The folder of a run: opened, gone on with, saved into."""
+"""The folder of a run: open it, resume it, save into it."""
 
 from __future__ import annotations
 
