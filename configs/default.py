@@ -115,6 +115,9 @@ class Ppo(NamedTuple):
     lambda_: float = 0.95
     max_grad_norm: float = 1.0
     precision: str = "highest"
+    # what the value function sees: "obs", as the policy; or "state", without noise and with
+    # what no sensor tells (task/view.py)
+    critic: str = "obs"
     symmetry: bool = False  # what is learned of the left holds for the right (learner/symmetry.py)
 
 
@@ -131,6 +134,12 @@ class Weights(NamedTuple):
     action_rate: float = -0.01
     feet_air_time: float = 0.25
     undesired_contacts: float = 0.0
+    # for smooth and careful gaits; 0 in Isaac Lab's tasks
+    action_acceleration: float = 0.0
+    energy: float = 0.0
+    joint_limits: float = 0.0
+    stand_still: float = 0.0
+    foot_clearance: float = 0.0
 
 
 class Noise(NamedTuple):
@@ -170,6 +179,14 @@ class Randomize(NamedTuple):
     friction: tuple[float, float] = (0.8, 0.8)  # of the feet
     kp_scale: tuple[float, float] = (1.0, 1.0)
     kd_scale: tuple[float, float] = (1.0, 1.0)
+    # real robots (physics/randomize.py); nominal: not in the compiled program
+    strength: tuple[float, float] = (1.0, 1.0)  # share of the motors' torque that arrives
+    armature: tuple[float, float] = (1.0, 1.0)  # of the joints, times the file's
+    joint_friction: tuple[float, float] = (0.0, 0.0)  # N m
+    delay: tuple[float, float] = (0.0, 0.0)  # s, actions come late; at most two control steps
+    lag: tuple[float, float] = (0.0, 0.0)  # s, time constant with task.actuator="lag"
+    encoder_bias: float = 0.0  # rad, half width, a joint
+    imu_tilt: float = 0.0  # rad, half width, about each axis
 
 
 class Task(NamedTuple):
@@ -193,6 +210,11 @@ class Task(NamedTuple):
     random_clock: bool = True  # episodes start at random ages, so that time-outs spread; IL
     carry_on: bool = False  # half of those that time out stay where they are, with a new command
     action_scale: float = 0.25  # rad per unit of action; IL
+    # "full": the 48 numbers of task/observe.py; "onboard": the 45 that a robot measures, so
+    # without linear velocity
+    observation: str = "full"
+    history: int = 1  # readings that the policy sees, the newest included
+    actuator: str = "pd"  # torque at once; "lag": it follows with task.randomize.lag
     kp: float = 25.0  # N m/rad
     kd: float = 0.5  # N m s/rad
     effort_limit: float = 23.7  # N m

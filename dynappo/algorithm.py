@@ -47,7 +47,7 @@ def init(env: Env, hyper: Config, key: PRNGKeyArray, *, static: Config) -> Train
     env_state = jax.vmap(env.reset, (None, 0, 0))(hyper, bodies, per_robot(reset_key, robot_index))
     uses_model = schedule.uses_model(static)
     return TrainState(
-        learner=ppo.init(static, hyper, env.obs_size, env.action_size, policy_key, env.mirror),
+        learner=ppo.init(static, hyper, env, policy_key),
         model=dynamics.init(static, env, model_key) if uses_model else None,
         env_state=env_state,
         params_physics=bodies,
@@ -91,12 +91,12 @@ def iterate(
             drawn = dynamics.anchors(static, env, buffer, n_real, key(ANCHOR, k))
             start = jax.tree.map(partial(jnp.where, k == 0), last, drawn)
             keys = rollout.row_keys(key(ROWS, k), state.robot_index)
-            act = policy(static, learner.params)
+            act = policy(static, env, learner.params)
             step = partial(dynamics.step, static, hyper, env, state.model)
             part = n_real, jnp.int32(horizon)
             buffer = rollout.fill(buffer, *part, start, keys, act=act, step=step)[0]
-        batch = estimate(static, hyper, learner.params, buffer, real, k)
-        learner, learned = ppo.update(static, hyper, learner, batch, key(UPDATE, k), env.mirror)
+        batch = estimate(static, hyper, env, learner.params, buffer, real, k)
+        learner, learned = ppo.update(static, hyper, env, learner, batch, key(UPDATE, k))
         return learner, buffer, learned
 
     start = state.learner, buffer, dict.fromkeys(ppo.METRICS, jnp.zeros(()))
@@ -122,7 +122,7 @@ def collect(env: Env, hyper: Config, state: TrainState, n_real, key, *, static: 
         n_real,
         state.env_state,
         rollout.row_keys(key, state.robot_index),
-        act=policy(static, state.learner.params),
+        act=policy(static, env, state.learner.params),
         step=physics_step(env, hyper, state.params_physics),
         metrics=env.metrics,
     )
@@ -138,12 +138,13 @@ def run(
     )
 
 
-def policy(static: Config, params: dict):
-    """`act(obs, keys)`: a Gaussian action of every robot, with what PPO must remember of it."""
+def policy(static: Config, env: Env, params: dict):
+    """`act(state, keys)`: a Gaussian action of every robot, with what PPO must remember of it."""
     std = params["std"]
 
-    def act(obs, keys):
-        mean, value = networks.policy_and_value(static, params, obs)
+    def act(state, keys):
+        seen = networks.seen(static, env, state.obs, state.prop)
+        mean, value = networks.policy_and_value(static, params, *seen)
         keys = jax.vmap(jax.random.fold_in, (0, None))(keys, ACTION)
         action = mean + std * jax.vmap(lambda k: jax.random.normal(k, std.shape))(keys)
         return action, mean, networks.log_prob(mean, std, action), value
@@ -172,7 +173,7 @@ def physics_step(env: Env, hyper: Config, bodies):
 
 
 def estimate(
-    static: Config, hyper: Config, params: dict, buffer: Transition, real, k=0
+    static: Config, hyper: Config, env: Env, params: dict, buffer: Transition, real, k=0
 ) -> ppo.Batch:
     """Advantages and returns of a rollout, bootstrapped from V(next_obs) at truncations and at row N-1.
 
@@ -181,14 +182,15 @@ def estimate(
     """
     with jax.default_matmul_precision("highest"):
         cut = (buffer.truncation == 1).at[-1].set(True)
-        value, last = buffer.value, networks.value(static, params, buffer.next_obs)
+        after = networks.seen(static, env, buffer.next_obs, buffer.next_prop)[1]
+        value, last = buffer.value, networks.value(static, params, after)
         bootstrap = jnp.where(cut, last, jnp.roll(value, -1, axis=0))
         rows = buffer.reward, buffer.discount, buffer.truncation, value, bootstrap
         advantages, returns = gae.gae(*rows, gamma=hyper.ppo.gamma, lambda_=hyper.ppo.lambda_)
     weight = None
     if schedule.uses_model(static):
         weight = presence(buffer, real) * (~real | (k == 0))
-    return ppo.batch(buffer, advantages, returns, weight)
+    return ppo.batch(static, env, buffer, advantages, returns, weight)
 
 
 def presence(buffer: Transition, real) -> Float[Array, "N R"]:

@@ -20,6 +20,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from dynappo import algorithm
 from dynappo.learner import networks
+from dynappo.physics import randomize
 from dynappo.types import Config, Env, Metrics
 
 SETTLE = 1.0  # s, left out of the tracking error
@@ -29,15 +30,11 @@ def nominal(hyper: Config) -> Any:
     """`hyper` for a task without noise and pushes, every range of physics at its nominal value."""
     task, r = hyper.task, hyper.task.randomize
     still = jax.tree.map(jnp.zeros_like, task.noise)
-    one = (jnp.ones(()), jnp.ones(()))
+    bodies = jax.tree.map(jnp.zeros_like, r)
+    for name, value in randomize.NOMINAL.items():
+        bodies = bodies._replace(**{name: (jnp.full((), value), jnp.full((), value))})
     friction = (r.friction[0] + r.friction[1]) / 2
-    bodies = r._replace(
-        base_mass=jax.tree.map(jnp.zeros_like, r.base_mass),
-        base_com=jax.tree.map(jnp.zeros_like, r.base_com),
-        friction=(friction, friction),
-        kp_scale=one,
-        kd_scale=one,
-    )
+    bodies = bodies._replace(friction=(friction, friction))
     push = task.push._replace(velocity=jnp.zeros(()))
     return hyper._replace(task=task._replace(noise=still, randomize=bodies, push=push))
 
@@ -76,7 +73,8 @@ def evaluate(
 
     def step(carry, t):
         state, alive, total, length, fell, errors, rows = carry
-        action = networks.policy(exact, params, state.obs)
+        obs, _ = networks.seen(exact, env, state.obs, state.prop)
+        action = networks.policy(exact, params, obs)
         step_keys = jax.vmap(jax.random.fold_in, (0, None))(keys, t)
         # the ended robots go on from a reset, so that no number degenerates, but count no more
         after, outcome = advance(state, action, step_keys)

@@ -42,6 +42,9 @@ CHOICES = {
     "task.air_time": ("touchdown", "indicator"),
     "task.termination": ("parts", "base"),
     "task.undesired": ("parts", "thighs"),
+    "task.observation": ("full", "onboard"),
+    "task.actuator": ("pd", "lag"),
+    "ppo.critic": ("obs", "state"),
     "model.precision": ("highest", "tf32", "bfloat16"),
     "ppo.precision": ("highest", "tf32", "bfloat16"),
     "model.activation": ("elu", "relu", "tanh", "swish"),
@@ -60,7 +63,7 @@ RANGES = (
         "ppo.epochs ppo.minibatches ppo.shuffle_blocks ppo.init_std ppo.min_std ppo.learning_rate "
         "ppo.max_learning_rate ppo.desired_kl ppo.clip_epsilon ppo.max_grad_norm task.episode_length "
         "task.tracking_std task.action_scale task.effort_limit task.saturation_effort "
-        "task.velocity_limit physics.substeps physics.iterations "
+        "task.velocity_limit task.history physics.substeps physics.iterations "
         "physics.ls_iterations",
     ),
     (
@@ -72,7 +75,9 @@ RANGES = (
         "task.kp task.kd task.noise.joint_pos task.noise.joint_vel task.noise.gravity "
         "task.noise.linear_velocity task.noise.angular_velocity task.reset.foot_clearance "
         "task.reset.position task.reset.yaw task.reset.velocity task.randomize.base_com "
-        "task.randomize.friction task.randomize.kp_scale task.randomize.kd_scale physics.threads",
+        "task.randomize.friction task.randomize.kp_scale task.randomize.kd_scale "
+        "task.randomize.strength task.randomize.armature task.randomize.joint_friction task.randomize.delay "
+        "task.randomize.lag task.randomize.encoder_bias task.randomize.imu_tilt physics.threads",
     ),
     (
         "a number from 0 to 1",
@@ -87,6 +92,7 @@ RANGES = (
         "task.reset.spawn_height task.reset.foot_clearance task.reset.yaw task.reset.velocity "
         "task.reset.joint_scale task.push.velocity",
     ),
+    ("at most 100", lambda v: v <= 100, "task.history"),
     ("at most 600", lambda v: v <= 600, "run.video_seconds"),
     ("at most 100,000", lambda v: v <= 1e5, "task.kp task.kd"),
     (

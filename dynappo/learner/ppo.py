@@ -20,7 +20,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from dynappo.learner import networks, symmetry
-from dynappo.types import Config, Learner, Metrics, Transition
+from dynappo.types import Config, Env, Learner, Metrics, Transition
 
 OF_STEP: tuple[str, ...] = ("kl", "surrogate_loss", "value_loss", "entropy")
 METRICS = *OF_STEP, "learning_rate"
@@ -37,20 +37,22 @@ class Batch(NamedTuple):
     advantages: Float[Array, "..."]
     returns: Float[Array, "..."]
     weight: Float[Array, "..."] | None = None  # of each row in all means; None: 1
+    critic_obs: Float[Array, "... C"] | None = None  # None: the value function sees `obs`
 
 
-def batch(rows: Transition, advantages, returns, weight=None) -> Batch:
+def batch(static: Config, env: Env, rows: Transition, advantages, returns, weight=None) -> Batch:
     """What the loss reads of a rollout, with its advantages and returns."""
-    kept: dict[str, Any] = {name: getattr(rows, name) for name in Batch._fields[:5]}
+    kept: dict[str, Any] = {name: getattr(rows, name) for name in Batch._fields[1:5]}
+    obs, critic_obs = networks.seen(static, env, rows.obs, rows.prop)
+    kept |= {"obs": obs, "critic_obs": None if critic_obs is obs else critic_obs}
     return Batch(**kept, advantages=advantages, returns=returns, weight=weight)
 
 
-def init(
-    static: Config, hyper: Config, obs_size: int, action_size: int, key: PRNGKeyArray, mirror=None
-) -> Learner:
-    """A fresh learner; `mirror` as of `update`."""
-    params = networks.init_policy(static, hyper, obs_size, action_size, key)
-    params = symmetry.tie(params, symmetry.policy_image(static, mirror))
+def init(static: Config, hyper: Config, env: Env, key: PRNGKeyArray) -> Learner:
+    """A fresh learner."""
+    sizes = networks.seen_sizes(static, env)
+    params = networks.init_policy(static, hyper, sizes, env.action_size, key)
+    params = symmetry.tie(params, symmetry.policy_image(static, env))
     opt_state = _optimizer(hyper).init(ravel_pytree(params)[0])
     return Learner(params, opt_state, jnp.asarray(hyper.ppo.learning_rate, jnp.float32))
 
@@ -85,7 +87,10 @@ def loss(static: Config, hyper: Config, params: dict, batch: Batch, old_std: Flo
 
     `metrics["kl"]` is the mean KL(old || new). Means are over rows with their weights.
     """
-    (action_mean, value), std = networks.policy_and_value(static, params, batch.obs), params["std"]
+    std = params["std"]
+    action_mean, value = networks.policy_and_value(
+        static, params, batch.obs, batch.critic_obs
+    )
     chex.assert_equal_shape([value, batch.value, batch.returns, batch.advantages])
     ratio = jnp.exp(networks.log_prob(action_mean, std, batch.action) - batch.log_prob)
     clipped = jnp.clip(ratio, 1 - hyper.ppo.clip_epsilon, 1 + hyper.ppo.clip_epsilon)
@@ -153,15 +158,15 @@ def minibatches(static: Config, batch: Batch, key: PRNGKeyArray) -> Batch:
 
 
 def update(
-    static: Config, hyper: Config, learner: Learner, batch: Batch, key, mirror=None
+    static: Config, hyper: Config, env: Env, learner: Learner, batch: Batch, key: PRNGKeyArray
 ) -> tuple[Learner, Metrics]:
     """`epochs` x `minibatches` steps on one rollout `[N, R]` with raw advantages; metrics are their means,
-    and the learning rate of the last step. `mirror` is `Env.mirror`, read with `ppo.symmetry`."""
+    and the learning rate of the last step."""
     old_std = learner.params["std"]
     batch = batch._replace(advantages=normalize(batch.advantages, batch.weight))
     shuffled = minibatches(static, batch, key)
     params, unflatten = ravel_pytree(learner.params)
-    image = symmetry.policy_image(static, mirror)
+    image = symmetry.policy_image(static, env)
 
     def step(learner, i):
         rows = jax.tree.map(lambda x: x[i % static.ppo.minibatches], shuffled)

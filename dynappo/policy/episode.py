@@ -186,6 +186,11 @@ def look(body: Body, data, asked, last_action) -> np.ndarray:
     )
 
 
+def memory(policy: Policy):
+    """`see(48 numbers) -> what the policy sees` of one episode (task/observe.py)."""
+    return observe.memory(policy.observation, policy.history)
+
+
 def step(body: Body, data, action) -> tuple[float, bool]:
     """One control step of `action` in `data`; `(work, fell)`.
 
@@ -226,10 +231,10 @@ def rows(body: Body, data, act: Callable, command: Callable):
     with mjcf.one_line(body.xml):
         reset(body, data)
     dt, com = period(body), body.model.body_ipos[body.base_body]
-    action = np.zeros(len(body.policy.joint_names))
+    action, see = np.zeros(len(body.policy.joint_names)), memory(body.policy)
     for k in itertools.count():
         asked = np.asarray(command(k * dt), float)
-        action = act(look(body, data, asked, action))
+        action = act(see(look(body, data, asked, action)))
         with mjcf.one_line(body.xml):  # what does not fit into MuJoCo's memory
             work, fell = step(body, data, action)
         if not (np.isfinite(data.qpos).all() and np.isfinite(data.qvel).all()):
