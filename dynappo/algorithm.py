@@ -9,9 +9,8 @@ compiled program; `init` makes the first state. All are pure functions of an `En
     state = algorithm.init(env, hyper, jax.random.key(0), static=static)
     state, metrics = algorithm.run(env, hyper, state, schedule.columns(settings), static=static)
 
-Anchoring: a tail starts from a state that physics reached in this iteration. The first tail starts
-right after the last real row. Tails never change the state of physics: the next iteration continues
-from it.
+Anchoring: a tail starts from a state that physics reached in this iteration, the first one right
+after the last real row. Tails never change the robots from which the next iteration continues.
 
 Rounds of imagination (`schedule.rounds`; the paper has one): after its update, the policy acts in
 new tails, which start from real rows drawn at random, and learns from these alone. This saves
@@ -197,8 +196,7 @@ def presence(buffer: Transition, real) -> Float[Array, "N R"]:
 
         w_t = product of discount_k over the tail's rows k < t
 
-    A tail continues past a predicted fall, into rows that a fallen robot never reaches. DreamerV3
-    weights its rows in the same way.
+    A tail continues past a predicted fall, so rows after it count less. DreamerV3 does the same.
     """
     lived = jnp.cumprod(jnp.where(real, 1.0, buffer.discount), axis=0)
     return jnp.roll(lived, 1, axis=0).at[0].set(1.0)

@@ -57,7 +57,7 @@ def nonfinite_robot(buffer: Transition, real) -> Int[Array, ""]:
 
 
 def of_tail(buffer: Transition, real, dt) -> Metrics:
-    """`tail_bias`: mean reward of synthetic minus real rows (1/s); `tail_falls`: falls predicted."""
+    """`tail_bias`, mean reward of synthetic minus real rows (1/s); `tail_falls`, as predicted."""
     tail, num_envs = 1.0 - real, buffer.reward.shape[1]
     mean = [
         (buffer.reward * part).sum() / jnp.maximum(part.sum() * num_envs, 1)

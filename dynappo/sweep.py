@@ -134,7 +134,7 @@ def partitioner(over: Mesh):
 
 
 def shardings(over: Mesh, state: Any, num_seeds: int) -> Any:
-    """The sharding of each array of a TrainState (or its shapes): seeds on `seed`, robots on `env`."""
+    """The sharding of a TrainState's arrays (or shapes): seeds on `seed`, robots on `env`."""
     seeds = ("seed",) if num_seeds > 1 else ()
 
     def whole(axes):

@@ -21,10 +21,9 @@ def gae(
         A_t     = delta_t + gamma lambda d_t (1 - truncation_t) A_{t+1},     A_N = 0
         returns = A + v
 
-    with `discount` d (0 after a fall), `value` v = V(o_t), and `bootstrap` b, the value of the state
-    that the step led to. Implementations differ in b where the time limit ends an episode: we pass
-    V(next_obs) of the true last observation; rsl_rl adds gamma V(o_t) to the reward
-    (rsl_rl/algorithms/ppo.py).
+    with `discount` d (0 after a fall), `value` v = V(o_t), and `bootstrap` b, the value of the next
+    state. Libraries differ in b where the time limit ends an episode: we pass V(next_obs) of the
+    true last observation; rsl_rl adds gamma V(o_t) to the reward (rsl_rl/algorithms/ppo.py).
     """
     chex.assert_equal_shape([reward, discount, truncation, value, bootstrap])
     delta = reward + gamma * discount * bootstrap - value

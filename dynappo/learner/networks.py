@@ -7,9 +7,9 @@ standard deviation is one free parameter per action, used as it is, without an e
 
 The mean action is clipped to +-10. Why: the last action is part of the observation, so the policy's
 output feeds back into its input. In a pose that was rare in training, actions of ANYmal grew by a
-constant factor each step, with saturated motors and without a fall: one such episode had a return of
--1e14, and values then overflowed. A policy that walks stays below 6; 10 is 2.5 rad of a Unitree joint,
-more than the joint can turn.
+constant factor each step, with saturated motors and without a fall: one such episode had a return
+of -1e14, and values then overflowed. A policy that walks stays below 6; 10 is 2.5 rad of a Unitree
+joint, more than the joint can turn.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ def _uniform(bound):
 
 def apply(network: MLP, params, x: Float[Array, "... in"]) -> Float[Array, "... out"]:
     """`network` with `params` on `x`."""
-    return jnp.asarray(network.apply(params, x))  # by its type, flax may return a tuple; ours never do
+    return jnp.asarray(network.apply(params, x))  # flax's type allows a tuple, ours return none
 
 
 def actor(static: Config, action_size: int) -> MLP:
@@ -103,7 +103,7 @@ def init_policy(
 
 
 def policy(static: Config, params: dict, obs: Float[Array, "... O"]) -> Float[Array, "... A"]:
-    """Mean action, clipped to +-`MAX_MEAN`. The standard deviation is `params["std"]` for every obs."""
+    """Mean action, clipped to +-`MAX_MEAN`. Its std, `params["std"]`, does not depend on `obs`."""
     mean = apply(actor(static, params["std"].shape[-1]), params["actor"], obs)
     return jnp.clip(mean, -MAX_MEAN, MAX_MEAN)
 
@@ -114,11 +114,11 @@ def value(static: Config, params: dict, obs: Float[Array, "... O"]) -> Float[Arr
 
 
 def policy_and_value(static: Config, params: dict, obs: Float[Array, "... O"]):
-    """`(policy(...), value(...))`: the same numbers, but one product per hidden layer of both networks.
+    """`(policy(...), value(...))`: the same numbers, with one product for a layer of both networks.
 
-    Half as many matrix products, each larger: an update takes 9.0 ms in float32 (9.4 without), 6.4 in
-    TF32, 5.0 in bfloat16 (H200; experiments/03_speed/peers.md). In bfloat16 the last products are
-    float32.
+    Half as many matrix products, each larger: an update takes 9.0 ms in float32 (9.4 without), 6.4
+    in TF32, 5.0 in bfloat16 (H200; experiments/03_speed/peers.md). In bfloat16 the last products
+    are float32.
     """
     dtype = jnp.bfloat16 if static.ppo.precision == "bfloat16" else jnp.float32
     dot = partial(jnp.einsum, precision=PRECISION[static.ppo.precision])

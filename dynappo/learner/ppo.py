@@ -1,11 +1,11 @@
 """Proximal policy optimisation as in RSL-RL 3.0.1 (rsl_rl/algorithms/ppo.py).
 
 It gives RSL-RL's own numbers to 1e-5 (tests/learner/test_ppo.py): one Adam (eps 1e-8) for actor,
-critic and std; advantages normalised over the whole batch; clipped surrogate, and clipped value loss
-without a factor 1/2; one global gradient norm; the KL changes the learning rate before each minibatch
-step; one permutation for all epochs. Two differences: std stays at or above `ppo.min_std` (theirs may
-reach 0), and rows are permuted inside `ppo.shuffle_blocks` blocks of robots, so that a minibatch does
-not depend on how robots are spread over devices.
+critic and std; advantages normalised over the whole batch; clipped surrogate, and clipped value
+loss without a factor 1/2; one global gradient norm; the KL changes the learning rate before each
+minibatch step; one permutation for all epochs. Two differences: std stays at or above `ppo.min_std`
+(theirs may reach 0), and rows are permuted inside `ppo.shuffle_blocks` blocks of robots, so that a
+minibatch does not depend on how robots are spread over devices.
 """
 
 from __future__ import annotations
@@ -102,7 +102,7 @@ def loss(static: Config, hyper: Config, params: dict, batch: Batch, old_std: Flo
 
 
 def adapt(static: Config, hyper: Config, learning_rate: Float[Array, ""], kl: Float[Array, ""]):
-    """The learning rate after a minibatch's KL: / 1.5 if above twice the target, x 1.5 if below half."""
+    """The learning rate after a minibatch's KL: / 1.5 above twice the target, x 1.5 below half."""
     if not static.ppo.adaptive:
         return learning_rate
     lower = jnp.maximum(hyper.ppo.min_learning_rate, learning_rate / 1.5)
@@ -116,8 +116,8 @@ def minibatch_step(
 ) -> tuple[Learner, Metrics]:
     """One gradient step: loss, KL, learning rate, clipped gradient, Adam; `(learner, metrics)`.
 
-    Parameters are one vector, as Adam's moments are, and `unflatten` gives their tree: clipping and Adam are
-    then 4 kernels and not 33. `std` comes last in it. With an `image`: the gradient of mirrored rows too.
+    Parameters and Adam's moments are vectors, with `std` last; `unflatten` gives the tree. Clipping
+    and Adam then take 4 kernels, not 33. With an `image`, mirrored rows count in the gradient too.
     """
 
     def of_vector(params):
@@ -134,7 +134,7 @@ def minibatch_step(
 
 
 def minibatches(static: Config, batch: Batch, key: PRNGKeyArray) -> Batch:
-    """`[N, R, ...]` rows as `[minibatches, B, ...]`, each block of robots permuted in itself."""
+    """`[N, R, ...]` rows as `[minibatches, B, ...]`, permuted inside each block of robots."""
     blocks, count = static.ppo.shuffle_blocks, static.ppo.minibatches
     horizon, num_envs = batch.value.shape
     robots = num_envs // blocks
@@ -155,8 +155,9 @@ def minibatches(static: Config, batch: Batch, key: PRNGKeyArray) -> Batch:
 def update(
     static: Config, hyper: Config, learner: Learner, batch: Batch, key, mirror=None
 ) -> tuple[Learner, Metrics]:
-    """`epochs` x `minibatches` steps on one rollout `[N, R]` with raw advantages. Metrics are means over
-    the steps, and the last learning rate. `mirror` is `Env.mirror`, used with `ppo.symmetry`."""
+    """`epochs` x `minibatches` steps on one rollout `[N, R]` with raw advantages. Metrics are means
+    over the steps, and the last learning rate. `mirror` is `Env.mirror`, used with
+    `ppo.symmetry`."""
     old_std = learner.params["std"]
     batch = batch._replace(advantages=normalize(batch.advantages, batch.weight))
     shuffled = minibatches(static, batch, key)
