@@ -1,8 +1,8 @@
 """One run over several processes with `jax.distributed`: how they meet, agree and end.
 
 Every process runs the same command, and JAX treats all their devices as one machine. This module
-makes all processes take the same decisions. Only process 0 reads and writes files, so only it needs
-to see the workdir.
+makes the processes take the same steps together. Files belong to process 0, so only it needs to see
+the workdir.
 
 If a process dies, JAX ends the others: at once if it was process 0, which hosts JAX's service, else
 after `HEARTBEAT`, or when a message to the dead process fails. JAX aborts with a C++ trace;

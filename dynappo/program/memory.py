@@ -1,5 +1,6 @@
-"""Checks whether a run fits into a device's memory: by a bound before compilation, exactly after
-it.
+"""Checks whether a run fits into a device's memory.
+
+Before compilation it checks a lower bound, after it the compiler's own count.
 
 Only after compiling, which takes half a minute, does XLA say what it needs beside the arrays that a
 program must hold (`compiled.memory_analysis()`). So `check` refuses at once only what is hopeless:
