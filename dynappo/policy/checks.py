@@ -136,7 +136,7 @@ def check_params(params: dict, joints: int) -> None:
 
 
 def leaves(tree: dict, prefix: str = ""):
-    """`(name, array)` of each array of nested parameters, named like `actor/params/Dense_0/bias`."""
+    """`(name, array)` of all arrays of nested parameters; names like `actor/params/Dense_0/bias`."""
     for name, value in tree.items():
         if isinstance(value, dict):
             yield from leaves(value, f"{prefix}{name}/")

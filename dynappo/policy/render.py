@@ -152,7 +152,7 @@ def _process(command: list[str], environment, limit: float, tell) -> tuple[int |
 
 
 def arrow(scene, start, vector, rgba) -> None:
-    """Add an arrow to the scene: the planar velocity `vector` (m/s) at `start`, 0.35 m for 1 m/s."""
+    """Add an arrow to the scene: planar velocity `vector` (m/s) at `start`, 0.35 m for 1 m/s."""
     if np.linalg.norm(vector) < SHORTEST or scene.ngeom >= scene.maxgeom:
         return
     geom = scene.geoms[scene.ngeom]
@@ -193,7 +193,7 @@ def options(model, base: int) -> mujoco.MjvOption:
 def frames(
     xml: str, text: str, base: int, episode: dict[str, np.ndarray], width=WIDTH, height=HEIGHT
 ):
-    """Yield RGB frames `[H, W, 3]`, one per row of an episode; the robot is file `xml` or MJCF `text`."""
+    """Yield RGB frames `[H, W, 3]`, one per row of an episode; `text` is the MJCF, or file `xml`."""
     model = mjcf.model(Path(xml), text)
     data = mujoco.MjData(model)
     window = model.vis.global_
