@@ -1,6 +1,6 @@
 """From a policy's action to joint torques: PD control and the limits of a DC motor.
 
-Written once for NumPy and jax.numpy; units are rad, rad/s and N m. The formula of the limit is
+The code works with NumPy and jax.numpy; units are rad, rad/s and N m. The formula of the limit is
 that of Isaac Lab 2.2.1 (isaaclab/actuators/actuator_pd.py, class DCMotor, since 2025-07).
 """
 

@@ -1,17 +1,17 @@
-"""Physics of one control step on MJX: PD, motor limits, four physics steps, contacts by geometry.
+"""Simulates one control step: PD, motor limits, four physics steps, contacts by geometry.
 
-Why kinematics one substep old: `mjx.step` computes positions of geoms from the coordinates it
+Why kinematics are one substep old: `mjx.step` computes geom positions from the coordinates it
 starts from, so after it they are those of 5 ms before. Foot contacts (a foot sphere's centre lower
-than its radius) and the lowest points of other parts are read there, at no cost; observations and
-rewards are computed from the new qpos and qvel.
+than its radius) and the lowest points of other parts are read from them, at no cost; observations
+and rewards are computed from the new qpos and qvel.
 
 Why contact by geometry: it is the same for every engine and needs no contact forces, so the parts
 that must not touch the ground need no collision pairs (`physics.contacts = feet`).
 
-Why the data are rebuilt from a template in every control step: what is carried is then small, a reset
-costs no physics call, and a checkpoint does not depend on the engine. Not in every physics step:
+Why data are rebuilt from a template in every control step: the state is then small, a reset costs
+no physics call, and a checkpoint does not depend on the engine. Why not in every physics step:
 filling the 168 arrays of mjx.Data took 0.6 of 4.4 ms (experiments/03_speed). MuJoCo Warp is called
-past mjx.Data (warp_engine.py).
+without mjx.Data (warp_engine.py).
 """
 
 from __future__ import annotations
@@ -173,7 +173,7 @@ def _simulate_in_c(engine: Engine, hyper: Config, body, first: Substeps, target,
 
 
 def _feet(engine: Engine, s: Substeps, heights) -> Substeps:
-    """The clocks of the feet after one more physics step, at whose start they were at `heights` [F]."""
+    """The feet's timers after one more physics step, which began with feet at `heights` [F]."""
     contact = heights < engine.robot.foot_radius
     landed = contact & (s.air_steps > 0)
     return s._replace(
@@ -184,7 +184,8 @@ def _feet(engine: Engine, s: Substeps, heights) -> Substeps:
 
 
 def _lowest(engine: Engine, height, row):
-    """The lowest point of each part [..., G]: from its centre's height, row 3 of its rotation [..., G, 3]."""
+    """Heights of the parts' lowest points [..., G], from those of the centres and `row`, the third
+    row of each rotation matrix [..., G, 3]."""
     fixed, linear, ring = engine.floor
     drop = fixed + (linear * jnp.abs(row)).sum(-1)
     return height - (drop + ring * jnp.sqrt(jnp.maximum(1 - row[..., 2] ** 2, 0)))
