@@ -1,18 +1,19 @@
 """dynappo: PPO whose rollout tails are written by a learned transition model.
 
-Start reading at `algorithm.py`: the files beside it are the method, each folder is one subject, and its
-`__init__` says what is in it. The public modules can be imported from here:
+Start reading at `algorithm.py`. The files beside it are the method; each folder is one subject, and
+its `__init__` says what is in it. The public modules can be imported from here:
 
     from dynappo import algorithm, config, env, evaluation, gae, robot, schedule, sweep, train
 
-Importing the package sets two flags of XLA's CPU compiler, before JAX starts; a value of your own is kept.
+Importing the package sets two flags of XLA's CPU compiler, before JAX starts. Values that you have
+set stay.
 
 - The concurrency-optimised scheduler is off: with it, jaxlib 0.10.2 deadlocks on two cores at 256
-  robots, when loops that run side by side (random bits, the constraint solver) take all threads and
-  wait for one. Costs nothing measurable.
+  robots, when parallel loops (random bits, the constraint solver) take all threads and wait for
+  one. Turning it off costs nothing measurable.
 - jaxlib 0.10.2 computes wrong numbers in sums of products with more than 32,768 results
-  (jax-ml/jax#39103): from robot 2,340 on, lowest points of a Go1 were wrong and falls were seen where
-  there were none. The fusion that does it is off, in that version only; no GPU is affected.
+  (jax-ml/jax#39103): from robot 2,340 on, lowest points of a Go1 were wrong and falls were reported
+  where there were none. The fusion that causes it is off, in that version only; no GPU is affected.
 """
 
 import contextlib
@@ -25,7 +26,7 @@ from typing import TYPE_CHECKING
 
 
 def _in_a_line(kind, error, trace) -> None:
-    """As Python tells of an error, but ctrl-C and what is not installed are one line."""
+    """Python's own error report, but ctrl-C and a missing package are one line."""
     if issubclass(kind, KeyboardInterrupt):
         line, status = "stopped", 130
     elif issubclass(kind, ModuleNotFoundError) and not str(error.name).startswith("dynappo"):
@@ -37,7 +38,7 @@ def _in_a_line(kind, error, trace) -> None:
 
 
 def _remedy() -> str:
-    """What to do where this Python has not what dynappo needs: of a clone, its own Python has."""
+    """What to do if a package is missing: in a clone, use the clone's own `.venv`."""
     root = Path(__file__).resolve().parents[1]
     own = root / ".venv"
     if (own / "bin" / "python").exists() and own != Path(sys.prefix):
@@ -49,7 +50,7 @@ def _remedy() -> str:
     return f"{sys.executable} -m pip install --force-reinstall dynappo"
 
 
-# Python is importing one of our commands, which takes half a second; in no other program is it so
+# only when Python starts one of our commands, whose imports take half a second
 if sys.argv[:1] == ["-m"] or Path(sys.argv[0] if sys.argv else "").stem == "dynappo":
     sys.excepthook = _in_a_line
 
@@ -58,7 +59,7 @@ if TYPE_CHECKING:  # what an editor completes
     from dynappo.physics import robot as robot
     from dynappo.task import env as env
 
-# public modules that are not in this folder, loaded when they are first asked for
+# public modules that are not in this folder, loaded on first use
 _PUBLIC = {
     "env": "dynappo.task.env",
     "gae": "dynappo.learner.gae",
@@ -66,7 +67,7 @@ _PUBLIC = {
 }
 
 _FLAGS = {"--xla_cpu_enable_concurrency_optimized_scheduler": "false"}
-with contextlib.suppress(metadata.PackageNotFoundError):  # told where jax is imported
+with contextlib.suppress(metadata.PackageNotFoundError):  # reported where jax is imported
     if metadata.version("jaxlib") == "0.10.2":
         _FLAGS["--xla_cpu_experimental_ynn_fusion_type"] = ""
 for _flag, _value in _FLAGS.items():

@@ -1,7 +1,7 @@
 """Learning to walk with less: PPO whose rollout tails are written by a learned model. Start here.
 
-`iterate` is the paper's Algorithm 1, line by line; `run` repeats it over the schedule in one compiled
-program; `init` makes the state it starts from. All are pure functions of an `Env`:
+`iterate` is the paper's Algorithm 1, line by line; `run` repeats it over the schedule in one
+compiled program; `init` makes the first state. All are pure functions of an `Env`:
 
     settings = config.validate(config.load("configs/go1.py"))
     static, hyper = config.split(settings)
@@ -9,16 +9,16 @@ program; `init` makes the state it starts from. All are pure functions of an `En
     state = algorithm.init(env, hyper, jax.random.key(0), static=static)
     state, metrics = algorithm.run(env, hyper, state, schedule.columns(settings), static=static)
 
-Anchoring: a tail starts at a state that physics has reached in this iteration, the first at the one after
-the last real row, and never touches the state of physics, from which the next iteration goes on.
+Anchoring: a tail starts from a state that physics reached in this iteration, the first one right
+after the last real row. Tails never change the robots from which the next iteration continues.
 
-Rounds of imagination (`schedule.rounds`; the paper has one): after its update, the policy writes tails again
-from real rows drawn at random, and learns from these alone. The simulator is asked less often for each
-change of the policy: with two, Go1 walks after two thirds of the steps (experiments/21_less).
+Rounds of imagination (`schedule.rounds`; the paper has one): after its update, the policy acts in
+new tails, which start from real rows drawn at random, and learns from these alone. This saves
+simulator steps: with two, Go1 walks after two thirds of the steps (experiments/21_less).
 
 Every random number comes from `fold_in` of the run's key with the iteration, a purpose, the row and
-the robot's global index. So two chunks equal one run, and a row does not depend on N_r. Many seeds,
-and many devices, are sweep.py's.
+the robot's global index. So two chunks equal one run, and a row does not depend on N_r.
+Many seeds and many devices: sweep.py.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ ROWS, FIT, UPDATE, ACTION, STEP, RESET, ANCHOR = range(7)  # purposes of random 
 
 
 def init(env: Env, hyper: Config, key: PRNGKeyArray, *, static: Config) -> TrainState:
-    """Untrained networks and R robots, each with its own body, at their start."""
+    """Untrained networks, and R robots at their start, each with its own physical parameters."""
     policy_key, model_key, physics_key, reset_key, run_key = jax.random.split(key, 5)
     robot_index = jnp.arange(static.rollout.num_envs)
     per_robot = jax.vmap(jax.random.fold_in, (None, 0))
@@ -69,7 +69,7 @@ def iterate(
     def key(purpose, k=0):
         return jax.random.fold_in(now, purpose + (ANCHOR + 1) * k)
 
-    # Collect N_r steps with physics, from where the last physics step ended
+    # Collect N_r steps with physics, from where the last iteration left the robots
     buffer, env_state, sums = collect(env, hyper, state, n_real, key(ROWS), static=static)
     state = state.replace(env_state=env_state)
     metrics = stats.of_rows(sums, n_real * static.rollout.num_envs)
@@ -82,8 +82,8 @@ def iterate(
         model, fitted = dynamics.fit(static, hyper, env, state.model, *new)
         state, metrics = state.replace(model=model), metrics | fitted
 
-    # Let it write the tail of N_s = N - N_r steps, and update the policy by PPO on real and synthetic rows
-    # alike; in further rounds, on new tails of the new policy
+    # Let the model write the tail of N_s = N - N_r steps, then update the policy by PPO on real and
+    # synthetic rows alike; in further rounds, on new tails of the new policy
     def imagine(k, carry):
         learner, buffer, _ = carry
         if state.model is not None:
@@ -115,7 +115,7 @@ def iterate(
 
 
 def collect(env: Env, hyper: Config, state: TrainState, n_real, key, *, static: Config):
-    """Rows `t < n_real` by policy and physics: `(buffer, robots after them, sums of env.metrics)`."""
+    """Rows `t < n_real` from physics: `(buffer, robots after them, sums of env.metrics)`."""
     return rollout.fill(
         rollout.allocate(env, static.rollout.horizon, static.rollout.num_envs),
         jnp.int32(0),
@@ -139,7 +139,7 @@ def run(
 
 
 def policy(static: Config, env: Env, params: dict):
-    """`act(state, keys)`: a Gaussian action of every robot, with what PPO must remember of it."""
+    """`act(state, keys) -> action, mean, log_prob, value` of every robot; the action is Gaussian."""
     std = params["std"]
 
     def act(state, keys):
@@ -155,8 +155,8 @@ def policy(static: Config, env: Env, params: dict):
 def physics_step(env: Env, hyper: Config, bodies):
     """`step(state, action, keys)` of all robots: the environment's step, then its autoreset.
 
-    On a mesh (sweep.py) every device steps its own robots: an engine's call is opaque to
-    JAX's partitioner, which would gather all robots on every device.
+    On a mesh (sweep.py) each device steps its own robots. JAX's partitioner cannot see into an
+    engine's call, and would gather all robots on every device.
     """
     fold, robots = jax.vmap(jax.random.fold_in, (0, None)), (None, 0, 0, 0, 0)
 
@@ -175,10 +175,10 @@ def physics_step(env: Env, hyper: Config, bodies):
 def estimate(
     static: Config, hyper: Config, env: Env, params: dict, buffer: Transition, real, k=0
 ) -> ppo.Batch:
-    """Advantages and returns of a rollout, bootstrapped from V(next_obs) at truncations and at row N-1.
+    """Advantages and returns of a rollout, bootstrapped by V(next_obs) at truncations and row N-1.
 
-    Elsewhere the next row's value is the same number. In rounds `k` > 0 `real` rows [N, 1] have no
-    weight: their actions are those of a policy before.
+    Elsewhere the next row's value is the same number. In rounds `k` > 0 `real` rows [N, 1] have
+    weight 0: an earlier policy chose their actions.
     """
     with jax.default_matmul_precision("highest"):
         cut = (buffer.truncation == 1).at[-1].set(True)
@@ -194,11 +194,11 @@ def estimate(
 
 
 def presence(buffer: Transition, real) -> Float[Array, "N R"]:
-    """The weight of each row in PPO: 1 if it is `real` [N, 1], else the probability that it is lived.
+    """The weight of each row in PPO: 1 if `real` [N, 1], else the probability of getting that far.
 
         w_t = product of discount_k over the tail's rows k < t
 
-    A tail goes on after a predicted fall, with rows of a robot that cannot be there. DreamerV3 does the same.
+    A tail continues past a predicted fall, so rows after it count less. DreamerV3 does the same.
     """
     lived = jnp.cumprod(jnp.where(real, 1.0, buffer.discount), axis=0)
     return jnp.roll(lived, 1, axis=0).at[0].set(1.0)

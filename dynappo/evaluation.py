@@ -1,13 +1,14 @@
-"""Deterministic episodes -> what a policy is worth: return, falls and tracking error.
+"""Evaluates a policy in deterministic episodes: return, falls and tracking error.
 
-By it runs are compared. Trials of one command after another in C MuJoCo are evaluate/trials.py's.
+Runs are compared by these numbers. Trials of one command after another, in C MuJoCo, are in
+evaluate/trials.py.
 
-One episode a robot on the nominal task: the policy's mean action, no observation noise, no
-randomised physics, every episode whole, commands drawn as in training. Tracking error is the
-root mean square of the planar velocity error (m/s) after the first second, over all robots that
-still stand; `yaw_error` the same of the yaw rate (rad/s).
+Each robot runs one episode of the nominal task: the policy's mean action, no observation noise, no
+randomised physics, full-length episodes, commands drawn as in training. Tracking error is the root
+mean square of the planar velocity error (m/s) after the first second, over all robots that still
+stand; `yaw_error` is the same for the yaw rate (rad/s).
 
-It runs on the environment that trains: what makes the task nominal are floats.
+It uses the training environment: only floats of the config make the task nominal.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ SETTLE = 1.0  # s, left out of the tracking error
 
 
 def nominal(hyper: Config) -> Any:
-    """`hyper` for a task without noise and pushes, every range of physics at its nominal value."""
+    """`hyper` of a task without noise and pushes, with all physical parameters nominal."""
     task, r = hyper.task, hyper.task.randomize
     still = jax.tree.map(jnp.zeros_like, task.noise)
     bodies = jax.tree.map(jnp.zeros_like, r)
@@ -53,14 +54,14 @@ def evaluate(
     """Metrics of `num_envs` episodes of at most `num_steps` control steps.
 
     `return`, `length` (control steps), `fall_rate`, `tracking_error` (m/s), `yaw_error` (rad/s),
-    `return_std` over episodes. With `randomize`, on the task as it trains: noise, pushes and physics
-    of every robot's own; errors are still those of the true velocities.
+    `return_std` over episodes. With `randomize`, on the training task: noise, pushes, and different
+    physics for each robot; errors are still those of the true velocities.
     """
     hyper = hyper if randomize else nominal(hyper)
     body_keys, reset_keys, keys = (jax.random.split(k, num_envs) for k in jax.random.split(key, 3))
     bodies = jax.vmap(env.randomize, (None, 0))(hyper, body_keys)
     state = jax.vmap(env.reset, (None, 0, 0))(hyper, bodies, reset_keys)
-    if hasattr(state, "clock"):  # in training episodes may start aged, and may be shorter
+    if hasattr(state, "clock"):  # in training, episodes may start above age 0 and be shorter
         clock = min(0, env.episode_length - num_steps)
         state = state.replace(clock=jnp.full_like(state.clock, clock))
     settle = round(SETTLE / env.dt)
@@ -68,7 +69,7 @@ def evaluate(
     errors = {name: zero for name in env.metrics if name.endswith("_error_sq")}
 
     advance = algorithm.physics_step(env, hyper, bodies)
-    # as the policy is used, however it was trained
+    # full precision, as when the policy is played, whatever it was trained in
     exact = static._replace(ppo=static.ppo._replace(precision="highest"))
 
     def step(carry, t):
@@ -76,7 +77,7 @@ def evaluate(
         obs, _ = networks.seen(exact, env, state.obs, state.prop)
         action = networks.policy(exact, params, obs)
         step_keys = jax.vmap(jax.random.fold_in, (0, None))(keys, t)
-        # the ended robots go on from a reset, so that no number degenerates, but count no more
+        # robots whose episode ended continue from a reset, to keep numbers finite, but do not count
         after, outcome = advance(state, action, step_keys)
         counts = alive * (t >= settle) * outcome.discount
         errors = {name: errors[name] + counts * outcome.metrics[name] for name in errors}
@@ -101,6 +102,6 @@ def evaluate(
     }
     names = {"velocity_error_sq": "tracking_error"}
     for name, value in errors.items():
-        root = jnp.sqrt(value.sum() / rows.sum())  # NaN where nobody stood for the first second
+        root = jnp.sqrt(value.sum() / rows.sum())  # NaN if all robots fell in the first second
         metrics[names.get(name, name.removesuffix("_sq"))] = root
     return metrics

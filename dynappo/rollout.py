@@ -1,12 +1,12 @@
-"""Rows [lo, hi) of a rollout, written by any step function: the hinge of the method.
+"""Fills a rollout's rows [lo, hi) with any step function: physics first, then the model.
 
-One `fill` serves physics and the transition model, as in google-deepmind/mctx. The buffer is `[N, R, ...]`
-whatever the number of real rows.
+One `fill` serves both, as in google-deepmind/mctx. The buffer is always `[N, R, ...]`, however many
+of its rows are real.
 
-Why a `fori_loop` with a traced bound: it compiles the physics once for every N_r of the ramp and
-stops after N_r rows. A `scan` with a `cond` inside, or a `switch` over lengths, turns into a
-`select` as soon as its predicate is batched and then pays for every row. So the bound must never be
-batched: under `jax.vmap` over seeds it comes in with `in_axes=None`.
+Why a `fori_loop` with a traced bound: physics is compiled once for every N_r of the ramp, and the
+loop stops after N_r rows. A `scan` with a `cond` inside, or a `switch` over lengths, becomes a
+`select` once its predicate is batched, and then computes every row. So the bound must never be
+batched: under `jax.vmap` over seeds it has `in_axes=None`.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from jaxtyping import Array, Int, PRNGKeyArray
 
 from dynappo.types import Env, Metrics, Outcome, Transition
 
-# what a row keeps of an Outcome
+# the fields of an Outcome that a row keeps
 TOLD = [field.name for field in dataclasses.fields(Outcome) if field.name != "metrics"]
 
 
@@ -35,7 +35,7 @@ def allocate(env: Env, horizon: int, num_envs: int) -> Transition:
 
 
 def row_keys(key: PRNGKeyArray, robot_index: Int[Array, " R"]) -> Callable[..., PRNGKeyArray]:
-    """`t -> key [R]`: a row's randomness depends on the row and the robot's global index only."""
+    """`t -> key [R]`: random numbers depend on the row and the robot's global index only."""
 
     def keys(t):
         return jax.vmap(jax.random.fold_in, (None, 0))(jax.random.fold_in(key, t), robot_index)
@@ -57,8 +57,8 @@ def fill(
     """Write rows `lo <= t < hi`; returns `(buffer, state after the last row, sums)`.
 
     `act(state, keys) -> action, action_mean, log_prob, value` and `step(state, action, keys) ->
-    state, Outcome` work on all R robots; of `state` only `.obs` and `.prop` are read here. `sums`
-    are the `metrics` of the outcomes, summed over these rows and all robots.
+    state, Outcome` work on all R robots. Only `.obs` and `.prop` of `state` are read here. `sums`
+    are the outcomes' `metrics`, summed over these rows and all robots.
     """
 
     def row(t, carry):
@@ -79,7 +79,7 @@ def fill(
         sums = {name: sums[name] + outcome.metrics[name] for name in metrics}
         return buffer, next_state, sums
 
-    # summed over robots once, after the loop: over devices, each sum is a message
+    # summed over robots once, after the loop: on several devices each sum is a message
     sums = {name: jnp.zeros(buffer.reward.shape[1]) for name in metrics}
     buffer, state, sums = jax.lax.fori_loop(lo, hi, row, (buffer, state, sums))
     return buffer, state, {name: total.sum() for name, total in sums.items()}

@@ -4,11 +4,11 @@
 
 with a, b = `schedule.start_iteration, end_iteration` and x, y = `start_steps, end_steps`.
 
-After `last_iteration` no row is synthetic: what walks is made to walk well by physics alone.
+After `last_iteration` all rows are real: physics alone improves a policy that walks already.
 
-Why floor(. + 0.5) and i from 1: it is the only rounding that gives the 19.64 M simulator steps of
-the paper's Table VI for its scheduled tail (floor gives 19.83 M, ceil 19.44 M, counting from 0
-19.65 M). For a = b the equation is 0 / 0 and the paper means y throughout (`dyna2`).
+Why floor(. + 0.5) and i from 1: only this rounding gives the 19.64 M simulator steps of the paper's
+Table VI for its scheduled tail (floor gives 19.83 M, ceil 19.44 M, counting from 0 19.65 M).
+For a = b the equation is 0 / 0; the paper means y in every iteration (`dyna2`).
 """
 
 import numpy as np
@@ -20,7 +20,7 @@ def table(config) -> np.ndarray:
     i = np.arange(1, config.run.num_iterations + 1)
     steps = np.full(len(i), float(s.end_steps))
     if s.start_iteration != s.end_iteration:
-        # multiplied before it is divided: an exact half then stays one, and rounds up
+        # multiply before dividing: an exact half then stays a half, and rounds up
         rise = (i - s.start_iteration) * (s.end_steps - s.start_steps)
         steps = s.start_steps + rise / (s.end_iteration - s.start_iteration)
     steps = np.floor(np.clip(steps, s.start_steps, s.end_steps) + 0.5)
@@ -28,20 +28,20 @@ def table(config) -> np.ndarray:
 
 
 def _over(config, iteration):
-    """Whether no tail comes any more."""
+    """Whether an iteration comes after the last one with a tail."""
     last = config.schedule.last_iteration
     return False if last is None else iteration > last
 
 
 def uses_model(config) -> bool:
-    """Whether the schedule has a tail; if not, no model is in the compiled program at all."""
+    """Whether the schedule has a tail; if not, the compiled program contains no model."""
     s = config.schedule
     return max(s.start_steps, s.end_steps) > 0 and s.last_iteration != 0
 
 
 def columns(config) -> dict[str, np.ndarray]:
-    """What `algorithm.run` scans over, each int32 `[I]`: `iteration`, from 1; `n_real`, N_r;
-    with a tail `model_epochs`, the passes of the model's fit, and with several `rounds` their number."""
+    """What `algorithm.run` scans over, each int32 `[I]`: `iteration`, from 1, and `n_real`, N_r;
+    with a tail `model_epochs`, the passes of the model's fit; with several rounds `rounds`."""
     i = np.arange(1, config.run.num_iterations + 1, dtype=np.int32)
     tail = table(config)
     out = {"iteration": i, "n_real": np.int32(config.rollout.horizon) - tail}

@@ -1,4 +1,4 @@
-"""Metrics of an iteration: finished episodes, the tail, sums over its real rows."""
+"""Metrics of an iteration: finished episodes, the tail, means over its real rows."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from jaxtyping import Array, Int
 
 from dynappo.types import Metrics, TrainState, Transition
 
-RETURNS = 100  # finished episodes in the mean return, as rsl_rl's on_policy_runner
+RETURNS = 100  # finished episodes in the mean return, as in rsl_rl's on_policy_runner
 
 
 def finished(state: TrainState, buffer: Transition, n_real):
-    """The rings of returns and lengths with the episodes that physics finished, newest last."""
+    """`(returns, lengths)` of the last `RETURNS` episodes that physics finished, newest last."""
     ended = _ended(buffer, n_real).reshape(-1)
-    # slot of each finished episode in ring + new ones, of which the last RETURNS are kept
+    # the place of each finished episode among old and new ones; the last RETURNS are kept
     slot = RETURNS + jnp.cumsum(ended) - 1 - ended.sum()
     slot = jnp.where(ended & (slot >= 0), slot, RETURNS)  # out of bounds: dropped
 
@@ -30,9 +30,10 @@ def finished(state: TrainState, buffer: Transition, n_real):
 def of_episodes(buffer: Transition, n_real) -> Metrics:
     """`episodes` that physics finished in this iteration, and the sum of their returns.
 
-    Why beside the ring: falls of the first iterations start all episodes at about the same time, and most
-    end together, an episode later. In between the ring holds those few that fell; the mean over all
-    that end in an episode's length does not (train/finish.py).
+    Why this and not `finished` alone: after the falls of the first iterations all episodes start at
+    about the same time, and most end together, one episode length later. Until then the last 100
+    are the few that fell. The mean over all episodes that end within one episode length
+    (train/finish.py) has no such bias.
     """
     ended = _ended(buffer, n_real)
     total = jnp.where(ended, buffer.episode_return, 0.0).sum()
@@ -47,8 +48,8 @@ def _ended(buffer: Transition, n_real):
 def nonfinite_robot(buffer: Transition, real) -> Int[Array, ""]:
     """Index of the first robot with a `real` row whose reward or observation is not finite; or -1.
 
-    The host stops a run where a loss is not finite, and then wants to know whose row it was. A tail's rows
-    are the model's: they blame no robot.
+    The host stops a run when a loss is not finite, and reports this robot. Rows of the tail come
+    from the model and say nothing about a robot.
     """
     good = ~real | (jnp.isfinite(buffer.reward) & jnp.isfinite(buffer.next_obs).all(-1))
     bad = ~good.all(axis=0)
@@ -56,7 +57,7 @@ def nonfinite_robot(buffer: Transition, real) -> Int[Array, ""]:
 
 
 def of_tail(buffer: Transition, real, dt) -> Metrics:
-    """`tail_bias`, mean reward of synthetic minus real rows (1/s), and `tail_falls`, as predicted."""
+    """`tail_bias`, mean reward of synthetic minus real rows (1/s); `tail_falls`, as predicted."""
     tail, num_envs = 1.0 - real, buffer.reward.shape[1]
     mean = [
         (buffer.reward * part).sum() / jnp.maximum(part.sum() * num_envs, 1)
@@ -67,7 +68,7 @@ def of_tail(buffer: Transition, real, dt) -> Metrics:
 
 
 def of_rows(sums: Metrics, rows) -> Metrics:
-    """Sums over real rows -> means; squared errors -> roots; events stay counts."""
+    """Sums over real rows -> means; squared errors -> root mean squares; events stay counts."""
     out = {}
     for name, total in sums.items():
         if name in ("falls", "timeouts", "blowups"):

@@ -1,23 +1,23 @@
-"""Many seeds at once by `jax.vmap`, on many devices by a mesh.
+"""Trains many seeds at once with `jax.vmap`, and on many devices with a mesh.
 
-    hyper = sweep.vary(hyper, "ppo.learning_rate", [1e-3, 3e-4])    # or not: seeds only
+    hyper = sweep.vary(hyper, "ppo.learning_rate", [1e-3, 3e-4])    # optional
     state = jax.jit(partial(sweep.init, env, static=static))(hyper, sweep.keys(0, 2))
     run = jax.jit(partial(sweep.run, env, static=static))
     state, metrics = run(hyper, state, schedule.columns(config))
 
 On several devices: `env = env._replace(mesh=sweep.mesh(2, 4))`, and `state = jax.device_put(state,
-sweep.shardings(env.mesh, state, 2))` before `run`, called in a `with sweep.partitioner(env.mesh)`;
-`program.build.program` does that from `run.mesh_*`.
+sweep.shardings(env.mesh, state, 2))` before `run`, which is called inside a
+`with sweep.partitioner(env.mesh)`. `program.build.program` does this from `run.mesh_*`.
 
-The engine is JAX's own: `jax.jit` splits the program by how its arguments lie (`shardings`), and
-puts in the sums over devices where a mean over robots is taken: gradients, normalisers, advantages,
-KL. So nothing of the method knows of devices, and E devices with R robots each compute what one
-with E R robots computes; no random number depends on where a robot lies. Only physics is told to
-stay where its robots are (`algorithm.physics_step`).
+JAX does the work: `jax.jit` splits the program by the sharding of its arguments (`shardings`), and
+adds sums over devices where the method takes a mean over robots: gradients, normalisers,
+advantages, KL. So the method's code knows nothing of devices. E devices with R robots each compute
+what one device with E R robots computes, and no random number depends on a robot's device. Only
+physics is told to stay on the device of its robots (`algorithm.physics_step`).
 
-Which axis: seeds talk to nobody, so `seed` costs nothing and comes first. Robots of one seed on
-`env` sum gradients after each minibatch, which pays where a device has thousands of robots
-(experiments/02_scaling).
+Which axis: seeds do not communicate, so `seed` costs nothing; use it first. With the robots of one
+seed over `env`, devices sum gradients after each minibatch, which pays off with thousands of robots
+a device (experiments/02_scaling).
 """
 
 from __future__ import annotations
@@ -39,15 +39,15 @@ ROBOTS = ("env_state", "params_physics", "robot_index")  # fields of TrainState 
 
 
 def keys(seed: int, num_seeds: int) -> PRNGKeyArray:
-    """The keys `[S]` of the runs `seed`, `seed + 1`, ...; each is that of the run alone."""
+    """The keys `[S]` of seeds `seed`, `seed + 1`, ...; the same keys as in single runs."""
     return jnp.stack([jax.random.key(seed + s) for s in range(num_seeds)])
 
 
 def vary(hyper: Config, field: str, values) -> Any:
     """`hyper` with one value of `field` ("ppo.learning_rate") for each seed.
 
-    Several calls vary several fields together, value by value. ValueError if there is no such
-    float, or if it is built into the environment (groups run and physics).
+    Call it several times to vary several fields together: seed s takes value s of each. ValueError
+    if there is no such float, or if it is built into the environment (groups run and physics).
     """
     group, _, rest = field.partition(".")
     if group in ("run", "physics"):
@@ -68,12 +68,12 @@ def _set(node, field, path, values):
 
 
 def axes(hyper: Config) -> Any:
-    """For `jax.vmap`: 0 where `hyper` has a value for each seed, None where one serves all."""
+    """`in_axes` for `jax.vmap`: 0 where `hyper` has a value for each seed, else None."""
     return jax.tree.map(lambda leaf: 0 if jnp.ndim(leaf) else None, hyper)
 
 
 def init(env: Env, hyper: Config, keys: PRNGKeyArray, *, static: Config) -> TrainState:
-    """`algorithm.init` of every seed; arrays get an axis S in front."""
+    """`algorithm.init` of every seed; arrays get a leading axis S."""
     one = partial(algorithm.init, env, static=static)
     return jax.vmap(one, (axes(hyper), 0), spmd_axis_name="seed")(hyper, keys)
 
@@ -86,7 +86,7 @@ def run(
     *,
     static: Config,
 ) -> tuple[TrainState, Metrics]:
-    """`algorithm.run` of every seed; metrics `[I, S]`. The columns bound loops and stay unbatched."""
+    """`algorithm.run` of every seed; metrics `[I, S]`. Columns are loop bounds, so not batched."""
     one = partial(algorithm.run, env, static=static)
     over = (axes(hyper), 0, None), (0, 1)
     return jax.vmap(one, *over, spmd_axis_name="seed")(hyper, state, columns)
@@ -102,14 +102,14 @@ def evaluate(
     num_envs: int,
     num_steps: int,
 ) -> dict[str, Float[Array, " S"]]:
-    """`evaluation.evaluate` of every seed's policy, in the same episodes."""
+    """`evaluation.evaluate` of every seed's policy; all get the same episodes."""
     sizes = dict(static=static, num_envs=num_envs, num_steps=num_steps)
     one = partial(evaluation.evaluate, env, **sizes)
     return jax.vmap(one, (axes(hyper), 0, None), spmd_axis_name="seed")(hyper, params, key)
 
 
 def mesh(seed: int, env: int, devices: Sequence | None = None) -> Mesh:
-    """`seed x env` of JAX's devices, or of those given; ValueError if there are not so many."""
+    """A mesh of `seed x env` JAX devices, or of those given; ValueError if there are too few."""
     devices = list(devices or jax.devices())
     if seed * env > len(devices):
         raise ValueError(f"a mesh of {seed} x {env} devices, but JAX sees {len(devices)}")
@@ -120,10 +120,10 @@ def mesh(seed: int, env: int, devices: Sequence | None = None) -> Mesh:
 
 @contextlib.contextmanager
 def partitioner(over: Mesh):
-    """Compile under this where a mesh has several devices; JAX's own setting is put back.
+    """Compile inside this if a mesh has several devices; JAX's own setting is restored afterwards.
 
-    JAX 0.11.2's other partitioner, Shardy, ends in a segmentation fault where it compiles physics (of
-    either engine) under shard_map for GPUs.
+    JAX 0.11.2's other partitioner, Shardy, crashes with a segmentation fault when it compiles
+    physics (of either engine) under shard_map for GPUs.
     """
     before = jax.config.jax_use_shardy_partitioner
     jax.config.update("jax_use_shardy_partitioner", before and over.size == 1)
@@ -134,7 +134,7 @@ def partitioner(over: Mesh):
 
 
 def shardings(over: Mesh, state: Any, num_seeds: int) -> Any:
-    """How every array of a TrainState (or of its shapes) lies: seeds over `seed`, robots over `env`."""
+    """The sharding of a TrainState's arrays (or shapes): seeds on `seed`, robots on `env`."""
     seeds = ("seed",) if num_seeds > 1 else ()
 
     def whole(axes):

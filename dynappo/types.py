@@ -1,4 +1,4 @@
-"""What flows through a training iteration, and the symbols used for shapes everywhere.
+"""The data structures of a training iteration, and the symbols used for shapes everywhere.
 
 | symbol | meaning                                  | symbol   | meaning                                   |
 |--------|------------------------------------------|----------|-------------------------------------------|
@@ -9,22 +9,22 @@
 
 Shapes in the comments are those of one seed; seeds exist only outside, as a `jax.vmap` axis.
 
-Meanings, stated once:
+What the names mean, everywhere:
 
-- `discount` is 0 where the episode ended for good (a fall), else 1; gamma is applied in learner/gae.py
-  only. In a tail with `model.falls` it is the probability that the episode goes on.
-- `truncation` is 1 where the time limit cut the episode: its value is bootstrapped from `next_obs`
-  and no advantage crosses it. A row of physics is never both.
-- `next_obs` is observed before any reset. Unless a reset lies between, it is the same array as the
-  next row's `obs`, noise included.
+- `discount` is 0 where the episode ended for good (a fall), else 1; only learner/gae.py applies
+  gamma. In a tail with `model.falls` it is the probability that the episode continues.
+- `truncation` is 1 where the time limit ended the episode: its value is bootstrapped from
+  `next_obs` and no advantage crosses it. A row of physics never has both a fall and a truncation.
+- `next_obs` is observed before any reset. Unless the robot is reset in between, it is the same
+  array as the next row's `obs`, noise included.
 - `prop` is the predicted part of the observation without its noise, `next_prop` that of `next_obs`.
-- `static` and `hyper` are the two halves of the whole config (config/splitting.py); a robot's `body` is
-  its own physical parameters, those of all robots are `params_physics`.
+- `static` and `hyper` are the two halves of the whole config (config/splitting.py).
+- A robot's `body` holds its own physical parameters; `params_physics` holds those of all robots.
 - Row t is real if and only if `t < n_real`; that is not stored.
 
-Why no iteration counter in `TrainState`: a counter that is a leaf of a stacked state becomes batched
-under `jax.vmap` over seeds, and with it every loop bound derived from it. The counter comes in as a
-column of the schedule instead, and simulator steps are counted by the host in Python integers.
+Why no iteration counter in `TrainState`: under `jax.vmap` over seeds a counter in the state becomes
+batched, and so does every loop bound computed from it. The counter is a column of the schedule
+instead, and the host counts simulator steps in Python integers.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ Columns = dict[str, Int[Array, "..."]]  # of schedule.columns, `[I]`, or one row
 
 @struct.dataclass
 class Outcome:
-    """What one step of an environment, or of the model that stands in for it, tells the learner."""
+    """What one step returns to the learner; the step is the environment's or the model's."""
 
     reward: Float[Array, "..."]
     discount: Float[Array, "..."]
@@ -86,9 +86,9 @@ class Transition:
 
 @struct.dataclass
 class Goal:
-    """What stands behind a robot's command until the next draw (task/commands.py)."""
+    """The rest of a robot's command, kept until the next draw (task/commands.py)."""
 
-    heading: Float[Array, "..."]  # rad in the world; read with `task.heading` only
+    heading: Float[Array, "..."]  # rad in the world; used with `task.heading` only
     standing: Float[Array, "..."]  # 1: asked to stand
     steps_left: Int[Array, "..."]  # control steps until the next draw
 
@@ -97,8 +97,8 @@ class Goal:
 class EnvState:
     """One robot of the velocity task: the integration state of physics and all memory of the task.
 
-    `env.step` reads nothing else, so a reset costs no physics call, and a checkpoint holds exactly
-    this whichever engine (`physics.impl`) runs it. Timers count physics substeps.
+    `env.step` reads nothing else. So a reset costs no physics call, and a checkpoint holds the same
+    fields with every engine (`physics.impl`). Timers count physics substeps.
     """
 
     qpos: Float[Array, "... nq"]
@@ -113,10 +113,10 @@ class EnvState:
     torque: Any  # [..., A] N m, as the motors give it; None unless it lags
     air_steps: Int[Array, "... F"]  # since the foot left the ground; 0 while it is down
     contact_steps: Int[Array, "... F"]  # since the foot came down; 0 while it is in the air
-    last_air_steps: Int[Array, "... F"]  # length of the air phase that ended last
-    peak: Float[Array, "... F"]  # m, highest of a foot's lowest point in this air phase
-    last_peak: Float[Array, "... F"]  # in the one that ended last
-    clock: Int[Array, "..."]  # age of the episode in control steps; the first may start aged
+    last_air_steps: Int[Array, "... F"]  # length of the last finished air phase
+    peak: Float[Array, "... F"]  # m, highest that a foot's lowest point was in this air phase
+    last_peak: Float[Array, "... F"]  # in the last finished one
+    clock: Int[Array, "..."]  # age of the episode in control steps; the first may start above 0
     episode_steps: Int[Array, "..."]  # control steps since the reset
     push_in: Int[Array, "..."]  # control steps until the next push
     episode_return: Float[Array, "..."]
@@ -124,7 +124,7 @@ class EnvState:
 
 @struct.dataclass
 class Learner:
-    """Policy and value function, their optimiser, and the learning rate that the KL adapts."""
+    """Policy and value function, their optimiser, and the learning rate, adapted by the KL."""
 
     params: Any
     opt_state: Any
@@ -152,7 +152,7 @@ class ModelState:
 
 @struct.dataclass
 class TrainState:
-    """Everything a run carries from one iteration to the next."""
+    """Everything that a run carries from one iteration to the next."""
 
     learner: Learner
     model: ModelState | None  # None: plain PPO, no model in the compiled program
@@ -180,17 +180,19 @@ class Views(NamedTuple):
 
 
 class Env(NamedTuple):
-    """An environment as pure functions of one robot, and the sizes the learner must know.
+    """An environment as pure functions of one robot, and the sizes that the learner needs.
 
     `hyper` is the pytree of the config's floats, `body` the robot's own physical parameters.
     `step` never resets, `autoreset` does. `context(obs, action)` is the part of the next
     observation that follows from the row itself and is copied, not predicted: the trailing
-    `obs_size - prop_size` numbers. States must have the fields `obs` and `prop`; where they have a `clock`,
-    the age of the episode, an evaluation sets it.
+    `obs_size - prop_size` numbers. States must have the fields `obs` and `prop`. If they have a
+    `clock`, the age of the episode, an evaluation sets it.
 
-    What has a default may be left out. Only options of the model ask for some of it: with `model.clean`,
-    `noise` is what `obs` adds to `prop`, and `bias` what it adds beside that, of the whole obs; with `model.known_reward`, `known_reward` is the share of the
-    reward that is a function of obs, action and next prop. docs/environment.md has an example.
+    Fields with a default are optional. Some are used with options only: with `model.clean`, `noise`
+    is what `obs` adds to `prop`, and `bias` what it adds besides, as a function of the whole obs;
+    with `model.known_reward`, `known_reward` is the share of the reward that is a function of obs,
+    action and next prop; `views` are for networks that see parts of obs. docs/environment.md has an
+    example.
     """
 
     reset: Callable[..., Any]  # (hyper, body, key) -> state
@@ -214,7 +216,7 @@ class Env(NamedTuple):
 
 
 def autoreset(reset: Callable[..., Any]) -> Callable[..., Any]:
-    """`Env.autoreset` of an environment whose every episode starts by its `reset`."""
+    """`Env.autoreset` for an environment that starts every episode with its `reset`."""
 
     def restart(hyper, body, state, outcome, key):
         ended = (outcome.discount == 0) | (outcome.truncation == 1)

@@ -6,6 +6,7 @@ prints the ratio of their iterations. `--engines=c,jax` does the same for one co
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -138,8 +139,12 @@ def run(configs, names, repeats: int, out: Path | None, compile: bool) -> None:
     devices.own_process(configs[0].run.device)
     for config in configs:
         build.check(config)
-    programs = [build.program(config) for config in configs]
-    reports = [report(c, p, repeats) for c, p in zip(configs, programs, strict=True)]
+    programs, reports = [], []
+    for config, name in zip(configs, names, strict=True):
+        print(f"dynappo compiles {name}, a minute or less ...", file=sys.stderr, flush=True)
+        programs.append(build.program(config))
+        print("dynappo measures it ...", file=sys.stderr, flush=True)
+        reports.append(report(config, programs[-1], repeats))
     for config, found in zip(configs, reports, strict=True):
         if compile:
             found["compilation"] = phases.compilation(config)

@@ -94,7 +94,7 @@ def check_names(names) -> None:
     for name in sorted(every().keys() - names):
         raise ConfigError(f"the config lacks {name}; start from configs/default.py")
     for name in sorted(names - every().keys()):
-        raise ConfigError(f"{name} is no field; {near(name)}")
+        raise ConfigError(f"{name} is not a field; {near(name)}")
 
 
 def near(name: str) -> str:

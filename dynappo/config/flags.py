@@ -18,7 +18,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from dynappo import config as config_lib
-from dynappo.config import ConfigError, files, shell
+from dynappo.config import ConfigError, fields, files, shell
 
 # what is wrong with a path that somebody named; any other error of a file is the machine's
 OF_A_NAME = (
@@ -110,7 +110,10 @@ def set_fields(config, rest: list[str]) -> None:
     more = iter(rest)
     for flag in more:
         if not flag.startswith("--config."):
-            raise ConfigError(f"{flag}: no such flag; expected --config.GROUP.FIELD=VALUE")
+            name = flag.lstrip("-").partition("=")[0].replace("-", "_")
+            named = [f"--config.{n}" for n in fields.every() if n.rpartition(".")[2] == name]
+            expected = " or ".join(named or ["--config.GROUP.FIELD"])
+            raise ConfigError(f"{flag}: no such flag; expected {expected}=VALUE")
         field, equals, text = flag.removeprefix("--config.").partition("=")
         config_lib.override(config, field, text if equals else next(more, ""))
 

@@ -63,7 +63,7 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
     if flags.out.suffix not in FILES:
         raise ConfigError(f"--out={flags.out}: expected a file named {', '.join(FILES)}")
     if flags.joint_order and flags.out.suffix == ".xml":
-        raise ConfigError(f"--joint-order: an MJCF has its own, not {flags.out}")
+        raise ConfigError(f"--joint-order: not for {flags.out}; an MJCF keeps its joint order")
     choice.check(flags)
     if flags.targets and flags.out.suffix != ".onnx":
         raise ConfigError(f"--targets: only an .onnx has outputs, not {flags.out}")
@@ -73,7 +73,7 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
 def check_out(out: Path, source: Path) -> None:
     """ConfigError if nothing can be written at `out`; leaves no file behind."""
     if os.path.exists(out) and source.exists() and out.samefile(source):
-        raise ConfigError(f"--out={out}: is the policy itself; name another file")
+        raise ConfigError(f"--out={out}: this would overwrite the policy; choose another file")
     flags_lib.check_writable(out)
 
 

@@ -1,4 +1,4 @@
-"""Generalised advantage estimation with falls and time limits kept apart."""
+"""Generalised advantage estimation that treats falls and time limits differently."""
 
 import chex
 import jax
@@ -21,9 +21,9 @@ def gae(
         A_t     = delta_t + gamma lambda d_t (1 - truncation_t) A_{t+1},     A_N = 0
         returns = A + v
 
-    with `discount` d (0 after a fall), `value` v = V(o_t), and `bootstrap` b, the value of the state
-    that the step led to. Sources differ in b where the time limit cuts an episode: we pass V(next_obs)
-    of the true last observation, rsl_rl adds gamma V(o_t) to the reward (rsl_rl/algorithms/ppo.py).
+    with `discount` d (0 after a fall), `value` v = V(o_t), and `bootstrap` b, the value of the next
+    state. Libraries differ in b where the time limit ends an episode: we pass V(next_obs) of the
+    true last observation; rsl_rl adds gamma V(o_t) to the reward (rsl_rl/algorithms/ppo.py).
     """
     chex.assert_equal_shape([reward, discount, truncation, value, bootstrap])
     delta = reward + gamma * discount * bootstrap - value
@@ -34,6 +34,6 @@ def gae(
         advantage = delta + decay * later
         return advantage, advantage
 
-    # unrolled, 16 rows are one kernel instead of two each
+    # unrolled, 16 rows take one kernel instead of two each
     _, advantages = jax.lax.scan(backward, delta[0] * 0, (delta, decay), reverse=True, unroll=16)
     return advantages, advantages + value

@@ -1,14 +1,15 @@
-"""Multilayer perceptrons and the diagonal Gaussian policy.
+"""The networks: multilayer perceptrons and the diagonal Gaussian policy.
 
 Initial weights and biases are uniform in +-1/sqrt(fan_in), PyTorch's default for linear layers,
 because rsl_rl uses it (rsl_rl/networks/mlp.py) and early learning depends on it. The policy's
-standard deviation is one free parameter an action, used directly and not through an exponential
+standard deviation is one free parameter per action, used as it is, without an exponential
 (rsl_rl/modules/actor_critic.py, noise_std_type "scalar").
 
-The mean action stays within +-10. Why: the last action is part of the observation, so a network can feed
-itself. In a pose that training hardly knew, actions of ANYmal grew by a factor a step, at saturated motors
-and without a fall: one such episode had a return of -1e14, and values then overflowed. A policy that walks
-stays below 6; 10 is 2.5 rad of a Unitree joint, beyond what it can turn.
+The mean action is clipped to +-10. Why: the last action is part of the observation, so the policy's
+output feeds back into its input. In a pose that was rare in training, actions of ANYmal grew by a
+constant factor each step, with saturated motors and without a fall: one such episode had a return
+of -1e14, and values then overflowed. A policy that walks stays below 6; 10 is 2.5 rad of a Unitree
+joint, more than the joint can turn.
 """
 
 from __future__ import annotations
@@ -24,17 +25,17 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from dynappo.types import Config, Env
 
 LOG_2PI = 1.8378770664093453
-# jax.lax.Precision of each setting that a network can have; bfloat16 also sets the layers' dtype
+# jax.lax.Precision for each value of a network's precision; bfloat16 also sets the layers' dtype
 PRECISION = {"highest": "highest", "tf32": "tensorfloat32", "bfloat16": "default"}
 
-MAX_MEAN = 10.0  # units of the action; policy/policy_file.py and the ONNX file cut there too
+MAX_MEAN = 10.0  # units of the action; policy/policy_file.py and the ONNX file clip there too
 PARTS = ("kernel", "bias")  # of a layer
-# of a last layer: in bfloat16 a value of 5 would be rounded by up to 0.016, half the reward of a step
+# for last layers: bfloat16 would round a value of 5 by up to 0.016, half the reward of a step
 FLOAT32_DOT = partial(jax.lax.dot_general, preferred_element_type=jnp.float32)
 
 
 def elu(x: Float[Array, "..."]) -> Float[Array, "..."]:
-    """x above 0, exp(x) - 1 below: flax's to 1e-7, by a function that takes half of its time on a CPU."""
+    """x above 0, exp(x) - 1 below: equal to flax's within 1e-7, in half the time on a CPU."""
     return jnp.where(x > 0, x, jnp.exp(jnp.minimum(x, 0)) - 1)
 
 
@@ -42,9 +43,9 @@ ACTIVATIONS = {"elu": elu, "relu": nn.relu, "tanh": nn.tanh, "swish": nn.swish}
 
 
 class MLP(nn.Module):
-    """Linear layers with an activation between them; float32 parameters and output."""
+    """Linear layers with an activation between them; parameters and output are float32."""
 
-    sizes: Sequence[int]  # of every layer, the output last
+    sizes: Sequence[int]  # units of each layer, the output last
     activation: str = "elu"
     precision: str = "highest"
 
@@ -75,7 +76,7 @@ def _uniform(bound):
 
 def apply(network: MLP, params, x: Float[Array, "... in"]) -> Float[Array, "... out"]:
     """`network` with `params` on `x`."""
-    return jnp.asarray(network.apply(params, x))  # flax may also return a tuple, ours never do
+    return jnp.asarray(network.apply(params, x))  # flax's type allows a tuple, ours return none
 
 
 def actor(static: Config, action_size: int) -> MLP:
@@ -102,7 +103,7 @@ def init_policy(
 
 
 def policy(static: Config, params: dict, obs: Float[Array, "... O"]) -> Float[Array, "... A"]:
-    """Mean action, cut at `MAX_MEAN`. Its standard deviation is `params["std"]`, whatever the observation."""
+    """Mean action, clipped to +-`MAX_MEAN`. Its std, `params["std"]`, does not depend on `obs`."""
     mean = apply(actor(static, params["std"].shape[-1]), params["actor"], obs)
     return jnp.clip(mean, -MAX_MEAN, MAX_MEAN)
 
@@ -134,10 +135,11 @@ def seen_sizes(static: Config, env: Env) -> tuple[int, int]:
 
 
 def policy_and_value(static: Config, params: dict, obs: Float[Array, "... O"], critic_obs=None):
-    """`(policy(obs), value(critic_obs))`: the same numbers, a hidden layer of both networks as one product.
+    """`(policy(obs), value(critic_obs))`: the same numbers, with one product for a layer of both networks.
 
-    Half as many and larger matrix products: with it an update takes 9.0 ms in float32 (9.4 without), 6.4 in
-    TF32, 5.0 in bfloat16 (H200; experiments/03_speed/peers.md). In bfloat16 the last products are float32.
+    Half as many matrix products, each larger: an update takes 9.0 ms in float32 (9.4 without), 6.4
+    in TF32, 5.0 in bfloat16 (H200; experiments/03_speed/peers.md). In bfloat16 the last products
+    are float32.
     """
     dtype = jnp.bfloat16 if static.ppo.precision == "bfloat16" else jnp.float32
     dot = partial(jnp.einsum, precision=PRECISION[static.ppo.precision])
@@ -184,8 +186,9 @@ def kl(
 ) -> Float[Array, "..."]:
     """KL(old || new) of diagonal Gaussians as rsl_rl computes it (algorithms/ppo.py).
 
-    sum log(s_new / s_old + 1e-5) + (s_old^2 + (m_old - m_new)^2) / (2 s_new^2) - 1/2; the 1e-5
-    is theirs, so that the learning-rate rule takes the same branch.
+        sum log(s_new / s_old + 1e-5) + (s_old^2 + (m_old - m_new)^2) / (2 s_new^2) - 1/2
+
+    The 1e-5 is theirs; with it the learning-rate rule takes the same branch.
     """
     spread = (old_std**2 + (old_mean - mean) ** 2) / (2 * std**2)
     return (jnp.log(std / old_std + 1e-5) + spread - 0.5).sum(-1)

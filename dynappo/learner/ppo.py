@@ -1,11 +1,11 @@
-"""Proximal policy optimisation as RSL-RL 3.0.1 does it (rsl_rl/algorithms/ppo.py).
+"""Proximal policy optimisation as in RSL-RL 3.0.1 (rsl_rl/algorithms/ppo.py).
 
-It gives RSL-RL's own numbers to 1e-5 (tests/learner/test_ppo.py): one Adam (eps 1e-8) for actor, critic and
-std; advantages normalised over the whole batch; clipped surrogate, and clipped value loss without a
-factor 1/2; one global gradient norm; the KL changes the learning rate before each minibatch step. One
-permutation serves all epochs. Differences: std is kept at or above `ppo.min_std` (theirs may reach 0), and
-rows are permuted inside `ppo.shuffle_blocks` blocks of robots, so that a minibatch does not depend on
-how robots are spread over devices.
+It gives RSL-RL's own numbers to 1e-5 (tests/learner/test_ppo.py): one Adam (eps 1e-8) for actor,
+critic and std; advantages normalised over the whole batch; clipped surrogate, and clipped value
+loss without a factor 1/2; one global gradient norm; the KL changes the learning rate before each
+minibatch step; one permutation for all epochs. Two differences: std stays at or above `ppo.min_std`
+(theirs may reach 0), and rows are permuted inside `ppo.shuffle_blocks` blocks of robots, so that a
+minibatch does not depend on how robots are spread over devices.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ METRICS = *OF_STEP, "learning_rate"
 
 
 class Batch(NamedTuple):
-    """What the loss reads; `[N, R]` or `[B]` in front."""
+    """What the loss reads; `[N, R]` or `[B]` in front of every shape."""
 
     obs: Float[Array, "... O"]
     action: Float[Array, "... A"]
@@ -36,12 +36,12 @@ class Batch(NamedTuple):
     value: Float[Array, "..."]
     advantages: Float[Array, "..."]
     returns: Float[Array, "..."]
-    weight: Float[Array, "..."] | None = None  # of each row in all means; None: 1
+    weight: Float[Array, "..."] | None = None  # of each row in every mean; None: all 1
     critic_obs: Float[Array, "... C"] | None = None  # None: the value function sees `obs`
 
 
 def batch(static: Config, env: Env, rows: Transition, advantages, returns, weight=None) -> Batch:
-    """What the loss reads of a rollout, with its advantages and returns."""
+    """The `Batch` of a rollout with its advantages and returns."""
     kept: dict[str, Any] = {name: getattr(rows, name) for name in Batch._fields[1:5]}
     obs, critic_obs = networks.seen(static, env, rows.obs, rows.prop)
     kept |= {"obs": obs, "critic_obs": None if critic_obs is obs else critic_obs}
@@ -49,7 +49,7 @@ def batch(static: Config, env: Env, rows: Transition, advantages, returns, weigh
 
 
 def init(static: Config, hyper: Config, env: Env, key: PRNGKeyArray) -> Learner:
-    """A fresh learner."""
+    """An untrained learner."""
     sizes = networks.seen_sizes(static, env)
     params = networks.init_policy(static, hyper, sizes, env.action_size, key)
     params = symmetry.tie(params, symmetry.policy_image(static, env))
@@ -88,9 +88,7 @@ def loss(static: Config, hyper: Config, params: dict, batch: Batch, old_std: Flo
     `metrics["kl"]` is the mean KL(old || new). Means are over rows with their weights.
     """
     std = params["std"]
-    action_mean, value = networks.policy_and_value(
-        static, params, batch.obs, batch.critic_obs
-    )
+    action_mean, value = networks.policy_and_value(static, params, batch.obs, batch.critic_obs)
     chex.assert_equal_shape([value, batch.value, batch.returns, batch.advantages])
     ratio = jnp.exp(networks.log_prob(action_mean, std, batch.action) - batch.log_prob)
     clipped = jnp.clip(ratio, 1 - hyper.ppo.clip_epsilon, 1 + hyper.ppo.clip_epsilon)
@@ -100,14 +98,14 @@ def loss(static: Config, hyper: Config, params: dict, batch: Batch, old_std: Flo
         change = jnp.clip(value - batch.value, -hyper.ppo.clip_epsilon, hyper.ppo.clip_epsilon)
         error = jnp.maximum(error, (batch.value + change - batch.returns) ** 2)
     kl, entropy = networks.kl(batch.action_mean, old_std, action_mean, std), networks.entropy(std)
-    # one array, one mean: each would be some kernels of its own
+    # one mean of one array: three means would take more kernels
     surrogate, value_loss, kl = mean(jnp.stack([surrogate, error, kl]), batch.weight)
     total = surrogate + hyper.ppo.value_coef * value_loss - hyper.ppo.entropy_coef * entropy
     return total, dict(zip(OF_STEP, (kl, surrogate, value_loss, entropy), strict=True))
 
 
 def adapt(static: Config, hyper: Config, learning_rate: Float[Array, ""], kl: Float[Array, ""]):
-    """The learning rate after a minibatch's KL: / 1.5 above twice the goal, x 1.5 below half."""
+    """The learning rate after a minibatch's KL: / 1.5 above twice the target, x 1.5 below half."""
     if not static.ppo.adaptive:
         return learning_rate
     lower = jnp.maximum(hyper.ppo.min_learning_rate, learning_rate / 1.5)
@@ -121,8 +119,8 @@ def minibatch_step(
 ) -> tuple[Learner, Metrics]:
     """One gradient step: loss, KL, learning rate, clipped gradient, Adam; `(learner, metrics)`.
 
-    Parameters are one vector, as Adam's moments are, and `unflatten` gives their tree: clipping and Adam are
-    then 4 kernels and not 33. `std` comes last in it. With an `image`: the gradient of mirrored rows too.
+    Parameters and Adam's moments are vectors, with `std` last; `unflatten` gives the tree. Clipping
+    and Adam then take 4 kernels, not 33. With an `image`, mirrored rows count in the gradient too.
     """
 
     def of_vector(params):
@@ -139,7 +137,7 @@ def minibatch_step(
 
 
 def minibatches(static: Config, batch: Batch, key: PRNGKeyArray) -> Batch:
-    """`[N, R, ...]` rows as `[minibatches, B, ...]`, each block of robots permuted in itself."""
+    """`[N, R, ...]` rows as `[minibatches, B, ...]`, permuted inside each block of robots."""
     blocks, count = static.ppo.shuffle_blocks, static.ppo.minibatches
     horizon, num_envs = batch.value.shape
     robots = num_envs // blocks
@@ -160,8 +158,8 @@ def minibatches(static: Config, batch: Batch, key: PRNGKeyArray) -> Batch:
 def update(
     static: Config, hyper: Config, env: Env, learner: Learner, batch: Batch, key: PRNGKeyArray
 ) -> tuple[Learner, Metrics]:
-    """`epochs` x `minibatches` steps on one rollout `[N, R]` with raw advantages; metrics are their means,
-    and the learning rate of the last step."""
+    """`epochs` x `minibatches` steps on one rollout `[N, R]` with raw advantages. Metrics are means
+    over the steps, and the last learning rate."""
     old_std = learner.params["std"]
     batch = batch._replace(advantages=normalize(batch.advantages, batch.weight))
     shuffled = minibatches(static, batch, key)

@@ -1,18 +1,20 @@
-"""Left and right: a policy for which the mirror image of a robot is as good as the robot itself.
+"""Makes a policy symmetric: it treats left and right alike.
 
-A legged robot that is its own mirror image moves as its mirror image does: the mirrored action in the
-mirrored state leads to the mirrored next state, for the same reward. With M the mirror image of a vector
+For a legged robot with equal left and right sides, the mirrored action in the mirrored state leads
+to the mirrored next state, with the same reward. With M the mirror image of a vector
 (task/mirror.py), the best policy and its value have
 
     policy(M o) = M policy(o)        value(M o) = value(o)
 
-`policy_image` gives the weights of M policy(M o), where the image of a hidden unit is the unit half a layer
-away. A policy whose weights are their own image is symmetric. They start so (`tie`), and stay so
-because every gradient becomes the mean of itself and its image (`mean`): the gradient of the loss on all
-rows and their mirror images, at the cost of the rows alone. The networks stay ordinary ones.
+`policy_image` gives the weights of M policy(M o); the image of a hidden unit is the unit half a
+layer away. A policy whose weights equal their image is symmetric. The weights start so (`tie`).
+They stay so because each gradient is replaced by the mean of itself and its image (`mean`). That is
+the gradient of the loss on all rows and their mirror images, at the cost of the rows alone. The
+networks stay ordinary MLPs.
 
-Why not rows and mirrored rows (Mittal et al. 2024, arXiv:2403.04359): the same gradient in twice the
-time. Why not the transition model too: it learns no faster with it (experiments/04_laptop).
+Why not train on rows and mirrored rows (Mittal et al. 2024, arXiv:2403.04359): the same gradient
+takes twice the time. Why not a symmetric transition model too: it learns no faster
+(experiments/04_laptop).
 """
 
 from __future__ import annotations
@@ -37,12 +39,12 @@ def vector(mirror: Mirror, x: Float[Array, "... K"]) -> Float[Array, "... K"]:
 
 
 def unchanged(size: int) -> Mirror:
-    """Of numbers that a mirror does not change."""
+    """The mirror of numbers that it leaves unchanged."""
     return Mirror(np.arange(size), np.ones(size))
 
 
 def network_image(params, inputs: Mirror, outputs: Mirror):
-    """Weights of the network `outputs f(inputs x)`, for those of the MLP f (networks.py)."""
+    """Weights of the network `outputs f(inputs x)`, from those of the MLP f (networks.py)."""
     layers, before, out = params["params"], inputs, {}
     for i in range(len(layers)):
         layer = layers[f"Dense_{i}"]
@@ -56,16 +58,16 @@ def network_image(params, inputs: Mirror, outputs: Mirror):
 
 
 def part(mirror: Mirror, columns) -> Mirror:
-    """Of the numbers at `columns` alone; among them must be the image of each."""
+    """The mirror of the numbers at `columns` alone; each must have its image among them."""
     place = np.full(len(mirror.index), -1)
     place[columns] = np.arange(len(columns))
     return Mirror(place[mirror.index[columns]], mirror.sign[columns])
 
 
 def policy_image(static: Config, env: Env) -> Image | None:
-    """Of `{"actor", "critic", "std"}`, or None without `ppo.symmetry`.
+    """The image of `{"actor", "critic", "std"}`, or None without `ppo.symmetry`.
 
-    A ValueError where an environment without a mirror image is asked for one.
+    ValueError if the environment has no mirror image.
     """
     if not static.ppo.symmetry:
         return None
@@ -88,14 +90,14 @@ def policy_image(static: Config, env: Env) -> Image | None:
 
 
 def mean(grads: Float[Array, " K"], unflatten: Callable, image: Image | None):
-    """The mean of a gradient and its image, `unflatten` giving its tree; itself without an image."""
+    """The mean of a gradient and its image; without an `image`, the gradient itself."""
     if image is None:
         return grads
     return (grads + ravel_pytree(image(unflatten(grads)))[0]) / 2
 
 
 def tie(params, image: Image | None):
-    """Fresh weights as their own image: of two that are each other's, the second follows the first."""
+    """Weights made equal to their image: in each pair of images, the second copies the first."""
     if image is None:
         return params
     leaves, treedef = jax.tree.flatten(params)
@@ -106,7 +108,7 @@ def tie(params, image: Image | None):
     ]
     numbers = jax.tree.unflatten(treedef, numbers)
 
-    def one(number, other, x, y):  # a weight that is its own image is their mean
+    def one(number, other, x, y):  # a weight paired with itself becomes the mean of both values
         first = jnp.where(number < jnp.abs(other), x, y)
         return jnp.where(number == jnp.abs(other), (x + y) / 2, first)
 

@@ -43,7 +43,7 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
     flag("--out", metavar="FILE.png", type=flags_lib.path, help="a picture of the robot after 5 s")
     flags, rest = flags_lib.read_known(parser, argv)
     if not flags.what:
-        raise ConfigError("no config is named; try: python -m dynappo.look go1")
+        raise ConfigError("no config given; try: python -m dynappo.look go1")
     if flags.out is not None and flags.out.suffix != ".png":
         raise ConfigError(f"--out={flags.out}: expected a file named .png")
     flags.config = config_lib.validate(flags_lib.load(flags.what, rest))

@@ -2,10 +2,11 @@
 
 `dynamics.tail` begins a tail, `rollout.fill` writes its rows with `dynamics.step`.
 
-- `dynamics`: the network, its fit, and `step`, which stands in for an environment's
-- `examples`: what it learns from: rows of a rollout as inputs, targets and weights
-- `moments`: the running means and variances by which its numbers are scaled
-- `errors`: how wrong it is, after one prediction and after several
+- `dynamics`: the network, its fit, and `step`, which replaces an environment's step
+- `examples`: its training data: rows of a rollout as inputs, targets and weights
+- `moments`: running means and variances, which scale its inputs and targets
+- `errors`: its prediction error, after one step and after several
 
-Pure functions of arrays. `algorithm` and `bench` import it; it imports `types` and `learner.networks`.
+Pure functions of arrays. `algorithm` and `bench` import it; it imports `types` and
+`learner.networks`.
 """

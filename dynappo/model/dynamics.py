@@ -1,23 +1,23 @@
-"""The transition model: what physics does to the predicted part of the observation, and the reward.
+"""The transition model: predicts the next observation and the reward of a control step.
 
     o_prop_{k+1}, r_k = f_theta(o_k, a_k)                                        (paper, eq. 2)
     L(theta) = sum over robots and real rows of Huber((o_prop_{k+1}, r_k) - f_theta(o_k, a_k))  (3)
 
-An MLP fitted in every iteration to its real rows, from the last weights and Adam moments. Where the paper
-is silent: the target is the change of state, and inputs and targets are scaled by running moments; with
-`predict_change = normalize = False` it is the plain form. Nothing is learned across a reset.
+An MLP, fitted in each iteration to its real rows, from the last weights and Adam moments. The paper
+leaves two things open: here the target is the change of state, and running moments scale inputs and
+targets. `predict_change = normalize = False` is the plain form. It never learns across a reset.
 
-Beyond the paper, each by a field of the group model that is off in the paper's variants:
+Options beyond the paper, fields of the group model that are off in the paper's variants:
 
-- `clean`: f_theta carries the state without noise, and the policy of the tail sees it with noise drawn
-  anew. Noise is the error floor of a model that has to predict it.
-- `known_reward`: the reward is what `env.known_reward` computes of the prediction, plus f_theta's.
-- `falls`: sigmoid(f_theta) is the probability of a fall, and 1 minus it a tail's discount. Fallen rows are
-  learned from too, without class weights.
+- `clean`: f_theta reads and predicts the state without noise, and the policy in the tail sees it
+  with new noise. A model that has to predict noise cannot have a smaller error than the noise.
+- `known_reward`: the reward is `env.known_reward` of the prediction, plus the rest from f_theta.
+- `falls`: sigmoid(f_theta) is the probability of a fall, and 1 minus it is the tail's discount. The
+  model learns from rows with a fall too, without class weights.
 
-Why an epoch goes through each robot's rows, and not through all rows in any order (`times`): JAX cannot
-permute a traced number of rows, and computing on masked ones would cost what the tail saves. Every
-minibatch has as many rows of every robot, so that none moves to another device.
+Why an epoch runs through the rows of each robot, not through all rows in random order (`times`):
+JAX cannot permute a traced number of rows, and computing on masked rows would cost what the tail
+saves. Every minibatch has equally many rows of each robot, so no row moves to another device.
 """
 
 from __future__ import annotations
@@ -34,33 +34,33 @@ from dynappo.learner import networks
 from dynappo.model import examples, moments
 from dynappo.types import Config, Env, Metrics, ModelState, Outcome, Transition
 
-FALL_LOGIT = -4.6  # added to the network's: untrained, it says 1 %
-NOISE = 4  # purpose of random numbers, as algorithm.STEP is; no row is written by both
+FALL_LOGIT = -4.6  # added to the network's output: untrained, it predicts 1 %
+NOISE = 4  # purpose of random numbers, the same as algorithm.STEP; no row is written by both
 
 
 @struct.dataclass
 class TailState:
-    """What the model carries instead of an environment's state."""
+    """The state of a tail, in place of an environment's state."""
 
     obs: Float[Array, "R O"]  # what the policy sees
-    prop: Float[Array, "R P"]  # what the model carries (examples.py)
+    prop: Float[Array, "R P"]  # what the model predicts from (examples.py)
 
 
 def tail(static: Config, env: Env, state) -> TailState:
-    """Where a tail begins: at the `obs` and `prop` of a state of physics, or of a row."""
+    """The start of a tail, from the `obs` and `prop` of a physics state or of a row."""
     prop = state.prop if static.model.clean else state.obs[..., : env.prop_size]
     return TailState(obs=state.obs, prop=prop)
 
 
 def anchors(static: Config, env: Env, rows: Transition, n_real: Int[Array, ""], key) -> TailState:
-    """Of each robot one of its rows `t < n_real`, drawn at random."""
+    """The start of a tail for each robot, from one of its rows `t < n_real`, drawn at random."""
     t = jax.random.randint(key, rows.reward.shape[1:], 0, n_real)[None, :, None]
     states = tail(static, env, rows)
     return jax.tree.map(lambda x: jnp.take_along_axis(x, t, axis=0)[0], states)
 
 
 def network(static: Config, prop_size: int) -> networks.MLP:
-    """f_theta: next prop, reward and the logit of a fall."""
+    """f_theta, with outputs next prop, reward and, with `model.falls`, the logit of a fall."""
     model = static.model
     sizes = (*model.hidden, prop_size + 1 + model.falls)
     return networks.MLP(sizes, model.activation, model.precision)
@@ -84,13 +84,13 @@ def _scales(static: Config, model: ModelState):
         zeros = jnp.zeros_like(model.inputs.mean), jnp.zeros_like(model.targets.mean)
         return tuple((zero, zero + 1) for zero in zeros)
     mean, std = moments.scale(model.targets)
-    if static.model.falls:  # 0 or 1, as it is
+    if static.model.falls:  # the target 0 or 1 is not scaled
         mean, std = mean.at[-1].set(0.0), std.at[-1].set(1.0)
     return moments.scale(model.inputs), (mean, std)
 
 
 def loss(static: Config, hyper: Config, params, x, y, weight) -> Float[Array, ""]:
-    """Mean over rows of weight 1 and predicted numbers: Huber (eq. 3); of a fall, cross-entropy."""
+    """Mean over rows of weight 1 and outputs: Huber (eq. 3), and cross-entropy for a fall."""
     size = y.shape[-1] - static.model.falls  # predicted numbers: prop and reward
     prediction = networks.apply(network(static, size - 1), params, x)
     delta = hyper.model.huber_delta
@@ -113,7 +113,7 @@ def fit(
 ) -> tuple[ModelState, Metrics]:
     """`epochs` passes of Adam over the rows `t < n_real` of a `[N, R]` buffer.
 
-    Metrics: the loss of the last minibatch, and of the first, whose rows the model has never seen.
+    Metrics: the loss of the last minibatch, and of the first, whose rows are new to the model.
     """
     horizon, num_envs = rows.reward.shape
     drawn = horizon // static.model.minibatches  # rows of each robot in a minibatch
@@ -129,7 +129,7 @@ def fit(
 
     def minibatch(i, carry):
         params, opt_state, before, _ = carry
-        place = i * drawn + jnp.arange(drawn)  # in the epochs one after another
+        place = i * drawn + jnp.arange(drawn)  # counted through all epochs
         batch = jnp.take_along_axis(data, times(place, horizon, num_envs, n_real, key), axis=0)
         used = batch[..., -1] * (place < epochs * n_real)[:, None]
         batch = batch[..., :inputs], batch[..., inputs:-1], used
@@ -149,9 +149,9 @@ def fit(
 def times(
     place: Int[Array, " D"], horizon: int, num_envs: int, n_real: Int[Array, ""], key: PRNGKeyArray
 ) -> Int[Array, "D R 1"]:
-    """The row that each robot takes at places `epoch n_real + k`, `k < n_real`, of two epochs at most.
+    """The row of each robot at places `epoch n_real + k`, `k < n_real`, of at most two epochs.
 
-    An epoch has every real row once, in an order drawn for all robots, which each begins elsewhere.
+    An epoch has every real row once, in one random order for all robots; each starts elsewhere.
     """
     epoch = place // n_real
 
@@ -169,7 +169,7 @@ def times(
 def predict(
     static: Config, hyper: Config, env: Env, model: ModelState, obs: Float[Array, "R O"], action
 ) -> tuple[Float[Array, "R O"], Float[Array, " R"], Float[Array, " R"]]:
-    """`(next observation, reward, discount)`: prop predicted, the context copied by `env.context`."""
+    """`(next observation, reward, discount)`: prop is predicted, `env.context` copies the rest."""
     size = env.prop_size
     (x_mean, x_std), (y_mean, y_std) = _scales(static, model)
     x = (examples.inputs(env, obs, action) - x_mean) / x_std
@@ -188,9 +188,9 @@ def predict(
 def step(
     static: Config, hyper: Config, env: Env, model: ModelState, state: TailState, action, keys
 ):
-    """The contract of an environment's step; the `keys` are for the noise of `clean` only.
+    """`(state, Outcome)` of all robots, as an environment's step; only `clean` uses the `keys`.
 
-    Without `falls` no row falls: the paper's model predicts no terminations. No row times out.
+    Without `falls` no row falls: the paper's model predicts no terminations. No row is truncated.
     """
     obs = jnp.concatenate([state.prop, state.obs[..., env.prop_size :]], -1)
     obs, reward, discount = predict(static, hyper, env, model, obs, action)

@@ -1,4 +1,4 @@
-"""How wrong the transition model is on rows it has not seen: one prediction, and several in a row."""
+"""The transition model's error on rows it has not seen, after one prediction and after several."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from dynappo.types import Config, Env, Metrics, ModelState, Transition
 def unroll(
     static: Config, hyper: Config, env: Env, model: ModelState, rows: Transition, steps: int
 ):
-    """`steps` next props [K, R, P] predicted in a row, from row 0 with the actions that were taken,
-    and [K, R] 1 where the robot's episode had not ended by then."""
+    """`steps` next props [K, R, P], each predicted from the one before, from row 0 with the actions
+    taken; and [K, R], 1 where the robot's episode had not ended by then."""
     obs, predicted = examples.before_and_after(static, env, rows)[0][0], []
     for k in range(steps):
         obs = dynamics.predict(static, hyper, env, model, obs, rows.action[k])[0]
@@ -24,10 +24,10 @@ def unroll(
 def errors(
     static: Config, hyper: Config, env: Env, model: ModelState, rows: Transition, steps: int
 ) -> Metrics:
-    """Error of 1 and of `steps` predictions in a row, as a share of that of repeating the state.
+    """Error after 1 and after `steps` predictions, relative to predicting no change.
 
-    Root mean square over robots and predicted numbers, each in units of its spread; 1 is that of the
-    trivial predictor. Before a fit, the rows are new to the model.
+    Root mean square over robots and predicted numbers, each divided by its standard deviation; 1 is
+    the error of predicting no change. Call it before a fit, when the rows are new to the model.
     """
     size, out = env.prop_size, {}
     std = moments.scale(model.inputs)[1][:size]

@@ -1,6 +1,6 @@
-"""What the transition model learns from: rows of a rollout as inputs, targets and weights.
+"""The transition model's training data: rows of a rollout as inputs, targets and weights.
 
-What the model carries is the observation's `prop`, with `model.clean` without its noise; the rest of an
+The model predicts the observation's `prop`, with `model.clean` without its noise. The rest of an
 observation, the context, is copied (`Env.context`).
 """
 
@@ -27,7 +27,7 @@ def input_size(env: Env) -> int:
 
 
 def before_and_after(static: Config, env: Env, rows: Transition):
-    """`(obs [O], next prop [P])` of each row as the model sees them: without noise if `model.clean`."""
+    """`(obs [O], next prop [P])` of each row as the model sees them; `clean`: without noise."""
     size = env.prop_size
     if not static.model.clean:
         return rows.obs, rows.next_obs[..., :size]
@@ -35,8 +35,8 @@ def before_and_after(static: Config, env: Env, rows: Transition):
 
 
 def targets(static: Config, hyper: Config, env: Env, rows: Transition) -> Float[Array, "... K"]:
-    """What the model is to predict of each row: change of (or next) prop, reward / dt, and, with
-    `model.falls`, 1 where the episode fell. Of the reward, what is not known."""
+    """The model's target for each row: change of prop (or next prop), reward / dt without its known
+    share, and, with `model.falls`, 1 where the robot fell."""
     (obs, after), reward, fell = before_and_after(static, env, rows), rows.reward, 1 - rows.discount
     if static.model.known_reward:
         known = jax.vmap(jax.vmap(partial(env.known_reward, hyper)))
@@ -59,6 +59,6 @@ def examples(static: Config, hyper: Config, env: Env, rows: Transition, n_real: 
     weight = row_weight(static, rows, n_real)
     x = inputs(env, before_and_after(static, env, rows)[0], rows.action)
     y = targets(static, hyper, env, rows)
-    # zeroed, not only weighted: nothing times 0 is 0 for a number that is not finite
+    # set to zero, not only weighted by 0: 0 times a number that is not finite is NaN
     x, y = (jnp.where(weight[..., None] > 0, a, 0.0) for a in (x, y))
     return x, y, weight

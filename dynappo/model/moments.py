@@ -1,4 +1,4 @@
-"""Running mean and variance of vectors: what scales the transition model's inputs and targets."""
+"""Running mean and variance of vectors, which scale the transition model's inputs and targets."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from jaxtyping import Array, Float
 
 from dynappo.types import Moments
 
-MIN_STD = 1e-4  # of a normalised number; some observations never change
+MIN_STD = 1e-4  # some observations never change
 
 
 def init(size: int) -> Moments:
-    """Of no data yet: weight 0."""
+    """Moments before any data: weight 0."""
     return Moments(mean=jnp.zeros(size), var=jnp.zeros(size), weight=jnp.zeros(()))
 
 
@@ -21,8 +21,8 @@ def update(
 ) -> Moments:
     """Exponential moving mean and variance over calls, of the rows of `x` with `weight` 1.
 
-    `weight` of the moments tends to 1 as `1 - decay^calls`; `scale` divides by it, so the first call's
-    moments are the batch's own. A call without such rows changes nothing.
+    `weight` of the moments tends to 1 as `1 - decay^calls`; `scale` divides by it, so after the
+    first call the moments are those of the batch. A call without rows of weight 1 changes nothing.
     """
     axes = tuple(range(weight.ndim))
     count = weight.sum()
@@ -35,6 +35,6 @@ def update(
 
 
 def scale(moments: Moments) -> tuple[Float[Array, " K"], Float[Array, " K"]]:
-    """`(mean, std)` free of the bias of the first calls; std at least 1e-4."""
+    """`(mean, std)`, corrected for the bias of the first calls; std is at least 1e-4."""
     weight = jnp.maximum(moments.weight, 1e-8)
     return moments.mean / weight, jnp.sqrt(jnp.maximum(moments.var / weight, MIN_STD**2))

@@ -1,15 +1,15 @@
-"""A robot, and one control step of it. Start at `engine.py`.
+"""Loads robots and simulates a control step on one of three engines. Start at `engine.py`.
 
-- `robot`: a robot's file and what the task must know of it
-- `mjcf`: an MJCF from anybody: what is looked at before and after MuJoCo compiles it
-- `contract`: the rules that such a file keeps, checked one by one
+- `robot`: loads a robot's file, and what the task needs to know about it
+- `mjcf`: checks an untrusted MJCF before and after MuJoCo compiles it
+- `contract`: checks the rules that a robot's file must keep
 - `actuators`: from a policy's action to joint torques
 - `engine`: a control step: PD, motor limits, physics steps, contacts by geometry
 - `warp_engine`: MuJoCo Warp, called with only what a step needs
-- `randomize`: what makes one robot's body differ from the next
-- `c_engine`: C MuJoCo on all cores of a CPU, a control step a call
-- `xla_call`: a Python function that compiled CPU programs can call
-- `contacts`: how a robot's primitives meet the floor
+- `c_engine`: C MuJoCo on all cores of a CPU, one call per control step
+- `randomize`: each robot's own physical parameters
+- `xla_call`: lets compiled CPU programs call a Python function
+- `contacts`: how a robot's primitives touch the floor
 
 The task and the commands import it; it imports `types` and `config`. `robot`, `mjcf`,
 `contract`, `contacts` and `actuators` need no JAX.

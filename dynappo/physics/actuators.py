@@ -1,9 +1,8 @@
 """From a policy's action to joint torques: PD control and the limits of a DC motor.
 
-Written once for NumPy and jax.numpy; units are rad, rad/s and N m. The formula of the limit is
+The code works with NumPy and jax.numpy; units are rad, rad/s and N m. The formula of the limit is
 that of Isaac Lab 2.2.1 (isaaclab/actuators/actuator_pd.py, class DCMotor, since 2025-07).
 """
-
 
 FRICTION_SPEED = 0.2  # rad/s, from which on dry friction has its full size
 
@@ -29,7 +28,7 @@ def friction(qd, size):
 def lag(wanted, torque, time_constant, timestep):
     """A motor's torque after `timestep` (s): `wanted`, approached from `torque` with a `time_constant` (s).
 
-        tau' = (wanted - tau) / T,  so  tau + (1 - exp(-dt / T)) (wanted - tau)
+    tau' = (wanted - tau) / T,  so  tau + (1 - exp(-dt / T)) (wanted - tau)
     """
     xp = wanted.__array_namespace__()
     share = 1 - xp.exp(-timestep / xp.maximum(xp.asarray(time_constant), 1e-6))

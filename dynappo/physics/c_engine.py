@@ -1,18 +1,18 @@
-"""C MuJoCo on all cores: a whole control step of all robots as one call from the compiled program.
+"""C MuJoCo on all CPU cores: one call from the compiled program does a control step of all robots.
 
-On two CPU cores it makes more than twice as many steps as MJX (CHANGELOG.md). `mujoco.rollout` keeps a
-pool of threads in C; each takes the next robots, so that none waits while another works, and what a
-robot does depends on neither the thread nor its neighbours.
+On two CPU cores it makes more than twice as many steps as MJX (CHANGELOG.md). `mujoco.rollout` has
+a pool of threads in C. Each takes the next robots, so no thread waits while another works, and a
+robot's result depends neither on the thread nor on other robots.
 
-Why a control step and not a physics step a call: every robot has a body of its own, so a model of its own,
-and four steps read it from memory once. With 512 Go1 on two cores that is 34 instead of 21 k control steps/s
-(a prototype, 2026-11-22).
-PD and motor limits are therefore MuJoCo's: its DC motor with a position input computes what
-`actuators.clip_dc_motor` does (tests/physics/test_c_engine.py).
+Why a call per control step, not per physics step: every robot has its own physical parameters and
+so its own model, and four steps read the model from memory once. With 512 Go1 on two cores that is
+34 instead of 21 k control steps/s (a prototype, 2026-11-22). PD and motor limits are therefore
+MuJoCo's: its DC motor with a position input computes the same as `actuators.clip_dc_motor`
+(tests/physics/test_c_engine.py).
 
-Where the geoms of a physics step began, `mujoco.rollout` tells only by sensors, which cost nothing that
-can be measured. It does not tell accelerations either: the solver's start in the next control step is the
-change of velocity in the last physics step, which without joint damping is the same.
+`mujoco.rollout` returns the geoms at the start of a physics step only through sensors, which cost
+nothing measurable. It does not return accelerations: the solver starts the next control step from
+the change of velocity in the last physics step, which without joint damping is the same.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from dynappo.config import ConfigError
 from dynappo.physics import robot as robot_lib
 from dynappo.physics import xla_call
 
-# what a robot's model is made from, in this order in the last argument of a call
+# the numbers that define a robot's model, in the order of the last argument of a call
 NUMBERS = (
     "mass_scale",
     *["base_com"] * 3,
@@ -45,10 +45,10 @@ NUMBERS = (
     "armature",
     "joint_friction",
 )
-POSITION = int(mujoco.mjtCtrlInput.mjINPUT_POS)  # what a motor's control is
-FAR = 500.0  # a state or a target beyond it is not given to MuJoCo, which would log it
+POSITION = int(mujoco.mjtCtrlInput.mjINPUT_POS)  # a motor's control is a position
+FAR = 500.0  # MuJoCo never gets a state or a target above it: it would log a warning
 FAR_ACCELERATION = 1e6
-_ONE_AT_A_TIME = threading.Lock()  # the pool of threads serves one call
+_ONE_AT_A_TIME = threading.Lock()  # the pool of threads can do only one call at a time
 
 
 class Moved(NamedTuple):
@@ -65,7 +65,7 @@ class Moved(NamedTuple):
 
 
 def cores(threads: int) -> int:
-    """The threads that `physics.threads` means here: 0 is every core that this process may use."""
+    """The number of threads for `physics.threads`; 0 means every core that this process may use."""
     if threads:
         return threads
     affinity = getattr(os, "sched_getaffinity", None)  # not on macOS
@@ -73,7 +73,7 @@ def cores(threads: int) -> int:
 
 
 def check(robot: robot_lib.Robot) -> None:
-    """ConfigError for a file whose integrator would take the motors' own damping implicitly."""
+    """ConfigError for a file whose integrator would treat the motors' damping implicitly."""
     integrator = mujoco.mjtIntegrator(robot.mj_model.opt.integrator)
     if integrator != mujoco.mjtIntegrator.mjINT_EULER:
         name = integrator.name.removeprefix("mjINT_").lower()
@@ -97,7 +97,7 @@ def make(robot: robot_lib.Robot, physics, varied: frozenset[str]):
     shapes = (model.nq,), (model.nv,), (model.nv,), (model.nu,), (model.nu,)
     shapes += (steps, feet), (steps, parts), (steps, parts, 4)
     shapes = [jax.ShapeDtypeStruct(shape, jnp.float32) for shape in shapes]
-    # a side effect, so that JAX waits for it before Python ends (xla_call.py)
+    # declared as a side effect, so that JAX waits for it before Python ends (xla_call.py)
     call = jax.ffi.ffi_call(name, shapes, vmap_method="broadcast_all", has_side_effect=True)
     return lambda *args: Moved(*call(*args))
 
@@ -122,19 +122,19 @@ def _model(robot: robot_lib.Robot, physics) -> mujoco.MjModel:
             type=kinds.mjSENS_ACTUATORFRC, objtype=mujoco.mjtObj.mjOBJ_ACTUATOR, objname=motor.name
         )
         motor.set_to_dcmotor([1, 1], 1.0, controller=[1, 0, 1, 0, 0, 1], ctrlspec=POSITION)
-        motor.forcelimited, motor.forcerange = True, [-1, 1]  # numbers are each robot's own
+        motor.forcelimited, motor.forcerange = True, [-1, 1]  # replaced by each robot's numbers
     model = robot_lib.settle(spec.compile(), physics, robot.parts)
-    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # a blow-up is to be seen
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # a blow-up must be visible
     return model
 
 
 class _World:
-    """Models, scratch arrays and threads; `step` is what XLA calls."""
+    """Models, scratch arrays and threads; XLA calls `step`."""
 
     def __init__(self, robot, model, steps: int, threads: int, varied):
         self.robot, self.model, self.steps, self.varied = robot, model, steps, varied
         self.models: list[mujoco.MjModel] = []
-        self.written = np.zeros((0, len(NUMBERS)), np.float32)  # what they were made from
+        self.written = np.zeros((0, len(NUMBERS)), np.float32)  # the numbers in the models
         self.datas = [mujoco.MjData(model) for _ in range(threads)]
         self.pool = rollout.Rollout(nthread=threads if threads > 1 else 0)
 
@@ -150,7 +150,7 @@ class _World:
         count, robot, model = len(qpos), self.robot, self.model
         good = (
             np.abs(np.concatenate([qpos, qvel, target], 1)).max(1) < FAR
-        )  # not so where one is NaN
+        )  # False where one is NaN
         good &= np.abs(warm).max(1) < FAR_ACCELERATION
         state = np.empty((count, 1 + model.nq + model.nv))
         state[:, 0], state[:, 1 : 1 + model.nq], state[:, 1 + model.nq :] = 0, qpos, qvel
@@ -197,7 +197,7 @@ class _World:
                 out[~good] = np.nan
 
     def _models(self, numbers: np.ndarray) -> list[mujoco.MjModel]:
-        """A model for each row of `numbers`; the same for all where they are equal."""
+        """A model for each row of `numbers`; one for all if the rows are equal."""
         count = 1 if (numbers == numbers[0]).all() else len(numbers)
         while len(self.models) < count:
             self.models.append(copy.copy(self.model))
@@ -210,7 +210,7 @@ class _World:
         return self.models[:count] * (len(numbers) // count)
 
     def _write(self, model: mujoco.MjModel, numbers: np.ndarray) -> None:
-        """The body and motors of one robot, as `randomize.merge` and `actuators` have them."""
+        """Write one robot's parameters and motors, as in `randomize.merge` and `actuators`."""
         base, feet, nominal = self.robot.base_body, self.robot.feet, self.model
         scale, com, (friction, kp, kd) = numbers[0], numbers[1:4], numbers[4:7]
         effort, stall, speed, armature, joint_friction = numbers[7:]

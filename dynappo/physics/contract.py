@@ -1,10 +1,11 @@
-"""The contract of `robots/NAME/NAME.xml` (robots/README.md says how to keep it), checked rule by rule:
+"""The contract of `robots/NAME/NAME.xml` (robots/README.md says how to keep it), checked rule by
+rule:
 
 - one top-level body with a free joint: the base; on it four legs, each a chain of three bodies
   with one hinge joint each, named `LEG_...`, leg by leg, hip to knee, every joint with a range;
 - at joint angles zero all frames are parallel: no `quat` in a leg, no `pos` at a joint;
 - every body has its `inertial`; geoms of group 2 are looks and are left out of physics;
-- one `motor` a joint, named and ordered as the joints, gear 1; PD and limits are `actuators.py`'s;
+- one `motor` per joint, named and ordered as the joints, gear 1; `actuators.py` has PD and limits;
 - four sphere geoms named `LEG_foot`, each in the last body of its leg, of higher priority than
   the floor, so that their friction holds;
 - every other geom with `conaffinity` is a part that must not touch the ground: box, sphere,
@@ -22,8 +23,8 @@ from dynappo.physics import contacts
 
 
 def check(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
-    """`(feet [F], parts [G])`, geom ids, of a compiled file that keeps the contract; else a ValueError
-    names the rule, and what was found."""
+    """`(feet [F], parts [G])`, geom ids, of a compiled file that keeps the contract; else a
+    ValueError that names the broken rule, and what was found."""
     _check_legs(model)
     _check_motors(model)
     feet, parts = _check_geoms(model)
@@ -39,12 +40,12 @@ def _expect(ok, rule: str, found="") -> None:
 
 
 def names(count: int, get) -> list[str]:
-    """Of `count` things of a model, `get` one by one; what has none is `number I`."""
+    """The names of `count` items of a model, from `get(i)`; an item without one is `number I`."""
     return [get(i).name or f"number {i}" for i in range(count)]
 
 
 def check_file(spec: mujoco.MjSpec) -> None:
-    """What MuJoCo, when it compiles, would not mind or name a consequence of."""
+    """Check what MuJoCo's compiler accepts, or reports only by a consequence."""
     kinds = [mujoco.mjtJoint(j.type).name.removeprefix("mjJNT_").lower() for j in spec.joints]
     found = [f"{joint.name} ({kind})" for joint, kind in zip(spec.joints, kinds, strict=True)]
     rule = "a free joint on the base, before all other joints"
@@ -67,7 +68,7 @@ def check_file(spec: mujoco.MjSpec) -> None:
 
 
 def _check_legs(model: mujoco.MjModel) -> None:
-    """Three bodies in a chain, with the frames that `leg_chains` relies on."""
+    """Each leg is three bodies in a chain, with the frames that `leg_chains` relies on."""
     for i in range(1, 13):
         joint, body = model.joint(i), model.body(model.jnt_bodyid[i])
         parent = model.body(model.jnt_bodyid[0 if i % 3 == 1 else i - 1])

@@ -1,17 +1,17 @@
-"""Physics of one control step on MJX: PD, motor limits, four physics steps, contacts by geometry.
+"""Simulates one control step: PD, motor limits, four physics steps, contacts by geometry.
 
-Why kinematics one substep old: `mjx.step` computes positions of geoms from the coordinates it
+Why kinematics are one substep old: `mjx.step` computes geom positions from the coordinates it
 starts from, so after it they are those of 5 ms before. Foot contacts (a foot sphere's centre lower
-than its radius) and the lowest points of other parts are read there, at no cost; observations and
-rewards are computed from the new qpos and qvel.
+than its radius) and the lowest points of other parts are read from them, at no cost; observations
+and rewards are computed from the new qpos and qvel.
 
 Why contact by geometry: it is the same for every engine and needs no contact forces, so the parts
 that must not touch the ground need no collision pairs (`physics.contacts = feet`).
 
-Why the data are rebuilt from a template in every control step: what is carried is then small, a reset
-costs no physics call, and a checkpoint does not depend on the engine. Not in every physics step:
+Why data are rebuilt from a template in every control step: the state is then small, a reset costs
+no physics call, and a checkpoint does not depend on the engine. Why not in every physics step:
 filling the 168 arrays of mjx.Data took 0.6 of 4.4 ms (experiments/03_speed). MuJoCo Warp is called
-past mjx.Data (warp_engine.py).
+without mjx.Data (warp_engine.py).
 """
 
 from __future__ import annotations
@@ -108,7 +108,9 @@ class Substeps(NamedTuple):
 def simulate(engine: Engine, hyper: Config, body, state: EnvState, action) -> Substeps:
     """`substeps` physics steps under explicit PD towards the action's joint targets."""
     default = jnp.asarray(engine.robot.default_pose, jnp.float32)
-    target = actuators.target(_arriving(engine, body, state, action), default, hyper.task.action_scale)
+    target = actuators.target(
+        _arriving(engine, body, state, action), default, hyper.task.action_scale
+    )
     if body.encoder_bias is not None:  # the motors hold the angle that they read
         target = target - body.encoder_bias
     kp, kd = hyper.task.kp * body.kp_scale, hyper.task.kd * body.kd_scale
@@ -208,7 +210,7 @@ def _simulate_in_c(engine: Engine, hyper: Config, body, first: Substeps, target,
 
 
 def _feet(engine: Engine, s: Substeps, heights) -> Substeps:
-    """The clocks of the feet after one more physics step, at whose start they were at `heights` [F]."""
+    """The feet's timers and heights after one more physics step, which began with feet at `heights` [F]."""
     radius = jnp.asarray(engine.robot.foot_radius, jnp.float32)
     contact = heights < radius
     landed = contact & (s.air_steps > 0)
@@ -222,7 +224,8 @@ def _feet(engine: Engine, s: Substeps, heights) -> Substeps:
 
 
 def _lowest(engine: Engine, height, row):
-    """The lowest point of each part [..., G]: from its centre's height, row 3 of its rotation [..., G, 3]."""
+    """Heights of the parts' lowest points [..., G], from those of the centres and `row`, the third
+    row of each rotation matrix [..., G, 3]."""
     fixed, linear, ring = engine.floor
     drop = fixed + (linear * jnp.abs(row)).sum(-1)
     return height - (drop + ring * jnp.sqrt(jnp.maximum(1 - row[..., 2] ** 2, 0)))

@@ -1,10 +1,10 @@
-"""An MJCF from anybody: looked at before MuJoCo compiles it, and after.
+"""Checks an MJCF from an unknown source, before and after MuJoCo compiles it.
 
-A few characters can ask for a hundred thousand bodies (`replicate`), a field of 40 GB or a time step of
-1e-12 s; MuJoCo would compute for hours, or end the process. Not looked at are the meshes, pictures and
-other data that a file names, nor what its plugins are told: these can take all time and memory. Nor is
-it said where a file may read: `include` and all others may name any file of the machine. So an MJCF is
-trusted as code is (robots/README.md); what is checked here are mistakes, and harm that costs nothing.
+A few characters can ask for a hundred thousand bodies (`replicate`), a field of 40 GB or a time
+step of 1e-12 s; MuJoCo would compute for hours, or crash. Not checked: meshes, pictures and other
+data that a file names, and settings of plugins, which can take any amount of time and memory; and
+which files `include` and the others read, which may be any file of the machine. So trust an MJCF
+only as you trust code (robots/README.md). The checks here find mistakes and cheap attacks.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ from dynappo.config import ConfigError
 
 MAX_BYTES = 2**24  # of a file and all that it includes; the robots here have 10 KiB
 MAX_CARRIED = 2**19  # of one in a policy.npz or a checkpoint, as JSON
-MAX_NUMBERS = 2**24  # that all elements of a carried one ask for: pixels, heights, user's numbers
-MAX_ELEMENTS = 20_000  # of XML, each as often as it is repeated
-MAX_BODIES, MAX_SPEEDS = 2000, 1000  # the mass matrix has the square of the latter
+MAX_NUMBERS = 2**24  # of all elements of one in a policy or checkpoint: pixels, heights, user data
+MAX_ELEMENTS = 20_000  # of XML, repeated ones counted each time
+MAX_BODIES, MAX_SPEEDS = 2000, 1000  # the mass matrix is as large as the square of the latter
 TIMESTEP = 1e-5, 0.1  # s
 REPEATS = ("replicate", "composite", "flexcomp")  # their `count` is how often, along each axis
-NAN = {"nan", "+nan", "-nan"}  # MuJoCo would warn of it, into a file of the working directory
-NAMES = {"name", "class", "childclass", "file"}  # attributes that may well be called so
-OUTSIDE = {"include", "model", "extension", "plugin"}  # elements that bring other files, or code
-FOLDERS = {"assetdir", "meshdir", "texturedir"}  # where files may lie
+NAN = {"nan", "+nan", "-nan"}  # MuJoCo would write a warning to a file in the working directory
+NAMES = {"name", "class", "childclass", "file"}  # attributes whose value may be the word "nan"
+OUTSIDE = {"include", "model", "extension", "plugin"}  # elements that load other files, or code
+FOLDERS = {"assetdir", "meshdir", "texturedir"}  # attributes that name folders of files
 # attribute, or TAG.attribute -> largest number in it
 MOST = {
     "count": 10_000,
@@ -66,16 +66,17 @@ SETTINGS = {
     "size",
     "global",
     "quality",
-}  # their limits are of steps and buffers, not lists
+}  # elements whose limits are on steps and buffers, not on lists
 MOST_OF_SIZE = 1000  # of every other attribute of `size`
 UNITS = "KMGTPE"  # of `size.memory`, each 1024 times the one before
 
 
 @contextlib.contextmanager
 def one_line(xml: Path, what: str = ""):
-    """What MuJoCo or we say of a file in here, as a ConfigError of one line that begins with its path.
+    """Turn errors about a file, MuJoCo's or ours, into a one-line ConfigError that begins with its
+    path.
 
-    `what` follows it: the part of the file that is meant.
+    `what` comes after the path: the part of the file that is meant.
     """
     try:
         yield
@@ -88,14 +89,14 @@ def one_line(xml: Path, what: str = ""):
 
 @contextlib.contextmanager
 def reading(xml: Path):
-    """As `one_line`, for what compiles the file: its text is checked first."""
+    """As `one_line`, for code that compiles the file; checks its text first."""
     with one_line(xml):
         check_text(xml)
         yield
 
 
 def model(xml: Path, text: str = "") -> mujoco.MjModel:
-    """The compiled model of a file, or of the MJCF `text` that a file carries, checked before and after."""
+    """The compiled model of a file, or of the MJCF `text` in it, checked before and after."""
     if text:
         with one_line(xml):
             check_alone(text)
@@ -105,7 +106,7 @@ def model(xml: Path, text: str = "") -> mujoco.MjModel:
 
 
 def check_alone(text: str) -> None:
-    """ValueError if an MJCF that something else carries names a file, or asks for more than a robot needs."""
+    """ValueError if an MJCF text names a file, or asks for more than a robot needs."""
     if not isinstance(text, str) or len(json.dumps(text)) > MAX_CARRIED:
         raise ValueError(f"expected an MJCF of at most {MAX_CARRIED} bytes")
     asked = 0
@@ -120,7 +121,7 @@ def check_alone(text: str) -> None:
 
 
 def _numbers(tag: str, attributes: dict[str, str]) -> int:
-    """How many numbers an element asks for by attributes that have a limit: a picture its pixels."""
+    """How many numbers an element asks for in attributes with a limit, like a picture's pixels."""
     if tag in SETTINGS:
         return 0
     if tag == "texture" and attributes.get("type", "cube") != "2d":  # six squares
@@ -131,7 +132,7 @@ def _numbers(tag: str, attributes: dict[str, str]) -> int:
 
 
 def check_text(xml: Path) -> None:
-    """ValueError if a file, or one that it includes, is no XML or asks for more than a robot needs."""
+    """ValueError if a file, or one it includes, is not XML or asks for more than a robot needs."""
     left, counted, seen = MAX_BYTES, [0], set()
     todo, folders = [(Path(xml), 1)], {""}
     while todo:
@@ -161,14 +162,14 @@ def check_text(xml: Path) -> None:
 
 
 def _of(path: Path, xml: Path) -> str:
-    """How a line on a file begins that is not the one which was named."""
+    """The beginning of an error about an included file; "" for the file itself."""
     return "" if path == xml else f"{path}: "
 
 
 def _elements(text: str, times: int, counted: list[int], of: str) -> list[tuple[str, dict, int]]:
-    """`(tag, attributes, how often)` of every element in a text that stands there `times` times.
+    """`(tag, attributes, how often)` of every element in a text that is included `times` times.
 
-    `counted[0]` is how many there have been; `of` begins an error.
+    `counted[0]` counts all elements so far; errors begin with `of`.
     """
     found, stack = [], [times]
 
@@ -216,7 +217,7 @@ def _within(tag: str, name: str, value: str, of: str) -> list[float]:
 
 
 def check_model(model: mujoco.MjModel) -> mujoco.MjModel:
-    """The compiled model, if it can be stepped in a time that somebody waits for; else a ValueError."""
+    """The compiled model; ValueError if a step of it would take far too long."""
     low, high = TIMESTEP
     step = model.opt.timestep
     for ok, text in (

@@ -1,9 +1,10 @@
-"""Per-robot physical parameters: drawn once at the start, merged into the model at every step.
+"""Each robot's own physical parameters: drawn once at the start, merged into the model at every
+step.
 
-Ranges are those of Isaac Lab (2.2.1, velocity_env_cfg.py, events at start-up): added base mass
-with the inertia scaled in proportion, centre of mass, foot friction, PD gains. Ranges of the last
-three are collapsed on Go1; a range collapsed to the file's value costs nothing, because that field of
-the model then stays one array for all robots.
+Ranges are those of Isaac Lab (2.2.1, velocity_env_cfg.py, events at start-up): added base mass with
+the inertia scaled in proportion, centre of mass, foot friction, PD gains. Ranges of the last three
+are single values on Go1. A range that is just the file's value costs nothing, because that field of
+the model stays one array for all robots.
 
 What real robots have beside these is None in a `Body` unless its range says otherwise: weak motors, friction
 and inertia in the joints, actions that come late, torques that lag, sensors that are a little off.
@@ -62,7 +63,7 @@ JOINTS = 12
 
 @struct.dataclass
 class Body:
-    """A robot's body: what makes it differ from the next; `[R]` in front of every shape in `TrainState`."""
+    """A robot's own physical parameters; in `TrainState` every shape has `[R]` in front."""
 
     mass_scale: Float[Array, "..."]  # of the base's mass and inertia
     base_com: Float[Array, "... 3"]  # m, in the base frame

@@ -1,6 +1,7 @@
-"""A robot folder -> `Robot`: the compiled physics model and everything the task must know of it.
+"""Loads a robot folder as a `Robot`: the compiled physics model and all that the task needs to
+know.
 
-What its file must keep to is contract.py's. NumPy and C MuJoCo only, so that a policy can be played
+contract.py has the rules for the file. NumPy and C MuJoCo only, so that a policy can be played
 without JAX.
 """
 
@@ -19,7 +20,7 @@ from dynappo.config import ConfigError, files
 from dynappo.physics import contract, mjcf
 
 VISUAL_GROUP = 2
-# beginnings of the names of arrays of a model that say how it moves, and ends of those that do not
+# prefixes of a model's arrays that decide how it moves, and suffixes of those that do not
 MOVES = ("body_", "jnt_", "dof_", "geom_", "qpos", "key_", "actuator_", "eq_", "tendon_")
 LOOKS = ("_group", "_rgba", "_matid", "_user", "_bvhadr", "_bvhnum")
 
@@ -37,8 +38,8 @@ class Robot(NamedTuple):
     foot_radius: np.ndarray  # [F] m
     parts: np.ndarray  # [G] geom ids
     base_body: int
-    text: str  # its MJCF where it does not lie in `xml`, but is carried by that file; else ""
-    alone: str  # its MJCF as one text that needs no other file, to be carried; "" if there is none
+    text: str  # its MJCF, if it comes from a policy or a checkpoint; else ""
+    alone: str  # its MJCF as one text that needs no other file; "" if there is none
 
 
 def load(name: str) -> Robot:
@@ -57,9 +58,9 @@ def load_xml(xml: Path) -> Robot:
 
 
 def load_text(text: str, name: str, source: Path) -> Robot:
-    """As `load`, of an MJCF that the file `source` carries; a ConfigError begins with its path.
+    """As `load`, for an MJCF that the file `source` contains; a ConfigError begins with its path.
 
-    It comes from anybody: it may name no other file, and is checked before MuJoCo sees it.
+    The text is untrusted: it may name no other file, and is checked before MuJoCo reads it.
     """
     with mjcf.one_line(source, "the robot that it carries: "):
         mjcf.check_alone(text)
@@ -89,10 +90,11 @@ def _robot(name: str, xml: Path, text: str, alone: str) -> Robot:
 
 
 def alone(xml: Path) -> str:
-    """A robot's MJCF as one text that needs no other file: the file's own, where it is that already.
+    """A robot's MJCF as one text that needs no other file.
 
-    Else with all that it includes, and without the looks: they may be meshes and pictures. The shapes
-    that touch are drawn instead. "" where that names files still (plugins, height fields) or is too long.
+    If the file names no other file, it is the file's own text. Else includes are merged and the
+    looks (meshes and textures) removed; collision shapes are drawn instead. "" if the result still
+    names files (plugins, height fields) or is too long.
     """
     with contextlib.suppress(ValueError):
         text = xml.read_bytes().decode()
@@ -115,7 +117,7 @@ def alone(xml: Path) -> str:
 
 
 def same(one: Robot, other: Robot) -> bool:
-    """Whether two robots move alike: the same but for looks, names, comments, and digits after the sixth."""
+    """Whether two robots move alike: equal to six digits, except for looks, names and comments."""
     if not one.alone or not other.alone:
         return False
     if one.alone == other.alone:
@@ -129,7 +131,7 @@ def same(one: Robot, other: Robot) -> bool:
 
 
 def _motion(model: mujoco.MjModel) -> dict[str, np.ndarray]:
-    """The arrays of a model, and its options, by which it moves."""
+    """The arrays and options of a model that decide how it moves."""
     names = [n for n in dir(model) if n.startswith(MOVES) and not n.endswith(LOOKS)]
     arrays = {name: np.asarray(getattr(model, name)) for name in names}
     options = {n: np.asarray(getattr(model.opt, n)) for n in dir(model.opt) if n[0] != "_"}
@@ -137,7 +139,7 @@ def _motion(model: mujoco.MjModel) -> dict[str, np.ndarray]:
 
 
 def physics_spec(xml: Path, text: str = "") -> mujoco.MjSpec:
-    """A robot's file, or its `text`, without what is only looks: geoms of group 2, materials, textures."""
+    """A robot's file, or its `text`, without looks: geoms of group 2, materials, textures."""
     spec = mujoco.MjSpec.from_string(text) if text else mujoco.MjSpec.from_file(str(xml))
     for geom in list(spec.geoms):
         geom.material = ""
@@ -151,8 +153,8 @@ def physics_spec(xml: Path, text: str = "") -> mujoco.MjSpec:
 def physics_model(robot: Robot, physics) -> mujoco.MjModel:
     """A copy of the robot's model with the solver and contacts of the config's group `physics`.
 
-    `contacts="feet"`: only the feet touch the floor. Enough wherever any other part at the ground
-    ends the episode, and fewer constraints. Cone, impratio and integrator are the file's.
+    `contacts="feet"`: only the feet touch the floor. That is enough if any other part at the ground
+    ends the episode, and needs fewer constraints. Cone, impratio and integrator are the file's.
     """
     return settle(copy.copy(robot.mj_model), physics, robot.parts)
 
@@ -168,7 +170,7 @@ def settle(model: mujoco.MjModel, physics, parts: np.ndarray) -> mujoco.MjModel:
 
 
 def digest(model: mujoco.MjModel) -> str:
-    """A name for all that a compiled model contains."""
+    """A hash of everything in a compiled model."""
     content = np.empty(mujoco.mj_sizeModel(model), np.uint8)
     mujoco.mj_saveModel(model, None, content)
     return hashlib.sha256(content.tobytes()).hexdigest()
@@ -177,7 +179,7 @@ def digest(model: mujoco.MjModel) -> str:
 def leg_chains(robot: Robot):
     """`(pos [F, 4, 3], axis [F, 3, 3])` of each leg: offsets hip, thigh, calf, foot; joint axes.
 
-    Used to place a reset robot with its feet above the floor without a physics call; needs the
+    A reset uses them to place the feet above the floor without a physics call. They need the
     contract's aligned frames (identity body quaternions).
     """
     m = robot.mj_model
@@ -208,8 +210,8 @@ def feet_in_base(legs, joints):
 def damping_rate(robot: Robot, kd: float, timestep: float) -> float:
     """`timestep kd lambda_max(M^-1)` over the joints, base free, in the default pose.
 
-    What explicit damping takes off a joint's speed in one physics step: beyond 1 it turns the
-    speed round (the joints chatter), beyond 2 it diverges.
+    The share of a joint's speed that explicit damping removes in one physics step: above 1 the
+    speed changes sign (joints chatter), above 2 it diverges.
     """
     model, data = robot.mj_model, mujoco.MjData(robot.mj_model)
     data.qpos[:] = robot.home_qpos

@@ -1,14 +1,15 @@
-"""MuJoCo Warp, called with only the eleven arrays of a robot that a physics step needs from outside.
+"""Calls MuJoCo Warp with only the eleven arrays of a robot that a physics step exchanges.
 
-Why past `mjx.step`: that takes and gives all 168 arrays of mjx.Data, which a step overwrites, so they
-are filled and copied for nothing. On an H100, 4096 Go1, that was 0.95 of a row's 4.40 ms, and still
-0.32 where they were filled once a control step (prototypes, experiments/03_speed). The kernels are
-MJX's own, and so is the way to call them: `wp.jax_callable`, captured as a CUDA graph for each set of
-addresses that JAX passes (`GraphMode.WARP`, MJX's default), of which the last 32 are kept.
+Why not `mjx.step`: it takes and returns all 168 arrays of mjx.Data. A step overwrites them, so they
+are filled and copied for nothing. With 4096 Go1 on an H100 that took 0.95 of a row's 4.40 ms, and
+still 0.32 when they were filled once per control step (prototypes, experiments/03_speed). The
+kernels are MJX's own, and so is the way to call them: `wp.jax_callable`, captured as a CUDA graph
+for each set of addresses that JAX passes (`GraphMode.WARP`, MJX's default); the last 32 graphs are
+kept.
 
-Warp keeps the other arrays itself, for each model one set for each number of robots that a program is
-traced with (while it is batched over seeds also for the robots of one seed), on each device of this
-process. They lie outside of what JAX takes of a GPU (program/memory.py) and stay while the process lives.
+Warp keeps the other arrays itself, on each device of this process: for each model, one set for each
+number of robots that a program is traced with (when batching over seeds, also for the robots of one
+seed). They are outside JAX's share of a GPU (program/memory.py) and stay until the process ends.
 Calls on one device share them; JAX runs a device's programs one after the other.
 """
 
@@ -25,14 +26,14 @@ from flax import struct
 
 from dynappo.physics import robot as robot_lib
 
-# of each model, because Warp keeps what `jax_callable` was given, arrays and all, while the process lives
+# one per model: Warp keeps what `jax_callable` was given, arrays included, until the process ends
 _TOGETHER: dict[tuple[str, int, int], Callable[..., list]] = {}
-STATE = 4  # arrays of a call that every robot has its own of: qpos, qvel, qacc_warmstart, ctrl
+STATE = 4  # a call's first arrays, which differ between robots: qpos, qvel, qacc_warmstart, ctrl
 
 
 @struct.dataclass
 class Moved:
-    """What is kept of a physics step, under the names of mjx.Data; geoms are where it began."""
+    """What is kept of a physics step, with mjx.Data's names; geoms are those at its start."""
 
     qpos: Any
     qvel: Any
@@ -44,8 +45,8 @@ class Moved:
 def make(mj_model, contacts: int, rows: int) -> tuple[Moved, Callable[..., Moved]]:
     """A template, and `step(mjx model, Moved, ctrl)` of one robot, for `jax.vmap`.
 
-    All robots share one contact buffer with `contacts` for each, every one has `rows` constraint rows:
-    as many as one robot can need, so that neither can overflow.
+    All robots share one contact buffer with room for `contacts` each, and each has `rows`
+    constraint rows: as many as one robot can need, so that neither can overflow.
     """
     zeros = {name: jnp.zeros(size) for name, size in _sizes(mj_model).items()}
     key = robot_lib.digest(mj_model), contacts, rows
@@ -79,16 +80,16 @@ def _of_many(mj_model, contacts: int, rows: int) -> Callable[..., list]:
     own: dict[tuple[str, int], tuple[Any, Any]] = {}
 
     def prepare(count: int) -> None:
-        """Arrays of `count` robots; here, because nothing can be allocated while a graph is captured."""
-        # the ordinal is what the callback is called with, in any of several processes
+        """Allocate arrays of `count` robots now: a graph that is captured cannot allocate."""
+        # the ordinal that the callback gets, in each of several processes
         places = [wp.get_cuda_device(d.local_hardware_id) for d in jax.local_devices() if gpu]
         for place in places or [wp.get_device("cpu")]:
             if (place.alias, count) in own:
                 continue
-            # the lock: Warp's device and stream are those of a call while another thread captures it
+            # the lock: while another thread captures a call, device and stream are that call's
             with ffi._FFI_CALLBACK_LOCK, wp.ScopedDevice(place):
                 model = mujoco_warp.put_model(mj_model)
-                model.opt.warn_overflow = 0  # it prints a line a world a step at the solver's limit
+                model.opt.warn_overflow = 0  # else a line per world and step at the solver's limit
                 data = mujoco_warp.make_data(
                     mj_model, nworld=count, naconmax=count * contacts, njmax=rows
                 )
@@ -133,7 +134,7 @@ def _of_many(mj_model, contacts: int, rows: int) -> Callable[..., list]:
 
 
 def _batched(step: Callable[..., list]) -> Callable[..., list]:
-    """`step` under `jax.vmap`: an axis that is added is one of more robots."""
+    """`step` under `jax.vmap`: a new axis means more robots."""
 
     @jax.custom_batching.custom_vmap
     def together(*args):

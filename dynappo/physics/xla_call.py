@@ -1,12 +1,13 @@
-"""A Python function as a custom call of compiled CPU programs, without anything of JAX inside the call.
+"""Lets compiled CPU programs call a Python function, without any JAX code inside the call.
 
-Why not `jax.pure_callback`: that puts its arguments back into JAX arrays, which on a machine with few
-cores can wait for the very thread that the call occupies, and JAX never keeps a program with such a call
-in its cache. Here XLA's C interface for foreign functions (jaxlib/include/xla/ffi/api/c_api.h, whose
-names these structures have) hands over where the arrays lie, and the program is cached as any other.
+Why not `jax.pure_callback`: it converts its arguments to JAX arrays, which on a machine with few
+cores can wait for the very thread that the call occupies; and JAX never caches a program with such
+a call. Here XLA's C interface for foreign functions (jaxlib/include/xla/ffi/api/c_api.h, whose
+names these structures have) passes the arrays' addresses, and the program is cached as any other.
 
-Call it with `has_side_effect=True`: JAX then waits for the program before Python ends. Otherwise one that
-still runs calls into a Python that is gone, and the process hangs or crashes.
+Call it with `has_side_effect=True`: JAX then waits for the program before Python ends. Otherwise a
+program that is still running would call into a Python that is gone, and the process hangs or
+crashes.
 """
 
 from __future__ import annotations
@@ -67,15 +68,16 @@ _KEPT: dict[str, object] = {}  # XLA has no way to forget a target
 
 
 def registered(name: str) -> bool:
-    """Whether there is a function of this name."""
+    """Whether a function of this name is registered."""
     return name in _KEPT
 
 
 def register(name: str, function: Callable[[list[np.ndarray], list[np.ndarray]], None]) -> None:
     """Let programs call `function(arguments, results)` as `jax.ffi.ffi_call(name, ...)`.
 
-    Both are float32 arrays that lie where XLA has them: results are to be filled, arguments not to be
-    changed. What it raises ends the program with a JaxRuntimeError. A name is registered once.
+    Both are lists of float32 arrays in XLA's own memory: fill the results, do not change the
+    arguments. An exception in it ends the program with a JaxRuntimeError. A name is registered only
+    once.
     """
     if name in _KEPT:
         return
@@ -83,7 +85,7 @@ def register(name: str, function: Callable[[list[np.ndarray], list[np.ndarray]],
     @_HANDLER
     def handler(frame):
         frame = frame.contents
-        if frame.extension_start:  # asked at registration for the version it was written for
+        if frame.extension_start:  # at registration XLA asks for the API version
             told = cast(frame.extension_start, POINTER(_Told)).contents
             if told.base.type == METADATA:
                 version = told.metadata.contents.version
@@ -91,7 +93,7 @@ def register(name: str, function: Callable[[list[np.ndarray], list[np.ndarray]],
                 return None
         try:
             function(_arrays(frame.args), _arrays(frame.rets))
-        except BaseException as error:  # nothing may be raised through C
+        except BaseException as error:  # an exception must not pass through C
             return _fail(frame, f"{type(error).__name__}: {error}")
         return None
 

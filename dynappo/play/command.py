@@ -84,7 +84,7 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
     flags = flags_lib.read(parser, argv)
     if not flags.what:
         raise ConfigError(
-            "nothing to play is named; try a workdir, as in: python -m dynappo.play runs/quick"
+            "nothing to play; name a workdir, as in: python -m dynappo.play runs/quick"
         )
     if flags.keep_joints and flags.robot_xml is None:
         raise ConfigError("--keep-joints needs --robot-xml=FILE")

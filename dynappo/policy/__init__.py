@@ -1,15 +1,15 @@
-"""A trained policy: its file, and an episode of it in C MuJoCo. Start at `policy_file.py`.
+"""Reads, checks and plays trained policies, without JAX. Start at `policy_file.py`.
 
-- `policy_file`: `policy.npz`
-- `source`: what a name, a workdir or a path means
-- `npz_file`: an npz file from anybody, read within bounds
-- `checks`: what a policy must be: types, ranges, shapes
-- `carried`: the robot that a policy carries with it, and the one of its name here
-- `choice`: the flags that say which policy and which robot
-- `checkpoint_file`: the arrays of a checkpoint, read without JAX
-- `episode`: a robot under a policy in C MuJoCo and NumPy
-- `render`: a film or a picture of an episode
-- `beside`: a small GIF of several episodes side by side
+- `policy_file`: reads and writes `policy.npz`
+- `source`: finds the policy that a name, a workdir or a path means
+- `npz_file`: reads an untrusted npz file within size limits
+- `checks`: checks a policy's types, ranges and shapes
+- `carried`: the robot stored with a policy, compared with the one in `robots/`
+- `choice`: the command-line flags that choose policy and robot
+- `checkpoint_file`: reads the arrays of a checkpoint
+- `episode`: runs a policy on a robot in C MuJoCo and NumPy
+- `render`: makes a film or a picture of an episode
+- `beside`: makes a small GIF of several episodes side by side
 
-Shared by the commands. Nothing here needs JAX. It imports `config`, `physics` and `task.observe`.
+The commands import it. It imports `config`, `physics` and `task.observe`.
 """

@@ -1,4 +1,4 @@
-"""A small GIF of several episodes: the robots walk side by side, before a camera that stands still.
+"""Makes a small GIF of several episodes: robots walk side by side, seen by a fixed camera.
 
     problem = beside.film(go1.xml, [first, second], Path("walks.gif"))
 
@@ -23,34 +23,35 @@ from dynappo.policy import render
 SIZE = 440, 184  # pixels
 COLOURS = 28
 LANE = 1.0  # m between two robots
-FIELD = 24.0  # degrees, the vertical field of view: a long lens, so that far robots are not small
+FIELD = 24.0  # degrees, vertical field of view: a long lens, so that distant robots are not small
 TILT = 17.0  # degrees, how far the camera looks down
-AROUND = 0.6  # m, on both sides of where the robots go
-HEIGHT = 0.25  # m, what the camera looks at
+AROUND = 0.6  # m, margin at both ends of the robots' paths
+HEIGHT = 0.25  # m, height at which the camera looks
 TINTS = (0.95, 0.50, 0.10), (0.20, 0.50, 0.95), (0.25, 0.70, 0.35)  # orange, blue, green
 STRENGTH = 0.55  # share of the tint in a colour
 
 
 def film(xml: Path, episodes: Sequence[dict], out: Path) -> str:
-    """Write a GIF of `episodes` to `out`; returns "" or one line that says why not, as `render.film`.
+    """Write a GIF of `episodes` to `out`. Returns "", or one line that says why not, as
+    `render.film`.
 
-    They are as `episode.play` returns them, all of the robot in `xml` and of one length. Episode 0 is
-    in front. The robots behind it are tinted: orange, blue, green. No arrows are drawn.
+    Episodes are as `episode.play` returns them, all of the robot in `xml` and equally long. Episode
+    0 is in front. The robots behind it are tinted: orange, blue, green. No arrows are drawn.
     """
     problem = render.film(*together(xml, episodes), out, size=SIZE)
     return problem or fewer_colours(out)
 
 
 def steady(*command: float) -> Callable[[float], np.ndarray]:
-    """`t -> command` for `episode.play`: always the same (vx, vy, yaw rate)."""
+    """`t -> command` for `episode.play`: a constant (vx, vy, yaw rate)."""
     return lambda t: np.array(command, float)
 
 
 def together(xml: Path, episodes: Sequence[dict]) -> tuple[Any, dict[str, np.ndarray]]:
-    """`(robots, episode)` of all `episodes`: what `render.film` asks of a robot, and the rows."""
+    """`(robots, episode)`, all `episodes` in one scene, as `render.film` takes them."""
     with mjcf.reading(xml):
         scene = mujoco.MjSpec.from_file(str(xml))
-        # MuJoCo does not copy what is attached: all specs live until the scene is written
+        # MuJoCo does not copy attached specs: keep all alive until the scene is written
         others = [_tinted(xml, TINTS[i % len(TINTS)]) for i in range(len(episodes) - 1)]
         for i, other in enumerate(others, 1):
             scene.worldbody.add_frame().attach_body(_base(other), f"robot{i}_", "")
@@ -67,13 +68,13 @@ def together(xml: Path, episodes: Sequence[dict]) -> tuple[Any, dict[str, np.nda
 
 
 def _base(spec):
-    """The body of the world that has a free joint."""
+    """The top-level body with a free joint."""
     free = mujoco.mjtJoint.mjJNT_FREE
     return next(b for b in spec.worldbody.bodies if any(j.type == free for j in b.joints))
 
 
 def _tinted(xml: Path, tint):
-    """The robot of a file in another colour, without what a scene needs only once."""
+    """The robot of a file in another colour, without lights, cameras and keyframes."""
     spec = mujoco.MjSpec.from_file(str(xml))
     for once in [*spec.lights, *spec.cameras, *spec.keys]:
         spec.delete(once)
@@ -83,14 +84,14 @@ def _tinted(xml: Path, tint):
 
 
 def _lane(i: int, episode) -> np.ndarray:
-    """What is added to `qpos` so that episode i starts at x = 0 in its lane."""
+    """The shift of `qpos` with which episode i starts at x = 0 in its lane."""
     shift = np.zeros(episode["qpos"].shape[1])
     shift[:2] = [0, i * LANE] - episode["qpos"][0, :2]
     return shift
 
 
 def _look(scene, places: np.ndarray) -> None:
-    """Add the camera `track`, which `render` takes: it sees all `places` `[n, 2]` from the side."""
+    """Add the camera `track`, which `render` uses: it sees all `places` `[n, 2]` from the side."""
     (left, front), (right, back) = places.min(0), places.max(0)
     down, up, near = np.radians(TILT), np.tan(np.radians(FIELD / 2)), (back - front) / 2
     wide = ((right - left) / 2 + AROUND) / (up * SIZE[0] / SIZE[1])
@@ -110,7 +111,7 @@ def _look(scene, places: np.ndarray) -> None:
 
 
 def fewer_colours(gif: Path) -> str:
-    """Write `gif` again with `COLOURS` colours, half of them for what moves; "" or what is missing."""
+    """Rewrite `gif` with `COLOURS` colours, half for moving pixels; "" or what is missing."""
     try:
         from PIL import Image, ImageSequence
     except ImportError:

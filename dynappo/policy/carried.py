@@ -1,7 +1,7 @@
-"""The robot of a policy: the one whose MJCF it carries, or the one of its name in a folder robots/.
+"""Chooses a policy's robot: the one stored in its file, or the one of that name in robots/.
 
-A checkpoint and a `policy.npz` carry their robot, so that they can be played anywhere. Where robots/ has
-one of the same name that differs, the policy's own is played, and a line says so.
+Checkpoints and `policy.npz` contain their robot's MJCF, so they can be played anywhere. If robots/
+has a different robot of the same name, the policy's own is used, and a line says so.
 """
 
 from __future__ import annotations
@@ -16,16 +16,18 @@ from dynappo.policy.policy_file import Policy
 
 
 def robot(policy: Policy) -> tuple[Robot, str]:
-    """`(robot, note)`: the policy's robot, and a line where the one of its name here is another, or "".
+    """`(robot, note)`: the policy's robot; `note` says if robots/ has a different one, else it is
+    "".
 
-    Where both are the same it is the one here: its file may have looks that cannot be carried.
+    If both are the same, the one in robots/ is returned: its file may have meshes and textures,
+    which a policy cannot contain.
     """
     if not policy.mjcf:
         return robot_lib.load(policy.robot), ""
     own = robot_lib.load_text(policy.mjcf, policy.robot, Path(f"{policy.robot}.xml"))
     try:
         here = robot_lib.load(policy.robot)
-    except ConfigError:  # there is none, or none that can be used
+    except ConfigError:  # there is none, or it cannot be used
         return own, ""
     if robot_lib.same(own, here):
         return here, ""
@@ -36,9 +38,10 @@ def robot(policy: Policy) -> tuple[Robot, str]:
 
 
 def check_same(workdir: Path, about: dict[str, Any], name: str) -> None:
-    """ConfigError if robots/NAME is another robot than the one that the run in `workdir` trains.
+    """ConfigError if robots/NAME is a different robot from the one that the run in `workdir`
+    trains.
 
-    `about` is of its newest checkpoint; one from before robots were carried says nothing.
+    `about` is that of its newest checkpoint. Old checkpoints that store no robot are not checked.
     """
     text = about.get("mjcf", "")
     if not isinstance(text, str) or not text:

@@ -1,8 +1,9 @@
-"""The arrays of a checkpoint, read without JAX: its hash is checked, and nothing in the folder is changed.
+"""Reads a checkpoint's arrays without JAX. It checks the hash and changes nothing in the folder.
 
-With tensorstore, because orbax would import JAX, and JAX would take a GPU that trains. Python reads the
-files, and tensorstore only what is then in memory. So the two ways to fail are never confused: what the
-machine cannot give now is an OSError or a MemoryError, and what it gave but cannot be right is `Damaged`.
+It uses tensorstore, because orbax would import JAX, and JAX would occupy a GPU that is training.
+Python reads the files, and tensorstore decodes them in memory. This keeps two kinds of failure
+apart: if the machine cannot read a file now, that is an OSError or a MemoryError; if the contents
+are wrong, that is `Damaged`.
 """
 
 from __future__ import annotations
@@ -18,16 +19,16 @@ import numpy as np
 
 from dynappo.config import ConfigError
 
-STATE = "state"  # where a checkpoint has its arrays
-JSON = 2**24  # bytes of a text, at most
-SQUEEZED = 100  # times, at most, that arrays are larger than the files that hold them
+STATE = "state"  # the folder of a checkpoint's arrays
+JSON = 2**24  # bytes of a JSON file, at most
+SQUEEZED = 100  # arrays are at most so many times larger than their compressed files
 ROOM = 2**26  # bytes of a checkpoint's files beside those of its arrays, at most
-LOST = (FileNotFoundError, NotADirectoryError, IsADirectoryError)  # they will not come back
-MEMORY = 2**36  # bytes, taken for that of a machine that does not tell
+LOST = (FileNotFoundError, NotADirectoryError, IsADirectoryError)  # trying again does not help
+MEMORY = 2**36  # bytes, assumed if the system does not tell its memory
 
 
 class Damaged(ConfigError):
-    """A checkpoint without what belongs to it, or whose numbers are not those that were saved."""
+    """A checkpoint with missing parts, or with numbers other than those saved."""
 
     def __init__(self, folder: Path, reason: str):
         super().__init__(f"{folder}: not a checkpoint, or damaged ({reason})")
@@ -35,7 +36,7 @@ class Damaged(ConfigError):
 
 
 def about(folder: Path) -> dict:
-    """What was saved beside the arrays: iteration, config, the shape of every array, a hash of all."""
+    """The metadata saved with the arrays: iteration, config, every array's shape, a hash of all."""
     found = read_json(folder, "about/metadata")
     if folder.name.isdecimal() and found.get("iteration", int(folder.name)) != int(folder.name):
         raise Damaged(folder, f"it says that it is of iteration {found['iteration']}")
@@ -61,9 +62,9 @@ def read_json(folder: Path, name: str) -> dict:
 
 
 def read(folder: Path) -> dict[str, np.ndarray]:
-    """All arrays of an orbax checkpoint by name, as `learner.params.std`; nothing there is changed.
+    """All arrays of an orbax checkpoint by name, like `learner.params.std`; changes nothing there.
 
-    They are some MB, and all are read because the hash that was saved with them is one of all.
+    All are read, some MB, because the saved hash is over all of them.
     """
     import tensorstore
 
@@ -87,7 +88,7 @@ def read(folder: Path) -> dict[str, np.ndarray]:
             found.update(arrays[name.replace("/", ".")].tobytes())
         if found.hexdigest() != expected["sha256"]:
             raise ValueError("its numbers are not those that were saved")
-    except (MemoryError, ConfigError):  # too large for this machine: no damage
+    except (MemoryError, ConfigError):  # too large for this machine, but not damaged
         raise
     except Exception as error:  # tensorstore raises ValueError, KeyError and others of its own
         raise Damaged(folder, _reason(error)) from None
@@ -95,12 +96,12 @@ def read(folder: Path) -> dict[str, np.ndarray]:
 
 
 def _files(folder: Path, arrays: dict[str, str]) -> dict[str, bytes]:
-    """The bytes of every file of the `arrays`, by its path; compressed, they are no more than these."""
+    """The bytes of every file of the `arrays`, by path; their size is limited by the arrays'."""
     state = folder / STATE
     sizes = (re.findall(r"\d{1,18}", str(text).rpartition("[")[2])[:8] for text in arrays.values())
     most = 8 * sum(math.prod(map(int, size)) for size in sizes) + ROOM
     try:
-        walk = os.walk(state, onerror=_raise)  # rglob would leave out what it may not read
+        walk = os.walk(state, onerror=_raise)  # rglob would skip what it may not read
         paths = [Path(where) / name for where, _, names in walk for name in names]
         if not all(path.is_file() for path in paths):  # a pipe, a device, a link to nothing
             raise Damaged(folder, "it holds something that is not a file")
@@ -122,11 +123,12 @@ def _raise(error: OSError):
 
 
 def _check_sizes(folder: Path, stored: dict, expected: dict[str, str], most: int) -> None:
-    """Of arrays not read yet, by what they say of themselves: terabytes would end the process.
+    """Check the sizes that arrays claim before reading them: terabytes would kill the process.
 
-    A piece that is not stored is zero, so that a small file can claim much: `most` bytes are believed.
+    Chunks that are not stored are zero, so a small file can claim large arrays; at most `most`
+    bytes are accepted.
 
-    ValueError where one is not what `about` says; ConfigError where all do not fit into memory.
+    ValueError if an array is not what `about` says; ConfigError if all do not fit into memory.
     """
     total = 0
     for name, array in stored.items():
@@ -141,7 +143,7 @@ def _check_sizes(folder: Path, stored: dict, expected: dict[str, str], most: int
             raise ValueError(f"{name} is {found}, its `about` says {known}")
     try:
         memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    except (AttributeError, ValueError, OSError):  # not every system tells
+    except (AttributeError, ValueError, OSError):  # not every system tells its memory
         memory = MEMORY
     if most < total <= memory:
         raise ValueError(f"its arrays are {total / 1e6:.0f} MB, too much for its files")
@@ -152,7 +154,7 @@ def _check_sizes(folder: Path, stored: dict, expected: dict[str, str], most: int
 
 
 def _wrong(folder: Path, error: Exception) -> ConfigError:
-    """Damage, unless the whole folder has gone."""
+    """`Damaged`, unless the whole folder is gone."""
     if folder.exists():
         return Damaged(folder, _reason(error))
     return ConfigError(f"{folder}: no such checkpoint; a run keeps its newest ones and the best")
@@ -163,6 +165,6 @@ def _reason(error: Exception) -> str:
 
 
 def iterations(folder: Path) -> list[int]:
-    """Iterations of the checkpoints in `folder` that are complete, newest first."""
+    """Iterations of the complete checkpoints in `folder`, newest first."""
     names = (path.name for path in folder.glob("[0-9]*") if path.is_dir())
     return sorted((int(name) for name in names if name.isdecimal()), reverse=True)

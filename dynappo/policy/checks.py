@@ -1,6 +1,7 @@
-"""What a policy must be, whoever wrote it: types, ranges that make sense for a walking robot, shapes.
+"""Checks a policy from an untrusted file: types, ranges that make sense for a walking robot,
+shapes.
 
-Ranges are generous: what lies outside of them is a mistake, or meant to harm.
+Ranges are generous: a value outside is a mistake, or meant to harm.
 """
 
 from __future__ import annotations
@@ -23,20 +24,20 @@ NUMBERS = {
     "velocity_limit": (1e-6, 1e9, "rad/s"),
     "timestep": (1e-5, 0.1, "s"),
 }
-LISTS = {  # one number a joint
+LISTS = {  # one number per joint
     "default_pose": (-100, 100, "rad"),
     "joint_damping": (0, 1e4, "N m s/rad"),
     "joint_friction": (0, 1e4, "N m"),
 }
 COMMANDS = {"command_x": "m/s", "command_y": "m/s", "command_yaw": "rad/s"}
-FASTEST = 100  # m/s or rad/s that can be asked for
-WIDEST = 10_000  # units of a layer: more would take minutes a second
-HISTORY = 100  # readings that a policy sees, at most
-SUBSTEPS, PERIOD = 1000, 1.0  # physics steps between two actions, and their time (s), at most
+FASTEST = 100  # m/s or rad/s, of a command
+WIDEST = 10_000  # units of a layer: with more, a second of an episode takes minutes
+HISTORY = 100  # at most: readings that a policy sees
+SUBSTEPS, PERIOD = 1000, 1.0  # at most: physics steps between two actions, and their time (s)
 
 
 def check(fields: dict[str, Any]) -> None:
-    """ValueError if a field of a `Policy` but `params` has another type or lies outside of its range."""
+    """ValueError if a field of a `Policy`, except `params`, has a wrong type or is out of range."""
     names = _row(fields["joint_names"])
     for name in (fields["robot"], *names):
         plain = isinstance(name, str) and 0 < len(name) <= NAME and name.isprintable()
@@ -81,7 +82,7 @@ def _expect(ok, text: str) -> None:
 
 
 def _row(value) -> list:
-    """A list of JSON, or what has become of it."""
+    """A list from JSON, or the array or tuple made from it, as a list."""
     found = value.tolist() if isinstance(value, np.ndarray) else value
     if not isinstance(found, list | tuple):
         raise ValueError(f"{reprlib.repr(found)} is there where a list belongs")
@@ -94,7 +95,7 @@ def _expect_number(name: str, value, low: float, high: float, unit: str) -> None
 
 
 def _check_config(fields: dict[str, Any]) -> None:
-    """The config that it was trained with: finite, and the same where `about` says it too."""
+    """The training config must be finite, and agree with fields that `about` has too."""
     config = fields["config"]
     todo = [("config", config)]
     while todo:  # no recursion: JSON may be deep
@@ -126,8 +127,10 @@ def _check_config(fields: dict[str, Any]) -> None:
 
 
 def check_params(params: dict, inputs: int, joints: int) -> None:
-    """ValueError unless these are the networks of a policy of `joints` joints that sees `inputs` numbers,
-    all finite. What its value function sees is its own (ppo.critic)."""
+    """ValueError unless these are a policy's networks for `inputs` numbers and `joints` joints, all finite.
+
+    The value function may see other numbers (ppo.critic).
+    """
     for name, value in leaves(params):
         _expect(value.dtype.kind == "f", f"{name} holds {value.dtype}, expected real numbers")
         _expect(np.isfinite(value).all(), f"{name} is not finite: training had blown up")
@@ -140,7 +143,7 @@ def check_params(params: dict, inputs: int, joints: int) -> None:
 
 
 def leaves(tree: dict, prefix: str = ""):
-    """`(name, array)` of every array of nested parameters, by its path: `actor/params/Dense_0/bias`."""
+    """`(name, array)` of all arrays of nested parameters; names like `actor/params/Dense_0/bias`."""
     for name, value in tree.items():
         if isinstance(value, dict):
             yield from leaves(value, f"{prefix}{name}/")
@@ -149,7 +152,7 @@ def leaves(tree: dict, prefix: str = ""):
 
 
 def _check_layers(network: str, tree, inputs: int | None, outputs: int) -> None:
-    """Layer after layer: each takes what the one before gives."""
+    """ValueError unless each layer's inputs are the outputs of the layer before."""
     named = f"{'an' if network == 'actor' else 'a'} {network}"
     rule = f"not the layers of {named} of {inputs or 'some'} observations ({network}/params/Dense_0/...)"
     layers = tree.get("params", {}) if isinstance(tree, dict) else {}

@@ -1,4 +1,4 @@
-"""Which policy, and in which robot: the flags that `play`, `evaluate` and `export` share."""
+"""The flags that choose policy and robot, shared by `play`, `evaluate` and `export`."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ WHAT = "workdir, checkpoint, policy.npz or robot"
 
 
 def add_flags(parser: argparse.ArgumentParser) -> None:
-    """The name of a policy, `--run-seed` and `--robot-xml`."""
+    """Add the policy's name, `--run-seed` and `--robot-xml`."""
     parser.add_argument("what", nargs="?", metavar="NAME_OR_DIR", help=WHAT)
     parser.add_argument(
         "--run-seed",
@@ -32,7 +32,7 @@ def add_flags(parser: argparse.ArgumentParser) -> None:
 
 
 def check(flags: argparse.Namespace) -> None:
-    """`flags.run_seed` as a number, None for the best; ConfigError where it is none."""
+    """Make `flags.run_seed` a number, or None for the best; ConfigError if it is neither."""
     if flags.run_seed == "best":
         flags.run_seed = None
         return
@@ -43,7 +43,7 @@ def check(flags: argparse.Namespace) -> None:
 
 
 def find(flags: argparse.Namespace) -> tuple[Policy, Path, str]:
-    """`(policy, path, text)` of the flags; `text` names the file and the seed for a person."""
+    """`(policy, path, text)` of the flags; `text` names the file and the seed, for printing."""
     policy, path = source.find(flags.what, flags.run_seed)
     text = "/".join(path.resolve().parts[-2:])
     run = policy.config.get("run", {})
@@ -54,7 +54,7 @@ def find(flags: argparse.Namespace) -> tuple[Policy, Path, str]:
 
 
 def robot(policy: Policy, xml: str | None) -> tuple[robot_lib.Robot, str]:
-    """`(robot, note)`: the policy's robot, or the one of `--robot-xml`, which keeps the contract then."""
+    """`(robot, note)`: the policy's robot, or `--robot-xml`, which must keep the contract."""
     if xml is None:
         return carried.robot(policy)
     return _of_flag(xml, lambda path: robot_lib.load_xml(path)._replace(name=policy.robot)), ""
@@ -63,7 +63,7 @@ def robot(policy: Policy, xml: str | None) -> tuple[robot_lib.Robot, str]:
 def body(
     policy: Policy, xml: str | None, keep_joints: bool = False
 ) -> tuple[episode_lib.Body, str]:
-    """`(body, note)` in C MuJoCo, as `robot`; the file of `--robot-xml` needs no more than its joints."""
+    """`(body, note)` in C MuJoCo, as `robot`; here `--robot-xml` needs only the policy's joints."""
     if xml is None:
         own, note = carried.robot(policy)
         return episode_lib.load(own.xml, policy, policy.timestep, text=own.text), note
@@ -71,10 +71,10 @@ def body(
 
 
 def _of_flag(xml: str, load):
-    """`load(path)` of `--robot-xml`; the line of an error names the flag."""
+    """`load(path)` of `--robot-xml`; errors name the flag."""
     if not os.path.isfile(xml):
         raise ConfigError(f"--robot-xml={xml}: no such file")
     try:
         return load(Path(xml))
-    except ConfigError as error:  # begins with the path
+    except ConfigError as error:  # its text begins with the path
         raise ConfigError(f"--robot-xml={error}") from None

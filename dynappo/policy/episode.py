@@ -1,12 +1,12 @@
-"""An episode of a policy on C MuJoCo, in NumPy: in the robot's own file or in another (sim-to-sim).
+"""Plays a policy in C MuJoCo and NumPy, in its robot's own file or in another MJCF (sim-to-sim).
 
-What another MJCF must have: the policy's twelve hinge joints by name, in any order and with anything
-else between; the base as a body with a free joint above them, x ahead and z up; something to stand
-on in the world body. Everything else is as that file says: masses, contacts, armature, time step.
+Another MJCF must have the policy's twelve hinge joints by name, in any order and with other joints
+in between; above them the base, a body with a free joint, x ahead and z up; and something to stand
+on in the world body. Everything else is as in that file: masses, contacts, armature, time step.
 
-Only its actuators are replaced: they are switched off, and the policy's own motor model acts on the
-joints: PD and limits (`physics/actuators.py`), joint damping and friction. Why the last two: in a file made
-for position servos (MuJoCo Menagerie's Go1: kp 100, damping 2) they are those of the servo.
+Only the actuators are replaced: the file's are switched off, and the policy's own motor model
+drives the joints: PD and limits (`physics/actuators.py`), joint damping and friction. Why the last
+two: in a file for position servos (MuJoCo Menagerie's Go1: kp 100, damping 2) they are the servo's.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ from dynappo.task import observe
 
 SETTLE = 1.0  # s, left out of the tracking error, as in dynappo/evaluation.py
 UNEVEN = 0.02  # rad, about a degree
-STRIDE = 0.5  # s between the points of the path walked, so that sway is no distance
-TOUR = (  # shown where no command is given: (share of the time, (vx, vy, yaw rate))
+STRIDE = 0.5  # s between points of the path walked, so that swaying adds no distance
+TOUR = (  # the commands if none is given: (share of the time, (vx, vy, yaw rate))
     (0.3, (0.8, 0.0, 0.0)),
     (0.2, (0.6, 0.0, 0.8)),
     (0.2, (0.0, 0.5, 0.0)),
@@ -39,13 +39,13 @@ class Body(NamedTuple):
     """A robot in a compiled model; arrays of `A` joints are in the policy's order."""
 
     xml: Path
-    text: str  # the MJCF where `xml` only carries it; else ""
+    text: str  # the MJCF, if `xml` is a file that contains it; else ""
     model: mujoco.MjModel
     policy: Policy
     base_body: int
-    root: tuple[int, int]  # of the free joint, in qpos and in qvel
-    joint_q: np.ndarray  # [A] in qpos
-    joint_v: np.ndarray  # [A] in qvel
+    root: tuple[int, int]  # where the free joint starts in qpos and in qvel
+    joint_q: np.ndarray  # [A] indices in qpos
+    joint_v: np.ndarray  # [A] indices in qvel
     ground: np.ndarray  # [ngeom] bool: fixed to the world
     parts: np.ndarray  # [ngeom] bool: of the robot, and not a foot
     substeps: int
@@ -58,12 +58,11 @@ def load(
     keep_joints: bool = False,
     text: str = "",
 ) -> Body:
-    """The robot of `xml` under `policy`; `timestep` (s) replaces that of the file.
+    """The robot of `xml`, driven by `policy`; `timestep` (s) replaces that of the file.
 
-    With a `text`, that is the MJCF, and `xml` what carries it. A file's own time step is stretched to
-    the next that divides the time between two actions.
-    `keep_joints`: joint damping and friction stay those of the file.
-    ConfigError if the file lacks what the module's docstring asks for.
+    If `text` is given, it is the MJCF, and `xml` the file that contains it. Without `timestep`, the
+    file's own is changed to the nearest that divides the time between two actions. `keep_joints`:
+    keep the file's joint damping and friction. ConfigError if the file breaks the rules above.
     """
 
     def expect(ok, text):
@@ -94,7 +93,7 @@ def load(
     model.opt.timestep = between / substeps
     model.opt.iterations = max(model.opt.iterations, 100)  # solved until it has converged
     model.opt.ls_iterations = max(model.opt.ls_iterations, 50)
-    # actuators: ours act instead; autoreset: a blow-up is reported, not hidden
+    # no actuators: ours act instead; no autoreset: a blow-up is reported, not hidden
     flags = mujoco.mjtDisableBit
     model.opt.disableflags |= int(flags.mjDSBL_ACTUATION) | int(flags.mjDSBL_AUTORESET)
     return Body(
@@ -113,10 +112,10 @@ def load(
 
 
 def _roles(model, joints, base):
-    """`(ground, parts, robot)`, bool of every geom.
+    """`(ground, parts, robot)`, a bool for every geom.
 
-    The feet are the geoms named `LEG_foot`; in a file that names none so, all geoms of the bodies
-    that the last joints of the legs carry.
+    The feet are the geoms named `LEG_foot`. In a file without such names they are all geoms of the
+    bodies that the last joints of the legs move.
     """
     body = model.geom_bodyid
     ground = model.body_weldid[body] == 0
@@ -131,29 +130,30 @@ def _roles(model, joints, base):
 
 
 def _above(model, body):
-    """The bodies above `body`, without the world."""
+    """The ancestors of `body`, without the world."""
     while (body := int(model.body_parentid[body])) > 0:
         yield body
 
 
 def coordinates(body: Body, data) -> tuple[np.ndarray, np.ndarray]:
-    """`(qpos [7 + A], qvel [6 + A])` as `task/observe.py` reads them: the base, then the policy's joints."""
+    """`(qpos [7 + A], qvel [6 + A])` as in `task/observe.py`: base, then the policy's joints."""
     q, v = body.root
     qpos = np.concatenate([data.qpos[q : q + 7], data.qpos[body.joint_q]])
     return qpos, np.concatenate([data.qvel[v : v + 6], data.qvel[body.joint_v]])
 
 
 def reset(body: Body, data) -> None:
-    """Stand `data` upright in the default pose, its lowest point on the floor (z = 0).
+    """Put the robot upright in the default pose, its lowest point on the floor (z = 0).
 
-    Each joint is off by up to `UNEVEN`, always by the same: a policy that treats left and right alike can
-    take its first step only from a pose that does not. No real robot stands exactly even.
+    Each joint is off by up to `UNEVEN`, always by the same amount: a policy that treats left and
+    right alike cannot take a first step from an exactly symmetric pose. No real robot stands in
+    one.
     """
     mujoco.mj_resetData(body.model, data)
     q = body.root[0]
     data.qpos[q + 3 : q + 7] = [1, 0, 0, 0]
     off = np.random.default_rng(0).uniform(-UNEVEN, UNEVEN, len(body.joint_q))
-    off = off[np.argsort(np.argsort(body.policy.joint_names))]  # in any order of the joints
+    off = off[np.argsort(np.argsort(body.policy.joint_names))]  # the same in any joint order
     data.qpos[body.joint_q] = body.policy.default_pose + off
     mujoco.mj_kinematics(body.model, data)
     data.qpos[q + 2] -= _lowest(body, data)
@@ -161,7 +161,7 @@ def reset(body: Body, data) -> None:
 
 
 def _lowest(body: Body, data) -> float:
-    """Height (m) of the lowest point of the robot's geoms that can touch something."""
+    """Height (m) of the lowest point of the robot's geoms that can collide."""
     m = body.model
     touches = (m.geom_contype > 0) | (m.geom_conaffinity > 0)
     ids = np.flatnonzero((m.body_rootid[m.geom_bodyid] == body.base_body) & touches)
@@ -173,7 +173,7 @@ def _lowest(body: Body, data) -> float:
     fixed, linear, ring = contacts.floor_distance(m, ids)
     reach = fixed + (linear * np.abs(down)).sum(-1)
     reach += ring * np.sqrt(np.clip(1 - down[:, 2] ** 2, 0, None))
-    centre, half = m.geom_aabb[ids, :3], m.geom_aabb[ids, 3:]  # of meshes and the rest: their box
+    centre, half = m.geom_aabb[ids, :3], m.geom_aabb[ids, 3:]  # meshes and others: bounding boxes
     around = (half * np.abs(down)).sum(-1) - (centre * down).sum(-1)
     return float((data.geom_xpos[ids, 2] - np.where(exact, reach, around)).min())
 
@@ -192,10 +192,10 @@ def memory(policy: Policy):
 
 
 def step(body: Body, data, action) -> tuple[float, bool]:
-    """One control step of `action` in `data`; `(work, fell)`.
+    """One control step with `action` in `data`; returns `(work, fell)`.
 
-    `work` (J) is the integral of the sum over joints of |torque x speed|; `fell`: a part that is not
-    a foot has touched the ground.
+    `work` (J) is the time integral of the sum over joints of |torque x speed|; `fell`: a part other
+    than a foot touched the ground.
     """
     p, model = body.policy, body.model
     target = actuators.target(action, p.default_pose, p.action_scale)
@@ -219,14 +219,13 @@ def step(body: Body, data, action) -> tuple[float, bool]:
 
 
 def rows(body: Body, data, act: Callable, command: Callable):
-    """Stand the robot in `data` and yield a row after every control step, without end.
+    """Reset the robot in `data` and yield a row after every control step, for ever.
 
-    A row: `qpos [nq]` of the file's own model; `command` and `velocity [3]` (vx, vy, yaw rate in the
-    base frame; m/s, rad/s); `work` (J) and `fell` as of `step`. `act(obs)` is the policy, `command(t)`
-    what it is asked for. Raises FloatingPointError if the physics blows up,
-    ConfigError if MuJoCo cannot compute it.
+    A row has `qpos [nq]` of the file's own model; `command` and `velocity [3]` (vx, vy, yaw rate in
+    the base frame; m/s, rad/s); `work` (J) and `fell` as in `step`. `act(obs)` is the policy,
+    `command(t)` its command. FloatingPointError if physics blows up, ConfigError if MuJoCo fails.
     """
-    # MuJoCo would write its warnings into a file of the working directory; what matters is raised
+    # MuJoCo would write warnings to a file in the working directory; what matters is raised
     mujoco.set_mju_user_warning(lambda message: None)
     with mjcf.one_line(body.xml):
         reset(body, data)
@@ -235,7 +234,7 @@ def rows(body: Body, data, act: Callable, command: Callable):
     for k in itertools.count():
         asked = np.asarray(command(k * dt), float)
         action = act(see(look(body, data, asked, action)))
-        with mjcf.one_line(body.xml):  # what does not fit into MuJoCo's memory
+        with mjcf.one_line(body.xml):  # MuJoCo may run out of memory
             work, fell = step(body, data, action)
         if not (np.isfinite(data.qpos).all() and np.isfinite(data.qvel).all()):
             raise FloatingPointError(
@@ -254,7 +253,7 @@ def period(body: Body) -> float:
 
 
 def stack(body: Body, some: Iterable[dict]) -> dict[str, np.ndarray]:
-    """An episode of `rows`: the same names, stacked to `[T, ...]`, and `dt` (s) between rows."""
+    """An episode from `rows`: the same names, stacked to `[T, ...]`, and `dt` (s) between rows."""
     some = list(some)
     columns = {name: np.stack([row[name] for row in some]) for name in some[0]}
     return columns | {"dt": np.array(period(body))}
@@ -268,11 +267,11 @@ def play(body: Body, act: Callable, command: Callable, seconds: float) -> dict[s
 
 
 def measures(body: Body, episode: dict[str, np.ndarray]) -> dict[str, float | None]:
-    """What an episode came to; None where it cannot be said.
+    """Measures of an episode; None if one cannot be computed.
 
     `seconds`; `distance` (m), along points 0.5 s apart; `tracking_error` (m/s) and `yaw_error`
-    (rad/s), root mean squares after the first second and before a fall; `fall` (s), when the robot
-    fell; `cost_of_transport`, work / (weight x distance).
+    (rad/s), root mean squares after the first second and before a fall; `fall`, the time (s) of a
+    fall; `cost_of_transport`, work / (weight x distance).
     """
     dt, count = float(episode["dt"]), len(episode["qpos"])
     q = body.root[0]

@@ -1,7 +1,7 @@
-"""Arrays in an npz file from anybody, read within bounds.
+"""Reads the arrays of an untrusted npz file safely.
 
-What the file says of itself is checked before anything is allocated: kind and size of every entry, type
-and shape of every array. No code can run from it (`allow_pickle=False`).
+The file's claims are checked before memory is allocated: kind and size of every entry, type and
+shape of every array. The file cannot run code (`allow_pickle=False`).
 """
 
 from __future__ import annotations
@@ -20,21 +20,21 @@ from numpy.lib import format as npy
 from dynappo.config import ConfigError
 
 MAX_BYTES = 2**27  # of all arrays together; a policy has less than 1 MiB
-MAX_TEXT = 2**22  # bytes of `about`, four a character
+MAX_TEXT = 2**22  # bytes of `about`, four per character
 MAX_NAME = 100  # characters
-MAX_TABLE = 2**18  # bytes of the list of entries at the end of a zip file, about 50 an entry
+MAX_TABLE = 2**18  # bytes of the list of entries at the end of a zip file, about 50 per entry
 END = struct.Struct(
     "<4s4H2LH"
-)  # what a zip file ends with; the sixth number is the size of its list
-BIG_END = b"PK\6\7"  # before it in a zip file of more than 4 GiB or 65,535 entries
+)  # the end record of a zip file; the sixth number is the size of the list of entries
+BIG_END = b"PK\6\7"  # comes before it in a zip file of more than 4 GiB or 65,535 entries
 DAMAGE = (ValueError, EOFError, KeyError, RuntimeError, MemoryError)  # NumPy's and the parser's too
 DAMAGE += (zipfile.BadZipFile, zlib.error, struct.error, SyntaxError, tokenize.TokenError)
 
 
 def read(path: Path) -> dict[str, np.ndarray]:
-    """All arrays of an npz file by name: `about` a text, all others real numbers.
+    """All arrays of an npz file by name: `about` is a text, all others hold real numbers.
 
-    A ConfigError of one line names the file and the entry that is not as it should be.
+    A one-line ConfigError names the file and the entry that is wrong.
     """
     try:
         with Path(path).open("rb") as file:
@@ -57,7 +57,7 @@ def _name(entry: zipfile.ZipInfo) -> str:
 
 
 def _check_end(path: Path, file) -> None:
-    """ConfigError unless it ends as NumPy ends an npz; a list of a million entries would take seconds."""
+    """ConfigError unless it ends like NumPy's files; a list of a million entries takes seconds."""
     size = file.seek(0, 2)
     file.seek(max(0, size - END.size - 20))
     last = file.read()
@@ -72,7 +72,7 @@ def _check_end(path: Path, file) -> None:
 
 
 def _check_entries(path: Path, entries: list[zipfile.ZipInfo]) -> None:
-    """ConfigError where one is packed in a way that NumPy does not, is there twice, or all are too large."""
+    """ConfigError for entries that are packed as NumPy never does, duplicate or too large."""
     seen, total = set(), 0
     for entry in entries:
         name, how = _name(entry), entry.compress_type
@@ -94,7 +94,7 @@ def _check_entries(path: Path, entries: list[zipfile.ZipInfo]) -> None:
 
 
 def _array(path: Path, archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> np.ndarray:
-    """One array; ConfigError if its header does not fit the bytes that are there."""
+    """One array; ConfigError if its header does not match the number of bytes."""
     name = _name(entry)
 
     def expect(ok, text):
@@ -126,7 +126,7 @@ def _array(path: Path, archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> np.n
 
 
 def nested(arrays: dict[str, np.ndarray]) -> dict:
-    """`{"actor/params": x}` as `{"actor": {"params": x}}`; ValueError if one cannot be placed."""
+    """`{"actor/params": x}` as `{"actor": {"params": x}}`; ValueError if a name does not fit."""
     tree: dict = {}
     for name, value in arrays.items():
         *groups, leaf = name.split("/")

@@ -1,10 +1,12 @@
-"""A trained policy as one file that can be shared: `policy.npz`.
+"""Reads and writes `policy.npz`, a trained policy in one file that can be shared. NumPy only.
 
-Parameters under names like `actor/params/Dense_0/kernel`, and one JSON text, `about`, with all that
-turns them into torques: robot, joints in the policy's order, default pose, gains, motor limits,
-times, the ranges of its commands, the config it was trained with, and the robot's MJCF. NumPy only.
+The file has parameters with names like `actor/params/Dense_0/kernel`, and one JSON text, `about`,
+with everything needed to compute torques: robot, joints in the policy's order, default pose, gains,
+motor limits, times, the ranges of its commands, the config it was trained with, and the robot's
+MJCF.
 
-A checkpoint is read in the same way, with the config that is saved in it (checkpoint_file.py).
+`load_checkpoint` reads the policy of a checkpoint, with the config saved in it
+(checkpoint_file.py).
 """
 
 from __future__ import annotations
@@ -23,7 +25,7 @@ from dynappo.physics import robot as robot_lib
 from dynappo.policy import checkpoint_file, checks, npz_file
 from dynappo.task import observe
 
-FORMAT = 2  # of `about`; 1 is without the MJCF, and its robot is found by name
+FORMAT = 2  # of `about`; 1 has no MJCF, and its robot is found by name
 READ = (1, 2)
 MAX_MEAN = 10.0  # of the mean action (learner/networks.py)
 ACTIVATIONS = {
@@ -34,11 +36,11 @@ ACTIVATIONS = {
 }
 TASK = (
     "action_scale kp kd effort_limit saturation_effort velocity_limit command_x command_y command_yaw"
-).split()  # fields of the config's group `task` that a policy cannot be played without
+).split()  # fields of the config's group `task` that are needed to play a policy
 
 
 class Policy(NamedTuple):
-    """What `about` holds, and `params`; `A` joints."""
+    """The contents of `about`, and `params`; `A` joints."""
 
     robot: str
     observation: str
@@ -61,10 +63,10 @@ class Policy(NamedTuple):
     joint_damping: tuple[float, ...] = ()  # [A] N m s/rad, in the MJCF; empty: not known
     joint_friction: tuple[float, ...] = ()  # [A] N m
     mjcf: str = (
-        ""  # the robot's, without other files; empty: its robot is found by name (carried.py)
+        ""  # the robot's, needs no other file; empty: the robot is found by name (carried.py)
     )
     history: int = 1  # readings that it sees, the newest first
-    seed: int | None = None  # its number in a run of several seeds, from 0; None: not known
+    seed: int | None = None  # its number in a run of several seeds, from 0; None: unknown
 
 
 def describe(config, robot: robot_lib.Robot, params: dict | None = None) -> Policy:
@@ -93,7 +95,7 @@ def describe(config, robot: robot_lib.Robot, params: dict | None = None) -> Poli
 
 
 def actor(params: dict, activation: str) -> Callable[[np.ndarray], np.ndarray]:
-    """The mean action of an actor's parameters, in NumPy; of one observation, or of a batch."""
+    """The function `obs -> mean action` of an actor's parameters, in NumPy, also for a batch."""
     layers = params["actor"]["params"]
     weights = [
         (np.asarray(layers[f"Dense_{i}"]["kernel"]), np.asarray(layers[f"Dense_{i}"]["bias"]))
@@ -102,7 +104,7 @@ def actor(params: dict, activation: str) -> Callable[[np.ndarray], np.ndarray]:
     act = ACTIVATIONS[activation]
 
     def mean(obs):
-        with np.errstate(over="ignore", invalid="ignore"):  # told as a blow-up where it is played
+        with np.errstate(over="ignore", invalid="ignore"):  # reported as a blow-up by the player
             for i, (kernel, bias) in enumerate(weights):
                 obs = obs @ kernel + bias
                 obs = act(obs) if i < len(weights) - 1 else obs
@@ -114,10 +116,10 @@ def actor(params: dict, activation: str) -> Callable[[np.ndarray], np.ndarray]:
 def save(
     path: Path, params: dict, config, robot: robot_lib.Robot | None, seed: int | None = None
 ) -> None:
-    """Write `policy.npz`: the nested parameters, and what `config` and `robot` say of them.
+    """Write `policy.npz`: the nested parameters, and their description from `config` and `robot`.
 
-    `seed` is their number in a run of several seeds. Without a robot, of an environment of one's own,
-    only the config: `load_actor` reads that.
+    `seed` is their number in a run of several seeds. Without a robot (an environment of your own),
+    the description is only the config; `load_actor` reads such a file.
     """
     about: dict[str, Any] = {"robot": "", "config": config.to_dict(), "format": FORMAT}
     if robot is not None:
@@ -127,7 +129,7 @@ def save(
 
 
 def to_json(value) -> str:
-    """JSON of what a file says of a policy; ConfigError if a number in it is not finite."""
+    """A policy's description as JSON; ConfigError if a number in it is not finite."""
     try:
         return json.dumps(value, default=np.ndarray.tolist, allow_nan=False)
     except ValueError:
@@ -137,9 +139,9 @@ def to_json(value) -> str:
 
 
 def save_params(path: Path, params: dict, **entries) -> None:
-    """Write nested parameters as an npz, named by their path in it; the file appears at once, whole.
+    """Write nested parameters as an npz; each array is named by its path. The write is atomic.
 
-    ConfigError if a number is not finite: nothing is written then.
+    ConfigError if a number is not finite; then nothing is written.
     """
     arrays: dict[str, Any] = dict(checks.leaves(params))
     for name, value in arrays.items():
@@ -157,9 +159,10 @@ def load_params(path: Path) -> dict:
 
 
 def load_actor(path: str | Path) -> Callable[[np.ndarray], np.ndarray]:
-    """`act(obs [..., O]) -> mean action [..., A]` of any `policy.npz`, also of an environment of one's own.
+    """`act(obs [..., O]) -> mean action [..., A]` of any `policy.npz`, also of your own
+    environment.
 
-    NumPy only. ConfigError where the file is none, or is damaged.
+    NumPy only. ConfigError if the file is not a policy.npz, or is damaged.
     """
     arrays = npz_file.read(Path(path))
     try:
@@ -181,7 +184,7 @@ def _not_a_robot(path: Path) -> ConfigError:
 
 
 def load(path: Path) -> Policy:
-    """The policy of a `policy.npz` from anybody; a ConfigError of one line says what is wrong with it."""
+    """The policy of an untrusted `policy.npz`; a one-line ConfigError says what is wrong."""
     arrays = npz_file.read(path)
     text = arrays.pop("about", None)
     if text is None:
@@ -210,7 +213,7 @@ def load(path: Path) -> Policy:
 
 
 def _checked(path: Path, policy: Policy) -> Policy:
-    """The policy, its lists as tuples and arrays, if all of it makes sense; else a ConfigError."""
+    """The policy with lists as tuples and arrays; ConfigError if something in it is wrong."""
 
     def expect(ok, text):
         if not ok:
@@ -245,9 +248,11 @@ def _checked(path: Path, policy: Policy) -> Policy:
 
 
 def load_checkpoint(folder: Path, seed: int | None = None) -> Policy:
-    """The policy of an orbax checkpoint `WORKDIR/checkpoints/ITERATION`, of several seeds number `seed`.
+    """The policy of an orbax checkpoint `WORKDIR/checkpoints/ITERATION`, of several seeds number
+    `seed`.
 
-    None: the best in the last evaluation before it, the first where there was none.
+    Without `seed`, the best seed in the last evaluation before the checkpoint, or the first if
+    there was none.
     """
     try:
         about = checkpoint_file.about(folder)

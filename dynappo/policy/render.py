@@ -1,8 +1,9 @@
-"""A film or a picture of an episode, rendered headless by MuJoCo's OpenGL renderer.
+"""Makes a film or a picture of an episode with MuJoCo's OpenGL renderer, without a display.
 
-Nothing here needs JAX. The film is made in a process of its own (`python -m dynappo.policy.render
-EPISODE.npz OUT`), because the OpenGL backend is chosen once a process, and a backend that fails may
-take the process with it: on Linux EGL is tried first, then OSMesa. `play/page.py` needs neither.
+Nothing here needs JAX. A separate process renders
+(`python -m dynappo.policy.render EPISODE.npz OUT`), because a process can choose its OpenGL backend
+only once, and a backend that fails may crash the process. On Linux EGL is tried first, then OSMesa.
+`play/page.py` needs neither.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ __all__ = ["film", "simulate", "tour"]
 
 FPS, WIDTH, HEIGHT = 25, 640, 360  # software OpenGL on two cores renders about ten a second
 PICTURE = 1280, 720
-# what MUJOCO_GL may be, in the order in which it is tried; a Mac and Windows have their own OpenGL
+# values of MUJOCO_GL, in the order in which they are tried; macOS and Windows have their own OpenGL
 BACKENDS = {"darwin": ("cgl", "glfw"), "win32": ("wgl", "glfw")}.get(
     sys.platform, ("egl", "osmesa")
 )
@@ -43,12 +44,12 @@ if sys.platform in ("darwin", "win32"):
     NO_OPENGL = (
         "no video: OpenGL cannot render here; log in to the desktop, or write a page instead"
     )
-PATIENCE = 20.0  # s for a second of film, at most: a driver may hang
+PATIENCE = 20.0  # s that a second of film may take: a driver may hang
 LACKS_PACKAGE, CANNOT_WRITE = 3, 4  # exit statuses of the rendering process
 LACKS = "no video: {} is not installed; "
-SHORTEST = 0.05  # m/s that have an arrow
+SHORTEST = 0.05  # m/s, the slowest that is drawn as an arrow
 GREEN, BLUE = (0.1, 0.7, 0.2, 0.9), (0.2, 0.4, 0.9, 0.9)  # arrows of command and velocity
-# half a megabyte a second; a palette of the film's own colours, else the sky shows bands
+# half a megabyte per second; without a palette of the film's own colours the sky shows bands
 GIF = (
     "fps=12.5,scale={}:-1:flags=lanczos,split[a][b];[a]palettegen=stats_mode=diff[p];"
     "[b][p]paletteuse=dither=bayer:bayer_scale=5:diff_mode=rectangle"
@@ -67,7 +68,7 @@ ENCODE = {
 
 
 def simulate(robot: robot_lib.Robot, config, act, command, seconds: float) -> dict[str, np.ndarray]:
-    """An episode of a run's robot under its whole config; `episode.rows` says what is in it."""
+    """An episode of a run's robot, with the run's config; `episode.rows` says what is in it."""
     described = policy_file.describe(config, robot)
     body = episode_lib.load(robot.xml, described, described.timestep, text=robot.text)
     return episode_lib.play(body, act, command, seconds)
@@ -80,11 +81,11 @@ def film(
     size: tuple[int, int] | None = None,
     tell: Callable[[float], None] = lambda share: None,
 ) -> str:
-    """Render `episode` to an mp4 at `out`; by its suffix, a GIF, or a PNG of the last row.
+    """Render `episode` to `out`: by its suffix an mp4, a GIF, or a PNG of the last row.
 
-    `size` is width and height (even numbers); without it that of the kind of file. `tell(share)` is
-    called after each picture. Returns "" if it was written, else one line that says why not and what to
-    install.
+    `size` is width and height (even numbers); each kind of file has a default. `tell(share)` is
+    called after each frame. Returns "" if the file was written, else one line that says why not and
+    what to install.
     """
     asked, size = size, size or (PICTURE if out.suffix == ".png" else (WIDTH, HEIGHT))
     gif = asked[0] if asked else round(GIF_SHARE * WIDTH)
@@ -120,9 +121,10 @@ def film(
 
 
 def _process(command: list[str], environment, limit: float, tell) -> tuple[int | None, str]:
-    """`(exit status, what it wrote to stderr)`; None where it took more than `limit` seconds.
+    """`(exit status, stderr)` of `command`; the status is None if it took more than `limit`
+    seconds.
 
-    It prints the share that is done, a number a line.
+    The process prints the share that is done, one number a line.
     """
     late = threading.Event()
     with (
@@ -135,7 +137,7 @@ def _process(command: list[str], environment, limit: float, tell) -> tuple[int |
         timer.start()
         try:
             for line in process.stdout or ():
-                with contextlib.suppress(ValueError):  # what a driver has to say
+                with contextlib.suppress(ValueError):  # a line from a driver
                     tell(float(line))
             process.wait()
         except BaseException:
@@ -150,7 +152,7 @@ def _process(command: list[str], environment, limit: float, tell) -> tuple[int |
 
 
 def arrow(scene, start, vector, rgba) -> None:
-    """Add an arrow to the scene: the planar velocity `vector` (m/s) at `start`, 0.35 m for 1 m/s."""
+    """Add an arrow to the scene: planar velocity `vector` (m/s) at `start`, 0.35 m for 1 m/s."""
     if np.linalg.norm(vector) < SHORTEST or scene.ngeom >= scene.maxgeom:
         return
     geom = scene.geoms[scene.ngeom]
@@ -181,7 +183,7 @@ def camera(model, base: int) -> mujoco.MjvCamera:
 
 
 def options(model, base: int) -> mujoco.MjvOption:
-    """What is drawn: as MuJoCo does, but contact shapes too where a robot has nothing else."""
+    """MuJoCo's default options; contact shapes are drawn too if the robot has no other geoms."""
     option = mujoco.MjvOption()
     robot = model.body_rootid[model.geom_bodyid] == base
     option.geomgroup[3] = not (model.geom_group[robot] < 3).any()
@@ -191,7 +193,7 @@ def options(model, base: int) -> mujoco.MjvOption:
 def frames(
     xml: str, text: str, base: int, episode: dict[str, np.ndarray], width=WIDTH, height=HEIGHT
 ):
-    """Yield RGB frames `[H, W, 3]`, one a row of an episode of the file `xml`, or of the `text` there."""
+    """Yield RGB frames `[H, W, 3]`, one per row of an episode; `text` is the MJCF, or file `xml`."""
     model = mjcf.model(Path(xml), text)
     data = mujoco.MjData(model)
     window = model.vis.global_
@@ -207,9 +209,9 @@ def frames(
 
 
 def legend(episode: dict, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
-    """`(colours [h, w, 3], opacity [h, w, 1])` of a card for the upper left corner: what the arrows mean.
+    """`(colours [h, w, 3], opacity [h, w, 1])` of the arrows' legend, for the upper left corner.
 
-    Empty where no row of the episode has an arrow, and without Pillow, which a film does not need.
+    Empty if no row of the episode has an arrow, or without Pillow, which a film does not need.
     """
     planar = np.stack([episode[name][:, :2] for name in ("command", "velocity")])
     none = np.zeros((0, 0, 3)), np.zeros((0, 0, 1))
@@ -219,7 +221,7 @@ def legend(episode: dict, width: int, height: int) -> tuple[np.ndarray, np.ndarr
         from PIL import Image, ImageDraw, ImageFont
     except ImportError:
         return none
-    unit = max(4, round(min(height / 60, width / 100)))  # the rest are multiples of it
+    unit = max(4, round(min(height / 60, width / 100)))  # pixels; all sizes are multiples of it
     font, rows = ImageFont.load_default(2.5 * unit), ((GREEN, "command"), (BLUE, "velocity"))
     wide = round(max(font.getlength(text) for _, text in rows))
     card = Image.new("RGBA", (wide + 10 * unit, 9 * unit))
@@ -237,7 +239,7 @@ def legend(episode: dict, width: int, height: int) -> tuple[np.ndarray, np.ndarr
 
 
 def with_legend(picture: np.ndarray, card: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
-    """A copy of `picture` with `card` in its corner, as far as it fits."""
+    """A copy of `picture` with `card` in its corner, cropped to fit."""
     out = np.array(picture)
     colours, opacity = (part[: out.shape[0], : out.shape[1]] for part in card)
     corner = out[: len(colours), : colours.shape[1]]
@@ -246,9 +248,10 @@ def with_legend(picture: np.ndarray, card: tuple[np.ndarray, np.ndarray]) -> np.
 
 
 def main(argv: list[str]) -> None:
-    """`EPISODE.npz OUT WIDTH HEIGHT GIF`: OUT an .mp4, a .gif (of width GIF) or a .png.
+    """Render with arguments `EPISODE.npz OUT WIDTH HEIGHT GIF`: OUT is .mp4, .gif (GIF wide) or
+    .png.
 
-    Prints the share that is done after each picture.
+    Prints the share that is done after each frame.
     """
     episode = dict(np.load(argv[0]))
     xml, text = str(episode.pop("xml")), str(episode.pop("text"))
@@ -269,7 +272,7 @@ def main(argv: list[str]) -> None:
         shown = np.minimum(np.round(np.arange(count) / (FPS * dt)), len(episode["qpos"]) - 1)
         some = {name: rows[shown.astype(int)] for name, rows in episode.items()}
         pictures, card = frames(xml, text, base, some, width, height), legend(some, width, height)
-        first = next(pictures)  # without OpenGL it fails here, before anything is written
+        first = next(pictures)  # without OpenGL this fails, before anything is written
         out.open("wb").close()
         how: dict[str, Any] = dict(ENCODE[out.suffix])
         if out.suffix == ".gif":

@@ -1,4 +1,4 @@
-"""What the name of a policy means: a bundled one, a workdir, a checkpoint, a file."""
+"""Finds the policy that a name means: a bundled one, a workdir, a checkpoint or a file."""
 
 from __future__ import annotations
 
@@ -12,11 +12,12 @@ from dynappo.policy import checkpoint_file, policy_file
 def locate(text: str, seed: int | None = None) -> Path:
     """The policy.npz or checkpoint folder that a name, a workdir or a path means.
 
-    A bundled policy comes first, `./go1` is a folder; of a workdir its policy.npz, or, while it
-    trains, its newest checkpoint. With a `seed` always a checkpoint: only they hold all seeds.
+    `go1` is the bundled policy, `./go1` a folder. In a workdir it is the policy.npz, or, while the
+    run trains, the newest checkpoint. With a `seed` it is a checkpoint: only checkpoints hold all
+    seeds.
     """
     path = _bundled(text) if text in files.robots() else Path(text)
-    if os.path.isfile(path):  # False, not an error, where the name is too long
+    if os.path.isfile(path):  # False, not an error, if the name is too long
         if seed is not None:
             raise ConfigError(
                 f"--run-seed={seed}: {path} holds one policy; name the workdir of a run, or a checkpoint"
@@ -50,7 +51,7 @@ def _bundled(name: str) -> Path:
 
 
 def find(text: str, seed: int | None = None) -> tuple[policy_file.Policy, Path]:
-    """The policy that `text` means, of several seeds number `seed` (see `locate`), and where it is."""
+    """`(policy, path)` of what `text` means (see `locate`), of several seeds number `seed`."""
     path = locate(text, seed)
     return (
         policy_file.load_checkpoint(path, seed) if path.is_dir() else policy_file.load(path)

@@ -1,11 +1,11 @@
-"""From a config to a compiled program on this machine. Start at `build.py`: `program(config)`.
+"""Turns a config into a compiled program on this machine. Start at `build.py`: `program(config)`.
 
 - `build`: robot, environment, first state, the compiled call that a run repeats
-- `environment`: one of the user's own in place of the robot's: is it what `types.Env` asks for?
-- `devices`: which devices and engine, and what a command sets for its own process
-- `memory`: whether it fits
+- `environment`: checks an environment of your own against `types.Env`
+- `devices`: which devices and engine to use, and settings for a command's process
+- `memory`: whether a run fits into memory
 - `distributed`: one run over several processes; `meeting`: where they meet
 
-Shared by the commands `train`, `bench` and `evaluate`. It imports the method, `task`,
-`physics` and `config`.
+The commands `train`, `bench` and `evaluate` import it. It imports the method, `task`, `physics` and
+`config`.
 """

@@ -1,6 +1,8 @@
-"""From a validated config to a compiled program: `program(config)`; `check(config)` in a second before.
+"""Compiles a validated config: `program(config)`. `check(config)` finds mistakes first, in a
+second.
 
-Robot, environment, first state, the one compiled call that a run repeats, and the evaluation.
+A `Program` has the robot, the environment, the first state, the one compiled call that a run
+repeats, and the evaluation.
 """
 
 from __future__ import annotations
@@ -21,7 +23,7 @@ from dynappo.program import devices, distributed, memory
 class Program(NamedTuple):
     """A run that is compiled and ready to start."""
 
-    robot: Any  # None for an environment of one's own
+    robot: Any  # None for an environment of your own
     env: Any
     static: Any
     hyper: Any
@@ -29,15 +31,15 @@ class Program(NamedTuple):
     columns: dict[str, np.ndarray]  # [I]
     step: Callable  # (hyper, state, columns of one chunk) -> state, metrics
     evaluate: Callable  # (state) -> metrics of deterministic episodes
-    place: Callable  # (state) -> the state, lying over the devices as `step` takes it
+    place: Callable  # (state) -> the state, placed on the devices as `step` expects
     impl: str
     device: str
-    bytes_needed: int  # on each device, by the compiler's count
+    bytes_needed: int  # on each device, as the compiler counts
     compile_seconds: float
 
 
 def check(config, env: Any = None) -> None:
-    """ConfigError if machine, robot's file or an `env` of one's own cannot be run; nothing is compiled."""
+    """ConfigError if the machine, the robot's file or `env` cannot run it; compiles nothing."""
     from dynappo.physics import robot
     from dynappo.program import environment
     from dynappo.task import mirror, payment
@@ -66,9 +68,9 @@ def check(config, env: Any = None) -> None:
 def program(config, env: Any = None, each: tuple[Any, Any] | None = None) -> Program:
     """Build robot, environment and first state, and compile the program that a run repeats.
 
-    `env` is an environment of one's own (a `types.Env`), with a config of `environment.settle`. `each`
-    is `(hyper, keys)` where the `run.num_seeds` seeds have values (`sweep.vary`) or keys of their own.
-    ConfigError as `check`, and where the compiled program needs more memory than a device has.
+    `env` is an environment of your own (a `types.Env`), with a config from `environment.settle`.
+    `each` is `(hyper, keys)` if each of the `run.num_seeds` seeds has its own values (`sweep.vary`)
+    or key. ConfigError as `check`, and if the compiled program needs more memory than a device has.
     """
     import jax
     import jax.numpy as jnp
@@ -108,13 +110,13 @@ def program(config, env: Any = None, each: tuple[Any, Any] | None = None) -> Pro
     size = memory.needed(compiled)
     memory.check_compiled(config, size, memory.limit(mesh.local_devices[0]))
     distributed.meet()
-    if impl == "warp":  # its kernels are built and loaded when they are first called
+    if impl == "warp":  # its kernels are built and loaded at the first call
         once = {name: jnp.minimum(column, 1) for name, column in chunk.items()}
         jax.block_until_ready(compiled(hyper, jax.tree.map(jnp.copy, state), once))
     episodes_of = jax.jit(episodes_of, out_shardings=everywhere)
 
     def evaluate(state):
-        with sweep.partitioner(mesh):  # it is compiled at the first call
+        with sweep.partitioner(mesh):  # the first call compiles
             return jax.device_get(episodes_of(hyper, state.learner.params, jax.random.key(0)))
 
     return Program(
@@ -135,7 +137,7 @@ def program(config, env: Any = None, each: tuple[Any, Any] | None = None) -> Pro
 
 
 def _environment(config, env: Any, impl: str) -> tuple[Any, Any, str]:
-    """`(robot, environment, engine)`: the velocity task of the config's robot, or the user's own `env`."""
+    """`(robot, environment, engine)`: the velocity task of the robot, or the user's `env`."""
     import jax
 
     from dynappo.physics import robot as robot_lib

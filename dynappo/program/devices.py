@@ -1,6 +1,6 @@
-"""Which devices and which engine a run uses, and what a command sets for its whole process.
+"""Chooses the devices and the engine of a run, and sets up the process of a command.
 
-Only a command calls `own_process`: in a notebook these settings would surprise whoever set others.
+Only commands call `own_process`: in a notebook it would override the user's own settings.
 """
 
 from __future__ import annotations
@@ -12,16 +12,16 @@ from pathlib import Path
 
 from dynappo.config import ConfigError, shell
 
-# as people are told; "own" is whatever an environment of one's own does
+# as printed; "own" is the engine of an environment of your own
 ENGINES = {"jax": "MJX-JAX", "warp": "MJX-Warp", "c": "C MuJoCo", "own": "JAX"}
 
 
 def own_process(device: str = "auto") -> None:
-    """JAX's settings for a process that is ours: no GPU is touched for "cpu", and compiled programs are
-    kept for the next process, where the user has not said otherwise. Warnings of libraries are one line."""
+    """Set up JAX for a command: "cpu" touches no GPU, and compiled programs are cached on disk
+    unless the user has set a cache. Warnings of libraries become one line."""
     try:
         import jax
-    except ValueError as error:  # a setting of JAX's that is no number, or no truth value
+    except ValueError as error:  # a variable JAX_... that is not a number or not a bool
         raise ConfigError(
             f"JAX does not start: {error}; correct that variable of the shell"
         ) from None
@@ -34,12 +34,12 @@ def own_process(device: str = "auto") -> None:
 
 
 def find(device: str) -> list:
-    """JAX's devices that `run.device` means, of all processes; ConfigError if there is none."""
+    """The JAX devices that `run.device` means, of all processes; ConfigError if there are none."""
     import jax
 
     try:
         jax.devices("cpu" if device == "cpu" else None)
-    except RuntimeError as error:  # as JAX_PLATFORMS and JAX_NUM_CPU_DEVICES can bring about
+    except RuntimeError as error:  # JAX_PLATFORMS and JAX_NUM_CPU_DEVICES can cause it
         raise ConfigError(f"JAX finds no device: {error}") from None
     if device == "cpu":
         return jax.devices("cpu")
@@ -52,14 +52,14 @@ def find(device: str) -> list:
 
 
 def here(device: str):
-    """The first of these devices that belongs to this process."""
+    """The first of `find(device)` that belongs to this process."""
     import jax
 
     return next(d for d in find(device) if d.process_index == jax.process_index())
 
 
 def engine(config) -> str:
-    """The engine that `physics.impl` means here, "jax", "warp" or "c"; ConfigError if it cannot run."""
+    """The engine for `physics.impl`: "jax", "warp" or "c"; ConfigError if it cannot run here."""
     import jax
 
     devices, wanted = find(config.run.device), config.run.mesh_seed * config.run.mesh_env

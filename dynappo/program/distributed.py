@@ -1,12 +1,13 @@
-"""One run over several processes, by `jax.distributed`: how they meet, agree, and end.
+"""One run over several processes with `jax.distributed`: how they meet, agree and end.
 
-Every process runs the same command, and JAX makes one machine of them; what is here is that they
-take the same turns. Files belong to process 0 alone, so nothing but it needs to see the workdir.
+Every process runs the same command, and JAX treats all their devices as one machine. This module
+makes the processes take the same steps together. Files belong to process 0, so only it needs to see
+the workdir.
 
-Where a process dies, JAX ends the others: at once if it was the first, which hosts its service, else
-after `HEARTBEAT`, or when a message to the dead one fails. It does so by an abort with a trace of
-C++; `_last_words` adds the line that says what to do. The same where the processes do not meet. With
-one process nothing here does anything.
+If a process dies, JAX ends the others: at once if it was process 0, which hosts JAX's service, else
+after `HEARTBEAT`, or when a message to the dead process fails. JAX aborts with a C++ trace;
+`_last_words` adds a line that says what to do. The same happens if the processes do not meet. With
+one process, nothing here has any effect.
 """
 
 from __future__ import annotations
@@ -26,8 +27,8 @@ import numpy as np
 from dynappo.config import ConfigError
 from dynappo.program import meeting
 
-HEARTBEAT = 30  # s without a sign of life after which JAX takes a process for dead
-MEETING = 300  # s for all processes to come
+HEARTBEAT = 30  # s without a message after which JAX considers a process dead
+MEETING = 300  # s in which all processes must connect
 GONE = (
     "process {} of {} stops, because another one is gone or cannot be reached; "
     "the same command goes on from the last checkpoint"
@@ -36,11 +37,11 @@ MESSAGE = 4096  # bytes
 
 
 def join(coordinator: str | None, count: int | None, index: int | None) -> None:
-    """Meet the other processes, before JAX computes anything.
+    """Connect to the other processes, before JAX computes anything.
 
-    By the flags `--coordinator=HOST:PORT --processes=N --process=I`, or, without them, by the
-    variables of a Slurm step with several tasks; `--processes=1` says that those are runs of their
-    own. ConfigError if flags are wrong, or not all processes come.
+    Uses the flags `--coordinator=HOST:PORT --processes=N --process=I`, or, without them, the
+    variables of a Slurm step with several tasks. With `--processes=1`, each Slurm task is a run of
+    its own. ConfigError if the flags are wrong, or if not all processes connect.
     """
     found = meeting.find(coordinator, count, index, os.environ)
     if found is None:
@@ -49,7 +50,7 @@ def join(coordinator: str | None, count: int | None, index: int | None) -> None:
     import jax
 
     _last_words(GONE.format(index, count))
-    # JAX's own handler of SIGTERM would take the place of ours, and the run would not save
+    # JAX's own SIGTERM handler would replace ours, and the run would not save
     jax.config.update("jax_enable_preemption_service", False)
     try:
         jax.distributed.initialize(
@@ -66,10 +67,10 @@ def join(coordinator: str | None, count: int | None, index: int | None) -> None:
 
 @contextlib.contextmanager
 def together():
-    """The whole of a command; where it ends badly, this process ends at once, and JAX the others.
+    """Wrap a whole command: if it fails, this process exits at once, and JAX ends the others.
 
-    Without that, an error in one process would leave it waiting for the others to leave, and them for
-    it to take part.
+    Otherwise, after an error in one process, that one would wait for the others to leave, and the
+    others for it to take part.
     """
     try:
         yield
@@ -86,7 +87,7 @@ def together():
 
 @contextlib.contextmanager
 def watched():
-    """ConnectionError of one line where another process is lost, as a collective operation finds."""
+    """A one-line ConnectionError if a collective operation fails because a process is gone."""
     try:
         yield
     except ConfigError:
@@ -100,7 +101,7 @@ def watched():
 
 
 def leave() -> None:
-    """Wait for the others, at the end of a run that went well or was stopped by a signal."""
+    """Wait for the other processes at the end of a run that finished or was stopped by a signal."""
     import jax
 
     if several():
@@ -119,7 +120,7 @@ _line, _pipe = "", None
 
 
 def _last_words(line: str) -> None:
-    """Start a small process that prints `line` if this one is ended by JAX, which aborts it."""
+    """Start a small process that prints `line` if JAX aborts this one."""
     global _line, _pipe
     code = "import sys; sys.stdin.read() or print(sys.argv[1], file=sys.stderr, flush=True)"
     command = [sys.executable, "-S", "-c", code, f"dynappo: {line}"]
@@ -128,16 +129,16 @@ def _last_words(line: str) -> None:
 
 
 def _say(word: str) -> None:
-    """Tell that process that nothing is to be told."""
+    """Tell that small process to print nothing."""
     if _pipe and not _pipe.closed:
-        with contextlib.suppress(BrokenPipeError):  # somebody has ended it
+        with contextlib.suppress(BrokenPipeError):  # it has been killed
             _pipe.write(word.encode())
             _pipe.close()
 
 
 def meet() -> None:
-    """Wait here for the others: what they compiled may have taken minutes longer, and a first message
-    between two processes waits for half a minute only."""
+    """Wait for the other processes: compiling may take them minutes longer, and the first message
+    between two processes times out after half a minute."""
     from jax.experimental import multihost_utils
 
     if several():
@@ -145,7 +146,7 @@ def meet() -> None:
 
 
 def several() -> bool:
-    """Whether this is one of several processes; JAX is not made to look at its devices for it."""
+    """Whether this is one of several processes; asking does not initialise JAX's devices."""
     if "jax" not in sys.modules:
         return False
     import jax
@@ -154,17 +155,17 @@ def several() -> bool:
 
 
 def first() -> bool:
-    """Whether this is process 0, which writes and prints."""
+    """Whether this is process 0, the one that writes and prints."""
     import jax
 
     return not several() or jax.process_index() == 0
 
 
 def on_first(action: Callable[[], Any]) -> Any:
-    """What `action` returns in process 0 (JSON), in all of them; its error too.
+    """Run `action` in process 0 and return its result (JSON) in all processes.
 
-    A ConfigError is one in all of them. Of any other the others raise an OSError that quotes it, because
-    they would wait for ever.
+    A ConfigError is raised in all of them. After any other error, the others raise an OSError that
+    quotes it; otherwise they would wait for ever.
     """
     from jax.experimental import multihost_utils
 
@@ -192,7 +193,7 @@ def on_first(action: Callable[[], Any]) -> Any:
 
 
 def any_of(flag: bool) -> bool:
-    """Whether it is so in any process."""
+    """Whether `flag` is true in any process."""
     from jax.experimental import multihost_utils
 
     if not several():
@@ -201,7 +202,7 @@ def any_of(flag: bool) -> bool:
 
 
 def whole(tree: Any) -> Any:
-    """Every array of a tree as NumPy, in all processes; keys of random numbers stay JAX's."""
+    """A tree with every array whole, as NumPy, in all processes; random keys stay JAX keys."""
     from jax.experimental import multihost_utils
 
     if not several():
@@ -211,9 +212,9 @@ def whole(tree: Any) -> Any:
 
 
 def from_first(change: Callable[[Any], tuple[Any, Any]], state: Any) -> tuple[Any, Any]:
-    """`change(state) -> (value, state)`, done in process 0 alone; its results in all of them.
+    """Run `change(state) -> (value, state)` in process 0 only; all processes get its results.
 
-    There the state is whole, in NumPy; afterwards it lies over the devices as before.
+    `change` sees the whole state in NumPy. The state returned is on the devices as before.
     """
     if not several():
         return change(state)
@@ -229,7 +230,7 @@ def from_first(change: Callable[[Any], tuple[Any, Any]], state: Any) -> tuple[An
 
 
 def _spread(tree: Any, like: Any) -> Any:
-    """The arrays that `tree` has in process 0, lying over all devices as those of `like`."""
+    """The arrays of process 0's `tree`, with the shardings of `like`."""
     import jax
     from jax.experimental import multihost_utils
 
@@ -247,7 +248,7 @@ def _spread(tree: Any, like: Any) -> Any:
 
 
 def raw_keys(tree: Any):
-    """`(the tree with keys of random numbers as integers, the way back)`."""
+    """`(raw, wrap)`: the tree with random keys as integers, and the function that restores them."""
     import jax
 
     def is_key(x):

@@ -1,7 +1,8 @@
-"""An environment of one's own in place of the robot's: is it what `types.Env` asks for?
+"""Checks an environment of your own against the contract of `types.Env`.
 
-Everything but reset's first numbers is told by shapes (`jax.eval_shape`), within a second and before
-anything is compiled or written. Every answer is one line with what was found and what was expected.
+Everything except the first numbers of `reset` is checked by shapes (`jax.eval_shape`), within a
+second and before anything is compiled or written. An error is one line: what was found, what was
+expected.
 """
 
 from __future__ import annotations
@@ -23,9 +24,10 @@ SIZES = "obs_size prop_size action_size dt episode_length".split()
 
 
 def settle(config, env: Any) -> Any:
-    """The validated config of a run with `env`, as config.json shall say it; without one, `config`.
+    """The validated config of a run with `env`, as config.json has it; without `env`, `config`.
 
-    `robot` is "", there is no film, no engine to choose, and episodes are as long as those of `env`.
+    `robot` is "", there is no film and no choice of engine, and episodes have the length of
+    `env`'s.
     """
     if env is None:
         return config
@@ -39,7 +41,7 @@ def settle(config, env: Any) -> Any:
 
 
 def made(get_env: Callable[[Any], Any] | None, config) -> tuple[Any, Any]:
-    """`(config, environment)` of a config's file: settled, and what its get_env returned, or None."""
+    """`(config, environment)` of a config file: settled, and what get_env returned, or None."""
     if get_env is None:
         return config, None
     if config.robot:
@@ -53,7 +55,7 @@ def made(get_env: Callable[[Any], Any] | None, config) -> tuple[Any, Any]:
 
 
 def check_robot(config) -> None:
-    """ConfigError where `config` is of an environment of one's own, and that is not given."""
+    """ConfigError if `config` is for an environment of your own, which is missing here."""
     if not config.robot:
         raise ConfigError(
             "robot is '': this config is of an environment of your own, expected one of dynappo's robots; "
@@ -62,7 +64,7 @@ def check_robot(config) -> None:
 
 
 def check(env: Any, config) -> None:
-    """ConfigError for the first thing in which `env` is not as `types.Env` has it."""
+    """ConfigError for the first thing in which `env` breaks the contract of `types.Env`."""
     import jax
     import jax.numpy as jnp
 
@@ -86,7 +88,7 @@ def check(env: Any, config) -> None:
     _check_shape("context(obs, action) of 3 rows", context, (3, o - p), "[3, obs_size - prop_size]")
     if config.model.clean:
         noise = _shapes("noise", env.noise, hyper, key)
-        if getattr(noise, "shape", None) != (1,):  # one number that serves all, as the default
+        if getattr(noise, "shape", None) != (1,):  # one number for all, as in the default
             _check_shape("noise(hyper, key)", noise, (p,), "[prop_size]")
     if config.model.known_reward:
         one = [jax.ShapeDtypeStruct((size,), jnp.float32) for size in (o, a, p)]
@@ -129,7 +131,7 @@ def _kind(value: Any) -> str:
 
 
 def _shapes(name: str, function: Any, *arguments) -> Any:
-    """`jax.eval_shape`, and what the user's function raises in one line, with the place in their file."""
+    """`jax.eval_shape`; an error in the user's function is one line that names the place."""
     import jax
 
     try:
@@ -189,7 +191,7 @@ def _check_step(env: Any, state: Any, found: Any) -> None:
 
 
 def _check_same(name: str, after: Any, state: Any) -> None:
-    """ConfigError unless `after` has the arrays of the state that reset gives."""
+    """ConfigError unless `after` has the same arrays as reset's `state`."""
     import jax
 
     def arrays(tree):

@@ -1,4 +1,4 @@
-"""Where the processes of one run meet: what the flags of `train` say of it, or Slurm's variables."""
+"""Where the processes of one run meet, from the flags of `train` or Slurm's variables."""
 
 from __future__ import annotations
 
@@ -12,9 +12,10 @@ from dynappo.config import ConfigError
 def find(
     coordinator: str | None, count: int | None, index: int | None, environment
 ) -> tuple[dict[str, Any], int, int] | None:
-    """`(arguments of jax.distributed.initialize, processes, index of this one)`; None: it is alone.
+    """`(arguments of jax.distributed.initialize, processes, index of this one)`; None for one
+    process.
 
-    ConfigError where flags or variables are not complete, or nobody can be met there.
+    ConfigError if flags or variables are incomplete, or the address cannot be reached.
     """
     flags = {"--coordinator": coordinator, "--processes": count, "--process": index}
     if set(flags.values()) == {None}:
@@ -36,7 +37,7 @@ def find(
 
 
 def _check_address(text: str) -> None:
-    """ConfigError if nobody can be met at HOST:PORT; JAX would wait for its full time."""
+    """ConfigError if HOST:PORT is not a usable address; JAX would wait until its timeout."""
     host, _, port = text.rpartition(":")
     if not host or not re.fullmatch("[0-9]{1,5}", port) or not 0 < int(port) < 65536:
         raise ConfigError(
@@ -44,7 +45,7 @@ def _check_address(text: str) -> None:
         )
     try:
         socket.getaddrinfo(host.strip("[]"), int(port))
-    except (OSError, UnicodeError):  # no such name, or none that can be one
+    except (OSError, UnicodeError):  # no such host, or not a valid host name
         raise ConfigError(
             f"--coordinator is {text!r}, but no host {host!r} is known here"
         ) from None
@@ -58,7 +59,7 @@ def in_slurm(environment) -> bool:
 
 
 def _of_slurm(environment) -> tuple[int, int]:
-    """`(processes, index of this one)`; ConfigError where the variables are not as Slurm sets them."""
+    """`(processes, index of this one)`; ConfigError if the variables are not as Slurm sets them."""
     names = "SLURM_STEP_NUM_TASKS", "SLURM_PROCID"
     for name in names:
         if not re.fullmatch("[0-9]{1,9}", environment[name]):
@@ -71,9 +72,9 @@ def _of_slurm(environment) -> tuple[int, int]:
 
 
 def slurm_devices(environment) -> list[int] | None:
-    """The GPUs of this task; None: the one with the task's number on its machine, JAX's own choice."""
+    """The GPUs of this task; None: JAX takes the one with the task's number on its machine."""
     tasks = environment.get("SLURM_STEP_TASKS_PER_NODE", "").split("(")[0].split(",")[0]
     visible = environment.get("CUDA_VISIBLE_DEVICES", "").split(",")
-    if tasks == "1" or visible != [""] and len(visible) == 1:  # all, or the one bound to the task
+    if tasks == "1" or visible != [""] and len(visible) == 1:  # all GPUs, or the task's only one
         return list(range(len(visible)))
     return None

@@ -1,9 +1,11 @@
-"""Does a run fit into a device's memory? Before compilation a bound, after it the compiler's own count.
+"""Checks whether a run fits into a device's memory.
 
-What XLA needs beside the arrays that a program must hold is known only when it has compiled
-(`compiled.memory_analysis()`), which takes half a minute. `check` therefore refuses at once only what is
-hopeless: the rollout buffer and the robots alone, which no compiler can make smaller. MuJoCo Warp keeps
-arrays of its own outside of JAX's memory; they are not counted.
+Before compilation it checks a lower bound, after it the compiler's own count.
+
+Only after compiling, which takes half a minute, does XLA say what it needs beside the arrays that a
+program must hold (`compiled.memory_analysis()`). So `check` refuses at once only what is hopeless:
+the rollout buffer and the robots, which no compiler can make smaller. MuJoCo Warp keeps its own
+arrays outside JAX's memory; they are not counted.
 """
 
 from __future__ import annotations
@@ -16,19 +18,19 @@ from dynappo.task import observe
 
 OBS, ACTION = observe.PROP_SIZE + observe.CONTEXT_SIZE, 12
 ROW = 4 * (2 * OBS + 2 * ACTION + 2 * observe.PROP_SIZE + 8)  # bytes of a types.Transition
-STATE = 4 * 177  # bytes of an EnvState, and of the robot's own body
+STATE = 4 * 177  # bytes of an EnvState and of the robot's physical parameters
 CURE = "lower one of them, or use more devices (run.mesh_seed, run.mesh_env)"
 
 
 def least(config) -> int:
-    """Bytes on each device that a run cannot do without: the buffer, and the robots of every seed."""
+    """The least bytes that a run needs on each device: the buffer, and the robots of every seed."""
     run = config.run
     robots = config.rollout.num_envs * run.num_seeds // (run.mesh_seed * run.mesh_env)
     return robots * (config.rollout.horizon * ROW + STATE)
 
 
 def check(config, limit: int | None) -> None:
-    """ConfigError if a run cannot fit into the `limit` bytes of a device, whatever the compiler does."""
+    """ConfigError if a run cannot fit into a device's `limit` bytes, whatever the compiler does."""
     if limit is not None and least(config) > limit:
         raise ConfigError(
             f"rollout.num_envs x run.num_seeds is {config.rollout.num_envs} x {config.run.num_seeds}: "
@@ -37,14 +39,14 @@ def check(config, limit: int | None) -> None:
 
 
 def needed(compiled: Any) -> int:
-    """Bytes on each device that a compiled program uses at most: arguments, results, scratch."""
+    """Bytes that a compiled program uses on each device: arguments, results, temporary arrays."""
     sizes = compiled.memory_analysis()
     kept = sizes.argument_size_in_bytes + sizes.output_size_in_bytes - sizes.alias_size_in_bytes
     return kept + sizes.temp_size_in_bytes
 
 
 def check_compiled(config, size: int, limit: int | None) -> None:
-    """ConfigError if the `size` bytes that the compiler counted are more than a device has."""
+    """ConfigError if the compiler's count, `size` bytes, is more than a device has."""
     if limit is not None and size > limit:
         raise ConfigError(
             f"rollout.num_envs x run.num_seeds is {config.rollout.num_envs} x {config.run.num_seeds}: "
@@ -53,9 +55,10 @@ def check_compiled(config, size: int, limit: int | None) -> None:
 
 
 def limit(device: Any) -> int | None:
-    """Bytes that JAX may use of a device; None where it does not say.
+    """Bytes of a device that JAX may use; None if unknown.
 
-    On a GPU its own limit; on a CPU the machine's memory, in equal shares of the devices.
+    On a GPU JAX's own limit; on a CPU the machine's memory, divided equally among JAX's CPU
+    devices.
     """
     import jax
 

@@ -1,12 +1,15 @@
-"""What the robot is asked for and paid for. Start at `env.py`: `make(robot, task, physics) -> Env`.
+"""The velocity task: commands, observations, rewards, resets. Start at `env.py`.
 
-- `env`: the velocity task as pure functions of one robot: reset, step, autoreset
-- `rewards`, `payment`: the terms of the reward, one function each; finds them by their weights and sums
-- `commands`, `observe`, `pushes`: what it asks for, the 48 numbers a policy sees, kicks
+`env.make(robot, task, physics)` returns an `Env`. To change the task, change a function here and a
+number in configs/: docs/task.md.
+
+- `env`: the task as pure functions of one robot: reset, step, autoreset
+- `rewards`: the terms of the reward, one function each; `payment`: matches them with weights and
+  sums
+- `commands`, `observe`, `pushes`: the commanded velocity, the 48 numbers a policy sees, kicks
 - `mirror`: the mirror image of an observation and an action, from the robot's model
-- `brax_env`: our task as a brax environment, and brax's environments under our trainer
+- `brax_env`: our task as a brax environment, and brax's environments in our trainer
 
-To change the task, change a function here and a number in configs/: docs/task.md. The method never
-imports this folder: an `Env` is an argument. It imports `types`, `physics` and `config`; `rewards`,
-`payment` and `observe` need no JAX, so that a policy can be played without it.
+The method never imports this folder: an `Env` is an argument. It imports `types`, `physics` and
+`config`; `rewards`, `payment` and `observe` need no JAX, so that a policy can be played without it.
 """

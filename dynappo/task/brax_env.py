@@ -10,14 +10,14 @@ The second is a `types.Env` like any other:
     state = algorithm.init(env, hyper, jax.random.key(0), static=static)
     state, metrics = algorithm.run(env, hyper, state, schedule.columns(config), static=static)
 
-`from_brax` needs `reset(rng)`, `step(state, action)`, `action_size` and a state with `obs, reward, done,
-metrics, info`, which brax 0.14.2 and MuJoCo Playground 0.2.0 share. Of brax itself, the trainers call
-`jax.device_put_replicated` and its swimmer `jnp.clip(a_min=)`, which JAX 0.10 has not; its wrappers,
-`acting.generate_unroll` and `acting.Evaluator` work.
+`from_brax` needs `reset(rng)`, `step(state, action)`, `action_size` and a state with
+`obs, reward, done, metrics, info`, which brax 0.14.2 and MuJoCo Playground 0.2.0 share. brax's own
+trainers call `jax.device_put_replicated` and its swimmer `jnp.clip(a_min=)`, which JAX 0.10 lacks;
+its wrappers, `acting.generate_unroll` and `acting.Evaluator` work.
 
-Playground's locomotion tasks clone MuJoCo Menagerie when first loaded, for meshes that only the eye
-sees; its Go1 observes a dict, with the action before the last one in it, which no `context(obs, action)`
-can know. experiments/02_brax trains it all the same.
+Playground's locomotion tasks clone MuJoCo Menagerie when first loaded, for visual meshes. Its Go1
+observes a dict with the action before the last one in it, which no `context(obs, action)` can know;
+experiments/02_brax trains it all the same.
 """
 
 from __future__ import annotations
@@ -43,13 +43,13 @@ def to_brax(env: Env, hyper, backend: str = "mjx") -> envs.Env:
     """`env` behind brax's protocol; `backend` is only a label.
 
     `done` is a fall and nothing else: brax's EpisodeWrapper counts the time itself and writes
-    `info["truncation"] = 1 - done` at its limit, so an environment that says `done` there too has
-    its time limits learned as falls. Give the wrappers the task's own `episode_length`; without
+    `info["truncation"] = 1 - done` at its limit. If an environment set `done` there too, time
+    limits would be learned as falls. Give the wrappers the task's own `episode_length`; without
     them, `info["truncation"]` is 1 from that age on.
 
     `pipeline_state` is the whole state of the episode: it is what AutoResetWrapper puts back. What
-    stays with the robot is in `info`: "body", its physical parameters, and "rng", the key of its next
-    step, so that no two episodes see the same noise. Episodes start at age 0.
+    stays with the robot is in `info`: "body", its physical parameters, and "rng", the key of its
+    next step, so that no two episodes see the same noise. Episodes start at age 0.
     """
     return _Task(env, hyper, backend)
 
@@ -131,19 +131,19 @@ def from_brax(
 ) -> Env:
     """A bare brax or Playground environment, seen as a `types.Env`; `hyper` is not read.
 
-    `observe(state, action) -> [O]` is the observation, of brax's state and the action that led to it
-    (zeros after a reset); default `state.obs`. The leading `prop_size` numbers of it are predicted,
-    the rest is `context(obs, action) -> [O - P]`, exact; without `prop_size`, plain PPO only. Actions
-    are clipped to +-`action_limit` before the step: brax's own policies end in a tanh.
+    `observe(state, action) -> [O]` is the observation, of brax's state and the action that led to
+    it (zeros after a reset); default `state.obs`. The leading `prop_size` numbers of it are
+    predicted, the rest is `context(obs, action) -> [O - P]`, exact; without `prop_size`, plain PPO
+    only. Actions are clipped to +-`action_limit` before the step: brax's policies end in a tanh.
 
     A `done` is a fall, `episode_length` control steps a truncation; `random_clock` ends the first
     episodes at random, so that time-outs spread. A step with an observation or reward that is not
     finite ends its episode with reward 0, counted in `blowups` and `falls`.
 
-    An episode starts from one of `starts` states that each robot drew with `brax_env.reset` at first:
-    under vmap a reset would run in every row for every robot. brax's wrapper keeps one, but puts back
-    physics and observation only: last actions and air times in `info` leak into the next episode.
-    Here all comes back but the random keys in `info`: no episode repeats another's noise.
+    An episode starts from one of `starts` states that each robot drew with `brax_env.reset` at
+    first: under vmap a reset would run in every row for every robot. brax's wrapper keeps one, but
+    puts back physics and observation only: last actions and air times in `info` leak into the next
+    episode. Here all comes back but the random keys in `info`: no episode repeats another's noise.
 
     ConfigError for an environment that resets itself, or for sizes that do not fit.
     """

@@ -1,11 +1,12 @@
-"""What the robot is asked for: forward, sideways and yaw velocity in the base frame.
+"""Velocity commands: forward, sideways and yaw velocity in the base frame.
 
 The paper draws a command uniformly and keeps it for the episode. Isaac Lab's tasks
-(isaaclab/envs/mdp/commands/velocity_command.py, 2.2.1), under `task.formulation = isaaclab_exact`,
-do three things more, each a field of its own:
+(isaaclab/envs/mdp/commands/velocity_command.py, 2.2.1), chosen by
+`task.formulation = isaaclab_exact`, do three more things, each with its own field:
 
-- `task.heading`: a world heading is drawn, and the yaw rate is `task.heading_gain` times what is left
-  to turn, inside the range `command_yaw`; it changes at every step and fades as the robot turns;
+- `task.heading`: a world heading is drawn, and the yaw rate is `task.heading_gain` times what is
+  left to turn, inside the range `command_yaw`; it changes at every step and fades as the robot
+  turns;
 - `task.resample_steps`: the command is drawn again after so many control steps (0: never);
 - `task.standing`: with this probability, at each draw, the robot is asked to stand still.
 
@@ -41,7 +42,7 @@ def draw(task, hyper: Config, qpos, key: PRNGKeyArray) -> tuple[Float[Array, " 3
 
 
 def follow(task, hyper: Config, command, goal: Goal, qpos):
-    """The command now: the yaw rate turns towards the heading; zero where the robot shall stand."""
+    """The command now: the yaw rate turns towards the heading; zero if the robot should stand."""
     if task.heading:
         left = goal.heading - observe.heading(qpos[3:7])
         left = (left + jnp.pi) % (2 * jnp.pi) - jnp.pi  # the shorter way round
@@ -51,7 +52,7 @@ def follow(task, hyper: Config, command, goal: Goal, qpos):
 
 
 def advance(task, hyper: Config, command, goal: Goal, qpos, key: PRNGKeyArray):
-    """`(command, goal)` of the next control step, for a robot that has come to `qpos`."""
+    """`(command, goal)` of the next control step, for a robot now at `qpos`."""
     command = follow(task, hyper, command, goal, qpos)
     if not task.resample_steps:
         return command, goal

@@ -1,9 +1,9 @@
-"""The velocity task on MJX: `make(robot, task, physics) -> Env`, all functions of one robot.
+"""The velocity task as an `Env`: `make(robot, task, physics)`; all functions are of one robot.
 
-Follows Isaac Lab's flat velocity tasks and the paper; where they differ, `task.formulation` and
-configs/README.md say what is done. Order inside a control step (isaaclab/envs/manager_based_rl_env.py):
-action, four physics steps with the actuator model in each, terminations, rewards, command, push,
-observation. The reset is `autoreset`'s.
+It follows Isaac Lab's flat velocity tasks and the paper; where they differ, `task.formulation`
+chooses, and configs/README.md says how. Order inside a control step
+(isaaclab/envs/manager_based_rl_env.py): action, four physics steps with the actuator model in each,
+terminations, rewards, command, push, observation. `autoreset` does the reset.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from dynappo.physics import robot as robot_lib
 from dynappo.task import commands, mirror, observe, payment, pushes, rewards, view
 from dynappo.types import Config, Env, EnvState, Outcome
 
-AGES = ("clock", "episode_steps", "episode_return")  # zero where an episode begins
-MAX_TURN, MAX_BASE_SPEED = 100.0, 20.0  # rad/s, m/s: beyond is a numerical blow-up
+AGES = ("clock", "episode_steps", "episode_return")  # zero at the start of an episode
+MAX_TURN, MAX_BASE_SPEED = 100.0, 20.0  # rad/s, m/s: above these it is a numerical blow-up
 
 
 class Constants(NamedTuple):
@@ -118,10 +118,11 @@ def reset(const: Constants, hyper: Config, body, key) -> EnvState:
 def autoreset(
     const: Constants, hyper: Config, body, state: EnvState, outcome: Outcome, key
 ) -> EnvState:
-    """`state`, or a fresh episode where `outcome` ended one.
+    """`state`, or the start of a new episode if `outcome` ended one.
 
-    With `task.carry_on` half of those that timed out begin theirs where the robot is, with a new command.
-    Without it no policy sees a command change: the bundled Go1 fell at every fourth change (C MuJoCo).
+    With `task.carry_on`, half of the episodes after a timeout start where the robot is, with a new
+    command. Without it a policy never sees a command change: the bundled Go1 fell at every fourth
+    change (C MuJoCo).
     """
     ended = (outcome.discount == 0) | (outcome.truncation == 1)
     fresh = _fresh(const, hyper, body, key)
@@ -221,9 +222,9 @@ def noise(hyper: Config, key):
 def step(const: Constants, hyper: Config, body, state: EnvState, action, key):
     """One control step -> `(EnvState, Outcome)`; the episode's end is in the outcome only.
 
-    A robot whose state is not finite, or with a joint or base faster than 100 rad/s or 20 m/s, has left
-    what the solver can compute: its episode ends with reward 0, it is counted in `blowups`, and no number
-    of that row but zeros and the old observation leaves this function.
+    If a robot's state is not finite, or a joint or the base is faster than 100 rad/s or 20 m/s, the
+    solver has failed: the episode ends with reward 0 and counts in `blowups`, and the row has only
+    zeros and the old observation.
     """
     after = engine_lib.simulate(const.engine, hyper, body, state, action)
     speed = jnp.abs(jnp.concatenate([after.qvel, after.qd_before]))
@@ -293,8 +294,8 @@ def step(const: Constants, hyper: Config, body, state: EnvState, action, key):
 
 
 def _known(hyper: Config, seen, action) -> dict[str, Any]:
-    """What a term can ask for that the transition model knows too (rewards.py): `seen` are the predicted
-    parts of the next observation and the copied ones of this."""
+    """What a term can ask for and the transition model knows (rewards.py): `seen` has the predicted
+    parts of the next observation and the copied parts of this one."""
     return hyper.task._asdict() | observe.split(seen) | {"action": action}
 
 

@@ -1,7 +1,7 @@
-"""The mirror image, left for right, of what a policy sees and of what it does: `find(robot)`.
+"""The left-right mirror image of observations and actions: `find(robot)`.
 
-Read from the robot's own model: the partner of a joint is the joint at the mirrored place in the home
-pose, and turns the other way or the same way as their axes say. NumPy and C MuJoCo only.
+It is computed from the robot's model: the partner of a joint is the joint at the mirrored place in
+the home pose; the two axes decide the sign. NumPy and C MuJoCo only.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ MOVES, TURNS = np.array(observe.MOVES, float), np.array(observe.TURNS, float)
 
 
 def joints(robot: Robot) -> Mirror:
-    """Of joint positions, velocities and actions [A]; a ConfigError names joints without a partner."""
+    """Mirror of joint positions, velocities, actions [A]; ConfigError if a joint has no partner."""
     data = mujoco.MjData(robot.mj_model)
     data.qpos[:] = robot.home_qpos
     mujoco.mj_forward(robot.mj_model, data)

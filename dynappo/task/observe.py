@@ -1,7 +1,7 @@
-"""The 48 numbers a policy of the velocity task sees, from the robot's generalised coordinates.
+"""The observation: the 48 numbers that a policy of the velocity task sees.
 
-Written once for NumPy and jax.numpy, so that a policy can be played without JAX, and computed from
-qpos and qvel alone: after `mjx.step` every derived quantity is one substep old.
+The code works with NumPy and jax.numpy, so that a policy can be played without JAX. It uses only
+qpos and qvel, because after `mjx.step` every derived quantity is one substep old.
 
 | part       | rows  | content                                             | unit  |
 |------------|-------|-----------------------------------------------------|-------|
@@ -13,10 +13,10 @@ qpos and qvel alone: after `mjx.step` every derived quantity is one substep old.
 | ctx (15)   | 33-35 | command vx, vy, yaw rate                            | m/s, rad/s |
 |            | 36-47 | previous action                                     |       |
 
-The paper's order, o = [q, qd, g, v, w] and [c, a]: the transition model predicts prop and copies ctx.
-`PREDICTED` and `COPIED` say it; noise, mirror image, the tables of ONNX files and what a reward term can
-ask for follow from them. A part of your own is an entry there and a value in `observe`, of `COPIED` also
-one in `context` (docs/task.md).
+The order is the paper's, o = [q, qd, g, v, w] and [c, a]: the transition model predicts prop and
+copies ctx. `PREDICTED` and `COPIED` define the parts; noise, mirror image, the tables of ONNX files
+and what a reward term can ask for follow from them. To add a part, add an entry there and a value
+in `observe`, and for `COPIED` also one in `context` (docs/task.md).
 """
 
 from collections.abc import Callable
@@ -37,15 +37,15 @@ class Part(NamedTuple):
     unit: str
     content: str
     noise: str = ""  # the field of task.noise with its half width; "": none
-    # of each number in the mirror image, left for right; None: a number a joint, mirrored as the joints are
+    # of each number in the left-right mirror image; None: one number per joint, mirrored as joints
     signs: tuple[int, ...] | None = None
 
 
 MOVES, TURNS = (
     (1, -1, 1),
     (-1, 1, -1),
-)  # signs of vectors; what turns is mirrored the other way round
-# how it stands at the end of a row: the transition model predicts it
+)  # signs of vectors; rotations are mirrored with the opposite sign
+# the state at the end of a row: the transition model predicts it
 PREDICTED = dict(
     joint_position=Part(12, "rad", "minus default_pose", "joint_pos"),
     joint_velocity=Part(12, "rad/s", "of each joint", "joint_vel"),

@@ -1,7 +1,7 @@
-"""What the robot is paid: finds each weight's term, gives it what it asks for, and sums.
+"""Computes the reward: finds the term of each weight, calls it with what it asks for, and sums.
 
-`task.weights.NAME` is the weight of the function `NAME` of rewards.py; what the function asks for are its
-parameters, so that a term is written in one place and its weight in another, and nothing else is told.
+`task.weights.NAME` is the weight of the function `NAME` in rewards.py, and the function's
+parameters say what it needs. So a new term takes two changes: the function, and its weight.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from dynappo.config import ConfigError
 from dynappo.task import observe, rewards
 
 Terms = dict[str, Callable[..., Any]]  # by the name of the weight, in the order of rewards.py
-# a term that stands in for another, and the value of task.air_time with which it does
+# a term that replaces another, and the value of task.air_time for which it does
 INSTEAD = {"feet_in_air": ("feet_air_time", "indicator")}
 
 
@@ -33,8 +33,8 @@ def written() -> Terms:
 def find(task) -> Terms:
     """The term of each weight of the config's group `task`.
 
-    ConfigError for a weight without a term, a term without a weight, and a term that asks for what
-    nobody knows.
+    ConfigError for a weight without a term, a term without a weight, and a term with an unknown
+    parameter.
     """
     terms, weights = written(), set(task.weights)
     for name in sorted(weights - terms.keys()):
@@ -70,19 +70,19 @@ def asks(term: Callable[..., Any]) -> list[str]:
 
 
 def known_names(task) -> set[str]:
-    """What a term may ask for and is known without physics; the numbers of `task` are its floats."""
+    """What a term may ask for that needs no physics; of `task`, its floats."""
     numbers = {name for name, value in task.items() if type(value) is float}
     return {*observe.PARTS, "action"} | numbers
 
 
 def known(terms: Terms, task) -> Terms:
-    """Those of `terms` that ask for nothing that physics alone can tell."""
+    """Those of `terms` that can be computed without physics."""
     names = known_names(task)
     return {name: term for name, term in terms.items() if names.issuperset(asks(term))}
 
 
 def values(terms: Terms, facts: dict[str, Any]) -> dict[str, Any]:
-    """Each term of one robot, unweighted; `facts` are by the names that terms ask for.
+    """Each term of one robot, unweighted; `facts` has the values that terms ask for, by name.
 
     ConfigError for a term that is not one number.
     """

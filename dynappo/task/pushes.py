@@ -1,7 +1,7 @@
-"""Kicks: from time to time the base is given another horizontal velocity.
+"""Pushes: from time to time the base's horizontal velocity is changed.
 
-Isaac Lab's push_by_setting_velocity (isaaclab/envs/mdp/events.py): after the reward, before the observation.
-`settings` is the group `task.push` of the config, `dt` the seconds of a control step.
+As in Isaac Lab (isaaclab/envs/mdp/events.py, push_by_setting_velocity), after the reward and before
+the observation. `settings` is the config's group `task.push`, `dt` the seconds of a control step.
 """
 
 import jax
@@ -15,7 +15,7 @@ def wait(settings, dt: float, key):
 
 
 def push(settings, dt: float, qvel, push_in, key):
-    """`(qvel, push_in)` after one step of the clock: a kick in world x and y when it runs out."""
+    """`(qvel, push_in)` after one control step: a kick in world x and y when `push_in` runs out."""
     due = push_in <= 1
     kick_key, next_key = jax.random.split(key)
     kick = jax.random.uniform(kick_key, (2,), minval=-1.0, maxval=1.0) * settings.velocity

@@ -1,30 +1,34 @@
-"""The reward of the velocity task: one public function a term, one weight of its name in `task.weights`.
+"""The reward terms of the velocity task: one public function each, with its weight in
+`task.weights`.
 
 Terms are those of the paper's appendix and of Isaac Lab's flat velocity tasks (isaaclab_tasks
-.../velocity/mdp/rewards.py and isaaclab/envs/mdp/rewards.py, 2.2.1). Every term is a number of one robot
-and is at least 0, `feet_air_time` excepted; the weight carries the sign, and payment.py multiplies by the
-control step and sums. Written once for NumPy and jax.numpy.
+.../velocity/mdp/rewards.py and isaaclab/envs/mdp/rewards.py, 2.2.1). Every term is one number per
+robot and at least 0, except `feet_air_time`. The weight has the sign; payment.py multiplies by the
+weight and the control step, and sums. The code works with NumPy and jax.numpy.
 
-A term asks for what it needs by the names of its parameters. It may ask for:
+A term's parameter names say what it needs. It may ask for:
 
-- each part of the observation (observe.py), without noise: the predicted ones as they are at the end of the
-  control step, before a push; the copied ones as the policy saw them, `command` and `previous_action`
-- `action`, the raw one of this step, and each number of the config's group `task`, as `tracking_std`
-- the fields of `Measured`, which physics alone can tell
+- any part of the observation (observe.py), without noise: the predicted ones as they are at the end
+  of the control step, before a push; the copied ones, `command` and `previous_action`, as the
+  policy saw them
+- `action`, the raw action of this step, and any number of the config's group `task`, like
+  `tracking_std`
+- the fields of `Measured`, which only physics knows
 
-A term that asks for nothing of `Measured` is known in the rows that the transition model writes
-(`model.known_reward`); of the others the model learns the sum. A parameter with a default is the term's own.
+In the rows that the transition model writes, terms that need nothing of `Measured` can be computed
+(`model.known_reward`); the model learns the sum of the others. A parameter with a default is the
+term's own constant.
 
 `track_*` is the only source of a positive return: an episode of T seconds that tracks perfectly
-earns (w_lin + w_yaw) T, 45 on Go1. While the robot can do nothing yet, the penalties outweigh it
-and a fall ends them, so early in training episodes get shorter before they get longer.
+earns (w_lin + w_yaw) T, 45 on Go1. An untrained robot gets more penalty than reward, and a fall
+ends the penalties, so early in training episodes get shorter before they get longer.
 """
 
 from typing import Any, NamedTuple
 
 
 class Measured(NamedTuple):
-    """What a term may ask for that no observation shows; of A joints, F feet, K parts."""
+    """What a term may ask for beyond the observation; of A joints, F feet, K parts."""
 
     torque: Any  # [A] N m, applied in the last physics step, after all limits
     joint_velocity_before: Any  # [A] rad/s, before that step
@@ -32,10 +36,10 @@ class Measured(NamedTuple):
     height: Any  # m, of the base's frame above the floor
     contact: Any  # [F] bool: the foot is on the ground
     touchdown: Any  # [F] bool: it came down in this control step
-    last_air_time: Any  # [F] s, length of its air phase that ended last
+    last_air_time: Any  # [F] s, length of its last finished air phase
+    swing_height: Any  # [F] m, highest that its lowest point was in that phase
     older_action: Any  # [A] the action before `previous_action`
     over_limit: Any  # [A] rad, beyond the middle `task.reset.soft_limit` of a joint's range
-    swing_height: Any  # [F] m, highest that the foot's lowest point was in the air phase that ended last
     lowest: Any  # [K] m, lowest point above the floor of what counts as an undesired contact
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from dynappo import config as config_lib
-from dynappo.config import flags
+from dynappo.config import flags, shell
 from dynappo.program import build, devices, distributed, environment, memory
 from dynappo.sweeps import folder as sweep_folder
 from dynappo.sweeps import grid
@@ -220,7 +220,9 @@ def _train_and_show(command: Command, stop: Stop, out) -> None:
         f"{memory.text(program.bytes_needed)} of memory"
     )
     if program.impl == "jax" and program.device == "cpu":
-        say("on a CPU C MuJoCo is more than twice as fast as MJX: --config.physics.impl=c")
+        text = "on a CPU C MuJoCo is more than twice as fast as MJX: --config.physics.impl=c"
+        laptop = f"; made for it: {shell.program()} train --config={config.robot}:laptop"
+        say(text + laptop * bool(config.robot))
     bar = Progress(
         TextColumn("{task.description}"),
         BarColumn(16),
@@ -259,6 +261,8 @@ def _train_and_show(command: Command, stop: Stop, out) -> None:
                 saved = f"stopped at iteration {done}, which could not be saved"
             print(f"dynappo: {saved}; {afterwards(command)}", file=sys.stderr)
         return
+    if not out.is_terminal:
+        out.print("evaluates and films")
     with out.status("evaluating, filming"):
         summary = finish.finish(config, program, workdir, state, metrics, say)
     if summary:

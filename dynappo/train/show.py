@@ -24,12 +24,13 @@ def describe(config) -> str:
     over = f" over {run.mesh_seed} x {run.mesh_env} devices" if devices > 1 else ""
     tail = "plain PPO, no model"
     if schedule.uses_model(config):
-        tail = f"tail of {s.end_steps}"
+        tail = f"the model writes {s.end_steps} of them"
         if s.end_iteration > s.start_iteration:
-            tail += f", from {s.start_steps} over iterations {s.start_iteration}-{s.end_iteration}"
+            span = f"{s.start_iteration}-{s.end_iteration}"
+            tail += f" ({s.start_steps} to {s.end_steps} over iterations {span})"
     steps = count(schedule.sim_steps(config)[-1])
     return (
-        f"trains {what}{seeds}{over}, {r.horizon} rows an iteration, {tail}\n"
+        f"trains {what}{seeds}{over}, rollouts of {r.horizon} rows, {tail}\n"
         f"{run.num_iterations} iterations, {steps} simulator steps"
     )
 
@@ -137,4 +138,8 @@ def in_words(task, evaluation: dict[str, Any]) -> str:
     turning = "turns" if share("yaw_error", task.command_yaw)[0] < 0.5 else "does not turn yet"
     if walking[0]:
         return f"walks, {turning}, {falling}"
-    return f"{'stands, does not walk yet' if errors[0] > 0.8 else 'begins to walk'}; {falling}"
+    if errors[0] <= 0.8:
+        return f"begins to walk; {falling}"
+    return (
+        f"does not walk yet; {falling}" if often > 0.1 else f"stands, does not walk yet; {falling}"
+    )

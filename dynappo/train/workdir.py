@@ -222,7 +222,12 @@ def _resume(config, workdir: Path, checkpoints, state, say):
     blank = np.full((start, seeds) if seeds > 1 else start, np.nan)
     history = dict.fromkeys(SUMMED, blank) | {"seconds": np.full(start, np.nan)} | history
     if start < config.run.num_iterations:
-        say(f"goes on from iteration {start} of {workdir}")
+        before = (
+            _newest(workdir).get("config", {}).get("physics", {}).get("impl", config.physics.impl)
+        )
+        other = f", now with physics.impl={config.physics.impl}, {before} before"
+        other = "" if before == config.physics.impl else other
+        say(f"goes on from iteration {start} of {workdir}{other}")
     else:
         again = ["evaluated"] * bool(config.run.eval_envs) + ["filmed"] * (
             config.run.video_seconds > 0

@@ -6,7 +6,7 @@ r"""Put trained policies beside their robots: the files that `dynappo play go1` 
 
 Writes robots/ROBOT/policy.npz without the value function, which only training needs, and policy.json with
 what is known of it: from OUT/go1_best.json, the numbers of that seed. A policy that falls on one of the 45
-commands of `dynappo evaluate` is not taken.
+commands of `dynappo evaluate`, or is off by more than `WORST` on one, is not taken.
 """
 
 import json
@@ -24,14 +24,17 @@ KEEP = (
     "robot job return return_max iterations sim_steps seconds device impl versions evaluation set"
 )
 
+WORST = 0.15  # m/s and rad/s
+
 
 def main():
     for argument in sys.argv[1:]:
         name, source = argument.split("=")
         policy = policy_file.load(Path(source))
-        falls = trials.sweep(policy)[0]["all"]["falls"]
-        if falls:
-            raise SystemExit(f"{source} falls on {falls} commands")
+        for row in trials.sweep(policy)[0]["commands"]:
+            off = max(row["tracking_error"] or 0, row["yaw_error"] or 0)
+            if row["fall"] is not None or off > WORST:
+                raise SystemExit(f"{source} falls, or is off by {off:.2f}, at {row['command']}")
         run, seed = source.removesuffix(".npz").rsplit(".", 1)
         params = {part: policy.params[part] for part in ("actor", "std")}
         config = config_dict.ConfigDict(policy.config)

@@ -83,7 +83,10 @@ def draw(folder: Path, robots, path: Path) -> None:
     """Best return over simulated rows, a panel for each R; a thin line to all rows, synthetic ones too."""
     size = 2.6 * len(robots) + 0.6, 4.1
     page, axes = paper.figure(1, len(robots), size, sharey=True, sharex=True)
-    names = plot.NAMES | {"ppo": "PPO", "best": "best: 8 simulated rows, 16 of the model"}
+    names = plot.NAMES | {
+        "ppo": "PPO",
+        "best": "best at c27cee7: 8 simulated rows, 16 of the model",
+    }
     colours = plot.COLOURS | {"ppo": plot.COLOURS["ppo16"]}
     for axis, envs in zip(axes[0], robots, strict=True):
         line = [(n, found) for n in PPO_ROWS if (found := run(folder, envs, "ppo", n))]

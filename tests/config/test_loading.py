@@ -140,7 +140,7 @@ def test_a_field_that_is_none_of_dynappos_is_refused(tmp_path):
     text += "def get_config(variant):\n    c = d['get_config'](variant).unlock()\n"
     (tmp_path / "mine.py").write_text(text + "    c.ppo.epoch = 3\n    return c\n")
     line = refused(config_lib.load, str(tmp_path / "mine.py"))
-    assert line.endswith("mine.py: ppo.epoch is no field; did you mean ppo.epochs?")
+    assert line.endswith("mine.py: ppo.epoch is not a field; did you mean ppo.epochs?")
 
 
 # ---- a field of the command line

@@ -105,7 +105,7 @@ MISTAKES = {  # arguments, what the line must say
     "a long name": (["n" * 256, "--out=a.onnx"], f"{'n' * 256}: no such file or folder"),
     "a long out": (["small", f"--out={'n' * 256}.onnx"], "cannot write there (File name too long)"),
     "a folder": (["small", "--out=taken.npz"], "--out=taken.npz: cannot write there (Is a dir"),
-    "itself": (["small", "--out=small/policy.npz"], "--out=small/policy.npz: is the policy itself"),
+    "itself": (["small", "--out=small/policy.npz"], "policy.npz: this would overwrite the policy"),
     "empty out": (["small", "--out="], "--out: is empty, expected a path"),
     "no name": (["", "--out=a.onnx"], "nothing to export is named"),
     "order": (["small", "--out=a.onnx", "--joint-order=x"], "go2 has no joint x; expected mjcf"),

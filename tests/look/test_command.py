@@ -90,7 +90,7 @@ def test_a_picture_is_written_or_one_line_says_why_not(tmp_path, monkeypatch, ca
 
 
 MISTAKES = {  # arguments, what the line must say
-    "nothing": ([], "no config is named; try: "),
+    "nothing": ([], "no config given; try: "),
     "unknown": (["wlk"], "--config: no file 'wlk'"),
     "suffix": (["go1", "--out=a.html"], "--out=a.html: expected a file named .png"),
     "no folder": (

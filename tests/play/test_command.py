@@ -146,7 +146,7 @@ def test_a_film_that_cannot_be_made_points_to_the_page(saved, tmp_path, monkeypa
 # ---- mistakes
 
 MISTAKES = {  # flags, what the line must say
-    "nothing": ([], "nothing to play is named"),
+    "nothing": ([], "nothing to play; name a workdir"),
     "unknown": (["wlk"], "wlk: no such file or folder; expected a workdir"),
     "two names": (["go1", "go2"], "go2: no such flag"),
     "unknown flag": (["go1", "--speed=3"], "--speed=3: no such flag"),
@@ -155,7 +155,7 @@ MISTAKES = {  # flags, what the line must say
     "seed": (["go1", "--policy=random", "--seed=one"], "--seed='one': expected an integer"),
     "negative seed": (["go1", "--seed=-1"], "--seed='-1': expected an integer of 0 or more"),
     "far seed": (["go1", "--seed=1" + "0" * 30], "expected an integer of 0 or more, at most 2,147"),
-    "no name": ([""], "nothing to play is named"),
+    "no name": ([""], "nothing to play; name a workdir"),
     "no out": (["go1", "--out="], "--out: is empty, expected a path"),
     "seconds": (["go1", "--seconds=long"], "--seconds='long': expected a number above 0"),
     "no seconds": (["go1", "--seconds=0"], "--seconds='0': expected a number above 0"),

@@ -48,7 +48,7 @@ def test_a_first_run_on_the_go1(tmp_path, monkeypatch):
     done = shell("-m", "dynappo.train", *FIRST, f"--workdir={workdir}")
     assert done.returncode == 0 and done.stderr == ""
     for words in (
-        "dynappo trains go1: 16 robots, 4 rows an iteration, tail of 1, from 0 over iterations 0-4",
+        "dynappo trains go1: 16 robots, rollouts of 4 rows, the model writes 1 of them (0 to 1 over ",
         "iteration    4  return",
         "return (last 10 iterations)",
         f"see it: {shell_lib.program()} play {workdir} --out=walk.html",
@@ -84,7 +84,11 @@ MISTAKES = {  # flags after the config file, what the line must say
     "wrong value": (["--config.ppo.epochs=2.5"], "ppo.epochs='2.5': expected int"),
     "value missing": (["--config.run.num_iterations"], "run.num_iterations=''"),
     "wrong setting": (["--config.run.num_iterations=0"], "expected more than 0"),
-    "unknown flag": (["--learning_rate=3"], "--learning_rate=3: no such flag"),
+    "unknown flag": (
+        ["--learning_rate=3"],
+        "--learning_rate=3: no such flag; expected --config.model.learning_rate or "
+        "--config.ppo.learning_rate=VALUE",
+    ),
     "abbreviated flag": (["--work=x"], "--work=x: no such flag"),
     "stray word": (["quick"], "quick: no such flag"),
     "workdir missing": (["--workdir"], "--workdir: expected one argument"),

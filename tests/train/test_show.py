@@ -23,8 +23,8 @@ def config(spec="configs/go1.py:dyna4", **fields):
     ("spec", "tail"),
     [
         ("ppo16", "plain PPO, no model"),
-        ("dyna2", "tail of 2"),
-        ("dyna4", "tail of 4, from 0 over iterations 0-100"),
+        ("dyna2", "the model writes 2 of them"),
+        ("dyna4", "the model writes 4 of them (0 to 4 over iterations 0-100)"),
     ],
 )
 def test_the_description_says_what_will_happen(spec, tail):
@@ -34,7 +34,7 @@ def test_the_description_says_what_will_happen(spec, tail):
     if spec == "dyna4":
         tails = [min(int(i / 25 + 0.5), 4) for i in range(1, 501)]
     steps = sum(4096 * (16 - n) for n in tails) / 1e6
-    first = f"trains go1: 4096 robots, 16 rows an iteration, {tail}"
+    first = f"trains go1: 4096 robots, rollouts of 16 rows, {tail}"
     second = f"500 iterations, {steps:.2f} M simulator steps"
     assert show.describe(run) == f"{first}\n{second}"
     many = config(f"configs/go1.py:{spec}", num_seeds=4, mesh_seed=4, mesh_env=2)
@@ -111,6 +111,7 @@ def test_brackets_are_no_markup():
 
 SAID = {  # (tracking error, yaw error, fall rate), of commands from -1 to 1: what the summary says
     "stands": ((0.8, 0.57, 0.0), "stands, does not walk yet; does not fall"),
+    "falls often": ((0.8, 0.57, 0.7), "does not walk yet; often falls"),
     "begins": ((0.5, 0.4, 0.2), "begins to walk; often falls"),
     "walks": ((0.05, 0.05, 0.001), "walks, turns, does not fall"),
     "no turn": ((0.1, 0.5, 0.03), "walks, does not turn yet, seldom falls"),
