@@ -21,7 +21,6 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from dynappo import algorithm
 from dynappo.learner import networks
-from dynappo.physics import randomize
 from dynappo.types import Config, Env, Metrics
 
 SETTLE = 1.0  # s, left out of the tracking error
@@ -31,11 +30,10 @@ def nominal(hyper: Config) -> Any:
     """`hyper` of a task without noise and pushes, with all physical parameters nominal."""
     task, r = hyper.task, hyper.task.randomize
     still = jax.tree.map(jnp.zeros_like, task.noise)
-    bodies = jax.tree.map(jnp.zeros_like, r)
-    for name, value in randomize.NOMINAL.items():
-        bodies = bodies._replace(**{name: (jnp.full((), value), jnp.full((), value))})
-    friction = (r.friction[0] + r.friction[1]) / 2
-    bodies = bodies._replace(friction=(friction, friction))
+    bodies = jax.tree.map(jnp.zeros_like, r)  # what is not a share of something
+    one, friction = jnp.ones(()), (r.friction[0] + r.friction[1]) / 2
+    shares = dict.fromkeys(("kp_scale", "kd_scale", "strength", "armature"), (one, one))
+    bodies = bodies._replace(friction=(friction, friction), **shares)
     push = task.push._replace(velocity=jnp.zeros(()))
     return hyper._replace(task=task._replace(noise=still, randomize=bodies, push=push))
 

@@ -146,6 +146,7 @@ def validate(
     fields = flat(config)
     _check_fields(fields)
     _check_pairs(config, fields)
+    _check_hardware(config)
     if schedule.uses_model(config):
         _check_model(config)
     _expect(
@@ -237,6 +238,26 @@ def _check_pairs(config, fields: dict[str, Any]) -> None:
         "task.formulation=isaaclab_exact): knees would sink through the floor; set "
         "--config.physics.contacts=full",
     )
+
+
+def _check_hardware(config) -> None:
+    """What of `task.randomize` the observation, the actuator and the engine can have."""
+    task, ranges = config.task, config.task.randomize
+    seconds = config.physics.substeps * config.physics.timestep
+    late, longest = ranges.delay[1], 2 * seconds
+    text = f"at most two control steps, {longest:g} s"
+    _expect(late <= longest + 1e-9, "task.randomize.delay", ranges.delay, text)
+    for name in ("encoder_bias", "imu_tilt"):
+        fits = task.observation == "onboard" or not ranges[name]
+        text = "0 where task.observation is full: its 48 numbers are those of the state"
+        _expect(fits, f"task.randomize.{name}", ranges[name], text)
+    if task.actuator == "pd":
+        text = "(0, 0) where task.actuator is pd; set task.actuator=lag"
+        _expect(tuple(ranges.lag) == (0, 0), "task.randomize.lag", ranges.lag, text)
+    else:
+        text = "above 0 where task.actuator is lag"
+        _expect(ranges.lag[1] > 0, "task.randomize.lag", ranges.lag, text)
+        _expect(config.physics.impl != "c", "physics.impl", "c", "jax or warp where torques lag")
 
 
 def _check_model(config) -> None:

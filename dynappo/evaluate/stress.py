@@ -150,7 +150,8 @@ def play(body: Body, act: Callable, command, stress: Stress, seed: int = 0, seco
                 [np.cos(angle), np.sin(angle)]
             )
             seen[-1] = episode_lib.coordinates(body, data)
-        obs = observe.observe(*seen[-1 - old], com, p.default_pose, command, action)
+        qpos, qvel = seen[-1 - old]
+        obs = observe.observe(qpos, qvel, com, p.default_pose, command, action)
         obs[observe.LINEAR_VELOCITY] *= stress.velocity
         action = act(see(obs + rng.uniform(-1, 1, len(obs)) * scale))
         target, fell = actuators.target(action, p.default_pose, p.action_scale), False
@@ -174,7 +175,7 @@ def play(body: Body, act: Callable, command, stress: Stress, seed: int = 0, seco
         if fell or not finite:
             fall = (k + 1) * dt
             break
-        _, linear, angular = observe.base_motion(*seen[-1], com)
+        _, linear, angular = observe.base_motion(seen[-1][0], seen[-1][1], com)
         velocity.append([linear[0], linear[1], angular[2]])
     return np.reshape(velocity, (-1, 3)), fall
 

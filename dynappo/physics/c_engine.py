@@ -86,7 +86,8 @@ def check(robot: robot_lib.Robot) -> None:
 def make(robot: robot_lib.Robot, physics, varied: frozenset[str]):
     """`step(qpos, qvel, qacc_warmstart, target, numbers) -> Moved` of one robot, for `jax.vmap`.
 
-    `physics` is the config's group; `target` are joint angles [n, A] of each physics step, `numbers` those of `NUMBERS`.
+    `physics` is the config's group. `target` are joint angles [n, A], a row a physics step; `numbers` are
+    those of `NUMBERS`.
     """
     check(robot)
     steps, threads, model = physics.substeps, cores(physics.threads), _model(robot, physics)

@@ -133,7 +133,7 @@ def simulate(engine: Engine, hyper: Config, body, state: EnvState, action) -> Su
 
 
 def _arriving(engine: Engine, body, state: EnvState, action):
-    """The action [n, A] that the motors follow in each physics step: one of the last three if they are late."""
+    """The actions [n, A] that the motors follow, a row a physics step; they may be late."""
     steps = np.arange(engine.substeps)
     if body.delay is None:
         return jnp.broadcast_to(action, (engine.substeps, *action.shape))

@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-
 NAME = 100  # characters of a robot's or a joint's name
 # field -> (low, high, unit)
 NUMBERS = {
