@@ -31,7 +31,7 @@ from jax.sharding import PartitionSpec
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from dynappo import rollout, schedule, stats
-from dynappo.learner import gae, networks, ppo
+from dynappo.learner import gae, networks, ppo, symmetry
 from dynappo.model import dynamics, errors
 from dynappo.types import Columns, Config, Env, Metrics, TrainState, Transition
 
@@ -45,9 +45,10 @@ def init(env: Env, hyper: Config, key: PRNGKeyArray, *, static: Config) -> Train
     per_robot = jax.vmap(jax.random.fold_in, (None, 0))
     bodies = jax.vmap(env.randomize, (None, 0))(hyper, per_robot(physics_key, robot_index))
     env_state = jax.vmap(env.reset, (None, 0, 0))(hyper, bodies, per_robot(reset_key, robot_index))
-    uses_model = schedule.uses_model(static)
+    uses_model, image = schedule.uses_model(static), symmetry.policy_image(static, env)
+    size, critic_size = networks.seen_sizes(static, env)
     return TrainState(
-        learner=ppo.init(static, hyper, env, policy_key),
+        learner=ppo.init(static, hyper, size, env.action_size, policy_key, critic_size, image),
         model=dynamics.init(static, env, model_key) if uses_model else None,
         env_state=env_state,
         params_physics=bodies,
@@ -96,9 +97,10 @@ def iterate(
             part = n_real, jnp.int32(horizon)
             buffer = rollout.fill(buffer, *part, start, keys, act=act, step=step)[0]
         batch = estimate(static, hyper, env, learner.params, buffer, real, k)
-        learner, learned = ppo.update(static, hyper, env, learner, batch, key(UPDATE, k))
+        learner, learned = ppo.update(static, hyper, learner, batch, key(UPDATE, k), image)
         return learner, buffer, learned
 
+    image = symmetry.policy_image(static, env)
     start = state.learner, buffer, dict.fromkeys(ppo.METRICS, jnp.zeros(()))
     learner, buffer, learned = jax.lax.fori_loop(0, columns.get("rounds", 1), imagine, start)
     if state.model is not None:
@@ -182,6 +184,7 @@ def estimate(
     """
     with jax.default_matmul_precision("highest"):
         cut = (buffer.truncation == 1).at[-1].set(True)
+        seen = networks.seen(static, env, buffer.obs, buffer.prop)
         after = networks.seen(static, env, buffer.next_obs, buffer.next_prop)[1]
         value, last = buffer.value, networks.value(static, params, after)
         bootstrap = jnp.where(cut, last, jnp.roll(value, -1, axis=0))
@@ -190,7 +193,7 @@ def estimate(
     weight = None
     if schedule.uses_model(static):
         weight = presence(buffer, real) * (~real | (k == 0))
-    return ppo.batch(static, env, buffer, advantages, returns, weight)
+    return ppo.batch(buffer, seen, advantages, returns, weight)
 
 
 def presence(buffer: Transition, real) -> Float[Array, "N R"]:

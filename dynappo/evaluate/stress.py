@@ -101,6 +101,39 @@ def table(policy: Policy) -> list[Stress]:
     return [stress for stress in TABLE if sees or stress.velocity == 1.0]
 
 
+def engines(body: Body) -> list[tuple[str, Body]]:
+    """The same robot in other physics: steps, cones and solvers that the policy did not train with."""
+    cone, solver = mujoco.mjtCone, mujoco.mjtSolver
+    period = episode_lib.period(body)
+    out = []
+    for name, substeps, options in (
+        ("steps of 2 ms", round(period / 0.002), {}),
+        ("steps of 10 ms", round(period / 0.01), {}),
+        ("elliptic cone", body.substeps, {"cone": int(cone.mjCONE_ELLIPTIC)}),
+        ("pyramidal cone", body.substeps, {"cone": int(cone.mjCONE_PYRAMIDAL)}),
+        ("solver CG", body.substeps, {"solver": int(solver.mjSOL_CG)}),
+        ("solver PGS", body.substeps, {"solver": int(solver.mjSOL_PGS)}),
+    ):
+        model = copy.copy(body.model)
+        for option, value in options.items():
+            setattr(model.opt, option, value)
+        model.opt.timestep = period / substeps
+        out.append((name, body._replace(model=model, substeps=substeps)))
+    return out
+
+
+def run(policy: Policy, body: Body, tell: Callable[[int, int], None] = lambda done, total: None):
+    """The rows of all disturbances, and of the other physics; `tell(done, total)` after each."""
+    cases = [(stress, body) for stress in table(policy)]
+    cases += [(Stress(name), other) for name, other in engines(body)]
+    rows = []
+    for stress, where in cases:
+        tell(len(rows), len(cases))
+        rows.append(measure(where, stress))
+    tell(len(cases), len(cases))
+    return rows
+
+
 def commands(policy: Policy) -> np.ndarray:
     """The eight commands [8, 3] in the ranges that were trained; m/s, m/s, rad/s."""
     ranges = np.array([policy.command_x, policy.command_y, policy.command_yaw])

@@ -90,10 +90,15 @@ def critic(static: Config) -> MLP:
 
 
 def init_policy(
-    static: Config, hyper: Config, sizes: tuple[int, int], action_size: int, key: PRNGKeyArray
+    static: Config,
+    hyper: Config,
+    obs_size: int,
+    action_size: int,
+    key: PRNGKeyArray,
+    critic_size: int | None = None,
 ) -> dict:
-    """Parameters `{"actor", "critic", "std"}`; `sizes` are those of what policy and value function see."""
-    actor_obs, critic_obs = map(jnp.zeros, sizes)
+    """Parameters `{"actor", "critic", "std"}`; the value function sees `critic_size` or `obs_size`."""
+    actor_obs, critic_obs = jnp.zeros(obs_size), jnp.zeros(critic_size or obs_size)
     actor_key, critic_key = jax.random.split(key)
     return {
         "actor": actor(static, action_size).init(actor_key, actor_obs),

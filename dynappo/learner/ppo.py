@@ -20,7 +20,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from dynappo.learner import networks, symmetry
-from dynappo.types import Config, Env, Learner, Metrics, Transition
+from dynappo.types import Config, Learner, Metrics, Transition
 
 OF_STEP: tuple[str, ...] = ("kl", "surrogate_loss", "value_loss", "entropy")
 METRICS = *OF_STEP, "learning_rate"
@@ -40,19 +40,25 @@ class Batch(NamedTuple):
     critic_obs: Float[Array, "... C"] | None = None  # None: the value function sees `obs`
 
 
-def batch(static: Config, env: Env, rows: Transition, advantages, returns, weight=None) -> Batch:
-    """The `Batch` of a rollout with its advantages and returns."""
+def batch(rows: Transition, seen, advantages, returns, weight=None) -> Batch:
+    """The `Batch` of a rollout, with what its networks saw (`networks.seen`), its advantages and returns."""
     kept: dict[str, Any] = {name: getattr(rows, name) for name in Batch._fields[1:5]}
-    obs, critic_obs = networks.seen(static, env, rows.obs, rows.prop)
-    kept |= {"obs": obs, "critic_obs": None if critic_obs is obs else critic_obs}
+    kept |= {"obs": seen[0], "critic_obs": None if seen[1] is seen[0] else seen[1]}
     return Batch(**kept, advantages=advantages, returns=returns, weight=weight)
 
 
-def init(static: Config, hyper: Config, env: Env, key: PRNGKeyArray) -> Learner:
-    """An untrained learner."""
-    sizes = networks.seen_sizes(static, env)
-    params = networks.init_policy(static, hyper, sizes, env.action_size, key)
-    params = symmetry.tie(params, symmetry.policy_image(static, env))
+def init(
+    static: Config,
+    hyper: Config,
+    obs_size: int,
+    action_size: int,
+    key: PRNGKeyArray,
+    critic_size: int | None = None,
+    image: symmetry.Image | None = None,
+) -> Learner:
+    """An untrained learner: sizes as of `networks.init_policy`, `image` as in `update`."""
+    params = networks.init_policy(static, hyper, obs_size, action_size, key, critic_size)
+    params = symmetry.tie(params, image)
     opt_state = _optimizer(hyper).init(ravel_pytree(params)[0])
     return Learner(params, opt_state, jnp.asarray(hyper.ppo.learning_rate, jnp.float32))
 
@@ -156,15 +162,14 @@ def minibatches(static: Config, batch: Batch, key: PRNGKeyArray) -> Batch:
 
 
 def update(
-    static: Config, hyper: Config, env: Env, learner: Learner, batch: Batch, key: PRNGKeyArray
+    static: Config, hyper: Config, learner: Learner, batch: Batch, key: PRNGKeyArray, image=None
 ) -> tuple[Learner, Metrics]:
     """`epochs` x `minibatches` steps on one rollout `[N, R]` with raw advantages. Metrics are means
-    over the steps, and the last learning rate."""
+    over the steps, and the last learning rate. `image` is `symmetry.policy_image`."""
     old_std = learner.params["std"]
     batch = batch._replace(advantages=normalize(batch.advantages, batch.weight))
     shuffled = minibatches(static, batch, key)
     params, unflatten = ravel_pytree(learner.params)
-    image = symmetry.policy_image(static, env)
 
     def step(learner, i):
         rows = jax.tree.map(lambda x: x[i % static.ppo.minibatches], shuffled)

@@ -69,7 +69,7 @@ def make(robot: robot_lib.Robot, task, physics_config, *, impl: str = "jax") -> 
         step=partial(step, const),
         autoreset=partial(autoreset, const),
         context=partial(view.context, layout),
-        noise=noise,
+        noise=view.noise,
         bias=partial(view.bias, layout) if varied & {"encoder_bias", "imu_tilt"} else None,
         views=view.views(layout),
         known_reward=partial(known_reward, const),
@@ -130,7 +130,8 @@ def autoreset(
         keys = jax.random.split(jax.random.fold_in(key, 1), 3)
         command, goal = commands.draw(const.task, hyper, state.qpos, keys[0])
         same = state.replace(command=command, goal=goal, **dict.fromkeys(AGES, 0))
-        prop, obs = _observe(const, hyper, body, same, state.obs[view.SENSED :], keys[1])
+        seen = same, state.obs[view.SENSED :]
+        prop, obs = view.sense(const.view, const.robot, hyper, body, *seen, keys[1])
         same = same.replace(prop=prop, obs=obs)
         stays = (outcome.truncation == 1) & jax.random.bernoulli(keys[2])
         fresh = jax.tree.map(lambda here, there: jnp.where(stays, here, there), same, fresh)
@@ -176,7 +177,7 @@ def _fresh(const: Constants, hyper: Config, body, key) -> EnvState:
         push_in=pushes.wait(hyper.task.push, const.dt, keys[6]),
         episode_return=jnp.zeros(()),
     )
-    prop, obs = _observe(const, hyper, body, state, None, keys[5])
+    prop, obs = view.sense(const.view, const.robot, hyper, body, state, None, keys[5])
     return state.replace(prop=prop, obs=obs)
 
 
@@ -185,38 +186,6 @@ def _soft_limits(const: Constants, hyper: Config):
     low, high = jnp.asarray(const.robot.mj_model.jnt_range[1:].T, jnp.float32)
     spare = (1 - hyper.task.reset.soft_limit) / 2 * (high - low)
     return low + spare, high - spare
-
-
-def _see(const: Constants, body, state: EnvState):
-    """The observation of a state, without noise."""
-    default = jnp.asarray(const.robot.default_pose, jnp.float32)
-    return observe.observe(
-        state.qpos, state.qvel, body.base_com, default, state.command, state.last_action
-    )
-
-
-def _observe(const: Constants, hyper: Config, body, state: EnvState, past, key):
-    """`(prop, obs)`: the predicted part as it is, and the whole as it is sensed.
-
-    `past` is what follows the 48 numbers in obs (view.py); None: that of an episode's first.
-    """
-    clean = _see(const, body, state)
-    noise = jax.random.uniform(key, clean.shape, minval=-1.0, maxval=1.0)
-    sensed = clean + noise * observe.noise_scale(hyper.task.noise, jnp)
-    nominal = const.robot.mj_model.body_ipos[const.robot.base_body]
-    told = jnp.zeros(0)
-    if const.view.body:
-        told = randomize.numbers(body, nominal, const.view.varied)
-        every = jnp.concatenate([clean, jnp.zeros(view.past_size(const.view)), told])
-        sensed = sensed.at[: observe.PROP_SIZE].add(view.bias(const.view, every))
-    past = view.first(const.view, sensed, told) if past is None else past
-    return clean[: observe.PROP_SIZE], jnp.concatenate([sensed, past])
-
-
-def noise(hyper: Config, key):
-    """A draw of the noise on `prop`, [33]: uniform, as `step` adds it to an observation."""
-    scale = observe.noise_scale(hyper.task.noise, jnp)[: observe.PROP_SIZE]
-    return jax.random.uniform(key, scale.shape, minval=-1.0, maxval=1.0) * scale
 
 
 def step(const: Constants, hyper: Config, body, state: EnvState, action, key):
@@ -232,7 +201,7 @@ def step(const: Constants, hyper: Config, body, state: EnvState, action, key):
     ok &= (speed[3:] < MAX_TURN).all() & (speed[:3] < MAX_BASE_SPEED).all()
 
     moved = state.replace(qpos=after.qpos, qvel=after.qvel)
-    known = _known(hyper, _see(const, body, moved), action)
+    known = _known(hyper, view.exact(const.robot, body, moved), action)
     facts = known | _measured(const, hyper, state, after)._asdict()
     terms = payment.values(const.terms, facts)
     reward, weighted = payment.total(terms, hyper.task.weights, const.dt)
@@ -266,7 +235,7 @@ def step(const: Constants, hyper: Config, body, state: EnvState, action, key):
         episode_return=state.episode_return + reward,
     )
     past = view.later(const.view, state.obs)
-    prop, obs = _observe(const, hyper, body, next_state, past, obs_key)
+    prop, obs = view.sense(const.view, const.robot, hyper, body, next_state, past, obs_key)
     next_state = next_state.replace(
         prop=jnp.where(ok, prop, state.prop), obs=jnp.where(ok, obs, state.obs)
     )

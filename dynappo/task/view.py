@@ -18,11 +18,14 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 from dynappo.physics import randomize
+from dynappo.physics.robot import Robot
 from dynappo.task import observe
-from dynappo.types import Views
+from dynappo.types import Config, EnvState, Views
 
 SENSED = observe.SENSED
 
@@ -70,6 +73,36 @@ def views(view: View) -> Views | None:
         critic=state,
         model=np.concatenate([state, before[: len(reading(view))]]),
     )
+
+
+def exact(robot: Robot, body: randomize.Body, state: EnvState):
+    """The 48 numbers of a state, without noise or error."""
+    default = jnp.asarray(robot.default_pose, jnp.float32)
+    seen = state.command, state.last_action
+    return observe.observe(state.qpos, state.qvel, body.base_com, default, *seen)
+
+
+def sense(view: View, robot: Robot, hyper: Config, body: randomize.Body, state, past, key):
+    """`(prop, obs)` of a state: the predicted part as it is, and the whole as it is sensed.
+
+    `past` is what follows the 48 numbers; None where an episode begins.
+    """
+    clean, told = exact(robot, body, state), jnp.zeros(0)
+    unit = jax.random.uniform(key, clean.shape, minval=-1.0, maxval=1.0)
+    sensed = clean + unit * observe.noise_scale(hyper.task.noise, jnp)
+    if view.body:
+        com = robot.mj_model.body_ipos[robot.base_body]
+        told = randomize.numbers(body, com, view.varied)
+        whole = jnp.concatenate([clean, jnp.zeros(past_size(view)), told])
+        sensed = sensed.at[: observe.PROP_SIZE].add(bias(view, whole))
+    past = first(view, sensed, told) if past is None else past
+    return clean[: observe.PROP_SIZE], jnp.concatenate([sensed, past])
+
+
+def noise(hyper: Config, key):
+    """`Env.noise`: a draw of the noise on `prop`, [33]; uniform, as `sense` adds it."""
+    scale = observe.noise_scale(hyper.task.noise, jnp)[: observe.PROP_SIZE]
+    return jax.random.uniform(key, scale.shape, minval=-1.0, maxval=1.0) * scale
 
 
 def first(view: View, sensed, body):
