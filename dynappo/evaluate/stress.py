@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import mujoco
@@ -165,7 +166,7 @@ def play(body: Body, act: Callable, command, stress: Stress, seed: int = 0, seco
     mujoco.set_mju_user_warning(lambda message: None)
     p, model = body.policy, body.model
     rng, data = np.random.default_rng(seed), mujoco.MjData(model)
-    see, com = episode_lib.memory(p), model.body_ipos[body.base_body]
+    see, com = observe.memory(p.observation, p.history), model.body_ipos[body.base_body]
     dt, step = episode_lib.period(body), model.opt.timestep
     late, old = (round(s / step) for s in (stress.action_delay, stress.sensor_delay))
     scale = stress.noise * np.concatenate(
@@ -174,7 +175,7 @@ def play(body: Body, act: Callable, command, stress: Stress, seed: int = 0, seco
     action = np.zeros(len(p.joint_names))
     episode_lib.reset(body, data)
     waiting = [p.default_pose] * late  # targets on their way to the motors
-    seen = [episode_lib.coordinates(body, data)] * (old + 1)  # states on their way to the policy
+    seen = [_snapshot(data)] * (old + 1)  # states on their way to the policy
     velocity, fall = [], None
     for k in range(round(seconds / dt)):
         if stress.push and k and k % round(PUSH_EVERY / dt) == 0:
@@ -182,9 +183,8 @@ def play(body: Body, act: Callable, command, stress: Stress, seed: int = 0, seco
             data.qvel[body.root[1] : body.root[1] + 2] += stress.push * np.array(
                 [np.cos(angle), np.sin(angle)]
             )
-            seen[-1] = episode_lib.coordinates(body, data)
-        qpos, qvel = seen[-1 - old]
-        obs = observe.observe(qpos, qvel, com, p.default_pose, command, action)
+            seen[-1] = _snapshot(data)
+        obs = episode_lib.look(body, seen[-1 - old], command, action)
         obs[observe.LINEAR_VELOCITY] *= stress.velocity
         action = act(see(obs + rng.uniform(-1, 1, len(obs)) * scale))
         target, fell = actuators.target(action, p.default_pose, p.action_scale), False
@@ -200,7 +200,7 @@ def play(body: Body, act: Callable, command, stress: Stress, seed: int = 0, seco
             )
             data.qfrc_applied[body.joint_v] = stress.motors * torque
             mujoco.mj_step(model, data)
-            seen = [*seen[1:], episode_lib.coordinates(body, data)]
+            seen = [*seen[1:], _snapshot(data)]
             one, other = data.contact.geom[data.contact.dist < 0].T
             ground, parts = body.ground, body.parts
             fell |= bool(((ground[one] & parts[other]) | (ground[other] & parts[one])).any())
@@ -208,9 +208,14 @@ def play(body: Body, act: Callable, command, stress: Stress, seed: int = 0, seco
         if fell or not finite:
             fall = (k + 1) * dt
             break
-        _, linear, angular = observe.base_motion(seen[-1][0], seen[-1][1], com)
+        _, linear, angular = observe.base_motion(*episode_lib.coordinates(body, data), com)
         velocity.append([linear[0], linear[1], angular[2]])
     return np.reshape(velocity, (-1, 3)), fall
+
+
+def _snapshot(data) -> SimpleNamespace:
+    """What an observation is made of, as it is now."""
+    return SimpleNamespace(qpos=data.qpos.copy(), qvel=data.qvel.copy(), time=data.time)
 
 
 def measure(body: Body, stress: Stress, seconds: float = SECONDS) -> dict[str, Any]:

@@ -186,11 +186,6 @@ def look(body: Body, data, asked, last_action) -> np.ndarray:
     )
 
 
-def memory(policy: Policy):
-    """`see(48 numbers) -> what the policy sees` of one episode (task/observe.py)."""
-    return observe.memory(policy.observation, policy.history)
-
-
 def step(body: Body, data, action) -> tuple[float, bool]:
     """One control step with `action` in `data`; returns `(work, fell)`.
 
@@ -230,7 +225,8 @@ def rows(body: Body, data, act: Callable, command: Callable):
     with mjcf.one_line(body.xml):
         reset(body, data)
     dt, com = period(body), body.model.body_ipos[body.base_body]
-    action, see = np.zeros(len(body.policy.joint_names)), memory(body.policy)
+    p = body.policy
+    action, see = np.zeros(len(p.joint_names)), observe.memory(p.observation, p.history)
     for k in itertools.count():
         asked = np.asarray(command(k * dt), float)
         action = act(see(look(body, data, asked, action)))

@@ -69,7 +69,7 @@ ROWS = {
     )
 }
 SENSED = PROP_SIZE + CONTEXT_SIZE
-UNSEEN = {"velocity-48": (), "onboard-45": ("linear_velocity",)}  # parts that no sensor tells
+UNSEEN = {NAMES["full"]: (), NAMES["onboard"]: ("linear_velocity",)}  # parts that no sensor tells
 GRAVITY, LINEAR_VELOCITY = ROWS["gravity"], ROWS["linear_velocity"]
 ANGULAR_VELOCITY, COMMAND = ROWS["angular_velocity"], ROWS["command"]
 JOINT_POS, JOINT_VEL = ROWS["joint_position"], ROWS["joint_velocity"]
@@ -86,15 +86,25 @@ def columns(name: str) -> np.ndarray:
     return np.concatenate([np.arange(SENSED)[ROWS[part]] for part in shown(name)])
 
 
+def reading(name: str) -> dict[str, slice]:
+    """Where each part is in what a policy of observation `name` sees of one step."""
+    sizes = [PARTS[part].size for part in shown(name)]
+    stops = accumulate(sizes)
+    return {
+        part: slice(stop - size, stop)
+        for part, size, stop in zip(shown(name), sizes, stops, strict=True)
+    }
+
+
 def memory(name: str, history: int) -> Callable[[np.ndarray], np.ndarray]:
     """`see(48 numbers) -> what the policy sees`, step after step of one episode: its readings, newest first.
 
     Before the first there was nothing else: it stands for all before it.
     """
-    reading, kept = columns(name), []
+    seen, kept = columns(name), []
 
     def see(obs):
-        now = obs[reading]
+        now = obs[seen]
         kept.insert(0, now)
         kept[history:] = []
         kept.extend([now] * (history - len(kept)))
