@@ -22,6 +22,8 @@ from dynappo.task import commands, mirror, observe, payment, pushes, rewards, vi
 from dynappo.types import Config, Env, EnvState, Outcome
 
 AGES = ("clock", "episode_steps", "episode_return")  # zero at the start of an episode
+# of what physics leaves, beside coordinates and torques
+KEPT = "qacc_warmstart air_steps contact_steps last_air_steps peak last_peak".split()
 MAX_TURN, MAX_BASE_SPEED = 100.0, 20.0  # rad/s, m/s: above these it is a numerical blow-up
 
 
@@ -218,24 +220,19 @@ def step(const: Constants, hyper: Config, body, state: EnvState, action, key):
     next_state = state.replace(
         qpos=after.qpos,
         qvel=qvel,
-        qacc_warmstart=after.qacc_warmstart,
         command=command,
         goal=goal,
         last_action=action,
         older_action=state.last_action,
         torque=after.torque if const.engine.lags else None,
-        air_steps=after.air_steps,
-        contact_steps=after.contact_steps,
-        last_air_steps=after.last_air_steps,
-        peak=after.peak,
-        last_peak=after.last_peak,
+        **{name: getattr(after, name) for name in KEPT},
         clock=clock,
         push_in=push_in,
         episode_steps=state.episode_steps + 1,
         episode_return=state.episode_return + reward,
     )
-    past = view.later(const.view, state.obs)
-    prop, obs = view.sense(const.view, const.robot, hyper, body, next_state, past, obs_key)
+    seen = next_state, view.later(const.view, state.obs), obs_key
+    prop, obs = view.sense(const.view, const.robot, hyper, body, *seen)
     next_state = next_state.replace(
         prop=jnp.where(ok, prop, state.prop), obs=jnp.where(ok, obs, state.obs)
     )

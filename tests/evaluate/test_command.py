@@ -13,8 +13,8 @@ from toy_policy import actor, described
 
 from dynappo import config as config_lib
 from dynappo.evaluate import command as evaluate_command
-from dynappo.evaluate import show as evaluate_show
 from dynappo.evaluate import episodes, trials
+from dynappo.evaluate import show as evaluate_show
 from dynappo.physics import robot as robot_lib
 from dynappo.policy import policy_file
 

@@ -15,7 +15,10 @@ from dynappo.task import observe, payment, rewards
 STATES = 64
 # Isaac-Velocity-Flat-*-v0 of Isaac Lab 2.2.1: the terms and their weights, per second. Terms of your own
 # need not be here.
-UNITREE = dict(
+SMOOTH = dict.fromkeys(  # of other tasks, off in these
+    "action_acceleration energy joint_limits stand_still foot_clearance".split(), 0.0
+)
+UNITREE = SMOOTH | dict(
     track_linear_velocity=1.5,
     track_yaw_rate=0.75,
     vertical_velocity=-2.0,
@@ -27,7 +30,7 @@ UNITREE = dict(
     feet_air_time=0.25,
     undesired_contacts=0.0,
 )
-ANYMAL = dict(
+ANYMAL = SMOOTH | dict(
     track_linear_velocity=1.0,
     track_yaw_rate=0.5,
     vertical_velocity=-2.0,
@@ -319,6 +322,7 @@ def test_a_term_is_known_without_physics_if_it_asks_for_nothing_that_is_measured
         "roll_pitch_rate",
         "flat_orientation",
         "action_rate",
+        "stand_still",
     }
     own = {
         "straight": lambda joint_position: 0.0,
