@@ -339,7 +339,7 @@ def _best(config: config_dict.ConfigDict) -> None:
 
 
 def _deploy(config: config_dict.ConfigDict) -> None:
-    """`best` for a robot of metal (robots/DEPLOY.md). What each part is worth: experiments/23_deploy."""
+    """`best` for a robot of metal (robots/DEPLOY.md). What each part is worth: experiments/22_deploy."""
     _best(config)
     task, weights = config.task, config.task.weights
     # 45 numbers that a robot measures, of the last five steps; value and model see the state

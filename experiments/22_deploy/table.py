@@ -1,7 +1,7 @@
 """The table of disturbances of this folder's page: falls of eight commands, and tracking error in m/s.
 
 dynappo evaluate go1_deploy --stress --out=OUT    # writes OUT/stress.json, here stress/go1_deploy.json
-python experiments/23_deploy/table.py [NAME ...]
+python experiments/22_deploy/table.py [NAME ...]
 """
 
 import json
