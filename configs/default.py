@@ -15,6 +15,7 @@ Variants, appended to the file name as in `configs/go1.py:ppo16`:
 | `dyna4`            | 16     | 0 to 4 over iterations 0-100| paper, Table III           |
 | `fast`             | 16     | as dyna4                    | 5 epochs after 50, bfloat16|
 | `best` (default)   | 20     | 0 to 16 over 0-5, until 150 | experiments/21_less        |
+| `deploy`           | 20     | as best                     | for hardware: robots/DEPLOY.md |
 | `laptop`           | 24     | 0 to 16 over 0-20           | two CPU cores: it walks    |
 | `quick`            | 24     | 0 to 4                      | the smallest run on MJX    |
 """
@@ -31,7 +32,7 @@ PAPER = {
     "dyna4_noschedule": (16, (0, 0, 4, 4)),
     "dyna4": (16, (0, 100, 0, 4)),
 }
-VARIANTS = (*PAPER, "fast", "best", "quick", "laptop")
+VARIANTS = (*PAPER, "fast", "best", "deploy", "quick", "laptop")
 
 
 class Run(NamedTuple):
@@ -115,6 +116,9 @@ class Ppo(NamedTuple):
     lambda_: float = 0.95
     max_grad_norm: float = 1.0
     precision: str = "highest"
+    # what the value function sees: "obs", as the policy; or "state", without noise and with
+    # what no sensor tells (task/view.py)
+    critic: str = "obs"
     symmetry: bool = False  # what is learned of the left holds for the right (learner/symmetry.py)
 
 
@@ -131,6 +135,12 @@ class Weights(NamedTuple):
     action_rate: float = -0.01
     feet_air_time: float = 0.25
     undesired_contacts: float = 0.0
+    # for smooth and careful gaits; 0 in Isaac Lab's tasks
+    action_acceleration: float = 0.0
+    energy: float = 0.0
+    joint_limits: float = 0.0
+    stand_still: float = 0.0
+    foot_clearance: float = 0.0
 
 
 class Noise(NamedTuple):
@@ -170,6 +180,14 @@ class Randomize(NamedTuple):
     friction: tuple[float, float] = (0.8, 0.8)  # of the feet
     kp_scale: tuple[float, float] = (1.0, 1.0)
     kd_scale: tuple[float, float] = (1.0, 1.0)
+    # real robots (physics/randomize.py); nominal: not in the compiled program
+    strength: tuple[float, float] = (1.0, 1.0)  # share of the motors' torque that arrives
+    armature: tuple[float, float] = (1.0, 1.0)  # of the joints, times the file's
+    joint_friction: tuple[float, float] = (0.0, 0.0)  # N m
+    delay: tuple[float, float] = (0.0, 0.0)  # s, actions come late; at most two control steps
+    lag: tuple[float, float] = (0.0, 0.0)  # s, time constant with task.actuator="lag"
+    encoder_bias: float = 0.0  # rad, half width, a joint
+    imu_tilt: float = 0.0  # rad, half width, about each axis
 
 
 class Task(NamedTuple):
@@ -193,6 +211,11 @@ class Task(NamedTuple):
     random_clock: bool = True  # episodes start at random ages, so that time-outs spread; IL
     carry_on: bool = False  # half of those that time out stay where they are, with a new command
     action_scale: float = 0.25  # rad per unit of action; IL
+    # "full": the 48 numbers of task/observe.py; "onboard": the 45 that a robot measures, so
+    # without linear velocity
+    observation: str = "full"
+    history: int = 1  # readings that the policy sees, the newest included
+    actuator: str = "pd"  # torque at once; "lag": it follows with task.randomize.lag
     kp: float = 25.0  # N m/rad
     kd: float = 0.5  # N m s/rad
     effort_limit: float = 23.7  # N m
@@ -271,18 +294,9 @@ def apply_variant(config: config_dict.ConfigDict, variant: str) -> config_dict.C
     elif variant == "fast":
         config.model.update(late_epochs=5, late_from=50, precision="bfloat16")
     elif variant == "best":
-        # Few robots, and four of five rows and two of three updates imagined, until the robot walks; then
-        # physics alone. What each setting is worth: experiments/21_less.
-        config.rollout.update(num_envs=1024, horizon=20)
-        config.schedule.update(start_iteration=0, end_iteration=5, start_steps=0, end_steps=16)
-        config.schedule.update(last_iteration=150, rounds=3)
-        config.model.update(clean=True, known_reward=True, falls=True, minibatches=5)
-        config.model.update(late_epochs=5, late_from=50, activation="swish", precision="bfloat16")
-        config.ppo.update(symmetry=True, gamma=0.98, desired_kl=0.02)
-        config.ppo.update(activation="swish", precision="bfloat16")
-        # Episodes of 5 s: robots fall in the first second of a command, so they must begin many.
-        config.task.update(episode_length=250, carry_on=True)
-        config.run.eval_steps = 1000
+        _best(config)
+    elif variant == "deploy":
+        _deploy(config)
     elif variant == "laptop":
         # Learning takes half of a CPU's time, so the networks are small and the model has few epochs. Swish,
         # a larger KL and gamma 0.98 let it learn from fewer steps (experiments/04_laptop).
@@ -307,3 +321,44 @@ def apply_variant(config: config_dict.ConfigDict, variant: str) -> config_dict.C
         config.model.update(epochs=2, minibatches=8)
         config.run.update(num_iterations=70, log_every=2, eval_envs=16, video_seconds=4.0)
     return config
+
+
+def _best(config: config_dict.ConfigDict) -> None:
+    """Few robots, and four of five rows and two of three updates imagined, until the robot walks; then
+    physics alone. What each setting is worth: experiments/21_less."""
+    config.rollout.update(num_envs=1024, horizon=20)
+    config.schedule.update(start_iteration=0, end_iteration=5, start_steps=0, end_steps=16)
+    config.schedule.update(last_iteration=150, rounds=3)
+    config.model.update(clean=True, known_reward=True, falls=True, minibatches=5)
+    config.model.update(late_epochs=5, late_from=50, activation="swish", precision="bfloat16")
+    config.ppo.update(symmetry=True, gamma=0.98, desired_kl=0.02)
+    config.ppo.update(activation="swish", precision="bfloat16")
+    # Episodes of 5 s: robots fall in the first second of a command, so they must begin many.
+    config.task.update(episode_length=250, carry_on=True)
+    config.run.eval_steps = 1000
+
+
+def _deploy(config: config_dict.ConfigDict) -> None:
+    """`best` for a robot of metal (robots/DEPLOY.md). What each part is worth: experiments/22_deploy."""
+    _best(config)
+    task, weights = config.task, config.task.weights
+    # 45 numbers that a robot measures, of the last five steps; value and model see the state
+    task.update(observation="onboard", history=5, standing=0.1)
+    config.ppo.critic = "state"
+    # the task is harder, and a GPU has room for more robots
+    config.rollout.num_envs = 4096
+    config.run.num_iterations = 700
+    # Payloads: twice Isaac Lab's range. Friction as legged_gym and unitree_rl_lab together. Gains, torque
+    # and joint friction: what motors of one kind differ by. Delay: two control steps at most, of bus,
+    # driver and computer together. Sensors: a degree.
+    low, high = task.randomize.base_mass
+    task.randomize.update(base_mass=(2 * low, 2 * high), base_com=(0.05, 0.05, 0.03))
+    task.randomize.update(friction=(0.2, 1.25), kp_scale=(0.9, 1.1), kd_scale=(0.9, 1.1))
+    task.randomize.update(strength=(0.8, 1.2), armature=(0.8, 1.2), joint_friction=(0.0, 0.2))
+    task.randomize.update(delay=(0.0, 0.04), encoder_bias=0.02, imu_tilt=0.02)
+    # Practice pushes every 5 to 10 s in episodes of 20; these have 5 s
+    task.push.update(velocity=1.0, interval=(2.0, 6.0))
+    # Smooth, with feet lifted, still when told to stand. Power: in the ratio of the torques' weights
+    weights.update(action_rate=2 * weights.action_rate, action_acceleration=-0.01)
+    weights.update(energy=5 * weights.joint_torques, foot_clearance=-1.0)
+    weights.update(stand_still=-0.5, joint_limits=-5.0)

@@ -31,7 +31,7 @@ from jax.sharding import PartitionSpec
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from dynappo import rollout, schedule, stats
-from dynappo.learner import gae, networks, ppo
+from dynappo.learner import gae, networks, ppo, symmetry
 from dynappo.model import dynamics, errors
 from dynappo.types import Columns, Config, Env, Metrics, TrainState, Transition
 
@@ -45,9 +45,10 @@ def init(env: Env, hyper: Config, key: PRNGKeyArray, *, static: Config) -> Train
     per_robot = jax.vmap(jax.random.fold_in, (None, 0))
     bodies = jax.vmap(env.randomize, (None, 0))(hyper, per_robot(physics_key, robot_index))
     env_state = jax.vmap(env.reset, (None, 0, 0))(hyper, bodies, per_robot(reset_key, robot_index))
-    uses_model = schedule.uses_model(static)
+    uses_model, image = schedule.uses_model(static), symmetry.policy_image(static, env)
+    size, critic_size = networks.seen_sizes(static, env)
     return TrainState(
-        learner=ppo.init(static, hyper, env.obs_size, env.action_size, policy_key, env.mirror),
+        learner=ppo.init(static, hyper, size, env.action_size, policy_key, critic_size, image),
         model=dynamics.init(static, env, model_key) if uses_model else None,
         env_state=env_state,
         params_physics=bodies,
@@ -91,14 +92,15 @@ def iterate(
             drawn = dynamics.anchors(static, env, buffer, n_real, key(ANCHOR, k))
             start = jax.tree.map(partial(jnp.where, k == 0), last, drawn)
             keys = rollout.row_keys(key(ROWS, k), state.robot_index)
-            act = policy(static, learner.params)
+            act = policy(static, env, learner.params)
             step = partial(dynamics.step, static, hyper, env, state.model)
             part = n_real, jnp.int32(horizon)
             buffer = rollout.fill(buffer, *part, start, keys, act=act, step=step)[0]
-        batch = estimate(static, hyper, learner.params, buffer, real, k)
-        learner, learned = ppo.update(static, hyper, learner, batch, key(UPDATE, k), env.mirror)
+        batch = estimate(static, hyper, env, learner.params, buffer, real, k)
+        learner, learned = ppo.update(static, hyper, learner, batch, key(UPDATE, k), image)
         return learner, buffer, learned
 
+    image = symmetry.policy_image(static, env)
     start = state.learner, buffer, dict.fromkeys(ppo.METRICS, jnp.zeros(()))
     learner, buffer, learned = jax.lax.fori_loop(0, columns.get("rounds", 1), imagine, start)
     if state.model is not None:
@@ -122,7 +124,7 @@ def collect(env: Env, hyper: Config, state: TrainState, n_real, key, *, static: 
         n_real,
         state.env_state,
         rollout.row_keys(key, state.robot_index),
-        act=policy(static, state.learner.params),
+        act=policy(static, env, state.learner.params),
         step=physics_step(env, hyper, state.params_physics),
         metrics=env.metrics,
     )
@@ -138,12 +140,13 @@ def run(
     )
 
 
-def policy(static: Config, params: dict):
-    """`act(obs, keys) -> action, mean, log_prob, value` of every robot; the action is Gaussian."""
+def policy(static: Config, env: Env, params: dict):
+    """`act(state, keys) -> action, mean, log_prob, value` of every robot; the action is Gaussian."""
     std = params["std"]
 
-    def act(obs, keys):
-        mean, value = networks.policy_and_value(static, params, obs)
+    def act(state, keys):
+        seen = networks.seen(static, env, state.obs, state.prop)
+        mean, value = networks.policy_and_value(static, params, *seen)
         keys = jax.vmap(jax.random.fold_in, (0, None))(keys, ACTION)
         action = mean + std * jax.vmap(lambda k: jax.random.normal(k, std.shape))(keys)
         return action, mean, networks.log_prob(mean, std, action), value
@@ -172,7 +175,7 @@ def physics_step(env: Env, hyper: Config, bodies):
 
 
 def estimate(
-    static: Config, hyper: Config, params: dict, buffer: Transition, real, k=0
+    static: Config, hyper: Config, env: Env, params: dict, buffer: Transition, real, k=0
 ) -> ppo.Batch:
     """Advantages and returns of a rollout, bootstrapped by V(next_obs) at truncations and row N-1.
 
@@ -181,14 +184,16 @@ def estimate(
     """
     with jax.default_matmul_precision("highest"):
         cut = (buffer.truncation == 1).at[-1].set(True)
-        value, last = buffer.value, networks.value(static, params, buffer.next_obs)
+        seen = networks.seen(static, env, buffer.obs, buffer.prop)
+        after = networks.seen(static, env, buffer.next_obs, buffer.next_prop)[1]
+        value, last = buffer.value, networks.value(static, params, after)
         bootstrap = jnp.where(cut, last, jnp.roll(value, -1, axis=0))
         rows = buffer.reward, buffer.discount, buffer.truncation, value, bootstrap
         advantages, returns = gae.gae(*rows, gamma=hyper.ppo.gamma, lambda_=hyper.ppo.lambda_)
     weight = None
     if schedule.uses_model(static):
         weight = presence(buffer, real) * (~real | (k == 0))
-    return ppo.batch(buffer, advantages, returns, weight)
+    return ppo.batch(buffer, seen, advantages, returns, weight)
 
 
 def presence(buffer: Transition, real) -> Float[Array, "N R"]:

@@ -30,15 +30,10 @@ def nominal(hyper: Config) -> Any:
     """`hyper` of a task without noise and pushes, with all physical parameters nominal."""
     task, r = hyper.task, hyper.task.randomize
     still = jax.tree.map(jnp.zeros_like, task.noise)
-    one = (jnp.ones(()), jnp.ones(()))
-    friction = (r.friction[0] + r.friction[1]) / 2
-    bodies = r._replace(
-        base_mass=jax.tree.map(jnp.zeros_like, r.base_mass),
-        base_com=jax.tree.map(jnp.zeros_like, r.base_com),
-        friction=(friction, friction),
-        kp_scale=one,
-        kd_scale=one,
-    )
+    bodies = jax.tree.map(jnp.zeros_like, r)  # what is not a share of something
+    one, friction = jnp.ones(()), (r.friction[0] + r.friction[1]) / 2
+    shares = dict.fromkeys(("kp_scale", "kd_scale", "strength", "armature"), (one, one))
+    bodies = bodies._replace(friction=(friction, friction), **shares)
     push = task.push._replace(velocity=jnp.zeros(()))
     return hyper._replace(task=task._replace(noise=still, randomize=bodies, push=push))
 
@@ -77,7 +72,8 @@ def evaluate(
 
     def step(carry, t):
         state, alive, total, length, fell, errors, rows = carry
-        action = networks.policy(exact, params, state.obs)
+        obs, _ = networks.seen(exact, env, state.obs, state.prop)
+        action = networks.policy(exact, params, obs)
         step_keys = jax.vmap(jax.random.fold_in, (0, None))(keys, t)
         # robots whose episode ended continue from a reset, to keep numbers finite, but do not count
         after, outcome = advance(state, action, step_keys)

@@ -56,7 +56,7 @@ def fill(
 ) -> tuple[Transition, Any, Metrics]:
     """Write rows `lo <= t < hi`; returns `(buffer, state after the last row, sums)`.
 
-    `act(obs, keys) -> action, action_mean, log_prob, value` and `step(state, action, keys) ->
+    `act(state, keys) -> action, action_mean, log_prob, value` and `step(state, action, keys) ->
     state, Outcome` work on all R robots. Only `.obs` and `.prop` of `state` are read here. `sums`
     are the outcomes' `metrics`, summed over these rows and all robots.
     """
@@ -64,7 +64,7 @@ def fill(
     def row(t, carry):
         buffer, state, sums = carry
         key = keys(t)
-        action, action_mean, log_prob, value = act(state.obs, key)
+        action, action_mean, log_prob, value = act(state, key)
         next_state, outcome = step(state, action, key)
         transition = Transition(
             obs=state.obs,

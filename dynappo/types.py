@@ -109,9 +109,13 @@ class EnvState:
     command: Float[Array, "... 3"]  # m/s, m/s, rad/s in the base frame
     goal: Goal
     last_action: Float[Array, "... A"]
+    older_action: Float[Array, "... A"]  # the one before
+    torque: Any  # [..., A] N m, as the motors give it; None unless it lags
     air_steps: Int[Array, "... F"]  # since the foot left the ground; 0 while it is down
     contact_steps: Int[Array, "... F"]  # since the foot came down; 0 while it is in the air
     last_air_steps: Int[Array, "... F"]  # length of the last finished air phase
+    peak: Float[Array, "... F"]  # m, highest that a foot's lowest point was in this air phase
+    last_peak: Float[Array, "... F"]  # in the last finished one
     clock: Int[Array, "..."]  # age of the episode in control steps; the first may start above 0
     episode_steps: Int[Array, "..."]  # control steps since the reset
     push_in: Int[Array, "..."]  # control steps until the next push
@@ -167,6 +171,14 @@ class Mirror(NamedTuple):
     sign: np.ndarray  # [K] 1.0 or -1.0
 
 
+class Views(NamedTuple):
+    """The columns of `obs` that each network sees."""
+
+    actor: np.ndarray
+    critic: np.ndarray  # with `ppo.critic = "state"`; with "obs" it sees what the actor sees
+    model: np.ndarray
+
+
 class Env(NamedTuple):
     """An environment as pure functions of one robot, and the sizes that the learner needs.
 
@@ -176,10 +188,11 @@ class Env(NamedTuple):
     `obs_size - prop_size` numbers. States must have the fields `obs` and `prop`. If they have a
     `clock`, the age of the episode, an evaluation sets it.
 
-    Fields with a default are optional. Two are used with options of the model only: with
-    `model.clean`, `noise` is what `obs` adds to `prop`; with `model.known_reward`, `known_reward`
-    is the share of the reward that is a function of obs, action and next prop.
-    docs/environment.md has an example.
+    Fields with a default are optional. Some are used with options only: with `model.clean`, `noise`
+    is what `obs` adds to `prop`, and `bias` what it adds besides, as a function of the whole obs;
+    with `model.known_reward`, `known_reward` is the share of the reward that is a function of obs,
+    action and next prop; `views` are for networks that see parts of obs. docs/environment.md has an
+    example.
     """
 
     reset: Callable[..., Any]  # (hyper, body, key) -> state
@@ -194,6 +207,8 @@ class Env(NamedTuple):
     randomize: Callable[..., Any] = lambda hyper, key: None  # (hyper, key) -> body
     context: Callable[..., Any] = lambda obs, action: obs[..., :0]  # (obs, action) -> [O - P]
     noise: Callable[..., Any] = lambda hyper, key: np.zeros(1, np.float32)  # (hyper, key) -> [P]
+    bias: Callable[..., Any] | None = None  # (obs) -> [P]
+    views: Views | None = None  # None: every network sees all of obs
     # (hyper, obs, action, next_prop) -> []
     known_reward: Callable[..., Any] = lambda hyper, obs, action, next_prop: np.float32(0)
     mirror: tuple[Mirror, Mirror] | None = None  # of obs and action, with `ppo.symmetry`

@@ -75,7 +75,7 @@ def power_of(model, state, i, action, robot, task):
         )
         data.ctrl[:] = torque
         mujoco.mj_step(model, data)
-    return sum(abs(float(t) * float(v)) for t, v in zip(torque, data.qvel[6:], strict=True))
+    return sum(max(float(t) * float(v), 0) for t, v in zip(torque, data.qvel[6:], strict=True))
 
 
 def walk(config, robot, env, hyper, body):
@@ -85,12 +85,12 @@ def walk(config, robot, env, hyper, body):
     state = jax.device_get(jax.vmap(env.reset, (None, 0, 0))(hyper, body, keys))
     assert 0 <= state.command[:, 0].min() and 1 < state.command[:, 0].max() <= 2, "command range"
     rng, model = np.random.default_rng(0), robot_lib.physics_model(robot, config.physics)
-    weight, off = config.task.weights.joint_power, []
+    weight, off = config.task.weights.motor_work, []
     for k in range(ROWS):
         action = rng.normal(0, 0.5, (ROBOTS, 12)).astype(np.float32)
         after, outcome = jax.device_get(step(hyper, body, state, action, keys))
         # reward: one number of the last physics step
-        found = outcome.metrics["reward_joint_power"]
+        found = outcome.metrics["reward_motor_work"]
         for i in range(0, ROBOTS, 5):
             expected = weight * power_of(model, state, i, action[i], robot, config.task)
             off.append(abs(found[i] - expected) / abs(expected))
@@ -104,7 +104,7 @@ def walk(config, robot, env, hyper, body):
         copied = env.context(state.obs, action)  # what the model's tail is given
         np.testing.assert_allclose(copied, after.obs[:, env.prop_size :], atol=1e-5)
         state = after
-    assert np.median(off) < 1e-3, f"joint power is off by {np.median(off)}"
+    assert np.median(off) < 1e-3, f"motor work is off by {np.median(off)}"
     return state, lambda hyper, state: step(hyper, body, state, action, keys)[1]
 
 
@@ -131,11 +131,11 @@ def check_iteration(config, env, hyper):
     assert int(columns["n_real"][0]) == 2
     run = jax.jit(functools.partial(algorithm.run, env, static=static))
     state, metrics = jax.device_get(run(hyper, state, columns))
-    expected = ("reward_joint_power", "model_loss", "kl", "model_error_1")
+    expected = ("reward_motor_work", "model_loss", "kl", "model_error_1")
     known = [name for name in expected if name in metrics]
-    assert {"reward_joint_power", "model_loss", "kl"} <= set(known), sorted(metrics)
+    assert {"reward_motor_work", "model_loss", "kl"} <= set(known), sorted(metrics)
     assert all(np.isfinite(metrics[name]).all() for name in known)
-    assert metrics["reward_joint_power"][0] < 0
+    assert metrics["reward_motor_work"][0] < 0
     return state.learner.params
 
 
@@ -144,7 +144,7 @@ def check_play(config, robot, params):
     path = Path("policy.npz")
     policy_file.save(path, params, config, robot)
     policy = policy_file.load(path)
-    assert policy.observation == observe.NAME != "velocity-48"
+    assert policy.observation == observe.NAMES["full"] != "velocity-48"
     act, seen = policy_file.actor(policy.params, policy.activation), []
 
     def looked(obs):
@@ -180,7 +180,7 @@ def main(flags):
     assert sign[observe.ROWS["gait_clock"]].tolist() == [-1, -1] and sign[33] == 1
     assert index[33] == 33 and index[-2:].tolist() == [49, 50] and sorted(index) == list(range(51))
     known = payment.known(payment.find(config.task), config.task)
-    assert "joint_power" not in known and "action_rate" in known
+    assert "motor_work" not in known and "action_rate" in known
     state, step = walk(config, robot, env, hyper, body)
     check_termination(hyper, state, step)
     check_play(config, robot, check_iteration(config, env, hyper))

@@ -321,7 +321,7 @@ def estimate(settings, first, rows, real):
     """`algorithm.estimate` of NumPy rows."""
     _, static, hyper = settings
     arrays = jax.tree.map(jnp.asarray, rows)
-    return algorithm.estimate(static, hyper, first().learner.params, arrays, real)
+    return algorithm.estimate(static, hyper, toy_env.make(), first().learner.params, arrays, real)
 
 
 def test_advantages_of_a_tail_weigh_falls_and_stop_at_cuts(soft, tail, first):
@@ -422,7 +422,9 @@ def test_a_second_round_learns_from_new_tails_of_the_new_policy_alone(rounds, it
     gamma, lambda_ = hyper.ppo.gamma, hyper.ppo.lambda_
     found = advantages(rows, rows.value, last, gamma=gamma, lambda_=lambda_)
     weight = np.broadcast_to(np.arange(N)[:, None] >= n, (N, R))
-    batch = ppo.batch(buffer, jnp.asarray(found), jnp.asarray(found + rows.value))
+    batch = ppo.batch(
+        buffer, (buffer.obs, buffer.obs), jnp.asarray(found), jnp.asarray(found + rows.value)
+    )
     batch = batch._replace(weight=jnp.asarray(weight, jnp.float32))
     now = jax.random.fold_in(state.key, 1)
     key = jax.random.fold_in(now, algorithm.UPDATE + algorithm.ANCHOR + 1)

@@ -190,7 +190,7 @@ def check_dynappo(name, *rest):
     found = command.parse([re.sub(r"(?<==)[A-Z]$", "1", word) for word in rest])
     if name in ("play", "evaluate", "export"):
         what = found.what
-        assert what in files.robots() or what == "DIR" or re.search(r"[/.]", what), what
+        assert what in files.bundled() or what == "DIR" or re.search(r"[/.]", what), what
     if name == "play" and not (found.command or "").endswith(".csv"):
         command.commands(found.command, found.seconds)
     if name == "export":

@@ -81,7 +81,7 @@ def test_the_same_command_goes_on_and_tells_what_comes_out(capsys):
     """Four more iterations, from the checkpoint; then how to act with it."""
     assert run(8) == 0
     said = capsys.readouterr().out
-    assert "trains an environment of your own: 16 copies, 16 rows" in said
+    assert "trains an environment of your own: 16 copies, rollouts of 16 rows" in said
     assert "goes on from iteration 4 of runs/pendulum" in said and "cpu, JAX; compiled" in said
     assert "load_actor('runs/pendulum/policy.npz') acts" in said and "m/s" not in said
 

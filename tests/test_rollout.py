@@ -17,8 +17,9 @@ N, R = 8, 6
 BLANK = -77.0
 
 
-def act(obs, keys):
+def act(state, keys):
     """A noisy linear policy, written without networks."""
+    obs = state.obs
     mean = -0.5 * obs[:, :2]
     action = mean + jax.vmap(lambda key: jax.random.normal(key, (2,)))(keys)
     return action, mean, -(action**2).sum(-1), obs.sum(-1)
@@ -98,7 +99,7 @@ def test_rows_are_those_of_a_loop_over_single_steps(fill, blank, start, env, hyp
         body, state = jax.tree.map(lambda x, robot=robot: x[robot], start)
         for t in range(N):
             row = jax.random.fold_in(jax.random.fold_in(key, t), robot)
-            action, mean, log_prob, value = (x[0] for x in act(state.obs[None], row[None]))
+            action, mean, log_prob, value = (x[0] for x in act(OnlyObs(state.obs[None]), row[None]))
             old, (state, outcome) = state, step(hyper, body, state, action, _fold(row, "STEP"))
             expected = {
                 ".obs": old.obs,

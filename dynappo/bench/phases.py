@@ -87,7 +87,7 @@ def _tail_row(program, state, rows: int = 64) -> float:
             n,
             dynamics.tail(static, env, state.env_state),
             rollout.row_keys(state.key, state.robot_index),
-            act=algorithm.policy(static, state.learner.params),
+            act=algorithm.policy(static, env, state.learner.params),
             step=partial(dynamics.step, static, program.hyper, env, state.model),
         )[0]
 

@@ -36,6 +36,12 @@ def robots() -> list[str]:
     return sorted({path.stem for path in files if path.stem == path.parent.name})
 
 
+def bundled() -> list[str]:
+    """Names of bundled policies: of each robot, and `ROBOT_deploy` where it has one for hardware."""
+    more = [f"{name}_deploy" for name in robots() if find("robots", f"{name}/deploy.npz")]
+    return sorted([*robots(), *more])
+
+
 def check_regular(path: Path) -> None:
     """OSError where there is a pipe or a device: reading it may block, or never end."""
     if path.exists() and not path.is_file() and not path.is_dir():

@@ -42,6 +42,9 @@ CHOICES = {
     "task.air_time": ("touchdown", "indicator"),
     "task.termination": ("parts", "base"),
     "task.undesired": ("parts", "thighs"),
+    "task.observation": ("full", "onboard"),
+    "task.actuator": ("pd", "lag"),
+    "ppo.critic": ("obs", "state"),
     "model.precision": ("highest", "tf32", "bfloat16"),
     "ppo.precision": ("highest", "tf32", "bfloat16"),
     "model.activation": ("elu", "relu", "tanh", "swish"),
@@ -60,7 +63,7 @@ RANGES = (
         "ppo.epochs ppo.minibatches ppo.shuffle_blocks ppo.init_std ppo.min_std ppo.learning_rate "
         "ppo.max_learning_rate ppo.desired_kl ppo.clip_epsilon ppo.max_grad_norm task.episode_length "
         "task.tracking_std task.action_scale task.effort_limit task.saturation_effort "
-        "task.velocity_limit physics.substeps physics.iterations "
+        "task.velocity_limit task.history physics.substeps physics.iterations "
         "physics.ls_iterations",
     ),
     (
@@ -72,7 +75,9 @@ RANGES = (
         "task.kp task.kd task.noise.joint_pos task.noise.joint_vel task.noise.gravity "
         "task.noise.linear_velocity task.noise.angular_velocity task.reset.foot_clearance "
         "task.reset.position task.reset.yaw task.reset.velocity task.randomize.base_com "
-        "task.randomize.friction task.randomize.kp_scale task.randomize.kd_scale physics.threads",
+        "task.randomize.friction task.randomize.kp_scale task.randomize.kd_scale "
+        "task.randomize.strength task.randomize.armature task.randomize.joint_friction task.randomize.delay "
+        "task.randomize.lag task.randomize.encoder_bias task.randomize.imu_tilt physics.threads",
     ),
     (
         "a number from 0 to 1",
@@ -87,6 +92,7 @@ RANGES = (
         "task.reset.spawn_height task.reset.foot_clearance task.reset.yaw task.reset.velocity "
         "task.reset.joint_scale task.push.velocity",
     ),
+    ("at most 100", lambda v: v <= 100, "task.history"),
     ("at most 600", lambda v: v <= 600, "run.video_seconds"),
     ("at most 100,000", lambda v: v <= 1e5, "task.kp task.kd"),
     (
@@ -140,6 +146,7 @@ def validate(
     fields = flat(config)
     _check_fields(fields)
     _check_pairs(config, fields)
+    _check_hardware(config)
     if schedule.uses_model(config):
         _check_model(config)
     _expect(
@@ -231,6 +238,26 @@ def _check_pairs(config, fields: dict[str, Any]) -> None:
         "task.formulation=isaaclab_exact): knees would sink through the floor; set "
         "--config.physics.contacts=full",
     )
+
+
+def _check_hardware(config) -> None:
+    """What of `task.randomize` the observation, the actuator and the engine can have."""
+    task, ranges = config.task, config.task.randomize
+    seconds = config.physics.substeps * config.physics.timestep
+    late, longest = ranges.delay[1], 2 * seconds
+    text = f"at most two control steps, {longest:g} s"
+    _expect(late <= longest + 1e-9, "task.randomize.delay", ranges.delay, text)
+    for name in ("encoder_bias", "imu_tilt"):
+        fits = task.observation == "onboard" or not ranges[name]
+        text = "0 where task.observation is full: its 48 numbers are those of the state"
+        _expect(fits, f"task.randomize.{name}", ranges[name], text)
+    if task.actuator == "pd":
+        text = "(0, 0) where task.actuator is pd; set task.actuator=lag"
+        _expect(tuple(ranges.lag) == (0, 0), "task.randomize.lag", ranges.lag, text)
+    else:
+        text = "above 0 where task.actuator is lag"
+        _expect(ranges.lag[1] > 0, "task.randomize.lag", ranges.lag, text)
+        _expect(config.physics.impl != "c", "physics.impl", "c", "jax or warp where torques lag")
 
 
 def _check_model(config) -> None:

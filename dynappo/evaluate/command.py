@@ -12,13 +12,12 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Any
 
 import mujoco
 
 from dynappo.config import ConfigError, files
 from dynappo.config import flags as flags_lib
-from dynappo.evaluate import episodes, figures, trials
+from dynappo.evaluate import episodes, figures, show, stress, trials
 from dynappo.physics.robot import Robot
 from dynappo.policy import choice
 from dynappo.policy.episode import Body
@@ -40,29 +39,19 @@ UNITS = {
     "stride_frequency": "1/s",
     "fall": "s",
 }
-ROWS = (  # of the table of a sweep: name, label, format
-    ("speed", "speed", "{:.2f} m/s"),
-    ("tracking_error", "tracking error", "{:.2f} m/s"),
-    ("yaw_error", "yaw rate error", "{:.2f} rad/s"),
-    ("cost_of_transport", "cost of transport", "{:.2f}"),
-    ("positive_cost_of_transport", "  of positive work alone", "{:.2f}"),
-    ("torque", "mean torque of a joint", "{:.1f} N m"),
-    ("action_rate", "action rate", "{:.1f} rad/s"),
-    ("air_time", "foot air time", "{:.3f} s"),
-    ("duty_factor", "duty factor", "{:.2f}"),
-    ("stride_frequency", "stride frequency", "{:.2f} /s"),
-)
+STRESS_UNITS = {name: UNITS[name] for name in ("tracking_error", "yaw_error")}
 MAX_EPISODES = 10**6  # of which each is a robot in memory
 USAGE = """\
 NAME_OR_DIR is a workdir (while it trains: its newest checkpoint), a checkpoint folder, a policy.npz,
 or the name of a robot with a bundled policy
   python -m dynappo.evaluate runs/quick
   python -m dynappo.evaluate go1 --fast
+  python -m dynappo.evaluate go1_deploy --stress
   python -m dynappo.evaluate runs/go1 --randomize --episodes=200 --out=hard
   python -m dynappo.evaluate runs/sweep --run-seed=3 --out=third
   python -m dynappo.evaluate go1 --fast --robot-xml=other/scene.xml
 with --robot-xml the episodes on MJX need a file that keeps the rules of robots/README.md; --fast does not
-it writes evaluation.json, tracking.png (error by command) and gait.png
+it writes evaluation.json, tracking.png (error by command) and gait.png; with --stress only stress.json
 """
 
 
@@ -76,6 +65,9 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
     flag("--episodes", metavar="N", help=f"episodes of the training task, on MJX; {default}")
     flag("--randomize", action="store_true", help="MJX episodes with noise, pushes, random physics")
     flag("--seed", metavar="N", help="random seed of their commands and starts; default: 0")
+    flag(
+        "--stress", action="store_true", help="what it bears: delays, loads, pushes, other physics"
+    )
     flag("--fast", action="store_true", help="no MJX episodes: C MuJoCo only, takes seconds")
     flag(
         "--out",
@@ -95,15 +87,16 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
         if text is not None:
             setattr(flags, name, flags_lib.whole(name, text, *bounds))
     for name in ("episodes", "randomize", "seed"):
-        value = getattr(flags, name)
-        if flags.fast and value is not None and value is not False:
-            raise ConfigError(f"--{name} is for the episodes on MJX, which --fast leaves out")
+        value, without = getattr(flags, name), "stress" if flags.stress else "fast"
+        if (flags.fast or flags.stress) and value is not None and value is not False:
+            raise ConfigError(f"--{name} is for the episodes on MJX, which --{without} leaves out")
+    flags.fast |= flags.stress
     return flags
 
 
 def folder(what: str, path: Path) -> Path:
     """Where the evaluation of `what`, found at `path`, goes by default."""
-    if what in files.robots():
+    if what in files.bundled():
         return Path(f"evaluation-{what}")
     workdir = path.parent.parent if path.is_dir() else path.parent
     if (workdir / "config.json").is_file():
@@ -140,7 +133,6 @@ def what(flags) -> tuple[Policy, Body, Robot | None, Path, tuple[str, str]]:
 def run(flags) -> None:
     """Evaluate as the flags say, tell a person what came out, and write it."""
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
     policy, body, robot, path, (source, note) = what(flags)
     out = flags.out or folder(flags.what, path)
@@ -152,21 +144,18 @@ def run(flags) -> None:
     )
     if note:
         screen.print(note, soft_wrap=True, markup=False)
-    columns = (TextColumn("commands"), BarColumn(24), TextColumn("{task.completed}/{task.total}"))
-    with Progress(
-        *columns,
-        TimeRemainingColumn(),
-        console=screen,
-        transient=True,
-        disable=not screen.is_terminal,
-    ) as bar:
-        task = bar.add_task("")
-        numbers, recordings = trials.sweep(
-            policy,
-            tell=lambda done, total: bar.update(task, completed=done, total=total),
-            body=body,
-        )
-    show_sweep(screen, numbers)
+    about = {"robot": policy.robot, "policy": source, "mujoco": mujoco.__version__}
+    about |= {"robot_xml": flags.robot_xml} if flags.robot_xml else {}
+    if flags.stress:
+        with show.progress(screen, "disturbances") as tell:
+            rows = stress.run(policy, body, tell)
+        show.stress(screen, rows)
+        about |= {"seconds": stress.SECONDS, "rows": rows, "units": STRESS_UNITS}
+        files.write_json(out / "stress.json", about)
+        return screen.print(f"written to {out}: stress.json", soft_wrap=True, markup=False)
+    with show.progress(screen, "commands") as tell:
+        numbers, recordings = trials.sweep(policy, tell=tell, body=body)
+    show.sweep(screen, numbers)
     on_mjx = None
     if not flags.fast:
         import jax
@@ -180,9 +169,7 @@ def run(flags) -> None:
         screen.print(told, soft_wrap=True)
         with screen.status("compiling and running"):
             on_mjx = episodes.run(policy, number, flags.randomize, flags.seed or 0, robot)
-        show_episodes(screen, on_mjx)
-    about = {"robot": policy.robot, "policy": source, "mujoco": mujoco.__version__}
-    about |= {"robot_xml": flags.robot_xml} if flags.robot_xml else {}
+        show.episodes(screen, on_mjx)
     result = about | {"episodes": on_mjx, "sweep": numbers, "units": UNITS}
     files.write_json(out / "evaluation.json", result)
     problem = figures.write(out, policy.robot, numbers, recordings, policy.timestep)
@@ -190,80 +177,6 @@ def run(flags) -> None:
     screen.print(f"written to {out}: {names}", soft_wrap=True, markup=False)
     if problem:
         screen.print(problem, soft_wrap=True, markup=False, style="yellow")
-
-
-def show_sweep(screen, numbers: dict[str, Any]) -> None:
-    """The table of a sweep: over all commands, and at each speed ahead."""
-    from rich.table import Table
-
-    every, ahead = numbers["all"], numbers["ahead"]
-    screen.print(
-        f"{every['episodes']} commands, {numbers['seconds']:g} s each, in C MuJoCo without noise; "
-        f"the first second is left out",
-        soft_wrap=True,
-    )
-    table = Table(box=None, padding=(0, 2, 0, 0), header_style="bold")
-    table.add_column("")
-    for heading in ("all commands", *(f"{row['command'][0]:g} m/s ahead" for row in ahead)):
-        table.add_column(heading, justify="right", no_wrap=True)
-    falls = ["none" if row["fall"] is None else f"after {row['fall']:.1f} s" for row in ahead]
-    table.add_row("falls", f"{every['falls']} of {every['episodes']}", *falls)
-    for name, label, text in ROWS:
-        values = [row[name] for row in (every, *ahead)]
-        table.add_row(label, *("-" if v is None else text.format(v) for v in values))
-    screen.print(table)
-    for line in notes(numbers["commands"]):
-        screen.print(line, soft_wrap=True)
-
-
-def notes(rows: list[dict[str, Any]]) -> list[str]:
-    """Lines on the commands tracked worst and turned worst, and on those that made the robot fall."""
-
-    def asked(row):
-        x, y, turn = row["command"]
-        return f"asked for {x:g}, {y:g} m/s, {turn:g} rad/s"
-
-    stood = [row for row in rows if not figures.gone(row)]
-    fell = [row for row in rows if row["fall"] is not None]
-    lines = [f"fell after {row['fall']:.1f} s, {asked(row)}" for row in fell[:5]]
-    if len(fell) > 5:
-        lines.append(f"fell on {len(fell) - 5} other commands: see evaluation.json")
-    if stood:
-        for name, label, unit in (
-            ("tracking_error", "worst tracked", "m/s"),
-            ("yaw_error", "worst turned", "rad/s"),
-        ):
-            worst = max(stood, key=lambda row, name=name: row[name])
-            lines.append(f"{label}: {worst[name]:.2f} {unit}, {asked(worst)}")
-    return lines
-
-
-def show_episodes(screen, numbers: dict[str, Any]) -> None:
-    """The table of the episodes of the task."""
-    from rich.table import Table
-
-    task = "noise, pushes, randomised physics" if numbers["randomize"] else "no noise"
-    engine = devices.ENGINES[numbers["impl"]]
-    screen.print(
-        f"{numbers['seconds']:g} s each, commands as in training, {task}; "
-        f"{engine} on {numbers['device']}",
-        soft_wrap=True,
-    )
-    table = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
-    rows = (
-        ("return", "return", "{:.2f}", 1),
-        ("return_std", "  standard deviation", "{:.2f}", 1),
-        ("fall_rate", "episodes with a fall", "{:.1f} %", 100),
-        ("length", "length", "{:.0f} control steps", 1),
-        ("tracking_error", "tracking error", "{:.2f} m/s", 1),
-        ("yaw_error", "yaw rate error", "{:.2f} rad/s", 1),
-    )
-    for name, label, text, scale in rows:
-        value = numbers.get(name)
-        table.add_row(
-            label, "nobody stood for a second" if value is None else text.format(value * scale)
-        )
-    screen.print(table)
 
 
 def main(argv: list[str] | None = None) -> None:

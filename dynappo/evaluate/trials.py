@@ -58,10 +58,11 @@ def record(body: Body, act: Callable, command, seconds: float = SECONDS) -> dict
     joints = len(action)
     widths = dict(velocity=3, action=joints, torque=joints, speed=joints, contact=len(ids))
     rows: dict[str, list] = {name: [] for name in widths}
-    command, fall = np.asarray(command, float), None
+    p, command, fall = body.policy, np.asarray(command, float), None
+    see = observe.memory(p.observation, p.history)
     episode_lib.reset(body, data)
     for k in range(round(seconds / dt)):
-        action = act(episode_lib.look(body, data, command, action))
+        action = act(see(episode_lib.look(body, data, command, action)))
         fell, inside = False, []
         for _ in range(body.substeps):
             speed = data.qvel[body.joint_v].copy()

@@ -2,6 +2,7 @@
 
 - `command`: its flags and what it prints
 - `onnx_file`: the policy as an ONNX network with everything a robot needs in its metadata
+- `deploy_yaml`: its settings for the controllers of unitree_rl_lab
 - `joint_order`: the orders of joints that robots and simulators use
 
 No other command imports it. It imports `policy`, `physics`, `task.observe` and `config`, and no JAX.

@@ -13,17 +13,17 @@ from pathlib import Path
 
 from dynappo.config import ConfigError, files, shell
 from dynappo.config import flags as flags_lib
-from dynappo.export import joint_order, onnx_file
+from dynappo.export import deploy_yaml, joint_order, onnx_file
 from dynappo.physics.robot import Robot
 from dynappo.policy import choice
 from dynappo.policy.policy_file import Policy
-from dynappo.task import observe
 
-FILES = (".onnx", ".npz", ".xml")
+FILES = (".onnx", ".npz", ".xml", ".yaml")
 USAGE = """\
 NAME_OR_DIR is a workdir, a checkpoint folder, a policy.npz, or the name of a robot with a bundled policy
   python -m dynappo.export runs/go1 --out=policy.onnx
   python -m dynappo.export go2 --out=policy.onnx --joint-order=unitree --targets
+  python -m dynappo.export go2_deploy --out=deploy.yaml --joint-order=isaaclab
   python -m dynappo.export anymal_c --out=policy.npz --joint-order=isaaclab
   python -m dynappo.export runs/sweep --run-seed=3 --out=third.npz
   python -m dynappo.export old.npz --robot-xml=mine.xml --out=policy.npz
@@ -44,7 +44,7 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
     )
     flag = parser.add_argument
     choice.add_flags(parser)
-    names = "FILE.onnx, FILE.npz, or FILE.xml (only the robot)"
+    names = "FILE.onnx, FILE.npz, FILE.yaml (for unitree_rl_lab) or FILE.xml (only the robot)"
     flag("--out", metavar="FILE", type=flags_lib.path, help=names)
     flag(
         "--joint-order",
@@ -82,7 +82,7 @@ def table(policy: Policy, out: Path, order: str, targets: bool) -> list[tuple[st
     kind = f"ONNX, float32, opset {onnx_file.OPSET}" if out.suffix == ".onnx" else "policy file"
     rows = [("written", f"{out} ({out.stat().st_size / 1024:.0f} KiB, {kind})")]
     if out.suffix == ".onnx":
-        size = observe.PROP_SIZE + observe.CONTEXT_SIZE
+        size = len(onnx_file.order(policy))
         code = (
             "import numpy as np, onnxruntime as ort; print(ort.InferenceSession("
             f"{str(out)!r}).run(None, {{'obs': np.zeros((1, {size}), np.float32)}}))"
@@ -95,8 +95,13 @@ def table(policy: Policy, out: Path, order: str, targets: bool) -> list[tuple[st
     else:
         after = f"{shell.program()} play {out} --out=walk.html"
     joints = f"{' '.join(policy.joint_names)} ({order})"
-    if out.suffix == ".xml":
-        rows = [("written", f"{out} ({out.stat().st_size / 1024:.0f} KiB, MJCF)")]
+    if out.suffix in (".xml", ".yaml"):
+        kind = (
+            "MJCF"
+            if out.suffix == ".xml"
+            else "for unitree_rl_lab, beside an ONNX in the same order"
+        )
+        rows = [("written", f"{out} ({out.stat().st_size / 1024:.0f} KiB, {kind})")]
         return [*rows, ("joints", joints)]
     return [*rows, ("joints", joints), ("try", after), ("on a robot", "robots/DEPLOY.md")]
 
@@ -115,6 +120,8 @@ def run(flags) -> None:
     policy = joint_order.permute(policy, names)._replace(mjcf=robot.alone)
     if flags.out.suffix == ".xml":
         save_robot(robot, flags.out)
+    elif flags.out.suffix == ".yaml":
+        files.write_text(flags.out, deploy_yaml.text(policy, robot))
     else:
         onnx_file.save(policy, robot, flags.out, flags.targets)
     print(f"dynappo exports {policy.robot}: {source}")

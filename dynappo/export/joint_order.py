@@ -66,9 +66,11 @@ def permute(policy: Policy, names: tuple[str, ...]) -> Policy:
     If the robot's joints are read and driven in that order, it does what it did before.
     """
     order = np.array([policy.joint_names.index(name) for name in names])
-    rows = np.arange(observe.PROP_SIZE + observe.CONTEXT_SIZE)
-    for name in (name for name, part in observe.PARTS.items() if part.signs is None):
-        rows[observe.ROWS[name]] = rows[observe.ROWS[name]][order]  # a number a joint
+    one = np.arange(len(observe.columns(policy.observation)))
+    for name, part in observe.reading(policy.observation).items():
+        if observe.PARTS[name].signs is None:  # a number a joint
+            one[part] = one[part][order]
+    rows = np.concatenate([one + age * len(one) for age in range(policy.history)])
 
     def layers(network):
         """The layers of a network, for observations in the new order."""
@@ -76,8 +78,12 @@ def permute(policy: Policy, names: tuple[str, ...]) -> Policy:
         return network["params"] | {"Dense_0": first | {"kernel": first["kernel"][rows]}}
 
     params = dict(policy.params)
-    for name in {"actor", "critic"} & set(params):
-        params[name] = {"params": layers(params[name])}
+    params["actor"] = {"params": layers(params["actor"])}
+    critic = params.pop("critic", None)
+    if critic and len(critic["params"]["Dense_0"]["kernel"]) == len(rows):
+        params["critic"] = {
+            "params": layers(critic)
+        }  # else it sees other numbers: no robot needs it
     actor = params["actor"]["params"]
     name = f"Dense_{len(actor) - 1}"
     last = actor[name]

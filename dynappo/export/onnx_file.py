@@ -1,4 +1,7 @@
-"""A policy as an ONNX network, `obs [batch, 48]` to `action [batch, 12]`, with everything a robot needs.
+"""A policy as an ONNX network, `obs [batch, O]` to `action [batch, 12]`, with everything a robot needs.
+
+A policy that sees the last h readings takes them part by part, and of each part the oldest first: the order
+of Isaac Lab's observation manager, and of the deploy code of Unitree's lab.
 
 It is made from the parameters alone (no JAX, no torch) and computes in float32 whatever `ppo.precision`
 is. Its metadata holds the rest: observation table, joints, default pose, gains, limits, times.
@@ -19,11 +22,6 @@ from dynappo.task import observe
 
 # Everything used here is in opset 14 already, and ONNX Runtime reads opset 17 from its 1.12 (2022) on
 OPSET, IR_VERSION = 17, 8
-# name, rows, unit, content, field of the config's `task.noise`
-TABLE = tuple(
-    (name, observe.ROWS[name], part.unit, part.content, part.noise)
-    for name, part in observe.PARTS.items()
-)
 UNITS = {
     "default_pose": "rad",
     "joint_range": "rad",
@@ -46,23 +44,35 @@ UNITS = {
 LICENCE = "dynappo and its bundled policies: Apache-2.0; a policy of your own: as you decide"
 
 
+def table(policy: Policy) -> list[tuple[str, slice]]:
+    """The parts of the file's `obs`, and where each is."""
+    parts = observe.reading(policy.observation)
+    return [
+        (name, slice(rows.start * policy.history, rows.stop * policy.history))
+        for name, rows in parts.items()
+    ]
+
+
+def order(policy: Policy) -> np.ndarray:
+    """The policy's own columns (newest reading first) in the order of the file."""
+    parts = observe.reading(policy.observation)
+    width, ages = len(observe.columns(policy.observation)), range(policy.history)[::-1]
+    rows = [np.arange(p.start, p.stop) + age * width for p in parts.values() for age in ages]
+    return np.concatenate(rows)
+
+
 def observation_table(policy: Policy) -> list[dict[str, Any]]:
     """The observation as rows `name start stop unit content noise`; numbers [start, stop) of `obs`.
 
     `noise` is the half width of the uniform noise in training, None where the config lacks it.
     """
-    noise = policy.config.get("task", {}).get("noise", {})
-    return [
-        dict(
-            name=name,
-            start=part.start,
-            stop=part.stop,
-            unit=unit,
-            content=content,
-            noise=noise.get(field) if field else 0.0,
-        )
-        for name, part, unit, content, field in TABLE
-    ]
+    noise, out = policy.config.get("task", {}).get("noise", {}), []
+    for name, rows in table(policy):
+        part = observe.PARTS[name]
+        half_width = noise.get(part.noise) if part.noise else 0.0
+        facts = dict(name=name, start=rows.start, stop=rows.stop, unit=part.unit)
+        out.append(facts | dict(content=part.content, noise=half_width))
+    return out
 
 
 def about(policy: Policy, robot: robot_lib.Robot) -> dict[str, Any]:
@@ -115,7 +125,8 @@ def onnx_model(policy: Policy, facts: dict[str, Any], targets: bool = False):
 
     for i in range(len(layers)):
         layer, last = layers[f"Dense_{i}"], i == len(layers) - 1
-        kernel = constant(f"kernel_{i}", layer["kernel"])
+        weights_in = layer["kernel"][order(policy)] if i == 0 else layer["kernel"]
+        kernel = constant(f"kernel_{i}", weights_in)
         bias = constant(f"bias_{i}", layer["bias"])
         x = node("Gemm", x, kernel, bias, to=f"linear_{i}")
         if last:
@@ -129,18 +140,16 @@ def onnx_model(policy: Policy, facts: dict[str, Any], targets: bool = False):
         else:
             x = node(policy.activation.capitalize(), x, to=f"hidden_{i}")
     if targets:
-        scaled = node("Mul", x, constant("action_scale", policy.action_scale), to="scaled")
-        node("Add", scaled, constant("default_pose", policy.default_pose), to="targets")
+        x = node("Mul", x, constant("action_scale", policy.action_scale), to="scaled")
+        node("Add", x, constant("default_pose", policy.default_pose), to="targets")
 
     def values(name, size, text):
         kind = onnx.TensorProto.FLOAT
         return helper.make_tensor_value_info(name, kind, ["batch", size], doc_string=text)
 
-    size, joints = observe.PROP_SIZE + observe.CONTEXT_SIZE, len(policy.joint_names)
-    rows = [
-        f"{r['start']}-{r['stop'] - 1} {r['name']} ({r['unit']})"
-        for r in facts["observation_table"]
-    ]
+    size, joints = len(order(policy)), len(policy.joint_names)
+    table = facts["observation_table"]
+    rows = [f"{r['start']}-{r['stop'] - 1} {r['name']} ({r['unit']})" for r in table]
     outputs = [values("action", joints, "raw; it is also the previous_action of the next step")]
     if targets:
         outputs.append(values("targets", joints, "joint positions, rad"))

@@ -22,7 +22,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from dynappo.types import Config
+from dynappo.types import Config, Env
 
 LOG_2PI = 1.8378770664093453
 # jax.lax.Precision for each value of a network's precision; bfloat16 also sets the layers' dtype
@@ -90,14 +90,19 @@ def critic(static: Config) -> MLP:
 
 
 def init_policy(
-    static: Config, hyper: Config, obs_size: int, action_size: int, key: PRNGKeyArray
+    static: Config,
+    hyper: Config,
+    obs_size: int,
+    action_size: int,
+    key: PRNGKeyArray,
+    critic_size: int | None = None,
 ) -> dict:
-    """Parameters `{"actor", "critic", "std"}` of policy and value function."""
-    obs = jnp.zeros(obs_size)
+    """Parameters `{"actor", "critic", "std"}`; the value function sees `critic_size` or `obs_size`."""
+    actor_obs, critic_obs = jnp.zeros(obs_size), jnp.zeros(critic_size or obs_size)
     actor_key, critic_key = jax.random.split(key)
     return {
-        "actor": actor(static, action_size).init(actor_key, obs),
-        "critic": critic(static).init(critic_key, obs),
+        "actor": actor(static, action_size).init(actor_key, actor_obs),
+        "critic": critic(static).init(critic_key, critic_obs),
         "std": jnp.full(action_size, hyper.ppo.init_std, jnp.float32),
     }
 
@@ -113,8 +118,29 @@ def value(static: Config, params: dict, obs: Float[Array, "... O"]) -> Float[Arr
     return apply(critic(static), params["critic"], obs)[..., 0]
 
 
-def policy_and_value(static: Config, params: dict, obs: Float[Array, "... O"]):
-    """`(policy(...), value(...))`: the same numbers, with one product for a layer of both networks.
+def seen(static: Config, env: Env, obs: Float[Array, "... O"], prop: Float[Array, "... P"]):
+    """`(of the policy, of the value function)`: what they see of an observation and its exact `prop`.
+
+    The same array where they see the same, so that their first layers are one product.
+    """
+    shown = obs if env.views is None else obs[..., env.views.actor]
+    if static.ppo.critic == "obs":
+        return shown, shown
+    state = jnp.concatenate([prop, obs[..., env.prop_size :]], -1)
+    return shown, state if env.views is None else state[..., env.views.critic]
+
+
+def seen_sizes(static: Config, env: Env) -> tuple[int, int]:
+    """Numbers of what `seen` returns."""
+    views, size = env.views, env.obs_size
+    if views is None:
+        return size, size
+    actor_size = len(views.actor)
+    return actor_size, actor_size if static.ppo.critic == "obs" else len(views.critic)
+
+
+def policy_and_value(static: Config, params: dict, obs: Float[Array, "... O"], critic_obs=None):
+    """`(policy(obs), value(critic_obs))`: the same numbers, with one product for a layer of both networks.
 
     Half as many matrix products, each larger: an update takes 9.0 ms in float32 (9.4 without), 6.4
     in TF32, 5.0 in bfloat16 (H200; experiments/03_speed/peers.md). In bfloat16 the last products
@@ -125,11 +151,16 @@ def policy_and_value(static: Config, params: dict, obs: Float[Array, "... O"]):
     both = [params[name]["params"] for name in ("actor", "critic")]
     both = jax.tree.map(lambda p: p.astype(dtype), both)
     *hidden, last = (f"Dense_{i}" for i in range(len(both[0])))
-    # the first layer has one input, so it is one plain product; [B, 2, H] would be copied later
-    kernel, bias = (jnp.concatenate([net[hidden[0]][p] for net in both], -1) for p in PARTS)
-    x = dot("...i,io->...o", obs.astype(dtype), kernel) + bias
     act = ACTIVATIONS[static.ppo.activation]
-    x = act(jnp.moveaxis(x.reshape(*x.shape[:-1], 2, -1), -2, 0))
+    if critic_obs is None or critic_obs is obs:
+        # the first layer has one input, so it is one plain product; [B, 2, H] would be copied later
+        kernel, bias = (jnp.concatenate([net[hidden[0]][p] for net in both], -1) for p in PARTS)
+        x = dot("...i,io->...o", obs.astype(dtype), kernel) + bias
+        x = act(jnp.moveaxis(x.reshape(*x.shape[:-1], 2, -1), -2, 0))
+    else:
+        rows = zip((obs, critic_obs), [net[hidden[0]] for net in both], strict=True)
+        parts = [dot("...i,io->...o", o.astype(dtype), n["kernel"]) + n["bias"] for o, n in rows]
+        x = act(jnp.stack(parts))
     for name in hidden[1:]:
         kernel, bias = (jnp.stack([net[name][part] for net in both]) for part in PARTS)
         bias = jnp.expand_dims(bias, range(1, x.ndim - 1))

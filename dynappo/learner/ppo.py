@@ -37,20 +37,28 @@ class Batch(NamedTuple):
     advantages: Float[Array, "..."]
     returns: Float[Array, "..."]
     weight: Float[Array, "..."] | None = None  # of each row in every mean; None: all 1
+    critic_obs: Float[Array, "... C"] | None = None  # None: the value function sees `obs`
 
 
-def batch(rows: Transition, advantages, returns, weight=None) -> Batch:
-    """The `Batch` of a rollout with its advantages and returns."""
-    kept: dict[str, Any] = {name: getattr(rows, name) for name in Batch._fields[:5]}
+def batch(rows: Transition, seen, advantages, returns, weight=None) -> Batch:
+    """The `Batch` of a rollout, with what its networks saw (`networks.seen`), its advantages and returns."""
+    kept: dict[str, Any] = {name: getattr(rows, name) for name in Batch._fields[1:5]}
+    kept |= {"obs": seen[0], "critic_obs": None if seen[1] is seen[0] else seen[1]}
     return Batch(**kept, advantages=advantages, returns=returns, weight=weight)
 
 
 def init(
-    static: Config, hyper: Config, obs_size: int, action_size: int, key: PRNGKeyArray, mirror=None
+    static: Config,
+    hyper: Config,
+    obs_size: int,
+    action_size: int,
+    key: PRNGKeyArray,
+    critic_size: int | None = None,
+    image: symmetry.Image | None = None,
 ) -> Learner:
-    """An untrained learner; `mirror` as in `update`."""
-    params = networks.init_policy(static, hyper, obs_size, action_size, key)
-    params = symmetry.tie(params, symmetry.policy_image(static, mirror))
+    """An untrained learner: sizes as of `networks.init_policy`, `image` as in `update`."""
+    params = networks.init_policy(static, hyper, obs_size, action_size, key, critic_size)
+    params = symmetry.tie(params, image)
     opt_state = _optimizer(hyper).init(ravel_pytree(params)[0])
     return Learner(params, opt_state, jnp.asarray(hyper.ppo.learning_rate, jnp.float32))
 
@@ -85,7 +93,8 @@ def loss(static: Config, hyper: Config, params: dict, batch: Batch, old_std: Flo
 
     `metrics["kl"]` is the mean KL(old || new). Means are over rows with their weights.
     """
-    (action_mean, value), std = networks.policy_and_value(static, params, batch.obs), params["std"]
+    std = params["std"]
+    action_mean, value = networks.policy_and_value(static, params, batch.obs, batch.critic_obs)
     chex.assert_equal_shape([value, batch.value, batch.returns, batch.advantages])
     ratio = jnp.exp(networks.log_prob(action_mean, std, batch.action) - batch.log_prob)
     clipped = jnp.clip(ratio, 1 - hyper.ppo.clip_epsilon, 1 + hyper.ppo.clip_epsilon)
@@ -153,16 +162,14 @@ def minibatches(static: Config, batch: Batch, key: PRNGKeyArray) -> Batch:
 
 
 def update(
-    static: Config, hyper: Config, learner: Learner, batch: Batch, key, mirror=None
+    static: Config, hyper: Config, learner: Learner, batch: Batch, key: PRNGKeyArray, image=None
 ) -> tuple[Learner, Metrics]:
     """`epochs` x `minibatches` steps on one rollout `[N, R]` with raw advantages. Metrics are means
-    over the steps, and the last learning rate. `mirror` is `Env.mirror`, used with
-    `ppo.symmetry`."""
+    over the steps, and the last learning rate. `image` is `symmetry.policy_image`."""
     old_std = learner.params["std"]
     batch = batch._replace(advantages=normalize(batch.advantages, batch.weight))
     shuffled = minibatches(static, batch, key)
     params, unflatten = ravel_pytree(learner.params)
-    image = symmetry.policy_image(static, mirror)
 
     def step(learner, i):
         rows = jax.tree.map(lambda x: x[i % static.ppo.minibatches], shuffled)

@@ -28,7 +28,7 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
-from dynappo.types import Config, Mirror
+from dynappo.types import Config, Env, Mirror
 
 Image = Callable[[Any], Any]  # of a tree of weights, or of its gradient; its own inverse
 
@@ -57,22 +57,33 @@ def network_image(params, inputs: Mirror, outputs: Mirror):
     return {"params": out}
 
 
-def policy_image(static: Config, mirror: tuple[Mirror, Mirror] | None) -> Image | None:
+def part(mirror: Mirror, columns) -> Mirror:
+    """The mirror of the numbers at `columns` alone; each must have its image among them."""
+    place = np.full(len(mirror.index), -1)
+    place[columns] = np.arange(len(columns))
+    return Mirror(place[mirror.index[columns]], mirror.sign[columns])
+
+
+def policy_image(static: Config, env: Env) -> Image | None:
     """The image of `{"actor", "critic", "std"}`, or None without `ppo.symmetry`.
 
-    `mirror` is `Env.mirror`; ValueError if the environment has none.
+    ValueError if the environment has no mirror image.
     """
     if not static.ppo.symmetry:
         return None
-    if mirror is None:
+    if env.mirror is None:
         raise ValueError(
             "ppo.symmetry is True: this environment has no mirror image; set it to False"
         )
-    obs, action = mirror
+    (obs, action), views = env.mirror, env.views
+    of_actor = obs if views is None else part(obs, views.actor)
+    of_critic = of_actor
+    if static.ppo.critic == "state" and views is not None:
+        of_critic = part(obs, views.critic)
 
     def image(params: dict) -> dict:
-        actor = network_image(params["actor"], obs, action)
-        critic = network_image(params["critic"], obs, unchanged(1))
+        actor = network_image(params["actor"], of_actor, action)
+        critic = network_image(params["critic"], of_critic, unchanged(1))
         return {"actor": actor, "critic": critic, "std": params["std"][action.index]}
 
     return image

@@ -68,7 +68,7 @@ def network(static: Config, prop_size: int) -> networks.MLP:
 
 def init(static: Config, env: Env, key: PRNGKeyArray) -> ModelState:
     """An untrained model; its moments have weight 0 until the first fit."""
-    inputs, outputs = env.obs_size + env.action_size, env.prop_size + 1
+    inputs, outputs = examples.input_size(env), env.prop_size + 1
     params = network(static, env.prop_size).init(key, jnp.zeros(inputs))
     return ModelState(
         params=params,
@@ -172,7 +172,7 @@ def predict(
     """`(next observation, reward, discount)`: prop is predicted, `env.context` copies the rest."""
     size = env.prop_size
     (x_mean, x_std), (y_mean, y_std) = _scales(static, model)
-    x = (jnp.concatenate([obs, action], -1) - x_mean) / x_std
+    x = (examples.inputs(env, obs, action) - x_mean) / x_std
     y = networks.apply(network(static, size), model.params, x) * y_std + y_mean
     prop, reward = y[..., :size], y[..., size] * env.dt
     if static.model.predict_change:
@@ -195,8 +195,11 @@ def step(
     obs = jnp.concatenate([state.prop, state.obs[..., env.prop_size :]], -1)
     obs, reward, discount = predict(static, hyper, env, model, obs, action)
     prop = obs[..., : env.prop_size]
+    obs = jnp.concatenate([prop, env.context(state.obs, action)], -1)  # with what was sensed before
     if static.model.clean:
         keys = jax.vmap(jax.random.fold_in, (0, None))(keys, NOISE)
+        if env.bias is not None:
+            obs = obs.at[..., : env.prop_size].add(env.bias(obs))
         obs = obs.at[..., : env.prop_size].add(jax.vmap(env.noise, (None, 0))(hyper, keys))
     outcome = Outcome(
         reward=reward,

@@ -15,6 +15,17 @@ from jaxtyping import Array, Float, Int
 from dynappo.types import Config, Env, Transition
 
 
+def inputs(env: Env, obs: Float[Array, "... O"], action) -> Float[Array, "... I"]:
+    """What the model sees of a row."""
+    seen = obs if env.views is None else obs[..., env.views.model]
+    return jnp.concatenate([seen, action], -1)
+
+
+def input_size(env: Env) -> int:
+    """Numbers of `inputs`."""
+    return (env.obs_size if env.views is None else len(env.views.model)) + env.action_size
+
+
 def before_and_after(static: Config, env: Env, rows: Transition):
     """`(obs [O], next prop [P])` of each row as the model sees them; `clean`: without noise."""
     size = env.prop_size
@@ -46,7 +57,7 @@ def row_weight(static: Config, rows: Transition, n_real: Int[Array, ""]) -> Floa
 def examples(static: Config, hyper: Config, env: Env, rows: Transition, n_real: Int[Array, ""]):
     """`(inputs [N, R, O+A], targets [N, R, K], weight [N, R])` of a rollout's rows `t < n_real`."""
     weight = row_weight(static, rows, n_real)
-    x = jnp.concatenate([before_and_after(static, env, rows)[0], rows.action], -1)
+    x = inputs(env, before_and_after(static, env, rows)[0], rows.action)
     y = targets(static, hyper, env, rows)
     # set to zero, not only weighted by 0: 0 times a number that is not finite is NaN
     x, y = (jnp.where(weight[..., None] > 0, a, 0.0) for a in (x, y))

@@ -4,6 +4,8 @@ The code works with NumPy and jax.numpy; units are rad, rad/s and N m. The formu
 that of Isaac Lab 2.2.1 (isaaclab/actuators/actuator_pd.py, class DCMotor, since 2025-07).
 """
 
+FRICTION_SPEED = 0.2  # rad/s, from which on dry friction has its full size
+
 
 def target(action, default_pose, scale):
     """Joint position target (rad) of an action `[A]`: default pose plus `scale` x action."""
@@ -13,6 +15,24 @@ def target(action, default_pose, scale):
 def pd(q_target, q, qd, kp, kd):
     """Torque of an explicit PD controller with zero target velocity, before any limit."""
     return kp * (q_target - q) - kd * qd
+
+
+def friction(qd, size):
+    """Torque (N m) by which dry friction of `size` (N m) slows a joint: size tanh(qd / 0.2 rad/s).
+
+    Smooth, because a sign would chatter in steps of 5 ms.
+    """
+    return size * qd.__array_namespace__().tanh(qd / FRICTION_SPEED)
+
+
+def lag(wanted, torque, time_constant, timestep):
+    """A motor's torque after `timestep` (s): `wanted`, approached from `torque` with a `time_constant` (s).
+
+    tau' = (wanted - tau) / T,  so  tau + (1 - exp(-dt / T)) (wanted - tau)
+    """
+    xp = wanted.__array_namespace__()
+    share = 1 - xp.exp(-timestep / xp.maximum(xp.asarray(time_constant), 1e-6))
+    return torque + share * (wanted - torque)
 
 
 def clip_dc_motor(torque, qd, *, effort_limit, saturation_effort, velocity_limit):

@@ -42,6 +42,8 @@ NUMBERS = (
     "effort_limit",
     "saturation_effort",
     "velocity_limit",
+    "armature",
+    "joint_friction",
 )
 POSITION = int(mujoco.mjtCtrlInput.mjINPUT_POS)  # a motor's control is a position
 FAR = 500.0  # MuJoCo never gets a state or a target above it: it would log a warning
@@ -84,7 +86,8 @@ def check(robot: robot_lib.Robot) -> None:
 def make(robot: robot_lib.Robot, physics, varied: frozenset[str]):
     """`step(qpos, qvel, qacc_warmstart, target, numbers) -> Moved` of one robot, for `jax.vmap`.
 
-    `physics` is the config's group; `target` are joint angles, `numbers` those of `NUMBERS`.
+    `physics` is the config's group. `target` are joint angles [n, A], a row a physics step; `numbers` are
+    those of `NUMBERS`.
     """
     check(robot)
     steps, threads, model = physics.substeps, cores(physics.threads), _model(robot, physics)
@@ -138,7 +141,8 @@ class _World:
 
     def step(self, args: list[np.ndarray], outs: list[np.ndarray]) -> None:
         with _ONE_AT_A_TIME:
-            self._step([a.reshape(-1, a.shape[-1]) for a in args], outs)
+            robots = args[0].size // self.model.nq
+            self._step([a.reshape(robots, -1) for a in args], outs)
 
     def _step(self, args, outs) -> None:
         qpos, qvel, warm, target, numbers = args
@@ -151,7 +155,7 @@ class _World:
         good &= np.abs(warm).max(1) < FAR_ACCELERATION
         state = np.empty((count, 1 + model.nq + model.nv))
         state[:, 0], state[:, 1 : 1 + model.nq], state[:, 1 + model.nq :] = 0, qpos, qvel
-        control = np.repeat(target[:, None], self.steps, 1).astype(float)
+        control = target.reshape(count, self.steps, -1).astype(float)
         warm = warm.astype(float)
         if not good.all():
             bad = ~good
@@ -210,7 +214,7 @@ class _World:
         """Write one robot's parameters and motors, as in `randomize.merge` and `actuators`."""
         base, feet, nominal = self.robot.base_body, self.robot.feet, self.model
         scale, com, (friction, kp, kd) = numbers[0], numbers[1:4], numbers[4:7]
-        effort, stall, speed = numbers[7:]
+        effort, stall, speed, armature, joint_friction = numbers[7:]
         if "base_mass" in self.varied:
             model.body_mass[base] = nominal.body_mass[base] * scale
             model.body_inertia[base] = nominal.body_inertia[base] * scale
@@ -218,6 +222,10 @@ class _World:
             model.body_ipos[base] = com
         if "friction" in self.varied:
             model.geom_friction[feet, 0] = friction
+        if "armature" in self.varied:
+            model.dof_armature[6:] = nominal.dof_armature[6:] * armature
+        if "joint_friction" in self.varied:
+            model.dof_frictionloss[6:] = joint_friction
         # with resistance 1 and constant k: torque <= k (V - k qd) = stall (1 - qd / speed)
         k = np.sqrt(stall / speed)
         motors = model.actuator_gainprm

@@ -23,6 +23,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from dynappo.physics import actuators, c_engine, contacts, randomize, warp_engine
 from dynappo.physics import robot as robot_lib
@@ -47,10 +48,16 @@ class Engine(NamedTuple):
     floor: tuple[Any, ...]  # contacts.floor_distance of the parts
     varied: frozenset[str]  # randomize.varied
     remember: bool  # parts at the ground: in any physics step of a control step, or in its last
+    lags: bool  # torques follow with the time constant of the body's `lag`
 
 
 def make(
-    robot: robot_lib.Robot, physics, varied: frozenset[str], impl: str, remember: bool = False
+    robot: robot_lib.Robot,
+    physics,
+    varied: frozenset[str],
+    impl: str,
+    remember: bool = False,
+    lags: bool = False,
 ) -> Engine:
     """The engine `impl` ("jax", "warp" or "c") of `robot`; `physics` is the config's group."""
     mj_model, model, data = robot_lib.physics_model(robot, physics), None, None
@@ -74,6 +81,7 @@ def make(
         floor=contacts.floor_distance(mj_model, robot.parts),
         varied=varied,
         remember=remember,
+        lags=lags,
     )
 
 
@@ -90,6 +98,8 @@ class Substeps(NamedTuple):
     air_steps: Any
     contact_steps: Any
     last_air_steps: Any
+    peak: Any
+    last_peak: Any
     torque: Any  # of the last physics step
     qd_before: Any  # joint velocities before it
     lowest: Any  # m, lowest point of each part, in all physics steps (`remember`) or the last
@@ -98,7 +108,11 @@ class Substeps(NamedTuple):
 def simulate(engine: Engine, hyper: Config, body, state: EnvState, action) -> Substeps:
     """`substeps` physics steps under explicit PD towards the action's joint targets."""
     default = jnp.asarray(engine.robot.default_pose, jnp.float32)
-    target = actuators.target(action, default, hyper.task.action_scale)
+    target = actuators.target(
+        _arriving(engine, body, state, action), default, hyper.task.action_scale
+    )
+    if body.encoder_bias is not None:  # the motors hold the angle that they read
+        target = target - body.encoder_bias
     kp, kd = hyper.task.kp * body.kp_scale, hyper.task.kd * body.kd_scale
     first = Substeps(
         qpos=state.qpos,
@@ -107,13 +121,25 @@ def simulate(engine: Engine, hyper: Config, body, state: EnvState, action) -> Su
         air_steps=state.air_steps,
         contact_steps=state.contact_steps,
         last_air_steps=state.last_air_steps,
-        torque=default * 0,
+        peak=state.peak,
+        last_peak=state.last_peak,
+        torque=state.torque if engine.lags else default * 0,
         qd_before=default * 0,
         lowest=jnp.full(len(engine.robot.parts), jnp.inf),
     )
     with jax.default_matmul_precision("highest"):
         simulated = _simulate_in_c if engine.impl == "c" else _simulate_in_mjx
         return simulated(engine, hyper, body, first, target, kp, kd)
+
+
+def _arriving(engine: Engine, body, state: EnvState, action):
+    """The actions [n, A] that the motors follow, a row a physics step; they may be late."""
+    steps = np.arange(engine.substeps)
+    if body.delay is None:
+        return jnp.broadcast_to(action, (engine.substeps, *action.shape))
+    late = jnp.round(body.delay / engine.timestep).astype(jnp.int32) - steps
+    age = jnp.clip((late + engine.substeps - 1) // engine.substeps, 0, 2)
+    return jnp.stack([action, state.last_action, state.older_action])[age]
 
 
 def _simulate_in_mjx(engine: Engine, hyper: Config, body, first: Substeps, target, kp, kd):
@@ -124,7 +150,7 @@ def _simulate_in_mjx(engine: Engine, hyper: Config, body, first: Substeps, targe
         row = data.geom_xmat[robot.parts].reshape(-1, 9)[:, 6:]  # third row of the rotation matrix
         return _lowest(engine, data.geom_xpos[robot.parts, 2], row)
 
-    def substep(carry, _):
+    def substep(carry, target):
         s, data = carry
         torque = actuators.clip_dc_motor(
             actuators.pd(target, data.qpos[7:], data.qvel[6:], kp, kd),
@@ -133,6 +159,12 @@ def _simulate_in_mjx(engine: Engine, hyper: Config, body, first: Substeps, targe
             saturation_effort=hyper.task.saturation_effort,
             velocity_limit=hyper.task.velocity_limit,
         )
+        if body.strength is not None:
+            torque *= body.strength
+        if body.joint_friction is not None:
+            torque -= actuators.friction(data.qvel[6:], body.joint_friction)
+        if engine.lags:
+            torque = actuators.lag(torque, s.torque, body.lag, engine.timestep)
         before, data = data.qvel[6:], engine.step(model, data, torque)
         s = _feet(engine, s, data.geom_xpos[robot.feet, 2])
         s = s._replace(
@@ -145,15 +177,20 @@ def _simulate_in_mjx(engine: Engine, hyper: Config, body, first: Substeps, targe
     data = engine.data.replace(
         qpos=first.qpos, qvel=first.qvel, qacc_warmstart=first.qacc_warmstart
     )
-    (s, data), _ = jax.lax.scan(substep, (first, data), None, length=engine.substeps)
+    (s, data), _ = jax.lax.scan(substep, (first, data), target)
     s = s._replace(qpos=data.qpos, qvel=data.qvel, qacc_warmstart=data.qacc_warmstart)
     return s if engine.remember else s._replace(lowest=lowest(data))
 
 
 def _simulate_in_c(engine: Engine, hyper: Config, body, first: Substeps, target, kp, kd):
     task = hyper.task
-    motor = task.effort_limit, task.saturation_effort, task.velocity_limit
+    strength = 1.0 if body.strength is None else body.strength
+    kp, kd = kp * strength, kd * strength
+    motor = task.effort_limit * strength, task.saturation_effort * strength, task.velocity_limit
+    armature = 1.0 if body.armature is None else body.armature
+    joint_friction = 0.0 if body.joint_friction is None else body.joint_friction
     numbers = [body.mass_scale, *body.base_com, body.friction, kp, kd, *motor]
+    numbers += [armature, joint_friction]
     moved = engine.step(
         first.qpos,
         first.qvel,
@@ -173,13 +210,16 @@ def _simulate_in_c(engine: Engine, hyper: Config, body, first: Substeps, target,
 
 
 def _feet(engine: Engine, s: Substeps, heights) -> Substeps:
-    """The feet's timers after one more physics step, which began with feet at `heights` [F]."""
-    contact = heights < engine.robot.foot_radius
+    """The feet's timers and heights after one more physics step, which began with feet at `heights` [F]."""
+    radius = jnp.asarray(engine.robot.foot_radius, jnp.float32)
+    contact = heights < radius
     landed = contact & (s.air_steps > 0)
     return s._replace(
         air_steps=jnp.where(contact, 0, s.air_steps + 1),
         contact_steps=jnp.where(contact, s.contact_steps + 1, 0),
         last_air_steps=jnp.where(landed, s.air_steps + 1, s.last_air_steps),
+        peak=jnp.where(contact, 0.0, jnp.maximum(s.peak, heights - radius)),
+        last_peak=jnp.where(landed, s.peak, s.last_peak),
     )
 
 

@@ -6,11 +6,20 @@ the inertia scaled in proportion, centre of mass, foot friction, PD gains. Range
 are single values on Go1. A range that is just the file's value costs nothing, because that field of
 the model stays one array for all robots.
 
+What real robots have beside these is None in a `Body` unless its range says otherwise: weak motors, friction
+and inertia in the joints, actions that come late, torques that lag, sensors that are a little off.
+
+Why one delay, and not one of the sensors and one of the motors: a robot that sees what was d_o seconds ago,
+and whose motors obey d_a seconds later, does what one does that sees at once and whose motors obey after
+d_o + d_a; only its clock is d_o late.
+
 MuJoCo's `*_invweight0` (the solver's estimate of inverse inertia at the contacts) stays nominal: it
 only scales the regularisation of the constraints.
 """
 
 from __future__ import annotations
+
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -20,6 +29,36 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 # what a robot's file has: the feet of all robots have friction 0.8
 NOMINAL = {"base_mass": 0.0, "friction": 0.8, "kp_scale": 1.0, "kd_scale": 1.0}
+NOMINAL |= {"strength": 1.0, "armature": 1.0, "joint_friction": 0.0, "delay": 0.0, "lag": 0.0}
+AROUND = "base_com", "encoder_bias", "imu_tilt"  # half widths around the file's value
+
+
+class Trait(NamedTuple):
+    """A field of a `Body` as a network sees it: (value - nominal) x scale, about -2 to 2."""
+
+    nominal: float
+    scale: float
+    # of each number in the mirror image, left for right; None: a number a joint
+    signs: tuple[int, ...] | None = (1,)
+
+
+TRAITS = dict(
+    mass_scale=Trait(1.0, 4.0),
+    base_com=Trait(0.0, 20.0, (1, -1, 1)),
+    friction=Trait(0.8, 2.0),
+    kp_scale=Trait(1.0, 5.0),
+    kd_scale=Trait(1.0, 5.0),
+    strength=Trait(1.0, 5.0),
+    armature=Trait(1.0, 1.0),
+    joint_friction=Trait(0.0, 5.0),
+    delay=Trait(0.0, 50.0),
+    lag=Trait(0.0, 100.0),
+    encoder_bias=Trait(0.0, 20.0, None),
+    imu_tilt=Trait(0.0, 20.0, (-1, 1, -1)),
+)
+# those that are None where their range is nominal
+HARDWARE = "strength armature joint_friction delay lag encoder_bias imu_tilt".split()
+JOINTS = 12
 
 
 @struct.dataclass
@@ -31,23 +70,61 @@ class Body:
     friction: Float[Array, "..."]
     kp_scale: Float[Array, "..."]
     kd_scale: Float[Array, "..."]
+    strength: Any = None  # [...] share of the motors' torque that arrives
+    armature: Any = None  # [...] of the joints, times the file's
+    joint_friction: Any = None  # [...] N m
+    delay: Any = None  # [...] s, from what is seen to what the motors do about it
+    lag: Any = None  # [...] s, time constant of the torque
+    encoder_bias: Any = None  # [..., A] rad, of what is read less what is
+    imu_tilt: Any = None  # [..., 3] rad, turn of the sensor in the base
 
 
-def draw(ranges, base_mass, base_com, key: PRNGKeyArray) -> Body:
-    """One robot's parameters; `ranges` is the config's group `task.randomize`."""
+def draw(ranges, base_mass, base_com, key: PRNGKeyArray, varied=frozenset()) -> Body:
+    """One robot's parameters; `ranges` is the config's group `task.randomize`, `varied` names those of
+    `HARDWARE` that it has."""
     keys = jax.random.split(key, 5)
 
-    def uniform(key, bounds, shape=()):
-        return jax.random.uniform(key, shape, minval=bounds[0], maxval=bounds[1])
+    def uniform(key, bounds):
+        return jax.random.uniform(key, (), minval=bounds[0], maxval=bounds[1])
 
-    offset = jax.random.uniform(keys[1], (3,), minval=-1.0, maxval=1.0)
+    def around(key, size):
+        return jax.random.uniform(key, (size,), minval=-1.0, maxval=1.0)
+
+    hardware = {}
+    for i, name in enumerate(HARDWARE):
+        if name in varied:
+            own, width = jax.random.fold_in(key, i), getattr(ranges, name)
+            size = size_of(name)
+            hardware[name] = width * around(own, size) if name in AROUND else uniform(own, width)
+    widths = jnp.stack([jnp.asarray(w) for w in ranges.base_com])
     return Body(
         mass_scale=1 + uniform(keys[0], ranges.base_mass) / base_mass,
-        base_com=base_com + offset * jnp.stack([jnp.asarray(w) for w in ranges.base_com]),
+        base_com=base_com + around(keys[1], 3) * widths,
         friction=uniform(keys[2], ranges.friction),
         kp_scale=uniform(keys[3], ranges.kp_scale),
         kd_scale=uniform(keys[4], ranges.kd_scale),
+        **hardware,
     )
+
+
+def traits(varied) -> list[str]:
+    """The fields that a `Body` has where `varied` are the ranges that are not nominal."""
+    return [name for name in TRAITS if name not in HARDWARE or name in varied]
+
+
+def size_of(trait: str) -> int:
+    signs = TRAITS[trait].signs
+    return JOINTS if signs is None else len(signs)
+
+
+def numbers(body: Body, base_com, varied) -> Float[Array, " B"]:
+    """A body as a network sees it: its `traits`, scaled. `base_com` is that of the file."""
+    out = []
+    for name in traits(varied):
+        trait, value = TRAITS[name], getattr(body, name)
+        nominal = base_com if name == "base_com" else trait.nominal
+        out.append(jnp.atleast_1d((value - nominal) * trait.scale))
+    return jnp.concatenate(out)
 
 
 def merge(model, body: Body, base_body: int, feet, varied: frozenset[str]):
@@ -65,12 +142,15 @@ def merge(model, body: Body, base_body: int, feet, varied: frozenset[str]):
         fields["body_ipos"] = jnp.where(base, body.base_com, model.body_ipos)
     if "friction" in varied:
         fields["geom_friction"] = jnp.where(foot, body.friction, model.geom_friction)
+    if "armature" in varied:
+        joints = np.arange(model.nv) >= 6  # the first six are the base's
+        fields["dof_armature"] = model.dof_armature * jnp.where(joints, body.armature, 1.0)
     return model.tree_replace(fields) if fields else model
 
 
 def varied(ranges) -> frozenset[str]:
     """Names of the ranges that are not collapsed to the value that the robot's file has."""
-    names = {"base_com"} if any(ranges.base_com) else set()
+    names = {name for name in AROUND if np.any(getattr(ranges, name))}
     for name, nominal in NOMINAL.items():
         if tuple(getattr(ranges, name)) != (nominal, nominal):
             names.add(name)

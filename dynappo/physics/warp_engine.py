@@ -1,4 +1,4 @@
-"""Calls MuJoCo Warp with only the ten arrays of a robot that a physics step exchanges.
+"""Calls MuJoCo Warp with only the eleven arrays of a robot that a physics step exchanges.
 
 Why not `mjx.step`: it takes and returns all 168 arrays of mjx.Data. A step overwrites them, so they
 are filled and copied for nothing. With 4096 Go1 on an H100 that took 0.95 of a row's 4.40 ms, and
@@ -56,6 +56,7 @@ def make(mj_model, contacts: int, rows: int) -> tuple[Moved, Callable[..., Moved
 
     def step(model, at: Moved, ctrl) -> Moved:
         fields = model.body_mass, model.body_inertia, model.body_ipos, model.geom_friction
+        fields = *fields, model.dof_armature
         args = (at.qpos, at.qvel, at.qacc_warmstart, ctrl, *fields)
         return Moved(*(x[0] for x in together(*(x[None] for x in args))))
 
@@ -95,10 +96,15 @@ def _of_many(mj_model, contacts: int, rows: int) -> Callable[..., list]:
                 wp.synchronize_stream(place)  # JAX's does not wait for it
             own[place.alias, count] = model, data
 
-    def call(qpos, qvel, qacc_warmstart, ctrl, mass, inertia, ipos, friction, xpos, xmat):
+    def call(qpos, qvel, qacc_warmstart, ctrl, mass, inertia, ipos, friction, armature, xpos, xmat):
         model, data = own[qpos.device.alias, qpos.shape[0]]
         model = dataclasses.replace(
-            model, body_mass=mass, body_inertia=inertia, body_ipos=ipos, geom_friction=friction
+            model,
+            body_mass=mass,
+            body_inertia=inertia,
+            body_ipos=ipos,
+            geom_friction=friction,
+            dof_armature=armature,
         )
         data = dataclasses.replace(
             data, qpos=qpos, qvel=qvel, qacc_warmstart=qacc_warmstart, ctrl=ctrl
@@ -107,7 +113,7 @@ def _of_many(mj_model, contacts: int, rows: int) -> Callable[..., list]:
         wp.copy(xpos, data.geom_xpos)  # a step writes only those of geoms that can move
         wp.copy(xmat, data.geom_xmat)
 
-    kinds = [float] * 5 + [wp.vec3] * 4 + [wp.mat33]
+    kinds = [float] * 5 + [wp.vec3] * 3 + [float, wp.vec3, wp.mat33]
     names = inspect.signature(call).parameters
     call.__annotations__ = {n: wp.array2d(dtype=k) for n, k in zip(names, kinds, strict=True)}
     modes = wp.JaxCallableGraphMode

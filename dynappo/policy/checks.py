@@ -12,8 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from dynappo.task import observe
-
 NAME = 100  # characters of a robot's or a joint's name
 # field -> (low, high, unit)
 NUMBERS = {
@@ -33,6 +31,7 @@ LISTS = {  # one number per joint
 COMMANDS = {"command_x": "m/s", "command_y": "m/s", "command_yaw": "rad/s"}
 FASTEST = 100  # m/s or rad/s, of a command
 WIDEST = 10_000  # units of a layer: with more, a second of an episode takes minutes
+HISTORY = 100  # at most: readings that a policy sees
 SUBSTEPS, PERIOD = 1000, 1.0  # at most: physics steps between two actions, and their time (s)
 
 
@@ -62,6 +61,11 @@ def check(fields: dict[str, Any]) -> None:
     steps = fields["substeps"]
     _expect(type(steps) is int, f"substeps is {reprlib.repr(steps)}, expected an integer")
     _expect_number("substeps", steps, 1, SUBSTEPS, "physics steps")
+    history = fields["history"]
+    _expect(
+        type(history) is int and 1 <= history <= HISTORY,
+        f"history is {reprlib.repr(history)}, expected 1 to {HISTORY} readings",
+    )
     text, seed = fields["mjcf"], fields["seed"]
     _expect(isinstance(text, str), f"mjcf is {reprlib.repr(text)}, expected a text")
     known = seed is None or (type(seed) is int and 0 <= seed < 2**31)
@@ -121,15 +125,17 @@ def _check_config(fields: dict[str, Any]) -> None:
     )
 
 
-def check_params(params: dict, joints: int) -> None:
-    """ValueError unless these are a policy's networks for `joints` joints, with finite numbers."""
-    inputs = observe.PROP_SIZE + observe.CONTEXT_SIZE
+def check_params(params: dict, inputs: int, joints: int) -> None:
+    """ValueError unless these are a policy's networks for `inputs` numbers and `joints` joints, all finite.
+
+    The value function may see other numbers (ppo.critic).
+    """
     for name, value in leaves(params):
         _expect(value.dtype.kind == "f", f"{name} holds {value.dtype}, expected real numbers")
         _expect(np.isfinite(value).all(), f"{name} is not finite: training had blown up")
     for name, outputs in (("actor", joints), ("critic", 1)):
         if name == "actor" or name in params:
-            _check_layers(name, params.get(name), inputs, outputs)
+            _check_layers(name, params.get(name), inputs if name == "actor" else None, outputs)
     std = params.get("std", np.zeros(joints))
     fits = getattr(std, "shape", None) == (joints,)
     _expect(fits, f"std has the shape {getattr(std, 'shape', None)}, expected ({joints},)")
@@ -144,10 +150,10 @@ def leaves(tree: dict, prefix: str = ""):
             yield prefix + name, np.asarray(value)
 
 
-def _check_layers(network: str, tree, inputs: int, outputs: int) -> None:
+def _check_layers(network: str, tree, inputs: int | None, outputs: int) -> None:
     """ValueError unless each layer's inputs are the outputs of the layer before."""
     named = f"{'an' if network == 'actor' else 'a'} {network}"
-    rule = f"not the layers of {named} of {inputs} observations ({network}/params/Dense_0/...)"
+    rule = f"not the layers of {named} of {inputs or 'some'} observations ({network}/params/Dense_0/...)"
     layers = tree.get("params", {}) if isinstance(tree, dict) else {}
     _expect(isinstance(layers, dict) and layers, rule)
     width = inputs
@@ -156,6 +162,7 @@ def _check_layers(network: str, tree, inputs: int, outputs: int) -> None:
         pair = isinstance(layer, dict) and set(layer) == {"kernel", "bias"}
         _expect(pair, f"{rule}: Dense_{i} is no kernel and bias")
         kernel, bias = (np.shape(layer[name]) for name in ("kernel", "bias"))
+        width = kernel[0] if width is None and kernel else width
         chains = len(kernel) == 2 and kernel[0] == width and min(kernel) > 0
         found = f"Dense_{i} has a kernel {kernel} and a bias {bias} after {width} numbers"
         _expect(chains and bias == kernel[1:], f"{rule}: {found}")

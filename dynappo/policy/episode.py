@@ -225,10 +225,11 @@ def rows(body: Body, data, act: Callable, command: Callable):
     with mjcf.one_line(body.xml):
         reset(body, data)
     dt, com = period(body), body.model.body_ipos[body.base_body]
-    action = np.zeros(len(body.policy.joint_names))
+    p = body.policy
+    action, see = np.zeros(len(p.joint_names)), observe.memory(p.observation, p.history)
     for k in itertools.count():
         asked = np.asarray(command(k * dt), float)
-        action = act(look(body, data, asked, action))
+        action = act(see(look(body, data, asked, action)))
         with mjcf.one_line(body.xml):  # MuJoCo may run out of memory
             work, fell = step(body, data, action)
         if not (np.isfinite(data.qpos).all() and np.isfinite(data.qvel).all()):

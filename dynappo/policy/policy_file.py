@@ -65,6 +65,7 @@ class Policy(NamedTuple):
     mjcf: str = (
         ""  # the robot's, needs no other file; empty: the robot is found by name (carried.py)
     )
+    history: int = 1  # readings that it sees, the newest first
     seed: int | None = None  # its number in a run of several seeds, from 0; None: unknown
 
 
@@ -75,7 +76,8 @@ def describe(config, robot: robot_lib.Robot, params: dict | None = None) -> Poli
         task, physics = fields["task"], fields["physics"]
         return Policy(
             robot=robot.name,
-            observation=observe.NAME,
+            observation=observe.NAMES[task.get("observation", "full")],
+            history=task.get("history", 1),
             activation=fields["ppo"]["activation"],
             joint_names=robot.joint_names,
             default_pose=robot.default_pose,
@@ -218,8 +220,9 @@ def _checked(path: Path, policy: Policy) -> Policy:
             raise ConfigError(f"{path}: {text}")
 
     expect(
-        policy.observation == observe.NAME,
-        f"its observation is {reprlib.repr(policy.observation)}, this dynappo computes {observe.NAME!r}",
+        policy.observation in tuple(observe.NAMES.values()),
+        f"its observation is {reprlib.repr(policy.observation)}, this dynappo computes "
+        + " and ".join(map(repr, observe.NAMES.values())),
     )
     expect(
         policy.activation in tuple(ACTIVATIONS),
@@ -227,7 +230,8 @@ def _checked(path: Path, policy: Policy) -> Policy:
     )
     try:
         checks.check(policy._asdict())
-        checks.check_params(policy.params, len(policy.joint_names))
+        inputs = len(observe.columns(policy.observation)) * policy.history
+        checks.check_params(policy.params, inputs, len(policy.joint_names))
     except ValueError as error:
         raise ConfigError(f"{path}: {error}") from None
     if policy.mjcf:

@@ -12,11 +12,11 @@ from dynappo.policy import checkpoint_file, policy_file
 def locate(text: str, seed: int | None = None) -> Path:
     """The policy.npz or checkpoint folder that a name, a workdir or a path means.
 
-    `go1` is the bundled policy, `./go1` a folder. In a workdir it is the policy.npz, or, while the
-    run trains, the newest checkpoint. With a `seed` it is a checkpoint: only checkpoints hold all
-    seeds.
+    `go1` is the bundled policy, `go1_deploy` the one for hardware, `./go1` a folder. In a workdir it
+    is the policy.npz, or, while the run trains, the newest checkpoint. With a `seed` it is a
+    checkpoint: only checkpoints hold all seeds.
     """
-    path = _bundled(text) if text in files.robots() else Path(text)
+    path = _bundled(text) if text in files.bundled() else Path(text)
     if os.path.isfile(path):  # False, not an error, if the name is too long
         if seed is not None:
             raise ConfigError(
@@ -26,7 +26,7 @@ def locate(text: str, seed: int | None = None) -> Path:
     if not os.path.isdir(path):
         raise ConfigError(
             f"{text}: no such file or folder; expected a workdir, a checkpoint, a policy.npz or one "
-            f"of {', '.join(files.robots())}"
+            f"of {', '.join(files.robots())} (or ROBOT_deploy)"
         )
     if seed is None and (path / "policy.npz").is_file():
         return path / "policy.npz"
@@ -41,6 +41,9 @@ def locate(text: str, seed: int | None = None) -> Path:
 
 
 def _bundled(name: str) -> Path:
+    if name not in files.robots():
+        name = f"{name.removesuffix('_deploy')}/deploy"
+        return files.find("robots", f"{name}.npz") or Path(f"{name}.npz")
     path = files.find("robots", f"{name}/policy.npz")
     if path is None:
         raise ConfigError(

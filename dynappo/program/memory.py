@@ -16,17 +16,23 @@ from typing import Any
 from dynappo.config import ConfigError
 from dynappo.task import observe
 
-OBS, ACTION = observe.PROP_SIZE + observe.CONTEXT_SIZE, 12
-ROW = 4 * (2 * OBS + 2 * ACTION + 2 * observe.PROP_SIZE + 8)  # bytes of a types.Transition
-STATE = 4 * 177  # bytes of an EnvState and of the robot's physical parameters
+ACTION = 12
+STATE = 4 * 197  # bytes of an EnvState of 48 observed numbers, and of the robot's own body
 CURE = "lower one of them, or use more devices (run.mesh_seed, run.mesh_env)"
+
+
+def row(config) -> int:
+    """Bytes of a types.Transition, at least: without what obs tells of a robot's body."""
+    task = config.task
+    past = (task.history - 1) * len(observe.columns(observe.NAMES[task.observation]))
+    return 4 * (2 * (observe.SENSED + past) + 2 * ACTION + 2 * observe.PROP_SIZE + 8)
 
 
 def least(config) -> int:
     """The least bytes that a run needs on each device: the buffer, and the robots of every seed."""
     run = config.run
     robots = config.rollout.num_envs * run.num_seeds // (run.mesh_seed * run.mesh_env)
-    return robots * (config.rollout.horizon * ROW + STATE)
+    return robots * (config.rollout.horizon * row(config) + STATE)
 
 
 def check(config, limit: int | None) -> None:

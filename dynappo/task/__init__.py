@@ -7,6 +7,7 @@ number in configs/: docs/task.md.
 - `rewards`: the terms of the reward, one function each; `payment`: matches them with weights and
   sums
 - `commands`, `observe`, `pushes`: the commanded velocity, the 48 numbers a policy sees, kicks
+- `view`: what policy, value function and model see of a robot; readings before, errors of sensors
 - `mirror`: the mirror image of an observation and an action, from the robot's model
 - `brax_env`: our task as a brax environment, and brax's environments in our trainer
 

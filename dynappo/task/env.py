@@ -18,10 +18,12 @@ import numpy as np
 from dynappo.physics import engine as engine_lib
 from dynappo.physics import randomize
 from dynappo.physics import robot as robot_lib
-from dynappo.task import commands, mirror, observe, payment, pushes, rewards
+from dynappo.task import commands, mirror, observe, payment, pushes, rewards, view
 from dynappo.types import Config, Env, EnvState, Outcome
 
 AGES = ("clock", "episode_steps", "episode_return")  # zero at the start of an episode
+# of what physics leaves, beside coordinates and torques
+KEPT = "qacc_warmstart air_steps contact_steps last_air_steps peak last_peak".split()
 MAX_TURN, MAX_BASE_SPEED = 100.0, 20.0  # rad/s, m/s: above these it is a numerical blow-up
 
 
@@ -34,6 +36,7 @@ class Constants(NamedTuple):
     legs: tuple[Any, ...]  # robot.leg_chains
     fatal: np.ndarray  # [G] bool: the parts that end an episode at the ground
     undesired: np.ndarray  # [K, G] bool: the parts that count as one undesired contact
+    view: view.View  # the layout of an observation
     terms: payment.Terms  # of the reward
     known: payment.Terms  # those that need no physics
     dt: float  # s
@@ -47,13 +50,16 @@ def make(robot: robot_lib.Robot, task, physics_config, *, impl: str = "jax") -> 
     terms = payment.find(task)
     varied = randomize.varied(task.randomize)
     fatal, undesired = ground_rules(robot, task)
+    layout = view.find(task.observation, task.history, varied)
+    lags = task.actuator == "lag"
     const = Constants(
-        engine=engine_lib.make(robot, physics_config, varied, impl, task.remember_ground),
+        engine=engine_lib.make(robot, physics_config, varied, impl, task.remember_ground, lags),
         robot=robot,
         task=task,
         legs=robot_lib.leg_chains(robot),
         fatal=fatal,
         undesired=undesired,
+        view=layout,
         terms=terms,
         known=payment.known(terms, task),
         dt=physics_config.substeps * physics_config.timestep,
@@ -64,16 +70,18 @@ def make(robot: robot_lib.Robot, task, physics_config, *, impl: str = "jax") -> 
         reset=partial(reset, const),
         step=partial(step, const),
         autoreset=partial(autoreset, const),
-        context=observe.context,
-        noise=noise,
+        context=partial(view.context, layout),
+        noise=view.noise,
+        bias=partial(view.bias, layout) if varied & {"encoder_bias", "imu_tilt"} else None,
+        views=view.views(layout),
         known_reward=partial(known_reward, const),
         metrics=(*names, "velocity_error_sq", "yaw_error_sq", "falls", "timeouts", "blowups"),
-        obs_size=observe.PROP_SIZE + observe.CONTEXT_SIZE,
+        obs_size=view.size(layout),
         prop_size=observe.PROP_SIZE,
         action_size=len(robot.joint_names),
         dt=const.dt,
         episode_length=task.episode_length,
-        mirror=mirror.find(robot),
+        mirror=mirror.find(robot, layout),
     )
 
 
@@ -95,7 +103,8 @@ def ground_rules(robot: robot_lib.Robot, task) -> tuple[np.ndarray, np.ndarray]:
 def _randomize(const: Constants, hyper: Config, key):
     base = const.robot.base_body
     model = const.robot.mj_model
-    return randomize.draw(hyper.task.randomize, model.body_mass[base], model.body_ipos[base], key)
+    ranges, varied = hyper.task.randomize, const.engine.varied
+    return randomize.draw(ranges, model.body_mass[base], model.body_ipos[base], key, varied)
 
 
 def reset(const: Constants, hyper: Config, body, key) -> EnvState:
@@ -123,7 +132,8 @@ def autoreset(
         keys = jax.random.split(jax.random.fold_in(key, 1), 3)
         command, goal = commands.draw(const.task, hyper, state.qpos, keys[0])
         same = state.replace(command=command, goal=goal, **dict.fromkeys(AGES, 0))
-        prop, obs = _observe(const, hyper, body, same, keys[1])
+        seen = same, state.obs[view.SENSED :]
+        prop, obs = view.sense(const.view, const.robot, hyper, body, *seen, keys[1])
         same = same.replace(prop=prop, obs=obs)
         stays = (outcome.truncation == 1) & jax.random.bernoulli(keys[2])
         fresh = jax.tree.map(lambda here, there: jnp.where(stays, here, there), same, fresh)
@@ -137,9 +147,7 @@ def _fresh(const: Constants, hyper: Config, body, key) -> EnvState:
     joints = default * jax.random.uniform(
         keys[0], default.shape, minval=r.joint_scale[0], maxval=r.joint_scale[1]
     )
-    low, high = jnp.asarray(const.robot.mj_model.jnt_range[1:].T, jnp.float32)
-    spare = (1 - r.soft_limit) / 2 * (high - low)
-    joints = jnp.clip(joints, low + spare, high - spare)
+    joints = jnp.clip(joints, *_soft_limits(const, hyper))
     lowest = (robot_lib.feet_in_base(const.legs, joints)[:, 2] - const.robot.foot_radius).min()
     height = jnp.maximum(r.spawn_height, r.foot_clearance - lowest)
     xy = jax.random.uniform(keys[1], (2,), minval=-1.0, maxval=1.0) * r.position
@@ -159,37 +167,27 @@ def _fresh(const: Constants, hyper: Config, body, key) -> EnvState:
         command=command,
         goal=goal,
         last_action=default * 0,
+        older_action=default * 0,
+        torque=default * 0 if const.engine.lags else None,
         air_steps=feet,
         contact_steps=feet,
         last_air_steps=feet,
+        peak=jnp.zeros(len(const.robot.feet)),
+        last_peak=jnp.zeros(len(const.robot.feet)),
         clock=jnp.zeros((), jnp.int32),
         episode_steps=jnp.zeros((), jnp.int32),
         push_in=pushes.wait(hyper.task.push, const.dt, keys[6]),
         episode_return=jnp.zeros(()),
     )
-    prop, obs = _observe(const, hyper, body, state, keys[5])
+    prop, obs = view.sense(const.view, const.robot, hyper, body, state, None, keys[5])
     return state.replace(prop=prop, obs=obs)
 
 
-def _see(const: Constants, body, state: EnvState):
-    """The observation of a state, without noise."""
-    default = jnp.asarray(const.robot.default_pose, jnp.float32)
-    return observe.observe(
-        state.qpos, state.qvel, body.base_com, default, state.command, state.last_action
-    )
-
-
-def _observe(const: Constants, hyper: Config, body, state: EnvState, key):
-    """`(prop, obs)`: the predicted part without noise, and the whole with it."""
-    clean = _see(const, body, state)
-    noise = jax.random.uniform(key, clean.shape, minval=-1.0, maxval=1.0)
-    return clean[: observe.PROP_SIZE], clean + noise * observe.noise_scale(hyper.task.noise, jnp)
-
-
-def noise(hyper: Config, key):
-    """A draw of the noise on `prop`, [33]: uniform, as `step` adds it to an observation."""
-    scale = observe.noise_scale(hyper.task.noise, jnp)[: observe.PROP_SIZE]
-    return jax.random.uniform(key, scale.shape, minval=-1.0, maxval=1.0) * scale
+def _soft_limits(const: Constants, hyper: Config):
+    """`(low, high)` [A] rad: the middle `task.reset.soft_limit` of each joint's range."""
+    low, high = jnp.asarray(const.robot.mj_model.jnt_range[1:].T, jnp.float32)
+    spare = (1 - hyper.task.reset.soft_limit) / 2 * (high - low)
+    return low + spare, high - spare
 
 
 def step(const: Constants, hyper: Config, body, state: EnvState, action, key):
@@ -205,8 +203,8 @@ def step(const: Constants, hyper: Config, body, state: EnvState, action, key):
     ok &= (speed[3:] < MAX_TURN).all() & (speed[:3] < MAX_BASE_SPEED).all()
 
     moved = state.replace(qpos=after.qpos, qvel=after.qvel)
-    known = _known(hyper, _see(const, body, moved), action)
-    facts = known | _measured(const, after)._asdict()
+    known = _known(hyper, view.exact(const.robot, body, moved), action)
+    facts = known | _measured(const, hyper, state, after)._asdict()
     terms = payment.values(const.terms, facts)
     reward, weighted = payment.total(terms, hyper.task.weights, const.dt)
     reward = jnp.where(ok, reward, 0.0)
@@ -222,19 +220,19 @@ def step(const: Constants, hyper: Config, body, state: EnvState, action, key):
     next_state = state.replace(
         qpos=after.qpos,
         qvel=qvel,
-        qacc_warmstart=after.qacc_warmstart,
         command=command,
         goal=goal,
         last_action=action,
-        air_steps=after.air_steps,
-        contact_steps=after.contact_steps,
-        last_air_steps=after.last_air_steps,
+        older_action=state.last_action,
+        torque=after.torque if const.engine.lags else None,
+        **{name: getattr(after, name) for name in KEPT},
         clock=clock,
         push_in=push_in,
         episode_steps=state.episode_steps + 1,
         episode_return=state.episode_return + reward,
     )
-    prop, obs = _observe(const, hyper, body, next_state, obs_key)
+    seen = next_state, view.later(const.view, state.obs), obs_key
+    prop, obs = view.sense(const.view, const.robot, hyper, body, *seen)
     next_state = next_state.replace(
         prop=jnp.where(ok, prop, state.prop), obs=jnp.where(ok, obs, state.obs)
     )
@@ -267,9 +265,16 @@ def _known(hyper: Config, seen, action) -> dict[str, Any]:
     return hyper.task._asdict() | observe.split(seen) | {"action": action}
 
 
-def _measured(const: Constants, after: engine_lib.Substeps) -> rewards.Measured:
+def _measured(
+    const: Constants, hyper: Config, state: EnvState, after: engine_lib.Substeps
+) -> rewards.Measured:
     contact = after.contact_steps > 0
+    low, high = _soft_limits(const, hyper)
+    joints = after.qpos[7:]
     return rewards.Measured(
+        older_action=state.older_action,
+        over_limit=jnp.maximum(jnp.maximum(low - joints, joints - high), 0),
+        swing_height=after.last_peak,
         torque=after.torque,
         joint_velocity_before=after.qd_before,
         timestep=const.engine.timestep,
@@ -282,10 +287,10 @@ def _measured(const: Constants, after: engine_lib.Substeps) -> rewards.Measured:
 
 
 def known_reward(const: Constants, hyper: Config, obs, action, next_prop):
-    """The share of a row's reward that is a function of `obs` [48], `action` and `next_prop` [33].
+    """The share of a row's reward that is a function of `obs`, `action` and `next_prop` [33].
 
     Exact unless a push changed the velocity after the reward (pushes.py).
     """
-    seen = jnp.concatenate([next_prop, obs[observe.PROP_SIZE :]])
+    seen = jnp.concatenate([next_prop, obs[observe.PROP_SIZE : view.SENSED]])
     terms = payment.values(const.known, _known(hyper, seen, action))
     return payment.total(terms, hyper.task.weights, const.dt)[0]

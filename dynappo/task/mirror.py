@@ -11,7 +11,7 @@ import numpy as np
 
 from dynappo.config import ConfigError
 from dynappo.physics.robot import Robot
-from dynappo.task import observe
+from dynappo.task import observe, view
 from dynappo.types import Mirror
 
 CLOSE = 5e-3  # m; of axes, no unit; of the home pose, rad
@@ -36,15 +36,16 @@ def joints(robot: Robot) -> Mirror:
     return Mirror(index, sign)
 
 
-def find(robot: Robot) -> tuple[Mirror, Mirror] | None:
-    """Of an observation (observe.py) and of an action; None if the robot is not its own image."""
+def find(robot: Robot, layout: view.View) -> tuple[Mirror, Mirror] | None:
+    """Of an observation (view.py) and of an action; None if the robot is not its own image."""
     try:
         own = joints(robot)
     except ConfigError:
         return None
-    index, sign = [], []
-    for name, part in observe.PARTS.items():
-        rows, joints_too = np.arange(*observe.ROWS[name].indices(10**6)), part.signs is None
-        index.append(rows[own.index] if joints_too else rows)
-        sign.append(own.sign if joints_too else np.array(part.signs, float))
+    index, sign, start = [], [], 0
+    for signs in view.parts(layout):
+        count = len(own.index) if signs is None else len(signs)
+        index.append(start + (own.index if signs is None else np.arange(count)))
+        sign.append(own.sign if signs is None else np.array(signs, float))
+        start += count
     return Mirror(np.concatenate(index), np.concatenate(sign)), own

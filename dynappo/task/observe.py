@@ -19,11 +19,15 @@ and what a reward term can ask for follow from them. To add a part, add an entry
 in `observe`, and for `COPIED` also one in `context` (docs/task.md).
 """
 
+from collections.abc import Callable
 from itertools import accumulate
 from typing import NamedTuple
 
-# of policy files: a policy that sees other numbers is refused by this name, so change it with them
-NAME = "velocity-48"
+import numpy as np
+
+# by `task.observation`; of policy files: a policy that sees other numbers is refused by this name, so
+# change it with them
+NAMES = {"full": "velocity-48", "onboard": "onboard-45"}
 
 
 class Part(NamedTuple):
@@ -64,10 +68,49 @@ ROWS = {
         PARTS.items(), accumulate(part.size for part in PARTS.values()), strict=True
     )
 }
+SENSED = PROP_SIZE + CONTEXT_SIZE
+UNSEEN = {NAMES["full"]: (), NAMES["onboard"]: ("linear_velocity",)}  # parts that no sensor tells
 GRAVITY, LINEAR_VELOCITY = ROWS["gravity"], ROWS["linear_velocity"]
 ANGULAR_VELOCITY, COMMAND = ROWS["angular_velocity"], ROWS["command"]
 JOINT_POS, JOINT_VEL = ROWS["joint_position"], ROWS["joint_velocity"]
 LAST_ACTION = ROWS["previous_action"]
+
+
+def shown(name: str) -> tuple[str, ...]:
+    """The parts that a policy of observation `name` sees."""
+    return tuple(part for part in PARTS if part not in UNSEEN[name])
+
+
+def columns(name: str) -> np.ndarray:
+    """Of the 48 numbers those that a policy of observation `name` sees."""
+    return np.concatenate([np.arange(SENSED)[ROWS[part]] for part in shown(name)])
+
+
+def reading(name: str) -> dict[str, slice]:
+    """Where each part is in what a policy of observation `name` sees of one step."""
+    sizes = [PARTS[part].size for part in shown(name)]
+    stops = accumulate(sizes)
+    return {
+        part: slice(stop - size, stop)
+        for part, size, stop in zip(shown(name), sizes, stops, strict=True)
+    }
+
+
+def memory(name: str, history: int) -> Callable[[np.ndarray], np.ndarray]:
+    """`see(48 numbers) -> what the policy sees`, step after step of one episode: its readings, newest first.
+
+    Before the first there was nothing else: it stands for all before it.
+    """
+    seen, kept = columns(name), []
+
+    def see(obs):
+        now = obs[seen]
+        kept.insert(0, now)
+        kept[history:] = []
+        kept.extend([now] * (history - len(kept)))
+        return np.concatenate(kept)
+
+    return see
 
 
 def rotate_inverse(quat, vector):

@@ -37,6 +37,9 @@ class Measured(NamedTuple):
     contact: Any  # [F] bool: the foot is on the ground
     touchdown: Any  # [F] bool: it came down in this control step
     last_air_time: Any  # [F] s, length of its last finished air phase
+    swing_height: Any  # [F] m, highest that its lowest point was in that phase
+    older_action: Any  # [A] the action before `previous_action`
+    over_limit: Any  # [A] rad, beyond the middle `task.reset.soft_limit` of a joint's range
     lowest: Any  # [K] m, lowest point above the floor of what counts as an undesired contact
 
 
@@ -78,6 +81,36 @@ def joint_accelerations(joint_velocity, joint_velocity_before, timestep):
 def action_rate(action, previous_action):
     """Sum of squared changes of the raw action."""
     return ((action - previous_action) ** 2).sum()
+
+
+def action_acceleration(action, previous_action, older_action):
+    """Sum of squared second differences of the raw action."""
+    return ((action - 2 * previous_action + older_action) ** 2).sum()
+
+
+def energy(torque, joint_velocity):
+    """Sum of |torque x joint velocity|, W, in the last physics step (Playground's Go1 has it so)."""
+    return abs(torque * joint_velocity).sum()
+
+
+def joint_limits(over_limit):
+    """Sum of the angles, rad, by which joints are beyond their soft limits."""
+    return over_limit.sum()
+
+
+def stand_still(joint_position, command):
+    """Sum of |joint position - default|, rad, where the command is to stand (below 0.1 in size)."""
+    return abs(joint_position).sum() * ((command**2).sum() < 0.1**2)
+
+
+def foot_clearance(swing_height, touchdown, command, wanted=0.06):
+    """Sum over feet that touch down of (1 - swing height / `wanted`)^2, `wanted` in m, where it was lower.
+
+    Playground's Go1 has the same with 0.1 m, and for higher feet too. 0 for a slow command.
+    """
+    moving = (command**2).sum() > 0.1**2
+    short = 1 - swing_height / wanted
+    return (short**2 * (short > 0) * touchdown).sum() * moving
 
 
 def feet_air_time(last_air_time, touchdown, command, threshold=0.5):

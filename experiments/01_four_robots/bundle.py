@@ -3,12 +3,15 @@ r"""Put trained policies beside their robots: the files that `dynappo play go1` 
     python experiments/run.py OUT go1:best go2:best anymal_c:best anymal_d:best \
         --policies --seeds 6 --set run.eval_envs=500
     python experiments/01_four_robots/bundle.py go1=OUT/go1_best.5.npz go2=OUT/go2_best.2.npz ...
+    python experiments/01_four_robots/bundle.py go1_deploy=OUT/g.0.npz ...
 
-Writes robots/ROBOT/policy.npz without the value function, which only training needs, and policy.json with
-what is known of it: from OUT/go1_best.json, the numbers of that seed. A policy that falls on one of the 45
+Writes robots/ROBOT/policy.npz, of go1_deploy robots/go1/deploy.npz, without the value function, which only
+training needs, and a JSON with what is known of it: from OUT/go1_best.json the numbers of that seed, or
+from OUT/g.csv (experiments/21_less/run.py) its last evaluation. A policy that falls on one of the 45
 commands of `dynappo evaluate`, or is off by more than `WORST` on one, is not taken.
 """
 
+import csv
 import json
 import sys
 from pathlib import Path
@@ -24,12 +27,15 @@ KEEP = (
     "robot job return return_max iterations sim_steps seconds device impl versions evaluation set"
 )
 
-WORST = 0.15  # m/s and rad/s
+WORST = 0.2  # m/s and rad/s
+EVALUATED = "return fall_rate tracking_error yaw_error".split()
 
 
 def main():
     for argument in sys.argv[1:]:
         name, source = argument.split("=")
+        robot = name.removesuffix("_deploy")
+        file = "policy" if robot == name else "deploy"
         policy = policy_file.load(Path(source))
         for row in trials.sweep(policy)[0]["commands"]:
             off = max(row["tracking_error"] or 0, row["yaw_error"] or 0)
@@ -38,12 +44,24 @@ def main():
         run, seed = source.removesuffix(".npz").rsplit(".", 1)
         params = {part: policy.params[part] for part in ("actor", "std")}
         config = config_dict.ConfigDict(policy.config)
-        folder = Path("robots") / name
-        policy_file.save(folder / "policy.npz", params, config, robot_lib.load(name))
-        summary = json.loads(Path(f"{run}.json").read_text())
-        known = {k: summary[k] for k in KEEP.split() if k in summary}
-        files.write_json(folder / "policy.json", {"seed": int(seed)} | of_seed(known, int(seed)))
-        print(name, (folder / "policy.npz").stat().st_size // 1000, "kB")
+        out = Path("robots") / robot / file
+        policy_file.save(out.with_suffix(".npz"), params, config, robot_lib.load(robot))
+        known = of_run(Path(run), int(seed))
+        files.write_json(out.with_suffix(".json"), {"seed": int(seed), "robot": robot} | known)
+        print(name, out.with_suffix(".npz").stat().st_size // 1000, "kB")
+
+
+def of_run(run: Path, seed: int) -> dict:
+    """What RUN.json or RUN.csv tells of one of its seeds."""
+    if run.with_suffix(".json").exists():
+        summary = json.loads(run.with_suffix(".json").read_text())
+        return of_seed({k: summary[k] for k in KEEP.split() if k in summary}, seed)
+    with run.with_suffix(".csv").open() as file:
+        rows = list(csv.DictReader(file))
+    last = [row for row in rows if row["iteration"] == rows[-1]["iteration"]][seed]
+    numbers = {name: float(last[name]) for name in EVALUATED}
+    steps = {name: int(last[name]) for name in ("iteration", "sim_steps")}
+    return {"job": last["job"], "run_seed": int(last["seed"])} | steps | {"evaluation": numbers}
 
 
 def of_seed(node, seed: int):

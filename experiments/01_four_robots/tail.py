@@ -60,14 +60,14 @@ def compare(env, static, hyper, params, model, worlds):
     keys = jax.random.split(key, worlds)
     bodies = jax.vmap(env.randomize, (None, 0))(hyper, keys)
     state = jax.vmap(env.reset, (None, 0, 0))(hyper, bodies, keys)
-    act = algorithm.policy(static, params)
+    act = algorithm.policy(static, env, params)
     physics = algorithm.physics_step(env, hyper, bodies)
     index = jnp.arange(worlds)
 
     @jax.jit
     def step(state, t):
         row = rollout.row_keys(jax.random.key(1), index)(t)
-        action = act(state.obs, row)[0]
+        action = act(state, row)[0]
         after, outcome = physics(state, action, row)
         return after, (action, outcome)
 

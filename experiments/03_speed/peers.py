@@ -61,8 +61,10 @@ def learners(config):
 
 def ours(static, hyper, learner, buffer):
     """`(update, returns and update)`: functions that do UPDATES of them, as a scan as in training."""
+    from ppo import env  # the file beside this one
+
     real = jnp.bool_(True)
-    estimate = functools.partial(algorithm.estimate, static, hyper)
+    estimate = functools.partial(algorithm.estimate, static, hyper, env())
 
     def updates(learner, batch, buffer, key):
         def one(learner, i):

@@ -100,7 +100,8 @@ def env():
     def context(obs, action):
         return jnp.concatenate([obs[..., 33:36], action], -1)
 
-    return SimpleNamespace(obs_size=48, action_size=12, prop_size=33, dt=0.02, context=context)
+    sizes = dict(obs_size=48, action_size=12, prop_size=33, dt=0.02)
+    return SimpleNamespace(**sizes, context=context, views=None, bias=None)
 
 
 def rollout_of(static, params, robots, horizon):
@@ -144,7 +145,7 @@ def programs(args):
     make = jax.jit(lambda key: ppo.init(static, hyper, 48, 12, key))
     learner = make(jax.random.key(0))
     buffer = rollout_of(static, learner.params, args.robots, 16)
-    estimate = jax.jit(partial(algorithm.estimate, static, hyper, real=jnp.bool_(True)))
+    estimate = jax.jit(partial(algorithm.estimate, static, hyper, task, real=jnp.bool_(True)))
     batch = estimate(learner.params, buffer)
     out = {}
 
@@ -181,7 +182,7 @@ def programs(args):
     def estimates(params, buffer):
         def one(value, _):
             rows = buffer.replace(value=value)
-            new = algorithm.estimate(static, hyper, params, rows, jnp.bool_(True))
+            new = algorithm.estimate(static, hyper, task, params, rows, jnp.bool_(True))
             return new.returns, None
 
         return jax.lax.scan(one, buffer.value, jnp.arange(UPDATES))[0]
@@ -215,7 +216,7 @@ def programs(args):
             state = dynamics.TailState(obs=obs, prop=obs[:, :33])
             keys = rollout.row_keys(key, jnp.arange(args.robots))
             empty = rollout.allocate(task, rows, args.robots)
-            act = algorithm.policy(static, params)
+            act = algorithm.policy(static, task, params)
             step = partial(dynamics.step, static, hyper, task, model)
             return rollout.fill(empty, jnp.int32(0), n, state, keys, act=act, step=step)[:2]
 

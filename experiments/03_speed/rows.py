@@ -171,7 +171,7 @@ class Bench:
             hi,
             state,
             rollout.row_keys(key, self.robots),
-            act=scoped("policy", algorithm.policy(self.static, params)),
+            act=scoped("policy", algorithm.policy(self.static, env, params)),
             step=algorithm.physics_step(env, self.hyper, body),
             metrics=env.metrics,
         )

@@ -41,7 +41,7 @@ def iterate(env, hyper, state, iteration, epochs, *, static):
         jnp.int32(static.rollout.horizon),
         dynamics.tail(static, env, env_state),
         rollout.row_keys(rows_key, state.robot_index),
-        act=algorithm.policy(static, state.learner.params),
+        act=algorithm.policy(static, env, state.learner.params),
         step=partial(dynamics.step, static, hyper, env, model),
     )
     return state.replace(model=model, env_state=env_state), buffer

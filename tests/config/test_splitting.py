@@ -12,11 +12,11 @@ run.checkpoint_every run.eval_every run.eval_envs run.eval_steps rollout.num_env
 schedule.start_iteration schedule.end_iteration schedule.start_steps schedule.end_steps schedule.rounds
 model.epochs
 model.late_from model.minibatches ppo.epochs ppo.minibatches ppo.shuffle_blocks
-task.episode_length physics.threads physics.substeps physics.iterations physics.ls_iterations
+task.episode_length task.history physics.threads physics.substeps physics.iterations physics.ls_iterations
 """.split()
 STRINGS = """
 robot run.device run.wandb model.activation model.precision ppo.activation ppo.precision task.formulation
-physics.impl physics.contacts
+physics.impl physics.contacts task.observation task.actuator ppo.critic
 """.split()
 BOOLS = """
 run.tensorboard model.predict_change model.normalize model.clean model.known_reward model.falls

@@ -14,6 +14,7 @@ from toy_policy import actor, described
 from dynappo import config as config_lib
 from dynappo.evaluate import command as evaluate_command
 from dynappo.evaluate import episodes, trials
+from dynappo.evaluate import show as evaluate_show
 from dynappo.physics import robot as robot_lib
 from dynappo.policy import policy_file
 
@@ -62,7 +63,7 @@ def test_the_command_writes_what_it_prints(saved, tmp_path, monkeypatch, capsys,
     for line in lines:  # the table of the sweep comes first
         told.setdefault(line[:24].strip(), re.split(r"\s{2,}", line[24:].strip()))
     sweep = written["sweep"]
-    for name, label, text in evaluate_command.ROWS:
+    for name, label, text in evaluate_show.ROWS:
         columns = [sweep["all"], *sweep["ahead"]]
         expected = ["-" if c[name] is None else text.format(c[name]) for c in columns]
         assert told[label.strip()] == expected, label
@@ -105,16 +106,16 @@ def test_falls_are_named():
     rows = toy_sweep.numbers()["commands"]
     turned = max(rows, key=lambda row: row["yaw_error"])
     x, y, turn = turned["command"]
-    assert evaluate_command.notes(rows) == [
+    assert evaluate_show.notes(rows) == [
         "worst tracked: 0.43 m/s, asked for 1, 0 m/s, 1 rad/s",
         f"worst turned: {turned['yaw_error']:.2f} rad/s, asked for {x:g}, {y:g} m/s, {turn:g} rad/s",
     ]
     fell = {tuple(row["command"]) for row in rows[-7:]}
-    lines = evaluate_command.notes(toy_sweep.numbers(fell)["commands"])
+    lines = evaluate_show.notes(toy_sweep.numbers(fell)["commands"])
     assert sum(line.startswith("fell after 1.5 s, asked for") for line in lines) == 5
     assert "fell on 2 other commands" in lines[5] and lines[6].startswith("worst tracked:")
     everything = toy_sweep.numbers({tuple(row["command"]) for row in rows})["commands"]
-    assert not any("worst" in line for line in evaluate_command.notes(everything))
+    assert not any("worst" in line for line in evaluate_show.notes(everything))
 
 
 def test_fast_needs_no_jax(saved, tmp_path):

@@ -27,8 +27,8 @@ AHEAD = np.array([0.6, 0.0, 0.0])  # m/s, m/s, rad/s
 
 @pytest.fixture(scope="module")
 def bundled():
-    """The policy that comes with the Go1."""
-    return source.find("go1")[0]
+    """The policy for hardware that comes with the Go1."""
+    return source.find("go1_deploy")[0]
 
 
 def body_of(policy):
@@ -36,13 +36,12 @@ def body_of(policy):
     return episode.load(robot_lib.load(policy.robot).xml, policy, policy.timestep)
 
 
-def test_its_tables_are_those_of_the_code():
+def test_its_tables_are_those_of_the_code(bundled):
     """Indices, units, noise; gains, limits and scales of the configs."""
     rows = [line.split(" | ") for line in PAGE.splitlines() if re.match(r"\| \d+-\d+ \|", line)]
-    noise = config_lib.load("configs/go1.py").task.noise
-    for cells, (_, part, unit, _, field) in zip(rows, onnx_file.TABLE, strict=True):
-        assert cells[0] == f"| {part.start}-{part.stop - 1}" and cells[2] == unit
-        assert cells[4] == (f"+-{noise[field]:g}" if field else "none")
+    for cells, row in zip(rows, onnx_file.observation_table(bundled), strict=True):
+        assert cells[0] == f"| {row['start']}-{row['stop'] - 1}" and cells[2] == row["unit"]
+        assert cells[4] == (f"+-{row['noise']:g}" if row["noise"] else "none")
     numbers = ("| `kp`", "| `effort", "| `action_scale`")
     lines = [line for line in PAGE.splitlines() if line.startswith(numbers)]
     for column, robots in ((1, ["go1"]), (2, ["go2"]), (3, ["anymal_c", "anymal_d"])):
@@ -55,15 +54,21 @@ def test_its_tables_are_those_of_the_code():
 
 
 @pytest.mark.parametrize("order", ["mjcf", "isaaclab"])
-def test_the_onnx_file_walks_for_ten_seconds_in_c_mujoco(bundled, order, tmp_path):
+@pytest.mark.parametrize("name", ["go1", "go1_deploy"])
+def test_the_onnx_file_walks_for_ten_seconds_in_c_mujoco(name, order, tmp_path):
     """0.6 m/s ahead: no fall, the distance that was asked for, close to the command."""
-    out = tmp_path / "policy.onnx"
-    export_command.main(["go1", f"--out={out}", f"--joint-order={order}"])
+    out, bundled = tmp_path / "policy.onnx", source.find(name)[0]
+    export_command.main([name, f"--out={out}", f"--joint-order={order}"])
     net = onnxruntime.InferenceSession(out)
     facts = {k: json.loads(v) for k, v in net.get_modelmeta().custom_metadata_map.items()}
     # the body is read and driven in the order that the file says
     body = body_of(joint_order.permute(bundled, tuple(facts["joint_names"])))
-    walked = episode.play(body, lambda obs: infer(net, obs[None])[0], lambda t: AHEAD, 10.0)
+    columns = onnx_file.order(bundled)
+
+    def act(obs):
+        return infer(net, obs[None, columns])[0]
+
+    walked = episode.play(body, act, lambda t: AHEAD, 10.0)
     m = episode.measures(body, walked)
     assert m["fall"] is None and m["seconds"] == 10.0
     assert walked["qpos"][-1, 0] > 5.0  # m ahead, of 6
@@ -78,8 +83,8 @@ def loop(bundled, tmp_path, monkeypatch):
     [steps, 3], whether the robot fell, and how often it was told to damp.
     """
     (code,) = re.findall(r"```python\n(.*?)```", PAGE, re.S)
-    assert len(code.splitlines()) <= 40
-    export_command.main(["go1", f"--out={tmp_path}/policy.onnx", "--joint-order=unitree"])
+    assert len(code.splitlines()) <= 45
+    export_command.main(["go1_deploy", f"--out={tmp_path}/policy.onnx", "--joint-order=unitree"])
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(time, "sleep", lambda seconds: None)
     policy = joint_order.permute(bundled, MOTORS)
@@ -141,3 +146,33 @@ def test_the_loop_damps_whatever_happens(loop):
 
     path, _, damped = loop(30, broken)
     assert len(path) == 20 and damped == [True, False]
+
+
+def test_the_yaml_is_what_the_onnx_file_needs_beside_it(tmp_path):
+    """Read by a YAML reader: joints by their motors, and terms that fill `obs` in order."""
+    yaml = pytest.importorskip("yaml")
+    for suffix in ("onnx", "yaml"):
+        out = tmp_path / f"policy.{suffix}"
+        export_command.main(["go2_deploy", f"--out={out}", "--joint-order=isaaclab"])
+    told = yaml.safe_load((tmp_path / "policy.yaml").read_text())
+    net = onnxruntime.InferenceSession(tmp_path / "policy.onnx")
+    facts = {k: json.loads(v) for k, v in net.get_modelmeta().custom_metadata_map.items()}
+    # as unitree_rl_lab writes it for a Go2
+    assert told["joint_ids_map"] == [3, 0, 9, 6, 4, 1, 10, 7, 5, 2, 11, 8]
+    assert [facts["joint_names"].index(MOTORS[m]) for m in told["joint_ids_map"]] == list(range(12))
+    assert (
+        told["step_dt"] == facts["control_dt"]
+        and told["default_joint_pos"] == facts["default_pose"]
+    )
+    widths = [len(term["scale"]) * term["history_length"] for term in told["observations"].values()]
+    rows = facts["observation_table"]
+    assert widths == [row["stop"] - row["start"] for row in rows]
+    assert sum(widths) == net.get_inputs()[0].shape[1] == 225
+
+
+def test_a_policy_that_sees_its_velocity_has_no_yaml(tmp_path, capsys):
+    with pytest.raises(SystemExit):
+        export_command.main(["go1", f"--out={tmp_path}/a.yaml"])
+    said = capsys.readouterr().err
+    assert "a deploy.yaml has no linear_velocity" in said and "go1_deploy" in said
+    assert not list(tmp_path.iterdir())

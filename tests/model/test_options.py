@@ -237,7 +237,7 @@ def test_the_policy_learns_from_a_tail_by_what_survives_of_it(iterated, env):
         weight[t] = weight[t - 1] * rows.discount[t - 1]
     assert weight.min() < 0.5
     real = np.arange(N)[:, None] < 3
-    batch = algorithm.estimate(static, hyper, first.learner.params, rows, real)
+    batch = algorithm.estimate(static, hyper, env, first.learner.params, rows, real)
     key = jax.random.fold_in(jax.random.fold_in(first.key, 4), algorithm.UPDATE)
     update = jax.jit(partial(ppo.update, static, hyper))
     expected, other = (

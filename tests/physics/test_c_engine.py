@@ -22,8 +22,9 @@ from dynappo.task import env as env_lib
 
 ROBOTS, STEPS = 8, 10
 ENOUGH, FEW = dict(iterations=20, ls_iterations=20), dict(iterations=4, ls_iterations=8)
-VARIED = frozenset(("base_mass", "base_com", "friction"))
-CLOCKS = ("air_steps", "contact_steps", "last_air_steps")
+HARDWARE = ("strength", "armature", "delay")
+VARIED = frozenset(("base_mass", "base_com", "friction", *HARDWARE))
+CLOCKS = ("air_steps", "contact_steps", "last_air_steps", "peak", "last_peak")
 CARRIED = ("qpos", "qvel", "qacc_warmstart", *CLOCKS)
 TOLD = (*CARRIED, "torque", "qd_before", "lowest")
 LIMITS = ("effort_limit", "saturation_effort", "velocity_limit")
@@ -40,7 +41,10 @@ def place(name, touching="feet", **physics):
     robot, hyper, rng = robot_lib.load(name), config_lib.split(config)[1], np.random.default_rng(0)
     com = robot.mj_model.body_ipos[robot.base_body] + rng.uniform(-0.05, 0.05, (ROBOTS, 3))
     scale, friction, kp, kd = rng.uniform([0.8, 0.4, 0.8, 0.5], [1.4, 1.2, 1.2, 1.5], (ROBOTS, 4)).T
-    bodies = randomize.Body(*map(np.float32, (scale, com, friction, kp, kd)))
+    low, high, more = [0.8, 0.7, 0.0], [1.2, 1.5, 0.04], np.random.default_rng(1)
+    drawn = more.uniform(low, high, (ROBOTS, 3)).T.astype(np.float32)
+    drawn = zip(HARDWARE, drawn, strict=True)
+    bodies = randomize.Body(*map(np.float32, (scale, com, friction, kp, kd)), **dict(drawn))
     qpos, qvel = np.tile(robot.home_qpos, (ROBOTS, 1)), rng.normal(-0.3, 0.5, (ROBOTS, 18))
     qpos[:, 7:] += rng.normal(0, 0.1, (ROBOTS, 12))
     qpos[::2, 3:7] = rng.normal(size=(ROBOTS // 2, 4))
@@ -53,6 +57,7 @@ def place(name, touching="feet", **physics):
         row[2] -= min(feet.min(), lowest(robot, data).min()) + rng.uniform(-0.01, 0.02)
     clocks = rng.integers(0, 9, (3, ROBOTS, 4), np.int32)
     clocks[1] *= clocks[0] == 0  # a foot is in the air or on the ground
+    peaks = more.uniform(0, 0.1, (2, ROBOTS, 4)).astype(np.float32)
     start = [x.astype(np.float32) for x in (qpos, qvel, qvel * 0)]
 
     def run(impl):
@@ -60,9 +65,16 @@ def place(name, touching="feet", **physics):
 
         simulate = partial(engine_lib.simulate, engine, hyper)
         step = jax.jit(jax.vmap(lambda body, s, a: simulate(body, SimpleNamespace(**s), a)))
-        return lambda start, action: jax.device_get(step(bodies, start, action))
 
-    start = dict(zip(CARRIED, (*start, *clocks), strict=True))
+        def one(start, action, last=None, older=None):
+            """`last` and `older` are the actions before; None: zero."""
+            before = [np.zeros_like(action) if a is None else a for a in (last, older)]
+            both = dict(zip(("last_action", "older_action"), before, strict=True))
+            return jax.device_get(step(bodies, start | both, action))
+
+        return one
+
+    start = dict(zip(CARRIED, (*start, *clocks, *peaks), strict=True))
     actions = rng.normal(0, 2, (STEPS, ROBOTS, 12)).astype(np.float32)
     world = dict(robot=robot, config=config, bodies=bodies, start=start, actions=actions)
     return SimpleNamespace(**world, run=run)
@@ -84,35 +96,51 @@ def by_hand(world, i):
     model.body_inertia[robot.base_body] *= body.mass_scale
     model.body_ipos[robot.base_body] = body.base_com
     model.geom_friction[robot.feet, 0] = body.friction
+    model.dof_armature[6:] *= body.armature
     kp, kd = np.float32(task.kp) * body.kp_scale, np.float32(task.kd) * body.kd_scale
     limits = {name: np.float32(task[name]) for name in LIMITS}
-    data, (qpos, qvel, _, air, contact, last) = mujoco.MjData(model), world.start.values()
-    data.qpos[:], data.qvel[:], air, contact, last = qpos[i], qvel[i], air[i], contact[i], last[i]
-    for action in world.actions[:, i]:
-        target = np.float32(robot.default_pose) + np.float32(task.action_scale) * action
+    data = mujoco.MjData(model)
+    qpos, qvel, _, *clocks = (value[i] for value in world.start.values())
+    data.qpos[:], data.qvel[:], (air, contact, last, peak, last_peak) = qpos, qvel, clocks
+    steps = world.config.physics.substeps
+    told = [np.zeros(12)] * 2 + [
+        *world.actions[:, i]
+    ]  # two that nobody gave, then one a control step
+    late = round(float(body.delay) / model.opt.timestep)  # physics steps
+    for t in range(len(world.actions)):
         depths = []
-        for _ in range(world.config.physics.substeps):
+        for k in range(steps):
+            given = (
+                t * steps + k - late
+            ) // steps  # the last control step whose action has arrived
+            action = told[2 + max(given, t - 2)]
+            target = np.float32(robot.default_pose) + np.float32(task.action_scale) * action
             before = data.qvel[6:].copy()
             torque = actuators.pd(target.astype(float), data.qpos[7:], before, kp, kd)
-            data.ctrl[:] = actuators.clip_dc_motor(torque, before, **limits)
+            data.ctrl[:] = body.strength * actuators.clip_dc_motor(torque, before, **limits)
             mujoco.mj_step(model, data)  # leaves the geoms where it began
             depths.append(lowest(robot, data))
-            down = data.geom_xpos[robot.feet, 2] < robot.foot_radius
+            height = data.geom_xpos[robot.feet, 2] - robot.foot_radius
+            down = height < 0
+            last_peak = np.where(down & (air > 0), peak, last_peak)
+            peak = np.where(down, 0, np.maximum(peak, height))
             last = np.where(down & (air > 0), air + 1, last)
             air, contact = np.where(down, 0, air + 1), np.where(down, contact + 1, 0)
         seen = np.min(depths, 0) if world.config.physics.contacts == "full" else depths[-1]
-        told = (
+        found = (
             data.qpos,
             data.qvel,
             data.qacc_warmstart,
             air,
             contact,
             last,
+            peak,
+            last_peak,
             data.ctrl,
             before,
             seen,
         )
-        yield dict(zip(TOLD, map(np.copy, told), strict=True))
+        yield dict(zip(TOLD, map(np.copy, found), strict=True))
 
 
 CASES = {"feet": ENOUGH, "full": ENOUGH, "full, one substep": {"substeps": 1}, "full, few": FEW}
@@ -127,10 +155,12 @@ def test_ten_steps_are_those_of_a_plain_loop_in_c_mujoco(robot, case):
     world = place(robot, case[:4], **CASES[case])
     hands = [list(by_hand(world, i)) for i in range(ROBOTS)]
     run, start, touched = world.run("c"), world.start, np.zeros(2)
+    told = [np.zeros_like(world.actions[0])] * 2 + [*world.actions]
     for t, action in enumerate(world.actions):
-        after, more = run(start, action), 10 if t else 1
+        after, more = run(start, action, told[t + 1], told[t]), 10 if t else 1
         close = dict(qpos=3e-7, qvel=3e-6, torque=2e-5, qd_before=3e-6, lowest=5e-7)
-        close |= dict.fromkeys(CLOCKS, 0) | ({} if robot in DAMPED else {"qacc_warmstart": 1e-2})
+        close |= dict.fromkeys(CLOCKS[:3], 0) | dict.fromkeys(CLOCKS[3:], 5e-7)
+        close |= {} if robot in DAMPED else {"qacc_warmstart": 1e-2}
         for name, atol in close.items():
             hand = np.array([row[t][name] for row in hands])
             np.testing.assert_allclose(getattr(after, name), hand, 1e-6, atol * more, err_msg=name)
@@ -151,9 +181,12 @@ def test_every_step_is_that_of_mjx(robot, touching):
     in_c, in_mjx, start = world.run("c"), world.run("jax"), world.start
     bounds = dict(qpos=(1e-6, 5e-6), qvel=(2e-5, 2e-4), torque=(1e-4, 1e-3))
     bounds |= dict(qd_before=(2e-5, 2e-4), lowest=(1e-6, 5e-6)) | dict.fromkeys(CLOCKS, (0, 0))
+    bounds |= dict.fromkeys(CLOCKS[3:], (1e-6, 5e-6))
     errors = {name: np.zeros((STEPS, ROBOTS)) for name in bounds}
+    told = [np.zeros_like(world.actions[0])] * 2 + [*world.actions]
     for t, action in enumerate(world.actions):
-        found, expected = in_c(start, action), in_mjx(start, action)
+        before = told[t + 1], told[t]
+        found, expected = in_c(start, action, *before), in_mjx(start, action, *before)
         for name, error in errors.items():
             error[t] = np.abs(getattr(found, name) - getattr(expected, name)).max(-1)
         start = {name: getattr(found, name) for name in CARRIED}
@@ -167,7 +200,7 @@ def test_the_motor_is_pd_with_the_limits_of_a_dc_motor(name):
     """At standstill, far beyond the speed without load, and braking."""
     robot, physics = robot_lib.load("go1"), config_lib.load("configs/go1.py").physics
     world = c_engine._World(robot, c_engine._model(robot, physics), 1, 1, frozenset())
-    (model,) = world._models(np.float32([[1, 0, 0, 0, 0.8, *MOTORS[name]]]))
+    (model,) = world._models(np.float32([[1, 0, 0, 0, 0.8, *MOTORS[name], 1, 0]]))
     kp, kd, *limits = map(float, np.float32(MOTORS[name]))
     limited_by = partial(actuators.clip_dc_motor, **dict(zip(LIMITS, limits, strict=True)))
     data, rng, limited = mujoco.MjData(model), np.random.default_rng(0), 0
@@ -187,11 +220,20 @@ def go1():
     """Go1s: `make(threads, varied)` is a step of one, `step` of all by two threads; `inputs`, `expected`."""
     world, (kp, kd, *motor) = place("go1", "full", **FEW), MOTORS["go1"]
     b = world.bodies
-    numbers = [b.mass_scale, *b.base_com.T, b.friction, kp * b.kp_scale, kd * b.kd_scale, *motor]
+    numbers = [
+        b.mass_scale,
+        *b.base_com.T,
+        b.friction,
+        kp * b.kp_scale,
+        kd * b.kd_scale,
+        *motor,
+        1,
+        0,
+    ]
     numbers = np.stack(np.broadcast_arrays(*numbers), -1).astype(np.float32)
-    target = np.float32(world.robot.default_pose + 0.25 * world.actions[0])
+    target = np.float32(world.robot.default_pose + 0.25 * world.actions[:4]).swapaxes(0, 1)
 
-    def make(threads=2, varied=VARIED):
+    def make(threads=2, varied=VARIED | {"joint_friction"}):
         physics = SimpleNamespace(**(world.config.physics.to_dict() | {"threads": threads}))
         return c_engine.make(world.robot, physics, varied)
 
@@ -213,7 +255,7 @@ def same(found, expected):
 
 def changed(inputs, argument, robot, column, value):
     out = [x.copy() for x in inputs]
-    out[argument][robot, column] = value
+    out[argument][robot, ..., column] = value
     return out
 
 

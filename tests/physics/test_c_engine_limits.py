@@ -14,7 +14,7 @@ from dynappo.physics import robot as robot_lib
 from dynappo.program import build
 
 ROBOTS = 2
-NUMBERS = [1.0, 0.0, 0.0, 0.0, 0.8, 25.0, 0.5, 23.7, 23.7, 30.0]
+NUMBERS = [1.0, 0.0, 0.0, 0.0, 0.8, 25.0, 0.5, 23.7, 23.7, 30.0, 1.0, 0.0]
 
 
 def physics(**fields):
@@ -35,7 +35,7 @@ def changed(folder: Path, old: str, new: str) -> robot_lib.Robot:
 def inputs(robot):
     qpos = np.tile(robot.home_qpos, (ROBOTS, 1))
     speeds = np.zeros((ROBOTS, 18))
-    target = np.tile(robot.default_pose, (ROBOTS, 1))
+    target = np.tile(robot.default_pose, (ROBOTS, 4, 1))
     arrays = qpos, speeds, speeds, target, np.tile(NUMBERS, (ROBOTS, 1))
     return [np.float32(x) for x in arrays]
 
@@ -70,7 +70,7 @@ def test_what_is_given_to_mujoco_is_not_logged(argument, column, tmp_path, monke
     robot = robot_lib.load("go1")
     for value in (100.0, 0.999 * c_engine.FAR):
         arguments = inputs(robot)
-        arguments[argument][0, column] = value
+        arguments[argument][0, ..., column] = value
         assert np.isfinite(moved(robot, *arguments).qpos[1]).all()
     assert not os.listdir()
 

@@ -17,7 +17,7 @@ import pytest
 from dynappo import config
 from dynappo.config import files
 from dynappo.physics import engine as engine_lib
-from dynappo.physics import robot
+from dynappo.physics import randomize, robot
 from dynappo.task import env as env_lib
 
 POSES = 10_000
@@ -43,13 +43,14 @@ def shipped(loaded, settings):
     """`read(qpos [N, 19]) -> (lowest [N, G], down [N, F])` by `engine_lib.simulate`."""
     engine = engine_lib.make(loaded, settings.physics, frozenset(), "jax")
     hyper = config.split(settings)[1]
-    body = SimpleNamespace(kp_scale=1.0, kd_scale=1.0)
+    body = randomize.Body(1.0, jnp.zeros(3), 0.8, 1.0, 1.0)
     timers = ("air_steps", "contact_steps", "last_air_steps")
+    peaks = dict.fromkeys(("peak", "last_peak"), jnp.zeros(4))
 
     def read_one(qpos):
         rest = dict.fromkeys(("qvel", "qacc_warmstart"), jnp.zeros(18))
         rest |= dict.fromkeys(timers, jnp.zeros(4, jnp.int32))
-        state: Any = SimpleNamespace(qpos=qpos, **rest)
+        state: Any = SimpleNamespace(qpos=qpos, **rest, **peaks)
         after = engine_lib.simulate(engine, hyper, body, state, jnp.zeros(12))
         return after.lowest, after.contact_steps > 0
 

@@ -27,6 +27,25 @@ NARROW = dict(
     kp_scale=(1.0, 1.0),
     kd_scale=(1.0, 1.0),
 )
+# of real robots: None in a body unless they are varied
+NOMINAL = dict(
+    strength=(1.0, 1.0),
+    armature=(1.0, 1.0),
+    joint_friction=(0.0, 0.0),
+    delay=(0.0, 0.0),
+    lag=(0.0, 0.0),
+    encoder_bias=0.0,
+    imu_tilt=0.0,
+)
+REAL = dict(
+    strength=(0.8, 1.2),
+    armature=(0.5, 2.0),
+    joint_friction=(0.1, 0.3),
+    delay=(0.01, 0.04),
+    lag=(0.005, 0.02),
+    encoder_bias=0.02,
+    imu_tilt=0.03,
+)
 MODEL_FIELDS = dict(
     base_mass={".body_mass", ".body_inertia"},
     base_com={".body_ipos"},
@@ -47,7 +66,7 @@ def model(go1):
 
 
 def ranges(base, **changes):
-    return SimpleNamespace(**(base | changes))
+    return SimpleNamespace(**(NOMINAL | base | changes))
 
 
 def base_of(go1):
@@ -123,6 +142,39 @@ def test_ranges_count_as_varied_unless_collapsed_to_the_value_of_the_file():
     assert randomize.varied(ranges(NARROW, base_com=(0.0, 0.0, 0.01))) == {"base_com"}
     assert randomize.varied(ranges(NARROW, friction=(0.5, 0.5))) == {"friction"}
     assert randomize.varied(ranges(NARROW, base_mass=(2.0, 2.0))) == {"base_mass"}
+
+
+@pytest.mark.parametrize("name", REAL)
+def test_what_a_real_robot_has_is_drawn_where_its_range_says_so_and_changes_no_other_draw(
+    go1, name
+):
+    mass, com = base_of(go1)
+    bounds = ranges(WIDE, **{name: REAL[name]})
+    varied = randomize.varied(bounds)
+    assert varied == set(WIDE) | {name}
+    keys = jax.random.split(jax.random.key(0), ROBOTS)
+    bodies = jax.vmap(lambda k: randomize.draw(bounds, mass, jnp.asarray(com), k, varied))(keys)
+    width = REAL[name]
+    fills(
+        np.asarray(getattr(bodies, name)), *(width if isinstance(width, tuple) else (-width, width))
+    )
+    others = bodies.replace(**{name: None})
+    for x, y in zip(jax.tree.leaves(others), jax.tree.leaves(draw(go1, ranges(WIDE))), strict=True):
+        np.testing.assert_array_equal(x, y)
+
+
+def test_a_body_as_a_network_sees_it_is_scaled_and_in_the_order_of_its_traits(go1):
+    mass, com = base_of(go1)
+    bounds = ranges(WIDE, **REAL)
+    varied = randomize.varied(bounds)
+    body = randomize.draw(bounds, mass, jnp.asarray(com), jax.random.key(1), varied)
+    told = np.asarray(randomize.numbers(body, com, varied))
+    assert told.shape == (sum(map(randomize.size_of, randomize.traits(varied))),)
+    assert np.abs(told).max() < 5  # a network sees numbers of about one
+    np.testing.assert_allclose(told[0], 4 * (body.mass_scale - 1), rtol=1e-5)
+    np.testing.assert_allclose(told[1:4], 20 * (body.base_com - com), rtol=1e-4, atol=1e-6)
+    np.testing.assert_allclose(told[-15:-3], 20 * body.encoder_bias, rtol=1e-5)
+    np.testing.assert_allclose(told[-3:], 20 * body.imu_tilt, rtol=1e-5)
 
 
 def by_path(model):

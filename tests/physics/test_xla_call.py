@@ -119,7 +119,8 @@ def control_steps(steps, threads=2):
         body = randomize.Body(jnp.ones(()), com, jnp.full((), 0.8), kp_scale, jnp.ones(()))
         none, clocks = jnp.zeros(18), jnp.zeros(4, jnp.int32)
         clocks = dict.fromkeys(("air_steps", "contact_steps", "last_air_steps"), clocks)
-        state = dict(qpos=qpos, qvel=none, qacc_warmstart=none, **clocks)
+        peaks = dict.fromkeys(("peak", "last_peak"), jnp.zeros(4))
+        state = dict(qpos=qpos, qvel=none, qacc_warmstart=none, **clocks, **peaks)
 
         def once(state, _):
             last = SimpleNamespace(**state)

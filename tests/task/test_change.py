@@ -64,9 +64,8 @@ def test_a_reward_term_of_ones_own_is_two_places_and_breaks_no_other_test(tmp_pa
 def test_each_difference_can_be_applied_alone(title, tmp_path):
     folder = copy(tmp_path / "copy")
     apply(folder, title)
-    of_all = (
-        "from dynappo.task import observe; from dynappo.policy import episode; print(observe.NAME)"
-    )
+    of_all = "from dynappo.task import observe; import dynappo.policy.episode; "
+    of_all += "print(observe.NAMES['full'])"
     name = run(folder, sys.executable, "-c", of_all).strip()
     assert name == ("velocity-51-gait" if title == "An observation" else "velocity-48")
 

@@ -15,7 +15,10 @@ from dynappo.task import observe, payment, rewards
 STATES = 64
 # Isaac-Velocity-Flat-*-v0 of Isaac Lab 2.2.1: the terms and their weights, per second. Terms of your own
 # need not be here.
-UNITREE = dict(
+SMOOTH = dict.fromkeys(  # of other tasks, off in these
+    "action_acceleration energy joint_limits stand_still foot_clearance".split(), 0.0
+)
+UNITREE = SMOOTH | dict(
     track_linear_velocity=1.5,
     track_yaw_rate=0.75,
     vertical_velocity=-2.0,
@@ -27,7 +30,7 @@ UNITREE = dict(
     feet_air_time=0.25,
     undesired_contacts=0.0,
 )
-ANYMAL = dict(
+ANYMAL = SMOOTH | dict(
     track_linear_velocity=1.0,
     track_yaw_rate=0.5,
     vertical_velocity=-2.0,
@@ -58,6 +61,10 @@ def random_state(seed):
         last_action=rng.normal(size=12),
         last_air_time=rng.uniform(0, 1, 4),
         lowest=rng.normal(size=14),
+        older_action=rng.normal(size=12),
+        over_limit=np.maximum(rng.normal(size=12), 0),
+        swing_height=rng.uniform(0, 0.12, 4),
+        joint_position=rng.normal(size=12),
     )
     state = {name: value.astype(np.float32) for name, value in state.items()}
     return state | {"touchdown": rng.random(4) < 0.5, "contact": rng.random(4) < 0.5}
@@ -72,7 +79,19 @@ def by_loops(s, std):
     for last, down in zip(s["last_air_time"], s["touchdown"], strict=True):
         if down and speed > 0.1:
             air += last - 0.5
+    actions = list(zip(s["action"], s["last_action"], s["older_action"], strict=True))
+    moves = sum(x**2 for x in s["command"]) > 0.01
+    short = [
+        (1 - h / 0.06) ** 2
+        for h, down in zip(s["swing_height"], s["touchdown"], strict=True)
+        if down and h < 0.06 and moves
+    ]
     return dict(
+        action_acceleration=sum((a - 2 * b + c) ** 2 for a, b, c in actions),
+        energy=sum(abs(t * v) for t, v in zip(s["torque"], s["qd"], strict=True)),
+        joint_limits=sum(s["over_limit"]),
+        stand_still=0.0 if moves else sum(abs(q) for q in s["joint_position"]),
+        foot_clearance=sum(short),
         track_linear_velocity=math.exp(-error / std**2),
         track_yaw_rate=math.exp(-yaw_error / std**2),
         vertical_velocity=s["linear"][2] ** 2,
@@ -91,7 +110,14 @@ def by_loops(s, std):
 
 def shipped(s, std):
     """Every term of `dynappo.task.rewards`, of NumPy or JAX arrays."""
+    swing = s["swing_height"], s["touchdown"], s["command"]
+    before = s["last_action"], s["older_action"]
     return dict(
+        action_acceleration=rewards.action_acceleration(s["action"], *before),
+        energy=rewards.energy(s["torque"], s["qd"]),
+        joint_limits=rewards.joint_limits(s["over_limit"]),
+        stand_still=rewards.stand_still(s["joint_position"], s["command"]),
+        foot_clearance=rewards.foot_clearance(*swing),
         track_linear_velocity=rewards.track_linear_velocity(s["linear"], s["command"], std),
         track_yaw_rate=rewards.track_yaw_rate(s["angular"], s["command"], std),
         vertical_velocity=rewards.vertical_velocity(s["linear"]),
@@ -296,6 +322,7 @@ def test_a_term_is_known_without_physics_if_it_asks_for_nothing_that_is_measured
         "roll_pitch_rate",
         "flat_orientation",
         "action_rate",
+        "stand_still",
     }
     own = {
         "straight": lambda joint_position: 0.0,

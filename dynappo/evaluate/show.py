@@ -1,0 +1,130 @@
+"""The tables that `dynappo evaluate` prints, and its progress bar."""
+
+from __future__ import annotations
+
+import contextlib
+from typing import Any
+
+from dynappo.evaluate import figures
+from dynappo.evaluate.stress import SECONDS
+from dynappo.program import devices
+
+ROWS = (  # of the table of a sweep: name, label, format
+    ("speed", "speed", "{:.2f} m/s"),
+    ("tracking_error", "tracking error", "{:.2f} m/s"),
+    ("yaw_error", "yaw rate error", "{:.2f} rad/s"),
+    ("cost_of_transport", "cost of transport", "{:.2f}"),
+    ("positive_cost_of_transport", "  of positive work alone", "{:.2f}"),
+    ("torque", "mean torque of a joint", "{:.1f} N m"),
+    ("action_rate", "action rate", "{:.1f} rad/s"),
+    ("air_time", "foot air time", "{:.3f} s"),
+    ("duty_factor", "duty factor", "{:.2f}"),
+    ("stride_frequency", "stride frequency", "{:.2f} /s"),
+)
+
+
+@contextlib.contextmanager
+def progress(screen, what: str):
+    """Yields `tell(done, total)`, which moves a bar on a terminal."""
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn(what), BarColumn(24), TextColumn("{task.completed}/{task.total}"))
+    hidden = not screen.is_terminal
+    bar = Progress(*columns, TimeRemainingColumn(), console=screen, transient=True, disable=hidden)
+    with bar:
+        task = bar.add_task("")
+        yield lambda done, total: bar.update(task, completed=done, total=total)
+
+
+def stress(screen, rows: list[dict[str, Any]]) -> None:
+    """The table of disturbances."""
+    from rich.table import Table
+
+    count = rows[0]["episodes"]
+    screen.print(
+        f"{count} commands, {SECONDS:g} s each, in C MuJoCo; the first second is left out",
+        soft_wrap=True,
+    )
+    table = Table(box=None, padding=(0, 2, 0, 0), header_style="bold")
+    table.add_column("")
+    for heading in ("falls", "tracking error", "yaw rate error"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    for row in rows:
+        errors = [(row["tracking_error"], "m/s"), (row["yaw_error"], "rad/s")]
+        cells = ["-" if v is None else f"{v:.2f} {unit}" for v, unit in errors]
+        table.add_row(row["stress"], f"{row['falls']} of {count}", *cells)
+    screen.print(table)
+
+
+def sweep(screen, numbers: dict[str, Any]) -> None:
+    """The table of a sweep: over all commands, and at each speed ahead."""
+    from rich.table import Table
+
+    every, ahead = numbers["all"], numbers["ahead"]
+    screen.print(
+        f"{every['episodes']} commands, {numbers['seconds']:g} s each, in C MuJoCo without noise; "
+        f"the first second is left out",
+        soft_wrap=True,
+    )
+    table = Table(box=None, padding=(0, 2, 0, 0), header_style="bold")
+    table.add_column("")
+    for heading in ("all commands", *(f"{row['command'][0]:g} m/s ahead" for row in ahead)):
+        table.add_column(heading, justify="right", no_wrap=True)
+    falls = ["none" if row["fall"] is None else f"after {row['fall']:.1f} s" for row in ahead]
+    table.add_row("falls", f"{every['falls']} of {every['episodes']}", *falls)
+    for name, label, text in ROWS:
+        values = [row[name] for row in (every, *ahead)]
+        table.add_row(label, *("-" if v is None else text.format(v) for v in values))
+    screen.print(table)
+    for line in notes(numbers["commands"]):
+        screen.print(line, soft_wrap=True)
+
+
+def notes(rows: list[dict[str, Any]]) -> list[str]:
+    """Lines on the commands tracked worst and turned worst, and on those that made the robot fall."""
+
+    def asked(row):
+        x, y, turn = row["command"]
+        return f"asked for {x:g}, {y:g} m/s, {turn:g} rad/s"
+
+    stood = [row for row in rows if not figures.gone(row)]
+    fell = [row for row in rows if row["fall"] is not None]
+    lines = [f"fell after {row['fall']:.1f} s, {asked(row)}" for row in fell[:5]]
+    if len(fell) > 5:
+        lines.append(f"fell on {len(fell) - 5} other commands: see evaluation.json")
+    if stood:
+        for name, label, unit in (
+            ("tracking_error", "worst tracked", "m/s"),
+            ("yaw_error", "worst turned", "rad/s"),
+        ):
+            worst = max(stood, key=lambda row, name=name: row[name])
+            lines.append(f"{label}: {worst[name]:.2f} {unit}, {asked(worst)}")
+    return lines
+
+
+def episodes(screen, numbers: dict[str, Any]) -> None:
+    """The table of the episodes of the task."""
+    from rich.table import Table
+
+    task = "noise, pushes, randomised physics" if numbers["randomize"] else "no noise"
+    engine = devices.ENGINES[numbers["impl"]]
+    screen.print(
+        f"{numbers['seconds']:g} s each, commands as in training, {task}; "
+        f"{engine} on {numbers['device']}",
+        soft_wrap=True,
+    )
+    table = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
+    rows = (
+        ("return", "return", "{:.2f}", 1),
+        ("return_std", "  standard deviation", "{:.2f}", 1),
+        ("fall_rate", "episodes with a fall", "{:.1f} %", 100),
+        ("length", "length", "{:.0f} control steps", 1),
+        ("tracking_error", "tracking error", "{:.2f} m/s", 1),
+        ("yaw_error", "yaw rate error", "{:.2f} rad/s", 1),
+    )
+    for name, label, text, scale in rows:
+        value = numbers.get(name)
+        table.add_row(
+            label, "nobody stood for a second" if value is None else text.format(value * scale)
+        )
+    screen.print(table)

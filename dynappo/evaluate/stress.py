@@ -1,0 +1,239 @@
+"""How a policy bears what hardware does: late actions, slippery floors, loads, weak motors, pushes, noise.
+
+Eight commands of ten seconds for each disturbance, in C MuJoCo, with every contact and a solver that
+converges; NumPy only. The same commands and the same random numbers for each, so that rows of the table
+differ by the disturbance alone.
+
+- a delay is of the actions, or of the observations; both together is their sum (physics/randomize.py)
+- friction is that of every contact with the ground; mass is added to the base, its inertia scaled with it
+- `motors` is the share of the torque that arrives
+- a push adds a horizontal velocity of the given size to the base's, in a random direction, every 2 s
+- noise is that of training (Isaac Lab's, `configs/default.py`)
+- `velocity` is what the policy reads of its linear velocity, times the true one. A policy that does not
+  see it has no such row
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any, NamedTuple
+
+import mujoco
+import numpy as np
+
+from dynappo.physics import actuators
+from dynappo.policy import episode as episode_lib
+from dynappo.policy import policy_file
+from dynappo.policy.episode import SETTLE, Body
+from dynappo.policy.policy_file import Policy
+from dynappo.task import observe
+
+SECONDS = 10.0  # of an episode
+PUSH_EVERY = 2.0  # s
+COMMANDS = (  # shares of the ranges that were trained: ahead, sideways, turning
+    (0.0, 0.0, 0.0),
+    (0.5, 0.0, 0.0),
+    (1.0, 0.0, 0.0),
+    (-0.8, 0.0, 0.0),
+    (0.0, 0.6, 0.0),
+    (0.0, -0.6, 0.0),
+    (0.5, 0.0, 0.8),
+    (0.0, 0.0, -1.0),
+)
+# half widths on the parts of an observation; IL, as the group `task.noise` has them
+NOISE = dict(
+    joint_position=0.01,
+    joint_velocity=1.5,
+    gravity=0.05,
+    linear_velocity=0.1,
+    angular_velocity=0.2,
+)
+
+
+class Stress(NamedTuple):
+    """A disturbance; each default changes nothing."""
+
+    name: str
+    action_delay: float = 0.0  # s
+    sensor_delay: float = 0.0  # s
+    friction: float | None = None
+    mass: float = 0.0  # kg
+    motors: float = 1.0
+    push: float = 0.0  # m/s
+    noise: float = 0.0  # times that of training
+    velocity: float = 1.0
+
+
+TABLE = (
+    Stress("none"),
+    Stress("actions 20 ms late", action_delay=0.02),
+    Stress("actions 40 ms late", action_delay=0.04),
+    Stress("sensors 20 ms late", sensor_delay=0.02),
+    Stress("both 20 ms late", action_delay=0.02, sensor_delay=0.02),
+    Stress("friction 0.15", friction=0.15),
+    Stress("friction 0.3", friction=0.3),
+    Stress("friction 1.2", friction=1.2),
+    Stress("5 kg more", mass=5.0),
+    Stress("5 kg less", mass=-5.0),
+    Stress("motors at 80 %", motors=0.8),
+    Stress("motors at 120 %", motors=1.2),
+    Stress("pushes of 0.5 m/s", push=0.5),
+    Stress("pushes of 1 m/s", push=1.0),
+    Stress("noise of training", noise=1.0),
+    Stress("velocity read as zero", velocity=0.0),
+    Stress("velocity read as half", velocity=0.5),
+    Stress(
+        "all together",
+        action_delay=0.02,
+        friction=0.6,
+        mass=3.0,
+        motors=0.9,
+        push=0.5,
+        noise=1.0,
+    ),
+)
+
+
+def table(policy: Policy) -> list[Stress]:
+    """The disturbances that can disturb `policy`."""
+    sees = "linear_velocity" in observe.shown(policy.observation)
+    return [stress for stress in TABLE if sees or stress.velocity == 1.0]
+
+
+def engines(body: Body) -> list[tuple[str, Body]]:
+    """The same robot in other physics: steps, cones and solvers that the policy did not train with."""
+    cone, solver = mujoco.mjtCone, mujoco.mjtSolver
+    period = episode_lib.period(body)
+    out = []
+    for name, substeps, options in (
+        ("steps of 2 ms", round(period / 0.002), {}),
+        ("steps of 10 ms", round(period / 0.01), {}),
+        ("elliptic cone", body.substeps, {"cone": int(cone.mjCONE_ELLIPTIC)}),
+        ("pyramidal cone", body.substeps, {"cone": int(cone.mjCONE_PYRAMIDAL)}),
+        ("solver CG", body.substeps, {"solver": int(solver.mjSOL_CG)}),
+        ("solver PGS", body.substeps, {"solver": int(solver.mjSOL_PGS)}),
+    ):
+        model = copy.copy(body.model)
+        for option, value in options.items():
+            setattr(model.opt, option, value)
+        model.opt.timestep = period / substeps
+        out.append((name, body._replace(model=model, substeps=substeps)))
+    return out
+
+
+def run(policy: Policy, body: Body, tell: Callable[[int, int], None] = lambda done, total: None):
+    """The rows of all disturbances, and of the other physics; `tell(done, total)` after each."""
+    cases = [(stress, body) for stress in table(policy)]
+    cases += [(Stress(name), other) for name, other in engines(body)]
+    rows = []
+    for stress, where in cases:
+        tell(len(rows), len(cases))
+        rows.append(measure(where, stress))
+    tell(len(cases), len(cases))
+    return rows
+
+
+def commands(policy: Policy) -> np.ndarray:
+    """The eight commands [8, 3] in the ranges that were trained; m/s, m/s, rad/s."""
+    ranges = np.array([policy.command_x, policy.command_y, policy.command_yaw])
+    low, high = ranges.T
+    share = np.array(COMMANDS)
+    return np.where(share >= 0, share * high, -share * low)
+
+
+def disturbed(body: Body, stress: Stress) -> Body:
+    """The body with its own load and floor."""
+    model, base = copy.copy(body.model), body.base_body
+    added = (model.body_mass[base] + stress.mass) / model.body_mass[base]
+    if added <= 0.05:  # kg less than there is
+        added = 0.05
+    model.body_mass[base] *= added
+    model.body_inertia[base] *= added
+    if stress.friction is not None:
+        model.geom_friction[:, 0] = stress.friction
+        model.pair_friction[:, :2] = stress.friction
+    mujoco.mj_setConst(model, mujoco.MjData(model))
+    return body._replace(model=model)
+
+
+def play(body: Body, act: Callable, command, stress: Stress, seed: int = 0, seconds=SECONDS):
+    """One episode: `(velocity [T, 3], fall)`; `fall` is the time (s) of a fall, or None.
+
+    As `trials.record`, with the disturbance. A blow-up of the physics is a fall.
+    """
+    mujoco.set_mju_user_warning(lambda message: None)
+    p, model = body.policy, body.model
+    rng, data = np.random.default_rng(seed), mujoco.MjData(model)
+    see, com = observe.memory(p.observation, p.history), model.body_ipos[body.base_body]
+    dt, step = episode_lib.period(body), model.opt.timestep
+    late, old = (round(s / step) for s in (stress.action_delay, stress.sensor_delay))
+    scale = stress.noise * np.concatenate(
+        [np.full(part.size, NOISE.get(name, 0.0)) for name, part in observe.PARTS.items()]
+    )
+    action = np.zeros(len(p.joint_names))
+    episode_lib.reset(body, data)
+    waiting = [p.default_pose] * late  # targets on their way to the motors
+    seen = [_snapshot(data)] * (old + 1)  # states on their way to the policy
+    velocity, fall = [], None
+    for k in range(round(seconds / dt)):
+        if stress.push and k and k % round(PUSH_EVERY / dt) == 0:
+            angle = rng.uniform(-np.pi, np.pi)
+            data.qvel[body.root[1] : body.root[1] + 2] += stress.push * np.array(
+                [np.cos(angle), np.sin(angle)]
+            )
+            seen[-1] = _snapshot(data)
+        obs = episode_lib.look(body, seen[-1 - old], command, action)
+        obs[observe.LINEAR_VELOCITY] *= stress.velocity
+        action = act(see(obs + rng.uniform(-1, 1, len(obs)) * scale))
+        target, fell = actuators.target(action, p.default_pose, p.action_scale), False
+        for _ in range(body.substeps):
+            waiting.append(target)
+            q, qd = data.qpos[body.joint_q], data.qvel[body.joint_v]
+            torque = actuators.clip_dc_motor(
+                actuators.pd(waiting.pop(0), q, qd, p.kp, p.kd),
+                qd,
+                effort_limit=p.effort_limit,
+                saturation_effort=p.saturation_effort,
+                velocity_limit=p.velocity_limit,
+            )
+            data.qfrc_applied[body.joint_v] = stress.motors * torque
+            mujoco.mj_step(model, data)
+            seen = [*seen[1:], _snapshot(data)]
+            one, other = data.contact.geom[data.contact.dist < 0].T
+            ground, parts = body.ground, body.parts
+            fell |= bool(((ground[one] & parts[other]) | (ground[other] & parts[one])).any())
+        finite = np.isfinite(data.qpos).all() and np.isfinite(data.qvel).all()
+        if fell or not finite:
+            fall = (k + 1) * dt
+            break
+        _, linear, angular = observe.base_motion(*episode_lib.coordinates(body, data), com)
+        velocity.append([linear[0], linear[1], angular[2]])
+    return np.reshape(velocity, (-1, 3)), fall
+
+
+def _snapshot(data) -> SimpleNamespace:
+    """What an observation is made of, as it is now."""
+    return SimpleNamespace(qpos=data.qpos.copy(), qvel=data.qvel.copy(), time=data.time)
+
+
+def measure(body: Body, stress: Stress, seconds: float = SECONDS) -> dict[str, Any]:
+    """A row of the table: falls of the eight commands, tracking and yaw error of what stood.
+
+    Root mean squares after the first second and before a fall; None where nobody stood so long.
+    """
+    policy, changed = body.policy, disturbed(body, stress)
+    act = policy_file.actor(policy.params, policy.activation)
+    first = round(SETTLE / episode_lib.period(body))
+    errors, falls = [], 0
+    for i, command in enumerate(commands(policy)):
+        velocity, fall = play(changed, act, command, stress, i, seconds)
+        falls += fall is not None
+        errors.append((velocity - command)[first:])
+    error = np.concatenate(errors)
+    row: dict[str, Any] = {"stress": stress.name, "falls": falls, "episodes": len(errors)}
+    if len(error):
+        row["tracking_error"] = float(np.sqrt((error[:, :2] ** 2).sum(-1).mean()))
+        row["yaw_error"] = float(np.sqrt((error[:, 2] ** 2).mean()))
+    return {"tracking_error": None, "yaw_error": None} | row

@@ -1,0 +1,156 @@
+"""Disturbances, one by one: what each changes, and that it changes nothing else."""
+
+import json
+
+import numpy as np
+import pytest
+from answers import status
+
+from dynappo.evaluate import command, stress, trials
+from dynappo.evaluate.stress import Stress
+from dynappo.policy import choice, source
+from dynappo.task import observe
+
+SECONDS = 0.6
+AHEAD = np.array([0.5, 0.0, 0.0])
+
+
+@pytest.fixture(scope="module")
+def body():
+    return choice.body(source.find("go1")[0], None)[0]
+
+
+@pytest.fixture(scope="module")
+def onboard():
+    return choice.body(source.find("go1_deploy")[0], None)[0]
+
+
+def scripted(late=0):
+    """Actions that ask for nothing: of each control step those of `late` steps before; and what was seen."""
+    actions, seen = np.random.default_rng(0).normal(0, 0.3, (100, 12)), []
+
+    def act(obs):
+        seen.append(obs)
+        k = len(seen) - 1 - late
+        return actions[k] if k >= 0 else np.zeros(12)
+
+    return act, seen
+
+
+def play(body, act, **disturbance):
+    return stress.play(body, act, AHEAD, Stress("", **disturbance), seconds=SECONDS)[0]
+
+
+def test_without_a_disturbance_it_is_an_episode_of_trials(body):
+    np.testing.assert_array_equal(
+        play(body, scripted()[0]), trials.record(body, scripted()[0], AHEAD, SECONDS)["velocity"]
+    )
+
+
+def test_late_actions_are_those_of_the_steps_before(body):
+    for late in (1, 2):
+        found = play(body, scripted()[0], action_delay=0.02 * late)
+        expected = trials.record(body, scripted(late)[0], AHEAD, SECONDS)["velocity"]
+        np.testing.assert_array_equal(found, expected)
+
+
+def test_an_action_may_be_late_by_physics_steps(body):
+    """Between those of no and of one control step, and neither."""
+    now, half, one = (play(body, scripted()[0], action_delay=d) for d in (0.0, 0.01, 0.02))
+    assert np.abs(half - now).max() > 1e-4 < np.abs(half - one).max()
+
+
+def test_late_sensors_show_the_state_before_and_the_command_now(body):
+    (act, seen), (other, late) = scripted(), scripted()
+    play(body, act)
+    play(body, other, sensor_delay=0.02)
+    np.testing.assert_array_equal(np.array(late)[1:, :33], np.array(seen)[:-1, :33])
+    np.testing.assert_array_equal(np.array(late)[:, 33:], np.array(seen)[:, 33:])
+
+
+def test_weak_motors_are_those_of_smaller_gains_and_limits(body):
+    p = body.policy
+    weak = p._replace(
+        kp=0.8 * p.kp,
+        kd=0.8 * p.kd,
+        effort_limit=0.8 * p.effort_limit,
+        saturation_effort=0.8 * p.saturation_effort,
+    )
+    expected = trials.record(body._replace(policy=weak), scripted()[0], AHEAD, SECONDS)["velocity"]
+    np.testing.assert_allclose(play(body, scripted()[0], motors=0.8), expected, atol=1e-9)
+
+
+def test_a_load_is_in_the_base_and_friction_everywhere(body):
+    loaded = stress.disturbed(body, Stress("", mass=5.0, friction=0.3)).model
+    base, before = body.base_body, body.model
+    assert loaded.body_mass[base] == before.body_mass[base] + 5.0
+    assert loaded.body_mass.sum() == pytest.approx(before.body_mass.sum() + 5.0)
+    share = loaded.body_inertia[base] / before.body_inertia[base]
+    np.testing.assert_allclose(share, loaded.body_mass[base] / before.body_mass[base])
+    assert (loaded.geom_friction[:, 0] == 0.3).all() and (before.geom_friction[:, 0] != 0.3).any()
+
+
+def test_a_push_is_a_velocity_of_its_size_every_two_seconds(body, monkeypatch):
+    monkeypatch.setattr(stress, "PUSH_EVERY", 0.2)
+    still = play(body, lambda obs: np.zeros(12))
+    pushed = play(body, lambda obs: np.zeros(12), push=1.0)
+    np.testing.assert_array_equal(pushed[:10], still[:10])
+    jump = np.linalg.norm((pushed - still)[10, :2])
+    assert 0.5 < jump < 1.1  # m/s, after a control step with friction
+
+
+def test_noise_and_a_wrong_velocity_are_what_the_policy_sees(body):
+    (act, seen), (other, noisy), (third, wrong) = scripted(), scripted(), scripted()
+    play(body, act)
+    play(body, other, noise=1.0)
+    play(body, third, velocity=0.5)
+    off = np.abs(np.array(noisy) - np.array(seen)).max(0)
+    assert (off[observe.JOINT_VEL] > 1.2).all() and (off[observe.JOINT_VEL] <= 1.5).all()
+    assert (off[observe.COMMAND] == 0).all() and (off[observe.LAST_ACTION] == 0).all()
+    expected = np.array(seen)
+    expected[:, observe.LINEAR_VELOCITY] *= 0.5
+    np.testing.assert_array_equal(np.array(wrong), expected)
+
+
+def test_a_policy_without_velocity_has_no_row_of_it(body, onboard):
+    every = {s.name for s in stress.table(body.policy)}
+    some = {s.name for s in stress.table(onboard.policy)}
+    assert every - some == {"velocity read as zero", "velocity read as half"}
+    assert len(stress.commands(onboard.policy)) == 8
+
+
+def test_other_physics_are_other_physics_of_the_same_length(body):
+    for name, other in stress.engines(body):
+        period = other.model.opt.timestep * other.substeps
+        assert period == pytest.approx(0.02), name
+        assert (
+            name == "pyramidal cone"
+            or name == "elliptic cone"
+            or (
+                other.model.opt.solver != body.model.opt.solver
+                or other.model.opt.timestep != body.model.opt.timestep
+            )
+        )
+
+
+def test_the_policies_for_hardware_stand_what_hardware_does(onboard):
+    """One command each: late by 40 ms, on ice, under a load; a policy that falls at once fails."""
+    for disturbance in (Stress("", action_delay=0.04), Stress("", friction=0.3, mass=5.0)):
+        act = trials.policy_file.actor(onboard.policy.params, onboard.policy.activation)
+        changed = stress.disturbed(onboard, disturbance)
+        velocity, fall = stress.play(changed, act, AHEAD, disturbance, seconds=4.0)
+        assert fall is None
+        assert np.abs(velocity[100:, 0].mean() - 0.5) < 0.15
+
+
+def test_the_command_prints_and_writes_the_table(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(stress, "SECONDS", 0.1)
+    monkeypatch.setattr(stress.measure, "__defaults__", (1.2,))
+    monkeypatch.setattr(stress, "TABLE", stress.TABLE[:2])
+    monkeypatch.setattr(stress, "engines", lambda body: [])
+    assert status(command.main, "go1_deploy", "--stress", f"--out={tmp_path}/out") == 0
+    said = capsys.readouterr().out
+    assert "actions 20 ms late  0 of 8" in said and "stress.json" in said
+    rows = json.loads((tmp_path / "out" / "stress.json").read_text())["rows"]
+    assert [row["stress"] for row in rows] == ["none", "actions 20 ms late"]
+    assert all(row["falls"] == 0 and 0 < row["tracking_error"] < 0.6 for row in rows)
