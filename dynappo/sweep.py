@@ -60,7 +60,9 @@ def vary(hyper: Config, field: str, values) -> Any:
 def _set(node, field, path, values):
     name, *rest = path
     if name not in getattr(node, "_fields", ()):
-        raise ValueError(f"{field} is no float of the config, expected one like ppo.learning_rate")
+        raise ValueError(
+            f"{field} is not a float of the config; expected one like ppo.learning_rate"
+        )
     old = getattr(node, name)
     if not rest and jnp.ndim(old) + isinstance(old, tuple):
         raise ValueError(f"{field} has several numbers, expected a field with one")

@@ -220,8 +220,8 @@ def test_robots_on_devices_of_their_own_send_sums_and_finished_episodes_only(mes
 @pytest.mark.parametrize(
     ("field", "word"),
     [
-        ("ppo.epochs", "ppo.epochs is no float"),
-        ("ppo.learning_rte", "ppo.learning_rte is no float"),
+        ("ppo.epochs", "ppo.epochs is not a float"),
+        ("ppo.learning_rte", "ppo.learning_rte is not a float"),
         ("task.command_x", "several numbers"),
         ("task.noise", "several numbers"),
         ("physics.timestep", "compiled program"),

@@ -93,7 +93,7 @@ def load_run(workdir: Path, rest: list[str]):
         raise ConfigError(f"{workdir}/config.json: {error}; name the run's --config too") from None
     if not config.robot:
         raise ConfigError(
-            f"--workdir={workdir}: its environment is one's own; name its file too: --config=FILE.py"
+            f"--workdir={workdir}: it trains an environment of your own; name its file too: --config=FILE.py"
         )
     xml = f"{config.robot}/{config.robot}.xml"
     if not files.find("robots", xml):

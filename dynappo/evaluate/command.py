@@ -78,8 +78,7 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
     flags = flags_lib.read(parser, argv)
     if not flags.what:
         raise ConfigError(
-            "nothing to evaluate is named; try a workdir, as in: "
-            "python -m dynappo.evaluate runs/quick"
+            "nothing to evaluate; name a workdir, as in: python -m dynappo.evaluate runs/quick"
         )
     choice.check(flags)
     for name, *bounds in (("episodes", 1, MAX_EPISODES), ("seed", 0)):

@@ -55,7 +55,7 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
     flags = flags_lib.read(parser, argv)
     if not flags.what:
         raise ConfigError(
-            "nothing to export is named; try a workdir, as in: "
+            "nothing to export; name a workdir, as in: "
             "python -m dynappo.export runs/quick --out=policy.onnx"
         )
     if flags.out is None:

@@ -32,13 +32,14 @@ def size(text: str, out: Path | None) -> tuple[int, int]:
 
 
 def write(body: Body, episode: dict, out: Path, pixels: tuple[int, int] | None = None) -> str:
-    """`render.film`, which on two cores takes a minute: on a terminal, a line says how far it is."""
+    """`render.film`, which on two cores takes a minute: a line says so, on a terminal how far it is."""
 
     def tell(share):
         doing = ", encoding" if share >= 1 else ""
         print(f"\r{f'rendering: {share:4.0%}{doing}':26}", end="", file=sys.stderr, flush=True)
 
     if not sys.stderr.isatty():
+        print("rendering: a minute on two cores", file=sys.stderr, flush=True)
         return render.film(body, episode, out, pixels)
     tell(0.0)
     try:

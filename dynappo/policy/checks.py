@@ -84,7 +84,7 @@ def _row(value) -> list:
     """A list from JSON, or the array or tuple made from it, as a list."""
     found = value.tolist() if isinstance(value, np.ndarray) else value
     if not isinstance(found, list | tuple):
-        raise ValueError(f"{reprlib.repr(found)} is there where a list belongs")
+        raise ValueError(f"{reprlib.repr(found)} found, expected a list")
     return list(found)
 
 
@@ -160,7 +160,7 @@ def _check_layers(network: str, tree, inputs: int | None, outputs: int) -> None:
     for i in range(len(layers)):
         layer = layers.get(f"Dense_{i}", {})
         pair = isinstance(layer, dict) and set(layer) == {"kernel", "bias"}
-        _expect(pair, f"{rule}: Dense_{i} is no kernel and bias")
+        _expect(pair, f"{rule}: Dense_{i} has no kernel and bias")
         kernel, bias = (np.shape(layer[name]) for name in ("kernel", "bias"))
         width = kernel[0] if width is None and kernel else width
         chains = len(kernel) == 2 and kernel[0] == width and min(kernel) > 0

@@ -85,7 +85,7 @@ def _check_entries(path: Path, entries: list[zipfile.ZipInfo]) -> None:
         elif how not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
             reason = f"is compressed by method {how}, expected none or deflate"
         elif name in seen:
-            reason = "is there twice"
+            reason = "appears twice"
         elif total > MAX_BYTES:
             reason = f"brings it to {total} bytes unpacked, expected at most {MAX_BYTES}"
         if reason:

@@ -35,7 +35,7 @@ def load(workdir: Path, rest: list[str]) -> tuple[Any, dict[str, list[str]]]:
         raise ConfigError(f"{workdir / ABOUT}: {error}; name the sweep's --config too") from None
     if about["own_env"]:
         raise ConfigError(
-            f"--workdir={workdir}: its environment is one's own; name its file and values too: "
+            f"--workdir={workdir}: it trains an environment of your own; name its file and values too: "
             "--config=FILE.py --sweep=FIELD=VALUE,VALUE"
         )
     flags.set_fields(config, rest)

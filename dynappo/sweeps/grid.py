@@ -87,7 +87,7 @@ def combinations(config, swept: dict[str, list[str]]) -> list[Combination]:
         values = {field: config_lib.flat(own)[field] for field in swept}
         name = ",".join(f"{field}={_short(value)}" for field, value in values.items())
         if name in found:
-            raise ConfigError(f"--sweep: {name} is there twice; name each value once")
+            raise ConfigError(f"--sweep: {name} appears twice; name each value once")
         if len(name) > LONGEST:
             raise ConfigError(
                 f"--sweep: the folder of a combination would have a name of {len(name)} characters, "

@@ -40,7 +40,7 @@ def find(task) -> Terms:
     for name in sorted(weights - terms.keys()):
         close = difflib.get_close_matches(name, terms, 1)
         raise ConfigError(
-            f"task.weights.{name} is the weight of no term; expected a function {name} in "
+            f"task.weights.{name} has no term; expected a function {name} in "
             f"dynappo/task/rewards.py{f', which has {close[0]}' if close else ''}"
         )
     for name in (n for n in terms if n not in weights and n not in INSTEAD):
@@ -53,8 +53,8 @@ def find(task) -> Terms:
         for wrong in sorted(set(asks(term)) - names):
             close = difflib.get_close_matches(wrong, names, 1)
             raise ConfigError(
-                f"the term {name} of dynappo/task/rewards.py asks for {wrong}, which is no part of the "
-                "observation, no number of the config's group task and no field of Measured"
+                f"the term {name} of dynappo/task/rewards.py asks for {wrong}, which is not a part of the "
+                "observation, nor a number of the config's group task, nor a field of Measured"
                 + (f"; did you mean {close[0]}?" if close else "")
             )
     for name, (other, air_time) in INSTEAD.items():

@@ -138,7 +138,7 @@ runpy.run_module("dynappo.evaluate", run_name="__main__", alter_sys=True)
 # ---- mistakes
 
 MISTAKES = {  # arguments, what the line must say
-    "nothing": ([], "nothing to evaluate is named"),
+    "nothing": ([], "nothing to evaluate; name"),
     "unknown": (["wlk"], "wlk: no such file or folder; expected a workdir"),
     "two names": (["POLICY", "go2"], "go2: no such flag"),
     "a flag": (["POLICY", "--quick"], "--quick: no such flag"),

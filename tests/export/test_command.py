@@ -89,7 +89,7 @@ def test_the_module_needs_neither_jax_nor_torch(small, tmp_path):
 # ---- mistakes
 
 MISTAKES = {  # arguments, what the line must say
-    "nothing": ([], "nothing to export is named; try a workdir"),
+    "nothing": ([], "nothing to export; name a workdir"),
     "unknown": (["wlk", "--out=a.onnx"], "wlk: no such file or folder; expected a workdir"),
     "two names": (["small", "go2", "--out=a.onnx"], "go2: no such flag"),
     "unknown flag": (["small", "--out=a.onnx", "--opset=9"], "--opset=9: no such flag"),
@@ -107,7 +107,7 @@ MISTAKES = {  # arguments, what the line must say
     "a folder": (["small", "--out=taken.npz"], "--out=taken.npz: cannot write there (Is a dir"),
     "itself": (["small", "--out=small/policy.npz"], "policy.npz: this would overwrite the policy"),
     "empty out": (["small", "--out="], "--out: is empty, expected a path"),
-    "no name": (["", "--out=a.onnx"], "nothing to export is named"),
+    "no name": (["", "--out=a.onnx"], "nothing to export; name"),
     "order": (["small", "--out=a.onnx", "--joint-order=x"], "go2 has no joint x; expected mjcf"),
     "joints": (["spot.npz", "--out=a.onnx"], "its joints are LF_HAA"),
 }

@@ -83,7 +83,7 @@ CONTAINERS = {  # what is written, what the line must say
     "fewer numbers than it says": (entry(array((5,))), "would be 20 bytes, it has 16"),
     "encrypted": (entry(array((4,)), flags=1), f"`{KERNEL}` is encrypted"),
     "unknown compression": (entry(array((4,)), method=99), "is compressed by method 99"),
-    "twice": (lambda p: packed(p, [(STD, array((4,)))] * 2), "`std` is there twice"),
+    "twice": (lambda p: packed(p, [(STD, array((4,)))] * 2), "`std` appears twice"),
     "a list of a million": (
         lambda path: path.write_bytes(npz_file.END.pack(b"PK\5\6", 0, 0, 9, 9, 2**26, 0, 0)),
         "a list of entries of 67108864 bytes",
@@ -153,7 +153,7 @@ FIELDS = {  # a field of `about` and its value, what the line must say
     "five seconds an action": ("substeps", 1000, "5 s lie between two actions"),
     "a joint twice": ("joint_names", ["FL_hip_joint"] * 12, "a joint more than once"),
     "joints that are numbers": ("joint_names", list(range(12)), "a name is 0"),
-    "joints that are a text": ("joint_names", "FL_hip_joint", "where a list belongs"),
+    "joints that are a text": ("joint_names", "FL_hip_joint", "found, expected a list"),
     "a long name": ("robot", "a" * 300, "a name is 'aaaaaaaaaaaa"),
     "a path": ("robot", "../../etc/passwd", "robot is '../../etc/passwd', expected a name"),
     "a pose of text": ("default_pose", ["0"] * 12, "default_pose is '0', expected -100 to 100"),
@@ -209,7 +209,7 @@ ARRAYS = {  # arrays that are put in, what the line must say
     ),
     "a layer too many": (
         {"actor/params/Dense_9/kernel": np.zeros((2, 2), "f4")},
-        "Dense_3 is no kernel",
+        "Dense_3 has no kernel",
     ),
     "a layer in a layer": (
         {f"{KERNEL}/more": np.zeros(2, "f4")},

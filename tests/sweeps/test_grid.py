@@ -67,7 +67,7 @@ def test_a_folder_has_a_name_that_needs_no_quotes(config):
             ["ppo.epochs=3,0"],
             "ppo.epochs is 0, expected more than 0 (the combination ppo.epochs=0)",
         ),
-        (["ppo.entropy_coef=0.01,1e-2"], "ppo.entropy_coef=0.01 is there twice"),
+        (["ppo.entropy_coef=0.01,1e-2"], "ppo.entropy_coef=0.01 appears twice"),
         (["ppo.epochs=3", "ppo.epochs=5"], "ppo.epochs is swept twice"),
         (["ppo.hidden=64,64"], "--sweep=ppo.hidden='64': expected tuple"),
         (["run.device=cpu,gpu"], "run.device cannot be swept"),

@@ -362,7 +362,7 @@ def add(monkeypatch, name, term):
 @pytest.mark.parametrize(
     ("break_it", "words"),
     [
-        (wrong_weights, "task.weights.action_rat is the weight of no term.*has action_rate"),
+        (wrong_weights, "task.weights.action_rat has no term.*has action_rate"),
         (wrong_term, "no weight of the term spent_power.*`spent_power: float = 0.0` to Weights"),
         (wrong_parameter, "spent_power .* asks for torqe, which .*did you mean torque"),
     ],
