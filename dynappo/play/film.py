@@ -39,7 +39,8 @@ def write(body: Body, episode: dict, out: Path, pixels: tuple[int, int] | None =
         print(f"\r{f'rendering: {share:4.0%}{doing}':26}", end="", file=sys.stderr, flush=True)
 
     if not sys.stderr.isatty():
-        print("rendering: a minute on two cores", file=sys.stderr, flush=True)
+        if out.suffix != ".png":
+            print("rendering: a minute on two cores", file=sys.stderr, flush=True)
         return render.film(body, episode, out, pixels)
     tell(0.0)
     try:
