@@ -4,7 +4,6 @@ import functools
 import inspect
 import os
 import pathlib
-import tempfile
 import typing
 
 import numpy as np
@@ -16,11 +15,6 @@ os.environ["XLA_FLAGS"] = (
     os.environ.get("XLA_FLAGS", "")
     + " --xla_force_host_platform_device_count=8 --xla_backend_optimization_level=0"
 )
-# what one worker has compiled the others, and the commands that tests start, find there
-if "PYTEST_XDIST_WORKER" not in os.environ:
-    cache = tempfile.TemporaryDirectory(prefix="dynappo-tests-")
-    os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", cache.name)
-    os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.5")
 PEERS = pathlib.Path(__file__).parent / "peers"
 
 
