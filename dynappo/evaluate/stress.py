@@ -4,7 +4,8 @@ Eight commands of ten seconds for each disturbance, in C MuJoCo, with every cont
 converges; NumPy only. The same commands and the same random numbers for each, so that rows of the table
 differ by the disturbance alone.
 
-- a delay is of the actions, or of the observations; both together is their sum (physics/randomize.py)
+- a delay is of the actions, or of the observations; both together is their sum (physics/randomize.py).
+  `jitter` adds a delay to each action by itself, uniform from 0; none overtakes another
 - friction is that of every contact with the ground; mass is added to the base, its inertia scaled with it
 - `motors` is the share of the torque that arrives
 - a push adds a horizontal velocity of the given size to the base's, in a random direction, every 2 s
@@ -57,6 +58,7 @@ class Stress(NamedTuple):
 
     name: str
     action_delay: float = 0.0  # s
+    jitter: float = 0.0  # s
     sensor_delay: float = 0.0  # s
     friction: float | None = None
     mass: float = 0.0  # kg
@@ -70,6 +72,7 @@ TABLE = (
     Stress("none"),
     Stress("actions 20 ms late", action_delay=0.02),
     Stress("actions 40 ms late", action_delay=0.04),
+    Stress("actions 0 to 40 ms late", jitter=0.04),
     Stress("sensors 20 ms late", sensor_delay=0.02),
     Stress("both 20 ms late", action_delay=0.02, sensor_delay=0.02),
     Stress("friction 0.15", friction=0.15),
@@ -168,13 +171,14 @@ def play(body: Body, act: Callable, command, stress: Stress, seed: int = 0, seco
     rng, data = np.random.default_rng(seed), mujoco.MjData(model)
     see, com = observe.memory(p.observation, p.history), model.body_ipos[body.base_body]
     dt, step = episode_lib.period(body), model.opt.timestep
-    late, old = (round(s / step) for s in (stress.action_delay, stress.sensor_delay))
+    old = round(stress.sensor_delay / step)
     scale = stress.noise * np.concatenate(
         [np.full(part.size, NOISE.get(name, 0.0)) for name, part in observe.PARTS.items()]
     )
     action = np.zeros(len(p.joint_names))
     episode_lib.reset(body, data)
-    waiting = [p.default_pose] * late  # targets on their way to the motors
+    follows, waiting = p.default_pose, []  # targets: of the motors; on their way, with their arrival
+    arrival = now = 0  # physics steps
     seen = [_snapshot(data)] * (old + 1)  # states on their way to the policy
     velocity, fall = [], None
     for k in range(round(seconds / dt)):
@@ -187,12 +191,18 @@ def play(body: Body, act: Callable, command, stress: Stress, seed: int = 0, seco
         obs = episode_lib.look(body, seen[-1 - old], command, action)
         obs[observe.LINEAR_VELOCITY] *= stress.velocity
         action = act(see(obs + rng.uniform(-1, 1, len(obs)) * scale))
-        target, fell = actuators.target(action, p.default_pose, p.action_scale), False
-        for _ in range(body.substeps):
-            waiting.append(target)
+        delay = stress.action_delay
+        if stress.jitter:
+            delay += rng.uniform(0, stress.jitter)
+        arrival = max(arrival, now + round(delay / step))
+        waiting.append((arrival, actuators.target(action, p.default_pose, p.action_scale)))
+        fell = False
+        for now in range(now, now + body.substeps):
+            while waiting and waiting[0][0] <= now:
+                _, follows = waiting.pop(0)
             q, qd = data.qpos[body.joint_q], data.qvel[body.joint_v]
             torque = actuators.clip_dc_motor(
-                actuators.pd(waiting.pop(0), q, qd, p.kp, p.kd),
+                actuators.pd(follows, q, qd, p.kp, p.kd),
                 qd,
                 effort_limit=p.effort_limit,
                 saturation_effort=p.saturation_effort,
@@ -204,6 +214,7 @@ def play(body: Body, act: Callable, command, stress: Stress, seed: int = 0, seco
             one, other = data.contact.geom[data.contact.dist < 0].T
             ground, parts = body.ground, body.parts
             fell |= bool(((ground[one] & parts[other]) | (ground[other] & parts[one])).any())
+        now += 1
         finite = np.isfinite(data.qpos).all() and np.isfinite(data.qvel).all()
         if fell or not finite:
             fall = (k + 1) * dt

@@ -1,0 +1,71 @@
+"""How smoothly policies walk: energy, torques, joint speeds, changes of the targets, foot clearance.
+
+    python experiments/22_deploy/gait.py go1 go1_deploy RUN.npz ...
+
+Seven commands of 6 s in C MuJoCo, the first second left out. Prints a row a policy:
+
+- cost of transport: the integral of |torque x joint speed| / (weight x way of the base)
+- torque and joint speed that 99.9 % of all physics steps and joints stay below
+- change of the targets: root mean square, rad/s, over control steps and joints
+- clearance: median over swings of at least 60 ms of the highest that a foot's lowest point was
+"""
+
+import sys
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from dynappo.evaluate import stress, trials
+from dynappo.policy import choice, episode, policy_file, source
+from dynappo.task import observe
+
+SECONDS, SETTLE, SWING, LOW = 6.0, 1.0, 0.06, 0.004
+
+
+def main():
+    for name in sys.argv[1:]:
+        policy = policy_file.load(Path(name)) if name.endswith(".npz") else source.find(name)[0]
+        row = measure(policy)
+        print(f"{Path(name).stem:20s}", ", ".join(f"{k} {v:.3g}" for k, v in row.items()), flush=True)
+
+
+def measure(policy) -> dict[str, float]:
+    body = choice.body(policy, None)[0]
+    model, act = body.model, policy_file.actor(policy.params, policy.activation)
+    feet, _ = trials.feet(body)
+    dt, single = model.opt.timestep, body._replace(substeps=1)
+    torques, speeds, changes, clearances, work, way = [], [], [], [], 0.0, 0.0
+    for command in stress.commands(policy)[1:]:
+        data, heights = mujoco.MjData(model), []
+        episode.reset(body, data)
+        see = observe.memory(policy.observation, policy.history)
+        action = before = np.zeros(len(policy.joint_names))
+        for k in range(round(SECONDS / (dt * body.substeps))):
+            settled = k * dt * body.substeps >= SETTLE
+            before, action = action, act(see(episode.look(body, data, command, action)))
+            for _ in range(body.substeps):
+                done, _ = episode.step(single, data, action)
+                if settled:
+                    torques.append(np.abs(data.qfrc_applied[body.joint_v]))
+                    speeds.append(np.abs(data.qvel[body.joint_v]))
+                    heights.append(data.geom_xpos[feet, 2] - model.geom_size[feet, 0])
+                    way += np.linalg.norm(data.qvel[:2]) * dt
+                    work += done
+            if settled:
+                changes.append((action - before) * policy.action_scale / (dt * body.substeps))
+        for height in np.array(heights).T:
+            swings = zip(*trials.intervals(height > LOW), strict=True)
+            clearances += [height[on:off].max() for on, off in swings if (off - on) * dt >= SWING]
+    weight = model.body_subtreemass[body.base_body] * -model.opt.gravity[2]
+    return {
+        "cost of transport": work / (weight * way),
+        "torque N m": np.quantile(torques, 0.999),
+        "joint speed rad/s": np.quantile(speeds, 0.999),
+        "change of targets rad/s": np.sqrt(np.mean(np.square(changes))),
+        "clearance cm": 100 * np.median(clearances),
+    }
+
+
+if __name__ == "__main__":
+    main()
