@@ -177,7 +177,8 @@ def play(body: Body, act: Callable, command, stress: Stress, seed: int = 0, seco
     )
     action = np.zeros(len(p.joint_names))
     episode_lib.reset(body, data)
-    follows, waiting = p.default_pose, []  # targets: of the motors; on their way, with their arrival
+    follows = p.default_pose  # of the motors
+    waiting = []  # (arrival, target), on their way to the motors
     arrival = now = 0  # physics steps
     seen = [_snapshot(data)] * (old + 1)  # states on their way to the policy
     velocity, fall = [], None
@@ -197,7 +198,7 @@ def play(body: Body, act: Callable, command, stress: Stress, seed: int = 0, seco
         arrival = max(arrival, now + round(delay / step))
         waiting.append((arrival, actuators.target(action, p.default_pose, p.action_scale)))
         fell = False
-        for now in range(now, now + body.substeps):
+        for _ in range(body.substeps):
             while waiting and waiting[0][0] <= now:
                 _, follows = waiting.pop(0)
             q, qd = data.qpos[body.joint_q], data.qvel[body.joint_v]
@@ -210,11 +211,11 @@ def play(body: Body, act: Callable, command, stress: Stress, seed: int = 0, seco
             )
             data.qfrc_applied[body.joint_v] = stress.motors * torque
             mujoco.mj_step(model, data)
+            now += 1
             seen = [*seen[1:], _snapshot(data)]
             one, other = data.contact.geom[data.contact.dist < 0].T
             ground, parts = body.ground, body.parts
             fell |= bool(((ground[one] & parts[other]) | (ground[other] & parts[one])).any())
-        now += 1
         finite = np.isfinite(data.qpos).all() and np.isfinite(data.qvel).all()
         if fell or not finite:
             fall = (k + 1) * dt

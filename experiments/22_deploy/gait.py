@@ -27,7 +27,9 @@ def main():
     for name in sys.argv[1:]:
         policy = policy_file.load(Path(name)) if name.endswith(".npz") else source.find(name)[0]
         row = measure(policy)
-        print(f"{Path(name).stem:20s}", ", ".join(f"{k} {v:.3g}" for k, v in row.items()), flush=True)
+        print(
+            f"{Path(name).stem:20s}", ", ".join(f"{k} {v:.3g}" for k, v in row.items()), flush=True
+        )
 
 
 def measure(policy) -> dict[str, float]:

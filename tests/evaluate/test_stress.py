@@ -60,6 +60,26 @@ def test_an_action_may_be_late_by_physics_steps(body):
     assert np.abs(half - now).max() > 1e-4 < np.abs(half - one).max()
 
 
+def test_jitter_draws_a_delay_an_action_and_keeps_their_order(body, monkeypatch):
+    followed, pd = [], stress.actuators.pd
+
+    def spy(target, *rest):
+        followed.append(target)
+        return pd(target, *rest)
+
+    monkeypatch.setattr(stress.actuators, "pd", spy)
+    act, _ = scripted()
+    sent = []
+    play(body, lambda obs: sent.append(act(obs)) or sent[-1], jitter=0.04)
+    p = body.policy
+    sent = p.default_pose + p.action_scale * np.array(sent)
+    which = np.array([np.flatnonzero((sent == t).all(1)) for t in followed[8:]]).ravel()
+    age = np.arange(8, len(followed)) // body.substeps - which
+    assert (np.diff(which) >= 0).all() and age.min() == 0 and age.max() == 2
+    steps = round(0.04 / body.model.opt.timestep)
+    assert (which >= (np.arange(8, len(followed)) - steps) // body.substeps).all()
+
+
 def test_late_sensors_show_the_state_before_and_the_command_now(body):
     (act, seen), (other, late) = scripted(), scripted()
     play(body, act)
