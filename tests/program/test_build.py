@@ -1,5 +1,7 @@
 """From a config to a compiled program: what does not fit is refused before, nothing else is changed."""
 
+import gc
+
 import jax
 import numpy as np
 import pytest
@@ -7,6 +9,7 @@ import workdirs
 from answers import refused
 from toy_runs import assert_close
 
+from dynappo.config import ConfigError
 from dynappo.program import build, memory
 
 
@@ -49,3 +52,21 @@ def test_a_hopeless_size_is_refused_before_anything_is_compiled(monkeypatch):
     run = workdirs.config(rollout__num_envs=2**26)
     assert "the rollout alone needs" in refused(build.check, run)
     build.check(workdirs.config())
+
+
+def test_garbage_is_collected_after_a_build_also_after_one_that_failed(monkeypatch):
+    seen = []
+
+    def fails(config):
+        seen.append(gc.isenabled())
+        raise ConfigError("run.device is wrong")
+
+    monkeypatch.setattr(build.devices, "engine", fails)
+    refused(build.program, workdirs.config())
+    assert seen == [False] and gc.isenabled()
+    gc.disable()  # as the caller had it
+    try:
+        refused(build.program, workdirs.config())
+        assert not gc.isenabled()
+    finally:
+        gc.enable()
