@@ -82,28 +82,25 @@ class Body:
 def draw(ranges, base_mass, base_com, key: PRNGKeyArray, varied=frozenset()) -> Body:
     """One robot's parameters; `ranges` is the config's group `task.randomize`, `varied` names those of
     `HARDWARE` that it has."""
-    keys = jax.random.split(key, 5)
+    own = [name for name in HARDWARE if name in varied]
+    sizes = [1, 3, 1, 1, 1, *[size_of(name) if name in AROUND else 1 for name in own]]
+    shares = jnp.split(jax.random.uniform(key, (sum(sizes),)), np.cumsum(sizes)[:-1])
 
-    def uniform(key, bounds):
-        return jax.random.uniform(key, (), minval=bounds[0], maxval=bounds[1])
+    def drawn(bounds):
+        low, high = bounds
+        return low + (high - low) * shares.pop(0)[0]
 
-    def around(key, size):
-        return jax.random.uniform(key, (size,), minval=-1.0, maxval=1.0)
+    def around(width):
+        return (2 * shares.pop(0) - 1) * width
 
-    hardware = {}
-    for i, name in enumerate(HARDWARE):
-        if name in varied:
-            own, width = jax.random.fold_in(key, i), getattr(ranges, name)
-            size = size_of(name)
-            hardware[name] = width * around(own, size) if name in AROUND else uniform(own, width)
     widths = jnp.stack([jnp.asarray(w) for w in ranges.base_com])
     return Body(
-        mass_scale=1 + uniform(keys[0], ranges.base_mass) / base_mass,
-        base_com=base_com + around(keys[1], 3) * widths,
-        friction=uniform(keys[2], ranges.friction),
-        kp_scale=uniform(keys[3], ranges.kp_scale),
-        kd_scale=uniform(keys[4], ranges.kd_scale),
-        **hardware,
+        mass_scale=1 + drawn(ranges.base_mass) / base_mass,
+        base_com=base_com + around(widths),
+        friction=drawn(ranges.friction),
+        kp_scale=drawn(ranges.kp_scale),
+        kd_scale=drawn(ranges.kd_scale),
+        **{name: (around if name in AROUND else drawn)(getattr(ranges, name)) for name in own},
     )
 
 

@@ -7,6 +7,7 @@ repeats, and the evaluation.
 
 from __future__ import annotations
 
+import concurrent.futures
 import contextlib
 import gc
 import time
@@ -94,7 +95,6 @@ def program(config, env: Any = None, each: tuple[Any, Any] | None = None) -> Pro
 
     impl = devices.engine(config)
     from dynappo import algorithm, evaluation, sweep
-    from dynappo.program import environment
 
     began = time.perf_counter()
     static, hyper = config_lib.split(config)
@@ -116,13 +116,14 @@ def program(config, env: Any = None, each: tuple[Any, Any] | None = None) -> Pro
     columns = schedule.columns(config)
     chunk = {name: jnp.asarray(column[: run.log_every]) for name, column in columns.items()}
     everywhere = NamedSharding(mesh, PartitionSpec())
-    spread = sweep.shardings(mesh, jax.eval_shape(init, hyper, key), run.num_seeds)
-    state = jax.jit(init, out_shardings=spread)(hyper, key)
-    if robot is None:
-        environment.check_start(state.env_state)
+    like = jax.eval_shape(init, hyper, key)
+    spread = sweep.shardings(mesh, like, run.num_seeds)
+    first = jax.jit(init, out_shardings=spread)
     step = jax.jit(step, donate_argnums=1, out_shardings=(spread, everywhere))
     with sweep.partitioner(mesh):
-        compiled = step.lower(hyper, state, chunk).compile()
+        state, compiled = _side_by_side(
+            first, step, (hyper, key), like, spread, chunk, robot is None
+        )
     size = memory.needed(compiled)
     memory.check_compiled(config, size, memory.limit(mesh.local_devices[0]))
     distributed.meet()
@@ -150,6 +151,27 @@ def program(config, env: Any = None, each: tuple[Any, Any] | None = None) -> Pro
         bytes_needed=size,
         compile_seconds=time.perf_counter() - began,
     )
+
+
+def _side_by_side(first, step, args, like, spread, chunk, own: bool) -> tuple[Any, Any]:
+    """`(state, compiled step)`: `first` compiles while `step` is traced and compiles.
+
+    The state has the types `like` and the shardings `spread`; that of an `own` environment is checked
+    before.
+    """
+    import jax
+
+    from dynappo.program import environment
+
+    def placed(array, sharding):
+        return jax.ShapeDtypeStruct(array.shape, array.dtype, sharding=sharding)
+
+    with concurrent.futures.ThreadPoolExecutor(1) as pool:
+        begin = pool.submit(first.lower(*args).compile)
+        if own:
+            environment.check_start(begin.result()(*args).env_state)
+        compiled = step.lower(args[0], jax.tree.map(placed, like, spread), chunk).compile()
+        return begin.result()(*args), compiled
 
 
 def _environment(config, env: Any, impl: str) -> tuple[Any, Any, str]:

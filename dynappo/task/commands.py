@@ -25,20 +25,15 @@ from dynappo.types import Config, Goal
 
 def draw(task, hyper: Config, qpos, key: PRNGKeyArray) -> tuple[Float[Array, " 3"], Goal]:
     """A fresh `(command, goal)` for a robot at `qpos`; m/s, m/s, rad/s."""
-    keys = jax.random.split(key, 5)
-    ranges = (hyper.task.command_x, hyper.task.command_y, hyper.task.command_yaw)
-    velocity = [
-        jax.random.uniform(k, (), minval=low, maxval=high)
-        for k, (low, high) in zip(keys[:3], ranges, strict=True)
-    ]
+    ranges = hyper.task.command_x, hyper.task.command_y, hyper.task.command_yaw
+    *velocity, heading, standing = jax.random.uniform(key, (5,))
+    command = [low + (high - low) * u for u, (low, high) in zip(velocity, ranges, strict=True)]
     goal = Goal(
-        heading=jax.random.uniform(keys[3], (), minval=-jnp.pi, maxval=jnp.pi),
-        standing=(jax.random.uniform(keys[4]) < jnp.float32(hyper.task.standing)).astype(
-            jnp.float32
-        ),
+        heading=(2 * heading - 1) * jnp.pi,
+        standing=(standing < hyper.task.standing).astype(jnp.float32),
         steps_left=jnp.int32(task.resample_steps),
     )
-    return follow(task, hyper, jnp.stack(velocity), goal, qpos), goal
+    return follow(task, hyper, jnp.stack(command), goal, qpos), goal
 
 
 def follow(task, hyper: Config, command, goal: Goal, qpos):

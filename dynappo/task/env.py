@@ -129,34 +129,36 @@ def autoreset(
     ended = (outcome.discount == 0) | (outcome.truncation == 1)
     fresh = _fresh(const, hyper, body, key)
     if const.task.carry_on:
-        keys = jax.random.split(jax.random.fold_in(key, 1), 3)
-        command, goal = commands.draw(const.task, hyper, state.qpos, keys[0])
+        _, command_key, obs_key = jax.random.split(key, 3)  # as in `_fresh`: one of the two is used
+        command, goal = commands.draw(const.task, hyper, state.qpos, command_key)
         same = state.replace(command=command, goal=goal, **dict.fromkeys(AGES, 0))
         seen = same, state.obs[view.SENSED :]
-        prop, obs = view.sense(const.view, const.robot, hyper, body, *seen, keys[1])
+        prop, obs = view.sense(const.view, const.robot, hyper, body, *seen, obs_key)
         same = same.replace(prop=prop, obs=obs)
-        stays = (outcome.truncation == 1) & jax.random.bernoulli(keys[2])
+        stays = (outcome.truncation == 1) & jax.random.bernoulli(jax.random.fold_in(key, 1))
         fresh = jax.tree.map(lambda here, there: jnp.where(stays, here, there), same, fresh)
     return jax.tree.map(lambda new, old: jnp.where(ended, new, old), fresh, state)
 
 
 def _fresh(const: Constants, hyper: Config, body, key) -> EnvState:
     """Pose, velocity and command (configs/README.md), lifted until no foot is below ground."""
-    keys = jax.random.split(key, 7)
+    pose_key, command_key, obs_key = jax.random.split(key, 3)
     r, default = hyper.task.reset, jnp.asarray(const.robot.default_pose, jnp.float32)
-    joints = default * jax.random.uniform(
-        keys[0], default.shape, minval=r.joint_scale[0], maxval=r.joint_scale[1]
-    )
+    # one draw for all: each draw is a kernel of its own, and a quarter of a second of compilation
+    draw = jax.random.uniform(pose_key, (default.size + 10,))
+    scale, xy, velocity, yaw, wait = jnp.split(draw, default.size + np.array([0, 2, 8, 9]))
+    low, high = r.joint_scale
+    joints = default * (low + (high - low) * scale)
     joints = jnp.clip(joints, *_soft_limits(const, hyper))
     lowest = (robot_lib.feet_in_base(const.legs, joints)[:, 2] - const.robot.foot_radius).min()
     height = jnp.maximum(r.spawn_height, r.foot_clearance - lowest)
-    xy = jax.random.uniform(keys[1], (2,), minval=-1.0, maxval=1.0) * r.position
-    yaw = jax.random.uniform(keys[2], (), minval=-1.0, maxval=1.0) * r.yaw
+    xy = (2 * xy - 1) * r.position
+    yaw = (2 * yaw[0] - 1) * r.yaw
+    velocity = (2 * velocity - 1) * r.velocity
     quat = jnp.stack([jnp.cos(yaw / 2), yaw * 0, yaw * 0, jnp.sin(yaw / 2)])
     qpos = jnp.concatenate([xy, height[None], quat, joints])
-    velocity = jax.random.uniform(keys[3], (6,), minval=-1.0, maxval=1.0) * r.velocity
     qvel = jnp.concatenate([velocity, default * 0])
-    command, goal = commands.draw(const.task, hyper, qpos, keys[4])
+    command, goal = commands.draw(const.task, hyper, qpos, command_key)
     feet = jnp.zeros(len(const.robot.feet), jnp.int32)
     state = EnvState(
         qpos=qpos,
@@ -176,10 +178,10 @@ def _fresh(const: Constants, hyper: Config, body, key) -> EnvState:
         last_peak=jnp.zeros(len(const.robot.feet)),
         clock=jnp.zeros((), jnp.int32),
         episode_steps=jnp.zeros((), jnp.int32),
-        push_in=pushes.wait(hyper.task.push, const.dt, keys[6]),
+        push_in=pushes.wait(hyper.task.push, const.dt, wait[0]),
         episode_return=jnp.zeros(()),
     )
-    prop, obs = view.sense(const.view, const.robot, hyper, body, state, None, keys[5])
+    prop, obs = view.sense(const.view, const.robot, hyper, body, state, None, obs_key)
     return state.replace(prop=prop, obs=obs)
 
 

@@ -8,16 +8,16 @@ import jax
 import jax.numpy as jnp
 
 
-def wait(settings, dt: float, key):
-    """Control steps until the next push."""
+def wait(settings, dt: float, share):
+    """Control steps until the next push; `share`, 0 to 1, says where in the interval."""
     low, high = settings.interval
-    return jnp.round(jax.random.uniform(key, (), minval=low, maxval=high) / dt).astype(jnp.int32)
+    return jnp.round((low + (high - low) * share) / dt).astype(jnp.int32)
 
 
 def push(settings, dt: float, qvel, push_in, key):
     """`(qvel, push_in)` after one control step: a kick in world x and y when `push_in` runs out."""
     due = push_in <= 1
-    kick_key, next_key = jax.random.split(key)
-    kick = jax.random.uniform(kick_key, (2,), minval=-1.0, maxval=1.0) * settings.velocity
+    unit = jax.random.uniform(key, (3,))
+    kick = (2 * unit[:2] - 1) * settings.velocity
     qvel = qvel.at[:2].add(jnp.where(due, kick, 0.0))
-    return qvel, jnp.where(due, wait(settings, dt, next_key), push_in - 1)
+    return qvel, jnp.where(due, wait(settings, dt, unit[2]), push_in - 1)
