@@ -61,6 +61,7 @@ def row(workdir: Path, one: Combination) -> dict[str, Any]:
         | {
             "returns": " ".join(f"{x:.6g}" for x in returns),
             "return_of": "evaluation" if "return" in evaluation else "training",
+            "policy": show.in_words(one.config.task, evaluation) if evaluation else "",
             "folder": one.name,
             "note": note,
         }
@@ -92,16 +93,17 @@ def print_table(out, table: list[dict[str, Any]], swept: list[str]) -> None:
     for field in swept:
         page.add_column(field)
     for name in names:
-        page.add_column(name, justify="right")
+        page.add_column(name, justify="right", no_wrap=True)
+    page.add_column("the policy" if evaluated else "")
     for i, one in enumerate(table):
         page.add_row(*(str(one[field]) for field in swept), *_cells(one), style="bold" * (i == 0))
     out.print(page)
 
 
 def _cells(one: dict[str, Any]) -> list[str]:
-    """Seeds, return with its interval, falls, simulator steps, seconds."""
+    """Seeds, return with its interval, falls, simulator steps, seconds, what the policies do."""
     if one["note"]:
-        return [str(one["seeds"]), one["note"], "", "", ""]
+        return [str(one["seeds"]), one["note"], "", "", "", ""]
     mean, high, falls = one["return_mean"], one["return_high"], one["fall_rate"]
     text = "no episode ended" if mean is None else f"{mean:.2f}"
     return [
@@ -110,4 +112,5 @@ def _cells(one: dict[str, Any]) -> list[str]:
         "" if falls is None else f"{100 * falls:.1f} %",
         show.count(int(one["sim_steps"])),
         "" if one["seconds"] is None else f"{one['seconds']:.1f}",
+        one["policy"],
     ]
