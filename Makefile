@@ -54,5 +54,5 @@ $(VENV)/.train: pyproject.toml constraints.txt | $(BIN)/python
 
 $(VENV)/.dev: pyproject.toml constraints.txt | $(BIN)/python
 	@echo "installing dynappo and its development tools into $(VENV) (a minute or two, once)"
-	@$(INSTALL) -e '.[dev,video]'
+	@$(INSTALL) -e '.[dev,video,web]'
 	@touch $@ $(VENV)/.train

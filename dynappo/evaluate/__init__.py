@@ -5,7 +5,8 @@
 - `trials`: one trial for each command of a grid, in C MuJoCo: tracking, effort, gait
 - `stress`: trials with late actions, loads, slippery floors, pushes, in other physics
 - `figures`: pictures of the trials
+- `report`, `report.html`: all of it on one page, with a robot that plays each command
 
-No other command imports it. It imports `program`, `policy`, `physics`, `task`, `config` and
-`evaluation`.
+No other command imports it. It imports `program`, `policy`, `physics`, `task`, `config`,
+`evaluation` and `play.page`.
 """

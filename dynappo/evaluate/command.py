@@ -17,7 +17,7 @@ import mujoco
 
 from dynappo.config import ConfigError, files
 from dynappo.config import flags as flags_lib
-from dynappo.evaluate import episodes, figures, show, stress, trials
+from dynappo.evaluate import episodes, figures, report, show, stress, trials
 from dynappo.physics.robot import Robot
 from dynappo.policy import choice
 from dynappo.policy.episode import Body
@@ -51,7 +51,8 @@ or the name of a robot with a bundled policy
   python -m dynappo.evaluate runs/sweep --run-seed=3 --out=third
   python -m dynappo.evaluate go1 --fast --robot-xml=other/scene.xml
 with --robot-xml the episodes on MJX need a file that keeps the rules of robots/README.md; --fast does not
-it writes evaluation.json, tracking.png (error by command) and gait.png; with --stress only stress.json
+it writes evaluation.json, report.html (tables, maps, the robot under each command), tracking.png and
+gait.png; with --stress only stress.json
 """
 
 
@@ -172,7 +173,8 @@ def run(flags) -> None:
     result = about | {"episodes": on_mjx, "sweep": numbers, "units": UNITS}
     files.write_json(out / "evaluation.json", result)
     problem = figures.write(out, policy.robot, numbers, recordings, policy.timestep)
-    names = "evaluation.json" if problem else "evaluation.json, tracking.png, gait.png"
+    report.write(out, source, body, numbers, recordings, on_mjx)
+    names = "evaluation.json, report.html" + ("" if problem else ", tracking.png, gait.png")
     screen.print(f"written to {out}: {names}", soft_wrap=True, markup=False)
     if problem:
         screen.print(problem, soft_wrap=True, markup=False, style="yellow")

@@ -7,6 +7,7 @@ matplotlib is imported only here, and may be absent.
 from __future__ import annotations
 
 import io
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from dynappo.config import shell
 from dynappo.evaluate import trials
 
 WINDOW = 2.0  # s of a gait diagram
+PALE = 0.3  # m/s, the least error that has the darkest colour
 LARGE_YAW = 0.2  # rad/s, an error that is shown in red
 NO_PICTURES = "no pictures: matplotlib is not installed; "
 
@@ -25,24 +27,13 @@ def tracking(title: str, numbers: dict[str, Any]):
     from matplotlib.figure import Figure
     from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-    grid, held, rows = numbers["axes"], numbers["held"], numbers["commands"]
-    maps = (  # axis across, its column of the command, the axis that is held and its column
-        ("vy", 1, "wz", 2, "sideways velocity asked for (m/s)", "at a yaw rate of {:g} rad/s"),
-        ("wz", 2, "vy", 1, "yaw rate asked for (rad/s)", "at a sideways velocity of {:g} m/s"),
-    )
-    top = max([0.3, *(row["tracking_error"] for row in rows if not gone(row))])
+    rows, grid = numbers["commands"], numbers["axes"]
+    top = max([PALE, *(row["tracking_error"] for row in rows if not gone(row))])
     layout = ConstrainedLayoutEngine(w_pad=0.12, h_pad=0.12, wspace=0.03)
     figure = Figure(figsize=(11, 6), layout=layout)
     panels = figure.subplots(1, 2, sharey=True, width_ratios=[len(grid["vy"]), len(grid["wz"])])
     image: Any = None
-    for panel, (name, column, other, fixed, label, rest) in zip(panels, maps, strict=True):
-        across, ahead = grid[name], grid["vx"]
-        found = {
-            (row["command"][0], row["command"][column]): row
-            for row in rows
-            if row["command"][fixed] == held[other]
-        }
-        cells = [[found[x, c] for c in across] for x in ahead]
+    for panel, (held, label, across, ahead, cells) in zip(panels, maps(numbers), strict=True):
         values = [[np.nan if gone(c) else c["tracking_error"] for c in line] for line in cells]
         image = panel.imshow(values, "YlGnBu", vmin=0, vmax=top, origin="lower", aspect="auto")
         for i, line in enumerate(cells):
@@ -56,7 +47,7 @@ def tracking(title: str, numbers: dict[str, Any]):
         panel.tick_params(which="both", length=0, labelsize=10)
         panel.spines[:].set_visible(False)
         panel.set_xlabel(label, fontsize=11, labelpad=8)
-        panel.set_title(rest.format(held[other]), fontsize=11, color="0.35", pad=8)
+        panel.set_title(held, fontsize=11, color="0.35", pad=8)
     panels[0].set_ylabel("velocity ahead asked for (m/s)", fontsize=11, labelpad=8)
     bar = figure.colorbar(image, ax=panels, pad=0.02, aspect=28)
     bar.set_label("velocity error (m/s); small in the cells: yaw rate error (rad/s)", labelpad=10)
@@ -64,6 +55,23 @@ def tracking(title: str, numbers: dict[str, Any]):
     bar.ax.tick_params(length=0)
     figure.suptitle(title, fontsize=14, fontweight="bold")
     return figure
+
+
+def maps(numbers: dict[str, Any]) -> Iterator[tuple]:
+    """`(title, label, across, ahead, cells)` of two maps: `cells[i][j]` is the row of `commands` at
+    `ahead[i]` (m/s) and `across[j]` (`label` says what that is)."""
+    grid, held = numbers["axes"], numbers["held"]
+    sides = ("vy", 1, "wz", 2, "sideways velocity asked for (m/s)", "at a yaw rate of {:g} rad/s")
+    turns = ("wz", 2, "vy", 1, "yaw rate asked for (rad/s)", "at a sideways velocity of {:g} m/s")
+    # the axis across and its column of a command; the axis that is held and its column; texts
+    for name, column, other, fixed, label, title in (sides, turns):
+        found = {
+            (row["command"][0], row["command"][column]): row
+            for row in numbers["commands"]
+            if row["command"][fixed] == held[other]
+        }
+        cells = [[found[x, c] for c in grid[name]] for x in grid["vx"]]
+        yield title.format(held[other]), label, grid[name], grid["vx"], cells
 
 
 def gone(row: dict[str, Any]) -> bool:
@@ -92,7 +100,7 @@ def _cell(panel, j: int, i: int, row: dict[str, Any], top: float) -> None:
 
 
 def gait(title: str, numbers: dict[str, Any], recordings, timestep: float):
-    """Hildebrand's diagram of a `sweep`'s recordings: a bar where a foot is on the ground.
+    """Hildebrand's diagram of a `sweep` at each speed ahead: a bar where a foot is on the ground.
 
     `timestep` (s) is that of the physics. The last `WINDOW` seconds are shown, or what there is.
     """
@@ -100,10 +108,10 @@ def gait(title: str, numbers: dict[str, Any], recordings, timestep: float):
     from matplotlib.layout_engine import ConstrainedLayoutEngine
 
     layout = ConstrainedLayoutEngine(w_pad=0.12, h_pad=0.12, hspace=0.04)
-    figure = Figure(figsize=(11, 1.2 + 2.4 * len(recordings)), layout=layout)
-    panels = np.ravel(figure.subplots(len(recordings), 1, sharex=True))
-    for panel, recording, row in zip(panels, recordings, numbers["ahead"], strict=True):
-        shown = recording["contact"][-round(WINDOW / timestep) :]
+    figure = Figure(figsize=(11, 1.2 + 2.4 * len(numbers["ahead"])), layout=layout)
+    panels = np.ravel(figure.subplots(len(numbers["ahead"]), 1, sharex=True))
+    for panel, row in zip(panels, numbers["ahead"], strict=True):
+        shown = recordings[tuple(row["command"])]["contact"][-round(WINDOW / timestep) :]
         for j, foot in enumerate(row["feet"].values()):
             on, off = trials.intervals(shown[:, j])
             bars = [(a * timestep, (b - a) * timestep) for a, b in zip(on, off, strict=True)]

@@ -60,32 +60,41 @@ def sweep(screen, numbers: dict[str, Any]) -> None:
     """The table of a sweep: over all commands, and at each speed ahead."""
     from rich.table import Table
 
-    every, ahead = numbers["all"], numbers["ahead"]
-    screen.print(
-        f"{every['episodes']} commands, {numbers['seconds']:g} s each, in C MuJoCo without noise; "
-        f"the first second is left out",
-        soft_wrap=True,
-    )
+    headings, *rows = sweep_rows(numbers)
+    screen.print(sweep_text(numbers), soft_wrap=True)
     table = Table(box=None, padding=(0, 2, 0, 0), header_style="bold")
     table.add_column("")
-    for heading in ("all commands", *(f"{row['command'][0]:g} m/s ahead" for row in ahead)):
+    for heading in headings[1:]:
         table.add_column(heading, justify="right", no_wrap=True)
-    falls = ["none" if row["fall"] is None else f"after {row['fall']:.1f} s" for row in ahead]
-    table.add_row("falls", f"{every['falls']} of {every['episodes']}", *falls)
-    for name, label, text in ROWS:
-        values = [row[name] for row in (every, *ahead)]
-        table.add_row(label, *("-" if v is None else text.format(v) for v in values))
+    for row in rows:
+        table.add_row(*row)
     screen.print(table)
     for line in notes(numbers["commands"]):
         screen.print(line, soft_wrap=True)
 
 
+def sweep_text(numbers: dict[str, Any]) -> str:
+    """What a sweep is."""
+    return (
+        f"{numbers['all']['episodes']} commands, {numbers['seconds']:g} s each, in C MuJoCo without noise; "
+        "the first second is left out"
+    )
+
+
+def sweep_rows(numbers: dict[str, Any]) -> list[list[str]]:
+    """The table of a sweep as texts, its headings first."""
+    every, ahead = numbers["all"], numbers["ahead"]
+    falls = ["none" if row["fall"] is None else f"after {row['fall']:.1f} s" for row in ahead]
+    rows = [["", "all commands", *(f"{row['command'][0]:g} m/s ahead" for row in ahead)]]
+    rows += [["falls", f"{every['falls']} of {every['episodes']}", *falls]]
+    for name, label, text in ROWS:
+        values = [row[name] for row in (every, *ahead)]
+        rows += [[label, *("-" if v is None else text.format(v) for v in values)]]
+    return rows
+
+
 def notes(rows: list[dict[str, Any]]) -> list[str]:
     """Lines on the commands tracked worst and turned worst, and on those that made the robot fall."""
-
-    def asked(row):
-        x, y, turn = row["command"]
-        return f"asked for {x:g}, {y:g} m/s, {turn:g} rad/s"
 
     stood = [row for row in rows if not figures.gone(row)]
     fell = [row for row in rows if row["fall"] is not None]
@@ -102,18 +111,35 @@ def notes(rows: list[dict[str, Any]]) -> list[str]:
     return lines
 
 
+def asked(row: dict[str, Any]) -> str:
+    """The command of a row, for a person."""
+    x, y, turn = row["command"]
+    return f"asked for {x:g}, {y:g} m/s, {turn:g} rad/s"
+
+
 def episodes(screen, numbers: dict[str, Any]) -> None:
     """The table of the episodes of the task."""
     from rich.table import Table
 
+    screen.print(episodes_text(numbers), soft_wrap=True)
+    table = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
+    for row in episodes_rows(numbers):
+        table.add_row(*row)
+    screen.print(table)
+
+
+def episodes_text(numbers: dict[str, Any]) -> str:
+    """What the episodes of the task are."""
     task = "noise, pushes, randomised physics" if numbers["randomize"] else "no noise"
     engine = devices.ENGINES[numbers["impl"]]
-    screen.print(
+    return (
         f"{numbers['seconds']:g} s each, commands as in training, {task}; "
-        f"{engine} on {numbers['device']}",
-        soft_wrap=True,
+        f"{engine} on {numbers['device']}"
     )
-    table = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
+
+
+def episodes_rows(numbers: dict[str, Any]) -> list[list[str]]:
+    """The table of the episodes of the task as texts."""
     rows = (
         ("return", "return", "{:.2f}", 1),
         ("return_std", "  standard deviation", "{:.2f}", 1),
@@ -122,9 +148,8 @@ def episodes(screen, numbers: dict[str, Any]) -> None:
         ("tracking_error", "tracking error", "{:.2f} m/s", 1),
         ("yaw_error", "yaw rate error", "{:.2f} rad/s", 1),
     )
-    for name, label, text, scale in rows:
-        value = numbers.get(name)
-        table.add_row(
-            label, "nobody stood for a second" if value is None else text.format(value * scale)
-        )
-    screen.print(table)
+    known = ((label, numbers.get(name), text, scale) for name, label, text, scale in rows)
+    none = "nobody stood for a second"
+    return [
+        [label, none if v is None else text.format(v * scale)] for label, v, text, scale in known
+    ]

@@ -46,17 +46,18 @@ def feet(body: Body) -> tuple[np.ndarray, list[str]]:
 def record(body: Body, act: Callable, command, seconds: float = SECONDS) -> dict[str, Any]:
     """An episode under one `command` (vx, vy, yaw rate), until it ends or the robot falls.
 
-    A row a control step: `velocity [T, 3]` (as the command, in the base frame) and `action [T, A]`. A
-    row a physics step: `torque [P, A]` (N m), `speed [P, A]` (rad/s) at which it was applied, and
-    `contact [P, F]`, whether a foot touches the ground. `fall` (s), or None. A blow-up of the physics is
-    a fall, and its step has no rows.
+    A row a control step: `velocity [T, 3]` (as the command, in the base frame), `action [T, A]` and
+    `qpos [T, nq]` after it. A row a physics step: `torque [P, A]` (N m), `speed [P, A]` (rad/s) at
+    which it was applied, and `contact [P, F]`, whether a foot touches the ground. `fall` (s), or None.
+    A blow-up of the physics is a fall, and its step has no rows.
     """
     mujoco.set_mju_user_warning(lambda message: None)  # else they go into a file in the folder
     single = body._replace(substeps=1)  # so that every physics step can be looked at
     data, ids, dt = mujoco.MjData(body.model), feet(body)[0], episode_lib.period(body)
     com, action = body.model.body_ipos[body.base_body], np.zeros(len(body.policy.joint_names))
     joints = len(action)
-    widths = dict(velocity=3, action=joints, torque=joints, speed=joints, contact=len(ids))
+    widths = dict(velocity=3, action=joints, qpos=body.model.nq)
+    widths |= dict(torque=joints, speed=joints, contact=len(ids))
     rows: dict[str, list] = {name: [] for name in widths}
     p, command, fall = body.policy, np.asarray(command, float), None
     see = observe.memory(p.observation, p.history)
@@ -77,6 +78,7 @@ def record(body: Body, act: Callable, command, seconds: float = SECONDS) -> dict
             _, linear, angular = observe.base_motion(*coordinates, com)
             rows["velocity"].append([linear[0], linear[1], angular[2]])
             rows["action"].append(action)
+            rows["qpos"].append(data.qpos.copy())
             for row in inside:
                 for name, values in zip(("torque", "speed", "contact"), row, strict=True):
                     rows[name].append(values)
@@ -207,8 +209,8 @@ def sweep(
     points: int = POINTS,
     tell: Callable[[int, int], None] = lambda done, total: None,
     body: Body | None = None,
-) -> tuple[dict[str, Any], list[dict[str, Any]]]:
-    """`(numbers, recordings)` of one episode a command; `recordings` are those of `speeds`.
+) -> tuple[dict[str, Any], dict[tuple, dict[str, Any]]]:
+    """`(numbers, recordings)` of one episode a command; `recordings` by command.
 
     The grid is vx by vy without turning, and vx by yaw rate without going sideways (`held`); `all`
     is over these, its gait without the command to stand. `tell(done, total)` is called before every
@@ -237,7 +239,7 @@ def sweep(
         "ahead": [_row(body, found[command]) | gait(body, [found[command]]) for command in ahead],
         "commands": [_row(body, r) for r in some],
     }
-    return numbers, [found[command] for command in ahead]
+    return numbers, found
 
 
 def _row(body: Body, recording: dict[str, Any]) -> dict[str, Any]:

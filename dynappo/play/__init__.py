@@ -1,9 +1,11 @@
 """Play: the command `dynappo play`, which shows a policy walking. Start reading at `command.py`.
 
 - `command`: its flags and what it prints
+- `asked`: what `--command` asks of the robot
 - `film`: films and pictures, drawn with `policy.render`
 - `page`, `page.html`, `page.js`: one HTML file that plays an episode
+- `serve`: the page in a browser, with folder `web`
 - `viewer`: MuJoCo's viewer, with keys that steer
 
-No other command imports it. It imports `policy`, `physics` and `config`, and no JAX.
+No other command imports it. It imports `web`, `policy`, `physics` and `config`, and no JAX.
 """

@@ -8,11 +8,9 @@ the same robot (sim-to-sim): `policy/episode.py` says what such a file must have
 from __future__ import annotations
 
 import argparse
-import math
-import os
+import re
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -20,18 +18,13 @@ from dynappo import config as config_lib
 from dynappo.config import ConfigError, files
 from dynappo.config import flags as flags_lib
 from dynappo.physics import robot as robot_lib
-from dynappo.play import film, page, viewer
+from dynappo.play import asked as asked_lib
+from dynappo.play import film, page, serve, viewer
 from dynappo.policy import choice, policy_file
 from dynappo.policy import episode as episode_lib
 from dynappo.policy.policy_file import Policy
 
 FILES = {".mp4": "a film", ".gif": "a film", ".png": "its last moment", ".html": "a page"}
-SECONDS = 12.0
-AFTER_SCRIPT = 2.0  # s, how long the last row of a command script lasts
-LONGEST = 3600  # s that can be played
-MAX_SCRIPT = 2**24  # bytes of a command script; a row each 0.02 s of an hour has less
-FASTEST = 100  # m/s or rad/s that can be asked for
-AXES = ("vx", "vy", "wz")
 USAGE = f"""\
 NAME_OR_DIR is a workdir (while it trains: its newest checkpoint), a checkpoint folder, a policy.npz,
 or the name of a robot with a bundled policy
@@ -40,19 +33,11 @@ or the name of a robot with a bundled policy
   python -m dynappo.play go1 --command=drill.csv --robot-xml=other/scene.xml --out=drill.gif
   python -m dynappo.play anymal_c --policy=random
   python -m dynappo.play runs/sweep --run-seed=3 --out=walk.html
+  python -m dynappo.play runs/go1 --serve
 a command script has rows t,vx,vy,wz (s, m/s, m/s, rad/s); a row holds until the next one
 without --out MuJoCo's viewer opens, with these keys
   {viewer.KEYS}
 """
-
-
-class Commands(NamedTuple):
-    """What the robot is asked for."""
-
-    at: Callable[[float], np.ndarray]  # t (s) -> vx, vy, yaw rate
-    rows: np.ndarray  # [K, 3] all that occur
-    text: str
-    seconds: float  # how long to play where nothing else is said
 
 
 def parse(argv: list[str] | None) -> argparse.Namespace:
@@ -66,9 +51,21 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
         metavar="VX,VY,WZ|FILE.csv",
         help="velocities to follow: m/s, m/s, rad/s; default: a short tour",
     )
-    flag("--seconds", metavar="N", help=f"how long; default: {SECONDS:g}, or until the script ends")
+    flag(
+        "--seconds",
+        metavar="N",
+        help=f"how long; default: {asked_lib.SECONDS:g}, or until the script ends",
+    )
     names = "FILE.html, .mp4, .gif, or .png (the last moment)"
     flag("--out", metavar="FILE", type=flags_lib.path, help=names)
+    flag(
+        "--serve",
+        metavar="PORT",
+        nargs="?",
+        const="",
+        help="look and steer in a browser; default: port 8080, for this machine alone",
+    )
+    flag("--until-eof", action="store_true", help=argparse.SUPPRESS)  # of `train --serve`
     flag(
         "--size",
         metavar="WIDTHxHEIGHT",
@@ -82,6 +79,8 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
         help="with --robot-xml: keep its damping and friction of the joints",
     )
     flags = flags_lib.read(parser, argv)
+    if flags.serve and not flags.what and not re.fullmatch(r"(.*:)?\d+", flags.serve):
+        flags.what, flags.serve = flags.serve, ""  # --serve NAME
     if not flags.what:
         raise ConfigError(
             "nothing to play; name a workdir, as in: python -m dynappo.play runs/quick"
@@ -90,6 +89,8 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
         raise ConfigError("--keep-joints needs --robot-xml=FILE")
     if flags.policy not in (None, "zero", "random"):
         raise ConfigError(f"--policy={flags.policy!r}: expected zero or random")
+    if flags.serve is not None and flags.out is not None:
+        raise ConfigError("--serve and --out: expected one of them")
     choice.check(flags)
     if flags.policy and flags.run_seed is not None:
         raise ConfigError(
@@ -98,95 +99,13 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
     flags.seed = flags_lib.whole("seed", flags.seed, 0)
     flags.size = None if flags.size is None else film.size(flags.size, flags.out)
     if flags.seconds is not None:
-        seconds = _number(flags.seconds)
-        if seconds is None or not 0 < seconds <= LONGEST:
+        seconds = asked_lib.number(flags.seconds)
+        if seconds is None or not 0 < seconds <= asked_lib.LONGEST:
             raise ConfigError(
-                f"--seconds={flags.seconds!r}: expected a number above 0, at most {LONGEST}"
+                f"--seconds={flags.seconds!r}: expected a number above 0, at most {asked_lib.LONGEST}"
             )
         flags.seconds = seconds
     return flags
-
-
-def _number(text: str) -> float | None:
-    """A finite number, or None."""
-    try:
-        value = float(text)
-    except ValueError:
-        return None
-    return value if math.isfinite(value) else None
-
-
-def commands(text: str | None, seconds: float | None) -> Commands:
-    """What `--command=TEXT` means; without it the tour, over `seconds`."""
-    if text is None:
-        length = seconds or SECONDS
-        rows = np.array([row for _, row in episode_lib.TOUR])
-        named = "a tour: ahead, a turn, sideways, fast ahead"
-        return Commands(episode_lib.tour(length), rows, named, length)
-    if text.endswith(".csv") or os.path.isfile(text):  # False where the name is too long
-        return script(Path(text))
-    values = [_number(part) for part in text.split(",")]
-    if len(values) != 3 or None in values:
-        raise ConfigError(
-            f"--command={text!r}: expected three numbers VX,VY,WZ (m/s, m/s, rad/s) as in "
-            "--command=0.8,0,0, or a FILE.csv with rows t,vx,vy,wz"
-        )
-    asked = np.array(values, float)
-    if np.abs(asked).max() > FASTEST:
-        raise ConfigError(f"--command={text!r}: expected numbers from -{FASTEST} to {FASTEST}")
-    said = f"{asked[0]:g}, {asked[1]:g} m/s, {asked[2]:g} rad/s"
-    return Commands(lambda t: asked, asked[None], said, SECONDS)
-
-
-def script(path: Path) -> Commands:
-    """The commands of a file with rows `t,vx,vy,wz`; before the first row the robot stands."""
-
-    def wrong(reason):
-        return ConfigError(f"--command={path}: {reason}")
-
-    try:
-        files.check_regular(path)
-        with path.open("rb") as file:
-            content = file.read(MAX_SCRIPT + 1)
-        lines = content.decode("utf-8-sig").splitlines()  # spreadsheets write a mark first
-    except OSError as error:
-        raise wrong(f"cannot be read ({error.strerror})") from None
-    except UnicodeDecodeError:
-        raise wrong("not a text file; expected rows t,vx,vy,wz") from None
-    if len(content) > MAX_SCRIPT:
-        raise wrong(f"more than {MAX_SCRIPT} bytes; expected rows t,vx,vy,wz of an hour at most")
-    rows: list[list[float]] = []
-    for number, line in enumerate(lines, 1):
-        cells = [cell.strip() for cell in line.split(",")]
-        if not line.strip() or line.startswith("#") or cells == ["t", *AXES]:
-            continue
-        row = [value for cell in cells if (value := _number(cell)) is not None]
-        if len(row) != 4 or len(cells) != 4:
-            raise wrong(f"line {number} is {line[:80]!r}, expected four numbers t,vx,vy,wz")
-        if row[0] < 0 or (rows and row[0] <= rows[-1][0]):
-            raise wrong(f"line {number}: t is {row[0]:g}, expected times from 0 on that increase")
-        if row[0] > LONGEST:
-            raise wrong(f"line {number}: t is {row[0]:g}, expected at most {LONGEST} s")
-        if max(map(abs, row[1:])) > FASTEST:
-            raise wrong(f"line {number} is {line[:80]!r}, expected commands up to {FASTEST}")
-        rows.append(row)
-    if not rows:
-        raise wrong("has no rows; expected t,vx,vy,wz")
-    table = np.array([[-math.inf, 0, 0, 0], *rows])
-    # k x dt may lie a rounding error before the time of a row
-    at = lambda t: table[np.searchsorted(table[:, 0], t + 1e-9, "right") - 1, 1:]  # noqa: E731
-    seconds = min(rows[-1][0] + AFTER_SCRIPT, LONGEST)
-    return Commands(at, table[1:, 1:], f"commands of {path}", seconds)
-
-
-def outside(policy: Policy, asked: Commands) -> str:
-    """A line on a command that the policy was not trained for, or ""."""
-    ranges = (policy.command_x, policy.command_y, policy.command_yaw)
-    for axis, (low, high), column in zip(AXES, ranges, asked.rows.T, strict=True):
-        worst = column[np.argmax(np.maximum(column - high, low - column))]
-        if not low <= worst <= high:
-            return f"note: {axis} = {worst:g} was not trained; it was from {low:g} to {high:g}"
-    return ""
 
 
 def choose(flags) -> tuple[Policy, Callable[[np.ndarray], np.ndarray], str]:
@@ -249,7 +168,10 @@ def run(flags) -> None:
     out = flags.out
     if out is not None:
         check_out(out)
-    asked = commands(flags.command, flags.seconds)
+    asked = asked_lib.commands(flags.command, flags.seconds)
+    if flags.serve is not None:
+        serve.run(flags, choose, asked if flags.command else None)
+        return
     policy, act, acts = choose(flags)
     body, other = choice.body(policy, flags.robot_xml, flags.keep_joints)
     seconds = flags.seconds or asked.seconds
@@ -257,7 +179,7 @@ def run(flags) -> None:
         viewer.check_display()
         if flags.command is None:  # to be steered from standing
             asked = asked._replace(at=lambda t: np.zeros(3), text=viewer.KEYS)
-    notes = [other, outside(policy, asked)]
+    notes = [other, asked_lib.outside(policy, asked)]
     print(f"dynappo plays {policy.robot}: {acts}; {asked.text}")
     if flags.robot_xml:
         ms = body.model.opt.timestep * 1e3

@@ -912,7 +912,7 @@ function chart(pen, scene, w, h, row) {
 
 function main() {
   const $ = (id) => document.getElementById(id);
-  const scene = decode(JSON.parse($("scene").textContent)), last = scene.rows - 1;
+  let scene = decode(JSON.parse($("scene").textContent)), last = scene.rows - 1;
   let canvas = $("stage"), render = null;
   try {
     render = /[#&]flat/.test(location.hash) ? null : webgl(canvas, scene);
@@ -982,6 +982,17 @@ function main() {
     event.preventDefault();
     if (document.activeElement) document.activeElement.blur();
     act();
+  });
+  addEventListener("message", ({ data, source }) => {  // a report shows another recording of this robot
+    if (source !== parent || !data.scene) return;
+    scene = decode(data.scene);
+    last = scene.rows - 1;
+    $("subtitle").textContent = data.subtitle;
+    $("measures").tBodies[0].innerHTML = data.measures;
+    $("seconds").textContent = (scene.rows * scene.dt).toFixed(1);
+    state.held = 0;
+    seek(0);
+    play(true);
   });
   drag(canvas, camera, (moved) => moved && toggle("follow", false));
   scrub($("chart"), (share) => (play(false), seek(share * last)));

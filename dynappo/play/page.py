@@ -2,6 +2,12 @@
 
 Writing it needs no OpenGL. `page.js` draws it (WebGL 2, or else a canvas) from what `scene` records:
 shapes and materials of the MJCF, and the pose of every body at every row.
+
+Why not viser, which serves the live page (folder `web`): its recordings play, drag and seek (1.7 MB
+for 12 s of a Go1, viser 1.1.1), but they show no numbers, no chart, no table and no contact shapes,
+always follow, and draw nothing without WebGL. To write one takes viser and an open port; this page
+takes neither. Why not three.js: the only copy that our packages bring is an internal template of
+trimesh's (0.7 MB), and shapes, chart, controls and the drawing without WebGL would still be ours.
 """
 
 from __future__ import annotations
@@ -29,29 +35,43 @@ def write(body: Body, episode: dict[str, np.ndarray], out: Path, heading, subtit
 
     Raises OSError if `out` cannot be written.
     """
-    data = scene(body, episode)
-    cells = "".join(
-        f"<tr><td>{html.escape(name)}</td><td>{html.escape(value)}</td></tr>"
-        for name, value in rows
+    text = content(scene(body, episode), heading, subtitle, rows)
+    with files.replacing(out) as part:
+        return part.write_bytes(
+            text.encode(errors="backslashreplace")
+        )  # names of files may be no UTF-8
+
+
+def content(data: dict[str, Any], heading: str, subtitle: str, rows) -> str:
+    """The page that plays what `scene` returned. One in a frame takes another recording as a message
+    `{scene, subtitle, measures}` (`page.js`, `evaluate/report.html`)."""
+    return filled(
+        (HERE / "page.html").read_text(encoding="utf-8"),
+        TITLE=html.escape(f"{heading}, dynappo"),
+        HEADING=html.escape(heading),
+        SUBTITLE=html.escape(subtitle),
+        MEASURES=cells(rows),
+        SECONDS=f"{data['rows'] * data['dt']:.1f}",
+        SCENE=json.dumps(data, separators=(",", ":")),  # numbers and base64: no text to escape
+        CODE=(HERE / "page.js").read_text(encoding="utf-8"),
     )
-    parts = {
-        "TITLE": html.escape(f"{heading}, dynappo"),
-        "HEADING": html.escape(heading),
-        "SUBTITLE": html.escape(subtitle),
-        "MEASURES": cells,
-        "SECONDS": f"{data['rows'] * data['dt']:.1f}",
-        "SCENE": json.dumps(data, separators=(",", ":")),  # numbers and base64: no text to escape
-        "CODE": (HERE / "page.js").read_text(encoding="utf-8"),
-    }
-    text = (HERE / "page.html").read_text(encoding="utf-8")
-    pieces = text.split("{{")
+
+
+def cells(rows) -> str:
+    """Rows of a table in HTML; each is its texts."""
+    line = "".join
+    return line(
+        "<tr>" + line(f"<td>{html.escape(text)}</td>" for text in row) + "</tr>" for row in rows
+    )
+
+
+def filled(template: str, **parts: str) -> str:
+    """The template with each `{{NAME}}` replaced by its part."""
+    pieces = template.split("{{")
     for i, piece in enumerate(pieces[1:], 1):
         name, _, rest = piece.partition("}}")
         pieces[i] = parts[name] + rest
-    content = "".join(pieces).encode(errors="backslashreplace")  # names of files may be no UTF-8
-    with files.replacing(out) as part:
-        part.write_bytes(content)
-    return len(content)
+    return "".join(pieces)
 
 
 def scene(body: Body, episode: dict[str, np.ndarray]) -> dict[str, Any]:

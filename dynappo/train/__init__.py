@@ -9,7 +9,7 @@
 - `nonfinite`: what is printed and saved when numbers blow up
 
 No other command imports it, but for `sweeps`, which `command` starts. It imports `program`, `policy`,
-`config` and `schedule`. What a checkpoint
+`config`, `schedule` and what starts the page of `--serve`. What a checkpoint
 holds is `types.TrainState`, and what `workdir.save` puts beside it.
 """
 

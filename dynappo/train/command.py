@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from dynappo import config as config_lib
-from dynappo.config import flags, shell
+from dynappo.config import fields, flags, shell
 from dynappo.program import build, devices, distributed, environment, memory
 from dynappo.sweeps import folder as sweep_folder
 from dynappo.sweeps import grid
@@ -18,6 +18,7 @@ from dynappo.sweeps import run as sweeps
 from dynappo.train import finish, show
 from dynappo.train import run as run_lib
 from dynappo.train import workdir as workdir_lib
+from dynappo.web import address, child
 
 GOES_ON = "the same command goes on from the last checkpoint"
 USAGE = """\
@@ -43,6 +44,7 @@ class Command(NamedTuple):
     processes: tuple[Any, Any, Any] = (None, None, None)  # of distributed.join
     get_env: Any = None  # of the config's file, if it has an environment of its own
     env: Any = None  # what that returned
+    serve: str | None = None  # the address of a page; "": the usual one
     sweep: sweeps.Sweep | None = (
         None  # instead of one run; `config` is then its first combination's
     )
@@ -74,6 +76,13 @@ def parse(argv: list[str] | None) -> Command:
         metavar="FIELD=VALUE,VALUE,...",
         help="a run for each value, in one folder; several make a grid (docs/sweeps.md)",
     )
+    parser.add_argument(
+        "--serve",
+        metavar="PORT",
+        nargs="?",
+        const="",
+        help="watch it learn in a browser; default: port 8080, for this machine alone",
+    )
     several = parser.add_argument_group("several processes, where Slurm does not start them")
     several.add_argument("--coordinator", metavar="HOST:PORT", help="of process 0")
     several.add_argument("--processes", type=int, metavar="N")
@@ -98,10 +107,22 @@ def parse(argv: list[str] | None) -> Command:
     sweep = None
     if swept:
         sweep = sweeps.Sweep(swept, config, grid.combinations(config, swept))
+    if known.serve is not None:
+        _prepare_page(known.serve, config, sweep)
     config = sweep.combinations[0].config if sweep else config_lib.validate(config)
     processes = (known.coordinator, known.processes, known.process)
     own = known.fresh, known.restore, processes, get_env
-    return Command(config, workdir, *own, sweep=sweep)
+    return Command(config, workdir, *own, serve=known.serve, sweep=sweep)
+
+
+def _prepare_page(serve: str, config, sweep) -> None:
+    """ConfigError if `--serve` cannot be done; checkpoints come often, for each is a newer policy."""
+    address.read(serve)
+    address.check()
+    if sweep or not config.robot:
+        raise config_lib.ConfigError("--serve shows one run of a robot of robots/; leave it out")
+    if config.run.checkpoint_every == fields.defaults().run.checkpoint_every:
+        config.run.checkpoint_every = 2 * config.run.log_every
 
 
 def main(argv: list[str] | None = None) -> None:
@@ -186,7 +207,8 @@ def train_and_show(command: Command, stop: Stop) -> None:
     if apart:
         say(apart)
     with workdir_lib.open_workdir(command.workdir, config, command.fresh, say):
-        _train_and_show(command, stop, out)
+        with child.beside(command.workdir, command.serve if distributed.first() else None):
+            _train_and_show(command, stop, out)
 
 
 def written(workdir: Path) -> str:

@@ -53,10 +53,11 @@ def test_the_command_writes_what_it_prints(saved, tmp_path, monkeypatch, capsys,
     lines = capsys.readouterr().out.splitlines()
     out = tmp_path / "evaluation-mover"
     assert lines[0] == f"dynappo evaluates go1: {saved.parent.name}/mover.npz"
-    assert lines[-1] == "written to evaluation-mover: evaluation.json, tracking.png, gait.png"
+    names = ["evaluation.json", "report.html", "tracking.png", "gait.png"]
+    assert lines[-1] == "written to evaluation-mover: " + ", ".join(names)
     written = json.loads((out / "evaluation.json").read_text())
     assert written["episodes"] == on_mjx and written["robot"] == "go1"
-    assert {path.name for path in out.iterdir()} == {"evaluation.json", "tracking.png", "gait.png"}
+    assert {path.name for path in out.iterdir()} == set(names)
     for name in ("tracking.png", "gait.png"):
         assert (out / name).read_bytes()[:4] == b"\x89PNG" and (out / name).stat().st_size > 20_000
     told = {}

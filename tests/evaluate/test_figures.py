@@ -47,7 +47,9 @@ def test_the_bars_of_a_gait_are_the_contacts_of_its_last_two_seconds():
     """Every bar against a loop over the raw contacts, of a long and of a short episode."""
     rng = np.random.default_rng(0)
     recordings = [{"contact": np.repeat(rng.random((n, 4)) < 0.5, 20, 0)} for n in (40, 9)]
-    panels, count = figures.gait("go1", toy_sweep.numbers(), recordings, 0.005).axes, 0
+    numbers = toy_sweep.numbers()
+    found = {tuple(row["command"]): r for row, r in zip(numbers["ahead"], recordings, strict=True)}
+    panels, count = figures.gait("go1", numbers, found, 0.005).axes, 0
     for panel, recording in zip(panels, recordings, strict=True):
         shown = recording["contact"][-400:]
         for j, name in enumerate(toy_sweep.FEET):
@@ -75,5 +77,5 @@ def test_the_bars_of_a_gait_are_the_contacts_of_its_last_two_seconds():
 def test_no_pictures_without_matplotlib(tmp_path, monkeypatch):
     """The reason is one line, and nothing is written."""
     monkeypatch.setitem(sys.modules, "matplotlib", None)
-    problem = figures.write(tmp_path, "go1", toy_sweep.numbers(), [], 0.005)
+    problem = figures.write(tmp_path, "go1", toy_sweep.numbers(), {}, 0.005)
     assert problem == figures.NO_PICTURES + shell.install("video") and not list(tmp_path.iterdir())

@@ -1,5 +1,7 @@
 """Whole runs on C MuJoCo: the same bits twice, resumed and as seeds; checkpoints that move to MJX."""
 
+import shutil
+
 import jax
 import numpy as np
 import pytest
@@ -24,9 +26,9 @@ def settings(*fields):
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
-    """`(state, metrics, workdir)` of a run without interruption."""
+    """`(state, metrics, workdir)` of a run without interruption, on one thread."""
     folder = tmp_path_factory.mktemp("whole")
-    return *train.train(settings(), folder), folder
+    return *train.train(settings("physics.threads=1"), folder), folder
 
 
 def test_a_run_on_c_mujoco_learns_from_real_rows_and_evaluates(whole):
@@ -39,15 +41,18 @@ def test_a_run_on_c_mujoco_learns_from_real_rows_and_evaluates(whole):
 
 
 def test_it_resumes_to_the_bit_and_does_not_depend_on_the_threads(whole, tmp_path):
-    train.train(settings("run.num_iterations=2", "physics.threads=1"), tmp_path)
-    state, metrics = train.train(settings("physics.threads=3"), tmp_path)
+    """From the checkpoint of half of the run on."""
+    shutil.copytree(whole[2], tmp_path, dirs_exist_ok=True)
+    shutil.rmtree(tmp_path / "checkpoints" / "4")
+    state, metrics = train.train(settings("physics.threads=3", "run.eval_envs=0"), tmp_path)
+    assert list(metrics["iteration"]) == [1, 2, 3, 4]
     assert_same(state, whole[0])
     for name in ("episode_return", "model_loss"):  # the first rows come from the CSV
         np.testing.assert_array_equal(metrics[name][2:], whole[1][name][2:])
 
 
 def test_a_seed_among_several_is_the_run_alone(whole):
-    state, _ = train.train(settings("run.num_seeds=2"))
+    state, _ = train.train(settings("run.num_seeds=2", "run.eval_envs=0"))
     first = jax.tree.map(lambda x: x[0], state.env_state)
     for name, value in leaves(whole[0].env_state).items():
         # batched products of the networks round otherwise
@@ -58,8 +63,8 @@ def test_a_seed_among_several_is_the_run_alone(whole):
 def test_a_checkpoint_moves_to_mjx_and_back(whole, tmp_path):
     train.train(settings("run.num_iterations=2"), tmp_path)
     state, _ = train.train(settings("physics.impl=jax"), tmp_path)
-    for name in ("qpos", "qvel"):
+    for name in ("qpos", "qvel"):  # far closer to the same robot than robots are to each other
         a, b = (np.asarray(getattr(s.env_state, name)) for s in (state, whole[0]))
-        assert np.abs(a - b).mean() < 0.05, name
+        assert np.abs(a - b).mean() < 0.1 * np.abs(b - np.roll(b, 1, 0)).mean(), name
     state, metrics = train.train(settings("run.num_iterations=6"), tmp_path)
     assert metrics["iteration"][-1] == 6 and np.isfinite(state.env_state.qpos).all()

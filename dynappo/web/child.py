@@ -1,0 +1,36 @@
+"""`train --serve`: a page on the run, in a process of its own that reads what the run writes."""
+
+from __future__ import annotations
+
+import contextlib
+import subprocess
+import sys
+from pathlib import Path
+
+PATIENCE = 5.0  # s, for the page to close
+
+
+@contextlib.contextmanager
+def beside(workdir: Path, serve: str | None):
+    """Serve the run in `workdir` as `dynappo play WORKDIR --serve` does, until the `with` ends.
+
+    `serve` is what the flag says; None: nothing is started. A page that fails stops no training.
+    """
+    if serve is None:
+        yield
+        return
+    command = [sys.executable, "-m", "dynappo.play", str(workdir.resolve()), f"--serve={serve}"]
+    # it ends when its stdin does, so also after a SIGKILL here; ctrl-C goes to the training alone
+    process = subprocess.Popen(
+        [*command, "--until-eof"], stdin=subprocess.PIPE, start_new_session=True
+    )
+    try:
+        yield
+    finally:
+        assert process.stdin
+        process.stdin.close()
+        try:
+            process.wait(PATIENCE)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()

@@ -1,0 +1,192 @@
+"""A robot that walks in real time in C MuJoCo while others look, steer and push.
+
+`Live` is all that there is to know; one thread changes it (`run`). Whoever else wants something puts
+a function into `Live.wishes` (`wish`), which `run` calls between two control steps: no locks.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+
+import mujoco
+import numpy as np
+
+from dynappo.policy import episode as episode_lib
+from dynappo.policy.episode import Body
+
+HISTORY = 8.0  # s that the plots show
+TOUR = 16.0  # s of a tour, which then starts again
+LIE = 2.0  # s on the ground after a fall, until it stands up
+CATCH_UP = 5  # control steps at once at most; what is further behind is let go
+STIFF = 4.0  # times the robot's weight for each metre that it is pulled
+STRONGEST = 1.5  # times its weight
+
+
+@dataclass
+class Live:
+    """A robot, what it is asked for and what it did; arrays of `A` joints in the policy's order."""
+
+    body: Body
+    act: Callable[[np.ndarray], np.ndarray]
+    given: Callable[[float], np.ndarray] | None = None  # t (s) -> command, until somebody steers
+    command: np.ndarray = field(default_factory=lambda: np.zeros(3))  # m/s, m/s, rad/s
+    speed: float = 1.0  # times real time
+    paused: bool = False
+    stands_up: bool = True  # by itself after a fall
+    pull: np.ndarray | None = None  # [3] m from where somebody holds it to where they pull it
+    wishes: deque = field(default_factory=deque)  # functions of no argument
+    data: mujoco.MjData = field(init=False)
+    rows: Iterator[dict] = field(init=False)
+    row: dict = field(init=False)  # the last one of `episode.rows`, or its velocity and command
+    history: deque = field(init=False)  # of (t, command, velocity, torque)
+    t: float = 0.0  # s since it stood up
+    before: float = 0.0  # s that `given` had run until then
+    fell: float | None = None  # when
+    note: str = ""  # what went wrong last
+    rate: float = 0.0  # control steps a second, of the last second
+    work: float = 0.0  # share of that second which the control steps took
+
+    def __post_init__(self):
+        put(self, self.body, self.act)
+
+
+def wish(live: Live, function: Callable, *values) -> None:
+    """Have `function(live, *values)` called between two control steps; from any thread."""
+    live.wishes.append(lambda: function(live, *values))
+
+
+def put(live: Live, body: Body, act: Callable) -> None:
+    """Another robot, standing; it is asked for what the last one was."""
+    live.body, live.act = body, act
+    live.data = mujoco.MjData(body.model)
+    live.command = within(body, live.command)
+    reset(live)
+
+
+def learn(live: Live, act: Callable) -> None:
+    """Another policy for the same robot, which goes on walking."""
+    live.act = act
+
+
+def reset(live: Live) -> None:
+    """Put the robot on its feet at the origin; what it is asked for starts anew."""
+    live.before = 0.0
+    stand_up(live)
+
+
+def stand_up(live: Live) -> None:
+    """Put the robot on its feet at the origin; what it is asked for goes on."""
+    live.rows = _rows(live)
+    live.history = deque(maxlen=round(HISTORY / episode_lib.period(live.body)))
+    live.t, live.fell, live.pull = 0.0, None, None
+    live.row = {"command": asked(live, live.before), "velocity": np.zeros(3), "fell": False}
+    step(live)
+
+
+def _rows(live: Live) -> Iterator[dict]:
+    """The control steps from standing on."""
+    return episode_lib.rows(
+        live.body, live.data, lambda obs: live.act(obs), lambda t: asked(live, live.before + t)
+    )
+
+
+def asked(live: Live, t: float) -> np.ndarray:
+    """The command at time `t` (s) of `given`."""
+    if live.given is not None:
+        live.command = within(live.body, live.given(t))
+    return live.command
+
+
+def tour(live: Live, on: bool) -> None:
+    """Walk the tour, again and again, or stop."""
+    around = episode_lib.tour(TOUR)
+    live.given = (lambda t: around(t % TOUR)) if on else None
+    if not on:
+        live.command = np.zeros(3)
+
+
+def steer(live: Live, command) -> None:
+    """Ask for `command` (m/s, m/s, rad/s) from now on."""
+    live.given, live.command = None, within(live.body, np.asarray(command, float))
+
+
+def ranges(body: Body) -> np.ndarray:
+    """[3, 2]: the commands that the policy was trained for."""
+    return np.array([body.policy.command_x, body.policy.command_y, body.policy.command_yaw])
+
+
+def within(body: Body, command) -> np.ndarray:
+    """The command, as far as the policy was trained for it."""
+    return np.clip(command, *ranges(body).T)
+
+
+def push(live: Live, ahead: float, left: float) -> None:
+    """Add a velocity (m/s, in the base's heading) to the base's, as `evaluate --stress` does."""
+    x, y = live.data.xmat[live.body.base_body].reshape(3, 3)[:2, 0]
+    turn = np.array([[x, -y], [y, x]]) / max(np.hypot(x, y), 1e-6)
+    v = live.body.root[1]
+    live.data.qvel[v : v + 2] += turn @ [ahead, left]
+
+
+def step(live: Live) -> None:
+    """One control step; physics that blows up starts anew, or at once pauses, and `note` says so."""
+    model, data, base = live.body.model, live.data, live.body.base_body
+    force = np.zeros(3)
+    if live.pull is not None:
+        weight = model.body_subtreemass[base] * np.linalg.norm(model.opt.gravity)
+        force = STIFF * weight * live.pull
+        force *= min(1.0, STRONGEST * weight / max(np.linalg.norm(force), 1e-9))
+    data.xfrc_applied[base, :3] = force
+    try:
+        live.row = next(live.rows)
+    except FloatingPointError as error:
+        live.note = str(error).rpartition(": ")[2]
+        if live.t == 0:  # it will do so again
+            live.note += "; paused"
+            live.paused, live.rows = True, _rows(live)
+            episode_lib.reset(live.body, data)
+        else:
+            live.before += live.t
+            stand_up(live)
+        return
+    live.t += episode_lib.period(live.body)
+    torque = data.qfrc_applied[live.body.joint_v].copy()
+    live.history.append((live.t, live.row["command"], live.row["velocity"], torque))
+    if live.row["fell"] and live.fell is None:
+        live.fell = live.t
+    if live.stands_up and live.fell is not None and live.t - live.fell > LIE:
+        live.before += live.t
+        stand_up(live)
+
+
+def run(
+    live: Live, after: Callable[[], None], stop: Callable[[], bool], seconds: float | None = None
+):
+    """Walk in real time, times `live.speed`, until `stop()`, or for `seconds`.
+
+    `after()` is called when all control steps that were due are done, at most once a period.
+    """
+    period = episode_lib.period(live.body)
+    start = due = second = time.perf_counter()
+    steps, busy = 0, 0.0
+    while not stop() and not (seconds and due - start >= seconds):
+        while live.wishes:
+            live.wishes.popleft()()
+            period = episode_lib.period(live.body)
+        before = time.perf_counter()
+        due = max(due, before - CATCH_UP * period)
+        while due <= time.perf_counter() and not live.paused:
+            step(live)
+            steps, due = steps + 1, due + period / live.speed
+        busy += time.perf_counter() - before
+        after()
+        now = time.perf_counter()
+        if now - second >= 1:
+            live.rate, live.work = steps / (now - second), busy / (now - second)
+            steps, busy, second = 0, 0.0, now
+        if live.paused:
+            due = now + period
+        time.sleep(min(max(0.0, due - now), period))

@@ -1,0 +1,278 @@
+"""What one can set and read beside the robot: buttons, sliders, keys and plots.
+
+Callbacks come in viser's threads; they only leave wishes for the loop (`live.wish`).
+"""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import viser
+
+from dynappo.web import live as live_lib
+from dynappo.web.live import Live
+
+COMMAND, VELOCITY = "#1a9e4d", "#216bed"
+AXES = (("forward, m/s", 0), ("left, m/s", 1), ("turn, rad/s", 2))
+SPEEDS = {"1x": 1.0, "1/2": 0.5, "1/4": 0.25, "1/10": 0.1}
+NUDGE = 0.1  # m/s or rad/s of a key
+KEYS = (  # viser's own move the view: arrows, W A S D, Q, E
+    ("I", 0, 1, "faster ahead"),
+    ("K", 0, -1, "slower, back"),
+    ("J", 2, 1, "turn left"),
+    ("L", 2, -1, "turn right"),
+    ("U", 1, 1, "to the left"),
+    ("O", 1, -1, "to the right"),
+)
+HELP = (
+    "Drag the robot to pull it; drag beside it to turn the view.\n\n"
+    "Keys: I, K ahead and back, J, L turn, U, O sideways, space stops, P pauses, R resets, "
+    "X pushes, F follows. A gamepad: sticks steer, A stops, B pushes."
+)
+POINTS = 160  # of a plot
+STRIDES = 100  # control steps of torques, a few strides
+PER_LEG = {"1": "#216bed", "2": "#e0762f", "3": "#1a9e4d", "4": "#a23bd0"}
+
+
+class Run(NamedTuple):
+    """Where the curves of a run are."""
+
+    tab: Any
+    text: viser.GuiMarkdownHandle
+
+
+@dataclass
+class Panels:
+    """The handles that change while the robot walks."""
+
+    status: viser.GuiMarkdownHandle
+    sliders: list[viser.GuiSliderHandle]
+    tour: viser.GuiCheckboxHandle
+    pause: viser.GuiButtonHandle
+    policy: viser.GuiDropdownHandle
+    look: dict[str, viser.GuiCheckboxHandle]
+    motion: list[viser.GuiUplotHandle]
+    torque: list[viser.GuiUplotHandle]
+    run: Run | None
+
+
+def add(
+    server: viser.ViserServer,
+    live: Live,
+    offered: list[str],
+    choose: Callable[[str], None],
+    look: Callable[[dict[str, bool]], None],
+    of_run: bool,
+) -> Panels:
+    """Build them; `choose(name)` loads a policy, `look(flags)` follows and shows contacts.
+
+    `of_run`: with the curves of a run.
+    """
+    gui = server.gui
+    status = gui.add_markdown("")
+    policy = gui.add_dropdown("policy", offered, initial_value=offered[0])
+    policy.on_update(lambda event: _by_person(event, lambda: choose(policy.value)))
+    sliders, tour = _steering(server, live)
+    with gui.add_folder("time"):
+        pause = gui.add_button("pause")
+        pause.on_click(lambda _: live_lib.wish(live, _pause))
+        gui.add_button("reset").on_click(lambda _: live_lib.wish(live, live_lib.reset))
+        speed = gui.add_button_group("speed", list(SPEEDS))
+        speed.on_click(lambda _: live_lib.wish(live, _set, "speed", SPEEDS[speed.value]))
+    _pushes(server, live)
+    with gui.add_folder("view"):
+        flags = {"follow": True, "contacts": False, "forces": False}
+        checks = {name: gui.add_checkbox(name, on) for name, on in flags.items()}
+        for check in checks.values():
+            check.on_update(lambda _: look({name: c.value for name, c in checks.items()}))
+        up = gui.add_checkbox("stand up after a fall", True)
+        up.on_update(lambda _: live_lib.wish(live, _set, "stands_up", up.value))
+    gui.add_markdown(HELP)
+    _gamepad(server)
+    key(
+        server,
+        "F",
+        "follow",
+        lambda: setattr(checks["follow"], "value", not checks["follow"].value),
+    )
+    plots = _plots(server, of_run)
+    return Panels(status, sliders, tour, pause, policy, checks, *plots)
+
+
+def _gamepad(server: viser.ViserServer) -> None:
+    """Have a gamepad press keys. A script in a page's HTML runs only as what a picture does on an error."""
+    code = (Path(__file__).parent / "gamepad.js").read_text(encoding="utf-8")
+    server.gui.add_html(f'<img src="data:," hidden onerror="{html.escape(code)}">')
+
+
+def _by_person(event, action: Callable[[], None]) -> None:
+    """What the program itself sets is no wish of anybody."""
+    if event.client is not None:
+        action()
+
+
+def _set(live: Live, name: str, value) -> None:
+    setattr(live, name, value)
+
+
+def _pause(live: Live) -> None:
+    live.paused = not live.paused
+
+
+def _steering(server: viser.ViserServer, live: Live):
+    """Sliders and keys for the command, and the tour."""
+    gui = server.gui
+    with gui.add_folder("command"):
+        sliders = []
+        for (name, _), (low, high) in zip(AXES, live_lib.ranges(live.body), strict=True):
+            slider = gui.add_slider(name, low, high, 0.05, 0.0)
+            sliders.append(slider)
+
+        def steered(event):
+            asked = [s.value for s in sliders]
+            _by_person(event, lambda: live_lib.wish(live, live_lib.steer, asked))
+
+        for slider in sliders:
+            slider.on_update(steered)
+        stop = gui.add_button("stop")
+        stop.on_click(lambda _: live_lib.wish(live, live_lib.steer, np.zeros(3)))
+        tour = gui.add_checkbox("a tour, by itself", live.given is not None)
+        tour.on_update(
+            lambda event: _by_person(event, lambda: live_lib.wish(live, live_lib.tour, tour.value))
+        )
+    for name, axis, sign, text in KEYS:
+        key(server, name, text, lambda a=axis, s=sign: live_lib.wish(live, nudge, a, s * NUDGE))
+    key(server, "space", "stop", lambda: live_lib.wish(live, live_lib.steer, np.zeros(3)))
+    key(server, "P", "pause", lambda: live_lib.wish(live, _pause))
+    key(server, "R", "reset", lambda: live_lib.wish(live, live_lib.reset))
+    return sliders, tour
+
+
+def key(server: viser.ViserServer, name: Any, text: str, action: Callable[[], None]) -> None:
+    """Have a key do `action`; it is in viser's list of commands too."""
+    server.gui.add_command(text, hotkey=name).on_trigger(lambda _: action())
+
+
+def nudge(live: Live, axis: int, change: float) -> None:
+    """Add `change` to one number of the command."""
+    asked = live.command.copy()
+    asked[axis] = round(asked[axis] + change, 6)
+    live_lib.steer(live, asked)
+
+
+def _pushes(server: viser.ViserServer, live: Live) -> None:
+    with server.gui.add_folder("push"):
+        size = server.gui.add_slider("m/s", 0.1, 2.0, 0.1, 0.5)
+        ways = {"ahead": (1, 0), "back": (-1, 0), "left": (0, 1), "right": (0, -1)}
+        group = server.gui.add_button_group("to", list(ways))
+
+        def pushed(way):
+            live_lib.wish(live, live_lib.push, *(size.value * n for n in ways[way]))
+
+        group.on_click(lambda _: pushed(group.value))
+    key(server, "X", "push to the left", lambda: pushed("left"))
+
+
+def _plots(server: viser.ViserServer, of_run: bool):
+    """The curves of a run, command against velocity, and the torques, in a panel of their own."""
+    panel = server.gui.add_panel()
+    empty, motion, run = np.zeros(1), [], None
+    if of_run:
+        tab = panel.add_tab("run")
+        with tab:
+            run = Run(tab, server.gui.add_markdown("no iteration yet"))
+    with panel.add_tab("motion"):
+        for name, _ in AXES:
+            series: tuple[Any, ...] = (
+                {"label": "s"},
+                {"label": "command", "stroke": COMMAND, "width": 2},
+                {"label": "robot", "stroke": VELOCITY, "width": 2},
+            )
+            motion.append(
+                server.gui.add_uplot(
+                    (empty,) * 3, series, title=name, height=170, scales={"x": {"time": False}}
+                )
+            )
+    torque = []
+    with panel.add_tab("torques"):
+        for name in ("hips", "thighs", "calves"):
+            lines: tuple[Any, ...] = (
+                {"label": "s"},
+                *({"label": leg, "stroke": c, "width": 1} for leg, c in PER_LEG.items()),
+            )
+            torque.append(
+                server.gui.add_uplot(
+                    (empty,) * 5,
+                    lines,
+                    title=f"{name}, N m",
+                    height=170,
+                    scales={"x": {"time": False}},
+                )
+            )
+    panel.dock_left()
+    return motion, torque, run
+
+
+def chosen(panels: Panels, live: Live) -> None:
+    """Set what depends on the robot: the ranges of the sliders, the names of the legs."""
+    for slider, (low, high) in zip(panels.sliders, live_lib.ranges(live.body), strict=True):
+        slider.min, slider.max = low, high
+    for handle, (low, high) in zip(panels.motion, live_lib.ranges(live.body), strict=True):
+        room = 0.2 * (high - low)
+        handle.scales = {"x": {"time": False}, "y": {"range": (low - room, high + room)}}
+    for handle, joints in zip(panels.torque, by_kind(live).values(), strict=False):
+        names = [live.body.policy.joint_names[j].partition("_")[0] for j in joints]
+        lines = zip(names, PER_LEG.values(), strict=False)
+        handle.series = (
+            {"label": "s"},
+            *({"label": name, "stroke": colour, "width": 1} for name, colour in lines),
+        )
+
+
+def by_kind(live: Live) -> dict[str, list[int]]:
+    """The joints of all legs by what they move: `hip_joint` -> those of FL, FR, RL, RR."""
+    kinds: dict[str, list[int]] = {}
+    for i, name in enumerate(live.body.policy.joint_names):
+        kinds.setdefault(name.partition("_")[2], []).append(i)
+    return kinds
+
+
+def draw(panels: Panels, live: Live) -> None:
+    """Fill the plots with the last seconds."""
+    if not live.history:
+        return
+    rows = list(live.history)[:: max(1, len(live.history) // POINTS)]
+    t, command, velocity, _ = (np.array(column) for column in zip(*rows, strict=True))
+    for i, handle in enumerate(panels.motion):
+        handle.data = (t, command[:, i], velocity[:, i])
+    t, _, _, torque = (np.array(c) for c in zip(*list(live.history)[-STRIDES:], strict=True))
+    for handle, joints in zip(panels.torque, by_kind(live).values(), strict=False):
+        handle.data = (t, *torque[:, joints].T)
+
+
+def tell(panels: Panels, live: Live, text: str) -> None:
+    """Say how it goes, and set the sliders to what is asked for."""
+    state = "paused" if live.paused else f"{live.rate:.0f} Hz"
+    if live.fell is not None:
+        state += ", has fallen"
+    asked, moves = live.row["command"], live.row["velocity"]
+    lines = [f"**{live.body.policy.robot}**, {text}", f"{live.t:.1f} s, {state}"]
+    lines += [f"asked {_numbers(asked)}", f"moves {_numbers(moves)}"]
+    if live.note:
+        lines.append(f"*{live.note}*")
+    panels.status.content = "\n\n".join(lines[:2]) + "\n\n" + "<br>".join(lines[2:])
+    for slider, value in zip(panels.sliders, asked, strict=True):
+        if abs(slider.value - value) > 1e-6:
+            slider.value = float(np.clip(value, slider.min, slider.max))
+    if panels.tour.value != (live.given is not None):
+        panels.tour.value = live.given is not None
+    panels.pause.label = "go on" if live.paused else "pause"
+
+
+def _numbers(values) -> str:
+    return ", ".join(f"{value:+.2f}" for value in values)

@@ -1,0 +1,137 @@
+"""The policies that the page offers: the bundled ones, and those of a run, the newest first.
+
+A run that trains writes its policy anew at every checkpoint; `watch` sees that.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from dynappo import config as config_lib
+from dynappo.config import ConfigError, files
+from dynappo.physics import robot as robot_lib
+from dynappo.policy import checkpoint_file, choice, policy_file, source
+from dynappo.policy.episode import Body
+
+NEWEST = "newest of the run"
+EVERY = 1.0  # s between two looks at the folder of a run
+
+
+class Chosen(NamedTuple):
+    """A policy that can be put into the browser."""
+
+    body: Body
+    act: Callable[[np.ndarray], np.ndarray]
+    text: str  # what it is, for a person
+    note: str = ""
+
+
+class Offer(NamedTuple):
+    """What was named on the command line, and how its robot is loaded."""
+
+    what: str
+    seed: int | None
+    xml: str | None
+    keep_joints: bool
+
+    @property
+    def run(self) -> Path | None:
+        """The workdir, if a run was named."""
+        path = Path(self.what)
+        named = self.what not in files.bundled() and os.path.isdir(path)
+        of_run = named and any(
+            os.path.exists(path / name) for name in ("config.json", "checkpoints")
+        )
+        return path if of_run and not os.path.isdir(path / checkpoint_file.STATE) else None
+
+
+def names(offer: Offer) -> list[str]:
+    """What can be chosen, the policy of the command line first."""
+    run = offer.run
+    if run is None:
+        return [offer.what, *(name for name in _bundled() if name != offer.what)]
+    saved = checkpoint_file.iterations(run / "checkpoints")
+    return [NEWEST, *(f"iteration {n}" for n in saved), *_bundled()]
+
+
+def _bundled() -> list[str]:
+    return [name for name in files.bundled() if _there(name)]
+
+
+def _there(name: str) -> bool:
+    try:
+        return bool(source.locate(name))
+    except ConfigError:  # a robot without a bundled policy
+        return False
+
+
+def load(offer: Offer, name: str) -> Chosen:
+    """The policy `name` of `names`; ConfigError where it cannot be used."""
+    run, path = offer.run, offer.what
+    if run is not None and name.startswith("iteration "):
+        path = str(run / "checkpoints" / name.removeprefix("iteration "))
+    elif name not in (NEWEST, offer.what):
+        path = name
+    own = name == offer.what or name == NEWEST or path.startswith(str(run))
+    seed = offer.seed if own else None
+    if name == NEWEST and not begun(offer):
+        return standing(offer)
+    policy, found = source.find(path, seed)
+    body, note = choice.body(policy, offer.xml if own else None, offer.keep_joints and own)
+    text = "/".join(found.resolve().parts[-2:])
+    if name == NEWEST:
+        text += f" ({_iteration(offer)})"
+    return Chosen(body, policy_file.actor(policy.params, policy.activation), text, note)
+
+
+def _iteration(offer: Offer) -> str:
+    """How far the newest policy of the run has learned."""
+    saved = checkpoint_file.iterations(Path(offer.what) / "checkpoints")
+    return f"iteration {saved[0]}" if saved else "no checkpoint"
+
+
+def begun(offer: Offer) -> bool:
+    """Whether the run has a policy yet."""
+    try:
+        return bool(source.locate(offer.what, offer.seed))
+    except ConfigError:
+        return False
+
+
+def standing(offer: Offer) -> Chosen:
+    """The robot of a run that has no policy yet, with zero actions."""
+    path = Path(offer.what) / "config.json"
+    try:
+        config = config_lib.from_json(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise ConfigError(f"{offer.what}: holds neither a policy.npz nor checkpoints/") from None
+    if not config.robot:
+        raise ConfigError(f"{offer.what}: trains an environment of its own, which has no page")
+    policy = policy_file.describe(config, robot_lib.load(config.robot))
+    body, note = choice.body(policy._replace(mjcf=""), offer.xml, offer.keep_joints)
+    size = len(policy.joint_names)
+    return Chosen(body, lambda obs: np.zeros(size), "no policy yet: zero actions", note)
+
+
+def stamp(offer: Offer) -> tuple:
+    """What changes where the run has written a new policy."""
+    try:
+        path = source.locate(offer.what, offer.seed)
+        return path, path.stat().st_mtime_ns
+    except (ConfigError, OSError):  # none yet, or just being replaced
+        return ()
+
+
+def watch(offer: Offer, seen: tuple, found: Callable[[], None], stop: threading.Event) -> None:
+    """Call `found()` whenever the run has a newer policy than `seen`, until `stop` is set."""
+    while not stop.wait(EVERY):
+        now = stamp(offer)
+        if now and now != seen:
+            seen = now
+            found()

@@ -1,0 +1,151 @@
+"""The robot in the browser: its shapes, contacts and arrows, the camera, and a hand that pulls it.
+
+mjviser draws what is in the MjModel. While the camera follows, mjviser moves the world and leaves the
+robot at the origin, so that each viewer's own view stays as they turned it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mjviser
+import mujoco
+import numpy as np
+import viser
+
+from dynappo.policy import render
+from dynappo.web import live as live_lib
+from dynappo.web.live import Live
+
+GREEN, BLUE = (26, 158, 77), (33, 107, 237)  # command and velocity, as on the page in one file
+LIFT = (0.14, 0.18)  # m above the base
+LONG = 0.5  # m of an arrow for each m/s
+SHORTEST = 0.05  # m/s of an arrow that is drawn
+NARROW = 600  # pixels
+NEAR = 1.7  # the camera's distance, times the extent of the model
+
+
+@dataclass
+class Shown:
+    """What is in the scene."""
+
+    server: viser.ViserServer
+    robot: mjviser.ViserMujocoScene
+    arrows: list[viser.ArrowsHandle]
+    box: viser.BoxHandle
+    follow: bool = True
+
+
+def show(server: viser.ViserServer, live: Live) -> Shown:
+    """Put the robot of `live` into the scene, alone."""
+    server.scene.reset()
+    body = live.body
+    robot = mjviser.ViserMujocoScene(server, body.model, num_envs=1)
+    if render.options(body.model, body.base_body).geomgroup[3]:
+        robot.geom_groups_visible[3] = True
+        robot.rebuild_visual_handles()
+    arrows = [
+        server.scene.add_arrows(
+            f"/arrows/{name}",
+            np.zeros((1, 2, 3)),
+            colour,
+            shaft_radius=0.012,
+            head_radius=0.03,
+            head_length=0.06,
+        )
+        for name, colour in (("command", GREEN), ("velocity", BLUE))
+    ]
+    shown = Shown(server, robot, arrows, _hand(server, live))
+    for client in server.get_clients().values():
+        welcome(shown, live, client)
+    return shown
+
+
+def _view(live: Live, narrow: bool) -> tuple[np.ndarray, np.ndarray]:
+    """`(position, look_at)` of a camera, from the base: ahead, to the right and above.
+
+    On a narrow screen the buttons are at the bottom: there the robot is in the upper part.
+    """
+    size = live.body.model.stat.extent
+    azimuth, elevation = np.deg2rad([-38, 18])
+    flat = np.cos(elevation)
+    away = np.array([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)])
+    if narrow:
+        return away * 2.2 * size, np.array([0, 0, -0.8 * size])
+    return away * NEAR * size, np.zeros(3)
+
+
+def welcome(shown: Shown, live: Live, client: viser.ClientHandle) -> None:
+    """Have a viewer who comes see the robot."""
+    position, look_at = _view(live, client.camera.image_width < NARROW)
+    at = np.zeros(3) if shown.follow else live.data.xpos[live.body.base_body].copy()
+    client.camera.position, client.camera.look_at = position + at, look_at + at
+
+
+def _hand(server: viser.ViserServer, live: Live) -> viser.BoxHandle:
+    """A box around the base that nobody sees: who drags it pulls the robot."""
+    model, base = live.body.model, live.body.base_body
+    half = np.full(3, 0.05)
+    for i in np.flatnonzero(model.geom_bodyid == base):
+        turn = np.zeros(9)
+        mujoco.mju_quat2Mat(turn, model.geom_quat[i])
+        centre, reach = model.geom_aabb[i, :3], model.geom_aabb[i, 3:]
+        turn = turn.reshape(3, 3)
+        far = np.abs(model.geom_pos[i] + turn @ centre) + np.abs(turn) @ reach
+        half = np.maximum(half, far)
+    # a wireframe: the faces of a box hide the floor behind them even where they are transparent
+    box = server.scene.add_box(
+        "/hand",
+        dimensions=tuple(2 * half),
+        wireframe=True,
+        opacity=0.0,
+        cast_shadow=False,
+        receive_shadow=False,
+    )
+
+    @box.on_drag("left")
+    async def _(event) -> None:
+        pull = np.subtract(event.end_position, event.start_position)
+        live_lib.wish(live, _pull, None if event.phase == "end" else pull)
+
+    return box
+
+
+def _pull(live: Live, pull) -> None:
+    live.pull = pull
+
+
+def update(shown: Shown, live: Live) -> None:
+    """Draw the robot as it is now, for all viewers."""
+    data, base = live.data, live.body.base_body
+    origin = data.xpos[base] if shown.follow else np.zeros(3)
+    at = data.xpos[base] - origin
+    x, y = data.xmat[base].reshape(3, 3)[:2, 0]
+    heading = np.array([[x, -y], [y, x]]) / max(np.hypot(x, y), 1e-6)
+    with shown.server.atomic():
+        for arrow, lift, name in zip(shown.arrows, LIFT, ("command", "velocity"), strict=True):
+            tip = np.append(heading @ live.row[name][:2] * LONG, 0.0)
+            arrow.visible = bool(np.linalg.norm(tip) > SHORTEST * LONG)
+            start = at + [0, 0, lift]
+            arrow.points = np.stack([start, start + tip])[None].astype(np.float32)
+        shown.box.position, shown.box.wxyz = at, data.xquat[base]
+        shown.robot.update_from_mjdata(data)
+
+
+def follow(shown: Shown, live: Live, on: bool) -> None:
+    """Have the camera go with the robot, or stay where it is."""
+    if on == shown.follow:
+        return
+    shift = live.data.xpos[live.body.base_body] * (-1 if on else 1)
+    shown.follow = shown.robot.camera_tracking_enabled = on
+    for client in shown.server.get_clients().values():
+        with client.atomic():
+            look_at = client.camera.look_at + shift
+            client.camera.position = client.camera.position + shift
+            client.camera.look_at = look_at
+    update(shown, live)
+
+
+def contacts(shown: Shown, points: bool, forces: bool) -> None:
+    """Draw contact points and contact forces, or do not."""
+    shown.robot.show_contact_points, shown.robot.show_contact_forces = points, forces

@@ -1,0 +1,239 @@
+"""The live page in Chromium: what is seen, and what mouse, keys and sliders do to the robot."""
+
+import contextlib
+import threading
+import time
+import urllib.request
+from types import SimpleNamespace
+
+import browser
+import numpy as np
+import pytest
+
+from dynappo.web import address, policies
+
+viser = pytest.importorskip("viser", reason="viser is not installed (extra web)")
+server = pytest.importorskip("dynappo.web.server", reason="mjviser is not installed (extra web)")
+pytestmark = browser.needed
+SIZE = (1200, 800)  # pixels: panels on both sides leave the robot half of it
+
+
+@contextlib.contextmanager
+def serving(port):
+    """The bundled Go1 on a page: `page`, `url`."""
+    offer, stop, told = policies.Offer("go1", None, None, False), threading.Event(), []
+    args = offer, address.Address("127.0.0.1", port), policies.load(offer, "go1")
+
+    def ready(page, url):
+        told.append(SimpleNamespace(page=page, url=url))
+
+    thread = threading.Thread(target=server.serve, args=args, kwargs={"ready": ready, "stop": stop})
+    thread.start()
+    try:
+        yield until(lambda: told)[0]
+    finally:
+        stop.set()
+        thread.join(20)
+        assert not thread.is_alive()
+
+
+@pytest.fixture(scope="module")
+def served():
+    with serving(8480) as it:
+        yield it
+
+
+@pytest.fixture(scope="module")
+def tab(served, tmp_path_factory):
+    """The page in a wide window, when the robot is there."""
+    with browser.chromium(tmp_path_factory.mktemp("wide"), SIZE) as open_:
+        yield shown(open_(served.url))
+
+
+VISIBLE = (
+    "[...document.querySelectorAll('input[type=checkbox]')]"
+    ".filter(e => e.getBoundingClientRect().width > 0)"
+)
+
+
+def shown(tab):
+    """Wait for the canvas and the numbers."""
+    tab.until("!!document.querySelector('canvas')")
+    tab.until("document.body.innerText.includes('asked')")
+    time.sleep(2)
+    return tab
+
+
+def until(true, seconds=20.0):
+    """Wait until `true()` is, and return what it says."""
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        if got := true():
+            return got
+        time.sleep(0.05)
+    raise AssertionError(f"not true after {seconds:g} s")
+
+
+def robot(pixels):
+    """The middle of the canvas of a wide window, where the robot is."""
+    return pixels[250:550, 400:780].astype(int)
+
+
+def dark(pixels, most=130):
+    """The share of pixels that are parts of a robot; a page becomes clear while it opens."""
+    return (pixels.astype(int).mean(-1) < most).mean()
+
+
+def test_the_robot_is_seen_and_walks(served, tab, tmp_path):
+    """Dark and light parts of a Go1 on a white ground; the picture changes when it walks."""
+    live = served.page.live
+    until(lambda: dark(robot(tab.pixels(tmp_path / "wide.png"))) > 0.005)
+    still = robot(tab.pixels())
+    assert (still.mean(-1) > 240).mean() > 0.2
+    tab.key("i", "KeyI", 73)
+    tab.key("i", "KeyI", 73)
+    until(lambda: live.command[0] == pytest.approx(0.2))
+    until(lambda: live.row["velocity"][0] > 0.1)
+    assert np.abs(robot(tab.pixels()) - still).mean() > 0.5
+    tab.key(" ", "Space", 32)
+    until(lambda: not live.command.any())
+
+
+def test_keys_pause_and_go_on(served, tab):
+    live = served.page.live
+    tab.key("p", "KeyP", 80)
+    until(lambda: live.paused)
+    time.sleep(0.5)
+    t, first = live.t, robot(tab.pixels())
+    time.sleep(0.5)
+    assert live.t == t and np.abs(robot(tab.pixels()) - first).mean() < 0.2
+    tab.press("go on")
+    until(lambda: live.t > t)
+
+
+def test_a_slider_asks_for_a_turn(served, tab):
+    """The number beside the slider and the slider itself are one value of the command."""
+    live = served.page.live
+    field = "[...document.querySelectorAll('input')].filter(e => e.inputMode === 'decimal')[2]"
+    tab.click(*tab.middle(field))
+    tab.value(f"{field}.select()")
+    tab.call("Input.insertText", text="0.5")
+    tab.key("Enter", "Enter", 13)
+    until(lambda: live.command[2] == pytest.approx(0.5))
+    until(lambda: live.row["velocity"][2] > 0.3)
+    tab.press("stop")
+    until(lambda: not live.command.any())
+    tab.until(f"Number({field}.value) === 0", "the slider follows the command")
+
+
+def test_a_drag_on_the_robot_pulls_it_and_beside_it_turns_the_view(served, tab):
+    live = served.page.live
+    time.sleep(1)
+    camera = next(iter(served.page.server.get_clients().values())).camera
+    before = camera.position.copy()
+    with tab.drag((590, 400), (720, 380)):
+        until(lambda: live.pull is not None)
+        assert np.linalg.norm(live.pull) > 0.05
+        moved = until(lambda: np.linalg.norm(live.row["velocity"][:2]) > 0.15)
+    assert moved and np.allclose(camera.position, before, atol=1e-6)
+    until(lambda: live.pull is None)
+    with tab.drag((420, 650), (560, 650)):
+        until(lambda: np.linalg.norm(camera.position - before) > 0.1)
+
+
+def test_a_push_moves_it(served, tab):
+    live = served.page.live
+
+    def sideways():
+        return max(abs(velocity[1]) for _, _, velocity, _ in list(live.history)[-40:])
+
+    until(lambda: sideways() < 0.15)
+    tab.key("x", "KeyX", 88)
+    until(lambda: sideways() > 0.25)
+
+
+def test_a_gamepad_steers_and_stops(served, tab):
+    """Its left stick held ahead, then its first button."""
+    live = served.page.live
+    pad = "{index: 0, axes: [0, %s, 0, 0], buttons: [{pressed: %s}]}"
+    give = "navigator.getGamepads = () => [%s]; true"
+    tab.value(give % pad % (-1, "false"))
+    until(lambda: live.command[0] >= 0.3)
+    tab.value(give % pad % (0, "true"))
+    until(lambda: not live.command.any())
+    tab.value(give % "null")
+
+
+def test_contacts_and_forces_are_drawn(served, tab):
+    def red():
+        seen = robot(tab.pixels())
+        return ((seen[..., 0] - seen[..., 1:].max(-1)) > 60).sum()
+
+    assert red() < 20
+    for name, more in (
+        ("forces", True),
+        ("forces", False),
+        ("contacts", True),
+        ("contacts", False),
+    ):
+        # after those of the tour and of following
+        number = 2 + ("contacts", "forces").index(name)
+        tab.click(*tab.middle(f"{VISIBLE}[{number}]"))
+        until(lambda name=name, more=more: served.page.panels.look[name].value == more)
+        if name == "forces":
+            until(lambda more=more: (red() > 50) == more)
+
+
+def test_another_policy_is_another_robot(served, tab):
+    page = served.page
+    page.panels.policy.value = "go1"
+    tab.click(*tab.middle("[...document.querySelectorAll('input')].find(e => e.value === 'go1')"))
+    option = "[...document.querySelectorAll('[role=option]')].find(e => e.innerText === 'anymal_c')"
+    tab.click(*tab.middle(option))
+    until(lambda: page.live.body.policy.robot == "anymal_c")
+    tab.until("document.body.innerText.includes('anymal_c/policy.npz')")
+    until(lambda: dark(robot(tab.pixels())) > 0.005)
+    assert page.panels.sliders[0].max == pytest.approx(page.live.body.policy.command_x[1])
+
+
+def test_a_narrow_screen_and_a_second_viewer(served, tab, tmp_path):
+    """Both see the same robot; the one who goes leaves the other, and the robot, as they are."""
+    count = len(served.page.server.get_clients())
+    with browser.chromium(tmp_path / "profile", browser.NARROW) as open_:
+        other = shown(open_(served.url))
+        assert len(served.page.server.get_clients()) == count + 1
+        # two of them are slow to become clear, where a processor draws
+        until(lambda: dark(other.pixels(tmp_path / "narrow.png")[150:310], 200) > 0.02)
+        other.key("i", "KeyI", 73)
+        until(lambda: served.page.live.command[0] > 0)
+        assert not other.errors
+    until(lambda: len(served.page.server.get_clients()) == count)
+    tab.press("stop")
+    until(lambda: not served.page.live.command.any())
+
+
+def test_a_lost_connection_comes_back_by_itself(tmp_path):
+    """The server goes, and another comes on its port: the same tab shows the new robot."""
+    with browser.chromium(tmp_path / "profile", SIZE) as open_:
+        with serving(8490) as first:
+            tab = shown(open_(first.url))
+        with serving(8490) as second:
+            assert second.url == first.url
+            until(second.page.server.get_clients)
+            live = second.page.live
+            until(lambda: tab.key("i", "KeyI", 73) or live.command[0] > 0)
+
+
+def test_nothing_was_wrong_in_the_console(tab):
+    """The last test of this page. What viser's own sliders say of touch screens does no harm."""
+    assert not [e for e in tab.errors if "preventDefault inside passive" not in e]
+
+
+def test_only_this_machine_is_let_in(served):
+    port = int(served.url.rpartition(":")[2])
+    with urllib.request.urlopen(served.url, timeout=5) as answer:
+        assert b"<html" in answer.read(2000)
+    from dynappo.web.server import start
+
+    with pytest.raises(Exception, match="cannot listen there"):
+        start(address.Address("203.0.113.7", port))

@@ -1,0 +1,124 @@
+"""What the page offers: bundled policies, those of a run, and the newest by itself."""
+
+import os
+import threading
+
+import numpy as np
+import pytest
+from answers import refused
+from toy_policy import GO1, actor, described, save
+
+from dynappo import config as config_lib
+from dynappo.config import files
+from dynappo.policy import policy_file
+from dynappo.web import curves, policies
+
+
+def offer(what, **other):
+    return policies.Offer(**(dict(what=str(what), seed=None, xml=None, keep_joints=False) | other))
+
+
+@pytest.fixture
+def run(tmp_path):
+    """The folder of a run that has written its config and nothing else."""
+    config, _ = described()
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "config.json").write_text(config_lib.to_json(config))
+    return tmp_path / "run"
+
+
+def test_a_bundled_robot_comes_first_and_all_others_after_it():
+    names = policies.names(offer("go2"))
+    assert names[0] == "go2" and sorted(names) == files.bundled()
+    assert offer("go2").run is None
+    other = policies.load(offer("go2"), "anymal_d_deploy")
+    assert other.body.policy.robot == "anymal_d" and other.text == "anymal_d/deploy.npz"
+
+
+def test_a_run_without_a_policy_shows_its_robot_with_zero_actions(run):
+    found = offer(run)
+    assert policies.names(found)[0] == policies.NEWEST and not policies.begun(found)
+    chosen = policies.load(found, policies.NEWEST)
+    assert chosen.body.policy.robot == "go1" and "no policy yet" in chosen.text
+    np.testing.assert_array_equal(chosen.act(np.ones(48)), np.zeros(12))
+
+
+def test_the_newest_policy_of_a_run_is_the_one_in_its_file(run):
+    save(run / "policy.npz", seed=3)
+    chosen = policies.load(offer(run), policies.NEWEST)
+    expected = policy_file.actor(actor(3), chosen.body.policy.activation)
+    obs = np.linspace(-1, 1, 48)
+    np.testing.assert_allclose(chosen.act(obs), expected(obs), atol=1e-6)
+
+
+def test_a_newer_policy_is_seen_and_the_same_one_is_not(run, monkeypatch):
+    monkeypatch.setattr(policies, "EVERY", 0.02)
+    found, stop, seen = offer(run), threading.Event(), threading.Semaphore(0)
+    args = found, policies.stamp(found), seen.release, stop
+    thread = threading.Thread(target=policies.watch, args=args)
+    thread.start()
+    try:
+        assert not seen.acquire(timeout=0.2)
+        for seed in (1, 2):
+            save(run / "policy.npz", seed)
+            os.utime(run / "policy.npz", ns=(seed, seed))
+            while seen.acquire(timeout=0.3):  # the file, then its time
+                last = seed
+            assert last == seed
+        assert not seen.acquire(timeout=0.2)
+    finally:
+        stop.set()
+        thread.join(5)
+
+
+@pytest.mark.parametrize(
+    ("make", "expected"),
+    [
+        (lambda run: run / "nothing", "no such file or folder"),
+        (
+            lambda run: (run / "config.json").unlink() or run,
+            "neither a policy.npz nor checkpoints/",
+        ),
+        (lambda run: (run / "config.json").write_text("{]") and run, "not the JSON of a config"),
+    ],
+)
+def test_what_cannot_be_played_is_one_line(run, make, expected):
+    found = offer(make(run))
+    assert expected in refused(lambda: policies.load(found, policies.names(found)[0]))
+
+
+def test_another_file_of_the_robot_is_only_for_what_was_named(run):
+    save(run / "policy.npz")
+    found = offer(run, xml=str(GO1.xml))
+    assert policies.load(found, policies.NEWEST).body.xml == GO1.xml
+    assert policies.load(found, "go2").body.policy.robot == "go2"
+
+
+# ---- curves
+
+HEADER = "iteration,sim_steps,seconds,episode_return,n_real,eval_return"
+
+
+def test_curves_are_means_over_seeds_without_the_line_that_is_being_written(tmp_path):
+    path = tmp_path / "metrics.csv"
+    assert curves.read(path) == {}
+    path.write_text(f"{HEADER}\n")
+    assert curves.read(path) == {}
+    path.write_text(
+        f"{HEADER}\n1,10,0.5,1.0,8,\n1,10,0.5,3.0,8,\n2,20,1.0,,8,\n2,20,1.0,5.0,8,7\n3,30,1.5,2.0,8,1"
+    )
+    columns = curves.read(path)
+    np.testing.assert_array_equal(columns["iteration"], [1, 2])
+    np.testing.assert_array_equal(columns["episode_return"], [2, 5])
+    np.testing.assert_array_equal(columns["eval_return"], [np.nan, 7])
+    assert curves.line(columns) == "iteration 2, 0.00 M simulator steps, 1 s"
+
+
+def test_long_runs_are_thinned_to_means():
+    count = 5 * curves.MOST
+    columns = {"iteration": np.arange(count) * 1.0, "n_real": np.full(count, np.nan)}
+    few = curves.thinned(columns)
+    np.testing.assert_allclose(few["iteration"], 5 * np.arange(curves.MOST) + 2)
+    assert np.isnan(few["n_real"]).all()
+    short = {"iteration": np.arange(3.0), "n_real": np.array([1.0, np.nan, 3.0])}
+    np.testing.assert_array_equal(curves.thinned(short)["n_real"], [1, np.nan, 3])

@@ -1,0 +1,64 @@
+"""The page of a run, without a browser: the newest policy by itself, and what is listed."""
+
+import threading
+import time
+
+import numpy as np
+import pytest
+from toy_policy import described, save
+
+from dynappo import config as config_lib
+from dynappo.web import address, policies
+
+server = pytest.importorskip("dynappo.web.server", reason="mjviser is not installed (extra web)")
+
+
+@pytest.fixture
+def page(tmp_path, monkeypatch):
+    """The page of a run that has just begun; `page.folder` is its folder."""
+    monkeypatch.setattr(policies, "EVERY", 0.05)
+    config, _ = described()
+    (tmp_path / "config.json").write_text(config_lib.to_json(config))
+    offer, stop, told = policies.Offer(str(tmp_path), None, None, False), threading.Event(), []
+    args = offer, address.Address("127.0.0.1", 8470), policies.load(offer, policies.NEWEST)
+    how = {"ready": lambda page, url: told.append(page), "stop": stop}
+    thread = threading.Thread(target=server.serve, args=args, kwargs=how)
+    thread.start()
+    until(lambda: told)
+    yield told[0]
+    stop.set()
+    thread.join(20)
+
+
+def until(true, seconds=20.0):
+    end = time.monotonic() + seconds
+    while not true():
+        assert time.monotonic() < end, f"not true after {seconds:g} s"
+        time.sleep(0.02)
+
+
+def test_a_new_policy_of_the_run_acts_while_the_robot_goes_on(page, tmp_path):
+    live = page.live
+    assert "no policy yet" in page.text
+    until(lambda: live.t > 0.3)
+    first, data = live.act, live.data
+    save(tmp_path / "policy.npz", seed=3)
+    until(lambda: live.act is not first)
+    second = live.act
+    assert live.t > 0.3 and live.data is data, "it was not put back to its feet"
+    assert page.text == f"{tmp_path.name}/policy.npz (no checkpoint)"
+    obs = np.linspace(-1, 1, 48)
+    save(tmp_path / "policy.npz", seed=4)
+    until(lambda: live.act is not second)
+    assert not np.allclose(live.act(obs), second(obs))
+
+
+def test_who_chose_another_policy_keeps_it(page, tmp_path):
+    live = page.live
+    found = policies.load(page.offer, "go2")
+    page.live.wishes.append(lambda: server.put(page, found, "go2"))
+    until(lambda: live.body.policy.robot == "go2")
+    assert live.t < 1 and page.panels.sliders[0].max == pytest.approx(live.body.policy.command_x[1])
+    save(tmp_path / "policy.npz")
+    time.sleep(0.5)
+    assert live.body.policy.robot == "go2" and page.text == "go2/policy.npz"
