@@ -11,8 +11,6 @@ import os
 import sys
 from pathlib import Path
 
-# half of the time would be LLVM's optimisation of programs that run for a second
-os.environ["XLA_FLAGS"] = "--xla_backend_optimization_level=0"
 os.environ["JAX_PLATFORMS"] = "cpu"
 
 import jax

@@ -1,6 +1,7 @@
 """What several test files need: small settings, values recorded from rsl_rl, checked shapes."""
 
 import functools
+import gc
 import inspect
 import os
 import pathlib
@@ -9,13 +10,22 @@ import typing
 import numpy as np
 import pytest
 
-# before JAX starts: eight devices for the tests of meshes, all else runs on the first; and half of the
-# time of these tests would be LLVM's optimisation of programs that run for a second
+# before JAX starts: eight devices for the tests of meshes, all else runs on the first; and three quarters
+# of the time of these tests would be the optimisation of programs that run for a second. Tests of equal
+# bits in different programs turn on what users have (`toy_runs.AS_USERS`)
 os.environ["XLA_FLAGS"] = (
     os.environ.get("XLA_FLAGS", "")
     + " --xla_force_host_platform_device_count=8 --xla_backend_optimization_level=0"
+    + " --xla_cpu_use_fusion_emitters=false"
 )
+# tracing makes many objects and no garbage: collecting it as often as Python does is a third of the work
+gc.set_threshold(50_000, 20, 100)
 PEERS = pathlib.Path(__file__).parent / "peers"
+
+
+def pytest_collection_finish():
+    """What importing left is never garbage."""
+    gc.freeze()
 
 
 @pytest.hookimpl(tryfirst=True)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import toy_env
 from toy_runs import (
+    AS_USERS,
     ITERATIONS,
     N,
     R,
@@ -64,7 +65,7 @@ def run(env, tail):
     def once(hyper, state, columns):
         return algorithm.run(env, hyper, state, columns, static=static)
 
-    return jax.jit(chex.assert_max_traces(once, n=1))
+    return jax.jit(chex.assert_max_traces(once, n=1), compiler_options=AS_USERS)
 
 
 @pytest.fixture(scope="module")

@@ -192,7 +192,9 @@ def check_dynappo(name, *rest):
         what = found.what
         assert what in files.bundled() or what == "DIR" or re.search(r"[/.]", what), what
     if name == "play" and not (found.command or "").endswith(".csv"):
-        command.commands(found.command, found.seconds)
+        from dynappo.play import asked
+
+        asked.commands(found.command, found.seconds)
     if name == "export":
         from dynappo.export import joint_order
 

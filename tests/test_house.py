@@ -22,15 +22,34 @@ MAY_IMPORT = {
     "config": {"config", "schedule"},
     "policy": {"policy", "physics", "task.observe", "config"},
     "program": {"program", "method", "task", "physics", "config"},
-    "train": {"train", "sweeps", "program", "policy", "config", "schedule"},
+    "train": {
+        "train",
+        "sweeps",
+        "program",
+        "policy",
+        "config",
+        "schedule",
+        "web.address",
+        "web.child",
+    },
     "sweeps": {"sweeps", "train", "program", "sweep", "config"},
-    "evaluate": {"evaluate", "program", "policy", "task", "physics", "config", "evaluation"},
+    "evaluate": {
+        "evaluate",
+        "program",
+        "policy",
+        "task",
+        "physics",
+        "config",
+        "evaluation",
+        "play.page",
+    },
     "look": {"look", "policy", "physics", "config"},
-    "play": {"play", "policy", "physics", "config"},
+    "web": {"web", "policy", "physics", "config"},
+    "play": {"play", "web", "policy", "physics", "config"},
     "export": {"export", "policy", "physics", "task.observe", "config"},
     "bench": {"bench", "program", "config", "method", "model", "task.observe"},
 }
-WITHOUT_JAX = {"policy", "look", "play", "export", "config", "schedule"}
+WITHOUT_JAX = {"policy", "look", "web", "play", "export", "config", "schedule"}
 WITHOUT_JAX |= {"task.rewards", "task.payment", "task.observe"}
 WITHOUT_JAX |= {
     f"physics.{name}" for name in ("robot", "mjcf", "contract", "contacts", "actuators")

@@ -42,6 +42,7 @@ TINY = {
         "points": 2,
         "seconds": 1.2,
         "film_seconds": 0.2,
+        "serve_seconds": 0.1 if importlib.util.find_spec("mjviser") else 0,
         "mjx_episodes": 0,
     },
     "03_model_error": {
@@ -189,6 +190,8 @@ def test_a_look_at_a_policy_shows_tables_maps_and_gaits():
     assert "a policy of go1, an action every 20 ms" in text
     assert "cost of transport" in text and "1 m/s ahead" in text
     assert outputs(notebook, "image/gif") or "no video:" in text  # which says what to install
+    if TINY[path.stem]["serve_seconds"]:
+        assert any("iframe" in page for page in outputs(notebook, "text/html"))
 
 
 @pytest.mark.slow

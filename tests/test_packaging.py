@@ -20,7 +20,7 @@ ROOT = pathlib.Path(__file__).parents[1]
 PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 PROJECT = PYPROJECT["project"]
 NAMES_NO_INDEX = ("pyproject.toml", "constraints.txt", "Makefile", ".ci/run", "Dockerfile")
-PINNED_EXTRAS = ("dev", "video", "export", "notebook", "warp")
+PINNED_EXTRAS = ("dev", "video", "web", "export", "notebook", "warp")
 
 
 def requirements(*extras):
@@ -94,7 +94,7 @@ def test_what_is_installed_is_what_constraints_say():
             version != exact(requirement)
         ):
             found[name] = f"{version}, expected {exact(requirement)}"
-    assert not found, f"{found}: pip install -c constraints.txt -e '.[dev,video]'"
+    assert not found, f"{found}: pip install -c constraints.txt -e '.[dev,video,web]'"
 
 
 def test_cuda_is_a_name_of_cuda13():

@@ -1,18 +1,21 @@
 """A sweep over the toy environment: its runs are those without a sweep, and it goes on."""
 
 import csv
+import functools
 import json
 import shutil
 from types import SimpleNamespace
 
+import jax
 import numpy as np
 import pytest
 import workdirs
 from answers import refused, status
 from ml_collections import config_dict
+from toy_runs import leaves
 
 from dynappo.policy import checkpoint_file, source
-from dynappo.program import devices
+from dynappo.program import build, devices
 from dynappo.sweeps import folder, grid, together
 from dynappo.sweeps import run as sweeps
 from dynappo.train import command as train_command
@@ -22,11 +25,27 @@ SWEEP = ["ppo.entropy_coef=0.003,0.3", "ppo.epochs=1,2"]
 NAMES = [f"ppo.entropy_coef={c},ppo.epochs={e}" for c in (0.003, 0.3) for e in (1, 2)]
 
 
+def compiled_once(program):
+    """`build.program`, but what it has compiled for the same arguments it hands out again."""
+    made = {}
+
+    @functools.wraps(program)
+    def again(config, env=None, each=None):
+        of = config.to_json_best_effort(), str(leaves(each))
+        if of not in made:
+            made[of] = program(config, env, each)
+        # the first state is donated
+        return made[of]._replace(state=jax.tree.map(lambda x: x.copy(), made[of].state))
+
+    return again
+
+
 @pytest.fixture(autouse=True, scope="module")
 def toy():
     """The toy environment; what the command sets for its own process stays out of this one."""
     with pytest.MonkeyPatch.context() as patch:
         workdirs.toy(patch)
+        patch.setattr(build, "program", compiled_once(build.program))
         patch.setattr(devices, "own_process", lambda device: None)
         yield
 

@@ -11,7 +11,7 @@ import toy_env
 from brax import envs
 from brax.envs.wrappers import training
 from brax.training import acting
-from toy_runs import assert_same
+from toy_runs import AS_USERS, assert_same
 
 from dynappo import algorithm, evaluation, schedule
 from dynappo.config import ConfigError
@@ -335,7 +335,7 @@ def test_a_brax_environment_is_brax_stepped_by_hand(pendulum):
     brax_env, env = pendulum
     actions = jnp.asarray(np.random.default_rng(0).normal(0, 0.7, (25, 1)), jnp.float32)
 
-    @jax.jit
+    @partial(jax.jit, compiler_options=AS_USERS)
     def both(key):
         body, state = env.randomize(None, key), None
         state = env.reset(None, body, key)

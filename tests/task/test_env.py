@@ -2,8 +2,8 @@
 
 Four environments are compiled, once each: `lab` (Go1, `isaaclab`, every physical parameter
 varied), `plain` (Go1, `paper_text`, nothing varied), `anymal` (ANYmal-D) and `exact` (ANYmal-C,
-`isaaclab_exact`, all contacts). A step always has `ROBOTS` robots, so that it traces once; a second
-trace fails the test that causes it.
+`isaaclab_exact`, all contacts); and `carries` on C MuJoCo. A step always has `ROBOTS` robots, so that
+it traces once; a second trace fails the test that causes it.
 """
 
 from types import SimpleNamespace
@@ -30,7 +30,7 @@ VARIED = dict(
 )
 
 
-def build(name, ranges=None, contacts="feet", **task):
+def build(name, ranges=None, contacts="feet", impl="jax", **task):
     """Environment, jitted batch functions that may trace once, and what tests need beside."""
     settings = config.load(f"{name}.py:ppo16")
     settings.physics.contacts = contacts
@@ -38,7 +38,7 @@ def build(name, ranges=None, contacts="feet", **task):
     settings.task.randomize.update(ranges or {})
     settings = config.validate(settings)
     loaded = robot.load(name)
-    env = env_lib.make(loaded, settings.task, settings.physics, impl="jax")
+    env = env_lib.make(loaded, settings.task, settings.physics, impl=impl)
 
     def batched(function, axes):
         traces = []  # chex.assert_max_traces counts functions of one name together
@@ -92,7 +92,8 @@ def plain():
 
 @pytest.fixture(scope="module")
 def carries():
-    return build("go1", random_clock=False, carry_on=True)
+    """On C MuJoCo, which compiles at once: it is about who is put where, not how one moves."""
+    return build("go1", random_clock=False, carry_on=True, impl="c")
 
 
 @pytest.fixture(scope="module")

@@ -13,15 +13,17 @@ def config():
 
 
 @pytest.fixture(scope="session")
-def whole(config, tmp_path_factory):
-    """The run without interruption."""
-    return workdirs.Run(config, tmp_path_factory.mktemp("whole") / "deep" / "run")
-
-
-@pytest.fixture(scope="session")
 def program(config):
     """`program()`: the same run, compiled and ready to start."""
     with pytest.MonkeyPatch.context() as patch:
         workdirs.toy(patch)
         once = build.program(config)
     return lambda: once._replace(state=jax.tree.map(lambda x: x.copy(), once.state))
+
+
+@pytest.fixture(scope="session")
+def whole(config, program, tmp_path_factory):
+    """The run without interruption, with the same compiled program."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(build, "program", lambda *_: program())
+        return workdirs.Run(config, tmp_path_factory.mktemp("whole") / "deep" / "run")
