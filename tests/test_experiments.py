@@ -20,7 +20,7 @@ import toy_env
 
 from dynappo import algorithm
 from dynappo import config as config_lib
-from experiments import paper, run
+from experiments import paper, pictures, run, stats
 
 ROOT = pathlib.Path(config_lib.__file__).parents[2]
 EXPERIMENTS = ROOT / "experiments"
@@ -97,12 +97,12 @@ def test_a_picture_has_256_colours_and_looks_as_it_did(tmp_path):
     pytest.importorskip("matplotlib")
     from PIL import Image
 
-    page, axes = paper.figure(1, 1, (4, 3))
+    page, axes = pictures.figure(1, 1, (4, 3))
     for k in range(8):
         x = np.linspace(0, 9, 50)
-        paper.band(axes[0, 0], x, np.sin(x)[:, None] + k + [-0.3, 0, 0.2], f"C{k}", f"{k}")
+        pictures.band(axes[0, 0], x, np.sin(x)[:, None] + k + [-0.3, 0, 0.2], f"C{k}", f"{k}")
     page.savefig(tmp_path / "raw.png", dpi=130)
-    paper.save(page, tmp_path / "few")
+    pictures.save(page, tmp_path / "few")
     raw, few = (Image.open(tmp_path / f"{name}.png") for name in ("raw", "few"))
     assert few.mode == "P"
     pixels = [np.asarray(picture.convert("RGB"), int) for picture in (raw, few)]
@@ -123,20 +123,20 @@ def test_a_table_says_what_has_not_been_run(name, tmp_path, drawn):
 
 def test_welch_is_that_of_scipy_and_of_the_paper():
     one, other = [1.0, 2.0, 4.0, 5.5], [2.0, 4.5, 6.0, 8.0, 10.0]
-    assert paper.welch_of(one, other) == pytest.approx(0.12669223536266233)  # ttest_ind
-    assert paper.welch_of(other, one) == paper.welch_of(one, other)
-    t, df, p = paper.welch((33.35, 0.54, 3), (12.96, 2.68, 3))  # dyna4 and PPO-12 of Table V
+    assert stats.welch_of(one, other) == pytest.approx(0.12669223536266233)  # ttest_ind
+    assert stats.welch_of(other, one) == stats.welch_of(one, other)
+    t, df, p = stats.welch((33.35, 0.54, 3), (12.96, 2.68, 3))  # dyna4 and PPO-12 of Table V
     assert (round(t, 2), round(df, 2), round(p, 4)) == (12.92, 2.16, 0.0044)
 
 
 def test_spread_is_over_the_seeds_that_have_a_number_and_one_says_nothing_of_the_next():
-    cells = paper.spread("x", [1.0, 2.0, np.nan, 6.0])
+    cells = stats.spread("x", [1.0, 2.0, np.nan, 6.0])
     assert cells["x_mean"] == 3 and cells["x_sd"] == pytest.approx(np.sqrt(7.0))
     assert 1 <= cells["x_low"] < 3 < cells["x_high"] <= 6
-    cells = paper.spread("x", [2.0])
+    cells = stats.spread("x", [2.0])
     assert cells["x_mean"] == 2 and all(np.isnan(cells[f"x_{n}"]) for n in ("sd", "low", "high"))
-    nothing = paper.welch_of([2.0], [1.0, 3.0]), paper.welch_of([2.0] * 3, [2.0] * 3)
-    assert np.isnan([*nothing, paper.spread("x", [np.nan])["x_mean"]]).all()
+    nothing = stats.welch_of([2.0], [1.0, 3.0]), stats.welch_of([2.0] * 3, [2.0] * 3)
+    assert np.isnan([*nothing, stats.spread("x", [np.nan])["x_mean"]]).all()
 
 
 def test_a_threshold_is_reached_where_the_return_first_is_there(tmp_path):
@@ -260,8 +260,8 @@ def test_tails_are_compared_with_the_real_rows_that_they_stand_for(tmp_path, mon
     tail = paper.pick(table, variant="dyna4", rows=24)
     got = [tail[n] for n in ("max_reward_mean", "success_rate_pct", "sim_steps_M_mean")]
     assert got == [24, 50, 0.01]
-    assert tail["p_vs_fewer"] == paper.welch_of([20, 28], [10, 14])
-    assert tail["p_vs_all"] == paper.welch_of([20, 28], [30, 34])
+    assert tail["p_vs_fewer"] == stats.welch_of([20, 28], [10, 14])
+    assert tail["p_vs_all"] == stats.welch_of([20, 28], [30, 34])
 
 
 def test_a_platform_is_worse_or_not_worse_or_neither_is_shown():

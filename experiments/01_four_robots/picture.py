@@ -16,7 +16,7 @@ import walk
 from dynappo.config import files
 from dynappo.evaluate import trials
 from dynappo.policy import choice, episode, policy_file
-from experiments import paper
+from experiments import paper, pictures
 
 NAMES = {"go1": "Unitree Go1", "go2": "Unitree Go2", "anymal_c": "ANYmal-C", "anymal_d": "ANYmal-D"}
 SIZE = 440, 720  # pixels, height and width of one robot
@@ -87,7 +87,7 @@ def sheet(pictures, labels, columns, out, dpi=100):
         style = dict(fontsize=width / 46, color="0.15", va="top", transform=axis.transAxes)
         axis.text(0.03, 0.945, label, **style)
     figure.savefig(out, dpi=dpi)
-    paper.palette(out)
+    pictures.palette(out)
 
 
 def main():

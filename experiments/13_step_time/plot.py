@@ -6,7 +6,7 @@ python experiments/13_step_time/plot.py
 import json
 from pathlib import Path
 
-from experiments import paper
+from experiments import paper, pictures
 
 VARIANTS = ("ppo16", "dyna4", "best")
 # phase of dynappo.bench -> the paper's name
@@ -107,7 +107,7 @@ def bars(ms: dict, ours: bool) -> dict[str, list[float] | None]:
 
 def draw(rows, path: Path) -> None:
     """Bars: an iteration by phase, of what is measured; each panel has its own scale."""
-    page, axes = paper.figure(1, 2, (9.5, 2.6))
+    page, axes = pictures.figure(1, 2, (9.5, 2.6))
     ms = {row["phase"]: row for row in rows}
     panels = ((True, "this repository, 4096 robots"), (False, "paper (A40)"))
     for axis, (ours, title) in zip(axes[0], panels, strict=True):
@@ -127,8 +127,8 @@ def draw(rows, path: Path) -> None:
         axis.margins(x=0.1)
     for colour, label in zip(SHADES, LABELS, strict=True):  # for the legend
         axes[0, 1].barh(0, 0, color=colour, label=label)
-    paper.legend(page, axes[0, 1], 4)
-    paper.save(page, path)
+    pictures.legend(page, axes[0, 1], 4)
+    pictures.save(page, path)
 
 
 if __name__ == "__main__":

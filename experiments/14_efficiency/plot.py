@@ -9,7 +9,7 @@ all seeds of a run, which train at once.
 import csv
 from pathlib import Path
 
-from experiments import paper
+from experiments import paper, pictures
 
 HERE = Path(__file__).parent
 COLUMNS = (
@@ -89,12 +89,12 @@ def draw(rows, path: Path) -> None:
     """Go1: M simulator steps to each threshold, ours as dots with intervals, the paper's as diamonds."""
     labels = list(dict.fromkeys(r["threshold"] for r in rows if r["robot"] == "go1"))
     names = [*paper.VARIANTS, *paper.OURS]
-    page, axes = paper.figure(1, len(labels), (12, 3.4), sharey=True, sharex=True)
+    page, axes = pictures.figure(1, len(labels), (12, 3.4), sharey=True, sharex=True)
     for axis, label in zip(axes[0], labels, strict=True):
         some = [r for r in rows if r["robot"] == "go1" and r["threshold"] == label]
         for y, variant in enumerate(names):
             cells = paper.pick(some, variant=variant)
-            note, colour, x = cells["status"], paper.COLOURS[variant], 0.3
+            note, colour, x = cells["status"], pictures.COLOURS[variant], 0.3
             if "sim_steps_M_mean" in cells:
                 ends = [cells["sim_steps_M_low"], cells["sim_steps_M_high"]]
                 axis.plot(ends, [y, y], color=colour)
@@ -113,5 +113,5 @@ def draw(rows, path: Path) -> None:
     texts = [(paper.VARIANTS | paper.OURS)[name] for name in names]
     axes[0, 0].set_yticks(range(len(names)), texts)
     text = "Go1. Dot and bar: mean and its 95 % interval, of the seeds that get there; diamond: the paper"
-    paper.head(page, text, fontsize=9, color="0.35")
-    paper.save(page, path)
+    pictures.head(page, text, fontsize=9, color="0.35")
+    pictures.save(page, path)

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments import paper
+from experiments import paper, pictures, stats
 
 HERE = Path(__file__).parent
 AT = (50, 100, 200, 300, 400, 500)  # iterations of the table
@@ -31,14 +31,14 @@ def build(robot: str, variant: str, run: paper.Run | None) -> list[dict]:
         row = cells | {"iteration": int(iteration[i])}
         row["sim_steps_M"] = run.columns["sim_steps"][i, 0] / 1e6
         for name in METRICS:
-            row |= paper.spread(name, run.columns[name][i])
+            row |= stats.spread(name, run.columns[name][i])
         rows.append(row)
     return rows
 
 
 def draw(runs: dict, title: str, path: Path) -> None:
     """Mean over seeds and its 95 % interval; five variants and ours."""
-    page, axes = paper.figure(2, 3, (12, 6.6))
+    page, axes = pictures.figure(2, 3, (12, 6.6))
     some = {name: run for name, run in runs.items() if run and run.columns}
     panels = (
         ("iteration", "episode_return", "iteration", "episode return", "Fig. 7: return"),
@@ -64,11 +64,11 @@ def draw(runs: dict, title: str, path: Path) -> None:
         for variant, run in some.items():
             at = run.columns[x][:, 0] / (1e6 if x == "sim_steps" else 1)
             label = (paper.VARIANTS | paper.OURS)[variant]
-            paper.band(axis, at, run.columns[y], paper.COLOURS[variant], label)
+            pictures.band(axis, at, run.columns[y], pictures.COLOURS[variant], label)
         if not axis.lines:
-            paper.missing(axis)
+            pictures.missing(axis)
         elif y == "learning_rate":
-            paper.log(axis)
+            pictures.log(axis)
         elif y != "episode_return":
             axis.set_ylim(bottom=0)
         axis.set_title(name, loc="left", fontsize=10)
@@ -76,6 +76,6 @@ def draw(runs: dict, title: str, path: Path) -> None:
     lacks = [v for v in paper.VARIANTS if v not in some]
     note = f"     not run: {', '.join(lacks)}" if lacks else ""
     seeds = max((len(paper.peak(run)) for run in some.values()), default=0)
-    paper.head(page, f"{title}: mean of {seeds} seeds, band: its 95 % interval{note}")
-    paper.legend(page, axes[0, 0], 7)
-    paper.save(page, path)
+    pictures.head(page, f"{title}: mean of {seeds} seeds, band: its 95 % interval{note}")
+    pictures.legend(page, axes[0, 0], 7)
+    pictures.save(page, path)

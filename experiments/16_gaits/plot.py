@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments import paper
+from experiments import paper, pictures, stats
 
 VARIANTS, SPEEDS = ("ppo16", "dyna4"), (0.5, 1.0)
 MEASURES = {
@@ -82,19 +82,19 @@ def build(episodes) -> list[dict]:
                 cells = row | {"iteration": int(iteration), "seeds": len(at)}
                 cells["falls"] = sum(np.isfinite(e["fall"]) for e in at)
                 for name in (*MEASURES, "yaw_error", "swings_per_second", "distance"):
-                    cells |= paper.spread(name, [e[name] for e in at])
+                    cells |= stats.spread(name, [e[name] for e in at])
                 rows.append(cells)
     return rows
 
 
 def draw(episodes, path: Path) -> None:
     """The measures over iterations: every seed, and their mean; solid 1.0 m/s, dashed 0.5."""
-    page, axes = paper.figure(1, len(MEASURES), (13, 3.4))
+    page, axes = pictures.figure(1, len(MEASURES), (13, 3.4))
     for axis, (name, label) in zip(axes[0], MEASURES.items(), strict=True):
         axis.set_title(label, loc="left", fontsize=10)
         axis.set_xlabel("iteration of the policy")
         if not episodes:
-            paper.missing(axis)
+            pictures.missing(axis)
             continue
         every = sorted({e["iteration"] for e in episodes})
         for v, variant in enumerate(VARIANTS):
@@ -103,18 +103,18 @@ def draw(episodes, path: Path) -> None:
                     [e[name] for e in episodes if (e["variant"], e["speed"], e["iteration"]) == at]
                     for at in ((variant, speed, iteration) for iteration in every)
                 ]
-                x, colour = np.arange(len(every)) + 0.12 * v - 0.06, paper.COLOURS[variant]
+                x, colour = np.arange(len(every)) + 0.12 * v - 0.06, pictures.COLOURS[variant]
                 for at, values in zip(x, columns, strict=True):
                     axis.plot(
                         [at] * len(values), values, ".", color=colour, alpha=0.35, markersize=5
                     )
-                mean = [paper.spread("", values)["_mean"] for values in columns]
+                mean = [stats.spread("", values)["_mean"] for values in columns]
                 text = f"{paper.VARIANTS[variant]}, {speed} m/s"
                 axis.plot(x, mean, line, color=colour, linewidth=1.6, label=text)
         axis.set_xticks(range(len(every)), [f"{i:.0f}" for i in every])
         axis.set_ylim(bottom=0)
-    paper.legend(page, axes[0, 0], 4)
-    paper.save(page, path)
+    pictures.legend(page, axes[0, 0], 4)
+    pictures.save(page, path)
 
 
 def strips(out: Path) -> None:
@@ -123,7 +123,7 @@ def strips(out: Path) -> None:
         poses = {name: file[name] for name in file}
     every = sorted({int(name.rsplit("_", 2)[1]) for name in poses})
     for speed in SPEEDS:
-        page, axes = paper.figure(len(every), len(VARIANTS), (15, 0.88 * len(every) + 0.3))
+        page, axes = pictures.figure(len(every), len(VARIANTS), (15, 0.88 * len(every) + 0.3))
         for row, iteration in zip(axes, every, strict=True):
             for axis, variant in zip(row, VARIANTS, strict=True):
                 axis.imshow(np.hstack(list(frames(poses[key(variant, iteration, speed)]))))
@@ -136,7 +136,7 @@ def strips(out: Path) -> None:
             row[0].set_ylabel(f"iteration {iteration}", fontsize=8)
         path = out / f"strips_{speed}.png"
         page.savefig(path, dpi=130)
-        paper.palette(path)
+        pictures.palette(path)
         print(path)
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import plot
 
-from experiments import paper
+from experiments import paper, pictures, stats
 
 TAIL, ENVS, ROWS = 4, 1024, (16, 20, 24)
 TAILS = ("dyna4_noschedule", "dyna4")
@@ -73,7 +73,7 @@ def cells(folder: Path, name: str, rows: int, limit: float | None) -> dict:
         out["evaluated_return"] = float(np.mean(evaluation["return"]))
     for column, other in zip(("p_vs_fewer", "p_vs_all"), known.values(), strict=True):
         if is_tail and other and other.columns:
-            out[column] = paper.welch_of(paper.peak(found), paper.peak(other))
+            out[column] = stats.welch_of(paper.peak(found), paper.peak(other))
     if limit is not None:
         out |= {"limit": limit} | paper.effort(found, limit, paper.EVERY)
     return out
@@ -82,7 +82,7 @@ def cells(folder: Path, name: str, rows: int, limit: float | None) -> dict:
 def draw(folder: Path, robots, path: Path) -> None:
     """Best return over simulated rows, a panel for each R; a thin line to all rows, synthetic ones too."""
     size = 2.6 * len(robots) + 0.6, 4.1
-    page, axes = paper.figure(1, len(robots), size, sharey=True, sharex=True)
+    page, axes = pictures.figure(1, len(robots), size, sharey=True, sharex=True)
     names = plot.NAMES | {
         "ppo": "PPO",
         "best": "best at c27cee7: 8 simulated rows, 16 of the model",
@@ -109,9 +109,9 @@ def draw(folder: Path, robots, path: Path) -> None:
         "they do what simulated rows would. Mean of 3 or 5 seeds, bar: its 95 % interval; tails in rollouts\n"
         "of 20 and 24 rows with 1024 robots only"
     )
-    paper.head(page, text, fontsize=9)
-    paper.legend(page, axes[0, 0], 4)
-    paper.save(page, path)
+    pictures.head(page, text, fontsize=9)
+    pictures.legend(page, axes[0, 0], 4)
+    pictures.save(page, path)
 
 
 def points(
@@ -119,7 +119,7 @@ def points(
 ) -> None:
     """Best returns at `x` rows, with intervals moved by `shift`, and a line over the `synthetic` rows."""
     for n, found in zip(x, runs, strict=True):
-        best = paper.spread("best", paper.peak(found))
+        best = stats.spread("best", paper.peak(found))
         axis.vlines(n + shift, best["best_low"], best["best_high"], colour, linewidth=1.2)
         axis.hlines(best["best_mean"], n, n + synthetic, colour, linewidth=0.8)
     axis.plot(

@@ -12,13 +12,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from experiments import paper, run
+from experiments import paper, pictures, run, stats
 
 PPO = {"ppo12": 12, "ppo16": 16, "ppo24": 24}
 OWN_ROWS = PPO | {"dyna4": 16, "dyna4_noschedule": 16, "best": 24}
 VARIANTS = ("ppo12", "ppo16", "dyna4_noschedule", "dyna4", "best", "ppo24")
 NAMES = paper.VARIANTS | paper.OURS | {"ppo24": "PPO, 24 steps"}
-COLOURS = paper.COLOURS | {"ppo24": "#6b8796"}
+COLOURS = pictures.COLOURS | {"ppo24": "#6b8796"}
 COLUMNS = (
     "regime variant status seeds max_reward_mean max_reward_low max_reward_high p_vs_ppo16 "
     "evaluated_return limit success_rate_pct sim_steps_M_mean share_of_ppo16_pct policy_std_mean "
@@ -105,7 +105,7 @@ def row(regime: Regime, variant: str, one, base, limit: float | None) -> dict:
         return cells
     cells |= paper.returns(one)
     if base and base.columns and one is not base:
-        cells["p_vs_ppo16"] = paper.welch_of(paper.peak(one), paper.peak(base))
+        cells["p_vs_ppo16"] = stats.welch_of(paper.peak(one), paper.peak(base))
     if evaluation := one.summary.get("evaluation"):
         cells["evaluated_return"] = float(np.mean(evaluation["return"]))
     if limit is not None:
@@ -116,7 +116,7 @@ def row(regime: Regime, variant: str, one, base, limit: float | None) -> dict:
 def draw(rows, regimes, path: Path) -> None:
     """Best return and simulator steps to the limit, a group of bars a regime that has a run."""
     regimes = [r for r in regimes if any("seeds" in c for c in rows if c["regime"] == r.label)]
-    page, axes = paper.figure(2, 1, (9.5, 6), sharex=True)
+    page, axes = pictures.figure(2, 1, (9.5, 6), sharex=True)
     wide = 0.84 / len(VARIANTS)
     for axis, name in zip(axes[:, 0], ("max_reward", "sim_steps_M"), strict=True):
         for v, variant in enumerate(VARIANTS):
@@ -147,9 +147,9 @@ def draw(rows, regimes, path: Path) -> None:
     text += (
         "\nwith 4096 robots, of the two other tasks with 1024; %: seeds that get there, if not all"
     )
-    paper.head(page, text)
-    paper.legend(page, axes[0, 0], 6)
-    paper.save(page, path)
+    pictures.head(page, text)
+    pictures.legend(page, axes[0, 0], 6)
+    pictures.save(page, path)
 
 
 if __name__ == "__main__":

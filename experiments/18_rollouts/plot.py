@@ -12,7 +12,7 @@ import numpy as np
 from dynappo import config as config_lib
 from dynappo import schedule
 from dynappo.task import observe
-from experiments import paper
+from experiments import paper, pictures
 
 REAL, KEPT, TAILS = 8, 6, 4  # real rows of an iteration in results/, iterations kept, tails shown
 OF_BEST = 4  # real rows of an iteration of `best`
@@ -105,7 +105,7 @@ def blank(axis, across, up) -> None:
 
 def draw_overview(path: Path) -> None:
     """Figure 1: the pipeline of an iteration, and its rows over the ramps of the paper and of `best`."""
-    page, axes = paper.figure(2, 2, (9.5, 5.4), height_ratios=(1.4, 1))
+    page, axes = pictures.figure(2, 2, (9.5, 5.4), height_ratios=(1.4, 1))
     axis = axes[0, 0]
     axes[0, 1].remove()
     axis.set_subplotspec(axis.get_gridspec()[0, :])  # as wide as the page
@@ -160,12 +160,12 @@ def draw_overview(path: Path) -> None:
         axis.grid(visible=False)
     axes[1, 0].set_ylabel("rows of a rollout")
     axes[1, 0].legend(loc="lower right", framealpha=1)
-    paper.save(page, path)
+    pictures.save(page, path)
 
 
 def draw_model(path: Path) -> None:
     """Figure 2: real rows feed the model's loss; policy and model write the tail by turns."""
-    page, axes = paper.figure(1, 1, (9.5, 3.6))
+    page, axes = pictures.figure(1, 1, (9.5, 3.6))
     axis = axes[0, 0]
     blank(axis, (0, 13.2), (0.5, 4.6))
     names = "$o_0$ $o_1$ $\\cdots$ $o_{N_r}$ $\\hat{o}_{N_r+1}$ $\\cdots$ $\\hat{o}_N$".split()
@@ -192,7 +192,7 @@ def draw_model(path: Path) -> None:
     axis.text(left + 0.15, 1.75, "simulated", fontsize=9, color=INK, va="center")
     text = "tail: policy and model by turns"
     axis.text(right + 0.15, 1.75, text, fontsize=9, color=ORANGE, va="center")
-    paper.save(page, path)
+    pictures.save(page, path)
 
 
 def brace(axis, left: float, right: float, y: float) -> None:
@@ -204,7 +204,7 @@ def brace(axis, left: float, right: float, y: float) -> None:
 
 def draw_tail(get, path: Path) -> None:
     """Figure 3: successive rollouts of one robot; each goes on from the last state of physics."""
-    page, axes = paper.figure(len(CURVES), 1, (9.5, 6.2), sharex=True)
+    page, axes = pictures.figure(len(CURVES), 1, (9.5, 6.2), sharex=True)
     real = get["synthetic"] == 0
     for axis, (name, (_, label)) in zip(axes[:, 0], CURVES.items(), strict=True):
         axis.plot(
@@ -219,9 +219,9 @@ def draw_tail(get, path: Path) -> None:
             axis.plot(x[0], y[0], "o", color=INK, markersize=7, fillstyle="none", label=text)
         axis.set_ylabel(label)
     axes[-1, 0].set_xlabel("time of physics (s)")
-    paper.head(page, f"One Go1, rollouts of best: {REAL} real rows and a tail of 16")
-    paper.legend(page, axes[0, 0], 3)
-    paper.save(page, path)
+    pictures.head(page, f"One Go1, rollouts of best: {REAL} real rows and a tail of 16")
+    pictures.legend(page, axes[0, 0], 3)
+    pictures.save(page, path)
 
 
 if __name__ == "__main__":

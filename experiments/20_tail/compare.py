@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from dynappo.train import curves
-from experiments import paper
+from experiments import paper, pictures, stats
 
 HERE = Path(__file__).parent
 FOLDERS = (HERE / "results", HERE.parent / "12_platforms" / "results")
@@ -103,7 +103,7 @@ def table(group: str, names) -> list[dict]:
         if not run.columns:
             row["status"] = "diverged"
             continue
-        row |= paper.spread("return", paper.final(run))
+        row |= stats.spread("return", paper.final(run))
         row["policy_std"] = paper.policy_std(run).mean()
         returns = {"difference": paper.final, "all": of_all, "evaluated": evaluated}
         for label, of in returns.items():
@@ -119,7 +119,7 @@ def table(group: str, names) -> list[dict]:
         there = np.isfinite(took["iteration"])
         row |= {"limit": limit, "seeds": f"{there.sum()} of {len(there)}"}
         if there.any():
-            row |= paper.spread("steps_M", took["sim_steps"][there] / 1e6)
+            row |= stats.spread("steps_M", took["sim_steps"][there] / 1e6)
             row["iterations"] = took["iteration"][there].mean()
             row["seconds"] = took["seconds"][there].mean()
             row["share_pct"] = 100 * row["steps_M_mean"] / rows[0].get("steps_M_mean", np.nan)
@@ -140,7 +140,7 @@ def evaluated(run) -> np.ndarray:
 
 def draw(path: Path) -> None:
     """Return over simulator steps, mean of the seeds and its interval, and the threshold."""
-    page, axes = paper.figure(2, 2, (12, 7.6))
+    page, axes = pictures.figure(2, 2, (12, 7.6))
     colours = ("0.35", "#7a4fa3")
     for axis, (group, names) in zip(axes.flat, DRAWN.items(), strict=True):
         for name, colour, label in zip(names, colours, ("PPO-16", "best"), strict=True):
@@ -148,7 +148,7 @@ def draw(path: Path) -> None:
             if run is None:
                 continue
             steps = run.columns["sim_steps"][:, 0] / 1e6
-            paper.band(axis, steps, run.columns["episode_return"], colour, label)
+            pictures.band(axis, steps, run.columns["episode_return"], colour, label)
         limit = 0.8 * float(paper.peak(find(names[0])).mean())  # all is measured against it
         axis.axhline(limit, color="0.6", linewidth=0.8, linestyle="--")
         axis.text(
@@ -157,7 +157,7 @@ def draw(path: Path) -> None:
         axis.set(xlabel="simulator steps (M)", ylabel="episode return", xlim=(0, 33.5))
         axis.set_title(group, loc="left", fontsize=10)
         axis.legend(frameon=False, loc="lower right")
-    paper.save(page, path)
+    pictures.save(page, path)
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import table
 
-from experiments import paper
+from experiments import paper, pictures
 
 ROBOTS = {"g": "Go1", "h": "Go2", "c": "ANYmal-C", "d": "ANYmal-D"}
 RUNS = {  # name in the results -> label, colour (Okabe and Ito's, safe for the colour-blind)
@@ -27,7 +27,7 @@ def main():
     parser = paper.parser(__doc__)
     parser.add_argument("path", type=Path)
     jobs = table.read(parser.parse_args().path)
-    fig, axes = paper.figure(1, 4, (13, 3.5), sharex=True)
+    fig, axes = pictures.figure(1, 4, (13, 3.5), sharex=True)
     for axis, (robot, title) in zip(np.ravel(axes), ROBOTS.items(), strict=True):
         for name, (label, colour) in RUNS.items():
             if f"{name}-{robot}" in jobs:
