@@ -17,7 +17,13 @@ from dynappo.train import curves
 WIDE, DPI = 8.6, 150  # inches, pixels an inch
 ORANGE, SKY, GREEN, BLUE = "#E69F00", "#56B4E9", "#009E73", "#0072B2"
 VERMILION, PURPLE, BLACK, GREY = "#D55E00", "#CC79A7", "#222222", "#8c8c8c"
-SHADES = ("#9ccbe8", "#56a3d4", "#0072B2", "#064b80", "#062744")  # of one hue, for a number that grows
+SHADES = (
+    "#9ccbe8",
+    "#56a3d4",
+    "#0072B2",
+    "#064b80",
+    "#062744",
+)  # of one hue, for a number that grows
 COLOURS = {
     "ppo12": GREY,
     "ppo16": BLACK,

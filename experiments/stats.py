@@ -192,7 +192,11 @@ def compare(one, base, margin: float) -> dict[str, Any]:
     """Cells of one comparison of returns with a base: see `COMPARED`; `correct` fills the rest in."""
     found = difference(one, base)
     ends = {"difference_low": found.low, "difference_high": found.high}
-    return {"difference": found.value} | ends | {"p": welch_of(one, base), "p_equal": equivalence(one, base, margin)}
+    return (
+        {"difference": found.value}
+        | ends
+        | {"p": welch_of(one, base), "p_equal": equivalence(one, base, margin)}
+    )
 
 
 def correct(rows: list[dict[str, Any]], prefix: str = "") -> None:
@@ -205,5 +209,8 @@ def correct(rows: list[dict[str, Any]], prefix: str = "") -> None:
     for row in rows:
         differs, equal = (row[f"{prefix}{name}_holm"] < ALPHA for name in ("p", "p_equal"))
         way = "higher" if row[f"{prefix}difference"] > 0 else "lower"
-        words = (way if differs else "not shown", f"{way}, within the margin" if differs else "equal")
+        words = (
+            way if differs else "not shown",
+            f"{way}, within the margin" if differs else "equal",
+        )
         row[f"{prefix}verdict"] = words[equal]

@@ -16,7 +16,7 @@ import walk
 from dynappo.config import files
 from dynappo.evaluate import trials
 from dynappo.policy import choice, episode, policy_file
-from experiments import paper, pictures
+from experiments import paper
 
 NAMES = {"go1": "Unitree Go1", "go2": "Unitree Go2", "anymal_c": "ANYmal-C", "anymal_d": "ANYmal-D"}
 SIZE = 440, 720  # pixels, height and width of one robot

@@ -21,8 +21,9 @@ ELSEWHERE = {  # runs of the same setting, with five seeds
 }
 MARKS = "ovsD^"
 COLUMNS = (
-    "envs horizon status seeds max_reward_mean max_reward_low max_reward_high paper_max_reward policy_std_mean "
-    "paper_policy_std to_30.5_success_rate_pct to_30.5_sim_steps_M_mean".split()
+    "envs horizon status seeds max_reward_mean max_reward_low max_reward_high paper_max_reward "
+    "policy_std_mean paper_policy_std to_30.5_success_rate_pct to_30.5_sim_steps_M_mean"
+).split()
 )
 
 

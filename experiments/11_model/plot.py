@@ -131,7 +131,9 @@ def draw_errors(errors, path: Path) -> None:
         axis.set(xlim=(0, None), ylim=(0.6 * lowest, None))
     text = "Fig. 6: root mean square error of predictions in a row, Go1, rows not seen before"
     if errors:
-        text += f"\nBands, of 1 and 16 steps: {pictures.covers([len(set(errors['seed'].tolist()))])}"
+        text += (
+            f"\nBands, of 1 and 16 steps: {pictures.covers([len(set(errors['seed'].tolist()))])}"
+        )
     pictures.head(page, text)
     pictures.legend(page, axes[0, 0], 6)
     pictures.save(page, path)

@@ -59,7 +59,7 @@ def draw(runs: dict, title: str, path: Path) -> None:
         if name in some:
             label = (paper.VARIANTS | paper.OURS)[name].replace(", ", ",\n").replace(" (", "\n(")
             row[0].set_ylabel(label, color=pictures.COLOURS[name], fontweight="bold")
-    for axis, (x, y, text) in zip(axes[0], PANELS, strict=True):
+    for axis, (_, y, text) in zip(axes[0], PANELS, strict=True):
         axis.set_title(text, loc="left", fontsize=10)
         if y == "learning_rate" and axis.lines:
             pictures.log(axis, (1,))

@@ -96,7 +96,10 @@ def draw(folder: Path, robots, path: Path) -> None:
     """Best return over simulated rows, a panel for each R; a thin line to all rows, synthetic ones too."""
     across = min(2, len(robots))
     page, axes = pictures.figure(-(-len(robots) // across), across, 6.4, sharey=True, sharex=True)
-    names = plot.NAMES | {"ppo": "PPO", "best": "best at c27cee7: 8 simulated rows, 16 of the model"}
+    names = plot.NAMES | {
+        "ppo": "PPO",
+        "best": "best at c27cee7: 8 simulated rows, 16 of the model",
+    }
     seeds = []
     for axis, envs in zip(axes.flat, robots, strict=True):
         some = [(n, found) for n in PPO_ROWS if (found := run(folder, envs, "ppo", n))]
@@ -118,7 +121,9 @@ def draw(folder: Path, robots, path: Path) -> None:
         style = pictures.mark(variant) | {"linestyle": "-" if name == "ppo" else ""}
         axes[0, 0].plot([], [], label=names[name], markersize=5, **style)
     text = "Go1. A thin line goes from the simulated rows to all rows, the model's too: where it meets\n"
-    text += "PPO's, they do what simulated rows would. Tails of 20 and 24 rows with 1024 robots only."
+    text += (
+        "PPO's, they do what simulated rows would. Tails of 20 and 24 rows with 1024 robots only."
+    )
     if seeds:
         text += f"\nBar: {pictures.covers(seeds)}"
     pictures.head(page, text, fontsize=9.5)

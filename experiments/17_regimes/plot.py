@@ -154,7 +154,9 @@ def draw(rows, regimes, path: Path) -> None:
     axes[0, 0].set(ylim=(0, 58), ylabel="best return of 500 iterations")
     axes[1, 0].set(ylim=(0, 28), ylabel="simulator steps (M) to the\nthreshold of the task")
     seeds = [cells["seeds"] for cells in rows if "seeds" in cells]
-    text = "Threshold: 80 % of PPO-16's best return with 4096 robots, of the other tasks with 1024.\n"
+    text = (
+        "Threshold: 80 % of PPO-16's best return with 4096 robots, of the other tasks with 1024.\n"
+    )
     text += "Hollow, with a number: so many seeds get there, the others never; a number alone: none does"
     if seeds:
         text = f"Go1. Bar: {pictures.covers(seeds)}.\n{text}"

@@ -212,7 +212,7 @@ def draw(path: Path) -> None:
             seeds.append(len(paper.peak(run)))
         limit = 0.8 * float(paper.peak(base).mean())  # all is measured against it
         axis.axhline(limit, color="0.4", linewidth=1, linestyle=":")
-        axis.set(xlim=(0, 50))
+        axis.set(xlim=(0, 50), ylim=(-3, None))
         axis.set_title(label, loc="left")
     for axis in axes[-1]:
         axis.set_xlabel("simulator steps (M)")

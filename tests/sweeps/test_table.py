@@ -1,6 +1,5 @@
 """What a sweep came to: its words."""
 
-import numpy as np
 from rich.console import Console
 
 from dynappo import config as config_lib
