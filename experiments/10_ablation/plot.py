@@ -24,7 +24,6 @@ COLUMNS = (
     "envs horizon status seeds max_reward_mean max_reward_low max_reward_high paper_max_reward "
     "policy_std_mean paper_policy_std to_30.5_success_rate_pct to_30.5_sim_steps_M_mean"
 ).split()
-)
 
 
 def job(envs: int, horizon: int) -> str:
