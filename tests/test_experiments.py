@@ -309,6 +309,36 @@ def test_errors_of_the_model_are_those_of_a_loop(monkeypatch):
         obs = np.concatenate([prop, rows.action[k]], -1)
 
 
+def test_a_robots_shapes_are_drawn_where_they_are_and_as_large_as_they_are():
+    """16_gaits without OpenGL: corners on the surface; the nearer of two boxes is drawn last."""
+    mujoco = pytest.importorskip("mujoco")
+    drawing, kinds = script("16_gaits/drawing"), mujoco.mjtGeom
+    sphere = drawing.surface(kinds.mjGEOM_SPHERE, [0.2, 0, 0])
+    np.testing.assert_allclose(np.linalg.norm(sphere, axis=-1), 0.2)
+    capsule = drawing.surface(kinds.mjGEOM_CAPSULE, [0.1, 0.3, 0]).reshape(-1, 3)
+    core = np.clip(capsule[:, 2], -0.3, 0.3)[:, None] * [0, 0, 1]
+    np.testing.assert_allclose(np.linalg.norm(capsule - core, axis=-1), 0.1)
+    half = np.array([0.1, 0.2, 0.3])
+    box = drawing.surface(kinds.mjGEOM_BOX, half)
+    assert (
+        len(np.unique(np.abs(box).reshape(-1, 3), axis=0)) == 1
+        and (np.abs(box[0, 0]) == half).all()
+    )
+    a, b, c = box[:, 0], box[:, 1], box[:, 3]
+    areas = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    assert areas.sum() == pytest.approx(8 * (0.02 + 0.03 + 0.06))
+    shapes = '<geom group="2" type="box" size="1 1 1" pos="0 {} 2" rgba="{} 0 1"/>'
+    bodies = shapes.format(-5, "1 0") + shapes.format(5, "0 1")
+    model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{bodies}</worldbody></mujoco>")
+    axis = pytest.importorskip("matplotlib.figure").Figure().add_subplot()
+    drawing.draw(axis, model, [], (0.5, 0), 0.0)
+    (drawn,) = axis.collections
+    corners = np.concatenate([path.vertices for path in drawn.get_paths()])
+    np.testing.assert_allclose((corners.min(0), corners.max(0)), [(-1.5, 1), (0.5, 3)])
+    red = drawn.get_facecolors()[:, 0] > drawn.get_facecolors()[:, 1]
+    assert red.tolist() == [False] * 6 + [True] * 6  # at y = -5, on the camera's side
+
+
 def test_swings_are_those_that_begin_and_end():
     gait = script("16_gaits/gait")
     air = np.array([[1, 1, 0, 1, 1, 0, 0, 1, 0, 1], [0, 0, 0, 0, 0, 0, 0, 0, 0, 0]], bool).T

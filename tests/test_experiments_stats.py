@@ -20,6 +20,8 @@ def test_the_interval_of_a_mean_is_students_and_seeds_without_a_number_are_left_
     ends = scipy_stats.t.interval(0.95, 2, 3.0, scipy_stats.sem([1.0, 2.0, 6.0]))
     assert cells["x_mean"] == 3 and cells["x_sd"] == pytest.approx(np.sqrt(7.0))
     assert (cells["x_low"], cells["x_high"]) == pytest.approx(ends)
+    half = stats.half_of(stats.moments([1.0, 2.0, 6.0]))
+    assert half == pytest.approx((ends[1] - ends[0]) / 2)
     cells = stats.spread("x", [2.0])
     assert cells["x_mean"] == 2 and all(np.isnan(cells[f"x_{n}"]) for n in ("sd", "low", "high"))
     assert np.isnan(stats.spread("x", [np.nan])["x_mean"])

@@ -11,7 +11,6 @@ over all comparisons of that measure in the table, and the verdict of the latter
 from pathlib import Path
 
 import numpy as np
-from scipy import special
 
 from dynappo import config as config_lib
 from experiments import batches, paper, pictures, stats
@@ -159,8 +158,8 @@ def counted(seeds) -> str:
 
 def printed_interval(row) -> tuple[float, float, float]:
     """Mean of the paper's three seeds and the t interval that follows from its deviation."""
-    mean, sd, n = row["paper_max_reward_mean"], row["paper_max_reward_sd"], paper.PAPER_SEEDS
-    half = special.stdtrit(n - 1, 0.975) * sd / n**0.5
+    mean, sd = row["paper_max_reward_mean"], row["paper_max_reward_sd"]
+    half = stats.half_of(stats.Moments(mean, sd, paper.PAPER_SEEDS))
     return mean, mean - half, mean + half
 
 
