@@ -75,7 +75,7 @@ def figure(rows: int, columns: int, high: float, **more):
     matplotlib.use("agg")
     import matplotlib.pyplot as plt
 
-    sizes = {"font.size": 9.5, "axes.titlesize": 10.5, "legend.fontsize": 9.5}
+    sizes: Any = {"font.size": 9.5, "axes.titlesize": 10.5, "legend.fontsize": 9.5}
     plt.rcParams.update(sizes | {"axes.axisbelow": True})
     page, axes = plt.subplots(
         rows, columns, figsize=(WIDE, high), layout="constrained", squeeze=False, **more
@@ -131,7 +131,7 @@ def palette(path: Path) -> None:
     few.save(path, optimize=True)
 
 
-def band(axis, x, values, colour: str, label: str = "", most: int = 50, dash="-") -> None:
+def band(axis, x, values, colour: str, label: str = "", most: int = 50, dash: Any = "-") -> None:
     """The mean over seeds of `values` [I, S] and its 95 % t interval, at `most` points of `x` [I].
 
     Rows with an empty cell are left out: before the first episodes end, and where a CSV is thin.

@@ -79,5 +79,5 @@ def draw(axis, model: mujoco.MjModel, qpos, origin, heading: float) -> None:
     order = np.argsort(-depth)
     flat = np.stack([corners @ ahead, corners[..., 2]], -1)[order]
     axis.add_collection(
-        PolyCollection(flat, facecolors=fill[order], edgecolors=fill[order], linewidths=0.3)
+        PolyCollection(list(flat), facecolors=fill[order], edgecolors=fill[order], linewidths=0.3)
     )

@@ -14,6 +14,7 @@ batches.csv has every batch by itself.
 """
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -204,13 +205,13 @@ def draw(path: Path) -> None:
             run = find(f"{robot}_{variant}", batches.load)
             if run is None and (robot, variant) == ("go1", "ppo24"):
                 run = paper.load(HERE.parent / PPO24[0] / "results", PPO24[1])
-            if run is None:
+            if run is None or base is None:
                 continue
             steps, dash = run.columns["sim_steps"][:, 0] / 1e6, pictures.DASHES.get(variant, "-")
-            style = dict(colour=pictures.COLOURS[variant], label=text, dash=dash)
+            style: dict[str, Any] = dict(colour=pictures.COLOURS[variant], label=text, dash=dash)
             pictures.band(axis, steps, run.columns["episode_return"], **style)
             seeds.append(len(paper.peak(run)))
-        limit = 0.8 * float(paper.peak(base).mean())  # all is measured against it
+        limit = 0.8 * float(paper.peak(base).mean()) if base else np.nan
         axis.axhline(limit, color="0.4", linewidth=1, linestyle=":")
         axis.set(xlim=(0, 50), ylim=(-3, None))
         axis.set_title(label, loc="left")
