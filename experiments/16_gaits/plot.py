@@ -147,7 +147,7 @@ def strip(axes, model, poses) -> None:
         axis.axvline(0, color="0.4", linestyle=":", linewidth=1.2)
         drawing.draw(axis, model, poses[frame], origin, heading)
         gone = (poses[frame, :2] - origin) @ [np.cos(heading), np.sin(heading)]
-        axis.text(left + 0.01, top - 0.01, f"{100 * gone:.0f} cm", va="top")
+        axis.text(left + 0.01, top - 0.01, f"{round(100 * gone)} cm", va="top")
         axis.set(xlim=(left, right), ylim=(bottom, top), aspect="equal", xticks=[], yticks=[])
         axis.spines[:].set_visible(False)
         axis.grid(visible=False)
