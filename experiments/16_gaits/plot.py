@@ -93,7 +93,7 @@ def draw(episodes, path: Path) -> None:
                 x = np.arange(len(every)) + 0.08 * (2 * v + k) - 0.12  # side by side
                 style = dict(color=colour, marker=mark)
                 for at, values in zip(x, columns, strict=True):
-                    axis.plot([at] * len(values), values, "", ls="", alpha=0.4, ms=4, **style)
+                    axis.plot([at] * len(values), values, ls="", alpha=0.4, ms=4, **style)
                 mean = [stats.moments(values).mean for values in columns]
                 text = f"{paper.VARIANTS[variant]}, {speed} m/s"
                 style |= dict(linestyle=line, linewidth=1.6, markersize=6, label=text)
