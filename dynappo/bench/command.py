@@ -85,7 +85,8 @@ def parse(argv: list[str] | None):
     configs = []
     for name, fields in sources:
         config = flags.load(name, fields)
-        config.run.update(num_seeds=1, mesh_seed=1)
+        # an evaluation would compile beside what is timed
+        config.run.update(num_seeds=1, mesh_seed=1, eval_every=0, eval_envs=0)
         configs.append(config_lib.validate(config))
     return configs, names, repeats, known.out, known.compile
 

@@ -30,9 +30,12 @@ def lag(wanted, torque, time_constant, timestep):
 
     tau' = (wanted - tau) / T,  so  tau + (1 - exp(-dt / T)) (wanted - tau)
     """
-    xp = wanted.__array_namespace__()
-    share = 1 - xp.exp(-timestep / xp.maximum(xp.asarray(time_constant), 1e-6))
-    return torque + share * (wanted - torque)
+    return torque + share(wanted.__array_namespace__(), time_constant, timestep) * (wanted - torque)
+
+
+def share(xp, time_constant, timestep):
+    """How much of the way to the wanted torque `lag` goes in a `timestep`; of NumPy or jax.numpy."""
+    return 1 - xp.exp(-timestep / xp.maximum(xp.asarray(time_constant), 1e-6))
 
 
 def clip_dc_motor(torque, qd, *, effort_limit, saturation_effort, velocity_limit):

@@ -11,7 +11,7 @@ that must not touch the ground need no collision pairs (`physics.contacts = feet
 Why data are rebuilt from a template in every control step: the state is then small, a reset costs
 no physics call, and a checkpoint does not depend on the engine. Why not in every physics step:
 filling the 168 arrays of mjx.Data took 0.6 of 4.4 ms (experiments/03_speed). MuJoCo Warp is called
-without mjx.Data (warp_engine.py).
+once a control step, without mjx.Data (warp/engine.py).
 """
 
 from __future__ import annotations
@@ -25,8 +25,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dynappo.physics import actuators, c_engine, contacts, randomize, warp_engine
+from dynappo.physics import actuators, c_engine, contacts, randomize
 from dynappo.physics import robot as robot_lib
+from dynappo.physics.warp import arrays
+from dynappo.physics.warp import engine as warp_engine
 from dynappo.types import Config, EnvState
 
 with contextlib.redirect_stdout(io.StringIO()):  # it prints two lines where warp-lang is absent
@@ -37,10 +39,9 @@ class Engine(NamedTuple):
     """A robot in an engine; constants of the compiled program."""
 
     model: Any  # mjx.Model
-    data: Any  # mjx.Data or warp_engine.Moved, a template
-    step: Callable[
-        ..., Any
-    ]  # (model, data, ctrl) -> data, one physics step; of C MuJoCo c_engine's
+    data: Any  # mjx.Data, a template; of "jax"
+    # "jax": (model, data, ctrl) -> data, a physics step; else a control step of c_engine or warp
+    step: Callable[..., Any]
     impl: str  # "jax", "warp" or "c"
     robot: robot_lib.Robot
     substeps: int
@@ -65,7 +66,7 @@ def make(
     if impl == "c":
         step = c_engine.make(robot, physics, varied)
     elif impl == "warp":
-        data, step = warp_engine.make(mj_model, *contacts.most(mj_model))
+        step = warp_engine.make(mj_model, robot, physics.substeps, remember)
     else:
         data, step = mjx.make_data(mj_model, impl=impl, device=here), _mjx_step
     if impl != "c":
@@ -128,8 +129,7 @@ def simulate(engine: Engine, hyper: Config, body, state: EnvState, action) -> Su
         lowest=jnp.full(len(engine.robot.parts), jnp.inf),
     )
     with jax.default_matmul_precision("highest"):
-        simulated = _simulate_in_c if engine.impl == "c" else _simulate_in_mjx
-        return simulated(engine, hyper, body, first, target, kp, kd)
+        return SIMULATE[engine.impl](engine, hyper, body, first, target, kp, kd)
 
 
 def _arriving(engine: Engine, body, state: EnvState, action):
@@ -182,6 +182,23 @@ def _simulate_in_mjx(engine: Engine, hyper: Config, body, first: Substeps, targe
     return s if engine.remember else s._replace(lowest=lowest(data))
 
 
+def _simulate_in_warp(engine: Engine, hyper: Config, body, first: Substeps, target, kp, kd):
+    task, robot = hyper.task, engine.robot
+    model = randomize.merge(engine.model, body, robot.base_body, robot.feet, engine.varied)
+    motor = dict(
+        kp=kp,
+        kd=kd,
+        effort=task.effort_limit,
+        saturation=task.saturation_effort,
+        speed=task.velocity_limit,
+        strength=1.0 if body.strength is None else body.strength,
+        friction=0.0 if body.joint_friction is None else body.joint_friction,
+        share=actuators.share(jnp, body.lag, engine.timestep) if engine.lags else 1.0,
+    )
+    numbers = [jnp.asarray(motor[name], jnp.float32) for name in arrays.MOTOR]
+    return first._replace(**engine.step(model, first, target, jnp.stack(numbers)))
+
+
 def _simulate_in_c(engine: Engine, hyper: Config, body, first: Substeps, target, kp, kd):
     task = hyper.task
     strength = 1.0 if body.strength is None else body.strength
@@ -207,6 +224,9 @@ def _simulate_in_c(engine: Engine, hyper: Config, body, first: Substeps, target,
     lowest = _lowest(engine, moved.height[seen], row[seen]).min(0)
     told = "qpos", "qvel", "qacc_warmstart", "torque", "qd_before"
     return s._replace(lowest=lowest, **{name: getattr(moved, name) for name in told})
+
+
+SIMULATE = {"jax": _simulate_in_mjx, "warp": _simulate_in_warp, "c": _simulate_in_c}
 
 
 def _feet(engine: Engine, s: Substeps, heights) -> Substeps:

@@ -104,15 +104,13 @@ def program(config, env: Any = None, each: tuple[Any, Any] | None = None) -> Pro
     env = env._replace(mesh=mesh)
     length = run.eval_steps or config.task.episode_length
     episodes = dict(static=static, num_envs=run.eval_envs, num_steps=length)
-    init = partial(algorithm.init, env, static=static)
-    step = partial(algorithm.run, env, static=static)
-    episodes_of = partial(evaluation.evaluate, env, **episodes)
+    method = algorithm.init, algorithm.run, evaluation.evaluate
     key = jax.random.key(run.seed)
     if run.num_seeds > 1:
-        init = partial(sweep.init, env, static=static)
-        step = partial(sweep.run, env, static=static)
-        episodes_of = partial(sweep.evaluate, env, **episodes)
+        method = sweep.init, sweep.run, sweep.evaluate
         hyper, key = each or (hyper, sweep.keys(run.seed, run.num_seeds))
+    init, step, episodes_of = (partial(function, env) for function in method)
+    init, step = partial(init, static=static), partial(step, static=static)
     columns = schedule.columns(config)
     chunk = {name: jnp.asarray(column[: run.log_every]) for name, column in columns.items()}
     everywhere = NamedSharding(mesh, PartitionSpec())
@@ -120,21 +118,21 @@ def program(config, env: Any = None, each: tuple[Any, Any] | None = None) -> Pro
     spread = sweep.shardings(mesh, like, run.num_seeds)
     first = jax.jit(init, out_shardings=spread)
     step = jax.jit(step, donate_argnums=1, out_shardings=(spread, everywhere))
+    episodes_of = jax.jit(partial(episodes_of, **episodes), out_shardings=everywhere)
+    # several devices or processes share settings and steps of a compilation: one after the other
+    soon = run.eval_envs and mesh.size == 1 and jax.process_count() == 1
     with sweep.partitioner(mesh):
-        state, compiled = _side_by_side(
-            first, step, (hyper, key), like, spread, chunk, robot is None
+        jobs, placed = (
+            (first, step, episodes_of if soon else None),
+            jax.tree.map(_placed, like, spread),
         )
+        state, compiled, ready = _side_by_side(*jobs, (hyper, key), placed, chunk, robot is None)
     size = memory.needed(compiled)
     memory.check_compiled(config, size, memory.limit(mesh.local_devices[0]))
     distributed.meet()
     if impl == "warp":  # its kernels are built and loaded at the first call
         once = {name: jnp.minimum(column, 1) for name, column in chunk.items()}
         jax.block_until_ready(compiled(hyper, jax.tree.map(jnp.copy, state), once))
-    episodes_of = jax.jit(episodes_of, out_shardings=everywhere)
-
-    def evaluate(state):
-        with sweep.partitioner(mesh):  # the first call compiles
-            return jax.device_get(episodes_of(hyper, state.learner.params, jax.random.key(0)))
 
     return Program(
         robot=robot,
@@ -144,7 +142,7 @@ def program(config, env: Any = None, each: tuple[Any, Any] | None = None) -> Pro
         state=state,
         columns=columns,
         step=compiled,
-        evaluate=evaluate,
+        evaluate=partial(_evaluate, mesh, hyper, episodes_of, ready),
         place=partial(jax.device_put, device=spread),
         impl=impl,
         device=devices.here(run.device).device_kind,
@@ -153,25 +151,49 @@ def program(config, env: Any = None, each: tuple[Any, Any] | None = None) -> Pro
     )
 
 
-def _side_by_side(first, step, args, like, spread, chunk, own: bool) -> tuple[Any, Any]:
-    """`(state, compiled step)`: `first` compiles while `step` is traced and compiles.
+def _side_by_side(
+    first, step, episodes_of, args, like, chunk, own: bool
+) -> tuple[Any, Any, concurrent.futures.Future | None]:
+    """`(state, compiled step, future of the compiled evaluation)`; none where `episodes_of` is None.
 
-    The state has the types `like` and the shardings `spread`; that of an `own` environment is checked
-    before.
+    Python traces one after the other; XLA compiles beside it, the evaluation while the run trains. The
+    state has the types and shardings of `like`; that of an `own` environment is checked before.
     """
     import jax
 
     from dynappo.program import environment
 
-    def placed(array, sharding):
-        return jax.ShapeDtypeStruct(array.shape, array.dtype, sharding=sharding)
-
-    with concurrent.futures.ThreadPoolExecutor(1) as pool:
+    ready = None
+    with concurrent.futures.ThreadPoolExecutor(2) as pool:
         begin = pool.submit(first.lower(*args).compile)
         if own:
             environment.check_start(begin.result()(*args).env_state)
-        compiled = step.lower(args[0], jax.tree.map(placed, like, spread), chunk).compile()
-        return begin.result()(*args), compiled
+        iterate = pool.submit(step.lower(args[0], like, chunk).compile)
+        if episodes_of:
+            lowered = episodes_of.lower(args[0], like.learner.params, jax.random.key(0))
+        state, compiled = begin.result()(*args), iterate.result()
+    if episodes_of:
+        pool = concurrent.futures.ThreadPoolExecutor(1)
+        ready = pool.submit(lowered.compile)
+        pool.shutdown(wait=False)
+    return state, compiled, ready
+
+
+def _placed(array, sharding):
+    import jax
+
+    return jax.ShapeDtypeStruct(array.shape, array.dtype, sharding=sharding)
+
+
+def _evaluate(mesh, hyper, episodes_of, ready, state):
+    """Metrics of deterministic episodes; the first call waits for the compilation, or compiles."""
+    import jax
+
+    from dynappo import sweep
+
+    with sweep.partitioner(mesh):
+        run = ready.result() if ready else episodes_of
+        return jax.device_get(run(hyper, state.learner.params, jax.random.key(0)))
 
 
 def _environment(config, env: Any, impl: str) -> tuple[Any, Any, str]:

@@ -33,14 +33,13 @@ import numpy as np
 from dynappo import algorithm, rollout
 from dynappo import config as config_lib
 from dynappo.learner import ppo
-from dynappo.physics import contacts, warp_engine
+from dynappo.physics import contacts
 from dynappo.physics import engine as engine_lib
 from dynappo.physics import robot as robot_lib
 from dynappo.task import env as env_lib
 from experiments import paper
 
 ROWS = 16
-FIELDS = ("qpos", "qvel", "qacc_warmstart", "geom_xpos", "geom_xmat")
 HOST = {"calls": 0, "seconds": 0.0, "captures": 0}
 
 
@@ -78,8 +77,7 @@ class Bench:
         self.engine = engine
         engines = {
             "own": engine,
-            "carry": engine._replace(data=self.template, step=engine_lib._mjx_step),
-            "template": engine._replace(data=self.moved(self.template), step=self.by_template),
+            "carry": engine._replace(impl="jax", data=self.template, step=engine_lib._mjx_step),
         }
         self.envs = {name: on_engine(env, engine) for name, engine in engines.items()}
         key = jax.random.key(0)
@@ -95,14 +93,6 @@ class Bench:
             _, state, _ = run(self.params, self.body, state, key, jnp.int32(ROWS))
         self.state, self.key = jax.block_until_ready(state), key
         self.action = jax.random.normal(key, (worlds, env.action_size)) * 0.5
-
-    def moved(self, data):
-        return warp_engine.Moved(**{n: getattr(data, n) for n in FIELDS})
-
-    def by_template(self, model, at, ctrl):
-        """mjx.step on data filled from a template."""
-        kept = {name: getattr(at, name) for name in FIELDS[:3]}
-        return self.moved(engine_lib.mjx.step(model, self.template.replace(ctrl=ctrl, **kept)))
 
     # --- cases: functions of (params, body, state, key, n) ---
 

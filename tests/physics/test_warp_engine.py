@@ -1,10 +1,12 @@
-"""MuJoCo Warp called with few arrays, against `mjx.step` with all of them; where Warp is installed.
+"""A control step in one call of MuJoCo Warp, against a scan over `mjx.step`; where Warp is installed.
 
-On a CPU equal bit by bit. On GPUs sums of Warp have no fixed order.
+Both are `engine.simulate`. Sums of Warp have no fixed order on GPUs, and XLA rounds the motors
+otherwise than Warp does.
 """
 
 import jax
 import jax.numpy as jnp
+import mujoco
 import numpy as np
 import pytest
 from jax.sharding import PartitionSpec
@@ -13,118 +15,177 @@ from dynappo import config as config_lib
 from dynappo import sweep
 from dynappo.physics import contacts as contacts_lib
 from dynappo.physics import engine as engine_lib
-from dynappo.physics import randomize, warp_engine
+from dynappo.physics import randomize
 from dynappo.physics import robot as robot_lib
-from dynappo.physics.warp_engine import Moved
+from dynappo.task import env as env_lib
 
 pytest.importorskip("warp")
 
-SEEDS, ROBOTS, STEPS = 2, 4, 6
+from dynappo.physics.warp import building, stages  # noqa: E402
+from dynappo.physics.warp import engine as warp_engine  # noqa: E402
+
+SEEDS, ROBOTS, STEPS = 2, 4, 3
 WIDE = dict(base_mass=(-1.0, 3.0), base_com=(0.05, 0.05, 0.01), friction=(0.4, 1.2))
+HARDWARE = dict(
+    kp_scale=(0.8, 1.2),
+    kd_scale=(0.8, 1.2),
+    strength=(0.7, 1.3),
+    armature=(0.5, 2.0),
+    joint_friction=(0.1, 0.6),
+    delay=(0.0, 0.03),
+    lag=(0.005, 0.03),
+    encoder_bias=0.03,
+)
 
 
 class World:
-    """Robots [SEEDS, ROBOTS] low enough to touch the floor, pushed, with torques; bodies [ROBOTS]."""
+    """Robots [SEEDS, ROBOTS] low enough to touch the floor, pushed; bodies [ROBOTS]."""
 
-    def __init__(self, name, contacts, varied):
-        config = config_lib.load(f"configs/{name}.py")
+    def __init__(self, name, contacts, hardware, dry=0.0):
+        config = config_lib.load(f"configs/{name}.py" + ":deploy" * hardware)
         config.physics.contacts = contacts
-        config.task.randomize.update(WIDE)
+        config.task.randomize.update(WIDE | (HARDWARE if hardware else {}))
+        config.task.actuator = "lag" if hardware else "pd"
         config = config_lib.validate(config)
+        _, self.hyper = config_lib.split(config)
+        self.config = config
         robot = robot_lib.load(name)
-        self.mj_model = robot_lib.physics_model(robot, config.physics)
-        self.engine = engine_lib.make(robot, config.physics, frozenset(varied), "warp")
+        if dry:
+            spec = robot_lib.physics_spec(robot.xml)
+            for joint in spec.joints[1:]:
+                joint.frictionloss = dry
+            robot = robot._replace(mj_model=spec.compile())
+        varied = randomize.varied(config.task.randomize)
+        made = [robot, config.physics, varied]
+        self.engine = engine_lib.make(*made, "warp", remember=contacts == "full", lags=hardware)
+        mj_model = robot_lib.physics_model(robot, config.physics)
+        self.plain = stages.plain(mj_model)
+        touching, rows = contacts_lib.most(mj_model)
+        data = engine_lib.mjx.make_data(
+            mj_model, impl="warp", naconmax=SEEDS * ROBOTS * touching, njmax=rows
+        )
+        self.scanned = self.engine._replace(impl="jax", step=engine_lib._mjx_step, data=data)
         rng, shape = np.random.default_rng(0), (SEEDS, ROBOTS)
-        qpos = np.tile(robot.home_qpos, (*shape, 1)).astype(np.float32)
-        qpos[..., 2] -= rng.uniform(0, 0.15, shape)
-        qpos[..., 7:] += rng.normal(0, 0.2, (*shape, 12))
-        qvel = rng.normal(0, 0.5, (*shape, 18)).astype(np.float32)
-        torque = rng.normal(0, 5, (*shape, 12)).astype(np.float32)
-        self.start = qpos, qvel, np.zeros_like(qvel), torque
         mass, com = (
             getattr(robot.mj_model, n)[robot.base_body] for n in ("body_mass", "body_ipos")
         )
         keys = jax.random.split(jax.random.key(0), ROBOTS)
-        draw = jax.vmap(randomize.draw, (None, None, None, 0))
-        self.bodies = draw(config.task.randomize, mass, jnp.asarray(com, jnp.float32), keys)
-
-    def merge(self, body):
-        e = self.engine
-        return randomize.merge(e.model, body, e.robot.base_body, e.robot.feet, e.varied)
-
-    def few(self, body, qpos, qvel, warm, torque) -> Moved:
-        """`STEPS` steps of one robot as `engine_lib.simulate` takes them."""
-        model, first = self.merge(body), self.engine.data
-        first = first.replace(qpos=qpos, qvel=qvel, qacc_warmstart=warm)
-        return jax.lax.fori_loop(
-            0, STEPS, lambda _, data: self.engine.step(model, data, torque), first
+        draw = jax.vmap(
+            lambda k: randomize.draw(
+                self.hyper.task.randomize, mass, jnp.asarray(com, jnp.float32), k, varied
+            )
         )
-
-    def whole(self, body, qpos, qvel, warm, torque) -> Moved:
-        """The same by `mjx.step`."""
-        touching, rows = contacts_lib.most(self.mj_model)
-        worlds = SEEDS * ROBOTS
-        data = engine_lib.mjx.make_data(
-            self.mj_model, impl="warp", naconmax=worlds * touching, njmax=rows
+        self.bodies = draw(keys)
+        env = env_lib.make(robot, config.task, config.physics, impl="warp")
+        resets = jax.vmap(env.reset, (None, 0, 0))
+        state = jax.vmap(resets, (None, None, 0))(
+            self.hyper, self.bodies, jax.random.split(jax.random.key(1), shape)
         )
-        data = data.replace(qpos=qpos, qvel=qvel, qacc_warmstart=warm, ctrl=torque)
-        model = self.merge(body)
-        data = jax.lax.fori_loop(0, STEPS, lambda _, data: engine_lib.mjx.step(model, data), data)
-        return Moved(**{name: getattr(data, name) for name in vars(self.engine.data)})
+        qpos, qvel = np.array(state.qpos), rng.normal(0, 0.5, (*shape, 18)).astype(np.float32)
+        qpos[..., 2] -= rng.uniform(0.05, 0.2, shape)
+        qpos[..., 7:] += rng.normal(0, 0.2, (*shape, 12))
+        kept = dict(qpos=jnp.asarray(qpos), qvel=jnp.asarray(qvel))
+        if hardware:
+            kept["torque"] = jnp.asarray(rng.normal(0, 5, (*shape, 12)), jnp.float32)
+        self.state = state.replace(**kept)
+        self.actions = jnp.asarray(rng.normal(0, 1, (*shape, STEPS, 12)), jnp.float32)
+
+    def walk(self, engine, body, state, actions):
+        """`STEPS` control steps of one robot; the last one's numbers."""
+        for action in actions:
+            after = engine_lib.simulate(engine, self.hyper, body, state, action)
+            names = set(after._fields) & set(vars(state))
+            state = state.replace(
+                last_action=action,
+                older_action=state.last_action,
+                **{n: getattr(after, n) for n in names if getattr(state, n) is not None},
+            )
+        return after
+
+    def few(self, body, state, actions):
+        return self.walk(self.engine, body, state, actions)
 
 
-@pytest.fixture(scope="module", params=["go1", "anymal_c"])
+@pytest.fixture(scope="module", params=["go1", "hardware", "anymal_c", "dry"])
 def world(request):
-    """Every field of the model varied and feet only; none varied and every contact."""
-    if request.param == "go1":
-        return World("go1", "feet", ("base_mass", "base_com", "friction"))
-    return World("anymal_c", "full", ())
+    """Feet only; all that `deploy` varies; damping and every contact, in every
+    physics step; a file with dry friction."""
+    made = {
+        "go1": ("go1", "feet", False),
+        "hardware": ("go1", "feet", True),
+        "anymal_c": ("anymal_c", "full", False),
+        "dry": ("go1", "feet", False, 0.2),
+    }
+    return World(*made[request.param])
 
 
 @pytest.fixture(scope="module")
 def expected(world):
     """By `mjx.step`, all robots along one axis."""
     bodies = jax.tree.map(lambda x: jnp.tile(x, (SEEDS, *[1] * (x.ndim - 1))), world.bodies)
-    found = jax.jit(jax.vmap(world.whole))(
-        bodies, *(x.reshape(-1, x.shape[-1]) for x in world.start)
-    )
+
+    def flat(x):
+        return x.reshape(-1, *x.shape[2:])
+
+    walk = jax.vmap(lambda *given: world.walk(world.scanned, *given))
+    found = jax.jit(walk)(bodies, jax.tree.map(flat, world.state), flat(world.actions))
     return jax.tree.map(lambda x: np.asarray(x).reshape(SEEDS, ROBOTS, *x.shape[1:]), found)
 
 
 def compare(found, expected):
-    for name, value in vars(expected).items():
-        close = (
-            dict(rtol=0, atol=0) if jax.default_backend() == "cpu" else dict(rtol=1e-2, atol=1e-3)
+    close = (
+        dict(rtol=1e-3, atol=1e-4) if jax.default_backend() == "cpu" else dict(rtol=2e-2, atol=2e-3)
+    )
+    for name, value in expected._asdict().items():
+        scale = 100.0 if name in ("qacc_warmstart", "torque") else 1.0
+        np.testing.assert_allclose(
+            getattr(found, name),
+            value,
+            err_msg=name,
+            rtol=close["rtol"],
+            atol=scale * close["atol"],
         )
-        np.testing.assert_allclose(getattr(found, name), value, err_msg=name, **close)
+
+
+def one(tree, *at):
+    return jax.tree.map(lambda x: x[at], tree)
+
+
+def test_only_a_file_with_dry_friction_takes_all_stages(world, request):
+    assert world.plain == ("[dry]" not in request.node.name)
 
 
 def test_seeds_of_robots_with_the_same_bodies(world, expected):
     """Two axes, one of which the parameters of the bodies do not have."""
     assert np.abs(expected.qvel).max() > 1 and np.abs(expected.qacc_warmstart).max() > 10
+    assert (expected.contact_steps > 0).any() and (expected.air_steps > 0).any()
+    assert (expected.last_air_steps > 0).any() and np.isfinite(expected.lowest).all()
     robots = jax.vmap(world.few)
-    compare(jax.jit(jax.vmap(robots, (None, 0, 0, 0, 0)))(world.bodies, *world.start), expected)
+    found = jax.jit(jax.vmap(robots, (None, 0, 0)))(world.bodies, world.state, world.actions)
+    compare(found, expected)
 
 
 def test_another_number_of_robots_in_the_same_process(world, expected):
     """As training and an evaluation: each program with arrays of its own, in any order."""
-    one, some = jax.jit(world.few), jax.jit(jax.vmap(world.few))
+    alone, some = jax.jit(world.few), jax.jit(jax.vmap(world.few))
     for seed in (0, 1, 0):
-        first = jax.tree.map(lambda x, seed=seed: x[seed], expected)
-        compare(some(world.bodies, *(x[seed] for x in world.start)), first)
-        alone = one(jax.tree.map(lambda x: x[1], world.bodies), *(x[seed, 1] for x in world.start))
-        compare(alone, jax.tree.map(lambda x: x[1], first))
+        given = one((world.state, world.actions), seed)
+        compare(some(world.bodies, *given), one(expected, seed))
+        first = alone(one(world.bodies, 1), *one((world.state, world.actions), seed, 1))
+        compare(first, one(expected, seed, 1))
 
 
 def test_nothing_is_left_of_robots_that_blew_up(world, expected):
-    """What Warp keeps of a call with numbers that are not finite does not reach the next."""
+    """What Warp keeps of a call with numbers that are not finite does not reach the next, and such
+    numbers are seen."""
     some = jax.jit(jax.vmap(world.few))
-    start = [x[0] for x in world.start]
-    some(
-        world.bodies,
-        *(np.full_like(x, bad) for x, bad in zip(start, [np.nan, 1e20] * 2, strict=True)),
-    )
-    compare(some(world.bodies, *start), jax.tree.map(lambda x: x[0], expected))
+    state, actions = one((world.state, world.actions), 0)
+    bad = jnp.array([np.nan, 1e20] * 2)[:, None]
+    found = some(world.bodies, state.replace(qpos=state.qpos * bad), actions)
+    assert not np.isfinite(found.qpos).all(-1).any()
+    found = some(world.bodies, state, actions.at[0, -1, 0].set(np.nan))
+    assert np.isnan(found.qpos[0]).any() and np.isfinite(found.qpos[1:]).all()
+    compare(some(world.bodies, state, actions), one(expected, 0))
 
 
 @pytest.mark.skipif(jax.device_count() < 2, reason="one device")
@@ -134,8 +195,8 @@ def test_every_device_of_a_mesh_steps_its_own_robots(world, expected):
     robots = jax.shard_map(
         jax.vmap(world.few), mesh=mesh, in_specs=spec, out_specs=spec, check_vma=False
     )
-    seeds = jax.vmap(robots, (None, 0, 0, 0, 0), spmd_axis_name="seed")
-    found = jax.jit(seeds)(world.bodies, *world.start)
+    seeds = jax.vmap(robots, (None, 0, 0), spmd_axis_name="seed")
+    found = jax.jit(seeds)(world.bodies, world.state, world.actions)
     assert len(found.qpos.sharding.device_set) == 2
     compare(found, expected)
 
@@ -147,7 +208,64 @@ def test_environments_of_one_model_share_what_warp_keeps():
     for iterations in (4, 4, 5):
         config = config_lib.load("configs/go1.py")
         config.physics.iterations = iterations
+        config.physics.ls_iterations = 7
         config = config_lib.validate(config)
         engine_lib.make(robot_lib.load("go1"), config.physics, frozenset(), "warp")
         kept.append(len(set(warp_engine._TOGETHER) - before))
-    assert kept[1] == kept[0] and kept[2] == kept[1] + 1
+    assert kept == [1, 1, 2]
+
+
+def test_all_kernels_of_a_step_are_found_before_it(world, expected, monkeypatch):
+    """What a real step asks Warp to load is what `launched` has found without a launch."""
+    import warp as wp
+
+    found, loaded = set(), set()
+    start, load = building.start, wp.Module.load
+
+    def noted(modules, places):
+        found.update((module.name, size) for module, size in modules)
+        start(modules, places)()  # and wait
+        loaded.clear()
+        return lambda: None
+
+    def watched(module, device, block_dim=None, *more, **given):
+        loaded.add((module.name, block_dim))
+        return load(module, device, block_dim, *more, **given)
+
+    monkeypatch.setattr(building, "start", noted)
+    monkeypatch.setattr(wp.Module, "load", watched)
+    monkeypatch.setattr(warp_engine, "_TOGETHER", {})
+    engine = world.engine
+    model = robot_lib.physics_model(engine.robot, world.config.physics)
+    step = warp_engine.make(model, engine.robot, engine.substeps, engine.remember)
+    again = engine._replace(step=step)
+    given = one(world.bodies, 0), *one((world.state, world.actions), 0, 0)
+    jax.block_until_ready(jax.jit(lambda *x: world.walk(again, *x))(*given))
+    own = {(warp_engine.__name__, size) for _, size in loaded}  # Warp's for a function of JAX's
+    assert len(found) > 20 and loaded - own == found - own
+
+
+def test_launches_are_only_noted():
+    """Not one kernel runs, and those without threads are left out."""
+    import warp as wp
+
+    from dynappo.physics.warp import kernels
+
+    there = wp.zeros((2, 12), dtype=float)
+
+    def call():
+        wp.launch(kernels.integrate, dim=(2, 13), inputs=[1.0])
+        wp.launch_tiled(kernels.motors, dim=(0, 4), inputs=[], block_dim=32)
+
+    found = building.launched(call)
+    assert {module.name for module, _ in found} == {kernels.__name__}
+    assert not there.numpy().any() and wp.launch.__module__.startswith("warp")
+
+
+def test_flags_of_a_file_take_all_stages():
+    model = robot_lib.load("go1").mj_model
+    assert stages.plain(model)
+    for change in ("integrator", "disableflags", "density", "noslip_iterations"):
+        other = mujoco.MjModel.from_xml_string(robot_lib.load("go1").alone)
+        setattr(other.opt, change, 1)
+        assert not stages.plain(other), change

@@ -1,0 +1,53 @@
+"""The arrays that JAX and Warp exchange for a control step: names, order, shapes."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+STATE = 11  # a call's first arrays, which differ between robots
+KEPT = (  # changed in place
+    "qpos",
+    "qvel",
+    "qacc_warmstart",
+    "torque",
+    "air_steps",
+    "contact_steps",
+    "last_air_steps",
+    "peak",
+    "last_peak",
+)
+COUNTS = "air_steps", "contact_steps", "last_air_steps"
+TOLD = "qd_before", "lowest"
+# the numbers of a robot's motors; `share`: actuators.lag's, 1 where torques do not lag
+MOTOR = ("kp", "kd", "effort", "saturation", "speed", "strength", "friction", "share")
+MODEL = ("body_mass", "body_inertia", "body_ipos", "geom_friction", "dof_armature")
+
+
+class Shape(NamedTuple):
+    """What a control step is made for."""
+
+    substeps: int
+    every: bool  # parts at the ground in every physics step, not only in the last
+    feet: np.ndarray
+    radius: np.ndarray
+    parts: np.ndarray
+    floor: np.ndarray  # [G, 5]
+
+
+def sizes(mj_model, shape: Shape) -> dict[str, tuple[int, ...]]:
+    """The arrays of a call, in its order, and their shapes behind the robots' axis."""
+    joints, foot, parts = (mj_model.nu,), (len(shape.feet),), (len(shape.parts),)
+    return {
+        "qpos": (mj_model.nq,),
+        "qvel": (mj_model.nv,),
+        "qacc_warmstart": (mj_model.nv,),
+        "torque": joints,
+        **dict.fromkeys(KEPT[4:], foot),
+        "target": (shape.substeps, *joints),
+        "motor": (len(MOTOR),),
+        **{name: getattr(mj_model, name).shape for name in MODEL},
+        "qd_before": joints,
+        "lowest": parts,
+    }

@@ -1,0 +1,65 @@
+"""Builds Warp's kernels side by side, while JAX traces and XLA compiles.
+
+Why: Warp builds a module when one of its kernels is first launched. A first physics step so built
+forty modules, one after the other, when XLA was done: most of the first start. Here the step runs
+once without its launches, to see which kernels it has.
+"""
+
+from __future__ import annotations
+
+import concurrent.futures
+import contextlib
+import os
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import warp as wp  # pyright: ignore[reportMissingImports]
+
+
+def launched(call: Callable[..., None], *arrays) -> set[tuple[Any, int]]:
+    """`(module, threads of a block)` of all kernels that `call(*arrays)` would launch; none is."""
+    found, cpu = set(), wp.get_device().is_cpu
+
+    def note(kernel, dim=(), *_, block_dim=256, **__):
+        if np.prod(dim):
+            found.add((kernel.module, 1 if cpu else block_dim))
+
+    def once(_, while_body, **given):
+        while_body(**given)
+
+    with instead(launch=note, launch_tiled=note, capture_while=once):
+        call(*arrays)
+    return found
+
+
+@contextlib.contextmanager
+def instead(**functions: Callable) -> Iterator[None]:
+    """Warp with other functions of these names."""
+    own = {name: getattr(wp, name) for name in functions}
+    try:
+        for name, function in functions.items():
+            setattr(wp, name, function)
+        yield
+    finally:
+        for name, function in own.items():
+            setattr(wp, name, function)
+
+
+def start(modules: set[tuple[Any, int]], places: list[Any]) -> Callable[[], None]:
+    """Build the modules in threads and load them on the devices `places`; the result waits for
+    that."""
+    ordered = sorted(modules, key=lambda one: one[0].name)
+    pool = concurrent.futures.ThreadPoolExecutor(os.cpu_count())
+    loads = [
+        pool.submit(module.load, place, block_dim=size)
+        for module, size in ordered
+        for place in places
+    ]
+    pool.shutdown(wait=False)
+
+    def wait() -> None:
+        for load in loads:
+            load.result()
+
+    return wait

@@ -1,0 +1,155 @@
+"""Calls MuJoCo Warp once a control step, with only the arrays that the step exchanges.
+
+Why not `mjx.step`: it takes and returns all 168 arrays of mjx.Data, which every physics step fills
+and copies for nothing: 0.95 of a row's 4.40 ms with 4096 Go1 on an H100. Why not once a physics
+step: XLA's loop around it costs the motors' and the feet's small kernels four times a row, each a
+launch of its own (measured in experiments/03_speed). Now motors, physics and what is kept of a step
+are one call, captured as a CUDA graph for each set of addresses that JAX passes (`GraphMode.WARP`,
+MJX's default; the last 32 graphs are kept).
+
+Warp keeps the other arrays itself, on each device of this process: for each model, one set for each
+number of robots that a program is traced with (when batching over seeds, also for the robots of one
+seed). They are outside JAX's share of a GPU (program/memory.py) and stay until the process ends.
+Calls on one device share them; JAX runs a device's programs one after the other.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from dynappo.physics import contacts
+from dynappo.physics import robot as robot_lib
+from dynappo.physics.warp import arrays
+
+# one per kind of step: Warp keeps what `jax_callable` was given, arrays included, to the end
+_TOGETHER: dict[tuple[Any, ...], Callable[..., list]] = {}
+
+
+def make(mj_model, robot, substeps: int, every: bool) -> Callable[..., dict[str, Any]]:
+    """`step(mjx model, state, target [n, A], motor)` of one robot, for `jax.vmap`: a control step.
+
+    `state` has the fields `arrays.KEPT`; `motor` are the numbers `arrays.MOTOR`. The result has
+    `KEPT` after the step, `qd_before` and `lowest`. All robots share one contact buffer with room for as
+    many contacts as all can have, and each has as many constraint rows as it can need, so that
+    neither can overflow.
+    """
+    fixed, linear, ring = contacts.floor_distance(mj_model, robot.parts)
+    floor = np.column_stack([fixed, linear, ring])
+    shape = arrays.Shape(substeps, every, robot.feet, robot.foot_radius, robot.parts, floor)
+    key = robot_lib.digest(mj_model), substeps, every, *(x.tobytes() for x in shape[2:])
+    if key not in _TOGETHER:
+        _TOGETHER[key] = _batched(_of_many(mj_model, shape))
+    together = _TOGETHER[key]
+
+    def step(model, state, target, motor) -> dict[str, Any]:
+        kept = [getattr(state, name) for name in arrays.KEPT]
+        args = (*kept, target, motor, *(getattr(model, name) for name in arrays.MODEL))
+        found = together(*(x[None] for x in args))
+        return dict(zip((*arrays.KEPT, *arrays.TOLD), (x[0] for x in found), strict=True))
+
+    return step
+
+
+def _of_many(mj_model, shape: arrays.Shape) -> Callable[..., list]:
+    """`step(*arrays)` of W robots; fields of the model have W rows or one for all."""
+    import warp as wp  # pyright: ignore[reportMissingImports]
+    from mujoco.mjx.third_party import mujoco_warp
+    from warp._src.jax import ffi  # pyright: ignore[reportMissingImports]
+
+    from dynappo.physics.warp import building, stages
+
+    gpu = jax.local_devices()[0].platform == "gpu"
+    room, rows = contacts.most(mj_model)
+    plain = stages.plain(mj_model)
+    sizes = arrays.sizes(mj_model, shape)
+    own: dict[tuple[str, int], stages.Kept] = {}
+    builds: list[Callable[[], None]] = []
+
+    def prepare(count: int) -> None:
+        """Allocate arrays of `count` robots now, and begin to build the kernels."""
+        # the ordinal that the callback gets, in each of several processes
+        places = [wp.get_cuda_device(d.local_hardware_id) for d in jax.local_devices() if gpu]
+        places = places or [wp.get_device("cpu")]
+        for place in places:
+            if (place.alias, count) in own:
+                continue
+            # the lock: while another thread captures a call, device and stream are that call's
+            with ffi._FFI_CALLBACK_LOCK, wp.ScopedDevice(place):
+                model = mujoco_warp.put_model(mj_model)
+                model.opt.warn_overflow = 0  # else a line per world and step at the solver's limit
+                data = mujoco_warp.make_data(
+                    mj_model, nworld=count, naconmax=count * room, njmax=rows
+                )
+                kept = stages.kept(model, data, shape, plain)
+                own[place.alias, count] = kept
+                given = {n: _example(wp, sizes[n], kind, count) for n, kind in kinds.items()}
+                # also allocates what a step needs: a graph that is captured cannot
+                modules = building.launched(stages.control_step, kept, shape, given)
+                if not builds:
+                    builds.append(building.start(modules, places))
+                wp.synchronize_stream(place)  # JAX's does not wait for it
+
+    def call(*given):
+        for wait in builds:
+            wait()
+        kept = own[given[0].device.alias, given[0].shape[0]]
+        stages.control_step(kept, shape, dict(zip(kinds, given, strict=True)))
+
+    kinds = {name: wp.array(dtype=float, ndim=1 + len(size)) for name, size in sizes.items()}
+    kinds |= {name: wp.array2d(dtype=int) for name in arrays.COUNTS}
+    kinds |= {name: wp.array2d(dtype=wp.vec3) for name in arrays.MODEL if len(sizes[name]) == 2}
+    call.__annotations__ = kinds  # how Warp learns the arrays of a function
+    call.__signature__ = inspect.Signature(
+        [
+            inspect.Parameter(n, inspect.Parameter.POSITIONAL_ONLY, annotation=k)
+            for n, k in kinds.items()
+        ]
+    )
+    modes = wp.JaxCallableGraphMode
+    few = wp.jax_callable(
+        call,
+        num_outputs=len(arrays.KEPT) + len(arrays.TOLD),
+        in_out_argnames=[*arrays.KEPT],
+        graph_mode=modes.WARP if gpu else modes.NONE,
+        vmap_method=None,
+    )
+
+    def step(*args):
+        prepare(len(args[0]))
+        return few(*args, output_dims={name: (len(args[0]), *sizes[name]) for name in arrays.TOLD})
+
+    return step
+
+
+def _example(wp, size, kind, count: int):
+    """An array as a call gets it."""
+    return wp.zeros((count, *size[: kind.ndim - 1]), dtype=kind.dtype)
+
+
+def _batched(step: Callable[..., list]) -> Callable[..., list]:
+    """`step` under `jax.vmap`: a new axis means more robots."""
+
+    @jax.custom_batching.custom_vmap
+    def together(*args):
+        return step(*args)
+
+    @together.def_vmap
+    def more(axis, batched, *args):
+        count = args[0].shape[int(batched[0])]
+
+        def flat(i, x):
+            if i >= arrays.STATE and not batched[i] and len(x) == 1:
+                return x
+            x = x if batched[i] else x[None]
+            return jnp.broadcast_to(x, (axis, count, *x.shape[2:])).reshape(-1, *x.shape[2:])
+
+        found = together(*(flat(i, x) for i, x in enumerate(args)))
+        return [x.reshape(axis, count, *x.shape[1:]) for x in found], [True] * len(found)
+
+    return together

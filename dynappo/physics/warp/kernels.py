@@ -1,0 +1,129 @@
+"""Warp kernels of a control step: what `engine.simulate` does between physics steps on other
+engines.
+
+Each is one launch where XLA would run a loop of small kernels around every physics step, and a
+CUDA graph holds them together with MuJoCo Warp's own.
+"""
+
+import warp as wp  # pyright: ignore[reportMissingImports]
+from mujoco.mjx.third_party.mujoco_warp._src.math import quat_integrate
+
+from dynappo.physics.actuators import FRICTION_SPEED
+
+BASE = 6  # degrees of freedom of the base, before the joints'
+
+
+@wp.kernel
+def motors(
+    substep: int,
+    target: wp.array3d[float],  # [W, n, A] rad
+    motor: wp.array2d[float],  # [W, 8], arrays.MOTOR
+    damping: wp.array2d[float],  # [1, A + 6] N m s
+    qpos: wp.array2d[float],
+    qvel: wp.array2d[float],
+    qfrc_bias: wp.array2d[float],
+    torque: wp.array2d[float],  # [W, A] N m; before: of the last physics step
+    qd_before: wp.array2d[float],
+    qfrc_smooth: wp.array2d[float],
+):
+    """Joint torques (actuators.py: `pd`, `clip_dc_motor`, `friction`, `lag`), and the sum of all
+    forces but the constraints': torques, less damping and bias."""
+    robot, dof = wp.tid()
+    if dof < wp.static(BASE):
+        qfrc_smooth[robot, dof] = -qfrc_bias[robot, dof]
+        return
+    joint, p = dof - wp.static(BASE), motor[robot]
+    qd, effort, saturation, speed = qvel[robot, dof], p[2], p[3], p[4]
+    t = p[0] * (target[robot, substep, joint] - qpos[robot, dof + 1]) - p[1] * qd
+    most = speed * (1.0 + effort / saturation)
+    slope = wp.clamp(qd, -most, most) / speed
+    upper, lower = (
+        wp.min(saturation * (1.0 - slope), effort),
+        wp.max(saturation * (-1.0 - slope), -effort),
+    )
+    if t > upper:  # compared so that a torque that is no number stays none
+        t = upper
+    elif t < lower:
+        t = lower
+    t = t * p[5] - p[6] * wp.tanh(qd / wp.static(FRICTION_SPEED))
+    if p[7] < 1.0:
+        before = torque[robot, joint]
+        t = before + p[7] * (t - before)
+    torque[robot, joint] = t
+    qd_before[robot, joint] = qd
+    qfrc_smooth[robot, dof] = t - damping[0, dof] * qd - qfrc_bias[robot, dof]
+
+
+@wp.kernel
+def integrate(
+    timestep: float,
+    qacc: wp.array2d[float],
+    qpos: wp.array2d[float],
+    qvel: wp.array2d[float],
+    qacc_warmstart: wp.array2d[float],
+):
+    """Semi-implicit Euler of a free body with hinge joints: velocities first, then positions."""
+    robot, joint = wp.tid()
+    q, v = qpos[robot], qvel[robot]
+    first, last = int(0), int(wp.static(BASE))  # noqa: UP018 - Warp's variables, not constants
+    if joint > 0:
+        first, last = joint + wp.static(BASE) - 1, joint + wp.static(BASE)
+    for dof in range(first, last):
+        v[dof] = v[dof] + qacc[robot, dof] * timestep
+        qacc_warmstart[robot, dof] = qacc[robot, dof]
+    if joint > 0:
+        q[joint + 6] = q[joint + 6] + timestep * v[joint + 5]
+        return
+    for i in range(3):
+        q[i] = q[i] + timestep * v[i]
+    turned = quat_integrate(wp.quat(q[3], q[4], q[5], q[6]), wp.vec3(v[3], v[4], v[5]), timestep)
+    for i in range(4):
+        q[3 + i] = turned[i]
+
+
+@wp.kernel
+def keep(
+    every: int,  # 1: parts in every physics step, 0: only in the last
+    substep: int,
+    last: int,
+    feet: wp.array[int],
+    radius: wp.array[float],
+    parts: wp.array[int],
+    floor: wp.array2d[float],  # [G, 5]: fixed, linear, ring of contacts.floor_distance
+    geom_xpos: wp.array2d[wp.vec3],
+    geom_xmat: wp.array2d[wp.mat33],
+    air_steps: wp.array2d[int],
+    contact_steps: wp.array2d[int],
+    last_air_steps: wp.array2d[int],
+    peak: wp.array2d[float],
+    last_peak: wp.array2d[float],
+    lowest: wp.array2d[float],
+):
+    """The feet's timers and heights, and the parts' lowest points (engine.py: `_feet`, `_lowest`)."""
+    robot, i = wp.tid()
+    if i < feet.shape[0]:
+        height = geom_xpos[robot, feet[i]][2]
+        contact = height < radius[i]
+        if contact and air_steps[robot, i] > 0:
+            last_air_steps[robot, i] = air_steps[robot, i] + 1
+            last_peak[robot, i] = peak[robot, i]
+        if contact:
+            air_steps[robot, i] = 0
+            contact_steps[robot, i] = contact_steps[robot, i] + 1
+            peak[robot, i] = 0.0
+        else:
+            air_steps[robot, i] = air_steps[robot, i] + 1
+            contact_steps[robot, i] = 0
+            over = height - radius[i]
+            if not (over <= peak[robot, i]):
+                peak[robot, i] = over
+        return
+    if every == 0 and substep < last:
+        return
+    part = i - feet.shape[0]
+    geom, f, turn = parts[part], floor[part], geom_xmat[robot, parts[part]]
+    x, y, z = turn[2, 0], turn[2, 1], turn[2, 2]
+    drop = f[0] + (f[1] * wp.abs(x) + f[2] * wp.abs(y) + f[3] * wp.abs(z))
+    point = geom_xpos[robot, geom][2] - (drop + f[4] * wp.sqrt(wp.max(1.0 - z * z, 0.0)))
+    if every == 0 or substep == 0 or not (point >= lowest[robot, part]):
+        lowest[robot, part] = point

@@ -1,0 +1,129 @@
+"""What the GPU does in one iteration: kernels in order, by part, and a picture.
+
+    python experiments/03_speed/timeline.py OUT.json [--config go1] [--set FIELD=VALUE ...] [--iteration 40]
+
+The program that trains runs `--warm` iterations of a run's schedule, so that robots walk into the
+ground and fall as they do then, and one more under JAX's profiler. OUT.json has each part's kernels
+and time, and the time without any kernel; OUT.png draws them.
+
+XLA's command buffers (CUDA graphs) are off, because the profiler does not name the kernels in them:
+gaps between XLA's kernels are longer than in a run. `wall_ms` is the iteration with them on, when
+`--wall` gives it. MuJoCo Warp's graphs are on; of the solver's loop the profiler shows one round.
+"""
+
+import collections
+import json
+import os
+import tempfile
+import time
+from pathlib import Path
+
+os.environ["XLA_FLAGS"] = os.environ.get("XLA_FLAGS", "") + " --xla_gpu_enable_command_buffer="
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from dynappo import config as config_lib
+from dynappo.program.build import program as build
+from experiments import paper
+
+PARTS = ("physics", "task, policy, buffer", "fit", "tail", "PPO", "copies")
+COLOURS = ("#2b2b2b", "#9a9a9a", "#3b8f5a", "#c8481f", "#7a4fa3", "#d9a05b")
+
+
+def main():
+    parser = paper.parser(__doc__)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--config", default="go1")
+    parser.add_argument("--set", action="append", default=[], metavar="FIELD=VALUE")
+    parser.add_argument("--iteration", type=int, default=40)
+    parser.add_argument("--warm", type=int, default=40)
+    args = parser.parse_args()
+    config = config_lib.load(args.config)
+    for text in (*args.set, "run.log_every=1"):
+        field, _, value = text.partition("=")
+        config_lib.override(config, field, value)
+    config = config_lib.validate(config)
+    program = build(config)
+    columns = {k: np.asarray(v) for k, v in program.columns.items()}
+
+    def step(state, i):
+        chunk = {name: jnp.asarray(column[i : i + 1]) for name, column in columns.items()}
+        return jax.block_until_ready(program.step(program.hyper, state, chunk))[0]
+
+    state = program.state
+    for i in range(args.warm):
+        state = step(state, i)
+    times = []
+    for _ in range(5):
+        began = time.perf_counter()
+        state = step(state, args.iteration)
+        times.append((time.perf_counter() - began) * 1e3)
+    with tempfile.TemporaryDirectory() as folder:
+        with jax.profiler.trace(folder):
+            state = step(state, args.iteration)
+        found = events(folder)
+    text = program.compiled.as_text() if hasattr(program, "compiled") else ""
+    result = summary(found, text) | {
+        "device": jax.devices()[0].device_kind,
+        "config": args.config,
+        "set": args.set,
+        "iteration": args.iteration,
+        "wall_ms": float(np.median(times)),
+    }
+    args.out.write_text(json.dumps(result, indent=1) + "\n")
+    print(json.dumps({k: v for k, v in result.items() if k not in ("events", "kernels")}, indent=1))
+
+
+def events(folder):
+    """`(start us, us, kernel, operation)` of everything on the GPU, in order."""
+    path = sorted(Path(folder).rglob("*.xplane.pb"))[-1]
+    data = jax.profiler.ProfileData.from_file(str(path))
+    out = []
+    for plane in data.planes:
+        if "GPU" not in plane.name:
+            continue
+        for line in plane.lines:
+            if not line.name.startswith("Stream"):
+                continue
+            for e in line.events:
+                stats = dict(e.stats)
+                out.append(
+                    (
+                        e.start_ns / 1e3,
+                        e.duration_ns / 1e3,
+                        e.name,
+                        str(stats.get("hlo_op", "")),
+                        str(stats.get("name", "")),
+                    )
+                )
+    return sorted(out)
+
+
+def summary(found, text):
+    first = found[0][0]
+    by = collections.defaultdict(lambda: [0, 0.0])
+    end, idle = first, 0.0
+    for start, took, name, *_ in found:
+        row = by[name.split("_kernel_forward")[0][:80]]
+        row[0] += 1
+        row[1] += took
+        if start > end:
+            idle += start - end
+        end = max(end, start + took)
+    top = sorted(by.items(), key=lambda kv: -kv[1][1])
+    return {
+        "span_ms": (end - first) / 1e3,
+        "idle_ms": idle / 1e3,
+        "launches": len(found),
+        "kernels": [[n, c, round(us, 1)] for n, (c, us) in top],
+        "events": [
+            [round(s - first, 1), round(d, 1), n[:70], o[:60], sc[-120:]]
+            for s, d, n, o, sc in found
+        ],
+    }
+
+
+if __name__ == "__main__":
+    main()
