@@ -70,7 +70,7 @@ def make(
     else:
         data, step = mjx.make_data(mj_model, impl=impl, device=here), _mjx_step
     if impl != "c":
-        model = mjx.put_model(mj_model, impl=impl, device=here)
+        model = mjx.put_model(mj_model, impl="jax", device=here)
     return Engine(
         model=model,
         data=data,

@@ -21,7 +21,7 @@ from dynappo.task import env as env_lib
 
 pytest.importorskip("warp")
 
-from dynappo.physics.warp import building, stages  # noqa: E402
+from dynappo.physics.warp import arrays, building, quadruped  # noqa: E402
 from dynappo.physics.warp import engine as warp_engine  # noqa: E402
 
 SEEDS, ROBOTS, STEPS = 2, 4, 3
@@ -43,7 +43,7 @@ class World:
 
     def __init__(self, name, contacts, hardware, dry=0.0):
         config = config_lib.load(f"configs/{name}.py" + ":deploy" * hardware)
-        config.physics.contacts = contacts
+        config.physics.update(contacts=contacts, iterations=20, ls_iterations=20)  # to the end
         config.task.randomize.update(WIDE | (HARDWARE if hardware else {}))
         config.task.actuator = "lag" if hardware else "pd"
         config = config_lib.validate(config)
@@ -59,12 +59,13 @@ class World:
         made = [robot, config.physics, varied]
         self.engine = engine_lib.make(*made, "warp", remember=contacts == "full", lags=hardware)
         mj_model = robot_lib.physics_model(robot, config.physics)
-        self.plain = stages.plain(mj_model)
         touching, rows = contacts_lib.most(mj_model)
         data = engine_lib.mjx.make_data(
             mj_model, impl="warp", naconmax=SEEDS * ROBOTS * touching, njmax=rows
         )
-        self.scanned = self.engine._replace(impl="jax", step=engine_lib._mjx_step, data=data)
+        model = engine_lib.mjx.put_model(mj_model, impl="warp")
+        self.scanned = self.engine._replace(impl="jax", model=model, data=data)
+        self.scanned = self.scanned._replace(step=engine_lib._mjx_step)
         rng, shape = np.random.default_rng(0), (SEEDS, ROBOTS)
         mass, com = (
             getattr(robot.mj_model, n)[robot.base_body] for n in ("body_mass", "body_ipos")
@@ -151,8 +152,15 @@ def one(tree, *at):
     return jax.tree.map(lambda x: x[at], tree)
 
 
-def test_only_a_file_with_dry_friction_takes_all_stages(world, request):
-    assert world.plain == ("[dry]" not in request.node.name)
+def test_dry_friction_and_contacts_of_all_parts_are_left_to_mujoco_warp(world, request):
+    kind = request.node.name.partition("[")[2]
+    assert fits(world.engine, world.config) == (kind in ("go1]", "hardware]"))
+
+
+def fits(engine, config):
+    robot = engine.robot
+    shape = arrays.Shape(4, engine.remember, robot.feet, None, robot.parts, None)
+    return quadruped.fits(robot_lib.physics_model(robot, config.physics), shape)
 
 
 def test_seeds_of_robots_with_the_same_bodies(world, expected):
@@ -242,7 +250,8 @@ def test_all_kernels_of_a_step_are_found_before_it(world, expected, monkeypatch)
     given = one(world.bodies, 0), *one((world.state, world.actions), 0, 0)
     jax.block_until_ready(jax.jit(lambda *x: world.walk(again, *x))(*given))
     own = {(warp_engine.__name__, size) for _, size in loaded}  # Warp's for a function of JAX's
-    assert len(found) > 20 and loaded - own == found - own
+    ours = fits(engine, world.config)
+    assert (len(found) == 1 if ours else len(found) > 20) and loaded - own == found - own
 
 
 def test_launches_are_only_noted():
@@ -254,18 +263,9 @@ def test_launches_are_only_noted():
     there = wp.zeros((2, 12), dtype=float)
 
     def call():
-        wp.launch(kernels.integrate, dim=(2, 13), inputs=[1.0])
+        wp.launch(kernels.keep, dim=(2, 13), inputs=[1])
         wp.launch_tiled(kernels.motors, dim=(0, 4), inputs=[], block_dim=32)
 
     found = building.launched(call)
     assert {module.name for module, _ in found} == {kernels.__name__}
     assert not there.numpy().any() and wp.launch.__module__.startswith("warp")
-
-
-def test_flags_of_a_file_take_all_stages():
-    model = robot_lib.load("go1").mj_model
-    assert stages.plain(model)
-    for change in ("integrator", "disableflags", "density", "noslip_iterations"):
-        other = mujoco.MjModel.from_xml_string(robot_lib.load("go1").alone)
-        setattr(other.opt, change, 1)
-        assert not stages.plain(other), change

@@ -28,13 +28,13 @@ def launched(call: Callable[..., None], *arrays) -> set[tuple[Any, int]]:
     def once(_, while_body, **given):
         while_body(**given)
 
-    with instead(launch=note, launch_tiled=note, capture_while=once):
+    with _instead(launch=note, launch_tiled=note, capture_while=once):
         call(*arrays)
     return found
 
 
 @contextlib.contextmanager
-def instead(**functions: Callable) -> Iterator[None]:
+def _instead(**functions: Callable) -> Iterator[None]:
     """Warp with other functions of these names."""
     own = {name: getattr(wp, name) for name in functions}
     try:

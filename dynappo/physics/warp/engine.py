@@ -1,11 +1,11 @@
-"""Calls MuJoCo Warp once a control step, with only the arrays that the step exchanges.
+"""Calls Warp once a control step, with only the arrays that the step exchanges.
 
-Why not `mjx.step`: it takes and returns all 168 arrays of mjx.Data, which every physics step fills
-and copies for nothing: 0.95 of a row's 4.40 ms with 4096 Go1 on an H100. Why not once a physics
-step: XLA's loop around it costs the motors' and the feet's small kernels four times a row, each a
-launch of its own (measured in experiments/03_speed). Now motors, physics and what is kept of a step
-are one call, captured as a CUDA graph for each set of addresses that JAX passes (`GraphMode.WARP`,
-MJX's default; the last 32 graphs are kept).
+A robot that keeps the contract, its feet on a plane, is one kernel of ours (quadruped.py); any other
+file is MuJoCo Warp's own step (general.py). Why not `mjx.step`: it takes and returns all 168 arrays
+of mjx.Data, which every physics step fills and copies for nothing: 0.95 of a row's 4.40 ms with 4096
+Go1 on an H100. Why not once a physics step: XLA's loop around it costs the motors' and the feet's
+small kernels four times a row (measured in experiments/03_speed). A call is captured as a CUDA graph
+for each set of addresses that JAX passes (`GraphMode.WARP`, MJX's default; the last 32 are kept).
 
 Warp keeps the other arrays itself, on each device of this process: for each model, one set for each
 number of robots that a program is traced with (when batching over seeds, also for the robots of one
@@ -35,9 +35,7 @@ def make(mj_model, robot, substeps: int, every: bool) -> Callable[..., dict[str,
     """`step(mjx model, state, target [n, A], motor)` of one robot, for `jax.vmap`: a control step.
 
     `state` has the fields `arrays.KEPT`; `motor` are the numbers `arrays.MOTOR`. The result has
-    `KEPT` after the step, `qd_before` and `lowest`. All robots share one contact buffer with room for as
-    many contacts as all can have, and each has as many constraint rows as it can need, so that
-    neither can overflow.
+    `KEPT` after the step, `qd_before` and `lowest`.
     """
     fixed, linear, ring = contacts.floor_distance(mj_model, robot.parts)
     floor = np.column_stack([fixed, linear, ring])
@@ -59,20 +57,20 @@ def make(mj_model, robot, substeps: int, every: bool) -> Callable[..., dict[str,
 def _of_many(mj_model, shape: arrays.Shape) -> Callable[..., list]:
     """`step(*arrays)` of W robots; fields of the model have W rows or one for all."""
     import warp as wp  # pyright: ignore[reportMissingImports]
-    from mujoco.mjx.third_party import mujoco_warp
     from warp._src.jax import ffi  # pyright: ignore[reportMissingImports]
 
-    from dynappo.physics.warp import building, stages
+    from dynappo.physics.warp import building, quadruped
 
+    way = quadruped
+    if not quadruped.fits(mj_model, shape):
+        from dynappo.physics.warp import general as way
     gpu = jax.local_devices()[0].platform == "gpu"
-    room, rows = contacts.most(mj_model)
-    plain = stages.plain(mj_model)
     sizes = arrays.sizes(mj_model, shape)
-    own: dict[tuple[str, int], stages.Kept] = {}
+    own: dict[tuple[str, int], Any] = {}
     builds: list[Callable[[], None]] = []
 
     def prepare(count: int) -> None:
-        """Allocate arrays of `count` robots now, and begin to build the kernels."""
+        """Allocate what Warp keeps for `count` robots, and begin to build the kernels."""
         # the ordinal that the callback gets, in each of several processes
         places = [wp.get_cuda_device(d.local_hardware_id) for d in jax.local_devices() if gpu]
         places = places or [wp.get_device("cpu")]
@@ -81,25 +79,17 @@ def _of_many(mj_model, shape: arrays.Shape) -> Callable[..., list]:
                 continue
             # the lock: while another thread captures a call, device and stream are that call's
             with ffi._FFI_CALLBACK_LOCK, wp.ScopedDevice(place):
-                model = mujoco_warp.put_model(mj_model)
-                model.opt.warn_overflow = 0  # else a line per world and step at the solver's limit
-                data = mujoco_warp.make_data(
-                    mj_model, nworld=count, naconmax=count * room, njmax=rows
-                )
-                kept = stages.kept(model, data, shape, plain)
-                own[place.alias, count] = kept
-                given = {n: _example(wp, sizes[n], kind, count) for n, kind in kinds.items()}
-                # also allocates what a step needs: a graph that is captured cannot
-                modules = building.launched(stages.control_step, kept, shape, given)
+                own[place.alias, count] = way.kept(mj_model, shape, count)
                 if not builds:
-                    builds.append(building.start(modules, places))
+                    given = [_example(wp, sizes[n], kind, count) for n, kind in kinds.items()]
+                    builds.append(building.start(building.launched(call, *given), places))
                 wp.synchronize_stream(place)  # JAX's does not wait for it
 
     def call(*given):
         for wait in builds:
             wait()
         kept = own[given[0].device.alias, given[0].shape[0]]
-        stages.control_step(kept, shape, dict(zip(kinds, given, strict=True)))
+        way.control_step(kept, shape, dict(zip(kinds, given, strict=True)))
 
     kinds = {name: wp.array(dtype=float, ndim=1 + len(size)) for name, size in sizes.items()}
     kinds |= {name: wp.array2d(dtype=int) for name in arrays.COUNTS}

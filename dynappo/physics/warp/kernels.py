@@ -1,12 +1,10 @@
-"""Warp kernels of a control step: what `engine.simulate` does between physics steps on other
-engines.
+"""Warp kernels of `general`: what `engine.simulate` does between physics steps on other engines.
 
 Each is one launch where XLA would run a loop of small kernels around every physics step, and a
 CUDA graph holds them together with MuJoCo Warp's own.
 """
 
 import warp as wp  # pyright: ignore[reportMissingImports]
-from mujoco.mjx.third_party.mujoco_warp._src.math import quat_integrate
 
 from dynappo.physics.actuators import FRICTION_SPEED
 
@@ -18,21 +16,14 @@ def motors(
     substep: int,
     target: wp.array3d[float],  # [W, n, A] rad
     motor: wp.array2d[float],  # [W, 8], arrays.MOTOR
-    damping: wp.array2d[float],  # [1, A + 6] N m s
     qpos: wp.array2d[float],
     qvel: wp.array2d[float],
-    qfrc_bias: wp.array2d[float],
     torque: wp.array2d[float],  # [W, A] N m; before: of the last physics step
     qd_before: wp.array2d[float],
-    qfrc_smooth: wp.array2d[float],
 ):
-    """Joint torques (actuators.py: `pd`, `clip_dc_motor`, `friction`, `lag`), and the sum of all
-    forces but the constraints': torques, less damping and bias."""
-    robot, dof = wp.tid()
-    if dof < wp.static(BASE):
-        qfrc_smooth[robot, dof] = -qfrc_bias[robot, dof]
-        return
-    joint, p = dof - wp.static(BASE), motor[robot]
+    """Joint torques (actuators.py: `pd`, `clip_dc_motor`, `friction`, `lag`)."""
+    robot, joint = wp.tid()
+    dof, p = joint + wp.static(BASE), motor[robot]
     qd, effort, saturation, speed = qvel[robot, dof], p[2], p[3], p[4]
     t = p[0] * (target[robot, substep, joint] - qpos[robot, dof + 1]) - p[1] * qd
     most = speed * (1.0 + effort / saturation)
@@ -51,34 +42,6 @@ def motors(
         t = before + p[7] * (t - before)
     torque[robot, joint] = t
     qd_before[robot, joint] = qd
-    qfrc_smooth[robot, dof] = t - damping[0, dof] * qd - qfrc_bias[robot, dof]
-
-
-@wp.kernel
-def integrate(
-    timestep: float,
-    qacc: wp.array2d[float],
-    qpos: wp.array2d[float],
-    qvel: wp.array2d[float],
-    qacc_warmstart: wp.array2d[float],
-):
-    """Semi-implicit Euler of a free body with hinge joints: velocities first, then positions."""
-    robot, joint = wp.tid()
-    q, v = qpos[robot], qvel[robot]
-    first, last = int(0), int(wp.static(BASE))  # noqa: UP018 - Warp's variables, not constants
-    if joint > 0:
-        first, last = joint + wp.static(BASE) - 1, joint + wp.static(BASE)
-    for dof in range(first, last):
-        v[dof] = v[dof] + qacc[robot, dof] * timestep
-        qacc_warmstart[robot, dof] = qacc[robot, dof]
-    if joint > 0:
-        q[joint + 6] = q[joint + 6] + timestep * v[joint + 5]
-        return
-    for i in range(3):
-        q[i] = q[i] + timestep * v[i]
-    turned = quat_integrate(wp.quat(q[3], q[4], q[5], q[6]), wp.vec3(v[3], v[4], v[5]), timestep)
-    for i in range(4):
-        q[3 + i] = turned[i]
 
 
 @wp.kernel

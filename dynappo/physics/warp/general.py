@@ -1,0 +1,77 @@
+"""A control step of any file by MuJoCo Warp's own step: where `quadruped.fits` says no, as with dry
+friction, or contacts of every part.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any, NamedTuple
+
+import mujoco
+import warp as wp  # pyright: ignore[reportMissingImports]
+from mujoco.mjx.third_party import mujoco_warp as mjw
+
+from dynappo.physics import contacts
+from dynappo.physics.warp import arrays, kernels
+
+FEW = 8  # rounds of Newton's method that cost less one after the other than a graph's loop does
+
+
+class Kept(NamedTuple):
+    """What Warp keeps on one device for one number of robots."""
+
+    model: Any
+    data: Any
+    feet: Any  # [F] geoms
+    radius: Any  # [F] m
+    parts: Any  # [G] geoms
+    floor: Any  # [G, 5]
+
+
+def kept(mj_model: mujoco.MjModel, shape: arrays.Shape, count: int) -> Kept:
+    """All robots share one contact buffer with room for as many contacts as all can have, and each
+    has as many constraint rows as it can need, so that neither can overflow."""
+    room, rows = contacts.most(mj_model)
+    model = mjw.put_model(mj_model)
+    model.opt.warn_overflow = 0  # else a line per world and step at the solver's limit
+    model.opt.graph_conditional = int(model.opt.iterations) > FEW
+    return Kept(
+        model=model,
+        data=mjw.make_data(mj_model, nworld=count, naconmax=count * room, njmax=rows),
+        feet=wp.array(shape.feet, dtype=int),
+        radius=wp.array(shape.radius, dtype=float),
+        parts=wp.array(shape.parts, dtype=int),
+        floor=wp.array(shape.floor, dtype=float),
+    )
+
+
+def control_step(kept: Kept, shape: arrays.Shape, a: dict[str, Any]) -> None:
+    """All physics steps of a control step, on the arrays `a` of `warp.arrays.sizes`."""
+    count, dofs = a["qvel"].shape
+    state = {name: a[name] for name in ("qpos", "qvel", "qacc_warmstart")}
+    model = dataclasses.replace(kept.model, **{name: a[name] for name in arrays.MODEL})
+    data = dataclasses.replace(kept.data, **state, ctrl=a["torque"])
+    for substep in range(shape.substeps):
+        wp.launch(
+            kernels.motors,
+            dim=(count, dofs - kernels.BASE),
+            inputs=[substep, a["target"], a["motor"], data.qpos, data.qvel],
+            outputs=[data.ctrl, a["qd_before"]],
+        )
+        mjw.step(model, data)
+        wp.launch(
+            kernels.keep,
+            dim=(count, kept.feet.size + kept.parts.size),
+            inputs=[
+                int(shape.every),
+                substep,
+                shape.substeps - 1,
+                kept.feet,
+                kept.radius,
+                kept.parts,
+                kept.floor,
+                data.geom_xpos,
+                data.geom_xmat,
+            ],
+            outputs=[a[name] for name in (*arrays.KEPT[4:], "lowest")],
+        )
