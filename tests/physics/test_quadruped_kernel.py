@@ -102,7 +102,7 @@ def test_a_physics_step_is_that_of_c_mujoco(case):
         np.testing.assert_array_equal(found["air_steps"][i], height >= 0)
         np.testing.assert_allclose(found["peak"][i], np.maximum(height, 0), atol=1e-6)
         seen.append((height < 0).sum())
-    assert touching > 60 and limits > 2 and {0, 2} <= set(seen)
+    assert touching > 60 and limits > 0 and {0, 2} <= set(seen)
 
 
 def test_several_physics_steps_are_one_after_the_other(case):
@@ -121,7 +121,9 @@ def test_rounds_stop_at_the_answer(case):
     """Ten times the rounds change nothing, and the four of the configs hardly."""
     found = case.step(case.before)["qacc_warmstart"]
     case.model.opt.iterations = 300
-    np.testing.assert_allclose(case.step(case.before)["qacc_warmstart"], found, rtol=1e-4, atol=1e-3)
+    np.testing.assert_allclose(
+        case.step(case.before)["qacc_warmstart"], found, rtol=1e-4, atol=1e-3
+    )
     case.model.opt.iterations, case.model.opt.ls_iterations = 4, 8
     few = case.step(case.before)["qacc_warmstart"]
     off = abs(few - found).max(1) / abs(found).max(1)

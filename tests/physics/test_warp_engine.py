@@ -6,7 +6,6 @@ otherwise than Warp does.
 
 import jax
 import jax.numpy as jnp
-import mujoco
 import numpy as np
 import pytest
 from jax.sharding import PartitionSpec
