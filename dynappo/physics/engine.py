@@ -31,14 +31,11 @@ from dynappo.physics.warp import arrays
 from dynappo.physics.warp import engine as warp_engine
 from dynappo.types import Config, EnvState
 
-with contextlib.redirect_stdout(io.StringIO()):  # it prints two lines where warp-lang is absent
-    from mujoco import mjx
-
 
 class Engine(NamedTuple):
     """A robot in an engine; constants of the compiled program."""
 
-    model: Any  # mjx.Model
+    model: Any  # mjx.Model, or the fields of it that robots may differ in
     data: Any  # mjx.Data, a template; of "jax"
     # "jax": (model, data, ctrl) -> data, a physics step; else a control step of c_engine or warp
     step: Callable[..., Any]
@@ -62,15 +59,18 @@ def make(
 ) -> Engine:
     """The engine `impl` ("jax", "warp" or "c") of `robot`; `physics` is the config's group."""
     mj_model, model, data = robot_lib.physics_model(robot, physics), None, None
-    here = next(iter(jnp.zeros(()).devices()))  # MJX takes the first of all processes' otherwise
     if impl == "c":
         step = c_engine.make(robot, physics, varied)
     elif impl == "warp":
         step = warp_engine.make(mj_model, robot, physics.substeps, remember)
+        model = warp_engine.model(mj_model)
     else:
-        data, step = mjx.make_data(mj_model, impl=impl, device=here), _mjx_step
-    if impl != "c":
-        model = mjx.put_model(mj_model, impl="jax", device=here)
+        mjx, step = _mjx(), _mjx_step
+        here = next(
+            iter(jnp.zeros(()).devices())
+        )  # MJX takes the first of all processes' otherwise
+        data = mjx.make_data(mj_model, impl=impl, device=here)
+        model = mjx.put_model(mj_model, impl=impl, device=here)
     return Engine(
         model=model,
         data=data,
@@ -86,8 +86,15 @@ def make(
     )
 
 
+def _mjx():
+    """MuJoCo MJX; other engines do not wait the seconds that its import takes."""
+    with contextlib.redirect_stdout(io.StringIO()):  # it prints two lines where warp-lang is absent
+        from mujoco import mjx
+    return mjx
+
+
 def _mjx_step(model, data, ctrl):
-    return mjx.step(model, data.replace(ctrl=ctrl))
+    return _mjx().step(model, data.replace(ctrl=ctrl))
 
 
 class Substeps(NamedTuple):

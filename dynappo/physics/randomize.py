@@ -142,7 +142,7 @@ def merge(model, body: Body, base_body: int, feet, varied: frozenset[str]):
     if "armature" in varied:
         joints = np.arange(model.nv) >= 6  # the first six are the base's
         fields["dof_armature"] = model.dof_armature * jnp.where(joints, body.armature, 1.0)
-    return model.tree_replace(fields) if fields else model
+    return model.replace(**fields) if fields else model
 
 
 def varied(ranges) -> frozenset[str]:

@@ -29,6 +29,7 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import numpy as np
+from mujoco import mjx
 
 from dynappo import algorithm, rollout
 from dynappo import config as config_lib
@@ -71,14 +72,12 @@ class Bench:
         engine = env.step.args[0].engine
         model = robot_lib.physics_model(robot, config.physics)
         self.template = template(model, impl, worlds)
-        if impl == "warp":
-            quiet = {"opt._impl.warn_overflow": 0}  # or mjx.step prints
-            engine = engine._replace(model=engine.model.tree_replace(quiet))
+        self.model = mjx.put_model(model, impl=impl)
+        if impl == "warp":  # or mjx.step prints
+            self.model = self.model.tree_replace({"opt._impl.warn_overflow": 0})
         self.engine = engine
-        engines = {
-            "own": engine,
-            "carry": engine._replace(impl="jax", data=self.template, step=engine_lib._mjx_step),
-        }
+        of_mjx = dict(impl="jax", model=self.model, data=self.template, step=engine_lib._mjx_step)
+        engines = {"own": engine, "carry": engine._replace(**of_mjx)}
         self.envs = {name: on_engine(env, engine) for name, engine in engines.items()}
         key = jax.random.key(0)
         self.robots = jnp.arange(worlds)
@@ -101,7 +100,7 @@ class Bench:
         engine, task = self.engine, self.hyper.task
         default = jnp.asarray(engine.robot.default_pose, jnp.float32)
         target = default + 0.25 * self.action
-        model = engine.model.tree_replace(change) if change else engine.model
+        model = self.model.tree_replace(change) if change else self.model
 
         def torque(data):
             return task.kp * (target - data.qpos[:, 7:]) - task.kd * data.qvel[:, 6:]
@@ -113,7 +112,7 @@ class Bench:
         def step(data, _):
             if control == "pd":
                 data = data.replace(ctrl=torque(data))
-            return jax.vmap(engine_lib.mjx.step, (None, 0))(model, data), None
+            return jax.vmap(mjx.step, (None, 0))(model, data), None
 
         with jax.default_matmul_precision("highest"):
             data = jax.lax.scan(step, data, None, length=ROWS * engine.substeps)[0]
@@ -189,7 +188,7 @@ def template(model, impl, worlds):
     if impl == "warp":
         touching, rows = contacts.most(model)
         buffers = dict(naconmax=worlds * touching, njmax=rows)
-    return engine_lib.mjx.make_data(model, impl=impl, **buffers)
+    return mjx.make_data(model, impl=impl, **buffers)
 
 
 def on_engine(env, engine):

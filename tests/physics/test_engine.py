@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
+from mujoco import mjx
 
 from dynappo import config
 from dynappo.config import files
@@ -55,7 +56,7 @@ def shipped(loaded, settings):
         return after.lowest, after.contact_steps > 0
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(engine_lib.mjx, "step", engine_lib.mjx.kinematics)
+        patch.setattr(mjx, "step", mjx.kinematics)
         shape = jax.ShapeDtypeStruct((POSES, 19), jnp.float32)
         compiled = jax.jit(jax.vmap(read_one)).lower(shape).compile()
 

@@ -1,9 +1,10 @@
-"""A control step in MuJoCo Warp: one call, one CUDA graph. Start at `engine.py`.
+"""A control step on a GPU: one call of Warp. Start at `engine`, then `quadruped`.
 
-- `engine`: the call, and the arrays that Warp keeps
+- `engine`: the call, and what Warp keeps between calls
 - `arrays`: names and shapes of the arrays that JAX and Warp exchange
-- `stages`: a control step: motors, physics, what is kept
-- `kernels`: our own three kernels
+- `quadruped`: one kernel for a robot that keeps the contract; algebra.h and quadruped.h are its source
+- `general`: any other file, by MuJoCo Warp's own step
+- `kernels`: what `general` does between physics steps
 - `building`: builds Warp's kernels in threads while JAX traces and XLA compiles
 
 `physics.engine` imports `engine` and `arrays`, which need no Warp; `engine` imports the others when a

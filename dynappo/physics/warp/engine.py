@@ -22,6 +22,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from flax import struct
 
 from dynappo.physics import contacts
 from dynappo.physics import robot as robot_lib
@@ -29,6 +30,26 @@ from dynappo.physics.warp import arrays
 
 # one per kind of step: Warp keeps what `jax_callable` was given, arrays included, to the end
 _TOGETHER: dict[tuple[Any, ...], Callable[..., list]] = {}
+
+
+@struct.dataclass
+class Model:
+    """The fields of a model in which robots may differ (`arrays.MODEL`), and its sizes."""
+
+    body_mass: Any
+    body_inertia: Any
+    body_ipos: Any
+    geom_friction: Any
+    dof_armature: Any
+    nbody: int = struct.field(pytree_node=False)
+    ngeom: int = struct.field(pytree_node=False)
+    nv: int = struct.field(pytree_node=False)
+
+
+def model(mj_model) -> Model:
+    """What `randomize.merge` may replace; `mjx.put_model` would take seconds to import."""
+    fields = {n: jnp.asarray(getattr(mj_model, n), jnp.float32) for n in arrays.MODEL}
+    return Model(**fields, nbody=mj_model.nbody, ngeom=mj_model.ngeom, nv=mj_model.nv)
 
 
 def make(mj_model, robot, substeps: int, every: bool) -> Callable[..., dict[str, Any]]:

@@ -13,7 +13,7 @@ by Newton's method with an exact line search, and is tested against C MuJoCo and
 
 from __future__ import annotations
 
-from importlib import resources
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import mujoco
@@ -107,10 +107,7 @@ def parts(model: mujoco.MjModel, shape: arrays.Shape) -> tuple[np.ndarray, np.nd
 _SNIPPET = (
     "".join(f"enum {{ {name} = {place} }};\n" for name, place in _NAMES.items())
     + f"const float FRICTION_SPEED = {FRICTION_SPEED!r};\n"
-    + "".join(
-        resources.files(__package__).joinpath(name).read_text()
-        for name in ("algebra.h", "quadruped.h")
-    )
+    + "".join(Path(__file__).with_name(name).read_text() for name in ("algebra.h", "quadruped.h"))
 )
 
 
