@@ -1,14 +1,14 @@
-"""What the GPU does in one iteration: kernels in order, by part, and a picture.
+"""What the GPU does in an iteration: all kernels in order; and a picture of a control step.
 
     python experiments/03_speed/timeline.py OUT.json [--config go1] [--set FIELD=VALUE ...] [--iteration 40]
+    python experiments/03_speed/timeline.py OUT.png --draw BEFORE.json AFTER.json
 
 The program that trains runs `--warm` iterations of a run's schedule, so that robots walk into the
-ground and fall as they do then, and one more under JAX's profiler. OUT.json has each part's kernels
-and time, and the time without any kernel; OUT.png draws them.
+ground and fall as they do then, and one more under JAX's profiler. OUT.json has its kernels: start and
+length in us, name, XLA's operation, whether it is physics. results/kernel/ keeps 3 ms of each.
 
 XLA's command buffers (CUDA graphs) are off, because the profiler does not name the kernels in them:
-gaps between XLA's kernels are longer than in a run. `wall_ms` is the iteration with them on, when
-`--wall` gives it. MuJoCo Warp's graphs are on; of the solver's loop the profiler shows one round.
+gaps between XLA's kernels are longer than in a run, and so is `wall_ms`.
 """
 
 import collections
@@ -26,10 +26,7 @@ import numpy as np
 
 from dynappo import config as config_lib
 from dynappo.program.build import program as build
-from experiments import paper
-
-PARTS = ("physics", "task, policy, buffer", "fit", "tail", "PPO", "copies")
-COLOURS = ("#2b2b2b", "#9a9a9a", "#3b8f5a", "#c8481f", "#7a4fa3", "#d9a05b")
+from experiments import paper, pictures
 
 
 def main():
@@ -39,7 +36,10 @@ def main():
     parser.add_argument("--set", action="append", default=[], metavar="FIELD=VALUE")
     parser.add_argument("--iteration", type=int, default=40)
     parser.add_argument("--warm", type=int, default=40)
+    parser.add_argument("--draw", nargs=2, type=Path, metavar="JSON")
     args = parser.parse_args()
+    if args.draw:
+        return draw(args.out, *args.draw)
     config = config_lib.load(args.config)
     for text in (*args.set, "run.log_every=1"):
         field, _, value = text.partition("=")
@@ -64,8 +64,7 @@ def main():
         with jax.profiler.trace(folder):
             state = step(state, args.iteration)
         found = events(folder)
-    text = program.compiled.as_text() if hasattr(program, "compiled") else ""
-    result = summary(found, text) | {
+    result = summary(found) | {
         "device": jax.devices()[0].device_kind,
         "config": args.config,
         "set": args.set,
@@ -77,7 +76,7 @@ def main():
 
 
 def events(folder):
-    """`(start us, us, kernel, operation)` of everything on the GPU, in order."""
+    """`(start us, us, kernel, XLA's operation)` of everything on the GPU, in order."""
     path = sorted(Path(folder).rglob("*.xplane.pb"))[-1]
     data = jax.profiler.ProfileData.from_file(str(path))
     out = []
@@ -95,13 +94,12 @@ def events(folder):
                         e.duration_ns / 1e3,
                         e.name,
                         str(stats.get("hlo_op", "")),
-                        str(stats.get("name", "")),
                     )
                 )
     return sorted(out)
 
 
-def summary(found, text):
+def summary(found):
     first = found[0][0]
     by = collections.defaultdict(lambda: [0, 0.0])
     end, idle = first, 0.0
@@ -119,10 +117,31 @@ def summary(found, text):
         "launches": len(found),
         "kernels": [[n, c, round(us, 1)] for n, (c, us) in top],
         "events": [
-            [round(s - first, 1), round(d, 1), n[:70], o[:60], sc[-120:]]
-            for s, d, n, o, sc in found
+            [round(start - first, 1), round(took, 1), name[:70], "ffi_call" in op]
+            for start, took, name, op in found
         ],
     }
+
+
+def draw(out: Path, before: Path, after: Path):
+    """3 ms of both from a control step on: a bar a kernel, physics above, the rest below."""
+    figure, axes = pictures.figure(2, 1, 2.8, sharex=True)
+    for axis, path, name in zip(axes.flat, (before, after), ("before", "after"), strict=True):
+        events = json.loads(path.read_text())["events"]
+        for physics, y in ((True, 1), (False, 0)):
+            bars = [
+                (start / 1e3, took / 1e3)
+                for start, took, _, is_physics in events
+                if is_physics == physics
+            ]
+            axis.broken_barh(
+                bars, (y, 0.8), color=pictures.BLUE if physics else pictures.GREY, linewidth=0
+            )
+        axis.set(
+            yticks=(0.4, 1.4), yticklabels=("the rest", "physics"), title=name, xlim=(-0.4, 2.6)
+        )
+    axes.flat[-1].set_xlabel("ms")
+    pictures.save(figure, out)
 
 
 if __name__ == "__main__":
