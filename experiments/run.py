@@ -38,7 +38,7 @@ from experiments import paper
 KEPT = (
     "iteration sim_steps seconds episode_return episode_length velocity_error policy_std "
     "learning_rate kl value_loss model_loss model_error_1 model_error_4 falls "
-    "surrogate_loss tail_bias tail_falls"
+    "surrogate_loss tail_bias tail_falls eval_return eval_fall_rate eval_tracking_error"
 ).split()
 EACH = ("iteration", "sim_steps", "seconds", "episode_return")  # what thresholds are counted on
 
