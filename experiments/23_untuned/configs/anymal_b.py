@@ -1,0 +1,18 @@
+"""ANYmal-B on flat ground: ANYmal-C's settings on another body, as in Isaac Lab.
+
+    cd experiments/23_untuned && dynappo look configs/anymal_b.py --out=look.png
+
+Isaac Lab gives both the same drives (80 N m, 7.5 rad/s; also in the URDF: 80), so only what follows
+from height and mass differs, by the rules of robots/README.md.
+"""
+
+from dynappo import config as config_lib
+
+
+def get_config(variant=""):
+    """The config of ANYmal-C with this robot."""
+    config = config_lib.load(f"configs/anymal_c.py:{variant}")
+    config.robot = "anymal_b"
+    config.task.reset.spawn_height = 0.55  # home and 5 cm
+    config.task.randomize.base_mass = (-3.3, 3.3)  # a tenth of the robot
+    return config
