@@ -14,5 +14,6 @@ def get_config(variant=""):
     config = config_lib.load(f"configs/anymal_c.py:{variant}")
     config.robot = "anymal_b"
     config.task.reset.spawn_height = 0.55  # home and 5 cm
-    config.task.randomize.base_mass = (-3.3, 3.3)  # a tenth of the robot
+    # a tenth of the robot, ANYmal-C's range times 0.66; `:deploy` has doubled that by now
+    config.task.randomize.base_mass = tuple(0.66 * m for m in config.task.randomize.base_mass)
     return config
