@@ -1,4 +1,4 @@
-"""What the folders share: runs as arrays, statistics, tables and figures; 10 to 18 the paper's tables too.
+"""What the folders share: runs as arrays and tables; 10 to 18 the paper's tables too.
 
 The numbers of "Learning to Walk With Less" are in paper/*.csv, as printed there. A run is what
 `run.py` writes, NAME.csv.xz and NAME.json; where it is missing or has diverged, tables say so.
@@ -19,7 +19,7 @@ import numpy as np
 from dynappo import config as config_lib
 from dynappo import schedule
 from dynappo.program import devices
-from dynappo.train import curves
+from experiments import stats
 
 PAPER_SEEDS = 3
 LIMIT = 30.5  # the return of Table VI
@@ -38,15 +38,6 @@ VARIANTS = {  # the paper's five
     "dyna4": "4-step tail",
 }
 OURS = {"fast": "fast (4-step tail)", "best": "best (16 of 24)"}
-COLOURS = {
-    "ppo12": "#9a9a9a",
-    "ppo16": "#2b2b2b",
-    "dyna2": "#6aa5d8",
-    "dyna4_noschedule": "#d9a05b",
-    "dyna4": "#c8481f",
-    "fast": "#3b8f5a",
-    "best": "#7a4fa3",
-}
 # two CPU cores, minutes: shows that the scripts work, and nothing else
 QUICK = (
     "rollout.num_envs=32 run.num_iterations=10 run.log_every=5 run.checkpoint_every=0 run.eval_envs=0 "
@@ -160,20 +151,22 @@ def reached(run: Run, limit: float, every: int = 1) -> dict[str, np.ndarray]:
     """Iteration, simulator steps and seconds at which each seed's return first is `limit`; or NaN.
 
     Looked at in every `every`-th iteration: returns are noisy, and a run that is looked at more often
-    seems to get there earlier, so runs are to be compared at the same iterations.
+    seems to get there earlier, so runs are to be compared at the same iterations. "with_setup" are
+    seconds with those before the first iteration, mostly compilation.
     """
     rows = run.columns["iteration"][:, 0] % every == 0
     there = run.columns["episode_return"][rows] >= limit
     first, seeds = there.argmax(0), np.arange(there.shape[1])
     names = ("iteration", "sim_steps", "seconds")
-    return {n: np.where(there.any(0), run.columns[n][rows][first, seeds], np.nan) for n in names}
+    took = {n: np.where(there.any(0), run.columns[n][rows][first, seeds], np.nan) for n in names}
+    return took | {"with_setup": took["seconds"] + run.summary.get("compile_seconds", np.nan)}
 
 
 def returns(run: Run) -> dict[str, Any]:
     """Cells of a table: best and final return and policy std, over seeds."""
     cells: dict[str, Any] = {"seeds": len(peak(run))}
-    cells |= spread("max_reward", peak(run)) | spread("return", final(run))
-    return cells | spread("policy_std", policy_std(run))
+    cells |= stats.spread("max_reward", peak(run)) | stats.spread("return", final(run))
+    return cells | stats.spread("policy_std", policy_std(run))
 
 
 def effort(run: Run, limit: float, every: int = 1) -> dict[str, Any]:
@@ -182,17 +175,28 @@ def effort(run: Run, limit: float, every: int = 1) -> dict[str, Any]:
     there = np.isfinite(took["iteration"])
     cells: dict[str, Any] = {"success_rate_pct": 100 * there.mean()}
     if there.any():
-        cells |= spread("sim_steps_M", took["sim_steps"] / 1e6)
-        cells |= spread("iterations", took["iteration"]) | spread("seconds", took["seconds"])
+        cells |= stats.spread("sim_steps_M", took["sim_steps"] / 1e6)
+        cells |= stats.spread("iterations", took["iteration"])
+        cells |= stats.spread("seconds", took["seconds"])
+        cells |= stats.spread("with_setup", took["with_setup"])
     return cells
 
 
-def add_shares(rows: list[dict[str, Any]]) -> None:
-    """To rows of one threshold: simulator steps as a share of PPO-16's."""
-    base = pick(rows, variant="ppo16").get("sim_steps_M_mean", np.nan)
-    for cells in rows:
-        if "sim_steps_M_mean" in cells:
-            cells["share_of_ppo16_pct"] = 100 * cells["sim_steps_M_mean"] / base
+def against(run: Run, base: Run, limit: float, every: int = 1) -> dict[str, Any]:
+    """Cells: steps to `limit` as a share of `base`'s (`stats.share`), seconds too, and their tests.
+
+    `p_steps` is Welch's, where all seeds of both get there; `p_steps_rank` counts "never" as the last.
+    """
+    ours, theirs = reached(run, limit, every), reached(base, limit, every)
+    steps, steps_ = ours["sim_steps"], theirs["sim_steps"]
+    most, most_ = (r.columns["sim_steps"][-1, 0] for r in (run, base))
+    cells = {f"share_of_ppo16_{n}": v for n, v in stats.share(steps, steps_, most, most_).items()}
+    if np.isfinite([*steps, *steps_]).all():
+        cells["p_steps"] = stats.welch_of(steps, steps_)
+        for name in ("seconds", "with_setup"):  # of the batches that had their GPU alone
+            found = [stats.moments(took[name]).mean for took in (ours, theirs)]
+            cells[f"{name}_share_pct"] = 100 * found[0] / found[1]
+    return cells | {"p_steps_rank": stats.rank_sum(steps, steps_)}
 
 
 def sim_steps(spec: str, iteration: int) -> int:
@@ -200,40 +204,6 @@ def sim_steps(spec: str, iteration: int) -> int:
     config = config_lib.load(spec)
     config.run.num_iterations = max(iteration, config.run.num_iterations)
     return int(schedule.sim_steps(config)[iteration - 1])
-
-
-def spread(prefix: str, values) -> dict[str, Any]:
-    """Mean, sample standard deviation and bootstrap 95 % interval of the mean over seeds, as cells."""
-    values = np.asarray(values, float)
-    values = values[np.isfinite(values)]
-    low, high = curves.interval(values)
-    mean, sd = _moments(values)
-    cells = {"mean": mean, "sd": sd, "low": float(low), "high": float(high)}
-    return {f"{prefix}_{name}": value for name, value in cells.items()}
-
-
-def _moments(values):
-    """`(mean, sample sd)`; NaN where there are too few."""
-    n = len(values)
-    return values.mean() if n else np.nan, values.std(ddof=1) if n > 1 else np.nan
-
-
-def welch(one, other) -> tuple[float, float, float]:
-    """Welch's test of two means, each `(mean, sample sd, number)`: t, degrees of freedom, p (two-sided)."""
-    from scipy import special  # comes with JAX
-
-    (mean, sd, n), (mean_, sd_, n_) = one, other
-    if min(n, n_) < 2 or not sd + sd_ > 0:
-        return np.nan, np.nan, np.nan
-    a, b = sd**2 / n, sd_**2 / n_
-    t = (mean - mean_) / np.sqrt(a + b)
-    df = (a + b) ** 2 / (a**2 / (n - 1) + b**2 / (n_ - 1))
-    return float(t), float(df), float(2 * special.stdtr(df, -abs(t)))
-
-
-def welch_of(one, other) -> float:
-    """p of two lists of numbers, one a seed."""
-    return welch(*((*_moments(x), len(x)) for x in map(np.asarray, (one, other))))[2]
 
 
 def write(path: Path, rows: list[dict[str, Any]]) -> None:
@@ -259,80 +229,3 @@ def show(rows: list[dict[str, Any]], columns) -> None:
     print("| " + " | ".join(columns) + " |\n|" + "---|" * len(columns))
     for row in rows:
         print("| " + " | ".join(text(row.get(name)) for name in columns) + " |")
-
-
-def figure(rows: int, columns: int, size: tuple[float, float], **more):
-    """A Figure and its axes `[rows, columns]`, plain."""
-    import matplotlib
-
-    matplotlib.use("agg")
-    import matplotlib.pyplot as plt
-
-    plt.rcParams.update({"font.size": 9, "axes.axisbelow": True})
-    page, axes = plt.subplots(
-        rows, columns, figsize=size, layout="constrained", squeeze=False, **more
-    )
-    for axis in axes.flat:
-        axis.grid(alpha=0.25, linewidth=0.7)
-        axis.spines[["top", "right"]].set_visible(False)
-    return page, axes
-
-
-def missing(axis, what: str = "not run yet") -> None:
-    """Say in the picture that there is nothing to draw."""
-    axis.text(
-        0.5, 0.5, what, transform=axis.transAxes, ha="center", va="center", color="0.6", fontsize=11
-    )
-
-
-def log(axis) -> None:
-    """A logarithmic y axis with plain numbers."""
-    axis.set_yscale("log")
-    axis.yaxis.get_major_locator().set_params(subs=(1, 2, 5))
-    axis.yaxis.set_major_formatter("{x:g}")
-    axis.minorticks_off()
-
-
-def head(page, text: str, **more) -> None:
-    """A line above the whole picture."""
-    page.suptitle(text, x=0.01, ha="left", **{"fontsize": 10} | more)
-
-
-def legend(page, axis, columns: int) -> None:
-    """One legend below the whole picture, of the lines of `axis`; none without lines."""
-    handles, labels = axis.get_legend_handles_labels()
-    if handles:
-        page.legend(handles, labels, loc="outside lower center", ncols=columns, frameon=False)
-
-
-def save(page, path: Path, dpi: int = 130) -> None:
-    """As PNG; the same numbers give the same file."""
-    path = path.with_suffix(".png")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    page.savefig(path, dpi=dpi)
-    palette(path)
-    print(path)
-
-
-def palette(path: Path) -> None:
-    """Write a PNG anew in 256 colours of its own: to the eye the same, and a third of the size."""
-    from PIL import Image
-
-    picture = Image.open(path).convert("RGB")
-    few = picture.quantize(256, Image.Quantize.MAXCOVERAGE, kmeans=4, dither=Image.Dither.NONE)
-    few.save(path, optimize=True)
-
-
-def band(axis, x, values, colour: str, label: str = "", most: int = 50) -> None:
-    """The mean over seeds of `values` [I, S] and its 95 % interval, at `most` points of `x` [I].
-
-    Rows with an empty cell are left out: before the first episodes end, and where a CSV is thin.
-    """
-    whole = np.flatnonzero(np.isfinite(values).all(1))
-    if not len(whole):
-        return
-    rows = whole[np.unique(np.linspace(0, len(whole) - 1, most).round().astype(int))]
-    if values.shape[1] > 1:
-        low, high = curves.interval(values[rows].T)
-        axis.fill_between(x[rows], low, high, color=colour, alpha=0.18, linewidth=0)
-    axis.plot(x[rows], values[rows].mean(1), color=colour, linewidth=1.6, label=label)

@@ -7,20 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy import stats
 
 from dynappo.config import files
 from dynappo.sweeps import folder
 from dynappo.sweeps.grid import Combination
-from dynappo.train import show
-
-
-def half_width(values) -> float:
-    """Half of Student's 95 % interval of the mean of `values` [S] (seeds); NaN of one, or of a NaN."""
-    values = np.asarray(values, float)
-    if len(values) < 2:
-        return float("nan")
-    return float(stats.t.ppf(0.975, len(values) - 1) * stats.sem(values))
+from dynappo.train import curves, show
 
 
 def rows(workdir: Path, combinations: list[Combination]) -> list[dict[str, Any]]:
@@ -42,7 +33,7 @@ def row(workdir: Path, one: Combination) -> dict[str, Any]:
     returns = np.ravel(evaluation.get("return", summary.get("return", [])))
     returns = np.array([np.nan if x is None else x for x in returns], float)
     mean = float(returns.mean()) if returns.size else np.nan
-    around = half_width(returns)
+    around = float(curves.half_width(returns)) if returns.size else np.nan
     at = folder.reached(workdir, one)
     note = "" if summary else "blew up" if problem else f"at iteration {at}"
     numbers = {

@@ -20,6 +20,12 @@ from dynappo.train import run as run_lib
 from dynappo.train import workdir as workdir_lib
 from dynappo.web import address, child
 
+# by engine: how long it takes, and what for (experiments/03_speed; README)
+WAIT = {
+    "warp": "10 s if cached, else 35; the first time two minutes: MuJoCo Warp builds its kernels",
+    "jax": "under a minute; half of it when cached",
+    "c": "15 s; 5 when cached",
+}
 GOES_ON = "the same command goes on from the last checkpoint"
 USAGE = """\
 examples
@@ -231,7 +237,7 @@ def _train_and_show(command: Command, stop: Stop, out) -> None:
     from dynappo.train import restore
 
     source = restore.source(workdir, command.restore)
-    with out.status("compiling (under a minute; half of it when cached)"):
+    with out.status(f"compiling ({WAIT[devices.engine(config)]})"):
         config = workdir_lib.in_step(config, workdir)
         program = build.program(config, command.env)
         if source:

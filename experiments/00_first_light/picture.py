@@ -9,7 +9,7 @@ from pathlib import Path
 from dynappo import config as config_lib
 from dynappo.physics import robot as robot_lib
 from dynappo.policy import policy_file, render
-from experiments import paper
+from experiments import pictures
 
 HERE = Path(__file__).parent
 SECONDS, MOMENT = 8.0, 2.3  # s of film, and of the picture
@@ -25,7 +25,7 @@ def main():
     still = {name: rows if name == "dt" else rows[:until] for name, rows in episode.items()}
     for name, content in (("walking.png", still), ("walking.mp4", episode)):
         print(HERE / name, render.film(robot, content, HERE / name))
-    paper.palette(HERE / "walking.png")
+    pictures.palette(HERE / "walking.png")
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 
-from experiments import paper
+from experiments import paper, pictures
 
 HERE = Path(__file__).parent
 
@@ -36,7 +36,7 @@ def make(out: Path) -> None:
     axes[0].legend(frameon=False, fontsize=8)
     device = json.loads((HERE / "results" / "ppo16.json").read_text())["device"]
     figure.suptitle(f"Go1, 4096 robots, one seed, {device}", fontsize=10)
-    paper.save(figure, out / "curves")
+    pictures.save(figure, out / "curves")
 
 
 if __name__ == "__main__":

@@ -87,7 +87,7 @@ def sheet(pictures, labels, columns, out, dpi=100):
         style = dict(fontsize=width / 46, color="0.15", va="top", transform=axis.transAxes)
         axis.text(0.03, 0.945, label, **style)
     figure.savefig(out, dpi=dpi)
-    paper.palette(out)
+    pictures.palette(out)
 
 
 def main():

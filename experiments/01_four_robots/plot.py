@@ -9,7 +9,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import walk
 
-from experiments import paper
+from experiments import paper, pictures
 
 HERE = Path(__file__).parent
 NAMES = {"go1": "Unitree Go1", "go2": "Unitree Go2", "anymal_c": "ANYmal-C", "anymal_d": "ANYmal-D"}
@@ -69,7 +69,7 @@ def make(out: Path) -> None:
         plt.Line2D([], [], color="0.55", lw=0.8, ls=(0, (6, 3)), label="36 of 45, 22 of 30")
     )
     figure.legend(handles=lines, loc="outside lower center", ncols=len(lines), frameon=False)
-    paper.save(figure, out / "curves")
+    pictures.save(figure, out / "curves")
 
 
 if __name__ == "__main__":

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 
-from experiments import paper
+from experiments import paper, pictures
 
 HERE = Path(__file__).parent
 TITLES = {"hopper": "hopper", "go1_joystick": "Go1"}
@@ -31,7 +31,7 @@ def make(out: Path) -> None:
             axis.grid(alpha=0.3)
             axis.set_xlabel("simulator steps (M)")
         row[0].legend(frameon=False)
-    paper.save(figure, out / "curves", dpi=110)
+    pictures.save(figure, out / "curves", dpi=110)
 
 
 if __name__ == "__main__":

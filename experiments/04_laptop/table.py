@@ -11,8 +11,8 @@ import json
 from pathlib import Path
 
 import numpy as np
-from scipy import stats
 
+from dynappo.train import curves
 from experiments import paper
 
 HERE = Path(__file__).parent
@@ -52,8 +52,7 @@ def mean(values) -> str:
     """Mean and half of its interval."""
     if len(values) == 1:
         return f"{values[0]:.1f}"
-    half = stats.t.ppf(0.975, len(values) - 1) * stats.sem(values)
-    return f"{np.mean(values):.1f} ± {half:.1f}"
+    return f"{np.mean(values):.1f} ± {curves.half_width(values):.1f}"
 
 
 def walks(row) -> bool:

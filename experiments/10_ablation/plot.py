@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments import paper, run
+from experiments import batches, paper, pictures, run
 
 ENVS, HORIZONS = (512, 1024, 2048, 4096, 8192), (12, 16, 20, 24, 28, 32)
 # what decides most comes first: the paper's 4096 robots, and its best cell
@@ -19,11 +19,11 @@ ELSEWHERE = {  # runs of the same setting, with five seeds
     (4096, 16): "12_platforms/results/go1_ppo16",
     (1024, 16): "20_tail/results/go1_ppo16_1024",
 }
-SHADES = ("#bcd4ea", "#85b1dc", "#4a86c2", "#1f5a99", "#0b2f57")
+MARKS = "ovsD^"
 COLUMNS = (
-    "envs horizon status max_reward_mean max_reward_low max_reward_high paper_max_reward policy_std_mean "
-    "paper_policy_std to_30.5_success_rate_pct to_30.5_sim_steps_M_mean".split()
-)
+    "envs horizon status seeds max_reward_mean max_reward_low max_reward_high paper_max_reward "
+    "policy_std_mean paper_policy_std to_30.5_success_rate_pct to_30.5_sim_steps_M_mean"
+).split()
 
 
 def job(envs: int, horizon: int) -> str:
@@ -64,11 +64,11 @@ def build(folder: Path, grid) -> list[dict]:
 
 def load(folder: Path, envs: int, horizon: int) -> paper.Run | None:
     """A cell's run, or that of the same setting in another folder."""
-    own = paper.load(folder, run.name(job(envs, horizon)))
+    own = batches.load(folder, run.name(job(envs, horizon)))
     if own or (envs, horizon) not in ELSEWHERE:
         return own
     path = OTHERS / ELSEWHERE[envs, horizon]
-    return paper.load(path.parent, path.name)
+    return batches.load(path.parent, path.name)
 
 
 def best(rows, name: str = "max_reward_mean") -> dict:
@@ -109,33 +109,35 @@ def findings(rows) -> list[str]:
 
 def draw(rows, path: Path) -> None:
     """Figure 4: best return against N, a line for each R; ours beside the paper's."""
-    page, axes = paper.figure(1, 2, (9.5, 3.9), sharey=True)
+    page, axes = pictures.figure(1, 2, 3.9, sharey=True)
+    every = sorted({row["envs"] for row in rows})
+    shades, marks = pictures.SHADES[-len(every) :], MARKS[-len(every) :]
     for axis, who, mean in zip(
         axes[0], ("ours", "paper"), ("max_reward_mean", "paper_max_reward"), strict=True
     ):
-        every = sorted({row["envs"] for row in rows})
-        for envs, colour in zip(every, SHADES[-len(every) :], strict=True):
-            line = [row for row in rows if row["envs"] == envs and row.get(mean) is not None]
-            x, y = [row["horizon"] for row in line], [row[mean] for row in line]
-            if not line:
+        for k, (envs, colour, mark) in enumerate(zip(every, shades, marks, strict=True)):
+            cells = [row for row in rows if row["envs"] == envs and row.get(mean) is not None]
+            if not cells:
                 continue
-            axis.plot(x, y, "o-", color=colour, markersize=4, linewidth=1.6, label=f"R = {envs}")
+            aside = 0.5 * (k - (len(every) - 1) / 2) * (who == "ours")  # bars side by side
+            x, y = [row["horizon"] + aside for row in cells], [row[mean] for row in cells]
+            style = dict(color=colour, marker=mark, markersize=4.5, linewidth=1.4)
+            axis.plot(x, y, label=f"R = {envs}", **style)
             if who == "ours":
-                low, high = (
-                    [r["max_reward_low"] for r in line],
-                    [r["max_reward_high"] for r in line],
-                )
-                beside = np.add(x, 0.13 * (every.index(envs) - len(every) // 2))
-                axis.vlines(beside, low, high, color=colour, linewidth=1.2)
+                ends = ([row[f"max_reward_{end}"] for row in cells] for end in ("low", "high"))
+                axis.vlines(x, *ends, color=colour, linewidth=1.1)
         if not axis.lines:
-            paper.missing(axis)
-        title = "this repository (bar: 95 % interval of the mean)" if who == "ours" else "paper"
-        axis.set_title(title, loc="left", fontsize=10)
-        axis.set(xlabel="rows of a rollout N (control steps)", xticks=HORIZONS, xlim=(11, 33))
+            pictures.missing(axis)
+        axis.set_title("this repository" if who == "ours" else "paper", loc="left")
+        axis.set(xlabel="rows of a rollout N (control steps)", xticks=HORIZONS, xlim=(10.5, 33.5))
+    axes[0, 0].set_ylim(0, 50)
     axes[0, 0].set_ylabel("best return of 500 iterations,\nmean over seeds")
+    seeds = [row["seeds"] for row in rows if "seeds" in row]
+    if seeds:
+        pictures.head(page, f"Bar: {pictures.covers(seeds)}. R: robots", fontsize=9.5, color="0.35")
     handles, labels = axes[0, 1 if axes[0, 1].lines else 0].get_legend_handles_labels()
-    page.legend(handles[::-1], labels[::-1], loc="outside right center", frameon=False)
-    paper.save(page, path)
+    page.legend(handles, labels, loc="outside lower center", ncols=5, frameon=False)
+    pictures.save(page, path)
 
 
 if __name__ == "__main__":

@@ -9,10 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from dynappo import config as config_lib
-from experiments import paper
+from experiments import paper, pictures, stats
 
 LOSSES = ("model_loss", "model_loss_before")
-STEPS, SHADES = (1, 2, 4, 8, 16), ("#0b2f57", "#1f5a99", "#4a86c2", "#e09a5a", "#c8481f")
+STEPS = (1, 2, 4, 8, 16)
+SHADES = (*pictures.SHADES[:0:-1], pictures.VERMILION)
 AT = (10, 50, 100, 200, 500)  # iterations of the table
 COLUMNS = "group steps iteration rmse_mean rmse_sd share_of_spread_mean status".split()
 
@@ -66,7 +67,7 @@ def build(errors) -> list[dict]:
                 at &= errors["group"] == group
                 rmse, spread = errors["rmse"][at], errors["spread"][at]
                 row = {"group": group, "steps": k, "iteration": iteration}
-                row |= paper.spread("rmse", rmse) | paper.spread("share_of_spread", rmse / spread)
+                row |= stats.spread("rmse", rmse) | stats.spread("share_of_spread", rmse / spread)
                 rows.append(row)
     return rows
 
@@ -80,48 +81,62 @@ def curve(columns, name: str, where) -> tuple[np.ndarray, np.ndarray]:
 
 def draw_loss(losses, path: Path) -> None:
     """Figure 5: the loss before and after each fit, over iterations."""
-    page, ((axis,),) = paper.figure(1, 1, (6, 3.4))
+    page, ((axis,),) = pictures.figure(1, 1, 3.8)
     if losses:
         everywhere = np.ones(len(losses["iteration"]), bool)
-        texts = ("last minibatch of the fit", "first minibatch: rows not seen before")
-        for name, label, colour in zip(LOSSES, texts, ("#1f5a99", "#c8481f"), strict=True):
-            paper.band(axis, *curve(losses, name, everywhere), colour, label, most=250)
-        paper.log(axis)
-        axis.legend(frameon=False)
+        looks = (
+            ("last minibatch of the fit", pictures.BLUE, "-"),
+            ("first minibatch: rows not seen before", pictures.VERMILION, (0, (3, 1.2))),
+        )
+        for name, (label, colour, dash) in zip(LOSSES, looks, strict=True):
+            values = curve(losses, name, everywhere)
+            pictures.band(axis, *values, colour, label, most=250, dash=dash)
+        pictures.log(axis, (1, 2, 3, 4, 5, 6, 8))
+        seeds = [len(set(losses["seed"].tolist()))]
+        axis.legend(title=f"band: {pictures.covers(seeds)}", alignment="left", frameon=False)
     else:
-        paper.missing(axis)
-    axis.set(
-        xlabel="iteration", ylabel="Huber loss of the model\n(normalised targets)", xlim=(0, None)
-    )
-    axis.set_title("Fig. 5: loss of the transition model, Go1", loc="left", fontsize=10)
-    paper.save(page, path)
+        pictures.missing(axis)
+    axis.set(xlabel="iteration", xlim=(0, None))
+    axis.set_ylabel("Huber loss of the model\n(normalised targets, logarithmic)")
+    axis.set_title("Fig. 5: loss of the transition model, Go1", loc="left")
+    pictures.save(page, path)
 
 
 def draw_errors(errors, path: Path) -> None:
     """Figure 6: error of k predictions in a row over iterations, a panel a group."""
     groups = list(dict.fromkeys(errors["group"].tolist())) if errors else [""] * 6
-    page, axes = paper.figure(2, 3, (11, 5.8))
+    page, axes = pictures.figure(2, 3, 5.8)
     for axis, group in zip(axes.flat, groups, strict=True):
-        axis.set_title(group, loc="left", fontsize=10)
-        axis.set_xlabel("iteration")
+        axis.set_title(group, loc="left")
+        if axis in axes[1]:
+            axis.set_xlabel("iteration")
         if not errors:
-            paper.missing(axis)
+            pictures.missing(axis)
             continue
+        lowest = np.inf
         for k, colour in zip(STEPS, SHADES, strict=True):
             where = (errors["group"] == group) & (errors["steps"] == k)
             label = f"{k} step" + "s" * (k > 1)
-            paper.band(axis, *curve(errors, "rmse", where), colour, label)
+            dash = "-" if k < 16 else (0, (4, 1.2))
+            x, values = curve(errors, "rmse", where)
+            if k in (STEPS[0], STEPS[-1]):  # five bands would hide each other
+                pictures.band(axis, x, values, colour, label, dash=dash)
+            else:
+                axis.plot(x, values.mean(1), color=colour, linewidth=1.6, label=label)
+            lowest = min(lowest, values.mean(1).min())
         x, spread = curve(errors, "spread", (errors["group"] == group) & (errors["steps"] == 1))
-        axis.plot(
-            x, spread.mean(1), color="0.5", linestyle=":", linewidth=1.2, label="spread over robots"
+        style = dict(color="0.4", linestyle=":", linewidth=1.4, label="spread over robots")
+        axis.plot(x, spread.mean(1), **style)
+        pictures.log(axis)
+        axis.set(xlim=(0, None), ylim=(0.6 * lowest, None))
+    text = "Fig. 6: root mean square error of predictions in a row, Go1, rows not seen before"
+    if errors:
+        text += (
+            f"\nBands, of 1 and 16 steps: {pictures.covers([len(set(errors['seed'].tolist()))])}"
         )
-        axis.set_xlim(left=0)
-        paper.log(axis)
-    paper.head(
-        page, "Fig. 6: root mean square error of predictions in a row, Go1, rows not seen before"
-    )
-    paper.legend(page, axes[0, 0], 6)
-    paper.save(page, path)
+    pictures.head(page, text)
+    pictures.legend(page, axes[0, 0], 6)
+    pictures.save(page, path)
 
 
 if __name__ == "__main__":

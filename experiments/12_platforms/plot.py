@@ -3,8 +3,9 @@
     python experiments/12_platforms/plot.py
 
 "max_reward" is the paper's: the best return of a run, over all iterations. "return" is the mean of the
-last ten. p is Welch's, two-sided, of the best returns of the seeds. "difference" is that of the returns
-to PPO-16, seed by seed; "not worse" means that its interval's lower end is above -`MARGIN`.
+last ten. A row compares all three, evaluated return among them, with PPO-16's of the same robot: the
+difference with Welch's 95 % interval, p of Welch's test and of equivalence (`stats.MARGIN`), both by Holm
+over all comparisons of that measure in the table, and the verdict of the latter.
 """
 
 from pathlib import Path
@@ -12,15 +13,14 @@ from pathlib import Path
 import numpy as np
 
 from dynappo import config as config_lib
-from experiments import paper
+from experiments import batches, paper, pictures, stats
 
 COLUMNS = (
-    "robot variant status max_reward_mean max_reward_sd paper_max_reward_mean paper_max_reward_sd "
-    "p_vs_ppo16 paper_p_vs_ppo16 p_vs_ppo12 paper_p_vs_ppo12 evaluated_return_mean p_evaluated "
-    "return_mean return_low return_high "
-    "difference_low verdict policy_std_mean paper_policy_std_mean"
+    "robot variant status seeds max_reward_mean max_reward_sd p_vs_ppo12 paper_max_reward_mean "
+    "paper_max_reward_sd paper_p_vs_ppo16 paper_p_vs_ppo12 "
+    "evaluated_return_mean return_mean policy_std_mean paper_policy_std_mean"
 ).split()
-MARGIN = {"go1": 1.0, "go2": 1.0, "anymal_c": 0.7, "anymal_d": 0.7}
+MEASURES = ("max_reward", "evaluated_return", "return")
 
 
 def main():
@@ -32,6 +32,8 @@ def make(out: Path) -> None:
     rows = build(out / "results")
     paper.write(out / "results.csv", rows)
     paper.show(rows, COLUMNS)
+    for name in MEASURES:
+        paper.show(rows, ["robot", "variant", *(f"{name}_{cell}" for cell in stats.COMPARED)])
     draw(rows, out / "platforms")
 
 
@@ -54,34 +56,38 @@ def build(folder: Path) -> list[dict]:
     """A row a robot and variant; minutes are of all seeds, which train at once."""
     printed, rows = paper.table("platforms"), []
     for robot in paper.ROBOTS:
-        runs = {name: paper.load(folder, f"{robot}_{name}") for name in paper.variants(robot)}
+        runs = {name: batches.load(folder, f"{robot}_{name}") for name in paper.variants(robot)}
         for variant, run in runs.items():
             row: dict = {"robot": robot, "variant": variant, "status": paper.status(run)}
             if run and run.columns:
-                row |= measures(run)
-                for base in ("ppo16", "ppo12"):
-                    other = runs[base]
-                    if other and other.columns and base != variant:
-                        row[f"p_vs_{base}"] = paper.welch_of(paper.peak(run), paper.peak(other))
-                        if base == "ppo16":
-                            row |= difference(paper.final(run), paper.final(other), MARGIN[robot])
-                            pair = [
-                                r.summary.get("evaluation", {"return": []}) for r in (run, other)
-                            ]
-                            row["p_evaluated"] = paper.welch_of(*(e["return"] for e in pair))
+                row |= measures(run) | differences(run, variant, runs, stats.MARGIN[robot])
             rows.append(row | theirs(printed, robot, variant))
+    for name in MEASURES:
+        stats.correct(rows, f"{name}_")
     return rows
 
 
-def difference(ours, base, margin: float) -> dict:
-    """Of returns, paired by seed, and whether `ours` are worse by more than `margin`, not worse, or neither
-    is shown; {} if unpaired."""
-    if len(ours) != len(base) or len(ours) < 2:
-        return {}
-    cells = paper.spread("difference", ours - base)
-    if cells["difference_high"] < -margin:
-        return cells | {"verdict": "worse"}
-    return cells | {"verdict": "not worse" if cells["difference_low"] > -margin else "not shown"}
+def differences(run, variant: str, runs, margin: float) -> dict:
+    """Cells: every measure against PPO-16's (`stats.compare`), and the best return against PPO-12's."""
+    cells = {}
+    for base in ("ppo16", "ppo12"):
+        other = runs[base]
+        if base == variant or not (other and other.columns):
+            continue
+        if base == "ppo12":
+            cells["p_vs_ppo12"] = stats.welch_of(paper.peak(run), paper.peak(other))
+            continue
+        for name in MEASURES:
+            some = stats.compare(seeds_of(run, name), seeds_of(other, name), margin)
+            cells |= {f"{name}_{cell}": value for cell, value in some.items()}
+    return cells
+
+
+def seeds_of(run, name: str) -> np.ndarray:
+    """A measure of each seed; of the evaluation none where there was none."""
+    if name == "evaluated_return":
+        return np.array(run.summary.get("evaluation", {"return": []})["return"], float)
+    return paper.peak(run) if name == "max_reward" else paper.final(run)
 
 
 def measures(run: paper.Run) -> dict:
@@ -89,7 +95,7 @@ def measures(run: paper.Run) -> dict:
     summary, evaluation = run.summary, run.summary.get("evaluation", {})
     row = paper.returns(run)
     if evaluation:
-        row |= paper.spread("evaluated_return", evaluation["return"])
+        row |= stats.spread("evaluated_return", evaluation["return"])
         for name in ("fall_rate", "tracking_error"):
             row[f"evaluated_{name}"] = float(np.mean(evaluation[name]))
     row |= {"sim_steps_M": summary["sim_steps"] / 1e6, "minutes": summary["seconds"] / 60}
@@ -108,37 +114,53 @@ def theirs(printed, robot: str, variant: str) -> dict:
             pair = [
                 (r["max_reward_mean"], r["max_reward_sd"], paper.PAPER_SEEDS) for r in (row, other)
             ]
-            out[f"paper_p_vs_{base}"] = paper.welch(*pair)[2]
+            out[f"paper_p_vs_{base}"] = stats.welch(*pair)[2]
     return out
 
 
 def draw(rows, path: Path) -> None:
-    """Best return of every variant: ours with its 95 % interval, the paper's with its deviation."""
-    page, axes = paper.figure(1, 4, (12, 3.8), sharey=True)
-    names = [*paper.VARIANTS, *paper.OURS]
-    for axis, (robot, title) in zip(axes[0], paper.ROBOTS.items(), strict=True):
+    """Best return of every variant, ours and the paper's, both with the t interval of their seeds."""
+    page, axes = pictures.figure(2, 2, 6.2, sharey=True, sharex=True)
+    names, seeds = [*paper.VARIANTS, *paper.OURS], []
+    for axis, (robot, title) in zip(axes.flat, paper.ROBOTS.items(), strict=True):
         for y, variant in enumerate(names):
             row = paper.pick(rows, robot=robot, variant=variant)
-            colour = paper.COLOURS[variant]
+            style = pictures.mark(variant)
             if "max_reward_mean" in row:
-                mean = row["max_reward_mean"]
-                axis.plot(
-                    [row["max_reward_low"], row["max_reward_high"]], [y - 0.12] * 2, color=colour
-                )
-                axis.plot(mean, y - 0.12, "o", color=colour, markersize=6)
+                seeds.append(row["seeds"])
+                ends = [row["max_reward_low"], row["max_reward_high"]]
+                axis.plot(ends, [y - 0.14] * 2, color=style["color"], linewidth=1.8)
+                axis.plot(row["max_reward_mean"], y - 0.14, markersize=6, **style)
             elif row.get("status"):
-                axis.text(0.5, y - 0.12, row["status"], color="0.6", fontsize=8, va="center")
+                axis.text(0.5, y - 0.14, row["status"], color="0.5", va="center")
             if row.get("paper_max_reward_mean"):
-                mean, sd = row["paper_max_reward_mean"], row["paper_max_reward_sd"]
-                axis.plot([mean - sd, mean + sd], [y + 0.18] * 2, color="0.6", linewidth=1)
-                axis.plot(mean, y + 0.18, "D", color="white", markeredgecolor="0.45", markersize=5)
-        axis.set_title(title, loc="left", fontsize=10)
-        axis.set(xlabel="best return", xlim=(0, None), ylim=(len(names) - 0.5, -0.5))
+                mean, low, high = printed_interval(row)
+                axis.plot([low, high], [y + 0.2] * 2, color="0.6", linewidth=1.2, clip_on=True)
+                axis.plot(mean, y + 0.2, "D", color="white", markeredgecolor="0.4", markersize=4.5)
+        axis.set_title(title, loc="left")
+        axis.set(xlim=(0, 48), ylim=(len(names) - 0.5, -0.6))
     labels = [(paper.VARIANTS | paper.OURS)[name] for name in names]
-    axes[0, 0].set_yticks(range(len(names)), labels)
-    text = "dots: this repository, bar: 95 % interval of the mean     diamonds: paper, bar: ± sd of 3 seeds"
-    paper.head(page, text, fontsize=9, color="0.35")
-    paper.save(page, path)
+    for row in axes:
+        row[0].set_yticks(range(len(names)), labels)
+    for axis in axes[1]:
+        axis.set_xlabel("best return of 500 iterations")
+    text = f"Bars: 95 % t interval of the mean. Filled: this repository, {counted(seeds)} seeds. "
+    text += f"White diamonds: the paper, {paper.PAPER_SEEDS} seeds"
+    pictures.head(page, text, fontsize=9.5, color="0.35")
+    pictures.save(page, path)
+
+
+def counted(seeds) -> str:
+    """Numbers of seeds in words."""
+    some = sorted({int(n) for n in seeds})
+    return ", ".join(map(str, some)) if some else "no"
+
+
+def printed_interval(row) -> tuple[float, float, float]:
+    """Mean of the paper's three seeds and the t interval that follows from its deviation."""
+    mean, sd = row["paper_max_reward_mean"], row["paper_max_reward_sd"]
+    half = stats.half_of(stats.Moments(mean, sd, paper.PAPER_SEEDS))
+    return mean, mean - half, mean + half
 
 
 if __name__ == "__main__":

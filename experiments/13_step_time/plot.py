@@ -6,7 +6,7 @@ python experiments/13_step_time/plot.py
 import json
 from pathlib import Path
 
-from experiments import paper
+from experiments import paper, pictures
 
 VARIANTS = ("ppo16", "dyna4", "best")
 # phase of dynappo.bench -> the paper's name
@@ -16,7 +16,7 @@ PHASES = {
     "fit": "Model Training (L_model)",
     "ppo": "Policy Training (L_CLIP)",
 }
-SHADES = ("#2b2b2b", "#c8481f", "#6aa5d8", "#b9b9b9")
+SHADES = (pictures.BLACK, pictures.ORANGE, pictures.BLUE, "#b9b9b9")
 NAMES = paper.VARIANTS | paper.OURS
 # real rows, synthetic rows, fits of an iteration as the schedule ends
 ROWS = {"ppo16": (16, 0, 0), "dyna4": (12, 4, 1), "best": (8, 16, 1)}
@@ -107,28 +107,28 @@ def bars(ms: dict, ours: bool) -> dict[str, list[float] | None]:
 
 def draw(rows, path: Path) -> None:
     """Bars: an iteration by phase, of what is measured; each panel has its own scale."""
-    page, axes = paper.figure(1, 2, (9.5, 2.6))
+    page, axes = pictures.figure(1, 2, 2.6)
     ms = {row["phase"]: row for row in rows}
     panels = ((True, "this repository, 4096 robots"), (False, "paper (A40)"))
     for axis, (ours, title) in zip(axes[0], panels, strict=True):
         found = bars(ms, ours)
-        axis.set_title(title, loc="left", fontsize=10)
+        axis.set_title(title, loc="left")
         axis.set(xlabel="ms an iteration", yticks=range(len(found)), yticklabels=found)
         axis.set_ylim(len(found) - 0.4, -0.6)
         for y, widths in enumerate(found.values()):
             if widths is None:
-                axis.text(0, y, " not run yet", va="center", fontsize=9, color="0.6")
+                axis.text(0, y, " not run yet", va="center", color="0.5")
                 continue
             left = 0.0
             for width, colour in zip(widths, SHADES, strict=True):
                 axis.barh(y, width, left=left, color=colour, height=0.55)
                 left += width
-            axis.text(left, y, f" {left:.0f}", va="center", fontsize=9)
-        axis.margins(x=0.1)
+            axis.text(left, y, f" {left:.0f}", va="center")
+        axis.margins(x=0.12)
     for colour, label in zip(SHADES, LABELS, strict=True):  # for the legend
         axes[0, 1].barh(0, 0, color=colour, label=label)
-    paper.legend(page, axes[0, 1], 4)
-    paper.save(page, path)
+    pictures.legend(page, axes[0, 1], 4)
+    pictures.save(page, path)
 
 
 if __name__ == "__main__":

@@ -2,19 +2,24 @@
 
 Thresholds: the paper's 30.5; 80 % of the best cell of our own ablation, as the paper defines its 30.5; 80 %
 of the mean over seeds of PPO-16's best return (the project's measure, for every robot). Steps, iterations and
-seconds are means over the seeds that get there; how many do is the success rate. Seconds are those of
-all seeds of a run, which train at once.
+seconds are means over the seeds that get there; how many do is the success rate. A share of PPO-16's steps
+has Fieller's 95 % interval, or says "at least" or "at most" where some seeds never get there (`stats.share`).
+`p_steps` is Welch's against PPO-16, `p_steps_rank` counts "never" as last, and `p_steps_holm` is Holm's, over
+all comparisons to one threshold, of the first, or of the second where a seed never gets there. Seconds are
+those of all seeds of a run, which train at once; "with_setup" counts what is before iteration 1 too.
 """
 
 import csv
 from pathlib import Path
 
-from experiments import paper
+from experiments import batches, paper, pictures, stats
 
 HERE = Path(__file__).parent
 COLUMNS = (
-    "robot threshold limit variant status success_rate_pct sim_steps_M_mean sim_steps_M_low "
-    "sim_steps_M_high share_of_ppo16_pct iterations_mean seconds_mean paper_sim_steps_M paper_iterations"
+    "robot threshold limit variant status seeds success_rate_pct sim_steps_M_mean sim_steps_M_low "
+    "sim_steps_M_high share_of_ppo16_pct share_of_ppo16_low share_of_ppo16_high share_of_ppo16_bound "
+    "p_steps p_steps_holm p_steps_rank iterations_mean seconds_mean with_setup_mean seconds_share_pct "
+    "with_setup_share_pct paper_sim_steps_M paper_iterations"
 ).split()
 
 
@@ -50,18 +55,23 @@ def build(folder: Path, ablation: float | None) -> list[dict]:
     """A row a robot, threshold and variant."""
     rows = []
     for robot in paper.ROBOTS:
-        runs = {name: paper.load(folder, f"{robot}_{name}") for name in paper.variants(robot)}
+        runs = {name: batches.load(folder, f"{robot}_{name}") for name in paper.variants(robot)}
         for label, limit in thresholds(robot, runs, ablation).items():
-            some = [row(robot, label, limit, name, run) for name, run in runs.items()]
-            paper.add_shares(some)
+            base = runs["ppo16"]
+            some = [row(robot, label, limit, name, run, base) for name, run in runs.items()]
             for cells in some:
                 if label.startswith("paper"):
                     cells |= theirs(cells["variant"])
             rows += some
+    for label in dict.fromkeys(cells["threshold"] for cells in rows):
+        tested = [r for r in rows if r["threshold"] == label and "p_steps_rank" in r]
+        adjusted = stats.holm([cells.get("p_steps", cells["p_steps_rank"]) for cells in tested])
+        for cells, p in zip(tested, adjusted, strict=True):
+            cells["p_steps_holm"] = float(p)
     return rows
 
 
-def row(robot: str, label: str, limit: float | None, variant: str, run) -> dict:
+def row(robot: str, label: str, limit: float | None, variant: str, run, base) -> dict:
     """What it took a variant to get to `limit`."""
     cells = {"robot": robot, "threshold": label, "limit": limit, "variant": variant}
     cells["status"] = paper.status(run)
@@ -69,7 +79,10 @@ def row(robot: str, label: str, limit: float | None, variant: str, run) -> dict:
         cells["status"] = "no threshold yet"
     if limit is None or not (run and run.columns):
         return cells
-    return cells | {"seeds": len(paper.peak(run))} | paper.effort(run, limit)
+    cells |= {"seeds": len(paper.peak(run))} | paper.effort(run, limit)
+    if base and base.columns and run is not base:
+        cells |= paper.against(run, base, limit)
+    return cells
 
 
 def theirs(variant: str) -> dict:
@@ -86,32 +99,38 @@ def theirs(variant: str) -> dict:
 
 
 def draw(rows, path: Path) -> None:
-    """Go1: M simulator steps to each threshold, ours as dots with intervals, the paper's as diamonds."""
+    """Go1: M simulator steps to each threshold, ours as marks with intervals, the paper's as diamonds."""
     labels = list(dict.fromkeys(r["threshold"] for r in rows if r["robot"] == "go1"))
     names = [*paper.VARIANTS, *paper.OURS]
-    page, axes = paper.figure(1, len(labels), (12, 3.4), sharey=True, sharex=True)
+    page, axes = pictures.figure(1, len(labels), 3.7, sharey=True, sharex=True)
     for axis, label in zip(axes[0], labels, strict=True):
         some = [r for r in rows if r["robot"] == "go1" and r["threshold"] == label]
         for y, variant in enumerate(names):
             cells = paper.pick(some, variant=variant)
-            note, colour, x = cells["status"], paper.COLOURS[variant], 0.3
+            note, style, x = cells["status"], pictures.mark(variant), 0.3
+            partial = cells.get("success_rate_pct", 100) < 100
             if "sim_steps_M_mean" in cells:
                 ends = [cells["sim_steps_M_low"], cells["sim_steps_M_high"]]
-                axis.plot(ends, [y, y], color=colour)
-                axis.plot(cells["sim_steps_M_mean"], y, "o", color=colour, markersize=6)
-                x = ends[1] + 0.6
-            if "success_rate_pct" in cells and cells["success_rate_pct"] < 100:
-                note = f"{cells['success_rate_pct']:.0f} % of seeds"
-            axis.text(x, y, note, color="0.5", fontsize=8, va="center")
+                axis.plot(ends, [y, y], color=style["color"], linewidth=1.6)
+                face = "white" if partial else style["color"]
+                axis.plot(cells["sim_steps_M_mean"], y, markersize=6.5, **style, mfc=face)
+                x = ends[1] + 0.8
+            if partial:
+                there = round(cells["success_rate_pct"] * cells["seeds"] / 100)
+                note = f"{there} of {cells['seeds']}"
+            axis.text(x, y, note, color="0.4", va="center")
             if cells.get("paper_sim_steps_M"):
                 steps = cells["paper_sim_steps_M"]
-                axis.plot(steps, y, "D", color="white", markeredgecolor="0.45", markersize=5)
+                axis.plot(steps, y, "D", color="white", markeredgecolor="0.4", markersize=5)
         limit = some[0]["limit"]
         title = label + (f": {limit:.1f}" if limit and not label.startswith("paper") else "")
-        axis.set_title(title, loc="left", fontsize=10)
+        axis.set_title(title, loc="left", fontsize=9.5)
         axis.set(xlabel="simulator steps (M)", xlim=(0, 33), ylim=(len(names) - 0.5, -0.6))
     texts = [(paper.VARIANTS | paper.OURS)[name] for name in names]
     axes[0, 0].set_yticks(range(len(names)), texts)
-    text = "Go1. Dot and bar: mean and its 95 % interval, of the seeds that get there; diamond: the paper"
-    paper.head(page, text, fontsize=9, color="0.35")
-    paper.save(page, path)
+    seeds = [r["seeds"] for r in rows if r["robot"] == "go1" and "seeds" in r]
+    text = "Go1. White diamond: the paper. Hollow, with numbers: not all seeds get there; of those that do"
+    if seeds:
+        text = f"Bar: {pictures.covers(seeds)}.\n{text}"
+    pictures.head(page, text, fontsize=9.5, color="0.35")
+    pictures.save(page, path)

@@ -4,17 +4,23 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments import paper
+from experiments import batches, paper, pictures, stats
 
 HERE = Path(__file__).parent
 AT = (50, 100, 200, 300, 400, 500)  # iterations of the table
+PANELS = (  # of a row of the page: x, y, title
+    ("iteration", "episode_return", "return (fig. 7)"),
+    ("sim_steps", "episode_return", "return, by data"),
+    ("iteration", "policy_std", "policy std (fig. 8)"),
+    ("iteration", "learning_rate", "learning rate (fig. 10)"),
+)
 METRICS = ("episode_return", "policy_std", "learning_rate", "velocity_error")
 
 
 def make(out: Path, others: Path = HERE.parent) -> None:
     rows, folder = [], others / "12_platforms" / "results"
     for robot, title in paper.ROBOTS.items():
-        runs = {name: paper.load(folder, f"{robot}_{name}") for name in paper.variants(robot)}
+        runs = {name: batches.load(folder, f"{robot}_{name}") for name in paper.variants(robot)}
         rows += [row for name, run in runs.items() for row in build(robot, name, run)]
         if robot == "go1" or any(run and run.columns for run in runs.values()):
             draw(runs, title, out / robot)
@@ -31,51 +37,49 @@ def build(robot: str, variant: str, run: paper.Run | None) -> list[dict]:
         row = cells | {"iteration": int(iteration[i])}
         row["sim_steps_M"] = run.columns["sim_steps"][i, 0] / 1e6
         for name in METRICS:
-            row |= paper.spread(name, run.columns[name][i])
+            row |= stats.spread(name, run.columns[name][i])
         rows.append(row)
     return rows
 
 
 def draw(runs: dict, title: str, path: Path) -> None:
-    """Mean over seeds and its 95 % interval; five variants and ours."""
-    page, axes = paper.figure(2, 3, (12, 6.6))
+    """A row a variant beside PPO-16, so that no more than two bands lie over each other."""
     some = {name: run for name, run in runs.items() if run and run.columns}
-    panels = (
-        ("iteration", "episode_return", "iteration", "episode return", "Fig. 7: return"),
-        ("sim_steps", "episode_return", "simulator steps (M)", "episode return", "return, by data"),
-        (
-            "seconds",
-            "episode_return",
-            "seconds, all seeds at once",
-            "episode return",
-            "return, by time",
-        ),
-        (
-            "iteration",
-            "policy_std",
-            "iteration",
-            "policy std (units of action)",
-            "Fig. 8: policy std",
-        ),
-        ("iteration", "learning_rate", "iteration", "learning rate", "Fig. 10: learning rate"),
-        ("iteration", "velocity_error", "iteration", "velocity error (m/s)", "velocity error"),
+    names = [name for name in some if name != "ppo16"] or ["none"]
+    page, axes = pictures.figure(
+        len(names), len(PANELS), 1.25 * len(names) + 1.1, sharex="col", sharey="col"
     )
-    for axis, (x, y, x_label, y_label, name) in zip(axes.flat, panels, strict=True):
-        for variant, run in some.items():
-            at = run.columns[x][:, 0] / (1e6 if x == "sim_steps" else 1)
-            label = (paper.VARIANTS | paper.OURS)[variant]
-            paper.band(axis, at, run.columns[y], paper.COLOURS[variant], label)
-        if not axis.lines:
-            paper.missing(axis)
-        elif y == "learning_rate":
-            paper.log(axis)
-        elif y != "episode_return":
+    for row, name in zip(axes, names, strict=True):
+        for axis, panel in zip(row, PANELS, strict=True):
+            for variant in filter(some.get, ("ppo16", name)):
+                draw_line(axis, some[variant], variant, panel)
+            if not axis.lines:
+                pictures.missing(axis)
+            axis.set_xlim(left=0)
+        if name in some:
+            label = (paper.VARIANTS | paper.OURS)[name].replace(", ", ",\n").replace(" (", "\n(")
+            row[0].set_ylabel(label, color=pictures.COLOURS[name], fontweight="bold")
+    for axis, (_, y, text) in zip(axes[0], PANELS, strict=True):
+        axis.set_title(text, loc="left", fontsize=10)
+        if y == "learning_rate" and axis.lines:
+            pictures.log(axis, (1,))
+            axis.set_ylim(2e-5, 2e-2)
+        elif y == "policy_std":
             axis.set_ylim(bottom=0)
-        axis.set_title(name, loc="left", fontsize=10)
-        axis.set(xlabel=x_label, ylabel=y_label, xlim=(0, None))
+    for axis, (x, _, _) in zip(axes[-1], PANELS, strict=True):
+        axis.set_xlabel("simulator steps (M)" if x == "sim_steps" else x)
     lacks = [v for v in paper.VARIANTS if v not in some]
     note = f"     not run: {', '.join(lacks)}" if lacks else ""
-    seeds = max((len(paper.peak(run)) for run in some.values()), default=0)
-    paper.head(page, f"{title}: mean of {seeds} seeds, band: its 95 % interval{note}")
-    paper.legend(page, axes[0, 0], 7)
-    paper.save(page, path)
+    if some:
+        seeds = [len(paper.peak(run)) for run in some.values()]
+        note = f". Black: PPO-16. Band: {pictures.covers(seeds)}" + note
+    pictures.head(page, title + note)
+    pictures.save(page, path)
+
+
+def draw_line(axis, run: paper.Run, variant: str, panel) -> None:
+    """A variant's mean and its band."""
+    x, y, _ = panel
+    at = run.columns[x][:, 0] / (1e6 if x == "sim_steps" else 1)
+    dash = pictures.DASHES.get(variant, "-")
+    pictures.band(axis, at, run.columns[y], pictures.COLOURS[variant], dash=dash)

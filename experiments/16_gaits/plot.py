@@ -2,19 +2,18 @@
 
     python experiments/16_gaits/plot.py [--films]
 
---films renders each walk of seed 0 too, from policies/, into films/ (not committed). Without OpenGL there
-are no strips, and a line says so.
+--films renders each walk of seed 0 too, from policies/, into films/ (not committed; needs OpenGL). The strips
+do without (drawing.py).
 """
 
 import csv
-import os
-import subprocess
 import sys
 from pathlib import Path
 
+import drawing
 import numpy as np
 
-from experiments import paper
+from experiments import paper, pictures, stats
 
 VARIANTS, SPEEDS = ("ppo16", "dyna4"), (0.5, 1.0)
 MEASURES = {
@@ -24,15 +23,14 @@ MEASURES = {
     "tilt": "tilt of the base (degrees, rms)",
 }
 COLUMNS = "variant speed iteration status tracking_error_mean air_time_mean tilt_mean falls".split()
-SIZE = 165, 225  # pixels of a frame: height, width
+SHOWN = (0, 2, 4, 6)  # frames of the poses, 60 ms apart
+WINDOW = (-0.42, 0.82, -0.04, 0.53)  # m: of the strips, ahead of the first frame and up
 
 
 def main():
-    if sys.argv[1:2] == ["--strips"]:
-        return strips(Path(sys.argv[2]))
     here = Path(__file__).parent
     make(here)
-    make_strips(here)
+    strips(here)
     if "--films" in sys.argv:
         films(here)
 
@@ -43,17 +41,6 @@ def make(out: Path) -> None:
     paper.write(out / "results.csv", rows)
     paper.show(rows, COLUMNS)
     draw(episodes, out / "measures")
-
-
-def make_strips(out: Path) -> None:
-    """The film strips, in a process of its own: MuJoCo chooses its OpenGL when it is imported, and a
-    wrong one may end it."""
-    command = [sys.executable, __file__, "--strips", str(out)]
-    for backend in ("egl", "osmesa"):
-        environment = os.environ | {"MUJOCO_GL": backend, "PYOPENGL_PLATFORM": backend}
-        if subprocess.run(command, env=environment, stderr=subprocess.DEVNULL).returncode == 0:
-            return
-        print(f"no film strips with {backend}")
 
 
 def key(variant: str, iteration: int, speed: float) -> str:
@@ -82,82 +69,88 @@ def build(episodes) -> list[dict]:
                 cells = row | {"iteration": int(iteration), "seeds": len(at)}
                 cells["falls"] = sum(np.isfinite(e["fall"]) for e in at)
                 for name in (*MEASURES, "yaw_error", "swings_per_second", "distance"):
-                    cells |= paper.spread(name, [e[name] for e in at])
+                    cells |= stats.spread(name, [e[name] for e in at])
                 rows.append(cells)
     return rows
 
 
 def draw(episodes, path: Path) -> None:
     """The measures over iterations: every seed, and their mean; solid 1.0 m/s, dashed 0.5."""
-    page, axes = paper.figure(1, len(MEASURES), (13, 3.4))
-    for axis, (name, label) in zip(axes[0], MEASURES.items(), strict=True):
-        axis.set_title(label, loc="left", fontsize=10)
-        axis.set_xlabel("iteration of the policy")
+    page, axes = pictures.figure(2, 2, 5.8, sharex=True)
+    for axis, (name, label) in zip(axes.flat, MEASURES.items(), strict=True):
+        axis.set_title(label, loc="left")
         if not episodes:
-            paper.missing(axis)
+            pictures.missing(axis)
             continue
         every = sorted({e["iteration"] for e in episodes})
         for v, variant in enumerate(VARIANTS):
-            for speed, line in zip(SPEEDS, ("--", "-"), strict=True):
+            for k, (speed, line) in enumerate(zip(SPEEDS, ((0, (4, 1.5)), "-"), strict=True)):
                 columns = [
                     [e[name] for e in episodes if (e["variant"], e["speed"], e["iteration"]) == at]
                     for at in ((variant, speed, iteration) for iteration in every)
                 ]
-                x, colour = np.arange(len(every)) + 0.12 * v - 0.06, paper.COLOURS[variant]
+                colour, mark = pictures.COLOURS[variant], "osPX"[2 * v + k]
+                x = np.arange(len(every)) + 0.08 * (2 * v + k) - 0.12  # side by side
+                style = dict(color=colour, marker=mark)
                 for at, values in zip(x, columns, strict=True):
-                    axis.plot(
-                        [at] * len(values), values, ".", color=colour, alpha=0.35, markersize=5
-                    )
-                mean = [paper.spread("", values)["_mean"] for values in columns]
+                    axis.plot([at] * len(values), values, ls="", alpha=0.4, ms=4, **style)
+                mean = [stats.moments(values).mean for values in columns]
                 text = f"{paper.VARIANTS[variant]}, {speed} m/s"
-                axis.plot(x, mean, line, color=colour, linewidth=1.6, label=text)
+                style |= dict(linestyle=line, linewidth=1.6, markersize=6, label=text)
+                axis.plot(x, mean, **style)
         axis.set_xticks(range(len(every)), [f"{i:.0f}" for i in every])
         axis.set_ylim(bottom=0)
-    paper.legend(page, axes[0, 0], 4)
-    paper.save(page, path)
+    for axis in axes[-1]:
+        axis.set_xlabel("iteration of the policy")
+    if episodes:
+        seeds = len({e["seed"] for e in episodes})
+        pictures.head(page, f"Small: each of {seeds} seeds. Large, with lines: their mean")
+    pictures.legend(page, axes[0, 0], 2)
+    pictures.save(page, path)
 
 
 def strips(out: Path) -> None:
-    """strips_SPEED.png: PPO-16 left, the tail right, a row a checkpoint, 60 ms from frame to frame."""
-    with np.load(out / "results" / "poses.npz") as file:
-        poses = {name: file[name] for name in file}
-    every = sorted({int(name.rsplit("_", 2)[1]) for name in poses})
-    for speed in SPEEDS:
-        page, axes = paper.figure(len(every), len(VARIANTS), (15, 0.88 * len(every) + 0.3))
-        for row, iteration in zip(axes, every, strict=True):
-            for axis, variant in zip(row, VARIANTS, strict=True):
-                axis.imshow(np.hstack(list(frames(poses[key(variant, iteration, speed)]))))
-                axis.set(xticks=[], yticks=[])
-                axis.spines[:].set_visible(False)
-                axis.grid(False)
-                if iteration == every[0]:
-                    text = f"{paper.VARIANTS[variant]}, asked for {speed} m/s, 60 ms apart"
-                    axis.set_title(text, loc="left", fontsize=9)
-            row[0].set_ylabel(f"iteration {iteration}", fontsize=8)
-        path = out / f"strips_{speed}.png"
-        page.savefig(path, dpi=130)
-        paper.palette(path)
-        print(path)
-
-
-def frames(poses: np.ndarray, name: str = "go1"):
-    """RGB pictures of the robot from its side; the floor's squares show how far it gets."""
+    """strips_SPEED.png: PPO-16 and the tail by turns, two rows a checkpoint, a camera that stands still."""
     import mujoco
 
     from dynappo.physics import robot as robot_lib
 
-    model = mujoco.MjModel.from_xml_path(str(robot_lib.load(name).xml))
-    data, view = mujoco.MjData(model), mujoco.MjvCamera()
-    view.distance, view.elevation = 0.88, -8.0
-    with mujoco.Renderer(model, *SIZE) as renderer:
-        for qpos in poses.astype(float):
-            data.qpos[:] = qpos
-            mujoco.mj_forward(model, data)
-            w, x, y, z = qpos[3:7]
-            view.azimuth = 90 + np.degrees(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
-            view.lookat[:] = [*qpos[:2], 0.19]
-            renderer.update_scene(data, camera=view)
-            yield renderer.render()
+    with np.load(out / "results" / "poses.npz") as file:
+        poses = {name: file[name] for name in file}
+    model = mujoco.MjModel.from_xml_path(str(robot_lib.load("go1").xml))
+    every = sorted({int(name.rsplit("_", 2)[1]) for name in poses})
+    for speed in SPEEDS:
+        rows = [(iteration, variant) for iteration in every for variant in VARIANTS]
+        page, axes = pictures.figure(len(rows), len(SHOWN), 0.99 * len(rows) + 0.8)
+        for row, (iteration, variant) in zip(axes, rows, strict=True):
+            strip(row, model, poses[key(variant, iteration, speed)].astype(float))
+            label = f"{iteration}\n" + {"ppo16": "PPO-16", "dyna4": "4-step\ntail"}[variant]
+            row[0].set_ylabel(label, color=pictures.COLOURS[variant], fontweight="bold")
+        for axis, frame in zip(axes[0], SHOWN, strict=True):
+            axis.set_title(f"{60 * frame} ms", loc="left")
+        text = f"Asked for {speed} m/s. The camera stands still, tiles are 10 cm; dotted: where the base"
+        pictures.head(
+            page, f"{text}\nwas at 0 ms; number: how far it has come since. Rows: iteration"
+        )
+        pictures.save(page, out / f"strips_{speed}.png", dpi=110)
+
+
+def strip(axes, model, poses) -> None:
+    """One walk: the frames `SHOWN`, in the world as it was at the first."""
+    origin, (w, x, y, z) = poses[0, :2], poses[0, 3:7]
+    heading = float(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
+    for axis, frame in zip(axes, SHOWN, strict=True):
+        left, right, bottom, top = WINDOW
+        for tile in np.arange(-5, 9):
+            colour = ("0.8", "0.93")[tile % 2]
+            axis.fill_between([tile / 10, (tile + 1) / 10], bottom, 0, color=colour, linewidth=0)
+        axis.axvline(0, color="0.4", linestyle=":", linewidth=1.2)
+        drawing.draw(axis, model, poses[frame], origin, heading)
+        gone = (poses[frame, :2] - origin) @ [np.cos(heading), np.sin(heading)]
+        axis.text(left + 0.01, top - 0.01, f"{round(100 * gone)} cm", va="top")
+        axis.set(xlim=(left, right), ylim=(bottom, top), aspect="equal", xticks=[], yticks=[])
+        axis.spines[:].set_visible(False)
+        axis.grid(visible=False)
 
 
 def films(out: Path, seconds: float = 6.0) -> None:

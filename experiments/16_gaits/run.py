@@ -45,7 +45,7 @@ def main():
         paper.write(results / "episodes.csv", rows)
         np.savez_compressed(results / "poses.npz", **poses)
     plot.make(args.out)
-    plot.make_strips(args.out)
+    plot.strips(args.out)
 
 
 def policy(folder: Path, variant: str, iteration: int, seed: int) -> Path:

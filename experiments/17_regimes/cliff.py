@@ -4,7 +4,8 @@
 
 The paper's cliff lies between 12 and 16 rows of 4096 robots, ours between 16 and 24 of 1024
 (10_ablation). So the paper's tails there, in rollouts of 16, 20 and 24 rows, beside PPO with all rows
-simulated and PPO without the rows that a tail writes.
+simulated and PPO without the rows that a tail writes. "p_equal_all": equal to all rows simulated, within
+1.0 of return (`stats.MARGIN`). Holm's p are over the six tails.
 """
 
 from pathlib import Path
@@ -12,16 +13,18 @@ from pathlib import Path
 import numpy as np
 import plot
 
-from experiments import paper
+from experiments import paper, pictures, stats
 
 TAIL, ENVS, ROWS = 4, 1024, (16, 20, 24)
 TAILS = ("dyna4_noschedule", "dyna4")
 PPO_ROWS = (12, 16, 20, 24, 28, 32)
 BEST = (8, 24)  # real rows, all rows
 SEEDS = 5
+LINE: dict = {"color": pictures.COLOURS["ppo16"], "linewidth": 1.3}
 COLUMNS = (
     "rows variant status seeds max_reward_mean max_reward_low max_reward_high evaluated_return p_vs_fewer "
-    "p_vs_all limit success_rate_pct sim_steps_M_mean"
+    "p_vs_fewer_holm p_vs_all p_vs_all_holm p_equal_all difference_to_all difference_to_all_low "
+    "difference_to_all_high limit success_rate_pct sim_steps_M_mean"
 ).split()
 
 
@@ -54,11 +57,17 @@ def build(folder: Path) -> list[dict]:
     """Four rows a length: PPO with fewer rows, the tails, PPO with all rows."""
     usual = plot.found(folder, plot.Regime("", 4096), "ppo16")
     limit = 0.8 * float(paper.peak(usual).mean()) if usual and usual.columns else None
-    return [
+    out = [
         cells(folder, name, rows, limit)
         for rows in ROWS
         for name in (f"ppo{rows - TAIL}", *TAILS, f"ppo{rows}")
     ]
+    for name in ("p_vs_fewer", "p_vs_all"):
+        tested = [row for row in out if name in row]
+        adjusted = stats.holm([row[name] for row in tested])
+        for row, p in zip(tested, adjusted, strict=True):
+            row[f"{name}_holm"] = float(p)
+    return out
 
 
 def cells(folder: Path, name: str, rows: int, limit: float | None) -> dict:
@@ -73,7 +82,11 @@ def cells(folder: Path, name: str, rows: int, limit: float | None) -> dict:
         out["evaluated_return"] = float(np.mean(evaluation["return"]))
     for column, other in zip(("p_vs_fewer", "p_vs_all"), known.values(), strict=True):
         if is_tail and other and other.columns:
-            out[column] = paper.welch_of(paper.peak(found), paper.peak(other))
+            out[column] = stats.welch_of(paper.peak(found), paper.peak(other))
+            if column == "p_vs_all":
+                some = stats.compare(paper.peak(found), paper.peak(other), stats.MARGIN["go1"])
+                out |= {"p_equal_all": some["p_equal"], "difference_to_all": some["difference"]}
+                out |= {f"difference_to_all_{n}": some[f"difference_{n}"] for n in ("low", "high")}
     if limit is not None:
         out |= {"limit": limit} | paper.effort(found, limit, paper.EVERY)
     return out
@@ -81,50 +94,56 @@ def cells(folder: Path, name: str, rows: int, limit: float | None) -> dict:
 
 def draw(folder: Path, robots, path: Path) -> None:
     """Best return over simulated rows, a panel for each R; a thin line to all rows, synthetic ones too."""
-    size = 2.6 * len(robots) + 0.6, 4.1
-    page, axes = paper.figure(1, len(robots), size, sharey=True, sharex=True)
+    across = min(2, len(robots))
+    page, axes = pictures.figure(-(-len(robots) // across), across, 6.4, sharey=True, sharex=True)
     names = plot.NAMES | {
         "ppo": "PPO",
         "best": "best at c27cee7: 8 simulated rows, 16 of the model",
     }
-    colours = plot.COLOURS | {"ppo": plot.COLOURS["ppo16"]}
-    for axis, envs in zip(axes[0], robots, strict=True):
-        line = [(n, found) for n in PPO_ROWS if (found := run(folder, envs, "ppo", n))]
-        points(axis, [n for n, _ in line], [found for _, found in line], colours["ppo"], line="-")
-        for name, shift in zip(TAILS, (-0.25, 0.25), strict=True):  # beside each other
+    seeds = []
+    for axis, envs in zip(axes.flat, robots, strict=True):
+        some = [(n, found) for n in PPO_ROWS if (found := run(folder, envs, "ppo", n))]
+        seeds += points(axis, [n for n, _ in some], [found for _, found in some], "ppo16")
+        axis.plot([n for n, _ in some], [paper.peak(r).mean() for _, r in some], **LINE)
+        for name, shift in zip(TAILS, (-0.3, 0.3), strict=True):  # beside each other
             some = [(n, found) for n in ROWS if (found := run(folder, envs, name, n))]
             x = [n - TAIL for n, _ in some]
-            points(axis, x, [found for _, found in some], colours[name], TAIL, shift)
+            seeds += points(axis, x, [found for _, found in some], name, TAIL, shift)
         if found := run(folder, envs, "best", BEST[1]):
-            points(axis, [BEST[0]], [found], colours["best"], BEST[1] - BEST[0])
-        axis.set_title(f"{envs} robots", loc="left", fontsize=10)
-        axis.set(xticks=(8, *PPO_ROWS), xlabel="simulated rows of a rollout")
-    for name in ("ppo", *TAILS, "best"):
-        style = dict(color=colours[name], marker="o", markersize=4)
-        line = "-" if name == "ppo" else ""
-        axes[0, 0].plot([], [], label=names[name], linestyle=line, **style)
-    axes[0, 0].set_ylabel("best return of 500 iterations")
-    text = (
-        "Go1. A thin line goes from the simulated rows to all rows, the model's too: where it meets PPO's,\n"
-        "they do what simulated rows would. Mean of 3 or 5 seeds, bar: its 95 % interval; tails in rollouts\n"
-        "of 20 and 24 rows with 1024 robots only"
+            seeds += points(axis, [BEST[0]], [found], "best", BEST[1] - BEST[0])
+        axis.set_title(f"{envs} robots", loc="left")
+        axis.set(xticks=(8, *PPO_ROWS), ylim=(0, 46))
+    for axis in axes[-1]:
+        axis.set_xlabel("simulated rows of a rollout")
+    for row in axes:
+        row[0].set_ylabel("best return of 500 iterations")
+    for name, variant in (("ppo", "ppo16"), *((name, name) for name in (*TAILS, "best"))):
+        style = pictures.mark(variant) | {"linestyle": "-" if name == "ppo" else ""}
+        axes[0, 0].plot([], [], label=names[name], markersize=5, **style)
+    text = "Go1. A thin line goes from the simulated rows to all rows, the model's too: where it meets\n"
+    text += (
+        "PPO's, they do what simulated rows would. Tails of 20 and 24 rows with 1024 robots only."
     )
-    paper.head(page, text, fontsize=9)
-    paper.legend(page, axes[0, 0], 4)
-    paper.save(page, path)
+    if seeds:
+        text += f"\nBar: {pictures.covers(seeds)}"
+    pictures.head(page, text, fontsize=9.5)
+    pictures.legend(page, axes[0, 0], 2)
+    pictures.save(page, path)
 
 
-def points(
-    axis, x, runs, colour: str, synthetic: int = 0, shift: float = 0.0, line: str = ""
-) -> None:
-    """Best returns at `x` rows, with intervals moved by `shift`, and a line over the `synthetic` rows."""
+def points(axis, x, runs, variant: str, synthetic: int = 0, shift: float = 0.0) -> list[int]:
+    """Best returns at `x` rows, with intervals, moved by `shift`, and a line over the `synthetic` rows.
+
+    Returns how many seeds each has.
+    """
+    style = pictures.mark(variant)
     for n, found in zip(x, runs, strict=True):
-        best = paper.spread("best", paper.peak(found))
-        axis.vlines(n + shift, best["best_low"], best["best_high"], colour, linewidth=1.2)
-        axis.hlines(best["best_mean"], n, n + synthetic, colour, linewidth=0.8)
-    axis.plot(
-        x, [paper.peak(found).mean() for found in runs], "o" + line, color=colour, markersize=4
-    )
+        best = stats.spread("best", paper.peak(found))
+        axis.vlines(n + shift, best["best_low"], best["best_high"], style["color"], linewidth=1.3)
+        ends = (n + shift, n + synthetic)
+        axis.hlines(best["best_mean"], *ends, style["color"], linewidth=0.9)
+        axis.plot(n + shift, best["best_mean"], markersize=5, **style)
+    return [len(paper.peak(found)) for found in runs]
 
 
 if __name__ == "__main__":

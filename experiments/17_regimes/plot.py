@@ -4,7 +4,8 @@
 
 "limit" is 80 % of the mean over seeds of PPO-16's best return: with 4096 robots for Isaac Lab's task, and
 with as many as the regime has for another task, whose returns are another number. "to_ppo24_limit" is 80 %
-of PPO-24's own best return in that regime.
+of PPO-24's own best return in that regime. "p_vs_ppo16_holm" is Holm's over all of the table's. Equal to
+PPO-24 is meant within 1.0 of return (`stats.MARGIN`).
 """
 
 from pathlib import Path
@@ -12,16 +13,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from experiments import paper, run
+from experiments import batches, paper, pictures, run, stats
 
 PPO = {"ppo12": 12, "ppo16": 16, "ppo24": 24}
 OWN_ROWS = PPO | {"dyna4": 16, "dyna4_noschedule": 16, "best": 24}
 VARIANTS = ("ppo12", "ppo16", "dyna4_noschedule", "dyna4", "best", "ppo24")
 NAMES = paper.VARIANTS | paper.OURS | {"ppo24": "PPO, 24 steps"}
-COLOURS = paper.COLOURS | {"ppo24": "#6b8796"}
 COLUMNS = (
-    "regime variant status seeds max_reward_mean max_reward_low max_reward_high p_vs_ppo16 "
-    "evaluated_return limit success_rate_pct sim_steps_M_mean share_of_ppo16_pct policy_std_mean "
+    "regime variant status seeds max_reward_mean max_reward_low max_reward_high p_vs_ppo16 p_vs_ppo16_holm "
+    "ppo24_difference ppo24_difference_low ppo24_difference_high ppo24_p ppo24_p_equal ppo24_share_pct "
+    "ppo24_share_low ppo24_share_high evaluated_return limit success_rate_pct sim_steps_M_mean "
+    "share_of_ppo16_pct share_of_ppo16_low share_of_ppo16_high share_of_ppo16_bound policy_std_mean "
     "to_ppo24_limit to_ppo24_success_rate_pct to_ppo24_sim_steps_M_mean"
 ).split()
 
@@ -74,7 +76,7 @@ def found(folder: Path, regime: Regime, variant: str, rows: int | None = None) -
             places.insert(1, (others / "20_tail" / "results", f"go1_{variant}_{regime.envs}"))
             if regime.envs == 4096:
                 places.insert(1, (others / "12_platforms" / "results", f"go1_{variant}"))
-    return next((one for path, name in places if (one := paper.load(path, name))), None)
+    return next((one for path, name in places if (one := batches.load(path, name))), None)
 
 
 def build(folder: Path, regimes) -> list[dict]:
@@ -85,8 +87,7 @@ def build(folder: Path, regimes) -> list[dict]:
         base = runs["ppo16"]
         known = base if regime.fields else usual
         limit = 0.8 * float(paper.peak(known).mean()) if known and known.columns else None
-        some = [row(regime, name, one, base, limit) for name, one in runs.items()]
-        paper.add_shares(some)
+        some = [row(regime, name, one, runs, limit) for name, one in runs.items()]
         if (longest := runs["ppo24"]) and longest.columns:
             high = 0.8 * float(paper.peak(longest).mean())
             for cells, one in zip(some, runs.values(), strict=True):
@@ -94,62 +95,91 @@ def build(folder: Path, regimes) -> list[dict]:
                     took = {"limit": high} | paper.effort(one, high, paper.EVERY)
                     cells |= {f"to_ppo24_{name}": value for name, value in took.items()}
         rows += some
+    tested = [cells for cells in rows if "p_vs_ppo16" in cells]
+    adjusted = stats.holm([cells["p_vs_ppo16"] for cells in tested])
+    for cells, p in zip(tested, adjusted, strict=True):
+        cells["p_vs_ppo16_holm"] = float(p)
     return rows
 
 
-def row(regime: Regime, variant: str, one, base, limit: float | None) -> dict:
+def row(regime: Regime, variant: str, one, runs, limit: float | None) -> dict:
     """What a variant came to, and what it took to get to `limit`."""
     cells = {"regime": regime.label, "envs": regime.envs, "variant": variant}
     cells["status"] = paper.status(one)
+    base, longest = runs["ppo16"], runs["ppo24"]
     if not (one and one.columns):
         return cells
     cells |= paper.returns(one)
     if base and base.columns and one is not base:
-        cells["p_vs_ppo16"] = paper.welch_of(paper.peak(one), paper.peak(base))
+        cells["p_vs_ppo16"] = stats.welch_of(paper.peak(one), paper.peak(base))
     if evaluation := one.summary.get("evaluation"):
         cells["evaluated_return"] = float(np.mean(evaluation["return"]))
+    if longest and longest.columns and variant == "best":
+        cells |= beside(one, longest)
     if limit is not None:
         cells |= {"limit": limit} | paper.effort(one, limit, paper.EVERY)
+        if base and base.columns and one is not base:
+            cells |= paper.against(one, base, limit, paper.EVERY)
     return cells | {"device": one.summary["device"], "date": one.summary["date"]}
 
 
+def beside(one, longest) -> dict:
+    """Cells: best returns and simulator steps of `best` against PPO-24's, to 80 % of PPO-24's best."""
+    cells = stats.compare(paper.peak(one), paper.peak(longest), stats.MARGIN["go1"])
+    high = 0.8 * float(paper.peak(longest).mean())
+    share = paper.against(one, longest, high, paper.EVERY).items()
+    cells |= {n.replace("share_of_ppo16", "share"): v for n, v in share if "share_of" in n}
+    return {f"ppo24_{name}": value for name, value in cells.items()}
+
+
 def draw(rows, regimes, path: Path) -> None:
-    """Best return and simulator steps to the limit, a group of bars a regime that has a run."""
+    """Best return and simulator steps to the limit, a column of marks a variant, a panel a regime."""
     regimes = [r for r in regimes if any("seeds" in c for c in rows if c["regime"] == r.label)]
-    page, axes = paper.figure(2, 1, (9.5, 6), sharex=True)
+    page, axes = pictures.figure(2, 1, 7.4, sharex=True)
     wide = 0.84 / len(VARIANTS)
     for axis, name in zip(axes[:, 0], ("max_reward", "sim_steps_M"), strict=True):
         for v, variant in enumerate(VARIANTS):
-            colour = COLOURS[variant]
-            axis.bar(0, np.nan, color=colour, label=NAMES[variant])  # for the legend
+            style = pictures.mark(variant)
+            axis.plot([], [], linestyle="", markersize=6, label=NAMES[variant], **style)
             for g, regime in enumerate(regimes):
                 cells = paper.pick(rows, regime=regime.label, variant=variant)
                 x = g + (v - (len(VARIANTS) - 1) / 2) * wide
-                mean, note = cells.get(f"{name}_mean", 0), cells["status"]
-                top = np.nanmax([0, mean, cells.get(f"{name}_high", 0)])  # NaN of one seed alone
-                if name == "sim_steps_M" and cells.get("success_rate_pct", 100) < 100:
-                    note = f"{cells['success_rate_pct']:.0f} %"
-                if mean:
-                    axis.bar(x, mean, 0.92 * wide, color=colour)
-                    ends = cells[f"{name}_low"], cells[f"{name}_high"]
-                    for colour_, width in (("white", 3), ("0.2", 1.2)):  # seen on every bar
-                        axis.vlines(x, *ends, colour_, linewidth=width)
-                above = dict(xytext=(0, 3), textcoords="offset points", ha="center", va="bottom")
-                axis.annotate(note, (x, top), rotation=90, fontsize=7, color="0.4", **above)
-    axes[1, 0].set_xticks(range(len(regimes)), [r.label.replace(", ", ",\n") for r in regimes])
+                marks(axis, x, name, cells, style)
+        for g in range(len(regimes) - 1):
+            axis.axvline(g + 0.5, color="0.85", linewidth=0.8)
+        axis.grid(axis="x", visible=False)
+    labels = [r.label.replace(", ", ",\n") for r in regimes]
+    axes[1, 0].set_xticks(range(len(regimes)), labels)
     axes[1, 0].set_xlim(-0.5, len(regimes) - 0.5)
-    axes[1, 0].margins(y=0.15)
-    axes[0, 0].set_ylabel("best return of 500 iterations")
-    axes[1, 0].set_ylabel("simulator steps (M) to the\nthreshold of the task")
+    axes[0, 0].set(ylim=(0, 58), ylabel="best return of 500 iterations")
+    axes[1, 0].set(ylim=(0, 28), ylabel="simulator steps (M) to the\nthreshold of the task")
+    seeds = [cells["seeds"] for cells in rows if "seeds" in cells]
     text = (
-        "Go1: mean of 3 or 5 seeds, bar: its 95 % interval. Threshold: 80 % of PPO-16's best return"
+        "Threshold: 80 % of PPO-16's best return with 4096 robots, of the other tasks with 1024.\n"
     )
-    text += (
-        "\nwith 4096 robots, of the two other tasks with 1024; %: seeds that get there, if not all"
-    )
-    paper.head(page, text)
-    paper.legend(page, axes[0, 0], 6)
-    paper.save(page, path)
+    text += "Hollow, with a number: so many seeds get there, the others never; a number alone: none does"
+    if seeds:
+        text = f"Go1. Bar: {pictures.covers(seeds)}.\n{text}"
+    pictures.head(page, text, fontsize=9.5)
+    pictures.legend(page, axes[0, 0], 3)
+    pictures.save(page, path)
+
+
+def marks(axis, x: float, name: str, cells, style) -> None:
+    """A mean and its interval; how many seeds got there, where not all did."""
+    there = cells.get("success_rate_pct", 100) if name == "sim_steps_M" else 100
+    if f"{name}_mean" in cells:
+        ends = cells[f"{name}_low"], cells[f"{name}_high"]
+        axis.vlines(x, *ends, style["color"], linewidth=1.5)
+        face = "white" if there < 100 else style["color"]
+        axis.plot(x, cells[f"{name}_mean"], markersize=6, **style, mfc=face)
+    if there < 100:
+        ends = [cells.get(f"{name}_{end}", 0) for end in ("mean", "high")]
+        note = f"{round(there * cells['seeds'] / 100)} of {cells['seeds']}"
+        how = dict(rotation=90, ha="center", va="bottom", color=style["color"])
+        axis.text(x, np.nanmax(ends) + 0.8, note, fontsize=9, **how)
+    elif cells["status"]:
+        axis.text(x, 0.6, cells["status"], rotation=90, ha="center", va="bottom", fontsize=9)
 
 
 if __name__ == "__main__":

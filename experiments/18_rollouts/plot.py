@@ -12,11 +12,11 @@ import numpy as np
 from dynappo import config as config_lib
 from dynappo import schedule
 from dynappo.task import observe
-from experiments import paper
+from experiments import paper, pictures
 
 REAL, KEPT, TAILS = 8, 6, 4  # real rows of an iteration in results/, iterations kept, tails shown
 OF_BEST = 4  # real rows of an iteration of `best`
-GREY, ORANGE, BROWN, INK = "#8c8c8c", "#e07b28", "#8f3f0d", "0.2"
+GREY, ORANGE, BLUE, INK = pictures.GREY, pictures.VERMILION, pictures.BLUE, "0.2"
 CURVES = {  # column of rows.csv -> number of the state, label
     "speed": (observe.LINEAR_VELOCITY.start, "velocity ahead (m/s)"),
     "thigh": (observe.JOINT_POS.start + 1, "first leg, thigh (rad)"),
@@ -105,8 +105,8 @@ def blank(axis, across, up) -> None:
 
 def draw_overview(path: Path) -> None:
     """Figure 1: the pipeline of an iteration, and its rows over the ramps of the paper and of `best`."""
-    page, axes = paper.figure(2, 2, (9.5, 5.4), height_ratios=(1.4, 1))
-    axis = axes[0, 0]
+    page, axes = pictures.figure(2, 2, 5.2, height_ratios=(1.4, 1))
+    axis, small = axes[0, 0], {"fontsize": 9}
     axes[0, 1].remove()
     axis.set_subplotspec(axis.get_gridspec()[0, :])  # as wide as the page
     blank(axis, (0, 12.4), (-0.3, 3.3))
@@ -114,8 +114,8 @@ def draw_overview(path: Path) -> None:
     for n in range(20):
         colour = GREY if n < OF_BEST else ORANGE
         box(axis, 3.3 + 0.2 * n, 2.2, "", colour, wide=0.15, high=0.55)
-    axis.text(3.2, 2.55, f"{OF_BEST} real", fontsize=8, color=INK)
-    axis.text(5.95, 2.55, "tail: 16 synthetic rows", ha="center", fontsize=8, color=ORANGE)
+    axis.text(3.2, 2.55, f"{OF_BEST} real", **small, color=INK)
+    axis.text(5.95, 2.55, "tail: 16 synthetic rows", ha="center", **small, color=ORANGE)
     box(axis, 3.9, 0.75, "fit $f_\\theta$\n$\\mathcal{L}_{model}$", wide=1.5, high=0.9)
     box(axis, 6.3, 0.75, "model $f_\\theta$\nas physics", "#fbe6d3", wide=1.5, high=0.9)
     box(axis, 9.2, 2.2, "GAE, PPO\n$\\mathcal{L}_{CLIP}$", wide=1.7, high=0.9)
@@ -129,16 +129,16 @@ def draw_overview(path: Path) -> None:
     axis.plot([11.4, 11.4, 1.2, 1.2], [1.72, -0.2, -0.2, 1.2], color=INK, linewidth=1)
     arrow(axis, (1.2, 1.2), (1.2, 1.72))
     arrow(axis, (6.3, -0.2), (6.3, 0.28))
-    axis.text(8.9, -0.14, "acts in physics and in the model", ha="center", va="bottom", fontsize=8)
+    axis.text(8.9, -0.14, "acts in physics and in the model", ha="center", va="bottom", **small)
     text = "three rounds an iteration:\nnew tail, new update"
-    axis.text(7.2, 0.75, text, va="center", fontsize=8, color=BROWN)
+    axis.text(7.2, 0.75, text, va="center", color=INK, **small)
     anchor = 3.3 + 0.2 * (OF_BEST - 0.5)
     axis.plot(
         [anchor, anchor, 1.2, 1.2], [2.5, 3.1, 3.1, 2.95], color=INK, linewidth=1, linestyle="--"
     )
     arrow(axis, (1.2, 2.95), (1.2, 2.68))
     text = "anchor: the tail begins here, and so does the next rollout"
-    axis.text(anchor + 0.12, 3.1, text, va="center", fontsize=8, color=INK)
+    axis.text(anchor + 0.12, 3.1, text, va="center", **small, color=INK)
     for axis, variant, who in zip(
         axes[1], ("dyna4", "best"), ("the paper's ramp", "ours"), strict=True
     ):
@@ -156,16 +156,16 @@ def draw_overview(path: Path) -> None:
         axis.set(
             xlim=(1, len(i)), ylim=(0, 24), xlabel="iteration", yticks=(0, 4, 8, 12, 16, 20, 24)
         )
-        axis.set_title(f"{variant}, {who}: {rows} rows", loc="left", fontsize=10)
+        axis.set_title(f"{variant}, {who}: {rows} rows", loc="left")
         axis.grid(visible=False)
     axes[1, 0].set_ylabel("rows of a rollout")
     axes[1, 0].legend(loc="lower right", framealpha=1)
-    paper.save(page, path)
+    pictures.save(page, path)
 
 
 def draw_model(path: Path) -> None:
     """Figure 2: real rows feed the model's loss; policy and model write the tail by turns."""
-    page, axes = paper.figure(1, 1, (9.5, 3.6))
+    page, axes = pictures.figure(1, 1, 3.4)
     axis = axes[0, 0]
     blank(axis, (0, 13.2), (0.5, 4.6))
     names = "$o_0$ $o_1$ $\\cdots$ $o_{N_r}$ $\\hat{o}_{N_r+1}$ $\\cdots$ $\\hat{o}_N$".split()
@@ -192,7 +192,7 @@ def draw_model(path: Path) -> None:
     axis.text(left + 0.15, 1.75, "simulated", fontsize=9, color=INK, va="center")
     text = "tail: policy and model by turns"
     axis.text(right + 0.15, 1.75, text, fontsize=9, color=ORANGE, va="center")
-    paper.save(page, path)
+    pictures.save(page, path)
 
 
 def brace(axis, left: float, right: float, y: float) -> None:
@@ -204,7 +204,7 @@ def brace(axis, left: float, right: float, y: float) -> None:
 
 def draw_tail(get, path: Path) -> None:
     """Figure 3: successive rollouts of one robot; each goes on from the last state of physics."""
-    page, axes = paper.figure(len(CURVES), 1, (9.5, 6.2), sharex=True)
+    page, axes = pictures.figure(len(CURVES), 1, 6.4, sharex=True)
     real = get["synthetic"] == 0
     for axis, (name, (_, label)) in zip(axes[:, 0], CURVES.items(), strict=True):
         axis.plot(
@@ -212,16 +212,17 @@ def draw_tail(get, path: Path) -> None:
         )
         for i in range(TAILS):
             tail = (get["rollout"] == i) & (get["step"] >= REAL - 1)
-            x, y, colour = get["time"][tail], get[name][tail], (ORANGE, BROWN)[i % 2]
-            text = "tails of the model" if i == 0 else ""
-            axis.plot(x, y, ".-", color=colour, linewidth=1.2, markersize=3, label=text)
+            x, y, k = get["time"][tail], get[name][tail], i % 2
+            text = f"{('odd', 'even')[k]} tails of the model" if i < 2 else ""
+            style = dict(color=(ORANGE, BLUE)[k], marker="s^"[k], linestyle=("-", (0, (4, 1.2)))[k])
+            axis.plot(x, y, linewidth=1.4, markersize=3.5, label=text, **style)
             text = "anchor: the next rollout begins here, too" if i == 0 else ""
             axis.plot(x[0], y[0], "o", color=INK, markersize=7, fillstyle="none", label=text)
         axis.set_ylabel(label)
     axes[-1, 0].set_xlabel("time of physics (s)")
-    paper.head(page, f"One Go1, rollouts of best: {REAL} real rows and a tail of 16")
-    paper.legend(page, axes[0, 0], 3)
-    paper.save(page, path)
+    pictures.head(page, f"One Go1, rollouts of best: {REAL} real rows and a tail of 16")
+    pictures.legend(page, axes[0, 0], 2)
+    pictures.save(page, path)
 
 
 if __name__ == "__main__":

@@ -2,20 +2,23 @@
 
     python experiments/20_tail/compare.py
 
-Reads the runs of `experiments/run.py` here and in 12_platforms. The threshold is 80 % of the mean over
-seeds of the best return of the first run of a group, PPO-16 or, among the ideas, `best`; a seed that never
-reaches it counts as none. Shares are of the first run's simulator steps and seconds to the threshold. Paired
-differences are those of returns, seed by seed, with their 95 % intervals: of the training return (the
-last ten iterations), of `all` (every episode that ended in the last 1000 control steps, where the run says
-so), and of the evaluation.
+Reads the runs of `experiments/run.py` here and in 12_platforms: all batches of a setting pooled
+(`experiments/batches.py`), except in the groups whose names say which batch they are. The threshold is 80 %
+of the mean over seeds of the best return of the first run of a group, PPO-16 or, among the ideas, `best`.
+Shares are of the first run's simulator steps and seconds to the threshold; seeds that never reach it count
+as `stats.share` says. "with_setup" counts the seconds before the first iteration too. Differences are
+Welch's, with p and Holm's p over the group: of the training return (the last ten iterations), of `all` (every
+episode that ended in the last 1000 control steps, where the run says so), and of the evaluation.
+
+batches.csv has every batch by itself.
 """
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from dynappo.train import curves
-from experiments import paper
+from experiments import batches, paper, pictures, stats
 
 HERE = Path(__file__).parent
 FOLDERS = (HERE / "results", HERE.parent / "12_platforms" / "results")
@@ -67,12 +70,15 @@ GROUPS |= {
     "second batch, 1024 Go1": ("second/go1_ppo16_1024", "second/go1_best_1024"),
     "second batch, ANYmal-C": ("second/anymal_c_ppo16", "second/anymal_c_best_float32"),
 }
+BATCHES = ("second", "seeds 5")  # groups of one batch
 COLUMNS = (
-    "group run return_mean return_low return_high difference_low difference_high all_low all_high "
-    "evaluation evaluated_low evaluated_high falls_pct policy_std steps_M_mean steps_M_low steps_M_high "
-    "share_pct iterations seconds seconds_share_pct seeds"
+    "group run return_mean return_low return_high difference difference_low difference_high "
+    "difference_p_holm all_low all_high evaluation evaluated evaluated_low evaluated_high evaluated_p_holm "
+    "evaluated_p_equal falls_pct policy_std steps_M_mean steps_M_low steps_M_high share_pct share_low "
+    "share_high share_bound iterations seconds seconds_share_pct with_setup with_setup_share_pct seeds"
 ).split()
-DRAWN = {label: GROUPS[label][:2] for label in ROBOTS.values()}
+DRAWN = {"ppo16": "PPO-16", "ppo24": "PPO-24", "best": "best"}
+PPO24 = ("10_ablation", "go1_ppo16_rollout.num_envs_4096_rollout.horizon_24")  # Go1's
 
 
 def main():
@@ -83,48 +89,99 @@ def make(out: Path) -> None:
     rows = [row for group, names in GROUPS.items() for row in table(group, names)]
     paper.write(out / "results.csv", rows)
     paper.show(rows, COLUMNS)
+    named = [row for name in batches.MORE for row in batch_rows(name)]
+    paper.write(out / "batches.csv", named)
+    paper.show(named, list(named[0]))
     draw(out / "steps")
 
 
-def find(name: str):
+def find(name: str, load=paper.load):
     """The run, wherever it is; None if it is not there."""
-    return next(filter(None, (paper.load(folder, name) for folder in FOLDERS)), None)
+    return next(filter(None, (load(folder, name) for folder in FOLDERS)), None)
+
+
+def batch_rows(name: str) -> list[dict]:
+    """A row a batch of one setting, then one of all its seeds."""
+    first, _, run = name.partition("/")
+    folder = HERE.parent / first / "results"
+    others = batches.others_of(folder, run)
+    every = {name: paper.load(folder, run)}
+    every |= {f"20_tail/{path.relative_to(HERE / 'results')}": find_path(path) for path in others}
+    rows = []
+    for batch, found in [*every.items(), ("all", batches.load(folder, run))]:
+        if found is None:
+            continue
+        cells = {"setting": run, "batch": batch, "date": found.summary.get("date")}
+        cells |= {"commit": found.summary.get("commit"), "seeds": len(paper.peak(found))}
+        if batch == "all":
+            cells |= {"date": None, "commit": None}
+        cells |= stats.spread("max_reward", paper.peak(found))
+        rows.append(cells | stats.spread("evaluated", evaluated(found)))
+    return rows
+
+
+def find_path(path: Path):
+    """The run whose files are PATH.json and PATH.csv.xz."""
+    return paper.load(path.parent, path.name)
 
 
 def table(group: str, names) -> list[dict]:
     """A row a run; only its name if it is not there."""
-    base, rows = find(names[0]), []
+    load = paper.load if any(word in group for word in BATCHES) else batches.load
+    base, rows = find(names[0], load), []
     limit = 0.8 * float(paper.peak(base).mean()) if base else None
     for name in names:
-        run, row = find(name), {"group": group, "run": name}
+        run, row = find(name, load), {"group": group, "run": name}
         rows.append(row)
         if run is None:
             continue
         if not run.columns:
             row["status"] = "diverged"
             continue
-        row |= paper.spread("return", paper.final(run))
+        row |= stats.spread("return", paper.final(run))
         row["policy_std"] = paper.policy_std(run).mean()
-        returns = {"difference": paper.final, "all": of_all, "evaluated": evaluated}
-        for label, of in returns.items():
-            if base and name != names[0] and ("seed5" in name) == ("seed5" in names[0]):
-                low, high = curves.interval(of(run) - of(base))
-                row |= {f"{label}_low": float(low), f"{label}_high": float(high)}
+        own = name == names[0] or ("seed5" in name and "seed5" not in names[0])  # part of the base
+        if base and not own:
+            row |= differences(run, base, group)
         if "evaluation" in run.summary:
-            row["evaluation"] = evaluated(run).mean()
+            row["evaluation"] = stats.moments(evaluated(run)).mean
             row["falls_pct"] = 100 * np.mean(run.summary["evaluation"]["fall_rate"])
-        if limit is None:
-            continue
-        took = paper.reached(run, limit)
-        there = np.isfinite(took["iteration"])
-        row |= {"limit": limit, "seeds": f"{there.sum()} of {len(there)}"}
-        if there.any():
-            row |= paper.spread("steps_M", took["sim_steps"][there] / 1e6)
-            row["iterations"] = took["iteration"][there].mean()
-            row["seconds"] = took["seconds"][there].mean()
-            row["share_pct"] = 100 * row["steps_M_mean"] / rows[0].get("steps_M_mean", np.nan)
-            row["seconds_share_pct"] = 100 * row["seconds"] / rows[0].get("seconds", np.nan)
+        if limit is not None:
+            row |= took(run, None if own else base, limit)
+    for name in ("difference", "evaluated"):
+        tested = [row for row in rows if f"{name}_p" in row]
+        adjusted = stats.holm([row[f"{name}_p"] for row in tested])
+        for row, p in zip(tested, adjusted, strict=True):
+            row[f"{name}_p_holm"] = float(p)
     return rows
+
+
+def differences(run, base, group: str) -> dict:
+    """Cells: of the three returns, less those of `base`; of the evaluation equivalence too."""
+    cells = {}
+    margin = stats.MARGIN["anymal_c" if "ANYmal" in group else "go1"]
+    for label, of in {"difference": paper.final, "all": of_all, "evaluated": evaluated}.items():
+        found = stats.compare(of(run), of(base), margin)
+        cells[label] = found["difference"]
+        ends = ("low", "high")
+        cells |= {f"{label}_{end}": found[f"difference_{end}"] for end in ends}
+        cells |= {f"{label}_{n}": found[n] for n in ("p", "p_equal")}
+    return cells
+
+
+def took(run, base, limit: float) -> dict:
+    """Cells: what it took the seeds that reach `limit`, and the shares of what it took `base`."""
+    found = paper.reached(run, limit)
+    there = np.isfinite(found["iteration"])
+    cells: dict = {"limit": limit, "seeds": f"{there.sum()} of {len(there)}"}
+    if there.any():
+        cells |= stats.spread("steps_M", found["sim_steps"] / 1e6)
+        cells |= {n: stats.moments(found[n]).mean for n in ("seconds", "with_setup")}
+        cells["iterations"] = stats.moments(found["iteration"]).mean
+    if base is None:
+        return cells
+    shares = paper.against(run, base, limit).items()
+    return cells | {n.replace("share_of_ppo16", "share"): v for n, v in shares}
 
 
 def of_all(run) -> np.ndarray:
@@ -140,24 +197,32 @@ def evaluated(run) -> np.ndarray:
 
 def draw(path: Path) -> None:
     """Return over simulator steps, mean of the seeds and its interval, and the threshold."""
-    page, axes = paper.figure(2, 2, (12, 7.6))
-    colours = ("0.35", "#7a4fa3")
-    for axis, (group, names) in zip(axes.flat, DRAWN.items(), strict=True):
-        for name, colour, label in zip(names, colours, ("PPO-16", "best"), strict=True):
-            run = find(name)
-            if run is None:
+    page, axes = pictures.figure(2, 2, 6.6)
+    seeds = []
+    for axis, (robot, label) in zip(axes.flat, ROBOTS.items(), strict=True):
+        base = find(f"{robot}_ppo16", batches.load)
+        for variant, text in DRAWN.items():
+            run = find(f"{robot}_{variant}", batches.load)
+            if run is None and (robot, variant) == ("go1", "ppo24"):
+                run = paper.load(HERE.parent / PPO24[0] / "results", PPO24[1])
+            if run is None or base is None:
                 continue
-            steps = run.columns["sim_steps"][:, 0] / 1e6
-            paper.band(axis, steps, run.columns["episode_return"], colour, label)
-        limit = 0.8 * float(paper.peak(find(names[0])).mean())  # all is measured against it
-        axis.axhline(limit, color="0.6", linewidth=0.8, linestyle="--")
-        axis.text(
-            33, limit, "80 % of PPO-16's best", ha="right", va="bottom", color="0.4", fontsize=8
-        )
-        axis.set(xlabel="simulator steps (M)", ylabel="episode return", xlim=(0, 33.5))
-        axis.set_title(group, loc="left", fontsize=10)
-        axis.legend(frameon=False, loc="lower right")
-    paper.save(page, path)
+            steps, dash = run.columns["sim_steps"][:, 0] / 1e6, pictures.DASHES.get(variant, "-")
+            style: dict[str, Any] = dict(colour=pictures.COLOURS[variant], label=text, dash=dash)
+            pictures.band(axis, steps, run.columns["episode_return"], **style)
+            seeds.append(len(paper.peak(run)))
+        limit = 0.8 * float(paper.peak(base).mean()) if base else np.nan
+        axis.axhline(limit, color="0.4", linewidth=1, linestyle=":")
+        axis.set(xlim=(0, 50), ylim=(-3, None))
+        axis.set_title(label, loc="left")
+    for axis in axes[-1]:
+        axis.set_xlabel("simulator steps (M)")
+    for row in axes:
+        row[0].set_ylabel("episode return")
+    text = f"Band: {pictures.covers(seeds)}. Dotted: 80 % of PPO-16's best return"
+    pictures.head(page, text, fontsize=9.5)
+    pictures.legend(page, axes[0, 0], 3)
+    pictures.save(page, path)
 
 
 if __name__ == "__main__":

@@ -2,7 +2,7 @@
 
     python experiments/21_less/plot.py experiments/21_less/results/fresh.csv.xz
 
-Lines are means over five seeds, bands the lowest and the highest; steps are logarithmic.
+Lines are means over five seeds, bands their 95 % t interval; steps are logarithmic.
 """
 
 from pathlib import Path
@@ -10,15 +10,15 @@ from pathlib import Path
 import numpy as np
 import table
 
-from experiments import paper
+from experiments import paper, pictures
 
 ROBOTS = {"g": "Go1", "h": "Go2", "c": "ANYmal-C", "d": "ANYmal-D"}
-RUNS = {  # name in the results -> label, colour (Okabe and Ito's, safe for the colour-blind)
-    "new": ("best", "#D55E00"),
-    "old-best": ("best until 2026-11-22", "#E69F00"),
-    "ppo-1024x24": ("PPO, 1024 robots, 24 rows", "#0072B2"),
-    "ppo24": ("PPO-24, 4096 robots", "#56B4E9"),
-    "ppo16": ("PPO-16, 4096 robots", "#999999"),
+RUNS = {  # name in the results -> label, colour, dashes
+    "new": ("best", pictures.BLUE, "-"),
+    "old-best": ("best until 2026-11-22", pictures.SKY, (0, (3, 1.2))),
+    "ppo-1024x24": ("PPO, 1024 robots, 24 rows", pictures.VERMILION, (0, (5, 1.2, 1, 1.2))),
+    "ppo24": ("PPO-24, 4096 robots", pictures.GREY, (0, (5, 2))),
+    "ppo16": ("PPO-16, 4096 robots", pictures.BLACK, "-"),
 }
 WALKS = {"g": 38, "h": 38, "c": 24, "d": 24}
 
@@ -27,26 +27,29 @@ def main():
     parser = paper.parser(__doc__)
     parser.add_argument("path", type=Path)
     jobs = table.read(parser.parse_args().path)
-    fig, axes = paper.figure(1, 4, (13, 3.5), sharex=True)
+    fig, axes = pictures.figure(2, 2, 6.4, sharex=True)
     for axis, (robot, title) in zip(np.ravel(axes), ROBOTS.items(), strict=True):
-        for name, (label, colour) in RUNS.items():
+        for name, look in RUNS.items():
             if f"{name}-{robot}" in jobs:
-                curve(axis, jobs[f"{name}-{robot}"], label, colour)
-        axis.axhline(WALKS[robot], color="0.6", lw=0.8, ls=":")
-        axis.set(title=title, xscale="log", xlabel="simulator steps", ylim=(0, None))
-    axes = np.ravel(axes)
-    axes[0].set_ylabel("evaluated return")
-    fig.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=5)
-    fig.savefig(Path(__file__).with_name("curves.png"), dpi=110)
+                curve(axis, jobs[f"{name}-{robot}"], *look)
+        axis.axhline(WALKS[robot], color="0.4", lw=1, ls=":")
+        axis.set_title(title, loc="left")
+        axis.set(xscale="log", ylim=(0, None))
+    for axis in axes[-1]:
+        axis.set_xlabel("simulator steps (logarithmic)")
+    for row in axes:
+        row[0].set_ylabel("evaluated return")
+    pictures.head(fig, f"Band: {pictures.covers([5])}. Dotted: it walks", fontsize=9.5)
+    pictures.legend(fig, axes[0, 0], 3)
+    pictures.save(fig, Path(__file__).with_name("curves"))
 
 
-def curve(axis, job, label, colour):
+def curve(axis, job, label, colour, dash):
     """One run of several seeds."""
     runs = table.seeds(job)
-    steps = [row["sim_steps"] for row in runs[0]]
+    steps = np.array([row["sim_steps"] for row in runs[0]])
     values = np.array([[row["return"] for row in run] for run in runs])
-    axis.plot(steps, values.mean(0), color=colour, label=label, lw=1.6)
-    axis.fill_between(steps, values.min(0), values.max(0), color=colour, alpha=0.2, lw=0)
+    pictures.band(axis, steps, values.T, colour, label, most=len(steps), dash=dash)
 
 
 if __name__ == "__main__":

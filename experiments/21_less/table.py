@@ -17,8 +17,8 @@ import lzma
 from pathlib import Path
 
 import numpy as np
-from scipy import stats
 
+from dynappo.train import curves
 from experiments import paper
 
 TEXT = ("job", "name", "batch")
@@ -80,8 +80,7 @@ def first(run: list[dict], level: float, name: str = "sim_steps") -> float:
 
 def spread(values, digits: int = 1) -> str:
     """Mean and half of its interval."""
-    half = stats.t.ppf(0.975, len(values) - 1) * stats.sem(values) if len(values) > 1 else np.nan
-    return f"{np.mean(values):.{digits}f} ± {half:.{digits}f}"
+    return f"{np.mean(values):.{digits}f} ± {curves.half_width(values):.{digits}f}"
 
 
 def table(jobs, levels) -> str:

@@ -1,24 +1,9 @@
-"""What a sweep came to: its interval, its words."""
+"""What a sweep came to: its words."""
 
-import numpy as np
-import pytest
 from rich.console import Console
-from scipy import stats
 
 from dynappo import config as config_lib
 from dynappo.sweeps import folder, grid, table
-
-
-@pytest.mark.parametrize("seeds", [2, 3, 5, 10, 40])
-def test_the_interval_is_students(seeds):
-    """As scipy has it."""
-    values = np.random.default_rng(seeds).normal(3.0, 2.0, seeds)
-    low, high = stats.t.interval(0.95, seeds - 1, values.mean(), stats.sem(values))
-    np.testing.assert_allclose(table.half_width(values), (high - low) / 2, rtol=1e-4)
-
-
-def test_one_seed_and_a_seed_without_a_number_have_no_interval():
-    assert np.isnan(table.half_width([1.0])) and np.isnan(table.half_width([1.0, np.nan, 2.0]))
 
 
 def test_a_row_says_what_the_policies_do(tmp_path, monkeypatch, capsys):

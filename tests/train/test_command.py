@@ -8,12 +8,14 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import nullcontext
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import workdirs
 from answers import ROOT, mistake, refused, shell, status
+from rich.console import Console
 
 from dynappo import config as config_lib
 from dynappo.config import shell as shell_lib
@@ -282,6 +284,18 @@ def test_ctrl_c_at_the_end_of_a_run_is_one_line_too(when, line, monkeypatch, cap
     said = capsys.readouterr().err
     assert said.startswith(f"dynappo: {line}") and said.count("\n") == 1
     assert ("finished" in loops) == (when == "while it is evaluated")
+
+
+@pytest.mark.parametrize("engine", ["warp", "jax", "c"])
+def test_it_says_what_one_waits_for(engine, monkeypatch, tmp_path):
+    """On a terminal; of Warp, that it builds kernels."""
+    said = []
+    finished(monkeypatch, "in the last iteration")
+    monkeypatch.setattr(Console, "status", lambda _, text: said.append(text) or nullcontext())
+    monkeypatch.setattr(train_command.devices, "engine", lambda config: engine)
+    assert status(train_command.main, *FIRST, f"--workdir={tmp_path / 'run'}") == 130
+    assert said[0].startswith("compiling (") and ("kernels" in said[0]) == (engine == "warp")
+    assert all(len(text) < 100 for text in said)
 
 
 def test_before_it_listens_ctrl_c_is_one_line_too(monkeypatch, capsys):

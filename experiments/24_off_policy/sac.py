@@ -1,0 +1,178 @@
+"""brax's SAC on our task: steps and seconds to evaluated returns.
+
+    python experiments/24_off_policy/sac.py OUT.csv [--config go1:best] [--seed 100] [--steps 1000000]
+
+The task is that of the config: the same commands, noise, pushes, bodies, episodes and rewards that PPO
+and the tail get, with our own resets (brax's put a robot back into its first state, with its first
+command). Evaluations are ours too: 100 episodes of 20 s without noise, the mean action. OUT.csv has a
+row an evaluation, as 21_less/run.py writes it. `seconds` are those of training, without compilation.
+"""
+
+import argparse
+import functools
+from pathlib import Path
+from unittest import mock
+
+import jax
+import jax.numpy as jnp
+from brax import envs
+from brax.training.agents.sac import networks as sac_networks
+from brax.training.agents.sac import train as sac_train
+
+from dynappo import algorithm, evaluation
+from dynappo import config as config_lib
+from dynappo.program import devices
+from dynappo.train import log
+from experiments import paper
+
+EPISODES, LENGTH = 100, 1000  # of an evaluation
+
+
+class Robots(envs.Env):
+    """All robots behind brax's protocol; a class because that is one. It holds constants only.
+
+    `gain`: brax's actions end in a tanh, ours do not, and a walking policy's reach 2 to 3.
+    """
+
+    def __init__(self, env, hyper, gain: float, trained: bool):
+        self._env, self._hyper, self._gain, self._trained = env, hyper, gain, trained
+
+    def reset(self, rng):
+        keys = jax.random.wrap_key_data(rng)
+        body_keys, reset_keys, keys = jax.vmap(functools.partial(jax.random.split, num=3))(keys).T
+        bodies = jax.vmap(self._env.randomize, (None, 0))(self._hyper, body_keys)
+        state = jax.vmap(self._env.reset, (None, 0, 0))(self._hyper, bodies, reset_keys)
+        clock = jnp.full_like(state.clock, min(0, self._env.episode_length - LENGTH))
+        if self._trained:  # else all time-outs would come at once
+            ages = functools.partial(jax.random.randint, shape=(), minval=0)
+            clock = jax.vmap(lambda k: ages(k, maxval=self._env.episode_length))(body_keys)
+        state, zero = state.replace(clock=clock), jnp.zeros(len(rng))
+        info = {"keys": jax.random.key_data(keys), "body": bodies, "truncation": zero}
+        return envs.State(
+            pipeline_state=state,
+            obs=state.obs,
+            reward=zero,
+            done=zero,
+            metrics={"falls": zero, "velocity_error_sq": zero},
+            info=info | {"steps": zero},
+        )
+
+    def step(self, state, action):
+        keys = jax.random.wrap_key_data(state.info["keys"])
+        keys = jax.vmap(jax.random.fold_in)(keys, state.info["steps"].astype(jnp.int32))
+        advance = algorithm.physics_step(self._env, self._hyper, state.info["body"])
+        after, outcome = advance(state.pipeline_state, self._gain * action, keys)
+        info = {"steps": state.info["steps"] + 1, "truncation": outcome.truncation}
+        found = {name: outcome.metrics[name] for name in ("falls", "velocity_error_sq")}
+        return state.replace(
+            pipeline_state=after,
+            obs=after.obs,
+            reward=outcome.reward,
+            done=jnp.maximum(1 - outcome.discount, outcome.truncation),
+            metrics={**state.metrics, **found},
+            info={**state.info, **info},
+        )
+
+    observation_size = property(lambda self: self._env.obs_size)
+    action_size = property(lambda self: self._env.action_size)
+    backend = property(lambda self: "mjx")
+
+
+def main():
+    parser = paper.parser(__doc__)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--config", default="go1:best")
+    parser.add_argument("--set", action="append", default=[], metavar="FIELD=VALUE")
+    parser.add_argument("--seed", type=int, default=100)
+    parser.add_argument("--steps", type=int, default=1_000_000)
+    parser.add_argument("--evaluations", type=int, default=20)
+    parser.add_argument("--robots", type=int, default=256)
+    parser.add_argument("--updates", type=int, default=32, help="gradient steps a control step")
+    parser.add_argument("--batch", type=int, default=512, help="transitions a gradient step")
+    parser.add_argument("--learning-rate", type=float, default=3e-4)
+    parser.add_argument("--gamma", type=float, default=0.98)
+    parser.add_argument("--reward-scaling", type=float, default=20.0)
+    parser.add_argument("--gain", type=float, default=3.0)
+    args = parser.parse_args()
+    devices.own_process()
+    args.out.parent.mkdir(parents=True, exist_ok=True)
+    rows = train(args)
+    log.append_csv(args.out, rows)
+
+
+def train(args: argparse.Namespace) -> list[dict]:
+    """A row an evaluation."""
+    from dynappo.program import build
+
+    name, _, variant = args.config.partition(":")
+    config = config_lib.load(f"configs/{name}.py:{variant}")
+    for text in args.set:
+        config_lib.override(config, *text.split("=", 1))
+    config = config_lib.validate(config)
+    _, hyper = config_lib.split(config)
+    _, env, _ = build._environment(config, None, devices.engine(config))
+    trained = Robots(env, hyper, args.gain, True)
+    evaluated = Robots(env, evaluation.nominal(hyper), args.gain, False)
+    rows = []
+
+    def progress(steps, metrics):
+        score = {n: float(metrics[f"eval/episode_{n}"]) for n in ("reward", "falls")}
+        length = float(metrics["eval/avg_episode_length"])
+        error = float(metrics["eval/episode_velocity_error_sq"]) / length
+        rows.append(
+            {
+                "job": f"sac {args.config}",
+                "seed": args.seed,
+                "sim_steps": int(steps),
+                "seconds": f"{metrics.get('training/walltime', 0.0):.4g}",
+                "return": f"{score['reward']:.4g}",
+                "fall_rate": f"{score['falls']:.4g}",
+                "tracking_error": f"{error**0.5:.4g}",
+            }
+        )
+        about = {
+            n.removeprefix("training/"): float(metrics[n])
+            for n in metrics
+            if "loss" in n or n.endswith("alpha")
+        }
+        print(*rows[-1].values(), f"length {length:.0f}", about, flush=True)
+
+    factory = functools.partial(
+        sac_networks.make_sac_networks, hidden_layer_sizes=(256, 256), q_network_layer_norm=True
+    )
+    first = args.robots * -(-8192 // args.robots)
+    with mock.patch.object(jax, "device_put_replicated", replicated, create=True):
+        sac_train.train(
+            trained,
+            num_timesteps=args.steps,
+            episode_length=LENGTH,
+            wrap_env_fn=lambda env, **_: env,  # it has its own resets
+            num_envs=args.robots,
+            num_eval_envs=EPISODES,
+            eval_env=evaluated,
+            deterministic_eval=True,
+            num_evals=args.evaluations + 1,
+            learning_rate=args.learning_rate,
+            discounting=args.gamma,
+            seed=args.seed,
+            batch_size=args.batch,
+            grad_updates_per_step=args.updates,
+            normalize_observations=True,
+            reward_scaling=args.reward_scaling,
+            min_replay_size=first,
+            max_replay_size=args.steps,
+            network_factory=factory,
+            progress_fn=progress,
+        )
+    return rows
+
+
+def replicated(tree, where):
+    """What brax 0.14.2 calls and JAX no longer has: a leading axis of devices."""
+    mesh = jax.sharding.Mesh(where, ("devices",))
+    sharding = jax.sharding.NamedSharding(mesh, jax.sharding.PartitionSpec("devices"))
+    return jax.tree.map(lambda x: jax.device_put(jnp.stack([x] * len(where)), sharding), tree)
+
+
+if __name__ == "__main__":
+    main()

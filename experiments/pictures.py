@@ -1,0 +1,147 @@
+"""How the experiments' pictures look: one size, one palette, one way to say what a band is.
+
+A README shows a picture 830 pixels wide, which is `WIDE` inches: nothing is drawn wider, so letters keep
+their size. Colours are Okabe and Ito's, safe for the colour-blind; PPO is black and grey, tails have hues.
+Lines differ by dash and marks by shape too, so that a picture can be read without colour.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dynappo.train import curves
+
+WIDE, DPI = 8.6, 150  # inches, pixels an inch
+ORANGE, SKY, GREEN, BLUE = "#E69F00", "#56B4E9", "#009E73", "#0072B2"
+VERMILION, PURPLE, BLACK, GREY = "#D55E00", "#CC79A7", "#222222", "#8c8c8c"
+SHADES = (
+    "#9ccbe8",
+    "#56a3d4",
+    "#0072B2",
+    "#064b80",
+    "#062744",
+)  # of one hue, for a number that grows
+COLOURS = {
+    "ppo12": GREY,
+    "ppo16": BLACK,
+    "ppo24": "#5f5f5f",
+    "dyna2": SKY,
+    "dyna4_noschedule": ORANGE,
+    "dyna4": VERMILION,
+    "fast": GREEN,
+    "best": BLUE,
+}
+DASHES: dict[str, Any] = {
+    "ppo12": (0, (1, 1)),
+    "ppo24": (0, (5, 2)),
+    "dyna2": (0, (3, 1.2)),
+    "dyna4_noschedule": (0, (5, 1.2, 1, 1.2)),
+    "fast": (0, (1, 1)),
+}
+MARKS = {
+    "ppo12": "v",
+    "ppo24": "^",
+    "dyna2": "s",
+    "dyna4_noschedule": "D",
+    "dyna4": "P",
+    "fast": "X",
+}
+
+
+def line(variant: str) -> dict[str, Any]:
+    """How a variant's line is drawn."""
+    return {"color": COLOURS[variant], "linestyle": DASHES.get(variant, "-")}
+
+
+def mark(variant: str) -> dict[str, Any]:
+    """How a variant's points are drawn."""
+    return {"color": COLOURS[variant], "marker": MARKS.get(variant, "o")}
+
+
+def covers(seeds) -> str:
+    """What a band or bar is, by the numbers of seeds."""
+    some = sorted({int(n) for n in seeds})
+    counts = f"{some[0]} to {some[-1]}" if len(some) > 2 else " or ".join(map(str, some))
+    return f"95 % t interval of the mean over {counts} seeds"
+
+
+def figure(rows: int, columns: int, high: float, **more):
+    """A Figure `WIDE` across and `high` inches high, and its axes `[rows, columns]`, plain."""
+    import matplotlib
+
+    matplotlib.use("agg")
+    import matplotlib.pyplot as plt
+
+    sizes: Any = {"font.size": 9.5, "axes.titlesize": 10.5, "legend.fontsize": 9.5}
+    plt.rcParams.update(sizes | {"axes.axisbelow": True})
+    page, axes = plt.subplots(
+        rows, columns, figsize=(WIDE, high), layout="constrained", squeeze=False, **more
+    )
+    for axis in axes.flat:
+        axis.grid(alpha=0.25, linewidth=0.7)
+        axis.spines[["top", "right"]].set_visible(False)
+    return page, axes
+
+
+def missing(axis, what: str = "not run yet") -> None:
+    """Say in the picture that there is nothing to draw."""
+    axis.text(
+        0.5, 0.5, what, transform=axis.transAxes, ha="center", va="center", color="0.5", fontsize=11
+    )
+
+
+def log(axis, subs=(1, 2, 5)) -> None:
+    """A logarithmic y axis with plain numbers."""
+    axis.set_yscale("log")
+    axis.yaxis.get_major_locator().set_params(subs=subs)
+    axis.yaxis.set_major_formatter("{x:g}")
+    axis.minorticks_off()
+
+
+def head(page, text: str, **more) -> None:
+    """A line above the whole picture."""
+    page.suptitle(text, x=0.01, ha="left", **{"fontsize": 10} | more)
+
+
+def legend(page, axis, columns: int) -> None:
+    """One legend below the whole picture, of the lines of `axis`; none without lines."""
+    handles, labels = axis.get_legend_handles_labels()
+    if handles:
+        page.legend(handles, labels, loc="outside lower center", ncols=columns, frameon=False)
+
+
+def save(page, path: Path, dpi: int = DPI) -> None:
+    """As PNG; the same numbers give the same file."""
+    path = path.with_suffix(".png")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    page.savefig(path, dpi=dpi)
+    palette(path)
+    print(path)
+
+
+def palette(path: Path) -> None:
+    """Write a PNG anew in 256 colours of its own: to the eye the same, and a third of the size."""
+    from PIL import Image
+
+    picture = Image.open(path).convert("RGB")
+    few = picture.quantize(256, Image.Quantize.MAXCOVERAGE, kmeans=4, dither=Image.Dither.NONE)
+    few.save(path, optimize=True)
+
+
+def band(axis, x, values, colour: str, label: str = "", most: int = 50, dash: Any = "-") -> None:
+    """The mean over seeds of `values` [I, S] and its 95 % t interval, at `most` points of `x` [I].
+
+    Rows with an empty cell are left out: before the first episodes end, and where a CSV is thin.
+    """
+    whole = np.flatnonzero(np.isfinite(values).all(1))
+    if not len(whole):
+        return
+    rows = whole[np.unique(np.linspace(0, len(whole) - 1, most).round().astype(int))]
+    if values.shape[1] > 1:
+        low, high = curves.interval(values[rows].T)
+        axis.fill_between(x[rows], low, high, color=colour, alpha=0.18, linewidth=0)
+    mean = values[rows].mean(1)
+    axis.plot(x[rows], mean, color=colour, linewidth=1.6, label=label, linestyle=dash)

@@ -1,0 +1,221 @@
+"""Statistics of means over seeds: every table and picture of the experiments takes them from here.
+
+A seed is one number, so five seeds are five numbers. They are taken as independent and roughly normal,
+with a variance of their own in each setting. Seeds are never paired: MuJoCo Warp is not deterministic,
+so equal seed numbers have nothing in common.
+
+**Seeds that never reach a level are counted, never dropped in silence.** Means of steps are of the seeds
+that get there, beside how many do. A share of PPO-16's steps counts a seed that does not with all steps
+of its run, which is less than it needs: so the share says "at least" or "at most". `rank_sum` takes "never"
+as later than anything.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy import special, stats
+
+from dynappo.train import curves
+
+LEVEL = 0.95
+ALPHA = 1 - LEVEL
+# a difference of return that does not matter: about 2 % of the best possible (45 and 30)
+MARGIN = {"go1": 1.0, "go2": 1.0, "anymal_c": 0.7, "anymal_d": 0.7}
+COMPARED = "difference difference_low difference_high p p_holm p_equal p_equal_holm verdict".split()
+
+
+class Moments(NamedTuple):
+    """Of a sample: its mean, its sample standard deviation, how many numbers."""
+
+    mean: float
+    sd: float
+    n: int
+
+
+class Around(NamedTuple):
+    """An estimate and its 95 % interval."""
+
+    value: float
+    low: float
+    high: float
+
+
+NOTHING = Around(math.nan, math.nan, math.nan)
+
+
+def moments(values) -> Moments:
+    """Of the numbers that are finite; NaN where there are too few."""
+    values = np.asarray(values, float)
+    values = values[np.isfinite(values)]
+    n = len(values)
+    mean = float(values.mean()) if n else math.nan
+    return Moments(mean, float(values.std(ddof=1)) if n > 1 else math.nan, n)
+
+
+def half_of(one: Moments) -> float:
+    """Half of Student's 95 % interval of a mean that is known by its moments: of printed tables."""
+    return float(special.stdtrit(one.n - 1, 0.5 + LEVEL / 2) * one.sd / math.sqrt(one.n))
+
+
+def spread(prefix: str, values) -> dict[str, Any]:
+    """Cells: mean, sample standard deviation and Student's 95 % interval of the mean over seeds.
+
+    mean +- t(0.975, n - 1) sd / sqrt(n), of the seeds that have a number (`dynappo.train.curves`).
+    """
+    values = np.asarray(values, float)
+    values = values[np.isfinite(values)]
+    low, high = curves.interval(values)
+    mean, sd, _ = moments(values)
+    cells = {"mean": mean, "sd": sd, "low": float(low), "high": float(high)}
+    return {f"{prefix}_{name}": value for name, value in cells.items()}
+
+
+def _error(one: Moments, other: Moments) -> tuple[float, float]:
+    """Standard error of a difference of means, and Welch's degrees of freedom (Welch 1947).
+
+    se^2 = a + b, df = (a + b)^2 / (a^2 / (n - 1) + b^2 / (m - 1)), a = sd^2 / n, b = sd_^2 / m.
+    """
+    if min(one.n, other.n) < 2 or not one.sd + other.sd > 0:
+        return math.nan, math.nan
+    a, b = one.sd**2 / one.n, other.sd**2 / other.n
+    return math.sqrt(a + b), (a + b) ** 2 / (a**2 / (one.n - 1) + b**2 / (other.n - 1))
+
+
+def welch(one, other) -> tuple[float, float, float]:
+    """Welch's test of two means, each `(mean, sample sd, number)`: t, degrees of freedom, p (two-sided)."""
+    one, other = Moments(*one), Moments(*other)
+    error, df = _error(one, other)
+    t = (one.mean - other.mean) / error
+    return t, df, float(2 * special.stdtr(df, -abs(t)))
+
+
+def welch_of(one, other) -> float:
+    """p of two lists of numbers, one a seed."""
+    return welch(moments(one), moments(other))[2]
+
+
+def difference(one, other) -> Around:
+    """Mean of `one` less that of `other`, lists with a number a seed, and Welch's 95 % interval."""
+    one, other = moments(one), moments(other)
+    error, df = _error(one, other)
+    half, middle = special.stdtrit(df, 0.5 + LEVEL / 2) * error, one.mean - other.mean
+    return Around(middle, float(middle - half), float(middle + half))
+
+
+def equivalence(one, other, margin: float) -> float:
+    """p of two one-sided Welch tests: small where the means are shown to differ by less than `margin`.
+
+    p = max(P(T > (d + margin) / se), P(T < (d - margin) / se)), d the difference of the means. p < 0.05
+    exactly where the 90 % interval of d lies within +- margin (Schuirmann 1987; by Welch: Gruman,
+    Cribbie and Arpin-Cribbie 2007).
+    """
+    one, other = moments(one), moments(other)
+    error, df = _error(one, other)
+    d = one.mean - other.mean
+    below = special.stdtr(df, -(d + margin) / error)
+    above = special.stdtr(df, (d - margin) / error)
+    return float(np.maximum(below, above))
+
+
+def holm(p) -> np.ndarray:
+    """Adjusted p values of a family of tests; a NaN is no test.
+
+    The k-th smallest of m becomes max over j <= k of min(1, (m - j + 1) p_j). Rejecting those below
+    alpha errs at all with probability alpha at most, whatever the tests' dependence (Holm 1979).
+    """
+    p = np.asarray(p, float)
+    order = np.argsort(p)[: np.isfinite(p).sum()]  # NaN sorts last
+    out = np.full(len(p), np.nan)
+    times = np.arange(len(order), 0, -1)
+    out[order] = np.minimum(1, np.maximum.accumulate(times * p[order]))
+    return out
+
+
+def ratio(one, other) -> Around:
+    """Mean of `one` by that of `other`, and Fieller's 95 % interval without equal variances.
+
+    All r with (x - r y)^2 <= t^2 (a + r^2 b), a and b the squared standard errors of the means x and y
+    (Fieller 1954), t with Welch's degrees of freedom at r = x / y (Tamhane and Logan 2004). NaN as
+    ends where y is not shown to be different from 0.
+    """
+    one, other = moments(one), moments(other)
+    x, y = one.mean, other.mean
+    middle = x / y
+    error, df = _error(one, other._replace(sd=abs(middle) * other.sd))
+    if not error > 0:
+        return Around(middle, math.nan, math.nan)
+    t = float(special.stdtrit(df, 0.5 + LEVEL / 2))
+    a, b = one.sd**2 / one.n, other.sd**2 / other.n
+    square, rest = y**2 - t**2 * b, x**2 - t**2 * a
+    if square <= 0:
+        return Around(middle, math.nan, math.nan)
+    root = math.sqrt(max(0.0, (x * y) ** 2 - square * rest))
+    return Around(middle, (x * y - root) / square, (x * y + root) / square)
+
+
+def share(one, other, most: float, most_other: float) -> dict[str, Any]:
+    """Cells: steps of `one` in per cent of `other`'s, NaN for a seed that never gets there.
+
+    With such seeds it has no interval, and `bound` says "at least" or "at most": they count with
+    `most`, all that their run had. Nothing where both have some, or none gets there.
+    """
+    some, others = np.asarray(one, float), np.asarray(other, float)
+    gone, gone_ = np.isnan(some), np.isnan(others)
+    if gone.all() or gone_.all() or (gone.any() and gone_.any()):
+        return {}
+    found = ratio(np.where(gone, most, some), np.where(gone_, most_other, others))
+    cells: dict[str, Any] = {"pct": 100 * found.value}
+    if gone.any() or gone_.any():
+        return cells | {"bound": "at least" if gone.any() else "at most"}
+    return cells | {"low": 100 * found.low, "high": 100 * found.high}
+
+
+def rank_sum(one, other) -> float:
+    """p (two-sided) of Mann and Whitney's test, exact by all regroupings; NaN means never, so last."""
+    pair = [np.nan_to_num(np.asarray(x, float), nan=np.inf) for x in (one, other)]
+    if min(map(len, pair)) < 2:
+        return math.nan
+    ranks = stats.rankdata(np.concatenate(pair))
+    n, total = len(pair[0]), len(ranks)
+    # counts[k]: sum of k ranks -> in how many ways
+    counts: list[dict[float, int]] = [{0.0: 1}, *({} for _ in range(n))]
+    for rank in ranks:
+        for k in range(n, 0, -1):
+            for before, times in counts[k - 1].items():
+                counts[k][before + rank] = counts[k].get(before + rank, 0) + times
+    sums = np.array(list(counts[n]))
+    weights = np.array(list(counts[n].values()), float)
+    middle = n * (total + 1) / 2
+    far = np.abs(sums - middle) >= abs(ranks[:n].sum() - middle) - 1e-9
+    return float(weights[far].sum() / weights.sum())
+
+
+def compare(one, base, margin: float) -> dict[str, Any]:
+    """Cells of one comparison of returns with a base: see `COMPARED`; `correct` fills the rest in."""
+    found = difference(one, base)
+    ends = {"difference_low": found.low, "difference_high": found.high}
+    return (
+        {"difference": found.value}
+        | ends
+        | {"p": welch_of(one, base), "p_equal": equivalence(one, base, margin)}
+    )
+
+
+def correct(rows: list[dict[str, Any]], prefix: str = "") -> None:
+    """To rows with `compare`'s cells, named `PREFIX` + name: Holm's p over all of them, and verdicts."""
+    rows = [row for row in rows if f"{prefix}p" in row]
+    for name in ("p", "p_equal"):
+        adjusted = holm([row[f"{prefix}{name}"] for row in rows])
+        for row, p in zip(rows, adjusted, strict=True):
+            row[f"{prefix}{name}_holm"] = float(p)
+    for row in rows:
+        differs, equal = (row[f"{prefix}{name}_holm"] < ALPHA for name in ("p", "p_equal"))
+        way = "higher" if row[f"{prefix}difference"] > 0 else "lower"
+        words = (
+            way if differs else "not shown",
+            f"{way}, within the margin" if differs else "equal",
+        )
+        row[f"{prefix}verdict"] = words[equal]

@@ -1,0 +1,192 @@
+"""The experiments' statistics against scipy, against numbers by hand and by counting; pooled batches."""
+
+import itertools
+import json
+
+import numpy as np
+import pytest
+from scipy import stats as scipy_stats
+
+from experiments import batches, paper, stats
+
+ONE, OTHER = [1.0, 2.0, 4.0, 5.5], [2.0, 4.5, 6.0, 8.0, 10.0]
+
+
+# ---- one mean
+
+
+def test_the_interval_of_a_mean_is_students_and_seeds_without_a_number_are_left_out():
+    cells = stats.spread("x", [1.0, 2.0, np.nan, 6.0])
+    ends = scipy_stats.t.interval(0.95, 2, 3.0, scipy_stats.sem([1.0, 2.0, 6.0]))
+    assert cells["x_mean"] == 3 and cells["x_sd"] == pytest.approx(np.sqrt(7.0))
+    assert (cells["x_low"], cells["x_high"]) == pytest.approx(ends)
+    half = stats.half_of(stats.moments([1.0, 2.0, 6.0]))
+    assert half == pytest.approx((ends[1] - ends[0]) / 2)
+    cells = stats.spread("x", [2.0])
+    assert cells["x_mean"] == 2 and all(np.isnan(cells[f"x_{n}"]) for n in ("sd", "low", "high"))
+    assert np.isnan(stats.spread("x", [np.nan])["x_mean"])
+
+
+# ---- two means
+
+
+def test_welch_is_that_of_scipy_and_of_the_paper():
+    expected = scipy_stats.ttest_ind(ONE, OTHER, equal_var=False)
+    assert stats.welch_of(ONE, OTHER) == pytest.approx(expected.pvalue)
+    assert stats.welch_of(OTHER, ONE) == stats.welch_of(ONE, OTHER)
+    t, df, p = stats.welch((33.35, 0.54, 3), (12.96, 2.68, 3))  # dyna4 and PPO-12 of Table V
+    assert (round(t, 2), round(df, 2), round(p, 4)) == (12.92, 2.16, 0.0044)
+    assert np.isnan([stats.welch_of([2.0], [1.0, 3.0]), stats.welch_of([2.0] * 3, [2.0] * 3)]).all()
+
+
+def test_the_difference_has_the_interval_of_scipy():
+    expected = scipy_stats.ttest_ind(ONE, OTHER, equal_var=False).confidence_interval(0.95)
+    found = stats.difference(ONE, OTHER)
+    assert (found.low, found.high) == pytest.approx((expected.low, expected.high))
+    assert found.value == pytest.approx(np.mean(ONE) - np.mean(OTHER))
+
+
+def test_equivalence_is_two_tests_of_scipy_and_the_90_percent_interval_within_the_margin():
+    for margin in (0.5, 3.0, 8.0, 12.0):
+        below, above = np.array(ONE) + margin, np.array(ONE) - margin
+        expected = max(
+            scipy_stats.ttest_ind(below, OTHER, equal_var=False, alternative="greater").pvalue,
+            scipy_stats.ttest_ind(above, OTHER, equal_var=False, alternative="less").pvalue,
+        )
+        p = stats.equivalence(ONE, OTHER, margin)
+        assert p == pytest.approx(expected)
+        ends = scipy_stats.ttest_ind(ONE, OTHER, equal_var=False).confidence_interval(0.9)
+        assert (p < 0.05) == (-margin < ends.low and ends.high < margin)
+
+
+def test_means_a_margin_apart_are_called_equal_in_one_case_of_20_at_most():
+    """Counted where the claim is just wrong; a p above 0.05 of Welch's test would say it in most."""
+    rng = np.random.default_rng(0)
+    pairs = [(rng.normal(0, 0.4, 5), rng.normal(1, 0.4, 5)) for _ in range(3000)]
+    wrong = np.mean([stats.equivalence(*pair, 1.0) < 0.05 for pair in pairs])
+    assert 0.035 < wrong < 0.065
+
+
+# ---- many tests
+
+
+def test_holm_by_hand_and_as_its_steps_reject():
+    """0.01 x 4, 0.013 x 3 but no less than before, 0.03 x 2, 0.2 x 1; a NaN is no test."""
+    p = [0.03, 0.01, np.nan, 0.2, 0.013]
+    np.testing.assert_allclose(stats.holm(p), [0.06, 0.04, np.nan, 0.2, 0.04])
+    np.testing.assert_allclose(stats.holm([0.6, 0.7]), [1, 1])
+    rng = np.random.default_rng(0)
+    for _ in range(50):
+        p = rng.uniform(0, 0.1, 6)
+        rejected, left = set(), len(p)
+        for k in np.argsort(p):  # step down until one is not rejected
+            if p[k] > 0.05 / left:
+                break
+            rejected.add(k)
+            left -= 1
+        assert set(np.flatnonzero(stats.holm(p) <= 0.05)) == rejected
+
+
+def test_verdicts_rest_on_holms_p():
+    base = [10.0, 10.1, 9.9, 10.05, 9.95]
+    rows = [stats.compare(np.add(base, by), base, 1.0) for by in (0.01, 0.5, 5.0, -5.0)]
+    rows.append(stats.compare([8.0, 12.0, 9.0, 11.0, 10.5], base, 1.0))
+    rows.append({"status": "not run"})
+    stats.correct(rows)
+    words = [row.get("verdict") for row in rows]
+    expected = ["equal", "higher, within the margin", "higher", "lower", "not shown", None]
+    assert words == expected
+    adjusted = stats.holm([row["p_equal"] for row in rows[:5]])
+    np.testing.assert_array_equal([row["p_equal_holm"] for row in rows[:5]], adjusted)
+
+
+# ---- ratios, and seeds that never get there
+
+
+def test_a_ratios_interval_solves_fiellers_inequality():
+    """Its ends are where |x - r y| is t standard errors; found here by bisection."""
+    some, others = [8.1, 7.2, 8.8, 7.9, 8.4], [15.1, 17.3, 16.2, 14.9, 18.0]
+    found = stats.ratio(some, others)
+    (x, a), (y, b) = ((np.mean(v), np.var(v, ddof=1) / 5) for v in (some, others))
+    r = x / y
+    df = (a + r**2 * b) ** 2 / ((a**2 + r**4 * b**2) / 4)
+    t = scipy_stats.t.ppf(0.975, df)
+
+    def outside(r):
+        return (x - r * y) ** 2 - t**2 * (a + r**2 * b)
+
+    for inner, outer, end in ((r, r / 2, found.low), (r, 2 * r, found.high)):
+        for _ in range(60):
+            middle = (inner + outer) / 2
+            inner, outer = (inner, middle) if outside(middle) > 0 else (middle, outer)
+        assert end == pytest.approx(inner)
+    assert found.value == r
+
+
+def test_a_ratios_interval_holds_it_in_95_of_100_cases():
+    rng = np.random.default_rng(1)
+    held = 0
+    for _ in range(4000):
+        found = stats.ratio(rng.normal(8, 1, 5), rng.normal(16, 3, 5))
+        held += found.low < 0.5 < found.high
+    assert abs(held / 4000 - 0.95) < 0.015
+    assert np.isnan(stats.ratio([1.0, 2.0], [-1.0, 1.2]).low)  # the base may be 0
+
+
+def test_a_seed_that_never_gets_there_counts_with_all_its_steps():
+    nan = np.nan
+    whole = stats.share([4.0, 6.0], [9.0, 11.0], 20, 20)
+    assert whole["pct"] == 50 and whole["low"] < 50 < whole["high"]
+    assert stats.share([4.0, nan], [9.0, 11.0], 20, 30) == {"pct": 120, "bound": "at least"}
+    assert stats.share([4.0, 6.0], [9.0, nan], 20, 31) == {"pct": 25, "bound": "at most"}
+    for pair in (([4.0, nan], [9.0, nan]), ([nan, nan], [9.0, 9.0]), ([4.0, 6.0], [nan, nan])):
+        assert stats.share(*pair, 20, 30) == {}
+
+
+def test_the_rank_test_is_exact_and_never_is_later_than_anything():
+    ours, theirs = [1.0, 2.5, 3.0], [2.0, 4.0, 5.0, 6.0]
+    expected = scipy_stats.mannwhitneyu(ours, theirs, method="exact").pvalue
+    assert stats.rank_sum(ours, theirs) == pytest.approx(expected)
+    ours, theirs = [1.0, 2.0, np.nan], [2.0, np.nan, np.nan, 7.0]
+    ranks = scipy_stats.rankdata([1, 2, 99, 2, 99, 99, 7])
+    sums = [sum(chosen) for chosen in itertools.combinations(ranks, 3)]
+    far = np.abs(np.array(sums) - 12) >= abs(ranks[:3].sum() - 12)
+    assert stats.rank_sum(ours, theirs) == pytest.approx(far.mean())
+
+
+# ---- batches
+
+
+def test_batches_of_one_setting_are_pooled_and_none_is_left_out():
+    """Audit: three batches of PPO-16 with 4096 robots, two with 1024."""
+    for name, seeds in (("12_platforms/go1_ppo16", 15), ("20_tail/go1_ppo16_1024", 10)):
+        first, _, run = name.partition("/")
+        folder = batches.EXPERIMENTS / first / "results"
+        others = batches.others_of(folder, run)
+        each = [paper.load(p.parent, p.name) for p in [folder / run, *others]]
+        found = batches.load(folder, run)
+        assert len(paper.peak(found)) == found.columns["episode_return"].shape[1] == seeds
+        np.testing.assert_array_equal(paper.peak(found), np.concatenate([*map(paper.peak, each)]))
+        both = np.concatenate([one.columns["episode_return"] for one in each], 1)
+        np.testing.assert_array_equal(found.columns["episode_return"], both)
+        assert len(found.summary["evaluation"]["return"]) == seeds
+        assert np.isfinite(found.columns["seconds"][-1]).sum() == 5  # of the batch with its own GPU
+
+
+def test_every_run_of_a_job_that_is_stored_is_in_its_pool():
+    """Runs whose job and settings are those of another folder's are named in `MORE`, or excused."""
+    excused = {"second/go1_fast", "second/anymal_c_ppo16", "first/anymal_c_ppo16"}
+    excused |= {"second/go1_best_float32", "second/go2_best_float32", "second/go1_best_1024"}
+    excused |= {"second/anymal_c_best_float32", "second/go1_ppo16_bfloat16"}
+    results = batches.EXPERIMENTS / "20_tail" / "results"
+    known = {other for others in batches.MORE.values() for other in others} | excused
+    mains = {json.loads(p.read_text()).get("job") for p in results.glob("*.json")}
+    mains |= {
+        json.loads(p.read_text()).get("job")
+        for p in (batches.EXPERIMENTS / "12_platforms" / "results").glob("*.json")
+    }
+    for path in [*results.glob("first/*.json"), *results.glob("second/*.json")]:
+        if json.loads(path.read_text()).get("job") in mains:
+            assert f"{path.parent.name}/{path.stem}" in known, path
+    seeds = {path.stem for path in results.glob("*_seed5.json")}
+    assert seeds <= known
