@@ -127,6 +127,10 @@ class Tab:
                 windowsVirtualKeyCode=number,
             )
 
+    def watched(self, yes):
+        """Whether the page believes that a person looks at it."""
+        self.call("Emulation.setFocusEmulationEnabled", enabled=yes)
+
     def middle(self, script):
         """Where the element that a JavaScript expression finds has its middle."""
         box = (
@@ -186,7 +190,8 @@ def _open(held, connect, port, url, size):
     request = urllib.request.Request(f"http://127.0.0.1:{port}/json/new?about:blank", method="PUT")
     with urllib.request.urlopen(request, timeout=PATIENCE) as answer:
         where = json.load(answer)["webSocketDebuggerUrl"]
-    tab = Tab(held.enter_context(connect(where, max_size=2**26)))
+    # while a test waits for something else, answers to pings are stuck behind unread lines
+    tab = Tab(held.enter_context(connect(where, max_size=2**26, ping_interval=None)))
     for domain in ("Runtime", "Log", "Page"):
         tab.call(f"{domain}.enable")
     tab.call(
@@ -196,6 +201,6 @@ def _open(held, connect, port, url, size):
         deviceScaleFactor=SHARP,
         mobile=size[0] < 600,
     )
-    tab.call("Emulation.setFocusEmulationEnabled", enabled=True)  # viser waits without
+    tab.watched(True)  # viser waits without
     tab.call("Page.navigate", url=url)
     return tab

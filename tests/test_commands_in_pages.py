@@ -33,6 +33,7 @@ ROBOT = r"(?:go1|go2|anymal_c|anymal_d):\w+"
 WRITTEN = {  # configs that a reader writes, and what stands for them
     "configs/NAME.py": "load(f'anymal_c:{variant}')",
     "configs/mine.py": "load(f'go1:{variant}')",
+    "configs/spot.py": "load(f'anymal_c:{variant}')",  # of experiments/23_untuned, run from there
     "pendulum.py": "load('go1')",
 }
 
