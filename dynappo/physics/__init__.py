@@ -5,7 +5,7 @@
 - `contract`: checks the rules that a robot's file must keep
 - `actuators`: from a policy's action to joint torques
 - `engine`: a control step: PD, motor limits, physics steps, contacts by geometry
-- folder `warp`: MuJoCo Warp, called once a control step with only what it needs
+- folder `warp`: a control step on a GPU, in a kernel of our own or by MuJoCo Warp
 - `c_engine`: C MuJoCo on all cores of a CPU, one call per control step
 - `randomize`: each robot's own physical parameters
 - `xla_call`: lets compiled CPU programs call a Python function

@@ -10,8 +10,8 @@ that must not touch the ground need no collision pairs (`physics.contacts = feet
 
 Why data are rebuilt from a template in every control step: the state is then small, a reset costs
 no physics call, and a checkpoint does not depend on the engine. Why not in every physics step:
-filling the 168 arrays of mjx.Data took 0.6 of 4.4 ms (experiments/03_speed). MuJoCo Warp is called
-once a control step, without mjx.Data (warp/engine.py).
+filling the 168 arrays of mjx.Data took 0.6 of 4.4 ms (experiments/03_speed). On a
+GPU a control step is one call without mjx.Data (warp/engine.py).
 """
 
 from __future__ import annotations

@@ -13,7 +13,7 @@ from pathlib import Path
 from dynappo.config import ConfigError, shell
 
 # as printed; "own" is the engine of an environment of your own
-ENGINES = {"jax": "MJX-JAX", "warp": "MJX-Warp", "c": "C MuJoCo", "own": "JAX"}
+ENGINES = {"jax": "MJX-JAX", "warp": "Warp", "c": "C MuJoCo", "own": "JAX"}
 
 
 def own_process(device: str = "auto") -> None:

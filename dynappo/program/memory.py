@@ -4,8 +4,8 @@ Before compilation it checks a lower bound, after it the compiler's own count.
 
 Only after compiling, which takes half a minute, does XLA say what it needs beside the arrays that a
 program must hold (`compiled.memory_analysis()`). So `check` refuses at once only what is hopeless:
-the rollout buffer and the robots, which no compiler can make smaller. MuJoCo Warp keeps its own
-arrays outside JAX's memory; they are not counted.
+the rollout buffer and the robots, which no compiler can make smaller. MuJoCo Warp, where it
+simulates (physics/warp/general.py), keeps its own arrays outside JAX's memory; they are not counted.
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@ damaged file; the shapes explain why a checkpoint of another run does not fit.
 
 Orbax writes them; they are read array by array (policy/checkpoint_file.py), so that a checkpoint of a
 version with other options still loads. The state holds no `mjx.Data` (orbax refuses its empty arrays, and it
-depends on the engine), so one made with MJX-Warp on a GPU goes on with MJX-JAX on a CPU.
+depends on the engine), so one made with Warp on a GPU goes on with MJX-JAX on a CPU.
 """
 
 from __future__ import annotations

@@ -22,7 +22,7 @@ from dynappo.web import address, child
 
 # by engine: how long it takes, and what for (experiments/03_speed; README)
 WAIT = {
-    "warp": "10 s if cached, else 35; the first time two minutes: MuJoCo Warp builds its kernels",
+    "warp": "11 s if cached, else half a minute",
     "jax": "under a minute; half of it when cached",
     "c": "15 s; 5 when cached",
 }
