@@ -148,6 +148,8 @@ def test_a_csv_of_500_iterations_and_5_seeds_is_small_and_exact_where_it_counts(
     metrics = {n: rng.normal(size=(500, 5)) * 10.0 ** rng.integers(-2, 2) for n in run.KEPT}
     metrics |= {"iteration": count, "sim_steps": 49152 * count, "seconds": 0.81234 * count}
     metrics["falls"] = rng.integers(0, 300, (500, 5))
+    for name in ("eval_return", "eval_fall_rate", "eval_tracking_error"):
+        metrics[name][count % 50 != 0] = np.nan  # of a run that is evaluated on the way
     run.write_csv(tmp_path / "a.csv", run.kept(metrics))
     (path,) = tmp_path.iterdir()
     assert path.name == "a.csv.xz" and path.stat().st_size < 40_000
@@ -158,6 +160,7 @@ def test_a_csv_of_500_iterations_and_5_seeds_is_small_and_exact_where_it_counts(
     every = (count <= 20) | (count % 5 == 0)
     np.testing.assert_array_equal(read["falls"][every], metrics["falls"][every])
     assert np.isnan(read["falls"][~every]).all()
+    np.testing.assert_allclose(read["eval_return"], metrics["eval_return"], rtol=6e-4)
     thin = run.kept(metrics, thin=10)
     np.testing.assert_array_equal(thin["iteration"], np.arange(10, 501, 10))
     assert np.isfinite(thin["kl"]).all()

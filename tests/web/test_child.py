@@ -105,6 +105,6 @@ def test_ctrl_c_ends_all_and_the_port_is_free_again(tmp_path):
         said = [process.stdout.readline() for _ in range(2)]
         assert answers(port)
         process.send_signal(signal.SIGINT)
-        out, err = process.communicate(timeout=20)
+        out, err = process.communicate(timeout=90)
         assert process.returncode == 130 and err == "dynappo: stopped\n"
         assert f"open http://127.0.0.1:{port} in a browser" in said[1] and not out
