@@ -31,6 +31,9 @@ def own_process(device: str = "auto") -> None:
     cache = Path(os.environ.get("XDG_CACHE_HOME", "~/.cache")).expanduser() / "dynappo" / "jax"
     if not os.environ.get("JAX_COMPILATION_CACHE_DIR"):
         jax.config.update("jax_compilation_cache_dir", str(cache))
+    if not os.environ.get("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"):
+        # small programs too: a start has a dozen, 0.1 to 0.4 s each
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 
 
 def find(device: str) -> list:

@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy import special
 
 from dynappo.config import shell
 from dynappo.train import log
@@ -55,6 +54,8 @@ def half_width(values) -> np.ndarray:
     count = len(values)
     if count < 2:
         return np.full(values.shape[1:], np.nan)
+    from scipy import special  # importing it takes as long as all else of a command
+
     quantile = special.stdtrit(count - 1, 0.5 + LEVEL / 2)
     return quantile * values.std(0, ddof=1) / count**0.5
 

@@ -15,7 +15,9 @@ Calls on one device share them; JAX runs a device's programs one after the other
 
 from __future__ import annotations
 
+import functools
 import inspect
+import threading
 from collections.abc import Callable
 from typing import Any
 
@@ -46,6 +48,18 @@ class Model:
     nv: int = struct.field(pytree_node=False)
 
 
+@functools.cache
+def begin() -> None:
+    """Begin to start Warp, in a thread: it takes 2 s, most of them outside of Python."""
+
+    def start():
+        import warp as wp  # pyright: ignore[reportMissingImports]
+
+        wp.init()
+
+    threading.Thread(target=start, daemon=True).start()
+
+
 def model(mj_model) -> Model:
     """What `randomize.merge` may replace; `mjx.put_model` would take seconds to import."""
     fields = {n: jnp.asarray(getattr(mj_model, n), jnp.float32) for n in arrays.MODEL}
@@ -58,12 +72,15 @@ def make(mj_model, robot, substeps: int, every: bool) -> Callable[..., dict[str,
     `state` has the fields `arrays.KEPT`; `motor` are the numbers `arrays.MOTOR`. The result has
     `KEPT` after the step, `qd_before` and `lowest`.
     """
+    begin()
     fixed, linear, ring = contacts.floor_distance(mj_model, robot.parts)
     floor = np.column_stack([fixed, linear, ring])
     shape = arrays.Shape(substeps, every, robot.feet, robot.foot_radius, robot.parts, floor)
     key = robot_lib.digest(mj_model), substeps, every, *(x.tobytes() for x in shape[2:])
     if key not in _TOGETHER:
-        _TOGETHER[key] = _batched(_of_many(mj_model, shape))
+        # made when it is traced: until then Warp may still start
+        of_many = functools.cache(functools.partial(_of_many, mj_model, shape))
+        _TOGETHER[key] = _batched(lambda *given: of_many()(*given))
     together = _TOGETHER[key]
 
     def step(model, state, target, motor) -> dict[str, Any]:
