@@ -11,6 +11,7 @@ import concurrent.futures
 import contextlib
 import gc
 import os
+import threading
 import time
 from collections.abc import Callable
 from functools import partial
@@ -54,9 +55,7 @@ def check(config, env: Any = None) -> None:
     environment.check_robot(config)
     impl = devices.engine(config)
     if impl == "warp":
-        from dynappo.physics.warp import engine
-
-        engine.begin()
+        threading.Thread(target=_begin_warp, daemon=True).start()
     loaded = robot.load(config.robot)
     lightest, base = config.task.randomize.base_mass[0], loaded.mj_model.body_mass[loaded.base_body]
     if lightest <= -base:
@@ -72,6 +71,14 @@ def check(config, env: Any = None) -> None:
 
         c_engine.check(loaded)
     memory.check(config, memory.limit(devices.here(config.run.device)))
+
+
+def _begin_warp() -> None:
+    """Starting Warp takes 2 s, most of them outside of Python; meanwhile JAX traces."""
+    import warp  # pyright: ignore[reportMissingImports]
+
+    warp.config.quiet = True  # else it prints its version, and each kernel that it loads
+    warp.init()
 
 
 @contextlib.contextmanager

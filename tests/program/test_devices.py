@@ -72,15 +72,16 @@ def test_what_is_not_there_is_one_line(machine, fields, platform, warp, expected
 
 
 def test_a_process_of_our_own_keeps_its_programs_and_leaves_the_gpu_alone(tmp_path, monkeypatch):
-    """Compiled programs go into the user's cache, unless they have a place already."""
+    """Compiled programs go into the user's cache, unless they have a place already; small ones too."""
     code = (
         "import sys, jax; from dynappo.program import devices; devices.own_process(sys.argv[1]); "
     )
-    code += "print(jax.config.jax_platforms, jax.config.jax_compilation_cache_dir)"
+    code += "print(jax.config.jax_platforms, jax.config.jax_compilation_cache_dir, "
+    code += "jax.config.jax_persistent_cache_min_compile_time_secs)"
     monkeypatch.delenv("JAX_PLATFORMS", raising=False)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     ours, theirs = tmp_path / "dynappo" / "jax", tmp_path / "theirs"
     for device, place, expected in (("auto", "", f"None {ours}"), ("cpu", theirs, f"cpu {theirs}")):
         monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(place))
         done = shell("-c", code, device)
-        assert done.stdout == f"{expected}\n", done.stderr
+        assert done.stdout == f"{expected} 0.0\n", done.stderr

@@ -17,8 +17,7 @@ from __future__ import annotations
 
 import functools
 import inspect
-import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
@@ -31,7 +30,7 @@ from dynappo.physics import robot as robot_lib
 from dynappo.physics.warp import arrays
 
 # one per kind of step: Warp keeps what `jax_callable` was given, arrays included, to the end
-_TOGETHER: dict[tuple[Any, ...], Callable[..., list]] = {}
+_TOGETHER: dict[tuple[Any, ...], Callable[..., Sequence]] = {}
 
 
 @struct.dataclass
@@ -48,18 +47,6 @@ class Model:
     nv: int = struct.field(pytree_node=False)
 
 
-@functools.cache
-def begin() -> None:
-    """Begin to start Warp, in a thread: it takes 2 s, most of them outside of Python."""
-
-    def start():
-        import warp as wp  # pyright: ignore[reportMissingImports]
-
-        wp.init()
-
-    threading.Thread(target=start, daemon=True).start()
-
-
 def model(mj_model) -> Model:
     """What `randomize.merge` may replace; `mjx.put_model` would take seconds to import."""
     fields = {n: jnp.asarray(getattr(mj_model, n), jnp.float32) for n in arrays.MODEL}
@@ -72,7 +59,6 @@ def make(mj_model, robot, substeps: int, every: bool) -> Callable[..., dict[str,
     `state` has the fields `arrays.KEPT`; `motor` are the numbers `arrays.MOTOR`. The result has
     `KEPT` after the step, `qd_before` and `lowest`.
     """
-    begin()
     fixed, linear, ring = contacts.floor_distance(mj_model, robot.parts)
     floor = np.column_stack([fixed, linear, ring])
     shape = arrays.Shape(substeps, every, robot.feet, robot.foot_radius, robot.parts, floor)
@@ -92,7 +78,7 @@ def make(mj_model, robot, substeps: int, every: bool) -> Callable[..., dict[str,
     return step
 
 
-def _of_many(mj_model, shape: arrays.Shape) -> Callable[..., list]:
+def _of_many(mj_model, shape: arrays.Shape) -> Callable[..., Sequence]:
     """`step(*arrays)` of W robots; fields of the model have W rows or one for all."""
     import warp as wp  # pyright: ignore[reportMissingImports]
     from warp._src.jax import ffi  # pyright: ignore[reportMissingImports]
@@ -160,7 +146,7 @@ def _example(wp, size, kind, count: int):
     return wp.zeros((count, *size[: kind.ndim - 1]), dtype=kind.dtype)
 
 
-def _batched(step: Callable[..., list]) -> Callable[..., list]:
+def _batched(step: Callable[..., Sequence]) -> Callable[..., Sequence]:
     """`step` under `jax.vmap`: a new axis means more robots."""
 
     @jax.custom_batching.custom_vmap

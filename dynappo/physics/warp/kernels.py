@@ -4,6 +4,9 @@ Each is one launch where XLA would run a loop of small kernels around every phys
 CUDA graph holds them together with MuJoCo Warp's own.
 """
 
+# Warp compiles these functions; for Python its arrays cannot be indexed
+# pyright: reportIndexIssue=false, reportGeneralTypeIssues=false, reportAssignmentType=false
+
 import warp as wp  # pyright: ignore[reportMissingImports]
 
 from dynappo.physics.actuators import FRICTION_SPEED
