@@ -22,7 +22,7 @@ from dynappo.web import address, child
 
 # by engine: how long it takes, and what for (experiments/03_speed; README)
 WAIT = {
-    "warp": "11 s if cached, else half a minute",
+    "warp": "7 s if cached, else 20 s",
     "jax": "under a minute; half of it when cached",
     "c": "15 s; 5 when cached",
 }
