@@ -4,7 +4,7 @@
 
 3 seeds, and 5 where the return rises most. Runs whose JSON is in DIR/results are skipped, and those that
 other folders have (plot.ELSEWHERE). --more runs two fresh seeds of each cell that has 3, of all R or of
-these: first those whose seeds differ most, where the map is steep. They go to DIR/results/more, and count with
+these: first those whose seeds differ most, where the map is steep. They go to DIR/results/more and count with
 the others (experiments/batches.py). Then table and figure, as plot.py.
 """
 

@@ -100,7 +100,7 @@ def draw_loss(losses, path: Path) -> None:
         ("first minibatch: rows not seen before", pictures.VERMILION, (0, (3, 1.2))),
     )
     for axis, (robot, table) in zip(axes[0], losses.items(), strict=True):
-        axis.set(xlabel="iteration", xlim=(0, None))
+        axis.set_xlabel("iteration")
         axis.set_title(paper.ROBOTS[robot], loc="left")
         if not table:
             pictures.missing(axis)
@@ -110,6 +110,7 @@ def draw_loss(losses, path: Path) -> None:
             values = curve(table, name, everywhere)
             pictures.band(axis, *values, colour, label, most=250, dash=dash)
         pictures.log(axis, (1, 2, 3, 4, 5, 6, 8))
+        axis.set_xlim(0, None)
     axes[0, 0].set_ylabel("Huber loss of the model\n(normalised targets, logarithmic)")
     text = "Fig. 5: loss of the transition model"
     if seeds := seeds_of(losses):

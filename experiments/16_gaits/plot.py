@@ -103,7 +103,7 @@ def draw(every, path: Path) -> None:
         elif robot == panels[0][1]:
             axis.set_ylabel(MEASURES[name].replace(" (", "\n("))
         if every[robot]:
-            panel(axis, every[robot], name)
+            panel(axis, every[robot], name, 4 if many else 6)
         else:
             pictures.missing(axis)
     for axis, robot in zip(axes[0], every if many else (), strict=False):
@@ -119,9 +119,10 @@ def draw(every, path: Path) -> None:
     pictures.save(page, path)
 
 
-def panel(axis, episodes, name: str) -> None:
+def panel(axis, episodes, name: str, size: int) -> None:
     """A measure of one robot: every seed, and their mean; solid 1.0 m/s, dashed 0.5."""
-    every = sorted({e["iteration"] for e in episodes})
+    every = np.array(sorted({e["iteration"] for e in episodes}))
+    apart = 0.08 * np.diff(every).min()  # side by side
     for v, variant in enumerate(VARIANTS):
         for k, (speed, line) in enumerate(zip(SPEEDS, ((0, (4, 1.5)), "-"), strict=True)):
             columns = [
@@ -129,16 +130,15 @@ def panel(axis, episodes, name: str) -> None:
                 for at in ((variant, speed, iteration) for iteration in every)
             ]
             colour, mark = pictures.COLOURS[variant], "osPX"[2 * v + k]
-            x = np.arange(len(every)) + 0.08 * (2 * v + k) - 0.12  # side by side
+            x = every + apart * (2 * v + k - 1.5)
             style = dict(color=colour, marker=mark)
             for at, values in zip(x, columns, strict=True):
-                axis.plot([at] * len(values), values, ls="", alpha=0.4, ms=4, **style)
+                axis.plot([at] * len(values), values, ls="", alpha=0.4, ms=0.65 * size, **style)
             mean = [stats.moments(values).mean for values in columns]
             text = f"{paper.VARIANTS[variant]}, {speed} m/s"
-            style |= dict(linestyle=line, linewidth=1.6, markersize=6, label=text)
+            style |= dict(linestyle=line, linewidth=1.6, markersize=size, label=text)
             axis.plot(x, mean, **style)
-    few = len(every) > 4  # labels of every second
-    axis.set_xticks(range(len(every))[:: 1 + few], [f"{i:.0f}" for i in every[:: 1 + few]])
+    axis.set_xticks([i for i in every if i % 100 == 0] or every)
 
 
 def strips(out: Path) -> None:
