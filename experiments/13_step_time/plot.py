@@ -15,8 +15,8 @@ from experiments import paper, pictures, run, stats
 
 # folder of results/ -> what simulates, and its variants
 SIMULATORS = {
-    "mujoco_warp": ("MuJoCo Warp", ("ppo16", "dyna4", "best")),
-    "kernel": ("one kernel", ("ppo12", "ppo16", "dyna4", "best")),
+    "mujoco_warp": ("MuJoCo Warp, 4096 robots", ("ppo16", "dyna4", "best")),
+    "kernel": ("one kernel, 4096 robots (best: 1024)", ("ppo12", "ppo16", "dyna4", "best")),
 }
 VARIANTS = SIMULATORS["kernel"][1]
 # phase of dynappo.bench -> the paper's name
@@ -33,6 +33,10 @@ COLUMNS = (
     "pays_from_low pays_from_high"
 ).split()
 PARTS = ("physics", "synthetic", "fit", "ppo")
+SPLIT = (
+    "variant status times_of runs physics_min synthetic_min fit_min ppo_min rest_min total_min_mean "
+    "total_min_sd paper_total_min"
+).split()
 THEIRS = ("sim_collection_min", "synthetic_gen_min", "policy_learning_min", "total_min")
 SHADES = (pictures.BLACK, pictures.ORANGE, pictures.BLUE, "#b9b9b9")
 LABELS = ("physics", "synthetic steps", "fit of the model", "PPO update")
@@ -58,7 +62,7 @@ def make(out: Path) -> None:
     paper.show(rows, COLUMNS)
     times = split(reports["kernel"])
     paper.write(out / "split.csv", times)
-    paper.show(times, list(times[0]))
+    paper.show(times, SPLIT)
     draw(rows, reports, out / "step_time")
 
 
@@ -153,17 +157,14 @@ def parts(config, ms: dict) -> dict[str, float]:
     columns, horizon = schedule.columns(config), config.rollout.horizon
     real = columns["n_real"].astype(float)
     rounds = columns.get("rounds", np.ones_like(real))
-    minibatches = np.ceil(
-        columns.get("model_epochs", 0) * real / (horizon // config.model.minibatches)
-    )
-    last = (config.schedule.last_iteration or len(real)) - 1
-    took = {
-        "physics": real.sum() * ms["physics"],
-        "synthetic": ((horizon - real) * rounds).sum() * ms["tail"],
-        "fit": minibatches.sum() / minibatches[last] * ms["fit"] if "fit" in ms else 0.0,
-        "ppo": rounds.sum() * ms["ppo"],
-    }
-    return {name: took[name] / 60e3 for name in PARTS}
+    took = {"physics": real.sum() * ms["physics"], "ppo": rounds.sum() * ms["ppo"]}
+    took["synthetic"] = ((horizon - real) * rounds).sum() * ms["tail"]
+    if "model_epochs" in columns:
+        drawn = horizon // config.model.minibatches
+        minibatches = np.ceil(columns["model_epochs"] * real / drawn)
+        longest = minibatches[: config.schedule.last_iteration][-1]
+        took["fit"] = minibatches.sum() / longest * ms["fit"]
+    return {name: took.get(name, 0.0) / 60e3 for name in PARTS}
 
 
 def counts(variant: str, runs: list[dict]) -> tuple[int, ...]:
@@ -181,7 +182,7 @@ def draw(rows, reports, path: Path) -> None:
     shown = [folder for folder, some in reports.items() if any(some.values())] or ["kernel"]
     page, axes = pictures.figure(1, len(shown) + 1, 2.6)
     for axis, folder in zip(axes[0], [*shown, "paper"], strict=True):
-        title = "paper (A40)" if folder == "paper" else f"{SIMULATORS[folder][0]}, 4096 robots"
+        title = "paper (A40)" if folder == "paper" else SIMULATORS[folder][0]
         axis.set_title(title, loc="left")
         names = ("ppo16", "dyna4") if folder == "paper" else tuple(ROWS)
         axis.set(xlabel="ms an iteration", yticks=range(len(names)))
@@ -198,11 +199,8 @@ def draw(rows, reports, path: Path) -> None:
             if "ppo_mean" not in row:
                 axis.text(0, y, " not run yet", va="center", color="0.5")
                 continue
-            bar(
-                axis,
-                y,
-                [n * (row.get(f"{p}_mean") or 0.0) for n, p in zip(some, PHASES, strict=True)],
-            )
+            each = zip(some, PHASES, strict=True)
+            bar(axis, y, [n * row.get(f"{phase}_mean", 0.0) for n, phase in each])
         axis.set_yticklabels(labels)
         axis.margins(x=0.12)
     for colour, label in zip(SHADES, LABELS, strict=True):  # for the legend
