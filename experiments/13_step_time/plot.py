@@ -16,7 +16,7 @@ from experiments import paper, pictures, run, stats
 # folder of results/ -> what simulates, and its variants
 SIMULATORS = {
     "mujoco_warp": ("MuJoCo Warp, 4096 robots", ("ppo16", "dyna4", "best")),
-    "kernel": ("one kernel, 4096 robots (best: 1024)", ("ppo12", "ppo16", "dyna4", "best")),
+    "kernel": ("one kernel (best: 1024 robots)", ("ppo12", "ppo16", "dyna4", "best")),
 }
 VARIANTS = SIMULATORS["kernel"][1]
 # phase of dynappo.bench -> the paper's name
