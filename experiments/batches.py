@@ -2,7 +2,8 @@
 
 Some settings were trained more than once: with seeds 5 to 9, or at an earlier commit. `load` gives all
 seeds of all batches as one run. Seeds of another batch with the same number are other seeds, because
-MuJoCo Warp is not deterministic. Every batch by itself is in 20_tail/batches.csv.
+MuJoCo Warp is not deterministic. Every batch of 12_platforms and 20_tail by itself is in
+20_tail/batches.csv. A run that has the name of another in the folder `more` beside it is its next batch.
 
 Not pooled: runs whose settings differ, such as `second/anymal_c_ppo16` (another entropy coefficient), and
 `second/go1_fast`, which is the run in 12_platforms.
@@ -44,7 +45,9 @@ def others_of(folder: Path, name: str) -> list[Path]:
     """Where the other batches of a run are, without suffix."""
     known = {EXPERIMENTS / first / "results": first for first in FIRST}
     first = known.get(folder.resolve(), "")
-    return [EXPERIMENTS / "20_tail/results" / other for other in MORE.get(f"{first}/{name}", ())]
+    named = [EXPERIMENTS / "20_tail/results" / o for o in MORE.get(f"{first}/{name}", ())]
+    more = (folder / "more" / f"{name}.json").exists()
+    return [*named, *([folder / "more" / name] if more else [])]
 
 
 def pool(runs: list[paper.Run]) -> paper.Run:

@@ -24,6 +24,8 @@ from experiments import stats
 PAPER_SEEDS = 3
 LIMIT = 30.5  # the return of Table VI
 EVERY = 10  # iterations between two rows of the CSVs of 10_ablation
+# iterations whose policies 16_gaits looks at: the paper's last three, and while robots begin to walk
+CHECKPOINTS = (100, 150, 200, 250, 300, 400, 500)
 ROBOTS = {
     "go1": "Unitree Go1",
     "go2": "Unitree Go2",
@@ -64,9 +66,9 @@ def parser(about: str | None) -> argparse.ArgumentParser:
     )
 
 
-def options(folder: Path, about: str | None) -> argparse.Namespace:
-    """A command line: `quick`; `out`, where results/, tables and figures go; `lock`, as of run.py."""
-    of = parser(about)
+def options(folder: Path, of: argparse.ArgumentParser) -> argparse.Namespace:
+    """A command line, of `parser` and a script's own flags: `quick`; `out`, where results/, tables and
+    figures go; `lock`, as of run.py."""
     of.add_argument("--quick", action="store_true", help="tiny, on two CPU cores, in minutes")
     of.add_argument("--out", type=Path, help=f"default: {folder.name}, or runs/quick/ of it")
     of.add_argument("--lock", type=Path, help="a file that one process holds while it trains")

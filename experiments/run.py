@@ -96,13 +96,13 @@ def write_csv(path: Path, metrics) -> None:
     path.unlink()
 
 
-def chunks(config, lock: Path | None = None):
+def chunks(config, lock: Path | None = None, program=None):
     """Train, and yield `(program, iterations done, state, metrics)` after each `run.log_every` of them.
 
     For what `run.loop` of the trainer keeps to itself: the state. It is given away when the next chunk
-    begins.
+    begins. A `program` of this config is not compiled again.
     """
-    program = build.program(config)
+    program = program or build.program(config)
     state, every = program.state, config.run.log_every
     with alone(lock):
         for first in range(0, config.run.num_iterations, every):
@@ -112,6 +112,20 @@ def chunks(config, lock: Path | None = None):
             if not np.isfinite(metrics["policy_std"]).all():
                 raise FloatingPointError(f"training has blown up before iteration {first + every}")
             yield program, first + every, state, metrics
+
+
+def keep_actors(folder: Path, job: str, iteration: int, config, program, state) -> None:
+    """Write the actor of each seed of a run, to be played: `actor(folder, job, iteration, seed)`."""
+    folder.mkdir(parents=True, exist_ok=True)
+    actors = jax.device_get(state.learner.params["actor"])
+    for s in range(config.run.num_seeds):
+        one = {"actor": jax.tree.map(lambda leaf, s=s: leaf[s], actors)}
+        policy_file.save(actor(folder, job, iteration, s), one, config, program.robot)
+
+
+def actor(folder: Path, job: str, iteration: int, seed: int) -> Path:
+    """The file of a seed's actor after so many iterations."""
+    return folder / f"{name(job)}_{iteration}_seed{seed}.npz"
 
 
 @contextlib.contextmanager

@@ -19,6 +19,7 @@ from test_pages import PAGES
 
 from dynappo import config as config_lib
 from dynappo.config import ConfigError, files
+from experiments import paper
 
 HISTORY = {"CHANGELOG.md"}  # commands of the versions that it is about
 OUTPUT = ("dynappo trains ",)  # what a command prints, not a command
@@ -124,6 +125,9 @@ def test_every_command_is_real(command):
         "python experiments/03_speed/rows.py OUT.json --case raw",
         "python experiments/03_speed/rows.py",
         "python experiments/10_ablation/run.py --fast",
+        "python experiments/10_ablation/run.py --more many",
+        "python experiments/12_platforms/run.py --robot go2",
+        "python experiments/16_gaits/run.py --robot go3",
         "python experiments/16_gaits/plot.py --movies",
         "python experiments/run.py OUT go1:bset",
         "python experiments/run.py OUT go1:best --set run.eval_env=200",
@@ -269,9 +273,10 @@ def parser_of(source):
     type of a path, is left out, but for numbers.
     """
     calls = called(ast.parse(source))
-    if "options" in calls:  # those of experiments.paper
+    if "options" in calls:  # those of experiments.paper too
         shared = ast.parse((ROOT / "experiments/paper.py").read_text()).body
-        calls = called(next(f for f in shared if getattr(f, "name", "") == "options"))
+        options = called(next(f for f in shared if getattr(f, "name", "") == "options"))
+        calls["add_argument"] = calls.get("add_argument", []) + options["add_argument"]
     if not {"parser", "ArgumentParser"} & calls.keys():
         return None
     parser = argparse.ArgumentParser(allow_abbrev=False, exit_on_error=False)
@@ -280,6 +285,8 @@ def parser_of(source):
         for word in call.keywords:
             if word.arg == "type" and ast.unparse(word.value) in ("int", "float"):
                 literal["type"] = {"int": int, "float": float}[ast.unparse(word.value)]
+            elif word.arg == "choices" and ast.unparse(word.value) == "paper.ROBOTS":
+                literal["choices"] = paper.ROBOTS
             elif word.arg in ("nargs", "action", "choices"):
                 literal[word.arg] = ast.literal_eval(word.value)
         parser.add_argument(*map(ast.literal_eval, call.args), **literal)

@@ -249,6 +249,42 @@ def test_tails_are_compared_with_the_real_rows_that_they_stand_for(tmp_path, mon
     assert tail["p_vs_all"] == stats.welch_of([20, 28], [30, 34])
 
 
+def test_more_seeds_of_a_cell_are_pooled_and_cells_that_differ_most_come_first(tmp_path):
+    more, job = script("10_ablation/run"), script("10_ablation").job
+    for cell, returns in {(16, 12): [1.0, 2.0, 3.0], (32, 12): [1.0, 5.0, 9.0]}.items():
+        keep(tmp_path, run.name(job(*cell)), [returns] * 10)
+    grid = [(16, 12), (32, 12), (32, 16)]
+    assert more.few(tmp_path, grid, []) == [(32, 12), (16, 12)]
+    assert more.few(tmp_path, grid, [16]) == [(16, 12)]
+    keep(tmp_path / "more", run.name(job(32, 12)), [[7.0, 8.0]] * 10)
+    assert more.few(tmp_path, grid, []) == [(16, 12)]
+    row = paper.pick(more.plot.build(tmp_path, grid), envs=32, horizon=12)
+    assert (row["seeds"], row["max_reward_mean"]) == (5, 6.0)
+
+
+def test_a_tail_pays_where_its_steps_save_more_than_the_fit_takes():
+    """And a training's minutes are those of its phases, and a rest."""
+    plot = script("13_step_time")
+    found = plot.pays([30.0, 34.0, 32.0], [2.0, 2.1, 1.9])
+    assert found["pays_from"] == pytest.approx(16)
+    assert found["pays_from_low"] < 16 < found["pays_from_high"]
+    assert plot.pays([30.0], [2.0])["pays_from"] == 15
+    assert plot.pays([30.0, 34.0], [0.1, -0.2]) == {"pays_from": "never"}
+    assert np.isnan(plot.pays([30.0, 34.0], [0.1, 0.2])["pays_from_high"])  # or never
+    ms = {"physics": 1.0, "tail": 0.5, "fit": 4.0, "ppo": 2.0, "iteration": 20.0}
+    settings = ["run.num_iterations=200"]
+    report = {"ms": ms, "settings": settings, "training_seconds": 6.0}
+    rows = plot.split({name: [report] for name in plot.VARIANTS})
+    tail = paper.pick(rows, variant="dyna4")
+    real = paper.sim_steps("configs/go1.py:dyna4", 500) / 4096 - 300 * 12
+    assert tail["physics_min"] == pytest.approx(real / 60e3)
+    assert tail["synthetic_min"] == pytest.approx(0.5 * (200 * 16 - real) / 60e3)
+    assert tail["fit_min"] == pytest.approx(4 * real / 12 / 60e3, rel=0.01)  # in whole minibatches
+    assert tail["ppo_min"] == pytest.approx(200 * 2 / 60e3) and tail["total_min_mean"] == 0.1
+    assert tail["rest_min"] == pytest.approx(0.1 - sum(tail[f"{p}_min"] for p in plot.PARTS))
+    assert paper.pick(rows, variant="dyna2")["times_of"] == "dyna4"
+
+
 def test_efficiency_counts_steps_and_success(tmp_path):
     rising = np.arange(1, 41)[:, None]  # the return is the iteration
     keep(tmp_path, "go1_ppo16", rising * [1.0, 1.0])

@@ -1,4 +1,4 @@
-"""settings.csv (Table II), results.csv, and figures 5 and 6 of what run.py wrote into results/.
+"""settings.csv (Table II), results.csv, and figures 5 and 6 of the robots in results/.
 
 python experiments/11_model/plot.py
 """
@@ -15,7 +15,7 @@ LOSSES = ("model_loss", "model_loss_before")
 STEPS = (1, 2, 4, 8, 16)
 SHADES = (*pictures.SHADES[:0:-1], pictures.VERMILION)
 AT = (10, 50, 100, 200, 500)  # iterations of the table
-COLUMNS = "group steps iteration rmse_mean rmse_sd share_of_spread_mean status".split()
+COLUMNS = "robot group steps iteration rmse_mean rmse_sd share_of_spread_mean status".split()
 
 
 def main():
@@ -24,12 +24,20 @@ def main():
 
 def make(out: Path) -> None:
     paper.write(out / "settings.csv", settings())
-    losses, errors = load(out / "results" / "loss.csv"), load(out / "results" / "errors.csv")
-    rows = build(errors)
+    losses, errors = (
+        {robot: load(out / "results" / robot / f"{name}.csv") for robot in paper.ROBOTS}
+        for name in ("loss", "errors")
+    )
+    rows = [row for robot in paper.ROBOTS for row in build(robot, errors[robot])]
     paper.write(out / "results.csv", rows)
     paper.show([r for r in rows if r.get("steps") in (None, 1, 4, 16)], COLUMNS)
-    draw_loss(losses, out / "loss")
-    draw_errors(errors, out / "errors")
+    draw_loss(measured(losses), out / "loss")
+    draw_errors(measured(errors), out / "errors")
+
+
+def measured(tables: dict[str, dict]) -> dict[str, dict]:
+    """Robot -> its columns, of robots that have some; Go1's, which are none, if no robot has."""
+    return {robot: table for robot, table in tables.items() if table} or {"go1": {}}
 
 
 def settings() -> list[dict]:
@@ -54,11 +62,11 @@ def load(path: Path) -> dict[str, np.ndarray]:
     return {n: c if n == "group" else c.astype(float) for n, c in out.items()}
 
 
-def build(errors) -> list[dict]:
+def build(robot: str, errors) -> list[dict]:
     """A row a group, number of predictions and iteration: rmse in the group's unit, and its share of the
     spread over robots."""
     if not errors:
-        return [{"group": "all", "status": "not run"}]
+        return [{"robot": robot, "group": "all", "status": "not run"}]
     rows, last = [], int(errors["iteration"].max())
     for group in dict.fromkeys(errors["group"].tolist()):
         for k in STEPS:
@@ -66,9 +74,9 @@ def build(errors) -> list[dict]:
                 at = (errors["iteration"] == iteration) & (errors["steps"] == k)
                 at &= errors["group"] == group
                 rmse, spread = errors["rmse"][at], errors["spread"][at]
-                row = {"group": group, "steps": k, "iteration": iteration}
-                row |= stats.spread("rmse", rmse) | stats.spread("share_of_spread", rmse / spread)
-                rows.append(row)
+                row = {"robot": robot, "group": group, "steps": k, "iteration": iteration}
+                row |= {"seeds": len(rmse)} | stats.spread("rmse", rmse)
+                rows.append(row | stats.spread("share_of_spread", rmse / spread))
     return rows
 
 
@@ -79,64 +87,94 @@ def curve(columns, name: str, where) -> tuple[np.ndarray, np.ndarray]:
     return np.unique(iteration), columns[name][where][order].reshape(-1, seeds)
 
 
+def seeds_of(tables) -> list[int]:
+    """How many seeds each robot has."""
+    return [len(set(table["seed"].tolist())) for table in tables.values() if table]
+
+
 def draw_loss(losses, path: Path) -> None:
-    """Figure 5: the loss before and after each fit, over iterations."""
-    page, ((axis,),) = pictures.figure(1, 1, 3.8)
-    if losses:
-        everywhere = np.ones(len(losses["iteration"]), bool)
-        looks = (
-            ("last minibatch of the fit", pictures.BLUE, "-"),
-            ("first minibatch: rows not seen before", pictures.VERMILION, (0, (3, 1.2))),
-        )
+    """Figure 5: the loss before and after each fit, over iterations, a panel a robot."""
+    page, axes = pictures.figure(1, len(losses), 3.8 if len(losses) == 1 else 3.2, sharey=True)
+    looks = (
+        ("last minibatch of the fit", pictures.BLUE, "-"),
+        ("first minibatch: rows not seen before", pictures.VERMILION, (0, (3, 1.2))),
+    )
+    for axis, (robot, table) in zip(axes[0], losses.items(), strict=True):
+        axis.set_xlabel("iteration")
+        axis.set_title(paper.ROBOTS[robot], loc="left")
+        if not table:
+            pictures.missing(axis)
+            continue
+        everywhere = np.ones(len(table["iteration"]), bool)
         for name, (label, colour, dash) in zip(LOSSES, looks, strict=True):
-            values = curve(losses, name, everywhere)
+            values = curve(table, name, everywhere)
             pictures.band(axis, *values, colour, label, most=250, dash=dash)
         pictures.log(axis, (1, 2, 3, 4, 5, 6, 8))
-        seeds = [len(set(losses["seed"].tolist()))]
-        axis.legend(title=f"band: {pictures.covers(seeds)}", alignment="left", frameon=False)
-    else:
-        pictures.missing(axis)
-    axis.set(xlabel="iteration", xlim=(0, None))
-    axis.set_ylabel("Huber loss of the model\n(normalised targets, logarithmic)")
-    axis.set_title("Fig. 5: loss of the transition model, Go1", loc="left")
+        axis.set_xlim(0, None)
+    axes[0, 0].set_ylabel("Huber loss of the model\n(normalised targets, logarithmic)")
+    text = "Fig. 5: loss of the transition model"
+    if seeds := seeds_of(losses):
+        text += f". Band: {pictures.covers(seeds)}"
+    pictures.head(page, text)
+    pictures.legend(page, axes[0, 0], 2)
     pictures.save(page, path)
 
 
 def draw_errors(errors, path: Path) -> None:
-    """Figure 6: error of k predictions in a row over iterations, a panel a group."""
-    groups = list(dict.fromkeys(errors["group"].tolist())) if errors else [""] * 6
-    page, axes = pictures.figure(2, 3, 5.8)
-    for axis, group in zip(axes.flat, groups, strict=True):
-        axis.set_title(group, loc="left")
-        if axis in axes[1]:
-            axis.set_xlabel("iteration")
-        if not errors:
+    """Figure 6: error of k predictions in a row over iterations, a panel a group of numbers and robot.
+
+    A column a robot; of one robot alone, two rows of three groups.
+    """
+    first = next(iter(errors.values()))
+    groups = list(dict.fromkeys(first["group"].tolist())) if first else [""] * 6
+    panels = [(group, robot) for group in groups for robot in errors]
+    many, lowest = len(errors) > 1, {}
+    shape = (len(groups), len(errors), 9.6) if many else (2, 3, 5.8)
+    page, axes = pictures.figure(*shape, sharex=many, sharey="row" if many else False)
+    for axis, (group, robot) in zip(axes.flat, panels, strict=True):
+        if not many:
+            axis.set_title(group, loc="left")
+        elif robot == panels[0][1]:
+            axis.set_ylabel(group.replace(" ", "\n", 1))
+        if errors[robot]:
+            lowest[group] = min(lowest.get(group, np.inf), lines(axis, errors[robot], group))
+        else:
             pictures.missing(axis)
-            continue
-        lowest = np.inf
-        for k, colour in zip(STEPS, SHADES, strict=True):
-            where = (errors["group"] == group) & (errors["steps"] == k)
-            label = f"{k} step" + "s" * (k > 1)
-            dash = "-" if k < 16 else (0, (4, 1.2))
-            x, values = curve(errors, "rmse", where)
-            if k in (STEPS[0], STEPS[-1]):  # five bands would hide each other
-                pictures.band(axis, x, values, colour, label, dash=dash)
-            else:
-                axis.plot(x, values.mean(1), color=colour, linewidth=1.6, label=label)
-            lowest = min(lowest, values.mean(1).min())
-        x, spread = curve(errors, "spread", (errors["group"] == group) & (errors["steps"] == 1))
-        style = dict(color="0.4", linestyle=":", linewidth=1.4, label="spread over robots")
-        axis.plot(x, spread.mean(1), **style)
-        pictures.log(axis)
-        axis.set(xlim=(0, None), ylim=(0.6 * lowest, None))
-    text = "Fig. 6: root mean square error of predictions in a row, Go1, rows not seen before"
-    if errors:
-        text += (
-            f"\nBands, of 1 and 16 steps: {pictures.covers([len(set(errors['seed'].tolist()))])}"
-        )
+    for axis, (group, _) in zip(axes.flat, panels, strict=True):  # when all of a row are drawn
+        if group in lowest:
+            axis.set_ylim(bottom=0.6 * lowest[group])
+    for axis, robot in zip(axes[0], errors if many else (), strict=False):
+        axis.set_title(paper.ROBOTS[robot], loc="left")
+    for axis in axes[-1]:
+        axis.set_xlabel("iteration")
+    names = "" if many else f", {paper.ROBOTS[panels[0][1]]}"
+    text = f"Fig. 6: root mean square error of predictions in a row{names}, rows not seen before"
+    if seeds := seeds_of(errors):
+        text += f"\nBands, of 1 and 16 steps: {pictures.covers(seeds)}"
     pictures.head(page, text)
     pictures.legend(page, axes[0, 0], 6)
     pictures.save(page, path)
+
+
+def lines(axis, errors, group: str) -> float:
+    """A panel: a line a number of predictions, and the spread over robots. Gives the lowest number."""
+    lowest = np.inf
+    for k, colour in zip(STEPS, SHADES, strict=True):
+        where = (errors["group"] == group) & (errors["steps"] == k)
+        label = f"{k} step" + "s" * (k > 1)
+        dash = "-" if k < 16 else (0, (4, 1.2))
+        x, values = curve(errors, "rmse", where)
+        if k in (STEPS[0], STEPS[-1]):  # five bands would hide each other
+            pictures.band(axis, x, values, colour, label, dash=dash)
+        else:
+            axis.plot(x, values.mean(1), color=colour, linewidth=1.6, label=label)
+        lowest = min(lowest, values.mean(1).min())
+    x, spread = curve(errors, "spread", (errors["group"] == group) & (errors["steps"] == 1))
+    style = dict(color="0.4", linestyle=":", linewidth=1.4, label="spread over robots")
+    axis.plot(x, spread.mean(1), **style)
+    pictures.log(axis)
+    axis.set_xlim(0, None)
+    return lowest
 
 
 if __name__ == "__main__":

@@ -16,7 +16,7 @@ SEEDS = 5
 
 
 def main():
-    args = paper.options(Path(__file__).parent, __doc__)
+    args = paper.options(Path(__file__).parent, paper.parser(__doc__))
     jobs = [f"{robot}:{variant}" for robot in paper.ROBOTS for variant in paper.variants(robot)]
     seeds, settings = SEEDS, ("run.eval_envs=200", "run.checkpoint_every=0")
     if args.quick:

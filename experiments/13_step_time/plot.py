@@ -1,14 +1,24 @@
-"""results.csv (Table IV) and figure of what `dynappo.bench` wrote into results/.
+"""results.csv (Table IV), split.csv (the time of Table V) and figure of the runs in results/.
 
-python experiments/13_step_time/plot.py
+    python experiments/13_step_time/plot.py
+
+results/mujoco_warp has one run a variant by MuJoCo Warp's own step, results/kernel those of run.py.
 """
 
 import json
 from pathlib import Path
 
-from experiments import paper, pictures
+import numpy as np
 
-VARIANTS = ("ppo16", "dyna4", "best")
+from dynappo import schedule
+from experiments import paper, pictures, run, stats
+
+# folder of results/ -> what simulates, and its variants
+SIMULATORS = {
+    "mujoco_warp": ("MuJoCo Warp, 4096 robots", ("ppo16", "dyna4", "best")),
+    "kernel": ("one kernel (best: 1024 robots)", ("ppo12", "ppo16", "dyna4", "best")),
+}
+VARIANTS = SIMULATORS["kernel"][1]
 # phase of dynappo.bench -> the paper's name
 PHASES = {
     "physics": "Ground-truth Simulation (p)",
@@ -16,11 +26,26 @@ PHASES = {
     "fit": "Model Training (L_model)",
     "ppo": "Policy Training (L_CLIP)",
 }
+SUMS = ("ppo12_sum", "ppo16_sum", "tail_sum", "saved_pct")
+COLUMNS = (
+    "simulator variant status runs physics_mean physics_sd tail_mean tail_sd fit_mean fit_sd ppo_mean ppo_sd "
+    "iteration_mean iteration_sd ppo16_sum_mean tail_sum_mean saved_pct_mean saved_pct_sd pays_from "
+    "pays_from_low pays_from_high"
+).split()
+PARTS = ("physics", "synthetic", "fit", "ppo")
+SPLIT = (
+    "variant status times_of runs physics_min synthetic_min fit_min ppo_min rest_min total_min_mean "
+    "total_min_sd paper_total_min"
+).split()
+THEIRS = ("sim_collection_min", "synthetic_gen_min", "policy_learning_min", "total_min")
 SHADES = (pictures.BLACK, pictures.ORANGE, pictures.BLUE, "#b9b9b9")
-NAMES = paper.VARIANTS | paper.OURS
-# real rows, synthetic rows, fits of an iteration as the schedule ends
-ROWS = {"ppo16": (16, 0, 0), "dyna4": (12, 4, 1), "best": (8, 16, 1)}
 LABELS = ("physics", "synthetic steps", "fit of the model", "PPO update")
+# real rows, synthetic rows of all rounds, fits, updates of an iteration as the tail is longest
+ROWS = {
+    "ppo16": (16, 0, 0, 1),
+    "dyna4": (12, 4, 1, 1),
+    "best": (8, 16, 1, 1),
+}  # `best` of mujoco_warp
 
 
 def main():
@@ -28,107 +53,169 @@ def main():
 
 
 def make(out: Path) -> None:
-    reports = {name: load(out / "results" / f"go1_{name}.json") for name in VARIANTS}
+    reports = {
+        folder: {name: load(out / "results" / folder, name) for name in names}
+        for folder, (_, names) in SIMULATORS.items()
+    }
     rows = build(reports)
     paper.write(out / "results.csv", rows)
-    paper.show(rows, list(rows[0]))
-    for name, report in reports.items():
-        print(f"{name}: {report['device']}, MJX-{report['impl']}" if report else f"{name}: not run")
-    draw(rows, out / "step_time")
+    paper.show(rows, COLUMNS)
+    times = split(reports["kernel"])
+    paper.write(out / "split.csv", times)
+    paper.show(times, SPLIT)
+    draw(rows, reports, out / "step_time")
 
 
-def load(path: Path) -> dict | None:
-    """The report of the one config that `dynappo.bench` measured; None if it has not."""
-    if not path.exists():
-        return None
-    (report,) = json.loads(path.read_text())["configs"].values()
-    return report
+def load(folder: Path, name: str) -> list[dict]:
+    """The reports of `dynappo.bench` on a variant, one a run."""
+    paths = sorted(folder.glob(f"go1_{name}_[0-9].json"))
+    return [one for p in paths for one in json.loads(p.read_text())["configs"].values()]
 
 
-def build(reports: dict[str, dict | None]) -> list[dict]:
-    """ms a phase, and what follows from them for every variant: see `derived`."""
+def build(reports) -> list[dict]:
+    """A row a simulator and variant, of one iteration in ms; and the paper's."""
+    rows = []
+    for folder, some in reports.items():
+        for variant, runs in some.items():
+            row: dict = {"simulator": folder, "variant": variant}
+            if runs:
+                every = [one["ms"] for one in runs]
+                # `best` has another rollout than PPO-16: its own iteration says it all
+                row |= {"status": "", "runs": len(runs)} | measures(every, variant != "best")
+                row |= {name: runs[0].get(name) for name in ("device", "commit")}
+            rows.append(row if runs else row | {"status": "not run"})
     printed = paper.table("step_time")
     theirs = {ours: paper.pick(printed, phase=name)["avg_time_ms"] for ours, name in PHASES.items()}
-    rows = []
-    for phase in PHASES:
-        unit = "ms a step" if phase in ("physics", "tail") else "ms an iteration"
-        row = {"phase": phase, "unit": unit, "paper": theirs[phase]}
-        rows.append(row | {name: r["ms"].get(phase) if r else None for name, r in reports.items()})
-    measured = {"phase": "iteration, as the schedule ends", "unit": "ms", "paper": None}
-    rows.append(measured | {n: r["ms"]["iteration"] if r else None for n, r in reports.items()})
-    columns = {"paper": derived(theirs)}
-    for name, report in reports.items():  # `best` has another rollout: its row above says it all
-        columns[name] = derived(report["ms"]) if report and name != "best" else {}
-    for label, unit in DERIVED:
-        row = {"phase": label, "unit": unit}
-        rows.append(row | {name: cells.get(label) for name, cells in columns.items()})
-    return rows
+    cells = {name: value for name, value in measures([theirs], True).items() if value == value}
+    return [*rows, {"simulator": "paper", "device": "NVIDIA A40"} | cells]
 
 
-DERIVED = (
-    ("PPO-12, sum", "ms an iteration"),
-    ("PPO-16, sum", "ms an iteration"),
-    ("4-step tail of 16, sum", "ms an iteration"),
-    ("saved by it of PPO-16", "%"),
-    ("steps from which a tail pays", "steps"),
-)
+def measures(every: list[dict], sums: bool) -> dict:
+    """Cells over runs: ms of each phase, sums of them, and from how many steps a tail pays."""
+    cells = {}
+    for name in (*PHASES, "iteration"):
+        if all(name in ms for ms in every):
+            cells |= stats.spread(name, [ms[name] for ms in every])
+    found = [derived(ms) for ms in every] if sums else [{}]
+    for name in SUMS:
+        if all(name in one for one in found):
+            cells |= stats.spread(name, [one[name] for one in found])
+    if sums and all("fit" in ms for ms in every):
+        cells |= pays([ms["fit"] for ms in every], [ms["physics"] - ms["tail"] for ms in every])
+    return cells
 
 
 def derived(ms: dict) -> dict:
-    """Iterations as sums of phases; and where a tail pays: N_s (physics - tail) = fit."""
-    out = {f"PPO-{n}, sum": n * ms["physics"] + ms["ppo"] for n in (12, 16)}
-    if ms.get("fit"):
-        with_tail = 12 * ms["physics"] + 4 * ms["tail"] + ms["fit"] + ms["ppo"]
-        out["4-step tail of 16, sum"] = with_tail
-        out["saved by it of PPO-16"] = 100 * (1 - with_tail / out["PPO-16, sum"])
-        gain = ms["physics"] - ms["tail"]
-        out["steps from which a tail pays"] = ms["fit"] / gain if gain > 0 else None
+    """Iterations as sums of phases, and the share of PPO-16's that a tail of 4 steps saves."""
+    out = {f"ppo{n}_sum": n * ms["physics"] + ms["ppo"] for n in (12, 16)}
+    if "fit" in ms:
+        out["tail_sum"] = 12 * ms["physics"] + 4 * ms["tail"] + ms["fit"] + ms["ppo"]
+        out["saved_pct"] = 100 * (1 - out["tail_sum"] / out["ppo16_sum"])
     return out
 
 
-def bars(ms: dict, ours: bool) -> dict[str, list[float] | None]:
-    """Label -> ms of an iteration by phase, of every bar of a panel; None where it is not measured."""
-    if not ours:
-        wanted = {
-            "PPO, 16 steps": ("paper", ROWS["ppo16"]),
-            "4-step tail": ("paper", ROWS["dyna4"]),
-        }
-    else:
-        wanted = {NAMES[name]: (name, rows) for name, rows in ROWS.items()}
-    out: dict[str, list[float] | None] = {}
-    for label, (column, (real, tail, fit)) in wanted.items():
-        if ms["ppo"][column] is None:
-            out[label] = None
-            continue
-        counts = dict(zip(PHASES, (real, tail, fit, 1), strict=True))
-        out[label] = [count * (ms[phase][column] or 0.0) for phase, count in counts.items()]
-    return out
+def pays(fits, gains) -> dict:
+    """Cells: synthetic steps from which a tail pays, where N_s (physics - synthetic) is the fit, in ms.
+
+    "never" where a synthetic step takes no less than one of physics: then no number of them pays for a
+    fit. No interval where that is not excluded (`stats.ratio`).
+    """
+    if np.mean(gains) <= 0:
+        return {"pays_from": "never"}
+    found = stats.ratio(fits, gains)
+    return {"pays_from": found.value, "pays_from_low": found.low, "pays_from_high": found.high}
 
 
-def draw(rows, path: Path) -> None:
-    """Bars: an iteration by phase, of what is measured; each panel has its own scale."""
-    page, axes = pictures.figure(1, 2, 2.6)
-    ms = {row["phase"]: row for row in rows}
-    panels = ((True, "this repository, 4096 robots"), (False, "paper (A40)"))
-    for axis, (ours, title) in zip(axes[0], panels, strict=True):
-        found = bars(ms, ours)
+def split(reports) -> list[dict]:
+    """A row a variant: minutes of a whole training by phase, means over runs, and of one on the clock.
+
+    Where only `dyna4` is measured, its times are those of the other tails, and nothing is left over.
+    """
+    rows, printed = [], paper.table("platforms")
+    for variant in (*paper.VARIANTS, "best"):
+        source = variant if variant in VARIANTS else "dyna4"
+        runs = [one for one in reports[source] if "training_seconds" in one]
+        row: dict = {"variant": variant, "status": "" if runs else "not run"}
+        if runs:
+            row |= {"times_of": source, "runs": len(runs)}
+            every = [
+                parts(run.configure(f"go1:{variant}", 1, r["settings"]), r["ms"]) for r in runs
+            ]
+            row |= {f"{name}_min": np.mean([one[name] for one in every]) for name in PARTS}
+            total = [sum(one.values()) for one in every]
+            if source == variant:
+                clock = np.array([one["training_seconds"] / 60 for one in runs])
+                row["rest_min"], total = np.mean(clock - total), clock
+            row |= stats.spread("total_min", total)
+        theirs = paper.pick(printed, robot="go1", variant=variant)
+        rows.append(row | {f"paper_{name}": theirs.get(name) for name in THEIRS})
+    return rows
+
+
+def parts(config, ms: dict) -> dict[str, float]:
+    """Minutes of a training by phase, from what a step, a fit and an update take as the tail is longest."""
+    columns, horizon = schedule.columns(config), config.rollout.horizon
+    real = columns["n_real"].astype(float)
+    rounds = columns.get("rounds", np.ones_like(real))
+    took = {"physics": real.sum() * ms["physics"], "ppo": rounds.sum() * ms["ppo"]}
+    took["synthetic"] = ((horizon - real) * rounds).sum() * ms["tail"]
+    if "model_epochs" in columns:
+        drawn = horizon // config.model.minibatches
+        minibatches = np.ceil(columns["model_epochs"] * real / drawn)
+        longest = minibatches[: config.schedule.last_iteration][-1]
+        took["fit"] = minibatches.sum() / longest * ms["fit"]
+    return {name: took.get(name, 0.0) / 60e3 for name in PARTS}
+
+
+def counts(variant: str, runs: list[dict]) -> tuple[int, ...]:
+    """As `ROWS`, of what was measured."""
+    last = runs[0].get("last") if runs else None
+    if not last:
+        return ROWS[variant]
+    config = run.configure(f"go1:{variant}", 1, runs[0]["settings"])
+    rounds, real = last.get("rounds", 1), last["n_real"]
+    return real, (config.rollout.horizon - real) * rounds, int("model_epochs" in last), rounds
+
+
+def draw(rows, reports, path: Path) -> None:
+    """Bars: an iteration by phase, a panel a simulator that has run, and the paper's; scales differ."""
+    shown = [folder for folder, some in reports.items() if any(some.values())] or ["kernel"]
+    page, axes = pictures.figure(1, len(shown) + 1, 2.6)
+    for axis, folder in zip(axes[0], [*shown, "paper"], strict=True):
+        title = "paper (A40)" if folder == "paper" else SIMULATORS[folder][0]
         axis.set_title(title, loc="left")
-        axis.set(xlabel="ms an iteration", yticks=range(len(found)), yticklabels=found)
-        axis.set_ylim(len(found) - 0.4, -0.6)
-        for y, widths in enumerate(found.values()):
-            if widths is None:
+        names = ("ppo16", "dyna4") if folder == "paper" else tuple(ROWS)
+        axis.set(xlabel="ms an iteration", yticks=range(len(names)))
+        axis.set_ylim(len(names) - 0.4, -0.6)
+        labels = []
+        for y, variant in enumerate(names):
+            runs = reports.get(folder, {}).get(variant, [])
+            some = counts(variant, runs)
+            tail = some[1] // some[3]
+            best = f"best ({tail} of {some[0] + tail})"
+            labels.append(best if variant == "best" else paper.VARIANTS[variant])
+            wanted = {} if folder == "paper" else {"variant": variant}
+            row = paper.pick(rows, simulator=folder, **wanted)
+            if "ppo_mean" not in row:
                 axis.text(0, y, " not run yet", va="center", color="0.5")
                 continue
-            left = 0.0
-            for width, colour in zip(widths, SHADES, strict=True):
-                axis.barh(y, width, left=left, color=colour, height=0.55)
-                left += width
-            axis.text(left, y, f" {left:.0f}", va="center")
+            each = zip(some, PHASES, strict=True)
+            bar(axis, y, [n * row.get(f"{phase}_mean", 0.0) for n, phase in each])
+        axis.set_yticklabels(labels)
         axis.margins(x=0.12)
     for colour, label in zip(SHADES, LABELS, strict=True):  # for the legend
-        axes[0, 1].barh(0, 0, color=colour, label=label)
-    pictures.legend(page, axes[0, 1], 4)
+        axes[0, -1].barh(0, 0, color=colour, label=label)
+    pictures.legend(page, axes[0, -1], 4)
     pictures.save(page, path)
+
+
+def bar(axis, y: int, widths: list[float]) -> None:
+    """One iteration, its phases side by side."""
+    left = 0.0
+    for width, colour in zip(widths, SHADES, strict=True):
+        axis.barh(y, width, left=left, color=colour, height=0.55)
+        left += width
+    axis.text(left, y, f" {left:.0f}", va="center")
 
 
 if __name__ == "__main__":

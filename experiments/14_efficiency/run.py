@@ -14,7 +14,7 @@ from experiments import paper
 
 
 def main():
-    args = paper.options(Path(__file__).parent, __doc__)
+    args = paper.options(Path(__file__).parent, paper.parser(__doc__))
     plot.make(args.out, Path("runs/quick") if args.quick else plot.HERE.parent)
 
 

@@ -1,4 +1,4 @@
-"""results.csv, figure and film strips (figure 9) of what run.py wrote into results/.
+"""results.csv, figure and film strips (figure 9) of the robots in results/.
 
     python experiments/16_gaits/plot.py [--films]
 
@@ -22,9 +22,15 @@ MEASURES = {
     "air_time": "air time of a swing (s)",
     "tilt": "tilt of the base (degrees, rms)",
 }
-COLUMNS = "variant speed iteration status tracking_error_mean air_time_mean tilt_mean falls".split()
+COLUMNS = (
+    "robot variant speed iteration status seeds walk falls tracking_error_mean air_time_mean tilt_mean"
+).split()
 SHOWN = (0, 2, 4, 6)  # frames of the poses, 60 ms apart
-WINDOW = (-0.42, 0.82, -0.04, 0.53)  # m: of the strips, ahead of the first frame and up
+# iterations of the strips: the paper's; ANYmals walk by 200 with either method, so earlier ones
+STRIPS = {"anymal_c": (150, 200, 300), "anymal_d": (150, 200, 300)}
+PAPER_STRIPS = (300, 400, 500)
+# m, ahead of the first frame and up; of a robot that stands 0.325 m high, a larger one has more
+WINDOW, HEIGHT = np.array([-0.42, 0.82, -0.04, 0.53]), 0.325
 
 
 def main():
@@ -36,11 +42,11 @@ def main():
 
 
 def make(out: Path) -> None:
-    episodes = load(out / "results" / "episodes.csv")
-    rows = build(episodes)
+    every = {name: load(out / "results" / name / "episodes.csv") for name in paper.ROBOTS}
+    rows = [row for robot, episodes in every.items() for row in build(robot, episodes)]
     paper.write(out / "results.csv", rows)
     paper.show(rows, COLUMNS)
-    draw(episodes, out / "measures")
+    draw({robot: some for robot, some in every.items() if some} or {"go1": []}, out / "measures")
 
 
 def key(variant: str, iteration: int, speed: float) -> str:
@@ -56,93 +62,128 @@ def load(path: Path) -> list[dict]:
     return [{n: v if n == "variant" else float(v or "nan") for n, v in row.items()} for row in rows]
 
 
-def build(episodes) -> list[dict]:
-    """A row a variant, speed and iteration: mean, deviation and interval over seeds."""
+def build(robot: str, episodes) -> list[dict]:
+    """A row a variant, speed and iteration: mean, deviation and interval over seeds.
+
+    Seeds that `walk` do not fall, and go ahead with at least half of the speed that they are asked for:
+    that can be compared between robots, whose returns cannot.
+    """
     rows = []
     for variant in VARIANTS:
         for speed in SPEEDS:
             some = [e for e in episodes if (e["variant"], e["speed"]) == (variant, speed)]
-            row = {"variant": variant, "speed": speed, "status": "" if some else "not run"}
+            row = {
+                "robot": robot,
+                "variant": variant,
+                "speed": speed,
+                "status": "" if some else "not run",
+            }
             rows += [] if some else [row]
             for iteration in sorted({e["iteration"] for e in some}):
                 at = [e for e in some if e["iteration"] == iteration]
                 cells = row | {"iteration": int(iteration), "seeds": len(at)}
                 cells["falls"] = sum(np.isfinite(e["fall"]) for e in at)
+                half = 0.5 * speed
+                cells["walk"] = sum(np.isnan(e["fall"]) and e["speed_ahead"] >= half for e in at)
                 for name in (*MEASURES, "yaw_error", "swings_per_second", "distance"):
                     cells |= stats.spread(name, [e[name] for e in at])
                 rows.append(cells)
     return rows
 
 
-def draw(episodes, path: Path) -> None:
-    """The measures over iterations: every seed, and their mean; solid 1.0 m/s, dashed 0.5."""
-    page, axes = pictures.figure(2, 2, 5.8, sharex=True)
-    for axis, (name, label) in zip(axes.flat, MEASURES.items(), strict=True):
-        axis.set_title(label, loc="left")
-        if not episodes:
+def draw(every, path: Path) -> None:
+    """The measures over iterations, a column a robot; of one robot alone, in two rows of two."""
+    many = len(every) > 1
+    shape = (len(MEASURES), len(every), 8.6) if many else (2, 2, 5.8)
+    page, axes = pictures.figure(*shape, sharex=True, sharey="row" if many else False)
+    panels = [(name, robot) for name in MEASURES for robot in every]
+    for axis, (name, robot) in zip(axes.flat, panels, strict=True):
+        if not many:
+            axis.set_title(MEASURES[name], loc="left")
+        elif robot == panels[0][1]:
+            axis.set_ylabel(MEASURES[name].replace(" (", "\n("))
+        if every[robot]:
+            panel(axis, every[robot], name, 4 if many else 6)
+        else:
             pictures.missing(axis)
-            continue
-        every = sorted({e["iteration"] for e in episodes})
-        for v, variant in enumerate(VARIANTS):
-            for k, (speed, line) in enumerate(zip(SPEEDS, ((0, (4, 1.5)), "-"), strict=True)):
-                columns = [
-                    [e[name] for e in episodes if (e["variant"], e["speed"], e["iteration"]) == at]
-                    for at in ((variant, speed, iteration) for iteration in every)
-                ]
-                colour, mark = pictures.COLOURS[variant], "osPX"[2 * v + k]
-                x = np.arange(len(every)) + 0.08 * (2 * v + k) - 0.12  # side by side
-                style = dict(color=colour, marker=mark)
-                for at, values in zip(x, columns, strict=True):
-                    axis.plot([at] * len(values), values, ls="", alpha=0.4, ms=4, **style)
-                mean = [stats.moments(values).mean for values in columns]
-                text = f"{paper.VARIANTS[variant]}, {speed} m/s"
-                style |= dict(linestyle=line, linewidth=1.6, markersize=6, label=text)
-                axis.plot(x, mean, **style)
-        axis.set_xticks(range(len(every)), [f"{i:.0f}" for i in every])
+    for axis, robot in zip(axes[0], every if many else (), strict=False):
+        axis.set_title(paper.ROBOTS[robot], loc="left")
+    for axis in axes.flat:
         axis.set_ylim(bottom=0)
     for axis in axes[-1]:
         axis.set_xlabel("iteration of the policy")
-    if episodes:
-        seeds = len({e["seed"] for e in episodes})
-        pictures.head(page, f"Small: each of {seeds} seeds. Large, with lines: their mean")
+    if seeds := sorted({len({e["seed"] for e in some}) for some in every.values() if some}):
+        counted = " or ".join(map(str, seeds))
+        pictures.head(page, f"Small: each of {counted} seeds. Large, with lines: their mean")
     pictures.legend(page, axes[0, 0], 2)
     pictures.save(page, path)
 
 
+def panel(axis, episodes, name: str, size: int) -> None:
+    """A measure of one robot: every seed, and their mean; solid 1.0 m/s, dashed 0.5."""
+    every = np.array(sorted({e["iteration"] for e in episodes}))
+    apart = 0.08 * np.diff(every).min()  # side by side
+    for v, variant in enumerate(VARIANTS):
+        for k, (speed, line) in enumerate(zip(SPEEDS, ((0, (4, 1.5)), "-"), strict=True)):
+            columns = [
+                [e[name] for e in episodes if (e["variant"], e["speed"], e["iteration"]) == at]
+                for at in ((variant, speed, iteration) for iteration in every)
+            ]
+            colour, mark = pictures.COLOURS[variant], "osPX"[2 * v + k]
+            x = every + apart * (2 * v + k - 1.5)
+            style = dict(color=colour, marker=mark)
+            for at, values in zip(x, columns, strict=True):
+                axis.plot([at] * len(values), values, ls="", alpha=0.4, ms=0.65 * size, **style)
+            mean = [stats.moments(values).mean for values in columns]
+            text = f"{paper.VARIANTS[variant]}, {speed} m/s"
+            style |= dict(linestyle=line, linewidth=1.6, markersize=size, label=text)
+            axis.plot(x, mean, **style)
+    axis.set_xticks([i for i in every if i % 100 == 0] or every)
+
+
 def strips(out: Path) -> None:
-    """strips_SPEED.png: PPO-16 and the tail by turns, two rows a checkpoint, a camera that stands still."""
+    """strips_ROBOT_SPEED.png of every robot that was run."""
+    for robot in paper.ROBOTS:
+        path = out / "results" / robot / "poses.npz"
+        if path.exists():
+            with np.load(path) as file:
+                poses = {name: file[name] for name in file}
+            for speed in SPEEDS:
+                draw_strips(robot, poses, speed, out / f"strips_{robot}_{speed}")
+
+
+def draw_strips(robot: str, poses, speed: float, path: Path) -> None:
+    """PPO-16 and the tail by turns, two rows a checkpoint, a camera that stands still."""
     import mujoco
 
     from dynappo.physics import robot as robot_lib
 
-    with np.load(out / "results" / "poses.npz") as file:
-        poses = {name: file[name] for name in file}
-    model = mujoco.MjModel.from_xml_path(str(robot_lib.load("go1").xml))
-    every = sorted({int(name.rsplit("_", 2)[1]) for name in poses})
-    for speed in SPEEDS:
-        rows = [(iteration, variant) for iteration in every for variant in VARIANTS]
-        page, axes = pictures.figure(len(rows), len(SHOWN), 0.99 * len(rows) + 0.8)
-        for row, (iteration, variant) in zip(axes, rows, strict=True):
-            strip(row, model, poses[key(variant, iteration, speed)].astype(float))
-            label = f"{iteration}\n" + {"ppo16": "PPO-16", "dyna4": "4-step\ntail"}[variant]
-            row[0].set_ylabel(label, color=pictures.COLOURS[variant], fontweight="bold")
-        for axis, frame in zip(axes[0], SHOWN, strict=True):
-            axis.set_title(f"{60 * frame} ms", loc="left")
-        text = f"Asked for {speed} m/s. The camera stands still, tiles are 10 cm; dotted: where the base"
-        pictures.head(
-            page, f"{text}\nwas at 0 ms; number: how far it has come since. Rows: iteration"
-        )
-        pictures.save(page, out / f"strips_{speed}.png", dpi=110)
+    model = mujoco.MjModel.from_xml_path(str(robot_lib.load(robot).xml))
+    window = WINDOW * max(1.0, model.keyframe("home").qpos[2] / HEIGHT)
+    known = sorted({int(name.rsplit("_", 2)[1]) for name in poses})
+    every = [i for i in STRIPS.get(robot, PAPER_STRIPS) if i in known] or known
+    rows = [(iteration, variant) for iteration in every for variant in VARIANTS]
+    page, axes = pictures.figure(len(rows), len(SHOWN), 0.99 * len(rows) + 0.8)
+    for row, (iteration, variant) in zip(axes, rows, strict=True):
+        strip(row, model, poses[key(variant, iteration, speed)].astype(float), window)
+        label = f"{iteration}\n" + {"ppo16": "PPO-16", "dyna4": "4-step\ntail"}[variant]
+        row[0].set_ylabel(label, color=pictures.COLOURS[variant], fontweight="bold")
+    for axis, frame in zip(axes[0], SHOWN, strict=True):
+        axis.set_title(f"{60 * frame} ms", loc="left")
+    text = f"{paper.ROBOTS[robot]}, asked for {speed} m/s. The camera stands still, tiles are 10 cm; dotted: "
+    text += "where the\nbase was at 0 ms; number: how far it has come since. Rows: iteration"
+    pictures.head(page, text)
+    pictures.save(page, path.with_name(path.name + ".png"), dpi=110)
 
 
-def strip(axes, model, poses) -> None:
+def strip(axes, model, poses, window) -> None:
     """One walk: the frames `SHOWN`, in the world as it was at the first."""
     origin, (w, x, y, z) = poses[0, :2], poses[0, 3:7]
     heading = float(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
     for axis, frame in zip(axes, SHOWN, strict=True):
-        left, right, bottom, top = WINDOW
-        for tile in np.arange(-5, 9):
-            colour = ("0.8", "0.93")[tile % 2]
+        left, right, bottom, top = window
+        for tile in np.arange(np.floor(10 * left), np.ceil(10 * right)):
+            colour = ("0.8", "0.93")[int(tile) % 2]
             axis.fill_between([tile / 10, (tile + 1) / 10], bottom, 0, color=colour, linewidth=0)
         axis.axvline(0, color="0.4", linestyle=":", linewidth=1.2)
         drawing.draw(axis, model, poses[frame], origin, heading)

@@ -1,67 +1,62 @@
-"""Figure 9: how PPO-16 and the 4-step tail walk at iterations 300, 400 and 500; Go1, the same seeds.
+"""Figure 9: how PPO-16 and the 4-step tail walk while they learn; the same seeds for both.
 
-    python experiments/16_gaits/run.py [--quick] [--out DIR]
+    python experiments/16_gaits/run.py [--robot go2] [--quick] [--out DIR]
 
-Trains both, keeps the actors in DIR/policies (not committed), plays each on C MuJoCo without noise at
-0.5 and 1.0 m/s, and writes DIR/results/episodes.csv (a row an episode) and poses.npz (seed 0, for the
-film strips). What is there is not made again. Then table, figure and strips, as plot.py.
+Trains both, keeps the actors of `paper.CHECKPOINTS` in DIR/policies (not committed), plays each on C
+MuJoCo without noise at 0.5 and 1.0 m/s, and writes episodes.csv (a row an episode) and poses.npz (seed 0,
+for the film strips) into DIR/results/ROBOT. What is there is not made again; policies of the tail may come
+from `11_model/run.py --policies`. Then table, figure and strips of all robots, as plot.py.
 """
 
 from pathlib import Path
 
 import gait
-import jax
 import numpy as np
 import plot
 
 from dynappo.policy import policy_file
 from experiments import paper, run
 
-SEEDS, SECONDS = 3, 10.0
-AT = (300, 400, 500)
-SETTINGS = ("run.eval_envs=0", "run.checkpoint_every=0")
+SEEDS, SECONDS = 5, 10.0
+SETTINGS = ("run.eval_envs=0", "run.checkpoint_every=0", "run.seed=500")
 
 
 def main():
-    args = paper.options(Path(__file__).parent, __doc__)
-    at, seeds, settings = ((5, 10), 2, paper.QUICK) if args.quick else (AT, SEEDS, SETTINGS)
-    policies, results = args.out / "policies", args.out / "results"
-    for variant in plot.VARIANTS:
-        if not policy(policies, variant, at[-1], seeds - 1).exists():
-            keep(policies, variant, at, seeds, settings, args.lock)
+    of = paper.parser(__doc__)
+    of.add_argument("--robot", default="go1", choices=paper.ROBOTS)
+    args = paper.options(Path(__file__).parent, of)
+    at, seeds, settings = paper.CHECKPOINTS, SEEDS, SETTINGS
+    if args.quick:
+        at, seeds, settings = (5, 10), 2, paper.QUICK
+    policies, results = args.out / "policies", args.out / "results" / args.robot
     if not (results / "episodes.csv").exists():
-        rows, poses = [], {}
         for variant in plot.VARIANTS:
-            for iteration in at:
-                for seed in range(seeds):
-                    path = policy(policies, variant, iteration, seed)
-                    for speed in plot.SPEEDS:
-                        seconds = 5.0 if args.quick else SECONDS
-                        episode, measures = gait.walk(policy_file.load(path), speed, seconds)
-                        row = {"variant": variant, "iteration": iteration, "speed": speed}
-                        rows.append(row | {"seed": seed} | measures)
-                        if seed == 0:
-                            poses[plot.key(variant, iteration, speed)] = gait.strip(episode)
-        paper.write(results / "episodes.csv", rows)
-        np.savez_compressed(results / "poses.npz", **poses)
+            job = f"{args.robot}:{variant}"
+            if not run.actor(policies, job, at[-1], seeds - 1).exists():
+                config = run.configure(job, seeds, settings)
+                for program, done, state, _ in run.chunks(config, args.lock):
+                    if done in at:
+                        run.keep_actors(policies, job, done, config, program, state)
+        play(policies, results, args.robot, at, seeds, 5.0 if args.quick else SECONDS)
     plot.make(args.out)
     plot.strips(args.out)
 
 
-def policy(folder: Path, variant: str, iteration: int, seed: int) -> Path:
-    return folder / f"go1_{variant}_{iteration}_seed{seed}.npz"
-
-
-def keep(folder: Path, variant: str, at, seeds: int, settings, lock=None) -> None:
-    """Train, and write the actor of every seed at the iterations `at`."""
-    folder.mkdir(parents=True, exist_ok=True)
-    config = run.configure(f"go1:{variant}", seeds, settings)
-    for program, done, state, _ in run.chunks(config, lock):
-        if done in at:
-            actor = jax.device_get(state.learner.params["actor"])
-            for s in range(seeds):
-                one = {"actor": jax.tree.map(lambda leaf, s=s: leaf[s], actor)}
-                policy_file.save(policy(folder, variant, done, s), one, config, program.robot)
+def play(policies: Path, results: Path, robot: str, at, seeds: int, seconds: float) -> None:
+    """Every policy at every speed."""
+    rows, poses = [], {}
+    for variant in plot.VARIANTS:
+        for iteration in at:
+            for seed in range(seeds):
+                path = run.actor(policies, f"{robot}:{variant}", iteration, seed)
+                for speed in plot.SPEEDS:
+                    episode, measures = gait.walk(policy_file.load(path), speed, seconds)
+                    row = {"variant": variant, "iteration": iteration, "speed": speed}
+                    rows.append(row | {"seed": seed} | measures)
+                    if seed == 0:
+                        poses[plot.key(variant, iteration, speed)] = gait.strip(episode)
+    paper.write(results / "episodes.csv", rows)
+    np.savez_compressed(results / "poses.npz", **poses)
 
 
 if __name__ == "__main__":

@@ -19,7 +19,7 @@ SETTINGS = ("run.eval_envs=200", "run.checkpoint_every=0")
 
 
 def main():
-    args = paper.options(Path(__file__).parent, __doc__)
+    args = paper.options(Path(__file__).parent, paper.parser(__doc__))
     regimes = [plot.Regime("R = 32", 32)] if args.quick else plot.REGIMES
     seeds, settings = (2, paper.QUICK) if args.quick else (SEEDS, SETTINGS)
     results, names = args.out / "results", ("ppo16", "dyna4") if args.quick else plot.VARIANTS

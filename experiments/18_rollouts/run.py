@@ -16,7 +16,7 @@ from experiments import paper
 
 
 def main():
-    args = paper.options(Path(__file__).parent, __doc__)
+    args = paper.options(Path(__file__).parent, paper.parser(__doc__))
     if not (args.out / "results" / "about.json").exists():
         robots, fits = (32, 2) if args.quick else (256, 40)
         record.measure(args.out / "results", robots, fits)

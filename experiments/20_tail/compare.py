@@ -106,7 +106,8 @@ def batch_rows(name: str) -> list[dict]:
     folder = HERE.parent / first / "results"
     others = batches.others_of(folder, run)
     every = {name: paper.load(folder, run)}
-    every |= {f"20_tail/{path.relative_to(HERE / 'results')}": find_path(path) for path in others}
+    for path in others:
+        every[str(path.relative_to(HERE.parent)).replace("/results", "")] = find_path(path)
     rows = []
     for batch, found in [*every.items(), ("all", batches.load(folder, run))]:
         if found is None:
