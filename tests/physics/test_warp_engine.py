@@ -4,6 +4,8 @@ Both are `engine.simulate`. Sums of Warp have no fixed order on GPUs, and XLA ro
 otherwise than Warp does.
 """
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -94,20 +96,22 @@ class World:
         self.state = state.replace(**kept)
         self.actions = jnp.asarray(rng.normal(0, 1, (*shape, STEPS, 12)), jnp.float32)
 
-    def walk(self, engine, body, state, actions):
-        """`STEPS` control steps of one robot; the last one's numbers."""
-        for action in actions:
-            after = engine_lib.simulate(engine, self.hyper, body, state, action)
-            names = set(after._fields) & set(vars(state))
-            state = state.replace(
-                last_action=action,
-                older_action=state.last_action,
-                **{n: getattr(after, n) for n in names if getattr(state, n) is not None},
-            )
-        return after
+    def step(self, engine, body, state, action):
+        """A control step of one robot: its state, and the step's numbers."""
+        after = engine_lib.simulate(engine, self.hyper, body, state, action)
+        names = set(after._fields) & set(vars(state))
+        state = state.replace(
+            last_action=action,
+            older_action=state.last_action,
+            **{n: getattr(after, n) for n in names if getattr(state, n) is not None},
+        )
+        return state, after
 
     def few(self, body, state, actions):
-        return self.walk(self.engine, body, state, actions)
+        """`STEPS` control steps of one robot; the last one's numbers."""
+        for action in actions:
+            state, after = self.step(self.engine, body, state, action)
+        return after
 
 
 SLOW = [pytest.param(name, marks=pytest.mark.slow) for name in ("anymal_c", "dry")]
@@ -134,8 +138,10 @@ def expected(world):
     def flat(x):
         return x.reshape(-1, *x.shape[2:])
 
-    walk = jax.vmap(lambda *given: world.walk(world.scanned, *given))
-    found = jax.jit(walk)(bodies, jax.tree.map(flat, world.state), flat(world.actions))
+    step = jax.jit(jax.vmap(partial(world.step, world.scanned)))
+    state = jax.tree.map(flat, world.state)
+    for k in range(STEPS):  # a program of one step: MJX takes long to compile
+        state, found = step(bodies, state, flat(world.actions)[:, k])
     return jax.tree.map(lambda x: np.asarray(x).reshape(SEEDS, ROBOTS, *x.shape[1:]), found)
 
 
@@ -253,8 +259,8 @@ def test_all_kernels_of_a_step_are_found_before_it(world, expected, monkeypatch)
     model = robot_lib.physics_model(engine.robot, world.config.physics)
     step = warp_engine.make(model, engine.robot, engine.substeps, engine.remember)
     again = engine._replace(step=step)
-    given = one(world.bodies, 0), *one((world.state, world.actions), 0, 0)
-    jax.block_until_ready(jax.jit(lambda *x: world.walk(again, *x))(*given))
+    given = one(world.bodies, 0), one(world.state, 0, 0), world.actions[0, 0, 0]
+    jax.block_until_ready(jax.jit(partial(world.step, again))(*given))
     own = {(warp_engine.__name__, size) for _, size in loaded}  # Warp's for a function of JAX's
     ours = fits(engine, world.config)
     assert (len(found) == 1 if ours else len(found) > 20) and loaded - own == found - own

@@ -92,20 +92,19 @@ def plain():
 
 @pytest.fixture(scope="module")
 def carries():
-    """On C MuJoCo, which compiles at once: it is about who is put where, not how one moves."""
+    """This and what follows on C MuJoCo, which compiles at once: they are about the task."""
     return build("go1", random_clock=False, carry_on=True, impl="c")
 
 
 @pytest.fixture(scope="module")
 def anymal():
-    return build("anymal_d")
+    return build("anymal_d", impl="c")
 
 
 @pytest.fixture(scope="module")
 def exact():
-    return build(
-        "anymal_c", contacts="full", formulation="isaaclab_exact", resample_steps=5, standing=0.3
-    )
+    task = dict(formulation="isaaclab_exact", resample_steps=5, standing=0.3)
+    return build("anymal_c", contacts="full", impl="c", **task)
 
 
 @pytest.fixture(scope="module")
@@ -345,8 +344,10 @@ def many_anymals(anymal):
     return jax.device_get(many(anymal.quiet, body, jax.random.split(jax.random.key(5), MANY)))
 
 
-def test_anymal_d_with_damped_joints_moves_as_in_c_mujoco_in_every_row(anymal, many_anymals):
+@pytest.mark.slow
+def test_anymal_d_with_damped_joints_moves_as_in_c_mujoco_in_every_row(many_anymals):
     """From scattered resets, each row from MJX's state; joint damping is taken implicitly."""
+    anymal = build("anymal_d")
     bodies = jax.vmap(anymal.env.randomize, (None, 0))(anymal.hyper, anymal.keys)
     references = [Reference(anymal, bodies, i) for i in range(ROBOTS)]
     assert references[0].model.dof_damping[6:].all()

@@ -40,7 +40,7 @@ FIRST = """
 --config.schedule.end_iteration=4 --config.schedule.end_steps=1 --config.model.hidden=(16,16)
 --config.model.minibatches=2 --config.ppo.hidden=(16,16) --config.task.episode_length=60
 --config.run.num_iterations=4 --config.run.log_every=2 --config.run.eval_envs=0
---config.run.video_seconds=0.2
+--config.run.video_seconds=0.2 --config.physics.impl=c
 """.split()
 
 

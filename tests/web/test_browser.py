@@ -25,6 +25,9 @@ def serving(port):
     args = offer, address.Address("127.0.0.1", port), policies.load(offer, "go1")
 
     def ready(page, url):
+        scene = page.server.scene  # a CPU draws it, so without shadows and reflections
+        scene.configure_default_lights(cast_shadow=False)
+        scene.configure_environment_map(None)
         told.append(SimpleNamespace(page=page, url=url))
 
     thread = threading.Thread(target=server.serve, args=args, kwargs={"ready": ready, "stop": stop})
