@@ -6,7 +6,6 @@ python experiments/00_first_light/plot.py
 import json
 from pathlib import Path
 
-import matplotlib.pyplot as plt
 import numpy as np
 
 from experiments import paper, pictures
@@ -21,7 +20,7 @@ def main():
 def make(out: Path) -> None:
     names = ("ppo12", "ppo16", "dyna2", "dyna4_noschedule", "dyna4", "fast")
     runs = {n: paper.read_one(HERE / "results" / f"{n}.csv.xz") for n in names}
-    figure, axes = plt.subplots(1, 3, figsize=(13, 3.8), constrained_layout=True, sharey=True)
+    figure, (axes,) = pictures.figure(1, 3, 3.4, sharey=True)
     labels = ("iteration", "simulator steps (M)", "training time (s)")
     for axis, column, label in zip(
         axes, ("iteration", "sim_steps", "seconds"), labels, strict=True
@@ -29,13 +28,12 @@ def make(out: Path) -> None:
         for name, run in runs.items():
             x = run[column] / (1e6 if column == "sim_steps" else 1)
             smooth = np.convolve(run["episode_return"], np.ones(10) / 10, "valid")
-            axis.plot(x[9:], smooth, label=name, lw=1.4)
+            axis.plot(x[9:], smooth, label=name, lw=1.4, **pictures.line(name))
         axis.set_xlabel(label)
-        axis.grid(alpha=0.3)
-    axes[0].set_ylabel("episode return (mean of 10 iterations)")
-    axes[0].legend(frameon=False, fontsize=8)
+    axes[0].set_ylabel("episode return")
+    pictures.legend(figure, axes[0], 6)
     device = json.loads((HERE / "results" / "ppo16.json").read_text())["device"]
-    figure.suptitle(f"Go1, 4096 robots, one seed, {device}", fontsize=10)
+    pictures.head(figure, f"Go1, 4096 robots, one seed, {device}")
     pictures.save(figure, out / "curves")
 
 

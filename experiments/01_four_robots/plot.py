@@ -1,11 +1,10 @@
-"""Draw curves.png from results/: return over iterations and over simulator steps.
+"""Draw curves.png from results/: return over simulator steps.
 
 python experiments/01_four_robots/plot.py
 """
 
 from pathlib import Path
 
-import matplotlib.pyplot as plt
 import numpy as np
 import walk
 
@@ -13,7 +12,7 @@ from experiments import paper, pictures
 
 HERE = Path(__file__).parent
 NAMES = {"go1": "Unitree Go1", "go2": "Unitree Go2", "anymal_c": "ANYmal-C", "anymal_d": "ANYmal-D"}
-COLOURS = {"ppo16": "#1b5e9b", "dyna4": "#d1662a", "fast": "#3b8f5a"}
+VARIANTS = "ppo16", "dyna4", "fast"
 GOAL = {"go1": 36, "go2": 36, "anymal_c": 22, "anymal_d": 22}
 # folder of results/, line style, what is said of it
 SETS = (
@@ -30,13 +29,13 @@ def find(folder, name, variant):
     return HERE / "results" / folder / f"{name}_{variant}.csv.xz"
 
 
-def curve(axis, path, x, **style):
-    """Return over column `x` of every 10th iteration, as a mean of three rows."""
+def curve(axis, path, **style):
+    """Return over simulator steps of every 10th iteration, as a mean of three rows."""
     run = paper.read_one(path)
     tenth = run["iteration"] % 10 == 0
     run = {n: c[tenth] for n, c in run.items()}
     smooth = np.convolve(run["episode_return"], np.ones(3) / 3, "valid")
-    axis.plot(run[x][1:-1] / (1e6 if x == "sim_steps" else 1), smooth, **style)
+    axis.plot(run["sim_steps"][1:-1] / 1e6, smooth, **style)
 
 
 def main():
@@ -44,31 +43,27 @@ def main():
 
 
 def make(out: Path) -> None:
-    plt.rcParams.update({"font.size": 9, "axes.spines.top": False, "axes.spines.right": False})
-    figure, axes = plt.subplots(2, 4, figsize=(13, 6), layout="constrained", sharey="col")
-    for column, name in zip(axes.T, walk.ROBOTS, strict=True):
-        columns = ("iteration", "sim_steps"), ("iteration", "simulator steps (M)")
-        for axis, x, label in zip(column, *columns, strict=True):
-            for folder, line, _ in SETS:
-                for variant, colour in COLOURS.items():
-                    path = find(folder, name, variant)
-                    if path.exists():
-                        faint = dict(lw=1.0, alpha=0.6) if folder else dict(lw=1.8)
-                        curve(axis, path, x, color=colour, ls=line, **faint)
-            axis.axhline(GOAL[name], color="0.55", lw=0.8, ls=(0, (6, 3)))
-            axis.set_xlabel(label)
-            axis.grid(alpha=0.25)
-            axis.set_xlim(left=0)
-            axis.set_ylim(-1, 40 if name.startswith("go") else 26)
-        column[0].set_title(NAMES[name])
-    for row in axes:
-        row[0].set_ylabel("episode return")
-    lines = [plt.Line2D([], [], color=c, label=v) for v, c in COLOURS.items()]
-    lines += [plt.Line2D([], [], color="0.3", ls=line, label=text) for _, line, text in SETS[::-1]]
-    lines.append(
-        plt.Line2D([], [], color="0.55", lw=0.8, ls=(0, (6, 3)), label="36 of 45, 22 of 30")
-    )
-    figure.legend(handles=lines, loc="outside lower center", ncols=len(lines), frameon=False)
+    figure, axes = pictures.figure(2, 2, 6.4)
+    for axis, name in zip(axes.flat, walk.ROBOTS, strict=True):
+        for folder, dash, _ in SETS:
+            for variant in VARIANTS:
+                path = find(folder, name, variant)
+                if path.exists():
+                    faint = dict(lw=1.0, alpha=0.6) if folder else dict(lw=1.8)
+                    curve(axis, path, color=pictures.COLOURS[variant], ls=dash, **faint)
+        axis.axhline(GOAL[name], color="0.55", lw=0.8, ls=(0, (6, 3)))
+        axis.set(xlim=0, ylim=(-1, 40 if name.startswith("go") else 26), title=NAMES[name])
+    for axis in axes[:, 0]:
+        axis.set_ylabel("episode return")
+    for axis in axes[-1]:
+        axis.set_xlabel("simulator steps (M)")
+    line = axes[0, 0].plot
+    for variant in VARIANTS:
+        line([], [], color=pictures.COLOURS[variant], label=variant)
+    for _, dash, text in SETS[::-1]:
+        line([], [], color="0.3", ls=dash, label=text)
+    line([], [], color="0.55", lw=0.8, ls=(0, (6, 3)), label="36 of 45, 22 of 30")
+    pictures.legend(figure, axes[0, 0], 4)
     pictures.save(figure, out / "curves")
 
 

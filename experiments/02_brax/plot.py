@@ -2,8 +2,6 @@
 
 from pathlib import Path
 
-import matplotlib.pyplot as plt
-
 from experiments import paper, pictures
 
 HERE = Path(__file__).parent
@@ -20,18 +18,20 @@ def main():
 
 
 def make(out: Path) -> None:
-    figure, axes = plt.subplots(2, 3, figsize=(12, 6), constrained_layout=True)
+    figure, axes = pictures.figure(2, 3, 4.6)
     for row, (task, title) in zip(axes, TITLES.items(), strict=True):
-        for method in ("ppo", "dyna"):
+        for method, like in (("ppo", "ppo16"), ("dyna", "dyna4")):
             run = paper.read_one(HERE / "results" / f"{task}_{method}.csv")
             for axis, name in zip(row, PANELS, strict=True):
-                axis.plot(run["sim_steps"] / 1e6, run[name], label=method, lw=1.4)
+                line = pictures.line(like)
+                axis.plot(run["sim_steps"] / 1e6, run[name], label=method, lw=1.4, **line)
         for axis, label in zip(row, PANELS.values(), strict=True):
-            axis.set_title(f"{title}: {label}", fontsize=9)
-            axis.grid(alpha=0.3)
-            axis.set_xlabel("simulator steps (M)")
-        row[0].legend(frameon=False)
-    pictures.save(figure, out / "curves", dpi=110)
+            axis.set_title(label, fontsize=9.5)
+        row[0].set_ylabel(title)
+    for axis in axes[-1]:
+        axis.set_xlabel("simulator steps (M)")
+    pictures.legend(figure, axes[0, 0], 2)
+    pictures.save(figure, out / "curves")
 
 
 if __name__ == "__main__":

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from dynappo.train import curves
-from experiments import paper
+from experiments import paper, pictures
 
 HERE = Path(__file__).parent
 RESULTS = HERE / "results"
@@ -21,10 +21,10 @@ SECONDS = (30, 45, 60, 90)  # of training
 LEVEL = 35  # of 45
 IDLE = "go1-103"  # a run that had the machine to itself
 METHODS = {  # files -> label, colour
-    "go1": ("`:laptop`: 8 simulated rows, a tail of 16", "#7a4fa3"),
-    "ppo8": ("PPO alone, 8 rows", "#d9a05b"),
-    "ppo16": ("PPO alone, 16 rows", "#2b2b2b"),
-    "ppo24": ("PPO alone, 24 rows", "#9a9a9a"),
+    "go1": ("`:laptop`: 8 simulated rows, a tail of 16", pictures.BLUE),
+    "ppo8": ("PPO alone, 8 rows", pictures.ORANGE),
+    "ppo16": ("PPO alone, 16 rows", pictures.BLACK),
+    "ppo24": ("PPO alone, 24 rows", pictures.GREY),
 }
 LIMITS = {"tracking_error": 0.2, "yaw_error": 0.25, "fall_rate": 0.03}  # "walks"
 
@@ -128,9 +128,7 @@ def cores() -> str:
 
 def draw(path: Path) -> None:
     """Evaluated return over seconds of training: every seed, and the mean of each method."""
-    import matplotlib.pyplot as plt
-
-    figure, axes = plt.subplots(figsize=(7, 3.6), layout="constrained")
+    figure, ((axes,),) = pictures.figure(1, 1, 3.8)
     for name, (label, colour) in METHODS.items():
         found = runs(name)
         if not found:
@@ -153,9 +151,8 @@ def draw(path: Path) -> None:
     axes.set(
         xlabel="seconds of training", ylabel="evaluated return (of 45)", xlim=(0, 120), ylim=(0, 45)
     )
-    axes.grid(alpha=0.3)
     axes.legend(frameon=False, loc="lower right")
-    figure.savefig(path, dpi=150)
+    pictures.save(figure, path)
 
 
 if __name__ == "__main__":
