@@ -31,8 +31,9 @@ SHARP = 0.5  # pixels drawn for one of the page: a CPU draws them all
 PATIENCE = 60.0  # s
 # A CPU draws every frame, and takes the time from what is tested: fewer frames, without smooth edges.
 SELDOM = """
+window.rest = 100;
 const soon = window.requestAnimationFrame.bind(window);
-window.requestAnimationFrame = call => setTimeout(() => soon(call), 100);
+window.requestAnimationFrame = call => setTimeout(() => soon(call), window.rest);
 window.cancelAnimationFrame = clearTimeout;
 const context = HTMLCanvasElement.prototype.getContext;
 HTMLCanvasElement.prototype.getContext = function (kind, options) {
@@ -136,6 +137,13 @@ class Tab:
                 code=code or name,
                 windowsVirtualKeyCode=number,
             )
+
+    @contextlib.contextmanager
+    def at_rest(self):
+        """Draw next to nothing, and leave the processor to another page."""
+        self.value("window.rest = 5000")
+        yield
+        self.value("window.rest = 100")
 
     def watched(self, yes):
         """Whether the page believes that a person looks at it."""

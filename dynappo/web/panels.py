@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import viser
 
+from dynappo.policy import episode as episode_lib
 from dynappo.web import live as live_lib
 from dynappo.web.live import Live
 
@@ -243,16 +244,28 @@ def by_kind(live: Live) -> dict[str, list[int]]:
 
 
 def draw(panels: Panels, live: Live) -> None:
-    """Fill the plots with the last seconds."""
+    """Fill the plots with the last seconds, now at their right end.
+
+    They are always as long: viser's plots show nothing any more after time has jumped back.
+    """
     if not live.history:
         return
-    rows = list(live.history)[:: max(1, len(live.history) // POINTS)]
+    history = list(live.history)
+    rows = history[:: max(1, len(history) // POINTS)]
     t, command, velocity, _ = (np.array(column) for column in zip(*rows, strict=True))
     for i, handle in enumerate(panels.motion):
-        handle.data = (t, command[:, i], velocity[:, i])
-    t, _, _, torque = (np.array(c) for c in zip(*list(live.history)[-STRIDES:], strict=True))
+        handle.data = _window(live_lib.HISTORY, t - live.t, command[:, i], velocity[:, i])
+    t, _, _, torque = (np.array(column) for column in zip(*history[-STRIDES:], strict=True))
+    seconds = STRIDES * episode_lib.period(live.body)
     for handle, joints in zip(panels.torque, by_kind(live).values(), strict=False):
-        handle.data = (t, *torque[:, joints].T)
+        handle.data = _window(seconds, t - live.t, *torque[:, joints].T)
+
+
+def _window(seconds: float, t: np.ndarray, *columns: np.ndarray) -> tuple[np.ndarray, ...]:
+    """A plot's data from `seconds` ago until now, with nothing where there are no rows."""
+    nothing = [np.nan]
+    ends = (np.concatenate([nothing, column, nothing]) for column in columns)
+    return np.concatenate([[-seconds], t, [0.0]]), *ends
 
 
 def tell(panels: Panels, live: Live, text: str) -> None:

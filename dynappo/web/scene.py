@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import mjviser
 import mujoco
 import numpy as np
+import trimesh
 import viser
 
 from dynappo.policy import render
@@ -21,7 +22,7 @@ GREEN, BLUE = (26, 158, 77), (33, 107, 237)  # command and velocity, as on the p
 LIFT = (0.14, 0.18)  # m above the base
 LONG = 0.5  # m of an arrow for each m/s
 SHORTEST = 0.05  # m/s of an arrow that is drawn
-NARROW = 600  # pixels
+NARROW = 0.65  # width over height: a phone held upright, where viser puts its buttons at the bottom
 NEAR = 1.7  # the camera's distance, times the extent of the model
 
 
@@ -32,7 +33,7 @@ class Shown:
     server: viser.ViserServer
     robot: mjviser.ViserMujocoScene
     arrows: list[viser.ArrowsHandle]
-    box: viser.BoxHandle
+    box: viser.GlbHandle
     follow: bool = True
 
 
@@ -77,12 +78,12 @@ def _view(live: Live, narrow: bool) -> tuple[np.ndarray, np.ndarray]:
 
 def welcome(shown: Shown, live: Live, client: viser.ClientHandle) -> None:
     """Have a viewer who comes see the robot."""
-    position, look_at = _view(live, client.camera.image_width < NARROW)
+    position, look_at = _view(live, client.camera.aspect < NARROW)
     at = np.zeros(3) if shown.follow else live.data.xpos[live.body.base_body].copy()
     client.camera.position, client.camera.look_at = position + at, look_at + at
 
 
-def _hand(server: viser.ViserServer, live: Live) -> viser.BoxHandle:
+def _hand(server: viser.ViserServer, live: Live) -> viser.GlbHandle:
     """A box around the base that nobody sees: who drags it pulls the robot."""
     model, base = live.body.model, live.body.base_body
     half = np.full(3, 0.05)
@@ -93,15 +94,11 @@ def _hand(server: viser.ViserServer, live: Live) -> viser.BoxHandle:
         turn = turn.reshape(3, 3)
         far = np.abs(model.geom_pos[i] + turn @ centre) + np.abs(turn) @ reach
         half = np.maximum(half, far)
-    # a wireframe: the faces of a box hide the floor behind them even where they are transparent
-    box = server.scene.add_box(
-        "/hand",
-        dimensions=tuple(2 * half),
-        wireframe=True,
-        opacity=0.0,
-        cast_shadow=False,
-        receive_shadow=False,
-    )
+    # not `add_box`: where that is transparent, it still hides the floor behind it
+    unseen = trimesh.visual.material.PBRMaterial(alphaMode="BLEND", baseColorFactor=(0, 0, 0, 0))
+    mesh = trimesh.creation.box(2 * half)
+    mesh.visual = trimesh.visual.TextureVisuals(material=unseen)
+    box = server.scene.add_mesh_trimesh("/hand", mesh, cast_shadow=False, receive_shadow=False)
 
     @box.on_drag("left")
     async def _(event) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from dynappo.web import address, policies
+from dynappo.web import live as live_lib
 
 viser = pytest.importorskip("viser", reason="viser is not installed (extra web)")
 server = pytest.importorskip("dynappo.web.server", reason="mjviser is not installed (extra web)")
@@ -28,6 +29,7 @@ def serving(port):
         scene = page.server.scene  # a CPU draws it, so without shadows and reflections
         scene.configure_default_lights(cast_shadow=False)
         scene.configure_environment_map(None)
+        scene.configure_environment_map = lambda *_, **__: None  # another robot would turn it on
         told.append(SimpleNamespace(page=page, url=url))
 
     thread = threading.Thread(target=server.serve, args=args, kwargs={"ready": ready, "stop": stop})
@@ -145,14 +147,35 @@ def test_a_drag_on_the_robot_pulls_it_and_beside_it_turns_the_view(served, tab):
 
 
 def test_a_push_moves_it(served, tab):
+    """It stands anew first: it may have been pulled over."""
     live = served.page.live
 
     def sideways():
-        return max(abs(velocity[1]) for _, _, velocity, _ in list(live.history)[-40:])
+        return max((abs(velocity[1]) for _, _, velocity, _ in list(live.history)[-40:]), default=0)
 
-    until(lambda: sideways() < 0.15)
+    tab.press("reset")
+    until(lambda: live.fell is None and 1 < live.t < 5)
+    assert sideways() < 0.15
     tab.key("x", "KeyX", 88)
     until(lambda: sideways() > 0.25)
+
+
+PLOTTED = (
+    "Object.values(__viserTestpoints.uplots).map(p => [p.chart.scales.x.min, p.chart.scales.x.max])"
+)
+
+
+def test_plots_end_now_also_after_a_reset(served, tab):
+    """The last 8 s of motion are seen, and those of a robot that has just stood up."""
+
+    def window():
+        return tab.value(PLOTTED)[:3]
+
+    until(lambda: window() == [[-live_lib.HISTORY, 0]] * 3)
+    tab.press("reset")
+    until(lambda: served.page.live.t < 1)
+    time.sleep(2)
+    assert window() == [[-live_lib.HISTORY, 0]] * 3
 
 
 def test_a_gamepad_steers_and_stops(served, tab):
@@ -196,16 +219,16 @@ def test_another_policy_is_another_robot(served, tab):
     until(lambda: page.live.body.policy.robot == "anymal_c")
     tab.until("document.body.innerText.includes('anymal_c/policy.npz')")
     until(lambda: dark(robot(tab.pixels())) > 0.005)
+    until(lambda: tab.value(PLOTTED)[:3] == [[-live_lib.HISTORY, 0]] * 3)
     assert page.panels.sliders[0].max == pytest.approx(page.live.body.policy.command_x[1])
 
 
 def test_a_narrow_screen_and_a_second_viewer(served, tab, tmp_path):
     """Both see the same robot; the one who goes leaves the other, and the robot, as they are."""
     count = len(served.page.server.get_clients())
-    with browser.chromium(tmp_path / "profile", browser.NARROW) as open_:
+    with browser.chromium(tmp_path / "profile", browser.NARROW) as open_, tab.at_rest():
         other = shown(open_(served.url))
         assert len(served.page.server.get_clients()) == count + 1
-        # two of them are slow to become clear, where a processor draws
         until(lambda: dark(other.pixels(tmp_path / "narrow.png")[150:310], 200) > 0.02)
         other.key("i", "KeyI", 73)
         until(lambda: served.page.live.command[0] > 0)
@@ -241,7 +264,7 @@ def test_nothing_was_wrong_in_the_console(tab):
 
 def test_only_this_machine_is_let_in(served):
     port = int(served.url.rpartition(":")[2])
-    with urllib.request.urlopen(served.url, timeout=5) as answer:
+    with urllib.request.urlopen(served.url, timeout=browser.PATIENCE) as answer:
         assert b"<html" in answer.read(2000)
     from dynappo.web.server import start
 
