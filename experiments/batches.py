@@ -2,11 +2,12 @@
 
 Some settings were trained more than once: with seeds 5 to 9, or at an earlier commit. `load` gives all
 seeds of all batches as one run. Seeds of another batch with the same number are other seeds, because
-MuJoCo Warp is not deterministic. Every batch of 12_platforms and 20_tail by itself is in
-20_tail/batches.csv. A run that has the name of another in the folder `more` beside it is its next batch.
+MuJoCo Warp is not deterministic. Every batch by itself is in 20_tail/batches.csv. A run that has the name
+of another in the folder `more` beside it is its next batch.
 
 Not pooled: runs whose settings differ, such as `second/anymal_c_ppo16` (another entropy coefficient), and
-`second/go1_fast`, which is the run in 12_platforms.
+`second/go1_fast`, which is the run in 12_platforms/earlier. The runs of 12_platforms/results have a later
+commit and another engine: they are by themselves, and where a page asks, beside the `earlier` ones.
 """
 
 from __future__ import annotations
@@ -18,17 +19,16 @@ import numpy as np
 from experiments import paper
 
 EXPERIMENTS = Path(__file__).parent
-FIRST = ("12_platforms", "20_tail")
-MORE = {  # run in FOLDER/results -> other batches of its job, in 20_tail/results
-    "12_platforms/go1_ppo16": ("first/go1_ppo16", "second/go1_ppo16"),
-    "12_platforms/go1_best": ("second/go1_best",),
-    "12_platforms/anymal_c_ppo16": ("anymal_c_ppo16_seed5",),
-    "12_platforms/anymal_c_best": ("anymal_c_best_seed5",),
-    "12_platforms/anymal_d_ppo16": ("anymal_d_ppo16_seed5",),
-    "12_platforms/anymal_d_best": ("anymal_d_best_seed5",),
-    "20_tail/go1_ppo16_1024": ("second/go1_ppo16_1024",),
-    "20_tail/go1_best_1024": ("go1_best_1024_seed5",),
-    "20_tail/go1_24of32": ("second/go1_24of32",),
+MORE = {  # FOLDER/run -> other batches of its job, in 20_tail/results
+    "12_platforms/earlier/go1_ppo16": ("first/go1_ppo16", "second/go1_ppo16"),
+    "12_platforms/earlier/go1_best": ("second/go1_best",),
+    "12_platforms/earlier/anymal_c_ppo16": ("anymal_c_ppo16_seed5",),
+    "12_platforms/earlier/anymal_c_best": ("anymal_c_best_seed5",),
+    "12_platforms/earlier/anymal_d_ppo16": ("anymal_d_ppo16_seed5",),
+    "12_platforms/earlier/anymal_d_best": ("anymal_d_best_seed5",),
+    "20_tail/results/go1_ppo16_1024": ("second/go1_ppo16_1024",),
+    "20_tail/results/go1_best_1024": ("go1_best_1024_seed5",),
+    "20_tail/results/go1_24of32": ("second/go1_24of32",),
 }
 PER_SEED = ("return", "return_max", "policy_std", "return_of_all")
 
@@ -41,11 +41,15 @@ def load(folder: Path, name: str) -> paper.Run | None:
     return pool([run, *found]) if run and run.columns and found else run
 
 
+def earlier(folder: Path, name: str) -> paper.Run | None:
+    """All batches of this setting in the folder `earlier` beside `folder`."""
+    return load(folder.resolve().parent / "earlier", name)
+
+
 def others_of(folder: Path, name: str) -> list[Path]:
     """Where the other batches of a run are, without suffix."""
-    known = {EXPERIMENTS / first / "results": first for first in FIRST}
-    first = known.get(folder.resolve(), "")
-    named = [EXPERIMENTS / "20_tail/results" / o for o in MORE.get(f"{first}/{name}", ())]
+    others = {EXPERIMENTS / run: batches for run, batches in MORE.items()}
+    named = [EXPERIMENTS / "20_tail/results" / o for o in others.get(folder.resolve() / name, ())]
     more = (folder / "more" / f"{name}.json").exists()
     return [*named, *([folder / "more" / name] if more else [])]
 

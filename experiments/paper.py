@@ -11,6 +11,7 @@ import csv
 import json
 import lzma
 import os
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -48,8 +49,8 @@ QUICK = (
 
 
 def variants(robot: str) -> tuple[str, ...]:
-    """Of a robot's tables: the paper's and ours; `fast` was run on Go1 only."""
-    return (*VARIANTS, *(name for name in OURS if name != "fast" or robot == "go1"))
+    """Of a robot's tables: the paper's, and `fast`, which was run on Go1 only."""
+    return (*VARIANTS, *(["fast"] if robot == "go1" else []))
 
 
 class Run(NamedTuple):
@@ -164,6 +165,9 @@ def reached(run: Run, limit: float, every: int = 1) -> dict[str, np.ndarray]:
     return took | {"with_setup": took["seconds"] + run.summary.get("compile_seconds", np.nan)}
 
 
+tenth = partial(reached, every=EVERY)  # as `reached`
+
+
 def returns(run: Run) -> dict[str, Any]:
     """Cells of a table: best and final return and policy std, over seeds."""
     cells: dict[str, Any] = {"seeds": len(peak(run))}
@@ -171,9 +175,23 @@ def returns(run: Run) -> dict[str, Any]:
     return cells | stats.spread("policy_std", policy_std(run))
 
 
-def effort(run: Run, limit: float, every: int = 1) -> dict[str, Any]:
-    """Cells: how many seeds get to `limit`, and what it took those (`reached`)."""
-    took = reached(run, limit, every)
+def evaluated(run: Run, level: float) -> dict[str, np.ndarray]:
+    """As `reached`, by evaluation: where the line through a seed's evaluations first is at `level`."""
+    names = ("iteration", "sim_steps", "seconds")
+    values = run.columns.get("eval_return", np.full_like(run.columns["episode_return"], np.nan))
+    rows = np.isfinite(values).all(1)
+    values, took = values[rows], {n: np.full(values.shape[1], np.nan) for n in names}
+    for s, ours in enumerate(values.T):
+        for i in np.flatnonzero(ours >= level)[:1]:
+            ends = ours[max(i - 1, 0) : i + 1]
+            for n in names:
+                took[n][s] = np.interp(level, ends, run.columns[n][rows][max(i - 1, 0) : i + 1, s])
+    return took | {"with_setup": took["seconds"] + run.summary.get("compile_seconds", np.nan)}
+
+
+def effort(run: Run, limit: float, how=reached) -> dict[str, Any]:
+    """Cells: how many seeds get to `limit`, and what it took those; `how` says what counts."""
+    took = how(run, limit)
     there = np.isfinite(took["iteration"])
     cells: dict[str, Any] = {"success_rate_pct": 100 * there.mean()}
     if there.any():
@@ -184,12 +202,12 @@ def effort(run: Run, limit: float, every: int = 1) -> dict[str, Any]:
     return cells
 
 
-def against(run: Run, base: Run, limit: float, every: int = 1) -> dict[str, Any]:
+def against(run: Run, base: Run, limit: float, how=reached) -> dict[str, Any]:
     """Cells: steps to `limit` as a share of `base`'s (`stats.share`), seconds too, and their tests.
 
     `p_steps` is Welch's, where all seeds of both get there; `p_steps_rank` counts "never" as the last.
     """
-    ours, theirs = reached(run, limit, every), reached(base, limit, every)
+    ours, theirs = how(run, limit), how(base, limit)
     steps, steps_ = ours["sim_steps"], theirs["sim_steps"]
     most, most_ = (r.columns["sim_steps"][-1, 0] for r in (run, base))
     cells = {f"share_of_ppo16_{n}": v for n, v in stats.share(steps, steps_, most, most_).items()}

@@ -216,7 +216,7 @@ def test_runs_of_one_setting_are_read_from_the_folder_that_has_them(tmp_path, mo
         assert len(paper.peak(known)) == 5
         assert known.columns["sim_steps"][-1, 0] == 500 * envs * rows
     monkeypatch.setattr(ablation, "OTHERS", tmp_path)
-    keep(tmp_path / "12_platforms" / "results", "go1_ppo12", [[7.0] * 5] * 12)
+    keep(tmp_path / "12_platforms" / "earlier", "go1_ppo12", [[7.0] * 5] * 12)
     cells = ablation.build(tmp_path / "own", [(2048, 12), (4096, 12)])
     assert [cell["status"] for cell in cells] == ["not run", ""]
     assert (cells[1]["seeds"], cells[1]["max_reward_mean"]) == (5, 7)
@@ -238,7 +238,7 @@ def test_tails_are_compared_with_the_real_rows_that_they_stand_for(tmp_path, mon
         job = script("10_ablation").job(1024, rows)
         keep(tmp_path / "10_ablation" / "results", run.name(job), [last] * 10)
     keep(folder, "go1_dyna4_rollout.num_envs_1024_rollout.horizon_24", [[20.0, 28.0]] * 10)
-    keep(tmp_path / "12_platforms" / "results", "go1_ppo16", [[30.0, 30.0]] * 10)  # limit 24
+    keep(tmp_path / "12_platforms" / "earlier", "go1_ppo16", [[30.0, 30.0]] * 10)  # limit 24
     assert len(cliff.jobs(folder)) == 5
     table = cliff.build(folder)
     assert [row["status"] for row in table].count("") == 4  # PPO-20 is in two groups
@@ -291,8 +291,8 @@ def test_efficiency_counts_steps_and_success(tmp_path):
     keep(tmp_path, "go1_dyna4", rising * [2.0, 0.5])
     rows, top = script("14_efficiency").build(tmp_path, 10.0), "80 % of PPO-16"
     base, tail = (paper.pick(rows, threshold=top, variant=v) for v in ("ppo16", "dyna4"))
-    assert (base["limit"], base["sim_steps_M_mean"], base["seconds_mean"]) == (32, 0.032, 64)
-    assert (tail["iterations_mean"], tail["with_setup_mean"]) == (16, 132)
+    assert (base["limit"], base["sim_steps_M_mean"]) == (32, 0.032)
+    assert tail["iterations_mean"] == 16 and not any(n.startswith("seconds") for n in tail)
     # the seed that never gets there counts with all of its 40 iterations
     assert (tail["share_of_ppo16_pct"], tail["share_of_ppo16_bound"]) == (100 * 28 / 32, "at least")
     assert "p_steps" not in tail and "share_of_ppo16_pct" not in base
@@ -300,6 +300,35 @@ def test_efficiency_counts_steps_and_success(tmp_path):
     printed = paper.pick(rows, threshold="paper, 30.5", variant="dyna4")
     assert (printed["iterations_mean"], printed["paper_iterations"]) == (16, 383)
     assert paper.pick(rows, threshold="80 % of the ablation's best")["limit"] == 8
+
+
+def test_efficiency_by_evaluation_and_against_earlier_batches_too(tmp_path):
+    """On the line between two evaluations, the first for a seed that is there already."""
+    count = np.arange(1, 7)
+    columns = {"iteration": count, "sim_steps": 1000 * count, "seconds": 2.0 * count}
+    columns = {name: np.stack([c, c, c], 1) for name, c in columns.items()}
+    columns["episode_return"] = np.zeros((6, 3))
+    columns["eval_return"] = np.full((6, 3), np.nan)
+    columns["eval_return"][1::2] = [[10.0, 50.0, 0.0], [20.0, 50.0, 5.0], [40.0, 50.0, 37.9]]
+    found = paper.evaluated(paper.Run(columns, {"compile_seconds": 100.0}), 38.0)
+    np.testing.assert_allclose(found["sim_steps"], [4000 + 2000 * 18 / 20, 2000, np.nan])
+    np.testing.assert_allclose(found["with_setup"], [100 + 8 + 4 * 0.9, 104, np.nan])
+    del columns["eval_return"]
+    never = paper.evaluated(paper.Run(columns, {}), 38.0)
+    assert np.isnan(never["iteration"]).all()
+
+    rising = np.arange(1, 41)[:, None]
+    keep(tmp_path / "results", "go1_ppo16", rising * [1.0, 1.1])
+    keep(tmp_path / "results", "go1_dyna2", rising * [2.0, 1.9])
+    keep(tmp_path / "earlier", "go1_ppo16", rising * [0.9, 0.8])
+    rows = script("14_efficiency").build(tmp_path / "results", None)
+    tail = paper.pick(rows, threshold="paper, 30.5", variant="dyna2")
+    ours, pooled = [16, 17], [31, 28, 34, 39]  # iterations, of 1000 steps
+    assert tail["pooled_pct"] == pytest.approx(100 * np.mean(ours) / np.mean(pooled))
+    assert tail["pooled_p"] == pytest.approx(stats.welch_of(ours, pooled))
+    assert tail["share_of_ppo16_pct"] == pytest.approx(100 * np.mean(ours) / np.mean(pooled[:2]))
+    evaluated = paper.pick(rows, threshold="evaluated", variant="dyna2")
+    assert evaluated["success_rate_pct"] == 0 and "pooled_p" not in evaluated
 
 
 def test_the_tail_table_counts_steps_seconds_and_pairs_seeds(tmp_path, monkeypatch):

@@ -159,9 +159,11 @@ def test_the_rank_test_is_exact_and_never_is_later_than_anything():
 
 def test_batches_of_one_setting_are_pooled_and_none_is_left_out():
     """Audit: three batches of PPO-16 with 4096 robots, two with 1024."""
-    for name, seeds in (("12_platforms/go1_ppo16", 15), ("20_tail/go1_ppo16_1024", 10)):
-        first, _, run = name.partition("/")
-        folder = batches.EXPERIMENTS / first / "results"
+    for name, seeds in (
+        ("12_platforms/earlier/go1_ppo16", 15),
+        ("20_tail/results/go1_ppo16_1024", 10),
+    ):
+        folder, run = (batches.EXPERIMENTS / name).parent, name.rpartition("/")[2]
         others = batches.others_of(folder, run)
         each = [paper.load(p.parent, p.name) for p in [folder / run, *others]]
         found = batches.load(folder, run)
@@ -183,7 +185,7 @@ def test_every_run_of_a_job_that_is_stored_is_in_its_pool():
     mains = {json.loads(p.read_text()).get("job") for p in results.glob("*.json")}
     mains |= {
         json.loads(p.read_text()).get("job")
-        for p in (batches.EXPERIMENTS / "12_platforms" / "results").glob("*.json")
+        for p in (batches.EXPERIMENTS / "12_platforms" / "earlier").glob("*.json")
     }
     for path in [*results.glob("first/*.json"), *results.glob("second/*.json")]:
         if json.loads(path.read_text()).get("job") in mains:

@@ -15,8 +15,8 @@ GRID = [(envs, n) for envs in (4096, 8192, 2048, 1024, 512) for n in HORIZONS]
 FIVE = ((1024, 12), (1024, 20), (1024, 24))  # five seeds where the return rises most, as ELSEWHERE
 OTHERS = Path(__file__).parent.parent
 ELSEWHERE = {  # runs of the same setting, with five seeds
-    (4096, 12): "12_platforms/results/go1_ppo12",
-    (4096, 16): "12_platforms/results/go1_ppo16",
+    (4096, 12): "12_platforms/earlier/go1_ppo12",
+    (4096, 16): "12_platforms/earlier/go1_ppo16",
     (1024, 16): "20_tail/results/go1_ppo16_1024",
 }
 MARKS = "ovsD^"
@@ -51,7 +51,7 @@ def build(folder: Path, grid) -> list[dict]:
         row = {"envs": envs, "horizon": horizon, "status": paper.status(found)}
         if found and found.columns:
             row |= paper.returns(found)
-            took = paper.effort(found, paper.LIMIT, paper.EVERY)
+            took = paper.effort(found, paper.LIMIT, paper.tenth)
             row |= {f"to_{paper.LIMIT}_{name}": value for name, value in took.items()}
             row["minutes"] = found.summary["seconds"] / 60
             row["sim_steps_M"] = found.summary["sim_steps"] / 1e6

@@ -5,7 +5,8 @@
 "max_reward" is the paper's: the best return of a run, over all iterations. "return" is the mean of the
 last ten. A row compares all three, evaluated return among them, with PPO-16's of the same robot: the
 difference with Welch's 95 % interval, p of Welch's test and of equivalence (`stats.MARGIN`), both by Holm
-over all comparisons of that measure in the table, and the verdict of the latter.
+over all comparisons of that measure in the table, and the verdict of the latter. batches.csv compares PPO
+with its earlier batches, of MuJoCo Warp instead of our kernel (folder earlier/).
 """
 
 from pathlib import Path
@@ -21,6 +22,10 @@ COLUMNS = (
     "evaluated_return_mean return_mean policy_std_mean paper_policy_std_mean"
 ).split()
 MEASURES = ("max_reward", "evaluated_return", "return")
+BATCHES = (
+    "robot variant measure seeds earlier_seeds mean earlier_mean difference difference_low "
+    "difference_high p p_holm p_equal p_equal_holm"
+).split()
 
 
 def main():
@@ -34,7 +39,29 @@ def make(out: Path) -> None:
     paper.show(rows, COLUMNS)
     for name in MEASURES:
         paper.show(rows, ["robot", "variant", *(f"{name}_{cell}" for cell in stats.COMPARED)])
+    both = [row for measure in MEASURES[:2] for row in with_earlier(out / "results", measure)]
+    if both:
+        paper.write(out / "batches.csv", both)
+        paper.show(both, BATCHES)
     draw(rows, out / "platforms")
+
+
+def with_earlier(folder: Path, measure: str) -> list[dict]:
+    """PPO's runs of `folder` beside all earlier batches of the same setting: a row a robot and variant."""
+    rows = []
+    for robot in paper.ROBOTS:
+        for variant in ("ppo12", "ppo16"):
+            name = f"{robot}_{variant}"
+            run, earlier = paper.load(folder, name), batches.earlier(folder, name)
+            if not (run and earlier):
+                continue
+            new, old = seeds_of(run, measure), seeds_of(earlier, measure)
+            row = {"robot": robot, "variant": variant, "measure": measure}
+            row |= {"seeds": len(new), "earlier_seeds": len(old)}
+            row |= {"mean": new.mean(), "earlier_mean": old.mean()}
+            rows.append(row | stats.compare(new, old, stats.MARGIN[robot]))
+    stats.correct(rows)
+    return rows
 
 
 def settings() -> list[dict]:
@@ -53,10 +80,10 @@ def settings() -> list[dict]:
 
 
 def build(folder: Path) -> list[dict]:
-    """A row a robot and variant; minutes are of all seeds, which train at once."""
+    """A row a robot and variant."""
     printed, rows = paper.table("platforms"), []
     for robot in paper.ROBOTS:
-        runs = {name: batches.load(folder, f"{robot}_{name}") for name in paper.variants(robot)}
+        runs = {name: paper.load(folder, f"{robot}_{name}") for name in paper.variants(robot)}
         for variant, run in runs.items():
             row: dict = {"robot": robot, "variant": variant, "status": paper.status(run)}
             if run and run.columns:
@@ -98,7 +125,7 @@ def measures(run: paper.Run) -> dict:
         row |= stats.spread("evaluated_return", evaluation["return"])
         for name in ("fall_rate", "tracking_error"):
             row[f"evaluated_{name}"] = float(np.mean(evaluation[name]))
-    row |= {"sim_steps_M": summary["sim_steps"] / 1e6, "minutes": summary["seconds"] / 60}
+    row["sim_steps_M"] = summary["sim_steps"] / 1e6
     return row | {"device": summary["device"], "impl": summary["impl"], "date": summary["date"]}
 
 
@@ -121,7 +148,7 @@ def theirs(printed, robot: str, variant: str) -> dict:
 def draw(rows, path: Path) -> None:
     """Best return of every variant, ours and the paper's, both with the t interval of their seeds."""
     page, axes = pictures.figure(2, 2, 6.2, sharey=True, sharex=True)
-    names, seeds = [*paper.VARIANTS, *paper.OURS], []
+    names, seeds = paper.variants("go1"), []
     for axis, (robot, title) in zip(axes.flat, paper.ROBOTS.items(), strict=True):
         for y, variant in enumerate(names):
             row = paper.pick(rows, robot=robot, variant=variant)

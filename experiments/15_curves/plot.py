@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments import batches, paper, pictures, stats
+from experiments import paper, pictures, stats
 
 HERE = Path(__file__).parent
 AT = (50, 100, 200, 300, 400, 500)  # iterations of the table
@@ -20,7 +20,7 @@ METRICS = ("episode_return", "policy_std", "learning_rate", "velocity_error")
 def make(out: Path, others: Path = HERE.parent) -> None:
     rows, folder = [], others / "12_platforms" / "results"
     for robot, title in paper.ROBOTS.items():
-        runs = {name: batches.load(folder, f"{robot}_{name}") for name in paper.variants(robot)}
+        runs = {name: paper.load(folder, f"{robot}_{name}") for name in paper.variants(robot)}
         rows += [row for name, run in runs.items() for row in build(robot, name, run)]
         if robot == "go1" or any(run and run.columns for run in runs.values()):
             draw(runs, title, out / robot)

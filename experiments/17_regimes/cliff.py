@@ -88,7 +88,7 @@ def cells(folder: Path, name: str, rows: int, limit: float | None) -> dict:
                 out |= {"p_equal_all": some["p_equal"], "difference_to_all": some["difference"]}
                 out |= {f"difference_to_all_{n}": some[f"difference_{n}"] for n in ("low", "high")}
     if limit is not None:
-        out |= {"limit": limit} | paper.effort(found, limit, paper.EVERY)
+        out |= {"limit": limit} | paper.effort(found, limit, paper.tenth)
     return out
 
 

@@ -75,7 +75,7 @@ def found(folder: Path, regime: Regime, variant: str, rows: int | None = None) -
         if rows in (None, OWN_ROWS[variant]):
             places.insert(1, (others / "20_tail" / "results", f"go1_{variant}_{regime.envs}"))
             if regime.envs == 4096:
-                places.insert(1, (others / "12_platforms" / "results", f"go1_{variant}"))
+                places.insert(1, (others / "12_platforms" / "earlier", f"go1_{variant}"))
     return next((one for path, name in places if (one := batches.load(path, name))), None)
 
 
@@ -92,7 +92,7 @@ def build(folder: Path, regimes) -> list[dict]:
             high = 0.8 * float(paper.peak(longest).mean())
             for cells, one in zip(some, runs.values(), strict=True):
                 if one and one.columns:
-                    took = {"limit": high} | paper.effort(one, high, paper.EVERY)
+                    took = {"limit": high} | paper.effort(one, high, paper.tenth)
                     cells |= {f"to_ppo24_{name}": value for name, value in took.items()}
         rows += some
     tested = [cells for cells in rows if "p_vs_ppo16" in cells]
@@ -117,9 +117,9 @@ def row(regime: Regime, variant: str, one, runs, limit: float | None) -> dict:
     if longest and longest.columns and variant == "best":
         cells |= beside(one, longest)
     if limit is not None:
-        cells |= {"limit": limit} | paper.effort(one, limit, paper.EVERY)
+        cells |= {"limit": limit} | paper.effort(one, limit, paper.tenth)
         if base and base.columns and one is not base:
-            cells |= paper.against(one, base, limit, paper.EVERY)
+            cells |= paper.against(one, base, limit, paper.tenth)
     return cells | {"device": one.summary["device"], "date": one.summary["date"]}
 
 
@@ -127,7 +127,7 @@ def beside(one, longest) -> dict:
     """Cells: best returns and simulator steps of `best` against PPO-24's, to 80 % of PPO-24's best."""
     cells = stats.compare(paper.peak(one), paper.peak(longest), stats.MARGIN["go1"])
     high = 0.8 * float(paper.peak(longest).mean())
-    share = paper.against(one, longest, high, paper.EVERY).items()
+    share = paper.against(one, longest, high, paper.tenth).items()
     cells |= {n.replace("share_of_ppo16", "share"): v for n, v in share if "share_of" in n}
     return {f"ppo24_{name}": value for name, value in cells.items()}
 

@@ -2,7 +2,7 @@
 
     python experiments/20_tail/compare.py
 
-Reads the runs of `experiments/run.py` here and in 12_platforms: all batches of a setting pooled
+Reads the runs of `experiments/run.py` here and in 12_platforms/earlier: all batches of a setting pooled
 (`experiments/batches.py`), except in the groups whose names say which batch they are. The threshold is 80 %
 of the mean over seeds of the best return of the first run of a group, PPO-16 or, among the ideas, `best`.
 Shares are of the first run's simulator steps and seconds to the threshold; seeds that never reach it count
@@ -21,7 +21,7 @@ import numpy as np
 from experiments import batches, paper, pictures, stats
 
 HERE = Path(__file__).parent
-FOLDERS = (HERE / "results", HERE.parent / "12_platforms" / "results")
+FOLDERS = (HERE / "results", HERE.parent / "12_platforms" / "earlier")
 ROBOTS = {"go1": "Go1", "go2": "Go2", "anymal_c": "ANYmal-C", "anymal_d": "ANYmal-D"}
 WITHOUT = ("clean", "known_reward", "falls", "bounds")
 # group -> (first, and what is compared with it); a group is of one batch unless the README says otherwise
@@ -102,10 +102,9 @@ def find(name: str, load=paper.load):
 
 def batch_rows(name: str) -> list[dict]:
     """A row a batch of one setting, then one of all its seeds."""
-    first, _, run = name.partition("/")
-    folder = HERE.parent / first / "results"
+    folder, run = (HERE.parent / name).parent, Path(name).name
     others = batches.others_of(folder, run)
-    every = {name: paper.load(folder, run)}
+    every = {name.replace("/results", ""): paper.load(folder, run)}
     for path in others:
         every[str(path.relative_to(HERE.parent)).replace("/results", "")] = find_path(path)
     rows = []
