@@ -40,6 +40,8 @@ VARIANTS = {  # the paper's five
     "dyna4_noschedule": "4-step tail, no ramp",
     "dyna4": "4-step tail",
 }
+# of the paper's tails: Isaac Lab's train.py allows TF32 (allow_tf32 = True), and the paper's A40 has it
+TAILS = ("model.precision=tf32",)
 OURS = {"fast": "fast (4-step tail)", "best": "best (16 of 24)"}
 # two CPU cores, minutes: shows that the scripts work, and nothing else
 QUICK = (

@@ -22,6 +22,7 @@ from experiments import paper, run
 SEEDS, EVERY = 5, 5
 AT = (5, 10, 15, 20, 30, 40, 50, 75, 100, 150, 200, 250, 300, 350, 400, 450, 500)
 SETTINGS = (f"run.log_every={EVERY}", "run.eval_envs=0", "run.checkpoint_every=0", "run.seed=500")
+SETTINGS += paper.TAILS
 
 
 def main():

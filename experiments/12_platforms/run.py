@@ -17,8 +17,6 @@ SEEDS, HEADLINE = 5, 10  # of Go1 in the paper's variants
 SETTINGS = (
     "run.seed=400 run.log_every=50 run.eval_every=50 run.eval_envs=200 run.checkpoint_every=0"
 ).split()
-# As the paper's: Isaac Lab's train.py allows it (allow_tf32 = True), and its A40 has it
-TAILS = ("model.precision=tf32",)
 
 
 def main():
@@ -30,7 +28,7 @@ def main():
         for robot in paper.ROBOTS:
             for variant in paper.variants(robot):
                 seeds = HEADLINE if robot == "go1" and variant != "fast" else SEEDS
-                settings = (*SETTINGS, *(TAILS if variant.startswith("dyna") else ()))
+                settings = (*SETTINGS, *(paper.TAILS if variant.startswith("dyna") else ()))
                 run.batch(results, [f"{robot}:{variant}"], seeds, settings, lock=args.lock)
     plot.make(args.out)
 

@@ -35,7 +35,8 @@ def main():
                 path = args.out / "results" / "kernel" / f"go1_{name}_{k}.json"
                 if not path.exists():
                     with run.alone(args.lock):
-                        fresh.submit(measure, f"go1:{name}", settings, path).result()
+                        own = paper.TAILS if name == "dyna4" else ()
+                        fresh.submit(measure, f"go1:{name}", (*settings, *own), path).result()
     plot.make(args.out)
 
 

@@ -33,7 +33,8 @@ def main():
         for variant in plot.VARIANTS:
             job = f"{args.robot}:{variant}"
             if not run.actor(policies, job, at[-1], seeds - 1).exists():
-                config = run.configure(job, seeds, settings)
+                own = paper.TAILS if variant.startswith("dyna") else ()
+                config = run.configure(job, seeds, (*settings, *own))
                 for program, done, state, _ in run.chunks(config, args.lock):
                     if done in at:
                         run.keep_actors(policies, job, done, config, program, state)
