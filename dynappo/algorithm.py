@@ -93,7 +93,7 @@ def iterate(
             start = jax.tree.map(partial(jnp.where, k == 0), last, drawn)
             keys = rollout.row_keys(key(ROWS, k), state.robot_index)
             act = policy(static, env, learner.params)
-            step = partial(dynamics.step, static, hyper, env, state.model)
+            step = dynamics.step(static, hyper, env, state.model)
             part = n_real, jnp.int32(horizon)
             buffer = rollout.fill(buffer, *part, start, keys, act=act, step=step)[0]
         batch = estimate(static, hyper, env, learner.params, buffer, real, k)
@@ -143,10 +143,11 @@ def run(
 def policy(static: Config, env: Env, params: dict):
     """`act(state, keys) -> action, mean, log_prob, value` of every robot; the action is Gaussian."""
     std = params["std"]
+    joined = networks.join(static, params)
 
     def act(state, keys):
         seen = networks.seen(static, env, state.obs, state.prop)
-        mean, value = networks.policy_and_value(static, params, *seen)
+        mean, value = networks.of_joined(static, joined, *seen)
         keys = jax.vmap(jax.random.fold_in, (0, None))(keys, ACTION)
         action = mean + std * jax.vmap(lambda k: jax.random.normal(k, std.shape))(keys)
         return action, mean, networks.log_prob(mean, std, action), value

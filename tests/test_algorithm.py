@@ -16,7 +16,6 @@ from toy_runs import (
     advantages,
     assert_close,
     assert_same,
-    carries_a_rollout,
     columns,
     leaves,
     observe,
@@ -540,7 +539,7 @@ def loops_over_rows(env, static, hyper, seeds, cols):
     run = jax.vmap(partial(algorithm.run, env, static=static), (None, 0, None))
     program = jax.make_jaxpr(run)(hyper, states, cols).jaxpr
     loops = [e for e in inner(program) if e.primitive.name == "while"]
-    fill = [e for e in loops if carries_a_rollout(e, (seeds,))]
+    fill = [e for e in loops if (seeds, N, R) in {v.aval.shape[:-1] for v in e.outvars}]
     return [[e.params["cond_jaxpr"].out_avals[0].shape for e in some] for some in (loops, fill)]
 
 

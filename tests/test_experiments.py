@@ -4,6 +4,7 @@ and tables on numbers known by hand. What trains is `-m slow`: every folder's `r
 
 import functools
 import importlib
+import itertools
 import json
 import lzma
 import pathlib
@@ -414,6 +415,49 @@ def test_swings_are_those_that_begin_and_end():
     shown = gait.strip({"dt": 0.02, "qpos": np.arange(40.0)[:, None]})[:, 0]
     np.testing.assert_array_equal(np.diff(shown), [3] * (gait.FRAMES - 1))
     assert shown[-1] == 39  # of an episode that ended early, its end
+
+
+def test_no_seed_that_falls_is_left_out_of_the_gaits(tmp_path):
+    """Four seeds of each method walk, fall late, fall at once, creep; at 200 all of the tail walk."""
+    plot, nan = script("16_gaits"), np.nan
+    ends = [(0.1, nan, 0.9), (0.2, 5.0, 0.8), (nan, 0.6, nan), (0.7, nan, 0.49)]
+    names = (
+        "tracking_error fall speed_ahead air_time tilt swings_per_second yaw_error distance".split()
+    )
+    rows = []
+    for variant, iteration in itertools.product(plot.VARIANTS, (100, 200)):
+        for seed, end in enumerate(ends):
+            good = (variant, iteration) == ("dyna4", 200)
+            row = {"variant": variant, "iteration": iteration, "speed": 1.0, "seed": seed}
+            numbers = (*(ends[0] if good else end), 0.1 + 0.01 * seed, 2.0, 3.0, 0.0, 9.0)
+            rows.append(row | dict(zip(names, numbers, strict=True)))
+    paper.write(tmp_path / "episodes.csv", rows)
+    episodes = plot.load(tmp_path / "episodes.csv")
+    some = plot.at(episodes, "ppo16", 1.0, 100)
+    assert plot.numbers(some, "tracking_error") == [0.1, 0.2, 1.0, 0.7]  # 1.0: as if it stood still
+    assert [e["walks"] for e in some] == [1, 0, 0, 0]
+    np.testing.assert_array_equal(plot.numbers(some, "air_time"), [0.1, nan, nan, nan])
+    first = plot.walkers(episodes, "go1", 1.0)
+    assert (first["ppo16_first"], first["dyna4_first"]) == ("100 nan nan nan", "100 200 200 200")
+    assert first["p"] == stats.rank_sum([100, nan, nan, nan], [100, 200, 200, 200])
+
+
+def test_errors_that_fall_and_grow_are_ratios_of_one_run():
+    """Two seeds, two iterations: an error halves, and four steps have three times that of one."""
+    plot = script("11_model")
+    rows = [(i, s, k) for i in (5, 100) for s in (0, 1) for k in plot.STEPS]
+    iteration, seed, steps = np.array(rows, float).T
+    errors = {
+        "iteration": iteration,
+        "seed": seed,
+        "steps": steps,
+        "group": np.full(len(rows), "a"),
+    }
+    errors["rmse"] = (1 + seed) * np.where(iteration == 5, 2, 1) * (1 + 2 * np.log2(steps) / 2)
+    cells = paper.pick(plot.claims("go1", errors), steps=4)
+    assert cells["at_100_by_first_mean"] == pytest.approx(0.5)
+    assert cells["by_one_step_mean"] == pytest.approx(3)
+    assert (cells["by_one_step_sd"], cells["grows_at"], cells["of"]) == (pytest.approx(0), 2, 2)
 
 
 def test_tails_overlap_the_next_rollouts():

@@ -32,10 +32,10 @@ def row(config, **kwargs):
     return {name: column[0] for name, column in columns(config, **kwargs).items()}
 
 
-def carries_a_rollout(equation, seeds=()):
-    """Whether an equation is a loop over the rollout buffer: of `rollout.fill`, or of rounds."""
+def carries_a_rollout(equation):
+    """Whether an equation is the loop of rounds, which carries the rollout's fields."""
     shapes = [v.aval.shape for v in equation.outvars]
-    return equation.primitive.name in ("while", "scan") and shapes.count((*seeds, N, R, 6)) >= 2
+    return equation.primitive.name in ("while", "scan") and shapes.count((N, R, 6)) >= 2
 
 
 @functools.cache

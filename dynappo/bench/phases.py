@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -88,7 +87,7 @@ def _tail_row(program, state, rows: int = 64) -> float:
             dynamics.tail(static, env, state.env_state),
             rollout.row_keys(state.key, state.robot_index),
             act=algorithm.policy(static, env, state.learner.params),
-            step=partial(dynamics.step, static, program.hyper, env, state.model),
+            step=dynamics.step(static, program.hyper, env, state.model),
         )[0]
 
     compiled = jax.jit(write)

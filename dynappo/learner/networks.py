@@ -29,7 +29,6 @@ LOG_2PI = 1.8378770664093453
 PRECISION = {"highest": "highest", "tf32": "tensorfloat32", "bfloat16": "default"}
 
 MAX_MEAN = 10.0  # units of the action; policy/policy_file.py and the ONNX file clip there too
-PARTS = ("kernel", "bias")  # of a layer
 # for last layers: bfloat16 would round a value of 5 by up to 0.016, half the reward of a step
 FLOAT32_DOT = partial(jax.lax.dot_general, preferred_element_type=jnp.float32)
 
@@ -146,27 +145,50 @@ def policy_and_value(static: Config, params: dict, obs: Float[Array, "... O"], c
     in TF32, 5.0 in bfloat16 (H200; experiments/03_speed/peers.md). In bfloat16 the last products
     are float32.
     """
-    dtype = jnp.bfloat16 if static.ppo.precision == "bfloat16" else jnp.float32
+    return of_joined(static, join(static, params), obs, critic_obs)
+
+
+def join(static: Config, params: dict) -> dict:
+    """The weights of both networks as `of_joined` multiplies them: by layer, and rounded.
+
+    A loop over rows does this once, before it begins: in the loop it takes 7 kernels a row.
+    """
+    nets = [cast(static.ppo.precision, params[name]["params"]) for name in ("actor", "critic")]
+    first, *hidden, last = ([net[f"Dense_{i}"] for net in nets] for i in range(len(nets[0])))
+    if static.ppo.critic == "obs":
+        # one input, so one plain product; [B, 2, H] would be copied later
+        first = jax.tree.map(lambda *x: jnp.concatenate(x, -1), *first)
+    hidden = [jax.tree.map(lambda *x: jnp.stack(x), *pair) for pair in hidden]
+    return {"first": first, "hidden": hidden, "last": last}
+
+
+def cast(precision: str, weights):
+    """Weights rounded as a network of this precision multiplies them."""
+    dtype = jnp.bfloat16 if precision == "bfloat16" else jnp.float32
+    return jax.tree.map(lambda w: w.astype(dtype), weights)
+
+
+def of_joined(static: Config, joined: dict, obs: Float[Array, "... O"], critic_obs=None):
+    """`policy_and_value` of weights that `join` has joined."""
+    first = joined["first"]
     dot = partial(jnp.einsum, precision=PRECISION[static.ppo.precision])
-    both = [params[name]["params"] for name in ("actor", "critic")]
-    both = jax.tree.map(lambda p: p.astype(dtype), both)
-    *hidden, last = (f"Dense_{i}" for i in range(len(both[0])))
     act = ACTIVATIONS[static.ppo.activation]
-    if critic_obs is None or critic_obs is obs:
-        # the first layer has one input, so it is one plain product; [B, 2, H] would be copied later
-        kernel, bias = (jnp.concatenate([net[hidden[0]][p] for net in both], -1) for p in PARTS)
-        x = dot("...i,io->...o", obs.astype(dtype), kernel) + bias
+
+    def one(layer, obs):
+        return (
+            dot("...i,io->...o", cast(static.ppo.precision, obs), layer["kernel"]) + layer["bias"]
+        )
+
+    if static.ppo.critic == "obs":
+        x = one(first, obs)
         x = act(jnp.moveaxis(x.reshape(*x.shape[:-1], 2, -1), -2, 0))
     else:
-        rows = zip((obs, critic_obs), [net[hidden[0]] for net in both], strict=True)
-        parts = [dot("...i,io->...o", o.astype(dtype), n["kernel"]) + n["bias"] for o, n in rows]
-        x = act(jnp.stack(parts))
-    for name in hidden[1:]:
-        kernel, bias = (jnp.stack([net[name][part] for net in both]) for part in PARTS)
-        bias = jnp.expand_dims(bias, range(1, x.ndim - 1))
-        x = act(dot("k...i,kio->k...o", x, kernel) + bias)
+        x = act(jnp.stack([one(*both) for both in zip(first, (obs, critic_obs), strict=True)]))
+    for layer in joined["hidden"]:
+        bias = jnp.expand_dims(layer["bias"], range(1, x.ndim - 1))
+        x = act(dot("k...i,kio->k...o", x, layer["kernel"]) + bias)
     dot = partial(dot, "...i,io->...o", preferred_element_type=jnp.float32)
-    mean, found = (dot(x[i], net[last]["kernel"]) + net[last]["bias"] for i, net in enumerate(both))
+    mean, found = (dot(x[i], net["kernel"]) + net["bias"] for i, net in enumerate(joined["last"]))
     return jnp.clip(mean, -MAX_MEAN, MAX_MEAN), found[..., 0]
 
 

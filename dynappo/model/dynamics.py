@@ -28,6 +28,7 @@ import jax
 import jax.numpy as jnp
 import optax
 from flax import struct
+from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from dynappo.learner import networks
@@ -126,44 +127,51 @@ def fit(
     (x_mean, x_std), (y_mean, y_std) = _scales(static, model)
     data = jnp.concatenate([(x - x_mean) / x_std, (y - y_mean) / y_std, weight[..., None]], -1)
     inputs, adam = x.shape[-1], optax.scale_by_adam()
+    turns = orders(static, n_real, num_envs, key)
+    # as one vector each: Adam then takes one kernel, not two for every layer
+    params, unflatten = ravel_pytree(model.params)
+    adams = model.opt_state
+    opt_state = adams._replace(mu=ravel_pytree(adams.mu)[0], nu=ravel_pytree(adams.nu)[0])
 
     def minibatch(i, carry):
         params, opt_state, before, _ = carry
         place = i * drawn + jnp.arange(drawn)  # counted through all epochs
-        batch = jnp.take_along_axis(data, times(place, horizon, num_envs, n_real, key), axis=0)
+        batch = jnp.take_along_axis(data, times(place, n_real, *turns), axis=0)
         used = batch[..., -1] * (place < epochs * n_real)[:, None]
         batch = batch[..., :inputs], batch[..., inputs:-1], used
-        value, grads = jax.value_and_grad(loss, argnums=2)(static, hyper, params, *batch)
+        value, grads = jax.value_and_grad(lambda p: loss(static, hyper, unflatten(p), *batch))(
+            params
+        )
         updates, opt_state = adam.update(grads, opt_state)
-        rate = hyper.model.learning_rate
-        params = jax.tree.map(lambda p, u: p - rate * u, params, updates)
+        params = params - hyper.model.learning_rate * updates
         return params, opt_state, jnp.where(i == 0, value, before), value
 
     steps = (epochs * n_real + drawn - 1) // drawn
-    start = (model.params, model.opt_state, jnp.zeros(()), jnp.zeros(()))
+    start = (params, opt_state, jnp.zeros(()), jnp.zeros(()))
     params, opt_state, before, after = jax.lax.fori_loop(0, steps, minibatch, start)
-    model = model.replace(params=params, opt_state=opt_state)
+    opt_state = opt_state._replace(mu=unflatten(opt_state.mu), nu=unflatten(opt_state.nu))
+    model = model.replace(params=unflatten(params), opt_state=opt_state)
     return model, {"model_loss": after, "model_loss_before": before}
 
 
-def times(
-    place: Int[Array, " D"], horizon: int, num_envs: int, n_real: Int[Array, ""], key: PRNGKeyArray
-) -> Int[Array, "D R 1"]:
-    """The row of each robot at places `epoch n_real + k`, `k < n_real`, of at most two epochs.
-
-    An epoch has every real row once, in one random order for all robots; each starts elsewhere.
-    """
-    epoch = place // n_real
+def orders(static: Config, n_real: Int[Array, ""], num_envs: int, key: PRNGKeyArray):
+    """`(order [E, N], first [E, R])` of the fit's epochs: every real row once, in one random order
+    for all robots; each robot starts elsewhere in it. Made before the loop: in it they took 7 kernels
+    a minibatch."""
 
     def order(epoch):
         order_key, first_key = jax.random.split(jax.random.fold_in(key, epoch))
-        rank = jax.random.uniform(order_key, (horizon,))
-        rank = jnp.where(jnp.arange(horizon) < n_real, rank, 1.0)  # real rows come first
+        rank = jax.random.uniform(order_key, (static.rollout.horizon,))
+        rank = jnp.where(jnp.arange(len(rank)) < n_real, rank, 1.0)  # real rows come first
         return jnp.argsort(rank), jax.random.randint(first_key, (num_envs,), 0, n_real)
 
-    orders, first = jax.vmap(order)(epoch[0] + jnp.arange(2))
-    which = epoch - epoch[0]
-    return orders[which[:, None], (place[:, None] + first[which]) % n_real][..., None]
+    return jax.vmap(order)(jnp.arange(max(static.model.epochs, static.model.late_epochs or 0)))
+
+
+def times(place: Int[Array, " D"], n_real: Int[Array, ""], order, first) -> Int[Array, "D R 1"]:
+    """The row of each robot at places `epoch n_real + k`, `k < n_real`, by the `orders` of the epochs."""
+    epoch = (place // n_real)[:, None] % len(order)  # more epochs than the setting's begin again
+    return order[epoch, (place[:, None] + first[epoch[:, 0]]) % n_real][..., None]
 
 
 def predict(
@@ -185,31 +193,36 @@ def predict(
     return jnp.concatenate([prop, env.context(obs, action)], -1), reward, lives
 
 
-def step(
-    static: Config, hyper: Config, env: Env, model: ModelState, state: TailState, action, keys
-):
-    """`(state, Outcome)` of all robots, as an environment's step; only `clean` uses the `keys`.
+def step(static: Config, hyper: Config, env: Env, model: ModelState):
+    """`step(state, action, keys) -> state, Outcome` of all robots in a tail, for `rollout.fill`.
 
     Without `falls` no row falls: the paper's model predicts no terminations. No row is truncated.
+    Only `clean` uses the keys.
     """
-    obs = jnp.concatenate([state.prop, state.obs[..., env.prop_size :]], -1)
-    obs, reward, discount = predict(static, hyper, env, model, obs, action)
-    prop = obs[..., : env.prop_size]
-    obs = jnp.concatenate([prop, env.context(state.obs, action)], -1)  # with what was sensed before
-    if static.model.clean:
-        keys = jax.vmap(jax.random.fold_in, (0, None))(keys, NOISE)
-        if env.bias is not None:
-            obs = obs.at[..., : env.prop_size].add(env.bias(obs))
-        obs = obs.at[..., : env.prop_size].add(jax.vmap(env.noise, (None, 0))(hyper, keys))
-    outcome = Outcome(
-        reward=reward,
-        discount=discount,
-        truncation=jnp.zeros_like(reward),
-        next_obs=obs,
-        next_prop=prop,
-        valid=jnp.ones_like(reward),
-        episode_return=jnp.zeros_like(reward),
-        episode_length=jnp.zeros_like(reward),
-        metrics={},
-    )
-    return TailState(obs=obs, prop=prop), outcome
+    model = model.replace(params=networks.cast(static.model.precision, model.params))
+
+    def row(state: TailState, action, keys):
+        seen = jnp.concatenate([state.prop, state.obs[..., env.prop_size :]], -1)
+        after, reward, discount = predict(static, hyper, env, model, seen, action)
+        prop = sensed = after[..., : env.prop_size]
+        context = env.context(state.obs, action)  # with what was sensed before
+        if static.model.clean:
+            keys = jax.vmap(jax.random.fold_in, (0, None))(keys, NOISE)
+            if env.bias is not None:
+                sensed += env.bias(jnp.concatenate([prop, context], -1))
+            sensed += jax.vmap(env.noise, (None, 0))(hyper, keys)
+        obs, zero = jnp.concatenate([sensed, context], -1), jnp.zeros_like(reward)
+        outcome = Outcome(
+            reward=reward,
+            discount=discount,
+            truncation=zero,
+            next_obs=obs,
+            next_prop=prop,
+            valid=jnp.ones_like(reward),
+            episode_return=zero,
+            episode_length=zero,
+            metrics={},
+        )
+        return TailState(obs=obs, prop=prop), outcome
+
+    return row

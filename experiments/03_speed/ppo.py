@@ -217,7 +217,7 @@ def programs(args):
             keys = rollout.row_keys(key, jnp.arange(args.robots))
             empty = rollout.allocate(task, rows, args.robots)
             act = algorithm.policy(static, task, params)
-            step = partial(dynamics.step, static, hyper, task, model)
+            step = dynamics.step(static, hyper, task, model)
             return rollout.fill(empty, jnp.int32(0), n, state, keys, act=act, step=step)[:2]
 
         model = jax.jit(lambda key: dynamics.init(static, task, key))(jax.random.key(3))

@@ -1,7 +1,6 @@
 """Rollouts of `best` as they are, tails included, of a robot that walks: no learning of the policy."""
 
 import datetime
-from functools import partial
 from pathlib import Path
 
 import jax
@@ -42,6 +41,6 @@ def iterate(env, hyper, state, iteration, epochs, *, static):
         dynamics.tail(static, env, env_state),
         rollout.row_keys(rows_key, state.robot_index),
         act=algorithm.policy(static, env, state.learner.params),
-        step=partial(dynamics.step, static, hyper, env, model),
+        step=dynamics.step(static, hyper, env, model),
     )
     return state.replace(model=model, env_state=env_state), buffer

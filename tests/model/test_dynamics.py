@@ -298,7 +298,7 @@ def test_a_step_of_the_tail_carries_the_prediction_and_ends_no_episode():
     static, hyper = settings()
     model, rows = constant_model(static, OUTPUT, MEAN, STD), linear_rows(0)
     state = dynamics.TailState(obs=rows.obs[0], prop=rows.obs[0, :, :PROP])
-    state, outcome = dynamics.step(static, hyper, ENV, model, state, rows.action[0], None)
+    state, outcome = dynamics.step(static, hyper, ENV, model)(state, rows.action[0], None)
     expected = dynamics.predict(static, hyper, ENV, model, rows.obs[0], rows.action[0])
     assert_same((outcome.next_obs, outcome.reward, outcome.discount), expected)
     np.testing.assert_array_equal(state.obs, outcome.next_obs)

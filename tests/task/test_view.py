@@ -120,6 +120,7 @@ def test_a_tail_shows_the_policy_what_physics_would(world):
     static = world.static._replace(
         model=world.static.model._replace(clean=True, known_reward=False, falls=False)
     )
+    model = dynamics.init(static, env, jax.random.key(0))
     for t, (before, after, _) in enumerate(rows):
         truth = jnp.asarray(after.prop)
 
@@ -130,9 +131,8 @@ def test_a_tail_shows_the_policy_what_physics_would(world):
             patch.setattr(dynamics, "predict", predict)
             start = dynamics.tail(static, env, jax.tree.map(jnp.asarray, before))
             keys = jax.random.split(jax.random.key(9), ROBOTS)
-            state, told = dynamics.step(
-                static, world.hyper, env, None, start, jnp.asarray(world.actions[t]), keys
-            )
+            step = dynamics.step(static, world.hyper, env, model)
+            state, told = step(start, jnp.asarray(world.actions[t]), keys)
         np.testing.assert_allclose(state.obs, after.obs, 1e-5, 1e-5)
         np.testing.assert_array_equal(state.prop, after.prop)
         np.testing.assert_array_equal(told.next_obs, state.obs)
