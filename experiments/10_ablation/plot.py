@@ -1,13 +1,16 @@
 """results.csv and figure of the runs in results/, beside the paper's Table I.
 
 python experiments/10_ablation/plot.py
+
+"more_difference" is what the fresh seeds in results/more have more than the older ones, with Welch's 95 %
+interval; "more_p_holm" is Holm's over all cells that have such seeds.
 """
 
 from pathlib import Path
 
 import numpy as np
 
-from experiments import batches, paper, pictures, run
+from experiments import batches, paper, pictures, run, stats
 
 ENVS, HORIZONS = (512, 1024, 2048, 4096, 8192), (12, 16, 20, 24, 28, 32)
 # what decides most comes first: the paper's 4096 robots, and its best cell
@@ -22,7 +25,8 @@ ELSEWHERE = {  # runs of the same setting, with five seeds
 MARKS = "ovsD^"
 COLUMNS = (
     "envs horizon status seeds max_reward_mean max_reward_low max_reward_high paper_max_reward "
-    "policy_std_mean paper_policy_std to_30.5_success_rate_pct to_30.5_sim_steps_M_mean"
+    "policy_std_mean paper_policy_std to_30.5_success_rate_pct to_30.5_sim_steps_M_mean more_seeds "
+    "more_difference more_p more_p_holm"
 ).split()
 
 
@@ -50,7 +54,7 @@ def build(folder: Path, grid) -> list[dict]:
         found = load(folder, envs, horizon)
         row = {"envs": envs, "horizon": horizon, "status": paper.status(found)}
         if found and found.columns:
-            row |= paper.returns(found)
+            row |= paper.returns(found) | fresh(folder, envs, horizon)
             took = paper.effort(found, paper.LIMIT, paper.tenth)
             row |= {f"to_{paper.LIMIT}_{name}": value for name, value in took.items()}
             row["minutes"] = found.summary["seconds"] / 60
@@ -59,7 +63,23 @@ def build(folder: Path, grid) -> list[dict]:
         theirs = paper.pick(printed, envs=float(envs), horizon=float(horizon))
         names = {"max_reward": "max_reward", "policy_std": "policy_std", "minutes": "time_min"}
         rows.append(row | {f"paper_{ours}": theirs.get(name) for ours, name in names.items()})
+    tested = [row for row in rows if "more_p" in row]
+    adjusted = stats.holm([row["more_p"] for row in tested])
+    for row, p in zip(tested, adjusted, strict=True):
+        row["more_p_holm"] = float(p)
     return rows
+
+
+def fresh(folder: Path, envs: int, horizon: int) -> dict:
+    """Cells: a cell's seeds in `more` against the older ones, which another engine trained."""
+    name = run.name(job(envs, horizon))
+    both = [paper.load(path, name) for path in (folder / "more", folder)]
+    if not all(one and one.columns for one in both):
+        return {}
+    some, older = (paper.peak(one) for one in both)
+    found = stats.difference(some, older)
+    ends = {"more_low": found.low, "more_high": found.high, "more_p": stats.welch_of(some, older)}
+    return {"more_seeds": len(some), "more_difference": found.value} | ends
 
 
 def load(folder: Path, envs: int, horizon: int) -> paper.Run | None:
@@ -77,8 +97,8 @@ def best(rows, name: str = "max_reward_mean") -> dict:
 
 
 def findings(rows) -> list[str]:
-    """What the paper says of its table, for both."""
-    out = []
+    """What the paper says of its table, for both; how far the maps are apart; whether batches agree."""
+    out, maps = [], {}
     for who, reward, std in (
         ("ours", "max_reward_mean", "policy_std_mean"),
         ("paper", "paper_max_reward", "paper_policy_std"),
@@ -86,30 +106,82 @@ def findings(rows) -> list[str]:
         cells = {(row["envs"], row["horizon"]): row[reward] for row in rows if row.get(reward)}
         if not cells:
             continue
-        top = best(rows, reward)
+        maps[who], top = cells, best(rows, reward)
         line = f"{who}: best {top[reward]:.1f} at R={top['envs']}, N={top['horizon']}; 80 % of it "
         line += f"{0.8 * top[reward]:.2f}"
         pairs = np.array([(row[reward], row[std]) for row in rows if row.get(reward)])
         if len(pairs) > 2:
             correlation = np.corrcoef(pairs.T)[0, 1]
             line += f"; correlation of policy std and reward {correlation:.2f}"
-        steps = zip(HORIZONS, HORIZONS[1:], strict=False)
+        out += [line, *steepest(rows, cells, who == "ours"), rows_to(cells)]
+    if len(maps) == 2:
+        out += [line for times in (1, 2) if (line := apart(maps, times))]
+    return out + agree(rows)
+
+
+def steepest(rows, cells, ours: bool) -> list[str]:
+    """The largest gains by four and by eight rows more, and of ours Welch's p."""
+    out = []
+    for more in (4, 8):
         gains = {
-            (envs, n, m): cells[envs, m] - cells[envs, n]
-            for n, m in steps
-            for envs in ENVS
-            if (envs, n) in cells and (envs, m) in cells
+            (r, n): cells[r, n + more] - at
+            for (r, n), at in cells.items()
+            if (r, n + more) in cells
         }
-        if gains:
-            (envs, n, m), gain = max(gains.items(), key=lambda item: item[1])
-            line += f"; largest step R={envs}, N {n} to {m}: {gain:+.1f}"
-        out.append(line)
+        for (envs, n), gain in sorted(gains.items(), key=lambda item: -item[1])[:3]:
+            line = f"  R={envs}, N {n} to {n + more}: {gain:+.1f}"
+            if ours:
+                ends = [paper.pick(rows, envs=envs, horizon=m) for m in (n + more, n)]
+                ends = [
+                    stats.Moments(*(e[f"max_reward_{k}"] for k in ("mean", "sd")), e["seeds"])
+                    for e in ends
+                ]
+                line += f", p {stats.welch(*ends)[2]:.2g}"
+            out.append(line)
     return out
+
+
+def rows_to(cells, limit: float = paper.LIMIT) -> str:
+    """At how many rows the line through the means of R robots first is at `limit`."""
+    out = []
+    for envs in sorted({r for r, _ in cells}):
+        x = [n for r, n in sorted(cells) if r == envs]
+        y = [cells[envs, n] for n in x]
+        k = next((k for k, at in enumerate(y) if at >= limit), None)
+        if k:
+            out.append(f"R={envs}: {np.interp(limit, y[k - 1 : k + 1], x[k - 1 : k + 1]):.1f}")
+        else:
+            out.append(f"R={envs}: " + ("never" if k is None else f"{x[0]} or fewer"))
+    return f"  rows to {limit}: " + ", ".join(out)
+
+
+def apart(maps, times: int) -> str:
+    """How far ours at R robots is from the paper's at `times` R; nothing without a cell in both."""
+    ours, theirs = maps["ours"], maps["paper"]
+    by = [at - theirs[times * r, n] for (r, n), at in ours.items() if (times * r, n) in theirs]
+    if not by:
+        return ""
+    line = f"ours at R less the paper's at {times} R, {len(by)} cells: mean {np.mean(by):+.1f}, "
+    return line + f"mean size {np.mean(np.abs(by)):.1f}"
+
+
+def agree(rows) -> list[str]:
+    """Whether fresh seeds differ from the older ones."""
+    some = [row for row in rows if "more_p" in row]
+    if not some:
+        return []
+    low, lower = (
+        sum(row[name] < stats.ALPHA for row in some) for name in ("more_p", "more_p_holm")
+    )
+    mean = stats.spread("by", [row["more_difference"] for row in some])
+    line = f"fresh seeds of {len(some)} cells: {low} differ by p below {stats.ALPHA:.2f}, {lower} by Holm; "
+    ends = f"({mean['by_low']:.2f} to {mean['by_high']:.2f} over cells)"
+    return [f"{line}mean difference {mean['by_mean']:+.2f} {ends}"]
 
 
 def draw(rows, path: Path) -> None:
     """Figure 4: best return against N, a line for each R; ours beside the paper's."""
-    page, axes = pictures.figure(1, 2, 3.9, sharey=True)
+    page, axes = pictures.figure(1, 2, 4.6, sharey=True)
     every = sorted({row["envs"] for row in rows})
     shades, marks = pictures.SHADES[-len(every) :], MARKS[-len(every) :]
     for axis, who, mean in zip(
@@ -119,17 +191,17 @@ def draw(rows, path: Path) -> None:
             cells = [row for row in rows if row["envs"] == envs and row.get(mean) is not None]
             if not cells:
                 continue
-            aside = 0.5 * (k - (len(every) - 1) / 2) * (who == "ours")  # bars side by side
+            aside = 0.64 * (k - (len(every) - 1) / 2) * (who == "ours")  # bars side by side
             x, y = [row["horizon"] + aside for row in cells], [row[mean] for row in cells]
-            style = dict(color=colour, marker=mark, markersize=4.5, linewidth=1.4)
+            style = dict(color=colour, marker=mark, markersize=5.5, linewidth=1.1)
             axis.plot(x, y, label=f"R = {envs}", **style)
             if who == "ours":
                 ends = ([row[f"max_reward_{end}"] for row in cells] for end in ("low", "high"))
-                axis.vlines(x, *ends, color=colour, linewidth=1.1)
+                axis.vlines(x, *ends, color=colour, linewidth=1.8)
         if not axis.lines:
             pictures.missing(axis)
         axis.set_title("this repository" if who == "ours" else "paper", loc="left")
-        axis.set(xlabel="rows of a rollout N (control steps)", xticks=HORIZONS, xlim=(10.5, 33.5))
+        axis.set(xlabel="rows of a rollout N (control steps)", xticks=HORIZONS, xlim=(10.3, 33.7))
     axes[0, 0].set_ylim(0, 50)
     axes[0, 0].set_ylabel("best return of 500 iterations,\nmean over seeds")
     seeds = [row["seeds"] for row in rows if "seeds" in row]

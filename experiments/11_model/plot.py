@@ -1,4 +1,4 @@
-"""settings.csv (Table II), results.csv, and figures 5 and 6 of the robots in results/.
+"""Tables (Table II, loss, errors, claims) and figures 5 and 6 of the robots in results/.
 
 python experiments/11_model/plot.py
 """
@@ -14,7 +14,9 @@ from experiments import paper, pictures, stats
 LOSSES = ("model_loss", "model_loss_before")
 STEPS = (1, 2, 4, 8, 16)
 SHADES = (*pictures.SHADES[:0:-1], pictures.VERMILION)
-AT = (10, 50, 100, 200, 500)  # iterations of the table
+AT = (5, 10, 50, 100, 200, 500)  # iterations of the table
+LOSS_AT = (1, 2, 3, 5, 10, 30, 50, 100, 150, 200, 300, 400, 500)
+LATE = (10, 200)  # from where on the loss is nearly constant, or is not
 COLUMNS = "robot group steps iteration rmse_mean rmse_sd share_of_spread_mean status".split()
 
 
@@ -31,6 +33,8 @@ def make(out: Path) -> None:
     rows = [row for robot in paper.ROBOTS for row in build(robot, errors[robot])]
     paper.write(out / "results.csv", rows)
     paper.show([r for r in rows if r.get("steps") in (None, 1, 4, 16)], COLUMNS)
+    paper.write(out / "loss.csv", [row for r in paper.ROBOTS for row in fits(r, losses[r])])
+    paper.write(out / "claims.csv", [row for r in paper.ROBOTS for row in claims(r, errors[r])])
     draw_loss(measured(losses), out / "loss")
     draw_errors(measured(errors), out / "errors")
 
@@ -71,8 +75,7 @@ def build(robot: str, errors) -> list[dict]:
     for group in dict.fromkeys(errors["group"].tolist()):
         for k in STEPS:
             for iteration in sorted({*AT, last} & set(errors["iteration"].astype(int).tolist())):
-                at = (errors["iteration"] == iteration) & (errors["steps"] == k)
-                at &= errors["group"] == group
+                at = (errors["iteration"] == iteration) & where(errors, group, k)
                 rmse, spread = errors["rmse"][at], errors["spread"][at]
                 row = {"robot": robot, "group": group, "steps": k, "iteration": iteration}
                 row |= {"seeds": len(rmse)} | stats.spread("rmse", rmse)
@@ -80,11 +83,63 @@ def build(robot: str, errors) -> list[dict]:
     return rows
 
 
-def curve(columns, name: str, where) -> tuple[np.ndarray, np.ndarray]:
-    """`(iterations [I], values [I, S])` of the rows `where`."""
-    iteration, seeds = columns["iteration"][where], len(set(columns["seed"].tolist()))
-    order = np.lexsort((columns["seed"][where], iteration))
-    return np.unique(iteration), columns[name][where][order].reshape(-1, seeds)
+def fits(robot: str, losses) -> list[dict]:
+    """A row an iteration of `LOSS_AT`: the loss in the first and the last minibatch of its fit; then the
+    lowest and the highest mean over seeds from some iterations on."""
+    if not losses:
+        return [{"robot": robot, "status": "not run"}]
+    rows, everywhere = [], np.ones(len(losses["iteration"]), bool)
+    iterations, before = curve(losses, "model_loss_before", everywhere)
+    after = curve(losses, "model_loss", everywhere)[1]
+    wanted = [("", i) for i in np.flatnonzero(np.isin(iterations, LOSS_AT))]
+    for first in LATE:
+        late = np.flatnonzero(iterations >= first)
+        if len(late):
+            means = before[late].mean(1)
+            wanted += [(f"lowest from {first}", late[means.argmin()])]
+            wanted += [(f"highest from {first}", late[means.argmax()])]
+    for which, i in wanted:
+        row = {"robot": robot, "which": which, "iteration": int(iterations[i])}
+        row |= {"seeds": before.shape[1]} | stats.spread("before", before[i])
+        row |= stats.spread("after", after[i])
+        rows.append(row | stats.spread("before_by_after", before[i] / after[i]))
+    return rows
+
+
+def claims(robot: str, errors) -> list[dict]:
+    """A row a group and number of predictions: do errors fall, and do they grow with the steps?
+
+    Ratios are of one run's own errors, so one a seed. They fall, or grow, if the 95 % t interval of the
+    mean ratio lies below, or above, 1.
+    """
+    if not errors:
+        return [{"robot": robot, "status": "not run"}]
+    rows, first, last = [], errors["iteration"].min(), errors["iteration"].max()
+    for group in dict.fromkeys(errors["group"].tolist()):
+        whole = [curve(errors, "rmse", where(errors, group, k)) for k in STEPS]
+        (iterations, one), longest = whole[0], np.array([values for _, values in whole]).mean(-1)
+        grows = (np.diff(longest, axis=0) > 0).all(0)  # [I] with every doubling, mean over seeds
+        for k, (_, values) in zip(STEPS, whole, strict=True):
+            row = {"robot": robot, "group": group, "steps": k, "seeds": values.shape[1]}
+            for iteration in sorted({100, last} & set(iterations)):
+                some = values[iterations == iteration][0] / values[iterations == first][0]
+                row |= stats.spread(f"at_{iteration:g}_by_first", some)
+            row |= stats.spread("by_one_step", (values / one)[-1])
+            row |= {"grows_at": int(grows.sum()), "of": len(grows)}
+            rows.append(row)
+    return rows
+
+
+def where(errors, group: str, k: int) -> np.ndarray:
+    """Rows of a group and number of predictions."""
+    return (errors["group"] == group) & (errors["steps"] == k)
+
+
+def curve(columns, name: str, at) -> tuple[np.ndarray, np.ndarray]:
+    """`(iterations [I], values [I, S])` of the rows `at`."""
+    iteration, seeds = columns["iteration"][at], len(set(columns["seed"].tolist()))
+    order = np.lexsort((columns["seed"][at], iteration))
+    return np.unique(iteration), columns[name][at][order].reshape(-1, seeds)
 
 
 def seeds_of(tables) -> list[int]:
@@ -108,13 +163,20 @@ def draw_loss(losses, path: Path) -> None:
         everywhere = np.ones(len(table["iteration"]), bool)
         for name, (label, colour, dash) in zip(LOSSES, looks, strict=True):
             values = curve(table, name, everywhere)
-            pictures.band(axis, *values, colour, label, most=250, dash=dash)
-        pictures.log(axis, (1, 2, 3, 4, 5, 6, 8))
-        axis.set_xlim(0, None)
-    axes[0, 0].set_ylabel("Huber loss of the model\n(normalised targets, logarithmic)")
-    text = "Fig. 5: loss of the transition model"
+            pictures.band(axis, *values, colour, label, most=500, dash=dash)
+        pictures.log(axis, (1, 1.5, 2, 3, 4, 6, 8))
+        axis.set_xscale("log")  # the drop takes five iterations of 500
+        axis.set_xticks(
+            ticks := [i for i in (1, 3, 10, 30, 100, 500) if i <= max(table["iteration"])]
+        )
+        axis.set_xticklabels(f"{tick}" for tick in ticks)
+        axis.minorticks_off()
+    axes[0, 0].set_ylabel("Huber loss of the model")
+    text = (
+        "Fig. 5: loss of the transition model, in units of its targets. Both axes are logarithmic"
+    )
     if seeds := seeds_of(losses):
-        text += f". Band: {pictures.covers(seeds)}"
+        text += f"\nBand: {pictures.covers(seeds)}"
     pictures.head(page, text)
     pictures.legend(page, axes[0, 0], 2)
     pictures.save(page, path)
@@ -160,16 +222,15 @@ def lines(axis, errors, group: str) -> float:
     """A panel: a line a number of predictions, and the spread over robots. Gives the lowest number."""
     lowest = np.inf
     for k, colour in zip(STEPS, SHADES, strict=True):
-        where = (errors["group"] == group) & (errors["steps"] == k)
         label = f"{k} step" + "s" * (k > 1)
         dash = "-" if k < 16 else (0, (4, 1.2))
-        x, values = curve(errors, "rmse", where)
+        x, values = curve(errors, "rmse", where(errors, group, k))
         if k in (STEPS[0], STEPS[-1]):  # five bands would hide each other
             pictures.band(axis, x, values, colour, label, dash=dash)
         else:
             axis.plot(x, values.mean(1), color=colour, linewidth=1.6, label=label)
         lowest = min(lowest, values.mean(1).min())
-    x, spread = curve(errors, "spread", (errors["group"] == group) & (errors["steps"] == 1))
+    x, spread = curve(errors, "spread", where(errors, group, 1))
     style = dict(color="0.4", linestyle=":", linewidth=1.4, label="spread over robots")
     axis.plot(x, spread.mean(1), **style)
     pictures.log(axis)

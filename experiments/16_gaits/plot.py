@@ -1,14 +1,16 @@
-"""results.csv, figure and film strips (figure 9) of the robots in results/.
+"""results.csv, tests.csv, figure and film strips (figure 9) of the robots in results/.
 
-    python experiments/16_gaits/plot.py [--films]
+    python experiments/16_gaits/plot.py [--strips] [--films]
 
---films renders each walk of seed 0 too, from policies/, into films/ (not committed; needs OpenGL). The strips
-do without (drawing.py).
+--strips draws the strips of every robot and speed, not only those of the page, into films/ (not committed).
+--films renders each walk of seed 0 too, from policies/, into films/ (needs OpenGL; the strips do without:
+drawing.py).
 """
 
 import csv
 import sys
 from pathlib import Path
+from typing import Any
 
 import drawing
 import numpy as np
@@ -17,26 +19,33 @@ from experiments import paper, pictures, stats
 
 VARIANTS, SPEEDS = ("ppo16", "dyna4"), (0.5, 1.0)
 MEASURES = {
+    "walks": "share of seeds that walk",
     "tracking_error": "tracking error (m/s)",
-    "speed_ahead": "mean speed ahead (m/s)",
     "air_time": "air time of a swing (s)",
     "tilt": "tilt of the base (degrees, rms)",
 }
+OF_A_GAIT = ("air_time", "tilt", "swings_per_second")  # of seeds that walk: a stumble has no gait
+# differences that do not matter: a tenth of the lower speed; a control step; as one can see it
+MARGINS = {"tracking_error": 0.05, "air_time": 0.02, "tilt": 1.0}
 COLUMNS = (
     "robot variant speed iteration status seeds walk falls tracking_error_mean air_time_mean tilt_mean"
 ).split()
 SHOWN = (0, 2, 4, 6)  # frames of the poses, 60 ms apart
+PAGE = (("go1", 0.5), ("anymal_c", 0.5))  # the strips that the page shows
 # iterations of the strips: the paper's; ANYmals walk by 200 with either method, so earlier ones
 STRIPS = {"anymal_c": (150, 200, 300), "anymal_d": (150, 200, 300)}
 PAPER_STRIPS = (300, 400, 500)
 # m, ahead of the first frame and up; of a robot that stands 0.325 m high, a larger one has more
-WINDOW, HEIGHT = np.array([-0.42, 0.82, -0.04, 0.53]), 0.325
+WINDOW, HEIGHT = np.array([-0.42, 0.82, -0.04, 0.58]), 0.325
 
 
 def main():
     here = Path(__file__).parent
     make(here)
-    strips(here)
+    strips(here, PAGE)
+    if "--strips" in sys.argv:
+        every = [(robot, speed) for robot in paper.ROBOTS for speed in SPEEDS]
+        strips(here, every, here / "films")
     if "--films" in sys.argv:
         films(here)
 
@@ -46,6 +55,7 @@ def make(out: Path) -> None:
     rows = [row for robot, episodes in every.items() for row in build(robot, episodes)]
     paper.write(out / "results.csv", rows)
     paper.show(rows, COLUMNS)
+    paper.write(out / "tests.csv", tests(every))
     draw({robot: some for robot, some in every.items() if some} or {"go1": []}, out / "measures")
 
 
@@ -54,41 +64,104 @@ def key(variant: str, iteration: int, speed: float) -> str:
 
 
 def load(path: Path) -> list[dict]:
-    """Rows of episodes.csv; [] if it is not there."""
+    """Rows of episodes.csv, and `walks`, 1.0 or 0.0; [] if it is not there.
+
+    Seeds that walk do not fall, and go ahead with at least half of the speed that they are asked for:
+    that can be compared between robots, whose returns cannot. One that falls within the first second
+    has no tracking error: it counts as one that stands still, as means would leave it out in silence.
+    """
     if not path.exists():
         return []
     with path.open(newline="") as file:
-        rows = [dict(row) for row in csv.DictReader(file)]
-    return [{n: v if n == "variant" else float(v or "nan") for n, v in row.items()} for row in rows]
+        texts = [dict(row) for row in csv.DictReader(file)]
+    rows: list[dict[str, Any]] = [
+        {n: v if n == "variant" else float(v or "nan") for n, v in text.items()} for text in texts
+    ]
+    for row in rows:
+        if np.isnan(row["tracking_error"]):
+            row |= {"tracking_error": row["speed"], "speed_ahead": 0.0}
+        row["walks"] = float(np.isnan(row["fall"]) and row["speed_ahead"] >= 0.5 * row["speed"])
+    return rows
+
+
+def at(episodes, variant: str, speed: float, iteration: float) -> list[dict]:
+    """Episodes of one variant, speed and iteration, one a seed."""
+    wanted = (variant, speed, iteration)
+    return [e for e in episodes if (e["variant"], e["speed"], e["iteration"]) == wanted]
+
+
+def numbers(episodes, name: str) -> list[float]:
+    """A number a seed; of `OF_A_GAIT` NaN where it does not walk."""
+    return [e[name] if e["walks"] or name not in OF_A_GAIT else np.nan for e in episodes]
 
 
 def build(robot: str, episodes) -> list[dict]:
-    """A row a variant, speed and iteration: mean, deviation and interval over seeds.
-
-    Seeds that `walk` do not fall, and go ahead with at least half of the speed that they are asked for:
-    that can be compared between robots, whose returns cannot.
-    """
+    """A row a variant, speed and iteration: mean, deviation and interval over seeds."""
     rows = []
     for variant in VARIANTS:
         for speed in SPEEDS:
-            some = [e for e in episodes if (e["variant"], e["speed"]) == (variant, speed)]
-            row = {
-                "robot": robot,
-                "variant": variant,
-                "speed": speed,
-                "status": "" if some else "not run",
-            }
-            rows += [] if some else [row]
-            for iteration in sorted({e["iteration"] for e in some}):
-                at = [e for e in some if e["iteration"] == iteration]
-                cells = row | {"iteration": int(iteration), "seeds": len(at)}
-                cells["falls"] = sum(np.isfinite(e["fall"]) for e in at)
-                half = 0.5 * speed
-                cells["walk"] = sum(np.isnan(e["fall"]) and e["speed_ahead"] >= half for e in at)
-                for name in (*MEASURES, "yaw_error", "swings_per_second", "distance"):
-                    cells |= stats.spread(name, [e[name] for e in at])
+            row = {"robot": robot, "variant": variant, "speed": speed}
+            row["status"] = "" if episodes else "not run"
+            rows += [] if episodes else [row]
+            for iteration in sorted({e["iteration"] for e in episodes}):
+                some = at(episodes, variant, speed, iteration)
+                cells = row | {"iteration": int(iteration), "seeds": len(some)}
+                cells["falls"] = sum(np.isfinite(e["fall"]) for e in some)
+                cells["walk"] = round(sum(e["walks"] for e in some))
+                for name in ("tracking_error", "speed_ahead", *OF_A_GAIT, "yaw_error", "distance"):
+                    cells |= stats.spread(name, numbers(some, name))
                 rows.append(cells)
     return rows
+
+
+def tests(every) -> list[dict]:
+    """The tail less PPO-16, a row a measure, robot, speed and iteration; then who walks first.
+
+    Welch's tests and intervals; Holm's p is over all comparisons of a measure. The last rows compare
+    the first checkpoint at which each seed walks, by ranks: one that never walks comes last.
+    """
+    rows, cells = [], [(r, some, speed) for r, some in every.items() if some for speed in SPEEDS]
+    for name, margin in MARGINS.items():
+        family = []
+        for robot, some, speed in cells:
+            for iteration in sorted({e["iteration"] for e in some}):
+                base, tail = (numbers(at(some, v, speed, iteration), name) for v in VARIANTS)
+                row = {"measure": name, "robot": robot, "speed": speed, "iteration": int(iteration)}
+                for variant, values in zip(VARIANTS, (base, tail), strict=True):
+                    row[f"{variant}_mean"], _, row[f"{variant}_seeds"] = stats.moments(values)
+                row["margin"] = margin
+                family.append(row | stats.compare(tail, base, margin))
+        stats.correct(family)
+        for row in family:
+            row["verdict"] = row["verdict"] if np.isfinite(row["p"]) else "too few seeds"
+        rows += family
+    first = [walkers(some, robot, speed) for robot, some, speed in cells]
+    for row, p in zip(first, stats.holm([row["p"] for row in first]), strict=True):
+        rows.append(
+            row | {"p_holm": float(p), "verdict": "differs" if p < stats.ALPHA else "not shown"}
+        )
+    return rows
+
+
+def walkers(episodes, robot: str, speed: float) -> dict:
+    """When each seed of both methods first walks, and p of the rank sum test."""
+    both = []
+    for variant in VARIANTS:
+        some = [e for e in episodes if (e["variant"], e["speed"]) == (variant, speed)]
+        when = [
+            [e["iteration"] for e in some if e["seed"] == s and e["walks"]] for s in seeds(some)
+        ]
+        both.append([min(found, default=np.nan) for found in when])
+    row = {"measure": "first_walk", "robot": robot, "speed": speed, "p": stats.rank_sum(*both)}
+    for variant, values in zip(VARIANTS, both, strict=True):
+        row[f"{variant}_mean"], _, row[f"{variant}_seeds"] = stats.moments(values)
+        row[f"{variant}_first"] = " ".join(f"{x:g}" for x in sorted(values))
+    return row
+
+
+def seeds(episodes) -> list[float]:
+    """Of some episodes."""
+    return sorted({e["seed"] for e in episodes})
 
 
 def draw(every, path: Path) -> None:
@@ -112,9 +185,10 @@ def draw(every, path: Path) -> None:
         axis.set_ylim(bottom=0)
     for axis in axes[-1]:
         axis.set_xlabel("iteration of the policy")
-    if seeds := sorted({len({e["seed"] for e in some}) for some in every.values() if some}):
-        counted = " or ".join(map(str, seeds))
-        pictures.head(page, f"Small: each of {counted} seeds. Large, with lines: their mean")
+    if counts := sorted({len(seeds(some)) for some in every.values() if some}):
+        counted = " or ".join(map(str, counts))
+        text = f"Small marks: each of {counted} seeds. Lines: their mean. Air time, tilt: of seeds that walk"
+        pictures.head(page, text)
     pictures.legend(page, axes[0, 0], 2)
     pictures.save(page, path)
 
@@ -125,15 +199,13 @@ def panel(axis, episodes, name: str, size: int) -> None:
     apart = 0.08 * np.diff(every).min()  # side by side
     for v, variant in enumerate(VARIANTS):
         for k, (speed, line) in enumerate(zip(SPEEDS, ((0, (4, 1.5)), "-"), strict=True)):
-            columns = [
-                [e[name] for e in episodes if (e["variant"], e["speed"], e["iteration"]) == at]
-                for at in ((variant, speed, iteration) for iteration in every)
-            ]
+            columns = [numbers(at(episodes, variant, speed, i), name) for i in every]
             colour, mark = pictures.COLOURS[variant], "osPX"[2 * v + k]
             x = every + apart * (2 * v + k - 1.5)
             style = dict(color=colour, marker=mark)
-            for at, values in zip(x, columns, strict=True):
-                axis.plot([at] * len(values), values, ls="", alpha=0.4, ms=0.65 * size, **style)
+            dots = () if name == "walks" else zip(x, columns, strict=True)
+            for place, values in dots:
+                axis.plot([place] * len(values), values, ls="", alpha=0.4, ms=0.65 * size, **style)
             mean = [stats.moments(values).mean for values in columns]
             text = f"{paper.VARIANTS[variant]}, {speed} m/s"
             style |= dict(linestyle=line, linewidth=1.6, markersize=size, label=text)
@@ -141,15 +213,14 @@ def panel(axis, episodes, name: str, size: int) -> None:
     axis.set_xticks([i for i in every if i % 100 == 0] or every)
 
 
-def strips(out: Path) -> None:
-    """strips_ROBOT_SPEED.png of every robot that was run."""
-    for robot in paper.ROBOTS:
+def strips(out: Path, which, folder: Path | None = None) -> None:
+    """strips_ROBOT_SPEED.png of robots and speeds that were run, into `folder` or `out`."""
+    for robot, speed in which:
         path = out / "results" / robot / "poses.npz"
         if path.exists():
             with np.load(path) as file:
                 poses = {name: file[name] for name in file}
-            for speed in SPEEDS:
-                draw_strips(robot, poses, speed, out / f"strips_{robot}_{speed}")
+            draw_strips(robot, poses, speed, (folder or out) / f"strips_{robot}_{speed}")
 
 
 def draw_strips(robot: str, poses, speed: float, path: Path) -> None:
@@ -163,7 +234,7 @@ def draw_strips(robot: str, poses, speed: float, path: Path) -> None:
     known = sorted({int(name.rsplit("_", 2)[1]) for name in poses})
     every = [i for i in STRIPS.get(robot, PAPER_STRIPS) if i in known] or known
     rows = [(iteration, variant) for iteration in every for variant in VARIANTS]
-    page, axes = pictures.figure(len(rows), len(SHOWN), 0.99 * len(rows) + 0.8)
+    page, axes = pictures.figure(len(rows), len(SHOWN), 1.06 * len(rows) + 0.8)
     for row, (iteration, variant) in zip(axes, rows, strict=True):
         strip(row, model, poses[key(variant, iteration, speed)].astype(float), window)
         label = f"{iteration}\n" + {"ppo16": "PPO-16", "dyna4": "4-step\ntail"}[variant]

@@ -5,7 +5,7 @@
 Trains both, keeps the actors of `paper.CHECKPOINTS` in DIR/policies (not committed), plays each on C
 MuJoCo without noise at 0.5 and 1.0 m/s, and writes episodes.csv (a row an episode) and poses.npz (seed 0,
 for the film strips) into DIR/results/ROBOT. What is there is not made again; policies of the tail may come
-from `11_model/run.py --policies`. Then table, figure and strips of all robots, as plot.py.
+from `11_model/run.py --policies`. Then tables, figure and strips, as plot.py.
 """
 
 from pathlib import Path
@@ -40,7 +40,7 @@ def main():
                         run.keep_actors(policies, job, done, config, program, state)
         play(policies, results, args.robot, at, seeds, 5.0 if args.quick else SECONDS)
     plot.make(args.out)
-    plot.strips(args.out)
+    plot.strips(args.out, plot.PAGE)
 
 
 def play(policies: Path, results: Path, robot: str, at, seeds: int, seconds: float) -> None:

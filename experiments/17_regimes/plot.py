@@ -5,7 +5,8 @@
 "limit" is 80 % of the mean over seeds of PPO-16's best return: with 4096 robots for Isaac Lab's task, and
 with as many as the regime has for another task, whose returns are another number. "to_ppo24_limit" is 80 %
 of PPO-24's own best return in that regime. "p_vs_ppo16_holm" is Holm's over all of the table's. Equal to
-PPO-24 is meant within 1.0 of return (`stats.MARGIN`).
+PPO-24 is meant within 1.0 of return (`stats.MARGIN`). "ppo12_difference" is what a 4-step tail has more than
+PPO without these four rows; "ppo12_p_holm" is over all tails.
 """
 
 from pathlib import Path
@@ -16,11 +17,13 @@ import numpy as np
 from experiments import batches, paper, pictures, run, stats
 
 PPO = {"ppo12": 12, "ppo16": 16, "ppo24": 24}
+TAILS = ("dyna4_noschedule", "dyna4")
 OWN_ROWS = PPO | {"dyna4": 16, "dyna4_noschedule": 16, "best": 24}
 VARIANTS = ("ppo12", "ppo16", "dyna4_noschedule", "dyna4", "best", "ppo24")
 NAMES = paper.VARIANTS | paper.OURS | {"ppo24": "PPO, 24 steps"}
 COLUMNS = (
     "regime variant status seeds max_reward_mean max_reward_low max_reward_high p_vs_ppo16 p_vs_ppo16_holm "
+    "ppo12_difference ppo12_difference_low ppo12_difference_high ppo12_p ppo12_p_holm "
     "ppo24_difference ppo24_difference_low ppo24_difference_high ppo24_p ppo24_p_equal ppo24_share_pct "
     "ppo24_share_low ppo24_share_high evaluated_return limit success_rate_pct sim_steps_M_mean "
     "share_of_ppo16_pct share_of_ppo16_low share_of_ppo16_high share_of_ppo16_bound policy_std_mean "
@@ -95,10 +98,11 @@ def build(folder: Path, regimes) -> list[dict]:
                     took = {"limit": high} | paper.effort(one, high, paper.tenth)
                     cells |= {f"to_ppo24_{name}": value for name, value in took.items()}
         rows += some
-    tested = [cells for cells in rows if "p_vs_ppo16" in cells]
-    adjusted = stats.holm([cells["p_vs_ppo16"] for cells in tested])
-    for cells, p in zip(tested, adjusted, strict=True):
-        cells["p_vs_ppo16_holm"] = float(p)
+    for name in ("p_vs_ppo16", "ppo12_p"):
+        tested = [cells for cells in rows if name in cells]
+        adjusted = stats.holm([cells[name] for cells in tested])
+        for cells, p in zip(tested, adjusted, strict=True):
+            cells[f"{name}_holm"] = float(p)
     return rows
 
 
@@ -106,12 +110,15 @@ def row(regime: Regime, variant: str, one, runs, limit: float | None) -> dict:
     """What a variant came to, and what it took to get to `limit`."""
     cells = {"regime": regime.label, "envs": regime.envs, "variant": variant}
     cells["status"] = paper.status(one)
-    base, longest = runs["ppo16"], runs["ppo24"]
+    shortest, base, longest = (runs[name] for name in PPO)
     if not (one and one.columns):
         return cells
     cells |= paper.returns(one)
     if base and base.columns and one is not base:
         cells["p_vs_ppo16"] = stats.welch_of(paper.peak(one), paper.peak(base))
+    if shortest and shortest.columns and variant in TAILS:
+        some = stats.compare(paper.peak(one), paper.peak(shortest), stats.MARGIN["go1"])
+        cells |= {f"ppo12_{name}": v for name, v in some.items() if "equal" not in name}
     if evaluation := one.summary.get("evaluation"):
         cells["evaluated_return"] = float(np.mean(evaluation["return"]))
     if longest and longest.columns and variant == "best":
