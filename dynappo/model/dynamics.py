@@ -15,7 +15,7 @@ Options beyond the paper, fields of the group model that are off in the paper's 
 - `falls`: sigmoid(f_theta) is the probability of a fall, and 1 minus it is the tail's discount. The
   model learns from rows with a fall too, without class weights.
 
-Why an epoch runs through the rows of each robot, not through all rows in random order (`times`):
+Why an epoch runs through the rows of each robot, not through all rows in random order (`orders`):
 JAX cannot permute a traced number of rows, and computing on masked rows would cost what the tail
 saves. Every minibatch has equally many rows of each robot, so no row moves to another device.
 """
@@ -127,7 +127,7 @@ def fit(
     (x_mean, x_std), (y_mean, y_std) = _scales(static, model)
     data = jnp.concatenate([(x - x_mean) / x_std, (y - y_mean) / y_std, weight[..., None]], -1)
     inputs, adam = x.shape[-1], optax.scale_by_adam()
-    turns = orders(static, n_real, num_envs, key)
+    order, first = orders(static, n_real, num_envs, key)
     # as one vector each: Adam then takes one kernel, not two for every layer
     params, unflatten = ravel_pytree(model.params)
     adams = model.opt_state
@@ -136,12 +136,13 @@ def fit(
     def minibatch(i, carry):
         params, opt_state, before, _ = carry
         place = i * drawn + jnp.arange(drawn)  # counted through all epochs
-        batch = jnp.take_along_axis(data, times(place, n_real, *turns), axis=0)
+        epoch = place // n_real % len(order)  # more epochs than the setting's begin again
+        row = order[epoch[:, None], (place[:, None] + first[epoch]) % n_real]
+        batch = jnp.take_along_axis(data, row[..., None], axis=0)
         used = batch[..., -1] * (place < epochs * n_real)[:, None]
         batch = batch[..., :inputs], batch[..., inputs:-1], used
-        value, grads = jax.value_and_grad(lambda p: loss(static, hyper, unflatten(p), *batch))(
-            params
-        )
+        of = jax.value_and_grad(lambda params: loss(static, hyper, unflatten(params), *batch))
+        value, grads = of(params)
         updates, opt_state = adam.update(grads, opt_state)
         params = params - hyper.model.learning_rate * updates
         return params, opt_state, jnp.where(i == 0, value, before), value
@@ -155,9 +156,8 @@ def fit(
 
 
 def orders(static: Config, n_real: Int[Array, ""], num_envs: int, key: PRNGKeyArray):
-    """`(order [E, N], first [E, R])` of the fit's epochs: every real row once, in one random order
-    for all robots; each robot starts elsewhere in it. Made before the loop: in it they took 7 kernels
-    a minibatch."""
+    """`(order [E, N], first [E, R])` of epochs: every real row once, in one random order for all
+    robots; each starts elsewhere in it. In the loop over minibatches they would take 7 kernels."""
 
     def order(epoch):
         order_key, first_key = jax.random.split(jax.random.fold_in(key, epoch))
@@ -166,12 +166,6 @@ def orders(static: Config, n_real: Int[Array, ""], num_envs: int, key: PRNGKeyAr
         return jnp.argsort(rank), jax.random.randint(first_key, (num_envs,), 0, n_real)
 
     return jax.vmap(order)(jnp.arange(max(static.model.epochs, static.model.late_epochs or 0)))
-
-
-def times(place: Int[Array, " D"], n_real: Int[Array, ""], order, first) -> Int[Array, "D R 1"]:
-    """The row of each robot at places `epoch n_real + k`, `k < n_real`, by the `orders` of the epochs."""
-    epoch = (place // n_real)[:, None] % len(order)  # more epochs than the setting's begin again
-    return order[epoch, (place[:, None] + first[epoch[:, 0]]) % n_real][..., None]
 
 
 def predict(
@@ -194,10 +188,9 @@ def predict(
 
 
 def step(static: Config, hyper: Config, env: Env, model: ModelState):
-    """`step(state, action, keys) -> state, Outcome` of all robots in a tail, for `rollout.fill`.
+    """`step(state, action, keys) -> state, Outcome` of all robots, for `rollout.fill`.
 
     Without `falls` no row falls: the paper's model predicts no terminations. No row is truncated.
-    Only `clean` uses the keys.
     """
     model = model.replace(params=networks.cast(static.model.precision, model.params))
 
@@ -212,17 +205,8 @@ def step(static: Config, hyper: Config, env: Env, model: ModelState):
                 sensed += env.bias(jnp.concatenate([prop, context], -1))
             sensed += jax.vmap(env.noise, (None, 0))(hyper, keys)
         obs, zero = jnp.concatenate([sensed, context], -1), jnp.zeros_like(reward)
-        outcome = Outcome(
-            reward=reward,
-            discount=discount,
-            truncation=zero,
-            next_obs=obs,
-            next_prop=prop,
-            valid=jnp.ones_like(reward),
-            episode_return=zero,
-            episode_length=zero,
-            metrics={},
-        )
-        return TailState(obs=obs, prop=prop), outcome
+        told: dict = {"reward": reward, "discount": discount, "next_obs": obs, "next_prop": prop}
+        told |= dict.fromkeys(("truncation", "episode_return", "episode_length"), zero)
+        return TailState(obs, prop), Outcome(**told, valid=jnp.ones_like(reward))
 
     return row
