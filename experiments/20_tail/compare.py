@@ -204,7 +204,7 @@ def draw(path: Path) -> None:
         for variant, text in DRAWN.items():
             run = find(f"{robot}_{variant}", batches.load)
             if run is None and (robot, variant) == ("go1", "ppo24"):
-                run = paper.load(HERE.parent / PPO24[0] / "results", PPO24[1])
+                run = batches.load(HERE.parent / PPO24[0] / "results", PPO24[1])
             if run is None or base is None:
                 continue
             steps, dash = run.columns["sim_steps"][:, 0] / 1e6, pictures.DASHES.get(variant, "-")
