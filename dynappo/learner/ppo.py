@@ -121,19 +121,19 @@ def adapt(static: Config, hyper: Config, learning_rate: Float[Array, ""], kl: Fl
 
 
 def minibatch_step(
-    static: Config, hyper: Config, unflatten, learner: Learner, batch: Batch, old_std, image=None
+    static: Config, hyper: Config, unflatten, learner: Learner, batch: Batch, old_std, turned=None
 ) -> tuple[Learner, Metrics]:
     """One gradient step: loss, KL, learning rate, clipped gradient, Adam; `(learner, metrics)`.
 
     Parameters and Adam's moments are vectors, with `std` last; `unflatten` gives the tree. Clipping
-    and Adam then take 4 kernels, not 33. With an `image`, mirrored rows count in the gradient too.
+    and Adam then take 4 kernels, not 33. With an image's `places`, mirrored rows count in the gradient too.
     """
 
     def of_vector(params):
         return loss(static, hyper, unflatten(params), batch, old_std)
 
     grads, metrics = jax.grad(of_vector, has_aux=True)(learner.params)
-    grads = symmetry.mean(grads, unflatten, image)
+    grads = symmetry.mean(grads, turned)
     rate = adapt(static, hyper, learner.learning_rate, metrics["kl"])
     updates, opt_state = _optimizer(hyper).update(grads, learner.opt_state)
     params = learner.params - rate * updates
@@ -170,10 +170,11 @@ def update(
     batch = batch._replace(advantages=normalize(batch.advantages, batch.weight))
     shuffled = minibatches(static, batch, key)
     params, unflatten = ravel_pytree(learner.params)
+    turned = symmetry.places(learner.params, image)
 
     def step(learner, i):
         rows = jax.tree.map(lambda x: x[i % static.ppo.minibatches], shuffled)
-        learner, metrics = minibatch_step(static, hyper, unflatten, learner, rows, old_std, image)
+        learner, metrics = minibatch_step(static, hyper, unflatten, learner, rows, old_std, turned)
         return learner, jnp.stack([metrics[name] for name in OF_STEP])  # one array: one kernel
 
     steps = jnp.arange(static.ppo.epochs * static.ppo.minibatches)

@@ -25,7 +25,6 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
 from dynappo.types import Config, Env, Mirror
@@ -33,9 +32,9 @@ from dynappo.types import Config, Env, Mirror
 Image = Callable[[Any], Any]  # of a tree of weights, or of its gradient; its own inverse
 
 
-def vector(mirror: Mirror, x: Float[Array, "... K"]) -> Float[Array, "... K"]:
-    """The mirror image of `x`."""
-    return jnp.asarray(mirror.sign, x.dtype) * x[..., mirror.index]
+def vector(mirror: Mirror, x: Any) -> Any:
+    """The mirror image of `x` [..., K], of NumPy or JAX."""
+    return mirror.sign.astype(x.dtype) * x[..., mirror.index]
 
 
 def unchanged(size: int) -> Mirror:
@@ -89,24 +88,40 @@ def policy_image(static: Config, env: Env) -> Image | None:
     return image
 
 
-def mean(grads: Float[Array, " K"], unflatten: Callable, image: Image | None):
-    """The mean of a gradient and its image; without an `image`, the gradient itself."""
+def places(params, image: Image | None) -> tuple[np.ndarray, np.ndarray] | None:
+    """`(index [K], sign [K])` of an image of `params` as one vector: `sign * vector[index]`.
+
+    Constants of the program: an image of a gradient is then one gather, not 6 kernels.
+    """
     if image is None:
+        return None
+    numbers = np.concatenate([np.ravel(x) for x in jax.tree.leaves(image(numbered(params)))])
+    return np.abs(numbers) - 1, np.sign(numbers).astype(np.float32)
+
+
+def numbered(params):
+    """The numbers 1 to K in the place of the weights."""
+    leaves, treedef = jax.tree.flatten(params)
+    ends = np.cumsum([leaf.size for leaf in leaves])
+    numbers = [1 + np.arange(end - x.size, end) for end, x in zip(ends, leaves, strict=True)]
+    return jax.tree.unflatten(
+        treedef, jax.tree.map(lambda n, x: n.reshape(x.shape), numbers, leaves)
+    )
+
+
+def mean(grads: Float[Array, " K"], turned: tuple[np.ndarray, np.ndarray] | None):
+    """The mean of a gradient and its image, at `places`; without an image, the gradient itself."""
+    if turned is None:
         return grads
-    return (grads + ravel_pytree(image(unflatten(grads)))[0]) / 2
+    index, sign = turned
+    return (grads + sign * grads[index]) / 2
 
 
 def tie(params, image: Image | None):
     """Weights made equal to their image: in each pair of images, the second copies the first."""
     if image is None:
         return params
-    leaves, treedef = jax.tree.flatten(params)
-    starts = np.cumsum([0, *(leaf.size for leaf in leaves)])
-    numbers = [
-        jnp.arange(start, start + leaf.size, dtype=jnp.int32).reshape(leaf.shape)
-        for start, leaf in zip(starts, leaves, strict=False)
-    ]
-    numbers = jax.tree.unflatten(treedef, numbers)
+    numbers = numbered(params)
 
     def one(number, other, x, y):  # a weight paired with itself becomes the mean of both values
         first = jnp.where(number < jnp.abs(other), x, y)
