@@ -48,6 +48,7 @@ class Robots(envs.Env):
             clock = jax.vmap(lambda k: ages(k, maxval=self._env.episode_length))(body_keys)
         state, zero = state.replace(clock=clock), jnp.zeros(len(rng))
         info = {"keys": jax.random.key_data(keys), "body": bodies, "truncation": zero}
+        info |= {"next_obs": state.obs}  # before a reset; fast_td3.py asks for it
         return envs.State(
             pipeline_state=state,
             obs=state.obs,
@@ -63,6 +64,7 @@ class Robots(envs.Env):
         advance = algorithm.physics_step(self._env, self._hyper, state.info["body"])
         after, outcome = advance(state.pipeline_state, self._gain * action, keys)
         info = {"steps": state.info["steps"] + 1, "truncation": outcome.truncation}
+        info |= {"next_obs": outcome.next_obs}
         found = {name: outcome.metrics[name] for name in ("falls", "velocity_error_sq")}
         return state.replace(
             pipeline_state=after,
@@ -102,40 +104,20 @@ def main():
 
 def train(args: argparse.Namespace) -> list[dict]:
     """A row an evaluation."""
-    from dynappo.program import build
-
-    name, _, variant = args.config.partition(":")
-    config = config_lib.load(f"configs/{name}.py:{variant}")
-    for text in args.set:
-        config_lib.override(config, *text.split("=", 1))
-    config = config_lib.validate(config)
-    _, hyper = config_lib.split(config)
-    _, env, _ = build._environment(config, None, devices.engine(config))
-    trained = Robots(env, hyper, args.gain, True)
-    evaluated = Robots(env, evaluation.nominal(hyper), args.gain, False)
+    trained, evaluated = robots(args)
     rows = []
 
     def progress(steps, metrics):
-        score = {n: float(metrics[f"eval/episode_{n}"]) for n in ("reward", "falls")}
-        length = float(metrics["eval/avg_episode_length"])
-        error = float(metrics["eval/episode_velocity_error_sq"]) / length
-        rows.append(
-            {
-                "job": f"sac {args.config}",
-                "seed": args.seed,
-                "sim_steps": int(steps),
-                "seconds": f"{metrics.get('training/walltime', 0.0):.4g}",
-                "return": f"{score['reward']:.4g}",
-                "fall_rate": f"{score['falls']:.4g}",
-                "tracking_error": f"{error**0.5:.4g}",
-            }
-        )
+        names = ("reward", "falls", "velocity_error_sq")
+        sums = [float(metrics[f"eval/episode_{n}"]) for n in names]
+        sums.append(float(metrics["eval/avg_episode_length"]))
+        rows.append(row("sac", args, steps, metrics.get("training/walltime", 0.0), sums))
         about = {
             n.removeprefix("training/"): float(metrics[n])
             for n in metrics
             if "loss" in n or n.endswith("alpha")
         }
-        print(*rows[-1].values(), f"length {length:.0f}", about, flush=True)
+        print(*rows[-1].values(), f"length {sums[-1]:.0f}", about, flush=True)
 
     factory = functools.partial(
         sac_networks.make_sac_networks, hidden_layer_sizes=(256, 256), q_network_layer_norm=True
@@ -165,6 +147,35 @@ def train(args: argparse.Namespace) -> list[dict]:
             progress_fn=progress,
         )
     return rows
+
+
+def robots(args: argparse.Namespace) -> tuple[Robots, Robots]:
+    """Those that are trained, and those of the evaluation."""
+    from dynappo.program import build
+
+    name, _, variant = args.config.partition(":")
+    config = config_lib.load(f"configs/{name}.py:{variant}")
+    for text in args.set:
+        config_lib.override(config, *text.split("=", 1))
+    config = config_lib.validate(config)
+    _, hyper = config_lib.split(config)
+    _, env, _ = build._environment(config, None, devices.engine(config))
+    evaluated = Robots(env, evaluation.nominal(hyper), args.gain, False)
+    return Robots(env, hyper, args.gain, True), evaluated
+
+
+def row(method: str, args, steps, seconds, sums) -> dict:
+    """Of OUT.csv: `sums` of reward, falls, squared error and steps, means over an evaluation's episodes."""
+    reward, falls, error_sq, length = sums
+    return {
+        "job": f"{method} {args.config}",
+        "seed": args.seed,
+        "sim_steps": int(steps),
+        "seconds": f"{seconds:.4g}",
+        "return": f"{reward:.4g}",
+        "fall_rate": f"{falls:.4g}",
+        "tracking_error": f"{(error_sq / length) ** 0.5:.4g}",
+    }
 
 
 def replicated(tree, where):
