@@ -22,6 +22,7 @@ from jaxtyping import Array, Int, PRNGKeyArray
 from dynappo.types import Env, Metrics, Outcome, Transition
 
 MADE = "action", "action_mean", "log_prob", "value"  # of a row, by `act`
+# a row's fields of one number a robot, which are written together
 NUMBERS = "log_prob value reward discount truncation valid episode_return episode_length".split()
 # the fields of an Outcome that a row keeps
 TOLD = [field.name for field in dataclasses.fields(Outcome) if field.name != "metrics"]

@@ -204,13 +204,18 @@ def compare(one, base, margin: float) -> dict[str, Any]:
     )
 
 
+def adjust(rows: list[dict[str, Any]], name: str) -> None:
+    """To the rows that have a p called `name`: Holm's over all of them, as NAME_holm."""
+    rows = [row for row in rows if name in row]
+    for row, p in zip(rows, holm([row[name] for row in rows]), strict=True):
+        row[f"{name}_holm"] = float(p)
+
+
 def correct(rows: list[dict[str, Any]], prefix: str = "") -> None:
     """To rows with `compare`'s cells, named `PREFIX` + name: Holm's p over all of them, and verdicts."""
     rows = [row for row in rows if f"{prefix}p" in row]
     for name in ("p", "p_equal"):
-        adjusted = holm([row[f"{prefix}{name}"] for row in rows])
-        for row, p in zip(rows, adjusted, strict=True):
-            row[f"{prefix}{name}_holm"] = float(p)
+        adjust(rows, f"{prefix}{name}")
     for row in rows:
         differs, equal = (row[f"{prefix}{name}_holm"] < ALPHA for name in ("p", "p_equal"))
         way = "higher" if row[f"{prefix}difference"] > 0 else "lower"

@@ -103,10 +103,9 @@ def numbered(params):
     """The numbers 1 to K in the place of the weights."""
     leaves, treedef = jax.tree.flatten(params)
     ends = np.cumsum([leaf.size for leaf in leaves])
-    numbers = [1 + np.arange(end - x.size, end) for end, x in zip(ends, leaves, strict=True)]
-    return jax.tree.unflatten(
-        treedef, jax.tree.map(lambda n, x: n.reshape(x.shape), numbers, leaves)
-    )
+    every = np.split(np.arange(1, ends[-1] + 1), ends[:-1])
+    shaped = [n.reshape(x.shape) for n, x in zip(every, leaves, strict=True)]
+    return jax.tree.unflatten(treedef, shaped)
 
 
 def mean(grads: Float[Array, " K"], turned: tuple[np.ndarray, np.ndarray] | None):

@@ -180,8 +180,8 @@ def _side_by_side(
     options, quick = _options()
     with concurrent.futures.ThreadPoolExecutor(2) as pool:
 
-        def compiling(function, options, *given):
-            return pool.submit(function.lower(*given).compile, options)
+        def compiling(function, how, *given):
+            return pool.submit(function.lower(*given).compile, how)
 
         if own:
             begin = compiling(first, quick, *args)
@@ -204,7 +204,7 @@ def _options() -> tuple[dict[str, int], dict[str, int]]:
     """Of XLA, for what repeats and for what runs once.
 
     On a GPU a program is compiled on all cores (19.5 instead of 22.4 s of a start). On a CPU the first state
-    is not optimised: it takes 10 ms instead of 3, and 2.5 s of compilation instead of 6.3.
+    is not optimised: it takes 10 ms instead of 3, its compilation 2.5 s of CPU time instead of 6.3.
     """
     import jax
 

@@ -63,10 +63,7 @@ def build(folder: Path, grid) -> list[dict]:
         theirs = paper.pick(printed, envs=float(envs), horizon=float(horizon))
         names = {"max_reward": "max_reward", "policy_std": "policy_std", "minutes": "time_min"}
         rows.append(row | {f"paper_{ours}": theirs.get(name) for ours, name in names.items()})
-    tested = [row for row in rows if "more_p" in row]
-    adjusted = stats.holm([row["more_p"] for row in tested])
-    for row, p in zip(tested, adjusted, strict=True):
-        row["more_p_holm"] = float(p)
+    stats.adjust(rows, "more_p")
     return rows
 
 

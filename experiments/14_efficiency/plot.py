@@ -73,9 +73,7 @@ def build(folder: Path, ablation: float | None) -> list[dict]:
         adjusted = stats.holm([cells.get("p_steps", cells["p_steps_rank"]) for cells in tested])
         for cells, p in zip(tested, adjusted, strict=True):
             cells["p_steps_holm"] = float(p)
-        tested = [r for r in rows if r["threshold"] == label and "pooled_p" in r]
-        for cells, p in zip(tested, stats.holm([r["pooled_p"] for r in tested]), strict=True):
-            cells["pooled_p_holm"] = float(p)
+        stats.adjust([r for r in rows if r["threshold"] == label], "pooled_p")
     return rows
 
 

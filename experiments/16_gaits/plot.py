@@ -136,11 +136,10 @@ def tests(every) -> list[dict]:
             row["verdict"] = row["verdict"] if np.isfinite(row["p"]) else "too few seeds"
         rows += family
     first = [walkers(some, robot, speed) for robot, some, speed in cells]
-    for row, p in zip(first, stats.holm([row["p"] for row in first]), strict=True):
-        rows.append(
-            row | {"p_holm": float(p), "verdict": "differs" if p < stats.ALPHA else "not shown"}
-        )
-    return rows
+    stats.adjust(first, "p")
+    for row in first:
+        row["verdict"] = "differs" if row["p_holm"] < stats.ALPHA else "not shown"
+    return rows + first
 
 
 def walkers(episodes, robot: str, speed: float) -> dict:

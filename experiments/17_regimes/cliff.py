@@ -63,10 +63,7 @@ def build(folder: Path) -> list[dict]:
         for name in (f"ppo{rows - TAIL}", *TAILS, f"ppo{rows}")
     ]
     for name in ("p_vs_fewer", "p_vs_all"):
-        tested = [row for row in out if name in row]
-        adjusted = stats.holm([row[name] for row in tested])
-        for row, p in zip(tested, adjusted, strict=True):
-            row[f"{name}_holm"] = float(p)
+        stats.adjust(out, name)
     return out
 
 

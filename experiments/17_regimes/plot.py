@@ -99,10 +99,7 @@ def build(folder: Path, regimes) -> list[dict]:
                     cells |= {f"to_ppo24_{name}": value for name, value in took.items()}
         rows += some
     for name in ("p_vs_ppo16", "ppo12_p"):
-        tested = [cells for cells in rows if name in cells]
-        adjusted = stats.holm([cells[name] for cells in tested])
-        for cells, p in zip(tested, adjusted, strict=True):
-            cells[f"{name}_holm"] = float(p)
+        stats.adjust(rows, name)
     return rows
 
 

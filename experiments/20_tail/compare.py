@@ -149,10 +149,7 @@ def table(group: str, names) -> list[dict]:
         if limit is not None:
             row |= took(run, None if own else base, limit)
     for name in ("difference", "evaluated"):
-        tested = [row for row in rows if f"{name}_p" in row]
-        adjusted = stats.holm([row[f"{name}_p"] for row in tested])
-        for row, p in zip(tested, adjusted, strict=True):
-            row[f"{name}_p_holm"] = float(p)
+        stats.adjust(rows, f"{name}_p")
     return rows
 
 
