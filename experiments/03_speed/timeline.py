@@ -1,11 +1,14 @@
-"""What the GPU does in an iteration: all kernels in order; and a picture of a control step.
+"""What the GPU does in an iteration: all kernels in order; pictures of a control step and of an iteration.
 
     python experiments/03_speed/timeline.py OUT.json [--config go1] [--set FIELD=VALUE ...] [--iteration 40]
     python experiments/03_speed/timeline.py OUT.png --draw BEFORE.json AFTER.json
+    python experiments/03_speed/timeline.py OUT.png --draw BEFORE.json AFTER.json ... --whole
 
 The program that trains runs `--warm` iterations of a run's schedule, so that robots walk into the
 ground and fall as they do then, and one more under JAX's profiler. OUT.json has its kernels: start and
-length in us, name, XLA's operation, whether it is physics. results/kernel/ keeps 3 ms of each.
+length in us, name, XLA's operation, whether it is physics; and for each phase how busy the GPU is in every
+20 us ("busy"). results/kernel/ keeps 3 ms of kernels of each. A checkout of an older commit runs this file,
+too, with its own folder first in PYTHONPATH.
 
 XLA's command buffers (CUDA graphs) are off, because the profiler does not name the kernels in them:
 gaps between XLA's kernels are longer than in a run, and so is `wall_ms`.
@@ -14,6 +17,7 @@ gaps between XLA's kernels are longer than in a run, and so is `wall_ms`.
 import collections
 import json
 import os
+import re
 import tempfile
 import time
 from pathlib import Path
@@ -28,6 +32,15 @@ from dynappo import config as config_lib
 from dynappo.program.build import program as build
 from experiments import paper, pictures
 
+BIN = 20.0  # us
+PHASES = {  # name -> colour
+    "physics": pictures.BLUE,
+    "fit": pictures.ORANGE,
+    "tail": pictures.VERMILION,
+    "ppo": pictures.BLACK,
+    "rest": pictures.GREY,
+}
+
 
 def main():
     parser = paper.parser(__doc__)
@@ -36,10 +49,12 @@ def main():
     parser.add_argument("--set", action="append", default=[], metavar="FIELD=VALUE")
     parser.add_argument("--iteration", type=int, default=40)
     parser.add_argument("--warm", type=int, default=40)
-    parser.add_argument("--draw", nargs=2, type=Path, metavar="JSON")
+    parser.add_argument("--draw", nargs="+", type=Path, metavar="JSON")
+    parser.add_argument("--whole", action="store_true", help="draw whole iterations")
     args = parser.parse_args()
     if args.draw:
-        return draw(args.out, *args.draw)
+        return draw_whole(args.out, args.draw) if args.whole else draw(args.out, *args.draw)
+    name_phases()
     config = config_lib.load(args.config)
     for text in (*args.set, "run.log_every=1"):
         field, _, value = text.partition("=")
@@ -64,15 +79,54 @@ def main():
         with jax.profiler.trace(folder):
             state = step(state, args.iteration)
         found = events(folder)
-    result = summary(found) | {
-        "device": jax.devices()[0].device_kind,
-        "config": args.config,
-        "set": args.set,
-        "iteration": args.iteration,
-        "wall_ms": float(np.median(times)),
-    }
+    result = (
+        summary(found)
+        | {"busy": busy(found, phases(program.step.as_text()))}
+        | {
+            "device": jax.devices()[0].device_kind,
+            "config": args.config,
+            "set": args.set,
+            "iteration": args.iteration,
+            "wall_ms": float(np.median(times)),
+        }
+    )
     args.out.write_text(json.dumps(result, indent=1) + "\n")
     print(json.dumps({k: v for k, v in result.items() if k not in ("events", "kernels")}, indent=1))
+
+
+def name_phases() -> None:
+    """XLA's operations get names that start with the phase; all that is in none is "rest"."""
+    from dynappo import algorithm, rollout
+    from dynappo.learner import ppo
+    from dynappo.model import dynamics
+
+    parts = (algorithm, "collect", "physics"), (rollout, "fill", "tail")
+    for module, function, name in (*parts, (dynamics, "fit", "fit"), (ppo, "update", "ppo")):
+        setattr(module, function, jax.named_scope(f"phase_{name}")(getattr(module, function)))
+
+
+def phases(text: str) -> dict[str, str]:
+    """`operation -> phase` of a compiled program: the outer one, because physics fills rows, too."""
+    found = re.findall(r'%?([\w.\-]+) = [^\n]*op_name="([^"]*)"', text)
+    inside = ((name, re.search(r"phase_(\w+)", label)) for name, label in found)
+    return {name: phase[1] if phase else "rest" for name, phase in inside}
+
+
+def busy(found, phase_of: dict[str, str]) -> dict[str, list[float]]:
+    """Of each phase, the share of every `BIN` us in which one of its kernels runs.
+
+    A kernel of an operation without a name belongs to the phase of the one before it.
+    """
+    first, end = found[0][0], max(start + took for start, took, *_ in found)
+    bins = int((end - first) / BIN) + 1
+    shares, now = {}, "rest"
+    for start, took, _, operation in found:
+        now = phase_of.get(operation, now)
+        share = shares.setdefault(now, np.zeros(bins))
+        low, high = start - first, start + took - first
+        for k in range(int(low / BIN), min(int(high / BIN), bins - 1) + 1):
+            share[k] += max(0.0, min(high, (k + 1) * BIN) - max(low, k * BIN)) / BIN
+    return {name: np.minimum(share, 1).round(2).tolist() for name, share in shares.items()}
 
 
 def events(folder):
@@ -142,6 +196,28 @@ def draw(out: Path, before: Path, after: Path):
         )
     axes.flat[-1].set_xlabel("ms")
     pictures.save(figure, out)
+
+
+def draw_whole(out: Path, paths: list[Path]) -> None:
+    """An iteration each, a line a phase: black where a kernel runs."""
+    runs = [json.loads(path.read_text()) for path in paths]
+    figure, axes = pictures.figure(len(runs), 1, 1.5 * len(runs) + 0.4, sharex=True)
+    for axis, path, run in zip(axes.flat, paths, runs, strict=True):
+        for y, (name, colour) in enumerate(PHASES.items()):
+            share = np.array(run["busy"].get(name, [0.0]))
+            axis.fill_between(
+                np.arange(len(share)) * BIN / 1e3,
+                y,
+                y + 0.85 * share,
+                color=colour,
+                lw=0,
+                step="post",
+            )
+        ms = max(len(share) for share in run["busy"].values()) * BIN / 1e3
+        axis.set(yticks=np.arange(len(PHASES)) + 0.4, yticklabels=PHASES, ylim=(len(PHASES), 0))
+        axis.set_title(f"{path.stem.replace('_', ' ')}: {ms:.0f} ms", loc="left")
+    axes.flat[-1].set_xlabel("ms")
+    pictures.save(figure, out.with_suffix(""))
 
 
 if __name__ == "__main__":

@@ -2,7 +2,7 @@
 
     python experiments/13_step_time/plot.py
 
-results/mujoco_warp has one run a variant by MuJoCo Warp's own step, results/kernel those of run.py.
+results/kernel has the runs of run.py, results/mujoco_warp one run a variant by MuJoCo Warp's own step.
 """
 
 import json
@@ -15,8 +15,8 @@ from experiments import paper, pictures, run, stats
 
 # folder of results/ -> what simulates, and its variants
 SIMULATORS = {
-    "mujoco_warp": ("MuJoCo Warp, 4096 robots", ("ppo16", "dyna4", "best")),
-    "kernel": ("one kernel (best: 1024 robots)", ("ppo12", "ppo16", "dyna4", "best")),
+    "kernel": ("our kernel (best: 1024 robots)", ("ppo12", "ppo16", "dyna4", "best")),
+    "mujoco_warp": ("MuJoCo Warp (best: 4096 robots)", ("ppo16", "dyna4", "best")),
 }
 VARIANTS = SIMULATORS["kernel"][1]
 # phase of dynappo.bench -> the paper's name
@@ -28,9 +28,9 @@ PHASES = {
 }
 SUMS = ("ppo12_sum", "ppo16_sum", "tail_sum", "saved_pct")
 COLUMNS = (
-    "simulator variant status runs physics_mean physics_sd tail_mean tail_sd fit_mean fit_sd ppo_mean ppo_sd "
-    "iteration_mean iteration_sd ppo16_sum_mean tail_sum_mean saved_pct_mean saved_pct_sd pays_from "
-    "pays_from_low pays_from_high"
+    "simulator variant status runs physics_mean physics_sd physics_again_mean physics_again_sd tail_mean "
+    "tail_sd tail_share_pct_mean fit_mean fit_sd ppo_mean ppo_sd iteration_mean iteration_sd "
+    "ppo16_sum_mean tail_sum_mean saved_pct_mean saved_pct_sd pays_from pays_from_low pays_from_high"
 ).split()
 PARTS = ("physics", "synthetic", "fit", "ppo")
 SPLIT = (
@@ -82,6 +82,8 @@ def build(reports) -> list[dict]:
                 every = [one["ms"] for one in runs]
                 # `best` has another rollout than PPO-16: its own iteration says it all
                 row |= {"status": "", "runs": len(runs)} | measures(every, variant != "best")
+                if variant in ("ppo12", "ppo16"):
+                    row |= again(every, int(variant[3:]))
                 row |= {name: runs[0].get(name) for name in ("device", "commit")}
             rows.append(row if runs else row | {"status": "not run"})
     printed = paper.table("step_time")
@@ -96,13 +98,21 @@ def measures(every: list[dict], sums: bool) -> dict:
     for name in (*PHASES, "iteration"):
         if all(name in ms for ms in every):
             cells |= stats.spread(name, [ms[name] for ms in every])
+    if all("fit" in ms for ms in every):
+        shares = [100 * ms["tail"] / ms["physics"] for ms in every]
+        cells |= stats.spread("tail_share_pct", shares)
+        cells |= pays([ms["fit"] for ms in every], [ms["physics"] - ms["tail"] for ms in every])
     found = [derived(ms) for ms in every] if sums else [{}]
     for name in SUMS:
         if all(name in one for one in found):
             cells |= stats.spread(name, [one[name] for one in found])
-    if sums and all("fit" in ms for ms in every):
-        cells |= pays([ms["fit"] for ms in every], [ms["physics"] - ms["tail"] for ms in every])
     return cells
+
+
+def again(every: list[dict], horizon: int) -> dict:
+    """Cells: a step of physics from `iteration`, which without a model is the call of `physics` once more."""
+    found = [(ms["iteration"] - ms["ppo"]) / horizon for ms in every]
+    return stats.spread("physics_again", found)
 
 
 def derived(ms: dict) -> dict:
@@ -138,9 +148,12 @@ def split(reports) -> list[dict]:
         row: dict = {"variant": variant, "status": "" if runs else "not run"}
         if runs:
             row |= {"times_of": source, "runs": len(runs)}
-            every = [
-                parts(run.configure(f"go1:{variant}", 1, r["settings"]), r["ms"]) for r in runs
-            ]
+            every = []
+            for one in runs:
+                ours, timed = (
+                    run.configure(f"go1:{v}", 1, one["settings"]) for v in (variant, source)
+                )
+                every.append(parts(ours, timed, one["ms"]))
             row |= {f"{name}_min": np.mean([one[name] for one in every]) for name in PARTS}
             total = [sum(one.values()) for one in every]
             if source == variant:
@@ -152,19 +165,25 @@ def split(reports) -> list[dict]:
     return rows
 
 
-def parts(config, ms: dict) -> dict[str, float]:
-    """Minutes of a training by phase, from what a step, a fit and an update take as the tail is longest."""
+def parts(config, timed, ms: dict) -> dict[str, float]:
+    """Minutes of a training by phase, from what a step, a fit and an update of `timed` take as its tail is
+    longest."""
     columns, horizon = schedule.columns(config), config.rollout.horizon
     real = columns["n_real"].astype(float)
     rounds = columns.get("rounds", np.ones_like(real))
     took = {"physics": real.sum() * ms["physics"], "ppo": rounds.sum() * ms["ppo"]}
     took["synthetic"] = ((horizon - real) * rounds).sum() * ms["tail"]
     if "model_epochs" in columns:
-        drawn = horizon // config.model.minibatches
-        minibatches = np.ceil(columns["model_epochs"] * real / drawn)
-        longest = minibatches[: config.schedule.last_iteration][-1]
-        took["fit"] = minibatches.sum() / longest * ms["fit"]
+        longest = fits(timed)[: timed.schedule.last_iteration][-1]
+        took["fit"] = fits(config).sum() / longest * ms["fit"]
     return {name: took.get(name, 0.0) / 60e3 for name in PARTS}
+
+
+def fits(config) -> np.ndarray:
+    """Minibatches of each iteration's fit."""
+    columns = schedule.columns(config)
+    drawn = config.rollout.horizon // config.model.minibatches
+    return np.ceil(columns["model_epochs"] * columns["n_real"].astype(float) / drawn)
 
 
 def counts(variant: str, runs: list[dict]) -> tuple[int, ...]:
@@ -178,44 +197,63 @@ def counts(variant: str, runs: list[dict]) -> tuple[int, ...]:
 
 
 def draw(rows, reports, path: Path) -> None:
-    """Bars: an iteration by phase, a panel a simulator that has run, and the paper's; scales differ."""
+    """Bars: an iteration by phase, a panel a simulator that has run, on one scale, and the paper's."""
     shown = [folder for folder, some in reports.items() if any(some.values())] or ["kernel"]
-    page, axes = pictures.figure(1, len(shown) + 1, 2.6)
+    page, axes = pictures.figure(1, len(shown) + 1, 2.7)
+    widest = 0.0
     for axis, folder in zip(axes[0], [*shown, "paper"], strict=True):
-        title = "paper (A40)" if folder == "paper" else SIMULATORS[folder][0]
+        title = "paper (another scale)" if folder == "paper" else SIMULATORS[folder][0]
         axis.set_title(title, loc="left")
         names = ("ppo16", "dyna4") if folder == "paper" else tuple(ROWS)
         axis.set(xlabel="ms an iteration", yticks=range(len(names)))
-        axis.set_ylim(len(names) - 0.4, -0.6)
+        axis.set_ylim(len(ROWS) - 0.4, -0.6)
         labels = []
         for y, variant in enumerate(names):
             runs = reports.get(folder, {}).get(variant, [])
             some = counts(variant, runs)
-            tail = some[1] // some[3]
-            best = f"best ({tail} of {some[0] + tail})"
-            labels.append(best if variant == "best" else paper.VARIANTS[variant])
+            labels.append(label(variant, some))
             wanted = {} if folder == "paper" else {"variant": variant}
             row = paper.pick(rows, simulator=folder, **wanted)
             if "ppo_mean" not in row:
                 axis.text(0, y, " not run yet", va="center", color="0.5")
                 continue
-            each = zip(some, PHASES, strict=True)
-            bar(axis, y, [n * row.get(f"{phase}_mean", 0.0) for n, phase in each])
+            widths = [
+                n * row.get(f"{phase}_mean", 0.0) for n, phase in zip(some, PHASES, strict=True)
+            ]
+            end = bar(axis, y, widths, row.get("iteration_mean"))
+            widest = max(widest, end if folder != "paper" else 0.0)
         axis.set_yticklabels(labels)
-        axis.margins(x=0.12)
-    for colour, label in zip(SHADES, LABELS, strict=True):  # for the legend
-        axes[0, -1].barh(0, 0, color=colour, label=label)
-    pictures.legend(page, axes[0, -1], 4)
+        axis.margins(x=0.18)
+    for axis in axes[0, :-1]:
+        axis.set_xlim(0, 1.2 * widest or 1)
+        axis.locator_params(axis="x", nbins=5)
+    for colour, text in zip(SHADES, LABELS, strict=True):  # for the legend
+        axes[0, -1].barh(0, 0, color=colour, label=text)
+    axes[0, -1].plot([], [], color=pictures.VERMILION, label="iteration as measured")
+    pictures.legend(page, axes[0, -1], 5)
     pictures.save(page, path)
 
 
-def bar(axis, y: int, widths: list[float]) -> None:
-    """One iteration, its phases side by side."""
+def label(variant: str, some: tuple[int, ...]) -> str:
+    """What a bar is; of `best` also its steps, real and of each round."""
+    if variant != "best":
+        return paper.VARIANTS[variant]
+    rounds = f"{some[3]} x " if some[3] > 1 else ""
+    return f"best\n({some[0]} + {rounds}{some[1] // some[3]})"
+
+
+def bar(axis, y: int, widths: list[float], measured: float | None) -> float:
+    """One iteration, its phases side by side; a line and a number where it ends on the clock, or else
+    the phases' sum. Returns the wider of both."""
     left = 0.0
     for width, colour in zip(widths, SHADES, strict=True):
         axis.barh(y, width, left=left, color=colour, height=0.55)
         left += width
-    axis.text(left, y, f" {left:.0f}", va="center")
+    if measured is not None:
+        axis.plot([measured] * 2, [y - 0.36, y + 0.36], color=pictures.VERMILION, linewidth=1.6)
+    end = max(left, measured or 0.0)
+    axis.text(end, y, f"  {measured or left:.3g}", va="center")
+    return end
 
 
 if __name__ == "__main__":

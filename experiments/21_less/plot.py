@@ -16,7 +16,7 @@ ROBOTS = {"g": "Go1", "h": "Go2", "c": "ANYmal-C", "d": "ANYmal-D"}
 RUNS = {  # name in the results -> label, colour, dashes
     "new": ("best", pictures.BLUE, "-"),
     "old-best": ("best until 2026-11-22", pictures.SKY, (0, (3, 1.2))),
-    "ppo-tuned": ("PPO, tuned (256 robots)", pictures.ORANGE, (0, (1, 1))),
+    "ppo-kl3": ("PPO, tuned (256 robots)", pictures.ORANGE, (0, (1, 1))),
     "ppo-1024x24": ("PPO, 1024 robots, 24 rows", pictures.VERMILION, (0, (5, 1.2, 1, 1.2))),
     "ppo24": ("PPO-24, 4096 robots", pictures.GREY, (0, (5, 2))),
     "ppo16": ("PPO-16, 4096 robots", pictures.BLACK, "-"),

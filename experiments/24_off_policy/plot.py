@@ -1,0 +1,74 @@
+"""Evaluated return over simulator steps, Go1: peers.png, and the table of README.md.
+
+    python experiments/24_off_policy/plot.py
+
+Left are means over five seeds with their 95 % t interval; runs that were cut off end where the shortest does.
+Right are the five settings of SAC, one seed each.
+"""
+
+import importlib
+from pathlib import Path
+
+import numpy as np
+
+from experiments import paper, pictures
+
+table = importlib.import_module("experiments.21_less.table")
+
+HERE = Path(__file__).parent
+RUNS = {  # name in the results -> label, colour, dashes
+    "new-g": ("best", pictures.BLUE, "-"),
+    "mbpo-g": ("MBPO-like, ours", pictures.GREEN, (0, (3, 1.2))),
+    "sac": ("SAC", pictures.VERMILION, "-"),
+    "ppo-kl3-g": ("PPO, tuned (256 robots)", pictures.ORANGE, (0, (1, 1))),
+    "ppo16-g": ("PPO-16, 4096 robots", pictures.BLACK, (0, (5, 1.2))),
+}
+SETTINGS = {  # of SAC; by their gain of actions
+    "a": ("a: gain 3", pictures.BLACK, "-"),
+    "c": ("c: gain 2", pictures.SKY, "-"),
+    "d": ("d: gain 2, 1024 robots", pictures.SKY, (0, (3, 1.2))),
+    "b": ("b: gain 1.5", pictures.VERMILION, (0, (3, 1.2))),
+    "e": ("e: gain 1.5 (chosen)", pictures.VERMILION, "-"),
+}
+WALKS = 38
+
+
+def main():
+    paper.parser(__doc__).parse_args()
+    results = HERE / "results"
+    jobs = table.read(HERE.parent / "21_less/results/fresh.csv.xz")
+    jobs |= table.read(results / "mbpo.csv.xz") | table.read(results)
+    fig, (axes,) = pictures.figure(1, 2, 4.3, sharey=True)
+    axes[0].set_xscale("log")
+    for name, look in RUNS.items():
+        curve(axes[0], jobs[name], *look)
+    for name, look in SETTINGS.items():
+        curve(axes[1], jobs[f"sac_tuning_{name}"], *look)
+    for axis in axes:
+        axis.axhline(WALKS, color="0.4", lw=1, ls=":")
+        axis.set_ylim(0, None)
+        below = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.17), "ncols": 2}
+        axis.legend(frameon=False, columnspacing=1.2, handlelength=2.4, **below)
+    axes[0].set(xlabel="simulator steps (logarithmic)", ylabel="evaluated return")
+    axes[0].set_title("Peers, five seeds each", loc="left")
+    axes[1].set_xlabel("million simulator steps")
+    axes[1].xaxis.set_major_formatter(lambda steps, _: f"{steps / 1e6:g}")
+    axes[1].set_title("Settings of SAC, one seed", loc="left")
+    pictures.head(fig, f"Go1. Band: {pictures.covers([5])}. Dotted: it walks", fontsize=9.5)
+    pictures.save(fig, HERE / "peers")
+    print(table.table({name: jobs[name] for name in [*RUNS, "fasttd3"]}, table.LEVELS[45]))
+
+
+def curve(axis, job, label, colour, dash):
+    """One run of several seeds, as far as the shortest goes."""
+    runs = table.seeds(job)
+    if axis.get_xscale() == "log":  # SAC is evaluated before its first step, too
+        runs = [[row for row in run if row["sim_steps"]] for run in runs]
+    count = min(map(len, runs))
+    steps = np.array([row["sim_steps"] for row in runs[0][:count]])
+    values = np.array([[row["return"] for row in run[:count]] for run in runs])
+    pictures.band(axis, steps, values.T, colour, label, most=count, dash=dash)
+
+
+if __name__ == "__main__":
+    main()
