@@ -94,6 +94,43 @@ def test_a_script_makes_the_tables_that_are_stored_and_draws_its_pictures(name, 
     assert drawn and all((folder / f"{picture}.png").exists() for picture in drawn)
 
 
+def test_the_tables_without_a_picture_are_those_that_are_stored(tmp_path):
+    (tmp_path / "results").symlink_to(EXPERIMENTS / "17_regimes/results")
+    script("17_regimes/lag").make(tmp_path)
+    assert (tmp_path / "lag.csv").read_text() == (EXPERIMENTS / "17_regimes/lag.csv").read_text()
+
+
+def test_the_page_of_the_peers_has_the_numbers_of_its_runs(drawn, monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["plot.py"])
+    script("24_off_policy").main()
+    page = (EXPERIMENTS / "24_off_policy/README.md").read_text().replace("*", "")
+    printed = [line.split(" | ") for line in capsys.readouterr().out.splitlines()]
+    walks = {cells[0]: " | ".join(cells[3:6]) for cells in printed if len(cells) > 9}  # 30, 35, 38
+    assert drawn == ["peers"] and len(walks) == 7
+    for name, cells in walks.items():
+        assert cells in page or name in ("| ", "| fasttd3"), name
+
+
+def test_the_timeline_gives_each_kernel_to_its_phase():
+    timeline = script("03_speed/timeline")
+    text = """
+        %fusion.1 = f32[8] fusion(%x), metadata={op_name="jit(run)/phase_physics/phase_tail/add"}
+        ROOT %fusion.2 = f32[8] fusion(%x), metadata={op_name="jit(run)/phase_ppo/while/body/mul"}
+        %copy.3 = f32[8] copy(%x), metadata={op_name="jit(run)/while/body/sub"}
+        %copy.4 = f32[8] copy(%x)
+    """
+    phases = timeline.phases(text)
+    assert phases == {"fusion.1": "physics", "fusion.2": "ppo", "copy.3": "rest"}
+    events = [(100, 30, "", "fusion.1"), (135, 10, "", "copy.4"), (150, 20, "", "fusion.2")]
+    busy = timeline.busy([*events, (171, 4, "", "copy.3")], phases)
+    # bins of 20 us from the first kernel on; the copy without a name follows physics
+    assert busy == {
+        "physics": [1.0, 0.75, 0.25, 0.0],
+        "ppo": [0.0, 0.0, 0.5, 0.5],
+        "rest": [0.0, 0.0, 0.0, 0.2],
+    }
+
+
 def test_a_picture_has_256_colours_and_looks_as_it_did(tmp_path):
     pytest.importorskip("matplotlib")
     from PIL import Image

@@ -79,17 +79,14 @@ def main():
         with jax.profiler.trace(folder):
             state = step(state, args.iteration)
         found = events(folder)
-    result = (
-        summary(found)
-        | {"busy": busy(found, phases(program.step.as_text()))}
-        | {
-            "device": jax.devices()[0].device_kind,
-            "config": args.config,
-            "set": args.set,
-            "iteration": args.iteration,
-            "wall_ms": float(np.median(times)),
-        }
-    )
+    result = summary(found) | {
+        "busy": busy(found, phases(program.step.as_text())),
+        "device": jax.devices()[0].device_kind,
+        "config": args.config,
+        "set": args.set,
+        "iteration": args.iteration,
+        "wall_ms": float(np.median(times)),
+    }
     args.out.write_text(json.dumps(result, indent=1) + "\n")
     print(json.dumps({k: v for k, v in result.items() if k not in ("events", "kernels")}, indent=1))
 
@@ -199,22 +196,16 @@ def draw(out: Path, before: Path, after: Path):
 
 
 def draw_whole(out: Path, paths: list[Path]) -> None:
-    """An iteration each, a line a phase: black where a kernel runs."""
+    """An iteration each, a line a phase: as high as the GPU is busy with it."""
     runs = [json.loads(path.read_text()) for path in paths]
     figure, axes = pictures.figure(len(runs), 1, 1.5 * len(runs) + 0.4, sharex=True)
     for axis, path, run in zip(axes.flat, paths, runs, strict=True):
-        for y, (name, colour) in enumerate(PHASES.items()):
+        for foot, (name, colour) in enumerate(PHASES.items(), 1):
             share = np.array(run["busy"].get(name, [0.0]))
-            axis.fill_between(
-                np.arange(len(share)) * BIN / 1e3,
-                y,
-                y + 0.85 * share,
-                color=colour,
-                lw=0,
-                step="post",
-            )
+            at = np.arange(len(share)) * BIN / 1e3
+            axis.fill_between(at, foot, foot - 0.85 * share, color=colour, lw=0, step="post")
         ms = max(len(share) for share in run["busy"].values()) * BIN / 1e3
-        axis.set(yticks=np.arange(len(PHASES)) + 0.4, yticklabels=PHASES, ylim=(len(PHASES), 0))
+        axis.set(yticks=np.arange(len(PHASES)) + 0.6, yticklabels=PHASES, ylim=(len(PHASES), 0))
         axis.set_title(f"{path.stem.replace('_', ' ')}: {ms:.0f} ms", loc="left")
     axes.flat[-1].set_xlabel("ms")
     pictures.save(figure, out.with_suffix(""))

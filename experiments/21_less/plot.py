@@ -5,12 +5,14 @@
 Lines are means over five seeds, bands their 95 % t interval; steps are logarithmic.
 """
 
+import importlib
 from pathlib import Path
 
 import numpy as np
-import table
 
 from experiments import paper, pictures
+
+table = importlib.import_module("experiments.21_less.table")
 
 ROBOTS = {"g": "Go1", "h": "Go2", "c": "ANYmal-C", "d": "ANYmal-D"}
 RUNS = {  # name in the results -> label, colour, dashes
@@ -46,11 +48,12 @@ def main():
 
 
 def curve(axis, job, label, colour, dash):
-    """One run of several seeds."""
-    runs = table.seeds(job)
-    steps = np.array([row["sim_steps"] for row in runs[0]])
-    values = np.array([[row["return"] for row in run] for run in runs])
-    pictures.band(axis, steps, values.T, colour, label, most=len(steps), dash=dash)
+    """One run of several seeds, as far as the shortest goes; without an evaluation before the first step."""
+    runs = [[row for row in run if row["sim_steps"]] for run in table.seeds(job)]
+    count = min(map(len, runs))
+    steps = np.array([row["sim_steps"] for row in runs[0][:count]])
+    values = np.array([[row["return"] for row in run[:count]] for run in runs])
+    pictures.band(axis, steps, values.T, colour, label, most=count, dash=dash)
 
 
 if __name__ == "__main__":

@@ -9,11 +9,9 @@ Right are the five settings of SAC, one seed each.
 import importlib
 from pathlib import Path
 
-import numpy as np
-
 from experiments import paper, pictures
 
-table = importlib.import_module("experiments.21_less.table")
+less = importlib.import_module("experiments.21_less.plot")
 
 HERE = Path(__file__).parent
 RUNS = {  # name in the results -> label, colour, dashes
@@ -36,14 +34,14 @@ WALKS = 38
 def main():
     paper.parser(__doc__).parse_args()
     results = HERE / "results"
-    jobs = table.read(HERE.parent / "21_less/results/fresh.csv.xz")
-    jobs |= table.read(results / "mbpo.csv.xz") | table.read(results)
+    jobs = less.table.read(HERE.parent / "21_less/results/fresh.csv.xz")
+    jobs |= less.table.read(results / "mbpo.csv.xz") | less.table.read(results)
     fig, (axes,) = pictures.figure(1, 2, 4.3, sharey=True)
     axes[0].set_xscale("log")
     for name, look in RUNS.items():
-        curve(axes[0], jobs[name], *look)
+        less.curve(axes[0], jobs[name], *look)
     for name, look in SETTINGS.items():
-        curve(axes[1], jobs[f"sac_tuning_{name}"], *look)
+        less.curve(axes[1], jobs[f"sac_tuning_{name}"], *look)
     for axis in axes:
         axis.axhline(WALKS, color="0.4", lw=1, ls=":")
         axis.set_ylim(0, None)
@@ -56,18 +54,9 @@ def main():
     axes[1].set_title("Settings of SAC, one seed", loc="left")
     pictures.head(fig, f"Go1. Band: {pictures.covers([5])}. Dotted: it walks", fontsize=9.5)
     pictures.save(fig, HERE / "peers")
-    print(table.table({name: jobs[name] for name in [*RUNS, "fasttd3"]}, table.LEVELS[45]))
-
-
-def curve(axis, job, label, colour, dash):
-    """One run of several seeds, as far as the shortest goes."""
-    runs = table.seeds(job)
-    if axis.get_xscale() == "log":  # SAC is evaluated before its first step, too
-        runs = [[row for row in run if row["sim_steps"]] for run in runs]
-    count = min(map(len, runs))
-    steps = np.array([row["sim_steps"] for row in runs[0][:count]])
-    values = np.array([[row["return"] for row in run[:count]] for run in runs])
-    pictures.band(axis, steps, values.T, colour, label, most=count, dash=dash)
+    print(
+        less.table.table({name: jobs[name] for name in [*RUNS, "fasttd3"]}, less.table.LEVELS[45])
+    )
 
 
 if __name__ == "__main__":

@@ -80,14 +80,21 @@ def test_the_page_ends_with_a_training_that_is_killed(run):
 
 
 def test_without_the_flag_nothing_is_started(run, monkeypatch):
-    monkeypatch.setattr(subprocess, "Popen", None)
+    started = []
+    monkeypatch.setattr(subprocess, "Popen", lambda *given, **_: started.append(given))
     with child.beside(run, None):
-        pass
+        assert not started
+    assert not started
 
 
-def test_a_page_that_cannot_start_stops_no_training(tmp_path):
+def test_a_page_that_cannot_start_says_so_and_stops_no_training(tmp_path, capfd):
+    trained, said, end = False, "", time.monotonic() + 60
     with child.beside(tmp_path / "nothing", str(free())):
-        time.sleep(1)
+        while not said and time.monotonic() < end:
+            time.sleep(0.2)
+            said = capfd.readouterr().err
+        trained = True
+    assert trained and said.startswith("dynappo: ") and "nothing" in said
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such signal")
