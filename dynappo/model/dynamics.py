@@ -70,7 +70,7 @@ def network(static: Config, prop_size: int) -> networks.MLP:
 def init(static: Config, env: Env, key: PRNGKeyArray) -> ModelState:
     """An untrained model; its moments have weight 0 until the first fit."""
     inputs, outputs = examples.input_size(env), env.prop_size + 1
-    params = network(static, env.prop_size).init(key, jnp.zeros(inputs))
+    params = networks.init(network(static, env.prop_size), inputs, key)
     return ModelState(
         params=params,
         opt_state=optax.scale_by_adam().init(params),

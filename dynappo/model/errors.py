@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import jax
 import jax.numpy as jnp
 
 from dynappo.model import dynamics, examples, moments
@@ -13,12 +14,15 @@ def unroll(
 ):
     """`steps` next props [K, R, P], each predicted from the one before, from row 0 with the actions
     taken; and [K, R], 1 where the robot's episode had not ended by then."""
-    obs, predicted = examples.before_and_after(static, env, rows)[0][0], []
-    for k in range(steps):
-        obs = dynamics.predict(static, hyper, env, model, obs, rows.action[k])[0]
-        predicted.append(obs[:, : env.prop_size])
+
+    def advance(obs, action):
+        obs = dynamics.predict(static, hyper, env, model, obs, action)[0]
+        return obs, obs[:, : env.prop_size]
+
+    start = examples.before_and_after(static, env, rows)[0][0]
+    _, predicted = jax.lax.scan(advance, start, rows.action[:steps])
     alive = jnp.cumprod(rows.discount[:steps] * (1 - rows.truncation[:steps]), axis=0)
-    return jnp.stack(predicted), alive
+    return predicted, alive
 
 
 def errors(

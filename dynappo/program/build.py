@@ -95,12 +95,18 @@ def _uncollected():
 
 
 @_uncollected()
-def program(config, env: Any = None, each: tuple[Any, Any] | None = None) -> Program:
+def program(
+    config,
+    env: Any = None,
+    each: tuple[Any, Any] | None = None,
+    meanwhile: Callable[[], None] = lambda: None,
+) -> Program:
     """Build robot, environment and first state, and compile the program that a run repeats.
 
     `env` is an environment of your own (a `types.Env`), with a config from `environment.settle`.
     `each` is `(hyper, keys)` if each of the `run.num_seeds` seeds has its own values (`sweep.vary`)
-    or key. ConfigError as `check`, and if the compiled program needs more memory than a device has.
+    or key. `meanwhile()` is called when all is traced, while XLA compiles. ConfigError as `check`, and
+    if the compiled program needs more memory than a device has.
     """
     import jax
     import jax.numpy as jnp
@@ -139,7 +145,8 @@ def program(config, env: Any = None, each: tuple[Any, Any] | None = None) -> Pro
             (first, step, episodes_of if soon else None),
             jax.tree.map(_placed, like, spread),
         )
-        state, compiled, ready = _side_by_side(*jobs, (hyper, key), placed, chunk, robot is None)
+        given = (hyper, key), placed, chunk, robot is None, meanwhile
+        state, compiled, ready = _side_by_side(*jobs, *given)
     size = memory.needed(compiled)
     memory.check_compiled(config, size, memory.limit(mesh.local_devices[0]))
     distributed.meet()
@@ -165,7 +172,7 @@ def program(config, env: Any = None, each: tuple[Any, Any] | None = None) -> Pro
 
 
 def _side_by_side(
-    first, step, episodes_of, args, like, chunk, own: bool
+    first, step, episodes_of, args, like, chunk, own: bool, meanwhile: Callable[[], None]
 ) -> tuple[Any, Any, concurrent.futures.Future | None]:
     """`(state, compiled step, future of the compiled evaluation)`; none where `episodes_of` is None.
 
@@ -192,7 +199,10 @@ def _side_by_side(
             begin = compiling(first, quick, *args)
         if episodes_of:
             lowered = episodes_of.lower(args[0], like.learner.params, jax.random.key(0))
-        state, compiled = begin.result()(*args), iterate.result()
+        meanwhile()
+        # the state last: XLA times kernels while it compiles, on a GPU with nothing else to do
+        compiled = iterate.result()
+        state = begin.result()(*args)
     if episodes_of:
         pool = concurrent.futures.ThreadPoolExecutor(1)
         ready = pool.submit(lowered.compile, options)

@@ -5,8 +5,10 @@ Only commands call `own_process`: in a notebook it would override the user's own
 
 from __future__ import annotations
 
+import contextlib
 import importlib.util
 import os
+import threading
 import warnings
 from pathlib import Path
 
@@ -34,6 +36,17 @@ def own_process(device: str = "auto") -> None:
     if not os.environ.get("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"):
         # small programs too: a start has a dozen, 0.1 to 0.4 s each
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+
+
+def begin() -> None:
+    """Start JAX's devices in a thread: a GPU takes half a second, in which Python imports the rest."""
+    import jax
+
+    def start():
+        with contextlib.suppress(RuntimeError):  # `find` tells it
+            jax.devices()
+
+    threading.Thread(target=start, daemon=True).start()
 
 
 def find(device: str) -> list:

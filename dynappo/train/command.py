@@ -22,7 +22,7 @@ from dynappo.web import address, child
 
 # by engine: how long it takes, and what for (experiments/03_speed; README)
 WAIT = {
-    "warp": "7 s if cached, else 20 s",
+    "warp": "8 s if cached, else 20 to 30 s",
     "jax": "under a minute; half of it when cached",
     "c": "15 s; 5 when cached",
 }
@@ -142,6 +142,7 @@ def main(argv: list[str] | None = None) -> None:
         with distributed.watched():
             devices.own_process(command.config.run.device)
             distributed.join(*command.processes)
+            devices.begin()
             with stop:
                 if command.sweep:
                     own = command.fresh, command.restore, command.get_env
@@ -239,7 +240,7 @@ def _train_and_show(command: Command, stop: Stop, out) -> None:
     source = restore.source(workdir, command.restore)
     with out.status(f"compiling ({WAIT[devices.engine(config)]})"):
         config = workdir_lib.in_step(config, workdir)
-        program = build.program(config, command.env)
+        program = build.program(config, command.env, meanwhile=run_lib.import_savers)
         if source:
             program = restore.start_from(source, program, workdir, say)
     engine = devices.ENGINES[program.impl]

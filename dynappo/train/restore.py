@@ -16,7 +16,6 @@ from dynappo import schedule
 from dynappo.config import ConfigError, files
 from dynappo.policy import checkpoint_file, checks, policy_file
 from dynappo.program import distributed
-from dynappo.train import checkpoint
 from dynappo.train import workdir as workdir_lib
 
 
@@ -161,6 +160,8 @@ def saved(folder: Path) -> list[int]:
 
 def _taken(folder, like, there, what, prefix):
     """The arrays of `there` under `prefix`, in the structure of `like`."""
+    from dynappo.train import checkpoint
+
     out = []
     for name, leaf in checkpoint.paths(like).items():
         array = there.get(f"{prefix}.{name.replace('/', '.')}")

@@ -43,12 +43,17 @@ def train(
     workdir = None if workdir is None else Path(workdir)
     with workdir_lib.open_workdir(workdir, config) if workdir else contextlib.nullcontext():
         config = workdir_lib.in_step(config, workdir)
-        program = build.program(config, env)
+        program = build.program(config, env, meanwhile=import_savers)
         state, metrics = loop(config, program, workdir, progress_fn)
         if workdir:
             finish.finish(config, program, workdir, state, metrics, to_stderr)
             finish.check_saved(workdir, config.run.num_iterations)
     return state, metrics
+
+
+def import_savers() -> None:
+    """Import what saves a run: half a second, which costs nothing while XLA compiles."""
+    from dynappo.train import checkpoint, nonfinite  # noqa: F401
 
 
 def to_stderr(text: str) -> None:

@@ -13,6 +13,8 @@ case is a `dynappo train` in a process of its own, which notes when the main thr
 - XLA: it compiles the rest, or loads it
 - kernels: the first call, which loads Warp's kernels and captures their graph
 - row: until the first row of metrics.csv
+
+OUT.json also has when XLA began and ended to compile or load each program ("programs"), side by side.
 """
 
 import itertools
@@ -59,16 +61,15 @@ def main():
                 environment["JAX_COMPILATION_CACHE_DIR"] = str(programs)
             if "cold" in args.cases:  # else the machine's own kernels
                 environment["WARP_CACHE_PATH"] = str(Path(folder, "warp"))
-            took = phases(args, Path(folder, f"run{number}"), environment)
-            seconds.append(
-                {"case": case, "seconds": sum(took), **dict(zip(PHASES, took, strict=True))}
-            )
+            took, programs_at = phases(args, Path(folder, f"run{number}"), environment)
+            row = {"case": case, "seconds": sum(took), **dict(zip(PHASES, took, strict=True))}
+            seconds.append(row | {"programs": programs_at})
             print(f"{case:8s} {sum(took):7.1f}", *(f"{t:7.2f}" for t in took), flush=True)
             files.write_json(args.out, {"config": args.config, "set": args.set, "start": seconds})
 
 
-def phases(args, workdir: Path, environment) -> list[float]:
-    """Seconds of each of `PHASES` in a process of its own."""
+def phases(args, workdir: Path, environment) -> tuple[list[float], dict]:
+    """Seconds of each of `PHASES` in a process of its own, and from when to when XLA had each program."""
     marks = workdir.with_suffix(".marks")
     fields = [f"--config.run.{name}={value}" for name, value in FIELDS.items()]
     fields += [f"--config.{text}" for text in args.set]
@@ -77,14 +78,14 @@ def phases(args, workdir: Path, environment) -> list[float]:
     done = subprocess.run(command, env=environment | own, capture_output=True, text=True)
     if done.returncode:
         sys.exit(done.stderr)
-    ends = json.loads(marks.read_text())
+    ends, programs = json.loads(marks.read_text())
     at = [0.0, *(ends[name] for name in PHASES)]
-    return [after - before for before, after in itertools.pairwise(at)]
+    return [after - before for before, after in itertools.pairwise(at)], programs
 
 
 def child():
     """`dynappo train`, with a note of when each phase ended."""
-    began, ends = float(os.environ[BEGAN]), {}
+    began, ends, programs = float(os.environ[BEGAN]), {}, {}
 
     def note(name):
         ends[name] = time.time() - began
@@ -108,6 +109,14 @@ def child():
     note("imports")
     import jax
 
+    own_compile = jax.stages.Lowered.compile
+
+    def compiling(self, *args, **kwargs):
+        name, start = self._lowering._name, time.time() - began
+        compiled = own_compile(self, *args, **kwargs)
+        programs[name] = [round(start, 2), round(time.time() - began, 2)]
+        return compiled
+
     def lowered(name, *_, **__):  # the last one before the program is compiled
         if name == "/jax/core/compile/jaxpr_to_mlir_module_duration" and "XLA" not in ends:
             note("trace")
@@ -117,8 +126,9 @@ def child():
     noting(build, "_side_by_side", after="XLA")
     noting(run, "tell", before="row")
     jax.monitoring.register_event_duration_secs_listener(lowered)
+    jax.stages.Lowered.compile = compiling
     command.main(sys.argv[1:])
-    Path(os.environ[MARKS]).write_text(json.dumps(ends))
+    Path(os.environ[MARKS]).write_text(json.dumps([ends, programs]))
 
 
 if __name__ == "__main__":

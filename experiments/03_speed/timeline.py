@@ -2,16 +2,18 @@
 
     python experiments/03_speed/timeline.py OUT.json [--config go1] [--set FIELD=VALUE ...] [--iteration 40]
     python experiments/03_speed/timeline.py OUT.png --draw BEFORE.json AFTER.json
+    python experiments/03_speed/timeline.py OUT.json --whole ...
     python experiments/03_speed/timeline.py OUT.png --draw BEFORE.json AFTER.json ... --whole
 
 The program that trains runs `--warm` iterations of a run's schedule, so that robots walk into the
 ground and fall as they do then, and one more under JAX's profiler. OUT.json has its kernels: start and
-length in us, name, XLA's operation, whether it is physics; and for each phase how busy the GPU is in every
-20 us ("busy"). results/kernel/ keeps 3 ms of kernels of each. A checkout of an older commit runs this file,
-too, with its own folder first in PYTHONPATH.
+length in us, name, whether it is physics (results/kernel/ keeps 3 ms of them); with `--whole` instead, for
+each phase, its share of every 20 us in which the GPU computes ("busy"). A checkout of an older commit runs
+this file, too, with its own folder first in PYTHONPATH.
 
-XLA's command buffers (CUDA graphs) are off, because the profiler does not name the kernels in them:
-gaps between XLA's kernels are longer than in a run, and so is `wall_ms`.
+XLA's command buffers (CUDA graphs) are off, because the profiler does not name the kernels in them. So gaps
+between XLA's kernels are longer than in a run, several times as long as the kernels where the host is slow.
+The picture of a whole iteration leaves gaps out.
 """
 
 import collections
@@ -50,7 +52,7 @@ def main():
     parser.add_argument("--iteration", type=int, default=40)
     parser.add_argument("--warm", type=int, default=40)
     parser.add_argument("--draw", nargs="+", type=Path, metavar="JSON")
-    parser.add_argument("--whole", action="store_true", help="draw whole iterations")
+    parser.add_argument("--whole", action="store_true", help="a whole iteration, by phase")
     args = parser.parse_args()
     if args.draw:
         return draw_whole(args.out, args.draw) if args.whole else draw(args.out, *args.draw)
@@ -80,15 +82,21 @@ def main():
             state = step(state, args.iteration)
         found = events(folder)
     result = summary(found) | {
-        "busy": busy(found, phases(program.step.as_text())),
         "device": jax.devices()[0].device_kind,
         "config": args.config,
         "set": args.set,
         "iteration": args.iteration,
         "wall_ms": float(np.median(times)),
     }
-    args.out.write_text(json.dumps(result, indent=1) + "\n")
-    print(json.dumps({k: v for k, v in result.items() if k not in ("events", "kernels")}, indent=1))
+    if args.whole:
+        result["busy"] = busy(found, phases(program.step.as_text()))
+        del result["events"], result["kernels"]
+    args.out.write_text(json.dumps(result, indent=None if args.whole else 1) + "\n")
+    print(
+        json.dumps(
+            {k: v for k, v in result.items() if k not in ("events", "kernels", "busy")}, indent=1
+        )
+    )
 
 
 def name_phases() -> None:
@@ -110,20 +118,19 @@ def phases(text: str) -> dict[str, str]:
 
 
 def busy(found, phase_of: dict[str, str]) -> dict[str, list[float]]:
-    """Of each phase, the share of every `BIN` us in which one of its kernels runs.
+    """Of each phase, its share of every `BIN` us of computing: kernels stand one behind the other.
 
     A kernel of an operation without a name belongs to the phase of the one before it.
     """
-    first, end = found[0][0], max(start + took for start, took, *_ in found)
-    bins = int((end - first) / BIN) + 1
+    ends = np.cumsum([took for _, took, *_ in found])
+    bins = int(np.ceil(ends[-1] / BIN))
     shares, now = {}, "rest"
-    for start, took, _, operation in found:
+    for high, (_, took, _, operation) in zip(ends, found, strict=True):
         now = phase_of.get(operation, now)
-        share = shares.setdefault(now, np.zeros(bins))
-        low, high = start - first, start + took - first
+        share, low = shares.setdefault(now, np.zeros(bins)), high - took
         for k in range(int(low / BIN), min(int(high / BIN), bins - 1) + 1):
             share[k] += max(0.0, min(high, (k + 1) * BIN) - max(low, k * BIN)) / BIN
-    return {name: np.minimum(share, 1).round(2).tolist() for name, share in shares.items()}
+    return {name: share.round(2).tolist() for name, share in shares.items()}
 
 
 def events(folder):
@@ -196,7 +203,7 @@ def draw(out: Path, before: Path, after: Path):
 
 
 def draw_whole(out: Path, paths: list[Path]) -> None:
-    """An iteration each, a line a phase: as high as the GPU is busy with it."""
+    """An iteration each, a line a phase: as high as its share of the time."""
     runs = [json.loads(path.read_text()) for path in paths]
     figure, axes = pictures.figure(len(runs), 1, 1.5 * len(runs) + 0.4, sharex=True)
     for axis, path, run in zip(axes.flat, paths, runs, strict=True):
@@ -204,10 +211,12 @@ def draw_whole(out: Path, paths: list[Path]) -> None:
             share = np.array(run["busy"].get(name, [0.0]))
             at = np.arange(len(share)) * BIN / 1e3
             axis.fill_between(at, foot, foot - 0.85 * share, color=colour, lw=0, step="post")
-        ms = max(len(share) for share in run["busy"].values()) * BIN / 1e3
-        axis.set(yticks=np.arange(len(PHASES)) + 0.6, yticklabels=PHASES, ylim=(len(PHASES), 0))
-        axis.set_title(f"{path.stem.replace('_', ' ')}: {ms:.0f} ms", loc="left")
-    axes.flat[-1].set_xlabel("ms")
+        ms = sum(map(sum, run["busy"].values())) * BIN / 1e3
+        labels = [name.replace("ppo", "PPO") for name in PHASES]
+        axis.set(yticks=np.arange(len(PHASES)) + 0.6, yticklabels=labels, ylim=(len(PHASES), 0))
+        name = path.stem.rpartition("_")[2]  # of its commit
+        axis.set_title(f"{name}: {ms:.1f} ms in {run['launches']:,} kernels", loc="left")
+    axes.flat[-1].set_xlabel("ms of computing, gaps left out")
     pictures.save(figure, out.with_suffix(""))
 
 

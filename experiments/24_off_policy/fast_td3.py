@@ -6,7 +6,7 @@
 it is, with its settings for Playground's Go1, unless `--fast FIELD=VALUE` changes one. Ours are the task and
 the evaluations, as in sac.py, and the scale of the rewards: its value function reaches from -10 to 10 and has
 gamma 0.97, so that a perfect Go1 of 45 in 1000 steps is worth 7.5 with a scale of 5. The gain of 1.5 is
-SAC's; no run has had it yet: those of README.md had 3. Needs torch, tensordict.
+SAC's: with 3 it did not walk. Needs torch, tensordict.
 """
 
 import argparse

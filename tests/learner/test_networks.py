@@ -149,7 +149,10 @@ def test_kl_of_a_distribution_from_itself_is_the_1e_minus_5_of_rsl_rl_per_action
 
 def test_initial_weights_are_uniform_within_one_over_the_root_of_fan_in():
     sizes, fan_in = (200, 150, 6), (100, 200, 150)
-    params = networks.MLP(sizes).init(jax.random.key(0), jnp.zeros(100))["params"]
+    own = networks.init(networks.MLP(sizes), 100, jax.random.key(0))
+    flax = jax.eval_shape(networks.MLP(sizes).init, jax.random.key(0), jnp.zeros(100))
+    assert jax.tree.structure(own) == jax.tree.structure(flax)  # what `apply` expects
+    params, drawn = own["params"], []
     for i, n in enumerate(fan_in):
         bound = n**-0.5
         for name, shape in (("kernel", (n, sizes[i])), ("bias", (sizes[i],))):
@@ -164,6 +167,10 @@ def test_initial_weights_are_uniform_within_one_over_the_root_of_fan_in():
                 counts = np.histogram(x, 4, (-bound, bound))[0] / x.size
                 np.testing.assert_allclose(counts, 0.25, atol=0.05)
             assert np.unique(x).size > 0.9 * x.size
+            drawn.append(x.ravel() / bound)
+    # no number of the draw is in two arrays
+    drawn = np.concatenate(drawn)
+    assert np.unique(drawn.round(6)).size > 0.95 * drawn.size
 
 
 def test_weights_depend_on_the_key_and_the_initial_std_is_the_one_asked_for(make):
@@ -190,7 +197,7 @@ def test_actor_and_critic_share_no_weight(make):
 def test_every_precision_keeps_float32_parameters_and_output(precision):
     model = networks.MLP((32, 4), precision=precision)
     x = jax.random.normal(jax.random.key(0), (64, 16))
-    params = model.init(jax.random.key(1), x)
+    params = networks.init(model, 16, jax.random.key(1))
     out, exact = model.apply(params, x), networks.MLP((32, 4)).apply(params, x)
     grads = jax.grad(lambda p: model.apply(p, x).sum())(params)
     assert {a.dtype for a in jax.tree.leaves((params, out, grads))} == {jnp.dtype("float32")}
@@ -225,7 +232,7 @@ def test_the_activation_stands_between_layers_and_not_after_the_last(activation)
     }
     model = networks.MLP((6, 3), activation)
     x = np.random.default_rng(0).normal(size=5).astype(np.float32)
-    params = model.init(jax.random.key(2), x)
+    params = networks.init(model, 5, jax.random.key(2))
     h = [float(v) for v in x]
     for i in range(2):
         layer = jax.tree.map(np.float64, params["params"][f"Dense_{i}"])

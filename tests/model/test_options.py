@@ -177,7 +177,8 @@ def test_the_head_learns_which_rows_fall_and_how_many(env, fallible):
     fell = np.asarray(rows.discount) == 0
     assert 0.02 < fell.mean() < 0.1
     model, _ = fit(model, rows, 0)  # moments only
-    np.testing.assert_allclose(probability(static, hyper, env, model, rows), 0.01, atol=0.01)
+    untrained = probability(static, hyper, env, model, rows)
+    assert untrained.mean() == pytest.approx(0.01, rel=0.5) and untrained.max() < 0.04
     model, _ = fit(model, rows, 300)
     found = probability(static, hyper, env, model, rows)
     assert found[fell].mean() > 0.75 and found[~fell].mean() < 0.02

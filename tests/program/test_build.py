@@ -1,6 +1,7 @@
 """From a config to a compiled program: what does not fit is refused before, nothing else is changed."""
 
 import gc
+import threading
 
 import jax
 import numpy as np
@@ -31,7 +32,19 @@ def test_a_mesh_of_devices_computes_what_one_does_and_changes_no_setting(monkeyp
     monkeypatch.setattr(memory, "check_compiled", lambda *of: checked.append(of))
     plain = dict(schedule__end_steps=0, run__num_seeds=2, run__num_iterations=2)
     configs = workdirs.config(**plain), workdirs.config(**plain, run__mesh_seed=2, run__mesh_env=2)
-    one, four = map(build.program, configs)
+    traced, compile_ = [], jax.stages.Lowered.compile
+    waited = threading.Event()
+
+    def compiled(lowered, *options):  # waits until `meanwhile` was called
+        traced.append(lowered)
+        assert waited.wait(60)
+        return compile_(lowered, *options)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(jax.stages.Lowered, "compile", compiled)
+        one = build.program(configs[0], meanwhile=waited.set)
+    four = build.program(configs[1])
+    assert len(traced) > 1  # the first state, an iteration; the evaluation follows by itself
     for config, program, devices, seen in zip(configs, (one, four), (1, 4), checked, strict=True):
         assert len(program.state.env_state.prop.sharding.device_set) == devices
         limit = memory.limit(jax.devices("cpu")[0])

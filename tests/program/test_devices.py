@@ -2,6 +2,7 @@
 
 import importlib.util
 import re
+import threading
 from types import SimpleNamespace
 
 import jax
@@ -69,6 +70,24 @@ def test_the_engine_is_warp_where_it_can_run(machine, impl, device, platform, wa
 def test_what_is_not_there_is_one_line(machine, fields, platform, warp, expected):
     machine(platform, 2, warp)
     assert re.search(expected, refused(devices.engine, config(**fields)))
+
+
+def test_devices_start_in_a_thread_which_leaves_errors_to_who_asks(monkeypatch):
+    threads, began = [], []
+
+    def without_devices(kind=None):
+        began.append(threading.current_thread())
+        raise RuntimeError("no such platform")
+
+    monkeypatch.setattr(jax, "devices", without_devices)
+    monkeypatch.setattr(threading, "excepthook", threads.append)
+    before = threading.enumerate()
+    devices.begin()
+    for thread in set(threading.enumerate()).difference(before):
+        thread.join(10)
+    assert refused(devices.find, "auto") == "JAX finds no device: no such platform"
+    assert len(began) == 2 and began[0] is not began[1] is threading.current_thread()
+    assert not threads  # nothing was printed
 
 
 def test_a_process_of_our_own_keeps_its_programs_and_leaves_the_gpu_alone(tmp_path, monkeypatch):

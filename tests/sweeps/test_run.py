@@ -30,7 +30,7 @@ def compiled_once(program):
     made = {}
 
     @functools.wraps(program)
-    def again(config, env=None, each=None):
+    def again(config, env=None, each=None, **_):
         of = config.to_json_best_effort(), str(leaves(each))
         if of not in made:
             made[of] = program(config, env, each)

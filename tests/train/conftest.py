@@ -25,5 +25,5 @@ def program(config):
 def whole(config, program, tmp_path_factory):
     """The run without interruption, with the same compiled program."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(build, "program", lambda *_: program())
+        patch.setattr(build, "program", lambda *_, **__: program())
         return workdirs.Run(config, tmp_path_factory.mktemp("whole") / "deep" / "run")

@@ -140,7 +140,7 @@ def test_a_mistake_is_one_line_and_status_2(name, tmp_path, monkeypatch, capsys)
     (tmp_path / "thesis").mkdir()
     (tmp_path / "thesis" / "thesis.txt").write_text("years")
     (tmp_path / "old" / "metrics.csv").write_text("iteration\n1\n")
-    monkeypatch.setattr(train_command.build, "program", lambda _: pytest.fail("compiled"))
+    monkeypatch.setattr(train_command.build, "program", lambda *_, **__: pytest.fail("compiled"))
     before = workdirs.everything(tmp_path)
     monkeypatch.setattr(train_command.memory, "limit", lambda device: 8 * 2**30)
     assert status(train_command.main, GO1, *flags) == 2
@@ -263,7 +263,7 @@ def finished(monkeypatch, when):
         raise AssertionError("not stopped")
 
     program = SimpleNamespace(impl="c", device="cpu", compile_seconds=0, bytes_needed=1)
-    monkeypatch.setattr(train_command.build, "program", lambda config, env: program)
+    monkeypatch.setattr(train_command.build, "program", lambda config, env, **_: program)
     monkeypatch.setattr(train_command.run_lib, "loop", loop)
     monkeypatch.setattr(train_command.finish, "finish", finish)
     return loops

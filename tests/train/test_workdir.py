@@ -72,7 +72,7 @@ def test_train_holds_its_folder_until_it_ends(config, tmp_path, monkeypatch):
     """Also where it is interrupted; then the next call in the same process trains there."""
     ends = []
 
-    def program(*_):
+    def program(*_, **__):
         assert "another run is writing" in refused(opened, tmp_path, config)
         ends.append(1)
         raise KeyboardInterrupt

@@ -1,0 +1,101 @@
+"""Seconds and simulator steps until Go1 walks: `best`, and tuned PPO with 256 to 8192 robots.
+
+    python experiments/21_less/seconds.py                        # the table of results/seconds.csv.xz
+    python experiments/21_less/seconds.py --add GPU FOLDER ...   # adds runs; a folder is NAME_SEED or ..._N
+
+A run is a `dynappo train` of its own, alone on its GPU, with an evaluation every 10 iterations, whose time is
+not counted, nor is the start (README.md has the commands). A seed's first evaluation of `WALKS` counts; the
+clock is the median of a seed's runs, of which all but the clock is equal.
+"""
+
+import collections
+import csv
+import lzma
+from pathlib import Path
+
+import numpy as np
+
+from experiments import paper, stats
+
+HERE = Path(__file__).parent
+RESULTS, WALKS = HERE / "results/seconds.csv.xz", 38
+COLUMNS = "gpu name seed run iteration sim_steps seconds return fall_rate".split()
+
+
+def main():
+    parser = paper.parser(__doc__)
+    parser.add_argument("folders", nargs="*", type=Path)
+    parser.add_argument("--add", metavar="GPU")
+    args = parser.parse_args()
+    if args.add:
+        write(read() + [row for folder in args.folders for row in evaluations(folder, args.add)])
+    for row in table(read()):
+        print("| " + " | ".join(row) + " |")
+
+
+def read() -> list[dict]:
+    if not RESULTS.exists():
+        return []
+    with lzma.open(RESULTS, "rt", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def write(rows: list[dict]) -> None:
+    with lzma.open(RESULTS, "wt", newline="") as file:
+        writer = csv.DictWriter(file, COLUMNS)
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+def evaluations(folder: Path, gpu: str) -> list[dict]:
+    """A row an evaluation of the run in `folder`."""
+    name, seed = folder.name.split("_")[:2]
+    rows = csv.DictReader((folder / "metrics.csv").read_text().splitlines())
+    return [  # whole milliseconds
+        {"gpu": gpu, "name": name, "seed": seed, "run": folder.name}
+        | {"iteration": row["iteration"], "sim_steps": row["sim_steps"]}
+        | {"seconds": f"{float(row['seconds']):.3f}"}
+        | {"return": row["eval_return"], "fall_rate": row["eval_fall_rate"]}
+        for row in rows
+        if row["eval_return"]
+    ]
+
+
+def table(rows: list[dict]) -> list[list[str]]:
+    """Of each GPU and name: seeds; iterations, million steps and seconds until it walks.
+
+    Means, with half of their t intervals.
+    """
+    runs = collections.defaultdict(list)
+    for row in rows:
+        runs[row["gpu"], row["name"], row["seed"], row["run"]].append(row)
+    seeds = collections.defaultdict(list)
+    for (gpu, name, seed, _), found in runs.items():
+        seeds[gpu, name, seed].append(walks(found))
+    lines = collections.defaultdict(list)
+    for (gpu, name, _), again in seeds.items():
+        lines[gpu, name].append(np.median(again, axis=0))
+    out = [["GPU", "", "seeds", "iterations", "M steps", "seconds"]]
+    for (gpu, name), found in lines.items():
+        iterations, steps, seconds = np.transpose(found)
+        cells = f"{iterations.mean():.0f}", interval(steps / 1e6), interval(seconds)
+        out.append([gpu, name, str(len(found)), *cells])
+    return out
+
+
+def walks(rows: list[dict]) -> tuple[float, float, float]:
+    """`(iteration, simulator steps, seconds)` of the first evaluation of `WALKS`; NaN if there is none."""
+    for row in rows:
+        if float(row["return"]) >= WALKS:
+            return float(row["iteration"]), float(row["sim_steps"]), float(row["seconds"])
+    return np.nan, np.nan, np.nan
+
+
+def interval(values) -> str:
+    if len(values) < 2:
+        return f"{values[0]:.2f}"
+    return f"{np.mean(values):.2f} ± {stats.half_of(stats.moments(values)):.2f}"
+
+
+if __name__ == "__main__":
+    main()
