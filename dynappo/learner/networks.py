@@ -14,10 +14,9 @@ joint, more than the joint can turn.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import partial
+from typing import NamedTuple
 
-import flax.linen as nn
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -30,8 +29,6 @@ LOG_2PI = 1.8378770664093453
 PRECISION = {"highest": "highest", "tf32": "tensorfloat32", "bfloat16": "default"}
 
 MAX_MEAN = 10.0  # units of the action; policy/policy_file.py and the ONNX file clip there too
-# for last layers: bfloat16 would round a value of 5 by up to 0.016, half the reward of a step
-FLOAT32_DOT = partial(jax.lax.dot_general, preferred_element_type=jnp.float32)
 
 
 def elu(x: Float[Array, "..."]) -> Float[Array, "..."]:
@@ -39,53 +36,51 @@ def elu(x: Float[Array, "..."]) -> Float[Array, "..."]:
     return jnp.where(x > 0, x, jnp.exp(jnp.minimum(x, 0)) - 1)
 
 
-ACTIVATIONS = {"elu": elu, "relu": nn.relu, "tanh": nn.tanh, "swish": nn.swish}
+ACTIVATIONS = {"elu": elu, "relu": jax.nn.relu, "tanh": jnp.tanh, "swish": jax.nn.swish}
 
 
-class MLP(nn.Module):
+class MLP(NamedTuple):
     """Linear layers with an activation between them; parameters and output are float32."""
 
-    sizes: Sequence[int]  # units of each layer, the output last
+    sizes: tuple[int, ...]  # units of each layer, the output last
     activation: str = "elu"
     precision: str = "highest"
 
-    @nn.compact
-    def __call__(self, x: Float[Array, "... in"]) -> Float[Array, "... out"]:
-        dtype = jnp.bfloat16 if self.precision == "bfloat16" else jnp.float32
-        for i, size in enumerate(self.sizes):
-            last = i == len(self.sizes) - 1
-            x = nn.Dense(
-                size,
-                dtype=dtype,
-                dot_general=FLOAT32_DOT if last else None,
-                precision=PRECISION[self.precision],
-            )(x)
-            if not last:
-                x = ACTIVATIONS[self.activation](x)
-        return x.astype(jnp.float32)
-
 
 def init(network: MLP, inputs: int, key: PRNGKeyArray) -> dict:
-    """Parameters of an untrained `network` that sees `inputs` numbers.
+    """Parameters of an untrained `network` that sees `inputs` numbers, named as flax names them.
 
-    One draw for all arrays. flax's own `init` draws each with a key of its own: for an H100, XLA then
-    takes 14 s to compile a run's first state, and 7 s with this (experiments/03_speed/kernel.md).
+    One draw for all arrays. With one for each, XLA takes 14 s to compile a run's first state for an H100, and
+    7 s with this (experiments/03_speed/kernel.md).
     """
-    shapes = jax.eval_shape(network.init, key, jnp.zeros(inputs))
-    arrays, tree = jax.tree.flatten(shapes)
-    ends = np.cumsum([array.size for array in arrays])
+    fan_in = inputs, *network.sizes[:-1]
+    ends = np.cumsum([(n + 1) * size for n, size in zip(fan_in, network.sizes, strict=True)])
     parts = jnp.split(jax.random.uniform(key, (ends[-1],), minval=-1.0, maxval=1.0), ends[:-1])
-    layers = tree.unflatten([x.reshape(a.shape) for x, a in zip(parts, arrays, strict=True)])
-
-    def scaled(layer):
-        return jax.tree.map(lambda x: x * len(layer["kernel"]) ** -0.5, layer)  # +-1/sqrt(fan_in)
-
-    return {"params": {name: scaled(layer) for name, layer in layers["params"].items()}}
+    layers = {}
+    for i, (part, n) in enumerate(zip(parts, fan_in, strict=True)):
+        rows = part.reshape(n + 1, -1) * n**-0.5
+        layers[f"Dense_{i}"] = {"bias": rows[0], "kernel": rows[1:]}
+    return {"params": layers}
 
 
 def apply(network: MLP, params, x: Float[Array, "... in"]) -> Float[Array, "... out"]:
-    """`network` with `params` on `x`."""
-    return jnp.asarray(network.apply(params, x))  # flax's type allows a tuple, ours return none
+    """`network` with `params` on `x`. In bfloat16 the last product and its sum are float32: else it would
+    round a value of 5 by up to 0.016, half the reward of a step."""
+    layers = cast(network.precision, params["params"])
+    *hidden, last = (layers[f"Dense_{i}"] for i in range(len(network.sizes)))
+    dot = partial(jnp.matmul, precision=PRECISION[network.precision])
+    x = cast(network.precision, x)
+    for layer, bias in zip(hidden, spread([layer["bias"] for layer in hidden], x), strict=True):
+        x = ACTIVATIONS[network.activation](dot(x, layer["kernel"]) + bias)
+    return dot(x, last["kernel"], preferred_element_type=jnp.float32) + last["bias"]
+
+
+def spread(biases: list[Float[Array, "... out"]], x: Float[Array, "... in"]):
+    """Each of `biases` for each row of `x`: parts of one array, so that their gradients are one sum over
+    rows, and not one a layer."""
+    ends = np.cumsum([bias.shape[-1] for bias in biases])
+    together = jnp.concatenate(biases, -1)
+    return jnp.split(jnp.broadcast_to(together, (*x.shape[:-1], ends[-1])), ends[:-1], -1)
 
 
 def actor(static: Config, action_size: int) -> MLP:
@@ -163,12 +158,14 @@ def join(static: Config, params: dict) -> dict:
     A loop over rows does this once, before it begins: in the loop it takes 7 kernels a row.
     """
     nets = [cast(static.ppo.precision, params[name]["params"]) for name in ("actor", "critic")]
-    first, *hidden, last = ([net[f"Dense_{i}"] for net in nets] for i in range(len(nets[0])))
+    *hidden, last = ([net[f"Dense_{i}"] for net in nets] for i in range(len(nets[0])))
+    kernels = [jnp.stack([layer["kernel"] for layer in pair]) for pair in hidden[1:]]
+    first = [layer["kernel"] for layer in hidden[0]]
     if static.ppo.critic == "obs":
         # one input, so one plain product; [B, 2, H] would be copied later
-        first = jax.tree.map(lambda *x: jnp.concatenate(x, -1), *first)
-    hidden = [jax.tree.map(lambda *x: jnp.stack(x), *pair) for pair in hidden]
-    return {"first": first, "hidden": hidden, "last": last}
+        first = jnp.concatenate(first, -1)
+    biases = [jnp.stack([layer["bias"] for layer in pair]) for pair in hidden]
+    return {"first": first, "kernels": kernels, "biases": biases, "last": last}
 
 
 def cast(precision: str, weights):
@@ -183,19 +180,19 @@ def of_joined(static: Config, joined: dict, obs: Float[Array, "... O"], critic_o
     dot = partial(jnp.einsum, precision=PRECISION[static.ppo.precision])
     act = ACTIVATIONS[static.ppo.activation]
 
-    def one(layer, obs):
-        return (
-            dot("...i,io->...o", cast(static.ppo.precision, obs), layer["kernel"]) + layer["bias"]
-        )
+    def one(kernel, obs):
+        return dot("...i,io->...o", cast(static.ppo.precision, obs), kernel)
 
     if static.ppo.critic == "obs":
         x = one(first, obs)
-        x = act(jnp.moveaxis(x.reshape(*x.shape[:-1], 2, -1), -2, 0))
+        x = jnp.moveaxis(x.reshape(*x.shape[:-1], 2, -1), -2, 0)
     else:
-        x = act(jnp.stack([one(*both) for both in zip(first, (obs, critic_obs), strict=True)]))
-    for layer in joined["hidden"]:
-        bias = jnp.expand_dims(layer["bias"], range(1, x.ndim - 1))
-        x = act(dot("k...i,kio->k...o", x, layer["kernel"]) + bias)
+        x = jnp.stack([one(*both) for both in zip(first, (obs, critic_obs), strict=True)])
+    biases = [jnp.expand_dims(bias, range(1, x.ndim - 1)) for bias in joined["biases"]]
+    bias, *biases = spread(biases, x)
+    x = act(x + bias)
+    for kernel, bias in zip(joined["kernels"], biases, strict=True):
+        x = act(dot("k...i,kio->k...o", x, kernel) + bias)
     dot = partial(dot, "...i,io->...o", preferred_element_type=jnp.float32)
     mean, found = (dot(x[i], net["kernel"]) + net["bias"] for i, net in enumerate(joined["last"]))
     return jnp.clip(mean, -MAX_MEAN, MAX_MEAN), found[..., 0]

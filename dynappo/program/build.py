@@ -116,8 +116,7 @@ def program(
     from dynappo import algorithm, evaluation, sweep
 
     began = time.perf_counter()
-    static, hyper = config_lib.split(config)
-    run = config.run
+    (static, hyper), run = config_lib.split(config), config.run
     mesh = sweep.mesh(run.mesh_seed, run.mesh_env, devices.find(run.device))
     robot, env, impl = _environment(config, env, impl)
     env = env._replace(mesh=mesh)
@@ -140,13 +139,10 @@ def program(
     episodes_of = jax.jit(partial(episodes_of, **episodes), out_shardings=everywhere)
     # several devices or processes share settings and steps of a compilation: one after the other
     soon = run.eval_envs and mesh.size == 1 and jax.process_count() == 1
+    like = jax.tree.map(_placed, like, spread)
+    given = first, step, episodes_of if soon else None, (hyper, key), like, chunk
     with sweep.partitioner(mesh):
-        jobs, placed = (
-            (first, step, episodes_of if soon else None),
-            jax.tree.map(_placed, like, spread),
-        )
-        given = (hyper, key), placed, chunk, robot is None, meanwhile
-        state, compiled, ready = _side_by_side(*jobs, *given)
+        state, compiled, ready = _side_by_side(*given, robot is None, meanwhile)
     size = memory.needed(compiled)
     memory.check_compiled(config, size, memory.limit(mesh.local_devices[0]))
     distributed.meet()

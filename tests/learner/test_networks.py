@@ -2,6 +2,7 @@
 
 from functools import partial
 
+import flax.linen as nn
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -147,11 +148,33 @@ def test_kl_of_a_distribution_from_itself_is_the_1e_minus_5_of_rsl_rl_per_action
     np.testing.assert_allclose(kl, ACTIONS * 1e-5, rtol=0.05)
 
 
+class Flax(nn.Module):
+    """The same network of flax's layers."""
+
+    sizes: tuple[int, ...]
+
+    @nn.compact
+    def __call__(self, x):
+        for size in self.sizes[:-1]:
+            x = nn.swish(nn.Dense(size)(x))
+        return nn.Dense(self.sizes[-1])(x)
+
+
+@pytest.mark.parametrize("shape", [(9,), (4, 9), (2, 3, 9)])
+@pytest.mark.parametrize("sizes", [(7, 5, 3), (6, 2)])
+def test_a_network_and_its_gradient_are_flaxs(sizes, shape):
+    model, x = networks.MLP(sizes, "swish"), jax.random.normal(jax.random.key(1), shape)
+    params = networks.init(model, 9, jax.random.key(0))
+    ours = jax.value_and_grad(lambda p: (networks.apply(model, p, x) ** 2).sum())(params)
+    flaxs = jax.value_and_grad(lambda p: (Flax(sizes).apply(p, x) ** 2).sum())(params)
+    jax.tree.map(partial(np.testing.assert_allclose, rtol=1e-5, atol=1e-6), ours, flaxs)
+
+
 def test_initial_weights_are_uniform_within_one_over_the_root_of_fan_in():
     sizes, fan_in = (200, 150, 6), (100, 200, 150)
     own = networks.init(networks.MLP(sizes), 100, jax.random.key(0))
-    flax = jax.eval_shape(networks.MLP(sizes).init, jax.random.key(0), jnp.zeros(100))
-    assert jax.tree.structure(own) == jax.tree.structure(flax)  # what `apply` expects
+    flax = jax.eval_shape(Flax(sizes).init, jax.random.key(0), jnp.zeros(100))
+    assert jax.tree.structure(own) == jax.tree.structure(flax)
     params, drawn = own["params"], []
     for i, n in enumerate(fan_in):
         bound = n**-0.5
@@ -198,8 +221,9 @@ def test_every_precision_keeps_float32_parameters_and_output(precision):
     model = networks.MLP((32, 4), precision=precision)
     x = jax.random.normal(jax.random.key(0), (64, 16))
     params = networks.init(model, 16, jax.random.key(1))
-    out, exact = model.apply(params, x), networks.MLP((32, 4)).apply(params, x)
-    grads = jax.grad(lambda p: model.apply(p, x).sum())(params)
+    out = networks.apply(model, params, x)
+    exact = networks.apply(networks.MLP((32, 4)), params, x)
+    grads = jax.grad(lambda p: networks.apply(model, p, x).sum())(params)
     assert {a.dtype for a in jax.tree.leaves((params, out, grads))} == {jnp.dtype("float32")}
     np.testing.assert_allclose(out, exact, atol=0.03)
     if precision == "bfloat16":
@@ -244,4 +268,4 @@ def test_the_activation_stands_between_layers_and_not_after_the_last(activation)
             outputs.append(functions[activation](total) if i == 0 else total)
         h = outputs
     assert min(h) < 0  # else relu after the last layer would pass
-    np.testing.assert_allclose(model.apply(params, x), h, rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(networks.apply(model, params, x), h, rtol=1e-5, atol=1e-6)
