@@ -22,7 +22,7 @@ from dynappo.web import address, child
 
 # by engine: how long it takes, and what for (experiments/03_speed; README)
 WAIT = {
-    "warp": "8 s if cached, else 20 to 30 s",
+    "warp": "8 s if cached, else 20 to 35 s",
     "jax": "under a minute; half of it when cached",
     "c": "15 s; 5 when cached",
 }

@@ -160,7 +160,9 @@ def saved(folder: Path) -> list[int]:
 
 def _taken(folder, like, there, what, prefix):
     """The arrays of `there` under `prefix`, in the structure of `like`."""
-    from dynappo.train import checkpoint
+    from dynappo.train import (
+        checkpoint,
+    )  # here: Orbax takes half a second, which a start can spend later
 
     out = []
     for name, leaf in checkpoint.paths(like).items():

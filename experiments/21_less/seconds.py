@@ -78,8 +78,10 @@ def table(rows: list[dict]) -> list[list[str]]:
     out = [["GPU", "", "seeds", "iterations", "M steps", "seconds"]]
     for (gpu, name), found in lines.items():
         iterations, steps, seconds = np.transpose(found)
-        cells = f"{iterations.mean():.0f}", interval(steps / 1e6), interval(seconds)
-        out.append([gpu, name, str(len(found)), *cells])
+        cells = f"{np.nanmean(iterations):.0f}", interval(steps / 1e6), interval(seconds)
+        walked = np.isfinite(seconds).sum()
+        some = str(walked) if walked == len(found) else f"{walked} of {len(found)}"
+        out.append([gpu, name, some, *cells])
     return out
 
 
@@ -92,9 +94,8 @@ def walks(rows: list[dict]) -> tuple[float, float, float]:
 
 
 def interval(values) -> str:
-    if len(values) < 2:
-        return f"{values[0]:.2f}"
-    return f"{np.mean(values):.2f} ± {stats.half_of(stats.moments(values)):.2f}"
+    found = stats.moments(values)
+    return f"{found.mean:.2f}" + (f" ± {stats.half_of(found):.2f}" if found.n > 1 else "")
 
 
 if __name__ == "__main__":
