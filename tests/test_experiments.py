@@ -133,7 +133,12 @@ def test_seconds_are_counted_to_the_first_evaluation_that_walks():
     assert seconds.table(found)[1] == ["G", "best", "2", "20", "0.02 ± 0.00", "90.00 ± 381.19"]
     assert np.isnan(seconds.walks([{"return": "1"}])).all()
     falls = about | {"seed": "2", "run": "a", "return": 30.0}
-    assert seconds.table([*found, falls])[1] == ["G", "best", "2 of 3", *seconds.table(found)[1][3:]]
+    assert seconds.table([*found, falls])[1] == [
+        "G",
+        "best",
+        "2 of 3",
+        *seconds.table(found)[1][3:],
+    ]
 
 
 def test_the_timeline_gives_each_kernel_to_its_phase():
