@@ -160,9 +160,8 @@ def saved(folder: Path) -> list[int]:
 
 def _taken(folder, like, there, what, prefix):
     """The arrays of `there` under `prefix`, in the structure of `like`."""
-    from dynappo.train import (
-        checkpoint,
-    )  # here: Orbax takes half a second, which a start can spend later
+    # here: it imports Orbax for half a second, which most starts need not wait for
+    from dynappo.train import checkpoint
 
     out = []
     for name, leaf in checkpoint.paths(like).items():

@@ -1,7 +1,7 @@
 """Seconds and simulator steps until Go1 walks: `best`, and tuned PPO with 256 to 8192 robots.
 
     python experiments/21_less/seconds.py                        # the table of results/seconds.csv.xz
-    python experiments/21_less/seconds.py --add GPU FOLDER ...   # adds runs; a folder is NAME_SEED or ..._N
+    python experiments/21_less/seconds.py --add GPU FOLDER ...   # adds or replaces runs: NAME_SEED[_N]
 
 A run is a `dynappo train` of its own, alone on its GPU, with an evaluation every 10 iterations, whose time is
 not counted, nor is the start (README.md has the commands). A seed's first evaluation of `WALKS` counts; the
@@ -28,7 +28,9 @@ def main():
     parser.add_argument("--add", metavar="GPU")
     args = parser.parse_args()
     if args.add:
-        write(read() + [row for folder in args.folders for row in evaluations(folder, args.add)])
+        new = [row for folder in args.folders for row in evaluations(folder, args.add)]
+        again = {(row["gpu"], row["run"]) for row in new}
+        write([row for row in read() if (row["gpu"], row["run"]) not in again] + new)
     for row in table(read()):
         print("| " + " | ".join(row) + " |")
 
