@@ -70,17 +70,9 @@ def apply(network: MLP, params, x: Float[Array, "... in"]) -> Float[Array, "... 
     *hidden, last = (layers[f"Dense_{i}"] for i in range(len(network.sizes)))
     dot = partial(jnp.matmul, precision=PRECISION[network.precision])
     x = cast(network.precision, x)
-    for layer, bias in zip(hidden, spread([layer["bias"] for layer in hidden], x), strict=True):
-        x = ACTIVATIONS[network.activation](dot(x, layer["kernel"]) + bias)
+    for layer in hidden:
+        x = ACTIVATIONS[network.activation](dot(x, layer["kernel"]) + layer["bias"])
     return dot(x, last["kernel"], preferred_element_type=jnp.float32) + last["bias"]
-
-
-def spread(biases: list[Float[Array, "... out"]], x: Float[Array, "... in"]):
-    """Each of `biases` for each row of `x`: parts of one array, so that their gradients are one sum over
-    rows, and not one a layer."""
-    ends = np.cumsum([bias.shape[-1] for bias in biases])
-    together = jnp.concatenate(biases, -1)
-    return jnp.split(jnp.broadcast_to(together, (*x.shape[:-1], ends[-1])), ends[:-1], -1)
 
 
 def actor(static: Config, action_size: int) -> MLP:
@@ -188,8 +180,7 @@ def of_joined(static: Config, joined: dict, obs: Float[Array, "... O"], critic_o
         x = jnp.moveaxis(x.reshape(*x.shape[:-1], 2, -1), -2, 0)
     else:
         x = jnp.stack([one(*both) for both in zip(first, (obs, critic_obs), strict=True)])
-    biases = [jnp.expand_dims(bias, range(1, x.ndim - 1)) for bias in joined["biases"]]
-    bias, *biases = spread(biases, x)
+    bias, *biases = (jnp.expand_dims(bias, range(1, x.ndim - 1)) for bias in joined["biases"])
     x = act(x + bias)
     for kernel, bias in zip(joined["kernels"], biases, strict=True):
         x = act(dot("k...i,kio->k...o", x, kernel) + bias)

@@ -133,7 +133,8 @@ def minibatch_step(
         return loss(static, hyper, unflatten(params), batch, old_std)
 
     grads, metrics = jax.grad(of_vector, has_aux=True)(learner.params)
-    grads = symmetry.mean(grads, turned)
+    # a barrier: else XLA joins the layers' gradients again in each kernel that reads them
+    grads = jax.lax.optimization_barrier(symmetry.mean(grads, turned))
     rate = adapt(static, hyper, learner.learning_rate, metrics["kl"])
     updates, opt_state = _optimizer(hyper).update(grads, learner.opt_state)
     params = learner.params - rate * updates
