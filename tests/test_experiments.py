@@ -300,21 +300,25 @@ def test_tails_are_compared_with_the_real_rows_that_they_stand_for(tmp_path, mon
     """24 rows of 1024 robots: 20 real and 4 of the model, against PPO with 20 and with 24."""
     cliff = script("17_regimes/cliff")
     monkeypatch.setattr(cliff.plot, "__file__", str(tmp_path / "17_regimes" / "plot.py"))
-    folder = tmp_path / "17_regimes" / "results"
-    assert len(cliff.jobs(folder)) == 6
+    folder, job = tmp_path / "17_regimes" / "results", script("10_ablation").job
     for rows, last in {20: [10.0, 14.0], 24: [30.0, 34.0]}.items():
-        job = script("10_ablation").job(1024, rows)
-        keep(tmp_path / "10_ablation" / "results", run.name(job), [last] * 10)
-    keep(folder, "go1_dyna4_rollout.num_envs_1024_rollout.horizon_24", [[20.0, 28.0]] * 10)
-    keep(tmp_path / "12_platforms" / "earlier", "go1_ppo16", [[30.0, 30.0]] * 10)  # limit 24
-    assert len(cliff.jobs(folder)) == 5
+        keep(folder, run.name(job(1024, rows)), [last] * 10)
+    name = "go1_dyna4_rollout.num_envs_1024_rollout.horizon_24"
+    keep(folder, name, [[20.0, 28.0]] * 10)
+    keep(folder / "more", name, [[20.0, 22.0]] * 10)
+    keep(tmp_path / "17_regimes" / "earlier", name, [[5.0, 7.0]] * 10)
+    keep(tmp_path / "12_platforms" / "results", "go1_ppo16", [[30.0, 30.0]] * 10)  # limit 24
     table = cliff.build(folder)
-    assert [row["status"] for row in table].count("") == 4  # PPO-20 is in two groups
-    tail = paper.pick(table, variant="dyna4", rows=24)
-    got = [tail[n] for n in ("max_reward_mean", "success_rate_pct", "sim_steps_M_mean")]
-    assert got == [24, 50, 0.01]
-    assert tail["p_vs_fewer"] == stats.welch_of([20, 28], [10, 14])
-    assert tail["p_vs_all"] == stats.welch_of([20, 28], [30, 34])
+    assert [row["status"] for row in table].count("") == 5  # PPO-20 is in two groups
+    tail = paper.pick(table, batch="second", variant="dyna4", rows=24)
+    got = [tail[n] for n in ("seeds", "best_mean", "success_rate_pct", "sim_steps_M_mean")]
+    assert got == [4, 22.5, 25, 0.01]
+    ours = [20, 28, 20, 22]
+    assert tail["fewer_best_p"] == stats.welch_of(ours, [10, 14])
+    assert tail["all_best_p"] == stats.welch_of(ours, [30, 34])
+    assert tail["all_best_difference"] == 22.5 - 32 and tail["all_evaluated_difference"] == 0
+    earlier = paper.pick(table, batch="first", variant="dyna4", rows=24)
+    assert earlier["best_mean"] == 6 and "all_best_p" not in earlier  # never beside another batch
 
 
 def test_more_seeds_of_a_cell_are_pooled_and_cells_that_differ_most_come_first(tmp_path):

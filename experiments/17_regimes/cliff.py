@@ -4,10 +4,14 @@
 
 The paper's cliff lies between 12 and 16 rows of 4096 robots, ours between 16 and 24 of 1024
 (10_ablation). So the paper's tails there, in rollouts of 16, 20 and 24 rows, beside PPO with all rows
-simulated and PPO without the rows that a tail writes. "p_equal_all": equal to all rows simulated, within
-1.0 of return (`stats.MARGIN`). Holm's p are over the six tails.
+simulated and PPO without the rows that a tail writes. A tail's columns: its best and its evaluated return
+less those of PPO with four rows fewer ("fewer_"), with all rows simulated ("all_") and of the tail with a
+ramp ("ramp_"), p by Welch and of equality within 1.0 of return (`stats.MARGIN`), both by Holm over the tails
+of a batch, and the verdict. The batch "first" had fewer epochs of fitting and MuJoCo Warp's physics
+(`plot.first`).
 """
 
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -19,12 +23,13 @@ TAIL, ENVS, ROWS = 4, 1024, (16, 20, 24)
 TAILS = ("dyna4_noschedule", "dyna4")
 PPO_ROWS = (12, 16, 20, 24, 28, 32)
 BEST = (8, 24)  # real rows, all rows
-SEEDS = 5
 LINE: dict = {"color": pictures.COLOURS["ppo16"], "linewidth": 1.3}
+KINDS = ("best", "evaluated")
+PREFIXES = [f"{other}_{kind}_" for other in ("fewer", "all", "ramp") for kind in KINDS]
 COLUMNS = (
-    "rows variant status seeds max_reward_mean max_reward_low max_reward_high evaluated_return p_vs_fewer "
-    "p_vs_fewer_holm p_vs_all p_vs_all_holm p_equal_all difference_to_all difference_to_all_low "
-    "difference_to_all_high limit success_rate_pct sim_steps_M_mean"
+    "batch rows variant status seeds best_mean best_low best_high evaluated_mean evaluated_low "
+    "evaluated_high falls_pct_mean limit success_rate_pct sim_steps_M_mean "
+    "share_of_all_pct share_of_all_low share_of_all_high share_of_all_bound p_steps_rank"
 ).split()
 
 
@@ -32,61 +37,77 @@ def main():
     make(Path(__file__).parent)
 
 
-def jobs(folder: Path) -> list[str]:
-    """The runs of this question that nobody has."""
-    here = plot.Regime("", ENVS)
-    cells = [(here, name, rows) for rows in ROWS for name in TAILS]
-    return [plot.job(*cell) for cell in cells if not plot.found(folder, *cell)]
-
-
 def make(out: Path, robots=plot.ROBOTS) -> None:
     rows = build(out / "results")
     paper.write(out / "cliff.csv", rows)
     paper.show(rows, COLUMNS)
+    for prefix in PREFIXES:
+        names = [f"{prefix}{name}" for name in stats.COMPARED]
+        paper.show(
+            [row for row in rows if f"{prefix}p" in row], ["batch", "rows", "variant", *names]
+        )
     draw(out / "results", robots, out / "cliff")
 
 
-def run(folder: Path, envs: int, variant: str, rows: int) -> paper.Run | None:
-    """A tail, or "ppo", in rollouts of so many rows."""
+def run(find, envs: int, variant: str, rows: int) -> paper.Run | None:
+    """A tail, or "ppo", in rollouts of so many rows; `find` as `plot.first`."""
     if variant == "ppo":
         variant = {n: name for name, n in plot.PPO.items()}.get(rows, "ppo16")
-    return plot.found(folder, plot.Regime("", envs), variant, rows)
+    return find(plot.Regime("", envs), variant, rows)
 
 
 def build(folder: Path) -> list[dict]:
-    """Four rows a length: PPO with fewer rows, the tails, PPO with all rows."""
-    usual = plot.found(folder, plot.Regime("", 4096), "ppo16")
-    limit = 0.8 * float(paper.peak(usual).mean()) if usual and usual.columns else None
-    out = [
-        cells(folder, name, rows, limit)
-        for rows in ROWS
-        for name in (f"ppo{rows - TAIL}", *TAILS, f"ppo{rows}")
-    ]
-    for name in ("p_vs_fewer", "p_vs_all"):
-        stats.adjust(out, name)
+    """Four rows a length and batch: PPO with fewer rows, the tails, PPO with all rows."""
+    batches, out = {"second": partial(plot.found, folder), "first": plot.first}, []
+    for batch, find in batches.items():
+        usual = find(plot.Regime("", 4096), "ppo16")
+        limit = 0.8 * float(paper.peak(usual).mean()) if usual and usual.columns else None
+        some = [
+            {"batch": batch} | cells(find, name, rows, limit)
+            for rows in ROWS
+            for name in (f"ppo{rows - TAIL}", *TAILS, f"ppo{rows}")
+        ]
+        for prefix in PREFIXES:
+            stats.correct(some, prefix)
+        out += some
     return out
 
 
-def cells(folder: Path, name: str, rows: int, limit: float | None) -> dict:
-    """What PPO or a tail came to, and a tail's p against PPO with fewer and with all rows."""
-    is_tail, known = name in TAILS, {n: run(folder, ENVS, "ppo", n) for n in (rows - TAIL, rows)}
-    found = run(folder, ENVS, name, rows) if is_tail else known[int(name.removeprefix("ppo"))]
+def cells(find, name: str, rows: int, limit: float | None) -> dict:
+    """What PPO or a tail came to; a tail's returns against PPO's with fewer and with all rows."""
+    fewer, every = (run(find, ENVS, "ppo", n) for n in (rows - TAIL, rows))
+    others = {"fewer": fewer, "all": every}
+    if name == "dyna4_noschedule":
+        others["ramp"] = run(find, ENVS, "dyna4", rows)
+    is_tail, known = name in TAILS, {f"ppo{rows - TAIL}": fewer, f"ppo{rows}": every}
+    found = run(find, ENVS, name, rows) if is_tail else known[name]
     out = {"envs": ENVS, "rows": rows, "variant": name, "status": paper.status(found)}
     if not (found and found.columns):
         return out
-    out |= paper.returns(found)
+    out["seeds"] = len(paper.peak(found))
+    for kind, mine in values(found).items():
+        out |= stats.spread(kind, mine)
+        for other, base in others.items():
+            if is_tail and base and base.columns and kind in values(base):
+                some = stats.compare(mine, values(base)[kind], stats.MARGIN["go1"])
+                out |= {f"{other}_{kind}_{n}": v for n, v in some.items()}
     if evaluation := found.summary.get("evaluation"):
-        out["evaluated_return"] = float(np.mean(evaluation["return"]))
-    for column, other in zip(("p_vs_fewer", "p_vs_all"), known.values(), strict=True):
-        if is_tail and other and other.columns:
-            out[column] = stats.welch_of(paper.peak(found), paper.peak(other))
-            if column == "p_vs_all":
-                some = stats.compare(paper.peak(found), paper.peak(other), stats.MARGIN["go1"])
-                out |= {"p_equal_all": some["p_equal"], "difference_to_all": some["difference"]}
-                out |= {f"difference_to_all_{n}": some[f"difference_{n}"] for n in ("low", "high")}
+        out |= stats.spread("falls_pct", 100 * np.array(evaluation["fall_rate"]))
     if limit is not None:
-        out |= {"limit": limit} | paper.effort(found, limit, paper.tenth)
+        how = paper.reached if len(found.columns["iteration"]) > 100 else paper.tenth
+        out |= {"limit": limit} | paper.effort(found, limit, how)
+        if is_tail and every and every.columns:
+            some = paper.against(found, every, limit, how).items()
+            out |= {n.replace("ppo16", "all"): v for n, v in some if "share_of" in n or "rank" in n}
     return out
+
+
+def values(one: paper.Run) -> dict:
+    """Best returns and, where there are any, evaluated ones, a seed each."""
+    some = {"best": paper.peak(one)}
+    if evaluation := one.summary.get("evaluation"):
+        some["evaluated"] = np.array(evaluation["return"])
+    return some
 
 
 def draw(folder: Path, robots, path: Path) -> None:
@@ -97,16 +118,16 @@ def draw(folder: Path, robots, path: Path) -> None:
         "ppo": "PPO",
         "best": "best at c27cee7: 8 simulated rows, 16 of the model",
     }
-    seeds = []
+    seeds, find = [], partial(plot.found, folder)
     for axis, envs in zip(axes.flat, robots, strict=True):
-        some = [(n, found) for n in PPO_ROWS if (found := run(folder, envs, "ppo", n))]
+        some = [(n, found) for n in PPO_ROWS if (found := run(find, envs, "ppo", n))]
         seeds += points(axis, [n for n, _ in some], [found for _, found in some], "ppo16")
         axis.plot([n for n, _ in some], [paper.peak(r).mean() for _, r in some], **LINE)
         for name, shift in zip(TAILS, (-0.3, 0.3), strict=True):  # beside each other
-            some = [(n, found) for n in ROWS if (found := run(folder, envs, name, n))]
+            some = [(n, found) for n in ROWS if (found := run(find, envs, name, n))]
             x = [n - TAIL for n, _ in some]
             seeds += points(axis, x, [found for _, found in some], name, TAIL, shift)
-        if found := run(folder, envs, "best", BEST[1]):
+        if found := run(find, envs, "best", BEST[1]):
             seeds += points(axis, [BEST[0]], [found], "best", BEST[1] - BEST[0])
         axis.set_title(f"{envs} robots", loc="left")
         axis.set(xticks=(8, *PPO_ROWS), ylim=(0, 46))

@@ -3,10 +3,14 @@
     python experiments/17_regimes/plot.py
 
 "limit" is 80 % of the mean over seeds of PPO-16's best return: with 4096 robots for Isaac Lab's task, and
-with as many as the regime has for another task, whose returns are another number. "to_ppo24_limit" is 80 %
-of PPO-24's own best return in that regime. "p_vs_ppo16_holm" is Holm's over all of the table's. Equal to
-PPO-24 is meant within 1.0 of return (`stats.MARGIN`). "ppo12_difference" is what a 4-step tail has more than
-PPO without these four rows; "ppo12_p_holm" is over all tails.
+with as many as the regime has for another task, whose returns are another number. "p_vs_ppo16_holm" is
+Holm's over all of the table's. "ppo12_difference" is what a 4-step tail has more than PPO without these four
+rows; "ppo12_p_holm" is over all tails. "ramp_difference" is what the tail without a ramp has more than that
+with it, and "evaluated_difference" what a tail has more than PPO-16, by evaluation.
+
+`best`, the default of commit c27cee7, is of the first batch, and so are the PPO-16 and PPO-24 that it is
+compared with. "ppo24_limit" is 80 % of that PPO-24's best return; equal to it is meant within 1.0 of return
+(`stats.MARGIN`).
 """
 
 from pathlib import Path
@@ -24,10 +28,13 @@ NAMES = paper.VARIANTS | paper.OURS | {"ppo24": "PPO, 24 steps"}
 COLUMNS = (
     "regime variant status seeds max_reward_mean max_reward_low max_reward_high p_vs_ppo16 p_vs_ppo16_holm "
     "ppo12_difference ppo12_difference_low ppo12_difference_high ppo12_p ppo12_p_holm "
-    "ppo24_difference ppo24_difference_low ppo24_difference_high ppo24_p ppo24_p_equal ppo24_share_pct "
-    "ppo24_share_low ppo24_share_high evaluated_return limit success_rate_pct sim_steps_M_mean "
+    "ramp_difference ramp_difference_low ramp_difference_high ramp_p ramp_p_holm evaluated_difference "
+    "evaluated_difference_low evaluated_difference_high evaluated_p evaluated_p_holm evaluated_p_equal "
+    "evaluated_return limit success_rate_pct sim_steps_M_mean "
     "share_of_ppo16_pct share_of_ppo16_low share_of_ppo16_high share_of_ppo16_bound policy_std_mean "
-    "to_ppo24_limit to_ppo24_success_rate_pct to_ppo24_sim_steps_M_mean"
+    "ppo24_difference ppo24_difference_low ppo24_difference_high ppo24_p ppo24_p_equal "
+    "ppo24_limit ppo24_sim_steps_M_mean ppo24_own_sim_steps_M_mean "
+    "ppo24_share_pct ppo24_share_low ppo24_share_high"
 ).split()
 
 
@@ -60,6 +67,16 @@ def make(out: Path, regimes=REGIMES) -> None:
     draw(rows, regimes, out / "regimes")
 
 
+def cells() -> list[tuple[Regime, str, int | None]]:
+    """What this folder trains: regime, variant and rows, where these are not the variant's own."""
+    some = [(r, name, None) for r in REGIMES for name in VARIANTS if name != "best"]
+    some = [
+        one for one in some if one[0].envs != 4096 or one[1] == "ppo24"
+    ]  # 12_platforms has the rest
+    here = next(r for r in REGIMES if r.envs == 1024)
+    return [*some, *((here, name, n) for n in (20, 24) for name in TAILS), (here, "ppo16", 20)]
+
+
 def job(regime: Regime, variant: str, rows: int | None = None) -> str:
     """As run.py takes it; `rows` of a rollout, if not the variant's; PPO's are named as in 10_ablation."""
     fields, rows = [f"rollout.num_envs={regime.envs}"], rows or OWN_ROWS[variant]
@@ -70,15 +87,28 @@ def job(regime: Regime, variant: str, rows: int | None = None) -> str:
 
 
 def found(folder: Path, regime: Regime, variant: str, rows: int | None = None) -> paper.Run | None:
-    """A run, in `folder` or where another folder has the same settings, that with five seeds first."""
-    others, own = Path(__file__).parent.parent, run.name(job(regime, variant, rows))
-    places = [(folder, own)]
+    """A run with 25 true epochs and physics by our kernel, all its seeds; `best`'s, see `first`."""
+    others, places = Path(__file__).parent.parent, [(folder, run.name(job(regime, variant, rows)))]
+    if variant == "best":
+        return first(regime, variant)
+    if not regime.fields and regime.envs == 4096 and rows in (None, OWN_ROWS[variant]):
+        places.append((others / "12_platforms" / "results", f"go1_{variant}"))
+    if not regime.fields and variant in PPO:  # lengths that are in a picture only
+        places.append((others / "10_ablation" / "results", places[0][1]))
+    return next((one for path, name in places if (one := batches.load(path, name))), None)
+
+
+def first(regime: Regime, variant: str, rows: int | None = None) -> paper.Run | None:
+    """The first batch of a run, 2026-11-21 to -23: fewer epochs, physics by MuJoCo Warp."""
+    here = Path(__file__).parent
+    own = run.name(job(regime, variant, rows))
+    places = [(here / "earlier", own)]
     if not regime.fields:
-        places.append((others / "10_ablation" / "results", own))
         if rows in (None, OWN_ROWS[variant]):
-            places.insert(1, (others / "20_tail" / "results", f"go1_{variant}_{regime.envs}"))
+            places.append((here.parent / "20_tail" / "results", f"go1_{variant}_{regime.envs}"))
             if regime.envs == 4096:
-                places.insert(1, (others / "12_platforms" / "earlier", f"go1_{variant}"))
+                places.append((here.parent / "12_platforms" / "earlier", f"go1_{variant}"))
+        places.append((here.parent / "10_ablation" / "results", own))
     return next((one for path, name in places if (one := batches.load(path, name))), None)
 
 
@@ -90,15 +120,8 @@ def build(folder: Path, regimes) -> list[dict]:
         base = runs["ppo16"]
         known = base if regime.fields else usual
         limit = 0.8 * float(paper.peak(known).mean()) if known and known.columns else None
-        some = [row(regime, name, one, runs, limit) for name, one in runs.items()]
-        if (longest := runs["ppo24"]) and longest.columns:
-            high = 0.8 * float(paper.peak(longest).mean())
-            for cells, one in zip(some, runs.values(), strict=True):
-                if one and one.columns:
-                    took = {"limit": high} | paper.effort(one, high, paper.tenth)
-                    cells |= {f"to_ppo24_{name}": value for name, value in took.items()}
-        rows += some
-    for name in ("p_vs_ppo16", "ppo12_p"):
+        rows += [row(regime, name, one, runs, limit) for name, one in runs.items()]
+    for name in ("p_vs_ppo16", "ppo12_p", "ramp_p", "evaluated_p"):
         stats.adjust(rows, name)
     return rows
 
@@ -108,23 +131,36 @@ def row(regime: Regime, variant: str, one, runs, limit: float | None) -> dict:
     cells = {"regime": regime.label, "envs": regime.envs, "variant": variant}
     cells["status"] = paper.status(one)
     shortest, base, longest = (runs[name] for name in PPO)
+    how = paper.reached
+    if variant == "best":  # of the first batch some runs keep every tenth iteration alone
+        how, base, longest = paper.tenth, first(regime, "ppo16"), first(regime, "ppo24")
     if not (one and one.columns):
         return cells
     cells |= paper.returns(one)
     if base and base.columns and one is not base:
         cells["p_vs_ppo16"] = stats.welch_of(paper.peak(one), paper.peak(base))
-    if shortest and shortest.columns and variant in TAILS:
-        some = stats.compare(paper.peak(one), paper.peak(shortest), stats.MARGIN["go1"])
-        cells |= {f"ppo12_{name}": v for name, v in some.items() if "equal" not in name}
-    if evaluation := one.summary.get("evaluation"):
-        cells["evaluated_return"] = float(np.mean(evaluation["return"]))
+    if variant in TAILS:
+        pairs = {"ppo12": (shortest, paper.peak), "evaluated": (base, evaluated)}
+        if variant == "dyna4_noschedule":
+            pairs["ramp"] = (runs["dyna4"], paper.peak)
+        for prefix, (other, of) in pairs.items():
+            if other and other.columns:
+                some = stats.compare(of(one), of(other), stats.MARGIN["go1"])
+                cells |= {f"{prefix}_{name}": v for name, v in some.items()}
+    if "evaluation" in one.summary:
+        cells["evaluated_return"] = float(np.mean(evaluated(one)))
     if longest and longest.columns and variant == "best":
         cells |= beside(one, longest)
     if limit is not None:
-        cells |= {"limit": limit} | paper.effort(one, limit, paper.tenth)
+        cells |= {"limit": limit} | paper.effort(one, limit, how)
         if base and base.columns and one is not base:
-            cells |= paper.against(one, base, limit, paper.tenth)
+            cells |= paper.against(one, base, limit, how)
     return cells | {"device": one.summary["device"], "date": one.summary["date"]}
+
+
+def evaluated(one) -> np.ndarray:
+    """Returns of a run's last evaluation, a seed each."""
+    return np.array(one.summary["evaluation"]["return"])
 
 
 def beside(one, longest) -> dict:
@@ -133,6 +169,13 @@ def beside(one, longest) -> dict:
     high = 0.8 * float(paper.peak(longest).mean())
     share = paper.against(one, longest, high, paper.tenth).items()
     cells |= {n.replace("share_of_ppo16", "share"): v for n, v in share if "share_of" in n}
+    took = {
+        "": paper.effort(one, high, paper.tenth),
+        "own_": paper.effort(longest, high, paper.tenth),
+    }
+    cells |= {"limit": high} | {
+        f"{who}{n}": v for who, some in took.items() for n, v in some.items() if "steps" in n
+    }
     return {f"ppo24_{name}": value for name, value in cells.items()}
 
 

@@ -2,9 +2,10 @@
 
     python experiments/17_regimes/run.py [--quick] [--out DIR]
 
-Trains what no other folder has: runs of 3 seeds, and for cliff.py of 5; those whose JSON is in DIR/results
-are skipped. The rest are read from 10_ablation, 12_platforms and 20_tail. Then tables and figures, as
-plot.py and cliff.py.
+Trains what no other folder has, with 25 true epochs and evaluated every 50 iterations: 5 seeds each, 10 where
+four synthetic rows replace four real ones, and where seeds differ most as many again (results/more). Runs
+whose JSON is there are skipped. Tables and figures follow, as plot.py and cliff.py make them. 4096 robots are
+in 12_platforms, `best` of c27cee7 is in earlier/ and 20_tail.
 """
 
 from pathlib import Path
@@ -14,22 +15,40 @@ import plot
 
 from experiments import paper, run
 
-SEEDS = 3
-SETTINGS = ("run.eval_envs=200", "run.checkpoint_every=0")
+SEEDS, HEADLINE = 5, 10
+SETTINGS = "run.log_every=50 run.eval_every=50 run.eval_envs=200 run.checkpoint_every=0".split()
+BATCHES = {".": 700, "more": 600}  # first seed
+AGAIN = ("R = 1024", "R = 2048", "R = 1024, less randomness")
 
 
 def main():
     args = paper.options(Path(__file__).parent, paper.parser(__doc__))
-    regimes = [plot.Regime("R = 32", 32)] if args.quick else plot.REGIMES
-    seeds, settings = (2, paper.QUICK) if args.quick else (SEEDS, SETTINGS)
-    results, names = args.out / "results", ("ppo16", "dyna4") if args.quick else plot.VARIANTS
-    if not args.quick:
-        run.batch(results, cliff.jobs(results), cliff.SEEDS, settings, lock=args.lock)
-    cells = [(regime, name) for regime in regimes for name in names]
-    jobs = [plot.job(*cell) for cell in cells if not plot.found(results, *cell)]
-    run.batch(results, jobs, seeds, settings, lock=args.lock)
+    results, regimes = args.out / "results", plot.REGIMES
+    if args.quick:
+        regimes = [plot.Regime("R = 32", 32)]
+        jobs = [plot.job(regimes[0], name) for name in ("ppo16", "dyna4")]
+        run.batch(results, jobs, 2, paper.QUICK, lock=args.lock)
+    else:
+        for folder, seed in BATCHES.items():
+            for cell in plot.cells():
+                if folder == "." or again(*cell):
+                    train(results / folder, seed, *cell, lock=args.lock)
     plot.make(args.out, regimes)
     cliff.make(args.out, [regime.envs for regime in regimes if not regime.fields])
+
+
+def train(folder: Path, seed: int, regime, variant: str, rows: int | None, lock) -> None:
+    """A batch of one cell."""
+    headline = regime.label == "R = 1024" and (rows == 20 or variant == "ppo16")
+    settings = [f"run.seed={seed}", *SETTINGS, *(paper.TAILS if variant in plot.TAILS else ())]
+    job = plot.job(regime, variant, rows)
+    run.batch(folder, [job], HEADLINE if headline else SEEDS, settings, lock=lock)
+
+
+def again(regime, variant: str, rows: int | None) -> bool:
+    """Whether seeds of a cell differ so much that it was trained twice."""
+    tail, longest = variant in plot.TAILS, variant == "ppo24" and regime.envs == 2048
+    return regime.label in AGAIN and not (tail and rows == 24) and not longest
 
 
 if __name__ == "__main__":
