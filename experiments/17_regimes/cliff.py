@@ -2,8 +2,8 @@
 
     python experiments/17_regimes/cliff.py
 
-The paper's cliff lies between 12 and 16 rows of 4096 robots, ours between 16 and 24 of 1024
-(10_ablation). So the paper's tails there, in rollouts of 16, 20 and 24 rows, beside PPO with all rows
+The paper's cliff lies between 12 and 16 rows of 4096 robots, ours between 12 and 20 of 1024.
+So the paper's tails there, in rollouts of 16, 20 and 24 rows, beside PPO with all rows
 simulated and PPO without the rows that a tail writes. A tail's columns: its best and its evaluated return
 less those of PPO with four rows fewer ("fewer_"), with all rows simulated ("all_") and of the tail with a
 ramp ("ramp_"), p by Welch and of equality within 1.0 of return (`stats.MARGIN`), both by Holm over the tails
@@ -20,7 +20,6 @@ import plot
 from experiments import paper, pictures, stats
 
 TAIL, ENVS, ROWS = 4, 1024, (16, 20, 24)
-TAILS = ("dyna4_noschedule", "dyna4")
 PPO_ROWS = (12, 16, 20, 24, 28, 32)
 BEST = (8, 24)  # real rows, all rows
 LINE: dict = {"color": pictures.COLOURS["ppo16"], "linewidth": 1.3}
@@ -65,7 +64,7 @@ def build(folder: Path) -> list[dict]:
         some = [
             {"batch": batch} | cells(find, name, rows, limit)
             for rows in ROWS
-            for name in (f"ppo{rows - TAIL}", *TAILS, f"ppo{rows}")
+            for name in (f"ppo{rows - TAIL}", *plot.TAILS, f"ppo{rows}")
         ]
         for prefix in PREFIXES:
             stats.correct(some, prefix)
@@ -76,11 +75,11 @@ def build(folder: Path) -> list[dict]:
 def cells(find, name: str, rows: int, limit: float | None) -> dict:
     """What PPO or a tail came to; a tail's returns against PPO's with fewer and with all rows."""
     fewer, every = (run(find, ENVS, "ppo", n) for n in (rows - TAIL, rows))
-    others = {"fewer": fewer, "all": every}
+    is_tail, known = name in plot.TAILS, {f"ppo{rows - TAIL}": fewer, f"ppo{rows}": every}
+    found = run(find, ENVS, name, rows) if is_tail else known[name]
+    others = {"fewer": fewer, "all": every} if is_tail else {}
     if name == "dyna4_noschedule":
         others["ramp"] = run(find, ENVS, "dyna4", rows)
-    is_tail, known = name in TAILS, {f"ppo{rows - TAIL}": fewer, f"ppo{rows}": every}
-    found = run(find, ENVS, name, rows) if is_tail else known[name]
     out = {"envs": ENVS, "rows": rows, "variant": name, "status": paper.status(found)}
     if not (found and found.columns):
         return out
@@ -88,7 +87,7 @@ def cells(find, name: str, rows: int, limit: float | None) -> dict:
     for kind, mine in values(found).items():
         out |= stats.spread(kind, mine)
         for other, base in others.items():
-            if is_tail and base and base.columns and kind in values(base):
+            if base and base.columns and kind in values(base):
                 some = stats.compare(mine, values(base)[kind], stats.MARGIN["go1"])
                 out |= {f"{other}_{kind}_{n}": v for n, v in some.items()}
     if evaluation := found.summary.get("evaluation"):
@@ -105,8 +104,8 @@ def cells(find, name: str, rows: int, limit: float | None) -> dict:
 def values(one: paper.Run) -> dict:
     """Best returns and, where there are any, evaluated ones, a seed each."""
     some = {"best": paper.peak(one)}
-    if evaluation := one.summary.get("evaluation"):
-        some["evaluated"] = np.array(evaluation["return"])
+    if "evaluation" in one.summary:
+        some["evaluated"] = plot.evaluated(one)
     return some
 
 
@@ -123,7 +122,7 @@ def draw(folder: Path, robots, path: Path) -> None:
         some = [(n, found) for n in PPO_ROWS if (found := run(find, envs, "ppo", n))]
         seeds += points(axis, [n for n, _ in some], [found for _, found in some], "ppo16")
         axis.plot([n for n, _ in some], [paper.peak(r).mean() for _, r in some], **LINE)
-        for name, shift in zip(TAILS, (-0.3, 0.3), strict=True):  # beside each other
+        for name, shift in zip(plot.TAILS, (-0.3, 0.3), strict=True):  # beside each other
             some = [(n, found) for n in ROWS if (found := run(find, envs, name, n))]
             x = [n - TAIL for n, _ in some]
             seeds += points(axis, x, [found for _, found in some], name, TAIL, shift)
@@ -135,7 +134,7 @@ def draw(folder: Path, robots, path: Path) -> None:
         axis.set_xlabel("simulated rows of a rollout")
     for row in axes:
         row[0].set_ylabel("best return of 500 iterations")
-    for name, variant in (("ppo", "ppo16"), *((name, name) for name in (*TAILS, "best"))):
+    for name, variant in (("ppo", "ppo16"), *((name, name) for name in (*plot.TAILS, "best"))):
         style = pictures.mark(variant) | {"linestyle": "-" if name == "ppo" else ""}
         axes[0, 0].plot([], [], label=names[name], markersize=5, **style)
     text = "Go1. A thin line goes from the simulated rows to all rows, the model's too: where it meets\n"

@@ -30,6 +30,7 @@ COLUMNS = (
     "ppo12_difference ppo12_difference_low ppo12_difference_high ppo12_p ppo12_p_holm "
     "ramp_difference ramp_difference_low ramp_difference_high ramp_p ramp_p_holm evaluated_difference "
     "evaluated_difference_low evaluated_difference_high evaluated_p evaluated_p_holm evaluated_p_equal "
+    "evaluated_p_equal_holm "
     "evaluated_return limit success_rate_pct sim_steps_M_mean "
     "share_of_ppo16_pct share_of_ppo16_low share_of_ppo16_high share_of_ppo16_bound policy_std_mean "
     "ppo24_difference ppo24_difference_low ppo24_difference_high ppo24_p ppo24_p_equal "
@@ -121,7 +122,7 @@ def build(folder: Path, regimes) -> list[dict]:
         known = base if regime.fields else usual
         limit = 0.8 * float(paper.peak(known).mean()) if known and known.columns else None
         rows += [row(regime, name, one, runs, limit) for name, one in runs.items()]
-    for name in ("p_vs_ppo16", "ppo12_p", "ramp_p", "evaluated_p"):
+    for name in ("p_vs_ppo16", "ppo12_p", "ramp_p", "evaluated_p", "evaluated_p_equal"):
         stats.adjust(rows, name)
     return rows
 
@@ -169,13 +170,10 @@ def beside(one, longest) -> dict:
     high = 0.8 * float(paper.peak(longest).mean())
     share = paper.against(one, longest, high, paper.tenth).items()
     cells |= {n.replace("share_of_ppo16", "share"): v for n, v in share if "share_of" in n}
-    took = {
-        "": paper.effort(one, high, paper.tenth),
-        "own_": paper.effort(longest, high, paper.tenth),
-    }
-    cells |= {"limit": high} | {
-        f"{who}{n}": v for who, some in took.items() for n, v in some.items() if "steps" in n
-    }
+    cells["limit"] = high
+    for who, some in (("", one), ("own_", longest)):
+        took = paper.effort(some, high, paper.tenth).items()
+        cells |= {f"{who}{name}": value for name, value in took if "steps" in name}
     return {f"ppo24_{name}": value for name, value in cells.items()}
 
 
