@@ -84,11 +84,11 @@ def cells(find, name: str, rows: int, limit: float | None) -> dict:
     if not (found and found.columns):
         return out
     out["seeds"] = len(paper.peak(found))
-    for kind, mine in values(found).items():
+    for kind, mine in plot.values(found).items():
         out |= stats.spread(kind, mine)
         for other, base in others.items():
-            if base and base.columns and kind in values(base):
-                some = stats.compare(mine, values(base)[kind], stats.MARGIN["go1"])
+            if kind in (theirs := plot.values(base)):
+                some = stats.compare(mine, theirs[kind], stats.MARGIN["go1"])
                 out |= {f"{other}_{kind}_{n}": v for n, v in some.items()}
     if evaluation := found.summary.get("evaluation"):
         out |= stats.spread("falls_pct", 100 * np.array(evaluation["fall_rate"]))
@@ -99,14 +99,6 @@ def cells(find, name: str, rows: int, limit: float | None) -> dict:
             some = paper.against(found, every, limit, how).items()
             out |= {n.replace("ppo16", "all"): v for n, v in some if "share_of" in n or "rank" in n}
     return out
-
-
-def values(one: paper.Run) -> dict:
-    """Best returns and, where there are any, evaluated ones, a seed each."""
-    some = {"best": paper.peak(one)}
-    if "evaluation" in one.summary:
-        some["evaluated"] = plot.evaluated(one)
-    return some
 
 
 def draw(folder: Path, robots, path: Path) -> None:

@@ -137,19 +137,20 @@ def row(regime: Regime, variant: str, one, runs, limit: float | None) -> dict:
         how, base, longest = paper.tenth, first(regime, "ppo16"), first(regime, "ppo24")
     if not (one and one.columns):
         return cells
+    mine = values(one)
     cells |= paper.returns(one)
     if base and base.columns and one is not base:
         cells["p_vs_ppo16"] = stats.welch_of(paper.peak(one), paper.peak(base))
     if variant in TAILS:
-        pairs = {"ppo12": (shortest, paper.peak), "evaluated": (base, evaluated)}
+        pairs = {"ppo12": (shortest, "best"), "evaluated": (base, "evaluated")}
         if variant == "dyna4_noschedule":
-            pairs["ramp"] = (runs["dyna4"], paper.peak)
-        for prefix, (other, of) in pairs.items():
-            if other and other.columns:
-                some = stats.compare(of(one), of(other), stats.MARGIN["go1"])
+            pairs["ramp"] = (runs["dyna4"], "best")
+        for prefix, (other, kind) in pairs.items():
+            if kind in mine and kind in (theirs := values(other)):
+                some = stats.compare(mine[kind], theirs[kind], stats.MARGIN["go1"])
                 cells |= {f"{prefix}_{name}": v for name, v in some.items()}
-    if "evaluation" in one.summary:
-        cells["evaluated_return"] = float(np.mean(evaluated(one)))
+    if "evaluated" in mine:
+        cells["evaluated_return"] = float(np.mean(mine["evaluated"]))
     if longest and longest.columns and variant == "best":
         cells |= beside(one, longest)
     if limit is not None:
@@ -159,9 +160,14 @@ def row(regime: Regime, variant: str, one, runs, limit: float | None) -> dict:
     return cells | {"device": one.summary["device"], "date": one.summary["date"]}
 
 
-def evaluated(one) -> np.ndarray:
-    """Returns of a run's last evaluation, a seed each."""
-    return np.array(one.summary["evaluation"]["return"])
+def values(one: paper.Run | None) -> dict[str, np.ndarray]:
+    """Best returns and those of the last evaluation, a seed each; without what a run does not have."""
+    if not (one and one.columns):
+        return {}
+    some = {"best": paper.peak(one)}
+    if "evaluation" in one.summary:
+        some["evaluated"] = np.array(one.summary["evaluation"]["return"])
+    return some
 
 
 def beside(one, longest) -> dict:
