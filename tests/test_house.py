@@ -1,4 +1,4 @@
-"""Who may import whom, by folder; who may print and touch files; how long things may get."""
+"""Who may import whom, by folder; who may print and touch files."""
 
 import ast
 import functools
@@ -62,7 +62,6 @@ SPEAKS = set("print input breakpoint callback pure_callback io_callback".split()
 FILES = set("open read_text write_text read_bytes write_bytes mkdir unlink".split())
 CLOCKS = set("time datetime timeit logging subprocess socket threading".split())
 PATHS = set("pathlib os shutil tempfile glob".split())
-MAX_MODULES, MAX_FILE, MAX_FUNCTION, MAX_METHOD = 10, 300, 70, 900  # modules, lines, lines, lines
 
 
 def name_of(file):
@@ -153,21 +152,9 @@ def test_pure_modules_do_not_print_read_the_clock_or_touch_files(name):
     assert not found and not {n.split(".")[0] for n in imports(name)} & modules
 
 
-def test_nothing_is_too_long_and_every_file_says_what_it_is_for():
-    for folder in FOLDERS:
-        assert len(list(folder.glob("[a-z]*.py"))) <= MAX_MODULES, folder
+def test_every_file_says_what_it_is_for():
     for name, file in MODULES.items():
-        assert len(file.read_text().splitlines()) <= MAX_FILE, file
         assert ast.get_docstring(tree(name)), file
-        functions = [n for n in ast.walk(tree(name)) if isinstance(n, ast.FunctionDef)]
-        long = [f.name for f in functions if f.end_lineno - f.lineno >= MAX_FUNCTION]
-        assert not long, f"{file}: {long}"
-
-
-def test_the_method_can_be_read_in_an_hour():
-    method = "algorithm rollout schedule model.dynamics model.examples model.moments"
-    texts = [MODULES[name].read_text() for name in [*method.split(), "learner.ppo", "learner.gae"]]
-    assert sum(text.count("\n") for text in texts) < MAX_METHOD
 
 
 @pytest.mark.parametrize("folder", FOLDERS, ids=lambda f: f.name)

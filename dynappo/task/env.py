@@ -19,7 +19,7 @@ from dynappo.physics import engine as engine_lib
 from dynappo.physics import randomize
 from dynappo.physics import robot as robot_lib
 from dynappo.task import commands, mirror, observe, payment, pushes, rewards, view
-from dynappo.types import Config, Env, EnvState, Outcome
+from dynappo.types import Config, Env, EnvState, Goal, Outcome
 
 AGES = ("clock", "episode_steps", "episode_return")  # zero at the start of an episode
 # of what physics leaves, beside coordinates and torques
@@ -110,7 +110,9 @@ def _randomize(const: Constants, hyper: Config, key):
 def reset(const: Constants, hyper: Config, body, key) -> EnvState:
     """A robot at the start of an episode; with `task.random_clock`, at a random age of it."""
     key, clock_key = jax.random.split(key)
-    state = _fresh(const, hyper, body, key)
+    pose_key, command_key, obs_key = jax.random.split(key, 3)
+    state = _at_start(const, hyper, pose_key)
+    state = _told(const, hyper, body, state, command_key, obs_key)
     if not const.task.random_clock:
         return state
     clock = jax.random.randint(clock_key, (), 0, const.task.episode_length)
@@ -127,25 +129,41 @@ def autoreset(
     change (C MuJoCo).
     """
     ended = (outcome.discount == 0) | (outcome.truncation == 1)
-    fresh = _fresh(const, hyper, body, key)
     if const.task.carry_on:
-        _, command_key, obs_key = jax.random.split(key, 3)  # as in `_fresh`: one of the two is used
-        command, goal = commands.draw(const.task, hyper, state.qpos, command_key)
-        same = state.replace(command=command, goal=goal, **dict.fromkeys(AGES, 0))
-        seen = same, state.obs[view.SENSED :]
-        prop, obs = view.sense(const.view, const.robot, hyper, body, *seen, obs_key)
-        same = same.replace(prop=prop, obs=obs)
-        stays = (outcome.truncation == 1) & jax.random.bernoulli(jax.random.fold_in(key, 1))
-        fresh = jax.tree.map(lambda here, there: jnp.where(stays, here, there), same, fresh)
+        key, coin_key = jax.random.split(key)
+    pose_key, command_key, obs_key = jax.random.split(key, 3)
+    start, before = _at_start(const, hyper, pose_key), None
+    if const.task.carry_on:
+        stays = (outcome.truncation == 1) & jax.random.bernoulli(coin_key)
+        here = state.replace(**dict.fromkeys(AGES, 0))
+        start = jax.tree.map(lambda here, there: jnp.where(stays, here, there), here, start)
+        before = stays, state.obs[view.SENSED :]
+    fresh = _told(const, hyper, body, start, command_key, obs_key, before)
     return jax.tree.map(lambda new, old: jnp.where(ended, new, old), fresh, state)
 
 
-def _fresh(const: Constants, hyper: Config, body, key) -> EnvState:
-    """Pose, velocity and command (configs/README.md), lifted until no foot is below ground."""
-    pose_key, command_key, obs_key = jax.random.split(key, 3)
+def _told(
+    const: Constants, hyper: Config, body, state: EnvState, command_key, obs_key, before=None
+) -> EnvState:
+    """`state` with a new command, and the observation of both.
+
+    `before` is `(stays, readings)`: what follows the 48 numbers if the robot `stays` where it is.
+    """
+    command, goal = commands.draw(const.task, hyper, state.qpos, command_key)
+    state = state.replace(command=command, goal=goal)
+    prop, obs = view.sense(const.view, const.robot, hyper, body, state, None, obs_key)
+    if before is not None:
+        stays, readings = before
+        kept = jnp.where(stays, readings, obs[view.SENSED :])
+        obs = jnp.concatenate([obs[: view.SENSED], kept])
+    return state.replace(prop=prop, obs=obs)
+
+
+def _at_start(const: Constants, hyper: Config, key) -> EnvState:
+    """Pose and velocity (configs/README.md), lifted until no foot is below ground; `_told` has the rest."""
     r, default = hyper.task.reset, jnp.asarray(const.robot.default_pose, jnp.float32)
     # one draw for all: each draw is a kernel of its own, and a quarter of a second of compilation
-    draw = jax.random.uniform(pose_key, (default.size + 10,))
+    draw = jax.random.uniform(key, (default.size + 10,))
     scale, xy, velocity, yaw, wait = jnp.split(draw, default.size + np.array([0, 2, 8, 9]))
     low, high = r.joint_scale
     joints = default * (low + (high - low) * scale)
@@ -158,16 +176,15 @@ def _fresh(const: Constants, hyper: Config, body, key) -> EnvState:
     quat = jnp.stack([jnp.cos(yaw / 2), yaw * 0, yaw * 0, jnp.sin(yaw / 2)])
     qpos = jnp.concatenate([xy, height[None], quat, joints])
     qvel = jnp.concatenate([velocity, default * 0])
-    command, goal = commands.draw(const.task, hyper, qpos, command_key)
-    feet = jnp.zeros(len(const.robot.feet), jnp.int32)
-    state = EnvState(
+    feet, none = jnp.zeros(len(const.robot.feet), jnp.int32), jnp.zeros((), jnp.int32)
+    return EnvState(
         qpos=qpos,
         qvel=qvel,
         qacc_warmstart=jnp.zeros_like(qvel),
-        obs=jnp.zeros(()),  # below
+        obs=jnp.zeros(()),
         prop=jnp.zeros(()),
-        command=command,
-        goal=goal,
+        command=jnp.zeros(3),
+        goal=Goal(heading=jnp.zeros(()), standing=jnp.zeros(()), steps_left=none),
         last_action=default * 0,
         older_action=default * 0,
         torque=default * 0 if const.engine.lags else None,
@@ -176,13 +193,11 @@ def _fresh(const: Constants, hyper: Config, body, key) -> EnvState:
         last_air_steps=feet,
         peak=jnp.zeros(len(const.robot.feet)),
         last_peak=jnp.zeros(len(const.robot.feet)),
-        clock=jnp.zeros((), jnp.int32),
-        episode_steps=jnp.zeros((), jnp.int32),
+        clock=none,
+        episode_steps=none,
         push_in=pushes.wait(hyper.task.push, const.dt, wait[0]),
         episode_return=jnp.zeros(()),
     )
-    prop, obs = view.sense(const.view, const.robot, hyper, body, state, None, obs_key)
-    return state.replace(prop=prop, obs=obs)
 
 
 def _soft_limits(const: Constants, hyper: Config):
