@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import random_keys
 import toy_env
 from brax import envs
 from brax.envs.wrappers import training
@@ -113,6 +114,22 @@ def test_sizes_and_labels(toy):
 def test_raw_and_typed_keys_are_the_same_robot(toy):
     brax_env = door.to_brax(*toy)
     assert_same(brax_env.reset(jax.random.key(5)), brax_env.reset(jax.random.PRNGKey(5)))
+
+
+def test_a_reset_and_two_steps_use_no_key_twice(toy):
+    brax_env = door.to_brax(*toy)
+
+    def steps(rng, action):
+        state = brax_env.reset(rng)
+        return brax_env.step(brax_env.step(state, action), action)
+
+    action = jax.ShapeDtypeStruct((2,), jnp.float32)
+    used, state = random_keys.record(steps, jax.random.PRNGKey(0), action)
+    assert not random_keys.faults(used)
+    assert (
+        len({use.key for use in used if use.how == "drawn from"}) == 8
+    )  # body, 3 + 2 of a clock, 1 + 1
+    assert np.asarray(state.info["rng"]).dtype == np.uint32  # known: no state has a part in it
 
 
 def test_a_step_keeps_structure_shapes_and_types(toy):
@@ -406,6 +423,16 @@ def test_a_new_episode_is_one_of_brax_s_own_first_states(cart):
                 assert_same(new.brax.info[name], state.brax.info[name])
             assert new.clock == new.episode_steps == new.episode_return == 0
     assert picked == {0, 1, 2, 3}
+
+
+def test_a_first_and_a_new_episode_use_no_key_twice():
+    env, key = door.from_brax(Cart(), 2, LIMIT, context=copied), jax.random.key(0)
+    body = jax.eval_shape(env.randomize, None, key)
+    state = jax.eval_shape(env.reset, None, body, key)
+    after = jax.eval_shape(env.step, None, body, state, jnp.zeros(1), key)
+    for call in ((env.reset, None, body, key), (env.autoreset, None, body, *after, key)):
+        used, _ = random_keys.record(*call)
+        assert used and not random_keys.faults(used)
 
 
 def test_first_episodes_may_be_aged(cart):

@@ -807,7 +807,9 @@ def test_with_carry_on_half_of_the_timed_out_stay_where_they_are_under_a_new_com
     half = np.arange(ROBOTS) < ROBOTS // 2
     outcome = outcome.replace(discount=jnp.asarray(half * 1.0), truncation=jnp.asarray(half * 1.0))
     stayed = np.zeros(ROBOTS)
-    for seed in range(1, 21):  # with `lab.keys`, of seed 0, the command would be that of the reset above
+    for seed in range(
+        1, 21
+    ):  # with `lab.keys`, of seed 0, the command would be that of the reset above
         keys = jax.random.split(jax.random.key(seed), ROBOTS)
         new = jax.device_get(lab.autoreset(lab.hyper, lab.nominal, state, outcome, keys))
         stays = (new.qpos == before.qpos).all(1)

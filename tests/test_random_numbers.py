@@ -1,0 +1,209 @@
+"""No key is used twice: those of a run with every option on, as `random_keys.py` records them."""
+
+import collections
+from functools import partial
+from types import SimpleNamespace
+
+import jax
+import jax.numpy as jnp
+import pytest
+import random_keys
+from toy_env import configure
+
+from dynappo import algorithm, evaluation, schedule
+from dynappo import config as config_lib
+from dynappo.physics import robot as robot_lib
+from dynappo.task import env as env_lib
+
+ROBOTS, REAL, TAIL, ROUNDS, ITERATIONS, STEPS = 4, 4, 4, 3, 2, 5
+DRAWN, SPLIT, FOLDED = random_keys.RANDOM.values()
+# `deploy` varies every body, has pushes, noise, an onboard observation, carry_on, a clean model with falls,
+# symmetry; this adds the rest of what draws, and makes it small
+EVERYTHING = {
+    "rollout.num_envs": ROBOTS,
+    "rollout.horizon": REAL + TAIL,
+    "run.num_iterations": ITERATIONS,
+    "run.log_every": ITERATIONS,
+    "schedule.end_iteration": 0,
+    "schedule.start_steps": TAIL,
+    "schedule.end_steps": TAIL,
+    "schedule.rounds": ROUNDS,
+    "schedule.last_iteration": None,
+    "model.hidden": (8, 8),
+    "model.epochs": 3,
+    "model.late_epochs": None,
+    "model.minibatches": 2,
+    "ppo.hidden": (8, 8),
+    "ppo.minibatches": 2,
+    "ppo.shuffle_blocks": 4,
+    "task.formulation": "isaaclab_exact",
+    "task.heading": True,
+    "task.resample_steps": 5,
+    "task.standing": 0.3,
+    "task.history": 3,
+    "task.random_clock": True,
+    "task.reset.velocity": 0.5,
+    "task.reset.joint_scale": (0.9, 1.1),
+    "physics.contacts": "full",
+    "physics.impl": "c",
+    "physics.threads": 1,
+}
+# settings without which a function takes another way to its draws
+LESS = {
+    "all": {},
+    "without carry_on": {"task.carry_on": False},
+    "one command and no clock": {"task.resample_steps": 0, "task.random_clock": False},
+}
+
+
+def built(fields):
+    """Settings and environment of Go1's `deploy` with `EVERYTHING` and `fields`."""
+    config = configure(EVERYTHING | fields, "configs/go1.py:deploy")
+    static, hyper = config_lib.split(config)
+    env = env_lib.make(robot_lib.load("go1"), config.task, config.physics, impl="c")
+    return SimpleNamespace(config=config, static=static, hyper=hyper, env=env)
+
+
+@pytest.fixture(scope="module")
+def every():
+    return built({})
+
+
+@pytest.fixture(scope="module")
+def uses(every):
+    """`{name: uses}` of a run's calls, each with the key that `train --config.run.seed=0` gives it."""
+    static, env, hyper = every.static, every.env, every.hyper
+    init = partial(algorithm.init, env, static=static)
+    run = partial(algorithm.run, env, static=static)
+    episodes = dict(static=static, num_envs=ROBOTS, num_steps=STEPS, randomize=True)
+    columns = {name: jnp.asarray(column) for name, column in schedule.columns(every.config).items()}
+    first, state = random_keys.record(init, hyper, jax.random.key(0))
+    two, (after, _) = random_keys.record(run, hyper, state, columns)
+    evaluate = partial(evaluation.evaluate, env, **episodes)
+    shown, _ = random_keys.record(evaluate, hyper, after.learner.params, jax.random.key(0))
+    return {"init": first, "run": two, "evaluate": shown}
+
+
+def test_a_run_with_every_option_uses_no_key_twice(uses):
+    for name, used in uses.items():
+        assert not random_keys.faults(used), f"in {name}:\n" + "\n".join(random_keys.faults(used))
+
+
+def test_a_run_has_as_many_draws_as_its_rows_robots_and_rounds_need(uses):
+    """So the recorder sees them all: draws of each file of dynappo, from keys that all differ."""
+
+    def draws(name):
+        files = [use.where.split(" > ")[-1].split(":")[0] for use in uses[name] if use.how == DRAWN]
+        return dict(collections.Counter(files))
+
+    # a body; a pose and the two draws of a clock; command; noise
+    start = collections.Counter({"randomize.py": 1, "env.py": 3, "commands.py": 1, "view.py": 1})
+    # a step's command, push, noise; a reset's pose and coin, command, noise
+    row = collections.Counter({"env.py": 2, "commands.py": 2, "view.py": 2, "pushes.py": 1})
+    assert draws("init") == times(ROBOTS, start) | {"networks.py": 3}  # actor, critic, model
+    assert draws("evaluate") == times(ROBOTS, start + times(STEPS, row))
+    made = ROUNDS * TAIL
+    expected = times(ROBOTS * REAL, row)
+    expected["view.py"] += ROBOTS * made  # noise on what the model predicts
+    expected["algorithm.py"] = ROBOTS * (REAL + made)  # actions
+    # an epoch's order, and two for where the robots start in it; two for the anchors of a round
+    expected["dynamics.py"] = 3 * EVERYTHING["model.epochs"] + 2 * ROUNDS
+    expected["ppo.py"] = (
+        ROUNDS * EVERYTHING["ppo.shuffle_blocks"]
+    )  # of so few rows, each shuffle is one
+    assert draws("run") == times(ITERATIONS, expected)
+
+
+def times(n, counts):
+    return collections.Counter({name: n * count for name, count in counts.items()})
+
+
+@pytest.mark.parametrize("fields", LESS.values(), ids=LESS)
+def test_one_reset_step_and_autoreset_use_no_key_twice(fields, every):
+    world = built(fields) if fields else every
+    env, hyper, key = world.env, world.hyper, jax.random.key(3)
+    body = jax.eval_shape(env.randomize, hyper, key)
+    state = jax.eval_shape(env.reset, hyper, body, key)
+    action = jax.ShapeDtypeStruct((env.action_size,), jnp.float32)
+    after = jax.eval_shape(env.step, hyper, body, state, action, key)
+    calls = {
+        "randomize": (env.randomize, hyper, key),
+        "reset": (env.reset, hyper, body, key),
+        "step": (env.step, hyper, body, state, action, key),
+        "autoreset": (env.autoreset, hyper, body, *after, key),
+        "noise": (env.noise, hyper, key),
+    }
+    for name, call in calls.items():
+        used, _ = random_keys.record(*call)
+        assert used and not random_keys.faults(used), f"{name}: {random_keys.faults(used)}"
+
+
+# --- the recorder itself ---
+
+
+def branchy(key, x):
+    """Draws in a scan, a while loop, a vmap, both branches of a cond that depends on `x`, and jit."""
+    one, two, three, four = jax.random.split(key, 4)
+
+    def row(carry, t):
+        now, later = jax.random.split(carry)
+        return later, jax.random.normal(jax.random.fold_in(now, t)) + x
+
+    last, values = jax.lax.scan(row, one, jnp.arange(3), reverse=True)
+    total = values.sum() + jax.jit(jax.random.uniform)(last)
+    total += jax.lax.fori_loop(2, 4, lambda t, s: s + jax.random.uniform(fold(two, t)), total)
+    total += jax.vmap(lambda t: jax.random.uniform(fold(three, t)))(jnp.arange(2)).sum()
+    low, high = jax.random.split(four)
+    draw = [partial(jax.random.uniform, k) for k in (low, high)]
+    return total + jax.lax.cond(x > 0, *draw), last
+
+
+fold = jax.random.fold_in
+
+
+def test_the_recorder_finds_the_keys_of_draws_in_loops_branches_and_calls():
+    key = jax.random.key(7)
+    one, two, three, four = jax.random.split(key, 4)
+    expected = []
+    for t in (2, 1, 0):
+        now, one = jax.random.split(one)
+        expected.append(fold(now, t))
+    expected += [one, fold(two, 2), fold(two, 3), fold(three, 0), fold(three, 1)]
+    expected += [*jax.random.split(four)]
+    used, (total, last) = random_keys.record(branchy, key, jax.ShapeDtypeStruct((), jnp.float32))
+    found = [use.key for use in used if use.how == DRAWN]
+    assert sorted(found) == sorted(tuple(jax.random.key_data(k).tolist()) for k in expected)
+    assert last == one and isinstance(total, jax.ShapeDtypeStruct)
+    assert not random_keys.faults(used)
+
+
+def draws(*keys):
+    return [jax.random.uniform(key) for key in keys]
+
+
+@pytest.mark.parametrize(
+    "function, ways",
+    [
+        (lambda k: draws(k, k), {DRAWN}),
+        (lambda k: draws(k, jax.random.split(k)[0]), {DRAWN, SPLIT}),
+        (lambda k: draws(k, fold(k, 1)), {DRAWN, FOLDED}),
+        (lambda k: draws(jax.random.split(k, 3)[1], fold(k, 2)), {SPLIT, FOLDED}),
+        (lambda k: draws(jax.random.split(k)[0], jax.random.split(k)[1]), {SPLIT}),
+        (lambda k: draws(fold(k, 1), jax.random.split(k, 3)[1]), {DRAWN}),
+        (lambda k: jax.lax.fori_loop(0, 2, lambda t, s: s + jax.random.uniform(k), 0.0), {DRAWN}),
+        (lambda k: jax.vmap(lambda t: jax.random.uniform(k) + t)(jnp.arange(2)), set()),  # one draw
+        (lambda k: draws(fold(k, 1), fold(k, 2)), set()),
+    ],
+)
+def test_a_key_that_is_used_twice_is_named_with_its_uses(function, ways):
+    faults = random_keys.faults(random_keys.record(function, jax.random.key(1))[0])
+    found = {way for way in random_keys.RANDOM.values() if any(way in line for line in faults)}
+    assert found >= ways and bool(found) == bool(ways), faults
+
+
+def test_a_key_that_depends_on_what_is_computed_is_refused():
+    def of_a_number(key, x):
+        return jax.random.uniform(fold(key, (x > 0).astype(jnp.int32)))
+
+    with pytest.raises(ValueError, match="depends on what is computed"):
+        random_keys.record(of_a_number, jax.random.key(0), jax.ShapeDtypeStruct((), jnp.float32))
