@@ -168,7 +168,8 @@ def play(body: Body, act: Callable, command, stress: Stress, seed: int = 0, seco
     """
     mujoco.set_mju_user_warning(lambda message: None)
     p, model = body.policy, body.model
-    rng, data = np.random.default_rng(seed), mujoco.MjData(model)
+    # not the stream of the pose at the start (`episode.reset`), which is that of seed 0
+    rng, data = np.random.default_rng((seed, 1)), mujoco.MjData(model)
     see, com = observe.memory(p.observation, p.history), model.body_ipos[body.base_body]
     dt, step = episode_lib.period(body), model.opt.timestep
     old = round(stress.sensor_delay / step)

@@ -132,6 +132,16 @@ def test_noise_and_a_wrong_velocity_are_what_the_policy_sees(body):
     np.testing.assert_array_equal(np.array(wrong), expected)
 
 
+def test_the_first_noise_is_not_the_pose_that_the_episode_starts_in(body):
+    """Drawn from one stream, they would be the same numbers, scaled."""
+    (act, seen), (other, noisy) = scripted(), scripted()
+    play(body, act)
+    play(body, other, noise=1.0)
+    pose, noise = seen[0][observe.JOINT_POS], (noisy[0] - seen[0])[observe.JOINT_POS]
+    by_name = pose[np.argsort(body.policy.joint_names)]  # in the order in which they are drawn
+    assert abs(np.corrcoef(by_name, noise)[0, 1]) < 0.9
+
+
 def test_a_policy_without_velocity_has_no_row_of_it(body, onboard):
     every = {s.name for s in stress.table(body.policy)}
     some = {s.name for s in stress.table(onboard.policy)}

@@ -123,6 +123,20 @@ def test_zero_stands_and_random_follows_its_seed(tmp_path, monkeypatch):
     assert np.abs(one - other).max() > 0.01 and np.abs(one - one[0]).max() > 0.02
 
 
+def test_random_actions_and_the_pose_at_the_start_are_drawn_from_two_streams(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    streams, make = [], np.random.default_rng
+
+    def spy(seed):
+        streams.append(str(make(seed).bit_generator.state))
+        return make(seed)
+
+    monkeypatch.setattr(np.random, "default_rng", spy)
+    flags = "--policy=random", "--seed=0", "--seconds=0.1", "--out=walk.html"
+    assert status(play_command.main, "go2", *flags) == 0
+    assert len(set(streams)) == len(streams) == 2
+
+
 def test_the_module_makes_a_page_without_jax_and_without_opengl(saved, tmp_path):
     """`python -m dynappo.play`, where neither can be imported."""
     for package in ("OpenGL", "glfw", "jax", "imageio_ffmpeg", "matplotlib"):
