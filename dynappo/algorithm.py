@@ -35,27 +35,29 @@ from dynappo.learner import gae, networks, ppo, symmetry
 from dynappo.model import dynamics, errors
 from dynappo.types import Columns, Config, Env, Metrics, TrainState, Transition
 
-ROWS, FIT, UPDATE, ACTION, STEP, RESET, ANCHOR = range(7)  # purposes of random numbers
+# purposes of random numbers: of a seed, whose policy may be evaluated with the same; and of an iteration
+NETWORKS, MODEL, BODIES, START, ITERATIONS, EPISODES = range(6)
+ROWS, FIT, UPDATE, ACTION, STEP, RESET, ANCHOR = range(7)
 
 
 def init(env: Env, hyper: Config, key: PRNGKeyArray, *, static: Config) -> TrainState:
     """Untrained networks, and R robots at their start, each with its own physical parameters."""
-    policy_key, model_key, physics_key, reset_key, run_key = jax.random.split(key, 5)
     robot_index = jnp.arange(static.rollout.num_envs)
-    per_robot = jax.vmap(jax.random.fold_in, (None, 0))
-    bodies = jax.vmap(env.randomize, (None, 0))(hyper, per_robot(physics_key, robot_index))
-    env_state = jax.vmap(env.reset, (None, 0, 0))(hyper, bodies, per_robot(reset_key, robot_index))
+    fold = jax.vmap(jax.random.fold_in, (None, 0))
+    keys = fold(key, jnp.arange(EPISODES))
+    bodies = jax.vmap(env.randomize, (None, 0))(hyper, fold(keys[BODIES], robot_index))
+    env_state = jax.vmap(env.reset, (None, 0, 0))(hyper, bodies, fold(keys[START], robot_index))
     uses_model, image = schedule.uses_model(static), symmetry.policy_image(static, env)
     size, critic_size = networks.seen_sizes(static, env)
     return TrainState(
-        learner=ppo.init(static, hyper, size, env.action_size, policy_key, critic_size, image),
-        model=dynamics.init(static, env, model_key) if uses_model else None,
+        learner=ppo.init(static, hyper, size, env.action_size, keys[NETWORKS], critic_size, image),
+        model=dynamics.init(static, env, keys[MODEL]) if uses_model else None,
         env_state=env_state,
         params_physics=bodies,
         robot_index=robot_index,
         returns=jnp.full(stats.RETURNS, jnp.nan),
         lengths=jnp.full(stats.RETURNS, jnp.nan),
-        key=run_key,
+        key=keys[ITERATIONS],
     )
 
 

@@ -56,6 +56,7 @@ def evaluate(
     physics for each robot; errors are still those of the true velocities.
     """
     hyper = hyper if randomize else nominal(hyper)
+    key = jax.random.fold_in(key, algorithm.EPISODES)  # a run of this seed draws from the others
     body_keys, reset_keys, keys = (jax.random.split(k, num_envs) for k in jax.random.split(key, 3))
     bodies = jax.vmap(env.randomize, (None, 0))(hyper, body_keys)
     state = jax.vmap(env.reset, (None, 0, 0))(hyper, bodies, reset_keys)

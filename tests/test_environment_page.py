@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from answers import ROOT, mistake, status
 
+from dynappo import algorithm
 from dynappo import config as config_lib
 from dynappo.bench import command as bench
 from dynappo.evaluate import command as evaluate
@@ -89,7 +90,8 @@ def test_the_same_command_goes_on_and_tells_what_comes_out(capsys):
 def test_the_policy_acts_as_it_was_evaluated():
     """The pendulum in NumPy from the evaluation's starts, by `load_actor`: the return of summary.json."""
     act = policy_file.load_actor("runs/pendulum/policy.npz")
-    keys = jax.random.split(jax.random.split(jax.random.key(0), 3)[1], 64)
+    key = jax.random.fold_in(jax.random.key(0), algorithm.EPISODES)
+    keys = jax.random.split(jax.random.split(key, 3)[1], 64)
     draw = jax.vmap(lambda key: jax.random.uniform(key, (), minval=-np.pi, maxval=np.pi))
     angle, speed, total = np.asarray(draw(keys), float), np.zeros(64), np.zeros(64)
     for _ in range(200):

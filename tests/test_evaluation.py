@@ -69,9 +69,8 @@ def actor(params, obs):
 def start(settings, seed):
     """`(prop [3], command)` of every robot, from the environment's reset on the nominal task."""
     hyper, env = evaluation.nominal(settings[1]), toy_env.make()
-    body_keys, reset_keys, _ = (
-        jax.random.split(key, ROBOTS) for key in jax.random.split(jax.random.key(seed), 3)
-    )
+    key = jax.random.fold_in(jax.random.key(seed), algorithm.EPISODES)
+    body_keys, reset_keys, _ = (jax.random.split(k, ROBOTS) for k in jax.random.split(key, 3))
     bodies = jax.vmap(env.randomize, (None, 0))(hyper, body_keys)
     np.testing.assert_array_equal(bodies, 1.0)
     state = jax.vmap(env.reset, (None, 0, 0))(hyper, bodies, reset_keys)
@@ -160,7 +159,7 @@ def test_a_blow_up_is_a_fall_and_leaves_no_nan(assess, settings, params):
     hyper = settings[1]
     hyper = hyper._replace(task=hyper.task._replace(effort_limit=0.05))
     calm, wild = assess(params), assess(params, hyper=hyper)
-    assert wild["fall_rate"] > calm["fall_rate"]
+    assert wild["fall_rate"] >= calm["fall_rate"] and wild["length"] < calm["length"] - 0.5
     assert all(np.isfinite(value) for value in wild.values())
 
 

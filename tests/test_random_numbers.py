@@ -89,6 +89,12 @@ def test_a_run_with_every_option_uses_no_key_twice(uses):
         assert not random_keys.faults(used), f"in {name}:\n" + "\n".join(random_keys.faults(used))
 
 
+def test_a_run_and_the_evaluation_of_the_same_seed_share_no_key(uses):
+    """Both get `jax.random.key(0)`."""
+    faults = random_keys.faults([use for used in uses.values() for use in used])
+    assert not faults, "\n".join(faults)
+
+
 def test_a_run_has_as_many_draws_as_its_rows_robots_and_rounds_need(uses):
     """So the recorder sees them all: draws of each file of dynappo, from keys that all differ."""
 

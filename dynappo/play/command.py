@@ -124,7 +124,9 @@ def choose(flags) -> tuple[Policy, Callable[[np.ndarray], np.ndarray], str]:
     size = len(policy.joint_names)
     if flags.policy == "zero":
         return policy, lambda obs: np.zeros(size), "zero actions"
-    draw = np.random.default_rng((flags.seed, 1))  # not the stream of `episode.reset`, that of seed 0
+    draw = np.random.default_rng(
+        (flags.seed, 1)
+    )  # not the stream of `episode.reset`, that of seed 0
     return policy, lambda obs: draw.normal(size=size), f"random actions, seed {flags.seed}"
 
 
