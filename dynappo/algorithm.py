@@ -17,7 +17,8 @@ new tails, which start from real rows drawn at random, and learns from these alo
 simulator steps: with two, Go1 walks after two thirds of the steps (experiments/21_less).
 
 Every random number comes from `fold_in` of the run's key with the iteration, a purpose, the row and
-the robot's global index. So two chunks equal one run, and a row does not depend on N_r.
+the robot's global index. So two chunks equal one run, and a row does not depend on N_r. A key is drawn
+from once, or split once, or folded, and never two of these: `split(key)[i]` is `fold_in(key, i)`.
 Many seeds and many devices: sweep.py.
 """
 
