@@ -276,24 +276,73 @@ def test_a_batch_goes_on_where_it_was_cut_off_and_chunks_train_as_it_does(tmp_pa
 # Tables
 
 
-def test_runs_of_one_setting_are_read_from_the_folder_that_has_them(tmp_path, monkeypatch):
-    """An own run comes first; what is named as the same setting is."""
+def test_all_runs_of_a_cell_count_whichever_folder_has_them(tmp_path, monkeypatch):
     ablation, regimes = script("10_ablation"), script("17_regimes")
-    for (envs, rows), path in ablation.ELSEWHERE.items():
-        known = paper.load((EXPERIMENTS / path).parent, pathlib.Path(path).name)
-        assert len(paper.peak(known)) == 5
-        assert known.columns["sim_steps"][-1, 0] == 500 * envs * rows
     monkeypatch.setattr(ablation, "OTHERS", tmp_path)
-    keep(tmp_path / "12_platforms" / "earlier", "go1_ppo12", [[7.0] * 5] * 12)
-    cells = ablation.build(tmp_path / "own", [(2048, 12), (4096, 12)])
+    own, name = tmp_path / "own", run.name(ablation.job(4096, 12))
+    keep(tmp_path / "12_platforms/earlier", "go1_ppo12", [[7.0] * 5] * 12)
+    cells = ablation.build(own, [(2048, 12), (4096, 12)])
     assert [cell["status"] for cell in cells] == ["not run", ""]
     assert (cells[1]["seeds"], cells[1]["max_reward_mean"]) == (5, 7)
-    keep(tmp_path / "own", run.name(ablation.job(4096, 12)), [[3.0] * 3] * 12)
-    assert ablation.build(tmp_path / "own", [(4096, 12)])[0]["seeds"] == 3
+    # every iteration of one, every tenth of another
+    keep(own, name, [[3.0] * 3] * 20)
+    keep(own / "more", name, [[4.0, 5.0]] * 20)
+    keep(tmp_path / "17_regimes/results/more", name, [[6.0]] * 20)
+    keep(tmp_path / "12_platforms/results", "go1_ppo12", [[8.0]] * 20)
+    keep(tmp_path / "12_platforms/earlier", "go1_ppo12", [[7.0] * 5] * 20)
+    (cell,) = ablation.build(own, [(4096, 12)])
+    warp, kernel = [3.0] * 3 + [7.0] * 5, [4.0, 5.0, 6.0, 8.0]
+    assert (cell["seeds"], cell["kernel_seeds"]) == (12, 4)
+    assert cell["max_reward_mean"] == pytest.approx(np.mean(warp + kernel))
+    assert cell["kernel_difference"] == pytest.approx(np.mean(kernel) - np.mean(warp))
+    assert cell["kernel_p"] == stats.welch_of(kernel, warp)
+    places = [(str(row["batch"]), row["seeds"]) for row in ablation.named(own, [(4096, 12)])]
+    assert places[:2] == [("own", 3), ("12_platforms/earlier", 5)]
     jobs = [regimes.job(r, v) for r in regimes.REGIMES for v in regimes.VARIANTS]
     configs = {run.configure(job, 3).to_json_best_effort() for job in jobs}
     assert len({run.name(job) for job in jobs}) == len(jobs) == len(configs)
     assert regimes.job(regimes.Regime("", 2048), "ppo12") == ablation.job(2048, 12)
+
+
+def test_no_stored_run_of_plain_ppo_on_go1_is_missing_in_the_map():
+    """By what each run's JSON says of itself: job, settings, iterations."""
+    plot = script("10_ablation")
+    kept = {EXPERIMENTS / "03_speed/results/one_seed_ppo16"}  # one seed, for its time: the page says so
+    for cell in plot.GRID:
+        kept |= {batch.path for batch in plot.batches_of(EXPERIMENTS / "10_ablation/results", *cell)}
+    about = ("rollout.num_envs", "rollout.horizon")  # what a cell is; all else is the variant's
+    free = ("physics.impl", "run.")  # fields that do not change what is learned
+    found = set()
+    for path in EXPERIMENTS.rglob("*.json"):
+        told = json.loads(path.read_text())
+        job = told.get("job") if isinstance(told, dict) else None
+        if not isinstance(job, str) or not job.startswith(("go1:ppo12", "go1:ppo16")):
+            continue
+        fields = [field.split("=")[0] for field in job.split(":")[2:]]
+        fields += [one.split("=")[0] for one in told["set"] if not one.startswith(free)]
+        if not set(fields) - set(about) and told["iterations"] == 500:
+            found.add(path.with_suffix(""))
+    assert found == kept
+
+
+def test_the_page_of_the_map_has_the_numbers_of_its_runs():
+    plot = script("10_ablation")
+    page = (EXPERIMENTS / "10_ablation/README.md").read_text()
+    rows = plot.build(EXPERIMENTS / "10_ablation/results", plot.GRID)
+    for envs in plot.ENVS:
+        some = [row for row in rows if row["envs"] == envs]
+        cells = [f"{row['max_reward_mean']:.1f} / {row['paper_max_reward']:.1f}" for row in some]
+        assert f"| R = {envs} | {' | '.join(cells)} |" in page
+        assert f"| R = {envs} | {' | '.join(str(row['seeds']) for row in some)} |" in page
+    lines = plot.findings(rows)
+    gains = [line.split(": ")[1].split(", ")[0] for line in lines if line.startswith("  R=")][:6]
+    assert len(gains) == 6 and all(gain in page.replace(",", "") for gain in gains)
+    levels = next(line for line in lines if line.startswith("  rows to"))
+    assert "R=1024: 19.6, R=2048: 14.4, R=4096: 12 or fewer" in levels and "19.6, 14.4, 12" in page
+    batches = plot.named(EXPERIMENTS / "10_ablation/results", plot.GRID)
+    seeds = {by: sum(b["seeds"] for b in batches if b["engine"] == by) for by in ("MuJoCo Warp", "kernel")}
+    text = f"{sum(seeds.values())} seeds, {seeds['MuJoCo Warp']} by MuJoCo Warp's own step and {seeds['kernel']} by"
+    assert text in page and f"the {len(batches)} batches" in page
 
 
 def test_tails_are_compared_with_the_real_rows_that_they_stand_for(tmp_path, monkeypatch):
