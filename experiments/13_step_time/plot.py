@@ -252,7 +252,10 @@ def bar(axis, y: int, widths: list[float], measured: float | None) -> float:
     if measured is not None:
         axis.plot([measured] * 2, [y - 0.36, y + 0.36], color=pictures.VERMILION, linewidth=1.6)
     end = max(left, measured or 0.0)
-    axis.text(end, y, f"  {measured or left:.3g}", va="center")
+    text = f"  {measured or left:.3g}"
+    if measured and left > 1.05 * measured:
+        text += f"\n  (sum {left:.3g})"
+    axis.text(end, y, text, va="center")
     return end
 
 
