@@ -149,7 +149,9 @@ def draw(path: Path) -> None:
             min(run["rows"][-1]["seconds"] for run in found),
         )
         level = np.mean([at(run, "return", grid) for run in found], 0)
-        axes.plot(grid, level, color=colour, lw=2, label=f"{label.replace('`', '')}; {len(found)} seeds")
+        axes.plot(
+            grid, level, color=colour, lw=2, label=f"{label.replace('`', '')}; {len(found)} seeds"
+        )
     axes.set(
         xlabel="seconds of training on two idle cores: iterations x the time of one; points: evaluations",
         ylabel="evaluated return (of 45)",

@@ -2,9 +2,9 @@
 
     python experiments/10_ablation/plot.py
 
-All seeds of a cell count, whichever folder they were trained for; batches.csv names each batch. In results.csv
-"kernel_difference" is what the seeds by our kernel have more than those by MuJoCo Warp, with Welch's 95 %
-interval; "kernel_p_holm" is Holm's over all cells that have both.
+All seeds of a cell count, whichever folder they were trained for; batches.csv names each batch. In
+results.csv "kernel_difference" is what the seeds by our kernel have more than those by MuJoCo Warp, with
+Welch's 95 % interval; "kernel_p_holm" is Holm's over all cells that have both.
 """
 
 from pathlib import Path
@@ -116,7 +116,9 @@ def named(folder: Path, grid) -> list[dict]:
             row = {"envs": envs, "horizon": horizon, "batch": path.relative_to(where).parent}
             row |= {"engine": "kernel" if kernel else "MuJoCo Warp", "seeds": len(paper.peak(one))}
             row |= stats.spread("max_reward", paper.peak(one))
-            rows.append(row | {name: one.summary.get(name) for name in ("device", "commit", "date")})
+            rows.append(
+                row | {name: one.summary.get(name) for name in ("device", "commit", "date")}
+            )
     return rows
 
 
@@ -162,8 +164,7 @@ def findings(rows) -> list[str]:
 
 
 def steepest(rows, cells, ours: bool) -> list[str]:
-    """The largest gains by four and by eight rows more; of ours with Welch's interval and p, and Holm's p over
-    all such gains."""
+    """The largest gains by four and by eight rows more; of ours with Welch's interval and p, and Holm's p."""
     out = []
     for more in (4, 8):
         gains = []

@@ -132,8 +132,8 @@ def draw(folder: Path, robots, path: Path) -> None:
         style = pictures.mark(variant) | {"linestyle": "-" if name == "ppo" else ""}
         axes[0, 0].plot([], [], label=names[name], markersize=5, **style)
     text = "Go1. A thin line goes from the simulated rows to all rows, the model's too: where it meets\n"
-    text += "PPO's, they do what simulated rows would. Best has MuJoCo Warp's physics, all else our kernel's.\n"
-    text += "PPO of 20 rows, tails of 20 and 24: 1024 robots only."
+    text += "PPO's, they do what simulated rows would. Best has MuJoCo Warp's physics, all else\n"
+    text += "our kernel's. PPO of 20 rows, tails of 20 and 24: 1024 robots only."
     if seeds:
         text += f" Bar: {pictures.covers(seeds)}"
     pictures.head(page, text, fontsize=9.5)
