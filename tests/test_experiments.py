@@ -181,6 +181,15 @@ def test_the_tables_of_the_headline_are_those_of_its_runs():
         assert found == [first, falls, rare, three, one], name
 
 
+def test_a_robot_stays_from_the_evaluation_on_after_which_none_is_bad():
+    stays = script("21_less/table").stays
+    ends = ((39.0, 0.0), (41.0, 0.02), (37.9, 0.0), (38.0, 0.01), (42.0, 0.03))
+    run = [{"return": a, "fall_rate": b, "sim_steps": 10.0 * i} for i, (a, b) in enumerate(ends)]
+    assert [stays(run, 38, most) for most in (1, 0.03)] == [30, 30]
+    assert np.isnan(stays(run, 38, 0.01)) and np.isnan(stays(run, 43, 1))
+    assert (stays(run[:4], 38, 0.01), stays(run[:4], 37, 0.02)) == (30, 0)
+
+
 def test_the_readmes_table_says_what_the_runs_did():
     """Steps until it walks and falls then, of `best`; PPO alone; PPO-16 of 14_efficiency; and the end."""
     table, page = script("21_less/table"), (ROOT / "README.md").read_text()
