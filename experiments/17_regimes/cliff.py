@@ -141,7 +141,7 @@ def draw(folder: Path, robots, path: Path) -> None:
     pictures.save(page, path)
 
 
-def evaluated(find, envs: int, variant: str, every) -> list[tuple[int, list[float]]]:
+def evaluated(find, envs: int, variant: str, every) -> list[tuple[int, np.ndarray]]:
     """Rows of a rollout and the evaluated returns of its seeds, where there was an evaluation."""
     some = [(n, plot.values(run(find, envs, variant, n))) for n in every]
     return [(n, found["evaluated"]) for n, found in some if "evaluated" in found]
