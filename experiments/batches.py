@@ -8,6 +8,7 @@ of another in the folder `more` beside it is its next batch.
 Not pooled: runs whose settings differ, such as `second/anymal_c_ppo16` (another entropy coefficient), and
 `second/go1_fast`, which is the run in 12_platforms/earlier. The runs of 12_platforms/results have a later
 commit and another engine: they are by themselves, and where a page asks, beside the `earlier` ones.
+10_ablation/plot.py alone pools both engines, and says so.
 """
 
 from __future__ import annotations

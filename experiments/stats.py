@@ -47,7 +47,9 @@ NOTHING = Around(math.nan, math.nan, math.nan)
 
 
 def moments(values) -> Moments:
-    """Of the numbers that are finite; NaN where there are too few."""
+    """Of the numbers that are finite; NaN where there are too few. Moments stay what they are."""
+    if isinstance(values, Moments):
+        return values
     values = np.asarray(values, float)
     values = values[np.isfinite(values)]
     n = len(values)

@@ -2,12 +2,14 @@
 and tables on numbers known by hand. What trains is `-m slow`: every folder's `run.py --quick`, twice.
 """
 
+import csv
 import functools
 import importlib
 import itertools
 import json
 import lzma
 import pathlib
+import re
 import subprocess
 import sys
 import types
@@ -107,6 +109,8 @@ def test_the_page_of_the_peers_has_the_numbers_of_its_runs(drawn, monkeypatch, c
     printed = [line.split(" | ") for line in capsys.readouterr().out.splitlines()]
     walks = {cells[0]: " | ".join(cells[3:6]) for cells in printed if len(cells) > 9}  # 30, 35, 38
     assert drawn == ["peers"] and len(walks) == 7  # with the head
+    assert printed[-1][0] == "2.2 to 2.5 M steps: -2.4 (-2.9 to -1.9), p 1e-05; 41.4"
+    assert "(1.9 to 2.9; PPO 41.4; p 1e-5)" in page
     for name, cells in walks.items():
         assert cells in page or name == "| ", name
 
@@ -119,6 +123,173 @@ def test_the_page_of_seconds_has_the_table_of_its_runs(monkeypatch, capsys):
     assert len(rows) == 10
     for _, name, *cells in rows:
         assert " | ".join(cells) in page, name
+
+
+LESS = EXPERIMENTS / "21_less"
+NAMED = {  # rows of the first tables of 21_less -> names in its results
+    "**`best`**": "new",
+    "without `carry_on`": "no-carry",
+    "`best` before": "old-best",
+    "PPO, tuned": "ppo-kl3",
+    "PPO, 24 rows, 512 robots": "ppo-512x24",
+    "PPO, 24 rows, 1024 robots": "ppo-1024x24",
+    "PPO, 24 rows, 2048 robots": "ppo-2048x24",
+    "PPO, 16 rows, 1024 robots": "ppo-1024x16",
+    "PPO, 32 rows, 1024 robots": "ppo-1024x32",
+    "PPO-16": "ppo16",
+    "PPO-24": "ppo24",
+}
+LETTERS = {"Go1": "g", "Go2": "h", "ANYmal-C": "c", "ANYmal-D": "d"}
+
+
+def cells(line):
+    """Of a row of a Markdown table, without bold."""
+    return [cell.strip() for cell in line.replace("**", "").strip("| ").split("|")]
+
+
+def rows_of(page, columns):
+    """Rows of the tables of 21_less: `(name in the results, cells)`, where there are so many columns."""
+    for line in page.splitlines():
+        robot, _, what = cells(line)[0].partition(", ")
+        names = {name.replace("**", ""): known for name, known in NAMED.items()}
+        if robot in LETTERS and what in names and len(cells(line)) == columns:
+            yield f"{names[what]}-{LETTERS[robot]}", cells(line)[1:]
+
+
+def test_the_tables_of_the_headline_are_those_of_its_runs():
+    """Steps to each level, the end, falls and errors; and steps until a robot walks with few falls."""
+    table, page = script("21_less/table"), (LESS / "README.md").read_text()
+    jobs = table.read(LESS / "results/fresh.csv.xz")
+    seen = 0
+    for name, found in rows_of(page, 9):
+        levels = table.LEVELS[table.best(jobs[name])][1:]
+        *steps, total, end, falls, error = cells(
+            table.table({name: jobs[name]}, levels).splitlines()[2]
+        )[2:]
+        # a single seed that gets there has no last one
+        steps = [re.sub(r" \(.*\)(?=, \d never)", "", one).removeprefix("-, ") for one in steps]
+        mine = [re.sub(r" \(.*\)(?=, \d never)", "", one) for one in found[:4]]
+        assert [*mine, *found[4:]] == [*steps, total, end, falls, error], name
+        seen += 1
+    assert seen == 32
+    few = list(rows_of(page, 6))
+    assert len(few) == 8
+    for name, found in few:
+        first, falls, rare, _, three, one = cells(table.falls({name: jobs[name]}).splitlines()[2])[
+            1:
+        ]
+        assert found == [first, falls, rare, three, one], name
+
+
+def test_a_robot_stays_from_the_evaluation_on_after_which_none_is_bad():
+    stays = script("21_less/table").stays
+    ends = ((39.0, 0.0), (41.0, 0.02), (37.9, 0.0), (38.0, 0.01), (42.0, 0.03))
+    run = [{"return": a, "fall_rate": b, "sim_steps": 10.0 * i} for i, (a, b) in enumerate(ends)]
+    assert [stays(run, 38, most) for most in (1, 0.03)] == [30, 30]
+    assert np.isnan(stays(run, 38, 0.01)) and np.isnan(stays(run, 43, 1))
+    assert (stays(run[:4], 38, 0.01), stays(run[:4], 37, 0.02)) == (30, 0)
+
+
+def test_the_readmes_table_says_what_the_runs_did():
+    """Steps until it walks and falls then, of `best`; PPO alone; PPO-16 of 14_efficiency; and the end."""
+    table, page = script("21_less/table"), (ROOT / "README.md").read_text()
+    jobs = table.read(LESS / "results/fresh.csv.xz")
+    with (EXPERIMENTS / "14_efficiency/results.csv").open(newline="") as file:
+        efficiency = list(csv.DictReader(file))
+    for robot, label in (
+        ("go1", "Go1"),
+        ("go2", "Go2"),
+        ("anymal_c", "ANYmal-C"),
+        ("anymal_d", "ANYmal-D"),
+    ):
+        mine, ppo = (jobs[f"{name}-{LETTERS[label]}"] for name in ("new", "ppo-kl3"))
+        level = script("14_efficiency").WALKS[robot]
+        steps, alone = (
+            np.mean([table.first(run, level) / 1e6 for run in table.seeds(job)])
+            for job in (mine, ppo)
+        )
+        falls = 100 * np.mean([table.first(run, level, "fall_rate") for run in table.seeds(mine)])
+        end = [row for run in table.seeds(mine) for row in run[-3:]]
+        total, late = (np.mean([row[name] for row in end]) for name in ("return", "fall_rate"))
+        sixteen = paper.pick(efficiency, robot=robot, threshold="evaluated", variant="ppo16")
+        assert sixteen["success_rate_pct"] == "100"
+        some = [f"{steps:.2f}", f"{alone:.1f}", f"{float(sixteen['sim_steps_M_mean']):.1f}"]
+        some += [f"{falls:.1f} %", f"{total:.1f} of {table.best(mine)}", f"{100 * late:.1f} %"]
+        assert next(
+            cells(line) for line in page.splitlines() if line.startswith(f"| {label} ")
+        ) == [
+            label,
+            *some,
+        ]
+        assert 49 < float(sixteen["sim_steps_M_mean"]) / steps < 61  # "a fiftieth to a sixtieth"
+    columns = script("14_efficiency").paper.sim_steps("configs/go1.py:best", 150)
+    last = mine[-1]["sim_steps"]
+    assert round(100 * (1 - columns / last)) == 92 and round(last / 1e6, 1) == 7.8
+
+
+def test_the_pages_count_the_settings_that_were_tried_with_a_tail_and_without():
+    table, counts = script("21_less/table"), {}
+    for name in ("tuning", "ppo"):
+        for job in table.read(LESS / f"results/{name}.csv.xz").values():
+            robot, *fields = job[0]["job"].split()
+            tail = "schedule.end_steps=0" not in fields
+            kept = [field for field in fields if not field.startswith("run.")]
+            some, runs = counts.setdefault((name, tail), (set(), []))
+            some.add((robot.partition(":")[2], *kept))
+            runs += table.seeds(job)
+    tail, alone = counts["tuning", True], counts["ppo", False]
+    text = " ".join((LESS / "README.md").read_text().split())
+    assert f"among {len(tail[0])} settings in {len(tail[1])} runs on four" in text
+    assert f"PPO among {len(alone[0])} in {len(alone[1])} runs on two" in text
+    readme = " ".join((ROOT / "README.md").read_text().split())
+    assert f"the best of {len(alone[0])} settings (`best`: of {len(tail[0])})" in readme
+
+
+def test_at_equal_steps_and_in_ratios_the_headline_is_as_its_page_says():
+    table, page = script("21_less/table"), " ".join((LESS / "README.md").read_text().split())
+    jobs = table.read(LESS / "results/fresh.csv.xz")
+    for letter in LETTERS.values():
+        mine, ppo = (table.seeds(jobs[f"{name}-{letter}"]) for name in ("new", "ppo-kl3"))
+        level, end = 38 if letter in "gh" else 24, ppo[0][-1]["sim_steps"]
+        ours = [
+            np.interp(end, *([r[n] for r in run] for n in ("sim_steps", "return"))) for run in mine
+        ]
+        found = stats.difference(ours, [run[-1]["return"] for run in ppo])
+        text = f"{found.value:+.1f} ({found.low:.1f} to {found.high:.1f}".replace(
+            "(-0.4", "(Welch's 95 % -0.4", letter == "g"
+        )
+        assert text in page, text
+        ratio = stats.ratio(*([table.first(run, level) for run in runs] for runs in (ppo, mine)))
+        assert f"{ratio.value:.1f} (" in page and f"{ratio.low:.1f} to {ratio.high:.1f}" in page
+
+
+def test_the_pages_of_the_bundled_policies_and_of_a_still_robot_have_the_numbers_of_their_files():
+    """gait.txt and benchmark.txt are what the scripts of those names printed."""
+    page = (EXPERIMENTS / "22_deploy/README.md").read_text()
+    for line in (EXPERIMENTS / "22_deploy/gait.txt").read_text().splitlines():
+        name, cost, torque, speed, change, height = re.findall(r"^\w+|[\d.]+(?=,|$)", line)
+        row = next(cells(one) for one in page.splitlines() if one.startswith(f"| `{name}` |"))[1:]
+        for shown, value in zip(row, (cost, torque, speed, change, height), strict=True):
+            number = shown.split()[0]
+            digits = len(number.partition(".")[2])
+            # the file has three digits, so its last one may round either way
+            assert abs(float(number) - float(value)) <= 0.51 * 10**-digits + 1e-9, (
+                name,
+                shown,
+                value,
+            )
+    lines = (EXPERIMENTS / "22_deploy/benchmark.txt").read_text().splitlines()
+    found = {line.split()[0]: re.search(r"return ([\d.]+)", line)[1] for line in lines}
+    for robot, label in paper.ROBOTS.items():
+        full, less = found[robot], found[f"{robot}_deploy"]
+        lost = 100 * (1 - float(less) / float(full))
+        assert f"| {label.removeprefix('Unitree ')} | {full} | {less} | {lost:.1f} % |" in page
+    still = json.loads((EXPERIMENTS / "04_laptop/results/still.json").read_text())
+    page = (ROOT / "docs/results.md").read_text()
+    best, laptop = still["best"], still["laptop"]
+    assert best["fall_rate"] == laptop["fall_rate"] == 0
+    row = f"1000 episodes, tracking error {best['tracking_error']:.2f} m/s | "
+    assert f"{row}{best['return']:.1f} | {laptop['return']:.1f} |" in page
 
 
 def test_seconds_are_counted_to_the_first_evaluation_that_walks():
@@ -276,24 +447,99 @@ def test_a_batch_goes_on_where_it_was_cut_off_and_chunks_train_as_it_does(tmp_pa
 # Tables
 
 
-def test_runs_of_one_setting_are_read_from_the_folder_that_has_them(tmp_path, monkeypatch):
-    """An own run comes first; what is named as the same setting is."""
+def test_all_runs_of_a_cell_count_whichever_folder_has_them(tmp_path, monkeypatch):
     ablation, regimes = script("10_ablation"), script("17_regimes")
-    for (envs, rows), path in ablation.ELSEWHERE.items():
-        known = paper.load((EXPERIMENTS / path).parent, pathlib.Path(path).name)
-        assert len(paper.peak(known)) == 5
-        assert known.columns["sim_steps"][-1, 0] == 500 * envs * rows
     monkeypatch.setattr(ablation, "OTHERS", tmp_path)
-    keep(tmp_path / "12_platforms" / "earlier", "go1_ppo12", [[7.0] * 5] * 12)
-    cells = ablation.build(tmp_path / "own", [(2048, 12), (4096, 12)])
+    own, name = tmp_path / "own", run.name(ablation.job(4096, 12))
+    keep(tmp_path / "12_platforms/earlier", "go1_ppo12", [[7.0] * 5] * 12)
+    cells = ablation.build(own, [(2048, 12), (4096, 12)])
     assert [cell["status"] for cell in cells] == ["not run", ""]
     assert (cells[1]["seeds"], cells[1]["max_reward_mean"]) == (5, 7)
-    keep(tmp_path / "own", run.name(ablation.job(4096, 12)), [[3.0] * 3] * 12)
-    assert ablation.build(tmp_path / "own", [(4096, 12)])[0]["seeds"] == 3
+    # every iteration of one, every tenth of another
+    keep(own, name, [[3.0] * 3] * 20)
+    keep(own / "more", name, [[4.0, 5.0]] * 20)
+    keep(tmp_path / "17_regimes/results/more", name, [[6.0]] * 20)
+    keep(tmp_path / "12_platforms/results", "go1_ppo12", [[8.0]] * 20)
+    keep(tmp_path / "12_platforms/earlier", "go1_ppo12", [[7.0] * 5] * 20)
+    (cell,) = ablation.build(own, [(4096, 12)])
+    warp, kernel = [3.0] * 3 + [7.0] * 5, [4.0, 5.0, 6.0, 8.0]
+    assert (cell["seeds"], cell["kernel_seeds"]) == (12, 4)
+    assert cell["max_reward_mean"] == pytest.approx(np.mean(warp + kernel))
+    assert cell["kernel_difference"] == pytest.approx(np.mean(kernel) - np.mean(warp))
+    assert cell["kernel_p"] == stats.welch_of(kernel, warp)
+    places = [(str(row["batch"]), row["seeds"]) for row in ablation.named(own, [(4096, 12)])]
+    assert places[:2] == [("own", 3), ("12_platforms/earlier", 5)]
     jobs = [regimes.job(r, v) for r in regimes.REGIMES for v in regimes.VARIANTS]
     configs = {run.configure(job, 3).to_json_best_effort() for job in jobs}
     assert len({run.name(job) for job in jobs}) == len(jobs) == len(configs)
     assert regimes.job(regimes.Regime("", 2048), "ppo12") == ablation.job(2048, 12)
+
+
+def test_no_stored_run_of_plain_ppo_on_go1_is_missing_in_the_map():
+    """By what each run's JSON says of itself: job, settings, iterations."""
+    plot = script("10_ablation")
+    kept = {
+        EXPERIMENTS / "03_speed/results/one_seed_ppo16"
+    }  # one seed, for its time: the page says so
+    for cell in plot.GRID:
+        kept |= {
+            batch.path for batch in plot.batches_of(EXPERIMENTS / "10_ablation/results", *cell)
+        }
+    about = ("rollout.num_envs", "rollout.horizon")  # what a cell is; all else is the variant's
+    free = ("physics.impl", "run.")  # fields that do not change what is learned
+    found = set()
+    for path in EXPERIMENTS.rglob("*.json"):
+        told = json.loads(path.read_text())
+        job = told.get("job") if isinstance(told, dict) else None
+        if not isinstance(job, str) or not job.startswith(("go1:ppo12", "go1:ppo16")):
+            continue
+        fields = [field.split("=")[0] for field in job.split(":")[2:]]
+        fields += [one.split("=")[0] for one in told["set"] if not one.startswith(free)]
+        if not set(fields) - set(about) and told["iterations"] == 500:
+            found.add(path.with_suffix(""))
+    assert found == kept
+
+
+def test_the_page_of_the_map_has_the_numbers_of_its_runs():
+    plot = script("10_ablation")
+    page = (EXPERIMENTS / "10_ablation/README.md").read_text()
+    rows = plot.build(EXPERIMENTS / "10_ablation/results", plot.GRID)
+    for envs in plot.ENVS:
+        some = [row for row in rows if row["envs"] == envs]
+        cells = [f"{row['max_reward_mean']:.1f} / {row['paper_max_reward']:.1f}" for row in some]
+        assert f"| R = {envs} | {' | '.join(cells)} |" in page
+        assert f"| R = {envs} | {' | '.join(str(row['seeds']) for row in some)} |" in page
+    lines = plot.findings(rows)
+    gains = [line.split(": ")[1].split(", ")[0] for line in lines if line.startswith("  R=")][:6]
+    assert len(gains) == 6 and all(gain in page.replace(",", "") for gain in gains)
+    levels = next(line for line in lines if line.startswith("  rows to"))
+    assert "R=1024: 19.6, R=2048: 14.4, R=4096: 12 or fewer" in levels and "19.6, 14.4, 12" in page
+    batches = plot.named(EXPERIMENTS / "10_ablation/results", plot.GRID)
+    seeds = {
+        by: sum(b["seeds"] for b in batches if b["engine"] == by)
+        for by in ("MuJoCo Warp", "kernel")
+    }
+    text = f"{sum(seeds.values())} seeds, {seeds['MuJoCo Warp']} by MuJoCo Warp's own step and "
+    assert f"{text}{seeds['kernel']} by" in page and f"the {len(batches)} batches" in page
+
+
+def test_the_pages_say_what_the_first_seeds_gave_alone_and_what_those_added_did():
+    """17_regimes: evaluated gains of the tails of 20 rows over PPO-16, 1024 robots, by folder."""
+    regimes, results = script("17_regimes"), EXPERIMENTS / "17_regimes/results"
+    here = next(regime for regime in regimes.REGIMES if regime.label == "R = 1024")
+    pages = [(EXPERIMENTS / f"{name}/README.md").read_text() for name in ("17_regimes", "paper")]
+    for folder in (results, results / "more"):
+        kinds = (("ppo16", None), *((name, 20) for name in regimes.TAILS))
+        base, *tails = (
+            regimes.values(paper.load(folder, run.name(regimes.job(here, *kind))))["evaluated"]
+            for kind in kinds
+        )
+        for tail in tails:
+            found, p = stats.difference(tail, base), stats.welch_of(tail, base)
+            text = f"{found.value:+.1f} ({found.low:.1f} to {found.high:.1f}, p {p:.2g}"
+            text = text.replace("p 0.0023", "p 0.002").replace("p 0.0089", "p 0.009")
+            for page in pages:
+                assert text in " ".join(page.split()), text
 
 
 def test_tails_are_compared_with_the_real_rows_that_they_stand_for(tmp_path, monkeypatch):
@@ -344,6 +590,10 @@ def test_a_tail_pays_where_its_steps_save_more_than_the_fit_takes():
     assert plot.pays([30.0, 34.0], [0.1, -0.2]) == {"pays_from": "never"}
     assert np.isnan(plot.pays([30.0, 34.0], [0.1, 0.2])["pays_from_high"])  # or never
     ms = {"physics": 1.0, "tail": 0.5, "fit": 4.0, "ppo": 2.0, "iteration": 20.0}
+    for real, synthetic, rounds in ((12, 4, 1), (4, 48, 3)):  # at this cost both take as long
+        even = plot.break_even(ms, (real, synthetic, 1, rounds))
+        tail = real * even + synthetic * ms["tail"] + ms["fit"] + rounds * ms["ppo"]
+        assert tail == pytest.approx((real + synthetic / rounds) * even + ms["ppo"])
     settings = ["run.num_iterations=200"]
     report = {"ms": ms, "settings": settings, "training_seconds": 6.0}
     rows = plot.split({name: [report] for name in plot.VARIANTS})

@@ -141,15 +141,22 @@ def draw(path: Path) -> None:
                 color=colour,
                 lw=0.7,
                 alpha=0.5,
+                marker=".",
+                markersize=4,
             )
         grid = np.linspace(
             max(run["rows"][0]["seconds"] for run in found),
             min(run["rows"][-1]["seconds"] for run in found),
         )
         level = np.mean([at(run, "return", grid) for run in found], 0)
-        axes.plot(grid, level, color=colour, lw=2, label=label.replace("`", ""))
+        axes.plot(
+            grid, level, color=colour, lw=2, label=f"{label.replace('`', '')}; {len(found)} seeds"
+        )
     axes.set(
-        xlabel="seconds of training", ylabel="evaluated return (of 45)", xlim=(0, 120), ylim=(0, 45)
+        xlabel="seconds of training on two idle cores: iterations x the time of one; points: evaluations",
+        ylabel="evaluated return (of 45)",
+        xlim=(0, 120),
+        ylim=(0, 45),
     )
     axes.legend(frameon=False, loc="lower right")
     pictures.save(figure, path)

@@ -1,12 +1,14 @@
-"""results.csv and figure of the runs in results/, beside the paper's Table I.
+"""results.csv, batches.csv and figure of all runs of the map's settings, beside the paper's Table I.
 
-python experiments/10_ablation/plot.py
+    python experiments/10_ablation/plot.py
 
-"more_difference" is what the fresh seeds in results/more have more than the older ones, with Welch's 95 %
-interval; "more_p_holm" is Holm's over all cells that have such seeds.
+All seeds of a cell count, whichever folder they were trained for; batches.csv names each batch. In
+results.csv "kernel_difference" is what the seeds by our kernel have more than those by MuJoCo Warp, with
+Welch's 95 % interval; "kernel_p_holm" is Holm's over all cells that have both.
 """
 
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,19 +17,36 @@ from experiments import batches, paper, pictures, run, stats
 ENVS, HORIZONS = (512, 1024, 2048, 4096, 8192), (12, 16, 20, 24, 28, 32)
 # what decides most comes first: the paper's 4096 robots, and its best cell
 GRID = [(envs, n) for envs in (4096, 8192, 2048, 1024, 512) for n in HORIZONS]
-FIVE = ((1024, 12), (1024, 20), (1024, 24))  # five seeds where the return rises most, as ELSEWHERE
+FIVE = ((1024, 12), (1024, 20), (1024, 24))  # five seeds where the return rises most, as WARP
 OTHERS = Path(__file__).parent.parent
-ELSEWHERE = {  # runs of the same setting, with five seeds
-    (4096, 12): "12_platforms/earlier/go1_ppo12",
-    (4096, 16): "12_platforms/earlier/go1_ppo16",
-    (1024, 16): "20_tail/results/go1_ppo16_1024",
+WARP = {  # runs of the same setting by MuJoCo Warp
+    (4096, 12): ("12_platforms/earlier/go1_ppo12",),
+    (4096, 16): (
+        "12_platforms/earlier/go1_ppo16",
+        "20_tail/results/first/go1_ppo16",
+        "20_tail/results/second/go1_ppo16",
+    ),
+    (1024, 16): ("20_tail/results/go1_ppo16_1024", "20_tail/results/second/go1_ppo16_1024"),
 }
+KERNEL = {  # and by our kernel; those of 17_regimes are named as here
+    (4096, 12): ("12_platforms/results/go1_ppo12",),
+    (4096, 16): ("12_platforms/results/go1_ppo16",),
+}
+REGIMES = ("17_regimes/results", "17_regimes/results/more")
 MARKS = "ovsD^"
 COLUMNS = (
     "envs horizon status seeds max_reward_mean max_reward_low max_reward_high paper_max_reward "
-    "policy_std_mean paper_policy_std to_30.5_success_rate_pct to_30.5_sim_steps_M_mean more_seeds "
-    "more_difference more_p more_p_holm"
+    "policy_std_mean paper_policy_std to_30.5_success_rate_pct to_30.5_sim_steps_M_mean kernel_seeds "
+    "kernel_difference kernel_p kernel_p_holm"
 ).split()
+
+
+class Batch(NamedTuple):
+    """Seeds of one setting that trained at once."""
+
+    path: Path  # without suffix
+    kernel: bool  # physics by our kernel, not by MuJoCo Warp's own step
+    run: paper.Run
 
 
 def job(envs: int, horizon: int) -> str:
@@ -41,6 +60,7 @@ def main():
 def make(out: Path, grid=GRID) -> None:
     rows = build(out / "results", grid)
     paper.write(out / "results.csv", rows)
+    paper.write(out / "batches.csv", named(out / "results", grid))
     paper.show(rows, COLUMNS)
     for line in findings(rows):
         print(line)
@@ -48,13 +68,13 @@ def make(out: Path, grid=GRID) -> None:
 
 
 def build(folder: Path, grid) -> list[dict]:
-    """A row a cell, R and N rising; minutes are of all its seeds, which train at once."""
+    """A row a cell, R and N rising; minutes are of all seeds of its first batch, which train at once."""
     printed, rows = paper.table("ablation"), []
     for envs, horizon in sorted(grid):
         found = load(folder, envs, horizon)
         row = {"envs": envs, "horizon": horizon, "status": paper.status(found)}
         if found and found.columns:
-            row |= paper.returns(found) | fresh(folder, envs, horizon)
+            row |= paper.returns(found) | engines(batches_of(folder, envs, horizon))
             took = paper.effort(found, paper.LIMIT, paper.tenth)
             row |= {f"to_{paper.LIMIT}_{name}": value for name, value in took.items()}
             row["minutes"] = found.summary["seconds"] / 60
@@ -63,29 +83,56 @@ def build(folder: Path, grid) -> list[dict]:
         theirs = paper.pick(printed, envs=float(envs), horizon=float(horizon))
         names = {"max_reward": "max_reward", "policy_std": "policy_std", "minutes": "time_min"}
         rows.append(row | {f"paper_{ours}": theirs.get(name) for ours, name in names.items()})
-    stats.adjust(rows, "more_p")
+    stats.adjust(rows, "kernel_p")
     return rows
 
 
-def fresh(folder: Path, envs: int, horizon: int) -> dict:
-    """Cells: a cell's seeds in `more` against the older ones, which another engine trained."""
+def batches_of(folder: Path, envs: int, horizon: int) -> list[Batch]:
+    """All runs of a cell's setting that have not diverged, those by MuJoCo Warp first."""
     name = run.name(job(envs, horizon))
-    both = [paper.load(path, name) for path in (folder / "more", folder)]
-    if not all(one and one.columns for one in both):
+    warp = [folder / name, *(OTHERS / path for path in WARP.get((envs, horizon), ()))]
+    kernel = [folder / "more" / name, *(OTHERS / path / name for path in REGIMES)]
+    kernel += [OTHERS / path for path in KERNEL.get((envs, horizon), ())]
+    found = [(p, p in kernel, paper.load(p.parent, p.name)) for p in [*warp, *kernel]]
+    return [Batch(path, by, one) for path, by, one in found if one and one.columns]
+
+
+def engines(some: list[Batch]) -> dict:
+    """Cells: a cell's seeds by our kernel against those by MuJoCo Warp."""
+    fast, slow = ([v for b in some if b.kernel == by for v in paper.peak(b.run)] for by in (1, 0))
+    if not (fast and slow):
         return {}
-    some, older = (paper.peak(one) for one in both)
-    found = stats.difference(some, older)
-    ends = {"more_low": found.low, "more_high": found.high, "more_p": stats.welch_of(some, older)}
-    return {"more_seeds": len(some), "more_difference": found.value} | ends
+    found = stats.difference(fast, slow)
+    cells = {"kernel_difference": found.value, "kernel_low": found.low, "kernel_high": found.high}
+    return {"kernel_seeds": len(fast)} | cells | {"kernel_p": stats.welch_of(fast, slow)}
+
+
+def named(folder: Path, grid) -> list[dict]:
+    """A row a batch: where it is, what trained it, and its best return."""
+    rows = []
+    for envs, horizon in sorted(grid):
+        for path, kernel, one in batches_of(folder, envs, horizon):
+            where = folder.parent if path.is_relative_to(folder) else OTHERS
+            row = {"envs": envs, "horizon": horizon, "batch": path.relative_to(where).parent}
+            row |= {"engine": "kernel" if kernel else "MuJoCo Warp", "seeds": len(paper.peak(one))}
+            row |= stats.spread("max_reward", paper.peak(one))
+            rows.append(
+                row | {name: one.summary.get(name) for name in ("device", "commit", "date")}
+            )
+    return rows
 
 
 def load(folder: Path, envs: int, horizon: int) -> paper.Run | None:
-    """A cell's run, or that of the same setting in another folder."""
-    own = batches.load(folder, run.name(job(envs, horizon)))
-    if own or (envs, horizon) not in ELSEWHERE:
-        return own
-    path = OTHERS / ELSEWHERE[envs, horizon]
-    return batches.load(path.parent, path.name)
+    """A cell's seeds of all batches, every tenth iteration."""
+    some = [tenths(batch.run) for batch in batches_of(folder, envs, horizon)]
+    return batches.pool(some) if some else paper.load(folder, run.name(job(envs, horizon)))
+
+
+def tenths(one: paper.Run) -> paper.Run:
+    """Every tenth iteration of a run, which is all that some keep; its policy std is of all rows."""
+    rows = one.columns["iteration"][:, 0] % paper.EVERY == 0
+    std = {"policy_std": paper.policy_std(one).tolist()}
+    return paper.Run({name: c[rows] for name, c in one.columns.items()}, one.summary | std)
 
 
 def best(rows, name: str = "max_reward_mean") -> dict:
@@ -117,7 +164,7 @@ def findings(rows) -> list[str]:
 
 
 def steepest(rows, cells, ours: bool) -> list[str]:
-    """The largest gains by four and by eight rows more; of ours Welch's p, and Holm's over all such gains."""
+    """The largest gains by four and by eight rows more; of ours with Welch's interval and p, and Holm's p."""
     out = []
     for more in (4, 8):
         gains = []
@@ -126,11 +173,15 @@ def steepest(rows, cells, ours: bool) -> list[str]:
                 gains.append({"envs": envs, "n": n, "gain": cells[envs, n + more] - at})
                 if ours:
                     ends = [paper.pick(rows, envs=envs, horizon=m) for m in (n + more, n)]
-                    gains[-1]["p"] = stats.welch(*map(best_return, ends))[2]
+                    some = [best_return(end) for end in ends]
+                    gains[-1] |= {"ends": stats.difference(*some), "p": stats.welch_of(*some)}
         stats.adjust(gains, "p")
         for row in sorted(gains, key=lambda row: -row["gain"])[:3]:
             line = f"  R={row['envs']}, N {row['n']} to {row['n'] + more}: {row['gain']:+.1f}"
-            out.append(line + (f", p {row['p']:.2g}, Holm {row['p_holm']:.2g}" if ours else ""))
+            if ours:
+                line += f" ({row['ends'].low:.1f} to {row['ends'].high:.1f})"
+                line += f", p {row['p']:.2g}, Holm {row['p_holm']:.2g}"
+            out.append(line)
     return out
 
 
@@ -164,17 +215,17 @@ def apart(maps, times: int) -> str:
 
 
 def agree(rows) -> list[str]:
-    """Whether fresh seeds differ from the older ones."""
-    some = [row for row in rows if "more_p" in row]
+    """Whether seeds by our kernel differ from those by MuJoCo Warp."""
+    some = [row for row in rows if "kernel_p" in row]
     if not some:
         return []
     low, lower = (
-        sum(row[name] < stats.ALPHA for row in some) for name in ("more_p", "more_p_holm")
+        sum(row[name] < stats.ALPHA for row in some) for name in ("kernel_p", "kernel_p_holm")
     )
-    mean = stats.spread("by", [row["more_difference"] for row in some])
-    line = f"fresh seeds of {len(some)} cells: {low} differ by p below {stats.ALPHA:.2f}, {lower} by Holm; "
+    mean = stats.spread("by", [row["kernel_difference"] for row in some])
+    line = f"kernel against MuJoCo Warp, {len(some)} cells: {low} differ by p below {stats.ALPHA:.2f}, "
     ends = f"({mean['by_low']:.2f} to {mean['by_high']:.2f} over cells)"
-    return [f"{line}mean difference {mean['by_mean']:+.2f} {ends}"]
+    return [f"{line}{lower} by Holm; mean difference {mean['by_mean']:+.2f} {ends}"]
 
 
 def draw(rows, path: Path) -> None:

@@ -30,7 +30,8 @@ SUMS = ("ppo12_sum", "ppo16_sum", "tail_sum", "saved_pct")
 COLUMNS = (
     "simulator variant status runs physics_mean physics_sd physics_again_mean physics_again_sd tail_mean "
     "tail_sd tail_share_pct_mean fit_mean fit_sd ppo_mean ppo_sd iteration_mean iteration_sd "
-    "ppo16_sum_mean tail_sum_mean saved_pct_mean saved_pct_sd pays_from pays_from_low pays_from_high"
+    "ppo16_sum_mean tail_sum_mean saved_pct_mean saved_pct_sd pays_from pays_from_low pays_from_high "
+    "break_even_mean break_even_low break_even_high"
 ).split()
 PARTS = ("physics", "synthetic", "fit", "ppo")
 SPLIT = (
@@ -81,19 +82,24 @@ def build(reports) -> list[dict]:
             if runs:
                 every = [one["ms"] for one in runs]
                 # `best` has another rollout than PPO-16: its own iteration says it all
-                row |= {"status": "", "runs": len(runs)} | measures(every, variant != "best")
+                row |= {"status": "", "runs": len(runs)}
+                row |= measures(every, variant != "best", counts(variant, runs))
                 if variant in ("ppo12", "ppo16"):
                     row |= again(every, int(variant[3:]))
                 row |= {name: runs[0].get(name) for name in ("device", "commit")}
             rows.append(row if runs else row | {"status": "not run"})
     printed = paper.table("step_time")
     theirs = {ours: paper.pick(printed, phase=name)["avg_time_ms"] for ours, name in PHASES.items()}
-    cells = {name: value for name, value in measures([theirs], True).items() if value == value}
+    cells = measures([theirs], True, ROWS["dyna4"])
+    cells = {name: value for name, value in cells.items() if value == value}
     return [*rows, {"simulator": "paper", "device": "NVIDIA A40"} | cells]
 
 
-def measures(every: list[dict], sums: bool) -> dict:
-    """Cells over runs: ms of each phase, sums of them, and from how many steps a tail pays."""
+def measures(every: list[dict], sums: bool, some: tuple[int, ...]) -> dict:
+    """Cells over runs: ms of each phase, sums of them, from how many steps a tail pays, `break_even`.
+
+    `some` as in `ROWS`.
+    """
     cells = {}
     for name in (*PHASES, "iteration"):
         if all(name in ms for ms in every):
@@ -101,7 +107,9 @@ def measures(every: list[dict], sums: bool) -> dict:
     if all("fit" in ms for ms in every):
         shares = [100 * ms["tail"] / ms["physics"] for ms in every]
         cells |= stats.spread("tail_share_pct", shares)
-        cells |= pays([ms["fit"] for ms in every], [ms["physics"] - ms["tail"] for ms in every])
+        if some[3] == 1:  # further rounds cost updates, too
+            cells |= pays([ms["fit"] for ms in every], [ms["physics"] - ms["tail"] for ms in every])
+        cells |= stats.spread("break_even", [break_even(ms, some) for ms in every])
     found = [derived(ms) for ms in every] if sums else [{}]
     for name in SUMS:
         if all(name in one for one in found):
@@ -134,6 +142,15 @@ def pays(fits, gains) -> dict:
         return {"pays_from": "never"}
     found = stats.ratio(fits, gains)
     return {"pays_from": found.value, "pays_from_low": found.low, "pays_from_high": found.high}
+
+
+def break_even(ms: dict, some: tuple[int, ...]) -> float:
+    """ms of a step of physics above which an iteration with a tail is shorter than one with all steps real.
+
+    (fit + N_s M p_hat + (M - 1) u) / N_s, with M rounds of N_s synthetic steps p_hat and an update u each.
+    """
+    _, synthetic, _, rounds = some
+    return (ms["fit"] + synthetic * ms["tail"] + (rounds - 1) * ms["ppo"]) / (synthetic / rounds)
 
 
 def split(reports) -> list[dict]:
@@ -252,7 +269,10 @@ def bar(axis, y: int, widths: list[float], measured: float | None) -> float:
     if measured is not None:
         axis.plot([measured] * 2, [y - 0.36, y + 0.36], color=pictures.VERMILION, linewidth=1.6)
     end = max(left, measured or 0.0)
-    axis.text(end, y, f"  {measured or left:.3g}", va="center")
+    text = f"  {measured or left:.3g}"
+    if measured and left > 1.05 * measured:
+        text += f"\n  (sum {left:.3g})"
+    axis.text(end, y, text, va="center")
     return end
 
 

@@ -100,7 +100,10 @@ def found(folder: Path, regime: Regime, variant: str, rows: int | None = None) -
 
 
 def first(regime: Regime, variant: str, rows: int | None = None) -> paper.Run | None:
-    """The first batch of a run, 2026-11-21 to -23: fewer epochs, physics by MuJoCo Warp."""
+    """The first batch of a run, 2026-11-21 to -23: fewer epochs, physics by MuJoCo Warp.
+
+    Runs of 10_ablation have two of their five seeds by our kernel (PPO-24 with 512, 2048 and 4096 robots).
+    """
     here = Path(__file__).parent
     own = run.name(job(regime, variant, rows))
     places = [(here / "earlier", own)]

@@ -77,7 +77,7 @@ COLUMNS = (
     "evaluated_p_equal falls_pct policy_std steps_M_mean steps_M_low steps_M_high share_pct share_low "
     "share_high share_bound iterations seconds seconds_share_pct with_setup with_setup_share_pct seeds"
 ).split()
-DRAWN = {"ppo16": "PPO-16", "ppo24": "PPO-24", "best": "best"}
+DRAWN = {"ppo16": "PPO-16", "ppo24": "PPO-24", "best": "best until 2026-11-22"}
 PPO24 = ("10_ablation", "go1_ppo16_rollout.num_envs_4096_rollout.horizon_24")  # Go1's
 
 

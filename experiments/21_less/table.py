@@ -3,6 +3,10 @@
     python experiments/21_less/table.py FOLDER [NAME ...]
     python experiments/21_less/table.py experiments/21_less/results/tuning.csv.xz [NAME ...]
     python experiments/21_less/table.py experiments/21_less/results/ablation.csv.xz --parts
+    python experiments/21_less/table.py experiments/21_less/results/fresh.csv.xz new-g ppo-kl3-g --falls
+
+`--falls`: steps until a robot first reaches its level, the falls then, and steps until it does with few
+falls, or stays there with few falls at every later evaluation.
 
 `--parts`: a line a part that was taken out, a column a robot: steps until it walks, then return and
 falls at the end.
@@ -31,11 +35,15 @@ def main():
     parser.add_argument("path", type=Path)
     parser.add_argument("names", nargs="*")
     parser.add_argument("--parts", action="store_true")
+    parser.add_argument("--falls", action="store_true")
     args = parser.parse_args()
     jobs = read(args.path)
     jobs = {name: jobs[name] for name in args.names or jobs}
     if args.parts:
         print(parts(jobs))
+        return
+    if args.falls:
+        print(falls(jobs))
         return
     for top in LEVELS:
         mine = {name: job for name, job in jobs.items() if top == best(job)}
@@ -78,6 +86,38 @@ def first(run: list[dict], level: float, name: str = "sim_steps") -> float:
     return next((row[name] for row in run if row["return"] >= level), np.nan)
 
 
+def stays(run: list[dict], level: float, most: float) -> float:
+    """Steps from which on every evaluation of a seed is at least `level`, with a share of at most `most` of
+    episodes with a fall; NaN if there is no such evaluation."""
+    good = [row["return"] >= level and row["fall_rate"] <= most + 1e-9 for row in run]
+    last = max((i for i, fine in enumerate(good) if not fine), default=-1)
+    return run[last + 1]["sim_steps"] if last + 1 < len(run) else np.nan
+
+
+def falls(jobs) -> str:
+    """In Markdown, a line a job: million steps until it walks by several meanings of that word."""
+    head = ["", "first at the level", "falls then", "first with <= 1 %"]
+    head += ["stays", "stays, <= 3 %", "stays, <= 1 %"]
+    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
+    for name, mine in jobs.items():
+        runs, level = seeds(mine), LEVELS[best(mine)][3]
+        then = [first(run, level, "fall_rate") for run in runs]
+        few = [first([r for r in run if r["fall_rate"] <= 0.01 + 1e-9], level) for run in runs]
+        found = [[first(run, level) for run in runs], few]
+        found += [[stays(run, level, most) for run in runs] for most in (1, 0.03, 0.01)]
+        cells = [reached(np.array(steps) / 1e6) for steps in found]
+        then = f"{100 * np.nanmean(then):.1f} % (up to {100 * np.nanmax(then):.0f} %)"
+        lines.append("| " + " | ".join([name, cells[0], then, *cells[1:]]) + " |")
+    return "\n".join(lines)
+
+
+def reached(steps) -> str:
+    """Mean over seeds, the last seed, and how many never did."""
+    gone = int(np.isnan(steps).sum())
+    some = f"{np.nanmean(steps):.2f} ({np.nanmax(steps):.2f})" if gone < len(steps) else "-"
+    return some + (f", {gone} never" if gone else "")
+
+
 def spread(values, digits: int = 1) -> str:
     """Mean and half of its interval."""
     return f"{np.mean(values):.{digits}f} ± {curves.half_width(values):.{digits}f}"
@@ -99,10 +139,7 @@ def table(jobs, levels) -> str:
         runs = seeds(mine)
         cells = [name, str(len(runs))]
         for level in levels:
-            steps = np.array([first(run, level) / 1e6 for run in runs])
-            gone = int(np.isnan(steps).sum())
-            some = f"{np.nanmean(steps):.2f} ({np.nanmax(steps):.2f})" if gone < len(steps) else "-"
-            cells.append(some + (f", {gone} never" if gone else ""))
+            cells.append(reached(np.array([first(run, level) / 1e6 for run in runs])))
         ends = [{k: np.mean([row[k] for row in run[-3:]]) for k in END} for run in runs]
         cells.append(f"{runs[0][-1]['sim_steps'] / 1e6:.1f}")
         cells += [spread([end["return"] for end in ends])]

@@ -10,7 +10,9 @@ Right are the five settings of SAC, one seed each.
 import importlib
 from pathlib import Path
 
-from experiments import paper, pictures
+import numpy as np
+
+from experiments import paper, pictures, stats
 
 less = importlib.import_module("experiments.21_less.plot")
 
@@ -31,6 +33,7 @@ SETTINGS = {  # of SAC; by their gain of actions
     "e": ("e: gain 1.5 (chosen)", pictures.VERMILION, "-"),
 }
 WALKS = 38
+WINDOW = (2.2e6, 2.5e6)  # steps: the last that SAC has
 
 
 def main():
@@ -57,6 +60,22 @@ def main():
     pictures.head(fig, f"Go1. Band: {pictures.covers([3, 5])}. Dotted: it walks", fontsize=9.5)
     pictures.save(fig, HERE / "peers")
     print(less.table.table({name: jobs[name] for name in RUNS}, less.table.LEVELS[45]))
+    print(equal_steps(jobs["sac"], jobs["ppo-kl3-g"]))
+
+
+def equal_steps(one, other) -> str:
+    """How much more `one` returns than `other` in `WINDOW`, a seed with the mean of its evaluations there."""
+    means = []
+    for job in (one, other):
+        runs = [
+            [r["return"] for r in run if WINDOW[0] <= r["sim_steps"] <= WINDOW[1]]
+            for run in less.table.seeds(job)
+        ]
+        means.append([np.mean(returns) for returns in runs])
+    found = stats.difference(*means)
+    text = f"{WINDOW[0] / 1e6} to {WINDOW[1] / 1e6} M steps: {found.value:.1f} "
+    text += f"({found.low:.1f} to {found.high:.1f}), p {stats.welch_of(*means):.0e}; "
+    return text + f"{np.mean(means[1]):.1f}"
 
 
 if __name__ == "__main__":
