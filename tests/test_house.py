@@ -32,7 +32,7 @@ MAY_IMPORT = {
         "web.address",
         "web.child",
     },
-    "sweeps": {"sweeps", "train", "program", "sweep", "config"},
+    "sweeps": {"sweeps", "train", "program", "sweep", "config", "policy.walks"},
     "evaluate": {
         "evaluate",
         "program",

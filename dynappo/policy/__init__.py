@@ -8,6 +8,7 @@
 - `choice`: the command-line flags that choose policy and robot
 - `checkpoint_file`: reads the arrays of a checkpoint
 - `episode`: runs a policy on a robot in C MuJoCo and NumPy
+- `walks`: whether a robot walks, by its evaluations; in words too
 - `render`: makes a film or a picture of an episode
 - `beside`: makes a small GIF of several episodes side by side
 

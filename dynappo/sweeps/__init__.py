@@ -8,5 +8,6 @@
 
 Each combination has a folder of its own inside, and that is an ordinary run of `dynappo.train`: nothing
 that plays, evaluates, exports or goes on with a run knows of sweeps. Only `train.command` imports this
-folder. It imports `train` (but its `command`), `program`, `sweep` and `config`.
+folder. It imports `train` (but its `command`), `program`,
+`sweep`, `config` and `policy.walks`.
 """

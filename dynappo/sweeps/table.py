@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from dynappo.config import files
+from dynappo.policy import walks
 from dynappo.sweeps import folder
 from dynappo.sweeps.grid import Combination
 from dynappo.train import curves, show
@@ -52,7 +53,7 @@ def row(workdir: Path, one: Combination) -> dict[str, Any]:
         | {
             "returns": " ".join(f"{x:.6g}" for x in returns),
             "return_of": "evaluation" if "return" in evaluation else "training",
-            "policy": show.in_words(one.config.task, evaluation) if evaluation else "",
+            "policy": walks.in_words(one.config, evaluation) if evaluation else "",
             "folder": one.name,
             "note": note,
         }

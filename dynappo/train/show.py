@@ -10,6 +10,7 @@ import numpy as np
 
 from dynappo import schedule
 from dynappo.config import shell
+from dynappo.policy import walks
 from dynappo.program import devices
 
 
@@ -90,7 +91,7 @@ def summary(out, config, workdir: Path, summary: dict[str, Any]) -> None:
             scale = 100 if unit == " %" else 1
             value = summary["evaluation"][name]
             rows[label] = mean(value, unit, scale, "nobody stood for a second")
-    words = in_words(config.task, summary.get("evaluation", {}))
+    words = walks.in_words(config, summary.get("evaluation", {}))
     rows |= {"the policy": words} if words else {}
     for label, value in rows.items():
         table.add_row(label, value)
@@ -111,35 +112,3 @@ def summary(out, config, workdir: Path, summary: dict[str, Any]) -> None:
     if config.run.num_iterations < 200 or summary["impl"] == "c":
         name = config.robot
         say(f"next: {shell.program()} train --config={name}  (on a GPU)")
-
-
-def in_words(task, evaluation: dict[str, Any]) -> str:
-    """What evaluated policies do: stand, walk, turn, fall; of several seeds, how many walk.
-
-    Their errors are judged by those of a robot that stands still: the root mean square of the commands.
-    """
-
-    def share(name, *ranges):
-        still = sum((low * low + low * high + high * high) / 3 for low, high in ranges) ** 0.5
-        return np.array(np.ravel(evaluation[name]), float) / max(still, 1e-6)
-
-    if not {"tracking_error", "yaw_error"} <= evaluation.keys():
-        return ""
-    errors = share("tracking_error", task.command_x, task.command_y)
-    walking, falls = errors < 0.33, np.array(np.ravel(evaluation["fall_rate"]), float)
-    often = falls.mean()
-    falling = (
-        "often falls" if often > 0.1 else "seldom falls" if often >= 0.005 else "does not fall"
-    )
-    if len(errors) > 1:
-        return f"{walking.sum()} of {len(errors)} seeds walk; {falling}"
-    if not np.isfinite(errors[0]):  # nobody stood for the first second
-        return "falls at once"
-    turning = "turns" if share("yaw_error", task.command_yaw)[0] < 0.5 else "does not turn yet"
-    if walking[0]:
-        return f"walks, {turning}, {falling}"
-    if errors[0] <= 0.8:
-        return f"begins to walk; {falling}"
-    return (
-        f"does not walk yet; {falling}" if often > 0.1 else f"stands, does not walk yet; {falling}"
-    )

@@ -17,11 +17,16 @@ def test_a_row_says_what_the_policies_do(tmp_path, monkeypatch, capsys):
     for evaluation in ({"evaluation": walks}, {}):
         monkeypatch.setattr(folder, "summary", lambda *_, e=evaluation: done | e)
         rows.append(table.row(tmp_path, one))
-    assert [row["policy"] for row in rows] == ["1 of 2 seeds walk; seldom falls", ""]
+    assert [row["policy"] for row in rows] == [
+        "1 of 2 seeds walk; return < 38: 1; falls > 1 %: 1",
+        "",
+    ]
     table.print_table(Console(width=200), rows[:1], ["ppo.epochs"])
     head, line = capsys.readouterr().out.splitlines()
     assert head.strip().endswith("the policy")
-    assert line.strip().endswith("1 of 2 seeds walk; seldom falls")
+    assert line.strip().endswith("1 of 2 seeds walk; return < 38: 1; falls > 1 %: 1")
     table.print_table(Console(width=80), rows[:1], ["ppo.epochs"])
     narrow = capsys.readouterr().out
-    assert "evaluated return" in narrow and "seldom" in narrow  # only the words break
+    assert (
+        "evaluated return" in narrow and "seeds" in narrow and "falls" in narrow
+    )  # only the words break

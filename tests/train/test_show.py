@@ -107,39 +107,3 @@ def test_brackets_are_no_markup():
     folder = pathlib.Path("runs/[bold]x")
     show.summary(Console(file=text, width=120), config("configs/go1.py:quick"), folder, lacking)
     assert "'.[video]'" in text.getvalue() and "play runs/[bold]x " in text.getvalue()
-
-
-SAID = {  # (tracking error, yaw error, fall rate), of commands from -1 to 1: what the summary says
-    "stands": ((0.8, 0.57, 0.0), "stands, does not walk yet; does not fall"),
-    "falls often": ((0.8, 0.57, 0.7), "does not walk yet; often falls"),
-    "begins": ((0.5, 0.4, 0.2), "begins to walk; often falls"),
-    "walks": ((0.05, 0.05, 0.001), "walks, turns, does not fall"),
-    "no turn": ((0.1, 0.5, 0.03), "walks, does not turn yet, seldom falls"),
-    "falls": ((float("nan"), float("nan"), 1.0), "falls at once"),
-    "seeds": (
-        ([0.05, 0.8], [0.1, 0.5], [0.0, 0.5]),
-        "1 of 2 seeds walk; often falls",
-    ),
-    "nobody": (
-        ([None, 0.8], [None, 0.5], [1.0, 1.0]),
-        "0 of 2 seeds walk; often falls",
-    ),
-}
-
-
-@pytest.mark.parametrize("name", SAID)
-def test_the_summary_says_in_words_what_the_policy_does(name):
-    """A robot that stands still under these commands errs by 0.816 m/s and 0.577 rad/s."""
-    errors, said = SAID[name]
-    evaluation = dict(zip(("tracking_error", "yaw_error", "fall_rate"), errors, strict=True))
-    assert show.in_words(config_lib.load("go1:best").task, evaluation) == said
-
-
-def test_an_error_is_judged_by_the_commands_that_were_given():
-    """0.2 m/s is little where robots are asked for 1 m/s, and all where they are asked for 0.2 m/s."""
-    task = config_lib.load("go1:best").task
-    evaluation = dict(tracking_error=0.2, yaw_error=0.1, fall_rate=0.0)
-    assert show.in_words(task, evaluation).startswith("walks")
-    task.update(command_x=(0.2, 0.2), command_y=(0.0, 0.0))
-    assert show.in_words(task, evaluation).startswith("stands")
-    assert show.in_words(task, {"return": 1.0}) == ""

@@ -1,0 +1,125 @@
+"""Whether a robot walks: one definition, for what the commands print and for every experiment. NumPy only.
+
+**A robot walks** from the first evaluation on at which its return is at least its level and at most 1 % of
+the episodes have a fall, if both hold at every later evaluation too. One evaluation alone has no later
+ones. A share of 1 % is told apart from 2 % by about a thousand episodes.
+
+The level is a share of the best possible return, that of perfect tracking, `(w_lin + w_yaw) T` in episodes
+of T seconds (task/rewards.py): 38 of 45 with the weights of the Unitree tasks, 24 of 30 with those of
+ANYmal's, 20 s each. With weights of your own it is the smaller share, 0.8.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+SECONDS = 20.0  # of an episode
+MOST_FALLS = 0.01  # share of the episodes
+ROUNDING = 1e-6  # of a share of episodes, a mean in float32
+SHARES = {2.25: 38 / 45, 1.5: 24 / 30}  # best possible return of a second -> share of it
+SHARE = 0.8  # of any other
+
+
+def best(weights: Mapping[str, float], seconds: float = SECONDS) -> float:
+    """The return of perfect tracking for `seconds`, of the config's `task.weights` (1/s)."""
+    return (weights["track_linear_velocity"] + weights["track_yaw_rate"]) * seconds
+
+
+def level(most: float, seconds: float = SECONDS) -> float:
+    """The return from which on a robot walks, of the best possible return `most` in `seconds`."""
+    return SHARES.get(round(most / seconds, 6), SHARE) * most
+
+
+def holds(returns, fall_rates, least: float) -> np.ndarray:
+    """Whether an evaluation is one of a robot that walks: return at least `least`, falls at most 1 %.
+
+    Elementwise; False where a number is NaN.
+    """
+    return at(returns, least) & (np.asarray(fall_rates, float) <= MOST_FALLS + ROUNDING)
+
+
+def at(returns, least: float) -> np.ndarray:
+    """Whether a return is at least `least`, but for the rounding of a number of float32; a NaN is not."""
+    return np.asarray(returns, float) >= least * (1 - ROUNDING)
+
+
+class Reached(NamedTuple):
+    """What it took, `[...]` a number a seed, in what `steps` counts; NaN: never."""
+
+    walks: np.ndarray  # from there on at every evaluation: at the level, falls at most 1 %
+    level: np.ndarray  # first at the level, whatever came after
+    careful: np.ndarray  # first at the level with falls at most 1 %, whatever came after
+
+
+def reached(steps, returns, fall_rates, least: float) -> Reached:
+    """When each seed walks, of its evaluations `[E, ...]` in order; `steps` is `[E]` or `[E, ...]`.
+
+    `least` is the `level`. An evaluation with a NaN is one at which the robot does not walk. ValueError
+    where the shapes differ.
+    """
+    returns, fall_rates = np.asarray(returns, float), np.asarray(fall_rates, float)
+    steps = np.asarray(steps, float)
+    if returns.shape != fall_rates.shape or steps.shape not in (returns.shape, returns.shape[:1]):
+        raise ValueError(
+            f"steps {steps.shape}, returns {returns.shape}, fall rates {fall_rates.shape}: "
+            "expected one shape [evaluations, seeds]"
+        )
+    seeds = (1,) * (returns.ndim - steps.ndim)
+    steps = np.broadcast_to(steps.reshape(steps.shape + seeds), returns.shape)
+    holding = holds(returns, fall_rates, least)
+    kept = np.logical_and.accumulate(holding[::-1])[::-1]
+    return Reached(*(_first(steps, true) for true in (kept, at(returns, least), holding)))
+
+
+def _first(steps: np.ndarray, true: np.ndarray) -> np.ndarray:
+    """`steps` where `true` `[E, ...]` is so first; NaN where it never is."""
+    if not len(true):
+        return np.full(true.shape[1:], np.nan)
+    found = np.take_along_axis(steps, true.argmax(0)[None], 0)[0]
+    return np.where(true.any(0), found, np.nan)
+
+
+def in_words(config, evaluation: Mapping[str, Any]) -> str:
+    """What evaluated policies do: walk, turn, fall, or what they lack; of several seeds, how many walk.
+
+    `config` is the run's, `evaluation` as in its summary.json. A robot that does not walk yet is judged
+    by the errors of one that stands still: the root mean square of the commands. "" where nothing is
+    known of a robot, or tracking earns nothing.
+    """
+    names = "return", "fall_rate", "tracking_error", "yaw_error"
+    if not {*names} <= evaluation.keys():
+        return ""
+    task = config.task
+    dt = config.physics.substeps * config.physics.timestep
+    seconds = dt * (config.run.eval_steps or task.episode_length)
+    least = level(best(task.weights, seconds), seconds)
+    if not least > 0:
+        return ""
+    returns, falls, error, yaw = (np.array(np.ravel(evaluation[name]), float) for name in names)
+    walking = holds(returns, falls, least)
+    low, often = ~at(returns, least), ~holds(least, falls, least)
+    if len(returns) > 1:
+        lacks = {f"return < {least:g}": low.sum(), f"falls > {100 * MOST_FALLS:g} %": often.sum()}
+        parts = [f"{what}: {count}" for what, count in lacks.items() if count]
+        return "; ".join([f"{walking.sum()} of {len(returns)} seeds walk", *parts])
+    if not np.isfinite(error[0]):  # nobody stood for the first second
+        return "falls at once"
+    share, turn = error[0] / still(task.command_x, task.command_y), yaw[0] / still(task.command_yaw)
+    if walking[0]:
+        turning = "turns" if turn < 0.5 else "does not turn yet"
+        return f"walks, {turning}, {'does not fall' if falls[0] < 0.005 else 'seldom falls'}"
+    does = "almost walks" if share < 0.33 else "begins to walk"
+    if share > 0.8:
+        does = "does not walk yet" if falls[0] > 0.1 else "stands, does not walk yet"
+    lacks = {f"return {returns[0]:.2f} < {least:g}": low[0]}
+    lacks |= {f"falls {100 * falls[0]:.1f} % > {100 * MOST_FALLS:g} %": often[0]}
+    return "; ".join([does, *(what for what, true in lacks.items() if true)])
+
+
+def still(*ranges: tuple[float, float]) -> float:
+    """Root mean square of commands drawn uniformly from `ranges`: the error of a robot that stands still."""
+    square = sum((low * low + low * high + high * high) / 3 for low, high in ranges)
+    return max(square**0.5, 1e-6)
