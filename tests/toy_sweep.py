@@ -30,3 +30,9 @@ def numbers(fallen=(), speeds=(0.5, 1.0)):
     every = dict.fromkeys(names, 2.0) | gait | {"episodes": len(rows), "falls": len(fallen)}
     held = {"vy": 0.0, "wz": 0.0}
     return dict(seconds=6.0, axes=grid, held=held, all=every, ahead=ahead, commands=rows)
+
+
+def changes():
+    """What `changes.run` finds where nothing falls, with its tours."""
+    about = {"changes": 16, "falls": 0, "walks": 2, "start_falls": 0, "every": [2.0, 3.0]}
+    return about | {"seed": 0, "fell": [], "tours": []}

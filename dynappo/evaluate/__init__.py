@@ -3,6 +3,7 @@
 - `command`: its flags, what it writes; `show`: what it prints
 - `episodes`: episodes of the training task on MJX (`dynappo/evaluation.py`): return, falls, tracking
 - `trials`: one trial for each command of a grid, in C MuJoCo: tracking, effort, gait
+- `changes`: falls when the command changes, and on the tours of the film and of the live page
 - `stress`: trials with late actions, loads, slippery floors, pushes, in other physics
 - `figures`: pictures of the trials
 - `report`, `report.html`: all of it on one page, with a robot that plays each command

@@ -1,9 +1,11 @@
 """The command `dynappo evaluate`: its flags, what it computes, prints and writes.
 
-It runs two kinds of episodes, both with the policy's mean action:
+It runs three kinds of episodes, all with the policy's mean action:
 
 - `trials.sweep`, a grid of commands in C MuJoCo: where it tracks well, what walking costs, how the
   feet move;
+- `changes`, in C MuJoCo too: whether it stays on its feet when its command changes, and on the tours
+  that are shown;
 - `episodes`, the task it was trained on, on MJX (`evaluation.py`): return, falls and tracking error,
   the numbers to compare runs by. `--fast` leaves these out; then JAX is not imported.
 """
@@ -17,7 +19,7 @@ import mujoco
 
 from dynappo.config import ConfigError, files
 from dynappo.config import flags as flags_lib
-from dynappo.evaluate import episodes, figures, report, show, stress, trials
+from dynappo.evaluate import changes, episodes, figures, report, show, stress, trials
 from dynappo.physics.robot import Robot
 from dynappo.policy import choice
 from dynappo.policy.episode import Body
@@ -28,6 +30,7 @@ UNITS = {
     "return": "sum of rewards of an episode",
     "length": "control steps",
     "command": "m/s, m/s, rad/s",
+    "before": "m/s, m/s, rad/s",
     "tracking_error": "m/s",
     "yaw_error": "rad/s",
     "speed": "m/s",
@@ -38,8 +41,12 @@ UNITS = {
     "air_time": "s",
     "stride_frequency": "1/s",
     "fall": "s",
+    "after": "s",
+    "every": "s",
+    "fell_at": "s",
 }
 STRESS_UNITS = {name: UNITS[name] for name in ("tracking_error", "yaw_error")}
+FEW_CHANGES = 48  # with --fast
 MAX_EPISODES = 10**6  # of which each is a robot in memory
 USAGE = """\
 NAME_OR_DIR is a workdir (while it trains: its newest checkpoint), a checkpoint folder, a policy.npz,
@@ -65,11 +72,13 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
     default = "default: {gpu} on a GPU, {cpu} on a CPU".format(**episodes.NUMBER)
     flag("--episodes", metavar="N", help=f"episodes of the training task, on MJX; {default}")
     flag("--randomize", action="store_true", help="MJX episodes with noise, pushes, random physics")
-    flag("--seed", metavar="N", help="random seed of their commands and starts; default: 0")
+    flag("--seed", metavar="N", help="random seed of all episodes' commands and starts; default: 0")
     flag(
         "--stress", action="store_true", help="what it bears: delays, loads, pushes, other physics"
     )
-    flag("--fast", action="store_true", help="no MJX episodes: C MuJoCo only, takes seconds")
+    flag(
+        "--fast", action="store_true", help="no MJX episodes, few changes of command: takes seconds"
+    )
     flag(
         "--out",
         metavar="DIR",
@@ -88,6 +97,8 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
             setattr(flags, name, flags_lib.whole(name, text, *bounds))
     for name in ("episodes", "randomize", "seed"):
         value, without = getattr(flags, name), "stress" if flags.stress else "fast"
+        if name == "seed" and without == "fast":  # of the changes of command too
+            continue
         if (flags.fast or flags.stress) and value is not None and value is not False:
             raise ConfigError(f"--{name} is for the episodes on MJX, which --{without} leaves out")
     flags.fast |= flags.stress
@@ -156,6 +167,11 @@ def run(flags) -> None:
     with show.progress(screen, "commands") as tell:
         numbers, recordings = trials.sweep(policy, tell=tell, body=body)
     show.sweep(screen, numbers)
+    with show.progress(screen, "changes of command") as tell:
+        number = FEW_CHANGES if flags.fast else changes.NUMBER
+        changed = changes.run(body, number, flags.seed or 0, tell)
+        changed["tours"] = changes.tours(body)
+    show.changes(screen, changed)
     on_mjx = None
     if not flags.fast:
         import jax
@@ -170,10 +186,10 @@ def run(flags) -> None:
         with screen.status("compiling and running"):
             on_mjx = episodes.run(policy, number, flags.randomize, flags.seed or 0, robot)
         show.episodes(screen, on_mjx)
-    result = about | {"episodes": on_mjx, "sweep": numbers, "units": UNITS}
+    result = about | {"episodes": on_mjx, "sweep": numbers, "changes": changed, "units": UNITS}
     files.write_json(out / "evaluation.json", result)
     problem = figures.write(out, policy.robot, numbers, recordings, policy.timestep)
-    report.write(out, source, body, numbers, recordings, on_mjx)
+    report.write(out, source, body, numbers, recordings, changed, on_mjx)
     names = "evaluation.json, report.html" + ("" if problem else ", tracking.png, gait.png")
     screen.print(f"written to {out}: {names}", soft_wrap=True, markup=False)
     if problem:

@@ -13,7 +13,7 @@ import numpy as np
 from dynappo import config as config_lib
 from dynappo.config import ConfigError, fields
 from dynappo.physics.robot import Robot
-from dynappo.policy import carried
+from dynappo.policy import carried, walks
 from dynappo.policy.policy_file import Policy
 from dynappo.program import devices
 
@@ -73,7 +73,8 @@ def run(
     """`evaluation.evaluate` of `number` episodes on this machine's device, and what was run.
 
     Without a number: 1000 on a GPU, 64 on a CPU. `randomize`: the task as it trains. What was trained
-    on C MuJoCo is evaluated on it where the device is a CPU. `robot`: None for the policy's own.
+    on C MuJoCo is evaluated on it where the device is a CPU. Without `randomize`,
+    `policy` says what the robot does in words. `robot`: None for the policy's own.
     """
     import jax
 
@@ -101,7 +102,10 @@ def run(
     # of a policy file only the actor must be there; its size is read from std
     params = {"std": np.ones(len(policy.joint_names), np.float32)} | policy.params
     metrics = jax.device_get(jax.jit(assess)(hyper, params, jax.random.key(seed)))
-    numbers = {k: float(v) if np.isfinite(v) else None for k, v in metrics.items()}
+    numbers: dict[str, Any] = {k: float(v) if np.isfinite(v) else None for k, v in metrics.items()}
+    # what walking is, is said of the task without noise
+    words = "" if randomize else walks.in_words(config, numbers)
+    numbers |= {"policy": words} if words else {}
     return {
         "episodes": number,
         "seconds": length * env.dt,

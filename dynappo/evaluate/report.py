@@ -32,12 +32,14 @@ def write(
     body: Body,
     numbers: dict[str, Any],
     recordings: dict[tuple, dict[str, Any]],
+    changed: dict[str, Any],
     on_mjx: dict[str, Any] | None,
 ) -> None:
     """Write report.html into `out`, beside the pictures of `figures.write`, of which it shows one.
 
-    `source` names the policy; `numbers` and `recordings` are those of `trials.sweep`, `on_mjx` those
-    of `episodes.run`, or None. Raises OSError if the file cannot be written.
+    `source` names the policy; `numbers` and `recordings` are those of `trials.sweep`, `changed` those
+    of `changes.run` with `tours`, `on_mjx` those of `episodes.run`, or None. Raises OSError if the file
+    cannot be written.
     """
     rows = [*numbers["commands"], *numbers["ahead"]]
     found = {name(row): row for row in reversed(rows)}  # one row for each command
@@ -64,6 +66,7 @@ def write(
         SOURCE=html.escape(source),
         EPISODES=_table(show.episodes_text(on_mjx), show.episodes_rows(on_mjx)) if on_mjx else "",
         SWEEP=_table(show.sweep_text(numbers), show.sweep_rows(numbers)),
+        CHANGES="".join(f"<li>{html.escape(line)}</li>" for line in show.changes_lines(changed)),
         NOTES="".join(f"<li>{html.escape(line)}</li>" for line in show.notes(numbers["commands"])),
         MAPS="".join(_map(*one) for one in figures.maps(numbers)),
         GAIT=_picture(out / "gait.png"),

@@ -117,6 +117,40 @@ def asked(row: dict[str, Any]) -> str:
     return f"asked for {x:g}, {y:g} m/s, {turn:g} rad/s"
 
 
+def changes(screen, numbers: dict[str, Any]) -> None:
+    """Falls when the command changes, and on the tours."""
+    for line in changes_lines(numbers):
+        screen.print(line, soft_wrap=True)
+
+
+def changes_lines(numbers: dict[str, Any]) -> list[str]:
+    """What `changes` found, and the first five falls."""
+
+    def said(command):
+        return "{:.2f}, {:.2f} m/s, {:.2f} rad/s".format(*command)
+
+    low, high = numbers["every"]
+    lines = [
+        f"changes of command, one every {low:g} to {high:g} s, in C MuJoCo without noise: "
+        f"falls after {numbers['falls']} of {numbers['changes']}"
+    ]
+    lines += [
+        f"fell {row['after']:.1f} s after {said(row['before'])} became {said(row['command'])}"
+        for row in numbers["fell"][:5]
+    ]
+    if len(numbers["fell"]) > 5:
+        lines.append(f"fell after {len(numbers['fell']) - 5} other changes: see evaluation.json")
+    if numbers["start_falls"]:
+        lines.append(
+            f"fell before any change in {numbers['start_falls']} of {numbers['walks']} walks"
+        )
+    for tour in numbers["tours"]:
+        times = ", ".join(f"{t:.1f}" for t in tour["fell_at"][:5])
+        ends = f"fell after {times} s" if times else "no fall"
+        lines.append(f"the tour of the {tour['tour']}, {tour['seconds']:g} s: {ends}")
+    return lines
+
+
 def episodes(screen, numbers: dict[str, Any]) -> None:
     """The table of the episodes of the task."""
     from rich.table import Table
@@ -150,6 +184,7 @@ def episodes_rows(numbers: dict[str, Any]) -> list[list[str]]:
     )
     known = ((label, numbers.get(name), text, scale) for name, label, text, scale in rows)
     none = "nobody stood for a second"
-    return [
+    out = [
         [label, none if v is None else text.format(v * scale)] for label, v, text, scale in known
     ]
+    return out + [["the policy", words] for words in [numbers.get("policy")] if words]

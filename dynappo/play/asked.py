@@ -14,7 +14,7 @@ from dynappo.config import ConfigError, files
 from dynappo.policy import episode as episode_lib
 from dynappo.policy.policy_file import Policy
 
-SECONDS = 12.0
+SECONDS = episode_lib.FILM
 AFTER_SCRIPT = 2.0  # s, how long the last row of a command script lasts
 LONGEST = 3600  # s that can be played
 MAX_SCRIPT = 2**24  # bytes of a command script; a row each 0.02 s of an hour has less

@@ -13,7 +13,7 @@ from dynappo.policy import episode as episode_lib
 from dynappo.web import address, live, policies
 from dynappo.web.policies import Chosen, Offer
 
-TOUR = 16.0  # s
+TOUR = episode_lib.ROUND
 
 
 def run(flags: argparse.Namespace, choose: Callable, asked: Any) -> None:

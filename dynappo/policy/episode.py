@@ -27,6 +27,7 @@ from dynappo.task import observe
 SETTLE = 1.0  # s, left out of the tracking error, as in dynappo/evaluation.py
 UNEVEN = 0.02  # rad, about a degree
 STRIDE = 0.5  # s between points of the path walked, so that swaying adds no distance
+FILM, ROUND = 12.0, 16.0  # s of the tour in a film, and on the live page, which begins it again
 TOUR = (  # the commands if none is given: (share of the time, (vx, vy, yaw rate))
     (0.3, (0.8, 0.0, 0.0)),
     (0.2, (0.6, 0.0, 0.8)),

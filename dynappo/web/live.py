@@ -18,7 +18,7 @@ from dynappo.policy import episode as episode_lib
 from dynappo.policy.episode import Body
 
 HISTORY = 8.0  # s that the plots show
-TOUR = 16.0  # s of a tour, which then starts again
+TOUR = episode_lib.ROUND
 LIE = 2.0  # s on the ground after a fall, until it stands up
 CATCH_UP = 5  # control steps at once at most; what is further behind is let go
 STIFF = 4.0  # times the robot's weight for each metre that it is pulled

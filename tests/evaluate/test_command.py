@@ -12,11 +12,11 @@ from ml_collections import config_dict
 from toy_policy import actor, described
 
 from dynappo import config as config_lib
+from dynappo.evaluate import changes, episodes, trials
 from dynappo.evaluate import command as evaluate_command
-from dynappo.evaluate import episodes, trials
 from dynappo.evaluate import show as evaluate_show
 from dynappo.physics import robot as robot_lib
-from dynappo.policy import policy_file
+from dynappo.policy import episode, policy_file
 
 
 @pytest.fixture(scope="module")
@@ -32,8 +32,13 @@ def saved(tmp_path_factory):
 
 @pytest.fixture
 def short(monkeypatch):
-    """Sweeps of 3 x 3 commands and 1.2 s."""
+    """Sweeps of 3 x 3 commands and 1.2 s, few changes of command, tours of a moment."""
     monkeypatch.setattr(trials, "sweep", partial(trials.sweep, seconds=1.2, points=3))
+    monkeypatch.setattr(changes, "NUMBER", 9)
+    monkeypatch.setattr(evaluate_command, "FEW_CHANGES", 3)
+    monkeypatch.setattr(changes, "EVERY", (0.2, 0.3))
+    for name in ("FILM", "ROUND"):
+        monkeypatch.setattr(episode, name, 0.2)
 
 
 run = partial(status, evaluate_command.main)
@@ -44,7 +49,7 @@ def test_the_command_writes_what_it_prints(saved, tmp_path, monkeypatch, capsys,
     monkeypatch.chdir(tmp_path)
     on_mjx = dict(episodes=5, seconds=20.0, randomize=True, seed=0, device="cpu", impl="jax")
     on_mjx |= {"return": 33.25, "return_std": 1.5, "length": 987.0, "fall_rate": 0.2}
-    on_mjx |= {"tracking_error": 0.12, "yaw_error": None}
+    on_mjx |= {"tracking_error": 0.12, "yaw_error": None, "policy": "almost walks; falls > 1 %"}
     calls = []
     monkeypatch.setattr(episodes, "run", lambda *a: calls.append(a[1:4]) or on_mjx)
     monkeypatch.setattr(evaluate_command.devices, "own_process", lambda: calls.append("settings"))
@@ -69,10 +74,23 @@ def test_the_command_writes_what_it_prints(saved, tmp_path, monkeypatch, capsys,
         expected = ["-" if c[name] is None else text.format(c[name]) for c in columns]
         assert told[label.strip()] == expected, label
     text = "\n".join(lines)
-    for part in ("33.25", "1.50", "20.0 %", "987 control steps", "nobody stood for a second"):
+    changed = written["changes"]
+    assert (changed["changes"], changed["seed"], len(changed["tours"])) == (9, 0, 2)
+    assert set(evaluate_show.changes_lines(changed)) <= set(lines)
+    page = (out / "report.html").read_text()
+    assert all(line in page for line in evaluate_show.changes_lines(changed))
+    for part in (
+        "almost walks; falls > 1 %",
+        "33.25",
+        "1.50",
+        "20.0 %",
+        "987 control steps",
+        "nobody stood for a second",
+    ):
         assert part in text, part
     assert "noise, pushes, randomised physics; MJX-JAX on cpu" in text
-    assert set(written["units"]) <= set(on_mjx) | set(sweep["commands"][0]) | set(sweep["all"])
+    known = set(on_mjx) | set(sweep["commands"][0]) | set(sweep["all"]) | set(changed)
+    assert set(written["units"]) - known == {"before", "after", "fell_at"}  # of a fall, of a tour
 
 
 def test_the_evaluation_of_a_workdir_is_in_it(saved, tmp_path, monkeypatch, capsys, short):
@@ -82,8 +100,9 @@ def test_the_evaluation_of_a_workdir_is_in_it(saved, tmp_path, monkeypatch, caps
     (tmp_path / "policy.npz").write_bytes(saved.read_bytes())
     (tmp_path / "evaluation").mkdir()
     (tmp_path / "evaluation" / "evaluation.json").write_text("old")
-    assert run(tmp_path, "--fast") == 0
+    assert run(tmp_path, "--fast", "--seed=5") == 0
     written = json.loads((tmp_path / "evaluation" / "evaluation.json").read_text())
+    assert (written["changes"]["changes"], written["changes"]["seed"]) == (3, 5)
     assert written["episodes"] is None and written["sweep"]["seconds"] == 1.2
     assert "MJX" not in capsys.readouterr().out
 
@@ -127,8 +146,9 @@ def test_fast_needs_no_jax(saved, tmp_path):
 import runpy, sys
 from functools import partial
 sys.path.insert(0, {str(tmp_path)!r})
-from dynappo.evaluate import trials
+from dynappo.evaluate import changes, trials
 trials.sweep = partial(trials.sweep, seconds=0.1, points=2)
+changes.EVERY = (0.02, 0.04)
 runpy.run_module("dynappo.evaluate", run_name="__main__", alter_sys=True)
 """
     done = shell("-c", code, saved, "--fast", f"--out={tmp_path}/out")
@@ -155,7 +175,7 @@ MISTAKES = {  # arguments, what the line must say
     "no value": (["POLICY", "--out"], "--out: expected one argument; write it as --flag=VALUE"),
     "randomize": (["POLICY", "--fast", "--randomize"], "--randomize is for the episodes on MJX"),
     "fast": (["POLICY", "--fast", "--episodes=9"], "--episodes is for the episodes on MJX"),
-    "seeded": (["POLICY", "--fast", "--seed=0"], "--seed is for the episodes on MJX"),
+    "seeded": (["POLICY", "--stress", "--seed=0"], "--seed is for the episodes on MJX"),
     "a file": (["POLICY", "--fast", "--out=POLICY"], "cannot write there (File exists)"),
     "below it": (["POLICY", "--fast", "--out=POLICY/a"], "cannot write there (Not a directory)"),
     "no policy": (["--fast", "CONFIG"], "config.json: not a policy.npz, or damaged"),
@@ -186,6 +206,8 @@ def test_stopped_and_disk_full(saved, tmp_path, monkeypatch, capsys):
     assert run(saved, "--fast", f"--out={tmp_path}") == 130
     assert not list(tmp_path.iterdir())
     monkeypatch.setattr(trials, "sweep", lambda *_, **__: (toy_sweep.numbers(), []))
+    monkeypatch.setattr(changes, "run", lambda *_: toy_sweep.changes())
+    monkeypatch.setattr(changes, "tours", lambda *_: [])
 
     def full(path, value):
         raise OSError(28, "No space left on device", str(path))

@@ -88,6 +88,10 @@ def test_the_policy_is_evaluated_on_its_task(policy, monkeypatch):
     }
     default = {"gpu": 1000, "cpu": 64}[jax.default_backend()]
     assert episodes.run(policy)["episodes"] == default and got["randomize"] is False
+    numbers = {"return": 41.0, "tracking_error": 0.1, "yaw_error": 0.1, "fall_rate": 0.02}
+    monkeypatch.setattr(evaluation, "evaluate", lambda *_, **__: numbers)
+    assert episodes.run(policy)["policy"] == "almost walks; falls 2.0 % > 1 %"
+    assert "policy" not in episodes.run(policy, randomize=True)
 
 
 @pytest.mark.slow

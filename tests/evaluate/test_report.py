@@ -31,7 +31,9 @@ def evaluated(tmp_path_factory):
             for name in ("velocity", "qpos"):
                 recordings[1.0, 0.0, 0.0][name] = recordings[1.0, 0.0, 0.0][name][:50]
     figures.write(folder, "go1", numbers, recordings, policy.timestep)
-    report.write(folder, "a </script> policy", body, numbers, recordings, EPISODES)
+    report.write(
+        folder, "a </script> policy", body, numbers, recordings, toy_sweep.changes(), EPISODES
+    )
     return folder, body, numbers, recordings
 
 
@@ -53,7 +55,7 @@ def test_the_tables_are_those_that_are_printed(evaluated, text):
     rows = show.sweep_rows(numbers) + show.episodes_rows(EPISODES)
     for row in [*rows, [show.sweep_text(numbers)], [show.episodes_text(EPISODES)]]:
         assert " ".join("".join(row).split()) in seen.replace("\n", ""), row
-    for line in show.notes(numbers["commands"]):
+    for line in show.notes(numbers["commands"]) + show.changes_lines(toy_sweep.changes()):
         assert line in seen
     assert (
         "a </script> policy" in seen
@@ -103,7 +105,7 @@ def test_without_pictures_and_without_mjx(evaluated, tmp_path):
         {k: v[:0] for k, v in recordings[0.0, 0.0, 0.0].items() if np.ndim(v) == 2},
     )
     recordings = {tuple(r["command"]): empty for r in numbers["commands"] + numbers["ahead"]}
-    report.write(tmp_path, "policy", body, numbers, recordings, None)
+    report.write(tmp_path, "policy", body, numbers, recordings, toy_sweep.changes(), None)
     text = (tmp_path / "report.html").read_text()
     assert (
         part(text, "clips") == {} and "<img" not in text and "return" not in pages.Reader(text).text

@@ -1,0 +1,119 @@
+"""Does a policy stay on its feet when its command changes? In C MuJoCo and NumPy, as it is played.
+
+`run`: `NUMBER` changes of command. A walk is a first command and `PER_WALK` changes, each to a command
+drawn uniformly from the ranges that were trained, after `EVERY` seconds of the one before. A robot that
+falls is put on its feet at once and goes on with the same command, as on the live page: so every change
+is made, and a change counts as a fall where the robot falls before the next one. Falls under the first
+command of a walk, before anything has changed, are counted apart (`start_falls`).
+
+`tours`: the tours that the film and the live page show.
+
+A blow-up of the physics is a fall.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from dynappo.policy import episode as episode_lib
+from dynappo.policy import policy_file
+from dynappo.policy.episode import Body
+from dynappo.policy.policy_file import Policy
+
+NUMBER, PER_WALK = 200, 8
+EVERY = (2.0, 3.0)  # s between two changes, uniform: so a change comes at any moment of a stride
+ROUNDS = 2  # of the live page's tour, which has no end
+
+
+def falls(body: Body, act: Callable, command: Callable, seconds: float) -> list[float]:
+    """When (s) the robot falls, of `seconds` from standing; after each fall it stands up, and goes on.
+
+    `act(obs)` is the policy, `command(t)` its command, whose time goes on through falls. The time of a
+    fall is the end of its control step.
+    """
+    dt, data = episode_lib.period(body), mujoco.MjData(body.model)
+    steps, done, found = round(seconds / dt), 0, []
+    while done < steps:
+        stood_up = done * dt
+        rows = episode_lib.rows(body, data, act, lambda t, since=stood_up: command(since + t))
+        try:
+            for row in itertools.islice(rows, steps - done):
+                done += 1
+                if row["fell"]:
+                    found.append(done * dt)
+                    break
+        except FloatingPointError:
+            done += 1
+            found.append(done * dt)
+    return found
+
+
+def script(policy: Policy, dt: float, changes: int, rng) -> tuple[np.ndarray, np.ndarray]:
+    """A walk: `(times [C + 2], commands [C + 1, 3])`; command i is from times[i] to times[i + 1] (s)."""
+    ranges = np.array([policy.command_x, policy.command_y, policy.command_yaw])
+    commands = rng.uniform(*ranges.T, (PER_WALK + 1, 3))
+    steps = np.round(rng.uniform(*EVERY, PER_WALK + 1) / dt)  # whole control steps
+    times = np.concatenate([[0.0], np.cumsum(steps)]) * dt
+    return times[: changes + 2], commands[: changes + 1]
+
+
+def run(
+    body: Body,
+    number: int = NUMBER,
+    seed: int = 0,
+    tell: Callable[[int, int], None] = lambda done, total: None,
+) -> dict[str, Any]:
+    """`number` changes of command: `falls` of them, and of each of these what it was.
+
+    `fell` has the command before, the one that was new (m/s, m/s, rad/s), and how long after (s). Equal
+    for equal seeds; with more changes, the first are the same. `tell(done, total)`: changes, after each
+    walk.
+    """
+    policy, dt = body.policy, episode_lib.period(body)
+    act = policy_file.actor(policy.params, policy.activation)
+    fell, at_start, walks = [], 0, -(-number // PER_WALK)
+    for walk in range(walks):
+        tell(walk * PER_WALK, number)
+        changes = min(PER_WALK, number - walk * PER_WALK)
+        times, commands = script(policy, dt, changes, np.random.default_rng([seed, walk]))
+
+        def now(t, times=times):
+            return int(np.searchsorted(times[1:-1], t + dt / 2, "right"))
+
+        found: dict[int, float] = {}  # command that the robot fell under -> when first
+        asked = lambda t, now=now, commands=commands: commands[now(t)]  # noqa: E731
+        for t in falls(body, act, asked, times[-1]):
+            found.setdefault(now(t - dt), t)  # it ends a step that began under its command
+        at_start += found.pop(0, None) is not None
+        fell += [
+            {"before": commands[i - 1].tolist(), "command": commands[i].tolist()}
+            | {"after": float(t - times[i])}
+            for i, t in found.items()
+        ]
+    tell(number, number)
+    about = {"changes": number, "falls": len(fell), "walks": walks, "start_falls": at_start}
+    return about | {"every": list(EVERY), "seed": seed, "fell": fell}
+
+
+def tours(body: Body) -> list[dict[str, Any]]:
+    """The tour of `play`'s film, and that of the live page, which goes round: when the robot `fell_at` (s).
+
+    The page asks for nothing beyond the ranges that were trained. It is empty where the robot walks the tour.
+    """
+    policy = body.policy
+    act = policy_file.actor(policy.params, policy.activation)
+    low, high = np.array([policy.command_x, policy.command_y, policy.command_yaw]).T
+    film, page = episode_lib.tour(episode_lib.FILM), episode_lib.tour(episode_lib.ROUND)
+    for_film = falls(body, act, film, episode_lib.FILM)
+    seconds = ROUNDS * episode_lib.ROUND
+    round_and_round = lambda t: np.clip(page(t % episode_lib.ROUND), low, high)  # noqa: E731
+    for_page = falls(body, act, round_and_round, seconds)
+    return [
+        {"tour": "film", "seconds": episode_lib.FILM, "fell_at": for_film[:1]},  # then it lies
+        {"tour": "live page", "seconds": seconds, "fell_at": for_page},
+    ]
