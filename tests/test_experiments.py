@@ -107,12 +107,12 @@ def test_the_page_of_the_peers_has_the_numbers_of_its_runs(drawn, monkeypatch, c
     script("24_off_policy").main()
     page = (EXPERIMENTS / "24_off_policy/README.md").read_text().replace("*", "")
     printed = [line.split(" | ") for line in capsys.readouterr().out.splitlines()]
-    walks = {cells[0]: " | ".join(cells[3:6]) for cells in printed if len(cells) > 9}  # 30, 35, 38
-    assert drawn == ["peers"] and len(walks) == 7  # with the head
+    rows = {cells[0]: cells for cells in printed if len(cells) > 9}
+    assert drawn == ["peers"] and len(rows) == 7  # with the head
     assert printed[-1][0] == "2.2 to 2.5 M steps: -2.4 (-2.9 to -1.9), p 1e-05; 41.4"
     assert "(1.9 to 2.9; PPO 41.4; p 1e-5)" in page
-    for name, cells in walks.items():
-        assert cells in page or name == "| ", name
+    for name, cells in rows.items():  # walks, first at 38, with few falls; 30, 35, 40
+        assert " | ".join(cells[2:5] + cells[6:9]) in page, name
 
 
 def test_the_page_of_seconds_has_the_table_of_its_runs(monkeypatch, capsys):
@@ -157,19 +157,14 @@ def rows_of(page, columns):
 
 
 def test_the_tables_of_the_headline_are_those_of_its_runs():
-    """Steps to each level, the end, falls and errors; and steps until a robot walks with few falls."""
+    """Steps until a robot walks and to each level, the end, falls and errors; and by several meanings."""
     table, page = script("21_less/table"), (LESS / "README.md").read_text()
     jobs = table.read(LESS / "results/fresh.csv.xz")
     seen = 0
-    for name, found in rows_of(page, 9):
-        levels = table.LEVELS[table.best(jobs[name])][1:]
-        *steps, total, end, falls, error = cells(
-            table.table({name: jobs[name]}, levels).splitlines()[2]
-        )[2:]
-        # a single seed that gets there has no last one
-        steps = [re.sub(r" \(.*\)(?=, \d never)", "", one).removeprefix("-, ") for one in steps]
-        mine = [re.sub(r" \(.*\)(?=, \d never)", "", one) for one in found[:4]]
-        assert [*mine, *found[4:]] == [*steps, total, end, falls, error], name
+    for name, found in rows_of(page, 10):
+        line = table.table({name: jobs[name]}, table.best(jobs[name])).splitlines()[2]
+        mine = cells(line)
+        assert found == mine[2:5] + mine[6:], name  # without the lowest level
         seen += 1
     assert seen == 32
     few = list(rows_of(page, 6))
@@ -182,9 +177,13 @@ def test_the_tables_of_the_headline_are_those_of_its_runs():
 
 
 def test_a_robot_stays_from_the_evaluation_on_after_which_none_is_bad():
-    stays = script("21_less/table").stays
+    reached = script("21_less/table").reached
     ends = ((39.0, 0.0), (41.0, 0.02), (37.9, 0.0), (38.0, 0.01), (42.0, 0.03))
     run = [{"return": a, "fall_rate": b, "sim_steps": 10.0 * i} for i, (a, b) in enumerate(ends)]
+
+    def stays(rows, level, most):
+        return reached([rows], level, most=most).walks[0]
+
     assert [stays(run, 38, most) for most in (1, 0.03)] == [30, 30]
     assert np.isnan(stays(run, 38, 0.01)) and np.isnan(stays(run, 43, 1))
     assert (stays(run[:4], 38, 0.01), stays(run[:4], 37, 0.02)) == (30, 0)
@@ -203,7 +202,7 @@ def test_the_readmes_table_says_what_the_runs_did():
         ("anymal_d", "ANYmal-D"),
     ):
         mine, ppo = (jobs[f"{name}-{LETTERS[label]}"] for name in ("new", "ppo-kl3"))
-        level = script("14_efficiency").WALKS[robot]
+        level = script("14_efficiency").LEVEL[robot]
         steps, alone = (
             np.mean([table.first(run, level) / 1e6 for run in table.seeds(job)])
             for job in (mine, ppo)
@@ -292,24 +291,80 @@ def test_the_pages_of_the_bundled_policies_and_of_a_still_robot_have_the_numbers
     assert f"{row}{best['return']:.1f} | {laptop['return']:.1f} |" in page
 
 
-def test_seconds_are_counted_to_the_first_evaluation_that_walks():
+def test_seconds_are_counted_to_the_level_and_until_it_walks():
     seconds = script("21_less/seconds")
     about = {"gpu": "G", "name": "best"}
     found = []
     for seed, folder, clock in (("0", "a", 2.0), ("0", "b", 4.0), ("1", "a", 6.0)):
         for at, value in ((10, 20.0), (20, 38.5), (30, 37.0), (40, 39.0)):
             row = {"seed": seed, "run": folder, "iteration": at, "sim_steps": at * 1000}
-            found.append(about | row | {"seconds": clock * at, "return": value})
+            row |= {"seconds": clock * at, "return": value, "fall_rate": "0.01"}
+            found.append(about | row)
     # a seed's clock is the median of its runs: 60 and 120, mean 90, t(1) 12.7 x 42.4 / sqrt(2)
-    assert seconds.table(found)[1] == ["G", "best", "2", "20", "0.02 ± 0.00", "90.00 ± 381.19"]
-    assert np.isnan(seconds.walks([{"return": "1"}])).all()
-    falls = about | {"seed": "2", "run": "a", "return": 30.0}
-    assert seconds.table([*found, falls])[1] == [
-        "G",
-        "best",
-        "2 of 3",
-        *seconds.table(found)[1][3:],
-    ]
+    level = ["2", "20", "0.02 ± 0.00", "90.00 ± 381.19"]
+    walk = ["2", "40", "0.04 ± 0.00", "180.00 ± 762.37"]  # after the relapse at 30
+    assert seconds.table(found)[1] == ["G", "best", *level, *walk]
+    low = about | {"seed": "2", "run": "a", "iteration": 1, "sim_steps": 1, "seconds": 1}
+    low |= {"return": 30.0, "fall_rate": 0.0}
+    more = ["2 of 3", *level[1:], "2 of 3", *walk[1:]]
+    assert seconds.table([*found, low])[1] == ["G", "best", *more]
+    assert seconds.table([low])[1] == ["G", "best", *["0 of 1", "-", "-", "-"] * 2]
+
+
+def test_steps_until_robots_walk_count_falls_and_relapses():
+    """Three Go1: one walks at once, one after a relapse, one falls to the end; and an ANYmal."""
+    table = script("21_less/table")
+    runs = {  # returns, fall rates after 1, 2, 3, 4 M steps
+        0.0: ([39, 40, 40, 40], [0, 0, 0, 0]),
+        1.0: ([38, 37, 40, 40], [0.0, 0.0, 0.02, 0.01]),
+        2.0: ([10, 40, 40, 40], [0.9, 0.5, 0.2, 0.05]),
+    }
+
+    def job(runs, text):
+        return [
+            {"job": text, "seed": seed, "sim_steps": (k + 1) * 1e6, "tracking_error": 0.05}
+            | {"return": float(value), "fall_rate": falls}
+            for seed, some in runs.items()
+            for k, (value, falls) in enumerate(zip(*some, strict=True))
+        ]
+
+    go1 = job(runs, "new-g go1:best")
+    head, _, line = table.table({"new-g": go1}, table.best(go1)).splitlines()
+    told = dict(zip(head.split(" | "), line.split(" | "), strict=True))
+    assert told["walks: M steps"] == "2.50 (4.00), 1 never"
+    assert told["first at 38"] == "1.33 (2.00)"
+    assert told["first at 38, falls at most 1 %"] == "1.00 (1.00), 1 never"
+    assert told["at the end: return, falls"].endswith(", 8.7 %")
+    anymal = job({0.0: ([24, 24], [0, 0])}, "new-c anymal_c:best")
+    head, _, line = table.table({"new-c": anymal}, table.best(anymal)).splitlines()
+    assert "first at 24" in head and line.split(" | ")[2] == "1.00 (1.00)"
+    rows = table.parts({"new-g": go1, "new-c": anymal}).splitlines()
+    assert rows[2] == (
+        "| new | **2.50 (1 never)**; 1.33; 39.7, 8.7 % |  | **1.00**; 1.00; 24.0, 0.0 % |  |"
+    )
+
+
+def test_a_laptop_run_walks_if_it_does_to_its_end():
+    walk = script("04_laptop/table").walk
+    rows = [{"steps": k, "return": 40.0, "fall_rate": f} for k, f in enumerate((0.02, 0.01, 0.005))]
+    assert walk(rows, 38) and walk(rows[-1:], 38) and not walk(rows[:1], 38)
+    assert not walk(rows[::-1], 38) and not walk(rows, 41)
+
+
+def test_a_line_of_changes_has_the_falls_of_the_package(monkeypatch):
+    from dynappo.evaluate import changes as package
+
+    script_of = script("21_less/changes")
+    assert len(script_of.BUNDLED) == 8 and {"go1", "anymal_d_deploy"} <= set(script_of.BUNDLED)
+    tours = [{"tour": "film", "seconds": 12.0, "fell_at": [1.0]}]
+    monkeypatch.setattr(package, "tours", lambda body: tours)
+    found = {"falls": 3, "start_falls": 1, "walks": 2}
+    given = []
+    monkeypatch.setattr(package, "run", lambda body, *more: given.append(more) or found)
+    assert script_of.line("go1", 16, 5) == (
+        "go1: falls after 3 of 16 changes, in 1 of 2 walks before the first, 1 in the tour of the film"
+    )
+    assert given == [(16, 5)]
 
 
 def test_the_timeline_gives_each_kernel_to_its_phase():

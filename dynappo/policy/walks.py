@@ -33,12 +33,12 @@ def level(most: float, seconds: float = SECONDS) -> float:
     return SHARES.get(round(most / seconds, 6), SHARE) * most
 
 
-def holds(returns, fall_rates, least: float) -> np.ndarray:
-    """Whether an evaluation is one of a robot that walks: return at least `least`, falls at most 1 %.
+def holds(returns, fall_rates, least: float, most: float = MOST_FALLS) -> np.ndarray:
+    """Whether an evaluation is one of a robot that walks: return at least `least`, falls at most `most`.
 
     Elementwise; False where a number is NaN.
     """
-    return at(returns, least) & (np.asarray(fall_rates, float) <= MOST_FALLS + ROUNDING)
+    return at(returns, least) & (np.asarray(fall_rates, float) <= most + ROUNDING)
 
 
 def at(returns, least: float) -> np.ndarray:
@@ -54,10 +54,10 @@ class Reached(NamedTuple):
     careful: np.ndarray  # first at the level with falls at most 1 %, whatever came after
 
 
-def reached(steps, returns, fall_rates, least: float) -> Reached:
+def reached(steps, returns, fall_rates, least: float, most: float = MOST_FALLS) -> Reached:
     """When each seed walks, of its evaluations `[E, ...]` in order; `steps` is `[E]` or `[E, ...]`.
 
-    `least` is the `level`. An evaluation with a NaN is one at which the robot does not walk. ValueError
+    `least` is the `level`, `most` the share of episodes with a fall. An evaluation with a NaN is one at which the robot does not walk. ValueError
     where the shapes differ.
     """
     returns, fall_rates = np.asarray(returns, float), np.asarray(fall_rates, float)
@@ -69,7 +69,7 @@ def reached(steps, returns, fall_rates, least: float) -> Reached:
         )
     seeds = (1,) * (returns.ndim - steps.ndim)
     steps = np.broadcast_to(steps.reshape(steps.shape + seeds), returns.shape)
-    holding = holds(returns, fall_rates, least)
+    holding = holds(returns, fall_rates, least, most)
     kept = np.logical_and.accumulate(holding[::-1])[::-1]
     return Reached(*(_first(steps, true) for true in (kept, at(returns, least), holding)))
 

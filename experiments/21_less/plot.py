@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from dynappo.policy import walks
 from experiments import paper, pictures
 
 table = importlib.import_module("experiments.21_less.table")
@@ -23,7 +24,7 @@ RUNS = {  # name in the results -> label, colour, dashes
     "ppo24": ("PPO-24, 4096 robots", pictures.GREY, (0, (5, 2))),
     "ppo16": ("PPO-16, 4096 robots", pictures.BLACK, "-"),
 }
-WALKS = {"g": 38, "h": 38, "c": 24, "d": 24}
+LEVEL = {robot: walks.level(45 if robot in "gh" else 30) for robot in ROBOTS}
 
 
 def main():
@@ -35,14 +36,14 @@ def main():
         for name, look in RUNS.items():
             if f"{name}-{robot}" in jobs:
                 curve(axis, jobs[f"{name}-{robot}"], *look)
-        axis.axhline(WALKS[robot], color="0.4", lw=1, ls=":")
+        axis.axhline(LEVEL[robot], color="0.4", lw=1, ls=":")
         axis.set_title(title, loc="left")
         axis.set(xscale="log", ylim=(0, None))
     for axis in axes[-1]:
         axis.set_xlabel("simulator steps (logarithmic)")
     for row in axes:
         row[0].set_ylabel("evaluated return")
-    pictures.head(fig, f"Band: {pictures.covers([5])}. Dotted: it walks", fontsize=9.5)
+    pictures.head(fig, f"Band: {pictures.covers([5])}. Dotted: the level of a walk", fontsize=9.5)
     pictures.legend(fig, axes[0, 0], 3)
     pictures.save(fig, Path(__file__).with_name("curves"))
 

@@ -4,8 +4,9 @@
     python experiments/21_less/seconds.py --add GPU FOLDER ...   # adds or replaces runs: NAME_SEED[_N]
 
 A run is a `dynappo train` of its own, alone on its GPU, with an evaluation every 10 iterations, whose time is
-not counted, nor is the start (README.md has the commands). A seed's first evaluation of `WALKS` counts; the
-clock is the median of a seed's runs, of which all but the clock is equal.
+not counted, nor is the start (README.md has the commands). Counted is until the first evaluation at the
+level, and until it walks (dynappo/policy/walks.py); the clock is the median of a seed's runs, of which all
+but the clock is equal.
 """
 
 import collections
@@ -15,10 +16,12 @@ from pathlib import Path
 
 import numpy as np
 
+from dynappo.policy import walks
 from experiments import paper, stats
 
 HERE = Path(__file__).parent
-RESULTS, WALKS = HERE / "results/seconds.csv.xz", 38
+RESULTS, LEVEL = HERE / "results/seconds.csv.xz", walks.level(45)
+COUNTED = ("iteration", "sim_steps", "seconds")
 COLUMNS = "gpu name seed run iteration sim_steps seconds return fall_rate".split()
 
 
@@ -64,35 +67,44 @@ def evaluations(folder: Path, gpu: str) -> list[dict]:
 
 
 def table(rows: list[dict]) -> list[list[str]]:
-    """Of each GPU and name: seeds; iterations, million steps and seconds until it walks.
+    """Of each GPU and name, twice: seeds; iterations, million steps and seconds.
 
-    Means, with half of their t intervals.
+    First until they are at the level, then until they walk. Means, with half of their t intervals.
     """
     runs = collections.defaultdict(list)
     for row in rows:
         runs[row["gpu"], row["name"], row["seed"], row["run"]].append(row)
     seeds = collections.defaultdict(list)
     for (gpu, name, seed, _), found in runs.items():
-        seeds[gpu, name, seed].append(walks(found))
+        seeds[gpu, name, seed].append(reached(found))
     lines = collections.defaultdict(list)
     for (gpu, name, _), again in seeds.items():
         lines[gpu, name].append(np.median(again, axis=0))
-    out = [["GPU", "", "seeds", "iterations", "M steps", "seconds"]]
+    head = ("seeds", "iterations", "M steps", "seconds")
+    out = [["GPU", "", *(f"{name}: {what}" for name in ("level", "walks") for what in head)]]
     for (gpu, name), found in lines.items():
-        iterations, steps, seconds = np.transpose(found)
-        cells = f"{np.nanmean(iterations):.0f}", interval(steps / 1e6), interval(seconds)
-        walked = np.isfinite(seconds).sum()
-        some = str(walked) if walked == len(found) else f"{walked} of {len(found)}"
-        out.append([gpu, name, some, *cells])
+        level, walking = (np.array(found)[:, i] for i in range(2))
+        out.append([gpu, name, *cells(level), *cells(walking)])
     return out
 
 
-def walks(rows: list[dict]) -> tuple[float, float, float]:
-    """`(iteration, simulator steps, seconds)` of the first evaluation of `WALKS`; NaN if there is none."""
-    for row in rows:
-        if float(row["return"]) >= WALKS:
-            return float(row["iteration"]), float(row["sim_steps"]), float(row["seconds"])
-    return np.nan, np.nan, np.nan
+def cells(found) -> list[str]:
+    """How many of the seeds `[S, 3]` got there; iterations, million steps and seconds of these."""
+    iterations, steps, seconds = np.transpose(found)
+    count = int(np.isfinite(seconds).sum())
+    some = str(count) if count == len(found) else f"{count} of {len(found)}"
+    if not count:
+        return [some, "-", "-", "-"]
+    return [some, f"{np.nanmean(iterations):.0f}", interval(steps / 1e6), interval(seconds)]
+
+
+def reached(rows: list[dict]) -> np.ndarray:
+    """`[2, 3]`: iteration, simulator steps and seconds to the level, and until it walks; NaN: never."""
+    returns, falls = ([float(row[name]) for row in rows] for name in ("return", "fall_rate"))
+    found = [
+        walks.reached([float(row[name]) for row in rows], returns, falls, LEVEL) for name in COUNTED
+    ]
+    return np.array([[one.level for one in found], [one.walks for one in found]])
 
 
 def interval(values) -> str:

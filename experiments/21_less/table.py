@@ -1,4 +1,4 @@
-"""Simulator steps to fixed evaluated returns, and where runs end, of what run.py wrote.
+"""Simulator steps until robots walk and to fixed evaluated returns, and where runs end, of what run.py wrote.
 
     python experiments/21_less/table.py FOLDER [NAME ...]
     python experiments/21_less/table.py experiments/21_less/results/tuning.csv.xz [NAME ...]
@@ -6,14 +6,18 @@
     python experiments/21_less/table.py experiments/21_less/results/fresh.csv.xz new-g ppo-kl3-g --falls
 
 `--falls`: steps until a robot first reaches its level, the falls then, and steps until it does with few
-falls, or stays there with few falls at every later evaluation.
+falls, or stays there with any, at most 3 % and at most 1 % at every later evaluation.
 
-`--parts`: a line a part that was taken out, a column a robot: steps until it walks, then return and
-falls at the end.
+`--parts`: a line a part that was taken out, a column a robot: steps until it walks, until it is first at the
+level, then return and falls at the end.
 
-Mean over seeds of the first evaluation that reaches a level, and in brackets the last seed's; a seed that
-never does is counted as missing. The end is the mean of a seed's last three evaluations. Intervals are
-Student's t, 95 %. A return of 10 s (run.eval_steps=500) counts twice.
+"walks" is from the first evaluation on at which the return is at least its level and at most 1 % of the
+episodes have a fall, both at every later evaluation too (dynappo/policy/walks.py); beside it what is first at
+the level, and first there with so few falls, whatever comes later. All are means over seeds, and in brackets
+the last seed's; a seed that never gets there is counted as missing. A share of falls is of as many episodes
+as the job evaluates (run.eval_envs): 1 % is told apart from 2 % by a thousand. The end is the mean of a
+seed's last three evaluations. Intervals are Student's t, 95 %. A return of 10 s (run.eval_steps=500) counts
+twice.
 """
 
 import csv
@@ -22,12 +26,16 @@ from pathlib import Path
 
 import numpy as np
 
+from dynappo.policy import walks
 from dynappo.train import curves
 from experiments import paper
 
 TEXT = ("job", "name", "batch")
 END = ("return", "fall_rate", "tracking_error")
-LEVELS = {45: (20, 30, 35, 38, 40), 30: (15, 20, 22, 24, 25)}  # of the best possible return
+LEVELS = {
+    45: (20, 30, 35, 40),
+    30: (15, 20, 22, 25),
+}  # of the best possible return; and the level itself
 
 
 def main():
@@ -48,7 +56,7 @@ def main():
     for top in LEVELS:
         mine = {name: job for name, job in jobs.items() if top == best(job)}
         if mine:
-            print(table(mine, LEVELS[top]), end="\n\n")
+            print(table(mine, top), end="\n\n")
 
 
 def read(path: Path) -> dict[str, list[dict]]:
@@ -83,15 +91,56 @@ def seeds(job) -> list[list[dict]]:
 
 def first(run: list[dict], level: float, name: str = "sim_steps") -> float:
     """`name` at the first evaluation of a seed that is at least `level`; NaN if none is."""
-    return next((row[name] for row in run if row["return"] >= level), np.nan)
+    return float(reached([run], level, name).level[0])
 
 
-def stays(run: list[dict], level: float, most: float) -> float:
-    """Steps from which on every evaluation of a seed is at least `level`, with a share of at most `most` of
-    episodes with a fall; NaN if there is no such evaluation."""
-    good = [row["return"] >= level and row["fall_rate"] <= most + 1e-9 for row in run]
-    last = max((i for i, fine in enumerate(good) if not fine), default=-1)
-    return run[last + 1]["sim_steps"] if last + 1 < len(run) else np.nan
+def reached(runs, level: float, name: str = "sim_steps", most=walks.MOST_FALLS) -> walks.Reached:
+    """`name` where each seed walks, is first at the level, and first there with few falls; `[S]` each."""
+    columns = (name, "return", "fall_rate")
+    found = [
+        walks.reached(*([row[c] for row in run] for c in columns), level, most) for run in runs
+    ]
+    return walks.Reached(*(np.array(one, float) for one in zip(*found, strict=True)))
+
+
+def spread(values, digits: int = 1) -> str:
+    """Mean and half of its interval."""
+    return f"{np.mean(values):.{digits}f} ± {curves.half_width(values):.{digits}f}"
+
+
+def steps_of(steps) -> str:
+    """Million steps: mean over the seeds that get there, the last one's, and how many never do."""
+    steps = np.asarray(steps) / 1e6
+    gone = int(np.isnan(steps).sum())
+    if gone == len(steps):
+        return f"{gone} never"
+    return f"{np.nanmean(steps):.2f} ({np.nanmax(steps):.2f})" + (f", {gone} never" if gone else "")
+
+
+def table(jobs, top: int) -> str:
+    """In Markdown, a line a job; `top` is the best possible return."""
+    least = walks.level(top)
+    head = [
+        "",
+        "seeds",
+        "walks: M steps",
+        f"first at {least:g}",
+        f"first at {least:g}, falls at most 1 %",
+    ]
+    head += [str(level) for level in LEVELS[top]]
+    head += ["M steps in all", "at the end: return, falls", "error, m/s"]
+    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
+    for name, mine in jobs.items():
+        runs = seeds(mine)
+        cells = [name, str(len(runs)), *map(steps_of, reached(runs, least))]
+        cells += [steps_of([first(run, level) for run in runs]) for level in LEVELS[top]]
+        ends = [{k: np.mean([row[k] for row in run[-3:]]) for k in END} for run in runs]
+        cells.append(f"{runs[0][-1]['sim_steps'] / 1e6:.1f}")
+        falls = 100 * np.mean([end["fall_rate"] for end in ends])
+        cells += [f"{spread([end['return'] for end in ends])}, {falls:.1f} %"]
+        cells += [f"{np.mean([end['tracking_error'] for end in ends]):.3f}"]
+        lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines)
 
 
 def falls(jobs) -> str:
@@ -100,52 +149,14 @@ def falls(jobs) -> str:
     head += ["stays", "stays, <= 3 %", "stays, <= 1 %"]
     lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
     for name, mine in jobs.items():
-        runs, level = seeds(mine), LEVELS[best(mine)][3]
-        then = [first(run, level, "fall_rate") for run in runs]
-        few = [first([r for r in run if r["fall_rate"] <= 0.01 + 1e-9], level) for run in runs]
-        found = [[first(run, level) for run in runs], few]
-        found += [[stays(run, level, most) for run in runs] for most in (1, 0.03, 0.01)]
-        cells = [reached(np.array(steps) / 1e6) for steps in found]
+        runs, level = seeds(mine), walks.level(best(mine))
+        then = np.array([first(run, level, "fall_rate") for run in runs])
+        few = reached(runs, level)
+        found = [few.careful, *(reached(runs, level, most=most).walks for most in (1, 0.03, 0.01))]
         then = f"{100 * np.nanmean(then):.1f} % (up to {100 * np.nanmax(then):.0f} %)"
-        lines.append("| " + " | ".join([name, cells[0], then, *cells[1:]]) + " |")
-    return "\n".join(lines)
-
-
-def reached(steps) -> str:
-    """Mean over seeds, the last seed, and how many never did."""
-    gone = int(np.isnan(steps).sum())
-    some = f"{np.nanmean(steps):.2f} ({np.nanmax(steps):.2f})" if gone < len(steps) else "-"
-    return some + (f", {gone} never" if gone else "")
-
-
-def spread(values, digits: int = 1) -> str:
-    """Mean and half of its interval."""
-    return f"{np.mean(values):.{digits}f} ± {curves.half_width(values):.{digits}f}"
-
-
-def table(jobs, levels) -> str:
-    """In Markdown, a line a job."""
-    head = [
-        "",
-        "seeds",
-        *(f"{level}: M steps" for level in levels),
-        "M steps in all",
-        "at the end",
-        "falls",
-        "error, m/s",
-    ]
-    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
-    for name, mine in jobs.items():
-        runs = seeds(mine)
-        cells = [name, str(len(runs))]
-        for level in levels:
-            cells.append(reached(np.array([first(run, level) / 1e6 for run in runs])))
-        ends = [{k: np.mean([row[k] for row in run[-3:]]) for k in END} for run in runs]
-        cells.append(f"{runs[0][-1]['sim_steps'] / 1e6:.1f}")
-        cells += [spread([end["return"] for end in ends])]
-        cells += [f"{100 * np.mean([end['fall_rate'] for end in ends]):.1f} %"]
-        cells += [f"{np.mean([end['tracking_error'] for end in ends]):.3f}"]
-        lines.append("| " + " | ".join(cells) + " |")
+        lines.append(
+            "| " + " | ".join([name, steps_of(few.level), then, *map(steps_of, found)]) + " |"
+        )
     return "\n".join(lines)
 
 
@@ -162,15 +173,20 @@ def parts(jobs) -> str:
 
 
 def part(job) -> str:
-    """Million steps until the mean seed walks, those that never did; return and falls at the end."""
+    """Million steps until the mean seed walks, and to the level; return and falls at the end."""
     runs = seeds(job)
-    steps = np.array([first(run, LEVELS[best(job)][3]) / 1e6 for run in runs])
-    gone = int(np.isnan(steps).sum())
-    some = f"{np.nanmean(steps):.2f}" if gone < len(steps) else ""
-    some += f" ({gone} never)" if 0 < gone < len(steps) else "never" * (gone > 0)
+    found = reached(runs, walks.level(best(job)))
     last = [row for run in runs for row in run[-3:]]
     total, falls = (np.mean([row[name] for row in last]) for name in ("return", "fall_rate"))
-    return f"**{some}**; {total:.1f}, {100 * falls:.1f} %"
+    return f"**{mean(found.walks)}**; {mean(found.level)}; {total:.1f}, {100 * falls:.1f} %"
+
+
+def mean(steps) -> str:
+    """Million steps: mean over the seeds that get there, and how many never do."""
+    gone = int(np.isnan(steps).sum())
+    if gone == len(steps):
+        return "never"
+    return f"{np.nanmean(steps) / 1e6:.2f}" + (f" ({gone} never)" if gone else "")
 
 
 if __name__ == "__main__":

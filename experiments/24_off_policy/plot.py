@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from dynappo.policy import walks
 from experiments import paper, pictures, stats
 
 less = importlib.import_module("experiments.21_less.plot")
@@ -32,7 +33,7 @@ SETTINGS = {  # of SAC; by their gain of actions
     "b": ("b: gain 1.5", pictures.VERMILION, (0, (3, 1.2))),
     "e": ("e: gain 1.5 (chosen)", pictures.VERMILION, "-"),
 }
-WALKS = 38
+LEVEL = walks.level(45)
 WINDOW = (2.2e6, 2.5e6)  # steps: the last that SAC has
 
 
@@ -48,7 +49,7 @@ def main():
     for name, look in SETTINGS.items():
         less.curve(axes[1], jobs[f"sac_tuning_{name}"], *look)
     for axis in axes:
-        axis.axhline(WALKS, color="0.4", lw=1, ls=":")
+        axis.axhline(LEVEL, color="0.4", lw=1, ls=":")
         axis.set_ylim(0, None)
         below = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.17), "ncols": 2}
         axis.legend(frameon=False, columnspacing=1.2, handlelength=2.4, **below)
@@ -57,9 +58,11 @@ def main():
     axes[1].set_xlabel("million simulator steps")
     axes[1].xaxis.set_major_formatter(lambda steps, _: f"{steps / 1e6:g}")
     axes[1].set_title("Settings of SAC, one seed", loc="left")
-    pictures.head(fig, f"Go1. Band: {pictures.covers([3, 5])}. Dotted: it walks", fontsize=9.5)
+    pictures.head(
+        fig, f"Go1. Band: {pictures.covers([3, 5])}. Dotted: the level of a walk", fontsize=9.5
+    )
     pictures.save(fig, HERE / "peers")
-    print(less.table.table({name: jobs[name] for name in RUNS}, less.table.LEVELS[45]))
+    print(less.table.table({name: jobs[name] for name in RUNS}, 45))
     print(equal_steps(jobs["sac"], jobs["ppo-kl3-g"]))
 
 
