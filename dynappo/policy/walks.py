@@ -57,8 +57,8 @@ class Reached(NamedTuple):
 def reached(steps, returns, fall_rates, least: float, most: float = MOST_FALLS) -> Reached:
     """When each seed walks, of its evaluations `[E, ...]` in order; `steps` is `[E]` or `[E, ...]`.
 
-    `least` is the `level`, `most` the share of episodes with a fall. An evaluation with a NaN is one at which the robot does not walk. ValueError
-    where the shapes differ.
+    `least` is the `level`, `most` the share of episodes with a fall. At an evaluation with a NaN
+    the robot does not walk. ValueError where the shapes differ.
     """
     returns, fall_rates = np.asarray(returns, float), np.asarray(fall_rates, float)
     steps = np.asarray(steps, float)
