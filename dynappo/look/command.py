@@ -15,6 +15,7 @@ from dynappo.config import ConfigError
 from dynappo.config import flags as flags_lib
 from dynappo.look import facts
 from dynappo.physics import robot as robot_lib
+from dynappo.physics.warp import scope
 from dynappo.policy import episode as episode_lib
 from dynappo.policy import policy_file, render
 
@@ -107,6 +108,8 @@ def notes(robot: robot_lib.Robot, config, pd: facts.PD, stood: dict) -> list[str
         out.append("it does not come to rest")
     if np.abs(stood["torque"]).max() >= config.task.effort_limit:
         out.append("a motor is at task.effort_limit: it cannot hold the robot")
+    if slow := scope.slower(robot, config.physics, config.task.remember_ground):
+        out.append(slow)
     return [f"note: {line}" for line in out]
 
 

@@ -12,16 +12,23 @@ BOX, SPHERE, CAPSULE, CYLINDER = (
     int(getattr(mujoco.mjtGeom, f"mjGEOM_{name}"))
     for name in ("BOX", "SPHERE", "CAPSULE", "CYLINDER")
 )
-MOST = {SPHERE: 1, CAPSULE: 2, CYLINDER: 4, BOX: 8}
+MOST = {SPHERE: 1, CAPSULE: 2, CYLINDER: 4, BOX: 8}  # against the floor
+MOST_OF_PAIR = 8, 50  # of two primitives; of a mesh with anything (mjMAXCONPAIR)
 ROWS_PER_CONTACT = 4  # constraint rows of a pyramidal cone with sliding friction
+ROWS_PER_EQUALITY = 6  # of a weld, which has the most
 
 
 def most(model) -> tuple[int, int]:
     """`(contacts, constraint rows)` that one robot of a compiled model can have at most."""
     kinds = model.geom_type[model.geom_conaffinity > 0]
     contacts = sum(MOST[int(kind)] for kind in kinds)
-    limits = int(model.jnt_limited.sum() + (model.dof_frictionloss > 0).sum())
-    return contacts, contacts * ROWS_PER_CONTACT + limits
+    rows = contacts * ROWS_PER_CONTACT + model.neq * ROWS_PER_EQUALITY
+    plain = np.isin(model.geom_type, [*MOST, mujoco.mjtGeom.mjGEOM_PLANE])
+    pairs = np.where(plain[model.pair_geom1] & plain[model.pair_geom2], *MOST_OF_PAIR)
+    rows += int((pairs * np.maximum(2 * (model.pair_dim - 1), 1)).sum())
+    rows += int(model.jnt_limited.sum() + (model.dof_frictionloss > 0).sum())
+    rows += int(model.tendon_limited.sum() + (model.tendon_frictionloss > 0).sum())
+    return contacts + int(pairs.sum()), rows
 
 
 def floor_distance(model: mujoco.MjModel, geoms: np.ndarray):

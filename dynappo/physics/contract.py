@@ -9,9 +9,14 @@ rule:
 - four sphere geoms named `LEG_foot`, each in the last body of its leg, of higher priority than
   the floor, so that their friction holds;
 - every other geom with `conaffinity` is a part that must not touch the ground: box, sphere,
-  capsule or cylinder; only the floor has a `contype`, so the robot never collides with itself;
+  capsule or cylinder, on the robot; only the floor has a `contype`, so the robot never collides with
+  itself, but for pairs in `contact`; a foot has none, for its friction is the geom's;
+- the state is positions and velocities: no activations, delays or plugins with memory;
 - a plane `floor` at height 0, a camera `track`, a keyframe `home`: the default pose, upright,
   the feet on the floor.
+
+What else a file may have (equalities, tendons, springs, ...) is simulated by every engine that has it;
+an engine that lacks it says so (engine.py). On a GPU it takes several times as long (warp/scope.py).
 """
 
 from __future__ import annotations
@@ -26,6 +31,7 @@ def check(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
     """`(feet [F], parts [G])`, geom ids, of a compiled file that keeps the contract; else a
     ValueError that names the broken rule, and what was found."""
     _check_legs(model)
+    _check_state(model)
     _check_motors(model)
     feet, parts = _check_geoms(model)
     _check_home(model, feet, parts)
@@ -80,6 +86,15 @@ def _check_legs(model: mujoco.MjModel) -> None:
         rule = "joints without pos and ref: at their body's origin, zero where frames are parallel"
         _expect(not joint.pos.any() and not joint.qpos0[0], rule, joint.name)
         _expect(joint.limited[0], "a range at every joint", f"none at {joint.name}")
+
+
+def _check_state(model: mujoco.MjModel) -> None:
+    """A robot's state is what the trainer keeps of it from one control step to the next."""
+    size = mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS)
+    more = size - 1 - model.nq - model.nv
+    rule = "no state beside positions and velocities (delays, activations, plugins)"
+    _expect(not more, rule, f"{more} more numbers")
+    _expect(not model.nflex, "rigid bodies only", f"{model.nflex} flex")
 
 
 def _check_motors(model: mujoco.MjModel) -> None:
@@ -142,6 +157,11 @@ def _check_geoms(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
         ]
     )
     _expect(not odd, f"parts of type box, sphere, capsule or cylinder, not {odd}")
+    odd = listed(touching[model.geom_bodyid[touching] == 0])
+    _expect(not odd, "what touches the floor (conaffinity) to be on the robot", odd)
+    paired = np.concatenate([model.pair_geom1, model.pair_geom2])
+    odd = listed(feet[np.isin(feet, paired)])
+    _expect(not odd, "no contact pair with a foot, whose friction is the geom's", odd)
     odd = listed(touching[model.geom_condim[touching] > 3])
     _expect(not odd, "condim 1 or 3 where something touches the floor", odd)
     return feet, np.setdiff1d(touching, feet)

@@ -25,9 +25,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from dynappo.config import ConfigError
 from dynappo.physics import actuators, c_engine, contacts, randomize
 from dynappo.physics import robot as robot_lib
-from dynappo.physics.warp import arrays
+from dynappo.physics.warp import arrays, scope
 from dynappo.physics.warp import engine as warp_engine
 from dynappo.types import Config, EnvState
 
@@ -49,6 +50,29 @@ class Engine(NamedTuple):
     lags: bool  # torques follow with the time constant of the body's `lag`
 
 
+def check(robot: robot_lib.Robot, physics, impl: str) -> None:
+    """ConfigError if the engine `impl` lacks what the robot's file asks for; `physics` is the config's
+    group. What the kernel computes, every engine does."""
+    if impl == "c":
+        return c_engine.check(robot)
+    model = robot_lib.physics_model(robot, physics)
+    if not scope.declines(model, robot.feet, False):
+        return None
+    try:
+        if impl == "warp":
+            from dynappo.physics.warp import general
+
+            general.check(model)
+        else:
+            _mjx().make_data(_mjx().put_model(model, impl=impl), impl=impl)
+    except NotImplementedError as error:
+        engine = {"jax": "MJX", "warp": "MuJoCo Warp"}[impl]
+        raise ConfigError(
+            f"{robot.xml}: {engine} cannot simulate it ({error}); take that out of the file, or train on "
+            "the CPU with physics.impl=c"
+        ) from None
+
+
 def make(
     robot: robot_lib.Robot,
     physics,
@@ -58,6 +82,7 @@ def make(
     lags: bool = False,
 ) -> Engine:
     """The engine `impl` ("jax", "warp" or "c") of `robot`; `physics` is the config's group."""
+    check(robot, physics, impl)
     mj_model, model, data = robot_lib.physics_model(robot, physics), None, None
     if impl == "c":
         step = c_engine.make(robot, physics, varied)

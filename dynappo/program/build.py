@@ -45,7 +45,7 @@ class Program(NamedTuple):
 
 def check(config, env: Any = None) -> None:
     """ConfigError if the machine, the robot's file or `env` cannot run it; compiles nothing."""
-    from dynappo.physics import robot
+    from dynappo.physics import engine, robot
     from dynappo.program import environment
     from dynappo.task import mirror, payment
 
@@ -66,11 +66,17 @@ def check(config, env: Any = None) -> None:
     payment.find(config.task)
     if config.ppo.symmetry:
         mirror.joints(loaded)
-    if impl == "c":
-        from dynappo.physics import c_engine
-
-        c_engine.check(loaded)
+    engine.check(loaded, config.physics, impl)
     memory.check(config, memory.limit(devices.here(config.run.device)))
+
+
+def slower(program: Program, config) -> str:
+    """A line on a robot whose physics on this GPU are not the fast kernel's, and why; else ""."""
+    from dynappo.physics.warp import scope
+
+    if program.impl != "warp":
+        return ""
+    return scope.slower(program.robot, config.physics, config.task.remember_ground)
 
 
 def _begin_warp() -> None:

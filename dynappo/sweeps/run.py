@@ -150,6 +150,8 @@ def _train_group(out, group: list[Combination], todo: int, workdir, source, stop
         engine, begun = devices.ENGINES[program.impl], []
         text = f"{program.device}, {engine}; compiled in {program.compile_seconds:.0f} s, "
         out.print(text + f"{memory.text(program.bytes_needed)} of memory", soft_wrap=True)
+        if slow := build.slower(program, group[0].config):
+            out.print(slow, style="yellow", markup=False, soft_wrap=True)
         stop.patient = True
 
         def tell(iteration, last):

@@ -248,6 +248,8 @@ def _train_and_show(command: Command, stop: Stop, out) -> None:
         f"{program.device}, {engine}; compiled in {program.compile_seconds:.0f} s, "
         f"{memory.text(program.bytes_needed)} of memory"
     )
+    if slow := build.slower(program, config):
+        say(slow)
     if program.impl == "jax" and program.device == "cpu":
         text = "on a CPU C MuJoCo is more than twice as fast as MJX: --config.physics.impl=c"
         laptop = f"; made for it: {shell.program()} train --config={config.robot}:laptop"

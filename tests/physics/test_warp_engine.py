@@ -23,7 +23,7 @@ from dynappo.task import env as env_lib
 
 pytest.importorskip("warp")
 
-from dynappo.physics.warp import arrays, building, quadruped  # noqa: E402
+from dynappo.physics.warp import building, scope  # noqa: E402
 from dynappo.physics.warp import engine as warp_engine  # noqa: E402
 
 SEEDS, ROBOTS, STEPS = 2, 4, 3
@@ -170,9 +170,8 @@ def test_dry_friction_and_contacts_of_all_parts_are_left_to_mujoco_warp(world, r
 
 
 def fits(engine, config):
-    robot = engine.robot
-    shape = arrays.Shape(4, engine.remember, robot.feet, None, robot.parts, None)
-    return quadruped.fits(robot_lib.physics_model(robot, config.physics), shape)
+    model = robot_lib.physics_model(engine.robot, config.physics)
+    return not scope.declines(model, engine.robot.feet, engine.remember)
 
 
 def test_seeds_of_robots_with_the_same_bodies(world, expected):

@@ -1,7 +1,7 @@
 """Calls Warp once a control step, with only the arrays that the step exchanges.
 
-A robot that keeps the contract, its feet on a plane, is one kernel of ours (quadruped.py); any other
-file is MuJoCo Warp's own step (general.py). Why not `mjx.step`: it takes and returns all 168 arrays
+A robot that has no more than the contract asks for is one kernel of ours (quadruped.py); any other file
+is MuJoCo Warp's own step (general.py); scope.py decides. Why not `mjx.step`: it takes and returns all 168 arrays
 of mjx.Data, which every physics step fills and copies for nothing: 0.95 of a row's 4.40 ms with 4096
 Go1 on an H100. Why not once a physics step: XLA's loop around it costs the motors' and the feet's
 small kernels four times a row (measured in experiments/03_speed). A call is captured as a CUDA graph
@@ -27,7 +27,7 @@ from flax import struct
 
 from dynappo.physics import contacts
 from dynappo.physics import robot as robot_lib
-from dynappo.physics.warp import arrays
+from dynappo.physics.warp import arrays, scope
 
 # one per kind of step: Warp keeps what `jax_callable` was given, arrays included, to the end
 _TOGETHER: dict[tuple[Any, ...], Callable[..., Sequence]] = {}
@@ -86,7 +86,7 @@ def _of_many(mj_model, shape: arrays.Shape) -> Callable[..., Sequence]:
     from dynappo.physics.warp import building, quadruped
 
     way = quadruped
-    if not quadruped.fits(mj_model, shape):
+    if scope.declines(mj_model, shape.feet, shape.every):
         from dynappo.physics.warp import general as way
     gpu = jax.local_devices()[0].platform == "gpu"
     sizes = arrays.sizes(mj_model, shape)

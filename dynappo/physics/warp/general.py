@@ -1,5 +1,5 @@
-"""A control step of any file by MuJoCo Warp's own step: where `quadruped.fits` says no, as with dry
-friction, or contacts of every part.
+"""A control step of any file by MuJoCo Warp's own step: where the kernel declines (`scope.declines`), as
+with dry friction, or contacts of every part.
 """
 
 from __future__ import annotations
@@ -26,6 +26,12 @@ class Kept(NamedTuple):
     radius: Any  # [F] m
     parts: Any  # [G] geoms
     floor: Any  # [G, 5]
+
+
+def check(mj_model: mujoco.MjModel) -> None:
+    """NotImplementedError, in MuJoCo Warp's words, for a model that it cannot step."""
+    with wp.ScopedDevice("cpu"):
+        mjw.put_model(mj_model)
 
 
 def kept(mj_model: mujoco.MjModel, shape: arrays.Shape, count: int) -> Kept:

@@ -8,7 +8,8 @@ that are spheres on a plane. With a thread for each leg, the numbers of a robot 
 registers within a control step, and the legs meet only in the base's six equations.
 
 It solves MuJoCo's own problem (soft contacts with a pyramidal cone, joint limits, implicit damping)
-by Newton's method with an exact line search, and is tested against C MuJoCo and `mjx.step`.
+by Newton's method with an exact line search, and is tested against C MuJoCo and `mjx.step`. What of a
+model it reads is `constants` and `arrays.MODEL`; scope.py must know all of it.
 """
 
 from __future__ import annotations
@@ -32,28 +33,6 @@ FOOT_AT = dict(RADIUS=3, GEOM=4, CONTACT=5, FOOT=15)
 CONSTRAINT_AT = dict(B=5, K=6, INVWEIGHT=7)
 PART_AT = dict(PART=18)
 _NAMES = WHOLE | LINK_AT | FOOT_AT | CONSTRAINT_AT | PART_AT
-
-
-def fits(model: mujoco.MjModel, shape: arrays.Shape) -> bool:
-    """Whether the kernel computes all that a file of the contract, with the settings of `physics`,
-    asks for."""
-    opt = model.opt
-    touching = np.flatnonzero(model.geom_conaffinity)
-    nothing = "dof_frictionloss", "jnt_stiffness", "body_gravcomp", "jnt_margin", "dof_dampingpoly"
-    rules = (
-        not any(np.any(getattr(model, name)) for name in nothing),
-        np.array_equal(touching, shape.feet) and (model.geom_condim[shape.feet] == 3).all(),
-        not model.geom_margin.any() and not model.dof_armature[:6].any() and not shape.every,
-        opt.integrator == mujoco.mjtIntegrator.mjINT_EULER,
-        opt.cone == mujoco.mjtCone.mjCONE_PYRAMIDAL,
-        opt.solver == mujoco.mjtSolver.mjSOL_NEWTON and not opt.noslip_iterations,
-        not opt.density and not opt.viscosity and not opt.gravity[:2].any(),
-        not opt.disableflags and not opt.enableflags,
-        (model.jnt_solref[1:] > 0).all() and (model.geom_solref[shape.feet] > 0).all(),
-        not model.dof_damping[:6].any(),
-        np.array_equal(model.jnt_bodyid, np.arange(1, 14)) and model.nbody == 14,
-    )
-    return all(map(bool, rules))
 
 
 def _constraint(model, solref, solimp, invweight) -> list[float]:
