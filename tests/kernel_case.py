@@ -52,13 +52,13 @@ class Case:
     def sizes(self):
         return arrays.sizes(self.model, self.shape)
 
-    def step(self, before):
-        """What the kernel makes of the numbers `before`."""
+    def step(self, before, way=quadruped):
+        """What the kernel, or another `way`, makes of the numbers `before`."""
         a = {}
         for name, size in self.sizes().items():
             kind = wp.vec3 if name in arrays.MODEL and len(size) == 2 else float
             a[name] = wp.array(before[name], dtype=int if name in arrays.COUNTS else kind)
-        quadruped.control_step(quadruped.kept(self.model, self.shape), self.shape, a)
+        way.control_step(way.kept(self.model, self.shape, ROBOTS), self.shape, a)
         return {name: x.numpy() for name, x in a.items()}
 
     def of_robot(self, i):

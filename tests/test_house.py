@@ -52,7 +52,8 @@ MAY_IMPORT = {
 WITHOUT_JAX = {"policy", "look", "web", "play", "export", "config", "schedule"}
 WITHOUT_JAX |= {"task.rewards", "task.payment", "task.observe"}
 WITHOUT_JAX |= {
-    f"physics.{name}" for name in ("robot", "mjcf", "contract", "contacts", "actuators", "warp.scope")
+    f"physics.{name}"
+    for name in ("robot", "mjcf", "contract", "contacts", "actuators", "warp.scope")
 }
 JAX = {"jax", "jaxlib", "flax", "optax", "orbax", "brax", "chex", "jaxtyping", "mujoco.mjx"}
 # pure functions: nothing printed, no clock, no file; robot.py and mjcf.py read a robot's file, c_engine.py

@@ -11,7 +11,7 @@ rule:
 - every other geom with `conaffinity` is a part that must not touch the ground: box, sphere,
   capsule or cylinder, on the robot; only the floor has a `contype`, so the robot never collides with
   itself, but for pairs in `contact`; a foot has none, for its friction is the geom's;
-- the state is positions and velocities: no activations, delays or plugins with memory;
+- the state is positions and velocities: no activations, no delays; no plugins, no flexes;
 - a plane `floor` at height 0, a camera `track`, a keyframe `home`: the default pose, upright,
   the feet on the floor.
 
@@ -31,8 +31,8 @@ def check(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
     """`(feet [F], parts [G])`, geom ids, of a compiled file that keeps the contract; else a
     ValueError that names the broken rule, and what was found."""
     _check_legs(model)
-    _check_state(model)
     _check_motors(model)
+    _check_state(model)
     feet, parts = _check_geoms(model)
     _check_home(model, feet, parts)
     _expect("track" in names(model.ncam, model.camera), "a camera named track")
@@ -92,8 +92,9 @@ def _check_state(model: mujoco.MjModel) -> None:
     """A robot's state is what the trainer keeps of it from one control step to the next."""
     size = mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS)
     more = size - 1 - model.nq - model.nv
-    rule = "no state beside positions and velocities (delays, activations, plugins)"
+    rule = "no state beside positions and velocities (delays, activations)"
     _expect(not more, rule, f"{more} more numbers")
+    _expect(not model.nplugin, "no plugins", f"{model.nplugin}")
     _expect(not model.nflex, "rigid bodies only", f"{model.nflex} flex")
 
 
@@ -109,9 +110,13 @@ def _check_motors(model: mujoco.MjModel) -> None:
         plain = motor.gear[0] * motor.gainprm[0] == 1 and not motor.dyntype[0]
         plain = plain and motor.biastype[0] == mujoco.mjtBias.mjBIAS_NONE
         _expect(plain, rule, f"{joint} of another gear, gain or kind")
+        more = model.actuator_armature[i] or model.actuator_damping[i]
+        more = more or model.actuator_dampingpoly[i].any()
+        _expect(not more, "armature and damping at the joints, not at motors", f"some at {joint}")
         limited = motor.ctrllimited[0] or motor.forcelimited[0] or model.jnt_actfrclimited[i + 1]
         _expect(not limited, "motors without limits, which are the config's", f"one at {joint}")
     _expect(model.nu == 12, rule, f"{model.nu} actuators")
+    _expect(not model.opt.disableactuator, "no motor disabled", "the option actuatorgroupdisable")
 
 
 def _check_geoms(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:

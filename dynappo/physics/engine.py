@@ -23,6 +23,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import mujoco
 import numpy as np
 
 from dynappo.config import ConfigError
@@ -50,6 +51,13 @@ class Engine(NamedTuple):
     lags: bool  # torques follow with the time constant of the body's `lag`
 
 
+# What MJX 3.17 takes no notice of and does not refuse, although C MuJoCo and MuJoCo Warp do it.
+UNSEEN = (
+    "geom_adhesion pair_adhesion geom_surfacevel jnt_stiffnesspoly dof_dampingpoly tendon_stiffnesspoly "
+    "tendon_dampingpoly"
+).split()
+
+
 def check(robot: robot_lib.Robot, physics, impl: str) -> None:
     """ConfigError if the engine `impl` lacks what the robot's file asks for; `physics` is the config's
     group. What the kernel computes, every engine does."""
@@ -64,13 +72,25 @@ def check(robot: robot_lib.Robot, physics, impl: str) -> None:
 
             general.check(model)
         else:
-            _mjx().make_data(_mjx().put_model(model, impl=impl), impl=impl)
+            _check_mjx(model)
     except NotImplementedError as error:
         engine = {"jax": "MJX", "warp": "MuJoCo Warp"}[impl]
         raise ConfigError(
-            f"{robot.xml}: {engine} cannot simulate it ({error}); take that out of the file, or train on "
-            "the CPU with physics.impl=c"
+            f"{robot.xml}: {engine} cannot simulate it ({error}); take that out of the file, or set "
+            f"physics.impl={'jax' if impl == 'warp' else 'c'}"
         ) from None
+
+
+def _check_mjx(mj_model) -> None:
+    """NotImplementedError for a model that MJX cannot step, or of which it would leave something out."""
+    unseen = [name for name in UNSEEN if getattr(mj_model, name).any()]
+    unseen += ["opt.noslip_iterations"] * bool(mj_model.opt.noslip_iterations)
+    discrete = mj_model.opt.integrator == mujoco.mjtIntegrator.mjINT_DISCRETE
+    unseen += ["the integrator discrete"] * discrete  # it refuses in its step alone
+    if unseen:
+        raise NotImplementedError(unseen[0])
+    mjx = _mjx()
+    mjx.make_data(mjx.put_model(mj_model, impl="jax"), impl="jax")
 
 
 def make(

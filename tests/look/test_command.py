@@ -66,6 +66,11 @@ def test_a_robot_of_ones_own_is_looked_at_from_its_folder(tmp_path, monkeypatch,
     Path("robots/mine/mine.xml").write_text(text.replace('mass="5.204"', 'mass="6.204"', 1))
     assert run("configs/mine.py") == run("mine") == 0
     assert "mass    13.74 kg" in capsys.readouterr().out
+    spring = text.replace('class="thigh"/>', 'class="thigh" stiffness="5"/>', 1)
+    Path("robots/mine/mine.xml").write_text(spring)
+    assert run("mine") == 0
+    told = "note: .*robots/mine/mine.xml: because of springs at joints .* MuJoCo Warp's own step"
+    assert re.search(told, capsys.readouterr().out)
     Path("robots/mine/mine.xml").write_text(text.replace('name="home"', 'name="rest"', 1))
     line = mistake(look_command.main, ["mine"], capsys)
     assert "robots/mine/mine.xml: expected a keyframe named home, found rest" in line

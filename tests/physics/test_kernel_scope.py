@@ -6,17 +6,23 @@ the feature, or a control step of the kernel is that of C MuJoCo.
 
 import copy
 
+import jax
 import mujoco
 import numpy as np
 import pytest
+from mujoco import mjx
 
 from dynappo import config as config_lib
+from dynappo.physics import contacts as contacts_lib
+from dynappo.physics import engine as engine_lib
 from dynappo.physics import robot as robot_lib
 from dynappo.physics.warp import scope
 
 pytest.importorskip("warp")
 
 from kernel_case import ROBOTS, Case  # noqa: E402
+
+from dynappo.physics.warp import general  # noqa: E402
 
 close = np.testing.assert_allclose
 STEPS = 4  # physics steps of a control step
@@ -106,15 +112,17 @@ def sensors(spec):
         )
 
 
-def plugin(spec):
-    """A text, because MjSpec cannot add one."""
-    parts = spec.to_xml().partition("<worldbody>")
-    body = parts[2].replace("<freejoint", '<plugin instance="cable"/><freejoint', 1)
-    instance = '<instance name="cable"><config key="twist" value="1e6"/></instance>'
-    extension = (
-        f'<extension><plugin plugin="mujoco.elasticity.cable">{instance}</plugin></extension>'
-    )
-    return f"{parts[0]}{extension}<worldbody>{body}"
+def xml(*pairs):
+    """`spec -> text` of what MjSpec cannot add."""
+
+    def change(spec):
+        text = spec.to_xml()
+        for old, new in pairs:
+            assert old in text
+            text = text.replace(old, new, 1)
+        return text
+
+    return change
 
 
 def ball(spec):
@@ -216,7 +224,35 @@ REFUSED = {  # contract.py, or MuJoCo's compiler
     ),
     "a filtered motor": (
         motor(dyntype=mujoco.mjtDyn.mjDYN_FILTER, dynprm=[1, *[0] * 9]),
-        "no state beside",
+        MOTORS,
+    ),
+    "a disabled group of motors": (
+        both(motor(group=3), put("option", disableactuator=8)),
+        "no motor disabled",
+    ),
+    "a motor with damping": (motor(damping=[1, 0, 0]), "damping at the joints"),
+    "a motor with nonlinear damping": (motor(damping=[0, 1, 0]), "damping at the joints"),
+    "a motor with armature": (motor(armature=0.1), "armature and damping at the joints"),
+    "a plugin": (
+        xml(
+            (
+                "<worldbody>",
+                '<extension><plugin plugin="mujoco.elasticity.cable"><instance name="cable"><config '
+                'key="twist" value="1e6"/></instance></plugin></extension><worldbody>',
+            ),
+            ('<camera name="track"', '<plugin instance="cable"/><camera name="track"'),
+        ),
+        "no plugins",
+    ),
+    "a flex": (
+        xml(
+            (
+                "</worldbody>",
+                '</worldbody><deformable><flex name="rope" dim="1" body="FL_calf FR_calf" '
+                'element="0 1" radius="0.01"/></deformable>',
+            )
+        ),
+        "rigid bodies only",
     ),
     "a gear of 9": (motor(gear=[9, 0, 0, 0, 0, 0]), MOTORS),
     "a bounded motor": (motor(ctrllimited=1, ctrlrange=[-1, 1]), "motors without limits"),
@@ -259,7 +295,6 @@ DECLINED = {
     "a spatial tendon": (spatial, "tendons"),
     "a pair of parts": (pair(CALF, "FR_calf"), "pairs"),
     "a pair with the floor": (pair(CALF, "floor"), "pairs"),
-    "a plugin": (plugin, "plugins"),
     "an exclude of the floor": (exclude("world", CALF), "exclude"),
     "a spring": (put("joint", J, stiffness=[40, 0, 0], springref=0.3), "springs"),
     "a nonlinear spring": (put("joint", J, stiffness=[0, 5, 0]), "springs"),
@@ -291,12 +326,6 @@ DECLINED = {
     "a conveyor belt": (put("geom", "floor", surfacevel=[1, 0, 0, 0, 0, 0]), "moving surfaces"),
     "a foot's solref as stiffness": (put("geom", FOOT, solref=[-1000, -10]), "solref"),
     "a joint's solref as stiffness": (put("joint", J, solref_limit=[-1000, -10]), "solref"),
-    "a disabled group of motors": (
-        both(motor(group=3), put("option", disableactuator=8)),
-        "opt.disableactuator",
-    ),
-    "a motor with damping": (motor(damping=[1, 0, 0]), "actuator_damping"),
-    "a motor with armature": (motor(armature=0.1), "armature"),
     "a gear that the gain undoes": (
         motor(gear=[2, 0, 0, 0, 0, 0], gainprm=[0.5, *[0] * 9]),
         "a gear",
@@ -407,10 +436,10 @@ def test_the_kernel_computes(feature, tmp_path):
 
 def compare(case, steps=STEPS):
     """Physics steps from every state, C MuJoCo's solver run to the end, under the kernel's torques."""
-    twins, found = [case.of_robot(i) for i in range(ROBOTS)], case.before
+    twins, found = {i: case.of_robot(i) for i in range(0, ROBOTS, 4)}, case.before
     for step in range(steps):
         found = case.step(found)
-        for i, (model, data) in enumerate(twins):
+        for i, (model, data) in twins.items():
             data.ctrl[:] = found["torque"][i]
             mujoco.mj_step(model, data)
             if step == 0:
@@ -449,3 +478,115 @@ def test_whatever_number_is_another_is_declined_or_does_as_in_c_mujoco(field):
     setattr(of, name.removeprefix("opt."), value if value.ndim else float(value))
     if not declines(case):
         compare(case, 1)
+
+
+INTEGRATORS = "RK4", "IMPLICIT", "DISCRETE"
+LACKS = {  # what an engine has not, of what the contract allows
+    "jax": {
+        "a nonlinear spring": "jnt_stiffnesspoly",
+        "nonlinear damping": "dof_dampingpoly",
+        "a sticky foot": "geom_adhesion",
+        "a conveyor belt": "geom_surfacevel",
+        "noslip": "noslip_iterations",
+        "integrator IMPLICIT": "mjINT_IMPLICIT",
+        "integrator DISCRETE": "discrete",
+        "flag ENBL_ENERGY": "mjENBL_ENERGY",
+    },
+    "warp": {
+        "flag DSBL_AUTORESET": "mjDSBL_AUTORESET",
+        "flag ENBL_OVERRIDE": "mjENBL_OVERRIDE",
+    },
+    "c": {f"integrator {name}": f"has the integrator {name.lower()}" for name in INTEGRATORS},
+}
+
+
+@pytest.mark.parametrize(
+    ("impl", "feature"), [(impl, feature) for impl, lacks in LACKS.items() for feature in lacks]
+)
+def test_an_engine_refuses_what_it_lacks(impl, feature, tmp_path):
+    """In one line, before anything is compiled; an engine that has it does not."""
+    robot = load(DECLINED[feature][0], tmp_path)
+    physics = config_lib.validate(config_lib.load("configs/go1.py")).physics
+    with pytest.raises(config_lib.ConfigError) as caught:
+        engine_lib.make(robot, physics, frozenset(), impl)
+    text = str(caught.value)
+    assert str(robot.xml) in text and "\n" not in text and LACKS[impl][feature] in text
+    other = next(other for other in reversed(LACKS) if feature not in LACKS[other])
+    engine_lib.check(robot, physics, other)
+
+
+@pytest.mark.parametrize("feature", DECLINED)
+def test_there_is_room_for_every_contact_and_constraint_in_mujoco_warp(feature, tmp_path):
+    """All feet and parts in the floor, all joints beyond their range."""
+    case = Case("go1", robot=load(DECLINED[feature][0], tmp_path))
+    case.model.geom_conaffinity[case.robot.parts] = 1
+    contacts, rows = contacts_lib.most(case.model)
+    data = mujoco.MjData(case.model)
+    data.qpos[:7] = [0, 0, -0.5, 1, 0, 0, 0]
+    for side in (0, 1):
+        data.qpos[7:] = case.model.jnt_range[1:, side] + (0.05, -0.05)[1 - side]
+        mujoco.mj_forward(case.model, data)
+        assert data.ncon <= contacts and data.nefc <= rows
+
+
+ELSEWHERE = (  # of each kind one
+    "joint equality",
+    "tendon equality",
+    "a tendon's spring",
+    "a tendon's dry friction",
+    "a tendon's limit",
+    "a tendon's armature",
+    "a spatial tendon",
+    "a pair with the floor",
+    "an exclude of the floor",
+    "a spring",
+    "damping of the base",
+    "a joint's margin",
+    "a foot's gap",
+    "compensation by motors",
+    "wind",
+    "gravity aslant",
+)
+TWICE = (
+    "tendon equality",
+    "a tendon's dry friction",
+    "a tendon's limit",
+    "a tendon's armature",
+)  # one tendon
+IN_WARP_ALONE = "a nonlinear spring", "cubic damping", "a sticky foot", "a conveyor belt"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("feature", (*ELSEWHERE, *IN_WARP_ALONE))
+def test_mujoco_warp_computes_what_the_kernel_declines(feature, tmp_path):
+    case = Case("go1", robot=load(DECLINED[feature][0], tmp_path))
+    found = case.step(case.before, general)
+    for i in range(0, ROBOTS, 4):
+        model, data = case.of_robot(i)
+        data.ctrl[:] = found["torque"][i]
+        mujoco.mj_step(model, data)
+        close(found["qvel"][i], data.qvel, atol=1e-3)
+
+
+@pytest.mark.slow
+def test_mjx_computes_what_the_kernel_declines(tmp_path):
+    """All at once, because a program takes long to compile."""
+    case = Case(
+        "go1",
+        robot=load(both(*(DECLINED[name][0] for name in ELSEWHERE if name not in TWICE)), tmp_path),
+    )
+    model = mjx.put_model(case.model, impl="jax")
+    torque = np.random.default_rng(0).normal(0, 5, (ROBOTS, 12))
+
+    def step(qpos, qvel, ctrl):
+        data = mjx.make_data(case.model, impl="jax").replace(qpos=qpos, qvel=qvel, ctrl=ctrl)
+        return mjx.step(model, data).qvel
+
+    given = [np.float32(x) for x in (case.before["qpos"], case.before["qvel"], torque)]
+    with jax.default_matmul_precision("highest"):
+        found = jax.jit(jax.vmap(step))(*given)
+    for i in range(ROBOTS):
+        data = mujoco.MjData(case.model)
+        data.qpos[:], data.qvel[:], data.ctrl[:] = (x[i] for x in given)
+        mujoco.mj_step(case.model, data)
+        close(found[i], data.qvel, atol=1e-3)

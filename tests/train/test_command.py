@@ -20,6 +20,7 @@ from rich.console import Console
 
 from dynappo import config as config_lib
 from dynappo.config import shell as shell_lib
+from dynappo.physics import robot as robot_lib
 from dynappo.policy import policy_file, render, source
 from dynappo.program import devices
 from dynappo.train import command as train_command
@@ -297,6 +298,23 @@ def test_it_says_what_one_waits_for(engine, monkeypatch, tmp_path):
     assert status(train_command.main, *FIRST, f"--workdir={tmp_path / 'run'}") == 130
     assert re.fullmatch(r"compiling \(.*(minute|[0-9] s).* cached.*\)", said[0])
     assert all(len(text) < 100 for text in said)
+
+
+@pytest.mark.parametrize("stiffness", [0, 40])
+def test_it_says_why_physics_are_slow(stiffness, monkeypatch, capsys, tmp_path):
+    """Where the kernel would have been used."""
+    go1 = robot_lib.load("go1")
+    spec = robot_lib.physics_spec(go1.xml)
+    spec.joint("FL_thigh_joint").stiffness = [stiffness, 0, 0]
+    robot = go1._replace(mj_model=spec.compile())
+    finished(monkeypatch, "in the last iteration")
+    program = SimpleNamespace(
+        impl="warp", device="H100", compile_seconds=0, bytes_needed=1, robot=robot
+    )
+    monkeypatch.setattr(train_command.build, "program", lambda config, env, **_: program)
+    assert status(train_command.main, *FIRST, f"--workdir={tmp_path / 'run'}") == 130
+    said = capsys.readouterr().out
+    assert said.count("because of springs at joints (jnt_stiffness)") == bool(stiffness)
 
 
 def test_before_it_listens_ctrl_c_is_one_line_too(monkeypatch, capsys):
