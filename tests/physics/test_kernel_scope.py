@@ -547,12 +547,14 @@ ELSEWHERE = (  # of each kind one
     "wind",
     "gravity aslant",
 )
-TWICE = (
+# not in one file with the others: one tendon has this name, and in MJX an exclude also ends a pair
+APART = (
     "tendon equality",
     "a tendon's dry friction",
     "a tendon's limit",
     "a tendon's armature",
-)  # one tendon
+    "a pair with the floor",
+)
 IN_WARP_ALONE = "a nonlinear spring", "cubic damping", "a sticky foot", "a conveyor belt"
 
 
@@ -573,7 +575,7 @@ def test_mjx_computes_what_the_kernel_declines(tmp_path):
     """All at once, because a program takes long to compile."""
     case = Case(
         "go1",
-        robot=load(both(*(DECLINED[name][0] for name in ELSEWHERE if name not in TWICE)), tmp_path),
+        robot=load(both(*(DECLINED[name][0] for name in ELSEWHERE if name not in APART)), tmp_path),
     )
     model = mjx.put_model(case.model, impl="jax")
     torque = np.random.default_rng(0).normal(0, 5, (ROBOTS, 12))
