@@ -1,9 +1,11 @@
 """Reads a checkpoint's arrays without JAX. It checks the hash and changes nothing in the folder.
 
 It uses tensorstore, because orbax would import JAX, and JAX would occupy a GPU that is training.
-Python reads the files, and tensorstore decodes them in memory. This keeps two kinds of failure
-apart: if the machine cannot read a file now, that is an OSError or a MemoryError; if the contents
-are wrong, that is `Damaged`.
+Python reads the files, and tensorstore decodes them in memory. This keeps three kinds of failure
+apart: if the machine cannot read a file now, that is an OSError or a MemoryError; if the files are
+proven wrong (missing, cut, a checksum that fails), that is `Damaged`; anything else may be a fault
+of this program or of another version of its libraries, and is another ConfigError. A run moves
+only what is `Damaged` out of its way.
 """
 
 from __future__ import annotations
@@ -20,18 +22,34 @@ import numpy as np
 from dynappo.config import ConfigError
 
 STATE = "state"  # the folder of a checkpoint's arrays
+MERGED = "manifest.ocdbt"  # in it, where its arrays begin
+WRITTEN = "ocdbt.process_0"  # and the folder to which process 0 has written them
 JSON = 2**24  # bytes of a JSON file, at most
-SQUEEZED = 100  # arrays are at most so many times larger than their compressed files
 ROOM = 2**26  # bytes of a checkpoint's files beside those of its arrays, at most
 LOST = (FileNotFoundError, NotADirectoryError, IsADirectoryError)  # trying again does not help
 MEMORY = 2**36  # bytes, assumed if the system does not tell its memory
+# what tensorstore says of bytes that are missing or wrong; of a format it does not know it speaks
+# as of wrong bytes, but names the version
+PROOF = re.compile("DATA_LOSS|OUT_OF_RANGE|NOT_FOUND|checksum|ZSTD_|Zstd-|Not enough data")
+OURS = re.compile("version|support", re.IGNORECASE)
 
 
 class Damaged(ConfigError):
-    """A checkpoint with missing parts, or with numbers other than those saved."""
+    """A checkpoint that is proven to have missing parts, or numbers other than those saved."""
 
     def __init__(self, folder: Path, reason: str):
         super().__init__(f"{folder}: not a checkpoint, or damaged ({reason})")
+        self.reason = reason
+
+
+class Unread(ConfigError):
+    """A checkpoint that cannot be read here and now, which proves no damage."""
+
+    def __init__(self, folder: Path, reason: str):
+        super().__init__(
+            f"{folder}: cannot be read here, which is no proof that it is damaged ({reason}); nothing "
+            "was changed. Read it with the versions that wrote it; to do without it, move it away"
+        )
         self.reason = reason
 
 
@@ -62,44 +80,65 @@ def read_json(folder: Path, name: str) -> dict:
 
 
 def read(folder: Path) -> dict[str, np.ndarray]:
-    """All arrays of an orbax checkpoint by name, like `learner.params.std`; changes nothing there.
+    """The arrays of an orbax checkpoint by path, like `learner/params/std`; changes nothing there.
 
-    All are read, some MB, because the saved hash is over all of them.
+    All are read, some MB, because the saved hash is over all of them. Arrays of size 0 are not in
+    it: their shapes in `about` say all. Random keys are integers, and types that tensorstore does
+    not know are bytes.
     """
     import tensorstore
 
     expected, context = about(folder), tensorstore.Context()
-    files, arrays, found = _files(folder, expected["arrays"]), {}, hashlib.sha256()
+    wanted = {name: text for name, text in expected["arrays"].items() if math.prod(_shape(text))}
+    files, arrays, found = _files(folder, wanted), {}, hashlib.sha256()
     try:
         memory = tensorstore.KvStore.open({"driver": "memory"}, context=context).result()
         for name, content in files.items():
             memory.write(name, content).result()
-        store = {"driver": "ocdbt", "base": "memory://"}
+        # orbax merges what process 0 has written, but did not in folders with `[` in their names
+        part = "" if MERGED in files else f"{WRITTEN}/"
+        store = {"driver": "ocdbt", "base": f"memory://{part}"}
         names = tensorstore.KvStore.open(store, context=context).result().list().result()
+        keys = {n.decode().rpartition("/")[0] for n in names}
+        dotted = {key.replace("/", "."): key for key in keys}  # once, they were stored so
         stored = {}
-        for name in {n.decode().rpartition("/")[0] for n in names}:
-            spec = {"driver": "zarr", "kvstore": store | {"path": f"{name}/"}}
+        for name in wanted:
+            key = name if name in keys else dotted.get(name.replace("/", "."))
+            if key is None:
+                raise Unread(folder, f"{name} is not in it")
+            spec = {"driver": "zarr", "kvstore": store | {"path": f"{key}/"}}
             stored[name] = tensorstore.open(spec, open=True, read=True, context=context).result()
-        held = sum(map(len, files.values()))
-        _check_sizes(folder, stored, expected["arrays"], SQUEEZED * held + ROOM)
-        for name, array in stored.items():
+        _check_sizes(folder, stored, wanted)
+        for name, array in stored.items():  # in the order of `checkpoint.digest`
             arrays[name] = np.asarray(array.read().result())
-        for name in expected["arrays"]:  # in the order of `checkpoint.digest`
-            found.update(arrays[name.replace("/", ".")].tobytes())
-        if found.hexdigest() != expected["sha256"]:
-            raise ValueError("its numbers are not those that were saved")
+            found.update(arrays[name].tobytes())
     except (MemoryError, ConfigError):  # too large for this machine, but not damaged
         raise
     except Exception as error:  # tensorstore raises ValueError, KeyError and others of its own
-        raise Damaged(folder, _reason(error)) from None
+        raise _judged(folder, error) from None
+    if found.hexdigest() != expected["sha256"]:
+        raise Damaged(folder, "its numbers are not those that were saved")
     return arrays
+
+
+def _judged(folder: Path, error: Exception) -> Exception:
+    """What an error of tensorstore's says of a checkpoint whose files Python has read."""
+    text = (str(error).splitlines() or [type(error).__name__])[0]
+    if "RESOURCE_EXHAUSTED" in text or "bad_alloc" in text:
+        return MemoryError(f"{folder}: {text[:80]}")
+    proven = PROOF.search(text) and not OURS.search(text)
+    return Damaged(folder, text[:160]) if proven else Unread(folder, text[:160])
+
+
+def _shape(text: str) -> list[int]:
+    """The sizes in `float32[4,3]`; of a text that makes none, some."""
+    return [int(n) for n in re.findall(r"\d{1,18}", str(text).rpartition("[")[2])[:8]]
 
 
 def _files(folder: Path, arrays: dict[str, str]) -> dict[str, bytes]:
     """The bytes of every file of the `arrays`, by path; their size is limited by the arrays'."""
     state = folder / STATE
-    sizes = (re.findall(r"\d{1,18}", str(text).rpartition("[")[2])[:8] for text in arrays.values())
-    most = 8 * sum(math.prod(map(int, size)) for size in sizes) + ROOM
+    most = 8 * sum(math.prod(_shape(text)) for text in arrays.values()) + ROOM
     try:
         walk = os.walk(state, onerror=_raise)  # rglob would skip what it may not read
         paths = [Path(where) / name for where, _, names in walk for name in names]
@@ -113,7 +152,7 @@ def _files(folder: Path, arrays: dict[str, str]) -> dict[str, bytes]:
         files = {path.relative_to(state).as_posix(): path.read_bytes() for path in paths}
     except LOST as error:
         raise _wrong(folder, error) from None
-    if not files:
+    if arrays and not files.keys() & {MERGED, f"{WRITTEN}/{MERGED}"}:
         raise Damaged(folder, "its arrays are missing")
     return files
 
@@ -122,31 +161,31 @@ def _raise(error: OSError):
     raise error
 
 
-def _check_sizes(folder: Path, stored: dict, expected: dict[str, str], most: int) -> None:
+def _check_sizes(folder: Path, stored: dict, expected: dict[str, str]) -> None:
     """Check the sizes that arrays claim before reading them: terabytes would kill the process.
 
-    Chunks that are not stored are zero, so a small file can claim large arrays; at most `most`
-    bytes are accepted.
+    Chunks that are not stored are zero, so a small file can claim large arrays, and rightly so.
 
-    ValueError if an array is not what `about` says; ConfigError if all do not fit into memory.
+    Damaged if an array is not what `about` says; another ConfigError if its type is unknown, or if
+    all do not fit into memory.
     """
     total = 0
     for name, array in stored.items():
         size, chunk = math.prod(array.shape), math.prod(array.chunk_layout.read_chunk.shape or ())
         total += size * array.dtype.numpy_dtype.itemsize
         if chunk > max(size, 1):
-            raise ValueError(f"{name} is stored in pieces of {chunk} numbers, and has {size}")
-    for name, known in expected.items():
-        array = stored[name.replace("/", ".")]
-        found = f"{array.dtype.name}{list(array.shape)}".replace(" ", "")
-        if found != known and not known.startswith("key<"):  # random keys are stored as integers
-            raise ValueError(f"{name} is {found}, its `about` says {known}")
+            raise Damaged(folder, f"{name} is stored in pieces of {chunk} numbers, and has {size}")
+        known, sizes = expected[name], str(list(array.shape)).replace(" ", "")
+        if known.startswith("key<"):  # random keys are stored as integers, of one axis more
+            continue
+        if not known.endswith(f"[{sizes[1:]}"):
+            raise Damaged(folder, f"{name} is {array.dtype.name}{sizes}, its `about` says {known}")
+        if known.rpartition("[")[0] != array.dtype.name and array.dtype.name != "uint8":
+            raise Unread(folder, f"{name} is {array.dtype.name}, its `about` says {known}")
     try:
         memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     except (AttributeError, ValueError, OSError):  # not every system tells its memory
         memory = MEMORY
-    if most < total <= memory:
-        raise ValueError(f"its arrays are {total / 1e6:.0f} MB, too much for its files")
     if total > memory:
         raise ConfigError(
             f"{folder}: its arrays are {total / 1e9:.0f} GB, this machine has {memory / 1e9:.0f} GB"
@@ -166,5 +205,9 @@ def _reason(error: Exception) -> str:
 
 def iterations(folder: Path) -> list[int]:
     """Iterations of the complete checkpoints in `folder`, newest first."""
-    names = (path.name for path in folder.glob("[0-9]*") if path.is_dir())
-    return sorted((int(name) for name in names if name.isdecimal()), reverse=True)
+    try:
+        names = os.listdir(folder)  # `glob` would find nothing in a folder that it may not read
+    except LOST:
+        return []
+    found = (int(name) for name in names if name.isdecimal() and (folder / name).is_dir())
+    return sorted(found, reverse=True)

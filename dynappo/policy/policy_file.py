@@ -272,14 +272,14 @@ def load_checkpoint(folder: Path, seed: int | None = None) -> Policy:
     if type(chosen) is not int or not 0 <= chosen < seeds:
         expected = f"expected 0 to {seeds - 1}" if seeds > 1 else "expected 0: the run has one seed"
         raise ConfigError(f"{folder}: it holds no seed {reprlib.repr(chosen)}; {expected}")
-    prefix, arrays = "learner.params.", {}
+    prefix, arrays = "learner/params/", {}
     for name, array in checkpoint_file.read(folder).items():
         if name.startswith(prefix):
             if seeds > 1 and array.shape[:1] != (seeds,):
                 what = f"{name} has the shape {array.shape}, expected {seeds} seeds"
                 raise ConfigError(f"{folder}: not a checkpoint of dynappo ({what})")
             one = array[chosen] if seeds > 1 else array
-            arrays[name.removeprefix(prefix).replace(".", "/")] = one
+            arrays[name.removeprefix(prefix)] = one
     if not arrays:
         raise ConfigError(f"{folder}: not a checkpoint of dynappo (it holds no networks)")
     try:

@@ -251,13 +251,17 @@ def raw_keys(tree: Any):
     """`(raw, wrap)`: the tree with random keys as integers, and the function that restores them."""
     import jax
 
-    def is_key(x):
-        return jax.numpy.issubdtype(x.dtype, jax.dtypes.prng_key)
+    def kind(x):  # threefry, or one of an environment's own choice
+        is_key = jax.numpy.issubdtype(x.dtype, jax.dtypes.prng_key)
+        return jax.random.key_impl(x) if is_key else ""
 
-    keys = jax.tree.map(is_key, tree)
-    raw = jax.tree.map(lambda x, key: jax.random.key_data(x) if key else x, tree, keys)
+    kinds = jax.tree.map(kind, tree)
+    raw = jax.tree.map(lambda x, impl: jax.random.key_data(x) if impl else x, tree, kinds)
 
     def wrap(raw):
-        return jax.tree.map(lambda x, key: jax.random.wrap_key_data(x) if key else x, raw, keys)
+        def back(x, impl):
+            return jax.random.wrap_key_data(x, impl=impl) if impl else x
+
+        return jax.tree.map(back, raw, kinds)
 
     return raw, wrap

@@ -238,5 +238,6 @@ def _finish(runs: list[Run], good: list[int], program: Program, state, say) -> N
             hyper=config_lib.split(run.config)[1],
             evaluate=lambda _, i=i: part(evaluated(), i, count, seeds),
         )
-        finish.finish(run.config, alone, run.workdir, own, log.join(run.history), say)
-        finish.check_saved(run.workdir, run.config.run.num_iterations)
+        at = run.config, alone, run.workdir, own, log.join(run.history), say
+        finish.finish(*at)
+        finish.check_saved(*at)

@@ -5,8 +5,13 @@ simulator steps, the config, the shape of every array and a hash of their bytes.
 damaged file; the shapes explain why a checkpoint of another run does not fit.
 
 Orbax writes them; they are read array by array (policy/checkpoint_file.py), so that a checkpoint of a
-version with other options still loads. The state holds no `mjx.Data` (orbax refuses its empty arrays, and it
-depends on the engine), so one made with Warp on a GPU goes on with MJX-JAX on a CPU.
+version with other options still loads. Of the velocity task the state holds no `mjx.Data` (it depends on
+the engine), so one made with Warp on a GPU goes on with MJX-JAX on a CPU.
+
+Orbax is given a flat dict of arrays by their paths, not the tree: it refuses arrays of size 0, joins the
+names of nested ones with a dot, so that two may become one, and does not know every kind of node. It is given
+a path of plain names, for etils' `glob` takes `[` in a folder's name for a pattern, tensorstore takes a
+backslash for a slash, and both fail in silence (`_plain`).
 """
 
 from __future__ import annotations
@@ -18,11 +23,12 @@ import itertools
 import logging
 import shutil
 import sys
+import tempfile
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -35,37 +41,69 @@ from dynappo.policy import checkpoint_file
 from dynappo.program import distributed
 from dynappo.train import log
 
+TEXTS = {"metrics": "metrics/metrics", "_CHECKPOINT_METADATA": "_CHECKPOINT_METADATA"}
 KEEP = 3  # newest ones, and the one with the highest return in an evaluation
 
 
+class Checkpoints(NamedTuple):
+    """Those of one run, while they are written (`opened`)."""
+
+    folder: Path  # WORKDIR/checkpoints
+    manager: ocp.CheckpointManager
+
+
 @contextlib.contextmanager
-def opened(workdir: Path, say: Callable[[str], None] = print):
+def opened(workdir: Path, say: Callable[[str], None] = print) -> Iterator[Checkpoints]:
     """Yields what keeps the newest checkpoints of `workdir/checkpoints`, named by iteration, and the best.
 
-    Orbax reads the small JSON texts of all of them at once and fails if one is damaged: such a
-    checkpoint is moved out of the way first, and `say` tells so in one line. What cannot be read now is an
-    OSError, and nothing is moved: a disk may come back. At the end a save under way
-    is waited for. Meanwhile orbax's loggers are silent: they log every step of every save.
+    Orbax reads two small texts of all of them at once (`TEXTS`), and fails if one is damaged, but not if it
+    is absent: such a text is moved out of the way first, and `say` tells so in one line. What cannot be read
+    now is an OSError, and nothing is moved: a disk may come back. At the end a save under way is waited for.
+    Meanwhile orbax's loggers are silent: they log every step of every save.
     """
-    for step in (workdir / "checkpoints").glob("[0-9]*"):
-        if step.name.isdecimal() and step.exists():  # not a link to nothing
-            try:
-                for text in ("about/metadata", "_CHECKPOINT_METADATA"):
-                    checkpoint_file.read_json(step, text)
-                if (step / "metrics").exists() and not _worth(step):
-                    raise checkpoint_file.Damaged(step, "its metrics are not a number")
-            except checkpoint_file.Damaged as error:
-                _move_aside(step, error.reason, say)
-    with _quiet():
+    folder = workdir / "checkpoints"
+    folder.mkdir(parents=True, exist_ok=True)
+    for iteration in checkpoint_file.iterations(folder):
+        for part in TEXTS:
+            _check_text(folder / str(iteration), part, say)
+    with _quiet(), _plain(workdir.resolve()) as plain:
         checkpoints = None
         try:
-            checkpoints = manager(workdir)
+            checkpoints = Checkpoints(folder, manager(plain / "checkpoints"))
             yield checkpoints
         finally:
             if checkpoints:
                 log.attempt("the last checkpoint", partial(wait, checkpoints), say)
                 with contextlib.suppress(Exception):  # it raises once more what `wait` has told
-                    checkpoints.close()
+                    checkpoints.manager.close()
+
+
+@contextlib.contextmanager
+def _plain(folder: Path) -> Iterator[Path]:
+    """Yields a path of `folder` in which no library sees more than names: its own, or a link to it."""
+    if _is_plain(folder):
+        yield folder
+        return
+    aside = next((d for d in (tempfile.gettempdir(), "/tmp") if _is_plain(Path(d))), None)
+    if aside is None:
+        raise ConfigError(
+            f"{folder}: orbax cannot save in a folder of this name, and the one for temporary files has "
+            "no plainer one; choose another --workdir, or set TMPDIR"
+        )
+    own = Path(tempfile.mkdtemp(prefix="dynappo-", dir=aside)).resolve()
+    link = own / "run"
+    try:
+        link.symlink_to(folder, target_is_directory=True)
+        yield link
+    finally:  # not `rmtree`: nothing of the run can be meant
+        link.unlink(missing_ok=True)
+        own.rmdir()
+
+
+def _is_plain(path: Path) -> bool:
+    """Whether no part of a path is a pattern to `glob`, a slash to tensorstore, a scheme, or no text."""
+    name = path.relative_to(path.anchor).as_posix()
+    return name.isprintable() and not set(name) & set("[]*?\\:")
 
 
 @contextlib.contextmanager
@@ -96,14 +134,22 @@ def _of_others(record: logging.LogRecord) -> bool:
     return "orbax" not in record.getMessage() + "".join(traceback.format_tb(trace))
 
 
-def _worth(step: Path) -> bool:
-    """Whether what orbax chooses the best by is there."""
-    found = checkpoint_file.read_json(step, "metrics/metrics").values()
-    return bool(found) and all(type(x) in (int, float) for x in found)
+def _check_text(step: Path, part: str, say) -> None:
+    """Moves a damaged text of a checkpoint aside: its time, or what orbax chooses the best by."""
+    path = step / part
+    try:
+        if path.exists():
+            found = checkpoint_file.read_json(step, TEXTS[part]).values()
+            numbers = bool(found) and all(type(x) in (int, float) for x in found)
+            if part == "metrics" and not numbers:
+                raise checkpoint_file.Damaged(step, "no number is in it")
+    except checkpoint_file.Damaged as error:
+        aside = _move_aside(path, step.parent.parent, f"{step.name}-{part.strip('_')}")
+        say(f"{part} of checkpoint {step.name} is damaged ({error.reason}); it is now {aside}")
 
 
-def manager(workdir: Path) -> ocp.CheckpointManager:
-    """Orbax's manager of `workdir/checkpoints`; use `opened`."""
+def manager(folder: Path) -> ocp.CheckpointManager:
+    """Orbax's manager of the checkpoints in `folder`; use `opened`."""
 
     def worth(metrics):  # checkpoints from before evaluations were kept have another number
         return metrics.get("eval_return", -np.inf)
@@ -118,7 +164,6 @@ def manager(workdir: Path) -> ocp.CheckpointManager:
     )
     alone = {}
     if distributed.several():  # process 0 alone saves, and waits for no other
-        (workdir / "checkpoints").mkdir(exist_ok=True)
         processes = ocp.options.MultiprocessingOptions(
             primary_host=0, active_processes={0}, barrier_sync_key_prefix="first"
         )
@@ -135,13 +180,11 @@ def manager(workdir: Path) -> ocp.CheckpointManager:
     registry = ocp.handlers.DefaultCheckpointHandlerRegistry()
     registry.add("state", ocp.args.StandardSave, handlers["state"])
     registry.add("about", ocp.args.JsonSave, handlers["about"])
-    return ocp.CheckpointManager(
-        (workdir / "checkpoints").resolve(), options=options, handler_registry=registry
-    )
+    return ocp.CheckpointManager(folder, options=options, handler_registry=registry)
 
 
 def save(
-    checkpoints: ocp.CheckpointManager,
+    checkpoints: Checkpoints,
     iteration: int,
     state: Any,
     eval_return: float | None = None,
@@ -155,43 +198,61 @@ def save(
     before anything is written: orbax's threads would print a traceback an array.
     """
     needed = 1.5 * sum(x.nbytes for x in jax.tree.leaves(state))
-    free = shutil.disk_usage(Path(checkpoints.directory)).free
+    free = shutil.disk_usage(checkpoints.folder).free
     if free < needed:
         text = f"No space left on device: {needed / 1e6:.0f} MB needed, {free / 1e6:.0f} MB free"
         raise OSError(errno.ENOSPC, text)
     about |= {"iteration": iteration, "arrays": shapes(state), "sha256": digest(state)}
-    raw = _raw(state)
-    args = ocp.args.Composite(state=ocp.args.StandardSave(raw), about=ocp.args.JsonSave(about))
+    args = ocp.args.Composite(
+        state=ocp.args.StandardSave(_flat(state)), about=ocp.args.JsonSave(about)
+    )
     metrics = None if eval_return is None else {"eval_return": eval_return}
-    checkpoints.save(iteration, args=args, metrics=metrics, force=True)
+    checkpoints.manager.save(iteration, args=args, metrics=metrics, force=True)
 
 
-def wait(checkpoints: ocp.CheckpointManager) -> None:
+def wait(checkpoints: Checkpoints) -> None:
     """Wait for a save under way; if it failed, take away what is there of it, and raise."""
     try:
-        checkpoints.wait_until_finished()
+        checkpoints.manager.wait_until_finished()
     except Exception:
-        for part in Path(checkpoints.directory).glob("*.orbax-checkpoint-tmp*"):
+        for part in checkpoints.folder.glob("*.orbax-checkpoint-tmp*"):
             shutil.rmtree(part, ignore_errors=True)
         raise
 
 
+def read_back(folder: Path, state: Any) -> None:
+    """ConfigError unless the checkpoint in `folder` holds `state`, to the bit.
+
+    Libraries that write can fail in silence: better found now than when the run is to go on.
+    """
+    try:
+        problem = "" if digest(_read(folder, state)) == digest(state) else "other numbers come back"
+    except ConfigError as error:
+        problem = getattr(error, "reason", str(error))
+    if problem:
+        raise ConfigError(f"{folder} has been saved, and cannot be read back: {problem}")
+
+
 def newest(
-    checkpoints: ocp.CheckpointManager, like: Any, say: Callable[[str], None] = print
+    checkpoints: Checkpoints, like: Any, say: Callable[[str], None] = print
 ) -> tuple[int, Any] | None:
     """`(iteration, state)` of the newest good checkpoint, or None; `like` is a state of this run.
 
-    A damaged one is moved out of the way and `say` tells so in one line. ConfigError if a checkpoint
-    is of another run, or if all are damaged; OSError or MemoryError, and nothing moved, where the machine
-    cannot read one now.
+    One that is proven damaged is moved out of the way and `say` tells so in one line. ConfigError if a
+    checkpoint is of another run, if it cannot be read for a reason that proves no damage, or if all are
+    damaged; OSError or MemoryError where the machine cannot read one now. Then nothing is moved.
     """
-    folder = Path(checkpoints.directory)
-    for iteration in sorted(checkpoints.all_steps(), reverse=True):
+    folder = checkpoints.folder
+    for iteration in checkpoint_file.iterations(folder):
         try:
             return iteration, _read(folder / str(iteration), like)
         except checkpoint_file.Damaged as error:
-            _move_aside(folder / str(iteration), error.reason, say)
-            checkpoints.reload()
+            aside = _move_aside(folder / str(iteration), folder.parent, str(iteration))
+            checkpoints.manager.reload()
+            say(
+                f"checkpoint {iteration} is damaged ({error.reason}); it is now {aside}, "
+                "an older one is taken"
+            )
     damaged = sorted(folder.parent.glob("damaged-*"))
     if damaged:
         raise ConfigError(
@@ -201,12 +262,10 @@ def newest(
     return None
 
 
-def _move_aside(step: Path, reason: str, say) -> None:
-    """`checkpoints/400` becomes `damaged-400`: the run will write its own 400 again."""
-    names = (f"damaged-{step.name}" + (f".{n}" if n else "") for n in itertools.count())
-    aside = next(p for p in (step.parent.parent / n for n in names) if not p.exists())
-    step.rename(aside)
-    say(f"checkpoint {step.name} is damaged ({reason}); it is now {aside}, an older one is taken")
+def _move_aside(path: Path, workdir: Path, name: str) -> Path:
+    """`checkpoints/400` becomes `damaged-400`, which it returns: the run will write its own 400 again."""
+    names = (f"damaged-{name}" + (f".{n}" if n else "") for n in itertools.count())
+    return path.rename(next(p for p in (workdir / n for n in names) if not p.exists()))
 
 
 def _read(folder: Path, like):
@@ -220,16 +279,33 @@ def _read(folder: Path, like):
             )
     arrays, (raw, wrap) = checkpoint_file.read(folder), distributed.raw_keys(like)
     leaves = [
-        jax.device_put(arrays[name.replace("/", ".")], getattr(leaf, "sharding", None))
+        jax.device_put(arrays[name].view(leaf.dtype), getattr(leaf, "sharding", None))
+        if name in arrays
+        else leaf  # of size 0
         for name, leaf in paths(raw).items()
     ]
     return wrap(jax.tree.unflatten(jax.tree.structure(raw), leaves))
 
 
-def _raw(state: Any):
-    """`distributed.raw_keys`, as orbax takes it: of several processes, no array of one of them."""
+def _flat(state: Any) -> dict[str, Any]:
+    """What orbax is given: the arrays that hold a number, by their paths, random keys as integers.
+
+    Types that tensorstore does not know, such as uint4, are bytes. Of several processes, no array of one of
+    them.
+    """
     raw, _ = distributed.raw_keys(state)
-    return jax.device_get(raw) if distributed.several() else raw
+    flat = {name: leaf for name, leaf in paths(raw).items() if leaf.size}
+    if distributed.several():
+        flat = jax.device_get(flat)
+    return {
+        name: leaf if _is_stored(leaf.dtype) else np.array(leaf).view(np.uint8)
+        for name, leaf in flat.items()
+    }
+
+
+def _is_stored(dtype) -> bool:
+    """Whether tensorstore has this type; NumPy's own it has, and of JAX's it lacks some of a byte."""
+    return np.dtype(dtype).isbuiltin == 1 or dtype.itemsize > 1
 
 
 def shapes(state: Any) -> dict[str, str]:
@@ -253,12 +329,12 @@ def digest(state: Any) -> str:
 
 
 def paths(tree: Any) -> dict[str, Any]:
-    """The arrays of a tree by their paths, as `learner/params/std`."""
-    import jax
-
-    def name(path):
-        return "/".join(
-            str(getattr(k, "name", getattr(k, "key", getattr(k, "idx", k)))) for k in path
-        )
-
-    return {name(path): leaf for path, leaf in jax.tree.leaves_with_path(tree)}
+    """The arrays of a tree by their paths, as `learner/params/std`; of two with one path, one is `PATH+`."""
+    found: dict[str, Any] = {}
+    for path, leaf in jax.tree.leaves_with_path(tree):
+        keys = (getattr(k, "name", getattr(k, "key", getattr(k, "idx", k))) for k in path)
+        name = "/".join(str(key) or '""' for key in keys)
+        while name in found:
+            name += "+"
+        found[name] = leaf
+    return found

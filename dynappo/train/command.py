@@ -298,4 +298,4 @@ def _train_and_show(command: Command, stop: Stop, out) -> None:
         summary = finish.finish(config, program, workdir, state, metrics, say)
     if summary:
         show.summary(out, config, workdir, summary)
-    finish.check_saved(workdir, done)
+    finish.check_saved(config, program, workdir, state, metrics, say)

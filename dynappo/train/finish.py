@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import time
 from collections.abc import Callable
 from functools import partial
@@ -15,6 +16,8 @@ from dynappo.policy import policy_file
 from dynappo.program import distributed
 from dynappo.train import curves, log
 from dynappo.train import workdir as workdir_lib
+
+ROOM = (errno.ENOSPC, errno.EDQUOT)
 
 
 def finish(
@@ -109,13 +112,36 @@ def to_wandb(config, workdir: Path, summary: dict[str, Any]) -> None:
         run.finish()
 
 
-def check_saved(workdir: Path, done: int) -> None:
-    """OSError if the last checkpoint of a run that has ended is not there."""
-    if distributed.first() and done not in workdir_lib.saved(workdir):
-        raise OSError(
-            f"{workdir}: the checkpoint of iteration {done} could not be saved; policy.npz and summary.json "
-            "may be missing too. Make room, and give the same command again: it goes on from the one before"
-        )
+def check_saved(config, program, workdir: Path, state, metrics, say) -> None:
+    """Read the last checkpoint, which is saved once more if it is not there.
+
+    OSError that says why it cannot be saved, or ConfigError why it cannot be read.
+    """
+    done, state = int(metrics["iteration"][-1]), distributed.whole(state)
+
+    def look():
+        from dynappo.train import checkpoint
+
+        if done not in workdir_lib.saved(workdir):
+            again(checkpoint)
+        checkpoint.read_back(workdir / "checkpoints" / str(done), state)
+
+    def again(checkpoint):
+        at = done, state, metrics, log.last_evaluation(metrics)
+        try:
+            with checkpoint.opened(workdir, say) as checkpoints:
+                workdir_lib.keep(config, program.robot, checkpoints, *at)
+                checkpoint.wait(checkpoints)
+        except Exception as error:
+            before = workdir_lib.saved(workdir)
+            then = "goes on from the one before" if before else "starts anew"
+            room = "make room; " if log.errno_of(error) in ROOM else ""
+            raise OSError(
+                f"{workdir}: the checkpoint of iteration {done} could not be saved ({log.reason(error)}), "
+                f"all else is there; {room}the same command {then}"
+            ) from None
+
+    distributed.on_first(look)
 
 
 def summarise(config, program, state, metrics) -> dict[str, Any]:

@@ -11,6 +11,7 @@ import contextlib
 import csv
 import itertools
 import os
+import re
 import shutil
 import time
 from collections.abc import Callable
@@ -223,11 +224,9 @@ def go_on_csv(path: Path, counted: dict[str, np.ndarray], seeds: int, say) -> di
             table.append(found.get((int(iteration), seed), blank))
             lost += [int(iteration)] if table[-1] is blank else []
     if lost:
-        numbers = (f".{n}" if n else "" for n in itertools.count())
-        kept = next(p for n in numbers if not (p := path.with_suffix(f".csv.damaged{n}")).exists())
         was = "is gone"
         if path.exists():  # copied: if what follows fails, all is as it was
-            was = f"is damaged, and kept as {shutil.copyfile(path, kept)}"
+            was = f"is damaged, and kept as {shutil.copyfile(path, _free(path, 'damaged'))}"
         say(
             f"{path} {was}: rows of {len(set(lost))} iterations, from {lost[0]} to {lost[-1]}, are lost and "
             "stay empty; the run itself lacks nothing"
@@ -236,6 +235,21 @@ def go_on_csv(path: Path, counted: dict[str, np.ndarray], seeds: int, say) -> di
     with files.replacing(path) as part:
         _append(part, names, table, header=True)
     return read_csv(path, seeds)
+
+
+def put_aside(path: Path, say) -> None:
+    """The metrics.csv of a run that has no checkpoint becomes `metrics.csv.old`; `say` tells so."""
+    if path.exists():
+        kept = path.rename(_free(path, "old"))
+        say(
+            f"there is no checkpoint in {path.parent}: it starts anew; the rows there were are {kept}"
+        )
+
+
+def _free(path: Path, word: str) -> Path:
+    """`metrics.csv.WORD`, or with a number where there is one already."""
+    numbers = (f".{n}" if n else "" for n in itertools.count())
+    return next(p for n in numbers if not (p := path.with_suffix(f".csv.{word}{n}")).exists())
 
 
 def _whole_rows(path: Path) -> dict[tuple[int, int], dict[str, str]]:
@@ -296,5 +310,22 @@ def attempt(what: str, action: Callable[[], Any], say, then: str = "training goe
     try:
         action()
     except Exception as error:  # OSError, or what orbax makes of it
-        reason = getattr(error, "strerror", None) or str(error).strip().split("\n")[0][:160]
-        say(f"{what} could not be written ({reason}); {then}")
+        say(f"{what} could not be written ({reason(error)}); {then}")
+
+
+def reason(error: Exception) -> str:
+    """Why something could not be written, in some words."""
+    code = errno_of(error)
+    return os.strerror(code) if code else str(error).strip().split("\n")[0][:160]
+
+
+def errno_of(error: Exception) -> int | None:
+    """The number of the machine's fault in an OSError, or in what tensorstore makes of it; None in others."""
+    code = getattr(error, "errno", None)
+    found = re.search(r"(?:os_error_code='|OS error )(\d+)", str(error))
+    return code if code is not None or not found else int(found[1])
+
+
+def of_the_machine(error: Exception) -> bool:
+    """Whether it is no fault of what is written: a disk, memory."""
+    return isinstance(error, (OSError, MemoryError)) or errno_of(error) is not None

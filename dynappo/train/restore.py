@@ -77,17 +77,17 @@ def weights(
     """
     there, name = _read(source, say)
     taken(name)
-    alone = not any(name.startswith("learner.params.critic") for name in there)
+    alone = not any(name.startswith("learner/params/critic") for name in there)
     params = like.learner.params
     if alone:
         say(f"--restore={source} holds a policy alone: its value function starts untrained")
     some = {name: part for name, part in params.items() if not (alone and name == "critic")}
-    found = _taken(source, some, there, "policy", "learner.params")
+    found = _taken(source, some, there, "policy", "learner/params")
     learner = like.learner.replace(params=params | found)
     model = like.model
-    if model is not None and any(name.startswith("model.") for name in there):
+    if model is not None and any(name.startswith("model/") for name in there):
         parts = {
-            name: _taken(source, getattr(model, name), there, f"model.{name}", f"model.{name}")
+            name: _taken(source, getattr(model, name), there, f"model.{name}", f"model/{name}")
             for name in ("params", "inputs", "targets")
         }
         model = model.replace(**parts)
@@ -98,7 +98,7 @@ def _read(source: Path, say) -> tuple[dict[str, np.ndarray], str]:
     """The arrays of a policy.npz or a checkpoint, named as in a checkpoint, and what they are of."""
     if source.is_file():
         leaves = checks.leaves(policy_file.load(source).params)
-        return {f"learner.params.{k.replace('/', '.')}": v for k, v in leaves}, "policy.npz"
+        return {f"learner/params/{k}": v for k, v in leaves}, "policy.npz"
     if (source / checkpoint_file.STATE).is_dir():
         return checkpoint_file.read(source), f"checkpoint {source.name}"
     problems = []
@@ -165,7 +165,7 @@ def _taken(folder, like, there, what, prefix):
 
     out = []
     for name, leaf in checkpoint.paths(like).items():
-        array = there.get(f"{prefix}.{name.replace('/', '.')}")
+        array = there.get(f"{prefix}/{name}")
         if array is not None and folder.is_file() and array.shape == leaf.shape[1:]:
             array = np.broadcast_to(array, leaf.shape)  # one policy for all seeds
         if array is None or array.shape != leaf.shape:

@@ -47,7 +47,7 @@ def train(
         state, metrics = loop(config, program, workdir, progress_fn)
         if workdir:
             finish.finish(config, program, workdir, state, metrics, to_stderr)
-            finish.check_saved(workdir, config.run.num_iterations)
+            finish.check_saved(config, program, workdir, state, metrics, to_stderr)
     return state, metrics
 
 

@@ -214,7 +214,7 @@ def _resume(config, workdir: Path, checkpoints, state, say):
     csv = workdir / "metrics.csv"
     found = checkpoint.newest(checkpoints, state, say)
     if not found:
-        csv.unlink(missing_ok=True)  # of a run that ended before its first checkpoint
+        log.put_aside(csv, say)  # of a run that ended before its first checkpoint
         return 0, state, []
     start, state = found
     known, seeds = counted(config, start), config.run.num_seeds
@@ -253,23 +253,44 @@ def save(config, robot, workdir, checkpoints, done: int, state, metrics, evaluat
     """A checkpoint, and the policy as it is now in a file that can be played at once.
 
     `evaluated` is the return of the last evaluation, of each seed if there are several; None before one.
+    ConfigError if the run's first checkpoint cannot be saved, or read back, for a reason that is not the
+    machine's: the run ends now, not after all its iterations.
     """
     from dynappo.train import checkpoint
 
     state = distributed.whole(state)
     if not distributed.first():
         return
-    about = {"sim_steps": int(metrics["sim_steps"][-1]), "config": config.to_dict()}
-    best = best_seed(config, evaluated)
-    about |= {"mjcf": robot.alone if robot else "", "best_seed": best or 0}
-    now = "eval_return" in metrics and np.isfinite(metrics["eval_return"][-1]).all()
-    worth = float(np.mean(evaluated)) if now else None
     log.attempt("the checkpoint before", partial(checkpoint.wait, checkpoints), say)
-    keep = partial(checkpoint.save, checkpoints, done, state, worth, **about)
-    log.attempt(f"checkpoint {done}", keep, say)
+    first = not saved(workdir)
+    try:
+        keep(config, robot, checkpoints, done, state, metrics, evaluated)
+        if first:
+            checkpoint.wait(checkpoints)
+            checkpoint.read_back(workdir / "checkpoints" / str(done), state)
+    except Exception as error:
+        if first and done < config.run.num_iterations and not log.of_the_machine(error):
+            reason = str(error) if isinstance(error, ConfigError) else log.reason(error)
+            raise ConfigError(
+                f"{workdir}: its first checkpoint cannot be saved, and the run could never be resumed "
+                f"({reason}); run.checkpoint_every=0 trains to the end all the same"
+            ) from None
+        say(f"checkpoint {done} could not be written ({log.reason(error)}); training goes on")
     params = best_params(config, state.learner.params, evaluated)
+    best = best_seed(config, evaluated)
     write = partial(policy_file.save, workdir / "policy.npz", params, config, robot, best)
     log.attempt("policy.npz", write, say)
+
+
+def keep(config, robot, checkpoints, done: int, state, metrics, evaluated) -> None:
+    """Start saving a checkpoint; raises what is in the way."""
+    from dynappo.train import checkpoint
+
+    about = {"sim_steps": int(metrics["sim_steps"][-1]), "config": config.to_dict()}
+    about |= {"mjcf": robot.alone if robot else "", "best_seed": best_seed(config, evaluated) or 0}
+    now = "eval_return" in metrics and np.isfinite(metrics["eval_return"][-1]).all()
+    worth = float(np.mean(evaluated)) if now else None
+    checkpoint.save(checkpoints, done, state, worth, **about)
 
 
 def best_seed(config, evaluated) -> int | None:

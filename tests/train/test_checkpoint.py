@@ -6,6 +6,7 @@ import logging
 import pathlib
 import shutil
 import sys
+import tempfile
 from types import SimpleNamespace
 
 import jax
@@ -13,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 import orbax.checkpoint as ocp
 import pytest
+import tensorstore
 import toy_env
 import workdirs
 from answers import refused
@@ -20,6 +22,9 @@ from toy_runs import assert_same
 from workdirs import N_REAL
 
 from dynappo import algorithm
+from dynappo.config import ConfigError
+from dynappo.policy import checkpoint_file
+from dynappo.program import distributed
 from dynappo.train import checkpoint
 
 
@@ -113,6 +118,110 @@ def test_what_a_checkpoint_says_about_itself(whole, config):
     assert_same(state, whole.state)
 
 
+ODD = {
+    "none": lambda: {"a": None, "b": (None, [None, jnp.arange(3.0)], {}), "c": ()},
+    "names": lambda: {k: {k: {k: jnp.arange(3) + len(k)}} for k in ["", " ", "..", "é", "\n", "[*?", '""']},
+    "one name": lambda: {
+        "a.b": jnp.zeros(2),
+        "a": {"b": jnp.ones(2), "b/c": jnp.full(2, 2.0), "b+": jnp.full(2, 5.0)},
+        "a/b": {"": jnp.full(2, 3.0), "c": jnp.full(2, 4.0)},
+    },
+    "empty": lambda: {"a": jnp.ones((3, 0)), "b": jnp.ones(0, bool), "c": jnp.ones(())},
+    "no keys": lambda: {"a": jax.random.split(jax.random.key(0), 0), "c": jnp.ones(())},
+    "key": lambda: {"a": jax.random.split(jax.random.key(0), 4), "b": jax.random.PRNGKey(1)},
+    "rbg": lambda: {"a": jax.random.split(jax.random.key(0, impl="rbg"), 4)},
+    "nan": lambda: {"a": jnp.array([0x7FC00001, 0xFFFFFFFF, 1 << 31], jnp.uint32).view(jnp.float32)},
+} | {
+    dtype: lambda dtype=dtype: {"a": jnp.arange(-3, 3).astype(dtype), "b": jnp.ones((), dtype)}
+    for dtype in (
+        "bool int4 uint4 int8 uint8 int16 uint16 int32 uint32 float16 bfloat16 float32 complex64 "
+        "float8_e4m3fn float8_e8m0fnu"
+    ).split()
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", ODD)
+def test_every_state_of_an_environment_comes_back_to_the_bit(tmp_path, kind):
+    """Whatever its arrays hold, are called and lie in; a state of MJX has empty ones."""
+    there = ODD[kind]()
+    save(tmp_path, {20: there})
+    blank = jax.tree.map(
+        lambda x: x if jax.dtypes.issubdtype(x.dtype, jax.dtypes.prng_key) else jnp.zeros_like(x),
+        there,
+    )
+    _, back = restore(tmp_path, blank)
+    assert jax.tree.structure(back) == jax.tree.structure(there)
+    for ours, theirs in zip(jax.tree.leaves(back), jax.tree.leaves(there), strict=True):
+        assert ours.dtype == theirs.dtype and ours.shape == theirs.shape
+        if jax.dtypes.issubdtype(ours.dtype, jax.dtypes.prng_key):
+            ours, theirs = jax.random.key_data(ours), jax.random.key_data(theirs)
+        assert np.asarray(ours).tobytes() == np.asarray(theirs).tobytes()
+
+
+# ---- wherever the folder is
+
+
+PRINTABLE = "".join(map(chr, range(32, 127))).replace("/", "")
+NAMES = [
+    PRINTABLE,
+    *PRINTABLE,
+    "a\\b",
+    "gs:",
+    "...",
+    "a.",
+    "~a~",
+    "é☃",
+    "x" * 200,
+    "\t\n\x7f",
+    "\udc80",
+]
+NAMES.remove(".")
+
+
+def test_a_folder_of_any_name_holds_its_checkpoints(tmp_path, monkeypatch):
+    """They come back, and nothing is written beside it or left among the temporary files."""
+    (tmp_path / "tmp").mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "tmp"))
+    (tmp_path / "runs").mkdir()
+    for i, name in enumerate(NAMES):
+        workdir, state = tmp_path / "runs" / name, {"a": jnp.full(3, i)}
+        assert save(workdir, {1: state}) == workdir / "checkpoints", name
+        iteration, back = restore(workdir, {"a": jnp.zeros(3, int)})
+        assert iteration == 1 and (back["a"] == i).all(), name
+        assert [p.name for p in workdir.iterdir()] == ["checkpoints"], name
+        files = {p.name for p in (workdir / "checkpoints" / "1" / "state").iterdir()}
+        assert {"manifest.ocdbt", "ocdbt.process_0"} <= files, name
+    assert {p.name for p in (tmp_path / "runs").iterdir()} == set(NAMES)
+    assert not list((tmp_path / "tmp").iterdir())
+
+
+def test_a_folder_may_be_a_link_or_long_or_deep(tmp_path):
+    """A link with a plain name to a folder without one; a path of three thousand characters."""
+    (tmp_path / "[real]").mkdir()
+    (tmp_path / "link").symlink_to("[real]")
+    (tmp_path / "[link]").symlink_to("link")
+    deep = tmp_path.joinpath(*["[" + "x" * 199] * 15)
+    deep.mkdir(parents=True)
+    for i, workdir in enumerate([tmp_path / "link", tmp_path / "[link]", deep], 1):
+        save(workdir, {i: {"a": jnp.full(3, i)}})
+        assert (restore(workdir, {"a": jnp.zeros(3, int)})[1]["a"] == i).all()
+    assert workdirs.steps(tmp_path / "[real]") == {"1", "2"}
+
+
+def test_where_no_folder_has_a_plain_name_that_is_one_line(tmp_path, monkeypatch):
+    """The folder of temporary files is asked for another."""
+    monkeypatch.setattr(checkpoint, "_is_plain", lambda path: False)
+    assert "or set TMPDIR" in refused(save, tmp_path, {1: {"a": jnp.ones(3)}})
+
+
+def test_a_checkpoint_that_orbax_has_not_merged_is_read(tmp_path, plain):
+    """As it left them in a folder with a bracket in its name: the arrays lie where process 0 wrote them."""
+    folder = save(tmp_path, {5: plain})
+    shutil.rmtree(folder / "5" / "state" / "d")
+    (folder / "5" / "state" / "manifest.ocdbt").unlink()
+    assert_same(restore(tmp_path, plain)[1], plain)
+
+
 # ---- which are kept
 
 
@@ -144,8 +253,9 @@ def test_without_an_evaluation_no_checkpoint_is_the_best(tmp_path, plain):
 
 def test_checkpoints_of_before_with_the_return_of_training_episodes_are_still_good(tmp_path, plain):
     """They can be gone on from, and an evaluated one is better than any of them."""
+    raw, _ = distributed.raw_keys(plain)  # as a tree, whose names orbax joins with dots
     args = ocp.args.Composite(
-        state=ocp.args.StandardSave(checkpoint._raw(plain)),
+        state=ocp.args.StandardSave(raw),
         about=ocp.args.JsonSave(
             {
                 "iteration": 1,
@@ -155,7 +265,7 @@ def test_checkpoints_of_before_with_the_return_of_training_episodes_are_still_go
         ),
     )
     with checkpoint.opened(tmp_path, pytest.fail) as checkpoints:
-        checkpoints.save(1, args=args, metrics={"episode_return": 99.0}, force=True)
+        checkpoints.manager.save(1, args=args, metrics={"episode_return": 99.0}, force=True)
     iteration, state = restore(tmp_path, plain)
     assert iteration == 1
     assert_same(state, plain)
@@ -194,7 +304,7 @@ def test_a_checkpoint_of_another_shape_is_refused_in_one_line(
 def test_damaged_checkpoints_are_passed_over_one_by_one(tmp_path, plain):
     """The JSON of one, the arrays of another; the third is good, and both can be written again."""
     folder = save(tmp_path, {4: plain, 5: plain, 6: plain}, eval_return=1.0)
-    (folder / "6" / "metrics" / "metrics").write_text("{")
+    (folder / "6" / "about" / "metadata").write_text("{")
     shutil.rmtree(folder / "5" / "state" / "d")
     said = []
     assert restore(tmp_path, plain, said.append)[0] == 4
@@ -219,7 +329,8 @@ def test_a_damaged_checkpoint_is_refused_in_one_line(tmp_path, plain, damage):
             file.write_bytes(data[: len(data) // 2] if damage == "cut" else b"")
     said = []
     line = refused(restore, tmp_path, plain, said.append)
-    assert "no checkpoint can be read any more" in line and "--workdir" in line and len(said) == 1
+    assert "no checkpoint can be read any more" in line and "--workdir" in line
+    assert [line.startswith("checkpoint 5 is damaged") for line in said[-1:]] == [True]
     assert (tmp_path / "damaged-5").is_dir() and not (folder / "5").exists()
 
 
@@ -260,20 +371,132 @@ def test_what_cannot_be_read_now_is_not_damaged(tmp_path, plain, monkeypatch, fa
     assert restore(tmp_path, plain)[0] == 5 and (folder / "5").is_dir()
 
 
-@pytest.mark.parametrize("name", ["about/metadata", "_CHECKPOINT_METADATA", "metrics/metrics"])
+UNPROVEN = [
+    ValueError("INVALID_ARGUMENT: Error opening zarr driver: codec is not registered"),
+    ValueError(
+        "DATA_LOSS: Error decoding manifest: Maximum supported version is 0 but received: 1"
+    ),
+    RuntimeError("UNKNOWN"),
+    KeyError("learner"),
+    AttributeError("module 'tensorstore' has no attribute 'Context'"),
+    ImportError("libtensorstore.so: cannot open shared object file"),
+    TypeError(),
+]
+
+
+@pytest.mark.parametrize("where", ["open", "Context", "KvStore"])
+@pytest.mark.parametrize("fault", UNPROVEN, ids=repr)
+def test_what_proves_no_damage_is_told_and_nothing_is_moved(
+    tmp_path, plain, monkeypatch, fault, where
+):
+    """A fault that may be ours or a library's, wherever it comes from; later all is read again."""
+    save(tmp_path, {4: plain, 5: plain})
+    before = workdirs.everything(tmp_path)
+
+    def fails(*_, **__):
+        raise fault
+
+    with monkeypatch.context() as patch, pytest.raises((ConfigError, type(fault))) as caught:
+        name = "open" if where == "KvStore" else where
+        patch.setattr(tensorstore.KvStore if where == "KvStore" else tensorstore, name, fails)
+        restore(tmp_path, plain)
+    assert not isinstance(caught.value, checkpoint_file.Damaged)
+    if where != "Context":
+        assert "which is no proof that it is damaged" in str(caught.value)
+        assert "nothing was changed" in str(caught.value)
+    assert workdirs.everything(tmp_path) == before
+    assert restore(tmp_path, plain)[0] == 5
+
+
+def test_arrays_under_other_names_or_of_other_types_prove_no_damage(tmp_path, plain):
+    """A version of before or after this one may store them so."""
+    folder = save(tmp_path, {5: plain})
+    path = folder / "5" / "about" / "metadata"
+    text = path.read_text()
+    std = f'"learner/params/std": "{checkpoint.shapes(plain)["learner/params/std"]}"'
+    assert text.count(std) == 1
+    for old, new in (("params/std", "params/s"), ("float32", "float64")):
+        path.write_text(text.replace(std, std.replace(old, new)))
+        before = workdirs.everything(tmp_path)
+        with pytest.raises(ConfigError, match="no proof that it is damaged") as caught:
+            checkpoint_file.read(folder / "5")
+        assert not isinstance(caught.value, checkpoint_file.Damaged)
+        assert workdirs.everything(tmp_path) == before
+
+
+def test_memory_that_tensorstore_does_not_get_is_no_damage(tmp_path, plain, monkeypatch):
+    save(tmp_path, {5: plain})
+    before = workdirs.everything(tmp_path)
+
+    def fails(*_, **__):
+        raise ValueError("RESOURCE_EXHAUSTED: 4 GB")
+
+    with monkeypatch.context() as patch, pytest.raises(MemoryError):
+        patch.setattr(tensorstore, "open", fails)
+        restore(tmp_path, plain)
+    assert workdirs.everything(tmp_path) == before
+
+
+def test_any_damage_is_found_or_harmless(tmp_path, plain):
+    """Files cut, emptied, gone, with a bit or all bytes changed: never other numbers than were saved."""
+    small = {"a": jnp.arange(300.0) ** 2, "b": {"c": jnp.ones((20, 30)), "d": jnp.ones(())}}
+    folder, rng, found = save(tmp_path, {5: small}) / "5", np.random.default_rng(0), []
+    files = sorted(p.relative_to(folder) for p in (folder / "state").rglob("*") if p.is_file())
+    shapes = {"a": "float32[300]", "b/c": "float32[20,30]", "b/d": "float32[]"}
+    assert checkpoint.shapes(small) == shapes
+    expected = {name: np.asarray(x) for name, x in checkpoint.paths(small).items()}
+    for file in files:
+        data = (folder / file).read_bytes()
+        flipped = np.frombuffer(data, np.uint8).copy()
+        flipped[rng.integers(len(data))] ^= 1 << rng.integers(8)
+        cut = data[: rng.integers(len(data))]
+        for other in (None, b"", cut, flipped.tobytes(), bytes(len(data)), rng.bytes(len(data))):
+            (folder / file).unlink() if other is None else (folder / file).write_bytes(other)
+            try:
+                arrays = checkpoint_file.read(folder)
+            except ConfigError as error:
+                found.append(isinstance(error, checkpoint_file.Damaged))
+            else:
+                jax.tree.map(np.testing.assert_array_equal, arrays, expected)
+            (folder / file).write_bytes(data)
+    assert len(found) > 7 and np.mean(found) > 0.5
+
+
+TEXTS = {
+    "about/metadata": "checkpoint 5",
+    "metrics/metrics": "metrics of checkpoint 5",
+    "_CHECKPOINT_METADATA": "_CHECKPOINT_METADATA of checkpoint 5",
+}
+
+
+@pytest.mark.parametrize("name", TEXTS)
 @pytest.mark.parametrize(
     "text", ["[]", "{", "", "null", "[" * 100_000, "gone", '{"eval_return": "x"}']
 )
 def test_a_text_that_is_not_what_was_written_is_damage(tmp_path, plain, name, text):
-    """And the next save is kept."""
+    """Of the text alone where the state is good without it. And the next save is kept."""
     folder, said = save(tmp_path, {4: plain, 5: plain}, eval_return=1.0), []
     path = folder / "5" / name
     path.unlink() if text == "gone" else path.write_text(text)
-    whole = name == "_CHECKPOINT_METADATA" and text[:2] == '{"'  # of that only orbax reads more
-    assert restore(tmp_path, plain, said.append)[0] == (5 if whole else 4)
-    assert whole or ("checkpoint 5 is damaged" in said[0] and len(said) == 1)
+    assert restore(tmp_path, plain, said.append)[0] == (4 if name == "about/metadata" else 5)
+    harmless = name == "_CHECKPOINT_METADATA" and text in ("gone", '{"eval_return": "x"}')
+    assert [line.partition(" is damaged")[0] for line in said] == [TEXTS[name]] * (not harmless)
+    assert len(list(tmp_path.glob("damaged-5*"))) == len(said)
     save(tmp_path, {6: plain}, eval_return=2.0)
     assert "6" in workdirs.steps(tmp_path)
+
+
+@pytest.mark.parametrize("left", ["state", "about", "metrics", "_CHECKPOINT_METADATA"])
+def test_the_remains_of_an_old_one_are_no_damage(tmp_path, plain, left):
+    """A run was killed while it deleted it: nobody needs it, and the newest is taken without a word."""
+    folder = save(tmp_path, {3: plain, 4: plain, 5: plain}, eval_return=1.0)
+    for path in (folder / "3").iterdir():
+        if path.name != left:
+            shutil.rmtree(path) if path.is_dir() else path.unlink()
+    assert restore(tmp_path, plain)[0] == 5
+    save(tmp_path, {6: plain, 7: plain}, eval_return=2.0)
+    assert restore(tmp_path, plain)[0] == 7 and "3" not in workdirs.steps(tmp_path)
+    assert not list(tmp_path.glob("damaged*"))
 
 
 def test_other_numbers_than_were_saved_are_damage(tmp_path, plain):

@@ -40,7 +40,7 @@ def test_a_checkpoint_of_it_may_be_named(program, whole, config):
     taken, older = [], whole.workdir / "checkpoints" / "2"
     state = restore.weights(older, program().state, pytest.fail, taken.append)
     arrays = checkpoint_file.read(older)
-    np.testing.assert_array_equal(state.learner.params["std"], arrays["learner.params.std"])
+    np.testing.assert_array_equal(state.learner.params["std"], arrays["learner/params/std"])
     assert (state.learner.params["std"] != whole.state.learner.params["std"]).any()
     assert taken == ["checkpoint 2"]
     restore.check(older, config)

@@ -7,20 +7,25 @@ import logging
 import os
 import shutil
 import signal
+from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import toy_env
 import workdirs
 from answers import refused, shell
+from flax import struct
 from ml_collections import config_dict
 from toy_runs import assert_same
 from workdirs import N_REAL, table
 
 from dynappo import config as config_lib
-from dynappo import schedule, train
-from dynappo.policy import policy_file
+from dynappo import schedule, train, types
+from dynappo.config import ConfigError
+from dynappo.policy import checkpoint_file, policy_file
+from dynappo.program import build
 from dynappo.train import checkpoint, finish, log
 from dynappo.train import run as run_lib
 from dynappo.train import workdir as workdir_lib
@@ -91,7 +96,7 @@ def test_evaluations_on_the_way_are_columns_and_say_which_checkpoint_is_best(
     np.testing.assert_array_equal(metrics["eval_return"], [np.nan] * 3 + [3.5])
     assert [row["eval_fall_rate"] for row in table(tmp_path)] == ["", "", "", "0.25"]
     with checkpoint.opened(tmp_path) as checkpoints:
-        worth = {c.step: c.metrics for c in checkpoints._checkpoints}
+        worth = {c.step: c.metrics for c in checkpoints.manager._checkpoints}
     assert worth[4] == {"eval_return": 3.5} and not worth[2]
 
 
@@ -354,6 +359,139 @@ def test_a_full_disk_is_told_and_training_goes_on(config, program, whole, tmp_pa
     assert workdirs.steps(tmp_path) == {"4"}
 
 
+ANY = "".join(map(chr, range(32, 127))).replace("/", "") + "é☃"
+
+
+def test_a_run_in_a_folder_of_any_name_goes_on(config, program, whole, tmp_path, monkeypatch):
+    """Every printable character in its name: all is written, and it goes on to the same bits."""
+    monkeypatch.setattr(build, "program", lambda *_, **__: program())
+    workdir, half = tmp_path / ANY, workdirs.config(run__num_iterations=2)
+    train.train(half, workdir)
+    state, _ = train.train(config, workdir)
+    assert_same(state, whole.state)
+    assert {p.name for p in workdir.iterdir()} >= whole.files.keys() - {"lock", *events(whole)}
+    assert table(workdir) == table(whole.workdir) and list(tmp_path.iterdir()) == [workdir]
+
+
+def events(whole):
+    return [name for name in whole.files if name.startswith("events.")]
+
+
+def test_a_first_checkpoint_that_cannot_be_read_back_ends_the_run(
+    config, program, tmp_path, monkeypatch
+):
+    """At once, not after all iterations, whether the writer refuses, or fails in silence."""
+    flat = checkpoint._flat
+    wrong = {
+        "zero size": lambda state: flat(state) | {"more": np.zeros((3, 0))},
+        "learner/params/std is not in it": lambda state: {
+            name: leaf for name, leaf in flat(state).items() if name != "learner/params/std"
+        },
+        "its numbers are not those": lambda state: flat(state) | {"lengths": np.zeros(100, "f4")},
+    }
+    for i, (reason, change) in enumerate(wrong.items()):
+        told = []
+        with monkeypatch.context() as patch:
+            patch.setattr(checkpoint, "_flat", change)
+            line = refused(
+                run_lib.loop, config, program(), tmp_path / f"{i}", lambda n, _, t=told: t.append(n)
+            )
+        assert reason in line and "could never be resumed" in line and told == [], line
+        with monkeypatch.context() as patch:  # the last one is told, and all else is written before
+            patch.setattr(checkpoint, "_flat", change)
+            patch.setattr(build, "program", lambda *_, **__: program())
+            workdir = tmp_path / f"end {i}"
+            with pytest.raises((ConfigError, OSError), match="back: |could not be saved .Cannot"):
+                train.train(workdirs.config(run__checkpoint_every=0), workdir)
+        assert (workdir / "summary.json").exists()
+    loop(config, program(), tmp_path / "good")
+
+
+def test_a_later_checkpoint_is_not_read_back(config, program, tmp_path, monkeypatch):
+    """The first has shown that it can be; that costs no time twice, and later faults are told."""
+    reads, read = [], checkpoint_file.read
+    monkeypatch.setattr(
+        checkpoint_file, "read", lambda folder: reads.append(folder) or read(folder)
+    )
+    loop(config, program(), tmp_path)
+    assert reads == [tmp_path / "checkpoints" / "2"]
+
+
+def test_a_disk_that_is_full_or_fails_at_the_first_checkpoint_does_not_end_the_run(
+    config, program, whole, tmp_path, monkeypatch
+):
+    """Also as tensorstore tells it, and where it cannot be read back now; the next is checked instead."""
+    name = "local file: Failed to write 9 bytes to file 4: .. [os_error_code='28']"
+    faults = [OSError(errno.ENOSPC, "x"), ValueError(f"OUT_OF_RANGE: Error: {name}"), MemoryError()]
+    for i, fault in enumerate(faults):
+        said, left = [], [1]
+
+        def once(real, fault=fault, left=left):
+            def call(*args, **about):
+                if left:
+                    left.pop()
+                    raise fault
+                return real(*args, **about)
+
+            return call
+
+        with monkeypatch.context() as patch:
+            if i == 2:
+                patch.setattr(checkpoint, "read_back", once(checkpoint.read_back))
+            else:
+                patch.setattr(checkpoint, "save", once(checkpoint.save))
+            state, _, _ = loop(config, program(), tmp_path / f"{i}", say=said.append)
+        assert_same(state, whole.state)
+        assert len(said) == 1 and said[0].startswith("checkpoint 2 could not be written (")
+        assert i == 2 or "No space left on device" in said[0]
+        assert "4" in workdirs.steps(tmp_path / f"{i}")
+
+
+def test_the_rows_of_a_run_without_a_checkpoint_are_kept(config, program, whole, tmp_path):
+    """It starts anew, and says so; what it had computed is still there."""
+    loop(config, program(), tmp_path)
+    for step in (2, 4):
+        shutil.rmtree(tmp_path / "checkpoints" / f"{step}")
+    for name in ("metrics.csv.old", "metrics.csv.old.1"):
+        there, said = (tmp_path / "metrics.csv").read_bytes(), []
+        loop(config, program(), tmp_path, say=said.append)
+        assert said == [
+            f"there is no checkpoint in {tmp_path}: it starts anew; the rows there were are {tmp_path / name}"
+        ]
+        assert (tmp_path / name).read_bytes() == there and table(tmp_path) == table(whole.workdir)
+        for step in (2, 4):
+            shutil.rmtree(tmp_path / "checkpoints" / f"{step}")
+
+
+def test_checkpoints_that_may_not_be_listed_are_not_taken_for_none(
+    config, program, whole, tmp_path, monkeypatch
+):
+    """A folder without permission, a disk that fails: nothing starts anew, nothing is changed."""
+    workdir = tmp_path / "run"
+    shutil.copytree(whole.workdir, workdir)
+    before, listed, scanned = workdirs.everything(workdir), os.listdir, os.scandir
+
+    def denied(real):
+        def call(path="."):
+            if str(path).endswith("checkpoints"):
+                raise PermissionError(errno.EACCES, "Permission denied", str(path))
+            return real(path)
+
+        return call
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "listdir", denied(listed))
+        patch.setattr(os, "scandir", denied(scanned))
+        with pytest.raises(ConfigError, match="Permission denied"):
+            workdirs.opened(workdir, config)
+        with pytest.raises(PermissionError):
+            run_lib.loop(config, program(), workdir)
+    after = workdirs.everything(workdir)
+    assert {k: v for k, v in after.items() if k.name != "lock"} == {
+        k: v for k, v in before.items() if k.name != "lock"
+    }
+
+
 # ---- several seeds, and a run killed by others
 
 
@@ -395,3 +533,53 @@ def test_an_environment_that_is_handed_over_trains_to_the_bit_as_in_the_robots_p
     assert about["robot"] == "" and about["task"]["episode_length"] == 20
     again = refused(workdirs.opened, tmp_path, config)  # go1's
     assert "robot" in again and "--fresh" in again
+
+
+@struct.dataclass
+class Odd(toy_env.State):
+    """A toy robot with what other engines carry besides."""
+
+    more: Any = None
+
+
+def odd(key):
+    """Arrays of no number, of every kind of type, keys, and names with the marks that paths are made of."""
+    return {
+        "empty": jnp.zeros((0, 3)),
+        "none": None,
+        "key": jax.random.fold_in(key, 1),
+        "rbg": jax.random.key(3, impl="rbg"),
+        "a/b": {"bool": jnp.ones((), bool), "int8": jnp.ones(2, jnp.int8)},
+        "a": {"b": {"bool": jnp.zeros(3, jnp.uint8)}, "bfloat16": (jnp.ones(2, jnp.bfloat16),)},
+        "metrics": {"reward/x": jnp.ones(()), "reward.x": jnp.zeros(()), "": jnp.ones(2)},
+    }
+
+
+def odd_env():
+    """The toy environment with `odd` in its state; what can change of that does so in every step."""
+    env = toy_env.make()
+
+    def reset(hyper, body, key):
+        return Odd(**vars(env.reset(hyper, body, key)), more=odd(key))
+
+    def step(hyper, body, state, action, key):
+        more = dict(state.more, key=jax.random.split(state.more["key"])[0])
+        more["a/b"] = jax.tree.map(jnp.logical_not, more["a/b"] | {"int8": jnp.ones(2, bool)})
+        more["a"] = jax.tree.map(lambda x: x + 1, more["a"])
+        after, outcome = env.step(hyper, body, state, action, key)
+        more["a/b"]["int8"] = state.more["a/b"]["int8"] + 1
+        return after.replace(more=more), outcome
+
+    return env._replace(reset=reset, step=step, autoreset=types.autoreset(reset))
+
+
+@pytest.mark.slow  # 30 s of compiling, twice
+def test_a_run_of_an_environment_with_any_state_goes_on_to_the_bit(tmp_path):
+    """Its second half, after a stop, is that of the run without one."""
+    whole, _ = train.train(workdirs.config(), tmp_path / "whole", env=odd_env())
+    assert whole.env_state.more["empty"].size == 0
+    half = workdirs.config(run__num_iterations=2)
+    train.train(half, tmp_path / "run", env=odd_env())
+    state, _ = train.train(workdirs.config(), tmp_path / "run", env=odd_env())
+    assert_same(state, whole)
+    assert table(tmp_path / "run") == table(tmp_path / "whole")

@@ -185,11 +185,44 @@ def test_the_run_that_networks_come_from_is_remembered(whole, config, tmp_path):
     assert "began from untrained networks; leave" in refused(start_from, whole.workdir)
 
 
-def test_a_run_without_its_last_checkpoint_has_not_gone_well(whole, tmp_path):
-    """A full disk at the very end is an error, and not only a line on the way."""
-    finish.check_saved(whole.workdir, 4)
-    with pytest.raises(OSError, match="the checkpoint of iteration 5 could not be saved"):
-        finish.check_saved(whole.workdir, 5)
+FAULTS = {  # what is in the way of the last checkpoint, what the line says of it
+    OSError(errno.ENOSPC, "No space left on device"): "(No space left on device), ",
+    OSError(errno.EDQUOT, "Disk quota exceeded"): "(Disk quota exceeded), ",
+    ValueError("OUT_OF_RANGE: Failed to write 9 bytes [os_error_code='28']"): "(No space left",
+    OSError(errno.EROFS, "Read-only file system"): "(Read-only file system), ",
+    ValueError("Cannot save arrays with zero size: x"): "(Cannot save arrays with zero size: x), ",
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS, ids=str)
+def test_a_last_checkpoint_that_is_not_there_is_saved_once_more(
+    whole, config, program, tmp_path, monkeypatch, fault
+):
+    """Else the line says why; of room it speaks where room is in the way, and else not."""
+    workdir = tmp_path / "run"
+    shutil.copytree(whole.workdir, workdir)
+    at = config, program(), workdir, whole.state, whole.metrics, pytest.fail
+    finish.check_saved(*at)
+    (workdir / "checkpoints" / "4").rename(tmp_path / "4")
+
+    def fails(*_, **__):
+        raise fault
+
+    with monkeypatch.context() as patch:
+        patch.setattr(checkpoint, "save", fails)
+        with pytest.raises(OSError, match="the checkpoint of iteration 4 could not be ") as caught:
+            finish.check_saved(*at)
+        line = str(caught.value)
+        assert FAULTS[fault] in line and line.endswith(
+            "the same command goes on from the one before"
+        )
+        assert ("make room" in line) == ("No space" in line or "quota" in line)
+        shutil.move(workdir / "checkpoints" / "2", tmp_path)
+        with pytest.raises(OSError, match="the same command starts anew"):
+            finish.check_saved(*at)
+    finish.check_saved(*at)
+    texts = [p / "about" / "metadata" for p in (workdir / "checkpoints" / "4", tmp_path / "4")]
+    assert texts[0].read_bytes() == texts[1].read_bytes()
 
 
 @pytest.mark.parametrize("text", ['{"layers": 3}', "[1]", "{"])
@@ -348,6 +381,7 @@ def test_a_save_has_the_worth_of_its_own_evaluation_and_the_policy_that_was_judg
         lambda _, done, state, worth, **about: saved.append((done, worth, about["best_seed"])),
     )
     monkeypatch.setattr(checkpoint, "wait", lambda manager: None)
+    monkeypatch.setattr(checkpoint, "read_back", lambda folder, state: None)
     training = np.array([[9.0, 1.0], [9.0, 1.0]])
     now = {"episode_return": training, "eval_return": np.array([[NAN, NAN], [3.0, 5.0]])}
     before = {"episode_return": training}
