@@ -137,7 +137,7 @@ def autoreset(
         stays = (outcome.truncation == 1) & jax.random.bernoulli(coin_key)
         here = state.replace(**dict.fromkeys(AGES, 0))
         start = jax.tree.map(lambda here, there: jnp.where(stays, here, there), here, start)
-        if const.view.history > 1:  # XLA 0.10 forgets the C engine's call beside a `where` of nothing
+        if const.view.history > 1:  # beside a `where` of nothing XLA 0.10 loses the C engine's call
             before = stays, state.obs[view.SENSED :]
     fresh = _told(const, hyper, body, start, command_key, obs_key, before)
     return jax.tree.map(lambda new, old: jnp.where(ended, new, old), fresh, state)
