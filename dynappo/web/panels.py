@@ -35,6 +35,9 @@ HELP = (
     "Keys: I, K ahead and back, J, L turn, U, O sideways, space stops, P pauses, R resets, "
     "X pushes, F follows. A gamepad: sticks steer, A stops, B pushes."
 )
+# HTML, not viser's Markdown, which has no way to write a text as it is: all in it is escaped
+STATUS = '<div style="padding: 0 12px; font-size: 14px; overflow-wrap: anywhere">{}</div>'
+PARAGRAPH = '<p style="margin: 0 0 8px">{}</p>'
 POINTS = 160  # of a plot
 STRIDES = 100  # control steps of torques, a few strides
 PER_LEG = {"1": "#216bed", "2": "#e0762f", "3": "#1a9e4d", "4": "#a23bd0"}
@@ -51,7 +54,7 @@ class Run(NamedTuple):
 class Panels:
     """The handles that change while the robot walks."""
 
-    status: viser.GuiMarkdownHandle
+    status: viser.GuiHtmlHandle
     sliders: list[viser.GuiSliderHandle]
     tour: viser.GuiCheckboxHandle
     pause: viser.GuiButtonHandle
@@ -75,7 +78,7 @@ def add(
     `of_run`: with the curves of a run.
     """
     gui = server.gui
-    status = gui.add_markdown("")
+    status = gui.add_html("")
     policy = gui.add_dropdown("policy", offered, initial_value=offered[0])
     policy.on_update(lambda event: _by_person(event, lambda: choose(policy.value)))
     sliders, tour = _steering(server, live)
@@ -131,7 +134,7 @@ def _steering(server: viser.ViserServer, live: Live):
     with gui.add_folder("command"):
         sliders = []
         for (name, _), (low, high) in zip(AXES, live_lib.ranges(live.body), strict=True):
-            slider = gui.add_slider(name, low, high, 0.05, 0.0)
+            slider = gui.add_slider(name, low, high, 0.05, float(np.clip(0.0, low, high)))
             sliders.append(slider)
 
         def steered(event):
@@ -274,11 +277,12 @@ def tell(panels: Panels, live: Live, text: str) -> None:
     if live.fell is not None:
         state += ", has fallen"
     asked, moves = live.row["command"], live.row["velocity"]
-    lines = [f"**{live.body.policy.robot}**, {text}", f"{live.t:.1f} s, {state}"]
-    lines += [f"asked {_numbers(asked)}", f"moves {_numbers(moves)}"]
+    about = f"<b>{html.escape(live.body.policy.robot)}</b>, {html.escape(text)}"
+    lines = [f"asked {_numbers(asked)}", f"moves {_numbers(moves)}"]
     if live.note:
-        lines.append(f"*{live.note}*")
-    panels.status.content = "\n\n".join(lines[:2]) + "\n\n" + "<br>".join(lines[2:])
+        lines.append(f"<i>{html.escape(live.note)}</i>")
+    parts = about, f"{live.t:.1f} s, {state}", "<br>".join(lines)
+    panels.status.content = STATUS.format("".join(map(PARAGRAPH.format, parts)))
     for slider, value in zip(panels.sliders, asked, strict=True):
         if abs(slider.value - value) > 1e-6:
             slider.value = float(np.clip(value, slider.min, slider.max))
