@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import html
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -63,6 +63,7 @@ class Panels:
     motion: list[viser.GuiUplotHandle]
     torque: list[viser.GuiUplotHandle]
     run: Run | None
+    seen: list = field(default_factory=list)  # value and wish of sliders and tour, when last told
 
 
 def add(
@@ -283,12 +284,22 @@ def tell(panels: Panels, live: Live, text: str) -> None:
         lines.append(f"<i>{html.escape(live.note)}</i>")
     parts = about, f"{live.t:.1f} s, {state}", "<br>".join(lines)
     panels.status.content = STATUS.format("".join(map(PARAGRAPH.format, parts)))
-    for slider, value in zip(panels.sliders, asked, strict=True):
-        if abs(slider.value - value) > 1e-6:
-            slider.value = float(np.clip(value, slider.min, slider.max))
-    if panels.tour.value != (live.given is not None):
-        panels.tour.value = live.given is not None
+    _follow(panels, [*map(float, asked), live.given is not None])
     panels.pause.label = "go on" if live.paused else "pause"
+
+
+def _follow(panels: Panels, wanted: list) -> None:
+    """Set sliders and tour to what is asked for.
+
+    What somebody has just set is asked for a moment later: it is left alone until the next call.
+    """
+    handles = [*panels.sliders, panels.tour]
+    before = panels.seen or [(None, value) for value in wanted]
+    for handle, value, last in zip(handles, wanted, before, strict=True):
+        now = handle.value
+        if abs(now - value) > 1e-6 and ((now, value) == last or value != last[1]):
+            handle.value = value
+    panels.seen = [(handle.value, value) for handle, value in zip(handles, wanted, strict=True)]
 
 
 def _numbers(values) -> str:

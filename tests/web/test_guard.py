@@ -107,11 +107,11 @@ def test_a_foreign_host_gets_no_websocket(served):
         assert status(served.port, *named, *up, *key) == expected
 
 
-@pytest.mark.parametrize("origin", ["http://127.0.0.1:{}", None])
-def test_the_page_itself_and_who_is_no_browser_are_let_in(served, origin):
+@pytest.mark.parametrize(("origin", "value"), [("http://127.0.0.1:{}", 0.3), (None, 0.2)])
+def test_the_page_itself_and_who_is_no_browser_are_let_in(served, origin, value):
     with joined(served, origin=origin and origin.format(served.port)) as it:
-        it.send(update(served.page.panels.sliders[0], 0.3))
-        until(lambda: served.page.live.command[0] == pytest.approx(0.3))
+        it.send(update(served.page.panels.sliders[0], value))
+        until(lambda: served.page.live.command[0] == pytest.approx(value))
         live_lib.wish(served.page.live, live_lib.steer, np.zeros(3))
         until(lambda: served.page.panels.sliders[0].value == 0)
 
