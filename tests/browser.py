@@ -170,13 +170,14 @@ class Tab:
 
 
 @contextlib.contextmanager
-def chromium(folder, size=WIDE):
-    """Chromium with its profile in `folder`; yields `open(url) -> Tab`."""
+def chromium(folder, size=WIDE, *more):
+    """Chromium with its profile in `folder`, and `more` flags; yields `open(url) -> Tab`."""
     from websockets.sync.client import connect
 
     args = [
         PROGRAM,
         *FLAGS,
+        *more,
         f"--user-data-dir={folder}",
         f"--window-size={size[0]},{size[1]}",
         "about:blank",

@@ -7,6 +7,7 @@
 - `files`: finds configs/ and robots/, writes small files, locks
 - `flags`, `shell`, `versions`: shared by every command: its flags and exit status, how to call commands
   on this machine, which code made a result
+- `interpreter`: starts a module of this package in a process of its own
 
 Every folder but those of the method may import it. It imports `schedule` and nothing that needs JAX.
 """

@@ -51,7 +51,7 @@ def write(
     clips = {
         key: {
             "subtitle": show.asked(found[key]),
-            "measures": page.cells(measures(found[key])),
+            "measures": measures(found[key]),
             "scene": {part: some[part] for part in OWN},
         }
         for key, some in scenes.items()

@@ -988,7 +988,12 @@ function main() {
     scene = decode(data.scene);
     last = scene.rows - 1;
     $("subtitle").textContent = data.subtitle;
-    $("measures").tBodies[0].innerHTML = data.measures;
+    const texts = data.measures.map((row) => {  // as texts: whoever has this page in a frame may send them
+      const line = document.createElement("tr");
+      for (const text of row) line.appendChild(document.createElement("td")).textContent = text;
+      return line;
+    });
+    $("measures").tBodies[0].replaceChildren(...texts);
     $("seconds").textContent = (scene.rows * scene.dt).toFixed(1);
     state.held = 0;
     seek(0);

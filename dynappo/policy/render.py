@@ -1,8 +1,8 @@
 """Makes a film or a picture of an episode with MuJoCo's OpenGL renderer, without a display.
 
 Nothing here needs JAX. A separate process renders
-(`python -m dynappo.policy.render EPISODE.npz OUT`), because a process can choose its OpenGL backend
-only once, and a backend that fails may crash the process. On Linux EGL is tried first, then OSMesa.
+(`dynappo.policy.render EPISODE.npz OUT`), because a process can choose its OpenGL backend only once,
+and a backend that fails may crash the process. On Linux EGL is tried first, then OSMesa.
 `play/page.py` needs neither.
 """
 
@@ -22,7 +22,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from dynappo.config import shell
+from dynappo.config import interpreter, shell
 from dynappo.physics import mjcf
 from dynappo.physics import robot as robot_lib
 from dynappo.policy import episode as episode_lib
@@ -105,7 +105,7 @@ def film(
         for backend in BACKENDS:
             environment = os.environ | {"MUJOCO_GL": backend}
             environment |= {"PYOPENGL_PLATFORM": backend} if backend in ("egl", "osmesa") else {}
-            command = [sys.executable, "-m", "dynappo.policy.render", str(npz), str(out)]
+            command = [*interpreter.command("dynappo.policy.render"), str(npz), str(out)]
             command += map(str, (*size, gif))
             status, said = _process(command, environment, limit, tell)
             if status is None:
@@ -253,7 +253,7 @@ def main(argv: list[str]) -> None:
 
     Prints the share that is done after each frame.
     """
-    episode = dict(np.load(argv[0]))
+    episode = dict(np.load(argv[0], allow_pickle=False))
     xml, text = str(episode.pop("xml")), str(episode.pop("text"))
     base, dt = int(episode.pop("base")), float(episode.pop("dt"))
     out, (width, height, gif) = Path(argv[1]), map(int, argv[2:5])

@@ -123,7 +123,7 @@ def _last_words(line: str) -> None:
     """Start a small process that prints `line` if JAX aborts this one."""
     global _line, _pipe
     code = "import sys; sys.stdin.read() or print(sys.argv[1], file=sys.stderr, flush=True)"
-    command = [sys.executable, "-S", "-c", code, f"dynappo: {line}"]
+    command = [sys.executable, "-P", "-S", "-c", code, f"dynappo: {line}"]
     _line = line
     _pipe = subprocess.Popen(command, stdin=subprocess.PIPE, start_new_session=True).stdin
 

@@ -6,6 +6,7 @@
 - `panels`: buttons, sliders, keys, plots
 - `curves`: the curves of a run
 - `address`: what `--serve` means
+- `guard`: who is let in, and what a browser may say
 - `child`: the page in a process of its own, for `train --serve`
 - `server`: puts them together
 

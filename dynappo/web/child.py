@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import subprocess
-import sys
 from pathlib import Path
+
+from dynappo.config import interpreter
 
 PATIENCE = 5.0  # s, for the page to close
 
@@ -19,7 +20,7 @@ def beside(workdir: Path, serve: str | None):
     if serve is None:
         yield
         return
-    command = [sys.executable, "-m", "dynappo.play", str(workdir.resolve()), f"--serve={serve}"]
+    command = [*interpreter.command("dynappo.play"), str(workdir.resolve()), f"--serve={serve}"]
     # it ends when its stdin does, so also after a SIGKILL here; ctrl-C goes to the training alone
     process = subprocess.Popen(
         [*command, "--until-eof"], stdin=subprocess.PIPE, start_new_session=True

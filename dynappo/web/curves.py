@@ -10,6 +10,7 @@ import viser
 
 GREEN, BLUE, GREY, ORANGE = "#1a9e4d", "#216bed", "#8b95a5", "#e0762f"
 MOST = 400  # points of a curve
+NEEDED = {"iteration", "sim_steps", "seconds"}  # columns of `line`
 # title, and the lines in it: (column, name, colour)
 PLOTS = (
     (
@@ -28,24 +29,32 @@ PLOTS = (
 
 
 def read(path: Path) -> dict[str, np.ndarray]:
-    """The columns of metrics.csv by name, `[I]`: means over seeds; {} while there is none.
+    """The columns of metrics.csv by name, `[I]`: means over seeds; {} while there is none, or a damaged one.
 
     NaN where a cell is empty. A line that is being written is left out.
     """
     try:
         text = path.read_text(encoding="utf-8", errors="replace")
-    except OSError:
+        rows = list(csv.reader(text[: text.rfind("\n") + 1].splitlines()))
+    except (OSError, csv.Error):
         return {}
-    rows = list(csv.reader(text[: text.rfind("\n") + 1].splitlines()))
-    if len(rows) < 2:
+    names = rows[0] if rows else []
+    table = [[_number(c) for c in row] for row in rows[1:] if len(row) == len(names)]
+    if not table or not NEEDED <= set(names):
         return {}
-    table = np.array([[_number(c) for c in row] for row in rows[1:] if len(row) == len(rows[0])])
-    columns = dict(zip(rows[0], table.T, strict=True))
+    columns = dict(zip(names, np.array(table).T, strict=True))
+    counted = np.isfinite(columns["iteration"])
+    columns = {name: column[counted] for name, column in columns.items()}
     iterations, at = np.unique(columns["iteration"], return_inverse=True)
-    count = np.maximum([np.bincount(at, np.isfinite(c)) for c in columns.values()], 1e-9)
-    total = np.array([np.bincount(at, np.nan_to_num(c)) for c in columns.values()])
-    means = np.where(count < 0.5, np.nan, total / count)
-    return dict(zip(columns, means, strict=True)) | {"iteration": iterations}
+    means = {name: _means(column, at) for name, column in columns.items()}
+    return means | {"iteration": iterations} if len(iterations) else {}
+
+
+def _means(column: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Of the finite numbers of each group; `at` says in which each is. NaN where there are none."""
+    good = np.isfinite(column)
+    count, total = np.bincount(at, good), np.bincount(at, np.where(good, column, 0.0))
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
 
 def _number(cell: str) -> float:
@@ -59,12 +68,7 @@ def thinned(columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     """At most about `MOST` rows: the mean of each few neighbours."""
     count = len(columns["iteration"])
     at = np.arange(count) * min(MOST, count) // count
-    out = {}
-    for name, column in columns.items():
-        good = np.bincount(at, np.isfinite(column))
-        total = np.bincount(at, np.nan_to_num(column))
-        out[name] = np.where(good > 0, total / np.maximum(good, 1), np.nan)
-    return out
+    return {name: _means(column, at) for name, column in columns.items()}
 
 
 def draw(server: viser.ViserServer, old: list, columns: dict[str, np.ndarray]) -> list:

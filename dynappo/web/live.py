@@ -109,7 +109,9 @@ def tour(live: Live, on: bool) -> None:
 
 
 def steer(live: Live, command) -> None:
-    """Ask for `command` (m/s, m/s, rad/s) from now on."""
+    """Ask for `command` (m/s, m/s, rad/s) from now on; what is not finite is not heard."""
+    if not np.isfinite(command).all():
+        return
     live.given, live.command = None, within(live.body, np.asarray(command, float))
 
 
@@ -178,7 +180,9 @@ def run(
             period = episode_lib.period(live.body)
         before = time.perf_counter()
         due = max(due, before - CATCH_UP * period)
-        while due <= time.perf_counter() and not live.paused:
+        for _ in range(CATCH_UP + 1):  # no more: steps may take longer than their period
+            if live.paused or due > time.perf_counter():
+                break
             step(live)
             steps, due = steps + 1, due + period / live.speed
         busy += time.perf_counter() - before

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import html
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -35,6 +35,9 @@ HELP = (
     "Keys: I, K ahead and back, J, L turn, U, O sideways, space stops, P pauses, R resets, "
     "X pushes, F follows. A gamepad: sticks steer, A stops, B pushes."
 )
+# HTML, not viser's Markdown, which has no way to write a text as it is: all in it is escaped
+STATUS = '<div style="padding: 0 12px; font-size: 14px; overflow-wrap: anywhere">{}</div>'
+PARAGRAPH = '<p style="margin: 0 0 8px">{}</p>'
 POINTS = 160  # of a plot
 STRIDES = 100  # control steps of torques, a few strides
 PER_LEG = {"1": "#216bed", "2": "#e0762f", "3": "#1a9e4d", "4": "#a23bd0"}
@@ -51,7 +54,7 @@ class Run(NamedTuple):
 class Panels:
     """The handles that change while the robot walks."""
 
-    status: viser.GuiMarkdownHandle
+    status: viser.GuiHtmlHandle
     sliders: list[viser.GuiSliderHandle]
     tour: viser.GuiCheckboxHandle
     pause: viser.GuiButtonHandle
@@ -60,6 +63,7 @@ class Panels:
     motion: list[viser.GuiUplotHandle]
     torque: list[viser.GuiUplotHandle]
     run: Run | None
+    seen: list = field(default_factory=list)  # value and wish of sliders and tour, when last told
 
 
 def add(
@@ -75,7 +79,7 @@ def add(
     `of_run`: with the curves of a run.
     """
     gui = server.gui
-    status = gui.add_markdown("")
+    status = gui.add_html("")
     policy = gui.add_dropdown("policy", offered, initial_value=offered[0])
     policy.on_update(lambda event: _by_person(event, lambda: choose(policy.value)))
     sliders, tour = _steering(server, live)
@@ -131,7 +135,7 @@ def _steering(server: viser.ViserServer, live: Live):
     with gui.add_folder("command"):
         sliders = []
         for (name, _), (low, high) in zip(AXES, live_lib.ranges(live.body), strict=True):
-            slider = gui.add_slider(name, low, high, 0.05, 0.0)
+            slider = gui.add_slider(name, low, high, 0.05, float(np.clip(0.0, low, high)))
             sliders.append(slider)
 
         def steered(event):
@@ -274,17 +278,28 @@ def tell(panels: Panels, live: Live, text: str) -> None:
     if live.fell is not None:
         state += ", has fallen"
     asked, moves = live.row["command"], live.row["velocity"]
-    lines = [f"**{live.body.policy.robot}**, {text}", f"{live.t:.1f} s, {state}"]
-    lines += [f"asked {_numbers(asked)}", f"moves {_numbers(moves)}"]
+    about = f"<b>{html.escape(live.body.policy.robot)}</b>, {html.escape(text)}"
+    lines = [f"asked {_numbers(asked)}", f"moves {_numbers(moves)}"]
     if live.note:
-        lines.append(f"*{live.note}*")
-    panels.status.content = "\n\n".join(lines[:2]) + "\n\n" + "<br>".join(lines[2:])
-    for slider, value in zip(panels.sliders, asked, strict=True):
-        if abs(slider.value - value) > 1e-6:
-            slider.value = float(np.clip(value, slider.min, slider.max))
-    if panels.tour.value != (live.given is not None):
-        panels.tour.value = live.given is not None
+        lines.append(f"<i>{html.escape(live.note)}</i>")
+    parts = about, f"{live.t:.1f} s, {state}", "<br>".join(lines)
+    panels.status.content = STATUS.format("".join(map(PARAGRAPH.format, parts)))
+    _follow(panels, [*map(float, asked), live.given is not None])
     panels.pause.label = "go on" if live.paused else "pause"
+
+
+def _follow(panels: Panels, wanted: list) -> None:
+    """Set sliders and tour to what is asked for.
+
+    What somebody has just set is asked for a moment later: it is left alone until the next call.
+    """
+    handles = [*panels.sliders, panels.tour]
+    before = panels.seen or [(None, value) for value in wanted]
+    for handle, value, last in zip(handles, wanted, before, strict=True):
+        now = handle.value
+        if abs(now - value) > 1e-6 and ((now, value) == last or value != last[1]):
+            handle.value = value
+    panels.seen = [(handle.value, value) for handle, value in zip(handles, wanted, strict=True)]
 
 
 def _numbers(values) -> str:

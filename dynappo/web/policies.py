@@ -72,7 +72,12 @@ def _there(name: str) -> bool:
 
 
 def load(offer: Offer, name: str) -> Chosen:
-    """The policy `name` of `names`; ConfigError where it cannot be used."""
+    """The policy `name` of `names`; ConfigError where it cannot be used, or is none of them.
+
+    `name` may come from a browser: nothing else is opened, and the error does not say what there is.
+    """
+    if name not in names(offer):
+        raise ConfigError("no such policy in the list")
     run, path = offer.run, offer.what
     if run is not None and name.startswith("iteration "):
         path = str(run / "checkpoints" / name.removeprefix("iteration "))

@@ -9,7 +9,9 @@ that comes or goes changes nothing for the robot.
 from __future__ import annotations
 
 import contextlib
+import errno
 import io
+import os
 import socket
 import threading
 import time
@@ -19,9 +21,9 @@ from dataclasses import dataclass
 import numpy as np
 import viser
 
-from dynappo.config import ConfigError
+from dynappo.config import ConfigError, shell, versions
 from dynappo.policy.episode import Body
-from dynappo.web import curves, panels, policies, scene
+from dynappo.web import curves, guard, panels, policies, scene
 from dynappo.web import live as live_lib
 from dynappo.web.address import Address, read
 from dynappo.web.live import Live
@@ -45,20 +47,56 @@ class Page:
 
 
 def start(address: Address) -> tuple[viser.ViserServer, int]:
-    """`(server, port)`: on the port, or the next free one above it."""
-    try:
-        with socket.socket() as probe:
-            probe.bind((address.host, 0))
-    except OSError as error:
+    """`(server, port)`: on the port, or the next free one above it; only its own page is let in."""
+    found, port = _free(address)
+    watch = guard.of(address.host, found)
+    with contextlib.redirect_stdout(io.StringIO()), guard.watching(watch):  # it prints its own name
+        server = viser.ViserServer(address.host, port, label="dynappo", verbose=False)
+    if not watch.on:
+        server.stop()
         raise ConfigError(
-            f"--serve={address.host}:{address.port}: this machine cannot listen there "
-            f"({error.strerror}); --serve={address.port} listens on 127.0.0.1"
-        ) from None
-    with contextlib.redirect_stdout(io.StringIO()):  # it prints a box with its own name
-        server = viser.ViserServer(address.host, address.port, label="dynappo", verbose=False)
+            f"--serve: viser {versions.of('viser')} starts its server in a way that dynappo cannot "
+            f"protect from other web sites: {shell.install('web')}"
+        )
+    watch.gui = server.gui
     server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="medium")
     server.gui.main_panel.dock_right()
     return server, server.get_port()
+
+
+def _free(address: Address) -> tuple[set[str], int]:
+    """`(addresses, port)`: those of the host, and the first port from the given one that is free there."""
+    host, first = address
+    try:
+        found = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
+        places = {(family, str(place[0])) for family, *_, place in found}
+        for port in range(first, 65536):
+            if all(_binds(family, number, port) for family, number in places):
+                return {number for _, number in places}, port
+    except OSError as error:
+        raise ConfigError(
+            f"--serve={host}:{first}: this machine cannot listen there ({error.strerror}); "
+            f"--serve={max(first, 1024)} listens on 127.0.0.1"
+        ) from None
+    raise ConfigError(
+        f"--serve={host}:{first}: every port from there on is taken; choose a lower one"
+    )
+
+
+def _binds(family: int, number: str, port: int) -> bool:
+    """Whether nobody listens there; OSError where nobody can."""
+    with socket.socket(family, socket.SOCK_STREAM) as probe:
+        if os.name == "posix":  # as asyncio does
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        if family == socket.AF_INET6:
+            probe.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
+        try:
+            probe.bind((number, port))
+        except OSError as error:
+            if error.errno != errno.EADDRINUSE:
+                raise
+            return False
+    return True
 
 
 def open_page(server, offer: Offer, first: Chosen, given, named: str | None = None) -> Page:

@@ -1,6 +1,7 @@
 """An MJCF from anybody: what MuJoCo would compute for hours is refused at once, in one line."""
 
 import os
+import re
 import time
 
 import mujoco
@@ -171,3 +172,45 @@ def test_a_robot_with_a_terrain_is_none_of_them(tmp_path, policy):
     body = episode.load(path, policy)
     assert body.model.ngeom > 1000 and body.model.nhfielddata == 1024**2
     assert body.model.opt.timestep == mujoco.MjModel.from_xml_path(str(GO1.xml)).opt.timestep
+
+
+# ---- one in a policy, which may read no file
+
+
+def schema():
+    """`(element, attribute)` of all that MuJoCo's MJCF has, and `(element, "")`."""
+    table = mujoco.mj_printSchema(True, True)
+    for element, names in re.findall(r'class="el">(\w+)</td>.*?class="at">(.*?)</td>', table, re.S):
+        yield element, ""
+        yield from ((element, name) for name in names.split() if name.isidentifier())
+
+
+FILES = sorted({(e, name) for e, name in schema() if name.startswith("file")})
+# words that a new way to name a file would have; what has them today and names none is after it
+PATHS = re.compile("file|path|dir|url|uri|include|plugin|extension|model|load|import|resource")
+NONE = {("light", "dir"), ("light", "directional"), ("compiler", "strippath"), ("mujoco", "model")}
+NONE |= {("attach", "model")}  # of an element `model`, which is refused
+NONE |= {("compiler", name) for name in mjcf.FOLDERS}  # of files that something else names
+
+
+def test_the_schema_names_files_in_no_other_way():
+    """A new MuJoCo may have more; then `mjcf.check_alone` must know it."""
+    found = {(e, name) for e, name in schema() if PATHS.search(name or e)}
+    elements = {(e, "") for e in mjcf.OUTSIDE}
+    assert len(FILES) > 10
+    assert found - set(FILES) - elements - NONE == {("plugin", "plugin")}
+
+
+@pytest.mark.parametrize(("element", "name"), FILES, ids=map(" ".join, FILES))
+def test_a_file_in_it_is_not_even_looked_for(element, name, tmp_path):
+    """Whether there is one is not told either."""
+    for path in (tmp_path / "none", tmp_path):
+        text = top(f'<asset><{element} {name}="{path}"/></asset>')
+        line = refused(robot.load_text, text, "go1", tmp_path / "policy.npz")
+        assert f"needs no other file, found {element} {name}=" in line
+
+
+@pytest.mark.parametrize("element", sorted(mjcf.OUTSIDE))
+def test_what_brings_files_or_code_is_refused(element, tmp_path):
+    line = refused(robot.load_text, top(f"<{element}/>"), "go1", tmp_path / "policy.npz")
+    assert f"needs no other file, found {element}" in line

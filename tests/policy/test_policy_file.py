@@ -144,6 +144,30 @@ def test_a_file_of_another_kind_is_one_line(saved, tmp_path, content):
     assert line.startswith(f"{path}: ") and ("damaged" in line or "cannot be read" in line)
 
 
+class Runs:
+    """What a pickle of it does when it is read: write a file."""
+
+    def __init__(self, path):
+        self.path = str(path)
+
+    def __reduce__(self):
+        return open, (self.path, "w")
+
+
+@pytest.mark.parametrize("entry", ["about", "actor/params/Dense_0/kernel", "std", "another"])
+def test_a_pickle_in_it_is_not_run(saved, tmp_path, entry):
+    """NumPy reads such an array only where it is told to; so does the Python beside it."""
+    with np.load(saved) as file:
+        arrays = {name: file[name] for name in file}
+    arrays[entry] = np.array([Runs(tmp_path / "ran")], dtype=object)
+    np.savez(tmp_path / "mine.npz", **arrays)
+    for read in (policy_file.load, policy_file.load_params, policy_file.load_actor):
+        assert f"its entry `{entry}` is damaged" in refused(read, tmp_path / "mine.npz")
+    assert not (tmp_path / "ran").exists()
+    np.load(tmp_path / "mine.npz", allow_pickle=True)[entry]
+    assert (tmp_path / "ran").exists(), "the pickle would have run"
+
+
 # ---- what a name or a path means
 
 

@@ -114,6 +114,33 @@ def test_curves_are_means_over_seeds_without_the_line_that_is_being_written(tmp_
     assert curves.line(columns) == "iteration 2, 0.00 M simulator steps, 1 s"
 
 
+@pytest.mark.parametrize(
+    ("change", "rows"),
+    [
+        (lambda text: "", 0),
+        (lambda text: "\n\n\n", 0),
+        (lambda text: text.replace("iteration", "iterations", 1), 0),
+        (lambda text: text.replace(",seconds", "", 1), 0),
+        (lambda text: text.replace(",10,", ",", 1), 1),
+        (lambda text: text.replace("1,", "nan,", 1), 1),
+        (lambda text: text.replace("1,", "x,").replace("2,", "inf,"), 0),
+        (lambda text: text.replace("1.0", "inf"), 2),
+        (lambda text: text.replace("1.0", "\0"), 2),
+        (lambda text: text.replace("1.0", '"'), 0),
+        (lambda text: text.replace("1.0", "y" * 2**18), 0),
+    ],
+)
+@pytest.mark.filterwarnings("error")
+def test_a_damaged_file_of_metrics_ends_no_page(tmp_path, change, rows):
+    """What can be read is shown."""
+    path = tmp_path / "metrics.csv"
+    path.write_text(change(f"{HEADER}\n1,10,0.5,1.0,8,\n2,20,1.0,2.0,8,7\n"))
+    columns = curves.read(path)
+    assert len(columns.get("iteration", [])) == rows
+    if rows:
+        assert curves.line(columns) and len(curves.thinned(columns)["n_real"]) == rows
+
+
 def test_long_runs_are_thinned_to_means():
     count = 5 * curves.MOST
     columns = {"iteration": np.arange(count) * 1.0, "n_real": np.full(count, np.nan)}

@@ -2,6 +2,7 @@
 
 import threading
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,6 +12,8 @@ from dynappo import config as config_lib
 from dynappo.web import address, policies
 
 server = pytest.importorskip("dynappo.web.server", reason="mjviser is not installed (extra web)")
+
+panels = pytest.importorskip("dynappo.web.panels")
 
 
 @pytest.fixture
@@ -62,3 +65,29 @@ def test_who_chose_another_policy_keeps_it(page, tmp_path):
     save(tmp_path / "policy.npz")
     time.sleep(0.5)
     assert live.body.policy.robot == "go2" and page.text == "go2/policy.npz"
+
+
+class Sets:
+    """A slider or a box as `panels` sees it."""
+
+    value = 0.0
+
+
+def test_what_somebody_has_just_set_is_not_taken_back_before_it_is_heard():
+    """A slider follows keys and the tour; one that nobody heard goes back, a moment later."""
+    shown = SimpleNamespace(sliders=[Sets(), Sets(), Sets()], tour=Sets(), seen=[])
+    slider = shown.sliders[0]
+    panels._follow(shown, [0.0, 0.0, 0.0, False])
+    slider.value = 0.3  # by hand; the wish is on its way
+    panels._follow(shown, [0.0, 0.0, 0.0, False])
+    assert slider.value == 0.3
+    panels._follow(shown, [0.3, 0.0, 0.0, False])
+    panels._follow(shown, [0.4, 0.0, 0.0, True])  # by a key
+    assert slider.value == 0.4 and shown.tour.value
+    slider.value = 0.9  # nobody heard it
+    panels._follow(shown, [0.4, 0.0, 0.0, True])
+    panels._follow(shown, [0.4, 0.0, 0.0, True])
+    assert slider.value == 0.4
+    slider.value = 0.9  # the same again, at once
+    panels._follow(shown, [0.4, 0.0, 0.0, True])
+    assert slider.value == 0.9

@@ -1,0 +1,35 @@
+"""Starts a module of this package in a Python of its own, which imports nothing from the working directory.
+
+`python -m` looks for modules in the working directory first: a `tempfile.py` that lies there would be
+run. `python -P` does not; but then it would not find this package either, where only the working
+directory has it. So the new Python is given this file, which loads the package from where it lies.
+
+As a script it has not imported the package: it may use nothing but Python's own modules.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import runpy
+import sys
+from pathlib import Path
+
+
+def command(module: str) -> list[str]:
+    """What starts `module` (its full name) of this package; arguments may follow."""
+    return [sys.executable, "-P", str(Path(__file__).resolve()), module]
+
+
+def _run(module: str) -> None:
+    """Load the package that this file is in, then `module` of it, as `python -m` does."""
+    init = Path(__file__).resolve().parents[1] / "__init__.py"
+    spec = importlib.util.spec_from_file_location(init.parent.name, init)
+    assert spec and spec.loader
+    package = sys.modules[spec.name] = importlib.util.module_from_spec(spec)
+    sys.argv[:2] = ["-m"]
+    spec.loader.exec_module(package)
+    runpy.run_module(module, run_name="__main__", alter_sys=True)
+
+
+if __name__ == "__main__":
+    _run(sys.argv[1])

@@ -1,0 +1,204 @@
+"""Keeps strangers away from the page: who is answered, and which messages of a browser are taken.
+
+viser answers whoever asks, and believes what a browser says. But any web site that somebody opens may
+connect to a server on their machine, under its own name or under one that it makes the browser look up
+anew (DNS rebinding). So here, for each request:
+
+- `Host` must be a name of this server (`names`), so that no foreign name leads here;
+- `Origin`, where there is one, must be that same host: a page of another site is refused;
+- the address must have no query: viser's page connects to whatever server `?websocket=` names, and
+  runs the code that it sends. Answers carry a Content-Security-Policy that forbids it once more.
+
+And of what a browser sends, only that is taken which this page can send: a camera, the value of a
+slider, box, button or list within its limits, a key, a pull. viser itself would take any field of any
+element, files, and the request to open a public tunnel to this server.
+
+viser has no place for such checks. It starts its server with `websockets.asyncio.server.serve`, which has
+(`process_request`, `create_connection`); `watching` puts them in. If a version of viser starts it in
+another way, `Guard.on` stays false, and nothing is served (`server.start`).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import http
+import ipaddress
+import logging
+import math
+import re
+import socket
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import viser
+from viser import _messages as messages
+from websockets.asyncio import server as websockets_server
+
+HERE = {"localhost", "127.0.0.1", "[::1]"}
+HOST = re.compile(r"(\[[0-9a-f:.]+\]|[a-z0-9._-]+)(:\d{1,5})?")
+LONGEST = 2**16  # bytes of a message; those of the page have less than 1 KiB
+FARTHEST = 1e6  # the largest number in one
+TEXT = 1000  # characters of a name in one
+VECTORS = {"wxyz": 4, "position": 3, "look_at": 3, "up_direction": 3}  # of a camera
+# who may show the page in a frame: itself, and a notebook on this machine
+FRAMES = "'self' http://localhost:* http://127.0.0.1:* vscode-webview:"
+LOGGER = logging.getLogger(__name__)
+LOGGER.addFilter(lambda record: record.getMessage() != "opening handshake failed")  # no HTTP at all
+
+
+@dataclass
+class Guard:
+    """Whom a server answers."""
+
+    names: set[str]  # hosts, as a browser writes them
+    any_number: bool  # and all that are numbers, not names: no one can turn those elsewhere
+    gui: viser.GuiApi | None = None  # what the page consists of, once it is there
+    on: bool = False  # whether the server asks this guard
+    told: set[str] = field(default_factory=set)
+
+
+def of(host: str, found: set[str]) -> Guard:
+    """The guard of a server at `host`, whose addresses are `found`.
+
+    A server that listens everywhere has many names. It answers to its own, and to every address
+    that is a number: DNS rebinding needs a name.
+    """
+    everywhere = any(ipaddress.ip_address(number).is_unspecified for number in found)
+    own = {host, *found}
+    if everywhere:
+        own |= {socket.gethostname(), f"{socket.gethostname()}.local"}
+    return Guard(HERE | {f"[{n}]" if ":" in n else n.lower() for n in own}, everywhere)
+
+
+def refusal(guard: Guard, headers, path: str = "/") -> tuple[str, str]:
+    """`(kind, what was found)` if a request must not be answered, else `("", "")`."""
+    hosts, origins = headers.get_all("Host"), headers.get_all("Origin")
+    host = hosts[0].lower() if len(hosts) == 1 else ""
+    found = HOST.fullmatch(host)
+    if not found or not (found[1] in guard.names or guard.any_number and _number(found[1])):
+        return "host", ", ".join(hosts)
+    scheme, _, site = ",".join(origins).lower().partition("://")
+    if origins and (scheme not in ("http", "https") or site != host):
+        return "origin", ", ".join(origins)
+    if "?" in path:
+        return "query", path
+    return "", ""
+
+
+def _number(name: str) -> bool:
+    try:
+        return bool(ipaddress.ip_address(name.strip("[]")))
+    except ValueError:
+        return False
+
+
+ANSWERS = {
+    "host": "the page has another address; --serve=NAME:PORT serves it under another name",
+    "origin": "only the page itself may talk to this server",
+    "query": "the address of the page ends with the port",
+}
+
+
+def tell(guard: Guard, kind: str, line: str) -> None:
+    """Say the first of each kind."""
+    if kind not in guard.told:
+        guard.told.add(kind)
+        print(f"dynappo: {line}; more of these are not told", file=sys.stderr, flush=True)
+
+
+@contextlib.contextmanager
+def watching(guard: Guard) -> Iterator[None]:
+    """Have the viser server that is made inside of the `with` ask `guard`."""
+    plain = websockets_server.serve
+
+    def serve(handler, host, port, *, process_request, **options):
+        def request(connection, asked):
+            kind, found = refusal(guard, asked.headers, asked.path)
+            if kind:
+                tell(guard, kind, f"refused: {kind} {found[:100]!r}: {ANSWERS[kind]}")
+                return connection.respond(http.HTTPStatus.FORBIDDEN, f"{ANSWERS[kind]}\n")
+            response = process_request(connection, asked)
+            if response is not None:
+                response.headers["Content-Security-Policy"] = _policy(asked.headers["Host"])
+            return response
+
+        def connect(*args, **given):
+            connection = websockets_server.ServerConnection(*args, **given)
+            receive = connection.recv
+
+            async def recv(*_, **__):
+                while not taken(guard, said := await receive()):
+                    tell(guard, "message", "ignored: a message that the page does not send")
+                return said
+
+            connection.recv = recv
+            return connection
+
+        guard.on = True
+        options |= {"create_connection": connect, "max_size": LONGEST, "logger": LOGGER}
+        return plain(handler, host, port, process_request=request, **options)
+
+    websockets_server.serve = serve
+    try:
+        yield
+    finally:
+        websockets_server.serve = plain
+
+
+def _policy(host: str) -> str:
+    """What a browser lets the page do: connect to this server, and to no other."""
+    return f"connect-src 'self' ws://{host} wss://{host} data: blob:; frame-ancestors {FRAMES}"
+
+
+def taken(guard: Guard, said: Any) -> bool:
+    """Whether a browser's message is one that this page sends, with numbers within its limits."""
+    try:
+        message = messages.Message.deserialize(said)
+        if not _plain(list(vars(message).values())):
+            return False
+        if isinstance(message, messages.ViewerCameraMessage):
+            return _camera(message)
+        if isinstance(message, messages.GuiUpdateMessage):
+            return guard.gui is not None and _fits(guard.gui, message)
+        if isinstance(message, messages.SceneNodeDragMessage):
+            return len(message.start_position) == len(message.end_position) == 3
+        return isinstance(message, messages.CommandTriggerMessage) and isinstance(message.uuid, str)
+    except Exception:  # whatever viser's reader makes of bytes that are no message
+        return False
+
+
+def _plain(value: Any, depth: int = 4) -> bool:
+    """Whether all in it are short texts and finite numbers that are not huge."""
+    if isinstance(value, dict):
+        value = [*value, *value.values()]
+    if isinstance(value, list | tuple):
+        return bool(depth) and len(value) <= 20 and all(_plain(part, depth - 1) for part in value)
+    if isinstance(value, int | float):
+        return math.isfinite(value) and abs(value) <= FARTHEST
+    return value is None or isinstance(value, str) and len(value) <= TEXT
+
+
+def _camera(message: messages.ViewerCameraMessage) -> bool:
+    """Whether it looks anywhere, as viser demands where the camera is moved."""
+    sizes = all(len(getattr(message, name)) == size for name, size in VECTORS.items())
+    away = math.dist(message.look_at, message.position) > 1e-9
+    up = math.hypot(*message.up_direction) > 1e-9
+    return sizes and away and up and message.image_height > 0 and message.image_width > 0
+
+
+def _fits(gui: viser.GuiApi, message: messages.GuiUpdateMessage) -> bool:
+    """Whether a person can give that value to that element."""
+    handle = gui._gui_input_handle_from_uuid.get(message.uuid)
+    if set(message.updates) != {"value"}:
+        return False
+    value = message.updates["value"]
+    if isinstance(handle, viser.GuiSliderHandle):
+        number = type(value) in (int, float)
+        return number and handle.min - 1e-6 <= value <= handle.max + 1e-6
+    if isinstance(handle, viser.GuiCheckboxHandle | viser.GuiButtonHandle):
+        return type(value) is bool
+    if isinstance(handle, viser.GuiDropdownHandle | viser.GuiButtonGroupHandle):
+        return isinstance(value, str) and value in handle.options
+    return False
