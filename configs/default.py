@@ -90,7 +90,7 @@ class Model(NamedTuple):
     # beyond the paper, each off in the paper's variants (model/dynamics.py)
     clean: bool = False  # carry the state without noise, and draw the policy's noise anew
     known_reward: bool = False  # compute the terms that need no model, and learn the rest
-    falls: bool = False  # predict the probability of a fall, and know when the time is up
+    falls: bool = False  # predict the probability of a fall; nothing in a tail ends by time
 
 
 class Ppo(NamedTuple):
