@@ -12,16 +12,15 @@ from dynappo.policy import checkpoint_file
 from dynappo.program import distributed
 from dynappo.train import checkpoint
 
-
 OF_A_FIT = "model_loss", "model_loss_before"  # NaN in iterations without a fit
 
 
 def check(metrics, columns, state, before, workdir: Path | None) -> None:
     """FloatingPointError naming the first number of a chunk that is not finite.
 
-    `columns` are those of the schedule that the chunk was run with. An iteration's numbers are looked at in the order in which they are computed: rewards, model,
-    losses. Where a robot's row was the first to be wrong, `workdir/nonfinite.npz` holds that robot
-    as it was `before` the chunk, to be replayed.
+    `columns` are the chunk's rows of the schedule. An iteration's numbers are looked at in the order in
+    which they are computed: rewards, model, losses. Where a robot's row was the first to be wrong,
+    `workdir/nonfinite.npz` holds that robot as it was `before` the chunk, to be replayed.
     """
     robots = np.asarray(metrics.pop("nonfinite_robot"))  # [I], or [I, S]
     problem = first_metric(metrics, columns.get("model_epochs"))
