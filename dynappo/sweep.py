@@ -91,13 +91,15 @@ def run(
     hyper: Config,
     state: TrainState,
     columns: dict[str, Int[Array, " I"]],
+    count=None,
     *,
     static: Config,
 ) -> tuple[TrainState, Metrics]:
-    """`algorithm.run` of every seed; metrics `[I, S]`. Columns are loop bounds, so not batched."""
+    """`algorithm.run` of every seed; metrics `[I, S]`. Columns and `count` are loop bounds, so not
+    batched."""
     one = partial(algorithm.run, env, static=static)
-    over = (axes(hyper), 0, None), (0, 1)
-    return jax.vmap(one, *over, spmd_axis_name="seed")(hyper, state, columns)
+    over = (axes(hyper), 0, None, None), (0, 1)
+    return jax.vmap(one, *over, spmd_axis_name="seed")(hyper, state, columns, count)
 
 
 def evaluate(
