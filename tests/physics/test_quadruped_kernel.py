@@ -9,7 +9,7 @@ from dynappo.physics.warp import arrays
 
 pytest.importorskip("warp")
 
-from kernel_case import MOTOR, ROBOTS, Case  # noqa: E402
+from kernel_case import MOTOR, ROBOTS, Case, drive  # noqa: E402
 
 
 @pytest.fixture(scope="module", params=["go1", "go2", "anymal_c", "anymal_d"])
@@ -18,16 +18,16 @@ def case(request):
 
 
 def test_a_physics_step_is_that_of_c_mujoco(case):
-    kp, kd, effort, stall, speed, strength, friction, _ = MOTOR
+    kp, kd, effort, stall, speed, strength, *_ = MOTOR
     found, touching, limited, seen = case.step(case.before), 0, 0, []
     for i in range(ROBOTS):
         model, data = case.of_robot(i)
         before = data.qvel[6:].copy()
         pd = actuators.pd(case.before["target"][i, 0], data.qpos[7:], before, kp, kd)
         limits = dict(effort_limit=effort, saturation_effort=stall, velocity_limit=speed)
-        data.ctrl[:] = strength * actuators.clip_dc_motor(pd, before, **limits)
-        np.testing.assert_allclose(found["torque"][i], data.ctrl, atol=2e-5)
-        data.qfrc_applied[6:] = -friction * np.tanh(before / 0.2)  # beside the motor
+        torque = strength * actuators.clip_dc_motor(pd, before, **limits)
+        np.testing.assert_allclose(found["torque"][i], torque, atol=2e-5)
+        drive(data, torque)
         mujoco.mj_step(model, data)
         touching, limited = touching + data.ncon, limited + data.nl
         qacc = data.qacc_warmstart
