@@ -43,7 +43,7 @@ class Run(NamedTuple):
     mesh_seed: int = 1  # devices over which the seeds are spread; they do not communicate
     mesh_env: int = 1  # devices over which the robots of each seed are spread
     num_iterations: int = 500  # paper
-    log_every: int = 10  # iterations in one compiled call, and between two looks at the metrics
+    log_every: int = 10  # iterations in a call, and between two looks at the metrics
     checkpoint_every: int = 100  # iterations; a multiple of log_every; 0: only the last
     eval_every: int = 0  # iterations; a multiple of log_every; 0: only at the end
     eval_envs: int = 1000  # robots of an evaluation, one episode each; 0: none
@@ -90,7 +90,7 @@ class Model(NamedTuple):
     # beyond the paper, each off in the paper's variants (model/dynamics.py)
     clean: bool = False  # carry the state without noise, and draw the policy's noise anew
     known_reward: bool = False  # compute the terms that need no model, and learn the rest
-    falls: bool = False  # predict the probability of a fall, and know when the time is up
+    falls: bool = False  # predict the probability of a fall; nothing in a tail ends by time
 
 
 class Ppo(NamedTuple):

@@ -134,13 +134,27 @@ def collect(env: Env, hyper: Config, state: TrainState, n_real, key, *, static: 
 
 
 def run(
-    env: Env, hyper: Config, state: TrainState, columns: Columns, *, static: Config
+    env: Env, hyper: Config, state: TrainState, columns: Columns, count=None, *, static: Config
 ) -> tuple[TrainState, Metrics]:
-    """`iterate` over every row of the schedule; metrics have shape `[I]`."""
+    """`iterate` over every row of the schedule; metrics have shape `[I]`.
+
+    With a traced `count` over the first `count` rows alone, and the metrics of the others are 0: one
+    compiled program then serves chunks of any length up to I.
+    """
     columns = {name: jnp.asarray(column) for name, column in columns.items()}
-    return jax.lax.scan(
-        lambda state, row: iterate(env, hyper, state, row, static=static), state, columns
-    )
+    rows = len(columns["iteration"])
+    # jit: traced once, for the shapes of its metrics and for the loop
+    step = jax.jit(partial(iterate, env, static=static))
+
+    def row(i, carry):
+        state, table = carry
+        state, metrics = step(hyper, state, {name: column[i] for name, column in columns.items()})
+        return state, jax.tree.map(lambda column, x: column.at[i].set(x), table, metrics)
+
+    first = {name: column[0] for name, column in columns.items()}
+    _, shapes = jax.eval_shape(step, hyper, state, first)
+    table = jax.tree.map(lambda x: jnp.zeros((rows, *x.shape), x.dtype), shapes)
+    return jax.lax.fori_loop(0, rows if count is None else count, row, (state, table))
 
 
 def policy(static: Config, env: Env, params: dict):

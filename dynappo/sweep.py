@@ -47,7 +47,8 @@ def vary(hyper: Config, field: str, values) -> Any:
     """`hyper` with one value of `field` ("ppo.learning_rate") for each seed.
 
     Call it several times to vary several fields together: seed s takes value s of each. ValueError
-    if there is no such float, or if it is built into the environment (groups run and physics).
+    if there is no such float, or if it is built into the environment: the groups run and physics, and
+    the errors of `task.randomize` that are 0, which no robot of the compiled program has.
     """
     group, _, rest = field.partition(".")
     if group in ("run", "physics"):
@@ -66,6 +67,11 @@ def _set(node, field, path, values):
     old = getattr(node, name)
     if not rest and jnp.ndim(old) + isinstance(old, tuple):
         raise ValueError(f"{field} has several numbers, expected a field with one")
+    if not rest and field.startswith("task.randomize.") and not old:
+        raise ValueError(
+            f"{field} is 0, so no robot of the compiled program has this error; expected an environment and "
+            f"a hyper of a config with another value: set config.{field}, then vary it"
+        )
     return node._replace(**{name: _set(old, field, rest, values) if rest else values})
 
 
@@ -85,13 +91,15 @@ def run(
     hyper: Config,
     state: TrainState,
     columns: dict[str, Int[Array, " I"]],
+    count=None,
     *,
     static: Config,
 ) -> tuple[TrainState, Metrics]:
-    """`algorithm.run` of every seed; metrics `[I, S]`. Columns are loop bounds, so not batched."""
+    """`algorithm.run` of every seed; metrics `[I, S]`. Columns and `count` are loop bounds, so not
+    batched."""
     one = partial(algorithm.run, env, static=static)
-    over = (axes(hyper), 0, None), (0, 1)
-    return jax.vmap(one, *over, spmd_axis_name="seed")(hyper, state, columns)
+    over = (axes(hyper), 0, None, None), (0, 1)
+    return jax.vmap(one, *over, spmd_axis_name="seed")(hyper, state, columns, count)
 
 
 def evaluate(

@@ -70,3 +70,9 @@ class Case:
         data = mujoco.MjData(model)
         data.qpos[:], data.qvel[:] = self.before["qpos"][i], self.before["qvel"][i]
         return model, data
+
+
+def drive(data, torque):
+    """Give C MuJoCo the motors' torques and, beside them, the friction in the joints."""
+    data.ctrl[:] = torque
+    data.qfrc_applied[6:] = -MOTOR[arrays.MOTOR.index("friction")] * np.tanh(data.qvel[6:] / 0.2)

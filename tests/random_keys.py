@@ -110,7 +110,8 @@ def _equation(eqn, args, uses, caller) -> list[Any]:
             _run(branch, args[1:], uses, caller)
         return nothing
     (program,) = inner  # a call: jit, checkpoint, custom derivatives
-    return _run(program, args, uses, where)
+    # `algorithm.run` alone calls an iteration: places in it are more telling than that of the call
+    return _run(program, args, uses, "" if params.get("name") == "iterate" else where)
 
 
 def _scan(args, params, uses, caller):

@@ -261,7 +261,11 @@ def _check_hardware(config) -> None:
 
 
 def _check_model(config) -> None:
-    """Whether there are real rows enough for a minibatch of the model."""
+    """Whether the value function can see a tail's states, and a minibatch of the model has real rows
+    enough."""
+    told = config.ppo.critic == "obs" or config.model.clean
+    text = "obs where model.clean is False: a tail then has no exact state; or set model.clean=True"
+    _expect(told, "ppo.critic", config.ppo.critic, text)
     horizon, minibatches = config.rollout.horizon, config.model.minibatches
     expected = f"a multiple of model.minibatches = {minibatches}: a minibatch has as many rows of every robot"
     _expect(horizon % minibatches == 0, "rollout.horizon", horizon, expected)

@@ -114,19 +114,20 @@ def fit(
 ) -> tuple[ModelState, Metrics]:
     """`epochs` passes of Adam over the rows `t < n_real` of a `[N, R]` buffer.
 
-    Metrics: the loss of the last minibatch, and of the first, whose rows are new to the model.
+    Metrics: the loss of the last minibatch, and of the first, whose rows are new to the model. With
+    0 epochs nothing of the model changes, its moments neither, and the losses are NaN: there are none.
     """
     horizon, num_envs = rows.reward.shape
     drawn = horizon // static.model.minibatches  # rows of each robot in a minibatch
     x, y, weight = examples.examples(static, hyper, env, rows, n_real)
-    decay = hyper.model.stats_decay
-    model = model.replace(
-        inputs=moments.update(model.inputs, x, weight, decay),
-        targets=moments.update(model.targets, y, weight, decay),
-    )
+    decay, fits = hyper.model.stats_decay, epochs > 0
+    inputs, targets = model.inputs, model.targets
+    new = moments.update(inputs, x, weight, decay), moments.update(targets, y, weight, decay)
+    inputs, targets = jax.tree.map(partial(jnp.where, fits), new, (inputs, targets))
+    model = model.replace(inputs=inputs, targets=targets)
     (x_mean, x_std), (y_mean, y_std) = _scales(static, model)
     data = jnp.concatenate([(x - x_mean) / x_std, (y - y_mean) / y_std, weight[..., None]], -1)
-    inputs, adam = x.shape[-1], optax.scale_by_adam()
+    size, adam = x.shape[-1], optax.scale_by_adam()
     order, first = orders(static, n_real, num_envs, key)
     # as one vector each: Adam then takes one kernel, not two for every layer
     params, unflatten = ravel_pytree(model.params)
@@ -140,7 +141,7 @@ def fit(
         row = order[epoch[:, None], (place[:, None] + first[epoch]) % n_real]
         batch = jnp.take_along_axis(data, row[..., None], axis=0)
         used = batch[..., -1] * (place < epochs * n_real)[:, None]
-        batch = batch[..., :inputs], batch[..., inputs:-1], used
+        batch = batch[..., :size], batch[..., size:-1], used
         of = jax.value_and_grad(lambda params: loss(static, hyper, unflatten(params), *batch))
         value, grads = of(params)
         updates, opt_state = adam.update(grads, opt_state)
@@ -152,6 +153,7 @@ def fit(
     params, opt_state, before, after = jax.lax.fori_loop(0, steps, minibatch, start)
     opt_state = opt_state._replace(mu=unflatten(opt_state.mu), nu=unflatten(opt_state.nu))
     model = model.replace(params=unflatten(params), opt_state=opt_state)
+    before, after = (jnp.where(fits, value, jnp.nan) for value in (before, after))
     return model, {"model_loss": after, "model_loss_before": before}
 
 

@@ -36,11 +36,15 @@ def before_and_after(static: Config, env: Env, rows: Transition):
 
 def targets(static: Config, hyper: Config, env: Env, rows: Transition) -> Float[Array, "... K"]:
     """The model's target for each row: change of prop (or next prop), reward / dt without its known
-    share, and, with `model.falls`, 1 where the robot fell."""
+    share, and, with `model.falls`, 1 where the robot fell.
+
+    The known share is that of what the model sees and predicts, as it will be in a tail: without
+    `clean` of sensed props, although the reward itself was paid for exact ones.
+    """
     (obs, after), reward, fell = before_and_after(static, env, rows), rows.reward, 1 - rows.discount
     if static.model.known_reward:
         known = jax.vmap(jax.vmap(partial(env.known_reward, hyper)))
-        reward = reward - known(rows.obs, rows.action, rows.next_prop)
+        reward = reward - known(obs, rows.action, after)
     if static.model.predict_change:
         after = after - obs[..., : env.prop_size]
     columns = [after, reward[..., None] / env.dt] + [fell[..., None]] * static.model.falls

@@ -20,7 +20,9 @@ def pd(q_target, q, qd, kp, kd):
 def friction(qd, size):
     """Torque (N m) by which dry friction of `size` (N m) slows a joint: size tanh(qd / 0.2 rad/s).
 
-    Smooth, because a sign would chatter in steps of 5 ms.
+    Smooth, because a sign would chatter in steps of 5 ms. Every engine applies this to the joint, beside
+    the motor: a motor's torque, limits and lag know nothing of it. MuJoCo's own frictionloss, which a file
+    may have, is another thing: a constraint.
     """
     return size * qd.__array_namespace__().tanh(qd / FRICTION_SPEED)
 

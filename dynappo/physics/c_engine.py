@@ -10,6 +10,10 @@ so its own model, and four steps read the model from memory once. With 512 Go1 o
 MuJoCo's: its DC motor with a position input computes the same as `actuators.clip_dc_motor`
 (tests/physics/test_c_engine.py).
 
+Friction in the joints (`actuators.friction`) is the one torque that MuJoCo's motors do not compute: it is
+applied from outside, so a control step with it calls `mujoco.rollout` for each physics step. Go1 then
+makes 11 instead of 17 k control steps/s on one core.
+
 `mujoco.rollout` returns the geoms at the start of a physics step only through sensors, which cost
 nothing measurable. It does not return accelerations: the solver starts the next control step from
 the change of velocity in the last physics step, which without joint damping is the same.
@@ -29,8 +33,8 @@ import numpy as np
 from mujoco import rollout
 
 from dynappo.config import ConfigError
+from dynappo.physics import actuators, xla_call
 from dynappo.physics import robot as robot_lib
-from dynappo.physics import xla_call
 
 # the numbers that define a robot's model, in the order of the last argument of a call
 NUMBERS = (
@@ -45,6 +49,9 @@ NUMBERS = (
     "armature",
     "joint_friction",
 )
+FRICTION = NUMBERS.index("joint_friction")
+CONTROL = int(mujoco.mjtState.mjSTATE_CTRL)
+APPLIED = CONTROL | int(mujoco.mjtState.mjSTATE_QFRC_APPLIED)
 POSITION = int(mujoco.mjtCtrlInput.mjINPUT_POS)  # a motor's control is a position
 FAR = 500.0  # MuJoCo never gets a state or a target above it: it would log a warning
 FAR_ACCELERATION = 1e6
@@ -57,7 +64,7 @@ class Moved(NamedTuple):
     qpos: Any
     qvel: Any
     qacc_warmstart: Any
-    torque: Any  # [A] N m, in the last physics step
+    torque: Any  # [A] N m, of the motors in the last physics step
     qd_before: Any  # [A] rad/s, before it
     feet: Any  # [n, F] m, heights of the feet's centres
     height: Any  # [n, G] m, of the parts' centres
@@ -161,19 +168,11 @@ class _World:
             bad = ~good
             state[bad, 1 : 1 + model.nq], state[bad, 1 + model.nq :] = robot.home_qpos, 0
             control[bad], warm[bad] = robot.default_pose, 0
-        after = np.empty((count, self.steps, state.shape[1]))
-        sensed = np.empty((count, self.steps, model.nsensordata))
-        self.pool.rollout(
-            self._models(numbers),
-            self.datas,
-            state,
-            control,
-            skip_checks=True,
-            nstep=self.steps,
-            initial_warmstart=warm,
-            state=after,
-            sensordata=sensed,
-        )
+        given = self._models(numbers), state, control, warm
+        if "joint_friction" in self.varied:
+            after, sensed = self._with_friction(numbers[:, FRICTION:].astype(float), *given)
+        else:
+            after, sensed = self._roll(*given)
         feet, parts = len(robot.feet), len(robot.parts)
         positions, quats, torque = np.split(
             sensed, [3 * (feet + parts), 3 * (feet + parts) + 4 * parts], 2
@@ -197,6 +196,35 @@ class _World:
             if not good.all():
                 out[~good] = np.nan
 
+    def _roll(self, models, state, control, warm, spec: int = CONTROL):
+        """States after, and what was sensed in, the physics steps [robots, n, ...] of `control`."""
+        shape, model = control.shape[:2], self.model
+        return self.pool.rollout(
+            models,
+            self.datas,
+            state,
+            control,
+            control_spec=spec,
+            skip_checks=True,
+            nstep=shape[1],
+            initial_warmstart=warm,
+            state=np.empty((*shape, state.shape[1])),
+            sensordata=np.empty((*shape, model.nsensordata)),
+        )
+
+    def _with_friction(self, size, models, state, control, warm):
+        """`_roll` of joints that friction of `size` [robots, 1] slows, as they move when a step begins."""
+        found, first = [], 1 + self.model.nq
+        for k in range(self.steps):
+            velocity = state[:, first:]
+            applied = np.zeros_like(velocity)
+            applied[:, 6:] = -actuators.friction(velocity[:, 6:], size)
+            given = np.concatenate([control[:, k], applied], 1)[:, None]
+            found.append(self._roll(models, state, given, warm, APPLIED))
+            state = found[-1][0][:, 0].copy()
+            warm = (state[:, first:] - velocity) / self.model.opt.timestep
+        return [np.concatenate(parts, 1) for parts in zip(*found, strict=True)]
+
     def _models(self, numbers: np.ndarray) -> list[mujoco.MjModel]:
         """A model for each row of `numbers`; one for all if the rows are equal."""
         count = 1 if (numbers == numbers[0]).all() else len(numbers)
@@ -214,7 +242,7 @@ class _World:
         """Write one robot's parameters and motors, as in `randomize.merge` and `actuators`."""
         base, feet, nominal = self.robot.base_body, self.robot.feet, self.model
         scale, com, (friction, kp, kd) = numbers[0], numbers[1:4], numbers[4:7]
-        effort, stall, speed, armature, joint_friction = numbers[7:]
+        effort, stall, speed, armature = numbers[7:FRICTION]
         if "base_mass" in self.varied:
             model.body_mass[base] = nominal.body_mass[base] * scale
             model.body_inertia[base] = nominal.body_inertia[base] * scale
@@ -224,8 +252,6 @@ class _World:
             model.geom_friction[feet, 0] = friction
         if "armature" in self.varied:
             model.dof_armature[6:] = nominal.dof_armature[6:] * armature
-        if "joint_friction" in self.varied:
-            model.dof_frictionloss[6:] = joint_friction
         # with resistance 1 and constant k: torque <= k (V - k qd) = stall (1 - qd / speed)
         k = np.sqrt(stall / speed)
         motors = model.actuator_gainprm

@@ -153,7 +153,7 @@ class Substeps(NamedTuple):
     last_air_steps: Any
     peak: Any
     last_peak: Any
-    torque: Any  # of the last physics step
+    torque: Any  # of the motors in the last physics step
     qd_before: Any  # joint velocities before it
     lowest: Any  # m, lowest point of each part, in all physics steps (`remember`) or the last
 
@@ -213,11 +213,12 @@ def _simulate_in_mjx(engine: Engine, hyper: Config, body, first: Substeps, targe
         )
         if body.strength is not None:
             torque *= body.strength
-        if body.joint_friction is not None:
-            torque -= actuators.friction(data.qvel[6:], body.joint_friction)
         if engine.lags:
             torque = actuators.lag(torque, s.torque, body.lag, engine.timestep)
-        before, data = data.qvel[6:], engine.step(model, data, torque)
+        before, felt = data.qvel[6:], torque
+        if body.joint_friction is not None:
+            felt -= actuators.friction(before, body.joint_friction)
+        data = engine.step(model, data, felt)
         s = _feet(engine, s, data.geom_xpos[robot.feet, 2])
         s = s._replace(
             torque=torque,

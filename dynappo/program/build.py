@@ -24,6 +24,8 @@ from dynappo import schedule
 from dynappo.config import ConfigError
 from dynappo.program import devices, distributed, memory
 
+ROOM = 128  # iterations, at least, that a call of the program has room for
+
 
 class Program(NamedTuple):
     """A run that is compiled and ready to start."""
@@ -136,7 +138,7 @@ def program(
     init, step, episodes_of = (partial(function, env) for function in method)
     init, step = partial(init, static=static), partial(step, static=static)
     columns = schedule.columns(config)
-    chunk = {name: jnp.asarray(column[: run.log_every]) for name, column in columns.items()}
+    chunk = _padded(columns, max(run.log_every, ROOM)), np.int32(1)
     everywhere = NamedSharding(mesh, PartitionSpec())
     like = jax.eval_shape(init, hyper, key)
     spread = sweep.shardings(mesh, like, run.num_seeds)
@@ -146,15 +148,15 @@ def program(
     # several devices or processes share settings and steps of a compilation: one after the other
     soon = run.eval_envs and mesh.size == 1 and jax.process_count() == 1
     like = jax.tree.map(_placed, like, spread)
-    given = first, step, episodes_of if soon else None, (hyper, key), like, chunk
+    given = first, step, episodes_of if soon else None, (hyper, key), (like, *chunk)
     with sweep.partitioner(mesh):
         state, compiled, ready = _side_by_side(*given, robot is None, meanwhile)
     size = memory.needed(compiled)
     memory.check_compiled(config, size, memory.limit(mesh.local_devices[0]))
     distributed.meet()
     if impl == "warp":  # its kernels are built and loaded at the first call
-        once = {name: jnp.minimum(column, 1) for name, column in chunk.items()}
-        jax.block_until_ready(compiled(hyper, jax.tree.map(jnp.copy, state), once))
+        once = {name: np.minimum(column, 1) for name, column in chunk[0].items()}
+        jax.block_until_ready(compiled(hyper, jax.tree.map(jnp.copy, state), once, chunk[1]))
 
     return Program(
         robot=robot,
@@ -163,7 +165,7 @@ def program(
         hyper=hyper,
         state=state,
         columns=columns,
-        step=compiled,
+        step=partial(_step, compiled, max(run.log_every, ROOM)),
         evaluate=partial(_evaluate, mesh, hyper, episodes_of, ready),
         place=partial(jax.device_put, device=spread),
         impl=impl,
@@ -173,8 +175,24 @@ def program(
     )
 
 
+def _padded(columns: dict[str, np.ndarray], room: int) -> dict[str, np.ndarray]:
+    """The first `room` rows of the schedule's columns; where there are fewer, 0 follows."""
+    rows = {name: column[:room] for name, column in columns.items()}
+    return {name: np.pad(x, (0, room - len(x))) for name, x in rows.items()}
+
+
+def _step(compiled: Callable, room: int, hyper, state, columns: dict[str, np.ndarray]):
+    """`(state, metrics)` after a chunk of at most `room` iterations: of any length in one program, so that
+    another `run.log_every` compiles nothing."""
+    import jax
+
+    count = len(columns["iteration"])
+    state, metrics = compiled(hyper, state, _padded(columns, room), np.int32(count))
+    return state, jax.tree.map(lambda x: x[:count], metrics)
+
+
 def _side_by_side(
-    first, step, episodes_of, args, like, chunk, own: bool, meanwhile: Callable[[], None]
+    first, step, episodes_of, args, given, own: bool, meanwhile: Callable[[], None]
 ) -> tuple[Any, Any, concurrent.futures.Future | None]:
     """`(state, compiled step, future of the compiled evaluation)`; none where `episodes_of` is None.
 
@@ -196,11 +214,11 @@ def _side_by_side(
             begin = compiling(first, quick, *args)
             environment.check_start(begin.result()(*args).env_state)
         # as early as can be: it takes longest
-        iterate = compiling(step, options, args[0], like, chunk)
+        iterate = compiling(step, options, args[0], *given)
         if not own:
             begin = compiling(first, quick, *args)
         if episodes_of:
-            lowered = episodes_of.lower(args[0], like.learner.params, jax.random.key(0))
+            lowered = episodes_of.lower(args[0], given[0].learner.params, jax.random.key(0))
         meanwhile()
         # the state last: XLA times kernels while it compiles, on a GPU with nothing else to do
         compiled = iterate.result()

@@ -184,7 +184,7 @@ def _loop(
         for i in list(good):
             of = partial(part, one=i, runs=len(runs), seeds=run.num_seeds)
             own, chunk = of(state), of(metrics, axis=1) | shared
-            if not _good(runs[i], chunk, own, of(before), done, say):
+            if not _good(runs[i], chunk, columns, own, of(before), done, say):
                 good.remove(i)
                 continue
             if evaluation:
@@ -208,10 +208,10 @@ def _write(chunks: list[tuple[Run, dict]], say) -> None:
         run_lib.tell(0, chunk, run.sinks, None, say)
 
 
-def _good(run: Run, chunk, state, before, done: int, say) -> bool:
+def _good(run: Run, chunk, columns, state, before, done: int, say) -> bool:
     """Whether all numbers of a run's chunk are finite; else its folder and `say` are told."""
     try:
-        nonfinite.check(chunk, state, before, run.workdir)
+        nonfinite.check(chunk, columns, state, before, run.workdir)
     except FloatingPointError as error:
         say(f"{run.workdir.name}: {error}; the other combinations go on")
         about = {"iteration": done, "problem": str(error)}

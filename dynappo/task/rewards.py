@@ -30,7 +30,7 @@ from typing import Any, NamedTuple
 class Measured(NamedTuple):
     """What a term may ask for beyond the observation; of A joints, F feet, K parts."""
 
-    torque: Any  # [A] N m, applied in the last physics step, after all limits
+    torque: Any  # [A] N m, of the motors in the last physics step, after all limits
     joint_velocity_before: Any  # [A] rad/s, before that step
     timestep: float  # s, of a physics step
     height: Any  # m, of the base's frame above the floor
@@ -69,7 +69,7 @@ def flat_orientation(gravity):
 
 
 def joint_torques(torque):
-    """Sum of squared torques, (N m)^2, as applied in the last physics step after all limits."""
+    """Sum of the motors' squared torques, (N m)^2, in the last physics step, after all limits."""
     return (torque**2).sum()
 
 
@@ -89,7 +89,7 @@ def action_acceleration(action, previous_action, older_action):
 
 
 def energy(torque, joint_velocity):
-    """Sum of |torque x joint velocity|, W, in the last physics step (Playground's Go1 has it so)."""
+    """Sum of |motor's torque x joint velocity|, W, in the last physics step (Playground's Go1 has it)."""
     return abs(torque * joint_velocity).sum()
 
 

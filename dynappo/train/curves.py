@@ -21,6 +21,7 @@ from dynappo.train import log
 LEVEL = 0.95
 BLUE, GREY = "#1f4e79", "0.45"
 MOST_NAMED = 10  # seeds with a label of their own
+WIDEST = 9  # characters of a number
 NUMBERS = f"numbers: last {log.RETURN_ROWS} iterations"
 LINES = "thin: each seed    thick: their mean    band: its 95 % t interval    "
 NO_PICTURE = "no curves.png: matplotlib is not installed; "
@@ -135,20 +136,21 @@ def _lines(axes, iteration, values, thick: float) -> None:
 def _labels(axes, panel: Panel, values, named: bool) -> None:
     """What is at the end of the lines: the mean of the last rows, and, where `named`, of each seed."""
     ends = values[-log.RETURN_ROWS :].mean(0)
-    texts = {panel.number.format(ends.mean()): ends.mean()}
+    texts = {_written(panel, ends.mean()): ends.mean()}
     if named:
         said = LINES * (ends.size > 1) + NUMBERS
         axes.set_title(said, loc="right", fontsize=9.5, color=GREY, pad=8)
     if named and ends.size > 1:
         texts = {f"mean {text}": end for text, end in texts.items()}
         for s, end in enumerate(ends[: MOST_NAMED if ends.size <= MOST_NAMED else 0]):
-            texts[f"seed {s}   {panel.number.format(end)}"] = end
+            texts[f"seed {s}   {_written(panel, end)}"] = end
     texts = {text: end for text, end in texts.items() if np.isfinite(end)}
     if not texts:
         return
     axes.autoscale_view()
     scaled = axes.transScale + axes.transLimits  # data to shares of the axes
-    heights = [scaled.transform((1, end))[1] for end in texts.values()]
+    # inside, also of a number that is not: 0 is infinitely far down a log axis, and no room is left for that
+    heights = np.clip([scaled.transform((1, end))[1] for end in texts.values()], 0, 1)
     strong: dict[str, Any] = dict(fontsize=11.5, fontweight="bold", color=BLUE)
     weak: dict[str, Any] = dict(fontsize=9.5, color=GREY)
     for i, (text, height) in enumerate(zip(texts, _apart(heights, 0.06), strict=True)):
@@ -156,6 +158,12 @@ def _labels(axes, panel: Panel, values, named: bool) -> None:
         axes.annotate(
             text, xytext=(8, 0), textcoords="offset points", **at, **(weak if i else strong)
         )
+
+
+def _written(panel: Panel, number: float) -> str:
+    """A number as the panel writes it, or shorter: a wide one would leave the panel no room."""
+    text = panel.number.format(number)
+    return text if len(text) <= WIDEST else f"{number:.2g}"
 
 
 def _apart(heights, gap: float) -> np.ndarray:

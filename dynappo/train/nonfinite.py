@@ -12,16 +12,18 @@ from dynappo.policy import checkpoint_file
 from dynappo.program import distributed
 from dynappo.train import checkpoint
 
+OF_A_FIT = "model_loss", "model_loss_before"  # NaN in iterations without a fit
 
-def check(metrics, state, before, workdir: Path | None) -> None:
+
+def check(metrics, columns, state, before, workdir: Path | None) -> None:
     """FloatingPointError naming the first number of a chunk that is not finite.
 
-    An iteration's numbers are looked at in the order in which they are computed: rewards, model,
-    losses. Where a robot's row was the first to be wrong, `workdir/nonfinite.npz` holds that robot
-    as it was `before` the chunk, to be replayed.
+    `columns` are the chunk's rows of the schedule. An iteration's numbers are looked at in the order in
+    which they are computed: rewards, model, losses. Where a robot's row was the first to be wrong,
+    `workdir/nonfinite.npz` holds that robot as it was `before` the chunk, to be replayed.
     """
     robots = np.asarray(metrics.pop("nonfinite_robot"))  # [I], or [I, S]
-    problem = first_metric(metrics)
+    problem = first_metric(metrics, columns.get("model_epochs"))
     if problem is None:
         bad = first_leaf({"learner": state.learner, "model": state.model})
         if bad is None:
@@ -50,10 +52,11 @@ def check(metrics, state, before, workdir: Path | None) -> None:
     )
 
 
-def first_metric(metrics: dict[str, np.ndarray]) -> tuple[str, int] | None:
+def first_metric(metrics: dict[str, np.ndarray], epochs=None) -> tuple[str, int] | None:
     """`(name, iteration)` of the first number that is not finite, in the order of computation.
 
-    The mean return and length are undefined before the first episode has ended.
+    The mean return and length are undefined before the first episode has ended, the losses of a fit
+    where the model has 0 `epochs` [I].
     """
 
     def stage(name):
@@ -63,7 +66,8 @@ def first_metric(metrics: dict[str, np.ndarray]) -> tuple[str, int] | None:
     undefined = ("episode_return", "episode_length")
     names = sorted((n for n in metrics if n not in undefined and n[:5] != "eval_"), key=stage)
     for i, iteration in enumerate(metrics["iteration"]):
-        for name in names:
+        fits = epochs is None or epochs[i] > 0
+        for name in names if fits else [name for name in names if name not in OF_A_FIT]:
             if not np.isfinite(metrics[name][i]).all():
                 return name, int(iteration)
     return None

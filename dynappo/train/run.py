@@ -116,7 +116,7 @@ def loop(
             metrics |= {name: column[rows].copy() for name, column in counted.items()}
             metrics["seconds"] = seconds + took * np.arange(1, run.log_every + 1) / run.log_every
             seconds += took
-            nonfinite.check(metrics, state, before, workdir)
+            nonfinite.check(metrics, columns, state, before, workdir)
             if run.eval_every and done % run.eval_every == 0:
                 metrics |= at_end(program.evaluate(state), run.log_every)
                 evaluated = metrics["eval_return"][-1]

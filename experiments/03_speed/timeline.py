@@ -89,7 +89,7 @@ def main():
         "wall_ms": float(np.median(times)),
     }
     if args.whole:
-        result["busy"] = busy(found, phases(program.step.as_text()))
+        result["busy"] = busy(found, phases(program.step.args[0].as_text()))
         del result["events"], result["kernels"]
     args.out.write_text(json.dumps(result, indent=None if args.whole else 1) + "\n")
     print(

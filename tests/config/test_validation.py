@@ -101,6 +101,7 @@ WRONG = [  # fields, what the line begins with, what is expected
         "model.minibatches is 4: a minibatch has 4 rows",
         "at most the 3 real rows of the longest tail",
     ),
+    ({"ppo.critic": "state"}, "ppo.critic is 'state'", "obs where model.clean is False"),
     (
         {"task.formulation": "isaaclab_exact"},
         "physics.contacts is 'feet'",
@@ -117,6 +118,11 @@ WRONG += [
 def test_a_setting_that_cannot_run_is_one_line(fields, found, expected):
     line = refused(config_lib.validate, config(fields))
     assert line.startswith(found) and "expected" in line and expected in line
+
+
+@pytest.mark.parametrize("more", [{"model.clean": True}, {"schedule.end_steps": 0}], ids=str)
+def test_a_value_function_of_the_state_is_fine_where_no_tail_is_noisy(more):
+    config_lib.validate(config({"ppo.critic": "state"} | more))
 
 
 def test_every_bound_of_the_tables_is_checked():

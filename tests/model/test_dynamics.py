@@ -102,6 +102,32 @@ def test_the_first_reported_loss_is_the_huber_loss_of_the_untrained_model():
     np.testing.assert_allclose(metrics["model_loss_before"], total / (PROP + 1), rtol=1e-4)
 
 
+def test_a_fit_of_no_epochs_changes_nothing_and_has_no_loss():
+    """By the program that fits: parameters, Adam and moments to the bit. For two seeds too, by the same
+    loop and without a branch: both would be paid for in every iteration."""
+    static, hyper = settings()
+    fits = jax.vmap(fit(static), (None, 0, 0, None, None, 0))
+    rows = jax.tree.map(lambda *x: jnp.stack(x), linear_rows(1), linear_rows(2))
+    keys = jax.random.split(jax.random.key(0))
+    models = jax.tree.map(lambda x: jnp.stack([x, x]), start(static))
+    models, losses = fits(hyper, models, rows, i32(HORIZON), i32(2), keys)
+    assert all(np.isfinite(loss).all() for loss in losses.values())
+    fresh = jax.tree.map(lambda x: 3 * x, rows)  # whose moments are others
+    after, losses = fits(hyper, models, fresh, i32(HORIZON), i32(0), keys)
+    assert_same(after, models)
+    assert losses.keys() == {"model_loss", "model_loss_before"}
+    assert all(np.isnan(loss).all() and loss.shape == (2,) for loss in losses.values())
+    assert_same(fits(hyper, models, fresh, i32(0), i32(2), keys)[0].inputs, models.inputs)
+
+    jaxpr = str(jax.make_jaxpr(fits)(hyper, models, fresh, i32(HORIZON), i32(0), keys))
+    assert " cond[" not in jaxpr
+    one, moved = (jax.tree.map(lambda x: x[0], tree) for tree in (models, fresh))
+    after, _ = fit(static)(hyper, one, moved, i32(HORIZON), i32(0), keys[0])
+    assert_same(after, one)
+    after, _ = fit(static)(hyper, one, moved, i32(HORIZON), i32(1), keys[0])
+    assert not np.array_equal(after.inputs.mean, one.inputs.mean)
+
+
 @pytest.mark.parametrize("falls", [False, True])
 def test_the_loss_is_the_mean_over_rows_and_numbers_of_huber_and_cross_entropy(typed, falls):
     """Of rows of weight 1, against NumPy; an untrained logit says 1 % (-4.6)."""

@@ -35,7 +35,8 @@ def example(hyper, row, clean, known_reward, falls, predict_change):
         before, after = row.prop, row.next_prop
     reward = row.reward
     if known_reward:
-        reward = reward - ENV.known_reward(hyper, row.obs, row.action, row.next_prop)
+        seen = np.concatenate([before, row.obs[PROP:]])
+        reward = reward - ENV.known_reward(hyper, seen, row.action, after)
     target = [*(after - before if predict_change else after), reward / DT]
     target += [row.discount == 0] * falls
     on = clean or falls  # then fallen rows count, and only those that blew up do not

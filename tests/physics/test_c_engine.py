@@ -32,9 +32,10 @@ LIMITS = ("effort_limit", "saturation_effort", "velocity_limit")
 MOTORS = dict(go1=(25.0, 0.5, 23.7, 23.7, 30.0), anymal=(85.0, 0.6, 80.0, 120.0, 7.5))
 
 
-def place(name, touching="feet", **physics):
+def place(name, touching="feet", rubs=False, **physics):
     """Robots with bodies of their own that come down on the floor, every other one turned any way, and
-    random actions. `run(impl)` makes a control step of all: `(start, action) -> Substeps`."""
+    random actions; where it `rubs`, with friction in their joints. `run(impl)` makes a control step of all:
+    `(start, action) -> Substeps`."""
     config = config_lib.load(f"configs/{name}.py")
     config.physics.update({"contacts": touching} | ENOUGH | physics)
     config = config_lib.validate(config)
@@ -45,6 +46,9 @@ def place(name, touching="feet", **physics):
     drawn = more.uniform(low, high, (ROBOTS, 3)).T.astype(np.float32)
     drawn = zip(HARDWARE, drawn, strict=True)
     bodies = randomize.Body(*map(np.float32, (scale, com, friction, kp, kd)), **dict(drawn))
+    if rubs:
+        bodies = bodies.replace(joint_friction=np.linspace(0, 0.6, ROBOTS, dtype=np.float32))
+    varied = VARIED | ({"joint_friction"} if rubs else set())
     qpos, qvel = np.tile(robot.home_qpos, (ROBOTS, 1)), rng.normal(-0.3, 0.5, (ROBOTS, 18))
     qpos[:, 7:] += rng.normal(0, 0.1, (ROBOTS, 12))
     qpos[::2, 3:7] = rng.normal(size=(ROBOTS // 2, 4))
@@ -61,7 +65,7 @@ def place(name, touching="feet", **physics):
     start = [x.astype(np.float32) for x in (qpos, qvel, qvel * 0)]
 
     def run(impl):
-        engine = engine_lib.make(robot, config.physics, VARIED, impl, touching == "full")
+        engine = engine_lib.make(robot, config.physics, varied, impl, touching == "full")
 
         simulate = partial(engine_lib.simulate, engine, hyper)
         step = jax.jit(jax.vmap(lambda body, s, a: simulate(body, SimpleNamespace(**s), a)))
@@ -118,6 +122,10 @@ def by_hand(world, i):
             before = data.qvel[6:].copy()
             torque = actuators.pd(target.astype(float), data.qpos[7:], before, kp, kd)
             data.ctrl[:] = body.strength * actuators.clip_dc_motor(torque, before, **limits)
+            if (
+                body.joint_friction is not None
+            ):  # beside the motor, whose torque is what is reported
+                data.qfrc_applied[6:] = -body.joint_friction * np.tanh(before / 0.2)
             mujoco.mj_step(model, data)  # leaves the geoms where it began
             depths.append(lowest(robot, data))
             height = data.geom_xpos[robot.feet, 2] - robot.foot_radius
@@ -143,7 +151,13 @@ def by_hand(world, i):
         yield dict(zip(TOLD, map(np.copy, found), strict=True))
 
 
-CASES = {"feet": ENOUGH, "full": ENOUGH, "full, one substep": {"substeps": 1}, "full, few": FEW}
+CASES = {
+    "feet": ENOUGH,
+    "feet, rubs": ENOUGH | {"rubs": True},
+    "full": ENOUGH,
+    "full, one substep": {"substeps": 1},
+    "full, few": FEW,
+}
 DAMPED = ("anymal_c", "anymal_d")
 PAIRS = [(r, c) for r in files.robots() for c in CASES if CASES[c] != FEW or r not in DAMPED]
 
@@ -169,16 +183,22 @@ def test_ten_steps_are_those_of_a_plain_loop_in_c_mujoco(robot, case):
     assert (touched > 5).all(), touched
 
 
-OTHERS = [(r, c) for r in files.robots() for c in ("feet", "full") if (r, c) != ("go1", "feet")]
+OTHERS = [
+    (r, c, "jax") for r in files.robots() for c in ("feet", "full") if (r, c) != ("go1", "feet")
+]
 SLOW = [pytest.param(*case, marks=pytest.mark.slow) for case in OTHERS]
 
 
-@pytest.mark.parametrize(("robot", "touching"), [("go1", "feet"), *SLOW])
-def test_every_step_is_that_of_mjx(robot, touching):
-    """Measured: median 1e-7 and 5e-6, nine tenths below 3e-7 and 1e-5. With contacts of all parts some
-    of the rest differ by up to 11 rad/s: there MJX differs from a plain loop in C MuJoCo as well."""
-    world = place(robot, touching)
-    in_c, in_mjx, start = world.run("c"), world.run("jax"), world.start
+@pytest.mark.parametrize(
+    ("robot", "touching", "impl"), [("go1", "feet", "jax"), ("go1", "feet", "warp"), *SLOW]
+)
+def test_every_step_is_that_of_the_other_engines(robot, touching, impl):
+    """With friction in the joints, and the motors' torques without it. Measured: median 1e-7 and 5e-6,
+    nine tenths below 3e-7 and 1e-5. With contacts of all parts some of the rest differ by up to 11 rad/s:
+    there MJX differs from a plain loop in C MuJoCo as well."""
+    pytest.importorskip("warp" if impl == "warp" else "mujoco")
+    world = place(robot, touching, rubs=True)
+    in_c, elsewhere, start = world.run("c"), world.run(impl), world.start
     bounds = dict(qpos=(1e-6, 5e-6), qvel=(2e-5, 2e-4), torque=(1e-4, 1e-3))
     bounds |= dict(qd_before=(2e-5, 2e-4), lowest=(1e-6, 5e-6)) | dict.fromkeys(CLOCKS, (0, 0))
     bounds |= dict.fromkeys(CLOCKS[3:], (1e-6, 5e-6))
@@ -186,7 +206,7 @@ def test_every_step_is_that_of_mjx(robot, touching):
     told = [np.zeros_like(world.actions[0])] * 2 + [*world.actions]
     for t, action in enumerate(world.actions):
         before = told[t + 1], told[t]
-        found, expected = in_c(start, action, *before), in_mjx(start, action, *before)
+        found, expected = in_c(start, action, *before), elsewhere(start, action, *before)
         for name, error in errors.items():
             error[t] = np.abs(getattr(found, name) - getattr(expected, name)).max(-1)
         start = {name: getattr(found, name) for name in CARRIED}
@@ -215,9 +235,11 @@ def test_the_motor_is_pd_with_the_limits_of_a_dc_motor(name):
     assert 1000 < limited < 5000  # of 6012
 
 
-@pytest.fixture(scope="module")
-def go1():
-    """Go1s: `make(threads, varied)` is a step of one, `step` of all by two threads; `inputs`, `expected`."""
+@pytest.fixture(scope="module", params=["smooth", "rubs"])
+def go1(request):
+    """Go1s: `make(threads, varied)` is a step of one, `step` of all by two threads; `inputs`, `expected`.
+    Of those that rub, a control step is a call of `mujoco.rollout` for each physics step."""
+    own = VARIED | ({"joint_friction"} if request.param == "rubs" else set())
     world, (kp, kd, *motor) = place("go1", "full", **FEW), MOTORS["go1"]
     b = world.bodies
     numbers = [
@@ -233,14 +255,16 @@ def go1():
     numbers = np.stack(np.broadcast_arrays(*numbers), -1).astype(np.float32)
     target = np.float32(world.robot.default_pose + 0.25 * world.actions[:4]).swapaxes(0, 1)
 
-    def make(threads=2, varied=VARIED | {"joint_friction"}):
+    def make(threads=2, varied=own):
         physics = SimpleNamespace(**(world.config.physics.to_dict() | {"threads": threads}))
         return c_engine.make(world.robot, physics, varied)
 
     inputs = [*(world.start[name] for name in CARRIED[:3]), target, numbers]
     step = jax.jit(jax.vmap(make()))
     expected = jax.device_get(step(*inputs))
-    return SimpleNamespace(world=world, make=make, step=step, inputs=inputs, expected=expected)
+    unused = [] if request.param == "rubs" else [c_engine.FRICTION]
+    kept = dict(world=world, make=make, step=step, inputs=inputs, expected=expected)
+    return SimpleNamespace(**kept, unused=unused)
 
 
 def rows(values, which):
@@ -283,7 +307,7 @@ def test_a_number_changes_its_robot_only_and_going_back_gives_the_old_bits(go1, 
     before = jax.device_get(go1.step(*inputs))
     after = go1.step(*changed(inputs, 4, 2, column, 0.9 * inputs[4][2, column] + 0.01))
     same(rows(after, rest), rows(go1.expected, rest))
-    assert np.abs(after.qvel[2] - before.qvel[2]).max() > 1e-6
+    assert (np.abs(after.qvel[2] - before.qvel[2]).max() > 1e-6) == (column not in go1.unused)
     same(go1.step(*inputs), before)
     same(go1.step(*go1.inputs), go1.expected)
 
@@ -319,6 +343,7 @@ def test_a_robot_that_blew_up_is_nan_and_no_other_differs(go1, bad, tmp_path, mo
     assert not os.listdir()
 
 
+@pytest.mark.parametrize("go1", ["smooth"], indirect=True)
 def test_a_robot_that_blew_up_is_counted_and_starts_anew(go1, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     config, keys = go1.world.config, jax.random.split(jax.random.key(0), 3)

@@ -20,7 +20,7 @@ from dynappo.physics.warp import scope
 
 pytest.importorskip("warp")
 
-from kernel_case import ROBOTS, Case  # noqa: E402
+from kernel_case import ROBOTS, Case, drive  # noqa: E402
 
 from dynappo.physics.warp import general  # noqa: E402
 
@@ -440,7 +440,7 @@ def compare(case, steps=STEPS):
     for step in range(steps):
         found = case.step(found)
         for i, (model, data) in twins.items():
-            data.ctrl[:] = found["torque"][i]
+            drive(data, found["torque"][i])
             mujoco.mj_step(model, data)
             if step == 0:
                 qacc = data.qacc_warmstart
@@ -565,7 +565,7 @@ def test_mujoco_warp_computes_what_the_kernel_declines(feature, tmp_path):
     found = case.step(case.before, general)
     for i in range(0, ROBOTS, 4):
         model, data = case.of_robot(i)
-        data.ctrl[:] = found["torque"][i]
+        drive(data, found["torque"][i])
         mujoco.mj_step(model, data)
         close(found["qvel"][i], data.qvel, atol=1e-3)
 

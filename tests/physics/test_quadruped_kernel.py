@@ -4,12 +4,12 @@ import mujoco
 import numpy as np
 import pytest
 
-from dynappo.physics import contacts
+from dynappo.physics import actuators, contacts
 from dynappo.physics.warp import arrays
 
 pytest.importorskip("warp")
 
-from kernel_case import ROBOTS, Case  # noqa: E402
+from kernel_case import MOTOR, ROBOTS, Case, drive  # noqa: E402
 
 
 @pytest.fixture(scope="module", params=["go1", "go2", "anymal_c", "anymal_d"])
@@ -18,12 +18,18 @@ def case(request):
 
 
 def test_a_physics_step_is_that_of_c_mujoco(case):
-    found, touching, limits, seen = case.step(case.before), 0, 0, []
+    kp, kd, effort, stall, speed, strength, *_ = MOTOR
+    found, touching, limited, seen = case.step(case.before), 0, 0, []
     for i in range(ROBOTS):
         model, data = case.of_robot(i)
-        data.ctrl[:] = found["torque"][i]
+        before = data.qvel[6:].copy()
+        pd = actuators.pd(case.before["target"][i, 0], data.qpos[7:], before, kp, kd)
+        limits = dict(effort_limit=effort, saturation_effort=stall, velocity_limit=speed)
+        torque = strength * actuators.clip_dc_motor(pd, before, **limits)
+        np.testing.assert_allclose(found["torque"][i], torque, atol=2e-5)
+        drive(data, torque)
         mujoco.mj_step(model, data)
-        touching, limits = touching + data.ncon, limits + data.nl
+        touching, limited = touching + data.ncon, limited + data.nl
         qacc = data.qacc_warmstart
         np.testing.assert_allclose(found["qacc_warmstart"][i], qacc, atol=3e-5 * abs(qacc).max())
         np.testing.assert_allclose(found["qvel"][i], data.qvel, atol=1e-4)
@@ -38,7 +44,7 @@ def test_a_physics_step_is_that_of_c_mujoco(case):
         np.testing.assert_array_equal(found["air_steps"][i], height >= 0)
         np.testing.assert_allclose(found["peak"][i], np.maximum(height, 0), atol=1e-6)
         seen.append((height < 0).sum())
-    assert touching > 60 and limits > 0 and {0, 2} <= set(seen)
+    assert touching > 60 and limited > 0 and {0, 2} <= set(seen)
 
 
 def test_several_physics_steps_are_one_after_the_other(case):

@@ -120,12 +120,12 @@ SLOW = [pytest.param(name, marks=pytest.mark.slow) for name in ("anymal_c", "dry
 @pytest.fixture(scope="module", params=["go1", "hardware", *SLOW])
 def world(request):
     """Feet only; all that `deploy` varies; damping and every contact, in every
-    physics step; a file with dry friction."""
+    physics step; all that `deploy` varies on a file with dry friction."""
     made = {
         "go1": ("go1", "feet", False),
         "hardware": ("go1", "feet", True),
         "anymal_c": ("anymal_c", "full", False),
-        "dry": ("go1", "feet", False, 0.2),
+        "dry": ("go1", "feet", True, 0.2),
     }
     return World(*made[request.param])
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import workdirs
 from answers import refused
-from toy_runs import assert_close
+from toy_runs import assert_close, assert_same
 
 from dynappo.config import ConfigError
 from dynappo.program import build, memory
@@ -18,6 +18,46 @@ def first_chunk(program):
     """State and metrics after the first two iterations."""
     columns = {name: column[:2] for name, column in program.columns.items()}
     return program.step(program.hyper, program.state, columns)
+
+
+def test_one_program_serves_every_log_every(monkeypatch):
+    """What is compiled does not depend on it, and chunks of other lengths are the same run, to the bit."""
+    workdirs.toy(monkeypatch)
+    lowered, compile_ = [], jax.stages.Lowered.compile
+
+    def compiled(one, *options):
+        lowered.append(one.as_text())
+        return compile_(one, *options)
+
+    monkeypatch.setattr(jax.stages.Lowered, "compile", compiled)
+    program = build.program(
+        workdirs.config(run__log_every=2, run__checkpoint_every=4, run__eval_envs=0)
+    )
+    texts, results = lowered[:], []
+    for parts in ((2, 2), (1, 3), (4,)):
+        state, found, done = jax.tree.map(lambda x: x.copy(), program.state), [], 0
+        for count in parts:
+            columns = {n: column[done : done + count] for n, column in program.columns.items()}
+            state, metrics = program.step(program.hyper, state, columns)
+            assert {len(x) for x in metrics.values()} == {count}
+            found, done = [*found, metrics], done + count
+        results.append((state, {n: np.concatenate([m[n] for m in found]) for n in found[0]}))
+    for other in results[1:]:
+        assert_same(other, results[0])
+    assert lowered == texts  # nothing of ours was compiled for another length
+
+    class Enough(Exception):
+        """Both programs are lowered."""
+
+    def noted(one, *options):
+        lowered.append(one.as_text())
+        raise Enough
+
+    lowered.clear()
+    monkeypatch.setattr(jax.stages.Lowered, "compile", noted)
+    with pytest.raises(Enough):
+        build.program(workdirs.config(run__log_every=4, run__checkpoint_every=4, run__eval_envs=0))
+    assert set(lowered) <= set(texts) and lowered
 
 
 def size(tree):

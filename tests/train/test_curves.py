@@ -1,5 +1,6 @@
 """Curves of a run: the interval against scipy and by counting, the picture against its data."""
 
+import io
 import sys
 
 import numpy as np
@@ -148,6 +149,28 @@ def test_a_png_is_written(tmp_path, seeds, iterations):
     assert curves.draw(read, tmp_path / "b.png", "a run") == ""
     assert curves.draw(rounded, tmp_path / "c.png", "a run") == ""
     assert (tmp_path / "b.png").read_bytes() == (tmp_path / "c.png").read_bytes()
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("seeds", [1, 3])
+@pytest.mark.parametrize(
+    ("name", "change"),
+    [
+        ("model_loss", lambda x: 0 * x),  # on a log axis
+        ("model_loss", lambda x: np.nan * x),
+        ("velocity_error", lambda x: 1e30 * x),
+        ("episode_length", lambda x: x - 1e6),
+    ],
+)
+def test_every_panel_has_room_whatever_its_last_numbers(seeds, name, change):
+    """Matplotlib warned "axes sizes collapsed to zero": a label was far outside, or too wide."""
+    metrics = run(seeds)
+    metrics[name][20:] = change(metrics[name][20:])
+    page = curves.figure(metrics, "a run")
+    page.savefig(io.BytesIO(), format="png", dpi=150)
+    assert all(axes.get_window_extent().width > 150 for axes in page.axes)
+    places = [text.xy[1] for axes in page.axes for text in axes.texts]
+    assert len(places) > 3 and 0 <= min(places) and max(places) <= 1
 
 
 def test_without_matplotlib_it_says_what_to_install(tmp_path, monkeypatch):

@@ -28,6 +28,13 @@ def test_the_first_bad_number_is_named_in_the_order_of_computation():
     assert nonfinite.first_metric(data) == ("value_loss", 4)
 
 
+def test_a_loss_is_missed_only_where_the_model_was_fitted():
+    data = metrics() | {"model_loss": np.array([1.0, 1.0, np.nan, np.nan])}
+    assert nonfinite.first_metric(data) == ("model_loss", 3)
+    assert nonfinite.first_metric(data, np.array([2, 2, 0, 0])) is None
+    assert nonfinite.first_metric(data, np.array([2, 2, 0, 1])) == ("model_loss", 4)
+
+
 def test_the_first_array_with_a_bad_number_is_named_by_its_path():
     """NumPy's and JAX's, integers among them; a second look compiles nothing."""
     tree = {"a": [jnp.ones(3), np.arange(2)], "b": {"w": jnp.zeros((2, 2))}, "none": None}

@@ -26,7 +26,7 @@ from dynappo import schedule, train, types
 from dynappo.config import ConfigError
 from dynappo.policy import checkpoint_file, policy_file
 from dynappo.program import build
-from dynappo.train import checkpoint, finish, log
+from dynappo.train import checkpoint, curves, finish, log
 from dynappo.train import run as run_lib
 from dynappo.train import workdir as workdir_lib
 
@@ -62,6 +62,28 @@ def test_every_iteration_is_a_row_and_every_chunk_is_told(whole):
             np.testing.assert_array_equal(last[name], column[iteration - 1], name)
     seconds = whole.metrics["seconds"]
     assert (np.diff(seconds) > 0).all() and seconds[0] > 0
+
+
+def test_after_its_last_fit_the_model_stays_and_its_losses_are_blank(config, program, tmp_path):
+    """In the file, in what is read back, and in the picture; its error on new rows is still measured."""
+    columns = {name: column.copy() for name, column in program().columns.items()}
+    columns["model_epochs"][2:] = 0
+    states, frozen = [], program()._replace(columns=columns)
+
+    def step(hyper, state, chunk):
+        out = program().step(hyper, state, chunk)
+        states.append(jax.tree.map(np.array, out[0].model))
+        return out
+
+    _, metrics, _ = loop(config, frozen._replace(step=step), tmp_path)
+    assert_same(*states)
+    rows = table(tmp_path)
+    for name in ("model_loss", "model_loss_before"):
+        np.testing.assert_array_equal(np.isfinite(metrics[name]), [True, True, False, False])
+        assert [bool(row[name]) for row in rows] == [True, True, False, False]
+    assert all(float(row["model_error_1"]) > 0 for row in rows)
+    back = log.read_csv(tmp_path / "metrics.csv")
+    assert curves.draw(back, tmp_path / "curves.png") == ""
 
 
 def test_what_is_kept_of_a_chunk_is_its_own(config, program, monkeypatch):

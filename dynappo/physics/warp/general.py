@@ -62,7 +62,7 @@ def control_step(kept: Kept, shape: arrays.Shape, a: dict[str, Any]) -> None:
             kernels.motors,
             dim=(count, dofs - kernels.BASE),
             inputs=[substep, a["target"], a["motor"], data.qpos, data.qvel],
-            outputs=[data.ctrl, a["qd_before"]],
+            outputs=[data.ctrl, data.qfrc_applied, a["qd_before"]],
         )
         mjw.step(model, data)
         wp.launch(

@@ -22,9 +22,10 @@ def motors(
     qpos: wp.array2d[float],
     qvel: wp.array2d[float],
     torque: wp.array2d[float],  # [W, A] N m; before: of the last physics step
+    applied: wp.array2d[float],  # [W, nv] N m, what acts on the joints beside the motors
     qd_before: wp.array2d[float],
 ):
-    """Joint torques (actuators.py: `pd`, `clip_dc_motor`, `friction`, `lag`)."""
+    """The motors' torques (actuators.py: `pd`, `clip_dc_motor`, `lag`), and the joints' `friction`."""
     robot, joint = wp.tid()
     dof, p = joint + wp.static(BASE), motor[robot]
     qd, effort, saturation, speed = qvel[robot, dof], p[2], p[3], p[4]
@@ -39,11 +40,12 @@ def motors(
         t = upper
     elif t < lower:
         t = lower
-    t = t * p[5] - p[6] * wp.tanh(qd / wp.static(FRICTION_SPEED))
+    t = t * p[5]
     if p[7] < 1.0:
         before = torque[robot, joint]
         t = before + p[7] * (t - before)
     torque[robot, joint] = t
+    applied[robot, dof] = -p[6] * wp.tanh(qd / wp.static(FRICTION_SPEED))
     qd_before[robot, joint] = qd
 
 

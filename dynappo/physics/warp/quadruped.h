@@ -115,7 +115,7 @@ for (int substep = 0; substep < substeps; ++substep) {
       const float along = slip[l][2] + (i % 2 ? -mu[l] : mu[l]) * slip[l][i / 2];
       aref[l][i] = -f[CONTACT + B] * along - f[CONTACT + K] * imp * depth[l];
     }
-    // motors (actuators.py: pd, clip_dc_motor, friction, lag); compared so that NaN stays NaN
+    // motors (actuators.py: pd, clip_dc_motor, lag, friction); compared so that NaN stays NaN
     for (int k = 2; k >= 0; --k) {
       const float qd = rate[l][k];
       float t = kp * (target.data[(robot * substeps + substep) * 12 + leg * 3 + k] - angle[l][k]) - kd * qd;
@@ -125,12 +125,13 @@ for (int substep = 0; substep < substeps; ++substep) {
       const float lower = wp::max(saturation * (-1.0f - slope), -effort);
       if (t > upper) t = upper;
       else if (t < lower) t = lower;
-      t = t * strength - friction * tanhf(qd / FRICTION_SPEED);
+      t = t * strength;
       if (share < 1.0f) t = torque_is[l][k] + share * (t - torque_is[l][k]);
       torque_is[l][k] = t, before[l][k] = qd;
       // from the foot to the base: forces, and the inertia of what hangs on each joint
       if (k < 2) moment[k] = moment[k] + moment[k + 1], force[k] = force[k] + force[k + 1], link[k].add(link[k + 1]);
-      smooth[l][k] = t - damping[l][k] * qd - dot(axis[l][k], moment[k]) - dot(arm[k], force[k]);
+      const float rubs = friction * tanhf(qd / FRICTION_SPEED) + damping[l][k] * qd;
+      smooth[l][k] = t - rubs - dot(axis[l][k], moment[k]) - dot(arm[k], force[k]);
       M[l].ang[k] = link[k].moment(axis[l][k], arm[k]), M[l].lin[k] = link[k].force(axis[l][k], arm[k]);
       for (int j = 0; j <= k; ++j)
         M[l].own[at(k, j)] = dot(axis[l][j], M[l].ang[k]) + dot(arm[j], M[l].lin[k]);
