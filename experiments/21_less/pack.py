@@ -10,9 +10,7 @@ from pathlib import Path
 
 from experiments import paper
 
-COLUMNS = (
-    "batch name job seed iteration sim_steps return fall_rate early tracking_error yaw_error".split()
-)
+COLUMNS = "batch name job seed iteration sim_steps return fall_rate early tracking_error yaw_error".split()
 
 
 def main():
