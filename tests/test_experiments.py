@@ -190,7 +190,7 @@ def test_a_robot_stays_from_the_evaluation_on_after_which_none_is_bad():
 
 
 def test_the_readmes_table_says_what_the_runs_did():
-    """Steps until it walks and falls then, of `best`; PPO alone; PPO-16 of 14_efficiency; and the end."""
+    """Steps until it is first at its level, and until it walks; falls; PPO-16 of 14_efficiency; the end."""
     table, page = script("21_less/table"), (ROOT / "README.md").read_text()
     jobs = table.read(LESS / "results/fresh.csv.xz")
     with (EXPERIMENTS / "14_efficiency/results.csv").open(newline="") as file:
@@ -212,14 +212,27 @@ def test_the_readmes_table_says_what_the_runs_did():
         total, late = (np.mean([row[name] for row in end]) for name in ("return", "fall_rate"))
         sixteen = paper.pick(efficiency, robot=robot, threshold="evaluated", variant="ppo16")
         assert sixteen["success_rate_pct"] == "100"
-        some = [f"{steps:.2f}", f"{alone:.1f}", f"{float(sixteen['sim_steps_M_mean']):.1f}"]
-        some += [f"{falls:.1f} %", f"{total:.1f} of {table.best(mine)}", f"{100 * late:.1f} %"]
-        assert next(
-            cells(line) for line in page.splitlines() if line.startswith(f"| {label} ")
-        ) == [
-            label,
-            *some,
+        walked = [
+            np.array([table.reached([run], level).walks[0] for run in table.seeds(job)]) / 1e6
+            for job in (mine, ppo)
         ]
+        text = [f"{np.nanmean(some):.1f}" for some in walked]
+        never = np.isnan(walked[1]).sum()
+        assert not np.isnan(walked[0]).any()
+        found = [
+            f"{steps:.2f}",
+            f"{alone:.1f}",
+            f"{float(sixteen['sim_steps_M_mean']):.1f}",
+            f"{falls:.1f} %",
+        ]
+        found += [*text, f"{total:.1f} of {table.best(mine)}, {100 * late:.1f} %"]
+        line = next(cells(line) for line in page.splitlines() if line.startswith(f"| {label} "))
+        assert (f"({5 - never} of 5" in line[6]) == bool(never)
+        plain = [cell.partition(" (")[0].removesuffix(" falls") for cell in line[1:]]
+        plain[-1] = (
+            plain[-1] if " of " in plain[-1] else plain[-1].replace(",", f" of {table.best(mine)},")
+        )
+        assert [line[0], *plain] == [label, *found]
         assert 49 < float(sixteen["sim_steps_M_mean"]) / steps < 61  # "a fiftieth to a sixtieth"
     columns = script("14_efficiency").paper.sim_steps("configs/go1.py:best", 150)
     last = mine[-1]["sim_steps"]

@@ -31,10 +31,6 @@ def test_every_link_leads_somewhere(page):
             assert anchor in anchors(target.read_text()), link
 
 
-def test_the_readme_is_short():
-    assert len((ROOT / "README.md").read_bytes()) <= 7_250
-
-
 def said():
     """All that dynappo can say: texts of its source, one a line, with `...` for what is put in."""
     for path in [*ROOT.glob("dynappo/**/*.py"), *ROOT.glob("configs/*.py")]:
