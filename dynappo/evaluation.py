@@ -27,7 +27,7 @@ SETTLE = 1.0  # s, left out of the tracking error
 
 
 def nominal(hyper: Config) -> Any:
-    """`hyper` of a task without noise and pushes, with all physical parameters nominal."""
+    """`hyper` of a task without noise and pushes, with all physical parameters nominal, commands uniform."""
     task, r = hyper.task, hyper.task.randomize
     still = jax.tree.map(jnp.zeros_like, task.noise)
     bodies = jax.tree.map(jnp.zeros_like, r)  # what is not a share of something
@@ -35,7 +35,8 @@ def nominal(hyper: Config) -> Any:
     shares = dict.fromkeys(("kp_scale", "kd_scale", "strength", "armature"), (one, one))
     bodies = bodies._replace(friction=(friction, friction), **shares)
     push = task.push._replace(velocity=jnp.zeros(()))
-    return hyper._replace(task=task._replace(noise=still, randomize=bodies, push=push))
+    parts = dict(noise=still, randomize=bodies, push=push, turning=jnp.zeros(()))
+    return hyper._replace(task=task._replace(**parts))
 
 
 def evaluate(

@@ -14,9 +14,11 @@ from dynappo.types import Goal
 PAPER = SimpleNamespace(heading=False, resample_steps=0)
 ISAAC = SimpleNamespace(heading=True, resample_steps=500)
 RANGES = dict(command_x=(-1.0, 0.5), command_y=(-0.25, 0.75), command_yaw=(-0.8, 1.0))
-HYPER, HALF = (
-    SimpleNamespace(task=SimpleNamespace(**RANGES, heading_gain=0.5, standing=standing))
-    for standing in (0.0, 0.5)
+HYPER, HALF, MIXED = (
+    SimpleNamespace(
+        task=SimpleNamespace(**RANGES, heading_gain=0.5, standing=standing, turning=turning)
+    )
+    for standing, turning in ((0.0, 0.0), (0.5, 0.0), (0.2, 0.3))
 )
 LEVEL = jnp.array([0.0, 0.0, 0.3, 1.0, 0.0, 0.0, 0.0])
 
@@ -46,6 +48,17 @@ def test_the_papers_command_is_uniform_in_its_ranges_and_never_changes():
     after = commands.advance(PAPER, HYPER, command[0], goal, turned, jax.random.key(1))
     np.testing.assert_array_equal(after[0], command[0])
     assert after[1] is goal
+
+
+def test_a_share_of_the_commands_turns_on_the_spot_and_another_stands():
+    command, goal = draws(PAPER, MIXED)
+    stands, turns = goal.standing == 1, (command[:, :2] == 0).all(1) & (command[:, 2] != 0)
+    for kind, share in ((stands, 0.2), (turns, 0.3)):
+        assert abs(kind.mean() - share) < 4 * np.sqrt(share * (1 - share) / len(kind))
+    assert (command[stands] == 0).all() and not (stands & turns).any()
+    usual, _ = draws(PAPER, HYPER)
+    np.testing.assert_array_equal(command[turns, 2], usual[turns, 2])  # the yaw rate is drawn as ever
+    np.testing.assert_array_equal(command[~stands & ~turns], usual[~stands & ~turns])
 
 
 def test_the_heading_of_any_attitude_is_that_of_the_x_axis():
