@@ -1,12 +1,13 @@
 """Evaluations of runs on the way: what a policy is worth after how many simulator steps.
 
-    python experiments/21_less/run.py OUT_FOLDER JOBS.txt [--workers 4] [--policies]
+    python experiments/21_less/run.py OUT_FOLDER JOBS.txt [--workers 4] [--policies] [--late 200 50]
 
 A line of JOBS.txt is `NAME ROBOT:VARIANT [FIELD=VALUE ...]` and becomes OUT_FOLDER/NAME.csv, a row an
 evaluation and seed. Five seeds at once from 100 on, 100 episodes of 20 s each every 20 iterations, unless
 the line says otherwise (run.seed, run.num_seeds, run.eval_every ...). Jobs whose CSV is there are skipped.
 `--policies` writes OUT_FOLDER/NAME.K.npz, the policy of seed K (0, 1, ...), too. `--workers`: so many
 processes share the GPU, because compiling takes longer than training; their clocks say nothing then.
+`--late 200 50`: after iteration 200 evaluate every 50 iterations only.
 `table.py` reads the folder.
 """
 
@@ -14,6 +15,7 @@ import csv
 import os
 import subprocess
 import sys
+import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -21,14 +23,14 @@ import jax
 import numpy as np
 
 from dynappo import config as config_lib
+from dynappo import schedule
 from dynappo.physics import robot as robot_lib
 from dynappo.policy import policy_file
-from dynappo.program import devices
+from dynappo.program import build, devices
 from experiments import paper
 
-DEFAULTS = dict(seed=100, num_seeds=5, log_every=20, eval_every=20, eval_envs=100, eval_steps=1000)
-NAMES = {"return": "eval_return", "fall_rate": "eval_fall_rate"}
-NAMES |= {"tracking_error": "eval_tracking_error", "yaw_error": "eval_yaw_error"}
+DEFAULTS = dict(seed=100, num_seeds=5, log_every=1, eval_every=20, eval_envs=100, eval_steps=1000)
+MEASURED = "return", "fall_rate", "tracking_error", "yaw_error"
 
 
 def main():
@@ -37,6 +39,7 @@ def main():
     parser.add_argument("jobs", type=Path)
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--policies", action="store_true", help="write each seed's policy")
+    parser.add_argument("--late", type=int, nargs=2, metavar=("AFTER", "EVERY"))
     parser.add_argument("--only", help="run this job of the file in this process")
     args = parser.parse_args()
     args.out.mkdir(parents=True, exist_ok=True)
@@ -46,12 +49,14 @@ def main():
     if args.only:
         devices.own_process()
         to = args.out / args.only if args.policies else None
-        write(args.out / f"{args.only}.csv", run(*jobs[args.only].split(), policies=to))
+        rows = run(*jobs[args.only].split(), policies=to, late=args.late)
+        write(args.out / f"{args.only}.csv", rows)
         return
 
     def start(name):
         command = [sys.executable, __file__, args.out, args.jobs, "--only", name]
         command += ["--policies"] * args.policies
+        command += ["--late", *map(str, args.late)] if args.late else []
         room = {"XLA_PYTHON_CLIENT_PREALLOCATE": "false"} if args.workers > 1 else {}
         done = subprocess.run(command, env=os.environ | room, capture_output=True, text=True)
         said = (done.stderr.strip() or str(done.returncode)).splitlines()[-1]
@@ -61,31 +66,48 @@ def main():
         list(pool.map(start, [name for name in jobs if not (args.out / f"{name}.csv").exists()]))
 
 
-def run(job: str, *fields: str, policies: Path | None = None) -> list[dict]:
+def run(job: str, *fields: str, policies: Path | None = None, late=None) -> list[dict]:
     """Train, and return a row an evaluation and seed; write the seeds' policies as POLICIES.K.npz."""
-    from dynappo import train
-
     robot, _, variant = job.partition(":")
     config = config_lib.load(f"configs/{robot}.py:{variant}")
-    config.run.update(checkpoint_every=0, **DEFAULTS)
+    config.run.update(**DEFAULTS)
     for field in fields:
         config_lib.override(config, *field.split("=", 1))
-    state, metrics = train.train(config)
-    if policies:
-        config, params = config_lib.validate(config), jax.device_get(state.learner.params)
-        body = robot_lib.load(config.robot)
-        for k in range(config.run.num_seeds):
-            one = jax.tree.map(lambda x, k=k: x[k] if config.run.num_seeds > 1 else x, params)
-            policy_file.save(policies.with_name(f"{policies.name}.{k}.npz"), one, config, body, k)
-    many = {name: np.reshape(m, (len(m), -1)) for name, m in metrics.items()}
-    rows = []
-    for i in np.flatnonzero(np.isfinite(many["eval_return"]).all(1)):
-        for s in range(many["eval_return"].shape[1]):
+    config = config_lib.validate(config)
+    build.check(config)
+    program, seeds = build.program(config), config.run.num_seeds
+    state, steps, seconds, first, rows = program.state, schedule.sim_steps(config), 0.0, 0, []
+    for last in evaluations(config, late):
+        chunk = {name: column[first:last] for name, column in program.columns.items()}
+        began = time.perf_counter()
+        state, _ = jax.block_until_ready(program.step(program.hyper, state, chunk))
+        seconds, first = seconds + time.perf_counter() - began, last
+        found = {name: np.ravel(x) for name, x in program.evaluate(state).items()}
+        for s in range(seeds):
             about = {"job": " ".join([job, *fields]), "seed": config.run.seed + s}
-            when = {name: int(many[name][i, 0]) for name in ("iteration", "sim_steps")}
-            found = {name: f"{many[column][i, s]:.4g}" for name, column in NAMES.items()}
-            rows.append(about | when | {"seconds": f"{many['seconds'][i, 0]:.4g}"} | found)
+            when = {
+                "iteration": last,
+                "sim_steps": int(steps[last - 1]),
+                "seconds": f"{seconds:.4g}",
+            }
+            rows.append(about | when | {name: f"{found[name][s]:.4g}" for name in MEASURED})
+    if policies:
+        params = jax.device_get(state.learner.params)
+        for k in range(seeds):
+            one = jax.tree.map(lambda x, k=k: x[k] if seeds > 1 else x, params)
+            path = policies.with_name(f"{policies.name}.{k}.npz")
+            policy_file.save(path, one, config, robot_lib.load(config.robot), k)
     return rows
+
+
+def evaluations(config, late=None) -> list[int]:
+    """Iterations after which to evaluate: every `run.eval_every`, with `late` = (after, every) fewer
+    later, and the last."""
+    run, (after, every) = config.run, late or (config.run.num_iterations, 1)
+    early = range(run.eval_every, min(after, run.num_iterations) + 1, run.eval_every)
+    return sorted(
+        {*early, *range(after + every, run.num_iterations + 1, every), run.num_iterations}
+    )
 
 
 def write(path: Path, rows: list[dict]) -> None:
