@@ -57,7 +57,9 @@ def test_a_share_of_the_commands_turns_on_the_spot_and_another_stands():
         assert abs(kind.mean() - share) < 4 * np.sqrt(share * (1 - share) / len(kind))
     assert (command[stands] == 0).all() and not (stands & turns).any()
     usual, _ = draws(PAPER, HYPER)
-    np.testing.assert_array_equal(command[turns, 2], usual[turns, 2])  # the yaw rate is drawn as ever
+    np.testing.assert_array_equal(
+        command[turns, 2], usual[turns, 2]
+    )  # the yaw rate is drawn as ever
     np.testing.assert_array_equal(command[~stands & ~turns], usual[~stands & ~turns])
 
 
