@@ -29,7 +29,8 @@ check: $(VENV)/.dev  ## lint, format, types and spelling: what must be clean bef
 	$(BIN)/pyright
 	$(BIN)/codespell
 
-format: $(VENV)/.dev  ## put the code into the project's format
+format: $(VENV)/.dev  ## put the code into the project's format, and write dynappo/config/halves.py
+	$(BIN)/python tests/write_halves.py
 	$(BIN)/ruff check --fix
 	$(BIN)/ruff format
 

@@ -34,14 +34,14 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from dynappo import rollout, schedule, stats
 from dynappo.learner import gae, networks, ppo, symmetry
 from dynappo.model import dynamics, errors
-from dynappo.types import Columns, Config, Env, Metrics, TrainState, Transition
+from dynappo.types import Columns, Env, Hyper, Metrics, Static, TrainState, Transition
 
 # purposes of random numbers: of a seed, whose policy may be evaluated with the same; and of an iteration
 NETWORKS, MODEL, BODIES, START, ITERATIONS, EPISODES = range(6)
 ROWS, FIT, UPDATE, ACTION, STEP, RESET, ANCHOR = range(7)
 
 
-def init(env: Env, hyper: Config, key: PRNGKeyArray, *, static: Config) -> TrainState:
+def init(env: Env, hyper: Hyper, key: PRNGKeyArray, *, static: Static) -> TrainState:
     """Untrained networks, and R robots at their start, each with its own physical parameters."""
     robot_index = jnp.arange(static.rollout.num_envs)
     fold = jax.vmap(jax.random.fold_in, (None, 0))
@@ -63,7 +63,7 @@ def init(env: Env, hyper: Config, key: PRNGKeyArray, *, static: Config) -> Train
 
 
 def iterate(
-    env: Env, hyper: Config, state: TrainState, columns: Columns, *, static: Config
+    env: Env, hyper: Hyper, state: TrainState, columns: Columns, *, static: Static
 ) -> tuple[TrainState, Metrics]:
     """One iteration of the paper's Algorithm 1; `columns` is one row of `schedule.columns`."""
     horizon, n_real = static.rollout.horizon, columns["n_real"]
@@ -119,7 +119,7 @@ def iterate(
     }
 
 
-def collect(env: Env, hyper: Config, state: TrainState, n_real, key, *, static: Config):
+def collect(env: Env, hyper: Hyper, state: TrainState, n_real, key, *, static: Static):
     """Rows `t < n_real` from physics: `(buffer, robots after them, sums of env.metrics)`."""
     return rollout.fill(
         rollout.allocate(env, static.rollout.horizon, static.rollout.num_envs),
@@ -134,7 +134,7 @@ def collect(env: Env, hyper: Config, state: TrainState, n_real, key, *, static: 
 
 
 def run(
-    env: Env, hyper: Config, state: TrainState, columns: Columns, count=None, *, static: Config
+    env: Env, hyper: Hyper, state: TrainState, columns: Columns, count=None, *, static: Static
 ) -> tuple[TrainState, Metrics]:
     """`iterate` over every row of the schedule; metrics have shape `[I]`.
 
@@ -157,7 +157,7 @@ def run(
     return jax.lax.fori_loop(0, rows if count is None else count, row, (state, table))
 
 
-def policy(static: Config, env: Env, params: dict):
+def policy(static: Static, env: Env, params: dict):
     """`act(state, keys) -> action, mean, log_prob, value` of every robot; the action is Gaussian."""
     std = params["std"]
     joined = networks.join(static, params)
@@ -172,7 +172,7 @@ def policy(static: Config, env: Env, params: dict):
     return act
 
 
-def physics_step(env: Env, hyper: Config, bodies):
+def physics_step(env: Env, hyper: Hyper, bodies):
     """`step(state, action, keys)` of all robots: the environment's step, then its autoreset.
 
     On a mesh (sweep.py) each device steps its own robots. JAX's partitioner cannot see into an
@@ -180,7 +180,7 @@ def physics_step(env: Env, hyper: Config, bodies):
     """
     fold, robots = jax.vmap(jax.random.fold_in, (0, None)), (None, 0, 0, 0, 0)
 
-    def step(hyper, bodies, state, action, keys):
+    def step(hyper: Hyper, bodies, state, action, keys):
         after, outcome = jax.vmap(env.step, robots)(hyper, bodies, state, action, fold(keys, STEP))
         autoreset = jax.vmap(env.autoreset, robots)
         return autoreset(hyper, bodies, after, outcome, fold(keys, RESET)), outcome
@@ -193,7 +193,7 @@ def physics_step(env: Env, hyper: Config, bodies):
 
 
 def estimate(
-    static: Config, hyper: Config, env: Env, params: dict, buffer: Transition, real, k=0
+    static: Static, hyper: Hyper, env: Env, params: dict, buffer: Transition, real, k=0
 ) -> ppo.Batch:
     """Advantages and returns of a rollout, bootstrapped by V(next_obs) at truncations and row N-1.
 

@@ -13,20 +13,18 @@ It uses the training environment: only floats of the config make the task nomina
 
 from __future__ import annotations
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from dynappo import algorithm
 from dynappo.learner import networks
-from dynappo.types import Config, Env, Metrics
+from dynappo.types import Env, Hyper, Metrics, Static
 
 SETTLE = 1.0  # s, left out of the tracking error
 
 
-def nominal(hyper: Config) -> Any:
+def nominal(hyper: Hyper) -> Hyper:
     """`hyper` of a task without noise and pushes, with all physical parameters nominal, commands uniform."""
     task, r = hyper.task, hyper.task.randomize
     still = jax.tree.map(jnp.zeros_like, task.noise)
@@ -41,11 +39,11 @@ def nominal(hyper: Config) -> Any:
 
 def evaluate(
     env: Env,
-    hyper: Config,
+    hyper: Hyper,
     params: dict,
     key: PRNGKeyArray,
     *,
-    static: Config,
+    static: Static,
     num_envs: int,
     num_steps: int,
     randomize: bool = False,

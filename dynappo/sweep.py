@@ -33,7 +33,7 @@ from jax.sharding import AxisType, Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from dynappo import algorithm, evaluation
-from dynappo.types import Config, Env, Metrics, TrainState
+from dynappo.types import Env, Hyper, Metrics, Static, TrainState
 
 ROBOTS = ("env_state", "params_physics", "robot_index")  # fields of TrainState with an axis R
 
@@ -43,7 +43,7 @@ def keys(seed: int, num_seeds: int) -> PRNGKeyArray:
     return jnp.stack([jax.random.key(seed + s) for s in range(num_seeds)])
 
 
-def vary(hyper: Config, field: str, values) -> Any:
+def vary(hyper: Hyper, field: str, values) -> Hyper:
     """`hyper` with one value of `field` ("ppo.learning_rate") for each seed.
 
     Call it several times to vary several fields together: seed s takes value s of each. ValueError
@@ -75,12 +75,12 @@ def _set(node, field, path, values):
     return node._replace(**{name: _set(old, field, rest, values) if rest else values})
 
 
-def axes(hyper: Config) -> Any:
+def axes(hyper: Hyper) -> Any:
     """`in_axes` for `jax.vmap`: 0 where `hyper` has a value for each seed, else None."""
     return jax.tree.map(lambda leaf: 0 if jnp.ndim(leaf) else None, hyper)
 
 
-def init(env: Env, hyper: Config, keys: PRNGKeyArray, *, static: Config) -> TrainState:
+def init(env: Env, hyper: Hyper, keys: PRNGKeyArray, *, static: Static) -> TrainState:
     """`algorithm.init` of every seed; arrays get a leading axis S."""
     one = partial(algorithm.init, env, static=static)
     return jax.vmap(one, (axes(hyper), 0), spmd_axis_name="seed")(hyper, keys)
@@ -88,12 +88,12 @@ def init(env: Env, hyper: Config, keys: PRNGKeyArray, *, static: Config) -> Trai
 
 def run(
     env: Env,
-    hyper: Config,
+    hyper: Hyper,
     state: TrainState,
     columns: dict[str, Int[Array, " I"]],
     count=None,
     *,
-    static: Config,
+    static: Static,
 ) -> tuple[TrainState, Metrics]:
     """`algorithm.run` of every seed; metrics `[I, S]`. Columns and `count` are loop bounds, so not
     batched."""
@@ -104,11 +104,11 @@ def run(
 
 def evaluate(
     env: Env,
-    hyper: Config,
+    hyper: Hyper,
     params: dict,
     key: PRNGKeyArray,
     *,
-    static: Config,
+    static: Static,
     num_envs: int,
     num_steps: int,
 ) -> dict[str, Float[Array, " S"]]:
@@ -135,7 +135,7 @@ def partitioner(over: Mesh):
     JAX 0.11.2's other partitioner, Shardy, crashes with a segmentation fault when it compiles
     physics (of either engine) under shard_map for GPUs.
     """
-    before = jax.config.jax_use_shardy_partitioner
+    before = jax.config.jax_use_shardy_partitioner  # pyright: ignore[reportAttributeAccessIssue]
     jax.config.update("jax_use_shardy_partitioner", before and over.size == 1)
     try:
         yield

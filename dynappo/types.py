@@ -18,7 +18,8 @@ What the names mean, everywhere:
 - `next_obs` is observed before any reset. Unless the robot is reset in between, it is the same
   array as the next row's `obs`, noise included.
 - `prop` is the predicted part of the observation without its noise, `next_prop` that of `next_obs`.
-- `static` and `hyper` are the two halves of the whole config (config/splitting.py).
+- `static` and `hyper` are the two halves of the whole config (config/splitting.py); the fields of
+  their types are in config/halves.py.
 - A robot's `body` holds its own physical parameters; `params_physics` holds those of all robots.
 - Row t is real if and only if `t < n_real`; that is not stored.
 
@@ -37,20 +38,17 @@ import numpy as np
 from flax import struct
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
-if TYPE_CHECKING:  # `static` and `hyper` have the fields of one class, each a half of them
-    try:
-        from configs.default import Config as Config
-    except ImportError:  # in an installed package
-        from dynappo.configs.default import Config as Config  # pyright: ignore
+if TYPE_CHECKING:
+    from dynappo.config.halves import Hyper as Hyper
+    from dynappo.config.halves import Static as Static
 else:
-    Config = Any
+    Static = Hyper = Any  # named tuples that config/splitting.py makes
 
 Metrics = dict[str, Array]  # scalars; a dict because it only leaves the loop
 Columns = dict[str, Int[Array, "..."]]  # of schedule.columns, `[I]`, or one row of them
 
 
-@struct.dataclass
-class Outcome:
+class Outcome(struct.PyTreeNode):
     """What one step returns to the learner; the step is the environment's or the model's."""
 
     reward: Float[Array, "..."]
@@ -64,8 +62,7 @@ class Outcome:
     metrics: Metrics = struct.field(default_factory=dict)  # per robot; summed over physics' rows
 
 
-@struct.dataclass
-class Transition:
+class Transition(struct.PyTreeNode):
     """One row of the rollout buffer; `[N, R]` in front of every shape below."""
 
     obs: Float[Array, "... O"]
@@ -84,8 +81,7 @@ class Transition:
     episode_length: Float[Array, "..."]
 
 
-@struct.dataclass
-class Goal:
+class Goal(struct.PyTreeNode):
     """The rest of a robot's command, kept until the next draw (task/commands.py)."""
 
     heading: Float[Array, "..."]  # rad in the world; used with `task.heading` only
@@ -93,8 +89,7 @@ class Goal:
     steps_left: Int[Array, "..."]  # control steps until the next draw
 
 
-@struct.dataclass
-class EnvState:
+class EnvState(struct.PyTreeNode):
     """One robot of the velocity task: the integration state of physics and all memory of the task.
 
     `env.step` reads nothing else. So a reset costs no physics call, and a checkpoint holds the same
@@ -122,8 +117,7 @@ class EnvState:
     episode_return: Float[Array, "..."]
 
 
-@struct.dataclass
-class Learner:
+class Learner(struct.PyTreeNode):
     """Policy and value function, their optimiser, and the learning rate, adapted by the KL."""
 
     params: Any
@@ -131,8 +125,7 @@ class Learner:
     learning_rate: Float[Array, ""]
 
 
-@struct.dataclass
-class Moments:
+class Moments(struct.PyTreeNode):
     """Running mean and variance of a vector; `weight` corrects the bias of the first updates."""
 
     mean: Float[Array, "..."]
@@ -140,8 +133,7 @@ class Moments:
     weight: Float[Array, ""]
 
 
-@struct.dataclass
-class ModelState:
+class ModelState(struct.PyTreeNode):
     """The transition model: weights, optimiser, and the moments that scale its input and target."""
 
     params: Any
@@ -150,8 +142,7 @@ class ModelState:
     targets: Moments
 
 
-@struct.dataclass
-class TrainState:
+class TrainState(struct.PyTreeNode):
     """Everything that a run carries from one iteration to the next."""
 
     learner: Learner

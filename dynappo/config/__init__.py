@@ -3,7 +3,7 @@
 - `loading`: reads a config file and the fields set on the command line
 - `fields`: which fields there are, and their types; `ConfigError`
 - `validation`: checks which settings can run
-- `splitting`: `static` and `hyper`, the two halves that the program takes
+- `splitting`: `static` and `hyper`, the two halves that the program takes; `halves`: their types
 - `files`: finds configs/ and robots/, writes small files, locks
 - `flags`, `shell`, `versions`: shared by every command: its flags and exit status, how to call commands
   on this machine, which code made a result

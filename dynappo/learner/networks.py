@@ -22,7 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from dynappo.types import Config, Env
+from dynappo.types import Env, Hyper, Static
 
 LOG_2PI = 1.8378770664093453
 # jax.lax.Precision for each value of a network's precision; bfloat16 also sets the layers' dtype
@@ -75,19 +75,19 @@ def apply(network: MLP, params, x: Float[Array, "... in"]) -> Float[Array, "... 
     return dot(x, last["kernel"], preferred_element_type=jnp.float32) + last["bias"]
 
 
-def actor(static: Config, action_size: int) -> MLP:
+def actor(static: Static, action_size: int) -> MLP:
     """The network of the policy's mean."""
     return MLP((*static.ppo.hidden, action_size), static.ppo.activation, static.ppo.precision)
 
 
-def critic(static: Config) -> MLP:
+def critic(static: Static) -> MLP:
     """The network of the value function."""
     return MLP((*static.ppo.hidden, 1), static.ppo.activation, static.ppo.precision)
 
 
 def init_policy(
-    static: Config,
-    hyper: Config,
+    static: Static,
+    hyper: Hyper,
     obs_size: int,
     action_size: int,
     key: PRNGKeyArray,
@@ -102,18 +102,18 @@ def init_policy(
     }
 
 
-def policy(static: Config, params: dict, obs: Float[Array, "... O"]) -> Float[Array, "... A"]:
+def policy(static: Static, params: dict, obs: Float[Array, "... O"]) -> Float[Array, "... A"]:
     """Mean action, clipped to +-`MAX_MEAN`. Its std, `params["std"]`, does not depend on `obs`."""
     mean = apply(actor(static, params["std"].shape[-1]), params["actor"], obs)
     return jnp.clip(mean, -MAX_MEAN, MAX_MEAN)
 
 
-def value(static: Config, params: dict, obs: Float[Array, "... O"]) -> Float[Array, "..."]:
+def value(static: Static, params: dict, obs: Float[Array, "... O"]) -> Float[Array, "..."]:
     """V(obs): the expected discounted return."""
     return apply(critic(static), params["critic"], obs)[..., 0]
 
 
-def seen(static: Config, env: Env, obs: Float[Array, "... O"], prop: Float[Array, "... P"]):
+def seen(static: Static, env: Env, obs: Float[Array, "... O"], prop: Float[Array, "... P"]):
     """`(of the policy, of the value function)`: what they see of an observation and its exact `prop`.
 
     The same array where they see the same, so that their first layers are one product.
@@ -125,7 +125,7 @@ def seen(static: Config, env: Env, obs: Float[Array, "... O"], prop: Float[Array
     return shown, state if env.views is None else state[..., env.views.critic]
 
 
-def seen_sizes(static: Config, env: Env) -> tuple[int, int]:
+def seen_sizes(static: Static, env: Env) -> tuple[int, int]:
     """Numbers of what `seen` returns."""
     views, size = env.views, env.obs_size
     if views is None:
@@ -134,7 +134,7 @@ def seen_sizes(static: Config, env: Env) -> tuple[int, int]:
     return actor_size, actor_size if static.ppo.critic == "obs" else len(views.critic)
 
 
-def policy_and_value(static: Config, params: dict, obs: Float[Array, "... O"], critic_obs=None):
+def policy_and_value(static: Static, params: dict, obs: Float[Array, "... O"], critic_obs=None):
     """`(policy(obs), value(critic_obs))`: the same numbers, with one product for a layer of both networks.
 
     Half as many matrix products, each larger: an update takes 9.0 ms in float32 (9.4 without), 6.4
@@ -144,7 +144,7 @@ def policy_and_value(static: Config, params: dict, obs: Float[Array, "... O"], c
     return of_joined(static, join(static, params), obs, critic_obs)
 
 
-def join(static: Config, params: dict) -> dict:
+def join(static: Static, params: dict) -> dict:
     """The weights of both networks as `of_joined` multiplies them: by layer, and rounded.
 
     A loop over rows does this once, before it begins: in the loop it takes 7 kernels a row.
@@ -166,7 +166,7 @@ def cast(precision: str, weights):
     return jax.tree.map(lambda w: w.astype(dtype), weights)
 
 
-def of_joined(static: Config, joined: dict, obs: Float[Array, "... O"], critic_obs=None):
+def of_joined(static: Static, joined: dict, obs: Float[Array, "... O"], critic_obs=None):
     """`policy_and_value` of weights that `join` has joined."""
     first = joined["first"]
     dot = partial(jnp.einsum, precision=PRECISION[static.ppo.precision])

@@ -20,7 +20,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from dynappo.learner import networks, symmetry
-from dynappo.types import Config, Learner, Metrics, Transition
+from dynappo.types import Hyper, Learner, Metrics, Static, Transition
 
 OF_STEP: tuple[str, ...] = ("kl", "surrogate_loss", "value_loss", "entropy")
 METRICS = *OF_STEP, "learning_rate"
@@ -48,8 +48,8 @@ def batch(rows: Transition, seen, advantages, returns, weight=None) -> Batch:
 
 
 def init(
-    static: Config,
-    hyper: Config,
+    static: Static,
+    hyper: Hyper,
     obs_size: int,
     action_size: int,
     key: PRNGKeyArray,
@@ -63,7 +63,7 @@ def init(
     return Learner(params, opt_state, jnp.asarray(hyper.ppo.learning_rate, jnp.float32))
 
 
-def _optimizer(hyper: Config):
+def _optimizer(hyper: Hyper):
     return optax.chain(optax.clip_by_global_norm(hyper.ppo.max_grad_norm), optax.scale_by_adam())
 
 
@@ -85,7 +85,7 @@ def normalize(advantages: Float[Array, "..."], weight=None) -> Float[Array, "...
     return centred / (jnp.sqrt((weight * centred**2).sum() / count) + 1e-8)
 
 
-def loss(static: Config, hyper: Config, params: dict, batch: Batch, old_std: Float[Array, " A"]):
+def loss(static: Static, hyper: Hyper, params: dict, batch: Batch, old_std: Float[Array, " A"]):
     """`(scalar, metrics)`: clipped surrogate + value_coef x value loss - entropy_coef x entropy.
 
         surrogate = mean max(-A rho, -A clip(rho, 1 - eps, 1 + eps)),  rho = pi / pi_old
@@ -110,7 +110,7 @@ def loss(static: Config, hyper: Config, params: dict, batch: Batch, old_std: Flo
     return total, dict(zip(OF_STEP, (kl, surrogate, value_loss, entropy), strict=True))
 
 
-def adapt(static: Config, hyper: Config, learning_rate: Float[Array, ""], kl: Float[Array, ""]):
+def adapt(static: Static, hyper: Hyper, learning_rate: Float[Array, ""], kl: Float[Array, ""]):
     """The learning rate after a minibatch's KL: / 1.5 above twice the target, x 1.5 below half."""
     if not static.ppo.adaptive:
         return learning_rate
@@ -121,7 +121,7 @@ def adapt(static: Config, hyper: Config, learning_rate: Float[Array, ""], kl: Fl
 
 
 def minibatch_step(
-    static: Config, hyper: Config, unflatten, learner: Learner, batch: Batch, old_std, turned=None
+    static: Static, hyper: Hyper, unflatten, learner: Learner, batch: Batch, old_std, turned=None
 ) -> tuple[Learner, Metrics]:
     """One gradient step: loss, KL, learning rate, clipped gradient, Adam; `(learner, metrics)`.
 
@@ -143,7 +143,7 @@ def minibatch_step(
     return Learner(params=params, opt_state=opt_state, learning_rate=rate), metrics
 
 
-def minibatches(static: Config, batch: Batch, key: PRNGKeyArray) -> Batch:
+def minibatches(static: Static, batch: Batch, key: PRNGKeyArray) -> Batch:
     """`[N, R, ...]` rows as `[minibatches, B, ...]`, permuted inside each block of robots."""
     blocks, count = static.ppo.shuffle_blocks, static.ppo.minibatches
     horizon, num_envs = batch.value.shape
@@ -163,7 +163,7 @@ def minibatches(static: Config, batch: Batch, key: PRNGKeyArray) -> Batch:
 
 
 def update(
-    static: Config, hyper: Config, learner: Learner, batch: Batch, key: PRNGKeyArray, image=None
+    static: Static, hyper: Hyper, learner: Learner, batch: Batch, key: PRNGKeyArray, image=None
 ) -> tuple[Learner, Metrics]:
     """`epochs` x `minibatches` steps on one rollout `[N, R]` with raw advantages. Metrics are means
     over the steps, and the last learning rate. `image` is `symmetry.policy_image`."""

@@ -27,7 +27,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from dynappo.types import Config, Env, Mirror
+from dynappo.types import Env, Mirror, Static
 
 Image = Callable[[Any], Any]  # of a tree of weights, or of its gradient; its own inverse
 
@@ -63,7 +63,7 @@ def part(mirror: Mirror, columns) -> Mirror:
     return Mirror(place[mirror.index[columns]], mirror.sign[columns])
 
 
-def policy_image(static: Config, env: Env) -> Image | None:
+def policy_image(static: Static, env: Env) -> Image | None:
     """The image of `{"actor", "critic", "std"}`, or None without `ppo.symmetry`.
 
     ValueError if the environment has no mirror image.

@@ -33,7 +33,7 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from dynappo.learner import networks
 from dynappo.model import examples, moments
-from dynappo.types import Config, Env, Metrics, ModelState, Outcome, Transition
+from dynappo.types import Env, Hyper, Metrics, ModelState, Outcome, Static, Transition
 
 FALL_LOGIT = -4.6  # added to the network's output: untrained, it predicts 1 %
 NOISE = 4  # purpose of random numbers, the same as algorithm.STEP; no row is written by both
@@ -47,27 +47,27 @@ class TailState:
     prop: Float[Array, "R P"]  # what the model predicts from (examples.py)
 
 
-def tail(static: Config, env: Env, state) -> TailState:
+def tail(static: Static, env: Env, state) -> TailState:
     """The start of a tail, from the `obs` and `prop` of a physics state or of a row."""
     prop = state.prop if static.model.clean else state.obs[..., : env.prop_size]
     return TailState(obs=state.obs, prop=prop)
 
 
-def anchors(static: Config, env: Env, rows: Transition, n_real: Int[Array, ""], key) -> TailState:
+def anchors(static: Static, env: Env, rows: Transition, n_real: Int[Array, ""], key) -> TailState:
     """The start of a tail for each robot, from one of its rows `t < n_real`, drawn at random."""
     t = jax.random.randint(key, rows.reward.shape[1:], 0, n_real)[None, :, None]
     states = tail(static, env, rows)
     return jax.tree.map(lambda x: jnp.take_along_axis(x, t, axis=0)[0], states)
 
 
-def network(static: Config, prop_size: int) -> networks.MLP:
+def network(static: Static, prop_size: int) -> networks.MLP:
     """f_theta, with outputs next prop, reward and, with `model.falls`, the logit of a fall."""
     model = static.model
     sizes = (*model.hidden, prop_size + 1 + model.falls)
     return networks.MLP(sizes, model.activation, model.precision)
 
 
-def init(static: Config, env: Env, key: PRNGKeyArray) -> ModelState:
+def init(static: Static, env: Env, key: PRNGKeyArray) -> ModelState:
     """An untrained model; its moments have weight 0 until the first fit."""
     inputs, outputs = examples.input_size(env), env.prop_size + 1
     params = networks.init(network(static, env.prop_size), inputs, key)
@@ -79,7 +79,7 @@ def init(static: Config, env: Env, key: PRNGKeyArray) -> ModelState:
     )
 
 
-def _scales(static: Config, model: ModelState):
+def _scales(static: Static, model: ModelState):
     """`((mean, std) of inputs, (mean, std) of targets)`, or the identity without normalisation."""
     if not static.model.normalize:
         zeros = jnp.zeros_like(model.inputs.mean), jnp.zeros_like(model.targets.mean)
@@ -90,7 +90,7 @@ def _scales(static: Config, model: ModelState):
     return moments.scale(model.inputs), (mean, std)
 
 
-def loss(static: Config, hyper: Config, params, x, y, weight) -> Float[Array, ""]:
+def loss(static: Static, hyper: Hyper, params, x, y, weight) -> Float[Array, ""]:
     """Mean over rows of weight 1 and outputs: Huber (eq. 3), and cross-entropy for a fall."""
     size = y.shape[-1] - static.model.falls  # predicted numbers: prop and reward
     prediction = networks.apply(network(static, size - 1), params, x)
@@ -103,8 +103,8 @@ def loss(static: Config, hyper: Config, params, x, y, weight) -> Float[Array, ""
 
 
 def fit(
-    static: Config,
-    hyper: Config,
+    static: Static,
+    hyper: Hyper,
     env: Env,
     model: ModelState,
     rows: Transition,
@@ -157,7 +157,7 @@ def fit(
     return model, {"model_loss": after, "model_loss_before": before}
 
 
-def orders(static: Config, n_real: Int[Array, ""], num_envs: int, key: PRNGKeyArray):
+def orders(static: Static, n_real: Int[Array, ""], num_envs: int, key: PRNGKeyArray):
     """`(order [E, N], first [E, R])` of epochs: every real row once, in one random order for all
     robots; each starts elsewhere in it. In the loop over minibatches they would take 7 kernels."""
 
@@ -171,7 +171,7 @@ def orders(static: Config, n_real: Int[Array, ""], num_envs: int, key: PRNGKeyAr
 
 
 def predict(
-    static: Config, hyper: Config, env: Env, model: ModelState, obs: Float[Array, "R O"], action
+    static: Static, hyper: Hyper, env: Env, model: ModelState, obs: Float[Array, "R O"], action
 ) -> tuple[Float[Array, "R O"], Float[Array, " R"], Float[Array, " R"]]:
     """`(next observation, reward, discount)`: prop is predicted, `env.context` copies the rest."""
     size = env.prop_size
@@ -189,7 +189,7 @@ def predict(
     return jnp.concatenate([prop, env.context(obs, action)], -1), reward, lives
 
 
-def step(static: Config, hyper: Config, env: Env, model: ModelState):
+def step(static: Static, hyper: Hyper, env: Env, model: ModelState):
     """`step(state, action, keys) -> state, Outcome` of all robots, for `rollout.fill`.
 
     Without `falls` no row falls: the paper's model predicts no terminations. No row is truncated.

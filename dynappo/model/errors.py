@@ -6,12 +6,10 @@ import jax
 import jax.numpy as jnp
 
 from dynappo.model import dynamics, examples, moments
-from dynappo.types import Config, Env, Metrics, ModelState, Transition
+from dynappo.types import Env, Hyper, Metrics, ModelState, Static, Transition
 
 
-def unroll(
-    static: Config, hyper: Config, env: Env, model: ModelState, rows: Transition, steps: int
-):
+def unroll(static: Static, hyper: Hyper, env: Env, model: ModelState, rows: Transition, steps: int):
     """`steps` next props [K, R, P], each predicted from the one before, from row 0 with the actions
     taken; and [K, R], 1 where the robot's episode had not ended by then."""
 
@@ -26,7 +24,7 @@ def unroll(
 
 
 def errors(
-    static: Config, hyper: Config, env: Env, model: ModelState, rows: Transition, steps: int
+    static: Static, hyper: Hyper, env: Env, model: ModelState, rows: Transition, steps: int
 ) -> Metrics:
     """Error after 1 and after `steps` predictions, relative to predicting no change.
 

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from dynappo.types import Config, Env, Transition
+from dynappo.types import Env, Hyper, Static, Transition
 
 
 def inputs(env: Env, obs: Float[Array, "... O"], action) -> Float[Array, "... I"]:
@@ -26,7 +26,7 @@ def input_size(env: Env) -> int:
     return (env.obs_size if env.views is None else len(env.views.model)) + env.action_size
 
 
-def before_and_after(static: Config, env: Env, rows: Transition):
+def before_and_after(static: Static, env: Env, rows: Transition):
     """`(obs [O], next prop [P])` of each row as the model sees them; `clean`: without noise."""
     size = env.prop_size
     if not static.model.clean:
@@ -34,7 +34,7 @@ def before_and_after(static: Config, env: Env, rows: Transition):
     return jnp.concatenate([rows.prop, rows.obs[..., size:]], -1), rows.next_prop
 
 
-def targets(static: Config, hyper: Config, env: Env, rows: Transition) -> Float[Array, "... K"]:
+def targets(static: Static, hyper: Hyper, env: Env, rows: Transition) -> Float[Array, "... K"]:
     """The model's target for each row: change of prop (or next prop), reward / dt without its known
     share, and, with `model.falls`, 1 where the robot fell.
 
@@ -51,14 +51,14 @@ def targets(static: Config, hyper: Config, env: Env, rows: Transition) -> Float[
     return jnp.concatenate(columns, axis=-1)
 
 
-def row_weight(static: Config, rows: Transition, n_real: Int[Array, ""]) -> Float[Array, "N R"]:
+def row_weight(static: Static, rows: Transition, n_real: Int[Array, ""]) -> Float[Array, "N R"]:
     """1 for the rows that the model learns from, else 0."""
     real = (jnp.arange(rows.reward.shape[0]) < n_real)[:, None]
     every = static.model.clean or static.model.falls
     return jnp.where(real, rows.valid if every else rows.discount * (1 - rows.truncation), 0.0)
 
 
-def examples(static: Config, hyper: Config, env: Env, rows: Transition, n_real: Int[Array, ""]):
+def examples(static: Static, hyper: Hyper, env: Env, rows: Transition, n_real: Int[Array, ""]):
     """`(inputs [N, R, O+A], targets [N, R, K], weight [N, R])` of a rollout's rows `t < n_real`."""
     weight = row_weight(static, rows, n_real)
     x = inputs(env, before_and_after(static, env, rows)[0], rows.action)

@@ -31,7 +31,7 @@ from dynappo.physics import actuators, c_engine, contacts, randomize
 from dynappo.physics import robot as robot_lib
 from dynappo.physics.warp import arrays, scope
 from dynappo.physics.warp import engine as warp_engine
-from dynappo.types import Config, EnvState
+from dynappo.types import EnvState, Hyper
 
 
 class Engine(NamedTuple):
@@ -158,7 +158,7 @@ class Substeps(NamedTuple):
     lowest: Any  # m, lowest point of each part, in all physics steps (`remember`) or the last
 
 
-def simulate(engine: Engine, hyper: Config, body, state: EnvState, action) -> Substeps:
+def simulate(engine: Engine, hyper: Hyper, body, state: EnvState, action) -> Substeps:
     """`substeps` physics steps under explicit PD towards the action's joint targets."""
     default = jnp.asarray(engine.robot.default_pose, jnp.float32)
     target = actuators.target(
@@ -194,7 +194,7 @@ def _arriving(engine: Engine, body, state: EnvState, action):
     return jnp.stack([action, state.last_action, state.older_action])[age]
 
 
-def _simulate_in_mjx(engine: Engine, hyper: Config, body, first: Substeps, target, kp, kd):
+def _simulate_in_mjx(engine: Engine, hyper: Hyper, body, first: Substeps, target, kp, kd):
     robot = engine.robot
     model = randomize.merge(engine.model, body, robot.base_body, robot.feet, engine.varied)
 
@@ -235,7 +235,7 @@ def _simulate_in_mjx(engine: Engine, hyper: Config, body, first: Substeps, targe
     return s if engine.remember else s._replace(lowest=lowest(data))
 
 
-def _simulate_in_warp(engine: Engine, hyper: Config, body, first: Substeps, target, kp, kd):
+def _simulate_in_warp(engine: Engine, hyper: Hyper, body, first: Substeps, target, kp, kd):
     task, robot = hyper.task, engine.robot
     model = randomize.merge(engine.model, body, robot.base_body, robot.feet, engine.varied)
     motor = dict(
@@ -252,7 +252,7 @@ def _simulate_in_warp(engine: Engine, hyper: Config, body, first: Substeps, targ
     return first._replace(**engine.step(model, first, target, jnp.stack(numbers)))
 
 
-def _simulate_in_c(engine: Engine, hyper: Config, body, first: Substeps, target, kp, kd):
+def _simulate_in_c(engine: Engine, hyper: Hyper, body, first: Substeps, target, kp, kd):
     task = hyper.task
     strength = 1.0 if body.strength is None else body.strength
     kp, kd = kp * strength, kd * strength

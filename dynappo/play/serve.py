@@ -55,6 +55,6 @@ def run(flags: argparse.Namespace, choose: Callable, asked: Any) -> None:
 
 def _at_eof(stop: threading.Event) -> None:
     """Set `stop` when whoever started this process closes its stdin, or is no more."""
-    while sys.stdin.buffer.raw.read(1):
+    while sys.stdin.buffer.raw.read(1):  # pyright: ignore[reportAttributeAccessIssue]
         pass
     stop.set()

@@ -23,6 +23,7 @@ from dynappo import config as config_lib
 from dynappo import schedule
 from dynappo.config import ConfigError
 from dynappo.program import devices, distributed, memory
+from dynappo.types import Hyper, Static
 
 ROOM = 128  # iterations, at least, that a call of the program has room for
 
@@ -32,8 +33,8 @@ class Program(NamedTuple):
 
     robot: Any  # None for an environment of your own
     env: Any
-    static: Any
-    hyper: Any
+    static: Static
+    hyper: Hyper
     state: Any
     columns: dict[str, np.ndarray]  # [I]
     step: Callable  # (hyper, state, columns of one chunk) -> state, metrics
@@ -85,7 +86,8 @@ def _begin_warp() -> None:
     """Starting Warp takes 2 s, most of them outside of Python; meanwhile JAX traces."""
     import warp  # pyright: ignore[reportMissingImports]
 
-    warp.config.quiet = True  # else it prints its version, and each kernel that it loads
+    # else it prints its version, and each kernel that it loads
+    warp.config.quiet = True  # pyright: ignore[reportAttributeAccessIssue]
     warp.init()
 
 
@@ -181,7 +183,7 @@ def _padded(columns: dict[str, np.ndarray], room: int) -> dict[str, np.ndarray]:
     return {name: np.pad(x, (0, room - len(x))) for name, x in rows.items()}
 
 
-def _step(compiled: Callable, room: int, hyper, state, columns: dict[str, np.ndarray]):
+def _step(compiled: Callable, room: int, hyper: Hyper, state, columns: dict[str, np.ndarray]):
     """`(state, metrics)` after a chunk of at most `room` iterations: of any length in one program, so that
     another `run.log_every` compiles nothing."""
     import jax
@@ -250,7 +252,7 @@ def _placed(array, sharding):
     return jax.ShapeDtypeStruct(array.shape, array.dtype, sharding=sharding)
 
 
-def _evaluate(mesh, hyper, episodes_of, ready, state):
+def _evaluate(mesh, hyper: Hyper, episodes_of, ready, state):
     """Metrics of deterministic episodes; the first call waits for the compilation, or compiles."""
     import jax
 

@@ -33,13 +33,13 @@ from flax import struct
 from jaxtyping import Array, Float, Int
 
 from dynappo.config import ConfigError
-from dynappo.types import Env, Outcome
+from dynappo.types import Env, Hyper, Outcome
 
 RESETTING = {"steps", "first_obs", "AutoResetWrapper_first_obs"}  # what wrappers leave in `info`
 EVENTS = ("reward", "falls", "timeouts", "blowups")  # metrics beside brax's own
 
 
-def to_brax(env: Env, hyper, backend: str = "mjx") -> envs.Env:
+def to_brax(env: Env, hyper: Hyper, backend: str = "mjx") -> envs.Env:
     """`env` behind brax's protocol; `backend` is only a label.
 
     `done` is a fall and nothing else: brax's EpisodeWrapper counts the time itself and writes
@@ -57,7 +57,7 @@ def to_brax(env: Env, hyper, backend: str = "mjx") -> envs.Env:
 class _Task(envs.Env):
     """A class because brax's protocol is one; it holds constants only."""
 
-    def __init__(self, env: Env, hyper, backend: str):
+    def __init__(self, env: Env, hyper: Hyper, backend: str):
         self._env, self._hyper, self._backend = env, hyper, backend
 
     def reset(self, rng) -> envs.State:
@@ -106,8 +106,7 @@ def _typed(rng):
     return rng if jnp.issubdtype(rng.dtype, jax.dtypes.prng_key) else jax.random.wrap_key_data(rng)
 
 
-@struct.dataclass
-class BraxState:
+class BraxState(struct.PyTreeNode):
     """One robot of a brax environment, and what brax leaves to its wrappers."""
 
     brax: Any  # the environment's own state
@@ -193,13 +192,13 @@ class Constants(NamedTuple):
     names: tuple[str, ...]  # of brax's metrics
 
 
-def _starts(const: Constants, hyper, key):
+def _starts(const: Constants, hyper: Hyper, key):
     """The robot's `body`: the brax states that its episodes start from, `[starts]`."""
     keys = jax.random.key_data(jax.random.split(key, const.starts))
     return jax.vmap(const.brax_env.reset)(keys)
 
 
-def _reset(const: Constants, hyper, body, key) -> BraxState:
+def _reset(const: Constants, hyper: Hyper, body, key) -> BraxState:
     key, clock_key = jax.random.split(key)
     clock = jax.random.randint(clock_key, (), 0, const.episode_length, jnp.int32)
     return _fresh(const, body, key).replace(clock=clock * const.random_clock)
@@ -216,7 +215,9 @@ def _fresh(const: Constants, body, key) -> BraxState:
     return BraxState(first, obs, prop, clock=zero, episode_steps=zero, episode_return=zero * 1.0)
 
 
-def _autoreset(const: Constants, hyper, body, state: BraxState, outcome: Outcome, key) -> BraxState:
+def _autoreset(
+    const: Constants, hyper: Hyper, body, state: BraxState, outcome: Outcome, key
+) -> BraxState:
     ended = (outcome.discount == 0) | (outcome.truncation == 1)
     new = _fresh(const, body, key)
     info = jax.tree.map(lambda x, now: now if _is_key(now) else x, new.brax.info, state.brax.info)
@@ -224,7 +225,7 @@ def _autoreset(const: Constants, hyper, body, state: BraxState, outcome: Outcome
     return jax.tree.map(lambda x, now: jnp.where(ended, x, now), new, state)
 
 
-def _step(const: Constants, hyper, body, state: BraxState, action, key):
+def _step(const: Constants, hyper: Hyper, body, state: BraxState, action, key):
     """One control step -> `(BraxState, Outcome)`; never resets."""
     before = jax.tree.map(lambda x: x, state.brax)  # brax's steps write into the dicts they get
     after = const.brax_env.step(before, jnp.clip(action, -const.action_limit, const.action_limit))

@@ -24,10 +24,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from dynappo.task import observe
-from dynappo.types import Config, Goal
+from dynappo.types import Goal, Hyper
 
 
-def draw(task, hyper: Config, qpos, key: PRNGKeyArray) -> tuple[Float[Array, " 3"], Goal]:
+def draw(task, hyper: Hyper, qpos, key: PRNGKeyArray) -> tuple[Float[Array, " 3"], Goal]:
     """A fresh `(command, goal)` for a robot at `qpos`; m/s, m/s, rad/s."""
     ranges = hyper.task.command_x, hyper.task.command_y, hyper.task.command_yaw
     *velocity, heading, kind = jax.random.uniform(key, (5,))
@@ -43,7 +43,7 @@ def draw(task, hyper: Config, qpos, key: PRNGKeyArray) -> tuple[Float[Array, " 3
     return follow(task, hyper, command, goal, qpos), goal
 
 
-def follow(task, hyper: Config, command, goal: Goal, qpos):
+def follow(task, hyper: Hyper, command, goal: Goal, qpos):
     """The command now: the yaw rate turns towards the heading; zero if the robot should stand."""
     if task.heading:
         left = goal.heading - observe.heading(qpos[3:7])
@@ -53,7 +53,7 @@ def follow(task, hyper: Config, command, goal: Goal, qpos):
     return command * (1 - goal.standing)
 
 
-def advance(task, hyper: Config, command, goal: Goal, qpos, key: PRNGKeyArray):
+def advance(task, hyper: Hyper, command, goal: Goal, qpos, key: PRNGKeyArray):
     """`(command, goal)` of the next control step, for a robot now at `qpos`."""
     command = follow(task, hyper, command, goal, qpos)
     if not task.resample_steps:

@@ -19,7 +19,7 @@ from dynappo.physics import engine as engine_lib
 from dynappo.physics import randomize
 from dynappo.physics import robot as robot_lib
 from dynappo.task import commands, mirror, observe, payment, pushes, rewards, view
-from dynappo.types import Config, Env, EnvState, Goal, Outcome
+from dynappo.types import Env, EnvState, Goal, Hyper, Outcome
 
 AGES = ("clock", "episode_steps", "episode_return")  # zero at the start of an episode
 # of what physics leaves, beside coordinates and torques
@@ -100,14 +100,14 @@ def ground_rules(robot: robot_lib.Robot, task) -> tuple[np.ndarray, np.ndarray]:
     return fatal, bodies == thighs[:, None]
 
 
-def _randomize(const: Constants, hyper: Config, key):
+def _randomize(const: Constants, hyper: Hyper, key):
     base = const.robot.base_body
     model = const.robot.mj_model
     ranges, varied = hyper.task.randomize, const.engine.varied
     return randomize.draw(ranges, model.body_mass[base], model.body_ipos[base], key, varied)
 
 
-def reset(const: Constants, hyper: Config, body, key) -> EnvState:
+def reset(const: Constants, hyper: Hyper, body, key) -> EnvState:
     """A robot at the start of an episode; with `task.random_clock`, at a random age of it."""
     key, clock_key = jax.random.split(key)
     pose_key, command_key, obs_key = jax.random.split(key, 3)
@@ -120,7 +120,7 @@ def reset(const: Constants, hyper: Config, body, key) -> EnvState:
 
 
 def autoreset(
-    const: Constants, hyper: Config, body, state: EnvState, outcome: Outcome, key
+    const: Constants, hyper: Hyper, body, state: EnvState, outcome: Outcome, key
 ) -> EnvState:
     """`state`, or the start of a new episode if `outcome` ended one.
 
@@ -144,7 +144,7 @@ def autoreset(
 
 
 def _told(
-    const: Constants, hyper: Config, body, state: EnvState, command_key, obs_key, before=None
+    const: Constants, hyper: Hyper, body, state: EnvState, command_key, obs_key, before=None
 ) -> EnvState:
     """`state` with a new command, and the observation of both.
 
@@ -160,7 +160,7 @@ def _told(
     return state.replace(prop=prop, obs=obs)
 
 
-def _at_start(const: Constants, hyper: Config, key) -> EnvState:
+def _at_start(const: Constants, hyper: Hyper, key) -> EnvState:
     """Pose and velocity (configs/README.md), lifted until no foot is below ground; `_told` has the rest."""
     r, default = hyper.task.reset, jnp.asarray(const.robot.default_pose, jnp.float32)
     # one draw for all: each draw is a kernel of its own, and a quarter of a second of compilation
@@ -201,14 +201,14 @@ def _at_start(const: Constants, hyper: Config, key) -> EnvState:
     )
 
 
-def _soft_limits(const: Constants, hyper: Config):
+def _soft_limits(const: Constants, hyper: Hyper):
     """`(low, high)` [A] rad: the middle `task.reset.soft_limit` of each joint's range."""
     low, high = jnp.asarray(const.robot.mj_model.jnt_range[1:].T, jnp.float32)
     spare = (1 - hyper.task.reset.soft_limit) / 2 * (high - low)
     return low + spare, high - spare
 
 
-def step(const: Constants, hyper: Config, body, state: EnvState, action, key):
+def step(const: Constants, hyper: Hyper, body, state: EnvState, action, key):
     """One control step -> `(EnvState, Outcome)`; the episode's end is in the outcome only.
 
     If a robot's state is not finite, or a joint or the base is faster than 100 rad/s or 20 m/s, the
@@ -277,14 +277,14 @@ def step(const: Constants, hyper: Config, body, state: EnvState, action, key):
     return next_state, outcome
 
 
-def _known(hyper: Config, seen, action) -> dict[str, Any]:
+def _known(hyper: Hyper, seen, action) -> dict[str, Any]:
     """What a term can ask for and the transition model knows (rewards.py): `seen` has the predicted
     parts of the next observation and the copied parts of this one."""
     return hyper.task._asdict() | observe.split(seen) | {"action": action}
 
 
 def _measured(
-    const: Constants, hyper: Config, state: EnvState, after: engine_lib.Substeps
+    const: Constants, hyper: Hyper, state: EnvState, after: engine_lib.Substeps
 ) -> rewards.Measured:
     contact = after.contact_steps > 0
     low, high = _soft_limits(const, hyper)
@@ -304,7 +304,7 @@ def _measured(
     )
 
 
-def known_reward(const: Constants, hyper: Config, obs, action, next_prop):
+def known_reward(const: Constants, hyper: Hyper, obs, action, next_prop):
     """The share of a row's reward that is a function of `obs`, `action` and `next_prop` [33].
 
     Exact unless a push changed the velocity after the reward (pushes.py).

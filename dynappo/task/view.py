@@ -25,7 +25,7 @@ import numpy as np
 from dynappo.physics import randomize
 from dynappo.physics.robot import Robot
 from dynappo.task import observe
-from dynappo.types import Config, EnvState, Views
+from dynappo.types import EnvState, Hyper, Views
 
 SENSED = observe.SENSED
 
@@ -82,7 +82,7 @@ def exact(robot: Robot, body: randomize.Body, state: EnvState):
     return observe.observe(state.qpos, state.qvel, body.base_com, default, *seen)
 
 
-def sense(view: View, robot: Robot, hyper: Config, body: randomize.Body, state, past, key):
+def sense(view: View, robot: Robot, hyper: Hyper, body: randomize.Body, state, past, key):
     """`(prop, obs)` of a state: the predicted part as it is, and the whole as it is sensed.
 
     `past` is what follows the 48 numbers; None where an episode begins.
@@ -99,7 +99,7 @@ def sense(view: View, robot: Robot, hyper: Config, body: randomize.Body, state, 
     return clean[: observe.PROP_SIZE], jnp.concatenate([sensed, past])
 
 
-def noise(hyper: Config, key):
+def noise(hyper: Hyper, key):
     """`Env.noise`: a draw of the noise on `prop`, [33]; uniform, as `sense` adds it."""
     scale = observe.noise_scale(hyper.task.noise, jnp)[: observe.PROP_SIZE]
     return jax.random.uniform(key, scale.shape, minval=-1.0, maxval=1.0) * scale

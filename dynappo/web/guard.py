@@ -133,7 +133,7 @@ def watching(guard: Guard) -> Iterator[None]:
                     tell(guard, "message", "ignored: a message that the page does not send")
                 return said
 
-            connection.recv = recv
+            connection.recv = recv  # pyright: ignore[reportAttributeAccessIssue]
             return connection
 
         guard.on = True

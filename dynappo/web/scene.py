@@ -12,6 +12,7 @@ import mjviser
 import mujoco
 import numpy as np
 import trimesh
+import trimesh.visual
 import viser
 
 from dynappo.policy import render

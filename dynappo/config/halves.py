@@ -1,0 +1,219 @@
+"""`Static` and `Hyper`: which field is in which half of the config, for type checkers and editors.
+
+`make format` writes this file (tests/write_halves.py) from configs/default.py, which has the fields'
+units and sources. Nothing imports it at run time: `splitting.split` makes the same classes from the
+config itself, so a new field works before it is here.
+
+Why written out: a type checker runs no code, and no type in Python selects fields by their types. Two
+classes a group by hand would separate what belongs together, as `desired_kl` and `adaptive`.
+"""
+
+from typing import NamedTuple
+
+
+class StaticModel(NamedTuple):
+    activation: str
+    clean: bool
+    epochs: int
+    falls: bool
+    hidden: tuple[int, ...]
+    known_reward: bool
+    late_epochs: int | None
+    late_from: int
+    minibatches: int
+    normalize: bool
+    precision: str
+    predict_change: bool
+
+
+class StaticPhysics(NamedTuple):
+    contacts: str
+    impl: str
+    iterations: int
+    ls_iterations: int
+    substeps: int
+    threads: int
+
+
+class StaticPpo(NamedTuple):
+    activation: str
+    adaptive: bool
+    clip_value: bool
+    critic: str
+    epochs: int
+    hidden: tuple[int, ...]
+    minibatches: int
+    precision: str
+    shuffle_blocks: int
+    symmetry: bool
+
+
+class StaticRollout(NamedTuple):
+    horizon: int
+    num_envs: int
+
+
+class StaticRun(NamedTuple):
+    checkpoint_every: int
+    device: str
+    eval_envs: int
+    eval_every: int
+    eval_steps: int
+    log_every: int
+    mesh_env: int
+    mesh_seed: int
+    num_iterations: int
+    num_seeds: int
+    seed: int
+    tensorboard: bool
+    wandb: str
+
+
+class StaticSchedule(NamedTuple):
+    end_iteration: int
+    end_steps: int
+    last_iteration: int | None
+    rounds: int
+    start_iteration: int
+    start_steps: int
+
+
+class StaticTask(NamedTuple):
+    actuator: str
+    air_time: str
+    carry_on: bool
+    episode_length: int
+    formulation: str
+    heading: bool
+    history: int
+    observation: str
+    random_clock: bool
+    remember_ground: bool
+    resample_steps: int
+    termination: str
+    undesired: str
+
+
+class Static(NamedTuple):
+    model: StaticModel
+    physics: StaticPhysics
+    ppo: StaticPpo
+    robot: str
+    rollout: StaticRollout
+    run: StaticRun
+    schedule: StaticSchedule
+    task: StaticTask
+
+
+class HyperModel(NamedTuple):
+    huber_delta: float
+    learning_rate: float
+    stats_decay: float
+
+
+class HyperPhysics(NamedTuple):
+    timestep: float
+
+
+class HyperPpo(NamedTuple):
+    clip_epsilon: float
+    desired_kl: float
+    entropy_coef: float
+    gamma: float
+    init_std: float
+    lambda_: float
+    learning_rate: float
+    max_grad_norm: float
+    max_learning_rate: float
+    min_learning_rate: float
+    min_std: float
+    value_coef: float
+
+
+class HyperRun(NamedTuple):
+    video_seconds: float
+
+
+class HyperNoise(NamedTuple):
+    angular_velocity: float
+    gravity: float
+    joint_pos: float
+    joint_vel: float
+    linear_velocity: float
+
+
+class HyperPush(NamedTuple):
+    interval: tuple[float, float]
+    velocity: float
+
+
+class HyperRandomize(NamedTuple):
+    armature: tuple[float, float]
+    base_com: tuple[float, float, float]
+    base_mass: tuple[float, float]
+    delay: tuple[float, float]
+    encoder_bias: float
+    friction: tuple[float, float]
+    imu_tilt: float
+    joint_friction: tuple[float, float]
+    kd_scale: tuple[float, float]
+    kp_scale: tuple[float, float]
+    lag: tuple[float, float]
+    strength: tuple[float, float]
+
+
+class HyperReset(NamedTuple):
+    foot_clearance: float
+    joint_scale: tuple[float, float]
+    position: float
+    soft_limit: float
+    spawn_height: float
+    velocity: float
+    yaw: float
+
+
+class HyperWeights(NamedTuple):
+    action_acceleration: float
+    action_rate: float
+    energy: float
+    feet_air_time: float
+    flat_orientation: float
+    foot_clearance: float
+    joint_accelerations: float
+    joint_limits: float
+    joint_torques: float
+    roll_pitch_rate: float
+    stand_still: float
+    track_linear_velocity: float
+    track_yaw_rate: float
+    undesired_contacts: float
+    vertical_velocity: float
+
+
+class HyperTask(NamedTuple):
+    action_scale: float
+    command_x: tuple[float, float]
+    command_y: tuple[float, float]
+    command_yaw: tuple[float, float]
+    effort_limit: float
+    heading_gain: float
+    kd: float
+    kp: float
+    noise: HyperNoise
+    push: HyperPush
+    randomize: HyperRandomize
+    reset: HyperReset
+    saturation_effort: float
+    standing: float
+    tracking_std: float
+    turning: float
+    velocity_limit: float
+    weights: HyperWeights
+
+
+class Hyper(NamedTuple):
+    model: HyperModel
+    physics: HyperPhysics
+    ppo: HyperPpo
+    run: HyperRun
+    task: HyperTask
