@@ -33,7 +33,7 @@ def nominal(hyper: Hyper) -> Hyper:
     shares = dict.fromkeys(("kp_scale", "kd_scale", "strength", "armature"), (one, one))
     bodies = bodies._replace(friction=(friction, friction), **shares)
     push = task.push._replace(velocity=jnp.zeros(()))
-    parts = dict(noise=still, randomize=bodies, push=push, turning=jnp.zeros(()))
+    parts = dict(noise=still, randomize=bodies, push=push, slow=jnp.zeros(()))
     return hyper._replace(task=task._replace(**parts))
 
 

@@ -204,9 +204,9 @@ class HyperTask(NamedTuple):
     randomize: HyperRandomize
     reset: HyperReset
     saturation_effort: float
+    slow: float
     standing: float
     tracking_std: float
-    turning: float
     velocity_limit: float
     weights: HyperWeights
 
