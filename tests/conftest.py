@@ -12,15 +12,31 @@ import pytest
 
 # before JAX starts: eight devices for the tests of meshes, all else runs on the first; and three quarters
 # of the time of these tests would be the optimisation of programs that run for a second. Tests of equal
-# bits in different programs turn on what users have (`toy_runs.AS_USERS`)
-os.environ["XLA_FLAGS"] = (
-    os.environ.get("XLA_FLAGS", "")
-    + " --xla_force_host_platform_device_count=8 --xla_backend_optimization_level=0"
-    + " --xla_cpu_use_fusion_emitters=false"
-)
+# bits in different programs turn on what users have (`toy_runs.AS_USERS`). On a GPU all is as users have it
+ON_GPU = os.environ.get("DYNAPPO_TEST_DEVICE") == "gpu"  # set by on_gpu.py
+if not ON_GPU:
+    os.environ["XLA_FLAGS"] = (
+        os.environ.get("XLA_FLAGS", "")
+        + " --xla_force_host_platform_device_count=8 --xla_backend_optimization_level=0"
+        + " --xla_cpu_use_fusion_emitters=false"
+    )
 # tracing makes many objects and no garbage: collecting it as often as Python does is a third of the work
 gc.set_threshold(50_000, 20, 100)
 PEERS = pathlib.Path(__file__).parent / "peers"
+
+
+def pytest_sessionstart():
+    """Where the GPU is to be tested, nothing passes on the CPU instead."""
+    if not ON_GPU:
+        return
+    import jax
+    import warp as wp
+
+    if jax.default_backend() != "gpu" or not wp.get_preferred_device().is_cuda:
+        raise pytest.UsageError(
+            f"DYNAPPO_TEST_DEVICE is gpu, but JAX has {jax.devices()} and Warp "
+            f"{wp.get_preferred_device()}; expected CUDA devices"
+        )
 
 
 def pytest_collection_finish():
