@@ -200,8 +200,11 @@ def resume(place: Place) -> dict[str, Any]:
     lost = max(row["iteration"] for row in table(killed)) - done
     said = train(place, killed, *fields, f"run.num_iterations={done + HALF}")
     expect(f"goes on from iteration {done} of", said)
-    counted(table(killed), done + HALF)
-    return found | {"killed_after": done, "lost_iterations": max(0, int(lost))}
+    # the rows of the last chunk before a kill -9 may be lost (a line says so), the iterations are not
+    rows = counted(table(killed), done + HALF, since=done)
+    empty = sum(np.isnan(row["value_loss"]) for row in rows)
+    found |= {"killed_after": done, "lost_iterations": max(0, int(lost)), "empty_rows": int(empty)}
+    return found
 
 
 def processes(place: Place) -> dict[str, Any]:
@@ -340,11 +343,11 @@ def table(workdir: Path) -> list[dict[str, float]]:
         return [{n: float(v or "nan") for n, v in row.items()} for row in csv.DictReader(file)]
 
 
-def counted(rows: list[dict[str, float]], iterations: int) -> list[dict[str, float]]:
-    """`rows`, one for each iteration, all finite where it matters."""
+def counted(rows: list[dict[str, float]], iterations: int, since=0) -> list[dict[str, float]]:
+    """`rows`, if there is one for each iteration, and those behind `since` have finite losses."""
     if [row["iteration"] for row in rows] != [*range(1, iterations + 1)]:
         raise Failed(f"metrics.csv has not one row for each of {iterations} iterations")
-    if not np.isfinite([[row[name] for name in LEARNT] for row in rows]).all():
+    if not np.isfinite([[row[name] for name in LEARNT] for row in rows[since:]]).all():
         raise Failed("metrics.csv has numbers that are not finite")
     return rows
 
