@@ -397,13 +397,13 @@ def graphics() -> list[list[str]]:
     return [line.split(", ") for line in text.splitlines() if line.strip()]
 
 
-def about(device: str, gpus) -> dict[str, Any]:
+def about(device: str, gpus, commit: str | None) -> dict[str, Any]:
     """When, where and with what."""
     pins = (ROOT / "constraints.txt").read_text()
     found = {name: versions.of(name) for name in PACKAGES}
     return {
         "date": f"{datetime.date.today()}",
-        "commit": versions.commit(),
+        "commit": commit or versions.commit(),
         "smoke": device == "cpu",  # a run that only tries the script
         "gpus": gpus if device == "gpu" else [],
         "cores": os.cpu_count(),
@@ -430,7 +430,7 @@ def take(step, device: str, visible: list[str]) -> dict[str, Any]:
 
 
 def parse(argv: list[str] | None):
-    """`(device, names of steps, file or None)`."""
+    """`(device, names of steps, file or None, commit or None)`."""
     parser = argparse.ArgumentParser(
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
@@ -443,9 +443,10 @@ def parse(argv: list[str] | None):
         "--out", type=flags.path, metavar="FILE.json", help="default: tests/on_gpu.json"
     )
     parser.add_argument("--only", metavar="STEP,STEP", help=f"of {', '.join(names)}; needs --out")
+    parser.add_argument("--commit", help="of this checkout, where it came without .git")
     known, rest = flags.read_known(parser, argv)
     if rest:
-        raise ConfigError(f"{rest[0]}: no such flag; expected --device, --out or --only")
+        raise ConfigError(f"{rest[0]}: no such flag; expected --device, --out, --only or --commit")
     steps = known.only.split(",") if known.only else names
     if unknown := [name for name in steps if name not in names]:
         raise ConfigError(f"--only: no step is called {unknown[0]!r}; expected {', '.join(names)}")
@@ -455,18 +456,18 @@ def parse(argv: list[str] | None):
         raise ConfigError(f"--out={out} is for whole runs on a GPU; name another file")
     if out:
         flags.check_writable(out)
-    return known.device, steps, out
+    return known.device, steps, out, known.commit
 
 
 def run(argv: list[str] | None) -> bool:
     """Take the steps, show and write what came out; whether all went well."""
-    device, names, out = parse(argv)
+    device, names, out, commit = parse(argv)
     gpus = graphics()
     if device == "gpu" and not gpus:
         raise ConfigError("nvidia-smi shows no NVIDIA GPU; --device=cpu only tries this script")
     given = os.environ.get("CUDA_VISIBLE_DEVICES", "")
     visible = given.split(",") if given else [str(i) for i in range(len(gpus))]
-    result: dict[str, Any] = about(device, gpus)
+    result: dict[str, Any] = about(device, gpus, commit)
     result["steps"] = {s.__name__: take(s, device, visible) for s in STEPS if s.__name__ in names}
     show_all(result)
     if out:

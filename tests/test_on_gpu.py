@@ -188,9 +188,10 @@ def test_a_failed_step_is_status_1_and_is_written(monkeypatch, capsys, tmp_path)
     monkeypatch.setattr(on_gpu, "find_spec", lambda name: None)
     out = tmp_path / "out.json"
     with pytest.raises(SystemExit) as end:
-        on_gpu.main(["--only=kernel", f"--out={out}"])
+        on_gpu.main(["--only=kernel", f"--out={out}", "--commit=abc"])
     assert end.value.code == 1
     written = json.loads(out.read_text())
+    assert written["commit"] == "abc"
     assert written["gpus"] == [["NVIDIA H100", "580.1", "81559 MiB"]] and not written["smoke"]
     assert written["steps"]["kernel"]["failed"].startswith("pytest is not installed")
     assert re.search("kernel +FAILED .* pytest is not installed", capsys.readouterr().out)
@@ -214,7 +215,8 @@ def test_the_committed_run_was_whole_and_went_well_and_the_page_names_its_jax():
 
 @pytest.mark.slow
 @pytest.mark.timeout(7200)
-def test_all_steps_at_tiny_sizes_on_a_cpu(tmp_path):
+def test_all_steps_at_tiny_sizes_on_a_cpu(tmp_path, monkeypatch):
+    monkeypatch.setenv("XLA_FLAGS", "")  # eight devices, of conftest.py
     before = on_gpu.COMMITTED.exists() and on_gpu.COMMITTED.read_text()
     out = tmp_path / "out.json"
     done = shell(ROOT / "tests" / "on_gpu.py", "--device=cpu", f"--out={out}", timeout=7000)
