@@ -10,10 +10,6 @@ The paper draws a command uniformly and keeps it for the episode. Isaac Lab's ta
 - `task.resample_steps`: the command is drawn again after so many control steps (0: never);
 - `task.standing`: with this probability, at each draw, the robot is asked to stand still.
 
-`task.slow` is ours: with this probability the planar velocity is multiplied by a number from 0 to 0.3,
-but stays in its ranges. Of uniform commands 1 in 20 is slower than 0.25 m/s, too few to learn from, and
-nearly all of the falls that a Go2 had left came there: 7 of 7 in 768 episodes (`:laptop`, C MuJoCo).
-
 The part of a rollout that the transition model writes keeps the command of its first row.
 """
 
@@ -26,26 +22,18 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from dynappo.task import observe
 from dynappo.types import Goal, Hyper
 
-SLOW = 0.3  # of a command's planar velocity, at most, with `task.slow`
-
 
 def draw(task, hyper: Hyper, qpos, key: PRNGKeyArray) -> tuple[Float[Array, " 3"], Goal]:
     """A fresh `(command, goal)` for a robot at `qpos`; m/s, m/s, rad/s."""
     ranges = hyper.task.command_x, hyper.task.command_y, hyper.task.command_yaw
-    *velocity, heading, kind = jax.random.uniform(key, (5,))
-    low, high = jnp.array(ranges).T
-    command = low + (high - low) * jnp.stack(velocity)
-    stands = kind < hyper.task.standing
-    slow = ~stands & (kind < hyper.task.standing + hyper.task.slow)
-    share = (kind - hyper.task.standing) / jnp.maximum(hyper.task.slow, 1e-6)  # if slow: 0 to 1
-    paces = jnp.stack([SLOW * share, SLOW * share, 1.0])
-    command = jnp.where(slow, jnp.clip(command * paces, low, high), command)
+    *velocity, heading, standing = jax.random.uniform(key, (5,))
+    command = [low + (high - low) * u for u, (low, high) in zip(velocity, ranges, strict=True)]
     goal = Goal(
         heading=(2 * heading - 1) * jnp.pi,
-        standing=stands.astype(jnp.float32),
+        standing=(standing < hyper.task.standing).astype(jnp.float32),
         steps_left=jnp.int32(task.resample_steps),
     )
-    return follow(task, hyper, command, goal, qpos), goal
+    return follow(task, hyper, jnp.stack(command), goal, qpos), goal
 
 
 def follow(task, hyper: Hyper, command, goal: Goal, qpos):

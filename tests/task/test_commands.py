@@ -7,7 +7,6 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
-import scipy.stats
 
 from dynappo.task import commands, observe
 from dynappo.types import Goal
@@ -15,9 +14,9 @@ from dynappo.types import Goal
 PAPER = SimpleNamespace(heading=False, resample_steps=0)
 ISAAC = SimpleNamespace(heading=True, resample_steps=500)
 RANGES = dict(command_x=(-1.0, 0.5), command_y=(-0.25, 0.75), command_yaw=(-0.8, 1.0))
-HYPER, HALF, MIXED = (
-    SimpleNamespace(task=SimpleNamespace(**RANGES, heading_gain=0.5, standing=standing, slow=slow))
-    for standing, slow in ((0.0, 0.0), (0.5, 0.0), (0.2, 0.3))
+HYPER, HALF = (
+    SimpleNamespace(task=SimpleNamespace(**RANGES, heading_gain=0.5, standing=standing))
+    for standing in (0.0, 0.5)
 )
 LEVEL = jnp.array([0.0, 0.0, 0.3, 1.0, 0.0, 0.0, 0.0])
 
@@ -47,22 +46,6 @@ def test_the_papers_command_is_uniform_in_its_ranges_and_never_changes():
     after = commands.advance(PAPER, HYPER, command[0], goal, turned, jax.random.key(1))
     np.testing.assert_array_equal(after[0], command[0])
     assert after[1] is goal
-
-
-def test_a_share_of_the_commands_is_slow_and_another_stands():
-    (command, goal), (usual, _) = draws(PAPER, MIXED), draws(PAPER, HYPER)
-    pace = command[:, 0] / usual[:, 0]
-    stands = goal.standing == 1
-    slow = ~stands & (pace < 0.301)
-    for kind, share in ((stands, 0.2), (slow, 0.3)):
-        assert abs(kind.mean() - share) < 4 * np.sqrt(share * (1 - share) / len(kind))
-    assert (command[stands] == 0).all()
-    assert scipy.stats.kstest(pace[slow], "uniform", (0, 0.3)).pvalue > 1e-3
-    np.testing.assert_allclose(command[slow, 1], (usual[:, 1] * pace)[slow], atol=1e-6)
-    np.testing.assert_array_equal(
-        command[~stands, 2], usual[~stands, 2]
-    )  # yaw rates are drawn as ever
-    np.testing.assert_array_equal(command[~stands & ~slow], usual[~stands & ~slow])
 
 
 def test_the_heading_of_any_attitude_is_that_of_the_x_axis():
