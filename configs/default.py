@@ -201,9 +201,6 @@ class Task(NamedTuple):
     heading: bool | None = None  # the yaw rate turns the robot to a heading; exact only
     resample_steps: int | None = None  # control steps between two commands; 0: an episode
     standing: float | None = None  # share of commands that are zero
-    slow: float = (
-        0.0  # share of commands with at most 0.3 of their planar velocity; none in evaluations
-    )
     termination: str | None = None  # "parts", or "base" (exact; needs physics.contacts="full")
     undesired: str | None = None  # what an undesired contact is: "parts", or "thighs" (exact)
     # parts at the ground are seen in every physics step (exact) or in the last of a row. Seen

@@ -25,7 +25,7 @@ SETTLE = 1.0  # s, left out of the tracking error
 
 
 def nominal(hyper: Hyper) -> Hyper:
-    """`hyper` of a task without noise and pushes, with all physical parameters nominal, commands uniform."""
+    """`hyper` of a task without noise and pushes, with all physical parameters nominal."""
     task, r = hyper.task, hyper.task.randomize
     still = jax.tree.map(jnp.zeros_like, task.noise)
     bodies = jax.tree.map(jnp.zeros_like, r)  # what is not a share of something
@@ -33,8 +33,7 @@ def nominal(hyper: Hyper) -> Hyper:
     shares = dict.fromkeys(("kp_scale", "kd_scale", "strength", "armature"), (one, one))
     bodies = bodies._replace(friction=(friction, friction), **shares)
     push = task.push._replace(velocity=jnp.zeros(()))
-    parts = dict(noise=still, randomize=bodies, push=push, slow=jnp.zeros(()))
-    return hyper._replace(task=task._replace(**parts))
+    return hyper._replace(task=task._replace(noise=still, randomize=bodies, push=push))
 
 
 def evaluate(

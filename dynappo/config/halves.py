@@ -204,7 +204,6 @@ class HyperTask(NamedTuple):
     randomize: HyperRandomize
     reset: HyperReset
     saturation_effort: float
-    slow: float
     standing: float
     tracking_std: float
     velocity_limit: float

@@ -82,7 +82,7 @@ RANGES = (
     (
         "a number from 0 to 1",
         lambda v: 0 <= v <= 1,
-        "ppo.gamma ppo.lambda_ model.stats_decay task.standing task.slow task.reset.soft_limit",
+        "ppo.gamma ppo.lambda_ model.stats_decay task.standing task.reset.soft_limit",
     ),
     ("a number from 0.0001 to 0.1", lambda v: 1e-4 <= v <= 0.1, "physics.timestep"),
     (
