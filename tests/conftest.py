@@ -5,6 +5,7 @@ import gc
 import inspect
 import os
 import pathlib
+import signal
 import typing
 
 import numpy as np
@@ -22,6 +23,10 @@ if not ON_GPU:
     )
 # tracing makes many objects and no garbage: collecting it as often as Python does is a third of the work
 gc.set_threshold(50_000, 20, 100)
+# a shell that starts these tests in the background has them, and the processes that they start, ignore
+# ctrl-C, which some test
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 PEERS = pathlib.Path(__file__).parent / "peers"
 
 
@@ -46,10 +51,11 @@ def pytest_collection_finish():
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items):
-    """Half a minute of compilation a robot: by default Go1 (and ANYmal-D in test_env), with `-m slow` all."""
+    """Seconds of compilation a robot: by default Go1, and ANYmal-D in poses; with `-m slow` all four."""
     for item in items:
         name = getattr(item, "callspec", None) and item.callspec.params.get("name")
-        if "world" in item.fixturenames and name in ("go2", "anymal_c", "anymal_d"):
+        others = {"world": ("go2", "anymal_c", "anymal_d"), "seen": ("go2", "anymal_c")}
+        if any(name in names and uses in item.fixturenames for uses, names in others.items()):
             item.add_marker(pytest.mark.slow)
 
 

@@ -286,10 +286,10 @@ def test_under_random_actions_every_step_of_mjx_is_that_of_c_mujoco(world):
     assert most[0] < 5e-6 and most[1] < 2e-4, most
 
 
-def test_1000_steps_of_random_actions_stay_finite_and_within_what_physics_can_compute(world):
+def test_300_steps_of_random_actions_stay_finite_and_within_what_physics_can_compute(world):
     """As an untrained policy acts, with the task's resets and pushes."""
     rng, state, ended = np.random.default_rng(4), world.start, np.zeros(WORLDS)
-    for seed in range(10):
+    for seed in range(3):
         actions = rng.normal(size=(STEPS, WORLDS, 12)).astype(np.float32)
         state, before, after, outcome = world.run(state, actions, seed)
         for leaf in jax.tree.leaves((state, before, after, outcome)):
