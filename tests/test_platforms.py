@@ -42,6 +42,7 @@ def test_a_robot_walks_there_on_a_page(tmp_path):
     assert "fall               none" in done.stdout and out.stat().st_size > 50_000
 
 
+@pytest.mark.slow
 def test_a_run_is_trained_there_and_goes_on(tmp_path):
     """The same command again evaluates it anew; the lock is that of a system without fcntl."""
     run = tmp_path / "run"

@@ -253,7 +253,7 @@ def test_a_signal_ends_a_process_inside_a_program():
 
 def test_a_process_that_ends_waits_for_its_programs():
     """As with any other program of JAX; otherwise XLA calls into a Python that is gone."""
-    process = start(3000, 0, False)
+    process = start(800, 0, False)
     try:
         _, errors = process.communicate(timeout=PATIENCE)
         assert process.returncode == 0, errors

@@ -114,7 +114,7 @@ def exact():
 @pytest.fixture(scope="module")
 def bodies(lab):
     """Half of the robots as their file has them, half drawn from the ranges."""
-    drawn = jax.vmap(lab.env.randomize, (None, 0))(lab.hyper, lab.keys)
+    drawn = jax.jit(jax.vmap(lab.env.randomize, (None, 0)))(lab.hyper, lab.keys)
     half = jnp.arange(ROBOTS) < ROBOTS // 2
     return jax.tree.map(
         lambda a, b: jnp.where(half.reshape(-1, *[1] * (a.ndim - 1)), a, b), lab.nominal, drawn

@@ -14,9 +14,9 @@ from answers import PATIENCE, ROOT
 from toy_policy import described, save
 
 from dynappo import config as config_lib
-from dynappo.web import child
+from dynappo.web import address, child
 
-pytest.importorskip("mjviser", reason="mjviser is not installed (extra web)")
+server = pytest.importorskip("dynappo.web.server", reason="mjviser is not installed (extra web)")
 
 
 @pytest.fixture(autouse=True)
@@ -101,17 +101,17 @@ def test_a_page_that_cannot_start_says_so_and_stops_no_training(tmp_path, capfd)
 def test_ctrl_c_ends_all_and_the_port_is_free_again(tmp_path):
     port = free()
     command = [sys.executable, "-m", "dynappo.play", str(save(tmp_path / "policy.npz"))]
-    for _ in range(2):
-        process = subprocess.Popen(
-            [*command, f"--serve={port}"],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-            env=os.environ,
-        )
-        said = [process.stdout.readline() for _ in range(2)]
-        assert answers(port)
-        process.send_signal(signal.SIGINT)
-        out, err = process.communicate(timeout=PATIENCE)
-        assert process.returncode == 130 and err == "dynappo: stopped\n"
-        assert f"open http://127.0.0.1:{port} in a browser" in said[1] and not out
+    process = subprocess.Popen(
+        [*command, f"--serve={port}"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=os.environ,
+    )
+    said = [process.stdout.readline() for _ in range(2)]
+    assert answers(port)
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 130 and err == "dynappo: stopped\n"
+    assert f"open http://127.0.0.1:{port} in a browser" in said[1] and not out
+    assert server._free(address.Address("127.0.0.1", port))[1] == port
