@@ -115,9 +115,11 @@ def load(folder: Path, name: str) -> Run | None:
 def read(path: Path) -> dict[str, np.ndarray]:
     """Columns `[I, S]` of a CSV, packed by xz or not, with a row an iteration and seed."""
     with (lzma.open if path.suffix == ".xz" else open)(path, "rt", newline="") as file:
-        rows = list(csv.DictReader(file))
-    seeds = len({row.get("seed") for row in rows})
-    return {n: np.array([float(r[n] or "nan") for r in rows]).reshape(-1, seeds) for n in rows[0]}
+        names, *rows = csv.reader(file)
+    columns = dict(zip(names, zip(*rows, strict=True), strict=True))
+    seeds = len(set(columns.get("seed", [""])))
+    numbers = {name: [float(text or "nan") for text in column] for name, column in columns.items()}
+    return {name: np.array(column).reshape(-1, seeds) for name, column in numbers.items()}
 
 
 def read_one(path: Path) -> dict[str, np.ndarray]:

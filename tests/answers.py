@@ -4,12 +4,25 @@ import os
 import pathlib
 import subprocess
 import sys
+import time
 
 import pytest
 
 from dynappo.config import ConfigError
 
 ROOT = pathlib.Path(__file__).parents[1]
+PATIENCE = (
+    300.0  # s to wait for what must come: only what hangs takes as long, however busy the machine
+)
+
+
+def until(true):
+    """Wait until `true()` is, and return what it says."""
+    end = time.monotonic() + PATIENCE
+    while not (got := true()):
+        assert time.monotonic() < end, f"not true after {PATIENCE:g} s"
+        time.sleep(0.05)
+    return got
 
 
 def refused(function, *arguments, **options) -> str:
@@ -39,7 +52,7 @@ def mistake(main, arguments, capsys) -> str:
     return said.err
 
 
-def shell(*arguments, cwd=ROOT, timeout=120):
+def shell(*arguments, cwd=ROOT, timeout=PATIENCE):
     """A fresh Python with these arguments; environment and package as here."""
     path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))
     return subprocess.run(

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from answers import PATIENCE
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome")
 PROGRAM = next(filter(None, map(shutil.which, NAMES)), None)
@@ -28,7 +29,6 @@ FLAGS = (
 ).split()
 WIDE, NARROW = (800, 500), (390, 700)  # pixels
 SHARP = 0.5  # pixels drawn for one of the page: a CPU draws them all
-PATIENCE = 60.0  # s
 # A CPU draws every frame, and takes the time from what is tested: fewer frames, without smooth edges.
 SELDOM = """
 window.rest = 100;

@@ -80,7 +80,7 @@ def walk(config, robot, env, hyper, body):
     """Rows of random actions, each checked; returns the last state, and the batched step."""
     step = jax.jit(jax.vmap(env.step, (None, 0, 0, 0, 0)))
     keys = jax.random.split(jax.random.key(0), ROBOTS)
-    state = jax.device_get(jax.vmap(env.reset, (None, 0, 0))(hyper, body, keys))
+    state = jax.device_get(jax.jit(jax.vmap(env.reset, (None, 0, 0)))(hyper, body, keys))
     assert 0 <= state.command[:, 0].min() and 1 < state.command[:, 0].max() <= 2, "command range"
     rng, model = np.random.default_rng(0), robot_lib.physics_model(robot, config.physics)
     weight, off = config.task.weights.motor_work, []
@@ -124,7 +124,8 @@ def check_termination(hyper, state, step):
 def check_iteration(config, env, hyper):
     """Two real rows and two of the model; returns the parameters of the policy."""
     static = config_lib.split(config)[0]
-    state = algorithm.init(env, hyper, jax.random.key(1), static=static)
+    begin = jax.jit(functools.partial(algorithm.init, env, static=static))
+    state = begin(hyper, jax.random.key(1))
     columns = {name: column[:1] for name, column in schedule.columns(config).items()}
     assert int(columns["n_real"][0]) == 2
     run = jax.jit(functools.partial(algorithm.run, env, static=static))

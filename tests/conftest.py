@@ -5,6 +5,7 @@ import gc
 import inspect
 import os
 import pathlib
+import signal
 import typing
 
 import numpy as np
@@ -18,10 +19,13 @@ if not ON_GPU:
     os.environ["XLA_FLAGS"] = (
         os.environ.get("XLA_FLAGS", "")
         + " --xla_force_host_platform_device_count=8 --xla_backend_optimization_level=0"
-        + " --xla_cpu_use_fusion_emitters=false"
+        + " --xla_cpu_use_fusion_emitters=false --xla_cpu_parallel_codegen_split_count=1"
     )
 # tracing makes many objects and no garbage: collecting it as often as Python does is a third of the work
 gc.set_threshold(50_000, 20, 100)
+# a shell that starts these tests in the background has them ignore ctrl-C, and all that they start
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 PEERS = pathlib.Path(__file__).parent / "peers"
 
 
@@ -42,15 +46,6 @@ def pytest_sessionstart():
 def pytest_collection_finish():
     """What importing left is never garbage."""
     gc.freeze()
-
-
-@pytest.hookimpl(tryfirst=True)
-def pytest_collection_modifyitems(items):
-    """Half a minute of compilation a robot: by default Go1 (and ANYmal-D in test_env), with `-m slow` all."""
-    for item in items:
-        name = getattr(item, "callspec", None) and item.callspec.params.get("name")
-        if "world" in item.fixturenames and name in ("go2", "anymal_c", "anymal_d"):
-            item.add_marker(pytest.mark.slow)
 
 
 @pytest.fixture(scope="session")

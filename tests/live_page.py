@@ -2,25 +2,17 @@
 
 import contextlib
 import threading
-import time
 from types import SimpleNamespace
 
 import msgspec
 import viser
+from answers import PATIENCE, until
 from websockets.sync.client import connect
 from websockets.typing import Subprotocol
 
 from dynappo.web import address, policies, server
 
 PROTOCOL = f"viser-v{viser.__version__}"
-
-
-def until(true, seconds=20.0):
-    end = time.monotonic() + seconds
-    while not (got := true()):
-        assert time.monotonic() < end, f"not true after {seconds:g} s"
-        time.sleep(0.02)
-    return got
 
 
 @contextlib.contextmanager
@@ -36,7 +28,7 @@ def serving(host="127.0.0.1", port=8500, what="go1"):
         yield SimpleNamespace(page=page, url=url, port=int(url.rpartition(":")[2]))
     finally:
         stop.set()
-        thread.join(20)
+        thread.join(PATIENCE)
         assert not thread.is_alive()
 
 

@@ -2,7 +2,7 @@
 
 python tests/other_system.py imports            # every module of dynappo
 python tests/other_system.py play go1 ...       # the command of that name
-python tests/other_system.py toy --workdir=DIR  # a run over the toy environment
+python tests/other_system.py toy --workdir=DIR  # a run over the toy environment, and the same command again
 
 Modules are hidden from dynappo, and from filelock, which then locks as it can. Names of `os` and `signal`
 are gone for everybody. `sys.platform` stays: Python's own library would look for Windows itself.
@@ -54,7 +54,8 @@ def main(what: str) -> None:
                 importlib.import_module(module.name)
                 print(module.name)
     elif what == "toy":
-        runpy.run_path(str(Path(__file__).with_name("toy_train.py")), run_name="__main__")
+        for _ in range(2):
+            runpy.run_path(str(Path(__file__).with_name("toy_train.py")), run_name="__main__")
     else:
         from dynappo.config import flags
 

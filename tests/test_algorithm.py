@@ -87,7 +87,7 @@ def inner(jaxpr):
 @pytest.fixture(scope="module")
 def observed(env, tail):
     """`observe` of the program with a model."""
-    return observe(env, tail[1])
+    return observe(env, tail[1], as_users=True)
 
 
 # ---- init
@@ -382,7 +382,7 @@ def test_where_the_model_predicts_no_falls_every_row_weighs_one(iterated, tail, 
 def rounds(env, first):
     """`rounds(k, n_real) -> (static, hyper, rollout, state, metrics)` of the first iteration."""
     config, static, hyper = toy_env.settings(toy_env.TAIL | {"schedule.rounds": 3})
-    call = observe(env, static)
+    call = observe(env, static, as_users=True)
 
     def iterated(k, n_real=5):
         columns = row(config, n_real=n_real) | {"rounds": jnp.int32(k)}
@@ -531,6 +531,7 @@ def test_the_whole_ramp_is_traced_once(run, tail, first):
         run(hyper, state, {name: c[:1] for name, c in columns(config).items()})
 
 
+@pytest.mark.slow
 def test_chunks_of_any_length_are_one_program_and_one_run(env, run, tail, first):
     """With a `count`, of a chunk with more room: the bits of a run of exactly these rows, in any parts."""
     config, static, hyper = tail

@@ -30,7 +30,7 @@ def settings():
 def params(settings):
     """A policy whose robots do not all fall, and do not all stand."""
     static, hyper = settings
-    params = ppo.init(static, hyper, 6, 2, jax.random.key(6)).params
+    params = jax.jit(partial(ppo.init, static, hyper, 6, 2))(jax.random.key(6)).params
     last = params["actor"]["params"]["Dense_2"]
     last["kernel"] = last["kernel"] * 3
     return params
@@ -71,9 +71,9 @@ def start(settings, seed):
     hyper, env = evaluation.nominal(settings[1]), toy_env.make()
     key = jax.random.fold_in(jax.random.key(seed), algorithm.EPISODES)
     body_keys, reset_keys, _ = (jax.random.split(k, ROBOTS) for k in jax.random.split(key, 3))
-    bodies = jax.vmap(env.randomize, (None, 0))(hyper, body_keys)
+    bodies = jax.jit(jax.vmap(env.randomize, (None, 0)))(hyper, body_keys)
     np.testing.assert_array_equal(bodies, 1.0)
-    state = jax.vmap(env.reset, (None, 0, 0))(hyper, bodies, reset_keys)
+    state = jax.jit(jax.vmap(env.reset, (None, 0, 0)))(hyper, bodies, reset_keys)
     return np.asarray(state.prop, np.float64), np.asarray(state.command, np.float64)
 
 

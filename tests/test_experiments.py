@@ -875,7 +875,8 @@ def test_the_model_learns_beside_a_policy_that_does_not():
     small = {"rollout.horizon": 12, "model.clean": True, "model.minibatches": 3}
     config, static, hyper = toy_env.settings(toy_env.TAIL | small)
     env = toy_env.make()
-    first = state = algorithm.init(env, hyper, jax.random.key(0), static=static)
+    begin = jax.jit(partial(algorithm.init, env, static=static))
+    first = state = begin(hyper, jax.random.key(0))
     step = jax.jit(partial(offline.iterate, env, static=static))
     errors = []
     for i in range(12):

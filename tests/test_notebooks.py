@@ -181,6 +181,7 @@ def test_the_model_error_is_shown_for_every_group_of_numbers():
         assert all(0 < float(line.split()[i]) < 30 for i in (-4, -1)), line
 
 
+@pytest.mark.slow
 def test_a_look_at_a_policy_shows_tables_maps_and_gaits():
     path = ROOT / "notebooks" / "02_look_at_a_policy.ipynb"
     notebook = execute(path, TINY[path.stem])

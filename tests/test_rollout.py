@@ -41,8 +41,8 @@ def hyper():
 def start(env, hyper):
     """`(bodies, state)` of R robots."""
     keys = jax.random.split(jax.random.key(1), R)
-    bodies = jax.vmap(env.randomize, (None, 0))(hyper, keys)
-    return bodies, jax.vmap(env.reset, (None, 0, 0))(hyper, bodies, keys)
+    bodies = jax.jit(jax.vmap(env.randomize, (None, 0)))(hyper, keys)
+    return bodies, jax.jit(jax.vmap(env.reset, (None, 0, 0)))(hyper, bodies, keys)
 
 
 @pytest.fixture(scope="module")

@@ -128,6 +128,7 @@ def test_a_seed_of_a_sweep_on_a_mesh_is_its_run_alone(mesh_of_both, swept, singl
     assert len(np.unique(metrics["model_loss"][-1])) == SEEDS
 
 
+@pytest.mark.slow  # what a mesh of seeds does above, on one device
 @pytest.mark.parametrize("seed", range(SEEDS))
 def test_a_seed_among_others_is_the_run_of_that_seed(single, together, seed):
     """Metrics to 1e-5 over five iterations, with the same learning rates."""
@@ -137,10 +138,12 @@ def test_a_seed_among_others_is_the_run_of_that_seed(single, together, seed):
     same(one_of(state, seed), expected_state, 2e-3, 2e-4)
 
 
-def test_an_evaluation_of_a_sweep_is_that_of_each_seed_in_the_same_episodes(toy, together, swept):
+def test_an_evaluation_of_a_sweep_is_that_of_each_seed_in_the_same_episodes(
+    toy, mesh_of_both, swept
+):
     env, static, hyper, _ = toy
     sizes = dict(static=static, num_envs=8, num_steps=15)
-    params, key = together[0].learner.params, jax.random.key(3)
+    params, key = jax.device_get(mesh_of_both[0].learner.params), jax.random.key(3)
     found = jax.jit(partial(sweep.evaluate, env, **sizes))(swept[0], params, key)
     one = jax.jit(partial(evaluation.evaluate, env, **sizes))
     for seed in range(SEEDS):

@@ -1,6 +1,7 @@
 """Rows of a linear world without physics, and transition models of it that need no training."""
 
 import functools
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -75,7 +76,7 @@ def linear_rows(seed, horizon=HORIZON):
 
 def start(static, env=ENV):
     """An untrained model."""
-    return dynamics.init(static, env, jax.random.key(0))
+    return jax.jit(partial(dynamics.init, static, env))(jax.random.key(0))
 
 
 def that_says(output, model):

@@ -39,11 +39,11 @@ def carries_a_rollout(equation):
 
 
 @functools.cache
-def observe(env, static):
+def observe(env, static, as_users=False):
     """`f(hyper, state, row) -> (rollout, state, metrics)`: `iterate`, and the rollout inside it.
 
     The rollout is what the last loop of rounds leaves in the program of `iterate`: the
-    program itself is asked for it.
+    program itself is asked for it. `as_users`: its bits are compared with those of another program.
     """
 
     def call(hyper, state, row):
@@ -64,7 +64,7 @@ def observe(env, static):
             jax.tree.structure(shape), out[FIELDS:]
         )
 
-    return jax.jit(call, compiler_options=AS_USERS)
+    return jax.jit(call, compiler_options=AS_USERS if as_users else None)
 
 
 def leaves(tree):

@@ -15,7 +15,7 @@ import threading
 import time
 from collections.abc import Callable
 from functools import partial
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -23,7 +23,9 @@ from dynappo import config as config_lib
 from dynappo import schedule
 from dynappo.config import ConfigError
 from dynappo.program import devices, distributed, memory
-from dynappo.types import Hyper, Static
+
+if TYPE_CHECKING:  # it imports JAX, and a mistake is answered without
+    from dynappo.types import Hyper, Static
 
 ROOM = 128  # iterations, at least, that a call of the program has room for
 

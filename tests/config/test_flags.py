@@ -9,7 +9,7 @@ import sys
 import time
 
 import pytest
-from answers import ROOT, refused, shell, status
+from answers import PATIENCE, ROOT, refused, shell, status
 
 from dynappo.config import ConfigError, flags
 
@@ -115,12 +115,12 @@ def test_ctrl_c_in_a_finalizer_interrupts_a_moment_later(capsys, listening):
         Dying(lambda: 1 / 0)
         Dying(lambda: signal.raise_signal(signal.SIGINT))
         said.append("goes on")
-        time.sleep(5)
+        time.sleep(PATIENCE)
         said.append("was never interrupted")
 
-    said, before, began = [], sys.unraisablehook, time.monotonic()
+    said, before = [], sys.unraisablehook
     assert status(lambda _: flags.answer(action)) == 130
-    assert said == ["goes on"] and time.monotonic() - began < 2
+    assert said == ["goes on"]
     err = capsys.readouterr().err
     assert "ZeroDivisionError" in err and "KeyboardInterrupt" not in err
     assert err.endswith("dynappo: stopped\n") and sys.unraisablehook is before

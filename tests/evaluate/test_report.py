@@ -2,13 +2,13 @@
 
 import json
 import re
-import time
 
 import browser
 import numpy as np
 import pages
 import pytest
 import toy_sweep
+from answers import until
 from toy_policy import save
 
 from dynappo.evaluate import figures, report, show, trials
@@ -129,9 +129,9 @@ def test_a_click_on_a_command_plays_it(evaluated, tmp_path):
             assert tab.value(pressed) == "true"
         tab.until(f"!{inside}.getElementById('fell').hidden", "the robot that falls has fallen")
         tab.value("document.getElementById('player').scrollIntoView({block: 'center'})")
-        time.sleep(0.3)
-        pixels = tab.pixels().astype(int)
-        assert (pixels.mean(-1) < 90).mean() > 0.002, "dark parts of a Go1"
+        until(
+            lambda: (tab.pixels().astype(int).mean(-1) < 90).mean() > 0.002
+        )  # dark parts of a Go1
         assert not tab.errors
 
 

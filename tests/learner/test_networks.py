@@ -20,7 +20,8 @@ def make(settings):
     def fresh(fields=None, seed=0):
         fields = {"hidden": (32, 32, 32)} | (fields or {})
         static, hyper = settings({f"ppo.{name}": value for name, value in fields.items()})
-        return static, networks.init_policy(static, hyper, OBS, ACTIONS, jax.random.key(seed))
+        init = jax.jit(partial(networks.init_policy, static, hyper, OBS, ACTIONS))
+        return static, init(jax.random.key(seed))
 
     return fresh
 
@@ -164,9 +165,12 @@ class Flax(nn.Module):
 @pytest.mark.parametrize("sizes", [(7, 5, 3), (6, 2)])
 def test_a_network_and_its_gradient_are_flaxs(sizes, shape):
     model, x = networks.MLP(sizes, "swish"), jax.random.normal(jax.random.key(1), shape)
-    params = networks.init(model, 9, jax.random.key(0))
-    ours = jax.value_and_grad(lambda p: (networks.apply(model, p, x) ** 2).sum())(params)
-    flaxs = jax.value_and_grad(lambda p: (Flax(sizes).apply(p, x) ** 2).sum())(params)
+    params = jax.jit(partial(networks.init, model, 9))(jax.random.key(0))
+
+    def squares(apply):
+        return jax.jit(jax.value_and_grad(lambda p: (apply(p, x) ** 2).sum()))(params)
+
+    ours, flaxs = squares(partial(networks.apply, model)), squares(Flax(sizes).apply)
     jax.tree.map(partial(np.testing.assert_allclose, rtol=1e-5, atol=1e-6), ours, flaxs)
 
 

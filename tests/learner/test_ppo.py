@@ -69,7 +69,8 @@ def recorded(peer, from_torch, ppo_settings):
         theirs = {"action_mean": "mean", "advantages": "advantage"}
         columns = {k: z[theirs.get(k, k)] for k in ppo.Batch._fields[:7]}  # no weight
         batch = ppo.Batch(**{k: jnp.asarray(x) for k, x in columns.items()})
-        learner = ppo.init(*ppo_settings(), OBS, ACTIONS, jax.random.key(0))
+        init = jax.jit(partial(ppo.init, *ppo_settings(), OBS, ACTIONS))
+        learner = init(jax.random.key(0))
         learner = learner.replace(params=jax.tree.map(jnp.asarray, from_torch(z)))
         return learner, batch, jnp.asarray(z["collect.std"])
 
@@ -387,7 +388,7 @@ def test_no_std_falls_below_min_std(recorded, ppo_settings, min_std, held):
 
 def test_a_fresh_learner_has_the_initial_std_learning_rate_and_float32_leaves(ppo_settings):
     static, hyper = ppo_settings(init_std=0.8, learning_rate=2e-3)
-    learner = ppo.init(static, hyper, OBS, ACTIONS, jax.random.key(0))
+    learner = jax.jit(partial(ppo.init, static, hyper, OBS, ACTIONS))(jax.random.key(0))
     assert isinstance(learner, Learner)
     np.testing.assert_allclose(learner.params["std"], np.full(ACTIONS, 0.8), rtol=1e-6)
     assert float(learner.learning_rate) == np.float32(2e-3)
@@ -411,7 +412,7 @@ def random_batch(seed):
 def toy():
     """`(static, hyper, learner, update(batch))` of a small learner."""
     _, static, hyper = toy_env.settings({"rollout.num_envs": ROBOTS})
-    learner = ppo.init(static, hyper, 6, 2, jax.random.key(0))
+    learner = jax.jit(partial(ppo.init, static, hyper, 6, 2))(jax.random.key(0))
     update = jax.jit(lambda batch: ppo.update(static, hyper, learner, batch, jax.random.key(1)))
     return static, hyper, learner, update
 

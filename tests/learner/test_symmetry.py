@@ -40,7 +40,7 @@ def image(settings):
 
 @pytest.fixture(scope="module")
 def learner(settings, image):
-    return ppo.init(*settings, 6, 3, jax.random.key(0), image=image)
+    return jax.jit(partial(ppo.init, *settings, 6, 3, image=image))(jax.random.key(0))
 
 
 @pytest.fixture(scope="module")
@@ -106,7 +106,9 @@ def test_the_gradient_is_that_of_the_rows_and_their_mirror_images(settings, imag
         action_mean=jnp.asarray(mirrored(ACTION, rows.action_mean)),
     )
     both = jax.tree.map(lambda x, y: jnp.concatenate([x, y]), rows, turned)
-    grad = jax.grad(lambda p, rows: ppo.loss(static, hyper, p, rows, learner.params["std"])[0])
+    grad = jax.jit(
+        jax.grad(lambda p, rows: ppo.loss(static, hyper, p, rows, learner.params["std"])[0])
+    )
     one = ravel_pytree(grad(learner.params, rows))[0]
     found, expected = (
         symmetry.mean(one, symmetry.places(learner.params, image)),

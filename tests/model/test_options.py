@@ -34,7 +34,7 @@ def env():
 def iterated(env):
     """`(static, hyper, first state, {n_real: (rollout, state, metrics)})` with every field on."""
     config, static, hyper = settings(ON)
-    state = algorithm.init(env, hyper, jax.random.key(0), static=static)
+    state = jax.jit(partial(algorithm.init, env, static=static))(hyper, jax.random.key(0))
     # some iterations on, the model has seen falls
     call = observe(env, static)
     for i in range(1, 4):

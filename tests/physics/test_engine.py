@@ -27,7 +27,15 @@ ROUNDING = 2e-6  # m, of single precision at the end of a leg; measured 6e-7
 WORLDS, STEPS = 8, 100
 
 
-@pytest.fixture(scope="module", params=files.robots())
+LATER = ("go2", "anymal_c")  # with `-m slow`: the others are of the same two makes
+
+
+@pytest.fixture(
+    scope="module",
+    params=[
+        pytest.param(name, marks=[pytest.mark.slow] * (name in LATER)) for name in files.robots()
+    ],
+)
 def name(request):
     return request.param
 
@@ -155,7 +163,8 @@ def test_the_lowest_point_is_as_deep_as_the_deepest_contact(seen, kind):
     assert error.max() < ROUNDING, f"{geom}: {error.max():.1e} m"
 
 
-# --- in motion: MJX against C MuJoCo, and random actions ---
+# --- in motion: MJX against C MuJoCo, and random actions; slow, because tests/task/test_env.py follows a
+# Go1 on MJX with C MuJoCo, and test_c_engine.py compares all engines ---
 
 
 class InC:
@@ -241,6 +250,7 @@ def sway(scale):
     return (0.025 / scale * wave).astype(np.float32)
 
 
+@pytest.mark.slow
 def test_swaying_on_its_feet_mjx_follows_c_mujoco_for_100_steps(world, loaded):
     """No restart in between, C MuJoCo's solver run to convergence, and no foot leaves the ground:
     a foot that lands one substep sooner or later would hide smaller differences. Measured: 9e-7
@@ -269,6 +279,7 @@ def test_swaying_on_its_feet_mjx_follows_c_mujoco_for_100_steps(world, loaded):
     assert worst[0] < 5e-4 and worst[1] < 1e-2, worst
 
 
+@pytest.mark.slow
 def test_under_random_actions_every_step_of_mjx_is_that_of_c_mujoco(world):
     """100 steps of an untrained policy's actions, with landings, slips and falls; each from MJX's
     state, both solvers stopped where the config says. Measured: median 1e-7 and 4e-6, nine tenths
@@ -286,6 +297,7 @@ def test_under_random_actions_every_step_of_mjx_is_that_of_c_mujoco(world):
     assert most[0] < 5e-6 and most[1] < 2e-4, most
 
 
+@pytest.mark.slow
 def test_1000_steps_of_random_actions_stay_finite_and_within_what_physics_can_compute(world):
     """As an untrained policy acts, with the task's resets and pushes."""
     rng, state, ended = np.random.default_rng(4), world.start, np.zeros(WORLDS)

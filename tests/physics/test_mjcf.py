@@ -110,9 +110,9 @@ def test_a_hostile_file_is_one_line(tmp_path, policy, name, monkeypatch, capfd):
     monkeypatch.chdir(tmp_path)
     path = tmp_path / "mine.xml"
     path.write_text(text)
-    start = time.perf_counter()
+    start = time.process_time()
     lines = refused(episode.load, path, policy), refused(robot.load_xml, path)
-    assert time.perf_counter() - start < 30  # it does not hang, also beside other work
+    assert time.process_time() - start < 30  # it does not hang
     for line in lines:
         assert line.startswith(f"{path}: ") and line.isprintable()
     assert expected in lines[0]

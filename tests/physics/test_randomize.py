@@ -76,7 +76,8 @@ def base_of(go1):
 def draw(go1, bounds, count=ROBOTS):
     mass, com = base_of(go1)
     keys = jax.random.split(jax.random.key(0), count)
-    return jax.vmap(lambda key: randomize.draw(bounds, mass, jnp.asarray(com), key))(keys)
+    one = lambda key: randomize.draw(bounds, mass, jnp.asarray(com), key)  # noqa: E731
+    return jax.jit(jax.vmap(one))(keys)
 
 
 @pytest.fixture(scope="module")

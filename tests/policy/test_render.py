@@ -133,10 +133,10 @@ def test_a_file_without_a_camera_is_filmed_from_a_distance(standing, filmed, tmp
 
 def test_a_film_has_the_size_that_is_asked_for_and_tells_how_far_it_is(standing, filmed, tmp_path):
     """Also one that is no multiple of four; a share a picture, up to the whole."""
-    shares, rows = [], rows_of(standing, slice(20))
+    shares, rows = [], rows_of(standing, slice(10))
     assert render.film(GO1, rows, tmp_path / "a.mp4", (322, 182), shares.append) == ""
-    assert probe(tmp_path / "a.mp4")[:3] == (10, 322, 182)
-    np.testing.assert_allclose(shares, np.arange(1, 11) / 10)
+    assert probe(tmp_path / "a.mp4")[:3] == (5, 322, 182)
+    np.testing.assert_allclose(shares, np.arange(1, 6) / 5)
     assert render.film(GO1, rows, tmp_path / "a.gif", (322, 182)) == ""
     assert pytest.importorskip("PIL.Image").open(tmp_path / "a.gif").size == (322, 182)
     assert render.film(GO1, rows, tmp_path / "a.png", (64, 66)) == ""

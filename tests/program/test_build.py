@@ -7,7 +7,7 @@ import jax
 import numpy as np
 import pytest
 import workdirs
-from answers import refused
+from answers import PATIENCE, refused
 from toy_runs import assert_close, assert_same
 
 from dynappo.config import ConfigError
@@ -64,6 +64,7 @@ def size(tree):
     return sum(x.nbytes for x in jax.tree.leaves(tree))
 
 
+@pytest.mark.slow
 def test_a_mesh_of_devices_computes_what_one_does_and_changes_no_setting(monkeypatch):
     """Two seeds with their robots on two devices each; the partitioner is JAX's own again."""
     workdirs.toy(monkeypatch)
@@ -77,7 +78,7 @@ def test_a_mesh_of_devices_computes_what_one_does_and_changes_no_setting(monkeyp
 
     def compiled(lowered, *options):  # waits until `meanwhile` was called
         traced.append(lowered)
-        assert waited.wait(60)
+        assert waited.wait(PATIENCE)
         return compile_(lowered, *options)
 
     with monkeypatch.context() as patch:

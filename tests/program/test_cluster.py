@@ -15,7 +15,7 @@ import sys
 
 import pytest
 import yaml
-from answers import ROOT
+from answers import PATIENCE, ROOT
 
 from dynappo.train import command as train_command
 
@@ -68,7 +68,7 @@ def cluster(tmp_path):
         env |= {"PATH": f"{tmp_path / 'bin'}:{env['PATH']}", "PYTHON": str(tmp_path / "bin/python")}
         env |= {"RECORDS": str(records), "STATUS": str(status)} | variables
         done = subprocess.run(
-            ["bash", *command], env=env, cwd=cwd, capture_output=True, text=True, timeout=60
+            ["bash", *command], env=env, cwd=cwd, capture_output=True, text=True, timeout=PATIENCE
         )
         assert not done.stderr, done.stderr
         found = sorted(records.glob("*.json"), key=lambda path: int(path.stem))

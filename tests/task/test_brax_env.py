@@ -511,6 +511,7 @@ def test_a_tail_without_prop_size_is_a_config_error():
         jax.eval_shape(partial(algorithm.run, env, static=static), hyper, state, columns)
 
 
+@pytest.mark.slow
 def test_ppo_learns_to_go_fast():
     """All pushes forward give 0.0002 sum(k^2 + k) = 8.84 in 50 steps, half of them half of it."""
     env = door.from_brax(envs.get_environment("fast"), episode_length=50)

@@ -1,8 +1,8 @@
 """The velocity task on MJX against C MuJoCo loops, hand-made cases, and the rules of its episodes.
 
-Four environments are compiled, once each: `lab` (Go1, `isaaclab`, every physical parameter
-varied), `plain` (Go1, `paper_text`, nothing varied), `anymal` (ANYmal-D) and `exact` (ANYmal-C,
-`isaaclab_exact`, all contacts); and `carries` on C MuJoCo. A step always has `ROBOTS` robots, so that
+Environments are compiled once each: on MJX `lab` (Go1, `isaaclab`, every physical parameter varied);
+on C MuJoCo, which compiles at once, `plain` (Go1, `paper_text`, nothing varied), `carries`, `anymal`
+(ANYmal-D) and `exact` (ANYmal-C, `isaaclab_exact`, all contacts). A step always has `ROBOTS` robots, so that
 it traces once; a second trace fails the test that causes it.
 """
 
@@ -87,12 +87,16 @@ def lab():
 
 @pytest.fixture(scope="module")
 def plain():
-    return build("go1", dict(base_mass=(0.0, 0.0)), formulation="paper_text", random_clock=False)
+    return collapsed("c")
+
+
+def collapsed(impl):
+    task = dict(formulation="paper_text", random_clock=False)
+    return build("go1", dict(base_mass=(0.0, 0.0)), impl=impl, **task)
 
 
 @pytest.fixture(scope="module")
 def carries():
-    """This and what follows on C MuJoCo, which compiles at once: they are about the task."""
     return build("go1", random_clock=False, carry_on=True, impl="c")
 
 
@@ -110,7 +114,7 @@ def exact():
 @pytest.fixture(scope="module")
 def bodies(lab):
     """Half of the robots as their file has them, half drawn from the ranges."""
-    drawn = jax.vmap(lab.env.randomize, (None, 0))(lab.hyper, lab.keys)
+    drawn = jax.jit(jax.vmap(lab.env.randomize, (None, 0)))(lab.hyper, lab.keys)
     half = jnp.arange(ROBOTS) < ROBOTS // 2
     return jax.tree.map(
         lambda a, b: jnp.where(half.reshape(-1, *[1] * (a.ndim - 1)), a, b), lab.nominal, drawn
@@ -406,9 +410,12 @@ def test_physical_parameters_change_the_motion_as_they_should(lab, standing):
     np.testing.assert_allclose(state.qpos[idle], state.qpos[at["nominal"]], atol=1e-5)
 
 
-def test_collapsed_ranges_move_as_varied_ranges_at_the_nominal_values(lab, plain, standing):
+@pytest.mark.parametrize("impl", ["c", pytest.param("jax", marks=pytest.mark.slow)])
+def test_collapsed_ranges_move_as_varied_ranges_at_the_nominal_values(impl, standing):
+    """tests/physics/test_engine.py compares MJX, with the mass alone varied, with C MuJoCo."""
+    varying, plain = build("go1", VARIED, impl=impl), collapsed(impl)
     move = jnp.asarray(actions(1)[0])
-    varied, _ = lab.step(lab.quiet, lab.nominal, standing, move, lab.keys)
+    varied, _ = varying.step(varying.quiet, varying.nominal, standing, move, varying.keys)
     fixed, _ = plain.step(plain.quiet, plain.nominal, standing, move, plain.keys)
     np.testing.assert_allclose(fixed.qpos, varied.qpos, atol=1e-6)
     np.testing.assert_allclose(fixed.qvel, varied.qvel, atol=1e-4)

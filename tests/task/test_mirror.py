@@ -40,8 +40,8 @@ def world(request):
     robot, hyper = robot_lib.load(request.param), config_lib.split(config)[1]
     env = env_lib.make(robot, config.task, config.physics, impl="c")
     keys = jax.random.split(jax.random.key(0), ROBOTS)
-    bodies = jax.vmap(env.randomize, (None, 0))(hyper, keys)
-    state = jax.vmap(env.reset, (None, 0, 0))(hyper, bodies, keys)
+    bodies = jax.jit(jax.vmap(env.randomize, (None, 0)))(hyper, keys)
+    state = jax.jit(jax.vmap(env.reset, (None, 0, 0)))(hyper, bodies, keys)
     step = jax.jit(jax.vmap(env.step, (None, 0, 0, 0, 0)))
     rng = np.random.default_rng(0)
     for action in rng.normal(0, 1, (15, ROBOTS, 12)).astype(np.float32):

@@ -61,8 +61,8 @@ def world():
     hyper, robot = quiet(hyper), robot_lib.load("go1")
     env = env_lib.make(robot, config.task, config.physics, impl="c")
     keys = jax.random.split(jax.random.key(0), ROBOTS)
-    body = jax.vmap(env.randomize, (None, 0))(hyper, keys)
-    state = jax.vmap(env.reset, (None, 0, 0))(hyper, body, keys)
+    body = jax.jit(jax.vmap(env.randomize, (None, 0)))(hyper, keys)
+    state = jax.jit(jax.vmap(env.reset, (None, 0, 0)))(hyper, body, keys)
     step = jax.jit(jax.vmap(partial(env.step, hyper)))
     again = jax.jit(jax.vmap(partial(env.autoreset, hyper)))
     actions = np.random.default_rng(0).normal(size=(STEPS, ROBOTS, 12)).astype(np.float32)
@@ -120,7 +120,7 @@ def test_a_tail_shows_the_policy_what_physics_would(world):
     static = world.static._replace(
         model=world.static.model._replace(clean=True, known_reward=False, falls=False)
     )
-    model = dynamics.init(static, env, jax.random.key(0))
+    model = jax.jit(partial(dynamics.init, static, env))(jax.random.key(0))
     for t, (before, after, _) in enumerate(rows):
         truth = jnp.asarray(after.prop)
 

@@ -7,6 +7,7 @@ import pathlib
 import shutil
 import sys
 import tempfile
+from functools import partial
 from types import SimpleNamespace
 
 import jax
@@ -34,7 +35,8 @@ def state():
 
     def make(fields):
         _, static, hyper = toy_env.settings(fields)
-        state = algorithm.init(toy_env.make(), hyper, jax.random.key(3), static=static)
+        begin = jax.jit(partial(algorithm.init, toy_env.make(), static=static))
+        state = begin(hyper, jax.random.key(3))
         leaves, tree = jax.tree.flatten(state)
         new = []
         for i, x in enumerate(leaves):

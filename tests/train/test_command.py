@@ -15,7 +15,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import workdirs
-from answers import ROOT, mistake, refused, shell, status
+from answers import PATIENCE, ROOT, mistake, refused, shell, status
 from rich.console import Console
 
 from dynappo import config as config_lib
@@ -209,17 +209,14 @@ def test_the_first_signal_asks_the_second_interrupts():
     """Ctrl-C or SIGTERM while the loop runs; before it, at once. Then handlers are as they were."""
     before = signal.getsignal(signal.SIGTERM)
     with train_command.Stop() as _, pytest.raises(KeyboardInterrupt):
-        os.kill(os.getpid(), signal.SIGTERM)
-        time.sleep(1)
+        signal.raise_signal(signal.SIGTERM)
     stop = train_command.Stop()
     with stop:
         stop.patient = True
-        os.kill(os.getpid(), signal.SIGTERM)
-        time.sleep(0.01)
+        signal.raise_signal(signal.SIGTERM)
         assert stop.status == 143
         with pytest.raises(KeyboardInterrupt):
-            os.kill(os.getpid(), signal.SIGINT)
-            time.sleep(1)
+            signal.raise_signal(signal.SIGINT)
     assert stop.status == 130 and signal.getsignal(signal.SIGTERM) is before
 
 
@@ -252,15 +249,13 @@ def finished(monkeypatch, when):
         loops.append(should_stop)
         (workdir / "checkpoints" / "4").mkdir(parents=True)
         if when == "in the last iteration":
-            os.kill(os.getpid(), signal.SIGINT)
-            time.sleep(0.01)
+            signal.raise_signal(signal.SIGINT)
         return None, {"iteration": np.array([config.run.num_iterations])}
 
     def finish(*_):
         loops.append("finished")
         if when == "while it is evaluated":
-            os.kill(os.getpid(), signal.SIGINT)
-            time.sleep(1)
+            signal.raise_signal(signal.SIGINT)
         raise AssertionError("not stopped")
 
     program = SimpleNamespace(impl="c", device="cpu", compile_seconds=0, bytes_needed=1)
@@ -350,7 +345,7 @@ def test_a_run_can_be_killed_at_any_moment(tmp_path):
             assert run.poll() is None, run.communicate()
             time.sleep(0.01)
         run.send_signal(kind)
-        _, err = run.communicate(timeout=60)
+        _, err = run.communicate(timeout=PATIENCE)
         assert run.returncode == code
         reached = last(workdir)
         saved = max(int(name) for name in workdirs.steps(workdir) if name.isdigit())

@@ -136,12 +136,16 @@ def test_what_a_run_lacks_is_left_out():
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("seeds, iterations", [(1, 40), (3, 40), (3, 1), (12, 40)])
 def test_a_png_is_written(tmp_path, seeds, iterations):
-    """From the metrics of a run and from its metrics.csv, with the same bytes; without a warning."""
+    """Without a warning."""
     metrics = run(seeds, iterations)
     assert curves.draw(metrics, tmp_path / "a.png", "a run") == ""
     content = (tmp_path / "a.png").read_bytes()
     assert content[:8] == b"\x89PNG\r\n\x1a\n" and len(content) > 20_000
     assert int.from_bytes(content[16:20]) == 1800
+
+
+def test_the_metrics_of_a_run_and_its_metrics_csv_are_one_picture(tmp_path):
+    metrics = run(seeds := 3)
     rounded = {n: np.array([float(f"{x:.6g}") for x in v.flat]) for n, v in metrics.items()}
     rounded = {n: v.reshape(metrics[n].shape) for n, v in rounded.items()}
     log.append_csv(tmp_path / "metrics.csv", log.rows(metrics))

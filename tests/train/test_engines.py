@@ -51,6 +51,7 @@ def test_it_resumes_to_the_bit_and_does_not_depend_on_the_threads(whole, tmp_pat
         np.testing.assert_array_equal(metrics[name][2:], whole[1][name][2:])
 
 
+@pytest.mark.slow
 def test_a_seed_among_several_is_the_run_alone(whole):
     state, _ = train.train(settings("run.num_seeds=2", "run.eval_envs=0"))
     first = jax.tree.map(lambda x: x[0], state.env_state)

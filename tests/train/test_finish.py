@@ -13,7 +13,7 @@ from workdirs import N_REAL
 
 from dynappo.config import shell, versions
 from dynappo.policy import policy_file, render
-from dynappo.train import finish
+from dynappo.train import curves, finish
 
 
 def test_a_run_fills_its_folder(whole):
@@ -87,9 +87,10 @@ def test_the_return_of_all_is_that_of_the_episodes_of_the_last_episodes_length(c
     ],
 )
 def test_the_policy_of_the_best_seed_is_that_of_the_best_evaluation(
-    program, whole, tmp_path, at_the_end, on_the_way, best
+    program, whole, tmp_path, at_the_end, on_the_way, best, monkeypatch
 ):
     """Whatever the training episodes say: they favour the other one."""
+    monkeypatch.setattr(curves, "draw", lambda *_: "no picture")
     seeds = workdirs.config(run__num_seeds=2, run__eval_envs=8 if at_the_end else 0)
     state = jax.tree.map(lambda x: jax.numpy.stack([x, x]), whole.state)
     params = jax.tree.map(lambda x: np.stack([x[0], x[1] + 1]), state.learner.params)
@@ -214,6 +215,7 @@ def test_logs_that_fail_are_told_and_the_run_ends_well(program, whole, tmp_path,
         init=lambda **_: fail(RuntimeError("no account\nat all")), __spec__=object()
     )
     monkeypatch.setitem(sys.modules, "wandb", fake)
+    monkeypatch.setattr(curves, "draw", lambda *_: "no picture")
     full = OSError(28, "No space left on device")
     monkeypatch.setattr("tensorboardX.event_file_writer.EventsWriter", lambda *_, **__: fail(full))
     config, said = workdirs.config(run__wandb="walking", run__eval_envs=0), []

@@ -52,7 +52,7 @@ def test_a_policy_file_is_where_every_seed_may_start(program, seeds):
     config = config_lib.load("go1:ppo16")
     static, hyper = config_lib.split(config_lib.validate(config))
     keys = jax.random.split(jax.random.key(0), seeds)
-    new = jax.vmap(lambda key: ppo.init(static, hyper, 48, 12, key))(keys)
+    new = jax.jit(jax.vmap(lambda key: ppo.init(static, hyper, 48, 12, key)))(keys)
     new = jax.tree.map(lambda x: x[0], new) if seeds == 1 else new
     like, said, taken = program().state.replace(learner=new, model=None), [], []
     file = pathlib.Path("robots/go1/policy.npz")

@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import browser
 import numpy as np
 import pytest
+from answers import until
 
 from dynappo.web import address, policies
 from dynappo.web import live as live_lib
@@ -67,16 +68,6 @@ def shown(tab):
     tab.until("document.body.innerText.includes('asked')")
     time.sleep(2)
     return tab
-
-
-def until(true, seconds=browser.PATIENCE):
-    """Wait until `true()` is, and return what it says."""
-    end = time.monotonic() + seconds
-    while time.monotonic() < end:
-        if got := true():
-            return got
-        time.sleep(0.05)
-    raise AssertionError(f"not true after {seconds:g} s")
 
 
 def robot(pixels):
@@ -252,7 +243,7 @@ def test_a_lost_connection_comes_back_by_itself(tmp_path):
         with serving(8490) as second:
             assert second.url == first.url
             tab.watched(True)
-            until(second.page.server.get_clients, 90)
+            until(second.page.server.get_clients)
             live = second.page.live
             until(lambda: tab.key("i", "KeyI", 73) or live.command[0] > 0)
 

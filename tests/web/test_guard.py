@@ -8,7 +8,7 @@ import time
 
 import numpy as np
 import pytest
-from answers import refused
+from answers import PATIENCE, refused, until
 from ml_collections import config_dict
 from toy_policy import actor, described, save
 
@@ -19,7 +19,7 @@ from dynappo.web import live as live_lib
 server = pytest.importorskip("dynappo.web.server", reason="mjviser is not installed (extra web)")
 
 import msgspec  # noqa: E402  (viser brings both)
-from live_page import CAMERA, PROTOCOL, client, joined, serving, until, update  # noqa: E402
+from live_page import CAMERA, PROTOCOL, client, joined, serving, update  # noqa: E402
 from websockets import exceptions  # noqa: E402
 from websockets.datastructures import Headers  # noqa: E402
 
@@ -36,7 +36,7 @@ def served():
 
 def asked(port, *lines, path="/", to="127.0.0.1"):
     """The head of the answer to a request with these header lines, and the first bytes after it."""
-    with socket.create_connection((to, port), timeout=20) as line:
+    with socket.create_connection((to, port), timeout=PATIENCE) as line:
         head = f"GET {path} HTTP/1.1\r\n" + "".join(f"{text}\r\n" for text in lines) + "\r\n"
         line.sendall(head.encode())
         answer = b""
@@ -122,7 +122,7 @@ def test_each_kind_of_refusal_is_said_once(capfd):
             asked(served.port, f"Host: localhost:{served.port}", f"Origin: {FOREIGN}")
             asked(served.port, "Host: evil.example")
             asked(served.port, "Host: \x1b[31m" + 999 * "e")
-            with socket.create_connection(("127.0.0.1", served.port), timeout=20) as line:
+            with socket.create_connection(("127.0.0.1", served.port), timeout=PATIENCE) as line:
                 line.sendall(b"no HTTP at all\r\n\r\n")
                 line.recv(100)
     said = capfd.readouterr().err
@@ -334,9 +334,9 @@ def test_a_step_that_takes_longer_than_its_period_leaves_time_for_wishes(monkeyp
     found = policies.load(policies.Offer("go1", None, None, False), "go1")
     live = live_lib.Live(found.body, found.act, None)
     monkeypatch.setattr(live_lib.episode_lib, "period", lambda body: 1e-5)
-    rounds = []
-    end = time.monotonic() + 1
-    live_lib.run(live, lambda: rounds.append(1), lambda: time.monotonic() > end, 2)
+    rounds, end = [], time.monotonic() + PATIENCE
+    enough = lambda: len(rounds) > 3 or time.monotonic() > end  # noqa: E731
+    live_lib.run(live, lambda: rounds.append(1), enough, 2)
     assert len(rounds) > 3
 
 

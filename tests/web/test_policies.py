@@ -5,7 +5,7 @@ import threading
 
 import numpy as np
 import pytest
-from answers import refused
+from answers import PATIENCE, refused
 from toy_policy import GO1, actor, described, save
 
 from dynappo import config as config_lib
@@ -60,15 +60,13 @@ def test_a_newer_policy_is_seen_and_the_same_one_is_not(run, monkeypatch):
     try:
         assert not seen.acquire(timeout=0.2)
         for seed in (1, 2):
-            save(run / "policy.npz", seed)
-            os.utime(run / "policy.npz", ns=(seed, seed))
-            while seen.acquire(timeout=0.3):  # the file, then its time
-                last = seed
-            assert last == seed
+            os.utime(save(run / "new.npz", seed), ns=(seed, seed))
+            os.replace(run / "new.npz", run / "policy.npz")
+            assert seen.acquire(timeout=PATIENCE)
         assert not seen.acquire(timeout=0.2)
     finally:
         stop.set()
-        thread.join(5)
+        thread.join(PATIENCE)
 
 
 @pytest.mark.parametrize(

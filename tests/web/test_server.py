@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from answers import PATIENCE, until
 from toy_policy import described, save
 
 from dynappo import config as config_lib
@@ -30,14 +31,7 @@ def page(tmp_path, monkeypatch):
     until(lambda: told)
     yield told[0]
     stop.set()
-    thread.join(20)
-
-
-def until(true, seconds=20.0):
-    end = time.monotonic() + seconds
-    while not true():
-        assert time.monotonic() < end, f"not true after {seconds:g} s"
-        time.sleep(0.02)
+    thread.join(PATIENCE)
 
 
 def test_a_new_policy_of_the_run_acts_while_the_robot_goes_on(page, tmp_path):

@@ -10,7 +10,8 @@ only, so that a robot can be looked at where there is no GPU.
 
 from __future__ import annotations
 
-from fnmatch import fnmatchcase
+import fnmatch
+import re
 from typing import Any
 
 import mujoco
@@ -103,12 +104,11 @@ def fields(model: mujoco.MjModel) -> dict[str, Any]:
         for name in dir(of)
         if not name.startswith("_")
     }
+    harmless = re.compile("|".join(map(fnmatch.translate, HARMLESS))).match
     found = {
         n: value
         for n, value in found.items()
-        if not callable(value)
-        and n not in ("opt", "vis", "stat")
-        and not any(fnmatchcase(n, pattern) for pattern in HARMLESS)
+        if not callable(value) and n not in ("opt", "vis", "stat") and not harmless(n)
     }
     return {name: found[name] for name in (*(n for n in WORDS if n in found), *found)}
 
