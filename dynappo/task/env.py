@@ -141,7 +141,7 @@ def autoreset(
         start = jax.tree.map(lambda here, there: jnp.where(stays, here, there), here, start)
     fresh = _told(const, hyper, body, start, command_key, obs_key, same)
     # those that stay remember what they read; beside a `where` of nothing XLA 0.10 loses C MuJoCo's call
-    if const.task.carry_on and const.view.history > 1:
+    if stays is not None and const.view.history > 1:
         before = jnp.where(stays, state.obs[view.SENSED :], fresh.obs[view.SENSED :])
         fresh = fresh.replace(obs=jnp.concatenate([fresh.obs[: view.SENSED], before]))
     return jax.tree.map(lambda new, old: jnp.where(ended, new, old), fresh, state)
