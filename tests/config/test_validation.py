@@ -122,7 +122,7 @@ def test_a_setting_that_cannot_run_is_one_line(fields, found, expected):
 
 @pytest.mark.parametrize("more", [{"model.clean": True}, {"schedule.end_steps": 0}], ids=str)
 def test_a_value_function_of_the_state_is_fine_where_no_tail_is_noisy(more):
-    config_lib.validate(config({"ppo.critic": "state"} | more))
+    assert config_lib.validate(config({"ppo.critic": "state"} | more)).ppo.critic == "state"
 
 
 def test_every_bound_of_the_tables_is_checked():
