@@ -11,9 +11,8 @@ import pytest
 from dynappo.config import ConfigError
 
 ROOT = pathlib.Path(__file__).parents[1]
-PATIENCE = (
-    300.0  # s to wait for what must come: only what hangs takes as long, however busy the machine
-)
+# s to wait for what must come: only what hangs takes as long, however busy the machine
+PATIENCE = 300.0
 
 
 def until(true):

@@ -91,6 +91,7 @@ def test_a_film_plays_at_the_speed_of_the_robot_and_is_not_blank(filmed):
     assert abs(middle.mean() - frame[: rows // 6].astype(float).mean()) > 3
 
 
+@pytest.mark.slow
 def test_a_gif_has_the_same_pictures(standing, filmed, tmp_path):
     """Half the pictures, three quarters of the size, for ever."""
     pillow = pytest.importorskip("PIL.Image")
@@ -131,6 +132,7 @@ def test_a_file_without_a_camera_is_filmed_from_a_distance(standing, filmed, tmp
     assert middle.std() > 1.5 * picture[2 * rows // 3 :, : columns // 4].std()
 
 
+@pytest.mark.slow
 def test_a_film_has_the_size_that_is_asked_for_and_tells_how_far_it_is(standing, filmed, tmp_path):
     """Also one that is no multiple of four; a share a picture, up to the whole."""
     shares, rows = [], rows_of(standing, slice(10))
