@@ -209,8 +209,7 @@ class Task(NamedTuple):
     remember_ground: bool | None = None
     episode_length: int = 1000  # control steps, 20 s; IL
     random_clock: bool = True  # episodes start at random ages, so that time-outs spread; IL
-    # of those that time out a third stay where they are with a new command, a third with the same
-    carry_on: bool = False
+    carry_on: bool = False  # half of those that time out stay where they are, with a new command
     action_scale: float = 0.25  # rad per unit of action; IL
     # "full": the 48 numbers of task/observe.py; "onboard": the 45 that a robot measures, so
     # without linear velocity

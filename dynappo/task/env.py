@@ -124,22 +124,20 @@ def autoreset(
 ) -> EnvState:
     """`state`, or the start of a new episode if `outcome` ended one.
 
-    With `task.carry_on`, of the episodes after a timeout one third starts anew, one third where the robot
-    is with a new command, and one third goes on as it was. Without the second a policy never sees a
-    command change: the bundled Go1 fell at every fourth change (C MuJoCo). Without the third it follows no
-    command for longer than an episode of training.
+    With `task.carry_on`, half of the episodes after a timeout start where the robot is, with a new
+    command. Without it a policy never sees a command change: the bundled Go1 fell at every fourth
+    change (C MuJoCo).
     """
     ended = (outcome.discount == 0) | (outcome.truncation == 1)
     if const.task.carry_on:
         key, coin_key = jax.random.split(key)
     pose_key, command_key, obs_key = jax.random.split(key, 3)
-    start, same, stays = _at_start(const, hyper, pose_key), None, None
+    start, stays = _at_start(const, hyper, pose_key), None
     if const.task.carry_on:
-        coin = jnp.where(outcome.truncation == 1, jax.random.uniform(coin_key), 1.0)
-        same, stays = coin < 1 / 3, coin < 2 / 3
+        stays = (outcome.truncation == 1) & jax.random.bernoulli(coin_key)
         here = state.replace(**dict.fromkeys(AGES, 0))
         start = jax.tree.map(lambda here, there: jnp.where(stays, here, there), here, start)
-    fresh = _told(const, hyper, body, start, command_key, obs_key, same)
+    fresh = _told(const, hyper, body, start, command_key, obs_key)
     # those that stay remember what they read; beside a `where` of nothing XLA 0.10 loses C MuJoCo's call
     if stays is not None and const.view.history > 1:
         before = jnp.where(stays, state.obs[view.SENSED :], fresh.obs[view.SENSED :])
@@ -147,15 +145,10 @@ def autoreset(
     return jax.tree.map(lambda new, old: jnp.where(ended, new, old), fresh, state)
 
 
-def _told(
-    const: Constants, hyper: Hyper, body, state: EnvState, command_key, obs_key, same=None
-) -> EnvState:
-    """`state` with a new command, unless `same`, and the observation of both."""
-    told = commands.draw(const.task, hyper, state.qpos, command_key)
-    if same is not None:
-        kept = state.command, state.goal
-        told = jax.tree.map(lambda old, new: jnp.where(same, old, new), kept, told)
-    state = state.replace(command=told[0], goal=told[1])
+def _told(const: Constants, hyper: Hyper, body, state: EnvState, command_key, obs_key) -> EnvState:
+    """`state` with a new command, and the observation of both."""
+    command, goal = commands.draw(const.task, hyper, state.qpos, command_key)
+    state = state.replace(command=command, goal=goal)
     prop, obs = view.sense(const.view, const.robot, hyper, body, state, None, obs_key)
     return state.replace(prop=prop, obs=obs)
 

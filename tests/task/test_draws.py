@@ -81,12 +81,7 @@ def world():
     made = dict(first=first, clean=clean.env_state, on=on, calm=calm, new=new, unseen=unseen)
     made = jax.device_get(made | dict(action=noise, outcome=outcome, ended=ended))
     stays = (made["new"].qpos == made["on"].qpos).all(-1)
-    same = stays & (made["new"].command == made["on"].command).all(-1)
-    about = dict(stays=stays, same=same, static=static, hyper=hyper, robot=robot, env=env)
-    return SimpleNamespace(**made, **about)
-
-
-COINS = {"coin stays": 2 / 3, "coin same": 1 / 2}
+    return SimpleNamespace(**made, stays=stays, static=static, hyper=hyper, robot=robot, env=env)
 
 
 def share(value, low, high):
@@ -149,19 +144,14 @@ def drawn(world):
     kick = {"kick": share(kick, -velocity, velocity), "wait": of_wait(world, on)}
     pose = of_pose(world, new).items()
     pose = {name: np.where(world.stays, np.nan, np.transpose(x)).T for name, x in pose}
-    asked = {  # those that go on as they were are not asked anew
-        name: np.where(world.same, np.nan, np.transpose(x)).T
-        for name, x in of_command(world, new).items()
-    }
     groups = {
         "body": of_body(world),
         "start": of_pose(world, start) | {"clock": share(start.clock + 0.5, 0, length)},
         "start's": of_command(world, start) | of_noise(world, start.obs, world.clean.obs),
         "action": {"noise": stats.norm.cdf(world.action / world.hyper.ppo.init_std)},
         "step": kick | of_command(world, on) | of_noise(world, on.obs, world.unseen[0]),
-        "new": pose
-        | {"coin stays": world.stays, "coin same": np.where(world.stays, world.same, np.nan)},
-        "new's": asked | of_noise(world, new.obs, world.unseen[1]),
+        "new": pose | {"coin": world.stays},
+        "new's": of_command(world, new) | of_noise(world, new.obs, world.unseen[1]),
     }
     out = {}
     for group, parts in groups.items():
@@ -179,11 +169,11 @@ def test_each_row_was_what_it_should_be(world):
 
 
 def test_every_number_fills_its_range_evenly(drawn):
-    assert len(drawn) == 199
+    assert len(drawn) == 198
     for name, values in drawn.items():
         values = values[~np.isnan(values)]
         if "stands" in name or "coin" in name:
-            p = next((p for coin, p in COINS.items() if coin in name), FIELDS["task.standing"])
+            p = 0.5 if "coin" in name else FIELDS["task.standing"]
             assert stats.binomtest(int(values.sum()), len(values), p).pvalue > 1e-4, name
         else:
             assert stats.kstest(values, "uniform").pvalue > 1e-4, name
@@ -223,7 +213,7 @@ def test_those_that_stay_and_those_that_begin_anew_are_asked_alike(world, drawn)
             drawn[name][half & ~np.isnan(drawn[name])] for half in (world.stays, ~world.stays)
         ]
         for half in halves:
-            assert len(half) > 400 and stats.kstest(half, "uniform").pvalue > 1e-4, name
+            assert len(half) > 500 and stats.kstest(half, "uniform").pvalue > 1e-4, name
         assert stats.ks_2samp(*halves).pvalue > 1e-4, name
     told = drawn["new's asked 0"]
     for name in ("step kick 0", "new's noise 0", "body mass 0", "start clock 0", "start yaw 0"):
