@@ -70,6 +70,11 @@ class Schedule(NamedTuple):
     end_steps: int = 4  # y
     last_iteration: int | None = None  # of a tail; later all rows are real. None: every iteration
     rounds: int = 1  # of imagination in an iteration (algorithm.py); paper: 1
+    late_from: int | None = (
+        None  # iteration after which late_steps, late_rounds and ppo.late_kl hold
+    )
+    late_steps: int | None = None  # instead of end_steps; None: the same
+    late_rounds: int | None = None  # instead of rounds; None: the same
 
 
 class Model(NamedTuple):
@@ -103,6 +108,7 @@ class Ppo(NamedTuple):
     learning_rate: float = 1e-3
     adaptive: bool = True  # the KL adapts the learning rate, at every minibatch
     desired_kl: float = 0.01
+    late_kl: float = 1.0  # times desired_kl, after iteration schedule.late_from
     min_learning_rate: float = 1e-5
     max_learning_rate: float = 1e-2
     epochs: int = 5
@@ -209,7 +215,9 @@ class Task(NamedTuple):
     remember_ground: bool | None = None
     episode_length: int = 1000  # control steps, 20 s; IL
     random_clock: bool = True  # episodes start at random ages, so that time-outs spread; IL
-    carry_on: bool = False  # half of those that time out stay where they are, with a new command
+    carry_on: bool = False  # those that time out stay where they are, with a new command; but
+    start_anew: float = 0.5  # this share of them starts anew all the same,
+    keep_command: float = 0.0  # and this share stays under the command that it has
     action_scale: float = 0.25  # rad per unit of action; IL
     # "full": the 48 numbers of task/observe.py; "onboard": the 45 that a robot measures, so
     # without linear velocity

@@ -69,6 +69,8 @@ def iterate(
     horizon, n_real = static.rollout.horizon, columns["n_real"]
     real = (jnp.arange(horizon) < n_real)[:, None]
     now = jax.random.fold_in(state.key, columns["iteration"])
+    careful = jnp.where(schedule.late(static, columns["iteration"]), hyper.ppo.late_kl, 1.0)
+    hyper = hyper._replace(ppo=hyper.ppo._replace(desired_kl=hyper.ppo.desired_kl * careful))
 
     def key(purpose, k=0):
         return jax.random.fold_in(now, purpose + (ANCHOR + 1) * k)

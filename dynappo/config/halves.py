@@ -73,6 +73,9 @@ class StaticSchedule(NamedTuple):
     end_iteration: int
     end_steps: int
     last_iteration: int | None
+    late_from: int | None
+    late_rounds: int | None
+    late_steps: int | None
     rounds: int
     start_iteration: int
     start_steps: int
@@ -122,6 +125,7 @@ class HyperPpo(NamedTuple):
     gamma: float
     init_std: float
     lambda_: float
+    late_kl: float
     learning_rate: float
     max_grad_norm: float
     max_learning_rate: float
@@ -198,6 +202,7 @@ class HyperTask(NamedTuple):
     effort_limit: float
     heading_gain: float
     kd: float
+    keep_command: float
     kp: float
     noise: HyperNoise
     push: HyperPush
@@ -205,6 +210,7 @@ class HyperTask(NamedTuple):
     reset: HyperReset
     saturation_effort: float
     standing: float
+    start_anew: float
     tracking_std: float
     velocity_limit: float
     weights: HyperWeights

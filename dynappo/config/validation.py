@@ -58,11 +58,11 @@ RANGES = (
         "more than 0",
         lambda v: v > 0,
         "run.num_seeds run.mesh_seed run.mesh_env run.num_iterations run.log_every rollout.num_envs "
-        "rollout.horizon schedule.rounds "
+        "rollout.horizon schedule.rounds schedule.late_rounds "
         "model.epochs model.minibatches model.huber_delta model.learning_rate "
         "ppo.epochs ppo.minibatches ppo.shuffle_blocks ppo.init_std ppo.min_std ppo.learning_rate "
-        "ppo.max_learning_rate ppo.desired_kl ppo.clip_epsilon ppo.max_grad_norm task.episode_length "
-        "task.tracking_std task.action_scale task.effort_limit task.saturation_effort "
+        "ppo.max_learning_rate ppo.desired_kl ppo.late_kl ppo.clip_epsilon ppo.max_grad_norm "
+        "task.episode_length task.tracking_std task.action_scale task.effort_limit task.saturation_effort "
         "task.velocity_limit task.history physics.substeps physics.iterations "
         "physics.ls_iterations",
     ),
@@ -70,7 +70,8 @@ RANGES = (
         "0 or more",
         lambda v: v >= 0,
         "run.checkpoint_every run.eval_every run.eval_envs run.eval_steps run.video_seconds "
-        "schedule.start_steps schedule.end_steps schedule.last_iteration model.late_epochs "
+        "schedule.start_steps schedule.end_steps schedule.last_iteration "
+        "schedule.late_from schedule.late_steps model.late_epochs "
         "ppo.min_learning_rate ppo.value_coef task.push.velocity task.push.interval task.resample_steps "
         "task.kp task.kd task.noise.joint_pos task.noise.joint_vel task.noise.gravity "
         "task.noise.linear_velocity task.noise.angular_velocity task.reset.foot_clearance "
@@ -82,7 +83,8 @@ RANGES = (
     (
         "a number from 0 to 1",
         lambda v: 0 <= v <= 1,
-        "ppo.gamma ppo.lambda_ model.stats_decay task.standing task.reset.soft_limit",
+        "ppo.gamma ppo.lambda_ model.stats_decay task.standing task.start_anew task.keep_command "
+        "task.reset.soft_limit",
     ),
     ("a number from 0.0001 to 0.1", lambda v: 1e-4 <= v <= 0.1, "physics.timestep"),
     (
@@ -230,6 +232,14 @@ def _check_pairs(config, fields: dict[str, Any]) -> None:
         config.schedule.end_steps,
         f"less than rollout.horizon = {rollout.horizon}: a rollout needs at least one real row",
     )
+    s = config.schedule
+    text = f"at most schedule.end_steps = {s.end_steps}"
+    _expect((s.late_steps or 0) <= s.end_steps, "schedule.late_steps", s.late_steps, text)
+    text = f"at most schedule.rounds = {s.rounds}"
+    _expect((s.late_rounds or 1) <= s.rounds, "schedule.late_rounds", s.late_rounds, text)
+    text = f"at most 1 - task.start_anew = {1 - config.task.start_anew:g}"
+    fits = config.task.start_anew + config.task.keep_command <= 1 + 1e-9
+    _expect(fits, "task.keep_command", config.task.keep_command, text)
     _expect(
         config.task.termination == "parts" or config.physics.contacts == "full",
         "physics.contacts",

@@ -124,20 +124,23 @@ def autoreset(
 ) -> EnvState:
     """`state`, or the start of a new episode if `outcome` ended one.
 
-    With `task.carry_on`, half of the episodes after a timeout start where the robot is, with a new
-    command. Without it a policy never sees a command change: the bundled Go1 fell at every fourth
-    change (C MuJoCo).
+    With `task.carry_on` an episode that a timeout ends is followed by one that starts anew with
+    probability `task.start_anew`, else where the robot is: under the same command with probability
+    `task.keep_command`, else under a new one. Without new commands a policy never sees one change: the
+    bundled Go1 fell at every fourth change (C MuJoCo). Without the same command it follows none for
+    longer than an episode of training.
     """
     ended = (outcome.discount == 0) | (outcome.truncation == 1)
     if const.task.carry_on:
         key, coin_key = jax.random.split(key)
     pose_key, command_key, obs_key = jax.random.split(key, 3)
-    start, stays = _at_start(const, hyper, pose_key), None
+    start, stays, same = _at_start(const, hyper, pose_key), None, None
     if const.task.carry_on:
-        stays = (outcome.truncation == 1) & jax.random.bernoulli(coin_key)
+        coin = jnp.where(outcome.truncation == 1, jax.random.uniform(coin_key), 1.0)
+        stays, same = coin < 1 - hyper.task.start_anew, coin < hyper.task.keep_command
         here = state.replace(**dict.fromkeys(AGES, 0))
         start = jax.tree.map(lambda here, there: jnp.where(stays, here, there), here, start)
-    fresh = _told(const, hyper, body, start, command_key, obs_key)
+    fresh = _told(const, hyper, body, start, command_key, obs_key, same)
     # those that stay remember what they read; beside a `where` of nothing XLA 0.10 loses C MuJoCo's call
     if stays is not None and const.view.history > 1:
         before = jnp.where(stays, state.obs[view.SENSED :], fresh.obs[view.SENSED :])
@@ -145,10 +148,15 @@ def autoreset(
     return jax.tree.map(lambda new, old: jnp.where(ended, new, old), fresh, state)
 
 
-def _told(const: Constants, hyper: Hyper, body, state: EnvState, command_key, obs_key) -> EnvState:
-    """`state` with a new command, and the observation of both."""
-    command, goal = commands.draw(const.task, hyper, state.qpos, command_key)
-    state = state.replace(command=command, goal=goal)
+def _told(
+    const: Constants, hyper: Hyper, body, state: EnvState, command_key, obs_key, same=None
+) -> EnvState:
+    """`state` with a new command, unless it keeps the `same`, and the observation of both."""
+    told = commands.draw(const.task, hyper, state.qpos, command_key)
+    if same is not None:
+        has = state.command, state.goal
+        told = jax.tree.map(lambda old, new: jnp.where(same, old, new), has, told)
+    state = state.replace(command=told[0], goal=told[1])
     prop, obs = view.sense(const.view, const.robot, hyper, body, state, None, obs_key)
     return state.replace(prop=prop, obs=obs)
 
