@@ -60,7 +60,8 @@ def measure(config, program, state, repeats: int = 5) -> dict[str, float]:
     epochs = last.get("model_epochs", 0)
     out = {"iteration": ms(last["n_real"], epochs, last.get("rounds", 1))}
     full, none = ms(horizon, 0), ms(0, 0)
-    out["tail"] = _tail_row(program, state) if epochs else 0.0
+    # without real rows the same program writes a tail, also where the schedule has ended it
+    out["tail"] = _tail_row(program, state) if "model_epochs" in last else 0.0
     out["physics"] = (full - none) / horizon + out["tail"]
     if epochs:
         many = ms(last["n_real"], FITS * epochs)
@@ -138,7 +139,7 @@ def work(config, last: dict[str, int]) -> dict[str, np.ndarray]:
     width = 2 if ppo.precision == "bfloat16" else 4
     actor, critic = (of((obs, *ppo.hidden, end), rows, width) for end in (action, 1))
     out = {"ppo": actor + critic}
-    if "model_epochs" in last:
+    if last.get("model_epochs"):  # 0: the last rows are physics alone
         drawn = config.rollout.horizon // model.minibatches
         steps = -(-last["model_epochs"] * last["n_real"] // drawn)
         rows = steps * drawn * config.rollout.num_envs

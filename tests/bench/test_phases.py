@@ -32,14 +32,15 @@ def clockwork(monkeypatch, cost, columns):
     return SimpleNamespace(hyper=None, state=jnp.zeros(3), columns=columns, step=step)
 
 
-@pytest.mark.parametrize("model", [False, True])
+@pytest.mark.parametrize("model", ["", "to the end", "physics alone at the end"])
 def test_the_phases_are_those_of_a_clock_that_knows_them(monkeypatch, model):
     """3 ms a row of physics, 1 a row of the tail, 7 an epoch, 20 of PPO; the schedule ends at 5 of 8."""
-    columns = {"iteration": np.arange(1, 5), "n_real": np.array([8, 7, 6, 5])}
-    columns |= {"model_epochs": np.array([4, 4, 2, 2])} if model else {}
+    alone = model == "physics alone at the end"
+    columns = {"iteration": np.arange(1, 5), "n_real": np.array([8, 7, 6, 8 if alone else 5])}
+    columns |= {"model_epochs": np.array([4, 4, 2, 0 if alone else 2])} if model else {}
 
     def cost(row):
-        real, tail = row["n_real"], (8 - row["n_real"]) * model
+        real, tail = row["n_real"], (8 - row["n_real"]) * bool(model)
         return (3 * real + tail + 7 * row.get("model_epochs", 0) + 20) * 1e-3
 
     config = SimpleNamespace(
@@ -49,7 +50,9 @@ def test_the_phases_are_those_of_a_clock_that_knows_them(monkeypatch, model):
     program = clockwork(monkeypatch, cost, columns)
     found = phases.measure(config, program, program.state, 3)
     expected = {"iteration": 15 + 20.0, "physics": 3.0, "tail": 0.0, "ppo": 20.0}
-    if model:
+    if alone:  # nothing is fitted in the last iterations
+        expected = {"iteration": 24 + 20.0, "physics": 3.0, "tail": 1.0, "ppo": 20.0}
+    elif model:
         expected = {
             "iteration": 15 + 3 + 14 + 20,
             "physics": 3.0,
@@ -116,6 +119,13 @@ def test_shares_are_of_the_limits_of_the_device_that_is_there():
     assert found["ppo_arithmetic"] == pytest.approx(20 * 7.41e9 / 9.14e-3 / 67e12, rel=0.01)
     assert 0.2 < found["ppo_memory"] < 0.3 and len(found) == 2
     assert phases.shares(config, "cpu", {"n_real": 16}, {"ppo": 9.14}) == {}
+
+
+def test_best_has_shares_though_its_last_iterations_fit_nothing():
+    config = valid("best")
+    last = {name: int(column[-1]) for name, column in schedule.columns(config).items()}
+    found = phases.shares(config, "NVIDIA H100", last, {"iteration": 2.0, "ppo": 1.0})
+    assert last["model_epochs"] == 0 and set(found) == {"ppo_arithmetic", "ppo_memory"}
 
 
 def test_set_up_is_timed_with_a_cold_and_a_warm_cache_that_are_not_the_users(monkeypatch):

@@ -248,7 +248,7 @@ def test_all_kernels_of_a_step_are_found_before_it(world, expected, monkeypatch)
         return lambda: None
 
     def watched(module, device, block_dim=None, *more, **given):
-        loaded.add((module.name, block_dim))
+        loaded.add((module.name, block_dim or module.options["block_dim"]))
         return load(module, device, block_dim, *more, **given)
 
     monkeypatch.setattr(building, "start", noted)
