@@ -461,7 +461,7 @@ def test_there_are_rounds_where_there_is_a_tail():
 
 
 def test_the_kl_target_is_multiplied_after_late_from_and_not_before(observed, tail, first):
-    """`ppo.late_kl` is a factor of `desired_kl`: the learning rate falls, or rises, towards a target far away."""
+    """`ppo.late_kl` is a factor of `desired_kl`: the learning rate goes where a target far away leads it."""
     config, _, hyper = tail
     state, rate = first(), hyper.ppo.learning_rate
 
