@@ -317,6 +317,18 @@ def test_what_the_page_says_of_falls_is_so():
             table.reached(table.seeds(jobs[n]), 38 if n[-1] in "gh" else 24).walks for n in pair
         ]
     assert f"p {min(stats.rank_sum(*two) for two in steps.values()):.2f} at least" in page
+    early = {}
+    for letter in "ghd":
+        rows = [r for r in jobs[f"S1-{letter}"] if 0.6e6 <= r["sim_steps"] <= 1.9e6]
+        fell = sum(r["fall_rate"] for r in rows)
+        early[letter] = 100 * sum(r["early"] for r in rows if np.isfinite(r["early"])) / fell
+    assert f"{early['d']:.0f} % of ANYmal-D's falls come in the first two seconds" in page
+    assert f"{early['g']:.0f} % of Go1's, {early['h']:.0f} % of Go2's" in page
+    last = [
+        np.nanmax(table.reached(table.seeds(jobs[f"S1-{x}"]), 38 if x in "gh" else 24).walks) / 1e6
+        for x in "ghd"
+    ]
+    assert "after {:.1f} (Go1), {:.1f} (Go2) and {:.1f} M (ANYmal-D)".format(*last) in page
     worse, p = difference("S1ep125C-c", "S1ep125B-c", "after")
     assert (
         f"ANYmal-C {worse:.1f} points more than with half, a quarter, a quarter, p {p:.2f}" in page
