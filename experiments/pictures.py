@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from dynappo.train import curves
+from dynappo.run import learning_curves
 
 WIDE, DPI = 8.6, 150  # inches, pixels an inch
 ORANGE, SKY, GREEN, BLUE = "#E69F00", "#56B4E9", "#009E73", "#0072B2"
@@ -141,7 +141,7 @@ def band(axis, x, values, colour: str, label: str = "", most: int = 50, dash: An
         return
     rows = whole[np.unique(np.linspace(0, len(whole) - 1, most).round().astype(int))]
     if values.shape[1] > 1:
-        low, high = curves.interval(values[rows].T)
+        low, high = learning_curves.interval(values[rows].T)
         axis.fill_between(x[rows], low, high, color=colour, alpha=0.18, linewidth=0)
     mean = values[rows].mean(1)
     axis.plot(x[rows], mean, color=colour, linewidth=1.6, label=label, linestyle=dash)

@@ -31,8 +31,7 @@ from dynappo import config as config_lib
 from dynappo.config import files
 from dynappo.policy import policy_file
 from dynappo.program import build, devices
-from dynappo.train import finish, log
-from dynappo.train import run as trainer
+from dynappo.run import finish, log, training
 from experiments import paper
 
 KEPT = (
@@ -66,17 +65,19 @@ def batch(out: Path, jobs, seeds: int, settings=(), thin=1, policies=False, lock
             continue
         began = time.perf_counter()
         config = configure(job, seeds, settings)
-        trainer.check(config)
+        training.check(training.Run(config))
         program = build.program(config)
         try:
             with alone(lock):
-                state, metrics = trainer.loop(config, program, None)
+                trained = training.resume_and_loop([training.Run(config)], program)
         except FloatingPointError as error:  # a result too: this setting diverges
             files.write_json(path, {"job": job, "set": list(settings), "diverged": str(error)})
             print(f"{job:44s} {error}", flush=True)
             continue
+        state, metrics = trained.state, trained.runs[0].metrics()
         write_csv(path.with_suffix(".csv"), kept(metrics, thin))
-        summary = finish.summarise(config, program, state, metrics)
+        evaluation = program.evaluate(state) if config.run.eval_envs else {}
+        summary = finish.summarise(config, program, metrics, evaluation)
         summary["policy_std"] = np.ravel(metrics["policy_std"][-10:].mean(0)).tolist()
         summary |= {"job": job, "set": list(settings), "date": f"{datetime.date.today()}"}
         if policies:
@@ -99,7 +100,7 @@ def write_csv(path: Path, metrics) -> None:
 def chunks(config, lock: Path | None = None, program=None):
     """Train, and yield `(program, iterations done, state, metrics)` after each `run.log_every` of them.
 
-    For what `run.loop` of the trainer keeps to itself: the state. It is given away when the next chunk
+    For what `run.loop` keeps to itself: the state. It is given away when the next chunk
     begins. A `program` of this config is not compiled again.
     """
     program = program or build.program(config)

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy import special, stats
 
-from dynappo.train import curves
+from dynappo.run import learning_curves
 
 LEVEL = 0.95
 ALPHA = 1 - LEVEL
@@ -65,11 +65,11 @@ def half_of(one: Moments) -> float:
 def spread(prefix: str, values) -> dict[str, Any]:
     """Cells: mean, sample standard deviation and Student's 95 % interval of the mean over seeds.
 
-    mean +- t(0.975, n - 1) sd / sqrt(n), of the seeds that have a number (`dynappo.train.curves`).
+    mean +- t(0.975, n - 1) sd / sqrt(n), of the seeds that have a number (`dynappo.run.learning_curves`).
     """
     values = np.asarray(values, float)
     values = values[np.isfinite(values)]
-    low, high = curves.interval(values)
+    low, high = learning_curves.interval(values)
     mean, sd, _ = moments(values)
     cells = {"mean": mean, "sd": sd, "low": float(low), "high": float(high)}
     return {f"{prefix}_{name}": value for name, value in cells.items()}

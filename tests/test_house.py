@@ -22,17 +22,9 @@ MAY_IMPORT = {
     "config": {"config", "schedule"},
     "policy": {"policy", "physics", "task.observe", "config"},
     "program": {"program", "method", "task", "physics", "config"},
-    "train": {
-        "train",
-        "sweeps",
-        "program",
-        "policy",
-        "config",
-        "schedule",
-        "web.address",
-        "web.child",
-    },
-    "sweeps": {"sweeps", "train", "program", "sweep", "config", "policy.walks"},
+    "run": {"run", "program", "policy", "config", "schedule", "sweep"},
+    "sweeps": {"sweeps", "run", "program", "config", "policy.walks"},
+    "train": {"train", "sweeps", "run", "program", "config", "web.address", "web.child"},
     "evaluate": {
         "evaluate",
         "program",
@@ -66,7 +58,7 @@ PATHS = set("pathlib os shutil tempfile glob".split())
 
 
 def name_of(file):
-    """`train.run` of dynappo/train/run.py; of an __init__ its folder, "" for that of the package."""
+    """`run.loop` of dynappo/run/loop.py; of an __init__ its folder, "" for that of the package."""
     parts = file.relative_to(PACKAGE).with_suffix("").parts
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 

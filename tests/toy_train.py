@@ -7,9 +7,9 @@ import sys
 
 import toy_env
 
+from dynappo.run import learning_curves
 from dynappo.task import env as env_lib
 from dynappo.train import command as train_command
-from dynappo.train import curves
 
 SMALL = (
     "run.device=cpu rollout.num_envs=16 rollout.horizon=8 run.log_every=2 run.checkpoint_every=4 "
@@ -22,5 +22,7 @@ ARGUMENTS = ["--config=configs/go1.py:dyna4", *(f"--config.{field}" for field in
 
 if __name__ == "__main__":
     env_lib.make = lambda *_, **__: toy_env.make()
-    curves.draw = lambda *_: "no picture"  # it would take as long as all else of such a run
+    learning_curves.draw = lambda *_: (
+        "no picture"
+    )  # it would take as long as all else of such a run
     train_command.main([*ARGUMENTS, *sys.argv[1:]])

@@ -2,13 +2,15 @@
 
 import csv
 import json
+from types import SimpleNamespace
 
 import pytest
 import toy_env
 
 from dynappo import train
+from dynappo.run import training
+from dynappo.run import workdir as workdir_lib
 from dynappo.task import env as env_lib
-from dynappo.train import workdir as workdir_lib
 
 SMALL = toy_env.TAIL | {
     "run.num_iterations": 4,
@@ -43,6 +45,24 @@ class Run:
                 config, workdir, lambda iteration, last: self.told.append((iteration, last))
             )
         self.files = {p.name: p.read_bytes() for p in workdir.iterdir() if p.is_file()}
+
+
+def loop(config, program, workdir=None, progress=None, stop=False, say=None):
+    """`(state, metrics, iterations that were told)` of a run that begins or goes on; `stop`: at once."""
+    told = []
+    callbacks = training.Callbacks(
+        say=say or training.to_stderr,
+        progress=progress or (lambda iteration, last: told.append(iteration)),
+    )
+    asked = SimpleNamespace(status=130 * stop, patient=False)
+    run = training.Run(config, workdir)
+    trained = training.resume_and_loop([run], program, callbacks, asked)
+    return trained.state, trained.runs[0].metrics(), told
+
+
+def open_run(config, workdir, *chunks):
+    """A run with these metrics, whose folder nobody writes into yet."""
+    return workdir_lib.OpenRun(config, workdir, None, [], list(chunks))
 
 
 def table(workdir):

@@ -12,8 +12,8 @@ from typing import Any
 
 from dynappo import config as config_lib
 from dynappo.config import ConfigError, files, flags
+from dynappo.run import workdir as workdir_lib
 from dynappo.sweeps.grid import Combination
-from dynappo.train import workdir as workdir_lib
 
 ABOUT, BLOWN_UP = "sweep.json", "nonfinite.json"
 RUN = ("config.json", "metrics.csv", "checkpoints")  # of an ordinary run
@@ -157,7 +157,7 @@ def _move(workdir: Path, restore: Path | None) -> None:
         (old / "lock").unlink(missing_ok=True)
 
 
-def reached(workdir: Path, one: Combination) -> int:
+def iterations_saved(workdir: Path, one: Combination) -> int:
     """Iterations that a combination has saved."""
     return max(workdir_lib.saved(workdir / one.name), default=0)
 
@@ -174,7 +174,9 @@ def summary(workdir: Path, one: Combination) -> dict[str, Any]:
     try:
         same = (folder / "config.json").read_text() == config_lib.to_json(one.config) + "\n"
         found = json.loads((folder / "summary.json").read_bytes())
-        ended = found["iterations"] == reached(workdir, one) == one.config.run.num_iterations
+        ended = (
+            found["iterations"] == iterations_saved(workdir, one) == one.config.run.num_iterations
+        )
     except (FileNotFoundError, ValueError, KeyError, TypeError):
         return {}
     return found if same and ended else {}

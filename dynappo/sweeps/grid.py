@@ -124,7 +124,7 @@ def by_vmap(field: str, own_env: bool = False) -> bool:
 def groups(combinations: list[Combination], done: list[int]) -> list[list[Combination]]:
     """The combinations that can go on in one program, in the order of their firsts.
 
-    They differ in floats alone (`by_vmap`), and have `done` as many iterations.
+    They differ in floats alone (`by_vmap`), and have `done` as many iterations: `run.joint`.
     """
     found: dict[str, list[Combination]] = {}
     for one, iterations in zip(combinations, done, strict=True):
@@ -133,27 +133,3 @@ def groups(combinations: list[Combination], done: list[int]) -> list[list[Combin
         static = {name: value for name, value in known.items() if not by_vmap(name, own)}
         found.setdefault(json.dumps([iterations, static]), []).append(one)
     return list(found.values())
-
-
-def whole(group: list[Combination]) -> Any:
-    """The validated config of the program of a group: the first's, with the seeds of all.
-
-    ConfigError where these are too many.
-    """
-    config = fields.typed(group[0].config)  # a copy: ConfigDict(config) would share its groups
-    config.run.num_seeds *= len(group)
-    try:
-        return config_lib.validate(config)
-    except ConfigError as error:
-        raise too_many(error, group) from None
-
-
-def too_many(error: ConfigError, group: list[Combination]) -> ConfigError:
-    """The line for a group that does not fit, with what to do."""
-    if len(group) == 1:
-        return error
-    seeds = group[0].config.run.num_seeds
-    return ConfigError(
-        f"{error}. {len(group)} combinations x {seeds} seeds of the sweep train at once: name fewer values, "
-        "and add the others in a second command"
-    )

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from dynappo.config import shell
-from dynappo.train import curves, log
+from dynappo.run import learning_curves, log
 
 MOST_NAMED = 24  # combinations with a label
 NO_PICTURE = "no sweep.png: matplotlib is not installed; "
@@ -60,11 +60,11 @@ def figure(workdir: Path, table: list[dict[str, Any]], swept: list[str]) -> Any:
         axes.set_title(title, loc="left", fontsize=10.5, color="0.2", pad=8)
         axes.grid(color="0.92", linewidth=0.8)
         axes.set_axisbelow(True)
-        axes.tick_params(length=0, labelsize=9, labelcolor=curves.GREY)
+        axes.tick_params(length=0, labelsize=9, labelcolor=learning_curves.GREY)
         axes.spines[["top", "right", "left"]].set_visible(False)
-    left.set_xlabel(f"{unit} of each seed", fontsize=9.5, color=curves.GREY)
+    left.set_xlabel(f"{unit} of each seed", fontsize=9.5, color=learning_curves.GREY)
     marks = "dots: seeds    tick: their mean    line: its 95 % interval"
-    right.set_xlabel(marks, fontsize=9.5, color=curves.GREY)
+    right.set_xlabel(marks, fontsize=9.5, color=learning_curves.GREY)
     named = shown if len(shown) <= 3 * MOST_NAMED else shown[:MOST_NAMED]
     labels = [", ".join(str(one[field]) for field in swept) for one in named]
     right.set_yticks(range(len(named)), labels, fontsize=9.5, color="0.2")

@@ -10,9 +10,9 @@ import numpy as np
 
 from dynappo.config import files
 from dynappo.policy import walks
+from dynappo.run import learning_curves, show
 from dynappo.sweeps import folder
 from dynappo.sweeps.grid import Combination
-from dynappo.train import curves, show
 
 
 def rows(workdir: Path, combinations: list[Combination]) -> list[dict[str, Any]]:
@@ -34,8 +34,8 @@ def row(workdir: Path, one: Combination) -> dict[str, Any]:
     returns = np.ravel(evaluation.get("return", summary.get("return", [])))
     returns = np.array([np.nan if x is None else x for x in returns], float)
     mean = float(returns.mean()) if returns.size else np.nan
-    around = float(curves.half_width(returns)) if returns.size else np.nan
-    at = folder.reached(workdir, one)
+    around = float(learning_curves.half_width(returns)) if returns.size else np.nan
+    at = folder.iterations_saved(workdir, one)
     note = "" if summary else "blew up" if problem else f"at iteration {at}"
     numbers = {
         "return_mean": mean,

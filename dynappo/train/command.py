@@ -1,32 +1,32 @@
-"""The command `dynappo train`: its flags and what it prints. `run.py` does the work."""
+"""The command `dynappo train`: its flags, and what stops it.
+
+It stands above `run` and `sweeps`, which know nothing of it: without --sweep it trains one run with
+`run.training.train_together`, with --sweep a list of them with `sweeps.sweep`, which calls the same. So
+imports go one way, `run` <- `sweeps` <- `train`, and the command is where every command is, in
+`dynappo/NAME/command.py`.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import os
-import signal
 import sys
-from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from dynappo import config as config_lib
-from dynappo.config import fields, flags, shell
-from dynappo.program import build, devices, distributed, environment, memory
+from dynappo.config import fields, flags
+from dynappo.program import devices, distributed, environment
+from dynappo.run import show, training
+from dynappo.run import workdir as workdir_lib
+from dynappo.run.stop import Stop
 from dynappo.sweeps import folder as sweep_folder
 from dynappo.sweeps import grid
-from dynappo.sweeps import run as sweeps
-from dynappo.train import finish, show
-from dynappo.train import run as run_lib
-from dynappo.train import workdir as workdir_lib
+from dynappo.sweeps import sweep as sweep_lib
 from dynappo.web import address, child
 
-# by engine: how long it takes, and what for (experiments/03_speed; README)
-WAIT = {
-    "warp": "8 s if cached, else 20 to 35 s",
-    "jax": "under a minute; half of it when cached",
-    "c": "15 s; 5 when cached",
-}
 GOES_ON = "the same command goes on from the last checkpoint"
+SWEEP_GOES_ON = "the same command goes on with the sweep"
 USAGE = """\
 examples
   python -m dynappo.train --config=go1
@@ -49,11 +49,8 @@ class Command(NamedTuple):
     restore: Path | None = None
     processes: tuple[Any, Any, Any] = (None, None, None)  # of distributed.join
     get_env: Any = None  # of the config's file, if it has an environment of its own
-    env: Any = None  # what that returned
     serve: str | None = None  # the address of a page; "": the usual one
-    sweep: sweeps.Sweep | None = (
-        None  # instead of one run; `config` is then its first combination's
-    )
+    sweep: sweep_lib.Sweep | None = None  # instead of a run; `config` is its first combination's
 
 
 def parse(argv: list[str] | None) -> Command:
@@ -112,7 +109,7 @@ def parse(argv: list[str] | None) -> Command:
         )
     sweep = None
     if swept:
-        sweep = sweeps.Sweep(swept, config, grid.combinations(config, swept))
+        sweep = sweep_lib.Sweep(swept, config, grid.combinations(config, swept))
     if known.serve is not None:
         _prepare_page(known.serve, config, sweep)
     config = sweep.combinations[0].config if sweep else config_lib.validate(config)
@@ -144,11 +141,7 @@ def main(argv: list[str] | None = None) -> None:
             distributed.join(*command.processes)
             devices.begin()
             with stop:
-                if command.sweep:
-                    own = command.fresh, command.restore, command.get_env
-                    sweeps.train_and_show(command.sweep, command.workdir, *own, stop)
-                else:
-                    train_and_show(command, stop)
+                train_and_show(command, stop)
             distributed.leave()
 
     def stopped():
@@ -162,140 +155,53 @@ def main(argv: list[str] | None = None) -> None:
 
 def afterwards(command: Command) -> str:
     """What the same command will do with what a stopped one has left."""
-    if command.sweep:
-        return sweeps.afterwards(command.fresh)
+    goes_on = SWEEP_GOES_ON if command.sweep else GOES_ON
     if distributed.several() and not distributed.first():
-        return f"{GOES_ON}, if there is one"  # which the first process can see
-    if not workdir_lib.saved(command.workdir):
+        return f"{goes_on}, if there is one"  # which the first process can see
+    if not command.sweep and not workdir_lib.saved(command.workdir):
         return "there is no checkpoint yet, the same command starts anew"
-    return GOES_ON.replace("command", "command without --fresh") if command.fresh else GOES_ON
-
-
-class Stop:
-    """Catches ctrl-C and SIGTERM while it is entered; the first asks the loop to save and stop, and
-    `status` is the exit status it means. Before the loop runs, and at the second, it interrupts."""
-
-    def __init__(self):
-        self.status, self.patient = 0, False
-
-    def __enter__(self):
-        self.old = {s: signal.signal(s, self._handle) for s in (signal.SIGINT, signal.SIGTERM)}
-
-    def __exit__(self, *_):
-        for number, handler in self.old.items():
-            signal.signal(number, handler)
-
-    def _handle(self, number, _):
-        again, self.status = self.status, 128 + number
-        if again or not self.patient:
-            raise KeyboardInterrupt(self.status)
+    return goes_on.replace("command", "command without --fresh") if command.fresh else goes_on
 
 
 def train_and_show(command: Command, stop: Stop) -> None:
-    """`train.train`, told to a person: what will happen, how it goes, what came out."""
+    """Train what a command line asks for, and tell a person how it goes."""
     from rich.console import Console
 
-    config, env = environment.made(command.get_env, command.config)
-    command, folder = command._replace(config=config, env=env), command.restore
     out = Console(highlight=False, quiet=not distributed.first())
+    if command.sweep:
+        own = command.fresh, command.restore, command.get_env
+        stopped = sweep_lib.train_and_show(out, command.sweep, command.workdir, *own, stop)
+    else:
+        stopped = train_run(out, command, stop)
+    if stopped and distributed.first():
+        print(f"dynappo: {stopped}; {afterwards(command)}", file=sys.stderr)
+
+
+def train_run(out, command: Command, stop: Stop) -> str:
+    """`run.training.train`, told to a person: what will happen, how it goes, what came out.
+
+    Returns what is said where it was stopped, else "".
+    """
+    config, env = environment.made(command.get_env, command.config)
+    run = training.Run(config, command.workdir, env, command.restore)
     out.print(f"dynappo {show.describe(config)}", markup=False, soft_wrap=True)
-    run_lib.check(config, env)  # before anything is written
-    if folder:
-        from dynappo.train import restore
+    training.check(run, command.fresh)  # before anything is written
+    with contextlib.ExitStack() as stack, show.live(out, config) as callbacks:
 
-        distributed.on_first(lambda: restore.check(folder, config))
-        if command.fresh and folder.resolve() == command.workdir.resolve():
-            raise config_lib.ConfigError(
-                f"--restore={folder}: --fresh moves that run aside; name the folder of another one"
-            )
-    text = distributed.on_first(lambda: "" if command.fresh else written(command.workdir))
-    say = partial(out.print, style="yellow", markup=False, soft_wrap=True)
-    apart = config_lib.versions_apart(text, config)
-    if apart:
-        say(apart)
-    with workdir_lib.open_workdir(command.workdir, config, command.fresh, say):
-        with child.beside(command.workdir, command.serve if distributed.first() else None):
-            _train_and_show(command, stop, out)
+        def opened():  # not before: the page shows what is in the folder
+            callbacks.opened()
+            serve = command.serve if distributed.first() else None
+            stack.enter_context(child.beside(command.workdir, serve))
 
+        def finished(*of):
+            callbacks.finished(*of)
+            show.summary(out, *of)
 
-def written(workdir: Path) -> str:
-    """The config.json of a run that has begun in `workdir`; "" if there is none."""
-    path = workdir / "config.json"
-    return (
-        path.read_bytes().decode(errors="replace")
-        if os.path.isfile(path) and workdir_lib.begun(workdir)
-        else ""
-    )
-
-
-def _train_and_show(command: Command, stop: Stop, out) -> None:
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-
-    def say(text):
-        out.print(text, style="yellow", markup=False, soft_wrap=True)
-
-    config, workdir = command.config, command.workdir
-    from dynappo.train import restore
-
-    source = restore.source(workdir, command.restore)
-    with out.status(f"compiling ({WAIT[devices.engine(config)]})"):
-        config = workdir_lib.in_step(config, workdir)
-        program = build.program(config, command.env, meanwhile=run_lib.import_savers)
-        if source:
-            program = restore.start_from(source, program, workdir, say)
-    engine = devices.ENGINES[program.impl]
-    out.print(
-        f"{program.device}, {engine}; compiled in {program.compile_seconds:.0f} s, "
-        f"{memory.text(program.bytes_needed)} of memory"
-    )
-    if slow := build.slower(program, config):
-        say(slow)
-    if program.impl == "jax" and program.device == "cpu":
-        text = "on a CPU C MuJoCo is more than twice as fast as MJX: --config.physics.impl=c"
-        laptop = f"; made for it: {shell.program()} train --config={config.robot}:laptop"
-        say(text + laptop * bool(config.robot))
-    bar = Progress(
-        TextColumn("{task.description}"),
-        BarColumn(16),
-        TextColumn("{task.completed}/{task.total}"),
-        TextColumn("{task.fields[line]}"),
-        TimeRemainingColumn(),
-        console=out,
-        disable=not out.is_terminal,
-    )
-    begun: list[tuple[float, float]] = []
-
-    def tell(iteration, last):
-        begun.append((float(last["seconds"]), float(last["sim_steps"])))
-        line = f"{show.progress_line(last, begun)} on {engine}"
-        bar.update(task, completed=iteration, line=line)
-        if not out.is_terminal and (10 * iteration) % config.run.num_iterations < 10:
-            out.print(f"iteration {iteration:4d}  {line}", soft_wrap=True)
-
-    with bar:
-        task = bar.add_task("training", total=config.run.num_iterations, line="")
-        stop.patient = True
-        state, metrics = run_lib.loop(
-            config,
-            program,
-            workdir,
-            tell,
-            should_stop=lambda: bool(stop.status),
-            say=say,
-        )
-        stop.patient = False
-    done = int(metrics["iteration"][-1])
-    if distributed.any_of(bool(stop.status)) or done < config.run.num_iterations:
-        if distributed.first():
-            saved = f"saved at iteration {done} and stopped"
-            if done not in workdir_lib.saved(workdir):
-                saved = f"stopped at iteration {done}, which could not be saved"
-            print(f"dynappo: {saved}; {afterwards(command)}", file=sys.stderr)
-        return
-    if not out.is_terminal:
-        out.print("evaluates and films")
-    with out.status("evaluating, filming"):
-        summary = finish.finish(config, program, workdir, state, metrics, say)
-    if summary:
-        show.summary(out, config, workdir, summary)
-    finish.check_saved(config, program, workdir, state, metrics, say)
+        own = callbacks._replace(opened=opened, finished=finished)
+        trained = training.train_together([run], own, stop, command.fresh)
+    if trained.ended:
+        return ""
+    done = trained.runs[0].iterations()
+    if distributed.first() and done not in workdir_lib.saved(command.workdir):
+        return f"stopped at iteration {done}, which could not be saved"
+    return f"saved at iteration {done} and stopped"

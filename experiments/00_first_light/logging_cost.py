@@ -17,7 +17,7 @@ import jax.numpy as jnp
 from dynappo import config as config_lib
 from dynappo.config import files
 from dynappo.program import build, devices
-from dynappo.train import run as trainer
+from dynappo.run import training
 from experiments import paper
 
 
@@ -39,7 +39,8 @@ def main():
             folder = Path(tempfile.mkdtemp()) if name == "everything" else None
             fresh = program._replace(state=jax.tree.map(jnp.copy, first))
             stamps = []
-            trainer.loop(config, fresh, folder, lambda i, last, s=stamps: s.append((i, now())))
+            told = training.Callbacks(progress=lambda i, last, s=stamps: s.append((i, now())))
+            training.resume_and_loop([training.Run(config, folder)], fresh, told)
             if folder:
                 shutil.rmtree(folder)
             (i0, t0), (i1, t1) = stamps[0], stamps[-1]

@@ -15,8 +15,7 @@ from dynappo.bench import phases
 from dynappo.config import files
 from dynappo.policy import policy_file
 from dynappo.program import build, devices
-from dynappo.train import finish, workdir
-from dynappo.train import run as trainer
+from dynappo.run import finish, training, workdir
 from experiments import paper
 from experiments import run as runs
 
@@ -41,9 +40,10 @@ def main():
             config_lib.override(config, *text.split("=", 1))
         config = config_lib.validate(config)
         program = build.program(config)
-        state, metrics = trainer.loop(config, program, None)
+        trained = training.resume_and_loop([training.Run(config)], program)
+        state, metrics = trained.state, trained.runs[0].metrics()
         runs.write_csv(path.with_suffix(".csv"), metrics)
-        summary = finish.summarise(config, program, state, metrics)
+        summary = finish.summarise(config, program, metrics, program.evaluate(state))
         judged = np.array(summary["evaluation"]["return"], float)
         params = workdir.best_params(config, state.learner.params, judged)
         policy_file.save_params(path.with_suffix(".npz"), params)

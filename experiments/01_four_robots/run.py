@@ -16,8 +16,7 @@ from dynappo import config as config_lib
 from dynappo.config import files
 from dynappo.policy import policy_file
 from dynappo.program import build, devices
-from dynappo.train import finish, workdir
-from dynappo.train import run as trainer
+from dynappo.run import finish, training, workdir
 from experiments import paper
 from experiments import run as runs
 
@@ -43,8 +42,9 @@ def main():
             config_lib.override(config, *text.split("=", 1))
         config = config_lib.validate(config)
         program = build.program(config)
-        state, metrics = trainer.loop(config, program, None)
-        summary = finish.summarise(config, program, state, metrics)
+        trained = training.resume_and_loop([training.Run(config)], program)
+        state, metrics = trained.state, trained.runs[0].metrics()
+        summary = finish.summarise(config, program, metrics, program.evaluate(state))
         judged = np.array(summary["evaluation"]["return"], float)
         params = workdir.best_params(config, state.learner.params, judged)
         policy_file.save(path.with_suffix(".npz"), params, config, program.robot)

@@ -15,7 +15,7 @@ import tasks
 from dynappo import algorithm, schedule
 from dynappo import config as config_lib
 from dynappo.program import devices
-from dynappo.train import log
+from dynappo.run import log
 from experiments import paper
 
 KEEP = """iteration sim_steps seconds episode_return episode_length reward falls timeouts blowups

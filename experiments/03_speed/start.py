@@ -104,7 +104,8 @@ def child():
         setattr(module, function, noted)
 
     from dynappo.program import build
-    from dynappo.train import command, run
+    from dynappo.run import loop
+    from dynappo.train import command
 
     note("imports")
     import jax
@@ -124,7 +125,7 @@ def child():
     noting(build, "program", before="checks", after="kernels")
     noting(build, "_environment", after="engine")
     noting(build, "_side_by_side", after="XLA")
-    noting(run, "tell", before="row")
+    noting(loop, "write_rows", before="row")
     jax.monitoring.register_event_duration_secs_listener(lowered)
     jax.stages.Lowered.compile = compiling
     command.main(sys.argv[1:])

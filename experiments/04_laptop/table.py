@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from dynappo.policy import walks
-from dynappo.train import curves
+from dynappo.run import learning_curves
 from experiments import paper, pictures
 
 HERE = Path(__file__).parent
@@ -52,7 +52,7 @@ def mean(values) -> str:
     """Mean and half of its interval."""
     if len(values) == 1:
         return f"{values[0]:.1f}"
-    return f"{np.mean(values):.1f} ± {curves.half_width(values):.1f}"
+    return f"{np.mean(values):.1f} ± {learning_curves.half_width(values):.1f}"
 
 
 def walk(rows: list[dict], least: float) -> bool:

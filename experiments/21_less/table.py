@@ -33,7 +33,7 @@ from pathlib import Path
 import numpy as np
 
 from dynappo.policy import walks
-from dynappo.train import curves
+from dynappo.run import learning_curves as curves
 from experiments import paper, stats
 
 TEXT = ("job", "name", "batch")

@@ -22,7 +22,7 @@ import sac
 import torch  # pyright: ignore[reportMissingImports]
 
 from dynappo.program import devices
-from dynappo.train import log
+from dynappo.run import log
 from experiments import paper
 
 

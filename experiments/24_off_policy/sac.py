@@ -24,7 +24,7 @@ from brax.training.agents.sac import train as sac_train
 from dynappo import algorithm, evaluation
 from dynappo import config as config_lib
 from dynappo.program import devices
-from dynappo.train import log
+from dynappo.run import log
 from experiments import paper
 
 EPISODES, LENGTH = 100, 1000  # of an evaluation

@@ -15,7 +15,7 @@ from toy_policy import GO1, actor, save
 from dynappo import config as config_lib
 from dynappo.config import ConfigError
 from dynappo.policy import carried, checkpoint_file, source
-from dynappo.train import checkpoint
+from dynappo.run import checkpoint
 from dynappo.types import Learner
 
 

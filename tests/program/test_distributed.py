@@ -17,8 +17,8 @@ from answers import PATIENCE, ROOT, refused
 
 from dynappo.config import ConfigError
 from dynappo.program import devices, distributed, meeting
+from dynappo.run import learning_curves
 from dynappo.train import command as train_command
-from dynappo.train import curves
 
 TESTS = ROOT / "tests"
 
@@ -113,7 +113,7 @@ def test_what_was_lost_goes_on_on_one_process_and_other_devices(killed, tmp_path
     assert code == 0, errors
     workdirs.toy(monkeypatch)
     monkeypatch.setattr(devices, "own_process", lambda device: None)
-    monkeypatch.setattr(curves, "draw", lambda *_: "no picture")
+    monkeypatch.setattr(learning_curves, "draw", lambda *_: "no picture")
     given = [*toy_train.ARGUMENTS, *(f"--config.{field}" for field in fields)]
     assert answers.status(train_command.main, *given, f"--workdir={tmp_path / 'whole'}") == 0
     found, expected = table(workdir), table(tmp_path / "whole")

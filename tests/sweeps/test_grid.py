@@ -1,7 +1,6 @@
 """The combinations of a sweep: how they are read, checked, named and put together."""
 
 import pytest
-import toy_env
 from answers import refused
 
 from dynappo import config as config_lib
@@ -108,12 +107,3 @@ def test_a_group_differs_in_floats_alone_and_has_come_as_far(config):
     found = grid.combinations(config, grid.read(texts))
     groups = grid.groups(found, [0, 0, 0, 0, 10, 0])
     assert [[found.index(one) for one in group] for group in groups] == [[0, 1, 2], [3, 5], [4]]
-
-
-def test_a_program_has_the_seeds_of_all_and_leaves_the_runs_as_they_are():
-    config = toy_env.settings({"run.num_seeds": 3})[0]
-    group = [grid.Combination(name, {}, config) for name in "ab"]
-    assert grid.whole(group).run.num_seeds == 6
-    assert grid.whole(group).run.num_seeds == 6 and config.run.num_seeds == 3
-    many = group * 2000
-    assert "4000 combinations x 3 seeds of the sweep train at once" in refused(grid.whole, many)

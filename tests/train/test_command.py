@@ -9,20 +9,22 @@ import signal
 import subprocess
 import sys
 import time
-from contextlib import nullcontext
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import workdirs
 from answers import PATIENCE, ROOT, mistake, refused, shell, status
-from rich.console import Console
+from rich.progress import Progress
 
 from dynappo import config as config_lib
 from dynappo.config import shell as shell_lib
 from dynappo.physics import robot as robot_lib
 from dynappo.policy import policy_file, render, source
-from dynappo.program import devices
+from dynappo.program import build, devices, memory
+from dynappo.run import finish as finish_lib
+from dynappo.run import loop as loop_lib
+from dynappo.run.stop import Stop
 from dynappo.train import command as train_command
 
 GO1 = "--config=configs/go1.py:dyna4"
@@ -141,9 +143,9 @@ def test_a_mistake_is_one_line_and_status_2(name, tmp_path, monkeypatch, capsys)
     (tmp_path / "thesis").mkdir()
     (tmp_path / "thesis" / "thesis.txt").write_text("years")
     (tmp_path / "old" / "metrics.csv").write_text("iteration\n1\n")
-    monkeypatch.setattr(train_command.build, "program", lambda *_, **__: pytest.fail("compiled"))
+    monkeypatch.setattr(build, "program", lambda *_, **__: pytest.fail("compiled"))
     before = workdirs.everything(tmp_path)
-    monkeypatch.setattr(train_command.memory, "limit", lambda device: 8 * 2**30)
+    monkeypatch.setattr(memory, "limit", lambda device: 8 * 2**30)
     assert status(train_command.main, GO1, *flags) == 2
     said = capsys.readouterr()
     assert said.err.startswith("dynappo: ") and expected in said.err and said.err.count("\n") == 1
@@ -208,9 +210,9 @@ def test_a_run_has_a_folder_of_its_own(argv, folder):
 def test_the_first_signal_asks_the_second_interrupts():
     """Ctrl-C or SIGTERM while the loop runs; before it, at once. Then handlers are as they were."""
     before = signal.getsignal(signal.SIGTERM)
-    with train_command.Stop() as _, pytest.raises(KeyboardInterrupt):
+    with Stop() as _, pytest.raises(KeyboardInterrupt):
         signal.raise_signal(signal.SIGTERM)
-    stop = train_command.Stop()
+    stop = Stop()
     with stop:
         stop.patient = True
         signal.raise_signal(signal.SIGTERM)
@@ -241,16 +243,23 @@ def test_ctrl_c_promises_what_is_there(flags, saved, expected, monkeypatch, caps
     assert capsys.readouterr().err == f"dynappo: stopped; {expected}\n"
 
 
+def compiles(monkeypatch, **about):
+    """Compiling takes no time, and makes a program that nobody runs."""
+    about |= {"compile_seconds": 0, "bytes_needed": 1, "state": {}}
+    monkeypatch.setattr(build, "program", lambda *_, **__: SimpleNamespace(**about))
+
+
 def finished(monkeypatch, when):
     """Runs the command with a loop that does all it should; ctrl-C comes `when` it says."""
     loops = []
 
-    def loop(config, program, workdir, show, should_stop, say):
-        loops.append(should_stop)
-        (workdir / "checkpoints" / "4").mkdir(parents=True)
+    def loop(runs, program, state, start, **how):
+        loops.append(how)
+        (runs[0].workdir / "checkpoints" / "4").mkdir(parents=True)
         if when == "in the last iteration":
             signal.raise_signal(signal.SIGINT)
-        return None, {"iteration": np.array([config.run.num_iterations])}
+        runs[0].history.append({"iteration": np.array([runs[0].config.run.num_iterations])})
+        return state, [0]
 
     def finish(*_):
         loops.append("finished")
@@ -258,10 +267,9 @@ def finished(monkeypatch, when):
             signal.raise_signal(signal.SIGINT)
         raise AssertionError("not stopped")
 
-    program = SimpleNamespace(impl="c", device="cpu", compile_seconds=0, bytes_needed=1)
-    monkeypatch.setattr(train_command.build, "program", lambda config, env, **_: program)
-    monkeypatch.setattr(train_command.run_lib, "loop", loop)
-    monkeypatch.setattr(train_command.finish, "finish", finish)
+    compiles(monkeypatch, impl="c", device="cpu")
+    monkeypatch.setattr(loop_lib, "loop", loop)
+    monkeypatch.setattr(finish_lib, "finish", finish)
     return loops
 
 
@@ -288,7 +296,8 @@ def test_it_says_what_one_waits_for(engine, monkeypatch, tmp_path):
     """On a terminal, and how long; less if the programs are cached."""
     said = []
     finished(monkeypatch, "in the last iteration")
-    monkeypatch.setattr(Console, "status", lambda _, text: said.append(text) or nullcontext())
+    monkeypatch.setattr(Progress, "add_task", lambda _, text, **of: said.append(text) or 0)
+    monkeypatch.setattr(Progress, "update", lambda *_, **of: None)
     monkeypatch.setattr(train_command.devices, "engine", lambda config: engine)
     assert status(train_command.main, *FIRST, f"--workdir={tmp_path / 'run'}") == 130
     assert re.fullmatch(r"compiling \(.*(minute|[0-9] s).* cached.*\)", said[0])
@@ -303,10 +312,7 @@ def test_it_says_why_physics_are_slow(stiffness, monkeypatch, capsys, tmp_path):
     spec.joint("FL_thigh_joint").stiffness = [stiffness, 0, 0]
     robot = go1._replace(mj_model=spec.compile())
     finished(monkeypatch, "in the last iteration")
-    program = SimpleNamespace(
-        impl="warp", device="H100", compile_seconds=0, bytes_needed=1, robot=robot
-    )
-    monkeypatch.setattr(train_command.build, "program", lambda config, env, **_: program)
+    compiles(monkeypatch, impl="warp", device="H100", robot=robot)
     assert status(train_command.main, *FIRST, f"--workdir={tmp_path / 'run'}") == 130
     said = capsys.readouterr().out
     assert said.count("because of springs at joints (jnt_stiffness)") == bool(stiffness)

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from dynappo.config import shell
-from dynappo.train import log
+from dynappo.run import log
 
 LEVEL = 0.95
 BLUE, GREY = "#1f4e79", "0.45"

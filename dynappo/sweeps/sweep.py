@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 import shutil
-import sys
-from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from dynappo.config import ConfigError, shell
-from dynappo.program import build, devices, distributed, environment, memory
+from dynappo.config import ConfigError, files, shell
+from dynappo.program import build, distributed, environment
+from dynappo.run import joint, show, training
+from dynappo.run.stop import Stop
 from dynappo.sweeps import folder, grid, picture, table
 from dynappo.sweeps.grid import Combination
-from dynappo.train import run as run_lib
-from dynappo.train import show
-
-GOES_ON = "the same command goes on with the sweep"
 
 
 class Sweep(NamedTuple):
@@ -27,50 +24,41 @@ class Sweep(NamedTuple):
 
 
 def train_and_show(
-    asked: Sweep, workdir: Path, fresh: bool, source: Path | None, get_env: Any, stop
-) -> None:
-    """Train every combination, and print the table; `stop` is `train.command.Stop`.
+    out, sweep: Sweep, workdir: Path, fresh: bool, source: Path | None, get_env: Any, stop: Stop
+) -> str:
+    """Train every combination, and print the table on the console `out`; returns what a person is told where
+    `stop` was asked for, else "".
 
     Everything is checked before anything is written. FloatingPointError at the end where a combination blew
     up.
     """
-    from rich.console import Console
-
     if distributed.several():
         raise ConfigError(
             "--sweep runs in one process, of one machine; give each process a --sweep of its own, with "
             "another --workdir"
         )
-    out = Console(highlight=False)
-    combinations, swept = _with_environments(asked.combinations, get_env), list(asked.swept)
-    _check(combinations)
-    held = (asked.config, asked.swept, combinations, source, fresh)
-    _check_source(source, combinations)
+    combinations = _with_environments(sweep.combinations, get_env)
+    _check(combinations, source)
+    held = (sweep.config, sweep.swept, combinations, source, fresh)
     with folder.opened(workdir, *held) as source:
-        _check_source(source, [c for c in combinations if not folder.reached(workdir, c)])
+        _check_sources(_runs(workdir, combinations, source))
         _describe(out, workdir, combinations)
         while todo := _todo(workdir, combinations):
-            done = [folder.reached(workdir, one) for one in todo]
+            done = [folder.iterations_saved(workdir, one) for one in todo]
             group = grid.groups(todo, done)[0]
             _train_group(out, group, len(todo), workdir, source, stop)
             table.write(workdir / "sweep.csv", table.rows(workdir, combinations))
             if stop.status:
-                at = max(folder.reached(workdir, one) for one in group)
-                text = f"saved at iteration {at} and stopped" if at else "stopped"
-                print(f"dynappo: {text}; {afterwards(fresh)}", file=sys.stderr)
-                return
-        _show(out, workdir, combinations, swept)
+                at = max(folder.iterations_saved(workdir, one) for one in group)
+                return f"saved at iteration {at} and stopped" if at else "stopped"
+        _show(out, workdir, combinations, list(sweep.swept))
     lost = [one.name for one in combinations if folder.blown_up(workdir, one)]
     if lost:
         raise FloatingPointError(
             f"{len(lost)} of {len(combinations)} combinations blew up; {workdir / lost[0] / folder.BLOWN_UP} "
             "says where; to try one again, remove its folder and give the same command"
         )
-
-
-def afterwards(fresh: bool) -> str:
-    """What the same command will do with what a stopped one has left."""
-    return GOES_ON.replace("command", "command without --fresh") if fresh else GOES_ON
+    return ""
 
 
 def _with_environments(combinations: list[Combination], get_env) -> list[Combination]:
@@ -82,27 +70,43 @@ def _with_environments(combinations: list[Combination], get_env) -> list[Combina
     return found
 
 
-def _check(combinations: list[Combination]) -> None:
-    """ConfigError where this machine or the robot's file cannot run one of them, or those of a program."""
+def _runs(
+    workdir: Path, combinations: list[Combination], source: Path | None
+) -> list[training.Run]:
+    """The combinations as runs; those that have a checkpoint start from that, and need no source."""
+    return [
+        training.Run(
+            one.config,
+            workdir / one.name,
+            one.env,
+            None if folder.iterations_saved(workdir, one) else source,
+        )
+        for one in combinations
+    ]
+
+
+def _check(combinations: list[Combination], source: Path | None) -> None:
+    """ConfigError where this machine or the robot's file cannot run one of them, or those of a program, or
+    one cannot start from the networks of `source`."""
     for one in combinations:
         try:
-            run_lib.check(one.config, one.env)
+            training.check(training.Run(one.config, env=one.env))
         except ConfigError as error:
             raise ConfigError(f"--sweep: {error} (the combination {one.name})") from None
     for group in grid.groups(combinations, [0] * len(combinations)):
+        configs = [one.config for one in group]
         try:
-            build.check(grid.whole(group), group[0].env)
+            build.check(joint.config(configs), group[0].env)
         except ConfigError as error:
-            raise grid.too_many(error, group) from None
+            raise joint.too_many(error, configs) from None
+    _check_sources([training.Run(one.config, source=source) for one in combinations])
 
 
-def _check_source(source: Path | None, combinations: list[Combination]) -> None:
-    """ConfigError where one of them cannot start from the networks of `source`."""
-    from dynappo.train import restore  # not above: it starts JAX
-
-    if source:
-        for one in combinations:
-            restore.check(source, one.config)
+def _check_sources(runs: list[training.Run]) -> None:
+    """ConfigError where one of the runs cannot start from the networks of its source."""
+    for run in runs:
+        if run.source:
+            training.check_source(run)
 
 
 def _todo(workdir: Path, combinations: list[Combination]) -> list[Combination]:
@@ -117,7 +121,7 @@ def _todo(workdir: Path, combinations: list[Combination]) -> list[Combination]:
 def _describe(out, workdir: Path, combinations: list[Combination]) -> None:
     """What will happen."""
     todo, count = _todo(workdir, combinations), len(combinations)
-    programs = len(grid.groups(todo, [folder.reached(workdir, one) for one in todo]))
+    programs = len(grid.groups(todo, [folder.iterations_saved(workdir, one) for one in todo]))
     has = f", {count - len(todo)} are done" if len(todo) < count else ""
     ask = f"{programs} program{'s' * (programs != 1)} to compile{has}"
     out.print(f"[bold]dynappo[/bold] sweeps {count} combinations: {ask}", soft_wrap=True)
@@ -125,53 +129,24 @@ def _describe(out, workdir: Path, combinations: list[Combination]) -> None:
         out.print(f"the first {show.describe(todo[0].config)}", soft_wrap=True, markup=False)
 
 
-def _train_group(out, group: list[Combination], todo: int, workdir, source, stop) -> None:
-    """`together.train`, with a live line."""
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-
-    from dynappo.sweeps import together  # not above: it starts JAX
-
-    total = group[0].config.run.num_iterations
+def _train_group(out, group: list[Combination], todo: int, workdir, source, stop: Stop) -> None:
+    """Train the combinations of a group, in one program; one that blows up leaves a file that says so."""
     names = ", ".join(one.name for one in group[:4]) + ", ..." * (len(group) > 4)
     rest = f" of {todo} to do" if todo > len(group) else ""
     out.print(f"{len(group)}{rest}, at once: {names}", soft_wrap=True, markup=False)
-    bar = Progress(
-        TextColumn("{task.description}"),
-        BarColumn(16),
-        TextColumn("{task.completed}/{task.total}"),
-        TextColumn("{task.fields[line]}"),
-        TimeRemainingColumn(),
-        console=out,
-        disable=not out.is_terminal,
-    )
-    task = bar.add_task("compiling", total=total, line="")
+    with show.live(out, group[0].config) as callbacks:
+        own = callbacks._replace(
+            finished=training.nothing, blown_up=partial(_leave_blown_up, callbacks.say)
+        )
+        training.train_together(_runs(workdir, group, source), own, stop)
 
-    def begin(program) -> Callable[[int, dict], None]:
-        engine, begun = devices.ENGINES[program.impl], []
-        text = f"{program.device}, {engine}; compiled in {program.compile_seconds:.0f} s, "
-        out.print(text + f"{memory.text(program.bytes_needed)} of memory", soft_wrap=True)
-        if slow := build.slower(program, group[0].config):
-            out.print(slow, style="yellow", markup=False, soft_wrap=True)
-        stop.patient = True
 
-        def tell(iteration, last):
-            begun.append((float(last["seconds"][0]), float(last["sim_steps"].sum())))
-            line = f"{show.progress_line(last, begun)} on {engine}"
-            bar.update(task, completed=iteration, line=line, description="training")
-            if not out.is_terminal and (10 * iteration) % total < 10:
-                out.print(f"iteration {iteration:4d}  {line}", soft_wrap=True)
-            if iteration == total:
-                stop.patient = False
-                bar.update(task, line="", description="evaluating, filming")
-
-        return tell
-
-    def say(text):
-        out.print(text, style="yellow", markup=False, soft_wrap=True)
-
-    with bar:
-        together.train(group, workdir, source, begin, lambda: bool(stop.status), say)
-    stop.patient = False
+def _leave_blown_up(say, run: training.OpenRun, iteration: int, error: FloatingPointError) -> None:
+    """Tell of a combination that blew up, in its folder too: it is not trained again."""
+    assert run.workdir
+    say(f"{run.workdir.name}: {error}; the other combinations go on")
+    about = {"iteration": iteration, "problem": str(error)}
+    files.write_json(run.workdir / folder.BLOWN_UP, about)
 
 
 def _show(out, workdir: Path, combinations: list[Combination], swept: list[str]) -> None:

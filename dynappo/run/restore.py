@@ -16,24 +16,20 @@ from dynappo import schedule
 from dynappo.config import ConfigError, files
 from dynappo.policy import checkpoint_file, checks, policy_file
 from dynappo.program import distributed
-from dynappo.train import workdir as workdir_lib
+from dynappo.run import workdir as workdir_lib
 
 
-def start_from(
-    folder: Path, program: Any, workdir: Path, say: Callable[[str], None] = print
-) -> Any:
-    """`program` with the networks of another run in its first state (`weights`).
+def start_from(folder: Path, state: Any, workdir: Path, say: Callable[[str], None] = print) -> Any:
+    """The first state of a run, with the networks of another run (`weights`); not yet placed on devices.
 
     `workdir/restored_from` then also names the checkpoint that was taken.
     """
     taken = []
-    _, state = distributed.from_first(
-        lambda s: (0, weights(folder, s, say, taken.append)), program.state
-    )
+    _, state = distributed.from_first(lambda s: (0, weights(folder, s, say, taken.append)), state)
     if taken:
         say(f"starts from {folder}, {taken[0]}")
         files.write_text(workdir / "restored_from", f"{folder.resolve()}\n{taken[0]}\n")
-    return program._replace(state=program.place(state))
+    return state
 
 
 def source(workdir: Path, asked: Path | None) -> Path | None:
@@ -43,7 +39,7 @@ def source(workdir: Path, asked: Path | None) -> Path | None:
     from something else.
     """
 
-    def settle():
+    def remembered():
         path = workdir / "restored_from"
         there = path.read_bytes().decode(errors="replace") if path.exists() else ""
         there = there.strip().partition("\n")[0]
@@ -57,7 +53,7 @@ def source(workdir: Path, asked: Path | None) -> Path | None:
             files.write_text(path, f"{here}\n")
         return "" if workdir_lib.saved(workdir) else here
 
-    found = distributed.on_first(settle)
+    found = distributed.on_first(remembered)
     return Path(found) if found else None
 
 
@@ -161,7 +157,7 @@ def saved(folder: Path) -> list[int]:
 def _taken(folder, like, there, what, prefix):
     """The arrays of `there` under `prefix`, in the structure of `like`."""
     # here: it imports Orbax for half a second, which most starts need not wait for
-    from dynappo.train import checkpoint
+    from dynappo.run import checkpoint
 
     out = []
     for name, leaf in checkpoint.paths(like).items():

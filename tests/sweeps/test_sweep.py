@@ -12,15 +12,16 @@ import pytest
 import workdirs
 from answers import refused, status
 from ml_collections import config_dict
+from rich.console import Console
 from toy_runs import leaves
 
 from dynappo.policy import checkpoint_file, source
 from dynappo.program import build, devices
-from dynappo.sweeps import folder, grid, together
-from dynappo.sweeps import run as sweeps
+from dynappo.run import learning_curves, training
+from dynappo.run import loop as loop_lib
+from dynappo.sweeps import folder, grid
+from dynappo.sweeps import sweep as sweeps
 from dynappo.train import command as train_command
-from dynappo.train import curves
-from dynappo.train import run as run_lib
 
 SWEEP = ["ppo.entropy_coef=0.003,0.3", "ppo.epochs=1,2"]
 NAMES = [f"ppo.entropy_coef={c},ppo.epochs={e}" for c in (0.003, 0.3) for e in (1, 2)]
@@ -48,7 +49,7 @@ def toy():
         workdirs.toy(patch)
         patch.setattr(build, "program", compiled_once(build.program))
         patch.setattr(devices, "own_process", lambda device: None)
-        patch.setattr(curves, "draw", lambda *_: "no picture")
+        patch.setattr(learning_curves, "draw", lambda *_: "no picture")
         yield
 
 
@@ -66,7 +67,8 @@ def asked(texts, **fields):
 
 
 def sweep(workdir, stop, texts=SWEEP, fresh=False, restore=None, **fields):
-    sweeps.train_and_show(asked(texts, **fields), workdir, fresh, restore, None, stop)
+    out = Console(highlight=False)
+    return sweeps.train_and_show(out, asked(texts, **fields), workdir, fresh, restore, None, stop)
 
 
 @pytest.fixture(scope="module")
@@ -104,7 +106,7 @@ def test_a_combination_is_the_run_without_a_sweep(whole, name, tmp_path):
     """Every number of metrics.csv, evaluation and checkpoint of both seeds, to 1e-4."""
     coef, epochs = (float(part.partition("=")[2]) for part in name.split(","))
     config = workdirs.config(run__num_seeds=2, ppo__entropy_coef=coef, ppo__epochs=int(epochs))
-    run_lib.train(config, tmp_path)
+    training.train(config, tmp_path)
     same(whole / name, tmp_path, 1e-4)
     others = [other for other in NAMES if other != name]
     for other in others:
@@ -119,7 +121,7 @@ def test_a_combination_is_the_run_without_a_sweep(whole, name, tmp_path):
 def test_combinations_of_one_seed_are_runs_of_one_seed(tmp_path, stop):
     """In one program as alone; arrays have no axis of seeds."""
     sweep(tmp_path / "sweep", stop, SWEEP[:1])
-    run_lib.train(workdirs.config(ppo__entropy_coef=0.3), tmp_path / "run")
+    training.train(workdirs.config(ppo__entropy_coef=0.3), tmp_path / "run")
     same(tmp_path / "sweep" / "ppo.entropy_coef=0.3", tmp_path / "run", 1e-4)
 
 
@@ -129,7 +131,7 @@ def test_a_combination_alone_in_its_program_is_the_run_to_the_bit(tmp_path, stop
     sweep(tmp_path / "sweep", stop, ["ppo.epochs=1"], run__num_seeds=2, run__eval_every=2)
     name = "ppo.epochs=1"
     config = workdirs.config(run__num_seeds=2, run__eval_every=2, ppo__epochs=1)
-    run_lib.train(config, tmp_path / "run")
+    training.train(config, tmp_path / "run")
     same(tmp_path / "sweep" / name, tmp_path / "run", 0)
     assert "eval_return" in workdirs.table(tmp_path / "run")[0]
 
@@ -140,7 +142,7 @@ def test_pairs_share_a_program_and_evaluations_on_the_way_are_each_runs_own(tmp_
     sweep(tmp_path / "sweep", stop, texts, run__eval_every=2)
     assert "sweeps 4 combinations: 1 program to compile" in capsys.readouterr().out
     fields = {"task__command_x": (0.2, 1.0), "model__learning_rate": 1e-3, "run__eval_every": 2}
-    run_lib.train(workdirs.config(**fields), tmp_path / "run")
+    training.train(workdirs.config(**fields), tmp_path / "run")
     name = "task.command_x=0.2x1.0,model.learning_rate=0.001"
     same(tmp_path / "sweep" / name, tmp_path / "run", 1e-4)
 
@@ -174,7 +176,7 @@ def test_the_table_has_every_combination_best_first(whole):
 
 def test_a_sweep_that_has_ended_is_only_told_again(whole, tmp_path, stop, capsys, monkeypatch):
     workdir = shutil.copytree(whole, tmp_path / "sweep")
-    monkeypatch.setattr(together, "train", lambda *_: pytest.fail("trained again"))
+    monkeypatch.setattr(training, "train_together", lambda *_: pytest.fail("trained again"))
     sweep(workdir, stop, run__num_seeds=2)
     said = capsys.readouterr().out
     assert "0 programs to compile, 4 are done" in said and "evaluated return" in said
@@ -186,19 +188,17 @@ def test_a_sweep_that_was_stopped_goes_on_to_the_same_bits(
     """In the first chunk of the second program: what is done is left alone, the rest goes on."""
     workdir = tmp_path / "sweep"
     with monkeypatch.context() as patch:
-        loop = together._loop
+        loop = loop_lib.loop
         loops = []
 
-        def stopped(runs, program, state, start, tell, should_stop, say):
+        def stopped(runs, *state, **how):
             loops.append(runs)
             if len(loops) == 2:
                 stop.status = 130
-            return loop(runs, program, state, start, tell, should_stop, say)
+            return loop(runs, *state, **how)
 
-        patch.setattr(together, "_loop", stopped)
-        sweep(workdir, stop, run__num_seeds=2)
-    goes_on = "the same command goes on with the sweep"
-    assert capsys.readouterr().err == f"dynappo: saved at iteration 2 and stopped; {goes_on}\n"
+        patch.setattr(loop_lib, "loop", stopped)
+        assert sweep(workdir, stop, run__num_seeds=2) == "saved at iteration 2 and stopped"
     reached = {name: max(map(int, workdirs.steps(workdir / name))) for name in NAMES}
     assert list(reached.values()) == [4, 2, 4, 2]
     first = workdirs.everything(workdir / NAMES[0])
@@ -242,7 +242,9 @@ def test_values_may_be_added_and_nothing_else_may_change(whole, tmp_path, stop, 
     more = ["ppo.entropy_coef=0.003,0.1,0.3", "ppo.epochs=1,2"]
     trained = []
     monkeypatch.setattr(
-        together, "train", lambda group, *_: trained.append(group) or setattr(stop, "status", 130)
+        training,
+        "train_together",
+        lambda runs, *_: trained.append(runs) or setattr(stop, "status", 130),
     )
     for texts, fields, expected in (
         (["ppo.entropy_coef=0.003", SWEEP[1]], {}, f"with {NAMES[2]}, which is missing here"),
@@ -255,7 +257,7 @@ def test_values_may_be_added_and_nothing_else_may_change(whole, tmp_path, stop, 
         assert expected in line
         assert workdirs.everything(workdir) == before
     sweep(workdir, stop, more, run__num_seeds=2)
-    assert [[one.name for one in group] for group in trained] == [
+    assert [[run.workdir.name for run in runs] for runs in trained] == [
         ["ppo.entropy_coef=0.1,ppo.epochs=1"]
     ]
 
@@ -270,7 +272,7 @@ def test_a_combination_that_blows_up_is_told_and_the_others_end(whole, tmp_path,
             sweep(workdir, stop, texts)
         said = " ".join(capsys.readouterr().out.split())
         assert "1000000000.0 1 blew up" in said
-    run_lib.train(workdirs.config(model__learning_rate=1e-3), tmp_path / "run")
+    training.train(workdirs.config(model__learning_rate=1e-3), tmp_path / "run")
     same(workdir / good, tmp_path / "run", 1e-4)
     assert not workdirs.steps(workdir / bad) and not (workdir / bad / "summary.json").exists()
     assert "is not finite" in json.loads((workdir / bad / folder.BLOWN_UP).read_text())["problem"]
@@ -278,7 +280,7 @@ def test_a_combination_that_blows_up_is_told_and_the_others_end(whole, tmp_path,
 
 def test_fresh_moves_a_sweep_and_nothing_else(whole, tmp_path, stop, monkeypatch):
     workdir = shutil.copytree(whole, tmp_path / "sweep")
-    monkeypatch.setattr(together, "train", lambda *_: setattr(stop, "status", 130))
+    monkeypatch.setattr(training, "train_together", lambda *_: setattr(stop, "status", 130))
     (workdir / "thesis.txt").write_text("years")
     assert "holds thesis.txt, which no sweep writes" in refused(
         sweep, workdir, stop, fresh=True, run__num_seeds=2
@@ -303,7 +305,7 @@ def test_restore_is_for_every_combination_and_remembered(whole, tmp_path, stop):
     sweep(workdir, stop, more, **fields)
     config = workdirs.config(run__num_seeds=2, ppo__entropy_coef=0.4)
     run = train_command.Command(config, tmp_path / "run", restore=start)
-    train_command.train_and_show(run, stop)
+    train_command.train_run(Console(), run, stop)
     same(workdir / "ppo.entropy_coef=0.4", tmp_path / "run", 0)
     taken = (workdir / "ppo.entropy_coef=0.1" / "restored_from").read_text()
     assert taken == (tmp_path / "run" / "restored_from").read_text()

@@ -26,7 +26,7 @@ from dynappo import algorithm
 from dynappo.config import ConfigError
 from dynappo.policy import checkpoint_file
 from dynappo.program import distributed
-from dynappo.train import checkpoint
+from dynappo.run import checkpoint
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ import gc, tempfile
 from pathlib import Path
 import jax.numpy as jnp
 import tensorstore
-from dynappo.train import checkpoint
+from dynappo.run import checkpoint
 
 def resident():
     gc.collect()

@@ -8,7 +8,7 @@ import pytest
 from scipy import stats
 
 from dynappo.config import shell
-from dynappo.train import curves, log
+from dynappo.run import learning_curves, log
 
 # ---- the interval of a mean
 
@@ -18,36 +18,39 @@ def test_it_is_students(seeds):
     """As scipy has it."""
     values = np.random.default_rng(seeds).normal(3.0, 2.0, seeds)
     ends = stats.t.interval(0.95, seeds - 1, values.mean(), stats.sem(values))
-    np.testing.assert_allclose(curves.interval(values), ends)
-    np.testing.assert_allclose(curves.half_width(values), (ends[1] - ends[0]) / 2)
+    np.testing.assert_allclose(learning_curves.interval(values), ends)
+    np.testing.assert_allclose(learning_curves.half_width(values), (ends[1] - ends[0]) / 2)
 
 
 @pytest.mark.parametrize("seeds", [2, 3, 5, 10])
 def test_it_holds_the_true_mean_in_95_of_100_cases(seeds):
     """Counted over 40,000 experiments; bootstrap percentiles would in 50, 76, 84, 90."""
     values = np.random.default_rng(seeds).normal(size=(seeds, 40_000))
-    low, high = curves.interval(values)
+    low, high = learning_curves.interval(values)
     assert abs(((low < 0) & (high > 0)).mean() - 0.95) < 0.005
 
 
 def test_it_takes_any_shape():
     """Every number as if it were alone."""
     values = np.random.default_rng(0).normal(size=(6, 3, 2))
-    low, high = curves.interval(values)
+    low, high = learning_curves.interval(values)
     assert low.shape == high.shape == (3, 2) and (low < values.mean(0)).all()
-    alone = [curves.interval(values[:, i, j]) for i, j in np.ndindex(3, 2)]
+    alone = [learning_curves.interval(values[:, i, j]) for i, j in np.ndindex(3, 2)]
     np.testing.assert_allclose(alone, np.stack([low.ravel(), high.ravel()], 1), rtol=1e-12)
 
 
 def test_nothing_is_claimed_of_one_seed_or_of_a_seed_without_a_number():
     """NaN, not an interval of width 0; other columns are not touched."""
-    assert np.isnan(curves.interval([3.0])).all() and np.isnan(curves.interval([])).all()
-    assert np.isnan(curves.interval(np.ones((1, 4)))).all()
+    assert (
+        np.isnan(learning_curves.interval([3.0])).all()
+        and np.isnan(learning_curves.interval([])).all()
+    )
+    assert np.isnan(learning_curves.interval(np.ones((1, 4)))).all()
     values = np.arange(12.0).reshape(4, 3)
     values[2, 1] = np.nan
-    low, high = curves.interval(values)
+    low, high = learning_curves.interval(values)
     assert np.isnan(low).tolist() == np.isnan(high).tolist() == [False, True, False]
-    np.testing.assert_allclose(low[0], curves.interval(values[:, 0])[0])
+    np.testing.assert_allclose(low[0], learning_curves.interval(values[:, 0])[0])
 
 
 # ---- the picture
@@ -57,7 +60,7 @@ def run(seeds: int, iterations: int = 40) -> dict[str, np.ndarray]:
     """Metrics as `train.loop` returns them; the first episode of seed s ends in iteration 3 + s."""
     rng = np.random.default_rng(0)
     shape = (iterations, seeds) if seeds > 1 else (iterations,)
-    names = [panel.metric for panel in curves.PANELS]
+    names = [panel.metric for panel in learning_curves.PANELS]
     metrics = {name: rng.uniform(0.1, 1.0, shape).cumsum(0) for name in names}
     for s in range(seeds):
         for name in ("episode_return", "episode_length"):
@@ -74,16 +77,16 @@ def lines(axes) -> dict[str, np.ndarray]:
 def test_every_seed_their_mean_and_its_band_are_drawn():
     """The lines of each panel hold the columns; the band's corners are the interval's."""
     metrics = run(seeds=3)
-    page = curves.figure(metrics, "three seeds")
+    page = learning_curves.figure(metrics, "three seeds")
     assert len(page.axes) == 5
-    for axes, panel in zip(page.axes, curves.PANELS, strict=True):
+    for axes, panel in zip(page.axes, learning_curves.PANELS, strict=True):
         drawn, values = lines(axes), metrics[panel.metric]
         assert sorted(drawn) == ["mean", "seed 0", "seed 1", "seed 2"]
         for s in range(3):
             np.testing.assert_array_equal(drawn[f"seed {s}"][:, 1], values[:, s])
         np.testing.assert_allclose(drawn["mean"][:, 1], values.mean(1))
         np.testing.assert_array_equal(drawn["mean"][:, 0], metrics["iteration"])
-        low, high = curves.interval(values.T)
+        low, high = learning_curves.interval(values.T)
         (band,) = axes.collections
         corners = {tuple(corner) for path in band.get_paths() for corner in path.vertices}
         for k in np.flatnonzero(np.isfinite(low)):
@@ -96,7 +99,7 @@ def test_every_seed_their_mean_and_its_band_are_drawn():
 def test_the_numbers_at_the_ends_are_those_of_the_last_ten_rows():
     """As the summary's return; each seed is named beside the large panel only."""
     metrics = run(seeds=2)
-    page = curves.figure(metrics)
+    page = learning_curves.figure(metrics)
     last = metrics["episode_return"][-10:].mean(0)
     found = [text.get_text() for text in page.axes[0].texts]
     assert found == [
@@ -108,7 +111,9 @@ def test_the_numbers_at_the_ends_are_those_of_the_last_ten_rows():
         f"{metrics['velocity_error'][-10:].mean():.2f}"
     ]
     many = {name: np.repeat(v, 8, 1) if v.ndim == 2 else v for name, v in metrics.items()}
-    assert len(curves.figure(many).axes[0].texts) == 1  # sixteen names would cover each other
+    assert (
+        len(learning_curves.figure(many).axes[0].texts) == 1
+    )  # sixteen names would cover each other
 
 
 @pytest.mark.parametrize("two_dimensional", [False, True])
@@ -118,7 +123,7 @@ def test_of_one_seed_its_line_alone_is_drawn(two_dimensional):
     returns = metrics["episode_return"]
     if two_dimensional:
         metrics["episode_return"] = returns[:, None]
-    axes = curves.figure(metrics).axes[0]
+    axes = learning_curves.figure(metrics).axes[0]
     assert list(lines(axes)) == ["mean"] and not axes.collections
     np.testing.assert_array_equal(lines(axes)["mean"][:, 1], returns)
 
@@ -128,8 +133,10 @@ def test_what_a_run_lacks_is_left_out():
     metrics = run(seeds=2)
     del metrics["model_loss"]
     metrics["episode_return"][:] = metrics["episode_length"][:] = np.nan
-    page = curves.figure(metrics)
-    assert [a.get_title("left") for a in page.axes] == [p.title for p in curves.PANELS[:-1]]
+    page = learning_curves.figure(metrics)
+    assert [a.get_title("left") for a in page.axes] == [
+        p.title for p in learning_curves.PANELS[:-1]
+    ]
     assert not page.axes[0].texts
 
 
@@ -138,7 +145,7 @@ def test_what_a_run_lacks_is_left_out():
 def test_a_png_is_written(tmp_path, seeds, iterations):
     """Without a warning."""
     metrics = run(seeds, iterations)
-    assert curves.draw(metrics, tmp_path / "a.png", "a run") == ""
+    assert learning_curves.draw(metrics, tmp_path / "a.png", "a run") == ""
     content = (tmp_path / "a.png").read_bytes()
     assert content[:8] == b"\x89PNG\r\n\x1a\n" and len(content) > 20_000
     assert int.from_bytes(content[16:20]) == 1800
@@ -150,8 +157,8 @@ def test_the_metrics_of_a_run_and_its_metrics_csv_are_one_picture(tmp_path):
     rounded = {n: v.reshape(metrics[n].shape) for n, v in rounded.items()}
     log.append_csv(tmp_path / "metrics.csv", log.rows(metrics))
     read = log.read_csv(tmp_path / "metrics.csv", seeds)
-    assert curves.draw(read, tmp_path / "b.png", "a run") == ""
-    assert curves.draw(rounded, tmp_path / "c.png", "a run") == ""
+    assert learning_curves.draw(read, tmp_path / "b.png", "a run") == ""
+    assert learning_curves.draw(rounded, tmp_path / "c.png", "a run") == ""
     assert (tmp_path / "b.png").read_bytes() == (tmp_path / "c.png").read_bytes()
 
 
@@ -170,7 +177,7 @@ def test_every_panel_has_room_whatever_its_last_numbers(seeds, name, change):
     """Matplotlib warned "axes sizes collapsed to zero": a label was far outside, or too wide."""
     metrics = run(seeds)
     metrics[name][20:] = change(metrics[name][20:])
-    page = curves.figure(metrics, "a run")
+    page = learning_curves.figure(metrics, "a run")
     page.savefig(io.BytesIO(), format="png", dpi=150)
     assert all(axes.get_window_extent().width > 150 for axes in page.axes)
     places = [text.xy[1] for axes in page.axes for text in axes.texts]
@@ -180,7 +187,7 @@ def test_every_panel_has_room_whatever_its_last_numbers(seeds, name, change):
 def test_without_matplotlib_it_says_what_to_install(tmp_path, monkeypatch):
     """One line, and no file."""
     monkeypatch.setitem(sys.modules, "matplotlib", None)
-    said = curves.draw(run(seeds=2), tmp_path / "a.png")
+    said = learning_curves.draw(run(seeds=2), tmp_path / "a.png")
     assert said.endswith(shell.install("video")) and "\n" not in said
     assert not list(tmp_path.iterdir())
 
@@ -188,8 +195,8 @@ def test_without_matplotlib_it_says_what_to_install(tmp_path, monkeypatch):
 def test_labels_are_moved_apart_and_no_further():
     """Order and gap are kept, none is above the top, and what has room stays where it is."""
     heights = np.random.default_rng(0).uniform(0.2, 0.7, 6)
-    moved = curves._apart(heights, 0.08)
+    moved = learning_curves._apart(heights, 0.08)
     assert (np.diff(moved[np.argsort(heights)]) >= 0.08 - 1e-12).all()
     assert moved.mean() == pytest.approx(heights.mean())  # pushed to both sides alike
-    assert curves._apart([0.99, 0.98], 0.06).max() == pytest.approx(1.0)
-    np.testing.assert_allclose(curves._apart([0.9, 0.1], 0.06), [0.9, 0.1])
+    assert learning_curves._apart([0.99, 0.98], 0.06).max() == pytest.approx(1.0)
+    np.testing.assert_allclose(learning_curves._apart([0.9, 0.1], 0.06), [0.9, 0.1])

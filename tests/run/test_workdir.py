@@ -21,8 +21,8 @@ from workdirs import opened
 from dynappo import train
 from dynappo.policy import policy_file
 from dynappo.program import build
-from dynappo.train import checkpoint, finish, restore
-from dynappo.train import workdir as workdir_lib
+from dynappo.run import checkpoint, finish, restore
+from dynappo.run import workdir as workdir_lib
 
 OTHER = workdirs.config(ppo__clip_epsilon=0.3)
 HELD = f"pid {os.getpid()} on {socket.gethostname()}"
@@ -201,7 +201,8 @@ def test_a_last_checkpoint_that_is_not_there_is_saved_once_more(
     """Else the line says why; of room it speaks where room is in the way, and else not."""
     workdir = tmp_path / "run"
     shutil.copytree(whole.workdir, workdir)
-    at = config, program(), workdir, whole.state, whole.metrics, pytest.fail
+    run = workdirs.open_run(config, workdir, whole.metrics)
+    at = run, program().robot, whole.state, pytest.fail
     finish.check_saved(*at)
     (workdir / "checkpoints" / "4").rename(tmp_path / "4")
 
@@ -378,20 +379,23 @@ def test_a_save_has_the_worth_of_its_own_evaluation_and_the_policy_that_was_judg
     monkeypatch.setattr(
         checkpoint,
         "save",
-        lambda _, done, state, worth, **about: saved.append((done, worth, about["best_seed"])),
+        lambda _, done, state, eval_return, **about: saved.append(
+            (done, eval_return, about["best_seed"])
+        ),
     )
     monkeypatch.setattr(checkpoint, "wait", lambda manager: None)
     monkeypatch.setattr(checkpoint, "read_back", lambda folder, state: None)
     training = np.array([[9.0, 1.0], [9.0, 1.0]])
     now = {"episode_return": training, "eval_return": np.array([[NAN, NAN], [3.0, 5.0]])}
     before = {"episode_return": training}
-    for done, metrics, judged, worth, best in (
-        (2, before, None, None, 0),
-        (4, now, np.array([3.0, 5.0]), 4.0, 1),
-        (6, before, np.array([3.0, 5.0]), None, 1),  # judged earlier, not now
+    run = workdirs.open_run(config, tmp_path)
+    for done, metrics, worth, best in (
+        (2, before, None, 0),
+        (4, now, 4.0, 1),
+        (6, before, None, 1),  # judged earlier, not now
     ):
-        at = done, state, metrics | {"sim_steps": np.array([96])}, judged
-        workdir_lib.save(config, GO1, tmp_path, None, *at, pytest.fail)
+        run.history.append(metrics | {"iteration": np.array([done]), "sim_steps": np.array([96])})
+        workdir_lib.save(run, GO1, state, pytest.fail)
         assert saved[-1] == (done, worth, best)
         kept = policy_file.load_params(tmp_path / "policy.npz")
         assert_same(kept, jax.tree.map(lambda x, best=best: x[best], params))

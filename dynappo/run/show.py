@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -11,7 +13,17 @@ import numpy as np
 from dynappo import schedule
 from dynappo.config import shell
 from dynappo.policy import walks
-from dynappo.program import devices
+from dynappo.program import build, devices, memory
+from dynappo.program.build import Program
+from dynappo.run.training import Callbacks
+
+# by engine: how long it takes, and what for (experiments/03_speed; README)
+COMPILING = {
+    "warp": "8 s if cached, else 20 to 35 s",
+    "jax": "under a minute; half of it when cached",
+    "c": "15 s; 5 when cached",
+}
+PARTS = 10  # lines of a run where there is no terminal
 
 
 def describe(config) -> str:
@@ -39,6 +51,78 @@ def describe(config) -> str:
 def count(steps: int) -> str:
     """A number of steps for a person."""
     return f"{steps / 1e6:.2f} M" if steps >= 1e5 else f"{steps:,}"
+
+
+def unusual(out, text: str) -> None:
+    """A line on what a user may not expect."""
+    out.print(text, style="yellow", markup=False, soft_wrap=True)
+
+
+@contextlib.contextmanager
+def live(out, config) -> Iterator[Callbacks]:
+    """A line on the console `out` that follows a training of one run or of several; yields its callbacks.
+
+    Where `out` is no terminal, some lines instead. It ends with the `with`, or at the callback `finished`.
+    """
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    total, engine, begun = config.run.num_iterations, "", []
+    bar = Progress(
+        TextColumn("{task.description}"),
+        BarColumn(16),
+        TextColumn("{task.completed}/{task.total}"),
+        TextColumn("{task.fields[line]}"),
+        TimeRemainingColumn(),
+        console=out,
+        disable=not out.is_terminal,
+    )
+    task = bar.add_task(f"compiling ({COMPILING[devices.engine(config)]})", total=total, line="")
+    say = partial(unusual, out)
+
+    def opened():
+        shown.enter_context(bar)
+
+    def compiled(program):
+        nonlocal engine
+        engine = devices.ENGINES[program.impl]
+        describe_program(out, config, program)
+        bar.update(task, description="training")
+
+    def progress(iteration, last):
+        # of several runs: one clock, and the steps of all
+        begun.append((float(last[0]["seconds"]), sum(float(one["sim_steps"]) for one in last)))
+        numbers = {name: [one[name] for one in last] for name in last[0]}
+        line = f"{progress_line(numbers, begun)} on {engine}"
+        bar.update(task, completed=iteration, line=line)
+        if not out.is_terminal and (PARTS * iteration) % total < PARTS:
+            out.print(f"iteration {iteration:4d}  {line}", soft_wrap=True)
+
+    def finishing():
+        bar.update(task, description="evaluating, filming")
+        if not out.is_terminal:
+            out.print("evaluates and films")
+
+    def finished(*_):
+        bar.update(task, description="trained")
+        shown.close()
+
+    with contextlib.ExitStack() as shown:
+        yield Callbacks(say, opened, compiled, progress, finishing, finished)
+
+
+def describe_program(out, config, program: Program) -> None:
+    """What was compiled, and what would be faster."""
+    out.print(
+        f"{program.device}, {devices.ENGINES[program.impl]}; compiled in {program.compile_seconds:.0f} s, "
+        f"{memory.text(program.bytes_needed)} of memory",
+        soft_wrap=True,
+    )
+    if slow := build.slower(program, config):
+        unusual(out, slow)
+    if program.impl == "jax" and program.device == "cpu":
+        text = "on a CPU C MuJoCo is more than twice as fast as MJX: --config.physics.impl=c"
+        laptop = f"; made for it: {shell.program()} train --config={config.robot}:laptop"
+        unusual(out, text + laptop * bool(config.robot))
 
 
 def progress_line(last: dict, begun: list) -> str:

@@ -39,7 +39,7 @@ from orbax.checkpoint import checkpoint_managers
 from dynappo.config import ConfigError
 from dynappo.policy import checkpoint_file
 from dynappo.program import distributed
-from dynappo.train import log
+from dynappo.run import log
 
 TEXTS = {"metrics": "metrics/metrics", "_CHECKPOINT_METADATA": "_CHECKPOINT_METADATA"}
 KEEP = 3  # newest ones, and the one with the highest return in an evaluation

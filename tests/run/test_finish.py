@@ -13,7 +13,7 @@ from workdirs import N_REAL
 
 from dynappo.config import shell, versions
 from dynappo.policy import policy_file, render
-from dynappo.train import curves, finish
+from dynappo.run import finish, learning_curves
 
 
 def test_a_run_fills_its_folder(whole):
@@ -90,8 +90,8 @@ def test_the_policy_of_the_best_seed_is_that_of_the_best_evaluation(
     program, whole, tmp_path, at_the_end, on_the_way, best, monkeypatch
 ):
     """Whatever the training episodes say: they favour the other one."""
-    monkeypatch.setattr(curves, "draw", lambda *_: "no picture")
-    seeds = workdirs.config(run__num_seeds=2, run__eval_envs=8 if at_the_end else 0)
+    monkeypatch.setattr(learning_curves, "draw", lambda *_: "no picture")
+    seeds = workdirs.config(run__num_seeds=2)
     state = jax.tree.map(lambda x: jax.numpy.stack([x, x]), whole.state)
     params = jax.tree.map(lambda x: np.stack([x[0], x[1] + 1]), state.learner.params)
     state = state.replace(learner=state.learner.replace(params=params))
@@ -103,8 +103,9 @@ def test_the_policy_of_the_best_seed_is_that_of_the_best_evaluation(
     metrics["episode_return"] = metrics["episode_return"] + [10 * best, 10 * (1 - best)]
     if on_the_way:
         metrics["eval_return"] = np.array([[np.nan] * 2, on_the_way, [np.nan] * 2, [np.nan] * 2])
-    run = program()._replace(evaluate=lambda state: {"return": np.array(at_the_end)})
-    summary = finish.finish(seeds, run, tmp_path, state, metrics)
+    evaluation = {"return": np.array(at_the_end)} if at_the_end else {}
+    run = workdirs.open_run(seeds, tmp_path, metrics)
+    summary = finish.finish(run, program(), state, evaluation)
     kept = policy_file.load_params(tmp_path / "policy.npz")
     assert_same(kept, jax.tree.map(lambda x: x[best], params))
     assert len(summary["return"]) == len(summary["return_max"]) == 2
@@ -118,11 +119,12 @@ def test_the_policy_of_the_best_seed_is_that_of_the_best_evaluation(
 
 def test_there_is_a_film_or_the_reason(program, whole, tmp_path, monkeypatch):
     """The summary says which; without matplotlib too."""
-    filmed = workdirs.config(run__video_seconds=0.1, run__eval_envs=0)
+    filmed = workdirs.config(run__video_seconds=0.1)
+    run = workdirs.open_run(filmed, tmp_path, whole.metrics)
     monkeypatch.setattr(render, "simulate", lambda *_: {"qpos": np.zeros((5, 19))})
     for problem in ("", "no video: no OpenGL"):
         monkeypatch.setattr(render, "film", lambda *_, problem=problem: problem)
-        summary = finish.finish(filmed, program(), tmp_path, whole.state, whole.metrics)
+        summary = finish.finish(run, program(), whole.state, {})
         assert summary["video"] == (problem or str(tmp_path / "video.mp4"))
         assert summary["curves"] == str(tmp_path / "curves.png")
 
@@ -130,10 +132,10 @@ def test_there_is_a_film_or_the_reason(program, whole, tmp_path, monkeypatch):
         raise FloatingPointError("its physics has blown up")
 
     monkeypatch.setattr(render, "simulate", blown_up)
-    summary = finish.finish(filmed, program(), tmp_path, whole.state, whole.metrics)
+    summary = finish.finish(run, program(), whole.state, {})
     assert summary["video"] == "no video: its physics has blown up"
     monkeypatch.setitem(sys.modules, "matplotlib", None)
-    summary = finish.finish(filmed, program(), tmp_path, whole.state, whole.metrics)
+    summary = finish.finish(run, program(), whole.state, {})
     assert summary["curves"].endswith(shell.install("video"))
 
 
@@ -215,11 +217,12 @@ def test_logs_that_fail_are_told_and_the_run_ends_well(program, whole, tmp_path,
         init=lambda **_: fail(RuntimeError("no account\nat all")), __spec__=object()
     )
     monkeypatch.setitem(sys.modules, "wandb", fake)
-    monkeypatch.setattr(curves, "draw", lambda *_: "no picture")
+    monkeypatch.setattr(learning_curves, "draw", lambda *_: "no picture")
     full = OSError(28, "No space left on device")
     monkeypatch.setattr("tensorboardX.event_file_writer.EventsWriter", lambda *_, **__: fail(full))
-    config, said = workdirs.config(run__wandb="walking", run__eval_envs=0), []
-    finish.finish(config, program(), tmp_path, whole.state, whole.metrics, said.append)
+    config, said = workdirs.config(run__wandb="walking"), []
+    run = workdirs.open_run(config, tmp_path, whole.metrics)
+    finish.finish(run, program(), whole.state, {}, said.append)
     assert said == [
         "TensorBoard's events could not be written (No space left on device); all else is there",
         "Weights & Biases could not be written (no account); all else is there",

@@ -19,24 +19,14 @@ from answers import refused, shell
 from flax import struct
 from ml_collections import config_dict
 from toy_runs import assert_same
-from workdirs import N_REAL, table
+from workdirs import N_REAL, loop, table
 
-from dynappo import config as config_lib
 from dynappo import schedule, train, types
 from dynappo.config import ConfigError
 from dynappo.policy import checkpoint_file, policy_file
 from dynappo.program import build
-from dynappo.train import checkpoint, curves, finish, log
-from dynappo.train import run as run_lib
-from dynappo.train import workdir as workdir_lib
-
-
-def loop(config, program, workdir=None, **how):
-    """`(state, metrics, iterations that were told)` of `run.loop`."""
-    told = []
-    out = run_lib.loop(config, program, workdir, lambda i, last: told.append(i), **how)
-    return *out, told
-
+from dynappo.run import checkpoint, finish, learning_curves, log, training
+from dynappo.run import workdir as workdir_lib
 
 # ---- what it tells
 
@@ -83,16 +73,15 @@ def test_after_its_last_fit_the_model_stays_and_its_losses_are_blank(config, pro
         assert [bool(row[name]) for row in rows] == [True, True, False, False]
     assert all(float(row["model_error_1"]) > 0 for row in rows)
     back = log.read_csv(tmp_path / "metrics.csv")
-    assert curves.draw(back, tmp_path / "curves.png") == ""
+    assert learning_curves.draw(back, tmp_path / "curves.png") == ""
 
 
-def test_what_is_kept_of_a_chunk_is_its_own(config, program, monkeypatch):
+def test_what_is_kept_of_a_chunk_is_its_own(config, program):
     """No view into a column of the whole run or a buffer of JAX: a long run would keep all of them."""
-    joined = []
-    monkeypatch.setattr(log, "join", lambda history: joined.extend(history) or {})
-    loop(config, program())
-    assert [len(chunk["iteration"]) for chunk in joined] == [2, 2]
-    kept = [(name, column) for chunk in joined for name, column in chunk.items()]
+    run = training.Run(config)
+    history = training.resume_and_loop([run], program()).runs[0].history
+    assert [len(chunk["iteration"]) for chunk in history] == [2, 2]
+    kept = [(name, column) for chunk in history for name, column in chunk.items()]
     assert [name for name, column in kept if column.base is not None] == []
 
 
@@ -158,7 +147,7 @@ def test_a_run_leaves_the_process_as_it_was(tmp_path, monkeypatch):
         return *ours, levels, [signal.getsignal(number) for number in handled]
 
     workdirs.toy(monkeypatch)
-    monkeypatch.setattr(finish.curves, "draw", lambda *_: "no picture")
+    monkeypatch.setattr(finish.learning_curves, "draw", lambda *_: "no picture")
     before = settings()
     levels = [logger.level for logger in loggers]
     try:
@@ -183,7 +172,7 @@ def settings():
     return [getattr(jax.config, name) for name in names] + [logging.getLogger("absl").level]
 before, environment = settings(), dict(os.environ)
 import dynappo.bench.command, dynappo.evaluate.command, dynappo.train.command
-import dynappo.train.checkpoint, dynappo.program.build, dynappo.sweep
+import dynappo.run.checkpoint, dynappo.program.build, dynappo.sweep
 changed = {k for k, v in os.environ.items() if environment.get(k) != v}
 print(settings() == before, sorted(changed), signal.getsignal(signal.SIGTERM).name)
 """
@@ -203,7 +192,7 @@ def test_a_run_that_was_stopped_goes_on_as_if_it_had_not_been(config, program, w
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        run_lib.loop(config, program(), workdir, stop)
+        loop(config, program(), workdir, stop)
     assert workdirs.steps(workdir) == {"2"}  # waited for
     assert table(workdir) == table(whole.workdir)[:2]
     said = []
@@ -216,6 +205,26 @@ def test_a_run_that_was_stopped_goes_on_as_if_it_had_not_been(config, program, w
             np.testing.assert_array_equal(metrics[name][2:], column[2:], name)
             np.testing.assert_allclose(metrics[name][:2], column[:2], 1e-5, err_msg=name)
     assert (np.diff(metrics["seconds"]) > 0).all()
+
+
+def test_a_run_killed_right_after_a_checkpoint_lacks_no_row(
+    config, program, whole, tmp_path, monkeypatch
+):
+    """The rows that a checkpoint covers are in the file before it is; what waits dies with the process."""
+    save, said = workdir_lib.save, []
+
+    def killed(*of):
+        save(*of)
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(workdir_lib, "save", killed)
+        loop(config, program(), tmp_path)
+    assert table(tmp_path) == table(whole.workdir)[:2] and workdirs.steps(tmp_path) == {"2"}
+    state, _, told = loop(config, program(), tmp_path, say=said.append)
+    assert told == [4] and said == [f"goes on from iteration 2 of {tmp_path}"]
+    assert_same(state, whole.state)
+    assert table(tmp_path) == table(whole.workdir)
 
 
 @pytest.mark.parametrize("lost", ["checkpoints/4", "checkpoints"])
@@ -235,7 +244,7 @@ def test_a_run_that_is_asked_to_stop_saves_and_returns(config, program, whole, t
     seldom = config_dict.ConfigDict(config)
     seldom.run.checkpoint_every = 4
     workdir = workdirs.opened(tmp_path / "run", config)
-    _, metrics, _ = loop(seldom, program(), workdir, should_stop=lambda: True)
+    _, metrics, _ = loop(seldom, program(), workdir, stop=True)
     assert list(metrics["iteration"]) == [1, 2]
     assert workdirs.steps(workdir) == {"2"} and (workdir / "policy.npz").exists()
     state, _, _ = loop(config, program(), workdir)
@@ -281,7 +290,7 @@ def test_a_finished_run_whose_metrics_are_lost_is_summed_up(
     csv.unlink() if lost is None else csv.write_text(lost)
     state, metrics, _ = loop(config, program(), workdir, say=lambda line: None)
     np.testing.assert_array_equal(metrics["sim_steps"], whole.metrics["sim_steps"])
-    summary = finish.summarise(config, program(), state, metrics)
+    summary = finish.summarise(config, program(), metrics, {})
     assert summary["iterations"] == 4 and summary["sim_steps"] == whole.metrics["sim_steps"][-1]
     if damage != "a long cell":
         assert summary["return"] is summary["seconds"] is None
@@ -317,12 +326,7 @@ def test_a_run_goes_on_with_chunks_of_another_length(program, whole, tmp_path):
             run__log_every=every, run__num_iterations=24, run__checkpoint_every=24
         )
         with workdir_lib.open_workdir(workdir, longer):
-            found = workdir_lib.in_step(longer, workdir)
-        assert found.run.log_every == number
-        assert config_lib.difference(config_lib.to_json(found), config_lib.to_json(longer)) in (
-            "",
-            f"run.log_every {number} there, {every} here",
-        )
+            assert workdir_lib.chunk_length(longer, workdir) == number
 
 
 def test_a_damaged_checkpoint_is_moved_aside_and_the_one_before_is_taken(
@@ -352,7 +356,7 @@ def test_where_every_checkpoint_is_damaged_the_run_says_so(config, program, whol
     for step in ("2", "4"):
         shutil.rmtree(workdir / "checkpoints" / step / "state" / "d")
     for _ in range(2):
-        line = refused(run_lib.loop, config, program(), workdir)
+        line = refused(loop, config, program(), workdir)
         assert "no checkpoint can be read any more" in line and "--fresh" in line
     assert {"damaged-2", "damaged-4", "metrics.csv"} <= {p.name for p in workdir.iterdir()}
 
@@ -376,7 +380,7 @@ def test_a_full_disk_is_told_and_training_goes_on(config, program, whole, tmp_pa
     monkeypatch.setattr(log, "_append", append)
     state, _, _ = loop(config, program(), tmp_path, say=said.append)
     assert_same(state, whole.state)
-    assert [line.split(" could")[0] for line in said] == ["checkpoint 2", "metrics.csv"]
+    assert [line.split(" could")[0] for line in said] == ["metrics.csv", "checkpoint 2"]
     assert all("No space left on device" in line and "\n" not in line for line in said)
     assert table(tmp_path) == table(whole.workdir)
     assert workdirs.steps(tmp_path) == {"4"}
@@ -417,7 +421,7 @@ def test_a_first_checkpoint_that_cannot_be_read_back_ends_the_run(
         with monkeypatch.context() as patch:
             patch.setattr(checkpoint, "_flat", change)
             line = refused(
-                run_lib.loop, config, program(), tmp_path / f"{i}", lambda n, _, t=told: t.append(n)
+                loop, config, program(), tmp_path / f"{i}", lambda n, _, t=told: t.append(n)
             )
         assert reason in line and "could never be resumed" in line and told == [], line
         with monkeypatch.context() as patch:  # the last one is told, and all else is written before
@@ -508,7 +512,7 @@ def test_checkpoints_that_may_not_be_listed_are_not_taken_for_none(
         with pytest.raises(ConfigError, match="Permission denied"):
             workdirs.opened(workdir, config)
         with pytest.raises(PermissionError):
-            run_lib.loop(config, program(), workdir)
+            loop(config, program(), workdir)
     after = workdirs.everything(workdir)
     assert {k: v for k, v in after.items() if k.name != "lock"} == {
         k: v for k, v in before.items() if k.name != "lock"

@@ -11,16 +11,16 @@ import sys
 from fnmatch import fnmatch
 from functools import partial
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
-from ml_collections import config_dict
 
 from dynappo import config as config_lib
 from dynappo import schedule
 from dynappo.config import ConfigError, files
 from dynappo.policy import carried, checkpoint_file, policy_file
 from dynappo.program import distributed
-from dynappo.train import log
+from dynappo.run import log
 
 # what may differ when a run goes on: nothing of it changes a number that training computes
 MAY_CHANGE = (
@@ -37,13 +37,32 @@ WRITTEN = (
 SUMMED = ("episode_return", "episodes", "episode_return_sum")
 
 
+class OpenRun(NamedTuple):
+    """A run that trains: its config, its open folder, and the metrics of its iterations so far."""
+
+    config: Any
+    workdir: Path | None  # None: nothing is written
+    checkpoints: Any  # `checkpoint.Checkpoints`; None where another process writes, or none does
+    sinks: list[log.Sink]
+    history: list[dict[str, np.ndarray]]  # a chunk each, the first of what was done before; grows
+
+    def metrics(self) -> dict[str, np.ndarray]:
+        """Of all its iterations."""
+        return log.join(self.history)
+
+    def iterations(self) -> int:
+        """How many it has done."""
+        return int(self.history[-1]["iteration"][-1]) if self.history else 0
+
+
 @contextlib.contextmanager
 def open_workdir(workdir: Path, config, fresh: bool = False, say=lambda text: None):
     """The folder of a run with its config.json, closed to other processes until the `with` ends.
 
     Where a run has begun in it, only fields that do not change what is computed may differ
-    (`MAY_CHANGE`): a run can be made longer or filmed again. `fresh` moves a run that is there aside,
-    to `WORKDIR.old-1`, and starts anew. Of several processes the first does all this.
+    (`MAY_CHANGE`): a run can be made longer or filmed again. A run of another version of dynappo is told to
+    `say`. `fresh` moves a run that is there aside, to `WORKDIR.old-1`, and starts anew. Of several
+    processes the first does all this.
     """
     with contextlib.ExitStack() as held:
         distributed.on_first(lambda: _open(workdir, config, fresh, held, say))
@@ -66,6 +85,10 @@ def _open(workdir: Path, config, fresh: bool, held: contextlib.ExitStack, say) -
             files.check_regular(workdir / name)
         text, path = config_lib.to_json(config), workdir / "config.json"
         _compare(workdir, text)
+        there = path.read_bytes().decode(errors="replace") if path.exists() else ""
+        apart = config_lib.versions_apart(there, config) if begun(workdir) else ""
+        if apart:
+            say(apart)
         carried.check_same(workdir, _newest(workdir), config.robot)
         done = max(saved(workdir), default=0)
         if done > config.run.num_iterations:
@@ -135,19 +158,13 @@ def saved(workdir: Path) -> list[int]:
     return checkpoint_file.iterations(workdir / "checkpoints")
 
 
-def in_step(config, workdir: Path | None):
-    """`config`, with chunks so short that one ends at every checkpoint the run may go on from.
+def chunk_length(config, workdir: Path | None) -> int:
+    """`run.log_every`, shortened so that every checkpoint in `workdir` lies on a chunk boundary.
 
-    They are `run.log_every` long, but where a run began with another `run.log_every`, or was shorter than
-    one chunk.
+    It is shorter where the run began with another `run.log_every`, or was shorter than one chunk.
     """
     done = distributed.on_first(lambda: saved(workdir)) if workdir else []
-    every = math.gcd(config.run.log_every, *done)
-    if every == config.run.log_every:
-        return config
-    config = config_dict.ConfigDict(config)
-    config.run.log_every = every
-    return config_dict.FrozenConfigDict(config)
+    return math.gcd(config.run.log_every, *done)
 
 
 def _movable(workdir: Path) -> bool:
@@ -204,12 +221,12 @@ def resume(config, workdir: Path, checkpoints, state, say):
 
     start, state = distributed.from_first(read, state)
     if start and not history:  # of several processes, only the first reads the rest
-        history.append(counted(config, start))
+        history.append(scheduled_columns(config, start))
     return start, state, history
 
 
 def _resume(config, workdir: Path, checkpoints, state, say):
-    from dynappo.train import checkpoint
+    from dynappo.run import checkpoint
 
     csv = workdir / "metrics.csv"
     found = checkpoint.newest(checkpoints, state, say)
@@ -217,7 +234,7 @@ def _resume(config, workdir: Path, checkpoints, state, say):
         log.put_aside(csv, say)  # of a run that ended before its first checkpoint
         return 0, state, []
     start, state = found
-    known, seeds = counted(config, start), config.run.num_seeds
+    known, seeds = scheduled_columns(config, start), config.run.num_seeds
     history = log.go_on_csv(csv, known, seeds, say) | known
     blank = np.full((start, seeds) if seeds > 1 else start, np.nan)
     history = dict.fromkeys(SUMMED, blank) | {"seconds": np.full(start, np.nan)} | history
@@ -237,7 +254,7 @@ def _resume(config, workdir: Path, checkpoints, state, say):
     return start, state, [history]
 
 
-def counted(config, end: int) -> dict[str, np.ndarray]:
+def scheduled_columns(config, end: int) -> dict[str, np.ndarray]:
     """Columns `[I]` of the iterations up to `end` that follow from the schedule alone."""
     n_real = np.asarray(schedule.columns(config)["n_real"], np.int64)
     columns = {
@@ -249,48 +266,65 @@ def counted(config, end: int) -> dict[str, np.ndarray]:
     return {name: column[:end] for name, column in columns.items()}
 
 
-def save(config, robot, workdir, checkpoints, done: int, state, metrics, evaluated, say) -> None:
-    """A checkpoint, and the policy as it is now in a file that can be played at once.
+def save(run: OpenRun, robot, state, say) -> None:
+    """A checkpoint of the last iteration of `run.history`, and the policy as it is now in a file that can
+    be played at once.
 
-    `evaluated` is the return of the last evaluation, of each seed if there are several; None before one.
     ConfigError if the run's first checkpoint cannot be saved, or read back, for a reason that is not the
     machine's: the run ends now, not after all its iterations.
     """
-    from dynappo.train import checkpoint
+    from dynappo.run import checkpoint
 
     state = distributed.whole(state)
     if not distributed.first():
         return
-    log.attempt("the checkpoint before", partial(checkpoint.wait, checkpoints), say)
+    workdir, done = run.workdir, run.iterations()
+    log.attempt("the checkpoint before", partial(checkpoint.wait, run.checkpoints), say)
     first = not saved(workdir)
     try:
-        keep(config, robot, checkpoints, done, state, metrics, evaluated)
+        begin_save(run, robot, state)
         if first:
-            checkpoint.wait(checkpoints)
+            checkpoint.wait(run.checkpoints)
             checkpoint.read_back(workdir / "checkpoints" / str(done), state)
     except Exception as error:
-        if first and done < config.run.num_iterations and not log.of_the_machine(error):
+        if first and done < run.config.run.num_iterations and not log.of_the_machine(error):
             reason = str(error) if isinstance(error, ConfigError) else log.reason(error)
             raise ConfigError(
                 f"{workdir}: its first checkpoint cannot be saved, and the run could never be resumed "
                 f"({reason}); run.checkpoint_every=0 trains to the end all the same"
             ) from None
         say(f"checkpoint {done} could not be written ({log.reason(error)}); training goes on")
-    params = best_params(config, state.learner.params, evaluated)
-    best = best_seed(config, evaluated)
-    write = partial(policy_file.save, workdir / "policy.npz", params, config, robot, best)
+    evaluated = last_evaluation(run)
+    params = best_params(run.config, state.learner.params, evaluated)
+    best = best_seed(run.config, evaluated)
+    path = workdir / "policy.npz"
+    write = partial(policy_file.save, path, params, run.config, robot, best)
     log.attempt("policy.npz", write, say)
 
 
-def keep(config, robot, checkpoints, done: int, state, metrics, evaluated) -> None:
-    """Start saving a checkpoint; raises what is in the way."""
-    from dynappo.train import checkpoint
+def begin_save(run: OpenRun, robot, state) -> None:
+    """Start saving a checkpoint of the last iteration of `run.history`; raises what is in the way."""
+    from dynappo.run import checkpoint
 
-    about = {"sim_steps": int(metrics["sim_steps"][-1]), "config": config.to_dict()}
-    about |= {"mjcf": robot.alone if robot else "", "best_seed": best_seed(config, evaluated) or 0}
-    now = "eval_return" in metrics and np.isfinite(metrics["eval_return"][-1]).all()
-    worth = float(np.mean(evaluated)) if now else None
-    checkpoint.save(checkpoints, done, state, worth, **about)
+    last = run.history[-1]
+    evaluated = last_evaluation(run)
+    now = "eval_return" in last and np.isfinite(last["eval_return"][-1]).all()
+    checkpoint.save(
+        run.checkpoints,
+        run.iterations(),
+        state,
+        eval_return=float(np.mean(evaluated)) if now else None,
+        sim_steps=int(last["sim_steps"][-1]),
+        config=run.config.to_dict(),
+        mjcf=robot.alone if robot else "",
+        best_seed=best_seed(run.config, evaluated) or 0,
+    )
+
+
+def last_evaluation(run: OpenRun) -> Any:
+    """The return of the run's last evaluation, one a seed if there are several; None before one."""
+    found = map(log.last_evaluation, reversed(run.history))
+    return next((returns for returns in found if returns is not None), None)
 
 
 def best_seed(config, evaluated) -> int | None:

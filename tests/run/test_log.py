@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from dynappo import config as config_lib
-from dynappo.train import log
+from dynappo.run import log
 
 
 def metrics(iterations=4, seeds=0, first=1):

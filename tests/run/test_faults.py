@@ -16,11 +16,10 @@ import threading
 import numpy as np
 import pytest
 from toy_runs import assert_same
-from workdirs import table
+from workdirs import loop, table
 
 from dynappo.config import ConfigError
-from dynappo.train import run as run_lib
-from dynappo.train import workdir as workdir_lib
+from dynappo.run import workdir as workdir_lib
 
 CALLS = ("open", "rename", "replace", "unlink", "mkdir", "rmdir", "truncate", "scandir", "listdir")
 FAULTS = {
@@ -86,7 +85,7 @@ def short(file):
 def go(config, program, workdir, said):
     """Open the folder and train to the end, as the command does."""
     with workdir_lib.open_workdir(workdir, config):
-        return run_lib.loop(config, program(), workdir, say=said.append)[0]
+        return loop(config, program(), workdir, say=said.append)[0]
 
 
 @pytest.fixture(scope="module")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -10,22 +11,23 @@ import numpy as np
 
 from dynappo.policy import checkpoint_file
 from dynappo.program import distributed
-from dynappo.train import checkpoint
+from dynappo.run import checkpoint
 
 OF_A_FIT = "model_loss", "model_loss_before"  # NaN in iterations without a fit
 
 
-def check(metrics, columns, state, before, workdir: Path | None) -> None:
+def check(metrics, columns, networks, before: Callable[[], Any], workdir: Path | None) -> None:
     """FloatingPointError naming the first number of a chunk that is not finite.
 
-    `columns` are the chunk's rows of the schedule. An iteration's numbers are looked at in the order in
-    which they are computed: rewards, model, losses. Where a robot's row was the first to be wrong,
-    `workdir/nonfinite.npz` holds that robot as it was `before` the chunk, to be replayed.
+    `columns` are the chunk's rows of the schedule, `networks` all parameters after it. An iteration's
+    numbers are looked at in the order in which they are computed: rewards, model, losses. Where a robot's
+    row was the first to be wrong, `workdir/nonfinite.npz` holds that robot as it was before the chunk, to be
+    replayed: `before()` returns the environment states and bodies of then.
     """
     robots = np.asarray(metrics.pop("nonfinite_robot"))  # [I], or [I, S]
     problem = first_metric(metrics, columns.get("model_epochs"))
     if problem is None:
-        bad = first_leaf({"learner": state.learner, "model": state.model})
+        bad = first_leaf(networks)
         if bad is None:
             return
         problem = (bad, int(metrics["iteration"][-1]))
@@ -38,8 +40,8 @@ def check(metrics, columns, state, before, workdir: Path | None) -> None:
         index = (int(robots[i]),) if robots.ndim == 1 else (seed, int(robots[i][seed]))
         where = f"first a reward or an observation of robot {index[-1]}"
     if workdir and bad_robot:
-        before = distributed.whole(before)
-        arrays = {k: np.asarray(leaf[index]) for k, leaf in checkpoint.paths(before).items()}
+        there = checkpoint.paths(distributed.whole(before()))
+        arrays = {k: np.asarray(leaf[index]) for k, leaf in there.items()}
         arrays |= {"iteration": np.array(metrics["iteration"][0]), "robot": np.array(index[-1])}
         if distributed.first():
             np.savez(workdir / "nonfinite.npz", allow_pickle=False, **arrays)

@@ -3,9 +3,9 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import workdirs
 
-from dynappo.train import nonfinite
-from dynappo.train import run as run_lib
+from dynappo.run import nonfinite
 
 
 def metrics(shape=(4,)):
@@ -78,7 +78,7 @@ def test_a_training_that_blows_up_names_the_first_bad_number(
     """No row of NaN is written, no checkpoint of it is kept; a bad robot is there for replay."""
     bad = poisoned(program(), place)
     with pytest.raises(FloatingPointError, match=name) as error:
-        run_lib.loop(config, bad, tmp_path)
+        workdirs.loop(config, bad, tmp_path)
     text = str(error.value)
     assert "\n" not in text and "Lower ppo.learning_rate or model.learning_rate" in text
     assert not (tmp_path / "metrics.csv").exists()

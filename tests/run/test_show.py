@@ -9,7 +9,7 @@ from rich.console import Console
 
 from dynappo import config as config_lib
 from dynappo.config import shell as shell_lib
-from dynappo.train import show
+from dynappo.run import show
 
 
 def config(spec="configs/go1.py:dyna4", **fields):

@@ -14,33 +14,36 @@ import numpy as np
 from dynappo.config import ConfigError, files, versions
 from dynappo.policy import policy_file
 from dynappo.program import distributed
-from dynappo.train import curves, log
-from dynappo.train import workdir as workdir_lib
+from dynappo.run import learning_curves, log
+from dynappo.run import workdir as workdir_lib
+from dynappo.run.workdir import OpenRun
 
 ROOM = (errno.ENOSPC, errno.EDQUOT)
 
 
 def finish(
-    config, program, workdir: Path, state, metrics, say: Callable[[str], None] = print
+    run: OpenRun, program, state, evaluation: dict, say: Callable[[str], None] = print
 ) -> dict[str, Any]:
-    """Evaluate, write policy.npz, summary.json, curves and film, and log them; returns the summary."""
+    """Write policy.npz, summary.json, curves and film of a run, and log them; returns the summary.
+
+    `evaluation` is that of its last policy, {} where there is none. Of several processes the first does this.
+    """
     from dynappo.policy import render
 
-    if not distributed.first():  # they take part in the evaluation, and have no history to sum up
-        if config.run.eval_envs:
-            program.evaluate(state)
-        distributed.whole(state.learner.params)
+    whole = distributed.whole(state.learner.params)
+    if not distributed.first():  # the others have no history to sum up
         return {}
-    summary = summarise(config, program, state, metrics)
+    config, workdir, metrics = run.config, run.workdir, run.metrics()
+    summary = summarise(config, program, metrics, evaluation)
     evaluated = summary.get("evaluation", {}).get("return", log.last_evaluation(metrics))
     evaluated = None if evaluated is None else np.array(evaluated, float)
-    params = workdir_lib.best_params(config, distributed.whole(state.learner.params), evaluated)
+    params = workdir_lib.best_params(config, whole, evaluated)
     seed = workdir_lib.best_seed(config, evaluated)
     policy_file.save(workdir / "policy.npz", params, config, program.robot, seed)
     seeds = f" x {config.run.num_seeds} seeds" if config.run.num_seeds > 1 else ""
     robots = f"{config.robot}: {config.rollout.num_envs} robots"
     title = (robots if config.robot else workdir.resolve().name) + seeds
-    problem = curves.draw(metrics, workdir / "curves.png", title)
+    problem = learning_curves.draw(metrics, workdir / "curves.png", title)
     summary["curves"] = problem or str(workdir / "curves.png")
     if config.run.video_seconds:
         act = policy_file.actor(params, config.ppo.activation)
@@ -112,25 +115,24 @@ def to_wandb(config, workdir: Path, summary: dict[str, Any]) -> None:
         run.finish()
 
 
-def check_saved(config, program, workdir: Path, state, metrics, say) -> None:
+def check_saved(run: OpenRun, robot, state, say) -> None:
     """Read the last checkpoint, which is saved once more if it is not there.
 
     OSError that says why it cannot be saved, or ConfigError why it cannot be read.
     """
-    done, state = int(metrics["iteration"][-1]), distributed.whole(state)
+    workdir, done, state = run.workdir, run.iterations(), distributed.whole(state)
 
     def look():
-        from dynappo.train import checkpoint
+        from dynappo.run import checkpoint
 
         if done not in workdir_lib.saved(workdir):
             again(checkpoint)
         checkpoint.read_back(workdir / "checkpoints" / str(done), state)
 
     def again(checkpoint):
-        at = done, state, metrics, log.last_evaluation(metrics)
         try:
             with checkpoint.opened(workdir, say) as checkpoints:
-                workdir_lib.keep(config, program.robot, checkpoints, *at)
+                workdir_lib.begin_save(run._replace(checkpoints=checkpoints), robot, state)
                 checkpoint.wait(checkpoints)
         except Exception as error:
             before = workdir_lib.saved(workdir)
@@ -144,8 +146,8 @@ def check_saved(config, program, workdir: Path, state, metrics, say) -> None:
     distributed.on_first(look)
 
 
-def summarise(config, program, state, metrics) -> dict[str, Any]:
-    """What a run came to: return (mean of the last 10 rows), cost, and evaluation if asked."""
+def summarise(config, program, metrics, evaluation: dict) -> dict[str, Any]:
+    """What a run came to: return (mean of the last 10 rows), cost, and evaluation if there is one."""
     returns = metrics["episode_return"]
     summary = {
         "robot": config.robot,
@@ -163,8 +165,7 @@ def summarise(config, program, state, metrics) -> dict[str, Any]:
         "versions": {name: versions.of(name) for name in ("dynappo", "jax", "mujoco-mjx")},
         "commit": versions.commit(),
     }
-    if config.run.eval_envs:
-        evaluation = program.evaluate(state)
+    if evaluation:
         summary["evaluation"] = {name: _numbers(v) for name, v in evaluation.items()}
     return summary
 

@@ -14,14 +14,15 @@ from toy_runs import assert_same
 from dynappo import config as config_lib
 from dynappo.learner import ppo
 from dynappo.policy import checkpoint_file, policy_file
-from dynappo.train import restore
+from dynappo.run import restore
 
 
 def test_another_run_starts_from_the_networks(program, whole, tmp_path):
     """Policy, value function, model and its moments are that run's; all else is new."""
     run = program()
     said = []
-    fresh, state = run.state, restore.start_from(whole.workdir, run, tmp_path, said.append).state
+    fresh = run.state
+    state = restore.start_from(whole.workdir, fresh, tmp_path, said.append)
     assert said == [f"starts from {whole.workdir}, checkpoint 4"]
     assert_same(state.learner.params, whole.state.learner.params)
     for part in ("params", "inputs", "targets"):
