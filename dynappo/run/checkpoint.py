@@ -46,7 +46,7 @@ KEEP = 3  # newest ones, and the one with the highest return in an evaluation
 
 
 class Checkpoints(NamedTuple):
-    """Those of one run, while they are written (`opened`)."""
+    """The checkpoints of one run, while it trains (`opened`)."""
 
     folder: Path  # WORKDIR/checkpoints
     manager: ocp.CheckpointManager
@@ -54,12 +54,12 @@ class Checkpoints(NamedTuple):
 
 @contextlib.contextmanager
 def opened(workdir: Path, say: Callable[[str], None] = print) -> Iterator[Checkpoints]:
-    """Yields what keeps the newest checkpoints of `workdir/checkpoints`, named by iteration, and the best.
+    """The checkpoints in `workdir/checkpoints`, named by iteration; the newest and the best are kept.
 
     Orbax reads two small texts of all of them at once (`TEXTS`), and fails if one is damaged, but not if it
-    is absent: such a text is moved out of the way first, and `say` tells so in one line. What cannot be read
-    now is an OSError, and nothing is moved: a disk may come back. At the end a save under way is waited for.
-    Meanwhile orbax's loggers are silent: they log every step of every save.
+    is absent. So a damaged text is moved aside first, and `say` reports it. A text that cannot be read now is
+    an OSError, and nothing is moved: a disk may come back. At the end of the `with` a save in progress is
+    finished. Within it orbax's loggers are silent: they log every step of every save.
     """
     folder = workdir / "checkpoints"
     folder.mkdir(parents=True, exist_ok=True)
@@ -80,7 +80,7 @@ def opened(workdir: Path, say: Callable[[str], None] = print) -> Iterator[Checkp
 
 @contextlib.contextmanager
 def _plain(folder: Path) -> Iterator[Path]:
-    """Yields a path of `folder` in which no library sees more than names: its own, or a link to it."""
+    """A path of `folder` that no library misreads as a pattern: its own, or a link to it."""
     if _is_plain(folder):
         yield folder
         return
@@ -108,8 +108,9 @@ def _is_plain(path: Path) -> bool:
 
 @contextlib.contextmanager
 def _quiet():
-    """Meanwhile orbax logs nothing. Of a failed save, which `wait` tells in one line, its threads and what
-    they leave behind say nothing later either: it would be hundreds of lines.
+    """Silence orbax within the `with`, and what its threads say later of a failed save.
+
+    `wait` reports a failed save in one line; orbax's own report has hundreds.
     """
     orbax, told = logging.getLogger("absl"), sys.unraisablehook
     level = orbax.level
@@ -135,7 +136,7 @@ def _of_others(record: logging.LogRecord) -> bool:
 
 
 def _check_text(step: Path, part: str, say) -> None:
-    """Moves a damaged text of a checkpoint aside: its time, or what orbax chooses the best by."""
+    """Move a damaged text of a checkpoint aside: its metadata, or the return that ranks it."""
     path = step / part
     try:
         if path.exists():
@@ -192,10 +193,10 @@ def save(
 ) -> None:
     """Start saving; the arrays are copied off the device before this returns.
 
-    `eval_return` is its return where it was evaluated: the highest one is kept.
-    `about` (JSON: `sim_steps`, `config`) is kept beside the state. The save goes on in threads:
-    `wait` does for it, and raises what went wrong. A disk that is too full for it is an OSError
-    before anything is written: orbax's threads would print a traceback an array.
+    `eval_return` is the return of an evaluation, if there was one: the checkpoint with the highest is kept.
+    `about` (JSON: `sim_steps`, `config`) is kept beside the state. Threads do the writing: `wait` waits for
+    them, and raises what went wrong. A disk that is too full is an OSError before anything is written:
+    orbax's threads would print a traceback for every array.
     """
     needed = 1.5 * sum(x.nbytes for x in jax.tree.leaves(state))
     free = shutil.disk_usage(checkpoints.folder).free
@@ -211,7 +212,7 @@ def save(
 
 
 def wait(checkpoints: Checkpoints) -> None:
-    """Wait for a save under way; if it failed, take away what is there of it, and raise."""
+    """Wait for a save in progress; if it failed, remove what it has written, and raise."""
     try:
         checkpoints.manager.wait_until_finished()
     except Exception:
@@ -238,9 +239,9 @@ def newest(
 ) -> tuple[int, Any] | None:
     """`(iteration, state)` of the newest good checkpoint, or None; `like` is a state of this run.
 
-    One that is proven damaged is moved out of the way and `say` tells so in one line. ConfigError if a
-    checkpoint is of another run, if it cannot be read for a reason that proves no damage, or if all are
-    damaged; OSError or MemoryError where the machine cannot read one now. Then nothing is moved.
+    One that is proven damaged is moved aside, and `say` reports it in one line. ConfigError if a checkpoint
+    is of another run, if it cannot be read for a reason that proves no damage, or if all are damaged;
+    OSError or MemoryError if the machine cannot read one now. Then nothing is moved.
     """
     folder = checkpoints.folder
     for iteration in checkpoint_file.iterations(folder):
@@ -263,13 +264,13 @@ def newest(
 
 
 def _move_aside(path: Path, workdir: Path, name: str) -> Path:
-    """`checkpoints/400` becomes `damaged-400`, which it returns: the run will write its own 400 again."""
+    """Rename `checkpoints/400` to `damaged-400`, and return that: the run will write a 400 again."""
     names = (f"damaged-{name}" + (f".{n}" if n else "") for n in itertools.count())
     return path.rename(next(p for p in (workdir / n for n in names) if not p.exists()))
 
 
 def _read(folder: Path, like):
-    """The state in a checkpoint, lying over the devices as `like` does."""
+    """The state in a checkpoint, on the devices that `like` is on."""
     found, expected = checkpoint_file.about(folder)["arrays"], shapes(like)
     for name in found | expected:
         if found.get(name) != expected.get(name):
@@ -288,10 +289,10 @@ def _read(folder: Path, like):
 
 
 def _flat(state: Any) -> dict[str, Any]:
-    """What orbax is given: the arrays that hold a number, by their paths, random keys as integers.
+    """What orbax is given: the arrays that are not empty, by their paths, random keys as integers.
 
-    Types that tensorstore does not know, such as uint4, are bytes. Of several processes, no array of one of
-    them.
+    Types that tensorstore does not know, such as uint4, become bytes. With several processes, all
+    are arrays of NumPy.
     """
     raw, _ = distributed.raw_keys(state)
     flat = {name: leaf for name, leaf in paths(raw).items() if leaf.size}
@@ -304,7 +305,7 @@ def _flat(state: Any) -> dict[str, Any]:
 
 
 def _is_stored(dtype) -> bool:
-    """Whether tensorstore has this type; NumPy's own it has, and of JAX's it lacks some of a byte."""
+    """Whether tensorstore has this type: all of NumPy's own, but not all of JAX's of one byte."""
     return np.dtype(dtype).isbuiltin == 1 or dtype.itemsize > 1
 
 

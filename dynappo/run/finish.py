@@ -116,20 +116,20 @@ def to_wandb(config, workdir: Path, summary: dict[str, Any]) -> None:
 
 
 def check_saved(run: OpenRun, robot, state, say) -> None:
-    """Read the last checkpoint, which is saved once more if it is not there.
+    """Read the last checkpoint; if it is missing, save it once more.
 
-    OSError that says why it cannot be saved, or ConfigError why it cannot be read.
+    OSError that says why it cannot be saved, or ConfigError that says why it cannot be read.
     """
     workdir, done, state = run.workdir, run.iterations(), distributed.whole(state)
 
-    def look():
+    def check():
         from dynappo.run import checkpoint
 
         if done not in workdir_lib.saved(workdir):
-            again(checkpoint)
+            save_again(checkpoint)
         checkpoint.read_back(workdir / "checkpoints" / str(done), state)
 
-    def again(checkpoint):
+    def save_again(checkpoint):
         try:
             with checkpoint.opened(workdir, say) as checkpoints:
                 workdir_lib.begin_save(run._replace(checkpoints=checkpoints), robot, state)
@@ -143,7 +143,7 @@ def check_saved(run: OpenRun, robot, state, say) -> None:
                 f"all else is there; {room}the same command {then}"
             ) from None
 
-    distributed.on_first(look)
+    distributed.on_first(check)
 
 
 def summarise(config, program, metrics, evaluation: dict) -> dict[str, Any]:

@@ -3,8 +3,8 @@
 For notebooks and experiments too:
 
     metrics = log.read_csv(Path("runs/go1/metrics.csv"), seeds=5)
-    curves.draw(metrics, Path("curves.png"), "Go1, dyna4")
-    low, high = curves.interval(metrics["episode_return"][-10:].mean(0))
+    learning_curves.draw(metrics, Path("curves.png"), "Go1, dyna4")
+    low, high = learning_curves.interval(metrics["episode_return"][-10:].mean(0))
 """
 
 from __future__ import annotations

@@ -69,7 +69,7 @@ def opened(config, workdir: Path, start: int, say):
 
 
 def csv_sink(path: Path) -> Sink:
-    """Appends to metrics.csv; rows that could not be written are written with the next, or at the end."""
+    """Appends to metrics.csv; rows that could not be written are tried again with the next, or at the end."""
     waiting: list[dict] = []
 
     def write(table):
@@ -207,19 +207,20 @@ def _number(value):
     return "" if np.isnan(value) else f"{float(value):.6g}"
 
 
-def go_on_csv(path: Path, counted: dict[str, np.ndarray], seeds: int, say) -> dict[str, np.ndarray]:
-    """The metrics of the iterations that are done, to which metrics.csv is cut: those after the checkpoint
-    are computed again.
+def resume_csv(
+    path: Path, scheduled: dict[str, np.ndarray], seeds: int, say
+) -> dict[str, np.ndarray]:
+    """Cut metrics.csv to the iterations that a checkpoint covers, and return their metrics.
 
-    `counted` is what the schedule says of them, `SHARED` but for the seconds. Rows that are missing, or that
-    no longer hold numbers, get that and empty cells; then the file that was there is kept as
-    `metrics.csv.damaged`, and `say` tells so.
+    `scheduled` has the columns that follow from the schedule, of these iterations. A row that is missing, or
+    holds something other than numbers, is replaced by these and empty cells; then the file as it was is kept
+    as `metrics.csv.damaged`, and `say` reports it.
     """
     found = _whole_rows(path)
     table, lost = [], []
-    for i, iteration in enumerate(counted["iteration"]):
+    for i, iteration in enumerate(scheduled["iteration"]):
         for seed in range(seeds):
-            blank = {name: int(column[i]) for name, column in counted.items()}
+            blank = {name: int(column[i]) for name, column in scheduled.items()}
             blank |= {"seed": seed} if seeds > 1 else {}
             table.append(found.get((int(iteration), seed), blank))
             lost += [int(iteration)] if table[-1] is blank else []
@@ -238,7 +239,7 @@ def go_on_csv(path: Path, counted: dict[str, np.ndarray], seeds: int, say) -> di
 
 
 def put_aside(path: Path, say) -> None:
-    """The metrics.csv of a run that has no checkpoint becomes `metrics.csv.old`; `say` tells so."""
+    """The metrics.csv of a run that has no checkpoint becomes `metrics.csv.old`; `say` reports it."""
     if path.exists():
         kept = path.rename(_free(path, "old"))
         say(
@@ -306,7 +307,7 @@ def last_evaluation(metrics: dict[str, np.ndarray]) -> Any:
 
 
 def attempt(what: str, action: Callable[[], Any], say, then: str = "training goes on") -> None:
-    """Do `action`; where it fails, `say` so in one line and go on."""
+    """Call `action`; if it fails, report it to `say` in one line and go on."""
     try:
         action()
     except Exception as error:  # OSError, or what orbax makes of it
@@ -314,18 +315,18 @@ def attempt(what: str, action: Callable[[], Any], say, then: str = "training goe
 
 
 def reason(error: Exception) -> str:
-    """Why something could not be written, in some words."""
+    """Why something could not be written, in a few words."""
     code = errno_of(error)
     return os.strerror(code) if code else str(error).strip().split("\n")[0][:160]
 
 
 def errno_of(error: Exception) -> int | None:
-    """The number of the machine's fault in an OSError, or in what tensorstore makes of it; None in others."""
+    """The errno of an OSError, or of the one that tensorstore quotes; None if there is none."""
     code = getattr(error, "errno", None)
     found = re.search(r"(?:os_error_code='|OS error )(\d+)", str(error))
     return code if code is not None or not found else int(found[1])
 
 
 def of_the_machine(error: Exception) -> bool:
-    """Whether it is no fault of what is written: a disk, memory."""
+    """Whether the cause is the machine, a disk or memory, and not what was to be written."""
     return isinstance(error, (OSError, MemoryError)) or errno_of(error) is not None

@@ -1,4 +1,4 @@
-"""What a run prints and saves when one of its numbers is not finite."""
+"""Finds the first number of a run that is not finite, and saves the robot that it came from."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ def check(metrics, columns, networks, before: Callable[[], Any], workdir: Path |
     """FloatingPointError naming the first number of a chunk that is not finite.
 
     `columns` are the chunk's rows of the schedule, `networks` all parameters after it. An iteration's
-    numbers are looked at in the order in which they are computed: rewards, model, losses. Where a robot's
-    row was the first to be wrong, `workdir/nonfinite.npz` holds that robot as it was before the chunk, to be
-    replayed: `before()` returns the environment states and bodies of then.
+    numbers are checked in the order in which they are computed: rewards, model, losses. If a robot's row was
+    the first to be wrong, `workdir/nonfinite.npz` keeps that robot as it was before the chunk, to be
+    replayed; `before()` returns the environment states and bodies before the chunk.
     """
     robots = np.asarray(metrics.pop("nonfinite_robot"))  # [I], or [I, S]
     problem = first_metric(metrics, columns.get("model_epochs"))

@@ -24,18 +24,17 @@ def start_from(folder: Path, state: Any, workdir: Path, say: Callable[[str], Non
 
     `workdir/restored_from` then also names the checkpoint that was taken.
     """
-    taken = []
-    _, state = distributed.from_first(lambda s: (0, weights(folder, s, say, taken.append)), state)
-    if taken:
-        say(f"starts from {folder}, {taken[0]}")
-        files.write_text(workdir / "restored_from", f"{folder.resolve()}\n{taken[0]}\n")
+    taken, state = distributed.from_first(lambda like: weights(folder, like, say), state)
+    if distributed.first():
+        say(f"starts from {folder}, {taken}")
+        files.write_text(workdir / "restored_from", f"{folder.resolve()}\n{taken}\n")
     return state
 
 
-def source(workdir: Path, asked: Path | None) -> Path | None:
-    """The run whose networks this one is to start from; None where it starts with untrained ones, or goes on.
+def source(workdir: Path, given: Path | None) -> Path | None:
+    """The run whose networks this one starts from; None if it starts with untrained ones, or resumes.
 
-    `asked` is `--restore`; `workdir/restored_from` remembers it. ConfigError if the run that is there began
+    `given` is `--restore`; `workdir/restored_from` remembers it. ConfigError if the run in `workdir` began
     from something else.
     """
 
@@ -43,13 +42,13 @@ def source(workdir: Path, asked: Path | None) -> Path | None:
         path = workdir / "restored_from"
         there = path.read_bytes().decode(errors="replace") if path.exists() else ""
         there = there.strip().partition("\n")[0]
-        here = str(asked.resolve()) if asked else there
+        here = str(given.resolve()) if given else there
         if workdir_lib.begun(workdir) and here != there:
             raise ConfigError(
-                f"--restore={asked}: the run in {workdir} began from {there or 'untrained networks'}; leave "
+                f"--restore={given}: the run in {workdir} began from {there or 'untrained networks'}; leave "
                 "--restore out to go on with it, or --fresh to start over"
             )
-        if asked and not workdir_lib.begun(workdir):
+        if given and not workdir_lib.begun(workdir):
             files.write_text(path, f"{here}\n")
         return "" if workdir_lib.saved(workdir) else here
 
@@ -57,22 +56,16 @@ def source(workdir: Path, asked: Path | None) -> Path | None:
     return Path(found) if found else None
 
 
-def weights(
-    source: Path,
-    like: Any,
-    say: Callable[[str], None] = print,
-    taken: Callable[[str], None] = lambda text: None,
-) -> Any:
-    """`like` with the networks of another run, to start from.
+def weights(source: Path, like: Any, say: Callable[[str], None] = print) -> tuple[str, Any]:
+    """`(what was read, the state like with the networks of another run)`.
 
-    `source` is its workdir, of which the newest good checkpoint counts, a checkpoint's folder, or a
-    policy.npz; nothing is changed there. Policy, value function and, where both runs have one, the
-    transition model with its moments are taken; optimisers, learning rate and robots start anew. A
-    policy.npz may have the policy alone, and is taken for every seed. `say` tells of what was passed over or
-    is not there, `taken` what it was. ConfigError where nothing is good, or a network has another shape.
+    `source` is a workdir, of which the newest good checkpoint is read, a checkpoint's folder, or a
+    policy.npz; nothing is changed there. The policy, the value function and, if both runs have one, the
+    transition model with its moments are taken; optimisers, learning rate and robots start anew. A policy.npz
+    may lack the value function, and serves every seed. `say` reports what was passed over or is missing.
+    ConfigError if nothing can be read, or a network has another shape.
     """
     there, name = _read(source, say)
-    taken(name)
     alone = not any(name.startswith("learner/params/critic") for name in there)
     params = like.learner.params
     if alone:
@@ -87,7 +80,7 @@ def weights(
             for name in ("params", "inputs", "targets")
         }
         model = model.replace(**parts)
-    return like.replace(learner=learner, model=model)
+    return name, like.replace(learner=learner, model=model)
 
 
 def _read(source: Path, say) -> tuple[dict[str, np.ndarray], str]:
@@ -114,8 +107,9 @@ def _read(source: Path, say) -> tuple[dict[str, np.ndarray], str]:
 
 
 def check(source: Path, config) -> None:
-    """ConfigError if `source` (`weights`) has networks of other sizes than `config`, as it says itself:
-    before anything is compiled, written or moved. `weights` looks at the arrays themselves.
+    """ConfigError if the config in `source` has other network sizes than `config`.
+
+    To be called before anything is compiled, written or moved; `weights` checks the arrays themselves.
     """
     here, there = config_lib.flat(config), {}
     names = ["ppo.hidden", "ppo.activation"]

@@ -31,12 +31,12 @@ from dynappo.run.workdir import OpenRun
 
 
 class Run(NamedTuple):
-    """A run that is to begin, or to go on."""
+    """A run to be trained."""
 
     config: Any  # validated
     workdir: Path | None = None  # None: nothing is written
     env: Any = None  # a `types.Env` of your own, in place of the robot's velocity task
-    source: Path | None = None  # where its first networks come from (`--restore`)
+    source: Path | None = None  # another run, whose networks it starts from (`--restore`)
 
 
 class Trained(NamedTuple):
@@ -49,29 +49,33 @@ class Trained(NamedTuple):
 
 
 def to_stderr(text: str) -> None:
-    """A line to whoever sits there, where no console was given."""
+    """Print a line on stderr."""
     print(f"dynappo: {text}", file=sys.stderr)
 
 
 def raise_it(run: OpenRun, iteration: int, error: FloatingPointError) -> None:
-    """What a blow-up does where nobody says otherwise."""
+    """The default of `Callbacks.blown_up`."""
     raise error
 
 
 def nothing(*_) -> None:
-    """What a callback does where nobody says otherwise."""
+    """The default of a callback."""
 
 
 class Callbacks(NamedTuple):
-    """What the sequence calls on its way, in this order but for the first and the last."""
+    """What the sequence calls; `say` and `blown_up` at any time, the others in this order."""
 
-    say: Callable[[str], None] = to_stderr  # a line on what is unusual
-    opened: Callable[[], None] = nothing  # the folders are this process's; compiling begins
+    say: Callable[[str], None] = to_stderr  # with a line on something unusual
+    opened: Callable[[], None] = nothing  # the folders are locked; compiling begins
     compiled: Callable[[Program], None] = nothing
-    progress: Callable[[int, list[dict]], None] = nothing  # iteration, last metrics of each run
+    progress: Callable[[int, list[dict]], None] = (
+        nothing  # with the iteration, and its metrics of each run
+    )
     finishing: Callable[[], None] = nothing  # all iterations are done; evaluating and filming begin
-    finished: Callable[[Any, Path, dict], None] = nothing  # config, workdir and summary of a run
-    blown_up: Callable[[OpenRun, int, FloatingPointError], None] = raise_it  # run, iteration
+    finished: Callable[[Any, Path, dict], None] = (
+        nothing  # with config, workdir and summary of a run
+    )
+    blown_up: Callable[[OpenRun, int, FloatingPointError], None] = raise_it
 
 
 def train(
@@ -104,16 +108,15 @@ def check(run: Run, fresh: bool = False) -> None:
     start from cannot be used. Nothing is written or compiled."""
     log.check_wandb(run.config)
     build.check(run.config, run.env)
-    if run.source:
-        check_source(run, fresh)
+    check_source(run, fresh)
 
 
 def check_source(run: Run, fresh: bool = False) -> None:
-    """ConfigError if a run cannot start from the networks of its source; `fresh` would move its folder."""
+    """ConfigError if a run cannot start from the networks of its source, or `fresh` would move that."""
+    if (source := run.source) is None:
+        return
     from dynappo.run import restore  # not above: it starts JAX
 
-    source = run.source
-    assert source
     distributed.on_first(lambda: restore.check(source, run.config))
     if fresh and run.workdir and source.resolve() == run.workdir.resolve():
         raise ConfigError(
@@ -127,7 +130,7 @@ def train_together(
     stop: Stop | None = None,
     fresh: bool = False,
 ) -> Trained:
-    """The training sequence of runs that share one program and have been checked (`check`).
+    """The training sequence, from `open` on, of runs that have been checked (`check`) and share one program.
 
     Their configs differ in floats alone, and all or none have a workdir. A run with a checkpoint resumes;
     `fresh` moves it aside and starts anew. If `stop.status` is set while they train, the runs are saved and
@@ -142,9 +145,8 @@ def train_together(
                 opened = workdir_lib.open_workdir(run.workdir, run.config, fresh, say)
                 held.enter_context(opened)
         callbacks.opened()
-        chunks = (workdir_lib.chunk_length(run.config, run.workdir) for run in runs)
-        log_every = math.gcd(*chunks)
-        runs = [_prepared(run, log_every) for run in runs]
+        chunks = [workdir_lib.chunk_length(run.config, run.workdir) for run in runs]
+        runs = [_prepared(run, math.gcd(*chunks)) for run in runs]
         program = joint.program([run.config for run in runs], runs[0].env, import_savers)
         callbacks.compiled(program)
         trained = resume_and_loop(runs, program, callbacks, stop)
@@ -154,15 +156,12 @@ def train_together(
 
 
 def _prepared(run: Run, log_every: int) -> Run:
-    """The run with chunks of `log_every` iterations; its `source` is None where it goes on."""
-    config = run.config
-    if log_every != config.run.log_every:
-        config = joint.with_log_every(config, log_every)
-    if run.workdir is None:
-        return run._replace(config=config)
+    """The run with chunks of `log_every` iterations, and no `source` if it resumes."""
     from dynappo.run import restore
 
-    return run._replace(config=config, source=restore.source(run.workdir, run.source))
+    config = joint.with_log_every(run.config, log_every)
+    source = restore.source(run.workdir, run.source) if run.workdir else None
+    return run._replace(config=config, source=source)
 
 
 def import_savers() -> None:
@@ -176,9 +175,9 @@ def resume_and_loop(
     callbacks: Callbacks | None = None,
     stop: Stop | None = None,
 ) -> Trained:
-    """Take each run up where it stopped, or at its beginning, and do all iterations still to do.
+    """Begin each run, or resume it, and do all iterations still to do.
 
-    `program` is that of all runs; its first state is given away.
+    `program` is that of all runs; the buffers of its first state are donated.
     """
     callbacks, stop, run = callbacks or Callbacks(), stop or Stop(), runs[0].config.run
     part = partial(joint.part, runs=len(runs), seeds=run.num_seeds)

@@ -41,17 +41,17 @@ class OpenRun(NamedTuple):
     """A run that trains: its config, its open folder, and the metrics of its iterations so far."""
 
     config: Any
-    workdir: Path | None  # None: nothing is written
+    workdir: Any  # its Path; None: nothing is written
     checkpoints: Any  # `checkpoint.Checkpoints`; None where another process writes, or none does
     sinks: list[log.Sink]
     history: list[dict[str, np.ndarray]]  # a chunk each, the first of what was done before; grows
 
     def metrics(self) -> dict[str, np.ndarray]:
-        """Of all its iterations."""
+        """The metrics of all iterations that are done, as columns."""
         return log.join(self.history)
 
     def iterations(self) -> int:
-        """How many it has done."""
+        """How many iterations are done."""
         return int(self.history[-1]["iteration"][-1]) if self.history else 0
 
 
@@ -59,10 +59,9 @@ class OpenRun(NamedTuple):
 def open_workdir(workdir: Path, config, fresh: bool = False, say=lambda text: None):
     """The folder of a run with its config.json, closed to other processes until the `with` ends.
 
-    Where a run has begun in it, only fields that do not change what is computed may differ
-    (`MAY_CHANGE`): a run can be made longer or filmed again. A run of another version of dynappo is told to
-    `say`. `fresh` moves a run that is there aside, to `WORKDIR.old-1`, and starts anew. Of several
-    processes the first does all this.
+    If a run has begun in it, only fields that do not change what is computed may differ (`MAY_CHANGE`): a run
+    can be made longer or filmed again. `say` reports a run of another version of dynappo. `fresh` moves the
+    run that is there to `WORKDIR.old-1`, and starts anew. Of several processes the first does all this.
     """
     with contextlib.ExitStack() as held:
         distributed.on_first(lambda: _open(workdir, config, fresh, held, say))
@@ -72,13 +71,7 @@ def open_workdir(workdir: Path, config, fresh: bool = False, say=lambda text: No
 def _open(workdir: Path, config, fresh: bool, held: contextlib.ExitStack, say) -> None:
     try:
         if fresh and _movable(workdir):
-            with hold(workdir) as lock:
-                number = next(n for n in itertools.count(1) if not _old(workdir, n).exists())
-                if sys.platform == "win32":  # which moves no folder with an open file in it
-                    lock.release()
-                old = workdir.rename(_old(workdir, number))
-                (old / "lock").unlink(missing_ok=True)
-                say(f"the run that was there is {old} now")
+            say(f"the run that was there is {move_aside(workdir)} now")
         workdir.mkdir(parents=True, exist_ok=True)
         held.enter_context(hold(workdir))
         for name in ("config.json", "metrics.csv", "restored_from"):
@@ -89,7 +82,7 @@ def _open(workdir: Path, config, fresh: bool, held: contextlib.ExitStack, say) -
         apart = config_lib.versions_apart(there, config) if begun(workdir) else ""
         if apart:
             say(apart)
-        carried.check_same(workdir, _newest(workdir), config.robot)
+        carried.check_same(workdir, _about_newest(workdir), config.robot)
         done = max(saved(workdir), default=0)
         if done > config.run.num_iterations:
             raise ConfigError(
@@ -106,9 +99,9 @@ def _open(workdir: Path, config, fresh: bool, held: contextlib.ExitStack, say) -
 
 
 def _compare(workdir: Path, here: str) -> None:
-    """ConfigError if `workdir` holds the config.json of another run that has begun, or of something else.
+    """ConfigError if a run with another config has begun in `workdir`, or config.json is of something else.
 
-    The config in the newest good checkpoint counts as much, and stands for that file where it is lost.
+    The config in the newest good checkpoint must agree too, and replaces a config.json that is lost.
     """
     path = workdir / "config.json"
     there = path.read_bytes().decode(errors="replace") if path.exists() else "{}"
@@ -122,7 +115,7 @@ def _compare(workdir: Path, here: str) -> None:
                 f"--workdir={workdir} holds a config.json that is not of a run; choose another folder"
             )
         return
-    kept = _newest(workdir).get("config")
+    kept = _about_newest(workdir).get("config")
     for text in [there] * ours + [json.dumps(kept)] * (bool(kept) or not ours):
         changed = config_lib.difference(text, here, MAY_CHANGE)
         if changed:
@@ -132,8 +125,8 @@ def _compare(workdir: Path, here: str) -> None:
             )
 
 
-def _newest(workdir: Path) -> dict:
-    """What the newest good checkpoint says of itself; {} if there is none."""
+def _about_newest(workdir: Path) -> dict:
+    """The `about` of the newest good checkpoint; {} if there is none."""
     for step in saved(workdir):
         with contextlib.suppress(checkpoint_file.Damaged):
             about = checkpoint_file.about(workdir / "checkpoints" / str(step))
@@ -168,14 +161,11 @@ def chunk_length(config, workdir: Path | None) -> int:
 
 
 def _movable(workdir: Path) -> bool:
-    """Whether `fresh` has a run to move; ConfigError where the folder is more than that."""
+    """Whether there is a run that `fresh` must move; ConfigError if the folder holds anything else."""
     names = sorted(path.name for path in workdir.iterdir()) if workdir.is_dir() else []
     if not set(names) - {"lock"}:
         return False
-    if Path.cwd().is_relative_to(workdir.resolve()):
-        raise ConfigError(
-            f"--workdir={workdir}: --fresh cannot move the folder that you are in; call it from outside"
-        )
+    check_outside(workdir)
     others = [name for name in names if not any(fnmatch(name, ours) for ours in WRITTEN)]
     if not {"config.json", "checkpoints", "metrics.csv"} & set(names):
         others = others or names
@@ -189,13 +179,29 @@ def _movable(workdir: Path) -> bool:
     return True
 
 
-def _old(workdir: Path, number: int) -> Path:
-    return workdir.with_name(f"{workdir.name}.old-{number}")
+def check_outside(workdir: Path) -> None:
+    """ConfigError if this process is in the folder that `fresh` would move."""
+    if Path.cwd().is_relative_to(workdir.resolve()):
+        raise ConfigError(
+            f"--workdir={workdir}: --fresh cannot move the folder that you are in; call it from outside"
+        )
+
+
+def move_aside(workdir: Path) -> Path:
+    """Rename the folder of a run, or of a sweep, to the first free `WORKDIR.old-1`, `-2`, ...; return it."""
+    with hold(workdir) as lock:
+        names = (workdir.with_name(f"{workdir.name}.old-{n}") for n in itertools.count(1))
+        free = next(path for path in names if not path.exists())
+        if sys.platform == "win32":  # which moves no folder with an open file in it
+            lock.release()
+        old = workdir.rename(free)
+        (old / "lock").unlink(missing_ok=True)
+    return old
 
 
 @contextlib.contextmanager
 def hold(workdir: Path):
-    """Keeps other processes from holding `workdir`, by `workdir/lock`; ConfigError if one does."""
+    """Lock `workdir` for this process, by `workdir/lock`; ConfigError if another process holds it."""
     try:
         with files.locked(workdir / "lock") as lock:
             yield lock
@@ -209,8 +215,8 @@ def hold(workdir: Path):
 def resume(config, workdir: Path, checkpoints, state, say):
     """`(iterations done, state, [their metrics])` of the newest good checkpoint of `workdir`.
 
-    Of several processes the first reads it, and the others get state and iteration from there; a
-    state may come back on other devices than those it was saved from.
+    Of several processes the first reads it and sends state and iteration to the others. The devices may be
+    others than those it was saved from.
     """
     history = []
 
@@ -235,20 +241,17 @@ def _resume(config, workdir: Path, checkpoints, state, say):
         return 0, state, []
     start, state = found
     known, seeds = scheduled_columns(config, start), config.run.num_seeds
-    history = log.go_on_csv(csv, known, seeds, say) | known
+    history = log.resume_csv(csv, known, seeds, say) | known
     blank = np.full((start, seeds) if seeds > 1 else start, np.nan)
     history = dict.fromkeys(SUMMED, blank) | {"seconds": np.full(start, np.nan)} | history
     if start < config.run.num_iterations:
-        before = (
-            _newest(workdir).get("config", {}).get("physics", {}).get("impl", config.physics.impl)
-        )
-        other = f", now with physics.impl={config.physics.impl}, {before} before"
-        other = "" if before == config.physics.impl else other
+        here = config.physics.impl
+        before = _about_newest(workdir).get("config", {}).get("physics", {}).get("impl", here)
+        other = f", now with physics.impl={here}, {before} before" if before != here else ""
         say(f"goes on from iteration {start} of {workdir}{other}")
     else:
-        again = ["evaluated"] * bool(config.run.eval_envs) + ["filmed"] * (
-            config.run.video_seconds > 0
-        )
+        again = ["evaluated"] * bool(config.run.eval_envs)
+        again += ["filmed"] * (config.run.video_seconds > 0)
         again = " and ".join(again) or "summed up"
         say(f"the run in {workdir} is complete ({start} iterations); it is only {again} again")
     return start, state, [history]
@@ -267,11 +270,10 @@ def scheduled_columns(config, end: int) -> dict[str, np.ndarray]:
 
 
 def save(run: OpenRun, robot, state, say) -> None:
-    """A checkpoint of the last iteration of `run.history`, and the policy as it is now in a file that can
-    be played at once.
+    """Save a checkpoint of the last iteration of `run.history`, and policy.npz, which can be played at once.
 
-    ConfigError if the run's first checkpoint cannot be saved, or read back, for a reason that is not the
-    machine's: the run ends now, not after all its iterations.
+    ConfigError if the run's first checkpoint cannot be saved, or read back, and the machine is not the
+    cause: so the run ends now, not after all its iterations.
     """
     from dynappo.run import checkpoint
 
@@ -303,7 +305,7 @@ def save(run: OpenRun, robot, state, say) -> None:
 
 
 def begin_save(run: OpenRun, robot, state) -> None:
-    """Start saving a checkpoint of the last iteration of `run.history`; raises what is in the way."""
+    """Start saving a checkpoint of the last iteration of `run.history`; errors are raised."""
     from dynappo.run import checkpoint
 
     last = run.history[-1]
@@ -328,9 +330,9 @@ def last_evaluation(run: OpenRun) -> Any:
 
 
 def best_seed(config, evaluated) -> int | None:
-    """The number of the best of several seeds in the evaluation `evaluated`; None where there is one.
+    """The seed with the highest return in `evaluated`, the last evaluation; None if the run has one seed.
 
-    The first where nothing was evaluated: an exploring policy's returns would favour a seed whose
+    The first if nothing was evaluated: an exploring policy's returns would favour a seed whose
     robots have just fallen (experiments/20_tail).
     """
     if config.run.num_seeds == 1:

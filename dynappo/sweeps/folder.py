@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import itertools
 import json
 import os
 from fnmatch import fnmatch
@@ -135,10 +134,7 @@ def _move(workdir: Path, restore: Path | None) -> None:
     names = sorted(path.name for path in workdir.iterdir()) if workdir.is_dir() else []
     if not set(names) - {"lock"}:
         return
-    if Path.cwd().is_relative_to(workdir.resolve()):
-        raise ConfigError(
-            f"--workdir={workdir}: --fresh cannot move the folder that you are in; call it from outside"
-        )
+    workdir_lib.check_outside(workdir)
     if restore and restore.resolve().is_relative_to(workdir.resolve()):
         raise ConfigError(
             f"--restore={restore}: --fresh moves it aside; name one outside of {workdir}"
@@ -150,11 +146,7 @@ def _move(workdir: Path, restore: Path | None) -> None:
             f"--workdir={workdir} holds {(others or names)[0]}, which no sweep writes: --fresh moves sweeps, "
             "and nothing else; move it yourself, or choose another folder"
         )
-    with workdir_lib.hold(workdir):
-        names = (f"{workdir.name}.old-{number}" for number in itertools.count(1))
-        old = next(p for p in map(workdir.with_name, names) if not p.exists())
-        workdir.rename(old)
-        (old / "lock").unlink(missing_ok=True)
+    workdir_lib.move_aside(workdir)
 
 
 def iterations_saved(workdir: Path, one: Combination) -> int:

@@ -26,22 +26,22 @@ class Sweep(NamedTuple):
 def train_and_show(
     out, sweep: Sweep, workdir: Path, fresh: bool, source: Path | None, get_env: Any, stop: Stop
 ) -> str:
-    """Train every combination, and print the table on the console `out`; returns what a person is told where
-    `stop` was asked for, else "".
+    """Train every combination, and print the table on the console `out`.
 
-    Everything is checked before anything is written. FloatingPointError at the end where a combination blew
-    up.
+    Returns "", or, if `stop` interrupted it, a line on what was saved. Everything is checked before anything
+    is written. FloatingPointError at the end if a combination blew up.
     """
     if distributed.several():
         raise ConfigError(
             "--sweep runs in one process, of one machine; give each process a --sweep of its own, with "
             "another --workdir"
         )
-    combinations = _with_environments(sweep.combinations, get_env)
+    combinations = [_with_environment(one, get_env) for one in sweep.combinations]
     _check(combinations, source)
     held = (sweep.config, sweep.swept, combinations, source, fresh)
     with folder.opened(workdir, *held) as source:
-        _check_sources(_runs(workdir, combinations, source))
+        for run in _runs(workdir, combinations, source):
+            training.check_source(run)
         _describe(out, workdir, combinations)
         while todo := _todo(workdir, combinations):
             done = [folder.iterations_saved(workdir, one) for one in todo]
@@ -61,36 +61,28 @@ def train_and_show(
     return ""
 
 
-def _with_environments(combinations: list[Combination], get_env) -> list[Combination]:
-    """The combinations with the environment that a config's file may define."""
-    found = []
-    for one in combinations:
-        config, env = environment.made(get_env, one.config)
-        found.append(one._replace(config=config, env=env))
-    return found
+def _with_environment(one: Combination, get_env) -> Combination:
+    """The combination with the environment that the config's file may define."""
+    config, env = environment.made(get_env, one.config)
+    return one._replace(config=config, env=env)
 
 
 def _runs(
     workdir: Path, combinations: list[Combination], source: Path | None
 ) -> list[training.Run]:
-    """The combinations as runs; those that have a checkpoint start from that, and need no source."""
+    """The combinations as runs; one that has a checkpoint resumes, and needs no source."""
+    sources = [None if folder.iterations_saved(workdir, one) else source for one in combinations]
     return [
-        training.Run(
-            one.config,
-            workdir / one.name,
-            one.env,
-            None if folder.iterations_saved(workdir, one) else source,
-        )
-        for one in combinations
+        training.Run(one.config, workdir / one.name, one.env, of)
+        for one, of in zip(combinations, sources, strict=True)
     ]
 
 
 def _check(combinations: list[Combination], source: Path | None) -> None:
-    """ConfigError where this machine or the robot's file cannot run one of them, or those of a program, or
-    one cannot start from the networks of `source`."""
+    """ConfigError if one of them cannot be trained (`training.check`), or those of a program not at once."""
     for one in combinations:
         try:
-            training.check(training.Run(one.config, env=one.env))
+            training.check(training.Run(one.config, env=one.env, source=source))
         except ConfigError as error:
             raise ConfigError(f"--sweep: {error} (the combination {one.name})") from None
     for group in grid.groups(combinations, [0] * len(combinations)):
@@ -99,14 +91,6 @@ def _check(combinations: list[Combination], source: Path | None) -> None:
             build.check(joint.config(configs), group[0].env)
         except ConfigError as error:
             raise joint.too_many(error, configs) from None
-    _check_sources([training.Run(one.config, source=source) for one in combinations])
-
-
-def _check_sources(runs: list[training.Run]) -> None:
-    """ConfigError where one of the runs cannot start from the networks of its source."""
-    for run in runs:
-        if run.source:
-            training.check_source(run)
 
 
 def _todo(workdir: Path, combinations: list[Combination]) -> list[Combination]:
@@ -130,7 +114,7 @@ def _describe(out, workdir: Path, combinations: list[Combination]) -> None:
 
 
 def _train_group(out, group: list[Combination], todo: int, workdir, source, stop: Stop) -> None:
-    """Train the combinations of a group, in one program; one that blows up leaves a file that says so."""
+    """Train the combinations of a group in one program."""
     names = ", ".join(one.name for one in group[:4]) + ", ..." * (len(group) > 4)
     rest = f" of {todo} to do" if todo > len(group) else ""
     out.print(f"{len(group)}{rest}, at once: {names}", soft_wrap=True, markup=False)
@@ -142,7 +126,7 @@ def _train_group(out, group: list[Combination], todo: int, workdir, source, stop
 
 
 def _leave_blown_up(say, run: training.OpenRun, iteration: int, error: FloatingPointError) -> None:
-    """Tell of a combination that blew up, in its folder too: it is not trained again."""
+    """Report a combination that blew up, also by a file in its folder, so that it is not trained again."""
     assert run.workdir
     say(f"{run.workdir.name}: {error}; the other combinations go on")
     about = {"iteration": iteration, "problem": str(error)}

@@ -178,9 +178,9 @@ def train_and_show(command: Command, stop: Stop) -> None:
 
 
 def train_run(out, command: Command, stop: Stop) -> str:
-    """`run.training.train`, told to a person: what will happen, how it goes, what came out.
+    """Train one run, and print what will happen, how it goes and what came out.
 
-    Returns what is said where it was stopped, else "".
+    Returns "", or, if `stop` interrupted it, a line on what was saved.
     """
     config, env = environment.made(command.get_env, command.config)
     run = training.Run(config, command.workdir, env, command.restore)

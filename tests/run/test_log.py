@@ -90,7 +90,7 @@ def test_the_header_is_written_once_and_undefined_numbers_are_empty(tmp_path):
     assert sum(line.startswith("iteration") for line in lines) == 1
 
 
-def counted(iterations):
+def scheduled(iterations):
     """What the schedule says of `metrics(iterations)`."""
     found = metrics(iterations)
     return {name: found[name] for name in ("iteration", "sim_steps")}
@@ -102,7 +102,7 @@ def test_rows_after_the_checkpoint_are_cut(tmp_path):
     log.append_csv(path, log.rows(metrics(12, seeds=2)))
     before = path.read_bytes().splitlines(keepends=True)
     for iteration, kept in ((10, 20), (3, 6), (3, 6)):
-        back = log.go_on_csv(path, counted(iteration), 2, pytest.fail)
+        back = log.resume_csv(path, scheduled(iteration), 2, pytest.fail)
         assert path.read_bytes() == b"".join(before[: 1 + kept])
         np.testing.assert_array_equal(back["iteration"], np.arange(1, iteration + 1))
         np.testing.assert_allclose(
@@ -119,7 +119,7 @@ def test_a_line_that_was_cut_off_while_writing_is_dropped(tmp_path):
     begin = whole.index("12,480")
     for written in ("12,480", "12", "1"):
         path.write_text(whole[:begin] + written)
-        back = log.go_on_csv(path, counted(10), 1, pytest.fail)
+        back = log.resume_csv(path, scheduled(10), 1, pytest.fail)
         np.testing.assert_array_equal(back["iteration"], np.arange(1, 11))
 
 
@@ -154,7 +154,7 @@ def test_rows_that_are_lost_are_said_to_be_and_what_follows_from_the_schedule_is
         change(path.read_text()).encode(errors="surrogateescape")
     )
     before = path.read_bytes() if path.exists() else None
-    back = log.go_on_csv(path, counted(10), 1, said.append)
+    back = log.resume_csv(path, scheduled(10), 1, said.append)
     np.testing.assert_array_equal(back["sim_steps"], metrics(10)["sim_steps"])
     np.testing.assert_array_equal(back["iteration"], np.arange(1, 11))
     expected = metrics(10)["value_loss"].copy()
@@ -168,7 +168,7 @@ def test_rows_that_are_lost_are_said_to_be_and_what_follows_from_the_schedule_is
     if before is not None:
         assert (tmp_path / "metrics.csv.damaged").read_bytes() == before
         assert "kept as" in line
-    log.go_on_csv(path, counted(10), 1, pytest.fail)  # it is whole now
+    log.resume_csv(path, scheduled(10), 1, pytest.fail)  # it is whole now
 
 
 def test_a_full_disk_while_damaged_rows_are_mended_costs_none(tmp_path, monkeypatch):
@@ -183,9 +183,9 @@ def test_a_full_disk_while_damaged_rows_are_mended_costs_none(tmp_path, monkeypa
 
     with monkeypatch.context() as disk, pytest.raises(OSError, match="No space"):
         disk.setattr("os.replace", full)
-        log.go_on_csv(path, counted(10), 1, str)
+        log.resume_csv(path, scheduled(10), 1, str)
     assert path.read_bytes() == before and not list(tmp_path.glob("*.part"))
-    back = log.go_on_csv(path, counted(10), 1, str)
+    back = log.resume_csv(path, scheduled(10), 1, str)
     assert np.flatnonzero(np.isnan(back["value_loss"])).tolist() == [3]
 
 

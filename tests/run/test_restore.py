@@ -29,7 +29,7 @@ def test_another_run_starts_from_the_networks(program, whole, tmp_path):
         assert_same(getattr(state.model, part), getattr(whole.state.model, part))
     assert_same(state.learner.opt_state, fresh.learner.opt_state)
     assert_same(state.env_state, fresh.env_state)
-    plain = restore.weights(whole.workdir, fresh.replace(model=None), pytest.fail)
+    _, plain = restore.weights(whole.workdir, fresh.replace(model=None), pytest.fail)
     assert plain.model is None
     assert_same(plain.learner.params, whole.state.learner.params)
     written = (tmp_path / "restored_from").read_text()
@@ -38,12 +38,12 @@ def test_another_run_starts_from_the_networks(program, whole, tmp_path):
 
 def test_a_checkpoint_of_it_may_be_named(program, whole, config):
     """Against a run that goes on from that one; what was taken is told."""
-    taken, older = [], whole.workdir / "checkpoints" / "2"
-    state = restore.weights(older, program().state, pytest.fail, taken.append)
+    older = whole.workdir / "checkpoints" / "2"
+    taken, state = restore.weights(older, program().state, pytest.fail)
     arrays = checkpoint_file.read(older)
     np.testing.assert_array_equal(state.learner.params["std"], arrays["learner/params/std"])
     assert (state.learner.params["std"] != whole.state.learner.params["std"]).any()
-    assert taken == ["checkpoint 2"]
+    assert taken == "checkpoint 2"
     restore.check(older, config)
 
 
@@ -55,9 +55,10 @@ def test_a_policy_file_is_where_every_seed_may_start(program, seeds):
     keys = jax.random.split(jax.random.key(0), seeds)
     new = jax.jit(jax.vmap(lambda key: ppo.init(static, hyper, 48, 12, key)))(keys)
     new = jax.tree.map(lambda x: x[0], new) if seeds == 1 else new
-    like, said, taken = program().state.replace(learner=new, model=None), [], []
+    like, said = program().state.replace(learner=new, model=None), []
     file = pathlib.Path("robots/go1/policy.npz")
-    learner = restore.weights(file, like, said.append, taken.append).learner
+    taken, state = restore.weights(file, like, said.append)
+    learner = state.learner
     expected = policy_file.load(file).params
     for name in ("actor", "std"):
         for ours, theirs in zip(
@@ -65,7 +66,7 @@ def test_a_policy_file_is_where_every_seed_may_start(program, seeds):
         ):
             np.testing.assert_array_equal(ours, np.broadcast_to(theirs, ours.shape))
     assert_same(learner.params["critic"], new.params["critic"])
-    assert "value function starts untrained" in said[0] and taken == ["policy.npz"]
+    assert "value function starts untrained" in said[0] and taken == "policy.npz"
 
 
 def test_a_policy_of_another_activation_is_refused():
@@ -102,7 +103,7 @@ def test_the_run_that_another_starts_from_is_only_read(program, whole, tmp_path)
     about.write_text(about.read_text().replace('"iteration": 4', '"iteration": 5'))
     workdirs.other_hash(folder / "5")
     before = workdirs.everything(other)
-    state = restore.weights(other, program().state, said.append)
+    _, state = restore.weights(other, program().state, said.append)
     assert_same(state.learner.params, whole.state.learner.params)
     assert workdirs.everything(other) == before
     assert [line.split(":")[0] for line in said] == [str(folder / "6"), str(folder / "5")]
