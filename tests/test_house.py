@@ -128,6 +128,17 @@ def test_no_import_goes_round_in_a_circle():
     graphlib.TopologicalSorter({name: ours(name) for name in MODULES}).prepare()
 
 
+def test_no_two_folders_import_each_other():
+    """Nor do more of them go round; the files beside the folders count alone."""
+    between: dict[str, set[str]] = {}
+    for name in MODULES:
+        folder = name.split(".")[0]
+        between.setdefault(folder, set()).update(other.split(".")[0] for other in ours(name))
+    for folder, others in between.items():
+        others.discard(folder)
+    graphlib.TopologicalSorter(between).prepare()
+
+
 @pytest.mark.parametrize("name", [n for n in MODULES if inside(n, WITHOUT_JAX)])
 def test_what_plays_exports_and_checks_settings_needs_no_jax(name):
     found = {f"{m}: {n}" for m in reached(name) for n in imports(m) if inside(n, JAX)}

@@ -14,7 +14,8 @@ from toy_runs import assert_same
 from dynappo import config as config_lib
 from dynappo.learner import ppo
 from dynappo.policy import checkpoint_file, policy_file
-from dynappo.run import restore
+from dynappo.program import build
+from dynappo.run import learning_curves, restore, training
 
 
 def test_another_run_starts_from_the_networks(program, whole, tmp_path):
@@ -34,6 +35,21 @@ def test_another_run_starts_from_the_networks(program, whole, tmp_path):
     assert_same(plain.learner.params, whole.state.learner.params)
     written = (tmp_path / "restored_from").read_text()
     assert written == f"{whole.workdir}\ncheckpoint 4\n"
+
+
+def test_a_run_with_a_source_trains_from_there(config, program, whole, tmp_path, monkeypatch):
+    """To the bits of a program whose first state has these networks; where it resumes, the source is past."""
+    monkeypatch.setattr(build, "program", lambda *_, **__: program())
+    monkeypatch.setattr(learning_curves, "draw", lambda *_: "no picture")
+    _, start = restore.weights(whole.workdir, program().state, pytest.fail)
+    expected, _, _ = workdirs.loop(config, program()._replace(state=start))
+    run, said = training.Run(config, tmp_path / "run", source=whole.workdir), []
+    callbacks = training.Callbacks(say=said.append)
+    for line in (f"starts from {whole.workdir}, checkpoint 4", f"the run in {run.workdir} is comp"):
+        trained = training.train_together([run], callbacks)
+        assert trained.ended and said.pop().startswith(line) and not said
+        assert_same(trained.state, expected)
+    assert (run.workdir / "restored_from").read_text() == f"{whole.workdir}\ncheckpoint 4\n"
 
 
 def test_a_checkpoint_of_it_may_be_named(program, whole, config):
