@@ -33,7 +33,7 @@ def of_episodes(buffer: Transition, n_real) -> Metrics:
     Why this and not `finished` alone: after the falls of the first iterations all episodes start at
     about the same time, and most end together, one episode length later. Until then the last 100
     are the few that fell. The mean over all episodes that end within one episode length
-    (train/finish.py) has no such bias.
+    (run/finish.py) has no such bias.
     """
     ended = _ended(buffer, n_real)
     total = jnp.where(ended, buffer.episode_return, 0.0).sum()
