@@ -112,12 +112,12 @@ def _quiet():
 
     `wait` reports a failed save in one line; orbax's own report has hundreds.
     """
-    orbax, told = logging.getLogger("absl"), sys.unraisablehook
+    orbax, before = logging.getLogger("absl"), sys.unraisablehook
     level = orbax.level
 
     def hook(lost):
         if "Event loop is closed" not in str(lost.exc_value):
-            told(lost)
+            before(lost)
 
     orbax.setLevel(logging.CRITICAL)
     logging.getLogger("asyncio").addFilter(_of_others)
@@ -125,7 +125,7 @@ def _quiet():
     try:
         yield
     finally:
-        sys.unraisablehook = told
+        sys.unraisablehook = before
         orbax.setLevel(level)
 
 

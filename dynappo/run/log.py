@@ -55,7 +55,7 @@ class Sink(NamedTuple):
 
 @contextlib.contextmanager
 def opened(config, workdir: Path, start: int, say):
-    """metrics.csv, and what `run.tensorboard` and `run.wandb` ask for; `start` rows are there."""
+    """metrics.csv, and what `run.tensorboard` and `run.wandb` ask for; `start` iterations are done."""
     sinks = [csv_sink(workdir / "metrics.csv")]
     if config.run.tensorboard:
         sinks.append(tensorboard_sink(workdir, start))

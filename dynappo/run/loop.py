@@ -85,13 +85,13 @@ def loop(
         for i, chunk in chunks.items():
             runs[i].history.append(chunk)
         write = partial(write_rows, [(runs[i], chunk) for i, chunk in chunks.items()], say)
-        tell = partial(progress, done, [last_row(chunk) for chunk in chunks.values()])
-        later = [write, tell]
+        report = partial(progress, done, [last_row(chunk) for chunk in chunks.values()])
+        later = [write, report]
         stopping = distributed.any_of(bool(stop.status))
         every = run.checkpoint_every and done % run.checkpoint_every == 0
         if stopping or every or done == run.num_iterations:
             write()
-            later = [tell]
+            later = [report]
             for i in good:
                 if runs[i].workdir:
                     workdir_lib.save(runs[i], program.robot, part(state, i), say)

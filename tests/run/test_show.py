@@ -2,6 +2,7 @@
 
 import io
 import pathlib
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -57,6 +58,34 @@ def test_the_progress_line_shows_return_length_error_std_and_pace():
         assert show.progress_line(last, chunks).endswith("  2.0 k steps/s")
     line = show.progress_line(last | {"episode_return": np.float32("nan")}, begun)
     assert "nan" not in line and line.startswith("return     -   length  988")
+
+
+@pytest.mark.parametrize("terminal", [False, True])
+def test_a_training_is_followed_from_compiling_to_filming(terminal):
+    """Of two runs: their mean, one clock, the steps of both. Without a terminal ten lines, not a hundred."""
+    text = io.StringIO()
+    kind = dict(force_terminal=terminal, force_interactive=terminal)
+    out = Console(file=text, width=200, highlight=False, **kind)
+    program = {"impl": "c", "device": "cpu", "compile_seconds": 7.2, "bytes_needed": 3 << 20}
+    numbers = dict(episode_length=500.0, velocity_error=0.25, policy_std=0.5)
+    with show.live(out, config("configs/go1.py:dyna4", num_iterations=100)) as callbacks:
+        callbacks.opened()
+        callbacks.compiled(SimpleNamespace(**program))
+        callbacks.say("the disk is [nearly] full")
+        for i in range(1, 101):
+            one = numbers | {"seconds": 2.0 * i, "sim_steps": 1000 * i, "episode_return": 12.0}
+            callbacks.progress(i, [one, one | {"episode_return": 14.0}])
+        callbacks.finishing()
+        callbacks.finished()
+        print("the table", file=text)
+    shown = text.getvalue()
+    assert "cpu, C MuJoCo; compiled in 7 s, 3 MiB of memory" in shown
+    assert "the disk is [nearly] full" in shown
+    line = "return  13.00  length  500  error 0.25 m/s  std 0.50  1.0 k steps/s on C MuJoCo"
+    assert line in shown and ("compiling (" in shown) == ("100/100" in shown) == terminal
+    assert shown.endswith("the table\n")
+    if not terminal:
+        assert shown.count(line) == 10 and f"iteration  100  {line}\nevaluates and films\n" in shown
 
 
 EVALUATION = {"return": 5.5, "fall_rate": 0.125, "tracking_error": 0.31, "yaw_error": 0.42}
