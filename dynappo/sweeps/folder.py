@@ -61,11 +61,11 @@ def opened(
     restore: Path | None,
     fresh: bool = False,
 ):
-    """The folder of a sweep, closed to other processes until the `with` ends; yields `restore`, or the one
-    that the sweep began with.
+    """The folder of a sweep, closed to other processes until the `with` ends; yields `restore`, or what the
+    sweep began with.
 
-    `config` is the one before values are set. Where a sweep has begun, its values must be among those of
-    now, and the rest of the config be the same (`workdir.MAY_CHANGE`): ConfigError else. `fresh` moves it to
+    `config` is the one before values are set. ConfigError if a sweep has begun whose values are not all among
+    those of now, or whose config differs in more than `workdir.MAY_CHANGE`. `fresh` moves it to
     `WORKDIR.old-1`.
     """
     with contextlib.ExitStack() as held:
@@ -100,7 +100,7 @@ def opened(
 
 
 def _compare(workdir: Path, config, swept, combinations, restore: Path | None) -> Path | None:
-    """What the sweep that is there starts from; ConfigError if it is another one."""
+    """The `--restore` of the sweep in `workdir`; ConfigError if it is another sweep."""
     about = _read(workdir)
     if list(about["sweep"]) != list(swept):
         raise ConfigError(
@@ -130,7 +130,7 @@ def _compare(workdir: Path, config, swept, combinations, restore: Path | None) -
 
 
 def _move(workdir: Path, restore: Path | None) -> None:
-    """Move a sweep that is there to `workdir.old-N`; ConfigError where the folder holds anything else."""
+    """Move the sweep in `workdir` aside, if there is one; ConfigError if the folder holds anything else."""
     names = sorted(path.name for path in workdir.iterdir()) if workdir.is_dir() else []
     if not set(names) - {"lock"}:
         return
@@ -150,12 +150,12 @@ def _move(workdir: Path, restore: Path | None) -> None:
 
 
 def iterations_saved(workdir: Path, one: Combination) -> int:
-    """Iterations that a combination has saved."""
+    """The iteration of a combination's newest checkpoint; 0 if there is none."""
     return max(workdir_lib.saved(workdir / one.name), default=0)
 
 
 def blown_up(workdir: Path, one: Combination) -> str:
-    """What was not finite in a combination that training left; "" where all was."""
+    """What was not finite in a combination that blew up; "" if it did not."""
     path = workdir / one.name / BLOWN_UP
     return json.loads(path.read_bytes())["problem"] if path.is_file() else ""
 
