@@ -19,7 +19,7 @@ simulator steps: with two, Go1 walks after two thirds of the steps (experiments/
 Every random number comes from `fold_in` of the run's key with the iteration, a purpose, the row and
 the robot's global index. So two chunks equal one run, and a row does not depend on N_r. A key is drawn
 from once, or split once, or folded, and never two of these: `split(key)[i]` is `fold_in(key, i)`.
-Many seeds and many devices: sweep.py.
+Many seeds and many devices: seeds.py.
 """
 
 from __future__ import annotations
@@ -177,7 +177,7 @@ def policy(static: Static, env: Env, params: dict):
 def physics_step(env: Env, hyper: Hyper, bodies):
     """`step(state, action, keys)` of all robots: the environment's step, then its autoreset.
 
-    On a mesh (sweep.py) each device steps its own robots. JAX's partitioner cannot see into an
+    On a mesh (seeds.py) each device steps its own robots. JAX's partitioner cannot see into an
     engine's call, and would gather all robots on every device.
     """
     fold, robots = jax.vmap(jax.random.fold_in, (0, None)), (None, 0, 0, 0, 0)
