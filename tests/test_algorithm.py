@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import toy_env
+from toy_model import fit_rows
 from toy_runs import (
     AS_USERS,
     ITERATIONS,
@@ -222,7 +223,7 @@ def test_the_model_sees_real_rows_that_end_no_episode(iterated, n_real):
 def test_the_model_is_fitted_to_real_rows_alone(iterated, tail, env, first):
     """Its new weights are those of a fit in which every other row holds nonsense."""
     _, static, hyper = tail
-    fit = jax.jit(partial(dynamics.fit, static, hyper, env))
+    fit = jax.jit(partial(fit_rows, dynamics.fit, static, hyper, env=env))
     key = jax.random.fold_in(jax.random.fold_in(first().key, 1), algorithm.FIT)
     for n in (N, 5):
         buffer, state, metrics = iterated[n]
@@ -422,10 +423,16 @@ def test_a_second_round_learns_from_new_tails_of_the_new_policy_alone(rounds, it
     gamma, lambda_ = hyper.ppo.gamma, hyper.ppo.lambda_
     found = advantages(rows, rows.value, last, gamma=gamma, lambda_=lambda_)
     weight = np.broadcast_to(np.arange(N)[:, None] >= n, (N, R))
-    batch = ppo.batch(
-        buffer, (buffer.obs, buffer.obs), jnp.asarray(found), jnp.asarray(found + rows.value)
+    batch = ppo.Batch(
+        obs=buffer.obs,
+        action=buffer.action,
+        action_mean=buffer.action_mean,
+        log_prob=buffer.log_prob,
+        value=buffer.value,
+        advantages=jnp.asarray(found),
+        returns=jnp.asarray(found + rows.value),
+        weight=jnp.asarray(weight, jnp.float32),
     )
-    batch = batch._replace(weight=jnp.asarray(weight, jnp.float32))
     now = jax.random.fold_in(state.key, 1)
     key = jax.random.fold_in(now, algorithm.UPDATE + algorithm.ANCHOR + 1)
     expected, told = jax.jit(partial(ppo.update, static, hyper))(learner, batch, key)
@@ -453,6 +460,19 @@ def test_there_are_rounds_where_there_is_a_tail():
     assert "rounds" not in schedule.columns(toy_env.settings(toy_env.TAIL)[0])
     without = toy_env.settings({"schedule.rounds": 3})[0]
     assert "rounds" not in schedule.columns(without)
+
+
+def test_after_late_from_the_kl_that_is_aimed_at_is_smaller():
+    """By `ppo.late_kl`, from the iteration after it on; no other float changes."""
+    for late_from, late in ((None, []), (3, [4, 5, 6])):
+        fields = {"schedule.late_from": late_from, "ppo.late_kl": 0.25}
+        _, static, hyper = toy_env.settings(toy_env.TAIL | fields)
+        for i in range(1, ITERATIONS + 1):
+            found = algorithm.hyper_at(static, hyper, jnp.int32(i))
+            share = 0.25 if i in late else 1.0
+            np.testing.assert_allclose(found.ppo.desired_kl, share * hyper.ppo.desired_kl, 1e-6)
+            kept = found.ppo._replace(desired_kl=hyper.ppo.desired_kl)
+            assert found._replace(ppo=kept) == hyper
 
 
 # ---- what is carried on

@@ -10,7 +10,7 @@ import pytest
 import dynappo
 
 PACKAGE = pathlib.Path(dynappo.__file__).parent
-METHOD = {"types", "schedule", "stats", "rollout", "algorithm", "scores", "seeds"}
+METHOD = {"types", "schedule", "stats", "rollout", "fast", "algorithm", "scores", "seeds"}
 # folder -> folders and modules that its own may import; `method` are the files beside the folders
 MAY_IMPORT = {
     "__main__": {"config"},

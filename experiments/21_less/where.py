@@ -56,7 +56,7 @@ def falls(name: str, policy: policy_file.Policy, number: int):
     params, home = policy.params, jnp.asarray(robot.home_qpos, jnp.float32)
 
     def act(state):
-        obs, _ = networks.seen(static, env, state.obs, state.prop)
+        obs, _ = networks.inputs(static, env, state.obs, state.prop)
         return networks.policy(static, params, obs)
 
     @jax.jit
