@@ -173,6 +173,7 @@ def imagine(
     static: Static,
 ) -> Transition:
     """`rows` with the rows `t >= n_real` from the model, each robot's from its `start`."""
+    assert state.model is not None, "plain PPO has no model"
     rows, _, _ = fast.fill(
         rows,
         n_real,
