@@ -27,6 +27,8 @@ from dynappo import algorithm, schedule
 from dynappo.learner import networks, ppo
 from dynappo.model import dynamics, moments
 
+LATE_FROM = 4  # the ramp ends in iteration 5: no row of the schedule changes
+
 
 @pytest.fixture(scope="module")
 def env():
@@ -36,8 +38,8 @@ def env():
 
 @pytest.fixture(scope="module")
 def tail():
-    """`(config, static, hyper)` with a ramp to 4 of 8 rows by the model."""
-    return toy_env.settings(toy_env.TAIL)
+    """`(config, static, hyper)` with a ramp to 4 of 8 rows by the model, late once it is over."""
+    return toy_env.settings(toy_env.TAIL | {"schedule.late_from": LATE_FROM})
 
 
 @pytest.fixture(scope="module")
@@ -462,17 +464,25 @@ def test_there_are_rounds_where_there_is_a_tail():
     assert "rounds" not in schedule.columns(without)
 
 
-def test_after_late_from_the_kl_that_is_aimed_at_is_smaller():
-    """By `ppo.late_kl`, from the iteration after it on; no other float changes."""
-    for late_from, late in ((None, []), (3, [4, 5, 6])):
-        fields = {"schedule.late_from": late_from, "ppo.late_kl": 0.25}
-        _, static, hyper = toy_env.settings(toy_env.TAIL | fields)
-        for i in range(1, ITERATIONS + 1):
-            found = algorithm.hyper_at(static, hyper, jnp.int32(i))
-            share = 0.25 if i in late else 1.0
-            np.testing.assert_allclose(found.ppo.desired_kl, share * hyper.ppo.desired_kl, 1e-6)
-            kept = found.ppo._replace(desired_kl=hyper.ppo.desired_kl)
-            assert found._replace(ppo=kept) == hyper
+# ---- late iterations
+
+
+def test_the_kl_target_is_multiplied_after_late_from_and_not_before(observed, tail, first):
+    """`ppo.late_kl` is a factor of `desired_kl`: the learning rate goes where a target far away leads it."""
+    config, _, hyper = tail
+    state, rate = first(), hyper.ppo.learning_rate
+
+    def learner(iteration, **fields):
+        changed = hyper._replace(ppo=hyper.ppo._replace(**fields))
+        return observed(changed, state, row(config, n_real=5, first=iteration))[1].learner
+
+    for iteration in (1, LATE_FROM):
+        assert_same(learner(iteration, late_kl=1e-6), learner(iteration))
+    for iteration in (LATE_FROM + 1, LATE_FROM + 2):
+        low, high = (learner(iteration, late_kl=factor) for factor in (1e-6, 1e6))
+        assert low.learning_rate < rate / 3 and high.learning_rate > rate * 3
+        for late, factor in ((low, 1e-6), (high, 1e6)):
+            assert_same(late, learner(iteration, desired_kl=hyper.ppo.desired_kl * factor))
 
 
 # ---- what is carried on
