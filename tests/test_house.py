@@ -10,7 +10,7 @@ import pytest
 import dynappo
 
 PACKAGE = pathlib.Path(dynappo.__file__).parent
-METHOD = {"types", "schedule", "stats", "rollout", "algorithm", "evaluation", "sweep"}
+METHOD = {"types", "schedule", "stats", "rollout", "fast", "algorithm", "scores", "seeds"}
 # folder -> folders and modules that its own may import; `method` are the files beside the folders
 MAY_IMPORT = {
     "__main__": {"config"},
@@ -22,7 +22,7 @@ MAY_IMPORT = {
     "config": {"config", "schedule"},
     "policy": {"policy", "physics", "task.observe", "config"},
     "program": {"program", "method", "task", "physics", "config"},
-    "run": {"run", "program", "policy", "config", "schedule", "sweep"},
+    "run": {"run", "program", "policy", "config", "schedule", "seeds"},
     "sweeps": {"sweeps", "run", "program", "config", "policy.walks"},
     "train": {"train", "sweeps", "run", "program", "config", "web.address", "web.child"},
     "evaluate": {
@@ -32,7 +32,7 @@ MAY_IMPORT = {
         "task",
         "physics",
         "config",
-        "evaluation",
+        "scores",
         "play.page",
     },
     "look": {"look", "policy", "physics", "config"},

@@ -56,7 +56,7 @@ def program(configs: list, env: Any, meanwhile: Callable[[], None]) -> Program:
     import jax
     import jax.numpy as jnp
 
-    from dynappo import sweep
+    from dynappo import seeds
 
     run = configs[0].run
 
@@ -66,7 +66,7 @@ def program(configs: list, env: Any, meanwhile: Callable[[], None]) -> Program:
         return jnp.repeat(jnp.asarray(values, jnp.float32), run.num_seeds)
 
     hyper = jax.tree.map(each, *(config_lib.split(one)[1] for one in configs))
-    keys = jnp.concatenate([sweep.keys(run.seed, run.num_seeds)] * len(configs))
+    keys = jnp.concatenate([seeds.keys(run.seed, run.num_seeds)] * len(configs))
     try:
         return build.program(config(configs), env, (hyper, keys), meanwhile=meanwhile)
     except ConfigError as error:  # the memory of a device
