@@ -7,7 +7,7 @@ import sys
 
 import toy_env
 
-from dynappo.task import env as env_lib
+from dynappo.tasks.velocity import env as env_lib
 from dynappo.train import command as train_command
 from dynappo.train import curves
 

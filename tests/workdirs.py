@@ -7,7 +7,7 @@ import pytest
 import toy_env
 
 from dynappo import train
-from dynappo.task import env as env_lib
+from dynappo.tasks.velocity import env as env_lib
 from dynappo.train import workdir as workdir_lib
 
 SMALL = toy_env.TAIL | {
