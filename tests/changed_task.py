@@ -169,7 +169,7 @@ def check_play(config, robot, params):
     assert rows["gait_clock"] == 2 and rows["base_height"] == 1 and sum(rows.values()) == 51
     turned = joint_order.permute(policy, policy.joint_names[::-1])
     first = [p.params["actor"]["params"]["Dense_0"]["kernel"] for p in (policy, turned)]
-    same = [ROWS[name] for name in ("base_height", "gait_clock")]
+    same = [PLACES[name] for name in ("base_height", "gait_clock")]
     assert all((first[0][rows] == first[1][rows]).all() for rows in same)
 
 

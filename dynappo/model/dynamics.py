@@ -189,10 +189,10 @@ def predict(
     return jnp.concatenate([prop, known(hyper, env, obs, action, prop)], -1), reward, lives
 
 
-def known(hyper: Hyper, env: Env, obs, action, next_prop) -> Float[Array, "R O-P"]:
+def known(hyper: Hyper, env: Env, obs, action, next_prop) -> Float[Array, "... O-P"]:
     """The context after `action` in `obs`: what follows from a row need not be predicted."""
-    size = env.prop_size
-    advance = jax.vmap(partial(env.advance, hyper))
+    size, row = env.prop_size, "(c),(p),(a),(p)->(c)"
+    advance = jnp.vectorize(partial(env.advance, hyper), signature=row)
     return advance(obs[..., size:], obs[..., :size], action, next_prop)
 
 

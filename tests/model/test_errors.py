@@ -29,7 +29,7 @@ def test_the_error_of_several_steps_is_that_of_a_loop_over_robots():
         for i in sorted(set(range(ROBOTS)) - left_out):
             obs = rows.obs[0, i]
             for k in range(steps):
-                obs = predict(model, obs[None], rows.action[k, i][None])[0][0]
+                obs = predict(model, obs, rows.action[k, i])[0]
             truth = rows.next_obs[steps - 1, i, :PROP]
             wrong += (((obs[:PROP] - truth) / std) ** 2).sum()
             still += (((rows.obs[0, i, :PROP] - truth) / std) ** 2).sum()

@@ -223,7 +223,7 @@ def test_those_that_stay_and_those_that_begin_anew_are_asked_alike(world, drawn)
 
 
 def test_those_that_stay_keep_their_readings_and_the_others_have_the_first_one(world):
-    past = slice(view.SENSED, view.SENSED + 2 * 45)
+    past = slice(48, 48 + 2 * 45)
     now = world.new.obs[:, view.reading(view.make("onboard", 3, 12))]
     stays = world.stays
     np.testing.assert_array_equal(world.new.obs[stays, past], world.on.obs[stays, past])
