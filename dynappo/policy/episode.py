@@ -137,7 +137,7 @@ def _above(model, body):
 
 
 def coordinates(body: Body, data) -> tuple[np.ndarray, np.ndarray]:
-    """`(qpos [7 + A], qvel [6 + A])` as in `task/observe.py`: base, then the policy's joints."""
+    """`(qpos [7 + A], qvel [6 + A])` as in `tasks/velocity/observe.py`: base, then the policy's joints."""
     q, v = body.root
     qpos = np.concatenate([data.qpos[q : q + 7], data.qpos[body.joint_q]])
     return qpos, np.concatenate([data.qvel[v : v + 6], data.qvel[body.joint_v]])
