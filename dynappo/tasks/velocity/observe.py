@@ -150,16 +150,15 @@ def rotate_inverse(quat, vector):
     xp = vector.__array_namespace__()
     w, u = quat[0], quat[1:]
     # v' = v + 2 u x (u x v) - 2 w (u x v)
-    uv = xp.stack(_cross(u, vector))
-    return vector + 2 * xp.stack(_cross(u, uv)) - 2 * w * uv
+    uv = cross(u, vector)
+    return vector + 2 * cross(u, uv) - 2 * w * uv
 
 
-def _cross(a, b):
-    return (
-        a[1] * b[2] - a[2] * b[1],
-        a[2] * b[0] - a[0] * b[2],
-        a[0] * b[1] - a[1] * b[0],
-    )
+def cross(a, b):
+    """The cross product of vectors [..., 3]."""
+    (ax, ay, az), (bx, by, bz) = ([v[..., i] for i in range(3)] for v in (a, b))
+    products = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+    return a.__array_namespace__().stack(products, axis=-1)
 
 
 def heading(quat):
@@ -181,7 +180,7 @@ def base_motion(qpos, qvel, base_com):
     # the third row of the rotation matrix, negated: where "down" points in the base frame
     w, x, y, z = (quat[i] for i in range(4))
     gravity = -xp.stack((2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x**2 + y**2)))
-    linear = rotate_inverse(quat, qvel[0:3]) + xp.stack(_cross(angular, base_com))
+    linear = rotate_inverse(quat, qvel[0:3]) + cross(angular, base_com)
     return gravity, linear, angular
 
 

@@ -156,7 +156,7 @@ def bias(view: View, obs):
             off["joint_position"] = value
         elif name == "imu_tilt":
             for part in ("gravity", "angular_velocity"):
-                off[part] = xp.linalg.cross(value, obs[..., rows[part]])
+                off[part] = observe.cross(value, obs[..., rows[part]])
     parts = [
         xp.zeros_like(obs[..., rows[name]]) if value is None else value
         for name, value in off.items()
