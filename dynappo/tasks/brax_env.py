@@ -152,10 +152,10 @@ def from_brax(
     first = jax.eval_shape(lambda: brax_env.reset(jax.random.key_data(jax.random.key(0))))
     obs_size = _obs_size(name, first, observe, action_size)
     if prop_size is None:
-        prop_size, advance = obs_size, partial(_no_split, name)
+        prop_size, known = obs_size, partial(_no_split, name)
     else:
-        advance = advance or Env._field_defaults["advance"]
-        _check_split(name, prop_size, obs_size, action_size, advance)
+        known = advance or Env._field_defaults["advance"]
+        _check_split(name, prop_size, obs_size, action_size, known)
     sizes = {"episode_length": episode_length, "starts": starts, "action_limit": action_limit}
     for field, value in sizes.items():
         if not value > 0:
@@ -168,7 +168,7 @@ def from_brax(
         reset=partial(_reset, const),
         step=partial(_step, const),
         autoreset=partial(_autoreset, const),
-        advance=advance,
+        advance=known,
         metrics=(*names, *EVENTS),
         obs_size=obs_size,
         prop_size=prop_size,
