@@ -1,9 +1,10 @@
 """dynappo: PPO whose rollout tails are written by a learned transition model.
 
-Start reading at `algorithm.py`. The files beside it are the method; each folder is one subject, and
-its `__init__` says what is in it. The public modules can be imported from here:
+Start reading at `algorithm.py`, whose first lines say which file to read next. The files beside it are the
+method; each folder is one subject, and its `__init__` says what is in it. The public modules can be
+imported from here:
 
-    from dynappo import algorithm, config, env, evaluation, gae, robot, schedule, sweep, train
+    from dynappo import algorithm, config, env, gae, robot, schedule, scores, seeds, train
 
 Importing the package sets two flags of XLA's CPU compiler, before JAX starts. Values that you have
 set stay.

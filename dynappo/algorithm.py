@@ -19,7 +19,14 @@ simulator steps: with two, Go1 walks after two thirds of the steps (experiments/
 Every random number comes from `fold_in` of the run's key with the iteration, a purpose, the row and
 the robot's global index. So two chunks equal one run, and a row does not depend on N_r. A key is drawn
 from once, or split once, or folded, and never two of these: `split(key)[i]` is `fold_in(key, i)`.
-Many seeds and many devices: sweep.py.
+
+Read next, in the order of `iterate`:
+
+- rollout.py (`fill`) and types.py: the rows of a rollout, and the environment that writes them
+- model/dynamics.py (`fit`, `step`): the transition model, which learns from the rows and writes more
+- learner/ppo.py (`update`, `loss`), gae.py and networks.py: how the policy learns from them
+- schedule.py: how many rows the model writes in each iteration; stats.py: an iteration's metrics
+- fast.py: what `iterate` calls: the same functions with fewer kernels; seeds.py: many seeds and devices
 """
 
 from __future__ import annotations
@@ -31,9 +38,9 @@ import jax.numpy as jnp
 from jax.sharding import PartitionSpec
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from dynappo import rollout, schedule, stats
+from dynappo import fast, rollout, schedule, stats
 from dynappo.learner import gae, networks, ppo, symmetry
-from dynappo.model import dynamics, errors
+from dynappo.model import dynamics, errors, examples
 from dynappo.types import Columns, Env, Hyper, Metrics, Static, TrainState, Transition
 
 # purposes of random numbers: of a seed, whose policy may be evaluated with the same; and of an iteration
@@ -49,9 +56,17 @@ def init(env: Env, hyper: Hyper, key: PRNGKeyArray, *, static: Static) -> TrainS
     bodies = jax.vmap(env.randomize, (None, 0))(hyper, fold(keys[BODIES], robot_index))
     env_state = jax.vmap(env.reset, (None, 0, 0))(hyper, bodies, fold(keys[START], robot_index))
     uses_model, image = schedule.uses_model(static), symmetry.policy_image(static, env)
-    size, critic_size = networks.seen_sizes(static, env)
+    obs_size, critic_size = networks.input_sizes(static, env)
     return TrainState(
-        learner=ppo.init(static, hyper, size, env.action_size, keys[NETWORKS], critic_size, image),
+        learner=ppo.init(
+            static,
+            hyper,
+            obs_size,
+            env.action_size,
+            key=keys[NETWORKS],
+            critic_size=critic_size,
+            image=image,
+        ),
         model=dynamics.init(static, env, keys[MODEL]) if uses_model else None,
         env_state=env_state,
         params_physics=bodies,
@@ -63,67 +78,78 @@ def init(env: Env, hyper: Hyper, key: PRNGKeyArray, *, static: Static) -> TrainS
 
 
 def iterate(
-    env: Env, hyper: Hyper, state: TrainState, columns: Columns, *, static: Static
+    env: Env, hyper: Hyper, state: TrainState, counts: Columns, *, static: Static
 ) -> tuple[TrainState, Metrics]:
-    """One iteration of the paper's Algorithm 1; `columns` is one row of `schedule.columns`."""
-    horizon, n_real = static.rollout.horizon, columns["n_real"]
+    """One iteration of the paper's Algorithm 1; `counts` is one row of `schedule.columns`."""
+    iteration, n_real = counts["iteration"], counts["n_real"]
+    horizon, num_envs = static.rollout.horizon, static.rollout.num_envs
+    hyper = hyper_at(static, hyper, iteration)
     real = (jnp.arange(horizon) < n_real)[:, None]
-    now = jax.random.fold_in(state.key, columns["iteration"])
-    careful = jnp.where(schedule.late(static, columns["iteration"]), hyper.ppo.late_kl, 1.0)
-    hyper = hyper._replace(ppo=hyper.ppo._replace(desired_kl=hyper.ppo.desired_kl * careful))
+    image = symmetry.policy_image(static, env)
+    iteration_key = jax.random.fold_in(state.key, iteration)
 
     def key(purpose, k=0):
-        return jax.random.fold_in(now, purpose + (ANCHOR + 1) * k)
+        return jax.random.fold_in(iteration_key, purpose + (ANCHOR + 1) * k)
 
-    # Collect N_r steps with physics, from where the last iteration left the robots
-    buffer, env_state, sums = collect(env, hyper, state, n_real, key(ROWS), static=static)
+    # Collect N_r rows with physics, from where the last iteration left the robots
+    rows, env_state, sums = collect(env, hyper, state, n_real, key(ROWS), static=static)
     state = state.replace(env_state=env_state)
-    metrics = stats.of_rows(sums, n_real * static.rollout.num_envs)
+    metrics = stats.of_rows(sums, n_real * num_envs)
 
     # Train the transition model on them
     if state.model is not None:
-        unrolled = min(4, horizon - static.schedule.end_steps)
-        metrics |= errors.errors(static, hyper, env, state.model, buffer, unrolled)
-        new = buffer, n_real, columns["model_epochs"], key(FIT)
-        model, fitted = dynamics.fit(static, hyper, env, state.model, *new)
-        state, metrics = state.replace(model=model), metrics | fitted
+        steps = min(4, horizon - static.schedule.end_steps)
+        metrics |= errors.errors(static, hyper, env, state.model, rows, steps)
+        model, losses = fast.fit(
+            static,
+            hyper,
+            state.model,
+            rows=examples.examples(static, hyper, env, rows, n_real),
+            epochs=counts["model_epochs"],
+            key=key(FIT),
+        )
+        state, metrics = state.replace(model=model), metrics | losses
 
-    # Let the model write the tail of N_s = N - N_r steps, then update the policy by PPO on real and
+    # Let the model write the tail of N_s = N - N_r rows, then update the policy by PPO on real and
     # synthetic rows alike; in further rounds, on new tails of the new policy
-    def imagine(k, carry):
-        learner, buffer, _ = carry
+    def one_round(k, carry):
+        learner, rows, _ = carry
         if state.model is not None:
-            last = dynamics.tail(static, env, env_state)
-            drawn = dynamics.anchors(static, env, buffer, n_real, key(ANCHOR, k))
+            last = dynamics.tail(static, env, state.env_state)
+            drawn = dynamics.anchors(static, env, rows, n_real, key(ANCHOR, k))
             start = jax.tree.map(partial(jnp.where, k == 0), last, drawn)
-            keys = rollout.row_keys(key(ROWS, k), state.robot_index)
-            act = policy(static, env, learner.params)
-            step = dynamics.step(static, hyper, env, state.model)
-            part = n_real, jnp.int32(horizon)
-            buffer = rollout.fill(buffer, *part, start, keys, act=act, step=step)[0]
-        batch = estimate(static, hyper, env, learner.params, buffer, real, k)
-        learner, learned = ppo.update(static, hyper, learner, batch, key(UPDATE, k), image)
-        return learner, buffer, learned
+            now = state.replace(learner=learner)
+            rows = imagine(env, hyper, now, rows, n_real, start, key(ROWS, k), static=static)
+        batch = estimate(static, hyper, env, learner.params, rows, real, k)
+        learner, learned = fast.update(static, hyper, learner, batch, key(UPDATE, k), image)
+        return learner, rows, learned
 
-    image = symmetry.policy_image(static, env)
-    start = state.learner, buffer, dict.fromkeys(ppo.METRICS, jnp.zeros(()))
-    learner, buffer, learned = jax.lax.fori_loop(0, columns.get("rounds", 1), imagine, start)
+    nothing = dict.fromkeys(ppo.METRICS, jnp.zeros(()))
+    learner, rows, learned = jax.lax.fori_loop(
+        0, counts.get("rounds", 1), one_round, (state.learner, rows, nothing)
+    )
     if state.model is not None:
-        metrics |= stats.of_tail(buffer, real, env.dt)
+        metrics |= stats.of_tail(rows, real, env.dt)
 
-    returns, lengths = stats.finished(state, buffer, n_real)
+    returns, lengths = stats.finished(state, rows, n_real)
     state = state.replace(learner=learner, returns=returns, lengths=lengths)
-    return state, metrics | learned | stats.of_episodes(buffer, n_real) | {
+    return state, metrics | learned | stats.of_episodes(rows, n_real) | {
         "episode_return": jnp.nanmean(returns),
         "episode_length": jnp.nanmean(lengths),
         "policy_std": learner.params["std"].mean(),
-        "nonfinite_robot": stats.nonfinite_robot(buffer, real),
+        "nonfinite_robot": stats.nonfinite_robot(rows, real),
     }
 
 
+def hyper_at(static: Static, hyper: Hyper, iteration) -> Hyper:
+    """The floats of an iteration: after `schedule.late_from`, a smaller KL."""
+    share = jnp.where(schedule.late(static, iteration), hyper.ppo.late_kl, 1.0)
+    return hyper._replace(ppo=hyper.ppo._replace(desired_kl=hyper.ppo.desired_kl * share))
+
+
 def collect(env: Env, hyper: Hyper, state: TrainState, n_real, key, *, static: Static):
-    """Rows `t < n_real` from physics: `(buffer, robots after them, sums of env.metrics)`."""
-    return rollout.fill(
+    """Rows `t < n_real` from physics: `(rows [N, R], robots after them, sums of env.metrics)`."""
+    return fast.fill(
         rollout.allocate(env, static.rollout.horizon, static.rollout.num_envs),
         jnp.int32(0),
         n_real,
@@ -135,6 +161,31 @@ def collect(env: Env, hyper: Hyper, state: TrainState, n_real, key, *, static: S
     )
 
 
+def imagine(
+    env: Env,
+    hyper: Hyper,
+    state: TrainState,
+    rows: Transition,
+    n_real,
+    start,
+    key,
+    *,
+    static: Static,
+) -> Transition:
+    """`rows` with the rows `t >= n_real` from the model, each robot's from its `start`."""
+    assert state.model is not None, "plain PPO has no model"
+    rows, _, _ = fast.fill(
+        rows,
+        n_real,
+        jnp.int32(static.rollout.horizon),
+        start,
+        rollout.row_keys(key, state.robot_index),
+        act=policy(static, env, state.learner.params),
+        step=fast.step(static, hyper, env, state.model),
+    )
+    return rows
+
+
 def run(
     env: Env, hyper: Hyper, state: TrainState, columns: Columns, count=None, *, static: Static
 ) -> tuple[TrainState, Metrics]:
@@ -144,29 +195,30 @@ def run(
     compiled program then serves chunks of any length up to I.
     """
     columns = {name: jnp.asarray(column) for name, column in columns.items()}
-    rows = len(columns["iteration"])
+    length = len(columns["iteration"])
     # jit: traced once, for the shapes of its metrics and for the loop
     step = jax.jit(partial(iterate, env, static=static))
 
-    def row(i, carry):
+    def counts(i):
+        return {name: column[i] for name, column in columns.items()}
+
+    def one(i, carry):
         state, table = carry
-        state, metrics = step(hyper, state, {name: column[i] for name, column in columns.items()})
+        state, metrics = step(hyper, state, counts(i))
         return state, jax.tree.map(lambda column, x: column.at[i].set(x), table, metrics)
 
-    first = {name: column[0] for name, column in columns.items()}
-    _, shapes = jax.eval_shape(step, hyper, state, first)
-    table = jax.tree.map(lambda x: jnp.zeros((rows, *x.shape), x.dtype), shapes)
-    return jax.lax.fori_loop(0, rows if count is None else count, row, (state, table))
+    _, shapes = jax.eval_shape(step, hyper, state, counts(0))
+    table = jax.tree.map(lambda x: jnp.zeros((length, *x.shape), x.dtype), shapes)
+    return jax.lax.fori_loop(0, length if count is None else count, one, (state, table))
 
 
 def policy(static: Static, env: Env, params: dict):
     """`act(state, keys) -> action, mean, log_prob, value` of every robot; the action is Gaussian."""
-    std = params["std"]
-    joined = networks.join(static, params)
+    std, actor_critic = params["std"], fast.actor_critic(static, params)
 
     def act(state, keys):
-        seen = networks.seen(static, env, state.obs, state.prop)
-        mean, value = networks.of_joined(static, joined, *seen)
+        obs, critic_obs = networks.inputs(static, env, state.obs, state.prop)
+        mean, value = actor_critic(obs, critic_obs)
         keys = jax.vmap(jax.random.fold_in, (0, None))(keys, ACTION)
         action = mean + std * jax.vmap(lambda k: jax.random.normal(k, std.shape))(keys)
         return action, mean, networks.log_prob(mean, std, action), value
@@ -177,7 +229,7 @@ def policy(static: Static, env: Env, params: dict):
 def physics_step(env: Env, hyper: Hyper, bodies):
     """`step(state, action, keys)` of all robots: the environment's step, then its autoreset.
 
-    On a mesh (sweep.py) each device steps its own robots. JAX's partitioner cannot see into an
+    On a mesh (seeds.py) each device steps its own robots. JAX's partitioner cannot see into an
     engine's call, and would gather all robots on every device.
     """
     fold, robots = jax.vmap(jax.random.fold_in, (0, None)), (None, 0, 0, 0, 0)
@@ -195,7 +247,7 @@ def physics_step(env: Env, hyper: Hyper, bodies):
 
 
 def estimate(
-    static: Static, hyper: Hyper, env: Env, params: dict, buffer: Transition, real, k=0
+    static: Static, hyper: Hyper, env: Env, params: dict, rows: Transition, real, k=0
 ) -> ppo.Batch:
     """Advantages and returns of a rollout, bootstrapped by V(next_obs) at truncations and row N-1.
 
@@ -203,25 +255,41 @@ def estimate(
     weight 0: an earlier policy chose their actions.
     """
     with jax.default_matmul_precision("highest"):
-        cut = (buffer.truncation == 1).at[-1].set(True)
-        seen = networks.seen(static, env, buffer.obs, buffer.prop)
-        after = networks.seen(static, env, buffer.next_obs, buffer.next_prop)[1]
-        value, last = buffer.value, networks.value(static, params, after)
-        bootstrap = jnp.where(cut, last, jnp.roll(value, -1, axis=0))
-        rows = buffer.reward, buffer.discount, buffer.truncation, value, bootstrap
-        advantages, returns = gae.gae(*rows, gamma=hyper.ppo.gamma, lambda_=hyper.ppo.lambda_)
+        cut = (rows.truncation == 1).at[-1].set(True)
+        obs, critic_obs = networks.inputs(static, env, rows.obs, rows.prop)
+        _, critic_next_obs = networks.inputs(static, env, rows.next_obs, rows.next_prop)
+        next_value = networks.value(static, params, critic_next_obs)
+        advantages, returns = gae.gae(
+            reward=rows.reward,
+            discount=rows.discount,
+            truncation=rows.truncation,
+            value=rows.value,
+            bootstrap=jnp.where(cut, next_value, jnp.roll(rows.value, -1, axis=0)),
+            gamma=hyper.ppo.gamma,
+            lambda_=hyper.ppo.lambda_,
+        )
     weight = None
     if schedule.uses_model(static):
-        weight = presence(buffer, real) * (~real | (k == 0))
-    return ppo.batch(buffer, seen, advantages, returns, weight)
+        weight = presence(rows, real) * (~real | (k == 0))
+    return ppo.Batch(
+        obs=obs,
+        action=rows.action,
+        action_mean=rows.action_mean,
+        log_prob=rows.log_prob,
+        value=rows.value,
+        advantages=advantages,
+        returns=returns,
+        weight=weight,
+        critic_obs=critic_obs if static.ppo.critic == "state" else None,
+    )
 
 
-def presence(buffer: Transition, real) -> Float[Array, "N R"]:
+def presence(rows: Transition, real) -> Float[Array, "N R"]:
     """The weight of each row in PPO: 1 if `real` [N, 1], else the probability of getting that far.
 
         w_t = product of discount_k over the tail's rows k < t
 
     A tail continues past a predicted fall, so rows after it count less. DreamerV3 does the same.
     """
-    lived = jnp.cumprod(jnp.where(real, 1.0, buffer.discount), axis=0)
+    lived = jnp.cumprod(jnp.where(real, 1.0, rows.discount), axis=0)
     return jnp.roll(lived, 1, axis=0).at[0].set(1.0)

@@ -1,6 +1,6 @@
-"""Fills a rollout's rows [lo, hi) with any step function: physics first, then the model.
+"""Fills a rollout's rows `begin <= t < end` with any step function: physics first, then the model.
 
-One `fill` serves both, as in google-deepmind/mctx. The buffer is always `[N, R, ...]`, however many
+One `fill` serves both, as in google-deepmind/mctx. A rollout is always `[N, R, ...]`, however many
 of its rows are real.
 
 Why a `fori_loop` with a traced bound: physics is compiled once for every N_r of the ramp, and the
@@ -11,7 +11,6 @@ batched: under `jax.vmap` over seeds it has `in_axes=None`.
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable
 from typing import Any
 
@@ -19,22 +18,31 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Int, PRNGKeyArray
 
-from dynappo.types import Env, Metrics, Outcome, Transition
-
-MADE = "action", "action_mean", "log_prob", "value"  # of a row, by `act`
-# a row's fields of one number a robot, which are written together
-NUMBERS = "log_prob value reward discount truncation valid episode_return episode_length".split()
-# the fields of an Outcome that a row keeps
-TOLD = [field.name for field in dataclasses.fields(Outcome) if field.name != "metrics"]
+from dynappo.types import Env, Metrics, Transition
 
 
 def allocate(env: Env, horizon: int, num_envs: int) -> Transition:
-    """An empty buffer of N rows of R robots."""
-    sizes = 0, env.obs_size, env.prop_size, env.action_size
-    one, obs, prop, action = (jnp.zeros((horizon, num_envs, *[n] * (n > 0))) for n in sizes)
-    told = dict.fromkeys(TOLD, one) | {"next_obs": obs, "next_prop": prop}
-    made = dict(zip(MADE, (action, action, one, one), strict=True))
-    return Transition(obs=obs, prop=prop, **told, **made)
+    """N empty rows of R robots."""
+
+    def zeros(*size):
+        return jnp.zeros((horizon, num_envs, *size))
+
+    return Transition(
+        obs=zeros(env.obs_size),
+        prop=zeros(env.prop_size),
+        action=zeros(env.action_size),
+        action_mean=zeros(env.action_size),
+        log_prob=zeros(),
+        value=zeros(),
+        reward=zeros(),
+        discount=zeros(),
+        truncation=zeros(),
+        next_obs=zeros(env.obs_size),
+        next_prop=zeros(env.prop_size),
+        valid=zeros(),
+        episode_return=zeros(),
+        episode_length=zeros(),
+    )
 
 
 def row_keys(key: PRNGKeyArray, robot_index: Int[Array, " R"]) -> Callable[..., PRNGKeyArray]:
@@ -46,45 +54,55 @@ def row_keys(key: PRNGKeyArray, robot_index: Int[Array, " R"]) -> Callable[..., 
     return keys
 
 
+def write(rows: Any, t: Int[Array, ""], row: Any) -> Any:
+    """`rows` with `row` in the place t."""
+    return jax.tree.map(lambda every, one: every.at[t].set(one), rows, row)
+
+
 def fill(
-    buffer: Transition,
-    lo: Int[Array, ""],
-    hi: Int[Array, ""],
+    rows: Any,
+    begin: Int[Array, ""],
+    end: Int[Array, ""],
     state: Any,
     keys: Callable[..., PRNGKeyArray],
     *,
     act: Callable,
     step: Callable,
     metrics: tuple[str, ...] = (),
-) -> tuple[Transition, Any, Metrics]:
-    """Write rows `lo <= t < hi`; returns `(buffer, state after the last row, sums)`.
+    write: Callable = write,
+) -> tuple[Any, Any, Metrics]:
+    """Write rows `begin <= t < end`; returns `(rows, state after the last row, sums)`.
 
     `act(state, keys) -> action, action_mean, log_prob, value` and `step(state, action, keys) ->
     state, Outcome` work on all R robots. Only `.obs` and `.prop` of `state` are read here. `sums`
     are the outcomes' `metrics`, summed over these rows and all robots.
     """
 
-    def row(t, carry):
-        buffer, state, sums = carry
+    def one_row(t, carry):
+        rows, state, sums = carry
         key = keys(t)
-        made = dict(zip(MADE, act(state, key), strict=True))
-        next_state, outcome = step(state, made["action"], key)
-        told = {name: getattr(outcome, name) for name in TOLD}
-        transition = Transition(obs=state.obs, prop=state.prop, **made, **told)
-        write = "promise_in_bounds"  # t is a row, so XLA need not ask
-        buffer = jax.tree.map(lambda b, x: b.at[t].set(x, mode=write), buffer, grouped(transition))
+        action, action_mean, log_prob, value = act(state, key)
+        next_state, outcome = step(state, action, key)
+        row = Transition(
+            obs=state.obs,
+            prop=state.prop,
+            action=action,
+            action_mean=action_mean,
+            log_prob=log_prob,
+            value=value,
+            reward=outcome.reward,
+            discount=outcome.discount,
+            truncation=outcome.truncation,
+            next_obs=outcome.next_obs,
+            next_prop=outcome.next_prop,
+            valid=outcome.valid,
+            episode_return=outcome.episode_return,
+            episode_length=outcome.episode_length,
+        )
         sums = {name: sums[name] + outcome.metrics[name] for name in metrics}
-        return buffer, next_state, sums
+        return write(rows, t, row), next_state, sums
 
     # summed over robots once, after the loop: on several devices each sum is a message
-    sums = {name: jnp.zeros(buffer.reward.shape[1]) for name in metrics}
-    written, state, sums = jax.lax.fori_loop(lo, hi, row, (grouped(buffer), state, sums))
-    numbers = dict(zip(NUMBERS, jnp.moveaxis(written[0], 1, 0), strict=True))
-    buffer = Transition(**numbers, **written[1])
-    return buffer, state, {name: total.sum() for name, total in sums.items()}
-
-
-def grouped(rows: Transition) -> tuple[Array, dict[str, Array]]:
-    """The one-number fields as one array `[..., 8, R]`, and the others: a row is 7 writes, not 14."""
-    fields = {name: getattr(rows, name) for name in Transition.__dataclass_fields__}
-    return jnp.stack([fields.pop(name) for name in NUMBERS], -2), fields
+    sums = {name: jnp.zeros(len(state.obs)) for name in metrics}
+    rows, state, sums = jax.lax.fori_loop(begin, end, one_row, (rows, state, sums))
+    return rows, state, {name: total.sum() for name, total in sums.items()}

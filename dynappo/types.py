@@ -174,7 +174,7 @@ class Env(NamedTuple):
     # (hyper, obs, action, next_prop) -> []
     known_reward: Callable[..., Any] = lambda hyper, obs, action, next_prop: np.float32(0)
     mirror: tuple[Mirror, Mirror] | None = None  # of obs and action, with `ppo.symmetry`
-    mesh: jax.sharding.Mesh | None = None  # devices over which the robots are spread (sweep.py)
+    mesh: jax.sharding.Mesh | None = None  # devices over which the robots are spread (seeds.py)
 
 
 def autoreset(reset: Callable[..., Any]) -> Callable[..., Any]:

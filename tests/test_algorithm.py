@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import toy_env
+from toy_model import fit_rows
 from toy_runs import (
     AS_USERS,
     ITERATIONS,
@@ -224,7 +225,7 @@ def test_the_model_sees_real_rows_that_end_no_episode(iterated, n_real):
 def test_the_model_is_fitted_to_real_rows_alone(iterated, tail, env, first):
     """Its new weights are those of a fit in which every other row holds nonsense."""
     _, static, hyper = tail
-    fit = jax.jit(partial(dynamics.fit, static, hyper, env))
+    fit = jax.jit(partial(fit_rows, dynamics.fit, static, hyper, env=env))
     key = jax.random.fold_in(jax.random.fold_in(first().key, 1), algorithm.FIT)
     for n in (N, 5):
         buffer, state, metrics = iterated[n]
@@ -424,10 +425,16 @@ def test_a_second_round_learns_from_new_tails_of_the_new_policy_alone(rounds, it
     gamma, lambda_ = hyper.ppo.gamma, hyper.ppo.lambda_
     found = advantages(rows, rows.value, last, gamma=gamma, lambda_=lambda_)
     weight = np.broadcast_to(np.arange(N)[:, None] >= n, (N, R))
-    batch = ppo.batch(
-        buffer, (buffer.obs, buffer.obs), jnp.asarray(found), jnp.asarray(found + rows.value)
+    batch = ppo.Batch(
+        obs=buffer.obs,
+        action=buffer.action,
+        action_mean=buffer.action_mean,
+        log_prob=buffer.log_prob,
+        value=buffer.value,
+        advantages=jnp.asarray(found),
+        returns=jnp.asarray(found + rows.value),
+        weight=jnp.asarray(weight, jnp.float32),
     )
-    batch = batch._replace(weight=jnp.asarray(weight, jnp.float32))
     now = jax.random.fold_in(state.key, 1)
     key = jax.random.fold_in(now, algorithm.UPDATE + algorithm.ANCHOR + 1)
     expected, told = jax.jit(partial(ppo.update, static, hyper))(learner, batch, key)

@@ -10,7 +10,7 @@ import pytest
 import dynappo
 
 PACKAGE = pathlib.Path(dynappo.__file__).parent
-METHOD = {"types", "schedule", "stats", "rollout", "algorithm", "evaluation", "sweep"}
+METHOD = {"types", "schedule", "stats", "rollout", "fast", "algorithm", "scores", "seeds"}
 # folder -> folders and modules that its own may import; `method` are the files beside the folders
 MAY_IMPORT = {
     "__main__": {"config"},
@@ -32,7 +32,7 @@ MAY_IMPORT = {
         "web.address",
         "web.child",
     },
-    "sweeps": {"sweeps", "train", "program", "sweep", "config", "policy.walks"},
+    "sweeps": {"sweeps", "train", "program", "seeds", "config", "policy.walks"},
     "evaluate": {
         "evaluate",
         "program",
@@ -40,7 +40,7 @@ MAY_IMPORT = {
         "tasks.velocity",
         "physics",
         "config",
-        "evaluation",
+        "scores",
         "play.page",
     },
     "look": {"look", "policy", "physics", "config"},

@@ -68,7 +68,7 @@ TINY = {
             "schedule.end_steps": 2,
             "task.episode_length": 20,
         },
-        "seeds": 2,
+        "num_seeds": 2,
         "field": "ppo.entropy_coef",
         "values": [0.0, 0.3],
     },

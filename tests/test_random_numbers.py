@@ -10,7 +10,7 @@ import pytest
 import random_keys
 from toy_env import configure
 
-from dynappo import algorithm, evaluation, schedule
+from dynappo import algorithm, schedule, scores
 from dynappo import config as config_lib
 from dynappo.physics import robot as robot_lib
 from dynappo.tasks.velocity import env as env_lib
@@ -79,7 +79,7 @@ def uses(every):
     columns = {name: jnp.asarray(column) for name, column in schedule.columns(every.config).items()}
     first, state = random_keys.record(init, hyper, jax.random.key(0))
     two, (after, _) = random_keys.record(run, hyper, state, columns)
-    evaluate = partial(evaluation.evaluate, env, **episodes)
+    evaluate = partial(scores.evaluate, env, **episodes)
     shown, _ = random_keys.record(evaluate, hyper, after.learner.params, jax.random.key(0))
     return {"init": first, "run": two, "evaluate": shown}
 

@@ -9,8 +9,8 @@ import numpy as np
 import toy_env
 
 from dynappo import config as config_lib
-from dynappo import rollout
-from dynappo.model import dynamics
+from dynappo import fast, rollout
+from dynappo.model import dynamics, examples
 from dynappo.types import Env, Moments
 
 PROP, COMMAND, ACTIONS = 4, 2, 2
@@ -47,12 +47,14 @@ def settings(horizon=HORIZON, **fields):
 
 @functools.cache
 def fit(static):
-    """`dynamics.fit` compiled once for each static setting."""
-    return jax.jit(
-        lambda hyper, model, rows, n_real, epochs, key: dynamics.fit(
-            static, hyper, ENV, model, rows, n_real, epochs, key
-        )
-    )
+    """`fit(hyper, model, rows, n_real, epochs, key)` of a rollout's rows, compiled once for each setting."""
+    return jax.jit(partial(fit_rows, fast.fit, static))
+
+
+def fit_rows(fit, static, hyper, model, rows, n_real, epochs, key, env=ENV):
+    """`fit`, `fast.fit` or `dynamics.fit`, of the rows `t < n_real` of a rollout."""
+    rows = examples.examples(static, hyper, env, rows, n_real)
+    return fit(static, hyper, model, rows, epochs, key)
 
 
 def linear_rows(seed, horizon=HORIZON):

@@ -76,20 +76,20 @@ def _tail_row(program, state, rows: int = 64) -> float:
     import jax
     import jax.numpy as jnp
 
-    from dynappo import algorithm, rollout
+    from dynappo import algorithm, fast, rollout
     from dynappo.model import dynamics
 
     static, env = program.static, program.env
 
     def write(state, n):
-        return rollout.fill(
+        return fast.fill(
             rollout.allocate(env, rows, state.robot_index.size),
             jnp.zeros_like(n),
             n,
             dynamics.tail(static, env, state.env_state),
             rollout.row_keys(state.key, state.robot_index),
             act=algorithm.policy(static, env, state.learner.params),
-            step=dynamics.step(static, program.hyper, env, state.model),
+            step=fast.step(static, program.hyper, env, state.model),
         )[0]
 
     compiled = jax.jit(write)

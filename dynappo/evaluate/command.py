@@ -6,7 +6,7 @@ It runs three kinds of episodes, all with the policy's mean action:
   feet move;
 - `changes`, in C MuJoCo too: whether it stays on its feet when its command changes, and on the tours
   that are shown;
-- `episodes`, the task it was trained on, on MJX (`evaluation.py`): return, falls and tracking error,
+- `episodes`, the task it was trained on, on MJX (`scores.py`): return, falls and tracking error,
   the numbers to compare runs by. `--fast` leaves these out; then JAX is not imported.
 """
 

@@ -1,4 +1,4 @@
-"""Episodes of the task that a policy was trained on, on the same engine, measured by `evaluation.py`.
+"""Episodes of the task that a policy was trained on, on the same engine, measured by `scores.py`.
 
 JAX is imported only when they run.
 """
@@ -70,7 +70,7 @@ def run(
     seed: int = 0,
     robot: Robot | None = None,
 ) -> dict[str, Any]:
-    """`evaluation.evaluate` of `number` episodes on this machine's device, and what was run.
+    """`scores.evaluate` of `number` episodes on this machine's device, and what was run.
 
     Without a number: 1000 on a GPU, 64 on a CPU. `randomize`: the task as it trains. What was trained
     on C MuJoCo is evaluated on it where the device is a CPU. Without `randomize`,
@@ -78,7 +78,7 @@ def run(
     """
     import jax
 
-    from dynappo import evaluation
+    from dynappo import scores
     from dynappo.tasks.velocity import env as env_lib
 
     config = settings(policy)
@@ -92,7 +92,7 @@ def run(
     length = config.run.eval_steps or config.task.episode_length
     env = env_lib.make(robot, config.task, config.physics, impl=impl)
     assess = partial(
-        evaluation.evaluate,
+        scores.evaluate,
         env,
         static=static,
         num_envs=number,

@@ -4,7 +4,7 @@ With every contact, a solver that converges, no noise, and one episode for each 
 over the time after the first second and before a fall:
 
 - `tracking_error`, `yaw_error`: root mean squares of the planar velocity and of the yaw rate, as in
-  `dynappo/evaluation.py`;
+  `dynappo/scores.py`;
 - `speed`: length of the mean planar velocity in the base frame;
 - `power`: sum over the joints of |torque x speed|; `positive_power` counts only what the motors give
   (torque and speed of one sign), as if braking cost nothing;

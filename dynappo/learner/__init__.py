@@ -1,10 +1,10 @@
 """The policy's learner: PPO, advantages, and the networks. Start at `ppo.py`.
 
-- `ppo`: the loss, a minibatch's step, the update of an iteration
+- `ppo`: the update of an iteration, a minibatch's step, the loss
 - `gae`: advantages and returns of a rollout
 - `symmetry`: a policy that treats left and right alike: each gradient is averaged with its image
 - `networks`: multilayer perceptrons and the Gaussian policy
 
 Pure functions of arrays. The method imports it, and `model` imports its networks; it imports only
-`types`.
+`types`. The loop calls `update` and `actor_critic` of fast.py, which give the same numbers.
 """

@@ -14,6 +14,7 @@ joint, more than the joint can turn.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
@@ -28,6 +29,8 @@ LOG_2PI = 1.8378770664093453
 # jax.lax.Precision for each value of a network's precision; bfloat16 also sets the layers' dtype
 PRECISION = {"highest": "highest", "tf32": "tensorfloat32", "bfloat16": "default"}
 
+# of `(obs, critic_obs)`: `(mean action, value)`
+ActorCritic = Callable[..., tuple[Float[Array, "... A"], Float[Array, "..."]]]
 MAX_MEAN = 10.0  # units of the action; policy/policy_file.py and the ONNX file clip there too
 
 
@@ -50,8 +53,7 @@ class MLP(NamedTuple):
 def init(network: MLP, inputs: int, key: PRNGKeyArray) -> dict:
     """Parameters of an untrained `network` that sees `inputs` numbers, named as flax names them.
 
-    One draw for all arrays. With one for each, XLA takes 12.5 s to compile a run's first state for an H100,
-    with this 3.5 s (experiments/03_speed/kernel.md).
+    One draw for all arrays: XLA compiles it in a third of the time of many (experiments/03_speed/kernel.md).
     """
     fan_in = inputs, *network.sizes[:-1]
     ends = np.cumsum([(n + 1) * size for n, size in zip(fan_in, network.sizes, strict=True)])
@@ -113,20 +115,31 @@ def value(static: Static, params: dict, obs: Float[Array, "... O"]) -> Float[Arr
     return apply(critic(static), params["critic"], obs)[..., 0]
 
 
-def seen(static: Static, env: Env, obs: Float[Array, "... O"], prop: Float[Array, "... P"]):
-    """`(of the policy, of the value function)`: what they see of an observation and its exact `prop`.
+def actor_critic(static: Static, params: dict) -> ActorCritic:
+    """Both networks as one function, `(obs, critic_obs) -> policy(obs), value(critic_obs)`.
 
-    The same array where they see the same, so that their first layers are one product.
+    Without `critic_obs` the value function sees `obs` too.
     """
-    shown = obs if env.views is None else obs[..., env.views.actor]
+
+    def both(obs, critic_obs=None):
+        critic_obs = obs if critic_obs is None else critic_obs
+        return policy(static, params, obs), value(static, params, critic_obs)
+
+    return both
+
+
+def inputs(static: Static, env: Env, obs: Float[Array, "... O"], prop: Float[Array, "... P"]):
+    """What the policy and the value function see of an observation and its exact `prop`: two arrays, or
+    one array twice."""
+    of_actor = obs if env.views is None else obs[..., env.views.actor]
     if static.ppo.critic == "obs":
-        return shown, shown
-    state = jnp.concatenate([prop, obs[..., env.prop_size :]], -1)
-    return shown, state if env.views is None else state[..., env.views.critic]
+        return of_actor, of_actor
+    exact = jnp.concatenate([prop, obs[..., env.prop_size :]], -1)
+    return of_actor, exact if env.views is None else exact[..., env.views.critic]
 
 
-def seen_sizes(static: Static, env: Env) -> tuple[int, int]:
-    """Numbers of what `seen` returns."""
+def input_sizes(static: Static, env: Env) -> tuple[int, int]:
+    """Numbers that the policy and the value function see."""
     views, size = env.views, env.obs_size
     if views is None:
         return size, size
@@ -134,59 +147,10 @@ def seen_sizes(static: Static, env: Env) -> tuple[int, int]:
     return actor_size, actor_size if static.ppo.critic == "obs" else len(views.critic)
 
 
-def policy_and_value(static: Static, params: dict, obs: Float[Array, "... O"], critic_obs=None):
-    """`(policy(obs), value(critic_obs))`: the same numbers, with one product for a layer of both networks.
-
-    Half as many matrix products, each larger: an update takes 9.0 ms in float32 (9.4 without), 6.4
-    in TF32, 5.0 in bfloat16 (H200; experiments/03_speed/peers.md). In bfloat16 the last products
-    are float32.
-    """
-    return of_joined(static, join(static, params), obs, critic_obs)
-
-
-def join(static: Static, params: dict) -> dict:
-    """The weights of both networks as `of_joined` multiplies them: by layer, and rounded.
-
-    A loop over rows does this once, before it begins: in the loop it takes 7 kernels a row.
-    """
-    nets = [cast(static.ppo.precision, params[name]["params"]) for name in ("actor", "critic")]
-    *hidden, last = ([net[f"Dense_{i}"] for net in nets] for i in range(len(nets[0])))
-    kernels = [jnp.stack([layer["kernel"] for layer in pair]) for pair in hidden[1:]]
-    first = [layer["kernel"] for layer in hidden[0]]
-    if static.ppo.critic == "obs":
-        # one input, so one plain product; [B, 2, H] would be copied later
-        first = jnp.concatenate(first, -1)
-    biases = [jnp.stack([layer["bias"] for layer in pair]) for pair in hidden]
-    return {"first": first, "kernels": kernels, "biases": biases, "last": last}
-
-
 def cast(precision: str, weights):
-    """Weights rounded as a network of this precision multiplies them."""
+    """Weights, or an input, rounded as a network of this precision multiplies them."""
     dtype = jnp.bfloat16 if precision == "bfloat16" else jnp.float32
     return jax.tree.map(lambda w: w.astype(dtype), weights)
-
-
-def of_joined(static: Static, joined: dict, obs: Float[Array, "... O"], critic_obs=None):
-    """`policy_and_value` of weights that `join` has joined."""
-    first = joined["first"]
-    dot = partial(jnp.einsum, precision=PRECISION[static.ppo.precision])
-    act = ACTIVATIONS[static.ppo.activation]
-
-    def one(kernel, obs):
-        return dot("...i,io->...o", cast(static.ppo.precision, obs), kernel)
-
-    if static.ppo.critic == "obs":
-        x = one(first, obs)
-        x = jnp.moveaxis(x.reshape(*x.shape[:-1], 2, -1), -2, 0)
-    else:
-        x = jnp.stack([one(*both) for both in zip(first, (obs, critic_obs), strict=True)])
-    bias, *biases = (jnp.expand_dims(bias, range(1, x.ndim - 1)) for bias in joined["biases"])
-    x = act(x + bias)
-    for kernel, bias in zip(joined["kernels"], biases, strict=True):
-        x = act(dot("k...i,kio->k...o", x, kernel) + bias)
-    dot = partial(dot, "...i,io->...o", preferred_element_type=jnp.float32)
-    mean, found = (dot(x[i], net["kernel"]) + net["bias"] for i, net in enumerate(joined["last"]))
-    return jnp.clip(mean, -MAX_MEAN, MAX_MEAN), found[..., 0]
 
 
 def log_prob(

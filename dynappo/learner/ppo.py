@@ -10,20 +10,21 @@ minibatch does not depend on how robots are spread over devices.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import chex
 import jax
 import jax.numpy as jnp
 import optax
-from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from dynappo.learner import networks, symmetry
-from dynappo.types import Hyper, Learner, Metrics, Static, Transition
+from dynappo.types import Hyper, Learner, Metrics, Static
 
-OF_STEP: tuple[str, ...] = ("kl", "surrogate_loss", "value_loss", "entropy")
-METRICS = *OF_STEP, "learning_rate"
+STEP_METRICS: tuple[str, ...] = ("kl", "surrogate_loss", "value_loss", "entropy")
+METRICS = *STEP_METRICS, "learning_rate"
 
 
 class Batch(NamedTuple):
@@ -40,13 +41,6 @@ class Batch(NamedTuple):
     critic_obs: Float[Array, "... C"] | None = None  # None: the value function sees `obs`
 
 
-def batch(rows: Transition, seen, advantages, returns, weight=None) -> Batch:
-    """The `Batch` of a rollout, with what its networks saw (`networks.seen`), its advantages and returns."""
-    kept: dict[str, Any] = {name: getattr(rows, name) for name in Batch._fields[1:5]}
-    kept |= {"obs": seen[0], "critic_obs": None if seen[1] is seen[0] else seen[1]}
-    return Batch(**kept, advantages=advantages, returns=returns, weight=weight)
-
-
 def init(
     static: Static,
     hyper: Hyper,
@@ -59,12 +53,111 @@ def init(
     """An untrained learner: sizes as of `networks.init_policy`, `image` as in `update`."""
     params = networks.init_policy(static, hyper, obs_size, action_size, key, critic_size)
     params = symmetry.tie(params, image)
-    opt_state = _optimizer(hyper).init(ravel_pytree(params)[0])
+    opt_state = optimizer(hyper).init(params)
     return Learner(params, opt_state, jnp.asarray(hyper.ppo.learning_rate, jnp.float32))
 
 
-def _optimizer(hyper: Hyper):
-    return optax.chain(optax.clip_by_global_norm(hyper.ppo.max_grad_norm), optax.scale_by_adam())
+def optimizer(hyper: Hyper) -> optax.GradientTransformation:
+    """Adam, without its learning rate, on a gradient whose norm is clipped; its moments are one vector."""
+    clip = optax.clip_by_global_norm(hyper.ppo.max_grad_norm)
+    return optax.flatten(optax.chain(clip, optax.scale_by_adam()))
+
+
+def update(
+    static: Static,
+    hyper: Hyper,
+    learner: Learner,
+    batch: Batch,
+    key: PRNGKeyArray,
+    image: symmetry.Image | None = None,
+) -> tuple[Learner, Metrics]:
+    """PPO on one rollout `[N, R]` with raw advantages: `epochs` x `minibatches` gradient steps.
+
+    Metrics are means over the steps, and the last learning rate. With an `image`
+    (`symmetry.policy_image`) the policy stays symmetric.
+    """
+    step = partial(minibatch_step, static, hyper, old_std=learner.params["std"], image=image)
+    learner, metrics = steps(static, learner, batch, key, step)
+    return learner, metrics | {"learning_rate": learner.learning_rate}
+
+
+def steps(
+    static: Static, learner: Learner, batch: Batch, key: PRNGKeyArray, step: Callable
+) -> tuple[Learner, Any]:
+    """`step(learner, minibatch) -> learner, metrics` over all epochs, and the metrics' means."""
+    batch = batch._replace(advantages=normalize(batch.advantages, batch.weight))
+    shuffled = minibatches(static, batch, key)
+
+    def one(learner, i):
+        return step(learner, jax.tree.map(lambda x: x[i % static.ppo.minibatches], shuffled))
+
+    count = jnp.arange(static.ppo.epochs * static.ppo.minibatches)
+    learner, metrics = jax.lax.scan(one, learner, count)
+    return learner, jax.tree.map(lambda column: column.mean(0), metrics)
+
+
+def minibatch_step(
+    static: Static,
+    hyper: Hyper,
+    learner: Learner,
+    batch: Batch,
+    old_std: Float[Array, " A"],
+    image: symmetry.Image | None = None,
+) -> tuple[Learner, Metrics]:
+    """One gradient step: loss, KL, learning rate, clipped gradient, Adam; `(learner, metrics)`."""
+
+    def of(params):
+        return loss(static, hyper, params, batch, old_std)
+
+    grads, metrics = jax.grad(of, has_aux=True)(learner.params)
+    rate = adapt(static, hyper, learner.learning_rate, metrics["kl"])
+    grads = symmetry.mean(grads, image)
+    updates, opt_state = optimizer(hyper).update(grads, learner.opt_state)
+    params = jax.tree.map(lambda weight, change: weight - rate * change, learner.params, updates)
+    params["std"] = jnp.maximum(params["std"], hyper.ppo.min_std)
+    return Learner(params=params, opt_state=opt_state, learning_rate=rate), metrics
+
+
+def loss(
+    static: Static,
+    hyper: Hyper,
+    params: dict,
+    batch: Batch,
+    old_std: Float[Array, " A"],
+    actor_critic: Callable[..., networks.ActorCritic] = networks.actor_critic,
+) -> tuple[Float[Array, ""], Metrics]:
+    """`(scalar, metrics)`: clipped surrogate + value_coef x value loss - entropy_coef x entropy.
+
+        surrogate = mean max(-A rho, -A clip(rho, 1 - eps, 1 + eps)),  rho = pi / pi_old
+        value     = mean max((V - R)^2, (V_old + clip(V - V_old, -eps, eps) - R)^2)
+
+    `metrics["kl"]` is the mean KL(old || new). Means are over rows with their weights.
+    """
+    std = params["std"]
+    action_mean, value = actor_critic(static, params)(batch.obs, batch.critic_obs)
+    chex.assert_equal_shape([value, batch.value, batch.returns, batch.advantages])
+    ratio = jnp.exp(networks.log_prob(action_mean, std, batch.action) - batch.log_prob)
+    clipped = jnp.clip(ratio, 1 - hyper.ppo.clip_epsilon, 1 + hyper.ppo.clip_epsilon)
+    surrogate = -jnp.minimum(batch.advantages * ratio, batch.advantages * clipped)
+    error = (value - batch.returns) ** 2
+    if static.ppo.clip_value:
+        change = jnp.clip(value - batch.value, -hyper.ppo.clip_epsilon, hyper.ppo.clip_epsilon)
+        error = jnp.maximum(error, (batch.value + change - batch.returns) ** 2)
+    kl, entropy = networks.kl(batch.action_mean, old_std, action_mean, std), networks.entropy(std)
+    surrogate, value_loss, kl = mean(jnp.stack([surrogate, error, kl]), batch.weight)
+    total = surrogate + hyper.ppo.value_coef * value_loss - hyper.ppo.entropy_coef * entropy
+    metrics = {"kl": kl, "surrogate_loss": surrogate, "value_loss": value_loss, "entropy": entropy}
+    return total, metrics
+
+
+def adapt(static: Static, hyper: Hyper, learning_rate: Float[Array, ""], kl: Float[Array, ""]):
+    """The learning rate after a minibatch's KL: / 1.5 above twice the target, x 1.5 below half."""
+    if not static.ppo.adaptive:
+        return learning_rate
+    lower = jnp.maximum(hyper.ppo.min_learning_rate, learning_rate / 1.5)
+    higher = jnp.minimum(hyper.ppo.max_learning_rate, learning_rate * 1.5)
+    kept = jnp.where((kl > 0) & (kl < hyper.ppo.desired_kl / 2), higher, learning_rate)
+    return jnp.where(kl > hyper.ppo.desired_kl * 2, lower, kept)
 
 
 def mean(x: Float[Array, "... B"], weight: Float[Array, " B"] | None) -> Float[Array, "..."]:
@@ -85,64 +178,6 @@ def normalize(advantages: Float[Array, "..."], weight=None) -> Float[Array, "...
     return centred / (jnp.sqrt((weight * centred**2).sum() / count) + 1e-8)
 
 
-def loss(static: Static, hyper: Hyper, params: dict, batch: Batch, old_std: Float[Array, " A"]):
-    """`(scalar, metrics)`: clipped surrogate + value_coef x value loss - entropy_coef x entropy.
-
-        surrogate = mean max(-A rho, -A clip(rho, 1 - eps, 1 + eps)),  rho = pi / pi_old
-        value     = mean max((V - R)^2, (V_old + clip(V - V_old, -eps, eps) - R)^2)
-
-    `metrics["kl"]` is the mean KL(old || new). Means are over rows with their weights.
-    """
-    std = params["std"]
-    action_mean, value = networks.policy_and_value(static, params, batch.obs, batch.critic_obs)
-    chex.assert_equal_shape([value, batch.value, batch.returns, batch.advantages])
-    ratio = jnp.exp(networks.log_prob(action_mean, std, batch.action) - batch.log_prob)
-    clipped = jnp.clip(ratio, 1 - hyper.ppo.clip_epsilon, 1 + hyper.ppo.clip_epsilon)
-    surrogate = -jnp.minimum(batch.advantages * ratio, batch.advantages * clipped)
-    error = (value - batch.returns) ** 2
-    if static.ppo.clip_value:
-        change = jnp.clip(value - batch.value, -hyper.ppo.clip_epsilon, hyper.ppo.clip_epsilon)
-        error = jnp.maximum(error, (batch.value + change - batch.returns) ** 2)
-    kl, entropy = networks.kl(batch.action_mean, old_std, action_mean, std), networks.entropy(std)
-    # one mean of one array: three means would take more kernels
-    surrogate, value_loss, kl = mean(jnp.stack([surrogate, error, kl]), batch.weight)
-    total = surrogate + hyper.ppo.value_coef * value_loss - hyper.ppo.entropy_coef * entropy
-    return total, dict(zip(OF_STEP, (kl, surrogate, value_loss, entropy), strict=True))
-
-
-def adapt(static: Static, hyper: Hyper, learning_rate: Float[Array, ""], kl: Float[Array, ""]):
-    """The learning rate after a minibatch's KL: / 1.5 above twice the target, x 1.5 below half."""
-    if not static.ppo.adaptive:
-        return learning_rate
-    lower = jnp.maximum(hyper.ppo.min_learning_rate, learning_rate / 1.5)
-    higher = jnp.minimum(hyper.ppo.max_learning_rate, learning_rate * 1.5)
-    kept = jnp.where((kl > 0) & (kl < hyper.ppo.desired_kl / 2), higher, learning_rate)
-    return jnp.where(kl > hyper.ppo.desired_kl * 2, lower, kept)
-
-
-def minibatch_step(
-    static: Static, hyper: Hyper, unflatten, learner: Learner, batch: Batch, old_std, turned=None
-) -> tuple[Learner, Metrics]:
-    """One gradient step: loss, KL, learning rate, clipped gradient, Adam; `(learner, metrics)`.
-
-    Parameters and Adam's moments are vectors, with `std` last; `unflatten` gives the tree. Clipping
-    and Adam then take 4 kernels, not 33. With an image's `places`, mirrored rows count in the gradient too.
-    """
-
-    def of_vector(params):
-        return loss(static, hyper, unflatten(params), batch, old_std)
-
-    grads, metrics = jax.grad(of_vector, has_aux=True)(learner.params)
-    # a barrier: else XLA joins the layers' gradients again in each kernel that reads them
-    grads = jax.lax.optimization_barrier(symmetry.mean(grads, turned))
-    rate = adapt(static, hyper, learner.learning_rate, metrics["kl"])
-    updates, opt_state = _optimizer(hyper).update(grads, learner.opt_state)
-    params = learner.params - rate * updates
-    is_std = jnp.arange(params.size) >= params.size - old_std.size
-    params = jnp.where(is_std, jnp.maximum(params, hyper.ppo.min_std), params)
-    return Learner(params=params, opt_state=opt_state, learning_rate=rate), metrics
-
-
 def minibatches(static: Static, batch: Batch, key: PRNGKeyArray) -> Batch:
     """`[N, R, ...]` rows as `[minibatches, B, ...]`, permuted inside each block of robots."""
     blocks, count = static.ppo.shuffle_blocks, static.ppo.minibatches
@@ -160,26 +195,3 @@ def minibatches(static: Static, batch: Batch, key: PRNGKeyArray) -> Batch:
         return jax.vmap(take, (1, 0), 1)(x, order).reshape(count, -1, *x.shape[3:])
 
     return jax.tree.map(shuffle, batch)
-
-
-def update(
-    static: Static, hyper: Hyper, learner: Learner, batch: Batch, key: PRNGKeyArray, image=None
-) -> tuple[Learner, Metrics]:
-    """`epochs` x `minibatches` steps on one rollout `[N, R]` with raw advantages. Metrics are means
-    over the steps, and the last learning rate. `image` is `symmetry.policy_image`."""
-    old_std = learner.params["std"]
-    batch = batch._replace(advantages=normalize(batch.advantages, batch.weight))
-    shuffled = minibatches(static, batch, key)
-    params, unflatten = ravel_pytree(learner.params)
-    turned = symmetry.places(learner.params, image)
-
-    def step(learner, i):
-        rows = jax.tree.map(lambda x: x[i % static.ppo.minibatches], shuffled)
-        learner, metrics = minibatch_step(static, hyper, unflatten, learner, rows, old_std, turned)
-        return learner, jnp.stack([metrics[name] for name in OF_STEP])  # one array: one kernel
-
-    steps = jnp.arange(static.ppo.epochs * static.ppo.minibatches)
-    learner, table = jax.lax.scan(step, learner.replace(params=params), steps)
-    metrics = dict(zip(OF_STEP, table.mean(0), strict=True))
-    metrics["learning_rate"] = learner.learning_rate
-    return learner.replace(params=unflatten(learner.params)), metrics

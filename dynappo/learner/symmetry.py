@@ -8,7 +8,7 @@ to the mirrored next state, with the same reward. With M the mirror image of a v
 
 `policy_image` gives the weights of M policy(M o); the image of a hidden unit is the unit half a
 layer away. A policy whose weights equal their image is symmetric. The weights start so (`tie`).
-They stay so because each gradient is replaced by the mean of itself and its image (`mean`). That is
+They stay so because each gradient is replaced by the mean of itself and its image (`mean`). This is
 the gradient of the loss on all rows and their mirror images, at the cost of the rows alone. The
 networks stay ordinary MLPs.
 
@@ -25,7 +25,6 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
 from dynappo.types import Env, Mirror, Static
 
@@ -88,17 +87,6 @@ def policy_image(static: Static, env: Env) -> Image | None:
     return image
 
 
-def places(params, image: Image | None) -> tuple[np.ndarray, np.ndarray] | None:
-    """`(index [K], sign [K])` of an image of `params` as one vector: `sign * vector[index]`.
-
-    Constants of the program: an image of a gradient is then one gather, not 6 kernels.
-    """
-    if image is None:
-        return None
-    numbers = np.concatenate([np.ravel(x) for x in jax.tree.leaves(image(numbered(params)))])
-    return np.abs(numbers) - 1, np.sign(numbers).astype(np.float32)
-
-
 def numbered(params):
     """The numbers 1 to K in the place of the weights."""
     leaves, treedef = jax.tree.flatten(params)
@@ -108,12 +96,11 @@ def numbered(params):
     return jax.tree.unflatten(treedef, shaped)
 
 
-def mean(grads: Float[Array, " K"], turned: tuple[np.ndarray, np.ndarray] | None):
-    """The mean of a gradient and its image, at `places`; without an image, the gradient itself."""
-    if turned is None:
+def mean(grads, image: Image | None):
+    """The mean of a gradient and its image; without an image, the gradient itself."""
+    if image is None:
         return grads
-    index, sign = turned
-    return (grads + sign * grads[index]) / 2
+    return jax.tree.map(lambda grad, other: (grad + other) / 2, grads, image(grads))
 
 
 def tie(params, image: Image | None):

@@ -3,9 +3,9 @@
     o_prop_{k+1}, r_k = f_theta(o_k, a_k)                                        (paper, eq. 2)
     L(theta) = sum over robots and real rows of Huber((o_prop_{k+1}, r_k) - f_theta(o_k, a_k))  (3)
 
-An MLP, fitted in each iteration to its real rows, from the last weights and Adam moments. The paper
+An MLP, fitted in each iteration to the real rows, from the last weights and Adam moments. The paper
 leaves two things open: here the target is the change of state, and running moments scale inputs and
-targets. `predict_change = normalize = False` is the plain form. It never learns across a reset.
+targets. `predict_change = normalize = False` is the other choice. It never learns across a reset.
 
 Options beyond the paper, fields of the group model that are off in the paper's variants:
 
@@ -22,17 +22,19 @@ saves. Every minibatch has equally many rows of each robot, so no row moves to a
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import optax
 from flax import struct
-from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from dynappo.learner import networks
 from dynappo.model import examples, moments
+from dynappo.model.examples import Examples
 from dynappo.types import Env, Hyper, Metrics, ModelState, Outcome, Static, Transition
 
 FALL_LOGIT = -4.6  # added to the network's output: untrained, it predicts 1 %
@@ -55,9 +57,8 @@ def tail(static: Static, env: Env, state) -> TailState:
 
 def anchors(static: Static, env: Env, rows: Transition, n_real: Int[Array, ""], key) -> TailState:
     """The start of a tail for each robot, from one of its rows `t < n_real`, drawn at random."""
-    t = jax.random.randint(key, rows.reward.shape[1:], 0, n_real)[None, :, None]
-    states = tail(static, env, rows)
-    return jax.tree.map(lambda x: jnp.take_along_axis(x, t, axis=0)[0], states)
+    t = jax.random.randint(key, rows.reward.shape[1:], 0, n_real)[None]
+    return jax.tree.map(lambda x: pick(x, t)[0], tail(static, env, rows))
 
 
 def network(static: Static, prop_size: int) -> networks.MLP:
@@ -73,13 +74,13 @@ def init(static: Static, env: Env, key: PRNGKeyArray) -> ModelState:
     params = networks.init(network(static, env.prop_size), inputs, key)
     return ModelState(
         params=params,
-        opt_state=optax.scale_by_adam().init(params),
+        opt_state=optimizer().init(params),
         inputs=moments.init(inputs),
         targets=moments.init(outputs + static.model.falls),
     )
 
 
-def _scales(static: Static, model: ModelState):
+def scales(static: Static, model: ModelState):
     """`((mean, std) of inputs, (mean, std) of targets)`, or the identity without normalisation."""
     if not static.model.normalize:
         zeros = jnp.zeros_like(model.inputs.mean), jnp.zeros_like(model.targets.mean)
@@ -105,69 +106,109 @@ def loss(static: Static, hyper: Hyper, params, x, y, weight) -> Float[Array, ""]
 def fit(
     static: Static,
     hyper: Hyper,
-    env: Env,
     model: ModelState,
-    rows: Transition,
-    n_real: Int[Array, ""],
+    rows: Examples,
     epochs: Int[Array, ""],
     key: PRNGKeyArray,
 ) -> tuple[ModelState, Metrics]:
-    """`epochs` passes of Adam over the rows `t < n_real` of a `[N, R]` buffer.
+    """`epochs` passes of Adam over `rows`, in minibatches. First the moments that scale them are updated.
 
-    Metrics: the loss of the last minibatch, and of the first, whose rows are new to the model. With
-    0 epochs nothing of the model changes, its moments neither, and the losses are NaN: there are none.
+    Metrics: the loss of the last minibatch, and of the first, whose rows are new to the model. With 0
+    epochs the model stays as it is, moments included, and the losses are NaN.
     """
-    horizon, num_envs = rows.reward.shape
-    drawn = horizon // static.model.minibatches  # rows of each robot in a minibatch
-    x, y, weight = examples.examples(static, hyper, env, rows, n_real)
+    model = with_moments_of(hyper, model, rows, epochs)
+    data = *scaled(static, model, rows), rows.weight
+
+    def step(state, minibatch, counted):
+        (params, opt_state), (x, y, weight) = state, minibatch
+        of = jax.value_and_grad(partial(loss, static, hyper))
+        value, grads = of(params, x, y, weight * counted)
+        updates, opt_state = optimizer().update(grads, opt_state)
+        rate = hyper.model.learning_rate
+        params = jax.tree.map(lambda old, update: old - rate * update, params, updates)
+        return (params, opt_state), value
+
+    start = model.params, model.opt_state
+    (params, opt_state), metrics = passes(
+        static, start, data, count=rows.count, epochs=epochs, key=key, step=step
+    )
+    return model.replace(params=params, opt_state=opt_state), metrics
+
+
+def optimizer() -> optax.GradientTransformation:
+    """Adam without its learning rate, which the step applies."""
+    return optax.scale_by_adam()
+
+
+def with_moments_of(hyper: Hyper, model: ModelState, rows: Examples, epochs) -> ModelState:
+    """The model with its moments updated by `rows`; with 0 epochs, as it was."""
     decay, fits = hyper.model.stats_decay, epochs > 0
-    inputs, targets = model.inputs, model.targets
-    new = moments.update(inputs, x, weight, decay), moments.update(targets, y, weight, decay)
-    inputs, targets = jax.tree.map(partial(jnp.where, fits), new, (inputs, targets))
-    model = model.replace(inputs=inputs, targets=targets)
-    (x_mean, x_std), (y_mean, y_std) = _scales(static, model)
-    data = jnp.concatenate([(x - x_mean) / x_std, (y - y_mean) / y_std, weight[..., None]], -1)
-    size, adam = x.shape[-1], optax.scale_by_adam()
-    order, first = orders(static, n_real, num_envs, key)
-    # as one vector each: Adam then takes one kernel, not two for every layer
-    params, unflatten = ravel_pytree(model.params)
-    adams = model.opt_state
-    opt_state = adams._replace(mu=ravel_pytree(adams.mu)[0], nu=ravel_pytree(adams.nu)[0])
+    inputs = moments.update(model.inputs, rows.x, rows.weight, decay)
+    targets = moments.update(model.targets, rows.y, rows.weight, decay)
+    inputs, targets = jax.tree.map(
+        partial(jnp.where, fits), (inputs, targets), (model.inputs, model.targets)
+    )
+    return model.replace(inputs=inputs, targets=targets)
+
+
+def scaled(static: Static, model: ModelState, rows: Examples):
+    """`(inputs, targets)` of `rows`, of mean 0 and standard deviation 1 by the model's moments."""
+    (x_mean, x_std), (y_mean, y_std) = scales(static, model)
+    return (rows.x - x_mean) / x_std, (rows.y - y_mean) / y_std
+
+
+def passes(
+    static: Static,
+    state: Any,
+    data: Any,
+    *,
+    count: Int[Array, ""],
+    epochs: Int[Array, ""],
+    key: PRNGKeyArray,
+    step: Callable,
+) -> tuple[Any, Metrics]:
+    """`step(state, minibatch, counted) -> state, loss` for each minibatch of `epochs` passes over `data`.
+
+    `data` is a tree of arrays [T, R, ...], of which the rows `t < count` are used, each once an epoch. A
+    minibatch is [M, R, ...] with M = T / `model.minibatches`. The last one may be incomplete: `counted`
+    [M, 1] is False for rows beyond the end. Returns the last state, and the metrics of `fit`.
+    """
+    length, num_envs = jax.tree.leaves(data)[0].shape[:2]
+    size = length // static.model.minibatches  # rows of each robot in a minibatch
+    order, first = orders(static, length, num_envs, count, key)
 
     def minibatch(i, carry):
-        params, opt_state, before, _ = carry
-        place = i * drawn + jnp.arange(drawn)  # counted through all epochs
-        epoch = place // n_real % len(order)  # more epochs than the setting's begin again
-        row = order[epoch[:, None], (place[:, None] + first[epoch]) % n_real]
-        batch = jnp.take_along_axis(data, row[..., None], axis=0)
-        used = batch[..., -1] * (place < epochs * n_real)[:, None]
-        batch = batch[..., :size], batch[..., size:-1], used
-        of = jax.value_and_grad(lambda params: loss(static, hyper, unflatten(params), *batch))
-        value, grads = of(params)
-        updates, opt_state = adam.update(grads, opt_state)
-        params = params - hyper.model.learning_rate * updates
-        return params, opt_state, jnp.where(i == 0, value, before), value
+        state, before, _ = carry
+        place = i * size + jnp.arange(size)  # counted through all epochs
+        epoch = place // count % len(order)  # more epochs than the setting's begin again
+        t = order[epoch[:, None], (place[:, None] + first[epoch]) % count]
+        rows = jax.tree.map(lambda x: pick(x, t), data)
+        state, value = step(state, rows, (place < epochs * count)[:, None])
+        return state, jnp.where(i == 0, value, before), value
 
-    steps = (epochs * n_real + drawn - 1) // drawn
-    start = (params, opt_state, jnp.zeros(()), jnp.zeros(()))
-    params, opt_state, before, after = jax.lax.fori_loop(0, steps, minibatch, start)
-    opt_state = opt_state._replace(mu=unflatten(opt_state.mu), nu=unflatten(opt_state.nu))
-    model = model.replace(params=unflatten(params), opt_state=opt_state)
-    before, after = (jnp.where(fits, value, jnp.nan) for value in (before, after))
-    return model, {"model_loss": after, "model_loss_before": before}
+    steps = (epochs * count + size - 1) // size
+    start = state, jnp.zeros(()), jnp.zeros(())
+    state, before, after = jax.lax.fori_loop(0, steps, minibatch, start)
+    before, after = (jnp.where(epochs > 0, value, jnp.nan) for value in (before, after))
+    return state, {"model_loss": after, "model_loss_before": before}
 
 
-def orders(static: Static, n_real: Int[Array, ""], num_envs: int, key: PRNGKeyArray):
-    """`(order [E, N], first [E, R])` of epochs: every real row once, in one random order for all
-    robots; each starts elsewhere in it. In the loop over minibatches they would take 7 kernels."""
+def orders(static: Static, length: int, num_envs: int, count: Int[Array, ""], key: PRNGKeyArray):
+    """`(order [E, T], first [E, R])`: in each of E epochs one random order of the rows `t < count` for
+    all robots, and where in it each robot begins."""
 
     def order(epoch):
         order_key, first_key = jax.random.split(jax.random.fold_in(key, epoch))
-        rank = jax.random.uniform(order_key, (static.rollout.horizon,))
-        rank = jnp.where(jnp.arange(len(rank)) < n_real, rank, 1.0)  # real rows come first
-        return jnp.argsort(rank), jax.random.randint(first_key, (num_envs,), 0, n_real)
+        rank = jax.random.uniform(order_key, (length,))
+        rank = jnp.where(jnp.arange(length) < count, rank, 1.0)  # these rows come first
+        return jnp.argsort(rank), jax.random.randint(first_key, (num_envs,), 0, count)
 
     return jax.vmap(order)(jnp.arange(max(static.model.epochs, static.model.late_epochs or 0)))
+
+
+def pick(x: Float[Array, "T R ..."], t: Int[Array, "M R"]) -> Float[Array, "M R ..."]:
+    """Row `t[m, r]` of each robot r."""
+    return jnp.take_along_axis(x, t.reshape(*t.shape, *[1] * (x.ndim - 2)), axis=0)
 
 
 def predict(
@@ -175,7 +216,7 @@ def predict(
 ) -> tuple[Float[Array, "R O"], Float[Array, " R"], Float[Array, " R"]]:
     """`(next observation, reward, discount)`: prop is predicted, the context computed."""
     size = env.prop_size
-    (x_mean, x_std), (y_mean, y_std) = _scales(static, model)
+    (x_mean, x_std), (y_mean, y_std) = scales(static, model)
     x = (examples.inputs(env, obs, action) - x_mean) / x_std
     y = networks.apply(network(static, size), model.params, x) * y_std + y_mean
     prop, reward = y[..., :size], y[..., size] * env.dt
@@ -201,7 +242,6 @@ def step(static: Static, hyper: Hyper, env: Env, model: ModelState):
 
     Without `falls` no row falls: the paper's model predicts no terminations. No row is truncated.
     """
-    model = model.replace(params=networks.cast(static.model.precision, model.params))
 
     def row(state: TailState, action, keys):
         seen = jnp.concatenate([state.prop, state.obs[..., env.prop_size :]], -1)
@@ -212,8 +252,16 @@ def step(static: Static, hyper: Hyper, env: Env, model: ModelState):
             keys = jax.vmap(jax.random.fold_in, (0, None))(keys, NOISE)
             sensed = jax.vmap(partial(env.sense, hyper))(prop, context, keys)
         obs, zero = jnp.concatenate([sensed, context], -1), jnp.zeros_like(reward)
-        told: dict = {"reward": reward, "discount": discount, "next_obs": obs, "next_prop": prop}
-        told |= dict.fromkeys(("truncation", "episode_return", "episode_length"), zero)
-        return TailState(obs, prop), Outcome(**told, valid=jnp.ones_like(reward))
+        outcome = Outcome(
+            reward=reward,
+            discount=discount,
+            truncation=zero,
+            next_obs=obs,
+            next_prop=prop,
+            episode_return=zero,
+            episode_length=zero,
+            valid=jnp.ones_like(reward),
+        )
+        return TailState(obs=obs, prop=prop), outcome
 
     return row

@@ -7,12 +7,25 @@ observation, the context, is known (`Env.advance`).
 from __future__ import annotations
 
 from functools import partial
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from dynappo.types import Env, Hyper, Static, Transition
+
+
+class Examples(NamedTuple):
+    """The rows that the model learns from: `t < count`, where the weight is 1.
+
+    T is the horizon N; a memory of earlier iterations' rows would make it longer.
+    """
+
+    x: Float[Array, "T R I"]  # input
+    y: Float[Array, "T R K"]  # target
+    weight: Float[Array, "T R"]  # 1 or 0
+    count: Int[Array, ""]  # bounds loops: the same for all seeds
 
 
 def inputs(env: Env, obs: Float[Array, "... O"], action) -> Float[Array, "... I"]:
@@ -58,11 +71,13 @@ def row_weight(static: Static, rows: Transition, n_real: Int[Array, ""]) -> Floa
     return jnp.where(real, rows.valid if every else rows.discount * (1 - rows.truncation), 0.0)
 
 
-def examples(static: Static, hyper: Hyper, env: Env, rows: Transition, n_real: Int[Array, ""]):
-    """`(inputs [N, R, O+A], targets [N, R, K], weight [N, R])` of a rollout's rows `t < n_real`."""
+def examples(
+    static: Static, hyper: Hyper, env: Env, rows: Transition, n_real: Int[Array, ""]
+) -> Examples:
+    """The rows `t < n_real` of a rollout."""
     weight = row_weight(static, rows, n_real)
     x = inputs(env, before_and_after(static, env, rows)[0], rows.action)
     y = targets(static, hyper, env, rows)
     # set to zero, not only weighted by 0: 0 times a number that is not finite is NaN
     x, y = (jnp.where(weight[..., None] > 0, a, 0.0) for a in (x, y))
-    return x, y, weight
+    return Examples(x=x, y=y, weight=weight, count=n_real)

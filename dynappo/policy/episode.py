@@ -24,7 +24,7 @@ from dynappo.physics import actuators, contacts, mjcf
 from dynappo.policy.policy_file import Policy
 from dynappo.tasks.velocity import observe
 
-SETTLE = 1.0  # s, left out of the tracking error, as in dynappo/evaluation.py
+SETTLE = 1.0  # s, left out of the tracking error, as in dynappo/scores.py
 UNEVEN = 0.02  # rad, about a degree
 STRIDE = 0.5  # s between points of the path walked, so that swaying adds no distance
 FILM, ROUND = 12.0, 16.0  # s of the tour in a film, and on the live page, which begins it again

@@ -117,7 +117,7 @@ def program(
     """Build robot, environment and first state, and compile the program that a run repeats.
 
     `env` is an environment of your own (a `types.Env`), with a config from `environment.settle`.
-    `each` is `(hyper, keys)` if each of the `run.num_seeds` seeds has its own values (`sweep.vary`)
+    `each` is `(hyper, keys)` if each of the `run.num_seeds` seeds has its own values (`seeds.vary`)
     or key. `meanwhile()` is called when all is traced, while XLA compiles. ConfigError as `check`, and
     if the compiled program needs more memory than a device has.
     """
@@ -126,27 +126,27 @@ def program(
     from jax.sharding import NamedSharding, PartitionSpec
 
     impl = devices.engine(config)
-    from dynappo import algorithm, evaluation, sweep
+    from dynappo import algorithm, scores, seeds
 
     began = time.perf_counter()
     (static, hyper), run = config_lib.split(config), config.run
-    mesh = sweep.mesh(run.mesh_seed, run.mesh_env, devices.find(run.device))
+    mesh = seeds.mesh(run.mesh_seed, run.mesh_env, devices.find(run.device))
     robot, env, impl = _environment(config, env, impl)
     env = env._replace(mesh=mesh)
     length = run.eval_steps or config.task.episode_length
     episodes = dict(static=static, num_envs=run.eval_envs, num_steps=length)
-    method = algorithm.init, algorithm.run, evaluation.evaluate
+    method = algorithm.init, algorithm.run, scores.evaluate
     key = jax.random.key(run.seed)
     if run.num_seeds > 1:
-        method = sweep.init, sweep.run, sweep.evaluate
-        hyper, key = each or (hyper, sweep.keys(run.seed, run.num_seeds))
+        method = seeds.init, seeds.run, seeds.evaluate
+        hyper, key = each or (hyper, seeds.keys(run.seed, run.num_seeds))
     init, step, episodes_of = (partial(function, env) for function in method)
     init, step = partial(init, static=static), partial(step, static=static)
     columns = schedule.columns(config)
     chunk = _padded(columns, max(run.log_every, ROOM)), np.int32(1)
     everywhere = NamedSharding(mesh, PartitionSpec())
     like = jax.eval_shape(init, hyper, key)
-    spread = sweep.shardings(mesh, like, run.num_seeds)
+    spread = seeds.shardings(mesh, like, run.num_seeds)
     first = jax.jit(init, out_shardings=spread)
     step = jax.jit(step, donate_argnums=1, out_shardings=(spread, everywhere))
     episodes_of = jax.jit(partial(episodes_of, **episodes), out_shardings=everywhere)
@@ -154,7 +154,7 @@ def program(
     soon = run.eval_envs and mesh.size == 1 and jax.process_count() == 1
     like = jax.tree.map(_placed, like, spread)
     given = first, step, episodes_of if soon else None, (hyper, key), (like, *chunk)
-    with sweep.partitioner(mesh):
+    with seeds.partitioner(mesh):
         state, compiled, ready = _side_by_side(*given, robot is None, meanwhile)
     size = memory.needed(compiled)
     memory.check_compiled(config, size, memory.limit(mesh.local_devices[0]))
@@ -259,9 +259,9 @@ def _evaluate(mesh, hyper: Hyper, episodes_of, ready, state):
     """Metrics of deterministic episodes; the first call waits for the compilation, or compiles."""
     import jax
 
-    from dynappo import sweep
+    from dynappo import seeds
 
-    with sweep.partitioner(mesh):
+    with seeds.partitioner(mesh):
         run = ready.result() if ready else episodes_of
         return jax.device_get(run(hyper, state.learner.params, jax.random.key(0)))
 

@@ -1,6 +1,6 @@
 """Several runs in one program: compiled once, stepped together, each written into its own folder.
 
-A run's seeds lie side by side with those of the others, and have their run's floats (`sweep.vary` is the
+A run's seeds lie side by side with those of the others, and have their run's floats (`seeds.vary` is the
 same for one field). They have the keys that the run alone gives them, so each run is what it would be
 alone, to the last digits of a float. One run alone is not batched further, and the same to the bit.
 """
@@ -43,7 +43,7 @@ def compiled(group: list[grid.Combination], log_every: int) -> Program:
     import jax
     import jax.numpy as jnp
 
-    from dynappo import sweep
+    from dynappo import seeds
 
     whole, run = grid.whole(group), group[0].config.run
     whole = _with_log_every(whole, log_every)
@@ -56,7 +56,7 @@ def compiled(group: list[grid.Combination], log_every: int) -> Program:
         return jnp.repeat(jnp.asarray(values, jnp.float32), run.num_seeds)
 
     hyper = jax.tree.map(each, *(config_lib.split(one.config)[1] for one in group))
-    keys = jnp.concatenate([sweep.keys(run.seed, run.num_seeds)] * len(group))
+    keys = jnp.concatenate([seeds.keys(run.seed, run.num_seeds)] * len(group))
     try:
         return build.program(whole, group[0].env, (hyper, keys))
     except config_lib.ConfigError as error:  # the memory of a device

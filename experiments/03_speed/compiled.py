@@ -18,10 +18,10 @@ import jax
 import jax.numpy as jnp
 from jax.experimental import topologies
 
-from dynappo import algorithm, rollout
+from dynappo import algorithm, fast, rollout
 from dynappo import config as config_lib
-from dynappo.learner import ppo, symmetry
-from dynappo.model import dynamics
+from dynappo.learner import symmetry
+from dynappo.model import dynamics, examples
 from dynappo.physics import robot as robot_lib
 from dynappo.tasks.velocity import env as env_lib
 from experiments import paper
@@ -80,19 +80,23 @@ def loops(config) -> dict:
         start = dynamics.anchors(static, env, rows, n_real, key)
         keys = rollout.row_keys(key, jnp.arange(robots))
         act = algorithm.policy(static, env, params)
-        step = dynamics.step(static, hyper, env, model)
-        return rollout.fill(rows, n_real, jnp.int32(horizon), start, keys, act=act, step=step)[0]
+        step = fast.step(static, hyper, env, model)
+        return fast.fill(rows, n_real, jnp.int32(horizon), start, keys, act=act, step=step)[0]
 
     def update(hyper, learner, rows, n_real, key):
         real = (jnp.arange(horizon) < n_real)[:, None]
         batch = algorithm.estimate(static, hyper, env, learner.params, rows, real)
-        return ppo.update(static, hyper, learner, batch, key, image)
+        return fast.update(static, hyper, learner, batch, key, image)
 
     out = {"PPO, a minibatch": (update, (hyper, state.learner, rows, one, key))}
     if state.model is not None:
         params = state.learner.params
         out["the tail, a row"] = tail, (hyper, state.model, params, rows, one, key)
-        fit = lambda hyper, *given: dynamics.fit(static, hyper, env, *given)  # noqa: E731
+
+        def fit(hyper, model, rows, n_real, epochs, key):
+            learned = examples.examples(static, hyper, env, rows, n_real)
+            return fast.fit(static, hyper, model, learned, epochs, key)
+
         out["the fit, a minibatch"] = fit, (hyper, state.model, rows, one, one, key)
     return out
 

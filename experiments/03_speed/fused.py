@@ -144,7 +144,7 @@ fused.defvjp(fused_forward, fused_backward)
 
 
 def plain(params, x, _=None):
-    """As `networks.policy_and_value`: a product a layer, of all networks."""
+    """As `fast.actor_critic`: a product a layer, of all networks."""
     x = jnp.broadcast_to(x.astype(BF16), (len(params[0][0]), *x.shape))
     for i, (weight, bias) in enumerate(params):
         last = i == len(params) - 1

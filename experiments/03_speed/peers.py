@@ -32,7 +32,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dynappo import algorithm, schedule, stats
+from dynappo import algorithm, fast, schedule, stats
 from dynappo import config as config_lib
 from dynappo.learner import ppo
 from dynappo.program import build, devices
@@ -69,7 +69,7 @@ def ours(static, hyper, learner, buffer):
     def updates(learner, batch, buffer, key):
         def one(learner, i):
             rows = batch or estimate(learner.params, buffer, real)
-            return ppo.update(static, hyper, learner, rows, jax.random.fold_in(key, i))
+            return fast.update(static, hyper, learner, rows, jax.random.fold_in(key, i))
 
         return jax.lax.scan(one, learner, jnp.arange(UPDATES))
 

@@ -26,10 +26,10 @@ import jax.numpy as jnp
 import numpy as np
 from ideas import Idea
 
-from dynappo import algorithm, rollout
+from dynappo import algorithm, fast, rollout
 from dynappo import config as config_lib
 from dynappo.learner import networks, ppo
-from dynappo.model import dynamics
+from dynappo.model import dynamics, examples
 from dynappo.types import Transition
 from experiments import paper
 
@@ -140,7 +140,7 @@ def programs(args):
     """Name -> `(function, arguments, compiler options, precision of "highest" or "", divisor of ms)`;
     and what they work on."""
     static, hyper = config_lib.split(config_lib.load("configs/go1.py:ppo16"))  # model as dyna4's
-    fast, _ = config_lib.split(config_lib.load("configs/go1.py:fast"))
+    of_fast, _ = config_lib.split(config_lib.load("configs/go1.py:fast"))
     task = env()
     make = jax.jit(lambda key: ppo.init(static, hyper, 48, 12, key))
     learner = make(jax.random.key(0))
@@ -162,7 +162,7 @@ def programs(args):
     for name, (idea, options) in updates().items():
         run = repeated(partial(ideas.update, idea, static, hyper))
         out[f"update: {name}"] = (run, (learner, batch, key), options, "", UPDATES)
-    run = repeated(partial(ppo.update, static, hyper))
+    run = repeated(partial(fast.update, static, hyper))
     out["update: dynappo.ppo"] = (run, (learner, batch, key), {}, "", UPDATES)
 
     def shuffles(learner, batch, key):
@@ -200,16 +200,17 @@ def programs(args):
 
     def fit(static, epochs):
         def run(model, buffer, n_real, epochs, key):
-            return dynamics.fit(static, hyper, task, model, buffer, n_real, epochs, key)
+            learned = examples.examples(static, hyper, task, buffer, n_real)
+            return fast.fit(static, hyper, model, learned, epochs, key)
 
         model = jax.jit(lambda key: dynamics.init(static, task, key))(jax.random.key(3))
         return run, (model, buffer, jnp.int32(12), jnp.int32(epochs), key)
 
     for name, how in (("highest", "highest"), *EMULATED.items()):
         out[f"fit: dyna4 {name}"] = (*fit(static, 25), {}, how, 1)
-    out["fit: fast"] = (*fit(fast, 5), {}, "", 1)
-    out["fit: fast none"] = (*fit(fast, 0), {}, "", 1)
-    out["fit: fast loops"] = (*fit(fast, 5), LOOPS, "", 1)
+    out["fit: fast"] = (*fit(of_fast, 5), {}, "", 1)
+    out["fit: fast none"] = (*fit(of_fast, 0), {}, "", 1)
+    out["fit: fast loops"] = (*fit(of_fast, 5), LOOPS, "", 1)
 
     def tail(static, rows=16):
         def run(params, model, obs, key, n):
@@ -217,8 +218,8 @@ def programs(args):
             keys = rollout.row_keys(key, jnp.arange(args.robots))
             empty = rollout.allocate(task, rows, args.robots)
             act = algorithm.policy(static, task, params)
-            step = dynamics.step(static, hyper, task, model)
-            return rollout.fill(empty, jnp.int32(0), n, state, keys, act=act, step=step)[:2]
+            step = fast.step(static, hyper, task, model)
+            return fast.fill(empty, jnp.int32(0), n, state, keys, act=act, step=step)[:2]
 
         model = jax.jit(lambda key: dynamics.init(static, task, key))(jax.random.key(3))
         return run, (learner.params, model, buffer.obs[0], key, jnp.int32(rows))
@@ -226,7 +227,7 @@ def programs(args):
     for name in ("highest", "tf32x3", "tf32"):
         how = EMULATED.get(name, name)
         out[f"tail: dyna4 {name}"] = (*tail(static), {}, how, 16)
-    out["tail: fast"] = (*tail(fast), {}, "", 16)
+    out["tail: fast"] = (*tail(of_fast), {}, "", 16)
     out["tail: dyna4 loops"] = (*tail(static), LOOPS, "", 16)
     return out, (static, hyper, learner, batch)
 

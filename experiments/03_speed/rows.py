@@ -31,7 +31,7 @@ import jax.numpy as jnp
 import numpy as np
 from mujoco import mjx
 
-from dynappo import algorithm, rollout
+from dynappo import algorithm, fast, rollout
 from dynappo import config as config_lib
 from dynappo.learner import ppo
 from dynappo.physics import contacts
@@ -150,11 +150,11 @@ class Bench:
         return jax.lax.fori_loop(0, ROWS, row, (state, jnp.zeros(self.worlds)))
 
     def fill(self, how, dynamic, params, body, state, key, n):
-        """rollout.fill with the policy: what `algorithm.iterate` does first."""
+        """fast.fill with the policy: what `algorithm.iterate` does first."""
         env = self.envs[how]
         env = env._replace(step=scoped("task", env.step), autoreset=scoped("reset", env.autoreset))
         lo, hi = (jnp.int32(0), n) if dynamic else (0, ROWS)
-        return rollout.fill(
+        return fast.fill(
             rollout.allocate(env, ROWS, self.worlds),
             lo,
             hi,

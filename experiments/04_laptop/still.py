@@ -3,7 +3,7 @@
     python experiments/04_laptop/still.py [--episodes 1000]      # writes results/still.json
 
 Networks of zeros, so the action is zero in every row; episodes of 20 s in C MuJoCo, evaluated as in training
-(dynappo/evaluation.py).
+(dynappo/scores.py).
 """
 
 import json
@@ -12,7 +12,7 @@ from pathlib import Path
 
 import jax
 
-from dynappo import algorithm, evaluation
+from dynappo import algorithm, scores
 from dynappo import config as config_lib
 from dynappo.physics import robot as robot_lib
 from dynappo.tasks.velocity import env as env_lib
@@ -32,7 +32,7 @@ def main():
 
 
 def measure(variant: str, episodes: int) -> dict[str, float]:
-    """The metrics of `evaluation.evaluate`."""
+    """The metrics of `scores.evaluate`."""
     config = config_lib.load(f"configs/go1.py:{variant}")
     config.physics.impl, config.run.device = "c", "cpu"
     config = config_lib.validate(config)
@@ -40,7 +40,7 @@ def measure(variant: str, episodes: int) -> dict[str, float]:
     env = env_lib.make(robot_lib.load(config.robot), config.task, config.physics, impl="c")
     params = algorithm.init(env, hyper, jax.random.key(0), static=static).learner.params
     assess = partial(
-        evaluation.evaluate, env, static=static, num_envs=episodes, num_steps=config.run.eval_steps
+        scores.evaluate, env, static=static, num_envs=episodes, num_steps=config.run.eval_steps
     )
     still = jax.tree.map(jax.numpy.zeros_like, params)
     found = jax.device_get(jax.jit(assess)(hyper, still, jax.random.key(0)))

@@ -8,9 +8,9 @@ import jax.numpy as jnp
 import plot
 from plot import KEPT, REAL
 
-from dynappo import algorithm, rollout
+from dynappo import algorithm, fast
 from dynappo.config import files, versions
-from dynappo.model import dynamics
+from dynappo.model import dynamics, examples
 from experiments import paper, walking
 
 # a tail of 16 behind REAL rows, as `best` had until 2026-11-22; today 4 are real
@@ -32,18 +32,14 @@ def measure(folder: Path, robots: int, fits: int) -> None:
 
 
 def iterate(env, hyper, state, iteration, epochs, *, static):
-    """`algorithm.iterate` without PPO: the policy stays; returns the buffer too."""
+    """`algorithm.iterate` without PPO: the policy stays; returns the rows too."""
     key, real = jax.random.fold_in(state.key, iteration), jnp.int32(REAL)
     rows_key, fit_key = (jax.random.fold_in(key, n) for n in (algorithm.ROWS, algorithm.FIT))
-    buffer, env_state, _ = algorithm.collect(env, hyper, state, real, rows_key, static=static)
-    model, _ = dynamics.fit(static, hyper, env, state.model, buffer, real, epochs, fit_key)
-    buffer, _, _ = rollout.fill(
-        buffer,
-        real,
-        jnp.int32(static.rollout.horizon),
+    rows, env_state, _ = algorithm.collect(env, hyper, state, real, rows_key, static=static)
+    learned = examples.examples(static, hyper, env, rows, real)
+    model, _ = fast.fit(static, hyper, state.model, learned, epochs, fit_key)
+    state, start = (
+        state.replace(model=model, env_state=env_state),
         dynamics.tail(static, env, env_state),
-        rollout.row_keys(rows_key, state.robot_index),
-        act=algorithm.policy(static, env, state.learner.params),
-        step=dynamics.step(static, hyper, env, model),
     )
-    return state.replace(model=model, env_state=env_state), buffer
+    return state, algorithm.imagine(env, hyper, state, rows, real, start, rows_key, static=static)

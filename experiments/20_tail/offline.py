@@ -15,8 +15,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dynappo import algorithm
-from dynappo.model import dynamics, errors
+from dynappo import algorithm, fast
+from dynappo.model import errors, examples
 from dynappo.program import devices
 from experiments import paper, walking
 
@@ -58,7 +58,8 @@ def iterate(env, hyper, state, iteration, epochs, *, static):
     for steps in (1, 4, ROWS):
         found |= errors.errors(static, hyper, env, state.model, buffer, steps)
     fit_key = jax.random.fold_in(key, algorithm.FIT)
-    model, fitted = dynamics.fit(static, hyper, env, state.model, buffer, real, epochs, fit_key)
+    learned = examples.examples(static, hyper, env, buffer, real)
+    model, fitted = fast.fit(static, hyper, state.model, learned, epochs, fit_key)
     found |= {"falls": sums["falls"], "loss": fitted["model_loss_before"]}
     return state.replace(model=model, env_state=env_state), found
 

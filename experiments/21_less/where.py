@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from dynappo import config as config_lib
-from dynappo import evaluation
+from dynappo import scores
 from dynappo.evaluate import episodes
 from dynappo.learner import networks
 from dynappo.physics import engine as engine_lib
@@ -41,7 +41,7 @@ def falls(name: str, policy: policy_file.Policy, number: int):
     """`(step, command [3], parts)` of each episode's first fall."""
     config = episodes.settings(policy)
     static, hyper = config_lib.split(config)
-    hyper, robot = evaluation.nominal(hyper), robot_lib.load(name)
+    hyper, robot = scores.nominal(hyper), robot_lib.load(name)
     static = static._replace(ppo=static.ppo._replace(precision="highest"))
     env = env_lib.make(robot, config.task, config.physics, impl="c")
     engine = env.step.args[0].engine
@@ -56,7 +56,7 @@ def falls(name: str, policy: policy_file.Policy, number: int):
     params, home = policy.params, jnp.asarray(robot.home_qpos, jnp.float32)
 
     def act(state):
-        obs, _ = networks.seen(static, env, state.obs, state.prop)
+        obs, _ = networks.inputs(static, env, state.obs, state.prop)
         return networks.policy(static, params, obs)
 
     @jax.jit

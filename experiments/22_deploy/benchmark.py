@@ -2,7 +2,7 @@
 
     python experiments/22_deploy/benchmark.py go1 go1_deploy anymal_c anymal_c_deploy ... [--episodes 200]
 
-Episodes of 20 s in C MuJoCo, evaluated as in training (dynappo/evaluation.py).
+Episodes of 20 s in C MuJoCo, evaluated as in training (dynappo/scores.py).
 """
 
 from functools import partial
@@ -11,7 +11,7 @@ import jax
 import numpy as np
 
 from dynappo import config as config_lib
-from dynappo import evaluation
+from dynappo import scores
 from dynappo.policy import carried, source
 from dynappo.tasks.velocity import env as env_lib
 from experiments import paper
@@ -29,7 +29,7 @@ def main():
 
 
 def measure(name: str, episodes: int) -> dict[str, float]:
-    """`evaluation.evaluate` of a bundled policy on ROBOT:best, with the observation that it knows."""
+    """`scores.evaluate` of a bundled policy on ROBOT:best, with the observation that it knows."""
     policy, _ = source.find(name)
     config = config_lib.load(f"configs/{policy.robot}.py:best")
     task = policy.config["task"]
@@ -41,7 +41,7 @@ def measure(name: str, episodes: int) -> dict[str, float]:
     static, hyper = config_lib.split(config)
     env = env_lib.make(carried.robot(policy)[0], config.task, config.physics, impl="c")
     assess = partial(
-        evaluation.evaluate, env, static=static, num_envs=episodes, num_steps=config.run.eval_steps
+        scores.evaluate, env, static=static, num_envs=episodes, num_steps=config.run.eval_steps
     )
     params = {"std": np.ones(12, np.float32)} | policy.params
     found = jax.device_get(jax.jit(assess)(hyper, params, jax.random.key(0)))

@@ -21,7 +21,7 @@ from brax import envs
 from brax.training.agents.sac import networks as sac_networks
 from brax.training.agents.sac import train as sac_train
 
-from dynappo import algorithm, evaluation
+from dynappo import algorithm, scores
 from dynappo import config as config_lib
 from dynappo.program import devices
 from dynappo.train import log
@@ -161,7 +161,7 @@ def robots(args: argparse.Namespace) -> tuple[Robots, Robots]:
     config = config_lib.validate(config)
     _, hyper = config_lib.split(config)
     _, env, _ = build._environment(config, None, devices.engine(config))
-    evaluated = Robots(env, evaluation.nominal(hyper), args.gain, False)
+    evaluated = Robots(env, scores.nominal(hyper), args.gain, False)
     return Robots(env, hyper, args.gain, True), evaluated
 
 

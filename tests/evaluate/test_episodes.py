@@ -9,7 +9,7 @@ from answers import refused
 from toy_policy import actor, described
 
 from dynappo import config as config_lib
-from dynappo import evaluation
+from dynappo import scores
 from dynappo.evaluate import episodes
 from dynappo.policy import policy_file
 from dynappo.program import devices
@@ -60,14 +60,14 @@ def test_a_config_that_does_not_fit_is_one_line(policy, field, value):
 
 
 def test_the_policy_is_evaluated_on_its_task(policy, monkeypatch):
-    """What `evaluation.evaluate` gets, and what is handed on; NaN is None."""
+    """What `scores.evaluate` gets, and what is handed on; NaN is None."""
     got = {}
 
     def spy(env, hyper, params, key, **options):
         got.update(env=env, hyper=hyper, params=params, key=key, **options)
         return {"return": jnp.float32(3.5), "tracking_error": jnp.float32(jnp.nan)}
 
-    monkeypatch.setattr(evaluation, "evaluate", spy)
+    monkeypatch.setattr(scores, "evaluate", spy)
     lone = policy._replace(params={"actor": policy.params["actor"]})
     found = episodes.run(lone, 7, randomize=True, seed=3)
     static, hyper = config_lib.split(episodes.settings(policy))
@@ -89,7 +89,7 @@ def test_the_policy_is_evaluated_on_its_task(policy, monkeypatch):
     default = {"gpu": 1000, "cpu": 64}[jax.default_backend()]
     assert episodes.run(policy)["episodes"] == default and got["randomize"] is False
     numbers = {"return": 41.0, "tracking_error": 0.1, "yaw_error": 0.1, "fall_rate": 0.02}
-    monkeypatch.setattr(evaluation, "evaluate", lambda *_, **__: numbers)
+    monkeypatch.setattr(scores, "evaluate", lambda *_, **__: numbers)
     assert episodes.run(policy)["policy"] == "almost walks; falls 2.0 % > 1 %"
     assert "policy" not in episodes.run(policy, randomize=True)
 

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from dynappo import fast
 from dynappo.learner import networks
 
 OBS, ACTIONS = 48, 12
@@ -24,6 +25,11 @@ def make(settings):
         return static, init(jax.random.key(seed))
 
     return fresh
+
+
+def together(static, params, obs):
+    """Both networks, as the loop computes them."""
+    return fast.actor_critic(static, params)(obs)
 
 
 def densities(mean, std, points=4001):
@@ -50,7 +56,7 @@ def test_in_bfloat16_no_output_is_rounded_to_it(make):
     params["critic"]["params"]["Dense_1"]["bias"] += 5.0
     obs = jax.random.normal(jax.random.key(1), (200, OBS))
     outputs = [networks.policy(static, params, obs), networks.value(static, params, obs)]
-    for out in (*outputs, *networks.policy_and_value(static, params, obs)):
+    for out in (*outputs, *fast.actor_critic(static, params)(obs)):
         rounded = out.astype(jnp.bfloat16).astype(jnp.float32)
         assert (out != rounded).mean() > 0.9
 
@@ -66,40 +72,12 @@ def test_a_policy_that_feeds_on_its_last_action_stays_within_its_limit(make):
     action = jnp.linspace(-1, 1, ACTIONS)
     for k in range(40):
         obs = jnp.concatenate([jnp.zeros(OBS - ACTIONS), action])
-        together = networks.policy_and_value(static, params, obs)[0]
+        together = fast.actor_critic(static, params)(obs)[0]
         action = networks.policy(static, params, obs)
         np.testing.assert_array_equal(together, action)
         if k == 0:
             np.testing.assert_allclose(action, 3 * jnp.linspace(-1, 1, ACTIONS), rtol=1e-5)
     np.testing.assert_array_equal(jnp.abs(action), networks.MAX_MEAN)
-
-
-@pytest.mark.parametrize("hidden", [(24,), (32, 16, 8)])
-@pytest.mark.parametrize("precision", ["highest", "bfloat16"])
-def test_both_networks_at_once_say_what_each_says_alone(make, typed, hidden, precision):
-    """Outputs for one row, a batch and a rollout, and gradients of both."""
-    static, params = make({"hidden": hidden, "precision": precision})
-    everything = jnp.asarray(np.random.default_rng(0).normal(size=(3, 5, OBS)), jnp.float32)
-    close = dict(rtol=2e-5, atol=1e-6) if precision == "highest" else dict(rtol=0.05, atol=0.01)
-
-    @jax.jit
-    def apart(params, obs):
-        return networks.policy(static, params, obs), networks.value(static, params, obs)
-
-    def total(call, params):
-        mean, value = call(params, everything)
-        return (mean**2).sum() + (value**3).sum()
-
-    together = jax.jit(partial(typed(networks.policy_and_value), static))
-    for obs in (everything[0, 0], everything[0], everything):
-        for found, expected in zip(together(params, obs), apart(params, obs), strict=True):
-            assert found.shape == expected.shape and found.dtype == expected.dtype
-            np.testing.assert_allclose(found, expected, **close)
-    if precision == "highest":
-        found, expected = (
-            jax.jit(jax.grad(partial(total, call)))(params) for call in (together, apart)
-        )
-        jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, 1e-4, 1e-5), found, expected)
 
 
 def test_log_prob_entropy_and_kl_are_those_of_rsl_rl(peer, typed):
@@ -237,14 +215,14 @@ def test_every_precision_keeps_float32_parameters_and_output(precision):
 @pytest.mark.parametrize(
     ("setting", "expected"), [("highest", "HIGHEST"), ("tf32", "HIGH"), ("bfloat16", "DEFAULT")]
 )
-@pytest.mark.parametrize("network", [networks.policy, networks.value, networks.policy_and_value])
+@pytest.mark.parametrize("network", [networks.policy, networks.value, together])
 def test_every_matrix_product_has_the_precision_of_the_config(make, network, setting, expected):
     static, params = make({"hidden": (8,), "precision": setting})
     # a global default must not win over the setting
     with jax.default_matmul_precision("bfloat16" if setting == "highest" else "highest"):
         program = jax.make_jaxpr(lambda p, x: network(static, p, x))(params, jnp.zeros(OBS))
     products = [e for e in program.eqns if e.primitive.name == "dot_general"]
-    assert len(products) == 2 + (network is networks.policy_and_value)
+    assert len(products) == 2 + (network is together)
     assert {p.name for e in products for p in e.params["precision"]} == {expected}
     kind = "bfloat16" if setting == "bfloat16" else "float32"
     assert {v.aval.dtype.name for e in products for v in e.invars} == {kind}

@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import toy_env
-from jax.flatten_util import ravel_pytree
 
+from dynappo import fast
 from dynappo.learner import networks, ppo
 from dynappo.types import Learner
 
@@ -56,8 +56,8 @@ def ppo_settings(settings, peer):
 
 @pytest.fixture(scope="module")
 def step(ppo_settings):
-    """`one_step` compiled with the settings of the recorded updates."""
-    return jax.jit(partial(one_step, *ppo_settings()))
+    """`ppo.minibatch_step` compiled with the settings of the recorded updates."""
+    return jax.jit(partial(ppo.minibatch_step, *ppo_settings()))
 
 
 @pytest.fixture(scope="module")
@@ -91,14 +91,6 @@ def small_batch():
         obs=obs, action=mean + noise, action_mean=mean, **dict(zip(names, scalars, strict=True))
     )
     return jax.tree.map(jnp.asarray, batch)
-
-
-def one_step(static, hyper, learner, batch, old_std):
-    """`ppo.minibatch_step` of a learner with a tree of parameters."""
-    params, unflatten = ravel_pytree(learner.params)
-    learner = learner.replace(params=params)
-    after, metrics = ppo.minibatch_step(static, hyper, unflatten, learner, batch, old_std)
-    return after.replace(params=unflatten(after.params)), metrics
 
 
 def flat(batch):
@@ -335,14 +327,15 @@ def test_minibatches_depend_on_the_key_alone(ppo_settings, small_batch):
 # the update
 
 
+@pytest.mark.parametrize("module", [ppo, fast], ids=["plain", "fast"])
 def test_an_update_is_its_epochs_of_steps_over_the_same_minibatches(
-    recorded, step, peer, ppo_settings
+    recorded, step, peer, ppo_settings, module
 ):
     learner, batch, _ = recorded("updates")
     batch = batch._replace(advantages=3 * batch.advantages + 7)  # raw: update normalises them
     static, hyper = ppo_settings()
     key = jax.random.key(5)
-    after, metrics = jax.jit(partial(ppo.update, static, hyper))(learner, batch, key)
+    after, metrics = jax.jit(partial(module.update, static, hyper))(learner, batch, key)
 
     normal = batch._replace(advantages=(batch.advantages - 7) / 3)
     rows = ppo.minibatches(static, normal, key)
@@ -373,17 +366,22 @@ def test_the_optimiser_and_learning_rate_start_where_the_last_update_left_them(r
 def test_no_std_falls_below_min_std(recorded, ppo_settings, min_std, held):
     # entropy_coef < 0 rewards a small std, and Adam's first step has the size of the learning rate
     static, hyper = ppo_settings(
-        min_std=min_std, entropy_coef=-1.0, learning_rate=0.1, adaptive=False
+        min_std=min_std,
+        entropy_coef=-1.0,
+        learning_rate=0.1,
+        adaptive=False,
+        epochs=1,
+        minibatches=1,
     )
     learner, batch, old_std = recorded("updates")
     start = learner.params | {"std": jnp.full(ACTIONS, 0.55)}
     learner = learner.replace(params=start, learning_rate=jnp.float32(0.1))
-    step = jax.jit(partial(one_step, static, hyper))
-    after, _ = step(learner, flat(batch), old_std)
-    std = np.asarray(after.params["std"])
-    assert (std >= np.float32(min_std)).all()
-    assert (std == np.float32(min_std)).any() == held
-    assert (std < 0.5).any() != held
+    after, _ = jax.jit(partial(ppo.minibatch_step, static, hyper))(learner, flat(batch), old_std)
+    other, _ = jax.jit(partial(fast.update, static, hyper))(learner, batch, jax.random.key(0))
+    for std in (np.asarray(after.params["std"]), np.asarray(other.params["std"])):
+        assert (std >= np.float32(min_std)).all()
+        assert (std == np.float32(min_std)).any() == held
+        assert (std < 0.5).any() != held
 
 
 def test_a_fresh_learner_has_the_initial_std_learning_rate_and_float32_leaves(ppo_settings):
@@ -413,7 +411,7 @@ def toy():
     """`(static, hyper, learner, update(batch))` of a small learner."""
     _, static, hyper = toy_env.settings({"rollout.num_envs": ROBOTS})
     learner = jax.jit(partial(ppo.init, static, hyper, 6, 2))(jax.random.key(0))
-    update = jax.jit(lambda batch: ppo.update(static, hyper, learner, batch, jax.random.key(1)))
+    update = jax.jit(lambda batch: fast.update(static, hyper, learner, batch, jax.random.key(1)))
     return static, hyper, learner, update
 
 

@@ -10,6 +10,7 @@ import pytest
 import toy_env
 from jax.flatten_util import ravel_pytree
 
+from dynappo import fast
 from dynappo.learner import networks, ppo, symmetry
 from dynappo.types import Mirror
 
@@ -48,7 +49,7 @@ def batch(settings, learner):
     """A rollout [N, R] by another policy than the learner's."""
     draw = np.random.default_rng(0)
     obs, action = draw.normal(size=(N, R, 6)), draw.normal(size=(N, R, 3))
-    mean, value = networks.policy_and_value(settings[0], learner.params, jnp.asarray(obs))
+    mean, value = networks.actor_critic(settings[0], learner.params)(jnp.asarray(obs))
     mean = mean + 0.1 * draw.normal(size=mean.shape)
     log_prob = networks.log_prob(mean, 0.9, action)
     advantages, returns = draw.normal(size=(2, N, R))
@@ -59,8 +60,8 @@ def batch(settings, learner):
 def assert_symmetric(static, params):
     """By what the networks say of mirrored observations."""
     obs = np.random.default_rng(1).normal(size=(50, 6)).astype(np.float32)
-    mean, value = networks.policy_and_value(static, params, jnp.asarray(obs))
-    other = networks.policy_and_value(static, params, jnp.asarray(mirrored(OBS, obs)))
+    mean, value = networks.actor_critic(static, params)(jnp.asarray(obs))
+    other = networks.actor_critic(static, params)(jnp.asarray(mirrored(OBS, obs)))
     np.testing.assert_allclose(other[0], mirrored(ACTION, mean), 1e-5, 1e-6)
     np.testing.assert_allclose(other[1], value, 1e-5, 1e-6)
     np.testing.assert_array_equal(params["std"], np.asarray(params["std"])[[1, 0, 2]])
@@ -79,8 +80,8 @@ def test_the_image_of_a_network_is_the_mirrored_network_of_mirrored_inputs(setti
     static, hyper = settings
     params = networks.init_policy(static, hyper, 6, 3, jax.random.key(3))
     obs = np.random.default_rng(1).normal(size=(50, 6)).astype(np.float32)
-    mean, value = networks.policy_and_value(static, params, jnp.asarray(mirrored(OBS, obs)))
-    found = networks.policy_and_value(static, image(params), jnp.asarray(obs))
+    mean, value = networks.actor_critic(static, params)(jnp.asarray(mirrored(OBS, obs)))
+    found = networks.actor_critic(static, image(params))(jnp.asarray(obs))
     np.testing.assert_allclose(found[0], mirrored(ACTION, mean), 1e-5, 1e-6)
     np.testing.assert_allclose(found[1], value, 1e-5, 1e-6)
     assert np.abs(found[0] - networks.policy(static, params, jnp.asarray(obs))).max() > 0.05
@@ -109,19 +110,23 @@ def test_the_gradient_is_that_of_the_rows_and_their_mirror_images(settings, imag
     grad = jax.jit(
         jax.grad(lambda p, rows: ppo.loss(static, hyper, p, rows, learner.params["std"])[0])
     )
-    one = ravel_pytree(grad(learner.params, rows))[0]
-    found, expected = (
-        symmetry.mean(one, symmetry.places(learner.params, image)),
-        ravel_pytree(grad(learner.params, both))[0],
-    )
+    one, expected = grad(learner.params, rows), ravel_pytree(grad(learner.params, both))[0]
+    vector = ravel_pytree(one)[0]
+    found = ravel_pytree(symmetry.mean(one, image))[0]
     np.testing.assert_allclose(found, expected, 1e-4, 1e-6)
-    assert np.abs(found - one).max() > 1e-3  # without the image it is another one
+    assert np.abs(found - vector).max() > 1e-3  # without the image it is another one
     assert symmetry.mean(one, None) is one
+    # as one vector: the same bits
+    np.testing.assert_array_equal(fast.mean_with_image(learner.params, image)(vector), found)
+    assert fast.mean_with_image(learner.params, None)(vector) is vector
 
 
-def test_an_update_stays_symmetric_and_without_the_image_does_not(settings, image, learner, batch):
+@pytest.mark.parametrize("module", [ppo, fast], ids=["plain", "fast"])
+def test_an_update_stays_symmetric_and_without_the_image_does_not(
+    settings, image, learner, batch, module
+):
     static, hyper = settings
-    update = partial(ppo.update, static, hyper, learner, batch, jax.random.key(1))
+    update = partial(module.update, static, hyper, learner, batch, jax.random.key(1))
     after, metrics = update(image)
     assert metrics["kl"] > 1e-4
     assert_symmetric(static, after.params)

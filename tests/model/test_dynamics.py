@@ -18,12 +18,14 @@ from toy_model import (
     ROBOTS,
     constant_model,
     fit,
+    fit_rows,
     linear_rows,
     settings,
     start,
 )
 from toy_runs import assert_same
 
+from dynappo import fast
 from dynappo.learner import networks
 from dynappo.model import dynamics
 from dynappo.types import Moments
@@ -183,7 +185,7 @@ def test_an_epoch_has_every_real_row_of_every_robot_once(monkeypatch, n_real, ep
 
     monkeypatch.setattr(dynamics, "loss", loss)
     args = start(static), rows.replace(obs=obs), i32(n_real), i32(epochs), jax.random.key(0)
-    jax.block_until_ready(jax.jit(partial(dynamics.fit, static, hyper, ENV))(*args))
+    jax.block_until_ready(jax.jit(partial(fit_rows, fast.fit, static, hyper))(*args))
     jax.effects_barrier()
     assert len(seen) == -(-epochs * n_real // 2)  # two rows of each robot a minibatch
     row, weight = (np.concatenate(part) for part in zip(*seen, strict=True))
@@ -270,7 +272,7 @@ def test_one_program_serves_every_number_of_real_rows_epochs_and_learning_rate()
     @jax.jit
     @chex.assert_max_traces(1)
     def run(hyper, model, rows, n_real, epochs, key):
-        return dynamics.fit(static, hyper, ENV, model, rows, n_real, epochs, key)
+        return fit_rows(fast.fit, static, hyper, model, rows, n_real, epochs, key)
 
     model, rows = start(static), linear_rows(0)
     for n_real, epochs, rate in ((8, 1, 1e-3), (5, 2, 1e-3), (3, 1, 3e-3)):

@@ -50,7 +50,8 @@ def test_examples_are_those_of_a_loop_over_rows(rows, options):
     static, hyper = settings(**dict(zip(OPTIONS, options, strict=True)))
     n_real, used = 5, 0
     found = examples.examples(static, hyper, ENV, jax.tree.map(jnp.asarray, rows), n_real)
-    x, y, weight = map(np.asarray, found)
+    assert found.count == n_real
+    x, y, weight = map(np.asarray, found[:3])
     assert x.shape == (HORIZON, ROBOTS, OBS + ACTIONS)
     assert y.shape == (HORIZON, ROBOTS, PROP + 1 + options[2])
     for t, r in np.ndindex(HORIZON, ROBOTS):
@@ -74,5 +75,5 @@ def test_no_number_of_a_row_of_weight_0_is_left(rows):
 
         names = ("obs", "next_obs", "prop", "next_prop", "action", "reward")
         spoilt = rows.replace(**{name: spoil(getattr(rows, name)) for name in names})
-        for found in examples.examples(static, hyper, ENV, spoilt, 5):
+        for found in examples.examples(static, hyper, ENV, spoilt, 5)[:3]:
             assert np.isfinite(found).all()

@@ -7,10 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import toy_env
-from toy_model import start, that_says
+from toy_model import fit_rows, start, that_says
 from toy_runs import N, R, assert_close, assert_same, observe, row
 
-from dynappo import algorithm, rollout
+from dynappo import algorithm, fast, rollout
 from dynappo.learner import ppo
 from dynappo.model import dynamics
 
@@ -155,11 +155,11 @@ def fallible(env):
         valid=discount * 0 + 1,
     )
     rows = jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), rows)
-    fit = jax.jit(
-        lambda model, rows, epochs: dynamics.fit(
-            static, hyper, env, model, rows, N, epochs, jax.random.key(1)
-        )
-    )
+
+    @jax.jit
+    def fit(model, rows, epochs):
+        return fit_rows(fast.fit, static, hyper, model, rows, N, epochs, jax.random.key(1), env)
+
     return static, hyper, fit, rows
 
 

@@ -14,7 +14,7 @@ from jax.sharding import PartitionSpec
 from mujoco import mjx
 
 from dynappo import config as config_lib
-from dynappo import sweep
+from dynappo import seeds
 from dynappo.physics import contacts as contacts_lib
 from dynappo.physics import engine as engine_lib
 from dynappo.physics import randomize
@@ -209,13 +209,13 @@ def test_nothing_is_left_of_robots_that_blew_up(world, expected):
 
 @pytest.mark.skipif(jax.device_count() < 2, reason="one device")
 def test_every_device_of_a_mesh_steps_its_own_robots(world, expected):
-    """As `algorithm.physics_step`, under the `vmap` over seeds of `sweep`."""
-    mesh, spec = sweep.mesh(1, 2), PartitionSpec("env")
+    """As `algorithm.physics_step`, under the `vmap` of `seeds`."""
+    mesh, spec = seeds.mesh(1, 2), PartitionSpec("env")
     robots = jax.shard_map(
         jax.vmap(world.few), mesh=mesh, in_specs=spec, out_specs=spec, check_vma=False
     )
-    seeds = jax.vmap(robots, (None, 0, 0), spmd_axis_name="seed")
-    found = jax.jit(seeds)(world.bodies, world.state, world.actions)
+    every = jax.vmap(robots, (None, 0, 0), spmd_axis_name="seed")
+    found = jax.jit(every)(world.bodies, world.state, world.actions)
     assert len(found.qpos.sharding.device_set) == 2
     compare(found, expected)
 

@@ -22,7 +22,7 @@ from answers import PATIENCE, ROOT
 from jax.sharding import PartitionSpec
 
 from dynappo import config as config_lib
-from dynappo import sweep
+from dynappo import seeds
 from dynappo.physics import engine as engine_lib
 from dynappo.physics import randomize, xla_call
 from dynappo.physics import robot as robot_lib
@@ -168,7 +168,7 @@ def test_two_programs_at_once_compute_what_each_does_alone():
 
 @pytest.mark.skipif(jax.device_count() < 2, reason="one device")
 def test_every_device_of_a_mesh_steps_its_own_robots():
-    mesh, spec, many = sweep.mesh(1, 2), PartitionSpec("env"), control_steps(5)
+    mesh, spec, many = seeds.mesh(1, 2), PartitionSpec("env"), control_steps(5)
     spread = jax.shard_map(many, mesh=mesh, in_specs=spec, out_specs=spec, check_vma=False)
     same(jax.jit(spread)(*robots()), jax.jit(many)(*robots()))
 

@@ -14,7 +14,7 @@ import toy_env
 from toy_runs import leaves
 
 from dynappo import config as config_lib
-from dynappo import schedule, sweep
+from dynappo import schedule, seeds
 from dynappo.config import fields
 from dynappo.physics import robot
 from dynappo.sweeps import grid
@@ -117,11 +117,11 @@ def runs():
             columns = tuple(jnp.asarray(each(*pair), jnp.float32) for pair in pairs)
             hyper = with_tuple(hyper, field, columns)
         else:
-            hyper = sweep.vary(hyper, field, each(value, changed(field, value)))
+            hyper = seeds.vary(hyper, field, each(value, changed(field, value)))
     env = env_lib.make(robot.load("go1"), config.task, config.physics, impl="c")
     keys = jnp.stack([jax.random.key(0)] * len(names))
-    state = jax.jit(partial(sweep.init, env, static=static))(hyper, keys)
-    step = jax.jit(partial(sweep.run, env, static=static))
+    state = jax.jit(partial(seeds.init, env, static=static))(hyper, keys)
+    step = jax.jit(partial(seeds.run, env, static=static))
     after, metrics = jax.device_get(step(hyper, state, schedule.columns(config)))
     numbers = leaves(after) | {name: np.moveaxis(x, 1, 0) for name, x in metrics.items()}
     return {name: {k: x[i] for k, x in numbers.items()} for i, name in enumerate(names)}
@@ -145,7 +145,7 @@ def test_a_float_that_is_built_in_is_refused_by_its_name(field):
     """The errors where they are 0, as they are by default."""
     hyper = config_lib.split(toy_env.configure(FIELDS, "configs/go1.py:dyna4"))[1]
     with pytest.raises(ValueError, match=f"{field} is .*expected"):
-        sweep.vary(hyper, field, [0.01, 0.02])
+        seeds.vary(hyper, field, [0.01, 0.02])
     assert not grid.by_vmap(field)
 
 
@@ -159,5 +159,5 @@ def test_every_float_is_varied_or_refused():
     assert all(n.startswith("task.randomize.") for n in numbers)
     for field in numbers:
         with pytest.raises(ValueError, match="several numbers"):
-            sweep.vary(hyper, field, [0.01, 0.02])
+            seeds.vary(hyper, field, [0.01, 0.02])
         assert not grid.by_vmap(field)

@@ -14,7 +14,7 @@ from brax.envs.wrappers import training
 from brax.training import acting
 from toy_runs import AS_USERS, assert_same
 
-from dynappo import algorithm, evaluation, schedule
+from dynappo import algorithm, schedule, scores
 from dynappo.config import ConfigError
 from dynappo.physics import robot as robot_lib
 from dynappo.tasks import brax_env as door
@@ -522,7 +522,7 @@ def test_ppo_learns_to_go_fast():
         env, {"rollout.num_envs": 64, "rollout.horizon": 16, "run.num_iterations": 30}
     )
     worth = jax.jit(
-        partial(evaluation.evaluate, env, static=static, num_envs=16, num_steps=50),
+        partial(scores.evaluate, env, static=static, num_envs=16, num_steps=50),
     )
     state, metrics = jax.jit(partial(algorithm.run, env, static=static))(hyper, state, columns)
     after = worth(hyper, state.learner.params, jax.random.key(1))

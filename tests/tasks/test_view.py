@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from dynappo import config as config_lib
+from dynappo import fast
 from dynappo.learner import networks, symmetry
 from dynappo.model import dynamics
 from dynappo.physics import randomize
@@ -143,26 +144,27 @@ def test_each_network_sees_its_columns(world):
     """The policy no velocity and no body; the value function both, without errors, and no readings before."""
     obs, prop = (jnp.asarray(getattr(world.rows[3][0], name)) for name in ("obs", "prop"))
     past, body = obs[:, 48 : 48 + (HISTORY - 1) * 45], obs[:, 48 + (HISTORY - 1) * 45 :]
-    shown, state = networks.seen(world.static, world.env, obs, prop)
+    shown, state = networks.inputs(world.static, world.env, obs, prop)
     np.testing.assert_array_equal(shown, jnp.concatenate([obs[:, READING], past], -1))
     np.testing.assert_array_equal(state, jnp.concatenate([prop, obs[:, 33:48], body], -1))
-    assert networks.seen_sizes(world.static, world.env) == (shown.shape[1], state.shape[1])
+    assert networks.input_sizes(world.static, world.env) == (shown.shape[1], state.shape[1])
     alike = world.static._replace(ppo=world.static.ppo._replace(critic="obs"))
-    one, other = networks.seen(alike, world.env, obs, prop)
-    assert one is other  # so that both networks' first layers are one product
+    one, other = networks.inputs(alike, world.env, obs, prop)
+    assert one is other
 
 
 def test_two_inputs_at_once_give_what_each_network_gives_alone(world):
     static = world.static._replace(ppo=world.static.ppo._replace(precision="highest"))
-    sizes = networks.seen_sizes(static, world.env)
+    sizes = networks.input_sizes(static, world.env)
     params = networks.init_policy(
         static, world.hyper, sizes[0], 12, jax.random.key(1), critic_size=sizes[1]
     )
     rng = np.random.default_rng(2)
     obs, critic_obs = (jnp.asarray(rng.normal(size=(5, n)), jnp.float32) for n in sizes)
-    mean, value = networks.policy_and_value(static, params, obs, critic_obs)
-    np.testing.assert_allclose(mean, networks.policy(static, params, obs), 1e-5, 1e-5)
-    np.testing.assert_allclose(value, networks.value(static, params, critic_obs), 1e-5, 1e-5)
+    for actor_critic in (networks.actor_critic, fast.actor_critic):
+        mean, value = actor_critic(static, params)(obs, critic_obs)
+        np.testing.assert_allclose(mean, networks.policy(static, params, obs), 1e-5, 1e-5)
+        np.testing.assert_allclose(value, networks.value(static, params, critic_obs), 1e-5, 1e-5)
 
 
 def test_the_mirror_image_of_an_observation_is_that_of_the_mirrored_robot(world):

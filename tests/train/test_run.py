@@ -183,7 +183,7 @@ def settings():
     return [getattr(jax.config, name) for name in names] + [logging.getLogger("absl").level]
 before, environment = settings(), dict(os.environ)
 import dynappo.bench.command, dynappo.evaluate.command, dynappo.train.command
-import dynappo.train.checkpoint, dynappo.program.build, dynappo.sweep
+import dynappo.train.checkpoint, dynappo.program.build, dynappo.seeds
 changed = {k for k, v in os.environ.items() if environment.get(k) != v}
 print(settings() == before, sorted(changed), signal.getsignal(signal.SIGTERM).name)
 """

@@ -147,7 +147,6 @@ def memory(name: str, history: int) -> Callable[[np.ndarray], np.ndarray]:
 
 def rotate_inverse(quat, vector):
     """World `vector` [3] in the frame of the unit quaternion `quat` (w, x, y, z)."""
-    xp = vector.__array_namespace__()
     w, u = quat[0], quat[1:]
     # v' = v + 2 u x (u x v) - 2 w (u x v)
     uv = cross(u, vector)

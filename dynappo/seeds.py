@@ -1,13 +1,13 @@
 """Trains many seeds at once with `jax.vmap`, and on many devices with a mesh.
 
-    hyper = sweep.vary(hyper, "ppo.learning_rate", [1e-3, 3e-4])    # optional
-    state = jax.jit(partial(sweep.init, env, static=static))(hyper, sweep.keys(0, 2))
-    run = jax.jit(partial(sweep.run, env, static=static))
+    hyper = seeds.vary(hyper, "ppo.learning_rate", [1e-3, 3e-4])    # optional
+    state = jax.jit(partial(seeds.init, env, static=static))(hyper, seeds.keys(0, 2))
+    run = jax.jit(partial(seeds.run, env, static=static))
     state, metrics = run(hyper, state, schedule.columns(config))
 
-On several devices: `env = env._replace(mesh=sweep.mesh(2, 4))`, and `state = jax.device_put(state,
-sweep.shardings(env.mesh, state, 2))` before `run`, which is called inside a
-`with sweep.partitioner(env.mesh)`. `program.build.program` does this from `run.mesh_*`.
+On several devices: `env = env._replace(mesh=seeds.mesh(2, 4))`, and `state = jax.device_put(state,
+seeds.shardings(env.mesh, state, 2))` before `run`, which is called inside a
+`with seeds.partitioner(env.mesh)`. `program.build.program` does this from `run.mesh_*`.
 
 JAX does the work: `jax.jit` splits the program by the sharding of its arguments (`shardings`), and
 adds sums over devices where the method takes a mean over robots: gradients, normalisers,
@@ -32,7 +32,7 @@ import jax.numpy as jnp
 from jax.sharding import AxisType, Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
-from dynappo import algorithm, evaluation
+from dynappo import algorithm, scores
 from dynappo.types import Env, Hyper, Metrics, Static, TrainState
 
 ROBOTS = ("env_state", "params_physics", "robot_index")  # fields of TrainState with an axis R
@@ -112,9 +112,9 @@ def evaluate(
     num_envs: int,
     num_steps: int,
 ) -> dict[str, Float[Array, " S"]]:
-    """`evaluation.evaluate` of every seed's policy; all get the same episodes."""
+    """`scores.evaluate` of every seed's policy; all get the same episodes."""
     sizes = dict(static=static, num_envs=num_envs, num_steps=num_steps)
-    one = partial(evaluation.evaluate, env, **sizes)
+    one = partial(scores.evaluate, env, **sizes)
     return jax.vmap(one, (axes(hyper), 0, None), spmd_axis_name="seed")(hyper, params, key)
 
 

@@ -12,7 +12,7 @@ import toy_env
 from jax.sharding import NamedSharding, PartitionSpec
 from toy_runs import leaves
 
-from dynappo import algorithm, evaluation, schedule, sweep
+from dynappo import algorithm, schedule, scores, seeds
 
 SEEDS, SHAPE = 4, (2, 4)  # two seeds, and a quarter of their robots, on each of 2 x 4 devices
 VALUES = (1e-3, 3e-4, 1e-4, 3e-3)
@@ -43,14 +43,14 @@ def single(toy):
 def start(toy):
     """The first states of four seeds."""
     env, static, hyper, _ = toy
-    return jax.jit(partial(sweep.init, env, static=static))(hyper, sweep.keys(0, SEEDS))
+    return jax.jit(partial(seeds.init, env, static=static))(hyper, seeds.keys(0, SEEDS))
 
 
 @pytest.fixture(scope="module")
 def together(toy, start):
     """`(state, metrics)` of four seeds on one device."""
     env, static, hyper, columns = toy
-    return jax.jit(partial(sweep.run, env, static=static))(hyper, start, columns)
+    return jax.jit(partial(seeds.run, env, static=static))(hyper, start, columns)
 
 
 @pytest.fixture(scope="module")
@@ -63,15 +63,15 @@ def swept(toy):
         model, ppo = hyper.model._replace(learning_rate=value), hyper.ppo
         alone.append(hyper._replace(model=model, ppo=ppo._replace(entropy_coef=value)))
     for field in fields:
-        hyper = sweep.vary(hyper, field, VALUES)
+        hyper = seeds.vary(hyper, field, VALUES)
     return hyper, alone
 
 
-def on_a_mesh(toy, shape, step, hyper, state, seeds):
+def on_a_mesh(toy, shape, step, hyper, state, num_seeds):
     """`(state, metrics, text of the program)` of a run on a mesh."""
     env, static, _, columns = toy
-    mesh = sweep.mesh(*shape)
-    spread = sweep.shardings(mesh, state, seeds)
+    mesh = seeds.mesh(*shape)
+    spread = seeds.shardings(mesh, state, num_seeds)
     out = (spread, NamedSharding(mesh, PartitionSpec()))
     step = partial(step, env._replace(mesh=mesh), static=static)
     state = jax.device_put(state, spread)
@@ -91,7 +91,7 @@ def mesh_of_robots(toy):
 @pytest.fixture(scope="module")
 def mesh_of_both(toy, swept, start):
     """Four seeds, each with values of its own, on 2 x 4 devices."""
-    return on_a_mesh(toy, SHAPE, sweep.run, swept[0], start, SEEDS)
+    return on_a_mesh(toy, SHAPE, seeds.run, swept[0], start, SEEDS)
 
 
 def same(found, expected, rtol=1e-4, atol=2e-5):
@@ -144,8 +144,8 @@ def test_an_evaluation_of_a_sweep_is_that_of_each_seed_in_the_same_episodes(
     env, static, hyper, _ = toy
     sizes = dict(static=static, num_envs=8, num_steps=15)
     params, key = jax.device_get(mesh_of_both[0].learner.params), jax.random.key(3)
-    found = jax.jit(partial(sweep.evaluate, env, **sizes))(swept[0], params, key)
-    one = jax.jit(partial(evaluation.evaluate, env, **sizes))
+    found = jax.jit(partial(seeds.evaluate, env, **sizes))(swept[0], params, key)
+    one = jax.jit(partial(scores.evaluate, env, **sizes))
     for seed in range(SEEDS):
         same(one_of(jax.device_get(found), seed), one(hyper, one_of(params, seed), key), 1e-5)
     assert len(np.unique(found["return"])) == SEEDS
@@ -159,9 +159,9 @@ def test_a_tail_with_everything_on_is_the_same_on_a_mesh():
     fields |= toy_env.TAIL | {"rollout.num_envs": 64, "ppo.shuffle_blocks": 8}
     config, static, hyper = toy_env.settings(fields)
     toy = toy_env.make(), static, hyper, schedule.columns(config)
-    state = jax.jit(partial(sweep.init, toy[0], static=static))(hyper, sweep.keys(0, 2))
-    _, expected = jax.jit(partial(sweep.run, toy[0], static=static))(hyper, state, toy[3])
-    _, found, _ = on_a_mesh(toy, SHAPE, sweep.run, hyper, state, 2)
+    state = jax.jit(partial(seeds.init, toy[0], static=static))(hyper, seeds.keys(0, 2))
+    _, expected = jax.jit(partial(seeds.run, toy[0], static=static))(hyper, state, toy[3])
+    _, found, _ = on_a_mesh(toy, SHAPE, seeds.run, hyper, state, 2)
     assert expected["tail_falls"][-1].min() > 0
     same(found, jax.device_get(expected))
 
@@ -233,9 +233,9 @@ def test_robots_on_devices_of_their_own_send_sums_and_finished_episodes_only(mes
 )
 def test_what_cannot_be_swept_is_refused(toy, field, word):
     with pytest.raises(ValueError, match=word):
-        sweep.vary(toy[2], field, (0.1, 0.2))
+        seeds.vary(toy[2], field, (0.1, 0.2))
 
 
 def test_a_mesh_of_more_devices_than_there_are_is_refused():
     with pytest.raises(ValueError, match="3 x 4 devices, but JAX sees 8"):
-        sweep.mesh(3, 4)
+        seeds.mesh(3, 4)

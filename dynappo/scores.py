@@ -61,44 +61,42 @@ def evaluate(
     if hasattr(state, "clock"):  # in training, episodes may start above age 0 and be shorter
         clock = min(0, env.episode_length - num_steps)
         state = state.replace(clock=jnp.full_like(state.clock, clock))
-    settle = round(SETTLE / env.dt)
+    settled = round(SETTLE / env.dt)
+    errors = [name for name in env.metrics if name.endswith("_error_sq")]
     zero = jnp.zeros(num_envs)
-    errors = {name: zero for name in env.metrics if name.endswith("_error_sq")}
+    sums = dict.fromkeys(("return", "length", "falls", "rows", *errors), zero)
 
     advance = algorithm.physics_step(env, hyper, bodies)
     # full precision, as when the policy is played, whatever it was trained in
     exact = static._replace(ppo=static.ppo._replace(precision="highest"))
 
     def step(carry, t):
-        state, alive, total, length, fell, errors, rows = carry
-        obs, _ = networks.seen(exact, env, state.obs, state.prop)
+        state, alive, sums = carry
+        obs, _ = networks.inputs(exact, env, state.obs, state.prop)
         action = networks.policy(exact, params, obs)
         step_keys = jax.vmap(jax.random.fold_in, (0, None))(keys, t)
         # robots whose episode ended continue from a reset, to keep numbers finite, but do not count
-        after, outcome = advance(state, action, step_keys)
-        counts = alive * (t >= settle) * outcome.discount
-        errors = {name: errors[name] + counts * outcome.metrics[name] for name in errors}
-        carry = (
-            after,
-            alive * outcome.discount * (1 - outcome.truncation),
-            total + alive * outcome.reward,
-            length + alive,
-            fell + alive * (1 - outcome.discount),
-            errors,
-            rows + counts,
-        )
-        return carry, None
+        state, outcome = advance(state, action, step_keys)
+        rows = alive * (t >= settled) * outcome.discount
+        row = {
+            "return": alive * outcome.reward,
+            "length": alive,
+            "falls": alive * (1 - outcome.discount),
+            "rows": rows,
+        } | {name: rows * outcome.metrics[name] for name in errors}
+        alive = alive * outcome.discount * (1 - outcome.truncation)
+        return (state, alive, jax.tree.map(jnp.add, sums, row)), None
 
-    start = (state, zero + 1, zero, zero, zero, errors, zero)
-    (_, _, total, length, fell, errors, rows), _ = jax.lax.scan(step, start, jnp.arange(num_steps))
+    (_, _, sums), _ = jax.lax.scan(step, (state, zero + 1, sums), jnp.arange(num_steps))
     metrics: dict[str, Float[Array, ""]] = {
-        "return": total.mean(),
-        "return_std": total.std(),
-        "length": length.mean(),
-        "fall_rate": fell.mean(),
+        "return": sums["return"].mean(),
+        "return_std": sums["return"].std(),
+        "length": sums["length"].mean(),
+        "fall_rate": sums["falls"].mean(),
     }
     names = {"velocity_error_sq": "tracking_error"}
-    for name, value in errors.items():
-        root = jnp.sqrt(value.sum() / rows.sum())  # NaN if all robots fell in the first second
+    for name in errors:
+        # NaN if all robots fell in the first second
+        root = jnp.sqrt(sums[name].sum() / sums["rows"].sum())
         metrics[names.get(name, name.removesuffix("_sq"))] = root
     return metrics

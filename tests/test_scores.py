@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import toy_env
 
-from dynappo import algorithm, evaluation
+from dynappo import algorithm, scores
 from dynappo.learner import ppo
 from dynappo.physics import randomize
 from dynappo.types import Outcome
@@ -44,7 +44,7 @@ def assess(settings):
     @functools.cache
     def program(steps, randomize, kwargs):
         env = toy_env.make(**dict(kwargs))
-        run = partial(evaluation.evaluate, env, static=static, num_envs=ROBOTS, num_steps=steps)
+        run = partial(scores.evaluate, env, static=static, num_envs=ROBOTS, num_steps=steps)
         return jax.jit(partial(run, randomize=randomize))
 
     def call(params, seed=0, steps=STEPS, randomize=False, hyper=default, **kwargs):
@@ -68,7 +68,7 @@ def actor(params, obs):
 
 def start(settings, seed):
     """`(prop [3], command)` of every robot, from the environment's reset on the nominal task."""
-    hyper, env = evaluation.nominal(settings[1]), toy_env.make()
+    hyper, env = scores.nominal(settings[1]), toy_env.make()
     key = jax.random.fold_in(jax.random.key(seed), algorithm.EPISODES)
     body_keys, reset_keys, _ = (jax.random.split(k, ROBOTS) for k in jax.random.split(key, 3))
     bodies = jax.jit(jax.vmap(env.randomize, (None, 0)))(hyper, body_keys)
@@ -137,7 +137,7 @@ def test_an_evaluation_does_not_depend_on_the_noise_of_the_policy(assess, params
 def test_a_randomized_evaluation_is_on_the_task_as_it_trains(assess, settings, params):
     """Noise and bodies of its own matter then: on a task that has none, both are the same to the bit."""
     hyper = jax.tree.map(jnp.float32, settings[1])
-    nominal = jax.tree.map(jnp.float32, evaluation.nominal(hyper))
+    nominal = jax.tree.map(jnp.float32, scores.nominal(hyper))
     plain = assess(params, hyper=hyper)
     same = assess(params, randomize=True, hyper=nominal)
     assert all(plain[name] == same[name] for name in plain)
@@ -179,7 +179,7 @@ def test_the_nominal_task_has_no_noise_and_one_body():
         "task.push.velocity": 0.5,
     }
     hyper = toy_env.settings(fields)[2]
-    task, nominal = hyper.task, evaluation.nominal(hyper)
+    task, nominal = hyper.task, scores.nominal(hyper)
     assert nominal._replace(task=task) == hyper
     assert jax.tree.structure(nominal) == jax.tree.structure(hyper)
     nominal = nominal.task
@@ -195,7 +195,7 @@ def test_the_nominal_task_has_no_noise_and_one_body():
 
 def test_a_nominal_robot_is_the_robot_of_its_file():
     """Drawn from the nominal ranges, every robot has the masses and gains of the XML."""
-    task = evaluation.nominal(toy_env.settings()[2]).task
+    task = scores.nominal(toy_env.settings()[2]).task
     com = jnp.array([0.01, 0.0, -0.02])
     draws = [randomize.draw(task.randomize, 5.2, com, jax.random.key(seed)) for seed in range(3)]
     for draw in draws[1:]:
@@ -241,5 +241,5 @@ def test_no_random_number_is_used_twice(settings, params):
         metrics=("same_error_sq",),
     )
     sizes = dict(static=static, num_envs=ROBOTS, num_steps=STEPS)
-    found = evaluation.evaluate(spy, hyper, params, jax.random.key(0), **sizes)
+    found = scores.evaluate(spy, hyper, params, jax.random.key(0), **sizes)
     assert found["same_error"] == 0
