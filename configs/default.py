@@ -123,7 +123,7 @@ class Ppo(NamedTuple):
     max_grad_norm: float = 1.0
     precision: str = "highest"
     # what the value function sees: "obs", as the policy; or "state", without noise and with
-    # what no sensor tells (task/view.py)
+    # what no sensor tells (tasks/velocity/view.py)
     critic: str = "obs"
     symmetry: bool = False  # what is learned of the left holds for the right (learner/symmetry.py)
 
@@ -219,7 +219,7 @@ class Task(NamedTuple):
     start_anew: float = 0.5  # this share of them starts anew all the same,
     keep_command: float = 0.0  # and this share stays under the command that it has
     action_scale: float = 0.25  # rad per unit of action; IL
-    # "full": the 48 numbers of task/observe.py; "onboard": the 45 that a robot measures, so
+    # "full": the 48 numbers of tasks/velocity/observe.py; "onboard": the 45 that a robot measures, so
     # without linear velocity
     observation: str = "full"
     history: int = 1  # readings that the policy sees, the newest included

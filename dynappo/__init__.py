@@ -58,11 +58,11 @@ if sys.argv[:1] == ["-m"] or Path(sys.argv[0] if sys.argv else "").stem == "dyna
 if TYPE_CHECKING:  # what an editor completes
     from dynappo.learner import gae as gae
     from dynappo.physics import robot as robot
-    from dynappo.task import env as env
+    from dynappo.tasks.velocity import env as env
 
 # public modules that are not in this folder, loaded on first use
 _PUBLIC = {
-    "env": "dynappo.task.env",
+    "env": "dynappo.tasks.velocity.env",
     "gae": "dynappo.learner.gae",
     "robot": "dynappo.physics.robot",
 }

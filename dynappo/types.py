@@ -81,42 +81,6 @@ class Transition(struct.PyTreeNode):
     episode_length: Float[Array, "..."]
 
 
-class Goal(struct.PyTreeNode):
-    """The rest of a robot's command, kept until the next draw (task/commands.py)."""
-
-    heading: Float[Array, "..."]  # rad in the world; used with `task.heading` only
-    standing: Float[Array, "..."]  # 1: asked to stand
-    steps_left: Int[Array, "..."]  # control steps until the next draw
-
-
-class EnvState(struct.PyTreeNode):
-    """One robot of the velocity task: the integration state of physics and all memory of the task.
-
-    `env.step` reads nothing else. So a reset costs no physics call, and a checkpoint holds the same
-    fields with every engine (`physics.impl`). Timers count physics substeps.
-    """
-
-    qpos: Float[Array, "... nq"]
-    qvel: Float[Array, "... nv"]
-    qacc_warmstart: Float[Array, "... nv"]
-    obs: Float[Array, "... O"]
-    prop: Float[Array, "... P"]  # the observation's predicted part, before its noise
-    command: Float[Array, "... 3"]  # m/s, m/s, rad/s in the base frame
-    goal: Goal
-    last_action: Float[Array, "... A"]
-    older_action: Float[Array, "... A"]  # the one before
-    torque: Any  # [..., A] N m, as the motors give it; None unless it lags
-    air_steps: Int[Array, "... F"]  # since the foot left the ground; 0 while it is down
-    contact_steps: Int[Array, "... F"]  # since the foot came down; 0 while it is in the air
-    last_air_steps: Int[Array, "... F"]  # length of the last finished air phase
-    peak: Float[Array, "... F"]  # m, highest that a foot's lowest point was in this air phase
-    last_peak: Float[Array, "... F"]  # in the last finished one
-    clock: Int[Array, "..."]  # age of the episode in control steps; the first may start above 0
-    episode_steps: Int[Array, "..."]  # control steps since the reset
-    push_in: Int[Array, "..."]  # control steps until the next push
-    episode_return: Float[Array, "..."]
-
-
 class Learner(struct.PyTreeNode):
     """Policy and value function, their optimiser, and the learning rate, adapted by the KL."""
 
@@ -174,16 +138,21 @@ class Env(NamedTuple):
     """An environment as pure functions of one robot, and the sizes that the learner needs.
 
     `hyper` is the pytree of the config's floats, `body` the robot's own physical parameters.
-    `step` never resets, `autoreset` does. `context(obs, action)` is the part of the next
-    observation that follows from the row itself and is copied, not predicted: the trailing
-    `obs_size - prop_size` numbers. States must have the fields `obs` and `prop`. If they have a
-    `clock`, the age of the episode, an evaluation sets it.
+    `step` never resets, `autoreset` does. States must have the fields `obs` and `prop`. If they have
+    a `clock`, the age of the episode, an evaluation sets it.
 
-    Fields with a default are optional. Some are used with options only: with `model.clean`, `noise`
-    is what `obs` adds to `prop`, and `bias` what it adds besides, as a function of the whole obs;
-    with `model.known_reward`, `known_reward` is the share of the reward that is a function of obs,
-    action and next prop; `views` are for networks that see parts of obs. docs/environment.md has an
-    example.
+    What is known is computed, the rest is predicted:
+
+        obs = [ prop, as it is sensed | context ]
+
+    The model predicts `prop`. The context is what is known of the next state: its next value follows
+    from the row, and `advance` computes it exactly, in every row that the model writes. So a command,
+    the last action, a clock, a phase, the place in the world and the ground there belong to it. What
+    no network should see is left out of `views`. `sense` is what sensors make of a prop (used with
+    `model.clean`), and `known_reward` is the share of the reward that is a function of obs, action
+    and next prop (with `model.known_reward`).
+
+    Fields with a default are optional. docs/environment.md has an example.
     """
 
     reset: Callable[..., Any]  # (hyper, body, key) -> state
@@ -196,9 +165,11 @@ class Env(NamedTuple):
     episode_length: int  # control steps
     metrics: tuple[str, ...] = ()  # names in Outcome.metrics
     randomize: Callable[..., Any] = lambda hyper, key: None  # (hyper, key) -> body
-    context: Callable[..., Any] = lambda obs, action: obs[..., :0]  # (obs, action) -> [O - P]
-    noise: Callable[..., Any] = lambda hyper, key: np.zeros(1, np.float32)  # (hyper, key) -> [P]
-    bias: Callable[..., Any] | None = None  # (obs) -> [P]
+    # (hyper, context, prop, action, next_prop) -> context [O - P] after `action`; `prop` is as it was
+    # sensed. By default nothing is known, and all of obs predicted
+    advance: Callable[..., Any] = lambda hyper, context, prop, action, next_prop: context[:0]
+    # (hyper, prop, context, key) -> prop [P] as it is sensed; by default exactly
+    sense: Callable[..., Any] = lambda hyper, prop, context, key: prop
     views: Views | None = None  # None: every network sees all of obs
     # (hyper, obs, action, next_prop) -> []
     known_reward: Callable[..., Any] = lambda hyper, obs, action, next_prop: np.float32(0)

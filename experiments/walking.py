@@ -13,7 +13,7 @@ from dynappo import config as config_lib
 from dynappo.config import files
 from dynappo.physics import robot as robot_lib
 from dynappo.policy import policy_file
-from dynappo.task import env as env_lib
+from dynappo.tasks.velocity import env as env_lib
 
 WARM, EPOCHS = 25, 5  # iterations until the robots walk; passes of a fit
 

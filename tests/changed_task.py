@@ -1,4 +1,4 @@
-"""Run by tests/task/test_change.py in a copy of the project with the differences of docs/task.md applied.
+"""Run by tests/tasks/test_change.py in a copy of the project with the differences of docs/task.md applied.
 
     python changed_task.py FLAGS...     # from the folder of the copy
 
@@ -25,10 +25,11 @@ from dynappo.physics import actuators, randomize
 from dynappo.physics import robot as robot_lib
 from dynappo.policy import episode, policy_file
 from dynappo.program import build
-from dynappo.task import env as env_lib
-from dynappo.task import observe, payment
+from dynappo.tasks.velocity import env as env_lib
+from dynappo.tasks.velocity import observe, reward_sum
 
 ROBOTS, ROWS = 16, 30
+PLACES = observe.rows(12)
 SMALL = {
     "rollout": dict(num_envs=ROBOTS, horizon=4),
     "schedule": dict(start_iteration=0, end_iteration=0, start_steps=2, end_steps=2),
@@ -95,12 +96,13 @@ def walk(config, robot, env, hyper, body):
         parts = [v for name, v in outcome.metrics.items() if name.startswith("reward_")]
         np.testing.assert_allclose(outcome.reward, 0.02 * np.sum(parts, axis=0), atol=1e-5)
         # observation: where the base is, and what the clock says
-        np.testing.assert_allclose(after.prop[:, observe.ROWS["base_height"]], after.qpos[:, 2:3])
+        np.testing.assert_allclose(after.prop[:, PLACES["base_height"]], after.qpos[:, 2:3])
         angle = 2 * np.pi * (k + 1) / 25
         clock = np.tile([np.sin(angle), np.cos(angle)], (ROBOTS, 1))
-        np.testing.assert_allclose(after.obs[:, observe.ROWS["gait_clock"]], clock, atol=1e-5)
-        copied = env.context(state.obs, action)  # what the model's tail is given
-        np.testing.assert_allclose(copied, after.obs[:, env.prop_size :], atol=1e-5)
+        np.testing.assert_allclose(after.obs[:, PLACES["gait_clock"]], clock, atol=1e-5)
+        before = state.obs[:, env.prop_size :], state.prop
+        known = env.advance(hyper, *before, action, after.prop)  # what the model's tail is given
+        np.testing.assert_allclose(known, after.obs[:, env.prop_size :], atol=1e-5)
         state = after
     assert np.median(off) < 1e-3, f"motor work is off by {np.median(off)}"
     return state, lambda hyper, state: step(hyper, body, state, action, keys)[1]
@@ -113,9 +115,9 @@ def check_termination(hyper, state, step):
         return hyper._replace(task=hyper.task._replace(min_height=height))
 
     before = step(at(0.0), state)
-    height = np.float32(np.median(before.next_prop[:, observe.ROWS["base_height"]]))
+    height = np.float32(np.median(before.next_prop[:, PLACES["base_height"]]))
     after = step(at(height), state)
-    low = before.next_prop[:, observe.ROWS["base_height"]][:, 0] < height
+    low = before.next_prop[:, PLACES["base_height"]][:, 0] < height
     assert low.any() and not low.all() and before.discount.any()
     np.testing.assert_array_equal(after.discount, np.where(low, 0.0, before.discount))
     np.testing.assert_array_equal(after.metrics["falls"], 1 - after.discount)
@@ -143,7 +145,7 @@ def check_play(config, robot, params):
     path = Path("policy.npz")
     policy_file.save(path, params, config, robot)
     policy = policy_file.load(path)
-    assert policy.observation == observe.NAMES["full"] != "velocity-48"
+    assert policy.observation == observe.name("full", 12) == "velocity-gait-51"
     act, seen = policy_file.actor(policy.params, policy.activation), []
 
     def looked(obs):
@@ -154,8 +156,8 @@ def check_play(config, robot, params):
     played = episode.play(body, looked, lambda t: np.array([2.0, 0.0, 0.0]), 0.6)
     k = np.arange(len(seen))
     clock = np.stack([np.sin(2 * np.pi * k / 25), np.cos(2 * np.pi * k / 25)], -1)
-    np.testing.assert_allclose(np.array(seen)[:, observe.ROWS["gait_clock"]], clock, atol=1e-9)
-    heights = np.array(seen)[1:, observe.ROWS["base_height"]][:, 0]
+    np.testing.assert_allclose(np.array(seen)[:, PLACES["gait_clock"]], clock, atol=1e-9)
+    heights = np.array(seen)[1:, PLACES["base_height"]][:, 0]
     np.testing.assert_allclose(heights, played["qpos"][:-1, 2])
     high = policy._replace(config=policy.config | {"task": dict(min_height=1.0)})
     fell = [
@@ -167,7 +169,7 @@ def check_play(config, robot, params):
     assert rows["gait_clock"] == 2 and rows["base_height"] == 1 and sum(rows.values()) == 51
     turned = joint_order.permute(policy, policy.joint_names[::-1])
     first = [p.params["actor"]["params"]["Dense_0"]["kernel"] for p in (policy, turned)]
-    same = [observe.ROWS[name] for name in ("base_height", "gait_clock")]
+    same = [PLACES[name] for name in ("base_height", "gait_clock")]
     assert all((first[0][rows] == first[1][rows]).all() for rows in same)
 
 
@@ -176,9 +178,9 @@ def main(flags):
     config, robot, env, hyper, body = setup(flags)
     assert (env.obs_size, env.prop_size) == (51, 34)
     index, sign = env.mirror[0]
-    assert sign[observe.ROWS["gait_clock"]].tolist() == [-1, -1] and sign[33] == 1
+    assert sign[PLACES["gait_clock"]].tolist() == [-1, -1] and sign[33] == 1
     assert index[33] == 33 and index[-2:].tolist() == [49, 50] and sorted(index) == list(range(51))
-    known = payment.known(payment.find(config.task), config.task)
+    known = reward_sum.known(reward_sum.terms_of(config.task), config.task)
     assert "motor_work" not in known and "action_rate" in known
     state, step = walk(config, robot, env, hyper, body)
     check_termination(hyper, state, step)

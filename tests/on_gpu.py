@@ -86,7 +86,7 @@ WARP = [f"tests/physics/test_{name}.py" for name in ("quadruped_kernel", "kernel
 SIZES = {
     "gpu": Size(
         ["run.device=gpu", "physics.impl=warp"],
-        [*WARP, "tests/physics/test_warp_engine.py", "-m", "not fuzz"],
+        [*WARP, "tests/physics/test_warp_call.py", "-m", "not fuzz"],
         300,
         1000,
         5,

@@ -717,7 +717,7 @@ TOY = (
 
 def test_a_batch_goes_on_where_it_was_cut_off_and_chunks_train_as_it_does(tmp_path, monkeypatch):
     """With the toy environment; and the probe of 11_model on the model of its run."""
-    from dynappo.task import env as env_lib
+    from dynappo.tasks.velocity import env as env_lib
 
     monkeypatch.setattr(env_lib, "make", lambda *_, **__: toy_env.make())
     made = run.build.program(run.configure("go1:dyna4", 2, TOY))  # compiled once
@@ -1089,7 +1089,7 @@ def test_tails_overlap_the_next_rollouts():
     plot, rng, buffers = script("18_rollouts"), np.random.default_rng(0), []
     for i in range(plot.KEPT):
         obs, one = np.zeros((24, 4, 48)), np.ones((24, 4))
-        obs[..., plot.observe.COMMAND.start] = [0.2, 0.9, 0.5, 0.7 + (i == 3)]  # the last anew
+        obs[..., plot.ROWS["command"].start] = [0.2, 0.9, 0.5, 0.7 + (i == 3)]  # the last anew
         one[3, 1] = one[20, 2] = 0  # the fastest falls; in a tail, where physics does not
         buffer = dict(obs=obs, next_prop=rng.normal(size=(24, 4, 33)), reward=one, discount=one)
         buffers.append(types.SimpleNamespace(**buffer, truncation=0 * one))

@@ -18,10 +18,10 @@ MAY_IMPORT = {
     "learner": {"learner", "types"},
     "model": {"model", "learner.networks", "types"},
     "physics": {"physics", "config", "types"},
-    "task": {"task", "physics", "config", "types"},
+    "tasks": {"tasks.velocity", "physics", "config", "types"},
     "config": {"config", "schedule"},
-    "policy": {"policy", "physics", "task.observe", "config"},
-    "program": {"program", "method", "task", "physics", "config"},
+    "policy": {"policy", "physics", "tasks.velocity.observe", "config"},
+    "program": {"program", "method", "tasks", "physics", "config"},
     "run": {"run", "program", "policy", "config", "schedule", "seeds"},
     "sweeps": {"sweeps", "run", "program", "config", "policy.walks"},
     "train": {"train", "sweeps", "run", "program", "config", "web.address", "web.child"},
@@ -29,7 +29,7 @@ MAY_IMPORT = {
         "evaluate",
         "program",
         "policy",
-        "task",
+        "tasks.velocity",
         "physics",
         "config",
         "scores",
@@ -38,19 +38,19 @@ MAY_IMPORT = {
     "look": {"look", "policy", "physics", "config"},
     "web": {"web", "policy", "physics", "config"},
     "play": {"play", "web", "policy", "physics", "config"},
-    "export": {"export", "policy", "physics", "task.observe", "config"},
-    "bench": {"bench", "program", "config", "method", "model", "task.observe"},
+    "export": {"export", "policy", "physics", "tasks.velocity.observe", "config"},
+    "bench": {"bench", "program", "config", "method", "model", "tasks.velocity.observe"},
 }
 WITHOUT_JAX = {"policy", "look", "web", "play", "export", "config", "schedule"}
-WITHOUT_JAX |= {"task.rewards", "task.payment", "task.observe"}
+WITHOUT_JAX |= {f"tasks.velocity.{name}" for name in ("rewards", "reward_sum", "observe")}
 WITHOUT_JAX |= {
     f"physics.{name}"
-    for name in ("robot", "mjcf", "contract", "contacts", "actuators", "warp.scope")
+    for name in ("robot", "mjcf", "robot_contract", "contacts", "actuators", "warp.scope")
 }
 JAX = {"jax", "jaxlib", "flax", "optax", "orbax", "brax", "chex", "jaxtyping", "mujoco.mjx"}
-# pure functions: nothing printed, no clock, no file; robot.py and mjcf.py read a robot's file, c_engine.py
+# pure functions: nothing printed, no clock, no file; robot.py and mjcf.py read a robot's file, c_mujoco.py
 # asks for the cores that it may use and locks its threads
-PURE = {"method", "learner", "model", "task", "physics", "config.splitting", "config.validation"}
+PURE = {"method", "learner", "model", "tasks", "physics", "config.splitting", "config.validation"}
 SPEAKS = set("print input breakpoint callback pure_callback io_callback".split())
 FILES = set("open read_text write_text read_bytes write_bytes mkdir unlink".split())
 CLOCKS = set("time datetime timeit logging subprocess socket threading".split())
@@ -151,7 +151,7 @@ def test_pure_modules_do_not_print_read_the_clock_or_touch_files(name):
     banned, modules = (SPEAKS, CLOCKS) if reads else (SPEAKS | FILES, CLOCKS | PATHS)
     calls = [n.func for n in ast.walk(tree(name)) if isinstance(n, ast.Call)]
     found = {getattr(f, "id", None) or getattr(f, "attr", None) for f in calls} & banned
-    threads = name in ("physics.c_engine", "physics.warp.building")
+    threads = name in ("physics.c_mujoco", "physics.warp.building")
     modules = modules - {"os", "threading"} if threads else modules
     assert not found and not {n.split(".")[0] for n in imports(name)} & modules
 

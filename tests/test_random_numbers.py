@@ -13,7 +13,7 @@ from toy_env import configure
 from dynappo import algorithm, schedule, scores
 from dynappo import config as config_lib
 from dynappo.physics import robot as robot_lib
-from dynappo.task import env as env_lib
+from dynappo.tasks.velocity import env as env_lib
 
 ROBOTS, REAL, TAIL, ROUNDS, ITERATIONS, STEPS = 4, 4, 4, 3, 2, 5
 DRAWN, SPLIT, FOLDED = random_keys.RANDOM.values()
@@ -132,12 +132,13 @@ def test_one_reset_step_and_autoreset_use_no_key_twice(fields, every):
     state = jax.eval_shape(env.reset, hyper, body, key)
     action = jax.ShapeDtypeStruct((env.action_size,), jnp.float32)
     after = jax.eval_shape(env.step, hyper, body, state, action, key)
+    parts = state.prop, jax.ShapeDtypeStruct((env.obs_size - env.prop_size,), jnp.float32)
     calls = {
         "randomize": (env.randomize, hyper, key),
         "reset": (env.reset, hyper, body, key),
         "step": (env.step, hyper, body, state, action, key),
         "autoreset": (env.autoreset, hyper, body, *after, key),
-        "noise": (env.noise, hyper, key),
+        "sense": (env.sense, hyper, *parts, key),
     }
     for name, call in calls.items():
         used, _ = random_keys.record(*call)

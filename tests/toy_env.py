@@ -144,9 +144,12 @@ def make(*, episode_length: int = 20, aged: bool = True) -> Env:
         reset=reset,
         step=step,
         autoreset=autoreset,
-        context=lambda obs, action: jnp.concatenate([obs[..., 3:4], action], -1),
-        noise=lambda hyper, key: (
-            hyper.task.noise.joint_pos * jax.random.uniform(key, (3,), minval=-1.0, maxval=1.0)
+        advance=lambda hyper, context, prop, action, next_prop: jnp.concatenate(
+            [context[:1], action]
+        ),
+        sense=lambda hyper, prop, context, key: (
+            prop
+            + hyper.task.noise.joint_pos * jax.random.uniform(key, (3,), minval=-1.0, maxval=1.0)
         ),
         known_reward=lambda hyper, obs, action, prop: DT * (1.0 - (prop[0] - obs[3]) ** 2),
         metrics=METRICS,
@@ -252,9 +255,6 @@ def probe() -> Env:
         reset=reset,
         step=step,
         autoreset=lambda h, b, state, outcome, key: _choose(outcome, reset(h, b, key), state),
-        context=lambda obs, action: obs[..., :0],
-        noise=lambda hyper, key: jnp.zeros(1),
-        known_reward=lambda hyper, obs, action, next_prop: jnp.zeros(()),
         metrics=(),
         obs_size=1,
         prop_size=1,

@@ -23,8 +23,9 @@ ENV = Env(
     reset=None,
     step=None,
     autoreset=None,
-    context=lambda obs, action: jnp.concatenate([obs[..., PROP : PROP + COMMAND], action], -1),
-    noise=None,
+    advance=lambda hyper, context, prop, action, next_prop: jnp.concatenate(
+        [context[..., :COMMAND], action], -1
+    ),
     known_reward=lambda hyper, obs, action, prop: (
         hyper.task.tracking_std * prop[0] * obs[PROP] + action[0]
     ),
@@ -68,7 +69,9 @@ def linear_rows(seed, horizon=HORIZON):
     y = (np.concatenate([(obs - shift) / size, action], -1) @ matrix) / 3
     change = 0.1 * size[:PROP] * y[..., :PROP]
     rows = jax.tree.map(np.asarray, rollout.allocate(ENV, horizon, ROBOTS))
-    next_obs = np.concatenate([obs[..., :PROP] + change, ENV.context(obs, action)], -1)
+    next_obs = np.concatenate(
+        [obs[..., :PROP] + change, ENV.advance(None, obs[..., PROP:], None, action, None)], -1
+    )
     ones = np.ones((horizon, ROBOTS))
     rows = rows.replace(
         obs=obs, action=action, next_obs=next_obs, reward=DT * y[..., PROP], discount=ones

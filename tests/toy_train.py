@@ -8,7 +8,7 @@ import sys
 import toy_env
 
 from dynappo.run import learning_curves
-from dynappo.task import env as env_lib
+from dynappo.tasks.velocity import env as env_lib
 from dynappo.train import command as train_command
 
 SMALL = (

@@ -10,7 +10,7 @@ import toy_env
 from dynappo import train
 from dynappo.run import training
 from dynappo.run import workdir as workdir_lib
-from dynappo.task import env as env_lib
+from dynappo.tasks.velocity import env as env_lib
 
 SMALL = toy_env.TAIL | {
     "run.num_iterations": 4,

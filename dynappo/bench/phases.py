@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from dynappo.program import build
-from dynappo.task import observe
+from dynappo.tasks.velocity import observe
 
 # TFLOP/s of dense matrix products by precision, and TB/s of memory: NVIDIA's data sheets (SXM)
 PEAKS = {
@@ -22,6 +22,7 @@ PEAKS = {
     "A100": {"highest": 19.5, "tf32": 156, "bfloat16": 312, "memory": 2.0},
 }
 # reads and writes of each activation, forward and backward (experiments/03_speed/ppo.md)
+JOINTS = 12  # of every bundled robot
 PASSES = 10
 FITS = 10  # times the epochs of a fit, to measure one
 
@@ -127,8 +128,8 @@ def work(config, last: dict[str, int]) -> dict[str, np.ndarray]:
     gradients, but for the first layer, whose input has none. Bytes are those of activations, which
     pass through memory once a kernel: `PASSES` times.
     """
-    action, prop = observe.PARTS["previous_action"].size, observe.PROP_SIZE
-    obs, ppo, model = prop + observe.CONTEXT_SIZE, config.ppo, config.model
+    action, prop, obs = JOINTS, observe.prop_size(JOINTS), observe.size(JOINTS)
+    ppo, model = config.ppo, config.model
 
     def of(sizes, rows, width):
         weights = [a * b for a, b in zip(sizes, sizes[1:], strict=False)]

@@ -79,7 +79,7 @@ def run(
     import jax
 
     from dynappo import scores
-    from dynappo.task import env as env_lib
+    from dynappo.tasks.velocity import env as env_lib
 
     config = settings(policy)
     trained = policy.config.get("physics", {}).get("impl")

@@ -29,7 +29,7 @@ from dynappo.policy import episode as episode_lib
 from dynappo.policy import policy_file
 from dynappo.policy.episode import SETTLE, Body
 from dynappo.policy.policy_file import Policy
-from dynappo.task import observe
+from dynappo.tasks.velocity import observe
 
 SECONDS = 10.0  # of an episode
 PUSH_EVERY = 2.0  # s
@@ -173,8 +173,9 @@ def play(body: Body, act: Callable, command, stress: Stress, seed: int = 0, seco
     see, com = observe.memory(p.observation, p.history), model.body_ipos[body.base_body]
     dt, step = episode_lib.period(body), model.opt.timestep
     old = round(stress.sensor_delay / step)
+    parts = observe.rows(len(p.joint_names))
     scale = stress.noise * np.concatenate(
-        [np.full(part.size, NOISE.get(name, 0.0)) for name, part in observe.PARTS.items()]
+        [np.full(part.stop - part.start, NOISE.get(name, 0.0)) for name, part in parts.items()]
     )
     action = np.zeros(len(p.joint_names))
     episode_lib.reset(body, data)
@@ -191,7 +192,7 @@ def play(body: Body, act: Callable, command, stress: Stress, seed: int = 0, seco
             )
             seen[-1] = _snapshot(data)
         obs = episode_lib.look(body, seen[-1 - old], command, action)
-        obs[observe.LINEAR_VELOCITY] *= stress.velocity
+        obs[parts["linear_velocity"]] *= stress.velocity
         action = act(see(obs + rng.uniform(-1, 1, len(obs)) * scale))
         delay = stress.action_delay
         if stress.jitter:
@@ -202,21 +203,9 @@ def play(body: Body, act: Callable, command, stress: Stress, seed: int = 0, seco
         for _ in range(body.substeps):
             while waiting and waiting[0][0] <= now:
                 _, follows = waiting.pop(0)
-            q, qd = data.qpos[body.joint_q], data.qvel[body.joint_v]
-            torque = actuators.clip_dc_motor(
-                actuators.pd(follows, q, qd, p.kp, p.kd),
-                qd,
-                effort_limit=p.effort_limit,
-                saturation_effort=p.saturation_effort,
-                velocity_limit=p.velocity_limit,
-            )
-            data.qfrc_applied[body.joint_v] = stress.motors * torque
-            mujoco.mj_step(model, data)
+            fell |= episode_lib.physics_step(body, data, follows, stress.motors)[2]
             now += 1
             seen = [*seen[1:], _snapshot(data)]
-            one, other = data.contact.geom[data.contact.dist < 0].T
-            ground, parts = body.ground, body.parts
-            fell |= bool(((ground[one] & parts[other]) | (ground[other] & parts[one])).any())
         finite = np.isfinite(data.qpos).all() and np.isfinite(data.qvel).all()
         if fell or not finite:
             fall = (k + 1) * dt

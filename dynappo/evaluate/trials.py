@@ -24,11 +24,12 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from dynappo.physics import actuators
 from dynappo.policy import choice, policy_file
 from dynappo.policy import episode as episode_lib
 from dynappo.policy.episode import SETTLE, Body
 from dynappo.policy.policy_file import Policy
-from dynappo.task import observe
+from dynappo.tasks.velocity import observe
 
 SECONDS = 6.0  # of an episode
 POINTS = 5  # of a command's range
@@ -52,7 +53,6 @@ def record(body: Body, act: Callable, command, seconds: float = SECONDS) -> dict
     A blow-up of the physics is a fall, and its step has no rows.
     """
     mujoco.set_mju_user_warning(lambda message: None)  # else they go into a file in the folder
-    single = body._replace(substeps=1)  # so that every physics step can be looked at
     data, ids, dt = mujoco.MjData(body.model), feet(body)[0], episode_lib.period(body)
     com, action = body.model.body_ipos[body.base_body], np.zeros(len(body.policy.joint_names))
     joints = len(action)
@@ -64,13 +64,13 @@ def record(body: Body, act: Callable, command, seconds: float = SECONDS) -> dict
     episode_lib.reset(body, data)
     for k in range(round(seconds / dt)):
         action = act(see(episode_lib.look(body, data, command, action)))
+        target = actuators.target(action, p.default_pose, p.action_scale)
         fell, inside = False, []
         for _ in range(body.substeps):
-            speed = data.qvel[body.joint_v].copy()
-            fell |= episode_lib.step(single, data, action)[1]
+            torque, speed, down = episode_lib.physics_step(body, data, target)
+            fell |= down
             pairs = data.contact.geom[data.contact.dist < 0]
             touched = pairs[body.ground[pairs].any(1)]
-            torque = data.qfrc_applied[body.joint_v].copy()
             inside.append((torque, speed, np.isin(ids, touched)))
         finite = np.isfinite(data.qpos).all() and np.isfinite(data.qvel).all()
         if finite:

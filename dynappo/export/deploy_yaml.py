@@ -14,7 +14,7 @@ from dynappo.config import ConfigError
 from dynappo.export import joint_order
 from dynappo.physics import robot as robot_lib
 from dynappo.policy.policy_file import Policy
-from dynappo.task import observe
+from dynappo.tasks.velocity import observe
 
 TERMS = dict(
     joint_position="joint_pos_rel",

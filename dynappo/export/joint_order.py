@@ -13,7 +13,7 @@ import numpy as np
 from dynappo.config import ConfigError
 from dynappo.physics import robot as robot_lib
 from dynappo.policy.policy_file import Policy
-from dynappo.task import observe
+from dynappo.tasks.velocity import observe
 
 ORDERS = ("mjcf", "isaaclab", "unitree")
 # Motor numbers 0-11 of Go1 and Go2, each leg hip to calf: unitree_legged_sdk, quadruped.h (FR_0 = 0,

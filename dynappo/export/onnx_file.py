@@ -18,7 +18,7 @@ from dynappo.config import ConfigError, files, shell, versions
 from dynappo.physics import robot as robot_lib
 from dynappo.policy import policy_file
 from dynappo.policy.policy_file import Policy
-from dynappo.task import observe
+from dynappo.tasks.velocity import observe
 
 # Everything used here is in opset 14 already, and ONNX Runtime reads opset 17 from its 1.12 (2022) on
 OPSET, IR_VERSION = 17, 8

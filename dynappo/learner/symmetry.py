@@ -2,7 +2,7 @@
 
 For a legged robot with equal left and right sides, the mirrored action in the mirrored state leads
 to the mirrored next state, with the same reward. With M the mirror image of a vector
-(task/mirror.py), the best policy and its value have
+(tasks/velocity/mirror.py), the best policy and its value have
 
     policy(M o) = M policy(o)        value(M o) = value(o)
 

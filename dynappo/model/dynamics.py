@@ -214,7 +214,7 @@ def pick(x: Float[Array, "T R ..."], t: Int[Array, "M R"]) -> Float[Array, "M R 
 def predict(
     static: Static, hyper: Hyper, env: Env, model: ModelState, obs: Float[Array, "R O"], action
 ) -> tuple[Float[Array, "R O"], Float[Array, " R"], Float[Array, " R"]]:
-    """`(next observation, reward, discount)`: prop is predicted, `env.context` copies the rest."""
+    """`(next observation, reward, discount)`: prop is predicted, the context computed."""
     size = env.prop_size
     (x_mean, x_std), (y_mean, y_std) = scales(static, model)
     x = (examples.inputs(env, obs, action) - x_mean) / x_std
@@ -227,7 +227,14 @@ def predict(
     lives = jnp.ones_like(reward)
     if static.model.falls:
         lives = 1 - jax.nn.sigmoid(y[..., -1] + FALL_LOGIT)
-    return jnp.concatenate([prop, env.context(obs, action)], -1), reward, lives
+    return jnp.concatenate([prop, known(hyper, env, obs, action, prop)], -1), reward, lives
+
+
+def known(hyper: Hyper, env: Env, obs, action, next_prop) -> Float[Array, "... O-P"]:
+    """The context after `action` in `obs`: what follows from a row need not be predicted."""
+    size, row = env.prop_size, "(c),(p),(a),(p)->(c)"
+    advance = jnp.vectorize(partial(env.advance, hyper), signature=row)
+    return advance(obs[..., size:], obs[..., :size], action, next_prop)
 
 
 def step(static: Static, hyper: Hyper, env: Env, model: ModelState):
@@ -240,12 +247,10 @@ def step(static: Static, hyper: Hyper, env: Env, model: ModelState):
         seen = jnp.concatenate([state.prop, state.obs[..., env.prop_size :]], -1)
         after, reward, discount = predict(static, hyper, env, model, seen, action)
         prop = sensed = after[..., : env.prop_size]
-        context = env.context(state.obs, action)  # with what was sensed before
+        context = known(hyper, env, state.obs, action, prop)  # with what was sensed before
         if static.model.clean:
             keys = jax.vmap(jax.random.fold_in, (0, None))(keys, NOISE)
-            if env.bias is not None:
-                sensed += env.bias(jnp.concatenate([prop, context], -1))
-            sensed += jax.vmap(env.noise, (None, 0))(hyper, keys)
+            sensed = jax.vmap(partial(env.sense, hyper))(prop, context, keys)
         obs, zero = jnp.concatenate([sensed, context], -1), jnp.zeros_like(reward)
         outcome = Outcome(
             reward=reward,

@@ -1,7 +1,7 @@
 """The transition model's training data: rows of a rollout as inputs, targets and weights.
 
 The model predicts the observation's `prop`, with `model.clean` without its noise. The rest of an
-observation, the context, is copied (`Env.context`).
+observation, the context, is known (`Env.advance`).
 """
 
 from __future__ import annotations

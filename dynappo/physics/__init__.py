@@ -2,15 +2,15 @@
 
 - `robot`: loads a robot's file, and what the task needs to know about it
 - `mjcf`: checks an untrusted MJCF before and after MuJoCo compiles it
-- `contract`: checks the rules that a robot's file must keep
+- `robot_contract`: checks the rules that a robot's file must keep
 - `actuators`: from a policy's action to joint torques
 - `engine`: a control step: PD, motor limits, physics steps, contacts by geometry
 - folder `warp`: a control step on a GPU, in a kernel of our own or by MuJoCo Warp
-- `c_engine`: C MuJoCo on all cores of a CPU, one call per control step
+- `c_mujoco`: C MuJoCo on all cores of a CPU, one call per control step
 - `randomize`: each robot's own physical parameters
 - `xla_call`: lets compiled CPU programs call a Python function
 - `contacts`: how a robot's primitives touch the floor
 
 The task and the commands import it; it imports `types` and `config`. `robot`, `mjcf`,
-`contract`, `contacts` and `actuators` need no JAX.
+`robot_contract`, `contacts` and `actuators` need no JAX.
 """

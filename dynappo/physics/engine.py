@@ -11,7 +11,7 @@ that must not touch the ground need no collision pairs (`physics.contacts = feet
 Why data are rebuilt from a template in every control step: the state is then small, a reset costs
 no physics call, and a checkpoint does not depend on the engine. Why not in every physics step:
 filling the 168 arrays of mjx.Data took 0.6 of 4.4 ms (experiments/03_speed). On a
-GPU a control step is one call without mjx.Data (warp/engine.py).
+GPU a control step is one call without mjx.Data (warp/call.py).
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from __future__ import annotations
 import contextlib
 import io
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
@@ -27,11 +27,11 @@ import mujoco
 import numpy as np
 
 from dynappo.config import ConfigError
-from dynappo.physics import actuators, c_engine, contacts, randomize
+from dynappo.physics import actuators, c_mujoco, contacts, randomize
 from dynappo.physics import robot as robot_lib
 from dynappo.physics.warp import arrays, scope
-from dynappo.physics.warp import engine as warp_engine
-from dynappo.types import EnvState, Hyper
+from dynappo.physics.warp import call as warp_call
+from dynappo.types import Hyper
 
 
 class Engine(NamedTuple):
@@ -39,7 +39,7 @@ class Engine(NamedTuple):
 
     model: Any  # mjx.Model, or the fields of it that robots may differ in
     data: Any  # mjx.Data, a template; of "jax"
-    # "jax": (model, data, ctrl) -> data, a physics step; else a control step of c_engine or warp
+    # "jax": (model, data, ctrl) -> data, a physics step; else a control step of c_mujoco or warp
     step: Callable[..., Any]
     impl: str  # "jax", "warp" or "c"
     robot: robot_lib.Robot
@@ -62,7 +62,7 @@ def check(robot: robot_lib.Robot, physics, impl: str) -> None:
     """ConfigError if the engine `impl` lacks what the robot's file asks for; `physics` is the config's
     group. What the kernel computes, every engine does."""
     if impl == "c":
-        return c_engine.check(robot)
+        return c_mujoco.check(robot)
     model = robot_lib.physics_model(robot, physics)
     if not scope.declines(model, robot.feet, False):
         return None
@@ -105,10 +105,10 @@ def make(
     check(robot, physics, impl)
     mj_model, model, data = robot_lib.physics_model(robot, physics), None, None
     if impl == "c":
-        step = c_engine.make(robot, physics, varied)
+        step = c_mujoco.make(robot, physics, varied)
     elif impl == "warp":
-        step = warp_engine.make(mj_model, robot, physics.substeps, remember)
-        model = warp_engine.model(mj_model)
+        step = warp_call.make(mj_model, robot, physics.substeps, remember)
+        model = warp_call.model(mj_model)
     else:
         mjx, step = _mjx(), _mjx_step
         here = next(
@@ -142,6 +142,22 @@ def _mjx_step(model, data, ctrl):
     return _mjx().step(model, data.replace(ctrl=ctrl))
 
 
+class Simulated(Protocol):
+    """What a control step reads of a task's state, whatever else the task keeps; A joints, F feet."""
+
+    qpos: Any
+    qvel: Any
+    qacc_warmstart: Any
+    torque: Any  # [A] N m; None unless it lags
+    last_action: Any  # [A], and the one before, of motors that are late
+    older_action: Any
+    air_steps: Any  # [F] physics steps since the foot left the ground; 0 while it is down
+    contact_steps: Any  # [F] since it came down; 0 while it is in the air
+    last_air_steps: Any  # [F] length of the last finished air phase
+    peak: Any  # [F] m, highest that its lowest point was in this air phase
+    last_peak: Any  # [F] in the last finished one
+
+
 class Substeps(NamedTuple):
     """What a control step carries from one physics step to the next."""
 
@@ -158,7 +174,7 @@ class Substeps(NamedTuple):
     lowest: Any  # m, lowest point of each part, in all physics steps (`remember`) or the last
 
 
-def simulate(engine: Engine, hyper: Hyper, body, state: EnvState, action) -> Substeps:
+def simulate(engine: Engine, hyper: Hyper, body, state: Simulated, action) -> Substeps:
     """`substeps` physics steps under explicit PD towards the action's joint targets."""
     default = jnp.asarray(engine.robot.default_pose, jnp.float32)
     target = actuators.target(
@@ -184,7 +200,7 @@ def simulate(engine: Engine, hyper: Hyper, body, state: EnvState, action) -> Sub
         return SIMULATE[engine.impl](engine, hyper, body, first, target, kp, kd)
 
 
-def _arriving(engine: Engine, body, state: EnvState, action):
+def _arriving(engine: Engine, body, state: Simulated, action):
     """The actions [n, A] that the motors follow, a row a physics step; they may be late."""
     steps = np.arange(engine.substeps)
     if body.delay is None:

@@ -58,7 +58,6 @@ TRAITS = dict(
 )
 # those that are None where their range is nominal
 HARDWARE = "strength armature joint_friction delay lag encoder_bias imu_tilt".split()
-JOINTS = 12
 
 
 @struct.dataclass
@@ -79,11 +78,13 @@ class Body:
     imu_tilt: Any = None  # [..., 3] rad, turn of the sensor in the base
 
 
-def draw(ranges, base_mass, base_com, key: PRNGKeyArray, varied=frozenset()) -> Body:
-    """One robot's parameters; `ranges` is the config's group `task.randomize`, `varied` names those of
-    `HARDWARE` that it has."""
+def draw(
+    ranges, base_mass, base_com, key: PRNGKeyArray, varied=frozenset(), joints: int = 0
+) -> Body:
+    """The parameters of one robot of so many joints; `ranges` is the config's group `task.randomize`,
+    `varied` names those of `HARDWARE` that it has."""
     own = [name for name in HARDWARE if name in varied]
-    sizes = [1, 3, 1, 1, 1, *[size_of(name) if name in AROUND else 1 for name in own]]
+    sizes = [1, 3, 1, 1, 1, *[size_of(name, joints) if name in AROUND else 1 for name in own]]
     shares = jnp.split(jax.random.uniform(key, (sum(sizes),)), np.cumsum(sizes)[:-1])
 
     def drawn(bounds):
@@ -109,9 +110,10 @@ def traits(varied) -> list[str]:
     return [name for name in TRAITS if name not in HARDWARE or name in varied]
 
 
-def size_of(trait: str) -> int:
+def size_of(trait: str, joints: int) -> int:
+    """Numbers of a trait of a robot with so many joints."""
     signs = TRAITS[trait].signs
-    return JOINTS if signs is None else len(signs)
+    return joints if signs is None else len(signs)
 
 
 def numbers(body: Body, base_com, varied) -> Float[Array, " B"]:

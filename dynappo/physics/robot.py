@@ -1,7 +1,7 @@
 """Loads a robot folder as a `Robot`: the compiled physics model and all that the task needs to
 know.
 
-contract.py has the rules for the file. NumPy and C MuJoCo only, so that a policy can be played
+robot_contract.py has the rules for the file. NumPy and C MuJoCo only, so that a policy can be played
 without JAX.
 """
 
@@ -17,7 +17,7 @@ import mujoco
 import numpy as np
 
 from dynappo.config import ConfigError, files
-from dynappo.physics import contract, mjcf
+from dynappo.physics import mjcf, robot_contract
 
 VISUAL_GROUP = 2
 # prefixes of a model's arrays that decide how it moves, and suffixes of those that do not
@@ -26,7 +26,7 @@ LOOKS = ("_group", "_rgba", "_matid", "_user", "_bvhadr", "_bvhnum")
 
 
 class Robot(NamedTuple):
-    """`F` = 4 feet, `A` = 12 joints, `G` parts that must not touch the ground."""
+    """`F` feet, `A` joints, `G` parts that must not touch the ground."""
 
     name: str
     xml: Path
@@ -69,9 +69,9 @@ def load_text(text: str, name: str, source: Path) -> Robot:
 
 def _robot(name: str, xml: Path, text: str, alone: str) -> Robot:
     spec = physics_spec(xml, text)
-    contract.check_file(spec)
+    robot_contract.check_file(spec)
     model = mjcf.check_model(spec.compile())
-    feet, parts = contract.check(model)
+    feet, parts = robot_contract.check(model)
     home = model.key("home").qpos.copy()
     return Robot(
         name=name,
@@ -79,7 +79,7 @@ def _robot(name: str, xml: Path, text: str, alone: str) -> Robot:
         mj_model=model,
         default_pose=home[7:],
         home_qpos=home,
-        joint_names=tuple(contract.names(model.njnt, model.joint)[1:]),
+        joint_names=tuple(robot_contract.names(model.njnt, model.joint)[1:]),
         feet=feet,
         foot_radius=model.geom_size[feet, 0],
         parts=parts,
@@ -156,10 +156,10 @@ def physics_model(robot: Robot, physics) -> mujoco.MjModel:
     `contacts="feet"`: only the feet touch the floor. That is enough if any other part at the ground
     ends the episode, and needs fewer constraints. Cone, impratio and integrator are the file's.
     """
-    return settle(copy.copy(robot.mj_model), physics, robot.parts)
+    return with_settings(copy.copy(robot.mj_model), physics, robot.parts)
 
 
-def settle(model: mujoco.MjModel, physics, parts: np.ndarray) -> mujoco.MjModel:
+def with_settings(model: mujoco.MjModel, physics, parts: np.ndarray) -> mujoco.MjModel:
     """`model` itself, with the settings of `physics_model`."""
     model.opt.timestep = physics.timestep
     model.opt.iterations = physics.iterations
@@ -176,26 +176,44 @@ def digest(model: mujoco.MjModel) -> str:
     return hashlib.sha256(content.tobytes()).hexdigest()
 
 
-def leg_chains(robot: Robot):
-    """`(pos [F, 4, 3], axis [F, 3, 3])` of each leg: offsets hip, thigh, calf, foot; joint axes.
+class Legs(NamedTuple):
+    """The joints between the base and each foot; `F` legs of `L` joints each."""
+
+    joints: np.ndarray  # [F, L] numbers of the joints, from the base to the foot
+    offsets: np.ndarray  # [F, L + 1, 3] m: each joint's body in the one before, then the foot
+    axes: np.ndarray  # [F, L, 3]
+
+
+def legs(robot: Robot) -> Legs:
+    """The chains of joints that move the feet.
 
     A reset uses them to place the feet above the floor without a physics call. They need the
-    contract's aligned frames (identity body quaternions).
+    contract's aligned frames (identity body quaternions) and legs of equally many joints.
     """
     m = robot.mj_model
-    bodies = m.jnt_bodyid[1:].reshape(4, 3)
-    pos = np.concatenate([m.body_pos[bodies], m.geom_pos[robot.feet][:, None]], axis=1)
-    return pos, m.jnt_axis[1:].reshape(4, 3, 3)
+    chains = [_chain(m, m.geom_bodyid[foot]) for foot in robot.feet]
+    bodies = np.array(chains)
+    offsets = np.concatenate([m.body_pos[bodies], m.geom_pos[robot.feet][:, None]], axis=1)
+    joints = m.body_jntadr[bodies]
+    return Legs(joints - 1, offsets, m.jnt_axis[joints])
 
 
-def feet_in_base(legs, joints):
+def _chain(model: mujoco.MjModel, body: int) -> list[int]:
+    """The bodies that joints move between the base and `body`, which is the last."""
+    chain = []
+    while model.body_parentid[body] != 0:
+        chain.insert(0, int(body))
+        body = model.body_parentid[body]
+    return chain
+
+
+def feet_in_base(legs: Legs, joints):
     """Foot centres [F, 3] (m) in the base frame at joint angles [A], by the chains of each leg."""
-    offsets, axes = legs
     xp = joints.__array_namespace__()
-    offsets, axes = xp.asarray(offsets, dtype=joints.dtype), xp.asarray(axes, dtype=joints.dtype)
-    angles = joints.reshape(axes.shape[:2])
-    position = offsets[:, 3]
-    for i in (2, 1, 0):  # from the foot up to the hip: rotate about the joint, add the offset
+    offsets, axes = (xp.asarray(x, dtype=joints.dtype) for x in (legs.offsets, legs.axes))
+    angles, count = joints[legs.joints], legs.joints.shape[1]
+    position = offsets[:, count]
+    for i in reversed(range(count)):  # from the foot up to the hip: rotate, add the offset
         axis, angle = axes[:, i], angles[:, i, None]
         turned = xp.linalg.cross(axis, position)
         position = (

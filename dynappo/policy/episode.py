@@ -22,7 +22,7 @@ import numpy as np
 from dynappo.config import ConfigError
 from dynappo.physics import actuators, contacts, mjcf
 from dynappo.policy.policy_file import Policy
-from dynappo.task import observe
+from dynappo.tasks.velocity import observe
 
 SETTLE = 1.0  # s, left out of the tracking error, as in dynappo/scores.py
 UNEVEN = 0.02  # rad, about a degree
@@ -137,7 +137,7 @@ def _above(model, body):
 
 
 def coordinates(body: Body, data) -> tuple[np.ndarray, np.ndarray]:
-    """`(qpos [7 + A], qvel [6 + A])` as in `task/observe.py`: base, then the policy's joints."""
+    """`(qpos [7 + A], qvel [6 + A])` as in `tasks/velocity/observe.py`: base, then the policy's joints."""
     q, v = body.root
     qpos = np.concatenate([data.qpos[q : q + 7], data.qpos[body.joint_q]])
     return qpos, np.concatenate([data.qvel[v : v + 6], data.qvel[body.joint_v]])
@@ -193,25 +193,36 @@ def step(body: Body, data, action) -> tuple[float, bool]:
     `work` (J) is the time integral of the sum over joints of |torque x speed|; `fell`: a part other
     than a foot touched the ground.
     """
-    p, model = body.policy, body.model
+    p, work, fell = body.policy, 0.0, False
     target = actuators.target(action, p.default_pose, p.action_scale)
-    work, fell = 0.0, False
     for _ in range(body.substeps):
-        q, qd = data.qpos[body.joint_q], data.qvel[body.joint_v]
-        torque = actuators.clip_dc_motor(
-            actuators.pd(target, q, qd, p.kp, p.kd),
-            qd,
-            effort_limit=p.effort_limit,
-            saturation_effort=p.saturation_effort,
-            velocity_limit=p.velocity_limit,
-        )
-        data.qfrc_applied[body.joint_v] = torque
-        mujoco.mj_step(model, data)
-        work += float(np.abs(torque * qd).sum()) * model.opt.timestep
-        one, other = data.contact.geom[data.contact.dist < 0].T
-        ground, parts = body.ground, body.parts
-        fell |= bool(((ground[one] & parts[other]) | (ground[other] & parts[one])).any())
+        torque, speed, down = physics_step(body, data, target)
+        work += float(np.abs(torque * speed).sum()) * body.model.opt.timestep
+        fell |= down
     return work, fell
+
+
+def physics_step(body: Body, data, target, strength=1.0) -> tuple[np.ndarray, np.ndarray, bool]:
+    """One physics step of motors that hold the joint angles `target`: `(torque, speed, fell)`.
+
+    `torque` [A] (N m) is what the joints get, the share `strength` of what the motors should give;
+    `speed` [A] (rad/s) is that of the joints when it is applied.
+    """
+    p = body.policy
+    q, speed = data.qpos[body.joint_q], data.qvel[body.joint_v]
+    torque = strength * actuators.clip_dc_motor(
+        actuators.pd(target, q, speed, p.kp, p.kd),
+        speed,
+        effort_limit=p.effort_limit,
+        saturation_effort=p.saturation_effort,
+        velocity_limit=p.velocity_limit,
+    )
+    data.qfrc_applied[body.joint_v] = torque
+    mujoco.mj_step(body.model, data)
+    one, other = data.contact.geom[data.contact.dist < 0].T
+    ground, parts = body.ground, body.parts
+    fell = bool(((ground[one] & parts[other]) | (ground[other] & parts[one])).any())
+    return torque, speed, fell
 
 
 def rows(body: Body, data, act: Callable, command: Callable):

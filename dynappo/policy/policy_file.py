@@ -23,7 +23,7 @@ from ml_collections import config_dict
 from dynappo.config import ConfigError, files
 from dynappo.physics import robot as robot_lib
 from dynappo.policy import checkpoint_file, checks, npz_file
-from dynappo.task import observe
+from dynappo.tasks.velocity import observe
 
 FORMAT = 2  # of `about`; 1 has no MJCF, and its robot is found by name
 READ = (1, 2)
@@ -76,7 +76,7 @@ def describe(config, robot: robot_lib.Robot, params: dict | None = None) -> Poli
         task, physics = fields["task"], fields["physics"]
         return Policy(
             robot=robot.name,
-            observation=observe.NAMES[task.get("observation", "full")],
+            observation=observe.name(task.get("observation", "full"), len(robot.joint_names)),
             history=task.get("history", 1),
             activation=fields["ppo"]["activation"],
             joint_names=robot.joint_names,
@@ -220,16 +220,17 @@ def _checked(path: Path, policy: Policy) -> Policy:
             raise ConfigError(f"{path}: {text}")
 
     expect(
-        policy.observation in tuple(observe.NAMES.values()),
-        f"its observation is {reprlib.repr(policy.observation)}, this dynappo computes "
-        + " and ".join(map(repr, observe.NAMES.values())),
-    )
-    expect(
         policy.activation in tuple(ACTIVATIONS),
         f"its activation is {reprlib.repr(policy.activation)}, expected one of {', '.join(ACTIVATIONS)}",
     )
     try:
         checks.check(policy._asdict())
+        observations = [observe.name(kind, len(policy.joint_names)) for kind in observe.NAMES]
+        expect(
+            policy.observation in observations,
+            f"its observation is {reprlib.repr(policy.observation)}, this dynappo computes "
+            + " and ".join(map(repr, observations)),
+        )
         inputs = len(observe.columns(policy.observation)) * policy.history
         checks.check_params(policy.params, inputs, len(policy.joint_names))
     except ValueError as error:

@@ -5,8 +5,8 @@ the episodes have a fall, if both hold at every later evaluation too. One evalua
 ones. A share of 1 % is told apart from 2 % by about a thousand episodes.
 
 The level is a share of the best possible return, that of perfect tracking, `(w_lin + w_yaw) T` in episodes
-of T seconds (task/rewards.py): 38 of 45 with the weights of the Unitree tasks, 24 of 30 with those of
-ANYmal's, 20 s each. With weights of your own it is the smaller share, 0.8.
+of T seconds (tasks/velocity/rewards.py): 38 of 45 with the weights of the Unitree tasks, 24 of 30 with
+those of ANYmal's, 20 s each. With weights of your own it is the smaller share, 0.8.
 """
 
 from __future__ import annotations

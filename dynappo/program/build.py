@@ -52,11 +52,12 @@ def check(config, env: Any = None) -> None:
     """ConfigError if the machine, the robot's file or `env` cannot run it; compiles nothing."""
     from dynappo.physics import engine, robot
     from dynappo.program import environment
-    from dynappo.task import mirror, payment
+    from dynappo.tasks import env_contract
+    from dynappo.tasks.velocity import mirror, reward_sum
 
     if env is not None:
         devices.engine(config)
-        return environment.check(env, config)
+        return env_contract.check(env, config, schedule.uses_model(config))
     environment.check_robot(config)
     impl = devices.engine(config)
     if impl == "warp":
@@ -68,7 +69,7 @@ def check(config, env: Any = None) -> None:
             f"task.randomize.base_mass is {config.task.randomize.base_mass}, expected more than "
             f"-{base:.2f} kg, the mass of the base of {config.robot}"
         )
-    payment.find(config.task)
+    reward_sum.terms_of(config.task)
     if config.ppo.symmetry:
         mirror.joints(loaded)
     engine.check(loaded, config.physics, impl)
@@ -205,7 +206,7 @@ def _side_by_side(
     """
     import jax
 
-    from dynappo.program import environment
+    from dynappo.tasks import env_contract
 
     ready = None
     options, quick = _options()
@@ -216,7 +217,7 @@ def _side_by_side(
 
         if own:
             begin = compiling(first, quick, *args)
-            environment.check_start(begin.result()(*args).env_state)
+            env_contract.check_start(begin.result()(*args).env_state)
         # as early as can be: it takes longest
         iterate = compiling(step, options, args[0], *given)
         if not own:
@@ -271,7 +272,7 @@ def _environment(config, env: Any, impl: str) -> tuple[Any, Any, str]:
 
     from dynappo.physics import robot as robot_lib
     from dynappo.program import environment
-    from dynappo.task import env as env_lib
+    from dynappo.tasks.velocity import env as env_lib
 
     if env is not None:
         return None, env, "own"

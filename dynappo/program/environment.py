@@ -1,26 +1,14 @@
-"""Checks an environment of your own against the contract of `types.Env`.
-
-Everything except the first numbers of `reset` is checked by shapes (`jax.eval_shape`), within a
-second and before anything is compiled or written. An error is one line: what was found, what was
-expected.
-"""
+"""What a config means for an environment of your own; tasks/env_contract.py checks the environment."""
 
 from __future__ import annotations
 
-import traceback
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
-import numpy as np
 from ml_collections import config_dict
 
 from dynappo import config as config_lib
-from dynappo import schedule
 from dynappo.config import ConfigError
-
-SCALARS = "reward discount truncation episode_return episode_length valid".split()
-SIZES = "obs_size prop_size action_size dt episode_length".split()
 
 
 def settle(config, env: Any) -> Any:
@@ -63,162 +51,7 @@ def check_robot(config) -> None:
         )
 
 
-def check(env: Any, config) -> None:
-    """ConfigError for the first thing in which `env` breaks the contract of `types.Env`."""
-    import jax
-    import jax.numpy as jnp
-
-    _check_kind(env)
-    hyper, key = config_lib.split(config)[1], jax.random.key(0)
-    o, p, a = env.obs_size, env.prop_size, env.action_size
-    action = jax.ShapeDtypeStruct((a,), jnp.float32)
-    body = _shapes("randomize", env.randomize, hyper, key)
-    state = _shapes("reset", env.reset, hyper, body, key)
-    _check_state(env, state)
-    found = _shapes("step", env.step, hyper, body, state, action, key)
-    _check_step(env, state, found)
-    again = _shapes("autoreset", env.autoreset, hyper, body, *found, key)
-    _check_same("autoreset", again, state)
-    if config.ppo.symmetry:
-        _check_mirror(env)
-    if not schedule.uses_model(config):
-        return
-    rows = [jax.ShapeDtypeStruct((3, size), jnp.float32) for size in (o, a)]
-    context = _shapes("context", env.context, *rows)
-    _check_shape("context(obs, action) of 3 rows", context, (3, o - p), "[3, obs_size - prop_size]")
-    if config.model.clean:
-        noise = _shapes("noise", env.noise, hyper, key)
-        if getattr(noise, "shape", None) != (1,):  # one number for all, as in the default
-            _check_shape("noise(hyper, key)", noise, (p,), "[prop_size]")
-    if config.model.known_reward:
-        one = [jax.ShapeDtypeStruct((size,), jnp.float32) for size in (o, a, p)]
-        known = _shapes("known_reward", env.known_reward, hyper, *one)
-        _check_shape("known_reward(hyper, obs, action, next_prop)", known, (), "one number")
-
-
-def check_start(state: Any) -> None:
-    """ConfigError if the first observations [..., O] are not finite."""
-    import jax.numpy as jnp
-
-    for name in ("obs", "prop"):
-        if not bool(jnp.isfinite(getattr(state, name)).all()):
-            raise _wrong(f"reset's {name} is not finite", "finite numbers")
-
-
-def _wrong(found: str, expected: str) -> ConfigError:
-    return ConfigError(
-        f"the environment: {found}, expected {expected}; docs/environment.md has the contract"
-    )
-
-
 def _check_kind(env: Any) -> None:
-    from dynappo.types import Env
+    from dynappo.tasks import env_contract  # it needs JAX
 
-    if not isinstance(env, Env):
-        raise _wrong(f"it is {_kind(env)}", "a dynappo.types.Env")
-    for name in SIZES:
-        value = getattr(env, name)
-        whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
-        if not (whole or (name == "dt" and isinstance(value, float))) or not value > 0:
-            kind = "seconds" if name == "dt" else "an integer"
-            raise _wrong(f"{name} is {value!r}", f"{kind} above 0")
-    if env.prop_size > env.obs_size:
-        raise _wrong(f"prop_size is {env.prop_size}", f"at most obs_size = {env.obs_size}")
-
-
-def _kind(value: Any) -> str:
-    return "None" if value is None else type(value).__name__
-
-
-def _shapes(name: str, function: Any, *arguments) -> Any:
-    """`jax.eval_shape`; an error in the user's function is one line that names the place."""
-    import jax
-
-    try:
-        return jax.eval_shape(function, *arguments)
-    except ConfigError:
-        raise
-    except Exception as error:
-        frames = traceback.extract_tb(error.__traceback__)
-        theirs = [f for f in frames if "-packages" not in f.filename and f.filename != __file__]
-        place = f" ({Path(theirs[-1].filename).name}, line {theirs[-1].lineno})" if theirs else ""
-        text = " ".join(str(error).split())[:240]
-        raise _wrong(
-            f"{name} cannot be run{place}: {type(error).__name__}: {text}",
-            "a function that JAX traces",
-        ) from None
-
-
-def _check_shape(name: str, value: Any, shape: tuple[int, ...], meaning: str) -> None:
-    if getattr(value, "shape", None) != shape:
-        found = f"of shape {value.shape}" if hasattr(value, "shape") else _kind(value)
-        raise _wrong(f"{name} is {found}", f"{shape} ({meaning})")
-
-
-def _check_state(env: Any, state: Any) -> None:
-    import jax.numpy as jnp
-
-    for name, size in (("obs", env.obs_size), ("prop", env.prop_size)):
-        if not hasattr(state, name):
-            raise _wrong(
-                f"reset returns {_kind(state)} without {name}", "a state with obs and prop"
-            )
-        value = getattr(state, name)
-        _check_shape(f"reset's {name}", value, (size,), f"{name}_size = {size}")
-        if not jnp.issubdtype(value.dtype, jnp.floating):
-            raise _wrong(f"reset's {name} is {value.dtype}", "real numbers")
-    if hasattr(state, "clock") and not hasattr(state, "replace"):
-        raise _wrong(f"{_kind(state)} has a clock and no replace", "a flax.struct.dataclass")
-
-
-def _check_step(env: Any, state: Any, found: Any) -> None:
-    from dynappo.types import Outcome
-
-    if not (isinstance(found, tuple) and len(found) == 2 and isinstance(found[1], Outcome)):
-        parts = ", ".join(map(_kind, found)) if isinstance(found, tuple) else _kind(found)
-        raise _wrong(f"step returns ({parts})", "(state, dynappo.types.Outcome)")
-    after, outcome = found
-    _check_same("step", after, state)
-    for name in SCALARS:
-        _check_shape(f"Outcome.{name}", getattr(outcome, name), (), "one number")
-    sizes = (("next_obs", env.obs_size, "obs_size"), ("next_prop", env.prop_size, "prop_size"))
-    for name, size, meant in sizes:
-        _check_shape(f"Outcome.{name}", getattr(outcome, name), (size,), f"{meant} = {size}")
-    for name in env.metrics:
-        if name not in outcome.metrics:
-            raise _wrong(f"Outcome.metrics has no {name!r}", "all names of Env.metrics")
-        _check_shape(f"Outcome.metrics[{name!r}]", outcome.metrics[name], (), "one number")
-
-
-def _check_same(name: str, after: Any, state: Any) -> None:
-    """ConfigError unless `after` has the same arrays as reset's `state`."""
-    import jax
-
-    def arrays(tree):
-        return {jax.tree_util.keystr(path): x for path, x in jax.tree.leaves_with_path(tree)}
-
-    one, other = arrays(after), arrays(state)
-    if jax.tree.structure(after) != jax.tree.structure(state):
-        differ = sorted(one.keys() ^ other.keys())
-        what = f", they differ in {differ[0]}" if differ else ""
-        raise _wrong(f"{name} returns {_kind(after)}{what}", f"a state as reset's, {_kind(state)}")
-    for path, x in one.items():
-        like = other[path]
-        if (x.shape, x.dtype) != (like.shape, like.dtype):
-            found, expected = (f"{v.dtype}{list(v.shape)}" for v in (x, like))
-            raise _wrong(f"{name} returns a state with {path} {found}", f"{expected} as reset's")
-
-
-def _check_mirror(env: Any) -> None:
-    if env.mirror is None:
-        raise _wrong(
-            "mirror is None where ppo.symmetry is True",
-            "the mirror images of obs and action (types.Mirror), or ppo.symmetry=False",
-        )
-    for name, one, size in zip(
-        ("obs", "action"), env.mirror, (env.obs_size, env.action_size), strict=True
-    ):
-        for part in ("index", "sign"):
-            _check_shape(
-                f"the mirror's {part} of {name}", getattr(one, part), (size,), f"{name}_size"
-            )
+    env_contract.check_kind(env)

@@ -14,18 +14,21 @@ import os
 from typing import Any
 
 from dynappo.config import ConfigError
-from dynappo.task import observe
+from dynappo.physics.robot_contract import JOINTS
+from dynappo.tasks.velocity import observe
 
-ACTION = 12
-STATE = 4 * 197  # bytes of an EnvState of 48 observed numbers, and of the robot's own body
+STATE = (
+    4 * 197
+)  # bytes of a state of the velocity task with 48 observed numbers, and of the robot's own body
 CURE = "lower one of them, or use more devices (run.mesh_seed, run.mesh_env)"
 
 
 def row(config) -> int:
     """Bytes of a types.Transition, at least: without what obs tells of a robot's body."""
     task = config.task
-    past = (task.history - 1) * len(observe.columns(observe.NAMES[task.observation]))
-    return 4 * (2 * (observe.SENSED + past) + 2 * ACTION + 2 * observe.PROP_SIZE + 8)
+    past = (task.history - 1) * len(observe.columns(observe.name(task.observation, JOINTS)))
+    numbers = observe.size(JOINTS) + past, JOINTS, observe.prop_size(JOINTS)
+    return 4 * (2 * sum(numbers) + 8)
 
 
 def least(config) -> int:

@@ -19,7 +19,7 @@ from dynappo import config as config_lib
 from dynappo.model import dynamics
 from dynappo.physics import robot as robot_lib
 from dynappo.policy import policy_file
-from dynappo.task import env as env_lib
+from dynappo.tasks.velocity import env as env_lib
 from experiments import paper
 
 WARM, ROWS, STARTS = 100, 4, 5  # control steps before the first tail, in a tail; tails of a robot

@@ -9,7 +9,7 @@ from dynappo import config as config_lib
 from dynappo.config import files
 from dynappo.physics import actuators, robot
 from dynappo.policy import policy_file
-from dynappo.task import observe
+from dynappo.tasks.velocity import observe
 
 ROBOTS = ("go1", "go2", "anymal_c", "anymal_d")
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import jax.numpy as jnp
 from brax import envs
 
-from dynappo.task import brax_env
+from dynappo.tasks import brax_env
 from dynappo.types import Env
 
 SMALL = """
@@ -46,7 +46,9 @@ def go1_joystick() -> Env:
         registry.load("Go1JoystickFlatTerrain", config_overrides={"impl": "jax"}),
         prop_size=33,
         observe=observe,
-        context=lambda obs, action: jnp.concatenate([action, obs[..., -3:]], -1),
+        advance=lambda hyper, context, prop, action, next_prop: jnp.concatenate(
+            [action, context[-3:]]
+        ),
         action_limit=jnp.inf,  # offsets of joint targets, not limited in Playground
         starts=1,
     )

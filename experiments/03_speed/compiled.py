@@ -23,7 +23,7 @@ from dynappo import config as config_lib
 from dynappo.learner import symmetry
 from dynappo.model import dynamics, examples
 from dynappo.physics import robot as robot_lib
-from dynappo.task import env as env_lib
+from dynappo.tasks.velocity import env as env_lib
 from experiments import paper
 
 # XLA's own description of the card (its gpu/target_config)

@@ -248,7 +248,7 @@ def brax_ppo(env, config, own, progress_fn, episodes_fn):
     from brax.training.agents.ppo import train as ppo_train
     from brax.training.logger import EpisodeMetricsLogger
 
-    from dynappo.task import brax_env
+    from dynappo.tasks import brax_env
 
     static, hyper = config_lib.split(config)
     robots, iterations = config.rollout.num_envs, config.run.num_iterations

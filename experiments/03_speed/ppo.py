@@ -97,11 +97,11 @@ def precision(setting):
 def env():
     """What the model and the buffer need of Go1's task."""
 
-    def context(obs, action):
-        return jnp.concatenate([obs[..., 33:36], action], -1)
+    def advance(hyper, context, prop, action, next_prop):
+        return jnp.concatenate([context[:3], action])
 
     sizes = dict(obs_size=48, action_size=12, prop_size=33, dt=0.02)
-    return SimpleNamespace(**sizes, context=context, views=None, bias=None)
+    return SimpleNamespace(**sizes, advance=advance, views=None)
 
 
 def rollout_of(static, params, robots, horizon):

@@ -21,7 +21,7 @@ from mujoco import mjx
 from dynappo import config as config_lib
 from dynappo.physics import contacts
 from dynappo.physics import robot as robot_lib
-from dynappo.task import env as env_lib
+from dynappo.tasks.velocity import env as env_lib
 from experiments import paper
 
 STEPS, REPLAYS = 4, 16

@@ -37,7 +37,7 @@ from dynappo.learner import ppo
 from dynappo.physics import contacts
 from dynappo.physics import engine as engine_lib
 from dynappo.physics import robot as robot_lib
-from dynappo.task import env as env_lib
+from dynappo.tasks.velocity import env as env_lib
 from experiments import paper
 
 ROWS = 16

@@ -8,16 +8,17 @@ import numpy as np
 
 from dynappo import algorithm
 from dynappo.model import dynamics, examples
-from dynappo.task import observe
+from dynappo.tasks.velocity import observe
 
+ROWS = observe.rows(12)
 # of the predicted numbers, the reward last; units as in observe.py, the reward for a second
 GROUPS = {
-    "joint positions (rad)": observe.JOINT_POS,
-    "joint velocities (rad/s)": observe.JOINT_VEL,
-    "gravity direction": observe.GRAVITY,
-    "linear velocity (m/s)": observe.LINEAR_VELOCITY,
-    "angular velocity (rad/s)": observe.ANGULAR_VELOCITY,
-    "reward (1/s)": slice(observe.PROP_SIZE, None),
+    "joint positions (rad)": ROWS["joint_position"],
+    "joint velocities (rad/s)": ROWS["joint_velocity"],
+    "gravity direction": ROWS["gravity"],
+    "linear velocity (m/s)": ROWS["linear_velocity"],
+    "angular velocity (rad/s)": ROWS["angular_velocity"],
+    "reward (1/s)": slice(observe.prop_size(12), None),
 }
 FRESH = 2**30  # in place of an iteration's number: random numbers that training does not use
 
@@ -66,7 +67,7 @@ def errors(static, hyper, env, model, rows, obs):
 
 def _parts(env):
     """The groups; of an environment that is no quadruped, all predicted numbers and the reward."""
-    whole = env.prop_size == observe.PROP_SIZE
+    whole = env.prop_size == observe.prop_size(12)
     return GROUPS.values() if whole else (slice(0, env.prop_size), slice(env.prop_size, None))
 
 

@@ -11,16 +11,17 @@ import numpy as np
 
 from dynappo import config as config_lib
 from dynappo import schedule
-from dynappo.task import observe
+from dynappo.tasks.velocity import observe
 from experiments import paper, pictures
 
 REAL, KEPT, TAILS = 8, 6, 4  # real rows of an iteration in results/, iterations kept, tails shown
 OF_BEST = 4  # real rows of an iteration of `best`
 GREY, ORANGE, BLUE, INK = pictures.GREY, pictures.VERMILION, pictures.BLUE, "0.2"
+ROWS = observe.rows(12)
 CURVES = {  # column of rows.csv -> number of the state, label
-    "speed": (observe.LINEAR_VELOCITY.start, "velocity ahead (m/s)"),
-    "thigh": (observe.JOINT_POS.start + 1, "first leg, thigh (rad)"),
-    "calf": (observe.JOINT_POS.start + 2, "first leg, calf (rad)"),
+    "speed": (ROWS["linear_velocity"].start, "velocity ahead (m/s)"),
+    "thigh": (ROWS["joint_position"].start + 1, "first leg, thigh (rad)"),
+    "calf": (ROWS["joint_position"].start + 2, "first leg, calf (rad)"),
 }
 
 
@@ -42,7 +43,7 @@ def make(out: Path) -> None:
 def steady(buffers) -> np.ndarray:
     """Which robots `[R]` neither end an episode nor get another command in any of these rollouts."""
     alive = np.all([((b.discount == 1) & (b.truncation == 0))[:REAL].all(0) for b in buffers], 0)
-    commands = np.stack([b.obs[..., observe.COMMAND] for b in buffers])
+    commands = np.stack([b.obs[..., ROWS["command"]] for b in buffers])
     return alive & (np.ptp(commands, axis=(0, 1)) == 0).all(-1)
 
 
@@ -51,7 +52,7 @@ def rows(buffers, dt: float) -> list[dict]:
 
     `time` (s) is that of physics: the tail of an iteration overlaps the real rows of the next two.
     """
-    ahead = buffers[0].obs[0, :, observe.COMMAND.start]
+    ahead = buffers[0].obs[0, :, ROWS["command"].start]
     robot, out = int(np.argmax(np.where(steady(buffers), ahead, -np.inf))), []
     for i, buffer in enumerate(buffers):
         for t in range(len(buffer.reward)):

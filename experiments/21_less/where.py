@@ -18,7 +18,7 @@ from dynappo.learner import networks
 from dynappo.physics import engine as engine_lib
 from dynappo.physics import robot as robot_lib
 from dynappo.policy import policy_file
-from dynappo.task import env as env_lib
+from dynappo.tasks.velocity import env as env_lib
 from experiments import paper
 
 STEPS = 1000

@@ -13,7 +13,7 @@ import numpy as np
 from dynappo import config as config_lib
 from dynappo import scores
 from dynappo.policy import carried, source
-from dynappo.task import env as env_lib
+from dynappo.tasks.velocity import env as env_lib
 from experiments import paper
 
 

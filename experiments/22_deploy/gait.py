@@ -18,7 +18,7 @@ import numpy as np
 
 from dynappo.evaluate import stress, trials
 from dynappo.policy import choice, episode, policy_file, source
-from dynappo.task import observe
+from dynappo.tasks.velocity import observe
 
 SECONDS, SETTLE, SWING, LOW = 6.0, 1.0, 0.06, 0.004
 

@@ -9,8 +9,9 @@ from answers import status
 from dynappo.evaluate import command, stress, trials
 from dynappo.evaluate.stress import Stress
 from dynappo.policy import choice, source
-from dynappo.task import observe
+from dynappo.tasks.velocity import observe
 
+ROWS = observe.rows(12)
 SECONDS = 0.6
 AHEAD = np.array([0.5, 0.0, 0.0])
 
@@ -125,10 +126,10 @@ def test_noise_and_a_wrong_velocity_are_what_the_policy_sees(body):
     play(body, other, noise=1.0)
     play(body, third, velocity=0.5)
     off = np.abs(np.array(noisy) - np.array(seen)).max(0)
-    assert (off[observe.JOINT_VEL] > 1.2).all() and (off[observe.JOINT_VEL] <= 1.5).all()
-    assert (off[observe.COMMAND] == 0).all() and (off[observe.LAST_ACTION] == 0).all()
+    assert (off[ROWS["joint_velocity"]] > 1.2).all() and (off[ROWS["joint_velocity"]] <= 1.5).all()
+    assert (off[ROWS["command"]] == 0).all() and (off[ROWS["previous_action"]] == 0).all()
     expected = np.array(seen)
-    expected[:, observe.LINEAR_VELOCITY] *= 0.5
+    expected[:, ROWS["linear_velocity"]] *= 0.5
     np.testing.assert_array_equal(np.array(wrong), expected)
 
 
@@ -137,7 +138,7 @@ def test_the_first_noise_is_not_the_pose_that_the_episode_starts_in(body):
     (act, seen), (other, noisy) = scripted(), scripted()
     play(body, act)
     play(body, other, noise=1.0)
-    pose, noise = seen[0][observe.JOINT_POS], (noisy[0] - seen[0])[observe.JOINT_POS]
+    pose, noise = seen[0][ROWS["joint_position"]], (noisy[0] - seen[0])[ROWS["joint_position"]]
     by_name = pose[np.argsort(body.policy.joint_names)]  # in the order in which they are drawn
     assert abs(np.corrcoef(by_name, noise)[0, 1]) < 0.9
 

@@ -19,7 +19,7 @@ from dynappo.export import joint_order
 from dynappo.physics import actuators
 from dynappo.physics import robot as robot_lib
 from dynappo.policy import episode, source
-from dynappo.task import observe
+from dynappo.tasks.velocity import observe
 
 PAGE = (ROOT / "robots" / "DEPLOY.md").read_text()
 AHEAD = np.array([0.6, 0.0, 0.0])  # m/s, m/s, rad/s

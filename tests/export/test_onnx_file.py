@@ -17,7 +17,7 @@ from dynappo.export import joint_order
 from dynappo.learner import networks
 from dynappo.physics import actuators
 from dynappo.policy import policy_file
-from dynappo.task import observe
+from dynappo.tasks.velocity import observe
 
 
 @pytest.mark.parametrize("activation", list(policy_file.ACTIVATIONS))
@@ -146,7 +146,7 @@ def test_the_observation_table_is_that_of_observe():
     assert rows[-1]["stop"] == 48
     noise = np.concatenate([[row["noise"]] * (row["stop"] - row["start"]) for row in rows])
     group = config_lib.load("configs/anymal_d.py").task.noise
-    np.testing.assert_array_equal(noise, observe.noise_scale(group, np))
+    np.testing.assert_array_equal(noise, observe.noise_scale(group, np, 12))
 
     # one quantity at a time, through `observe` itself
     data = {name: np.zeros(12) for name in ("joint_position", "joint_velocity", "previous_action")}

@@ -19,7 +19,7 @@ from dynappo import config
 from dynappo.config import files
 from dynappo.physics import engine as engine_lib
 from dynappo.physics import randomize, robot
-from dynappo.task import env as env_lib
+from dynappo.tasks.velocity import env as env_lib
 
 POSES = 10_000
 NEAR = 0.02  # m from the floor
@@ -163,8 +163,8 @@ def test_the_lowest_point_is_as_deep_as_the_deepest_contact(seen, kind):
     assert error.max() < ROUNDING, f"{geom}: {error.max():.1e} m"
 
 
-# --- in motion: MJX against C MuJoCo, and random actions; slow, because tests/task/test_env.py follows a
-# Go1 on MJX with C MuJoCo, and test_c_engine.py compares all engines ---
+# --- in motion: MJX against C MuJoCo, and random actions; slow, because tests/tasks/test_env.py follows a
+# Go1 on MJX with C MuJoCo, and test_c_mujoco.py compares all engines ---
 
 
 class InC:

@@ -10,7 +10,7 @@ from mujoco import mjx
 
 from dynappo import config
 from dynappo.physics import randomize, robot
-from dynappo.task import env
+from dynappo.tasks.velocity import env
 
 ROBOTS = 512
 WIDE = dict(
@@ -154,7 +154,7 @@ def test_what_a_real_robot_has_is_drawn_where_its_range_says_so_and_changes_no_o
     varied = randomize.varied(bounds)
     assert varied == set(WIDE) | {name}
     keys = jax.random.split(jax.random.key(0), ROBOTS)
-    bodies = jax.vmap(lambda k: randomize.draw(bounds, mass, jnp.asarray(com), k, varied))(keys)
+    bodies = jax.vmap(lambda k: randomize.draw(bounds, mass, jnp.asarray(com), k, varied, 12))(keys)
     width = REAL[name]
     fills(
         np.asarray(getattr(bodies, name)), *(width if isinstance(width, tuple) else (-width, width))
@@ -168,9 +168,9 @@ def test_a_body_as_a_network_sees_it_is_scaled_and_in_the_order_of_its_traits(go
     mass, com = base_of(go1)
     bounds = ranges(WIDE, **REAL)
     varied = randomize.varied(bounds)
-    body = randomize.draw(bounds, mass, jnp.asarray(com), jax.random.key(1), varied)
+    body = randomize.draw(bounds, mass, jnp.asarray(com), jax.random.key(1), varied, 12)
     told = np.asarray(randomize.numbers(body, com, varied))
-    assert told.shape == (sum(map(randomize.size_of, randomize.traits(varied))),)
+    assert told.shape == (sum(randomize.size_of(name, 12) for name in randomize.traits(varied)),)
     assert np.abs(told).max() < 5  # a network sees numbers of about one
     np.testing.assert_allclose(told[0], 4 * (body.mass_scale - 1), rtol=1e-5)
     np.testing.assert_allclose(told[1:4], 20 * (body.base_com - com), rtol=1e-4, atol=1e-6)

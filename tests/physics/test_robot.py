@@ -270,7 +270,7 @@ def test_the_stability_bound_rejects_isaac_labs_gains_without_armature():
 def test_foot_positions_by_the_leg_chains_are_mujocos_at_any_joint_angles(loaded):
     rng, data = np.random.default_rng(5), mujoco.MjData(loaded.mj_model)
     low, high = np.clip(loaded.mj_model.jnt_range[1:].T, -np.pi, np.pi)
-    legs = robot.leg_chains(loaded)
+    legs = robot.legs(loaded)
     for _ in range(10):
         joints = rng.uniform(low, high)
         data.qpos[:] = [0, 0, 0, 1, 0, 0, 0, *joints]

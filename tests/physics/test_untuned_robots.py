@@ -8,7 +8,7 @@ import pytest
 
 from dynappo import config as config_lib
 from dynappo.physics import robot as robot_lib
-from dynappo.task import mirror
+from dynappo.tasks.velocity import mirror
 
 FOLDER = pathlib.Path(__file__).parents[2] / "experiments" / "23_untuned"
 # base, hip, thigh and shank of MuJoCo Menagerie, kg

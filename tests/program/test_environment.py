@@ -12,6 +12,7 @@ from answers import refused
 
 from dynappo import config as config_lib
 from dynappo.program import build, environment
+from dynappo.tasks import env_contract
 from dynappo.types import Env, Mirror, Outcome, autoreset
 
 TOY = toy_env.make()
@@ -101,8 +102,14 @@ WRONG = {  # what is changed of the toy, what the line says
         {"autoreset": lambda *_: jnp.zeros(3)},
         "autoreset returns .*expected a state as reset's, State",
     ),
-    "context": ({"context": lambda obs, action: action}, r"context.* \(3, 2\), expected \(3, 3\)"),
-    "noise": ({"noise": lambda hyper, key: jnp.zeros(2)}, r"noise.* \(2,\), expected \(3,\)"),
+    "advance": (
+        {"advance": lambda h, context, prop, action, next_prop: action},
+        r"advance\(hyper, context, .* \(2,\), expected \(3,\)",
+    ),
+    "sense": (
+        {"sense": lambda h, prop, context, key: jnp.zeros(2)},
+        r"sense.* \(2,\), expected \(3,\)",
+    ),
     "known reward": (
         {"known_reward": lambda h, obs, action, prop: prop},
         r"known_reward.* \(3,\), expected \(\)",
@@ -127,12 +134,12 @@ def test_an_environment_that_keeps_the_contract_passes():
     config = environment.settle(workdirs.config(**ASKS), TOY)
     build.check(config, TOY)
     plain = workdirs.config(schedule__end_steps=0, **ASKS)
-    build.check(plain, TOY._replace(context=raising, noise=raising, known_reward=raising))
-    assert "context cannot be run" in refused(build.check, config, TOY._replace(context=raising))
+    build.check(plain, TOY._replace(advance=raising, sense=raising, known_reward=raising))
+    assert "advance cannot be run" in refused(build.check, config, TOY._replace(advance=raising))
 
 
 def test_what_is_left_out_has_defaults_that_a_model_can_use():
-    """Six fields and two sizes make an environment: no noise, no context, no known reward, no bodies."""
+    """Six fields and two sizes make an environment: no noise, nothing known, no known reward, no bodies."""
 
     class State(NamedTuple):
         obs: jax.Array
@@ -150,8 +157,9 @@ def test_what_is_left_out_has_defaults_that_a_model_can_use():
 
     env = Env(start, step, autoreset(start), 2, 2, 2, 0.1, 5)
     build.check(environment.settle(workdirs.config(**ASKS), env), env)
-    assert env.metrics == () and env.context(np.ones((4, 2)), None).shape == (4, 0)
-    assert env.known_reward(None, 1, 2, 3) == 0 and env.noise(None, None) == [0]
+    assert env.metrics == () and env.known_reward(None, 1, 2, 3) == 0
+    assert env.advance(None, np.ones(3), "prop", "action", "next prop").shape == (0,)
+    assert env.sense(None, "prop", "context", "key") == "prop"
 
 
 def test_a_state_starts_anew_where_an_episode_ended_and_only_there():
@@ -206,6 +214,6 @@ def test_the_config_says_that_it_is_no_robots():
 def test_a_start_that_is_not_finite_is_one_line():
     """NaN in the first observation of one copy."""
     good = toy_env.State(*[jnp.zeros((4, 3))] * 7)
-    environment.check_start(good)
+    env_contract.check_start(good)
     bad = good.replace(obs=good.obs.at[2, 1].set(jnp.nan))
-    assert "reset's obs is not finite" in refused(environment.check_start, bad)
+    assert "reset's obs is not finite" in refused(env_contract.check_start, bad)

@@ -13,7 +13,7 @@ from dynappo import algorithm, rollout
 from dynappo import config as config_lib
 from dynappo.physics import robot as robot_lib
 from dynappo.program import memory
-from dynappo.task import env as env_lib
+from dynappo.tasks.velocity import env as env_lib
 
 GIB = 2**30
 

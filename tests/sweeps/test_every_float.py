@@ -18,7 +18,7 @@ from dynappo import schedule, seeds
 from dynappo.config import fields
 from dynappo.physics import robot
 from dynappo.sweeps import grid
-from dynappo.task import env as env_lib
+from dynappo.tasks.velocity import env as env_lib
 
 FIELDS = {  # 4 robots that fall, step, stand and bend their joints far, all within half a second
     "physics.impl": "c",

@@ -1,6 +1,6 @@
-"""A control step on a GPU: one call of Warp. Start at `engine`, then `quadruped`.
+"""A control step on a GPU: one call of Warp. Start at `call`, then `quadruped`.
 
-- `engine`: the call, and what Warp keeps between calls
+- `call`: the call, and what Warp keeps between calls
 - `arrays`: names and shapes of the arrays that JAX and Warp exchange
 - `quadruped`: one kernel for a robot that keeps the contract; algebra.h and quadruped.h are its source
 - `scope`: which files that kernel computes, and why it does not
@@ -8,6 +8,6 @@
 - `kernels`: what `general` does between physics steps
 - `building`: builds Warp's kernels in threads while JAX traces and XLA compiles
 
-`physics.engine` imports `engine`, `arrays` and `scope`, which need no Warp; `engine` imports the others
+`physics.engine` imports `call`, `arrays` and `scope`, which need no Warp; `call` imports the others
 when a robot is made. `scope` needs no JAX either.
 """

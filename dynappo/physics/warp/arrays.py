@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 STATE = 11  # a call's first arrays, which differ between robots
-KEPT = (  # changed in place
+CARRIED = (  # changed in place
     "qpos",
     "qvel",
     "qacc_warmstart",
@@ -19,7 +19,7 @@ KEPT = (  # changed in place
     "last_peak",
 )
 COUNTS = "air_steps", "contact_steps", "last_air_steps"
-TOLD = "qd_before", "lowest"
+RESULTS = "qd_before", "lowest"
 # the numbers of a robot's motors; `share`: actuators.lag's, 1 where torques do not lag
 MOTOR = ("kp", "kd", "effort", "saturation", "speed", "strength", "friction", "share")
 MODEL = ("body_mass", "body_inertia", "body_ipos", "geom_friction", "dof_armature")
@@ -44,7 +44,7 @@ def sizes(mj_model, shape: Shape) -> dict[str, tuple[int, ...]]:
         "qvel": (mj_model.nv,),
         "qacc_warmstart": (mj_model.nv,),
         "torque": joints,
-        **dict.fromkeys(KEPT[4:], foot),
+        **dict.fromkeys(CARRIED[4:], foot),
         "target": (shape.substeps, *joints),
         "motor": (len(MOTOR),),
         **{name: getattr(mj_model, name).shape for name in MODEL},

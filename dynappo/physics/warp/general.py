@@ -79,5 +79,5 @@ def control_step(kept: Kept, shape: arrays.Shape, a: dict[str, Any]) -> None:
                 data.geom_xpos,
                 data.geom_xmat,
             ],
-            outputs=[a[name] for name in (*arrays.KEPT[4:], "lowest")],
+            outputs=[a[name] for name in (*arrays.CARRIED[4:], "lowest")],
         )

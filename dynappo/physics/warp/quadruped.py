@@ -3,7 +3,7 @@ need.
 
 Why our own: MuJoCo Warp takes about 95 launches for a physics step of 1024 robots, most of them 2 to
 15 us long, and all robots wait for the one whose solver takes longest. The contract of a robot's
-file (contract.py) says nearly all that a kernel must know: a base, four legs of three hinges, feet
+file (robot_contract.py) says nearly all that a kernel must know: a base, four legs of three hinges, feet
 that are spheres on a plane. With a thread for each leg, the numbers of a robot never leave its
 registers within a control step, and the legs meet only in the base's six equations.
 
@@ -23,11 +23,12 @@ import warp as wp  # pyright: ignore[reportMissingImports]
 
 from dynappo.physics.actuators import FRICTION_SPEED
 from dynappo.physics.warp import arrays
+from dynappo.physics.warp.scope import LEGS, LINKS
 
-THREADS = 4  # of a robot on a GPU, one a leg
+THREADS = LEGS  # of a robot on a GPU, one a leg
 BLOCK = 32  # threads: few, so that 1024 robots are on all processors of a GPU
 # where the constants are: of the whole, of a link, of a foot, of a constraint, of a part
-WHOLE = dict(TIMESTEP=0, GRAVITY=1, TOLERANCE=2, TRUNK=3, LINKS=12, FEET=12 + 12 * 28)
+WHOLE = dict(TIMESTEP=0, GRAVITY=1, TOLERANCE=2, TRUNK=3, LINKS=12, FEET=12 + LINKS * 28)
 LINK_AT = dict(PLACE=0, AXIS=3, TURN=6, LOW=15, HIGH=16, DAMPING=17, LIMIT=18, LINK=28)
 FOOT_AT = dict(RADIUS=3, GEOM=4, CONTACT=5, FOOT=15)
 CONSTRAINT_AT = dict(B=5, K=6, INVWEIGHT=7)
@@ -58,7 +59,7 @@ def constants(model: mujoco.MjModel, shape: arrays.Shape) -> np.ndarray:
     """What all robots share, in the order of `WHOLE`."""
     gravity, tolerance = model.opt.gravity[2], model.opt.tolerance
     numbers = [model.opt.timestep, gravity, tolerance, *_turned(model.body_iquat[1])]
-    for joint in range(1, 13):
+    for joint in range(1, 1 + LINKS):
         body, dof = model.jnt_bodyid[joint], model.jnt_dofadr[joint]
         numbers += [*model.body_pos[body], *model.jnt_axis[joint], *_turned(model.body_iquat[body])]
         numbers += [*model.jnt_range[joint], model.dof_damping[dof]]
@@ -200,7 +201,7 @@ def kept(mj_model: mujoco.MjModel, shape: arrays.Shape, _: int = 0) -> Kept:
 def control_step(kept: Kept, _: arrays.Shape, a: dict[str, Any]) -> None:
     """All physics steps of a control step, on the arrays `a` of `warp.arrays.sizes`."""
     robots = a["qpos"].shape[0]
-    changed = *arrays.KEPT, *arrays.TOLD
+    changed = *arrays.CARRIED, *arrays.RESULTS
     wp.launch(
         step,
         dim=robots * (THREADS if kept.gpu else 1),

@@ -19,6 +19,7 @@ import numpy as np
 
 from dynappo.physics import robot as robot_lib
 
+LEGS, LINKS = 4, 12  # of the kernel's robot: a base, and legs of three links, each with a hinge
 # fields without a say in how a robot moves, as patterns
 HARMLESS = (
     # looks, names, notes, what is only measured, poses to start from; and their sizes
@@ -34,7 +35,7 @@ HARMLESS = (
     "opt.ls_tolerance opt.jacobian opt.ccd_* opt.sdf_* "
     # shortcuts where two frames are the same
     "*_sameframe body_simple dof_simplenum "
-    # links that must not touch one another do not (contract.py); `_rules` looks for the floor's
+    # links that must not touch one another do not (robot_contract.py); `_rules` looks for the floor's
     "exclude_* nexclude"
 ).split()
 OF_ALL_GEOMS = "geom_contype", "geom_conaffinity", "geom_bodyid"
@@ -75,6 +76,8 @@ def declines(model: mujoco.MjModel, feet: np.ndarray, every: bool) -> str:
 
     `feet` are geom ids. `every`: parts at the ground are wanted of each physics step.
     """
+    if (model.nbody, model.njnt, len(feet)) != (2 + LINKS, 1 + LINKS, LEGS):
+        return f"other limbs than {LEGS} legs of {LINKS // LEGS} joints"
     touching = [model.geom("floor").id, *feet]  # of other geoms it matters only that they do not
     expects = fields(_plain(model, feet))
     for name, found in fields(model).items():
@@ -129,7 +132,7 @@ def _plain(model: mujoco.MjModel, feet: np.ndarray) -> mujoco.MjModel:
         setattr(spec.option, name, getattr(model.opt, name))
     spec.option.gravity = [0, 0, model.opt.gravity[2]]
     bodies = [spec.worldbody]
-    for i in range(1, 14):
+    for i in range(1, 2 + LINKS):
         parent = bodies[0 if i == 1 else 1 if i % 3 == 2 else i - 1]
         body = parent.add_body(
             pos=model.body_pos[i],
@@ -166,7 +169,7 @@ def _plain(model: mujoco.MjModel, feet: np.ndarray) -> mujoco.MjModel:
         )
         if i != floor and i not in feet:
             continue
-        # the feet's priority is higher (contract.py): of the floor's numbers none counts
+        # the feet's priority is higher (robot_contract.py): of the floor's numbers none counts
         geom.contype, geom.conaffinity = int(i == floor), int(i != floor)
         geom.condim = model.geom_condim[i] if i == floor else 3
         for name in ("pos", "quat", "size", "friction", "solref", "solimp", "solmix", "priority"):

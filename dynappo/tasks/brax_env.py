@@ -16,7 +16,7 @@ trainers call `jax.device_put_replicated` and its swimmer `jnp.clip(a_min=)`, wh
 its wrappers, `acting.generate_unroll` and `acting.Evaluator` work.
 
 Playground's locomotion tasks clone MuJoCo Menagerie when first loaded, for visual meshes. Its Go1
-observes a dict with the action before the last one in it, which no `context(obs, action)` can know;
+observes a dict with the action before the last one in it, which no context of it can know;
 experiments/02_brax trains it all the same.
 """
 
@@ -122,7 +122,7 @@ def from_brax(
     prop_size: int | None = None,
     episode_length: int = 1000,
     *,
-    context: Callable | None = None,
+    advance: Callable | None = None,
     observe: Callable | None = None,
     action_limit: float = 1.0,
     starts: int = 4,
@@ -132,8 +132,9 @@ def from_brax(
 
     `observe(state, action) -> [O]` is the observation, of brax's state and the action that led to
     it (zeros after a reset); default `state.obs`. The leading `prop_size` numbers of it are
-    predicted, the rest is `context(obs, action) -> [O - P]`, exact; without `prop_size`, plain PPO
-    only. Actions are clipped to +-`action_limit` before the step: brax's policies end in a tanh.
+    predicted, the rest is known: `advance(hyper, context, prop, action, next_prop)` is its next
+    value, [O - P]. Without `prop_size`, plain PPO only. Actions are clipped to +-`action_limit`
+    before the step: brax's policies end in a tanh.
 
     A `done` is a fall, `episode_length` control steps a truncation; `random_clock` ends the first
     episodes at random, so that time-outs spread. A step with an observation or reward that is not
@@ -151,10 +152,10 @@ def from_brax(
     first = jax.eval_shape(lambda: brax_env.reset(jax.random.key_data(jax.random.key(0))))
     obs_size = _obs_size(name, first, observe, action_size)
     if prop_size is None:
-        prop_size, context = obs_size, partial(_no_split, name)
+        prop_size, known = obs_size, partial(_no_split, name)
     else:
-        context = context or (lambda obs, action: obs[..., :0])
-        _check_split(name, prop_size, obs_size, action_size, context)
+        known = advance or Env._field_defaults["advance"]
+        _check_split(name, prop_size, obs_size, action_size, known)
     sizes = {"episode_length": episode_length, "starts": starts, "action_limit": action_limit}
     for field, value in sizes.items():
         if not value > 0:
@@ -167,9 +168,7 @@ def from_brax(
         reset=partial(_reset, const),
         step=partial(_step, const),
         autoreset=partial(_autoreset, const),
-        context=context,
-        noise=lambda hyper, key: jnp.zeros(prop_size),
-        known_reward=lambda hyper, obs, action, next_prop: jnp.zeros(()),
+        advance=known,
         metrics=(*names, *EVENTS),
         obs_size=obs_size,
         prop_size=prop_size,
@@ -281,21 +280,21 @@ def _obs_size(name, first, observe, action_size) -> int:
     return obs.shape[0]
 
 
-def _no_split(name, obs, action):
-    """The context of an environment without prop_size; only a tail asks for it."""
+def _no_split(name, *row):
+    """`advance` of an environment without prop_size; only a tail asks for it."""
     raise ConfigError(
         f"the schedule asks for a tail, but from_brax({name}) was given no prop_size: say how many "
         "leading numbers of the observation are predicted, or set the schedule to zero"
     )
 
 
-def _check_split(name, prop_size, obs_size, action_size, context):
+def _check_split(name, prop_size, obs_size, action_size, advance):
     if not 0 < prop_size <= obs_size:
         raise ConfigError(f"from_brax: prop_size is {prop_size}, {name} needs 1 to {obs_size}")
-    found = jax.eval_shape(context, jnp.zeros((3, obs_size)), jnp.zeros((3, action_size))).shape
-    expected = (3, obs_size - prop_size)
-    if found != expected:
+    context, prop, action = map(jnp.zeros, (obs_size - prop_size, prop_size, action_size))
+    found = jax.eval_shape(partial(advance, None), context, prop, action, prop).shape
+    if found != context.shape:
         raise ConfigError(
-            f"from_brax: context gives {found} for three rows, expected {expected}: of the {obs_size} "
-            f"numbers that {name} shows, prop_size = {prop_size} are predicted"
+            f"from_brax: advance gives {found}, expected {context.shape}: of the {obs_size} numbers "
+            f"that {name} shows, prop_size = {prop_size} are predicted"
         )

@@ -8,8 +8,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from dynappo.task import commands, observe
-from dynappo.types import Goal
+from dynappo.tasks.velocity import commands, observe
+from dynappo.tasks.velocity.state import Goal
 
 PAPER = SimpleNamespace(heading=False, resample_steps=0)
 ISAAC = SimpleNamespace(heading=True, resample_steps=500)

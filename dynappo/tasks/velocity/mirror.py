@@ -1,4 +1,4 @@
-"""The left-right mirror image of observations and actions: `find(robot)`.
+"""The left-right mirror image of observations and actions: `images(robot, layout)`.
 
 It is computed from the robot's model: the partner of a joint is the joint at the mirrored place in
 the home pose; the two axes decide the sign. NumPy and C MuJoCo only.
@@ -11,7 +11,7 @@ import numpy as np
 
 from dynappo.config import ConfigError
 from dynappo.physics.robot import Robot
-from dynappo.task import observe, view
+from dynappo.tasks.velocity import observe, view
 from dynappo.types import Mirror
 
 CLOSE = 5e-3  # m; of axes, no unit; of the home pose, rad
@@ -36,7 +36,7 @@ def joints(robot: Robot) -> Mirror:
     return Mirror(index, sign)
 
 
-def find(robot: Robot, layout: view.View) -> tuple[Mirror, Mirror] | None:
+def images(robot: Robot, layout: view.View) -> tuple[Mirror, Mirror] | None:
     """Of an observation (view.py) and of an action; None if the robot is not its own image."""
     try:
         own = joints(robot)

@@ -9,7 +9,7 @@ import pytest
 
 from dynappo import config as config_lib
 from dynappo.config import ConfigError
-from dynappo.physics import c_engine
+from dynappo.physics import c_mujoco
 from dynappo.physics import robot as robot_lib
 from dynappo.program import build
 
@@ -41,7 +41,7 @@ def inputs(robot):
 
 
 def moved(robot, *arguments):
-    step = jax.jit(jax.vmap(c_engine.make(robot, physics(), frozenset())))
+    step = jax.jit(jax.vmap(c_mujoco.make(robot, physics(), frozenset())))
     return jax.device_get(step(*arguments))
 
 
@@ -50,7 +50,7 @@ def test_an_integrator_that_takes_motors_otherwise_is_refused(integrator, tmp_pa
     robot = changed(tmp_path, "</mujoco>", f'<option integrator="{integrator}"/></mujoco>')
     rule = f"physics.impl is c, but .*other.xml has the integrator {integrator.lower()}.*=jax"
     with pytest.raises(ConfigError, match=rule):
-        c_engine.make(robot, physics(), frozenset())
+        c_mujoco.make(robot, physics(), frozenset())
     monkeypatch.setattr(robot_lib, "load", lambda name: robot)
     with pytest.raises(ConfigError, match=rule):
         build.check(config_lib.validate(config_lib.load("configs/go1.py:laptop")))
@@ -68,7 +68,7 @@ def test_sensors_of_the_file_change_nothing(tmp_path):
 def test_what_is_given_to_mujoco_is_not_logged(argument, column, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)  # where it would write MUJOCO_LOG.TXT
     robot = robot_lib.load("go1")
-    for value in (100.0, 0.999 * c_engine.FAR):
+    for value in (100.0, 0.999 * c_mujoco.FAR):
         arguments = inputs(robot)
         arguments[argument][0, ..., column] = value
         assert np.isfinite(moved(robot, *arguments).qpos[1]).all()

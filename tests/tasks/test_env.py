@@ -17,10 +17,11 @@ import pytest
 
 from dynappo import config
 from dynappo.physics import actuators, randomize, robot
-from dynappo.task import env as env_lib
-from dynappo.task import observe, payment
-from dynappo.types import EnvState
+from dynappo.tasks.velocity import env as env_lib
+from dynappo.tasks.velocity import observe, reward_sum
+from dynappo.tasks.velocity.state import State
 
+ROWS = observe.rows(12)
 ROBOTS, SUBSTEPS, DT = 16, 4, 0.005
 NOISE = (
     [0.01] * 12 + [1.5] * 12 + [0.05] * 3 + [0.1] * 3 + [0.2] * 3 + [0.0] * 15
@@ -399,7 +400,7 @@ def test_physical_parameters_change_the_motion_as_they_should(lab, standing):
         state, outcome = lab.step(lab.quiet, bodies, state, jnp.zeros((ROBOTS, 12)), lab.keys)
         track.append(jax.device_get(state))
     height, side = track[-1].qpos[:, 2], track[-1].qpos[:, 1]
-    pitch = outcome.next_obs[:, observe.GRAVITY][:, 0]  # positive with the nose down
+    pitch = outcome.next_obs[:, ROWS["gravity"]][:, 0]  # positive with the nose down
     assert height[at["heavy"]] < height[at["nominal"]] - 0.005 < height[at["light"]] - 0.005
     assert height[at["soft"]] < height[at["nominal"]] - 0.002 < height[at["stiff"]] - 0.002
     assert pitch[at["forward"]] > pitch[at["nominal"]] + 0.01 > pitch[at["backward"]] + 0.01
@@ -442,9 +443,9 @@ def test_an_action_moves_its_own_joint_by_its_scale_towards_the_target(lab):
 def test_a_state_rebuilt_from_its_numbers_continues_to_the_bit(lab, bodies, walk):
     """No field of the simulator but qpos, qvel and qacc_warmstart is carried."""
     moves, states, _ = walk
-    numbers = {name: getattr(states[50], name) for name in EnvState.__annotations__}
+    numbers = {name: getattr(states[50], name) for name in State.__annotations__}
     assert {n for n in numbers if n.startswith("q")} == {"qpos", "qvel", "qacc_warmstart"}
-    state = jax.tree.map(lambda leaf: jnp.asarray(np.array(leaf)), EnvState(**numbers))
+    state = jax.tree.map(lambda leaf: jnp.asarray(np.array(leaf)), State(**numbers))
     for t in range(50, 60):
         state, _ = lab.step(weights(lab.quiet), bodies, state, moves[t], lab.keys)
     chex.assert_trees_all_equal(jax.device_get(state), states[60])
@@ -488,12 +489,12 @@ def test_the_known_share_of_the_reward_is_that_of_six_terms(lab, bodies, walk):
     on both observations, because they are not read where noise is. Terms of your own may be among them."""
     moves, states, outcomes = walk
     task = lab.settings.task
-    names = set(payment.known(payment.find(task), task))
+    names = set(reward_sum.known(reward_sum.terms_of(task), task))
     six = "track_linear_velocity track_yaw_rate vertical_velocity roll_pitch_rate flat_orientation"
     assert names >= {*six.split(), "action_rate"}
     known = jax.jit(jax.vmap(lab.env.known_reward, (None, 0, 0, 0)))
     hyper, noise, total = weights(lab.quiet), np.zeros(48), 0.0
-    noise[: observe.PROP_SIZE] = 0.3
+    noise[: lab.env.prop_size] = 0.3
     for t in range(9, 100, 10):  # not 0: `standing` has another command than it shows
         metrics, state = outcomes[t].metrics, states[t]
         found = known(hyper, state.obs + noise, moves[t], outcomes[t].next_prop)
@@ -508,7 +509,7 @@ def test_prop_is_the_observation_without_its_noise_which_spares_command_and_acti
 ):
     """The noise of a step, and that drawn for a tail, fill their half widths independently."""
     moves, states, _ = walk
-    size, samples = observe.PROP_SIZE, []
+    size, samples = lab.env.prop_size, []
     for t in range(0, 100, 5):
         keys = jax.random.split(jax.random.key(t), ROBOTS)
         quiet, _ = lab.step(lab.quiet, bodies, states[t], moves[t], keys)
@@ -521,7 +522,10 @@ def test_prop_is_the_observation_without_its_noise_which_spares_command_and_acti
         samples.append(noisy.obs - quiet.obs)
     fresh = lab.reset(lab.hyper, bodies, lab.keys)
     assert (np.abs(fresh.obs[:, :size] - fresh.prop) <= np.array(NOISE[:size]) + 1e-6).all()
-    drawn = jax.vmap(lab.env.noise, (None, 0))(lab.hyper, jax.random.split(jax.random.key(3), 320))
+    draw = jax.vmap(lab.env.sense, (None, None, None, 0))
+    drawn = draw(
+        lab.hyper, jnp.zeros(size), jnp.zeros(15), jax.random.split(jax.random.key(3), 320)
+    )
     for noise in (np.concatenate(samples)[:, :size], drawn):
         for k in range(size):
             fills(noise[:, k], -NOISE[k], NOISE[k])
@@ -531,8 +535,8 @@ def test_prop_is_the_observation_without_its_noise_which_spares_command_and_acti
 def test_tracking_errors_in_the_metrics_are_those_of_the_observed_velocities(walk):
     _, states, outcomes = walk
     for state, outcome in zip(states[:-1:10], outcomes[::10], strict=True):
-        error = outcome.next_obs[:, observe.LINEAR_VELOCITY] - state.command
-        yaw = outcome.next_obs[:, observe.ANGULAR_VELOCITY][:, 2] - state.command[:, 2]
+        error = outcome.next_obs[:, ROWS["linear_velocity"]] - state.command
+        yaw = outcome.next_obs[:, ROWS["angular_velocity"]][:, 2] - state.command[:, 2]
         metrics = outcome.metrics
         np.testing.assert_allclose(
             metrics["velocity_error_sq"], (error[:, :2] ** 2).sum(-1), rtol=1e-4, atol=1e-6
@@ -566,8 +570,9 @@ def test_the_observation_is_that_of_the_new_state_and_holds_command_and_action(l
         ]
         np.testing.assert_allclose(outcomes[t].next_obs, expected, atol=1e-5)
         np.testing.assert_array_equal(after.last_action, moves[t])
-        copied = lab.env.context(states[t].obs, moves[t])
-        np.testing.assert_array_equal(outcomes[t].next_obs[:, 33:], copied)
+        before = states[t].obs[:, 33:], states[t].obs[:, :33]
+        known = lab.env.advance(lab.hyper, *before, moves[t], outcomes[t].next_prop)
+        np.testing.assert_array_equal(outcomes[t].next_obs[:, 33:], known)
 
 
 def test_the_next_observation_is_the_one_carried_noise_included(lab, bodies, standing):
@@ -690,7 +695,7 @@ def test_a_push_kicks_the_base_on_the_plane_after_the_reward_and_before_the_obse
             frame = np.zeros(9)
             mujoco.mju_quat2Mat(frame, np.asarray(calm[0].qpos[i, 3:7], float))
             expected = frame.reshape(3, 3).T @ kick[i, :3]
-            np.testing.assert_allclose(seen[i, observe.LINEAR_VELOCITY], expected, atol=1e-5)
+            np.testing.assert_allclose(seen[i, ROWS["linear_velocity"]], expected, atol=1e-5)
     kicks, waits = np.concatenate(kicks), np.array(waits)
     for axis in (0, 1):
         fills(kicks[:, axis], -0.5, 0.5)
@@ -1178,8 +1183,8 @@ def test_as_the_paper_prints_it_tracking_has_no_sigma_and_feet_are_paid_in_the_a
     state = standing.replace(qpos=jnp.asarray(qpos))
     hyper, move = weights(plain.quiet), actions(1)[0]
     after, outcome = plain.step(hyper, plain.nominal, state, move, plain.keys)
-    linear = np.asarray(outcome.next_obs[:, observe.LINEAR_VELOCITY], float)
-    angular = np.asarray(outcome.next_obs[:, observe.ANGULAR_VELOCITY], float)
+    linear = np.asarray(outcome.next_obs[:, ROWS["linear_velocity"]], float)
+    angular = np.asarray(outcome.next_obs[:, ROWS["angular_velocity"]], float)
     command = np.asarray(state.command, float)
     for i in range(ROBOTS):
         error = (linear[i, 0] - command[i, 0]) ** 2 + (linear[i, 1] - command[i, 1]) ** 2

@@ -19,8 +19,8 @@ from toy_runs import assert_same
 from dynappo import algorithm, rollout
 from dynappo import config as config_lib
 from dynappo.physics import robot as robot_lib
-from dynappo.task import env as env_lib
-from dynappo.task import observe, view
+from dynappo.tasks.velocity import env as env_lib
+from dynappo.tasks.velocity import observe, view
 
 ROBOTS, BINS = 2048, 4
 FIELDS = {
@@ -143,8 +143,8 @@ def of_command(world, state):
 
 def of_noise(world, obs, clean):
     """Those of an observation."""
-    width = observe.noise_scale(world.hyper.task.noise, np)[: observe.PROP_SIZE]
-    return {"noise": share((obs - clean)[:, : observe.PROP_SIZE], -width, width)}
+    width = observe.noise_scale(world.hyper.task.noise, np, 12)[:33]
+    return {"noise": share((obs - clean)[:, :33], -width, width)}
 
 
 @pytest.fixture(scope="module")
@@ -253,8 +253,8 @@ def test_those_that_keep_their_command_keep_all_of_it_and_the_others_none(world)
 
 
 def test_those_that_stay_keep_their_readings_and_the_others_have_the_first_one(world):
-    past = slice(view.SENSED, view.SENSED + 2 * 45)
-    now = world.new.obs[:, view.reading(view.find("onboard", 3))]
+    past = slice(48, 48 + 2 * 45)
+    now = world.new.obs[:, view.reading(view.make("onboard", 3, 12))]
     stays = world.stays
     np.testing.assert_array_equal(world.new.obs[stays, past], world.on.obs[stays, past])
     np.testing.assert_array_equal(world.new.obs[~stays, past], np.tile(now, 2)[~stays])

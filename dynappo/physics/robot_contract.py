@@ -26,6 +26,9 @@ import numpy as np
 
 from dynappo.physics import contacts
 
+LEGS, LEG_JOINTS = 4, 3
+JOINTS = LEGS * LEG_JOINTS
+
 
 def check(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
     """`(feet [F], parts [G])`, geom ids, of a compiled file that keeps the contract; else a
@@ -59,10 +62,11 @@ def check_file(spec: mujoco.MjSpec) -> None:
     top = [body.name for body in spec.worldbody.bodies]
     _expect(len(top) == 1, "one top-level body, the base", ", ".join(top))
     odd = ", ".join(text for text in found[1:] if not text.endswith("(hinge)"))
-    rule = "12 hinge joints after the free one"
-    _expect(not odd and len(found) == 13, rule, odd or str(len(found) - 1))
+    rule = f"{JOINTS} hinge joints after the free one"
+    _expect(not odd and len(found) == 1 + JOINTS, rule, odd or str(len(found) - 1))
     legs = [joint.name.partition("_")[0] for joint in spec.joints[1:]]
-    same = all(len({*legs[i : i + 3]}) == 1 for i in (0, 3, 6, 9)) and len({*legs}) == 4
+    each = [{*legs[i : i + LEG_JOINTS]} for i in range(0, JOINTS, LEG_JOINTS)]
+    same = all(len(leg) == 1 for leg in each) and len({*legs}) == LEGS
     rule = "the three joints LEG_... of each of four legs in turn"
     _expect(same, rule, " ".join(joint.name for joint in spec.joints[1:]))
     for body in spec.bodies[1:]:
@@ -70,14 +74,15 @@ def check_file(spec: mujoco.MjSpec) -> None:
         _expect(body.explicitinertial, "an inertial in every body", f"none in {body.name}")
     keys = {key.name: len(key.qpos) for key in spec.keys}
     _expect("home" in keys, "a keyframe named home", ", ".join(keys) or "none")
-    _expect(keys["home"] == 19, "19 numbers in the keyframe home", str(keys["home"]))
+    size = 7 + JOINTS
+    _expect(keys["home"] == size, f"{size} numbers in the keyframe home", str(keys["home"]))
 
 
 def _check_legs(model: mujoco.MjModel) -> None:
-    """Each leg is three bodies in a chain, with the frames that `leg_chains` relies on."""
-    for i in range(1, 13):
+    """Each leg is three bodies in a chain, with the frames that `robot.legs` relies on."""
+    for i in range(1, 1 + JOINTS):
         joint, body = model.joint(i), model.body(model.jnt_bodyid[i])
-        parent = model.body(model.jnt_bodyid[0 if i % 3 == 1 else i - 1])
+        parent = model.body(model.jnt_bodyid[0 if i % LEG_JOINTS == 1 else i - 1])
         rule = "each leg to be a chain of three bodies from the base, hip to knee"
         found = f"{body.name} in {model.body(body.parentid[0]).name}, not in {parent.name}"
         _expect(body.parentid[0] == parent.id, rule, found)
@@ -115,7 +120,7 @@ def _check_motors(model: mujoco.MjModel) -> None:
         _expect(not more, "armature and damping at the joints, not at motors", f"some at {joint}")
         limited = motor.ctrllimited[0] or motor.forcelimited[0] or model.jnt_actfrclimited[i + 1]
         _expect(not limited, "motors without limits, which are the config's", f"one at {joint}")
-    _expect(model.nu == 12, rule, f"{model.nu} actuators")
+    _expect(model.nu == JOINTS, rule, f"{model.nu} actuators")
     _expect(not model.opt.disableactuator, "no motor disabled", "the option actuatorgroupdisable")
 
 
@@ -140,14 +145,15 @@ def _check_geoms(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
 
     touching = np.flatnonzero(model.geom_conaffinity & 1)
     feet = np.array([i for i, name in enumerate(geoms) if name.endswith("_foot")], int)
-    _expect(len(feet) == 4, "4 sphere geoms named LEG_foot", listed(feet) or "none outside group 2")
+    rule = f"{LEGS} sphere geoms named LEG_foot"
+    _expect(len(feet) == LEGS, rule, listed(feet) or "none outside group 2")
     for rule, kept in (
         ("the feet to be spheres", model.geom_type[feet] == contacts.SPHERE),
         ("the feet to touch the floor (conaffinity 1)", np.isin(feet, touching)),
         ("the feet of higher priority than the floor", model.geom_priority[feet] > floor.priority),
     ):
         _expect(kept.all(), rule, f"another {listed(feet[~kept])}")
-    for joint in map(model.joint, range(3, 13, 3)):
+    for joint in map(model.joint, range(LEG_JOINTS, 1 + JOINTS, LEG_JOINTS)):
         body, foot = model.body(joint.bodyid[0]), joint.name.partition("_")[0] + "_foot"
         inside = listed(feet[model.geom_bodyid[feet] == body.id])
         rule = "the foot geoms in the last body of each leg, in the order of the legs"

@@ -19,8 +19,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from dynappo.task import observe
-from dynappo.types import Goal, Hyper
+from dynappo.tasks.velocity import observe
+from dynappo.tasks.velocity.state import Goal
+from dynappo.types import Hyper
 
 
 def draw(task, hyper: Hyper, qpos, key: PRNGKeyArray) -> tuple[Float[Array, " 3"], Goal]:

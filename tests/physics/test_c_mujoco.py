@@ -15,10 +15,10 @@ import pytest
 
 from dynappo import config as config_lib
 from dynappo.config import files
-from dynappo.physics import actuators, c_engine, contacts, randomize
+from dynappo.physics import actuators, c_mujoco, contacts, randomize
 from dynappo.physics import engine as engine_lib
 from dynappo.physics import robot as robot_lib
-from dynappo.task import env as env_lib
+from dynappo.tasks.velocity import env as env_lib
 
 ROBOTS, STEPS = 8, 10
 ENOUGH, FEW = dict(iterations=20, ls_iterations=20), dict(iterations=4, ls_iterations=8)
@@ -219,7 +219,7 @@ def test_every_step_is_that_of_the_other_engines(robot, touching, impl):
 def test_the_motor_is_pd_with_the_limits_of_a_dc_motor(name):
     """At standstill, far beyond the speed without load, and braking."""
     robot, physics = robot_lib.load("go1"), config_lib.load("configs/go1.py").physics
-    world = c_engine._World(robot, c_engine._model(robot, physics), 1, 1, frozenset())
+    world = c_mujoco._World(robot, c_mujoco._model(robot, physics), 1, 1, frozenset())
     (model,) = world._models(np.float32([[1, 0, 0, 0, 0.8, *MOTORS[name], 1, 0]]))
     kp, kd, *limits = map(float, np.float32(MOTORS[name]))
     limited_by = partial(actuators.clip_dc_motor, **dict(zip(LIMITS, limits, strict=True)))
@@ -257,12 +257,12 @@ def go1(request):
 
     def make(threads=2, varied=own):
         physics = SimpleNamespace(**(world.config.physics.to_dict() | {"threads": threads}))
-        return c_engine.make(world.robot, physics, varied)
+        return c_mujoco.make(world.robot, physics, varied)
 
     inputs = [*(world.start[name] for name in CARRIED[:3]), target, numbers]
     step = jax.jit(jax.vmap(make()))
     expected = jax.device_get(step(*inputs))
-    unused = [] if request.param == "rubs" else [c_engine.FRICTION]
+    unused = [] if request.param == "rubs" else [c_mujoco.FRICTION]
     kept = dict(world=world, make=make, step=step, inputs=inputs, expected=expected)
     return SimpleNamespace(**kept, unused=unused)
 
@@ -300,7 +300,7 @@ def test_seeds_of_robots_are_as_each_alone(go1):
     same(jax.jit(step)(*rows(go1.inputs, 3)), rows(go1.expected, 3))
 
 
-@pytest.mark.parametrize("column", range(len(c_engine.NUMBERS)))
+@pytest.mark.parametrize("column", range(len(c_mujoco.BODY_NUMBERS)))
 def test_a_number_changes_its_robot_only_and_going_back_gives_the_old_bits(go1, column):
     rest = np.arange(ROBOTS) != 2
     inputs = changed(go1.inputs, 3, 2, slice(6), 2.0)  # far off, where the motors' limits matter

@@ -58,8 +58,8 @@ def model(mj_model) -> Model:
 def make(mj_model, robot, substeps: int, every: bool) -> Callable[..., dict[str, Any]]:
     """`step(mjx model, state, target [n, A], motor)` of one robot, for `jax.vmap`: a control step.
 
-    `state` has the fields `arrays.KEPT`; `motor` are the numbers `arrays.MOTOR`. The result has
-    `KEPT` after the step, `qd_before` and `lowest`.
+    `state` has the fields `arrays.CARRIED`; `motor` are the numbers `arrays.MOTOR`. The result has
+    `CARRIED` after the step, `qd_before` and `lowest`.
     """
     fixed, linear, ring = contacts.floor_distance(mj_model, robot.parts)
     floor = np.column_stack([fixed, linear, ring])
@@ -72,10 +72,10 @@ def make(mj_model, robot, substeps: int, every: bool) -> Callable[..., dict[str,
     together = _TOGETHER[key]
 
     def step(model, state, target, motor) -> dict[str, Any]:
-        kept = [getattr(state, name) for name in arrays.KEPT]
+        kept = [getattr(state, name) for name in arrays.CARRIED]
         args = (*kept, target, motor, *(getattr(model, name) for name in arrays.MODEL))
         found = together(*(x[None] for x in args))
-        return dict(zip((*arrays.KEPT, *arrays.TOLD), (x[0] for x in found), strict=True))
+        return dict(zip((*arrays.CARRIED, *arrays.RESULTS), (x[0] for x in found), strict=True))
 
     return step
 
@@ -130,15 +130,17 @@ def _of_many(mj_model, shape: arrays.Shape) -> Callable[..., Sequence]:
     modes = wp.JaxCallableGraphMode
     few = wp.jax_callable(
         call,
-        num_outputs=len(arrays.KEPT) + len(arrays.TOLD),
-        in_out_argnames=[*arrays.KEPT],
+        num_outputs=len(arrays.CARRIED) + len(arrays.RESULTS),
+        in_out_argnames=[*arrays.CARRIED],
         graph_mode=modes.WARP if gpu else modes.NONE,
         vmap_method=None,
     )
 
     def step(*args):
         prepare(len(args[0]))
-        return few(*args, output_dims={name: (len(args[0]), *sizes[name]) for name in arrays.TOLD})
+        return few(
+            *args, output_dims={name: (len(args[0]), *sizes[name]) for name in arrays.RESULTS}
+        )
 
     return step
 

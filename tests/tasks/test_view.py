@@ -19,8 +19,8 @@ from dynappo.learner import networks, symmetry
 from dynappo.model import dynamics
 from dynappo.physics import randomize
 from dynappo.physics import robot as robot_lib
-from dynappo.task import env as env_lib
-from dynappo.task import observe, view
+from dynappo.tasks.velocity import env as env_lib
+from dynappo.tasks.velocity import observe, view
 
 ROBOTS, STEPS, HISTORY = 3, 6, 3
 READING = np.r_[0:27, 30:48]  # all but the linear velocity
@@ -73,7 +73,7 @@ def world():
         after, outcome = step(body, state, actions[t], draw)
         rows.append(jax.device_get((state, after, outcome)))
         state = again(body, after, outcome, draw)
-    layout = view.find("onboard", HISTORY, randomize.varied(config.task.randomize))
+    layout = view.make("onboard", HISTORY, 12, randomize.varied(config.task.randomize))
     made = dict(static=static, hyper=hyper, env=env, body=body, rows=rows, actions=actions)
     return SimpleNamespace(**made, config=config, robot=robot, layout=layout)
 
@@ -108,10 +108,11 @@ def test_an_observation_is_what_is_sensed_then_readings_before_then_the_body(wor
         assert begins >= 2
 
 
-def test_the_copied_part_follows_from_the_row_before(world):
-    """`Env.context` is all of the next observation but what is predicted, while the command stays."""
+def test_what_is_known_follows_from_the_row_before(world):
+    """`Env.advance` is all of the next observation but what is predicted, while the command stays."""
     for t, (before, after, _) in enumerate(world.rows):
-        found = world.env.context(jnp.asarray(before.obs), world.actions[t])
+        obs = jnp.asarray(before.obs)
+        found = world.env.advance(world.hyper, obs[:, 33:], obs[:, :33], world.actions[t], None)
         np.testing.assert_allclose(found, after.obs[:, 33:], 1e-6, 1e-6)
 
 
@@ -126,7 +127,7 @@ def test_a_tail_shows_the_policy_what_physics_would(world):
         truth = jnp.asarray(after.prop)
 
         def predict(static, hyper, env, model, obs, action, truth=truth):
-            return jnp.concatenate([truth, env.context(obs, action)], -1), truth[:, 0], truth[:, 0]
+            return jnp.concatenate([truth, 0 * obs[:, 33:]], -1), truth[:, 0], truth[:, 0]
 
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(dynamics, "predict", predict)
@@ -188,7 +189,7 @@ def test_the_mirror_image_of_an_observation_is_that_of_the_mirrored_robot(world)
 
 def test_the_player_in_numpy_remembers_as_the_task_does():
     """`observe.memory`, one observation after another, is the policy's columns of `view`."""
-    layout, rng = view.find("onboard", HISTORY), np.random.default_rng(0)
+    layout, rng = view.make("onboard", HISTORY, 12), np.random.default_rng(0)
     rows, see = rng.normal(size=(5, 48)), observe.memory("onboard-45", HISTORY)
     past = view.first(layout, rows[0], np.zeros(layout.body))
     for row in rows:
@@ -203,7 +204,7 @@ def test_the_benchmark_has_none_of_it():
     config = config_lib.validate(config_lib.load("configs/go1.py:ppo16"))
     env = env_lib.make(robot_lib.load("go1"), config.task, config.physics)
     hyper = config_lib.split(config)[1]
-    assert env.obs_size == 48 and env.views is None and env.bias is None
+    assert env.obs_size == 48 and env.views is None
     body = jax.eval_shape(env.randomize, hyper, jax.random.key(0))
     assert len(jax.tree.leaves(body)) == 5
     state = jax.eval_shape(env.reset, hyper, body, jax.random.key(0))

@@ -4,13 +4,13 @@
 number in configs/: docs/task.md.
 
 - `env`: the task as pure functions of one robot: reset, step, autoreset
-- `rewards`: the terms of the reward, one function each; `payment`: matches them with weights and
+- `state`: what a robot keeps from one control step to the next
+- `rewards`: the terms of the reward, one function each; `reward_sum`: matches them with weights and
   sums
-- `commands`, `observe`, `pushes`: the commanded velocity, the 48 numbers a policy sees, kicks
+- `commands`, `observe`, `pushes`: the commanded velocity, the numbers that a policy sees, kicks
 - `view`: what policy, value function and model see of a robot; readings before, errors of sensors
 - `mirror`: the mirror image of an observation and an action, from the robot's model
-- `brax_env`: our task as a brax environment, and brax's environments in our trainer
 
-The method never imports this folder: an `Env` is an argument. It imports `types`, `physics` and
-`config`; `rewards`, `payment` and `observe` need no JAX, so that a policy can be played without it.
+Sizes follow from the robot: any number of joints and feet. It imports `types`, `physics` and `config`;
+`rewards`, `reward_sum` and `observe` need no JAX, so that a policy can be played without it.
 """

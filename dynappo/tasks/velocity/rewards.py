@@ -3,7 +3,7 @@
 
 Terms are those of the paper's appendix and of Isaac Lab's flat velocity tasks (isaaclab_tasks
 .../velocity/mdp/rewards.py and isaaclab/envs/mdp/rewards.py, 2.2.1). Every term is one number per
-robot and at least 0, except `feet_air_time`. The weight has the sign; payment.py multiplies by the
+robot and at least 0, except `feet_air_time`. The weight has the sign; reward_sum.py multiplies by the
 weight and the control step, and sums. The code works with NumPy and jax.numpy.
 
 A term's parameter names say what it needs. It may ask for:

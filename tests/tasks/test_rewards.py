@@ -10,7 +10,7 @@ import pytest
 
 from dynappo import config
 from dynappo.program import build
-from dynappo.task import observe, payment, rewards
+from dynappo.tasks.velocity import observe, reward_sum, rewards
 
 STATES = 64
 # Isaac-Velocity-Flat-*-v0 of Isaac Lab 2.2.1: the terms and their weights, per second. Terms of your own
@@ -109,7 +109,7 @@ def by_loops(s, std):
 
 
 def shipped(s, std):
-    """Every term of `dynappo.task.rewards`, of NumPy or JAX arrays."""
+    """Every term of `dynappo.tasks.velocity.rewards`, of NumPy or JAX arrays."""
     swing = s["swing_height"], s["touchdown"], s["command"]
     before = s["last_action"], s["older_action"]
     return dict(
@@ -180,8 +180,8 @@ def make_state(**changes):
 
 
 def total(terms, weights, dt):
-    """`payment.total` with weights from a dict."""
-    return payment.total(terms, SimpleNamespace(**weights), dt)
+    """`reward_sum.total` with weights from a dict."""
+    return reward_sum.total(terms, SimpleNamespace(**weights), dt)
 
 
 def weighted_per_second(weights, **changes):
@@ -302,11 +302,11 @@ def test_a_term_is_given_what_the_names_of_its_parameters_ask_for(task, states):
     names |= dict(qd_before="joint_velocity_before", last_action="previous_action")
     for air_time, other in (("touchdown", "feet_air_time"), ("indicator", "feet_in_air")):
         task.air_time = air_time
-        terms = payment.find(task)
+        terms = reward_sum.terms_of(task)
         assert set(terms) == set(task.weights) and "feet_in_air" not in terms
         for state in states[:8]:
             facts = {names.get(name, name): value for name, value in state.items()}
-            found = payment.values(terms, facts | dict(tracking_std=0.5, timestep=0.005))
+            found = reward_sum.values(terms, facts | dict(tracking_std=0.5, timestep=0.005))
             expected = by_loops(state, 0.5)
             expected["feet_air_time"] = expected[other]
             for name in set(found) & set(UNITREE):
@@ -314,7 +314,7 @@ def test_a_term_is_given_what_the_names_of_its_parameters_ask_for(task, states):
 
 
 def test_a_term_is_known_without_physics_if_it_asks_for_nothing_that_is_measured(task):
-    known = set(payment.known(payment.find(task), task))
+    known = set(reward_sum.known(reward_sum.terms_of(task), task))
     assert known & set(UNITREE) == {
         "track_linear_velocity",
         "track_yaw_rate",
@@ -330,12 +330,12 @@ def test_a_term_is_known_without_physics_if_it_asks_for_nothing_that_is_measured
         "both": lambda gravity, torque: 0.0,
         "scaled": lambda action, kp, threshold=0.5: 0.0,
     }
-    assert set(payment.known(own, task)) == {"straight", "scaled"}
+    assert set(reward_sum.known(own, task)) == {"straight", "scaled"}
 
 
 def test_no_two_things_that_a_term_may_ask_for_have_one_name(task):
     parts, measured = {*observe.PARTS, "action"}, set(rewards.Measured._fields)
-    numbers = payment.known_names(task) - parts
+    numbers = reward_sum.known_names(task) - parts
     assert not parts & measured and not numbers & measured
     assert {"tracking_std", "kp"} <= numbers and not parts & set(task)
 
@@ -372,7 +372,7 @@ def test_a_term_and_a_weight_that_do_not_fit_are_one_line_before_anything_is_com
 ):
     break_it(task, monkeypatch)
     with pytest.raises(config.ConfigError, match=words) as error:
-        payment.find(task)
+        reward_sum.terms_of(task)
     assert "\n" not in str(error.value)
     settings = config.load("configs/go1.py:laptop").unlock()
     settings.task = task
@@ -384,7 +384,7 @@ def test_a_term_that_is_no_single_number_is_named():
     with pytest.raises(
         config.ConfigError, match=r"the term power .* has the shape \(12,\).*sum it"
     ):
-        payment.values({"power": lambda torque: torque**2}, {"torque": np.ones(12)})
+        reward_sum.values({"power": lambda torque: torque**2}, {"torque": np.ones(12)})
 
 
 @pytest.mark.parametrize("name", WEIGHTS)

@@ -55,8 +55,8 @@ def test_a_reward_term_of_ones_own_is_two_places_and_breaks_no_other_test(tmp_pa
     folder = copy(tmp_path / "copy")
     apply(folder, "A reward term")
     changed = re.findall(r"^\+\+\+ b/(.*)", blocks("diff")["A reward term"], re.M)
-    assert sorted(changed) == ["configs/default.py", "dynappo/task/rewards.py"]
-    tests = ("tests/task/test_rewards.py", "-q", "-p", "no:cacheprovider")
+    assert sorted(changed) == ["configs/default.py", "dynappo/tasks/velocity/rewards.py"]
+    tests = ("tests/tasks/test_rewards.py", "-q", "-p", "no:cacheprovider")
     assert "failed" not in run(folder, sys.executable, "-m", "pytest", *tests)
 
 
@@ -64,10 +64,10 @@ def test_a_reward_term_of_ones_own_is_two_places_and_breaks_no_other_test(tmp_pa
 def test_each_difference_can_be_applied_alone(title, tmp_path):
     folder = copy(tmp_path / "copy")
     apply(folder, title)
-    of_all = "from dynappo.task import observe; import dynappo.policy.episode; "
-    of_all += "print(observe.NAMES['full'])"
+    of_all = "from dynappo.tasks.velocity import observe; import dynappo.policy.episode; "
+    of_all += "print(observe.name('full', 12))"
     name = run(folder, sys.executable, "-c", of_all).strip()
-    assert name == ("velocity-51-gait" if title == "An observation" else "velocity-48")
+    assert name == ("velocity-gait-51" if title == "An observation" else "velocity-48")
 
 
 def test_the_four_differences_together_do_what_the_page_says(tmp_path):

@@ -18,8 +18,9 @@ import numpy as np
 from dynappo.physics import engine as engine_lib
 from dynappo.physics import randomize
 from dynappo.physics import robot as robot_lib
-from dynappo.task import commands, mirror, observe, payment, pushes, rewards, view
-from dynappo.types import Env, EnvState, Goal, Hyper, Outcome
+from dynappo.tasks.velocity import commands, mirror, observe, pushes, reward_sum, rewards, view
+from dynappo.tasks.velocity.state import Goal, State
+from dynappo.types import Env, Hyper, Outcome
 
 AGES = ("clock", "episode_steps", "episode_return")  # zero at the start of an episode
 # of what physics leaves, beside coordinates and torques
@@ -33,35 +34,36 @@ class Constants(NamedTuple):
     engine: engine_lib.Engine
     robot: robot_lib.Robot
     task: Any  # the config's group `task`, for its non-float fields
-    legs: tuple[Any, ...]  # robot.leg_chains
+    legs: robot_lib.Legs
     fatal: np.ndarray  # [G] bool: the parts that end an episode at the ground
     undesired: np.ndarray  # [K, G] bool: the parts that count as one undesired contact
     view: view.View  # the layout of an observation
-    terms: payment.Terms  # of the reward
-    known: payment.Terms  # those that need no physics
+    terms: reward_sum.Terms  # of the reward
+    known: reward_sum.Terms  # those that need no physics
     dt: float  # s
 
 
 def make(robot: robot_lib.Robot, task, physics_config, *, impl: str = "jax") -> Env:
     """The task of `task` and `physics_config` (config groups) on `robot`, stepped by `impl`.
 
-    ConfigError where terms of the reward and their weights do not fit (payment.py).
+    ConfigError where terms of the reward and their weights do not fit (reward_sum.py).
     """
-    terms = payment.find(task)
+    terms = reward_sum.terms_of(task)
     varied = randomize.varied(task.randomize)
     fatal, undesired = ground_rules(robot, task)
-    layout = view.find(task.observation, task.history, varied)
+    joints = len(robot.joint_names)
+    layout = view.make(task.observation, task.history, joints, varied)
     lags = task.actuator == "lag"
     const = Constants(
         engine=engine_lib.make(robot, physics_config, varied, impl, task.remember_ground, lags),
         robot=robot,
         task=task,
-        legs=robot_lib.leg_chains(robot),
+        legs=robot_lib.legs(robot),
         fatal=fatal,
         undesired=undesired,
         view=layout,
         terms=terms,
-        known=payment.known(terms, task),
+        known=reward_sum.known(terms, task),
         dt=physics_config.substeps * physics_config.timestep,
     )
     names = [f"reward_{name}" for name in task.weights]
@@ -70,18 +72,17 @@ def make(robot: robot_lib.Robot, task, physics_config, *, impl: str = "jax") -> 
         reset=partial(reset, const),
         step=partial(step, const),
         autoreset=partial(autoreset, const),
-        context=partial(view.context, layout),
-        noise=view.noise,
-        bias=partial(view.bias, layout) if varied & {"encoder_bias", "imu_tilt"} else None,
+        advance=partial(view.advance, layout),
+        sense=partial(view.sense, layout),
         views=view.views(layout),
         known_reward=partial(known_reward, const),
         metrics=(*names, "velocity_error_sq", "yaw_error_sq", "falls", "timeouts", "blowups"),
         obs_size=view.size(layout),
-        prop_size=observe.PROP_SIZE,
-        action_size=len(robot.joint_names),
+        prop_size=observe.prop_size(joints),
+        action_size=joints,
         dt=const.dt,
         episode_length=task.episode_length,
-        mirror=mirror.find(robot, layout),
+        mirror=mirror.images(robot, layout),
     )
 
 
@@ -96,7 +97,7 @@ def ground_rules(robot: robot_lib.Robot, task) -> tuple[np.ndarray, np.ndarray]:
     fatal = (bodies == robot.base_body) | every
     if task.undesired == "parts":
         return fatal, np.eye(len(bodies), dtype=bool)
-    thighs = robot.mj_model.jnt_bodyid[1:].reshape(-1, 3)[:, 1]
+    thighs = robot.mj_model.jnt_bodyid[1 + robot_lib.legs(robot).joints[:, 1]]
     return fatal, bodies == thighs[:, None]
 
 
@@ -104,10 +105,11 @@ def _randomize(const: Constants, hyper: Hyper, key):
     base = const.robot.base_body
     model = const.robot.mj_model
     ranges, varied = hyper.task.randomize, const.engine.varied
-    return randomize.draw(ranges, model.body_mass[base], model.body_ipos[base], key, varied)
+    nominal = model.body_mass[base], model.body_ipos[base]
+    return randomize.draw(ranges, *nominal, key, varied, len(const.robot.joint_names))
 
 
-def reset(const: Constants, hyper: Hyper, body, key) -> EnvState:
+def reset(const: Constants, hyper: Hyper, body, key) -> State:
     """A robot at the start of an episode; with `task.random_clock`, at a random age of it."""
     key, clock_key = jax.random.split(key)
     pose_key, command_key, obs_key = jax.random.split(key, 3)
@@ -119,9 +121,7 @@ def reset(const: Constants, hyper: Hyper, body, key) -> EnvState:
     return state.replace(clock=clock.astype(jnp.int32))
 
 
-def autoreset(
-    const: Constants, hyper: Hyper, body, state: EnvState, outcome: Outcome, key
-) -> EnvState:
+def autoreset(const: Constants, hyper: Hyper, body, state: State, outcome: Outcome, key) -> State:
     """`state`, or the start of a new episode if `outcome` ended one.
 
     With `task.carry_on` an episode that a timeout ends is followed by one that starts anew with
@@ -143,25 +143,26 @@ def autoreset(
     fresh = _told(const, hyper, body, start, command_key, obs_key, same)
     # those that stay remember what they read; beside a `where` of nothing XLA 0.10 loses C MuJoCo's call
     if stays is not None and const.view.history > 1:
-        before = jnp.where(stays, state.obs[view.SENSED :], fresh.obs[view.SENSED :])
-        fresh = fresh.replace(obs=jnp.concatenate([fresh.obs[: view.SENSED], before]))
+        now = view.now(const.view)
+        before = jnp.where(stays, state.obs[now:], fresh.obs[now:])
+        fresh = fresh.replace(obs=jnp.concatenate([fresh.obs[:now], before]))
     return jax.tree.map(lambda new, old: jnp.where(ended, new, old), fresh, state)
 
 
 def _told(
-    const: Constants, hyper: Hyper, body, state: EnvState, command_key, obs_key, same=None
-) -> EnvState:
+    const: Constants, hyper: Hyper, body, state: State, command_key, obs_key, same=None
+) -> State:
     """`state` with a new command, unless it keeps the `same`, and the observation of both."""
     told = commands.draw(const.task, hyper, state.qpos, command_key)
     if same is not None:
         has = state.command, state.goal
         told = jax.tree.map(lambda old, new: jnp.where(same, old, new), has, told)
     state = state.replace(command=told[0], goal=told[1])
-    prop, obs = view.sense(const.view, const.robot, hyper, body, state, None, obs_key)
+    prop, obs = view.observation(const.view, const.robot, hyper, body, state, None, obs_key)
     return state.replace(prop=prop, obs=obs)
 
 
-def _at_start(const: Constants, hyper: Hyper, key) -> EnvState:
+def _at_start(const: Constants, hyper: Hyper, key) -> State:
     """Pose and velocity (configs/README.md), lifted until no foot is below ground; `_told` has the rest."""
     r, default = hyper.task.reset, jnp.asarray(const.robot.default_pose, jnp.float32)
     # one draw for all: each draw is a kernel of its own, and a quarter of a second of compilation
@@ -179,7 +180,7 @@ def _at_start(const: Constants, hyper: Hyper, key) -> EnvState:
     qpos = jnp.concatenate([xy, height[None], quat, joints])
     qvel = jnp.concatenate([velocity, default * 0])
     feet, none = jnp.zeros(len(const.robot.feet), jnp.int32), jnp.zeros((), jnp.int32)
-    return EnvState(
+    return State(
         qpos=qpos,
         qvel=qvel,
         qacc_warmstart=jnp.zeros_like(qvel),
@@ -209,8 +210,8 @@ def _soft_limits(const: Constants, hyper: Hyper):
     return low + spare, high - spare
 
 
-def step(const: Constants, hyper: Hyper, body, state: EnvState, action, key):
-    """One control step -> `(EnvState, Outcome)`; the episode's end is in the outcome only.
+def step(const: Constants, hyper: Hyper, body, state: State, action, key):
+    """One control step -> `(State, Outcome)`; the episode's end is in the outcome only.
 
     If a robot's state is not finite, or a joint or the base is faster than 100 rad/s or 20 m/s, the
     solver has failed: the episode ends with reward 0 and counts in `blowups`, and the row has only
@@ -222,10 +223,10 @@ def step(const: Constants, hyper: Hyper, body, state: EnvState, action, key):
     ok &= (speed[3:] < MAX_TURN).all() & (speed[:3] < MAX_BASE_SPEED).all()
 
     moved = state.replace(qpos=after.qpos, qvel=after.qvel)
-    known = _known(hyper, view.exact(const.robot, body, moved), action)
+    known = _known(const, hyper, view.exact(const.robot, body, moved), action)
     facts = known | _measured(const, hyper, state, after)._asdict()
-    terms = payment.values(const.terms, facts)
-    reward, weighted = payment.total(terms, hyper.task.weights, const.dt)
+    terms = reward_sum.values(const.terms, facts)
+    reward, weighted = reward_sum.total(terms, hyper.task.weights, const.dt)
     reward = jnp.where(ok, reward, 0.0)
 
     fell = (const.fatal & (after.lowest < 0)).any() | ~ok
@@ -251,7 +252,7 @@ def step(const: Constants, hyper: Hyper, body, state: EnvState, action, key):
         episode_return=state.episode_return + reward,
     )
     seen = next_state, view.later(const.view, state.obs), obs_key
-    prop, obs = view.sense(const.view, const.robot, hyper, body, *seen)
+    prop, obs = view.observation(const.view, const.robot, hyper, body, *seen)
     next_state = next_state.replace(
         prop=jnp.where(ok, prop, state.prop), obs=jnp.where(ok, obs, state.obs)
     )
@@ -278,14 +279,15 @@ def step(const: Constants, hyper: Hyper, body, state: EnvState, action, key):
     return next_state, outcome
 
 
-def _known(hyper: Hyper, seen, action) -> dict[str, Any]:
-    """What a term can ask for and the transition model knows (rewards.py): `seen` has the predicted
-    parts of the next observation and the copied parts of this one."""
-    return hyper.task._asdict() | observe.split(seen) | {"action": action}
+def _known(const: Constants, hyper: Hyper, seen, action) -> dict[str, Any]:
+    """What a term can ask for without physics (rewards.py): `seen` has the predicted parts of the next
+    observation and the known parts of this one."""
+    parts = observe.split(seen, len(const.robot.joint_names))
+    return hyper.task._asdict() | parts | {"action": action}
 
 
 def _measured(
-    const: Constants, hyper: Hyper, state: EnvState, after: engine_lib.Substeps
+    const: Constants, hyper: Hyper, state: State, after: engine_lib.Substeps
 ) -> rewards.Measured:
     contact = after.contact_steps > 0
     low, high = _soft_limits(const, hyper)
@@ -306,10 +308,10 @@ def _measured(
 
 
 def known_reward(const: Constants, hyper: Hyper, obs, action, next_prop):
-    """The share of a row's reward that is a function of `obs`, `action` and `next_prop` [33].
+    """The share of a row's reward that is a function of `obs`, `action` and `next_prop`.
 
     Exact unless a push changed the velocity after the reward (pushes.py).
     """
-    seen = jnp.concatenate([next_prop, obs[observe.PROP_SIZE : view.SENSED]])
-    terms = payment.values(const.known, _known(hyper, seen, action))
-    return payment.total(terms, hyper.task.weights, const.dt)[0]
+    seen = jnp.concatenate([next_prop, obs[next_prop.size : view.now(const.view)]])
+    terms = reward_sum.values(const.known, _known(const, hyper, seen, action))
+    return reward_sum.total(terms, hyper.task.weights, const.dt)[0]

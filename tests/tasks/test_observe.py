@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from dynappo.physics import robot
-from dynappo.task import observe
+from dynappo.tasks.velocity import observe
 
+ROWS = observe.rows(12)
 STATES = 20
 
 
@@ -121,13 +122,13 @@ def test_the_slices_name_the_parts_and_cover_every_number_once(go1):
     s = next(random_states(go1))
     obs, (gravity, linear, angular) = all_numbers(go1, s), mujoco_motion(go1, s)
     parts = [
-        (observe.JOINT_POS, s.qpos[7:] - go1.default_pose),
-        (observe.JOINT_VEL, s.qvel[6:]),
-        (observe.GRAVITY, gravity),
-        (observe.LINEAR_VELOCITY, linear),
-        (observe.ANGULAR_VELOCITY, angular),
-        (observe.COMMAND, s.command),
-        (observe.LAST_ACTION, s.last_action),
+        (ROWS["joint_position"], s.qpos[7:] - go1.default_pose),
+        (ROWS["joint_velocity"], s.qvel[6:]),
+        (ROWS["gravity"], gravity),
+        (ROWS["linear_velocity"], linear),
+        (ROWS["angular_velocity"], angular),
+        (ROWS["command"], s.command),
+        (ROWS["previous_action"], s.last_action),
     ]
     for where, expected in parts:
         np.testing.assert_allclose(obs[where], expected, atol=1e-12)
@@ -135,9 +136,36 @@ def test_the_slices_name_the_parts_and_cover_every_number_once(go1):
     assert covered == list(range(48))
 
 
-def test_33_numbers_are_predicted_and_15_copied():
-    assert (observe.PROP_SIZE, observe.CONTEXT_SIZE) == (33, 15)
-    assert observe.ANGULAR_VELOCITY.stop == observe.PROP_SIZE == observe.COMMAND.start
+def test_33_numbers_of_a_robot_of_12_joints_are_predicted_and_15_known():
+    assert (observe.prop_size(12), observe.size(12)) == (33, 48)
+    assert ROWS["angular_velocity"].stop == 33 == ROWS["command"].start
+
+
+@pytest.mark.parametrize("joints", [12, 18, 29])
+def test_sizes_and_names_follow_from_the_robots_joints(joints):
+    """A hexapod, a humanoid: three numbers a joint, and twelve that every robot has."""
+    rng = np.random.default_rng(joints)
+    qpos, qvel, pose = rng.normal(size=7 + joints), rng.normal(size=6 + joints), np.ones(joints)
+    obs = observe.observe(qpos, qvel, np.zeros(3), pose, np.full(3, 7.0), np.full(joints, 8.0))
+    assert obs.shape == (12 + 3 * joints,) and observe.size(joints) == len(obs)
+    parts = observe.split(obs, joints)
+    np.testing.assert_array_equal(parts["joint_velocity"], qvel[6:])
+    np.testing.assert_array_equal(parts["previous_action"], np.full(joints, 8.0))
+    assert observe.prop_size(joints) == len(obs) - 3 - joints
+    full, onboard = (observe.name(kind, joints) for kind in ("full", "onboard"))
+    assert (full, onboard) == (f"velocity-{len(obs)}", f"onboard-{len(obs) - 3}")
+    np.testing.assert_array_equal(observe.columns(full), np.arange(len(obs)))
+    left_out = set(range(len(obs))) - set(observe.columns(onboard).tolist())
+    assert left_out == set(range(2 * joints + 3, 2 * joints + 6))  # the linear velocity
+    assert observe.reading(onboard)["previous_action"] == slice(len(obs) - 3 - joints, len(obs) - 3)
+
+
+@pytest.mark.parametrize(
+    "name", ["velocity-49", "velocity-12", "onboard-46", "other-48", "velocity"]
+)
+def test_a_name_that_no_robot_has_is_refused(name):
+    with pytest.raises(ValueError, match=name):
+        observe.columns(name)
 
 
 def test_the_context_of_the_next_row_is_this_command_and_this_action(go1):
@@ -147,16 +175,17 @@ def test_the_context_of_the_next_row_is_this_command_and_this_action(go1):
         s.last_action = action
         s.qpos, s.qvel = s.qpos + 1.0, s.qvel + 1.0
         next_obs = all_numbers(go1, s)
-        assert (observe.context(obs, action) == next_obs[observe.PROP_SIZE :]).all()
+        assert (observe.advance(obs[33:], action) == next_obs[33:]).all()
 
 
 def test_the_context_takes_any_batch_of_rows():
-    obs, action = np.random.default_rng(0).normal(size=(2, 5, 3, 48))
-    found = observe.context(obs, action[..., :12])
+    context, action = np.random.default_rng(0).normal(size=(2, 5, 3, 15))
+    action = action[..., :12]
+    found = observe.advance(context, action)
     assert found.shape == (5, 3, 15)
-    np.testing.assert_array_equal(found[..., :3], obs[..., 33:36])
-    np.testing.assert_array_equal(found[..., 3:], action[..., :12])
-    in_jax = observe.context(jnp.asarray(obs), jnp.asarray(action[..., :12]))
+    np.testing.assert_array_equal(found[..., :3], context[..., :3])
+    np.testing.assert_array_equal(found[..., 3:], action)
+    in_jax = observe.advance(jnp.asarray(context), jnp.asarray(action))
     np.testing.assert_allclose(in_jax, found, rtol=1e-6)
 
 
@@ -178,7 +207,7 @@ def test_the_observation_does_change_with_roll(go1):
     quat = np.zeros(4)
     mujoco.mju_mulQuat(quat, np.array([np.cos(0.1), np.sin(0.1), 0, 0]), s.qpos[3:7])
     s.qpos[3:7] = quat
-    assert np.abs(all_numbers(go1, s) - expected)[observe.GRAVITY].max() > 0.01
+    assert np.abs(all_numbers(go1, s) - expected)[ROWS["gravity"]].max() > 0.01
 
 
 def test_opposite_quaternions_are_the_same_attitude(go1):
@@ -199,7 +228,7 @@ def test_the_noise_is_that_of_each_part_and_none_on_command_and_action(xp):
     noise = SimpleNamespace(
         joint_pos=0.01, joint_vel=1.5, gravity=0.05, linear_velocity=0.1, angular_velocity=0.2
     )
-    found = observe.noise_scale(noise, xp)
+    found = observe.noise_scale(noise, xp, 12)
     expected = [0.01] * 12 + [1.5] * 12 + [0.05] * 3 + [0.1] * 3 + [0.2] * 3 + [0.0] * 15
     np.testing.assert_allclose(found, expected, rtol=1e-6)
 

@@ -10,8 +10,8 @@ from dynappo import config as config_lib
 from dynappo.config import ConfigError, files
 from dynappo.physics import robot as robot_lib
 from dynappo.program import build
-from dynappo.task import env as env_lib
-from dynappo.task import mirror, view
+from dynappo.tasks.velocity import env as env_lib
+from dynappo.tasks.velocity import mirror, view
 from dynappo.types import Mirror
 
 ROBOTS = 16
@@ -99,7 +99,7 @@ def test_a_robot_with_two_sides_that_differ_has_no_mirror_image(tmp_path):
     assert 'name="FL_hip" pos="0.1881 0.04675 0"' in text
     (tmp_path / "lame.xml").write_text(text.replace("0.1881 0.04675 0", "0.1881 0.06 0"))
     robot = robot_lib.load_xml(tmp_path / "lame.xml")
-    assert mirror.find(robot, view.find("full", 1)) is None
+    assert mirror.images(robot, view.make("full", 1, 12)) is None
     with pytest.raises(ConfigError, match="robot lame is not its own mirror image: .*FL_hip_joint"):
         mirror.joints(robot)
 

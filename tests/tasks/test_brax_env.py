@@ -17,8 +17,8 @@ from toy_runs import AS_USERS, assert_same
 from dynappo import algorithm, schedule, scores
 from dynappo.config import ConfigError
 from dynappo.physics import robot as robot_lib
-from dynappo.task import brax_env as door
-from dynappo.task import env as env_lib
+from dynappo.tasks import brax_env as door
+from dynappo.tasks.velocity import env as env_lib
 
 LIMIT = 12  # control steps of an episode, where a test sets it
 
@@ -64,9 +64,9 @@ class Cart(envs.Env):
         )
 
 
-def copied(obs, action):
+def copied(hyper, context, prop, action, next_prop):
     """The context of `Cart`: its target."""
-    return obs[..., 2:]
+    return context
 
 
 # Our task as a brax environment
@@ -299,7 +299,7 @@ def test_brax_unrolls_a_go1(go1):
 @pytest.fixture(scope="module")
 def cart():
     """`Cart` with a time limit and no aged starts."""
-    return door.from_brax(Cart(), 2, LIMIT, context=copied, random_clock=False)
+    return door.from_brax(Cart(), 2, LIMIT, advance=copied, random_clock=False)
 
 
 def begin(env, seed=0):
@@ -314,7 +314,7 @@ def test_sizes_names_and_time_step(cart):
     assert cart.metrics == ("pushes", "reward_near", "reward", "falls", "timeouts", "blowups")
     whole = door.from_brax(envs.get_environment("fast"))
     assert (whole.obs_size, whole.prop_size, whole.dt) == (2, 2, 1.0)
-    assert door.from_brax(Cart(), 3).context(jnp.zeros((5, 3)), None).shape == (5, 0)
+    assert door.from_brax(Cart(), 3).advance(None, jnp.zeros(0), *[None] * 3).shape == (0,)
 
 
 def test_fast_is_what_its_formula_says():
@@ -342,7 +342,7 @@ def pendulum():
         brax_env,
         prop_size=4,
         episode_length=200,
-        context=lambda obs, action: action,
+        advance=lambda hyper, context, prop, action, next_prop: action,
         observe=lambda state, action: jnp.concatenate([state.obs, action]),
     )
     return brax_env, env
@@ -426,7 +426,7 @@ def test_a_new_episode_is_one_of_brax_s_own_first_states(cart):
 
 
 def test_a_first_and_a_new_episode_use_no_key_twice():
-    env, key = door.from_brax(Cart(), 2, LIMIT, context=copied), jax.random.key(0)
+    env, key = door.from_brax(Cart(), 2, LIMIT, advance=copied), jax.random.key(0)
     body = jax.eval_shape(env.randomize, None, key)
     state = jax.eval_shape(env.reset, None, body, key)
     after = jax.eval_shape(env.step, None, body, state, jnp.zeros(1), key)
@@ -436,7 +436,7 @@ def test_a_first_and_a_new_episode_use_no_key_twice():
 
 
 def test_first_episodes_may_be_aged(cart):
-    aged = door.from_brax(Cart(), 2, LIMIT, context=copied)
+    aged = door.from_brax(Cart(), 2, LIMIT, advance=copied)
     for env, ages in ((aged, set(range(LIMIT))), (cart, {0})):
         body = env.randomize(None, jax.random.key(0))
         keys = jax.random.split(jax.random.key(1), 300)
@@ -471,14 +471,17 @@ def test_wrong_environments_and_sizes_are_one_line():
     fast = envs.get_environment("fast")
     pixels = envs.get_environment("fast", obs_mode="dict_state")
     wrapped = envs.create("fast")
-    too_long = lambda obs, action: obs  # noqa: E731
+    too_long = lambda *row: jnp.zeros(2)  # noqa: E731
     cases = (
         (lambda: door.from_brax(wrapped), "AutoResetWrapper .*bare environment"),
         (lambda: door.from_brax(pixels), r"Fast is \{'state': \(2,\)\}, expected one vector"),
         (lambda: door.from_brax(fast, 3), "prop_size is 3, Fast needs 1 to 2"),
         (lambda: door.from_brax(fast, 0), "prop_size is 0"),
-        (lambda: door.from_brax(fast, 1), r"context gives \(3, 0\) .* expected \(3, 1\)"),
-        (lambda: door.from_brax(fast, 1, context=too_long), r"gives \(3, 2\)"),
+        (lambda: door.from_brax(fast, 1), r"advance gives \(0,\), expected \(1,\)"),
+        (
+            lambda: door.from_brax(fast, 1, advance=too_long),
+            r"advance gives \(2,\), expected \(1,\)",
+        ),
         (
             lambda: door.from_brax(fast, episode_length=0),
             "episode_length is 0, expected more than 0",

@@ -19,12 +19,12 @@ from dynappo.physics import contacts as contacts_lib
 from dynappo.physics import engine as engine_lib
 from dynappo.physics import randomize
 from dynappo.physics import robot as robot_lib
-from dynappo.task import env as env_lib
+from dynappo.tasks.velocity import env as env_lib
 
 pytest.importorskip("warp")
 
 from dynappo.physics.warp import building, scope  # noqa: E402
-from dynappo.physics.warp import engine as warp_engine  # noqa: E402
+from dynappo.physics.warp import call as warp_call  # noqa: E402
 
 SEEDS, ROBOTS, STEPS = 2, 4, 3
 WIDE = dict(base_mass=(-1.0, 3.0), base_com=(0.05, 0.05, 0.01), friction=(0.4, 1.2))
@@ -78,7 +78,7 @@ class World:
         keys = jax.random.split(jax.random.key(0), ROBOTS)
         draw = jax.vmap(
             lambda k: randomize.draw(
-                self.hyper.task.randomize, mass, jnp.asarray(com, jnp.float32), k, varied
+                self.hyper.task.randomize, mass, jnp.asarray(com, jnp.float32), k, varied, 12
             )
         )
         self.bodies = jax.jit(draw)(keys)
@@ -222,7 +222,7 @@ def test_every_device_of_a_mesh_steps_its_own_robots(world, expected):
 
 def test_environments_of_one_model_share_what_warp_keeps():
     """Each more would stay in memory while the process lives: a batch of runs has dozens."""
-    before = set(warp_engine._TOGETHER)
+    before = set(warp_call._TOGETHER)
     kept = []
     for iterations in (4, 4, 5):
         config = config_lib.load("configs/go1.py")
@@ -230,7 +230,7 @@ def test_environments_of_one_model_share_what_warp_keeps():
         config.physics.ls_iterations = 7
         config = config_lib.validate(config)
         engine_lib.make(robot_lib.load("go1"), config.physics, frozenset(), "warp")
-        kept.append(len(set(warp_engine._TOGETHER) - before))
+        kept.append(len(set(warp_call._TOGETHER) - before))
     assert kept == [1, 1, 2]
 
 
@@ -253,14 +253,14 @@ def test_all_kernels_of_a_step_are_found_before_it(world, expected, monkeypatch)
 
     monkeypatch.setattr(building, "start", noted)
     monkeypatch.setattr(wp.Module, "load", watched)
-    monkeypatch.setattr(warp_engine, "_TOGETHER", {})
+    monkeypatch.setattr(warp_call, "_TOGETHER", {})
     engine = world.engine
     model = robot_lib.physics_model(engine.robot, world.config.physics)
-    step = warp_engine.make(model, engine.robot, engine.substeps, engine.remember)
+    step = warp_call.make(model, engine.robot, engine.substeps, engine.remember)
     again = engine._replace(step=step)
     given = one(world.bodies, 0), one(world.state, 0, 0), world.actions[0, 0, 0]
     jax.block_until_ready(jax.jit(partial(world.step, again))(*given))
-    own = {(warp_engine.__name__, size) for _, size in loaded}  # Warp's for a function of JAX's
+    own = {(warp_call.__name__, size) for _, size in loaded}  # Warp's for a function of JAX's
     ours = fits(engine, world.config)
     assert (len(found) == 1 if ours else len(found) > 20) and loaded - own == found - own
 

@@ -8,7 +8,7 @@ Why a call per control step, not per physics step: every robot has its own physi
 so its own model, and four steps read the model from memory once. With 512 Go1 on two cores that is
 34 instead of 21 k control steps/s (a prototype, 2026-11-22). PD and motor limits are therefore
 MuJoCo's: its DC motor with a position input computes the same as `actuators.clip_dc_motor`
-(tests/physics/test_c_engine.py).
+(tests/physics/test_c_mujoco.py).
 
 Friction in the joints (`actuators.friction`) is the one torque that MuJoCo's motors do not compute: it is
 applied from outside, so a control step with it calls `mujoco.rollout` for each physics step. Go1 then
@@ -37,7 +37,7 @@ from dynappo.physics import actuators, xla_call
 from dynappo.physics import robot as robot_lib
 
 # the numbers that define a robot's model, in the order of the last argument of a call
-NUMBERS = (
+BODY_NUMBERS = (
     "mass_scale",
     *["base_com"] * 3,
     "friction",
@@ -49,7 +49,7 @@ NUMBERS = (
     "armature",
     "joint_friction",
 )
-FRICTION = NUMBERS.index("joint_friction")
+FRICTION = BODY_NUMBERS.index("joint_friction")
 CONTROL = int(mujoco.mjtState.mjSTATE_CTRL)
 APPLIED = CONTROL | int(mujoco.mjtState.mjSTATE_QFRC_APPLIED)
 POSITION = int(mujoco.mjtCtrlInput.mjINPUT_POS)  # a motor's control is a position
@@ -94,7 +94,7 @@ def make(robot: robot_lib.Robot, physics, varied: frozenset[str]):
     """`step(qpos, qvel, qacc_warmstart, target, numbers) -> Moved` of one robot, for `jax.vmap`.
 
     `physics` is the config's group. `target` are joint angles [n, A], a row a physics step; `numbers` are
-    those of `NUMBERS`.
+    those of `BODY_NUMBERS`.
     """
     check(robot)
     steps, threads, model = physics.substeps, cores(physics.threads), _model(robot, physics)
@@ -131,7 +131,7 @@ def _model(robot: robot_lib.Robot, physics) -> mujoco.MjModel:
         )
         motor.set_to_dcmotor([1, 1], 1.0, controller=[1, 0, 1, 0, 0, 1], ctrlspec=POSITION)
         motor.forcelimited, motor.forcerange = True, [-1, 1]  # replaced by each robot's numbers
-    model = robot_lib.settle(spec.compile(), physics, robot.parts)
+    model = robot_lib.with_settings(spec.compile(), physics, robot.parts)
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # a blow-up must be visible
     return model
 
@@ -142,7 +142,7 @@ class _World:
     def __init__(self, robot, model, steps: int, threads: int, varied):
         self.robot, self.model, self.steps, self.varied = robot, model, steps, varied
         self.models: list[mujoco.MjModel] = []
-        self.written = np.zeros((0, len(NUMBERS)), np.float32)  # the numbers in the models
+        self.written = np.zeros((0, len(BODY_NUMBERS)), np.float32)  # the numbers in the models
         self.datas = [mujoco.MjData(model) for _ in range(threads)]
         self.pool = rollout.Rollout(nthread=threads if threads > 1 else 0)
 
@@ -230,7 +230,7 @@ class _World:
         count = 1 if (numbers == numbers[0]).all() else len(numbers)
         while len(self.models) < count:
             self.models.append(copy.copy(self.model))
-        old = np.full((count, len(NUMBERS)), np.nan, np.float32)
+        old = np.full((count, len(BODY_NUMBERS)), np.nan, np.float32)
         old[: len(self.written)] = self.written[:count]
         for i in np.flatnonzero((old != numbers[:count]).any(1)):
             self._write(self.models[i], numbers[i].astype(float))

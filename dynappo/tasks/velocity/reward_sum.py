@@ -1,4 +1,4 @@
-"""Computes the reward: finds the term of each weight, calls it with what it asks for, and sums.
+"""The reward: finds the term of each weight, calls it with what it asks for, and sums.
 
 `task.weights.NAME` is the weight of the function `NAME` in rewards.py, and the function's
 parameters say what it needs. So a new term takes two changes: the function, and its weight.
@@ -14,14 +14,15 @@ from typing import Any
 import numpy as np
 
 from dynappo.config import ConfigError
-from dynappo.task import observe, rewards
+from dynappo.tasks.velocity import observe, rewards
 
+FILE = "dynappo/tasks/velocity/rewards.py"
 Terms = dict[str, Callable[..., Any]]  # by the name of the weight, in the order of rewards.py
 # a term that replaces another, and the value of task.air_time for which it does
 INSTEAD = {"feet_in_air": ("feet_air_time", "indicator")}
 
 
-def written() -> Terms:
+def in_rewards() -> Terms:
     """Every public function of rewards.py."""
     return {
         name: value
@@ -30,22 +31,22 @@ def written() -> Terms:
     }
 
 
-def find(task) -> Terms:
+def terms_of(task) -> Terms:
     """The term of each weight of the config's group `task`.
 
     ConfigError for a weight without a term, a term without a weight, and a term with an unknown
     parameter.
     """
-    terms, weights = written(), set(task.weights)
+    terms, weights = in_rewards(), set(task.weights)
     for name in sorted(weights - terms.keys()):
         close = difflib.get_close_matches(name, terms, 1)
         raise ConfigError(
             f"task.weights.{name} has no term; expected a function {name} in "
-            f"dynappo/task/rewards.py{f', which has {close[0]}' if close else ''}"
+            f"{FILE}{f', which has {close[0]}' if close else ''}"
         )
     for name in (n for n in terms if n not in weights and n not in INSTEAD):
         raise ConfigError(
-            f"task.weights has no weight of the term {name} of dynappo/task/rewards.py; add "
+            f"task.weights has no weight of the term {name} of {FILE}; add "
             f"`{name}: float = 0.0` to Weights in configs/default.py"
         )
     names = {*known_names(task), *rewards.Measured._fields}
@@ -53,7 +54,7 @@ def find(task) -> Terms:
         for wrong in sorted(set(asks(term)) - names):
             close = difflib.get_close_matches(wrong, names, 1)
             raise ConfigError(
-                f"the term {name} of dynappo/task/rewards.py asks for {wrong}, which is not a part of the "
+                f"the term {name} of {FILE} asks for {wrong}, which is not a part of the "
                 "observation, nor a number of the config's group task, nor a field of Measured"
                 + (f"; did you mean {close[0]}?" if close else "")
             )
@@ -90,7 +91,7 @@ def values(terms: Terms, facts: dict[str, Any]) -> dict[str, Any]:
     for name, value in out.items():
         if np.shape(value) != ():
             raise ConfigError(
-                f"the term {name} of dynappo/task/rewards.py has the shape {np.shape(value)}, expected "
+                f"the term {name} of {FILE} has the shape {np.shape(value)}, expected "
                 "one number of one robot; sum it"
             )
     return out

@@ -1,0 +1,176 @@
+"""Checks an environment of your own against the contract of `types.Env`.
+
+Everything except the first numbers of `reset` is checked by shapes (`jax.eval_shape`), within a
+second and before anything is compiled or written. An error is one line: what was found, what was
+expected.
+"""
+
+from __future__ import annotations
+
+import traceback
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from dynappo import config as config_lib
+from dynappo.config import ConfigError
+from dynappo.types import Env, Outcome
+
+SCALARS = "reward discount truncation episode_return episode_length valid".split()
+SIZES = "obs_size prop_size action_size dt episode_length".split()
+
+
+def check(env: Any, config, tail: bool) -> None:
+    """ConfigError for the first thing in which `env` breaks the contract of `types.Env`.
+
+    `tail`: whether the config's schedule has rows that the model writes.
+    """
+    check_kind(env)
+    hyper, key = config_lib.split(config)[1], jax.random.key(0)
+    o, p, a = env.obs_size, env.prop_size, env.action_size
+    action = jax.ShapeDtypeStruct((a,), jnp.float32)
+    body = _shapes("randomize", env.randomize, hyper, key)
+    state = _shapes("reset", env.reset, hyper, body, key)
+    _check_state(env, state)
+    found = _shapes("step", env.step, hyper, body, state, action, key)
+    _check_step(env, state, found)
+    again = _shapes("autoreset", env.autoreset, hyper, body, *found, key)
+    _check_same("autoreset", again, state)
+    if config.ppo.symmetry:
+        _check_mirror(env)
+    if not tail:
+        return
+    context, prop = (jax.ShapeDtypeStruct((size,), jnp.float32) for size in (o - p, p))
+    found = _shapes("advance", env.advance, hyper, context, prop, action, prop)
+    row = "advance(hyper, context, prop, action, next_prop)"
+    _check_shape(row, found, (o - p,), "[obs_size - prop_size]")
+    if config.model.clean:
+        found = _shapes("sense", env.sense, hyper, prop, context, key)
+        _check_shape("sense(hyper, prop, context, key)", found, (p,), "[prop_size]")
+    if config.model.known_reward:
+        obs = jax.ShapeDtypeStruct((o,), jnp.float32)
+        known = _shapes("known_reward", env.known_reward, hyper, obs, action, prop)
+        _check_shape("known_reward(hyper, obs, action, next_prop)", known, (), "one number")
+
+
+def check_start(state: Any) -> None:
+    """ConfigError if the first observations [..., O] are not finite."""
+    for name in ("obs", "prop"):
+        if not bool(jnp.isfinite(getattr(state, name)).all()):
+            raise _wrong(f"reset's {name} is not finite", "finite numbers")
+
+
+def _wrong(found: str, expected: str) -> ConfigError:
+    return ConfigError(
+        f"the environment: {found}, expected {expected}; docs/environment.md has the contract"
+    )
+
+
+def check_kind(env: Any) -> None:
+    if not isinstance(env, Env):
+        raise _wrong(f"it is {_kind(env)}", "a dynappo.types.Env")
+    for name in SIZES:
+        value = getattr(env, name)
+        whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
+        if not (whole or (name == "dt" and isinstance(value, float))) or not value > 0:
+            kind = "seconds" if name == "dt" else "an integer"
+            raise _wrong(f"{name} is {value!r}", f"{kind} above 0")
+    if env.prop_size > env.obs_size:
+        raise _wrong(f"prop_size is {env.prop_size}", f"at most obs_size = {env.obs_size}")
+
+
+def _kind(value: Any) -> str:
+    return "None" if value is None else type(value).__name__
+
+
+def _shapes(name: str, function: Any, *arguments) -> Any:
+    """`jax.eval_shape`; an error in the user's function is one line that names the place."""
+    try:
+        return jax.eval_shape(function, *arguments)
+    except ConfigError:
+        raise
+    except Exception as error:
+        frames = traceback.extract_tb(error.__traceback__)
+        theirs = [f for f in frames if "-packages" not in f.filename and f.filename != __file__]
+        place = f" ({_file(theirs[-1])}, line {theirs[-1].lineno})" if theirs else ""
+        text = " ".join(str(error).split())[:240]
+        raise _wrong(
+            f"{name} cannot be run{place}: {type(error).__name__}: {text}",
+            "a function that JAX traces",
+        ) from None
+
+
+def _file(frame: traceback.FrameSummary) -> str:
+    return frame.filename.replace("\\", "/").rpartition("/")[2]
+
+
+def _check_shape(name: str, value: Any, shape: tuple[int, ...], meaning: str) -> None:
+    if getattr(value, "shape", None) != shape:
+        found = f"of shape {value.shape}" if hasattr(value, "shape") else _kind(value)
+        raise _wrong(f"{name} is {found}", f"{shape} ({meaning})")
+
+
+def _check_state(env: Any, state: Any) -> None:
+    for name, size in (("obs", env.obs_size), ("prop", env.prop_size)):
+        if not hasattr(state, name):
+            raise _wrong(
+                f"reset returns {_kind(state)} without {name}", "a state with obs and prop"
+            )
+        value = getattr(state, name)
+        _check_shape(f"reset's {name}", value, (size,), f"{name}_size = {size}")
+        if not jnp.issubdtype(value.dtype, jnp.floating):
+            raise _wrong(f"reset's {name} is {value.dtype}", "real numbers")
+    if hasattr(state, "clock") and not hasattr(state, "replace"):
+        raise _wrong(f"{_kind(state)} has a clock and no replace", "a flax.struct.dataclass")
+
+
+def _check_step(env: Any, state: Any, found: Any) -> None:
+    if not (isinstance(found, tuple) and len(found) == 2 and isinstance(found[1], Outcome)):
+        parts = ", ".join(map(_kind, found)) if isinstance(found, tuple) else _kind(found)
+        raise _wrong(f"step returns ({parts})", "(state, dynappo.types.Outcome)")
+    after, outcome = found
+    _check_same("step", after, state)
+    for name in SCALARS:
+        _check_shape(f"Outcome.{name}", getattr(outcome, name), (), "one number")
+    sizes = (("next_obs", env.obs_size, "obs_size"), ("next_prop", env.prop_size, "prop_size"))
+    for name, size, meant in sizes:
+        _check_shape(f"Outcome.{name}", getattr(outcome, name), (size,), f"{meant} = {size}")
+    for name in env.metrics:
+        if name not in outcome.metrics:
+            raise _wrong(f"Outcome.metrics has no {name!r}", "all names of Env.metrics")
+        _check_shape(f"Outcome.metrics[{name!r}]", outcome.metrics[name], (), "one number")
+
+
+def _check_same(name: str, after: Any, state: Any) -> None:
+    """ConfigError unless `after` has the same arrays as reset's `state`."""
+
+    def arrays(tree):
+        return {jax.tree_util.keystr(path): x for path, x in jax.tree.leaves_with_path(tree)}
+
+    one, other = arrays(after), arrays(state)
+    if jax.tree.structure(after) != jax.tree.structure(state):
+        differ = sorted(one.keys() ^ other.keys())
+        what = f", they differ in {differ[0]}" if differ else ""
+        raise _wrong(f"{name} returns {_kind(after)}{what}", f"a state as reset's, {_kind(state)}")
+    for path, x in one.items():
+        like = other[path]
+        if (x.shape, x.dtype) != (like.shape, like.dtype):
+            found, expected = (f"{v.dtype}{list(v.shape)}" for v in (x, like))
+            raise _wrong(f"{name} returns a state with {path} {found}", f"{expected} as reset's")
+
+
+def _check_mirror(env: Any) -> None:
+    if env.mirror is None:
+        raise _wrong(
+            "mirror is None where ppo.symmetry is True",
+            "the mirror images of obs and action (types.Mirror), or ppo.symmetry=False",
+        )
+    for name, one, size in zip(
+        ("obs", "action"), env.mirror, (env.obs_size, env.action_size), strict=True
+    ):
+        for part in ("index", "sign"):
+            _check_shape(
+                f"the mirror's {part} of {name}", getattr(one, part), (size,), f"{name}_size"
+            )

@@ -1,0 +1,173 @@
+"""What the policy, the value function and the transition model see of a robot.
+
+    task.observation = "full"      the numbers of observe.py, as the paper and Isaac Lab have them
+                       "onboard"   all but the linear velocity, which a robot does not measure
+
+With `task.history` = h the policy also sees the readings of the h - 1 steps before. With "onboard" the
+robot's own body (physics/randomize.py), which physics knows and no sensor tells, comes last:
+
+    obs = [ numbers of observe.py, as sensed | readings before, the newest first | body ]
+
+All but the predicted numbers, which come first, follow from the row before (`advance`), so the transition
+model writes tails of these as of the 48. Each network has its columns (`views`): the policy the readings, a
+value function with `ppo.critic = "state"` and the model all but the readings before, of which the model takes
+one, because with it comes the action that a delay may still hold back.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from dynappo.physics import randomize
+from dynappo.physics.robot import Robot
+from dynappo.tasks.velocity import observe
+from dynappo.tasks.velocity.state import State
+from dynappo.types import Hyper, Views
+
+ERRORS = {"encoder_bias", "imu_tilt"}  # of sensors
+
+
+class View(NamedTuple):
+    """The layout of an observation."""
+
+    observation: str  # as in `task.observation`
+    joints: int
+    history: int
+    varied: frozenset[str]  # ranges of the body, where it is part of obs
+    body: int  # numbers of the body in obs
+
+
+def make(observation: str, history: int, joints: int, varied: frozenset[str] = frozenset()) -> View:
+    """The layout for `task.observation` and `task.history`; `varied` are the ranges of the body."""
+    onboard = observation == "onboard"
+    sizes = [randomize.size_of(name, joints) for name in randomize.traits(varied)]
+    return View(observation, joints, history, varied, sum(sizes) * onboard)
+
+
+def reading(view: View) -> np.ndarray:
+    """Columns [K] of observe.py that the policy sees."""
+    return observe.columns(observe.name(view.observation, view.joints))
+
+
+def now(view: View) -> int:
+    """Numbers of observe.py, which an observation begins with."""
+    return observe.size(view.joints)
+
+
+def size(view: View) -> int:
+    """Numbers of an observation."""
+    return now(view) + past_size(view) + view.body
+
+
+def past_size(view: View) -> int:
+    """Numbers of the readings before."""
+    return (view.history - 1) * len(reading(view))
+
+
+def views(view: View) -> Views | None:
+    """The columns of each network; None where all see all."""
+    sensed, past = now(view), past_size(view)
+    if size(view) == sensed == len(reading(view)):
+        return None
+    everything = np.arange(size(view))
+    before, body = everything[sensed : sensed + past], everything[sensed + past :]
+    state = np.concatenate([everything[:sensed], body])
+    return Views(
+        actor=np.concatenate([reading(view), before]),
+        critic=state,
+        model=np.concatenate([state, before[: len(reading(view))]]),
+    )
+
+
+def exact(robot: Robot, body: randomize.Body, state: State):
+    """The numbers of observe.py of a state, without noise or error."""
+    default = jnp.asarray(robot.default_pose, jnp.float32)
+    seen = state.command, state.last_action
+    return observe.observe(state.qpos, state.qvel, body.base_com, default, *seen)
+
+
+def observation(view: View, robot: Robot, hyper: Hyper, body: randomize.Body, state, past, key):
+    """`(prop, obs)` of a state: the predicted part as it is, and the whole as it is sensed.
+
+    `past` is what follows the numbers of observe.py; None where an episode begins.
+    """
+    clean, told, prop_size = exact(robot, body, state), jnp.zeros(0), observe.prop_size(view.joints)
+    unit = jax.random.uniform(key, clean.shape, minval=-1.0, maxval=1.0)
+    sensed = clean + unit * observe.noise_scale(hyper.task.noise, jnp, view.joints)
+    if view.body:
+        com = robot.mj_model.body_ipos[robot.base_body]
+        told = randomize.numbers(body, com, view.varied)
+        whole = jnp.concatenate([clean, jnp.zeros(past_size(view)), told])
+        sensed = sensed.at[:prop_size].add(bias(view, whole))
+    past = first(view, sensed, told) if past is None else past
+    return clean[:prop_size], jnp.concatenate([sensed, past])
+
+
+def sense(view: View, hyper: Hyper, prop, context, key):
+    """`Env.sense`: `prop` with errors and noise, drawn uniformly, as `observation` adds them."""
+    if view.body and view.varied & ERRORS:
+        prop = prop + bias(view, jnp.concatenate([prop, context]))
+    scale = observe.noise_scale(hyper.task.noise, jnp, view.joints)[: prop.size]
+    return prop + jax.random.uniform(key, scale.shape, minval=-1.0, maxval=1.0) * scale
+
+
+def first(view: View, sensed, body):
+    """What follows the numbers of observe.py where an episode begins: the first reading, again and
+    again; body."""
+    xp = sensed.__array_namespace__()
+    return xp.concat([*[sensed[reading(view)]] * (view.history - 1), body])
+
+
+def later(view: View, obs):
+    """What follows the numbers of observe.py one step after `obs` [..., O]: its reading, those before,
+    its body."""
+    sensed = now(view)
+    if view.history == 1:
+        return obs[..., sensed:]
+    xp, end = obs.__array_namespace__(), sensed + past_size(view)
+    kept = obs[..., sensed : end - len(reading(view))]
+    return xp.concat([obs[..., reading(view)], kept, obs[..., end:]], axis=-1)
+
+
+def advance(view: View, hyper: Hyper, context, prop, action, next_prop):
+    """`Env.advance`: command and last action, then what was sensed before (`prop`), then the body."""
+    xp = context.__array_namespace__()
+    following = observe.advance(context[..., : now(view) - prop.shape[-1]], action)
+    return xp.concat([following, later(view, xp.concat([prop, context], axis=-1))], axis=-1)
+
+
+def bias(view: View, obs):
+    """What the sensors of an `obs` [..., O] without errors add to its prop, [..., P].
+
+    Encoders are off by a constant. A tilted IMU reads x + tilt cross x of gravity and angular velocity,
+    for small tilts.
+    """
+    xp, rows = obs.__array_namespace__(), observe.rows(view.joints)
+    off = dict.fromkeys(observe.PREDICTED)
+    start = now(view) + past_size(view)
+    for name in randomize.traits(view.varied) if view.body else ():
+        stop = start + randomize.size_of(name, view.joints)
+        value, start = obs[..., start:stop] / randomize.TRAITS[name].scale, stop
+        if name == "encoder_bias":
+            off["joint_position"] = value
+        elif name == "imu_tilt":
+            for part in ("gravity", "angular_velocity"):
+                off[part] = observe.cross(value, obs[..., rows[part]])
+    parts = [
+        xp.zeros_like(obs[..., rows[name]]) if value is None else value
+        for name, value in off.items()
+    ]
+    return xp.concat(parts, axis=-1)
+
+
+def parts(view: View) -> list[tuple[int, ...] | None]:
+    """The signs of each part of an observation in the mirror image, part by part (observe.Part)."""
+    rows = [part.signs for part in observe.PARTS.values()]
+    name = observe.name(view.observation, view.joints)
+    seen = [observe.PARTS[part].signs for part in observe.shown(name)]
+    body = [randomize.TRAITS[name].signs for name in randomize.traits(view.varied)]
+    return rows + seen * (view.history - 1) + (body if view.body else [])
