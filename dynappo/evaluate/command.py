@@ -21,7 +21,7 @@ from dynappo.config import ConfigError, files
 from dynappo.config import flags as flags_lib
 from dynappo.evaluate import changes, episodes, figures, report, show, stress, trials
 from dynappo.physics.robot import Robot
-from dynappo.policy import choice
+from dynappo.policy import source
 from dynappo.policy.episode import Body
 from dynappo.policy.policy_file import Policy
 from dynappo.program import devices
@@ -68,7 +68,7 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
     what = "Measure a policy: return, falls, tracking, effort and gait."
     parser = flags_lib.parser("evaluate", what, USAGE)
     flag = parser.add_argument
-    choice.add_flags(parser)
+    source.add_flags(parser)
     default = "default: {gpu} on a GPU, {cpu} on a CPU".format(**episodes.NUMBER)
     flag("--episodes", metavar="N", help=f"episodes of the training task, on MJX; {default}")
     flag("--randomize", action="store_true", help="MJX episodes with noise, pushes, random physics")
@@ -90,7 +90,7 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
         raise ConfigError(
             "nothing to evaluate; name a workdir, as in: python -m dynappo.evaluate runs/quick"
         )
-    choice.check(flags)
+    source.check_flags(flags)
     for name, *bounds in (("episodes", 1, MAX_EPISODES), ("seed", 0)):
         text = getattr(flags, name)
         if text is not None:
@@ -127,35 +127,33 @@ def open_folder(out: Path) -> None:
 
 
 def what(flags) -> tuple[Policy, Body, Robot | None, Path, tuple[str, str]]:
-    """`(policy, body, robot, path, (source, note))` of the flags; `robot` is None with --fast.
+    """`(policy, body, robot, path, (named, note))` of the flags; `robot` is None with --fast.
 
     ConfigError for all that can be wrong, before anything is written or takes time.
     """
-    policy, path, source = choice.find(flags)
-    body, note = choice.body(policy, flags.robot_xml)
+    policy, path, named = source.of_flags(flags)
+    body, note = source.body(policy, flags.robot_xml)
     robot = None
     if not flags.fast:
         episodes.settings(policy)
-        robot, _ = choice.robot(policy, flags.robot_xml)
+        robot, _ = source.robot(policy, flags.robot_xml)
         episodes.check_robot(policy, robot)
-    return policy, body, robot, path, (source, note)
+    return policy, body, robot, path, (named, note)
 
 
 def run(flags) -> None:
     """Evaluate as the flags say, tell a person what came out, and write it."""
     from rich.console import Console
 
-    policy, body, robot, path, (source, note) = what(flags)
+    policy, body, robot, path, (named, note) = what(flags)
     out = flags.out or folder(flags.what, path)
     open_folder(out)
     screen = Console(highlight=False)
     inside = f" in {body.xml}" if flags.robot_xml else ""
-    screen.print(
-        f"dynappo evaluates {policy.robot}: {source}{inside}", soft_wrap=True, markup=False
-    )
+    screen.print(f"dynappo evaluates {policy.robot}: {named}{inside}", soft_wrap=True, markup=False)
     if note:
         screen.print(note, soft_wrap=True, markup=False)
-    about = {"robot": policy.robot, "policy": source, "mujoco": mujoco.__version__}
+    about = {"robot": policy.robot, "policy": named, "mujoco": mujoco.__version__}
     about |= {"robot_xml": flags.robot_xml} if flags.robot_xml else {}
     if flags.stress:
         with show.progress(screen, "disturbances") as tell:
@@ -189,7 +187,7 @@ def run(flags) -> None:
     result = about | {"episodes": on_mjx, "sweep": numbers, "changes": changed, "units": UNITS}
     files.write_json(out / "evaluation.json", result)
     problem = figures.write(out, policy.robot, numbers, recordings, policy.timestep)
-    report.write(out, source, body, numbers, recordings, changed, on_mjx)
+    report.write(out, named, body, numbers, recordings, changed, on_mjx)
     names = "evaluation.json, report.html" + ("" if problem else ", tracking.png, gait.png")
     screen.print(f"written to {out}: {names}", soft_wrap=True, markup=False)
     if problem:

@@ -24,8 +24,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from dynappo.policy import choice, policy_file
 from dynappo.policy import episode as episode_lib
+from dynappo.policy import policy_file, source
 from dynappo.policy.episode import SETTLE, Body
 from dynappo.policy.policy_file import Policy
 from dynappo.task import observe
@@ -216,7 +216,7 @@ def sweep(
     is over these, its gait without the command to stand. `tell(done, total)` is called before every
     episode, and at the end. `body` is the robot; None: the policy's own.
     """
-    body = body or choice.body(policy, None)[0]
+    body = body or source.body(policy)[0]
     act, grid = policy_file.actor(policy.params, policy.activation), axes(policy, points)
     held = {name: float(np.clip(0.0, values[0], values[-1])) for name, values in grid.items()}
     cells = [(x, y, held["wz"]) for x in grid["vx"] for y in grid["vy"]]

@@ -20,8 +20,8 @@ from dynappo.config import flags as flags_lib
 from dynappo.physics import robot as robot_lib
 from dynappo.play import asked as asked_lib
 from dynappo.play import film, page, serve, viewer
-from dynappo.policy import choice, policy_file
 from dynappo.policy import episode as episode_lib
+from dynappo.policy import policy_file, source
 from dynappo.policy.policy_file import Policy
 
 FILES = {".mp4": "a film", ".gif": "a film", ".png": "its last moment", ".html": "a page"}
@@ -45,7 +45,7 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
     what = "Show a policy walking: in a page, a film, or a viewer with keys to steer."
     parser = flags_lib.parser("play", what, USAGE)
     flag = parser.add_argument
-    choice.add_flags(parser)
+    source.add_flags(parser)
     flag(
         "--command",
         metavar="VX,VY,WZ|FILE.csv",
@@ -91,7 +91,7 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
         raise ConfigError(f"--policy={flags.policy!r}: expected zero or random")
     if flags.serve is not None and flags.out is not None:
         raise ConfigError("--serve and --out: expected one of them")
-    choice.check(flags)
+    source.check_flags(flags)
     if flags.policy and flags.run_seed is not None:
         raise ConfigError(
             f"--run-seed={flags.run_seed}: --policy={flags.policy} plays none of a run"
@@ -111,7 +111,7 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
 def choose(flags) -> tuple[Policy, Callable[[np.ndarray], np.ndarray], str]:
     """`(policy, act, text)` of the command line; `text` says what acts."""
     if flags.policy is None:
-        policy, _, text = choice.find(flags)
+        policy, _, text = source.of_flags(flags)
         return policy, policy_file.actor(policy.params, policy.activation), text
     if flags.what in files.robots():
         name = f"{flags.what}.py"
@@ -120,7 +120,7 @@ def choose(flags) -> tuple[Policy, Callable[[np.ndarray], np.ndarray], str]:
         config = config_lib.validate(config_lib.load(f"configs/{name}"))
         policy = policy_file.describe(config, robot_lib.load(flags.what))._replace(mjcf="")
     else:
-        policy, _, _ = choice.find(flags)
+        policy, _, _ = source.of_flags(flags)
     size = len(policy.joint_names)
     if flags.policy == "zero":
         return policy, lambda obs: np.zeros(size), "zero actions"
@@ -175,7 +175,7 @@ def run(flags) -> None:
         serve.run(flags, choose, asked if flags.command else None)
         return
     policy, act, acts = choose(flags)
-    body, other = choice.body(policy, flags.robot_xml, flags.keep_joints)
+    body, other = source.body(policy, flags.robot_xml, flags.keep_joints)
     seconds = flags.seconds or asked.seconds
     if out is None:
         viewer.check_display()

@@ -214,7 +214,7 @@ def train_and_show(command: Command, stop: Stop) -> None:
     if apart:
         say(apart)
     with workdir_lib.open_workdir(command.workdir, config, command.fresh, say):
-        with child.beside(command.workdir, command.serve if distributed.first() else None):
+        with child.serving(command.workdir, command.serve if distributed.first() else None):
             _train_and_show(command, stop, out)
 
 

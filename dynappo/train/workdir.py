@@ -18,7 +18,7 @@ from ml_collections import config_dict
 from dynappo import config as config_lib
 from dynappo import schedule
 from dynappo.config import ConfigError, files
-from dynappo.policy import carried, checkpoint_file, policy_file
+from dynappo.policy import checkpoint_file, policy_file, source
 from dynappo.program import distributed
 from dynappo.train import log
 
@@ -66,7 +66,7 @@ def _open(workdir: Path, config, fresh: bool, held: contextlib.ExitStack, say) -
             files.check_regular(workdir / name)
         text, path = config_lib.to_json(config), workdir / "config.json"
         _compare(workdir, text)
-        carried.check_same(workdir, _newest(workdir), config.robot)
+        source.check_same_robot(workdir, _newest(workdir), config.robot)
         done = max(saved(workdir), default=0)
         if done > config.run.num_iterations:
             raise ConfigError(

@@ -8,14 +8,14 @@ from toy_policy import ROBOTS
 from dynappo.config import loading
 from dynappo.evaluate import changes, show
 from dynappo.play import asked
-from dynappo.policy import choice, episode, policy_file, source
+from dynappo.policy import episode, policy_file, source
 from dynappo.web import live
 
 BUNDLED = (*ROBOTS, *(f"{name}_deploy" for name in ROBOTS))
 
 
 def bundled(name):
-    return choice.body(source.find(name)[0], None)[0]
+    return source.body(source.load(name)[0])[0]
 
 
 @pytest.fixture(scope="module")

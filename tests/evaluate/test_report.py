@@ -12,7 +12,7 @@ from answers import until
 from toy_policy import save
 
 from dynappo.evaluate import figures, report, show, trials
-from dynappo.policy import choice, episode, source
+from dynappo.policy import episode, source
 
 EPISODES = dict(seconds=20.0, randomize=False, device="cpu", impl="jax", episodes=5)
 EPISODES |= {"return": 33.25, "return_std": 1.5, "length": 987.0, "fall_rate": 0.2}
@@ -22,8 +22,8 @@ EPISODES |= {"return": 33.25, "return_std": 1.5, "length": 987.0, "fall_rate": 0
 def evaluated(tmp_path_factory):
     """`(folder, body, numbers, recordings)` of a Go1 that stands for a while, and falls at 1 m/s."""
     folder = tmp_path_factory.mktemp("evaluated")
-    policy, _ = source.find(str(save(folder / "policy.npz")))
-    body, _ = choice.body(policy, None)
+    policy, _ = source.load(str(save(folder / "policy.npz")))
+    body, _ = source.body(policy)
     numbers, recordings = trials.sweep(policy, 1.4, 3)
     for row in numbers["commands"]:
         if row["command"] == [1.0, 0.0, 0.0]:

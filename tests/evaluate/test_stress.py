@@ -8,7 +8,7 @@ from answers import status
 
 from dynappo.evaluate import command, stress, trials
 from dynappo.evaluate.stress import Stress
-from dynappo.policy import choice, source
+from dynappo.policy import source
 from dynappo.task import observe
 
 SECONDS = 0.6
@@ -17,12 +17,12 @@ AHEAD = np.array([0.5, 0.0, 0.0])
 
 @pytest.fixture(scope="module")
 def body():
-    return choice.body(source.find("go1")[0], None)[0]
+    return source.body(source.load("go1")[0])[0]
 
 
 @pytest.fixture(scope="module")
 def onboard():
-    return choice.body(source.find("go1_deploy")[0], None)[0]
+    return source.body(source.load("go1_deploy")[0])[0]
 
 
 def scripted(late=0):

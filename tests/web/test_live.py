@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 from toy_policy import described
 
-from dynappo.policy import choice, episode, policy_file, source
+from dynappo.policy import episode, policy_file, source
 from dynappo.web import live as live_lib
 
 
 @pytest.fixture(scope="module")
 def trained():
     """The bundled Go1: `(body, act)`."""
-    policy, _ = source.find("go1")
-    return choice.body(policy, None)[0], policy_file.actor(policy.params, policy.activation)
+    policy, _ = source.load("go1")
+    return source.body(policy)[0], policy_file.actor(policy.params, policy.activation)
 
 
 @pytest.fixture
@@ -89,7 +89,7 @@ def test_a_pull_is_a_spring_with_a_limit(live):
 
 def test_after_a_fall_it_lies_and_stands_up():
     policy = policy_file.describe(*described())
-    body = choice.body(policy._replace(mjcf=""), None)[0]
+    body = source.body(policy._replace(mjcf=""), None)[0]
     live = live_lib.Live(body, lambda obs: np.full(12, 6.0))
     for _ in range(200):
         live_lib.step(live)

@@ -6,7 +6,7 @@ import pytest
 from toy_policy import GO1, described
 
 from dynappo.physics import mjcf
-from dynappo.policy import beside, episode, policy_file, render
+from dynappo.policy import episode, policy_file, render, side_by_side
 
 LACKS = render.NO_OPENGL, render.LACKS.split("{}")[0]
 
@@ -24,7 +24,7 @@ def walks():
 @pytest.mark.parametrize("count", [1, 2, 5])
 def test_each_robot_has_its_lane_and_all_are_in_the_picture(walks, count):
     episodes = [walks[0], *[walks[1]] * 4][:count]
-    robots, rows = beside.together(GO1.xml, episodes)
+    robots, rows = side_by_side.together(GO1.xml, episodes)
     model = mjcf.model(robots.xml, robots.text)
     assert model.nq == count * GO1.mj_model.nq and model.nlight == GO1.mj_model.nlight
     assert model.body(robots.base_body).name == GO1.mj_model.body(GO1.base_body).name
@@ -45,7 +45,7 @@ def test_each_robot_has_its_lane_and_all_are_in_the_picture(walks, count):
 
 
 def test_the_second_robot_is_orange_and_the_first_is_as_in_its_file(walks):
-    model = mjcf.model(GO1.xml, beside.together(GO1.xml, walks)[0].text)
+    model = mjcf.model(GO1.xml, side_by_side.together(GO1.xml, walks)[0].text)
     file = mujoco.MjModel.from_xml_path(str(GO1.xml))
     np.testing.assert_allclose(model.mat("silver").rgba, file.mat("silver").rgba, atol=1e-5)
     red, green, blue, _ = model.mat("robot1_silver").rgba
@@ -56,7 +56,7 @@ def test_the_second_robot_is_orange_and_the_first_is_as_in_its_file(walks):
 def test_the_gif_is_small_and_moves(walks, tmp_path):
     Image = pytest.importorskip("PIL.Image")
     out = tmp_path / "walks.gif"
-    problem = beside.film(GO1.xml, walks, out)
+    problem = side_by_side.film(GO1.xml, walks, out)
     if problem.startswith(LACKS):
         pytest.skip(problem)
     assert problem == "" and out.stat().st_size < 60_000
@@ -73,4 +73,4 @@ def test_the_gif_is_small_and_moves(walks, tmp_path):
 
 def test_what_is_missing_is_said(walks, tmp_path, monkeypatch):
     monkeypatch.setattr(render, "film", lambda *_, **__: render.NO_OPENGL)
-    assert beside.film(GO1.xml, walks, tmp_path / "walks.gif") == render.NO_OPENGL
+    assert side_by_side.film(GO1.xml, walks, tmp_path / "walks.gif") == render.NO_OPENGL
