@@ -2,7 +2,7 @@
 
 It runs three kinds of episodes, all with the policy's mean action:
 
-- `trials.sweep`, a grid of commands in C MuJoCo: where it tracks well, what walking costs, how the
+- `trials.run`, a grid of commands in C MuJoCo: where it tracks well, what walking costs, how the
   feet move;
 - `changes`, in C MuJoCo too: whether it stays on its feet when its command changes, and on the tours
   that are shown;
@@ -126,7 +126,7 @@ def open_folder(out: Path) -> None:
         raise ConfigError(f"--out={out}: cannot write there ({error.strerror})") from None
 
 
-def what(flags) -> tuple[Policy, Body, Robot | None, Path, tuple[str, str]]:
+def inputs(flags) -> tuple[Policy, Body, Robot | None, Path, tuple[str, str]]:
     """`(policy, body, robot, path, (named, note))` of the flags; `robot` is None with --fast.
 
     ConfigError for all that can be wrong, before anything is written or takes time.
@@ -145,7 +145,7 @@ def run(flags) -> None:
     """Evaluate as the flags say, tell a person what came out, and write it."""
     from rich.console import Console
 
-    policy, body, robot, path, (named, note) = what(flags)
+    policy, body, robot, path, (named, note) = inputs(flags)
     out = flags.out or folder(flags.what, path)
     open_folder(out)
     screen = Console(highlight=False)
@@ -163,8 +163,8 @@ def run(flags) -> None:
         files.write_json(out / "stress.json", about)
         return screen.print(f"written to {out}: stress.json", soft_wrap=True, markup=False)
     with show.progress(screen, "commands") as tell:
-        numbers, recordings = trials.sweep(policy, tell=tell, body=body)
-    show.sweep(screen, numbers)
+        numbers, recordings = trials.run(policy, tell=tell, body=body)
+    show.trials(screen, numbers)
     with show.progress(screen, "changes of command") as tell:
         number = FEW_CHANGES if flags.fast else changes.NUMBER
         changed = changes.run(body, number, flags.seed or 0, tell)

@@ -56,12 +56,12 @@ def stress(screen, rows: list[dict[str, Any]]) -> None:
     screen.print(table)
 
 
-def sweep(screen, numbers: dict[str, Any]) -> None:
+def trials(screen, numbers: dict[str, Any]) -> None:
     """The table of a sweep: over all commands, and at each speed ahead."""
     from rich.table import Table
 
-    headings, *rows = sweep_rows(numbers)
-    screen.print(sweep_text(numbers), soft_wrap=True)
+    headings, *rows = trials_rows(numbers)
+    screen.print(trials_text(numbers), soft_wrap=True)
     table = Table(box=None, padding=(0, 2, 0, 0), header_style="bold")
     table.add_column("")
     for heading in headings[1:]:
@@ -73,7 +73,7 @@ def sweep(screen, numbers: dict[str, Any]) -> None:
         screen.print(line, soft_wrap=True)
 
 
-def sweep_text(numbers: dict[str, Any]) -> str:
+def trials_text(numbers: dict[str, Any]) -> str:
     """What a sweep is."""
     return (
         f"{numbers['all']['episodes']} commands, {numbers['seconds']:g} s each, in C MuJoCo without noise; "
@@ -81,7 +81,7 @@ def sweep_text(numbers: dict[str, Any]) -> str:
     )
 
 
-def sweep_rows(numbers: dict[str, Any]) -> list[list[str]]:
+def trials_rows(numbers: dict[str, Any]) -> list[list[str]]:
     """The table of a sweep as texts, its headings first."""
     every, ahead = numbers["all"], numbers["ahead"]
     falls = ["none" if row["fall"] is None else f"after {row['fall']:.1f} s" for row in ahead]
@@ -96,9 +96,9 @@ def sweep_rows(numbers: dict[str, Any]) -> list[list[str]]:
 def notes(rows: list[dict[str, Any]]) -> list[str]:
     """Lines on the commands tracked worst and turned worst, and on those that made the robot fall."""
 
-    stood = [row for row in rows if not figures.gone(row)]
+    stood = [row for row in rows if not figures.unmeasured(row)]
     fell = [row for row in rows if row["fall"] is not None]
-    lines = [f"fell after {row['fall']:.1f} s, {asked(row)}" for row in fell[:5]]
+    lines = [f"fell after {row['fall']:.1f} s, {command_text(row)}" for row in fell[:5]]
     if len(fell) > 5:
         lines.append(f"fell on {len(fell) - 5} other commands: see evaluation.json")
     if stood:
@@ -107,11 +107,11 @@ def notes(rows: list[dict[str, Any]]) -> list[str]:
             ("yaw_error", "worst turned", "rad/s"),
         ):
             worst = max(stood, key=lambda row, name=name: row[name])
-            lines.append(f"{label}: {worst[name]:.2f} {unit}, {asked(worst)}")
+            lines.append(f"{label}: {worst[name]:.2f} {unit}, {command_text(worst)}")
     return lines
 
 
-def asked(row: dict[str, Any]) -> str:
+def command_text(row: dict[str, Any]) -> str:
     """The command of a row, for a person."""
     x, y, turn = row["command"]
     return f"asked for {x:g}, {y:g} m/s, {turn:g} rad/s"

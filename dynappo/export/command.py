@@ -116,7 +116,7 @@ def run(flags) -> None:
             f"{path}: its joints are {', '.join(policy.joint_names)}, "
             f"those of {robot.xml} are {', '.join(robot.joint_names)}"
         )
-    names, order = joint_order.find(flags.joint_order, policy.joint_names, robot)
+    names, order = joint_order.parse(flags.joint_order, policy.joint_names, robot)
     policy = joint_order.permute(policy, names)._replace(mjcf=robot.alone)
     if flags.out.suffix == ".xml":
         save_robot(robot, flags.out)

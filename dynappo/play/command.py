@@ -18,8 +18,7 @@ from dynappo import config as config_lib
 from dynappo.config import ConfigError, files
 from dynappo.config import flags as flags_lib
 from dynappo.physics import robot as robot_lib
-from dynappo.play import asked as asked_lib
-from dynappo.play import film, page, serve, viewer
+from dynappo.play import command_script, film, page, serve, viewer
 from dynappo.policy import episode as episode_lib
 from dynappo.policy import policy_file, source
 from dynappo.policy.policy_file import Policy
@@ -54,7 +53,7 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
     flag(
         "--seconds",
         metavar="N",
-        help=f"how long; default: {asked_lib.SECONDS:g}, or until the script ends",
+        help=f"how long; default: {command_script.SECONDS:g}, or until the script ends",
     )
     names = "FILE.html, .mp4, .gif, or .png (the last moment)"
     flag("--out", metavar="FILE", type=flags_lib.path, help=names)
@@ -99,10 +98,10 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
     flags.seed = flags_lib.whole("seed", flags.seed, 0)
     flags.size = None if flags.size is None else film.size(flags.size, flags.out)
     if flags.seconds is not None:
-        seconds = asked_lib.number(flags.seconds)
-        if seconds is None or not 0 < seconds <= asked_lib.LONGEST:
+        seconds = command_script.number(flags.seconds)
+        if seconds is None or not 0 < seconds <= command_script.LONGEST:
             raise ConfigError(
-                f"--seconds={flags.seconds!r}: expected a number above 0, at most {asked_lib.LONGEST}"
+                f"--seconds={flags.seconds!r}: expected a number above 0, at most {command_script.LONGEST}"
             )
         flags.seconds = seconds
     return flags
@@ -170,7 +169,7 @@ def run(flags) -> None:
     out = flags.out
     if out is not None:
         check_out(out)
-    asked = asked_lib.commands(flags.command, flags.seconds)
+    asked = command_script.commands(flags.command, flags.seconds)
     if flags.serve is not None:
         serve.run(flags, choose, asked if flags.command else None)
         return
@@ -181,7 +180,7 @@ def run(flags) -> None:
         viewer.check_display()
         if flags.command is None:  # to be steered from standing
             asked = asked._replace(at=lambda t: np.zeros(3), text=viewer.KEYS)
-    notes = [other, asked_lib.outside(policy, asked)]
+    notes = [other, command_script.outside(policy, asked)]
     print(f"dynappo plays {policy.robot}: {acts}; {asked.text}")
     if flags.robot_xml:
         ms = body.model.opt.timestep * 1e3

@@ -59,7 +59,7 @@ class Guard:
     told: set[str] = field(default_factory=set)
 
 
-def of(host: str, found: set[str]) -> Guard:
+def for_address(host: str, found: set[str]) -> Guard:
     """The guard of a server at `host`, whose addresses are `found`.
 
     A server that listens everywhere has many names. It answers to its own, and to every address
@@ -101,7 +101,7 @@ ANSWERS = {
 }
 
 
-def tell(guard: Guard, kind: str, line: str) -> None:
+def tell_once(guard: Guard, kind: str, line: str) -> None:
     """Say the first of each kind."""
     if kind not in guard.told:
         guard.told.add(kind)
@@ -117,7 +117,7 @@ def watching(guard: Guard) -> Iterator[None]:
         def request(connection, asked):
             kind, found = refusal(guard, asked.headers, asked.path)
             if kind:
-                tell(guard, kind, f"refused: {kind} {found[:100]!r}: {ANSWERS[kind]}")
+                tell_once(guard, kind, f"refused: {kind} {found[:100]!r}: {ANSWERS[kind]}")
                 return connection.respond(http.HTTPStatus.FORBIDDEN, f"{ANSWERS[kind]}\n")
             response = process_request(connection, asked)
             if response is not None:
@@ -129,8 +129,8 @@ def watching(guard: Guard) -> Iterator[None]:
             receive = connection.recv
 
             async def recv(*_, **__):
-                while not taken(guard, said := await receive()):
-                    tell(guard, "message", "ignored: a message that the page does not send")
+                while not allowed(guard, said := await receive()):
+                    tell_once(guard, "message", "ignored: a message that the page does not send")
                 return said
 
             connection.recv = recv  # pyright: ignore[reportAttributeAccessIssue]
@@ -152,7 +152,7 @@ def _policy(host: str) -> str:
     return f"connect-src 'self' ws://{host} wss://{host} data: blob:; frame-ancestors {FRAMES}"
 
 
-def taken(guard: Guard, said: Any) -> bool:
+def allowed(guard: Guard, said: Any) -> bool:
     """Whether a browser's message is one that this page sends, with numbers within its limits."""
     try:
         message = messages.Message.deserialize(said)

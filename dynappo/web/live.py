@@ -50,7 +50,7 @@ class Live:
     work: float = 0.0  # share of that second which the control steps took
 
     def __post_init__(self):
-        put(self, self.body, self.act)
+        take_robot(self, self.body, self.act)
 
 
 def wish(live: Live, function: Callable, *values) -> None:
@@ -58,7 +58,7 @@ def wish(live: Live, function: Callable, *values) -> None:
     live.wishes.append(lambda: function(live, *values))
 
 
-def put(live: Live, body: Body, act: Callable) -> None:
+def take_robot(live: Live, body: Body, act: Callable) -> None:
     """Another robot, standing; it is asked for what the last one was."""
     live.body, live.act = body, act
     live.data = mujoco.MjData(body.model)
@@ -66,7 +66,7 @@ def put(live: Live, body: Body, act: Callable) -> None:
     reset(live)
 
 
-def learn(live: Live, act: Callable) -> None:
+def take_policy(live: Live, act: Callable) -> None:
     """Another policy for the same robot, which goes on walking."""
     live.act = act
 
@@ -82,18 +82,18 @@ def stand_up(live: Live) -> None:
     live.rows = _rows(live)
     live.history = deque(maxlen=round(HISTORY / episode_lib.period(live.body)))
     live.t, live.fell, live.pull = 0.0, None, None
-    live.row = {"command": asked(live, live.before), "velocity": np.zeros(3), "fell": False}
+    live.row = {"command": command_at(live, live.before), "velocity": np.zeros(3), "fell": False}
     step(live)
 
 
 def _rows(live: Live) -> Iterator[dict]:
     """The control steps from standing on."""
     return episode_lib.rows(
-        live.body, live.data, lambda obs: live.act(obs), lambda t: asked(live, live.before + t)
+        live.body, live.data, lambda obs: live.act(obs), lambda t: command_at(live, live.before + t)
     )
 
 
-def asked(live: Live, t: float) -> np.ndarray:
+def command_at(live: Live, t: float) -> np.ndarray:
     """The command at time `t` (s) of `given`."""
     if live.given is not None:
         live.command = within(live.body, live.given(t))

@@ -223,7 +223,7 @@ def _plots(server: viser.ViserServer, of_run: bool):
     return motion, torque, run
 
 
-def chosen(panels: Panels, live: Live) -> None:
+def show_robot(panels: Panels, live: Live) -> None:
     """Set what depends on the robot: the ranges of the sliders, the names of the legs."""
     for slider, (low, high) in zip(panels.sliders, live_lib.ranges(live.body), strict=True):
         slider.min, slider.max = low, high
@@ -272,7 +272,7 @@ def _window(seconds: float, t: np.ndarray, *columns: np.ndarray) -> tuple[np.nda
     return np.concatenate([[-seconds], t, [0.0]]), *ends
 
 
-def tell(panels: Panels, live: Live, text: str) -> None:
+def show_status(panels: Panels, live: Live, text: str) -> None:
     """Say how it goes, and set the sliders to what is asked for."""
     state = "paused" if live.paused else f"{live.rate:.0f} Hz"
     if live.fell is not None:

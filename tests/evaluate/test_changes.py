@@ -7,7 +7,6 @@ from toy_policy import ROBOTS
 
 from dynappo.config import loading
 from dynappo.evaluate import changes, show
-from dynappo.play import asked
 from dynappo.policy import episode, policy_file, source
 from dynappo.web import live
 
@@ -190,7 +189,7 @@ def test_the_tours_are_those_that_are_shown(bodies, monkeypatch):
     shown = live.Live(narrow, lambda obs: np.zeros(12))
     live.tour(shown, True)
     for (commands, seconds), at in zip(
-        given, (played.at, lambda t: live.asked(shown, t)), strict=True
+        given, (played.at, lambda t: live.command_at(shown, t)), strict=True
     ):
         np.testing.assert_array_equal(commands, [at(t) for t in np.arange(0, seconds, 0.02)])
     assert given[1][0][:, 0].max() == 0.7

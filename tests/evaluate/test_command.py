@@ -33,7 +33,7 @@ def saved(tmp_path_factory):
 @pytest.fixture
 def short(monkeypatch):
     """Sweeps of 3 x 3 commands and 1.2 s, few changes of command, tours of a moment."""
-    monkeypatch.setattr(trials, "sweep", partial(trials.sweep, seconds=1.2, points=3))
+    monkeypatch.setattr(trials, "sweep", partial(trials.run, seconds=1.2, points=3))
     monkeypatch.setattr(changes, "NUMBER", 9)
     monkeypatch.setattr(evaluate_command, "FEW_CHANGES", 3)
     monkeypatch.setattr(changes, "EVERY", (0.2, 0.3))
@@ -147,7 +147,7 @@ import runpy, sys
 from functools import partial
 sys.path.insert(0, {str(tmp_path)!r})
 from dynappo.evaluate import changes, trials
-trials.sweep = partial(trials.sweep, seconds=0.1, points=2)
+trials.run = partial(trials.run, seconds=0.1, points=2)
 changes.EVERY = (0.02, 0.04)
 runpy.run_module("dynappo.evaluate", run_name="__main__", alter_sys=True)
 """

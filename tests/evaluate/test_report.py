@@ -24,7 +24,7 @@ def evaluated(tmp_path_factory):
     folder = tmp_path_factory.mktemp("evaluated")
     policy, _ = source.load(str(save(folder / "policy.npz")))
     body, _ = source.body(policy)
-    numbers, recordings = trials.sweep(policy, 1.4, 3)
+    numbers, recordings = trials.run(policy, 1.4, 3)
     for row in numbers["commands"]:
         if row["command"] == [1.0, 0.0, 0.0]:
             row["fall"] = recordings[1.0, 0.0, 0.0]["fall"] = 1.0
@@ -52,8 +52,8 @@ def part(text, name):
 def test_the_tables_are_those_that_are_printed(evaluated, text):
     seen = " ".join(pages.Reader(text).text.split())
     _, _, numbers, _ = evaluated
-    rows = show.sweep_rows(numbers) + show.episodes_rows(EPISODES)
-    for row in [*rows, [show.sweep_text(numbers)], [show.episodes_text(EPISODES)]]:
+    rows = show.trials_rows(numbers) + show.episodes_rows(EPISODES)
+    for row in [*rows, [show.trials_text(numbers)], [show.episodes_text(EPISODES)]]:
         assert " ".join("".join(row).split()) in seen.replace("\n", ""), row
     for line in show.notes(numbers["commands"]) + show.changes_lines(toy_sweep.changes()):
         assert line in seen

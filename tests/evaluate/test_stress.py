@@ -150,7 +150,7 @@ def test_a_policy_without_velocity_has_no_row_of_it(body, onboard):
 
 
 def test_other_physics_are_other_physics_of_the_same_length(body):
-    for name, other in stress.engines(body):
+    for name, other in stress.other_physics(body):
         period = other.model.opt.timestep * other.substeps
         assert period == pytest.approx(0.02), name
         assert (

@@ -9,7 +9,6 @@ import pytest
 from answers import mistake, refused, shell, status
 from toy_policy import other_file, save
 
-from dynappo.play import asked
 from dynappo.play import command as play_command
 from dynappo.policy import episode, policy_file, render
 

@@ -216,7 +216,9 @@ def test_a_file_of_another_kind_is_one_line(saved, tmp_path, content):
         other = {"cut": cut, "text": b"robot: go1", "empty": b"", "array": header((4,))}
         path.write_bytes(other[content])
     line = refused(source.load, str(path))
-    assert line.startswith(f"{path}: ") and any(w in line for w in ("damaged", "cannot be read", "not a policy"))
+    assert line.startswith(f"{path}: ") and any(
+        w in line for w in ("damaged", "cannot be read", "not a policy")
+    )
 
 
 def test_a_small_file_of_gigabytes_is_not_unpacked(saved, tmp_path):

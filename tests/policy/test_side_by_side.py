@@ -30,7 +30,7 @@ def test_each_robot_has_its_lane_and_all_are_in_the_picture(walks, count):
     assert model.body(robots.base_body).name == GO1.mj_model.body(GO1.base_body).name
     qpos = rows["qpos"].reshape(len(rows["qpos"]), count, -1)
     for i, walk in enumerate(episodes):
-        np.testing.assert_allclose(qpos[0, i, :2], [0, i * beside.LANE], atol=1e-12)
+        np.testing.assert_allclose(qpos[0, i, :2], [0, i * side_by_side.LANE], atol=1e-12)
         np.testing.assert_allclose(
             np.diff(qpos[:, i], axis=0), np.diff(walk["qpos"], axis=0), atol=1e-12
         )
@@ -39,9 +39,9 @@ def test_each_robot_has_its_lane_and_all_are_in_the_picture(walks, count):
     mujoco.mj_forward(model, data)
     for place in qpos[:, :, :3].reshape(-1, 3):  # in the camera's frame: right, up, back
         right, up, back = data.cam_xmat[camera].reshape(3, 3).T @ (place - data.cam_xpos[camera])
-        top = np.tan(np.radians(beside.FIELD / 2))
+        top = np.tan(np.radians(side_by_side.FIELD / 2))
         assert back < 0 and abs(up / back) < top
-        assert abs(right / back) < top * beside.SIZE[0] / beside.SIZE[1]
+        assert abs(right / back) < top * side_by_side.SIZE[0] / beside.SIZE[1]
 
 
 def test_the_second_robot_is_orange_and_the_first_is_as_in_its_file(walks):
@@ -61,12 +61,12 @@ def test_the_gif_is_small_and_moves(walks, tmp_path):
         pytest.skip(problem)
     assert problem == "" and out.stat().st_size < 60_000
     with Image.open(out) as gif:
-        assert gif.size == beside.SIZE and gif.n_frames == 5
+        assert gif.size == side_by_side.SIZE and gif.n_frames == 5
         frames = []
         for i in range(gif.n_frames):
             gif.seek(i)
             frames.append(np.asarray(gif.convert("RGB")).astype(int))
-    assert len(np.unique(frames[0].reshape(-1, 3), axis=0)) <= beside.COLOURS
+    assert len(np.unique(frames[0].reshape(-1, 3), axis=0)) <= side_by_side.COLOURS
     changed = (np.abs(frames[0] - frames[-1]) > 10).any(-1)
     assert 0.005 < changed.mean() < 0.3  # a robot has moved, the floor has not
 

@@ -142,7 +142,7 @@ def test_a_server_that_listens_everywhere_has_all_its_addresses_and_no_foreign_n
 
 
 def test_the_name_that_was_given_is_a_name_of_the_server():
-    it = guard.of("Robot.lab", {"192.0.2.7"})
+    it = guard.for_address("Robot.lab", {"192.0.2.7"})
     for host, kind in (("robot.lab:8080", ""), ("192.0.2.7", ""), ("robot.lab.evil", "host")):
         assert guard.refusal(it, Headers({"Host": host}))[0] == kind
 
