@@ -7,6 +7,7 @@ from toy_policy import ROBOTS
 
 from dynappo.config import loading
 from dynappo.evaluate import changes, show
+from dynappo.play import command_script
 from dynappo.policy import episode, policy_file, source
 from dynappo.web import live
 
@@ -184,7 +185,7 @@ def test_the_tours_are_those_that_are_shown(bodies, monkeypatch):
     film, page = changes.tours(narrow)
     assert film == {"tour": "film", "seconds": 12.0, "fell_at": [1.0]}
     assert page == {"tour": "live page", "seconds": 32.0, "fell_at": [1.0, 2.0]}
-    played = asked.commands(None, None)
+    played = command_script.commands(None, None)
     assert played.seconds == 12.0 == loading.load("go1:best").run.video_seconds
     shown = live.Live(narrow, lambda obs: np.zeros(12))
     live.tour(shown, True)

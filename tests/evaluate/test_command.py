@@ -33,7 +33,7 @@ def saved(tmp_path_factory):
 @pytest.fixture
 def short(monkeypatch):
     """Sweeps of 3 x 3 commands and 1.2 s, few changes of command, tours of a moment."""
-    monkeypatch.setattr(trials, "sweep", partial(trials.run, seconds=1.2, points=3))
+    monkeypatch.setattr(trials, "run", partial(trials.run, seconds=1.2, points=3))
     monkeypatch.setattr(changes, "NUMBER", 9)
     monkeypatch.setattr(evaluate_command, "FEW_CHANGES", 3)
     monkeypatch.setattr(changes, "EVERY", (0.2, 0.3))
@@ -190,7 +190,7 @@ def test_a_mistake_is_one_line_and_status_2(name, saved, tmp_path, monkeypatch, 
     Path("config.json").write_text("{}")
     spot = robot_lib.load("go1")._replace(name="spot", alone="")  # of before robots were carried
     policy_file.save(Path("spot.npz"), actor(), described()[0], spot)
-    monkeypatch.setattr(trials, "sweep", None)
+    monkeypatch.setattr(trials, "run", None)
     arguments, expected = MISTAKES[name]
     places = {"POLICY": str(saved), "CONFIG": "config.json", "SPOT": "spot.npz"}
     filled = [re.sub("POLICY|CONFIG|SPOT", lambda m: places[m[0]], text) for text in arguments]
@@ -202,10 +202,10 @@ def test_stopped_and_disk_full(saved, tmp_path, monkeypatch, capsys):
     def interrupt(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(trials, "sweep", interrupt)
+    monkeypatch.setattr(trials, "run", interrupt)
     assert run(saved, "--fast", f"--out={tmp_path}") == 130
     assert not list(tmp_path.iterdir())
-    monkeypatch.setattr(trials, "sweep", lambda *_, **__: (toy_sweep.numbers(), []))
+    monkeypatch.setattr(trials, "run", lambda *_, **__: (toy_sweep.numbers(), []))
     monkeypatch.setattr(changes, "run", lambda *_: toy_sweep.changes())
     monkeypatch.setattr(changes, "tours", lambda *_: [])
 

@@ -10,6 +10,7 @@ from answers import mistake, refused, shell, status
 from toy_policy import other_file, save
 
 from dynappo.play import command as play_command
+from dynappo.play import command_script
 from dynappo.policy import episode, policy_file, render
 
 
@@ -23,12 +24,12 @@ def saved(tmp_path_factory):
 
 
 def test_a_constant_command_and_the_tour():
-    one = asked.commands("0.8,-0.1,0.25", None)
+    one = command_script.commands("0.8,-0.1,0.25", None)
     for t in (0.0, 1e3):
         np.testing.assert_array_equal(one.at(t), [0.8, -0.1, 0.25])
-    assert one.seconds == asked.SECONDS
+    assert one.seconds == command_script.SECONDS
     for seconds in (None, 5.0):
-        tour, length = asked.commands(None, seconds), seconds or asked.SECONDS
+        tour, length = command_script.commands(None, seconds), seconds or command_script.SECONDS
         assert tour.seconds == length
         for t in np.linspace(0, length, 50):
             np.testing.assert_array_equal(tour.at(t), episode.tour(length)(t))
@@ -38,8 +39,8 @@ def test_a_script_is_piecewise_constant(tmp_path):
     """Zero before its first row; a row holds from its own control step to that of the next."""
     path = tmp_path / "drill.csv"
     path.write_text("# ahead, then a turn\nt,vx,vy,wz\n0.06,1,0,0\n\n 0.30 , 0.5, -0.2, 0.1\n")
-    script = asked.commands(str(path), None)
-    assert script.seconds == pytest.approx(0.30 + asked.AFTER_SCRIPT)
+    script = command_script.commands(str(path), None)
+    assert script.seconds == pytest.approx(0.30 + command_script.AFTER_SCRIPT)
     seen = [tuple(script.at(k * 0.02)) for k in range(20)]
     assert seen == [(0, 0, 0)] * 3 + [(1, 0, 0)] * 12 + [(0.5, -0.2, 0.1)] * 5
     np.testing.assert_array_equal(script.rows, [[1, 0, 0], [0.5, -0.2, 0.1]])
@@ -57,14 +58,14 @@ def test_a_script_is_piecewise_constant(tmp_path):
         ("0,nan,0,0\n", "line 1 is '0,nan,0,0', expected four numbers"),
         ("0,1e300,0,0\n", "line 1 is '0,1e300,0,0', expected commands up to 100"),
         ("0,1,0,0\n" + "9" * 10**6, "line 2 is '9999"),
-        ("#" * (asked.MAX_SCRIPT + 1), "more than 16777216 bytes"),
+        ("#" * (command_script.MAX_SCRIPT + 1), "more than 16777216 bytes"),
         ("\xff\xfe", "not a text file"),
     ],
 )
 def test_a_wrong_script_is_one_line(tmp_path, text, expected):
     path = tmp_path / "drill.csv"
     path.write_bytes(text.encode("latin-1"))
-    line = refused(asked.commands, str(path), None)
+    line = refused(command_script.commands, str(path), None)
     assert line.startswith(f"--command={path}: ") and expected in line and len(line) < 300
 
 
@@ -72,7 +73,7 @@ def test_a_script_is_an_hour_at_most(tmp_path):
     """Its last row lasts no longer than what --seconds may be."""
     path = tmp_path / "drill.csv"
     path.write_text("0,1,0,0\n3599,0,0,0\n")
-    assert asked.commands(str(path), None).seconds == 3600
+    assert command_script.commands(str(path), None).seconds == 3600
 
 
 def test_commands_outside_the_training_are_pointed_out(saved):
@@ -82,7 +83,7 @@ def test_commands_outside_the_training_are_pointed_out(saved):
         ("1.5,0,0", "note: vx = 1.5 was not trained; it was from -1 to 1"),
         ("0,0,-2", "note: wz = -2 was not trained; it was from -1 to 1"),
     ):
-        assert asked.outside(policy, asked.commands(text, None)) == note
+        assert command_script.outside(policy, command_script.commands(text, None)) == note
 
 
 # ---- what it writes

@@ -41,7 +41,7 @@ def test_each_robot_has_its_lane_and_all_are_in_the_picture(walks, count):
         right, up, back = data.cam_xmat[camera].reshape(3, 3).T @ (place - data.cam_xpos[camera])
         top = np.tan(np.radians(side_by_side.FIELD / 2))
         assert back < 0 and abs(up / back) < top
-        assert abs(right / back) < top * side_by_side.SIZE[0] / beside.SIZE[1]
+        assert abs(right / back) < top * side_by_side.SIZE[0] / side_by_side.SIZE[1]
 
 
 def test_the_second_robot_is_orange_and_the_first_is_as_in_its_file(walks):

@@ -59,7 +59,7 @@ def test_a_policy_is_played_where_there_is_no_robot_of_its_name(tmp_path, monkey
     assert status(play_command.main, "spot.npz", "--seconds=0.2", "--out=walk.html") == 0
     assert "dynappo plays spot: " in capsys.readouterr().out
     sweep = partial(trials.run, seconds=0.1, points=1)
-    monkeypatch.setattr(trials, "sweep", sweep)
+    monkeypatch.setattr(trials, "run", sweep)
     assert status(evaluate_command.main, "spot.npz", "--fast") == 0
     assert "dynappo evaluates spot: " in capsys.readouterr().out
     assert status(export_command.main, "spot.npz", "--out=again.npz") == 0
