@@ -73,9 +73,7 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
     flag("--episodes", metavar="N", help=f"episodes of the training task, on MJX; {default}")
     flag("--randomize", action="store_true", help="MJX episodes with noise, pushes, random physics")
     flag("--seed", metavar="N", help="random seed of all episodes' commands and starts; default: 0")
-    flag(
-        "--stress", action="store_true", help="what it bears: delays, loads, pushes, other physics"
-    )
+    flag("--stress", action="store_true", help="robustness: delays, loads, pushes, other physics")
     flag(
         "--fast", action="store_true", help="no MJX episodes, few changes of command: takes seconds"
     )
@@ -142,7 +140,7 @@ def inputs(flags) -> tuple[Policy, Body, Robot | None, Path, tuple[str, str]]:
 
 
 def run(flags) -> None:
-    """Evaluate as the flags say, tell a person what came out, and write it."""
+    """Evaluate as the flags say; print the results and write them."""
     from rich.console import Console
 
     policy, body, robot, path, (named, note) = inputs(flags)

@@ -23,7 +23,7 @@ NO_PICTURES = "no pictures: matplotlib is not installed; "
 
 
 def tracking(title: str, numbers: dict[str, Any]):
-    """Two maps of the errors over the commands of a `sweep`, as a matplotlib Figure."""
+    """Two maps of the errors over the commands of `trials.run`, as a matplotlib Figure."""
     from matplotlib.figure import Figure
     from matplotlib.layout_engine import ConstrainedLayoutEngine
 
@@ -77,7 +77,7 @@ def maps(numbers: dict[str, Any]) -> Iterator[tuple]:
 
 
 def unmeasured(row: dict[str, Any]) -> bool:
-    """Whether a command of a `sweep` has no errors: the robot fell, or the episode was too short."""
+    """Whether a command of `trials.run` has no errors: the robot fell, or the episode was too short."""
     return row["fall"] is not None or row["tracking_error"] is None
 
 
@@ -102,7 +102,7 @@ def _cell(panel, j: int, i: int, row: dict[str, Any], top: float) -> None:
 
 
 def gait(title: str, numbers: dict[str, Any], recordings, timestep: float):
-    """Hildebrand's diagram of a `sweep` at each speed ahead: a bar where a foot is on the ground.
+    """Hildebrand's diagram of `trials.run` at each speed ahead: a bar where a foot is on the ground.
 
     `timestep` (s) is that of the physics. The last `WINDOW` seconds are shown, or what there is.
     """

@@ -1,4 +1,4 @@
-"""report.html: all that an evaluation came to, and the robot under each command, in one file.
+"""Writes report.html: the results of an evaluation, and the robot under each command, in one file.
 
 The tables are those of `show`, the maps those of `figures`, the player is the page of `dynappo play`,
 which is there once: a click on a command gives it that command's recording.

@@ -1,4 +1,4 @@
-"""How a policy bears what hardware does: late actions, slippery floors, loads, weak motors, pushes, noise.
+"""Robustness tests: latency, friction, payload, weak motors, pushes, noise, other physics.
 
 Eight commands of ten seconds for each disturbance, in C MuJoCo, with every contact and a solver that
 converges; NumPy only. The same commands and the same random numbers for each, so that rows of the table

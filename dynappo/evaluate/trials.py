@@ -1,4 +1,4 @@
-"""How a policy follows every command of a grid: tracking, effort and gait, in C MuJoCo and NumPy.
+"""Measures a policy under each command of a grid: tracking, effort and gait, in C MuJoCo and NumPy.
 
 With every contact, a solver that converges, no noise, and one episode for each command. Definitions,
 over the time after the first second and before a fall:
@@ -109,7 +109,7 @@ def measured_rows(body: Body, recording: dict[str, Any]) -> dict[str, np.ndarray
 
 
 def measures(body: Body, recordings: Iterable[dict[str, Any]]) -> dict[str, float | None]:
-    """What episodes came to, taken together; None where it cannot be said."""
+    """Measures over several episodes together; None where one cannot be computed."""
     parts = [part for r in recordings if len((part := measured_rows(body, r))["velocity"])]
     names = "tracking_error yaw_error speed power positive_power torque action_rate"
     if not parts:

@@ -8,12 +8,15 @@ must need no other file (`check_alone`).
 from __future__ import annotations
 
 import contextlib
-from pathlib import Path
+from typing import TYPE_CHECKING
 from xml.parsers import expat
 
 import mujoco
 
 from dynappo.config import ConfigError
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 MAX_CARRIED = 2**19  # bytes of an MJCF in a policy or a checkpoint; the robots here have 10 KiB
 TIMESTEP = 1e-5, 0.1  # s

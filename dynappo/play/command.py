@@ -137,7 +137,7 @@ def check_out(out: Path) -> None:
 
 
 def table(body: episode_lib.Body, episode: dict) -> list[tuple[str, str]]:
-    """What an episode came to, as (name, value) for a person."""
+    """The measures of an episode as (name, value), for printing."""
     m = episode_lib.measures(body, episode)
 
     def value(name, text, otherwise):
@@ -165,7 +165,7 @@ def write(body: episode_lib.Body, episode: dict, out: Path, acts: str, rows, pix
 
 
 def run(flags) -> None:
-    """Play as the flags say, and tell what came out."""
+    """Play as the flags say, and print the measures."""
     out = flags.out
     if out is not None:
         check_out(out)

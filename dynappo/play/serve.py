@@ -54,7 +54,7 @@ def run(flags: argparse.Namespace, choose: Callable, asked: Any) -> None:
 
 
 def _at_eof(stop: threading.Event) -> None:
-    """Set `stop` when whoever started this process closes its stdin, or is no more."""
+    """Set `stop` when the process that started this one closes our stdin, or ends."""
     while sys.stdin.buffer.raw.read(1):  # pyright: ignore[reportAttributeAccessIssue]
         pass
     stop.set()

@@ -1,4 +1,4 @@
-"""Keeps strangers away from the page: who is answered, and which messages of a browser are taken.
+"""Protects the page from other web sites: which requests are answered, which messages are allowed.
 
 viser answers whoever asks, and believes what a browser says. But any web site that somebody opens may
 connect to a server on their machine, under its own name or under one that it makes the browser look up
@@ -50,7 +50,7 @@ LOGGER.addFilter(lambda record: record.getMessage() != "opening handshake failed
 
 @dataclass
 class Guard:
-    """Whom a server answers."""
+    """What a server answers to."""
 
     names: set[str]  # hosts, as a browser writes them
     any_number: bool  # and all that are numbers, not names: no one can turn those elsewhere
@@ -102,7 +102,7 @@ ANSWERS = {
 
 
 def tell_once(guard: Guard, kind: str, line: str) -> None:
-    """Say the first of each kind."""
+    """Print the first refusal of each kind."""
     if kind not in guard.told:
         guard.told.add(kind)
         print(f"dynappo: {line}; more of these are not told", file=sys.stderr, flush=True)

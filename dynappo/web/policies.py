@@ -64,10 +64,11 @@ def _bundled() -> list[str]:
     return [name for name in files.bundled() if _there(name)]
 
 
-def _there(name: str) -> bool:
+def _there(what: str, seed: int | None = None) -> bool:
+    """Whether there is a policy of that name: a robot may have none, a run not yet."""
     try:
-        return bool(source.locate(name))
-    except ConfigError:  # a robot without a bundled policy
+        return bool(source.locate(what, seed))
+    except ConfigError:
         return False
 
 
@@ -103,10 +104,7 @@ def _iteration(offer: Offer) -> str:
 
 def begun(offer: Offer) -> bool:
     """Whether the run has a policy yet."""
-    try:
-        return bool(source.locate(offer.what, offer.seed))
-    except ConfigError:
-        return False
+    return _there(offer.what, offer.seed)
 
 
 def standing(offer: Offer) -> Chosen:

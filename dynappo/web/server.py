@@ -142,8 +142,7 @@ def play(page: Page, found: Chosen, name: str) -> None:
 
 
 def same_robot(one: Body, other: Body) -> bool:
-    """Whether a robot in the middle of a stride can be driven as the other one: its file, what it
-    sees, its motors."""
+    """Whether the policy of `other` can take over in mid-stride: same file, observation and motors."""
     a, b = one.policy, other.policy
     driven = set(a._fields) - {"config", "params", "mjcf", "seed"}
     if a.mjcf and b.mjcf and a.mjcf != b.mjcf or one.xml != other.xml:
@@ -158,7 +157,7 @@ def view(page: Page, flags: dict[str, bool]) -> None:
 
 
 def newer(page: Page) -> None:
-    """The run has a newer policy: list it, and take it if the newest is what is watched."""
+    """List the run's newer policy, and play it if the newest one is chosen."""
     live = page.live
 
     def listed(_):
