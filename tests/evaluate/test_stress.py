@@ -177,7 +177,7 @@ def test_the_command_prints_and_writes_the_table(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(stress, "SECONDS", 0.1)
     monkeypatch.setattr(stress.measure, "__defaults__", (1.2,))
     monkeypatch.setattr(stress, "TABLE", stress.TABLE[:2])
-    monkeypatch.setattr(stress, "engines", lambda body: [])
+    monkeypatch.setattr(stress, "other_physics", lambda body: [])
     assert status(command.main, "go1_deploy", "--stress", f"--out={tmp_path}/out") == 0
     said = capsys.readouterr().out
     assert "actions 20 ms late  0 of 8" in said and "stress.json" in said

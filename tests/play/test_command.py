@@ -69,13 +69,6 @@ def test_a_wrong_script_is_one_line(tmp_path, text, expected):
     assert line.startswith(f"--command={path}: ") and expected in line and len(line) < 300
 
 
-def test_a_script_is_an_hour_at_most(tmp_path):
-    """Its last row lasts no longer than what --seconds may be."""
-    path = tmp_path / "drill.csv"
-    path.write_text("0,1,0,0\n3599,0,0,0\n")
-    assert command_script.commands(str(path), None).seconds == 3600
-
-
 def test_commands_outside_the_training_are_pointed_out(saved):
     policy = policy_file.load(saved)
     for text, note in (
@@ -163,36 +156,16 @@ def test_a_film_that_cannot_be_made_points_to_the_page(saved, tmp_path, monkeypa
 MISTAKES = {  # flags, what the line must say
     "nothing": ([], "nothing to play; name a workdir"),
     "unknown": (["wlk"], "wlk: no such file or folder; expected a workdir"),
-    "two names": (["go1", "go2"], "go2: no such flag"),
     "unknown flag": (["go1", "--speed=3"], "--speed=3: no such flag"),
-    "value missing": (["go1", "--command", "-1,0,0"], "--command: expected one argument"),
     "policy": (["go1", "--policy=best"], "--policy='best': expected zero or random"),
     "seed": (["go1", "--policy=random", "--seed=one"], "--seed='one': expected an integer"),
-    "negative seed": (["go1", "--seed=-1"], "--seed='-1': expected an integer of 0 or more"),
-    "far seed": (["go1", "--seed=1" + "0" * 30], "expected an integer of 0 or more, at most 2,147"),
-    "no name": ([""], "nothing to play; name a workdir"),
-    "no out": (["go1", "--out="], "--out: is empty, expected a path"),
     "seconds": (["go1", "--seconds=long"], "--seconds='long': expected a number above 0"),
-    "no seconds": (["go1", "--seconds=0"], "--seconds='0': expected a number above 0"),
-    "infinite": (["go1", "--seconds=inf"], "--seconds='inf': expected a number above 0"),
     "two numbers": (["go1", "--command=1,2"], "--command='1,2': expected three numbers"),
-    "four numbers": (["go1", "--command=1,2,3,4"], "expected three numbers"),
-    "a word": (["go1", "--command=fast,0,0"], "expected three numbers"),
     "not finite": (["go1", "--command=nan,0,0"], "expected three numbers"),
     "too fast": (["go1", "--command=1e300,0,0"], "expected numbers from -100 to 100"),
-    "a long name": (["n" * 256], f"{'n' * 256}: no such file or folder"),
-    "a long command": (["go1", f"--command={'n' * 256}"], "expected three numbers"),
     "a long script": (["go1", f"--command={'n' * 256}.csv"], "cannot be read (File name too long"),
-    "a long robot": (["go1", f"--robot-xml={'n' * 256}"], "no such file"),
-    "a long out": (["go1", f"--out={'n' * 256}.html"], "cannot write there (File name too long)"),
-    "a seed of 5000 digits": (["go1", f"--seed={'9' * 5000}"], "expected an integer"),
     "no script": (["go1", "--command=no.csv"], "--command=no.csv: cannot be read (No such file"),
-    "command with a file": (["go1", "--out=new.html", "--command=1,2"], "--command='1,2'"),
     "suffix": (["go1", "--out=walk.avi"], "--out=walk.avi: expected a file named .mp4, .gif"),
-    "no folder": (
-        ["go1", "--out=/proc/no/w.html"],
-        "--out=/proc/no/w.html: cannot write there (No such",
-    ),
     "a folder": (["go1", "--out=taken.html"], "--out=taken.html: cannot write there (Is a dir"),
     "no file": (["go1", "--robot-xml=no.xml"], "--robot-xml=no.xml: no such file"),
     "no robot": (["go1", "--robot-xml=empty.xml"], "--robot-xml=empty.xml: expected hinge joints"),
@@ -200,11 +173,6 @@ MISTAKES = {  # flags, what the line must say
         ["go1", "--out=a.mp4", "--size=big"],
         "--size='big': expected WIDTHxHEIGHT, even numbers",
     ),
-    "an odd size": (
-        ["go1", "--out=a.mp4", "--size=641x360"],
-        "--size='641x360': expected WIDTHxHEIGHT",
-    ),
-    "a huge size": (["go1", "--out=a.gif", "--size=99998x2"], "even numbers from 64 to 3840"),
     "size of a page": (
         ["go1", "--out=a.html", "--size=64x64"],
         "--size=64x64: is for films and pictures",

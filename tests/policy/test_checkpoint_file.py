@@ -59,19 +59,11 @@ def test_a_checkpoint_is_played_without_a_policy_file(tmp_path, seeds):
 def test_one_of_several_seeds_is_played(tmp_path, seed, best, expected):
     """By its number; else the best in the last evaluation, which its `about` names, or the first."""
     written(tmp_path / "run", 3, **({} if best is None else {"best_seed": best}))
+    if seed is not None:  # it is not that of the policy.npz, which holds one seed alone
+        save(tmp_path / "run" / "policy.npz", 7)
     found, path = source.load(str(tmp_path / "run"), seed)
     assert path.name == "10" and found.seed == expected
     jax.tree.map(np.testing.assert_array_equal, found.params, actor(1000 + expected))
-
-
-def test_a_seed_of_a_workdir_is_of_its_newest_checkpoint(tmp_path):
-    """Not of its policy.npz, which holds one seed alone."""
-    written(tmp_path / "run", 3)
-    save(tmp_path / "run" / "policy.npz", 7)
-    assert source.load(str(tmp_path / "run"))[1].name == "policy.npz"
-    found, path = source.load(str(tmp_path / "run"), 1)
-    assert path.name == "10"
-    jax.tree.map(np.testing.assert_array_equal, found.params, actor(1001))
 
 
 def test_a_seed_that_is_not_there_is_one_line(tmp_path):

@@ -96,17 +96,7 @@ def test_a_robot_is_one_text_without_other_files(tmp_path):
 
 HOSTILE = {  # what `about` says, what the line must say
     "an include": ({"mjcf": '<mujoco><include file="/etc/passwd"/></mujoco>'}, "include file="),
-    "a mesh": ({"mjcf": TEXT.replace("</asset>", '<mesh file="a.obj"/></asset>')}, "mesh file="),
-    "a picture": (
-        {"mjcf": TEXT.replace("</asset>", '<texture type="cube" fileup="/dev/zero"/></asset>')},
-        "texture fileup='/dev/zero'",
-    ),
-    "a plugin": (
-        {"mjcf": TEXT.replace("<worldbody>", "<extension/><worldbody>")},
-        "found extension",
-    ),
     "too long": ({"mjcf": TEXT + " " * mjcf.MAX_CARRIED}, "an MJCF of at most 524288 bytes"),
-    "no XML": ({"mjcf": "go1"}, "XML parse error"),
     "no robot": ({"mjcf": "<mujoco/>"}, "expected"),
     "another robot": ({"mjcf": robot.load("anymal_c").alone}, "those of the robot that it carries"),
     "a list of entities": ({"mjcf": "<!DOCTYPE x>" + TEXT}, "a DOCTYPE, which MJCF does not have"),

@@ -19,7 +19,7 @@ from dynappo.web import live as live_lib
 server = pytest.importorskip("dynappo.web.server", reason="mjviser is not installed (extra web)")
 
 import msgspec  # noqa: E402  (viser brings both)
-from live_page import CAMERA, PROTOCOL, client, joined, serving, update  # noqa: E402
+from live_page import CAMERA, PROTOCOL, joined, serving, update  # noqa: E402
 from websockets import exceptions  # noqa: E402
 from websockets.datastructures import Headers  # noqa: E402
 
@@ -89,13 +89,6 @@ def test_the_page_may_not_be_told_to_use_another_server(served):
     answer = asked(served.port, here)
     assert f"connect-src 'self' ws://localhost:{served.port} " in answer
     assert "frame-ancestors 'self' " in answer
-
-
-@pytest.mark.parametrize("origin", [FOREIGN, "null", "http://127.0.0.1:1"])
-def test_a_foreign_page_gets_no_websocket(served, origin):
-    with pytest.raises(exceptions.InvalidStatus) as caught, client(served, origin=origin):
-        pass
-    assert caught.value.response.status_code == 403
 
 
 def test_a_foreign_host_gets_no_websocket(served):
@@ -247,10 +240,7 @@ JUNK = {
     "text": "hello",
     "no message": b"\xc1",
     "nothing": b"",
-    "a number": msgspec.msgpack.encode(3),
-    "no type": msgspec.msgpack.encode({}),
     "no such type": msgspec.msgpack.encode({"type": "Nothing"}),
-    "a list as type": msgspec.msgpack.encode({"type": []}),
     "deep": b"\x91" * 5000 + b"\xc0",
 }
 # changed fields of messages that are taken otherwise
