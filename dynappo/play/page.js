@@ -363,7 +363,7 @@ void main() {
   float light = max(dot(normal, sun), 0.0);
   if (shaded > 0.5) light *= sunlight(p + normal * 0.014 * size);
   float glint = 0.5 * coat.x * pow(max(dot(normal, halfway), 0.0), 1.0 + 128.0 * coat.y) * light;
-  vec3 ambient = mix(vec3(0.45, 0.45, 0.46), vec3(0.72, 0.74, 0.78), 0.5 + 0.5 * normal.z);
+  vec3 ambient = mix(vec3(0.48, 0.48, 0.49), vec3(0.80, 0.82, 0.85), 0.5 + 0.5 * normal.z);
   pixel = vec4(haze(albedo * (ambient + 0.5 * light + coat.z) + glint, p), 1.0);
 }`;
 const FLOOR_VERTEX = `#version 300 es
