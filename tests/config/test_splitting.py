@@ -34,6 +34,9 @@ OPTIONAL = {  # None in the file
     "task.remember_ground": bool,
     "model.late_epochs": int,
     "schedule.last_iteration": int,
+    "schedule.late_from": int,
+    "schedule.late_steps": int,
+    "schedule.late_rounds": int,
 }
 
 
