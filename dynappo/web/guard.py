@@ -42,6 +42,7 @@ LONGEST = 2**16  # bytes of a message; those of the page have less than 1 KiB
 FARTHEST = 1e6  # the largest number in one
 TEXT = 1000  # characters of a name in one
 VECTORS = {"wxyz": 4, "position": 3, "look_at": 3, "up_direction": 3}  # of a camera
+LENGTHS = "fov", "near", "far", "image_height", "image_width"
 # who may show the page in a frame: itself, and a notebook on this machine
 FRAMES = "'self' http://localhost:* http://127.0.0.1:* vscode-webview:"
 LOGGER = logging.getLogger(__name__)
@@ -163,7 +164,8 @@ def allowed(guard: Guard, said: Any) -> bool:
         if isinstance(message, messages.GuiUpdateMessage):
             return guard.gui is not None and _fits(guard.gui, message)
         if isinstance(message, messages.SceneNodeDragMessage):
-            return len(message.start_position) == len(message.end_position) == 3
+            ends = message.start_position, message.end_position
+            return isinstance(message.name, str) and all(_numbers(end, 3) for end in ends)
         return isinstance(message, messages.CommandTriggerMessage) and isinstance(message.uuid, str)
     except Exception:  # whatever viser's reader makes of bytes that are no message
         return False
@@ -180,12 +182,23 @@ def _plain(value: Any, depth: int = 4) -> bool:
     return value is None or isinstance(value, str) and len(value) <= TEXT
 
 
+def _numbers(value: Any, count: int) -> bool:
+    """Whether a value is a list of so many numbers; `_plain` has seen that they are finite."""
+    return (
+        isinstance(value, list | tuple)
+        and [type(n) in (int, float) for n in value] == [True] * count
+    )
+
+
 def _camera(message: messages.ViewerCameraMessage) -> bool:
     """Whether it looks anywhere, as viser demands where the camera is moved."""
-    sizes = all(len(getattr(message, name)) == size for name, size in VECTORS.items())
+    if not all(_numbers(getattr(message, name), size) for name, size in VECTORS.items()):
+        return False
+    if not _numbers([getattr(message, name) for name in LENGTHS], len(LENGTHS)):
+        return False
     away = math.dist(message.look_at, message.position) > 1e-9
     up = math.hypot(*message.up_direction) > 1e-9
-    return sizes and away and up and message.image_height > 0 and message.image_width > 0
+    return away and up and message.image_height > 0 and message.image_width > 0
 
 
 def _fits(gui: viser.GuiApi, message: messages.GuiUpdateMessage) -> bool:
