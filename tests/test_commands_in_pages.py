@@ -197,9 +197,9 @@ def check_dynappo(name, *rest):
         what = found.what
         assert what in files.bundled() or what == "DIR" or re.search(r"[/.]", what), what
     if name == "play" and not (found.command or "").endswith(".csv"):
-        from dynappo.play import asked
+        from dynappo.play import command_script
 
-        asked.commands(found.command, found.seconds)
+        command_script.commands(found.command, found.seconds)
     if name == "export":
         from dynappo.export import joint_order
 

@@ -48,7 +48,7 @@ WITHOUT_JAX |= {
     for name in ("robot", "mjcf", "robot_contract", "contacts", "actuators", "warp.scope")
 }
 JAX = {"jax", "jaxlib", "flax", "optax", "orbax", "brax", "chex", "jaxtyping", "mujoco.mjx"}
-# pure functions: nothing printed, no clock, no file; robot.py and mjcf.py read a robot's file, c_mujoco.py
+# pure functions: nothing printed, no clock, no file; robot.py reads a robot's file, c_mujoco.py
 # asks for the cores that it may use and locks its threads
 PURE = {"method", "learner", "model", "tasks", "physics", "config.splitting", "config.validation"}
 SPEAKS = set("print input breakpoint callback pure_callback io_callback".split())
@@ -147,7 +147,7 @@ def test_what_plays_exports_and_checks_settings_needs_no_jax(name):
 
 @pytest.mark.parametrize("name", [n for n in MODULES if inside(n, PURE)])
 def test_pure_modules_do_not_print_read_the_clock_or_touch_files(name):
-    reads = name in ("physics.robot", "physics.mjcf", "physics.warp.quadruped")
+    reads = name in ("physics.robot", "physics.warp.quadruped")
     banned, modules = (SPEAKS, CLOCKS) if reads else (SPEAKS | FILES, CLOCKS | PATHS)
     calls = [n.func for n in ast.walk(tree(name)) if isinstance(n, ast.Call)]
     found = {getattr(f, "id", None) or getattr(f, "attr", None) for f in calls} & banned

@@ -1,4 +1,4 @@
-"""A sweep over commands as `trials.sweep` gives it, made up so that every number tells its command."""
+"""A sweep over commands as `trials.run` gives it, made up so that every number tells its command."""
 
 from dynappo.evaluate import show as evaluate_show
 

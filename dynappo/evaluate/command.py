@@ -2,7 +2,7 @@
 
 It runs three kinds of episodes, all with the policy's mean action:
 
-- `trials.sweep`, a grid of commands in C MuJoCo: where it tracks well, what walking costs, how the
+- `trials.run`, a grid of commands in C MuJoCo: where it tracks well, what walking costs, how the
   feet move;
 - `changes`, in C MuJoCo too: whether it stays on its feet when its command changes, and on the tours
   that are shown;
@@ -21,7 +21,7 @@ from dynappo.config import ConfigError, files
 from dynappo.config import flags as flags_lib
 from dynappo.evaluate import changes, episodes, figures, report, show, stress, trials
 from dynappo.physics.robot import Robot
-from dynappo.policy import choice
+from dynappo.policy import source
 from dynappo.policy.episode import Body
 from dynappo.policy.policy_file import Policy
 from dynappo.program import devices
@@ -68,14 +68,12 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
     what = "Measure a policy: return, falls, tracking, effort and gait."
     parser = flags_lib.parser("evaluate", what, USAGE)
     flag = parser.add_argument
-    choice.add_flags(parser)
+    source.add_flags(parser)
     default = "default: {gpu} on a GPU, {cpu} on a CPU".format(**episodes.NUMBER)
     flag("--episodes", metavar="N", help=f"episodes of the training task, on MJX; {default}")
     flag("--randomize", action="store_true", help="MJX episodes with noise, pushes, random physics")
     flag("--seed", metavar="N", help="random seed of all episodes' commands and starts; default: 0")
-    flag(
-        "--stress", action="store_true", help="what it bears: delays, loads, pushes, other physics"
-    )
+    flag("--stress", action="store_true", help="robustness: delays, loads, pushes, other physics")
     flag(
         "--fast", action="store_true", help="no MJX episodes, few changes of command: takes seconds"
     )
@@ -90,7 +88,7 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
         raise ConfigError(
             "nothing to evaluate; name a workdir, as in: python -m dynappo.evaluate runs/quick"
         )
-    choice.check(flags)
+    source.check_flags(flags)
     for name, *bounds in (("episodes", 1, MAX_EPISODES), ("seed", 0)):
         text = getattr(flags, name)
         if text is not None:
@@ -126,36 +124,34 @@ def open_folder(out: Path) -> None:
         raise ConfigError(f"--out={out}: cannot write there ({error.strerror})") from None
 
 
-def what(flags) -> tuple[Policy, Body, Robot | None, Path, tuple[str, str]]:
-    """`(policy, body, robot, path, (source, note))` of the flags; `robot` is None with --fast.
+def inputs(flags) -> tuple[Policy, Body, Robot | None, Path, tuple[str, str]]:
+    """`(policy, body, robot, path, (named, note))` of the flags; `robot` is None with --fast.
 
     ConfigError for all that can be wrong, before anything is written or takes time.
     """
-    policy, path, source = choice.find(flags)
-    body, note = choice.body(policy, flags.robot_xml)
+    policy, path, named = source.of_flags(flags)
+    body, note = source.body(policy, flags.robot_xml)
     robot = None
     if not flags.fast:
         episodes.settings(policy)
-        robot, _ = choice.robot(policy, flags.robot_xml)
+        robot, _ = source.robot(policy, flags.robot_xml)
         episodes.check_robot(policy, robot)
-    return policy, body, robot, path, (source, note)
+    return policy, body, robot, path, (named, note)
 
 
 def run(flags) -> None:
-    """Evaluate as the flags say, tell a person what came out, and write it."""
+    """Evaluate as the flags say; print the results and write them."""
     from rich.console import Console
 
-    policy, body, robot, path, (source, note) = what(flags)
+    policy, body, robot, path, (named, note) = inputs(flags)
     out = flags.out or folder(flags.what, path)
     open_folder(out)
     screen = Console(highlight=False)
     inside = f" in {body.xml}" if flags.robot_xml else ""
-    screen.print(
-        f"dynappo evaluates {policy.robot}: {source}{inside}", soft_wrap=True, markup=False
-    )
+    screen.print(f"dynappo evaluates {policy.robot}: {named}{inside}", soft_wrap=True, markup=False)
     if note:
         screen.print(note, soft_wrap=True, markup=False)
-    about = {"robot": policy.robot, "policy": source, "mujoco": mujoco.__version__}
+    about = {"robot": policy.robot, "policy": named, "mujoco": mujoco.__version__}
     about |= {"robot_xml": flags.robot_xml} if flags.robot_xml else {}
     if flags.stress:
         with show.progress(screen, "disturbances") as tell:
@@ -165,8 +161,8 @@ def run(flags) -> None:
         files.write_json(out / "stress.json", about)
         return screen.print(f"written to {out}: stress.json", soft_wrap=True, markup=False)
     with show.progress(screen, "commands") as tell:
-        numbers, recordings = trials.sweep(policy, tell=tell, body=body)
-    show.sweep(screen, numbers)
+        numbers, recordings = trials.run(policy, tell=tell, body=body)
+    show.trials(screen, numbers)
     with show.progress(screen, "changes of command") as tell:
         number = FEW_CHANGES if flags.fast else changes.NUMBER
         changed = changes.run(body, number, flags.seed or 0, tell)
@@ -189,7 +185,7 @@ def run(flags) -> None:
     result = about | {"episodes": on_mjx, "sweep": numbers, "changes": changed, "units": UNITS}
     files.write_json(out / "evaluation.json", result)
     problem = figures.write(out, policy.robot, numbers, recordings, policy.timestep)
-    report.write(out, source, body, numbers, recordings, changed, on_mjx)
+    report.write(out, named, body, numbers, recordings, changed, on_mjx)
     names = "evaluation.json, report.html" + ("" if problem else ", tracking.png, gait.png")
     screen.print(f"written to {out}: {names}", soft_wrap=True, markup=False)
     if problem:

@@ -13,7 +13,7 @@ import numpy as np
 from dynappo import config as config_lib
 from dynappo.config import ConfigError, fields
 from dynappo.physics.robot import Robot
-from dynappo.policy import carried, walks
+from dynappo.policy import source, walks
 from dynappo.policy.policy_file import Policy
 from dynappo.program import devices
 
@@ -87,7 +87,7 @@ def run(
     impl = "c" if in_c else devices.engine(config)
     static, hyper = config_lib.split(config)
     number = number or NUMBER.get(jax.default_backend(), NUMBER["cpu"])
-    robot = robot or carried.robot(policy)[0]
+    robot = robot or source.robot(policy)[0]
     check_robot(policy, robot)
     length = config.run.eval_steps or config.task.episode_length
     env = env_lib.make(robot, config.task, config.physics, impl=impl)

@@ -1,6 +1,6 @@
 """Pictures of a policy's evaluation: errors over commands, and when which foot is on the ground.
 
-They draw what `trials.sweep` returns; `command.py` writes them to files, a notebook shows them.
+They draw what `trials.run` returns; `command.py` writes them to files, a notebook shows them.
 matplotlib is imported only here, and may be absent.
 """
 
@@ -23,18 +23,20 @@ NO_PICTURES = "no pictures: matplotlib is not installed; "
 
 
 def tracking(title: str, numbers: dict[str, Any]):
-    """Two maps of the errors over the commands of a `sweep`, as a matplotlib Figure."""
+    """Two maps of the errors over the commands of `trials.run`, as a matplotlib Figure."""
     from matplotlib.figure import Figure
     from matplotlib.layout_engine import ConstrainedLayoutEngine
 
     rows, grid = numbers["commands"], numbers["axes"]
-    top = max([PALE, *(row["tracking_error"] for row in rows if not gone(row))])
+    top = max([PALE, *(row["tracking_error"] for row in rows if not unmeasured(row))])
     layout = ConstrainedLayoutEngine(w_pad=0.12, h_pad=0.12, wspace=0.03)
     figure = Figure(figsize=(11, 6), layout=layout)
     panels = figure.subplots(1, 2, sharey=True, width_ratios=[len(grid["vy"]), len(grid["wz"])])
     image: Any = None
     for panel, (held, label, across, ahead, cells) in zip(panels, maps(numbers), strict=True):
-        values = [[np.nan if gone(c) else c["tracking_error"] for c in line] for line in cells]
+        values = [
+            [np.nan if unmeasured(c) else c["tracking_error"] for c in line] for line in cells
+        ]
         image = panel.imshow(values, "YlGnBu", vmin=0, vmax=top, origin="lower", aspect="auto")
         for i, line in enumerate(cells):
             for j, cell in enumerate(line):
@@ -74,8 +76,8 @@ def maps(numbers: dict[str, Any]) -> Iterator[tuple]:
         yield title.format(held[other]), label, grid[name], grid["vx"], cells
 
 
-def gone(row: dict[str, Any]) -> bool:
-    """Whether a command of a `sweep` has no errors: the robot fell, or the episode was too short."""
+def unmeasured(row: dict[str, Any]) -> bool:
+    """Whether a command of `trials.run` has no errors: the robot fell, or the episode was too short."""
     return row["fall"] is not None or row["tracking_error"] is None
 
 
@@ -84,7 +86,7 @@ def _cell(panel, j: int, i: int, row: dict[str, Any], top: float) -> None:
     from matplotlib.patches import Rectangle
 
     middle = dict(ha="center", va="center")
-    if gone(row):
+    if unmeasured(row):
         style: dict[str, Any] = dict(facecolor="0.95", edgecolor="0.8", hatch="///", linewidth=0)
         panel.add_patch(Rectangle((j - 0.5, i - 0.5), 1, 1, **style))
         text = "too short" if row["fall"] is None else f"fell after\n{row['fall']:.1f} s"
@@ -100,7 +102,7 @@ def _cell(panel, j: int, i: int, row: dict[str, Any], top: float) -> None:
 
 
 def gait(title: str, numbers: dict[str, Any], recordings, timestep: float):
-    """Hildebrand's diagram of a `sweep` at each speed ahead: a bar where a foot is on the ground.
+    """Hildebrand's diagram of `trials.run` at each speed ahead: a bar where a foot is on the ground.
 
     `timestep` (s) is that of the physics. The last `WINDOW` seconds are shown, or what there is.
     """

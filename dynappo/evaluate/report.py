@@ -1,4 +1,4 @@
-"""report.html: all that an evaluation came to, and the robot under each command, in one file.
+"""Writes report.html: the results of an evaluation, and the robot under each command, in one file.
 
 The tables are those of `show`, the maps those of `figures`, the player is the page of `dynappo play`,
 which is there once: a click on a command gives it that command's recording.
@@ -21,7 +21,7 @@ from dynappo.policy import episode as episode_lib
 from dynappo.policy.episode import Body
 
 EVERY = 2  # control steps between two pictures, which the page joins: 45 commands are 2 MB so
-OWN = (
+OF_RECORDING = (
     "rows fall root position rotation command velocity".split()
 )  # of a scene: what is a recording's
 
@@ -37,7 +37,7 @@ def write(
 ) -> None:
     """Write report.html into `out`, beside the pictures of `figures.write`, of which it shows one.
 
-    `source` names the policy; `numbers` and `recordings` are those of `trials.sweep`, `changed` those
+    `source` names the policy; `numbers` and `recordings` are those of `trials.run`, `changed` those
     of `changes.run` with `tours`, `on_mjx` those of `episodes.run`, or None. Raises OSError if the file
     cannot be written.
     """
@@ -50,14 +50,14 @@ def write(
     }
     clips = {
         key: {
-            "subtitle": show.asked(found[key]),
+            "subtitle": show.command_text(found[key]),
             "measures": measures(found[key]),
-            "scene": {part: some[part] for part in OWN},
+            "scene": {part: some[part] for part in OF_RECORDING},
         }
         for key, some in scenes.items()
     }
     first: dict[str, Any] = next(iter(scenes.values()), {})
-    shared = {part: value for part, value in first.items() if part not in OWN}
+    shared = {part: value for part, value in first.items() if part not in OF_RECORDING}
     title = html.escape(f"{body.policy.robot}, dynappo")
     text = page.filled(
         Path(__file__).with_suffix(".html").read_text(encoding="utf-8"),
@@ -65,7 +65,7 @@ def write(
         HEADING=html.escape(f"How well {body.policy.robot} walks"),
         SOURCE=html.escape(source),
         EPISODES=_table(show.episodes_text(on_mjx), show.episodes_rows(on_mjx)) if on_mjx else "",
-        SWEEP=_table(show.sweep_text(numbers), show.sweep_rows(numbers)),
+        SWEEP=_table(show.trials_text(numbers), show.trials_rows(numbers)),
         CHANGES="".join(f"<li>{html.escape(line)}</li>" for line in show.changes_lines(changed)),
         NOTES="".join(f"<li>{html.escape(line)}</li>" for line in show.notes(numbers["commands"])),
         MAPS="".join(_map(*one) for one in figures.maps(numbers)),
@@ -141,7 +141,7 @@ def _map(title: str, label: str, across, ahead, cells) -> str:
 
 
 def _cell(row: dict[str, Any]) -> str:
-    if figures.gone(row):
+    if figures.unmeasured(row):
         kind, text = (
             "fell",
             "-" if row["fall"] is None else f"fell<small>{row['fall']:.1f} s</small>",

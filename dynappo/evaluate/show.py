@@ -9,7 +9,7 @@ from dynappo.evaluate import figures
 from dynappo.evaluate.stress import SECONDS
 from dynappo.program import devices
 
-ROWS = (  # of the table of a sweep: name, label, format
+ROWS = (  # of the table of the trials: name, label, format
     ("speed", "speed", "{:.2f} m/s"),
     ("tracking_error", "tracking error", "{:.2f} m/s"),
     ("yaw_error", "yaw rate error", "{:.2f} rad/s"),
@@ -36,53 +36,52 @@ def progress(screen, what: str):
         yield lambda done, total: bar.update(task, completed=done, total=total)
 
 
-def stress(screen, rows: list[dict[str, Any]]) -> None:
-    """The table of disturbances."""
+def _table(screen, rows: list[list[str]], headings: list[str] | None = None) -> None:
+    """Print rows in columns; numbers under headings are at the right."""
     from rich.table import Table
 
+    table = Table(show_header=bool(headings), box=None, padding=(0, 2, 0, 0), header_style="bold")
+    for i, heading in enumerate(headings or ()):
+        table.add_column(heading, justify="right" if i else "left", no_wrap=bool(i))
+    for row in rows:
+        table.add_row(*row)
+    screen.print(table)
+
+
+def stress(screen, rows: list[dict[str, Any]]) -> None:
+    """Print the table of disturbances."""
     count = rows[0]["episodes"]
     screen.print(
         f"{count} commands, {SECONDS:g} s each, in C MuJoCo; the first second is left out",
         soft_wrap=True,
     )
-    table = Table(box=None, padding=(0, 2, 0, 0), header_style="bold")
-    table.add_column("")
-    for heading in ("falls", "tracking error", "yaw rate error"):
-        table.add_column(heading, justify="right", no_wrap=True)
+    cells = []
     for row in rows:
         errors = [(row["tracking_error"], "m/s"), (row["yaw_error"], "rad/s")]
-        cells = ["-" if v is None else f"{v:.2f} {unit}" for v, unit in errors]
-        table.add_row(row["stress"], f"{row['falls']} of {count}", *cells)
-    screen.print(table)
+        numbers = ["-" if v is None else f"{v:.2f} {unit}" for v, unit in errors]
+        cells.append([row["stress"], f"{row['falls']} of {count}", *numbers])
+    _table(screen, cells, ["", "falls", "tracking error", "yaw rate error"])
 
 
-def sweep(screen, numbers: dict[str, Any]) -> None:
-    """The table of a sweep: over all commands, and at each speed ahead."""
-    from rich.table import Table
-
-    headings, *rows = sweep_rows(numbers)
-    screen.print(sweep_text(numbers), soft_wrap=True)
-    table = Table(box=None, padding=(0, 2, 0, 0), header_style="bold")
-    table.add_column("")
-    for heading in headings[1:]:
-        table.add_column(heading, justify="right", no_wrap=True)
-    for row in rows:
-        table.add_row(*row)
-    screen.print(table)
+def trials(screen, numbers: dict[str, Any]) -> None:
+    """Print the table of the trials: over all commands, and at each speed ahead."""
+    headings, *rows = trials_rows(numbers)
+    screen.print(trials_text(numbers), soft_wrap=True)
+    _table(screen, rows, headings)
     for line in notes(numbers["commands"]):
         screen.print(line, soft_wrap=True)
 
 
-def sweep_text(numbers: dict[str, Any]) -> str:
-    """What a sweep is."""
+def trials_text(numbers: dict[str, Any]) -> str:
+    """What the trials are."""
     return (
         f"{numbers['all']['episodes']} commands, {numbers['seconds']:g} s each, in C MuJoCo without noise; "
         "the first second is left out"
     )
 
 
-def sweep_rows(numbers: dict[str, Any]) -> list[list[str]]:
-    """The table of a sweep as texts, its headings first."""
+def trials_rows(numbers: dict[str, Any]) -> list[list[str]]:
+    """The table of the trials as texts, its headings first."""
     every, ahead = numbers["all"], numbers["ahead"]
     falls = ["none" if row["fall"] is None else f"after {row['fall']:.1f} s" for row in ahead]
     rows = [["", "all commands", *(f"{row['command'][0]:g} m/s ahead" for row in ahead)]]
@@ -96,9 +95,9 @@ def sweep_rows(numbers: dict[str, Any]) -> list[list[str]]:
 def notes(rows: list[dict[str, Any]]) -> list[str]:
     """Lines on the commands tracked worst and turned worst, and on those that made the robot fall."""
 
-    stood = [row for row in rows if not figures.gone(row)]
+    stood = [row for row in rows if not figures.unmeasured(row)]
     fell = [row for row in rows if row["fall"] is not None]
-    lines = [f"fell after {row['fall']:.1f} s, {asked(row)}" for row in fell[:5]]
+    lines = [f"fell after {row['fall']:.1f} s, {command_text(row)}" for row in fell[:5]]
     if len(fell) > 5:
         lines.append(f"fell on {len(fell) - 5} other commands: see evaluation.json")
     if stood:
@@ -107,11 +106,11 @@ def notes(rows: list[dict[str, Any]]) -> list[str]:
             ("yaw_error", "worst turned", "rad/s"),
         ):
             worst = max(stood, key=lambda row, name=name: row[name])
-            lines.append(f"{label}: {worst[name]:.2f} {unit}, {asked(worst)}")
+            lines.append(f"{label}: {worst[name]:.2f} {unit}, {command_text(worst)}")
     return lines
 
 
-def asked(row: dict[str, Any]) -> str:
+def command_text(row: dict[str, Any]) -> str:
     """The command of a row, for a person."""
     x, y, turn = row["command"]
     return f"asked for {x:g}, {y:g} m/s, {turn:g} rad/s"
@@ -152,14 +151,9 @@ def changes_lines(numbers: dict[str, Any]) -> list[str]:
 
 
 def episodes(screen, numbers: dict[str, Any]) -> None:
-    """The table of the episodes of the task."""
-    from rich.table import Table
-
+    """Print the table of the episodes of the task."""
     screen.print(episodes_text(numbers), soft_wrap=True)
-    table = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
-    for row in episodes_rows(numbers):
-        table.add_row(*row)
-    screen.print(table)
+    _table(screen, episodes_rows(numbers))
 
 
 def episodes_text(numbers: dict[str, Any]) -> str:

@@ -1,4 +1,4 @@
-"""How a policy bears what hardware does: late actions, slippery floors, loads, weak motors, pushes, noise.
+"""Robustness tests: latency, friction, payload, weak motors, pushes, noise, other physics.
 
 Eight commands of ten seconds for each disturbance, in C MuJoCo, with every contact and a solver that
 converges; NumPy only. The same commands and the same random numbers for each, so that rows of the table
@@ -105,7 +105,7 @@ def table(policy: Policy) -> list[Stress]:
     return [stress for stress in TABLE if sees or stress.velocity == 1.0]
 
 
-def engines(body: Body) -> list[tuple[str, Body]]:
+def other_physics(body: Body) -> list[tuple[str, Body]]:
     """The same robot in other physics: steps, cones and solvers that the policy did not train with."""
     cone, solver = mujoco.mjtCone, mujoco.mjtSolver
     period = episode_lib.period(body)
@@ -129,7 +129,7 @@ def engines(body: Body) -> list[tuple[str, Body]]:
 def run(policy: Policy, body: Body, tell: Callable[[int, int], None] = lambda done, total: None):
     """The rows of all disturbances, and of the other physics; `tell(done, total)` after each."""
     cases = [(stress, body) for stress in table(policy)]
-    cases += [(Stress(name), other) for name, other in engines(body)]
+    cases += [(Stress(name), other) for name, other in other_physics(body)]
     rows = []
     for stress, where in cases:
         tell(len(rows), len(cases))

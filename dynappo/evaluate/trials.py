@@ -1,4 +1,4 @@
-"""How a policy follows every command of a grid: tracking, effort and gait, in C MuJoCo and NumPy.
+"""Measures a policy under each command of a grid: tracking, effort and gait, in C MuJoCo and NumPy.
 
 With every contact, a solver that converges, no noise, and one episode for each command. Definitions,
 over the time after the first second and before a fall:
@@ -25,8 +25,8 @@ import mujoco
 import numpy as np
 
 from dynappo.physics import actuators
-from dynappo.policy import choice, policy_file
 from dynappo.policy import episode as episode_lib
+from dynappo.policy import policy_file, source
 from dynappo.policy.episode import SETTLE, Body
 from dynappo.policy.policy_file import Policy
 from dynappo.tasks.velocity import observe
@@ -89,7 +89,7 @@ def record(body: Body, act: Callable, command, seconds: float = SECONDS) -> dict
     return columns | {"command": command, "fall": fall}
 
 
-def settled(body: Body, recording: dict[str, Any]) -> dict[str, np.ndarray]:
+def measured_rows(body: Body, recording: dict[str, Any]) -> dict[str, np.ndarray]:
     """The rows that count: after the first second, before the control step of a fall.
 
     `change [T, A]` (rad/s) is the speed of the joints' targets, from the action before each row.
@@ -109,8 +109,8 @@ def settled(body: Body, recording: dict[str, Any]) -> dict[str, np.ndarray]:
 
 
 def measures(body: Body, recordings: Iterable[dict[str, Any]]) -> dict[str, float | None]:
-    """What episodes came to, taken together; None where it cannot be said."""
-    parts = [part for r in recordings if len((part := settled(body, r))["velocity"])]
+    """Measures over several episodes together; None where one cannot be computed."""
+    parts = [part for r in recordings if len((part := measured_rows(body, r))["velocity"])]
     names = "tracking_error yaw_error speed power positive_power torque action_rate"
     if not parts:
         return dict.fromkeys([*names.split(), "cost_of_transport", "positive_cost_of_transport"])
@@ -165,7 +165,7 @@ def intervals(contact: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def gait(body: Body, recordings: Iterable[dict[str, Any]]) -> dict[str, Any]:
     """How the feet move: `duty_factor`, `air_time`, `stride_frequency`, and these of each foot."""
-    contacts = [c for r in recordings if len(c := settled(body, r)["contact"])]
+    contacts = [c for r in recordings if len(c := measured_rows(body, r)["contact"])]
     timestep, each = body.model.opt.timestep, {}
     for j, name in enumerate(feet(body)[1]):
         found = [strides(c[:, j], body.substeps) for c in contacts]
@@ -203,7 +203,7 @@ def speeds(policy: Policy) -> list[float]:
     return sorted({float(np.clip(speed, low, high)) for speed in SPEEDS})
 
 
-def sweep(
+def run(
     policy: Policy,
     seconds: float = SECONDS,
     points: int = POINTS,
@@ -216,7 +216,7 @@ def sweep(
     is over these, its gait without the command to stand. `tell(done, total)` is called before every
     episode, and at the end. `body` is the robot; None: the policy's own.
     """
-    body = body or choice.body(policy, None)[0]
+    body = body or source.body(policy)[0]
     act, grid = policy_file.actor(policy.params, policy.activation), axes(policy, points)
     held = {name: float(np.clip(0.0, values[0], values[-1])) for name, values in grid.items()}
     cells = [(x, y, held["wz"]) for x in grid["vx"] for y in grid["vy"]]

@@ -15,7 +15,7 @@ from dynappo.config import ConfigError, files, shell
 from dynappo.config import flags as flags_lib
 from dynappo.export import deploy_yaml, joint_order, onnx_file
 from dynappo.physics.robot import Robot
-from dynappo.policy import choice
+from dynappo.policy import source
 from dynappo.policy.policy_file import Policy
 
 FILES = (".onnx", ".npz", ".xml", ".yaml")
@@ -43,7 +43,7 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
         "export", "Write a policy for a robot: an ONNX network, or a policy.npz.", USAGE
     )
     flag = parser.add_argument
-    choice.add_flags(parser)
+    source.add_flags(parser)
     names = "FILE.onnx, FILE.npz, FILE.yaml (for unitree_rl_lab) or FILE.xml (only the robot)"
     flag("--out", metavar="FILE", type=flags_lib.path, help=names)
     flag(
@@ -64,15 +64,15 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
         raise ConfigError(f"--out={flags.out}: expected a file named {', '.join(FILES)}")
     if flags.joint_order and flags.out.suffix == ".xml":
         raise ConfigError(f"--joint-order: not for {flags.out}; an MJCF keeps its joint order")
-    choice.check(flags)
+    source.check_flags(flags)
     if flags.targets and flags.out.suffix != ".onnx":
         raise ConfigError(f"--targets: only an .onnx has outputs, not {flags.out}")
     return flags
 
 
-def check_out(out: Path, source: Path) -> None:
+def check_out(out: Path, taken: Path) -> None:
     """ConfigError if nothing can be written at `out`; leaves no file behind."""
-    if os.path.exists(out) and source.exists() and out.samefile(source):
+    if os.path.exists(out) and taken.exists() and out.samefile(taken):
         raise ConfigError(f"--out={out}: this would overwrite the policy; choose another file")
     flags_lib.check_writable(out)
 
@@ -108,15 +108,15 @@ def table(policy: Policy, out: Path, order: str, targets: bool) -> list[tuple[st
 
 def run(flags) -> None:
     """Export as the flags say, and tell what was written."""
-    policy, path, source = choice.find(flags)
+    policy, path, named = source.of_flags(flags)
     check_out(flags.out, path)
-    robot, note = choice.robot(policy, flags.robot_xml)
+    robot, note = source.robot(policy, flags.robot_xml)
     if set(robot.joint_names) != set(policy.joint_names):
         raise ConfigError(
             f"{path}: its joints are {', '.join(policy.joint_names)}, "
             f"those of {robot.xml} are {', '.join(robot.joint_names)}"
         )
-    names, order = joint_order.find(flags.joint_order, policy.joint_names, robot)
+    names, order = joint_order.parse(flags.joint_order, policy.joint_names, robot)
     policy = joint_order.permute(policy, names)._replace(mjcf=robot.alone)
     if flags.out.suffix == ".xml":
         save_robot(robot, flags.out)
@@ -124,7 +124,7 @@ def run(flags) -> None:
         files.write_text(flags.out, deploy_yaml.text(policy, robot))
     else:
         onnx_file.save(policy, robot, flags.out, flags.targets)
-    print(f"dynappo exports {policy.robot}: {source}")
+    print(f"dynappo exports {policy.robot}: {named}")
     if note:
         print(note)
     for name, text in table(policy, flags.out, order, flags.targets):

@@ -30,7 +30,7 @@ def motors(robot: robot_lib.Robot) -> tuple[str, ...]:
     """The joints in the order of the motors: Unitree's, or that of the MJCF for other robots."""
     legs = {name.partition("_")[0] for name in robot.joint_names}
     text = "unitree" if legs == set(joint_order.UNITREE_LEGS) else "mjcf"
-    return joint_order.find(text, robot.joint_names, robot)[0]
+    return joint_order.parse(text, robot.joint_names, robot)[0]
 
 
 def text(policy: Policy, robot: robot_lib.Robot) -> str:

@@ -21,7 +21,7 @@ ORDERS = ("mjcf", "isaaclab", "unitree")
 UNITREE_LEGS = ("FR", "FL", "RR", "RL")
 
 
-def find(
+def parse(
     text: str | None, own: tuple[str, ...], robot: robot_lib.Robot
 ) -> tuple[tuple[str, ...], str]:
     """`(names, text)` of `--joint-order=TEXT`; without it the policy's own order, `own`.

@@ -1,4 +1,4 @@
-"""What is known of a robot and its config before training: the PD, and how the robot stands with it."""
+"""Measures a robot before training: whether its PD is stable, and how it stands."""
 
 from __future__ import annotations
 

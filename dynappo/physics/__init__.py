@@ -1,7 +1,7 @@
 """Loads robots and simulates a control step on one of three engines. Start at `engine.py`.
 
 - `robot`: loads a robot's file, and what the task needs to know about it
-- `mjcf`: checks an untrusted MJCF before and after MuJoCo compiles it
+- `mjcf`: compiles an MJCF, with errors in one line; what a policy carries may read no file
 - `robot_contract`: checks the rules that a robot's file must keep
 - `actuators`: from a policy's action to joint torques
 - `engine`: a control step: PD, motor limits, physics steps, contacts by geometry

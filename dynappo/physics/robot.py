@@ -53,7 +53,7 @@ def load(name: str) -> Robot:
 
 def load_xml(xml: Path) -> Robot:
     """As `load`, from any file that keeps the contract."""
-    with mjcf.reading(xml):
+    with mjcf.one_line(xml):
         return _robot(xml.stem, xml, "", alone(xml))
 
 

@@ -18,10 +18,9 @@ from dynappo import config as config_lib
 from dynappo.config import ConfigError, files
 from dynappo.config import flags as flags_lib
 from dynappo.physics import robot as robot_lib
-from dynappo.play import asked as asked_lib
-from dynappo.play import film, page, serve, viewer
-from dynappo.policy import choice, policy_file
+from dynappo.play import command_script, film, page, serve, viewer
 from dynappo.policy import episode as episode_lib
+from dynappo.policy import policy_file, source
 from dynappo.policy.policy_file import Policy
 
 FILES = {".mp4": "a film", ".gif": "a film", ".png": "its last moment", ".html": "a page"}
@@ -45,7 +44,7 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
     what = "Show a policy walking: in a page, a film, or a viewer with keys to steer."
     parser = flags_lib.parser("play", what, USAGE)
     flag = parser.add_argument
-    choice.add_flags(parser)
+    source.add_flags(parser)
     flag(
         "--command",
         metavar="VX,VY,WZ|FILE.csv",
@@ -54,7 +53,7 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
     flag(
         "--seconds",
         metavar="N",
-        help=f"how long; default: {asked_lib.SECONDS:g}, or until the script ends",
+        help=f"how long; default: {command_script.SECONDS:g}, or until the script ends",
     )
     names = "FILE.html, .mp4, .gif, or .png (the last moment)"
     flag("--out", metavar="FILE", type=flags_lib.path, help=names)
@@ -91,7 +90,7 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
         raise ConfigError(f"--policy={flags.policy!r}: expected zero or random")
     if flags.serve is not None and flags.out is not None:
         raise ConfigError("--serve and --out: expected one of them")
-    choice.check(flags)
+    source.check_flags(flags)
     if flags.policy and flags.run_seed is not None:
         raise ConfigError(
             f"--run-seed={flags.run_seed}: --policy={flags.policy} plays none of a run"
@@ -99,10 +98,10 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
     flags.seed = flags_lib.whole("seed", flags.seed, 0)
     flags.size = None if flags.size is None else film.size(flags.size, flags.out)
     if flags.seconds is not None:
-        seconds = asked_lib.number(flags.seconds)
-        if seconds is None or not 0 < seconds <= asked_lib.LONGEST:
+        seconds = command_script.number(flags.seconds)
+        if seconds is None or not 0 < seconds <= command_script.LONGEST:
             raise ConfigError(
-                f"--seconds={flags.seconds!r}: expected a number above 0, at most {asked_lib.LONGEST}"
+                f"--seconds={flags.seconds!r}: expected a number above 0, at most {command_script.LONGEST}"
             )
         flags.seconds = seconds
     return flags
@@ -111,7 +110,7 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
 def choose(flags) -> tuple[Policy, Callable[[np.ndarray], np.ndarray], str]:
     """`(policy, act, text)` of the command line; `text` says what acts."""
     if flags.policy is None:
-        policy, _, text = choice.find(flags)
+        policy, _, text = source.of_flags(flags)
         return policy, policy_file.actor(policy.params, policy.activation), text
     if flags.what in files.robots():
         name = f"{flags.what}.py"
@@ -120,7 +119,7 @@ def choose(flags) -> tuple[Policy, Callable[[np.ndarray], np.ndarray], str]:
         config = config_lib.validate(config_lib.load(f"configs/{name}"))
         policy = policy_file.describe(config, robot_lib.load(flags.what))._replace(mjcf="")
     else:
-        policy, _, _ = choice.find(flags)
+        policy, _, _ = source.of_flags(flags)
     size = len(policy.joint_names)
     if flags.policy == "zero":
         return policy, lambda obs: np.zeros(size), "zero actions"
@@ -138,7 +137,7 @@ def check_out(out: Path) -> None:
 
 
 def table(body: episode_lib.Body, episode: dict) -> list[tuple[str, str]]:
-    """What an episode came to, as (name, value) for a person."""
+    """The measures of an episode as (name, value), for printing."""
     m = episode_lib.measures(body, episode)
 
     def value(name, text, otherwise):
@@ -166,22 +165,22 @@ def write(body: episode_lib.Body, episode: dict, out: Path, acts: str, rows, pix
 
 
 def run(flags) -> None:
-    """Play as the flags say, and tell what came out."""
+    """Play as the flags say, and print the measures."""
     out = flags.out
     if out is not None:
         check_out(out)
-    asked = asked_lib.commands(flags.command, flags.seconds)
+    asked = command_script.commands(flags.command, flags.seconds)
     if flags.serve is not None:
         serve.run(flags, choose, asked if flags.command else None)
         return
     policy, act, acts = choose(flags)
-    body, other = choice.body(policy, flags.robot_xml, flags.keep_joints)
+    body, other = source.body(policy, flags.robot_xml, flags.keep_joints)
     seconds = flags.seconds or asked.seconds
     if out is None:
         viewer.check_display()
         if flags.command is None:  # to be steered from standing
             asked = asked._replace(at=lambda t: np.zeros(3), text=viewer.KEYS)
-    notes = [other, asked_lib.outside(policy, asked)]
+    notes = [other, command_script.outside(policy, asked)]
     print(f"dynappo plays {policy.robot}: {acts}; {asked.text}")
     if flags.robot_xml:
         ms = body.model.opt.timestep * 1e3

@@ -32,7 +32,7 @@ def size(text: str, out: Path | None) -> tuple[int, int]:
 
 
 def write(body: Body, episode: dict, out: Path, pixels: tuple[int, int] | None = None) -> str:
-    """`render.film`, which on two cores takes a minute: a line says so, on a terminal how far it is."""
+    """`render.film`, with its progress on a terminal; it takes a minute on two cores."""
 
     def tell(share):
         doing = ", encoding" if share >= 1 else ""

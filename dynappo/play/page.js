@@ -1,6 +1,6 @@
 // The viewer of a page that dynappo.play writes: everything is drawn here, nothing is fetched.
 //
-// 1 mathematics  2 the recording  3 shapes  4 WebGL  5 canvas, where there is no WebGL  6 the page
+// 1 mathematics  2 the recording  3 shapes  4 WebGL: one light and its shadow  5 the page
 //
 // World: metres, z up. Quaternions are (w, x, y, z), matrices 4 x 4 by columns. Functions above
 // "the page" are pure and are tested without a browser.
@@ -172,40 +172,22 @@ function capsule(radius, half, detail) {
 }
 
 function cylinder(radius, half, detail) {
-  // edges are broken a little, as those of real parts: they catch the light
-  const b = Math.min(0.12 * Math.min(radius, half), 0.0025), steps = detail > 5 ? 2 : 1;
-  return lathe([[0, -half, 0, -1], ...arc(-QUARTER, 0, steps, b, radius - b, b - half),
-    ...arc(0, QUARTER, steps, b, radius - b, half - b), [0, half, 0, 1]], 2 * detail);
+  return lathe([[0, -half, 0, -1], [radius, -half, 0, -1], [radius, -half, 1, 0],
+    [radius, half, 1, 0], [radius, half, 0, 1], [0, half, 0, 1]], 2 * detail);
 }
 
-function box(size, detail) {
-  // the surface of a cube whose points are pushed out of an inner box by the edges' radius
-  const b = Math.min(0.2 * Math.min(...size), 0.004), steps = detail > 8 ? 2 : 1;
+function box(size) {
   const points = [], normals = [], faces = [];
-  const line = (h) => {
-    const out = [];
-    for (let i = 0; i <= steps; i++) out.push(-h + b - b * Math.cos((QUARTER * i) / steps));
-    return [...out, ...out.map((x) => -x).reverse()];
-  };
   for (let axis = 0; axis < 3; axis++)
     for (const side of [-1, 1]) {
-      const u = (axis + 1) % 3, v = (axis + 2) % 3, us = line(size[u]), vs = line(size[v]);
-      const first = points.length / 3;
-      for (const y of vs)
-        for (const x of us) {
-          const p = [0, 0, 0];
-          [p[axis], p[u], p[v]] = [side * size[axis], x, y];
-          const inner = p.map((c, k) => clamp(c, b - size[k], size[k] - b));
-          const n = unit(sub(p, inner));
-          points.push(...add(inner, scale(n, b)));
-          normals.push(...n);
-        }
-      const w = us.length;
-      for (let j = 0; j + 1 < vs.length; j++)
-        for (let i = 0; i + 1 < w; i++) {
-          const a = first + j * w + i, c = a + w;
-          faces.push(...(side > 0 ? [a, a + 1, c + 1, a, c + 1, c] : [a, c + 1, a + 1, a, c, c + 1]));
-        }
+      const u = (axis + 1) % 3, v = (axis + 2) % 3, a = points.length / 3;
+      for (const [i, j] of [[-1, -1], [1, -1], [1, 1], [-1, 1]]) {
+        const p = [0, 0, 0], n = [0, 0, 0];
+        [p[axis], p[u], p[v], n[axis]] = [side * size[axis], i * size[u], j * size[v], side];
+        points.push(...p);
+        normals.push(...n);
+      }
+      faces.push(...(side > 0 ? [a, a + 1, a + 2, a, a + 2, a + 3] : [a, a + 2, a + 1, a, a + 3, a + 2]));
     }
   return { points, normals, faces };
 }
@@ -234,7 +216,7 @@ function shape(geom, meshes, most) {
   if (geom.type === "capsule") return capsule(a, b, detail);
   if (geom.type === "cylinder") return cylinder(a, b, detail);
   if (geom.type === "mesh") return imported(meshes[geom.mesh]);
-  return box(geom.size, most);
+  return box(geom.size);
 }
 
 // all shapes that move with `body`, in its frame, with a colour and a finish for every vertex
@@ -338,93 +320,30 @@ function shoot(camera, aspect) {
     projection: perspective(fovy, aspect, 0.02 * camera.distance, 60 + camera.distance) };
 }
 
-// ---- 4 WebGL
+// ---- 4 WebGL: one light and its shadow
 
 const SUN = unit([0.42, -0.52, 0.86]);  // towards it; close to the light of the robots' MJCF
-const SHADOW = 2048, BELOW = 512;  // texels of a side: shadow of the sun; height map for contact
+const SHADOW = 2048;  // texels of a side
+const AIR = [0.87, 0.905, 0.937];  // what is far away has this colour, as the page behind it
 
-// Colours are linear inside the shaders; `finish` is specular, shininess, emission of the MJCF.
 const LIGHT = `#version 300 es
 precision highp float;
 precision highp sampler2DShadow;
-uniform vec3 eye, sun, center;
-uniform float size, ground;
-uniform int level;  // 0: all that a graphics card can do with ease, to 3: what a processor can
-uniform mat4 sunView, belowView, aboveView;
-uniform sampler2DShadow sunShadow;
-uniform sampler2D sunDepth, belowDepth, aboveDepth;
-const vec3 HORIZON = vec3(1.12, 1.21, 1.31), ZENITH = vec3(0.26, 0.46, 0.80);
-const vec3 SUNLIGHT = vec3(2.35, 2.22, 2.02);
-
-vec3 sky(vec3 d) {
-  return mix(HORIZON, ZENITH, pow(clamp(d.z, 0.0, 1.0), 0.55));
-}
-// what a surface mirrors: floor, sky, and a large soft light above
-vec3 surroundings(vec3 d, float rough) {
-  float soft = mix(0.03, 0.5, rough);
-  vec3 c = mix(vec3(0.40, 0.41, 0.43), sky(vec3(d.xy, abs(d.z) * 0.7)), smoothstep(-soft, soft, d.z));
-  float lamp = smoothstep(0.80 - soft, 0.80 + soft, dot(d, normalize(vec3(0.25, 0.3, 0.92))));
-  return c + vec3(1.5, 1.5, 1.55) * lamp * (1.0 - 0.6 * rough);
-}
-float noise(vec2 p) {
-  return fract(52.9829189 * fract(dot(p, vec2(0.06711056, 0.00583715))));
-}
-vec2 disc(int i, int n, float spin, float power) {
-  float a = float(i) * 2.39996323 + spin * 6.2831853;
-  return pow((float(i) + 0.5) / float(n), power) * vec2(cos(a), sin(a));
-}
-// share of the sun that reaches p; the penumbra grows with the distance to what casts the shadow
-float sunlight(vec3 p, vec3 n) {
-  vec4 q = sunView * vec4(p + n * 0.014 * size, 1.0);
-  vec3 c = q.xyz * 0.5 + 0.5;
+uniform vec3 eye, sun, air;
+uniform float size;  // m, of the robot
+uniform mat4 sunView;
+uniform sampler2DShadow shadow;
+out vec4 pixel;
+float sunlight(vec3 p) {  // share of the sun that reaches p
+  vec3 c = (sunView * vec4(p, 1.0)).xyz * 0.5 + 0.5;
   if (any(lessThan(c, vec3(0.0))) || any(greaterThan(c, vec3(1.0)))) return 1.0;
-  if (level > 2) return texture(sunShadow, vec3(c.xy, c.z - 0.0012));
-  int near = 16 >> level, taps = 28 >> level;
-  float spin = noise(gl_FragCoord.xy), blockers = 0.0, depth = 0.0;
-  for (int i = 0; i < near; i++) {
-    float d = texture(sunDepth, c.xy + disc(i, near, spin, 0.5) * 0.014).r;
-    if (d < c.z - 0.0012) { blockers += 1.0; depth += d; }
-  }
-  if (blockers < 0.5) return 1.0;
-  float width = clamp((c.z - depth / blockers) * 0.10, 0.0010, 0.014), light = 0.0;
-  for (int i = 0; i < taps; i++)
-    light += texture(sunShadow, vec3(c.xy + disc(i, taps, spin, 0.5) * width, c.z - 0.0012));
-  return light / float(taps);
-}
-// share of the sky above p that nothing covers, from heights seen from above
-float openness(vec3 p, vec3 n) {
-  if (level > 2) return 1.0;
-  vec3 c = (aboveView * vec4(p + n * 0.02 * size, 1.0)).xyz * 0.5 + 0.5;
-  if (any(lessThan(c.xy, vec2(0.0))) || any(greaterThan(c.xy, vec2(1.0)))) return 1.0;
-  int taps = 18 >> level;
-  float spin = noise(gl_FragCoord.yx + 17.0), covered = 0.0;
-  for (int i = 0; i < taps; i++) {
-    float d = texture(aboveDepth, c.xy + disc(i, taps, spin, 0.6) * 0.16).r;
-    covered += step(d, c.z - 0.004);
-  }
-  return 1.0 - covered / float(taps);
-}
-// darkening of the floor at p by what stands on it, from heights seen from below
-float contact(vec3 p) {
-  if (level > 2) return 0.0;
-  vec2 c = (belowView * vec4(p, 1.0)).xy * 0.5 + 0.5;
-  if (any(lessThan(c, vec2(0.0))) || any(greaterThan(c, vec2(1.0)))) return 0.0;
-  int taps = 20 >> level;
-  float spin = noise(gl_FragCoord.xy + 31.0), dark = 0.0;
-  for (int i = 0; i < taps; i++) {
-    float height = texture(belowDepth, c + disc(i, taps, spin, 0.9) * 0.045).r * 1.6 * size;
-    dark += exp(-max(height, 0.0) / (0.075 * size));
-  }
-  return dark / float(taps);
-}
-vec3 develop(vec3 c) {  // exposure, a soft shoulder, and the screen's transfer curve
-  c *= 0.62;
-  c = c * (2.51 * c + 0.03) / (c * (2.43 * c + 0.59) + 0.14);
-  return pow(clamp(c, 0.0, 1.0), vec3(1.0 / 2.2));
+  float light = 0.0;
+  for (int i = 0; i < 9; i++)
+    light += texture(shadow, vec3(c.xy + vec2(i % 3 - 1, i / 3 - 1) * 0.0007, c.z - 0.0015));
+  return light / 9.0;
 }
 vec3 haze(vec3 c, vec3 p) {
-  float d = length(p - eye) / size;
-  return mix(c, sky(normalize(p - eye)), 1.0 - exp(-pow(d / 28.0, 2.2)));
+  return mix(c, air, 1.0 - exp(-pow(length(p - eye) / (28.0 * size), 2.2)));
 }
 `;
 const SURFACE_VERTEX = `#version 300 es
@@ -433,39 +352,19 @@ uniform mat4 model, camera;
 out vec3 p, n, albedo, coat;
 void main() {
   vec4 world = model * vec4(point, 1.0);
-  p = world.xyz; n = mat3(model) * normal; albedo = pow(color, vec3(2.2)); coat = finish;
+  p = world.xyz; n = mat3(model) * normal; albedo = color; coat = finish;
   gl_Position = camera * world;
 }`;
 const SURFACE = LIGHT + `
-in vec3 p, n, albedo, coat;
-uniform float mirrored, bright;
-out vec4 pixel;
+in vec3 p, n, albedo, coat;  // coat: specular, shininess, emission of the MJCF
+uniform float shaded;
 void main() {
-  vec3 normal = normalize(n), v = normalize(eye - p);
-  if (mirrored > 0.5) { if (p.z > ground) discard; v = normalize(vec3(eye.xy, 2.0 * ground - eye.z) - p); v.z = -v.z; normal.z = -normal.z; }
-  vec3 at = mirrored > 0.5 ? vec3(p.xy, 2.0 * ground - p.z) : p;
+  vec3 normal = normalize(n), halfway = normalize(sun + normalize(eye - p));
   float light = max(dot(normal, sun), 0.0);
-  if (light > 0.0 && bright < 0.5) light *= sunlight(at, normal);
-  float open = bright > 0.5 ? 1.0 : openness(at, normal);
-  float up = normal.z * 0.5 + 0.5, low = smoothstep(0.0, 0.30 * size, at.z - ground);
-  vec3 bounce = vec3(0.34, 0.34, 0.35) * mix(0.35, 1.0, low) * mix(0.55, 1.0, open);
-  vec3 ambient = mix(bounce, vec3(0.70, 0.76, 0.86) * mix(0.30, 1.0, open), up);
-  float rough = mix(0.72, 0.20, coat.y), a = rough * rough, a2 = a * a;
-  vec3 h = normalize(v + sun);
-  float nh = max(dot(normal, h), 0.0), nv = max(dot(normal, v), 0.02), vh = max(dot(v, h), 0.0);
-  float d = a2 / (3.14159 * pow(nh * nh * (a2 - 1.0) + 1.0, 2.0));
-  float f0 = 0.02 + 0.06 * coat.x, k = a * 0.5;
-  float fresnel = f0 + (1.0 - f0) * pow(1.0 - vh, 5.0);
-  float glint = min(d * fresnel / (4.0 * mix(nv, 1.0, k) * mix(max(dot(normal, sun), 0.02), 1.0, k)), 6.0);
-  float edge = f0 + (max(1.0 - rough, f0) - f0) * pow(1.0 - nv, 5.0);
-  vec3 r = reflect(-v, normal);
-  vec3 c = albedo * (ambient + SUNLIGHT * light * 0.62);
-  c += glint * light * SUNLIGHT * min(coat.x * 2.0, 1.0);
-  c += surroundings(r, rough) * edge * mix(0.2, 0.8, open) * min(coat.x * 1.6, 1.0);
-  c = mix(c, albedo * 1.35, max(coat.z, bright * 0.55));
-  c = haze(c, at);
-  if (mirrored > 0.5) c = mix(c, vec3(0.60, 0.61, 0.63), smoothstep(0.0, 0.5 * size, at.z - ground));
-  pixel = vec4(develop(c), 1.0);
+  if (shaded > 0.5) light *= sunlight(p + normal * 0.014 * size);
+  float glint = 0.5 * coat.x * pow(max(dot(normal, halfway), 0.0), 1.0 + 128.0 * coat.y) * light;
+  vec3 ambient = mix(vec3(0.48, 0.48, 0.49), vec3(0.80, 0.82, 0.85), 0.5 + 0.5 * normal.z);
+  pixel = vec4(haze(albedo * (ambient + 0.5 * light + coat.z) + glint, p), 1.0);
 }`;
 const FLOOR_VERTEX = `#version 300 es
 in vec3 point;
@@ -480,48 +379,16 @@ void main() {
 const FLOOR = LIGHT + `
 in vec3 p;
 uniform float tile;
-out vec4 pixel;
 // checkerboard, filtered with a box as wide as the pixel (the integral of a square wave, squared)
 float checker(vec2 x, vec2 w) {
   vec2 i = 2.0 * (abs(fract((x - 0.5 * w) * 0.5) - 0.5) - abs(fract((x + 0.5 * w) * 0.5) - 0.5)) / w;
   return 0.5 - 0.5 * i.x * i.y;
 }
-float lines(vec2 x, vec2 w, float width) {
-  vec2 d = abs(fract(x - 0.5) - 0.5), soft = max(w, vec2(width));
-  vec2 l = (1.0 - smoothstep(vec2(0.0), soft, d)) * min(width / soft, 1.0);
-  return max(l.x, l.y);
-}
 void main() {
   vec2 x = p.xy / tile, w = max(fwidth(x), vec2(1e-4));
-  vec3 albedo = mix(vec3(0.45, 0.462, 0.48), vec3(0.535, 0.547, 0.563), checker(x, w));
-  albedo = mix(albedo, vec3(0.62, 0.63, 0.645), 0.5 * lines(x * 0.5, w * 0.5, 0.006));
-  float near = 1.0 - smoothstep(2.6, 3.6, length(p.xy - center.xy) / size);
-  float light = sun.z, open = 1.0, dark = 0.0;
-  if (near > 0.0) {
-    light *= mix(1.0, sunlight(p, vec3(0.0, 0.0, 1.0)), near);
-    open = mix(1.0, openness(p, vec3(0.0, 0.0, 1.0)), near);
-    dark = contact(p) * near;
-  }
-  vec3 v = normalize(eye - p);
-  vec3 c = albedo * (vec3(0.66, 0.71, 0.80) * mix(0.55, 1.0, open) * (1.0 - 0.75 * dark) + SUNLIGHT * light * 0.62 * (1.0 - 0.35 * dark));
-  float fresnel = pow(1.0 - max(v.z, 0.0), 5.0);
-  c = haze(c + 0.07 * fresnel * HORIZON, p);
-  pixel = vec4(develop(c), 1.0 - (0.10 + 0.25 * fresnel) * near);
+  vec3 c = mix(vec3(0.775, 0.785, 0.80), vec3(0.83, 0.84, 0.85), checker(x, w));
+  pixel = vec4(haze(c * (0.68 + 0.32 * sunlight(p)), p), 1.0);
 }`;
-const SKY_VERTEX = `#version 300 es
-in vec3 point;
-uniform mat4 unproject;
-uniform vec3 eye;
-out vec3 d;
-void main() {
-  vec4 far = unproject * vec4(point.xy, 1.0, 1.0);
-  d = far.xyz / far.w - eye;
-  gl_Position = vec4(point.xy, 1.0, 1.0);
-}`;
-const SKY = LIGHT + `
-in vec3 d;
-out vec4 pixel;
-void main() { pixel = vec4(develop(sky(normalize(d))) + (noise(gl_FragCoord.xy) - 0.5) / 255.0, 1.0); }`;
 const DEPTH_VERTEX = `#version 300 es
 in vec3 point;
 uniform mat4 model, camera;
@@ -588,69 +455,32 @@ function upload(gl, mesh, usage) {
   } };
 }
 
-// a square depth texture to draw into
-function depthMap(gl, side) {
-  const texture = gl.createTexture(), target = gl.createFramebuffer();
-  gl.bindTexture(gl.TEXTURE_2D, texture);
-  gl.texStorage2D(gl.TEXTURE_2D, 1, gl.DEPTH_COMPONENT24, side, side);
+// the depth texture of the shadow, to draw into and to compare with
+function shadowMap(gl) {
+  const target = gl.createFramebuffer();
+  gl.bindTexture(gl.TEXTURE_2D, gl.createTexture());
+  gl.texStorage2D(gl.TEXTURE_2D, 1, gl.DEPTH_COMPONENT24, SHADOW, SHADOW);
+  for (const [name, value] of [
+    [gl.TEXTURE_MIN_FILTER, gl.LINEAR], [gl.TEXTURE_MAG_FILTER, gl.LINEAR],
+    [gl.TEXTURE_WRAP_S, gl.CLAMP_TO_EDGE], [gl.TEXTURE_WRAP_T, gl.CLAMP_TO_EDGE],
+    [gl.TEXTURE_COMPARE_MODE, gl.COMPARE_REF_TO_TEXTURE], [gl.TEXTURE_COMPARE_FUNC, gl.LEQUAL],
+  ]) gl.texParameteri(gl.TEXTURE_2D, name, value);
+  const texture = gl.getParameter(gl.TEXTURE_BINDING_2D);
   gl.bindFramebuffer(gl.FRAMEBUFFER, target);
   gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.DEPTH_ATTACHMENT, gl.TEXTURE_2D, texture, 0);
   gl.bindFramebuffer(gl.FRAMEBUFFER, null);
-  return { texture, target, side };
+  return target;
 }
 
-function sampler(gl, filter, compare) {
-  const s = gl.createSampler();
-  for (const name of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) gl.samplerParameteri(s, name, filter);
-  for (const name of [gl.TEXTURE_WRAP_S, gl.TEXTURE_WRAP_T]) gl.samplerParameteri(s, name, gl.CLAMP_TO_EDGE);
-  if (compare) {
-    gl.samplerParameteri(s, gl.TEXTURE_COMPARE_MODE, gl.COMPARE_REF_TO_TEXTURE);
-    gl.samplerParameteri(s, gl.TEXTURE_COMPARE_FUNC, gl.LEQUAL);
-  }
-  return s;
-}
-
-function invert(m) {  // of a 4 x 4 matrix, by Gauss-Jordan
-  const a = [], n = 4;
-  for (let r = 0; r < n; r++) {
-    a.push([]);
-    for (let c = 0; c < n; c++) a[r].push(m[4 * c + r]);
-    for (let c = 0; c < n; c++) a[r].push(r === c ? 1 : 0);
-  }
-  for (let k = 0; k < n; k++) {
-    let pivot = k;
-    for (let r = k; r < n; r++) if (Math.abs(a[r][k]) > Math.abs(a[pivot][k])) pivot = r;
-    [a[k], a[pivot]] = [a[pivot], a[k]];
-    const d = a[k][k];
-    a[k] = a[k].map((x) => x / d);
-    for (let r = 0; r < n; r++) if (r !== k) {
-      const f = a[r][k];
-      a[r] = a[r].map((x, c) => x - f * a[k][c]);
-    }
-  }
-  const out = [];
-  for (let c = 0; c < n; c++) for (let r = 0; r < n; r++) out.push(a[r][n + c]);
-  return out;
-}
-
-// the cameras of the depth maps: from the sun, from under the floor, from above
-function lamps(scene, center) {
-  const half = 2.6 * scene.radius, snap = (2 * half) / SHADOW;
-  const side = lookAt(SUN, [0, 0, 0], [0, 0, 1]);
+// the camera of the shadow, about `center`: world -> its texture
+function fromSun(scene, center) {
+  const half = 2.6 * scene.radius, texel = (2 * half) / SHADOW, view = lookAt(SUN, [0, 0, 0], [0, 0, 1]);
   // moved by whole texels only, else the edges of shadows crawl
-  const at = [0, 1, 2].map((k) => side[k] * center[0] + side[4 + k] * center[1] + side[8 + k] * center[2]);
-  const move = at.map((x, k) => (k < 2 ? Math.round(x / snap) * snap : x));
-  const view = [...side];
-  for (let k = 0; k < 3; k++) view[12 + k] = -move[k] - (k === 2 ? 2 * half : 0);
-  const low = [center[0], center[1], scene.floor], height = 1.6 * scene.radius;
-  const below = lookAt(add(low, [0, 0, -1]), low, [0, 1, 0]);
-  const above = lookAt(add(low, [0, 0, 4 * height]), low, [0, 1, 0]);
-  const reach = 1.5 * scene.radius;
-  return {
-    sun: times(orthographic(half, 0, 4 * half), view),
-    below: times(orthographic(reach, 1, 1 + height), below),
-    above: times(orthographic(reach, 0, 4 * height), above),
-  };
+  for (let k = 0; k < 3; k++) {
+    const at = view[k] * center[0] + view[4 + k] * center[1] + view[8 + k] * center[2];
+    view[12 + k] = k < 2 ? -Math.round(at / texel) * texel : -at - 2 * half;
+  }
+  return times(orthographic(half, 0, 4 * half), view);
 }
 
 // draw(state) for WebGL 2, or null where the browser has none
@@ -658,8 +488,7 @@ function webgl(canvas, scene) {
   const gl = canvas.getContext("webgl2", { antialias: true, alpha: false, powerPreference: "high-performance" });
   if (!gl) return null;
   const surface = link(gl, SURFACE_VERTEX, SURFACE), floor = link(gl, FLOOR_VERTEX, FLOOR);
-  const sky = link(gl, SKY_VERTEX, SKY), depth = link(gl, DEPTH_VERTEX, DEPTH);
-  const line = link(gl, TRAIL_VERTEX, TRAIL);
+  const depth = link(gl, DEPTH_VERTEX, DEPTH), line = link(gl, TRAIL_VERTEX, TRAIL);
   const square = upload(gl, { points: [-1, -1, 0, 1, -1, 0, 1, 1, 0, -1, 1, 0], faces: [0, 1, 2, 0, 2, 3] });
   const kinds = { looks: (g) => g.group < 3, contacts: (g) => g.group >= 3 || g.body < 0 };
   const meshes = {};
@@ -670,16 +499,7 @@ function webgl(canvas, scene) {
       if (mesh.faces.length) meshes[kind].push({ body, ...upload(gl, mesh) });
     }
   }
-  const maps = { sun: depthMap(gl, SHADOW), below: depthMap(gl, BELOW), above: depthMap(gl, BELOW) };
-  const compare = sampler(gl, gl.LINEAR, true), plain = sampler(gl, gl.NEAREST, false);
-  const units = [["sunShadow", maps.sun, compare], ["sunDepth", maps.sun, plain],
-    ["belowDepth", maps.below, plain], ["aboveDepth", maps.above, plain]];
-  units.forEach(([, map, how], i) => {
-    gl.activeTexture(gl.TEXTURE0 + i);
-    gl.bindTexture(gl.TEXTURE_2D, map.texture);
-    gl.bindSampler(i, how);
-  });
-  const whole = matrix([0, 0, 0], rotation([1, 0, 0, 0]));
+  const shadow = shadowMap(gl), whole = matrix([0, 0, 0], rotation([1, 0, 0, 0]));
 
   function use({ program, uniforms }, values) {
     gl.useProgram(program);
@@ -702,69 +522,46 @@ function webgl(canvas, scene) {
       draw(mesh);
     }
   }
+  function once(mesh) {
+    const on = upload(gl, mesh, gl.STREAM_DRAW);
+    draw(on);
+    on.free();
+  }
 
   return function render(state) {
     const { camera, bodies, kind } = state, width = canvas.width, height = canvas.height;
     const { eye, view, projection } = shoot(camera, width / height);
     const matrices = bodies.map((b) => matrix(b.position, rotation(b.quat)));
     const base = bodies[scene.base].position, center = [base[0], base[1], scene.floor + 0.3 * scene.radius];
-    const lamp = lamps(scene, center), seen = times(projection, view);
+    const world = { eye, center, sun: SUN, air: AIR, size: scene.radius, ground: scene.floor, tile: scene.tile,
+      sunView: fromSun(scene, center), camera: times(projection, view), shaded: 1, shadow: 0 };
     gl.enable(gl.DEPTH_TEST);
-    gl.depthFunc(gl.LEQUAL);  // the sky lies on the far plane
-    gl.enable(gl.CULL_FACE);
     gl.disable(gl.BLEND);
-    for (const [name, map] of Object.entries(maps)) {
-      if (state.level > 2 && name !== "sun") continue;
-      gl.bindFramebuffer(gl.FRAMEBUFFER, map.target);
-      gl.viewport(0, 0, map.side, map.side);
-      gl.clear(gl.DEPTH_BUFFER_BIT);
-      use(depth, { camera: lamp[name] });
-      robot(depth, kind, matrices);
-    }
+    gl.bindFramebuffer(gl.FRAMEBUFFER, shadow);
+    gl.viewport(0, 0, SHADOW, SHADOW);
+    gl.clear(gl.DEPTH_BUFFER_BIT);
+    use(depth, { camera: world.sunView });
+    robot(depth, kind, matrices);
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
     gl.viewport(0, 0, width, height);
+    gl.clearColor(...AIR, 1);
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
-    const world = { eye, sun: SUN, center, size: scene.radius, ground: scene.floor,
-      sunView: lamp.sun, belowView: lamp.below, aboveView: lamp.above, camera: seen,
-      unproject: invert(seen), tile: scene.tile, level: state.level, mirrored: 0, bright: 0 };
-    units.forEach(([name], i) => (world[name] = i));
-
-    gl.depthMask(false);
-    use(sky, world);
-    draw(square);
-    gl.depthMask(true);
-    // the floor mirrors a little: the robot upside down, seen through the floor
-    const mirror = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, -1, 0, 0, 0, 2 * scene.floor, 1];
-    gl.frontFace(gl.CW);
-    use(surface, { ...world, mirrored: 1 });
-    if (state.level < 2) robot(surface, kind, matrices.map((m) => times(mirror, m)));
-    gl.frontFace(gl.CCW);
-    gl.enable(gl.BLEND);
-    gl.blendFunc(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA);
-    gl.disable(gl.CULL_FACE);
     use(floor, world);
     draw(square);
-    const path = ribbon(trail(scene, state.row), 0.008 * scene.radius, scene.floor + 0.002 * scene.radius);
-    if (path) {
-      const mesh = upload(gl, path, gl.STREAM_DRAW);
-      gl.depthMask(false);
-      use(line, world);
-      draw(mesh);
-      gl.depthMask(true);
-      mesh.free();
-    }
-    gl.disable(gl.BLEND);
-    gl.enable(gl.CULL_FACE);
     use(surface, world);
     robot(surface, kind, matrices);
-    use(surface, { model: whole, bright: 1 });
-    for (const mesh of arrows(scene, bodies, state.command, state.velocity)) {
-      const on = upload(gl, mesh, gl.STREAM_DRAW);
-      gl.vertexAttrib3fv(2, mesh.color);
-      gl.vertexAttrib3fv(3, [0.5, 0.5, 0]);
-      draw(on);
-      on.free();
+    use(surface, { model: whole, shaded: 0 });
+    for (const arrow of arrows(scene, bodies, state.command, state.velocity)) {
+      gl.vertexAttrib3fv(2, arrow.color);
+      gl.vertexAttrib3fv(3, [0, 0, 0.3]);
+      once(arrow);
     }
+    const path = ribbon(trail(scene, state.row), 0.008 * scene.radius, scene.floor + 0.002 * scene.radius);
+    if (!path) return;
+    gl.enable(gl.BLEND);
+    gl.blendFunc(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA);
+    use(line, world);
+    once(path);
   };
 }
 
@@ -783,98 +580,9 @@ function ribbon(points, half, z) {
   return n > 1 ? out : null;
 }
 
-// ---- 5 canvas: flat triangles from far to near, for browsers without WebGL 2
+// ---- 5 the page
 
-function flat(canvas, scene) {
-  const pen = canvas.getContext("2d");
-  const kinds = { looks: (g) => g.group < 3, contacts: (g) => g.group >= 3 || g.body < 0 };
-  const meshes = {};
-  for (const [kind, wanted] of Object.entries(kinds)) {
-    meshes[kind] = [];
-    for (let body = -1; body < scene.bodies; body++)
-      meshes[kind].push({ body, ...merge(scene, body, wanted, 5) });
-  }
-  return function render(state) {
-    const { camera, bodies, kind } = state, w = canvas.width, h = canvas.height;
-    const { eye, view, projection } = shoot(camera, w / h), seen = times(projection, view);
-    const project = (p) => {
-      const out = [0, 1, 3].map((k) => seen[k] * p[0] + seen[4 + k] * p[1] + seen[8 + k] * p[2] + seen[12 + k]);
-      return out[2] < 0.05 ? null : [(0.5 + (0.5 * out[0]) / out[2]) * w, (0.5 - (0.5 * out[1]) / out[2]) * h, out[2]];
-    };
-    const polygon = (points) => {
-      if (points.some((p) => !p)) return false;
-      points.forEach((p, i) => (i ? pen.lineTo(p[0], p[1]) : pen.moveTo(p[0], p[1])));
-      return true;
-    };
-    const back = pen.createLinearGradient(0, 0, 0, h);
-    back.addColorStop(0, "#a9bfd8");
-    back.addColorStop(0.45, "#dfe7ef");
-    back.addColorStop(1, "#dfe7ef");
-    pen.fillStyle = back;
-    pen.fillRect(0, 0, w, h);
-    const base = bodies[scene.base].position, tile = scene.tile, reach = Math.ceil((9 * scene.radius) / tile);
-    const i0 = Math.floor(base[0] / tile), j0 = Math.floor(base[1] / tile);
-    for (let i = i0 - reach; i <= i0 + reach; i++)
-      for (let j = j0 - reach; j <= j0 + reach; j++) {
-        const fade = 1 - Math.hypot(i - i0, j - j0) / reach;
-        if (fade <= 0) continue;
-        const corners = [[0, 0], [1, 0], [1, 1], [0, 1]]
-          .map(([a, b]) => project([(i + a) * tile, (j + b) * tile, scene.floor]));
-        pen.fillStyle = (i + j) & 1 ? `rgba(190,194,198,${fade})` : `rgba(204,208,211,${fade})`;
-        pen.beginPath();
-        if (polygon(corners)) pen.fill();
-      }
-    const triangles = [];
-    pen.beginPath();  // the shadow: every triangle laid flat along the sun's rays
-    const dark = ([a, b, c]) => {  // all turning one way, so that they add up to one outline
-      if (!a || !b || !c) return;
-      const left = (b[0] - a[0]) * (c[1] - a[1]) > (b[1] - a[1]) * (c[0] - a[0]);
-      polygon(left ? [a, b, c] : [a, c, b]);
-    };
-    const take = (points, normals, faces, colors, shaded) => {
-      const on = [];
-      for (let i = 0; i < points.length; i += 3) on.push(project(points.slice(i, i + 3)));
-      for (let i = 0; i < faces.length; i += 3) {
-        const [a, b, c] = [faces[i], faces[i + 1], faces[i + 2]], p = 3 * a;
-        const n = [normals[p], normals[p + 1], normals[p + 2]];
-        if (shaded)
-          dark([a, b, c].map((f) => {
-            const s = (points[3 * f + 2] - scene.floor) / SUN[2];
-            return project([points[3 * f] - SUN[0] * s, points[3 * f + 1] - SUN[1] * s, scene.floor]);
-          }));
-        if (!on[a] || !on[b] || !on[c] || dot(n, sub(eye, points.slice(p, p + 3))) < 0) continue;
-        const light = 0.5 + 0.2 * n[2] + 0.45 * Math.max(dot(n, SUN), 0);
-        triangles.push([on[a][2] + on[b][2] + on[c][2], on[a], on[b], on[c],
-          [0, 1, 2].map((k) => Math.round(255 * Math.min(1, colors(p)[k] * light)))]);
-      }
-    };
-    for (const mesh of meshes[kind]) {
-      const r = mesh.body < 0 ? rotation([1, 0, 0, 0]) : rotation(bodies[mesh.body].quat);
-      const at = mesh.body < 0 ? [0, 0, 0] : bodies[mesh.body].position, points = [], normals = [];
-      for (let i = 0; i < mesh.points.length; i += 3) {
-        points.push(...add(turn(r, mesh.points.slice(i, i + 3)), at));
-        normals.push(...turn(r, mesh.normals.slice(i, i + 3)));
-      }
-      take(points, normals, mesh.faces, (p) => mesh.colors.slice(p, p + 3), true);
-    }
-    pen.fillStyle = "rgba(70,76,86,0.45)";
-    pen.fill("nonzero");
-    for (const a of arrows(scene, bodies, state.command, state.velocity))
-      take(a.points, a.normals, a.faces, () => a.color, false);
-    triangles.sort((a, b) => b[0] - a[0]);
-    for (const [, a, b, c, color] of triangles) {
-      pen.fillStyle = pen.strokeStyle = `rgb(${color.join(",")})`;
-      pen.beginPath();
-      polygon([a, b, c]);
-      pen.fill();
-      pen.stroke();
-    }
-  };
-}
-
-// ---- 6 the page
-
-const SHARP = [1, 1, 0.75, 0.5];  // pixels a screen pixel, by level
+const SHARP = [1, 0.75, 0.5];  // pixels a screen pixel: a machine that cannot keep up draws fewer
 const SPEEDS = [0.1, 0.25, 0.5, 1, 2];
 const signed = (x) => (x < 0 ? "\u2212" : "+") + Math.abs(x).toFixed(2);
 
@@ -913,23 +621,12 @@ function chart(pen, scene, w, h, row) {
 function main() {
   const $ = (id) => document.getElementById(id);
   let scene = decode(JSON.parse($("scene").textContent)), last = scene.rows - 1;
-  let canvas = $("stage"), render = null;
-  try {
-    render = /[#&]flat/.test(location.hash) ? null : webgl(canvas, scene);
-  } catch (error) {
-    console.warn(error.message);
-  }
-  if (!render) {
-    const other = canvas.cloneNode();  // a canvas has one kind of context in its life
-    canvas.replaceWith(other);
-    canvas = other;
-    render = flat(canvas, scene);
-    $("note").hidden = false;
-  }
+  const canvas = $("stage"), render = webgl(canvas, scene) || (() => {});
+  $("note").hidden = canvas.getContext("webgl2") !== null;
   const home = { azimuth: -0.66, elevation: 0.2, distance: 4.6 * scene.radius };
   const camera = { ...home, fovy: 0.55, target: [0, 0, 0] };
   const state = { row: 0, playing: true, speed: 1, follow: true, kind: "looks", level: 0, held: 0 };
-  const start = /[#&]t=([\d.]+)/.exec(location.hash);  // page.html#t=2.5 shows that moment; also #contacts, #flat
+  const start = /[#&]t=([\d.]+)/.exec(location.hash);  // page.html#t=2.5 shows that moment; also #contacts
   if (start) Object.assign(state, { row: clamp(Math.round(start[1] / scene.dt) - 1, 0, last), playing: false });
   const aim = (row) => {
     const p = pose(scene, row)[scene.base].position;
@@ -1018,9 +715,8 @@ function main() {
         if (state.held > 1) seek((state.held = 0));
       }
     }
-    // a machine that cannot keep up gets a simpler picture, with fewer pixels
     late = took > 0.05 ? late + 1 + Math.floor(took / 0.2) : 0;
-    if (late > 4 && state.level < 3) [state.level, late] = [state.level + 1, 0];
+    if (late > 4 && state.level < SHARP.length - 1) [state.level, late] = [state.level + 1, 0];
     if (state.follow) {
       const goal = aim(state.row), pull = state.playing ? 1 - Math.exp(-passed * 12) : 1;
       camera.target = camera.target.map((x, k) => mix(x, goal[k], pull));

@@ -8,8 +8,8 @@ import threading
 from collections.abc import Callable
 from typing import Any
 
-from dynappo.policy import choice
 from dynappo.policy import episode as episode_lib
+from dynappo.policy import source
 from dynappo.web import address, live, policies
 from dynappo.web.policies import Chosen, Offer
 
@@ -30,7 +30,7 @@ def run(flags: argparse.Namespace, choose: Callable, asked: Any) -> None:
     offer, named = Offer(flags.what, flags.run_seed, flags.robot_xml, flags.keep_joints), None
     if flags.policy:
         policy, act, named = choose(flags)
-        body, note = choice.body(policy, flags.robot_xml, flags.keep_joints)
+        body, note = source.body(policy, flags.robot_xml, flags.keep_joints)
         first = Chosen(body, act, named, note)
     else:
         first = policies.load(offer, policies.names(offer)[0])
@@ -54,7 +54,7 @@ def run(flags: argparse.Namespace, choose: Callable, asked: Any) -> None:
 
 
 def _at_eof(stop: threading.Event) -> None:
-    """Set `stop` when whoever started this process closes its stdin, or is no more."""
+    """Set `stop` when the process that started this one closes our stdin, or ends."""
     while sys.stdin.buffer.raw.read(1):  # pyright: ignore[reportAttributeAccessIssue]
         pass
     stop.set()

@@ -67,7 +67,7 @@ def steer(asked: np.ndarray, key: int, policy: Policy) -> np.ndarray:
 def window(body: episode_lib.Body, data, press: Callable[[int], None]):
     """MuJoCo's viewer of `data`, following the robot; `press(key)` is called in its thread.
 
-    Its thread is waited for: Python that ends before it does so with a segmentation fault.
+    At the end it waits for the viewer's thread: Python would crash if it ended first.
     """
     from mujoco import viewer
 

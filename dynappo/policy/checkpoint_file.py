@@ -1,11 +1,11 @@
 """Reads a checkpoint's arrays without JAX. It checks the hash and changes nothing in the folder.
 
-It uses tensorstore, because orbax would import JAX, and JAX would occupy a GPU that is training.
-Python reads the files, and tensorstore decodes them in memory. This keeps three kinds of failure
-apart: if the machine cannot read a file now, that is an OSError or a MemoryError; if the files are
-proven wrong (missing, cut, a checksum that fails), that is `Damaged`; anything else may be a fault
-of this program or of another version of its libraries, and is another ConfigError. A run moves
-only what is `Damaged` out of its way.
+It uses tensorstore, with which orbax writes them: orbax itself would start JAX, and JAX would occupy a
+GPU that is training. Python reads the files, and tensorstore decodes them in memory. This keeps three
+kinds of failure apart: if the machine cannot read a file now, that is an OSError or a MemoryError; if
+the files are proven wrong (missing, cut, a checksum that fails), that is `Damaged`; anything else may be
+a fault of this program or of another version of its libraries, and is `Unread`. A run moves only what is
+`Damaged` out of its way.
 """
 
 from __future__ import annotations
@@ -24,10 +24,7 @@ from dynappo.config import ConfigError
 STATE = "state"  # the folder of a checkpoint's arrays
 MERGED = "manifest.ocdbt"  # in it, where its arrays begin
 WRITTEN = "ocdbt.process_0"  # and the folder to which process 0 has written them
-JSON = 2**24  # bytes of a JSON file, at most
-ROOM = 2**26  # bytes of a checkpoint's files beside those of its arrays, at most
 LOST = (FileNotFoundError, NotADirectoryError, IsADirectoryError)  # trying again does not help
-MEMORY = 2**36  # bytes, assumed if the system does not tell its memory
 # what tensorstore says of bytes that are missing or wrong; of a format it does not know it speaks
 # as of wrong bytes, but names the version
 PROOF = re.compile("DATA_LOSS|OUT_OF_RANGE|NOT_FOUND|checksum|ZSTD_|Zstd-|Not enough data")
@@ -50,7 +47,16 @@ class Unread(ConfigError):
             f"{folder}: cannot be read here, which is no proof that it is damaged ({reason}); nothing "
             "was changed. Read it with the versions that wrote it; to do without it, move it away"
         )
-        self.reason = reason
+
+
+def iterations(folder: Path) -> list[int]:
+    """Iterations of the complete checkpoints in `folder`, newest first."""
+    try:
+        names = os.listdir(folder)  # `glob` would find nothing in a folder that it may not read
+    except LOST:
+        return []
+    found = (int(name) for name in names if name.isdecimal() and (folder / name).is_dir())
+    return sorted(found, reverse=True)
 
 
 def about(folder: Path) -> dict:
@@ -66,11 +72,6 @@ def about(folder: Path) -> dict:
 def read_json(folder: Path, name: str) -> dict:
     """The JSON object in a file of a checkpoint."""
     try:
-        if (folder / name).exists() and not (folder / name).is_file():
-            raise ValueError(f"{name} is not a file")
-        size = (folder / name).stat().st_size
-        if size > JSON:
-            raise ValueError(f"{name} has {size / 1e6:.0f} MB")
         found = json.loads((folder / name).read_bytes())
     except (*LOST, ValueError, RecursionError) as error:
         raise _wrong(folder, error) from None
@@ -89,8 +90,10 @@ def read(folder: Path) -> dict[str, np.ndarray]:
     import tensorstore
 
     expected, context = about(folder), tensorstore.Context()
-    wanted = {name: text for name, text in expected["arrays"].items() if math.prod(_shape(text))}
-    files, arrays, found = _files(folder, wanted), {}, hashlib.sha256()
+    sizes = {name: _sizes(text) for name, text in expected["arrays"].items()}
+    wanted = [name for name, axes in sizes.items() if math.prod(axes)]
+    arrays, found = {}, hashlib.sha256()
+    files = _files(folder, bool(wanted))
     try:
         memory = tensorstore.KvStore.open({"driver": "memory"}, context=context).result()
         for name, content in files.items():
@@ -101,16 +104,14 @@ def read(folder: Path) -> dict[str, np.ndarray]:
         names = tensorstore.KvStore.open(store, context=context).result().list().result()
         keys = {n.decode().rpartition("/")[0] for n in names}
         dotted = {key.replace("/", "."): key for key in keys}  # once, they were stored so
-        stored = {}
-        for name in wanted:
+        for name in wanted:  # in the order of `checkpoint.digest`
             key = name if name in keys else dotted.get(name.replace("/", "."))
             if key is None:
                 raise Unread(folder, f"{name} is not in it")
             spec = {"driver": "zarr", "kvstore": store | {"path": f"{key}/"}}
-            stored[name] = tensorstore.open(spec, open=True, read=True, context=context).result()
-        _check_sizes(folder, stored, wanted)
-        for name, array in stored.items():  # in the order of `checkpoint.digest`
-            arrays[name] = np.asarray(array.read().result())
+            stored = tensorstore.open(spec, open=True, read=True, context=context).result()
+            _check_type(folder, name, stored, expected["arrays"][name], sizes[name])
+            arrays[name] = np.asarray(stored.read().result())
             found.update(arrays[name].tobytes())
     except (MemoryError, ConfigError):  # too large for this machine, but not damaged
         raise
@@ -119,6 +120,22 @@ def read(folder: Path) -> dict[str, np.ndarray]:
     if found.hexdigest() != expected["sha256"]:
         raise Damaged(folder, "its numbers are not those that were saved")
     return arrays
+
+
+def _sizes(text: str) -> list[int]:
+    """The sizes in `float32[4,3]`; of a text that makes none, some."""
+    return [int(n) for n in re.findall(r"\d{1,18}", str(text).rpartition("[")[2])]
+
+
+def _check_type(folder: Path, name: str, stored, known: str, sizes: list[int]) -> None:
+    """Compare what an array claims with what `about` says of it, before it takes memory."""
+    if known.startswith("key<"):  # random keys are stored as integers, of one axis more
+        return
+    found = f"{name} is {stored.dtype.name}{list(stored.shape)}, its `about` says {known}"
+    if list(stored.shape) != sizes:
+        raise Damaged(folder, found)
+    if known.rpartition("[")[0] != stored.dtype.name and stored.dtype.name != "uint8":
+        raise Unread(folder, found)
 
 
 def _judged(folder: Path, error: Exception) -> Exception:
@@ -130,25 +147,16 @@ def _judged(folder: Path, error: Exception) -> Exception:
     return Damaged(folder, text[:160]) if proven else Unread(folder, text[:160])
 
 
-def _shape(text: str) -> list[int]:
-    """The sizes in `float32[4,3]`; of a text that makes none, some."""
-    return [int(n) for n in re.findall(r"\d{1,18}", str(text).rpartition("[")[2])[:8]]
+def _files(folder: Path, arrays: bool) -> dict[str, bytes]:
+    """The bytes of every file of a checkpoint's arrays, by path."""
 
+    def fail(error: OSError):
+        raise error
 
-def _files(folder: Path, arrays: dict[str, str]) -> dict[str, bytes]:
-    """The bytes of every file of the `arrays`, by path; their size is limited by the arrays'."""
     state = folder / STATE
-    most = 8 * sum(math.prod(_shape(text)) for text in arrays.values()) + ROOM
     try:
-        walk = os.walk(state, onerror=_raise)  # rglob would skip what it may not read
+        walk = os.walk(state, onerror=fail)  # rglob would skip what it may not read
         paths = [Path(where) / name for where, _, names in walk for name in names]
-        if not all(path.is_file() for path in paths):  # a pipe, a device, a link to nothing
-            raise Damaged(folder, "it holds something that is not a file")
-        size = sum(path.stat().st_size for path in paths)
-        if size > most:
-            raise Damaged(
-                folder, f"its files have {size / 1e6:.0f} MB, its arrays {most / 1e6:.0f}"
-            )
         files = {path.relative_to(state).as_posix(): path.read_bytes() for path in paths}
     except LOST as error:
         raise _wrong(folder, error) from None
@@ -157,57 +165,8 @@ def _files(folder: Path, arrays: dict[str, str]) -> dict[str, bytes]:
     return files
 
 
-def _raise(error: OSError):
-    raise error
-
-
-def _check_sizes(folder: Path, stored: dict, expected: dict[str, str]) -> None:
-    """Check the sizes that arrays claim before reading them: terabytes would kill the process.
-
-    Chunks that are not stored are zero, so a small file can claim large arrays, and rightly so.
-
-    Damaged if an array is not what `about` says; another ConfigError if its type is unknown, or if
-    all do not fit into memory.
-    """
-    total = 0
-    for name, array in stored.items():
-        size, chunk = math.prod(array.shape), math.prod(array.chunk_layout.read_chunk.shape or ())
-        total += size * array.dtype.numpy_dtype.itemsize
-        if chunk > max(size, 1):
-            raise Damaged(folder, f"{name} is stored in pieces of {chunk} numbers, and has {size}")
-        known, sizes = expected[name], str(list(array.shape)).replace(" ", "")
-        if known.startswith("key<"):  # random keys are stored as integers, of one axis more
-            continue
-        if not known.endswith(f"[{sizes[1:]}"):
-            raise Damaged(folder, f"{name} is {array.dtype.name}{sizes}, its `about` says {known}")
-        if known.rpartition("[")[0] != array.dtype.name and array.dtype.name != "uint8":
-            raise Unread(folder, f"{name} is {array.dtype.name}, its `about` says {known}")
-    try:
-        memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    except (AttributeError, ValueError, OSError):  # not every system tells its memory
-        memory = MEMORY
-    if total > memory:
-        raise ConfigError(
-            f"{folder}: its arrays are {total / 1e9:.0f} GB, this machine has {memory / 1e9:.0f} GB"
-        )
-
-
 def _wrong(folder: Path, error: Exception) -> ConfigError:
     """`Damaged`, unless the whole folder is gone."""
     if folder.exists():
-        return Damaged(folder, _reason(error))
+        return Damaged(folder, (str(error).splitlines() or [type(error).__name__])[0][:80])
     return ConfigError(f"{folder}: no such checkpoint; a run keeps its newest ones and the best")
-
-
-def _reason(error: Exception) -> str:
-    return (str(error).splitlines() or [type(error).__name__])[0][:80]
-
-
-def iterations(folder: Path) -> list[int]:
-    """Iterations of the complete checkpoints in `folder`, newest first."""
-    try:
-        names = os.listdir(folder)  # `glob` would find nothing in a folder that it may not read
-    except LOST:
-        return []
-    found = (int(name) for name in names if name.isdecimal() and (folder / name).is_dir())
-    return sorted(found, reverse=True)

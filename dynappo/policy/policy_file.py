@@ -13,6 +13,9 @@ from __future__ import annotations
 
 import json
 import reprlib
+import tokenize
+import zipfile
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -22,11 +25,15 @@ from ml_collections import config_dict
 
 from dynappo.config import ConfigError, files
 from dynappo.physics import robot as robot_lib
-from dynappo.policy import checkpoint_file, checks, npz_file
+from dynappo.policy import checkpoint_file, checks
 from dynappo.tasks.velocity import observe
 
 FORMAT = 2  # of `about`; 1 has no MJCF, and its robot is found by name
 READ = (1, 2)
+MAX_BYTES = 2**27  # of all arrays together; a policy has less than 1 MiB
+# what NumPy says of a file that is no npz, or damaged
+DAMAGE = (ValueError, TypeError, EOFError, KeyError, RuntimeError, MemoryError, SyntaxError)
+DAMAGE += (zipfile.BadZipFile, zlib.error, tokenize.TokenError)
 MAX_MEAN = 10.0  # of the mean action (learner/networks.py)
 ACTIVATIONS = {
     "elu": lambda x: np.where(x > 0, x, np.expm1(np.minimum(x, 0))),
@@ -63,7 +70,7 @@ class Policy(NamedTuple):
     joint_damping: tuple[float, ...] = ()  # [A] N m s/rad, in the MJCF; empty: not known
     joint_friction: tuple[float, ...] = ()  # [A] N m
     mjcf: str = (
-        ""  # the robot's, needs no other file; empty: the robot is found by name (carried.py)
+        ""  # the robot's, needs no other file; empty: the robot is found by name (source.py)
     )
     history: int = 1  # readings that it sees, the newest first
     seed: int | None = None  # its number in a run of several seeds, from 0; None: unknown
@@ -152,10 +159,29 @@ def save_params(path: Path, params: dict, **entries) -> None:
         np.savez(file, **arrays)
 
 
+def _arrays(path: Path) -> dict[str, np.ndarray]:
+    """All arrays of an npz file by name. It cannot run code: nothing is unpickled.
+
+    ConfigError if it cannot be read, is damaged, or is far larger than a policy.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            size = sum(entry.file_size for entry in file.zip.infolist())
+            if size > MAX_BYTES:
+                raise ConfigError(f"{path}: {size} bytes unpacked, expected at most {MAX_BYTES}")
+            return {name: file[name] for name in file.files}
+    except OSError as error:
+        reason = error.strerror or "it is not an npz file"
+        raise ConfigError(f"{path}: cannot be read ({reason})") from None
+    except DAMAGE as error:
+        if isinstance(error, ConfigError):
+            raise
+        raise ConfigError(f"{path}: not a policy.npz, or damaged") from None
+
+
 def load_params(path: Path) -> dict:
     """The nested parameters that `save` or `save_params` wrote."""
-    arrays = npz_file.read(path)
-    return npz_file.nested({name: arrays[name] for name in arrays if name != "about"})
+    return checks.nested({k: v for k, v in _arrays(path).items() if k != "about"})
 
 
 def load_actor(path: str | Path) -> Callable[[np.ndarray], np.ndarray]:
@@ -164,16 +190,20 @@ def load_actor(path: str | Path) -> Callable[[np.ndarray], np.ndarray]:
 
     NumPy only. ConfigError if the file is not a policy.npz, or is damaged.
     """
-    arrays = npz_file.read(Path(path))
+    arrays = _arrays(Path(path))
     try:
         activation = json.loads(str(arrays.pop("about")))["config"]["ppo"]["activation"]
-        act = actor(npz_file.nested(arrays), activation)
+        act = actor(checks.nested(arrays), activation)
     except (KeyError, TypeError, ValueError, AttributeError, RecursionError):
         raise ConfigError(
             f"{path}: holds no actor, or does not say which activation it has; expected a policy.npz "
             "as training writes it"
         ) from None
     return act
+
+
+def _no_number(text: str):
+    raise ValueError(f"{text} is no number")
 
 
 def _not_a_robot(path: Path) -> ConfigError:
@@ -184,17 +214,17 @@ def _not_a_robot(path: Path) -> ConfigError:
 
 
 def load(path: Path) -> Policy:
-    """The policy of an untrusted `policy.npz`; a one-line ConfigError says what is wrong."""
-    arrays = npz_file.read(path)
+    """The policy of a `policy.npz`, whoever made it; a one-line ConfigError says what is wrong."""
+    arrays = _arrays(path)
     text = arrays.pop("about", None)
     if text is None:
         raise ConfigError(f"{path}: no entry `about`: not a policy.npz as training writes it")
     try:
-        params = npz_file.nested(arrays)
+        params = checks.nested(arrays)
     except ValueError as error:
         raise ConfigError(f"{path}: {error}") from None
     try:
-        about = json.loads(str(text))
+        about = json.loads(str(text), parse_constant=_no_number)
         version = about.pop("format")
         if version not in READ:
             version, newest = reprlib.repr(version), max(READ)
@@ -284,7 +314,7 @@ def load_checkpoint(folder: Path, seed: int | None = None) -> Policy:
     if not arrays:
         raise ConfigError(f"{folder}: not a checkpoint of dynappo (it holds no networks)")
     try:
-        params = npz_file.nested(arrays)
+        params = checks.nested(arrays)
     except ValueError as error:
         raise ConfigError(f"{folder}: {error}") from None
     return _checked(folder, policy._replace(params=params, seed=chosen if seeds > 1 else None))

@@ -1,12 +1,26 @@
-"""Finds the policy that a name means: a bundled one, a workdir, a checkpoint or a file."""
+"""Which policy, from where, and with which robot: names, paths and the flags of `play`, `evaluate`, `export`.
+
+A policy is named by a bundled robot, a workdir, a checkpoint or a file (`locate`). Checkpoints and
+`policy.npz` contain their robot's MJCF, so they can be played anywhere. If robots/ has a different robot
+of the same name, the policy's own is used, and a note says so (`robot`).
+"""
 
 from __future__ import annotations
 
+import argparse
 import os
 from pathlib import Path
+from typing import Any
 
 from dynappo.config import ConfigError, files
+from dynappo.config import flags as flags_lib
+from dynappo.physics import robot as robot_lib
+from dynappo.physics.robot import Robot
 from dynappo.policy import checkpoint_file, policy_file
+from dynappo.policy import episode as episode_lib
+from dynappo.policy.policy_file import Policy
+
+# ---- the policy
 
 
 def locate(text: str, seed: int | None = None) -> Path:
@@ -53,9 +67,115 @@ def _bundled(name: str) -> Path:
     return path
 
 
-def find(text: str, seed: int | None = None) -> tuple[policy_file.Policy, Path]:
+def load(text: str, seed: int | None = None) -> tuple[Policy, Path]:
     """`(policy, path)` of what `text` means (see `locate`), of several seeds number `seed`."""
     path = locate(text, seed)
-    return (
-        policy_file.load_checkpoint(path, seed) if path.is_dir() else policy_file.load(path)
-    ), path
+    if path.is_dir():
+        return policy_file.load_checkpoint(path, seed), path
+    return policy_file.load(path), path
+
+
+# ---- its robot
+
+
+def robot(policy: Policy, xml: str | None = None) -> tuple[Robot, str]:
+    """`(robot, note)`: the policy's own, or `--robot-xml`, which must keep the contract.
+
+    `note` says if robots/ has a different robot of that name, else it is "". If both are the same, the
+    one in robots/ is returned: its file may have meshes and textures, which a policy cannot contain.
+    """
+    if xml is not None:
+        return _of_flag(xml, lambda path: robot_lib.load_xml(path)._replace(name=policy.robot)), ""
+    if not policy.mjcf:
+        return robot_lib.load(policy.robot), ""
+    own = robot_lib.load_text(policy.mjcf, policy.robot, Path(f"{policy.robot}.xml"))
+    try:
+        here = robot_lib.load(policy.robot)
+    except ConfigError:  # there is none, or it cannot be used
+        return own, ""
+    if robot_lib.same(own, here):
+        return here, ""
+    return own, (
+        f"note: {here.xml} is another robot than the {policy.robot} that the policy carries; that one is "
+        f"used (--robot-xml={here.xml} takes yours)"
+    )
+
+
+def body(
+    policy: Policy, xml: str | None = None, keep_joints: bool = False
+) -> tuple[episode_lib.Body, str]:
+    """`(body, note)` in C MuJoCo, as `robot`; here `--robot-xml` needs only the policy's joints."""
+    if xml is None:
+        own, note = robot(policy)
+        return episode_lib.load(own.xml, policy, policy.timestep, text=own.text), note
+    return _of_flag(xml, lambda path: episode_lib.load(path, policy, keep_joints=keep_joints)), ""
+
+
+def _of_flag(xml: str, load):
+    """`load(path)` of `--robot-xml`; errors name the flag."""
+    if not os.path.isfile(xml):
+        raise ConfigError(f"--robot-xml={xml}: no such file")
+    try:
+        return load(Path(xml))
+    except ConfigError as error:  # its text begins with the path
+        raise ConfigError(f"--robot-xml={error}") from None
+
+
+def check_same_robot(workdir: Path, about: dict[str, Any], name: str) -> None:
+    """ConfigError if robots/NAME is a different robot from the one that the run in `workdir`
+    trains.
+
+    `about` is that of its newest checkpoint. Old checkpoints that store no robot are not checked.
+    """
+    text = about.get("mjcf", "")
+    if not isinstance(text, str) or not text:
+        return
+    there = robot_lib.load_text(text, name, workdir / "checkpoints")
+    here = robot_lib.load(name)
+    if not robot_lib.same(there, here):
+        raise ConfigError(
+            f"--workdir={workdir}: {here.xml} is another robot than the run began with; choose another "
+            "folder, --fresh to start over, or put the old file back: dynappo export "
+            f"{workdir} --out={name}.xml writes it"
+        )
+
+
+# ---- the flags
+
+
+def add_flags(parser: argparse.ArgumentParser) -> None:
+    """Add the policy's name, `--run-seed` and `--robot-xml`."""
+    what = "workdir, checkpoint, policy.npz or robot"
+    parser.add_argument("what", nargs="?", metavar="NAME_OR_DIR", help=what)
+    parser.add_argument(
+        "--run-seed",
+        metavar="K|best",
+        default="best",
+        help="of a run of several seeds: number K, 0 to run.num_seeds - 1, or the best in the last "
+        "evaluation (the first if there was none); default: best",
+    )
+    parser.add_argument(
+        "--robot-xml", metavar="FILE", help="another MJCF with the same joint names"
+    )
+
+
+def check_flags(flags: argparse.Namespace) -> None:
+    """Make `flags.run_seed` a number, or None for the best; ConfigError if it is neither."""
+    if flags.run_seed == "best":
+        flags.run_seed = None
+        return
+    try:
+        flags.run_seed = flags_lib.whole("run-seed", flags.run_seed, 0)
+    except ConfigError as error:
+        raise ConfigError(f"{error}; or best") from None
+
+
+def of_flags(flags: argparse.Namespace) -> tuple[Policy, Path, str]:
+    """`(policy, path, text)` of the flags; `text` names the file and the seed, for printing."""
+    policy, path = load(flags.what, flags.run_seed)
+    text = "/".join(path.resolve().parts[-2:])
+    run = policy.config.get("run", {})
+    seeds = run.get("num_seeds") if isinstance(run, dict) else None
+    if policy.seed is not None:
+        text += f", seed {policy.seed}" + (f" of 0 to {seeds - 1}" if type(seeds) is int else "")
+    return policy, path, text

@@ -83,7 +83,7 @@ def _first(steps: np.ndarray, true: np.ndarray) -> np.ndarray:
 
 
 def in_words(config, evaluation: Mapping[str, Any]) -> str:
-    """What evaluated policies do: walk, turn, fall, or what they lack; of several seeds, how many walk.
+    """What evaluated policies do, in words: walk, turn, fall, or lack; of several seeds, how many walk.
 
     `config` is the run's, `evaluation` as in its summary.json. A robot that does not walk yet is judged
     by the errors of one that stands still: the root mean square of the commands. "" where nothing is

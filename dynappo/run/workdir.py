@@ -18,7 +18,7 @@ import numpy as np
 from dynappo import config as config_lib
 from dynappo import schedule
 from dynappo.config import ConfigError, files
-from dynappo.policy import carried, checkpoint_file, policy_file
+from dynappo.policy import checkpoint_file, policy_file, source
 from dynappo.program import distributed
 from dynappo.run import log
 
@@ -82,7 +82,7 @@ def _open(workdir: Path, config, fresh: bool, held: contextlib.ExitStack, say) -
         apart = config_lib.versions_apart(there, config) if begun(workdir) else ""
         if apart:
             say(apart)
-        carried.check_same(workdir, _about_newest(workdir), config.robot)
+        source.check_same_robot(workdir, _about_newest(workdir), config.robot)
         done = max(saved(workdir), default=0)
         if done > config.run.num_iterations:
             raise ConfigError(

@@ -191,7 +191,7 @@ def train_run(out, command: Command, stop: Stop) -> str:
         def opened():  # not before: the page shows what is in the folder
             callbacks.opened()
             serve = command.serve if distributed.first() else None
-            stack.enter_context(child.beside(command.workdir, serve))
+            stack.enter_context(child.serving(command.workdir, serve))
 
         def finished(*of):
             callbacks.finished(*of)

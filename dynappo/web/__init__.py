@@ -4,7 +4,7 @@
 - `policies`: what can be chosen, and the newest policy of a run that trains
 - `scene`: shapes, contacts, arrows, the camera, the hand that pulls
 - `panels`: buttons, sliders, keys, plots
-- `curves`: the curves of a run
+- `run_plots`: the curves of a run
 - `address`: what `--serve` means
 - `guard`: who is let in, and what a browser may say
 - `child`: the page in a process of its own, for `train --serve`

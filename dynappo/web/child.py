@@ -12,7 +12,7 @@ PATIENCE = 5.0  # s, for the page to close
 
 
 @contextlib.contextmanager
-def beside(workdir: Path, serve: str | None):
+def serving(workdir: Path, serve: str | None):
     """Serve the run in `workdir` as `dynappo play WORKDIR --serve` does, until the `with` ends.
 
     `serve` is what the flag says; None: nothing is started. A page that fails stops no training.

@@ -1,4 +1,4 @@
-"""Keeps strangers away from the page: who is answered, and which messages of a browser are taken.
+"""Protects the page from other web sites: which requests are answered, which messages are allowed.
 
 viser answers whoever asks, and believes what a browser says. But any web site that somebody opens may
 connect to a server on their machine, under its own name or under one that it makes the browser look up
@@ -42,6 +42,7 @@ LONGEST = 2**16  # bytes of a message; those of the page have less than 1 KiB
 FARTHEST = 1e6  # the largest number in one
 TEXT = 1000  # characters of a name in one
 VECTORS = {"wxyz": 4, "position": 3, "look_at": 3, "up_direction": 3}  # of a camera
+LENGTHS = "fov", "near", "far", "image_height", "image_width"
 # who may show the page in a frame: itself, and a notebook on this machine
 FRAMES = "'self' http://localhost:* http://127.0.0.1:* vscode-webview:"
 LOGGER = logging.getLogger(__name__)
@@ -50,7 +51,7 @@ LOGGER.addFilter(lambda record: record.getMessage() != "opening handshake failed
 
 @dataclass
 class Guard:
-    """Whom a server answers."""
+    """What a server answers to."""
 
     names: set[str]  # hosts, as a browser writes them
     any_number: bool  # and all that are numbers, not names: no one can turn those elsewhere
@@ -59,7 +60,7 @@ class Guard:
     told: set[str] = field(default_factory=set)
 
 
-def of(host: str, found: set[str]) -> Guard:
+def for_address(host: str, found: set[str]) -> Guard:
     """The guard of a server at `host`, whose addresses are `found`.
 
     A server that listens everywhere has many names. It answers to its own, and to every address
@@ -101,8 +102,8 @@ ANSWERS = {
 }
 
 
-def tell(guard: Guard, kind: str, line: str) -> None:
-    """Say the first of each kind."""
+def tell_once(guard: Guard, kind: str, line: str) -> None:
+    """Print the first refusal of each kind."""
     if kind not in guard.told:
         guard.told.add(kind)
         print(f"dynappo: {line}; more of these are not told", file=sys.stderr, flush=True)
@@ -117,7 +118,7 @@ def watching(guard: Guard) -> Iterator[None]:
         def request(connection, asked):
             kind, found = refusal(guard, asked.headers, asked.path)
             if kind:
-                tell(guard, kind, f"refused: {kind} {found[:100]!r}: {ANSWERS[kind]}")
+                tell_once(guard, kind, f"refused: {kind} {found[:100]!r}: {ANSWERS[kind]}")
                 return connection.respond(http.HTTPStatus.FORBIDDEN, f"{ANSWERS[kind]}\n")
             response = process_request(connection, asked)
             if response is not None:
@@ -129,8 +130,8 @@ def watching(guard: Guard) -> Iterator[None]:
             receive = connection.recv
 
             async def recv(*_, **__):
-                while not taken(guard, said := await receive()):
-                    tell(guard, "message", "ignored: a message that the page does not send")
+                while not allowed(guard, said := await receive()):
+                    tell_once(guard, "message", "ignored: a message that the page does not send")
                 return said
 
             connection.recv = recv  # pyright: ignore[reportAttributeAccessIssue]
@@ -152,7 +153,7 @@ def _policy(host: str) -> str:
     return f"connect-src 'self' ws://{host} wss://{host} data: blob:; frame-ancestors {FRAMES}"
 
 
-def taken(guard: Guard, said: Any) -> bool:
+def allowed(guard: Guard, said: Any) -> bool:
     """Whether a browser's message is one that this page sends, with numbers within its limits."""
     try:
         message = messages.Message.deserialize(said)
@@ -163,7 +164,8 @@ def taken(guard: Guard, said: Any) -> bool:
         if isinstance(message, messages.GuiUpdateMessage):
             return guard.gui is not None and _fits(guard.gui, message)
         if isinstance(message, messages.SceneNodeDragMessage):
-            return len(message.start_position) == len(message.end_position) == 3
+            ends = message.start_position, message.end_position
+            return isinstance(message.name, str) and all(_numbers(end, 3) for end in ends)
         return isinstance(message, messages.CommandTriggerMessage) and isinstance(message.uuid, str)
     except Exception:  # whatever viser's reader makes of bytes that are no message
         return False
@@ -180,12 +182,23 @@ def _plain(value: Any, depth: int = 4) -> bool:
     return value is None or isinstance(value, str) and len(value) <= TEXT
 
 
+def _numbers(value: Any, count: int) -> bool:
+    """Whether a value is a list of so many numbers; `_plain` has seen that they are finite."""
+    return (
+        isinstance(value, list | tuple)
+        and [type(n) in (int, float) for n in value] == [True] * count
+    )
+
+
 def _camera(message: messages.ViewerCameraMessage) -> bool:
     """Whether it looks anywhere, as viser demands where the camera is moved."""
-    sizes = all(len(getattr(message, name)) == size for name, size in VECTORS.items())
+    if not all(_numbers(getattr(message, name), size) for name, size in VECTORS.items()):
+        return False
+    if not _numbers([getattr(message, name) for name in LENGTHS], len(LENGTHS)):
+        return False
     away = math.dist(message.look_at, message.position) > 1e-9
     up = math.hypot(*message.up_direction) > 1e-9
-    return sizes and away and up and message.image_height > 0 and message.image_width > 0
+    return away and up and message.image_height > 0 and message.image_width > 0
 
 
 def _fits(gui: viser.GuiApi, message: messages.GuiUpdateMessage) -> bool:

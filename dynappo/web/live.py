@@ -1,7 +1,7 @@
 """A robot that walks in real time in C MuJoCo while others look, steer and push.
 
-`Live` is all that there is to know; one thread changes it (`run`). Whoever else wants something puts
-a function into `Live.wishes` (`wish`), which `run` calls between two control steps: no locks.
+`Live` holds all state, and one thread (`run`) changes it. Other threads put functions into
+`Live.wishes` (`wish`); `run` calls them between two control steps, so that no lock is needed.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class Live:
     work: float = 0.0  # share of that second which the control steps took
 
     def __post_init__(self):
-        put(self, self.body, self.act)
+        take_robot(self, self.body, self.act)
 
 
 def wish(live: Live, function: Callable, *values) -> None:
@@ -58,42 +58,42 @@ def wish(live: Live, function: Callable, *values) -> None:
     live.wishes.append(lambda: function(live, *values))
 
 
-def put(live: Live, body: Body, act: Callable) -> None:
-    """Another robot, standing; it is asked for what the last one was."""
+def take_robot(live: Live, body: Body, act: Callable) -> None:
+    """Take another robot, standing, under the command of the last one."""
     live.body, live.act = body, act
     live.data = mujoco.MjData(body.model)
     live.command = within(body, live.command)
     reset(live)
 
 
-def learn(live: Live, act: Callable) -> None:
-    """Another policy for the same robot, which goes on walking."""
+def take_policy(live: Live, act: Callable) -> None:
+    """Take another policy for the same robot, which goes on walking."""
     live.act = act
 
 
 def reset(live: Live) -> None:
-    """Put the robot on its feet at the origin; what it is asked for starts anew."""
+    """Put the robot on its feet at the origin; its commands start anew."""
     live.before = 0.0
     stand_up(live)
 
 
 def stand_up(live: Live) -> None:
-    """Put the robot on its feet at the origin; what it is asked for goes on."""
+    """Put the robot on its feet at the origin; its commands go on."""
     live.rows = _rows(live)
     live.history = deque(maxlen=round(HISTORY / episode_lib.period(live.body)))
     live.t, live.fell, live.pull = 0.0, None, None
-    live.row = {"command": asked(live, live.before), "velocity": np.zeros(3), "fell": False}
+    live.row = {"command": command_at(live, live.before), "velocity": np.zeros(3), "fell": False}
     step(live)
 
 
 def _rows(live: Live) -> Iterator[dict]:
     """The control steps from standing on."""
     return episode_lib.rows(
-        live.body, live.data, lambda obs: live.act(obs), lambda t: asked(live, live.before + t)
+        live.body, live.data, lambda obs: live.act(obs), lambda t: command_at(live, live.before + t)
     )
 
 
-def asked(live: Live, t: float) -> np.ndarray:
+def command_at(live: Live, t: float) -> np.ndarray:
     """The command at time `t` (s) of `given`."""
     if live.given is not None:
         live.command = within(live.body, live.given(t))
@@ -109,7 +109,7 @@ def tour(live: Live, on: bool) -> None:
 
 
 def steer(live: Live, command) -> None:
-    """Ask for `command` (m/s, m/s, rad/s) from now on; what is not finite is not heard."""
+    """Set the command (m/s, m/s, rad/s) from now on; one that is not finite is ignored."""
     if not np.isfinite(command).all():
         return
     live.given, live.command = None, within(live.body, np.asarray(command, float))
@@ -121,7 +121,7 @@ def ranges(body: Body) -> np.ndarray:
 
 
 def within(body: Body, command) -> np.ndarray:
-    """The command, as far as the policy was trained for it."""
+    """The command, clipped to the ranges that the policy was trained for."""
     return np.clip(command, *ranges(body).T)
 
 

@@ -1,6 +1,6 @@
-"""What one can set and read beside the robot: buttons, sliders, keys and plots.
+"""The page's controls: buttons, sliders, keys and plots.
 
-Callbacks come in viser's threads; they only leave wishes for the loop (`live.wish`).
+viser calls back in its own threads; the callbacks only leave wishes for the loop (`live.wish`).
 """
 
 from __future__ import annotations
@@ -116,7 +116,7 @@ def _gamepad(server: viser.ViserServer) -> None:
 
 
 def _by_person(event, action: Callable[[], None]) -> None:
-    """What the program itself sets is no wish of anybody."""
+    """Call `action` if a person caused the event; the program sets values too."""
     if event.client is not None:
         action()
 
@@ -223,7 +223,7 @@ def _plots(server: viser.ViserServer, of_run: bool):
     return motion, torque, run
 
 
-def chosen(panels: Panels, live: Live) -> None:
+def show_robot(panels: Panels, live: Live) -> None:
     """Set what depends on the robot: the ranges of the sliders, the names of the legs."""
     for slider, (low, high) in zip(panels.sliders, live_lib.ranges(live.body), strict=True):
         slider.min, slider.max = low, high
@@ -272,8 +272,8 @@ def _window(seconds: float, t: np.ndarray, *columns: np.ndarray) -> tuple[np.nda
     return np.concatenate([[-seconds], t, [0.0]]), *ends
 
 
-def tell(panels: Panels, live: Live, text: str) -> None:
-    """Say how it goes, and set the sliders to what is asked for."""
+def show_status(panels: Panels, live: Live, text: str) -> None:
+    """Show state, command and velocity, and set the sliders to the command."""
     state = "paused" if live.paused else f"{live.rate:.0f} Hz"
     if live.fell is not None:
         state += ", has fallen"
@@ -289,9 +289,10 @@ def tell(panels: Panels, live: Live, text: str) -> None:
 
 
 def _follow(panels: Panels, wanted: list) -> None:
-    """Set sliders and tour to what is asked for.
+    """Set sliders and tour to the command.
 
-    What somebody has just set is asked for a moment later: it is left alone until the next call.
+    A slider that somebody has just moved becomes the command a moment later: until the next call it
+    is left alone.
     """
     handles = [*panels.sliders, panels.tour]
     before = panels.seen or [(None, value) for value in wanted]

@@ -16,7 +16,7 @@ import numpy as np
 from dynappo import config as config_lib
 from dynappo.config import ConfigError, files
 from dynappo.physics import robot as robot_lib
-from dynappo.policy import checkpoint_file, choice, policy_file, source
+from dynappo.policy import checkpoint_file, policy_file, source
 from dynappo.policy.episode import Body
 
 NEWEST = "newest of the run"
@@ -64,10 +64,11 @@ def _bundled() -> list[str]:
     return [name for name in files.bundled() if _there(name)]
 
 
-def _there(name: str) -> bool:
+def _there(what: str, seed: int | None = None) -> bool:
+    """Whether there is a policy of that name: a robot may have none, a run not yet."""
     try:
-        return bool(source.locate(name))
-    except ConfigError:  # a robot without a bundled policy
+        return bool(source.locate(what, seed))
+    except ConfigError:
         return False
 
 
@@ -87,8 +88,8 @@ def load(offer: Offer, name: str) -> Chosen:
     seed = offer.seed if own else None
     if name == NEWEST and not begun(offer):
         return standing(offer)
-    policy, found = source.find(path, seed)
-    body, note = choice.body(policy, offer.xml if own else None, offer.keep_joints and own)
+    policy, found = source.load(path, seed)
+    body, note = source.body(policy, offer.xml if own else None, offer.keep_joints and own)
     text = "/".join(found.resolve().parts[-2:])
     if name == NEWEST:
         text += f" ({_iteration(offer)})"
@@ -103,10 +104,7 @@ def _iteration(offer: Offer) -> str:
 
 def begun(offer: Offer) -> bool:
     """Whether the run has a policy yet."""
-    try:
-        return bool(source.locate(offer.what, offer.seed))
-    except ConfigError:
-        return False
+    return _there(offer.what, offer.seed)
 
 
 def standing(offer: Offer) -> Chosen:
@@ -119,7 +117,7 @@ def standing(offer: Offer) -> Chosen:
     if not config.robot:
         raise ConfigError(f"{offer.what}: trains an environment of its own, which has no page")
     policy = policy_file.describe(config, robot_lib.load(config.robot))
-    body, note = choice.body(policy._replace(mjcf=""), offer.xml, offer.keep_joints)
+    body, note = source.body(policy._replace(mjcf=""), offer.xml, offer.keep_joints)
     size = len(policy.joint_names)
     return Chosen(body, lambda obs: np.zeros(size), "no policy yet: zero actions", note)
 

@@ -23,7 +23,7 @@ import viser
 
 from dynappo.config import ConfigError, shell, versions
 from dynappo.policy.episode import Body
-from dynappo.web import curves, guard, panels, policies, scene
+from dynappo.web import guard, panels, policies, run_plots, scene
 from dynappo.web import live as live_lib
 from dynappo.web.address import Address, read
 from dynappo.web.live import Live
@@ -49,7 +49,7 @@ class Page:
 def start(address: Address) -> tuple[viser.ViserServer, int]:
     """`(server, port)`: on the port, or the next free one above it; only its own page is let in."""
     found, port = _free(address)
-    watch = guard.of(address.host, found)
+    watch = guard.for_address(address.host, found)
     with contextlib.redirect_stdout(io.StringIO()), guard.watching(watch):  # it prints its own name
         server = viser.ViserServer(address.host, port, label="dynappo", verbose=False)
     if not watch.on:
@@ -116,7 +116,7 @@ def open_page(server, offer: Offer, first: Chosen, given, named: str | None = No
             text = str(error)
             live_lib.wish(live, lambda live: setattr(live, "note", text))
             return
-        live_lib.wish(live, lambda _: put(page, found, name))
+        live_lib.wish(live, lambda _: play(page, found, name))
 
     def look(flags: dict[str, bool]) -> None:
         live_lib.wish(live, lambda _: view(page, flags))
@@ -124,26 +124,25 @@ def open_page(server, offer: Offer, first: Chosen, given, named: str | None = No
     made = panels.add(server, live, names, choose, look, offer.run is not None)
     page = Page(server, live, offer, first.text, shown, made, names[0])
     server.on_client_connect(lambda client: scene.welcome(page.shown, live, client))
-    panels.chosen(made, live)
+    panels.show_robot(made, live)
     return page
 
 
-def put(page: Page, found: Chosen, name: str) -> None:
+def play(page: Page, found: Chosen, name: str) -> None:
     """Play `found` from now on; the robot goes on walking where it is the same one."""
     page.text, page.name, page.live.note = found.text, name, found.note
-    if same(page.live.body, found.body):
-        live_lib.learn(page.live, found.act)
+    if same_robot(page.live.body, found.body):
+        live_lib.take_policy(page.live, found.act)
         return
-    live_lib.put(page.live, found.body, found.act)
+    live_lib.take_robot(page.live, found.body, found.act)
     flags = {name: check.value for name, check in page.panels.look.items()}
     page.shown = scene.show(page.server, page.live)
-    panels.chosen(page.panels, page.live)
+    panels.show_robot(page.panels, page.live)
     view(page, flags)
 
 
-def same(one: Body, other: Body) -> bool:
-    """Whether a robot in the middle of a stride can be driven as the other one: its file, what it
-    sees, its motors."""
+def same_robot(one: Body, other: Body) -> bool:
+    """Whether the policy of `other` can take over in mid-stride: same file, observation and motors."""
     a, b = one.policy, other.policy
     driven = set(a._fields) - {"config", "params", "mjcf", "seed"}
     if a.mjcf and b.mjcf and a.mjcf != b.mjcf or one.xml != other.xml:
@@ -158,7 +157,7 @@ def view(page: Page, flags: dict[str, bool]) -> None:
 
 
 def newer(page: Page) -> None:
-    """The run has a newer policy: list it, and take it if the newest is what is watched."""
+    """List the run's newer policy, and play it if the newest one is chosen."""
     live = page.live
 
     def listed(_):
@@ -171,7 +170,7 @@ def newer(page: Page) -> None:
         found = policies.load(page.offer, policies.NEWEST)
     except (ConfigError, OSError):  # it is being replaced; the next look finds it whole
         return
-    live_lib.wish(live, lambda _: put(page, found, policies.NEWEST))
+    live_lib.wish(live, lambda _: play(page, found, policies.NEWEST))
 
 
 def drawing(page: Page, run_curves: Callable[[], None]) -> Callable[[], None]:
@@ -191,7 +190,7 @@ def drawing(page: Page, run_curves: Callable[[], None]) -> Callable[[], None]:
         if at("frame", FRAME):
             scene.update(page.shown, page.live)
         if at("tell", TELL):
-            panels.tell(page.panels, page.live, page.text)
+            panels.show_status(page.panels, page.live, page.text)
         if at("plot", PLOT) and not page.live.paused:
             panels.draw(page.panels, page.live)
         if at("curves", CURVES):
@@ -210,12 +209,12 @@ def curves_of(page: Page) -> Callable[[], None]:
     def show():
         nonlocal seen, plots
         size = path.stat().st_size if path.is_file() else 0
-        columns = curves.read(path) if size != seen else {}
+        columns = run_plots.read(path) if size != seen else {}
         seen = size
         if columns:
-            shown.text.content = curves.line(columns)
+            shown.text.content = run_plots.line(columns)
             with shown.tab:
-                plots = curves.draw(page.server, plots, columns)
+                plots = run_plots.draw(page.server, plots, columns)
 
     return show
 

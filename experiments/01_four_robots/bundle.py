@@ -37,7 +37,7 @@ def main():
         robot = name.removesuffix("_deploy")
         file = "policy" if robot == name else "deploy"
         policy = policy_file.load(Path(source))
-        for row in trials.sweep(policy)[0]["commands"]:
+        for row in trials.run(policy)[0]["commands"]:
             off = max(row["tracking_error"] or 0, row["yaw_error"] or 0)
             if row["fall"] is not None or off > WORST:
                 raise SystemExit(f"{source} falls, or is off by {off:.2f}, at {row['command']}")

@@ -15,7 +15,7 @@ import walk
 
 from dynappo.config import files
 from dynappo.evaluate import trials
-from dynappo.policy import choice, episode, policy_file
+from dynappo.policy import episode, policy_file, source
 from experiments import paper
 
 NAMES = {"go1": "Unitree Go1", "go2": "Unitree Go2", "anymal_c": "ANYmal-C", "anymal_d": "ANYmal-D"}
@@ -33,7 +33,7 @@ FRAMING = {
 def walks(name, command, seconds=6.0):
     """`(qpos [T, nq], height of each foot [T, F])` of a walk, one row a control step."""
     policy = policy_file.load(files.find("robots", f"{name}/policy.npz"))
-    body = choice.body(policy, None)[0]
+    body = source.body(policy)[0]
     act = policy_file.actor(policy.params, policy.activation)
     poses = episode.play(body, act, lambda t: command, seconds)["qpos"]
     feet, data = trials.feet(body)[0], mujoco.MjData(body.model)

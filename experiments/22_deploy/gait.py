@@ -17,7 +17,7 @@ import mujoco
 import numpy as np
 
 from dynappo.evaluate import stress, trials
-from dynappo.policy import choice, episode, policy_file, source
+from dynappo.policy import episode, policy_file, source
 from dynappo.tasks.velocity import observe
 
 SECONDS, SETTLE, SWING, LOW = 6.0, 1.0, 0.06, 0.004
@@ -25,7 +25,7 @@ SECONDS, SETTLE, SWING, LOW = 6.0, 1.0, 0.06, 0.004
 
 def main():
     for name in sys.argv[1:]:
-        policy = policy_file.load(Path(name)) if name.endswith(".npz") else source.find(name)[0]
+        policy = policy_file.load(Path(name)) if name.endswith(".npz") else source.load(name)[0]
         row = measure(policy)
         print(
             f"{Path(name).stem:20s}", ", ".join(f"{k} {v:.3g}" for k, v in row.items()), flush=True
@@ -33,7 +33,7 @@ def main():
 
 
 def measure(policy) -> dict[str, float]:
-    body = choice.body(policy, None)[0]
+    body = source.body(policy)[0]
     model, act = body.model, policy_file.actor(policy.params, policy.activation)
     feet, _ = trials.feet(body)
     dt, single = model.opt.timestep, body._replace(substeps=1)

@@ -43,7 +43,7 @@ def test_a_film_is_made_without_it(hostile, tmp_path):
 def test_the_page_of_a_training_starts_without_it(hostile, capfd):
     """There is no such run, which it says when it has imported all."""
     end, said = time.monotonic() + PATIENCE, ""
-    with child.beside(hostile / "nothing", "8520"):
+    with child.serving(hostile / "nothing", "8520"):
         while not said and time.monotonic() < end:
             time.sleep(0.2)
             said = capfd.readouterr().err

@@ -7,15 +7,15 @@ from toy_policy import ROBOTS
 
 from dynappo.config import loading
 from dynappo.evaluate import changes, show
-from dynappo.play import asked
-from dynappo.policy import choice, episode, policy_file, source
+from dynappo.play import command_script
+from dynappo.policy import episode, policy_file, source
 from dynappo.web import live
 
 BUNDLED = (*ROBOTS, *(f"{name}_deploy" for name in ROBOTS))
 
 
 def bundled(name):
-    return choice.body(source.find(name)[0], None)[0]
+    return source.body(source.load(name)[0])[0]
 
 
 @pytest.fixture(scope="module")
@@ -185,12 +185,12 @@ def test_the_tours_are_those_that_are_shown(bodies, monkeypatch):
     film, page = changes.tours(narrow)
     assert film == {"tour": "film", "seconds": 12.0, "fell_at": [1.0]}
     assert page == {"tour": "live page", "seconds": 32.0, "fell_at": [1.0, 2.0]}
-    played = asked.commands(None, None)
+    played = command_script.commands(None, None)
     assert played.seconds == 12.0 == loading.load("go1:best").run.video_seconds
     shown = live.Live(narrow, lambda obs: np.zeros(12))
     live.tour(shown, True)
     for (commands, seconds), at in zip(
-        given, (played.at, lambda t: live.asked(shown, t)), strict=True
+        given, (played.at, lambda t: live.command_at(shown, t)), strict=True
     ):
         np.testing.assert_array_equal(commands, [at(t) for t in np.arange(0, seconds, 0.02)])
     assert given[1][0][:, 0].max() == 0.7

@@ -37,12 +37,6 @@ def test_every_cell_of_the_maps_shows_its_command():
                     assert told[i, j] == [f"{error:.2f}", f"{0.1 + x / 50:.2f}"]
 
 
-def test_the_colours_begin_at_zero_and_end_at_the_largest_error():
-    image = figures.tracking("go1", toy_sweep.numbers()).axes[0].images[0]
-    worst = max(row["tracking_error"] for row in toy_sweep.numbers()["commands"])
-    assert image.get_clim() == (0, pytest.approx(worst))
-
-
 def test_the_bars_of_a_gait_are_the_contacts_of_its_last_two_seconds():
     """Every bar against a loop over the raw contacts, of a long and of a short episode."""
     rng = np.random.default_rng(0)

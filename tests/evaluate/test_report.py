@@ -12,7 +12,7 @@ from answers import until
 from toy_policy import save
 
 from dynappo.evaluate import figures, report, show, trials
-from dynappo.policy import choice, episode, source
+from dynappo.policy import episode, source
 
 EPISODES = dict(seconds=20.0, randomize=False, device="cpu", impl="jax", episodes=5)
 EPISODES |= {"return": 33.25, "return_std": 1.5, "length": 987.0, "fall_rate": 0.2}
@@ -22,9 +22,9 @@ EPISODES |= {"return": 33.25, "return_std": 1.5, "length": 987.0, "fall_rate": 0
 def evaluated(tmp_path_factory):
     """`(folder, body, numbers, recordings)` of a Go1 that stands for a while, and falls at 1 m/s."""
     folder = tmp_path_factory.mktemp("evaluated")
-    policy, _ = source.find(str(save(folder / "policy.npz")))
-    body, _ = choice.body(policy, None)
-    numbers, recordings = trials.sweep(policy, 1.4, 3)
+    policy, _ = source.load(str(save(folder / "policy.npz")))
+    body, _ = source.body(policy)
+    numbers, recordings = trials.run(policy, 1.4, 3)
     for row in numbers["commands"]:
         if row["command"] == [1.0, 0.0, 0.0]:
             row["fall"] = recordings[1.0, 0.0, 0.0]["fall"] = 1.0
@@ -52,8 +52,8 @@ def part(text, name):
 def test_the_tables_are_those_that_are_printed(evaluated, text):
     seen = " ".join(pages.Reader(text).text.split())
     _, _, numbers, _ = evaluated
-    rows = show.sweep_rows(numbers) + show.episodes_rows(EPISODES)
-    for row in [*rows, [show.sweep_text(numbers)], [show.episodes_text(EPISODES)]]:
+    rows = show.trials_rows(numbers) + show.episodes_rows(EPISODES)
+    for row in [*rows, [show.trials_text(numbers)], [show.episodes_text(EPISODES)]]:
         assert " ".join("".join(row).split()) in seen.replace("\n", ""), row
     for line in show.notes(numbers["commands"]) + show.changes_lines(toy_sweep.changes()):
         assert line in seen

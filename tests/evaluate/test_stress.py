@@ -8,7 +8,7 @@ from answers import status
 
 from dynappo.evaluate import command, stress, trials
 from dynappo.evaluate.stress import Stress
-from dynappo.policy import choice, source
+from dynappo.policy import source
 from dynappo.tasks.velocity import observe
 
 ROWS = observe.rows(12)
@@ -18,12 +18,12 @@ AHEAD = np.array([0.5, 0.0, 0.0])
 
 @pytest.fixture(scope="module")
 def body():
-    return choice.body(source.find("go1")[0], None)[0]
+    return source.body(source.load("go1")[0])[0]
 
 
 @pytest.fixture(scope="module")
 def onboard():
-    return choice.body(source.find("go1_deploy")[0], None)[0]
+    return source.body(source.load("go1_deploy")[0])[0]
 
 
 def scripted(late=0):
@@ -151,7 +151,7 @@ def test_a_policy_without_velocity_has_no_row_of_it(body, onboard):
 
 
 def test_other_physics_are_other_physics_of_the_same_length(body):
-    for name, other in stress.engines(body):
+    for name, other in stress.other_physics(body):
         period = other.model.opt.timestep * other.substeps
         assert period == pytest.approx(0.02), name
         assert (
@@ -178,7 +178,7 @@ def test_the_command_prints_and_writes_the_table(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(stress, "SECONDS", 0.1)
     monkeypatch.setattr(stress.measure, "__defaults__", (1.2,))
     monkeypatch.setattr(stress, "TABLE", stress.TABLE[:2])
-    monkeypatch.setattr(stress, "engines", lambda body: [])
+    monkeypatch.setattr(stress, "other_physics", lambda body: [])
     assert status(command.main, "go1_deploy", "--stress", f"--out={tmp_path}/out") == 0
     said = capsys.readouterr().out
     assert "actions 20 ms late  0 of 8" in said and "stress.json" in said

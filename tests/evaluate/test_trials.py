@@ -265,7 +265,7 @@ def test_the_duty_factor_of_a_trot_is_that_of_a_loop(body, walked):
 def test_a_robot_that_stands_is_wrong_by_what_it_is_asked(policy):
     """Every command of the grid, and all together; it sways a little (0.03 m/s) on soft legs."""
     told = []
-    numbers, recordings = trials.sweep(policy, 1.4, 3, lambda *count: told.append(count))
+    numbers, recordings = trials.run(policy, 1.4, 3, lambda *count: told.append(count))
     values = (-1.0, 0.0, 1.0)
     expected = {(x, y, 0.0) for x in values for y in values}
     expected |= {(x, 0.0, turn) for x in values for turn in values}
@@ -303,7 +303,7 @@ def test_the_grid_is_the_range_that_was_trained(policy):
     }
     assert trials.speeds(odd) == [0.5, 0.6] and trials.speeds(policy) == [0.5, 1.0]
     assert trials.speeds(odd._replace(command_x=(-1.0, 0.3))) == [0.3]
-    numbers, _ = trials.sweep(odd._replace(command_y=(0.1, 0.3)), 0.1, 2)
+    numbers, _ = trials.run(odd._replace(command_y=(0.1, 0.3)), 0.1, 2)
     assert numbers["held"] == {"vy": 0.1, "wz": 0.0}
     commands = [tuple(row["command"]) for row in numbers["commands"]]
     assert commands == [(0.2, 0.1, 0), (0.2, 0.3, 0), (0.6, 0.1, 0), (0.6, 0.3, 0)]
@@ -317,7 +317,7 @@ def test_falls_are_counted_and_what_came_before_is_measured(policy):
     layer["Dense_0"]["kernel"][33, 0] = 1.0  # the command ahead
     layer["Dense_1"]["kernel"][0, 0] = 1.0
     layer["Dense_2"]["kernel"][0, :] = 8.0
-    numbers, _ = trials.sweep(policy._replace(params=params), 1.2, 3)
+    numbers, _ = trials.run(policy._replace(params=params), 1.2, 3)
     fell = {row["command"][0] for row in numbers["commands"] if row["fall"] is not None}
     assert 1.0 in fell and 0.0 not in fell
     assert numbers["all"]["falls"] == sum(row["fall"] is not None for row in numbers["commands"])
@@ -333,6 +333,6 @@ def test_the_gait_of_all_commands_is_that_of_walking(policy, monkeypatch):
         return made_up(0, rows=100, command=command) | {"contact": contact}
 
     monkeypatch.setattr(trials, "record", fake)
-    numbers, _ = trials.sweep(policy, 2.0, 3)
+    numbers, _ = trials.run(policy, 2.0, 3)
     assert numbers["all"]["duty_factor"] == pytest.approx(0.25)
     assert numbers["all"]["air_time"] == pytest.approx(0.15)

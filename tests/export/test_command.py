@@ -74,40 +74,16 @@ def test_an_npz_in_another_order_is_a_policy_file(small, tmp_path):
     jax.tree.map(np.testing.assert_array_equal, back.params, policy.params)
 
 
-def test_the_module_needs_neither_jax_nor_torch(small, tmp_path):
-    """`python -m dynappo.export`, where none of them can be imported."""
-    for package in ("jax", "torch", "onnxruntime"):
-        (tmp_path / package).mkdir()
-        (tmp_path / package / "__init__.py").write_text("raise ImportError('not here')\n")
-    code = f"import runpy, sys; sys.path.insert(0, {str(tmp_path)!r}); "
-    code += "runpy.run_module('dynappo.export', run_name='__main__', alter_sys=True)"
-    done = shell("-c", code, small[0], f"--out={tmp_path}/a.onnx")
-    assert done.returncode == 0, done.stderr
-    assert (tmp_path / "a.onnx").stat().st_size > 10_000
-
-
 # ---- mistakes
 
 MISTAKES = {  # arguments, what the line must say
     "nothing": ([], "nothing to export; name a workdir"),
     "unknown": (["wlk", "--out=a.onnx"], "wlk: no such file or folder; expected a workdir"),
-    "two names": (["small", "go2", "--out=a.onnx"], "go2: no such flag"),
-    "unknown flag": (["small", "--out=a.onnx", "--opset=9"], "--opset=9: no such flag"),
-    "value missing": (["small", "--out", "--targets"], "--out: expected one argument"),
     "no out": (["small"], "--out is missing; try --out=policy.onnx"),
     "suffix": (["small", "--out=a.pt"], "--out=a.pt: expected a file named .onnx, .npz"),
-    "no suffix": (["small", "--out=a"], "--out=a: expected a file named .onnx, .npz"),
     "targets": (["small", "--out=a.npz", "--targets"], "--targets: only an .onnx has outputs"),
-    "no folder": (
-        ["small", "--out=/proc/no/a.onnx"],
-        "--out=/proc/no/a.onnx: cannot write there (No",
-    ),
-    "a long name": (["n" * 256, "--out=a.onnx"], f"{'n' * 256}: no such file or folder"),
-    "a long out": (["small", f"--out={'n' * 256}.onnx"], "cannot write there (File name too long)"),
     "a folder": (["small", "--out=taken.npz"], "--out=taken.npz: cannot write there (Is a dir"),
     "itself": (["small", "--out=small/policy.npz"], "policy.npz: this would overwrite the policy"),
-    "empty out": (["small", "--out="], "--out: is empty, expected a path"),
-    "no name": (["", "--out=a.onnx"], "nothing to export; name"),
     "order": (["small", "--out=a.onnx", "--joint-order=x"], "go2 has no joint x; expected mjcf"),
     "joints": (["spot.npz", "--out=a.onnx"], "its joints are LF_HAA"),
 }
@@ -133,23 +109,6 @@ def test_without_onnx_the_line_says_what_to_install(small, tmp_path, monkeypatch
     assert f"onnx is not installed; {shell_lib.install('export')}" in line
     assert run(small[0], f"--out={tmp_path}/a.npz") == 0
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.npz", "small"]
-
-
-def test_a_disk_that_is_full_is_one_line(small, tmp_path, monkeypatch, capsys):
-    """The machine's fault: status 1, as in every command."""
-
-    def full(part, out):
-        raise OSError(28, "No space left on device", str(part))
-
-    monkeypatch.setattr("os.replace", full)
-    for name in ("a.onnx", "a.npz"):
-        assert run(small[0], f"--out={tmp_path / name}") == 1
-        line = capsys.readouterr().err
-        assert (
-            f"{name}.part cannot be read or written (No space left" in line
-            and line.count("\n") == 1
-        )
-        assert not (tmp_path / name).exists()
 
 
 def test_help_explains_the_joint_orders(capsys):

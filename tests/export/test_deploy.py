@@ -28,7 +28,7 @@ AHEAD = np.array([0.6, 0.0, 0.0])  # m/s, m/s, rad/s
 @pytest.fixture(scope="module")
 def bundled():
     """The policy for hardware that comes with the Go1."""
-    return source.find("go1_deploy")[0]
+    return source.load("go1_deploy")[0]
 
 
 def body_of(policy):
@@ -57,7 +57,7 @@ def test_its_tables_are_those_of_the_code(bundled):
 @pytest.mark.parametrize("name", ["go1", "go1_deploy"])
 def test_the_onnx_file_walks_for_ten_seconds_in_c_mujoco(name, order, tmp_path):
     """0.6 m/s ahead: no fall, the distance that was asked for, close to the command."""
-    out, bundled = tmp_path / "policy.onnx", source.find(name)[0]
+    out, bundled = tmp_path / "policy.onnx", source.load(name)[0]
     export_command.main([name, f"--out={out}", f"--joint-order={order}"])
     net = onnxruntime.InferenceSession(out)
     facts = {k: json.loads(v) for k, v in net.get_modelmeta().custom_metadata_map.items()}

@@ -26,7 +26,7 @@ from dynappo.physics import robot as robot_lib
 def order_of(text, name):
     """The names that `--joint-order=TEXT` means for a robot's policy in MJCF order."""
     robot = robot_lib.load(name)
-    return joint_order.find(text, robot.joint_names, robot)[0]
+    return joint_order.parse(text, robot.joint_names, robot)[0]
 
 
 def test_named_orders_are_those_of_their_sources():

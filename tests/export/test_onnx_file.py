@@ -108,7 +108,7 @@ def test_nothing_that_is_not_finite_is_written(tmp_path, name):
 def test_metadata_hold_all_that_a_robot_needs(name):
     """Each value against the config and the compiled MJCF, as JSON that ONNX Runtime gives back."""
     policy, robot, _ = described(name)
-    names, _ = joint_order.find("isaaclab", robot.joint_names, robot)
+    names, _ = joint_order.parse("isaaclab", robot.joint_names, robot)
     net = session(joint_order.permute(policy, names), robot)
     facts = {k: json.loads(v) for k, v in net.get_modelmeta().custom_metadata_map.items()}
     config = config_lib.load(f"configs/{name}.py:dyna4")

@@ -56,7 +56,7 @@ def nothing_is_compiled(monkeypatch):
 
     for module, name in (
         (build, "program"),
-        (trials, "sweep"),
+        (trials, "run"),
         (episodes, "run"),
         (episode, "play"),
         (viewer, "watch"),

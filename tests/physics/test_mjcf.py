@@ -1,8 +1,6 @@
-"""An MJCF from anybody: what MuJoCo would compute for hours is refused at once, in one line."""
+"""An MJCF with mistakes is one line; one that a policy carries may read no file."""
 
-import os
 import re
-import time
 
 import mujoco
 import pytest
@@ -13,8 +11,6 @@ from dynappo.physics import mjcf, robot
 from dynappo.policy import episode, policy_file
 
 TEXT = GO1.xml.read_text()
-BALL = '<body><freejoint/><geom size="0.1"/></body>'
-FIELD = '<asset><hfield name="h" nrow="{0}" ncol="{0}" size="1 1 1 1"/></asset>'
 
 
 def world(inside):
@@ -27,73 +23,18 @@ def top(inside):
     return TEXT.replace("<worldbody>", f"{inside}<worldbody>", 1)
 
 
-def option(text):
-    return top(f"<option {text}/>")
-
-
-def texture(text):
-    return top(f'<asset><texture name="t" type="2d" builtin="flat" {text}/></asset>')
-
-
-HOSTILE = {  # a file, what the line must say
-    "no time": (option('timestep="0"'), "expected a timestep of 1e-05 to 0.1 s, found 0"),
-    "hardly any time": (option('timestep="1e-12"'), "found 1e-12"),
-    "time that is no number": (
-        option('timestep="nan"'),
-        "option has timestep='nan', expected numbers",
+WRONG = {  # a file, what the line must say
+    "hardly any time": (
+        top('<option timestep="1e-12"/>'),
+        "expected a timestep of 1e-05 to 0.1 s, found 1e-12",
     ),
-    "time backwards": (option('timestep="-0.01"'), "found -0.01"),
-    "a step of a minute": (option('timestep="60"'), "found 60"),
-    "a hundred thousand balls": (
-        world(f'<replicate count="100000" offset="1 0 0">{BALL}</replicate>'),
-        "replicate has count='100000', expected at most 10000",
-    ),
-    "a thousand times a thousand": (
-        world(
-            f'<replicate count="1000"><replicate count="1e3">{BALL}</replicate></replicate>',
-        ),
-        "more than 20000 elements, expected a robot",
-    ),
-    "a count in hexadecimal": (
-        world(f'<replicate count="0x186a0">{BALL}</replicate>'),
-        "replicate has count='0x186a0'",
-    ),
-    "a cloth": (
-        world('<flexcomp name="c" type="grid" count="999 999 1" dim="2"><pin id="0"/></flexcomp>'),
-        "more than 20000 elements",
-    ),
-    "too many bodies": (
-        world(f'<replicate count="2500" offset="1 0 0">{BALL}</replicate>'),
-        "expected at most 2000 bodies, found 2514",
-    ),
-    "too many ways to move": (
-        world(f'<replicate count="200" offset="1 0 0">{BALL}</replicate>'),
-        "expected at most 1000 degrees of freedom, found 1218",
-    ),
-    "a field of 40 GB": (top(FIELD.format(100_000)), "hfield has nrow='100000', expected at most"),
-    "a picture of 30 GB": (
-        texture('width="100000" height="100000"'),
-        "texture has width='100000', expected at most 4096",
-    ),
-    "8 GB of nothing": (
-        top('<custom><numeric name="n" size="1000000000"/></custom>'),
-        "numeric has size='1000000000', expected at most 1000000",
-    ),
-    "memory": (top('<size memory="9T"/>'), "size has memory='9T', expected at most 4294967296"),
-    "user data": (top('<size nuser_geom="2000000000"/>'), "nuser_geom='2000000000'"),
-    "a solver without end": (option('iterations="2000000000"'), "option has iterations='200"),
-    "a list of entities": (
-        '<!DOCTYPE x [<!ENTITY a "aaaa">]>' + TEXT,
-        "a DOCTYPE, which MJCF does not have",
-    ),
-    "a text cut in half": (TEXT[: len(TEXT) // 2], "XML parse error"),
-    "no XML": ("robot: go1", "XML parse error"),
-    "nothing": ("", "XML parse error"),
-    "too long": (TEXT + " " * mjcf.MAX_BYTES, f"expected at most {mjcf.MAX_BYTES} bytes"),
-    "a joint of no body": (
-        top('<equality><joint joint1="no"/></equality>'),
-        "no",
-    ),  # MuJoCo's own words
+    "time that is no number": (top('<option timestep="nan"/>'), "found nan"),
+    "a mass that is no number": (TEXT.replace("5.204", "nan", 1), "mass and inertia"),
+    "a text cut in half": (TEXT[: len(TEXT) // 2], "XML"),
+    "no XML": ("robot: go1", "XML"),
+    "nothing": ("", "XML"),
+    "a joint of no body": (top('<equality><joint joint1="no"/></equality>'), "no"),
+    "a file that includes itself": (world('<include file="mine.xml"/>'), "include"),
 }
 
 
@@ -102,43 +43,18 @@ def policy():
     return policy_file.describe(*described(), actor())
 
 
-@pytest.mark.parametrize("name", HOSTILE)
-def test_a_hostile_file_is_one_line(tmp_path, policy, name, monkeypatch, capfd):
-    """Both where another file is played and where a robot is loaded; within seconds, and nothing else
-    is said or written."""
-    text, expected = HOSTILE[name]
+@pytest.mark.parametrize("name", WRONG)
+def test_a_wrong_file_is_one_line(tmp_path, policy, name, monkeypatch, capfd):
+    """Both where another file is played and where a robot is loaded; nothing else is said or written."""
+    text, expected = WRONG[name]
     monkeypatch.chdir(tmp_path)
     path = tmp_path / "mine.xml"
     path.write_text(text)
-    start = time.process_time()
     lines = refused(episode.load, path, policy), refused(robot.load_xml, path)
-    assert time.process_time() - start < 30  # it does not hang
     for line in lines:
         assert line.startswith(f"{path}: ") and line.isprintable()
     assert expected in lines[0]
     assert [*tmp_path.iterdir()] == [path] and not any(capfd.readouterr())
-
-
-def test_what_a_file_includes_is_looked_at_too(tmp_path, policy):
-    """Each as often as it is included; a file that includes itself is MuJoCo's to refuse."""
-    (tmp_path / "parts").mkdir()
-    balls = f'<mujoco><replicate count="9000">{BALL}</replicate></mujoco>'
-    (tmp_path / "parts" / "balls.xml").write_text(balls)
-    path = tmp_path / "mine.xml"
-    path.write_text(world('<include file="parts/balls.xml"/>'))
-    line = refused(episode.load, path, policy)
-    assert line.startswith(f"{path}: {tmp_path}/parts/balls.xml: more than 20000 elements")
-    path.write_text(world('<include file="mine.xml"/>'))
-    assert str(path) in refused(episode.load, path, policy)
-
-
-@pytest.mark.parametrize("inside", ['<include file="{}"/>', '<asset><mesh file="{}"/></asset>'])
-def test_a_device_is_no_file(tmp_path, policy, inside):
-    """MuJoCo would read /dev/zero until memory ends, and wait for what nobody writes into a pipe."""
-    os.mkfifo(tmp_path / "pipe.stl")
-    (tmp_path / "mine.xml").write_text(top(inside.format("pipe.stl")))
-    line = refused(episode.load, tmp_path / "mine.xml", policy)
-    assert "pipe.stl is a device, expected a file" in line
 
 
 def test_what_mujoco_cannot_compute_is_one_line(tmp_path, policy, monkeypatch):
@@ -160,20 +76,6 @@ def test_what_mujoco_cannot_compute_is_one_line(tmp_path, policy, monkeypatch):
     assert line == f"{GO1.xml}: mj_stackAlloc: out of memory"
 
 
-def test_a_robot_with_a_terrain_is_none_of_them(tmp_path, policy):
-    """A thousand boxes, a height field of a megapixel, an included file, a byte order mark, Latin-1."""
-    boxes = (
-        '<replicate count="1000" offset="0.3 0 0"><geom type="box" size=".1 .1 .1"/></replicate>'
-    )
-    (tmp_path / "field.xml").write_text(f"<mujoco>{FIELD.format(1024)}</mujoco>")
-    text = world(boxes).replace("<worldbody>", '<include file="field.xml"/><worldbody>', 1)
-    path = tmp_path / "mine.xml"
-    path.write_bytes(("\ufeff" + text).encode() + "<!-- Grüße -->".encode("latin-1"))
-    body = episode.load(path, policy)
-    assert body.model.ngeom > 1000 and body.model.nhfielddata == 1024**2
-    assert body.model.opt.timestep == mujoco.MjModel.from_xml_path(str(GO1.xml)).opt.timestep
-
-
 # ---- one in a policy, which may read no file
 
 
@@ -190,7 +92,9 @@ FILES = sorted({(e, name) for e, name in schema() if name.startswith("file")})
 PATHS = re.compile("file|path|dir|url|uri|include|plugin|extension|model|load|import|resource")
 NONE = {("light", "dir"), ("light", "directional"), ("compiler", "strippath"), ("mujoco", "model")}
 NONE |= {("attach", "model")}  # of an element `model`, which is refused
-NONE |= {("compiler", name) for name in mjcf.FOLDERS}  # of files that something else names
+NONE |= {
+    ("compiler", name) for name in ("assetdir", "meshdir", "texturedir")
+}  # of other elements' files
 
 
 def test_the_schema_names_files_in_no_other_way():

@@ -176,19 +176,14 @@ PROBE = """
 const fs = require("fs"), vm = require("vm");
 const scene = JSON.parse(fs.readFileSync(process.argv[2]));
 const code = fs.readFileSync(process.argv[3], "utf8"), context = vm.createContext({ atob });
-const names = "decode, pose, shape, merge, arrows, straight, bend, shoot";
+const names = "decode, pose, shape, shoot";
 vm.runInContext(`${code}; this.page = { ${names} };`, context);
-const { decode, pose, shape, merge, arrows, straight, bend, shoot } = context.page, s = decode(scene);
+const { decode, pose, shape, shoot } = context.page, s = decode(scene);
 const solid = (m) => ({ points: m.points, normals: m.normals, faces: m.faces });
 const kinds = { sphere: [0.02, 0, 0], ellipsoid: [0.05, 0.02, 0.03], capsule: [0.02, 0.1, 0],
   cylinder: [0.04, 0.01, 0], box: [0.1, 0.02, 0.05] };
-const out = { poses: [0, 7, 24, 3.5].map((row) => pose(s, row)), solids: {}, merged: [] };
+const out = { poses: [0, 7, 24, 3.5].map((row) => pose(s, row)), solids: {} };
 for (const [type, size] of Object.entries(kinds)) out.solids[type] = solid(shape({ type, size }, [], 20));
-out.solids.straight = solid(straight(0.5, 0.02, 12));
-out.solids.left = solid(bend(0.8, 0.5, 0.02, 24));
-out.solids.right = solid(bend(-0.8, 0.5, 0.02, 24));
-for (let b = -1; b < s.bodies; b++) out.merged.push(merge(s, b, (g) => g.group < 3, 20));
-out.arrows = arrows(s, pose(s, 0), [1, 0.5, 0.6], [0, 0, 0]).map(solid);
 out.camera = shoot({ azimuth: 0.3, elevation: 0.4, distance: 2, fovy: 0.6, target: [1, 2, 0.3] }, 1.5);
 console.log(JSON.stringify(out));
 """
@@ -259,36 +254,6 @@ def test_the_pages_shapes_are_the_primitives(computed, kind):
     assert 0.93 * exact < volume < 1.001 * exact
     np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1, atol=1e-6)
     assert ((normals * points).sum(1) > -1e-9).all()
-
-
-@pytest.mark.parametrize("kind", ["straight", "left", "right"])
-def test_the_pages_arrows_turn_outward(computed, kind):
-    """Closed, from the robot ahead; to its left for a positive yaw rate."""
-    solid = computed["solids"][kind]
-    points = np.reshape(solid["points"], (-1, 3))
-    a, b, c = (points[np.array(solid["faces"])[i::3]] for i in range(3))
-    assert (a * np.cross(b, c)).sum() > 0
-    if kind == "straight":
-        assert points[:, 0].min() == 0 and points[:, 0].max() == pytest.approx(0.5)
-    else:
-        angle = np.arctan2(points[:, 1], points[:, 0]) * (1 if kind == "left" else -1)
-        assert angle.max() == pytest.approx(0.8) and angle.min() > -0.01
-
-
-def test_the_page_draws_every_look_of_the_robot(computed, written):
-    """Merged by body: as many points as in its geoms, in the body's frame, in their colours."""
-    scene = pages.read(written)
-    looks = [g for g in scene["geoms"] if g["group"] < 3]
-    assert len(looks) > 60
-    for body, mesh in enumerate(computed["merged"], -1):
-        mine = [g for g in looks if g["body"] == body]
-        colors = {tuple(c) for c in np.reshape(mesh["colors"], (-1, 3)).tolist()}
-        assert colors == {tuple(g["color"]) for g in mine}
-        if mine:
-            points = np.reshape(mesh["points"], (-1, 3))
-            reach = max(np.linalg.norm(g["pos"]) + np.linalg.norm(g["size"]) for g in mine)
-            assert np.linalg.norm(points, axis=1).max() <= reach
-    assert len(computed["arrows"]) == 2  # speed and turn that are asked for; the robot stands
 
 
 def test_the_pages_camera_sees_its_target_in_the_middle(computed):

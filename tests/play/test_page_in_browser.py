@@ -8,7 +8,7 @@ import pytest
 from answers import until
 
 from dynappo.play import page
-from dynappo.policy import choice, episode, policy_file, source
+from dynappo.policy import episode, policy_file, source
 
 pytestmark = browser.needed
 CHANGED = 1.0  # mean difference of two pictures, of 255
@@ -17,8 +17,8 @@ CHANGED = 1.0  # mean difference of two pictures, of 255
 @pytest.fixture(scope="module")
 def written(tmp_path_factory):
     """Six seconds of the bundled Go1."""
-    policy, _ = source.find("go1")
-    body, _ = choice.body(policy, None)
+    policy, _ = source.load("go1")
+    body, _ = source.body(policy)
     act = policy_file.actor(policy.params, policy.activation)
     played = episode.play(body, act, episode.tour(6.0), 6.0)
     out = tmp_path_factory.mktemp("page") / "walk.html"

@@ -328,16 +328,6 @@ def test_another_file_that_lacks_something_is_one_line(tmp_path, policy, name):
     assert line.startswith(f"{path}: expected ") and expected in line
 
 
-def test_a_file_that_is_no_mjcf_is_one_line(tmp_path, policy):
-    path = tmp_path / "other.xml"
-    for text, expected in (
-        ("<mujoco><worldbody><geom type='cube'/></worldbody></mujoco>", "cube"),
-        ("hello", f"{path}: "),
-    ):
-        path.write_text(text)
-        assert expected in refused(episode.load, path, policy)
-
-
 # ---- what it came to, and what is asked
 
 

@@ -69,7 +69,7 @@ def test_a_first_run_on_the_go1(tmp_path, monkeypatch):
     for row in rows:
         some = {k: v for k, v in row.items() if not k.startswith("episode_")}
         assert all(np.isfinite(float(value)) for value in some.values()), some
-    policy, path = source.find(str(workdir))
+    policy, path = source.load(str(workdir))
     assert path == workdir / "policy.npz" and policy.robot == "go1"
     assert np.isfinite(policy_file.actor(policy.params, policy.activation)(np.zeros(48))).all()
     video = json.loads((workdir / "summary.json").read_text())["video"]

@@ -54,7 +54,7 @@ def answers(port, seconds=PATIENCE):
 
 def test_a_run_that_begins_is_served_until_training_ends(run):
     port = free()
-    with child.beside(run, str(port)):
+    with child.serving(run, str(port)):
         assert answers(port)
         save(run / "policy.npz")  # the first policy of the run, which the page takes
         time.sleep(2)
@@ -67,7 +67,7 @@ def test_the_page_ends_with_a_training_that_is_killed(run):
     port = free()
     code = (
         "import pathlib, time; from dynappo.web import child\n"
-        f"with child.beside(pathlib.Path({str(run)!r}), '{port}'): time.sleep(999)"
+        f"with child.serving(pathlib.Path({str(run)!r}), '{port}'): time.sleep(999)"
     )
     training = subprocess.Popen([sys.executable, "-c", code])
     assert answers(port)
@@ -82,14 +82,14 @@ def test_the_page_ends_with_a_training_that_is_killed(run):
 def test_without_the_flag_nothing_is_started(run, monkeypatch):
     started = []
     monkeypatch.setattr(subprocess, "Popen", lambda *given, **_: started.append(given))
-    with child.beside(run, None):
+    with child.serving(run, None):
         assert not started
     assert not started
 
 
 def test_a_page_that_cannot_start_says_so_and_stops_no_training(tmp_path, capfd):
     trained, said, end = False, "", time.monotonic() + PATIENCE
-    with child.beside(tmp_path / "nothing", str(free())):
+    with child.serving(tmp_path / "nothing", str(free())):
         while not said and time.monotonic() < end:
             time.sleep(0.2)
             said = capfd.readouterr().err

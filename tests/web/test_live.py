@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 from toy_policy import described
 
-from dynappo.policy import choice, episode, policy_file, source
+from dynappo.policy import episode, policy_file, source
 from dynappo.web import live as live_lib
 
 
 @pytest.fixture(scope="module")
 def trained():
     """The bundled Go1: `(body, act)`."""
-    policy, _ = source.find("go1")
-    return choice.body(policy, None)[0], policy_file.actor(policy.params, policy.activation)
+    policy, _ = source.load("go1")
+    return source.body(policy)[0], policy_file.actor(policy.params, policy.activation)
 
 
 @pytest.fixture
@@ -48,13 +48,13 @@ def test_a_tour_goes_round_until_somebody_steers(live):
     live_lib.tour(live, True)
     walk(live, 1.0)
     np.testing.assert_array_equal(live.row["command"], episode.TOUR[0][1])
-    again = live_lib.asked(live, live_lib.TOUR + 1.0)
-    np.testing.assert_array_equal(again, live_lib.asked(live, 1.0))
+    again = live_lib.command_at(live, live_lib.TOUR + 1.0)
+    np.testing.assert_array_equal(again, live_lib.command_at(live, 1.0))
     live_lib.steer(live, [0.1, 0, 0])
-    np.testing.assert_array_equal(live_lib.asked(live, 1.0), [0.1, 0, 0])
+    np.testing.assert_array_equal(live_lib.command_at(live, 1.0), [0.1, 0, 0])
     live_lib.tour(live, True)
     live_lib.tour(live, False)
-    assert not live_lib.asked(live, 1.0).any()
+    assert not live_lib.command_at(live, 1.0).any()
 
 
 def test_a_push_is_a_velocity_in_the_heading_of_the_base(live):
@@ -89,7 +89,7 @@ def test_a_pull_is_a_spring_with_a_limit(live):
 
 def test_after_a_fall_it_lies_and_stands_up():
     policy = policy_file.describe(*described())
-    body = choice.body(policy._replace(mjcf=""), None)[0]
+    body = source.body(policy._replace(mjcf=""), None)[0]
     live = live_lib.Live(body, lambda obs: np.full(12, 6.0))
     for _ in range(200):
         live_lib.step(live)
@@ -116,7 +116,7 @@ def test_after_a_fall_the_tour_goes_on_and_after_a_reset_it_starts_anew(live):
 
 
 def test_a_policy_that_always_blows_up_ends_nothing(live):
-    live_lib.wish(live, live_lib.learn, lambda obs: np.full(12, np.nan))
+    live_lib.wish(live, live_lib.take_policy, lambda obs: np.full(12, np.nan))
     live.wishes.popleft()()
     walk(live, 1.0)
     assert np.isfinite(live.data.qpos).all() and "finite" in live.note

@@ -11,7 +11,7 @@ from toy_policy import GO1, actor, described, save
 from dynappo import config as config_lib
 from dynappo.config import files
 from dynappo.policy import policy_file
-from dynappo.web import curves, policies
+from dynappo.web import policies, run_plots
 
 
 def offer(what, **other):
@@ -99,17 +99,17 @@ HEADER = "iteration,sim_steps,seconds,episode_return,n_real,eval_return"
 
 def test_curves_are_means_over_seeds_without_the_line_that_is_being_written(tmp_path):
     path = tmp_path / "metrics.csv"
-    assert curves.read(path) == {}
+    assert run_plots.read(path) == {}
     path.write_text(f"{HEADER}\n")
-    assert curves.read(path) == {}
+    assert run_plots.read(path) == {}
     path.write_text(
         f"{HEADER}\n1,10,0.5,1.0,8,\n1,10,0.5,3.0,8,\n2,20,1.0,,8,\n2,20,1.0,5.0,8,7\n3,30,1.5,2.0,8,1"
     )
-    columns = curves.read(path)
+    columns = run_plots.read(path)
     np.testing.assert_array_equal(columns["iteration"], [1, 2])
     np.testing.assert_array_equal(columns["episode_return"], [2, 5])
     np.testing.assert_array_equal(columns["eval_return"], [np.nan, 7])
-    assert curves.line(columns) == "iteration 2, 0.00 M simulator steps, 1 s"
+    assert run_plots.line(columns) == "iteration 2, 0.00 M simulator steps, 1 s"
 
 
 @pytest.mark.parametrize(
@@ -133,17 +133,17 @@ def test_a_damaged_file_of_metrics_ends_no_page(tmp_path, change, rows):
     """What can be read is shown."""
     path = tmp_path / "metrics.csv"
     path.write_text(change(f"{HEADER}\n1,10,0.5,1.0,8,\n2,20,1.0,2.0,8,7\n"))
-    columns = curves.read(path)
+    columns = run_plots.read(path)
     assert len(columns.get("iteration", [])) == rows
     if rows:
-        assert curves.line(columns) and len(curves.thinned(columns)["n_real"]) == rows
+        assert run_plots.line(columns) and len(run_plots.thinned(columns)["n_real"]) == rows
 
 
 def test_long_runs_are_thinned_to_means():
-    count = 5 * curves.MOST
+    count = 5 * run_plots.MOST
     columns = {"iteration": np.arange(count) * 1.0, "n_real": np.full(count, np.nan)}
-    few = curves.thinned(columns)
-    np.testing.assert_allclose(few["iteration"], 5 * np.arange(curves.MOST) + 2)
+    few = run_plots.thinned(columns)
+    np.testing.assert_allclose(few["iteration"], 5 * np.arange(run_plots.MOST) + 2)
     assert np.isnan(few["n_real"]).all()
     short = {"iteration": np.arange(3.0), "n_real": np.array([1.0, np.nan, 3.0])}
-    np.testing.assert_array_equal(curves.thinned(short)["n_real"], [1, np.nan, 3])
+    np.testing.assert_array_equal(run_plots.thinned(short)["n_real"], [1, np.nan, 3])

@@ -53,7 +53,7 @@ def test_a_new_policy_of_the_run_acts_while_the_robot_goes_on(page, tmp_path):
 def test_who_chose_another_policy_keeps_it(page, tmp_path):
     live = page.live
     found = policies.load(page.offer, "go2")
-    page.live.wishes.append(lambda: server.put(page, found, "go2"))
+    page.live.wishes.append(lambda: server.play(page, found, "go2"))
     until(lambda: live.body.policy.robot == "go2")
     assert live.t < 1 and page.panels.sliders[0].max == pytest.approx(live.body.policy.command_x[1])
     save(tmp_path / "policy.npz")

@@ -17,7 +17,7 @@ from answers import until
 from toy_policy import actor, described
 
 from dynappo.physics import robot as robot_lib
-from dynappo.policy import choice, episode, policy_file
+from dynappo.policy import episode, policy_file, source
 
 pytest.importorskip("mjviser", reason="mjviser is not installed (extra web)")
 
@@ -186,7 +186,6 @@ addEventListener("load", () => { for (const measures of %s)
 
 def test_scripts_in_names_do_not_run_in_a_page_of_one_file(open_, tmp_path):
     from dynappo.play import command, page
-    from dynappo.policy import source
 
     out = tmp_path / "walk.html"
     saved = hostile(tmp_path / "policy.npz")
@@ -197,8 +196,8 @@ def test_scripts_in_names_do_not_run_in_a_page_of_one_file(open_, tmp_path):
     time.sleep(0.5)
     assert tab.value("window.ran") is None
     # whoever has the page in a frame may send another recording, which is no HTML either
-    policy, _ = source.find(str(saved))
-    body, _ = choice.body(policy, None)
+    policy, _ = source.load(str(saved))
+    body, _ = source.body(policy)
     act = policy_file.actor(policy.params, policy.activation)
     data = page.scene(body, episode.play(body, act, episode.tour(0.2), 0.2))
     row = f"<tr><td>{RUNS}</td></tr>"

@@ -1,6 +1,7 @@
-"""The robot that a policy carries: played anywhere, checked as any other file, told where it differs."""
+"""What a name or a path means; the robot that a policy carries: played anywhere, told where it differs."""
 
 import json
+import shutil
 from functools import partial
 from pathlib import Path
 
@@ -16,7 +17,7 @@ from dynappo.evaluate import trials
 from dynappo.export import command as export_command
 from dynappo.physics import mjcf, robot
 from dynappo.play import command as play_command
-from dynappo.policy import carried, choice, policy_file
+from dynappo.policy import policy_file, source
 
 TEXT = GO1.xml.read_text()
 HEAVY = TEXT.replace('mass="5.204"', 'mass="7.5"', 1)
@@ -52,13 +53,13 @@ def test_a_policy_is_played_where_there_is_no_robot_of_its_name(tmp_path, monkey
     """By play, evaluate and export, from one file."""
     monkeypatch.chdir(tmp_path)
     spot(tmp_path / "spot.npz")
-    found, note = carried.robot(policy_file.load(tmp_path / "spot.npz"))
+    found, note = source.robot(policy_file.load(tmp_path / "spot.npz"))
     assert (found.name, note) == ("spot", "")
     np.testing.assert_array_equal(moved(found.mj_model), moved(GO1.mj_model))
     assert status(play_command.main, "spot.npz", "--seconds=0.2", "--out=walk.html") == 0
     assert "dynappo plays spot: " in capsys.readouterr().out
-    sweep = partial(trials.sweep, seconds=0.1, points=1)
-    monkeypatch.setattr(trials, "sweep", sweep)
+    sweep = partial(trials.run, seconds=0.1, points=1)
+    monkeypatch.setattr(trials, "run", sweep)
     assert status(evaluate_command.main, "spot.npz", "--fast") == 0
     assert "dynappo evaluates spot: " in capsys.readouterr().out
     assert status(export_command.main, "spot.npz", "--out=again.npz") == 0
@@ -93,45 +94,13 @@ def test_a_robot_is_one_text_without_other_files(tmp_path):
     assert GO1.alone == TEXT  # which is one text already
 
 
-PICTURE = '<texture type="{}" builtin="flat" width="4096" height="4000"/>'
-NUMBERS = '<numeric size="1000000"/>' * 20
 HOSTILE = {  # what `about` says, what the line must say
     "an include": ({"mjcf": '<mujoco><include file="/etc/passwd"/></mujoco>'}, "include file="),
-    "a mesh": ({"mjcf": TEXT.replace("</asset>", '<mesh file="a.obj"/></asset>')}, "mesh file="),
-    "a picture": (
-        {"mjcf": TEXT.replace("</asset>", '<texture type="cube" fileup="/dev/zero"/></asset>')},
-        "texture fileup='/dev/zero'",
-    ),
-    "a plugin": (
-        {"mjcf": TEXT.replace("<worldbody>", "<extension/><worldbody>")},
-        "found extension",
-    ),
     "too long": ({"mjcf": TEXT + " " * mjcf.MAX_CARRIED}, "an MJCF of at most 524288 bytes"),
-    "bodies": (
-        {
-            "mjcf": TEXT.replace(
-                "<worldbody>", '<worldbody><replicate count="9999">' + "<geom/>" * 9
-            )
-        },
-        "",
-    ),
-    "gigabytes of pictures": (
-        {"mjcf": TEXT.replace("</asset>", PICTURE.format("2d") * 40 + "</asset>")},
-        "texture brings it to",
-    ),
-    "a cube of pictures": (
-        {"mjcf": TEXT.replace("</asset>", PICTURE.format("cube") + "</asset>")},
-        "numbers, expected at most 16777216",
-    ),
-    "gigabytes of numbers": (
-        {"mjcf": TEXT.replace("<worldbody>", f"<custom>{NUMBERS}</custom><worldbody>", 1)},
-        "numeric brings it to",
-    ),
-    "no text": ({"mjcf": 7}, "mjcf is 7, expected a text"),
-    "no XML": ({"mjcf": "go1"}, "XML parse error"),
     "no robot": ({"mjcf": "<mujoco/>"}, "expected"),
     "another robot": ({"mjcf": robot.load("anymal_c").alone}, "those of the robot that it carries"),
-    "a seed": ({"seed": -1}, "seed is -1"),
+    "a list of entities": ({"mjcf": "<!DOCTYPE x>" + TEXT}, "a DOCTYPE, which MJCF does not have"),
+    "a number that is none": ({"mjcf": TEXT.replace("5.204", "nan", 1)}, "mass and inertia"),
 }
 
 
@@ -156,21 +125,21 @@ def test_where_the_robot_here_is_another_a_line_says_so(tmp_path, monkeypatch, c
     mass = GO1.mj_model.body_mass.sum()
 
     def total(xml=None):
-        return choice.body(policy, xml)[0].model.body_mass.sum()
+        return source.body(policy, xml)[0].model.body_mass.sum()
 
     (folder / "go1.xml").write_text(HEAVY)
     assert total() == pytest.approx(mass) and total("robots/go1/go1.xml") == mass + 7.5 - 5.204
-    assert choice.robot(policy, "robots/go1/go1.xml")[0].name == "go1"
+    assert source.robot(policy, "robots/go1/go1.xml")[0].name == "go1"
     for main, out in ((play_command.main, "a.html"), (export_command.main, "a.npz")):
         assert status(main, "mine.npz", f"--out={out}", *["--seconds=0.1"] * (out[2] == "h")) == 0
         notes = [n for n in capsys.readouterr().out.splitlines() if n.startswith("note: ")]
         (line,) = notes
         assert line.startswith(f"note: {folder}/go1.xml is another robot than the go1 that")
     (folder / "go1.xml").write_text(TEXT + "<!-- a word -->")
-    found, note = carried.robot(policy)
+    found, note = source.robot(policy)
     assert (note, found.xml) == ("", folder / "go1.xml")  # the same: here it may have looks
     (folder / "go1.xml").write_text("<mujoco/>")  # no robot: the policy has its own
-    assert carried.robot(policy)[1] == "" and total() == pytest.approx(mass)
+    assert source.robot(policy)[1] == "" and total() == pytest.approx(mass)
 
 
 CHANGES = {  # what is changed in the Go1, and whether it is another robot
@@ -203,7 +172,7 @@ def test_a_policy_of_before_is_played_in_the_robot_of_its_name(tmp_path):
     about = json.loads(str(arrays["about"]))
     del about["mjcf"], about["seed"]
     np.savez(path, allow_pickle=False, **arrays | {"about": json.dumps(about)})
-    found, note = carried.robot(policy_file.load(path))
+    found, note = source.robot(policy_file.load(path))
     assert (found.xml, found.text, note) == (GO1.xml, "", "")
 
 
@@ -227,7 +196,7 @@ def test_a_carried_robot_is_drawn(tmp_path):
     from dynappo.policy import episode, render
 
     policy = policy_file.load(spot(tmp_path / "spot.npz"))
-    body, _ = choice.body(policy, None)
+    body, _ = source.body(policy)
     rows = episode.play(body, lambda obs: np.zeros(12), lambda t: np.zeros(3), 0.02)
     if render.film(GO1, rows, tmp_path / "b.png"):
         pytest.skip("no pictures here")
@@ -244,7 +213,7 @@ def test_the_task_needs_no_robot_of_its_name_either(tmp_path, monkeypatch):
     policy_file.save(Path("spot.npz"), actor(), fields, loaded._replace(name="spot"))
     policy = policy_file.load(Path("spot.npz"))
     assert evaluate_command.episodes.settings(policy).robot == "spot"
-    own, _ = carried.robot(policy)
+    own, _ = source.robot(policy)
     evaluate_command.episodes.check_robot(policy, own)
     turned = policy._replace(joint_names=policy.joint_names[::-1])
     line = refused(evaluate_command.episodes.check_robot, turned, own)
@@ -265,3 +234,24 @@ def test_every_command_takes_a_seed_in_the_same_way(main, tmp_path, monkeypatch,
     text = " ".join(capsys.readouterr().out.split())
     assert "--run-seed K|best" in text and "--robot-xml FILE" in text
     assert "number K, 0 to run.num_seeds - 1, or the best in the last evaluation" in text
+
+
+# ---- what a name or a path means
+
+
+def test_names_files_and_folders_are_told_apart(tmp_path, monkeypatch):
+    """The policy of a robot's name first, `./spot` is a folder; a miss says what was expected."""
+    monkeypatch.chdir(tmp_path)
+    saved = save(tmp_path / "policy.npz")
+    for folder in ("robots/spot", "spot"):
+        Path(folder).mkdir(parents=True)
+    Path("robots/spot/spot.xml").write_text("<mujoco/>")
+    line = refused(source.locate, "spot")
+    assert "(robots/spot/policy.npz)" in line and "--policy=zero" in line
+    shutil.copy(saved, "robots/spot/policy.npz")
+    assert source.locate("spot") == tmp_path / "robots" / "spot" / "policy.npz"
+    assert "./spot: holds neither" in refused(source.locate, "./spot")
+    shutil.copy(saved, "spot/policy.npz")
+    assert source.locate("./spot") == Path("spot/policy.npz")
+    line = refused(source.locate, "sptt")
+    assert line.startswith("sptt: no such file or folder") and "go2, spot (or" in line

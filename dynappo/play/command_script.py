@@ -1,4 +1,4 @@
-"""What `--command` asks of the robot: three numbers, a script, or a tour where nothing is said."""
+"""The commands that `--command` gives: three numbers, a script, or without the flag a tour."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ AXES = ("vx", "vy", "wz")
 
 
 class Commands(NamedTuple):
-    """What the robot is asked for."""
+    """The commands of an episode."""
 
     at: Callable[[float], np.ndarray]  # t (s) -> vx, vy, yaw rate
     rows: np.ndarray  # [K, 3] all that occur

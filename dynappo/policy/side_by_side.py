@@ -1,6 +1,6 @@
 """Makes a small GIF of several episodes: robots walk side by side, seen by a fixed camera.
 
-    problem = beside.film(go1.xml, [first, second], Path("walks.gif"))
+    problem = side_by_side.film(go1.xml, [first, second], Path("walks.gif"))
 
 For notebooks and pages. Only the robots' pixels change, so a second takes 20 to 45 kB (one to three
 robots). With a camera that follows the robot (`render.film`) it takes half a megabyte.
@@ -49,7 +49,7 @@ def steady(*command: float) -> Callable[[float], np.ndarray]:
 
 def together(xml: Path, episodes: Sequence[dict]) -> tuple[Any, dict[str, np.ndarray]]:
     """`(robots, episode)`, all `episodes` in one scene, as `render.film` takes them."""
-    with mjcf.reading(xml):
+    with mjcf.one_line(xml):
         scene = mujoco.MjSpec.from_file(str(xml))
         # MuJoCo does not copy attached specs: keep all alive until the scene is written
         others = [_tinted(xml, TINTS[i % len(TINTS)]) for i in range(len(episodes) - 1)]
