@@ -155,17 +155,21 @@ def near(name: str) -> str:
     return f"did you mean {close[0]}?" if close else "configs/default.py lists all fields"
 
 
-def typed(config) -> config_dict.ConfigDict:
-    """A copy in which every field has the type of its default; ConfigError where it cannot."""
-    values = flat(config)
-    check_names(values.keys())
-    out = copy.deepcopy(_defaults())
+def typed(values: dict[str, Any]) -> config_dict.ConfigDict:
+    """The config of these values by dotted name, each with the type of its field; ConfigError where it
+    cannot have it. A field that is missing, or None as its default is, has the default."""
+    found = {}
     for name, field in every().items():
-        if values[name] is None and field.default is None:
-            continue
-        value = convert(field, values[name])
-        if value is None:
-            raise ConfigError(f"{name} is {values[name]!r}, expected {expected(field)}")
-        group, _, leaf = name.rpartition(".")
-        (out[group] if group else out)[leaf] = value
+        if name in values and not (values[name] is None and field.default is None):
+            found[name] = convert(field, values[name])
+            if found[name] is None:
+                raise ConfigError(f"{name} is {values[name]!r}, expected {expected(field)}")
+    out = defaults()
+    out.update_from_flattened_dict(found)
     return out
+
+
+def copied(config) -> config_dict.ConfigDict:
+    """A copy in which every field has the type of its default; ConfigError where a field is missing."""
+    check_names(flat(config).keys())
+    return typed(flat(config))

@@ -7,7 +7,7 @@ from typing import Any
 from ml_collections import config_dict
 
 from dynappo import schedule
-from dynappo.config.fields import ConfigError, check, expect, flat, typed
+from dynappo.config.fields import ConfigError, check, copied, expect, flat
 from dynappo.config.files import find, robots
 
 # What task.formulation decides where the field itself is None (sources: configs/README.md).
@@ -55,7 +55,7 @@ def validate(
 
     `robot_here`: also that robots/ has its robot, which a policy may carry instead.
     """
-    config = typed(config)
+    config = copied(config)
     for name, value in flat(config).items():
         check(name, value)
     for name, value in FORMULATIONS[config.task.formulation].items():

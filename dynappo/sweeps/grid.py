@@ -140,7 +140,7 @@ def whole(group: list[Combination]) -> Any:
 
     ConfigError where these are too many.
     """
-    config = fields.typed(group[0].config)  # a copy: ConfigDict(config) would share its groups
+    config = fields.copied(group[0].config)  # a copy: ConfigDict(config) would share its groups
     config.run.num_seeds *= len(group)
     try:
         return config_lib.validate(config)

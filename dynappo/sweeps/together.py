@@ -64,7 +64,7 @@ def compiled(group: list[grid.Combination], log_every: int) -> Program:
 
 
 def _with_log_every(config, log_every: int):
-    config = fields.typed(config)  # a copy
+    config = fields.copied(config)  # a copy
     config.run.log_every = log_every
     return config_dict.FrozenConfigDict(config)
 
