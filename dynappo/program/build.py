@@ -157,7 +157,7 @@ def program(
         state, compiled, ready = _side_by_side(*given, robot is None, meanwhile)
     size = memory.needed(compiled)
     memory.check_compiled(config, size, memory.limit(mesh.local_devices[0]))
-    distributed.meet()
+    distributed.barrier()
     if impl == "warp":  # its kernels are built and loaded at the first call
         once = {name: np.minimum(column, 1) for name, column in chunk[0].items()}
         jax.block_until_ready(compiled(hyper, jax.tree.map(jnp.copy, state), once, chunk[1]))
