@@ -47,7 +47,7 @@ MAY_IMPORT = {
     "web": {"web", "policy", "physics", "config"},
     "play": {"play", "web", "policy", "physics", "config"},
     "export": {"export", "policy", "physics", "task.observe", "config"},
-    "bench": {"bench", "program", "config", "method", "model", "task.observe"},
+    "bench": {"bench", "program", "config", "method", "model"},
 }
 WITHOUT_JAX = {"policy", "look", "web", "play", "export", "config", "schedule"}
 WITHOUT_JAX |= {"task.rewards", "task.payment", "task.observe"}

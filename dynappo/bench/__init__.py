@@ -3,6 +3,5 @@
 - `command`: its flags, what it prints and writes
 - `phases`: the time of each part, measured on the program that trains
 
-No other command imports it. It imports `program`, `config`, the method, `model` and
-`task.observe`.
+No other command imports it. It imports `program`, `config`, the method and `model`.
 """

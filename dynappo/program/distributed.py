@@ -166,14 +166,14 @@ def on_first(action: Callable[[], Any]) -> Any:
 
     if not several():
         return action()
-    answer, failed = {}, None
+    text, failed = b"", None
     if first():
         try:
-            answer = {"value": action()}
+            text = json.dumps({"value": action()}).encode()
         except Exception as error:
             failed = error
-            answer = {"error" if isinstance(error, ConfigError) else "fault": str(error)}
-    text = json.dumps(answer).encode()
+            kind = "error" if isinstance(error, ConfigError) else "fault"
+            text = json.dumps({kind: str(error)}).encode()
     size = int(multihost_utils.broadcast_one_to_all(np.int32(len(text))))  # all send as much
     message = np.frombuffer(text.ljust(size)[:size], np.uint8)
     message = np.asarray(multihost_utils.broadcast_one_to_all(message)).tobytes()
