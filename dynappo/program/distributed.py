@@ -44,8 +44,8 @@ def join(coordinator: str | None, count: int | None, index: int | None) -> None:
         return
     if missing and len(missing) < 3:
         raise ConfigError(f"{missing[0]} is missing; several processes need {', '.join(flags)}")
-    port = (coordinator or "").rpartition(":")[2]
-    if not missing and not (re.fullmatch(".+:[0-9]{1,5}", coordinator) and 0 < int(port) < 65536):
+    address = re.fullmatch(".+:([0-9]{1,5})", coordinator or "")
+    if not missing and not (address and 0 < int(address[1]) < 65536):
         raise ConfigError(
             f"--coordinator is {coordinator!r}, expected HOST:PORT of process 0, a port from 1 to 65535"
         )
