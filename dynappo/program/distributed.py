@@ -49,6 +49,8 @@ def join(coordinator: str | None, count: int | None, index: int | None) -> None:
         raise ConfigError(
             f"--coordinator is {coordinator!r}, expected HOST:PORT of process 0, a port from 1 to 65535"
         )
+    if count is not None and index is not None and not 0 <= index < count:
+        raise ConfigError(f"--process is {index}, expected 0 to {count - 1} (--processes={count})")
     import jax
 
     # JAX's own SIGTERM handler would replace ours, and the run would not save
