@@ -359,13 +359,14 @@ def _best(config: config_dict.ConfigDict) -> None:
     physics alone. What each setting is worth: experiments/21_less."""
     config.rollout.update(num_envs=1024, horizon=20)
     config.schedule.update(start_iteration=0, end_iteration=5, start_steps=0, end_steps=16)
-    config.schedule.update(last_iteration=150, rounds=3)
+    config.schedule.update(last_iteration=150, rounds=3, late_from=60)
     config.model.update(clean=True, known_reward=True, falls=True, minibatches=5)
     config.model.update(late_epochs=5, late_from=50, activation="swish", precision="bfloat16")
-    config.ppo.update(symmetry=True, gamma=0.98, desired_kl=0.02)
+    config.ppo.update(symmetry=True, gamma=0.98, desired_kl=0.02, late_kl=0.5)
     config.ppo.update(activation="swish", precision="bfloat16")
-    # Episodes of 5 s: robots fall in the first second of a command, so they must begin many.
-    config.task.update(episode_length=250, carry_on=True)
+    # Robots fall in the first second of an episode or of a command, so they must begin many; and some
+    # after ten seconds of a slow one, so one in three goes on under its own
+    config.task.update(episode_length=125, carry_on=True, start_anew=1 / 3, keep_command=1 / 3)
     config.run.eval_steps = 1000
 
 
@@ -376,6 +377,8 @@ def _deploy(config: config_dict.ConfigDict) -> None:
     # 45 numbers that a robot measures, of the last five steps; value and model see the state
     task.update(observation="onboard", history=5, standing=0.1)
     config.ppo.critic = "state"
+    # longer episodes, for they are pushed; and the larger steps to the end, for the task is harder
+    task.episode_length, config.ppo.late_kl = 250, 1.0
     # the task is harder, and a GPU has room for more robots
     config.rollout.num_envs = 4096
     config.run.num_iterations = 700
