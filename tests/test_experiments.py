@@ -400,23 +400,6 @@ def test_the_timeline_gives_each_kernel_to_its_phase():
     }
 
 
-def test_a_picture_has_256_colours_and_looks_as_it_did(tmp_path):
-    pytest.importorskip("matplotlib")
-    from PIL import Image
-
-    page, axes = pictures.figure(1, 1, 3)
-    for k in range(8):
-        x = np.linspace(0, 9, 50)
-        pictures.band(axes[0, 0], x, np.sin(x)[:, None] + k + [-0.3, 0, 0.2], f"C{k}", f"{k}")
-    page.savefig(tmp_path / "raw.png", dpi=pictures.DPI)
-    pictures.save(page, tmp_path / "few")
-    raw, few = (Image.open(tmp_path / f"{name}.png") for name in ("raw", "few"))
-    assert few.mode == "P"
-    pixels = [np.asarray(picture.convert("RGB"), int) for picture in (raw, few)]
-    assert np.abs(pixels[0] - pixels[1]).max() < 24
-    assert (pixels[1][(pixels[0] == 255).all(-1)] == 255).all()
-
-
 @pytest.mark.parametrize("name", ["11_model", "12_platforms", "13_step_time", "16_gaits"])
 def test_a_table_says_what_has_not_been_run(name, tmp_path, drawn):
     script(name).make(tmp_path)

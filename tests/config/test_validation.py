@@ -155,13 +155,6 @@ def test_a_number_that_nothing_can_hold_is_refused_at_once(some):
     assert "expected" in line and any(name in line for name in some)
 
 
-def test_the_largest_run_is_checked_in_well_below_a_second():
-    largest = {"run.num_iterations": 10**6, "run.checkpoint_every": 0, "rollout.horizon": 9984}
-    began = time.process_time()
-    config_lib.validate(config(largest | {"schedule.end_steps": 100}))
-    assert time.process_time() - began < 5
-
-
 def by_hand(field, value):
     """A config whose fields have no types, as somebody may make one: `field` is `value`."""
     tree = config({}).to_dict()
