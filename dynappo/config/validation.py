@@ -1,4 +1,4 @@
-"""Which settings can run: checks every number that can be wrong, before JAX is imported."""
+"""Which settings can run together; needs no JAX. What one field may hold: `fields`."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ MULTIPLES = (  # field, another that must divide it
 def validate(
     config: config_dict.ConfigDict, robot_here: bool = True
 ) -> config_dict.FrozenConfigDict:
-    """Resolve `task.formulation` and check every number that can be wrong; returns it frozen.
+    """The config frozen, with `task.formulation` resolved; ConfigError where it cannot run.
 
     `robot_here`: also that robots/ has its robot, which a policy may carry instead.
     """
@@ -132,7 +132,7 @@ def _check_pairs(config, fields: dict[str, Any]) -> None:
 
 
 def _check_hardware(config) -> None:
-    """What of `task.randomize` the observation, the actuator and the engine can have."""
+    """Rejects randomisation that the observation, actuator or engine cannot support."""
     task, ranges = config.task, config.task.randomize
     seconds = config.physics.substeps * config.physics.timestep
     late, longest = ranges.delay[1], 2 * seconds
@@ -152,11 +152,11 @@ def _check_hardware(config) -> None:
 
 
 def _check_model(config) -> None:
-    """Whether the value function can see a tail's states, and a minibatch of the model has real rows
-    enough."""
-    told = config.ppo.critic == "obs" or config.model.clean
+    """Checks that the value function can see a tail's states, and that the model's minibatches find
+    enough real rows."""
+    seen = config.ppo.critic == "obs" or config.model.clean
     text = "obs where model.clean is False: a tail then has no exact state; or set model.clean=True"
-    expect(told, "ppo.critic", config.ppo.critic, text)
+    expect(seen, "ppo.critic", config.ppo.critic, text)
     horizon, minibatches = config.rollout.horizon, config.model.minibatches
     expected = f"a multiple of model.minibatches = {minibatches}: a minibatch has as many rows of every robot"
     expect(horizon % minibatches == 0, "rollout.horizon", horizon, expected)

@@ -1,4 +1,4 @@
-"""Chooses the devices and the engine of a run, and sets up the process of a command.
+"""Chooses the devices and the engine of a run, and sets up JAX for a command.
 
 Only commands call `own_process`: in a notebook it would override the user's own settings.
 """
