@@ -35,19 +35,19 @@ def least(config) -> int:
 
 def check(config, limit: int | None) -> None:
     """ConfigError if a run cannot fit into a device's `limit` bytes, whatever the compiler does."""
-    _check(config, "the rollout alone", least(config), limit)
+    _check(config, "the rollout alone needs", least(config), limit)
 
 
 def check_compiled(config, size: int, limit: int | None) -> None:
     """ConfigError if the compiler's count, `size` bytes, is more than a device has."""
-    _check(config, "the compiled program", size, limit)
+    _check(config, "the compiled program needs", size, limit)
 
 
 def _check(config, what: str, size: int, limit: int | None) -> None:
     if limit is not None and size > limit:
         raise ConfigError(
             f"rollout.num_envs x run.num_seeds is {config.rollout.num_envs} x {config.run.num_seeds}: "
-            f"{what} needs {text(size)} on each device, which has {text(limit)}; {CURE}"
+            f"{what} {text(size)} on each device, which has {text(limit)}; {CURE}"
         )
 
 

@@ -241,11 +241,8 @@ def test_what_the_first_process_finds_reaches_the_others_however_long_it_is():
         (("", 2, 0), "--coordinator is '', expected HOST:PORT"),
         (("localhost:65536", 2, 0), "a port from 1 to 65535"),
         (("localhost:²", 2, 0), "a port from 1 to 65535"),
-        (("localhost:7", 2, 2), "cannot meet at localhost:7 (process_id and num_processes must be"),
-        (
-            ("localhost:7", 2, -1),
-            "cannot meet at localhost:7 (process_id and num_processes must be",
-        ),
+        (("localhost:7", 2, 2), "--process is 2, expected 0 to 1"),
+        (("localhost:7", 2, -1), "--process is -1, expected 0 to 1"),
     ],
 )
 def test_flags_that_do_not_make_a_run_are_refused(flags, words):
