@@ -29,11 +29,16 @@ FLAGS = (
 ).split()
 WIDE, NARROW = (800, 500), (390, 700)  # pixels
 SHARP = 0.5  # pixels drawn for one of the page: a CPU draws them all
-# A CPU draws every frame, and takes the time from what is tested: fewer frames, without smooth edges.
+# A CPU draws every frame, and takes the time from what is tested: fewer frames, without smooth edges. The
+# first three come with times seconds apart, so that a page finds at once that it has no graphics card.
 SELDOM = """
-window.rest = 100;
+window.rest = 250;
+let slow = 3, later = 0;
 const soon = window.requestAnimationFrame.bind(window);
-window.requestAnimationFrame = call => setTimeout(() => soon(call), window.rest);
+window.requestAnimationFrame = call => setTimeout(() => soon(now => {
+  if (slow-- > 0) later += 3000;
+  call(now + later);
+}), window.rest);
 window.cancelAnimationFrame = clearTimeout;
 const context = HTMLCanvasElement.prototype.getContext;
 HTMLCanvasElement.prototype.getContext = function (kind, options) {
@@ -143,7 +148,7 @@ class Tab:
         """Draw next to nothing, and leave the processor to another page."""
         self.value("window.rest = 5000")
         yield
-        self.value("window.rest = 100")
+        self.value("window.rest = 250")
 
     def watched(self, yes):
         """Whether the page believes that a person looks at it."""
@@ -183,14 +188,10 @@ def chromium(folder, size=WIDE, *more):
         "about:blank",
     ]
     process = subprocess.Popen(args, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    try:
-        with contextlib.ExitStack() as held:
-            yield lambda url: _open(held, connect, _port(folder, process), url, size)
-    finally:
-        process.terminate()
+    with contextlib.ExitStack() as held:
         try:
-            process.wait(10)
-        except subprocess.TimeoutExpired:
+            yield lambda url: _open(held, connect, _port(folder, process), url, size)
+        finally:  # asked to end, it first draws all that the tabs still want
             process.kill()
             process.wait()
 
@@ -210,7 +211,9 @@ def _open(held, connect, port, url, size):
     with urllib.request.urlopen(request, timeout=PATIENCE) as answer:
         where = json.load(answer)["webSocketDebuggerUrl"]
     # while a test waits for something else, answers to pings are stuck behind unread lines
-    tab = Tab(held.enter_context(connect(where, max_size=2**26, ping_interval=None)))
+    # and so is the answer to a goodbye
+    line = connect(where, max_size=2**26, ping_interval=None, close_timeout=0.1)
+    tab = Tab(held.enter_context(line))
     for domain in ("Runtime", "Log", "Page"):
         tab.call(f"{domain}.enable")
     tab.call(

@@ -26,6 +26,8 @@ from dynappo import algorithm, schedule
 from dynappo.learner import networks, ppo
 from dynappo.model import dynamics, moments
 
+LATE_FROM = 4  # the ramp ends in iteration 5: no row of the schedule changes
+
 
 @pytest.fixture(scope="module")
 def env():
@@ -35,8 +37,8 @@ def env():
 
 @pytest.fixture(scope="module")
 def tail():
-    """`(config, static, hyper)` with a ramp to 4 of 8 rows by the model."""
-    return toy_env.settings(toy_env.TAIL)
+    """`(config, static, hyper)` with a ramp to 4 of 8 rows by the model, late once it is over."""
+    return toy_env.settings(toy_env.TAIL | {"schedule.late_from": LATE_FROM})
 
 
 @pytest.fixture(scope="module")
@@ -453,6 +455,27 @@ def test_there_are_rounds_where_there_is_a_tail():
     assert "rounds" not in schedule.columns(toy_env.settings(toy_env.TAIL)[0])
     without = toy_env.settings({"schedule.rounds": 3})[0]
     assert "rounds" not in schedule.columns(without)
+
+
+# ---- late iterations
+
+
+def test_the_kl_target_is_multiplied_after_late_from_and_not_before(observed, tail, first):
+    """`ppo.late_kl` is a factor of `desired_kl`: the learning rate goes where a target far away leads it."""
+    config, _, hyper = tail
+    state, rate = first(), hyper.ppo.learning_rate
+
+    def learner(iteration, **fields):
+        changed = hyper._replace(ppo=hyper.ppo._replace(**fields))
+        return observed(changed, state, row(config, n_real=5, first=iteration))[1].learner
+
+    for iteration in (1, LATE_FROM):
+        assert_same(learner(iteration, late_kl=1e-6), learner(iteration))
+    for iteration in (LATE_FROM + 1, LATE_FROM + 2):
+        low, high = (learner(iteration, late_kl=factor) for factor in (1e-6, 1e6))
+        assert low.learning_rate < rate / 3 and high.learning_rate > rate * 3
+        for late, factor in ((low, 1e-6), (high, 1e6)):
+            assert_same(late, learner(iteration, desired_kl=hyper.ppo.desired_kl * factor))
 
 
 # ---- what is carried on

@@ -22,6 +22,9 @@ def config_of(a, b, x, y, iterations, horizon=16):
             end_steps=y,
             last_iteration=None,
             rounds=1,
+            late_from=None,
+            late_steps=None,
+            late_rounds=None,
         ),
         run=SimpleNamespace(num_iterations=iterations),
         rollout=SimpleNamespace(num_envs=4096, horizon=horizon),
@@ -184,6 +187,45 @@ def test_a_tail_of_one_length_ends_after_the_last_iteration_too():
 def test_a_model_is_fitted_before_a_tail_that_comes_late():
     config = config_of(6, 8, 0, 2, 8)
     np.testing.assert_array_equal(schedule.columns(config)["model_epochs"], [25] * 8)
+
+
+@pytest.mark.parametrize("late_from", [None, 0, 3, 7, 10])
+@pytest.mark.parametrize(
+    ("late_steps", "late_rounds", "last"), [(None, None, None), (2, 1, 8), (0, 2, None), (8, 3, 5)]
+)
+def test_late_iterations_have_a_tail_and_rounds_of_their_own(
+    late_from, late_steps, late_rounds, last
+):
+    """Tail and rounds after `late_from`, cut by `last_iteration`, against a loop over iterations."""
+    a, b, x, y, rounds, iterations, horizon = 2, 6, 1, 8, 3, 10, 16
+    config = config_of(a, b, x, y, iterations)
+    late = dict(late_from=late_from, late_steps=late_steps, late_rounds=late_rounds)
+    vars(config.schedule).update(late, rounds=rounds, last_iteration=last)
+    tails, turns = [], []
+    for i in range(1, iterations + 1):
+        tail, turn = exact(a, b, x, y, i), rounds
+        if late_from is not None and i > late_from:
+            tail = y if late_steps is None else late_steps
+            turn = rounds if late_rounds is None else late_rounds
+        if last is not None and i > last:
+            tail = 0
+        tails.append(tail)
+        turns.append(turn if tail else 1)
+    columns = schedule.columns(config)
+    assert schedule.table(config).tolist() == tails
+    np.testing.assert_array_equal(columns["n_real"], horizon - np.array(tails))
+    np.testing.assert_array_equal(columns["rounds"], turns)
+    steps = np.cumsum(horizon - np.array(tails)) * 4096
+    np.testing.assert_array_equal(schedule.sim_steps(config), steps)
+
+
+def test_late_is_said_of_each_iteration_alike_in_the_table_and_in_the_program():
+    config = config_of(0, 100, 0, 4, 8)
+    i = np.arange(1, 9)
+    assert not schedule.late(config, i).any() and not schedule.late(config, 2)
+    config.schedule.late_from = 3
+    np.testing.assert_array_equal(schedule.late(config, i), [0, 0, 0, 1, 1, 1, 1, 1])
+    assert [bool(schedule.late(config, int(k))) for k in i] == [k > 3 for k in i]
 
 
 def test_the_variant_fast_fits_fewer_epochs_in_later_iterations():

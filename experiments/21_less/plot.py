@@ -1,8 +1,10 @@
 """Evaluated return over simulator steps, four robots: curves.png.
 
-    python experiments/21_less/plot.py experiments/21_less/results/fresh.csv.xz
+    cd experiments/21_less
+    python plot.py results/headline.csv.xz results/fresh.csv.xz
 
-Lines are means over five seeds, bands their 95 % t interval; steps are logarithmic.
+Lines are means over ten seeds, of PPO-16 and PPO-24 five, which are older; bands their 95 % t interval; steps
+are logarithmic.
 """
 
 import importlib
@@ -17,20 +19,21 @@ table = importlib.import_module("experiments.21_less.table")
 
 ROBOTS = {"g": "Go1", "h": "Go2", "c": "ANYmal-C", "d": "ANYmal-D"}
 RUNS = {  # name in the results -> label, colour, dashes
-    "new": ("best", pictures.BLUE, "-"),
-    "old-best": ("best until 2026-11-22", pictures.SKY, (0, (3, 1.2))),
-    "ppo-kl3": ("PPO, tuned (256 robots)", pictures.ORANGE, (0, (1, 1))),
-    "ppo-1024x24": ("PPO, 1024 robots, 24 rows", pictures.VERMILION, (0, (5, 1.2, 1, 1.2))),
-    "ppo24": ("PPO-24, 4096 robots", pictures.GREY, (0, (5, 2))),
-    "ppo16": ("PPO-16, 4096 robots", pictures.BLACK, "-"),
+    "best": ("best", pictures.BLUE, "-"),
+    "ppo-task": ("PPO, tuned, the same task", pictures.VERMILION, "-"),
+    "ppo": ("PPO, tuned, as before", pictures.ORANGE, (0, (1, 1))),
+    "ppo24": ("PPO-24, 4096 robots (older)", pictures.GREY, (0, (5, 2))),
+    "ppo16": ("PPO-16, 4096 robots (older)", pictures.BLACK, "-"),
 }
 LEVEL = {robot: walks.level(45 if robot in "gh" else 30) for robot in ROBOTS}
 
 
 def main():
     parser = paper.parser(__doc__)
-    parser.add_argument("path", type=Path)
-    jobs = table.read(parser.parse_args().path)
+    parser.add_argument("paths", type=Path, nargs="+")
+    jobs = {}
+    for path in parser.parse_args().paths:
+        jobs |= table.read(path)
     fig, axes = pictures.figure(2, 2, 6.4, sharex=True)
     for axis, (robot, title) in zip(np.ravel(axes), ROBOTS.items(), strict=True):
         for name, look in RUNS.items():
@@ -43,7 +46,9 @@ def main():
         axis.set_xlabel("simulator steps (logarithmic)")
     for row in axes:
         row[0].set_ylabel("evaluated return")
-    pictures.head(fig, f"Band: {pictures.covers([5])}. Dotted: the level of a walk", fontsize=9.5)
+    pictures.head(
+        fig, f"Band: {pictures.covers([5, 10])}. Dotted: the level of a walk", fontsize=9.5
+    )
     pictures.legend(fig, axes[0, 0], 3)
     pictures.save(fig, Path(__file__).with_name("curves"))
 

@@ -3,10 +3,15 @@
     python experiments/21_less/table.py FOLDER [NAME ...]
     python experiments/21_less/table.py experiments/21_less/results/tuning.csv.xz [NAME ...]
     python experiments/21_less/table.py experiments/21_less/results/ablation.csv.xz --parts
-    python experiments/21_less/table.py experiments/21_less/results/fresh.csv.xz new-g ppo-kl3-g --falls
+    python experiments/21_less/table.py experiments/21_less/results/headline.csv.xz best-g ppo-g --falls
+    python experiments/21_less/table.py experiments/21_less/results/headline.csv.xz --at 0.6 1 2 3.6864
 
 `--falls`: steps until a robot first reaches its level, the falls then, and steps until it does with few
 falls, or stays there with any, at most 3 % and at most 1 % at every later evaluation.
+
+`--at`: return and falls after so many million steps, between two evaluations on a straight line.
+`--beside`: `best` against PPO, in steps and at equal steps (headline.csv.xz). `--phases`: per cent of falls
+while the model writes tails and after.
 
 `--parts`: a line a part that was taken out, a column a robot: steps until it walks, until it is first at the
 level, then return and falls at the end.
@@ -21,6 +26,7 @@ twice.
 """
 
 import csv
+import itertools
 import lzma
 from pathlib import Path
 
@@ -28,7 +34,7 @@ import numpy as np
 
 from dynappo.policy import walks
 from dynappo.train import curves
-from experiments import paper
+from experiments import paper, stats
 
 TEXT = ("job", "name", "batch")
 END = ("return", "fall_rate", "tracking_error")
@@ -44,15 +50,22 @@ def main():
     parser.add_argument("names", nargs="*")
     parser.add_argument("--parts", action="store_true")
     parser.add_argument("--falls", action="store_true")
+    parser.add_argument("--at", type=float, nargs="+", metavar="M")
+    parser.add_argument("--beside", action="store_true")
+    parser.add_argument("--phases", action="store_true")
     args = parser.parse_args()
     jobs = read(args.path)
     jobs = {name: jobs[name] for name in args.names or jobs}
-    if args.parts:
-        print(parts(jobs))
-        return
-    if args.falls:
-        print(falls(jobs))
-        return
+    for asked, lines in (
+        (args.parts, parts),
+        (args.falls, falls),
+        (args.at, lambda jobs: at(jobs, args.at)),
+        (args.beside, beside),
+        (args.phases, phases),
+    ):
+        if asked:
+            print(lines(jobs))
+            return
     for top in LEVELS:
         mine = {name: job for name, job in jobs.items() if top == best(job)}
         if mine:
@@ -60,12 +73,16 @@ def main():
 
 
 def read(path: Path) -> dict[str, list[dict]]:
-    """`name -> rows`, numbers as such: of a folder of NAME.csv, or of one packed file."""
+    """`name -> rows`, numbers as such: of a folder of NAME.csv, or of one packed file. Batches that ran the
+    same settings under one name are one job; of others the later is called `NAME of batch K`."""
     if path.is_dir():
         return {file.stem: rows(file.open(newline="")) for file in sorted(path.glob("*.csv"))}
-    jobs = {}
+    jobs, first = {}, {}
     for row in rows(lzma.open(path, "rt", newline="")):
-        jobs.setdefault(row["name"], []).append(row)
+        name, settings = row["name"], [f for f in row["job"].split() if not f.startswith("run.")]
+        if first.setdefault(name, settings) != settings:
+            name += f" of batch {row['batch']}"
+        jobs.setdefault(name, []).append(row)
     return jobs
 
 
@@ -73,7 +90,7 @@ def rows(file) -> list[dict]:
     """The rows of an open CSV."""
     with file:
         found = list(csv.DictReader(file))
-    found = [{k: v if k in TEXT else float(v) for k, v in row.items()} for row in found]
+    found = [{k: v if k in TEXT else float(v or "nan") for k, v in row.items()} for row in found]
     for row in found:
         row["return"] *= 2 if "run.eval_steps=500" in row["job"] else 1
     return found
@@ -85,8 +102,11 @@ def best(job) -> int:
 
 
 def seeds(job) -> list[list[dict]]:
-    """The rows of each seed, in order."""
-    return [[r for r in job if r["seed"] == s] for s in sorted({r["seed"] for r in job})]
+    """The rows of each run, in order: of a seed that two batches have, two."""
+    runs = {}
+    for row in job:
+        runs.setdefault((row.get("batch", ""), row["seed"]), []).append(row)
+    return [runs[key] for key in sorted(runs)]
 
 
 def first(run: list[dict], level: float, name: str = "sim_steps") -> float:
@@ -158,6 +178,98 @@ def falls(jobs) -> str:
             "| " + " | ".join([name, steps_of(few.level), then, *map(steps_of, found)]) + " |"
         )
     return "\n".join(lines)
+
+
+def between(job, steps: float, name: str) -> np.ndarray:
+    """`name` of each run after so many steps, `[S]`: linear between two evaluations."""
+    return np.array(
+        [
+            np.interp(steps, *([r[c] for r in run] for c in ("sim_steps", name)))
+            for run in seeds(job)
+        ]
+    )
+
+
+def at(jobs, millions) -> str:
+    """In Markdown, a line a job, a column a number of million steps: return, per cent of falls."""
+    lines = [
+        "|  | " + " | ".join(f"{m:.3g} M" for m in millions) + " |",
+        "|---|" + "---|" * len(millions),
+    ]
+    for name, job in jobs.items():
+        found = [[between(job, m * 1e6, c) for c in ("return", "fall_rate")] for m in millions]
+        cells = [f"{spread(total)}, {spread(100 * fell)} %" for total, fell in found]
+        lines.append("| " + " | ".join([name, *cells]) + " |")
+    return "\n".join(lines)
+
+
+def beside(jobs) -> str:
+    """In Markdown, a line a robot and PPO: how many times the steps of `best` it needs, with Fieller's
+    interval; "at least" where some seeds never get there and count with all steps of their runs. Then what
+    `best` returns more and, in points of per cent, falls more, at 2 M steps and where PPO ends."""
+    head = ["", "to the level", "until it walks"]
+    head += [
+        "return at 2 M",
+        "at PPO's end",
+        "p that they are equal",
+        "falls at 2 M",
+        "at PPO's end",
+    ]
+    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
+    for letter, name in itertools.product("ghcd", ("ppo-task", "ppo")):
+        mine, ppo = jobs[f"best-{letter}"], jobs[f"{name}-{letter}"]
+        end, margin = seeds(ppo)[0][-1]["sim_steps"], 1.0 if letter in "gh" else 0.7
+        one, other = (reached(seeds(job), walks.level(best(mine))) for job in (ppo, mine))
+        cells = [f"{name}-{letter}", factor(one.level, other.level, end)]
+        cells.append(factor(one.walks, other.walks, end))
+        for column, scale in (("return", 1), ("fall_rate", 100)):
+            for steps in (2e6, end):
+                pair = [scale * between(job, steps, column) for job in (mine, ppo)]
+                found = stats.difference(*pair)
+                cells.append(f"{found.value:+.1f} ({found.low:.1f} to {found.high:.1f})")
+            if column == "return":
+                cells.append(f"{stats.equivalence(*pair, margin):.1g}")
+        lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+def factor(one, other, end: float) -> str:
+    """Mean steps of `one` by those of `other`; a NaN of `one` counts with `end`, which is too few."""
+    if np.isnan(one).any():
+        return f"at least {np.mean(np.nan_to_num(one, nan=end)) / np.mean(other):.1f}"
+    found = stats.ratio(one, other)
+    return f"{found.value:.1f} ({found.low:.1f} to {found.high:.1f})"
+
+
+def phases(jobs) -> str:
+    """In Markdown, a line a job with a tail: per cent of episodes with a fall, see `phase`."""
+    head = ["", "with tails", "their last", "physics alone: 10 iterations", "30", "all later"]
+    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
+    for name, job in jobs.items():
+        if np.isfinite(found := phase(job)).all():
+            lines.append("| " + " | ".join([name, *(f"{x:.2f}" for x in found.mean(0))]) + " |")
+    return "\n".join(lines)
+
+
+def phase(job) -> np.ndarray:
+    """Per cent of falls of each run, `[S, 5]`: mean with tails, from iteration 70 on; the last with tails;
+    after 10 and 30 iterations of physics alone; the mean of all of these. NaN where there is no such one.
+
+    An evaluation is of physics alone if no iterations have more steps than those before it."""
+    out = []
+    for run in seeds(job):
+        iteration, steps, fell = (
+            np.array([r[c] for r in run]) for c in ("iteration", "sim_steps", "fall_rate")
+        )
+        pace = np.diff(steps, prepend=0) / np.diff(iteration, prepend=0)
+        alone = pace == pace[-1]
+        with_tails = 100 * fell[~alone & (iteration >= 70)]
+        after = 100 * fell[alone]
+        if not len(with_tails) or len(after) < 3:
+            out.append([np.nan] * 5)
+            continue
+        out.append([with_tails.mean(), with_tails[-1], after[0], after[2], after.mean()])
+    return np.array(out)
 
 
 def parts(jobs) -> str:

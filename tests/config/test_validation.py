@@ -78,6 +78,18 @@ WRONG = [  # fields, what the line begins with, what is expected
         "schedule.end_iteration is 100",
         "at least schedule.start_iteration = 101",
     ),
+    ({"schedule.late_steps": 5}, "schedule.late_steps is 5", "at most schedule.end_steps = 4"),
+    ({"schedule.late_rounds": 2}, "schedule.late_rounds is 2", "at most schedule.rounds = 1"),
+    ({"schedule.late_rounds": 0}, "schedule.late_rounds is 0", "more than 0"),
+    ({"schedule.late_from": -1}, "schedule.late_from is -1", "0 or more"),
+    ({"ppo.late_kl": 0.0}, "ppo.late_kl is 0.0", "more than 0"),
+    ({"task.start_anew": 1.1}, "task.start_anew is 1.1", "a number from 0 to 1"),
+    ({"task.keep_command": 0.6}, "task.keep_command is 0.6", "at most 1 - task.start_anew = 0.5"),
+    (
+        {"task.start_anew": 0.7, "task.keep_command": 0.4},
+        "task.keep_command is 0.4",
+        "at most 1 - task.start_anew = 0.3",
+    ),
     ({"schedule.end_steps": 16}, "schedule.end_steps is 16", "less than rollout.horizon = 16"),
     (
         {"ppo.minibatches": 3},
@@ -207,6 +219,9 @@ def test_whole_numbers_become_floats_however_the_config_was_made():
         {"schedule.end_steps": 15, "model.minibatches": 16},  # one real row is enough
         {"schedule.end_steps": 0, "model.minibatches": 3},  # no model: its sizes do not matter
         {"schedule.start_iteration": 100},  # a ramp of no length
+        {"schedule.late_from": 0, "schedule.late_steps": 4, "schedule.late_rounds": 1},
+        {"schedule.late_steps": 0, "schedule.end_steps": 0},
+        {"task.start_anew": 0.9, "task.keep_command": 0.1},  # nobody is told anew
         {"run.checkpoint_every": 0, "run.eval_every": 0},
         {"run.checkpoint_every": 1001},  # beyond the run: only the last
         {"task.command_x": (0.5, 0.5)},  # a collapsed range

@@ -26,6 +26,7 @@ FIELDS = {  # 4 robots that fall, step, stand and bend their joints far, all wit
     "rollout.num_envs": 4,
     "rollout.horizon": 8,
     "schedule.end_iteration": 2,
+    "schedule.late_from": 2,
     "run.num_iterations": 4,
     "run.log_every": 4,
     "model.hidden": (8,),
@@ -35,6 +36,7 @@ FIELDS = {  # 4 robots that fall, step, stand and bend their joints far, all wit
     "ppo.shuffle_blocks": 2,
     "ppo.learning_rate": 0.01,  # the KL lowers it and raises it
     "task.episode_length": 16,
+    "task.carry_on": True,
     "task.heading": True,
     "task.command_x": (-0.1, 0.1),
     "task.command_y": (-0.1, 0.1),
@@ -56,6 +58,7 @@ OTHER = {  # where 1.5 x + 0.5 is no value of the field, or none that shows
     "ppo.lambda_": 0.5,
     "ppo.clip_epsilon": 0.01,
     "ppo.desired_kl": 100.0,
+    "ppo.late_kl": 1e-4,
     "ppo.max_grad_norm": 0.01,
     "ppo.max_learning_rate": 1e-3,
     "ppo.min_std": 2.0,
@@ -65,6 +68,8 @@ OTHER = {  # where 1.5 x + 0.5 is no value of the field, or none that shows
     "task.saturation_effort": 5.0,
     "task.velocity_limit": 5.0,
     "task.heading_gain": 0.01,
+    "task.start_anew": 1.0,
+    "task.keep_command": 0.5,
     "task.reset.soft_limit": 0.2,
 }
 

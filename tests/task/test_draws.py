@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from scipy import stats
 from toy_env import configure
+from toy_runs import assert_same
 
 from dynappo import algorithm, rollout
 from dynappo import config as config_lib
@@ -31,6 +32,8 @@ FIELDS = {
     "task.standing": 0.3,
     "task.random_clock": True,
     "task.carry_on": True,
+    "task.start_anew": 0.3,
+    "task.keep_command": 0.2,
     "task.history": 3,
     "task.episode_length": 1000,
     "task.command_x": (-1.0, 0.5),
@@ -81,7 +84,16 @@ def world():
     made = dict(first=first, clean=clean.env_state, on=on, calm=calm, new=new, unseen=unseen)
     made = jax.device_get(made | dict(action=noise, outcome=outcome, ended=ended))
     stays = (made["new"].qpos == made["on"].qpos).all(-1)
-    return SimpleNamespace(**made, stays=stays, static=static, hyper=hyper, robot=robot, env=env)
+    same = stays & (made["new"].goal.heading == made["on"].goal.heading)
+    about = dict(stays=stays, same=same, static=static, hyper=hyper, robot=robot, env=env)
+    return SimpleNamespace(**made, **about)
+
+
+CHANCES = {  # of what is or is not; the coin of those that stay, and of these that keep their command
+    "stands": FIELDS["task.standing"],
+    "coin stays": 1 - FIELDS["task.start_anew"],
+    "coin same": FIELDS["task.keep_command"] / (1 - FIELDS["task.start_anew"]),
+}
 
 
 def share(value, low, high):
@@ -144,14 +156,20 @@ def drawn(world):
     kick = {"kick": share(kick, -velocity, velocity), "wait": of_wait(world, on)}
     pose = of_pose(world, new).items()
     pose = {name: np.where(world.stays, np.nan, np.transpose(x)).T for name, x in pose}
+    told = of_command(world, new).items()  # those that keep their command are told nothing
+    told = {name: np.where(world.same, np.nan, np.transpose(x)).T for name, x in told}
+    coins = {
+        "coin stays": world.stays,
+        "coin same": np.where(world.stays, world.same, np.nan),
+    }
     groups = {
         "body": of_body(world),
         "start": of_pose(world, start) | {"clock": share(start.clock + 0.5, 0, length)},
         "start's": of_command(world, start) | of_noise(world, start.obs, world.clean.obs),
         "action": {"noise": stats.norm.cdf(world.action / world.hyper.ppo.init_std)},
         "step": kick | of_command(world, on) | of_noise(world, on.obs, world.unseen[0]),
-        "new": pose | {"coin": world.stays},
-        "new's": of_command(world, new) | of_noise(world, new.obs, world.unseen[1]),
+        "new": pose | coins,
+        "new's": told | of_noise(world, new.obs, world.unseen[1]),
     }
     out = {}
     for group, parts in groups.items():
@@ -169,12 +187,12 @@ def test_each_row_was_what_it_should_be(world):
 
 
 def test_every_number_fills_its_range_evenly(drawn):
-    assert len(drawn) == 198
+    assert len(drawn) == 199
     for name, values in drawn.items():
         values = values[~np.isnan(values)]
-        if "stands" in name or "coin" in name:
-            p = 0.5 if "coin" in name else FIELDS["task.standing"]
-            assert stats.binomtest(int(values.sum()), len(values), p).pvalue > 1e-4, name
+        chance = [p for kind, p in CHANCES.items() if kind in name]
+        if chance:
+            assert stats.binomtest(int(values.sum()), len(values), *chance).pvalue > 1e-4, name
         else:
             assert stats.kstest(values, "uniform").pvalue > 1e-4, name
 
@@ -213,13 +231,25 @@ def test_those_that_stay_and_those_that_begin_anew_are_asked_alike(world, drawn)
             drawn[name][half & ~np.isnan(drawn[name])] for half in (world.stays, ~world.stays)
         ]
         for half in halves:
-            assert len(half) > 500 and stats.kstest(half, "uniform").pvalue > 1e-4, name
+            assert len(half) > 400 and stats.kstest(half, "uniform").pvalue > 1e-4, name
         assert stats.ks_2samp(*halves).pvalue > 1e-4, name
     told = drawn["new's asked 0"]
     for name in ("step kick 0", "new's noise 0", "body mass 0", "start clock 0", "start yaw 0"):
         low = drawn[name] < 0.5
         halves = [told[half & ~np.isnan(told)] for half in (low, ~low)]
         assert stats.ks_2samp(*halves).pvalue > 1e-4, name
+
+
+def test_those_that_keep_their_command_keep_all_of_it_and_the_others_none(world):
+    """Command, heading, standing and the steps until the next one; what begins anew is the clock."""
+    new, on, same = world.new, world.on, world.same
+    assert 300 < same.sum() < world.stays.sum()
+    for name in ("command", "goal"):
+        kept, had = (jax.tree.map(lambda x: x[same], getattr(s, name)) for s in (new, on))
+        assert_same(kept, had)
+    assert not (new.goal.heading == on.goal.heading)[~same].any()
+    for name in ("clock", "episode_steps", "episode_return"):
+        assert not getattr(new, name)[same].any() and getattr(on, name).any(), name
 
 
 def test_those_that_stay_keep_their_readings_and_the_others_have_the_first_one(world):

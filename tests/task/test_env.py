@@ -804,40 +804,48 @@ def test_autoreset_starts_exactly_the_ended_robots_anew_with_clock_zero(lab, bod
     assert len(np.unique(new.qpos[ended, 0])) == ended.sum()
 
 
-def test_with_carry_on_half_of_the_timed_out_stay_where_they_are_under_a_new_command(carries):
-    """Those that fell never do; what begins anew is the command, the clock and the count."""
-    lab = carries
-    state = lab.reset(lab.hyper, lab.nominal, lab.keys)
+@pytest.mark.parametrize(
+    ("anew", "same"), [(0.5, 0.0), (1.0, 0.0), (0.0, 1.0), (0.3, 0.4)], ids=str
+)
+def test_with_carry_on_shares_of_the_timed_out_start_anew_keep_their_command_or_hear_another(
+    carries, anew, same
+):
+    """Those that fell start anew; those that do not stay where they are, but for clock and counts."""
+    lab, draws = carries, 20
+    hyper = of_task(lab.hyper, start_anew=anew, keep_command=same)
+    state = lab.reset(hyper, lab.nominal, lab.keys)
     for action in actions(3):
-        state, outcome = lab.step(lab.hyper, lab.nominal, state, action, lab.keys)
+        state, outcome = lab.step(hyper, lab.nominal, state, action, lab.keys)
     before = jax.device_get(state)
     half = np.arange(ROBOTS) < ROBOTS // 2
     outcome = outcome.replace(discount=jnp.asarray(half * 1.0), truncation=jnp.asarray(half * 1.0))
-    stayed = np.zeros(ROBOTS)
-    for seed in range(
-        1, 21
-    ):  # with `lab.keys`, of seed 0, the command would be that of the reset above
+    stayed, kept = np.zeros(ROBOTS), np.zeros(ROBOTS)
+    for seed in range(1, draws + 1):  # the key of seed 0 gave the command of the reset above
         keys = jax.random.split(jax.random.key(seed), ROBOTS)
-        new = jax.device_get(lab.autoreset(lab.hyper, lab.nominal, state, outcome, keys))
+        new = jax.device_get(lab.autoreset(hyper, lab.nominal, state, outcome, keys))
         stays = (new.qpos == before.qpos).all(1)
-        assert not stays[~half].any() and not new.clock[stays].any()
+        assert not stays[~half].any() and not new.clock.any()
         for name in set(vars(before)) - {"obs", "prop", "command", "goal", *env_lib.AGES}:
             of_new, of_old = getattr(new, name), getattr(before, name)
             if of_old is not None:
                 np.testing.assert_array_equal(of_new[stays], of_old[stays], err_msg=name)
         for name in ("episode_steps", "episode_return"):
             assert not getattr(new, name).any() and getattr(before, name).all(), name
-        assert (new.command[stays] != before.command[stays]).all()
-        assert (new.goal.heading[stays] != before.goal.heading[stays]).all()
+        keeps = (new.command == before.command).all(1)
+        np.testing.assert_array_equal(new.goal.heading == before.goal.heading, keeps)
+        assert not keeps[~stays].any() and (new.command != before.command)[~keeps].all()
         np.testing.assert_array_equal(new.obs[stays, 33:36], new.command[stays])
         np.testing.assert_array_equal(new.obs[stays, 36:], before.last_action[stays])
         np.testing.assert_allclose(new.prop[stays], before.prop[stays], atol=1e-6)
         noise = np.abs(new.obs[stays, :33] - before.prop[stays])
-        assert (noise <= np.array(NOISE[:33]) + 1e-5).all() and (noise > 0).mean() > 0.99
-        stayed += stays
-    share = stayed[half].mean() / 20
-    assert abs(share - 0.5) < 4 * 0.5 / np.sqrt(20 * half.sum())
-    assert (0 < stayed[half]).all() and (stayed[half] < 20).all()  # each robot draws for itself
+        assert (noise <= np.array(NOISE[:33]) + 1e-5).all()
+        assert (noise > 0).sum() >= 0.99 * noise.size
+        stayed, kept = stayed + stays, kept + keeps
+    for count, share in ((stayed[half], 1 - anew), (kept[half], same)):
+        width = np.sqrt(share * (1 - share) / count.size / draws)
+        assert abs(count.mean() / draws - share) <= 4 * width
+        # each robot draws for itself
+        assert share in (0, 1) or ((0 < count) & (count < draws)).all()
 
 
 # --- the task as Isaac Lab computes it ---
