@@ -2,7 +2,9 @@
 
 Robot files (`go1.py`, ...) start from this one and set differences only. A field that is a float
 can be changed, or swept under `jax.vmap`, without compiling again; any other field is part of the
-program. Sources: "paper" is Learning to Walk With Less; "IL" is Isaac Lab 2.2.1, "RSL" rsl-rl-lib 3.0.1.
+program. A field's type says which values it may have: `Share` is a float from 0 to 1, and
+`Literal["feet", "full"]` is one of these texts. Upper bounds are far above what is of use.
+Sources: "paper" is Learning to Walk With Less; "IL" is Isaac Lab 2.2.1, "RSL" rsl-rl-lib 3.0.1.
 
 Variants, appended to the file name as in `configs/go1.py:ppo16`:
 
@@ -20,9 +22,34 @@ Variants, appended to the file name as in `configs/go1.py:ppo16`:
 | `quick`            | 24     | 0 to 4                      | the smallest run on MJX    |
 """
 
-from typing import Any, NamedTuple, get_args
+from typing import Annotated, Any, Literal, NamedTuple, get_args, get_origin, get_type_hints
 
 from ml_collections import config_dict
+
+
+class Between(NamedTuple):
+    """The least and the largest number that a field may hold."""
+
+    low: float
+    high: float
+
+
+# What several fields may be
+Few = Annotated[int, Between(1, 10_000)]
+Count = Annotated[int, Between(1, 2**31 - 1)]
+Whole = Annotated[int, Between(0, 2**31 - 1)]
+Steps = Annotated[int, Between(0, 1_000_000)]
+Positive = Annotated[float, Between(1e-12, 1e9)]
+NotNegative = Annotated[float, Between(0, 1e9)]
+Small = Annotated[float, Between(0, 100)]
+Signed = Annotated[float, Between(-100, 100)]
+Share = Annotated[float, Between(0, 1)]
+Seconds = Annotated[float, Between(0, 1_000_000)]
+Range = tuple[NotNegative, NotNegative]  # low, high
+Command = tuple[Signed, Signed]  # low, high
+Layers = tuple[Few, ...]
+Activation = Literal["elu", "relu", "tanh", "swish"]
+Precision = Literal["highest", "tf32", "bfloat16"]
 
 # variant -> horizon, (start_iteration, end_iteration, start_steps, end_steps)
 PAPER = {
@@ -39,17 +66,17 @@ class Run(NamedTuple):
     """How long, on what, and what is written."""
 
     seed: int = 0
-    num_seeds: int = 1  # seeds trained at once by jax.vmap
-    mesh_seed: int = 1  # devices over which the seeds are spread; they do not communicate
-    mesh_env: int = 1  # devices over which the robots of each seed are spread
-    num_iterations: int = 500  # paper
-    log_every: int = 10  # iterations in a call, and between two looks at the metrics
-    checkpoint_every: int = 100  # iterations; a multiple of log_every; 0: only the last
-    eval_every: int = 0  # iterations; a multiple of log_every; 0: only at the end
-    eval_envs: int = 1000  # robots of an evaluation, one episode each; 0: none
-    eval_steps: int = 0  # control steps of such an episode; 0: task.episode_length
-    video_seconds: float = 12.0  # s of film after training; 0: none
-    device: str = "auto"  # "auto", "cpu" or "gpu"
+    num_seeds: Few = 1  # seeds trained at once by jax.vmap
+    mesh_seed: Count = 1  # devices over which the seeds are spread; they do not communicate
+    mesh_env: Count = 1  # devices over which the robots of each seed are spread
+    num_iterations: Annotated[int, Between(1, 1_000_000)] = 500  # paper
+    log_every: Count = 10  # iterations in a call, and between two looks at the metrics
+    checkpoint_every: Whole = 100  # iterations; a multiple of log_every; 0: only the last
+    eval_every: Whole = 0  # iterations; a multiple of log_every; 0: only at the end
+    eval_envs: Annotated[int, Between(0, 1_000_000)] = 1000  # robots, one episode each; 0: none
+    eval_steps: Steps = 0  # control steps of such an episode; 0: task.episode_length
+    video_seconds: Annotated[float, Between(0, 600)] = 12.0  # s of film after training; 0: none
+    device: Literal["auto", "cpu", "gpu"] = "auto"
     tensorboard: bool = True  # write TensorBoard's events into the workdir
     wandb: str = ""  # project of Weights & Biases to log to; empty: none
 
@@ -57,8 +84,8 @@ class Run(NamedTuple):
 class Rollout(NamedTuple):
     """How many robots and rows."""
 
-    num_envs: int = 4096  # R; paper
-    horizon: int = 16  # N = N_r + N_s; paper
+    num_envs: Annotated[int, Between(1, 100_000_000)] = 4096  # R; paper
+    horizon: Few = 16  # N = N_r + N_s; paper
 
 
 class Schedule(NamedTuple):
@@ -66,32 +93,30 @@ class Schedule(NamedTuple):
 
     start_iteration: int = 0  # a
     end_iteration: int = 100  # b
-    start_steps: int = 0  # x
-    end_steps: int = 4  # y
-    last_iteration: int | None = None  # of a tail; later all rows are real. None: every iteration
-    rounds: int = 1  # of imagination in an iteration (algorithm.py); paper: 1
-    late_from: int | None = (
-        None  # iteration after which late_steps, late_rounds and ppo.late_kl hold
-    )
-    late_steps: int | None = None  # instead of end_steps; None: the same
-    late_rounds: int | None = None  # instead of rounds; None: the same
+    start_steps: Whole = 0  # x
+    end_steps: Whole = 4  # y
+    last_iteration: Whole | None = None  # of a tail; later all rows are real. None: every iteration
+    rounds: Few = 1  # of imagination in an iteration (algorithm.py); paper: 1
+    late_from: Whole | None = None  # after it late_steps, late_rounds and ppo.late_kl hold
+    late_steps: Whole | None = None  # instead of end_steps; None: the same
+    late_rounds: Count | None = None  # instead of rounds; None: the same
 
 
 class Model(NamedTuple):
     """The transition model."""
 
-    hidden: tuple[int, ...] = (256, 256, 256, 256)  # paper, Table II
-    activation: str = "elu"
-    learning_rate: float = 3e-3  # paper, Table II
-    epochs: int = 25  # paper, Table II
-    late_epochs: int | None = None  # epochs after iteration late_from; None: the same
+    hidden: Layers = (256, 256, 256, 256)  # paper, Table II
+    activation: Activation = "elu"
+    learning_rate: Positive = 3e-3  # paper, Table II
+    epochs: Few = 25  # paper, Table II
+    late_epochs: Whole | None = None  # epochs after iteration late_from; None: the same
     late_from: int = 50
-    minibatches: int = 2  # gradient steps of an epoch when all N rows are real; divides N
-    huber_delta: float = 1.0  # in units of the (normalised) target
+    minibatches: Count = 2  # gradient steps of an epoch when all N rows are real; divides N
+    huber_delta: Positive = 1.0  # in units of the (normalised) target
     predict_change: bool = True  # the target is the change of state; False: the next state
     normalize: bool = True  # scale inputs and targets by running moments; False: raw numbers
-    stats_decay: float = 0.95  # weight of the old moments, an iteration
-    precision: str = "highest"  # "highest" (float32), "tf32" or "bfloat16"
+    stats_decay: Share = 0.95  # weight of the old moments, an iteration
+    precision: Precision = "highest"  # float32
     # beyond the paper, each off in the paper's variants (model/dynamics.py)
     clean: bool = False  # carry the state without noise, and draw the policy's noise anew
     known_reward: bool = False  # compute the terms that need no model, and learn the rest
@@ -101,30 +126,30 @@ class Model(NamedTuple):
 class Ppo(NamedTuple):
     """PPO: RSL, IL agents/rsl_rl_ppo_cfg.py, and the paper's appendix."""
 
-    hidden: tuple[int, ...] = (128, 128, 128)
-    activation: str = "elu"
-    init_std: float = 1.0  # of the Gaussian policy, in units of the action
-    min_std: float = 0.01
-    learning_rate: float = 1e-3
+    hidden: Layers = (128, 128, 128)
+    activation: Activation = "elu"
+    init_std: Positive = 1.0  # of the Gaussian policy, in units of the action
+    min_std: Positive = 0.01
+    learning_rate: Positive = 1e-3
     adaptive: bool = True  # the KL adapts the learning rate, at every minibatch
-    desired_kl: float = 0.01
-    late_kl: float = 1.0  # times desired_kl, after iteration schedule.late_from
-    min_learning_rate: float = 1e-5
-    max_learning_rate: float = 1e-2
-    epochs: int = 5
-    minibatches: int = 4
-    shuffle_blocks: int = 8  # rows are permuted inside this many blocks of robots; see run.mesh_env
-    clip_epsilon: float = 0.2
+    desired_kl: Positive = 0.01
+    late_kl: Positive = 1.0  # times desired_kl, after iteration schedule.late_from
+    min_learning_rate: NotNegative = 1e-5
+    max_learning_rate: Positive = 1e-2
+    epochs: Few = 5
+    minibatches: Count = 4
+    shuffle_blocks: Count = 8  # blocks of robots in which rows are permuted; see run.mesh_env
+    clip_epsilon: Positive = 0.2
     clip_value: bool = True
-    value_coef: float = 1.0
+    value_coef: NotNegative = 1.0
     entropy_coef: float = 0.01
-    gamma: float = 0.99
-    lambda_: float = 0.95
-    max_grad_norm: float = 1.0
-    precision: str = "highest"
+    gamma: Share = 0.99
+    lambda_: Share = 0.95
+    max_grad_norm: Positive = 1.0
+    precision: Precision = "highest"
     # what the value function sees: "obs", as the policy; or "state", without noise and with
     # what no sensor tells (tasks/velocity/view.py)
-    critic: str = "obs"
+    critic: Literal["obs", "state"] = "obs"
     symmetry: bool = False  # what is learned of the left holds for the right (learner/symmetry.py)
 
 
@@ -152,48 +177,48 @@ class Weights(NamedTuple):
 class Noise(NamedTuple):
     """Half width of the uniform noise on each part of the observation; IL."""
 
-    joint_pos: float = 0.01  # rad
-    joint_vel: float = 1.5  # rad/s
-    gravity: float = 0.05
-    linear_velocity: float = 0.1  # m/s
-    angular_velocity: float = 0.2  # rad/s
+    joint_pos: NotNegative = 0.01  # rad
+    joint_vel: NotNegative = 1.5  # rad/s
+    gravity: NotNegative = 0.05
+    linear_velocity: NotNegative = 0.1  # m/s
+    angular_velocity: NotNegative = 0.2  # rad/s
 
 
 class Reset(NamedTuple):
     """How an episode starts; IL."""
 
-    spawn_height: float = 0.4  # m
-    foot_clearance: float = 0.01  # m, at least this much air below the lowest foot
-    position: float = 0.5  # m, half width in x and y
-    yaw: float = 3.14  # rad, half width
-    velocity: float = 0.0  # m/s and rad/s, half width on all six axes
-    joint_scale: tuple[float, float] = (1.0, 1.0)  # default pose times uniform(...), per joint
-    soft_limit: float = 0.9  # share of each joint's range that a reset may use
+    spawn_height: Signed = 0.4  # m
+    foot_clearance: Small = 0.01  # m, at least this much air below the lowest foot
+    position: NotNegative = 0.5  # m, half width in x and y
+    yaw: Small = 3.14  # rad, half width
+    velocity: Small = 0.0  # m/s and rad/s, half width on all six axes
+    joint_scale: Command = (1.0, 1.0)  # default pose times uniform(...), per joint
+    soft_limit: Share = 0.9  # share of each joint's range that a reset may use
 
 
 class Push(NamedTuple):
     """A kick to the base's horizontal velocity; IL, ANYmal only."""
 
-    velocity: float = 0.0  # m/s, half width in world x and y; 0: none
-    interval: tuple[float, float] = (10.0, 15.0)  # s
+    velocity: Small = 0.0  # m/s, half width in world x and y; 0: none
+    interval: tuple[Seconds, Seconds] = (10.0, 15.0)  # s
 
 
 class Randomize(NamedTuple):
     """A robot's own body: ranges, drawn once."""
 
     base_mass: tuple[float, float] = (-1.0, 3.0)  # kg, added to the base; IL
-    base_com: tuple[float, float, float] = (0.0, 0.0, 0.0)  # m, half widths in x, y, z
-    friction: tuple[float, float] = (0.8, 0.8)  # of the feet
-    kp_scale: tuple[float, float] = (1.0, 1.0)
-    kd_scale: tuple[float, float] = (1.0, 1.0)
+    base_com: tuple[NotNegative, NotNegative, NotNegative] = (0.0, 0.0, 0.0)  # m, half widths
+    friction: Range = (0.8, 0.8)  # of the feet
+    kp_scale: Range = (1.0, 1.0)
+    kd_scale: Range = (1.0, 1.0)
     # real robots (physics/randomize.py); nominal: not in the compiled program
-    strength: tuple[float, float] = (1.0, 1.0)  # share of the motors' torque that arrives
-    armature: tuple[float, float] = (1.0, 1.0)  # of the joints, times the file's
-    joint_friction: tuple[float, float] = (0.0, 0.0)  # N m
-    delay: tuple[float, float] = (0.0, 0.0)  # s, actions come late; at most two control steps
-    lag: tuple[float, float] = (0.0, 0.0)  # s, time constant with task.actuator="lag"
-    encoder_bias: float = 0.0  # rad, half width, a joint
-    imu_tilt: float = 0.0  # rad, half width, about each axis
+    strength: Range = (1.0, 1.0)  # share of the motors' torque that arrives
+    armature: Range = (1.0, 1.0)  # of the joints, times the file's
+    joint_friction: Range = (0.0, 0.0)  # N m
+    delay: Range = (0.0, 0.0)  # s, actions come late; at most two control steps
+    lag: Range = (0.0, 0.0)  # s, time constant with task.actuator="lag"
+    encoder_bias: NotNegative = 0.0  # rad, half width, a joint
+    imu_tilt: NotNegative = 0.0  # rad, half width, about each axis
 
 
 class Task(NamedTuple):
@@ -201,38 +226,38 @@ class Task(NamedTuple):
 
     # "isaaclab", "paper_text" or "isaaclab_exact": decides the fields below that are None,
     # term by term in configs/README.md
-    formulation: str = "isaaclab"
-    tracking_std: float | None = None  # m/s, rad/s; 0.5 (isaaclab*) or 1.0
-    air_time: str | None = None  # "touchdown" (isaaclab*) or "indicator"
+    formulation: Literal["isaaclab", "paper_text", "isaaclab_exact"] = "isaaclab"
+    tracking_std: Positive | None = None  # m/s, rad/s; 0.5 (isaaclab*) or 1.0
+    air_time: Literal["touchdown", "indicator"] | None = None  # the latter: paper_text
     heading: bool | None = None  # the yaw rate turns the robot to a heading; exact only
-    resample_steps: int | None = None  # control steps between two commands; 0: an episode
-    standing: float | None = None  # share of commands that are zero
-    termination: str | None = None  # "parts", or "base" (exact; needs physics.contacts="full")
-    undesired: str | None = None  # what an undesired contact is: "parts", or "thighs" (exact)
+    resample_steps: Steps | None = None  # control steps between two commands; 0: an episode
+    standing: Share | None = None  # share of commands that are zero
+    termination: Literal["parts", "base"] | None = None  # "base" (exact) needs contacts="full"
+    undesired: Literal["parts", "thighs"] | None = None  # contacts; "thighs": exact
     # parts at the ground are seen in every physics step (exact) or in the last of a row. Seen
     # in every one, Go1 fell 39 and 58 % more often at iteration 50, and 5 of 17 runs stood
     # still at iteration 300, against none of 18 (experiments/01_four_robots)
     remember_ground: bool | None = None
-    episode_length: int = 1000  # control steps, 20 s; IL
+    episode_length: Annotated[int, Between(1, 1_000_000)] = 1000  # control steps, 20 s; IL
     random_clock: bool = True  # episodes start at random ages, so that time-outs spread; IL
     carry_on: bool = False  # those that time out stay where they are, with a new command; but
-    start_anew: float = 0.5  # this share of them starts anew all the same,
-    keep_command: float = 0.0  # and this share stays under the command that it has
-    action_scale: float = 0.25  # rad per unit of action; IL
+    start_anew: Share = 0.5  # this share of them starts anew all the same,
+    keep_command: Share = 0.0  # and this share stays under the command that it has
+    action_scale: Annotated[float, Between(1e-12, 100)] = 0.25  # rad per unit of action; IL
     # "full": the 48 numbers of tasks/velocity/observe.py; "onboard": the 45 that a robot measures, so
     # without linear velocity
-    observation: str = "full"
-    history: int = 1  # readings that the policy sees, the newest included
-    actuator: str = "pd"  # torque at once; "lag": it follows with task.randomize.lag
-    kp: float = 25.0  # N m/rad
-    kd: float = 0.5  # N m s/rad
-    effort_limit: float = 23.7  # N m
-    saturation_effort: float = 23.7  # N m, torque of the motor at standstill
-    velocity_limit: float = 30.0  # rad/s, speed of the motor without load
-    command_x: tuple[float, float] = (-1.0, 1.0)  # m/s; paper and IL
-    command_y: tuple[float, float] = (-1.0, 1.0)  # m/s
-    command_yaw: tuple[float, float] = (-1.0, 1.0)  # rad/s
-    heading_gain: float = 0.5  # 1/s, yaw rate for each rad that is left to turn; IL
+    observation: Literal["full", "onboard"] = "full"
+    history: Annotated[int, Between(1, 100)] = 1  # readings that the policy sees
+    actuator: Literal["pd", "lag"] = "pd"  # "lag": the torque lags by task.randomize.lag
+    kp: Annotated[float, Between(0, 100_000)] = 25.0  # N m/rad
+    kd: Annotated[float, Between(0, 100_000)] = 0.5  # N m s/rad
+    effort_limit: Positive = 23.7  # N m
+    saturation_effort: Positive = 23.7  # N m, torque of the motor at standstill
+    velocity_limit: Positive = 30.0  # rad/s, speed of the motor without load
+    command_x: Command = (-1.0, 1.0)  # m/s; paper and IL
+    command_y: Command = (-1.0, 1.0)  # m/s
+    command_yaw: Command = (-1.0, 1.0)  # rad/s
+    heading_gain: Signed = 0.5  # 1/s, yaw rate for each rad that is left to turn; IL
     weights: Weights = Weights()
     noise: Noise = Noise()
     reset: Reset = Reset()
@@ -243,15 +268,15 @@ class Task(NamedTuple):
 class Physics(NamedTuple):
     """The engine and its solver."""
 
-    impl: str = "auto"  # "warp" on an NVIDIA GPU with warp-lang, else "jax"; or "c", on a CPU
-    threads: int = 0  # of C MuJoCo; 0: one for each core that this process may use
-    contacts: str = (
-        "feet"  # what meets the floor: "feet" (other parts end the episode first), "full"
-    )
-    timestep: float = 0.005  # s; IL
-    substeps: int = 4  # physics steps in a control step; IL
-    iterations: int = 4  # of the constraint solver
-    ls_iterations: int = 8  # of its line search
+    # "auto": "warp" on an NVIDIA GPU with warp-lang, else "jax"; "c" is C MuJoCo, on a CPU
+    impl: Literal["auto", "jax", "warp", "c"] = "auto"
+    threads: Annotated[int, Between(0, 1000)] = 0  # of C MuJoCo; 0: as many as cores
+    # what meets the floor: "feet" where other parts end the episode first
+    contacts: Literal["feet", "full"] = "feet"
+    timestep: Annotated[float, Between(1e-4, 0.1)] = 0.005  # s; IL
+    substeps: Few = 4  # physics steps in a control step; IL
+    iterations: Few = 4  # of the constraint solver
+    ls_iterations: Few = 8  # of its line search
 
 
 class Config(NamedTuple):
@@ -279,13 +304,11 @@ def defaults() -> config_dict.ConfigDict:
 
 def _nested(group: Any) -> dict[str, Any]:
     """A group as a dict; a field that is None until it is set keeps the type it will have."""
-    out = {}
+    out, types = {}, get_type_hints(type(group))
     for name, value in group._asdict().items():
         if value is None:
-            kind = next(
-                t for t in get_args(type(group).__annotations__[name]) if t is not type(None)
-            )
-            value = config_dict.placeholder(kind)
+            kind = get_args(types[name])[0]  # of `kind | None`
+            value = config_dict.placeholder(str if get_origin(kind) is Literal else kind)
         out[name] = _nested(value) if hasattr(value, "_fields") else value
     return out
 

@@ -122,13 +122,13 @@ def test_every_command_is_real(command):
         "python -m dynappo.evaluate go1 --quick",
         "python -m dynappo.bench --config=go1 --engines=c",
         "python experiments/03_speed/no_such.py OUT.json",
-        "python experiments/03_speed/rows.py OUT.json --case raw",
-        "python experiments/03_speed/rows.py",
+        "python experiments/03_speed/start.py OUT.json --case warm",
+        "python experiments/03_speed/start.py",
         "python experiments/10_ablation/run.py --fast",
         "python experiments/10_ablation/run.py --more many",
         "python experiments/12_platforms/run.py --robot go2",
         "python experiments/16_gaits/run.py --robot go3",
-        "python experiments/16_gaits/plot.py --movies",
+        "python experiments/16_gaits/run.py --movies",
         "python experiments/run.py OUT go1:bset",
         "python experiments/run.py OUT go1:best --set run.eval_env=200",
         "make tests",
@@ -147,13 +147,13 @@ def test_a_wrong_command_is_found(command):
 def test_commands_are_found_in_a_page():
     page = (
         "Say `make\ntest`, `make` or `dynappo/x.py`.\n\n"
-        "    R=experiments/03_speed\n    python $R/rows.py OUT  # rows\n"
+        "    R=experiments/03_speed\n    python $R/start.py OUT  # times\n"
         "    dynappo train \\\n      --config=go1\n    dynappo trains go1: 512 robots\n\n"
         "```sh\ndynappo play go1\n```\n\n```python\nmake = 1\n    make test\n```\n"
     )
     assert list(commands(page)) == [
         (1, "make test"),
-        (5, "python experiments/03_speed/rows.py OUT  # rows"),
+        (5, "python experiments/03_speed/start.py OUT  # times"),
         (6, "dynappo train --config=go1"),
         (11, "dynappo play go1"),
     ]

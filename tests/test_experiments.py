@@ -28,7 +28,7 @@ from experiments import paper, pictures, run, stats
 ROOT = pathlib.Path(config_lib.__file__).parents[2]
 EXPERIMENTS = ROOT / "experiments"
 PLOTS = (
-    "00_first_light 01_four_robots 02_brax 10_ablation 11_model 12_platforms 13_step_time 14_efficiency "
+    "02_brax 10_ablation 11_model 12_platforms 13_step_time 14_efficiency "
     "15_curves 16_gaits 17_regimes 17_regimes/cliff 18_rollouts 20_tail/compare"
 ).split()
 FOLDERS = (  # in the order in which they read each other's runs
@@ -90,7 +90,7 @@ def test_a_script_makes_the_tables_that_are_stored_and_draws_its_pictures(name, 
         (tmp_path / "results").symlink_to(folder / "results")
     script(name).make(tmp_path)
     made = list(tmp_path.glob("*.csv"))
-    assert made or name.startswith("0")  # the first folders' tables are in words
+    assert made or name == "02_brax"  # its table is in words
     for table in made:
         assert table.read_text() == (folder / table.name).read_text(), table.name
     assert drawn and all((folder / f"{picture}.png").exists() for picture in drawn)
@@ -635,23 +635,6 @@ def test_the_timeline_gives_each_kernel_to_its_phase():
     }
 
 
-def test_a_picture_has_256_colours_and_looks_as_it_did(tmp_path):
-    pytest.importorskip("matplotlib")
-    from PIL import Image
-
-    page, axes = pictures.figure(1, 1, 3)
-    for k in range(8):
-        x = np.linspace(0, 9, 50)
-        pictures.band(axes[0, 0], x, np.sin(x)[:, None] + k + [-0.3, 0, 0.2], f"C{k}", f"{k}")
-    page.savefig(tmp_path / "raw.png", dpi=pictures.DPI)
-    pictures.save(page, tmp_path / "few")
-    raw, few = (Image.open(tmp_path / f"{name}.png") for name in ("raw", "few"))
-    assert few.mode == "P"
-    pixels = [np.asarray(picture.convert("RGB"), int) for picture in (raw, few)]
-    assert np.abs(pixels[0] - pixels[1]).max() < 24
-    assert (pixels[1][(pixels[0] == 255).all(-1)] == 255).all()
-
-
 @pytest.mark.parametrize("name", ["11_model", "12_platforms", "13_step_time", "16_gaits"])
 def test_a_table_says_what_has_not_been_run(name, tmp_path, drawn):
     script(name).make(tmp_path)
@@ -1002,43 +985,10 @@ def test_errors_of_the_model_are_those_of_a_loop(monkeypatch):
         obs = np.concatenate([prop, rows.action[k]], -1)
 
 
-def test_a_robots_shapes_are_drawn_where_they_are_and_as_large_as_they_are():
-    """16_gaits without OpenGL: corners on the surface; the nearer of two boxes is drawn last."""
-    mujoco = pytest.importorskip("mujoco")
-    drawing, kinds = script("16_gaits/drawing"), mujoco.mjtGeom
-    sphere = drawing.surface(kinds.mjGEOM_SPHERE, [0.2, 0, 0])
-    np.testing.assert_allclose(np.linalg.norm(sphere, axis=-1), 0.2)
-    capsule = drawing.surface(kinds.mjGEOM_CAPSULE, [0.1, 0.3, 0]).reshape(-1, 3)
-    core = np.clip(capsule[:, 2], -0.3, 0.3)[:, None] * [0, 0, 1]
-    np.testing.assert_allclose(np.linalg.norm(capsule - core, axis=-1), 0.1)
-    half = np.array([0.1, 0.2, 0.3])
-    box = drawing.surface(kinds.mjGEOM_BOX, half)
-    assert (
-        len(np.unique(np.abs(box).reshape(-1, 3), axis=0)) == 1
-        and (np.abs(box[0, 0]) == half).all()
-    )
-    a, b, c = box[:, 0], box[:, 1], box[:, 3]
-    areas = np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    assert areas.sum() == pytest.approx(8 * (0.02 + 0.03 + 0.06))
-    shapes = '<geom group="2" type="box" size="1 1 1" pos="0 {} 2" rgba="{} 0 1"/>'
-    bodies = shapes.format(-5, "1 0") + shapes.format(5, "0 1")
-    model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{bodies}</worldbody></mujoco>")
-    axis = pytest.importorskip("matplotlib.figure").Figure().add_subplot()
-    drawing.draw(axis, model, [], (0.5, 0), 0.0)
-    (drawn,) = axis.collections
-    corners = np.concatenate([path.vertices for path in drawn.get_paths()])
-    np.testing.assert_allclose((corners.min(0), corners.max(0)), [(-1.5, 1), (0.5, 3)])
-    red = drawn.get_facecolors()[:, 0] > drawn.get_facecolors()[:, 1]
-    assert red.tolist() == [False] * 6 + [True] * 6  # at y = -5, on the camera's side
-
-
 def test_swings_are_those_that_begin_and_end():
     gait = script("16_gaits/gait")
     air = np.array([[1, 1, 0, 1, 1, 0, 0, 1, 0, 1], [0, 0, 0, 0, 0, 0, 0, 0, 0, 0]], bool).T
     np.testing.assert_array_equal(gait.air_phases(air), [2, 1])
-    shown = gait.strip({"dt": 0.02, "qpos": np.arange(40.0)[:, None]})[:, 0]
-    np.testing.assert_array_equal(np.diff(shown), [3] * (gait.FRAMES - 1))
-    assert shown[-1] == 39  # of an episode that ended early, its end
 
 
 def test_no_seed_that_falls_is_left_out_of_the_gaits(tmp_path):
@@ -1104,22 +1054,13 @@ def test_tails_overlap_the_next_rollouts():
         assert float(plot.distance(buffers)[15][name]) == pytest.approx(expected, rel=1e-3)
 
 
-def test_the_model_learns_beside_a_policy_that_does_not():
-    """On the toy: eight real rows an iteration, and the error on rows it has not seen falls."""
-    offline, record = script("20_tail/offline"), script("18_rollouts/record")
+def test_rollouts_are_kept_as_they_are_while_a_model_learns():
+    """On the toy: eight real rows, a tail of four, and the policy stays."""
+    record = script("18_rollouts/record")
     small = {"rollout.horizon": 12, "model.clean": True, "model.minibatches": 3}
-    config, static, hyper = toy_env.settings(toy_env.TAIL | small)
+    _, static, hyper = toy_env.settings(toy_env.TAIL | small)
     env = toy_env.make()
-    begin = jax.jit(partial(algorithm.init, env, static=static))
-    first = state = begin(hyper, jax.random.key(0))
-    step = jax.jit(partial(offline.iterate, env, static=static))
-    errors = []
-    for i in range(12):
-        state, found = step(hyper, state, jnp.int32(i), jnp.int32(5))
-        errors.append({name: float(value) for name, value in found.items()})
-    assert {"model_error_1", "model_error_4", "model_error_8", "falls", "loss"} == set(errors[0])
-    assert errors[0]["model_error_1"] > 0.8 and errors[-1]["model_error_1"] < 0.5
-    jax.tree.map(np.testing.assert_array_equal, first.learner, state.learner)
+    state = jax.eval_shape(partial(algorithm.init, env, static=static), hyper, jax.random.key(0))
     iterate, i = partial(record.iterate, env, static=static), jnp.int32(12)
     after, buffer = jax.eval_shape(iterate, hyper, state, i, i)
     assert jax.tree.structure(after) == jax.tree.structure(state)

@@ -39,7 +39,7 @@ MAY_IMPORT = {
     "web": {"web", "policy", "physics", "config"},
     "play": {"play", "web", "policy", "physics", "config"},
     "export": {"export", "policy", "physics", "tasks.velocity.observe", "config"},
-    "bench": {"bench", "program", "config", "method", "model", "tasks.velocity.observe"},
+    "bench": {"bench", "program", "config", "method", "model"},
 }
 WITHOUT_JAX = {"policy", "look", "web", "play", "export", "config", "schedule"}
 WITHOUT_JAX |= {f"tasks.velocity.{name}" for name in ("rewards", "reward_sum", "observe")}

@@ -5,8 +5,9 @@
 `config.split` decides which field is in which half; what its type is, configs/default.py says.
 """
 
-import ast
 import pathlib
+import runpy
+from typing import Literal, get_args, get_origin, get_type_hints
 
 from dynappo import config as config_lib
 from dynappo.config import fields
@@ -29,26 +30,35 @@ from typing import NamedTuple
 
 def text() -> str:
     """What halves.py has to be."""
-    body = ast.parse(DEFAULT.read_text(encoding="utf-8")).body
-    groups = {node.name: node for node in body if isinstance(node, ast.ClassDef)}
     config = config_lib.validate(fields.defaults())
-    halves = [c for half in config_lib.split(config) for c in classes(half, "Config", groups)]
+    root = runpy.run_path(str(DEFAULT))["Config"]
+    halves = [text for half in config_lib.split(config) for text in classes(half, root)]
     return "\n\n".join([HEAD, *halves])
 
 
-def classes(values, group, groups):
+def classes(values, group):
     """The classes of the groups inside `group` and then its own, with the fields that `values` has."""
-    lines = [node for node in groups[group].body if isinstance(node, ast.AnnAssign)]
-    types = {ast.unparse(node.target): ast.unparse(node.annotation) for node in lines}
+    types = get_type_hints(group)  # without bounds
     lines = [f"class {type(values).__name__}(NamedTuple):\n"]
     for name, value in values._asdict().items():
         if hasattr(value, "_fields"):
-            yield from classes(value, types[name], groups)
-            types[name] = type(value).__name__
-        # validation has set what `task.formulation` decides
-        kind = types[name] if value is None else types[name].removesuffix(" | None")
+            yield from classes(value, types[name])
+            kind = type(value).__name__
+        else:
+            # validation has set what `task.formulation` decides
+            kind = written(types[name]).removesuffix("" if value is None else " | None")
         lines.append(f"    {name}: {kind}\n")
     yield "".join(lines)
+
+
+def written(kind) -> str:
+    """A type as an annotation; one of several texts is a `str`."""
+    parts = get_args(kind)
+    if get_origin(kind) is Literal:
+        return "str"
+    if type(None) in parts:
+        return f"{written(parts[0])} | None"
+    return kind.__name__ if isinstance(kind, type) and not parts else str(kind)
 
 
 if __name__ == "__main__":

@@ -1,8 +1,7 @@
-"""Bench: the command `dynappo bench`, where the time of an iteration goes. Start reading at `command.py`.
+"""The command `dynappo bench`: where the time of an iteration goes. Start reading at `command.py`.
 
-- `command`: its flags, what it prints and writes
-- `phases`: the time of each part, measured on the program that trains
+- `command`: reads flags, prints and writes the result
+- `phases`: times each part, on the program that trains
 
-No other command imports it. It imports `program`, `config`, the method, `model` and
-`task.observe`.
+No other command imports it. It imports `program`, `config`, the method and `model`.
 """

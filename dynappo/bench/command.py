@@ -29,9 +29,6 @@ def report(config, program, repeats: int) -> dict[str, Any]:
         "control_steps_per_second": real * 1e3 / ms["iteration"],
         "physics_steps_per_second": real * config.physics.substeps * 1e3 / ms["iteration"],
         "peak_bytes": stats.get("peak_bytes_in_use"),
-        "shares": phases.shares(
-            config, program.device, {n: int(c[-1]) for n, c in program.columns.items()}, ms
-        ),
         "setup_seconds": program.compile_seconds,
         "device": program.device,
         "impl": program.impl,
@@ -113,12 +110,6 @@ def show(names, reports, versus) -> None:
         ("setup_seconds", 1, 1, "set-up, s"),
     ):
         rows[label] = [f"{r[name] * scale:,.{digits}f}" if r[name] else "" for r in reports]
-    for part in ("fit", "ppo"):
-        for kind in ("arithmetic", "memory"):
-            cells = [r["shares"].get(f"{part}_{kind}") for r in reports]
-            if any(cells):
-                label = f"{part}, share of the limit in {kind}"
-                rows[label] = [f"{100 * share:.0f} %" if share else "" for share in cells]
     for name in ("cold", "warm"):
         if "compilation" in reports[0]:
             rows[f"set-up, {name} cache, s"] = [f"{r['compilation'][name]:.1f}" for r in reports]

@@ -7,23 +7,12 @@ differences between calls of the same program: the times they take inside it.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from dynappo.program import build
-from dynappo.tasks.velocity import observe
 
-# TFLOP/s of dense matrix products by precision, and TB/s of memory: NVIDIA's data sheets (SXM)
-PEAKS = {
-    "H200": {"highest": 67, "tf32": 495, "bfloat16": 989, "memory": 4.8},
-    "H100": {"highest": 67, "tf32": 495, "bfloat16": 989, "memory": 3.35},
-    "A100": {"highest": 19.5, "tf32": 156, "bfloat16": 312, "memory": 2.0},
-}
-# reads and writes of each activation, forward and backward (experiments/03_speed/ppo.md)
-JOINTS = 12  # of every bundled robot
-PASSES = 10
 FITS = 10  # times the epochs of a fit, to measure one
 
 
@@ -36,39 +25,39 @@ def measure(config, program, state, repeats: int = 5) -> dict[str, float]:
     row), and `physics` is corrected by it. `ppo` is the rest: advantages, minibatches, gradient steps.
     `tail` and `ppo` are those of one round.
     """
+    horizon = config.rollout.horizon
+    last = {name: int(column[-1]) for name, column in program.columns.items()}
+
+    def ms(**row):
+        times = [iteration(config, program, state, last | row) for _ in range(repeats)]
+        return float(np.median(times))
+
+    fitted = "model_epochs" in last
+    none = {"model_epochs": 0} if fitted else {}
+    none |= {"rounds": 1} if "rounds" in last else {}
+    out = {"iteration": ms()}
+    all_real, no_real = ms(n_real=horizon, **none), ms(n_real=0, **none)
+    # without real rows the same program writes a tail, also where the schedule has ended it
+    out["tail"] = _tail_row(program, state) if fitted else 0.0
+    out["physics"] = (all_real - no_real) / horizon + out["tail"]
+    if last.get("model_epochs"):
+        many = ms(**none | {"model_epochs": FITS * last["model_epochs"]})
+        out["fit"] = (many - ms(**none)) / FITS
+    out["ppo"] = no_real - horizon * out["tail"]
+    return out
+
+
+def iteration(config, program, state, row: dict[str, int]) -> float:
+    """ms of an iteration in a chunk whose iterations all have this row of `program.columns`."""
     import jax
     import jax.numpy as jnp
 
-    every, horizon = config.run.log_every, config.rollout.horizon
-    last = {name: int(column[-1]) for name, column in program.columns.items()}
-
-    def ms(n_real, epochs, rounds=1):
-        columns: dict[str, Any] = {"iteration": np.arange(1, every + 1)}
-        columns["n_real"] = np.full(every, n_real)
-        if "model_epochs" in last:
-            columns["model_epochs"] = np.full(every, epochs)
-        if "rounds" in last:
-            columns["rounds"] = np.full(every, rounds)
-        columns = {name: jnp.asarray(column, jnp.int32) for name, column in columns.items()}
-        times = []
-        for _ in range(repeats):
-            copy = jax.block_until_ready(jax.tree.map(jnp.copy, state))
-            began = time.perf_counter()
-            jax.block_until_ready(program.step(program.hyper, copy, columns))
-            times.append((time.perf_counter() - began) / every * 1e3)
-        return float(np.median(times))
-
-    epochs = last.get("model_epochs", 0)
-    out = {"iteration": ms(last["n_real"], epochs, last.get("rounds", 1))}
-    full, none = ms(horizon, 0), ms(0, 0)
-    # without real rows the same program writes a tail, also where the schedule has ended it
-    out["tail"] = _tail_row(program, state) if "model_epochs" in last else 0.0
-    out["physics"] = (full - none) / horizon + out["tail"]
-    if epochs:
-        many = ms(last["n_real"], FITS * epochs)
-        out["fit"] = (many - ms(last["n_real"], 0)) / FITS
-    out["ppo"] = none - horizon * out["tail"]
-    return out
+    every = config.run.log_every
+    columns = {name: np.full(every, value, np.int32) for name, value in row.items()}
+    copy = jax.block_until_ready(jax.tree.map(jnp.copy, state))
+    began = time.perf_counter()
+    jax.block_until_ready(program.step(program.hyper, copy, columns))
+    return (time.perf_counter() - began) / every * 1e3
 
 
 def _tail_row(program, state, rows: int = 64) -> float:
@@ -101,72 +90,15 @@ def _tail_row(program, state, rows: int = 64) -> float:
     return float(np.median(times[2::2]) - np.median(times[3::2])) / rows * 1e3
 
 
-def last_iteration(config, program) -> Callable[[], float]:
-    """A function that runs one chunk as the schedule ends, from the first state, and gives ms of an
-    iteration."""
-    import jax
-    import jax.numpy as jnp
-
-    every, first = config.run.log_every, program.state
-    columns = {
-        name: jnp.full(every, column[-1], jnp.int32) for name, column in program.columns.items()
-    }
-
-    def run():
-        copy = jax.block_until_ready(jax.tree.map(jnp.copy, first))
-        began = time.perf_counter()
-        jax.block_until_ready(program.step(program.hyper, copy, columns))
-        return (time.perf_counter() - began) / every * 1e3
-
-    return run
-
-
-def work(config, last: dict[str, int]) -> dict[str, np.ndarray]:
-    """`[floating-point operations, bytes]` of the model's fit and of the PPO update in an iteration.
-
-    `last` is a row of `schedule.columns`. Six operations a weight and row, two forward and four for the
-    gradients, but for the first layer, whose input has none. Bytes are those of activations, which
-    pass through memory once a kernel: `PASSES` times.
-    """
-    action, prop, obs = JOINTS, observe.prop_size(JOINTS), observe.size(JOINTS)
-    ppo, model = config.ppo, config.model
-
-    def of(sizes, rows, width):
-        weights = [a * b for a, b in zip(sizes, sizes[1:], strict=False)]
-        flops = (6.0 * sum(weights) - 2.0 * weights[0]) * rows
-        return np.array([flops, PASSES * width * sum(sizes[1:-1]) * rows])
-
-    rows = ppo.epochs * config.rollout.num_envs * config.rollout.horizon
-    width = 2 if ppo.precision == "bfloat16" else 4
-    actor, critic = (of((obs, *ppo.hidden, end), rows, width) for end in (action, 1))
-    out = {"ppo": actor + critic}
-    if last.get("model_epochs"):  # 0: the last rows are physics alone
-        drawn = config.rollout.horizon // model.minibatches
-        steps = -(-last["model_epochs"] * last["n_real"] // drawn)
-        rows = steps * drawn * config.rollout.num_envs
-        width = 2 if model.precision == "bfloat16" else 4
-        end = prop + 1 + model.falls
-        out["fit"] = of((obs + action, *model.hidden, end), rows, width)
-    return out
-
-
-def shares(config, device: str, last: dict[str, int], ms: dict[str, float]) -> dict[str, float]:
-    """Of the device's limits in arithmetic and in memory, what fit and PPO reach; {} if not known."""
-    peak = next((p for name, p in PEAKS.items() if name in device), None)
-    out: dict[str, float] = {}
-    if peak is None:
-        return out
-    for part, (flops, size) in work(config, last).items():
-        group = config.ppo if part == "ppo" else config.model
-        out[f"{part}_arithmetic"] = flops / (ms[part] * 1e-3) / (peak[group.precision] * 1e12)
-        out[f"{part}_memory"] = size / (ms[part] * 1e-3) / (peak["memory"] * 1e12)
-    return out
-
-
 def compare(configs, programs, repeats: int) -> dict[str, Any]:
     """ms of an iteration of two configs, alternating, and the second over the first."""
-    runs = [last_iteration(c, p) for c, p in zip(configs, programs, strict=True)]
-    times = np.array([[run() for run in runs] for _ in range(repeats + 1)])[1:]  # the first warms
+
+    def last(config, program):
+        row = {name: int(column[-1]) for name, column in program.columns.items()}
+        return iteration(config, program, program.state, row)
+
+    turns = [list(map(last, configs, programs)) for _ in range(repeats + 1)]
+    times = np.array(turns[1:])  # the first warms
     ratio = times[:, 1] / times[:, 0]
     low, middle, high = (float(np.quantile(ratio, q)) for q in (0.0, 0.5, 1.0))
     return {"ms": times.tolist(), "ratio": middle, "ratio_min": low, "ratio_max": high}

@@ -1,12 +1,18 @@
 """Settings: from a config file to the input of the compiled program. Start reading at `loading.py`.
 
-- `loading`: reads a config file and the fields set on the command line
-- `fields`: which fields there are, and their types; `ConfigError`
-- `validation`: checks which settings can run
+The settings:
+
+- `loading`: reads a config file, and fields set on the command line
+- `fields`: the fields of configs/default.py, and what each may hold; `ConfigError`
+- `validation`: which settings can run together
 - `splitting`: `static` and `hyper`, the two halves that the program takes; `halves`: their types
+
+What every command needs beside them, without JAX:
+
+- `flags`: a command's flags, and how it ends
 - `files`: finds configs/ and robots/, writes small files, locks
-- `flags`, `shell`, `versions`: shared by every command: its flags and exit status, how to call commands
-  on this machine, which code made a result
+- `shell`: shell commands in messages, as they can be pasted on this machine
+- `versions`: which code made a result
 - `interpreter`: starts a module of this package in a process of its own
 
 Every folder but those of the method may import it. It imports `schedule` and nothing that needs JAX.

@@ -1,15 +1,22 @@
-"""Which fields a config has, and their types: those of dynappo's own configs/default.py."""
+"""Which fields a config has, and what each may hold: as dynappo's own configs/default.py says."""
 
 from __future__ import annotations
 
 import copy
 import functools
+import math
 import runpy
-from typing import Any, NamedTuple
+from types import UnionType
+from typing import Annotated, Any, Literal, NamedTuple, Union, get_args, get_origin, get_type_hints
 
 from ml_collections import config_dict
 
 from dynappo.config.files import find
+
+# Of numbers whose type names no bounds: as the compiled program holds them
+TINY = 1e-12
+WHOLE = {"low": 1 - 2**31, "high": 2**31 - 1}
+SIZE = {"low": -1e9, "high": 1e9}
 
 
 class ConfigError(ValueError):
@@ -27,15 +34,23 @@ def flat(config, prefix="") -> dict[str, Any]:
 
 
 class Field(NamedTuple):
-    """What a field holds."""
+    """What a field may hold; of a tuple `low` and `high` hold for each number."""
 
     kind: type  # also of one that is None
     default: Any
+    choices: tuple[str, ...] = ()
+    low: float = -math.inf
+    high: float = math.inf
+
+
+@functools.cache
+def _file() -> dict[str, Any]:
+    return runpy.run_path(str(find("configs", "default.py", own=True)))
 
 
 @functools.cache
 def _defaults() -> config_dict.ConfigDict:
-    return runpy.run_path(str(find("configs", "default.py", own=True)))["defaults"]()
+    return _file()["defaults"]()
 
 
 def defaults() -> config_dict.ConfigDict:
@@ -47,33 +62,45 @@ def defaults() -> config_dict.ConfigDict:
 def every() -> dict[str, Field]:
     """The fields by their dotted names."""
 
-    def walk(group, prefix):
+    def walk(group, types, prefix):
+        types = get_type_hints(types, include_extras=True)
         for name, value in group.items():
             if isinstance(value, config_dict.ConfigDict):
-                yield from walk(value, f"{prefix}{name}.")
+                yield from walk(value, types[name], f"{prefix}{name}.")
             else:
-                yield prefix + name, Field(group.get_type(name), value)
+                limits = _limits(types[name], group.get_type(name))
+                yield prefix + name, Field(group.get_type(name), value, **limits)
 
-    return dict(walk(_defaults(), ""))
+    return dict(walk(_defaults(), _file()["Config"], ""))
 
 
-def settle(field: Field, value) -> Any:
+def _limits(annotation, kind: type) -> dict[str, Any]:
+    """`choices`, or `low` and `high`, of a type as configs/default.py writes it."""
+    if get_origin(annotation) in (Union, UnionType, tuple):  # `X | None` and `tuple[X, ...]`
+        return _limits(get_args(annotation)[0], get_args(annotation)[0])
+    if get_origin(annotation) is Literal:
+        return {"choices": get_args(annotation)}
+    if get_origin(annotation) is Annotated:
+        between = annotation.__metadata__[0]
+        return {"low": between.low, "high": between.high}
+    return {int: WHOLE, float: SIZE}.get(kind, {})
+
+
+def convert(field: Field, value) -> Any:
     """`value` as the field holds it: a whole number as a float, a list as a tuple; None if it cannot."""
-    kind, default = field
-    if kind is tuple:
+    if field.kind is tuple:
         if not isinstance(value, (tuple, list)) or not value:
             return None
-        part = Field(type(default[0]), default[0])
-        out = tuple(settle(part, v) for v in value)
-        if None in out:
+        part = Field(type(field.default[0]), field.default[0])
+        out = tuple(convert(part, v) for v in value)
+        if None in out or not (min(out) > 0 if sizes(field) else len(out) == len(field.default)):
             return None
-        right = min(out) > 0 if sizes(field) else len(out) == len(default)
-        return out if right else None
-    right = isinstance(value, kind) or (kind is float and isinstance(value, int))
-    if not right or (isinstance(value, bool) and kind is not bool):
+        return out
+    right = isinstance(value, field.kind) or (field.kind is float and isinstance(value, int))
+    if not right or (isinstance(value, bool) and field.kind is not bool):
         return None
     try:
-        return kind(value)
+        return field.kind(value)
     except OverflowError:  # an integer that no float can hold
         return None
 
@@ -83,10 +110,33 @@ def sizes(field: Field) -> bool:
     return field.kind is tuple and type(field.default[0]) is int
 
 
-def meant(field: Field) -> str:
-    """What is expected of a value, for a person."""
+def expected(field: Field) -> str:
+    """The type that a value must have, for a person."""
     text = f"tuple like {field.default}" if field.kind is tuple else field.kind.__name__
     return text + ", one or more sizes above 0" * sizes(field)
+
+
+def check(name: str, value) -> None:
+    """ConfigError if a value of the right type is not one that the field may hold."""
+    field = every()[name]
+    numbers = value if isinstance(value, tuple) else (value,)
+    if field.choices and value is not None:
+        expect(value in field.choices, name, value, f"one of {', '.join(field.choices)}")
+    for number in numbers if field.low > -math.inf and value is not None else ():
+        expect(math.isfinite(number), name, value, "finite numbers")
+        low = "more than 0, at most" if field.low == TINY else f"{field.low:,.10g} to"
+        text = f"{low} {field.high:,.10g}"
+        expect(field.low <= number <= field.high, name, value, text)
+        expect(number == 0 or abs(number) >= TINY, name, value, f"0, or {TINY:g} or more in size")
+    if type(numbers[0]) is float and len(numbers) == 2:
+        expect(numbers[0] <= numbers[1], name, value, "(low, high) with low <= high")
+
+
+def expect(ok, field: str, value, expected: str) -> None:
+    """Raise the ConfigError of a field: what was found, and what was expected."""
+    if not ok:
+        shown = repr(value) if isinstance(value, str) else value
+        raise ConfigError(f"{field} is {shown}, expected {expected}")
 
 
 def check_names(names) -> None:
@@ -105,17 +155,21 @@ def near(name: str) -> str:
     return f"did you mean {close[0]}?" if close else "configs/default.py lists all fields"
 
 
-def typed(config) -> config_dict.ConfigDict:
-    """A copy in which every field has the type of its default; ConfigError where it cannot."""
-    values = flat(config)
-    check_names(values.keys())
-    out = copy.deepcopy(_defaults())
+def typed(values: dict[str, Any]) -> config_dict.ConfigDict:
+    """The config of these values by dotted name, each with the type of its field; ConfigError where it
+    cannot have it. A field that is missing, or None as its default is, has the default."""
+    found = {}
     for name, field in every().items():
-        if values[name] is None and field.default is None:
-            continue
-        value = settle(field, values[name])
-        if value is None:
-            raise ConfigError(f"{name} is {values[name]!r}, expected {meant(field)}")
-        group, _, leaf = name.rpartition(".")
-        (out[group] if group else out)[leaf] = value
+        if name in values and not (values[name] is None and field.default is None):
+            found[name] = convert(field, values[name])
+            if found[name] is None:
+                raise ConfigError(f"{name} is {values[name]!r}, expected {expected(field)}")
+    out = defaults()
+    out.update_from_flattened_dict(found)
     return out
+
+
+def copied(config) -> config_dict.ConfigDict:
+    """A copy in which every field has the type of its default; ConfigError where a field is missing."""
+    check_names(flat(config).keys())
+    return typed(flat(config))

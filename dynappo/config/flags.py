@@ -1,4 +1,4 @@
-"""What every command shares: reading its flags, and its exit status."""
+"""What every command shares: how it reads its flags, and how it ends."""
 
 from __future__ import annotations
 
@@ -20,16 +20,11 @@ from pathlib import Path
 from dynappo import config as config_lib
 from dynappo.config import ConfigError, fields, files, shell
 
-# what is wrong with a path that somebody named; any other error of a file is the machine's
-OF_A_NAME = (
-    errno.ENOENT,
-    errno.ENOTDIR,
-    errno.EISDIR,
-    errno.EACCES,
-    errno.EPERM,
-    errno.ENAMETOOLONG,
+# errno values caused by a bad path; others are failures of input or output
+BAD_PATH = (
+    *(errno.ENOENT, errno.ENOTDIR, errno.EISDIR, errno.EACCES, errno.EPERM),
+    *(errno.ENAMETOOLONG, errno.ELOOP),
 )
-OF_A_NAME += (errno.ELOOP,)
 LONGEST = 600  # characters of a line
 
 
@@ -177,17 +172,17 @@ def start(command: str) -> None:
 
 
 def answer(action: Callable[[], None], stopped: str | Callable[[], str] = "stopped") -> None:
-    """Do `action`; what ends it is one line and an exit status. The only place that decides it.
+    """Run `action`; turn what ends it into one line and an exit status. No other place decides this.
 
-    2: it cannot be done as asked; 1: numbers blew up, or the machine failed (disk, memory, another
-    process), or nobody reads what is printed any more, which has no line; 130 where it is interrupted,
-    with the line `stopped`, or the status that the KeyboardInterrupt holds. A defect keeps its traceback.
+    Status 2: the user asked for something impossible. 1: numbers blew up, the machine failed (disk, memory,
+    another process), or the reader of a pipe has gone, which prints nothing. 130, or the status that the
+    KeyboardInterrupt holds: interrupted, with the line `stopped`. A defect keeps its traceback.
     """
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # what a terminal has no letter for
             stream.reconfigure(errors="backslashreplace")
     line, code = "", 0
-    told, sys.unraisablehook = sys.unraisablehook, _once_more
+    before, sys.unraisablehook = sys.unraisablehook, _interrupt_again
     try:
         action()
     except SystemExit as end:  # of --help
@@ -197,11 +192,11 @@ def answer(action: Callable[[], None], stopped: str | Callable[[], str] = "stopp
     except BrokenPipeError:
         code = 1
     except Exception as error:
-        line, code = _told(error)
+        line, code = _explained(error)
         if not line:
             raise
     finally:
-        sys.unraisablehook = told
+        sys.unraisablehook = before
     try:
         if sys.stdout:
             sys.stdout.flush()
@@ -214,8 +209,8 @@ def answer(action: Callable[[], None], stopped: str | Callable[[], str] = "stopp
         sys.exit(code)
 
 
-def _once_more(lost) -> None:
-    """What is raised in a finalizer (JAX has some) Python prints, and goes on; ctrl-C comes again instead."""
+def _interrupt_again(lost) -> None:
+    """Python prints what a finalizer raises (JAX has some), and goes on; ctrl-C is raised again instead."""
     if isinstance(lost.exc_value, KeyboardInterrupt):
         threading.Timer(0.05, _interrupt).start()
     else:
@@ -230,8 +225,8 @@ def _interrupt() -> None:
         _thread.interrupt_main()
 
 
-def _told(error: Exception) -> tuple[str, int]:
-    """What is said of an error, and the exit status; no line for a defect of ours."""
+def _explained(error: Exception) -> tuple[str, int]:
+    """The line for an error and the exit status; a defect of ours has no line."""
     text = str(error)
     if isinstance(error, ImportError) and re.search("map segment|allocate memory", text):
         return "out of memory (Python's imports); take a larger machine", 1
@@ -247,15 +242,15 @@ def _told(error: Exception) -> tuple[str, int]:
             1,
         )
     if isinstance(error, OSError) and error.strerror:
-        name = error.filename or _present()
-        if error.errno in OF_A_NAME:
+        name = error.filename or _unnamed()
+        if error.errno in BAD_PATH:
             return f"{name} cannot be used ({error.strerror}); name another file or folder", 2
         return f"{name} cannot be read or written ({error.strerror})", 1
     return (text, 1) if isinstance(error, OSError) else ("", 1)  # a library, not a file
 
 
-def _present() -> str:
-    """What an error of a file without a name can be about."""
+def _unnamed() -> str:
+    """What an error that names no file is about."""
     try:
         os.getcwd()
     except OSError:

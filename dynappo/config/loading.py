@@ -110,9 +110,9 @@ def override(config: config_dict.ConfigDict, field: str, text: str) -> None:
         value = text if kind.kind is str else ast.literal_eval(text.strip())
     except (ValueError, SyntaxError, TypeError, RecursionError, MemoryError):  # of deep nesting too
         value = None
-    value = fields.settle(kind, value)
+    value = fields.convert(kind, value)
     if value is None:
-        raise ConfigError(f"--config.{field}={text!r}: expected {fields.meant(kind)}")
+        raise ConfigError(f"--config.{field}={text!r}: expected {fields.expected(kind)}")
     with node.ignore_type():
         node[leaf] = value
 
@@ -130,18 +130,7 @@ def from_json(text: str) -> config_dict.ConfigDict:
         found = flat(json.loads(text))
     except (ValueError, AttributeError, RecursionError):
         raise ConfigError("it is not the JSON of a config") from None
-    config = fields.defaults()
-    for name in fields.every().keys() & found.keys():
-        value = found[name]
-        kind = fields.every()[name]
-        value = None if value is None and kind.default is None else fields.settle(kind, value)
-        if value is None and kind.default is not None:
-            raise ConfigError(f"{name} is {found[name]!r}, expected {fields.meant(kind)}")
-        group, _, leaf = name.rpartition(".")
-        node = functools.reduce(lambda c, k: c[k], filter(None, group.split(".")), config)
-        with node.ignore_type():
-            node[leaf] = value
-    return config
+    return fields.typed(found)
 
 
 def versions_apart(old: str, config) -> str:

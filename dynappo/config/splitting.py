@@ -3,7 +3,7 @@
 `static` (ints, strings, bools) is hashable and part of the compiled program; `hyper` (floats) is a pytree
 argument, so a new learning rate needs no compilation and a sweep is a `jax.vmap` over its leaves.
 Both are nested named tuples with the config's own names: `static.ppo.epochs`, `hyper.ppo.clip_epsilon`.
-Their types are written out in `halves.py`, for type checkers.
+`halves.py` has their types, for type checkers.
 Every function that takes `static` or `hyper` takes all of it and reads its own group.
 """
 

@@ -31,7 +31,7 @@ def settings(policy: Policy):
         if field is None or value is None:
             continue
         group, _, leaf = name.rpartition(".")
-        node, settled = config[group] if group else config, fields.settle(field, value)
+        node, settled = config[group] if group else config, fields.convert(field, value)
         if settled is None:
             raise ConfigError(
                 f"the policy's config has {name} = {value!r}, expected one like {field.default!r}"

@@ -4,7 +4,7 @@
 - `environment`: checks an environment of your own against `types.Env`
 - `devices`: which devices and engine to use, and settings for a command's process
 - `memory`: whether a run fits into memory
-- `distributed`: one run over several processes; `meeting`: where they meet
+- `distributed`: one run over several processes
 
 The commands `train`, `bench` and `evaluate` import it. It imports the method, `task`, `physics` and
 `config`.

@@ -1,5 +1,5 @@
-"""Compiles a validated config: `program(config)`. `check(config)` finds mistakes first, in a
-second.
+"""From a validated config to a compiled program: `program(config)`. `check(config)` finds mistakes
+first, in a second.
 
 A `Program` has the robot, the environment, the first state, the one compiled call that a run
 repeats, and the evaluation.
@@ -73,7 +73,7 @@ def check(config, env: Any = None) -> None:
     if config.ppo.symmetry:
         mirror.joints(loaded)
     engine.check(loaded, config.physics, impl)
-    memory.check(config, memory.limit(devices.here(config.run.device)))
+    memory.check(config, memory.limit(devices.local(config.run.device)))
 
 
 def slower(program: Program, config) -> str:
@@ -117,8 +117,8 @@ def program(
     """Build robot, environment and first state, and compile the program that a run repeats.
 
     `env` is an environment of your own (a `types.Env`), with a config from `environment.settle`.
-    `each` is `(hyper, keys)` if each of the `run.num_seeds` seeds has its own values (`seeds.vary`)
-    or key. `meanwhile()` is called when all is traced, while XLA compiles. ConfigError as `check`, and
+    `each` is `(hyper, keys)` where the `run.num_seeds` seeds have values (`seeds.vary`) and keys of
+    their own. `meanwhile()` is called when all is traced, while XLA compiles. ConfigError as `check`, and
     if the compiled program needs more memory than a device has.
     """
     import jax
@@ -127,41 +127,59 @@ def program(
 
     impl = devices.engine(config)
     from dynappo import algorithm, scores, seeds
+    from dynappo.tasks import env_contract
 
     began = time.perf_counter()
     (static, hyper), run = config_lib.split(config), config.run
-    mesh = seeds.mesh(run.mesh_seed, run.mesh_env, devices.find(run.device))
+    mesh = seeds.mesh(run.mesh_seed, run.mesh_env, devices.available(run.device))
     robot, env, impl = _environment(config, env, impl)
     env = env._replace(mesh=mesh)
     length = run.eval_steps or config.task.episode_length
-    episodes = dict(static=static, num_envs=run.eval_envs, num_steps=length)
-    method = algorithm.init, algorithm.run, scores.evaluate
     key = jax.random.key(run.seed)
+    init, step, episodes = algorithm.init, algorithm.run, scores.evaluate
     if run.num_seeds > 1:
-        method = seeds.init, seeds.run, seeds.evaluate
+        init, step, episodes = seeds.init, seeds.run, seeds.evaluate
         hyper, key = each or (hyper, seeds.keys(run.seed, run.num_seeds))
-    init, step, episodes_of = (partial(function, env) for function in method)
-    init, step = partial(init, static=static), partial(step, static=static)
+    init, step = partial(init, env, static=static), partial(step, env, static=static)
+    episodes = partial(episodes, env, static=static, num_envs=run.eval_envs, num_steps=length)
     columns = schedule.columns(config)
-    chunk = _padded(columns, max(run.log_every, ROOM)), np.int32(1)
+    chunk, count = _padded(columns, max(run.log_every, ROOM)), np.int32(1)
     everywhere = NamedSharding(mesh, PartitionSpec())
-    like = jax.eval_shape(init, hyper, key)
-    spread = seeds.shardings(mesh, like, run.num_seeds)
-    first = jax.jit(init, out_shardings=spread)
+    shapes = jax.eval_shape(init, hyper, key)
+    spread = seeds.shardings(mesh, shapes, run.num_seeds)
+    shapes = jax.tree.map(_placed, shapes, spread)
+    init = jax.jit(init, out_shardings=spread)
     step = jax.jit(step, donate_argnums=1, out_shardings=(spread, everywhere))
-    episodes_of = jax.jit(partial(episodes_of, **episodes), out_shardings=everywhere)
-    # several devices or processes share settings and steps of a compilation: one after the other
-    soon = run.eval_envs and mesh.size == 1 and jax.process_count() == 1
-    like = jax.tree.map(_placed, like, spread)
-    given = first, step, episodes_of if soon else None, (hyper, key), (like, *chunk)
-    with seeds.partitioner(mesh):
-        state, compiled, ready = _side_by_side(*given, robot is None, meanwhile)
+    episodes = jax.jit(episodes, out_shardings=everywhere)
+
+    # Python traces one after the other, what compiles longest first; XLA compiles beside it
+    repeated, once = _xla_options()
+    with seeds.partitioner(mesh), concurrent.futures.ThreadPoolExecutor(2) as pool:
+        if robot is None:  # the first state of an environment of your own may be wrong
+            starting = pool.submit(init.lower(hyper, key).compile, once)
+            env_contract.check_start(starting.result()(hyper, key).env_state)
+        stepping = pool.submit(step.lower(hyper, shapes, chunk, count).compile, repeated)
+        if robot is not None:
+            starting = pool.submit(init.lower(hyper, key).compile, once)
+        # several devices or processes share settings and steps of a compilation: at the first call
+        soon = run.eval_envs and mesh.size == 1 and jax.process_count() == 1
+        if soon:
+            lowered = episodes.lower(hyper, shapes.learner.params, jax.random.key(0))
+        meanwhile()
+        # the state last: XLA times kernels while it compiles, on a GPU with nothing else to do
+        compiled = stepping.result()
+        state = starting.result()(hyper, key)
+        evaluating = None
+        if soon:  # while the run trains
+            later = concurrent.futures.ThreadPoolExecutor(1)
+            evaluating = later.submit(lowered.compile, repeated)
+            later.shutdown(wait=False)
     size = memory.needed(compiled)
     memory.check_compiled(config, size, memory.limit(mesh.local_devices[0]))
-    distributed.meet()
+    distributed.barrier()
     if impl == "warp":  # its kernels are built and loaded at the first call
-        once = {name: np.minimum(column, 1) for name, column in chunk[0].items()}
-        jax.block_until_ready(compiled(hyper, jax.tree.map(jnp.copy, state), once, chunk[1]))
+        one_row = {name: np.minimum(column, 1) for name, column in chunk.items()}
+        jax.block_until_ready(compiled(hyper, jax.tree.map(jnp.copy, state), one_row, count))
 
     return Program(
         robot=robot,
@@ -171,10 +189,10 @@ def program(
         state=state,
         columns=columns,
         step=partial(_step, compiled, max(run.log_every, ROOM)),
-        evaluate=partial(_evaluate, mesh, hyper, episodes_of, ready),
+        evaluate=partial(_evaluate, mesh, hyper, episodes, evaluating),
         place=partial(jax.device_put, device=spread),
         impl=impl,
-        device=devices.here(run.device).device_kind,
+        device=devices.local(run.device).device_kind,
         bytes_needed=size,
         compile_seconds=time.perf_counter() - began,
     )
@@ -196,46 +214,7 @@ def _step(compiled: Callable, room: int, hyper: Hyper, state, columns: dict[str,
     return state, jax.tree.map(lambda x: x[:count], metrics)
 
 
-def _side_by_side(
-    first, step, episodes_of, args, given, own: bool, meanwhile: Callable[[], None]
-) -> tuple[Any, Any, concurrent.futures.Future | None]:
-    """`(state, compiled step, future of the compiled evaluation)`; none where `episodes_of` is None.
-
-    Python traces one after the other; XLA compiles beside it, the evaluation while the run trains. The
-    state has the types and shardings of `like`; that of an `own` environment is checked before.
-    """
-    import jax
-
-    from dynappo.tasks import env_contract
-
-    ready = None
-    options, quick = _options()
-    with concurrent.futures.ThreadPoolExecutor(2) as pool:
-
-        def compiling(function, how, *given):
-            return pool.submit(function.lower(*given).compile, how)
-
-        if own:
-            begin = compiling(first, quick, *args)
-            env_contract.check_start(begin.result()(*args).env_state)
-        # as early as can be: it takes longest
-        iterate = compiling(step, options, args[0], *given)
-        if not own:
-            begin = compiling(first, quick, *args)
-        if episodes_of:
-            lowered = episodes_of.lower(args[0], given[0].learner.params, jax.random.key(0))
-        meanwhile()
-        # the state last: XLA times kernels while it compiles, on a GPU with nothing else to do
-        compiled = iterate.result()
-        state = begin.result()(*args)
-    if episodes_of:
-        pool = concurrent.futures.ThreadPoolExecutor(1)
-        ready = pool.submit(lowered.compile, options)
-        pool.shutdown(wait=False)
-    return state, compiled, ready
-
-
-def _options() -> tuple[dict[str, int], dict[str, int]]:
+def _xla_options() -> tuple[Any, Any]:
     """Of XLA, for what repeats and for what runs once.
 
     On a GPU a program is compiled on all cores (19.5 instead of 22.4 s of a start). On a CPU the first state
@@ -255,14 +234,14 @@ def _placed(array, sharding):
     return jax.ShapeDtypeStruct(array.shape, array.dtype, sharding=sharding)
 
 
-def _evaluate(mesh, hyper: Hyper, episodes_of, ready, state):
+def _evaluate(mesh, hyper: Hyper, episodes: Callable, compiled, state):
     """Metrics of deterministic episodes; the first call waits for the compilation, or compiles."""
     import jax
 
     from dynappo import seeds
 
     with seeds.partitioner(mesh):
-        run = ready.result() if ready else episodes_of
+        run = compiled.result() if compiled else episodes
         return jax.device_get(run(hyper, state.learner.params, jax.random.key(0)))
 
 
@@ -278,5 +257,5 @@ def _environment(config, env: Any, impl: str) -> tuple[Any, Any, str]:
         return None, env, "own"
     environment.check_robot(config)
     robot = robot_lib.load(config.robot)
-    with jax.default_device(devices.here(config.run.device)):
+    with jax.default_device(devices.local(config.run.device)):
         return robot, env_lib.make(robot, config.task, config.physics, impl=impl), impl

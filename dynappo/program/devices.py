@@ -1,4 +1,4 @@
-"""Chooses the devices and the engine of a run, and sets up the process of a command.
+"""Chooses the devices and the engine of a run, and sets up JAX for a command.
 
 Only commands call `own_process`: in a notebook it would override the user's own settings.
 """
@@ -43,13 +43,13 @@ def begin() -> None:
     import jax
 
     def start():
-        with contextlib.suppress(RuntimeError):  # `find` tells it
+        with contextlib.suppress(RuntimeError):  # `available` reports it
             jax.devices()
 
     threading.Thread(target=start, daemon=True).start()
 
 
-def find(device: str) -> list:
+def available(device: str) -> list:
     """The JAX devices that `run.device` means, of all processes; ConfigError if there are none."""
     import jax
 
@@ -67,18 +67,18 @@ def find(device: str) -> list:
     return jax.devices()
 
 
-def here(device: str):
-    """The first of `find(device)` that belongs to this process."""
+def local(device: str):
+    """The first of `available(device)` that belongs to this process."""
     import jax
 
-    return next(d for d in find(device) if d.process_index == jax.process_index())
+    return next(d for d in available(device) if d.process_index == jax.process_index())
 
 
 def engine(config) -> str:
     """The engine for `physics.impl`: "jax", "warp" or "c"; ConfigError if it cannot run here."""
     import jax
 
-    devices, wanted = find(config.run.device), config.run.mesh_seed * config.run.mesh_env
+    devices, wanted = available(config.run.device), config.run.mesh_seed * config.run.mesh_env
     gpu = devices[0].platform == "gpu"
     warp = importlib.util.find_spec("warp") is not None
     if config.physics.impl == "warp" and not (gpu and warp):

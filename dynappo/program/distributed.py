@@ -1,13 +1,11 @@
-"""One run over several processes with `jax.distributed`: how they meet, agree and end.
+"""One run over several processes: thin wrappers of `jax.distributed` and `multihost_utils`.
 
 Every process runs the same command, and JAX treats all their devices as one machine. This module
 makes the processes take the same steps together. Files belong to process 0, so only it needs to see
-the workdir.
+the workdir. With one process, nothing here has any effect.
 
-If a process dies, JAX ends the others: at once if it was process 0, which hosts JAX's service, else
-after `HEARTBEAT`, or when a message to the dead process fails. JAX aborts with a C++ trace;
-`_last_words` adds a line that says what to do. The same happens if the processes do not meet. With
-one process, nothing here has any effect.
+If a process dies, JAX ends the others and says so: at once if it was process 0, which hosts JAX's
+service, else after `HEARTBEAT`, or when a message to the dead process fails.
 """
 
 from __future__ import annotations
@@ -16,7 +14,6 @@ import contextlib
 import json
 import os
 import re
-import subprocess
 import sys
 import traceback
 from collections.abc import Callable
@@ -25,44 +22,63 @@ from typing import Any
 import numpy as np
 
 from dynappo.config import ConfigError
-from dynappo.program import meeting
 
 HEARTBEAT = 30  # s without a message after which JAX considers a process dead
-MEETING = 300  # s in which all processes must connect
+CONNECTING = 300  # s in which all processes must connect
 GONE = (
     "process {} of {} stops, because another one is gone or cannot be reached; "
-    "the same command goes on from the last checkpoint"
+    "the same command goes on from the last checkpoint ({})"
 )
-MESSAGE = 4096  # bytes
 
 
 def join(coordinator: str | None, count: int | None, index: int | None) -> None:
     """Connect to the other processes, before JAX computes anything.
 
-    Uses the flags `--coordinator=HOST:PORT --processes=N --process=I`, or, without them, the
-    variables of a Slurm step with several tasks. With `--processes=1`, each Slurm task is a run of
-    its own. ConfigError if the flags are wrong, or if not all processes connect.
+    Uses the flags `--coordinator=HOST:PORT --processes=N --process=I`, or, without them, what JAX
+    finds of a Slurm step with several tasks. With `--processes=1`, each Slurm task is a run of its
+    own. ConfigError if the flags are wrong, or if not all processes connect.
     """
-    found = meeting.find(coordinator, count, index, os.environ)
-    if found is None:
+    flags = {"--coordinator": coordinator, "--processes": count, "--process": index}
+    missing = [name for name, value in flags.items() if value is None]
+    if count == 1 or (len(missing) == 3 and os.environ.get("SLURM_STEP_NUM_TASKS", "1") == "1"):
         return
-    where, count, index = found
+    if missing and len(missing) < 3:
+        raise ConfigError(f"{missing[0]} is missing; several processes need {', '.join(flags)}")
+    address = re.fullmatch(".+:([0-9]{1,5})", coordinator or "")
+    if not missing and not (address and 0 < int(address[1]) < 65536):
+        raise ConfigError(
+            f"--coordinator is {coordinator!r}, expected HOST:PORT of process 0, a port from 1 to 65535"
+        )
+    if count is not None and index is not None and not 0 <= index < count:
+        raise ConfigError(f"--process is {index}, expected 0 to {count - 1} (--processes={count})")
     import jax
 
-    _last_words(GONE.format(index, count))
     # JAX's own SIGTERM handler would replace ours, and the run would not save
     jax.config.update("jax_enable_preemption_service", False)
     try:
         jax.distributed.initialize(
-            **where, initialization_timeout=MEETING, heartbeat_timeout_seconds=HEARTBEAT
+            coordinator,
+            count,
+            index,
+            local_device_ids=slurm_devices(os.environ) if missing else None,
+            initialization_timeout=CONNECTING,
+            heartbeat_timeout_seconds=HEARTBEAT,
         )
     except Exception as error:
-        _say("done")
         reason = str(error).splitlines()[0][:160]
         raise ConfigError(
             f"the processes of this run cannot meet at {coordinator or 'the first Slurm task'} "
-            f"({reason}); expected all of them within {MEETING} s"
+            f"({reason}); expected all of them within {CONNECTING} s"
         ) from None
+
+
+def slurm_devices(environment) -> list[int] | None:
+    """The GPUs of this task; None: JAX takes the one with the task's number on its machine."""
+    tasks = environment.get("SLURM_STEP_TASKS_PER_NODE", "").split("(")[0].split(",")[0]
+    visible = environment.get("CUDA_VISIBLE_DEVICES", "").split(",")
+    if tasks == "1" or visible != [""] and len(visible) == 1:  # all GPUs, or the task's only one
+        return list(range(len(visible)))
+    return None
 
 
 @contextlib.contextmanager
@@ -96,7 +112,10 @@ def watched():
         reason = (str(error).splitlines() or [""])[0][:200]
         lost = re.search("gloo|nccl|unavailable|coordination|connection", reason, re.IGNORECASE)
         if several() and lost:
-            raise ConnectionError(f"{_line} ({reason})") from None
+            import jax
+
+            where = jax.process_index(), jax.process_count()
+            raise ConnectionError(GONE.format(*where, reason)) from None
         raise
 
 
@@ -106,43 +125,21 @@ def leave() -> None:
 
     if several():
         jax.distributed.shutdown()
-    _say("done")
 
 
 def _end(status: int) -> None:
-    _say("done")
     sys.stdout.flush()
     sys.stderr.flush()
     os._exit(status)
 
 
-_line, _pipe = "", None
-
-
-def _last_words(line: str) -> None:
-    """Start a small process that prints `line` if JAX aborts this one."""
-    global _line, _pipe
-    code = "import sys; sys.stdin.read() or print(sys.argv[1], file=sys.stderr, flush=True)"
-    command = [sys.executable, "-P", "-S", "-c", code, f"dynappo: {line}"]
-    _line = line
-    _pipe = subprocess.Popen(command, stdin=subprocess.PIPE, start_new_session=True).stdin
-
-
-def _say(word: str) -> None:
-    """Tell that small process to print nothing."""
-    if _pipe and not _pipe.closed:
-        with contextlib.suppress(BrokenPipeError):  # it has been killed
-            _pipe.write(word.encode())
-            _pipe.close()
-
-
-def meet() -> None:
+def barrier() -> None:
     """Wait for the other processes: compiling may take them minutes longer, and the first message
     between two processes times out after half a minute."""
     from jax.experimental import multihost_utils
 
     if several():
-        multihost_utils.sync_global_devices("meet")
+        multihost_utils.sync_global_devices("dynappo")
 
 
 def several() -> bool:
@@ -178,10 +175,10 @@ def on_first(action: Callable[[], Any]) -> Any:
         except Exception as error:
             failed = error
             kind = "error" if isinstance(error, ConfigError) else "fault"
-            text = json.dumps({kind: str(error)[: MESSAGE // 2]}).encode()
-    padded = np.zeros(MESSAGE, np.uint8)
-    padded[: len(text)] = np.frombuffer(text, np.uint8)
-    message = np.asarray(multihost_utils.broadcast_one_to_all(padded)).tobytes().rstrip(b"\0")
+            text = json.dumps({kind: str(error)}).encode()
+    size = int(multihost_utils.broadcast_one_to_all(np.int32(len(text))))  # all send as much
+    message = np.frombuffer(text.ljust(size)[:size], np.uint8)
+    message = np.asarray(multihost_utils.broadcast_one_to_all(message)).tobytes()
     if failed:
         raise failed
     answer = json.loads(message)

@@ -1,11 +1,9 @@
 """Checks whether a run fits into a device's memory.
 
-Before compilation it checks a lower bound, after it the compiler's own count.
-
-Only after compiling, which takes half a minute, does XLA say what it needs beside the arrays that a
-program must hold (`compiled.memory_analysis()`). So `check` refuses at once only what is hopeless:
-the rollout buffer and the robots, which no compiler can make smaller. MuJoCo Warp, where it
-simulates (physics/warp/general.py), keeps its own arrays outside JAX's memory; they are not counted.
+XLA says what a program needs only after half a minute of compiling. So `check` refuses at once what is
+hopeless, a rollout buffer and robots that alone do not fit; `check_compiled` has the compiler's count.
+MuJoCo Warp, where it simulates (physics/warp/general.py), keeps its own arrays outside JAX's memory; they
+are not counted.
 """
 
 from __future__ import annotations
@@ -23,7 +21,7 @@ STATE = (
 CURE = "lower one of them, or use more devices (run.mesh_seed, run.mesh_env)"
 
 
-def row(config) -> int:
+def bytes_per_row(config) -> int:
     """Bytes of a types.Transition, at least: without what obs tells of a robot's body."""
     task = config.task
     past = (task.history - 1) * len(observe.columns(observe.name(task.observation, JOINTS)))
@@ -35,15 +33,24 @@ def least(config) -> int:
     """The least bytes that a run needs on each device: the buffer, and the robots of every seed."""
     run = config.run
     robots = config.rollout.num_envs * run.num_seeds // (run.mesh_seed * run.mesh_env)
-    return robots * (config.rollout.horizon * row(config) + STATE)
+    return robots * (config.rollout.horizon * bytes_per_row(config) + STATE)
 
 
 def check(config, limit: int | None) -> None:
     """ConfigError if a run cannot fit into a device's `limit` bytes, whatever the compiler does."""
-    if limit is not None and least(config) > limit:
+    _check(config, "the rollout alone needs", least(config), limit)
+
+
+def check_compiled(config, size: int, limit: int | None) -> None:
+    """ConfigError if the compiler's count, `size` bytes, is more than a device has."""
+    _check(config, "the compiled program needs", size, limit)
+
+
+def _check(config, what: str, size: int, limit: int | None) -> None:
+    if limit is not None and size > limit:
         raise ConfigError(
             f"rollout.num_envs x run.num_seeds is {config.rollout.num_envs} x {config.run.num_seeds}: "
-            f"the rollout alone needs {text(least(config))} on each device, which has {text(limit)}; {CURE}"
+            f"{what} {text(size)} on each device, which has {text(limit)}; {CURE}"
         )
 
 
@@ -52,15 +59,6 @@ def needed(compiled: Any) -> int:
     sizes = compiled.memory_analysis()
     kept = sizes.argument_size_in_bytes + sizes.output_size_in_bytes - sizes.alias_size_in_bytes
     return kept + sizes.temp_size_in_bytes
-
-
-def check_compiled(config, size: int, limit: int | None) -> None:
-    """ConfigError if the compiler's count, `size` bytes, is more than a device has."""
-    if limit is not None and size > limit:
-        raise ConfigError(
-            f"rollout.num_envs x run.num_seeds is {config.rollout.num_envs} x {config.run.num_seeds}: "
-            f"the compiled program needs {text(size)} on each device, which has {text(limit)}; {CURE}"
-        )
 
 
 def limit(device: Any) -> int | None:

@@ -23,7 +23,7 @@ def config(configs: list) -> Any:
 
     ConfigError where these are too many.
     """
-    joined = fields.typed(configs[0])  # a copy: ConfigDict(config) would share its groups
+    joined = fields.copied(configs[0])  # a copy: ConfigDict(config) would share its groups
     joined.run.num_seeds *= len(configs)
     try:
         return config_lib.validate(joined)
@@ -44,7 +44,7 @@ def too_many(error: ConfigError, configs: list) -> ConfigError:
 
 def with_log_every(config, log_every: int) -> Any:
     """`config` with chunks of another length."""
-    config = fields.typed(config)  # a copy
+    config = fields.copied(config)  # a copy
     config.run.log_every = log_every
     return config_dict.FrozenConfigDict(config)
 

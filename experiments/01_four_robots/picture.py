@@ -11,12 +11,11 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import mujoco
 import numpy as np
-import walk
 
 from dynappo.config import files
 from dynappo.evaluate import trials
 from dynappo.policy import episode, policy_file, source
-from experiments import paper
+from experiments import paper, pictures
 
 NAMES = {"go1": "Unitree Go1", "go2": "Unitree Go2", "anymal_c": "ANYmal-C", "anymal_d": "ANYmal-D"}
 SIZE = 440, 720  # pixels, height and width of one robot
@@ -72,18 +71,18 @@ def render(name, poses, size=SIZE, azimuth=128.0, elevation=-9.0):
             yield renderer.render()
 
 
-def sheet(pictures, labels, columns, out, dpi=100):
+def sheet(frames, labels, columns, out, dpi=100):
     """Write pictures in a grid, each with its label in the corner."""
-    height, width = pictures[0].shape[:2]
-    rows = -(-len(pictures) // columns)
+    height, width = frames[0].shape[:2]
+    rows = -(-len(frames) // columns)
     gap = 8
     size = (width * columns + gap * (columns - 1)) / dpi, (height * rows + gap * (rows - 1)) / dpi
     figure, axes = plt.subplots(rows, columns, figsize=size, dpi=dpi, squeeze=False)
     figure.subplots_adjust(0, 0, 1, 1, wspace=gap / width, hspace=gap / height)
     for axis in axes.flat:
         axis.axis("off")
-    for axis, picture, label in zip(axes.flat, pictures, labels, strict=False):
-        axis.imshow(picture)
+    for axis, frame, label in zip(axes.flat, frames, labels, strict=False):
+        axis.imshow(frame)
         style = dict(fontsize=width / 46, color="0.15", va="top", transform=axis.transAxes)
         axis.text(0.03, 0.945, label, **style)
     figure.savefig(out, dpi=dpi)
@@ -99,15 +98,15 @@ def main():
         name, speed = args.frames
         poses, _ = walks(name, np.array([float(speed), 0.0, 0.0]))
         shown = poses[200:236:3]
-        pictures = list(render(name, shown, (270, 400), azimuth=90.0, elevation=-4.0))
-        sheet(pictures, [f"{60 * i} ms" for i in range(len(shown))], 4, args.out)
+        frames = list(render(name, shown, (270, 400), azimuth=90.0, elevation=-4.0))
+        sheet(frames, [f"{60 * i} ms" for i in range(len(shown))], 4, args.out)
         return
-    pictures = []
-    for name in walk.ROBOTS:
+    frames = []
+    for name in NAMES:
         poses, feet = walks(name, np.array([SPEED, 0.0, 0.0]))
         k = stride(feet, round(FRAMING[name][2] / 0.02))
-        pictures += render(name, [poses[k]])
-    sheet(pictures, list(NAMES.values()), 2, args.out)
+        frames += render(name, [poses[k]])
+    sheet(frames, list(NAMES.values()), 2, args.out)
 
 
 if __name__ == "__main__":

@@ -9,11 +9,9 @@ from dynappo.physics import robot as robot_lib
 from dynappo.policy import episode as episode_lib
 from dynappo.policy import policy_file
 
-START, FRAMES, APART = 3.0, 7, 0.06  # s, number, s: the moments of a film strip
-
 
 def walk(policy: policy_file.Policy, speed: float, seconds: float):
-    """`(episode, measures)` of a walk ahead at `speed` m/s from standing, until it falls."""
+    """Measures of a walk ahead at `speed` m/s from standing, until it falls."""
     robot = robot_lib.load(policy.robot)
     body = episode_lib.load(robot.xml, policy, policy.timestep)
     act = policy_file.actor(policy.params, policy.activation)
@@ -27,7 +25,7 @@ def walk(policy: policy_file.Policy, speed: float, seconds: float):
     episode = episode_lib.stack(body, some)
     names = ("tracking_error", "yaw_error", "fall", "distance", "cost_of_transport")
     measures = episode_lib.measures(body, episode)
-    return episode, {name: measures[name] for name in names} | style(robot, episode)
+    return {name: measures[name] for name in names} | style(robot, episode)
 
 
 def style(robot: robot_lib.Robot, episode) -> dict:
@@ -67,11 +65,3 @@ def air_phases(air: np.ndarray) -> np.ndarray:
             if len(ends):
                 lengths.append(ends[0] - begin)
     return np.array(lengths, int)
-
-
-def strip(episode) -> np.ndarray:
-    """The poses [FRAMES, nq] of a film strip; of a robot that fell before, its last ones."""
-    dt, count = float(episode["dt"]), len(episode["qpos"])
-    rows = np.arange(FRAMES) * round(APART / dt)
-    first = max(0, min(round(START / dt), count - 1 - rows[-1]))
-    return episode["qpos"][np.minimum(first + rows, count - 1)].astype(np.float32)

@@ -1,18 +1,9 @@
-"""results.csv, tests.csv, figure and film strips (figure 9) of the robots in results/.
-
-    python experiments/16_gaits/plot.py [--strips] [--films]
-
---strips draws the strips of every robot and speed, not only those of the page, into films/ (not committed).
---films renders each walk of seed 0 too, from policies/, into films/ (needs OpenGL; the strips do without:
-drawing.py).
-"""
+"""results.csv, tests.csv and figure (figure 9, as numbers) of the robots in results/."""
 
 import csv
-import sys
 from pathlib import Path
 from typing import Any
 
-import drawing
 import numpy as np
 
 from experiments import paper, pictures, stats
@@ -30,24 +21,10 @@ MARGINS = {"tracking_error": 0.05, "air_time": 0.02, "tilt": 1.0}
 COLUMNS = (
     "robot variant speed iteration status seeds walk falls tracking_error_mean air_time_mean tilt_mean"
 ).split()
-SHOWN = (0, 2, 4, 6)  # frames of the poses, 60 ms apart
-PAGE = (("go1", 0.5), ("anymal_c", 0.5))  # the strips that the page shows
-# iterations of the strips: the paper's; ANYmals walk by 200 with either method, so earlier ones
-STRIPS = {"anymal_c": (150, 200, 300), "anymal_d": (150, 200, 300)}
-PAPER_STRIPS = (300, 400, 500)
-# m, ahead of the first frame and up; of a robot that stands 0.325 m high, a larger one has more
-WINDOW, HEIGHT = np.array([-0.42, 0.82, -0.04, 0.58]), 0.325
 
 
 def main():
-    here = Path(__file__).parent
-    make(here)
-    strips(here, PAGE)
-    if "--strips" in sys.argv:
-        every = [(robot, speed) for robot in paper.ROBOTS for speed in SPEEDS]
-        strips(here, every, here / "films")
-    if "--films" in sys.argv:
-        films(here)
+    make(Path(__file__).parent)
 
 
 def make(out: Path) -> None:
@@ -57,10 +34,6 @@ def make(out: Path) -> None:
     paper.show(rows, COLUMNS)
     paper.write(out / "tests.csv", tests(every))
     draw({robot: some for robot, some in every.items() if some} or {"go1": []}, out / "measures")
-
-
-def key(variant: str, iteration: int, speed: float) -> str:
-    return f"{variant}_{iteration}_{speed}"
 
 
 def load(path: Path) -> list[dict]:
@@ -210,74 +183,6 @@ def panel(axis, episodes, name: str, size: int) -> None:
             style |= dict(linestyle=line, linewidth=1.6, markersize=size, label=text)
             axis.plot(x, mean, **style)
     axis.set_xticks([i for i in every if i % 100 == 0] or every)
-
-
-def strips(out: Path, which, folder: Path | None = None) -> None:
-    """strips_ROBOT_SPEED.png of robots and speeds that were run, into `folder` or `out`."""
-    for robot, speed in which:
-        path = out / "results" / robot / "poses.npz"
-        if path.exists():
-            with np.load(path) as file:
-                poses = {name: file[name] for name in file}
-            draw_strips(robot, poses, speed, (folder or out) / f"strips_{robot}_{speed}")
-
-
-def draw_strips(robot: str, poses, speed: float, path: Path) -> None:
-    """PPO-16 and the tail by turns, two rows a checkpoint, a camera that stands still."""
-    import mujoco
-
-    from dynappo.physics import robot as robot_lib
-
-    model = mujoco.MjModel.from_xml_path(str(robot_lib.load(robot).xml))
-    window = WINDOW * max(1.0, model.keyframe("home").qpos[2] / HEIGHT)
-    known = sorted({int(name.rsplit("_", 2)[1]) for name in poses})
-    every = [i for i in STRIPS.get(robot, PAPER_STRIPS) if i in known] or known
-    rows = [(iteration, variant) for iteration in every for variant in VARIANTS]
-    page, axes = pictures.figure(len(rows), len(SHOWN), 1.06 * len(rows) + 0.8)
-    for row, (iteration, variant) in zip(axes, rows, strict=True):
-        strip(row, model, poses[key(variant, iteration, speed)].astype(float), window)
-        label = f"{iteration}\n" + {"ppo16": "PPO-16", "dyna4": "4-step\ntail"}[variant]
-        row[0].set_ylabel(label, color=pictures.COLOURS[variant], fontweight="bold")
-    for axis, frame in zip(axes[0], SHOWN, strict=True):
-        axis.set_title(f"{60 * frame} ms", loc="left")
-    text = f"{paper.ROBOTS[robot]}, asked for {speed} m/s. The camera stands still, tiles are 10 cm; dotted: "
-    text += "where the\nbase was at 0 ms; number: how far it has come since. Rows: iteration"
-    pictures.head(page, text)
-    pictures.save(page, path.with_name(path.name + ".png"), dpi=110)
-
-
-def strip(axes, model, poses, window) -> None:
-    """One walk: the frames `SHOWN`, in the world as it was at the first."""
-    origin, (w, x, y, z) = poses[0, :2], poses[0, 3:7]
-    heading = float(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
-    for axis, frame in zip(axes, SHOWN, strict=True):
-        left, right, bottom, top = window
-        for tile in np.arange(np.floor(10 * left), np.ceil(10 * right)):
-            colour = ("0.8", "0.93")[int(tile) % 2]
-            axis.fill_between([tile / 10, (tile + 1) / 10], bottom, 0, color=colour, linewidth=0)
-        axis.axvline(0, color="0.4", linestyle=":", linewidth=1.2)
-        drawing.draw(axis, model, poses[frame], origin, heading)
-        gone = (poses[frame, :2] - origin) @ [np.cos(heading), np.sin(heading)]
-        axis.text(left + 0.01, top - 0.01, f"{round(100 * gone)} cm", va="top")
-        axis.set(xlim=(left, right), ylim=(bottom, top), aspect="equal", xticks=[], yticks=[])
-        axis.spines[:].set_visible(False)
-        axis.grid(visible=False)
-
-
-def films(out: Path, seconds: float = 6.0) -> None:
-    """films/VARIANT_ITERATION_SPEED.mp4 of the policies of seed 0."""
-    import gait
-
-    from dynappo.physics import robot as robot_lib
-    from dynappo.policy import policy_file, render
-
-    (out / "films").mkdir(exist_ok=True)
-    for path in sorted((out / "policies").glob("*_seed0.npz")):
-        policy = policy_file.load(path)
-        for speed in SPEEDS:
-            film = out / "films" / f"{path.stem.removesuffix('_seed0')}_{speed}.mp4"
-            episode, _ = gait.walk(policy, speed, seconds)
-            print(render.film(robot_lib.load(policy.robot), episode, film) or film)
 
 
 if __name__ == "__main__":

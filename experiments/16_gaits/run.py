@@ -3,15 +3,14 @@
     python experiments/16_gaits/run.py [--robot go2] [--quick] [--out DIR]
 
 Trains both, keeps the actors of `paper.CHECKPOINTS` in DIR/policies (not committed), plays each on C
-MuJoCo without noise at 0.5 and 1.0 m/s, and writes episodes.csv (a row an episode) and poses.npz (seed 0,
-for the film strips) into DIR/results/ROBOT. What is there is not made again; policies of the tail may come
-from `11_model/run.py --policies`. Then tables, figure and strips, as plot.py.
+MuJoCo without noise at 0.5 and 1.0 m/s, and writes episodes.csv (a row an episode) into
+DIR/results/ROBOT. What is there is not made again; policies of the tail may come from
+`11_model/run.py --policies`. Then tables and figure, as plot.py.
 """
 
 from pathlib import Path
 
 import gait
-import numpy as np
 import plot
 
 from dynappo.policy import policy_file
@@ -40,24 +39,20 @@ def main():
                         run.keep_actors(policies, job, done, config, program, state)
         play(policies, results, args.robot, at, seeds, 5.0 if args.quick else SECONDS)
     plot.make(args.out)
-    plot.strips(args.out, plot.PAGE)
 
 
 def play(policies: Path, results: Path, robot: str, at, seeds: int, seconds: float) -> None:
     """Every policy at every speed."""
-    rows, poses = [], {}
+    rows = []
     for variant in plot.VARIANTS:
         for iteration in at:
             for seed in range(seeds):
                 path = run.actor(policies, f"{robot}:{variant}", iteration, seed)
                 for speed in plot.SPEEDS:
-                    episode, measures = gait.walk(policy_file.load(path), speed, seconds)
+                    measures = gait.walk(policy_file.load(path), speed, seconds)
                     row = {"variant": variant, "iteration": iteration, "speed": speed}
                     rows.append(row | {"seed": seed} | measures)
-                    if seed == 0:
-                        poses[plot.key(variant, iteration, speed)] = gait.strip(episode)
     paper.write(results / "episodes.csv", rows)
-    np.savez_compressed(results / "poses.npz", **poses)
 
 
 if __name__ == "__main__":

@@ -3,7 +3,7 @@
     python experiments/18_rollouts/run.py [--quick] [--out DIR]
 
 The bundled Go1 walks by its policy and that policy's noise, `best`'s model is fitted to eight real rows an
-iteration, as in 20_tail/offline.py; then six iterations are kept as they are, tails included, in
+iteration; then six iterations are kept as they are, tails included, in
 DIR/results (skipped where about.json is). Then figures, as plot.py.
 """
 

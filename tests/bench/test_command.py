@@ -17,16 +17,11 @@ GO1 = "--config=configs/go1.py:quick"
     [
         ([], "--config is missing"),
         ([GO1, "--repeats=0"], "--repeats='0': expected an integer of 1 or more"),
-        ([GO1, "--repeats=many"], "--repeats='many': expected an integer of 1 or more"),
         ([GO1, "--repeats=1000000000"], "at most 10,000"),
-        ([GO1, "--out="], "--out: is empty, expected a path"),
         ([GO1, "--fast"], "--fast: no such flag"),
-        ([GO1, "--config.ppo.clip=1"], "--config.ppo.clip: no such field"),
-        ([GO1, "--vs=configs/none.py"], "no file 'configs/none.py'"),
         ([GO1, "--engines=c"], "--engines is c, expected two engines of one config"),
         ([GO1, "--engines=c,jax", f"--vs={GO1[9:]}"], "without --vs"),
         ([GO1, "--engines=c,cuda"], "physics.impl is 'cuda', expected one of auto, jax, warp, c"),
-        ([GO1, "--out"], "--out: expected one argument; write it as --flag=VALUE"),
         ([GO1, "--out=/proc/no/b.json"], "--out=/proc/no/b.json: cannot write there"),
     ],
 )

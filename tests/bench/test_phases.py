@@ -1,4 +1,4 @@
-"""The numbers of the bench: differences of calls, ratios, work and shares; times are not tested."""
+"""The numbers of the bench: differences of calls, and ratios; times are not tested."""
 
 import os
 import time
@@ -10,13 +10,8 @@ import numpy as np
 import pytest
 import toy_env
 
-from dynappo import algorithm, schedule
-from dynappo import config as config_lib
+from dynappo import algorithm
 from dynappo.bench import phases
-
-
-def valid(variant):
-    return config_lib.validate(config_lib.load(f"configs/go1.py:{variant}"))
 
 
 def clockwork(monkeypatch, cost, columns):
@@ -89,43 +84,6 @@ def test_a_row_of_the_tail_is_timed_on_the_runs_own_model(clean):
     state = algorithm.init(env, hyper, jax.random.key(0), static=static)
     program = SimpleNamespace(static=static, env=env, hyper=hyper)
     assert abs(phases._tail_row(program, state, rows=4)) < 1e3  # ms, of which nothing else is said
-
-
-def test_work_is_that_of_the_products_of_every_layer_counted_one_by_one():
-    """PPO: 5 x 4 steps of 16,384 rows through 48-128-128-128-12 and -1; the fit: 25 passes over the 12
-    real rows of 4,096 robots, drawn 8 at a time, through 60-256-256-256-256-34. A product [a, b] x
-    [b, c] takes 2abc; forward, and for the gradients of weights and input."""
-    config = valid("dyna4")
-    last = {name: int(column[-1]) for name, column in schedule.columns(config).items()}
-
-    def step(rows, *sizes):
-        total = 0
-        for i, (a, b) in enumerate(zip(sizes, sizes[1:], strict=False)):
-            total += 2 * rows * a * b * (2 if i == 0 else 3)
-        return total
-
-    found = phases.work(config, last)
-    nets = step(16384, 48, 128, 128, 128, 12) + step(16384, 48, 128, 128, 128, 1)
-    assert found["ppo"][0] == 20 * nets and 7.4e9 < nets < 7.42e9
-    steps = -(-25 * 12 // 8)
-    assert found["fit"][0] == steps * step(8 * 4096, 60, 256, 256, 256, 256, 34)
-    assert set(phases.work(valid("ppo16"), {"n_real": 16})) == {"ppo"}
-
-
-def test_shares_are_of_the_limits_of_the_device_that_is_there():
-    """PPO in 9.14 ms on an H200: 17 TFLOP/s of 67 (experiments/03_speed/ppo.md); nothing on a CPU."""
-    config = valid("ppo16")
-    found = phases.shares(config, "NVIDIA H200", {"n_real": 16}, {"ppo": 9.14})
-    assert found["ppo_arithmetic"] == pytest.approx(20 * 7.41e9 / 9.14e-3 / 67e12, rel=0.01)
-    assert 0.2 < found["ppo_memory"] < 0.3 and len(found) == 2
-    assert phases.shares(config, "cpu", {"n_real": 16}, {"ppo": 9.14}) == {}
-
-
-def test_best_has_shares_though_its_last_iterations_fit_nothing():
-    config = valid("best")
-    last = {name: int(column[-1]) for name, column in schedule.columns(config).items()}
-    found = phases.shares(config, "NVIDIA H100", last, {"iteration": 2.0, "ppo": 1.0})
-    assert last["model_epochs"] == 0 and set(found) == {"ppo_arithmetic", "ppo_memory"}
 
 
 def test_set_up_is_timed_with_a_cold_and_a_warm_cache_that_are_not_the_users(monkeypatch):

@@ -1,96 +1,121 @@
-"""`static` and `hyper`: floats never reach the compiled program, everything else is part of it."""
+"""`static` and `hyper`: floats never reach the compiled program, all else does; a type checker knows."""
+
+import itertools
+import json
+import pathlib
+import runpy
+import subprocess
+import sys
+from typing import get_args, get_type_hints
 
 import jax
 import pytest
+import write_halves
 
 from dynappo import config as config_lib
+from dynappo.config import halves
 
-# The type of every field that is neither a float nor a tuple of floats.
-INTS = """
-run.seed run.num_seeds run.mesh_seed run.mesh_env run.num_iterations run.log_every
-run.checkpoint_every run.eval_every run.eval_envs run.eval_steps rollout.num_envs rollout.horizon
-schedule.start_iteration schedule.end_iteration schedule.start_steps schedule.end_steps schedule.rounds
-model.epochs
-model.late_from model.minibatches ppo.epochs ppo.minibatches ppo.shuffle_blocks
-task.episode_length task.history physics.threads physics.substeps physics.iterations physics.ls_iterations
-""".split()
-STRINGS = """
-robot run.device run.wandb model.activation model.precision ppo.activation ppo.precision task.formulation
-physics.impl physics.contacts task.observation task.actuator ppo.critic
-""".split()
-BOOLS = """
-run.tensorboard model.predict_change model.normalize model.clean model.known_reward model.falls
-ppo.adaptive ppo.clip_value ppo.symmetry task.random_clock task.carry_on
-""".split()
-SIZES = "model.hidden ppo.hidden".split()
-OPTIONAL = {  # None in the file
-    "task.tracking_std": float,
-    "task.air_time": str,
-    "task.heading": bool,
-    "task.resample_steps": int,
-    "task.standing": float,
-    "task.termination": str,
-    "task.undesired": str,
-    "task.remember_ground": bool,
-    "model.late_epochs": int,
-    "schedule.last_iteration": int,
-    "schedule.late_from": int,
-    "schedule.late_steps": int,
-    "schedule.late_rounds": int,
-}
+ROOT = pathlib.Path(__file__).parents[2]
+FILES = sorted(path.stem for path in (ROOT / "configs").glob("*.py"))
+VARIANTS = runpy.run_path(str(ROOT / "configs" / "default.py"))["VARIANTS"]
+CASES = [(f"{file}.py:{variant}", "isaaclab") for file in FILES for variant in VARIANTS]
+CASES += [("go1.py:dyna4", "paper_text"), ("go1.py:dyna4", "isaaclab_exact")]
+# what pyright must say, and where
+CODE = """\
+from dynappo import config
+from dynappo.types import Hyper, Static
+
+def of_functions(static: Static, hyper: Hyper) -> float:
+    low, high = hyper.task.command_x
+    low, high = hyper.task.randomize.base_com  # error: three numbers
+    return static.ppo.epochs * hyper.ppo.gamma + len(static.model.hidden) + low * high
+
+static, hyper = config.split(config.validate(config.load("go1")))
+static.ppo.gamma  # error: a float
+hyper.ppo.epochs  # error: no float
+static.task.weights  # error: all floats
+hyper.rollout  # error: none is a float
+hyper.task.tracking_std + hyper.task.standing  # None until validation sets them
+static.schedule.last_iteration + 1  # error: it may stay None
+static.ppo.gama  # error: no field
+of_functions(static, hyper)
+of_functions(hyper, static)  # error: the wrong way round
+"""
 
 
-def load(variant="dyna4"):
-    return config_lib.load(f"configs/go1.py:{variant}")
+def fits(value, kind):
+    """Whether a value has this type: a bool or an int is no float, and a tuple has its length."""
+    kinds = get_args(kind)
+    if type(value) is not tuple or not kinds:
+        return type(value) in (kinds or (kind,))
+    return all(map(fits, value, itertools.repeat(kinds[0]))) and (
+        kinds[-1] is ... or len(value) == len(kinds)
+    )
+
+
+def leaves(values, kind, prefix=""):
+    """`{dotted field: its type}` of a half, whose classes are those of halves.py."""
+    assert type(values).__name__ == kind.__name__
+    assert values._fields == kind._fields, "run: make format"
+    out = {}
+    for name, inner in get_type_hints(kind).items():
+        value = getattr(values, name)
+        if hasattr(inner, "_fields"):
+            out |= leaves(value, inner, f"{prefix}{name}.")
+        else:
+            assert fits(value, inner), f"{prefix}{name} is {value!r}, and not {inner}"
+            out[prefix + name] = inner
+    return out
 
 
 def split(config):
     return config_lib.split(config_lib.validate(config))
 
 
-def fields_of(half, prefix=""):
-    """`{dotted field: value}` of one half of a split."""
-    out = {}
-    for name, value in half._asdict().items():
-        if hasattr(value, "_asdict"):
-            out |= fields_of(value, f"{prefix}{name}.")
-        else:
-            out[prefix + name] = value
-    return out
+@pytest.mark.parametrize(("spec", "formulation"), CASES)
+def test_every_config_splits_into_the_written_fields_each_in_one_half(spec, formulation):
+    config = config_lib.load(f"configs/{spec}")
+    config.task.formulation = formulation
+    if formulation == "isaaclab_exact":
+        config.physics.contacts = "full"
+    config = config_lib.validate(config)
+    static, hyper = config_lib.split(config)
+    compiled, floats = leaves(static, halves.Static), leaves(hyper, halves.Hyper)
+    assert not compiled.keys() & floats.keys()
+    assert compiled.keys() | floats.keys() == config_lib.flat(config).keys()
+    # not `float | None` either: set in another config, it would be in the other half
+    assert all(float not in (kind, *get_args(kind)) for kind in compiled.values())
+    assert all({float} == set(get_args(kind) or [kind]) for kind in floats.values())
 
 
-def test_the_default_of_every_field_has_exactly_its_type():
-    """An int default where a float is meant would be compiled in."""
-    kinds = dict.fromkeys(INTS, int) | dict.fromkeys(STRINGS, str) | dict.fromkeys(BOOLS, bool)
-    found = config_lib.flat(load())
-    assert kinds.keys() | OPTIONAL.keys() | set(SIZES) <= found.keys()
-    for field, value in found.items():
-        if field in OPTIONAL:
-            group, _, leaf = field.rpartition(".")
-            assert value is None and load()[group].get_type(leaf) is OPTIONAL[field], field
-        elif isinstance(value, tuple):
-            assert {type(x) for x in value} == {int if field in SIZES else float}, field
-        else:
-            assert type(value) is kinds.get(field, float), field
+def test_the_written_types_are_those_of_the_defaults():
+    assert write_halves.text() == write_halves.FILE.read_text(), "run: make format"
 
 
-def test_every_float_is_in_hyper_and_everything_else_in_static():
-    config = config_lib.validate(load("fast"))
-    static, hyper = (fields_of(half) for half in config_lib.split(config))
-    assert not static.keys() & hyper.keys() and static | hyper == config_lib.flat(config)
-    floats = {name for name, kind in OPTIONAL.items() if kind is float}
-    assert static.keys() == {*INTS, *STRINGS, *BOOLS, *SIZES, *OPTIONAL} - floats
+def test_a_type_checker_reports_a_field_of_the_other_half(tmp_path):
+    pytest.importorskip("pyright")
+    (tmp_path / "code.py").write_text(CODE)
+    done = subprocess.run(
+        [sys.executable, "-m", "pyright", "--outputjson", str(tmp_path / "code.py")],
+        cwd=ROOT,  # with the project's settings
+        text=True,
+        capture_output=True,
+    )
+    found = json.loads(done.stdout)["generalDiagnostics"]
+    lines = {one["range"]["start"]["line"] for one in found if one["severity"] == "error"}
+    wrong = {i for i, line in enumerate(CODE.splitlines()) if "# error" in line}
+    assert lines == wrong, done.stdout
 
 
 def test_equal_configs_have_equal_static_parts_with_equal_hashes():
-    (one, _), (two, _) = (split(load()) for _ in range(2))
+    (one, _), (two, _) = (split(config_lib.load("go1:dyna4")) for _ in range(2))
     assert one == two and hash(one) == hash(two) and type(one) is type(two)
     assert one.ppo == two.ppo and hash(one.ppo) == hash(two.ppo)
 
 
 def test_a_changed_float_changes_no_static_part_and_no_tree_structure():
     """So no learning rate, and no sweep over it, compiles anything anew."""
-    config = load()
+    config = config_lib.load("go1:dyna4")
     static, hyper = split(config)
     for field, value in config_lib.flat(config).items():
         if type(value) is float and value > 0:
@@ -114,10 +139,13 @@ def test_a_changed_float_changes_no_static_part_and_no_tree_structure():
     ],
 )
 def test_a_changed_field_that_is_no_float_changes_the_static_part_only(field, value):
-    config = load()
+    config = config_lib.load("go1:dyna4")
     static, hyper = split(config)
     group, _, leaf = field.partition(".")
     config[group][leaf] = value
     other_static, other_hyper = split(config)
-    assert other_static != static and fields_of(other_static)[field] == value
+    assert (
+        other_static != static
+        and other_static[static._fields.index(group)]._asdict()[leaf] == value
+    )
     assert other_hyper == hyper

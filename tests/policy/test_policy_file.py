@@ -15,7 +15,7 @@ from ml_collections import config_dict
 from toy_policy import ROBOTS, actor, described, save
 
 from dynappo import config as config_lib
-from dynappo.config import files
+from dynappo.config import fields, files
 from dynappo.learner import networks
 from dynappo.policy import policy_file, source
 
@@ -69,7 +69,7 @@ def test_saving_replaces_the_whole_file_and_leaves_nothing_else(tmp_path):
             jax.tree.map(np.testing.assert_array_equal, back, actor(seed))
 
 
-@pytest.mark.parametrize("activation", config_lib.validation.CHOICES["ppo.activation"])
+@pytest.mark.parametrize("activation", fields.every()["ppo.activation"].choices)
 def test_the_actor_in_numpy_is_the_policy_in_jax(settings, activation):
     """Every activation, one observation and a batch, to 1e-5 of the largest action."""
     static, hyper = settings({"ppo.activation": activation, "ppo.hidden": (24, 16)})

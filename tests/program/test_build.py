@@ -10,6 +10,7 @@ import workdirs
 from answers import PATIENCE, refused
 from toy_runs import assert_close, assert_same
 
+from dynappo import evaluation
 from dynappo.config import ConfigError
 from dynappo.program import build, memory
 
@@ -29,10 +30,18 @@ def test_one_program_serves_every_log_every(monkeypatch):
         lowered.append(one.as_text())
         return compile_(one, *options)
 
+    def evaluate(env, hyper, params, key, **asked):
+        judged.append((asked["num_envs"], asked["num_steps"]))
+        return {"return": 0.0}
+
+    judged = []
+    monkeypatch.setattr(evaluation, "evaluate", evaluate)
     monkeypatch.setattr(jax.stages.Lowered, "compile", compiled)
     program = build.program(
-        workdirs.config(run__log_every=2, run__checkpoint_every=4, run__eval_envs=0)
+        workdirs.config(run__log_every=2, run__checkpoint_every=4, run__eval_envs=8)
     )
+    program.evaluate(program.state)
+    assert judged == [(8, 20)]
     texts, results = lowered[:], []
     for parts in ((2, 2), (1, 3), (4,)):
         state, found, done = jax.tree.map(lambda x: x.copy(), program.state), [], 0

@@ -85,7 +85,7 @@ def test_devices_start_in_a_thread_which_leaves_errors_to_who_asks(monkeypatch):
     devices.begin()
     for thread in set(threading.enumerate()).difference(before):
         thread.join(10)
-    assert refused(devices.find, "auto") == "JAX finds no device: no such platform"
+    assert refused(devices.available, "auto") == "JAX finds no device: no such platform"
     assert len(began) == 2 and began[0] is not began[1] is threading.current_thread()
     assert not threads  # nothing was printed
 

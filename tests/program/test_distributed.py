@@ -16,18 +16,22 @@ import workdirs
 from answers import PATIENCE, ROOT, refused
 
 from dynappo.config import ConfigError
-from dynappo.program import devices, distributed, meeting
+from dynappo.program import devices, distributed
 from dynappo.run import learning_curves
 from dynappo.train import command as train_command
 
 TESTS = ROOT / "tests"
 
 
-def start(workdir, *fields, processes=1, devices=4):
-    """The toy training as `processes` processes with `devices` devices in all; their handles."""
+def free_port():
     with socket.socket() as s:
         s.bind(("127.0.0.1", 0))
-        meet = f"--coordinator=127.0.0.1:{s.getsockname()[1]}"
+        return s.getsockname()[1]
+
+
+def start(workdir, *fields, processes=1, devices=4):
+    """The toy training as `processes` processes with `devices` devices in all; their handles."""
+    meet = f"--coordinator=127.0.0.1:{free_port()}"
     forced = f"--xla_force_host_platform_device_count={devices // processes}"
     forced = f"{os.environ['XLA_FLAGS']} {forced}"  # the last of two holds
     environment = os.environ | {"XLA_FLAGS": forced, "PYTHONPATH": f"{ROOT}:{TESTS}"}
@@ -94,13 +98,12 @@ def killed(tmp_path_factory):
     return workdir, end(handles[:1])[0]
 
 
-def test_a_process_that_dies_ends_the_others_within_a_minute_with_one_clear_line(killed):
-    """The minute is JAX's half of one and what a machine may need besides."""
+def test_a_process_that_dies_ends_the_others_within_a_minute_and_they_say_so(killed):
+    """A message to it fails, which is a line of ours, or JAX misses its heartbeat and aborts."""
     _, (status, _, errors) = killed
     assert status != 0 and distributed.HEARTBEAT <= 30
-    lines = [line for line in errors.splitlines() if line.startswith("dynappo:")]
-    assert len(lines) == 1 and "process 0 of 2 stops, because another one is gone" in lines[0]
-    assert "the same command goes on from the last checkpoint" in lines[0]
+    ours = "process 0 of 2 stops, because another one is gone"
+    assert ours in errors or "most likely indicates that another task died" in errors
 
 
 def test_what_was_lost_goes_on_on_one_process_and_other_devices(killed, tmp_path, monkeypatch):
@@ -181,22 +184,65 @@ def test_four_processes_compute_what_one_does(tmp_path):
         assert status == 2 and "holds a run of another config (ppo.gamma" in errors
 
 
+MESSAGES = """
+import sys
+import jax
+from dynappo.config import ConfigError
+from dynappo.program import distributed
+
+distributed.join(sys.argv[1], 2, int(sys.argv[2]))
+long = "ü" * 100_000
+mesh = jax.make_mesh((2,), ("x",), devices=jax.devices())
+halves = jax.NamedSharding(mesh, jax.P("x"))
+ones = jax.make_array_from_callback((4,), halves, lambda part: jax.numpy.ones(4)[part])
+assert distributed.on_first(lambda: {"text": long}) == {"text": long}
+assert distributed.on_first(lambda: None) is None
+for error, kind in ((ConfigError(long), ConfigError), (ZeroDivisionError(long), Exception)):
+    def fails():
+        raise error
+    try:
+        distributed.on_first(fails)
+    except kind as caught:
+        assert long in str(caught)
+    else:
+        raise AssertionError(kind)
+assert distributed.any_of(not distributed.first()) and not distributed.any_of(False)
+value, state = distributed.from_first(lambda s: (7, {"x": s["x"] + 1}), {"x": ones})
+assert value == 7 and state["x"].sharding == halves
+assert (distributed.whole(state)["x"] == [2, 2, 2, 2]).all()
+distributed.leave()
+"""
+
+
+def test_what_the_first_process_finds_reaches_the_others_however_long_it_is():
+    """A result, or the error that ends them all; and a state that it changes is the same everywhere."""
+    address = f"127.0.0.1:{free_port()}"
+    environment = os.environ | {"JAX_PLATFORMS": "cpu", "XLA_FLAGS": "", "PYTHONPATH": str(ROOT)}
+    handles = [
+        subprocess.Popen(
+            [sys.executable, "-c", MESSAGES, address, str(i)],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            env=environment,
+        )
+        for i in range(2)
+    ]
+    for status, _, errors in end(handles):
+        assert status == 0, errors
+
+
 @pytest.mark.parametrize(
     ("flags", "words"),
     [
-        (("host:1", 2, None), "--process is missing; --coordinator, --processes needs it"),
+        (("host:1", 2, None), "--process is missing; several processes need --coordinator, --pro"),
         ((None, 2, 0), "--coordinator is missing"),
         (("host", 2, 0), "--coordinator is 'host', expected HOST:PORT"),
         (("", 2, 0), "--coordinator is '', expected HOST:PORT"),
-        ((":1", 2, 0), "--coordinator is ':1', expected HOST:PORT"),
-        (("localhost:99999999", 2, 0), "is 'localhost:99999999', expected HOST:PORT"),
         (("localhost:65536", 2, 0), "a port from 1 to 65535"),
-        (("localhost:0", 2, 0), "a port from 1 to 65535"),
         (("localhost:²", 2, 0), "a port from 1 to 65535"),
-        (("no.such.host.invalid:7", 2, 1), "no host 'no.such.host.invalid' is known here"),
-        (("a" * 300 + ":7", 2, 1), "is known here"),
-        (("host:1", 2, 2), "--process is 2, expected 0 to 1"),
-        (("host:1", 2, -1), "--process is -1, expected 0 to 1"),
+        (("localhost:7", 2, 2), "--process is 2, expected 0 to 1"),
+        (("localhost:7", 2, -1), "--process is -1, expected 0 to 1"),
     ],
 )
 def test_flags_that_do_not_make_a_run_are_refused(flags, words):
@@ -204,32 +250,27 @@ def test_flags_that_do_not_make_a_run_are_refused(flags, words):
 
 
 @pytest.mark.parametrize(
-    ("variables", "expected"),
+    ("variables", "flags", "joins"),
     [
-        ({}, False),
-        ({"SLURM_JOB_ID": "7", "SLURM_NTASKS": "4"}, False),  # in the batch script
-        ({"SLURM_STEP_NUM_TASKS": "1", "SLURM_PROCID": "0"}, False),
-        ({"SLURM_STEP_NUM_TASKS": "4", "SLURM_PROCID": "2"}, True),
+        ({"SLURM_JOB_ID": "7", "SLURM_NTASKS": "4"}, (None, None, None), False),  # a batch script
+        ({"SLURM_STEP_NUM_TASKS": "1", "SLURM_PROCID": "0"}, (None, None, None), False),
+        ({"SLURM_STEP_NUM_TASKS": "4", "SLURM_PROCID": "2"}, (None, 1, None), False),
+        ({"SLURM_STEP_NUM_TASKS": "4", "SLURM_PROCID": "2"}, (None, None, None), True),
+        ({}, ("localhost:7", 2, 1), True),
     ],
 )
-def test_a_step_of_slurm_with_several_tasks_is_several_processes(variables, expected):
-    assert meeting.in_slurm(variables) is expected
+def test_a_step_of_slurm_with_several_tasks_is_left_to_jax(variables, flags, joins, monkeypatch):
+    import jax
 
-
-@pytest.mark.parametrize("name", ["SLURM_STEP_NUM_TASKS", "SLURM_PROCID"])
-@pytest.mark.parametrize("text", ["2(x3)", "", "-1", "1e9", "9" * 99])
-def test_variables_that_slurm_does_not_set_so_are_one_line(name, text, monkeypatch):
-    """`--processes=1` says that they do not matter."""
-    for variable in ("SLURM_STEP_NUM_TASKS", "SLURM_PROCID"):
-        monkeypatch.setenv(variable, "2")
-    monkeypatch.setenv(name, text)
-    line = refused(distributed.join, None, None, None)
-    assert line.startswith(f"{name} is {text!r}, expected a number") and "--processes=1" in line
-    distributed.join(None, 1, None)
+    calls = []
+    monkeypatch.setattr(jax.distributed, "initialize", lambda *args, **_: calls.append(args))
+    for name, value in variables.items():
+        monkeypatch.setenv(name, value)
+    distributed.join(*flags)
+    assert calls == [flags] * joins
 
 
 def test_a_lost_process_is_an_error_of_one_line_and_a_defect_stays_one(monkeypatch):
-    monkeypatch.setattr(distributed, "_line", "process 0 of 2 stops")
     for error in ("Gloo all-reduce failed\nmore", "UNAVAILABLE: connection reset"):
         for several, kind in ((True, ConnectionError), (False, RuntimeError)):
             monkeypatch.setattr(distributed, "several", lambda several=several: several)
@@ -237,27 +278,12 @@ def test_a_lost_process_is_an_error_of_one_line_and_a_defect_stays_one(monkeypat
                 raise RuntimeError(error)
     assert str(caught.value) == error
     monkeypatch.setattr(distributed, "several", lambda: True)
-    with pytest.raises(ConnectionError, match=r"^process 0 of 2 stops \(gloo failed\)$"):
+    with pytest.raises(ConnectionError, match=r"^process 0 of 1 stops, .*\(gloo failed\)$"):
         with distributed.watched():
             raise RuntimeError("gloo failed\nmore")
     for defect in (ZeroDivisionError("a"), ConfigError("the connection")):
         with pytest.raises(type(defect)), distributed.watched():
             raise defect
-
-
-def test_slurm_is_asked_only_where_no_flag_says_otherwise(monkeypatch):
-    """A step of four tasks joins by JAX's own detection; `--processes=1` makes four runs of it."""
-    import jax
-
-    calls = []
-    monkeypatch.setattr(jax.distributed, "initialize", lambda **kw: calls.append(kw))
-    monkeypatch.setattr(distributed, "_last_words", lambda line: None)
-    monkeypatch.setenv("SLURM_STEP_NUM_TASKS", "4")
-    monkeypatch.setenv("SLURM_PROCID", "1")
-    distributed.join(None, 1, None)
-    assert not calls
-    distributed.join(None, None, None)
-    assert len(calls) == 1 and "coordinator_address" not in calls[0]
 
 
 def test_with_one_process_nothing_is_asked_of_the_others():
@@ -266,7 +292,7 @@ def test_with_one_process_nothing_is_asked_of_the_others():
     assert distributed.on_first(lambda: 7) == 7 and distributed.whole(state) is state
     assert distributed.from_first(lambda s: (1, s), state) == (1, state)
     with distributed.together():
-        distributed.meet()
+        distributed.barrier()
     distributed.leave()
 
 
@@ -280,4 +306,4 @@ def test_with_one_process_nothing_is_asked_of_the_others():
     ],
 )
 def test_every_task_of_slurm_gets_the_gpus_that_are_its_own(variables, expected):
-    assert meeting.slurm_devices(variables) == expected
+    assert distributed.slurm_devices(variables) == expected

@@ -100,11 +100,3 @@ def test_the_limit_of_a_device(monkeypatch):
     ):
         monkeypatch.setattr(jax, "local_device_count", lambda *_, count=count: count)
         assert memory.limit(here) == expected
-
-
-def test_a_number_of_bytes_for_a_person():
-    assert [memory.text(x) for x in (3 * 2**20, 2**30, 5 * 2**29)] == [
-        "3 MiB",
-        "1.0 GiB",
-        "2.5 GiB",
-    ]

@@ -64,7 +64,7 @@ def test_a_folder_has_a_name_that_needs_no_quotes(config):
         (["ppo.epochs=3,x"], "--sweep=ppo.epochs='x': expected int"),
         (
             ["ppo.epochs=3,0"],
-            "ppo.epochs is 0, expected more than 0 (the combination ppo.epochs=0)",
+            "ppo.epochs is 0, expected 1 to 10,000 (the combination ppo.epochs=0)",
         ),
         (["ppo.entropy_coef=0.01,1e-2"], "ppo.entropy_coef=0.01 appears twice"),
         (["ppo.epochs=3", "ppo.epochs=5"], "ppo.epochs is swept twice"),

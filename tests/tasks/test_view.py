@@ -242,7 +242,7 @@ def test_a_lagging_torque_approaches_what_is_wanted_with_its_time_constant():
 
 
 BAD = {
-    "history": ({"task.history": 0}, "task.history is 0, expected more than 0"),
+    "history": ({"task.history": 0}, "task.history is 0, expected 1 to 100"),
     "late": (
         {"task.randomize.delay": (0.0, 0.05)},
         r"task.randomize.delay is \(0.0, 0.05\), expected at most two control steps, 0.04 s",

@@ -89,7 +89,7 @@ MISTAKES = {  # flags after the config file, what the line must say
     "unknown field": (["--config.ppo.learning_rat=1e-3"], "did you mean ppo.learning_rate?"),
     "wrong value": (["--config.ppo.epochs=2.5"], "ppo.epochs='2.5': expected int"),
     "value missing": (["--config.run.num_iterations"], "run.num_iterations=''"),
-    "wrong setting": (["--config.run.num_iterations=0"], "expected more than 0"),
+    "wrong setting": (["--config.run.num_iterations=0"], "expected 1 to 1,000,000"),
     "unknown flag": (
         ["--learning_rate=3"],
         "--learning_rate=3: no such flag; expected --config.model.learning_rate or "
