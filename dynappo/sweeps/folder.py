@@ -92,7 +92,7 @@ def opened(
             }
             files.write_json(workdir / ABOUT, about)
         except OSError as error:
-            if error.errno not in flags.OF_A_NAME:  # the machine's, not the name's
+            if error.errno not in flags.BAD_PATH:  # the machine's, not the name's
                 raise
             raise ConfigError(
                 f"--workdir={workdir}: cannot write there ({error.strerror}); choose another folder"
