@@ -99,7 +99,7 @@ class Schedule(NamedTuple):
     rounds: Few = 1  # of imagination in an iteration (algorithm.py); paper: 1
     late_from: Whole | None = None  # after it late_steps, late_rounds and ppo.late_kl hold
     late_steps: Whole | None = None  # instead of end_steps; None: the same
-    late_rounds: Count | None = None  # instead of rounds; None: the same
+    late_rounds: Few | None = None  # instead of rounds; None: the same
 
 
 class Model(NamedTuple):

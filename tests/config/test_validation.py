@@ -37,7 +37,7 @@ WRONG = [  # fields, what the line begins with, what is expected
     ({"run.log_every": 0}, "run.log_every is 0", "1 to 2,147,483,647"),
     ({"run.eval_envs": -1}, "run.eval_envs is -1", "0 to 1,000,000"),
     ({"run.video_seconds": -1.0}, "run.video_seconds is -1.0", "0 to 600"),
-    ({"schedule.late_rounds": 0}, "schedule.late_rounds is 0", "1 to 2,147,483,647"),
+    ({"schedule.late_rounds": 0}, "schedule.late_rounds is 0", "1 to 10,000"),
     ({"task.kp": 1e9}, "task.kp is 1000000000.0", "0 to 100,000"),
     ({"task.standing": -0.1}, "task.standing is -0.1", "0 to 1"),
     ({"physics.timestep": 5.0}, "physics.timestep is 5.0", "0.0001 to 0.1"),
