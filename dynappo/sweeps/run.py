@@ -77,7 +77,7 @@ def _with_environments(combinations: list[Combination], get_env) -> list[Combina
     """The combinations with the environment that a config's file may define."""
     found = []
     for one in combinations:
-        config, env = environment.made(get_env, one.config)
+        config, env = environment.from_file(get_env, one.config)
         found.append(one._replace(config=config, env=env))
     return found
 

@@ -195,7 +195,7 @@ def train_and_show(command: Command, stop: Stop) -> None:
     """`train.train`, told to a person: what will happen, how it goes, what came out."""
     from rich.console import Console
 
-    config, env = environment.made(command.get_env, command.config)
+    config, env = environment.from_file(command.get_env, command.config)
     command, folder = command._replace(config=config, env=env), command.restore
     out = Console(highlight=False, quiet=not distributed.first())
     out.print(f"dynappo {show.describe(config)}", markup=False, soft_wrap=True)

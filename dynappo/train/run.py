@@ -38,7 +38,7 @@ def train(
     cannot be run, FloatingPointError if numbers blow up, OSError where the last checkpoint could not be
     saved.
     """
-    config = environment.settle(config_lib.validate(config), env)
+    config = environment.config_for(config_lib.validate(config), env)
     check(config, env)  # before anything is written
     workdir = None if workdir is None else Path(workdir)
     with workdir_lib.open_workdir(workdir, config) if workdir else contextlib.nullcontext():
