@@ -106,5 +106,5 @@ def test_what_no_network_should_see_none_sees():
     one, other = (dynamics.predict(static, hyper, ENV, model, x, action)[0] for x in (obs, moved))
     np.testing.assert_array_equal(one[:, :PROP], other[:, :PROP])
     np.testing.assert_allclose(other[:, UNSEEN] - one[:, UNSEEN], 3.0, rtol=1e-5)
-    given = (networks.inputs(static, ENV, x, x[:, :PROP])[0] for x in (obs, moved))
-    np.testing.assert_array_equal(*given)
+    one, other = (networks.inputs(static, ENV, x, x[:, :PROP])[0] for x in (obs, moved))
+    np.testing.assert_array_equal(one, other)
