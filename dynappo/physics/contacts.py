@@ -1,5 +1,4 @@
-"""How a robot's primitives touch the floor: how far each reaches down, how many contacts it can
-have.
+"""How a robot's primitives touch the floor: how far each reaches down, how many contacts it can have.
 
 Contacts are counted as in MuJoCo Warp, which must allocate room for all of them
 (mujoco_warp/_src/collision_primitive_core.py).

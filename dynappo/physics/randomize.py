@@ -9,9 +9,9 @@ the model stays one array for all robots.
 What real robots have beside these is None in a `Body` unless its range says otherwise: weak motors, friction
 and inertia in the joints, actions that come late, torques that lag, sensors that are a little off.
 
-Why one delay, and not one of the sensors and one of the motors: a robot that sees what was d_o seconds ago,
-and whose motors obey d_a seconds later, does what one does that sees at once and whose motors obey after
-d_o + d_a; only its clock is d_o late.
+Why one delay, and not one of the sensors and one of the motors: only their sum matters. Observations that
+are d_o seconds old and motors that obey d_a seconds later have the same effect as exact observations and
+motors that obey after d_o + d_a; all that differs is a clock that is d_o late.
 
 MuJoCo's `*_invweight0` (the solver's estimate of inverse inertia at the contacts) stays nominal: it
 only scales the regularisation of the constraints.

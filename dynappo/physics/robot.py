@@ -1,5 +1,4 @@
-"""Loads a robot folder as a `Robot`: the compiled physics model and all that the task needs to
-know.
+"""Loads a robot's folder as a `Robot`: the compiled physics model, and what a task needs to know of it.
 
 robot_contract.py has the rules for the file. NumPy and C MuJoCo only, so that a policy can be played
 without JAX.

@@ -1,5 +1,4 @@
-"""The contract of `robots/NAME/NAME.xml` (robots/README.md says how to keep it), checked rule by
-rule:
+"""Checks the rules for a robot's file `robots/NAME/NAME.xml`; robots/README.md says how to keep them.
 
 - one top-level body with a free joint: the base; on it four legs, each a chain of three bodies
   with one hinge joint each, named `LEG_...`, leg by leg, hip to knee, every joint with a range;

@@ -11,7 +11,7 @@ from dynappo import config as config_lib
 from dynappo.config import ConfigError
 
 
-def settle(config, env: Any) -> Any:
+def config_for(config, env: Any) -> Any:
     """The validated config of a run with `env`, as config.json has it; without `env`, `config`.
 
     `robot` is "", there is no film and no choice of engine, and episodes have the length of
@@ -28,8 +28,8 @@ def settle(config, env: Any) -> Any:
     return config_lib.validate(config)
 
 
-def made(get_env: Callable[[Any], Any] | None, config) -> tuple[Any, Any]:
-    """`(config, environment)` of a config file: settled, and what get_env returned, or None."""
+def from_file(get_env: Callable[[Any], Any] | None, config) -> tuple[Any, Any]:
+    """`(config, environment)` of a config file: `config_for` what get_env returned; or None."""
     if get_env is None:
         return config, None
     if config.robot:
@@ -39,7 +39,7 @@ def made(get_env: Callable[[Any], Any] | None, config) -> tuple[Any, Any]:
         )
     env = get_env(config)
     _check_kind(env)
-    return settle(config, env), env
+    return config_for(config, env), env
 
 
 def check_robot(config) -> None:

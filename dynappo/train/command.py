@@ -167,6 +167,11 @@ def train_and_show(command: Command, stop: Stop) -> None:
     """Train what a command line asks for, and tell a person how it goes."""
     from rich.console import Console
 
+<<<<<<< HEAD
+=======
+    config, env = environment.from_file(command.get_env, command.config)
+    command, folder = command._replace(config=config, env=env), command.restore
+>>>>>>> tasks
     out = Console(highlight=False, quiet=not distributed.first())
     if command.sweep:
         own = command.fresh, command.restore, command.get_env

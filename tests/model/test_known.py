@@ -90,7 +90,7 @@ def test_a_tail_computes_what_is_known_from_what_it_predicts():
 def _rest(static, model, state, action):
     """The share of the reward that the model learns."""
     seen = jnp.concatenate([state.prop, state.obs[:, PROP:]], -1)
-    (mean, std), (y_mean, y_std) = dynamics._scales(static, model)
+    (mean, std), (y_mean, y_std) = dynamics.scales(static, model)
     x = (examples.inputs(ENV, seen, action) - mean) / std
     y = networks.apply(dynamics.network(static, PROP), model.params, x) * y_std + y_mean
     return np.asarray(y[:, PROP]) * DT
@@ -106,5 +106,5 @@ def test_what_no_network_should_see_none_sees():
     one, other = (dynamics.predict(static, hyper, ENV, model, x, action)[0] for x in (obs, moved))
     np.testing.assert_array_equal(one[:, :PROP], other[:, :PROP])
     np.testing.assert_allclose(other[:, UNSEEN] - one[:, UNSEEN], 3.0, rtol=1e-5)
-    given = (networks.inputs(static, ENV, x, x[:, :PROP])[0] for x in (obs, moved))
-    np.testing.assert_array_equal(*given)
+    one, other = (networks.inputs(static, ENV, x, x[:, :PROP])[0] for x in (obs, moved))
+    np.testing.assert_array_equal(one, other)

@@ -124,14 +124,14 @@ def test_what_is_not_as_the_contract_has_it_is_one_line(case):
     fields, words = WRONG[case]
     with pytest.raises(config_lib.ConfigError, match=f"the environment: .*{words}") as error:
         env = TOY._replace(**fields)
-        build.check(environment.settle(workdirs.config(**ASKS), env), env)
+        build.check(environment.config_for(workdirs.config(**ASKS), env), env)
     text = str(error.value)
     assert "\n" not in text and text.endswith("docs/environment.md has the contract")
 
 
 def test_an_environment_that_keeps_the_contract_passes():
     """With a model and without; what only the model asks for is not looked at without it."""
-    config = environment.settle(workdirs.config(**ASKS), TOY)
+    config = environment.config_for(workdirs.config(**ASKS), TOY)
     build.check(config, TOY)
     plain = workdirs.config(schedule__end_steps=0, **ASKS)
     build.check(plain, TOY._replace(advance=raising, sense=raising, known_reward=raising))
@@ -156,7 +156,7 @@ def test_what_is_left_out_has_defaults_that_a_model_can_use():
         return after, told
 
     env = Env(start, step, autoreset(start), 2, 2, 2, 0.1, 5)
-    build.check(environment.settle(workdirs.config(**ASKS), env), env)
+    build.check(environment.config_for(workdirs.config(**ASKS), env), env)
     assert env.metrics == () and env.known_reward(None, 1, 2, 3) == 0
     assert env.advance(None, np.ones(3), "prop", "action", "next prop").shape == (0,)
     assert env.sense(None, "prop", "context", "key") == "prop"
@@ -184,14 +184,14 @@ def test_symmetry_needs_the_mirror_of_every_number():
 def test_what_is_no_environment_is_named():
     """What a get_env returned that forgot its return, or returned something else."""
     config = workdirs.config()
-    nothing = refused(environment.made, lambda config: None, own(config))
+    nothing = refused(environment.from_file, lambda config: None, own(config))
     assert "it is None, expected a dynappo.types.Env" in nothing
-    assert "it is int, expected" in refused(environment.settle, config, 5)
+    assert "it is int, expected" in refused(environment.config_for, config, 5)
 
 
 def own(config):
     """The config of an environment of one's own."""
-    return environment.settle(config, TOY)
+    return environment.config_for(config, TOY)
 
 
 def test_the_config_says_that_it_is_no_robots():
@@ -200,14 +200,14 @@ def test_the_config_says_that_it_is_no_robots():
     settled = own(config)
     assert settled.robot == "" and settled.run.video_seconds == 0 and settled.physics.impl == "jax"
     assert settled.task.episode_length == TOY.episode_length == 20
-    assert environment.settle(config, None) is config
+    assert environment.config_for(config, None) is config
     for function in (build.check, build.program):
         assert "robot is '': this config is of an environment of your own" in refused(
             function, settled
         )
-    assert environment.made(None, config) == (config, None)
-    assert environment.made(lambda config: TOY, settled) == (settled, TOY)
-    both = refused(environment.made, lambda config: TOY, config)
+    assert environment.from_file(None, config) == (config, None)
+    assert environment.from_file(lambda config: TOY, settled) == (settled, TOY)
+    both = refused(environment.from_file, lambda config: TOY, config)
     assert "robot is 'go1', but the config's file defines get_env" in both
 
 

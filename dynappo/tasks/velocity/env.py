@@ -23,8 +23,8 @@ from dynappo.tasks.velocity.state import Goal, State
 from dynappo.types import Env, Hyper, Outcome
 
 AGES = ("clock", "episode_steps", "episode_return")  # zero at the start of an episode
-# of what physics leaves, beside coordinates and torques
-KEPT = "qacc_warmstart air_steps contact_steps last_air_steps peak last_peak".split()
+# what the next state takes from physics as it is, beside coordinates and torques
+FROM_PHYSICS = "qacc_warmstart air_steps contact_steps last_air_steps peak last_peak".split()
 MAX_TURN, MAX_BASE_SPEED = 100.0, 20.0  # rad/s, m/s: above these it is a numerical blow-up
 
 
@@ -114,7 +114,7 @@ def reset(const: Constants, hyper: Hyper, body, key) -> State:
     key, clock_key = jax.random.split(key)
     pose_key, command_key, obs_key = jax.random.split(key, 3)
     state = _at_start(const, hyper, pose_key)
-    state = _told(const, hyper, body, state, command_key, obs_key)
+    state = _commanded(const, hyper, body, state, command_key, obs_key)
     if not const.task.random_clock:
         return state
     clock = jax.random.randint(clock_key, (), 0, const.task.episode_length)
@@ -140,7 +140,7 @@ def autoreset(const: Constants, hyper: Hyper, body, state: State, outcome: Outco
         stays, same = coin < 1 - hyper.task.start_anew, coin < hyper.task.keep_command
         here = state.replace(**dict.fromkeys(AGES, 0))
         start = jax.tree.map(lambda here, there: jnp.where(stays, here, there), here, start)
-    fresh = _told(const, hyper, body, start, command_key, obs_key, same)
+    fresh = _commanded(const, hyper, body, start, command_key, obs_key, same)
     # those that stay remember what they read; beside a `where` of nothing XLA 0.10 loses C MuJoCo's call
     if stays is not None and const.view.history > 1:
         now = view.now(const.view)
@@ -149,7 +149,7 @@ def autoreset(const: Constants, hyper: Hyper, body, state: State, outcome: Outco
     return jax.tree.map(lambda new, old: jnp.where(ended, new, old), fresh, state)
 
 
-def _told(
+def _commanded(
     const: Constants, hyper: Hyper, body, state: State, command_key, obs_key, same=None
 ) -> State:
     """`state` with a new command, unless it keeps the `same`, and the observation of both."""
@@ -163,7 +163,7 @@ def _told(
 
 
 def _at_start(const: Constants, hyper: Hyper, key) -> State:
-    """Pose and velocity (configs/README.md), lifted until no foot is below ground; `_told` has the rest."""
+    """Pose and velocity (configs/README.md), lifted until no foot is below ground; then `_commanded`."""
     r, default = hyper.task.reset, jnp.asarray(const.robot.default_pose, jnp.float32)
     # one draw for all: each draw is a kernel of its own, and a quarter of a second of compilation
     draw = jax.random.uniform(key, (default.size + 10,))
@@ -245,7 +245,7 @@ def step(const: Constants, hyper: Hyper, body, state: State, action, key):
         last_action=action,
         older_action=state.last_action,
         torque=after.torque if const.engine.lags else None,
-        **{name: getattr(after, name) for name in KEPT},
+        **{name: getattr(after, name) for name in FROM_PHYSICS},
         clock=clock,
         push_in=push_in,
         episode_steps=state.episode_steps + 1,
