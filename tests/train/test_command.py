@@ -355,7 +355,7 @@ def test_a_run_can_be_killed_at_any_moment(tmp_path):
         assert run.returncode == code
         reached = last(workdir)
         saved = max(int(name) for name in workdirs.steps(workdir) if name.isdigit())
-        assert saved >= reached - 6
+        assert saved >= reached - 8  # two checkpoints: the older of them was still being written
         if kind != signal.SIGKILL:
             goes_on = "the same command goes on from the last checkpoint"
             assert err == f"dynappo: saved at iteration {saved} and stopped; {goes_on}\n"
