@@ -116,15 +116,9 @@ def program(
 ) -> Program:
     """Build robot, environment and first state, and compile the program that a run repeats.
 
-<<<<<<< HEAD
-    `env` is an environment of your own (a `types.Env`), with a config from `environment.settle`.
+    `env` is an environment of your own (a `types.Env`), with a config from `environment.config_for`.
     `each` is `(hyper, keys)` where the `run.num_seeds` seeds have values (`seeds.vary`) and keys of
     their own. `meanwhile()` is called when all is traced, while XLA compiles. ConfigError as `check`, and
-=======
-    `env` is an environment of your own (a `types.Env`), with a config from `environment.config_for`.
-    `each` is `(hyper, keys)` if each of the `run.num_seeds` seeds has its own values (`seeds.vary`)
-    or key. `meanwhile()` is called when all is traced, while XLA compiles. ConfigError as `check`, and
->>>>>>> tasks
     if the compiled program needs more memory than a device has.
     """
     import jax

@@ -93,7 +93,7 @@ def train(
     cannot be run, FloatingPointError if numbers blow up, OSError where the last checkpoint could not be
     saved.
     """
-    config = environment.settle(config_lib.validate(config), env)
+    config = environment.config_for(config_lib.validate(config), env)
     run = Run(config, None if workdir is None else Path(workdir), env)
     check(run)
     callbacks = Callbacks()

@@ -63,7 +63,7 @@ def train_and_show(
 
 def _with_environment(one: Combination, get_env) -> Combination:
     """The combination with the environment that the config's file may define."""
-    config, env = environment.made(get_env, one.config)
+    config, env = environment.from_file(get_env, one.config)
     return one._replace(config=config, env=env)
 
 

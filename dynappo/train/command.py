@@ -167,11 +167,6 @@ def train_and_show(command: Command, stop: Stop) -> None:
     """Train what a command line asks for, and tell a person how it goes."""
     from rich.console import Console
 
-<<<<<<< HEAD
-=======
-    config, env = environment.from_file(command.get_env, command.config)
-    command, folder = command._replace(config=config, env=env), command.restore
->>>>>>> tasks
     out = Console(highlight=False, quiet=not distributed.first())
     if command.sweep:
         own = command.fresh, command.restore, command.get_env
@@ -187,7 +182,7 @@ def train_run(out, command: Command, stop: Stop) -> str:
 
     Returns "", or, if `stop` interrupted it, a line on what was saved.
     """
-    config, env = environment.made(command.get_env, command.config)
+    config, env = environment.from_file(command.get_env, command.config)
     run = training.Run(config, command.workdir, env, command.restore)
     out.print(f"dynappo {show.describe(config)}", markup=False, soft_wrap=True)
     training.check(run, command.fresh)  # before anything is written
