@@ -10,6 +10,9 @@ from ml_collections import config_dict
 from dynappo import config as config_lib
 from dynappo.config import ConfigError
 
+# fields that types.Env had until 2026-11-25 -> what has taken their place
+GONE = {"context": "advance", "noise": "sense", "bias": "sense"}
+
 
 def config_for(config, env: Any) -> Any:
     """The validated config of a run with `env`, as config.json has it; without `env`, `config`.
@@ -37,7 +40,16 @@ def from_file(get_env: Callable[[Any], Any] | None, config) -> tuple[Any, Any]:
             f"robot is {config.robot!r}, but the config's file defines get_env, which says what is trained; "
             "expected no robot: leave it out"
         )
-    env = get_env(config)
+    try:
+        env = get_env(config)
+    except TypeError as error:
+        gone = [name for name in GONE if f"keyword argument '{name}'" in str(error)]
+        if not gone:
+            raise
+        raise ConfigError(
+            f"get_env of the config's file gives types.Env the field {gone[0]}, expected {GONE[gone[0]]} "
+            "in its place; docs/environment.md says what that is a function of"
+        ) from None
     _check_kind(env)
     return config_for(config, env), env
 

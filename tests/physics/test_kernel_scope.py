@@ -1,6 +1,6 @@
 """The kernel computes all of a robot's file, or declines it: each feature of MJCF in turn.
 
-A file with one more feature is refused in one line (contract.py), or declined with a reason that names
+A file with one more feature is refused in one line (robot_contract.py), or declined with a reason that names
 the feature, or a control step of the kernel is that of C MuJoCo.
 """
 
@@ -182,7 +182,7 @@ def flag(kind, *names):
 
 FOOT, HIP, THIGH, CALF = "FL_foot", "FL_hip", "FL_thigh", "FL_calf"
 MOTORS = "motor of gear 1 a joint"
-REFUSED = {  # contract.py, or MuJoCo's compiler
+REFUSED = {  # robot_contract.py, or MuJoCo's compiler
     "a mocap body": (ball, "one top-level body"),
     "a height field": (hfield, "box, sphere, capsule or cylinder"),
     "a shape in the world": (

@@ -189,6 +189,19 @@ def test_what_is_no_environment_is_named():
     assert "it is int, expected" in refused(environment.config_for, config, 5)
 
 
+@pytest.mark.parametrize(("gone", "now"), environment.GONE.items())
+def test_a_field_that_an_environment_had_before_is_named(gone, now):
+    """`types.Env` refuses it with a TypeError; any other TypeError of a get_env is its own."""
+
+    def get_env(config):
+        return Env(**{name: getattr(TOY, name) for name in TOY._fields} | {gone: None})
+
+    line = refused(environment.from_file, get_env, own(workdirs.config()))
+    assert f"the field {gone}, expected {now}" in line
+    with pytest.raises(TypeError, match="NoneType"):
+        environment.from_file(lambda config: None + 1, own(workdirs.config()))
+
+
 def own(config):
     """The config of an environment of one's own."""
     return environment.config_for(config, TOY)
