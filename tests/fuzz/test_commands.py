@@ -28,7 +28,7 @@ from dynappo.export import command as export_command
 from dynappo.export import onnx_file
 from dynappo.play import viewer
 from dynappo.policy import episode
-from dynappo.program import build, devices, distributed, memory
+from dynappo.program import build, devices, memory
 
 LIMIT = 5.0  # s for an input; the slowest takes a tenth of it
 FEW, MANY = 100, 2000
@@ -65,7 +65,6 @@ def nothing_is_compiled(monkeypatch):
         (jax.distributed, "initialize"),
     ):
         monkeypatch.setattr(module, name, reached)
-    monkeypatch.setattr(distributed, "_last_words", lambda line: None)
     monkeypatch.setattr(devices, "own_process", lambda *_: None)
     monkeypatch.setattr(memory, "limit", lambda device: 8 * 2**30)
     monkeypatch.setattr(socket, "getaddrinfo", address)

@@ -13,7 +13,7 @@ from toy_policy import GO1, actor, save
 
 from dynappo import config as config_lib
 from dynappo.policy import checkpoint_file, source
-from dynappo.train import checkpoint
+from dynappo.run import checkpoint
 from dynappo.types import Learner
 
 

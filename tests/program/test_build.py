@@ -10,7 +10,7 @@ import workdirs
 from answers import PATIENCE, refused
 from toy_runs import assert_close, assert_same
 
-from dynappo import evaluation
+from dynappo import scores
 from dynappo.config import ConfigError
 from dynappo.program import build, memory
 
@@ -35,7 +35,7 @@ def test_one_program_serves_every_log_every(monkeypatch):
         return {"return": 0.0}
 
     judged = []
-    monkeypatch.setattr(evaluation, "evaluate", evaluate)
+    monkeypatch.setattr(scores, "evaluate", evaluate)
     monkeypatch.setattr(jax.stages.Lowered, "compile", compiled)
     program = build.program(
         workdirs.config(run__log_every=2, run__checkpoint_every=4, run__eval_envs=8)
