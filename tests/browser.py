@@ -143,6 +143,20 @@ class Tab:
                 windowsVirtualKeyCode=number,
             )
 
+    def resize(self, size):
+        """Width and height of the window; a narrow one is a phone's."""
+        self.call(
+            "Emulation.setDeviceMetricsOverride",
+            width=size[0],
+            height=size[1],
+            deviceScaleFactor=SHARP,
+            mobile=size[0] < 600,
+        )
+
+    def close(self):
+        """Close the page, which otherwise goes on drawing."""
+        self.call("Page.close")
+
     @contextlib.contextmanager
     def at_rest(self):
         """Draw next to nothing, and leave the processor to another page."""
@@ -216,13 +230,7 @@ def _open(held, connect, port, url, size):
     tab = Tab(held.enter_context(line))
     for domain in ("Runtime", "Log", "Page"):
         tab.call(f"{domain}.enable")
-    tab.call(
-        "Emulation.setDeviceMetricsOverride",
-        width=size[0],
-        height=size[1],
-        deviceScaleFactor=SHARP,
-        mobile=size[0] < 600,
-    )
+    tab.resize(size)
     tab.watched(True)  # viser waits without
     tab.call("Page.addScriptToEvaluateOnNewDocument", source=SELDOM)
     tab.call("Page.navigate", url=url)

@@ -67,7 +67,7 @@ def run(env, tail):
     def once(hyper, state, columns):
         return algorithm.run(env, hyper, state, columns, static=static)
 
-    return jax.jit(chex.assert_max_traces(once, n=1), compiler_options=AS_USERS)
+    return jax.jit(chex.assert_max_traces(once, n=1))
 
 
 @pytest.fixture(scope="module")
@@ -90,7 +90,7 @@ def inner(jaxpr):
 @pytest.fixture(scope="module")
 def observed(env, tail):
     """`observe` of the program with a model."""
-    return observe(env, tail[1], as_users=True)
+    return observe(env, tail[1])
 
 
 # ---- init
@@ -385,7 +385,7 @@ def test_where_the_model_predicts_no_falls_every_row_weighs_one(iterated, tail, 
 def rounds(env, first):
     """`rounds(k, n_real) -> (static, hyper, rollout, state, metrics)` of the first iteration."""
     config, static, hyper = toy_env.settings(toy_env.TAIL | {"schedule.rounds": 3})
-    call = observe(env, static, as_users=True)
+    call = observe(env, static)
 
     def iterated(k, n_real=5):
         columns = row(config, n_real=n_real) | {"rounds": jnp.int32(k)}
@@ -404,8 +404,8 @@ def test_a_second_round_learns_from_new_tails_of_the_new_policy_alone(rounds, it
     static, hyper, buffer, after, metrics = rounds(2)
     old, state, before = iterated[5]
     learner, n = state.learner, 5
-    assert_same(*(jax.tree.map(lambda x: x[:n], rows) for rows in (buffer, old)))  # physics
-    assert_same((after.env_state, after.returns), (state.env_state, state.returns))
+    assert_close(*(jax.tree.map(lambda x: x[:n], rows) for rows in (buffer, old)), 1e-6)  # physics
+    assert_close((after.env_state, after.returns), (state.env_state, state.returns), 1e-6)
     # each tail begins at an observation that its own robot had in this iteration, not all at one row
     same = np.asarray((buffer.obs[:n] == buffer.obs[n]).all(-1))
     assert same.any(0).all() and len(set(np.argmax(same, 0).tolist())) > 2
@@ -524,16 +524,39 @@ def test_without_tails_the_program_with_a_model_is_plain_ppo(run, run_plain, tai
     assert_close({name: metrics[name] for name in expected}, expected, 1e-5)
 
 
-def test_run_is_iterate_again_and_again(run, observed, tail, first):
-    """The bits of a loop over single iterations: nothing is remembered elsewhere, chunks are one run."""
+def one_by_one(call, tail, state):
+    """`(state, metrics of each iteration)` of a loop over single iterations by `call`."""
     config, _, hyper = tail
-    cols = columns(config)
-    after, metrics = run(hyper, first(), cols)
-    state = first()
+    cols, found = columns(config), []
     for i in range(ITERATIONS):
-        _, state, last = observed(hyper, state, {name: c[i] for name, c in cols.items()})
-        assert_same(last, {name: column[i] for name, column in metrics.items()})
-    assert_same(state, after)
+        _, state, last = call(hyper, state, {name: c[i] for name, c in cols.items()})
+        found.append(last)
+    return state, {name: np.stack([m[name] for m in found]) for name in found[0]}
+
+
+def test_run_is_iterate_again_and_again(run, observed, tail, first):
+    """A loop over single iterations: nothing is remembered elsewhere, chunks are one run.
+
+    To rounding, which grows; the two programs compiled as users have them agree to the bit (slow).
+    """
+    config, _, hyper = tail
+    assert_close(one_by_one(observed, tail, first()), run(hyper, first(), columns(config)), 1e-3)
+
+
+@pytest.fixture(scope="module")
+def run_as_users(env, tail):
+    """`run(hyper, state, columns)` whose bits are those of other programs that are compiled alike."""
+    step = partial(algorithm.run, env, static=tail[1])
+    return jax.jit(step, compiler_options=AS_USERS)
+
+
+@pytest.mark.slow
+def test_run_is_iterate_again_and_again_to_the_bit(run_as_users, env, tail, first):
+    config, static, hyper = tail
+    call = observe(env, static, as_users=True)
+    assert_same(
+        one_by_one(call, tail, first()), run_as_users(hyper, first(), columns(config))
+    )
 
 
 def test_the_key_of_the_run_never_changes_and_iterations_differ(run, tail, first):
@@ -562,11 +585,11 @@ def test_the_whole_ramp_is_traced_once(run, tail, first):
 
 
 @pytest.mark.slow
-def test_chunks_of_any_length_are_one_program_and_one_run(env, run, tail, first):
+def test_chunks_of_any_length_are_one_program_and_one_run(env, run_as_users, tail, first):
     """With a `count`, of a chunk with more room: the bits of a run of exactly these rows, in any parts."""
     config, static, hyper = tail
     cols, room = columns(config), ITERATIONS + 3
-    expected = run(hyper, first(), cols)
+    expected = run_as_users(hyper, first(), cols)
 
     def once(hyper, state, columns, count):
         return algorithm.run(env, hyper, state, columns, count, static=static)

@@ -3,6 +3,7 @@
 python tests/toy_train.py --workdir=DIR [--config.FIELD=VALUE ...]
 """
 
+import gc
 import sys
 
 import toy_env
@@ -21,6 +22,7 @@ SMALL = (
 ARGUMENTS = ["--config=configs/go1.py:dyna4", *(f"--config.{field}" for field in SMALL)]
 
 if __name__ == "__main__":
+    gc.set_threshold(50_000, 20, 100)  # as conftest.py
     env_lib.make = lambda *_, **__: toy_env.make()
     learning_curves.draw = lambda *_: (
         "no picture"

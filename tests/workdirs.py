@@ -1,11 +1,14 @@
 """A finished run over the toy environment: its folder, how it is read, and what can happen to it."""
 
 import csv
+import functools
 import json
 from types import SimpleNamespace
 
+import jax
 import pytest
 import toy_env
+from toy_runs import leaves
 
 from dynappo import train
 from dynappo.run import training
@@ -32,6 +35,21 @@ def config(**fields):
 def toy(patch: pytest.MonkeyPatch):
     """The toy environment in place of the robot's, for as long as `patch` holds."""
     patch.setattr(env_lib, "make", lambda *_, **__: toy_env.make())
+
+
+def compiled_once(program):
+    """`build.program`, but what it has compiled for the same arguments it hands out again."""
+    made = {}
+
+    @functools.wraps(program)
+    def again(config, env=None, each=None, **_):
+        of = config.to_json_best_effort(), str(leaves(each))
+        if of not in made:
+            made[of] = program(config, env, each)
+        # the first state is donated
+        return made[of]._replace(state=jax.tree.map(lambda x: x.copy(), made[of].state))
+
+    return again
 
 
 class Run:

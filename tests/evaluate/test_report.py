@@ -113,7 +113,7 @@ def test_without_pictures_and_without_mjx(evaluated, tmp_path):
 
 
 @browser.needed
-def test_a_click_on_a_command_plays_it(evaluated, tmp_path):
+def test_a_click_on_a_command_plays_it_and_it_fits_a_phone(evaluated, tmp_path):
     inside = "document.getElementById('player').contentDocument"
     with browser.chromium(tmp_path) as open_:
         tab = open_((evaluated[0] / "report.html").as_uri())
@@ -132,13 +132,8 @@ def test_a_click_on_a_command_plays_it(evaluated, tmp_path):
         until(
             lambda: (tab.pixels().astype(int).mean(-1) < 90).mean() > 0.002
         )  # dark parts of a Go1
-        assert not tab.errors
-
-
-@browser.needed
-def test_it_fits_a_phone(evaluated, tmp_path):
-    with browser.chromium(tmp_path, browser.NARROW) as open_:
-        tab = open_((evaluated[0] / "report.html").as_uri())
-        tab.until("document.readyState === 'complete'")
+        tab.resize(browser.NARROW)
         root = "document.documentElement"
+        tab.until(f"{root}.clientWidth === {browser.NARROW[0]}")
         assert tab.value(f"{root}.scrollWidth <= {root}.clientWidth"), "nothing sticks out"
+        assert not tab.errors

@@ -27,7 +27,10 @@ def written(tmp_path_factory):
     return out
 
 
-@pytest.fixture(scope="module", params=[browser.WIDE, browser.NARROW], ids=["wide", "narrow"])
+SIZES = [browser.WIDE, pytest.param(browser.NARROW, marks=pytest.mark.slow)]
+
+
+@pytest.fixture(scope="module", params=SIZES, ids=["wide", "narrow"])
 def tab(request, written, tmp_path_factory):
     with browser.chromium(tmp_path_factory.mktemp("profile"), request.param) as open_:
         tab = open_(written.as_uri())

@@ -16,7 +16,7 @@ import workdirs
 from answers import PATIENCE, ROOT, refused
 
 from dynappo.config import ConfigError
-from dynappo.program import devices, distributed
+from dynappo.program import build, devices, distributed
 from dynappo.run import learning_curves
 from dynappo.train import command as train_command
 
@@ -106,19 +106,22 @@ def test_a_process_that_dies_ends_the_others_within_a_minute_and_they_say_so(kil
     assert ours in errors or "most likely indicates that another task died" in errors
 
 
-def test_what_was_lost_goes_on_on_one_process_and_other_devices(killed, tmp_path, monkeypatch):
+def test_what_was_lost_goes_on_on_one_process_and_other_devices(
+    killed, tmp_path, monkeypatch, capsys
+):
     """The checkpoint of 2 processes x 2 devices is resumed by one process on one device, and the
     numbers are those of a run that never stopped and had one device from the start."""
     workdir, _ = killed
     total = max(saved(workdir)) + 4
     fields = f"run.num_iterations={total}", UNJUDGED
-    ((code, _, errors),) = end(start(workdir, *fields, devices=1))
-    assert code == 0, errors
     workdirs.toy(monkeypatch)
+    monkeypatch.setattr(build, "program", workdirs.compiled_once(build.program))
     monkeypatch.setattr(devices, "own_process", lambda device: None)
     monkeypatch.setattr(learning_curves, "draw", lambda *_: "no picture")
     given = [*toy_train.ARGUMENTS, *(f"--config.{field}" for field in fields)]
-    assert answers.status(train_command.main, *given, f"--workdir={tmp_path / 'whole'}") == 0
+    for folder in (workdir, tmp_path / "whole"):
+        assert answers.status(train_command.main, *given, f"--workdir={folder}") == 0
+    assert f"goes on from iteration {total - 4} of " in capsys.readouterr().out
     found, expected = table(workdir), table(tmp_path / "whole")
     assert found.shape == expected.shape and found[-1, 0] == total
     # chaos grows with the iterations; the first ones are those of the mesh of two processes

@@ -1,19 +1,16 @@
 """A sweep over the toy environment: its runs are those without a sweep, and it goes on."""
 
 import csv
-import functools
 import json
 import shutil
 from types import SimpleNamespace
 
-import jax
 import numpy as np
 import pytest
 import workdirs
 from answers import refused, status
 from ml_collections import config_dict
 from rich.console import Console
-from toy_runs import leaves
 
 from dynappo.policy import checkpoint_file, source
 from dynappo.program import build, devices
@@ -24,22 +21,9 @@ from dynappo.sweeps import sweep as sweeps
 from dynappo.train import command as train_command
 
 SWEEP = ["ppo.entropy_coef=0.003,0.3", "ppo.epochs=1,2"]
+# plain PPO: half the program; what the model learns in a sweep, test_seeds.py compares on a mesh
+WHOLE = {"run__num_seeds": 2, "schedule__end_steps": 0}
 NAMES = [f"ppo.entropy_coef={c},ppo.epochs={e}" for c in (0.003, 0.3) for e in (1, 2)]
-
-
-def compiled_once(program):
-    """`build.program`, but what it has compiled for the same arguments it hands out again."""
-    made = {}
-
-    @functools.wraps(program)
-    def again(config, env=None, each=None, **_):
-        of = config.to_json_best_effort(), str(leaves(each))
-        if of not in made:
-            made[of] = program(config, env, each)
-        # the first state is donated
-        return made[of]._replace(state=jax.tree.map(lambda x: x.copy(), made[of].state))
-
-    return again
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -47,7 +31,7 @@ def toy():
     """The toy environment; what the command sets for its own process stays out of this one."""
     with pytest.MonkeyPatch.context() as patch:
         workdirs.toy(patch)
-        patch.setattr(build, "program", compiled_once(build.program))
+        patch.setattr(build, "program", workdirs.compiled_once(build.program))
         patch.setattr(devices, "own_process", lambda device: None)
         patch.setattr(learning_curves, "draw", lambda *_: "no picture")
         yield
@@ -75,7 +59,7 @@ def sweep(workdir, stop, texts=SWEEP, fresh=False, restore=None, **fields):
 def whole(tmp_path_factory):
     """A sweep of two seeds without interruption; both floats in one program."""
     workdir = tmp_path_factory.mktemp("whole") / "sweep"
-    sweep(workdir, SimpleNamespace(status=0, patient=False), run__num_seeds=2)
+    sweep(workdir, SimpleNamespace(status=0, patient=False), **WHOLE)
     return workdir
 
 
@@ -105,7 +89,7 @@ def same(one, other, tolerance):
 def test_a_combination_is_the_run_without_a_sweep(whole, name, tmp_path):
     """Every number of metrics.csv, evaluation and checkpoint of both seeds, to 1e-4."""
     coef, epochs = (float(part.partition("=")[2]) for part in name.split(","))
-    config = workdirs.config(run__num_seeds=2, ppo__entropy_coef=coef, ppo__epochs=int(epochs))
+    config = workdirs.config(**WHOLE, ppo__entropy_coef=coef, ppo__epochs=int(epochs))
     training.train(config, tmp_path)
     same(whole / name, tmp_path, 1e-4)
     others = [other for other in NAMES if other != name]
@@ -177,7 +161,7 @@ def test_the_table_has_every_combination_best_first(whole):
 def test_a_sweep_that_has_ended_is_only_told_again(whole, tmp_path, stop, capsys, monkeypatch):
     workdir = shutil.copytree(whole, tmp_path / "sweep")
     monkeypatch.setattr(training, "train_together", lambda *_: pytest.fail("trained again"))
-    sweep(workdir, stop, run__num_seeds=2)
+    sweep(workdir, stop, **WHOLE)
     said = capsys.readouterr().out
     assert "0 programs to compile, 4 are done" in said and "evaluated return" in said
 
@@ -198,12 +182,12 @@ def test_a_sweep_that_was_stopped_goes_on_to_the_same_bits(
             return loop(runs, *state, **how)
 
         patch.setattr(loop_lib, "loop", stopped)
-        assert sweep(workdir, stop, run__num_seeds=2) == "saved at iteration 2 and stopped"
+        assert sweep(workdir, stop, **WHOLE) == "saved at iteration 2 and stopped"
     reached = {name: max(map(int, workdirs.steps(workdir / name))) for name in NAMES}
     assert list(reached.values()) == [4, 2, 4, 2]
     first = workdirs.everything(workdir / NAMES[0])
     stop.status = 0
-    sweep(workdir, stop, run__num_seeds=2)
+    sweep(workdir, stop, **WHOLE)
     assert workdirs.everything(workdir / NAMES[0]) == first
     for name in NAMES:
         same(workdir / name, whole / name, 0)
@@ -219,7 +203,7 @@ def test_runs_of_one_program_that_were_killed_between_two_saves_go_on(
     shutil.rmtree(late / "checkpoints" / "4")
     for name in NAMES[:3:2]:
         (workdir / name / "summary.json").unlink()
-    sweep(workdir, stop, run__num_seeds=2)
+    sweep(workdir, stop, **WHOLE)
     assert "2 programs to compile, 2 are done" in capsys.readouterr().out
     for name in NAMES:
         same(workdir / name, whole / name, 1e-4)
@@ -231,7 +215,7 @@ def test_a_damaged_checkpoint_sets_its_own_run_back(whole, tmp_path, stop, capsy
     for name in NAMES[:3:2]:
         (workdir / name / "summary.json").unlink()
     workdirs.other_hash(workdir / NAMES[2] / "checkpoints" / "4")
-    sweep(workdir, stop, run__num_seeds=2)
+    sweep(workdir, stop, **WHOLE)
     assert "checkpoint 4 is damaged" in capsys.readouterr().out.replace("\n", " ")
     for name in NAMES:
         same(workdir / name, whole / name, 1e-4)
@@ -253,10 +237,10 @@ def test_values_may_be_added_and_nothing_else_may_change(whole, tmp_path, stop, 
         (SWEEP, {"run__num_seeds": 3}, "run.num_seeds 2 there, 3 here"),
     ):
         before = workdirs.everything(workdir)
-        line = refused(sweep, workdir, stop, texts, **({"run__num_seeds": 2} | fields))
+        line = refused(sweep, workdir, stop, texts, **(WHOLE | fields))
         assert expected in line
         assert workdirs.everything(workdir) == before
-    sweep(workdir, stop, more, run__num_seeds=2)
+    sweep(workdir, stop, more, **WHOLE)
     assert [[run.workdir.name for run in runs] for runs in trained] == [
         ["ppo.entropy_coef=0.1,ppo.epochs=1"]
     ]
@@ -283,7 +267,7 @@ def test_fresh_moves_a_sweep_and_nothing_else(whole, tmp_path, stop, monkeypatch
     monkeypatch.setattr(training, "train_together", lambda *_: setattr(stop, "status", 130))
     (workdir / "thesis.txt").write_text("years")
     assert "holds thesis.txt, which no sweep writes" in refused(
-        sweep, workdir, stop, fresh=True, run__num_seeds=2
+        sweep, workdir, stop, fresh=True, **WHOLE
     )
     (workdir / "thesis.txt").unlink()
     kept = workdirs.everything(workdir / NAMES[0])
@@ -296,14 +280,16 @@ def test_fresh_moves_a_sweep_and_nothing_else(whole, tmp_path, stop, monkeypatch
 def test_restore_is_for_every_combination_and_remembered(whole, tmp_path, stop):
     """Also for those that begin in a second command."""
     workdir, start = tmp_path / "sweep", whole / NAMES[0]
-    texts, fields = ["ppo.entropy_coef=0.1,0.2"], dict(run__num_seeds=2)
-    assert "run.num_seeds is 2 there, 1 here" in refused(sweep, workdir, stop, texts, restore=start)
+    texts, fields = ["ppo.entropy_coef=0.1,0.2"], WHOLE
+    assert "run.num_seeds is 2 there, 1 here" in refused(
+        sweep, workdir, stop, texts, restore=start, schedule__end_steps=0
+    )
     assert not workdir.exists()
     sweep(workdir, stop, texts, restore=start, **fields)
     more = ["ppo.entropy_coef=0.1,0.2,0.4"]
     assert "--restore=" in refused(sweep, workdir, stop, more, restore=whole / NAMES[1], **fields)
     sweep(workdir, stop, more, **fields)
-    config = workdirs.config(run__num_seeds=2, ppo__entropy_coef=0.4)
+    config = workdirs.config(**WHOLE, ppo__entropy_coef=0.4)
     run = train_command.Command(config, tmp_path / "run", restore=start)
     train_command.train_run(Console(), run, stop)
     same(workdir / "ppo.entropy_coef=0.4", tmp_path / "run", 0)

@@ -20,7 +20,7 @@ from rich.progress import Progress
 from dynappo import config as config_lib
 from dynappo.config import shell as shell_lib
 from dynappo.physics import robot as robot_lib
-from dynappo.policy import policy_file, render, source
+from dynappo.policy import policy_file, source
 from dynappo.program import build, devices, memory
 from dynappo.run import finish as finish_lib
 from dynappo.run import loop as loop_lib
@@ -43,12 +43,12 @@ FIRST = """
 --config.schedule.end_iteration=4 --config.schedule.end_steps=1 --config.model.hidden=(16,16)
 --config.model.minibatches=2 --config.ppo.hidden=(16,16) --config.task.episode_length=60
 --config.run.num_iterations=4 --config.run.log_every=2 --config.run.eval_envs=0
---config.run.video_seconds=0.2 --config.physics.impl=c
+--config.run.video_seconds=0 --config.physics.impl=c
 """.split()
 
 
 def test_a_first_run_on_the_go1(tmp_path, monkeypatch):
-    """Status 0, nothing on stderr; metrics of every reward, a policy that can be played, a film."""
+    """Status 0, nothing on stderr; metrics of every reward, a policy that can be played."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     workdir = tmp_path / "run"
     done = shell("-m", "dynappo.train", *FIRST, f"--workdir={workdir}")
@@ -72,14 +72,6 @@ def test_a_first_run_on_the_go1(tmp_path, monkeypatch):
     policy, path = source.load(str(workdir))
     assert path == workdir / "policy.npz" and policy.robot == "go1"
     assert np.isfinite(policy_file.actor(policy.params, policy.activation)(np.zeros(48))).all()
-    video = json.loads((workdir / "summary.json").read_text())["video"]
-    if (workdir / "video.mp4").exists():
-        assert video == str(workdir / "video.mp4")
-    else:
-        assert video in (
-            render.NO_OPENGL,
-            render.LACKS.format("imageio-ffmpeg") + shell_lib.install("video"),
-        )
     assert any((tmp_path / "cache" / "dynappo" / "jax").iterdir())  # for the next process
 
 

@@ -214,6 +214,7 @@ def test_another_policy_is_another_robot(served, tab):
     assert page.panels.sliders[0].max == pytest.approx(page.live.body.policy.command_x[1])
 
 
+@pytest.mark.slow
 def test_a_narrow_screen_and_a_second_viewer(served, tab, tmp_path):
     """Both see the same robot; the one who goes leaves the other, and the robot, as they are."""
     count = len(served.page.server.get_clients())
@@ -229,6 +230,7 @@ def test_a_narrow_screen_and_a_second_viewer(served, tab, tmp_path):
     until(lambda: not served.page.live.command.any())
 
 
+@pytest.mark.slow
 def test_a_lost_connection_comes_back_by_itself(tmp_path):
     """The server goes, and another comes on its port: the same tab shows the new robot.
 

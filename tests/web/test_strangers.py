@@ -92,10 +92,20 @@ def served(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def open_(tmp_path_factory):
+def window(tmp_path_factory):
     flags = ("--host-resolver-rules=MAP evil.test 127.0.0.1",)
     with browser.chromium(tmp_path_factory.mktemp("profile"), browser.WIDE, *flags) as it:
         yield it
+
+
+@pytest.fixture
+def open_(window, served):
+    """`open_(url) -> Tab`; after the test none is left that draws, or that the next one counts."""
+    tabs = []
+    yield lambda url: tabs.append(window(url)) or tabs[-1]
+    for tab in tabs:
+        tab.close()
+    until(lambda: not served.page.server.get_clients())
 
 
 def test_scripts_in_the_names_of_a_policy_do_not_run(served, open_):
@@ -154,9 +164,7 @@ def test_another_server_is_never_asked_what_to_show(served, open_):
         guests = len(served.page.server.get_clients())
         tab = open_(served.url)
         tab.until("!!document.querySelector('canvas')")
-        until(
-            lambda: len(served.page.server.get_clients()) > guests
-        )  # not while the next test counts
+        until(lambda: len(served.page.server.get_clients()) > guests)
         tab.value(
             f"new Promise(done => {{ const line = new WebSocket('ws://127.0.0.1:{evil.port}', "
             f"'{PROTOCOL}'); line.onopen = line.onerror = () => done(1); }}).catch(() => 0)"
