@@ -1,9 +1,10 @@
 """Run by tests/tasks/test_change.py in a copy of the project with the differences of docs/task.md applied.
 
-    python changed_task.py FLAGS...     # from the folder of the copy
+    python changed_task.py traced|trained FLAGS...     # from the folder of the copy
 
 Reward term, observation, command range and termination against C MuJoCo and NumPy, then one iteration with
-a tail, and an episode of the policy in NumPy. Any failure is an AssertionError.
+a tail, which is traced or also compiled and run, and an episode of the policy in NumPy. Any failure is an
+AssertionError.
 """
 
 import functools
@@ -123,18 +124,23 @@ def check_termination(hyper, state, step):
     np.testing.assert_array_equal(after.metrics["falls"], 1 - after.discount)
 
 
-def check_iteration(config, env, hyper):
-    """Two real rows and two of the model; returns the parameters of the policy."""
+def check_iteration(how, config, env, hyper):
+    """Two real rows and two of the model; returns the parameters of the policy, if "trained" new ones."""
     static = config_lib.split(config)[0]
     begin = jax.jit(functools.partial(algorithm.init, env, static=static))
     state = begin(hyper, jax.random.key(1))
     columns = {name: column[:1] for name, column in schedule.columns(config).items()}
     assert int(columns["n_real"][0]) == 2
-    run = jax.jit(functools.partial(algorithm.run, env, static=static))
-    state, metrics = jax.device_get(run(hyper, state, columns))
+    run = functools.partial(algorithm.run, env, static=static)
     expected = ("reward_motor_work", "model_loss", "kl", "model_error_1")
+    if how == "traced":
+        after, metrics = jax.eval_shape(run, hyper, state, columns)
+        assert set(expected[:3]) <= set(metrics), sorted(metrics)
+        assert jax.tree.structure(after) == jax.tree.structure(state)
+        return jax.device_get(state.learner.params)
+    state, metrics = jax.device_get(jax.jit(run)(hyper, state, columns))
     known = [name for name in expected if name in metrics]
-    assert {"reward_motor_work", "model_loss", "kl"} <= set(known), sorted(metrics)
+    assert set(expected[:3]) <= set(known), sorted(metrics)
     assert all(np.isfinite(metrics[name]).all() for name in known)
     assert metrics["reward_motor_work"][0] < 0
     return state.learner.params
@@ -173,7 +179,8 @@ def check_play(config, robot, params):
     assert all((first[0][rows] == first[1][rows]).all() for rows in same)
 
 
-def main(flags):
+def main(how, flags):
+    assert how in ("traced", "trained")
     assert Path(dynappo.__file__).is_relative_to(Path.cwd()), dynappo.__file__
     config, robot, env, hyper, body = setup(flags)
     assert (env.obs_size, env.prop_size) == (51, 34)
@@ -184,8 +191,8 @@ def main(flags):
     assert "motor_work" not in known and "action_rate" in known
     state, step = walk(config, robot, env, hyper, body)
     check_termination(hyper, state, step)
-    check_play(config, robot, check_iteration(config, env, hyper))
+    check_play(config, robot, check_iteration(how, config, env, hyper))
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    main(sys.argv[1], sys.argv[2:])

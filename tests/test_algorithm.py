@@ -554,9 +554,7 @@ def run_as_users(env, tail):
 def test_run_is_iterate_again_and_again_to_the_bit(run_as_users, env, tail, first):
     config, static, hyper = tail
     call = observe(env, static, as_users=True)
-    assert_same(
-        one_by_one(call, tail, first()), run_as_users(hyper, first(), columns(config))
-    )
+    assert_same(one_by_one(call, tail, first()), run_as_users(hyper, first(), columns(config)))
 
 
 def test_the_key_of_the_run_never_changes_and_iterations_differ(run, tail, first):

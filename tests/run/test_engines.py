@@ -5,10 +5,12 @@ import shutil
 import jax
 import numpy as np
 import pytest
+import workdirs
 from toy_runs import assert_same, leaves
 
 from dynappo import config as config_lib
 from dynappo import train
+from dynappo.program import build
 
 SMALL = (
     "rollout.num_envs=16 rollout.horizon=8 schedule.end_iteration=1 schedule.end_steps=4 model.hidden=(16,) "
@@ -22,6 +24,14 @@ def settings(*fields):
     for text in [*SMALL, *fields]:
         config_lib.override(config, *text.split("=", 1))
     return config
+
+
+@pytest.fixture(scope="module", autouse=True)
+def compiled_once():
+    """A run that goes on has the program of the run before."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(build, "program", workdirs.compiled_once(build.program))
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -40,11 +50,12 @@ def test_a_run_on_c_mujoco_learns_from_real_rows_and_evaluates(whole):
     assert '"impl": "c"' in (folder / "summary.json").read_text()
 
 
-def test_it_resumes_to_the_bit_and_does_not_depend_on_the_threads(whole, tmp_path):
-    """From the checkpoint of half of the run on."""
+@pytest.mark.parametrize("threads", [1, pytest.param(3, marks=pytest.mark.slow)])
+def test_it_resumes_to_the_bit_and_does_not_depend_on_the_threads(threads, whole, tmp_path):
+    """From the checkpoint of half of the run on. Of threads in one step: physics/test_c_mujoco.py."""
     shutil.copytree(whole[2], tmp_path, dirs_exist_ok=True)
     shutil.rmtree(tmp_path / "checkpoints" / "4")
-    state, metrics = train.train(settings("physics.threads=3", "run.eval_envs=0"), tmp_path)
+    state, metrics = train.train(settings(f"physics.threads={threads}"), tmp_path)
     assert list(metrics["iteration"]) == [1, 2, 3, 4]
     assert_same(state, whole[0])
     for name in ("episode_return", "model_loss"):  # the first rows come from the CSV

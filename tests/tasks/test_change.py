@@ -70,7 +70,8 @@ def test_each_difference_can_be_applied_alone(title, tmp_path):
     assert name == ("velocity-gait-51" if title == "An observation" else "velocity-48")
 
 
-def test_the_four_differences_together_do_what_the_page_says(tmp_path):
+@pytest.mark.parametrize("how", ["traced", pytest.param("trained", marks=pytest.mark.slow)])
+def test_the_four_differences_together_do_what_the_page_says(how, tmp_path):
     """Against C MuJoCo and NumPy, and through an iteration with a tail: changed_task.py."""
     folder = copy(tmp_path / "copy")
     for title in blocks("diff"):
@@ -78,4 +79,4 @@ def test_the_four_differences_together_do_what_the_page_says(tmp_path):
     (command,) = blocks("sh").values()
     flags = [word for word in shlex.split(command) if word.startswith("--config.")]
     assert flags == ["--config.task.command_x=(0.0,2.0)"]
-    run(folder, sys.executable, "tests/changed_task.py", *flags)
+    run(folder, sys.executable, "tests/changed_task.py", how, *flags)
