@@ -154,7 +154,7 @@ def test_a_network_and_its_gradient_are_flaxs(sizes, shape):
 
 def test_initial_weights_are_uniform_within_one_over_the_root_of_fan_in():
     sizes, fan_in = (200, 150, 6), (100, 200, 150)
-    own = networks.init(networks.MLP(sizes), 100, jax.random.key(0))
+    own = jax.jit(partial(networks.init, networks.MLP(sizes), 100))(jax.random.key(0))
     flax = jax.eval_shape(Flax(sizes).init, jax.random.key(0), jnp.zeros(100))
     assert jax.tree.structure(own) == jax.tree.structure(flax)
     params, drawn = own["params"], []
@@ -191,8 +191,10 @@ def test_actor_and_critic_share_no_weight(make):
     obs = jax.random.normal(jax.random.key(1), (3, OBS))
     hidden = [params[name]["params"]["Dense_0"]["kernel"] for name in ("actor", "critic")]
     assert not (hidden[0] == hidden[1]).any()
-    of_policy = jax.grad(lambda p: networks.policy(static, p, obs).sum())(params)
-    of_value = jax.grad(lambda p: networks.value(static, p, obs).sum())(params)
+    outputs = [lambda p, f=f: f(static, p, obs).sum() for f in (networks.policy, networks.value)]
+    of_policy, of_value = jax.device_get(
+        jax.jit(lambda p: [jax.grad(f)(p) for f in outputs])(params)
+    )
     assert not any(g.any() for g in jax.tree.leaves((of_policy["critic"], of_policy["std"])))
     assert not any(g.any() for g in jax.tree.leaves((of_value["actor"], of_value["std"])))
     assert all(g.any() for g in jax.tree.leaves((of_policy["actor"], of_value["critic"])))
@@ -201,11 +203,11 @@ def test_actor_and_critic_share_no_weight(make):
 @pytest.mark.parametrize("precision", ["highest", "tf32", "bfloat16"])
 def test_every_precision_keeps_float32_parameters_and_output(precision):
     model = networks.MLP((32, 4), precision=precision)
-    x = jax.random.normal(jax.random.key(0), (64, 16))
-    params = networks.init(model, 16, jax.random.key(1))
-    out = networks.apply(model, params, x)
-    exact = networks.apply(networks.MLP((32, 4)), params, x)
-    grads = jax.grad(lambda p: networks.apply(model, p, x).sum())(params)
+    x = np.random.default_rng(0).normal(size=(64, 16)).astype(np.float32)
+    params = jax.jit(partial(networks.init, model, 16))(jax.random.key(1))
+    out = jax.jit(partial(networks.apply, model))(params, x)
+    exact = jax.jit(partial(networks.apply, networks.MLP((32, 4))))(params, x)
+    grads = jax.jit(jax.grad(lambda p: networks.apply(model, p, x).sum()))(params)
     assert {a.dtype for a in jax.tree.leaves((params, out, grads))} == {jnp.dtype("float32")}
     np.testing.assert_allclose(out, exact, atol=0.03)
     if precision == "bfloat16":
@@ -238,7 +240,7 @@ def test_the_activation_stands_between_layers_and_not_after_the_last(activation)
     }
     model = networks.MLP((6, 3), activation)
     x = np.random.default_rng(0).normal(size=5).astype(np.float32)
-    params = networks.init(model, 5, jax.random.key(2))
+    params = jax.device_get(jax.jit(partial(networks.init, model, 5))(jax.random.key(2)))
     h = [float(v) for v in x]
     for i in range(2):
         layer = jax.tree.map(np.float64, params["params"][f"Dense_{i}"])
