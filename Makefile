@@ -20,7 +20,7 @@ train: $(VENV)/.train  ## train a Go1 on two CPU cores, three to five minutes wi
 	$(BIN)/python -m dynappo.train --config=$(CONFIG) --workdir=$(WORKDIR)
 
 # a file stays in one of the two processes: its tests share compiled programs
-test: $(VENV)/.dev  ## run the tests, seven minutes on two idle cores (the slow ones: .venv/bin/pytest -m slow; 2000 bad inputs: -m fuzz)
+test: $(VENV)/.dev  ## run the tests, eight minutes on two idle cores (the slow ones: .venv/bin/pytest -m slow; 2000 bad inputs: -m fuzz)
 	$(BIN)/python -m pytest -n 2 --dist loadfile
 
 check: $(VENV)/.dev  ## lint, format, types and spelling: what must be clean before a commit
