@@ -97,9 +97,7 @@ class Schedule(NamedTuple):
     end_steps: Whole = 4  # y
     last_iteration: Whole | None = None  # of a tail; later all rows are real. None: every iteration
     rounds: Few = 1  # of imagination in an iteration (algorithm.py); paper: 1
-    late_from: Whole | None = None  # after it late_steps, late_rounds and ppo.late_kl hold
-    late_steps: Whole | None = None  # instead of end_steps; None: the same
-    late_rounds: Few | None = None  # instead of rounds; None: the same
+    late_from: Whole | None = None  # the iteration after which ppo.late_kl holds; None: never
 
 
 class Model(NamedTuple):

@@ -24,7 +24,6 @@ def table(config) -> np.ndarray:
         rise = (i - s.start_iteration) * (s.end_steps - s.start_steps)
         steps = s.start_steps + rise / (s.end_iteration - s.start_iteration)
     steps = np.floor(np.clip(steps, s.start_steps, s.end_steps) + 0.5)
-    steps = np.where(late(config, i), s.end_steps if s.late_steps is None else s.late_steps, steps)
     return np.where(_over(config, i), 0, steps).astype(np.int32)
 
 
@@ -57,11 +56,8 @@ def columns(config) -> dict[str, np.ndarray]:
         fewer = m.epochs if m.late_epochs is None else m.late_epochs
         epochs = np.where(i > m.late_from, fewer, m.epochs)
         out["model_epochs"] = np.where(_over(config, i), 0, epochs).astype(np.int32)
-        s = config.schedule
-        if s.rounds > 1:  # one where there is no tail
-            fewer = s.rounds if s.late_rounds is None else s.late_rounds
-            rounds = np.where(late(config, i), fewer, s.rounds)
-            out["rounds"] = np.where(tail > 0, rounds, 1).astype(np.int32)
+        if config.schedule.rounds > 1:  # one where there is no tail
+            out["rounds"] = np.where(tail > 0, config.schedule.rounds, 1).astype(np.int32)
     return out
 
 

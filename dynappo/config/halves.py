@@ -74,8 +74,6 @@ class StaticSchedule(NamedTuple):
     end_steps: int
     last_iteration: int | None
     late_from: int | None
-    late_rounds: int | None
-    late_steps: int | None
     rounds: int
     start_iteration: int
     start_steps: int

@@ -113,11 +113,9 @@ def _check_pairs(config, fields: dict[str, Any]) -> None:
         config.schedule.end_steps,
         f"less than rollout.horizon = {rollout.horizon}: a rollout needs at least one real row",
     )
-    s = config.schedule
-    text = f"at most schedule.end_steps = {s.end_steps}"
-    expect((s.late_steps or 0) <= s.end_steps, "schedule.late_steps", s.late_steps, text)
-    text = f"at most schedule.rounds = {s.rounds}"
-    expect((s.late_rounds or 1) <= s.rounds, "schedule.late_rounds", s.late_rounds, text)
+    late_from, late_kl = config.schedule.late_from, config.ppo.late_kl
+    text = f"an iteration where ppo.late_kl is {late_kl:g}: it holds after that"
+    expect(late_from is not None or late_kl == 1, "schedule.late_from", late_from, text)
     text = f"at most 1 - task.start_anew = {1 - config.task.start_anew:g}"
     fits = config.task.start_anew + config.task.keep_command <= 1 + 1e-9
     expect(fits, "task.keep_command", config.task.keep_command, text)

@@ -116,6 +116,7 @@ def test_equal_configs_have_equal_static_parts_with_equal_hashes():
 def test_a_changed_float_changes_no_static_part_and_no_tree_structure():
     """So no learning rate, and no sweep over it, compiles anything anew."""
     config = config_lib.load("go1:dyna4")
+    config.schedule.late_from = 60  # where ppo.late_kl has a meaning
     static, hyper = split(config)
     for field, value in config_lib.flat(config).items():
         if type(value) is float and value > 0:

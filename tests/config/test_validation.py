@@ -37,7 +37,6 @@ WRONG = [  # fields, what the line begins with, what is expected
     ({"run.log_every": 0}, "run.log_every is 0", "1 to 2,147,483,647"),
     ({"run.eval_envs": -1}, "run.eval_envs is -1", "0 to 1,000,000"),
     ({"run.video_seconds": -1.0}, "run.video_seconds is -1.0", "0 to 600"),
-    ({"schedule.late_rounds": 0}, "schedule.late_rounds is 0", "1 to 10,000"),
     ({"task.kp": 1e9}, "task.kp is 1000000000.0", "0 to 100,000"),
     ({"task.standing": -0.1}, "task.standing is -0.1", "0 to 1"),
     ({"physics.timestep": 5.0}, "physics.timestep is 5.0", "0.0001 to 0.1"),
@@ -78,8 +77,7 @@ WRONG = [  # fields, what the line begins with, what is expected
         "schedule.end_iteration is 100",
         "at least schedule.start_iteration = 101",
     ),
-    ({"schedule.late_steps": 5}, "schedule.late_steps is 5", "at most schedule.end_steps = 4"),
-    ({"schedule.late_rounds": 2}, "schedule.late_rounds is 2", "at most schedule.rounds = 1"),
+    ({"ppo.late_kl": 0.5}, "schedule.late_from is None", "an iteration where ppo.late_kl is 0.5"),
     ({"task.keep_command": 0.6}, "task.keep_command is 0.6", "at most 1 - task.start_anew = 0.5"),
     (
         {"task.start_anew": 0.7, "task.keep_command": 0.4},
@@ -215,8 +213,7 @@ def test_whole_numbers_become_floats_however_the_config_was_made():
         {"schedule.end_steps": 15, "model.minibatches": 16},  # one real row is enough
         {"schedule.end_steps": 0, "model.minibatches": 3},  # no model: its sizes do not matter
         {"schedule.start_iteration": 100},  # a ramp of no length
-        {"schedule.late_from": 0, "schedule.late_steps": 4, "schedule.late_rounds": 1},
-        {"schedule.late_steps": 0, "schedule.end_steps": 0},
+        {"schedule.late_from": 0, "ppo.late_kl": 0.5},
         {"task.start_anew": 0.9, "task.keep_command": 0.1},  # nobody is told anew
         {"run.checkpoint_every": 0, "run.eval_every": 0},
         {"run.checkpoint_every": 1001},  # beyond the run: only the last
