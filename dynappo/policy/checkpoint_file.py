@@ -26,9 +26,11 @@ MERGED = "manifest.ocdbt"  # in it, where its arrays begin
 WRITTEN = "ocdbt.process_0"  # and the folder to which process 0 has written them
 LOST = (FileNotFoundError, NotADirectoryError, IsADirectoryError)  # trying again does not help
 # what tensorstore says of bytes that are missing or wrong; of a format it does not know it speaks
-# as of wrong bytes, but names the version
-PROOF = re.compile("DATA_LOSS|OUT_OF_RANGE|NOT_FOUND|checksum|ZSTD_|Zstd-|Not enough data")
-OURS = re.compile("version|support", re.IGNORECASE)
+# as of wrong bytes, but names the version (and `version_tree_arity` is a number of the format it knows)
+PROOF = re.compile(
+    "DATA_LOSS|OUT_OF_RANGE|NOT_FOUND|checksum|ZSTD_|Zstd-|Not enough data|Error decoding"
+)
+OURS = re.compile(r"\bversion\b|support", re.IGNORECASE)
 
 
 class Damaged(ConfigError):
