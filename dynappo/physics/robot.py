@@ -25,7 +25,7 @@ LOOKS = ("_group", "_rgba", "_matid", "_user", "_bvhadr", "_bvhnum")
 
 
 class Robot(NamedTuple):
-    """`F` feet, `A` joints, `G` parts that must not touch the ground."""
+    """`F` feet of `S` shapes in all, `A` joints, `G` parts that must not touch the ground."""
 
     name: str
     xml: Path
@@ -33,7 +33,9 @@ class Robot(NamedTuple):
     default_pose: np.ndarray  # [A] rad, from the keyframe
     home_qpos: np.ndarray  # [7 + A], feet on the floor
     joint_names: tuple[str, ...]
-    feet: np.ndarray  # [F] geom ids
+    feet: np.ndarray  # [S] geom ids of the feet's shapes, foot by foot
+    foot_of: np.ndarray  # [S] the number of the foot that a shape belongs to
+    foot_names: tuple[str, ...]  # [F] as FL of the geom FL_foot
     foot_radius: np.ndarray  # [F] m
     parts: np.ndarray  # [G] geom ids
     base_body: int
@@ -80,6 +82,8 @@ def _robot(name: str, xml: Path, text: str, alone: str) -> Robot:
         home_qpos=home,
         joint_names=tuple(robot_contract.names(model.njnt, model.joint)[1:]),
         feet=feet,
+        foot_of=np.arange(len(feet)),
+        foot_names=tuple(model.geom(i).name.removesuffix("_foot") for i in feet),
         foot_radius=model.geom_size[feet, 0],
         parts=parts,
         base_body=int(model.jnt_bodyid[0]),
