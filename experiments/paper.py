@@ -250,6 +250,12 @@ def text(value, digits: int = 3) -> str:
 
 def show(rows: list[dict[str, Any]], columns) -> None:
     """Print some columns in Markdown, to be put into a README."""
-    print("| " + " | ".join(columns) + " |\n|" + "---|" * len(columns))
-    for row in rows:
-        print("| " + " | ".join(text(row.get(name)) for name in columns) + " |")
+    print(markdown(columns, [[text(row.get(name)) for name in columns] for row in rows]))
+
+
+def markdown(head, rows) -> str:
+    """A table of texts."""
+    lines = [" | ".join(cells) for cells in (head, *rows)]
+    return "\n".join(
+        [f"| {lines[0]} |", "|" + "---|" * len(head), *(f"| {x} |" for x in lines[1:])]
+    )

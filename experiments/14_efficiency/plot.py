@@ -1,4 +1,9 @@
-"""What run.py writes: thresholds, table and figure.
+"""Table VI: how many simulator steps and iterations a return takes. results.csv and figure.
+
+    python experiments/14_efficiency/plot.py [--quick] [--out DIR]
+
+Trains nothing: reads the runs of 12_platforms and the best cell of 10_ablation (with --quick, those that
+their --quick made).
 
 Thresholds: the paper's 30.5; 80 % of the best cell of our own ablation, as the paper defines its 30.5; for
 every robot 80 % of the mean over seeds of PPO-16's best return; and first at the evaluated return of a robot
@@ -26,6 +31,11 @@ COLUMNS = (
     "p_steps p_steps_holm p_steps_rank pooled_pct pooled_low pooled_high pooled_p pooled_p_holm "
     "iterations_mean paper_sim_steps_M paper_iterations"
 ).split()
+
+
+def main():
+    args = paper.options(HERE, paper.parser(__doc__))
+    make(args.out, Path("runs/quick") if args.quick else HERE.parent)
 
 
 def make(out: Path, others: Path = HERE.parent) -> None:
@@ -158,3 +168,7 @@ def draw(rows, path: Path) -> None:
         text = f"Bar: {pictures.covers(seeds)}.\n{text}"
     pictures.head(page, text, fontsize=9.5, color="0.35")
     pictures.save(page, path)
+
+
+if __name__ == "__main__":
+    main()
