@@ -86,8 +86,15 @@ def options(folder: Path, of: argparse.ArgumentParser) -> argparse.Namespace:
 
 
 def table(name: str) -> list[dict[str, Any]]:
-    """Rows of paper/NAME.csv: numbers as floats, None for a dash, all else text."""
-    with (Path(__file__).parent / "paper" / f"{name}.csv").open(newline="") as file:
+    """Rows of paper/NAME.csv."""
+    return rows(Path(__file__).parent / "paper" / f"{name}.csv")
+
+
+def rows(path: Path) -> list[dict[str, Any]]:
+    """Of a CSV: numbers as floats, None for an empty cell, all else text; [] if it is not there."""
+    if not path.exists():
+        return []
+    with path.open(newline="") as file:
         return [{key: _cell(text) for key, text in row.items()} for row in csv.DictReader(file)]
 
 

@@ -23,6 +23,7 @@ import toy_env
 
 from dynappo import algorithm
 from dynappo import config as config_lib
+from dynappo.learner import networks
 from experiments import paper, pictures, run, stats
 
 ROOT = pathlib.Path(config_lib.__file__).parents[2]
@@ -922,6 +923,29 @@ def test_efficiency_by_evaluation_and_against_earlier_batches_too(tmp_path):
 
 
 # Measurements
+
+
+def test_the_update_that_is_timed_beside_rsl_rl_is_ours_on_the_same_rows(monkeypatch):
+    """Returns by a loop; with them and without, one update is the same."""
+    peers = script("03_speed/peers")
+    monkeypatch.setattr(peers, "UPDATES", 1)
+    config = config_lib.load("configs/go1.py:ppo16")
+    config.rollout.update(num_envs=64, horizon=6)
+    config.ppo.update(hidden=(8,), epochs=1, minibatches=2)
+    groups, learner, rows = peers.learners(config)
+    static, hyper = groups["highest"]
+    calls, batch = peers.ours(static, hyper, learner, rows)
+    later = np.append(rows.value[1:], networks.value(static, learner.params, rows.next_obs[-1:]), 0)
+    advantage = np.zeros(64)
+    for t in reversed(range(6)):
+        left = rows.discount[t] * hyper.ppo.gamma
+        delta = rows.reward[t] + left * later[t] - rows.value[t]
+        advantage = delta + left * hyper.ppo.lambda_ * advantage
+        np.testing.assert_allclose(batch.returns[t], advantage + rows.value[t], atol=1e-5)
+    assert 0 < np.mean(rows.discount) < 1
+    one, other = (call()[0].params for call in calls)
+    jax.tree.map(partial(np.testing.assert_allclose, rtol=1e-4, atol=1e-6), one, other)
+    assert (one["std"] != learner.params["std"]).any()
 
 
 def test_errors_of_the_model_are_those_of_a_loop(monkeypatch):

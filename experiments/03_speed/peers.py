@@ -64,8 +64,9 @@ def learners(config):
 
 def rows_of(static, params, shape) -> Transition:
     """A rollout [N, R] of the policy in noise, with rewards and ends; no physics."""
-    normal, ends, *keys = jax.random.split(jax.random.key(1), 5)
-    obs, noise = (jax.random.normal(keys[i], (*shape, n)) for i, n in enumerate((48, 12)))
+    *keys, paid, ends = jax.random.split(jax.random.key(1), 5)
+    sizes = zip(keys, (48, 12, 48), strict=True)
+    obs, noise, change = (jax.random.normal(key, (*shape, n)) for key, n in sizes)
     mean, value = networks.policy(static, params, obs), networks.value(static, params, obs)
     action, later, zero = mean + params["std"] * noise, jnp.roll(obs, -1, 0), jnp.zeros(shape)
     return Transition(
@@ -74,10 +75,10 @@ def rows_of(static, params, shape) -> Transition:
         action_mean=mean,
         log_prob=networks.log_prob(mean, params["std"], action),
         value=value,
-        reward=0.05 * jax.random.normal(normal, shape),
+        reward=0.05 * jax.random.normal(paid, shape),
         discount=1.0 - jax.random.bernoulli(ends, 0.01, shape),
         truncation=zero,
-        next_obs=later + 0.1 * jax.random.normal(keys[2], obs.shape),
+        next_obs=later + 0.1 * change,
         prop=obs[..., :33],
         next_prop=later[..., :33],
         valid=zero + 1,

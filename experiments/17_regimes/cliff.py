@@ -122,10 +122,7 @@ def draw(folder: Path, robots, path: Path) -> None:
         seeds += points(axis, some, "best", BEST[1] - BEST[0])
         axis.set_title(f"{envs} robots", loc="left")
         axis.set(xticks=(8, *PPO_ROWS), xlim=(7, 25), ylim=(0, 46))
-    for axis in axes[-1]:
-        axis.set_xlabel("simulated rows of a rollout")
-    for row in axes:
-        row[0].set_ylabel("evaluated return")
+    pictures.outer(axes, "simulated rows of a rollout", "evaluated return")
     for name, variant in (("ppo", "ppo16"), *((name, name) for name in (*table.TAILS, "best"))):
         style = pictures.mark(variant) | {"linestyle": "-" if name == "ppo" else ""}
         axes[0, 0].plot([], [], label=names[name], markersize=5, **style)

@@ -13,13 +13,9 @@ while the model writes tails and after.
 `--parts`: a line a part that was taken out, a column a robot: steps until it walks, until it is first at the
 level, then return and falls at the end.
 
-"walks" is from the first evaluation on at which the return is at least its level and at most 1 % of the
-episodes have a fall, both at every later evaluation too (dynappo/policy/walks.py); beside it what is first at
-the level, and first there with so few falls, whatever comes later. All are means over seeds, and in brackets
-the last seed's; a seed that never gets there is counted as missing. A share of falls is of as many episodes
-as the job evaluates (run.eval_envs): 1 % is told apart from 2 % by a thousand. The end is the mean of a
-seed's last three evaluations. Intervals are Student's t, 95 %. A return of 10 s (run.eval_steps=500) counts
-twice.
+What walking is, README.md and dynappo/policy/walks.py say. All are means over seeds, and in brackets the last
+seed's; a seed that never gets there is counted as missing. The end is the mean of a seed's last three
+evaluations. Intervals are Student's t, 95 %. A return of 10 s (run.eval_steps=500) counts twice.
 """
 
 import csv
