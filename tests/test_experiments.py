@@ -1044,7 +1044,7 @@ def test_tails_overlap_the_next_rollouts():
 
 def test_rollouts_are_kept_as_they_are_while_a_model_learns():
     """On the toy: eight real rows, a tail of four, and the policy stays."""
-    record = script("18_rollouts/record")
+    record = script("18_rollouts/run")
     small = {"rollout.horizon": 12, "model.clean": True, "model.minibatches": 3}
     _, static, hyper = toy_env.settings(toy_env.TAIL | small)
     env = toy_env.make()

@@ -105,8 +105,8 @@ def differences(run, variant: str, runs, margin: float) -> dict:
             cells["p_vs_ppo12"] = stats.welch_of(paper.peak(run), paper.peak(other))
             continue
         for name in MEASURES:
-            some = stats.compare(seeds_of(run, name), seeds_of(other, name), margin)
-            cells |= {f"{name}_{cell}": value for cell, value in some.items()}
+            pair = seeds_of(run, name), seeds_of(other, name)
+            cells |= stats.compare(*pair, margin, f"{name}_")
     return cells
 
 

@@ -88,8 +88,7 @@ def cells(find, name: str, rows: int, limit: float | None) -> dict:
         out |= stats.spread(kind, mine)
         for other, base in others.items():
             if kind in (theirs := table.values(base)):
-                some = stats.compare(mine, theirs[kind], stats.MARGIN["go1"])
-                out |= {f"{other}_{kind}_{n}": v for n, v in some.items()}
+                out |= stats.compare(mine, theirs[kind], stats.MARGIN["go1"], f"{other}_{kind}_")
     if evaluation := found.summary.get("evaluation"):
         out |= stats.spread("falls_pct", 100 * np.array(evaluation["fall_rate"]))
     if limit is not None:

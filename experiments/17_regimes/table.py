@@ -148,8 +148,8 @@ def row(regime: Regime, variant: str, one, runs, limit: float | None) -> dict:
             pairs["ramp"] = (runs["dyna4"], "best")
         for prefix, (other, kind) in pairs.items():
             if kind in mine and kind in (theirs := values(other)):
-                some = stats.compare(mine[kind], theirs[kind], stats.MARGIN["go1"])
-                cells |= {f"{prefix}_{name}": v for name, v in some.items()}
+                pair = mine[kind], theirs[kind]
+                cells |= stats.compare(*pair, stats.MARGIN["go1"], f"{prefix}_")
     if "evaluated" in mine:
         cells["evaluated_return"] = float(np.mean(mine["evaluated"]))
     if longest and longest.columns and variant == "best":
