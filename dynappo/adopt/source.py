@@ -54,6 +54,8 @@ def read(xml: Path) -> Source:
         folder = Path(spec.modelfiledir or xml.parent) / spec.meshdir
         lost = _drop_meshes(spec, lambda file: (folder / file).is_file())
         notes += [f"meshes that are not there are left out: {_listed(lost)}"] if lost else []
+        for i, joint in enumerate(spec.joints):
+            joint.name = joint.name or f"joint{i}"
         return Source(xml, spec, spec.copy().compile(), {}, tuple(notes))
 
 
@@ -82,11 +84,11 @@ def _urdf(xml: Path, root: ElementTree.Element) -> Source:
     spec = mujoco.MjSpec.from_string(ElementTree.tostring(root, "unicode"))
     for geom in spec.geoms:
         geom.mass = 0.0  # a link without an inertial has no mass in a URDF
-    spec.compiler.fusestatic = True
     for body in spec.worldbody.bodies:
         if not body.joints:
             body.add_freejoint()
             notes.append(f"the URDF fixes nothing to the world: {body.name} has a free joint")
+    spec.fuse_static()
     notes += [f"meshes that MuJoCo cannot read are left out: {_listed(lost)}"] if lost else []
     if odd:
         notes.append(f"impossible inertias are replaced by a ball's: {_listed(odd)}")

@@ -1,0 +1,127 @@
+"""Brings a completed robot into the form in which robots are trained here: solver, feet, joints, a scene."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from dynappo.adopt import motors
+from dynappo.adopt.source import Published
+
+HEAVY = 30.0  # kg, from which on feet creep apart with impratio 1
+FRICTION = 0.8  # of the feet, which `task.randomize.friction` assumes
+FIRM = 0.9, 0.95  # solimp of the feet: with Menagerie's 0.015 they sink in and slide apart
+SOFTEST = 0.8
+PLANE = mujoco.mjtGeom.mjGEOM_PLANE
+
+
+def solver(spec: mujoco.MjSpec, mass: float) -> list[str]:
+    """The solver that everything was trained with; lines on what was another."""
+    option, told = spec.option, []
+    wanted = dict(
+        integrator=mujoco.mjtIntegrator.mjINT_EULER,
+        cone=mujoco.mjtCone.mjCONE_PYRAMIDAL,
+        solver=mujoco.mjtSolver.mjSOL_NEWTON,
+        impratio=3.0 if mass > HEAVY else 1.0,
+    )
+    changed = [name for name, value in wanted.items() if getattr(option, name) != value]
+    for name, value in wanted.items():
+        setattr(option, name, value)
+    option.timestep, option.iterations, option.ls_iterations = motors.TIMESTEP, 4, 8
+    if changed:
+        ratio = f", impratio {wanted['impratio']:g}"
+        told.append(f"solver: Newton, Euler, pyramidal cone{ratio}; the file has another {', '.join(changed)}")
+    return told
+
+
+def joints(
+    spec: mujoco.MjSpec, names: tuple[str, ...], published: Published, effort: np.ndarray
+) -> list[str]:
+    """Dry friction and a servo's damping are left out, rotors are added; a line on each."""
+    told, dry, servo, rotors = [], [], [], []
+    for name, is_servo, most in zip(names, published.servo, effort, strict=True):
+        joint = spec.joint(name)
+        if joint.frictionloss:
+            dry.append(float(joint.frictionloss))
+            joint.frictionloss = 0.0
+        if is_servo and np.any(joint.damping):
+            servo.append(float(joint.damping[0]))
+            joint.damping = np.zeros_like(joint.damping)
+        if not joint.armature:
+            rotors.append(float(f"{motors.ROTOR * most:.2g}"))
+            joint.armature = rotors[-1]
+    if dry:
+        told.append(
+            f"joints: dry friction of {motors.span(np.array(dry))} N m left out, which takes a slower engine; "
+            "task.randomize.joint_friction has it for real robots"
+        )
+    if servo:
+        told.append(
+            f"joints: damping of {motors.span(np.array(servo))} N m s/rad left out; in a file for servos it is "
+            "the servo's, and kd takes its place"
+        )
+    if rotors:
+        told.append(
+            f"joints: no armature in the file; {motors.span(np.array(rotors))} kg m^2, {motors.ROTOR:g} for each "
+            "N m of effort"
+        )
+    return told
+
+
+def feet(spec: mujoco.MjSpec) -> list[str]:
+    """Firm feet with the friction that is trained with; lines on what was another."""
+    soft, slippery = [], []
+    for geom in spec.geoms:
+        if not _is_foot(geom.name):
+            continue
+        if geom.solimp[0] < SOFTEST:
+            soft.append(float(geom.solimp[0]))
+            geom.solimp = [*FIRM, max(float(np.max(geom.size)), 0.01), 0.5, 2.0]
+            geom.solref = [0.02, 1.0]
+        if geom.friction[0] != FRICTION:
+            slippery.append(float(geom.friction[0]))
+            geom.friction = [FRICTION, *geom.friction[1:]]
+    told = []
+    if soft:
+        told.append(
+            f"feet: solimp {FIRM[0]:g} {FIRM[1]:g} instead of {motors.span(np.array(soft))}, with which they sink in"
+        )
+    if slippery:
+        told.append(
+            f"feet: friction {FRICTION:g}, which task.randomize.friction assumes; in the file "
+            f"{motors.span(np.array(slippery))}"
+        )
+    return told
+
+
+def _is_foot(name: str) -> bool:
+    return name.rstrip("0123456789_").endswith("_foot")
+
+
+def scene(spec: mujoco.MjSpec, height: float) -> None:
+    """Sky, light and a floor of tiles, as the robots here have them; `height` (m) is the base's."""
+    for light in list(spec.lights):
+        spec.delete(light)
+    look = spec.visual
+    look.global_.offwidth, look.global_.offheight = 1280, 720
+    look.headlight.ambient, look.headlight.diffuse = [0.42, 0.42, 0.44], [0.26, 0.26, 0.26]
+    look.headlight.specular = [0.05, 0.05, 0.05]
+    look.quality.shadowsize, look.quality.offsamples = 4096, 8
+    look.map.znear, look.map.zfar, look.map.shadowclip = 0.02, 50, 4
+    look.rgba.haze = [0.80, 0.85, 0.90, 1]
+    spec.stat.center, spec.stat.extent = [0, 0, 0.75 * height], 2.5 * height
+    sky = spec.add_texture(name="sky", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX)
+    sky.builtin = mujoco.mjtBuiltin.mjBUILTIN_GRADIENT
+    sky.rgb1, sky.rgb2, sky.width, sky.height = [0.86, 0.90, 0.94], [0.42, 0.55, 0.70], 256, 1536
+    tiles = spec.add_texture(name="checker", type=mujoco.mjtTexture.mjTEXTURE_2D)
+    tiles.builtin, tiles.mark = mujoco.mjtBuiltin.mjBUILTIN_CHECKER, mujoco.mjtMark.mjMARK_EDGE
+    tiles.rgb1, tiles.rgb2 = [0.80, 0.82, 0.84], [0.74, 0.76, 0.78]
+    tiles.markrgb, tiles.width, tiles.height = [0.87, 0.89, 0.91], 512, 512
+    floor = spec.add_material(name="floor", texrepeat=[2, 2], texuniform=True)
+    floor.specular, floor.shininess, floor.textures = 0.1, 0.1, ["", "checker"]
+    for geom in spec.worldbody.geoms:
+        if geom.name == "floor":
+            geom.material = "floor"
+    light = spec.worldbody.add_light(name="sun", pos=[1.5, -1, 3.5], dir=[-0.4, 0.25, -1])
+    light.type, light.castshadow = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, True
+    light.diffuse, light.specular = [0.55, 0.55, 0.52], [0.2, 0.2, 0.2]
