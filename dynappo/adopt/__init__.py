@@ -2,7 +2,7 @@
 
 - `command`: its flags, its order, what it prints
 - `source`: reads the file, its meshes, its licence, and what it says of its motors
-- `motors`: gains, limits and the action scale, from the file or by rule
+- `gains`: gains, limits and the action scale, from the file or by rule
 - `looks`: puts the published meshes back on the completed robot
 - `writing`: the texts of the three files
 

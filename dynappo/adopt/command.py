@@ -17,10 +17,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 from dynappo import config as config_lib
-from dynappo.adopt import looks, motors, normal, pose, source, writing
+from dynappo.adopt import gains, looks, normal, pose, source, writing
 from dynappo.config import ConfigError, files, interpreter, shell
 from dynappo.config import flags as flags_lib
-from dynappo.physics import complete, mjcf
+from dynappo.physics import complete, mjcf, motors
 from dynappo.physics import robot as robot_lib
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
@@ -85,12 +85,12 @@ def make(file: source.Source, name: str, part: Path) -> Adopted:
         told += normal.feet(spec)
         robot = robot_lib.load_text(spec.to_xml(), name, file.xml)
         published = source.published(file, robot.joint_names)
-        effort, _ = motors.efforts(robot, published)
+        effort, _ = gains.efforts(robot, published)
         told += normal.joints(spec, robot.joint_names, published, effort)
         spec.compile()
         robot = robot_lib.load_text(spec.to_xml(), name, file.xml)
         std = writing.INIT_STD[writing.light(robot)]
-        chosen, more = motors.choose(robot, published, std)
+        chosen, more = gains.choose(robot, published, std)
         told += [*more, *writing.assumed(robot)]
         base = robot.mj_model.body(robot.base_body).name
         shown, copied = looks.draw(spec, file, base, part / "assets")
@@ -142,8 +142,7 @@ def run(flags) -> None:
         files.write_text(part / f"{flags.name}.xml", made.mjcf)
         files.write_text(part / "README.md", made.readme)
         files.write_text(part / f"{flags.name}.py", made.config)
-        robot_lib.load_xml(part / f"{flags.name}.xml")
-        config_lib.validate(config_lib.load(str(part / f"{flags.name}.py")))
+        check(part, flags.name)
         config.parent.mkdir(parents=True, exist_ok=True)
         (part / f"{flags.name}.py").replace(config)
     for line in made.told:
@@ -151,6 +150,14 @@ def run(flags) -> None:
     print(f"written {folder / f'{flags.name}.xml'}, {config}, {folder / 'README.md'}\n", flush=True)
     look(config, folder / "look.png")
     print(f"\nnext    {shell.pasted(f'python -m dynappo.train --config={config}')}")
+
+
+def check(part: Path, name: str) -> None:
+    """Load what was written, as training will; ConfigError if it cannot be."""
+    robot = robot_lib.load_xml(part / f"{name}.xml")
+    config = config_lib.load(str(part / f"{name}.py"))
+    config.robot = files.robots()[0]  # that of the part is not among the robots yet
+    motors.fitted(config_lib.validate(config), robot)
 
 
 def look(config: Path, picture: Path) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from dynappo.adopt import motors
+from dynappo.adopt import gains
 from dynappo.adopt.source import Published
 
 HEAVY = 30.0  # kg, from which on feet creep apart with impratio 1
@@ -27,7 +27,7 @@ def solver(spec: mujoco.MjSpec, mass: float) -> list[str]:
     changed = [name for name, value in wanted.items() if getattr(option, name) != value]
     for name, value in wanted.items():
         setattr(option, name, value)
-    option.timestep, option.iterations, option.ls_iterations = motors.TIMESTEP, 4, 8
+    option.timestep, option.iterations, option.ls_iterations = gains.TIMESTEP, 4, 8
     if changed:
         ratio = f", impratio {wanted['impratio']:g}"
         told.append(f"solver: Newton, Euler, pyramidal cone{ratio}; the file has another {', '.join(changed)}")
@@ -48,21 +48,21 @@ def joints(
             servo.append(float(joint.damping[0]))
             joint.damping = np.zeros_like(joint.damping)
         if not joint.armature:
-            rotors.append(float(f"{motors.ROTOR * most:.2g}"))
+            rotors.append(float(f"{gains.ROTOR * most:.2g}"))
             joint.armature = rotors[-1]
     if dry:
         told.append(
-            f"joints: dry friction of {motors.span(np.array(dry))} N m left out, which takes a slower engine; "
+            f"joints: dry friction of {gains.span(np.array(dry))} N m left out, which takes a slower engine; "
             "task.randomize.joint_friction has it for real robots"
         )
     if servo:
         told.append(
-            f"joints: damping of {motors.span(np.array(servo))} N m s/rad left out; in a file for servos it is "
+            f"joints: damping of {gains.span(np.array(servo))} N m s/rad left out; in a file for servos it is "
             "the servo's, and kd takes its place"
         )
     if rotors:
         told.append(
-            f"joints: no armature in the file; {motors.span(np.array(rotors))} kg m^2, {motors.ROTOR:g} for each "
+            f"joints: no armature in the file; {gains.span(np.array(rotors))} kg m^2, {gains.ROTOR:g} for each "
             "N m of effort"
         )
     return told
@@ -84,12 +84,12 @@ def feet(spec: mujoco.MjSpec) -> list[str]:
     told = []
     if soft:
         told.append(
-            f"feet: solimp {FIRM[0]:g} {FIRM[1]:g} instead of {motors.span(np.array(soft))}, with which they sink in"
+            f"feet: solimp {FIRM[0]:g} {FIRM[1]:g} instead of {gains.span(np.array(soft))}, with which they sink in"
         )
     if slippery:
         told.append(
             f"feet: friction {FRICTION:g}, which task.randomize.friction assumes; in the file "
-            f"{motors.span(np.array(slippery))}"
+            f"{gains.span(np.array(slippery))}"
         )
     return told
 
@@ -118,7 +118,8 @@ def scene(spec: mujoco.MjSpec, height: float) -> None:
     tiles.rgb1, tiles.rgb2 = [0.80, 0.82, 0.84], [0.74, 0.76, 0.78]
     tiles.markrgb, tiles.width, tiles.height = [0.87, 0.89, 0.91], 512, 512
     floor = spec.add_material(name="floor", texrepeat=[2, 2], texuniform=True)
-    floor.specular, floor.shininess, floor.textures = 0.1, 0.1, ["", "checker"]
+    floor.specular, floor.shininess = 0.1, 0.1
+    floor.textures = ["", "checker", *[""] * 8]  # the second is the colour
     for geom in spec.worldbody.geoms:
         if geom.name == "floor":
             geom.material = "floor"

@@ -6,7 +6,7 @@ import re
 import textwrap
 
 
-from dynappo.adopt.motors import Motors
+from dynappo.adopt.gains import Motors
 from dynappo.adopt.source import Source
 from dynappo.physics import kinds
 from dynappo.physics import robot as robot_lib

@@ -122,7 +122,7 @@ def choose(
 ) -> tuple[Motors, list[str]]:
     """The motors of a robot, and a line on where each number is from."""
     effort, told = efforts(robot, published)
-    kp, kd, more = gains(robot, published, effort)
+    kp, kd, more = of_pd(robot, published, effort)
     told += more
     velocity = np.where(published.velocity > FASTEST, np.nan, published.velocity)
     unknown = np.isnan(velocity)
@@ -139,7 +139,7 @@ def choose(
     return Motors(kp, kd, effort, np.where(unknown, SPEED, velocity), _two(scale)), told
 
 
-def gains(robot, published: Published, effort) -> tuple[np.ndarray, np.ndarray, list[str]]:
+def of_pd(robot, published: Published, effort) -> tuple[np.ndarray, np.ndarray, list[str]]:
     """`(kp [A], kd [A], lines)`: the file's if they fit, else by the rules."""
     told = []
     if published.servo.all():
