@@ -11,9 +11,10 @@ import argparse
 import numpy as np
 
 from dynappo import config as config_lib
-from dynappo.config import ConfigError
+from dynappo.config import ConfigError, per_joint
 from dynappo.config import flags as flags_lib
 from dynappo.look import facts
+from dynappo.physics import motors
 from dynappo.physics import robot as robot_lib
 from dynappo.physics.warp import scope
 from dynappo.policy import episode as episode_lib
@@ -54,12 +55,13 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
 def about(robot: robot_lib.Robot, config, pd: facts.PD) -> list[tuple[str, str]]:
     """What can be said before it stands, as (name, text) for a person."""
     task, dt = config.task, config.physics.timestep
+    kp, kd = (per_joint.in_words(x, robot.joint_names) for x in (task.kp, task.kd))
     verdict = "stable" if pd.damping < 1 else "the joints chatter"
     verdict = "unstable" if pd.bound >= 2 else verdict
     return [
         ("robot", f"{robot.name}, {robot.xml}"),
         ("mass", f"{robot.mj_model.body_mass.sum():.2f} kg"),
-        ("PD", f"kp {task.kp:g} N m/rad, kd {task.kd:g} N m s/rad, a step of {dt * 1e3:g} ms"),
+        ("PD", f"kp {kp} N m/rad, kd {kd} N m s/rad, a step of {dt * 1e3:g} ms"),
         (
             "  is",
             f"{verdict}: damping takes {pd.damping:.2f} of a joint's speed in a step (below 1; "
@@ -70,16 +72,17 @@ def about(robot: robot_lib.Robot, config, pd: facts.PD) -> list[tuple[str, str]]
 
 def standing(robot: robot_lib.Robot, config, stood: dict) -> list[tuple[str, str]]:
     """How it stood, as (name, text) for a person."""
-    home, rest, limit = robot.home_qpos[2], stood["rest"], config.task.effort_limit
-    worst = int(np.abs(stood["torque"]).argmax())
+    home, rest, share = robot.home_qpos[2], stood["rest"], stood["share"]
+    worst = int(share.argmax())
     most, name = abs(stood["torque"][worst]), robot.joint_names[worst]
+    limit = np.broadcast_to(config.task.effort_limit, len(share))[worst]
     return [
         (
             "sag",
             f"{(home - rest) * 1e3:.0f} mm in {facts.SECONDS:g} s: the base at {home:.3f} m, then "
             f"{rest:.3f} m; in the last second it moved by {stood['moved'] * 1e3:.1f} mm",
         ),
-        ("torque", f"up to {most:.1f} N m, at {name}: {most / limit:.0%} of the limit {limit:g}"),
+        ("torque", f"up to {most:.1f} N m, at {name}: {share[worst]:.0%} of the limit {limit:g}"),
     ]
 
 
@@ -106,7 +109,7 @@ def notes(robot: robot_lib.Robot, config, pd: facts.PD, stood: dict) -> list[str
         out.append("it kneels or lies: raise task.kp, or look at the feet and the centres of mass")
     if stood["moved"] > RESTS:
         out.append("it does not come to rest")
-    if np.abs(stood["torque"]).max() >= config.task.effort_limit:
+    if stood["share"].max() >= 1:
         out.append("a motor is at task.effort_limit: it cannot hold the robot")
     if slow := scope.slower(robot, config.physics, config.task.remember_ground):
         out.append(slow)
@@ -118,9 +121,9 @@ def run(flags) -> None:
     if flags.out is not None:
         flags_lib.check_writable(flags.out)
     config = flags.config
-    robot = robot_lib.load(config.robot)
-    pd = facts.pd(robot, config.task.kp, config.task.kd, config.physics.timestep)
+    config, robot = motors.fitted(config, robot_lib.load(config.robot))
     described = policy_file.describe(config, robot)
+    pd = facts.pd(robot, config.task.kp, config.task.kd, config.physics.timestep)
     body = episode_lib.load(robot.xml, described, described.timestep)
     show(about(robot, config, pd))  # before it stands: physics may blow up
     episode, stood = facts.stand(body)

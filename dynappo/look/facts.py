@@ -17,30 +17,37 @@ LAST = 1.0  # s at its end, over which it should be at rest
 class PD(NamedTuple):
     """How the explicit PD of a config does at its time step, at the joints' fastest mode.
 
-    A joint of inverse inertia `l` (1/(kg m^2)) does v += -dt l (kp q + kd v), q += dt v. With
-    a = dt kd l and b = dt^2 kp l it is stable where a + b / 2 < 2, and its speed keeps its sign
-    where a < 1. Damping in the MJCF is computed implicitly, and only adds to this.
+    Joints of mass matrix M do v += -dt M^-1 (K q + D v), q += dt v, with gains K and D on the diagonal.
+    That is stable where no eigenvalue of M^-1 (dt D + dt^2 K / 2) reaches 2: there a mode turns round at
+    every step with the same size. The speed keeps its sign where those of dt M^-1 D are below 1. Damping
+    in the MJCF is computed implicitly, and only adds to this.
     """
 
-    damping: float  # a: the share of a joint's speed that damping takes off in a step
-    bound: float  # a + b / 2, of 2
+    damping: float  # the share of a joint's speed that damping takes off in a step
+    bound: float  # the largest eigenvalue, of 2
     longest: float  # s, the time step at which it would be 2
 
 
-def pd(robot: robot_lib.Robot, kp: float, kd: float, timestep: float) -> PD:
-    """The PD of gains `kp` (N m/rad) and `kd` (N m s/rad) in the robot's default pose."""
-    fastest = robot_lib.damping_rate(robot, 1.0, 1.0)  # 1/(kg m^2)
-    a, b = timestep * kd * fastest, timestep**2 * kp * fastest
-    # kd l t + kp l t^2 / 2 = 2, written so that kp = 0 is no division by zero
-    longest = 4 / (kd * fastest + np.sqrt((kd * fastest) ** 2 + 4 * kp * fastest))
-    return PD(a, a + b / 2, float(longest))
+def pd(robot: robot_lib.Robot, kp, kd, timestep: float) -> PD:
+    """The PD of gains `kp` (N m/rad) and `kd` (N m s/rad), numbers or arrays [A], in the default pose."""
+    both = timestep * np.asarray(kd) + timestep**2 * np.asarray(kp) / 2
+    bound = robot_lib.damping_rate(robot, both, 1.0)
+    # 2 is an eigenvalue at dt = 1 / w: 2 w^2 x = M^-1 (w D + K / 2) x, of which the largest w counts
+    mobility, count = robot_lib.joint_mobility(robot), len(robot.joint_names)
+    companion = np.zeros((2 * count, 2 * count))
+    companion[:count, count:] = np.eye(count)
+    companion[count:, :count] = mobility * np.broadcast_to(kp, count) / 4
+    companion[count:, count:] = mobility * np.broadcast_to(kd, count) / 2
+    longest = 1 / np.linalg.eigvals(companion).real.max()
+    return PD(robot_lib.damping_rate(robot, kd, timestep), bound, float(longest))
 
 
 def stand(body: Body) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     """`(episode, numbers)` of five seconds under zero action: the PD holds the default pose.
 
     `rest` (m): height of the base at the end; `moved` (m): how much it changed in the last second;
-    `torque [A]` (N m): what each motor holds then, kp times the joint's mean error; `fall` (s): when
+    `torque [A]` (N m): what each motor holds then, kp times the joint's mean error, and `share [A]` of its
+    limit; `fall` (s): when
     a part that is no foot touched the ground, or None.
     FloatingPointError if the physics blows up.
     """
@@ -52,7 +59,8 @@ def stand(body: Body) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     numbers = {
         "rest": float(heights[-1]),
         "moved": float(np.ptp(heights[last])),
-        "torque": np.clip(p.kp * error, -p.effort_limit, p.effort_limit),
+        "torque": (torque := np.clip(p.kp * error, -p.effort_limit, p.effort_limit)),
+        "share": np.abs(torque) / p.effort_limit,
         "fall": episode_lib.measures(body, episode)["fall"],
     }
     return episode, numbers

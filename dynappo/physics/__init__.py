@@ -4,6 +4,7 @@
 - `mjcf`: compiles an MJCF, with errors in one line; what a policy carries may read no file
 - `robot_contract`: checks the rules that a robot's file must keep
 - `actuators`: from a policy's action to joint torques
+- `motors`: a robot with the motors that a config says, joint by joint
 - `engine`: a control step: PD, motor limits, physics steps, contacts by geometry
 - folder `warp`: a control step on a GPU, in a kernel of our own or by MuJoCo Warp
 - `c_mujoco`: C MuJoCo on all cores of a CPU, one call per control step
@@ -12,5 +13,5 @@
 - `contacts`: how a robot's primitives touch the floor
 
 The task and the commands import it; it imports `types` and `config`. `robot`, `mjcf`,
-`robot_contract`, `contacts` and `actuators` need no JAX.
+`robot_contract`, `contacts`, `motors` and `actuators` need no JAX.
 """

@@ -26,7 +26,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from dynappo.config import ConfigError
+from dynappo.config import ConfigError, per_joint
 from dynappo.physics import actuators, c_mujoco, contacts, randomize
 from dynappo.physics import robot as robot_lib
 from dynappo.physics.warp import arrays, scope
@@ -49,6 +49,7 @@ class Engine(NamedTuple):
     varied: frozenset[str]  # randomize.varied
     remember: bool  # parts at the ground: in any physics step of a control step, or in its last
     lags: bool  # torques follow with the time constant of the body's `lag`
+    rubs: bool  # joints have the friction task.joint_friction
 
 
 # What MJX 3.17 takes no notice of and does not refuse, although C MuJoCo and MuJoCo Warp do it.
@@ -100,12 +101,13 @@ def make(
     impl: str,
     remember: bool = False,
     lags: bool = False,
+    rubs: bool = False,
 ) -> Engine:
     """The engine `impl` ("jax", "warp" or "c") of `robot`; `physics` is the config's group."""
     check(robot, physics, impl)
     mj_model, model, data = robot_lib.physics_model(robot, physics), None, None
     if impl == "c":
-        step = c_mujoco.make(robot, physics, varied)
+        step = c_mujoco.make(robot, physics, varied, rubs)
     elif impl == "warp":
         step = warp_call.make(mj_model, robot, physics.substeps, remember)
         model = warp_call.model(mj_model)
@@ -128,6 +130,7 @@ def make(
         varied=varied,
         remember=remember,
         lags=lags,
+        rubs=rubs,
     )
 
 
@@ -174,15 +177,32 @@ class Substeps(NamedTuple):
     lowest: Any  # m, lowest point of each part, in all physics steps (`remember`) or the last
 
 
+class Motor(NamedTuple):
+    """A robot's motors in a control step, its own numbers included: one, or one for each joint [A]."""
+
+    kp: Any  # N m/rad
+    kd: Any  # N m s/rad
+    effort_limit: Any  # N m
+    saturation_effort: Any  # N m
+    velocity_limit: Any  # rad/s
+    friction: Any  # N m, beside the motor; None: none
+
+
 def simulate(engine: Engine, hyper: Hyper, body, state: Simulated, action) -> Substeps:
     """`substeps` physics steps under explicit PD towards the action's joint targets."""
+    task = per_joint_arrays(hyper)
     default = jnp.asarray(engine.robot.default_pose, jnp.float32)
-    target = actuators.target(
-        _arriving(engine, body, state, action), default, hyper.task.action_scale
-    )
+    target = actuators.target(_arriving(engine, body, state, action), default, task.action_scale)
     if body.encoder_bias is not None:  # the motors hold the angle that they read
         target = target - body.encoder_bias
-    kp, kd = hyper.task.kp * body.kp_scale, hyper.task.kd * body.kd_scale
+    motor = Motor(
+        kp=task.kp * body.kp_scale,
+        kd=task.kd * body.kd_scale,
+        effort_limit=task.effort_limit,
+        saturation_effort=task.saturation_effort,
+        velocity_limit=task.velocity_limit,
+        friction=_friction(engine, task.joint_friction, body.joint_friction),
+    )
     first = Substeps(
         qpos=state.qpos,
         qvel=state.qvel,
@@ -197,7 +217,22 @@ def simulate(engine: Engine, hyper: Hyper, body, state: Simulated, action) -> Su
         lowest=jnp.full(len(engine.robot.parts), jnp.inf),
     )
     with jax.default_matmul_precision("highest"):
-        return SIMULATE[engine.impl](engine, hyper, body, first, target, kp, kd)
+        return SIMULATE[engine.impl](engine, body, first, target, motor)
+
+
+def per_joint_arrays(hyper: Hyper):
+    """The group `task` of `hyper` with arrays [A] where it has a number a joint."""
+    task = hyper.task
+    values = {name: getattr(task, name, None) for name in per_joint.names()}
+    several = {name: jnp.stack(x) for name, x in values.items() if isinstance(x, tuple)}
+    return task._replace(**several) if several else task
+
+
+def _friction(engine: Engine, nominal, added):
+    """Dry friction (N m) of one joint or of each; None where no joint has any."""
+    if not engine.rubs:
+        return added
+    return nominal if added is None else nominal + added
 
 
 def _arriving(engine: Engine, body, state: Simulated, action):
@@ -210,7 +245,7 @@ def _arriving(engine: Engine, body, state: Simulated, action):
     return jnp.stack([action, state.last_action, state.older_action])[age]
 
 
-def _simulate_in_mjx(engine: Engine, hyper: Hyper, body, first: Substeps, target, kp, kd):
+def _simulate_in_mjx(engine: Engine, body, first: Substeps, target, motor: Motor):
     robot = engine.robot
     model = randomize.merge(engine.model, body, robot.base_body, robot.feet, engine.varied)
 
@@ -221,19 +256,19 @@ def _simulate_in_mjx(engine: Engine, hyper: Hyper, body, first: Substeps, target
     def substep(carry, target):
         s, data = carry
         torque = actuators.clip_dc_motor(
-            actuators.pd(target, data.qpos[7:], data.qvel[6:], kp, kd),
+            actuators.pd(target, data.qpos[7:], data.qvel[6:], motor.kp, motor.kd),
             data.qvel[6:],
-            effort_limit=hyper.task.effort_limit,
-            saturation_effort=hyper.task.saturation_effort,
-            velocity_limit=hyper.task.velocity_limit,
+            effort_limit=motor.effort_limit,
+            saturation_effort=motor.saturation_effort,
+            velocity_limit=motor.velocity_limit,
         )
         if body.strength is not None:
             torque *= body.strength
         if engine.lags:
             torque = actuators.lag(torque, s.torque, body.lag, engine.timestep)
         before, felt = data.qvel[6:], torque
-        if body.joint_friction is not None:
-            felt -= actuators.friction(before, body.joint_friction)
+        if motor.friction is not None:
+            felt -= actuators.friction(before, motor.friction)
         data = engine.step(model, data, felt)
         s = _feet(engine, s, data.geom_xpos[robot.feet, 2])
         s = s._replace(
@@ -251,38 +286,43 @@ def _simulate_in_mjx(engine: Engine, hyper: Hyper, body, first: Substeps, target
     return s if engine.remember else s._replace(lowest=lowest(data))
 
 
-def _simulate_in_warp(engine: Engine, hyper: Hyper, body, first: Substeps, target, kp, kd):
-    task, robot = hyper.task, engine.robot
+def _simulate_in_warp(engine: Engine, body, first: Substeps, target, motor: Motor):
+    robot = engine.robot
     model = randomize.merge(engine.model, body, robot.base_body, robot.feet, engine.varied)
-    motor = dict(
-        kp=kp,
-        kd=kd,
-        effort=task.effort_limit,
-        saturation=task.saturation_effort,
-        speed=task.velocity_limit,
+    given = dict(
+        kp=motor.kp,
+        kd=motor.kd,
+        effort=motor.effort_limit,
+        saturation=motor.saturation_effort,
+        speed=motor.velocity_limit,
         strength=1.0 if body.strength is None else body.strength,
-        friction=0.0 if body.joint_friction is None else body.joint_friction,
+        friction=0.0 if motor.friction is None else motor.friction,
         share=actuators.share(jnp, body.lag, engine.timestep) if engine.lags else 1.0,
     )
-    numbers = [jnp.asarray(motor[name], jnp.float32) for name in arrays.MOTOR]
-    return first._replace(**engine.step(model, first, target, jnp.stack(numbers)))
+    numbers = [jnp.atleast_1d(jnp.asarray(given[n], jnp.float32)) for n in arrays.MOTOR]
+    numbers = jnp.stack(jnp.broadcast_arrays(*numbers), -1)  # [1 or A, 8]
+    return first._replace(**engine.step(model, first, target, numbers))
 
 
-def _simulate_in_c(engine: Engine, hyper: Hyper, body, first: Substeps, target, kp, kd):
-    task = hyper.task
+def _simulate_in_c(engine: Engine, body, first: Substeps, target, motor: Motor):
     strength = 1.0 if body.strength is None else body.strength
-    kp, kd = kp * strength, kd * strength
-    motor = task.effort_limit * strength, task.saturation_effort * strength, task.velocity_limit
     armature = 1.0 if body.armature is None else body.armature
-    joint_friction = 0.0 if body.joint_friction is None else body.joint_friction
-    numbers = [body.mass_scale, *body.base_com, body.friction, kp, kd, *motor]
-    numbers += [armature, joint_friction]
+    own = [body.mass_scale, *body.base_com, body.friction, armature]
+    motors = [
+        motor.kp * strength,
+        motor.kd * strength,
+        motor.effort_limit * strength,
+        motor.saturation_effort * strength,
+        motor.velocity_limit,
+        0.0 if motor.friction is None else motor.friction,
+    ]
+    motors = jnp.stack(jnp.broadcast_arrays(*motors)).ravel()  # of each number 1 or A
     moved = engine.step(
         first.qpos,
         first.qvel,
         first.qacc_warmstart,
         target,
-        jnp.stack(jnp.broadcast_arrays(*numbers)),
+        jnp.concatenate([jnp.stack(jnp.broadcast_arrays(*own)), motors]),
     )
     s = first
     for heights in moved.feet:

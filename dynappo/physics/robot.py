@@ -228,15 +228,24 @@ def feet_in_base(legs: Legs, joints):
     return position
 
 
-def damping_rate(robot: Robot, kd: float, timestep: float) -> float:
-    """`timestep kd lambda_max(M^-1)` over the joints, base free, in the default pose.
+def damping_rate(robot: Robot, kd, timestep: float) -> float:
+    """`timestep lambda_max(M^-1 kd)` over the joints, base free, in the default pose; `kd` is one number, or
+    one for each joint [A].
 
     The share of a joint's speed that explicit damping removes in one physics step: above 1 the
     speed changes sign (joints chatter), above 2 it diverges.
     """
+    # M^-1 D has the eigenvalues of the symmetric D^1/2 M^-1 D^1/2
+    root = np.sqrt(np.broadcast_to(kd, len(robot.joint_names)))
+    mobility = root[:, None] * joint_mobility(robot) * root
+    return timestep * float(np.linalg.eigvalsh(mobility).max())
+
+
+def joint_mobility(robot: Robot) -> np.ndarray:
+    """Joint accelerations by joint torques [A, A] (1/(kg m^2)), base free, in the default pose."""
     model, data = robot.mj_model, mujoco.MjData(robot.mj_model)
     data.qpos[:] = robot.home_qpos
     mujoco.mj_forward(model, data)
     inertia = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, inertia)
-    return timestep * kd * float(np.linalg.eigvalsh(np.linalg.inv(inertia)[6:, 6:]).max())
+    return np.linalg.inv(inertia)[6:, 6:]

@@ -2,7 +2,8 @@
 
 Another MJCF must have the policy's twelve hinge joints by name, in any order and with other joints
 in between; above them the base, a body with a free joint, x ahead and z up; and something to stand
-on in the world body. Everything else is as in that file: masses, contacts, armature, time step.
+on in the world body. Everything else is as in that file: masses, contacts, time step, and armature unless
+the policy was trained with one of its own (task.armature).
 
 Only the actuators are replaced: the file's are switched off, and the policy's own motor model
 drives the joints: PD and limits (`physics/actuators.py`), joint damping and friction. Why the last
@@ -20,7 +21,7 @@ import mujoco
 import numpy as np
 
 from dynappo.config import ConfigError
-from dynappo.physics import actuators, contacts, mjcf
+from dynappo.physics import actuators, contacts, mjcf, motors
 from dynappo.policy.policy_file import Policy
 from dynappo.tasks.velocity import observe
 
@@ -63,7 +64,7 @@ def load(
 
     If `text` is given, it is the MJCF, and `xml` the file that contains it. Without `timestep`, the
     file's own is changed to the nearest that divides the time between two actions. `keep_joints`:
-    keep the file's joint damping and friction. ConfigError if the file breaks the rules above.
+    keep the file's joint damping, friction and armature. ConfigError if the file breaks the rules above.
     """
 
     def expect(ok, text):
@@ -89,6 +90,10 @@ def load(
     if not keep_joints and policy.joint_damping:
         model.dof_damping[model.jnt_dofadr[joints]] = policy.joint_damping
         model.dof_frictionloss[model.jnt_dofadr[joints]] = policy.joint_friction
+    if keep_joints:
+        policy = policy._replace(dry_friction=0.0)
+    elif policy.armature is not None:
+        motors.set_armature(model, model.jnt_dofadr[joints], policy.armature)
     between = policy.timestep * policy.substeps  # s, two actions
     substeps = max(1, round(between / (timestep or model.opt.timestep)))
     model.opt.timestep = between / substeps
@@ -218,6 +223,8 @@ def physics_step(body: Body, data, target, strength=1.0) -> tuple[np.ndarray, np
         velocity_limit=p.velocity_limit,
     )
     data.qfrc_applied[body.joint_v] = torque
+    if np.any(p.dry_friction):
+        data.qfrc_applied[body.joint_v] -= actuators.friction(speed, p.dry_friction)
     mujoco.mj_step(body.model, data)
     one, other = data.contact.geom[data.contact.dist < 0].T
     ground, parts = body.ground, body.parts

@@ -20,7 +20,8 @@ CARRIED = (  # changed in place
 )
 COUNTS = "air_steps", "contact_steps", "last_air_steps"
 RESULTS = "qd_before", "lowest"
-# the numbers of a robot's motors; `share`: actuators.lag's, 1 where torques do not lag
+# the numbers of a robot's motors, for all joints or for each, [1 or A, 8]: a thread of the kernel has a
+# leg, and finds the numbers of its joints side by side. `share`: actuators.lag's, 1 where torques do not lag
 MOTOR = ("kp", "kd", "effort", "saturation", "speed", "strength", "friction", "share")
 MODEL = ("body_mass", "body_inertia", "body_ipos", "geom_friction", "dof_armature")
 
@@ -46,7 +47,7 @@ def sizes(mj_model, shape: Shape) -> dict[str, tuple[int, ...]]:
         "torque": joints,
         **dict.fromkeys(CARRIED[4:], foot),
         "target": (shape.substeps, *joints),
-        "motor": (len(MOTOR),),
+        "motor": (1, len(MOTOR)),  # or (A, ...)
         **{name: getattr(mj_model, name).shape for name in MODEL},
         "qd_before": joints,
         "lowest": parts,

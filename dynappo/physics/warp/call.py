@@ -58,8 +58,8 @@ def model(mj_model) -> Model:
 def make(mj_model, robot, substeps: int, every: bool) -> Callable[..., dict[str, Any]]:
     """`step(mjx model, state, target [n, A], motor)` of one robot, for `jax.vmap`: a control step.
 
-    `state` has the fields `arrays.CARRIED`; `motor` are the numbers `arrays.MOTOR`. The result has
-    `CARRIED` after the step, `qd_before` and `lowest`.
+    `state` has the fields `arrays.CARRIED`; `motor` [1 or A, 8] are the numbers `arrays.MOTOR`. The result
+    has `CARRIED` after the step, `qd_before` and `lowest`.
     """
     fixed, linear, ring = contacts.floor_distance(mj_model, robot.parts)
     floor = np.column_stack([fixed, linear, ring])

@@ -18,7 +18,7 @@ BASE = 6  # degrees of freedom of the base, before the joints'
 def motors(
     substep: int,
     target: wp.array3d[float],  # [W, n, A] rad
-    motor: wp.array2d[float],  # [W, 8], arrays.MOTOR
+    motor: wp.array3d[float],  # [W, 1 or A, 8], arrays.MOTOR
     qpos: wp.array2d[float],
     qvel: wp.array2d[float],
     torque: wp.array2d[float],  # [W, A] N m; before: of the last physics step
@@ -27,7 +27,7 @@ def motors(
 ):
     """The motors' torques (actuators.py: `pd`, `clip_dc_motor`, `lag`), and the joints' `friction`."""
     robot, joint = wp.tid()
-    dof, p = joint + wp.static(BASE), motor[robot]
+    dof, p = joint + wp.static(BASE), motor[robot, wp.min(joint, motor.shape[1] - 1)]
     qd, effort, saturation, speed = qvel[robot, dof], p[2], p[3], p[4]
     t = p[0] * (target[robot, substep, joint] - qpos[robot, dof + 1]) - p[1] * qd
     most = speed * (1.0 + effort / saturation)

@@ -53,9 +53,11 @@ def make(robot: robot_lib.Robot, task, physics_config, *, impl: str = "jax") -> 
     fatal, undesired = ground_rules(robot, task)
     joints = len(robot.joint_names)
     layout = view.make(task.observation, task.history, joints, varied)
-    lags = task.actuator == "lag"
+    lags, rubs = task.actuator == "lag", bool(np.any(task.joint_friction))
     const = Constants(
-        engine=engine_lib.make(robot, physics_config, varied, impl, task.remember_ground, lags),
+        engine=engine_lib.make(
+            robot, physics_config, varied, impl, task.remember_ground, lags, rubs
+        ),
         robot=robot,
         task=task,
         legs=robot_lib.legs(robot),
@@ -283,7 +285,7 @@ def _known(const: Constants, hyper: Hyper, seen, action) -> dict[str, Any]:
     """What a term can ask for without physics (rewards.py): `seen` has the predicted parts of the next
     observation and the known parts of this one."""
     parts = observe.split(seen, len(const.robot.joint_names))
-    return hyper.task._asdict() | parts | {"action": action}
+    return engine_lib.per_joint_arrays(hyper)._asdict() | parts | {"action": action}
 
 
 def _measured(

@@ -9,7 +9,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from dynappo.config import ConfigError
+from dynappo.config import ConfigError, per_joint
 from dynappo.physics.robot import Robot
 from dynappo.tasks.velocity import observe, view
 from dynappo.types import Mirror
@@ -34,6 +34,21 @@ def joints(robot: Robot) -> Mirror:
         names = ", ".join(np.array(robot.joint_names)[apart > CLOSE])
         raise ConfigError(f"robot {robot.name} is not its own mirror image: no partner of {names}")
     return Mirror(index, sign)
+
+
+def check_motors(task, robot: Robot) -> None:
+    """ConfigError if a robot is not its own mirror image, its motors included; `task` is the config's group,
+    its numbers of joints resolved."""
+    partners = joints(robot).index
+    for name in per_joint.names():
+        value = task[name]
+        for joint, partner in enumerate(partners) if isinstance(value, tuple) else ():
+            if value[joint] != value[partner]:
+                one, other = robot.joint_names[joint], robot.joint_names[partner]
+                raise ConfigError(
+                    f"task.{name} is {value[joint]:g} at {one} and {value[partner]:g} at {other}, expected "
+                    "the same left and right where ppo.symmetry is True"
+                )
 
 
 def images(robot: Robot, layout: view.View) -> tuple[Mirror, Mirror] | None:
