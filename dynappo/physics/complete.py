@@ -97,8 +97,12 @@ def _called(geom) -> str:
 
 
 def _measure_nothing(spec: mujoco.MjSpec) -> None:
-    """Sensors and drawn skins have no say in how a robot moves, but name bodies and shapes."""
-    for thing in (*spec.sensors, *spec.skins):
+    """Sensors, skins, materials have no say in how a robot moves; but they name files, bodies and shapes."""
+    for shape in (*spec.geoms, *spec.sites):
+        shape.material = ""
+    for tendon in spec.tendons:
+        tendon.material = ""
+    for thing in (*spec.sensors, *spec.skins, *spec.materials, *spec.textures):
         spec.delete(thing)
     spec.compiler.discardvisual = False
 
@@ -300,11 +304,8 @@ def _masses(spec: mujoco.MjSpec, shapes: list, notes: list[str]) -> None:
 
 def _looks(spec: mujoco.MjSpec, shapes: list) -> None:
     for geom in list(spec.geoms):
-        geom.material = ""
         if geom.parent.name != "world" and geom not in shapes:
             spec.delete(geom)
-    for look in (*spec.materials, *spec.textures):
-        spec.delete(look)
     _unused(spec)
 
 
@@ -498,7 +499,7 @@ def _contacts(spec: mujoco.MjSpec, model: mujoco.MjModel, notes: list[str]) -> b
     if raised:
         notes.append(f"the feet's friction holds, not the floor's (priority {over})")
     if sliding:
-        notes.append(f"friction is sliding alone (condim 3): {_list(sliding)}")
+        notes.append(f"contacts slide, but neither twist nor roll (condim 3): {_list(sliding)}")
     return bool(crossed or raised or sliding)
 
 

@@ -8,7 +8,7 @@ import re
 import mujoco
 import numpy as np
 
-from dynappo.physics import contacts
+from dynappo.physics import contacts, kinematics
 
 NAME = re.compile(r"(.+?)_foot(?:_?\d+)?")  # FL_foot; left_foot1, left_foot_2
 # shares of the base's height above the lowest point, in the home pose: how much higher than the robot's lowest
@@ -108,24 +108,14 @@ def _rolls(model: mujoco.MjModel, geom: int) -> bool:
 
 def _titles(model: mujoco.MjModel, bodies: list[int]) -> list[str]:
     """A name for the foot of each of `bodies`, all different."""
-    limbs = [_joints(model, body) for body in bodies]
+    limbs = [kinematics.joints_to(model, body) for body in bodies]
     owned = [[j for j in limb if sum(j in other for other in limbs) == 1] for limb in limbs]
-    by_joints = [_common([model.joint(j).name for j in own]) for own in owned]
+    by_joints = [_common([model.joint(1 + j).name for j in own]) for own in owned]
     by_body = [model.body(body).name for body in bodies]
     for titles in (by_joints, by_body):
         if all(titles) and len(set(titles)) == len(titles):
             return titles
     return [f"foot{i}" for i in range(1, len(bodies) + 1)]
-
-
-def _joints(model: mujoco.MjModel, body: int) -> list[int]:
-    """The hinges between the base and `body`."""
-    found = []
-    while model.body_parentid[body] != 0:
-        first = model.body_jntadr[body]
-        found = [*range(first, first + model.body_jntnum[body]), *found]
-        body = model.body_parentid[body]
-    return found
 
 
 def _common(names: list[str]) -> str:

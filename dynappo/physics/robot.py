@@ -144,6 +144,11 @@ def _spec(xml: Path, text: str) -> mujoco.MjSpec:
     return mujoco.MjSpec.from_string(text) if text else mujoco.MjSpec.from_file(str(xml))
 
 
+def joint_ranges(robot: Robot) -> np.ndarray:
+    """The range [A, 2] of each joint, rad; infinite where it has no limits."""
+    return complete.ranges(robot.mj_model)
+
+
 def physics_model(robot: Robot, physics) -> mujoco.MjModel:
     """A copy of the robot's model with the solver and contacts of the config's group `physics`.
 
@@ -168,55 +173,6 @@ def digest(model: mujoco.MjModel) -> str:
     content = np.empty(mujoco.mj_sizeModel(model), np.uint8)
     mujoco.mj_saveModel(model, None, content)
     return hashlib.sha256(content.tobytes()).hexdigest()
-
-
-class Legs(NamedTuple):
-    """The joints between the base and each foot; `F` legs of `L` joints each."""
-
-    joints: np.ndarray  # [F, L] numbers of the joints, from the base to the foot
-    offsets: np.ndarray  # [F, L + 1, 3] m: each joint's body in the one before, then the foot
-    axes: np.ndarray  # [F, L, 3]
-
-
-def legs(robot: Robot) -> Legs:
-    """The chains of joints that move the feet.
-
-    A reset uses them to place the feet above the floor without a physics call. They need the
-    contract's aligned frames (identity body quaternions) and legs of equally many joints.
-    """
-    m = robot.mj_model
-    chains = [_chain(m, m.geom_bodyid[foot]) for foot in robot.feet]
-    bodies = np.array(chains)
-    offsets = np.concatenate([m.body_pos[bodies], m.geom_pos[robot.feet][:, None]], axis=1)
-    joints = m.body_jntadr[bodies]
-    return Legs(joints - 1, offsets, m.jnt_axis[joints])
-
-
-def _chain(model: mujoco.MjModel, body: int) -> list[int]:
-    """The bodies that joints move between the base and `body`, which is the last."""
-    chain = []
-    while model.body_parentid[body] != 0:
-        chain.insert(0, int(body))
-        body = model.body_parentid[body]
-    return chain
-
-
-def feet_in_base(legs: Legs, joints):
-    """Foot centres [F, 3] (m) in the base frame at joint angles [A], by the chains of each leg."""
-    xp = joints.__array_namespace__()
-    offsets, axes = (xp.asarray(x, dtype=joints.dtype) for x in (legs.offsets, legs.axes))
-    angles, count = joints[legs.joints], legs.joints.shape[1]
-    position = offsets[:, count]
-    for i in reversed(range(count)):  # from the foot up to the hip: rotate, add the offset
-        axis, angle = axes[:, i], angles[:, i, None]
-        turned = xp.linalg.cross(axis, position)
-        position = (
-            position * xp.cos(angle)
-            + turned * xp.sin(angle)
-            + axis * (axis * position).sum(-1, keepdims=True) * (1 - xp.cos(angle))
-        )
-        position = offsets[:, i] + position
-    return position
 
 
 def damping_rate(robot: Robot, kd: float, timestep: float) -> float:
