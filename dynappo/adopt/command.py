@@ -16,6 +16,8 @@ import sys
 from pathlib import Path
 from typing import NamedTuple
 
+import mujoco
+
 from dynappo import config as config_lib
 from dynappo.adopt import gains, looks, normal, pose, source, writing
 from dynappo.config import ConfigError, files, interpreter, shell
@@ -77,13 +79,10 @@ def make(file: source.Source, name: str, part: Path) -> Adopted:
 
     ConfigError if the file cannot be completed, with its path.
     """
-    told = [*file.notes, *pose.give(file.spec, file.model, file.xml)]
+    told = list(file.notes)
     with mjcf.one_line(file.xml):
-        done = complete.complete(file.spec.copy())
-        spec = done.spec
-        told += [*done.notes, *normal.solver(spec, float(done.model.body_mass.sum()))]
-        told += normal.feet(spec)
-        robot = robot_lib.load_text(spec.to_xml(), name, file.xml)
+        spec, robot, more = completed(file, name)
+        told += more
         published = source.published(file, robot.joint_names)
         effort, _ = gains.efforts(robot, published)
         told += normal.joints(spec, robot.joint_names, published, effort)
@@ -102,7 +101,7 @@ def make(file: source.Source, name: str, part: Path) -> Adopted:
         spec.modelfiledir = str(part)
         spec.modelname = name
         spec.compile()
-        text = writing.mjcf(spec.to_xml(), name, file)
+        text = writing.mjcf(spec, name, file)
     licence = source.licence(file.xml)
     told.append(f"licence: {licence[0] or 'none found; ask before you share this robot'}")
     return Adopted(
@@ -111,6 +110,23 @@ def make(file: source.Source, name: str, part: Path) -> Adopted:
         readme=writing.readme(robot, file, told, licence, shown),
         told=told,
     )
+
+
+def completed(file: source.Source, name: str) -> tuple[mujoco.MjSpec, robot_lib.Robot, list[str]]:
+    """`(spec, robot, lines)`, with the first default pose in which the robot stands; the first one's error if
+    there is none."""
+    problem: Exception | None = None
+    for spec, told in pose.candidates(file.spec, file.model, file.xml):
+        try:
+            done = complete.complete(spec)
+            told += [*done.notes, *normal.solver(done.spec, float(done.model.body_mass.sum()))]
+            told += [*normal.feet(done.spec), *normal.frames(done.spec, done.spec.compile())]
+            done.spec.compile()
+            return done.spec, robot_lib.load_text(done.spec.to_xml(), name, file.xml), told
+        except (ValueError, ConfigError) as error:
+            problem = problem or error
+    assert problem
+    raise problem
 
 
 @contextlib.contextmanager

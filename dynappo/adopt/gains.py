@@ -2,9 +2,9 @@
 
 The rules, for joint j of a robot of mass m whose feet hang l below the base:
 
-    effort     of the file, if it is below m g l, which no motor of the robot has; else 0.35 m g l
-    kp         effort / 1 rad; for all joints higher, where standing would sag by more than a tenth of
-               the height (`sag`)
+    effort     of the file, if it is below 2 m g l, which no motor of the robot has; else 0.45 m g l
+    kp         effort / 1 rad; for all joints higher, where standing would sag by more than 8 % of the height
+               to first order (`sag`; feet slip and bent legs are softer), up to effort / 0.45 rad
     kd         kp x 0.025 s, but no more than takes 0.4 of a joint's speed in a physics step
     armature   0.0006 kg m^2 for each N m of effort, where the file has none
     scale      0.25 rad of exploration, but at most a third of the effort: effort / (3 kp)
@@ -27,8 +27,8 @@ from dynappo.adopt.source import Published
 from dynappo.physics import robot as robot_lib
 
 TIMESTEP = 0.005  # s, of physics
-STRENGTH = 0.35  # of m g l
-SAG = 0.1  # of the height
+STRENGTH, STRONGEST = 0.45, 2.0  # of m g l: what is assumed, and what is believed
+SAG = 0.08  # of the height, to first order; feet slip and legs bend more, so that it is twice that
 RATIO = 0.025  # s, kd / kp
 DAMPS, BEST_DAMPS = 0.5, 0.4  # the share of a joint's speed that kd takes in a step: at most; by rule
 SOFT, STIFF = 3.0, 0.45  # rad, effort / kp of a servo that is kept
@@ -55,14 +55,14 @@ def reach(robot: robot_lib.Robot) -> float:
 
 def efforts(robot: robot_lib.Robot, published: Published) -> tuple[np.ndarray, list[str]]:
     """`(limits [A] in N m, lines)`; the lines say what was assumed."""
-    most = weight(robot) * reach(robot)
-    ruled = round(STRENGTH * most, 1)
+    each = weight(robot) * reach(robot)
+    most, ruled = STRONGEST * each, round(STRENGTH * each, 1)
     out = published.effort
     if np.isnan(out).all():
         told = [f"effort: no limit in the file; {STRENGTH:g} m g l = {ruled:g} N m"]
     elif (odd := out > most).any():
         told = [
-            f"effort: the file's {out[odd].max():g} N m is more than m g l = {most:.0f} N m, "
+            f"effort: the file's {out[odd].max():g} N m is more than {STRONGEST:g} m g l = {most:.0f} N m, "
             f"which no motor has; {STRENGTH:g} m g l = {ruled:g} N m"
         ]
     else:
@@ -100,23 +100,6 @@ def sag(robot: robot_lib.Robot, kp: np.ndarray) -> float:
     return float(-np.linalg.lstsq(whole, pull, rcond=None)[0][2])
 
 
-def damping(robot: robot_lib.Robot, kd: np.ndarray) -> float:
-    """The share of a joint's speed that `kd` [A] takes in a physics step, at the fastest mode."""
-    inverse = inverse_inertia(robot)
-    root = np.sqrt(kd)
-    return float(TIMESTEP * np.linalg.eigvalsh(root[:, None] * inverse * root).max())
-
-
-def inverse_inertia(robot: robot_lib.Robot) -> np.ndarray:
-    """The joints' block of M^-1 [A, A] in the default pose, the base free (1/(kg m^2))."""
-    model, data = robot.mj_model, mujoco.MjData(robot.mj_model)
-    data.qpos[:] = robot.home_qpos
-    mujoco.mj_forward(model, data)
-    inertia = np.zeros((model.nv, model.nv))
-    mujoco.mj_fullM(model, data, inertia)
-    return np.linalg.inv(inertia)[6:, 6:]
-
-
 def choose(
     robot: robot_lib.Robot, published: Published, init_std: float
 ) -> tuple[Motors, list[str]]:
@@ -149,12 +132,10 @@ def of_pd(robot, published: Published, effort) -> tuple[np.ndarray, np.ndarray, 
             return kp, kd, [f"kp, kd: {span(kp)} N m/rad and {span(kd)} N m s/rad, of the file"]
         told = [f"kp, kd: not the file's {span(kp)} and {span(_two(kd))}, for {wrong}"]
     kp = effort / 1.0
-    sinks = sag(robot, kp) / (SAG * reach(robot))
-    kp = _two(kp * max(1.0, sinks))
-    told.append(
-        f"kp: effort / {1 / max(1.0, sinks):.2g} rad = {span(kp)} N m/rad"
-        + (f", so that standing sags by {SAG:.0%} of the height" if sinks > 1 else "")
-    )
+    more = float(np.clip(sag(robot, kp) / (SAG * reach(robot)), 1.0, 1 / STIFF))
+    kp = _two(kp * more)
+    why = ", so that standing sags by about a tenth of the height" if more > 1 else ""
+    told.append(f"kp: effort / {1 / more:.2g} rad = {span(kp)} N m/rad{why}")
     kd = kp * RATIO
     kd = kd * _less(robot, kd)
     told.append(f"kd: kp x {RATIO:g} s, where stable: {span(_two(kd))} N m s/rad")
@@ -163,7 +144,7 @@ def of_pd(robot, published: Published, effort) -> tuple[np.ndarray, np.ndarray, 
 
 def _misfit(robot, kp, kd, effort) -> str:
     """What is wrong with a servo's gains for a policy with an explicit PD; "" if nothing is."""
-    if (share := damping(robot, kd)) > DAMPS:
+    if (share := robot_lib.damping_rate(robot, kd, TIMESTEP)) > DAMPS:
         return f"kd takes {share:.2g} of a joint's speed in a step of {TIMESTEP * 1e3:g} ms"
     if (angle := (effort / kp).min()) < STIFF:
         return f"{angle:.2g} rad of error are a motor's whole effort"
@@ -174,9 +155,9 @@ def _misfit(robot, kp, kd, effort) -> str:
 
 def _less(robot, kd) -> np.ndarray:
     """Factors [A] up to 1 with which `kd` is stable: of each joint alone, then of all together."""
-    alone = TIMESTEP * np.diag(inverse_inertia(robot)) * kd
+    alone = TIMESTEP * np.diag(robot_lib.joint_mobility(robot)) * kd
     factors = np.minimum(1.0, BEST_DAMPS / alone)
-    return factors * min(1.0, BEST_DAMPS / damping(robot, kd * factors))
+    return factors * min(1.0, BEST_DAMPS / robot_lib.damping_rate(robot, kd * factors, TIMESTEP))
 
 
 def _two(values: np.ndarray) -> np.ndarray:

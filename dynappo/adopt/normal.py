@@ -12,7 +12,8 @@ HEAVY = 30.0  # kg, from which on feet creep apart with impratio 1
 FRICTION = 0.8  # of the feet, which `task.randomize.friction` assumes
 FIRM = 0.9, 0.95  # solimp of the feet: with Menagerie's 0.015 they sink in and slide apart
 SOFTEST = 0.8
-PLANE = mujoco.mjtGeom.mjGEOM_PLANE
+WIDE = 9.42  # rad, of a joint without a range
+QUAT = mujoco.mjtOrientation.mjORIENTATION_QUAT
 
 
 def solver(spec: mujoco.MjSpec, mass: float) -> list[str]:
@@ -38,7 +39,7 @@ def joints(
     spec: mujoco.MjSpec, names: tuple[str, ...], published: Published, effort: np.ndarray
 ) -> list[str]:
     """Dry friction and a servo's damping are left out, rotors are added; a line on each."""
-    told, dry, servo, rotors = [], [], [], []
+    told, dry, servo, rotors, endless = [], [], [], [], []
     for name, is_servo, most in zip(names, published.servo, effort, strict=True):
         joint = spec.joint(name)
         if joint.frictionloss:
@@ -47,6 +48,10 @@ def joints(
         if is_servo and np.any(joint.damping):
             servo.append(float(joint.damping[0]))
             joint.damping = np.zeros_like(joint.damping)
+        if joint.limited == mujoco.mjtLimited.mjLIMITED_FALSE or not np.any(joint.range):
+            joint.range, joint.limited = [-WIDE, WIDE], mujoco.mjtLimited.mjLIMITED_TRUE
+            endless.append(name)
+        joint.actfrcrange, joint.margin = [0, 0], 0
         if not joint.armature:
             rotors.append(float(f"{gains.ROTOR * most:.2g}"))
             joint.armature = rotors[-1]
@@ -60,6 +65,8 @@ def joints(
             f"joints: damping of {gains.span(np.array(servo))} N m s/rad left out; in a file for servos it is "
             "the servo's, and kd takes its place"
         )
+    if endless:
+        told.append(f"joints: no range at {len(endless)} of {len(names)}; +-{WIDE:g} rad")
     if rotors:
         told.append(
             f"joints: no armature in the file; {gains.span(np.array(rotors))} kg m^2, {gains.ROTOR:g} for each "
@@ -68,10 +75,59 @@ def joints(
     return told
 
 
+def frames(spec: mujoco.MjSpec, model: mujoco.MjModel) -> list[str]:
+    """Turn the links' frames until all are parallel to the base's where the joints are at rest; a line if any was
+    turned.
+
+    It changes no motion, and the one-kernel physics needs it. With R the rotation of a link's frame in the base's:
+    offsets, axes and inertias x become R x, and what is in the link is turned by R.
+    """
+    turned, rotation = False, {1: np.eye(3)}
+    for i in range(1, model.nbody):
+        body, parent = spec.body(model.body(i).name), int(model.body_parentid[i])
+        if i > 1:
+            rotation[i] = rotation[parent] @ _matrix(model.body_quat[i])
+            body.pos = rotation[parent] @ model.body_pos[i]
+            turned |= not np.allclose(rotation[i], np.eye(3), atol=1e-9)
+        body.quat, body.alt.type = [1, 0, 0, 0], QUAT
+        if np.allclose(rotation[i], np.eye(3), atol=1e-9):
+            continue
+        body.explicitinertial, body.mass = True, model.body_mass[i]
+        body.ipos = rotation[i] @ model.body_ipos[i]
+        body.ialt.type = QUAT
+        body.iquat = _quat(rotation[i] @ _matrix(model.body_iquat[i]))
+        body.inertia, body.fullinertia = model.body_inertia[i], np.full(6, np.nan)
+        for joint in body.joints:
+            joint.pos, joint.axis = rotation[i] @ joint.pos, rotation[i] @ joint.axis
+        for geom in body.geoms:
+            geom.pos = rotation[i] @ model.geom_pos[geom.id]
+            geom.alt.type = QUAT
+            geom.quat = _quat(rotation[i] @ _matrix(model.geom_quat[geom.id]))
+            geom.size, geom.fromto = model.geom_size[geom.id], np.full(6, np.nan)
+        for thing in (*body.sites, *body.cameras, *body.lights):
+            spec.delete(thing)
+    return ["frames: turned until all are parallel to the base's, which changes no motion"] * turned
+
+
+def _matrix(quat: np.ndarray) -> np.ndarray:
+    out = np.zeros(9)
+    mujoco.mju_quat2Mat(out, quat)
+    return out.reshape(3, 3)
+
+
+def _quat(matrix: np.ndarray) -> np.ndarray:
+    out = np.zeros(4)
+    mujoco.mju_mat2Quat(out, np.ascontiguousarray(matrix).ravel())
+    return out
+
+
 def feet(spec: mujoco.MjSpec) -> list[str]:
-    """Firm feet with the friction that is trained with; lines on what was another."""
-    soft, slippery = [], []
+    """Firm feet with the friction that is trained with, no margins; lines on what was another."""
+    soft, slippery, margins = [], [], []
     for geom in spec.geoms:
+        if geom.margin or geom.gap:
+            margins.append(float(geom.margin))
+            geom.margin = geom.gap = 0.0
         if not _is_foot(geom.name):
             continue
         if geom.solimp[0] < SOFTEST:
@@ -82,6 +138,8 @@ def feet(spec: mujoco.MjSpec) -> list[str]:
             slippery.append(float(geom.friction[0]))
             geom.friction = [FRICTION, *geom.friction[1:]]
     told = []
+    if margins:
+        told.append(f"shapes: contact margins of {gains.span(np.array(margins))} m left out")
     if soft:
         told.append(
             f"feet: solimp {FIRM[0]:g} {FIRM[1]:g} instead of {gains.span(np.array(soft))}, with which they sink in"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import mujoco
@@ -14,23 +15,41 @@ ASIDE = 0.02  # of the reach: how far ahead of the joint the foot may stand
 HINGE = mujoco.mjtJoint.mjJNT_HINGE
 
 
-def give(spec: mujoco.MjSpec, model: mujoco.MjModel, xml: Path) -> list[str]:
-    """Add a keyframe `home` to a spec without keyframes; a line on where it is from."""
+def candidates(
+    spec: mujoco.MjSpec, model: mujoco.MjModel, xml: Path
+) -> Iterator[tuple[mujoco.MjSpec, list[str]]]:
+    """Copies of a spec with a keyframe, the best first, each with a line on where that is from.
+
+    The file's own; that of a scene beside it; bent legs. The next is for a file whose robot cannot stand in the
+    one before.
+    """
     if spec.keys:
-        return []
-    for scene in sorted(xml.parent.glob("*.xml")):
+        yield spec.copy(), []
+    for scene in sorted(xml.parent.glob("*.xml")) if not spec.keys else []:
         found = _of_scene(scene, model) if scene != xml else None
         if found is not None:
-            spec.add_key(name="home", qpos=found)
-            return [f"home: the file has no keyframe; that of {scene.name} beside it"]
+            yield (
+                _with_home(spec, found),
+                [f"home: the file has no keyframe; that of {scene.name} beside it"],
+            )
+            break
     qpos, bent = _bent(model)
-    if not bent:
-        return []
-    spec.add_key(name="home", qpos=qpos)
-    return [
-        f"home: the file has no keyframe; {bent} legs bent to {BENT:.0%} of their reach, feet below "
-        "their joints"
-    ]
+    if bent:
+        why = "the robot does not stand in the file's keyframe" if spec.keys else "no keyframe"
+        yield (
+            _with_home(spec, qpos),
+            [f"home: {why}; {bent} legs bent to {BENT:.0%} of their reach, feet below their joints"],
+        )
+    if not spec.keys:
+        yield spec.copy(), []
+
+
+def _with_home(spec: mujoco.MjSpec, qpos: np.ndarray) -> mujoco.MjSpec:
+    out = spec.copy()
+    for key in list(out.keys):
+        out.delete(key)
+    out.add_key(name="home", qpos=qpos)
+    return out
 
 
 def _of_scene(scene: Path, model: mujoco.MjModel) -> np.ndarray | None:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-import re
 import textwrap
+from xml.etree import ElementTree
+
+import mujoco
 
 
 from dynappo.adopt.gains import Motors
@@ -117,14 +119,37 @@ def _field(name: str, value: float | dict[str, float]) -> str:
     return f"    task.{name} = {{\n{rows}    }}\n"
 
 
-def mjcf(text: str, robot_name: str, source: Source) -> str:
-    """A spec's text with a comment on its origin."""
+def mjcf(spec: mujoco.MjSpec, robot_name: str, source: Source) -> str:
+    """The text of a spec that is compiled, without default classes, with a comment on its origin.
+
+    Classes are left out because MuJoCo writes them as they were read, with materials and actuators that are
+    no longer there; each element has its own numbers instead.
+    """
+    for element in _elements(spec):
+        element.classname = spec.default
+    for body in spec.bodies[1:]:
+        body.childclass = ""
+    root = ElementTree.fromstring(spec.to_xml())
+    for default in root.findall("default"):
+        for nested in default.findall("default"):
+            default.remove(nested)
+        if not len(default):
+            root.remove(default)
+    for size in root.findall("size"):
+        root.remove(size)
     about = (
-        f"  <!--\n    {robot_name}, adopted from {source.xml.name} by `dynappo adopt`: README.md has source, licence "
-        "and\n    every assumption. Geom groups: 2 = looks only, 3 = contact with the floor.\n  -->\n"
+        f"\n    {robot_name}, adopted from {source.xml.name} by `dynappo adopt`: README.md has source, licence and"
+        "\n    every assumption. Geom groups: 2 = looks only, 3 = contact with the floor.\n  "
     )
-    head, rest = re.split(r"(?<=>)\n", text, maxsplit=1)
-    return f"{head}\n{about}{rest}"
+    root.insert(0, ElementTree.Comment(about))
+    ElementTree.indent(root)
+    return ElementTree.tostring(root, "unicode") + "\n"
+
+
+def _elements(spec: mujoco.MjSpec):
+    """All that a default class can say something of."""
+    yield from (*spec.geoms, *spec.joints, *spec.actuators, *spec.meshes, *spec.materials)
+    yield from (*spec.sites, *spec.cameras, *spec.lights, *spec.equalities, *spec.tendons, *spec.pairs)
 
 
 def readme(
