@@ -214,7 +214,7 @@ class _World:
         )
 
     def _with_friction(self, size, models, state, control, warm):
-        """`_roll` of joints slowed by friction of `size` [robots, 1 or A], as they move when a step begins."""
+        """`_roll` of joints that friction of `size` [robots, 1 or A] slows, by speeds when a step begins."""
         found, first = [], 1 + self.model.nq
         for k in range(self.steps):
             velocity = state[:, first:]

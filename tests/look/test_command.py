@@ -94,6 +94,17 @@ def test_a_picture_is_written_or_one_line_says_why_not(tmp_path, monkeypatch, ca
     assert "picture a.png, after 5 s" in capsys.readouterr().out
 
 
+def test_motors_are_told_by_kind_of_joint(capsys):
+    """The PD, and the joint that is nearest to its own limit."""
+    flags = ["--config.task.kp={'.*_calf_joint': 35, '.*': 25}"]
+    flags += ["--config.task.effort_limit={'.*_hip_joint': 2, '.*': 23.7}"]
+    assert run("go1", *flags) == 0
+    said = capsys.readouterr().out
+    kinds = "kp 25 (*_hip_joint *_thigh_joint), 35 (*_calf_joint) N m/rad, kd 0.5 N m s/rad"
+    assert f"PD      {kinds}, a step of 5 ms" in said
+    assert re.search(r"torque  up to 2.0 N m, at .*_hip_joint: \d+% of the limit 2\n", said), said
+
+
 MISTAKES = {  # arguments, what the line must say
     "nothing": ([], "no config given; try: "),
     "unknown": (["wlk"], "--config: no file 'wlk'"),
@@ -105,6 +116,10 @@ MISTAKES = {  # arguments, what the line must say
     "a flag": (["go1", "--fast"], "--fast: no such flag"),
     "a field": (["go1", "--config.task.kq=3"], "--config.task.kq: no such field"),
     "a value": (["go1", "--config.task.kp=-3"], "task.kp"),
+    "a pattern": (
+        ["go1", "--config.task.kp={'.*_knee': 35, '.*': 25}"],
+        "the pattern '.*_knee' of task.kp matches no joint of go1",
+    ),
     "a robot": (["go1", "--config.robot=spot"], "spot"),
 }
 
