@@ -376,7 +376,7 @@ def _floor(spec: mujoco.MjSpec, floor, notes: list[str]) -> None:
     if floor is None:
         size = np.array([0, 0, 0.05])
         floor = spec.worldbody.add_geom(name="floor", type=PLANE, size=size, contype=1, conaffinity=0)
-        floor.condim, floor.priority, floor.margin, floor.gap = 3, 0, 0, 0  # of the file's defaults
+        floor.condim, floor.priority, floor.margin, floor.gap, floor.material = 3, 0, 0, 0, ""
         notes.append("there is no plane in the world: a floor is added")
         return
     moved = floor.pos[2] != 0 or np.any(floor.quat[1:3] != 0)
@@ -434,14 +434,18 @@ def _primitives(spec: mujoco.MjSpec, model: mujoco.MjModel, notes: list[str]) ->
         found.setdefault(one.text(), []).append(geom.name or geom.parent.name or "a body")
         parent = geom.parent
         spec.delete(geom)
-        parent.add_geom(
-            type=one.kind, size=one.size, pos=one.pos, quat=one.quat, mass=0, conaffinity=1, contype=0, **kept
-        )
+        _add(parent, type=one.kind, size=one.size, pos=one.pos, quat=one.quat, **kept)
     if found:
         _unused(spec)
         each = "; ".join(f"{_list(names)}: {text}" for text, names in found.items())
         notes.append(f"meshes and ellipsoids collide as primitives around them: {each}")
     return bool(found)
+
+
+def _add(body, **fields) -> None:
+    """A shape that touches the floor, without mass; what a body's default class has beside it goes."""
+    geom = body.add_geom(mass=0, contype=0, conaffinity=1, material="", meshname="", **fields)
+    geom.fromto = [np.nan] * 6
 
 
 def _above_foot(model, data, geom: int, points: np.ndarray, foot: np.ndarray) -> np.ndarray:
@@ -469,10 +473,8 @@ def _base_part(spec: mujoco.MjSpec, model: mujoco.MjModel, notes: list[str]) -> 
     half = np.sqrt(np.maximum(inertia.sum() - 2 * inertia, 0) * 1.5 / mass)
     half = np.maximum(half, 0.01)
     pos, quat = model.body_ipos[base], model.body_iquat[base]
-    spec.bodies[1].add_geom(
-        type=mujoco.mjtGeom.mjGEOM_BOX,
-        size=half, pos=pos, quat=quat, mass=0, contype=0, conaffinity=1, condim=1, group=COLLISION_GROUP,
-    )
+    box = dict(type=mujoco.mjtGeom.mjGEOM_BOX, size=half, pos=pos, quat=quat)
+    _add(spec.bodies[1], **box, condim=1, group=COLLISION_GROUP)
     text = " x ".join(f"{2 * x:.3g}" for x in half)
     notes.append(f"the base has no shape: a box of its mass and inertia is added, {text} m")
     return True
