@@ -2,7 +2,11 @@
 
 - `robot`: loads a robot's file, and what the task needs to know about it
 - `mjcf`: compiles an MJCF, with errors in one line; what a policy carries may read no file
-- `robot_contract`: checks the rules that a robot's file must keep
+- `complete`: puts in place what a robot's file lacks, and says so
+- `feet`: which of a robot's shapes are its feet
+- `fit`: the smallest primitive around a mesh
+- `robot_contract`: checks the rules that remain
+- `kinematics`: where the feet are at given joint angles
 - `actuators`: from a policy's action to joint torques
 - `motors`: a robot with the motors that a config says, joint by joint
 - `engine`: a control step: PD, motor limits, physics steps, contacts by geometry
@@ -13,5 +17,5 @@
 - `contacts`: how a robot's primitives touch the floor
 
 The task and the commands import it; it imports `types` and `config`. `robot`, `mjcf`,
-`robot_contract`, `contacts`, `motors` and `actuators` need no JAX.
+`complete`, `feet`, `fit`, `robot_contract`, `kinematics`, `contacts`, `motors` and `actuators` need no JAX.
 """

@@ -168,7 +168,8 @@ def _merge(spec: mujoco.MjSpec, notes: list[str]) -> None:
     """Bodies without a joint become part of their parents."""
     fixed = [body.name or "a body" for body in spec.bodies[1:] if not body.joints]
     for exclude in list(spec.excludes):  # nothing collides with the robot but the floor
-        if fixed or "world" not in (exclude.bodyname1, exclude.bodyname2):
+        bodies = {exclude.bodyname1, exclude.bodyname2}
+        if "world" not in bodies or bodies & set(fixed):
             spec.delete(exclude)
     if not fixed:
         return
@@ -196,6 +197,8 @@ def _keys(spec: mujoco.MjSpec, poses: list[np.ndarray], notes: list[str]) -> Non
         if len(pose) == size - 7 and spec.worldbody.bodies[0].joints[0].name == ADDED:
             pose = np.concatenate([[0, 0, 0, 1, 0, 0, 0], pose])
         if len(pose) != size:
+            if key.name == "home":
+                notes.append(f"the keyframe home is left out: it has {len(pose)} numbers, not {size}")
             spec.delete(key)
             continue
         if not np.array_equal(key.qpos, pose):
@@ -214,7 +217,7 @@ def _pose(spec: mujoco.MjSpec, model: mujoco.MjModel, notes: list[str]) -> bool:
     home = np.array(model.qpos0 if key is None else key.qpos)
     if key is None:
         key = spec.add_key(name="home")
-        notes.append("there is no keyframe: the home pose has all joints at rest")
+        notes.append("no keyframe fits: the home pose has all joints at rest")
     before = np.array(key.qpos)
     low, high = ranges(model).T
     inside = np.clip(home[7:], low, high)
@@ -258,7 +261,12 @@ def _shapes(spec: mujoco.MjSpec, notes: list[str]) -> list:
     paired = {name for pair in spec.pairs for name in (pair.geomname1, pair.geomname2)}
     collide = [g for g in _on_robot(spec) if g.contype or g.conaffinity]
     shapes = [g for g in collide if g.group != VISUAL_GROUP] or collide
-    meant = [g for g in _on_robot(spec) if g.name and g.name in paired]
+    # a foot is one by its name, whatever its numbers say
+    feet_too = [g for g in collide if g.group == VISUAL_GROUP] + [
+        g for g in _on_robot(spec) if g.group != VISUAL_GROUP and g.type in fit.KINDS
+    ]
+    meant = [g for g in feet_too if feet.NAME.fullmatch(g.name)]
+    meant += [g for g in _on_robot(spec) if g.name and g.name in paired and g not in meant]
     meant += [g for g in shapes if g not in meant]
     if not shapes:
         plain = [
@@ -352,18 +360,22 @@ def _motors(spec: mujoco.MjSpec, model: mujoco.MjModel, notes: list[str]) -> boo
             continue
         joint, gear = spec.joint(model.joint(actuator).name), model.actuator_gear[i, 0]
         joint.armature += gear**2 * model.actuator_armature[i]
-        joint.damping[0] += gear**2 * model.actuator_damping[i]
+        damping = [model.actuator_damping[i], *model.actuator_dampingpoly[i]]
+        joint.damping = joint.damping + abs(gear) ** np.arange(2, 2 + len(damping)) * damping
     for actuator in list(spec.actuators):
         spec.delete(actuator)
     for key in spec.keys:
         key.ctrl, key.act = [], []
     for i in range(1, model.njnt):
         name = model.joint(i).name
-        spec.joint(name).actfrclimited = OFF
+        joint = spec.joint(name)
+        joint.actfrclimited, joint.actfrcrange = OFF, [0, 0]
         motor = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
         motor.set_to_motor()
         motor.gear, motor.armature, motor.damping = [1, 0, 0, 0, 0, 0], 0, [0, 0, 0]
-        motor.ctrllimited = motor.forcelimited = motor.actlimited = OFF  # of the file's defaults
+        # of the file's defaults
+        motor.ctrllimited = motor.forcelimited = motor.actlimited = OFF
+        motor.ctrlrange, motor.forcerange, motor.actrange = [0, 0], [0, 0], [0, 0]
         motor.delay, motor.nsample, motor.group = 0, 0, 0
     spec.option.disableactuator = 0
     what = f"{had} actuators are replaced by" if had else "there are no actuators, but now"
@@ -376,18 +388,19 @@ def _floor(spec: mujoco.MjSpec, floor, notes: list[str]) -> None:
     if floor is None:
         size = np.array([0, 0, 0.05])
         floor = spec.worldbody.add_geom(name="floor", type=PLANE, size=size, contype=1, conaffinity=0)
-        floor.condim, floor.priority, floor.margin, floor.gap = 3, 0, 0, 0  # of the file's defaults
+        floor.condim, floor.priority, floor.margin, floor.gap, floor.material = 3, 0, 0, 0, ""
         notes.append("there is no plane in the world: a floor is added")
         return
     moved = floor.pos[2] != 0 or np.any(floor.quat[1:3] != 0)
-    if floor.name != "floor" or moved:
-        was = floor.name or "the plane"
-        notes.append(f"{was} is the floor, level at height 0")
+    if floor.name != "floor":
+        notes.append(f"the plane {floor.name or 'without a name'} is the floor")
+    if moved:
+        notes.append("the floor is made level, at height 0")
+    if (floor.contype, floor.conaffinity) != (1, 0):
+        notes.append("the floor touches shapes of contype 0 (contype 1, conaffinity 0)")
     if moved:
         floor.pos, floor.quat = [*floor.pos[:2], 0], [1, 0, 0, 0]
     floor.name, floor.contype, floor.conaffinity = "floor", 1, 0
-    if floor.group == VISUAL_GROUP:
-        floor.group = 0
 
 
 def _feet(spec: mujoco.MjSpec, model: mujoco.MjModel, notes: list[str]) -> bool:
@@ -434,14 +447,18 @@ def _primitives(spec: mujoco.MjSpec, model: mujoco.MjModel, notes: list[str]) ->
         found.setdefault(one.text(), []).append(geom.name or geom.parent.name or "a body")
         parent = geom.parent
         spec.delete(geom)
-        parent.add_geom(
-            type=one.kind, size=one.size, pos=one.pos, quat=one.quat, mass=0, conaffinity=1, contype=0, **kept
-        )
+        _add(parent, type=one.kind, size=one.size, pos=one.pos, quat=one.quat, **kept)
     if found:
         _unused(spec)
         each = "; ".join(f"{_list(names)}: {text}" for text, names in found.items())
         notes.append(f"meshes and ellipsoids collide as primitives around them: {each}")
     return bool(found)
+
+
+def _add(body, **fields) -> None:
+    """A shape that touches the floor, without mass; what a body's default class has beside it goes."""
+    geom = body.add_geom(mass=0, contype=0, conaffinity=1, material="", meshname="", **fields)
+    geom.fromto = [np.nan] * 6
 
 
 def _above_foot(model, data, geom: int, points: np.ndarray, foot: np.ndarray) -> np.ndarray:
@@ -469,10 +486,8 @@ def _base_part(spec: mujoco.MjSpec, model: mujoco.MjModel, notes: list[str]) -> 
     half = np.sqrt(np.maximum(inertia.sum() - 2 * inertia, 0) * 1.5 / mass)
     half = np.maximum(half, 0.01)
     pos, quat = model.body_ipos[base], model.body_iquat[base]
-    spec.bodies[1].add_geom(
-        type=mujoco.mjtGeom.mjGEOM_BOX,
-        size=half, pos=pos, quat=quat, mass=0, contype=0, conaffinity=1, condim=1, group=COLLISION_GROUP,
-    )
+    box = dict(type=mujoco.mjtGeom.mjGEOM_BOX, size=half, pos=pos, quat=quat)
+    _add(spec.bodies[1], **box, condim=1, group=COLLISION_GROUP)
     text = " x ".join(f"{2 * x:.3g}" for x in half)
     notes.append(f"the base has no shape: a box of its mass and inertia is added, {text} m")
     return True
@@ -517,4 +532,5 @@ def _camera(spec: mujoco.MjSpec, model: mujoco.MjModel, notes: list[str]) -> boo
         quat=quat,
         fovy=35,
     )
+    notes.append("a camera track is added")
     return True

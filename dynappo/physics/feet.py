@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 
 import mujoco
@@ -121,9 +120,13 @@ def _titles(model: mujoco.MjModel, bodies: list[int]) -> list[str]:
 def _common(names: list[str]) -> str:
     """What names begin with, or end with, as whole words: FL of FL_hip and FL_knee."""
     words = [[w for w in re.split(r"[_\-. /]", name) if w.lower() != "joint"] for name in names]
+    longest = min(map(len, words), default=1) - 1  # a joint has a word of its own
     for turn in (1, -1):
-        same = os.path.commonprefix([w[::turn] for w in words])
-        same = same[: min(map(len, words), default=1) - 1]  # a joint has a word of its own
+        same: list[str] = []
+        for each in zip(*(w[::turn] for w in words), strict=False):
+            if len(set(each)) > 1 or len(same) == longest:
+                break
+            same.append(each[0])
         if same:
             return "_".join(same[::turn])
     return ""

@@ -1,10 +1,10 @@
 """Checks what a robot is, after `complete` has put in place what a file may lack.
 
 - one top-level body with a free joint: the base; below it any tree of hinge joints, each with a name;
-- at least one foot, not in the base: one or several shapes `NAME_foot`, `NAME_foot1`, ..., all in one body;
+- at least one foot, not in the base: one or several shapes `NAME_foot`, `NAME_foot1`, ..., all in one body, which
+  has no other foot;
 - feet and all other shapes are boxes, spheres, capsules or cylinders, on the robot; they touch the floor
-  (`conaffinity`), and nothing else: only the floor has a `contype`. So the robot never collides with itself,
-  but for pairs in `contact`; a foot has none, for its friction is the geom's;
+  (`conaffinity`), and nothing else: only the floor has a `contype`, so the robot never collides with itself;
 - feet have a higher priority than the floor, so that their friction holds;
 - one `motor` per joint, named and ordered as the joints, gear 1; `actuators.py` has PD and limits;
 - the state is positions and velocities: no activations, no delays; no plugins, no flexes;
@@ -23,6 +23,8 @@ import mujoco
 import numpy as np
 
 from dynappo.physics import contacts, feet
+
+AT_FLOOR = 1e-3  # m above the lowest foot
 
 
 def check(model: mujoco.MjModel) -> None:
@@ -113,6 +115,9 @@ def _check_geoms(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
         inside = {model.body(i).name for i in bodies[foot_of == foot]}
         rule = f"the shapes of the foot {name} in one body; name the others differently"
         _expect(len(inside) == 1, rule, ", ".join(sorted(inside)))
+    rule = "one foot in a body"
+    crowded = [i for i in np.unique(bodies) if len(np.unique(foot_of[bodies == i])) > 1]
+    _expect(not crowded, rule, ", ".join(f"more in {model.body(i).name}" for i in crowded))
     odd = listed(shapes[bodies <= model.jnt_bodyid[0]])
     _expect(not odd, "feet in bodies that joints move, not in the base", odd)
     over = model.geom_priority[shapes] > floor.priority
@@ -139,6 +144,7 @@ def _check_home(model: mujoco.MjModel, shapes: np.ndarray, parts: np.ndarray) ->
     geoms = names(model.ngeom, model.geom)
     lowest = feet.lowest_points(model, home, shapes).min()
     _expect(abs(lowest) < 0.01, "the keyframe home with the lowest foot on the floor")
-    under = [geoms[i] for i in parts[feet.lowest_points(model, home, parts) < 0]]
+    under = feet.lowest_points(model, home, parts) < max(lowest, 0) + AT_FLOOR
+    under = [geoms[i] for i in parts[under]]
     rule = "no part but the feet at the floor in the home pose; name it NAME_foot, or give a keyframe home"
     _expect(not under, rule, ", ".join(under))

@@ -73,7 +73,7 @@ def check(config, env: Any = None) -> None:
     if config.ppo.symmetry:
         mirror.check_motors(config.task, loaded)
     engine.check(loaded, config.physics, impl)
-    memory.check(config, memory.limit(devices.local(config.run.device)))
+    memory.check(config, loaded, memory.limit(devices.local(config.run.device)))
 
 
 def slower(program: Program, config) -> str:

@@ -44,6 +44,13 @@ WORDS = {
     "neq": "equality constraints",
     "ntendon": "tendons",
     "npair": "contact pairs",
+    "body_parentid": "limbs that are not chains of three links from the base",
+    "jnt_bodyid": "several joints in a link",
+    "body_quat": "turned frames",
+    "jnt_pos": "joints beside their link's origin",
+    "qpos0": "a joint's ref",
+    "jnt_limited": "joints without a range",
+    "geom_type": "feet that are no spheres",
     "geom_adhesion": "adhesion",
     "geom_surfacevel": "moving surfaces",
     "body_gravcomp": "gravity compensation",
@@ -76,8 +83,10 @@ def declines(model: mujoco.MjModel, feet: np.ndarray, every: bool) -> str:
 
     `feet` are geom ids. `every`: parts at the ground are wanted of each physics step.
     """
-    if (model.nbody, model.njnt, len(feet)) != (2 + LINKS, 1 + LINKS, LEGS):
-        return f"other limbs than {LEGS} legs of {LINKS // LEGS} joints"
+    last = np.arange(1 + LINKS // LEGS, 2 + LINKS, LINKS // LEGS)  # bodies of the legs, leg by leg
+    same = (model.nbody, model.njnt) == (2 + LINKS, 1 + LINKS)
+    if not (same and np.array_equal(model.geom_bodyid[feet], last)):
+        return f"other limbs than {LEGS} legs of {LINKS // LEGS} joints, with a sphere as foot"
     touching = [model.geom("floor").id, *feet]  # of other geoms it matters only that they do not
     expects = fields(_plain(model, feet))
     for name, found in fields(model).items():
