@@ -36,7 +36,6 @@ class Robot(NamedTuple):
     feet: np.ndarray  # [S] geom ids of the feet's shapes, foot by foot
     foot_of: np.ndarray  # [S] the number of the foot that a shape belongs to
     foot_names: tuple[str, ...]  # [F] as FL of the geom FL_foot
-    foot_radius: np.ndarray  # [F] m
     parts: np.ndarray  # [G] geom ids
     base_body: int
     text: str  # its MJCF, if it comes from a policy or a checkpoint; else ""
@@ -84,7 +83,6 @@ def _robot(name: str, xml: Path, text: str, alone: str) -> Robot:
         feet=feet,
         foot_of=np.arange(len(feet)),
         foot_names=tuple(model.geom(i).name.removesuffix("_foot") for i in feet),
-        foot_radius=model.geom_size[feet, 0],
         parts=parts,
         base_body=int(model.jnt_bodyid[0]),
         text=text,

@@ -20,6 +20,7 @@ import numpy as np
 from dynappo.physics import robot as robot_lib
 
 LEGS, LINKS = 4, 12  # of the kernel's robot: a base, and legs of three links, each with a hinge
+ENDS = range(1 + LINKS // LEGS, 2 + LINKS, LINKS // LEGS)  # the last links, as bodies of a model
 # fields without a say in how a robot moves, as patterns
 HARMLESS = (
     # looks, names, notes, what is only measured, poses to start from; and their sizes
@@ -54,6 +55,7 @@ WORDS = {
     "dof_damping": "damping of the base",
     "dof_dampingpoly": "nonlinear damping",
     "dof_armature": "armature of the base",
+    "geom_type": "feet that are no spheres",
     "geom_condim": "feet of another condim",
     "geom_margin": "contact margins",
     "geom_gap": "contact gaps",
@@ -74,10 +76,12 @@ WORDS = {
 def declines(model: mujoco.MjModel, feet: np.ndarray, every: bool) -> str:
     """What a model that keeps the contract has that the kernel does not compute; "" if nothing.
 
-    `feet` are geom ids. `every`: parts at the ground are wanted of each physics step.
+    `feet` are the geom ids of their shapes. `every`: parts at the ground are wanted of each physics step.
     """
     if (model.nbody, model.njnt, len(feet)) != (2 + LINKS, 1 + LINKS, LEGS):
-        return f"other limbs than {LEGS} legs of {LINKS // LEGS} joints"
+        return f"other limbs than {LEGS} legs of {LINKS // LEGS} joints, each with one sphere for a foot"
+    if (model.geom_bodyid[feet] != ENDS).any():
+        return "feet elsewhere than at the ends of the legs, in their order"
     touching = [model.geom("floor").id, *feet]  # of other geoms it matters only that they do not
     expects = fields(_plain(model, feet))
     for name, found in fields(model).items():

@@ -171,7 +171,8 @@ def _at_start(const: Constants, hyper: Hyper, key) -> State:
     low, high = r.joint_scale
     joints = default * (low + (high - low) * scale)
     joints = jnp.clip(joints, *_soft_limits(const, hyper))
-    lowest = (robot_lib.feet_in_base(const.legs, joints)[:, 2] - const.robot.foot_radius).min()
+    radius = const.robot.mj_model.geom_size[const.robot.feet, 0]
+    lowest = (robot_lib.feet_in_base(const.legs, joints)[:, 2] - radius).min()
     height = jnp.maximum(r.spawn_height, r.foot_clearance - lowest)
     xy = (2 * xy - 1) * r.position
     yaw = (2 * yaw[0] - 1) * r.yaw
@@ -179,7 +180,7 @@ def _at_start(const: Constants, hyper: Hyper, key) -> State:
     quat = jnp.stack([jnp.cos(yaw / 2), yaw * 0, yaw * 0, jnp.sin(yaw / 2)])
     qpos = jnp.concatenate([xy, height[None], quat, joints])
     qvel = jnp.concatenate([velocity, default * 0])
-    feet, none = jnp.zeros(len(const.robot.feet), jnp.int32), jnp.zeros((), jnp.int32)
+    feet, none = jnp.zeros(len(const.robot.foot_names), jnp.int32), jnp.zeros((), jnp.int32)
     return State(
         qpos=qpos,
         qvel=qvel,
@@ -194,8 +195,8 @@ def _at_start(const: Constants, hyper: Hyper, key) -> State:
         air_steps=feet,
         contact_steps=feet,
         last_air_steps=feet,
-        peak=jnp.zeros(len(const.robot.feet)),
-        last_peak=jnp.zeros(len(const.robot.feet)),
+        peak=jnp.zeros(len(const.robot.foot_names)),
+        last_peak=jnp.zeros(len(const.robot.foot_names)),
         clock=none,
         episode_steps=none,
         push_in=pushes.wait(hyper.task.push, const.dt, wait[0]),
