@@ -82,10 +82,10 @@ def keep(
     robot, i = wp.tid()
     count = first.shape[0] - 1
     if i < count:
-        height = 0.0
+        height = wp.float32(wp.inf)
         for k in range(first[i], first[i + 1]):
             sole = _lowest(soles[k], geom_xpos[robot, feet[k]], geom_xmat[robot, feet[k]])
-            if k == first[i] or not (sole >= height):  # what is no number stays none
+            if not (sole >= height):  # not `min`, which would lose what is no number
                 height = sole
         contact = height < 0.0
         if contact and air_steps[robot, i] > 0:
