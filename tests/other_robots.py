@@ -5,8 +5,10 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from dynappo import config as config_lib
 from dynappo.physics import contacts
 from dynappo.physics import robot as robot_lib
+from dynappo.policy import policy_file
 
 # the shapes of a biped's feet; of a geom: `pos` is from the ankle
 BOX = '<geom name="{}_foot" type="box" size=".09 .04 .015" pos=".02 0 -.03" class="foot"/>'
@@ -147,3 +149,16 @@ def surface(model, data, geom):
     angles = np.linspace(0, 2 * np.pi, 20_000)
     rim = np.stack([size[0] * np.cos(angles), size[0] * np.sin(angles), 0 * angles], -1)
     return np.concatenate([rim + end * size[1] * along for end in (-1, 1)]) @ turn.T
+
+
+def policy(robot, size=0.0):
+    """A policy of Go1's numbers for a robot: its actor gives zero, or moves the joints by `size`."""
+    config = config_lib.validate(config_lib.load("configs/go1.py"))
+    joints, rng = len(robot.joint_names), np.random.default_rng(0)
+    layers, wide = {}, 12 + 3 * joints
+    for i, out in enumerate((8, joints)):
+        kernel = size * rng.normal(size=(wide, out)) / np.sqrt(wide)
+        layers[f"Dense_{i}"] = {"kernel": kernel.astype(np.float32), "bias": np.zeros(out, "f4")}
+        wide = out
+    params = {"actor": {"params": layers}, "std": np.ones(joints, np.float32)}
+    return policy_file.describe(config, robot, params)

@@ -148,7 +148,8 @@ def test_steps_in_c_are_those_of_a_plain_loop(world, in_c):
 @pytest.mark.slow
 @pytest.mark.parametrize("impl", ["jax", "warp"])
 def test_other_engines_make_the_same_steps(world, in_c, impl):
-    """Each from the state that C MuJoCo has reached."""
+    """Each from the state that C MuJoCo has reached. Measured: median 1e-7 m or rad and 7e-6 rad/s, four fifths
+    below 2e-7 and 2e-5; but in MJX only those corners of a box touch that are within 1 mm of the deepest."""
     if impl == "warp":
         pytest.importorskip("warp")
     run, errors = runs(world, impl), {}
@@ -158,9 +159,10 @@ def test_other_engines_make_the_same_steps(world, in_c, impl):
             error = np.abs(getattr(found, name) - getattr(expected, name)).max(-1)
             errors.setdefault(name, []).extend(error)
     found = {name: np.quantile(error, [0.5, 0.8]) for name, error in errors.items()}
-    print(impl, world.robot.name, found)
-    bounds = dict(qpos=(1e-5, 1e-4), qvel=(1e-4, 1e-2), lowest=(1e-5, 1e-4))
-    bounds |= dict(peak=(1e-5, 1e-4), last_peak=(1e-5, 1e-4)) | dict.fromkeys(CLOCKS, (0, 0))
+    bounds = dict.fromkeys(("qpos", "lowest", "peak", "last_peak"), (1e-6, 2e-6))
+    bounds |= dict(qvel=(5e-5, 2e-4)) | dict.fromkeys(CLOCKS, (0, 0))
+    if impl == "jax" and contacts.BOX in world.robot.mj_model.geom_type[world.robot.feet]:
+        bounds |= dict(qpos=(1e-6, 5e-3), qvel=(5e-5, 1.0))
     for name, bound in bounds.items():
         assert (found[name] <= bound).all(), (name, found[name])
 
