@@ -7,7 +7,6 @@ import numpy as np
 import warp as wp
 
 from dynappo import config as config_lib
-from dynappo.physics import contacts
 from dynappo.physics import robot as robot_lib
 from dynappo.physics.warp import arrays, quadruped
 
@@ -23,9 +22,7 @@ class Case:
         config.physics.update(iterations=30, ls_iterations=30)
         self.robot = robot = robot or robot_lib.load(name)
         self.model = model = robot_lib.physics_model(robot, config.physics)
-        floor = np.column_stack(contacts.floor_distance(model, robot.parts))
-        radius, parts = robot.foot_radius, robot.parts
-        self.shape = arrays.Shape(substeps, False, robot.feet, radius, parts, floor)
+        self.shape = arrays.shape(model, robot, substeps, False)
         rng = np.random.default_rng(0)
         qpos = np.tile(model.key("home").qpos, (ROBOTS, 1))
         qpos[:, 2] -= rng.uniform(0, 0.05, ROBOTS)

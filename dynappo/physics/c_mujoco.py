@@ -33,7 +33,7 @@ import numpy as np
 from mujoco import rollout
 
 from dynappo.config import ConfigError
-from dynappo.physics import actuators, motors, xla_call
+from dynappo.physics import actuators, contacts, motors, xla_call
 from dynappo.physics import robot as robot_lib
 
 # the numbers that define a robot's model, in the order of the last argument of a call; of those of the
@@ -63,9 +63,9 @@ class Moved(NamedTuple):
     qacc_warmstart: Any
     torque: Any  # [A] N m, of the motors in the last physics step
     qd_before: Any  # [A] rad/s, before it
-    feet: Any  # [n, F] m, heights of the feet's centres
+    feet: Any  # [n, S] m, heights of the centres of the feet's shapes
     height: Any  # [n, G] m, of the parts' centres
-    quat: Any  # [n, G, 4], orientations of the parts
+    quat: Any  # orientations, [n, G, 4] of the parts, or [n, S + G, 4] where feet are no spheres
 
 
 def cores(threads: int) -> int:
@@ -102,25 +102,34 @@ def make(robot: robot_lib.Robot, physics, varied: frozenset[str], rubs: bool = F
         xla_call.register(name, _World(robot, model, steps, threads, varied).step)
     parts, feet = len(robot.parts), len(robot.feet)
     shapes = (model.nq,), (model.nv,), (model.nv,), (model.nu,), (model.nu,)
-    shapes += (steps, feet), (steps, parts), (steps, parts, 4)
+    shapes += (steps, feet), (steps, parts), (steps, len(_turned(robot)), 4)
     shapes = [jax.ShapeDtypeStruct(shape, jnp.float32) for shape in shapes]
     # declared as a side effect, so that JAX waits for it before Python ends (xla_call.py)
     call = jax.ffi.ffi_call(name, shapes, vmap_method="broadcast_all", has_side_effect=True)
     return lambda *args: Moved(*call(*args))
 
 
+def _turned(robot: robot_lib.Robot) -> np.ndarray:
+    """The geoms of which it matters how they are turned: the parts, and before them feet of which one
+    is no sphere."""
+    spheres = (robot.mj_model.geom_type[robot.feet] == contacts.SPHERE).all()
+    return robot.parts if spheres else np.concatenate([robot.feet, robot.parts])
+
+
 def _model(robot: robot_lib.Robot, physics) -> mujoco.MjModel:
     """The robot's model with sensors for the geoms, and DC motors that hold a joint angle."""
     spec = robot_lib.physics_spec(robot.xml, robot.text)
     geom, kinds = mujoco.mjtObj.mjOBJ_GEOM, mujoco.mjtSensor
-    feet, parts = ([spec.geoms[i] for i in ids] for ids in (robot.feet, robot.parts))
+    feet, parts, turned = (
+        [spec.geoms[i] for i in ids] for ids in (robot.feet, robot.parts, _turned(robot))
+    )
     for sensor in list(spec.sensors):  # the file's own
         spec.delete(sensor)
     for i, shape in enumerate(spec.geoms):
         shape.name = shape.name or f"geom {i}"
     for kind, shapes in (
         (kinds.mjSENS_FRAMEPOS, feet + parts),
-        (kinds.mjSENS_FRAMEQUAT, parts),
+        (kinds.mjSENS_FRAMEQUAT, turned),
     ):
         for shape in shapes:
             spec.add_sensor(type=kind, objtype=geom, objname=shape.name)
@@ -175,8 +184,9 @@ class _World:
         else:
             after, sensed = self._roll(*given)
         feet, parts = len(robot.feet), len(robot.parts)
+        turned = len(_turned(robot))
         positions, quats, torque = np.split(
-            sensed, [3 * (feet + parts), 3 * (feet + parts) + 4 * parts], 2
+            sensed, [3 * (feet + parts), 3 * (feet + parts) + 4 * turned], 2
         )
         heights = positions[..., 2::3]
         velocity = after[..., 1 + model.nq :]
@@ -189,7 +199,7 @@ class _World:
             before[:, 6:],
             heights[..., :feet],
             heights[..., feet:],
-            quats.reshape(count, self.steps, parts, 4),
+            quats.reshape(count, self.steps, turned, 4),
         )
         for out, value in zip(outs, found, strict=True):
             out = out.reshape(count, *value.shape[1:])

@@ -1,9 +1,9 @@
 """Simulates one control step: PD, motor limits, four physics steps, contacts by geometry.
 
 Why kinematics are one substep old: `mjx.step` computes geom positions from the coordinates it
-starts from, so after it they are those of 5 ms before. Foot contacts (a foot sphere's centre lower
-than its radius) and the lowest points of other parts are read from them, at no cost; observations
-and rewards are computed from the new qpos and qvel.
+starts from, so after it they are those of 5 ms before. Foot contacts (a foot's lowest point below the
+floor) and the lowest points of other parts are read from them, at no cost; observations and rewards
+are computed from the new qpos and qvel.
 
 Why contact by geometry: it is the same for every engine and needs no contact forces, so the parts
 that must not touch the ground need no collision pairs (`physics.contacts = feet`).
@@ -19,6 +19,7 @@ from __future__ import annotations
 import contextlib
 import io
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple, Protocol
 
 import jax
@@ -45,7 +46,8 @@ class Engine(NamedTuple):
     robot: robot_lib.Robot
     substeps: int
     timestep: float  # s
-    floor: tuple[Any, ...]  # contacts.floor_distance of the parts
+    soles: tuple[Any, ...]  # contacts.floor_distance of the feet's shapes
+    floor: tuple[Any, ...]  # of the parts
     varied: frozenset[str]  # randomize.varied
     remember: bool  # parts at the ground: in any physics step of a control step, or in its last
     lags: bool  # torques follow with the time constant of the body's `lag`
@@ -126,6 +128,7 @@ def make(
         robot=robot,
         substeps=physics.substeps,
         timestep=physics.timestep,
+        soles=contacts.floor_distance(mj_model, robot.feet),
         floor=contacts.floor_distance(mj_model, robot.parts),
         varied=varied,
         remember=remember,
@@ -249,9 +252,11 @@ def _simulate_in_mjx(engine: Engine, body, first: Substeps, target, motor: Motor
     robot = engine.robot
     model = randomize.merge(engine.model, body, robot.base_body, robot.feet, engine.varied)
 
-    def lowest(data):
-        row = data.geom_xmat[robot.parts].reshape(-1, 9)[:, 6:]  # third row of the rotation matrix
-        return _lowest(engine, data.geom_xpos[robot.parts, 2], row)
+    def lowest(distance, geoms, data):
+        row = data.geom_xmat[geoms].reshape(-1, 9)[:, 6:]  # third row of the rotation matrix
+        return contacts.lowest(distance, data.geom_xpos[geoms, 2], row)
+
+    parts = partial(lowest, engine.floor, robot.parts)
 
     def substep(carry, target):
         s, data = carry
@@ -270,11 +275,11 @@ def _simulate_in_mjx(engine: Engine, body, first: Substeps, target, motor: Motor
         if motor.friction is not None:
             felt -= actuators.friction(before, motor.friction)
         data = engine.step(model, data, felt)
-        s = _feet(engine, s, data.geom_xpos[robot.feet, 2])
+        s = _feet(engine, s, lowest(engine.soles, robot.feet, data))
         s = s._replace(
             torque=torque,
             qd_before=before,
-            lowest=jnp.minimum(s.lowest, lowest(data)) if engine.remember else s.lowest,
+            lowest=jnp.minimum(s.lowest, parts(data)) if engine.remember else s.lowest,
         )
         return (s, data), None
 
@@ -283,7 +288,7 @@ def _simulate_in_mjx(engine: Engine, body, first: Substeps, target, motor: Motor
     )
     (s, data), _ = jax.lax.scan(substep, (first, data), target)
     s = s._replace(qpos=data.qpos, qvel=data.qvel, qacc_warmstart=data.qacc_warmstart)
-    return s if engine.remember else s._replace(lowest=lowest(data))
+    return s if engine.remember else s._replace(lowest=parts(data))
 
 
 def _simulate_in_warp(engine: Engine, body, first: Substeps, target, motor: Motor):
@@ -324,13 +329,14 @@ def _simulate_in_c(engine: Engine, body, first: Substeps, target, motor: Motor):
         target,
         jnp.concatenate([jnp.stack(jnp.broadcast_arrays(*own)), motors]),
     )
-    s = first
-    for heights in moved.feet:
-        s = _feet(engine, s, heights)
     w, x, y, z = jnp.moveaxis(moved.quat, -1, 0)
     row = jnp.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], -1)
+    soles, row = jnp.split(row, [row.shape[1] - len(engine.robot.parts)], axis=1)
+    s = first
+    for shapes in contacts.lowest(engine.soles, moved.feet, soles):
+        s = _feet(engine, s, shapes)
     seen = slice(None) if engine.remember else slice(-1, None)
-    lowest = _lowest(engine, moved.height[seen], row[seen]).min(0)
+    lowest = contacts.lowest(engine.floor, moved.height[seen], row[seen]).min(0)
     told = "qpos", "qvel", "qacc_warmstart", "torque", "qd_before"
     return s._replace(lowest=lowest, **{name: getattr(moved, name) for name in told})
 
@@ -338,23 +344,17 @@ def _simulate_in_c(engine: Engine, body, first: Substeps, target, motor: Motor):
 SIMULATE = {"jax": _simulate_in_mjx, "warp": _simulate_in_warp, "c": _simulate_in_c}
 
 
-def _feet(engine: Engine, s: Substeps, heights) -> Substeps:
-    """The feet's timers and heights after one more physics step, which began with feet at `heights` [F]."""
-    radius = jnp.asarray(engine.robot.foot_radius, jnp.float32)
-    contact = heights < radius
+def _feet(engine: Engine, s: Substeps, lowest) -> Substeps:
+    """The feet's timers and heights after one more physics step, which began with the lowest points of
+    their shapes at the heights `lowest` [S]."""
+    of = contacts.of_each_foot(engine.robot.foot_of)
+    height = lowest if of.shape[1] == 1 else lowest[of].min(-1)
+    contact = height < 0
     landed = contact & (s.air_steps > 0)
     return s._replace(
         air_steps=jnp.where(contact, 0, s.air_steps + 1),
         contact_steps=jnp.where(contact, s.contact_steps + 1, 0),
         last_air_steps=jnp.where(landed, s.air_steps + 1, s.last_air_steps),
-        peak=jnp.where(contact, 0.0, jnp.maximum(s.peak, heights - radius)),
+        peak=jnp.where(contact, 0.0, jnp.maximum(s.peak, height)),
         last_peak=jnp.where(landed, s.peak, s.last_peak),
     )
-
-
-def _lowest(engine: Engine, height, row):
-    """Heights of the parts' lowest points [..., G], from those of the centres and `row`, the third
-    row of each rotation matrix [..., G, 3]."""
-    fixed, linear, ring = engine.floor
-    drop = fixed + (linear * jnp.abs(row)).sum(-1)
-    return height - (drop + ring * jnp.sqrt(jnp.maximum(1 - row[..., 2] ** 2, 0)))

@@ -35,7 +35,6 @@ class Robot(NamedTuple):
     feet: np.ndarray  # [S] geom ids of the feet's shapes, foot by foot
     foot_of: np.ndarray  # [S] the number of the foot that a shape belongs to
     foot_names: tuple[str, ...]  # [F] as FL of the geom FL_foot
-    foot_radius: np.ndarray  # [F] m
     parts: np.ndarray  # [G] geom ids
     base_body: int
     text: str  # its MJCF, if it comes from a policy or a checkpoint; else ""
@@ -83,7 +82,6 @@ def _robot(name: str, xml: Path, text: str = "") -> Robot:
         feet=shapes,
         foot_of=foot_of,
         foot_names=foot_names,
-        foot_radius=model.geom_size[shapes, 0],
         parts=robot_contract.parts_of(model),
         base_body=int(model.jnt_bodyid[0]),
         text=text,

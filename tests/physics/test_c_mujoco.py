@@ -62,7 +62,7 @@ def place(name, touching="feet", rubs=False, each=False, **physics):
     for row in qpos:
         data.qpos[:] = row
         mujoco.mj_kinematics(robot.mj_model, data)
-        feet = data.geom_xpos[robot.feet, 2] - robot.foot_radius
+        feet = data.geom_xpos[robot.feet, 2] - robot.mj_model.geom_size[robot.feet, 0]
         row[2] -= min(feet.min(), lowest(robot, data).min()) + rng.uniform(-0.01, 0.02)
     clocks = rng.integers(0, 9, (3, ROBOTS, 4), np.int32)
     clocks[1] *= clocks[0] == 0  # a foot is in the air or on the ground
@@ -136,7 +136,7 @@ def by_hand(world, i):
             data.qfrc_applied[6:] = -rubbing * np.tanh(before / 0.2)
             mujoco.mj_step(model, data)  # leaves the geoms where it began
             depths.append(lowest(robot, data))
-            height = data.geom_xpos[robot.feet, 2] - robot.foot_radius
+            height = data.geom_xpos[robot.feet, 2] - robot.mj_model.geom_size[robot.feet, 0]
             down = height < 0
             last_peak = np.where(down & (air > 0), peak, last_peak)
             peak = np.where(down, 0, np.maximum(peak, height))

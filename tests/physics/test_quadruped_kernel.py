@@ -45,7 +45,7 @@ def test_a_physics_step_is_that_of_c_mujoco(case):
         drop = fixed + (linear * abs(row)).sum(-1) + ring * np.sqrt(1 - row[:, 2] ** 2)
         low = data.geom_xpos[case.robot.parts, 2] - drop
         np.testing.assert_allclose(found["lowest"][i], low, atol=1e-6)
-        height = data.geom_xpos[case.robot.feet, 2] - case.robot.foot_radius
+        height = data.geom_xpos[case.robot.feet, 2] - model.geom_size[case.robot.feet, 0]
         np.testing.assert_array_equal(found["contact_steps"][i], height < 0)
         np.testing.assert_array_equal(found["air_steps"][i], height >= 0)
         np.testing.assert_allclose(found["peak"][i], np.maximum(height, 0), atol=1e-6)

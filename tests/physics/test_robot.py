@@ -138,7 +138,7 @@ def test_joints_come_leg_by_leg_from_hip_to_knee(loaded, facts, name):
 def test_feet_have_the_published_radius_and_centre_in_the_order_of_the_legs(loaded, facts, name):
     model = loaded.mj_model
     assert [model.geom(i).name for i in loaded.feet] == [f"{g}_foot" for g in LEGS[name].split()]
-    np.testing.assert_allclose(loaded.foot_radius, facts["foot"]["radius"], atol=1e-6)
+    np.testing.assert_allclose(model.geom_size[loaded.feet, 0], facts["foot"]["radius"], atol=1e-6)
     for foot, leg in zip(loaded.feet, LEGS[name].split(), strict=True):
         centre = facts["foot"]["centre_in_last_body"][leg]
         np.testing.assert_allclose(model.geom_pos[foot], centre, atol=1e-6)
@@ -172,7 +172,8 @@ def test_in_the_default_pose_the_feet_are_where_published_and_the_lowest_touch_t
         np.testing.assert_allclose(centre - base, expected, atol=1e-6, err_msg=leg)
     height = published["base_height_with_lowest_foot_on_ground"]
     assert loaded.home_qpos[2] == pytest.approx(height, abs=1e-5)
-    assert (centres[:, 2] - loaded.foot_radius).min() == pytest.approx(0, abs=1e-5)
+    radius = loaded.mj_model.geom_size[loaded.feet, 0]
+    assert (centres[:, 2] - radius).min() == pytest.approx(0, abs=1e-5)
     np.testing.assert_array_equal(loaded.home_qpos[[0, 1, 3, 4, 5, 6]], [0, 0, 1, 0, 0, 0])
 
 

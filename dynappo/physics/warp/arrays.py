@@ -6,6 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from dynappo.physics import contacts
+
 STATE = 11  # a call's first arrays, which differ between robots
 CARRIED = (  # changed in place
     "qpos",
@@ -31,15 +33,26 @@ class Shape(NamedTuple):
 
     substeps: int
     every: bool  # parts at the ground in every physics step, not only in the last
-    feet: np.ndarray
-    radius: np.ndarray
-    parts: np.ndarray
-    floor: np.ndarray  # [G, 5]
+    feet: np.ndarray  # [S] geoms, foot by foot
+    first: np.ndarray  # [F + 1] where each foot's shapes begin, and the last's end
+    soles: np.ndarray  # [S, 5] contacts.floor_distance of the feet's shapes
+    parts: np.ndarray  # [G] geoms
+    floor: np.ndarray  # [G, 5] of the parts
+
+
+def shape(mj_model, robot, substeps: int, every: bool) -> Shape:
+    """Of `robot`, in its compiled model."""
+    soles, floor = (
+        np.column_stack(contacts.floor_distance(mj_model, geoms))
+        for geoms in (robot.feet, robot.parts)
+    )
+    first = np.searchsorted(robot.foot_of, np.arange(len(robot.foot_names) + 1))
+    return Shape(substeps, every, robot.feet, first, soles, robot.parts, floor)
 
 
 def sizes(mj_model, shape: Shape) -> dict[str, tuple[int, ...]]:
     """The arrays of a call, in its order, and their shapes behind the robots' axis."""
-    joints, foot, parts = (mj_model.nu,), (len(shape.feet),), (len(shape.parts),)
+    joints, foot, parts = (mj_model.nu,), (len(shape.first) - 1,), (len(shape.parts),)
     return {
         "qpos": (mj_model.nq,),
         "qvel": (mj_model.nv,),

@@ -20,6 +20,7 @@ import numpy as np
 from dynappo.physics import robot as robot_lib
 
 LEGS, LINKS = 4, 12  # of the kernel's robot: a base, and legs of three links, each with a hinge
+ENDS = range(1 + LINKS // LEGS, 2 + LINKS, LINKS // LEGS)  # the last links, as bodies of a model
 # fields without a say in how a robot moves, as patterns
 HARMLESS = (
     # looks, names, notes, what is only measured, poses to start from; and their sizes
@@ -61,6 +62,7 @@ WORDS = {
     "dof_damping": "damping of the base",
     "dof_dampingpoly": "nonlinear damping",
     "dof_armature": "armature of the base",
+    "geom_type": "feet that are no spheres",
     "geom_condim": "feet of another condim",
     "geom_margin": "contact margins",
     "geom_gap": "contact gaps",
@@ -81,7 +83,7 @@ WORDS = {
 def declines(model: mujoco.MjModel, feet: np.ndarray, every: bool) -> str:
     """What a model that keeps the contract has that the kernel does not compute; "" if nothing.
 
-    `feet` are geom ids. `every`: parts at the ground are wanted of each physics step.
+    `feet` are the geom ids of their shapes. `every`: parts at the ground are wanted of each physics step.
     """
     last = np.arange(1 + LINKS // LEGS, 2 + LINKS, LINKS // LEGS)  # bodies of the legs, leg by leg
     same = (model.nbody, model.njnt) == (2 + LINKS, 1 + LINKS)
