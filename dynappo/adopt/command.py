@@ -122,7 +122,11 @@ def completed(file: source.Source, name: str) -> tuple[mujoco.MjSpec, robot_lib.
             told += [*done.notes, *normal.solver(done.spec, float(done.model.body_mass.sum()))]
             told += [*normal.feet(done.spec), *normal.frames(done.spec, done.spec.compile())]
             done.spec.compile()
-            return done.spec, robot_lib.load_text(done.spec.to_xml(), name, file.xml), told
+            robot = robot_lib.load_text(done.spec.to_xml(), name, file.xml)
+            if cut := normal.shanks(done.spec, robot):
+                done.spec.compile()
+                told, robot = [*told, *cut], robot_lib.load_text(done.spec.to_xml(), name, file.xml)
+            return done.spec, robot, told
         except (ValueError, ConfigError) as error:
             problem = problem or error
     assert problem

@@ -7,12 +7,19 @@ import numpy as np
 
 from dynappo.adopt import gains
 from dynappo.adopt.source import Published
+from dynappo.physics import robot as robot_lib
 
 HEAVY = 30.0  # kg, from which on feet creep apart with impratio 1
 FRICTION = 0.8  # of the feet, which `task.randomize.friction` assumes
 FIRM = 0.9, 0.95  # solimp of the feet: with Menagerie's 0.015 they sink in and slide apart
 SOFTEST = 0.8
 WIDE = 9.42  # rad, of a joint without a range
+CLEAR = 1.1  # of a foot's radius
+BOX, SPHERE, CAPSULE = (
+    mujoco.mjtGeom.mjGEOM_BOX,
+    mujoco.mjtGeom.mjGEOM_SPHERE,
+    mujoco.mjtGeom.mjGEOM_CAPSULE,
+)
 QUAT = mujoco.mjtOrientation.mjORIENTATION_QUAT
 
 
@@ -150,6 +157,42 @@ def feet(spec: mujoco.MjSpec) -> list[str]:
             f"{gains.span(np.array(slippery))}"
         )
     return told
+
+
+def shanks(spec: mujoco.MjSpec, robot: robot_lib.Robot) -> list[str]:
+    """Shapes that reach a foot's middle end above it: a foot gives way under load, and they must not touch the
+    ground before it. A line if any was shortened.
+
+    Of a robot whose feet are spheres: a capsule, cylinder or box in the foot's body, along its longest axis.
+    """
+    model, cut = robot.mj_model, []
+    geoms = {geom.id: geom for geom in spec.geoms}
+    for foot in robot.feet:
+        if model.geom_type[foot] != SPHERE:
+            return []
+        middle, radius = model.geom_pos[foot], model.geom_size[foot, 0]
+        for part in robot.parts:
+            kind, size = model.geom_type[part], model.geom_size[part].copy()
+            if model.geom_bodyid[part] != model.geom_bodyid[foot] or kind == SPHERE:
+                continue
+            along = int(size.argmax()) if kind == BOX else 2
+            half = size[along] if kind == BOX else size[1]
+            axis = _matrix(model.geom_quat[part])[:, along]
+            axis = axis * (1 if axis @ (middle - model.geom_pos[part]) > 0 else -1)
+            cap = size[0] if kind == CAPSULE else 0.0
+            end = axis @ (model.geom_pos[part] - middle) + half + cap  # past the foot's middle
+            less = end + CLEAR * radius
+            aside = np.linalg.norm((middle - model.geom_pos[part]) - axis * (axis @ (middle - model.geom_pos[part])))
+            if less <= 0 or aside > 2 * radius or less >= 2 * half - 0.01:
+                continue
+            size[along if kind == BOX else 1] = half - less / 2
+            geoms[part].size, geoms[part].pos = size, model.geom_pos[part] - axis * less / 2
+            geoms[part].fromto = np.full(6, np.nan)
+            geoms[part].quat, geoms[part].alt.type = model.geom_quat[part], QUAT
+            cut.append(less)
+    if not cut:
+        return []
+    return [f"shapes: {len(cut)} that reach a foot end {CLEAR:g} of its radius above its middle"]
 
 
 def _is_foot(name: str) -> bool:

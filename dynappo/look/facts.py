@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
+import mujoco
 import numpy as np
 
+from dynappo.physics import feet
 from dynappo.physics import robot as robot_lib
 from dynappo.policy import episode as episode_lib
 from dynappo.policy.episode import Body
@@ -45,22 +47,65 @@ def pd(robot: robot_lib.Robot, kp, kd, timestep: float) -> PD:
 def stand(body: Body) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     """`(episode, numbers)` of five seconds under zero action: the PD holds the default pose.
 
-    `rest` (m): height of the base at the end; `moved` (m): how much it changed in the last second;
-    `torque [A]` (N m): what each motor holds then, kp times the joint's mean error, and `share [A]` of its
-    limit; `fall` (s): when
-    a part that is no foot touched the ground, or None.
+    `fall` (s): when a part that is no foot touched the ground, or None; `rest` (m): height of the base at the
+    end, of a robot on one or two feet that falls halfway to its fall; `moved` (m): how much the height changed in
+    the last second; `slid` (m): how far the feet went after the first; `sunk` (m): how deep the lowest foot is
+    in the floor then; `torque [A]` (N m): what each motor holds in the last second, kp times the joint's mean
+    error, and `share [A]` of its limit.
     FloatingPointError if the physics blows up.
     """
     p, count = body.policy, len(body.policy.joint_names)
     episode = episode_lib.play(body, lambda obs: np.zeros(count), lambda t: np.zeros(3), SECONDS)
-    last = slice(-max(1, round(LAST / episode_lib.period(body))), None)
+    fall = episode_lib.measures(body, episode)["fall"]
+    last, end = max(1, round(LAST / episode_lib.period(body))), len(episode["qpos"])
+    if fall is not None and balances(body):
+        end = max(1, round(fall / 2 / episode_lib.period(body)))
+    shown = slice(max(0, end - last), end)
     heights = episode["qpos"][:, body.root[0] + 2]
-    error = (p.default_pose - episode["qpos"][last][:, body.joint_q]).mean(0)
+    error = (p.default_pose - episode["qpos"][shown][:, body.joint_q]).mean(0)
+    torque = np.clip(p.kp * error, -p.effort_limit, p.effort_limit)
+    begun, ended = (_feet(body, episode["qpos"][i]) for i in (min(last, end) - 1, end - 1))
     numbers = {
-        "rest": float(heights[-1]),
-        "moved": float(np.ptp(heights[last])),
-        "torque": (torque := np.clip(p.kp * error, -p.effort_limit, p.effort_limit)),
+        "fall": fall,
+        "rest": float(heights[end - 1]),
+        "moved": float(np.ptp(heights[shown])),
+        "slid": float(np.linalg.norm((ended - begun)[:, :2], axis=1).max()),
+        "sunk": float(-ended[:, 2].min()),
+        "torque": torque,
         "share": np.abs(torque) / p.effort_limit,
-        "fall": episode_lib.measures(body, episode)["fall"],
     }
     return episode, numbers
+
+
+def balances(body: Body) -> bool:
+    """Whether a robot must balance: one on one or two feet falls over without a policy."""
+    return len(body.foot_names) < 3
+
+
+def _feet(body: Body, qpos: np.ndarray) -> np.ndarray:
+    """Of each foot x and y of its first shape, and the height of its lowest point (m), [F, 3]."""
+    data = mujoco.MjData(body.model)
+    data.qpos[:] = qpos
+    mujoco.mj_kinematics(body.model, data)
+    first = [np.flatnonzero(body.foot_of == foot)[0] for foot in range(len(body.foot_names))]
+    places = data.geom_xpos[first]
+    places[:, 2] = episode_lib.foot_heights(body, data)
+    return places
+
+
+def explores(robot: robot_lib.Robot, config) -> np.ndarray:
+    """Share [A] of each motor's limit that exploration asks for: kp x action_scale x ppo.init_std / effort."""
+    task = config.task
+    asked = np.multiply(task.kp, task.action_scale) * config.ppo.init_std
+    return np.broadcast_to(asked / np.asarray(task.effort_limit), len(robot.joint_names))
+
+
+def low_parts(robot: robot_lib.Robot, below: float) -> list[str]:
+    """The parts that come lower than `below` (m) in the default pose, each with its height in mm."""
+    heights = feet.lowest_points(robot.mj_model, robot.home_qpos, robot.parts)
+    names = [
+        robot.mj_model.geom(g).name or robot.mj_model.body(robot.mj_model.geom_bodyid[g]).name
+        for g in robot.parts
+    ]
+    low = [(h, n) for h, n in zip(heights, names, strict=True) if h < below]
+    return [f"{name} {height * 1e3:.0f} mm" for height, name in sorted(low)]

@@ -166,6 +166,16 @@ def with_settings(model: mujoco.MjModel, physics, parts: np.ndarray) -> mujoco.M
     return model
 
 
+def check_base_mass(robot: Robot, kilograms: tuple[float, float]) -> None:
+    """ConfigError if a base's mass could vary by so much that nothing of it would be left."""
+    base = robot.mj_model.body_mass[robot.base_body]
+    if kilograms[0] <= -base:
+        raise ConfigError(
+            f"task.randomize.base_mass is {kilograms}, expected more than -{base:.2f} kg, the mass of the base of "
+            f"{robot.name}"
+        )
+
+
 def digest(model: mujoco.MjModel) -> str:
     """A hash of everything in a compiled model."""
     content = np.empty(mujoco.mj_sizeModel(model), np.uint8)

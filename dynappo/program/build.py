@@ -63,12 +63,7 @@ def check(config, env: Any = None) -> None:
     if impl == "warp":
         threading.Thread(target=_begin_warp, daemon=True).start()
     config, loaded = motors.fitted(config, robot.load(config.robot))
-    lightest, base = config.task.randomize.base_mass[0], loaded.mj_model.body_mass[loaded.base_body]
-    if lightest <= -base:
-        raise ConfigError(
-            f"task.randomize.base_mass is {config.task.randomize.base_mass}, expected more than "
-            f"-{base:.2f} kg, the mass of the base of {config.robot}"
-        )
+    robot.check_base_mass(loaded, config.task.randomize.base_mass)
     reward_sum.terms_of(config.task)
     if config.ppo.symmetry:
         mirror.check_motors(config.task, loaded)
