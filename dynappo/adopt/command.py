@@ -86,8 +86,7 @@ def make(file: source.Source, name: str, part: Path) -> Adopted:
         published = source.published(file, robot.joint_names)
         effort, _ = gains.efforts(robot, published)
         told += normal.joints(spec, robot.joint_names, published, effort)
-        spec.compile()
-        robot = robot_lib.load_text(spec.to_xml(), name, file.xml)
+        robot = loaded(spec, name, file)
         std = writing.INIT_STD[writing.light(robot)]
         chosen, more = gains.choose(robot, published, std)
         told += [*more, *writing.assumed(robot)]
@@ -119,18 +118,23 @@ def completed(file: source.Source, name: str) -> tuple[mujoco.MjSpec, robot_lib.
     for spec, told in pose.candidates(file.spec, file.model, file.xml):
         try:
             done = complete.complete(spec)
-            told += [*done.notes, *normal.solver(done.spec, float(done.model.body_mass.sum()))]
-            told += [*normal.feet(done.spec), *normal.frames(done.spec, done.spec.compile())]
-            done.spec.compile()
-            robot = robot_lib.load_text(done.spec.to_xml(), name, file.xml)
-            if cut := normal.shanks(done.spec, robot):
-                done.spec.compile()
-                told, robot = [*told, *cut], robot_lib.load_text(done.spec.to_xml(), name, file.xml)
-            return done.spec, robot, told
+            # written and read again: no classes, frames or fromto are left that hold what is set below
+            spec = mujoco.MjSpec.from_string(normal.text(done.spec))
+            told += [*done.notes, *normal.solver(spec, float(done.model.body_mass.sum()))]
+            told += [*normal.feet(spec), *normal.frames(spec, spec.compile())]
+            robot = loaded(spec, name, file)
+            told += normal.shanks(spec, robot)
+            return spec, loaded(spec, name, file), told
         except (ValueError, ConfigError) as error:
             problem = problem or error
     assert problem
     raise problem
+
+
+def loaded(spec: mujoco.MjSpec, name: str, file: source.Source) -> robot_lib.Robot:
+    """The robot of a spec; ConfigError as of the file that it was made from."""
+    spec.compile()
+    return robot_lib.load_text(spec.to_xml(), name, file.xml)
 
 
 @contextlib.contextmanager

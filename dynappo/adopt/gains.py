@@ -3,7 +3,7 @@
 The rules, for joint j of a robot of mass m whose feet hang l below the base:
 
     effort     of the file, if it is below 2 m g l, which no motor of the robot has; else 0.45 m g l
-    kp         effort / 1 rad; for all joints higher, where standing would sag by more than 8 % of the height
+    kp         effort / 1 rad; for all joints higher, where standing would sag by more than 7 % of the height
                to first order (`sag`; feet slip and bent legs are softer), up to effort / 0.45 rad
     kd         kp x 0.025 s, but no more than takes 0.4 of a joint's speed in a physics step
     armature   0.0006 kg m^2 for each N m of effort, where the file has none
@@ -28,7 +28,7 @@ from dynappo.physics import robot as robot_lib
 
 TIMESTEP = 0.005  # s, of physics
 STRENGTH, STRONGEST = 0.45, 2.0  # of m g l: what is assumed, and what is believed
-SAG = 0.08  # of the height, to first order; feet slip and legs bend more, so that it is twice that
+SAG = 0.07  # of the height, to first order; feet slip and legs bend more, so that it is twice that
 RATIO = 0.025  # s, kd / kp
 DAMPS, BEST_DAMPS = 0.5, 0.4  # the share of a joint's speed that kd takes in a step: at most; by rule
 SOFT, STIFF = 3.0, 0.45  # rad, effort / kp of a servo that is kept

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from xml.etree import ElementTree
+
 import mujoco
 import numpy as np
 
@@ -20,7 +22,63 @@ BOX, SPHERE, CAPSULE = (
     mujoco.mjtGeom.mjGEOM_SPHERE,
     mujoco.mjtGeom.mjGEOM_CAPSULE,
 )
-QUAT = mujoco.mjtOrientation.mjORIENTATION_QUAT
+
+
+def text(spec: mujoco.MjSpec) -> str:
+    """The MJCF of a compiled spec without default classes: each element has its own numbers.
+
+    MuJoCo writes classes as they were read, with materials and actuators that are no longer there.
+    """
+    for element in _elements(spec):
+        element.classname = spec.default
+    for body in spec.bodies[1:]:
+        body.childclass = ""
+    root = ElementTree.fromstring(spec.to_xml())
+    for default in root.findall("default"):
+        for nested in default.findall("default"):
+            default.remove(nested)
+        if not len(default):
+            root.remove(default)
+    for size in root.findall("size"):
+        root.remove(size)
+    for body in [*root.iter("worldbody"), *root.iter("body")]:
+        _without_frames(body)
+    return ElementTree.tostring(root, "unicode")
+
+
+def _without_frames(parent: ElementTree.Element) -> None:
+    """Give what is in a `<frame>` (which MuJoCo makes of bodies without a joint) its place in the body."""
+    for child in list(parent):
+        if child.tag != "frame":
+            continue
+        place = _numbers(child, "pos", "0 0 0")
+        turn = _matrix(_numbers(child, "quat", "1 0 0 0"))
+        _without_frames(child)
+        at = list(parent).index(child)
+        parent.remove(child)
+        for i, one in enumerate(child):
+            one.set("pos", _written(place + turn @ _numbers(one, "pos", "0 0 0")))
+            if one.tag == "joint":
+                one.set("axis", _written(turn @ _numbers(one, "axis", "0 0 1")))
+            elif one.tag == "light":
+                one.set("dir", _written(turn @ _numbers(one, "dir", "0 0 -1")))
+            else:
+                one.set("quat", _written(_quat(turn @ _matrix(_numbers(one, "quat", "1 0 0 0")))))
+            parent.insert(at + i, one)
+
+
+def _numbers(element: ElementTree.Element, name: str, default: str) -> np.ndarray:
+    return np.array(element.get(name, default).split(), float)
+
+
+def _written(values: np.ndarray) -> str:
+    return " ".join(f"{value:.9g}" for value in values)
+
+
+def _elements(spec: mujoco.MjSpec):
+    """All that a default class can say something of."""
+    yield from (*spec.geoms, *spec.joints, *spec.actuators, *spec.meshes, *spec.materials)
+    yield from (*spec.sites, *spec.cameras, *spec.lights, *spec.equalities, *spec.tendons, *spec.pairs)
 
 
 def solver(spec: mujoco.MjSpec, mass: float) -> list[str]:
@@ -96,21 +154,18 @@ def frames(spec: mujoco.MjSpec, model: mujoco.MjModel) -> list[str]:
             rotation[i] = rotation[parent] @ _matrix(model.body_quat[i])
             body.pos = rotation[parent] @ model.body_pos[i]
             turned |= not np.allclose(rotation[i], np.eye(3), atol=1e-9)
-        body.quat, body.alt.type = [1, 0, 0, 0], QUAT
+        body.quat = [1, 0, 0, 0]
         if np.allclose(rotation[i], np.eye(3), atol=1e-9):
             continue
         body.explicitinertial, body.mass = True, model.body_mass[i]
         body.ipos = rotation[i] @ model.body_ipos[i]
-        body.ialt.type = QUAT
         body.iquat = _quat(rotation[i] @ _matrix(model.body_iquat[i]))
         body.inertia, body.fullinertia = model.body_inertia[i], np.full(6, np.nan)
         for joint in body.joints:
             joint.pos, joint.axis = rotation[i] @ joint.pos, rotation[i] @ joint.axis
         for geom in body.geoms:
             geom.pos = rotation[i] @ model.geom_pos[geom.id]
-            geom.alt.type = QUAT
             geom.quat = _quat(rotation[i] @ _matrix(model.geom_quat[geom.id]))
-            geom.size, geom.fromto = model.geom_size[geom.id], np.full(6, np.nan)
         for thing in (*body.sites, *body.cameras, *body.lights):
             spec.delete(thing)
     return ["frames: turned until all are parallel to the base's, which changes no motion"] * turned
@@ -187,8 +242,7 @@ def shanks(spec: mujoco.MjSpec, robot: robot_lib.Robot) -> list[str]:
                 continue
             size[along if kind == BOX else 1] = half - less / 2
             geoms[part].size, geoms[part].pos = size, model.geom_pos[part] - axis * less / 2
-            geoms[part].fromto = np.full(6, np.nan)
-            geoms[part].quat, geoms[part].alt.type = model.geom_quat[part], QUAT
+            geoms[part].quat = model.geom_quat[part]
             cut.append(less)
     if not cut:
         return []

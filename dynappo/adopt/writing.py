@@ -8,6 +8,7 @@ from xml.etree import ElementTree
 import mujoco
 
 
+from dynappo.adopt import normal
 from dynappo.adopt.gains import Motors
 from dynappo.adopt.source import Source
 from dynappo.physics import kinds
@@ -17,7 +18,7 @@ LIGHT = 25.0  # kg, up to which the reward weights of the Unitree tasks hold; ab
 INIT_STD = {True: 1.0, False: 0.5}  # ppo.init_std, of light robots and of heavy ones
 TORQUES, AT = 2e-4, 13.0  # weight of squared torques, at a mass (kg); it falls by mass^-1.5
 ABOVE = 0.05  # m over the default pose, where episodes start
-LOAD = 0.1  # of the robot's mass, by which the base's varies
+LOAD, OF_BASE = 0.1, 0.3  # by what share of the robot's mass the base's varies; at most this of its own
 HEAD = '''"""{name} on flat ground, adopted from {file}.
 
     python -m dynappo.look configs/{name}.py
@@ -63,6 +64,12 @@ def light(robot: robot_lib.Robot) -> bool:
     return float(robot.mj_model.body_mass.sum()) < LIGHT
 
 
+def load(robot: robot_lib.Robot) -> float:
+    """By how many kg the base's mass varies."""
+    model = robot.mj_model
+    return float(min(LOAD * model.body_mass.sum(), OF_BASE * model.body_mass[robot.base_body]))
+
+
 def torque_weight(mass: float) -> float:
     """Weight of the sum of squared torques: -2e-4 at 13 kg, -2.5e-5 at 52 kg, as Isaac Lab has them."""
     return -float(f"{TORQUES * (AT / mass) ** 1.5:.2g}")
@@ -80,10 +87,10 @@ def config(robot: robot_lib.Robot, source: Source, motors: Motors) -> str:
     lines.append(_field("effort_limit", kinds.patterns(names, motors.effort_limit)))
     lines.append("    task.saturation_effort = task.effort_limit\n")
     lines.append(_field("velocity_limit", kinds.patterns(names, motors.velocity_limit)))
-    spawn, load = robot.home_qpos[2] + ABOVE, LOAD * mass
+    spawn, more = robot.home_qpos[2] + ABOVE, load(robot)
     lines.append(f"    task.reset.spawn_height = {spawn:.2f}  # m, of the base: default pose and 5 cm\n")
     lines.append(
-        f"    task.randomize.base_mass = ({-load:.1f}, {load:.1f})  # kg, a tenth of {mass:.1f}\n"
+        f"    task.randomize.base_mass = ({-more:.1f}, {more:.1f})  # kg, of a robot of {mass:.1f}\n"
     )
     if not light(robot):
         lines.append(HEAVIER)
@@ -98,7 +105,7 @@ def assumed(robot: robot_lib.Robot) -> list[str]:
     like = "the Unitree tasks'" if light(robot) else "the ANYmal tasks'"
     told = [
         f"task: {like} reward weights for {mass:.1f} kg (up to {LIGHT:g} kg those of light robots), torques "
-        f"weighted by {torque_weight(mass):g}; base mass +-{LOAD * mass:.1f} kg; starts {ABOVE * 100:g} cm above "
+        f"weighted by {torque_weight(mass):g}; base mass +-{load(robot):.1f} kg; starts {ABOVE * 100:g} cm above "
         "the default pose"
     ]
     if len(robot.foot_names) != 4:
@@ -120,23 +127,8 @@ def _field(name: str, value: float | dict[str, float]) -> str:
 
 
 def mjcf(spec: mujoco.MjSpec, robot_name: str, source: Source) -> str:
-    """The text of a spec that is compiled, without default classes, with a comment on its origin.
-
-    Classes are left out because MuJoCo writes them as they were read, with materials and actuators that are
-    no longer there; each element has its own numbers instead.
-    """
-    for element in _elements(spec):
-        element.classname = spec.default
-    for body in spec.bodies[1:]:
-        body.childclass = ""
-    root = ElementTree.fromstring(spec.to_xml())
-    for default in root.findall("default"):
-        for nested in default.findall("default"):
-            default.remove(nested)
-        if not len(default):
-            root.remove(default)
-    for size in root.findall("size"):
-        root.remove(size)
+    """The text of a compiled spec, with a comment on its origin."""
+    root = ElementTree.fromstring(normal.text(spec))
     about = (
         f"\n    {robot_name}, adopted from {source.xml.name} by `dynappo adopt`: README.md has source, licence and"
         "\n    every assumption. Geom groups: 2 = looks only, 3 = contact with the floor.\n  "
@@ -144,12 +136,6 @@ def mjcf(spec: mujoco.MjSpec, robot_name: str, source: Source) -> str:
     root.insert(0, ElementTree.Comment(about))
     ElementTree.indent(root)
     return ElementTree.tostring(root, "unicode") + "\n"
-
-
-def _elements(spec: mujoco.MjSpec):
-    """All that a default class can say something of."""
-    yield from (*spec.geoms, *spec.joints, *spec.actuators, *spec.meshes, *spec.materials)
-    yield from (*spec.sites, *spec.cameras, *spec.lights, *spec.equalities, *spec.tendons, *spec.pairs)
 
 
 def readme(
