@@ -95,7 +95,7 @@ def make(file: source.Source, name: str, part: Path) -> Adopted:
         if shown:
             told.append(f"looks: {shown} shapes as published" + f", {copied} files" * bool(copied))
         else:
-            told.append("looks: none in the file; the shapes that touch the floor are drawn")
+            told.append("looks: the shapes that touch the floor are drawn; the published ones are not there")
         normal.scene(spec, float(robot.home_qpos[2]))
         spec.modelfiledir = str(part)
         spec.modelname = name

@@ -3,8 +3,8 @@
 The rules, for joint j of a robot of mass m whose feet hang l below the base:
 
     effort     of the file, if it is below 2 m g l, which no motor of the robot has; else 0.45 m g l
-    kp         effort / 1 rad; for all joints higher, where standing would sag by more than 7 % of the height
-               to first order (`sag`; feet slip and bent legs are softer), up to effort / 0.45 rad
+    kp         effort / 1 rad; for all joints higher, up to effort / 0.45 rad, where the robot sinks by more
+               than a sixth of its height when it stands on three feet or more (`sag`)
     kd         kp x 0.025 s, but no more than takes 0.4 of a joint's speed in a physics step
     armature   0.0006 kg m^2 for each N m of effort, where the file has none
     scale      0.25 rad of exploration, but at most a third of the effort: effort / (3 kp)
@@ -18,6 +18,7 @@ policy that explores by 0.25 rad would be at the motors' limit all the time.
 
 from __future__ import annotations
 
+import copy
 from typing import NamedTuple
 
 import mujoco
@@ -28,10 +29,11 @@ from dynappo.physics import robot as robot_lib
 
 TIMESTEP = 0.005  # s, of physics
 STRENGTH, STRONGEST = 0.45, 2.0  # of m g l: what is assumed, and what is believed
-SAG = 0.07  # of the height, to first order; feet slip and legs bend more, so that it is twice that
+SAG, STANDS = 0.17, 2.0  # of its height, that it may sink by in so many s
 RATIO = 0.025  # s, kd / kp
 DAMPS, BEST_DAMPS = 0.5, 0.4  # the share of a joint's speed that kd takes in a step: at most; by rule
 SOFT, STIFF = 3.0, 0.45  # rad, effort / kp of a servo that is kept
+STEPS = 1.0, 1.2, 1.5, 1.8, 1 / STIFF  # 1/rad, kp / effort that is tried
 EXPLORES = 0.25  # rad, standard deviation of the joint targets at the start
 SHARE = 1 / 3  # of the effort, that exploration may ask for
 SPEED, FASTEST = 30.0, 100.0  # rad/s: where the file says nothing; faster is no motor
@@ -77,27 +79,22 @@ def weight(robot: robot_lib.Robot) -> float:
     return float(model.body_mass.sum() * np.linalg.norm(model.opt.gravity))
 
 
-def sag(robot: robot_lib.Robot, kp: np.ndarray) -> float:
-    """How far the base sinks (m) when joints of stiffness `kp` [A] carry the robot, to first order.
+def sag(robot: robot_lib.Robot, kp, kd, effort) -> float:
+    """By what share of its height the base sinks while the PD holds the default pose for `STANDS`.
 
-    The feet stay where they are in the default pose. With d the change of base and joints, K the joints'
-    stiffness, g(q) the generalised weight and J the feet's Jacobian:  K d + J^T f = -g(q),  J d = 0.
+    0 for robots on one or two feet, which need more than a PD to stand.
     """
-    model, data = robot.mj_model, mujoco.MjData(robot.mj_model)
-    data.qpos[:] = robot.home_qpos
-    mujoco.mj_forward(model, data)
-    rows = []
-    for geom in robot.feet:
-        jacobian = np.zeros((3, model.nv))
-        place = data.geom_xpos[geom]
-        mujoco.mj_jac(model, data, jacobian, None, place, int(model.geom_bodyid[geom]))
-        rows.append(jacobian)
-    feet, size = np.concatenate(rows), model.nv
-    whole = np.zeros((size + len(feet), size + len(feet)))
-    whole[range(6, size), range(6, size)] = kp
-    whole[size:, :size], whole[:size, size:] = feet, feet.T
-    pull = np.concatenate([-data.qfrc_bias, np.zeros(len(feet))])
-    return float(-np.linalg.lstsq(whole, pull, rcond=None)[0][2])
+    if len(robot.foot_names) < 3:
+        return 0.0
+    model = copy.copy(robot.mj_model)
+    model.opt.timestep = TIMESTEP
+    data, home = mujoco.MjData(model), robot.home_qpos
+    data.qpos[:] = home
+    for _ in range(round(STANDS / TIMESTEP)):
+        torque = kp * (home[7:] - data.qpos[7:]) - kd * data.qvel[6:]
+        data.ctrl[:] = np.clip(torque, -effort, effort)
+        mujoco.mj_step(model, data)
+    return float(1 - data.qpos[2] / home[2])
 
 
 def choose(
@@ -131,15 +128,17 @@ def of_pd(robot, published: Published, effort) -> tuple[np.ndarray, np.ndarray, 
         if not wrong:
             return kp, kd, [f"kp, kd: {span(kp)} N m/rad and {span(kd)} N m s/rad, of the file"]
         told = [f"kp, kd: not the file's {span(kp)} and {span(_two(kd))}, for {wrong}"]
-    kp = effort / 1.0
-    more = float(np.clip(sag(robot, kp) / (SAG * reach(robot)), 1.0, 1 / STIFF))
-    kp = _two(kp * more)
-    why = ", so that standing sags by about a tenth of the height" if more > 1 else ""
+    for more in STEPS:
+        kp = _two(effort * more)
+        kd = kp * RATIO
+        kd = _two(kd * _less(robot, kd))
+        sinks = sag(robot, kp, kd, effort)
+        if sinks < SAG:
+            break
+    why = f", with which it sinks by {sinks:.0%} of its height" * bool(sinks)
     told.append(f"kp: effort / {1 / more:.2g} rad = {span(kp)} N m/rad{why}")
-    kd = kp * RATIO
-    kd = kd * _less(robot, kd)
-    told.append(f"kd: kp x {RATIO:g} s, where stable: {span(_two(kd))} N m s/rad")
-    return kp, _two(kd), told
+    told.append(f"kd: kp x {RATIO:g} s, where stable: {span(kd)} N m s/rad")
+    return kp, kd, told
 
 
 def _misfit(robot, kp, kd, effort) -> str:
@@ -148,7 +147,7 @@ def _misfit(robot, kp, kd, effort) -> str:
         return f"kd takes {share:.2g} of a joint's speed in a step of {TIMESTEP * 1e3:g} ms"
     if (angle := (effort / kp).min()) < STIFF:
         return f"{angle:.2g} rad of error are a motor's whole effort"
-    if (effort / kp).max() > SOFT or sag(robot, kp) > 1.5 * SAG * reach(robot):
+    if (effort / kp).max() > SOFT or sag(robot, kp, kd, effort) > SAG:
         return "they do not hold the robot up"
     return ""
 

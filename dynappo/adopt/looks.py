@@ -21,7 +21,7 @@ MESH = mujoco.mjtGeom.mjGEOM_MESH
 def draw(spec: mujoco.MjSpec, source: Source, base: str, assets: Path) -> tuple[int, int]:
     """Add the file's looks to `spec`, whose files go to the folder `assets`: `(looks, files)`.
 
-    Without looks the shapes that touch the floor are drawn instead.
+    Without looks, or if most of them are not there, the shapes that touch the floor are drawn instead.
     """
     robot = spec.copy()
     model = robot.compile()
@@ -29,6 +29,7 @@ def draw(spec: mujoco.MjSpec, source: Source, base: str, assets: Path) -> tuple[
     whole = theirs.compile()
     one, other = _at_zero(whole), _at_zero(model, whole)
     looks = [geom for geom in theirs.geoms if _drawn(geom)]
+    looks = looks if len(looks) > source.lost else []
     for geom in spec.geoms:
         if geom.parent.name != "world":
             geom.group = SHAPES if looks else DRAWN

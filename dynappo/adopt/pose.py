@@ -71,7 +71,7 @@ def _bent(model: mujoco.MjModel) -> tuple[np.ndarray, int]:
 
     A leg is a chain of three bodies with a hinge each, the last without children. Of the angles that put its
     end below its second joint, at `BENT` of the farthest, those are taken that bend the knee in the middle of
-    its range; where the range says nothing, so that the knee points back.
+    its range; where the range says nothing, so that the knee points to the base's middle.
     """
     data, qpos, count = mujoco.MjData(model), model.qpos0.copy(), 0
     if model.njnt and model.jnt_type[0] == mujoco.mjtJoint.mjJNT_FREE:
@@ -118,7 +118,7 @@ def _angles(model, data, qpos, chain: list[int]) -> np.ndarray | None:
         if not tries[-1][0] < tries[-1][-1]:
             tries[-1] = np.linspace(low, high, GRID)
     adr, end = model.jnt_qposadr[chain[1:]], _end(model, data, qpos, chain)
-    pairs, ends = np.stack(np.meshgrid(*tries), -1).reshape(-1, 2), []
+    pairs, ends, knees = np.stack(np.meshgrid(*tries), -1).reshape(-1, 2), [], []
     pose = qpos.copy()
     for pair in pairs:
         pose[adr] = pair
@@ -127,22 +127,16 @@ def _angles(model, data, qpos, chain: list[int]) -> np.ndarray | None:
         body = model.jnt_bodyid[chain[2]]
         tip = data.xpos[body] + data.xmat[body].reshape(3, 3) @ end
         ends.append(tip - data.xanchor[chain[1]])
-    ends = np.array(ends)
+        knees.append(data.xanchor[chain[2]][0] - data.xanchor[chain[1]][0])
+    ends, ahead = np.array(ends), np.sign(data.xanchor[chain[1]][0] - data.xpos[1][0])
     longest = -ends[:, 2].min()
     off = np.abs(ends[:, 0]) / longest + np.abs(-ends[:, 2] / longest - BENT)
     near = off < off.min() + ASIDE
     if off.min() > 5 * ASIDE:
         return None
-    middle = np.array([t.mean() if np.isfinite(t).all() else 0.0 for t in tries])
     wide = tries[1][-1] - tries[1][0] >= 2 * WIDEST - 1e-6
-    turn = -_lateral(model, data, chain[2]) if wide else 0.0  # a knee that points back
-    cost = np.where(wide, -turn * pairs[:, 1], np.abs(pairs[:, 1] - middle[1])) + off
-    return np.round(pairs[near][cost[near].argmin()], 2)
-
-
-def _lateral(model, data, joint: int) -> float:
-    """Whether a joint's axis points left (1) or right (-1)."""
-    return float(np.sign(data.xaxis[joint][1])) or 1.0
+    cost = ahead * np.array(knees) / longest if wide else np.abs(pairs[:, 1] - tries[1].mean())
+    return np.round(pairs[near][(cost + off)[near].argmin()], 2)
 
 
 def _end(model, data, qpos, chain: list[int]) -> np.ndarray:

@@ -26,6 +26,7 @@ class Source(NamedTuple):
     spec: mujoco.MjSpec  # of the file, without meshes that are not there
     model: mujoco.MjModel  # its spec, compiled
     velocity: dict[str, float]  # rad/s, of a URDF's joints
+    lost: int  # looks that are not there, or that MuJoCo cannot read
     notes: tuple[str, ...]  # a line on each thing that was changed to read it
 
 
@@ -52,16 +53,17 @@ def read(xml: Path) -> Source:
             raise ValueError(f"expected an MJCF or a URDF, found the element {root.tag}")
         spec, notes = mujoco.MjSpec.from_file(str(xml)), []
         folder = Path(spec.modelfiledir or xml.parent) / spec.meshdir
+        before = len(spec.geoms)
         lost = _drop_meshes(spec, lambda file: (folder / file).is_file())
         notes += [f"meshes that are not there are left out: {_listed(lost)}"] if lost else []
         for i, joint in enumerate(spec.joints):
             joint.name = joint.name or f"joint{i}"
-        return Source(xml, spec, spec.copy().compile(), {}, tuple(notes))
+        return Source(xml, spec, spec.copy().compile(), {}, before - len(spec.geoms), tuple(notes))
 
 
 def _urdf(xml: Path, root: ElementTree.Element) -> Source:
     """A URDF: its meshes found, its links kept apart, its base free; MuJoCo would weld it to the world."""
-    notes, lost, velocity = [], [], {}
+    notes, lost, velocity, gone = [], [], {}, 0
     for joint in root.iter("joint"):
         for limit in joint.iter("limit"):
             velocity[joint.get("name", "")] = float(limit.get("velocity", "nan"))
@@ -72,6 +74,7 @@ def _urdf(xml: Path, root: ElementTree.Element) -> Source:
                 continue
             found = _mesh(xml.parent, mesh.get("filename", ""))
             if found is None:
+                gone += shape.tag == "visual"
                 lost.append(Path(mesh.get("filename", "")).name)
                 link.remove(shape)
             else:
@@ -92,7 +95,7 @@ def _urdf(xml: Path, root: ElementTree.Element) -> Source:
     notes += [f"meshes that MuJoCo cannot read are left out: {_listed(lost)}"] if lost else []
     if odd:
         notes.append(f"impossible inertias are replaced by a ball's: {_listed(odd)}")
-    return Source(xml, spec, spec.copy().compile(), velocity, tuple(notes))
+    return Source(xml, spec, spec.copy().compile(), velocity, gone, tuple(notes))
 
 
 def _mend_inertia(link: ElementTree.Element) -> bool:
