@@ -46,7 +46,10 @@ def read(xml: Path) -> Source:
         raise ConfigError(f"{xml}: there is no such file; name an MJCF or a URDF")
     with mjcf.one_line(xml):
         text = xml.read_text(encoding="utf-8")
-        root = ElementTree.fromstring(text)
+        try:
+            root = ElementTree.fromstring(text)
+        except ElementTree.ParseError as error:
+            raise ValueError(f"XML parse error: {error}") from None
         if root.tag == "robot":
             return _urdf(xml, root)
         if root.tag != "mujoco":
