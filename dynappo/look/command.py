@@ -159,7 +159,9 @@ def _wrong_standing(robot: robot_lib.Robot, stood: dict) -> list[str]:
     home, fall, out = robot.home_qpos[2], stood["fall"], []
     steady = len(robot.foot_names) > 2
     if fall is not None and steady:
-        out.append(f"a part that is no foot touches the ground after {fall:.2f} s")
+        out.append(
+            f"{stood['fell_on']}, a part that is no foot, touches the ground after {fall:.2f} s"
+        )
     if home - stood["rest"] > SINKS * home:
         out.append("it kneels or lies: raise task.kp, or look at the feet and the centres of mass")
     if stood["moved"] > RESTS and steady:
@@ -171,7 +173,7 @@ def _wrong_standing(robot: robot_lib.Robot, stood: dict) -> list[str]:
             f"its feet slide by {stood['slid'] * 1e3:.0f} mm while it stands: give them solimp 0.9 0.95, or the "
             "file impratio 3"
         )
-    if fall is None and stood["sunk"] > SUNK:
+    if stood["sunk"] > SUNK:
         out.append(
             f"its feet sink into the floor by {stood['sunk'] * 1e3:.0f} mm: give them solimp 0.9 0.95"
         )

@@ -47,10 +47,10 @@ def pd(robot: robot_lib.Robot, kp, kd, timestep: float) -> PD:
 def stand(body: Body) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     """`(episode, numbers)` of five seconds under zero action: the PD holds the default pose.
 
-    `fall` (s): when a part that is no foot touched the ground, or None; `rest` (m): height of the base at the
+    `fall` (s): when a part that is no foot, `fell_on`, touched the ground, or None; `rest` (m): height of the base at the
     end, of a robot on one or two feet that falls halfway to its fall; `moved` (m): how much the height changed in
-    the last second; `slid` (m): how far the feet went after the first; `sunk` (m): how deep the lowest foot is
-    in the floor then; `torque [A]` (N m): what each motor holds in the last second, kp times the joint's mean
+    the last second; `slid` (m): how far the feet went after the first, until a fall; `sunk` (m): how deep the
+    lowest foot is in the floor then; `torque [A]` (N m): what each motor holds in the last second, kp times the joint's mean
     error, and `share [A]` of its limit.
     FloatingPointError if the physics blows up.
     """
@@ -64,9 +64,11 @@ def stand(body: Body) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     heights = episode["qpos"][:, body.root[0] + 2]
     error = (p.default_pose - episode["qpos"][shown][:, body.joint_q]).mean(0)
     torque = np.clip(p.kp * error, -p.effort_limit, p.effort_limit)
-    begun, ended = (_feet(body, episode["qpos"][i]) for i in (min(last, end) - 1, end - 1))
+    until = end if fall is None else max(1, round(fall / episode_lib.period(body)))
+    begun, ended = (_feet(body, episode["qpos"][i]) for i in (min(last, until) - 1, until - 1))
     numbers = {
         "fall": fall,
+        "fell_on": "" if fall is None else _lowest_part(body, episode["qpos"][until - 1]),
         "rest": float(heights[end - 1]),
         "moved": float(np.ptp(heights[shown])),
         "slid": float(np.linalg.norm((ended - begun)[:, :2], axis=1).max()),
@@ -91,6 +93,15 @@ def _feet(body: Body, qpos: np.ndarray) -> np.ndarray:
     places = data.geom_xpos[first]
     places[:, 2] = episode_lib.foot_heights(body, data)
     return places
+
+
+def _lowest_part(body: Body, qpos: np.ndarray) -> str:
+    """What a part that is no foot and is the lowest of all is called."""
+    parts = np.flatnonzero(body.parts)
+    if not len(parts):
+        return "a part"
+    model, low = body.model, feet.lowest_points(body.model, qpos, parts).argmin()
+    return model.geom(parts[low]).name or model.body(model.geom_bodyid[parts[low]]).name or "a part"
 
 
 def explores(robot: robot_lib.Robot, config) -> np.ndarray:

@@ -14,8 +14,9 @@
 - `c_mujoco`: C MuJoCo on all cores of a CPU, one call per control step
 - `randomize`: each robot's own physical parameters
 - `xla_call`: lets compiled CPU programs call a Python function
+- `kinds`: what joints of different legs or sides have in common
 - `contacts`: how a robot's primitives touch the floor
 
 The task and the commands import it; it imports `types` and `config`. `robot`, `mjcf`,
-`complete`, `feet`, `fit`, `robot_contract`, `kinematics`, `contacts`, `motors` and `actuators` need no JAX.
+`complete`, `feet`, `fit`, `robot_contract`, `kinematics`, `contacts`, `kinds`, `motors` and `actuators` need no JAX.
 """
