@@ -43,6 +43,15 @@ class Completed(NamedTuple):
 
 def complete(spec: mujoco.MjSpec) -> Completed:
     """Complete `spec`, which is changed. ValueError, in a line, for what cannot be completed."""
+    try:
+        return _completed(spec)
+    except ValueError as error:
+        if str(error).startswith("Error opening file") or str(error).startswith("Error: Error opening"):
+            raise ValueError(f"{error}, which a shape that collides has") from None
+        raise
+
+
+def _completed(spec: mujoco.MjSpec) -> Completed:
     notes: list[str] = []
     poses = [np.array(key.qpos) for key in spec.keys]  # MuJoCo empties keys where bodies go
     _measure_nothing(spec)
@@ -69,12 +78,7 @@ def complete(spec: mujoco.MjSpec) -> Completed:
 
 
 def _compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:
-    try:
-        return mjcf.check_model(spec.compile())
-    except ValueError as error:
-        if "opening file" in str(error):
-            raise ValueError(f"{error}, which a shape that collides has") from None
-        raise
+    return mjcf.check_model(spec.compile())
 
 
 def _list(names, most: int = 6) -> str:
@@ -361,7 +365,7 @@ def _motors(spec: mujoco.MjSpec, model: mujoco.MjModel, notes: list[str]) -> boo
         joint, gear = spec.joint(model.joint(actuator).name), model.actuator_gear[i, 0]
         joint.armature += gear**2 * model.actuator_armature[i]
         damping = [model.actuator_damping[i], *model.actuator_dampingpoly[i]]
-        joint.damping = joint.damping + abs(gear) ** np.arange(2, 2 + len(damping)) * damping
+        joint.damping = joint.damping + gear**2 * np.array(damping)
     for actuator in list(spec.actuators):
         spec.delete(actuator)
     for key in spec.keys:

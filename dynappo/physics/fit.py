@@ -9,7 +9,8 @@ import numpy as np
 
 from dynappo.physics.contacts import BOX, CAPSULE, CYLINDER, SPHERE
 
-KINDS = {BOX: "box", SPHERE: "sphere", CAPSULE: "capsule", CYLINDER: "cylinder"}
+SLACK = 1.05  # of volumes: the first kind of KINDS that is no larger than this times the smallest
+KINDS = {SPHERE: "sphere", CAPSULE: "capsule", BOX: "box", CYLINDER: "cylinder"}
 
 
 class Primitive(NamedTuple):
@@ -29,10 +30,12 @@ class Primitive(NamedTuple):
 
 
 def around(points: np.ndarray, frames: list[np.ndarray]) -> Primitive:
-    """The smallest box, sphere, capsule or cylinder that holds `points` [P, 3], with axes along those of
+    """About the smallest sphere, capsule, box or cylinder that holds `points` [P, 3], with axes along those of
     one of `frames`, rotation matrices whose columns are the axes."""
     found = [one for frame in frames for one in _along(points, np.asarray(frame))]
-    return min(found, key=lambda one: one.volume)
+    limit = SLACK * min(one.volume for one in found)
+    simple = [one for one in found if one.volume <= limit]
+    return min(simple, key=lambda one: (list(KINDS).index(one.kind), one.volume))
 
 
 def _along(points: np.ndarray, frame: np.ndarray) -> list[Primitive]:
