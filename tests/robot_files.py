@@ -31,7 +31,8 @@ def hexapod() -> str:
     <default><geom contype="0" conaffinity="0" condim="3"/></default>
     <worldbody><geom name="floor" type="plane" size="0 0 1" contype="1"/><body name="base" pos="0 0 {height}">
     <freejoint/><camera name="track"/><geom type="box" size="0.3 0.1 0.05" conaffinity="1"/>
-    <inertial pos="0 0 0" mass="8" diaginertia="0.1 0.3 0.3"/>{"".join(hexapod_leg(*one) for one in HEXAPOD_LEGS)}
+    <inertial pos="0 0 0" mass="8" diaginertia="0.1 0.3 0.3"/>
+    {"".join(hexapod_leg(*one) for one in HEXAPOD_LEGS)}
     </body></worldbody>
     <actuator>{"".join(f'<motor name="{n}" joint="{n}"/>' for n in names)}</actuator>
     <keyframe><key name="home" qpos="0 0 {height} 1 0 0 0 {pose}"/></keyframe></mujoco>"""
@@ -78,7 +79,8 @@ def biped() -> str:
       <body name="torso" pos="0 0 0.1"><joint name="waist" axis="0 0 1" range="-1 1"/>
         <geom type="box" size="0.08 0.14 0.15" pos="0 0 0.15" mass="10"/>{arms}</body>
     </body></worldbody>
-    <actuator><position joint="waist" armature="0.01" gear="2"/><position joint="left_knee"/></actuator></mujoco>"""
+    <actuator><position joint="waist" armature="0.01" gear="2"/><position joint="left_knee"/></actuator>
+    </mujoco>"""
 
 
 def _turned_leg(name, x, y, turn):
@@ -117,9 +119,11 @@ def turned() -> str:
     return f"""<mujoco><compiler angle="radian" meshdir="gone"/>
     <asset><mesh file="trunk.stl"/><texture name="skin" type="2d" file="skin.png"/>
       <material name="skin" texture="skin"/></asset>
-    <worldbody><geom name="ground" type="plane" size="5 5 1" pos="0 0 -1"/><geom name="wall" type="box" size="1 1 1"
-      pos="9 0 0"/><body name="table" pos="5 0 0"><geom size="0.1"/></body>
-    <body name="trunk" pos="0 0 0.6"><freejoint/><inertial pos="0.01 0 0" mass="12" diaginertia="0.1 0.3 0.35"/>
+    <worldbody><geom name="ground" type="plane" size="5 5 1" pos="0 0 -1"/>
+    <geom name="wall" type="box" size="1 1 1" pos="9 0 0"/>
+    <body name="table" pos="5 0 0"><geom size="0.1"/></body>
+    <body name="trunk" pos="0 0 0.6"><freejoint/>
+      <inertial pos="0.01 0 0" mass="12" diaginertia="0.1 0.3 0.35"/>
       <geom type="mesh" mesh="trunk" material="skin" contype="0" conaffinity="0" group="1"/>
       <geom type="box" size="0.3 0.1 0.08"/>{legs}</body></worldbody>
     <contact><exclude body1="trunk" body2="lf_mount"/></contact>
@@ -129,7 +133,7 @@ def turned() -> str:
 
 def wheeled() -> str:
     """A turned quadruped whose feet are wheels."""
-    text = turned().replace("<body name=\"trunk\"", "<body name=\"trunk\"", 1)
+    text = turned()
     for name, *_ in TURNED_LEGS:
         wheel = f'<body name="{name}_tip" pos="0 0 0.02">'
         text = text.replace(wheel, f'{wheel}<joint name="{name}_wheel" axis="0 1 0"/>')

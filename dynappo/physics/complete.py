@@ -1,11 +1,11 @@
 """Completes a robot's file, so that any MJCF of a robot can be trained: `complete(spec) -> Completed`.
 
 Published files differ in what they leave to a scene, and in what they bring beside the robot. What
-`robot_contract` expects is therefore put in place when a file is read, and each change is a line for a person.
-A file that lacks nothing goes through untouched: the same compiled model, and no line.
+`robot_contract` expects is therefore put in place when a file is read, and each change is a line for a
+person. A file that lacks nothing goes through untouched: the same compiled model, and no line.
 
-The order matters: masses are fixed before the shapes that they come from go, bodies are merged before limbs
-are looked at, and all shapes are primitives before one of them is a foot.
+The order matters: masses are fixed before the shapes that they come from go, bodies are merged before
+limbs are looked at, and the feet are known before meshes become primitives that must end above them.
 """
 
 from __future__ import annotations
@@ -46,7 +46,9 @@ def complete(spec: mujoco.MjSpec) -> Completed:
     try:
         return _completed(spec)
     except ValueError as error:
-        if str(error).startswith("Error opening file") or str(error).startswith("Error: Error opening"):
+        if str(error).startswith("Error opening file") or str(error).startswith(
+            "Error: Error opening"
+        ):
             raise ValueError(f"{error}, which a shape that collides has") from None
         raise
 
@@ -133,7 +135,9 @@ def _one_robot(spec: mujoco.MjSpec, floor, notes: list[str]) -> None:
     if scene or others:
         names = [b.name or "a body" for b in scene] + [g.name or "a shape" for g in others]
         notes.append(f"the scene is left out: {_list(names)}")
-    gone = {body.name for b in scene for body in (b, *b.find_all("body"))} | {g.name for g in others}
+    gone = {body.name for b in scene for body in (b, *b.find_all("body"))} | {
+        g.name for g in others
+    }
     for equality in list(spec.equalities):
         if gone & {equality.name1, equality.name2} - {""}:
             spec.delete(equality)
@@ -202,7 +206,9 @@ def _keys(spec: mujoco.MjSpec, poses: list[np.ndarray], notes: list[str]) -> Non
             pose = np.concatenate([[0, 0, 0, 1, 0, 0, 0], pose])
         if len(pose) != size:
             if key.name == "home":
-                notes.append(f"the keyframe home is left out: it has {len(pose)} numbers, not {size}")
+                notes.append(
+                    f"the keyframe home is left out: it has {len(pose)} numbers, not {size}"
+                )
             spec.delete(key)
             continue
         if not np.array_equal(key.qpos, pose):
@@ -273,9 +279,7 @@ def _shapes(spec: mujoco.MjSpec, notes: list[str]) -> list:
     meant += [g for g in _on_robot(spec) if g.name and g.name in paired and g not in meant]
     meant += [g for g in shapes if g not in meant]
     if not shapes:
-        plain = [
-            g for g in _on_robot(spec) if g.group == COLLISION_GROUP and g.type in fit.KINDS
-        ]
+        plain = [g for g in _on_robot(spec) if g.group == COLLISION_GROUP and g.type in fit.KINDS]
         plain = [g for g in plain if g not in meant]
         if plain:
             notes.append(f"nothing collides: shapes of group {COLLISION_GROUP} now touch the floor")
@@ -391,7 +395,9 @@ def _floor(spec: mujoco.MjSpec, floor, notes: list[str]) -> None:
     """A level plane `floor` at height 0 that shapes of the robot touch."""
     if floor is None:
         size = np.array([0, 0, 0.05])
-        floor = spec.worldbody.add_geom(name="floor", type=PLANE, size=size, contype=1, conaffinity=0)
+        floor = spec.worldbody.add_geom(
+            name="floor", type=PLANE, size=size, contype=1, conaffinity=0
+        )
         floor.condim, floor.priority, floor.margin, floor.gap, floor.material = 3, 0, 0, 0, ""
         notes.append("there is no plane in the world: a floor is added")
         return
@@ -414,8 +420,8 @@ def _feet(spec: mujoco.MjSpec, model: mujoco.MjModel, notes: list[str]) -> bool:
     found = feet.by_shape(model, np.array(spec.key("home").qpos))
     if not found:
         raise ValueError(
-            "expected a foot: no limb without wheels ends near the robot's lowest point in the home pose; name "
-            "the shapes of each foot NAME_foot, NAME_foot1, ..."
+            "expected a foot: no limb without wheels ends near the robot's lowest point in the home pose; "
+            "name the shapes of each foot NAME_foot, NAME_foot1, ..."
         )
     geoms = {geom.id: geom for geom in spec.geoms}
     for name, ids in found.items():
@@ -444,7 +450,9 @@ def _primitives(spec: mujoco.MjSpec, model: mujoco.MjModel, notes: list[str]) ->
         else:
             points = feet.vertices(model, i)
             if i not in shapes:
-                points = _above_foot(model, data, i, points, shapes[model.geom_bodyid[shapes] == body])
+                points = _above_foot(
+                    model, data, i, points, shapes[model.geom_bodyid[shapes] == body]
+                )
             level = data.xmat[body].reshape(3, 3).T
             one = fit.around(points @ turn.T + pos, [turn, np.eye(3), level])
         kept = {name: getattr(geom, name) for name in KEPT}
@@ -473,7 +481,9 @@ def _above_foot(model, data, geom: int, points: np.ndarray, foot: np.ndarray) ->
     if not len(foot):
         return points
     home = data.qpos
-    top = max(2 * data.geom_xpos[i, 2] - feet.lowest_points(model, home, np.array([i]))[0] for i in foot)
+    top = max(
+        2 * data.geom_xpos[i, 2] - feet.lowest_points(model, home, np.array([i]))[0] for i in foot
+    )
     heights = data.geom_xpos[geom, 2] + points @ data.geom_xmat[geom].reshape(3, 3)[2]
     above = heights > top
     if above.sum() < 4 or heights.max() - top < (heights.max() - heights.min()) / 2:

@@ -59,7 +59,9 @@ def test_it_moves_as_its_file_says(name, tmp_path):
     for _ in range(3):
         qpos = found.home_qpos.copy()
         qpos[7:] += rng.normal(0, 0.3, len(qpos) - 7)
-        for one, other in zip(dynamics(original, qpos), dynamics(found.mj_model, qpos), strict=True):
+        for one, other in zip(
+            dynamics(original, qpos), dynamics(found.mj_model, qpos), strict=True
+        ):
             np.testing.assert_allclose(other, one, atol=1e-9)
 
 
@@ -130,7 +132,9 @@ def test_what_is_completed_needs_no_completion(name, tmp_path):
     spec = robot.physics_spec(found.xml)
     again = load(spec.to_xml(), tmp_path, "again")
     assert not again.notes
-    for one, other in zip(*(dynamics(r.mj_model, found.home_qpos) for r in (found, again)), strict=True):
+    for one, other in zip(
+        *(dynamics(r.mj_model, found.home_qpos) for r in (found, again)), strict=True
+    ):
         np.testing.assert_allclose(other, one, atol=1e-4)  # MuJoCo writes six digits
     assert again.foot_names == found.foot_names
     carried = robot.load_text(found.alone, found.name, found.xml)
@@ -142,8 +146,12 @@ def test_only_the_floor_and_the_feet_decide_a_contact(tmp_path):
         model = (found := load(text(), tmp_path)).mj_model
         touching = np.sort([*found.feet, *found.parts])
         np.testing.assert_array_equal(touching, np.flatnonzero(model.geom_bodyid), name)
-        assert not model.geom_contype[touching].any() and (model.geom_conaffinity[touching] == 1).all()
-        assert (model.geom_priority[found.feet] == 1).all() and (model.geom_condim[found.feet] == 3).all()
+        assert (
+            not model.geom_contype[touching].any() and (model.geom_conaffinity[touching] == 1).all()
+        )
+        assert (model.geom_priority[found.feet] == 1).all() and (
+            model.geom_condim[found.feet] == 3
+        ).all()
 
 
 # motors
@@ -238,7 +246,9 @@ def test_the_primitive_around_an_ellipsoid_holds_it():
 
 def shank(name="lf"):
     """A turned quadruped whose shank collides as a mesh that reaches as low as the foot."""
-    box = np.stack(np.meshgrid([-0.01, 0.01], [-0.02, 0.02], [0, 0.1, 0.17, 0.24]), -1).reshape(-1, 3)
+    box = np.stack(np.meshgrid([-0.01, 0.01], [-0.02, 0.02], [0, 0.1, 0.17, 0.24]), -1).reshape(
+        -1, 3
+    )
     text = without_looks(robot_files.turned())
     mesh = f'<mesh name="bone" vertex="{" ".join(map(str, box.ravel()))}"/>'
     capsule = '<geom type="capsule" fromto="0 0 0.02 0 0 0.15" size="0.015"/>'
@@ -278,15 +288,17 @@ def test_without_the_file_of_a_mesh_that_weighs_one_line(tmp_path):
 
 def test_shapes_of_unusable_kinds_are_told(tmp_path):
     text = robot_files.hexapod().replace(
-        '<geom type="box" size="0.3', '<geom name="deck" type="plane" size="1 1 1" conaffinity="1"/>'
-        '<geom type="box" size="0.3'
+        '<geom type="box" size="0.3',
+        '<geom name="deck" type="plane" size="1 1 1" conaffinity="1"/><geom type="box" size="0.3',
     )
     found = load(text, tmp_path)
     assert found.notes == ("shapes of a kind that a robot cannot have are left out: deck (plane)",)
 
 
 def test_a_base_without_a_shape_gets_a_box_of_its_inertia(tmp_path):
-    text = robot_files.hexapod().replace('<geom type="box" size="0.3 0.1 0.05" conaffinity="1"/>', "")
+    text = robot_files.hexapod().replace(
+        '<geom type="box" size="0.3 0.1 0.05" conaffinity="1"/>', ""
+    )
     found = load(text, tmp_path)
     assert "the base has no shape: a box of its mass and inertia is added" in found.notes[0]
     box = found.mj_model.geom_size[found.parts[0]]
@@ -303,7 +315,9 @@ def test_pairs_with_the_floor_are_the_shapes_own_contacts_and_others_go(tmp_path
     text = robot_files.hexapod().replace('priority="1" conaffinity="1"', "")
     text = text.replace('conaffinity="1"', "").replace("_foot", "_toe")
     names = [f"{name}_toe" for name, *_ in robot_files.HEXAPOD_LEGS]
-    pairs = "".join(f'<pair geom1="floor" geom2="{n}" condim="3" friction="0.7 0.7"/>' for n in names)
+    pairs = "".join(
+        f'<pair geom1="floor" geom2="{n}" condim="3" friction="0.7 0.7"/>' for n in names
+    )
     pairs += f'<pair geom1="{names[0]}" geom2="{names[1]}"/>'
     found = load(text.replace("</mujoco>", f"<contact>{pairs}</contact></mujoco>"), tmp_path)
     assert found.foot_names == tuple(name for name, *_ in robot_files.HEXAPOD_LEGS)
@@ -376,7 +390,8 @@ def test_a_urdf_becomes_a_robot_that_moves_freely(tmp_path):
     legs = "".join(
         link(f"{side}_leg", 1, 0.3)
         + f'<joint name="{side}_hip" type="revolute"><parent link="base"/><child link="{side}_leg"/>'
-        f'<origin xyz="0 {y} 0"/><axis xyz="0 1 0"/><limit lower="-1" upper="1" effort="9" velocity="9"/></joint>'
+        f'<origin xyz="0 {y} 0"/><axis xyz="0 1 0"/>'
+        '<limit lower="-1" upper="1" effort="9" velocity="9"/></joint>'
         for side, y in (("left", 0.1), ("right", -0.1))
     )
     found = load(f'<robot name="walker">{link("base", 5, 0.1)}{legs}</robot>', tmp_path)
