@@ -25,7 +25,6 @@ MESH, PLANE, ELLIPSOID = (
 )
 OFF = mujoco.mjtLimited.mjLIMITED_FALSE
 FREE, HINGE = mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtJoint.mjJNT_HINGE
-ADDED = "added free joint"
 ON_FLOOR = 0.01  # m that the lowest foot may be from the floor in the home pose
 # of a geom, what a primitive in its place keeps
 KEPT = "name condim priority friction solref solimp solmix margin gap group rgba".split()
@@ -46,9 +45,7 @@ def complete(spec: mujoco.MjSpec) -> Completed:
     try:
         return _completed(spec)
     except ValueError as error:
-        if str(error).startswith("Error opening file") or str(error).startswith(
-            "Error: Error opening"
-        ):
+        if str(error).startswith("Error: Error opening file"):
             raise ValueError(f"{error}, which a shape that collides has") from None
         raise
 
@@ -58,7 +55,7 @@ def _completed(spec: mujoco.MjSpec) -> Completed:
     poses = [np.array(key.qpos) for key in spec.keys]  # MuJoCo empties keys where bodies go
     _measure_nothing(spec)
     floor = _choose_floor(spec)
-    _one_robot(spec, floor, notes)
+    freed = _one_robot(spec, floor, notes)
     robot_contract.check_tree(spec)
     _names(spec)
     _pairs(spec, floor, notes)
@@ -67,7 +64,7 @@ def _completed(spec: mujoco.MjSpec) -> Completed:
     _looks(spec, shapes)
     _merge(spec, notes)
     _floor(spec, floor, notes)
-    _keys(spec, poses, notes)
+    _keys(spec, poses, freed, notes)
     model = _compiled(spec)
     # those before the meshes go need no new model: compiling one with meshes takes a second
     early = _motors, _pose, _feet, _primitives, _base_part
@@ -103,12 +100,14 @@ def _called(geom) -> str:
 
 
 def _measure_nothing(spec: mujoco.MjSpec) -> None:
-    """Sensors, skins, materials have no say in how a robot moves; but they name files, bodies and shapes."""
+    """Sensors, skins, materials, what looks at a body: they have no say in how a robot moves, but name files,
+    bodies and shapes."""
     for shape in (*spec.geoms, *spec.sites):
         shape.material = ""
     for tendon in spec.tendons:
         tendon.material = ""
-    for thing in (*spec.sensors, *spec.skins, *spec.materials, *spec.textures):
+    targets = [thing for thing in (*spec.cameras, *spec.lights) if thing.targetbody]
+    for thing in (*targets, *spec.sensors, *spec.skins, *spec.materials, *spec.textures):
         spec.delete(thing)
     spec.compiler.discardvisual = False
 
@@ -122,8 +121,8 @@ def _choose_floor(spec: mujoco.MjSpec):
     return next((g for g in planes if g.name == "floor"), planes[0] if planes else None)
 
 
-def _one_robot(spec: mujoco.MjSpec, floor, notes: list[str]) -> None:
-    """One body with a free joint in the world, and the floor."""
+def _one_robot(spec: mujoco.MjSpec, floor, notes: list[str]) -> bool:
+    """One body with a free joint in the world, and the floor; whether it got its free joint here."""
     top = list(spec.worldbody.bodies)
     moving = [body for body in top if body.find_all("joint")]
     free = [b for b in moving if any(joint.type == FREE for joint in b.joints)]
@@ -131,7 +130,7 @@ def _one_robot(spec: mujoco.MjSpec, floor, notes: list[str]) -> None:
         names = _list(body.name for body in moving)
         raise ValueError(f"expected one robot, found {names}; take the others out of the file")
     scene = [b for b in top if b not in moving] if moving else []
-    others = [g for g in spec.worldbody.geoms if g is not floor and not _same(g, floor)]
+    others = [g for g in spec.worldbody.geoms if g != floor]
     if scene or others:
         names = [b.name or "a body" for b in scene] + [g.name or "a shape" for g in others]
         notes.append(f"the scene is left out: {_list(names)}")
@@ -143,19 +142,17 @@ def _one_robot(spec: mujoco.MjSpec, floor, notes: list[str]) -> None:
             spec.delete(equality)
     for thing in (*others, *scene):
         spec.delete(thing)
-    if moving and not free:
-        base = moving[0]
-        if base.joints:
-            raise ValueError(
-                f"expected a free joint on the base, found {base.joints[0].name or 'another joint'} on "
-                f"{base.name}; give the base a freejoint"
-            )
-        base.add_freejoint(name=ADDED)
-        notes.append(f"{base.name} moves freely: a free joint is added")
-
-
-def _same(one, other) -> bool:
-    return other is not None and one.signature == other.signature and one.id == other.id
+    if free or not moving:
+        return False
+    base = moving[0]
+    if base.joints:
+        raise ValueError(
+            f"expected a free joint on the base, found {base.joints[0].name or 'another joint'} on "
+            f"{base.name}; give the base a freejoint"
+        )
+    base.add_freejoint()
+    notes.append(f"{base.name} moves freely: a free joint is added")
+    return True
 
 
 def _names(spec: mujoco.MjSpec) -> None:
@@ -174,15 +171,18 @@ def _names(spec: mujoco.MjSpec) -> None:
 
 def _merge(spec: mujoco.MjSpec, notes: list[str]) -> None:
     """Bodies without a joint become part of their parents."""
-    fixed = [body.name or "a body" for body in spec.bodies[1:] if not body.joints]
+    fixed = [body.name for body in spec.bodies[1:] if not body.joints]
     for exclude in list(spec.excludes):  # nothing collides with the robot but the floor
         bodies = {exclude.bodyname1, exclude.bodyname2}
         if "world" not in bodies or bodies & set(fixed):
             spec.delete(exclude)
     if not fixed:
         return
-    spec.fuse_static()
-    notes.append(f"bodies without a joint are merged into their parents: {_list(fixed)}")
+    spec.fuse_static()  # but for those that an equality is about
+    left = {body.name for body in spec.bodies}
+    merged = [name or "a body" for name in fixed if name not in left]
+    if merged:
+        notes.append(f"bodies without a joint are merged into their parents: {_list(merged)}")
 
 
 # poses
@@ -195,14 +195,14 @@ def _sizes(body) -> list[tuple[str, int]]:
     return found + [one for child in body.bodies for one in _sizes(child)]
 
 
-def _keys(spec: mujoco.MjSpec, poses: list[np.ndarray], notes: list[str]) -> None:
+def _keys(spec: mujoco.MjSpec, poses: list[np.ndarray], freed: bool, notes: list[str]) -> None:
     """Keyframes that do not fit are taken out, and the first of the others is `home` if none is.
 
-    `poses` are their `qpos`. A file without a free joint has none of its numbers.
+    `poses` are their `qpos`. Those of a base that was not free (`freed`) have none of its numbers.
     """
     size = sum(count for _, count in _sizes(spec.worldbody))
     for key, pose in zip(list(spec.keys), poses, strict=True):
-        if len(pose) == size - 7 and spec.worldbody.bodies[0].joints[0].name == ADDED:
+        if freed and len(pose) == size - 7:
             pose = np.concatenate([[0, 0, 0, 1, 0, 0, 0], pose])
         if len(pose) != size:
             if key.name == "home":
@@ -212,7 +212,7 @@ def _keys(spec: mujoco.MjSpec, poses: list[np.ndarray], notes: list[str]) -> Non
             spec.delete(key)
             continue
         if not np.array_equal(key.qpos, pose):
-            key.qpos = pose
+            key.qpos, key.qvel = pose, []
         if len(key.mpos):
             key.mpos, key.mquat = [], []  # of bodies of a scene
     keys = list(spec.keys)
@@ -349,7 +349,7 @@ def _pairs(spec: mujoco.MjSpec, floor, notes: list[str]) -> None:
         inside += len(own) == 2
         spec.delete(pair)
     if inside:
-        notes.append(f"{inside} contact pairs of the robot with itself are left out")
+        notes.append(f"contact pairs of the robot with itself are left out: {inside}")
 
 
 # what the trainer needs
@@ -394,10 +394,8 @@ def _motors(spec: mujoco.MjSpec, model: mujoco.MjModel, notes: list[str]) -> boo
 def _floor(spec: mujoco.MjSpec, floor, notes: list[str]) -> None:
     """A level plane `floor` at height 0 that shapes of the robot touch."""
     if floor is None:
-        size = np.array([0, 0, 0.05])
-        floor = spec.worldbody.add_geom(
-            name="floor", type=PLANE, size=size, contype=1, conaffinity=0
-        )
+        floor = spec.worldbody.add_geom(name="floor", type=PLANE, size=[0, 0, 0.05])
+        floor.contype, floor.conaffinity = 1, 0
         floor.condim, floor.priority, floor.margin, floor.gap, floor.material = 3, 0, 0, 0, ""
         notes.append("there is no plane in the world: a floor is added")
         return
@@ -516,7 +514,7 @@ def _contacts(spec: mujoco.MjSpec, model: mujoco.MjModel, notes: list[str]) -> b
         if (geom.contype, geom.conaffinity & 1) != (0, 1):
             geom.contype, geom.conaffinity = 0, 1
             crossed.append(geom)
-        condim = {1: 1}.get(geom.condim, 3)
+        condim = 1 if geom.condim == 1 else 3
         if geom.name in shapes and geom.priority < over:
             geom.priority, condim = over, 3
             raised.append(geom)

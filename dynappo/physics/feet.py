@@ -32,7 +32,9 @@ def named(geoms: list[str]) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
     return np.array(shapes, int), np.array(foot_of, int), tuple(found)
 
 
-def lowest_points(model: mujoco.MjModel, qpos: np.ndarray, geoms: np.ndarray) -> np.ndarray:
+def lowest_points(
+    model: mujoco.MjModel, qpos: np.ndarray, geoms: np.ndarray | list[int]
+) -> np.ndarray:
     """Heights (m) of the lowest points of `geoms` [G] in a pose; meshes and ellipsoids too."""
     return _reach(model, qpos, geoms)[0]
 
@@ -92,6 +94,8 @@ def by_shape(model: mujoco.MjModel, home: np.ndarray) -> dict[str, list[int]]:
 def _rolls(model: mujoco.MjModel, geom: int) -> bool:
     """Whether a shape is a wheel: round about a joint without limits, at its middle."""
     body = model.geom_bodyid[geom]
+    if not model.body_jntnum[body]:
+        return False
     joint = model.body_jntadr[body] + model.body_jntnum[body] - 1
     if model.jnt_limited[joint]:
         return False

@@ -73,7 +73,8 @@ def _points(model: mujoco.MjModel, geom: int) -> tuple[np.ndarray, float, float]
         own = np.stack(np.meshgrid(*[[-s, s] for s in size]), -1).reshape(-1, 3)
         return pos + own @ _matrix(quat).T, 0.0, 0.0
     ends = pos + np.outer([-size[1], size[1]], _matrix(quat)[:, 2])
-    return ends, *((size[0], 0.0) if kind == contacts.CAPSULE else (0.0, size[0]))
+    capsule = kind == contacts.CAPSULE
+    return ends, size[0] * capsule, size[0] * (not capsule)
 
 
 def joints_to(model: mujoco.MjModel, body: int) -> list[int]:

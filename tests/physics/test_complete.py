@@ -322,7 +322,7 @@ def test_pairs_with_the_floor_are_the_shapes_own_contacts_and_others_go(tmp_path
     found = load(text.replace("</mujoco>", f"<contact>{pairs}</contact></mujoco>"), tmp_path)
     assert found.foot_names == tuple(name for name, *_ in robot_files.HEXAPOD_LEGS)
     assert (found.mj_model.geom_friction[found.feet, 0] == 0.7).all() and found.mj_model.npair == 0
-    assert found.notes[0] == "1 contact pairs of the robot with itself are left out"
+    assert found.notes[0] == "contact pairs of the robot with itself are left out: 1"
     assert len(found.parts) == 1 and "the base has no shape" in found.notes[2]
 
 

@@ -270,7 +270,7 @@ COMPLETED = {  # complete.py: then it is a robot that the kernel computes
     "torsional friction": (put("geom", FOOT, condim=4), "condim 3"),
     "rolling friction": (put("geom", FOOT, condim=6), "condim 3"),
     "feet of the floor's priority": (put("geom", FOOT, priority=0), "priority 1"),
-    "a pair of parts": (pair(CALF, "FR_calf"), "1 contact pairs of the robot with itself"),
+    "a pair of parts": (pair(CALF, "FR_calf"), "pairs of the robot with itself are left out: 1"),
     "a pair with the floor": (pair(CALF, "floor"), ""),
     "a pair with a foot": (pair(FOOT, "floor", condim=3), ""),
 }
