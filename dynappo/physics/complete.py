@@ -1,11 +1,11 @@
 """Completes a robot's file, so that any MJCF of a robot can be trained: `complete(spec) -> Completed`.
 
 Published files differ in what they leave to a scene, and in what they bring beside the robot. What
-`robot_contract` expects is therefore put in place when a file is read, and each change is a line for a person.
-A file that lacks nothing goes through untouched: the same compiled model, and no line.
+`robot_contract` expects is therefore put in place when a file is read, and each change is a line for a
+person. A file that lacks nothing goes through untouched: the same compiled model, and no line.
 
-The order matters: masses are fixed before the shapes that they come from go, bodies are merged before limbs
-are looked at, and all shapes are primitives before one of them is a foot.
+The order matters: masses are fixed before the shapes that they come from go, bodies are merged before
+limbs are looked at, and the feet are known before meshes become primitives that must end above them.
 """
 
 from __future__ import annotations
@@ -25,7 +25,6 @@ MESH, PLANE, ELLIPSOID = (
 )
 OFF = mujoco.mjtLimited.mjLIMITED_FALSE
 FREE, HINGE = mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtJoint.mjJNT_HINGE
-ADDED = "added free joint"
 ON_FLOOR = 0.01  # m that the lowest foot may be from the floor in the home pose
 # of a geom, what a primitive in its place keeps
 KEPT = "name condim priority friction solref solimp solmix margin gap group rgba".split()
@@ -43,11 +42,20 @@ class Completed(NamedTuple):
 
 def complete(spec: mujoco.MjSpec) -> Completed:
     """Complete `spec`, which is changed. ValueError, in a line, for what cannot be completed."""
+    try:
+        return _completed(spec)
+    except ValueError as error:
+        if str(error).startswith("Error: Error opening file"):
+            raise ValueError(f"{error}, which a shape that collides has") from None
+        raise
+
+
+def _completed(spec: mujoco.MjSpec) -> Completed:
     notes: list[str] = []
     poses = [np.array(key.qpos) for key in spec.keys]  # MuJoCo empties keys where bodies go
     _measure_nothing(spec)
     floor = _choose_floor(spec)
-    _one_robot(spec, floor, notes)
+    freed = _one_robot(spec, floor, notes)
     robot_contract.check_tree(spec)
     _names(spec)
     _pairs(spec, floor, notes)
@@ -56,7 +64,7 @@ def complete(spec: mujoco.MjSpec) -> Completed:
     _looks(spec, shapes)
     _merge(spec, notes)
     _floor(spec, floor, notes)
-    _keys(spec, poses, notes)
+    _keys(spec, poses, freed, notes)
     model = _compiled(spec)
     # those before the meshes go need no new model: compiling one with meshes takes a second
     early = _motors, _pose, _feet, _primitives, _base_part
@@ -69,12 +77,7 @@ def complete(spec: mujoco.MjSpec) -> Completed:
 
 
 def _compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:
-    try:
-        return mjcf.check_model(spec.compile())
-    except ValueError as error:
-        if "opening file" in str(error):
-            raise ValueError(f"{error}, which a shape that collides has") from None
-        raise
+    return mjcf.check_model(spec.compile())
 
 
 def _list(names, most: int = 6) -> str:
@@ -97,12 +100,14 @@ def _called(geom) -> str:
 
 
 def _measure_nothing(spec: mujoco.MjSpec) -> None:
-    """Sensors, skins, materials have no say in how a robot moves; but they name files, bodies and shapes."""
+    """Sensors, skins, materials, what looks at a body: they have no say in how a robot moves, but name files,
+    bodies and shapes."""
     for shape in (*spec.geoms, *spec.sites):
         shape.material = ""
     for tendon in spec.tendons:
         tendon.material = ""
-    for thing in (*spec.sensors, *spec.skins, *spec.materials, *spec.textures):
+    targets = [thing for thing in (*spec.cameras, *spec.lights) if thing.targetbody]
+    for thing in (*targets, *spec.sensors, *spec.skins, *spec.materials, *spec.textures):
         spec.delete(thing)
     spec.compiler.discardvisual = False
 
@@ -116,8 +121,8 @@ def _choose_floor(spec: mujoco.MjSpec):
     return next((g for g in planes if g.name == "floor"), planes[0] if planes else None)
 
 
-def _one_robot(spec: mujoco.MjSpec, floor, notes: list[str]) -> None:
-    """One body with a free joint in the world, and the floor."""
+def _one_robot(spec: mujoco.MjSpec, floor, notes: list[str]) -> bool:
+    """One body with a free joint in the world, and the floor; whether it got its free joint here."""
     top = list(spec.worldbody.bodies)
     moving = [body for body in top if body.find_all("joint")]
     free = [b for b in moving if any(joint.type == FREE for joint in b.joints)]
@@ -125,29 +130,29 @@ def _one_robot(spec: mujoco.MjSpec, floor, notes: list[str]) -> None:
         names = _list(body.name for body in moving)
         raise ValueError(f"expected one robot, found {names}; take the others out of the file")
     scene = [b for b in top if b not in moving] if moving else []
-    others = [g for g in spec.worldbody.geoms if g is not floor and not _same(g, floor)]
+    others = [g for g in spec.worldbody.geoms if g != floor]
     if scene or others:
         names = [b.name or "a body" for b in scene] + [g.name or "a shape" for g in others]
         notes.append(f"the scene is left out: {_list(names)}")
-    gone = {body.name for b in scene for body in (b, *b.find_all("body"))} | {g.name for g in others}
+    gone = {body.name for b in scene for body in (b, *b.find_all("body"))} | {
+        g.name for g in others
+    }
     for equality in list(spec.equalities):
         if gone & {equality.name1, equality.name2} - {""}:
             spec.delete(equality)
     for thing in (*others, *scene):
         spec.delete(thing)
-    if moving and not free:
-        base = moving[0]
-        if base.joints:
-            raise ValueError(
-                f"expected a free joint on the base, found {base.joints[0].name or 'another joint'} on "
-                f"{base.name}; give the base a freejoint"
-            )
-        base.add_freejoint(name=ADDED)
-        notes.append(f"{base.name} moves freely: a free joint is added")
-
-
-def _same(one, other) -> bool:
-    return other is not None and one.signature == other.signature and one.id == other.id
+    if free or not moving:
+        return False
+    base = moving[0]
+    if base.joints:
+        raise ValueError(
+            f"expected a free joint on the base, found {base.joints[0].name or 'another joint'} on "
+            f"{base.name}; give the base a freejoint"
+        )
+    base.add_freejoint()
+    notes.append(f"{base.name} moves freely: a free joint is added")
+    return True
 
 
 def _names(spec: mujoco.MjSpec) -> None:
@@ -166,15 +171,18 @@ def _names(spec: mujoco.MjSpec) -> None:
 
 def _merge(spec: mujoco.MjSpec, notes: list[str]) -> None:
     """Bodies without a joint become part of their parents."""
-    fixed = [body.name or "a body" for body in spec.bodies[1:] if not body.joints]
+    fixed = [body.name for body in spec.bodies[1:] if not body.joints]
     for exclude in list(spec.excludes):  # nothing collides with the robot but the floor
         bodies = {exclude.bodyname1, exclude.bodyname2}
         if "world" not in bodies or bodies & set(fixed):
             spec.delete(exclude)
     if not fixed:
         return
-    spec.fuse_static()
-    notes.append(f"bodies without a joint are merged into their parents: {_list(fixed)}")
+    spec.fuse_static()  # but for those that an equality is about
+    left = {body.name for body in spec.bodies}
+    merged = [name or "a body" for name in fixed if name not in left]
+    if merged:
+        notes.append(f"bodies without a joint are merged into their parents: {_list(merged)}")
 
 
 # poses
@@ -187,22 +195,24 @@ def _sizes(body) -> list[tuple[str, int]]:
     return found + [one for child in body.bodies for one in _sizes(child)]
 
 
-def _keys(spec: mujoco.MjSpec, poses: list[np.ndarray], notes: list[str]) -> None:
+def _keys(spec: mujoco.MjSpec, poses: list[np.ndarray], freed: bool, notes: list[str]) -> None:
     """Keyframes that do not fit are taken out, and the first of the others is `home` if none is.
 
-    `poses` are their `qpos`. A file without a free joint has none of its numbers.
+    `poses` are their `qpos`. Those of a base that was not free (`freed`) have none of its numbers.
     """
     size = sum(count for _, count in _sizes(spec.worldbody))
     for key, pose in zip(list(spec.keys), poses, strict=True):
-        if len(pose) == size - 7 and spec.worldbody.bodies[0].joints[0].name == ADDED:
+        if freed and len(pose) == size - 7:
             pose = np.concatenate([[0, 0, 0, 1, 0, 0, 0], pose])
         if len(pose) != size:
             if key.name == "home":
-                notes.append(f"the keyframe home is left out: it has {len(pose)} numbers, not {size}")
+                notes.append(
+                    f"the keyframe home is left out: it has {len(pose)} numbers, not {size}"
+                )
             spec.delete(key)
             continue
         if not np.array_equal(key.qpos, pose):
-            key.qpos = pose
+            key.qpos, key.qvel = pose, []
         if len(key.mpos):
             key.mpos, key.mquat = [], []  # of bodies of a scene
     keys = list(spec.keys)
@@ -269,9 +279,7 @@ def _shapes(spec: mujoco.MjSpec, notes: list[str]) -> list:
     meant += [g for g in _on_robot(spec) if g.name and g.name in paired and g not in meant]
     meant += [g for g in shapes if g not in meant]
     if not shapes:
-        plain = [
-            g for g in _on_robot(spec) if g.group == COLLISION_GROUP and g.type in fit.KINDS
-        ]
+        plain = [g for g in _on_robot(spec) if g.group == COLLISION_GROUP and g.type in fit.KINDS]
         plain = [g for g in plain if g not in meant]
         if plain:
             notes.append(f"nothing collides: shapes of group {COLLISION_GROUP} now touch the floor")
@@ -341,7 +349,7 @@ def _pairs(spec: mujoco.MjSpec, floor, notes: list[str]) -> None:
         inside += len(own) == 2
         spec.delete(pair)
     if inside:
-        notes.append(f"{inside} contact pairs of the robot with itself are left out")
+        notes.append(f"contact pairs of the robot with itself are left out: {inside}")
 
 
 # what the trainer needs
@@ -361,7 +369,7 @@ def _motors(spec: mujoco.MjSpec, model: mujoco.MjModel, notes: list[str]) -> boo
         joint, gear = spec.joint(model.joint(actuator).name), model.actuator_gear[i, 0]
         joint.armature += gear**2 * model.actuator_armature[i]
         damping = [model.actuator_damping[i], *model.actuator_dampingpoly[i]]
-        joint.damping = joint.damping + abs(gear) ** np.arange(2, 2 + len(damping)) * damping
+        joint.damping = joint.damping + gear**2 * np.array(damping)
     for actuator in list(spec.actuators):
         spec.delete(actuator)
     for key in spec.keys:
@@ -386,8 +394,8 @@ def _motors(spec: mujoco.MjSpec, model: mujoco.MjModel, notes: list[str]) -> boo
 def _floor(spec: mujoco.MjSpec, floor, notes: list[str]) -> None:
     """A level plane `floor` at height 0 that shapes of the robot touch."""
     if floor is None:
-        size = np.array([0, 0, 0.05])
-        floor = spec.worldbody.add_geom(name="floor", type=PLANE, size=size, contype=1, conaffinity=0)
+        floor = spec.worldbody.add_geom(name="floor", type=PLANE, size=[0, 0, 0.05])
+        floor.contype, floor.conaffinity = 1, 0
         floor.condim, floor.priority, floor.margin, floor.gap, floor.material = 3, 0, 0, 0, ""
         notes.append("there is no plane in the world: a floor is added")
         return
@@ -410,8 +418,8 @@ def _feet(spec: mujoco.MjSpec, model: mujoco.MjModel, notes: list[str]) -> bool:
     found = feet.by_shape(model, np.array(spec.key("home").qpos))
     if not found:
         raise ValueError(
-            "expected a foot: no limb without wheels ends near the robot's lowest point in the home pose; name "
-            "the shapes of each foot NAME_foot, NAME_foot1, ..."
+            "expected a foot: no limb without wheels ends near the robot's lowest point in the home pose; "
+            "name the shapes of each foot NAME_foot, NAME_foot1, ..."
         )
     geoms = {geom.id: geom for geom in spec.geoms}
     for name, ids in found.items():
@@ -440,7 +448,9 @@ def _primitives(spec: mujoco.MjSpec, model: mujoco.MjModel, notes: list[str]) ->
         else:
             points = feet.vertices(model, i)
             if i not in shapes:
-                points = _above_foot(model, data, i, points, shapes[model.geom_bodyid[shapes] == body])
+                points = _above_foot(
+                    model, data, i, points, shapes[model.geom_bodyid[shapes] == body]
+                )
             level = data.xmat[body].reshape(3, 3).T
             one = fit.around(points @ turn.T + pos, [turn, np.eye(3), level])
         kept = {name: getattr(geom, name) for name in KEPT}
@@ -469,7 +479,9 @@ def _above_foot(model, data, geom: int, points: np.ndarray, foot: np.ndarray) ->
     if not len(foot):
         return points
     home = data.qpos
-    top = max(2 * data.geom_xpos[i, 2] - feet.lowest_points(model, home, np.array([i]))[0] for i in foot)
+    top = max(
+        2 * data.geom_xpos[i, 2] - feet.lowest_points(model, home, np.array([i]))[0] for i in foot
+    )
     heights = data.geom_xpos[geom, 2] + points @ data.geom_xmat[geom].reshape(3, 3)[2]
     above = heights > top
     if above.sum() < 4 or heights.max() - top < (heights.max() - heights.min()) / 2:
@@ -502,7 +514,7 @@ def _contacts(spec: mujoco.MjSpec, model: mujoco.MjModel, notes: list[str]) -> b
         if (geom.contype, geom.conaffinity & 1) != (0, 1):
             geom.contype, geom.conaffinity = 0, 1
             crossed.append(geom)
-        condim = {1: 1}.get(geom.condim, 3)
+        condim = 1 if geom.condim == 1 else 3
         if geom.name in shapes and geom.priority < over:
             geom.priority, condim = over, 3
             raised.append(geom)

@@ -10,10 +10,10 @@ import numpy as np
 from dynappo.physics import contacts, kinematics
 
 NAME = re.compile(r"(.+?)_foot(?:_?\d+)?")  # FL_foot; left_foot1, left_foot_2
-# shares of the base's height above the lowest point, in the home pose: how much higher than the robot's lowest
-# point a limb may end that stands on the floor, how much higher than the limb's a shape of its foot may, and how
-# far up a shape of a foot may reach
-NEAR, SOLE, SHANK = 0.1, 0.03, 0.25
+# shares of the base's height above the lowest point, in the home pose
+NEAR = 0.1  # a limb that stands on the floor may end so much higher than the robot's lowest point
+SOLE = 0.03  # a shape of its foot, than the limb's
+SHANK = 0.25  # no shape of a foot reaches further up
 OF_AXIS = 0.1  # of a shape's size, that a wheel's middle may be off its axis
 
 
@@ -32,7 +32,9 @@ def named(geoms: list[str]) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
     return np.array(shapes, int), np.array(foot_of, int), tuple(found)
 
 
-def lowest_points(model: mujoco.MjModel, qpos: np.ndarray, geoms: np.ndarray) -> np.ndarray:
+def lowest_points(
+    model: mujoco.MjModel, qpos: np.ndarray, geoms: np.ndarray | list[int]
+) -> np.ndarray:
     """Heights (m) of the lowest points of `geoms` [G] in a pose; meshes and ellipsoids too."""
     return _reach(model, qpos, geoms)[0]
 
@@ -92,6 +94,8 @@ def by_shape(model: mujoco.MjModel, home: np.ndarray) -> dict[str, list[int]]:
 def _rolls(model: mujoco.MjModel, geom: int) -> bool:
     """Whether a shape is a wheel: round about a joint without limits, at its middle."""
     body = model.geom_bodyid[geom]
+    if not model.body_jntnum[body]:
+        return False
     joint = model.body_jntadr[body] + model.body_jntnum[body] - 1
     if model.jnt_limited[joint]:
         return False

@@ -9,7 +9,8 @@ import numpy as np
 
 from dynappo.physics.contacts import BOX, CAPSULE, CYLINDER, SPHERE
 
-KINDS = {BOX: "box", SPHERE: "sphere", CAPSULE: "capsule", CYLINDER: "cylinder"}
+SLACK = 1.05  # of volumes: the first kind of KINDS that is no larger than this times the smallest
+KINDS = {SPHERE: "sphere", CAPSULE: "capsule", BOX: "box", CYLINDER: "cylinder"}
 
 
 class Primitive(NamedTuple):
@@ -29,10 +30,14 @@ class Primitive(NamedTuple):
 
 
 def around(points: np.ndarray, frames: list[np.ndarray]) -> Primitive:
-    """The smallest box, sphere, capsule or cylinder that holds `points` [P, 3], with axes along those of
-    one of `frames`, rotation matrices whose columns are the axes."""
+    """About the smallest sphere, capsule, box or cylinder that holds `points` [P, 3].
+
+    Its axes are those of one of `frames`, rotation matrices whose columns are the axes.
+    """
     found = [one for frame in frames for one in _along(points, np.asarray(frame))]
-    return min(found, key=lambda one: one.volume)
+    limit = SLACK * min(one.volume for one in found)
+    simple = [one for one in found if one.volume <= limit]
+    return min(simple, key=lambda one: (list(KINDS).index(one.kind), one.volume))
 
 
 def _along(points: np.ndarray, frame: np.ndarray) -> list[Primitive]:
@@ -55,11 +60,17 @@ def _along(points: np.ndarray, frame: np.ndarray) -> list[Primitive]:
         disc = np.pi * radius**2
         found += [
             _primitive(
-                CAPSULE, [radius, shaft, 0], turned, np.roll(middle, 2 - axis),
+                CAPSULE,
+                [radius, shaft, 0],
+                turned,
+                np.roll(middle, 2 - axis),
                 disc * (2 * shaft + 4 / 3 * radius),
             ),
             _primitive(
-                CYLINDER, [radius, half[axis], 0], turned, np.roll(middle, 2 - axis),
+                CYLINDER,
+                [radius, half[axis], 0],
+                turned,
+                np.roll(middle, 2 - axis),
                 disc * 2 * half[axis],
             ),
         ]

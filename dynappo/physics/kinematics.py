@@ -1,9 +1,9 @@
 """Where the feet are at given joint angles, without a physics call: `legs(robot)`, then `feet_in_base`.
 
-A foot's shapes are points with radii: a sphere's middle, the two ends of a capsule, the eight corners of a
-box, the middles of a cylinder's two rims. Each point moves with the hinges between it and the base. In the pose
-where all joints are at their `ref`, frames, axes and offsets are written in the base's frame, so that frames
-may be turned (Lynch and Park, Modern Robotics 4.1, the product of exponentials):
+A foot's shapes are points with radii: a sphere's middle, the two ends of a capsule, the eight corners of
+a box, the middles of a cylinder's two rims. Each point moves with the hinges between it and the base. Axes
+and offsets are those in the base's frame where all joints are at their `ref`, so that frames may be turned
+(Lynch and Park, Modern Robotics 4.1, the product of exponentials):
 
     x <- o_i + exp([a_i] (q_i - ref_i)) x        from the last joint to the first
 """
@@ -73,7 +73,8 @@ def _points(model: mujoco.MjModel, geom: int) -> tuple[np.ndarray, float, float]
         own = np.stack(np.meshgrid(*[[-s, s] for s in size]), -1).reshape(-1, 3)
         return pos + own @ _matrix(quat).T, 0.0, 0.0
     ends = pos + np.outer([-size[1], size[1]], _matrix(quat)[:, 2])
-    return ends, *((size[0], 0.0) if kind == contacts.CAPSULE else (0.0, size[0]))
+    capsule = kind == contacts.CAPSULE
+    return ends, size[0] * capsule, size[0] * (not capsule)
 
 
 def joints_to(model: mujoco.MjModel, body: int) -> list[int]:
@@ -91,7 +92,10 @@ def _chain(model: mujoco.MjModel, body: int, point: np.ndarray) -> tuple[list, l
         path.insert(0, int(body))
         body = model.body_parentid[body]
     joints, offsets, axes = [], [], []
-    turn, here = np.eye(3), np.zeros(3)  # of the body in the base, and from the last joint to its origin
+    turn, here = (
+        np.eye(3),
+        np.zeros(3),
+    )  # of the body in the base, and from the last joint to its origin
     for body in path:
         here = here + turn @ model.body_pos[body]
         turn = turn @ _matrix(model.body_quat[body])
@@ -141,7 +145,9 @@ def lowest(legs: Legs, joints):
     if legs.rim.any():  # of cylinders, as in contacts.floor_distance
         xp = joints.__array_namespace__()
         axis = points - points[legs.other]
-        length = np.maximum(np.linalg.norm(legs.offsets[:, -1] - legs.offsets[legs.other, -1], axis=-1), 1e-9)
+        length = np.maximum(
+            np.linalg.norm(legs.offsets[:, -1] - legs.offsets[legs.other, -1], axis=-1), 1e-9
+        )
         slope = axis[:, 2] / xp.asarray(length, dtype=joints.dtype)
         rim = xp.asarray(legs.rim, dtype=joints.dtype)
         heights = heights - rim * xp.sqrt(xp.clip(1 - slope**2, 0, None))

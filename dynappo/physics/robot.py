@@ -1,7 +1,7 @@
 """Loads a robot's folder as a `Robot`: the compiled physics model, and what a task needs to know of it.
 
-complete.py puts in place what a file lacks; robot_contract.py has the rules that remain. NumPy and C MuJoCo only, so that a policy can be played
-without JAX.
+complete.py puts in place what a file lacks; robot_contract.py has the rules that remain. NumPy and C
+MuJoCo only, so that a policy can be played without JAX.
 """
 
 from __future__ import annotations
@@ -39,7 +39,9 @@ class Robot(NamedTuple):
     base_body: int
     text: str  # its MJCF, if it comes from a policy or a checkpoint; else ""
     alone: str  # its MJCF as one text that needs no other file; "" if there is none
-    notes: tuple[str, ...] = ()  # what was changed in the file when it was read, a line each (complete.py)
+    notes: tuple[
+        str, ...
+    ] = ()  # what was changed in the file when it was read, a line each (complete.py)
 
 
 def load(name: str) -> Robot:

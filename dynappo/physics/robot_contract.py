@@ -1,15 +1,15 @@
 """Checks what a robot is, after `complete` has put in place what a file may lack.
 
 - one top-level body with a free joint: the base; below it any tree of hinge joints, each with a name;
-- at least one foot, not in the base: one or several shapes `NAME_foot`, `NAME_foot1`, ..., all in one body, which
-  has no other foot;
+- at least one foot, not in the base: one or several shapes `NAME_foot`, `NAME_foot1`, ..., all in one
+  body, which has no other foot;
 - feet and all other shapes are boxes, spheres, capsules or cylinders, on the robot; they touch the floor
   (`conaffinity`), and nothing else: only the floor has a `contype`, so the robot never collides with itself;
 - feet have a higher priority than the floor, so that their friction holds;
 - one `motor` per joint, named and ordered as the joints, gear 1; `actuators.py` has PD and limits;
 - the state is positions and velocities: no activations, no delays; no plugins, no flexes;
-- a plane `floor` at height 0, a camera `track`, a keyframe `home`: the default pose, upright, within the joints'
-  ranges, the lowest foot on the floor and no other shape at it.
+- a plane `floor` at height 0, a camera `track`, a keyframe `home`: the default pose, upright, within the
+  joints' ranges, the lowest foot on the floor and no other shape at it.
 
 Frames may be turned, joints may have a place and a `ref`, several may share a body, and need no range.
 
@@ -50,7 +50,9 @@ def names(count: int, get) -> list[str]:
 def check_tree(spec: mujoco.MjSpec) -> None:
     """A free joint, and hinges below it; before anything is compiled."""
     kinds = [mujoco.mjtJoint(j.type).name.removeprefix("mjJNT_").lower() for j in spec.joints]
-    found = [f"{j.name or j.parent.name} ({kind})" for j, kind in zip(spec.joints, kinds, strict=True)]
+    found = [
+        f"{j.name or j.parent.name} ({kind})" for j, kind in zip(spec.joints, kinds, strict=True)
+    ]
     rule = "a free joint on the base, before all other joints"
     _expect(kinds[:1] == ["free"], rule, [*found, "no joint"][0])
     odd = ", ".join(text for text in found[1:] if not text.endswith("(hinge)"))
@@ -135,7 +137,9 @@ def _check_geoms(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
 
 def parts_of(model: mujoco.MjModel) -> np.ndarray:
     """The geoms [G] of a robot that must not touch the ground: all that can, but the feet."""
-    return np.setdiff1d(np.flatnonzero(model.geom_conaffinity & 1), feet.named(names(model.ngeom, model.geom))[0])
+    return np.setdiff1d(
+        np.flatnonzero(model.geom_conaffinity & 1), feet.named(names(model.ngeom, model.geom))[0]
+    )
 
 
 def _check_home(model: mujoco.MjModel, shapes: np.ndarray, parts: np.ndarray) -> None:

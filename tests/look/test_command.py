@@ -128,9 +128,10 @@ def test_a_robot_of_ones_own_is_looked_at_from_its_folder(tmp_path, monkeypatch,
     assert run("mine") == 0
     told = "note: .*robots/mine/mine.xml: because of springs at joints .* MuJoCo Warp's own step"
     assert re.search(told, capsys.readouterr().out)
-    Path("robots/mine/mine.xml").write_text(text.replace('name="home"', 'name="rest"', 1))
+    slides = text.replace('class="thigh"/>', 'class="thigh" type="slide"/>', 1)
+    Path("robots/mine/mine.xml").write_text(slides)
     line = mistake(look_command.main, ["mine"], capsys)
-    assert "robots/mine/mine.xml: expected a keyframe named home, found rest" in line
+    assert "robots/mine/mine.xml: expected hinge joints after the free one" in line
 
 
 def test_a_picture_is_written_or_one_line_says_why_not(tmp_path, monkeypatch, capsys):

@@ -1,7 +1,7 @@
 """The kernel computes all of a robot's file, or declines it: each feature of MJCF in turn.
 
-A file with one more feature is completed, or refused in one line (robot_contract.py), or declined with a reason
-that names the feature, or a control step of the kernel is that of C MuJoCo.
+A file with one more feature is completed, or refused in one line (robot_contract.py), or declined with a
+reason that names the feature, or a control step of the kernel is that of C MuJoCo.
 """
 
 import copy
@@ -270,7 +270,7 @@ COMPLETED = {  # complete.py: then it is a robot that the kernel computes
     "torsional friction": (put("geom", FOOT, condim=4), "condim 3"),
     "rolling friction": (put("geom", FOOT, condim=6), "condim 3"),
     "feet of the floor's priority": (put("geom", FOOT, priority=0), "priority 1"),
-    "a pair of parts": (pair(CALF, "FR_calf"), "1 contact pairs of the robot with itself"),
+    "a pair of parts": (pair(CALF, "FR_calf"), "pairs of the robot with itself are left out: 1"),
     "a pair with the floor": (pair(CALF, "floor"), ""),
     "a pair with a foot": (pair(FOOT, "floor", condim=3), ""),
 }
@@ -304,7 +304,12 @@ DECLINED = {
     ),
     "a foot of two shapes": (
         lambda spec: spec.body(CALF).add_geom(
-            name="FL_foot2", size=[0.02, 0, 0], pos=[0.01, 0, -0.2], conaffinity=1, contype=0, priority=1
+            name="FL_foot2",
+            size=[0.02, 0, 0],
+            pos=[0.01, 0, -0.2],
+            conaffinity=1,
+            contype=0,
+            priority=1,
         ),
         "other limbs",
     ),

@@ -1,4 +1,4 @@
-"""What a stranger reads when a robot's file lacks something: a note a change; or one line, file, expected, found.
+"""What a stranger reads when a robot's file lacks something: a note a change, or one line that refuses it.
 
 Every case edits the text of a shipped file as a person would get it wrong.
 """

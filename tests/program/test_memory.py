@@ -43,7 +43,9 @@ def test_the_least_is_the_rollout_buffer_and_the_robots():
     state = jax.eval_shape(init, hyper, jax.random.key(0))
     whole = size(buffer) + size((state.env_state, state.params_physics))
     assert abs(whole - memory.least(run, robot)) <= 64 * 16
-    assert memory.least(config(rollout__num_envs=64, run__num_seeds=4), robot) == 4 * memory.least(run, robot)
+    assert memory.least(config(rollout__num_envs=64, run__num_seeds=4), robot) == 4 * memory.least(
+        run, robot
+    )
     spread = dict(run__num_seeds=4, run__mesh_seed=2, run__mesh_env=2)
     assert memory.least(config(rollout__num_envs=64, **spread), robot) == memory.least(run, robot)
 

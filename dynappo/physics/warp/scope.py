@@ -51,7 +51,6 @@ WORDS = {
     "jnt_pos": "joints beside their link's origin",
     "qpos0": "a joint's ref",
     "jnt_limited": "joints without a range",
-    "geom_type": "feet that are no spheres",
     "geom_adhesion": "adhesion",
     "geom_surfacevel": "moving surfaces",
     "body_gravcomp": "gravity compensation",

@@ -105,9 +105,9 @@ def ground_rules(robot: robot_lib.Robot, task) -> tuple[np.ndarray, np.ndarray]:
     for foot in range(len(robot.foot_names)):
         own = model.geom_bodyid[robot.feet[robot.foot_of == foot][0]]
         links = [int(model.jnt_bodyid[1 + j]) for j in kinematics.joints_to(model, own)]
-        between = [body for body in links[1:] if body != own] or links[:1]
-        thighs += [body for body in between if body not in thighs]
-    return fatal, bodies == np.array(thighs)[:, None]
+        between = [body for body in links[1:] if body != links[-1]] or links[:1]
+        thighs += between
+    return fatal, bodies == np.array(list(dict.fromkeys(thighs)))[:, None]
 
 
 def _randomize(const: Constants, hyper: Hyper, key):

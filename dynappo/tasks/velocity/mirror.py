@@ -1,7 +1,8 @@
 """The left-right mirror image of observations and actions: `images(robot, layout)`.
 
-It is computed from the robot's model: the partner of a joint is the joint at the mirrored place, about the
-mirrored axis, in the home pose; the two axes decide the sign. A joint on the middle plane is its own partner. NumPy and C MuJoCo only.
+It is computed from the robot's model: the partner of a joint is the joint at the mirrored place, about
+the mirrored axis, in the home pose; the two axes decide the sign. A joint on the middle plane is its own
+partner. NumPy and C MuJoCo only.
 """
 
 from __future__ import annotations
