@@ -4,7 +4,7 @@ The rules, for joint j of a robot of mass m whose feet hang l below the base:
 
     effort     of the file, if it is below 2 m g l, which no motor of the robot has; else 0.45 m g l
     kp         effort / 1 rad; for all joints higher, up to effort / 0.45 rad, where the robot sinks by more
-               than a sixth of its height when it stands on three feet or more (`sag`)
+               than 15 % of its height when it stands on three feet or more (`sag`)
     kd         kp x 0.025 s, but no more than takes 0.4 of a joint's speed in a physics step
     armature   0.0006 kg m^2 for each N m of effort, where the file has none
     scale      0.25 rad of exploration, but at most a third of the effort: effort / (3 kp)
@@ -29,7 +29,7 @@ from dynappo.physics import robot as robot_lib
 
 TIMESTEP = 0.005  # s, of physics
 STRENGTH, STRONGEST = 0.45, 2.0  # of m g l: what is assumed, and what is believed
-SAG, STANDS = 0.17, 2.0  # of its height, that it may sink by in so many s
+SAG, STANDS = 0.15, 2.0  # of its height, that it may sink by in so many s
 RATIO = 0.025  # s, kd / kp
 DAMPS, BEST_DAMPS = 0.5, 0.4  # the share of a joint's speed that kd takes in a step: at most; by rule
 SOFT, STIFF = 3.0, 0.45  # rad, effort / kp of a servo that is kept

@@ -28,7 +28,10 @@ def draw(spec: mujoco.MjSpec, source: Source, base: str, assets: Path) -> tuple[
     theirs = source.spec.copy()
     whole = theirs.compile()
     one, other = _at_zero(whole), _at_zero(model, whole)
-    looks = [geom for geom in theirs.geoms if _drawn(geom)]
+    shown = [geom for geom in theirs.geoms if _drawn(geom)]
+    looks = [geom for geom in shown if not (geom.contype or geom.conaffinity)]
+    if not looks and any(geom.type == MESH for geom in shown):
+        looks = shown  # meshes that collide, in the file: primitives do so here
     looks = looks if len(looks) > source.lost else []
     for geom in spec.geoms:
         if geom.parent.name != "world":
@@ -53,9 +56,8 @@ def draw(spec: mujoco.MjSpec, source: Source, base: str, assets: Path) -> tuple[
 
 
 def _drawn(geom) -> bool:
-    """Whether a geom of the robot is there only to be seen."""
-    touches = geom.contype or geom.conaffinity
-    return geom.parent.name != "world" and not touches and geom.group <= LOOKS
+    """Whether a geom of the robot is seen, as viewers have it."""
+    return geom.parent.name != "world" and geom.group <= LOOKS
 
 
 def _at_zero(model, like=None) -> mujoco.MjData:

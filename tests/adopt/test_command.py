@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 import published
 import pytest
-from answers import mistake, refused, status
+from answers import mistake, refused, shell, status
 
 from dynappo import config as config_lib
 from dynappo.adopt import command, source
@@ -218,3 +218,17 @@ def test_a_mesh_that_is_no_longer_there_is_left_out(tmp_path):
     read = source.read(file)
     assert read.notes == ("meshes that are not there are left out: cube",) and read.lost == 5
     assert "there is no such file" in refused(source.read, tmp_path / "no.urdf")
+
+
+@pytest.mark.slow
+def test_what_is_adopted_trains(adopted, tmp_path):
+    """Two iterations of 16 robots in C MuJoCo, and its policy is played; as a stranger would do it."""
+    folder, *_ = adopted
+    run_it = ["-m", "dynappo.train", "--config=configs/mine.py:quick", f"--workdir={tmp_path}/run"]
+    small = ["run.num_iterations=2", "rollout.num_envs=16", "run.eval_envs=2", "run.video_seconds=0.2"]
+    small += ["physics.impl=c", "schedule.end_iteration=1"]
+    done = shell(*run_it, *[f"--config.{field}" for field in small], cwd=folder)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "run/policy.npz").exists()
+    play = ["-m", "dynappo.play", tmp_path / "run", "--seconds=1", f"--out={tmp_path}/walk.html"]
+    assert shell(*play, cwd=folder).returncode == 0

@@ -49,7 +49,7 @@ def test_numbers_of_each_kind_of_actuator(actuator, kp, kd, effort, tmp_path):
 @pytest.mark.parametrize("name", ROBOTS)
 def test_by_rule_every_robot_here_stands_and_is_stable(name):
     """Without a word on its motors: no joint is damped by more than half in a step, by the eigenvalues of the
-    linear map; a simulation by hand sinks by less than a sixth; exploration asks for a third at most."""
+    linear map; a simulation by hand sinks by less than 15 %; exploration asks for a third at most."""
     robot = robot_lib.load(name)
     found, told = gains.choose(robot, NONE, 0.5)
     model, data = robot.mj_model, mujoco.MjData(robot.mj_model)
@@ -64,7 +64,7 @@ def test_by_rule_every_robot_here_stands_and_is_stable(name):
         torque = found.kp * error - found.kd * data.qvel[6:]
         data.ctrl[:] = np.maximum(np.minimum(torque, found.effort_limit), -found.effort_limit)
         mujoco.mj_step(model, data)
-    assert data.qpos[2] > (1 - 0.17) * robot.home_qpos[2]
+    assert data.qpos[2] > (1 - 0.15) * robot.home_qpos[2]
     assert (found.kp * found.action_scale * 0.5 <= found.effort_limit * 0.35).all()
     assert (found.action_scale <= 0.5).all()
     mass = model.body_mass.sum()

@@ -165,7 +165,7 @@ RIGHT = {  # arguments with which a command goes on; one of each group
     "evaluate": (["go1", "anymal_d", "mine.npz"], [], ["--out=new", "--seed=3", "--episodes=9"]),
     "export": (["go1", "go2", "mine.npz"], ["--out=a.onnx", "--out=a.npz"], ["--joint-order=mjcf"]),
     "look": (GOOD[:-1] + ["mine.py", "go1"], [], ["--out=a.png"]),
-    "adopt": (["mine.xml", "no.xml", "mine.urdf"], [], ["--name=mine", "--name=other"]),
+    "adopt": (["mine.xml", "no.xml"], [], ["--name=mine", "--name=other"]),
 }
 
 

@@ -87,7 +87,7 @@ def test_soft_feet_and_low_shanks_are_notes(tmp_path, monkeypatch, capsys):
     )
     foot = re.search(r'<geom name="LF_foot"[^>]*pos="([^"]*)"', text)
     assert foot
-    low = f'<geom type="sphere" size="0.029" pos="{foot[1]}" contype="0" conaffinity="1"/>'
+    low = f'<geom type="sphere" size="0.025" pos="{foot[1]}" contype="0" conaffinity="1"/>'
     Path("robots/low/low.xml").write_text(text.replace(foot[0], low + foot[0], 1))
     mine = 'from dynappo import config as c\ndef get_config(v=""):\n  k = c.load("configs/anymal_c.py")\n'
     for name in ("soft", "low"):
