@@ -48,6 +48,7 @@ Seconds = Annotated[float, Between(0, 1_000_000)]
 Range = tuple[NotNegative, NotNegative]  # low, high
 Command = tuple[Signed, Signed]  # low, high
 Layers = tuple[Few, ...]
+PerJoint = float | dict[str, float] | tuple[float, ...]
 Activation = Literal["elu", "relu", "tanh", "swish"]
 Precision = Literal["highest", "tf32", "bfloat16"]
 
@@ -211,8 +212,8 @@ class Randomize(NamedTuple):
     kd_scale: Range = (1.0, 1.0)
     # real robots (physics/randomize.py); nominal: not in the compiled program
     strength: Range = (1.0, 1.0)  # share of the motors' torque that arrives
-    armature: Range = (1.0, 1.0)  # of the joints, times the file's
-    joint_friction: Range = (0.0, 0.0)  # N m
+    armature: Range = (1.0, 1.0)  # of the joints, times the nominal
+    joint_friction: Range = (0.0, 0.0)  # N m, added to the nominal
     delay: Range = (0.0, 0.0)  # s, actions come late; at most two control steps
     lag: Range = (0.0, 0.0)  # s, time constant with task.actuator="lag"
     encoder_bias: NotNegative = 0.0  # rad, half width, a joint
@@ -241,17 +242,24 @@ class Task(NamedTuple):
     carry_on: bool = False  # those that time out stay where they are, with a new command; but
     start_anew: Share = 0.5  # this share of them starts anew all the same,
     keep_command: Share = 0.0  # and this share stays under the command that it has
-    action_scale: Annotated[float, Between(1e-12, 100)] = 0.25  # rad per unit of action; IL
+    # rad per unit of action; IL
+    action_scale: Annotated[PerJoint, Between(1e-12, 100)] = 0.25
     # "full": the 48 numbers of tasks/velocity/observe.py; "onboard": the 45 that a robot measures, so
     # without linear velocity
     observation: Literal["full", "onboard"] = "full"
     history: Annotated[int, Between(1, 100)] = 1  # readings that the policy sees
     actuator: Literal["pd", "lag"] = "pd"  # "lag": the torque lags by task.randomize.lag
-    kp: Annotated[float, Between(0, 100_000)] = 25.0  # N m/rad
-    kd: Annotated[float, Between(0, 100_000)] = 0.5  # N m s/rad
-    effort_limit: Positive = 23.7  # N m
-    saturation_effort: Positive = 23.7  # N m, torque of the motor at standstill
-    velocity_limit: Positive = 30.0  # rad/s, speed of the motor without load
+    kp: Annotated[PerJoint, Between(0, 100_000)] = 25.0  # N m/rad
+    kd: Annotated[PerJoint, Between(0, 100_000)] = 0.5  # N m s/rad
+    effort_limit: Annotated[PerJoint, Between(1e-12, 1e9)] = 23.7  # N m
+    # N m, torque of the motor at standstill
+    saturation_effort: Annotated[PerJoint, Between(1e-12, 1e9)] = 23.7
+    # rad/s, speed of the motor without load
+    velocity_limit: Annotated[PerJoint, Between(1e-12, 1e9)] = 30.0
+    # kg m^2, inertia of the motors as the joints feel it; None: the file's. Part of the program
+    armature: Annotated[PerJoint, Between(0, 1e4)] | None = None
+    # N m, dry friction beside the file's (physics/actuators.py); `randomize` adds to it
+    joint_friction: Annotated[PerJoint, Between(0, 1e4)] = 0.0
     command_x: Command = (-1.0, 1.0)  # m/s; paper and IL
     command_y: Command = (-1.0, 1.0)  # m/s
     command_yaw: Command = (-1.0, 1.0)  # rad/s
@@ -300,12 +308,25 @@ def defaults() -> config_dict.ConfigDict:
     return config_dict.ConfigDict(_nested(Config())).lock()
 
 
+class _EachJoint(config_dict.FieldReference):
+    """Holds a `PerJoint`; of a dict its pairs, for ml_collections takes a dict for a group of fields."""
+
+    def __init__(self, value: Any):
+        super().__init__(value, field_type=object)
+
+    def set(self, value: Any, type_safe: bool = True) -> None:
+        super().set(tuple(value.items()) if isinstance(value, dict) else value, type_safe)
+
+
 def _nested(group: Any) -> dict[str, Any]:
     """A group as a dict; a field that is None until it is set keeps the type it will have."""
     out, types = {}, get_type_hints(type(group))
     for name, value in group._asdict().items():
-        if value is None:
-            kind = get_args(types[name])[0]  # of `kind | None`
+        kinds = get_args(types[name])
+        if set(get_args(PerJoint)) <= set(kinds):
+            value = _EachJoint(value)
+        elif value is None:
+            kind = kinds[0]  # of `kind | None`
             value = config_dict.placeholder(str if get_origin(kind) is Literal else kind)
         out[name] = _nested(value) if hasattr(value, "_fields") else value
     return out

@@ -6,6 +6,7 @@ from dynappo.config import flags
 
 COMMANDS = {
     "train": "train a robot, or resume a run",
+    "adopt": "make a robot of a published MJCF or URDF",
     "look": "check a robot before training: does it stand?",
     "play": "watch a policy: a page, a film, or MuJoCo's viewer",
     "evaluate": "measure a policy on a grid of commands",

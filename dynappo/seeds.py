@@ -51,7 +51,7 @@ def vary(hyper: Hyper, field: str, values) -> Hyper:
     the errors of `task.randomize` that are 0, which no robot of the compiled program has.
     """
     group, _, rest = field.partition(".")
-    if group in ("run", "physics"):
+    if group in ("run", "physics") or field == "task.armature":
         raise ValueError(
             f"{field} is part of the compiled program, expected a field of ppo, model or task"
         )
@@ -67,7 +67,7 @@ def _set(node, field, path, values):
     old = getattr(node, name)
     if not rest and jnp.ndim(old) + isinstance(old, tuple):
         raise ValueError(f"{field} has several numbers, expected a field with one")
-    if not rest and field.startswith("task.randomize.") and not old:
+    if not rest and field.startswith(("task.randomize.", "task.joint_friction")) and not old:
         raise ValueError(
             f"{field} is 0, so no robot of the compiled program has this error; expected an environment and "
             f"a hyper of a config with another value: set config.{field}, then vary it"

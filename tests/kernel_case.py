@@ -7,7 +7,6 @@ import numpy as np
 import warp as wp
 
 from dynappo import config as config_lib
-from dynappo.physics import contacts
 from dynappo.physics import robot as robot_lib
 from dynappo.physics.warp import arrays, quadruped
 
@@ -18,14 +17,12 @@ MOTOR = (20.0, 0.5, 23.7, 28.0, 30.0, 0.9, 0.3, 1.0)  # arrays.MOTOR
 class Case:
     """Robots near the floor, tilted, pushed, some joints beyond their range; and their numbers."""
 
-    def __init__(self, name, substeps=1, robot=None):
+    def __init__(self, name, substeps=1, robot=None, motors=MOTOR):
         config = config_lib.load(f"configs/{name}.py")
         config.physics.update(iterations=30, ls_iterations=30)
         self.robot = robot = robot or robot_lib.load(name)
         self.model = model = robot_lib.physics_model(robot, config.physics)
-        floor = np.column_stack(contacts.floor_distance(model, robot.parts))
-        radius, parts = robot.foot_radius, robot.parts
-        self.shape = arrays.Shape(substeps, False, robot.feet, radius, parts, floor)
+        self.shape = arrays.shape(model, robot, substeps, False)
         rng = np.random.default_rng(0)
         qpos = np.tile(model.key("home").qpos, (ROBOTS, 1))
         qpos[:, 2] -= rng.uniform(0, 0.05, ROBOTS)
@@ -45,7 +42,7 @@ class Case:
         self.before = {name: np.zeros((ROBOTS, *size)) for name, size in self.sizes().items()}
         qvel = rng.normal(0, 0.7, (ROBOTS, 18))
         target = model.key("home").qpos[7:] + rng.normal(0, 0.3, (ROBOTS, substeps, 12))
-        motor = np.tile(MOTOR, (ROBOTS, 1))
+        motor = np.broadcast_to(motors, (ROBOTS, np.size(motors) // 8, 8))  # for all joints or each
         given = self.fields | dict(qpos=qpos, qvel=qvel, target=target, motor=motor)
         self.before |= {name: np.asarray(x, np.float32) for name, x in given.items()}
 
@@ -72,7 +69,8 @@ class Case:
         return model, data
 
 
-def drive(data, torque):
+def drive(data, torque, motors=MOTOR):
     """Give C MuJoCo the motors' torques and, beside them, the friction in the joints."""
     data.ctrl[:] = torque
-    data.qfrc_applied[6:] = -MOTOR[arrays.MOTOR.index("friction")] * np.tanh(data.qvel[6:] / 0.2)
+    size = np.transpose(motors)[arrays.MOTOR.index("friction")]
+    data.qfrc_applied[6:] = -size * np.tanh(data.qvel[6:] / 0.2)

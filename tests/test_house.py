@@ -35,13 +35,14 @@ MAY_IMPORT = {
         "scores",
         "play.page",
     },
+    "adopt": {"adopt", "physics", "config"},
     "look": {"look", "policy", "physics", "config"},
     "web": {"web", "policy", "physics", "config"},
     "play": {"play", "web", "policy", "physics", "config"},
     "export": {"export", "policy", "physics", "tasks.velocity.observe", "config"},
     "bench": {"bench", "program", "config", "method", "model"},
 }
-WITHOUT_JAX = {"policy", "look", "web", "play", "export", "config", "schedule"}
+WITHOUT_JAX = {"policy", "adopt", "look", "web", "play", "export", "config", "schedule"}
 WITHOUT_JAX |= {f"tasks.velocity.{name}" for name in ("rewards", "reward_sum", "observe")}
 WITHOUT_JAX |= {
     f"physics.{name}"

@@ -10,6 +10,7 @@ import tomllib
 import zipfile
 from importlib import metadata
 
+import published
 import pytest
 import yaml
 from packaging.requirements import Requirement
@@ -193,12 +194,16 @@ def test_the_wheel_carries_configs_and_robots_and_finds_them(tmp_path):
     command = [sys.executable, "-m", "dynappo.train", "--config=configs/go1.py:quick"]
     play = [sys.executable, "-m", "dynappo.play", "go1", "--command=0.6,0,0", "--seconds=3"]
     environment = os.environ | {"PYTHONPATH": str(site)}
+    published.write(elsewhere)
+    adopt = [sys.executable, "-m", "dynappo.adopt", "toy.xml", "--name=mine"]
     show = "from dynappo import robot; from dynappo.config import files; "
     show += "print(files.find('configs', 'go1.py'), robot.load('go1').xml)"
     for arguments, status, text in (
         ([sys.executable, "-c", show], 0, f"{site}/dynappo/configs/go1.py {site}/dynappo/robots/"),
         ([*command, "--config.run.num_iterations=0"], 2, "run.num_iterations is 0"),
         ([*play, "--out=walk.html"], 0, "fall               none"),
+        (adopt, 0, "written robots/mine/mine.xml, configs/mine.py"),
+        (adopt, 2, "robots/mine is there already"),
     ):
         done = subprocess.run(
             arguments, cwd=elsewhere, env=environment, capture_output=True, text=True

@@ -56,6 +56,8 @@ def written(kind) -> str:
     parts = get_args(kind)
     if get_origin(kind) is Literal:
         return "str"
+    if dict[str, float] in parts:  # `PerJoint`: its patterns are numbers when a config is split
+        return "float | tuple[float, ...]" + " | None" * (type(None) in parts)
     if type(None) in parts:
         return f"{written(parts[0])} | None"
     return kind.__name__ if isinstance(kind, type) and not parts else str(kind)

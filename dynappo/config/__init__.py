@@ -4,6 +4,7 @@ The settings:
 
 - `loading`: reads a config file, and fields set on the command line
 - `fields`: the fields of configs/default.py, and what each may hold; `ConfigError`
+- `per_joint`: numbers of joints, from patterns of names to one a joint
 - `validation`: which settings can run together
 - `splitting`: `static` and `hyper`, the two halves that the program takes; `halves`: their types
 

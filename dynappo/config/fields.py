@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import functools
 import math
+import re
 import runpy
 from types import UnionType
 from typing import Annotated, Any, Literal, NamedTuple, Union, get_args, get_origin, get_type_hints
@@ -17,6 +18,7 @@ from dynappo.config.files import find
 TINY = 1e-12
 WHOLE = {"low": 1 - 2**31, "high": 2**31 - 1}
 SIZE = {"low": -1e9, "high": 1e9}
+REPEATS = 3  # of a pattern: each multiplies the time that it can take by a name's length
 
 
 class ConfigError(ValueError):
@@ -34,13 +36,16 @@ def flat(config, prefix="") -> dict[str, Any]:
 
 
 class Field(NamedTuple):
-    """What a field may hold; of a tuple `low` and `high` hold for each number."""
+    """What a field may hold; of several numbers `low` and `high` hold for each."""
 
-    kind: type  # also of one that is None
+    kind: type  # also of one that is None; of `per_joint` float
     default: Any
     choices: tuple[str, ...] = ()
     low: float = -math.inf
     high: float = math.inf
+    per_joint: bool = (
+        False  # one float, a float of each kind of joint, or of each joint (per_joint.py)
+    )
 
 
 @functools.cache
@@ -68,10 +73,18 @@ def every() -> dict[str, Field]:
             if isinstance(value, config_dict.ConfigDict):
                 yield from walk(value, types[name], f"{prefix}{name}.")
             else:
-                limits = _limits(types[name], group.get_type(name))
-                yield prefix + name, Field(group.get_type(name), value, **limits)
+                of_joints = _of_joints(types[name])
+                kind = float if of_joints else group.get_type(name)
+                limits = _limits(types[name], kind)
+                yield prefix + name, Field(kind, value, **limits, per_joint=of_joints)
 
     return dict(walk(_defaults(), _file()["Config"], ""))
+
+
+def _of_joints(annotation) -> bool:
+    """Whether a type is what configs/default.py calls `PerJoint`."""
+    parts = get_args(annotation)
+    return dict[str, float] in parts or any(map(_of_joints, parts))
 
 
 def _limits(annotation, kind: type) -> dict[str, Any]:
@@ -87,7 +100,10 @@ def _limits(annotation, kind: type) -> dict[str, Any]:
 
 
 def convert(field: Field, value) -> Any:
-    """`value` as the field holds it: a whole number as a float, a list as a tuple; None if it cannot."""
+    """`value` as the field holds it: a whole number as a float, a list as a tuple, a dict as its pairs; None
+    if it cannot."""
+    if field.per_joint and isinstance(value, (dict, tuple, list)):
+        return _convert_joints(value)
     if field.kind is tuple:
         if not isinstance(value, (tuple, list)) or not value:
             return None
@@ -105,6 +121,17 @@ def convert(field: Field, value) -> Any:
         return None
 
 
+def _convert_joints(value) -> tuple[Any, ...] | None:
+    """`((pattern, float), ...)` of a dict or of such pairs; of numbers a tuple of floats; None if neither."""
+    parts = tuple(value.items() if isinstance(value, dict) else value)
+    pairs = all(isinstance(part, (tuple, list)) and len(part) == 2 for part in parts)
+    names, numbers = zip(*parts, strict=True) if parts and pairs else ((), parts)
+    floats = tuple(convert(Field(float, 0.0), number) for number in numbers)
+    if not floats or None in floats or not all(isinstance(name, str) for name in names):
+        return None
+    return tuple(zip(names, floats, strict=True)) if names else floats
+
+
 def sizes(field: Field) -> bool:
     """Whether it is a tuple of sizes, of which there may be any number."""
     return field.kind is tuple and type(field.default[0]) is int
@@ -112,6 +139,8 @@ def sizes(field: Field) -> bool:
 
 def expected(field: Field) -> str:
     """The type that a value must have, for a person."""
+    if field.per_joint:
+        return "float, a dict of floats by patterns of joints' names, or a tuple of a float a joint"
     text = f"tuple like {field.default}" if field.kind is tuple else field.kind.__name__
     return text + ", one or more sizes above 0" * sizes(field)
 
@@ -119,17 +148,40 @@ def expected(field: Field) -> str:
 def check(name: str, value) -> None:
     """ConfigError if a value of the right type is not one that the field may hold."""
     field = every()[name]
-    numbers = value if isinstance(value, tuple) else (value,)
     if field.choices and value is not None:
         expect(value in field.choices, name, value, f"one of {', '.join(field.choices)}")
-    for number in numbers if field.low > -math.inf and value is not None else ():
-        expect(math.isfinite(number), name, value, "finite numbers")
-        low = "more than 0, at most" if field.low == TINY else f"{field.low:,.10g} to"
-        text = f"{low} {field.high:,.10g}"
-        expect(field.low <= number <= field.high, name, value, text)
-        expect(number == 0 or abs(number) >= TINY, name, value, f"0, or {TINY:g} or more in size")
-    if type(numbers[0]) is float and len(numbers) == 2:
+    if value is None or field.low == -math.inf:
+        return
+    if field.per_joint and isinstance(value, tuple) and isinstance(value[0], tuple):
+        for pattern, number in value:
+            _check_pattern(name, pattern)
+            _check_numbers(field, f"{name} of {pattern!r}", number, (number,))
+        return
+    numbers = value if isinstance(value, tuple) else (value,)
+    _check_numbers(field, name, value, numbers)
+    if type(numbers[0]) is float and len(numbers) == 2 and not field.per_joint:
         expect(numbers[0] <= numbers[1], name, value, "(low, high) with low <= high")
+
+
+def _check_numbers(field: Field, name: str, value, numbers) -> None:
+    low = "more than 0, at most" if field.low == TINY else f"{field.low:,.10g} to"
+    for number in numbers:
+        expect(math.isfinite(number), name, value, "finite numbers")
+        expect(field.low <= number <= field.high, name, value, f"{low} {field.high:,.10g}")
+        expect(number == 0 or abs(number) >= TINY, name, value, f"0, or {TINY:g} or more in size")
+
+
+def _check_pattern(name: str, pattern: str) -> None:
+    """ConfigError for a pattern that Python cannot match, or not in a time that has bounds: a config may
+    come in a stranger's checkpoint."""
+    repeats = re.sub(r"\\.|\[[^]]*\]", "", pattern)
+    short = len(pattern) <= 100 and len(re.findall(r"[*+{]", repeats)) <= REPEATS
+    text = f"a pattern of at most 100 characters, {REPEATS} of them * or +, and no group repeated"
+    expect(short and not re.search(r"\)[*+{]", repeats), f"a pattern of {name}", pattern, text)
+    try:
+        re.compile(pattern)
+    except (re.error, OverflowError, RecursionError) as error:
+        expect(False, f"a pattern of {name}", pattern, f"a regular expression ({error})")
 
 
 def expect(ok, field: str, value, expected: str) -> None:

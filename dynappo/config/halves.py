@@ -82,6 +82,7 @@ class StaticSchedule(NamedTuple):
 class StaticTask(NamedTuple):
     actuator: str
     air_time: str
+    armature: float | tuple[float, ...] | None
     carry_on: bool
     episode_length: int
     formulation: str
@@ -193,24 +194,25 @@ class HyperWeights(NamedTuple):
 
 
 class HyperTask(NamedTuple):
-    action_scale: float
+    action_scale: float | tuple[float, ...]
     command_x: tuple[float, float]
     command_y: tuple[float, float]
     command_yaw: tuple[float, float]
-    effort_limit: float
+    effort_limit: float | tuple[float, ...]
     heading_gain: float
-    kd: float
+    joint_friction: float | tuple[float, ...]
+    kd: float | tuple[float, ...]
     keep_command: float
-    kp: float
+    kp: float | tuple[float, ...]
     noise: HyperNoise
     push: HyperPush
     randomize: HyperRandomize
     reset: HyperReset
-    saturation_effort: float
+    saturation_effort: float | tuple[float, ...]
     standing: float
     start_anew: float
     tracking_std: float
-    velocity_limit: float
+    velocity_limit: float | tuple[float, ...]
     weights: HyperWeights
 
 

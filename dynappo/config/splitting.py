@@ -13,12 +13,21 @@ import functools
 from collections import namedtuple
 from typing import TYPE_CHECKING, Any
 
+from dynappo.config.fields import ConfigError
+
 if TYPE_CHECKING:
     from dynappo.config.halves import Hyper, Static
 
 
+BUILT_IN = "task", "armature"  # group and name of the number that is part of the program
+
+
 def split(config) -> tuple[Static, Hyper]:
-    """`(static, hyper)` of a validated config; floats go to `hyper`, all else to `static`."""
+    """`(static, hyper)` of a validated config; floats go to `hyper`, all else to `static`.
+
+    `task.armature` is in `static`: the solver's numbers follow from it when a model is made.
+    ConfigError where a field has patterns of joints, which `per_joint.resolved` makes numbers.
+    """
     return _take(config, "Static", "", False), _take(config, "Hyper", "", True)
 
 
@@ -28,6 +37,14 @@ def _take(config, half: str, group: str, floats: bool) -> Any:
         if hasattr(value, "items"):
             value = _take(value, half, key, floats)
             if value._fields:
+                fields[key] = value
+        elif isinstance(value, tuple) and isinstance(value[0], tuple):
+            raise ConfigError(
+                f"{group}.{key} has a number for each kind of joint, expected one number: no robot of "
+                "dynappo's is trained here"
+            )
+        elif (group, key) == BUILT_IN:
+            if not floats:
                 fields[key] = value
         elif (type(value[0] if isinstance(value, tuple) else value) is float) == floats:
             fields[key] = value

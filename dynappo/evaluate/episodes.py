@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 
 from dynappo import config as config_lib
-from dynappo.config import ConfigError, fields
+from dynappo.config import ConfigError, fields, per_joint
+from dynappo.physics import motors
 from dynappo.physics.robot import Robot
-from dynappo.policy import source, walks
+from dynappo.policy import policy_file, source, walks
 from dynappo.policy.policy_file import Policy
 from dynappo.program import devices
 
@@ -37,6 +38,12 @@ def settings(policy: Policy):
                 f"the policy's config has {name} = {value!r}, expected one like {field.default!r}"
             )
         node[leaf] = settled
+    for name in per_joint.names():
+        if isinstance(
+            config.task[name], tuple
+        ):  # the policy's own, whose joints `check_robot` compares
+            value = getattr(policy, policy_file.TASK[name])
+            config.task[name] = tuple(value.tolist()) if isinstance(value, np.ndarray) else value
     config.run.update(device="auto", mesh_seed=1, mesh_env=1)
     config.physics.update(impl="auto", threads=0)
     config = config_lib.validate(config, robot_here=False)  # the policy may carry it
@@ -85,10 +92,11 @@ def run(
     trained = policy.config.get("physics", {}).get("impl")
     in_c = trained == "c" and jax.default_backend() == "cpu"
     impl = "c" if in_c else devices.engine(config)
-    static, hyper = config_lib.split(config)
     number = number or NUMBER.get(jax.default_backend(), NUMBER["cpu"])
     robot = robot or source.robot(policy)[0]
     check_robot(policy, robot)
+    config, robot = motors.fitted(config, robot)
+    static, hyper = config_lib.split(config)
     length = config.run.eval_steps or config.task.episode_length
     env = env_lib.make(robot, config.task, config.physics, impl=impl)
     assess = partial(

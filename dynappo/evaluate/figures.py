@@ -117,7 +117,8 @@ def gait(title: str, numbers: dict[str, Any], recordings, timestep: float):
         for j, foot in enumerate(row["feet"].values()):
             on, off = trials.intervals(shown[:, j])
             bars = [(a * timestep, (b - a) * timestep) for a, b in zip(on, off, strict=True)]
-            color = "#1f4e79" if j in (0, 3) else "#d9822b"  # the two diagonals
+            # left and right, front to back: the two diagonals of four feet, the two tripods of six
+            color = "#d9822b" if (j + j // 2) % 2 else "#1f4e79"
             panel.broken_barh([(0, WINDOW)], (j - 0.36, 0.72), facecolor="0.955")
             panel.broken_barh(bars, (j - 0.36, 0.72), facecolor=color)
             duty = "" if foot["duty_factor"] is None else f"{foot['duty_factor']:.2f}"

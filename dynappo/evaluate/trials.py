@@ -37,13 +37,6 @@ SPEEDS = (0.5, 1.0)  # m/s ahead, at which the gait is looked at
 MIN_SPEED = 0.1  # m/s, from which on something is transported
 
 
-def feet(body: Body) -> tuple[np.ndarray, list[str]]:
-    """`(geom ids [F], names)` of the geoms `LEG_foot`; the names are those of the legs."""
-    names = {i: body.model.geom(i).name for i in range(body.model.ngeom)}
-    ids = [i for i, name in names.items() if name.endswith("_foot")]
-    return np.array(ids, int), [names[i].removesuffix("_foot") for i in ids]
-
-
 def record(body: Body, act: Callable, command, seconds: float = SECONDS) -> dict[str, Any]:
     """An episode under one `command` (vx, vy, yaw rate), until it ends or the robot falls.
 
@@ -53,11 +46,11 @@ def record(body: Body, act: Callable, command, seconds: float = SECONDS) -> dict
     A blow-up of the physics is a fall, and its step has no rows.
     """
     mujoco.set_mju_user_warning(lambda message: None)  # else they go into a file in the folder
-    data, ids, dt = mujoco.MjData(body.model), feet(body)[0], episode_lib.period(body)
+    data, dt = mujoco.MjData(body.model), episode_lib.period(body)
     com, action = body.model.body_ipos[body.base_body], np.zeros(len(body.policy.joint_names))
-    joints = len(action)
+    joints, feet = len(action), np.arange(len(body.foot_names))
     widths = dict(velocity=3, action=joints, qpos=body.model.nq)
-    widths |= dict(torque=joints, speed=joints, contact=len(ids))
+    widths |= dict(torque=joints, speed=joints, contact=len(feet))
     rows: dict[str, list] = {name: [] for name in widths}
     p, command, fall = body.policy, np.asarray(command, float), None
     see = observe.memory(p.observation, p.history)
@@ -71,7 +64,7 @@ def record(body: Body, act: Callable, command, seconds: float = SECONDS) -> dict
             fell |= down
             pairs = data.contact.geom[data.contact.dist < 0]
             touched = pairs[body.ground[pairs].any(1)]
-            inside.append((torque, speed, np.isin(ids, touched)))
+            inside.append((torque, speed, np.isin(feet, body.foot_of[touched])))
         finite = np.isfinite(data.qpos).all() and np.isfinite(data.qvel).all()
         if finite:
             coordinates = episode_lib.coordinates(body, data)
@@ -167,7 +160,7 @@ def gait(body: Body, recordings: Iterable[dict[str, Any]]) -> dict[str, Any]:
     """How the feet move: `duty_factor`, `air_time`, `stride_frequency`, and these of each foot."""
     contacts = [c for r in recordings if len(c := measured_rows(body, r)["contact"])]
     timestep, each = body.model.opt.timestep, {}
-    for j, name in enumerate(feet(body)[1]):
+    for j, name in enumerate(body.foot_names):
         found = [strides(c[:, j], body.substeps) for c in contacts]
         swings = np.concatenate([np.zeros(0), *[swing for swing, _ in found]])
         steps = [begins for _, begins in found if len(begins) > 1]

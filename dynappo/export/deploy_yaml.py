@@ -3,12 +3,14 @@
 The fields are those of its export_deploy_cfg.py: joints and gains, times, ranges of commands, the action, and
 the observation term by term, in the order in which they follow each other in `obs`; of each term
 `history_length` readings, the oldest first. `joint_ids_map` gives the motor number of each joint of the
-policy; `stiffness` and `damping` are in the order of the motors.
+policy; `stiffness` and `damping` are in the order of the motors, `scale` and `offset` in that of the policy.
 """
 
 from __future__ import annotations
 
 import json
+
+import numpy as np
 
 from dynappo.config import ConfigError
 from dynappo.export import joint_order
@@ -42,7 +44,12 @@ def text(policy: Policy, robot: robot_lib.Robot) -> str:
             f"a deploy.yaml has no {', '.join(unknown)}, which this policy of {policy.robot} sees; export "
             "one trained with task.observation=onboard, as go1_deploy"
         )
-    count, order = len(policy.joint_names), motors(robot)
+    order = motors(robot)
+    of_motor = [policy.joint_names.index(name) for name in order]
+    kp, kd, scale = (
+        np.broadcast_to(np.asarray(x, float), len(order))
+        for x in (policy.kp, policy.kd, policy.action_scale)
+    )
     ranges = zip(
         ("lin_vel_x", "lin_vel_y", "ang_vel_z"),
         (policy.command_x, policy.command_y, policy.command_yaw),
@@ -52,8 +59,8 @@ def text(policy: Policy, robot: robot_lib.Robot) -> str:
     lines = [
         f"joint_ids_map: {[order.index(name) for name in policy.joint_names]}",
         f"step_dt: {policy.timestep * policy.substeps:g}",
-        f"stiffness: {[float(policy.kp)] * count}",
-        f"damping: {[float(policy.kd)] * count}",
+        f"stiffness: {kp[of_motor].tolist()}",
+        f"damping: {kd[of_motor].tolist()}",
         f"default_joint_pos: {pose}",
         "commands:",
         "  base_velocity:",
@@ -64,7 +71,7 @@ def text(policy: Policy, robot: robot_lib.Robot) -> str:
         "  JointPositionAction:",
         "    clip: null",
         '    joint_names: [".*"]',
-        f"    scale: {[float(policy.action_scale)] * count}",
+        f"    scale: {scale.tolist()}",
         f"    offset: {pose}",
         "    joint_ids: null",
         "observations:",

@@ -7,11 +7,13 @@ anything.
 from __future__ import annotations
 
 import collections
+from typing import Any
 
 import numpy as np
 
 from dynappo.config import ConfigError
 from dynappo.physics import robot as robot_lib
+from dynappo.policy import checks
 from dynappo.policy.policy_file import Policy
 from dynappo.tasks.velocity import observe
 
@@ -90,10 +92,11 @@ def permute(policy: Policy, names: tuple[str, ...]) -> Policy:
     actor[name] = last | {"kernel": last["kernel"][:, order], "bias": last["bias"][order]}
     if "std" in params:
         params["std"] = params["std"][order]
-    # whatever else has one value a joint
-    fields = {
-        field: tuple(value[i] for i in order) if isinstance(value, tuple) else value[order]
-        for field, value in policy._asdict().items()
-        if isinstance(value, tuple | np.ndarray) and len(value) == len(order)
-    }
+    fields: dict[str, Any] = {}
+    for field in ("joint_names", *checks.OF_JOINTS, *checks.PER_JOINT):
+        value = getattr(policy, field)
+        if isinstance(value, np.ndarray):
+            fields[field] = value[order]
+        elif isinstance(value, tuple) and value:  # else one number for all joints, or not known
+            fields[field] = tuple(value[i] for i in order)
     return policy._replace(params=params, **fields)

@@ -33,6 +33,8 @@ UNITS = {
     "effort_limit": "N m",
     "saturation_effort": "N m",
     "velocity_limit": "rad/s",
+    "armature": "kg m2",
+    "dry_friction": "N m",
     "command_x": "m/s",
     "command_y": "m/s",
     "command_yaw": "rad/s",
@@ -182,9 +184,8 @@ def save(policy: Policy, robot: robot_lib.Robot, out: Path, targets: bool = Fals
     """
     try:
         if out.suffix == ".npz":
-            fields = policy._asdict() | {"format": policy_file.FORMAT}
-            del fields["params"]
-            policy_file.save_params(out, policy.params, about=policy_file.to_json(fields))
+            entry = policy_file.to_json(policy_file.about(policy))
+            policy_file.save_params(out, policy.params, about=entry)
             return
         data = onnx_model(policy, about(policy, robot), targets).SerializeToString(
             deterministic=True

@@ -13,14 +13,21 @@ import numpy as np
 from dynappo import config as config_lib
 from dynappo.config import ConfigError
 from dynappo.config import flags as flags_lib
-from dynappo.look import facts
+from dynappo.look import facts, picture
+from dynappo.physics import kinds, motors
 from dynappo.physics import robot as robot_lib
 from dynappo.physics.warp import scope
 from dynappo.policy import episode as episode_lib
-from dynappo.policy import policy_file, render
+from dynappo.policy import policy_file
 
-SINKS = 0.2  # of its height: more is no sag
+SINKS = 0.25  # of its height: more is no sag
 RESTS = 0.02  # m in the last second: more is not at rest
+SLIDES, SUNK = 0.2, 0.005  # of its height, and m: feet that slide or sink in while it stands
+LOW = 0.01  # m: parts lower than this in the default pose touch the ground in walking
+EXPLORES = 0.37  # of a motor's limit; a third is the rule
+DROP = 0.3, 0.15, 0.3  # the base's start below and above the default pose: of its height, in m, of its height
+LOAD = 0.4  # of the robot's mass, that its base's may vary by
+TORQUES, AT = 2e-4, 13.0  # the weight of squared torques that Isaac Lab has for a Go1, and its mass (kg)
 USAGE = """\
 CONFIG is a robot's name, or its config file; you can set any field
   python -m dynappo.look go1
@@ -41,7 +48,7 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
         metavar="CONFIG",
         help="a robot or a config file: NAME[:VARIANT] or FILE.py[:VARIANT]",
     )
-    flag("--out", metavar="FILE.png", type=flags_lib.path, help="a picture of the robot after 5 s")
+    flag("--out", metavar="FILE.png", type=flags_lib.path, help="a picture: looks, feet and parts")
     flags, rest = flags_lib.read_known(parser, argv)
     if not flags.what:
         raise ConfigError("no config given; try: python -m dynappo.look go1")
@@ -54,12 +61,15 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
 def about(robot: robot_lib.Robot, config, pd: facts.PD) -> list[tuple[str, str]]:
     """What can be said before it stands, as (name, text) for a person."""
     task, dt = config.task, config.physics.timestep
+    kp, kd = (_span(np.atleast_1d(x), None) for x in (task.kp, task.kd))
     verdict = "stable" if pd.damping < 1 else "the joints chatter"
     verdict = "unstable" if pd.bound >= 2 else verdict
+    feet = ", ".join(robot.foot_names)
     return [
         ("robot", f"{robot.name}, {robot.xml}"),
         ("mass", f"{robot.mj_model.body_mass.sum():.2f} kg"),
-        ("PD", f"kp {task.kp:g} N m/rad, kd {task.kd:g} N m s/rad, a step of {dt * 1e3:g} ms"),
+        ("limbs", f"{len(robot.joint_names)} joints, feet {feet}, {len(robot.parts)} other shapes"),
+        ("PD", f"kp {kp} N m/rad, kd {kd} N m s/rad, a step of {dt * 1e3:g} ms"),
         (
             "  is",
             f"{verdict}: damping takes {pd.damping:.2f} of a joint's speed in a step (below 1; "
@@ -70,47 +80,141 @@ def about(robot: robot_lib.Robot, config, pd: facts.PD) -> list[tuple[str, str]]
 
 def standing(robot: robot_lib.Robot, config, stood: dict) -> list[tuple[str, str]]:
     """How it stood, as (name, text) for a person."""
-    home, rest, limit = robot.home_qpos[2], stood["rest"], config.task.effort_limit
-    worst = int(np.abs(stood["torque"]).argmax())
-    most, name = abs(stood["torque"][worst]), robot.joint_names[worst]
+    home, rest, share = robot.home_qpos[2], stood["rest"], stood["share"]
+    asked = facts.explores(robot, config)
+    if stood["fall"] is not None and len(robot.foot_names) < 3:
+        when = f"halfway to its fall, {stood['fall'] / 2:.2f} s (on so few feet it must balance)"
+    else:
+        when = f"in {facts.SECONDS:g} s"
     return [
         (
             "sag",
-            f"{(home - rest) * 1e3:.0f} mm in {facts.SECONDS:g} s: the base at {home:.3f} m, then "
+            f"{(home - rest) * 1e3:.0f} mm {when}: the base at {home:.3f} m, then "
             f"{rest:.3f} m; in the last second it moved by {stood['moved'] * 1e3:.1f} mm",
         ),
-        ("torque", f"up to {most:.1f} N m, at {name}: {most / limit:.0%} of the limit {limit:g}"),
+        ("torque", f"up to {_of_limit(robot, config, share)}"),
+        ("explore", f"kp x action_scale x ppo.init_std is up to {_of_limit(robot, config, asked)}"),
     ]
 
 
-def joints(robot: robot_lib.Robot, torque: np.ndarray) -> list[str]:
-    """A line a joint: default pose, range, and the torque that it holds when standing."""
-    width = max(map(len, robot.joint_names))
-    lines = [f"{'joint':{width}}  default    range (rad)       torque standing (N m)"]
-    for name, angle, held in zip(robot.joint_names, robot.default_pose, torque, strict=True):
-        low, high = robot.mj_model.joint(name).range
-        lines.append(f"{name:{width}}  {angle:7.3f}  {low:7.3f} to {high:6.3f}  {held:8.2f}")
-    return lines
+def _of_limit(robot: robot_lib.Robot, config, share: np.ndarray) -> str:
+    """The largest of some shares of the motors' limits, for a person."""
+    worst = int(share.argmax())
+    limit = np.broadcast_to(config.task.effort_limit, len(share))[worst]
+    name = robot.joint_names[worst]
+    return f"{share[worst] * limit:.1f} N m, at {name}: {share[worst]:.0%} of the limit {limit:g}"
+
+
+def joints(robot: robot_lib.Robot, config, stood: dict) -> list[str]:
+    """A line for each kind of joint: how many, default pose, range, and shares of the motor's limit."""
+    names, count = robot.joint_names, len(robot.joint_names)
+    asked = facts.explores(robot, config)
+    fields = config.task.kp, config.task.kd, config.task.effort_limit
+    numbers = [np.broadcast_to(field, count) for field in fields]
+    head = "default (rad)", "range (rad)", "kp", "kd", "limit (N m)", "standing", "exploring"
+    rows = [("joints", "", *head)]
+    for kind, some in kinds.kinds(names).items():
+        limited = [robot.mj_model.joint(names[i]).range for i in some if _limited(robot, names[i])]
+        low, high = np.array(limited).T if limited else ([], [])
+        rows.append(
+            (
+                kind,
+                f"x {len(some)}" if len(some) > 1 else "",
+                _span(robot.default_pose[some], 2),
+                f"{min(low):.2f} to {max(high):.2f}" if limited else "none",
+                *(_span(each[some], None) for each in numbers),
+                f"{stood['share'][some].max():.0%}",
+                f"{asked[some].max():.0%}",
+            )
+        )
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return ["  ".join(map(str.ljust, row, widths)).rstrip() for row in rows]
+
+
+def _limited(robot: robot_lib.Robot, joint: str) -> bool:
+    return bool(robot.mj_model.joint(joint).limited[0])
+
+
+def _span(values: np.ndarray, digits: int | None) -> str:
+    """`3` or `3 to 5`, with so many digits after the point, or as many as it takes."""
+    kind = "g" if digits is None else f".{digits}f"
+    low, high = (f"{value + 0.0:{kind}}" for value in (values.min(), values.max()))
+    return low if low == high else f"{low} to {high}"
 
 
 def notes(robot: robot_lib.Robot, config, pd: facts.PD, stood: dict) -> list[str]:
     """A line on each thing that should be changed before it is trained."""
-    home, out = robot.home_qpos[2], []
-    if pd.damping >= 1 or pd.bound >= 2:
-        out.append(
-            "lower task.kd or task.kp, raise armature, damp in the file, or shorten the step"
-        )
-    if stood["fall"] is not None:
-        out.append(f"a part that is no foot touches the ground after {stood['fall']:.2f} s")
-    if home - stood["rest"] > SINKS * home:
-        out.append("it kneels or lies: raise task.kp, or look at the feet and the centres of mass")
-    if stood["moved"] > RESTS:
-        out.append("it does not come to rest")
-    if np.abs(stood["torque"]).max() >= config.task.effort_limit:
-        out.append("a motor is at task.effort_limit: it cannot hold the robot")
+    out = [*_wrong_pd(pd), *_wrong_standing(robot, stood), *_wrong_config(robot, config)]
     if slow := scope.slower(robot, config.physics, config.task.remember_ground):
         out.append(slow)
     return [f"note: {line}" for line in out]
+
+
+def _wrong_pd(pd: facts.PD) -> list[str]:
+    fix = "lower task.kd or task.kp, raise armature, damp in the file, or shorten the step"
+    return [fix] if pd.damping >= 1 or pd.bound >= 2 else []
+
+
+def _wrong_standing(robot: robot_lib.Robot, stood: dict) -> list[str]:
+    home, fall, out = robot.home_qpos[2], stood["fall"], []
+    steady = len(robot.foot_names) > 2
+    if fall is not None and steady:
+        out.append(
+            f"{stood['fell_on']}, a part that is no foot, touches the ground after {fall:.2f} s"
+        )
+    if home - stood["rest"] > SINKS * home:
+        out.append("it kneels or lies: raise task.kp, or look at the feet and the centres of mass")
+    if stood["moved"] > RESTS and steady:
+        out.append("it does not come to rest")
+    if stood["share"].max() >= 1:
+        out.append("a motor is at task.effort_limit: it cannot hold the robot")
+    if fall is None and stood["slid"] > SLIDES * home:
+        out.append(
+            f"its feet slide by {stood['slid'] * 1e3:.0f} mm while it stands: give them solimp 0.9 0.95, or the "
+            "file impratio 3"
+        )
+    if stood["sunk"] > SUNK:
+        out.append(
+            f"its feet sink into the floor by {stood['sunk'] * 1e3:.0f} mm: give them solimp 0.9 0.95"
+        )
+    if low := facts.low_parts(robot, LOW):
+        out.append(f"no feet, but close to the floor in the default pose: {', '.join(low[:6])}")
+    return out
+
+
+def _wrong_config(robot: robot_lib.Robot, config) -> list[str]:
+    task, out = config.task, []
+    home, mass = robot.home_qpos[2], robot.mj_model.body_mass.sum()
+    asked = facts.explores(robot, config)
+    if asked.max() > EXPLORES:
+        name = robot.joint_names[int(asked.argmax())]
+        out.append(
+            f"exploration asks {name} for {asked.max():.0%} of its motor: lower task.action_scale or ppo.init_std "
+            "until it is a third"
+        )
+    if not home - DROP[0] * home <= task.reset.spawn_height <= home + max(DROP[1], DROP[2] * home):
+        out.append(
+            f"task.reset.spawn_height is {task.reset.spawn_height:g} m, the base of the default pose at {home:.3f} m: "
+            f"{home + 0.05:.2f} is 5 cm more"
+        )
+    low, high = task.randomize.base_mass
+    if max(-low, high) > LOAD * mass:
+        out.append(
+            f"task.randomize.base_mass is {low:g} to {high:g} kg, of a robot of {mass:.1f} kg: a tenth is usual"
+        )
+    weight, usual = -task.weights.joint_torques, TORQUES * (AT / mass) ** 1.5
+    if mass > AT and weight > 4 * usual:
+        out.append(
+            f"task.weights.joint_torques is {-weight:g}; for {mass:.0f} kg {-usual:.2g} is usual, or it will not move"
+        )
+    friction = robot.mj_model.geom_friction[robot.feet, 0]
+    low, high = task.randomize.friction
+    if friction.min() < low or friction.max() > high:
+        out.append(
+            f"the feet's friction is {_span(friction, 2)} in the file, but {low:g} to {high:g} in training "
+            "(task.randomize.friction)"
+        )
+    return out
 
 
 def run(flags) -> None:
@@ -118,22 +222,24 @@ def run(flags) -> None:
     if flags.out is not None:
         flags_lib.check_writable(flags.out)
     config = flags.config
-    robot = robot_lib.load(config.robot)
-    pd = facts.pd(robot, config.task.kp, config.task.kd, config.physics.timestep)
+    config, robot = motors.fitted(config, robot_lib.load(config.robot))
+    robot_lib.check_base_mass(robot, config.task.randomize.base_mass)
     described = policy_file.describe(config, robot)
-    body = episode_lib.load(robot.xml, described, described.timestep)
+    pd = facts.pd(robot, config.task.kp, config.task.kd, config.physics.timestep)
+    alone = robot.alone if robot.notes else robot.text  # what was completed is in no file
+    body = episode_lib.load(robot.xml, described, described.timestep, text=alone)
     show(about(robot, config, pd))  # before it stands: physics may blow up
-    episode, stood = facts.stand(body)
+    for line in robot.notes:
+        show([("  file", line)])
+    _, stood = facts.stand(body)
     show(standing(robot, config, stood))
-    for line in joints(robot, stood["torque"]):
-        print(line)
-    for line in notes(robot, config, pd, stood):
+    for line in (*joints(robot, config, stood), *notes(robot, config, pd, stood)):
         print(line)
     if flags.out is not None:
-        problem = render.film(robot, episode, flags.out)
+        problem = picture.draw(robot, flags.out)
         if problem:
             raise ConfigError(f"--out={flags.out}: {problem.replace('video', 'picture')}")
-        show([("picture", f"{flags.out}, after {facts.SECONDS:g} s")])
+        show([("picture", f"{flags.out}: its looks, feet (orange) and parts (blue), and from the front")])
 
 
 def show(rows: list[tuple[str, str]]) -> None:

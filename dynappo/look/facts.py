@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
+import mujoco
 import numpy as np
 
+from dynappo.physics import feet
 from dynappo.physics import robot as robot_lib
 from dynappo.policy import episode as episode_lib
 from dynappo.policy.episode import Body
@@ -17,42 +19,104 @@ LAST = 1.0  # s at its end, over which it should be at rest
 class PD(NamedTuple):
     """How the explicit PD of a config does at its time step, at the joints' fastest mode.
 
-    A joint of inverse inertia `l` (1/(kg m^2)) does v += -dt l (kp q + kd v), q += dt v. With
-    a = dt kd l and b = dt^2 kp l it is stable where a + b / 2 < 2, and its speed keeps its sign
-    where a < 1. Damping in the MJCF is computed implicitly, and only adds to this.
+    Joints of mass matrix M do v += -dt M^-1 (K q + D v), q += dt v, with gains K and D on the diagonal.
+    That is stable where no eigenvalue of M^-1 (dt D + dt^2 K / 2) reaches 2: there a mode turns round at
+    every step with the same size. The speed keeps its sign where those of dt M^-1 D are below 1. Damping
+    in the MJCF is computed implicitly, and only adds to this.
     """
 
-    damping: float  # a: the share of a joint's speed that damping takes off in a step
-    bound: float  # a + b / 2, of 2
+    damping: float  # the share of a joint's speed that damping takes off in a step
+    bound: float  # the largest eigenvalue, of 2
     longest: float  # s, the time step at which it would be 2
 
 
-def pd(robot: robot_lib.Robot, kp: float, kd: float, timestep: float) -> PD:
-    """The PD of gains `kp` (N m/rad) and `kd` (N m s/rad) in the robot's default pose."""
-    fastest = robot_lib.damping_rate(robot, 1.0, 1.0)  # 1/(kg m^2)
-    a, b = timestep * kd * fastest, timestep**2 * kp * fastest
-    # kd l t + kp l t^2 / 2 = 2, written so that kp = 0 is no division by zero
-    longest = 4 / (kd * fastest + np.sqrt((kd * fastest) ** 2 + 4 * kp * fastest))
-    return PD(a, a + b / 2, float(longest))
+def pd(robot: robot_lib.Robot, kp, kd, timestep: float) -> PD:
+    """The PD of gains `kp` (N m/rad) and `kd` (N m s/rad), numbers or arrays [A], in the default pose."""
+    both = timestep * np.asarray(kd) + timestep**2 * np.asarray(kp) / 2
+    bound = robot_lib.damping_rate(robot, both, 1.0)
+    # 2 is an eigenvalue at dt = 1 / w: 2 w^2 x = M^-1 (w D + K / 2) x, of which the largest w counts
+    mobility, count = robot_lib.joint_mobility(robot), len(robot.joint_names)
+    companion = np.zeros((2 * count, 2 * count))
+    companion[:count, count:] = np.eye(count)
+    companion[count:, :count] = mobility * np.broadcast_to(kp, count) / 4
+    companion[count:, count:] = mobility * np.broadcast_to(kd, count) / 2
+    longest = 1 / np.linalg.eigvals(companion).real.max()
+    return PD(robot_lib.damping_rate(robot, kd, timestep), bound, float(longest))
 
 
 def stand(body: Body) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     """`(episode, numbers)` of five seconds under zero action: the PD holds the default pose.
 
-    `rest` (m): height of the base at the end; `moved` (m): how much it changed in the last second;
-    `torque [A]` (N m): what each motor holds then, kp times the joint's mean error; `fall` (s): when
-    a part that is no foot touched the ground, or None.
+    `fall` (s): when a part that is no foot, `fell_on`, touched the ground, or None; `rest` (m): height of the base at the
+    end, of a robot on one or two feet that falls halfway to its fall; `moved` (m): how much the height changed in
+    the last second; `slid` (m): how far the feet went after the first, until a fall; `sunk` (m): how deep the
+    lowest foot is in the floor then; `torque [A]` (N m): what each motor holds in the last second, kp times the joint's mean
+    error, and `share [A]` of its limit.
     FloatingPointError if the physics blows up.
     """
     p, count = body.policy, len(body.policy.joint_names)
     episode = episode_lib.play(body, lambda obs: np.zeros(count), lambda t: np.zeros(3), SECONDS)
-    last = slice(-max(1, round(LAST / episode_lib.period(body))), None)
+    fall = episode_lib.measures(body, episode)["fall"]
+    last, end = max(1, round(LAST / episode_lib.period(body))), len(episode["qpos"])
+    if fall is not None and balances(body):
+        end = max(1, round(fall / 2 / episode_lib.period(body)))
+    shown = slice(max(0, end - last), end)
     heights = episode["qpos"][:, body.root[0] + 2]
-    error = (p.default_pose - episode["qpos"][last][:, body.joint_q]).mean(0)
+    error = (p.default_pose - episode["qpos"][shown][:, body.joint_q]).mean(0)
+    torque = np.clip(p.kp * error, -p.effort_limit, p.effort_limit)
+    until = end if fall is None else max(1, round(fall / episode_lib.period(body)))
+    begun, ended = (_feet(body, episode["qpos"][i]) for i in (min(last, until) - 1, until - 1))
     numbers = {
-        "rest": float(heights[-1]),
-        "moved": float(np.ptp(heights[last])),
-        "torque": np.clip(p.kp * error, -p.effort_limit, p.effort_limit),
-        "fall": episode_lib.measures(body, episode)["fall"],
+        "fall": fall,
+        "fell_on": "" if fall is None else _lowest_part(body, episode["qpos"][until - 1]),
+        "rest": float(heights[end - 1]),
+        "moved": float(np.ptp(heights[shown])),
+        "slid": float(np.linalg.norm((ended - begun)[:, :2], axis=1).max()),
+        "sunk": float(-ended[:, 2].min()),
+        "torque": torque,
+        "share": np.abs(torque) / p.effort_limit,
     }
     return episode, numbers
+
+
+def balances(body: Body) -> bool:
+    """Whether a robot must balance: one on one or two feet falls over without a policy."""
+    return len(body.foot_names) < 3
+
+
+def _feet(body: Body, qpos: np.ndarray) -> np.ndarray:
+    """Of each foot x and y of its first shape, and the height of its lowest point (m), [F, 3]."""
+    data = mujoco.MjData(body.model)
+    data.qpos[:] = qpos
+    mujoco.mj_kinematics(body.model, data)
+    first = [np.flatnonzero(body.foot_of == foot)[0] for foot in range(len(body.foot_names))]
+    places = data.geom_xpos[first]
+    places[:, 2] = episode_lib.foot_heights(body, data)
+    return places
+
+
+def _lowest_part(body: Body, qpos: np.ndarray) -> str:
+    """What a part that is no foot and is the lowest of all is called."""
+    parts = np.flatnonzero(body.parts)
+    if not len(parts):
+        return "a part"
+    model, low = body.model, feet.lowest_points(body.model, qpos, parts).argmin()
+    return model.geom(parts[low]).name or model.body(model.geom_bodyid[parts[low]]).name or "a part"
+
+
+def explores(robot: robot_lib.Robot, config) -> np.ndarray:
+    """Share [A] of each motor's limit that exploration asks for: kp x action_scale x ppo.init_std / effort."""
+    task = config.task
+    asked = np.multiply(task.kp, task.action_scale) * config.ppo.init_std
+    return np.broadcast_to(asked / np.asarray(task.effort_limit), len(robot.joint_names))
+
+
+def low_parts(robot: robot_lib.Robot, below: float) -> list[str]:
+    """The parts that come lower than `below` (m) in the default pose, each with its height in mm."""
+    heights = feet.lowest_points(robot.mj_model, robot.home_qpos, robot.parts)
+    names = [
+        robot.mj_model.geom(g).name or robot.mj_model.body(robot.mj_model.geom_bodyid[g]).name
+        for g in robot.parts
+    ]
+    low = [(h, n) for h, n in zip(heights, names, strict=True) if h < below]
+    return [f"{name} {height * 1e3:.0f} mm" for height, name in sorted(low)]

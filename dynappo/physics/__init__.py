@@ -2,15 +2,21 @@
 
 - `robot`: loads a robot's file, and what the task needs to know about it
 - `mjcf`: compiles an MJCF, with errors in one line; what a policy carries may read no file
-- `robot_contract`: checks the rules that a robot's file must keep
+- `complete`: puts in place what a robot's file lacks, and says so
+- `feet`: which of a robot's shapes are its feet
+- `fit`: the smallest primitive around a mesh
+- `robot_contract`: checks the rules that remain
+- `kinematics`: where the feet are at given joint angles
 - `actuators`: from a policy's action to joint torques
+- `motors`: a robot with the motors that a config says, joint by joint
 - `engine`: a control step: PD, motor limits, physics steps, contacts by geometry
 - folder `warp`: a control step on a GPU, in a kernel of our own or by MuJoCo Warp
 - `c_mujoco`: C MuJoCo on all cores of a CPU, one call per control step
 - `randomize`: each robot's own physical parameters
 - `xla_call`: lets compiled CPU programs call a Python function
+- `kinds`: what joints of different legs or sides have in common
 - `contacts`: how a robot's primitives touch the floor
 
 The task and the commands import it; it imports `types` and `config`. `robot`, `mjcf`,
-`robot_contract`, `contacts` and `actuators` need no JAX.
+`complete`, `feet`, `fit`, `robot_contract`, `kinematics`, `contacts`, `kinds`, `motors` and `actuators` need no JAX.
 """

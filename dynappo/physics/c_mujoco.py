@@ -33,23 +33,20 @@ import numpy as np
 from mujoco import rollout
 
 from dynappo.config import ConfigError
-from dynappo.physics import actuators, xla_call
+from dynappo.physics import actuators, contacts, motors, xla_call
 from dynappo.physics import robot as robot_lib
 
-# the numbers that define a robot's model, in the order of the last argument of a call
-BODY_NUMBERS = (
-    "mass_scale",
-    *["base_com"] * 3,
-    "friction",
+# the numbers that define a robot's model, in the order of the last argument of a call; of those of the
+# motors one for all joints, or one for each
+BODY_NUMBERS = "mass_scale", *["base_com"] * 3, "friction", "armature"
+MOTOR_NUMBERS = (
     "kp",
     "kd",
     "effort_limit",
     "saturation_effort",
     "velocity_limit",
-    "armature",
     "joint_friction",
 )
-FRICTION = BODY_NUMBERS.index("joint_friction")
 CONTROL = int(mujoco.mjtState.mjSTATE_CTRL)
 APPLIED = CONTROL | int(mujoco.mjtState.mjSTATE_QFRC_APPLIED)
 POSITION = int(mujoco.mjtCtrlInput.mjINPUT_POS)  # a motor's control is a position
@@ -66,9 +63,9 @@ class Moved(NamedTuple):
     qacc_warmstart: Any
     torque: Any  # [A] N m, of the motors in the last physics step
     qd_before: Any  # [A] rad/s, before it
-    feet: Any  # [n, F] m, heights of the feet's centres
+    feet: Any  # [n, S] m, heights of the centres of the feet's shapes
     height: Any  # [n, G] m, of the parts' centres
-    quat: Any  # [n, G, 4], orientations of the parts
+    quat: Any  # orientations, [n, G, 4] of the parts, or [n, S + G, 4] where feet are no spheres
 
 
 def cores(threads: int) -> int:
@@ -90,38 +87,49 @@ def check(robot: robot_lib.Robot) -> None:
         )
 
 
-def make(robot: robot_lib.Robot, physics, varied: frozenset[str]):
+def make(robot: robot_lib.Robot, physics, varied: frozenset[str], rubs: bool = False):
     """`step(qpos, qvel, qacc_warmstart, target, numbers) -> Moved` of one robot, for `jax.vmap`.
 
     `physics` is the config's group. `target` are joint angles [n, A], a row a physics step; `numbers` are
-    those of `BODY_NUMBERS`.
+    those of `BODY_NUMBERS` and then of `MOTOR_NUMBERS`. `rubs`: joints have friction, also where it does not
+    vary.
     """
     check(robot)
+    varied |= {"joint_friction"} if rubs else set()
     steps, threads, model = physics.substeps, cores(physics.threads), _model(robot, physics)
     name = f"dynappo_c_{steps}_{threads}_{'_'.join(sorted(varied))}_{robot_lib.digest(model)}"
     if not xla_call.registered(name):
         xla_call.register(name, _World(robot, model, steps, threads, varied).step)
     parts, feet = len(robot.parts), len(robot.feet)
     shapes = (model.nq,), (model.nv,), (model.nv,), (model.nu,), (model.nu,)
-    shapes += (steps, feet), (steps, parts), (steps, parts, 4)
+    shapes += (steps, feet), (steps, parts), (steps, len(_turned(robot)), 4)
     shapes = [jax.ShapeDtypeStruct(shape, jnp.float32) for shape in shapes]
     # declared as a side effect, so that JAX waits for it before Python ends (xla_call.py)
     call = jax.ffi.ffi_call(name, shapes, vmap_method="broadcast_all", has_side_effect=True)
     return lambda *args: Moved(*call(*args))
 
 
+def _turned(robot: robot_lib.Robot) -> np.ndarray:
+    """The geoms of which it matters how they are turned: the parts, and before them feet of which one
+    is no sphere."""
+    spheres = (robot.mj_model.geom_type[robot.feet] == contacts.SPHERE).all()
+    return robot.parts if spheres else np.concatenate([robot.feet, robot.parts])
+
+
 def _model(robot: robot_lib.Robot, physics) -> mujoco.MjModel:
     """The robot's model with sensors for the geoms, and DC motors that hold a joint angle."""
     spec = robot_lib.physics_spec(robot.xml, robot.text)
     geom, kinds = mujoco.mjtObj.mjOBJ_GEOM, mujoco.mjtSensor
-    feet, parts = ([spec.geoms[i] for i in ids] for ids in (robot.feet, robot.parts))
+    feet, parts, turned = (
+        [spec.geoms[i] for i in ids] for ids in (robot.feet, robot.parts, _turned(robot))
+    )
     for sensor in list(spec.sensors):  # the file's own
         spec.delete(sensor)
     for i, shape in enumerate(spec.geoms):
         shape.name = shape.name or f"geom {i}"
     for kind, shapes in (
         (kinds.mjSENS_FRAMEPOS, feet + parts),
-        (kinds.mjSENS_FRAMEQUAT, parts),
+        (kinds.mjSENS_FRAMEQUAT, turned),
     ):
         for shape in shapes:
             spec.add_sensor(type=kind, objtype=geom, objname=shape.name)
@@ -132,6 +140,7 @@ def _model(robot: robot_lib.Robot, physics) -> mujoco.MjModel:
         motor.set_to_dcmotor([1, 1], 1.0, controller=[1, 0, 1, 0, 0, 1], ctrlspec=POSITION)
         motor.forcelimited, motor.forcerange = True, [-1, 1]  # replaced by each robot's numbers
     model = robot_lib.with_settings(spec.compile(), physics, robot.parts)
+    motors.set_armature(model, np.arange(6, model.nv), robot.mj_model.dof_armature[6:])
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # a blow-up must be visible
     return model
 
@@ -142,7 +151,7 @@ class _World:
     def __init__(self, robot, model, steps: int, threads: int, varied):
         self.robot, self.model, self.steps, self.varied = robot, model, steps, varied
         self.models: list[mujoco.MjModel] = []
-        self.written = np.zeros((0, len(BODY_NUMBERS)), np.float32)  # the numbers in the models
+        self.written = np.zeros((0, 0), np.float32)  # the numbers in the models
         self.datas = [mujoco.MjData(model) for _ in range(threads)]
         self.pool = rollout.Rollout(nthread=threads if threads > 1 else 0)
 
@@ -170,12 +179,14 @@ class _World:
             control[bad], warm[bad] = robot.default_pose, 0
         given = self._models(numbers), state, control, warm
         if "joint_friction" in self.varied:
-            after, sensed = self._with_friction(numbers[:, FRICTION:].astype(float), *given)
+            friction = _of_motors(numbers.astype(float), "joint_friction")
+            after, sensed = self._with_friction(friction, *given)
         else:
             after, sensed = self._roll(*given)
         feet, parts = len(robot.feet), len(robot.parts)
+        turned = len(_turned(robot))
         positions, quats, torque = np.split(
-            sensed, [3 * (feet + parts), 3 * (feet + parts) + 4 * parts], 2
+            sensed, [3 * (feet + parts), 3 * (feet + parts) + 4 * turned], 2
         )
         heights = positions[..., 2::3]
         velocity = after[..., 1 + model.nq :]
@@ -188,7 +199,7 @@ class _World:
             before[:, 6:],
             heights[..., :feet],
             heights[..., feet:],
-            quats.reshape(count, self.steps, parts, 4),
+            quats.reshape(count, self.steps, turned, 4),
         )
         for out, value in zip(outs, found, strict=True):
             out = out.reshape(count, *value.shape[1:])
@@ -213,7 +224,7 @@ class _World:
         )
 
     def _with_friction(self, size, models, state, control, warm):
-        """`_roll` of joints that friction of `size` [robots, 1] slows, as they move when a step begins."""
+        """`_roll` of joints that friction of `size` [robots, 1 or A] slows, by speeds when a step begins."""
         found, first = [], 1 + self.model.nq
         for k in range(self.steps):
             velocity = state[:, first:]
@@ -230,7 +241,10 @@ class _World:
         count = 1 if (numbers == numbers[0]).all() else len(numbers)
         while len(self.models) < count:
             self.models.append(copy.copy(self.model))
-        old = np.full((count, len(BODY_NUMBERS)), np.nan, np.float32)
+        width = numbers.shape[1]  # that of other programs may differ
+        if self.written.shape[1] != width:
+            self.written = np.zeros((0, width), np.float32)
+        old = np.full((count, width), np.nan, np.float32)
         old[: len(self.written)] = self.written[:count]
         for i in np.flatnonzero((old != numbers[:count]).any(1)):
             self._write(self.models[i], numbers[i].astype(float))
@@ -241,8 +255,8 @@ class _World:
     def _write(self, model: mujoco.MjModel, numbers: np.ndarray) -> None:
         """Write one robot's parameters and motors, as in `randomize.merge` and `actuators`."""
         base, feet, nominal = self.robot.base_body, self.robot.feet, self.model
-        scale, com, (friction, kp, kd) = numbers[0], numbers[1:4], numbers[4:7]
-        effort, stall, speed, armature = numbers[7:FRICTION]
+        scale, com, (friction, armature) = numbers[0], numbers[1:4], numbers[4:6]
+        kp, kd, effort, stall, speed, _ = (_of_motors(numbers, name) for name in MOTOR_NUMBERS)
         if "base_mass" in self.varied:
             model.body_mass[base] = nominal.body_mass[base] * scale
             model.body_inertia[base] = nominal.body_inertia[base] * scale
@@ -254,6 +268,14 @@ class _World:
             model.dof_armature[6:] = nominal.dof_armature[6:] * armature
         # with resistance 1 and constant k: torque <= k (V - k qd) = stall (1 - qd / speed)
         k = np.sqrt(stall / speed)
-        motors = model.actuator_gainprm
-        motors[:, 1], motors[:, 4], motors[:, 6], motors[:, 7] = k, kp, kd, stall / k
-        model.actuator_forcerange[:] = -effort, effort
+        gain, force = model.actuator_gainprm, model.actuator_forcerange
+        gain[:, 1], gain[:, 4], gain[:, 6], gain[:, 7] = k, kp, kd, stall / k
+        force[:, 0], force[:, 1] = -effort, effort
+
+
+def _of_motors(numbers: np.ndarray, name: str) -> np.ndarray:
+    """That of `MOTOR_NUMBERS`, [..., 1 or A], in the `numbers` [..., K] of a call."""
+    motors = numbers[..., len(BODY_NUMBERS) :]
+    width = motors.shape[-1] // len(MOTOR_NUMBERS)
+    first = MOTOR_NUMBERS.index(name) * width
+    return motors[..., first : first + width]

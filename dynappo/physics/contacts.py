@@ -4,6 +4,8 @@ Contacts are counted as in MuJoCo Warp, which must allocate room for all of them
 (mujoco_warp/_src/collision_primitive_core.py).
 """
 
+import re
+
 import mujoco
 import numpy as np
 
@@ -30,6 +32,12 @@ def most(model) -> tuple[int, int]:
     return contacts + int(pairs.sum()), rows
 
 
+def foot_name(geom: str) -> str:
+    """The foot that a geom of this name is a shape of: FL of FL_foot, FL_foot2 or FL_foot_2; "" if none."""
+    found = re.fullmatch(r"(.+)_foot(_?\d+)?", geom)
+    return found[1] if found else ""
+
+
 def floor_distance(model: mujoco.MjModel, geoms: np.ndarray):
     """Constants `(fixed [G], linear [G, 3], ring [G])` of how far each geom reaches down.
 
@@ -49,3 +57,25 @@ def floor_distance(model: mujoco.MjModel, geoms: np.ndarray):
     linear[axial, 2] = size[axial, 1]
     ring = np.where(kind == CYLINDER, size[:, 0], 0.0)
     return fixed, linear, ring
+
+
+def lowest(distance, height, row):
+    """Heights [..., G] (m) of the geoms' lowest points, for NumPy and JAX.
+
+    `distance` is `floor_distance` of the geoms, `height` [..., G] that of their centres, `row`
+    [..., G, 3] the third row of each rotation matrix; spheres do not need it.
+    """
+    fixed, linear, ring = distance
+    if not linear.any() and not ring.any():
+        return height - fixed
+    xp = height.__array_namespace__()
+    drop = fixed + (linear * xp.abs(row)).sum(-1)
+    return height - (drop + ring * xp.sqrt(xp.maximum(1 - row[..., 2] ** 2, 0)))
+
+
+def of_each_foot(foot_of: np.ndarray) -> np.ndarray:
+    """[F, K]: the numbers of the shapes of each foot, K of them: of those that have fewer, the last is
+    repeated. `foot_of` [S] is the foot of each shape, in ascending order."""
+    shapes = [np.flatnonzero(foot_of == foot) for foot in range(foot_of[-1] + 1)]
+    most = max(map(len, shapes))
+    return np.array([np.pad(ids, (0, most - len(ids)), "edge") for ids in shapes])

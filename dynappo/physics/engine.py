@@ -1,9 +1,9 @@
 """Simulates one control step: PD, motor limits, four physics steps, contacts by geometry.
 
 Why kinematics are one substep old: `mjx.step` computes geom positions from the coordinates it
-starts from, so after it they are those of 5 ms before. Foot contacts (a foot sphere's centre lower
-than its radius) and the lowest points of other parts are read from them, at no cost; observations
-and rewards are computed from the new qpos and qvel.
+starts from, so after it they are those of 5 ms before. Foot contacts (a foot's lowest point below the
+floor) and the lowest points of other parts are read from them, at no cost; observations and rewards
+are computed from the new qpos and qvel.
 
 Why contact by geometry: it is the same for every engine and needs no contact forces, so the parts
 that must not touch the ground need no collision pairs (`physics.contacts = feet`).
@@ -19,6 +19,7 @@ from __future__ import annotations
 import contextlib
 import io
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple, Protocol
 
 import jax
@@ -26,7 +27,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from dynappo.config import ConfigError
+from dynappo.config import ConfigError, per_joint
 from dynappo.physics import actuators, c_mujoco, contacts, randomize
 from dynappo.physics import robot as robot_lib
 from dynappo.physics.warp import arrays, scope
@@ -45,10 +46,12 @@ class Engine(NamedTuple):
     robot: robot_lib.Robot
     substeps: int
     timestep: float  # s
-    floor: tuple[Any, ...]  # contacts.floor_distance of the parts
+    soles: tuple[Any, ...]  # contacts.floor_distance of the feet's shapes
+    floor: tuple[Any, ...]  # of the parts
     varied: frozenset[str]  # randomize.varied
     remember: bool  # parts at the ground: in any physics step of a control step, or in its last
     lags: bool  # torques follow with the time constant of the body's `lag`
+    rubs: bool  # joints have the friction task.joint_friction
 
 
 # What MJX 3.17 takes no notice of and does not refuse, although C MuJoCo and MuJoCo Warp do it.
@@ -100,12 +103,13 @@ def make(
     impl: str,
     remember: bool = False,
     lags: bool = False,
+    rubs: bool = False,
 ) -> Engine:
     """The engine `impl` ("jax", "warp" or "c") of `robot`; `physics` is the config's group."""
     check(robot, physics, impl)
     mj_model, model, data = robot_lib.physics_model(robot, physics), None, None
     if impl == "c":
-        step = c_mujoco.make(robot, physics, varied)
+        step = c_mujoco.make(robot, physics, varied, rubs)
     elif impl == "warp":
         step = warp_call.make(mj_model, robot, physics.substeps, remember)
         model = warp_call.model(mj_model)
@@ -124,10 +128,12 @@ def make(
         robot=robot,
         substeps=physics.substeps,
         timestep=physics.timestep,
+        soles=contacts.floor_distance(mj_model, robot.feet),
         floor=contacts.floor_distance(mj_model, robot.parts),
         varied=varied,
         remember=remember,
         lags=lags,
+        rubs=rubs,
     )
 
 
@@ -174,15 +180,32 @@ class Substeps(NamedTuple):
     lowest: Any  # m, lowest point of each part, in all physics steps (`remember`) or the last
 
 
+class Motor(NamedTuple):
+    """A robot's motors in a control step, its own numbers included: one, or one for each joint [A]."""
+
+    kp: Any  # N m/rad
+    kd: Any  # N m s/rad
+    effort_limit: Any  # N m
+    saturation_effort: Any  # N m
+    velocity_limit: Any  # rad/s
+    friction: Any  # N m, beside the motor; None: none
+
+
 def simulate(engine: Engine, hyper: Hyper, body, state: Simulated, action) -> Substeps:
     """`substeps` physics steps under explicit PD towards the action's joint targets."""
+    task = per_joint_arrays(hyper)
     default = jnp.asarray(engine.robot.default_pose, jnp.float32)
-    target = actuators.target(
-        _arriving(engine, body, state, action), default, hyper.task.action_scale
-    )
+    target = actuators.target(_arriving(engine, body, state, action), default, task.action_scale)
     if body.encoder_bias is not None:  # the motors hold the angle that they read
         target = target - body.encoder_bias
-    kp, kd = hyper.task.kp * body.kp_scale, hyper.task.kd * body.kd_scale
+    motor = Motor(
+        kp=task.kp * body.kp_scale,
+        kd=task.kd * body.kd_scale,
+        effort_limit=task.effort_limit,
+        saturation_effort=task.saturation_effort,
+        velocity_limit=task.velocity_limit,
+        friction=_friction(engine, task.joint_friction, body.joint_friction),
+    )
     first = Substeps(
         qpos=state.qpos,
         qvel=state.qvel,
@@ -197,7 +220,22 @@ def simulate(engine: Engine, hyper: Hyper, body, state: Simulated, action) -> Su
         lowest=jnp.full(len(engine.robot.parts), jnp.inf),
     )
     with jax.default_matmul_precision("highest"):
-        return SIMULATE[engine.impl](engine, hyper, body, first, target, kp, kd)
+        return SIMULATE[engine.impl](engine, body, first, target, motor)
+
+
+def per_joint_arrays(hyper: Hyper):
+    """The group `task` of `hyper` with arrays [A] where it has a number a joint."""
+    task = hyper.task
+    values = {name: getattr(task, name, None) for name in per_joint.names()}
+    several = {name: jnp.stack(x) for name, x in values.items() if isinstance(x, tuple)}
+    return task._replace(**several) if several else task
+
+
+def _friction(engine: Engine, nominal, added):
+    """Dry friction (N m) of one joint or of each; None where no joint has any."""
+    if not engine.rubs:
+        return added
+    return nominal if added is None else nominal + added
 
 
 def _arriving(engine: Engine, body, state: Simulated, action):
@@ -210,36 +248,38 @@ def _arriving(engine: Engine, body, state: Simulated, action):
     return jnp.stack([action, state.last_action, state.older_action])[age]
 
 
-def _simulate_in_mjx(engine: Engine, hyper: Hyper, body, first: Substeps, target, kp, kd):
+def _simulate_in_mjx(engine: Engine, body, first: Substeps, target, motor: Motor):
     robot = engine.robot
     model = randomize.merge(engine.model, body, robot.base_body, robot.feet, engine.varied)
 
-    def lowest(data):
-        row = data.geom_xmat[robot.parts].reshape(-1, 9)[:, 6:]  # third row of the rotation matrix
-        return _lowest(engine, data.geom_xpos[robot.parts, 2], row)
+    def lowest(distance, geoms, data):
+        row = data.geom_xmat[geoms].reshape(-1, 9)[:, 6:]  # third row of the rotation matrix
+        return contacts.lowest(distance, data.geom_xpos[geoms, 2], row)
+
+    parts = partial(lowest, engine.floor, robot.parts)
 
     def substep(carry, target):
         s, data = carry
         torque = actuators.clip_dc_motor(
-            actuators.pd(target, data.qpos[7:], data.qvel[6:], kp, kd),
+            actuators.pd(target, data.qpos[7:], data.qvel[6:], motor.kp, motor.kd),
             data.qvel[6:],
-            effort_limit=hyper.task.effort_limit,
-            saturation_effort=hyper.task.saturation_effort,
-            velocity_limit=hyper.task.velocity_limit,
+            effort_limit=motor.effort_limit,
+            saturation_effort=motor.saturation_effort,
+            velocity_limit=motor.velocity_limit,
         )
         if body.strength is not None:
             torque *= body.strength
         if engine.lags:
             torque = actuators.lag(torque, s.torque, body.lag, engine.timestep)
         before, felt = data.qvel[6:], torque
-        if body.joint_friction is not None:
-            felt -= actuators.friction(before, body.joint_friction)
+        if motor.friction is not None:
+            felt -= actuators.friction(before, motor.friction)
         data = engine.step(model, data, felt)
-        s = _feet(engine, s, data.geom_xpos[robot.feet, 2])
+        s = _feet(engine, s, lowest(engine.soles, robot.feet, data))
         s = s._replace(
             torque=torque,
             qd_before=before,
-            lowest=jnp.minimum(s.lowest, lowest(data)) if engine.remember else s.lowest,
+            lowest=jnp.minimum(s.lowest, parts(data)) if engine.remember else s.lowest,
         )
         return (s, data), None
 
@@ -248,49 +288,55 @@ def _simulate_in_mjx(engine: Engine, hyper: Hyper, body, first: Substeps, target
     )
     (s, data), _ = jax.lax.scan(substep, (first, data), target)
     s = s._replace(qpos=data.qpos, qvel=data.qvel, qacc_warmstart=data.qacc_warmstart)
-    return s if engine.remember else s._replace(lowest=lowest(data))
+    return s if engine.remember else s._replace(lowest=parts(data))
 
 
-def _simulate_in_warp(engine: Engine, hyper: Hyper, body, first: Substeps, target, kp, kd):
-    task, robot = hyper.task, engine.robot
+def _simulate_in_warp(engine: Engine, body, first: Substeps, target, motor: Motor):
+    robot = engine.robot
     model = randomize.merge(engine.model, body, robot.base_body, robot.feet, engine.varied)
-    motor = dict(
-        kp=kp,
-        kd=kd,
-        effort=task.effort_limit,
-        saturation=task.saturation_effort,
-        speed=task.velocity_limit,
+    given = dict(
+        kp=motor.kp,
+        kd=motor.kd,
+        effort=motor.effort_limit,
+        saturation=motor.saturation_effort,
+        speed=motor.velocity_limit,
         strength=1.0 if body.strength is None else body.strength,
-        friction=0.0 if body.joint_friction is None else body.joint_friction,
+        friction=0.0 if motor.friction is None else motor.friction,
         share=actuators.share(jnp, body.lag, engine.timestep) if engine.lags else 1.0,
     )
-    numbers = [jnp.asarray(motor[name], jnp.float32) for name in arrays.MOTOR]
-    return first._replace(**engine.step(model, first, target, jnp.stack(numbers)))
+    numbers = [jnp.atleast_1d(jnp.asarray(given[n], jnp.float32)) for n in arrays.MOTOR]
+    numbers = jnp.stack(jnp.broadcast_arrays(*numbers), -1)  # [1 or A, 8]
+    return first._replace(**engine.step(model, first, target, numbers))
 
 
-def _simulate_in_c(engine: Engine, hyper: Hyper, body, first: Substeps, target, kp, kd):
-    task = hyper.task
+def _simulate_in_c(engine: Engine, body, first: Substeps, target, motor: Motor):
     strength = 1.0 if body.strength is None else body.strength
-    kp, kd = kp * strength, kd * strength
-    motor = task.effort_limit * strength, task.saturation_effort * strength, task.velocity_limit
     armature = 1.0 if body.armature is None else body.armature
-    joint_friction = 0.0 if body.joint_friction is None else body.joint_friction
-    numbers = [body.mass_scale, *body.base_com, body.friction, kp, kd, *motor]
-    numbers += [armature, joint_friction]
+    own = [body.mass_scale, *body.base_com, body.friction, armature]
+    motors = [
+        motor.kp * strength,
+        motor.kd * strength,
+        motor.effort_limit * strength,
+        motor.saturation_effort * strength,
+        motor.velocity_limit,
+        0.0 if motor.friction is None else motor.friction,
+    ]
+    motors = jnp.stack(jnp.broadcast_arrays(*motors)).ravel()  # of each number 1 or A
     moved = engine.step(
         first.qpos,
         first.qvel,
         first.qacc_warmstart,
         target,
-        jnp.stack(jnp.broadcast_arrays(*numbers)),
+        jnp.concatenate([jnp.stack(jnp.broadcast_arrays(*own)), motors]),
     )
-    s = first
-    for heights in moved.feet:
-        s = _feet(engine, s, heights)
     w, x, y, z = jnp.moveaxis(moved.quat, -1, 0)
     row = jnp.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], -1)
+    soles, row = jnp.split(row, [row.shape[1] - len(engine.robot.parts)], axis=1)
+    s = first
+    for shapes in contacts.lowest(engine.soles, moved.feet, soles):
+        s = _feet(engine, s, shapes)
     seen = slice(None) if engine.remember else slice(-1, None)
-    lowest = _lowest(engine, moved.height[seen], row[seen]).min(0)
+    lowest = contacts.lowest(engine.floor, moved.height[seen], row[seen]).min(0)
     told = "qpos", "qvel", "qacc_warmstart", "torque", "qd_before"
     return s._replace(lowest=lowest, **{name: getattr(moved, name) for name in told})
 
@@ -298,23 +344,17 @@ def _simulate_in_c(engine: Engine, hyper: Hyper, body, first: Substeps, target, 
 SIMULATE = {"jax": _simulate_in_mjx, "warp": _simulate_in_warp, "c": _simulate_in_c}
 
 
-def _feet(engine: Engine, s: Substeps, heights) -> Substeps:
-    """The feet's timers and heights after one more physics step, which began with feet at `heights` [F]."""
-    radius = jnp.asarray(engine.robot.foot_radius, jnp.float32)
-    contact = heights < radius
+def _feet(engine: Engine, s: Substeps, lowest) -> Substeps:
+    """The feet's timers and heights after one more physics step, which began with the lowest points of
+    their shapes at the heights `lowest` [S]."""
+    of = contacts.of_each_foot(engine.robot.foot_of)
+    height = lowest if of.shape[1] == 1 else lowest[of].min(-1)
+    contact = height < 0
     landed = contact & (s.air_steps > 0)
     return s._replace(
         air_steps=jnp.where(contact, 0, s.air_steps + 1),
         contact_steps=jnp.where(contact, s.contact_steps + 1, 0),
         last_air_steps=jnp.where(landed, s.air_steps + 1, s.last_air_steps),
-        peak=jnp.where(contact, 0.0, jnp.maximum(s.peak, heights - radius)),
+        peak=jnp.where(contact, 0.0, jnp.maximum(s.peak, height)),
         last_peak=jnp.where(landed, s.peak, s.last_peak),
     )
-
-
-def _lowest(engine: Engine, height, row):
-    """Heights of the parts' lowest points [..., G], from those of the centres and `row`, the third
-    row of each rotation matrix [..., G, 3]."""
-    fixed, linear, ring = engine.floor
-    drop = fixed + (linear * jnp.abs(row)).sum(-1)
-    return height - (drop + ring * jnp.sqrt(jnp.maximum(1 - row[..., 2] ** 2, 0)))

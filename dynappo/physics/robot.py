@@ -1,7 +1,7 @@
 """Loads a robot's folder as a `Robot`: the compiled physics model, and what a task needs to know of it.
 
-robot_contract.py has the rules for the file. NumPy and C MuJoCo only, so that a policy can be played
-without JAX.
+complete.py puts in place what a file lacks; robot_contract.py has the rules that remain. NumPy and C
+MuJoCo only, so that a policy can be played without JAX.
 """
 
 from __future__ import annotations
@@ -16,9 +16,8 @@ import mujoco
 import numpy as np
 
 from dynappo.config import ConfigError, files
-from dynappo.physics import mjcf, robot_contract
+from dynappo.physics import complete, feet, mjcf, robot_contract
 
-VISUAL_GROUP = 2
 # prefixes of a model's arrays that decide how it moves, and suffixes of those that do not
 MOVES = ("body_", "jnt_", "dof_", "geom_", "qpos", "key_", "actuator_", "eq_", "tendon_")
 LOOKS = ("_group", "_rgba", "_matid", "_user", "_bvhadr", "_bvhnum")
@@ -29,18 +28,20 @@ class Robot(NamedTuple):
 
     name: str
     xml: Path
-    mj_model: mujoco.MjModel  # without the geoms of group 2
+    mj_model: mujoco.MjModel  # without looks
     default_pose: np.ndarray  # [A] rad, from the keyframe
     home_qpos: np.ndarray  # [7 + A], feet on the floor
     joint_names: tuple[str, ...]
     feet: np.ndarray  # [S] geom ids of the feet's shapes, foot by foot
     foot_of: np.ndarray  # [S] the number of the foot that a shape belongs to
     foot_names: tuple[str, ...]  # [F] as FL of the geom FL_foot
-    foot_radius: np.ndarray  # [F] m
     parts: np.ndarray  # [G] geom ids
     base_body: int
     text: str  # its MJCF, if it comes from a policy or a checkpoint; else ""
     alone: str  # its MJCF as one text that needs no other file; "" if there is none
+    notes: tuple[
+        str, ...
+    ] = ()  # what was changed in the file when it was read, a line each (complete.py)
 
 
 def load(name: str) -> Robot:
@@ -55,7 +56,7 @@ def load(name: str) -> Robot:
 def load_xml(xml: Path) -> Robot:
     """As `load`, from any file that keeps the contract."""
     with mjcf.one_line(xml):
-        return _robot(xml.stem, xml, "", alone(xml))
+        return _robot(xml.stem, xml)
 
 
 def load_text(text: str, name: str, source: Path) -> Robot:
@@ -65,14 +66,13 @@ def load_text(text: str, name: str, source: Path) -> Robot:
     """
     with mjcf.one_line(source, "the robot that it carries: "):
         mjcf.check_alone(text)
-        return _robot(name, source, text, text)
+        return _robot(name, source, text)
 
 
-def _robot(name: str, xml: Path, text: str, alone: str) -> Robot:
-    spec = physics_spec(xml, text)
-    robot_contract.check_file(spec)
-    model = mjcf.check_model(spec.compile())
-    feet, parts = robot_contract.check(model)
+def _robot(name: str, xml: Path, text: str = "") -> Robot:
+    spec, model, notes = complete.complete(_spec(xml, text))
+    robot_contract.check(model)
+    shapes, foot_of, foot_names = feet.named(robot_contract.names(model.ngeom, model.geom))
     home = model.key("home").qpos.copy()
     return Robot(
         name=name,
@@ -81,37 +81,31 @@ def _robot(name: str, xml: Path, text: str, alone: str) -> Robot:
         default_pose=home[7:],
         home_qpos=home,
         joint_names=tuple(robot_contract.names(model.njnt, model.joint)[1:]),
-        feet=feet,
-        foot_of=np.arange(len(feet)),
-        foot_names=tuple(model.geom(i).name.removesuffix("_foot") for i in feet),
-        foot_radius=model.geom_size[feet, 0],
-        parts=parts,
+        feet=shapes,
+        foot_of=foot_of,
+        foot_names=foot_names,
+        parts=robot_contract.parts_of(model),
         base_body=int(model.jnt_bodyid[0]),
         text=text,
-        alone=alone,
+        alone=text or _alone(xml, spec),
+        notes=notes,
     )
 
 
-def alone(xml: Path) -> str:
-    """A robot's MJCF as one text that needs no other file.
+def _alone(xml: Path, spec: mujoco.MjSpec) -> str:
+    """A robot's MJCF as one text that needs no other file; `spec` is the completed file, and is changed.
 
-    If the file names no other file, it is the file's own text. Else includes are merged and the
-    looks (meshes and textures) removed; collision shapes are drawn instead. "" if the result still
-    names files (plugins, height fields) or is too long.
+    If the file names no other file, it is the file's own text. Else it is the completed file, in which
+    collision shapes are drawn instead of looks. "" if that is too long.
     """
     with contextlib.suppress(ValueError):
         text = xml.read_bytes().decode()
         mjcf.check_alone(text)
         return text
     with contextlib.suppress(ValueError, mujoco.FatalError):
-        spec = physics_spec(xml)
-        for geom in list(spec.geoms):
-            if geom.type == mujoco.mjtGeom.mjGEOM_MESH:  # the contract lets none touch
-                spec.delete(geom)
-            elif geom.group > VISUAL_GROUP:
+        for geom in spec.geoms:
+            if geom.group > complete.VISUAL_GROUP:
                 geom.group = 0
-        for mesh in list(spec.meshes):
-            spec.delete(mesh)
         spec.compile()
         text = spec.to_xml()
         mjcf.check_alone(text)
@@ -142,15 +136,17 @@ def _motion(model: mujoco.MjModel) -> dict[str, np.ndarray]:
 
 
 def physics_spec(xml: Path, text: str = "") -> mujoco.MjSpec:
-    """A robot's file, or its `text`, without looks: geoms of group 2, materials, textures."""
-    spec = mujoco.MjSpec.from_string(text) if text else mujoco.MjSpec.from_file(str(xml))
-    for geom in list(spec.geoms):
-        geom.material = ""
-        if geom.group == VISUAL_GROUP:
-            spec.delete(geom)
-    for look in (*spec.materials, *spec.textures):
-        spec.delete(look)
-    return spec
+    """A robot's file, or its `text`, completed and without looks."""
+    return complete.complete(_spec(xml, text)).spec
+
+
+def _spec(xml: Path, text: str) -> mujoco.MjSpec:
+    return mujoco.MjSpec.from_string(text) if text else mujoco.MjSpec.from_file(str(xml))
+
+
+def joint_ranges(robot: Robot) -> np.ndarray:
+    """The range [A, 2] of each joint, rad; infinite where it has no limits."""
+    return complete.ranges(robot.mj_model)
 
 
 def physics_model(robot: Robot, physics) -> mujoco.MjModel:
@@ -172,6 +168,16 @@ def with_settings(model: mujoco.MjModel, physics, parts: np.ndarray) -> mujoco.M
     return model
 
 
+def check_base_mass(robot: Robot, kilograms: tuple[float, float]) -> None:
+    """ConfigError if a base's mass could vary by so much that nothing of it would be left."""
+    base = robot.mj_model.body_mass[robot.base_body]
+    if kilograms[0] <= -base:
+        raise ConfigError(
+            f"task.randomize.base_mass is {kilograms}, expected more than -{base:.2f} kg, the mass of the base of "
+            f"{robot.name}"
+        )
+
+
 def digest(model: mujoco.MjModel) -> str:
     """A hash of everything in a compiled model."""
     content = np.empty(mujoco.mj_sizeModel(model), np.uint8)
@@ -179,64 +185,24 @@ def digest(model: mujoco.MjModel) -> str:
     return hashlib.sha256(content.tobytes()).hexdigest()
 
 
-class Legs(NamedTuple):
-    """The joints between the base and each foot; `F` legs of `L` joints each."""
-
-    joints: np.ndarray  # [F, L] numbers of the joints, from the base to the foot
-    offsets: np.ndarray  # [F, L + 1, 3] m: each joint's body in the one before, then the foot
-    axes: np.ndarray  # [F, L, 3]
-
-
-def legs(robot: Robot) -> Legs:
-    """The chains of joints that move the feet.
-
-    A reset uses them to place the feet above the floor without a physics call. They need the
-    contract's aligned frames (identity body quaternions) and legs of equally many joints.
-    """
-    m = robot.mj_model
-    chains = [_chain(m, m.geom_bodyid[foot]) for foot in robot.feet]
-    bodies = np.array(chains)
-    offsets = np.concatenate([m.body_pos[bodies], m.geom_pos[robot.feet][:, None]], axis=1)
-    joints = m.body_jntadr[bodies]
-    return Legs(joints - 1, offsets, m.jnt_axis[joints])
-
-
-def _chain(model: mujoco.MjModel, body: int) -> list[int]:
-    """The bodies that joints move between the base and `body`, which is the last."""
-    chain = []
-    while model.body_parentid[body] != 0:
-        chain.insert(0, int(body))
-        body = model.body_parentid[body]
-    return chain
-
-
-def feet_in_base(legs: Legs, joints):
-    """Foot centres [F, 3] (m) in the base frame at joint angles [A], by the chains of each leg."""
-    xp = joints.__array_namespace__()
-    offsets, axes = (xp.asarray(x, dtype=joints.dtype) for x in (legs.offsets, legs.axes))
-    angles, count = joints[legs.joints], legs.joints.shape[1]
-    position = offsets[:, count]
-    for i in reversed(range(count)):  # from the foot up to the hip: rotate, add the offset
-        axis, angle = axes[:, i], angles[:, i, None]
-        turned = xp.linalg.cross(axis, position)
-        position = (
-            position * xp.cos(angle)
-            + turned * xp.sin(angle)
-            + axis * (axis * position).sum(-1, keepdims=True) * (1 - xp.cos(angle))
-        )
-        position = offsets[:, i] + position
-    return position
-
-
-def damping_rate(robot: Robot, kd: float, timestep: float) -> float:
-    """`timestep kd lambda_max(M^-1)` over the joints, base free, in the default pose.
+def damping_rate(robot: Robot, kd, timestep: float) -> float:
+    """`timestep lambda_max(M^-1 kd)` over the joints, base free, in the default pose; `kd` is one number, or
+    one for each joint [A].
 
     The share of a joint's speed that explicit damping removes in one physics step: above 1 the
     speed changes sign (joints chatter), above 2 it diverges.
     """
+    # M^-1 D has the eigenvalues of the symmetric D^1/2 M^-1 D^1/2
+    root = np.sqrt(np.broadcast_to(kd, len(robot.joint_names)))
+    mobility = root[:, None] * joint_mobility(robot) * root
+    return timestep * float(np.linalg.eigvalsh(mobility).max())
+
+
+def joint_mobility(robot: Robot) -> np.ndarray:
+    """Joint accelerations by joint torques [A, A] (1/(kg m^2)), base free, in the default pose."""
     model, data = robot.mj_model, mujoco.MjData(robot.mj_model)
     data.qpos[:] = robot.home_qpos
     mujoco.mj_forward(model, data)
     inertia = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, inertia)
-    return timestep * kd * float(np.linalg.eigvalsh(np.linalg.inv(inertia)[6:, 6:]).max())
+    return np.linalg.inv(inertia)[6:, 6:]

@@ -19,6 +19,8 @@ RANGES = {
     "effort_limit": (1e-6, 1e6, "N m"),
     "saturation_effort": (1e-6, 1e9, "N m"),
     "velocity_limit": (1e-6, 1e9, "rad/s"),
+    "armature": (0, 1e4, "kg m2"),
+    "dry_friction": (0, 1e4, "N m"),
     "timestep": (1e-5, 0.1, "s"),
     "substeps": (1, 1000, "physics steps"),
     "history": (1, 100, "readings"),
@@ -30,6 +32,9 @@ RANGES = {
     "command_yaw": (-100, 100, "rad/s"),
 }
 COUNTS = "substeps", "history"
+PER_JOINT = (
+    "action_scale kp kd effort_limit saturation_effort velocity_limit armature dry_friction".split()
+)
 OF_JOINTS = "default_pose", "joint_damping", "joint_friction"  # one number per joint
 COMMANDS = "command_x", "command_y", "command_yaw"  # (low, high)
 DEEPEST = 10  # groups in groups of parameters
@@ -47,7 +52,13 @@ def check(fields: dict[str, Any]) -> None:
     _expect(len(set(joints)) == len(joints), "its joint_names hold a joint more than once")
     for name, (low, high, unit) in RANGES.items():
         value = fields[name]
-        for one in _list(value) if name in OF_JOINTS + COMMANDS else [value]:
+        several = name in OF_JOINTS + COMMANDS
+        if name in PER_JOINT and isinstance(value, list | np.ndarray):  # else one number for all
+            several, count = True, len(value)
+            _expect(count == len(joints), f"{count} values of {name} for {len(joints)} joints")
+        if value is None and name == "armature":  # the MJCF's
+            continue
+        for one in _list(value) if several else [value]:
             number = type(one) is int if name in COUNTS else type(one) in (int, float)
             kind = f"{'an integer of ' if name in COUNTS else ''}{low:g} to {high:g} {unit}"
             inside = number and low <= one <= high  # NaN is not
@@ -91,13 +102,24 @@ def _check_config(fields: dict[str, Any]) -> None:
         named = f"config.{name}"
         _expect(isinstance(group, dict), f"{named} is {reprlib.repr(group)}, expected a group")
         for field in ({*RANGES, "activation"} - {*OF_JOINTS}) & group.keys():
-            pair = group[field], fields[field]
-            one, other = (list(v) if isinstance(v, tuple) else v for v in pair)
-            said = f"{field} is {reprlib.repr(other)}, but {reprlib.repr(one)} in {named}"
-            _expect(one == other, said)
+            _expect_same(field, fields[field], group[field], named)
+    task = config.get("task", {})
+    if "joint_friction" in task:  # `joint_friction` of `about` is the MJCF's
+        _expect_same("dry_friction", fields["dry_friction"], task["joint_friction"], "config.task")
     noise = config.get("task", {}).get("noise", {})
     named = f"config.task.noise is {reprlib.repr(noise)}"
     _expect(isinstance(noise, dict), f"{named}, expected a group")
+
+
+def _expect_same(field: str, own, trained, where: str) -> None:
+    """Of numbers of joints: each is one of those of the config, whose patterns nobody matches here."""
+    own, trained = (list(x) if isinstance(x, tuple | np.ndarray) else x for x in (own, trained))
+    same = own == trained
+    if field in PER_JOINT and isinstance(trained, list):
+        known = [x[-1] if isinstance(x, list | tuple) and x else x for x in trained]
+        same = all(x in known for x in (own if isinstance(own, list) else [own]))
+    said = f"{field} is {reprlib.repr(own)}, but {reprlib.repr(trained)} in {where}"
+    _expect(same, said)
 
 
 def check_params(params: dict, inputs: int, joints: int) -> None:

@@ -1,8 +1,9 @@
 """Plays a policy in C MuJoCo and NumPy, in its robot's own file or in another MJCF (sim-to-sim).
 
-Another MJCF must have the policy's twelve hinge joints by name, in any order and with other joints
+Another MJCF must have the policy's hinge joints by name, in any order and with other joints
 in between; above them the base, a body with a free joint, x ahead and z up; and something to stand
-on in the world body. Everything else is as in that file: masses, contacts, armature, time step.
+on in the world body. Everything else is as in that file: masses, contacts, time step, and armature unless
+the policy was trained with one of its own (task.armature).
 
 Only the actuators are replaced: the file's are switched off, and the policy's own motor model
 drives the joints: PD and limits (`physics/actuators.py`), joint damping and friction. Why the last
@@ -20,13 +21,14 @@ import mujoco
 import numpy as np
 
 from dynappo.config import ConfigError
-from dynappo.physics import actuators, contacts, mjcf
+from dynappo.physics import actuators, contacts, mjcf, motors
 from dynappo.policy.policy_file import Policy
 from dynappo.tasks.velocity import observe
 
 SETTLE = 1.0  # s, left out of the tracking error, as in dynappo/scores.py
 UNEVEN = 0.02  # rad, about a degree
 STRIDE = 0.5  # s between points of the path walked, so that swaying adds no distance
+NEAR = 0.25  # of the base's height: a limb's end that is lower in the default pose is a foot
 FILM, ROUND = 12.0, 16.0  # s of the tour in a film, and on the live page, which begins it again
 TOUR = (  # the commands if none is given: (share of the time, (vx, vy, yaw rate))
     (0.3, (0.8, 0.0, 0.0)),
@@ -49,6 +51,8 @@ class Body(NamedTuple):
     joint_v: np.ndarray  # [A] indices in qvel
     ground: np.ndarray  # [ngeom] bool: fixed to the world
     parts: np.ndarray  # [ngeom] bool: of the robot, and not a foot
+    foot_of: np.ndarray  # [ngeom] the number of the foot that it is a shape of, else -1
+    foot_names: tuple[str, ...]  # [F]
     substeps: int
 
 
@@ -63,7 +67,7 @@ def load(
 
     If `text` is given, it is the MJCF, and `xml` the file that contains it. Without `timestep`, the
     file's own is changed to the nearest that divides the time between two actions. `keep_joints`:
-    keep the file's joint damping and friction. ConfigError if the file breaks the rules above.
+    keep the file's joint damping, friction and armature. ConfigError if the file breaks the rules above.
     """
 
     def expect(ok, text):
@@ -82,13 +86,24 @@ def load(
         i for i in range(model.njnt) if model.jnt_type[i] == free and model.jnt_bodyid[i] in top
     ]
     expect(len(roots) == 1 and (top == top[0]).all(), "one base with a free joint above all joints")
-    ground, parts, robot = _roles(model, joints, top[0])
-    touches = (model.geom_contype > 0) | (model.geom_conaffinity > 0)
+    touches, ground = _touches(model), model.body_weldid[model.geom_bodyid] == 0
+    robot = model.body_rootid[model.geom_bodyid] == top[0]
     expect((ground & touches).any(), "a floor: a geom of the world body that can be touched")
     expect((robot & touches).any(), "geoms of the robot that can touch the floor")
+    feet = _named_feet(model, robot & touches) or _lowest_limbs(
+        model, joints, policy.default_pose, robot & touches
+    )
+    expect(feet, "feet: geoms named LEG_foot, or limbs whose last body can touch the floor")
+    foot_of = np.full(model.ngeom, -1)
+    for foot, shapes in enumerate(feet.values()):
+        foot_of[shapes] = foot
     if not keep_joints and policy.joint_damping:
         model.dof_damping[model.jnt_dofadr[joints]] = policy.joint_damping
         model.dof_frictionloss[model.jnt_dofadr[joints]] = policy.joint_friction
+    if keep_joints:
+        policy = policy._replace(dry_friction=0.0)
+    elif policy.armature is not None:
+        motors.set_armature(model, model.jnt_dofadr[joints], policy.armature)
     between = policy.timestep * policy.substeps  # s, two actions
     substeps = max(1, round(between / (timestep or model.opt.timestep)))
     model.opt.timestep = between / substeps
@@ -107,27 +122,47 @@ def load(
         joint_q=model.jnt_qposadr[joints],
         joint_v=model.jnt_dofadr[joints],
         ground=ground,
-        parts=parts & touches,
+        parts=robot & touches & (foot_of < 0),
+        foot_of=foot_of,
+        foot_names=tuple(feet),
         substeps=substeps,
     )
 
 
-def _roles(model, joints, base):
-    """`(ground, parts, robot)`, a bool for every geom.
+def _touches(model) -> np.ndarray:
+    """[ngeom] bool: what can have contacts."""
+    paired = np.isin(np.arange(model.ngeom), [model.pair_geom1, model.pair_geom2])
+    return (model.geom_contype > 0) | (model.geom_conaffinity > 0) | paired
 
-    The feet are the geoms named `LEG_foot`. In a file without such names they are all geoms of the
-    bodies that the last joints of the legs move.
-    """
-    body = model.geom_bodyid
-    ground = model.body_weldid[body] == 0
-    robot = model.body_rootid[body] == base
-    feet = np.array([model.geom(i).name.endswith("_foot") for i in range(model.ngeom)]) & robot
-    if not feet.any():
-        legs = set(model.jnt_bodyid[joints].tolist())
-        inner = {int(b) for leg in legs for b in _above(model, leg)}
-        last = legs - inner
-        feet = np.array([bool(last & {b, *_above(model, b)}) for b in body.tolist()])
-    return ground, robot & ~feet, robot
+
+def _named_feet(model, touches) -> dict[str, list[int]]:
+    """The geoms of each foot by its name, of those geoms named `LEG_foot` that touch."""
+    feet: dict[str, list[int]] = {}
+    for i in np.flatnonzero(touches).tolist():
+        if name := contacts.foot_name(model.geom(i).name):
+            feet.setdefault(name, []).append(i)
+    return feet
+
+
+def _lowest_limbs(model, joints, pose, touches) -> dict[str, list[int]]:
+    """As `_named_feet`, in a file without such names: all geoms of the bodies that the last joints of the
+    limbs move, by their names, but of a limb that ends well above the ground, as an arm does."""
+    moved = set(model.jnt_bodyid[joints].tolist())
+    last = sorted(moved - {b for body in moved for b in _above(model, body)})
+    above = [{int(b), *_above(model, b)} for b in model.geom_bodyid]
+    limbs = {b: [i for i in np.flatnonzero(touches).tolist() if b in above[i]] for b in last}
+    data, base = mujoco.MjData(model), model.body_rootid[last[0]]
+    root = model.jnt_qposadr[model.body_jntadr[base]]
+    data.qpos[root + 3 : root + 7] = [1, 0, 0, 0]
+    data.qpos[model.jnt_qposadr[joints]] = pose
+    mujoco.mj_kinematics(model, data)
+    heights = {b: _lowest(model, data, shapes).min() for b, shapes in limbs.items() if shapes}
+    if not heights:
+        return {}
+    low = min(heights.values())
+    top = low + NEAR * (data.xpos[base, 2] - low)
+    feet = [b for b, height in heights.items() if height < top]
+    return {model.body(b).name or f"number {b}": limbs[b] for b in feet}
 
 
 def _above(model, body):
@@ -157,26 +192,26 @@ def reset(body: Body, data) -> None:
     off = off[np.argsort(np.argsort(body.policy.joint_names))]  # the same in any joint order
     data.qpos[body.joint_q] = body.policy.default_pose + off
     mujoco.mj_kinematics(body.model, data)
-    data.qpos[q + 2] -= _lowest(body, data)
+    robot = body.model.body_rootid[body.model.geom_bodyid] == body.base_body
+    shapes = np.flatnonzero(robot & _touches(body.model))
+    data.qpos[q + 2] -= _lowest(body.model, data, shapes).min()
     mujoco.mj_forward(body.model, data)
 
 
-def _lowest(body: Body, data) -> float:
-    """Height (m) of the lowest point of the robot's geoms that can collide."""
-    m = body.model
-    touches = (m.geom_contype > 0) | (m.geom_conaffinity > 0)
-    ids = np.flatnonzero((m.body_rootid[m.geom_bodyid] == body.base_body) & touches)
-    exact = np.isin(
-        m.geom_type[ids],
-        (contacts.SPHERE, contacts.CAPSULE, contacts.BOX, contacts.CYLINDER),
-    )
-    down = data.geom_xmat[ids].reshape(-1, 3, 3)[:, 2]  # third rows
-    fixed, linear, ring = contacts.floor_distance(m, ids)
-    reach = fixed + (linear * np.abs(down)).sum(-1)
-    reach += ring * np.sqrt(np.clip(1 - down[:, 2] ** 2, 0, None))
-    centre, half = m.geom_aabb[ids, :3], m.geom_aabb[ids, 3:]  # meshes and others: bounding boxes
-    around = (half * np.abs(down)).sum(-1) - (centre * down).sum(-1)
-    return float((data.geom_xpos[ids, 2] - np.where(exact, reach, around)).min())
+def _lowest(model, data, geoms) -> np.ndarray:
+    """Heights (m) of the lowest points of `geoms`; of a mesh, of the box around it."""
+    ids = np.asarray(geoms, int)
+    row = data.geom_xmat[ids, 6:]  # third row of the rotation matrix
+    exact = contacts.lowest(contacts.floor_distance(model, ids), data.geom_xpos[ids, 2], row)
+    centre, half = model.geom_aabb[ids, :3], model.geom_aabb[ids, 3:]
+    around = data.geom_xpos[ids, 2] + (centre * row).sum(-1) - (half * np.abs(row)).sum(-1)
+    return np.where(np.isin(model.geom_type[ids], [*contacts.MOST]), exact, around)
+
+
+def foot_heights(body: Body, data) -> np.ndarray:
+    """Heights [F] (m) of the feet's lowest points."""
+    feet = [np.flatnonzero(body.foot_of == foot) for foot in range(len(body.foot_names))]
+    return np.array([_lowest(body.model, data, shapes).min() for shapes in feet])
 
 
 def look(body: Body, data, asked, last_action) -> np.ndarray:
@@ -218,6 +253,8 @@ def physics_step(body: Body, data, target, strength=1.0) -> tuple[np.ndarray, np
         velocity_limit=p.velocity_limit,
     )
     data.qfrc_applied[body.joint_v] = torque
+    if np.any(p.dry_friction):
+        data.qfrc_applied[body.joint_v] -= actuators.friction(speed, p.dry_friction)
     mujoco.mj_step(body.model, data)
     one, other = data.contact.geom[data.contact.dist < 0].T
     ground, parts = body.ground, body.parts

@@ -23,13 +23,16 @@ from typing import Any, NamedTuple
 import numpy as np
 from ml_collections import config_dict
 
-from dynappo.config import ConfigError, files
+from dynappo.config import ConfigError, files, per_joint
+from dynappo.config import fields as fields_lib
 from dynappo.physics import robot as robot_lib
 from dynappo.policy import checkpoint_file, checks
 from dynappo.tasks.velocity import observe
 
-FORMAT = 2  # of `about`; 1 has no MJCF, and its robot is found by name
-READ = (1, 2)
+# of `about`. 1 has no MJCF, and its robot is found by name; 3 has what 2 cannot say: numbers of each joint,
+# armature, dry friction. What 2 can say is written as 2, for older readers
+FORMAT = 3
+READ = (1, 2, 3)
 MAX_BYTES = 2**27  # of all arrays together; a policy has less than 1 MiB
 # what NumPy says of a file that is no npz, or damaged
 DAMAGE = (ValueError, TypeError, EOFError, KeyError, RuntimeError, MemoryError, SyntaxError)
@@ -41,9 +44,15 @@ ACTIVATIONS = {
     "tanh": np.tanh,
     "swish": lambda x: x / (1 + np.exp(np.minimum(-x, 80))),  # float32 overflows at 88
 }
-TASK = (
-    "action_scale kp kd effort_limit saturation_effort velocity_limit command_x command_y command_yaw"
-).split()  # fields of the config's group `task` that are needed to play a policy
+# fields of the config's group `task` that are needed to play a policy, and their names here
+TASK = {
+    name: name
+    for name in (
+        "action_scale kp kd effort_limit saturation_effort velocity_limit armature command_x command_y "
+        "command_yaw"
+    ).split()
+} | {"joint_friction": "dry_friction"}  # `joint_friction` is the MJCF's
+NEWER = {"armature": None, "joint_friction": 0.0}  # which older configs lack
 
 
 class Policy(NamedTuple):
@@ -54,12 +63,13 @@ class Policy(NamedTuple):
     activation: str
     joint_names: tuple[str, ...]  # [A], the order of observations and actions
     default_pose: np.ndarray  # [A] rad
-    action_scale: float  # rad
-    kp: float  # N m/rad
-    kd: float  # N m s/rad
-    effort_limit: float  # N m
-    saturation_effort: float  # N m
-    velocity_limit: float  # rad/s
+    # one number for all joints, or an array [A]
+    action_scale: float | np.ndarray  # rad
+    kp: float | np.ndarray  # N m/rad
+    kd: float | np.ndarray  # N m s/rad
+    effort_limit: float | np.ndarray  # N m
+    saturation_effort: float | np.ndarray  # N m
+    velocity_limit: float | np.ndarray  # rad/s
     command_x: tuple[float, float]  # m/s
     command_y: tuple[float, float]  # m/s
     command_yaw: tuple[float, float]  # rad/s
@@ -68,7 +78,11 @@ class Policy(NamedTuple):
     config: dict[str, Any]  # everything it was trained with
     params: dict[str, Any]
     joint_damping: tuple[float, ...] = ()  # [A] N m s/rad, in the MJCF; empty: not known
-    joint_friction: tuple[float, ...] = ()  # [A] N m
+    joint_friction: tuple[float, ...] = ()  # [A] N m, frictionloss in the MJCF
+    # as action_scale: inertia of the motors (kg m^2; None: the MJCF's), and the friction (N m) beside the
+    # MJCF's that it was trained with (actuators.friction)
+    armature: float | np.ndarray | None = None
+    dry_friction: float | np.ndarray = 0.0
     mjcf: str = (
         ""  # the robot's, needs no other file; empty: the robot is found by name (source.py)
     )
@@ -77,10 +91,16 @@ class Policy(NamedTuple):
 
 
 def describe(config, robot: robot_lib.Robot, params: dict | None = None) -> Policy:
-    """The policy of a run's config; ConfigError if the config lacks a field."""
+    """The policy of a run's config; ConfigError if the config lacks a field, or its numbers of joints do not
+    fit the robot's."""
     fields = config.to_dict()
     try:
         task, physics = fields["task"], fields["physics"]
+        of_task = {own: _of_task(name, NEWER | task, robot) for name, own in TASK.items()}
+        for name in (
+            set(per_joint.names()) & task.keys()
+        ):  # the policy's joints may get another order
+            task[name] = per_joint.by_name(task[name], robot.joint_names)
         return Policy(
             robot=robot.name,
             observation=observe.name(task.get("observation", "full"), len(robot.joint_names)),
@@ -95,10 +115,37 @@ def describe(config, robot: robot_lib.Robot, params: dict | None = None) -> Poli
             joint_damping=tuple(robot.mj_model.dof_damping[6:].tolist()),
             joint_friction=tuple(robot.mj_model.dof_frictionloss[6:].tolist()),
             mjcf=robot.alone,
-            **{name: task[name] for name in TASK},
+            **of_task,
         )
     except KeyError as error:
         raise ConfigError(f"the config lacks the field {error}, which a policy needs") from None
+
+
+def _of_task(name: str, task: dict[str, Any], robot: robot_lib.Robot) -> Any:
+    """A field of `task`; one of joints as one number, or an array [A] of the robot's."""
+    value, full = task[name], f"task.{name}"
+    field = fields_lib.every()[full]
+    if not field.per_joint or not isinstance(value, (list, tuple)):
+        return value
+    found = fields_lib.convert(field, value)  # perhaps from a checkpoint, so checked
+    if found is None:
+        raise ConfigError(f"{full} is {value!r}, expected {fields_lib.expected(field)}")
+    fields_lib.check(full, found)
+    numbers = per_joint.numbers(full, found, robot.joint_names, robot.name)
+    return np.array(numbers) if isinstance(numbers, tuple) else numbers
+
+
+def about(policy: Policy) -> dict[str, Any]:
+    """The entry `about` of a policy's file: all but `params`."""
+    entry = policy._asdict()
+    del entry["params"]
+    new = {TASK[name]: nothing for name, nothing in NEWER.items()}
+    several = [
+        own for own in map(TASK.get, per_joint.names()) if isinstance(entry[own], np.ndarray)
+    ]
+    if several or any(entry[own] != nothing for own, nothing in new.items()):
+        return entry | {"format": FORMAT}
+    return {name: value for name, value in entry.items() if name not in new} | {"format": 2}
 
 
 def actor(params: dict, activation: str) -> Callable[[np.ndarray], np.ndarray]:
@@ -128,11 +175,10 @@ def save(
     `seed` is their number in a run of several seeds. Without a robot (an environment of your own),
     the description is only the config; `load_actor` reads such a file.
     """
-    about: dict[str, Any] = {"robot": "", "config": config.to_dict(), "format": FORMAT}
+    entry: dict[str, Any] = {"robot": "", "config": config.to_dict(), "format": 2}
     if robot is not None:
-        about |= describe(config, robot)._asdict() | {"seed": seed}
-        del about["params"]
-    save_params(path, params, about=to_json(about))
+        entry |= about(describe(config, robot)._replace(seed=seed))
+    save_params(path, params, about=to_json(entry))
 
 
 def to_json(value) -> str:
@@ -270,11 +316,13 @@ def _checked(path: Path, policy: Policy) -> Policy:
         same = set(robot.joint_names) == set(policy.joint_names)
         lists = ", ".join(policy.joint_names), ", ".join(robot.joint_names)
         expect(same, "its joints are {}, those of the robot that it carries {}".format(*lists))
+    of_joints = {own: getattr(policy, own) for own in checks.PER_JOINT}
     return policy._replace(
         joint_names=tuple(policy.joint_names),
         default_pose=np.array(policy.default_pose, float),
         joint_damping=tuple(policy.joint_damping),
         joint_friction=tuple(policy.joint_friction),
+        **{own: np.array(x, float) for own, x in of_joints.items() if isinstance(x, list)},
     )
 
 

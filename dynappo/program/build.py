@@ -50,7 +50,7 @@ class Program(NamedTuple):
 
 def check(config, env: Any = None) -> None:
     """ConfigError if the machine, the robot's file or `env` cannot run it; compiles nothing."""
-    from dynappo.physics import engine, robot
+    from dynappo.physics import engine, motors, robot
     from dynappo.program import environment
     from dynappo.tasks import env_contract
     from dynappo.tasks.velocity import mirror, reward_sum
@@ -62,18 +62,13 @@ def check(config, env: Any = None) -> None:
     impl = devices.engine(config)
     if impl == "warp":
         threading.Thread(target=_begin_warp, daemon=True).start()
-    loaded = robot.load(config.robot)
-    lightest, base = config.task.randomize.base_mass[0], loaded.mj_model.body_mass[loaded.base_body]
-    if lightest <= -base:
-        raise ConfigError(
-            f"task.randomize.base_mass is {config.task.randomize.base_mass}, expected more than "
-            f"-{base:.2f} kg, the mass of the base of {config.robot}"
-        )
+    config, loaded = motors.fitted(config, robot.load(config.robot))
+    robot.check_base_mass(loaded, config.task.randomize.base_mass)
     reward_sum.terms_of(config.task)
     if config.ppo.symmetry:
-        mirror.joints(loaded)
+        mirror.check_motors(config.task, loaded)
     engine.check(loaded, config.physics, impl)
-    memory.check(config, memory.limit(devices.local(config.run.device)))
+    memory.check(config, loaded, memory.limit(devices.local(config.run.device)))
 
 
 def slower(program: Program, config) -> str:
@@ -130,9 +125,10 @@ def program(
     from dynappo.tasks import env_contract
 
     began = time.perf_counter()
-    (static, hyper), run = config_lib.split(config), config.run
+    run = config.run
     mesh = seeds.mesh(run.mesh_seed, run.mesh_env, devices.available(run.device))
-    robot, env, impl = _environment(config, env, impl)
+    config, robot, env, impl = _environment(config, env, impl)
+    static, hyper = config_lib.split(config)
     env = env._replace(mesh=mesh)
     length = run.eval_steps or config.task.episode_length
     key = jax.random.key(run.seed)
@@ -245,17 +241,30 @@ def _evaluate(mesh, hyper: Hyper, episodes: Callable, compiled, state):
         return jax.device_get(run(hyper, state.learner.params, jax.random.key(0)))
 
 
-def _environment(config, env: Any, impl: str) -> tuple[Any, Any, str]:
-    """`(robot, environment, engine)`: the velocity task of the robot, or the user's `env`."""
+def floats(configs: list, env: Any = None) -> list[Hyper]:
+    """The `hyper` of each config, all of one robot; or of `env`, an environment of your own."""
+    from dynappo.config import per_joint
+    from dynappo.physics import robot
+
+    if env is None:
+        of = robot.load(configs[0].robot)
+        configs = [per_joint.resolved(one, of.joint_names, of.name) for one in configs]
+    return [config_lib.split(one)[1] for one in configs]
+
+
+def _environment(config, env: Any, impl: str) -> tuple[Any, Any, Any, str]:
+    """`(config, robot, environment, engine)`: the velocity task of the robot, or the user's `env`."""
     import jax
 
+    from dynappo.physics import motors
     from dynappo.physics import robot as robot_lib
     from dynappo.program import environment
     from dynappo.tasks.velocity import env as env_lib
 
     if env is not None:
-        return None, env, "own"
+        return config, None, env, "own"
     environment.check_robot(config)
-    robot = robot_lib.load(config.robot)
+    config, robot = motors.fitted(config, robot_lib.load(config.robot))
     with jax.default_device(devices.local(config.run.device)):
-        return robot, env_lib.make(robot, config.task, config.physics, impl=impl), impl
+        env = env_lib.make(robot, config.task, config.physics, impl=impl)
+    return config, robot, env, impl

@@ -12,33 +12,39 @@ import os
 from typing import Any
 
 from dynappo.config import ConfigError
-from dynappo.physics.robot_contract import JOINTS
+from dynappo.physics.robot import Robot
 from dynappo.tasks.velocity import observe
 
-STATE = (
-    4 * 197
-)  # bytes of a state of the velocity task with 48 observed numbers, and of the robot's own body
 CURE = "lower one of them, or use more devices (run.mesh_seed, run.mesh_env)"
 
 
-def bytes_per_row(config) -> int:
+def bytes_per_row(config, joints: int) -> int:
     """Bytes of a types.Transition, at least: without what obs tells of a robot's body."""
     task = config.task
-    past = (task.history - 1) * len(observe.columns(observe.name(task.observation, JOINTS)))
-    numbers = observe.size(JOINTS) + past, JOINTS, observe.prop_size(JOINTS)
+    past = (task.history - 1) * len(observe.columns(observe.name(task.observation, joints)))
+    numbers = observe.size(joints) + past, joints, observe.prop_size(joints)
     return 4 * (2 * sum(numbers) + 8)
 
 
-def least(config) -> int:
+def bytes_per_robot(joints: int, feet: int) -> int:
+    """Bytes of a state of the velocity task (state.py) and of the robot's own body, at least."""
+    physics = (7 + joints) + 2 * (6 + joints)
+    seen = observe.size(joints) + observe.prop_size(joints)
+    command, actions, timers, clocks, body = 6, 2 * joints, 5 * feet, 4, 7
+    return 4 * (physics + seen + command + actions + timers + clocks + body)
+
+
+def least(config, robot: Robot) -> int:
     """The least bytes that a run needs on each device: the buffer, and the robots of every seed."""
-    run = config.run
+    run, joints = config.run, len(robot.joint_names)
     robots = config.rollout.num_envs * run.num_seeds // (run.mesh_seed * run.mesh_env)
-    return robots * (config.rollout.horizon * bytes_per_row(config) + STATE)
+    rows = config.rollout.horizon * bytes_per_row(config, joints)
+    return robots * (rows + bytes_per_robot(joints, len(robot.foot_names)))
 
 
-def check(config, limit: int | None) -> None:
+def check(config, robot: Robot, limit: int | None) -> None:
     """ConfigError if a run cannot fit into a device's `limit` bytes, whatever the compiler does."""
-    _check(config, "the rollout alone needs", least(config), limit)
+    _check(config, "the rollout alone needs", least(config, robot), limit)
 
 
 def check_compiled(config, size: int, limit: int | None) -> None:

@@ -65,7 +65,7 @@ def program(configs: list, env: Any, meanwhile: Callable[[], None]) -> Program:
             return values[0]
         return jnp.repeat(jnp.asarray(values, jnp.float32), run.num_seeds)
 
-    hyper = jax.tree.map(each, *(config_lib.split(one)[1] for one in configs))
+    hyper = jax.tree.map(each, *build.floats(configs, env))
     keys = jnp.concatenate([seeds.keys(run.seed, run.num_seeds)] * len(configs))
     try:
         return build.program(config(configs), env, (hyper, keys), meanwhile=meanwhile)

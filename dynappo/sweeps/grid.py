@@ -14,7 +14,7 @@ from dynappo.config import ConfigError, fields
 
 MOST, LONGEST = 1000, 200  # combinations; characters of a folder's name
 # floats that are built into the program, or say what is (which bodies differ: physics.randomize)
-BUILT_IN = ("run.", "physics.", "task.randomize.")
+BUILT_IN = ("run.", "physics.", "task.randomize.", "task.armature", "task.joint_friction")
 NOT_HERE = {  # what one process or one folder has once
     "run.device": "a process has one; give a command for each",
     "run.wandb": "a sweep does not log to Weights & Biases",
@@ -59,7 +59,7 @@ def _parts(text: str) -> list[str]:
             quote = "" if letter == quote else quote
         elif letter in "\"'":
             quote = letter
-        depth += 0 if quote else (letter in "([") - (letter in ")]")
+        depth += 0 if quote else (letter in "([{") - (letter in ")]}")
         if letter == "," and depth == 0 and not quote:
             parts.append("")
         else:
@@ -101,9 +101,11 @@ def combinations(config, swept: dict[str, list[str]]) -> list[Combination]:
 
 
 def _short(value: Any) -> str:
-    """A value as a part of a folder's name that needs no quotes in a shell: (64, 64) is 64x64."""
-    text = "x".join(map(str, value)) if isinstance(value, tuple) else str(value)
-    return re.sub(r"[^\w.+-]", "_", text)
+    """A value as a part of a folder's name that needs no quotes in a shell: (64, 64) is 64x64, a pattern of
+    joints and its number ._calf_joint-35.0."""
+    if isinstance(value, tuple):
+        value = "x".join("-".join(map(str, x)) if isinstance(x, tuple) else str(x) for x in value)
+    return re.sub(r"[^\w.+-]", "_", str(value))
 
 
 def by_vmap(field: str, own_env: bool = False) -> bool:
@@ -124,12 +126,18 @@ def by_vmap(field: str, own_env: bool = False) -> bool:
 def groups(combinations: list[Combination], done: list[int]) -> list[list[Combination]]:
     """The combinations that can go on in one program, in the order of their firsts.
 
-    They differ in floats alone (`by_vmap`), and have `done` as many iterations: `run.joint`.
+    They differ in floats alone (`by_vmap`), and have `done` as many iterations: `run.joint`. A field that
+    has several numbers for the joints is part of the program.
     """
+    of_joints = {name for name, field in fields.every().items() if field.per_joint}
     found: dict[str, list[Combination]] = {}
     for one, iterations in zip(combinations, done, strict=True):
         own = one.env is not None
         known = config_lib.flat(one.config)
-        static = {name: value for name, value in known.items() if not by_vmap(name, own)}
+        static = {
+            name: value
+            for name, value in known.items()
+            if not by_vmap(name, own) or (name in of_joints and isinstance(value, tuple))
+        }
         found.setdefault(json.dumps([iterations, static]), []).append(one)
     return list(found.values())

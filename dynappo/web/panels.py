@@ -6,7 +6,8 @@ viser calls back in its own threads; the callbacks only leave wishes for the loo
 from __future__ import annotations
 
 import html
-from collections.abc import Callable
+import itertools
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -40,7 +41,7 @@ STATUS = '<div style="padding: 0 12px; font-size: 14px; overflow-wrap: anywhere"
 PARAGRAPH = '<p style="margin: 0 0 8px">{}</p>'
 POINTS = 160  # of a plot
 STRIDES = 100  # control steps of torques, a few strides
-PER_LEG = {"1": "#216bed", "2": "#e0762f", "3": "#1a9e4d", "4": "#a23bd0"}
+COLOURS = "#216bed", "#e0762f", "#1a9e4d", "#a23bd0", "#c2185b", "#7a7a00"  # of legs and arms
 
 
 class Run(NamedTuple):
@@ -61,8 +62,9 @@ class Panels:
     policy: viser.GuiDropdownHandle
     look: dict[str, viser.GuiCheckboxHandle]
     motion: list[viser.GuiUplotHandle]
-    torque: list[viser.GuiUplotHandle]
+    torques: Any  # the tab of the plots `torque`, one for each kind of joint that the robot has
     run: Run | None
+    torque: list[viser.GuiUplotHandle] = field(default_factory=list)
     seen: list = field(default_factory=list)  # value and wish of sliders and tour, when last told
 
 
@@ -203,47 +205,48 @@ def _plots(server: viser.ViserServer, of_run: bool):
                     (empty,) * 3, series, title=name, height=170, scales={"x": {"time": False}}
                 )
             )
-    torque = []
-    with panel.add_tab("torques"):
-        for name in ("hips", "thighs", "calves"):
-            lines: tuple[Any, ...] = (
-                {"label": "s"},
-                *({"label": leg, "stroke": c, "width": 1} for leg, c in PER_LEG.items()),
-            )
-            torque.append(
-                server.gui.add_uplot(
-                    (empty,) * 5,
-                    lines,
-                    title=f"{name}, N m",
-                    height=170,
-                    scales={"x": {"time": False}},
-                )
-            )
+    torques = panel.add_tab("torques")
     panel.dock_left()
-    return motion, torque, run
+    return motion, torques, run
 
 
-def show_robot(panels: Panels, live: Live) -> None:
-    """Set what depends on the robot: the ranges of the sliders, the names of the legs."""
+def show_robot(server: viser.ViserServer, panels: Panels, live: Live) -> None:
+    """Set what depends on the robot: the ranges of the sliders, the plots of its joints."""
     for slider, (low, high) in zip(panels.sliders, live_lib.ranges(live.body), strict=True):
         slider.min, slider.max = low, high
     for handle, (low, high) in zip(panels.motion, live_lib.ranges(live.body), strict=True):
         room = 0.2 * (high - low)
         handle.scales = {"x": {"time": False}, "y": {"range": (low - room, high + room)}}
-    for handle, joints in zip(panels.torque, by_kind(live).values(), strict=False):
-        names = [live.body.policy.joint_names[j].partition("_")[0] for j in joints]
-        lines = zip(names, PER_LEG.values(), strict=False)
-        handle.series = (
-            {"label": "s"},
-            *({"label": name, "stroke": colour, "width": 1} for name, colour in lines),
-        )
+    for handle in panels.torque:
+        handle.remove()
+    panels.torque.clear()
+    with panels.torques:
+        for kind, joints in by_kind(live.body.policy.joint_names).items():
+            names = [live.body.policy.joint_names[j].partition("_")[0] for j in joints]
+            lines: tuple[Any, ...] = (
+                {"label": "s"},
+                *(
+                    {"label": name, "stroke": colour, "width": 1}
+                    for name, colour in zip(names, itertools.cycle(COLOURS), strict=False)
+                ),
+            )
+            panels.torque.append(
+                server.gui.add_uplot(
+                    (np.zeros(1),) * len(lines),
+                    lines,
+                    title=f"{kind}, N m",
+                    height=170,
+                    scales={"x": {"time": False}},
+                )
+            )
 
 
-def by_kind(live: Live) -> dict[str, list[int]]:
-    """The joints of all legs by what they move: `hip_joint` -> those of FL, FR, RL, RR."""
+def by_kind(joint_names: Sequence[str]) -> dict[str, list[int]]:
+    """The joints of all legs and arms by what they move: `hip` -> FL_hip_joint, FR_hip_joint, ..."""
     kinds: dict[str, list[int]] = {}
-    for i, name in enumerate(live.body.policy.joint_names):
-        kinds.setdefault(name.partition("_")[2], []).append(i)
+    for i, name in enumerate(joint_names):
+        kind = name.partition("_")[2].removesuffix("_joint") or name
+        kinds.setdefault(kind, []).append(i)
     return kinds
 
 
@@ -261,7 +264,8 @@ def draw(panels: Panels, live: Live) -> None:
         handle.data = _window(live_lib.HISTORY, t - live.t, command[:, i], velocity[:, i])
     t, _, _, torque = (np.array(column) for column in zip(*history[-STRIDES:], strict=True))
     seconds = STRIDES * episode_lib.period(live.body)
-    for handle, joints in zip(panels.torque, by_kind(live).values(), strict=False):
+    kinds = by_kind(live.body.policy.joint_names)
+    for handle, joints in zip(panels.torque, kinds.values(), strict=True):
         handle.data = _window(seconds, t - live.t, *torque[:, joints].T)
 
 

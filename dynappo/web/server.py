@@ -124,7 +124,7 @@ def open_page(server, offer: Offer, first: Chosen, given, named: str | None = No
     made = panels.add(server, live, names, choose, look, offer.run is not None)
     page = Page(server, live, offer, first.text, shown, made, names[0])
     server.on_client_connect(lambda client: scene.welcome(page.shown, live, client))
-    panels.show_robot(made, live)
+    panels.show_robot(server, made, live)
     return page
 
 
@@ -137,7 +137,7 @@ def play(page: Page, found: Chosen, name: str) -> None:
     live_lib.take_robot(page.live, found.body, found.act)
     flags = {name: check.value for name, check in page.panels.look.items()}
     page.shown = scene.show(page.server, page.live)
-    panels.show_robot(page.panels, page.live)
+    panels.show_robot(page.server, page.panels, page.live)
     view(page, flags)
 
 

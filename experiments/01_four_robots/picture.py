@@ -13,7 +13,6 @@ import mujoco
 import numpy as np
 
 from dynappo.config import files
-from dynappo.evaluate import trials
 from dynappo.policy import episode, policy_file, source
 from experiments import paper, pictures
 
@@ -35,12 +34,11 @@ def walks(name, command, seconds=6.0):
     body = source.body(policy)[0]
     act = policy_file.actor(policy.params, policy.activation)
     poses = episode.play(body, act, lambda t: command, seconds)["qpos"]
-    feet, data = trials.feet(body)[0], mujoco.MjData(body.model)
-    heights = np.empty((len(poses), len(feet)))
+    data, heights = mujoco.MjData(body.model), np.empty((len(poses), len(body.foot_names)))
     for row, pose in zip(heights, poses, strict=True):
         data.qpos[:] = pose
         mujoco.mj_kinematics(body.model, data)
-        row[:] = data.geom_xpos[feet, 2] - body.model.geom_size[feet, 0]
+        row[:] = episode.foot_heights(body, data)
     return poses, heights
 
 

@@ -25,10 +25,10 @@ def walk(policy: policy_file.Policy, speed: float, seconds: float):
     episode = episode_lib.stack(body, some)
     names = ("tracking_error", "yaw_error", "fall", "distance", "cost_of_transport")
     measures = episode_lib.measures(body, episode)
-    return {name: measures[name] for name in names} | style(robot, episode)
+    return {name: measures[name] for name in names} | style(body, episode)
 
 
-def style(robot: robot_lib.Robot, episode) -> dict:
+def style(body: episode_lib.Body, episode) -> dict:
     """After the first second: mean air time (s) of a swing of a foot, swings of a foot in a second,
     tilt (degrees, root mean square), forward speed (m/s). None where it walked no longer than that."""
     dt = float(episode["dt"])
@@ -36,18 +36,18 @@ def style(robot: robot_lib.Robot, episode) -> dict:
     names = ("air_time", "swings_per_second", "tilt", "speed_ahead")
     if len(qpos) < 2:
         return dict.fromkeys(names)
-    data, heights = mujoco.MjData(robot.mj_model), []
+    data, heights = mujoco.MjData(body.model), []
     for row in qpos:
         data.qpos[:] = row
-        mujoco.mj_kinematics(robot.mj_model, data)
-        heights.append(data.geom_xpos[robot.feet, 2] - robot.foot_radius)
+        mujoco.mj_kinematics(body.model, data)
+        heights.append(episode_lib.foot_heights(body, data))
     swings = air_phases(np.array(heights) > 0)
     upright = 1 - 2 * (qpos[:, 4] ** 2 + qpos[:, 5] ** 2)  # of the quaternion: cosine of the tilt
     tilt = np.degrees(np.arccos(np.clip(upright, -1, 1)))
     ahead = episode["velocity"][-len(qpos) :, 0].mean()
     values = (
         np.mean(swings) * dt if len(swings) else None,
-        len(swings) / len(robot.feet) / (len(qpos) * dt),
+        len(swings) / len(body.foot_names) / (len(qpos) * dt),
         float(np.sqrt((tilt**2).mean())),
         float(ahead),
     )

@@ -35,7 +35,6 @@ def main():
 def measure(policy) -> dict[str, float]:
     body = source.body(policy)[0]
     model, act = body.model, policy_file.actor(policy.params, policy.activation)
-    feet, _ = trials.feet(body)
     dt, single = model.opt.timestep, body._replace(substeps=1)
     torques, speeds, changes, clearances, work, way = [], [], [], [], 0.0, 0.0
     for command in stress.commands(policy)[1:]:
@@ -51,7 +50,7 @@ def measure(policy) -> dict[str, float]:
                 if settled:
                     torques.append(np.abs(data.qfrc_applied[body.joint_v]))
                     speeds.append(np.abs(data.qvel[body.joint_v]))
-                    heights.append(data.geom_xpos[feet, 2] - model.geom_size[feet, 0])
+                    heights.append(episode.foot_heights(body, data))
                     way += np.linalg.norm(data.qvel[:2]) * dt
                     work += done
             if settled:

@@ -159,8 +159,8 @@ def robots(args: argparse.Namespace) -> tuple[Robots, Robots]:
     for text in args.set:
         config_lib.override(config, *text.split("=", 1))
     config = config_lib.validate(config)
+    config, _, env, _ = build._environment(config, None, devices.engine(config))
     _, hyper = config_lib.split(config)
-    _, env, _ = build._environment(config, None, devices.engine(config))
     evaluated = Robots(env, scores.nominal(hyper), args.gain, False)
     return Robots(env, hyper, args.gain, True), evaluated
 

@@ -119,7 +119,7 @@ def test_ctrl_c_in_a_finalizer_interrupts_a_moment_later(capsys, listening):
     assert err.endswith("dynappo: stopped\n") and sys.unraisablehook is before
 
 
-COMMANDS = ("train", "look", "play", "evaluate", "export", "bench")
+COMMANDS = ("train", "adopt", "look", "play", "evaluate", "export", "bench")
 
 
 @pytest.mark.parametrize("name", COMMANDS)

@@ -38,6 +38,18 @@ def test_the_settings_are_those_of_training(policy):
     assert episodes.settings(policy._replace(config=old)).to_dict() == expected
 
 
+def test_motors_of_each_joint_are_those_of_the_policy():
+    """Not by the patterns of a stranger's config, which nobody matches: they may take for ever."""
+    config, robot = described()
+    config = config_lib.load("go1")
+    config.task.update(kp={".*_calf_joint": 35, ".*": 25}, kd=(1, 2, 3) * 4, armature=0.02)
+    trained = policy_file.describe(config_lib.validate(config), robot, actor(hidden=HIDDEN))
+    stored = json.loads(policy_file.to_json(policy_file.about(trained)))["config"]
+    stored["task"]["kp"][0][0] = "(a*)*b"
+    found = episodes.settings(trained._replace(config=stored)).task
+    assert (found.kp, found.kd, found.armature) == ((25, 25, 35) * 4, (1, 2, 3) * 4, 0.02)
+
+
 @pytest.mark.parametrize(
     ("field", "value"),
     [

@@ -1,5 +1,7 @@
 """Joint orders: those of their sources, and policies that do the same in each of them."""
 
+import json
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -17,7 +19,7 @@ from toy_onnx import (
 )
 from toy_policy import ROBOTS
 
-from dynappo.export import joint_order
+from dynappo.export import deploy_yaml, joint_order, onnx_file
 from dynappo.learner import networks
 from dynappo.physics import actuators
 from dynappo.physics import robot as robot_lib
@@ -90,3 +92,37 @@ def test_another_order_is_the_same_policy(name, names):
     back = joint_order.permute(other, policy.joint_names)
     for params in (back.params, policy.params):
         jax.tree.map(np.testing.assert_array_equal, params, before)
+
+
+def test_motors_of_each_joint_keep_their_joints_in_every_order():
+    """Numbers of each joint follow their names: in the policy, the ONNX file and the deploy.yaml."""
+    policy, robot, _ = described("go2")
+    own = np.arange(12) + 1.0
+    policy = policy._replace(
+        observation="onboard-45", kp=own, kd=own / 10, action_scale=own / 100, effort_limit=3.0
+    )
+    policy.params["actor"]["params"]["Dense_0"]["kernel"] = np.ones((45, 32), np.float32)
+    del policy.params["critic"]
+    names = SHUFFLED
+    other = joint_order.permute(policy, names)
+    there = [policy.joint_names.index(joint) for joint in names]
+    np.testing.assert_array_equal(other.kp, own[there])
+    assert other.effort_limit == 3.0 and other.command_x == policy.command_x
+    facts = onnx_file.about(other, robot)
+    assert facts["kd"].tolist() == (own[there] / 10).tolist()
+    text = yaml_of(deploy_yaml.text(other, robot))
+    numbers = [text["stiffness"][i] for i in text["joint_ids_map"]]  # by motor, of each joint
+    assert numbers == own[there].tolist()
+    assert text["damping"] == [own[policy.joint_names.index(joint)] / 10 for joint in MOTORS]
+    assert text["scale"] == (own[there] / 100).tolist()
+    net, obs = session(other, robot, targets=True), np.zeros((2, 45), np.float32)
+    action = net.run(["action"], {"obs": obs})[0]
+    targets = other.default_pose + own[there] / 100 * action
+    np.testing.assert_allclose(net.run(["targets"], {"obs": obs})[0], targets, atol=1e-6)
+
+
+def yaml_of(text):
+    """The lists of a deploy.yaml, by name."""
+    lines = [line.strip().partition(": ") for line in text.splitlines() if "[" in line]
+    # of `scale`, the first is that of the actions
+    return {name: json.loads(value) for name, _, value in reversed(lines) if value[-1] == "]"}

@@ -123,9 +123,9 @@ def test_metadata_hold_all_that_a_robot_needs(name):
         assert limits == model.joint(joint).range.tolist(), joint
     assert facts["joint_damping"] == [policy.joint_names.index(joint) for joint in names]
     assert facts["joint_friction"] == [0.0] * 12
-    for field in policy_file.TASK:
+    for field, own in policy_file.TASK.items():
         value = config.task[field]
-        assert facts[field] == (list(value) if isinstance(value, tuple) else value), field
+        assert facts[own] == (list(value) if isinstance(value, tuple) else value), field
     assert facts["timestep"] * facts["substeps"] == facts["control_dt"] == 0.02
     assert facts["control_rate"] == pytest.approx(50)
     assert facts["base_com"] == model.body(1).ipos.tolist()

@@ -14,7 +14,7 @@ import numpy as np
 
 from dynappo.config import fields, files
 
-COMMANDS = ("train", "bench", "play", "evaluate", "export", "look")
+COMMANDS = ("train", "bench", "play", "evaluate", "export", "look", "adopt")
 NUMBERS = """
 -1 0 1 2 3 7 16 64 100 4096 -0.0 0.5 1.0 1.5 -1.5 1e-45 1e-12 1e-9 1e-3 1e3 1e9 1e12 1e39 1e308 1e999 -1e12
 2147483647 2147483648 -2147483649 3000000000 1000000000000 nan inf -inf 1_000 0x10 1j
@@ -149,6 +149,7 @@ FLAGS = {  # command -> flag: texts that its value may be
         "--run-seed": [*NUMBERS, "best", *TEXTS],
         "--robot-xml": ["mine.xml", "no.xml", *PATHS],
     },
+    "adopt": {"--name": ["mine", "go1", "default", "a/b", *TEXTS], "--force": None},
     "look": {"--out": ["a.png", "a.html", "no/a.png", *PATHS]},
 }
 
@@ -164,6 +165,7 @@ RIGHT = {  # arguments with which a command goes on; one of each group
     "evaluate": (["go1", "anymal_d", "mine.npz"], [], ["--out=new", "--seed=3", "--episodes=9"]),
     "export": (["go1", "go2", "mine.npz"], ["--out=a.onnx", "--out=a.npz"], ["--joint-order=mjcf"]),
     "look": (GOOD[:-1] + ["mine.py", "go1"], [], ["--out=a.png"]),
+    "adopt": (["mine.xml", "no.xml"], [], ["--name=mine", "--name=other"]),
 }
 
 

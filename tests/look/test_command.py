@@ -9,6 +9,7 @@ from answers import mistake, shell, status
 from toy_policy import GO1
 
 from dynappo.look import command as look_command
+from dynappo.physics import robot as robot_lib
 from dynappo.policy import render
 
 run = partial(status, look_command.main)
@@ -33,8 +34,15 @@ def test_it_says_what_a_robot_is_and_how_it_stands(capsys):
     assert re.match(
         r"up to \d\.\d N m, at F[LR]_calf_joint: \d+% of the limit 23.7", told["torque"]
     )
-    for name, angle in zip(GO1.joint_names, GO1.default_pose, strict=True):
-        assert re.search(rf"^{name} +{angle:.3f} +-\d.\d+ to +-?\d.\d+ +-?\d+\.\d\d$", text, re.M)
+    assert told["limbs"] == "12 joints, feet FL, FR, RL, RR, 14 other shapes"
+    assert told["explore"].endswith("6.2 N m, at FL_hip_joint: 26% of the limit 23.7")
+    rows = {
+        "hip_joint": r"-0.10 to 0.10 +-0.86 to 0.86",
+        "thigh_joint": r"0.80 to 1.00 +-0.69 to 4.50",
+        "calf_joint": r"-1.50 +-2.82 to -0.89",
+    }
+    for kind, numbers in rows.items():
+        assert re.search(rf"^{kind} +x 4 +{numbers} +25 +0.5 +23.7 +\d+% +26%$", text, re.M), kind
     assert "note: " not in text
 
 
@@ -43,8 +51,57 @@ def test_what_should_be_changed_is_a_note(capsys):
     assert run(*WEAK) == 0
     text = capsys.readouterr().out
     assert "the joints chatter: damping takes 1.53" in text
-    for part in ("lower task.kd", "touches the ground after", "it kneels", "does not come to rest"):
+    for part in ("lower task.kd", "a part that is no foot, touches the ground after", "it kneels", "does not come to rest"):
         assert re.search(rf"^note: .*{part}", text, re.M), part
+
+
+RULES = {  # fields, what the note says: every rule of robots/README.md that a config can break
+    "exploration": (["action_scale=1.0"], "exploration asks FL_hip_joint for 105% of its motor"),
+    "spawn height": (["reset.spawn_height=1.2"], "task.reset.spawn_height is 1.2 m, the base .* at 0.325"),
+    "base mass": (["randomize.base_mass=(-1.0,9.0)"], "task.randomize.base_mass is -1 to 9 kg"),
+    "friction": (["randomize.friction=(0.2,0.5)"], "friction is 0.80 in the file, but 0.2 to 0.5"),
+    "a weak motor": (["effort_limit=3", "saturation_effort=3"], "a motor is at task.effort_limit"),
+}
+
+
+@pytest.mark.parametrize("name", RULES)
+def test_a_rule_that_a_config_breaks_is_a_note(name, capsys):
+    fields, expected = RULES[name]
+    assert run("go1", *[f"--config.task.{field}" for field in fields]) == 0
+    assert re.search(f"^note: .*{expected}", capsys.readouterr().out, re.M)
+
+
+def test_heavy_robots_are_paid_less_for_saving_torque(capsys):
+    assert run("anymal_c", "--config.task.weights.joint_torques=-2e-4") == 0
+    assert "task.weights.joint_torques is -0.0002; for 52 kg -2.5e-05 is usual" in capsys.readouterr().out
+
+
+def test_soft_feet_and_low_shanks_are_notes(tmp_path, monkeypatch, capsys):
+    """Menagerie's feet under a heavy robot, and a shank that reaches the floor beside the foot."""
+    monkeypatch.chdir(tmp_path)
+    text = robot_lib.load("anymal_c").xml.read_text()
+    for folder in ("robots/soft", "robots/low", "configs"):
+        Path(folder).mkdir(parents=True)
+    Path("robots/soft/soft.xml").write_text(
+        text.replace('solimp="0.9 0.95 0.03"', 'solimp="0.015 1 0.03"').replace(' impratio="3"', "")
+    )
+    foot = re.search(r'<geom name="LF_foot"[^>]*pos="([^"]*)"', text)
+    assert foot
+    low = f'<geom type="sphere" size="0.025" pos="{foot[1]}" contype="0" conaffinity="1"/>'
+    Path("robots/low/low.xml").write_text(text.replace(foot[0], low + foot[0], 1))
+    mine = 'from dynappo import config as c\ndef get_config(v=""):\n  k = c.load("configs/anymal_c.py")\n'
+    for name in ("soft", "low"):
+        Path(f"configs/{name}.py").write_text(mine + f"  k.robot = '{name}'\n  return k\n")
+    assert run("soft") == 0
+    assert re.search(r"^note: its feet sink into the floor by \d+ mm", capsys.readouterr().out, re.M)
+    assert run("low") == 0
+    assert "note: no feet, but close to the floor in the default pose: LF_" in capsys.readouterr().out
+
+
+def test_what_train_refuses_look_refuses_in_the_same_words(capsys):
+    """A base that may weigh nothing (program/build.py)."""
+    line = mistake(look_command.main, ["go1", "--config.task.randomize.base_mass=(-6.0,1.0)"], capsys)
+    assert "task.randomize.base_mass is (-6.0, 1.0), expected more than -5.20 kg" in line
 
 
 def test_physics_that_blows_up_is_one_line_after_what_is_known(capsys):
@@ -71,9 +128,10 @@ def test_a_robot_of_ones_own_is_looked_at_from_its_folder(tmp_path, monkeypatch,
     assert run("mine") == 0
     told = "note: .*robots/mine/mine.xml: because of springs at joints .* MuJoCo Warp's own step"
     assert re.search(told, capsys.readouterr().out)
-    Path("robots/mine/mine.xml").write_text(text.replace('name="home"', 'name="rest"', 1))
+    slides = text.replace('class="thigh"/>', 'class="thigh" type="slide"/>', 1)
+    Path("robots/mine/mine.xml").write_text(slides)
     line = mistake(look_command.main, ["mine"], capsys)
-    assert "robots/mine/mine.xml: expected a keyframe named home, found rest" in line
+    assert "robots/mine/mine.xml: expected hinge joints after the free one" in line
 
 
 def test_a_picture_is_written_or_one_line_says_why_not(tmp_path, monkeypatch, capsys):
@@ -91,7 +149,19 @@ def test_a_picture_is_written_or_one_line_says_why_not(tmp_path, monkeypatch, ca
     if run("go1", "--out=a.png"):
         pytest.skip(capsys.readouterr().err)
     assert Path("a.png").read_bytes()[:4] == b"\x89PNG"
-    assert "picture a.png, after 5 s" in capsys.readouterr().out
+    assert "picture a.png: its looks, feet (orange)" in capsys.readouterr().out
+
+
+def test_motors_are_told_by_kind_of_joint(capsys):
+    """The PD, and the joint that is nearest to its own limit."""
+    flags = ["--config.task.kp={'.*_calf_joint': 35, '.*': 25}"]
+    flags += ["--config.task.effort_limit={'.*_hip_joint': 2, '.*': 23.7}"]
+    assert run("go1", *flags) == 0
+    said = capsys.readouterr().out
+    assert "PD      kp 25 to 35 N m/rad, kd 0.5 N m s/rad, a step of 5 ms" in said
+    assert re.search(r"^thigh_joint .* 25 +0.5 +23.7 ", said, re.M)
+    assert re.search(r"^calf_joint .* 35 +0.5 +23.7 ", said, re.M)
+    assert re.search(r"torque  up to 2.0 N m, at .*_hip_joint: \d+% of the limit 2\n", said), said
 
 
 MISTAKES = {  # arguments, what the line must say
@@ -105,6 +175,10 @@ MISTAKES = {  # arguments, what the line must say
     "a flag": (["go1", "--fast"], "--fast: no such flag"),
     "a field": (["go1", "--config.task.kq=3"], "--config.task.kq: no such field"),
     "a value": (["go1", "--config.task.kp=-3"], "task.kp"),
+    "a pattern": (
+        ["go1", "--config.task.kp={'.*_knee': 35, '.*': 25}"],
+        "the pattern '.*_knee' of task.kp matches no joint of go1",
+    ),
     "a robot": (["go1", "--config.robot=spot"], "spot"),
 }
 

@@ -18,13 +18,19 @@ def radius(robot, kp, kd, dt):
     mujoco.mj_fullM(model, data, inertia)
     motors = np.diag(np.arange(model.nv) >= 6).astype(float)
     pull, one = dt * np.linalg.solve(inertia, motors), np.eye(model.nv)
-    speed = np.hstack([-kp * pull, one - kd * pull])
+    gains = [np.concatenate([np.zeros(6), np.broadcast_to(gain, 12)]) for gain in (kp, kd)]
+    speed = np.hstack([-pull * gains[0], one - pull * gains[1]])
     return np.abs(
         np.linalg.eigvals(np.vstack([np.hstack([one, 0 * one]) + dt * speed, speed]))
     ).max()
 
 
-@pytest.mark.parametrize(("kp", "kd"), [(None, None), (400.0, 0.3), (10.0, 20.0), (0.0, 1.0)])
+EACH = np.linspace(10.0, 400.0, 12), np.linspace(2.0, 0.1, 12)  # a number of each joint
+
+
+@pytest.mark.parametrize(
+    ("kp", "kd"), [(None, None), (400.0, 0.3), (10.0, 20.0), (0.0, 1.0), EACH], ids=str
+)
 @pytest.mark.parametrize("name", ROBOTS)
 def test_the_longest_step_is_where_an_eigenvalue_leaves_the_circle(name, kp, kd):
     """The base is free: its own eigenvalues are one, doubled, so that they are so only about."""
@@ -34,6 +40,16 @@ def test_the_longest_step_is_where_an_eigenvalue_leaves_the_circle(name, kp, kd)
     assert radius(robot, kp, kd, found.longest * 0.99) < 1 + 1e-5
     assert radius(robot, kp, kd, found.longest * 1.01) > 1 + 1e-3
     assert facts.pd(robot, kp, kd, found.longest).bound == pytest.approx(2)
+
+
+def test_each_torque_is_a_share_of_its_own_motors_limit():
+    config, robot = described("go2")
+    policy = policy_file.describe(config, robot)
+    limits = np.where(np.arange(12) % 3 == 2, 3.0, 30.0)  # weak calves
+    body = episode.load(robot.xml, policy._replace(effort_limit=limits), 0.005)
+    _, found = facts.stand(body)
+    assert found["share"].max() == 1.0 and found["share"].argmax() % 3 == 2
+    np.testing.assert_allclose(found["share"], np.abs(found["torque"]) / limits)
 
 
 def test_a_robot_stands_as_by_hand():

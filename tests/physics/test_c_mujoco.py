@@ -15,7 +15,7 @@ import pytest
 
 from dynappo import config as config_lib
 from dynappo.config import files
-from dynappo.physics import actuators, c_mujoco, contacts, randomize
+from dynappo.physics import actuators, c_mujoco, contacts, motors, randomize
 from dynappo.physics import engine as engine_lib
 from dynappo.physics import robot as robot_lib
 from dynappo.tasks.velocity import env as env_lib
@@ -32,14 +32,19 @@ LIMITS = ("effort_limit", "saturation_effort", "velocity_limit")
 MOTORS = dict(go1=(25.0, 0.5, 23.7, 23.7, 30.0), anymal=(85.0, 0.6, 80.0, 120.0, 7.5))
 
 
-def place(name, touching="feet", rubs=False, **physics):
+def place(name, touching="feet", rubs=False, each=False, **physics):
     """Robots with bodies of their own that come down on the floor, every other one turned any way, and
-    random actions; where it `rubs`, with friction in their joints. `run(impl)` makes a control step of all:
-    `(start, action) -> Substeps`."""
+    random actions; where it `rubs`, with friction in their joints; with `each`, every joint with a motor of
+    its own. `run(impl)` makes a control step of all: `(start, action) -> Substeps`."""
     config = config_lib.load(f"configs/{name}.py")
     config.physics.update({"contacts": touching} | ENOUGH | physics)
-    config = config_lib.validate(config)
-    robot, hyper, rng = robot_lib.load(name), config_lib.split(config)[1], np.random.default_rng(0)
+    if each:
+        own = 1 + 0.1 * np.arange(12)
+        for field in (*LIMITS, "kp", "kd", "action_scale"):
+            config.task[field] = tuple((config.task[field] * own).tolist())
+        config.task.update(armature=tuple(0.01 * own[::-1]), joint_friction=tuple(0.05 * own))
+    config, robot = motors.fitted(config_lib.validate(config), robot_lib.load(name))
+    hyper, rng = config_lib.split(config)[1], np.random.default_rng(0)
     com = robot.mj_model.body_ipos[robot.base_body] + rng.uniform(-0.05, 0.05, (ROBOTS, 3))
     scale, friction, kp, kd = rng.uniform([0.8, 0.4, 0.8, 0.5], [1.4, 1.2, 1.2, 1.5], (ROBOTS, 4)).T
     low, high, more = [0.8, 0.7, 0.0], [1.2, 1.5, 0.04], np.random.default_rng(1)
@@ -57,7 +62,7 @@ def place(name, touching="feet", rubs=False, **physics):
     for row in qpos:
         data.qpos[:] = row
         mujoco.mj_kinematics(robot.mj_model, data)
-        feet = data.geom_xpos[robot.feet, 2] - robot.foot_radius
+        feet = data.geom_xpos[robot.feet, 2] - robot.mj_model.geom_size[robot.feet, 0]
         row[2] -= min(feet.min(), lowest(robot, data).min()) + rng.uniform(-0.01, 0.02)
     clocks = rng.integers(0, 9, (3, ROBOTS, 4), np.int32)
     clocks[1] *= clocks[0] == 0  # a foot is in the air or on the ground
@@ -65,7 +70,8 @@ def place(name, touching="feet", rubs=False, **physics):
     start = [x.astype(np.float32) for x in (qpos, qvel, qvel * 0)]
 
     def run(impl):
-        engine = engine_lib.make(robot, config.physics, varied, impl, touching == "full")
+        more = dict(remember=touching == "full", rubs=each)
+        engine = engine_lib.make(robot, config.physics, varied, impl, **more)
 
         simulate = partial(engine_lib.simulate, engine, hyper)
         step = jax.jit(jax.vmap(lambda body, s, a: simulate(body, SimpleNamespace(**s), a)))
@@ -100,7 +106,8 @@ def by_hand(world, i):
     model.body_inertia[robot.base_body] *= body.mass_scale
     model.body_ipos[robot.base_body] = body.base_com
     model.geom_friction[robot.feet, 0] = body.friction
-    model.dof_armature[6:] *= body.armature
+    nominal = model.dof_armature[6:] if task.armature is None else np.array(task.armature)
+    model.dof_armature[6:] = nominal * body.armature
     kp, kd = np.float32(task.kp) * body.kp_scale, np.float32(task.kd) * body.kd_scale
     limits = {name: np.float32(task[name]) for name in LIMITS}
     data = mujoco.MjData(model)
@@ -122,13 +129,14 @@ def by_hand(world, i):
             before = data.qvel[6:].copy()
             torque = actuators.pd(target.astype(float), data.qpos[7:], before, kp, kd)
             data.ctrl[:] = body.strength * actuators.clip_dc_motor(torque, before, **limits)
-            if (
-                body.joint_friction is not None
-            ):  # beside the motor, whose torque is what is reported
-                data.qfrc_applied[6:] = -body.joint_friction * np.tanh(before / 0.2)
+            rubbing = np.float32(task.joint_friction)
+            if body.joint_friction is not None:
+                rubbing = rubbing + body.joint_friction
+            # beside the motor, whose torque is what is reported
+            data.qfrc_applied[6:] = -rubbing * np.tanh(before / 0.2)
             mujoco.mj_step(model, data)  # leaves the geoms where it began
             depths.append(lowest(robot, data))
-            height = data.geom_xpos[robot.feet, 2] - robot.foot_radius
+            height = data.geom_xpos[robot.feet, 2] - robot.mj_model.geom_size[robot.feet, 0]
             down = height < 0
             last_peak = np.where(down & (air > 0), peak, last_peak)
             peak = np.where(down, 0, np.maximum(peak, height))
@@ -154,12 +162,15 @@ def by_hand(world, i):
 CASES = {
     "feet": ENOUGH,
     "feet, rubs": ENOUGH | {"rubs": True},
+    "feet, each joint": ENOUGH | {"rubs": True, "each": True},
+    "feet, each joint, alike": ENOUGH | {"each": True},
     "full": ENOUGH,
     "full, one substep": {"substeps": 1},
     "full, few": FEW,
 }
 DAMPED = ("anymal_c", "anymal_d")
 PAIRS = [(r, c) for r in files.robots() for c in CASES if CASES[c] != FEW or r not in DAMPED]
+PAIRS = [(r, c) for r, c in PAIRS if "each" not in c or r in ("go1", "anymal_c")]
 
 
 @pytest.mark.parametrize(("robot", "case"), PAIRS)
@@ -190,14 +201,23 @@ SLOW = [pytest.param(*case, marks=pytest.mark.slow) for case in OTHERS]
 
 
 @pytest.mark.parametrize(
-    ("robot", "touching", "impl"), [("go1", "feet", "jax"), ("go1", "feet", "warp"), *SLOW]
+    ("robot", "touching", "impl"),
+    [
+        ("go1", "feet, each", "jax"),
+        ("go1", "feet, each", "warp"),
+        pytest.param("go1", "feet", "jax", marks=pytest.mark.slow),
+        pytest.param("go1", "feet", "warp", marks=pytest.mark.slow),
+        pytest.param("go1", "full, each", "warp", marks=pytest.mark.slow),  # general.py
+        *SLOW,
+    ],
 )
 def test_every_step_is_that_of_the_other_engines(robot, touching, impl):
-    """With friction in the joints, and the motors' torques without it. Measured: median 1e-7 and 5e-6,
+    """With friction in the joints, and the motors' torques without it; by default with a motor of its own at
+    each joint. Measured: median 1e-7 and 5e-6,
     nine tenths below 3e-7 and 1e-5. With contacts of all parts some of the rest differ by up to 11 rad/s:
     there MJX differs from a plain loop in C MuJoCo as well."""
     pytest.importorskip("warp" if impl == "warp" else "mujoco")
-    world = place(robot, touching, rubs=True)
+    world = place(robot, touching[:4], rubs=True, each="each" in touching)
     in_c, elsewhere, start = world.run("c"), world.run(impl), world.start
     bounds = dict(qpos=(1e-6, 5e-6), qvel=(2e-5, 2e-4), torque=(1e-4, 1e-3))
     bounds |= dict(qd_before=(2e-5, 2e-4), lowest=(1e-6, 5e-6)) | dict.fromkeys(CLOCKS, (0, 0))
@@ -220,7 +240,7 @@ def test_the_motor_is_pd_with_the_limits_of_a_dc_motor(name):
     """At standstill, far beyond the speed without load, and braking."""
     robot, physics = robot_lib.load("go1"), config_lib.load("configs/go1.py").physics
     world = c_mujoco._World(robot, c_mujoco._model(robot, physics), 1, 1, frozenset())
-    (model,) = world._models(np.float32([[1, 0, 0, 0, 0.8, *MOTORS[name], 1, 0]]))
+    (model,) = world._models(np.float32([[1, 0, 0, 0, 0.8, 1, *MOTORS[name], 0]]))
     kp, kd, *limits = map(float, np.float32(MOTORS[name]))
     limited_by = partial(actuators.clip_dc_motor, **dict(zip(LIMITS, limits, strict=True)))
     data, rng, limited = mujoco.MjData(model), np.random.default_rng(0), 0

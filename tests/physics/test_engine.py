@@ -90,7 +90,7 @@ def collisions(model, loaded, poses):
         pairs = data.contact.geom
         assert (pairs[:, 0] == model.geom("floor").id).all()
         np.minimum.at(dist[i], column[pairs[:, 1]], data.contact.dist)
-        height[i] = data.geom_xpos[loaded.feet, 2] - loaded.foot_radius
+        height[i] = data.geom_xpos[loaded.feet, 2] - model.geom_size[loaded.feet, 0]
     return dist, height
 
 

@@ -1,7 +1,7 @@
 """The kernel computes all of a robot's file, or declines it: each feature of MJCF in turn.
 
-A file with one more feature is refused in one line (robot_contract.py), or declined with a reason that names
-the feature, or a control step of the kernel is that of C MuJoCo.
+A file with one more feature is completed, or refused in one line (robot_contract.py), or declined with a
+reason that names the feature, or a control step of the kernel is that of C MuJoCo.
 """
 
 import copy
@@ -181,58 +181,8 @@ def flag(kind, *names):
 
 
 FOOT, HIP, THIGH, CALF = "FL_foot", "FL_hip", "FL_thigh", "FL_calf"
-MOTORS = "motor of gear 1 a joint"
-REFUSED = {  # robot_contract.py, or MuJoCo's compiler
-    "a mocap body": (ball, "one top-level body"),
-    "a height field": (hfield, "box, sphere, capsule or cylinder"),
-    "a shape in the world": (
-        lambda spec: spec.worldbody.add_geom(name="box", size=[1, 1, 1], pos=[0, 0, 3], contype=0),
-        "to be on the robot",
-    ),
-    "a second floor": (
-        lambda spec: spec.worldbody.add_geom(
-            name="second", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1], conaffinity=0
-        ),
-        "contype 0 at every geom but the floor",
-    ),
-    "parts that collide": (put("geom", "FL_calf", contype=1), "contype 0"),
-    "position servos": (motors("position", 20), MOTORS),
-    "velocity servos": (motors("velocity", 2), MOTORS),
-    "dampers": (motors("damper", 1, ctrlrange=[0, 1]), MOTORS),
-    "cylinders": (motors("cylinder", 0.1, 0, area=1), MOTORS),
-    "muscles": (motors("muscle", tausmooth=0, ctrlrange=(0, 1)), MOTORS),
-    "DC motors": (motors("dcmotor", [1, 1], 1.0), MOTORS),
-    "adhesion": (
-        lambda spec: spec.add_actuator(
-            name="sticky",
-            target=CALF,
-            trntype=mujoco.mjtTrn.mjTRN_BODY,
-            ctrlrange=[0, 1],
-        ).set_to_adhesion(1),
-        MOTORS,
-    ),
-    "a delayed motor": (motor(delay=0.01, nsample=3), "found 8 more numbers"),
-    "a delayed sensor": (
-        lambda spec: spec.add_sensor(
-            type=mujoco.mjtSensor.mjSENS_GYRO,
-            objtype=T.mjOBJ_SITE,
-            objname="imu",
-            delay=0.01,
-            nsample=3,
-        ),
-        "no state beside",
-    ),
-    "a filtered motor": (
-        motor(dyntype=mujoco.mjtDyn.mjDYN_FILTER, dynprm=[1, *[0] * 9]),
-        MOTORS,
-    ),
-    "a disabled group of motors": (
-        both(motor(group=3), put("option", disableactuator=8)),
-        "no motor disabled",
-    ),
-    "a motor with damping": (motor(damping=[1, 0, 0]), "damping at the joints"),
-    "a motor with nonlinear damping": (motor(damping=[0, 1, 0]), "damping at the joints"),
-    "a motor with armature": (motor(armature=0.1), "armature and damping at the joints"),
+MOTORS = "one motor a joint"
+REFUSED = {  # complete.py, robot_contract.py, or MuJoCo's compiler
     "a plugin": (
         xml(
             (
@@ -254,25 +204,75 @@ REFUSED = {  # robot_contract.py, or MuJoCo's compiler
         ),
         "rigid bodies only",
     ),
-    "a gear of 9": (motor(gear=[9, 0, 0, 0, 0, 0]), MOTORS),
-    "a bounded motor": (motor(ctrllimited=1, ctrlrange=[-1, 1]), "motors without limits"),
-    "a bounded joint torque": (
-        put("joint", J, actfrclimited=1, actfrcrange=[-1, 1]),
-        "motors without limits",
-    ),
-    "a slide joint": (put("joint", J, type=mujoco.mjtJoint.mjJNT_SLIDE), "12 hinge joints"),
+    "a slide joint": (put("joint", J, type=mujoco.mjtJoint.mjJNT_SLIDE), "hinge joints"),
     "a ball joint": (
         put("joint", J, type=mujoco.mjtJoint.mjJNT_BALL, range=[0, 1]),
-        "12 hinge joints",
+        "hinge joints",
     ),
-    "a joint's ref": (put("joint", J, ref=0.1), "without pos and ref"),
-    "a joint beside its body's origin": (put("joint", J, pos=[0, 0.1, 0]), "without pos and ref"),
-    "a turned body": (put("body", THIGH, quat=[1, 0.1, 0, 0]), "frames parallel"),
-    "a sloping floor": (put("geom", "floor", quat=[1, 0.1, 0, 0]), "a plane at height 0"),
-    "torsional friction": (put("geom", FOOT, condim=4), "condim 1 or 3"),
-    "rolling friction": (put("geom", FOOT, condim=6), "condim 1 or 3"),
-    "feet of the floor's priority": (put("geom", FOOT, priority=0), "higher priority"),
-    "a pair with a foot": (pair(FOOT, "floor", condim=3), "no contact pair with a foot"),
+}
+COMPLETED = {  # complete.py: then it is a robot that the kernel computes
+    "a mocap body": (ball, "the scene is left out: ball"),
+    "a height field": (hfield, "the scene is left out: hills"),
+    "a shape in the world": (
+        lambda spec: spec.worldbody.add_geom(name="box", size=[1, 1, 1], pos=[0, 0, 3], contype=0),
+        "the scene is left out: box",
+    ),
+    "a second floor": (
+        lambda spec: spec.worldbody.add_geom(
+            name="second", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1], conaffinity=0
+        ),
+        "the scene is left out: second",
+    ),
+    "parts that collide": (put("geom", "FL_calf", contype=1), "not one another"),
+    "position servos": (motors("position", 20), MOTORS),
+    "velocity servos": (motors("velocity", 2), MOTORS),
+    "dampers": (motors("damper", 1, ctrlrange=[0, 1]), MOTORS),
+    "cylinders": (motors("cylinder", 0.1, 0, area=1), MOTORS),
+    "muscles": (motors("muscle", tausmooth=0, ctrlrange=(0, 1)), MOTORS),
+    "DC motors": (motors("dcmotor", [1, 1], 1.0), MOTORS),
+    "adhesion": (
+        lambda spec: spec.add_actuator(
+            name="sticky",
+            target=CALF,
+            trntype=mujoco.mjtTrn.mjTRN_BODY,
+            ctrlrange=[0, 1],
+        ).set_to_adhesion(1),
+        MOTORS,
+    ),
+    "a delayed motor": (motor(delay=0.01, nsample=3), MOTORS),
+    "a delayed sensor": (
+        lambda spec: spec.add_sensor(
+            type=mujoco.mjtSensor.mjSENS_GYRO,
+            objtype=T.mjOBJ_SITE,
+            objname="imu",
+            delay=0.01,
+            nsample=3,
+        ),
+        "",
+    ),
+    "a filtered motor": (
+        motor(dyntype=mujoco.mjtDyn.mjDYN_FILTER, dynprm=[1, *[0] * 9]),
+        MOTORS,
+    ),
+    "a disabled group of motors": (
+        both(motor(group=3), put("option", disableactuator=8)),
+        MOTORS,
+    ),
+    "a motor with damping": (motor(damping=[1, 0, 0]), MOTORS),
+    "a motor with armature": (motor(armature=0.1), MOTORS),
+    "a gear of 9": (motor(gear=[9, 0, 0, 0, 0, 0]), MOTORS),
+    "a bounded motor": (motor(ctrllimited=1, ctrlrange=[-1, 1]), MOTORS),
+    "a bounded joint torque": (
+        put("joint", J, actfrclimited=1, actfrcrange=[-1, 1]),
+        MOTORS,
+    ),
+    "a sloping floor": (put("geom", "floor", quat=[1, 0.1, 0, 0]), "level, at height 0"),
+    "torsional friction": (put("geom", FOOT, condim=4), "condim 3"),
+    "rolling friction": (put("geom", FOOT, condim=6), "condim 3"),
+    "feet of the floor's priority": (put("geom", FOOT, priority=0), "priority 1"),
+    "a pair of parts": (pair(CALF, "FR_calf"), "pairs of the robot with itself are left out: 1"),
+    "a pair with the floor": (pair(CALF, "floor"), ""),
+    "a pair with a foot": (pair(FOOT, "floor", condim=3), ""),
 }
 EQ = mujoco.mjtEq
 DECLINED = {
@@ -293,9 +293,27 @@ DECLINED = {
     "a tendon's limit": (tendon(limited=1, range=[-0.1, 0.1]), "tendons"),
     "a tendon's armature": (tendon(armature=0.1), "tendons"),
     "a spatial tendon": (spatial, "tendons"),
-    "a pair of parts": (pair(CALF, "FR_calf"), "pairs"),
-    "a pair with the floor": (pair(CALF, "floor"), "pairs"),
     "an exclude of the floor": (exclude("world", CALF), "exclude"),
+    "a joint's ref": (put("joint", J, ref=0.1), "ref"),
+    "a joint beside its body's origin": (put("joint", J, pos=[0, 0.1, 0]), "link's origin"),
+    "a turned body": (put("body", THIGH, quat=[1, 0.1, 0, 0]), "turned frames"),
+    "a joint without a range": (put("joint", J, limited=0), "without a range"),
+    "a foot that is a box": (
+        put("geom", FOOT, type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.02, 0.02, 0.02]),
+        "no spheres",
+    ),
+    "a foot of two shapes": (
+        lambda spec: spec.body(CALF).add_geom(
+            name="FL_foot2",
+            size=[0.02, 0, 0],
+            pos=[0.01, 0, -0.2],
+            conaffinity=1,
+            contype=0,
+            priority=1,
+        ),
+        "other limbs",
+    ),
+    "a motor with nonlinear damping": (motor(damping=[0, 1, 0]), "nonlinear damping"),
     "a spring": (put("joint", J, stiffness=[40, 0, 0], springref=0.3), "springs"),
     "a nonlinear spring": (put("joint", J, stiffness=[0, 5, 0]), "springs"),
     "nonlinear damping": (put("joint", J, damping=[0, 1, 0]), "damping"),
@@ -419,6 +437,14 @@ def test_the_contract_refuses(feature, tmp_path):
         load(change, tmp_path)
     text = str(caught.value)
     assert text.startswith(f"{tmp_path / 'mine.xml'}: ") and "\n" not in text and words in text
+
+
+@pytest.mark.parametrize("feature", COMPLETED)
+def test_what_is_completed_is_computed(feature, tmp_path):
+    change, words = COMPLETED[feature]
+    robot = load(change, tmp_path)
+    case = Case("go1", robot=robot)
+    assert words in "; ".join(robot.notes) and not declines(case)
 
 
 @pytest.mark.parametrize("feature", DECLINED)

@@ -15,7 +15,7 @@ import pytest
 
 from dynappo import config
 from dynappo.config import files
-from dynappo.physics import actuators, contacts, randomize, robot
+from dynappo.physics import actuators, complete, contacts, kinematics, randomize, robot
 
 FACTS = json.loads((pathlib.Path(__file__).parents[1] / "facts" / "robots.json").read_text())
 ROBOTS = [name for name in files.robots() if name in FACTS]  # a fifth one has no facts here
@@ -138,7 +138,7 @@ def test_joints_come_leg_by_leg_from_hip_to_knee(loaded, facts, name):
 def test_feet_have_the_published_radius_and_centre_in_the_order_of_the_legs(loaded, facts, name):
     model = loaded.mj_model
     assert [model.geom(i).name for i in loaded.feet] == [f"{g}_foot" for g in LEGS[name].split()]
-    np.testing.assert_allclose(loaded.foot_radius, facts["foot"]["radius"], atol=1e-6)
+    np.testing.assert_allclose(model.geom_size[loaded.feet, 0], facts["foot"]["radius"], atol=1e-6)
     for foot, leg in zip(loaded.feet, LEGS[name].split(), strict=True):
         centre = facts["foot"]["centre_in_last_body"][leg]
         np.testing.assert_allclose(model.geom_pos[foot], centre, atol=1e-6)
@@ -163,16 +163,17 @@ def test_the_default_pose_is_the_named_tasks(loaded, facts):
 def test_in_the_default_pose_the_feet_are_where_published_and_the_lowest_touch_the_floor(
     loaded, facts, name
 ):
-    kinematics = facts["isaaclab_default"]["kinematics"]
+    published = facts["isaaclab_default"]["kinematics"]
     data = in_pose(loaded.mj_model, loaded.home_qpos)
     centres = data.geom_xpos[loaded.feet]
     base = data.xpos[loaded.base_body]
     for centre, leg in zip(centres, LEGS[name].split(), strict=True):
-        expected = kinematics["feet_centres_in_base_frame"][leg]
+        expected = published["feet_centres_in_base_frame"][leg]
         np.testing.assert_allclose(centre - base, expected, atol=1e-6, err_msg=leg)
-    height = kinematics["base_height_with_lowest_foot_on_ground"]
+    height = published["base_height_with_lowest_foot_on_ground"]
     assert loaded.home_qpos[2] == pytest.approx(height, abs=1e-5)
-    assert (centres[:, 2] - loaded.foot_radius).min() == pytest.approx(0, abs=1e-5)
+    radius = loaded.mj_model.geom_size[loaded.feet, 0]
+    assert (centres[:, 2] - radius).min() == pytest.approx(0, abs=1e-5)
     np.testing.assert_array_equal(loaded.home_qpos[[0, 1, 3, 4, 5, 6]], [0, 0, 1, 0, 0, 0])
 
 
@@ -193,8 +194,8 @@ def test_the_floor_is_a_plane_at_height_zero(loaded):
 
 def test_looks_are_left_out_and_weigh_nothing(loaded):
     with_looks = mujoco.MjModel.from_xml_path(str(loaded.xml))
-    looks = with_looks.geom_group == robot.VISUAL_GROUP
-    assert looks.any() and not (loaded.mj_model.geom_group == robot.VISUAL_GROUP).any()
+    looks = with_looks.geom_group == complete.VISUAL_GROUP
+    assert looks.any() and not (loaded.mj_model.geom_group == complete.VISUAL_GROUP).any()
     assert loaded.mj_model.ngeom == (~looks).sum()
     np.testing.assert_array_equal(with_looks.body_mass, loaded.mj_model.body_mass)
 
@@ -270,14 +271,14 @@ def test_the_stability_bound_rejects_isaac_labs_gains_without_armature():
 def test_foot_positions_by_the_leg_chains_are_mujocos_at_any_joint_angles(loaded):
     rng, data = np.random.default_rng(5), mujoco.MjData(loaded.mj_model)
     low, high = np.clip(loaded.mj_model.jnt_range[1:].T, -np.pi, np.pi)
-    legs = robot.legs(loaded)
+    legs = kinematics.legs(loaded.mj_model, loaded.feet)
     for _ in range(10):
         joints = rng.uniform(low, high)
         data.qpos[:] = [0, 0, 0, 1, 0, 0, 0, *joints]
         mujoco.mj_kinematics(loaded.mj_model, data)
         expected = data.geom_xpos[loaded.feet]
-        np.testing.assert_allclose(robot.feet_in_base(legs, joints), expected, atol=1e-12)
-        in_jax = robot.feet_in_base(legs, jnp.asarray(joints))
+        np.testing.assert_allclose(kinematics.feet_in_base(legs, joints), expected, atol=1e-12)
+        in_jax = kinematics.feet_in_base(legs, jnp.asarray(joints))
         np.testing.assert_allclose(in_jax, expected, atol=2e-6)
 
 

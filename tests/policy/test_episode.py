@@ -372,3 +372,35 @@ def test_the_tour_covers_an_episode(seconds):
         begin = end
     assert begin == steps and tuple(command(0.0)) == episode.TOUR[0][1]
     assert tuple(command(seconds)) == tuple(command(2 * seconds)) == episode.TOUR[-1][1]
+
+
+def test_each_joint_has_its_own_motor_armature_and_friction():
+    """A physics step against MuJoCo and a loop over joints; in another file too, unless it keeps its joints'
+    own."""
+    config, robot = described()
+    own = 1 + 0.1 * np.arange(12)
+    policy = policy_file.describe(config, robot, actor())
+    policy = policy._replace(kp=25 * own, kd=own, effort_limit=3 * own, saturation_effort=4 * own)
+    policy = policy._replace(velocity_limit=9 * own, armature=0.01 * own, dry_friction=0.1 * own)
+    body = episode.load(robot.xml, policy, 0.005)
+    data, rng = mujoco.MjData(body.model), np.random.default_rng(0)
+    episode.reset(body, data)
+    data.qvel[6:] = rng.normal(size=12) * 4
+    target, q, qd = rng.normal(size=12), data.qpos[7:].copy(), data.qvel[6:].copy()
+    expected, applied = np.zeros(12), np.zeros(12)
+    for i in range(12):
+        effort, stall, speed = 3 * own[i], 4 * own[i], 9 * own[i]
+        held = min(max(qd[i], -speed * (1 + effort / stall)), speed * (1 + effort / stall))
+        upper = min(stall * (1 - held / speed), effort)
+        lower = max(stall * (-1 - held / speed), -effort)
+        wanted = 25 * own[i] * (target[i] - q[i]) - own[i] * qd[i]
+        expected[i] = 0.9 * min(max(wanted, lower), upper)
+        applied[i] = expected[i] - 0.1 * own[i] * np.tanh(qd[i] / 0.2)
+    torque, speed, _ = episode.physics_step(body, data, target, 0.9)
+    np.testing.assert_allclose(torque, expected, rtol=1e-12)
+    np.testing.assert_allclose(data.qfrc_applied[6:], applied, rtol=1e-12)
+    np.testing.assert_array_equal(speed, qd)
+    np.testing.assert_allclose(body.model.dof_armature[6:], 0.01 * own)
+    kept = episode.load(robot.xml, policy, keep_joints=True)
+    assert (kept.model.dof_armature[6:] == robot.mj_model.dof_armature[6:]).all()
+    assert kept.policy.dry_friction == 0.0

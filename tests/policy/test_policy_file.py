@@ -46,8 +46,11 @@ def test_a_policy_file_holds_all_that_its_robot_needs(saved, policy):
     np.testing.assert_array_equal(about["default_pose"], model.key("home").qpos[7:])
     assert (about["robot"], about["format"], about["observation"]) == ("go1", 2, "velocity-48")
     assert about["activation"] == config.ppo.activation
-    for name in policy_file.TASK:
-        value = config.task[name]
+    for field, name in policy_file.TASK.items():
+        if field in policy_file.NEWER:  # at their defaults left out, for older readers
+            assert name not in about and getattr(policy, name) == policy_file.NEWER[field]
+            continue
+        value = config.task[field]
         assert about[name] == (list(value) if isinstance(value, tuple) else value), name
     assert (about["timestep"], about["substeps"]) == (0.005, 4)
     assert about["config"] == json.loads(config_lib.to_json(config))
@@ -97,7 +100,7 @@ DAMAGE = {  # what is done to the arrays or to `about`, what the line must say
     "a field is missing": (lambda _, about: about.pop("kp"), "kp"),
     "a field too many": (lambda _, about: about.update(mass=1), "mass"),
     "params": (lambda _, about: about.update(params={}), "`about` is damaged"),
-    "another format": (lambda _, about: about.update(format=3), "format 3, this dynappo reads 2"),
+    "another format": (lambda _, about: about.update(format=4), "format 4, this dynappo reads 3"),
     "another observation": (lambda _, about: about.update(observation="scan-187"), "'scan-187'"),
     "another activation": (lambda _, about: about.update(activation="mish"), "'mish'"),
     "an activation that is a list": (lambda _, about: about.update(activation=["elu"]), "['elu']"),
@@ -286,3 +289,84 @@ def test_a_policy_without_a_robot_keeps_its_networks_and_its_config(policy, tmp_
     one = policy_file.actor(policy.params, "tanh")(np.ones(48))
     np.testing.assert_array_equal(act(np.ones(48)), one)
     assert "which is not a robot of dynappo's" in refused(policy_file.load, path)
+
+
+# ---- motors of each joint
+
+
+def of_joints():
+    """`(config, robot)` of a Go1 whose joints differ; as `described`."""
+    config = config_lib.load("go1")
+    config.task.update(kp={".*_calf_joint": 35, ".*": 25}, kd=tuple(0.1 * np.arange(1, 13)))
+    config.task.update(armature={".*": 0.02}, joint_friction=0.1)
+    return config_lib.validate(config), described()[1]
+
+
+def test_numbers_of_each_joint_are_in_the_file_which_older_readers_refuse_by_its_format(tmp_path):
+    config, robot = of_joints()
+    policy_file.save(tmp_path / "a.npz", actor(), config, robot)
+    with np.load(tmp_path / "a.npz") as file:
+        about = json.loads(str(file["about"]))
+    assert about["format"] == 3 and about["kp"] == [25.0, 25.0, 35.0] * 4
+    found = policy_file.load(tmp_path / "a.npz")
+    np.testing.assert_array_equal(found.kp, [25.0, 25.0, 35.0] * 4)
+    np.testing.assert_array_equal(found.kd, 0.1 * np.arange(1, 13))
+    assert (found.effort_limit, found.armature, found.dry_friction) == (23.7, 0.02, 0.1)
+    # a tuple is in the order of the robot's file; the policy's may change, so the config has names
+    assert found.config["task"]["kd"][1] == ["FL_thigh_joint", 0.2]
+    again = tmp_path / "b.npz"
+    policy_file.save_params(
+        again, found.params, about=policy_file.to_json(policy_file.about(found))
+    )
+    for name, value in policy_file.load(again)._asdict().items():
+        if name != "params":
+            np.testing.assert_equal(value, getattr(found, name), name)
+
+
+@pytest.mark.parametrize(
+    "new", [{"armature": 0.01}, {"joint_friction": 0.1}, {"kd": (1.0, 2.0) * 6}]
+)
+def test_what_the_older_format_cannot_say_has_the_newer(new):
+    config = config_lib.load("go1")
+    config.task.update(new)
+    policy = policy_file.describe(config_lib.validate(config), described()[1])
+    assert policy_file.about(policy)["format"] == 3
+    assert policy_file.about(policy_file.describe(*described()))["format"] == 2
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "expected"),
+    [
+        ("kp", [25.0] * 11, "11 values of kp for 12 joints"),
+        ("kp", [25.0] * 11 + [-1.0], "kp is -1.0, expected 0 to 100000 N m/rad"),
+        ("kp", [25.0] * 11 + ["x"], "kp is 'x', expected 0 to 100000 N m/rad"),
+        ("kp", {"a": 1}, "kp is {'a': 1}, expected 0 to"),
+        ("kp", [26.0] * 12, "kp is [26.0, 26.0, 26.0"),  # not what it was trained with
+        ("armature", "x", "armature is 'x', expected 0 to 10000 kg m2"),
+        ("dry_friction", None, "dry_friction is None, expected 0 to 10000 N m"),
+        ("dry_friction", 0.2, "dry_friction is 0.2, but 0.1 in config.task"),
+        ("effort_limit", [23.7, 3.0] * 6, "effort_limit is [23.7, 3.0"),
+    ],
+)
+def test_wrong_numbers_of_joints_are_one_line(tmp_path, field, value, expected):
+    about = json.loads(policy_file.to_json(policy_file.about(policy_file.describe(*of_joints()))))
+    policy_file.save_params(
+        tmp_path / "a.npz", actor(), about=policy_file.to_json(about | {field: value})
+    )
+    line = refused(policy_file.load, tmp_path / "a.npz")
+    assert "a.npz" in line and expected in line
+
+
+def test_a_checkpoints_patterns_are_checked_before_they_are_used():
+    """Its config comes from a file, with lists."""
+    config, robot = of_joints()
+    for value, expected in (
+        ([["(a*)*b", 1.0], [".*", 2.0]], "no group repeated"),
+        ([["calf", 1.0], [".*", 2.0]], "the pattern 'calf' of task.kp matches no joint of go1"),
+        ([[".*", -2.0]], "task.kp of '.*' is -2.0, expected 0 to 100,000"),
+        ([[".*"]], "task.kp is [['.*']], expected float, a dict"),
+    ):
+        tree = json.loads(config_lib.to_json(config))
+        tree["task"]["kp"] = value
+        line = refused(policy_file.describe, config_dict.ConfigDict(tree), robot)
+        assert expected in line

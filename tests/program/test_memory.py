@@ -36,15 +36,18 @@ def test_the_least_is_the_rollout_buffer_and_the_robots():
     """Of the velocity task, to 16 bytes a robot; less of each where devices share them."""
     run = config(rollout__num_envs=64)
     static, hyper = config_lib.split(run)
-    env = env_lib.make(robot_lib.load("go1"), run.task, run.physics)
+    robot = robot_lib.load("go1")
+    env = env_lib.make(robot, run.task, run.physics)
     buffer = jax.eval_shape(partial(rollout.allocate, env, 16, 64))
     init = partial(algorithm.init, env, static=static)
     state = jax.eval_shape(init, hyper, jax.random.key(0))
     whole = size(buffer) + size((state.env_state, state.params_physics))
-    assert abs(whole - memory.least(run)) <= 64 * 16
-    assert memory.least(config(rollout__num_envs=64, run__num_seeds=4)) == 4 * memory.least(run)
+    assert abs(whole - memory.least(run, robot)) <= 64 * 16
+    assert memory.least(config(rollout__num_envs=64, run__num_seeds=4), robot) == 4 * memory.least(
+        run, robot
+    )
     spread = dict(run__num_seeds=4, run__mesh_seed=2, run__mesh_env=2)
-    assert memory.least(config(rollout__num_envs=64, **spread)) == memory.least(run)
+    assert memory.least(config(rollout__num_envs=64, **spread), robot) == memory.least(run, robot)
 
 
 @pytest.mark.parametrize("donated", [False, True])
@@ -64,11 +67,11 @@ def test_what_is_needed_are_the_compilers_own_figures(donated):
 
 def test_a_run_that_does_not_fit_is_one_line():
     """What it needs, what is there, what can be lowered; without a limit nothing is refused."""
-    run = config(rollout__num_envs=32768, run__num_seeds=8)
-    least = memory.least(run)
+    run, robot = config(rollout__num_envs=32768, run__num_seeds=8), robot_lib.load("go1")
+    least = memory.least(run, robot)
     for check, text in (
         (
-            partial(memory.check, run),
+            partial(memory.check, run, robot),
             "the rollout alone needs 3.2 GiB on each device, which has 1.0",
         ),
         (
@@ -81,8 +84,8 @@ def test_a_run_that_does_not_fit_is_one_line():
         assert line.endswith("lower one of them, or use more devices (run.mesh_seed, run.mesh_env)")
         check(5 * GIB)
         check(None)
-    memory.check(run, least)
-    assert "which has" in refused(memory.check, run, least - 1)
+    memory.check(run, robot, least)
+    assert "which has" in refused(memory.check, run, robot, least - 1)
 
 
 def test_the_limit_of_a_device(monkeypatch):

@@ -47,10 +47,11 @@ FIELDS = {  # 4 robots that fall, step, stand and bend their joints far, all wit
     "task.reset.soft_limit": 0.4,
     "task.kp": 3.0,
 }
-ERRORS = ("task.randomize.encoder_bias", "task.randomize.imu_tilt")
+# what is in the program only where it is not 0
+ERRORS = ("task.randomize.encoder_bias", "task.randomize.imu_tilt", "task.joint_friction")
 EACH = {name: kind for name, kind in fields.every().items() if kind.kind in (float, tuple)}
 FLOATS = [name for name, kind in EACH.items() if kind.kind is float]
-REFUSED = [n for n in FLOATS if n.startswith(("run.", "physics."))]
+REFUSED = [n for n in FLOATS if n.startswith(("run.", "physics.")) or n == "task.armature"]
 VARIED = [n for n in EACH if n in ERRORS or grid.by_vmap(n)]
 OTHER = {  # where 1.5 x + 0.5 is no value of the field, or none that shows
     "ppo.learning_rate": 1e-4,

@@ -1,7 +1,4 @@
-"""A robot of other limbs: the task's sizes, resets, steps and mirror image follow from its model.
-
-A hexapod, which `robot_contract` does not let in; all else takes it as it is.
-"""
+"""Robots of other limbs: the task's sizes, resets, steps and mirror image follow from their models."""
 
 from pathlib import Path
 from types import SimpleNamespace
@@ -10,59 +7,35 @@ import jax
 import mujoco
 import numpy as np
 import pytest
+import robot_files
 
 from dynappo import config as config_lib
+from dynappo.physics import kinematics
 from dynappo.physics import robot as robot_lib
 from dynappo.physics.warp import scope
+from dynappo.program import memory
 from dynappo.tasks.velocity import env as env_lib
+from dynappo.tasks.velocity import mirror
 
-LEGS = ("FL", 0.3, 0.15), ("FR", 0.3, -0.15), ("ML", 0.0, 0.2)
-LEGS += ("MR", 0.0, -0.2), ("RL", -0.3, 0.15), ("RR", -0.3, -0.15)
-POSE = 0.0, 0.6, -1.2  # rad: hip, thigh, calf
+LEGS = robot_files.HEXAPOD_LEGS
 ROBOTS, ACTIONS = 4, 18
-
-
-def leg(name, x, y):
-    inertial = '<inertial pos="0 0 -0.05" mass="0.3" diaginertia="1e-3 1e-3 1e-3"/>'
-    link = f'<geom type="capsule" fromto="0 0 0 0 0 -0.15" size="0.02" conaffinity="1"/>{inertial}'
-    foot = f'<geom name="{name}_foot" size="0.025" pos="0 0 -0.2" priority="1" conaffinity="1"/>'
-    return f"""
-    <body name="{name}_hip" pos="{x} {y} 0">{inertial}
-      <joint name="{name}_hip" axis="1 0 0" range="-1 1"/>
-      <body name="{name}_thigh" pos="0 {np.sign(y) * 0.05} 0">{link}
-        <joint name="{name}_thigh" axis="0 1 0" range="-1.5 2"/>
-        <body name="{name}_calf" pos="0 0 -0.2">{link}{foot}
-          <joint name="{name}_calf" axis="0 1 0" range="-2.5 -0.3"/>
-        </body></body></body>"""
 
 
 @pytest.fixture(scope="module")
 def hexapod():
-    names = [f"{name}_{joint}" for name, *_ in LEGS for joint in ("hip", "thigh", "calf")]
-    height = 0.2 * np.cos(POSE[1]) + 0.2 * np.cos(POSE[1] + POSE[2]) + 0.025
-    text = f"""<mujoco><option timestep="0.005"/><default><geom contype="0" conaffinity="0"/></default>
-    <worldbody><geom name="floor" type="plane" size="0 0 1" contype="1"/>
-    <body name="base" pos="0 0 {height}"><freejoint/><geom type="box" size="0.3 0.1 0.05" conaffinity="1"/>
-    <inertial pos="0 0 0" mass="8" diaginertia="0.1 0.3 0.3"/>{"".join(leg(*one) for one in LEGS)}
-    </body></worldbody>
-    <actuator>{"".join(f'<motor name="{n}" joint="{n}"/>' for n in names)}</actuator></mujoco>"""
-    model = mujoco.MjModel.from_xml_string(text)
-    feet = np.array([model.geom(f"{name}_foot").id for name, *_ in LEGS])
-    parts = np.setdiff1d(np.flatnonzero(model.geom_conaffinity), feet)
-    return robot_lib.Robot(
-        name="hexapod",
-        xml=Path("hexapod.xml"),
-        mj_model=model,
-        default_pose=np.tile(POSE, 6),
-        home_qpos=np.concatenate([[0, 0, height, 1, 0, 0, 0], np.tile(POSE, 6)]),
-        joint_names=tuple(names),
-        feet=feet,
-        foot_radius=model.geom_size[feet, 0],
-        parts=parts,
-        base_body=1,
-        text=text,
-        alone=text,
-    )
+    return robot_lib.load_text(robot_files.hexapod(), "hexapod", Path("hexapod.xml"))
+
+
+@pytest.fixture(scope="module")
+def biped():
+    return robot_lib.load_text(robot_files.biped(), "biped", Path("biped.xml"))
+
+
+@pytest.fixture(scope="module")
+def turned(tmp_path_factory):
+    path = tmp_path_factory.mktemp("turned") / "turned.xml"
+    path.write_text(robot_files.turned())
+    return robot_lib.load_xml(path)
 
 
 @pytest.fixture(scope="module")
@@ -122,7 +95,7 @@ def test_its_mirror_image_swaps_left_and_right(world, hexapod):
 
 
 def test_legs_are_the_chains_from_the_base_to_each_foot(hexapod):
-    legs = robot_lib.legs(hexapod)
+    legs = kinematics.legs(hexapod.mj_model, hexapod.feet)
     np.testing.assert_array_equal(legs.joints, np.arange(ACTIONS).reshape(6, 3))
     fatal, undesired = env_lib.ground_rules(
         hexapod, SimpleNamespace(termination="base", undesired="thighs")
@@ -136,3 +109,93 @@ def test_legs_are_the_chains_from_the_base_to_each_foot(hexapod):
 
 def test_the_kernel_for_quadrupeds_declines_it(hexapod):
     assert "other limbs" in scope.declines(hexapod.mj_model, hexapod.feet, False)
+
+
+# a biped with a waist and arms, several hinges in a body, box feet
+
+
+def test_a_reset_of_a_biped_places_its_soles_above_the_ground(biped):
+    config = config_lib.load("configs/go1.py")
+    config.task.reset.spawn_height, config.task.reset.joint_scale = 0.0, (0.5, 1.5)
+    config.physics.threads = 1
+    config = config_lib.validate(config)
+    # a pose of its own: its home is straight
+    pose = np.random.default_rng(0).uniform(-0.4, 0.4, len(biped.default_pose))
+    posed = biped._replace(default_pose=pose)
+    hyper = config_lib.split(config)[1]
+    env = env_lib.make(posed, config.task, config.physics, impl="c")
+    keys = jax.random.split(jax.random.key(0), 16)
+    body = jax.jit(jax.vmap(env.randomize, (None, 0)))(hyper, keys)
+    state = jax.jit(jax.vmap(env.reset, (None, 0, 0)))(hyper, body, keys)
+    kept = sum(x.nbytes for x in jax.tree.leaves((state, body))) / 16
+    assert abs(kept - memory.bytes_per_robot(len(pose), 2)) <= 16
+    model, lowest = biped.mj_model, []
+    assert state.air_steps.shape == (16, 2)
+    low, high = robot_lib.joint_ranges(biped).T
+    for qpos in np.asarray(state.qpos, float):
+        assert np.isfinite(qpos).all() and (qpos[7:] > low).all() and (qpos[7:] < high).all()
+        data = mujoco.MjData(model)
+        data.qpos[:] = qpos
+        mujoco.mj_kinematics(model, data)
+        floor = model.geom("floor").id
+        lowest.append(
+            min(mujoco.mj_geomDistance(model, data, floor, i, 9.0, None) for i in biped.feet)
+        )
+    np.testing.assert_allclose(lowest, config.task.reset.foot_clearance, atol=1e-5)
+    free = ~np.isfinite(low)
+    assert [biped.joint_names[i] for i in np.flatnonzero(free)] == ["left_swing", "right_swing"]
+
+
+def test_thighs_of_a_biped_are_the_links_between_hip_and_foot(biped):
+    task = SimpleNamespace(termination="base", undesired="thighs")
+    fatal, undesired = env_lib.ground_rules(biped, task)
+    bodies = np.array(
+        [biped.mj_model.body(i).name for i in biped.mj_model.geom_bodyid[biped.parts]]
+    )
+    assert [set(bodies[row]) for row in undesired] == [
+        {"left_thigh"},
+        {"left_shin"},
+        {"right_thigh"},
+        {"right_shin"},
+    ]
+    assert set(bodies[fatal]) == {"pelvis"}
+
+
+def test_joints_on_the_middle_plane_are_their_own_partners(biped):
+    table, names = mirror.joints(biped), np.array(biped.joint_names)
+    swapped = [
+        n.replace("left", "\0").replace("right", "left").replace("\0", "right") for n in names
+    ]
+    assert names[table.index].tolist() == swapped
+    turns = [n for n, sign in zip(names, table.sign, strict=True) if sign < 0]
+    sides = "left", "right"
+    across = "hip_yaw", "hip_roll", "ankle_roll", "swing"
+    assert set(turns) == {"waist"} | {f"{s}_{a}" for s in sides for a in across}
+
+
+@pytest.mark.parametrize("name", ["hexapod", "biped", "turned"])
+def test_the_mirrored_robot_makes_the_mirrored_steps(name, request):
+    """In the air, under any torques: twenty steps of C MuJoCo."""
+    robot = request.getfixturevalue(name)
+    table, model, rng = mirror.joints(robot), robot.mj_model, np.random.default_rng(0)
+    qpos, qvel = robot.home_qpos.copy(), rng.normal(0, 0.3, model.nv)
+    qpos[2] += 3
+    qpos[7:] += rng.uniform(-0.1, 0.1, model.nu)
+    torque = rng.normal(0, 1, model.nu)
+
+    def image(x, base):
+        flipped = x[: len(base)] * base
+        return np.concatenate([flipped, table.sign * x[len(base) :][table.index]])
+
+    def ends(qpos, qvel, torque):
+        data = mujoco.MjData(model)
+        data.qpos[:], data.qvel[:], data.ctrl[:] = qpos, qvel, torque
+        mujoco.mj_step(model, data, 20)
+        return data
+
+    places, turns = np.array([1, -1, 1, 1, -1, 1, -1]), np.array([1, -1, 1, -1, 1, -1])
+    one = ends(qpos, qvel, torque)
+    other = ends(image(qpos, places), image(qvel, turns), image(torque, places[:0]))
+    assert np.abs(one.qpos - qpos)[7:].max() > 0.01
+    np.testing.assert_allclose(other.qpos, image(one.qpos, places), atol=1e-6)
+    np.testing.assert_allclose(other.qvel, image(one.qvel, turns), atol=1e-5)

@@ -213,7 +213,7 @@ class Reference:
             )
             data.ctrl[:] = self.torque
             mujoco.mj_step(self.model, data)  # leaves the geoms where this step started
-            down = data.geom_xpos[feet, 2] < self.lab.robot.foot_radius
+            down = data.geom_xpos[feet, 2] < self.model.geom_size[feet, 0]
             # ContactSensor._update_buffers_impl
             landed = (self.air > 0) & down
             self.last_air = np.where(landed, self.air + DT, self.last_air)
@@ -1024,7 +1024,8 @@ def foot_clearance(lab, state):
     for qpos in state.qpos:
         data.qpos[:] = qpos
         mujoco.mj_kinematics(lab.model, data)
-        out.append((data.geom_xpos[lab.robot.feet, 2] - lab.robot.foot_radius).min())
+        radius = lab.robot.mj_model.geom_size[lab.robot.feet, 0]
+        out.append((data.geom_xpos[lab.robot.feet, 2] - radius).min())
     return np.array(out)
 
 

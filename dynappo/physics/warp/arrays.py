@@ -6,6 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from dynappo.physics import contacts
+
 STATE = 11  # a call's first arrays, which differ between robots
 CARRIED = (  # changed in place
     "qpos",
@@ -20,7 +22,8 @@ CARRIED = (  # changed in place
 )
 COUNTS = "air_steps", "contact_steps", "last_air_steps"
 RESULTS = "qd_before", "lowest"
-# the numbers of a robot's motors; `share`: actuators.lag's, 1 where torques do not lag
+# the numbers of a robot's motors, for all joints or for each, [1 or A, 8]: a thread of the kernel has a
+# leg, and finds the numbers of its joints side by side. `share`: actuators.lag's, 1 where torques do not lag
 MOTOR = ("kp", "kd", "effort", "saturation", "speed", "strength", "friction", "share")
 MODEL = ("body_mass", "body_inertia", "body_ipos", "geom_friction", "dof_armature")
 
@@ -30,15 +33,26 @@ class Shape(NamedTuple):
 
     substeps: int
     every: bool  # parts at the ground in every physics step, not only in the last
-    feet: np.ndarray
-    radius: np.ndarray
-    parts: np.ndarray
-    floor: np.ndarray  # [G, 5]
+    feet: np.ndarray  # [S] geoms, foot by foot
+    first: np.ndarray  # [F + 1] where each foot's shapes begin, and the last's end
+    soles: np.ndarray  # [S, 5] contacts.floor_distance of the feet's shapes
+    parts: np.ndarray  # [G] geoms
+    floor: np.ndarray  # [G, 5] of the parts
+
+
+def shape(mj_model, robot, substeps: int, every: bool) -> Shape:
+    """Of `robot`, in its compiled model."""
+    soles, floor = (
+        np.column_stack(contacts.floor_distance(mj_model, geoms))
+        for geoms in (robot.feet, robot.parts)
+    )
+    first = np.searchsorted(robot.foot_of, np.arange(len(robot.foot_names) + 1))
+    return Shape(substeps, every, robot.feet, first, soles, robot.parts, floor)
 
 
 def sizes(mj_model, shape: Shape) -> dict[str, tuple[int, ...]]:
     """The arrays of a call, in its order, and their shapes behind the robots' axis."""
-    joints, foot, parts = (mj_model.nu,), (len(shape.feet),), (len(shape.parts),)
+    joints, foot, parts = (mj_model.nu,), (len(shape.first) - 1,), (len(shape.parts),)
     return {
         "qpos": (mj_model.nq,),
         "qvel": (mj_model.nv,),
@@ -46,7 +60,7 @@ def sizes(mj_model, shape: Shape) -> dict[str, tuple[int, ...]]:
         "torque": joints,
         **dict.fromkeys(CARRIED[4:], foot),
         "target": (shape.substeps, *joints),
-        "motor": (len(MOTOR),),
+        "motor": (1, len(MOTOR)),  # or (A, ...)
         **{name: getattr(mj_model, name).shape for name in MODEL},
         "qd_before": joints,
         "lowest": parts,

@@ -24,10 +24,8 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from flax import struct
 
-from dynappo.physics import contacts
 from dynappo.physics import robot as robot_lib
 from dynappo.physics.warp import arrays, scope
 
@@ -58,12 +56,10 @@ def model(mj_model) -> Model:
 def make(mj_model, robot, substeps: int, every: bool) -> Callable[..., dict[str, Any]]:
     """`step(mjx model, state, target [n, A], motor)` of one robot, for `jax.vmap`: a control step.
 
-    `state` has the fields `arrays.CARRIED`; `motor` are the numbers `arrays.MOTOR`. The result has
-    `CARRIED` after the step, `qd_before` and `lowest`.
+    `state` has the fields `arrays.CARRIED`; `motor` [1 or A, 8] are the numbers `arrays.MOTOR`. The result
+    has `CARRIED` after the step, `qd_before` and `lowest`.
     """
-    fixed, linear, ring = contacts.floor_distance(mj_model, robot.parts)
-    floor = np.column_stack([fixed, linear, ring])
-    shape = arrays.Shape(substeps, every, robot.feet, robot.foot_radius, robot.parts, floor)
+    shape = arrays.shape(mj_model, robot, substeps, every)
     key = robot_lib.digest(mj_model), substeps, every, *(x.tobytes() for x in shape[2:])
     if key not in _TOGETHER:
         # made when it is traced: until then Warp may still start

@@ -22,10 +22,11 @@ class Kept(NamedTuple):
 
     model: Any
     data: Any
-    feet: Any  # [F] geoms
-    radius: Any  # [F] m
-    parts: Any  # [G] geoms
-    floor: Any  # [G, 5]
+    first: Any  # of the feet, as `arrays.Shape`
+    feet: Any
+    soles: Any
+    parts: Any
+    floor: Any
 
 
 def check(mj_model: mujoco.MjModel) -> None:
@@ -44,8 +45,9 @@ def kept(mj_model: mujoco.MjModel, shape: arrays.Shape, count: int) -> Kept:
     return Kept(
         model=model,
         data=mjw.make_data(mj_model, nworld=count, naconmax=count * room, njmax=rows),
+        first=wp.array(shape.first, dtype=int),
         feet=wp.array(shape.feet, dtype=int),
-        radius=wp.array(shape.radius, dtype=float),
+        soles=wp.array(shape.soles, dtype=float),
         parts=wp.array(shape.parts, dtype=int),
         floor=wp.array(shape.floor, dtype=float),
     )
@@ -67,13 +69,14 @@ def control_step(kept: Kept, shape: arrays.Shape, a: dict[str, Any]) -> None:
         mjw.step(model, data)
         wp.launch(
             kernels.keep,
-            dim=(count, kept.feet.size + kept.parts.size),
+            dim=(count, kept.first.size - 1 + kept.parts.size),
             inputs=[
                 int(shape.every),
                 substep,
                 shape.substeps - 1,
+                kept.first,
                 kept.feet,
-                kept.radius,
+                kept.soles,
                 kept.parts,
                 kept.floor,
                 data.geom_xpos,

@@ -18,7 +18,7 @@ BASE = 6  # degrees of freedom of the base, before the joints'
 def motors(
     substep: int,
     target: wp.array3d[float],  # [W, n, A] rad
-    motor: wp.array2d[float],  # [W, 8], arrays.MOTOR
+    motor: wp.array3d[float],  # [W, 1 or A, 8], arrays.MOTOR
     qpos: wp.array2d[float],
     qvel: wp.array2d[float],
     torque: wp.array2d[float],  # [W, A] N m; before: of the last physics step
@@ -27,7 +27,7 @@ def motors(
 ):
     """The motors' torques (actuators.py: `pd`, `clip_dc_motor`, `lag`), and the joints' `friction`."""
     robot, joint = wp.tid()
-    dof, p = joint + wp.static(BASE), motor[robot]
+    dof, p = joint + wp.static(BASE), motor[robot, wp.min(joint, motor.shape[1] - 1)]
     qd, effort, saturation, speed = qvel[robot, dof], p[2], p[3], p[4]
     t = p[0] * (target[robot, substep, joint] - qpos[robot, dof + 1]) - p[1] * qd
     most = speed * (1.0 + effort / saturation)
@@ -49,15 +49,26 @@ def motors(
     qd_before[robot, joint] = qd
 
 
+@wp.func
+def _lowest(distance: wp.array[float], at: wp.vec3, turn: wp.mat33):
+    """`contacts.lowest` of a geom; `distance` [5]: fixed, linear, ring."""
+    x, y, z = turn[2, 0], turn[2, 1], turn[2, 2]
+    drop = distance[0] + (
+        distance[1] * wp.abs(x) + distance[2] * wp.abs(y) + distance[3] * wp.abs(z)
+    )
+    return at[2] - (drop + distance[4] * wp.sqrt(wp.max(1.0 - z * z, 0.0)))
+
+
 @wp.kernel
 def keep(
     every: int,  # 1: parts in every physics step, 0: only in the last
     substep: int,
     last: int,
-    feet: wp.array[int],
-    radius: wp.array[float],
+    first: wp.array[int],  # [F + 1] where each foot's shapes begin
+    feet: wp.array[int],  # [S]
+    soles: wp.array2d[float],  # [S, 5]
     parts: wp.array[int],
-    floor: wp.array2d[float],  # [G, 5]: fixed, linear, ring of contacts.floor_distance
+    floor: wp.array2d[float],  # [G, 5]
     geom_xpos: wp.array2d[wp.vec3],
     geom_xmat: wp.array2d[wp.mat33],
     air_steps: wp.array2d[int],
@@ -67,11 +78,16 @@ def keep(
     last_peak: wp.array2d[float],
     lowest: wp.array2d[float],
 ):
-    """The feet's timers and heights, and the parts' lowest points (engine.py: `_feet`, `_lowest`)."""
+    """The feet's timers and heights (engine.py: `_feet`), and the parts' lowest points."""
     robot, i = wp.tid()
-    if i < feet.shape[0]:
-        height = geom_xpos[robot, feet[i]][2]
-        contact = height < radius[i]
+    count = first.shape[0] - 1
+    if i < count:
+        height = wp.float32(wp.inf)
+        for k in range(first[i], first[i + 1]):
+            sole = _lowest(soles[k], geom_xpos[robot, feet[k]], geom_xmat[robot, feet[k]])
+            if not (sole >= height):  # not `min`, which would lose what is no number
+                height = sole
+        contact = height < 0.0
         if contact and air_steps[robot, i] > 0:
             last_air_steps[robot, i] = air_steps[robot, i] + 1
             last_peak[robot, i] = peak[robot, i]
@@ -82,16 +98,12 @@ def keep(
         else:
             air_steps[robot, i] = air_steps[robot, i] + 1
             contact_steps[robot, i] = 0
-            over = height - radius[i]
-            if not (over <= peak[robot, i]):
-                peak[robot, i] = over
+            if not (height <= peak[robot, i]):
+                peak[robot, i] = height
         return
     if every == 0 and substep < last:
         return
-    part = i - feet.shape[0]
-    geom, f, turn = parts[part], floor[part], geom_xmat[robot, parts[part]]
-    x, y, z = turn[2, 0], turn[2, 1], turn[2, 2]
-    drop = f[0] + (f[1] * wp.abs(x) + f[2] * wp.abs(y) + f[3] * wp.abs(z))
-    point = geom_xpos[robot, geom][2] - (drop + f[4] * wp.sqrt(wp.max(1.0 - z * z, 0.0)))
+    part = i - count
+    point = _lowest(floor[part], geom_xpos[robot, parts[part]], geom_xmat[robot, parts[part]])
     if every == 0 or substep == 0 or not (point >= lowest[robot, part]):
         lowest[robot, part] = point

@@ -5,9 +5,9 @@
 float* q = qpos.data + robot * 19;
 float* v = qvel.data + robot * 18;
 float* warm = qacc_warmstart.data + robot * 18;
-const float* motor_of = motor.data + robot * 8;
-const float kp = motor_of[0], kd = motor_of[1], effort = motor_of[2], saturation = motor_of[3];
-const float speed = motor_of[4], strength = motor_of[5], friction = motor_of[6], share = motor_of[7];
+// the motors' numbers: one row for all joints of a robot, or a row a joint
+const int motors = motor.shape[1];
+const float* motor_of = motor.data + robot * motors * 8;
 // rows of the bodies, one for all robots or one a robot; the world is body 0
 auto row = [&](int rows) { return rows == 1 ? 0 : robot; };
 const float* mass = body_mass.data + row(body_mass.shape[0]) * 14;
@@ -118,6 +118,9 @@ for (int substep = 0; substep < substeps; ++substep) {
     // motors (actuators.py: pd, clip_dc_motor, lag, friction); compared so that NaN stays NaN
     for (int k = 2; k >= 0; --k) {
       const float qd = rate[l][k];
+      const float* p = motor_of + (motors == 1 ? 0 : leg * 3 + k) * 8;
+      const float kp = p[0], kd = p[1], effort = p[2], saturation = p[3];
+      const float speed = p[4], strength = p[5], friction = p[6], share = p[7];
       float t = kp * (target.data[(robot * substeps + substep) * 12 + leg * 3 + k] - angle[l][k]) - kd * qd;
       const float most = speed * (1.0f + effort / saturation);
       const float slope = wp::min(wp::max(qd, -most), most) / speed;

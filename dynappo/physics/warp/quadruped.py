@@ -102,7 +102,7 @@ def leg(  # pyright: ignore[reportReturnType]
     part_of: wp.array[int],
     parts: wp.array2d[float],
     target: wp.array3d[float],  # [W, n, A] rad
-    motor: wp.array2d[float],  # [W, 8], arrays.MOTOR
+    motor: wp.array3d[float],  # [W, 1 or A, 8], arrays.MOTOR
     body_mass: wp.array2d[float],
     body_inertia: wp.array2d[wp.vec3],
     body_ipos: wp.array2d[wp.vec3],
@@ -132,7 +132,7 @@ def step(
     part_of: wp.array[int],
     parts: wp.array2d[float],
     target: wp.array3d[float],
-    motor: wp.array2d[float],
+    motor: wp.array3d[float],
     body_mass: wp.array2d[float],
     body_inertia: wp.array2d[wp.vec3],
     body_ipos: wp.array2d[wp.vec3],

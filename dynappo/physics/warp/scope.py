@@ -20,6 +20,7 @@ import numpy as np
 from dynappo.physics import robot as robot_lib
 
 LEGS, LINKS = 4, 12  # of the kernel's robot: a base, and legs of three links, each with a hinge
+ENDS = range(1 + LINKS // LEGS, 2 + LINKS, LINKS // LEGS)  # the last links, as bodies of a model
 # fields without a say in how a robot moves, as patterns
 HARMLESS = (
     # looks, names, notes, what is only measured, poses to start from; and their sizes
@@ -44,6 +45,12 @@ WORDS = {
     "neq": "equality constraints",
     "ntendon": "tendons",
     "npair": "contact pairs",
+    "body_parentid": "limbs that are not chains of three links from the base",
+    "jnt_bodyid": "several joints in a link",
+    "body_quat": "turned frames",
+    "jnt_pos": "joints beside their link's origin",
+    "qpos0": "a joint's ref",
+    "jnt_limited": "joints without a range",
     "geom_adhesion": "adhesion",
     "geom_surfacevel": "moving surfaces",
     "body_gravcomp": "gravity compensation",
@@ -54,6 +61,7 @@ WORDS = {
     "dof_damping": "damping of the base",
     "dof_dampingpoly": "nonlinear damping",
     "dof_armature": "armature of the base",
+    "geom_type": "feet that are no spheres",
     "geom_condim": "feet of another condim",
     "geom_margin": "contact margins",
     "geom_gap": "contact gaps",
@@ -74,10 +82,12 @@ WORDS = {
 def declines(model: mujoco.MjModel, feet: np.ndarray, every: bool) -> str:
     """What a model that keeps the contract has that the kernel does not compute; "" if nothing.
 
-    `feet` are geom ids. `every`: parts at the ground are wanted of each physics step.
+    `feet` are the geom ids of their shapes. `every`: parts at the ground are wanted of each physics step.
     """
-    if (model.nbody, model.njnt, len(feet)) != (2 + LINKS, 1 + LINKS, LEGS):
-        return f"other limbs than {LEGS} legs of {LINKS // LEGS} joints"
+    last = np.arange(1 + LINKS // LEGS, 2 + LINKS, LINKS // LEGS)  # bodies of the legs, leg by leg
+    same = (model.nbody, model.njnt) == (2 + LINKS, 1 + LINKS)
+    if not (same and np.array_equal(model.geom_bodyid[feet], last)):
+        return f"other limbs than {LEGS} legs of {LINKS // LEGS} joints, with a sphere as foot"
     touching = [model.geom("floor").id, *feet]  # of other geoms it matters only that they do not
     expects = fields(_plain(model, feet))
     for name, found in fields(model).items():

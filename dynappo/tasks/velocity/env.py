@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from dynappo.physics import engine as engine_lib
-from dynappo.physics import randomize
+from dynappo.physics import kinematics, randomize
 from dynappo.physics import robot as robot_lib
 from dynappo.tasks.velocity import commands, mirror, observe, pushes, reward_sum, rewards, view
 from dynappo.tasks.velocity.state import Goal, State
@@ -34,7 +34,7 @@ class Constants(NamedTuple):
     engine: engine_lib.Engine
     robot: robot_lib.Robot
     task: Any  # the config's group `task`, for its non-float fields
-    legs: robot_lib.Legs
+    legs: kinematics.Legs
     fatal: np.ndarray  # [G] bool: the parts that end an episode at the ground
     undesired: np.ndarray  # [K, G] bool: the parts that count as one undesired contact
     view: view.View  # the layout of an observation
@@ -53,12 +53,14 @@ def make(robot: robot_lib.Robot, task, physics_config, *, impl: str = "jax") -> 
     fatal, undesired = ground_rules(robot, task)
     joints = len(robot.joint_names)
     layout = view.make(task.observation, task.history, joints, varied)
-    lags = task.actuator == "lag"
+    lags, rubs = task.actuator == "lag", bool(np.any(task.joint_friction))
     const = Constants(
-        engine=engine_lib.make(robot, physics_config, varied, impl, task.remember_ground, lags),
+        engine=engine_lib.make(
+            robot, physics_config, varied, impl, task.remember_ground, lags, rubs
+        ),
         robot=robot,
         task=task,
-        legs=robot_lib.legs(robot),
+        legs=kinematics.legs(robot.mj_model, robot.feet),
         fatal=fatal,
         undesired=undesired,
         view=layout,
@@ -90,15 +92,22 @@ def ground_rules(robot: robot_lib.Robot, task) -> tuple[np.ndarray, np.ndarray]:
     """`(fatal [G], undesired [K, G])`: what `task.termination` and `task.undesired` mean here.
 
     The paper: a fall is any part at the ground, and each part counts. Isaac Lab: only the base
-    falls, and each thigh, the second body of a leg, counts.
+    falls, and each thigh counts: the links that a leg's joints move after the first, but the foot's own.
+    Of a leg that has no such link, the first.
     """
-    bodies = robot.mj_model.geom_bodyid[robot.parts]
+    model = robot.mj_model
+    bodies = model.geom_bodyid[robot.parts]
     every = task.termination == "parts"
     fatal = (bodies == robot.base_body) | every
     if task.undesired == "parts":
         return fatal, np.eye(len(bodies), dtype=bool)
-    thighs = robot.mj_model.jnt_bodyid[1 + robot_lib.legs(robot).joints[:, 1]]
-    return fatal, bodies == thighs[:, None]
+    thighs: list[int] = []
+    for foot in range(len(robot.foot_names)):
+        own = model.geom_bodyid[robot.feet[robot.foot_of == foot][0]]
+        links = [int(model.jnt_bodyid[1 + j]) for j in kinematics.joints_to(model, own)]
+        between = [body for body in links[1:] if body != links[-1]] or links[:1]
+        thighs += between
+    return fatal, bodies == np.array(list(dict.fromkeys(thighs)))[:, None]
 
 
 def _randomize(const: Constants, hyper: Hyper, key):
@@ -171,7 +180,7 @@ def _at_start(const: Constants, hyper: Hyper, key) -> State:
     low, high = r.joint_scale
     joints = default * (low + (high - low) * scale)
     joints = jnp.clip(joints, *_soft_limits(const, hyper))
-    lowest = (robot_lib.feet_in_base(const.legs, joints)[:, 2] - const.robot.foot_radius).min()
+    lowest = kinematics.lowest(const.legs, joints)
     height = jnp.maximum(r.spawn_height, r.foot_clearance - lowest)
     xy = (2 * xy - 1) * r.position
     yaw = (2 * yaw[0] - 1) * r.yaw
@@ -179,7 +188,7 @@ def _at_start(const: Constants, hyper: Hyper, key) -> State:
     quat = jnp.stack([jnp.cos(yaw / 2), yaw * 0, yaw * 0, jnp.sin(yaw / 2)])
     qpos = jnp.concatenate([xy, height[None], quat, joints])
     qvel = jnp.concatenate([velocity, default * 0])
-    feet, none = jnp.zeros(len(const.robot.feet), jnp.int32), jnp.zeros((), jnp.int32)
+    feet, none = jnp.zeros(len(const.robot.foot_names), jnp.int32), jnp.zeros((), jnp.int32)
     return State(
         qpos=qpos,
         qvel=qvel,
@@ -194,8 +203,8 @@ def _at_start(const: Constants, hyper: Hyper, key) -> State:
         air_steps=feet,
         contact_steps=feet,
         last_air_steps=feet,
-        peak=jnp.zeros(len(const.robot.feet)),
-        last_peak=jnp.zeros(len(const.robot.feet)),
+        peak=jnp.zeros(len(const.robot.foot_names)),
+        last_peak=jnp.zeros(len(const.robot.foot_names)),
         clock=none,
         episode_steps=none,
         push_in=pushes.wait(hyper.task.push, const.dt, wait[0]),
@@ -204,10 +213,14 @@ def _at_start(const: Constants, hyper: Hyper, key) -> State:
 
 
 def _soft_limits(const: Constants, hyper: Hyper):
-    """`(low, high)` [A] rad: the middle `task.reset.soft_limit` of each joint's range."""
+    """`(low, high)` [A] rad: the middle `task.reset.soft_limit` of each joint's range, if it has one."""
     low, high = jnp.asarray(const.robot.mj_model.jnt_range[1:].T, jnp.float32)
     spare = (1 - hyper.task.reset.soft_limit) / 2 * (high - low)
-    return low + spare, high - spare
+    low, high = low + spare, high - spare
+    free = ~np.isfinite(robot_lib.joint_ranges(const.robot)[:, 0])
+    if free.any():
+        low, high = jnp.where(free, -jnp.inf, low), jnp.where(free, jnp.inf, high)
+    return low, high
 
 
 def step(const: Constants, hyper: Hyper, body, state: State, action, key):
@@ -283,7 +296,7 @@ def _known(const: Constants, hyper: Hyper, seen, action) -> dict[str, Any]:
     """What a term can ask for without physics (rewards.py): `seen` has the predicted parts of the next
     observation and the known parts of this one."""
     parts = observe.split(seen, len(const.robot.joint_names))
-    return hyper.task._asdict() | parts | {"action": action}
+    return engine_lib.per_joint_arrays(hyper)._asdict() | parts | {"action": action}
 
 
 def _measured(

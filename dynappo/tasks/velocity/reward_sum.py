@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from dynappo.config import ConfigError
+from dynappo.config import ConfigError, per_joint
 from dynappo.tasks.velocity import observe, rewards
 
 FILE = "dynappo/tasks/velocity/rewards.py"
@@ -71,8 +71,9 @@ def asks(term: Callable[..., Any]) -> list[str]:
 
 
 def known_names(task) -> set[str]:
-    """What a term may ask for that needs no physics; of `task`, its floats."""
-    numbers = {name for name, value in task.items() if type(value) is float}
+    """What a term may ask for that needs no physics; of `task`, its floats, and those of joints [A]."""
+    of_joints = {name for name in per_joint.names() if isinstance(task[name], tuple)}
+    numbers = {name for name, value in task.items() if type(value) is float} | of_joints
     return {*observe.PARTS, "action"} | numbers
 
 

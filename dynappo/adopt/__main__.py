@@ -1,0 +1,5 @@
+"""`python -m dynappo.adopt`."""
+
+from dynappo.config import flags
+
+flags.start("adopt")

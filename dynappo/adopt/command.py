@@ -1,0 +1,200 @@
+"""Make a robot of a published MJCF or URDF: `dynappo adopt FILE --name=NAME`.
+
+It writes robots/NAME/ (the MJCF in the form that is trained here, the published looks, a README with source,
+licence and every assumption) and configs/NAME.py, looks at the robot, and prints the next command. It asks
+nothing and overwrites nothing. C MuJoCo and NumPy, without JAX; it takes a few seconds.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import NamedTuple
+
+import mujoco
+
+from dynappo import config as config_lib
+from dynappo.adopt import gains, looks, normal, pose, source, writing
+from dynappo.config import ConfigError, files, interpreter, shell
+from dynappo.config import flags as flags_lib
+from dynappo.physics import complete, mjcf, motors
+from dynappo.physics import robot as robot_lib
+
+NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+USAGE = """\
+FILE is an MJCF or a URDF, as it was published; MuJoCo reads both
+  python -m dynappo.adopt mujoco_menagerie/unitree_go1/go1.xml --name=my_go1
+  python -m dynappo.look configs/my_go1.py --out=look.png
+  python -m dynappo.train --config=configs/my_go1.py
+what it assumes, and how to change it: robots/README.md
+"""
+
+
+class Adopted(NamedTuple):
+    """What is written, and a line on each thing that was assumed."""
+
+    mjcf: str
+    config: str
+    readme: str
+    told: list[str]
+
+
+def parse(argv: list[str] | None) -> argparse.Namespace:
+    """The flags of a command line; ConfigError if it cannot be understood."""
+    what = "Make a robot of a published MJCF or URDF: robots/NAME/ and configs/NAME.py."
+    parser = flags_lib.parser("adopt", what, USAGE)
+    flag = parser.add_argument
+    flag("file", nargs="?", metavar="FILE", type=flags_lib.path, help="an MJCF or a URDF")
+    flag("--name", metavar="NAME", help="the robot's name here; else the file's, without its suffix")
+    flag("--force", action="store_true", help="write anew what is there already")
+    flags = flags_lib.read(parser, argv)
+    if flags.file is None:
+        raise ConfigError("no file given; try: python -m dynappo.adopt FILE.xml --name=NAME")
+    flags.name = flags.name if flags.name is not None else flags.file.stem
+    if not NAME.fullmatch(flags.name):
+        raise ConfigError(
+            f"--name={flags.name}: expected letters, digits and _, a letter first, as in --name=my_robot"
+        )
+    return flags
+
+
+def check_free(name: str, force: bool) -> tuple[Path, Path]:
+    """`(folder, config file)` that will be written, in the working directory; ConfigError if they are taken."""
+    folder, config = Path("robots") / name, Path("configs") / f"{name}.py"
+    if name == "default" or files.find("robots", f"{name}/{name}.xml", own=True):
+        raise ConfigError(f"--name={name}: dynappo has that itself; take another name")
+    for path in (folder, config):
+        if path.exists() and not force:
+            raise ConfigError(f"{path} is there already; take another --name, or add --force")
+    return folder, config
+
+
+def make(file: source.Source, name: str, part: Path) -> Adopted:
+    """The texts of an adopted robot; its looks' files are copied to `part`/assets.
+
+    ConfigError if the file cannot be completed, with its path.
+    """
+    told = list(file.notes)
+    with mjcf.one_line(file.xml):
+        spec, robot, more = completed(file, name)
+        told += more
+        published = source.published(file, robot.joint_names)
+        effort, _ = gains.efforts(robot, published)
+        told += normal.joints(spec, robot.joint_names, published, effort)
+        robot = loaded(spec, name, file)
+        std = writing.INIT_STD[writing.light(robot)]
+        chosen, more = gains.choose(robot, published, std)
+        told += [*more, *writing.assumed(robot)]
+        base = robot.mj_model.body(robot.base_body).name
+        shown, copied = looks.draw(spec, file, base, part / "assets")
+        if shown:
+            told.append(f"looks: {shown} shapes as published" + f", {copied} files" * bool(copied))
+        else:
+            told.append("looks: the shapes that touch the floor are drawn; the published ones are not there")
+        normal.scene(spec, float(robot.home_qpos[2]))
+        spec.modelfiledir = str(part)
+        spec.modelname = name
+        spec.compile()
+        text = writing.mjcf(spec, name, file)
+    licence = source.licence(file.xml)
+    told.append(f"licence: {licence[0] or 'none found; ask before you share this robot'}")
+    return Adopted(
+        mjcf=text,
+        config=writing.config(robot, file, chosen),
+        readme=writing.readme(robot, file, told, licence, shown),
+        told=told,
+    )
+
+
+def completed(file: source.Source, name: str) -> tuple[mujoco.MjSpec, robot_lib.Robot, list[str]]:
+    """`(spec, robot, lines)`, with the first default pose in which the robot stands; the first one's error if
+    there is none."""
+    problem: Exception | None = None
+    for spec, told in pose.candidates(file.spec, file.model, file.xml):
+        try:
+            done = complete.complete(spec)
+            # written and read again: no classes, frames or fromto are left that hold what is set below
+            spec = mujoco.MjSpec.from_string(normal.text(done.spec))
+            told += [*done.notes, *normal.solver(spec, float(done.model.body_mass.sum()))]
+            told += [*normal.feet(spec), *normal.frames(spec, spec.compile())]
+            robot = loaded(spec, name, file)
+            told += normal.shanks(spec, robot)
+            return spec, loaded(spec, name, file), told
+        except (ValueError, ConfigError) as error:
+            problem = problem or error
+    assert problem
+    raise problem
+
+
+def loaded(spec: mujoco.MjSpec, name: str, file: source.Source) -> robot_lib.Robot:
+    """The robot of a spec; ConfigError as of the file that it was made from."""
+    spec.compile()
+    return robot_lib.load_text(spec.to_xml(), name, file.xml)
+
+
+@contextlib.contextmanager
+def new_folder(folder: Path):
+    """Yields a folder beside `folder` that takes its place at the end; after an error nothing is left."""
+    part = folder.with_name(f".{folder.name}.part")
+    missing = [above for above in part.parents if not above.exists()]
+    try:
+        shutil.rmtree(part, ignore_errors=True)  # of a process that was killed
+        part.mkdir(parents=True)
+        yield part
+        if folder.exists():
+            shutil.rmtree(folder)
+        part.rename(folder)
+    except BaseException:
+        shutil.rmtree(part, ignore_errors=True)
+        for above in missing:
+            with contextlib.suppress(OSError):
+                above.rmdir()
+        raise
+
+
+def run(flags) -> None:
+    """Adopt the robot as the flags say, tell each assumption, and look at it."""
+    folder, config = check_free(flags.name, flags.force)
+    file = source.read(flags.file)
+    with new_folder(folder) as part:
+        made = make(file, flags.name, part)
+        files.write_text(part / f"{flags.name}.xml", made.mjcf)
+        files.write_text(part / "README.md", made.readme)
+        files.write_text(part / f"{flags.name}.py", made.config)
+        check(part, flags.name)
+        config.parent.mkdir(parents=True, exist_ok=True)
+        (part / f"{flags.name}.py").replace(config)
+    for line in made.told:
+        print(line)
+    print(f"written {folder / f'{flags.name}.xml'}, {config}, {folder / 'README.md'}\n", flush=True)
+    look(config, folder / "look.png")
+    print(f"\nnext    {shell.pasted(f'python -m dynappo.train --config={config}')}")
+
+
+def check(part: Path, name: str) -> None:
+    """Load what was written, as training will; ConfigError if it cannot be."""
+    robot = robot_lib.load_xml(part / f"{name}.xml")
+    config = config_lib.load(str(part / f"{name}.py"))
+    config.robot = files.robots()[0]  # that of the part is not among the robots yet
+    motors.fitted(config_lib.validate(config), robot)
+
+
+def look(config: Path, picture: Path) -> None:
+    """Run the command `look`; where nothing can be drawn, that is one line and no failure."""
+    command = [*interpreter.command("dynappo.look"), str(config), f"--out={picture}"]
+    done = subprocess.run(command, stderr=subprocess.PIPE, text=True)
+    said = done.stderr.strip()
+    if said.startswith("dynappo: --out="):
+        print(f"note: {said.partition(': ')[2]}")
+    elif said:
+        print(said, file=sys.stderr)
+
+
+def main(argv: list[str] | None = None) -> None:
+    """The command; its exit statuses are those of `flags.answer`."""
+    flags_lib.answer(lambda: run(parse(argv)))

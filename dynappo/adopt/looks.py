@@ -1,0 +1,155 @@
+"""Puts the looks of a published file back on its completed robot: meshes, materials, pictures.
+
+Physics never sees them (group 2). Completing a robot may merge bodies and turn frames, so each look is
+placed by where it is in the world: the base at the origin, all joints at the same angles in both models.
+"""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from dynappo.adopt.source import Source
+
+LOOKS, SHAPES, DRAWN = 2, 3, 0  # groups
+MESH = mujoco.mjtGeom.mjGEOM_MESH
+
+
+def draw(spec: mujoco.MjSpec, source: Source, base: str, assets: Path) -> tuple[int, int]:
+    """Add the file's looks to `spec`, whose files go to the folder `assets`: `(looks, files)`.
+
+    Without looks, or if most of them are not there, the shapes that touch the floor are drawn instead.
+    """
+    robot = spec.copy()
+    model = robot.compile()
+    theirs = source.spec.copy()
+    whole = theirs.compile()
+    one, other = _at_zero(whole), _at_zero(model, whole)
+    shown = [geom for geom in theirs.geoms if _drawn(geom)]
+    looks = [geom for geom in shown if not (geom.contype or geom.conaffinity)]
+    if not looks and any(geom.type == MESH for geom in shown):
+        looks = shown  # meshes that collide, in the file: primitives do so here
+    looks = looks if len(looks) > source.lost else []
+    for geom in spec.geoms:
+        if geom.parent.name != "world":
+            geom.group = SHAPES if looks else DRAWN
+    copied = _Copied(spec, theirs, assets)
+    for geom in looks:
+        body = _body(whole, model, int(whole.geom_bodyid[geom.id]), base)
+        position, rotation = _frame(whole, one, geom.id)
+        inside = other.xmat[body].reshape(3, 3).T
+        new = spec.body(model.body(body).name).add_geom()
+        new.type, new.group, new.contype, new.conaffinity, new.mass = geom.type, LOOKS, 0, 0, 0
+        new.pos, new.quat = inside @ (position - other.xpos[body]), _quat(inside @ rotation)
+        new.rgba = geom.rgba
+        if geom.type == MESH:
+            new.meshname = copied.mesh(geom.meshname)
+        else:
+            new.size = whole.geom_size[geom.id]
+        if geom.material:
+            new.material = copied.material(geom.material)
+    spec.meshdir = spec.texturedir = assets.name
+    return len(looks), len(copied.files)
+
+
+def _drawn(geom) -> bool:
+    """Whether a geom of the robot is seen, as viewers have it."""
+    return geom.parent.name != "world" and geom.group <= LOOKS
+
+
+def _at_zero(model, like=None) -> mujoco.MjData:
+    """The model with its base at the origin, and the joints where `like` has them at rest."""
+    data = mujoco.MjData(model)
+    for i in range(model.njnt):
+        address = model.jnt_qposadr[i]
+        if model.jnt_type[i] == mujoco.mjtJoint.mjJNT_FREE:
+            data.qpos[address : address + 7] = [0, 0, 0, 1, 0, 0, 0]
+        elif like is not None:
+            data.qpos[address] = like.qpos0[like.jnt_qposadr[like.joint(model.joint(i).name).id]]
+    mujoco.mj_kinematics(model, data)
+    return data
+
+
+def _body(whole, model, body: int, base: str) -> int:
+    """The body of `model` that has become of a body of the file: itself, or one that it was fixed to."""
+    names = {model.body(i).name: i for i in range(1, model.nbody)}
+    while body > 0 and whole.body(body).name not in names:
+        body = int(whole.body_parentid[body])
+    return names[whole.body(body).name if body > 0 else base]
+
+
+def _frame(model, data, geom: int) -> tuple[np.ndarray, np.ndarray]:
+    """`(position [3], rotation [3, 3])` of a geom as a file has it: MuJoCo centres meshes."""
+    position, rotation = data.geom_xpos[geom], data.geom_xmat[geom].reshape(3, 3)
+    mesh = int(model.geom_dataid[geom])
+    if model.geom_type[geom] == MESH and mesh >= 0:
+        turned = np.zeros(9)
+        mujoco.mju_quat2Mat(turned, model.mesh_quat[mesh])
+        rotation = rotation @ turned.reshape(3, 3).T
+        position = position - rotation @ model.mesh_pos[mesh]
+    return position, rotation
+
+
+def _quat(rotation: np.ndarray) -> np.ndarray:
+    quat = np.zeros(4)
+    mujoco.mju_mat2Quat(quat, rotation.ravel())
+    return quat
+
+
+class _Copied:
+    """What has been taken from one spec to another, with the files copied to `assets`."""
+
+    def __init__(self, spec, theirs, assets: Path):
+        self.spec, self.theirs, self.assets = spec, theirs, assets
+        self.folder = Path(theirs.modelfiledir or ".")
+        self.files: dict[Path, str] = {}
+        self.named: dict[str, str] = {}
+
+    def _file(self, folder: str, name: str) -> str:
+        """Copy a file; the name that it has in `assets`."""
+        path = self.folder / folder / name
+        if path not in self.files:
+            short = path.name
+            while short in self.files.values():
+                short = f"{path.parent.name}_{short}"
+            self.assets.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(path, self.assets / short)
+            self.files[path] = short
+        return self.files[path]
+
+    def mesh(self, name: str) -> str:
+        if name not in self.named:
+            old = next(mesh for mesh in self.theirs.meshes if mesh.name == name)
+            new = self.spec.add_mesh(name=f"look_{name}", scale=old.scale)
+            new.refpos, new.refquat, new.inertia = old.refpos, old.refquat, old.inertia
+            new.smoothnormal = old.smoothnormal
+            new.file = self._file(self.theirs.meshdir, old.file)
+            self.named[name] = new.name
+        return self.named[name]
+
+    def material(self, name: str) -> str:
+        key = f"material {name}"
+        if key not in self.named:
+            old = next(one for one in self.theirs.materials if one.name == name)
+            new = self.spec.add_material(name=f"look_{name}", rgba=old.rgba)
+            for field in "specular shininess reflectance emission metallic roughness".split():
+                setattr(new, field, getattr(old, field))
+            pictures = [self._texture(texture) for texture in old.textures]
+            if any(pictures):
+                new.textures = pictures
+            self.named[key] = new.name
+        return self.named[key]
+
+    def _texture(self, name: str) -> str:
+        key = f"texture {name}"
+        if name and key not in self.named:
+            old = next((one for one in self.theirs.textures if one.name == name), None)
+            if old is None or not old.file:
+                return ""
+            new = self.spec.add_texture(name=f"look_{name}", type=old.type)
+            new.file = self._file(self.theirs.texturedir, old.file)
+            self.named[key] = new.name
+        return self.named.get(key, "")

@@ -1,0 +1,283 @@
+"""Brings a completed robot into the form in which robots are trained here: solver, feet, joints, a scene."""
+
+from __future__ import annotations
+
+from xml.etree import ElementTree
+
+import mujoco
+import numpy as np
+
+from dynappo.adopt import gains
+from dynappo.adopt.source import Published
+from dynappo.physics import robot as robot_lib
+
+HEAVY = 30.0  # kg, from which on feet creep apart with impratio 1
+FRICTION = 0.8  # of the feet, which `task.randomize.friction` assumes
+FIRM = 0.9, 0.95  # solimp of the feet: with Menagerie's 0.015 they sink in and slide apart
+SOFTEST = 0.8
+WIDE = 9.42  # rad, of a joint without a range
+CLEAR = 1.1  # of a foot's radius
+BOX, SPHERE, CAPSULE = (
+    mujoco.mjtGeom.mjGEOM_BOX,
+    mujoco.mjtGeom.mjGEOM_SPHERE,
+    mujoco.mjtGeom.mjGEOM_CAPSULE,
+)
+
+
+def text(spec: mujoco.MjSpec) -> str:
+    """The MJCF of a compiled spec without default classes: each element has its own numbers.
+
+    MuJoCo writes classes as they were read, with materials and actuators that are no longer there.
+    """
+    for element in _elements(spec):
+        element.classname = spec.default
+    for body in spec.bodies[1:]:
+        body.childclass = ""
+    root = ElementTree.fromstring(spec.to_xml())
+    for default in root.findall("default"):
+        for nested in default.findall("default"):
+            default.remove(nested)
+        if not len(default):
+            root.remove(default)
+    for size in root.findall("size"):
+        root.remove(size)
+    for body in [*root.iter("worldbody"), *root.iter("body")]:
+        _without_frames(body)
+    return ElementTree.tostring(root, "unicode")
+
+
+def _without_frames(parent: ElementTree.Element) -> None:
+    """Give what is in a `<frame>` (which MuJoCo makes of bodies without a joint) its place in the body."""
+    for child in list(parent):
+        if child.tag != "frame":
+            continue
+        place = _numbers(child, "pos", "0 0 0")
+        turn = _matrix(_numbers(child, "quat", "1 0 0 0"))
+        _without_frames(child)
+        at = list(parent).index(child)
+        parent.remove(child)
+        for i, one in enumerate(child):
+            one.set("pos", _written(place + turn @ _numbers(one, "pos", "0 0 0")))
+            if one.tag == "joint":
+                one.set("axis", _written(turn @ _numbers(one, "axis", "0 0 1")))
+            elif one.tag == "light":
+                one.set("dir", _written(turn @ _numbers(one, "dir", "0 0 -1")))
+            else:
+                one.set("quat", _written(_quat(turn @ _matrix(_numbers(one, "quat", "1 0 0 0")))))
+            parent.insert(at + i, one)
+
+
+def _numbers(element: ElementTree.Element, name: str, default: str) -> np.ndarray:
+    return np.array(element.get(name, default).split(), float)
+
+
+def _written(values: np.ndarray) -> str:
+    return " ".join(f"{value:.9g}" for value in values)
+
+
+def _elements(spec: mujoco.MjSpec):
+    """All that a default class can say something of."""
+    yield from (*spec.geoms, *spec.joints, *spec.actuators, *spec.meshes, *spec.materials)
+    yield from (*spec.sites, *spec.cameras, *spec.lights, *spec.equalities, *spec.tendons, *spec.pairs)
+
+
+def solver(spec: mujoco.MjSpec, mass: float) -> list[str]:
+    """The solver that everything was trained with; lines on what was another."""
+    option, told = spec.option, []
+    wanted = dict(
+        integrator=mujoco.mjtIntegrator.mjINT_EULER,
+        cone=mujoco.mjtCone.mjCONE_PYRAMIDAL,
+        solver=mujoco.mjtSolver.mjSOL_NEWTON,
+        impratio=3.0 if mass > HEAVY else 1.0,
+    )
+    changed = [name for name, value in wanted.items() if getattr(option, name) != value]
+    for name, value in wanted.items():
+        setattr(option, name, value)
+    option.timestep, option.iterations, option.ls_iterations = gains.TIMESTEP, 4, 8
+    if changed:
+        ratio = f", impratio {wanted['impratio']:g}"
+        told.append(f"solver: Newton, Euler, pyramidal cone{ratio}; the file has another {', '.join(changed)}")
+    return told
+
+
+def joints(
+    spec: mujoco.MjSpec, names: tuple[str, ...], published: Published, effort: np.ndarray
+) -> list[str]:
+    """Dry friction and a servo's damping are left out, rotors are added; a line on each."""
+    told, dry, servo, rotors, endless = [], [], [], [], []
+    for name, is_servo, most in zip(names, published.servo, effort, strict=True):
+        joint = spec.joint(name)
+        if joint.frictionloss:
+            dry.append(float(joint.frictionloss))
+            joint.frictionloss = 0.0
+        if is_servo and np.any(joint.damping):
+            servo.append(float(joint.damping[0]))
+            joint.damping = np.zeros_like(joint.damping)
+        if joint.limited == mujoco.mjtLimited.mjLIMITED_FALSE or not np.any(joint.range):
+            joint.range, joint.limited = [-WIDE, WIDE], mujoco.mjtLimited.mjLIMITED_TRUE
+            endless.append(name)
+        joint.actfrcrange, joint.margin = [0, 0], 0
+        if not joint.armature:
+            rotors.append(float(f"{gains.ROTOR * most:.2g}"))
+            joint.armature = rotors[-1]
+    if dry:
+        told.append(
+            f"joints: dry friction of {gains.span(np.array(dry))} N m left out, which takes a slower engine; "
+            "task.randomize.joint_friction has it for real robots"
+        )
+    if servo:
+        told.append(
+            f"joints: damping of {gains.span(np.array(servo))} N m s/rad left out; in a file for servos it is "
+            "the servo's, and kd takes its place"
+        )
+    if endless:
+        told.append(f"joints: no range at {len(endless)} of {len(names)}; +-{WIDE:g} rad")
+    if rotors:
+        told.append(
+            f"joints: no armature in the file; {gains.span(np.array(rotors))} kg m^2, {gains.ROTOR:g} for each "
+            "N m of effort"
+        )
+    return told
+
+
+def frames(spec: mujoco.MjSpec, model: mujoco.MjModel) -> list[str]:
+    """Turn the links' frames until all are parallel to the base's where the joints are at rest; a line if any was
+    turned.
+
+    It changes no motion, and the one-kernel physics needs it. With R the rotation of a link's frame in the base's:
+    offsets, axes and inertias x become R x, and what is in the link is turned by R.
+    """
+    turned, rotation = False, {1: np.eye(3)}
+    for i in range(1, model.nbody):
+        body, parent = spec.body(model.body(i).name), int(model.body_parentid[i])
+        if i > 1:
+            rotation[i] = rotation[parent] @ _matrix(model.body_quat[i])
+            body.pos = rotation[parent] @ model.body_pos[i]
+            turned |= not np.allclose(rotation[i], np.eye(3), atol=1e-9)
+        body.quat = [1, 0, 0, 0]
+        if np.allclose(rotation[i], np.eye(3), atol=1e-9):
+            continue
+        body.explicitinertial, body.mass = True, model.body_mass[i]
+        body.ipos = rotation[i] @ model.body_ipos[i]
+        body.iquat = _quat(rotation[i] @ _matrix(model.body_iquat[i]))
+        body.inertia, body.fullinertia = model.body_inertia[i], np.full(6, np.nan)
+        for joint in body.joints:
+            joint.pos, joint.axis = rotation[i] @ joint.pos, rotation[i] @ joint.axis
+        for geom in body.geoms:
+            geom.pos = rotation[i] @ model.geom_pos[geom.id]
+            geom.quat = _quat(rotation[i] @ _matrix(model.geom_quat[geom.id]))
+        for thing in (*body.sites, *body.cameras, *body.lights):
+            spec.delete(thing)
+    return ["frames: turned until all are parallel to the base's, which changes no motion"] * turned
+
+
+def _matrix(quat: np.ndarray) -> np.ndarray:
+    out = np.zeros(9)
+    mujoco.mju_quat2Mat(out, quat)
+    return out.reshape(3, 3)
+
+
+def _quat(matrix: np.ndarray) -> np.ndarray:
+    out = np.zeros(4)
+    mujoco.mju_mat2Quat(out, np.ascontiguousarray(matrix).ravel())
+    return out
+
+
+def feet(spec: mujoco.MjSpec) -> list[str]:
+    """Firm feet with the friction that is trained with, no margins; lines on what was another."""
+    soft, slippery, margins = [], [], []
+    for geom in spec.geoms:
+        if geom.margin or geom.gap:
+            margins.append(float(geom.margin))
+            geom.margin = geom.gap = 0.0
+        if not _is_foot(geom.name):
+            continue
+        if geom.solimp[0] < SOFTEST:
+            soft.append(float(geom.solimp[0]))
+            geom.solimp = [*FIRM, max(float(np.max(geom.size)), 0.01), 0.5, 2.0]
+            geom.solref = [0.02, 1.0]
+        if geom.friction[0] != FRICTION:
+            slippery.append(float(geom.friction[0]))
+            geom.friction = [FRICTION, *geom.friction[1:]]
+    told = []
+    if margins:
+        told.append(f"shapes: contact margins of {gains.span(np.array(margins))} m left out")
+    if soft:
+        told.append(
+            f"feet: solimp {FIRM[0]:g} {FIRM[1]:g} instead of {gains.span(np.array(soft))}, with which they sink in"
+        )
+    if slippery:
+        told.append(
+            f"feet: friction {FRICTION:g}, which task.randomize.friction assumes; in the file "
+            f"{gains.span(np.array(slippery))}"
+        )
+    return told
+
+
+def shanks(spec: mujoco.MjSpec, robot: robot_lib.Robot) -> list[str]:
+    """Shapes that reach a foot's middle end above it: a foot gives way under load, and they must not touch the
+    ground before it. A line if any was shortened.
+
+    Of a robot whose feet are spheres: a capsule, cylinder or box in the foot's body, along its longest axis.
+    """
+    model, cut = robot.mj_model, []
+    geoms = {geom.id: geom for geom in spec.geoms}
+    for foot in robot.feet:
+        if model.geom_type[foot] != SPHERE:
+            return []
+        middle, radius = model.geom_pos[foot], model.geom_size[foot, 0]
+        for part in robot.parts:
+            kind, size = model.geom_type[part], model.geom_size[part].copy()
+            if model.geom_bodyid[part] != model.geom_bodyid[foot] or kind == SPHERE:
+                continue
+            along = int(size.argmax()) if kind == BOX else 2
+            half = size[along] if kind == BOX else size[1]
+            axis = _matrix(model.geom_quat[part])[:, along]
+            axis = axis * (1 if axis @ (middle - model.geom_pos[part]) > 0 else -1)
+            cap = size[0] if kind == CAPSULE else 0.0
+            end = axis @ (model.geom_pos[part] - middle) + half + cap  # past the foot's middle
+            less = end + CLEAR * radius
+            aside = np.linalg.norm((middle - model.geom_pos[part]) - axis * (axis @ (middle - model.geom_pos[part])))
+            if less <= 0 or aside > 2 * radius or less >= 2 * half - 0.01:
+                continue
+            size[along if kind == BOX else 1] = half - less / 2
+            geoms[part].size, geoms[part].pos = size, model.geom_pos[part] - axis * less / 2
+            geoms[part].quat = model.geom_quat[part]
+            cut.append(less)
+    if not cut:
+        return []
+    return [f"shapes: {len(cut)} that reach a foot end {CLEAR:g} of its radius above its middle"]
+
+
+def _is_foot(name: str) -> bool:
+    return name.rstrip("0123456789_").endswith("_foot")
+
+
+def scene(spec: mujoco.MjSpec, height: float) -> None:
+    """Sky, light and a floor of tiles, as the robots here have them; `height` (m) is the base's."""
+    for light in list(spec.lights):
+        spec.delete(light)
+    look = spec.visual
+    look.global_.offwidth, look.global_.offheight = 1280, 720
+    look.headlight.ambient, look.headlight.diffuse = [0.42, 0.42, 0.44], [0.26, 0.26, 0.26]
+    look.headlight.specular = [0.05, 0.05, 0.05]
+    look.quality.shadowsize, look.quality.offsamples = 4096, 8
+    look.map.znear, look.map.zfar, look.map.shadowclip = 0.02, 50, 4
+    look.rgba.haze = [0.80, 0.85, 0.90, 1]
+    spec.stat.center, spec.stat.extent = [0, 0, 0.75 * height], 2.5 * height
+    sky = spec.add_texture(name="sky", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX)
+    sky.builtin = mujoco.mjtBuiltin.mjBUILTIN_GRADIENT
+    sky.rgb1, sky.rgb2, sky.width, sky.height = [0.86, 0.90, 0.94], [0.42, 0.55, 0.70], 256, 1536
+    tiles = spec.add_texture(name="checker", type=mujoco.mjtTexture.mjTEXTURE_2D)
+    tiles.builtin, tiles.mark = mujoco.mjtBuiltin.mjBUILTIN_CHECKER, mujoco.mjtMark.mjMARK_EDGE
+    tiles.rgb1, tiles.rgb2 = [0.80, 0.82, 0.84], [0.74, 0.76, 0.78]
+    tiles.markrgb, tiles.width, tiles.height = [0.87, 0.89, 0.91], 512, 512
+    floor = spec.add_material(name="floor", texrepeat=[2, 2], texuniform=True)
+    floor.specular, floor.shininess = 0.1, 0.1
+    floor.textures = ["", "checker", *[""] * 8]  # the second is the colour
+    for geom in spec.worldbody.geoms:
+        if geom.name == "floor":
+            geom.material = "floor"
+    light = spec.worldbody.add_light(name="sun", pos=[1.5, -1, 3.5], dir=[-0.4, 0.25, -1])
+    light.type, light.castshadow = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, True
+    light.diffuse, light.specular = [0.55, 0.55, 0.52], [0.2, 0.2, 0.2]

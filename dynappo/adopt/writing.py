@@ -1,0 +1,175 @@
+"""The texts of an adopted robot: its MJCF, its config, its README."""
+
+from __future__ import annotations
+
+import textwrap
+from xml.etree import ElementTree
+
+import mujoco
+
+
+from dynappo.adopt import normal
+from dynappo.adopt.gains import Motors
+from dynappo.adopt.source import Source
+from dynappo.physics import kinds
+from dynappo.physics import robot as robot_lib
+
+LIGHT = 25.0  # kg, up to which the reward weights of the Unitree tasks hold; above, those of the ANYmals
+INIT_STD = {True: 1.0, False: 0.5}  # ppo.init_std, of light robots and of heavy ones
+TORQUES, AT = 2e-4, 13.0  # weight of squared torques, at a mass (kg); it falls by mass^-1.5
+ABOVE = 0.05  # m over the default pose, where episodes start
+LOAD, OF_BASE = 0.1, 0.3  # by what share of the robot's mass the base's varies; at most this of its own
+HEAD = '''"""{name} on flat ground, adopted from {file}.
+
+    python -m dynappo.look configs/{name}.py
+    python -m dynappo.train --config=configs/{name}.py
+
+robots/{name}/README.md says where every number is from. Variants as in `default.py`.
+"""
+
+import runpy
+
+from dynappo.config import files
+
+default = runpy.run_path(str(files.find("configs", "default.py")))
+
+
+def get_config(variant=""):
+    """The defaults with this robot's differences."""
+    config = default["defaults"]()
+    config.robot = {name!r}
+    task = config.task
+'''
+HEAVIER = """\
+    # a heavy robot: what Isaac Lab has for the ANYmals
+    config.ppo.init_std = 0.5
+    task.weights.update(track_linear_velocity=1.0, track_yaw_rate=0.5, flat_orientation=-5.0)
+    task.weights.feet_air_time = 0.5
+    task.reset.update(velocity=0.5, joint_scale=(0.5, 1.5), soft_limit=0.95)
+    task.randomize.base_com = (0.05, 0.05, 0.01)
+    task.push.velocity = 0.5
+"""
+END = """\
+    return default["apply_variant"](config, variant)
+"""
+HEAVIER_END = """\
+    config = default["apply_variant"](config, variant)
+    if variant in ("", "best"):  # heavy robots fall in the first two seconds: begin more episodes
+        task.episode_length, config.schedule.last_iteration = 75, 110
+    return config
+"""
+
+
+def light(robot: robot_lib.Robot) -> bool:
+    return float(robot.mj_model.body_mass.sum()) < LIGHT
+
+
+def load(robot: robot_lib.Robot) -> float:
+    """By how many kg the base's mass varies."""
+    model = robot.mj_model
+    return float(min(LOAD * model.body_mass.sum(), OF_BASE * model.body_mass[robot.base_body]))
+
+
+def torque_weight(mass: float) -> float:
+    """Weight of the sum of squared torques: -2e-4 at 13 kg, -2.5e-5 at 52 kg, as Isaac Lab has them."""
+    return -float(f"{TORQUES * (AT / mass) ** 1.5:.2g}")
+
+
+def config(robot: robot_lib.Robot, source: Source, motors: Motors) -> str:
+    """The text of configs/NAME.py."""
+    mass = float(robot.mj_model.body_mass.sum())
+    names = robot.joint_names
+    lines = [HEAD.format(name=robot.name, file=source.xml.name)]
+    lines.append("    # N m/rad, N m s/rad; rad for an action of 1\n")
+    for field in ("kp", "kd", "action_scale"):
+        lines.append(_field(field, kinds.patterns(names, getattr(motors, field))))
+    lines.append("    # N m, N m at standstill, rad/s\n")
+    lines.append(_field("effort_limit", kinds.patterns(names, motors.effort_limit)))
+    lines.append("    task.saturation_effort = task.effort_limit\n")
+    lines.append(_field("velocity_limit", kinds.patterns(names, motors.velocity_limit)))
+    spawn, more = robot.home_qpos[2] + ABOVE, load(robot)
+    lines.append(f"    task.reset.spawn_height = {spawn:.2f}  # m, of the base: default pose and 5 cm\n")
+    lines.append(
+        f"    task.randomize.base_mass = ({-more:.1f}, {more:.1f})  # kg, of a robot of {mass:.1f}\n"
+    )
+    if not light(robot):
+        lines.append(HEAVIER)
+    lines.append(f"    task.weights.joint_torques = {torque_weight(mass):g}  # by mass^-1.5\n")
+    lines.append(END if light(robot) else HEAVIER_END)
+    return "".join(lines)
+
+
+def assumed(robot: robot_lib.Robot) -> list[str]:
+    """Lines on what the config takes from the robot's mass."""
+    mass = float(robot.mj_model.body_mass.sum())
+    like = "the Unitree tasks'" if light(robot) else "the ANYmal tasks'"
+    told = [
+        f"task: {like} reward weights for {mass:.1f} kg (up to {LIGHT:g} kg those of light robots), torques "
+        f"weighted by {torque_weight(mass):g}; base mass +-{load(robot):.1f} kg; starts {ABOVE * 100:g} cm above "
+        "the default pose"
+    ]
+    if len(robot.foot_names) != 4:
+        told.append(
+            f"task: the rewards are those of four legs; no robot of {len(robot.foot_names)} feet was trained with them"
+        )
+    return told
+
+
+def _field(name: str, value: float | dict[str, float]) -> str:
+    """A line, or a table with a line for each pattern."""
+    if isinstance(value, float):
+        return f"    task.{name} = {value!r}\n"
+    short = f"    task.{name} = {value!r}\n".replace("'", '"')
+    if len(short) <= 100:
+        return short
+    rows = "".join(f'        "{pattern}": {number!r},\n' for pattern, number in value.items())
+    return f"    task.{name} = {{\n{rows}    }}\n"
+
+
+def mjcf(spec: mujoco.MjSpec, robot_name: str, source: Source) -> str:
+    """The text of a compiled spec, with a comment on its origin."""
+    root = ElementTree.fromstring(normal.text(spec))
+    about = (
+        f"\n    {robot_name}, adopted from {source.xml.name} by `dynappo adopt`: README.md has source, licence and"
+        "\n    every assumption. Geom groups: 2 = looks only, 3 = contact with the floor.\n  "
+    )
+    root.insert(0, ElementTree.Comment(about))
+    ElementTree.indent(root)
+    return ElementTree.tostring(root, "unicode") + "\n"
+
+
+def readme(
+    robot: robot_lib.Robot,
+    source: Source,
+    told: list[str],
+    licence: tuple[str, str],
+    looks: int,
+) -> str:
+    """The text of robots/NAME/README.md."""
+    model = robot.mj_model
+    where, text = licence
+    rows = [
+        ("total mass", f"{model.body_mass.sum():.2f} kg"),
+        ("joints, in file order", ", ".join(robot.joint_names)),
+        ("feet", ", ".join(robot.foot_names)),
+        ("parts that must not touch the ground", f"{len(robot.parts)} shapes"),
+        ("base height in the default pose", f"{robot.home_qpos[2]:.4f} m"),
+    ]
+    table = "".join(f"| {name} | {value} |\n" for name, value in rows)
+    assumed = "".join(textwrap.fill(line, 100, initial_indent="- ", subsequent_indent="  ") + "\n" for line in told)
+    legal = (
+        f"From {where}:\n\n" + textwrap.indent(text, "    ").rstrip()
+        if text
+        else "No licence was found beside the file or in it. Ask its owner before you share this robot."
+    )
+    return (
+        f"# {robot.name}\n\n"
+        f"`{robot.name}.xml` is made by `dynappo adopt` from `{source.xml}`"
+        f"{', its looks included' if looks else ''}.\nGains, limits and what else depends on the robot are in "
+        f"`configs/{robot.name}.py`.\n\n"
+        f"| what | value |\n|---|---|\n{table}\n"
+        f"## What was assumed\n\n{assumed}\n"
+        f"## Licence of the source\n\n{legal}\n"
+    )
+
+

@@ -1,0 +1,111 @@
+"""A robot with the motors that its config says, joint by joint; runs with them on every engine."""
+
+import mujoco
+import numpy as np
+import pytest
+from answers import refused
+
+from dynappo import config as config_lib
+from dynappo import train
+from dynappo.config import files
+from dynappo.physics import motors
+from dynappo.physics import robot as robot_lib
+from dynappo.policy import episode, policy_file, source
+from dynappo.program import build
+
+CALVES = {  # the limits of the vendor's URDFs (robots/go1/README.md, robots/go2/README.md)
+    "go1": dict(
+        effort_limit={".*_calf_joint": 35.55, ".*": 23.7},
+        saturation_effort={".*_calf_joint": 35.55, ".*": 23.7},
+        velocity_limit={".*_calf_joint": 20.06, ".*": 30.1},
+    ),
+    "go2": dict(
+        effort_limit={".*_calf_joint": 45.43, ".*": 23.7},
+        saturation_effort={".*_calf_joint": 45.43, ".*": 23.7},
+        velocity_limit={".*_calf_joint": 15.7, ".*": 30.1},
+    ),
+}
+
+
+def load(name="go1", **task):
+    config = config_lib.load(name)
+    config.task.update(**task)
+    return config_lib.validate(config)
+
+
+@pytest.mark.parametrize("name", files.robots())
+def test_an_armature_of_the_config_is_that_of_a_file_with_it(name):
+    """To the bit, with what the solver takes from it; the robot that was given is as it was."""
+    given, armature = robot_lib.load(name), (0.01 * np.arange(1, 13)).tolist()
+    before = robot_lib.digest(given.mj_model)
+    _, robot = motors.fitted(load(name, armature=armature), given)
+    spec = robot_lib.physics_spec(given.xml)
+    hinges = [j for j in spec.joints if j.type == mujoco.mjtJoint.mjJNT_HINGE]
+    for joint, own in zip(hinges, armature, strict=True):
+        joint.armature = own
+    assert robot_lib.digest(robot.mj_model) == robot_lib.digest(spec.compile()) != before
+    assert robot_lib.digest(given.mj_model) == before
+    assert motors.fitted(load(name), given)[1] is given
+
+
+def test_a_config_says_the_motors_of_every_joint():
+    config, _ = motors.fitted(load(**CALVES["go1"]), robot_lib.load("go1"))
+    assert config.task.effort_limit == (23.7, 23.7, 35.55) * 4
+    assert config.task.velocity_limit == (30.1, 30.1, 20.06) * 4
+    assert config.task.kp == 25.0
+
+
+def test_what_does_not_fit_the_robot_is_told_before_anything_is_compiled():
+    config = load("anymal_c", kp={".*_calf_joint": 35, ".*": 25})
+    line = refused(build.check, config)
+    assert line.startswith("the pattern '.*_calf_joint' of task.kp matches no joint of anymal_c")
+    line = refused(build.check, load(kd=(1.0,) * 11))
+    assert line.startswith("task.kd has 11 numbers, expected 12: one for each joint of go1")
+    config = load(kp={"FL.*": 35, ".*": 25})  # `best` learns from mirror images
+    line = refused(build.check, config)
+    expected = (
+        "task.kp is 35 at FL_hip_joint and 25 at FR_hip_joint, expected the same left and right"
+    )
+    assert line.startswith(expected)
+    build.check(load(kp=(25, 30, 35) * 4))
+
+
+SMALL = (
+    "rollout.num_envs=8 rollout.horizon=8 schedule.end_iteration=0 schedule.start_steps=4 "
+    "schedule.end_steps=4 model.hidden=(16,) model.minibatches=2 model.epochs=1 ppo.hidden=(16,) "
+    "ppo.shuffle_blocks=1 run.num_iterations=1 run.log_every=1 run.checkpoint_every=0 run.eval_envs=0 "
+    "run.video_seconds=0.0 run.tensorboard=False run.device='cpu' physics.threads=1"
+).split()
+
+
+@pytest.mark.parametrize(
+    ("name", "impl"),
+    [
+        ("go1", "c"),
+        *(
+            pytest.param(*case, marks=pytest.mark.slow)
+            for case in [("go2", "c"), ("go1", "jax"), ("go2", "jax")]
+        ),
+    ],
+)
+def test_calves_with_motors_of_their_own_train(name, impl, tmp_path):
+    """One iteration; the policy's file holds a number a joint, and plays."""
+    config = config_lib.load(f"{name}:laptop")
+    config.task.update(**CALVES[name])
+    for text in [*SMALL, f"physics.impl={impl}"]:
+        field, _, value = text.partition("=")
+        config_lib.override(config, field, value.strip("'"))
+    _, metrics = train.train(config, tmp_path)
+    assert np.isfinite(metrics["kl"]).all() and np.isfinite(metrics["model_loss"]).all()
+    assert not metrics["blowups"].any()
+    policy, _ = source.load(str(tmp_path))
+    calf = 35.55 if name == "go1" else 45.43
+    np.testing.assert_array_equal(policy.effort_limit, [23.7, 23.7, calf] * 4)
+    body, _ = source.body(policy)
+    episode.play(
+        body, policy_file.actor(policy.params, policy.activation), lambda t: np.zeros(3), 0.1
+    )
+    text = (tmp_path / "config.json").read_text()
+    back = config_lib.from_json(text)
+    assert back.task.effort_limit == ((".*_calf_joint", calf), (".*", 23.7))
+    assert config_lib.difference(text, config_lib.to_json(config_lib.validate(config))) == ""
