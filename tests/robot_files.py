@@ -115,7 +115,7 @@ def turned() -> str:
     """Frames turned, joints with a place and a `ref`, feet welded on through an adapter; a sloping scene with
     a wall and a table, a keyframe `stand`, and looks whose mesh and picture files are not there."""
     legs = "".join(_turned_leg(*leg) for leg in TURNED_LEGS)
-    pose = " ".join(["0.0 0.7 -1.4"] * 4)
+    pose = " ".join(["0.0 0.8 -1.5"] * 4)
     return f"""<mujoco><compiler angle="radian" meshdir="gone"/>
     <asset><mesh file="trunk.stl"/><texture name="skin" type="2d" file="skin.png"/>
       <material name="skin" texture="skin"/></asset>
@@ -138,5 +138,5 @@ def wheeled() -> str:
         wheel = f'<body name="{name}_tip" pos="0 0 0.02">'
         text = text.replace(wheel, f'{wheel}<joint name="{name}_wheel" axis="0 1 0"/>')
     text = text.replace('<geom type="sphere" size="0.025"/>', '<geom type="sphere" size="0.06"/>')
-    pose = " ".join(["0.0 0.7 -1.4"] * 4)
-    return text.replace(pose, " ".join(["0.0 0.7 -1.4 0"] * 4))
+    pose = " ".join(["0.0 0.8 -1.5"] * 4)
+    return text.replace(pose, " ".join(["0.0 0.8 -1.5 0"] * 4))

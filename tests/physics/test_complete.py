@@ -125,6 +125,12 @@ def test_the_notes_of_a_file_with_a_scene_and_without_its_meshes(tmp_path):
     )
 
 
+def test_the_home_pose_is_the_keyframes_where_a_scene_goes(tmp_path):
+    """MuJoCo empties keyframes when a body is deleted."""
+    found = load(robot_files.turned(), tmp_path)
+    np.testing.assert_array_equal(found.default_pose, [0, 0.8, -1.5] * 4)
+
+
 @pytest.mark.parametrize("name", FILES)
 def test_what_is_completed_needs_no_completion(name, tmp_path):
     """The text that a policy carries is the same robot."""

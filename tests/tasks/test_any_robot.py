@@ -1,5 +1,6 @@
 """Robots of other limbs: the task's sizes, resets, steps and mirror image follow from their models."""
 
+import re
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -144,6 +145,8 @@ def test_a_reset_of_a_biped_places_its_soles_above_the_ground(biped):
     np.testing.assert_allclose(lowest, config.task.reset.foot_clearance, atol=1e-5)
     free = ~np.isfinite(low)
     assert [biped.joint_names[i] for i in np.flatnonzero(free)] == ["left_swing", "right_swing"]
+    scale = np.asarray(state.qpos)[:, 7:][:, free] / pose[free]  # as drawn, nothing clipped
+    assert (scale > 0.5).all() and (scale < 1.5).all() and np.ptp(scale) > 0.2
 
 
 def test_thighs_of_a_biped_are_the_links_between_hip_and_foot(biped):
@@ -159,6 +162,37 @@ def test_thighs_of_a_biped_are_the_links_between_hip_and_foot(biped):
         {"right_shin"},
     ]
     assert set(bodies[fatal]) == {"pelvis"}
+
+
+def test_of_a_leg_of_two_links_the_thigh_is_the_first(hexapod):
+    text = re.sub(r'<(joint|motor) name="\w\w_hip"[^>]*/>', "", robot_files.hexapod())
+    pose = " ".join(map(str, robot_files.HEXAPOD_POSE))
+    text = text.replace(" ".join([pose] * 6), " ".join(["0.6 -1.2"] * 6))
+    robot = robot_lib.load_text(text, "hexapod", Path("hexapod.xml"))
+    _, undesired = env_lib.ground_rules(
+        robot, SimpleNamespace(termination="base", undesired="thighs")
+    )
+    bodies = [robot.mj_model.body(i).name for i in robot.mj_model.geom_bodyid[robot.parts]]
+    assert [np.array(bodies)[row].tolist() for row in undesired] == [
+        [f"{n}_thigh"] for n, *_ in LEGS
+    ]
+
+
+def test_joints_at_one_place_are_told_apart_by_axis_and_depth():
+    """A waist of two hinges at a point, and a neck that turns about the same line at the same place."""
+    waist = '<joint name="waist" axis="0 0 1" range="-1 1"/>'
+    neck = """<body name="head" pos="0 0 0"><joint name="neck" axis="0 0 1" range="-1 1"/>
+        <geom size="0.05" pos="0 0 0.4" mass="1"/></body>"""
+    lean = '<joint name="lean" axis="1 0 0" range="-1 1"/>'
+    text = robot_files.biped()
+    assert waist in text
+    text = text.replace(waist, waist + lean + neck)
+    robot = robot_lib.load_text(text, "biped", Path("biped.xml"))
+    table, names = mirror.joints(robot), list(robot.joint_names)
+    for name, sign in (("waist", -1), ("lean", -1), ("neck", -1)):
+        joint = names.index(name)
+        assert table.index[joint] == joint and table.sign[joint] == sign
+    assert (table.index[table.index] == np.arange(len(names))).all()
 
 
 def test_joints_on_the_middle_plane_are_their_own_partners(biped):
