@@ -8,10 +8,11 @@ from answers import refused
 from dynappo import config as config_lib
 from dynappo import train
 from dynappo.config import files
-from dynappo.physics import motors
+from dynappo.physics import engine, motors
 from dynappo.physics import robot as robot_lib
 from dynappo.policy import episode, policy_file, source
 from dynappo.program import build
+from dynappo.tasks.velocity import reward_sum
 
 CALVES = {  # the limits of the vendor's URDFs (robots/go1/README.md, robots/go2/README.md)
     "go1": dict(
@@ -109,3 +110,17 @@ def test_calves_with_motors_of_their_own_train(name, impl, tmp_path):
     back = config_lib.from_json(text)
     assert back.task.effort_limit == ((".*_calf_joint", calf), (".*", 23.7))
     assert config_lib.difference(text, config_lib.to_json(config_lib.validate(config))) == ""
+
+
+def test_a_reward_term_may_ask_for_the_number_of_each_joint():
+    """As an array; one number stays one number, and no array is made in its program."""
+    robot = robot_lib.load("go1")
+    config, _ = motors.fitted(load(kp=(25, 30, 35) * 4), robot)
+    names = reward_sum.known_names(config.task)
+    assert {"kp", "kd", "joint_friction"} <= names and not {"armature", "command_x"} & names
+    hyper = config_lib.split(config)[1]
+    task = engine.per_joint_arrays(hyper)
+    np.testing.assert_array_equal(task.kp, [25, 30, 35] * 4)
+    assert task.kd is hyper.task.kd and task.command_x is hyper.task.command_x
+    plain = config_lib.split(motors.fitted(load(), robot)[0])[1]
+    assert engine.per_joint_arrays(plain) is plain.task
