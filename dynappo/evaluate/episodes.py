@@ -39,9 +39,8 @@ def settings(policy: Policy):
             )
         node[leaf] = settled
     for name in per_joint.names():
-        if isinstance(
-            config.task[name], tuple
-        ):  # the policy's own, whose joints `check_robot` compares
+        if isinstance(config.task[name], tuple):
+            # the policy's own; `check_robot` compares its joints with the robot's
             value = getattr(policy, policy_file.TASK[name])
             config.task[name] = tuple(value.tolist()) if isinstance(value, np.ndarray) else value
     config.run.update(device="auto", mesh_seed=1, mesh_env=1)

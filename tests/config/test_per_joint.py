@@ -51,8 +51,8 @@ def test_a_joint_takes_the_number_of_the_first_pattern_that_matches_its_whole_na
 BAD = {  # of task.kp
     "no joint is left out": ({".*_hip_joint": 1}, "no pattern of task.kp matches FL_thigh_joint"),
     "the whole name": (
-        {"calf": 1, ".*": 2},
-        "the pattern 'calf' of task.kp matches no joint of go1",
+        {"FL_": 1, ".*": 2},
+        "the pattern 'FL_' of task.kp matches no joint of go1",
     ),
     "never the first": ({".*": 1, ".*calf.*": 2}, "'.*calf.*' of task.kp is never the first"),
     "no pattern": ({"*calf": 1, ".*": 2}, "is '*calf', expected a regular expression (nothing"),

@@ -29,7 +29,9 @@ EACH = np.linspace(10.0, 400.0, 12), np.linspace(2.0, 0.1, 12)  # a number of ea
 
 
 @pytest.mark.parametrize(
-    ("kp", "kd"), [(None, None), (400.0, 0.3), (10.0, 20.0), (0.0, 1.0), EACH], ids=str
+    ("kp", "kd"),
+    [(None, None), (400.0, 0.3), (10.0, 20.0), (0.0, 1.0), EACH],
+    ids=["own", "stiff", "damped", "no kp", "each"],
 )
 @pytest.mark.parametrize("name", ROBOTS)
 def test_the_longest_step_is_where_an_eigenvalue_leaves_the_circle(name, kp, kd):
