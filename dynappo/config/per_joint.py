@@ -18,10 +18,10 @@ def names() -> list[str]:
 
 
 def resolved(config, joints: Sequence[str], robot: str) -> config_dict.FrozenConfigDict:
-    """The config with `numbers` in each of these fields."""
-    out = fields.copied(config)
+    """The validated config with `numbers` in each of these fields."""
+    out = config.to_dict()
     for name in names():
-        out.task[name] = numbers(f"task.{name}", out.task[name], joints, robot)
+        out["task"][name] = numbers(f"task.{name}", out["task"][name], joints, robot)
     return config_dict.FrozenConfigDict(out)
 
 
