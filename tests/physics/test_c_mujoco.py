@@ -28,6 +28,7 @@ CLOCKS = ("air_steps", "contact_steps", "last_air_steps", "peak", "last_peak")
 CARRIED = ("qpos", "qvel", "qacc_warmstart", *CLOCKS)
 TOLD = (*CARRIED, "torque", "qd_before", "lowest")
 LIMITS = ("effort_limit", "saturation_effort", "velocity_limit")
+NUMBERS = len((*c_mujoco.BODY_NUMBERS, *c_mujoco.MOTOR_NUMBERS))  # of a call; the friction's last
 # kp, kd and these limits (N m, N m, rad/s)
 MOTORS = dict(go1=(25.0, 0.5, 23.7, 23.7, 30.0), anymal=(85.0, 0.6, 80.0, 120.0, 7.5))
 
@@ -266,10 +267,10 @@ def go1(request):
         b.mass_scale,
         *b.base_com.T,
         b.friction,
+        1,
         kp * b.kp_scale,
         kd * b.kd_scale,
         *motor,
-        1,
         0,
     ]
     numbers = np.stack(np.broadcast_arrays(*numbers), -1).astype(np.float32)
@@ -282,7 +283,7 @@ def go1(request):
     inputs = [*(world.start[name] for name in CARRIED[:3]), target, numbers]
     step = jax.jit(jax.vmap(make()))
     expected = jax.device_get(step(*inputs))
-    unused = [] if request.param == "rubs" else [c_mujoco.FRICTION]
+    unused = [] if request.param == "rubs" else [NUMBERS - 1]
     kept = dict(world=world, make=make, step=step, inputs=inputs, expected=expected)
     return SimpleNamespace(**kept, unused=unused)
 
@@ -320,7 +321,7 @@ def test_seeds_of_robots_are_as_each_alone(go1):
     same(jax.jit(step)(*rows(go1.inputs, 3)), rows(go1.expected, 3))
 
 
-@pytest.mark.parametrize("column", range(len(c_mujoco.BODY_NUMBERS)))
+@pytest.mark.parametrize("column", range(NUMBERS))
 def test_a_number_changes_its_robot_only_and_going_back_gives_the_old_bits(go1, column):
     rest = np.arange(ROBOTS) != 2
     inputs = changed(go1.inputs, 3, 2, slice(6), 2.0)  # far off, where the motors' limits matter
@@ -339,14 +340,27 @@ def test_more_fewer_and_equal_robots_share_no_model_by_mistake(go1):
     for count in (ROBOTS, 3, ROBOTS, 1, 5):
         same(go1.step(*rows(go1.inputs, range(count))), rows(go1.expected, range(count)))
         same(go1.step(*equal), each)
-        found = go1.step(*changed(equal, 4, 3, 6, count))  # a model each
+        found = go1.step(*changed(equal, 4, 3, 7, count))  # a model each
         same(rows(found, [0, 1, 2, 4, 5, 6, 7]), rows(each, [0, 1, 2, 4, 5, 6, 7]))
+
+
+def test_a_number_for_each_joint_is_that_for_all_where_they_are_equal(go1):
+    """To the bit, by the same models, in any order of programs; one joint's own moves its robot alone."""
+    bodies, motors = np.split(go1.inputs[4], [len(c_mujoco.BODY_NUMBERS)], 1)
+    wide = [*go1.inputs[:4], np.concatenate([bodies, motors.repeat(12, 1)], 1)]
+    for inputs in (wide, go1.inputs, wide):
+        same(go1.step(*inputs), go1.expected)
+    kp = len(c_mujoco.BODY_NUMBERS) + 4  # of the fifth joint
+    found, rest = go1.step(*changed(wide, 4, 2, kp, 3.0)), np.arange(ROBOTS) != 2
+    same(rows(found, rest), rows(go1.expected, rest))
+    apart = np.abs(found.torque - go1.expected.torque)[2]
+    assert apart[4] > 0.1
 
 
 def test_what_is_not_varied_is_the_files(go1):
     fixed = jax.jit(jax.vmap(go1.make(varied=frozenset())))
     before = jax.device_get(fixed(*go1.inputs))
-    body, motors = (changed(go1.inputs, 4, 0, c, 0.4) for c in (slice(5), slice(5, 7)))
+    body, motors = (changed(go1.inputs, 4, 0, c, 0.4) for c in (slice(6), slice(6, 8)))
     same(fixed(*body), before)
     assert (fixed(*motors).qvel[0] != before.qvel[0]).any()
 
