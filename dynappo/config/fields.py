@@ -43,9 +43,8 @@ class Field(NamedTuple):
     choices: tuple[str, ...] = ()
     low: float = -math.inf
     high: float = math.inf
-    per_joint: bool = (
-        False  # one float, a float of each kind of joint, or of each joint (per_joint.py)
-    )
+    # one float, a float of each kind of joint, or of each joint (per_joint.py)
+    per_joint: bool = False
 
 
 @functools.cache

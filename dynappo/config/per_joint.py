@@ -69,7 +69,8 @@ def _matched(field: str, pairs, joints: Sequence[str], robot: str) -> tuple[floa
 
 def by_name(value: Any, joints: Sequence[str]) -> Any:
     """A number a joint as pairs of names and numbers, which hold in any order of the joints."""
-    if isinstance(value, tuple) and not isinstance(value[0], tuple):
+    several = isinstance(value, (tuple, list))  # a list from JSON
+    if several and not isinstance(value[0], (tuple, list)):
         return tuple(
             (re.escape(joint), number) for joint, number in zip(joints, value, strict=True)
         )

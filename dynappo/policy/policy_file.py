@@ -97,9 +97,8 @@ def describe(config, robot: robot_lib.Robot, params: dict | None = None) -> Poli
     try:
         task, physics = fields["task"], fields["physics"]
         of_task = {own: _of_task(name, NEWER | task, robot) for name, own in TASK.items()}
-        for name in (
-            set(per_joint.names()) & task.keys()
-        ):  # the policy's joints may get another order
+        # by name: the policy's joints may get another order
+        for name in set(per_joint.names()) & task.keys():
             task[name] = per_joint.by_name(task[name], robot.joint_names)
         return Policy(
             robot=robot.name,

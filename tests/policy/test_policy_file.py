@@ -360,6 +360,10 @@ def test_wrong_numbers_of_joints_are_one_line(tmp_path, field, value, expected):
 def test_a_checkpoints_patterns_are_checked_before_they_are_used():
     """Its config comes from a file, with lists."""
     config, robot = of_joints()
+    stored = config_dict.ConfigDict(json.loads(config_lib.to_json(config)))
+    found, expected = (policy_file.describe(one, robot) for one in (stored, config))
+    np.testing.assert_equal(found.kd, expected.kd)
+    assert found.config["task"]["kd"] == expected.config["task"]["kd"]
     for value, expected in (
         ([["(a*)*b", 1.0], [".*", 2.0]], "no group repeated"),
         ([["calf", 1.0], [".*", 2.0]], "the pattern 'calf' of task.kp matches no joint of go1"),
