@@ -148,8 +148,9 @@ def test_steps_in_c_are_those_of_a_plain_loop(world, in_c):
 @pytest.mark.slow
 @pytest.mark.parametrize("impl", ["jax", "warp"])
 def test_other_engines_make_the_same_steps(world, in_c, impl):
-    """Each from the state that C MuJoCo has reached. Measured: median 1e-7 m or rad and 7e-6 rad/s, four fifths
-    below 2e-7 and 2e-5; but in MJX only those corners of a box touch that are within 1 mm of the deepest."""
+    """Each from the state that C MuJoCo has reached. Measured: median 1e-7 m or rad and 7e-6 rad/s, four
+    fifths below 2e-7 and 2e-5; but in MJX only those corners of a box touch that are within 1 mm of the
+    deepest."""
     if impl == "warp":
         pytest.importorskip("warp")
     run, errors = runs(world, impl), {}
@@ -281,6 +282,6 @@ def test_the_kernel_declines_other_feet():
     boxed.geom_type[robot.feet[2]] = contacts.BOX
     assert "feet that are no spheres" in scope.declines(boxed, robot.feet, False)
     five = np.concatenate([robot.feet, robot.parts[:1]])
-    assert "one sphere for a foot" in scope.declines(model, five, False)
+    assert "a sphere as foot" in scope.declines(model, five, False)
     swapped = robot.feet[[1, 0, 2, 3]]
-    assert "at the ends of the legs" in scope.declines(model, swapped, False)
+    assert "a sphere as foot" in scope.declines(model, swapped, False)

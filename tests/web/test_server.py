@@ -5,11 +5,13 @@ import time
 from types import SimpleNamespace
 
 import numpy as np
+import other_robots
 import pytest
 from answers import PATIENCE, until
 from toy_policy import described, save
 
 from dynappo import config as config_lib
+from dynappo.policy import episode, policy_file
 from dynappo.web import address, policies
 
 server = pytest.importorskip("dynappo.web.server", reason="mjviser is not installed (extra web)")
@@ -85,3 +87,27 @@ def test_what_somebody_has_just_set_is_not_taken_back_before_it_is_heard():
     slider.value = 0.9  # the same again, at once
     panels._follow(shown, [0.4, 0.0, 0.0, True])
     assert slider.value == 0.9
+
+
+def test_torques_of_any_robot_are_drawn_a_plot_for_each_kind_of_joint(page, tmp_path):
+    """A biped with arms: seven kinds, a line for left and right; then a hexapod: three kinds, six lines."""
+    live, shown = page.live, page.panels
+    assert [plot.title for plot in shown.torque] == ["hip, N m", "thigh, N m", "calf, N m"]
+    biped, hexapod = other_robots.biped(arms=True), other_robots.hexapod()
+    for robot, kinds, lines in (
+        (biped, 7, ["left", "right"]),
+        (hexapod, 3, [*other_robots.HEXAPOD]),
+    ):
+        xml = tmp_path / f"{robot.name}.xml"
+        xml.write_text(robot.text)
+        policy = other_robots.policy(robot)
+        act = policy_file.actor(policy.params, policy.activation)
+        chosen = policies.Chosen(episode.load(xml, policy), act, robot.name)
+        live.wishes.append(lambda chosen=chosen: server.play(page, chosen, "other"))
+        until(lambda name=robot.name: live.body.policy.robot == name and len(live.history) > 2)
+        live.wishes.append(lambda: panels.draw(shown, live))
+        until(lambda: len(shown.torque[-1].data[0]) > 3)
+        assert len(shown.torque) == kinds
+        for plot in shown.torque:
+            assert [line["label"] for line in plot.series[1:]] == lines
+            assert len(plot.data) == len(plot.series)
