@@ -30,9 +30,9 @@ NAME_OR_DIR is a workdir, a checkpoint folder, a policy.npz, or the name of a ro
 a policy.npz carries its robot's MJCF, so you can play it anywhere
 joint orders (of the observation, the action and everything in the metadata)
   mjcf      as in robots/NAME/NAME.xml: leg by leg (what training uses)
-  isaaclab  as Isaac Sim numbers them: all hips, all thighs, all calves; legs by name
+  isaaclab  as Isaac Sim numbers them: all hips, all thighs, all calves; limbs by name
   unitree   the motor numbers of Go1 and Go2: FR FL RR RL, leg by leg
-  or the twelve names, comma-separated
+  or the names of all joints, comma-separated
 how to use the file on a robot: robots/DEPLOY.md
 """
 
@@ -49,7 +49,7 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
     flag(
         "--joint-order",
         metavar="ORDER",
-        help=f"{', '.join(joint_order.ORDERS)} or twelve names, see below",
+        help=f"{', '.join(joint_order.ORDERS)} or all names, see below",
     )
     flag("--targets", action="store_true", help="add a second output: joint position targets, rad")
     flags = flags_lib.read(parser, argv)
@@ -82,14 +82,17 @@ def table(policy: Policy, out: Path, order: str, targets: bool) -> list[tuple[st
     kind = f"ONNX, float32, opset {onnx_file.OPSET}" if out.suffix == ".onnx" else "policy file"
     rows = [("written", f"{out} ({out.stat().st_size / 1024:.0f} KiB, {kind})")]
     if out.suffix == ".onnx":
-        size = len(onnx_file.order(policy))
+        size, count = len(onnx_file.order(policy)), len(policy.joint_names)
         code = (
             "import numpy as np, onnxruntime as ort; print(ort.InferenceSession("
             f"{str(out)!r}).run(None, {{'obs': np.zeros((1, {size}), np.float32)}}))"
         )
         rows += [
             ("input", f"obs [batch, {size}]; its table is in robots/DEPLOY.md and in the metadata"),
-            ("output", "action [batch, 12]" + ", targets [batch, 12] (rad)" * targets),
+            (
+                "output",
+                f"action [batch, {count}]" + f", targets [batch, {count}] (rad)" * targets,
+            ),
         ]
         after = f'python -c "{code}"'
     else:

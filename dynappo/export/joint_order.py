@@ -28,7 +28,7 @@ def parse(
 ) -> tuple[tuple[str, ...], str]:
     """`(names, text)` of `--joint-order=TEXT`; without it the policy's own order, `own`.
 
-    ConfigError if the robot has no such order, or the names are not its twelve joints, once each.
+    ConfigError if the robot has no such order, or the names are not its joints, once each.
     """
 
     def expect(ok, reason):
@@ -44,10 +44,7 @@ def parse(
     if text == "mjcf":
         return names, text
     if text == "isaaclab":
-        # PhysX numbers joints breadth first, and siblings by name: isaac-sim/IsaacLab
-        # .../velocity/mdp/symmetry/anymal.py lists ANYmal's; for Go2 `joint_ids_map` of the deploy.yaml
-        # that unitree_rl_lab writes is 3 0 9 6, 4 1 10 7, 5 2 11 8 in motor numbers
-        return tuple(legs[leg][k] for k in range(3) for leg in sorted(legs)), text
+        return _breadth_first(robot), text
     if text == "unitree":
         expect(set(legs) == set(UNITREE_LEGS), f"{robot.name} has the legs {' '.join(legs)}")
         return tuple(name for leg in UNITREE_LEGS for name in legs[leg]), text
@@ -60,6 +57,28 @@ def parse(
     lacks = [name for name in names if name not in given]
     expect(not lacks, f"lacks {', '.join(lacks)}")
     return given, "as named"
+
+
+def _breadth_first(robot: robot_lib.Robot) -> tuple[str, ...]:
+    """The order of PhysX: by the number of joints above, and siblings by name.
+
+    isaac-sim/IsaacLab .../velocity/mdp/symmetry/anymal.py lists ANYmal's; `joint_ids_map` of the deploy.yaml
+    that unitree_rl_lab writes is for Go2 3 0 9 6, 4 1 10 7, 5 2 11 8 in motor numbers.
+    """
+    model, below = robot.mj_model, collections.defaultdict(list)
+    for i, name in enumerate(robot.joint_names, 1):
+        above, body = i - 1, model.jnt_bodyid[i]  # the joint before it, if that is in the same body
+        if above < model.body_jntadr[body]:
+            while (body := model.body_parentid[body]) and not model.body_jntnum[body]:
+                pass
+            above = model.body_jntadr[body] + model.body_jntnum[body] - 1
+        below[above].append((name, i))
+    order, level = [], [0]  # 0 is the base's free joint
+    while level:
+        found = [joint for above in level for joint in sorted(below[above])]
+        order += [name for name, _ in found]
+        level = [i for _, i in found]
+    return tuple(order)
 
 
 def permute(policy: Policy, names: tuple[str, ...]) -> Policy:

@@ -1,4 +1,4 @@
-"""A policy as an ONNX network, `obs [batch, O]` to `action [batch, 12]`, with everything a robot needs.
+"""A policy as an ONNX network, `obs [batch, O]` to `action [batch, A]`, with everything a robot needs.
 
 A policy that sees the last h readings takes them part by part, and of each part the oldest first: the order
 of Isaac Lab's observation manager, and of the deploy code of Unitree's lab.

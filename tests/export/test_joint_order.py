@@ -4,7 +4,9 @@ import json
 
 import jax
 import jax.numpy as jnp
+import mujoco
 import numpy as np
+import other_robots
 import pytest
 from answers import refused
 from toy_onnx import (
@@ -17,7 +19,7 @@ from toy_onnx import (
     observations,
     session,
 )
-from toy_policy import ROBOTS
+from toy_policy import GO1, ROBOTS
 
 from dynappo.export import deploy_yaml, joint_order, onnx_file
 from dynappo.learner import networks
@@ -40,6 +42,37 @@ def test_named_orders_are_those_of_their_sources():
     for name in ROBOTS:
         assert order_of(None, name) == order_of("mjcf", name) == robot_lib.load(name).joint_names
     assert order_of(", ".join(SHUFFLED), "go1") == SHUFFLED
+
+
+def test_isaac_numbers_the_joints_of_a_humanoid_breadth_first():
+    """The 29 joints of a G1 as unitree_rl_lab's `joint_ids_map` has them, in motor numbers."""
+    leg = "hip_pitch hip_roll hip_yaw knee ankle_pitch ankle_roll".split()
+    arm = "shoulder_pitch shoulder_roll shoulder_yaw elbow wrist_roll wrist_pitch wrist_yaw".split()
+
+    def chain(names, end=""):
+        for name in reversed(names):
+            end = f'<body><geom size=".1"/><joint name="{name}_joint"/>{end}</body>'
+        return end
+
+    arms = [chain([f"{side}_{name}" for name in arm]) for side in ("left", "right")]
+    limbs = [chain([f"{side}_{name}" for name in leg]) for side in ("left", "right")]
+    limbs += [chain(["waist_yaw", "waist_roll", "waist_pitch"], "".join(arms))]
+    base = f'<body><freejoint/><geom size=".1"/>{"".join(limbs)}</body>'
+    model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{base}</worldbody></mujoco>")
+    names = tuple(model.joint(i).name for i in range(1, 30))
+    assert names[12] == "waist_yaw_joint" and names[22] == "right_shoulder_pitch_joint"
+    robot = GO1._replace(mj_model=model, joint_names=names)
+    expected = [0, 6, 12, 1, 7, 13, 2, 8, 14, 3, 9, 15, 22, 4, 10, 16, 23, 5, 11, 17, 24]
+    expected += [18, 25, 19, 26, 20, 27, 21, 28]
+    found = joint_order.parse("isaaclab", names, robot)[0]
+    assert [names.index(name) for name in found] == expected
+
+
+def test_isaac_takes_joints_of_one_body_one_after_the_other():
+    robot = other_robots.biped()
+    found = joint_order.parse("isaaclab", robot.joint_names, robot)[0]
+    parts = "hip_yaw hip_roll hip_pitch knee ankle_pitch ankle_roll".split()
+    assert found == tuple(f"{side}_{part}" for part in parts for side in ("left", "right"))
 
 
 def test_an_order_that_a_robot_has_not_is_one_line():
