@@ -45,7 +45,7 @@ def test_named_orders_are_those_of_their_sources():
 
 
 def test_isaac_numbers_the_joints_of_a_humanoid_breadth_first():
-    """The 29 joints of a G1 as unitree_rl_lab's `joint_ids_map` has them, in motor numbers."""
+    """The 29 joints of a G1 as policies that were trained in Isaac Lab have them, in motor numbers."""
     leg = "hip_pitch hip_roll hip_yaw knee ankle_pitch ankle_roll".split()
     arm = "shoulder_pitch shoulder_roll shoulder_yaw elbow wrist_roll wrist_pitch wrist_yaw".split()
 
