@@ -88,7 +88,7 @@ def inertial(mass, z):
 
 def made(name, base, pose):
     """The `Robot` with the content `base` of its base; in the home pose its lowest foot is on the floor."""
-    text = f"""<mujoco model="{name}"><option timestep="0.005"/><default>
+    text = f"""<mujoco model="{name}"><compiler angle="radian"/><option timestep="0.005"/><default>
       <geom contype="0" conaffinity="0"/><joint armature=".01" limited="true"/>
       <default class="foot"><geom conaffinity="1" priority="1" friction=".8" condim="3"/></default>
       <default class="part"><geom conaffinity="1" condim="1"/></default></default>
