@@ -7,6 +7,7 @@ CUDA graph holds them together with MuJoCo Warp's own.
 # Warp compiles these functions; for Python its arrays cannot be indexed
 # pyright: reportIndexIssue=false, reportGeneralTypeIssues=false, reportAssignmentType=false
 # pyright: reportAttributeAccessIssue=false
+# pyright: reportArgumentType=false, reportCallIssue=false, reportOperatorIssue=false
 
 import warp as wp  # pyright: ignore[reportMissingImports]
 
