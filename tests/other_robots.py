@@ -6,7 +6,6 @@ import mujoco
 import numpy as np
 
 from dynappo import config as config_lib
-from dynappo.physics import contacts
 from dynappo.physics import robot as robot_lib
 from dynappo.policy import policy_file
 
@@ -100,29 +99,9 @@ def made(name, base, pose):
         spec.add_actuator(
             name=joint.name, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT
         ).set_to_motor()
-    model = spec.compile()
-    home = np.concatenate([[0, 0, 1, 1, 0, 0, 0], pose])
-    names = {i: contacts.foot_name(model.geom(i).name) for i in range(model.ngeom)}
-    feet = np.array([i for i, foot in names.items() if foot])
-    feet_names = tuple(dict.fromkeys(names[i] for i in feet))
-    home[2] -= lowest_points(model, home, feet).min()
-    spec.add_key(name="home", qpos=home)
-    model = spec.compile()
-    return robot_lib.Robot(
-        name=name,
-        xml=Path(f"{name}.xml"),
-        mj_model=model,
-        default_pose=home[7:],
-        home_qpos=home,
-        joint_names=tuple(model.joint(i).name for i in range(1, model.njnt)),
-        feet=feet,
-        foot_of=np.array([feet_names.index(names[i]) for i in feet]),
-        foot_names=feet_names,
-        parts=np.setdiff1d(np.flatnonzero(model.geom_conaffinity), feet),
-        base_body=1,
-        text=spec.to_xml(),
-        alone=spec.to_xml(),
-    )
+    spec.add_key(name="home", qpos=[0, 0, 1, 1, 0, 0, 0, *pose])
+    spec.compile()
+    return robot_lib.load_text(spec.to_xml(), name, Path(f"{name}.xml"))
 
 
 def lowest_points(model, qpos, geoms):

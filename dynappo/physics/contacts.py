@@ -4,8 +4,6 @@ Contacts are counted as in MuJoCo Warp, which must allocate room for all of them
 (mujoco_warp/_src/collision_primitive_core.py).
 """
 
-import re
-
 import mujoco
 import numpy as np
 
@@ -30,12 +28,6 @@ def most(model) -> tuple[int, int]:
     rows += int(model.jnt_limited.sum() + (model.dof_frictionloss > 0).sum())
     rows += int(model.tendon_limited.sum() + (model.tendon_frictionloss > 0).sum())
     return contacts + int(pairs.sum()), rows
-
-
-def foot_name(geom: str) -> str:
-    """The foot that a geom of this name is a shape of: FL of FL_foot, FL_foot2 or FL_foot_2; "" if none."""
-    found = re.fullmatch(r"(.+)_foot(_?\d+)?", geom)
-    return found[1] if found else ""
 
 
 def floor_distance(model: mujoco.MjModel, geoms: np.ndarray):

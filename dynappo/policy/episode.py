@@ -22,6 +22,7 @@ import numpy as np
 
 from dynappo.config import ConfigError
 from dynappo.physics import actuators, contacts, mjcf, motors
+from dynappo.physics import feet as feet_lib
 from dynappo.policy.policy_file import Policy
 from dynappo.tasks.velocity import observe
 
@@ -137,11 +138,9 @@ def _touches(model) -> np.ndarray:
 
 def _named_feet(model, touches) -> dict[str, list[int]]:
     """The geoms of each foot by its name, of those geoms named `LEG_foot` that touch."""
-    feet: dict[str, list[int]] = {}
-    for i in np.flatnonzero(touches).tolist():
-        if name := contacts.foot_name(model.geom(i).name):
-            feet.setdefault(name, []).append(i)
-    return feet
+    names = [model.geom(i).name if touches[i] else "" for i in range(model.ngeom)]
+    shapes, foot_of, feet = feet_lib.named(names)
+    return {name: shapes[foot_of == foot].tolist() for foot, name in enumerate(feet)}
 
 
 def _lowest_limbs(model, joints, pose, touches) -> dict[str, list[int]]:
