@@ -2,13 +2,9 @@
 
 Some settings were trained more than once: with seeds 5 to 9, or at an earlier commit. `load` gives all
 seeds of all batches as one run. Seeds of another batch with the same number are other seeds, because
-MuJoCo Warp is not deterministic. Every batch by itself is in 20_tail/batches.csv. A run that has the name
-of another in the folder `more` beside it is its next batch.
-
-Not pooled: runs whose settings differ, such as `second/anymal_c_ppo16` (another entropy coefficient), and
-`second/go1_fast`, which is the run in 12_platforms/earlier. The runs of 12_platforms/results have a later
-commit and another engine: they are by themselves, and where a page asks, beside the `earlier` ones.
-10_ablation/plot.py alone pools both engines, and says so.
+MuJoCo Warp is not deterministic. A run that has the name of another in the folder `more` beside it is its
+next batch. The runs of 12_platforms/results have a later commit and another engine: they are by themselves,
+and where a page asks, beside the `earlier` ones. 10_ablation/plot.py alone pools both engines, and says so.
 """
 
 from __future__ import annotations
@@ -24,12 +20,9 @@ MORE = {  # FOLDER/run -> other batches of its job, in 20_tail/results
     "12_platforms/earlier/go1_ppo16": ("first/go1_ppo16", "second/go1_ppo16"),
     "12_platforms/earlier/go1_best": ("second/go1_best",),
     "12_platforms/earlier/anymal_c_ppo16": ("anymal_c_ppo16_seed5",),
-    "12_platforms/earlier/anymal_c_best": ("anymal_c_best_seed5",),
     "12_platforms/earlier/anymal_d_ppo16": ("anymal_d_ppo16_seed5",),
-    "12_platforms/earlier/anymal_d_best": ("anymal_d_best_seed5",),
     "20_tail/results/go1_ppo16_1024": ("second/go1_ppo16_1024",),
     "20_tail/results/go1_best_1024": ("go1_best_1024_seed5",),
-    "20_tail/results/go1_24of32": ("second/go1_24of32",),
 }
 PER_SEED = ("return", "return_max", "policy_std", "return_of_all")
 

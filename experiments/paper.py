@@ -86,8 +86,15 @@ def options(folder: Path, of: argparse.ArgumentParser) -> argparse.Namespace:
 
 
 def table(name: str) -> list[dict[str, Any]]:
-    """Rows of paper/NAME.csv: numbers as floats, None for a dash, all else text."""
-    with (Path(__file__).parent / "paper" / f"{name}.csv").open(newline="") as file:
+    """Rows of paper/NAME.csv."""
+    return rows(Path(__file__).parent / "paper" / f"{name}.csv")
+
+
+def rows(path: Path) -> list[dict[str, Any]]:
+    """Of a CSV: numbers as floats, None for an empty cell, all else text; [] if it is not there."""
+    if not path.exists():
+        return []
+    with path.open(newline="") as file:
         return [{key: _cell(text) for key, text in row.items()} for row in csv.DictReader(file)]
 
 
@@ -250,6 +257,12 @@ def text(value, digits: int = 3) -> str:
 
 def show(rows: list[dict[str, Any]], columns) -> None:
     """Print some columns in Markdown, to be put into a README."""
-    print("| " + " | ".join(columns) + " |\n|" + "---|" * len(columns))
-    for row in rows:
-        print("| " + " | ".join(text(row.get(name)) for name in columns) + " |")
+    print(markdown(columns, [[text(row.get(name)) for name in columns] for row in rows]))
+
+
+def markdown(head, rows) -> str:
+    """A table of texts."""
+    lines = [" | ".join(cells) for cells in (head, *rows)]
+    return "\n".join(
+        [f"| {lines[0]} |", "|" + "---|" * len(head), *(f"| {x} |" for x in lines[1:])]
+    )

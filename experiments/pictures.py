@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from dynappo.run import learning_curves
+from experiments import paper
 
 WIDE, DPI = 8.6, 150  # inches, pixels an inch
 ORANGE, SKY, GREEN, BLUE = "#E69F00", "#56B4E9", "#009E73", "#0072B2"
@@ -88,9 +89,8 @@ def figure(rows: int, columns: int, high: float, **more):
 
 def missing(axis, what: str = "not run yet") -> None:
     """Say in the picture that there is nothing to draw."""
-    axis.text(
-        0.5, 0.5, what, transform=axis.transAxes, ha="center", va="center", color="0.5", fontsize=11
-    )
+    how = dict(ha="center", va="center", color="0.5", fontsize=11)
+    axis.text(0.5, 0.5, what, transform=axis.transAxes, **how)
 
 
 def log(axis, subs=(1, 2, 5)) -> None:
@@ -104,6 +104,23 @@ def log(axis, subs=(1, 2, 5)) -> None:
 def head(page, text: str, **more) -> None:
     """A line above the whole picture."""
     page.suptitle(text, x=0.01, ha="left", **{"fontsize": 10} | more)
+
+
+def outer(axes, x: str, y: str = "") -> None:
+    """What is below the last row of axes, and beside the first column."""
+    for axis in axes[-1]:
+        axis.set_xlabel(x)
+    for axis in axes[:, 0] if y else ():
+        axis.set_ylabel(y)
+
+
+def variants(axes, names: tuple[str, ...], most: float) -> None:
+    """Variants by name, a row each from above, on all `axes` [rows, columns] from 0 to `most`."""
+    labels = [(paper.VARIANTS | paper.OURS)[name] for name in names]
+    for axis in axes.flat:
+        axis.set(xlim=(0, most), ylim=(len(names) - 0.5, -0.6))
+    for axis in axes[:, 0]:
+        axis.set_yticks(range(len(names)), labels)
 
 
 def legend(page, axis, columns: int) -> None:

@@ -195,15 +195,13 @@ def rank_sum(one, other) -> float:
     return float(weights[far].sum() / weights.sum())
 
 
-def compare(one, base, margin: float) -> dict[str, Any]:
-    """Cells of one comparison of returns with a base: see `COMPARED`; `correct` fills the rest in."""
-    found = difference(one, base)
-    ends = {"difference_low": found.low, "difference_high": found.high}
-    return (
-        {"difference": found.value}
-        | ends
-        | {"p": welch_of(one, base), "p_equal": equivalence(one, base, margin)}
-    )
+def compare(one, base, margin: float, prefix: str = "") -> dict[str, Any]:
+    """Cells `PREFIX` + name of one comparison of returns with a base: see `COMPARED`; `correct` fills the
+    rest in."""
+    found, p = difference(one, base), welch_of(one, base)
+    cells = {"difference": found.value, "difference_low": found.low, "difference_high": found.high}
+    cells |= {"p": p, "p_equal": equivalence(one, base, margin)}
+    return {f"{prefix}{name}": value for name, value in cells.items()}
 
 
 def adjust(rows: list[dict[str, Any]], name: str) -> None:
@@ -221,8 +219,5 @@ def correct(rows: list[dict[str, Any]], prefix: str = "") -> None:
     for row in rows:
         differs, equal = (row[f"{prefix}{name}_holm"] < ALPHA for name in ("p", "p_equal"))
         way = "higher" if row[f"{prefix}difference"] > 0 else "lower"
-        words = (
-            way if differs else "not shown",
-            f"{way}, within the margin" if differs else "equal",
-        )
-        row[f"{prefix}verdict"] = words[equal]
+        unequal, alike = (way, f"{way}, within the margin") if differs else ("not shown", "equal")
+        row[f"{prefix}verdict"] = alike if equal else unequal

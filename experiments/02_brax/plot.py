@@ -28,8 +28,7 @@ def make(out: Path) -> None:
         for axis, label in zip(row, PANELS.values(), strict=True):
             axis.set_title(label, fontsize=9.5)
         row[0].set_ylabel(title)
-    for axis in axes[-1]:
-        axis.set_xlabel("simulator steps (M)")
+    pictures.outer(axes, "simulator steps (M)")
     pictures.legend(figure, axes[0, 0], 2)
     pictures.save(figure, out / "curves")
 

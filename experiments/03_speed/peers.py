@@ -26,6 +26,7 @@ import json
 import time
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 from unittest import mock
 
 import jax
@@ -34,12 +35,16 @@ import numpy as np
 
 from dynappo import algorithm, fast, schedule, stats
 from dynappo import config as config_lib
-from dynappo.learner import ppo
+from dynappo.learner import networks, ppo
 from dynappo.program import build, devices
+from dynappo.types import Transition
 from experiments import paper
 
 UPDATES = 4  # in one measurement
 RETURNS = stats.RETURNS  # finished episodes in a mean return; brax's logger has 100 too
+GO1: Any = SimpleNamespace(
+    obs_size=48, action_size=12, prop_size=33, views=None
+)  # sizes of its task
 
 
 # ---- update
@@ -47,24 +52,45 @@ RETURNS = stats.RETURNS  # finished episodes in a mean return; brax's logger has
 
 def learners(config):
     """Each precision's `(static, hyper)`; and a learner and rows that all start from."""
-    from ppo import rollout_of  # the file beside this one
-
     groups = {}
     for name in ("highest", "tf32", "bfloat16"):
         config.ppo.precision = name
         groups[name] = config_lib.split(config)
     static, hyper = groups["highest"]
     learner = jax.jit(lambda key: ppo.init(static, hyper, 48, 12, key))(jax.random.key(0))
-    buffer = rollout_of(static, learner.params, config.rollout.num_envs, config.rollout.horizon)
-    return groups, learner, buffer
+    shape = config.rollout.horizon, config.rollout.num_envs
+    return groups, learner, rows_of(static, learner.params, shape)
+
+
+def rows_of(static, params, shape) -> Transition:
+    """A rollout [N, R] of the policy in noise, with rewards and ends; no physics."""
+    *keys, paid, ends = jax.random.split(jax.random.key(1), 5)
+    sizes = zip(keys, (48, 12, 48), strict=True)
+    obs, noise, change = (jax.random.normal(key, (*shape, n)) for key, n in sizes)
+    mean, value = networks.policy(static, params, obs), networks.value(static, params, obs)
+    action, later, zero = mean + params["std"] * noise, jnp.roll(obs, -1, 0), jnp.zeros(shape)
+    return Transition(
+        obs=obs,
+        action=action,
+        action_mean=mean,
+        log_prob=networks.log_prob(mean, params["std"], action),
+        value=value,
+        reward=0.05 * jax.random.normal(paid, shape),
+        discount=1.0 - jax.random.bernoulli(ends, 0.01, shape),
+        truncation=zero,
+        next_obs=later + 0.1 * change,
+        prop=obs[..., :33],
+        next_prop=later[..., :33],
+        valid=zero + 1,
+        episode_return=zero,
+        episode_length=zero,
+    )
 
 
 def ours(static, hyper, learner, buffer):
     """`(update, returns and update)`: functions that do UPDATES of them, as a scan as in training."""
-    from ppo import env  # the file beside this one
-
     real = jnp.bool_(True)
-    estimate = functools.partial(algorithm.estimate, static, hyper, env())
+    estimate = functools.partial(algorithm.estimate, static, hyper, GO1)
 
     def updates(learner, batch, buffer, key):
         def one(learner, i):

@@ -63,26 +63,20 @@ def walk(rows: list[dict], least: float) -> bool:
 
 def robots() -> str:
     """The last evaluation of each robot's seeds."""
-    lines = [
-        "| robot | seeds | walk | evaluated | falls: mean, worst | tracking error | yaw error |"
-    ]
-    lines += ["|---|---|---|---|---|---|---|"]
+    lines = []
     for name, label in paper.ROBOTS.items():
         found = runs(name)
         if not found:
             continue
-        rows, least = [run["rows"][-1] for run in found], walks.level(45 if "go" in name else 30)
-        walking = sum(walk(run["rows"], least) for run in found)
-        falls, error, yaw = (
-            [row[key] for row in rows] for key in ("fall_rate", "tracking_error", "yaw_error")
-        )
-        lines.append(
-            f"| {label} | {len(rows)} | {walking} "
-            f"| {mean([row['return'] for row in rows])} "
-            f"| {100 * np.mean(falls):.1f} %, {100 * max(falls):.1f} % "
-            f"| {np.mean(error):.2f} m/s, {max(error):.2f} | {np.mean(yaw):.2f} rad/s, {max(yaw):.2f} |"
-        )
-    return "\n".join(lines)
+        last, least = [run["rows"][-1] for run in found], walks.level(45 if "go" in name else 30)
+        keys = ("return", "fall_rate", "tracking_error", "yaw_error")
+        total, falls, error, yaw = ([row[key] for row in last] for key in keys)
+        cells = [label, f"{len(last)}", f"{sum(walk(run['rows'], least) for run in found)}"]
+        cells += [mean(total), f"{100 * np.mean(falls):.1f} %, {100 * max(falls):.1f} %"]
+        cells += [f"{np.mean(error):.2f} m/s, {max(error):.2f}"]
+        lines.append([*cells, f"{np.mean(yaw):.2f} rad/s, {max(yaw):.2f}"])
+    head = "robot|seeds|walk|evaluated|falls: mean, worst|tracking error|yaw error"
+    return paper.markdown(head.split("|"), lines)
 
 
 def at(run, key: str, seconds) -> np.ndarray:
@@ -94,42 +88,32 @@ def at(run, key: str, seconds) -> np.ndarray:
 
 def in_time() -> str:
     """The tail beside PPO alone after the same seconds of training."""
-    lines = ["| evaluated; falls | seeds | " + " | ".join(f"{s} s" for s in SECONDS) + " |"]
-    lines += ["|" + "---|" * (2 + len(SECONDS))]
+    lines = []
     for name, (label, _) in METHODS.items():
-        found = runs(name)
-        if not found:
-            continue
-        cells = [
-            f"{np.mean([at(run, 'return', s) for run in found]):.1f}; "
-            f"{100 * np.mean([at(run, 'fall_rate', s) for run in found]):.1f} %"
-            for s in SECONDS
-        ]
-        lines.append(f"| {label} | {len(found)} | " + " | ".join(cells) + " |")
-    return "\n".join(lines)
+        if found := runs(name):
+            total, falls = (
+                np.mean([at(run, key, SECONDS) for run in found], 0)
+                for key in ("return", "fall_rate")
+            )
+            cells = [f"{a:.1f}; {100 * b:.1f} %" for a, b in zip(total, falls, strict=True)]
+            lines.append([label, f"{len(found)}", *cells])
+    return paper.markdown(["evaluated; falls", "seeds", *(f"{s} s" for s in SECONDS)], lines)
 
 
 def cores() -> str:
     """An iteration by the number of cores, and what a run came to."""
-    lines = [
-        f"| cores | iteration | a row of physics | PPO | control steps/s | {LEVEL} of 45 after |"
-    ]
-    lines += ["|---|---|---|---|---|---|"]
-    for path in sorted(
-        (RESULTS / "cores").glob("bench*.json"), key=lambda path: int(path.stem[5:])
-    ):
-        count = path.stem[5:]
-        (bench,) = json.loads(path.read_text())["configs"].values()
-        walk = json.loads((RESULTS / "cores" / f"walk{count}.json").read_text())["rows"]
-        found = next(i for i, row in enumerate(walk) if row["return"] >= LEVEL)
-        near = walk[found - 1 : found + 1]  # between two evaluations
+    lines, folder = [], RESULTS / "cores"
+    for count in sorted(int(path.stem[5:]) for path in folder.glob("bench*.json")):
+        (bench,) = json.loads((folder / f"bench{count}.json").read_text())["configs"].values()
+        rows = json.loads((folder / f"walk{count}.json").read_text())["rows"]
+        found = next(i for i, row in enumerate(rows) if row["return"] >= LEVEL)
+        near = rows[found - 1 : found + 1]  # between two evaluations
         seconds = np.interp(LEVEL, *([row[n] for row in near] for n in ("return", "seconds")))
-        ms = bench["ms"]
-        lines.append(
-            f"| {count} | {ms['iteration']:.0f} ms | {ms['physics']:.1f} ms | {ms['ppo']:.0f} ms "
-            f"| {bench['control_steps_per_second']:,.0f} | {seconds:.0f} s |"
-        )
-    return "\n".join(lines)
+        ms, speed = bench["ms"], bench["control_steps_per_second"]
+        cells = [f"{count}", f"{ms['iteration']:.0f} ms", f"{ms['physics']:.1f} ms"]
+        lines.append([*cells, f"{ms['ppo']:.0f} ms", f"{speed:,.0f}", f"{seconds:.0f} s"])
+    head = f"cores|iteration|a row of physics|PPO|control steps/s|{LEVEL} of 45 after"
+    return paper.markdown(head.split("|"), lines)
 
 
 def draw(path: Path) -> None:
@@ -140,24 +124,13 @@ def draw(path: Path) -> None:
         if not found:
             continue
         for run in found:
-            rows = run["rows"]
-            axes.plot(
-                [row["seconds"] for row in rows],
-                [row["return"] for row in rows],
-                color=colour,
-                lw=0.7,
-                alpha=0.5,
-                marker=".",
-                markersize=4,
-            )
-        grid = np.linspace(
-            max(run["rows"][0]["seconds"] for run in found),
-            min(run["rows"][-1]["seconds"] for run in found),
-        )
+            x, y = ([row[n] for row in run["rows"]] for n in ("seconds", "return"))
+            axes.plot(x, y, color=colour, lw=0.7, alpha=0.5, marker=".", markersize=4)
+        ends = [[run["rows"][i]["seconds"] for run in found] for i in (0, -1)]
+        grid = np.linspace(max(ends[0]), min(ends[1]))
         level = np.mean([at(run, "return", grid) for run in found], 0)
-        axes.plot(
-            grid, level, color=colour, lw=2, label=f"{label.replace('`', '')}; {len(found)} seeds"
-        )
+        text = f"{label.replace('`', '')}; {len(found)} seeds"
+        axes.plot(grid, level, color=colour, lw=2, label=text)
     axes.set(
         xlabel="seconds of training on two idle cores: iterations x the time of one; points: evaluations",
         ylabel="evaluated return (of 45)",

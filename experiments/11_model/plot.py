@@ -3,7 +3,6 @@
 python experiments/11_model/plot.py
 """
 
-import csv
 from pathlib import Path
 
 import numpy as np
@@ -58,12 +57,8 @@ def settings() -> list[dict]:
 
 def load(path: Path) -> dict[str, np.ndarray]:
     """Columns of a CSV as flat arrays; {} if it is not there."""
-    if not path.exists():
-        return {}
-    with path.open(newline="") as file:
-        rows = list(csv.DictReader(file))
-    out = {name: np.array([row[name] for row in rows]) for name in rows[0]}
-    return {n: c if n == "group" else c.astype(float) for n, c in out.items()}
+    rows = paper.rows(path)
+    return {name: np.array([row[name] for row in rows]) for name in (rows[0] if rows else ())}
 
 
 def build(robot: str, errors) -> list[dict]:
@@ -183,34 +178,21 @@ def draw_loss(losses, path: Path) -> None:
 
 
 def draw_errors(errors, path: Path) -> None:
-    """Figure 6: error of k predictions in a row over iterations, a panel a group of numbers and robot.
-
-    A column a robot; of one robot alone, two rows of three groups.
-    """
+    """Figure 6: error of k predictions in a row over iterations, a column a robot, a row a group."""
     first = next(iter(errors.values()))
-    groups = list(dict.fromkeys(first["group"].tolist())) if first else [""] * 6
-    panels = [(group, robot) for group in groups for robot in errors]
-    many, lowest = len(errors) > 1, {}
-    shape = (len(groups), len(errors), 9.6) if many else (2, 3, 5.8)
-    page, axes = pictures.figure(*shape, sharex=many, sharey="row" if many else False)
-    for axis, (group, robot) in zip(axes.flat, panels, strict=True):
-        if not many:
-            axis.set_title(group, loc="left")
-        elif robot == panels[0][1]:
-            axis.set_ylabel(group.replace(" ", "\n", 1))
-        if errors[robot]:
-            lowest[group] = min(lowest.get(group, np.inf), lines(axis, errors[robot], group))
-        else:
-            pictures.missing(axis)
-    for axis, (group, _) in zip(axes.flat, panels, strict=True):  # when all of a row are drawn
-        if group in lowest:
-            axis.set_ylim(bottom=0.6 * lowest[group])
-    for axis, robot in zip(axes[0], errors if many else (), strict=False):
-        axis.set_title(paper.ROBOTS[robot], loc="left")
-    for axis in axes[-1]:
-        axis.set_xlabel("iteration")
-    names = "" if many else f", {paper.ROBOTS[panels[0][1]]}"
-    text = f"Fig. 6: root mean square error of predictions in a row{names}, rows not seen before"
+    groups = list(dict.fromkeys(first["group"].tolist())) if first else [""]
+    page, axes = pictures.figure(len(groups), len(errors), 9.6, sharex=True, sharey="row")
+    for row, group in zip(axes, groups, strict=True):
+        some = [(axis, table) for axis, table in zip(row, errors.values(), strict=True) if table]
+        if lowest := [lines(axis, table, group) for axis, table in some]:
+            row[0].set_ylim(bottom=0.6 * min(lowest))
+        row[0].set_ylabel(group.replace(" ", "\n", 1))
+    for column, (robot, table) in zip(axes.T, errors.items(), strict=True):
+        if not table:
+            pictures.missing(column[0])
+        column[0].set_title(paper.ROBOTS[robot], loc="left")
+        column[-1].set_xlabel("iteration")
+    text = "Fig. 6: root mean square error of predictions in a row, rows not seen before"
     if seeds := seeds_of(errors):
         text += f"\nBands, of 1 and 16 steps: {pictures.covers(seeds)}"
     pictures.head(page, text)

@@ -105,8 +105,8 @@ def differences(run, variant: str, runs, margin: float) -> dict:
             cells["p_vs_ppo12"] = stats.welch_of(paper.peak(run), paper.peak(other))
             continue
         for name in MEASURES:
-            some = stats.compare(seeds_of(run, name), seeds_of(other, name), margin)
-            cells |= {f"{name}_{cell}": value for cell, value in some.items()}
+            pair = seeds_of(run, name), seeds_of(other, name)
+            cells |= stats.compare(*pair, margin, f"{name}_")
     return cells
 
 
@@ -165,22 +165,13 @@ def draw(rows, path: Path) -> None:
                 axis.plot([low, high], [y + 0.2] * 2, color="0.6", linewidth=1.2, clip_on=True)
                 axis.plot(mean, y + 0.2, "D", color="white", markeredgecolor="0.4", markersize=4.5)
         axis.set_title(title, loc="left")
-        axis.set(xlim=(0, 48), ylim=(len(names) - 0.5, -0.6))
-    labels = [(paper.VARIANTS | paper.OURS)[name] for name in names]
-    for row in axes:
-        row[0].set_yticks(range(len(names)), labels)
-    for axis in axes[1]:
-        axis.set_xlabel("best return of 500 iterations")
-    text = f"Bars: 95 % t interval of the mean. Filled: this repository, {counted(seeds)} seeds. "
+    pictures.variants(axes, names, 48)
+    pictures.outer(axes, "best return of 500 iterations")
+    counted = ", ".join(map(str, sorted(set(map(int, seeds))))) or "no"
+    text = f"Bars: 95 % t interval of the mean. Filled: this repository, {counted} seeds. "
     text += f"White diamonds: the paper, {paper.PAPER_SEEDS} seeds"
     pictures.head(page, text, fontsize=9.5, color="0.35")
     pictures.save(page, path)
-
-
-def counted(seeds) -> str:
-    """Numbers of seeds in words."""
-    some = sorted({int(n) for n in seeds})
-    return ", ".join(map(str, some)) if some else "no"
 
 
 def printed_interval(row) -> tuple[float, float, float]:

@@ -1,16 +1,15 @@
-"""What run.py writes: thresholds, table and figure.
+"""Table VI: how many simulator steps and iterations a return takes. results.csv and figure.
 
-Thresholds: the paper's 30.5; 80 % of the best cell of our own ablation, as the paper defines its 30.5; for
-every robot 80 % of the mean over seeds of PPO-16's best return; and first at the evaluated return of a robot
-that walks, 38 (ANYmals: 24), on the line between two evaluations. Steps and iterations are means over the
-seeds that get there; how many do is the success rate. A share of PPO-16's steps has Fieller's 95 % interval,
-or says "at least" or "at most" where some seeds never get there (`stats.share`).
-`p_steps` is Welch's against PPO-16, `p_steps_rank` counts "never" as last, and `p_steps_holm` is Holm's, over
-all comparisons to one threshold, of the first, or of the second where a seed never gets there. "pooled" is
-against PPO-16 with the seeds of its earlier batches too.
+    python experiments/14_efficiency/plot.py [--quick] [--out DIR]
+
+Trains nothing: reads the runs of 12_platforms and the best cell of 10_ablation (with --quick, those that
+their --quick made).
+
+README.md says what the thresholds are. `p_steps` is Welch's against PPO-16, `p_steps_rank` counts "never" as
+last, and `p_steps_holm` is Holm's, over all comparisons to one threshold, of the first, or of the second
+where a seed never gets there. "pooled" is against PPO-16 with the seeds of its earlier batches too.
 """
 
-import csv
 from pathlib import Path
 
 from dynappo.policy import walks
@@ -28,6 +27,11 @@ COLUMNS = (
 ).split()
 
 
+def main():
+    args = paper.options(HERE, paper.parser(__doc__))
+    make(args.out, Path("runs/quick") if args.quick else HERE.parent)
+
+
 def make(out: Path, others: Path = HERE.parent) -> None:
     rows = build(others / "12_platforms" / "results", ablation_peak(others / "10_ablation"))
     paper.write(out / "results.csv", rows)
@@ -37,12 +41,8 @@ def make(out: Path, others: Path = HERE.parent) -> None:
 
 def ablation_peak(folder: Path) -> float | None:
     """The best cell's mean over seeds of the best return; None until it is measured."""
-    path = folder / "results.csv"
-    if not path.exists():
-        return None
-    with path.open(newline="") as file:
-        cells = [row.get("max_reward_mean") for row in csv.DictReader(file)]
-    return max((float(cell) for cell in cells if cell), default=None)
+    cells = [row["max_reward_mean"] for row in paper.rows(folder / "results.csv")]
+    return max(filter(None, cells), default=None)
 
 
 def thresholds(robot: str, runs: dict, ablation: float | None) -> dict[str, float | None]:
@@ -147,14 +147,15 @@ def draw(rows, path: Path) -> None:
         limit = some[0]["limit"]
         title = label + (f": {limit:.1f}" if limit and not label.startswith("paper") else "")
         axis.set_title(title, loc="left", fontsize=9.5)
-        axis.set(xlim=(0, 33), ylim=(len(names) - 0.5, -0.6))
-    texts = [(paper.VARIANTS | paper.OURS)[name] for name in names]
-    axes[0, 0].set_yticks(range(len(names)), texts)
-    for axis in axes[1]:
-        axis.set_xlabel("simulator steps (M)")
+    pictures.variants(axes, names, 33)
+    pictures.outer(axes, "simulator steps (M)")
     seeds = [r["seeds"] for r in rows if r["robot"] == "go1" and "seeds" in r]
     text = "Go1. White diamond: the paper. Hollow, with numbers: not all seeds get there; of those that do"
     if seeds:
         text = f"Bar: {pictures.covers(seeds)}.\n{text}"
     pictures.head(page, text, fontsize=9.5, color="0.35")
     pictures.save(page, path)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,4 +1,10 @@
-"""What run.py writes: numbers at some iterations, and a page of curves a robot."""
+"""Figures 7, 8 and 10: return, policy std and learning rate over training, of all variants.
+
+    python experiments/15_curves/plot.py [--quick] [--out DIR]
+
+Trains nothing: reads the runs of 12_platforms (with --quick, those that its --quick made). Writes
+results.csv, numbers at some iterations, and ROBOT.png of every robot that has a run; Go1's always.
+"""
 
 from pathlib import Path
 
@@ -15,6 +21,11 @@ PANELS = (  # of a row of the page: x, y, title
     ("iteration", "learning_rate", "learning rate (fig. 10)"),
 )
 METRICS = ("episode_return", "policy_std", "learning_rate", "velocity_error")
+
+
+def main():
+    args = paper.options(HERE, paper.parser(__doc__))
+    make(args.out, Path("runs/quick") if args.quick else HERE.parent)
 
 
 def make(out: Path, others: Path = HERE.parent) -> None:
@@ -83,3 +94,7 @@ def draw_line(axis, run: paper.Run, variant: str, panel) -> None:
     at = run.columns[x][:, 0] / (1e6 if x == "sim_steps" else 1)
     dash = pictures.DASHES.get(variant, "-")
     pictures.band(axis, at, run.columns[y], pictures.COLOURS[variant], dash=dash)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,8 +1,6 @@
 """results.csv, tests.csv and figure (figure 9, as numbers) of the robots in results/."""
 
-import csv
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -43,13 +41,7 @@ def load(path: Path) -> list[dict]:
     that can be compared between robots, whose returns cannot. One that falls within the first second
     has no tracking error: it counts as one that stands still, as means would leave it out in silence.
     """
-    if not path.exists():
-        return []
-    with path.open(newline="") as file:
-        texts = [dict(row) for row in csv.DictReader(file)]
-    rows: list[dict[str, Any]] = [
-        {n: v if n == "variant" else float(v or "nan") for n, v in text.items()} for text in texts
-    ]
+    rows = [{n: np.nan if v is None else v for n, v in row.items()} for row in paper.rows(path)]
     for row in rows:
         if np.isnan(row["tracking_error"]):
             row |= {"tracking_error": row["speed"], "speed_ahead": 0.0}
@@ -137,26 +129,18 @@ def seeds(episodes) -> list[float]:
 
 
 def draw(every, path: Path) -> None:
-    """The measures over iterations, a column a robot; of one robot alone, in two rows of two."""
-    many = len(every) > 1
-    shape = (len(MEASURES), len(every), 8.6) if many else (2, 2, 5.8)
-    page, axes = pictures.figure(*shape, sharex=True, sharey="row" if many else False)
-    panels = [(name, robot) for name in MEASURES for robot in every]
-    for axis, (name, robot) in zip(axes.flat, panels, strict=True):
-        if not many:
-            axis.set_title(MEASURES[name], loc="left")
-        elif robot == panels[0][1]:
-            axis.set_ylabel(MEASURES[name].replace(" (", "\n("))
-        if every[robot]:
-            panel(axis, every[robot], name, 4 if many else 6)
-        else:
-            pictures.missing(axis)
-    for axis, robot in zip(axes[0], every if many else (), strict=False):
-        axis.set_title(paper.ROBOTS[robot], loc="left")
-    for axis in axes.flat:
-        axis.set_ylim(bottom=0)
-    for axis in axes[-1]:
-        axis.set_xlabel("iteration of the policy")
+    """The measures over iterations, a column a robot."""
+    page, axes = pictures.figure(len(MEASURES), len(every), 8.6, sharex=True, sharey="row")
+    for column, (robot, episodes) in zip(axes.T, every.items(), strict=True):
+        for axis, name in zip(column, MEASURES, strict=True):
+            if episodes:
+                panel(axis, episodes, name)
+            else:
+                pictures.missing(axis)
+        column[0].set_title(paper.ROBOTS[robot], loc="left")
+        column[-1].set_xlabel("iteration of the policy")
+    for axis, label in zip(axes[:, 0], MEASURES.values(), strict=True):
+        axis.set(ylabel=label.replace(" (", "\n("), ylim=(0, None))
     if counts := sorted({len(seeds(some)) for some in every.values() if some}):
         counted = " or ".join(map(str, counts))
         text = f"Small marks: each of {counted} seeds. Lines: their mean. Air time, tilt: of seeds that walk"
@@ -165,7 +149,7 @@ def draw(every, path: Path) -> None:
     pictures.save(page, path)
 
 
-def panel(axis, episodes, name: str, size: int) -> None:
+def panel(axis, episodes, name: str) -> None:
     """A measure of one robot: every seed, and their mean; solid 1.0 m/s, dashed 0.5."""
     every = np.array(sorted({e["iteration"] for e in episodes}))
     apart = 0.08 * np.diff(every).min()  # side by side
@@ -177,10 +161,10 @@ def panel(axis, episodes, name: str, size: int) -> None:
             style = dict(color=colour, marker=mark)
             dots = () if name == "walks" else zip(x, columns, strict=True)
             for place, values in dots:
-                axis.plot([place] * len(values), values, ls="", alpha=0.4, ms=0.65 * size, **style)
+                axis.plot([place] * len(values), values, ls="", alpha=0.4, ms=2.6, **style)
             mean = [stats.moments(values).mean for values in columns]
             text = f"{paper.VARIANTS[variant]}, {speed} m/s"
-            style |= dict(linestyle=line, linewidth=1.6, markersize=size, label=text)
+            style |= dict(linestyle=line, linewidth=1.6, markersize=4, label=text)
             axis.plot(x, mean, **style)
     axis.set_xticks([i for i in every if i % 100 == 0] or every)
 

@@ -8,14 +8,14 @@ simulated and PPO without the rows that a tail writes. A tail's columns: its bes
 less those of PPO with four rows fewer ("fewer_"), with all rows simulated ("all_") and of the tail with a
 ramp ("ramp_"), p by Welch and of equality within 1.0 of return (`stats.MARGIN`), both by Holm over the tails
 of a batch, and the verdict. The batch "first" had fewer epochs of fitting and MuJoCo Warp's physics
-(`plot.first`).
+(`table.first`).
 """
 
 from functools import partial
 from pathlib import Path
 
 import numpy as np
-import plot
+import table
 
 from experiments import paper, pictures, stats
 
@@ -36,7 +36,7 @@ def main():
     make(Path(__file__).parent)
 
 
-def make(out: Path, robots=plot.ROBOTS) -> None:
+def make(out: Path, robots=table.ROBOTS) -> None:
     rows = build(out / "results")
     paper.write(out / "cliff.csv", rows)
     paper.show(rows, COLUMNS)
@@ -49,22 +49,22 @@ def make(out: Path, robots=plot.ROBOTS) -> None:
 
 
 def run(find, envs: int, variant: str, rows: int) -> paper.Run | None:
-    """A tail, or "ppo", in rollouts of so many rows; `find` as `plot.first`."""
+    """A tail, or "ppo", in rollouts of so many rows; `find` as `table.first`."""
     if variant == "ppo":
-        variant = {n: name for name, n in plot.PPO.items()}.get(rows, "ppo16")
-    return find(plot.Regime("", envs), variant, rows)
+        variant = {n: name for name, n in table.PPO.items()}.get(rows, "ppo16")
+    return find(table.Regime("", envs), variant, rows)
 
 
 def build(folder: Path) -> list[dict]:
     """Four rows a length and batch: PPO with fewer rows, the tails, PPO with all rows."""
-    batches, out = {"second": partial(plot.found, folder), "first": plot.first}, []
+    batches, out = {"second": partial(table.found, folder), "first": table.first}, []
     for batch, find in batches.items():
-        usual = find(plot.Regime("", 4096), "ppo16")
+        usual = find(table.Regime("", 4096), "ppo16")
         limit = 0.8 * float(paper.peak(usual).mean()) if usual and usual.columns else None
         some = [
             {"batch": batch} | cells(find, name, rows, limit)
             for rows in ROWS
-            for name in (f"ppo{rows - TAIL}", *plot.TAILS, f"ppo{rows}")
+            for name in (f"ppo{rows - TAIL}", *table.TAILS, f"ppo{rows}")
         ]
         for prefix in PREFIXES:
             stats.correct(some, prefix)
@@ -75,7 +75,7 @@ def build(folder: Path) -> list[dict]:
 def cells(find, name: str, rows: int, limit: float | None) -> dict:
     """What PPO or a tail came to; a tail's returns against PPO's with fewer and with all rows."""
     fewer, every = (run(find, ENVS, "ppo", n) for n in (rows - TAIL, rows))
-    is_tail, known = name in plot.TAILS, {f"ppo{rows - TAIL}": fewer, f"ppo{rows}": every}
+    is_tail, known = name in table.TAILS, {f"ppo{rows - TAIL}": fewer, f"ppo{rows}": every}
     found = run(find, ENVS, name, rows) if is_tail else known[name]
     others = {"fewer": fewer, "all": every} if is_tail else {}
     if name == "dyna4_noschedule":
@@ -84,12 +84,11 @@ def cells(find, name: str, rows: int, limit: float | None) -> dict:
     if not (found and found.columns):
         return out
     out["seeds"] = len(paper.peak(found))
-    for kind, mine in plot.values(found).items():
+    for kind, mine in table.values(found).items():
         out |= stats.spread(kind, mine)
         for other, base in others.items():
-            if kind in (theirs := plot.values(base)):
-                some = stats.compare(mine, theirs[kind], stats.MARGIN["go1"])
-                out |= {f"{other}_{kind}_{n}": v for n, v in some.items()}
+            if kind in (theirs := table.values(base)):
+                out |= stats.compare(mine, theirs[kind], stats.MARGIN["go1"], f"{other}_{kind}_")
     if evaluation := found.summary.get("evaluation"):
         out |= stats.spread("falls_pct", 100 * np.array(evaluation["fall_rate"]))
     if limit is not None:
@@ -108,27 +107,22 @@ def draw(folder: Path, robots, path: Path) -> None:
     """
     across = min(2, len(robots))
     page, axes = pictures.figure(-(-len(robots) // across), across, 6.4, sharey=True, sharex=True)
-    names = plot.NAMES | {
-        "ppo": "PPO",
-        "best": "best at c27cee7: 8 simulated rows, 16 of the model",
-    }
-    seeds, find = [], partial(plot.found, folder)
+    names = paper.VARIANTS | {"ppo": "PPO"}
+    names["best"] = "best at c27cee7: 8 simulated rows, 16 of the model"
+    seeds, find = [], partial(table.found, folder)
     for axis, envs in zip(axes.flat, robots, strict=True):
         some = evaluated(find, envs, "ppo", PPO_ROWS)
         seeds += points(axis, some, "ppo16")
         axis.plot([n for n, _ in some], [np.mean(returns) for _, returns in some], **LINE)
-        for name, shift in zip(plot.TAILS, (-0.3, 0.3), strict=True):  # beside each other
+        for name, shift in zip(table.TAILS, (-0.3, 0.3), strict=True):  # beside each other
             some = [(n - TAIL, returns) for n, returns in evaluated(find, envs, name, ROWS)]
             seeds += points(axis, some, name, TAIL, shift)
         some = [(BEST[0], returns) for _, returns in evaluated(find, envs, "best", BEST[1:])]
         seeds += points(axis, some, "best", BEST[1] - BEST[0])
         axis.set_title(f"{envs} robots", loc="left")
         axis.set(xticks=(8, *PPO_ROWS), xlim=(7, 25), ylim=(0, 46))
-    for axis in axes[-1]:
-        axis.set_xlabel("simulated rows of a rollout")
-    for row in axes:
-        row[0].set_ylabel("evaluated return")
-    for name, variant in (("ppo", "ppo16"), *((name, name) for name in (*plot.TAILS, "best"))):
+    pictures.outer(axes, "simulated rows of a rollout", "evaluated return")
+    for name, variant in (("ppo", "ppo16"), *((name, name) for name in (*table.TAILS, "best"))):
         style = pictures.mark(variant) | {"linestyle": "-" if name == "ppo" else ""}
         axes[0, 0].plot([], [], label=names[name], markersize=5, **style)
     text = "Go1. A thin line goes from the simulated rows to all rows, the model's too: where it meets\n"
@@ -143,7 +137,7 @@ def draw(folder: Path, robots, path: Path) -> None:
 
 def evaluated(find, envs: int, variant: str, every) -> list[tuple[int, np.ndarray]]:
     """Rows of a rollout and the evaluated returns of its seeds, where there was an evaluation."""
-    some = [(n, plot.values(run(find, envs, variant, n))) for n in every]
+    some = [(n, table.values(run(find, envs, variant, n))) for n in every]
     return [(n, found["evaluated"]) for n, found in some if "evaluated" in found]
 
 

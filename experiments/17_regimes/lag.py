@@ -56,8 +56,7 @@ def row(robot: str, variant: str, one: paper.Run, base: paper.Run | None) -> dic
         cells |= stats.spread(kind, mine)
         if base and one is not base:
             theirs = dict(zip(KINDS, values(base), strict=True))[kind]
-            some = stats.compare(mine, theirs, stats.MARGIN[robot])
-            cells |= {f"{kind}_{name}": value for name, value in some.items()}
+            cells |= stats.compare(mine, theirs, stats.MARGIN[robot], f"{kind}_")
     cells["highest"] = float(np.nanmax(one.columns["eval_return"]))
     falls = 100 * np.array(one.summary["evaluation"]["fall_rate"])
     return cells | stats.spread("falls_pct", falls)

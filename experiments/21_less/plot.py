@@ -42,10 +42,7 @@ def main():
         axis.axhline(LEVEL[robot], color="0.4", lw=1, ls=":")
         axis.set_title(title, loc="left")
         axis.set(xscale="log", ylim=(0, None))
-    for axis in axes[-1]:
-        axis.set_xlabel("simulator steps (logarithmic)")
-    for row in axes:
-        row[0].set_ylabel("evaluated return")
+    pictures.outer(axes, "simulator steps (logarithmic)", "evaluated return")
     pictures.head(
         fig, f"Band: {pictures.covers([5, 10])}. Dotted: the level of a walk", fontsize=9.5
     )

@@ -1,10 +1,7 @@
 """Simulator steps until robots walk and to fixed evaluated returns, and where runs end, of what run.py wrote.
 
-    python experiments/21_less/table.py FOLDER [NAME ...]
-    python experiments/21_less/table.py experiments/21_less/results/tuning.csv.xz [NAME ...]
-    python experiments/21_less/table.py experiments/21_less/results/ablation.csv.xz --parts
-    python experiments/21_less/table.py experiments/21_less/results/headline.csv.xz best-g ppo-g --falls
-    python experiments/21_less/table.py experiments/21_less/results/headline.csv.xz --at 0.6 1 2 3.6864
+    python experiments/21_less/table.py FOLDER|FILE.csv.xz [NAME ...]
+        [--falls | --at M ... | --beside | --phases | --parts]
 
 `--falls`: steps until a robot first reaches its level, the falls then, and steps until it does with few
 falls, or stays there with any, at most 3 % and at most 1 % at every later evaluation.
@@ -16,13 +13,9 @@ while the model writes tails and after.
 `--parts`: a line a part that was taken out, a column a robot: steps until it walks, until it is first at the
 level, then return and falls at the end.
 
-"walks" is from the first evaluation on at which the return is at least its level and at most 1 % of the
-episodes have a fall, both at every later evaluation too (dynappo/policy/walks.py); beside it what is first at
-the level, and first there with so few falls, whatever comes later. All are means over seeds, and in brackets
-the last seed's; a seed that never gets there is counted as missing. A share of falls is of as many episodes
-as the job evaluates (run.eval_envs): 1 % is told apart from 2 % by a thousand. The end is the mean of a
-seed's last three evaluations. Intervals are Student's t, 95 %. A return of 10 s (run.eval_steps=500) counts
-twice.
+What walking is, README.md and dynappo/policy/walks.py say. All are means over seeds, and in brackets the last
+seed's; a seed that never gets there is counted as missing. The end is the mean of a seed's last three
+evaluations. Intervals are Student's t, 95 %. A return of 10 s (run.eval_steps=500) counts twice.
 """
 
 import csv
@@ -38,10 +31,7 @@ from experiments import paper, stats
 
 TEXT = ("job", "name", "batch")
 END = ("return", "fall_rate", "tracking_error")
-LEVELS = {
-    45: (20, 30, 35, 40),
-    30: (15, 20, 22, 25),
-}  # of the best possible return; and the level itself
+LEVELS = {45: (20, 30, 35, 40), 30: (15, 20, 22, 25)}  # by the best possible return
 
 
 def main():
@@ -140,16 +130,10 @@ def steps_of(steps) -> str:
 def table(jobs, top: int) -> str:
     """In Markdown, a line a job; `top` is the best possible return."""
     least = walks.level(top)
-    head = [
-        "",
-        "seeds",
-        "walks: M steps",
-        f"first at {least:g}",
-        f"first at {least:g}, falls at most 1 %",
-    ]
-    head += [str(level) for level in LEVELS[top]]
+    head = ["", "seeds", "walks: M steps", f"first at {least:g}"]
+    head += [f"first at {least:g}, falls at most 1 %", *map(str, LEVELS[top])]
     head += ["M steps in all", "at the end: return, falls", "error, m/s"]
-    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
+    lines = []
     for name, mine in jobs.items():
         runs = seeds(mine)
         cells = [name, str(len(runs)), *map(steps_of, reached(runs, least))]
@@ -158,64 +142,46 @@ def table(jobs, top: int) -> str:
         cells.append(f"{runs[0][-1]['sim_steps'] / 1e6:.1f}")
         falls = 100 * np.mean([end["fall_rate"] for end in ends])
         cells += [f"{spread([end['return'] for end in ends])}, {falls:.1f} %"]
-        cells += [f"{np.mean([end['tracking_error'] for end in ends]):.3f}"]
-        lines.append("| " + " | ".join(cells) + " |")
-    return "\n".join(lines)
+        lines.append([*cells, f"{np.mean([end['tracking_error'] for end in ends]):.3f}"])
+    return paper.markdown(head, lines)
 
 
 def falls(jobs) -> str:
     """In Markdown, a line a job: million steps until it walks by several meanings of that word."""
     head = ["", "first at the level", "falls then", "first with <= 1 %"]
-    head += ["stays", "stays, <= 3 %", "stays, <= 1 %"]
-    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
+    head, lines = [*head, "stays", "stays, <= 3 %", "stays, <= 1 %"], []
     for name, mine in jobs.items():
         runs, level = seeds(mine), walks.level(best(mine))
         then = np.array([first(run, level, "fall_rate") for run in runs])
         few = reached(runs, level)
         found = [few.careful, *(reached(runs, level, most=most).walks for most in (1, 0.03, 0.01))]
         then = f"{100 * np.nanmean(then):.1f} % (up to {100 * np.nanmax(then):.0f} %)"
-        lines.append(
-            "| " + " | ".join([name, steps_of(few.level), then, *map(steps_of, found)]) + " |"
-        )
-    return "\n".join(lines)
+        lines.append([name, steps_of(few.level), then, *map(steps_of, found)])
+    return paper.markdown(head, lines)
 
 
 def between(job, steps: float, name: str) -> np.ndarray:
     """`name` of each run after so many steps, `[S]`: linear between two evaluations."""
-    return np.array(
-        [
-            np.interp(steps, *([r[c] for r in run] for c in ("sim_steps", name)))
-            for run in seeds(job)
-        ]
-    )
+    ours = ([[r[c] for r in run] for c in ("sim_steps", name)] for run in seeds(job))
+    return np.array([np.interp(steps, *columns) for columns in ours])
 
 
 def at(jobs, millions) -> str:
     """In Markdown, a line a job, a column a number of million steps: return, per cent of falls."""
-    lines = [
-        "|  | " + " | ".join(f"{m:.3g} M" for m in millions) + " |",
-        "|---|" + "---|" * len(millions),
-    ]
+    lines = []
     for name, job in jobs.items():
         found = [[between(job, m * 1e6, c) for c in ("return", "fall_rate")] for m in millions]
         cells = [f"{spread(total)}, {spread(100 * fell)} %" for total, fell in found]
-        lines.append("| " + " | ".join([name, *cells]) + " |")
-    return "\n".join(lines)
+        lines.append([name, *cells])
+    return paper.markdown(["", *(f"{m:.3g} M" for m in millions)], lines)
 
 
 def beside(jobs) -> str:
     """In Markdown, a line a robot and PPO: how many times the steps of `best` it needs, with Fieller's
     interval; "at least" where some seeds never get there and count with all steps of their runs. Then what
     `best` returns more and, in points of per cent, falls more, at 2 M steps and where PPO ends."""
-    head = ["", "to the level", "until it walks"]
-    head += [
-        "return at 2 M",
-        "at PPO's end",
-        "p that they are equal",
-        "falls at 2 M",
-        "at PPO's end",
-    ]
-    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
+    head = ["", "to the level", "until it walks", "return at 2 M", "at PPO's end"]
+    head, lines = [*head, "p that they are equal", "falls at 2 M", "at PPO's end"], []
     for letter, name in itertools.product("ghcd", ("ppo-task", "ppo")):
         mine, ppo = jobs[f"best-{letter}"], jobs[f"{name}-{letter}"]
         end, margin = seeds(ppo)[0][-1]["sim_steps"], 1.0 if letter in "gh" else 0.7
@@ -229,8 +195,8 @@ def beside(jobs) -> str:
                 cells.append(f"{found.value:+.1f} ({found.low:.1f} to {found.high:.1f})")
             if column == "return":
                 cells.append(f"{stats.equivalence(*pair, margin):.1g}")
-        lines.append("| " + " | ".join(cells) + " |")
-    return "\n".join(lines)
+        lines.append(cells)
+    return paper.markdown(head, lines)
 
 
 def factor(one, other, end: float) -> str:
@@ -244,11 +210,9 @@ def factor(one, other, end: float) -> str:
 def phases(jobs) -> str:
     """In Markdown, a line a job with a tail: per cent of episodes with a fall, see `phase`."""
     head = ["", "with tails", "their last", "physics alone: 10 iterations", "30", "all later"]
-    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
-    for name, job in jobs.items():
-        if np.isfinite(found := phase(job)).all():
-            lines.append("| " + " | ".join([name, *(f"{x:.2f}" for x in found.mean(0))]) + " |")
-    return "\n".join(lines)
+    found = {name: phase(job) for name, job in jobs.items()}
+    found = {name: one.mean(0) for name, one in found.items() if np.isfinite(one).all()}
+    return paper.markdown(head, [[n, *(f"{x:.2f}" for x in one)] for n, one in found.items()])
 
 
 def phase(job) -> np.ndarray:
@@ -274,14 +238,11 @@ def phase(job) -> np.ndarray:
 
 def parts(jobs) -> str:
     """In Markdown, a line for the jobs `NAME-g`, `-h`, `-c` and `-d`: Go1, Go2, ANYmal-C and -D."""
-    head = ["", "Go1", "Go2", "ANYmal-C", "ANYmal-D"]
-    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
+    lines = []
     for name in dict.fromkeys(name[:-2] for name in jobs):
-        cells = [
-            part(jobs[f"{name}-{robot}"]) if f"{name}-{robot}" in jobs else "" for robot in "ghcd"
-        ]
-        lines.append("| " + " | ".join([name, *cells]) + " |")
-    return "\n".join(lines)
+        found = [jobs.get(f"{name}-{robot}") for robot in "ghcd"]
+        lines.append([name, *(part(job) if job else "" for job in found)])
+    return paper.markdown(["", "Go1", "Go2", "ANYmal-C", "ANYmal-D"], lines)
 
 
 def part(job) -> str:

@@ -1,6 +1,6 @@
-"""results.csv and figure of the runs in results/ and of other folders' runs of the same settings.
+"""results.csv, of the runs in results/ and of other folders' runs of the same settings.
 
-    python experiments/17_regimes/plot.py
+    python experiments/17_regimes/table.py
 
 "limit" is 80 % of the mean over seeds of PPO-16's best return: with 4096 robots for Isaac Lab's task, and
 with as many as the regime has for another task, whose returns are another number. "p_vs_ppo16_holm" is
@@ -18,13 +18,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from experiments import batches, paper, pictures, run, stats
+from experiments import batches, paper, run, stats
 
 PPO = {"ppo12": 12, "ppo16": 16, "ppo24": 24}
 TAILS = ("dyna4_noschedule", "dyna4")
 OWN_ROWS = PPO | {"dyna4": 16, "dyna4_noschedule": 16, "best": 24}
 VARIANTS = ("ppo12", "ppo16", "dyna4_noschedule", "dyna4", "best", "ppo24")
-NAMES = paper.VARIANTS | paper.OURS | {"ppo24": "PPO, 24 steps"}
 COLUMNS = (
     "regime variant status seeds max_reward_mean max_reward_low max_reward_high p_vs_ppo16 p_vs_ppo16_holm "
     "ppo12_difference ppo12_difference_low ppo12_difference_high ppo12_p ppo12_p_holm "
@@ -65,7 +64,6 @@ def make(out: Path, regimes=REGIMES) -> None:
     rows = build(out / "results", regimes)
     paper.write(out / "results.csv", rows)
     paper.show(rows, COLUMNS)
-    draw(rows, regimes, out / "regimes")
 
 
 def cells() -> list[tuple[Regime, str, int | None]]:
@@ -150,8 +148,8 @@ def row(regime: Regime, variant: str, one, runs, limit: float | None) -> dict:
             pairs["ramp"] = (runs["dyna4"], "best")
         for prefix, (other, kind) in pairs.items():
             if kind in mine and kind in (theirs := values(other)):
-                some = stats.compare(mine[kind], theirs[kind], stats.MARGIN["go1"])
-                cells |= {f"{prefix}_{name}": v for name, v in some.items()}
+                pair = mine[kind], theirs[kind]
+                cells |= stats.compare(*pair, stats.MARGIN["go1"], f"{prefix}_")
     if "evaluated" in mine:
         cells["evaluated_return"] = float(np.mean(mine["evaluated"]))
     if longest and longest.columns and variant == "best":
@@ -184,56 +182,6 @@ def beside(one, longest) -> dict:
         took = paper.effort(some, high, paper.tenth).items()
         cells |= {f"{who}{name}": value for name, value in took if "steps" in name}
     return {f"ppo24_{name}": value for name, value in cells.items()}
-
-
-def draw(rows, regimes, path: Path) -> None:
-    """Best return and simulator steps to the limit, a column of marks a variant, a panel a regime."""
-    regimes = [r for r in regimes if any("seeds" in c for c in rows if c["regime"] == r.label)]
-    page, axes = pictures.figure(2, 1, 7.4, sharex=True)
-    wide = 0.84 / len(VARIANTS)
-    for axis, name in zip(axes[:, 0], ("max_reward", "sim_steps_M"), strict=True):
-        for v, variant in enumerate(VARIANTS):
-            style = pictures.mark(variant)
-            axis.plot([], [], linestyle="", markersize=6, label=NAMES[variant], **style)
-            for g, regime in enumerate(regimes):
-                cells = paper.pick(rows, regime=regime.label, variant=variant)
-                x = g + (v - (len(VARIANTS) - 1) / 2) * wide
-                marks(axis, x, name, cells, style)
-        for g in range(len(regimes) - 1):
-            axis.axvline(g + 0.5, color="0.85", linewidth=0.8)
-        axis.grid(axis="x", visible=False)
-    labels = [r.label.replace(", ", ",\n") for r in regimes]
-    axes[1, 0].set_xticks(range(len(regimes)), labels)
-    axes[1, 0].set_xlim(-0.5, len(regimes) - 0.5)
-    axes[0, 0].set(ylim=(0, 58), ylabel="best return of 500 iterations")
-    axes[1, 0].set(ylim=(0, 28), ylabel="simulator steps (M) to the\nthreshold of the task")
-    seeds = [cells["seeds"] for cells in rows if "seeds" in cells]
-    text = (
-        "Threshold: 80 % of PPO-16's best return with 4096 robots, of the other tasks with 1024.\n"
-    )
-    text += "Hollow, with a number: so many seeds get there, the others never; a number alone: none does"
-    if seeds:
-        text = f"Go1. Bar: {pictures.covers(seeds)}.\n{text}"
-    pictures.head(page, text, fontsize=9.5)
-    pictures.legend(page, axes[0, 0], 3)
-    pictures.save(page, path)
-
-
-def marks(axis, x: float, name: str, cells, style) -> None:
-    """A mean and its interval; how many seeds got there, where not all did."""
-    there = cells.get("success_rate_pct", 100) if name == "sim_steps_M" else 100
-    if f"{name}_mean" in cells:
-        ends = cells[f"{name}_low"], cells[f"{name}_high"]
-        axis.vlines(x, *ends, style["color"], linewidth=1.5)
-        face = "white" if there < 100 else style["color"]
-        axis.plot(x, cells[f"{name}_mean"], markersize=6, **style, mfc=face)
-    if there < 100:
-        ends = [cells.get(f"{name}_{end}", 0) for end in ("mean", "high")]
-        note = f"{round(there * cells['seeds'] / 100)} of {cells['seeds']}"
-        how = dict(rotation=90, ha="center", va="bottom", color=style["color"])
-        axis.text(x, np.nanmax(ends) + 0.8, note, fontsize=9, **how)
-    elif cells["status"]:
-        axis.text(x, 0.6, cells["status"], rotation=90, ha="center", va="bottom", fontsize=9)
 
 
 if __name__ == "__main__":
