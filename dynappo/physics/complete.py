@@ -52,7 +52,8 @@ def complete(spec: mujoco.MjSpec) -> Completed:
 
 def _completed(spec: mujoco.MjSpec) -> Completed:
     notes: list[str] = []
-    poses = [np.array(key.qpos) for key in spec.keys]  # MuJoCo empties keys where bodies go
+    # where bodies go, MuJoCo empties the keys until it compiles
+    poses = [np.array(key.qpos) for key in spec.keys]
     _measure_nothing(spec)
     floor = _choose_floor(spec)
     freed = _one_robot(spec, floor, notes)
@@ -203,16 +204,14 @@ def _keys(spec: mujoco.MjSpec, poses: list[np.ndarray], freed: bool, notes: list
     size = sum(count for _, count in _sizes(spec.worldbody))
     for key, pose in zip(list(spec.keys), poses, strict=True):
         if freed and len(pose) == size - 7:
-            pose = np.concatenate([[0, 0, 0, 1, 0, 0, 0], pose])
-        if len(pose) != size:
+            key.qpos, key.qvel = np.concatenate([[0, 0, 0, 1, 0, 0, 0], pose]), []
+        elif len(pose) != size:
             if key.name == "home":
                 notes.append(
                     f"the keyframe home is left out: it has {len(pose)} numbers, not {size}"
                 )
             spec.delete(key)
             continue
-        if not np.array_equal(key.qpos, pose):
-            key.qpos, key.qvel = pose, []
         if len(key.mpos):
             key.mpos, key.mquat = [], []  # of bodies of a scene
     keys = list(spec.keys)
@@ -228,7 +227,7 @@ def _pose(spec: mujoco.MjSpec, model: mujoco.MjModel, notes: list[str]) -> bool:
     if key is None:
         key = spec.add_key(name="home")
         notes.append("no keyframe fits: the home pose has all joints at rest")
-    before = np.array(key.qpos)
+    before = np.array(key.qpos)  # as compiled
     low, high = ranges(model).T
     inside = np.clip(home[7:], low, high)
     far = np.flatnonzero(home[7:] != inside)

@@ -128,6 +128,17 @@ COMPLETED = {
         ["trunk moves freely: a free joint is added"],
         True,
     ),
+    "no free joint, nor its seven numbers in home": (
+        chain(
+            edit(('<freejoint name="root"/>', "")),
+            edit(("0 0 0.324767989  1 0 0 0", "")),
+        ),
+        [
+            "trunk moves freely: a free joint is added",
+            "in the home pose, the base is at 0.3248 m, with the feet on the floor",
+        ],
+        True,
+    ),
     "something beside the robot": (
         edit(("</worldbody>", '<body name="ball"/><geom name="wall" size="1"/></worldbody>')),
         ["the scene is left out: ball, wall"],

@@ -179,17 +179,19 @@ def test_of_a_leg_of_two_links_the_thigh_is_the_first(hexapod):
 
 
 def test_joints_at_one_place_are_told_apart_by_axis_and_depth():
-    """A waist of two hinges at a point, and a neck that turns about the same line at the same place."""
+    """A waist of two hinges at a point; there, too, a neck that turns as the waist, and a tail."""
     waist = '<joint name="waist" axis="0 0 1" range="-1 1"/>'
     neck = """<body name="head" pos="0 0 0"><joint name="neck" axis="0 0 1" range="-1 1"/>
-        <geom size="0.05" pos="0 0 0.4" mass="1"/></body>"""
+        <geom size="0.05" pos="0 0 0.4" mass="1"/></body>
+        <body name="tail" pos="0 0 0"><joint name="tail" axis="0 1 0" range="-1 1"/>
+        <geom size="0.05" pos="-0.3 0 0.1" mass="1"/></body>"""
     lean = '<joint name="lean" axis="1 0 0" range="-1 1"/>'
     text = robot_files.biped()
     assert waist in text
     text = text.replace(waist, waist + lean + neck)
     robot = robot_lib.load_text(text, "biped", Path("biped.xml"))
     table, names = mirror.joints(robot), list(robot.joint_names)
-    for name, sign in (("waist", -1), ("lean", -1), ("neck", -1)):
+    for name, sign in (("waist", -1), ("lean", -1), ("neck", -1), ("tail", 1)):
         joint = names.index(name)
         assert table.index[joint] == joint and table.sign[joint] == sign
     assert (table.index[table.index] == np.arange(len(names))).all()
