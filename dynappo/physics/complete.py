@@ -333,7 +333,7 @@ def _unused(spec: mujoco.MjSpec) -> None:
 
 
 def _pairs(spec: mujoco.MjSpec, floor, notes: list[str]) -> None:
-    """Contact pairs go: those with the floor make their shape touch it, with the pair's friction."""
+    """Pairs of the robot with itself stay; one with the floor makes its shape touch it, with its friction."""
     geoms, inside = {geom.name: geom for geom in _on_robot(spec) if geom.name}, 0
     for pair in list(spec.pairs):
         own = [geoms[n] for n in (pair.geomname1, pair.geomname2) if n in geoms]
@@ -345,10 +345,12 @@ def _pairs(spec: mujoco.MjSpec, floor, notes: list[str]) -> None:
             geom.friction = np.array(pair.friction)[[0, 2, 3]]
             geom.solref, geom.solimp = pair.solref, pair.solimp
             geom.priority = max(geom.priority, 1 + (floor.priority if floor is not None else 0))
+        if len(own) == 2 and all(geom.type in fit.KINDS for geom in own):
+            continue
         inside += len(own) == 2
         spec.delete(pair)
     if inside:
-        notes.append(f"contact pairs of the robot with itself are left out: {inside}")
+        notes.append(f"contact pairs of meshes on the robot are left out: {inside}")
 
 
 # what the trainer needs
@@ -420,10 +422,14 @@ def _feet(spec: mujoco.MjSpec, model: mujoco.MjModel, notes: list[str]) -> bool:
             "expected a foot: no limb without wheels ends near the robot's lowest point in the home pose; "
             "name the shapes of each foot NAME_foot, NAME_foot1, ..."
         )
-    geoms = {geom.id: geom for geom in spec.geoms}
+    geoms, renamed = {geom.id: geom for geom in spec.geoms}, {}
     for name, ids in found.items():
         for i, geom in enumerate(ids, 1):
-            geoms[geom].name = f"{name}_foot" + f"{i}" * (len(ids) > 1)
+            new = f"{name}_foot" + f"{i}" * (len(ids) > 1)
+            renamed[geoms[geom].name], geoms[geom].name = new, new
+    for pair in spec.pairs:
+        pair.geomname1 = renamed.get(pair.geomname1, pair.geomname1)
+        pair.geomname2 = renamed.get(pair.geomname2, pair.geomname2)
     each = [f"{n} ({len(ids)} shapes)" if len(ids) > 1 else n for n, ids in found.items()]
     notes.append(f"feet, by where they are: {_list(each, 8)}")
     return True

@@ -316,7 +316,7 @@ def test_a_base_without_a_shape_gets_a_box_of_its_inertia(tmp_path):
 # pairs
 
 
-def test_pairs_with_the_floor_are_the_shapes_own_contacts_and_others_go(tmp_path):
+def test_pairs_with_the_floor_are_the_shapes_own_contacts_and_others_stay(tmp_path):
     """As in MuJoCo Playground, where nothing else collides."""
     text = robot_files.hexapod().replace('priority="1" conaffinity="1"', "")
     text = text.replace('conaffinity="1"', "").replace("_foot", "_toe")
@@ -327,9 +327,13 @@ def test_pairs_with_the_floor_are_the_shapes_own_contacts_and_others_go(tmp_path
     pairs += f'<pair geom1="{names[0]}" geom2="{names[1]}"/>'
     found = load(text.replace("</mujoco>", f"<contact>{pairs}</contact></mujoco>"), tmp_path)
     assert found.foot_names == tuple(name for name, *_ in robot_files.HEXAPOD_LEGS)
-    assert (found.mj_model.geom_friction[found.feet, 0] == 0.7).all() and found.mj_model.npair == 0
-    assert found.notes[0] == "contact pairs of the robot with itself are left out: 1"
-    assert len(found.parts) == 1 and "the base has no shape" in found.notes[2]
+    model = found.mj_model
+    assert (model.geom_friction[found.feet, 0] == 0.7).all() and model.npair == 1
+    kept = {
+        model.geom(i).name.removesuffix("_foot") for i in (model.pair_geom1[0], model.pair_geom2[0])
+    }
+    assert kept == {name.removesuffix("_toe") for name in names[:2]}
+    assert len(found.parts) == 1 and "the base has no shape" in found.notes[1]
 
 
 # feet

@@ -270,7 +270,6 @@ COMPLETED = {  # complete.py: then it is a robot that the kernel computes
     "torsional friction": (put("geom", FOOT, condim=4), "condim 3"),
     "rolling friction": (put("geom", FOOT, condim=6), "condim 3"),
     "feet of the floor's priority": (put("geom", FOOT, priority=0), "priority 1"),
-    "a pair of parts": (pair(CALF, "FR_calf"), "pairs of the robot with itself are left out: 1"),
     "a pair with the floor": (pair(CALF, "floor"), ""),
     "a pair with a foot": (pair(FOOT, "floor", condim=3), ""),
 }
@@ -293,6 +292,7 @@ DECLINED = {
     "a tendon's limit": (tendon(limited=1, range=[-0.1, 0.1]), "tendons"),
     "a tendon's armature": (tendon(armature=0.1), "tendons"),
     "a spatial tendon": (spatial, "tendons"),
+    "a pair of parts": (pair(CALF, "FR_calf"), "contact pairs"),
     "an exclude of the floor": (exclude("world", CALF), "exclude"),
     "a joint's ref": (put("joint", J, ref=0.1), "ref"),
     "a joint beside its body's origin": (put("joint", J, pos=[0, 0.1, 0]), "link's origin"),
@@ -563,7 +563,7 @@ ELSEWHERE = (  # of each kind one
     "a tendon's limit",
     "a tendon's armature",
     "a spatial tendon",
-    "a pair with the floor",
+    "a pair of parts",
     "an exclude of the floor",
     "a spring",
     "damping of the base",
@@ -579,7 +579,7 @@ APART = (
     "a tendon's dry friction",
     "a tendon's limit",
     "a tendon's armature",
-    "a pair with the floor",
+    "a pair of parts",
 )
 IN_WARP_ALONE = "a nonlinear spring", "cubic damping", "a sticky foot", "a conveyor belt"
 

@@ -6,7 +6,9 @@ import pytest
 
 from dynappo.physics import kinds
 
-LEGS = tuple(f"{leg}_{j}_joint" for leg in ("FL", "FR", "RL", "RR") for j in ("hip", "thigh", "calf"))
+LEGS = tuple(
+    f"{leg}_{j}_joint" for leg in ("FL", "FR", "RL", "RR") for j in ("hip", "thigh", "calf")
+)
 BARKOUR = tuple(f"{j}_{leg}" for leg in ("front_left", "hind_right") for j in ("hip", "knee"))
 BIPED = "LL_HR", "LL_HAA", "LR_HR", "LR_HAA", "waist_yaw", "left_hip_yaw", "right_hip_yaw"
 
