@@ -90,18 +90,19 @@ def updates(static, hyper, batch, env, critic_size=None):
     return first, *out
 
 
-@pytest.mark.parametrize(
-    "fields",
-    [
-        {},
-        {"symmetry": True},
-        {"critic": "state", "symmetry": True},
-        {"clip_value": False, "adaptive": False, "activation": "tanh"},
-        {"shuffle_blocks": 4, "hidden": (24,), "desired_kl": 0.002, "max_grad_norm": 0.1},
-    ],
-    ids=str,
-)
-@pytest.mark.parametrize("weighted", [False, True])
+UPDATES = [  # fields of ppo, and whether rows have weights
+    ({}, False),
+    ({"symmetry": True}, True),
+    ({"critic": "state", "symmetry": True}, False),
+    ({"clip_value": False, "adaptive": False, "activation": "tanh"}, True),
+    ({"shuffle_blocks": 4, "hidden": (24,), "desired_kl": 0.002, "max_grad_norm": 0.1}, False),
+]
+OTHERS = [
+    pytest.param(fields, not weighted, marks=pytest.mark.slow) for fields, weighted in UPDATES
+]
+
+
+@pytest.mark.parametrize(("fields", "weighted"), UPDATES + OTHERS, ids=str)
 def test_an_update_of_one_vector_is_the_update_of_all_weights(fields, weighted):
     """Networks, Adam's moments, learning rate and metrics, by every option of the plain one."""
     static, hyper = settings(**fields)
