@@ -1,5 +1,6 @@
 """docs/environment.md: its example, straight out of the page, trains by the command and acts."""
 
+import contextlib
 import csv
 import json
 import re
@@ -8,6 +9,7 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
+import workdirs
 from answers import ROOT, mistake, status
 
 from dynappo import algorithm
@@ -17,7 +19,7 @@ from dynappo.evaluate import command as evaluate
 from dynappo.export import command as export
 from dynappo.play import command as play
 from dynappo.policy import checkpoint_file, policy_file
-from dynappo.program import devices
+from dynappo.program import build, devices
 from dynappo.train import command as train
 
 PAGE = (ROOT / "docs" / "environment.md").read_text()
@@ -36,17 +38,18 @@ def folder(tmp_path_factory):
     assert len(code) == 1 and len(code[0].split("\n")) < 75  # a page
     (folder / "pendulum.py").write_text(code[0])
     with pytest.MonkeyPatch.context() as patch:
-        patch.chdir(folder)
+        # a run that goes on has the program of the run before
+        patch.setattr(build, "program", workdirs.compiled_once(build.program))
         patch.setattr(devices, "own_process", lambda device: None)
-        assert run(4) == 0
-    return folder
+        with contextlib.chdir(folder):
+            assert run(4) == 0
+        yield folder
 
 
 @pytest.fixture(autouse=True)
 def inside(folder, monkeypatch):
     """Each test works where the user does."""
     monkeypatch.chdir(folder)
-    monkeypatch.setattr(devices, "own_process", lambda device: None)
 
 
 def run(iterations, *more):

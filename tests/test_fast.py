@@ -1,5 +1,6 @@
 """What the loop calls against the plain functions: the same numbers, but for the order of sums."""
 
+import functools
 from functools import partial
 
 import jax
@@ -90,18 +91,19 @@ def updates(static, hyper, batch, env, critic_size=None):
     return first, *out
 
 
-@pytest.mark.parametrize(
-    "fields",
-    [
-        {},
-        {"symmetry": True},
-        {"critic": "state", "symmetry": True},
-        {"clip_value": False, "adaptive": False, "activation": "tanh"},
-        {"shuffle_blocks": 4, "hidden": (24,), "desired_kl": 0.002, "max_grad_norm": 0.1},
-    ],
-    ids=str,
-)
-@pytest.mark.parametrize("weighted", [False, True])
+UPDATES = [  # fields of ppo, and whether rows have weights
+    ({}, False),
+    ({"symmetry": True}, True),
+    ({"critic": "state", "symmetry": True}, False),
+    ({"clip_value": False, "adaptive": False, "activation": "tanh"}, True),
+    ({"shuffle_blocks": 4, "hidden": (24,), "desired_kl": 0.002, "max_grad_norm": 0.1}, False),
+]
+OTHERS = [
+    pytest.param(fields, not weighted, marks=pytest.mark.slow) for fields, weighted in UPDATES
+]
+
+
+@pytest.mark.parametrize(("fields", "weighted"), UPDATES + OTHERS, ids=str)
 def test_an_update_of_one_vector_is_the_update_of_all_weights(fields, weighted):
     """Networks, Adam's moments, learning rate and metrics, by every option of the plain one."""
     static, hyper = settings(**fields)
@@ -136,6 +138,12 @@ def test_an_update_of_one_vector_is_the_update_of_all_weights(fields, weighted):
 # ---- the model
 
 
+@functools.cache
+def fits(static):
+    """Both fits, compiled once for any number of rows and epochs."""
+    return [jax.jit(partial(toy_model.fit_rows, module.fit, static)) for module in (dynamics, fast)]
+
+
 @pytest.mark.parametrize(
     "fields", [{}, {"falls": True, "clean": True}, {"normalize": False}], ids=str
 )
@@ -145,9 +153,7 @@ def test_a_fit_of_one_vector_is_the_fit_of_all_weights(fields, n_real, epochs):
     static, hyper = toy_model.settings(**fields)
     rows = toy_model.linear_rows(0).replace(valid=jnp.ones((N, toy_model.ROBOTS)))
     rows = rows.replace(discount=rows.discount.at[2, ::3].set(0.0))
-    plain, quick = (
-        jax.jit(partial(toy_model.fit_rows, module.fit, static)) for module in (dynamics, fast)
-    )
+    plain, quick = fits(static)
     one = other = toy_model.start(static)
     for i in range(2):
         args = rows, jnp.int32(n_real), jnp.int32(epochs), jax.random.key(i)
@@ -178,9 +184,9 @@ def test_a_step_of_rounded_weights_is_a_step(precision):
 # ---- the rows of a rollout
 
 
-@pytest.mark.parametrize(("begin", "end"), [(0, N), (2, 5), (3, 3)])
-def test_rows_written_in_groups_are_the_rows(begin, end):
-    """To the bit: every field, rows that were there before, the state and the sums."""
+@pytest.fixture(scope="module")
+def writers():
+    """`f(begin, end)` of the plain and the grouped way, compiled once for any rows."""
     static, hyper = settings()
     env, index = toy_env.make(episode_length=4), jnp.arange(R)
     keys = rollout.row_keys(jax.random.key(3), index)
@@ -201,6 +207,12 @@ def test_rows_written_in_groups_are_the_rows(begin, end):
             metrics=env.metrics,
         )
 
-    plain, quick = (jax.jit(partial(write, module))(begin, end) for module in (rollout, fast))
+    return [jax.jit(partial(write, module)) for module in (rollout, fast)]
+
+
+@pytest.mark.parametrize(("begin", "end"), [(0, N), (2, 5), (3, 3)])
+def test_rows_written_in_groups_are_the_rows(begin, end, writers):
+    """To the bit: every field, rows that were there before, the state and the sums."""
+    plain, quick = (write(begin, end) for write in writers)
     assert_same(quick, plain)
     assert (np.asarray(plain[0].reward) != -7.0).sum() == (end - begin) * R

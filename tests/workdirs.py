@@ -8,9 +8,10 @@ from types import SimpleNamespace
 import jax
 import pytest
 import toy_env
+from ml_collections import config_dict
 from toy_runs import leaves
 
-from dynappo import train
+from dynappo import schedule, train
 from dynappo.run import training
 from dynappo.run import workdir as workdir_lib
 from dynappo.tasks.velocity import env as env_lib
@@ -38,16 +39,22 @@ def toy(patch: pytest.MonkeyPatch):
 
 
 def compiled_once(program):
-    """`build.program`, but what it has compiled for the same arguments it hands out again."""
+    """`build.program`, but what it has compiled for the same arguments it hands out again.
+
+    Iterations more or fewer are other columns for the same program.
+    """
     made = {}
 
     @functools.wraps(program)
     def again(config, env=None, each=None, **_):
-        of = config.to_json_best_effort(), str(leaves(each))
+        alike = config_dict.ConfigDict(config.to_dict())
+        alike.run.num_iterations = 0
+        of = alike.to_json_best_effort(), env is None, str(leaves(each))
         if of not in made:
             made[of] = program(config, env, each)
         # the first state is donated
-        return made[of]._replace(state=jax.tree.map(lambda x: x.copy(), made[of].state))
+        state = jax.tree.map(lambda x: x.copy(), made[of].state)
+        return made[of]._replace(state=state, columns=schedule.columns(config))
 
     return again
 

@@ -192,8 +192,9 @@ def test_calls_leave_no_memory_behind():
 # --- processes ---
 
 
-def main(steps, cores=0, wait=True):
-    """What a process below does: `steps` control steps, on the first `cores` of this machine."""
+def main(steps, cores=0, more=0):
+    """What a process below does: `steps` control steps, on the first `cores` of this machine; and as often
+    again as `more` says, which it does not wait for."""
     hits = []
     jax.monitoring.register_event_listener(lambda name, **_: hits.append(name))
     if cores:
@@ -203,8 +204,9 @@ def main(steps, cores=0, wait=True):
     many, cached = lowered.compile(), "/jax/compilation_cache/cache_hits" in hits
     print("begins", flush=True)
     after = many(*robots())
-    if wait:
-        print(json.dumps([cached, np.asarray(after["qpos"]).tolist()]))
+    print(json.dumps([cached, np.asarray(after["qpos"]).tolist()]))
+    for _ in range(more):
+        after = many(after["qpos"], robots()[1])
 
 
 def start(*arguments, cache=""):
@@ -222,10 +224,11 @@ def start(*arguments, cache=""):
 
 @pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="Linux only")
 def test_it_runs_on_one_core_and_the_next_process_finds_the_program_in_the_cache(tmp_path):
-    """With a pool of two threads, one of XLA's, and no second core: none waits for ever."""
+    """With a pool of two threads, one of XLA's, and no second core: none waits for ever. A process that
+    ends waits for its programs, as for any other of JAX; otherwise XLA calls into a Python that is gone."""
     seen = []
-    for cores in (1, 0):
-        process = start(50, cores, cache=tmp_path)
+    for cores, more in ((1, 0), (0, 16)):
+        process = start(50, cores, more, cache=tmp_path)
         output, errors = process.communicate(timeout=PATIENCE)
         assert process.returncode == 0, errors
         seen.append(json.loads(output.splitlines()[-1]))
@@ -247,15 +250,5 @@ def test_a_signal_ends_a_process_inside_a_program():
         assert process.wait(timeout=PATIENCE) == -signal.SIGTERM
         with pytest.raises(ProcessLookupError):  # of its group
             os.killpg(process.pid, 0)
-    finally:
-        process.kill()
-
-
-def test_a_process_that_ends_waits_for_its_programs():
-    """As with any other program of JAX; otherwise XLA calls into a Python that is gone."""
-    process = start(800, 0, False)
-    try:
-        _, errors = process.communicate(timeout=PATIENCE)
-        assert process.returncode == 0, errors
     finally:
         process.kill()

@@ -93,14 +93,19 @@ def test_devices_start_in_a_thread_which_leaves_errors_to_who_asks(monkeypatch):
 def test_a_process_of_our_own_keeps_its_programs_and_leaves_the_gpu_alone(tmp_path, monkeypatch):
     """Compiled programs go into the user's cache, unless they have a place already; small ones too."""
     code = (
-        "import sys, jax; from dynappo.program import devices; devices.own_process(sys.argv[1]); "
+        "import os, sys, jax; from dynappo.program import devices\n"
+        "def told(device):\n"
+        "    devices.own_process(device)\n"
+        "    print(jax.config.jax_platforms, jax.config.jax_compilation_cache_dir, "
+        "jax.config.jax_persistent_cache_min_compile_time_secs)\n"
+        "told('cpu')\n"
+        "del os.environ['JAX_COMPILATION_CACHE_DIR']\n"
+        "jax.config.update('jax_platforms', None)\n"
+        "told('auto')"
     )
-    code += "print(jax.config.jax_platforms, jax.config.jax_compilation_cache_dir, "
-    code += "jax.config.jax_persistent_cache_min_compile_time_secs)"
     monkeypatch.delenv("JAX_PLATFORMS", raising=False)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     ours, theirs = tmp_path / "dynappo" / "jax", tmp_path / "theirs"
-    for device, place, expected in (("auto", "", f"None {ours}"), ("cpu", theirs, f"cpu {theirs}")):
-        monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(place))
-        done = shell("-c", code, device)
-        assert done.stdout == f"{expected} 0.0\n", done.stderr
+    monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(theirs))
+    done = shell("-c", code)
+    assert done.stdout == f"cpu {theirs} 0.0\nNone {ours} 0.0\n", done.stderr

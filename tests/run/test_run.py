@@ -1,5 +1,6 @@
 """The loop of a run: what it tells, that it goes on where it was stopped, to the bit."""
 
+import contextlib
 import errno
 import gc
 import json
@@ -135,8 +136,9 @@ def test_a_robot_that_physics_cannot_compute_is_counted_and_training_goes_on(con
 # ---- nothing of the process is changed
 
 
-def test_a_run_leaves_the_process_as_it_was(tmp_path, monkeypatch):
-    """JAX's settings, the levels of loggers, signal handlers, environment: all are the user's."""
+@contextlib.contextmanager
+def process_as_it_was():
+    """JAX's settings, the levels of loggers, signal handlers, environment: all are the user's again."""
     names = "jax_platforms jax_use_shardy_partitioner jax_compilation_cache_dir".split()
     loggers = [logging.getLogger(name) for name in ("absl", "asyncio", "jax", "orbax", None)]
     handled = signal.SIGINT, signal.SIGTERM
@@ -146,15 +148,12 @@ def test_a_run_leaves_the_process_as_it_was(tmp_path, monkeypatch):
         levels = [(logger.level, list(logger.handlers)) for logger in loggers]
         return *ours, levels, [signal.getsignal(number) for number in handled]
 
-    workdirs.toy(monkeypatch)
-    monkeypatch.setattr(finish.learning_curves, "draw", lambda *_: "no picture")
-    before = settings()
     levels = [logger.level for logger in loggers]
     try:
         for level, logger in enumerate(loggers, 21):  # of the user's own
             logger.setLevel(level)
         before = settings()
-        train.train(workdirs.config(run__num_iterations=2), tmp_path / "run")
+        yield
         assert settings() == before
     finally:
         for level, logger in zip(levels, loggers, strict=True):
@@ -545,8 +544,10 @@ def test_several_seeds_train_at_once(whole, tmp_path, monkeypatch):
 def test_an_environment_that_is_handed_over_trains_to_the_bit_as_in_the_robots_place(
     config, whole, tmp_path
 ):
-    """`train(config, workdir, env=...)`: the same rows and networks; the config names no robot."""
-    state, metrics = train.train(config, tmp_path, env=toy_env.make())
+    """`train(config, workdir, env=...)`: the same rows and networks; the config names no robot. And a run
+    that compiles, trains and is evaluated leaves the process as it was."""
+    with process_as_it_was():
+        state, metrics = train.train(config, tmp_path, env=toy_env.make())
     assert_same(state, whole.state)
     assert table(tmp_path) == table(whole.workdir)
     assert metrics["sim_steps"][-1] == 16 * sum(N_REAL)
