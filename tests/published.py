@@ -1,15 +1,16 @@
-"""A quadruped as robots are published: position servos, soft feet in bodies of their own, turned frames, looks."""
+"""A quadruped as robots are published: position servos, soft feet in bodies of their own, turned frames,
+looks."""
 
 from pathlib import Path
 
 CUBE = """\
 v -1 -1 -1
-v 1 -1 -1
-v 1 1 -1
+v 3 -1 -1
+v 3 1 -1
 v -1 1 -1
 v -1 -1 1
-v 1 -1 1
-v 1 1 1
+v 3 -1 1
+v 2 1 1
 v -1 1 1
 f 1 3 2
 f 1 4 3
@@ -37,7 +38,8 @@ HEAD = """\
         <joint range="-2.8 -0.5"/>
         <position forcerange="-35.5 35.5"/>
       </default>
-      <default class="look"><geom type="mesh" contype="0" conaffinity="0" group="2" material="dark"/></default>
+      <default class="look"><geom type="mesh" contype="0" conaffinity="0" group="2"
+      material="dark"/></default>
     </default>
   </default>
   <asset><material name="dark" rgba="0.2 0.2 0.3 1"/><mesh file="cube.obj" scale="0.1 0.05 0.03"/></asset>
@@ -132,7 +134,13 @@ def urdf() -> str:
     <visual><geometry><mesh filename="package://toy/meshes/camera.dae"/></geometry></visual></link>
 """
     out += JOINT.format(
-        name="on", kind="fixed", above="base", link="camera", at="0.2 0 0", rpy="0 0 0", axis="1 0 0"
+        name="on",
+        kind="fixed",
+        above="base",
+        link="camera",
+        at="0.2 0 0",
+        rpy="0 0 0",
+        axis="1 0 0",
     )
     for name, left, ahead in LEGS:
         above = "base"
@@ -143,12 +151,22 @@ def urdf() -> str:
         ]
         for joint, at, axis, mass, i in chain:
             link = f"{name}_{joint}"
-            out += LINK.format(name=link, mass=mass, i=i, com="0 0 -0.05", at="0 0 -0.08", shape=rod)
+            out += LINK.format(
+                name=link, mass=mass, i=i, com="0 0 -0.05", at="0 0 -0.08", shape=rod
+            )
             out += JOINT.format(
-                name=f"{link}_joint", kind="revolute", above=above, link=link, at=at, rpy="0 0 0", axis=axis
+                name=f"{link}_joint",
+                kind="revolute",
+                above=above,
+                link=link,
+                at=at,
+                rpy="0 0 0",
+                axis=axis,
             )
             above = link
-        out += LINK.format(name=f"{name}_foot", mass=0.05, i=1e-5, com="0 0 0", at="0 0 0", shape=ball)
+        out += LINK.format(
+            name=f"{name}_foot", mass=0.05, i=1e-5, com="0 0 0", at="0 0 0", shape=ball
+        )
         out += JOINT.format(
             name=f"{name}_end", kind="fixed", above=above, link=f"{name}_foot", at="0 0 -0.21", rpy="0 0 0",
             axis="1 0 0",

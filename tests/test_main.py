@@ -33,7 +33,8 @@ def test_the_commands_are_the_folders_with_one():
 def test_another_word_is_one_line():
     done = shell("-m", "dynappo", "walk")
     assert done.returncode == 2 and done.stdout == ""
-    expected = "dynappo: walk: no such command, expected one of train, adopt, look, play, evaluate, export, bench\n"
+    expected = "dynappo: walk: no such command, expected one of "
+    expected += "train, adopt, look, play, evaluate, export, bench\n"
     assert done.stderr == expected
 
 

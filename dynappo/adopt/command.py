@@ -50,7 +50,9 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
     parser = flags_lib.parser("adopt", what, USAGE)
     flag = parser.add_argument
     flag("file", nargs="?", metavar="FILE", type=flags_lib.path, help="an MJCF or a URDF")
-    flag("--name", metavar="NAME", help="the robot's name here; else the file's, without its suffix")
+    flag(
+        "--name", metavar="NAME", help="the robot's name here; else the file's, without its suffix"
+    )
     flag("--force", action="store_true", help="write anew what is there already")
     flags = flags_lib.read(parser, argv)
     if flags.file is None:
@@ -64,7 +66,8 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
 
 
 def check_free(name: str, force: bool) -> tuple[Path, Path]:
-    """`(folder, config file)` that will be written, in the working directory; ConfigError if they are taken."""
+    """`(folder, config file)` that will be written, in the working directory; ConfigError if they are
+    taken."""
     folder, config = Path("robots") / name, Path("configs") / f"{name}.py"
     if name == "default" or files.find("robots", f"{name}/{name}.xml", own=True):
         raise ConfigError(f"--name={name}: dynappo has that itself; take another name")
@@ -95,7 +98,9 @@ def make(file: source.Source, name: str, part: Path) -> Adopted:
         if shown:
             told.append(f"looks: {shown} shapes as published" + f", {copied} files" * bool(copied))
         else:
-            told.append("looks: the shapes that touch the floor are drawn; the published ones are not there")
+            told.append(
+                "looks: the shapes that touch the floor are drawn; the published ones are not there"
+            )
         normal.scene(spec, float(robot.home_qpos[2]))
         spec.modelfiledir = str(part)
         spec.modelname = name
@@ -123,7 +128,8 @@ def completed(file: source.Source, name: str) -> tuple[mujoco.MjSpec, robot_lib.
             told += [*done.notes, *normal.solver(spec, float(done.model.body_mass.sum()))]
             told += [*normal.feet(spec), *normal.frames(spec, spec.compile())]
             robot = loaded(spec, name, file)
-            told += normal.shanks(spec, robot)
+            told += normal.round_feet(spec, robot)
+            told += normal.shanks(spec, loaded(spec, name, file))
             return spec, loaded(spec, name, file), told
         except (ValueError, ConfigError) as error:
             problem = problem or error

@@ -11,7 +11,8 @@ The rules, for joint j of a robot of mass m whose feet hang l below the base:
 
 They are what Go1, Go2, the ANYmals and Spot have in common here (kp / effort 0.9 to 1.6 /rad, kd / kp 0.02
 to 0.06 s) and what others choose: mjlab's action scale is effort / (4 kp), its kd / kp 0.064 s; Unitree's and
-Booster's own controllers have 0.02 to 0.03 s. A servo's gains from the file are kept if they are of that kind:
+Booster's own controllers have 0.02 to 0.03 s. A servo's gains from the file are kept if they are of that
+kind:
 stable, and between the effort in 0.45 rad and in 3 rad. MuJoCo Menagerie's kp of 100 for a Go1 is not: a
 policy that explores by 0.25 rad would be at the motors' limit all the time.
 """
@@ -31,7 +32,10 @@ TIMESTEP = 0.005  # s, of physics
 STRENGTH, STRONGEST = 0.45, 2.0  # of m g l: what is assumed, and what is believed
 SAG, STANDS = 0.15, 2.0  # of its height, that it may sink by in so many s
 RATIO = 0.025  # s, kd / kp
-DAMPS, BEST_DAMPS = 0.5, 0.4  # the share of a joint's speed that kd takes in a step: at most; by rule
+DAMPS, BEST_DAMPS = (
+    0.5,
+    0.4,
+)  # the share of a joint's speed that kd takes in a step: at most; by rule
 SOFT, STIFF = 3.0, 0.45  # rad, effort / kp of a servo that is kept
 STEPS = 1.0, 1.2, 1.5, 1.8, 1 / STIFF  # 1/rad, kp / effort that is tried
 EXPLORES = 0.25  # rad, standard deviation of the joint targets at the start

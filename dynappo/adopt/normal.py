@@ -78,7 +78,14 @@ def _written(values: np.ndarray) -> str:
 def _elements(spec: mujoco.MjSpec):
     """All that a default class can say something of."""
     yield from (*spec.geoms, *spec.joints, *spec.actuators, *spec.meshes, *spec.materials)
-    yield from (*spec.sites, *spec.cameras, *spec.lights, *spec.equalities, *spec.tendons, *spec.pairs)
+    yield from (
+        *spec.sites,
+        *spec.cameras,
+        *spec.lights,
+        *spec.equalities,
+        *spec.tendons,
+        *spec.pairs,
+    )
 
 
 def solver(spec: mujoco.MjSpec, mass: float) -> list[str]:
@@ -96,7 +103,9 @@ def solver(spec: mujoco.MjSpec, mass: float) -> list[str]:
     option.timestep, option.iterations, option.ls_iterations = gains.TIMESTEP, 4, 8
     if changed:
         ratio = f", impratio {wanted['impratio']:g}"
-        told.append(f"solver: Newton, Euler, pyramidal cone{ratio}; the file has another {', '.join(changed)}")
+        told.append(
+            f"solver: Newton, Euler, pyramidal cone{ratio}; the file has another {', '.join(changed)}"
+        )
     return told
 
 
@@ -127,25 +136,27 @@ def joints(
         )
     if servo:
         told.append(
-            f"joints: damping of {gains.span(np.array(servo))} N m s/rad left out; in a file for servos it is "
+            f"joints: damping of {gains.span(np.array(servo))} N m s/rad left out; in a file for servos it "
+            f"is "
             "the servo's, and kd takes its place"
         )
     if endless:
         told.append(f"joints: no range at {len(endless)} of {len(names)}; +-{WIDE:g} rad")
     if rotors:
         told.append(
-            f"joints: no armature in the file; {gains.span(np.array(rotors))} kg m^2, {gains.ROTOR:g} for each "
+            f"joints: no armature in the file; {gains.span(np.array(rotors))} kg m^2, {gains.ROTOR:g} for "
+            f"each "
             "N m of effort"
         )
     return told
 
 
 def frames(spec: mujoco.MjSpec, model: mujoco.MjModel) -> list[str]:
-    """Turn the links' frames until all are parallel to the base's where the joints are at rest; a line if any was
-    turned.
+    """Turn the links' frames until all are parallel to the base's where the joints are at rest; a line if
+    any was turned.
 
-    It changes no motion, and the one-kernel physics needs it. With R the rotation of a link's frame in the base's:
-    offsets, axes and inertias x become R x, and what is in the link is turned by R.
+    It changes no motion, and the one-kernel physics needs it. With R the rotation of a link's frame in
+    the base's: offsets, axes and inertias x become R x, and what is in the link is turned by R.
     """
     turned, rotation = False, {1: np.eye(3)}
     for i in range(1, model.nbody):
@@ -204,7 +215,8 @@ def feet(spec: mujoco.MjSpec) -> list[str]:
         told.append(f"shapes: contact margins of {gains.span(np.array(margins))} m left out")
     if soft:
         told.append(
-            f"feet: solimp {FIRM[0]:g} {FIRM[1]:g} instead of {gains.span(np.array(soft))}, with which they sink in"
+            f"feet: solimp {FIRM[0]:g} {FIRM[1]:g} instead of {gains.span(np.array(soft))}, with which "
+            f"they sink in"
         )
     if slippery:
         told.append(
@@ -214,9 +226,34 @@ def feet(spec: mujoco.MjSpec) -> list[str]:
     return told
 
 
+def round_feet(spec: mujoco.MjSpec, robot: robot_lib.Robot) -> list[str]:
+    """Short capsules that are a foot alone become spheres, for the fastest engine; a line if any did.
+
+    The sphere is the capsule's end that is lower in the default pose, so the foot stands where it stood.
+    """
+    model, data = robot.mj_model, mujoco.MjData(robot.mj_model)
+    data.qpos[:] = robot.home_qpos
+    mujoco.mj_kinematics(model, data)
+    geoms, done = {geom.id: geom for geom in spec.geoms}, 0
+    for foot in robot.feet:
+        radius, half, _ = model.geom_size[foot]
+        if (
+            model.geom_type[foot] != CAPSULE
+            or half > radius
+            or len(robot.feet) > len(robot.foot_names)
+        ):
+            continue
+        down = -half if data.geom_xmat[foot][8] > 0 else half
+        geom, axis = geoms[int(foot)], _matrix(model.geom_quat[foot])[:, 2]
+        geom.type, geom.size = SPHERE, [radius, 0, 0]
+        geom.pos = model.geom_pos[foot] + down * axis
+        done += 1
+    return [f"feet: {done} short capsules are spheres, which the fastest engine has"] * bool(done)
+
+
 def shanks(spec: mujoco.MjSpec, robot: robot_lib.Robot) -> list[str]:
-    """Shapes that reach a foot's middle end above it: a foot gives way under load, and they must not touch the
-    ground before it. A line if any was shortened.
+    """Shapes that reach a foot's middle end above it: a foot gives way under load, and they must not
+    touch the ground before it. A line if any was shortened.
 
     Of a robot whose feet are spheres: a capsule, cylinder or box in the foot's body, along its longest axis.
     """
@@ -237,7 +274,9 @@ def shanks(spec: mujoco.MjSpec, robot: robot_lib.Robot) -> list[str]:
             cap = size[0] if kind == CAPSULE else 0.0
             end = axis @ (model.geom_pos[part] - middle) + half + cap  # past the foot's middle
             less = end + CLEAR * radius
-            aside = np.linalg.norm((middle - model.geom_pos[part]) - axis * (axis @ (middle - model.geom_pos[part])))
+            aside = np.linalg.norm(
+                (middle - model.geom_pos[part]) - axis * (axis @ (middle - model.geom_pos[part]))
+            )
             if less <= 0 or aside > 2 * radius or less >= 2 * half - 0.01:
                 continue
             size[along if kind == BOX else 1] = half - less / 2

@@ -20,8 +20,8 @@ def candidates(
 ) -> Iterator[tuple[mujoco.MjSpec, list[str]]]:
     """Copies of a spec with a keyframe, the best first, each with a line on where that is from.
 
-    The file's own; that of a scene beside it; bent legs. The next is for a file whose robot cannot stand in the
-    one before.
+    The file's own; that of a scene beside it; bent legs. The next is for a file whose robot cannot stand
+    in the one before.
     """
     if spec.keys:
         yield spec.copy(), []
@@ -38,7 +38,9 @@ def candidates(
         why = "the robot does not stand in the file's keyframe" if spec.keys else "no keyframe"
         yield (
             _with_home(spec, qpos),
-            [f"home: {why}; {bent} legs bent to {BENT:.0%} of their reach, feet below their joints"],
+            [
+                f"home: {why}; {bent} legs bent to {BENT:.0%} of their reach, feet below their joints"
+            ],
         )
     if not spec.keys:
         yield spec.copy(), []
@@ -144,9 +146,7 @@ def _end(model, data, qpos, chain: list[int]) -> np.ndarray:
     data.qpos[:] = qpos
     mujoco.mj_kinematics(model, data)
     body = int(model.jnt_bodyid[chain[2]])
-    inside = [
-        g for g in range(model.ngeom) if body in _line(model, int(model.geom_bodyid[g]))
-    ]
+    inside = [g for g in range(model.ngeom) if body in _line(model, int(model.geom_bodyid[g]))]
     points = np.array([data.geom_xpos[g] for g in inside] or [data.xipos[body]])
     far = points[np.linalg.norm(points - data.xanchor[chain[2]], axis=1).argmax()]
     return data.xmat[body].reshape(3, 3).T @ (far - data.xpos[body])

@@ -59,8 +59,9 @@ def read(xml: Path) -> Source:
         before = len(spec.geoms)
         lost = _drop_meshes(spec, lambda file: (folder / file).is_file())
         notes += [f"meshes that are not there are left out: {_listed(lost)}"] if lost else []
-        for i, joint in enumerate(spec.joints):
-            joint.name = joint.name or f"joint{i}"
+        for kind, things in (("joint", spec.joints), ("link", spec.bodies[1:])):
+            for i, thing in enumerate(things):
+                thing.name = thing.name or f"{kind}{i}"
         return Source(xml, spec, spec.copy().compile(), {}, before - len(spec.geoms), tuple(notes))
 
 

@@ -7,7 +7,6 @@ from xml.etree import ElementTree
 
 import mujoco
 
-
 from dynappo.adopt import normal
 from dynappo.adopt.gains import Motors
 from dynappo.adopt.source import Source
@@ -18,7 +17,10 @@ LIGHT = 25.0  # kg, up to which the reward weights of the Unitree tasks hold; ab
 INIT_STD = {True: 1.0, False: 0.5}  # ppo.init_std, of light robots and of heavy ones
 TORQUES, AT = 2e-4, 13.0  # weight of squared torques, at a mass (kg); it falls by mass^-1.5
 ABOVE = 0.05  # m over the default pose, where episodes start
-LOAD, OF_BASE = 0.1, 0.3  # by what share of the robot's mass the base's varies; at most this of its own
+LOAD, OF_BASE = (
+    0.1,
+    0.3,
+)  # by what share of the robot's mass the base's varies; at most this of its own
 HEAD = '''"""{name} on flat ground, adopted from {file}.
 
     python -m dynappo.look configs/{name}.py
@@ -88,7 +90,9 @@ def config(robot: robot_lib.Robot, source: Source, motors: Motors) -> str:
     lines.append("    task.saturation_effort = task.effort_limit\n")
     lines.append(_field("velocity_limit", kinds.patterns(names, motors.velocity_limit)))
     spawn, more = robot.home_qpos[2] + ABOVE, load(robot)
-    lines.append(f"    task.reset.spawn_height = {spawn:.2f}  # m, of the base: default pose and 5 cm\n")
+    lines.append(
+        f"    task.reset.spawn_height = {spawn:.2f}  # m, of the base: default pose and 5 cm\n"
+    )
     lines.append(
         f"    task.randomize.base_mass = ({-more:.1f}, {more:.1f})  # kg, of a robot of {mass:.1f}\n"
     )
@@ -105,19 +109,21 @@ def assumed(robot: robot_lib.Robot) -> list[str]:
     like = "the Unitree tasks'" if light(robot) else "the ANYmal tasks'"
     told = [
         f"task: {like} reward weights for {mass:.1f} kg (up to {LIGHT:g} kg those of light robots), torques "
-        f"weighted by {torque_weight(mass):g}; base mass +-{load(robot):.1f} kg; starts {ABOVE * 100:g} cm above "
+        f"weighted by {torque_weight(mass):g}; base mass +-{load(robot):.1f} kg; starts {ABOVE * 100:g} cm "
+        f"above "
         "the default pose"
     ]
     if len(robot.foot_names) != 4:
         told.append(
-            f"task: the rewards are those of four legs; no robot of {len(robot.foot_names)} feet was trained with them"
+            f"task: the rewards are those of four legs; no robot of {len(robot.foot_names)} feet was "
+            f"trained with them"
         )
     return told
 
 
 def _field(name: str, value: float | dict[str, float]) -> str:
     """A line, or a table with a line for each pattern."""
-    if isinstance(value, float):
+    if not isinstance(value, dict):
         return f"    task.{name} = {value!r}\n"
     short = f"    task.{name} = {value!r}\n".replace("'", '"')
     if len(short) <= 100:
@@ -130,7 +136,8 @@ def mjcf(spec: mujoco.MjSpec, robot_name: str, source: Source) -> str:
     """The text of a compiled spec, with a comment on its origin."""
     root = ElementTree.fromstring(normal.text(spec))
     about = (
-        f"\n    {robot_name}, adopted from {source.xml.name} by `dynappo adopt`: README.md has source, licence and"
+        f"\n    {robot_name}, adopted from {source.xml.name} by `dynappo adopt`: README.md has source, "
+        f"licence and"
         "\n    every assumption. Geom groups: 2 = looks only, 3 = contact with the floor.\n  "
     )
     root.insert(0, ElementTree.Comment(about))
@@ -156,7 +163,10 @@ def readme(
         ("base height in the default pose", f"{robot.home_qpos[2]:.4f} m"),
     ]
     table = "".join(f"| {name} | {value} |\n" for name, value in rows)
-    assumed = "".join(textwrap.fill(line, 100, initial_indent="- ", subsequent_indent="  ") + "\n" for line in told)
+    assumed = "".join(
+        textwrap.fill(line, 100, initial_indent="- ", subsequent_indent="  ") + "\n"
+        for line in told
+    )
     legal = (
         f"From {where}:\n\n" + textwrap.indent(text, "    ").rstrip()
         if text
@@ -165,11 +175,10 @@ def readme(
     return (
         f"# {robot.name}\n\n"
         f"`{robot.name}.xml` is made by `dynappo adopt` from `{source.xml}`"
-        f"{', its looks included' if looks else ''}.\nGains, limits and what else depends on the robot are in "
+        f"{', its looks included' if looks else ''}.\nGains, limits and what else depends on the robot are "
+        f"in "
         f"`configs/{robot.name}.py`.\n\n"
         f"| what | value |\n|---|---|\n{table}\n"
         f"## What was assumed\n\n{assumed}\n"
         f"## Licence of the source\n\n{legal}\n"
     )
-
-

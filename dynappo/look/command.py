@@ -25,9 +25,16 @@ RESTS = 0.02  # m in the last second: more is not at rest
 SLIDES, SUNK = 0.2, 0.005  # of its height, and m: feet that slide or sink in while it stands
 LOW = 0.01  # m: parts lower than this in the default pose touch the ground in walking
 EXPLORES = 0.37  # of a motor's limit; a third is the rule
-DROP = 0.3, 0.15, 0.3  # the base's start below and above the default pose: of its height, in m, of its height
+DROP = (
+    0.3,
+    0.15,
+    0.3,
+)  # the base's start below and above the default pose: of its height, in m, of its height
 LOAD = 0.4  # of the robot's mass, that its base's may vary by
-TORQUES, AT = 2e-4, 13.0  # the weight of squared torques that Isaac Lab has for a Go1, and its mass (kg)
+TORQUES, AT = (
+    2e-4,
+    13.0,
+)  # the weight of squared torques that Isaac Lab has for a Go1, and its mass (kg)
 USAGE = """\
 CONFIG is a robot's name, or its config file; you can set any field
   python -m dynappo.look go1
@@ -112,7 +119,7 @@ def joints(robot: robot_lib.Robot, config, stood: dict) -> list[str]:
     fields = config.task.kp, config.task.kd, config.task.effort_limit
     numbers = [np.broadcast_to(field, count) for field in fields]
     head = "default (rad)", "range (rad)", "kp", "kd", "limit (N m)", "standing", "exploring"
-    rows = [("joints", "", *head)]
+    rows: list[tuple[str, ...]] = [("joints", "", *head)]
     for kind, some in kinds.kinds(names).items():
         limited = [robot.mj_model.joint(names[i]).range for i in some if _limited(robot, names[i])]
         low, high = np.array(limited).T if limited else ([], [])
@@ -170,7 +177,8 @@ def _wrong_standing(robot: robot_lib.Robot, stood: dict) -> list[str]:
         out.append("a motor is at task.effort_limit: it cannot hold the robot")
     if fall is None and stood["slid"] > SLIDES * home:
         out.append(
-            f"its feet slide by {stood['slid'] * 1e3:.0f} mm while it stands: give them solimp 0.9 0.95, or the "
+            f"its feet slide by {stood['slid'] * 1e3:.0f} mm while it stands: give them solimp 0.9 0.95, "
+            f"or the "
             "file impratio 3"
         )
     if stood["sunk"] > SUNK:
@@ -189,23 +197,27 @@ def _wrong_config(robot: robot_lib.Robot, config) -> list[str]:
     if asked.max() > EXPLORES:
         name = robot.joint_names[int(asked.argmax())]
         out.append(
-            f"exploration asks {name} for {asked.max():.0%} of its motor: lower task.action_scale or ppo.init_std "
+            f"exploration asks {name} for {asked.max():.0%} of its motor: lower task.action_scale or "
+            f"ppo.init_std "
             "until it is a third"
         )
     if not home - DROP[0] * home <= task.reset.spawn_height <= home + max(DROP[1], DROP[2] * home):
         out.append(
-            f"task.reset.spawn_height is {task.reset.spawn_height:g} m, the base of the default pose at {home:.3f} m: "
+            f"task.reset.spawn_height is {task.reset.spawn_height:g} m, the base of the default pose at "
+            f"{home:.3f} m: "
             f"{home + 0.05:.2f} is 5 cm more"
         )
     low, high = task.randomize.base_mass
     if max(-low, high) > LOAD * mass:
         out.append(
-            f"task.randomize.base_mass is {low:g} to {high:g} kg, of a robot of {mass:.1f} kg: a tenth is usual"
+            f"task.randomize.base_mass is {low:g} to {high:g} kg, of a robot of {mass:.1f} kg: a tenth is "
+            f"usual"
         )
     weight, usual = -task.weights.joint_torques, TORQUES * (AT / mass) ** 1.5
     if mass > AT and weight > 4 * usual:
         out.append(
-            f"task.weights.joint_torques is {-weight:g}; for {mass:.0f} kg {-usual:.2g} is usual, or it will not move"
+            f"task.weights.joint_torques is {-weight:g}; for {mass:.0f} kg {-usual:.2g} is usual, or it "
+            f"will not move"
         )
     friction = robot.mj_model.geom_friction[robot.feet, 0]
     low, high = task.randomize.friction
@@ -239,7 +251,14 @@ def run(flags) -> None:
         problem = picture.draw(robot, flags.out)
         if problem:
             raise ConfigError(f"--out={flags.out}: {problem.replace('video', 'picture')}")
-        show([("picture", f"{flags.out}: its looks, feet (orange) and parts (blue), and from the front")])
+        show(
+            [
+                (
+                    "picture",
+                    f"{flags.out}: its looks, feet (orange) and parts (blue), and from the front",
+                )
+            ]
+        )
 
 
 def show(rows: list[tuple[str, str]]) -> None:

@@ -47,11 +47,11 @@ def pd(robot: robot_lib.Robot, kp, kd, timestep: float) -> PD:
 def stand(body: Body) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     """`(episode, numbers)` of five seconds under zero action: the PD holds the default pose.
 
-    `fall` (s): when a part that is no foot, `fell_on`, touched the ground, or None; `rest` (m): height of the base at the
-    end, of a robot on one or two feet that falls halfway to its fall; `moved` (m): how much the height changed in
-    the last second; `slid` (m): how far the feet went after the first, until a fall; `sunk` (m): how deep the
-    lowest foot is in the floor then; `torque [A]` (N m): what each motor holds in the last second, kp times the joint's mean
-    error, and `share [A]` of its limit.
+    `fall` (s): when a part that is no foot, `fell_on`, touched the ground, or None; `rest` (m): height of the
+    base at the end, of a robot on one or two feet that falls halfway to its fall; `moved` (m): how much the
+    height changed in the last second; `slid` (m): how far the feet went after the first, until a fall; `sunk`
+    (m): how deep the lowest foot is in the floor then; `torque [A]` (N m): what each motor holds in the last
+    second, kp times the joint's mean error, and `share [A]` of its limit.
     FloatingPointError if the physics blows up.
     """
     p, count = body.policy, len(body.policy.joint_names)
@@ -105,7 +105,8 @@ def _lowest_part(body: Body, qpos: np.ndarray) -> str:
 
 
 def explores(robot: robot_lib.Robot, config) -> np.ndarray:
-    """Share [A] of each motor's limit that exploration asks for: kp x action_scale x ppo.init_std / effort."""
+    """Share [A] of each motor's limit that exploration asks for: kp x action_scale x ppo.init_std /
+    effort."""
     task = config.task
     asked = np.multiply(task.kp, task.action_scale) * config.ppo.init_std
     return np.broadcast_to(asked / np.asarray(task.effort_limit), len(robot.joint_names))

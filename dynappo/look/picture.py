@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import tempfile
 from pathlib import Path
-from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -25,14 +24,6 @@ APART = 1.25  # of a robot's width, from one middle to the next
 MESH, PLANE = mujoco.mjtGeom.mjGEOM_MESH, mujoco.mjtGeom.mjGEOM_PLANE
 
 
-class Scene(NamedTuple):
-    """What `render.film` needs of a robot."""
-
-    xml: Path
-    text: str
-    base_body: int
-
-
 def draw(robot: robot_lib.Robot, out: Path) -> str:
     """Write the picture `out`, a PNG; "", or a line that says why not, as `render.film`."""
     with tempfile.TemporaryDirectory() as folder:
@@ -40,7 +31,7 @@ def draw(robot: robot_lib.Robot, out: Path) -> str:
         xml.write_text(scene(robot), encoding="utf-8")
         still = np.zeros((1, 3))
         episode = dict(qpos=np.zeros((1, 0)), command=still, velocity=still, dt=np.array(0.02))
-        return render.film(Scene(xml, "", 0), episode, out, SIZE)
+        return render.film(render.Shown(xml, "", 0), episode, out, SIZE)
 
 
 def scene(robot: robot_lib.Robot) -> str:
@@ -51,9 +42,9 @@ def scene(robot: robot_lib.Robot) -> str:
     mujoco.mj_kinematics(model, data)
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
-    points = data.geom_xpos[np.concatenate([robot.feet, robot.parts])]
-    half = np.abs(points - data.xpos[robot.base_body])[:, :2].max(0) + 0.1 * robot.home_qpos[2]
-    long, wide = half
+    shapes = np.concatenate([robot.feet, robot.parts])
+    points, reach = data.geom_xpos[shapes], 0.8 * model.geom_rbound[shapes]
+    long, wide = (np.abs(points - data.xpos[robot.base_body]) + reach[:, None])[:, :2].max(0)
     looks = _looks(spec, robot)
     places = [(0.0, 0.0)] if not looks else []
     across = APART * 2 * long
@@ -65,7 +56,7 @@ def scene(robot: robot_lib.Robot) -> str:
             colour = FEET if geom in robot.feet else PARTS
             _place(spec, model, data, int(geom), at, yaw, rgba=colour)
     span = front + wide + long
-    _stage(spec, span / 2 - long, span, float(points[:, 2].max()) + 0.15 * robot.home_qpos[2])
+    _stage(spec, span / 2 - long, span, float((points[:, 2] + reach).max()))
     spec.compile()
     return spec.to_xml()
 
@@ -99,7 +90,8 @@ def _looks(spec: mujoco.MjSpec, robot: robot_lib.Robot) -> bool:
 
 
 def _place(spec, model, data, geom: int, at: float, yaw: float, **look) -> None:
-    """Add a geom of a posed model to the scene, turned by `yaw` about the base's vertical, `at` to the right."""
+    """Add a geom of a posed model to the scene, turned by `yaw` about the base's vertical, `at` to the
+    right."""
     position, rotation = data.geom_xpos[geom], data.geom_xmat[geom].reshape(3, 3)
     mesh = int(model.geom_dataid[geom])
     more = {}
@@ -132,7 +124,10 @@ def _stage(spec: mujoco.MjSpec, middle: float, width: float, height: float) -> N
     tilt = np.radians(TILT)
     eye = [middle, -far * np.cos(tilt), height / 2 + far * np.sin(tilt)]
     spec.worldbody.add_camera(
-        name="track", pos=eye, quat=[np.cos(np.pi / 4 - tilt / 2), np.sin(np.pi / 4 - tilt / 2), 0, 0], fovy=LENS
+        name="track",
+        pos=eye,
+        quat=[np.cos(np.pi / 4 - tilt / 2), np.sin(np.pi / 4 - tilt / 2), 0, 0],
+        fovy=LENS,
     )
     light = spec.worldbody.add_light(pos=[middle, -3, 6], dir=[0.15, 0.5, -1])
     light.type, light.diffuse = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, [0.5, 0.5, 0.5]

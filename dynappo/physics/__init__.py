@@ -18,5 +18,6 @@
 - `contacts`: how a robot's primitives touch the floor
 
 The task and the commands import it; it imports `types` and `config`. `robot`, `mjcf`,
-`complete`, `feet`, `fit`, `robot_contract`, `kinematics`, `contacts`, `kinds`, `motors` and `actuators` need no JAX.
+`complete`, `feet`, `fit`, `robot_contract`, `kinematics`, `contacts`, `kinds`, `motors` and `actuators` need
+no JAX.
 """

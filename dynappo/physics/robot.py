@@ -173,8 +173,8 @@ def check_base_mass(robot: Robot, kilograms: tuple[float, float]) -> None:
     base = robot.mj_model.body_mass[robot.base_body]
     if kilograms[0] <= -base:
         raise ConfigError(
-            f"task.randomize.base_mass is {kilograms}, expected more than -{base:.2f} kg, the mass of the base of "
-            f"{robot.name}"
+            f"task.randomize.base_mass is {kilograms}, expected more than -{base:.2f} kg, the mass of the "
+            f"base of {robot.name}"
         )
 
 

@@ -17,7 +17,7 @@ import tempfile
 import threading
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -74,8 +74,16 @@ def simulate(robot: robot_lib.Robot, config, act, command, seconds: float) -> di
     return episode_lib.play(body, act, command, seconds)
 
 
+class Shown(NamedTuple):
+    """What `film` needs of a robot, or of a scene."""
+
+    xml: Path
+    text: str
+    base_body: int
+
+
 def film(
-    robot: robot_lib.Robot | episode_lib.Body,
+    robot: robot_lib.Robot | episode_lib.Body | Shown,
     episode: dict[str, np.ndarray],
     out: Path,
     size: tuple[int, int] | None = None,

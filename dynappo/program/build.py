@@ -21,7 +21,6 @@ import numpy as np
 
 from dynappo import config as config_lib
 from dynappo import schedule
-from dynappo.config import ConfigError
 from dynappo.program import devices, distributed, memory
 
 if TYPE_CHECKING:  # it imports JAX, and a mistake is answered without

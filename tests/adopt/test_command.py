@@ -28,7 +28,9 @@ def adopted(tmp_path_factory):
     printed = []
     try:
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr("builtins.print", lambda *what, **_: printed.append(" ".join(map(str, what))))
+            patch.setattr(
+                "builtins.print", lambda *what, **_: printed.append(" ".join(map(str, what)))
+            )
             patch.setattr(command, "look", lambda config, picture: printed.append(f"look {config}"))
             assert run("from/toy.xml", "--name=mine") == 0
         config = config_lib.validate(config_lib.load("configs/mine.py"))
@@ -56,7 +58,8 @@ def test_it_writes_a_robot_that_needs_nothing_more(adopted):
 
 
 def test_it_moves_as_published(adopted):
-    """Accelerations of both models for the same state and torques, without contacts, servos, friction and damping."""
+    """Accelerations of both models for the same state and torques, without contacts, servos, friction and
+    damping."""
     folder, robot, _, _ = adopted
     theirs = mujoco.MjModel.from_xml_path(str(folder / "from/toy.xml"))
     theirs.dof_damping[:], theirs.dof_frictionloss[:] = 0, 0
@@ -118,12 +121,19 @@ def test_the_readme_has_source_licence_and_every_line(adopted):
     for line in printed[:-3]:
         assert " ".join(line.split()) in text
     said = "\n".join(printed)
-    for part in ("solver: Newton", "dry friction of 0.2", "damping of 2", "frames: turned", "feet: solimp"):
+    for part in (
+        "solver: Newton",
+        "dry friction of 0.2",
+        "damping of 2",
+        "frames: turned",
+        "feet: solimp",
+    ):
         assert part in said
 
 
 def test_a_urdf_is_adopted_with_a_pose_of_bent_legs(tmp_path, monkeypatch, capsys):
-    """Feet below the legs' second joints, by forward kinematics; limits of the file; the looks are not there."""
+    """Feet below the legs' second joints, by forward kinematics; limits of the file; the looks are not
+    there."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(command, "look", lambda *_: None)
     Path("toy.urdf").write_text(published.urdf())
@@ -225,7 +235,12 @@ def test_what_is_adopted_trains(adopted, tmp_path):
     """Two iterations of 16 robots in C MuJoCo, and its policy is played; as a stranger would do it."""
     folder, *_ = adopted
     run_it = ["-m", "dynappo.train", "--config=configs/mine.py:quick", f"--workdir={tmp_path}/run"]
-    small = ["run.num_iterations=2", "rollout.num_envs=16", "run.eval_envs=2", "run.video_seconds=0.2"]
+    small = [
+        "run.num_iterations=2",
+        "rollout.num_envs=16",
+        "run.eval_envs=2",
+        "run.video_seconds=0.2",
+    ]
     small += ["physics.impl=c", "schedule.end_iteration=1"]
     done = shell(*run_it, *[f"--config.{field}" for field in small], cwd=folder)
     assert done.returncode == 0, done.stderr

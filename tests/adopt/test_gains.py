@@ -1,5 +1,7 @@
 """Gains and limits of an adopted robot, against what the files say and a simulation by hand."""
 
+import copy
+
 import mujoco
 import numpy as np
 import published
@@ -71,6 +73,16 @@ def test_by_rule_every_robot_here_stands_and_is_stable(name):
     ruled = 0.45 * mass * 9.81 * robot.home_qpos[2]
     np.testing.assert_allclose(found.effort_limit, ruled, rtol=0.01)
     assert len(told) == 5 and told[0].startswith("effort: no limit in the file")
+
+
+def test_light_rotors_get_less_damping():
+    """A calf without armature: kp x 0.025 s would be unstable in a step of 5 ms."""
+    robot = robot_lib.load("go1")
+    model = copy.copy(robot.mj_model)
+    model.dof_armature[:] = 0
+    found, _ = gains.choose(robot._replace(mj_model=model), NONE, 1.0)
+    assert robot_lib.damping_rate(robot._replace(mj_model=model), found.kd, 0.005) < 0.45
+    assert found.kd[2] < found.kp[2] * 0.02 and found.kd[0] > found.kd[2]
 
 
 def published_go1(kp, kd, effort):

@@ -51,13 +51,21 @@ def test_what_should_be_changed_is_a_note(capsys):
     assert run(*WEAK) == 0
     text = capsys.readouterr().out
     assert "the joints chatter: damping takes 1.53" in text
-    for part in ("lower task.kd", "a part that is no foot, touches the ground after", "it kneels", "does not come to rest"):
+    for part in (
+        "lower task.kd",
+        "a part that is no foot, touches the ground after",
+        "it kneels",
+        "does not come to rest",
+    ):
         assert re.search(rf"^note: .*{part}", text, re.M), part
 
 
 RULES = {  # fields, what the note says: every rule of robots/README.md that a config can break
     "exploration": (["action_scale=1.0"], "exploration asks FL_hip_joint for 105% of its motor"),
-    "spawn height": (["reset.spawn_height=1.2"], "task.reset.spawn_height is 1.2 m, the base .* at 0.325"),
+    "spawn height": (
+        ["reset.spawn_height=1.2"],
+        "task.reset.spawn_height is 1.2 m, the base .* at 0.325",
+    ),
     "base mass": (["randomize.base_mass=(-1.0,9.0)"], "task.randomize.base_mass is -1 to 9 kg"),
     "friction": (["randomize.friction=(0.2,0.5)"], "friction is 0.80 in the file, but 0.2 to 0.5"),
     "a weak motor": (["effort_limit=3", "saturation_effort=3"], "a motor is at task.effort_limit"),
@@ -73,7 +81,10 @@ def test_a_rule_that_a_config_breaks_is_a_note(name, capsys):
 
 def test_heavy_robots_are_paid_less_for_saving_torque(capsys):
     assert run("anymal_c", "--config.task.weights.joint_torques=-2e-4") == 0
-    assert "task.weights.joint_torques is -0.0002; for 52 kg -2.5e-05 is usual" in capsys.readouterr().out
+    assert (
+        "task.weights.joint_torques is -0.0002; for 52 kg -2.5e-05 is usual"
+        in capsys.readouterr().out
+    )
 
 
 def test_soft_feet_and_low_shanks_are_notes(tmp_path, monkeypatch, capsys):
@@ -93,14 +104,20 @@ def test_soft_feet_and_low_shanks_are_notes(tmp_path, monkeypatch, capsys):
     for name in ("soft", "low"):
         Path(f"configs/{name}.py").write_text(mine + f"  k.robot = '{name}'\n  return k\n")
     assert run("soft") == 0
-    assert re.search(r"^note: its feet sink into the floor by \d+ mm", capsys.readouterr().out, re.M)
+    assert re.search(
+        r"^note: its feet sink into the floor by \d+ mm", capsys.readouterr().out, re.M
+    )
     assert run("low") == 0
-    assert "note: no feet, but close to the floor in the default pose: LF_" in capsys.readouterr().out
+    assert (
+        "note: no feet, but close to the floor in the default pose: LF_" in capsys.readouterr().out
+    )
 
 
 def test_what_train_refuses_look_refuses_in_the_same_words(capsys):
     """A base that may weigh nothing (program/build.py)."""
-    line = mistake(look_command.main, ["go1", "--config.task.randomize.base_mass=(-6.0,1.0)"], capsys)
+    line = mistake(
+        look_command.main, ["go1", "--config.task.randomize.base_mass=(-6.0,1.0)"], capsys
+    )
     assert "task.randomize.base_mass is (-6.0, 1.0), expected more than -5.20 kg" in line
 
 
