@@ -10,7 +10,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from dynappo.config import files
+from dynappo import config
+from dynappo.config import files, per_joint
 from dynappo.physics import contacts, robot
 
 FACTS = json.loads((pathlib.Path(__file__).parents[1] / "facts" / "g1.json").read_text())
@@ -356,3 +357,21 @@ def test_a_foot_of_capsules_needs_the_fewest_contacts_and_rows(model):
     assert room(model.__copy__()) == (8, 32)
     assert room(with_published_soles("mjlab")) == (28, 112)
     assert room(with_published_soles("playground")) == (16, 64)
+
+
+def test_the_config_has_mjlabs_motors():
+    task = config.load("g1.py").task
+    kp, kd = gains("mjlab")
+
+    def numbers(field):
+        return per_joint.numbers(f"task.{field}", task[field], JOINTS, "g1")
+
+    np.testing.assert_allclose(numbers("kp"), kp, rtol=1e-5)
+    np.testing.assert_allclose(numbers("kd"), kd, rtol=1e-5)
+    np.testing.assert_array_equal(numbers("effort_limit"), EFFORT)
+    np.testing.assert_array_equal(numbers("saturation_effort"), EFFORT)
+    np.testing.assert_array_equal(
+        numbers("velocity_limit"), [joint["velocity_limit"] for joint in FACTS["joints"]]
+    )
+    np.testing.assert_allclose(numbers("action_scale"), 0.25 * EFFORT / kp, rtol=1e-5)
+    assert kd.size == 29
