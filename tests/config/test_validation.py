@@ -53,7 +53,7 @@ WRONG = [  # fields, what the line begins with, what is expected
     ({"run.seed": 2**31 - 1, "run.num_seeds": 2}, "run.seed is 2147483647", "32 bits"),
     ({"ppo.critic": "no such"}, "ppo.critic is 'no such'", "one of obs, state"),
     ({"task.air_time": "no such"}, "task.air_time is 'no such'", "one of touchdown, indicator"),
-    ({"robot": "go9"}, "robot is 'go9'", "one of anymal_c, anymal_d, go1, go2"),
+    ({"robot": "go9"}, "robot is 'go9'", "one of anymal_c, anymal_d, g1, go1, go2"),
     ({"robot": "../go1"}, "robot is '../go1'", "one of anymal_c"),
     ({"robot": "a" * 300}, "robot is 'aaa", "one of anymal_c"),
     # two that must fit each other

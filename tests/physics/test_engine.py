@@ -16,7 +16,6 @@ import pytest
 from mujoco import mjx
 
 from dynappo import config
-from dynappo.config import files
 from dynappo.physics import engine as engine_lib
 from dynappo.physics import randomize, robot
 from dynappo.tasks.velocity import env as env_lib
@@ -25,6 +24,7 @@ POSES = 10_000
 NEAR = 0.02  # m from the floor
 ROUNDING = 2e-6  # m, of single precision at the end of a leg; measured 6e-7
 WORLDS, STEPS = 8, 100
+QUADRUPEDS = "anymal_c", "anymal_d", "go1", "go2"
 
 
 LATER = ("go2", "anymal_c")  # with `-m slow`: the others are of the same two makes
@@ -32,9 +32,7 @@ LATER = ("go2", "anymal_c")  # with `-m slow`: the others are of the same two ma
 
 @pytest.fixture(
     scope="module",
-    params=[
-        pytest.param(name, marks=[pytest.mark.slow] * (name in LATER)) for name in files.robots()
-    ],
+    params=[pytest.param(name, marks=[pytest.mark.slow] * (name in LATER)) for name in QUADRUPEDS],
 )
 def name(request):
     return request.param

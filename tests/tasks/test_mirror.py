@@ -28,7 +28,7 @@ def turned(table, x):
     return np.asarray(table.sign, np.float32) * np.asarray(x)[..., table.index]
 
 
-@pytest.fixture(scope="module", params=files.robots())
+@pytest.fixture(scope="module", params=UNLIKE)
 def world(request):
     """Robots that stumble, and `step(state, action) -> Outcome` of all of them."""
     config = config_lib.load(f"configs/{request.param}.py")
