@@ -136,17 +136,15 @@ def joints(
         )
     if servo:
         told.append(
-            f"joints: damping of {gains.span(np.array(servo))} N m s/rad left out; in a file for servos it "
-            f"is "
-            "the servo's, and kd takes its place"
+            f"joints: damping of {gains.span(np.array(servo))} N m s/rad left out; in a file for "
+            "servos it is the servo's, and kd takes its place"
         )
     if endless:
         told.append(f"joints: no range at {len(endless)} of {len(names)}; +-{WIDE:g} rad")
     if rotors:
         told.append(
-            f"joints: no armature in the file; {gains.span(np.array(rotors))} kg m^2, {gains.ROTOR:g} for "
-            f"each "
-            "N m of effort"
+            f"joints: no armature in the file; {gains.span(np.array(rotors))} kg m^2, "
+            f"{gains.ROTOR:g} for each N m of effort"
         )
     return told
 
@@ -215,8 +213,8 @@ def feet(spec: mujoco.MjSpec) -> list[str]:
         told.append(f"shapes: contact margins of {gains.span(np.array(margins))} m left out")
     if soft:
         told.append(
-            f"feet: solimp {FIRM[0]:g} {FIRM[1]:g} instead of {gains.span(np.array(soft))}, with which "
-            f"they sink in"
+            f"feet: solimp {FIRM[0]:g} {FIRM[1]:g} instead of {gains.span(np.array(soft))}, with "
+            "which they sink in"
         )
     if slippery:
         told.append(

@@ -109,9 +109,8 @@ def assumed(robot: robot_lib.Robot) -> list[str]:
     like = "the Unitree tasks'" if light(robot) else "the ANYmal tasks'"
     told = [
         f"task: {like} reward weights for {mass:.1f} kg (up to {LIGHT:g} kg those of light robots), torques "
-        f"weighted by {torque_weight(mass):g}; base mass +-{load(robot):.1f} kg; starts {ABOVE * 100:g} cm "
-        f"above "
-        "the default pose"
+        f"weighted by {torque_weight(mass):g}; base mass +-{load(robot):.1f} kg; starts "
+        f"{ABOVE * 100:g} cm above the default pose"
     ]
     if len(robot.foot_names) != 4:
         told.append(

@@ -177,9 +177,8 @@ def _wrong_standing(robot: robot_lib.Robot, stood: dict) -> list[str]:
         out.append("a motor is at task.effort_limit: it cannot hold the robot")
     if fall is None and stood["slid"] > SLIDES * home:
         out.append(
-            f"its feet slide by {stood['slid'] * 1e3:.0f} mm while it stands: give them solimp 0.9 0.95, "
-            f"or the "
-            "file impratio 3"
+            f"its feet slide by {stood['slid'] * 1e3:.0f} mm while it stands: give them solimp "
+            "0.9 0.95, or the file impratio 3"
         )
     if stood["sunk"] > SUNK:
         out.append(
@@ -210,8 +209,8 @@ def _wrong_config(robot: robot_lib.Robot, config) -> list[str]:
     low, high = task.randomize.base_mass
     if max(-low, high) > LOAD * mass:
         out.append(
-            f"task.randomize.base_mass is {low:g} to {high:g} kg, of a robot of {mass:.1f} kg: a tenth is "
-            f"usual"
+            f"task.randomize.base_mass is {low:g} to {high:g} kg, of a robot of {mass:.1f} kg: a "
+            "tenth is usual"
         )
     weight, usual = -task.weights.joint_torques, TORQUES * (AT / mass) ** 1.5
     if mass > AT and weight > 4 * usual:
