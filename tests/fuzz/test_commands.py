@@ -22,6 +22,7 @@ import pytest
 import workdirs
 
 from dynappo import config as config_lib
+from dynappo.adopt import command as adopt_command
 from dynappo.config import flags
 from dynappo.evaluate import episodes, trials
 from dynappo.export import command as export_command
@@ -62,6 +63,7 @@ def nothing_is_compiled(monkeypatch):
         (viewer, "watch"),
         (onnx_file, "save"),
         (export_command, "save_robot"),
+        (adopt_command, "check"),
         (jax.distributed, "initialize"),
     ):
         monkeypatch.setattr(module, name, reached)
