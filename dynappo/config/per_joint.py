@@ -75,24 +75,3 @@ def by_name(value: Any, joints: Sequence[str]) -> Any:
             (re.escape(joint), number) for joint, number in zip(joints, value, strict=True)
         )
     return value
-
-
-def in_words(value: Any, joints: Sequence[str]) -> str:
-    """Numbers for a person: "25", or "25 (*_hip_joint *_thigh_joint), 35 (*_calf_joint)"."""
-    if not isinstance(value, tuple):
-        return f"{value:g}"
-    groups: dict[float, list[str]] = {}
-    for joint, number in zip(joints, value, strict=True):
-        groups.setdefault(number, []).append(joint)
-    return ", ".join(f"{number:g} ({_kinds(of, joints)})" for number, of in groups.items())
-
-
-def _kinds(some: Sequence[str], joints: Sequence[str]) -> str:
-    """Names of joints; where all of a kind are there, as `hip_joint` of FL_hip_joint, that kind."""
-    said = []
-    for joint in some:
-        kind = joint.partition("_")[2]
-        alike = [name for name in joints if kind and name.partition("_")[2] == kind]
-        whole = len(alike) > 1 and set(alike) <= set(some)
-        said.append(f"*_{kind}" if whole else joint)
-    return " ".join(dict.fromkeys(said))

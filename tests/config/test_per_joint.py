@@ -167,14 +167,3 @@ def test_a_sweep_of_numbers_is_one_program_and_each_pattern_another():
     ]
     for field in ("task.armature", "task.joint_friction"):  # in each model
         assert not grid.by_vmap(field)
-
-
-def test_numbers_are_said_by_kind_of_joint():
-    assert per_joint.in_words(25.0, JOINTS) == "25"
-    kinds = (25.0, 25.0, 35.5) * 2
-    assert (
-        per_joint.in_words(kinds, JOINTS) == "25 (*_hip_joint *_thigh_joint), 35.5 (*_calf_joint)"
-    )
-    odd = (1.0, 2.0, 2.0, 2.0, 2.0, 2.0)
-    said = "1 (FL_hip_joint), 2 (*_thigh_joint *_calf_joint FR_hip_joint)"
-    assert per_joint.in_words(odd, JOINTS) == said
