@@ -20,7 +20,6 @@ import numpy as np
 from dynappo.physics import robot as robot_lib
 
 LEGS, LINKS = 4, 12  # of the kernel's robot: a base, and legs of three links, each with a hinge
-ENDS = range(1 + LINKS // LEGS, 2 + LINKS, LINKS // LEGS)  # the last links, as bodies of a model
 # fields without a say in how a robot moves, as patterns
 HARMLESS = (
     # looks, names, notes, what is only measured, poses to start from; and their sizes
