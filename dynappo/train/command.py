@@ -55,7 +55,7 @@ class Command(NamedTuple):
 
 def parse(argv: list[str] | None) -> Command:
     """A command line, understood; ConfigError if it cannot be."""
-    parser = flags.parser("train", "Train a quadruped to follow velocity commands.", USAGE)
+    parser = flags.parser("train", "Train a legged robot to follow velocity commands.", USAGE)
     parser.add_argument(
         "--config",
         metavar="NAME[:VARIANT]|FILE.py[:VARIANT]",
