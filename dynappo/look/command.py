@@ -7,6 +7,7 @@ robot stands with it. C MuJoCo and NumPy, without JAX; it takes a second or two.
 from __future__ import annotations
 
 import argparse
+import contextlib
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from dynappo import config as config_lib
 from dynappo.config import ConfigError
 from dynappo.config import flags as flags_lib
 from dynappo.look import facts, picture
-from dynappo.physics import kinds, motors
+from dynappo.physics import engine_contract, kinds, motors
 from dynappo.physics import robot as robot_lib
 from dynappo.physics.warp import scope
 from dynappo.policy import episode as episode_lib
@@ -107,7 +108,7 @@ def standing(robot: robot_lib.Robot, config, stood: dict) -> list[tuple[str, str
 def _of_limit(robot: robot_lib.Robot, config, share: np.ndarray) -> str:
     """The largest of some shares of the motors' limits, for a person."""
     worst = int(share.argmax())
-    limit = np.broadcast_to(config.task.effort_limit, len(share))[worst]
+    limit = np.broadcast_to(facts.limit(config.task), len(share))[worst]
     name = robot.joint_names[worst]
     return f"{share[worst] * limit:.1f} N m, at {name}: {share[worst]:.0%} of the limit {limit:g}"
 
@@ -116,7 +117,7 @@ def joints(robot: robot_lib.Robot, config, stood: dict) -> list[str]:
     """A line for each kind of joint: how many, default pose, range, and shares of the motor's limit."""
     names, count = robot.joint_names, len(robot.joint_names)
     asked = facts.explores(robot, config)
-    fields = config.task.kp, config.task.kd, config.task.effort_limit
+    fields = config.task.kp, config.task.kd, facts.limit(config.task)
     numbers = [np.broadcast_to(field, count) for field in fields]
     head = "default (rad)", "range (rad)", "kp", "kd", "limit (N m)", "standing", "exploring"
     rows: list[tuple[str, ...]] = [("joints", "", *head)]
@@ -152,6 +153,7 @@ def _span(values: np.ndarray, digits: int | None) -> str:
 def notes(robot: robot_lib.Robot, config, pd: facts.PD, stood: dict) -> list[str]:
     """A line on each thing that should be changed before it is trained."""
     out = [*_wrong_pd(pd), *_wrong_standing(robot, stood), *_wrong_config(robot, config)]
+    out += _wrong_engine(robot, config.physics)
     if slow := scope.slower(robot, config.physics, config.task.remember_ground):
         out.append(slow)
     return [f"note: {line}" for line in out]
@@ -160,6 +162,16 @@ def notes(robot: robot_lib.Robot, config, pd: facts.PD, stood: dict) -> list[str
 def _wrong_pd(pd: facts.PD) -> list[str]:
     fix = "lower task.kd or task.kp, raise armature, damp in the file, or shorten the step"
     return [fix] if pd.damping >= 1 or pd.bound >= 2 else []
+
+
+def _wrong_engine(robot: robot_lib.Robot, physics) -> list[str]:
+    """The engines that cannot simulate the file, where the machine chooses one (`physics.impl=auto`)."""
+    lines = []
+    for impl, name in engine_contract.ENGINES.items() if physics.impl == "auto" else ():
+        with contextlib.suppress(ImportError):  # MuJoCo Warp is not installed
+            if reason := engine_contract.lacks(robot, physics, impl):
+                lines.append(f"{name} (physics.impl={impl}) cannot simulate the file: {reason}")
+    return lines
 
 
 def _wrong_standing(robot: robot_lib.Robot, stood: dict) -> list[str]:
@@ -174,7 +186,7 @@ def _wrong_standing(robot: robot_lib.Robot, stood: dict) -> list[str]:
     if stood["moved"] > RESTS and steady:
         out.append("it does not come to rest")
     if stood["share"].max() >= 1:
-        out.append("a motor is at task.effort_limit: it cannot hold the robot")
+        out.append("a motor is at task.effort_limit or saturation_effort: it cannot hold the robot")
     if fall is None and stood["slid"] > SLIDES * home:
         out.append(
             f"its feet slide by {stood['slid'] * 1e3:.0f} mm while it stands: give them solimp "
@@ -192,6 +204,14 @@ def _wrong_standing(robot: robot_lib.Robot, stood: dict) -> list[str]:
 def _wrong_config(robot: robot_lib.Robot, config) -> list[str]:
     task, out = config.task, []
     home, mass = robot.home_qpos[2], robot.mj_model.body_mass.sum()
+    count = len(robot.joint_names)
+    effort, stall = (np.broadcast_to(x, count) for x in (task.effort_limit, task.saturation_effort))
+    if (effort > stall).any():
+        i = int((effort - stall).argmax())
+        out.append(
+            f"task.effort_limit is {effort[i]:g} N m at {robot.joint_names[i]}, which its motor cannot "
+            f"reach: task.saturation_effort, of a motor that stands, is {stall[i]:g}"
+        )
     asked = facts.explores(robot, config)
     if asked.max() > EXPLORES:
         name = robot.joint_names[int(asked.argmax())]
@@ -235,10 +255,12 @@ def run(flags) -> None:
     config = flags.config
     config, robot = motors.fitted(config, robot_lib.load(config.robot))
     robot_lib.check_base_mass(robot, config.task.randomize.base_mass)
+    if config.physics.impl != "auto":
+        with contextlib.suppress(ImportError):  # MuJoCo Warp is not installed; train says so
+            engine_contract.check(robot, config.physics, config.physics.impl)
     described = policy_file.describe(config, robot)
     pd = facts.pd(robot, config.task.kp, config.task.kd, config.physics.timestep)
-    alone = robot.alone if robot.notes else robot.text  # what was completed is in no file
-    body = episode_lib.load(robot.xml, described, described.timestep, text=alone)
+    body = episode_lib.load(robot.xml, described, described.timestep, text=robot.played)
     show(about(robot, config, pd))  # before it stands: physics may blow up
     for line in robot.notes:
         show([("  file", line)])

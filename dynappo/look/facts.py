@@ -63,7 +63,8 @@ def stand(body: Body) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     shown = slice(max(0, end - last), end)
     heights = episode["qpos"][:, body.root[0] + 2]
     error = (p.default_pose - episode["qpos"][shown][:, body.joint_q]).mean(0)
-    torque = np.clip(p.kp * error, -p.effort_limit, p.effort_limit)
+    most = limit(p)
+    torque = np.clip(p.kp * error, -most, most)
     until = end if fall is None else max(1, round(fall / episode_lib.period(body)))
     begun, ended = (_feet(body, episode["qpos"][i]) for i in (min(last, until) - 1, until - 1))
     numbers = {
@@ -74,9 +75,15 @@ def stand(body: Body) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         "slid": float(np.linalg.norm((ended - begun)[:, :2], axis=1).max()),
         "sunk": float(-ended[:, 2].min()),
         "torque": torque,
-        "share": np.abs(torque) / p.effort_limit,
+        "share": np.abs(torque) / most,
     }
     return episode, numbers
+
+
+def limit(motors) -> np.ndarray:
+    """The largest torque (N m) of the motors of a config's group `task`, or a policy: one number or one for
+    each joint. A motor that stands gives no more than `saturation_effort` (actuators.clip_dc_motor)."""
+    return np.minimum(motors.effort_limit, motors.saturation_effort)
 
 
 def balances(body: Body) -> bool:
@@ -105,11 +112,11 @@ def _lowest_part(body: Body, qpos: np.ndarray) -> str:
 
 
 def explores(robot: robot_lib.Robot, config) -> np.ndarray:
-    """Share [A] of each motor's limit that exploration asks for: kp x action_scale x ppo.init_std /
-    effort."""
+    """Share [A] of each motor's `limit` that exploration asks for: kp x action_scale x ppo.init_std /
+    limit."""
     task = config.task
     asked = np.multiply(task.kp, task.action_scale) * config.ppo.init_std
-    return np.broadcast_to(asked / np.asarray(task.effort_limit), len(robot.joint_names))
+    return np.broadcast_to(asked / limit(task), len(robot.joint_names))
 
 
 def low_parts(robot: robot_lib.Robot, below: float) -> list[str]:

@@ -6,6 +6,9 @@
 - `feet`: which of a robot's shapes are its feet
 - `fit`: the smallest primitive around a mesh
 - `robot_contract`: checks the rules that remain
+- `text`: writes a completed robot as an MJCF that needs no other file
+- `rotation`: rotation matrices and quaternions
+- `engine_contract`: whether an engine has what a robot's file asks for
 - `kinematics`: where the feet are at given joint angles
 - `actuators`: from a policy's action to joint torques
 - `motors`: a robot with the motors that a config says, joint by joint
@@ -18,6 +21,6 @@
 - `contacts`: how a robot's primitives touch the floor
 
 The task and the commands import it; it imports `types` and `config`. `robot`, `mjcf`,
-`complete`, `feet`, `fit`, `robot_contract`, `kinematics`, `contacts`, `kinds`, `motors` and `actuators` need
-no JAX.
+`complete`, `feet`, `fit`, `robot_contract`, `kinematics`, `contacts`, `kinds`, `motors`, `text`,
+`rotation` and `actuators` need no JAX; `engine_contract` needs it for unusual files only.
 """

@@ -32,8 +32,7 @@ import mujoco
 import numpy as np
 from mujoco import rollout
 
-from dynappo.config import ConfigError
-from dynappo.physics import actuators, contacts, motors, xla_call
+from dynappo.physics import actuators, contacts, engine_contract, motors, xla_call
 from dynappo.physics import robot as robot_lib
 
 # the numbers that define a robot's model, in the order of the last argument of a call; of those of the
@@ -76,17 +75,6 @@ def cores(threads: int) -> int:
     return len(affinity(0)) if affinity else os.cpu_count() or 1
 
 
-def check(robot: robot_lib.Robot) -> None:
-    """ConfigError for a file whose integrator would treat the motors' damping implicitly."""
-    integrator = mujoco.mjtIntegrator(robot.mj_model.opt.integrator)
-    if integrator != mujoco.mjtIntegrator.mjINT_EULER:
-        name = integrator.name.removeprefix("mjINT_").lower()
-        raise ConfigError(
-            f"physics.impl is c, but {robot.xml} has the integrator {name}, with which C MuJoCo's motors are "
-            "not those of the other engines; set physics.impl=jax, or take the integrator out of the file"
-        )
-
-
 def make(robot: robot_lib.Robot, physics, varied: frozenset[str], rubs: bool = False):
     """`step(qpos, qvel, qacc_warmstart, target, numbers) -> Moved` of one robot, for `jax.vmap`.
 
@@ -94,7 +82,7 @@ def make(robot: robot_lib.Robot, physics, varied: frozenset[str], rubs: bool = F
     those of `BODY_NUMBERS` and then of `MOTOR_NUMBERS`. `rubs`: joints have friction, also where it does not
     vary.
     """
-    check(robot)
+    engine_contract.check(robot, physics, "c")
     varied |= {"joint_friction"} if rubs else set()
     steps, threads, model = physics.substeps, cores(physics.threads), _model(robot, physics)
     name = f"dynappo_c_{steps}_{threads}_{'_'.join(sorted(varied))}_{robot_lib.digest(model)}"

@@ -51,6 +51,26 @@ def complete(spec: mujoco.MjSpec) -> Completed:
         raise
 
 
+def options(spec: mujoco.MjSpec) -> list[str]:
+    """A line on options with which a robot does not move as it does on a floor on Earth in still air; they
+    stay."""
+    option, usual = spec.option, mujoco.MjSpec().option
+    told = [
+        f"{name} {' '.join(f'{x:g}' for x in np.atleast_1d(getattr(option, name)))}"
+        for name in ("gravity", "wind", "density", "viscosity")
+        if not np.array_equal(getattr(option, name), getattr(usual, name))
+    ]
+    flags = [
+        flag for flag in mujoco.mjtDisableBit.__members__.values() if flag.name[:6] == "mjDSBL"
+    ]
+    told += [
+        f"no {flag.name.removeprefix('mjDSBL_').lower()}"
+        for flag in flags
+        if option.disableflags & int(flag)
+    ]
+    return [f"the file's options are simulated: {', '.join(told)}"] * bool(told)
+
+
 def _completed(spec: mujoco.MjSpec) -> Completed:
     notes: list[str] = []
     # where bodies go, MuJoCo empties the keys until it compiles
@@ -204,7 +224,9 @@ def _keys(spec: mujoco.MjSpec, poses: list[np.ndarray], freed: bool, notes: list
     """
     size = sum(count for _, count in _sizes(spec.worldbody))
     for key, pose in zip(list(spec.keys), poses, strict=True):
-        if freed and len(pose) == size - 7:
+        if not len(pose):
+            pass  # joints at rest, as MuJoCo writes a pose that is `qpos0`
+        elif freed and len(pose) == size - 7:
             key.qpos, key.qvel = np.concatenate([[0, 0, 0, 1, 0, 0, 0], pose]), []
         elif len(pose) != size:
             if key.name == "home":
@@ -224,7 +246,7 @@ def _keys(spec: mujoco.MjSpec, poses: list[np.ndarray], freed: bool, notes: list
 def _pose(spec: mujoco.MjSpec, model: mujoco.MjModel, notes: list[str]) -> bool:
     """The home pose is upright, and within the joints' ranges."""
     key = next((key for key in spec.keys if key.name == "home"), None)
-    home = np.array(model.qpos0 if key is None else key.qpos)
+    home = np.array(model.qpos0 if key is None or not len(key.qpos) else key.qpos)
     if key is None:
         key = spec.add_key(name="home")
         notes.append("no keyframe fits: the home pose has all joints at rest")

@@ -24,13 +24,12 @@ from typing import Any, NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
-import mujoco
 import numpy as np
 
-from dynappo.config import ConfigError, per_joint
-from dynappo.physics import actuators, c_mujoco, contacts, randomize
+from dynappo.config import per_joint
+from dynappo.physics import actuators, c_mujoco, contacts, engine_contract, randomize
 from dynappo.physics import robot as robot_lib
-from dynappo.physics.warp import arrays, scope
+from dynappo.physics.warp import arrays
 from dynappo.physics.warp import call as warp_call
 from dynappo.types import Hyper
 
@@ -54,48 +53,6 @@ class Engine(NamedTuple):
     rubs: bool  # joints have the friction task.joint_friction
 
 
-# What MJX 3.17 takes no notice of and does not refuse, although C MuJoCo and MuJoCo Warp do it.
-UNSEEN = (
-    "geom_adhesion pair_adhesion geom_surfacevel jnt_stiffnesspoly dof_dampingpoly tendon_stiffnesspoly "
-    "tendon_dampingpoly"
-).split()
-
-
-def check(robot: robot_lib.Robot, physics, impl: str) -> None:
-    """ConfigError if the engine `impl` lacks what the robot's file asks for; `physics` is the config's
-    group. What the kernel computes, every engine does."""
-    if impl == "c":
-        return c_mujoco.check(robot)
-    model = robot_lib.physics_model(robot, physics)
-    if not scope.declines(model, robot.feet, False):
-        return None
-    try:
-        if impl == "warp":
-            from dynappo.physics.warp import general
-
-            general.check(model)
-        else:
-            _check_mjx(model)
-    except NotImplementedError as error:
-        engine = {"jax": "MJX", "warp": "MuJoCo Warp"}[impl]
-        raise ConfigError(
-            f"{robot.xml}: {engine} cannot simulate it ({error}); take that out of the file, or set "
-            f"physics.impl={'jax' if impl == 'warp' else 'c'}"
-        ) from None
-
-
-def _check_mjx(mj_model) -> None:
-    """NotImplementedError for a model that MJX cannot step, or of which it would leave something out."""
-    unseen = [name for name in UNSEEN if getattr(mj_model, name).any()]
-    unseen += ["opt.noslip_iterations"] * bool(mj_model.opt.noslip_iterations)
-    discrete = mj_model.opt.integrator == mujoco.mjtIntegrator.mjINT_DISCRETE
-    unseen += ["the integrator discrete"] * discrete  # it refuses in its step alone
-    if unseen:
-        raise NotImplementedError(unseen[0])
-    mjx = _mjx()
-    mjx.make_data(mjx.put_model(mj_model, impl="jax"), impl="jax")
-
-
 def make(
     robot: robot_lib.Robot,
     physics,
@@ -106,7 +63,7 @@ def make(
     rubs: bool = False,
 ) -> Engine:
     """The engine `impl` ("jax", "warp" or "c") of `robot`; `physics` is the config's group."""
-    check(robot, physics, impl)
+    engine_contract.check(robot, physics, impl)
     mj_model, model, data = robot_lib.physics_model(robot, physics), None, None
     if impl == "c":
         step = c_mujoco.make(robot, physics, varied, rubs)

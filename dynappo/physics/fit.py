@@ -78,7 +78,9 @@ def _along(points: np.ndarray, frame: np.ndarray) -> list[Primitive]:
 
 
 def _primitive(kind: int, size, frame: np.ndarray, middle: np.ndarray, volume: float) -> Primitive:
-    return Primitive(kind, np.asarray(size, float), frame @ middle, quaternion(frame), float(volume))
+    return Primitive(
+        kind, np.asarray(size, float), frame @ middle, quaternion(frame), float(volume)
+    )
 
 
 def around_ellipsoid(size: np.ndarray, frame: np.ndarray, middle: np.ndarray) -> Primitive:

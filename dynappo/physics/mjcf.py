@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from xml.parsers import expat
 
 import mujoco
+import numpy as np
 
 from dynappo.config import ConfigError
 
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
 
 MAX_CARRIED = 2**19  # bytes of an MJCF in a policy or a checkpoint; the robots here have 10 KiB
 TIMESTEP = 1e-5, 0.1  # s
+ALL = 2**31 - 1  # of the bits of contype
 OUTSIDE = {"include", "model", "extension", "plugin"}  # elements that load other files, or code
 
 
@@ -46,12 +48,44 @@ def one_line(xml: Path, what: str = ""):
 
 
 def model(xml: Path, text: str = "") -> mujoco.MjModel:
-    """The compiled model of a file, or of the MJCF `text` in it; ConfigError says what is wrong."""
+    """The compiled model of a file, or of the MJCF `text` in it; ConfigError says what is wrong.
+
+    Robots are published without a scene: a file without anything to stand on gets a floor at height 0.
+    """
     with one_line(xml):
         if text:
             check_alone(text)
-            return check_model(mujoco.MjModel.from_xml_string(text))
-        return check_model(mujoco.MjModel.from_xml_path(str(xml)))
+            found = check_model(mujoco.MjModel.from_xml_string(text))
+        else:
+            found = check_model(mujoco.MjModel.from_xml_path(str(xml)))
+        return found if _has_floor(found) else _with_floor(xml, text)
+
+
+def _has_floor(model: mujoco.MjModel) -> bool:
+    """Whether anything in the world can be touched, also by a contact pair alone."""
+    ground = model.body_weldid[model.geom_bodyid] == 0
+    return bool((ground & touches(model)).any())
+
+
+def floor_added(model: mujoco.MjModel) -> bool:
+    """Whether the floor of a `model` is not its file's own."""
+    return bool((model.geom_contype == ALL).any())
+
+
+def touches(model: mujoco.MjModel) -> np.ndarray:
+    """[ngeom] bool: what can have contacts."""
+    paired = np.isin(np.arange(model.ngeom), [model.pair_geom1, model.pair_geom2])
+    return (model.geom_contype > 0) | (model.geom_conaffinity > 0) | paired
+
+
+def _with_floor(xml: Path, text: str) -> mujoco.MjModel:
+    spec = mujoco.MjSpec.from_string(text) if text else mujoco.MjSpec.from_file(str(xml))
+    floor = spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 0.05])
+    # plain, whatever the file's defaults; it meets all that can be touched
+    floor.contype = floor.conaffinity = ALL
+    floor.condim, floor.priority, floor.margin, floor.gap = 3, 0, 0, 0
+    floor.material, floor.rgba = "", [0.74, 0.76, 0.78, 1]
+    return spec.compile()
 
 
 def check_alone(text: str) -> None:

@@ -40,9 +40,9 @@ class Robot(NamedTuple):
     base_body: int
     text: str  # its MJCF, if it comes from a policy or a checkpoint; else ""
     alone: str  # its MJCF as one text that needs no other file; "" if there is none
-    notes: tuple[
-        str, ...
-    ] = ()  # what was changed in the file when it was read, a line each (complete.py)
+    played: str  # the MJCF that C MuJoCo plays and draws; "" if that is the file as it is
+    # what was changed in the file when it was read, and its unusual options, a line each (complete.py)
+    notes: tuple[str, ...] = ()
 
 
 def load(name: str) -> Robot:
@@ -75,6 +75,8 @@ def _robot(name: str, xml: Path, text: str = "") -> Robot:
     robot_contract.check(model)
     shapes, foot_of, foot_names = feet.named(robot_contract.names(model.ngeom, model.geom))
     home = model.key("home").qpos.copy()
+    told = complete.options(spec)
+    alone = text or _alone(xml, spec, bool(notes))
     return Robot(
         name=name,
         xml=xml,
@@ -88,23 +90,26 @@ def _robot(name: str, xml: Path, text: str = "") -> Robot:
         parts=robot_contract.parts_of(model),
         base_body=int(model.jnt_bodyid[0]),
         text=text,
-        alone=text or _alone(xml, spec, notes),
-        notes=notes,
+        alone=alone,
+        played=text or (alone if notes else ""),
+        notes=(*notes, *told),
     )
 
 
-def _alone(xml: Path, spec: mujoco.MjSpec, notes: tuple[str, ...]) -> str:
+def _alone(xml: Path, spec: mujoco.MjSpec, changed: bool) -> str:
     """A robot's MJCF as one text that needs no other file; `spec` is the completed file, and is changed.
 
-    A file that lacked nothing and names no other file has its own text. Else it is the completed file, in
-    which collision shapes are drawn instead of looks. "" if that is too long.
+    A file that was not `changed` and names no other file has its own text. Else it is the completed file, in
+    which collision shapes are drawn instead of looks; of a file that was not changed "" if that cannot be.
     """
-    if not notes:
+    if not changed:
         with contextlib.suppress(ValueError):
             text = xml.read_bytes().decode()
             mjcf.check_alone(text)
             return text
-    with contextlib.suppress(ValueError, mujoco.FatalError):
+    with (
+        contextlib.nullcontext() if changed else contextlib.suppress(ValueError, mujoco.FatalError)
+    ):
         for geom in spec.geoms:
             if geom.group > complete.VISUAL_GROUP:
                 geom.group = 0
@@ -113,11 +118,6 @@ def _alone(xml: Path, spec: mujoco.MjSpec, notes: tuple[str, ...]) -> str:
         mjcf.check_alone(text)
         return text
     return ""
-
-
-def played(robot: Robot) -> str:
-    """The MJCF that C MuJoCo plays and draws: "" if that is the robot's file as it is, else a text."""
-    return robot.text or (robot.alone if robot.notes else "")
 
 
 def same(one: Robot, other: Robot) -> bool:

@@ -7,6 +7,7 @@
   (`conaffinity`), and nothing else: only the floor has a `contype`, so the robot never collides with itself;
 - feet have a higher priority than the floor, so that their friction holds;
 - one `motor` per joint, named and ordered as the joints, gear 1; `actuators.py` has PD and limits;
+- gravity points down; contacts, limits, gravity, constraints and motors are not disabled;
 - the state is positions and velocities: no activations, no delays; no plugins, no flexes;
 - a plane `floor` at height 0, a camera `track`, a keyframe `home`: the default pose, upright, within the
   joints' ranges, the lowest foot on the floor and no other shape at it.
@@ -25,10 +26,19 @@ import numpy as np
 from dynappo.physics import contacts, feet
 
 AT_FLOOR = 1e-3  # m above the lowest foot
+FLAGS = mujoco.mjtDisableBit
+NEEDED = {  # without these there is nothing to train
+    "constraint": FLAGS.mjDSBL_CONSTRAINT,
+    "contact": FLAGS.mjDSBL_CONTACT,
+    "limit": FLAGS.mjDSBL_LIMIT,
+    "gravity": FLAGS.mjDSBL_GRAVITY,
+    "actuation": FLAGS.mjDSBL_ACTUATION,
+}
 
 
 def check(model: mujoco.MjModel) -> None:
     """A ValueError, in a line, for a compiled file that breaks a rule: what was found, what to do."""
+    _check_options(model)
     check_motors(model)
     _check_state(model)
     shapes, parts = _check_geoms(model)
@@ -60,6 +70,15 @@ def check_tree(spec: mujoco.MjSpec) -> None:
     _expect(len(found) > 1, "hinge joints", "none")
     _expect(not spec.flexes, "rigid bodies only", f"{len(spec.flexes)} flex")
     _expect(not spec.plugins, "no plugins", f"{len(spec.plugins)}")
+
+
+def _check_options(model: mujoco.MjModel) -> None:
+    """A robot falls, stands on its feet and has joints with limits and motors."""
+    off = model.opt.disableflags
+    odd = [word for word, flag in NEEDED.items() if off & int(flag)]
+    _expect(not odd, "no flag that disables " + ", ".join(NEEDED), ", ".join(odd))
+    rule = "gravity that points down (option gravity)"
+    _expect(model.opt.gravity[2] < 0, rule, " ".join(f"{x:g}" for x in model.opt.gravity))
 
 
 def _check_state(model: mujoco.MjModel) -> None:

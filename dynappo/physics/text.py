@@ -15,8 +15,10 @@ from dynappo.physics.rotation import matrix, quaternion
 
 
 def of(spec: mujoco.MjSpec) -> str:
-    """The MJCF of a compiled spec, without default classes (but tendons') and frames. The spec's elements lose their
-    classes, which changes none of their numbers."""
+    """The MJCF of a compiled spec, without default classes (but tendons') and frames.
+
+    The spec's elements lose their classes, which changes none of their numbers.
+    """
     for element in _elements(spec):
         element.classname = spec.default
     for body in spec.bodies[1:]:

@@ -1,9 +1,9 @@
 """Plays a policy in C MuJoCo and NumPy, in its robot's own file or in another MJCF (sim-to-sim).
 
 Another MJCF must have the policy's hinge joints by name, in any order and with other joints
-in between; above them the base, a body with a free joint, x ahead and z up; and something to stand
-on in the world body. Everything else is as in that file: masses, contacts, time step, and armature unless
-the policy was trained with one of its own (task.armature).
+in between; and above them the base, a body with a free joint, x ahead and z up. A file with nothing to
+stand on, as robots are published, gets a floor. Everything else is as in that file: masses, contacts,
+time step, and armature unless the policy was trained with one of its own (task.armature).
 
 Only the actuators are replaced: the file's are switched off, and the policy's own motor model
 drives the joints: PD and limits (`physics/actuators.py`), joint damping and friction. Why the last
@@ -87,9 +87,8 @@ def load(
         i for i in range(model.njnt) if model.jnt_type[i] == free and model.jnt_bodyid[i] in top
     ]
     expect(len(roots) == 1 and (top == top[0]).all(), "one base with a free joint above all joints")
-    touches, ground = _touches(model), model.body_weldid[model.geom_bodyid] == 0
+    touches, ground = mjcf.touches(model), model.body_weldid[model.geom_bodyid] == 0
     robot = model.body_rootid[model.geom_bodyid] == top[0]
-    expect((ground & touches).any(), "a floor: a geom of the world body that can be touched")
     expect((robot & touches).any(), "geoms of the robot that can touch the floor")
     feet = _named_feet(model, robot & touches) or _lowest_limbs(
         model, joints, policy.default_pose, robot & touches
@@ -128,12 +127,6 @@ def load(
         foot_names=tuple(feet),
         substeps=substeps,
     )
-
-
-def _touches(model) -> np.ndarray:
-    """[ngeom] bool: what can have contacts."""
-    paired = np.isin(np.arange(model.ngeom), [model.pair_geom1, model.pair_geom2])
-    return (model.geom_contype > 0) | (model.geom_conaffinity > 0) | paired
 
 
 def _named_feet(model, touches) -> dict[str, list[int]]:
@@ -192,7 +185,7 @@ def reset(body: Body, data) -> None:
     data.qpos[body.joint_q] = body.policy.default_pose + off
     mujoco.mj_kinematics(body.model, data)
     robot = body.model.body_rootid[body.model.geom_bodyid] == body.base_body
-    shapes = np.flatnonzero(robot & _touches(body.model))
+    shapes = np.flatnonzero(robot & mjcf.touches(body.model))
     data.qpos[q + 2] -= _lowest(body.model, data, shapes).min()
     mujoco.mj_forward(body.model, data)
 

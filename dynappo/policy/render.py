@@ -70,7 +70,7 @@ ENCODE = {
 def simulate(robot: robot_lib.Robot, config, act, command, seconds: float) -> dict[str, np.ndarray]:
     """An episode of a run's robot, with the run's config; `episode.rows` says what is in it."""
     described = policy_file.describe(config, robot)
-    body = episode_lib.load(robot.xml, described, described.timestep, text=robot.text)
+    body = episode_lib.load(robot.xml, described, described.timestep, text=robot.played)
     return episode_lib.play(body, act, command, seconds)
 
 
@@ -101,7 +101,8 @@ def film(
         try:
             folder = stack.enter_context(tempfile.TemporaryDirectory())
             npz = Path(folder) / "episode.npz"
-            shown: dict[str, Any] = {"xml": str(robot.xml), "text": robot.text}
+            text = robot.played if isinstance(robot, robot_lib.Robot) else robot.text
+            shown: dict[str, Any] = {"xml": str(robot.xml), "text": text}
             shown |= {"base": robot.base_body}
             shown |= {name: episode[name] for name in ("qpos", "command", "velocity", "dt")}
             np.savez(npz, **shown)

@@ -14,6 +14,7 @@ from typing import Any
 
 from dynappo.config import ConfigError, files
 from dynappo.config import flags as flags_lib
+from dynappo.physics import mjcf
 from dynappo.physics import robot as robot_lib
 from dynappo.physics.robot import Robot
 from dynappo.policy import checkpoint_file, policy_file
@@ -107,8 +108,9 @@ def body(
     """`(body, note)` in C MuJoCo, as `robot`; here `--robot-xml` needs only the policy's joints."""
     if xml is None:
         own, note = robot(policy)
-        return episode_lib.load(own.xml, policy, policy.timestep, text=own.text), note
-    return _of_flag(xml, lambda path: episode_lib.load(path, policy, keep_joints=keep_joints)), ""
+        return episode_lib.load(own.xml, policy, policy.timestep, text=own.played), note
+    other = _of_flag(xml, lambda path: episode_lib.load(path, policy, keep_joints=keep_joints))
+    return other, f"note: {xml} has no floor; one is added" * mjcf.floor_added(other.model)
 
 
 def _of_flag(xml: str, load):

@@ -49,7 +49,7 @@ class Program(NamedTuple):
 
 def check(config, env: Any = None) -> None:
     """ConfigError if the machine, the robot's file or `env` cannot run it; compiles nothing."""
-    from dynappo.physics import engine, motors, robot
+    from dynappo.physics import engine_contract, motors, robot
     from dynappo.program import environment
     from dynappo.tasks import env_contract
     from dynappo.tasks.velocity import mirror, reward_sum
@@ -66,7 +66,7 @@ def check(config, env: Any = None) -> None:
     reward_sum.terms_of(config.task)
     if config.ppo.symmetry:
         mirror.check_motors(config.task, loaded)
-    engine.check(loaded, config.physics, impl)
+    engine_contract.check(loaded, config.physics, impl)
     memory.check(config, loaded, memory.limit(devices.local(config.run.device)))
 
 

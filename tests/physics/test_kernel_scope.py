@@ -15,6 +15,7 @@ from mujoco import mjx
 from dynappo import config as config_lib
 from dynappo.physics import contacts as contacts_lib
 from dynappo.physics import engine as engine_lib
+from dynappo.physics import engine_contract
 from dynappo.physics import robot as robot_lib
 from dynappo.physics.warp import scope
 
@@ -538,7 +539,7 @@ def test_an_engine_refuses_what_it_lacks(impl, feature, tmp_path):
     text = str(caught.value)
     assert str(robot.xml) in text and "\n" not in text and LACKS[impl][feature] in text
     other = next(other for other in reversed(LACKS) if feature not in LACKS[other])
-    engine_lib.check(robot, physics, other)
+    engine_contract.check(robot, physics, other)
 
 
 @pytest.mark.parametrize("feature", DECLINED)

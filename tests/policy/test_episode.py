@@ -316,7 +316,6 @@ LACKING = {
     "joint missing": (without("joint", "RL_thigh_joint"), "hinge joints RL_thigh_joint"),
     "joint of another kind": (slides, "hinge joints FL_calf_joint"),
     "no free joint": (lambda _, trunk: trunk.remove(child(trunk, "freejoint")), "a free joint"),
-    "no floor": (without("geom", "floor"), "a floor"),
 }
 
 

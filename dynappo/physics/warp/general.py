@@ -29,12 +29,6 @@ class Kept(NamedTuple):
     floor: Any
 
 
-def check(mj_model: mujoco.MjModel) -> None:
-    """NotImplementedError, in MuJoCo Warp's words, for a model that it cannot step."""
-    with wp.ScopedDevice("cpu"):
-        mjw.put_model(mj_model)
-
-
 def kept(mj_model: mujoco.MjModel, shape: arrays.Shape, count: int) -> Kept:
     """All robots share one contact buffer with room for as many contacts as all can have, and each
     has as many constraint rows as it can need, so that neither can overflow."""

@@ -55,7 +55,11 @@ def constants(model: mujoco.MjModel, shape: arrays.Shape) -> np.ndarray:
     numbers = [model.opt.timestep, gravity, tolerance, *matrix(model.body_iquat[1]).ravel()]
     for joint in range(1, 1 + LINKS):
         body, dof = model.jnt_bodyid[joint], model.jnt_dofadr[joint]
-        numbers += [*model.body_pos[body], *model.jnt_axis[joint], *matrix(model.body_iquat[body]).ravel()]
+        numbers += [
+            *model.body_pos[body],
+            *model.jnt_axis[joint],
+            *matrix(model.body_iquat[body]).ravel(),
+        ]
         numbers += [*model.jnt_range[joint], model.dof_damping[dof]]
         weight = model.dof_invweight0[dof]
         numbers += _constraint(model, model.jnt_solref[joint], model.jnt_solimp[joint], weight)

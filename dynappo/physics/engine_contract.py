@@ -1,0 +1,109 @@
+"""Checks that an engine has what a robot's file asks for: `check(robot, physics, impl)`.
+
+NumPy and C MuJoCo; MJX and MuJoCo Warp, whose import takes seconds, are asked only about files with more
+in them than every engine has (`PLAIN`).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+
+import mujoco
+
+from dynappo.config import ConfigError
+from dynappo.physics import robot as robot_lib
+from dynappo.physics.warp import scope
+
+ENGINES = {"jax": "MJX", "warp": "MuJoCo Warp", "c": "C MuJoCo"}
+# What MJX 3.17 takes no notice of and does not refuse, although C MuJoCo and MuJoCo Warp do it.
+UNSEEN = (
+    "geom_adhesion pair_adhesion geom_surfacevel jnt_stiffnesspoly dof_dampingpoly tendon_stiffnesspoly "
+    "tendon_dampingpoly"
+).split()
+# What is zero in a file that both of them have whole: hinges, primitives on a plane, motors.
+PLAIN = (
+    "neq ntendon npair nmocap nsensor nplugin nflex nhfield opt.disableflags opt.enableflags "
+    "opt.noslip_iterations opt.density opt.viscosity opt.wind body_gravcomp "
+    "geom_fluid"
+).split() + UNSEEN
+INTEGRATORS = mujoco.mjtIntegrator.mjINT_EULER, mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+
+
+def check(robot: robot_lib.Robot, physics, impl: str) -> None:
+    """ConfigError if the engine `impl` lacks what the robot's file asks for; `physics` is the config's
+    group. What the kernel computes, every engine does."""
+    reason = lacks(robot, physics, impl)
+    if reason and impl == "c":
+        raise ConfigError(
+            f"physics.impl is c, but {robot.xml} has {reason}, with which C MuJoCo's motors are "
+            "not those of the other engines; set physics.impl=jax, or take the integrator out of the file"
+        )
+    if reason:
+        raise ConfigError(
+            f"{robot.xml}: {ENGINES[impl]} cannot simulate it ({reason}); take that out of the file, or set "
+            f"physics.impl={'jax' if impl == 'warp' else 'c'}"
+        )
+
+
+def lacks(robot: robot_lib.Robot, physics, impl: str) -> str:
+    """What of the robot's file the engine `impl` cannot simulate; "" if nothing."""
+    if impl == "c":
+        return _unlike_others(robot.mj_model)
+    model = robot_lib.physics_model(robot, physics)
+    if _plain(model) or not scope.declines(model, robot.feet, False):
+        return ""
+    try:
+        _check_warp(model) if impl == "warp" else _check_mjx(model)
+    except NotImplementedError as error:
+        return str(error)
+    return ""
+
+
+def _plain(model: mujoco.MjModel) -> bool:
+    def found(name):
+        value = getattr(model.opt if name.startswith("opt.") else model, name.removeprefix("opt."))
+        return value.any() if hasattr(value, "any") else value
+
+    newton = model.opt.solver == mujoco.mjtSolver.mjSOL_NEWTON
+    return newton and model.opt.integrator in INTEGRATORS and not any(map(found, PLAIN))
+
+
+def _unlike_others(model: mujoco.MjModel) -> str:
+    """An integrator with which C MuJoCo would treat the motors' damping implicitly."""
+    integrator = mujoco.mjtIntegrator(model.opt.integrator)
+    if integrator == mujoco.mjtIntegrator.mjINT_EULER:
+        return ""
+    return f"the integrator {integrator.name.removeprefix('mjINT_').lower()}"
+
+
+def _warp():
+    """Warp, which else prints its version and devices when it starts."""
+    import warp  # pyright: ignore[reportMissingImports]
+
+    warp.config.quiet = True  # pyright: ignore[reportAttributeAccessIssue]
+    return warp
+
+
+def _check_warp(model: mujoco.MjModel) -> None:
+    """NotImplementedError, in MuJoCo Warp's words, for a model that it cannot step."""
+    warp = _warp()
+    from mujoco.mjx.third_party import mujoco_warp
+
+    with warp.ScopedDevice("cpu"):
+        mujoco_warp.put_model(model)
+
+
+def _check_mjx(model: mujoco.MjModel) -> None:
+    """NotImplementedError for a model that MJX cannot step, or of which it would leave something out."""
+    unseen = [name for name in UNSEEN if getattr(model, name).any()]
+    unseen += ["opt.noslip_iterations"] * bool(model.opt.noslip_iterations)
+    discrete = model.opt.integrator == mujoco.mjtIntegrator.mjINT_DISCRETE
+    unseen += ["the integrator discrete"] * discrete  # it refuses in its step alone
+    if unseen:
+        raise NotImplementedError(unseen[0])
+    with contextlib.suppress(ImportError):
+        _warp()  # MJX starts it where it is installed
+    with contextlib.redirect_stdout(io.StringIO()):  # it prints two lines where warp-lang is absent
+        from mujoco import mjx
+    mjx.make_data(mjx.put_model(model, impl="jax"), impl="jax")
