@@ -36,14 +36,16 @@ MAY_IMPORT = {
         "play.page",
     },
     "adopt": {"adopt", "physics", "config"},
-    "look": {"look", "policy", "physics", "config"},
+    "look": {"look", "policy", "physics", "tasks.velocity.partners", "config"},
     "web": {"web", "policy", "physics", "config"},
     "play": {"play", "web", "policy", "physics", "config"},
     "export": {"export", "policy", "physics", "tasks.velocity.observe", "config"},
     "bench": {"bench", "program", "config", "method", "model"},
 }
 WITHOUT_JAX = {"policy", "adopt", "look", "web", "play", "export", "config", "schedule"}
-WITHOUT_JAX |= {f"tasks.velocity.{name}" for name in ("rewards", "reward_sum", "observe")}
+WITHOUT_JAX |= {
+    f"tasks.velocity.{name}" for name in ("rewards", "reward_sum", "observe", "partners")
+}
 WITHOUT_JAX |= {
     f"physics.{name}"
     for name in ("robot", "mjcf", "robot_contract", "contacts", "actuators", "warp.scope")

@@ -20,6 +20,7 @@ from dynappo.physics import robot as robot_lib
 from dynappo.physics.warp import scope
 from dynappo.policy import episode as episode_lib
 from dynappo.policy import policy_file
+from dynappo.tasks.velocity import partners
 
 SINKS = 0.25  # of its height: more is no sag
 RESTS = 0.02  # m in the last second: more is not at rest
@@ -255,6 +256,8 @@ def run(flags) -> None:
     config = flags.config
     config, robot = motors.fitted(config, robot_lib.load(config.robot))
     robot_lib.check_base_mass(robot, config.task.randomize.base_mass)
+    if config.ppo.symmetry:
+        partners.check_motors(config.task, robot)
     if config.physics.impl != "auto":
         with contextlib.suppress(ImportError):  # MuJoCo Warp is not installed; train says so
             engine_contract.check(robot, config.physics, config.physics.impl)

@@ -78,10 +78,11 @@ def _unlike_others(model: mujoco.MjModel) -> str:
 
 
 def _warp():
-    """Warp, which else prints its version and devices when it starts."""
+    """Warp, started; else it prints its version and devices later."""
     import warp  # pyright: ignore[reportMissingImports]
 
-    warp.config.quiet = True  # pyright: ignore[reportAttributeAccessIssue]
+    with contextlib.redirect_stdout(io.StringIO()):
+        warp.init()
     return warp
 
 
@@ -102,8 +103,6 @@ def _check_mjx(model: mujoco.MjModel) -> None:
     unseen += ["the integrator discrete"] * discrete  # it refuses in its step alone
     if unseen:
         raise NotImplementedError(unseen[0])
-    with contextlib.suppress(ImportError):
-        _warp()  # MJX starts it where it is installed
     with contextlib.redirect_stdout(io.StringIO()):  # it prints two lines where warp-lang is absent
         from mujoco import mjx
     mjx.make_data(mjx.put_model(model, impl="jax"), impl="jax")

@@ -52,7 +52,7 @@ def check(config, env: Any = None) -> None:
     from dynappo.physics import engine_contract, motors, robot
     from dynappo.program import environment
     from dynappo.tasks import env_contract
-    from dynappo.tasks.velocity import mirror, reward_sum
+    from dynappo.tasks.velocity import partners, reward_sum
 
     if env is not None:
         devices.engine(config)
@@ -65,7 +65,7 @@ def check(config, env: Any = None) -> None:
     robot.check_base_mass(loaded, config.task.randomize.base_mass)
     reward_sum.terms_of(config.task)
     if config.ppo.symmetry:
-        mirror.check_motors(config.task, loaded)
+        partners.check_motors(config.task, loaded)
     engine_contract.check(loaded, config.physics, impl)
     memory.check(config, loaded, memory.limit(devices.local(config.run.device)))
 

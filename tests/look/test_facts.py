@@ -48,7 +48,9 @@ def test_each_torque_is_a_share_of_its_own_motors_limit():
     config, robot = described("go2")
     policy = policy_file.describe(config, robot)
     limits = np.where(np.arange(12) % 3 == 2, 3.0, 30.0)  # weak calves
-    body = episode.load(robot.xml, policy._replace(effort_limit=limits), 0.005)
+    body = episode.load(
+        robot.xml, policy._replace(effort_limit=limits, saturation_effort=limits), 0.005
+    )
     _, found = facts.stand(body)
     assert found["share"].max() == 1.0 and found["share"].argmax() % 3 == 2
     np.testing.assert_allclose(found["share"], np.abs(found["torque"]) / limits)

@@ -9,6 +9,7 @@ number in configs/: docs/task.md.
   sums
 - `commands`, `observe`, `pushes`: the commanded velocity, the numbers that a policy sees, kicks
 - `view`: what policy, value function and model see of a robot; readings before, errors of sensors
+- `partners`: which joint is the mirror image of another; needs no JAX
 - `mirror`: the mirror image of an observation and an action, from the robot's model
 
 Sizes follow from the robot: any number of joints and feet. It imports `types`, `physics` and `config`;
