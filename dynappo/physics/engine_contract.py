@@ -33,12 +33,13 @@ INTEGRATORS = mujoco.mjtIntegrator.mjINT_EULER, mujoco.mjtIntegrator.mjINT_IMPLI
 def check(robot: robot_lib.Robot, physics, impl: str) -> None:
     """ConfigError if the engine `impl` lacks what the robot's file asks for; `physics` is the config's
     group. What the kernel computes, every engine does."""
-    reason = lacks(robot, physics, impl)
-    if reason and impl == "c":
+    name = _unlike_others(robot.mj_model)
+    if impl == "c" and name:
         raise ConfigError(
-            f"physics.impl is c, but {robot.xml} has {reason}, with which C MuJoCo's motors are "
+            f"physics.impl is c, but {robot.xml} has the integrator {name}, with which C MuJoCo's motors are "
             "not those of the other engines; set physics.impl=jax, or take the integrator out of the file"
         )
+    reason = lacks(robot, physics, impl)
     if reason:
         raise ConfigError(
             f"{robot.xml}: {ENGINES[impl]} cannot simulate it ({reason}); take that out of the file, or set "
@@ -49,7 +50,8 @@ def check(robot: robot_lib.Robot, physics, impl: str) -> None:
 def lacks(robot: robot_lib.Robot, physics, impl: str) -> str:
     """What of the robot's file the engine `impl` cannot simulate; "" if nothing."""
     if impl == "c":
-        return _unlike_others(robot.mj_model)
+        name = _unlike_others(robot.mj_model)
+        return name and f"the integrator {name}"
     model = robot_lib.physics_model(robot, physics)
     if _plain(model) or not scope.declines(model, robot.feet, False):
         return ""
@@ -70,11 +72,11 @@ def _plain(model: mujoco.MjModel) -> bool:
 
 
 def _unlike_others(model: mujoco.MjModel) -> str:
-    """An integrator with which C MuJoCo would treat the motors' damping implicitly."""
+    """The name of an integrator with which C MuJoCo would treat the motors' damping implicitly."""
     integrator = mujoco.mjtIntegrator(model.opt.integrator)
     if integrator == mujoco.mjtIntegrator.mjINT_EULER:
         return ""
-    return f"the integrator {integrator.name.removeprefix('mjINT_').lower()}"
+    return integrator.name.removeprefix("mjINT_").lower()
 
 
 def _warp():

@@ -15,7 +15,7 @@ from mujoco import mjx
 from dynappo import config as config_lib
 from dynappo.physics import contacts as contacts_lib
 from dynappo.physics import engine as engine_lib
-from dynappo.physics import engine_contract
+from dynappo.physics import engine_contract, robot_contract
 from dynappo.physics import robot as robot_lib
 from dynappo.physics.warp import scope
 
@@ -357,8 +357,10 @@ DECLINED = {
     **{
         f"flag {name[2:]}": (flag(kind, name[2:]), "flags")
         for kind in ("Disable", "Enable")
-        for name in getattr(mujoco, f"mjt{kind}Bit").__members__
-        if not name.startswith("mjN") and name != "mjENBL_IPC"  # of one integrator
+        for name, value in getattr(mujoco, f"mjt{kind}Bit").__members__.items()
+        if not name.startswith("mjN")
+        and name != "mjENBL_IPC"  # of one integrator
+        and value not in robot_contract.NEEDED.values()
     },
 }
 COMPUTED = {
