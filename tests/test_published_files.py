@@ -100,7 +100,7 @@ def test_what_look_lets_pass_trains_and_plays(kind, tmp_path, monkeypatch, capsy
     numbers = [1.0, 0.0, 0.0, 0.0, 0.8, 1.0, 25.0, 0.5, 20.0, 20.0, 30.0, 0.0]
     speeds = np.zeros(found.mj_model.nv)
     one = found.home_qpos, speeds, speeds, np.tile(found.default_pose, (4, 1)), numbers
-    moved = step(*[np.float32(x)[None] for x in one])
+    moved = step(*[np.asarray(x, np.float32)[None] for x in one])
     assert np.isfinite(moved.qpos).all() and (moved.qpos[:, 2] > 0.1).all()
     policy_file.save(Path("mine.npz"), actor(len(found.joint_names)), config, found)
     assert play("mine.npz", "--seconds=1", "--out=here.html") == 0, capsys.readouterr().err
@@ -126,6 +126,13 @@ def test_the_text_of_a_completed_robot_is_that_robot(kind, tmp_path, monkeypatch
         speeds.append(data.qvel.copy())
     np.testing.assert_allclose(speeds[1], speeds[0], atol=5e-3)
     assert np.abs(speeds[0]).max() > 0.1
+
+
+def test_a_file_in_another_encoding_than_utf8_is_one_line(tmp_path):
+    file = tmp_path / "mine.xml"
+    text = robot_files.biped().replace("<mujoco>", '<mujoco model="s\xfdn">')
+    file.write_bytes(text.encode("latin-1"))
+    assert refused(robot.load_xml, file).startswith(f"{file}: expected a text in UTF-8: ")
 
 
 @pytest.mark.parametrize("name", ["go1", "g1"])

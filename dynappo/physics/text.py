@@ -23,7 +23,10 @@ def of(spec: mujoco.MjSpec) -> str:
         element.classname = spec.default
     for body in spec.bodies[1:]:
         body.childclass = ""
-    root = ElementTree.fromstring(spec.to_xml())
+    try:
+        root = ElementTree.fromstring(spec.to_xml())
+    except UnicodeDecodeError as error:
+        raise ValueError(f"expected a text in UTF-8: {error}") from None
     materials = {one.name for one in spec.materials}
     left = {one.get("class") for one in root.iter() if one.tag != "default"}
     for default in root.findall("default"):
