@@ -42,8 +42,11 @@ def actor_critic(static: Static, params: dict) -> networks.ActorCritic:
 
     Half as many products, each larger: an update takes 9.0 ms in float32 (9.4 without), 6.4 in TF32, 5.0
     in bfloat16 (H200; experiments/03_speed/peers.md). The weights are put side by side here, before a
-    loop over rows: in the loop that takes 7 kernels a row.
+    loop over rows: in the loop that takes 7 kernels a row. Layers of two sizes are no one product: then it is
+    the plain one.
     """
+    if static.ppo.critic_hidden not in (None, static.ppo.hidden):
+        return networks.actor_critic(static, params)
     precision = static.ppo.precision
     nets = [networks.cast(precision, params[name]["params"]) for name in ("actor", "critic")]
     first, *hidden, last = ([net[f"Dense_{i}"] for net in nets] for i in range(len(nets[0])))

@@ -40,6 +40,7 @@ class StaticPpo(NamedTuple):
     adaptive: bool
     clip_value: bool
     critic: str
+    critic_hidden: tuple[int, ...] | None
     epochs: int
     hidden: tuple[int, ...]
     minibatches: int
@@ -66,6 +67,7 @@ class StaticRun(NamedTuple):
     num_seeds: int
     seed: int
     tensorboard: bool
+    walks: str
     wandb: str
 
 
@@ -79,21 +81,36 @@ class StaticSchedule(NamedTuple):
     start_steps: int
 
 
+class StaticWeights(NamedTuple):
+    alive: float | None
+    feet_air_time_biped: float | None
+    feet_distance: float | None
+    foot_slip: float | None
+    posture: float | None
+    posture_deviation: float | None
+    upright: float | None
+
+
 class StaticTask(NamedTuple):
     actuator: str
     air_time: str
     armature: float | tuple[float, ...] | None
     carry_on: bool
     episode_length: int
+    fall_reward: float | None
     formulation: str
     heading: bool
     history: int
+    max_tilt: float | None
     observation: str
+    posture_std: float | tuple[float, ...] | None
+    posture_std_standing: float | tuple[float, ...] | None
     random_clock: bool
     remember_ground: bool
     resample_steps: int
     termination: str
     undesired: str
+    weights: StaticWeights
 
 
 class Static(NamedTuple):
