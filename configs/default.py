@@ -249,6 +249,11 @@ class Task(NamedTuple):
     # in every one, Go1 fell 39 and 58 % more often at iteration 50, and 5 of 17 runs stood
     # still at iteration 300, against none of 18 (experiments/01_four_robots)
     remember_ground: bool | None = None
+    episode_length: Annotated[int, Between(1, 1_000_000)] = 1000  # control steps, 20 s; IL
+    random_clock: bool = True  # episodes start at random ages, so that time-outs spread; IL
+    carry_on: bool = False  # those that time out stay where they are, with a new command; but
+    start_anew: Share = 0.5  # this share of them starts anew all the same,
+    keep_command: Share = 0.0  # and this share stays under the command that it has
     # rad, angle between the base's z axis and the vertical; more ends the episode as a fall does. None: any
     max_tilt: Annotated[float, Between(0.01, 3.15)] | None = None
     # paid once, in the row of a fall, not times 0.02 s as weights are; None: nothing
@@ -257,11 +262,6 @@ class Task(NamedTuple):
     # second where the robot is told to stand. None: not in the program
     posture_std: Annotated[PerJoint, Between(1e-3, 1e6)] | None = None
     posture_std_standing: Annotated[PerJoint, Between(1e-3, 1e6)] | None = None
-    episode_length: Annotated[int, Between(1, 1_000_000)] = 1000  # control steps, 20 s; IL
-    random_clock: bool = True  # episodes start at random ages, so that time-outs spread; IL
-    carry_on: bool = False  # those that time out stay where they are, with a new command; but
-    start_anew: Share = 0.5  # this share of them starts anew all the same,
-    keep_command: Share = 0.0  # and this share stays under the command that it has
     # rad per unit of action; IL
     action_scale: Annotated[PerJoint, Between(1e-12, 100)] = 0.25
     # "full": the 48 numbers of tasks/velocity/observe.py; "onboard": the 45 that a robot measures, so

@@ -81,36 +81,21 @@ class StaticSchedule(NamedTuple):
     start_steps: int
 
 
-class StaticWeights(NamedTuple):
-    alive: float | None
-    feet_air_time_biped: float | None
-    feet_distance: float | None
-    foot_slip: float | None
-    posture: float | None
-    posture_deviation: float | None
-    upright: float | None
-
-
 class StaticTask(NamedTuple):
     actuator: str
     air_time: str
     armature: float | tuple[float, ...] | None
     carry_on: bool
     episode_length: int
-    fall_reward: float | None
     formulation: str
     heading: bool
     history: int
-    max_tilt: float | None
     observation: str
-    posture_std: float | tuple[float, ...] | None
-    posture_std_standing: float | tuple[float, ...] | None
     random_clock: bool
     remember_ground: bool
     resample_steps: int
     termination: str
     undesired: str
-    weights: StaticWeights
 
 
 class Static(NamedTuple):
@@ -195,18 +180,25 @@ class HyperReset(NamedTuple):
 class HyperWeights(NamedTuple):
     action_acceleration: float
     action_rate: float
+    alive: float | None
     energy: float
     feet_air_time: float
+    feet_air_time_biped: float | None
+    feet_distance: float | None
     flat_orientation: float
     foot_clearance: float
+    foot_slip: float | None
     joint_accelerations: float
     joint_limits: float
     joint_torques: float
+    posture: float | None
+    posture_deviation: float | None
     roll_pitch_rate: float
     stand_still: float
     track_linear_velocity: float
     track_yaw_rate: float
     undesired_contacts: float
+    upright: float | None
     vertical_velocity: float
 
 
@@ -216,12 +208,16 @@ class HyperTask(NamedTuple):
     command_y: tuple[float, float]
     command_yaw: tuple[float, float]
     effort_limit: float | tuple[float, ...]
+    fall_reward: float | None
     heading_gain: float
     joint_friction: float | tuple[float, ...]
     kd: float | tuple[float, ...]
     keep_command: float
     kp: float | tuple[float, ...]
+    max_tilt: float | None
     noise: HyperNoise
+    posture_std: float | tuple[float, ...] | None
+    posture_std_standing: float | tuple[float, ...] | None
     push: HyperPush
     randomize: HyperRandomize
     reset: HyperReset

@@ -268,11 +268,10 @@ def step(const: Constants, hyper: Hyper, body, state: State, action, key):
     reward = jnp.where(ok, reward, 0.0)
 
     fell = (const.fatal & (after.lowest < 0)).any() | ~ok
-    if const.task.max_tilt is not None:
+    if hyper.task.max_tilt is not None:
         fell |= known["gravity"][2] > -jnp.cos(hyper.task.max_tilt)
-    if const.task.fall_reward is not None:  # once, so not times dt; a blow-up is a fall too
-        paid = hyper.task.fall_reward * fell
-        reward += paid
+    if hyper.task.fall_reward is not None:  # once, so not times dt; a blow-up is a fall too
+        reward += hyper.task.fall_reward * fell
     clock = state.clock + 1
     timeout = (clock >= const.task.episode_length) & ~fell
     obs_key, push_key, command_key = jax.random.split(key, 3)
@@ -308,8 +307,8 @@ def step(const: Constants, hyper: Hyper, body, state: State, action, key):
         "timeouts": timeout * 1.0,
         "blowups": ~ok * 1.0,
     }
-    if const.task.fall_reward is not None:
-        metrics["reward_fall"] = paid / const.dt
+    if hyper.task.fall_reward is not None:
+        metrics["reward_fall"] = hyper.task.fall_reward * fell / const.dt
     outcome = Outcome(
         reward=reward,
         discount=1.0 - fell,
