@@ -153,6 +153,8 @@ class Ppo(NamedTuple):
     # what the value function sees: "obs", as the policy; or "state", without noise and with
     # what no sensor tells (tasks/velocity/view.py)
     critic: Literal["obs", "state"] = "obs"
+    # learn as if joint velocities were 20 times smaller, angular velocities 4 times (learner/units.py)
+    scale_inputs: bool = False
     symmetry: bool = False  # what is learned of the left holds for the right (learner/symmetry.py)
 
 

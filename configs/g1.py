@@ -68,6 +68,7 @@ def get_config(variant=""):
     config.run.walks = "tracking"
     # an action of 1 is a quarter of a motor's effort: with noise of that size it falls within 1.5 s
     config.ppo.update(init_std=0.5, entropy_coef=0.005)
+    config.ppo.scale_inputs = True  # 29 joint velocities with noise of 1.5 rad/s
     _task(task)
     if variant in ("", "best", "ppo"):
         _best(config)

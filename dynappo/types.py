@@ -177,6 +177,7 @@ class Env(NamedTuple):
     # `model.falls`); None: none
     fall_reward: Callable[..., Any] | None = None
     mirror: tuple[Mirror, Mirror] | None = None  # of obs and action, with `ppo.symmetry`
+    input_scale: np.ndarray | None = None  # [O] of each number of obs, with `ppo.scale_inputs`
     mesh: jax.sharding.Mesh | None = None  # devices over which the robots are spread (seeds.py)
 
 

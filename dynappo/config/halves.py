@@ -45,6 +45,7 @@ class StaticPpo(NamedTuple):
     hidden: tuple[int, ...]
     minibatches: int
     precision: str
+    scale_inputs: bool
     shuffle_blocks: int
     symmetry: bool
 

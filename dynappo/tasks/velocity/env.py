@@ -99,6 +99,7 @@ def make(robot: robot_lib.Robot, task, physics_config, *, impl: str = "jax") -> 
         dt=const.dt,
         episode_length=task.episode_length,
         mirror=mirror.images(robot, layout),
+        input_scale=view.scale(layout),
     )
 
 
