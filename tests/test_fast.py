@@ -86,7 +86,11 @@ def test_networks_of_two_sizes_are_the_plain_ones(critic_hidden):
     assert [len(x["bias"]) for x in params["actor"]["params"].values()] == [16, 12, 12]
     obs = normal(0, 5, 48)
     assert joined(static, params, obs) == (critic_hidden in (None, (16, 12)))
-    both = zip(fast.actor_critic(static, params)(obs), networks.actor_critic(static, params)(obs))
+    both = zip(
+        fast.actor_critic(static, params)(obs),
+        networks.actor_critic(static, params)(obs),
+        strict=True,
+    )
     for found, expected in both:
         np.testing.assert_allclose(found, expected, 2e-5, 1e-6)
 

@@ -1,7 +1,8 @@
 """Networks that learn as if parts of an observation came in other units; `policy_units`.
 
-Joint velocities are ten times larger than angles, and noisy. With `ppo.scale_inputs` policy and value function
-learn as networks that see s x instead of x, s as in `Env.input_scale`. Such a network's first layer W has
+Joint velocities are ten times larger than angles, and noisy. With `ppo.scale_inputs` policy and value
+function learn as networks that see s x instead of x, s as in `Env.input_scale`. The first layer W of such
+a network has
 
     W (s x) = U x,   U = s W:   grad_W = s grad_U,   and a step of W by d is a step of U by s d
 
@@ -16,7 +17,9 @@ from typing import Any
 
 from dynappo.types import Env, Static
 
-Units = Callable[[Any], Any]  # of a tree of weights, gradients or steps: times s, in the first layers
+Units = Callable[
+    [Any], Any
+]  # of a tree of weights, gradients or steps: times s, in the first layers
 
 
 def policy_units(static: Static, env: Env) -> Units | None:
@@ -40,10 +43,13 @@ def policy_units(static: Static, env: Env) -> Units | None:
         first = first | {"kernel": first["kernel"] * by[:, None]}
         return {"params": network["params"] | {"Dense_0": first}}
 
-    return lambda tree: tree | {
-        "actor": scaled(tree["actor"], actor),
-        "critic": scaled(tree["critic"], critic),
-    }
+    return lambda tree: (
+        tree
+        | {
+            "actor": scaled(tree["actor"], actor),
+            "critic": scaled(tree["critic"], critic),
+        }
+    )
 
 
 def apply(tree: Any, units: Units | None) -> Any:

@@ -133,7 +133,9 @@ def in_words(config, evaluation: Mapping[str, Any]) -> str:
     low, often = ~(tracks(error, yaw) if by_errors else at(returns, least)), ~seldom(falls)
     walking = ~low & ~often
     if len(returns) > 1:
-        lacks = {f"errors > {_errors(*MOST_ERRORS)}" if by_errors else f"return < {least:g}": low.sum()}
+        lacks = {
+            f"errors > {_errors(*MOST_ERRORS)}" if by_errors else f"return < {least:g}": low.sum()
+        }
         lacks |= {f"falls > {100 * MOST_FALLS:g} %": often.sum()}
         parts = [f"{what}: {count}" for what, count in lacks.items() if count]
         return "; ".join([f"{walking.sum()} of {len(returns)} seeds walk", *parts])

@@ -92,7 +92,12 @@ def test_every_config_splits_into_the_written_fields_each_in_one_half(spec, form
     # not `float | None` either: set in another config, it would be in the other half
     assert compiled.pop("task.armature") == float | tuple[float, ...] | None  # alone is always here
     assert all(float not in (kind, *get_args(kind)) for kind in compiled.values())
-    one_or_several = float, float | tuple[float, ...], float | None, float | tuple[float, ...] | None
+    one_or_several = (
+        float,
+        float | tuple[float, ...],
+        float | None,
+        float | tuple[float, ...] | None,
+    )
     assert all(kind in one_or_several or {float} == set(get_args(kind)) for kind in floats.values())
 
 

@@ -37,7 +37,10 @@ def test_an_update_in_units_is_one_on_inputs_in_these_units(module, critic, view
     of_critic = of_actor if critic == "obs" else np.arange(OBS)
     rng = np.random.default_rng(0)
     obs = jnp.asarray(rng.normal(size=(N, R, OBS)) / SCALE, jnp.float32)
-    numbers = {k: jnp.asarray(rng.normal(size=(N, R)), jnp.float32) for k in "advantages returns value".split()}
+    numbers = {
+        k: jnp.asarray(rng.normal(size=(N, R)), jnp.float32)
+        for k in "advantages returns value".split()
+    }
 
     def learned(on):
         static, hyper = settings(on, critic)
@@ -66,8 +69,13 @@ def test_an_update_in_units_is_one_on_inputs_in_these_units(module, critic, view
             found, own = one[name]["params"], other[name]["params"]
             kernel = found["Dense_0"]["kernel"] / SCALE[columns][:, None]
             np.testing.assert_allclose(kernel, own["Dense_0"]["kernel"], 1e-3, 2e-5)
-            np.testing.assert_allclose(found["Dense_1"]["kernel"], own["Dense_1"]["kernel"], 1e-3, 2e-5)
-        moved = after.params[name]["params"]["Dense_0"]["kernel"] - before[name]["params"]["Dense_0"]["kernel"]
+            np.testing.assert_allclose(
+                found["Dense_1"]["kernel"], own["Dense_1"]["kernel"], 1e-3, 2e-5
+            )
+        moved = (
+            after.params[name]["params"]["Dense_0"]["kernel"]
+            - before[name]["params"]["Dense_0"]["kernel"]
+        )
         assert np.abs(moved).max() > 1e-3
     for name, value in same.items():
         np.testing.assert_allclose(metrics[name], value, 1e-3, 1e-5)

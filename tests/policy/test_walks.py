@@ -132,7 +132,10 @@ def test_a_biped_walks_by_its_errors_and_falls():
     falls = rng.choice([0.0, 0.01, 0.011], (4, 300), p=[0.5, 0.4, 0.1])
     found = walks.reached_by_tracking(steps, errors, yaw, falls)
     for s in range(300):
-        level = [1.0 if e <= 0.2 and y <= 0.25 else 0.0 for e, y in zip(errors[:, s], yaw[:, s])]
+        level = [
+            1.0 if e <= 0.2 and y <= 0.25 else 0.0
+            for e, y in zip(errors[:, s], yaw[:, s], strict=True)
+        ]
         expected = by_hand(steps, level, falls[:, s], 1.0)
         np.testing.assert_array_equal([x[s] for x in found], expected)
     assert 20 < np.isnan(found.walks).sum() < 280
@@ -145,7 +148,10 @@ def test_a_biped_walks_by_its_errors_and_falls():
     ("numbers", "said"),
     [
         ((3.0, 0.2, 0.25, 0.01), "walks, turns, seldom falls"),
-        ((99.0, 0.21, 0.2, 0.0), "almost walks; errors 0.21 m/s, 0.20 rad/s > 0.20 m/s, 0.25 rad/s"),
+        (
+            (99.0, 0.21, 0.2, 0.0),
+            "almost walks; errors 0.21 m/s, 0.20 rad/s > 0.20 m/s, 0.25 rad/s",
+        ),
         ((99.0, 0.2, 0.2, 0.02), "almost walks; falls 2.0 % > 1 %"),
         ((99.0, NAN, NAN, 1.0), "falls at once"),
         (

@@ -1,4 +1,4 @@
-"""Terms, falls and ends of episodes of bipeds, on a Unitree G1: against plain loops and C MuJoCo's velocities."""
+"""Terms, falls and ends of episodes of bipeds, on a G1: against plain loops and C MuJoCo's velocities."""
 
 import math
 from types import SimpleNamespace
@@ -18,7 +18,9 @@ from dynappo.tasks.velocity import env as env_lib
 from dynappo.tasks.velocity import reward_sum, rewards
 
 ROBOTS, DT, MOST, PAID = 24, 0.02, 0.7, -2.5
-TERMS = "alive upright posture posture_deviation feet_air_time_biped foot_slip feet_distance".split()
+TERMS = (
+    "alive upright posture posture_deviation feet_air_time_biped foot_slip feet_distance".split()
+)
 KNOWN = set(TERMS) - {"feet_air_time_biped", "foot_slip"}
 STD = {".*_knee_joint": 0.4, "waist_.*": 0.1, ".*": 0.2}
 
@@ -84,7 +86,11 @@ def feet_in_mujoco(robot, qpos, qvel):
     places, velocities = [], []
     for foot in range(2):
         shapes = robot.feet[robot.foot_of == foot]
-        body, middle, six = model.geom_bodyid[shapes[0]], data.geom_xpos[shapes].mean(0), np.zeros(6)
+        body, middle, six = (
+            model.geom_bodyid[shapes[0]],
+            data.geom_xpos[shapes].mean(0),
+            np.zeros(6),
+        )
         mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_XBODY, body, six, 0)
         velocities.append(six[3:] + np.cross(six[:3], middle - data.xpos[body]))
         base = robot.base_body
@@ -100,9 +106,7 @@ def by_loops(world, i):
     down = after.contact_steps[i] > 0
     moves = math.sqrt(sum(c**2 for c in command)) > 0.1
     std = per_joint.numbers("", tuple(STD.items()), robot.joint_names, "g1")
-    off = [
-        (qpos[7 + j] - robot.default_pose[j]) / (std[j] if moves else 0.1) for j in range(29)
-    ]
+    off = [(qpos[7 + j] - robot.default_pose[j]) / (std[j] if moves else 0.1) for j in range(29)]
     up = np.zeros(3)
     mujoco.mju_rotVecQuat(up, np.array([0.0, 0.0, 1.0]), qpos[3:7])
     since = [
@@ -128,8 +132,10 @@ def test_every_term_of_a_step_is_that_of_plain_loops_and_of_c_mujocos_velocities
     paid = [row["feet_air_time_biped"] for row in rows]
     assert 0.4 in paid and 0 in paid and any(0 < x < 0.39 for x in paid)
     assert sum(row["foot_slip"] > 0.1 for row in rows) > ROBOTS / 2
-    assert sum(row["feet_distance"] > 0.01 for row in rows) > 3 < sum(
-        row["feet_distance"] == 0 for row in rows
+    assert (
+        sum(row["feet_distance"] > 0.01 for row in rows)
+        > 3
+        < sum(row["feet_distance"] == 0 for row in rows)
     )
 
 
@@ -140,7 +146,9 @@ def test_what_follows_from_joints_and_velocities_is_known_to_the_model(world):
     assert known.keys() & set(TERMS) == KNOWN
     of_row = jax.vmap(world.env.known_reward, (None, 0, 0, 0))
     # the state was set by hand: of its observation only the context counts
-    obs = world.before.obs.at[:, world.env.prop_size : world.env.prop_size + 3].set(world.before.command)
+    obs = world.before.obs.at[:, world.env.prop_size : world.env.prop_size + 3].set(
+        world.before.command
+    )
     found = of_row(world.hyper, obs, world.action, jnp.asarray(world.outcome.next_prop))
     expected = DT * sum(world.outcome.metrics[f"reward_{name}"] for name in known)
     np.testing.assert_allclose(found, expected, 1e-4, 1e-5)
@@ -200,9 +208,7 @@ def fallen(world, tilts):
         quat = np.zeros(4)
         mujoco.mju_euler2Quat(quat, [tilt * (i % 2 == 0), tilt * (i % 2), 0.0], "xyz")
         qpos[i, 3:7] = quat
-    still = world.before.replace(
-        qpos=jnp.asarray(qpos, jnp.float32), qvel=world.before.qvel * 0
-    )
+    still = world.before.replace(qpos=jnp.asarray(qpos, jnp.float32), qvel=world.before.qvel * 0)
     args = world.hyper, world.body, still, world.action * 0, world.keys
     return jax.device_get(world.step(*args))[1]
 

@@ -65,8 +65,8 @@ def terms_of(task) -> Terms:
     for name, term in used.items():
         for missing in (ask for ask in asks(term) if ask in task and task[ask] is None):
             raise ConfigError(
-                f"task.{missing} is None, expected numbers where task.weights.{name} is one: its term asks for "
-                f"them; set task.{missing}, or the weight to None"
+                f"task.{missing} is None, expected numbers where task.weights.{name} is one: its term "
+                f"asks for them; set task.{missing}, or the weight to None"
             )
     return used
 

@@ -164,7 +164,8 @@ def upright(gravity, std=0.45):
 def posture(joint_position, command, posture_std, posture_std_standing):
     """exp(-mean over joints of (angle from the default pose / std)^2). mjlab: variable_posture.
 
-    The std (rad) of each joint is `task.posture_std`, or `posture_std_standing` where the command is to stand.
+    The std (rad) of each joint is `task.posture_std`, or `posture_std_standing` where the command is to
+    stand.
     """
     off = _off_pose(joint_position, command, posture_std, posture_std_standing)
     return _exp(-(off**2).mean())
@@ -179,10 +180,10 @@ def posture_deviation(joint_position, command, posture_std, posture_std_standing
 
 
 def feet_air_time_biped(air_time, contact_time, command, most=0.4):
-    """Of a robot on exactly one foot, the shorter of how long (s) each foot has been where it is, up to `most`.
+    """Of a robot on exactly one foot, the shorter of how long (s) each foot has been where it is.
 
-    0 on both feet, on none, and for a slow command. Isaac Lab: feet_air_time_positive_biped. So it pays for
-    long steps, and for no hop.
+    At most `most`; 0 on both feet, on none, and for a slow command. Isaac Lab:
+    feet_air_time_positive_biped. So it pays for long steps, and for no hop.
     """
     xp = air_time.__array_namespace__()
     moving = (command[:2] ** 2).sum() > 0.1**2
