@@ -79,6 +79,9 @@ class Run(NamedTuple):
     video_seconds: Annotated[float, Between(0, 600)] = 12.0  # s of film after training; 0: none
     device: Literal["auto", "cpu", "gpu"] = "auto"
     tensorboard: bool = True  # write TensorBoard's events into the workdir
+    # what tells that the robot walks (policy/walks.py): its return, or its tracking errors, where other terms
+    # than tracking are rewards
+    walks: Literal["return", "tracking"] = "return"
     wandb: str = ""  # project of Weights & Biases to log to; empty: none
 
 
@@ -126,6 +129,7 @@ class Ppo(NamedTuple):
     """PPO: RSL, IL agents/rsl_rl_ppo_cfg.py, and the paper's appendix."""
 
     hidden: Layers = (128, 128, 128)
+    critic_hidden: Layers | None = None  # of the value function; None: as the policy's
     activation: Activation = "elu"
     init_std: Positive = 1.0  # of the Gaussian policy, in units of the action
     min_std: Positive = 0.01
@@ -149,6 +153,8 @@ class Ppo(NamedTuple):
     # what the value function sees: "obs", as the policy; or "state", without noise and with
     # what no sensor tells (tasks/velocity/view.py)
     critic: Literal["obs", "state"] = "obs"
+    # learn as if joint velocities were 20 times smaller, angular velocities 4 times (learner/units.py)
+    scale_inputs: bool = False
     symmetry: bool = False  # what is learned of the left holds for the right (learner/symmetry.py)
 
 
@@ -171,6 +177,14 @@ class Weights(NamedTuple):
     joint_limits: float = 0.0
     stand_still: float = 0.0
     foot_clearance: float = 0.0
+    # of bipeds; None: the term is not in the program
+    alive: float | None = None
+    upright: float | None = None
+    posture: float | None = None  # with task.posture_std
+    posture_deviation: float | None = None  # the same
+    feet_air_time_biped: float | None = None
+    foot_slip: float | None = None
+    feet_distance: float | None = None
 
 
 class Noise(NamedTuple):
@@ -242,6 +256,14 @@ class Task(NamedTuple):
     carry_on: bool = False  # those that time out stay where they are, with a new command; but
     start_anew: Share = 0.5  # this share of them starts anew all the same,
     keep_command: Share = 0.0  # and this share stays under the command that it has
+    # rad, angle between the base's z axis and the vertical; more ends the episode as a fall does. None: any
+    max_tilt: Annotated[float, Between(0.01, 3.15)] | None = None
+    # paid once, in the row of a fall, not times 0.02 s as weights are; None: nothing
+    fall_reward: float | None = None
+    # rad, how far a joint may be from the default pose in the terms `posture` and `posture_deviation`; the
+    # second where the robot is told to stand. None: not in the program
+    posture_std: Annotated[PerJoint, Between(1e-3, 1e6)] | None = None
+    posture_std_standing: Annotated[PerJoint, Between(1e-3, 1e6)] | None = None
     # rad per unit of action; IL
     action_scale: Annotated[PerJoint, Between(1e-12, 100)] = 0.25
     # "full": the 48 numbers of tasks/velocity/observe.py; "onboard": the 45 that a robot measures, so
@@ -327,7 +349,8 @@ def _nested(group: Any) -> dict[str, Any]:
             value = _EachJoint(value)
         elif value is None:
             kind = kinds[0]  # of `kind | None`
-            value = config_dict.placeholder(str if get_origin(kind) is Literal else kind)
+            kind = str if get_origin(kind) is Literal else get_origin(kind) or kind
+            value = config_dict.placeholder(kind)
         out[name] = _nested(value) if hasattr(value, "_fields") else value
     return out
 

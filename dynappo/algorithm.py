@@ -39,7 +39,7 @@ from jax.sharding import PartitionSpec
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from dynappo import fast, rollout, schedule, stats
-from dynappo.learner import gae, networks, ppo, symmetry
+from dynappo.learner import gae, networks, ppo, symmetry, units
 from dynappo.model import dynamics, errors, examples
 from dynappo.types import Columns, Env, Hyper, Metrics, Static, TrainState, Transition
 
@@ -66,6 +66,7 @@ def init(env: Env, hyper: Hyper, key: PRNGKeyArray, *, static: Static) -> TrainS
             key=keys[NETWORKS],
             critic_size=critic_size,
             image=image,
+            units=units.policy_units(static, env),
         ),
         model=dynamics.init(static, env, keys[MODEL]) if uses_model else None,
         env_state=env_state,
@@ -85,7 +86,7 @@ def iterate(
     horizon, num_envs = static.rollout.horizon, static.rollout.num_envs
     hyper = hyper_at(static, hyper, iteration)
     real = (jnp.arange(horizon) < n_real)[:, None]
-    image = symmetry.policy_image(static, env)
+    same = symmetry.policy_image(static, env), units.policy_units(static, env)
     iteration_key = jax.random.fold_in(state.key, iteration)
 
     def key(purpose, k=0):
@@ -121,7 +122,7 @@ def iterate(
             now = state.replace(learner=learner)
             rows = imagine(env, hyper, now, rows, n_real, start, key(ROWS, k), static=static)
         batch = estimate(static, hyper, env, learner.params, rows, real, k)
-        learner, learned = fast.update(static, hyper, learner, batch, key(UPDATE, k), image)
+        learner, learned = fast.update(static, hyper, learner, batch, key(UPDATE, k), *same)
         return learner, rows, learned
 
     nothing = dict.fromkeys(ppo.METRICS, jnp.zeros(()))

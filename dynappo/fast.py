@@ -29,6 +29,7 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from dynappo import rollout
 from dynappo.learner import networks, ppo, symmetry
+from dynappo.learner import units as units_lib
 from dynappo.model import dynamics
 from dynappo.model.examples import Examples
 from dynappo.types import Env, Hyper, Learner, Metrics, ModelState, Static, Transition
@@ -42,8 +43,11 @@ def actor_critic(static: Static, params: dict) -> networks.ActorCritic:
 
     Half as many products, each larger: an update takes 9.0 ms in float32 (9.4 without), 6.4 in TF32, 5.0
     in bfloat16 (H200; experiments/03_speed/peers.md). The weights are put side by side here, before a
-    loop over rows: in the loop that takes 7 kernels a row.
+    loop over rows: in the loop that takes 7 kernels a row. Layers of two sizes are no one product: then it is
+    the plain one.
     """
+    if static.ppo.critic_hidden not in (None, static.ppo.hidden):
+        return networks.actor_critic(static, params)
     precision = static.ppo.precision
     nets = [networks.cast(precision, params[name]["params"]) for name in ("actor", "critic")]
     first, *hidden, last = ([net[f"Dense_{i}"] for net in nets] for i in range(len(nets[0])))
@@ -83,12 +87,16 @@ def update(
     batch: ppo.Batch,
     key: PRNGKeyArray,
     image: symmetry.Image | None = None,
+    units: units_lib.Units | None = None,
 ) -> tuple[Learner, Metrics]:
     """`ppo.update`, with all weights in one vector, `std` last: clipping and Adam take 4 kernels, not 33."""
     vector, unflatten = ravel_pytree(learner.params)
     old_std = learner.params["std"]
     is_std = jnp.arange(vector.size) >= vector.size - old_std.size
     with_image = mean_with_image(learner.params, image)
+    in_units = None
+    if units is not None:
+        in_units = ravel_pytree(units(jax.tree.map(jnp.ones_like, learner.params)))[0]
 
     def loss(vector, rows):
         return ppo.loss(static, hyper, unflatten(vector), rows, old_std, actor_critic)
@@ -97,8 +105,10 @@ def update(
         grads, metrics = jax.grad(loss, has_aux=True)(learner.params, rows)
         # a barrier: else XLA joins the layers' gradients again in each kernel that reads them
         grads = jax.lax.optimization_barrier(with_image(grads))
+        grads = grads if in_units is None else grads * in_units
         rate = ppo.adapt(static, hyper, learner.learning_rate, metrics["kl"])
         updates, opt_state = ppo.optimizer(hyper).update(grads, learner.opt_state)
+        updates = updates if in_units is None else updates * in_units
         params = learner.params - rate * updates
         params = jnp.where(is_std, jnp.maximum(params, hyper.ppo.min_std), params)
         metrics = jnp.stack([metrics[name] for name in ppo.STEP_METRICS])  # written at once

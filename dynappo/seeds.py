@@ -47,8 +47,8 @@ def vary(hyper: Hyper, field: str, values) -> Hyper:
     """`hyper` with one value of `field` ("ppo.learning_rate") for each seed.
 
     Call it several times to vary several fields together: seed s takes value s of each. ValueError
-    if there is no such float, or if it is built into the environment: the groups run and physics, and
-    the errors of `task.randomize` that are 0, which no robot of the compiled program has.
+    if there is no such float, if it is None, or if it is built into the environment: the groups run and
+    physics, and the errors of `task.randomize` that are 0, which no robot of the compiled program has.
     """
     group, _, rest = field.partition(".")
     if group in ("run", "physics") or field == "task.armature":
@@ -65,6 +65,11 @@ def _set(node, field, path, values):
             f"{field} is not a float of the config; expected one like ppo.learning_rate"
         )
     old = getattr(node, name)
+    if old is None:
+        raise ValueError(
+            f"{field} is None, so the compiled program does not have it; expected an environment and a "
+            f"hyper of a config where it is a number: set config.{field}, then vary it"
+        )
     if not rest and jnp.ndim(old) + isinstance(old, tuple):
         raise ValueError(f"{field} has several numbers, expected a field with one")
     if not rest and field.startswith(("task.randomize.", "task.joint_friction")) and not old:

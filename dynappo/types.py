@@ -173,7 +173,11 @@ class Env(NamedTuple):
     views: Views | None = None  # None: every network sees all of obs
     # (hyper, obs, action, next_prop) -> []
     known_reward: Callable[..., Any] = lambda hyper, obs, action, next_prop: np.float32(0)
+    # (hyper) -> [], the share of the reward that a fall (`discount` 0) pays once, not times dt (with
+    # `model.falls`); None: none
+    fall_reward: Callable[..., Any] | None = None
     mirror: tuple[Mirror, Mirror] | None = None  # of obs and action, with `ppo.symmetry`
+    input_scale: np.ndarray | None = None  # [O] of each number of obs, with `ppo.scale_inputs`
     mesh: jax.sharding.Mesh | None = None  # devices over which the robots are spread (seeds.py)
 
 

@@ -70,6 +70,31 @@ def test_both_networks_at_once_give_what_each_gives_alone(hidden, precision, cri
         jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, 1e-4, 1e-5), found, expected)
 
 
+def joined(static, params, obs):
+    """Whether the layers of both networks are one product."""
+    text = str(jax.make_jaxpr(partial(fast.actor_critic(static, params)))(obs))
+    return text.count("dot_general") < 2 * (len(static.ppo.hidden) + 1)
+
+
+@pytest.mark.parametrize("critic_hidden", [None, (16, 12), (32, 12), (16, 12, 8)])
+def test_networks_of_two_sizes_are_the_plain_ones(critic_hidden):
+    """And those of one size, whoever says so, are joined."""
+    static, hyper = settings(critic_hidden=critic_hidden)
+    params = networks.init_policy(static, hyper, 48, 12, jax.random.key(0))
+    sizes = [len(layer["bias"]) for layer in params["critic"]["params"].values()]
+    assert sizes == [*(critic_hidden or (16, 12)), 1]
+    assert [len(x["bias"]) for x in params["actor"]["params"].values()] == [16, 12, 12]
+    obs = normal(0, 5, 48)
+    assert joined(static, params, obs) == (critic_hidden in (None, (16, 12)))
+    both = zip(
+        fast.actor_critic(static, params)(obs),
+        networks.actor_critic(static, params)(obs),
+        strict=True,
+    )
+    for found, expected in both:
+        np.testing.assert_allclose(found, expected, 2e-5, 1e-6)
+
+
 # ---- the update of the policy
 
 
@@ -95,6 +120,7 @@ UPDATES = [  # fields of ppo, and whether rows have weights
     ({}, False),
     ({"symmetry": True}, True),
     ({"critic": "state", "symmetry": True}, False),
+    ({"critic": "state", "symmetry": True, "critic_hidden": (24, 8, 4)}, False),
     ({"clip_value": False, "adaptive": False, "activation": "tanh"}, True),
     ({"shuffle_blocks": 4, "hidden": (24,), "desired_kl": 0.002, "max_grad_norm": 0.1}, False),
 ]

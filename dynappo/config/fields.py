@@ -18,6 +18,7 @@ from dynappo.config.files import find
 TINY = 1e-12
 WHOLE = {"low": 1 - 2**31, "high": 2**31 - 1}
 SIZE = {"low": -1e9, "high": 1e9}
+SIZES = (128, 128, 128)  # what a tuple that is None by default may be
 REPEATS = 3  # of a pattern: each multiplies the time that it can take by a name's length
 
 
@@ -45,6 +46,7 @@ class Field(NamedTuple):
     high: float = math.inf
     # one float, a float of each kind of joint, or of each joint (per_joint.py)
     per_joint: bool = False
+    like: tuple[Any, ...] = ()  # of a tuple, one that it may be: the default, unless that is None
 
 
 @functools.cache
@@ -75,7 +77,8 @@ def every() -> dict[str, Field]:
                 of_joints = _of_joints(types[name])
                 kind = float if of_joints else group.get_type(name)
                 limits = _limits(types[name], kind)
-                yield prefix + name, Field(kind, value, **limits, per_joint=of_joints)
+                like = (value or SIZES) if kind is tuple else ()
+                yield prefix + name, Field(kind, value, **limits, per_joint=of_joints, like=like)
 
     return dict(walk(_defaults(), _file()["Config"], ""))
 
@@ -106,9 +109,9 @@ def convert(field: Field, value) -> Any:
     if field.kind is tuple:
         if not isinstance(value, (tuple, list)) or not value:
             return None
-        part = Field(type(field.default[0]), field.default[0])
+        part = Field(type(field.like[0]), field.like[0])
         out = tuple(convert(part, v) for v in value)
-        if None in out or not (min(out) > 0 if sizes(field) else len(out) == len(field.default)):
+        if None in out or not (min(out) > 0 if sizes(field) else len(out) == len(field.like)):
             return None
         return out
     right = isinstance(value, field.kind) or (field.kind is float and isinstance(value, int))
@@ -133,14 +136,14 @@ def _convert_joints(value) -> tuple[Any, ...] | None:
 
 def sizes(field: Field) -> bool:
     """Whether it is a tuple of sizes, of which there may be any number."""
-    return field.kind is tuple and type(field.default[0]) is int
+    return field.kind is tuple and type(field.like[0]) is int
 
 
 def expected(field: Field) -> str:
     """The type that a value must have, for a person."""
     if field.per_joint:
         return "float, a dict of floats by patterns of joints' names, or a tuple of a float a joint"
-    text = f"tuple like {field.default}" if field.kind is tuple else field.kind.__name__
+    text = f"tuple like {field.like}" if field.kind is tuple else field.kind.__name__
     return text + ", one or more sizes above 0" * sizes(field)
 
 

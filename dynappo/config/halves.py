@@ -40,10 +40,12 @@ class StaticPpo(NamedTuple):
     adaptive: bool
     clip_value: bool
     critic: str
+    critic_hidden: tuple[int, ...] | None
     epochs: int
     hidden: tuple[int, ...]
     minibatches: int
     precision: str
+    scale_inputs: bool
     shuffle_blocks: int
     symmetry: bool
 
@@ -66,6 +68,7 @@ class StaticRun(NamedTuple):
     num_seeds: int
     seed: int
     tensorboard: bool
+    walks: str
     wandb: str
 
 
@@ -178,18 +181,25 @@ class HyperReset(NamedTuple):
 class HyperWeights(NamedTuple):
     action_acceleration: float
     action_rate: float
+    alive: float | None
     energy: float
     feet_air_time: float
+    feet_air_time_biped: float | None
+    feet_distance: float | None
     flat_orientation: float
     foot_clearance: float
+    foot_slip: float | None
     joint_accelerations: float
     joint_limits: float
     joint_torques: float
+    posture: float | None
+    posture_deviation: float | None
     roll_pitch_rate: float
     stand_still: float
     track_linear_velocity: float
     track_yaw_rate: float
     undesired_contacts: float
+    upright: float | None
     vertical_velocity: float
 
 
@@ -199,12 +209,16 @@ class HyperTask(NamedTuple):
     command_y: tuple[float, float]
     command_yaw: tuple[float, float]
     effort_limit: float | tuple[float, ...]
+    fall_reward: float | None
     heading_gain: float
     joint_friction: float | tuple[float, ...]
     kd: float | tuple[float, ...]
     keep_command: float
     kp: float | tuple[float, ...]
+    max_tilt: float | None
     noise: HyperNoise
+    posture_std: float | tuple[float, ...] | None
+    posture_std_standing: float | tuple[float, ...] | None
     push: HyperPush
     randomize: HyperRandomize
     reset: HyperReset

@@ -13,18 +13,21 @@ import functools
 from collections import namedtuple
 from typing import TYPE_CHECKING, Any
 
+from dynappo.config import fields as fields_lib
 from dynappo.config.fields import ConfigError
 
 if TYPE_CHECKING:
     from dynappo.config.halves import Hyper, Static
 
 
-BUILT_IN = "task", "armature"  # group and name of the number that is part of the program
+BUILT_IN = "task.armature"  # the number that is part of the program
 
 
 def split(config) -> tuple[Static, Hyper]:
     """`(static, hyper)` of a validated config; floats go to `hyper`, all else to `static`.
 
+    A float that is None is in `hyper` too. A None there is no leaf but a part of the tree's structure, so
+    whether it is None is part of the program.
     `task.armature` is in `static`: the solver's numbers follow from it when a model is made.
     ConfigError where a field has patterns of joints, which `per_joint.resolved` makes numbers.
     """
@@ -34,21 +37,26 @@ def split(config) -> tuple[Static, Hyper]:
 def _take(config, half: str, group: str, floats: bool) -> Any:
     fields = {}
     for key, value in config.items():
+        name = f"{group}.{key}".lstrip(".")
         if hasattr(value, "items"):
-            value = _take(value, half, key, floats)
+            value = _take(value, half, name, floats)
             if value._fields:
                 fields[key] = value
         elif isinstance(value, tuple) and isinstance(value[0], tuple):
             raise ConfigError(
-                f"{group}.{key} has a number for each kind of joint, expected one number: no robot of "
+                f"{name} has a number for each kind of joint, expected one number: no robot of "
                 "dynappo's is trained here"
             )
-        elif (group, key) == BUILT_IN:
-            if not floats:
-                fields[key] = value
-        elif (type(value[0] if isinstance(value, tuple) else value) is float) == floats:
+        elif floats == (_is_float(name, value) and name != BUILT_IN):
             fields[key] = value
-    return _record(half + group.title(), tuple(fields))(**fields)
+    return _record(half + group.rpartition(".")[2].title(), tuple(fields))(**fields)
+
+
+def _is_float(name: str, value: Any) -> bool:
+    if value is None:
+        field = fields_lib.every().get(name)
+        return field is not None and field.kind is float
+    return type(value[0] if isinstance(value, tuple) else value) is float
 
 
 @functools.cache

@@ -100,13 +100,15 @@ def _check_pairs(config, fields: dict[str, Any]) -> None:
         rows,
         f"a multiple of ppo.minibatches = {ppo.minibatches}",
     )
-    for name in ("model.hidden", "ppo.hidden"):
-        expect(len(fields[name]) <= LAYERS, name, fields[name], f"at most {LAYERS} layers")
+    for name in ("model.hidden", "ppo.hidden", "ppo.critic_hidden"):
+        fits = fields[name] is None or len(fields[name]) <= LAYERS
+        expect(fits, name, fields[name], f"at most {LAYERS} layers")
     seconds = config.physics.substeps * config.physics.timestep
     text = "a control step of 0.001 to 1 s"
     expect(0.001 <= seconds <= 1, "physics.substeps x physics.timestep", seconds, text)
-    halves = not ppo.symmetry or all(size % 2 == 0 for size in ppo.hidden)
-    expect(halves, "ppo.hidden", ppo.hidden, "even sizes where ppo.symmetry is True")
+    for name in ("ppo.hidden", "ppo.critic_hidden"):
+        halves = not ppo.symmetry or all(size % 2 == 0 for size in fields[name] or ())
+        expect(halves, name, fields[name], "even sizes where ppo.symmetry is True")
     expect(
         config.schedule.end_steps < rollout.horizon,
         "schedule.end_steps",

@@ -39,7 +39,7 @@ def settings(policy: Policy):
             )
         node[leaf] = settled
     for name in per_joint.names():
-        if isinstance(config.task[name], tuple):
+        if isinstance(config.task[name], tuple) and name in policy_file.TASK:
             # the policy's own; `check_robot` compares its joints with the robot's
             value = getattr(policy, policy_file.TASK[name])
             config.task[name] = tuple(value.tolist()) if isinstance(value, np.ndarray) else value

@@ -84,7 +84,8 @@ def actor(static: Static, action_size: int) -> MLP:
 
 def critic(static: Static) -> MLP:
     """The network of the value function."""
-    return MLP((*static.ppo.hidden, 1), static.ppo.activation, static.ppo.precision)
+    hidden = static.ppo.critic_hidden or static.ppo.hidden
+    return MLP((*hidden, 1), static.ppo.activation, static.ppo.precision)
 
 
 def init_policy(

@@ -21,6 +21,7 @@ import optax
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from dynappo.learner import networks, symmetry
+from dynappo.learner import units as units_lib
 from dynappo.types import Hyper, Learner, Metrics, Static
 
 STEP_METRICS: tuple[str, ...] = ("kl", "surrogate_loss", "value_loss", "entropy")
@@ -49,10 +50,11 @@ def init(
     key: PRNGKeyArray,
     critic_size: int | None = None,
     image: symmetry.Image | None = None,
+    units: units_lib.Units | None = None,
 ) -> Learner:
-    """An untrained learner: sizes as of `networks.init_policy`, `image` as in `update`."""
+    """An untrained learner: sizes as of `networks.init_policy`, `image` and `units` as in `update`."""
     params = networks.init_policy(static, hyper, obs_size, action_size, key, critic_size)
-    params = symmetry.tie(params, image)
+    params = units_lib.apply(symmetry.tie(params, image), units)
     opt_state = optimizer(hyper).init(params)
     return Learner(params, opt_state, jnp.asarray(hyper.ppo.learning_rate, jnp.float32))
 
@@ -70,13 +72,16 @@ def update(
     batch: Batch,
     key: PRNGKeyArray,
     image: symmetry.Image | None = None,
+    units: units_lib.Units | None = None,
 ) -> tuple[Learner, Metrics]:
     """PPO on one rollout `[N, R]` with raw advantages: `epochs` x `minibatches` gradient steps.
 
     Metrics are means over the steps, and the last learning rate. With an `image`
-    (`symmetry.policy_image`) the policy stays symmetric.
+    (`symmetry.policy_image`) the policy stays symmetric; with `units` (`units.policy_units`) it learns as
+    one that sees its inputs in these.
     """
-    step = partial(minibatch_step, static, hyper, old_std=learner.params["std"], image=image)
+    given = dict(old_std=learner.params["std"], image=image, units=units)
+    step = partial(minibatch_step, static, hyper, **given)
     learner, metrics = steps(static, learner, batch, key, step)
     return learner, metrics | {"learning_rate": learner.learning_rate}
 
@@ -103,6 +108,7 @@ def minibatch_step(
     batch: Batch,
     old_std: Float[Array, " A"],
     image: symmetry.Image | None = None,
+    units: units_lib.Units | None = None,
 ) -> tuple[Learner, Metrics]:
     """One gradient step: loss, KL, learning rate, clipped gradient, Adam; `(learner, metrics)`."""
 
@@ -111,8 +117,9 @@ def minibatch_step(
 
     grads, metrics = jax.grad(of, has_aux=True)(learner.params)
     rate = adapt(static, hyper, learner.learning_rate, metrics["kl"])
-    grads = symmetry.mean(grads, image)
+    grads = units_lib.apply(symmetry.mean(grads, image), units)
     updates, opt_state = optimizer(hyper).update(grads, learner.opt_state)
+    updates = units_lib.apply(updates, units)
     params = jax.tree.map(lambda weight, change: weight - rate * change, learner.params, updates)
     params["std"] = jnp.maximum(params["std"], hyper.ppo.min_std)
     return Learner(params=params, opt_state=opt_state, learning_rate=rate), metrics

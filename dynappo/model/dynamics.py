@@ -13,7 +13,8 @@ Options beyond the paper, fields of the group model that are off in the paper's 
   with new noise. A model that has to predict noise cannot have a smaller error than the noise.
 - `known_reward`: the reward is `env.known_reward` of the prediction, plus the rest from f_theta.
 - `falls`: sigmoid(f_theta) is the probability of a fall, and 1 minus it is the tail's discount. The
-  model learns from rows with a fall too, without class weights.
+  model learns from rows with a fall too, without class weights. What a fall pays (`env.fall_reward`) is no
+  part of what f_theta predicts; a tail's row has it times that probability.
 
 Why an epoch runs through the rows of each robot, not through all rows in random order (`orders`):
 JAX cannot permute a traced number of rows, and computing on masked rows would cost what the tail
@@ -227,6 +228,8 @@ def predict(
     lives = jnp.ones_like(reward)
     if static.model.falls:
         lives = 1 - jax.nn.sigmoid(y[..., -1] + FALL_LOGIT)
+        if env.fall_reward is not None:
+            reward += (1 - lives) * env.fall_reward(hyper)
     return jnp.concatenate([prop, known(hyper, env, obs, action, prop)], -1), reward, lives
 
 

@@ -49,7 +49,7 @@ def before_and_after(static: Static, env: Env, rows: Transition):
 
 def targets(static: Static, hyper: Hyper, env: Env, rows: Transition) -> Float[Array, "... K"]:
     """The model's target for each row: change of prop (or next prop), reward / dt without its known
-    share, and, with `model.falls`, 1 where the robot fell.
+    share, and, with `model.falls`, 1 where the robot fell, whose `Env.fall_reward` is known too.
 
     The known share is that of what the model sees and predicts, as it will be in a tail: without
     `clean` of sensed props, although the reward itself was paid for exact ones.
@@ -58,6 +58,8 @@ def targets(static: Static, hyper: Hyper, env: Env, rows: Transition) -> Float[A
     if static.model.known_reward:
         known = jax.vmap(jax.vmap(partial(env.known_reward, hyper)))
         reward = reward - known(obs, rows.action, after)
+    if static.model.falls and env.fall_reward is not None:
+        reward = reward - fell * env.fall_reward(hyper)
     if static.model.predict_change:
         after = after - obs[..., : env.prop_size]
     columns = [after, reward[..., None] / env.dt] + [fell[..., None]] * static.model.falls

@@ -43,6 +43,11 @@ def legs(model: mujoco.MjModel, feet: np.ndarray) -> Legs:
         points, radius, rim = _points(model, geom)
         others += [first + (i ^ 1 if len(points) > 1 else 0) for i in range(len(points))]
         rows += [(_chain(model, model.geom_bodyid[geom], point), radius, rim) for point in points]
+    return _of_chains(model, rows, others)
+
+
+def _of_chains(model: mujoco.MjModel, rows: list, others: list[int]) -> Legs:
+    """`Legs` of the chain, radius and rim of each point."""
     length = max(len(joints) for (joints, *_), _, _ in rows)
 
     def padded(values, width=()):
@@ -62,6 +67,17 @@ def legs(model: mujoco.MjModel, feet: np.ndarray) -> Legs:
         rim=np.array([rim for *_, rim in rows]),
         other=np.array(others),
     )
+
+
+def middles(model: mujoco.MjModel, feet: np.ndarray, foot_of: np.ndarray) -> Legs:
+    """As `legs`, of one point a foot: the middle of all points of its shapes."""
+    chains = []
+    for foot in range(foot_of.max() + 1):
+        shapes = feet[foot_of == foot]
+        body = model.geom_bodyid[shapes[0]]
+        points = np.concatenate([_points(model, geom)[0] for geom in shapes])
+        chains.append((_chain(model, body, points.mean(0)), 0.0, 0.0))
+    return _of_chains(model, chains, list(range(len(chains))))
 
 
 def _points(model: mujoco.MjModel, geom: int) -> tuple[np.ndarray, float, float]:

@@ -218,7 +218,7 @@ def step(body: Body, data, action) -> tuple[float, bool]:
     """One control step with `action` in `data`; returns `(work, fell)`.
 
     `work` (J) is the time integral of the sum over joints of |torque x speed|; `fell`: a part other
-    than a foot touched the ground.
+    than a foot touched the ground, or the base tilted by more than `task.max_tilt`.
     """
     p, work, fell = body.policy, 0.0, False
     target = actuators.target(action, p.default_pose, p.action_scale)
@@ -251,6 +251,10 @@ def physics_step(body: Body, data, target, strength=1.0) -> tuple[np.ndarray, np
     one, other = data.contact.geom[data.contact.dist < 0].T
     ground, parts = body.ground, body.parts
     fell = bool(((ground[one] & parts[other]) | (ground[other] & parts[one])).any())
+    most = p.config.get("task", {}).get("max_tilt")  # rad, as in tasks/velocity/env.py
+    if most is not None:
+        x, y = data.qpos[body.root[0] + 4 : body.root[0] + 6]
+        fell |= bool(1 - 2 * (x**2 + y**2) < np.cos(most))
     return torque, speed, fell
 
 

@@ -139,7 +139,9 @@ def about(policy: Policy) -> dict[str, Any]:
     entry = policy._asdict()
     del entry["params"]
     new = {TASK[name]: nothing for name, nothing in NEWER.items()}
-    several = any(isinstance(entry[TASK[name]], np.ndarray) for name in per_joint.names())
+    several = any(
+        isinstance(entry[TASK[name]], np.ndarray) for name in per_joint.names() if name in TASK
+    )
     if several or any(entry[own] != nothing for own, nothing in new.items()):
         return entry | {"format": FORMAT}
     return {name: value for name, value in entry.items() if name not in new} | {"format": 2}

@@ -7,6 +7,10 @@ ones. A share of 1 % is told apart from 2 % by about a thousand episodes.
 The level is a share of the best possible return, that of perfect tracking, `(w_lin + w_yaw) T` in episodes
 of T seconds (tasks/velocity/rewards.py): 38 of 45 with the weights of the Unitree tasks, 24 of 30 with
 those of ANYmal's, 20 s each. With weights of your own it is the smaller share, 0.8.
+
+With `run.walks` = "tracking" the level is one of errors: at most 0.2 m/s and 0.25 rad/s, root mean squares
+as in dynappo/scores.py. A biped is also paid for its posture and for being upright, so its return says
+little about how it tracks.
 """
 
 from __future__ import annotations
@@ -18,6 +22,7 @@ import numpy as np
 
 SECONDS = 20.0  # of an episode
 MOST_FALLS = 0.01  # share of the episodes
+MOST_ERRORS = 0.2, 0.25  # m/s, rad/s
 ROUNDING = 1e-6  # of a share of episodes, a mean in float32
 SHARES = {2.25: 38 / 45, 1.5: 24 / 30}  # best possible return of a second -> share of it
 SHARE = 0.8  # of any other
@@ -38,12 +43,24 @@ def holds(returns, fall_rates, least: float, most: float = MOST_FALLS) -> np.nda
 
     Elementwise; False where a number is NaN.
     """
-    return at(returns, least) & (np.asarray(fall_rates, float) <= most + ROUNDING)
+    return at(returns, least) & seldom(fall_rates, most)
+
+
+def seldom(fall_rates, most: float = MOST_FALLS) -> np.ndarray:
+    """Whether a share of episodes with a fall is at most `most`; a NaN is not."""
+    return np.asarray(fall_rates, float) <= most + ROUNDING
 
 
 def at(returns, least: float) -> np.ndarray:
     """Whether a return is at least `least`, but for the rounding of a number of float32; a NaN is not."""
     return np.asarray(returns, float) >= least * (1 - ROUNDING)
+
+
+def tracks(errors, yaw_errors) -> np.ndarray:
+    """Whether an evaluation is at the level of errors, m/s and rad/s. Elementwise; False where one is NaN."""
+    pairs = zip((errors, yaw_errors), MOST_ERRORS, strict=True)
+    within, turns = (np.asarray(x, float) <= most * (1 + ROUNDING) for x, most in pairs)
+    return within & turns
 
 
 class Reached(NamedTuple):
@@ -60,18 +77,31 @@ def reached(steps, returns, fall_rates, least: float, most: float = MOST_FALLS) 
     `least` is the `level`, `most` the share of episodes with a fall. At an evaluation with a NaN
     the robot does not walk. ValueError where the shapes differ.
     """
-    returns, fall_rates = np.asarray(returns, float), np.asarray(fall_rates, float)
+    return _reached(steps, returns, at(returns, least), fall_rates, most)
+
+
+def reached_by_tracking(steps, errors, yaw_errors, fall_rates, most: float = MOST_FALLS) -> Reached:
+    """As `reached`, with the level of errors: m/s and rad/s of evaluations `[E, ...]`."""
+    if np.shape(errors) != np.shape(yaw_errors):
+        shapes = f"errors {np.shape(errors)}, yaw errors {np.shape(yaw_errors)}"
+        raise ValueError(f"{shapes}: expected one shape [evaluations, seeds]")
+    return _reached(steps, errors, tracks(errors, yaw_errors), fall_rates, most)
+
+
+def _reached(steps, numbers, level, fall_rates, most: float) -> Reached:
+    """`numbers` of evaluations are at the `level` where that is True."""
+    numbers, fall_rates = np.asarray(numbers, float), np.asarray(fall_rates, float)
     steps = np.asarray(steps, float)
-    if returns.shape != fall_rates.shape or steps.shape not in (returns.shape, returns.shape[:1]):
+    if numbers.shape != fall_rates.shape or steps.shape not in (numbers.shape, numbers.shape[:1]):
         raise ValueError(
-            f"steps {steps.shape}, returns {returns.shape}, fall rates {fall_rates.shape}: "
+            f"steps {steps.shape}, evaluations {numbers.shape}, fall rates {fall_rates.shape}: "
             "expected one shape [evaluations, seeds]"
         )
-    seeds = (1,) * (returns.ndim - steps.ndim)
-    steps = np.broadcast_to(steps.reshape(steps.shape + seeds), returns.shape)
-    holding = holds(returns, fall_rates, least, most)
+    seeds = (1,) * (numbers.ndim - steps.ndim)
+    steps = np.broadcast_to(steps.reshape(steps.shape + seeds), numbers.shape)
+    holding = level & seldom(fall_rates, most)
     kept = np.logical_and.accumulate(holding[::-1])[::-1]
-    return Reached(*(_first(steps, true) for true in (kept, at(returns, least), holding)))
+    return Reached(*(_first(steps, true) for true in (kept, level, holding)))
 
 
 def _first(steps: np.ndarray, true: np.ndarray) -> np.ndarray:
@@ -95,14 +125,18 @@ def in_words(config, evaluation: Mapping[str, Any]) -> str:
     task = config.task
     dt = config.physics.substeps * config.physics.timestep
     seconds = dt * (config.run.eval_steps or task.episode_length)
+    by_errors = config.run.walks == "tracking"
     least = level(best(task.weights, seconds), seconds)
-    if not least > 0:
+    if not (by_errors or least > 0):
         return ""
     returns, falls, error, yaw = (np.array(np.ravel(evaluation[name]), float) for name in names)
-    walking = holds(returns, falls, least)
-    low, often = ~at(returns, least), ~holds(least, falls, least)
+    low, often = ~(tracks(error, yaw) if by_errors else at(returns, least)), ~seldom(falls)
+    walking = ~low & ~often
     if len(returns) > 1:
-        lacks = {f"return < {least:g}": low.sum(), f"falls > {100 * MOST_FALLS:g} %": often.sum()}
+        lacks = {
+            f"errors > {_errors(*MOST_ERRORS)}" if by_errors else f"return < {least:g}": low.sum()
+        }
+        lacks |= {f"falls > {100 * MOST_FALLS:g} %": often.sum()}
         parts = [f"{what}: {count}" for what, count in lacks.items() if count]
         return "; ".join([f"{walking.sum()} of {len(returns)} seeds walk", *parts])
     if not np.isfinite(error[0]):  # nobody stood for the first second
@@ -115,8 +149,14 @@ def in_words(config, evaluation: Mapping[str, Any]) -> str:
     if share > 0.8:
         does = "does not walk yet" if falls[0] > 0.1 else "stands, does not walk yet"
     lacks = {f"return {returns[0]:.2f} < {least:g}": low[0]}
+    if by_errors:
+        lacks = {f"errors {_errors(error[0], yaw[0])} > {_errors(*MOST_ERRORS)}": low[0]}
     lacks |= {f"falls {100 * falls[0]:.1f} % > {100 * MOST_FALLS:g} %": often[0]}
     return "; ".join([does, *(what for what, true in lacks.items() if true)])
+
+
+def _errors(error: float, yaw_error: float) -> str:
+    return f"{error:.2f} m/s, {yaw_error:.2f} rad/s"
 
 
 def still(*ranges: tuple[float, float]) -> float:

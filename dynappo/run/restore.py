@@ -122,7 +122,7 @@ def check(source: Path, config) -> None:
             with contextlib.suppress(checkpoint_file.Damaged, KeyError, TypeError, AttributeError):
                 there = config_lib.flat(checkpoint_file.about(folder)["config"])
                 break
-        names.append("run.num_seeds")
+        names += ["run.num_seeds", "ppo.critic_hidden"]
         if schedule.uses_model(config) and there.get("schedule.end_steps"):
             names += ["model.hidden", "model.activation", "model.falls"]
     for name in names:

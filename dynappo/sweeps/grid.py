@@ -115,7 +115,7 @@ def by_vmap(field: str, own_env: bool = False) -> bool:
     knows.
     """
     kind = fields.every()[field]
-    number = kind.default[0] if kind.kind is tuple else kind.kind()
+    number = kind.like[0] if kind.kind is tuple else kind.kind()
     return (
         isinstance(number, float)
         and not field.startswith(BUILT_IN)
@@ -127,7 +127,7 @@ def groups(combinations: list[Combination], done: list[int]) -> list[list[Combin
     """The combinations that can go on in one program, in the order of their firsts.
 
     They differ in floats alone (`by_vmap`), and have `done` as many iterations: `run.joint`. A field that
-    has several numbers for the joints is part of the program.
+    has several numbers for the joints is part of the program, and so is one that is None.
     """
     of_joints = {name for name, field in fields.every().items() if field.per_joint}
     found: dict[str, list[Combination]] = {}
@@ -137,7 +137,9 @@ def groups(combinations: list[Combination], done: list[int]) -> list[list[Combin
         static = {
             name: value
             for name, value in known.items()
-            if not by_vmap(name, own) or (name in of_joints and isinstance(value, tuple))
+            if not by_vmap(name, own)
+            or value is None
+            or (name in of_joints and isinstance(value, tuple))
         }
         found.setdefault(json.dumps([iterations, static]), []).append(one)
     return list(found.values())

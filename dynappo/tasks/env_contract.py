@@ -40,6 +40,11 @@ def check(env: Any, config, tail: bool) -> None:
     _check_same("autoreset", again, state)
     if config.ppo.symmetry:
         _check_mirror(env)
+    if config.ppo.scale_inputs and np.shape(env.input_scale) != (env.obs_size,):
+        raise _wrong(
+            f"input_scale has the shape {np.shape(env.input_scale)} where ppo.scale_inputs is True",
+            f"a number for each of obs, ({env.obs_size},), or ppo.scale_inputs=False",
+        )
     if not tail:
         return
     context, prop = (jax.ShapeDtypeStruct((size,), jnp.float32) for size in (o - p, p))

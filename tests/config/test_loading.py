@@ -133,6 +133,9 @@ def test_a_field_that_is_none_of_dynappos_is_refused(tmp_path):
         ("robot", "go2", "go2"),
         ("ppo.hidden", "(64, 32)", (64, 32)),
         ("ppo.hidden", "[64]", (64,)),
+        ("ppo.critic_hidden", "(64, 32)", (64, 32)),  # None in the file, as the next
+        ("task.weights.foot_slip", "-1", -1.0),
+        ("task.max_tilt", "1", 1.0),
         ("task.command_x", "(0, 1)", (0.0, 1.0)),
         ("task.command_x", "-0.5,0.5", (-0.5, 0.5)),
         ("task.randomize.base_com", "(1, 2, 3)", (1.0, 2.0, 3.0)),

@@ -10,7 +10,8 @@ from dynappo.config import fields, per_joint
 from dynappo.sweeps import grid
 
 JOINTS = [f"{leg}_{kind}_joint" for leg in ("FL", "FR") for kind in ("hip", "thigh", "calf")]
-FIELDS = "action_scale armature effort_limit joint_friction kd kp saturation_effort velocity_limit"
+MOTORS = "action_scale armature effort_limit joint_friction kd kp saturation_effort velocity_limit"
+FIELDS = f"{MOTORS} posture_std posture_std_standing"
 
 
 def load(**task):
@@ -23,8 +24,8 @@ def resolved(**task):
     return per_joint.resolved(config_lib.validate(load(**task)), JOINTS, "go1").task
 
 
-def test_the_fields_are_those_of_motors():
-    assert sorted(per_joint.names()) == FIELDS.split()
+def test_the_fields_are_those_of_motors_and_postures():
+    assert sorted(per_joint.names()) == sorted(FIELDS.split())
 
 
 @pytest.mark.parametrize(

@@ -92,8 +92,26 @@ def test_every_config_splits_into_the_written_fields_each_in_one_half(spec, form
     # not `float | None` either: set in another config, it would be in the other half
     assert compiled.pop("task.armature") == float | tuple[float, ...] | None  # alone is always here
     assert all(float not in (kind, *get_args(kind)) for kind in compiled.values())
-    one_or_several = float, float | tuple[float, ...]
+    one_or_several = (
+        float,
+        float | tuple[float, ...],
+        float | None,
+        float | tuple[float, ...] | None,
+    )
     assert all(kind in one_or_several or {float} == set(get_args(kind)) for kind in floats.values())
+
+
+def test_a_float_that_is_none_is_part_of_the_program_and_any_number_of_it_is_not():
+    """By the structure of the tree."""
+
+    def hyper(value):
+        config = config_lib.load("go1")
+        config.task.max_tilt = config.task.weights.foot_slip = value
+        static, hyper = split(config)
+        assert "max_tilt" not in static.task._fields and "foot_slip" in hyper.task.weights._fields
+        return jax.tree.structure(hyper)
+
+    assert hyper(None) != hyper(0.5) == hyper(1.0)
 
 
 def test_the_written_types_are_those_of_the_defaults():

@@ -49,6 +49,11 @@ WRONG = [  # fields, what the line begins with, what is expected
     ({"task.randomize.base_mass": (0.0, math.inf)}, "task.randomize.base_mass is", "finite"),
     ({"ppo.hidden": (64, -3)}, "ppo.hidden is (64, -3)", "one or more sizes above 0"),
     ({"ppo.hidden": (10_001,)}, "ppo.hidden is (10001,)", "1 to 10,000"),
+    ({"ppo.critic_hidden": (64, 0)}, "ppo.critic_hidden is (64, 0)", "one or more sizes above 0"),
+    ({"ppo.critic_hidden": (8,) * 33}, "ppo.critic_hidden is (8, 8", "at most 32 layers"),
+    ({"task.max_tilt": 0.0}, "task.max_tilt is 0.0", "0.01 to 3.15"),
+    ({"task.posture_std": 0.0}, "task.posture_std is 0.0", "0.001 to"),
+    ({"run.walks": "well"}, "run.walks is 'well'", "one of return, tracking"),
     ({"run.seed": 2**31}, "run.seed is 2147483648", "-2,147,483,647 to 2,147,483,647"),
     ({"run.seed": 2**31 - 1, "run.num_seeds": 2}, "run.seed is 2147483647", "32 bits"),
     ({"ppo.critic": "no such"}, "ppo.critic is 'no such'", "one of obs, state"),
@@ -61,6 +66,7 @@ WRONG = [  # fields, what the line begins with, what is expected
     ({"run.num_seeds": 3, "run.mesh_seed": 2}, "run.num_seeds is 3", "of run.mesh_seed = 2"),
     ({"run.mesh_env": 16}, "ppo.shuffle_blocks is 8", "a multiple of run.mesh_env = 16"),
     ({"ppo.symmetry": True, "ppo.hidden": (64, 33)}, "ppo.hidden is (64, 33)", "even sizes"),
+    ({"ppo.symmetry": True, "ppo.critic_hidden": (7,)}, "ppo.critic_hidden is (7,)", "even sizes"),
     ({"run.mesh_env": 8, "run.eval_envs": 12}, "run.eval_envs is 12", "of run.mesh_env = 8"),
     ({"run.checkpoint_every": 15}, "run.checkpoint_every is 15", "of run.log_every = 10"),
     ({"run.eval_every": 10, "run.eval_envs": 0}, "run.eval_every is 10", "run.eval_envs is 0"),
@@ -123,7 +129,7 @@ def test_every_default_is_inside_its_bounds_and_what_is_outside_is_refused():
         if field.kind in (int, float, tuple):
             for number in (field.low - 1, field.high + field.high / 10):
                 number = number if field.kind is tuple else field.kind(number)
-                value = (number,) * len(field.default) if field.kind is tuple else number
+                value = (number,) * len(field.like) if field.kind is tuple else number
                 assert refused(fields.check, name, value).startswith(f"{name} is {value}, expected")
         elif field.choices:
             assert "expected one of" in refused(fields.check, name, "no such")

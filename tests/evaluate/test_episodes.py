@@ -11,6 +11,7 @@ from toy_policy import actor, described
 from dynappo import config as config_lib
 from dynappo import scores
 from dynappo.evaluate import episodes
+from dynappo.physics import motors
 from dynappo.policy import policy_file
 from dynappo.program import devices
 
@@ -48,6 +49,18 @@ def test_motors_of_each_joint_are_those_of_the_policy():
     stored["task"]["kp"][0][0] = "(a*)*b"
     found = episodes.settings(trained._replace(config=stored)).task
     assert (found.kp, found.kd, found.armature) == ((25, 25, 35) * 4, (1, 2, 3) * 4, 0.02)
+
+
+def test_postures_of_each_joint_are_those_of_the_config():
+    """They are no motors: a policy's file has them in its config alone, by the joints' names."""
+    config, robot = described()
+    config = config_lib.load("go1")
+    config.task.update(posture_std={".*_calf_joint": 0.3, ".*": 0.2}, posture_std_standing=0.1)
+    trained = policy_file.describe(config_lib.validate(config), robot, actor(hidden=HIDDEN))
+    stored = json.loads(policy_file.to_json(policy_file.about(trained)))["config"]
+    found = episodes.settings(trained._replace(config=stored))
+    found, _ = motors.fitted(found, robot)
+    assert found.task.posture_std == (0.2, 0.2, 0.3) * 4 and found.task.posture_std_standing == 0.1
 
 
 @pytest.mark.parametrize(

@@ -11,6 +11,8 @@ from toy_model import ACTIONS, DT, ENV, HORIZON, OBS, PROP, ROBOTS, settings
 from dynappo import rollout
 from dynappo.model import examples
 
+PAID = -2.5  # a fall pays this once
+PAYING = ENV._replace(fall_reward=lambda hyper: 5 * PAID * hyper.task.tracking_std)
 OPTIONS = ("clean", "known_reward", "falls", "predict_change")
 
 
@@ -28,7 +30,7 @@ def rows():
     )
 
 
-def example(hyper, row, clean, known_reward, falls, predict_change):
+def example(hyper, row, clean, known_reward, falls, predict_change, paid=0.0):
     """`(input, target, weight)` of one real row."""
     before, after = row.obs[:PROP], row.next_obs[:PROP]
     if clean:
@@ -37,11 +39,28 @@ def example(hyper, row, clean, known_reward, falls, predict_change):
     if known_reward:
         seen = np.concatenate([before, row.obs[PROP:]])
         reward = reward - ENV.known_reward(hyper, seen, row.action, after)
+    if falls and row.discount == 0:
+        reward = reward - paid
     target = [*(after - before if predict_change else after), reward / DT]
     target += [row.discount == 0] * falls
     on = clean or falls  # then fallen rows count, and only those that blew up do not
     weight = row.valid if on else row.discount == 1 and row.truncation == 0
     return np.concatenate([before, row.obs[PROP:], row.action]), np.array(target), weight
+
+
+@pytest.mark.parametrize("options", [(True, True, True, True), (False,) * 4], ids=str)
+def test_the_reward_of_a_fall_is_no_target_where_falls_are_predicted(rows, options):
+    """By a loop over rows; without `falls` it is a part of the reward as any other."""
+    static, hyper = settings(**dict(zip(OPTIONS, options, strict=True)))
+    hyper = hyper._replace(task=hyper.task._replace(tracking_std=0.2))
+    found = examples.examples(static, hyper, PAYING, jax.tree.map(jnp.asarray, rows), HORIZON)
+    fallen = 0
+    for t, r in np.ndindex(HORIZON, ROBOTS):
+        row = jax.tree.map(lambda a, t=t, r=r: a[t, r], rows)
+        _, y, valid = example(hyper, row, *options, paid=PAID)
+        fallen += valid and row.discount == 0
+        np.testing.assert_allclose(found.y[t, r], y if valid else 0 * y, 1e-4, 1e-4)
+    assert fallen > 5 or not options[2]
 
 
 @pytest.mark.parametrize("options", itertools.product((False, True), repeat=4), ids=str)

@@ -132,6 +132,44 @@ def test_a_predicted_reward_is_that_of_the_predicted_state_and_the_rest(env):
     np.testing.assert_allclose(discount, 1 / (1 + np.exp(2.0 - 4.6)) + 0 * reward, 1e-5)
 
 
+def test_what_a_fall_pays_is_in_a_predicted_reward_by_its_probability(env):
+    """The same numbers: a logit of 2 is a probability of 1 / (1 + exp(2.6)); -3 is not times dt."""
+    on = {"model.clean": True, "model.known_reward": True, "model.falls": True}
+    _, static, hyper = settings(on | {"model.normalize": False})
+    paying = env._replace(fall_reward=lambda hyper: -1.5 * hyper.task.tracking_std)
+    hyper = hyper._replace(task=hyper.task._replace(tracking_std=2.0))
+    model = that_says([0.2, 0.3, -0.1, -0.5, 2.0], start(static, env))
+    obs = jnp.asarray(np.random.default_rng(0).normal(size=(7, 6)), jnp.float32)
+    free, paid = (
+        dynamics.predict(static, hyper, e, model, obs, jnp.ones((7, 2))) for e in (env, paying)
+    )
+    np.testing.assert_allclose(paid[1] - free[1], np.full(7, -3 / (1 + np.exp(2.6))), 1e-4, 1e-6)
+    for one, other in zip((free[0], free[2]), (paid[0], paid[2]), strict=True):
+        np.testing.assert_array_equal(one, other)
+    # without falls the model knows of none
+    _, static, _ = settings(on | {"model.normalize": False, "model.falls": False})
+    model = that_says([0.2, 0.3, -0.1, -0.5], start(static, env))
+    free, paid = (
+        dynamics.predict(static, hyper, e, model, obs, jnp.ones((7, 2)))[1] for e in (env, paying)
+    )
+    np.testing.assert_array_equal(free, paid)
+
+
+def test_a_tail_pays_for_at_most_one_fall(env):
+    """Rows that end with probability 0.4, each: what is paid, weighed by getting there, is -5 (1 - 0.6^n)."""
+    on = {"model.clean": True, "model.falls": True, "model.known_reward": False}
+    _, static, hyper = settings(on | {"model.normalize": False})
+    paying = env._replace(fall_reward=lambda hyper: -5.0)
+    logit = float(np.log(0.4 / 0.6) + 4.6)
+    model = that_says([0.0, 0.0, 0.0, 0.0, logit], start(static, env))
+    step, keys = dynamics.step(static, hyper, paying, model), jax.random.split(jax.random.key(0), R)
+    state, there, paid = dynamics.TailState(obs=jnp.zeros((R, 6)), prop=jnp.zeros((R, 3))), 1.0, 0.0
+    for n in range(1, 20):
+        state, outcome = step(state, jnp.zeros((R, 2)), keys)
+        paid, there = paid + there * outcome.reward, there * outcome.discount
+        np.testing.assert_allclose(paid, -5 * (1 - 0.6**n) * np.ones(R), 1e-3)
+
+
 # ---- falls and time limits
 
 

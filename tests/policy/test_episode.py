@@ -202,6 +202,22 @@ def test_a_robot_without_torque_falls_and_the_time_is_told(tmp_path, policy, own
 # ---- in another file
 
 
+@pytest.mark.parametrize(("most", "falls"), [(None, False), (0.6, False), (0.5, True)])
+def test_a_base_that_tilts_too_far_has_fallen(policy, most, falls):
+    """0.55 rad in the air: as in training, nothing where a policy's config has no `max_tilt`."""
+    task = policy.config["task"] | {"max_tilt": most}
+    if most is None:
+        del task["max_tilt"]
+    body = episode.load(GO1.xml, policy._replace(config=policy.config | {"task": task}))
+    data = mujoco.MjData(body.model)
+    data.qpos[:] = GO1.home_qpos
+    data.qpos[2] = 2.0
+    for axis in (1, 2):
+        data.qpos[3:7] = np.cos(0.275), 0, 0, 0
+        data.qpos[3 + axis] = -np.sin(0.275)
+        assert episode.step(body, data, np.zeros(12))[1] == falls
+
+
 def test_sim_to_sim_maps_joints_by_name(tmp_path, policy, body, act, walked):
     """Another order of legs, servos of its own, and a ball: the same trajectory to 1e-9."""
     other = episode.load(other_file(tmp_path / "other.xml"), policy)

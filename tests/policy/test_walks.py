@@ -124,6 +124,46 @@ SAID = {  # (return, tracking error, yaw error, fall rate) of commands from -1 t
 }
 
 
+def test_a_biped_walks_by_its_errors_and_falls():
+    """Against the definition read as it is written; exactly at the level counts, NaN does not."""
+    rng, steps = np.random.default_rng(0), [10, 20, 30, 40]
+    errors = rng.choice([0.1, 0.2, 0.21, NAN], (4, 300), p=[0.3, 0.5, 0.1, 0.1])
+    yaw = rng.choice([0.1, 0.25, 0.26], (4, 300), p=[0.4, 0.5, 0.1])
+    falls = rng.choice([0.0, 0.01, 0.011], (4, 300), p=[0.5, 0.4, 0.1])
+    found = walks.reached_by_tracking(steps, errors, yaw, falls)
+    for s in range(300):
+        level = [
+            1.0 if e <= 0.2 and y <= 0.25 else 0.0
+            for e, y in zip(errors[:, s], yaw[:, s], strict=True)
+        ]
+        expected = by_hand(steps, level, falls[:, s], 1.0)
+        np.testing.assert_array_equal([x[s] for x in found], expected)
+    assert 20 < np.isnan(found.walks).sum() < 280
+    assert walks.tracks(np.float32(0.2), np.float32(0.25)) and not walks.tracks(0.2, 0.251)
+    with pytest.raises(ValueError, match="expected one shape"):
+        walks.reached_by_tracking(steps, errors, yaw[:, :1], falls)
+
+
+@pytest.mark.parametrize(
+    ("numbers", "said"),
+    [
+        ((3.0, 0.2, 0.25, 0.01), "walks, turns, seldom falls"),
+        (
+            (99.0, 0.21, 0.2, 0.0),
+            "almost walks; errors 0.21 m/s, 0.20 rad/s > 0.20 m/s, 0.25 rad/s",
+        ),
+        ((99.0, 0.2, 0.2, 0.02), "almost walks; falls 2.0 % > 1 %"),
+        ((99.0, NAN, NAN, 1.0), "falls at once"),
+        (
+            ([9.0, 9.0], [0.1, 0.3], [0.1, 0.1], [0.0, 0.0]),
+            "1 of 2 seeds walk; errors > 0.20 m/s, 0.25 rad/s: 1",
+        ),
+    ],
+)
+def test_of_a_g1_errors_are_said_and_not_its_return(numbers, said):
+    assert walks.in_words(config_lib.load("g1"), evaluation(*numbers)) == said
+
+
 def evaluation(*numbers):
     return dict(zip(("return", "tracking_error", "yaw_error", "fall_rate"), numbers, strict=True))
 

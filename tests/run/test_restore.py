@@ -133,6 +133,7 @@ def test_the_run_that_another_starts_from_is_only_read(program, whole, tmp_path)
 
 SIZES = {  # what differs from the run that is there, what the line says
     "policy": ({"ppo__hidden": (8,)}, "ppo.hidden is "),
+    "value": ({"ppo__critic_hidden": (8,)}, "ppo.critic_hidden is None there, (8,) here"),
     "model": ({"model__hidden": (8, 8)}, "model.hidden is "),
     "falls": ({"model__falls": True}, "model.falls is False there, True here"),
     "seeds": ({"run__num_seeds": 2}, "run.num_seeds is 1 there, 2 here"),

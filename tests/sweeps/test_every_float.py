@@ -46,13 +46,23 @@ FIELDS = {  # 4 robots that fall, step, stand and bend their joints far, all wit
     "task.reset.spawn_height": 0.25,
     "task.reset.soft_limit": 0.4,
     "task.kp": 3.0,
+    # in the program where they are not None
+    "task.max_tilt": 0.3,
+    "task.fall_reward": -2.0,
+    "task.posture_std": 0.2,
+    "task.posture_std_standing": 0.1,
+}
+FIELDS |= {
+    f"task.weights.{name}": -2.0
+    for name in "alive upright posture posture_deviation feet_air_time_biped foot_slip feet_distance".split()
 }
 # what is in the program only where it is not 0
 ERRORS = ("task.randomize.encoder_bias", "task.randomize.imu_tilt", "task.joint_friction")
 EACH = {name: kind for name, kind in fields.every().items() if kind.kind in (float, tuple)}
 FLOATS = [name for name, kind in EACH.items() if kind.kind is float]
 REFUSED = [n for n in FLOATS if n.startswith(("run.", "physics.")) or n == "task.armature"]
-VARIED = [n for n in EACH if n in ERRORS or grid.by_vmap(n)]
+NARROW = "task.weights.feet_distance"  # a Go1's feet are never so close; tests/tasks/test_biped.py has a G1's
+VARIED = [n for n in EACH if n != NARROW and (n in ERRORS or grid.by_vmap(n))]
 OTHER = {  # where 1.5 x + 0.5 is no value of the field, or none that shows
     "ppo.learning_rate": 1e-4,
     "ppo.gamma": 0.5,
@@ -69,6 +79,7 @@ OTHER = {  # where 1.5 x + 0.5 is no value of the field, or none that shows
     "task.saturation_effort": 5.0,
     "task.velocity_limit": 5.0,
     "task.heading_gain": 0.01,
+    "task.max_tilt": 0.05,
     "task.start_anew": 1.0,
     "task.keep_command": 0.5,
     "task.reset.soft_limit": 0.2,
@@ -150,13 +161,20 @@ def test_a_float_that_is_built_in_is_refused_by_its_name(field):
     assert not grid.by_vmap(field)
 
 
+@pytest.mark.parametrize("field", ["task.max_tilt", "task.weights.foot_slip"])
+def test_a_float_that_is_none_is_refused_by_its_name(field):
+    hyper = config_lib.split(toy_env.configure({}, "configs/go1.py:dyna4"))[1]
+    with pytest.raises(ValueError, match=f"{field} is None.*expected"):
+        seeds.vary(hyper, field, [0.5, 1.0])
+
+
 def test_every_float_is_varied_or_refused():
     """What is left are ranges of bodies, which are no single number: `vary` refuses these, and a grid gives
     each combination a program."""
-    left = set(EACH) - set(VARIED) - set(REFUSED)
+    left = set(EACH) - {*VARIED, *REFUSED, NARROW}
     hyper = config_lib.split(toy_env.configure(FIELDS, "configs/go1.py:dyna4"))[1]
-    numbers = {n for n in left if type(EACH[n].default[0]) is float}
-    assert left - numbers == {"model.hidden", "ppo.hidden"}
+    numbers = {n for n in left if type(EACH[n].like[0]) is float}
+    assert left - numbers == {"model.hidden", "ppo.hidden", "ppo.critic_hidden"}
     assert all(n.startswith("task.randomize.") for n in numbers)
     for field in numbers:
         with pytest.raises(ValueError, match="several numbers"):

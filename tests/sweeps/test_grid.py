@@ -107,3 +107,11 @@ def test_a_group_differs_in_floats_alone_and_has_come_as_far(config):
     found = grid.combinations(config, grid.read(texts))
     groups = grid.groups(found, [0, 0, 0, 0, 10, 0])
     assert [[found.index(one) for one in group] for group in groups] == [[0, 1, 2], [3, 5], [4]]
+
+
+def test_a_number_that_is_none_in_one_is_in_no_program_with_those_that_have_it(config):
+    """Its term, or its rule, is part of the program."""
+    found = grid.combinations(config, grid.read(["task.max_tilt=1.0,1.2"]))
+    found += [found[0]._replace(name="plain", config=config_lib.validate(config))]
+    groups = grid.groups(found, [0, 0, 0])
+    assert [[found.index(one) for one in group] for group in groups] == [[0, 1], [2]]

@@ -153,7 +153,8 @@ def of_task(hyper, **fields):
 
 def weights(hyper, value=1.0, **changes):
     """`hyper` with every reward weight `value`, so that metrics show the terms themselves."""
-    fields = dict.fromkeys(hyper.task.weights._fields, value) | changes
+    here = [name for name, weight in hyper.task.weights._asdict().items() if weight is not None]
+    fields = dict.fromkeys(here, value) | changes
     return of_task(hyper, weights=hyper.task.weights._replace(**fields))
 
 
@@ -1130,7 +1131,9 @@ def test_a_changed_weight_changes_the_reward_without_a_new_trace(lab, bodies, st
     _, nothing = lab.step(base, bodies, standing, move, lab.keys)
     assert not nothing.reward.any()
     _, all_ones = lab.step(weights(lab.quiet), bodies, standing, move, lab.keys)
-    for name in lab.hyper.task.weights._fields:
+    for name, weight in lab.hyper.task.weights._asdict().items():
+        if weight is None:
+            continue
         single = weights(lab.quiet, 0.0, **{name: 2.5})
         _, outcome = lab.step(single, bodies, standing, move, lab.keys)
         term = all_ones.metrics[f"reward_{name}"]

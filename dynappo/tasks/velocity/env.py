@@ -25,7 +25,16 @@ from dynappo.types import Env, Hyper, Outcome
 AGES = ("clock", "episode_steps", "episode_return")  # zero at the start of an episode
 # what the next state takes from physics as it is, beside coordinates and torques
 FROM_PHYSICS = "qacc_warmstart air_steps contact_steps last_air_steps peak last_peak".split()
+MIDDLE = 0.005  # m: a foot that is closer to the middle plane is neither left nor right
 MAX_TURN, MAX_BASE_SPEED = 100.0, 20.0  # rad/s, m/s: above these it is a numerical blow-up
+
+
+class Feet(NamedTuple):
+    """What `rewards.Feet` is computed from."""
+
+    middles: kinematics.Legs  # [F] points
+    side: np.ndarray  # [F] as in rewards.Feet
+    base_com: np.ndarray  # [3] m, the base's centre of mass, base frame
 
 
 class Constants(NamedTuple):
@@ -35,6 +44,7 @@ class Constants(NamedTuple):
     robot: robot_lib.Robot
     task: Any  # the config's group `task`, for its non-float fields
     legs: kinematics.Legs
+    feet: Feet | None  # None: no term asks for them
     fatal: np.ndarray  # [G] bool: the parts that end an episode at the ground
     undesired: np.ndarray  # [K, G] bool: the parts that count as one undesired contact
     view: view.View  # the layout of an observation
@@ -61,6 +71,7 @@ def make(robot: robot_lib.Robot, task, physics_config, *, impl: str = "jax") -> 
         robot=robot,
         task=task,
         legs=kinematics.legs(robot.mj_model, robot.feet),
+        feet=feet_of(robot, terms),
         fatal=fatal,
         undesired=undesired,
         view=layout,
@@ -68,7 +79,9 @@ def make(robot: robot_lib.Robot, task, physics_config, *, impl: str = "jax") -> 
         known=reward_sum.known(terms, task),
         dt=physics_config.substeps * physics_config.timestep,
     )
-    names = [f"reward_{name}" for name in task.weights]
+    names = [f"reward_{name}" for name in terms]
+    if task.fall_reward is not None:
+        names.append("reward_fall")
     return Env(
         randomize=partial(_randomize, const),
         reset=partial(reset, const),
@@ -78,6 +91,7 @@ def make(robot: robot_lib.Robot, task, physics_config, *, impl: str = "jax") -> 
         sense=partial(view.sense, layout),
         views=view.views(layout),
         known_reward=partial(known_reward, const),
+        fall_reward=None if task.fall_reward is None else lambda hyper: hyper.task.fall_reward,
         metrics=(*names, "velocity_error_sq", "yaw_error_sq", "falls", "timeouts", "blowups"),
         obs_size=view.size(layout),
         prop_size=observe.prop_size(joints),
@@ -85,6 +99,7 @@ def make(robot: robot_lib.Robot, task, physics_config, *, impl: str = "jax") -> 
         dt=const.dt,
         episode_length=task.episode_length,
         mirror=mirror.images(robot, layout),
+        input_scale=view.scale(layout),
     )
 
 
@@ -108,6 +123,17 @@ def ground_rules(robot: robot_lib.Robot, task) -> tuple[np.ndarray, np.ndarray]:
         between = [body for body in links[1:] if body != links[-1]] or links[:1]
         thighs += between
     return fatal, bodies == np.array(list(dict.fromkeys(thighs)))[:, None]
+
+
+def feet_of(robot: robot_lib.Robot, terms: reward_sum.Terms) -> Feet | None:
+    """What the facts `rewards.Feet` of this robot take, if one of `terms` asks for them."""
+    asked = {ask for term in terms.values() for ask in reward_sum.asks(term)}
+    if not asked & set(rewards.Feet._fields):
+        return None
+    middles = kinematics.middles(robot.mj_model, robot.feet, robot.foot_of)
+    left = kinematics.feet_in_base(middles, robot.default_pose)[:, 1]
+    side = np.sign(np.where(abs(left) < MIDDLE, 0.0, left))
+    return Feet(middles, side, robot.mj_model.body_ipos[robot.base_body])
 
 
 def _randomize(const: Constants, hyper: Hyper, key):
@@ -227,8 +253,8 @@ def step(const: Constants, hyper: Hyper, body, state: State, action, key):
     """One control step -> `(State, Outcome)`; the episode's end is in the outcome only.
 
     If a robot's state is not finite, or a joint or the base is faster than 100 rad/s or 20 m/s, the
-    solver has failed: the episode ends with reward 0 and counts in `blowups`, and the row has only
-    zeros and the old observation.
+    solver has failed: the episode ends with reward 0, but for `task.fall_reward`, and counts in `blowups`,
+    and the row has only zeros and the old observation.
     """
     after = engine_lib.simulate(const.engine, hyper, body, state, action)
     speed = jnp.abs(jnp.concatenate([after.qvel, after.qd_before]))
@@ -243,6 +269,10 @@ def step(const: Constants, hyper: Hyper, body, state: State, action, key):
     reward = jnp.where(ok, reward, 0.0)
 
     fell = (const.fatal & (after.lowest < 0)).any() | ~ok
+    if hyper.task.max_tilt is not None:
+        fell |= known["gravity"][2] > -jnp.cos(hyper.task.max_tilt)
+    if hyper.task.fall_reward is not None:  # once, so not times dt; a blow-up is a fall too
+        reward += hyper.task.fall_reward * fell
     clock = state.clock + 1
     timeout = (clock >= const.task.episode_length) & ~fell
     obs_key, push_key, command_key = jax.random.split(key, 3)
@@ -278,6 +308,8 @@ def step(const: Constants, hyper: Hyper, body, state: State, action, key):
         "timeouts": timeout * 1.0,
         "blowups": ~ok * 1.0,
     }
+    if hyper.task.fall_reward is not None:
+        metrics["reward_fall"] = hyper.task.fall_reward * fell / const.dt
     outcome = Outcome(
         reward=reward,
         discount=1.0 - fell,
@@ -296,7 +328,20 @@ def _known(const: Constants, hyper: Hyper, seen, action) -> dict[str, Any]:
     """What a term can ask for without physics (rewards.py): `seen` has the predicted parts of the next
     observation and the known parts of this one."""
     parts = observe.split(seen, len(const.robot.joint_names))
+    if const.feet is not None:
+        parts |= _feet(const, const.feet, parts)._asdict()
     return engine_lib.per_joint_arrays(hyper)._asdict() | parts | {"action": action}
+
+
+def _feet(const: Constants, feet: Feet, parts) -> rewards.Feet:
+    """Of the predicted parts of an observation: v = v_com + w x (p - com) + dp/dt in the base."""
+    place = partial(kinematics.feet_in_base, feet.middles)
+    joints = parts["joint_position"] + jnp.asarray(const.robot.default_pose, jnp.float32)
+    position, moves = jax.jvp(place, (joints,), (parts["joint_velocity"],))
+    arm = position - jnp.asarray(feet.base_com, jnp.float32)
+    carried = observe.cross(jnp.broadcast_to(parts["angular_velocity"], arm.shape), arm)
+    velocity = parts["linear_velocity"] + carried + moves
+    return rewards.Feet(position, velocity, jnp.asarray(feet.side, jnp.float32))
 
 
 def _measured(
@@ -316,6 +361,8 @@ def _measured(
         contact=contact,
         touchdown=contact & (after.contact_steps <= const.engine.substeps),
         last_air_time=after.last_air_steps * const.engine.timestep,
+        air_time=after.air_steps * const.engine.timestep,
+        contact_time=after.contact_steps * const.engine.timestep,
         lowest=jnp.where(const.undesired, after.lowest, jnp.inf).min(-1),
     )
 
@@ -323,7 +370,8 @@ def _measured(
 def known_reward(const: Constants, hyper: Hyper, obs, action, next_prop):
     """The share of a row's reward that is a function of `obs`, `action` and `next_prop`.
 
-    Exact unless a push changed the velocity after the reward (pushes.py).
+    Exact unless a push changed the velocity after the reward (pushes.py). `task.fall_reward` is not in it:
+    only the model knows the probability of a fall.
     """
     seen = jnp.concatenate([next_prop, obs[next_prop.size : view.now(const.view)]])
     terms = reward_sum.values(const.known, _known(const, hyper, seen, action))

@@ -42,6 +42,7 @@ class Part(NamedTuple):
     noise: str = ""  # the field of task.noise with its half width; "": none
     # of each number in the left-right mirror image; None: mirrored as the joints
     signs: tuple[int, ...] | None = None
+    scale: float = 1.0  # of what networks learn from, with `ppo.scale_inputs`; as in legged_gym
 
 
 # signs of vectors in the mirror image; rotations have the opposite sign
@@ -49,12 +50,12 @@ MOVES, TURNS = (1, -1, 1), (-1, 1, -1)
 # the state at the end of a row: the transition model predicts it
 PREDICTED = dict(
     joint_position=Part(None, "rad", "minus default_pose", "joint_pos"),
-    joint_velocity=Part(None, "rad/s", "of each joint", "joint_vel"),
+    joint_velocity=Part(None, "rad/s", "of each joint", "joint_vel", scale=0.05),
     gravity=Part(3, "1", "its direction, base frame (0 0 -1 upright)", "gravity", MOVES),
     linear_velocity=Part(
         3, "m/s", "of the base's centre of mass (base_com), base frame", "linear_velocity", MOVES
     ),
-    angular_velocity=Part(3, "rad/s", "base frame", "angular_velocity", TURNS),
+    angular_velocity=Part(3, "rad/s", "base frame", "angular_velocity", TURNS, 0.25),
 )
 # what follows from the row before: `advance` computes it
 KNOWN = dict(

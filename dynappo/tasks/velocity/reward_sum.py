@@ -34,8 +34,8 @@ def in_rewards() -> Terms:
 def terms_of(task) -> Terms:
     """The term of each weight of the config's group `task`.
 
-    ConfigError for a weight without a term, a term without a weight, and a term with an unknown
-    parameter.
+    One that is None leaves its term out. ConfigError for a weight without a term, a term without a weight,
+    and a term with an unknown parameter or one that is None.
     """
     terms, weights = in_rewards(), set(task.weights)
     for name in sorted(weights - terms.keys()):
@@ -49,7 +49,7 @@ def terms_of(task) -> Terms:
             f"task.weights has no weight of the term {name} of {FILE}; add "
             f"`{name}: float = 0.0` to Weights in configs/default.py"
         )
-    names = {*known_names(task), *rewards.Measured._fields}
+    names = {*known_names(task), *rewards.Measured._fields, *per_joint.names()}
     for name, term in terms.items():
         for wrong in sorted(set(asks(term)) - names):
             close = difflib.get_close_matches(wrong, names, 1)
@@ -61,7 +61,14 @@ def terms_of(task) -> Terms:
     for name, (other, air_time) in INSTEAD.items():
         if task.air_time == air_time:
             terms[other] = terms[name]
-    return {name: term for name, term in terms.items() if name in weights}
+    used = {name: term for name, term in terms.items() if task.weights.get(name) is not None}
+    for name, term in used.items():
+        for missing in (ask for ask in asks(term) if ask in task and task[ask] is None):
+            raise ConfigError(
+                f"task.{missing} is None, expected numbers where task.weights.{name} is one: its term "
+                f"asks for them; set task.{missing}, or the weight to None"
+            )
+    return used
 
 
 def asks(term: Callable[..., Any]) -> list[str]:
@@ -74,7 +81,7 @@ def known_names(task) -> set[str]:
     """What a term may ask for that needs no physics; of `task`, its floats, and those of joints [A]."""
     of_joints = {name for name in per_joint.names() if isinstance(task[name], tuple)}
     numbers = {name for name, value in task.items() if type(value) is float} | of_joints
-    return {*observe.PARTS, "action"} | numbers
+    return {*observe.PARTS, *rewards.Feet._fields, "action"} | numbers
 
 
 def known(terms: Terms, task) -> Terms:

@@ -11,6 +11,7 @@ A term's parameter names say what it needs. It may ask for:
 - any part of the observation (observe.py), without noise: the predicted ones as they are at the end
   of the control step, before a push; the copied ones, `command` and `previous_action`, as the
   policy saw them
+- the fields of `Feet`, which follow from these
 - `action`, the raw action of this step, and any number of the config's group `task`, like
   `tracking_std`
 - the fields of `Measured`, which only physics knows
@@ -21,10 +22,26 @@ term's own constant.
 
 `track_*` is the only source of a positive return: an episode of T seconds that tracks perfectly
 earns (w_lin + w_yaw) T, 45 on Go1. An untrained robot gets more penalty than reward, and a fall
-ends the penalties, so early in training episodes get shorter before they get longer.
+ends the penalties, so early in training episodes get shorter before they get longer. A biped gets `alive`,
+`upright` and `posture` too, and `task.fall_reward` makes a fall cost something by itself.
+
+Terms of bipeds are in no program whose weight is None. Their sources: Isaac Lab's flat G1 (2.2.1), mjlab 1.6
+and MuJoCo Playground 0.2 (G1JoystickFlatTerrain).
 """
 
 from typing import Any, NamedTuple
+
+
+class Feet(NamedTuple):
+    """Where the feet are and go, from joints and velocities alone (kinematics.py); of F feet.
+
+    The place of a foot is the middle of its shapes. Velocities take the base's centre of mass as the
+    robot's file has it.
+    """
+
+    foot_position: Any  # [F, 3] m, from the base's origin, base frame
+    foot_velocity: Any  # [F, 3] m/s, against the ground, base frame
+    foot_side: Any  # [F] in the default pose: 1 left of the middle, -1 right, 0 on it
 
 
 class Measured(NamedTuple):
@@ -37,6 +54,8 @@ class Measured(NamedTuple):
     contact: Any  # [F] bool: the foot is on the ground
     touchdown: Any  # [F] bool: it came down in this control step
     last_air_time: Any  # [F] s, length of its last finished air phase
+    air_time: Any  # [F] s, since it left the ground; 0 while it is down
+    contact_time: Any  # [F] s, since it came down; 0 while it is in the air
     swing_height: Any  # [F] m, highest that its lowest point was in that phase
     older_action: Any  # [A] the action before `previous_action`
     over_limit: Any  # [A] rad, beyond the middle `task.reset.soft_limit` of a joint's range
@@ -108,7 +127,7 @@ def foot_clearance(swing_height, touchdown, command, wanted=0.06):
 
     Playground's Go1 has the same with 0.1 m, and for higher feet too. 0 for a slow command.
     """
-    moving = (command**2).sum() > 0.1**2
+    moving = _moving(command)
     short = 1 - swing_height / wanted
     return (short**2 * (short > 0) * touchdown).sum() * moving
 
@@ -130,6 +149,75 @@ def feet_in_air(contact):
 def undesired_contacts(lowest):
     """Number of non-foot parts at the ground, from their `lowest` points (m above the floor)."""
     return (lowest < 0).sum() * 1.0
+
+
+def alive():
+    """1 in every row. Isaac Lab: is_alive."""
+    return 1.0
+
+
+def upright(gravity, std=0.45):
+    """exp(-(g_x^2 + g_y^2) / `std`^2) of the gravity direction in the base frame. mjlab: upright."""
+    return _exp(-(gravity[:2] ** 2).sum() / std**2)
+
+
+def posture(joint_position, command, posture_std, posture_std_standing):
+    """exp(-mean over joints of (angle from the default pose / std)^2). mjlab: variable_posture.
+
+    The std (rad) of each joint is `task.posture_std`, or `posture_std_standing` where the command is to
+    stand.
+    """
+    off = _off_pose(joint_position, command, posture_std, posture_std_standing)
+    return _exp(-(off**2).mean())
+
+
+def posture_deviation(joint_position, command, posture_std, posture_std_standing):
+    """Sum over joints of (angle from the default pose / std)^2: a weight of 1 / std^2 for each joint.
+
+    Playground: pose, with weights 0.01 to 1; std as in `posture`.
+    """
+    return (_off_pose(joint_position, command, posture_std, posture_std_standing) ** 2).sum()
+
+
+def feet_air_time_biped(air_time, contact_time, command, most=0.4):
+    """Of a robot on exactly one foot, the shorter of how long (s) each foot has been where it is.
+
+    At most `most`; 0 on both feet, on none, and for a slow command. Isaac Lab:
+    feet_air_time_positive_biped. So it pays for long steps, and for no hop.
+    """
+    xp = air_time.__array_namespace__()
+    moving = (command[:2] ** 2).sum() > 0.1**2
+    down = contact_time > 0
+    since = xp.where(down, contact_time, air_time).min()
+    return xp.clip(since, None, most) * (down.sum() == 1) * moving
+
+
+def foot_slip(foot_velocity, gravity, contact):
+    """Sum over feet on the ground of the horizontal speed of their middle, m/s. Isaac Lab: feet_slide."""
+    xp = foot_velocity.__array_namespace__()
+    up = (foot_velocity * gravity).sum(-1, keepdims=True) * gravity
+    return (xp.sqrt(((foot_velocity - up) ** 2).sum(-1)) * contact).sum()
+
+
+def feet_distance(foot_position, foot_side, least=0.2):
+    """m by which left feet are less than `least` to the left of right ones, in the mean; base frame.
+
+    No contact keeps the feet apart in physics, so crossed feet have a distance below 0. Playground:
+    feet_distance, there of the distance's size, and 0.1 at most.
+    """
+    missing = least - 2 * (foot_side * foot_position[:, 1]).mean()
+    return missing * (missing > 0)
+
+
+def _moving(command):
+    """Whether the command is to move: 0.1 or more in size."""
+    return (command**2).sum() > 0.1**2
+
+
+def _off_pose(joint_position, command, moving, standing):
+    """Angles from the default pose [A], in units of a std (rad), one number or [A]: that for the command."""
+    xp = joint_position.__array_namespace__()
+    return joint_position / xp.where(_moving(command), moving, standing)
 
 
 def _exp(x):

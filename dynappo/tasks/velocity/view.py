@@ -164,6 +164,15 @@ def bias(view: View, obs):
     return xp.concat(parts, axis=-1)
 
 
+def scale(view: View) -> np.ndarray:
+    """`Env.input_scale`: the scale of each number of an observation (observe.Part)."""
+    every = np.ones(now(view))
+    for name, where in observe.rows(view.joints).items():
+        every[where] = observe.PARTS[name].scale
+    before = [every[reading(view)]] * (view.history - 1)
+    return np.concatenate([every, *before, np.ones(view.body)]).astype(np.float32)
+
+
 def parts(view: View) -> list[tuple[int, ...] | None]:
     """The signs of each part of an observation in the mirror image, part by part (observe.Part)."""
     rows = [part.signs for part in observe.PARTS.values()]
