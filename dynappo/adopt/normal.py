@@ -9,6 +9,7 @@ import numpy as np
 
 from dynappo.adopt import gains
 from dynappo.adopt.source import Published
+from dynappo.physics import feet as feet_lib
 from dynappo.physics import robot as robot_lib
 
 HEAVY = 30.0  # kg, from which on feet creep apart with impratio 1
@@ -17,6 +18,8 @@ FIRM = 0.9, 0.95  # solimp of the feet: with Menagerie's 0.015 they sink in and 
 SOFTEST = 0.8
 WIDE = 9.42  # rad, of a joint without a range
 CLEAR = 1.1  # of a foot's radius
+TOUCHES, ABOVE = 0.005, 0.02  # m above the ground: a part that low is shortened, up to there
+JOINTS = mujoco.mjtEq.mjEQ_JOINT
 BOX, SPHERE, CAPSULE = (
     mujoco.mjtGeom.mjGEOM_BOX,
     mujoco.mjtGeom.mjGEOM_SPHERE,
@@ -34,6 +37,8 @@ def text(spec: mujoco.MjSpec) -> str:
     for body in spec.bodies[1:]:
         body.childclass = ""
     root = ElementTree.fromstring(spec.to_xml())
+    for tendon in root.findall("tendon/*[@class]"):  # of these a spec cannot set it
+        _without_class(root, tendon)
     for default in root.findall("default"):
         for nested in default.findall("default"):
             default.remove(nested)
@@ -44,6 +49,16 @@ def text(spec: mujoco.MjSpec) -> str:
     for body in [*root.iter("worldbody"), *root.iter("body")]:
         _without_frames(body)
     return ElementTree.tostring(root, "unicode")
+
+
+def _without_class(root: ElementTree.Element, tendon: ElementTree.Element) -> None:
+    """Give a tendon the numbers of its default class and of those around it."""
+    name, around = tendon.attrib.pop("class"), {c: p for p in root.iter("default") for c in p}
+    at = next((one for one in root.iter("default") if one.get("class") == name), None)
+    while at is not None and at.tag == "default":
+        for own in at.findall("tendon"):
+            tendon.attrib.update({k: v for k, v in own.items() if k not in tendon.attrib})
+        at = around.get(at)
 
 
 def _without_frames(parent: ElementTree.Element) -> None:
@@ -83,7 +98,6 @@ def _elements(spec: mujoco.MjSpec):
         *spec.cameras,
         *spec.lights,
         *spec.equalities,
-        *spec.tendons,
         *spec.pairs,
     )
 
@@ -154,8 +168,13 @@ def frames(spec: mujoco.MjSpec, model: mujoco.MjModel) -> list[str]:
     any was turned.
 
     It changes no motion, and the one-kernel physics needs it. With R the rotation of a link's frame in
-    the base's: offsets, axes and inertias x become R x, and what is in the link is turned by R.
+    the base's: offsets, axes and inertias x become R x, and what is in the link is turned by R. Frames stay
+    where tendons or equality constraints have places in them; no such robot takes that physics anyway.
     """
+    held = [tendon.name or "a tendon" for tendon in spec.tendons]
+    held += [e.name or "an equality" for e in spec.equalities if e.type != JOINTS]
+    if held:
+        return [f"frames: as in the file, for {', '.join(held[:4])} has places in them"]
     turned, rotation = False, {1: np.eye(3)}
     for i in range(1, model.nbody):
         body, parent = spec.body(model.body(i).name), int(model.body_parentid[i])
@@ -199,7 +218,7 @@ def feet(spec: mujoco.MjSpec) -> list[str]:
         if geom.margin or geom.gap:
             margins.append(float(geom.margin))
             geom.margin = geom.gap = 0.0
-        if not _is_foot(geom.name):
+        if not feet_lib.NAME.fullmatch(geom.name):
             continue
         if geom.solimp[0] < SOFTEST:
             soft.append(float(geom.solimp[0]))
@@ -286,8 +305,43 @@ def shanks(spec: mujoco.MjSpec, robot: robot_lib.Robot) -> list[str]:
     return [f"shapes: {len(cut)} that reach a foot end {CLEAR:g} of its radius above its middle"]
 
 
-def _is_foot(name: str) -> bool:
-    return name.rstrip("0123456789_").endswith("_foot")
+def clear(
+    spec: mujoco.MjSpec, robot: robot_lib.Robot, qpos: np.ndarray
+) -> list[str]:
+    """Shorten parts that touch the ground where the robot stands, `qpos`, and are in no foot's body; a line on
+    each, also where that would take half of it.
+
+    A capsule, cylinder or box loses what is below `ABOVE` at the end of its longest axis; that is at most
+    half of it.
+    """
+    model, data, told = robot.mj_model, mujoco.MjData(robot.mj_model), []
+    data.qpos[:] = qpos
+    mujoco.mj_kinematics(model, data)
+    geoms = {geom.id: geom for geom in spec.geoms}
+    lowest = feet_lib.lowest_points(model, qpos, robot.parts)
+    for part, low in zip(robot.parts, lowest, strict=True):
+        body = model.geom_bodyid[part]
+        if low > TOUCHES or body in model.geom_bodyid[robot.feet]:
+            continue
+        kind, size = model.geom_type[part], model.geom_size[part].copy()
+        name = model.geom(part).name or model.body(body).name
+        along = int(size.argmax()) if kind == BOX else 1
+        axis = _matrix(model.geom_quat[part])[:, along if kind == BOX else 2]
+        down = data.xmat[body].reshape(3, 3)[2] @ axis
+        less = (ABOVE - low) / max(abs(down), 1e-6)
+        if kind == SPHERE or less > size[along]:
+            told.append(
+                f"EDIT NEEDED: {name}, a part that is no foot, is {low * 1e3:.0f} mm above the ground as the robot "
+                "stands; make it smaller, or change the default pose"
+            )
+            continue
+        size[along] -= less / 2
+        geoms[part].size, geoms[part].quat = size, model.geom_quat[part]
+        geoms[part].pos = model.geom_pos[part] + np.sign(down) * axis * less / 2
+        told.append(
+            f"shapes: {name} is {less * 1e3:.0f} mm shorter, for it touches the ground as the robot stands"
+        )
+    return told
 
 
 def scene(spec: mujoco.MjSpec, height: float) -> None:
