@@ -18,7 +18,7 @@ FIRM = 0.9, 0.95  # solimp of the feet: with Menagerie's 0.015 they sink in and 
 SOFTEST = 0.8
 WIDE = 9.42  # rad, of a joint without a range
 CLEAR = 1.1  # of a foot's radius
-TOUCHES, ABOVE = 0.005, 0.02  # m above the ground: a part that low is shortened, up to there
+ABOVE = 0.01  # m above the ground: so high end parts that would touch it
 JOINTS = mujoco.mjtEq.mjEQ_JOINT
 BOX, SPHERE, CAPSULE = (
     mujoco.mjtGeom.mjGEOM_BOX,
@@ -305,25 +305,23 @@ def shanks(spec: mujoco.MjSpec, robot: robot_lib.Robot) -> list[str]:
     return [f"shapes: {len(cut)} that reach a foot end {CLEAR:g} of its radius above its middle"]
 
 
-def clear(
-    spec: mujoco.MjSpec, robot: robot_lib.Robot, qpos: np.ndarray
-) -> list[str]:
-    """Shorten parts that touch the ground where the robot stands, `qpos`, and are in no foot's body; a line on
-    each, also where that would take half of it.
+def clear(spec: mujoco.MjSpec, robot: robot_lib.Robot, poses: np.ndarray) -> list[str]:
+    """Shorten parts that touch the ground while the robot stands, `poses` [T, nq]; a line on each, also on
+    those of which that would take half.
 
-    A capsule, cylinder or box loses what is below `ABOVE` at the end of its longest axis; that is at most
-    half of it.
+    A capsule, cylinder or box loses what is below `ABOVE` at the end of its longest axis.
     """
     model, data, told = robot.mj_model, mujoco.MjData(robot.mj_model), []
-    data.qpos[:] = qpos
-    mujoco.mj_kinematics(model, data)
     geoms = {geom.id: geom for geom in spec.geoms}
-    lowest = feet_lib.lowest_points(model, qpos, robot.parts)
-    for part, low in zip(robot.parts, lowest, strict=True):
-        body = model.geom_bodyid[part]
-        if low > TOUCHES or body in model.geom_bodyid[robot.feet]:
-            continue
-        kind, size = model.geom_type[part], model.geom_size[part].copy()
+    heights = np.array([feet_lib.lowest_points(model, qpos, robot.parts) for qpos in poses])
+    for i in np.flatnonzero(heights.min(0) <= 0) if len(robot.parts) else []:
+        part, low, data.qpos[:] = robot.parts[i], heights[:, i].min(), poses[heights[:, i].argmin()]
+        mujoco.mj_kinematics(model, data)
+        body, kind, size = (
+            model.geom_bodyid[part],
+            model.geom_type[part],
+            model.geom_size[part].copy(),
+        )
         name = model.geom(part).name or model.body(body).name
         along = int(size.argmax()) if kind == BOX else 1
         axis = _matrix(model.geom_quat[part])[:, along if kind == BOX else 2]
@@ -331,8 +329,8 @@ def clear(
         less = (ABOVE - low) / max(abs(down), 1e-6)
         if kind == SPHERE or less > size[along]:
             told.append(
-                f"EDIT NEEDED: {name}, a part that is no foot, is {low * 1e3:.0f} mm above the ground as the robot "
-                "stands; make it smaller, or change the default pose"
+                f"EDIT NEEDED: {name}, a part that is no foot, touches the ground as the robot stands; "
+                "make it smaller, or change the default pose"
             )
             continue
         size[along] -= less / 2

@@ -20,7 +20,9 @@ LICENCES = ("LICENSE*", "LICENCE*", "COPYING*")
 ROOTS = ".git", "package.xml"  # what the folder of a whole repository or package has
 UPWARD = 4  # folders above the file in which its meshes and its package's folder are looked for
 BALL = 0.02  # m, radius
-ROUNDED = 0.05  # of the largest principal moment, by which it may be more than the sum of the others
+ROUNDED = (
+    0.05  # of the largest principal moment, by which it may be more than the sum of the others
+)
 EXACT = 1e-6  # of it, that MuJoCo may be off when it computes them
 LIGHT = 0.05  # of the robot's mass: a link whose inertia may be a guess
 EXPORTED = re.compile(r"mesh|collision|visual", re.IGNORECASE)  # in names that an exporter makes
@@ -154,20 +156,25 @@ def _mend_inertias(root: ElementTree.Element, notes: list[str]) -> None:
             continue
         ball = 0.4 * mass * BALL**2
         if small > 1e-12 and over <= ROUNDED * large:  # over / 3 from each: the nearest in the norm
-            new, how = moments + (over / 3 + EXACT * large) * np.array([1, 1, -1]), "the nearest that are"
+            new, how = (
+                moments + (over / 3 + EXACT * large) * np.array([1, 1, -1]),
+                "the nearest that are",
+            )
         elif mass <= LIGHT * sum(masses.values()):
             new, how = np.full(3, ball), f"those of a ball of {BALL * 100:g} cm"
         else:
             raise ValueError(
-                f"the link {name} of {mass:g} kg has the principal moments {_moments(moments)} kg m^2, which no "
-                "body has: expected positive ones, none above the sum of the others; correct its inertia"
+                f"the link {name} of {mass:g} kg has the principal moments {_moments(moments)} kg m^2, "
+                "which no body has: expected positive ones, none above the sum of the others; "
+                "correct its inertia"
             )
         for n, value in zip(XX, (axes * new @ axes.T)[np.triu_indices(3)], strict=True):
             element.set(f"i{n}", repr(float(value)))
         if small <= 1e-12 or over > EXACT * large:
             old = _moments(moments)
             notes.append(
-                f"inertia of {name}: no body has the principal moments {old} kg m^2; now {how}, {_moments(new)}"
+                f"inertia of {name}: no body has the principal moments {old} kg m^2; now {how}, "
+                f"{_moments(new)}"
             )
 
 
@@ -192,7 +199,9 @@ def _mesh(folders: list[Path], name: str) -> tuple[Path | None, str]:
             for candidate in (above / path, above / inside):
                 if candidate.is_file():
                     readable = candidate.suffix.lower() in MESHES
-                    return (candidate, "") if readable else (None, "of a kind that MuJoCo cannot read")
+                    return (
+                        (candidate, "") if readable else (None, "of a kind that MuJoCo cannot read")
+                    )
     return None, "not found"
 
 
@@ -222,8 +231,8 @@ def _tell(lost: list[Lost], notes: list[str]) -> None:
 
 
 def _check_limbs(spec: mujoco.MjSpec, lost: list[Lost]) -> None:
-    """ValueError if a moving link but the base has lost all shapes that collide: a robot that lies on it would
-    not have fallen."""
+    """ValueError if a moving link but the base has lost all shapes that collide: a robot that lies on it
+    would not have fallen."""
 
     def moving(body):
         while body.parent is not None and body.parent.name != "world" and not body.joints:
@@ -238,8 +247,8 @@ def _check_limbs(spec: mujoco.MjSpec, lost: list[Lost]) -> None:
         files = _listed([had[link].file for link in bare])
         convert = "get them" if had[bare[0]].why == "not found" else "convert them to .obj or .stl"
         raise ValueError(
-            f"no shape that collides is left on {_listed(bare)}: their meshes are {had[bare[0]].why} ({files}); "
-            f"{convert}, or give the links boxes or capsules"
+            f"no shape that collides is left on {_listed(bare)}: their meshes are {had[bare[0]].why} "
+            f"({files}); {convert}, or give the links boxes or capsules"
         )
 
 

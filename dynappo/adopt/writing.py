@@ -9,7 +9,7 @@ import mujoco
 
 from dynappo.adopt import normal
 from dynappo.adopt.gains import Motors
-from dynappo.adopt.source import Source
+from dynappo.adopt.source import Source, origin
 from dynappo.physics import kinds
 from dynappo.physics import robot as robot_lib
 
@@ -21,12 +21,13 @@ LOAD, OF_BASE = (
     0.1,
     0.3,
 )  # by what share of the robot's mass the base's varies; at most this of its own
+UNBROKEN = dict(break_long_words=False, break_on_hyphens=False)  # paths
 HEAD = '''"""{name} on flat ground, adopted from {file}.
 
     python -m dynappo.look configs/{name}.py
     python -m dynappo.train --config=configs/{name}.py
 
-robots/{name}/README.md says where every number is from. Variants as in `default.py`.
+robots/{name}/README.md says what was assumed. What is not set here is of `default.py`, as are the variants.
 """
 
 import runpy
@@ -43,7 +44,7 @@ def get_config(variant=""):
     task = config.task
 '''
 HEAVIER = """\
-    # a heavy robot: what Isaac Lab has for the ANYmals
+    # a heavy robot: as the ANYmals here
     config.ppo.init_std = 0.5
     task.weights.update(track_linear_velocity=1.0, track_yaw_rate=0.5, flat_orientation=-5.0)
     task.weights.feet_air_time = 0.5
@@ -163,19 +164,20 @@ def readme(
     ]
     table = "".join(f"| {name} | {value} |\n" for name, value in rows)
     assumed = "".join(
-        textwrap.fill(line, 100, initial_indent="- ", subsequent_indent="  ") + "\n"
+        textwrap.fill(line, 100, initial_indent="- ", subsequent_indent="  ", **UNBROKEN) + "\n"
         for line in told
     )
     legal = (
-        f"From {where}:\n\n" + textwrap.indent(text, "    ").rstrip()
+        f"From {where}; check that it is of this robot:\n\n"
+        + textwrap.indent(text, "    ").rstrip()
         if text
         else "No licence was found beside the file or in it. Ask its owner before you share this robot."
     )
     return (
         f"# {robot.name}\n\n"
         f"`{robot.name}.xml` is made by `dynappo adopt` from `{source.xml}`"
-        f"{', its looks included' if looks else ''}.\nGains, limits and what else depends on the robot are "
-        f"in "
+        f"{', its looks included' if looks else ''}\n({origin(source.xml)}).\n"
+        f"Gains, limits and what else depends on the robot are in "
         f"`configs/{robot.name}.py`.\n\n"
         f"| what | value |\n|---|---|\n{table}\n"
         f"## What was assumed\n\n{assumed}\n"

@@ -18,7 +18,7 @@ def test_a_servo_s_numbers_are_read(tmp_path):
     """kp and forcerange of the servo; its kd is the joint's damping."""
     read = source.read(published.write(tmp_path))
     names = "FR_hip_joint", "FL_calf_joint"
-    found = source.published(read, names)
+    found, _ = source.published(read, names)
     np.testing.assert_allclose(found.kp, 100)
     np.testing.assert_allclose(found.kd, 2)
     np.testing.assert_allclose(found.effort, [23.7, 35.5])
@@ -44,7 +44,7 @@ def test_numbers_of_each_kind_of_actuator(actuator, kp, kd, effort, tmp_path):
         f'actuatorfrcrange="-{limit} {limit}"/><geom size="1"/></body></body></worldbody>'
         f"<actuator>{actuator}</actuator></mujoco>"
     )
-    found = source.published(source.read(file), ("a",))
+    found, _ = source.published(source.read(file), ("a",))
     np.testing.assert_allclose([*found.kp, *found.kd, *found.effort], [kp, kd, effort])
 
 
