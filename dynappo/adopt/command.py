@@ -95,11 +95,13 @@ def make(file: source.Source, name: str, part: Path) -> Adopted:
         robot = loaded(spec, name, file)
         std = writing.INIT_STD[writing.light(robot)]
         chosen, more = gains.choose(robot, published, std)
-        told += [*more, *writing.assumed(robot)]
         if len(robot.foot_names) > 2:
             poses = gains.stance(robot, chosen.kp, chosen.kd, chosen.effort_limit)
-            if poses[-1, 2] > (1 - gains.SAG) * robot.home_qpos[2]:
-                told += normal.clear(spec, robot, poses)
+            if cut := normal.clear(spec, robot, poses):
+                told += cut
+                robot = loaded(spec, name, file)
+                chosen, more = gains.choose(robot, published, std)
+        told += [*more, *writing.assumed(robot)]
         base = robot.mj_model.body(robot.base_body).name
         shown, copied = looks.draw(spec, file, base, part / "assets")
         if shown:

@@ -161,8 +161,8 @@ def of_pd(robot, published: Published, effort) -> tuple[np.ndarray, np.ndarray, 
         angle = effort[not_kept] / published.kp[not_kept]
         told.append(
             f"kp: not the file's {span(published.kp[not_kept])}{at(names, not_kept)}, where "
-            f"{span(_two(angle))} rad of error are a motor's whole effort; a kind of joint keeps its servos if "
-            f"all have {STIFF:g} to {SOFT:g}"
+            f"{span(_two(angle))} rad of error are a motor's whole effort; a kind of joint keeps its servos "
+            f"if all have {STIFF:g} to {SOFT:g}"
         )
     if kept.any():
         kp, kd, gains, damping = _with(robot, published, effort, kept, 1.0)

@@ -19,6 +19,7 @@ SOFTEST = 0.8
 WIDE = 9.42  # rad, of a joint without a range
 CLEAR = 1.1  # of a foot's radius
 ABOVE = 0.01  # m above the ground: so high end parts that would touch it
+LIES = 0.7  # of its height
 JOINTS = mujoco.mjtEq.mjEQ_JOINT
 BOX, SPHERE, CAPSULE = (
     mujoco.mjtGeom.mjGEOM_BOX,
@@ -309,8 +310,11 @@ def clear(spec: mujoco.MjSpec, robot: robot_lib.Robot, poses: np.ndarray) -> lis
     """Shorten parts that touch the ground while the robot stands, `poses` [T, nq]; a line on each, also on
     those of which that would take half.
 
-    A capsule, cylinder or box loses what is below `ABOVE` at the end of its longest axis.
+    A capsule, cylinder or box loses what is below `ABOVE` at the end of its longest axis. Nothing is done for
+    a robot that lies down.
     """
+    if poses[:, 2].min() < LIES * robot.home_qpos[2]:
+        return []
     model, data, told = robot.mj_model, mujoco.MjData(robot.mj_model), []
     geoms = {geom.id: geom for geom in spec.geoms}
     heights = np.array([feet_lib.lowest_points(model, qpos, robot.parts) for qpos in poses])

@@ -73,12 +73,12 @@ def read(xml: Path, notes: list[str] | None = None) -> Source:
         raise ConfigError(f"{xml}: there is no such file; name an MJCF or a URDF")
     with mjcf.one_line(xml):
         text = xml.read_text(encoding="utf-8")
-        if "xmlns:xacro" in text:
-            raise ValueError("it is a xacro, of which a URDF is made by: xacro FILE > ROBOT.urdf")
         try:
             root = ElementTree.fromstring(text)
         except ElementTree.ParseError as error:
             raise ValueError(f"XML parse error: {error}") from None
+        if any("/xacro}" in str(element.tag) for element in root.iter()):
+            raise ValueError("it is a xacro, of which a URDF is made by: xacro FILE > ROBOT.urdf")
         if root.tag == "robot":
             return _urdf(xml, root, notes)
         if root.tag != "mujoco":
