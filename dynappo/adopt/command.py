@@ -26,6 +26,7 @@ from dynappo.config import ConfigError, files, interpreter, shell
 from dynappo.config import flags as flags_lib
 from dynappo.physics import complete, mjcf, motors
 from dynappo.physics import robot as robot_lib
+from dynappo.physics import text as text_lib
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 USAGE = """\
@@ -134,7 +135,7 @@ def completed(file: source.Source, name: str) -> tuple[mujoco.MjSpec, robot_lib.
         try:
             done = complete.complete(spec)
             # written and read again: no classes, frames or fromto are left that hold what is set below
-            spec = mujoco.MjSpec.from_string(normal.text(done.spec))
+            spec = mujoco.MjSpec.from_string(text_lib.of(done.spec))
             told += [*done.notes, *normal.solver(spec, float(done.model.body_mass.sum()))]
             told += [*normal.feet(spec), *normal.frames(spec, spec.compile())]
             robot = loaded(spec, name, file)

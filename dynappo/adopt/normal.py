@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from xml.etree import ElementTree
-
 import mujoco
 import numpy as np
 
@@ -26,81 +24,6 @@ BOX, SPHERE, CAPSULE = (
     mujoco.mjtGeom.mjGEOM_SPHERE,
     mujoco.mjtGeom.mjGEOM_CAPSULE,
 )
-
-
-def text(spec: mujoco.MjSpec) -> str:
-    """The MJCF of a compiled spec without default classes: each element has its own numbers.
-
-    MuJoCo writes classes as they were read, with materials and actuators that are no longer there.
-    """
-    for element in _elements(spec):
-        element.classname = spec.default
-    for body in spec.bodies[1:]:
-        body.childclass = ""
-    root = ElementTree.fromstring(spec.to_xml())
-    for tendon in root.findall("tendon/*[@class]"):  # of these a spec cannot set it
-        _without_class(root, tendon)
-    for default in root.findall("default"):
-        for nested in default.findall("default"):
-            default.remove(nested)
-        if not len(default):
-            root.remove(default)
-    for size in root.findall("size"):
-        root.remove(size)
-    for body in [*root.iter("worldbody"), *root.iter("body")]:
-        _without_frames(body)
-    return ElementTree.tostring(root, "unicode")
-
-
-def _without_class(root: ElementTree.Element, tendon: ElementTree.Element) -> None:
-    """Give a tendon the numbers of its default class and of those around it."""
-    name, around = tendon.attrib.pop("class"), {c: p for p in root.iter("default") for c in p}
-    at = next((one for one in root.iter("default") if one.get("class") == name), None)
-    while at is not None and at.tag == "default":
-        for own in at.findall("tendon"):
-            tendon.attrib.update({k: v for k, v in own.items() if k not in tendon.attrib})
-        at = around.get(at)
-
-
-def _without_frames(parent: ElementTree.Element) -> None:
-    """Give what is in a `<frame>` (which MuJoCo makes of bodies without a joint) its place in the body."""
-    for child in list(parent):
-        if child.tag != "frame":
-            continue
-        place = _numbers(child, "pos", "0 0 0")
-        turn = _matrix(_numbers(child, "quat", "1 0 0 0"))
-        _without_frames(child)
-        at = list(parent).index(child)
-        parent.remove(child)
-        for i, one in enumerate(child):
-            one.set("pos", _written(place + turn @ _numbers(one, "pos", "0 0 0")))
-            if one.tag == "joint":
-                one.set("axis", _written(turn @ _numbers(one, "axis", "0 0 1")))
-            elif one.tag == "light":
-                one.set("dir", _written(turn @ _numbers(one, "dir", "0 0 -1")))
-            else:
-                one.set("quat", _written(_quat(turn @ _matrix(_numbers(one, "quat", "1 0 0 0")))))
-            parent.insert(at + i, one)
-
-
-def _numbers(element: ElementTree.Element, name: str, default: str) -> np.ndarray:
-    return np.array(element.get(name, default).split(), float)
-
-
-def _written(values: np.ndarray) -> str:
-    return " ".join(f"{value:.9g}" for value in values)
-
-
-def _elements(spec: mujoco.MjSpec):
-    """All that a default class can say something of."""
-    yield from (*spec.geoms, *spec.joints, *spec.actuators, *spec.meshes, *spec.materials)
-    yield from (
-        *spec.sites,
-        *spec.cameras,
-        *spec.lights,
-        *spec.equalities,
-        *spec.pairs,
-    )
 
 
 def solver(spec: mujoco.MjSpec, mass: float) -> list[str]:

@@ -7,11 +7,11 @@ from xml.etree import ElementTree
 
 import mujoco
 
-from dynappo.adopt import normal
 from dynappo.adopt.gains import Motors
 from dynappo.adopt.source import Source, origin
 from dynappo.physics import kinds
 from dynappo.physics import robot as robot_lib
+from dynappo.physics import text as text_lib
 
 LIGHT = 25.0  # kg, up to which the reward weights of the Unitree tasks hold; above, those of the ANYmals
 INIT_STD = {True: 1.0, False: 0.5}  # ppo.init_std, of light robots and of heavy ones
@@ -134,7 +134,7 @@ def _field(name: str, value: float | dict[str, float]) -> str:
 
 def mjcf(spec: mujoco.MjSpec, robot_name: str, source: Source) -> str:
     """The text of a compiled spec, with a comment on its origin."""
-    root = ElementTree.fromstring(normal.text(spec))
+    root = ElementTree.fromstring(text_lib.of(spec))
     about = (
         f"\n    {robot_name}, adopted from {source.xml.name} by `dynappo adopt`: README.md has source, "
         f"licence and"

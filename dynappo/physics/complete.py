@@ -16,6 +16,7 @@ import mujoco
 import numpy as np
 
 from dynappo.physics import feet, fit, mjcf, robot_contract
+from dynappo.physics.rotation import matrix, quaternion
 
 VISUAL_GROUP, COLLISION_GROUP = 2, 3  # by the habit of MuJoCo Menagerie
 MESH, PLANE, ELLIPSOID = (
@@ -443,11 +444,10 @@ def _primitives(spec: mujoco.MjSpec, model: mujoco.MjModel, notes: list[str]) ->
     mujoco.mj_kinematics(model, data)
     geoms, found = {geom.id: geom for geom in spec.geoms}, {}
     for i, geom in geoms.items():
-        body, turn = model.geom_bodyid[i], np.zeros(9)
+        body = model.geom_bodyid[i]
         if geom.type not in (MESH, ELLIPSOID) or not body:
             continue
-        mujoco.mju_quat2Mat(turn, model.geom_quat[i])
-        turn, pos = turn.reshape(3, 3), model.geom_pos[i]
+        turn, pos = matrix(model.geom_quat[i]), model.geom_pos[i]
         if geom.type == ELLIPSOID:
             one = fit.around_ellipsoid(model.geom_size[i], turn, pos)
         else:
@@ -540,13 +540,11 @@ def _camera(spec: mujoco.MjSpec, model: mujoco.MjModel, notes: list[str]) -> boo
     if any(camera.name == "track" for camera in spec.cameras):
         return False
     axes = np.vstack([VIEW_AXES, np.cross(*VIEW_AXES)]).T
-    quat = np.zeros(4)
-    mujoco.mju_mat2Quat(quat, np.ascontiguousarray(axes).ravel())
     spec.bodies[1].add_camera(
         name="track",
         mode=mujoco.mjtCamLight.mjCAMLIGHT_TRACKCOM,
         pos=VIEW * model.key("home").qpos[2],
-        quat=quat,
+        quat=quaternion(axes),
         fovy=35,
     )
     notes.append("a camera track is added")

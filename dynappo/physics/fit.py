@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import mujoco
 import numpy as np
 
 from dynappo.physics.contacts import BOX, CAPSULE, CYLINDER, SPHERE
+from dynappo.physics.rotation import quaternion
 
 SLACK = 1.05  # of volumes: the first kind of KINDS that is no larger than this times the smallest
 KINDS = {SPHERE: "sphere", CAPSULE: "capsule", BOX: "box", CYLINDER: "cylinder"}
@@ -78,7 +78,7 @@ def _along(points: np.ndarray, frame: np.ndarray) -> list[Primitive]:
 
 
 def _primitive(kind: int, size, frame: np.ndarray, middle: np.ndarray, volume: float) -> Primitive:
-    return Primitive(kind, np.asarray(size, float), frame @ middle, _quat(frame), float(volume))
+    return Primitive(kind, np.asarray(size, float), frame @ middle, quaternion(frame), float(volume))
 
 
 def around_ellipsoid(size: np.ndarray, frame: np.ndarray, middle: np.ndarray) -> Primitive:
@@ -90,14 +90,8 @@ def around_ellipsoid(size: np.ndarray, frame: np.ndarray, middle: np.ndarray) ->
     long = int(np.argmax(size))
     b, c = np.sort(size)[1:]
     shaft = max(c - b, 1e-4)
-    box = Primitive(BOX, np.array(size), middle, _quat(frame), float(8 * np.prod(size)))
+    box = Primitive(BOX, np.array(size), middle, quaternion(frame), float(8 * np.prod(size)))
     turned = np.roll(frame, 2 - long, 1)
     volume = np.pi * b**2 * (2 * shaft + 4 / 3 * b)
-    capsule = Primitive(CAPSULE, np.array([b, shaft, 0]), middle, _quat(turned), float(volume))
+    capsule = Primitive(CAPSULE, np.array([b, shaft, 0]), middle, quaternion(turned), float(volume))
     return min(box, capsule, key=lambda one: one.volume)
-
-
-def _quat(frame: np.ndarray) -> np.ndarray:
-    quat = np.zeros(4)
-    mujoco.mju_mat2Quat(quat, np.ascontiguousarray(frame).ravel())
-    return quat

@@ -16,6 +16,7 @@ import mujoco
 import numpy as np
 
 from dynappo.physics import contacts
+from dynappo.physics.rotation import matrix
 
 
 class Legs(NamedTuple):
@@ -71,8 +72,8 @@ def _points(model: mujoco.MjModel, geom: int) -> tuple[np.ndarray, float, float]
         return pos[None], size[0], 0.0
     if kind == contacts.BOX:
         own = np.stack(np.meshgrid(*[[-s, s] for s in size]), -1).reshape(-1, 3)
-        return pos + own @ _matrix(quat).T, 0.0, 0.0
-    ends = pos + np.outer([-size[1], size[1]], _matrix(quat)[:, 2])
+        return pos + own @ matrix(quat).T, 0.0, 0.0
+    ends = pos + np.outer([-size[1], size[1]], matrix(quat)[:, 2])
     capsule = kind == contacts.CAPSULE
     return ends, size[0] * capsule, size[0] * (not capsule)
 
@@ -98,7 +99,7 @@ def _chain(model: mujoco.MjModel, body: int, point: np.ndarray) -> tuple[list, l
     )  # of the body in the base, and from the last joint to its origin
     for body in path:
         here = here + turn @ model.body_pos[body]
-        turn = turn @ _matrix(model.body_quat[body])
+        turn = turn @ matrix(model.body_quat[body])
         first = model.body_jntadr[body]
         for joint in range(first, first + model.body_jntnum[body]):
             place = turn @ model.jnt_pos[joint]
@@ -107,12 +108,6 @@ def _chain(model: mujoco.MjModel, body: int, point: np.ndarray) -> tuple[list, l
             axes.append(turn @ model.jnt_axis[joint])
             here = -place
     return joints, [*offsets, here + turn @ point], axes
-
-
-def _matrix(quat: np.ndarray) -> np.ndarray:
-    matrix = np.zeros(9)
-    mujoco.mju_quat2Mat(matrix, quat)
-    return matrix.reshape(3, 3)
 
 
 def feet_in_base(legs: Legs, joints):

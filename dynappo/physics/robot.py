@@ -17,6 +17,7 @@ import numpy as np
 
 from dynappo.config import ConfigError, files
 from dynappo.physics import complete, feet, mjcf, robot_contract
+from dynappo.physics import text as text_lib
 
 # prefixes of a model's arrays that decide how it moves, and suffixes of those that do not
 MOVES = ("body_", "jnt_", "dof_", "geom_", "qpos", "key_", "actuator_", "eq_", "tendon_")
@@ -87,30 +88,36 @@ def _robot(name: str, xml: Path, text: str = "") -> Robot:
         parts=robot_contract.parts_of(model),
         base_body=int(model.jnt_bodyid[0]),
         text=text,
-        alone=text or _alone(xml, spec),
+        alone=text or _alone(xml, spec, notes),
         notes=notes,
     )
 
 
-def _alone(xml: Path, spec: mujoco.MjSpec) -> str:
+def _alone(xml: Path, spec: mujoco.MjSpec, notes: tuple[str, ...]) -> str:
     """A robot's MJCF as one text that needs no other file; `spec` is the completed file, and is changed.
 
-    If the file names no other file, it is the file's own text. Else it is the completed file, in which
-    collision shapes are drawn instead of looks. "" if that is too long.
+    A file that lacked nothing and names no other file has its own text. Else it is the completed file, in
+    which collision shapes are drawn instead of looks. "" if that is too long.
     """
-    with contextlib.suppress(ValueError):
-        text = xml.read_bytes().decode()
-        mjcf.check_alone(text)
-        return text
+    if not notes:
+        with contextlib.suppress(ValueError):
+            text = xml.read_bytes().decode()
+            mjcf.check_alone(text)
+            return text
     with contextlib.suppress(ValueError, mujoco.FatalError):
         for geom in spec.geoms:
             if geom.group > complete.VISUAL_GROUP:
                 geom.group = 0
         spec.compile()
-        text = spec.to_xml()
+        text = text_lib.of(spec)
         mjcf.check_alone(text)
         return text
     return ""
+
+
+def played(robot: Robot) -> str:
+    """The MJCF that C MuJoCo plays and draws: "" if that is the robot's file as it is, else a text."""
+    return robot.text or (robot.alone if robot.notes else "")
 
 
 def same(one: Robot, other: Robot) -> bool:

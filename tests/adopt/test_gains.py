@@ -9,7 +9,7 @@ import pytest
 from toy_policy import ROBOTS
 
 from dynappo.adopt import gains, normal, source
-from dynappo.physics import feet
+from dynappo.physics import feet, text
 from dynappo.physics import robot as robot_lib
 
 NONE = source.Published(*np.full((4, 12), np.nan), np.zeros(12, bool))
@@ -169,7 +169,7 @@ def test_parts_that_would_touch_the_ground_are_shortened():
     spec.body(thigh).add_geom(name="long", type=mujoco.mjtGeom.mjGEOM_CAPSULE, size=[0.02, 0.25, 0],
                               pos=[0, 0, -0.25], mass=0, contype=0, conaffinity=1)  # fmt: skip
     spec.compile()
-    spec = mujoco.MjSpec.from_string(normal.text(spec))
+    spec = mujoco.MjSpec.from_string(text.of(spec))
     spec.compile()
     robot = robot_lib.load_text(spec.to_xml(), "long", robot.xml)
     sunk = robot.home_qpos - np.eye(1, robot.mj_model.nq, 2)[0] * 0.09

@@ -22,6 +22,7 @@ import numpy as np
 import warp as wp  # pyright: ignore[reportMissingImports]
 
 from dynappo.physics.actuators import FRICTION_SPEED
+from dynappo.physics.rotation import matrix
 from dynappo.physics.warp import arrays
 from dynappo.physics.warp.scope import LEGS, LINKS
 
@@ -48,20 +49,13 @@ def _constraint(model, solref, solimp, invweight) -> list[float]:
     return [low, high, max(solimp[2], 1e-15), mid, power, b, k, invweight, 0, 0]
 
 
-def _turned(quat) -> np.ndarray:
-    """The rotation matrix of a quaternion, row by row [9]."""
-    matrix = np.zeros(9)
-    mujoco.mju_quat2Mat(matrix, np.asarray(quat, np.float64))
-    return matrix
-
-
 def constants(model: mujoco.MjModel, shape: arrays.Shape) -> np.ndarray:
     """What all robots share, in the order of `WHOLE`."""
     gravity, tolerance = model.opt.gravity[2], model.opt.tolerance
-    numbers = [model.opt.timestep, gravity, tolerance, *_turned(model.body_iquat[1])]
+    numbers = [model.opt.timestep, gravity, tolerance, *matrix(model.body_iquat[1]).ravel()]
     for joint in range(1, 1 + LINKS):
         body, dof = model.jnt_bodyid[joint], model.jnt_dofadr[joint]
-        numbers += [*model.body_pos[body], *model.jnt_axis[joint], *_turned(model.body_iquat[body])]
+        numbers += [*model.body_pos[body], *model.jnt_axis[joint], *matrix(model.body_iquat[body]).ravel()]
         numbers += [*model.jnt_range[joint], model.dof_damping[dof]]
         weight = model.dof_invweight0[dof]
         numbers += _constraint(model, model.jnt_solref[joint], model.jnt_solimp[joint], weight)
@@ -78,7 +72,7 @@ def parts(model: mujoco.MjModel, shape: arrays.Shape) -> tuple[np.ndarray, np.nd
     body = model.geom_bodyid[shape.parts]
     first = np.searchsorted(np.sort(body), np.arange(model.nbody + 1)).astype(np.int32)
     rows = [
-        [*model.geom_pos[g], *_turned(model.geom_quat[g]), *shape.floor[i], i]
+        [*model.geom_pos[g], *matrix(model.geom_quat[g]).ravel(), *shape.floor[i], i]
         for i, g in ((i, shape.parts[i]) for i in np.argsort(body, kind="stable"))
     ]
     return first, np.array(rows, np.float32).reshape(-1, PART_AT["PART"])
