@@ -9,7 +9,7 @@ import pytest
 from toy_policy import ROBOTS
 
 from dynappo.adopt import gains, normal, source
-from dynappo.physics import feet, text
+from dynappo.physics import complete, feet, text
 from dynappo.physics import robot as robot_lib
 
 NONE = source.Published(*np.full((4, 12), np.nan), np.zeros(12, bool))
@@ -152,7 +152,7 @@ def test_what_the_file_says_of_some_joints_only_is_said_so():
 def test_springs_that_lift_a_robot_and_motors_that_do_not_hold_it_are_told():
     robot = robot_lib.load("go1")
     lifted = copy.copy(robot.mj_model)
-    lifted.jnt_stiffness[3::3], lifted.qpos_spring[9::3] = 15.0, 0.2
+    lifted.jnt_stiffness[1:], lifted.qpos_spring[7:] = 12.0, 0.2
     _, told = gains.choose(robot._replace(mj_model=lifted), NONE, 1.0)
     assert any("it rises by" in line for line in told), told
     weak = source.Published(*np.full((2, 12), np.nan), np.full(12, 2.0), np.full(12, np.nan),
@@ -168,8 +168,7 @@ def test_parts_that_would_touch_the_ground_are_shortened():
     thigh = robot.mj_model.body(robot.mj_model.jnt_bodyid[2]).name
     spec.body(thigh).add_geom(name="long", type=mujoco.mjtGeom.mjGEOM_CAPSULE, size=[0.02, 0.25, 0],
                               pos=[0, 0, -0.25], mass=0, contype=0, conaffinity=1)  # fmt: skip
-    spec.compile()
-    spec = mujoco.MjSpec.from_string(text.of(spec))
+    spec = mujoco.MjSpec.from_string(text.of(complete.complete(spec).spec))
     spec.compile()
     robot = robot_lib.load_text(spec.to_xml(), "long", robot.xml)
     sunk = robot.home_qpos - np.eye(1, robot.mj_model.nq, 2)[0] * 0.09
