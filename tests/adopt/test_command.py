@@ -303,6 +303,31 @@ def test_meshes_of_a_urdf_are_found_in_its_meshdir(tmp_path):
     assert "cannot read (a.dae); convert them to .obj" in refused(source.read, file)
 
 
+def test_feet_of_a_urdf_are_not_called_as_its_exporter_called_their_meshes(tmp_path, monkeypatch):
+    """`mesh_collision_lower_leg_4_foot_1` would be the foot `mesh_collision_lower_leg_4`."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(command, "look", lambda *_: None)
+    text, ball = published.urdf(), '<collision><origin xyz="0 0 0"/><geometry><sphere'
+    assert text.count(ball) == 4
+    for i in range(4):
+        text = text.replace(
+            ball, ball.replace(">", f' name="mesh_collision_leg_{i}_foot_1">', 1), 1
+        )
+    Path("toy.urdf").write_text(text)
+    assert run("toy.urdf") == 0
+    assert set(robot_lib.load("toy").foot_names) == {"FR", "FL", "RR", "RL"}
+
+
+def test_joints_that_nothing_drives_are_told(tmp_path):
+    file = tmp_path / "toy.xml"
+    published.write(tmp_path)
+    motor = '<position class="calf" name="FR_calf" joint="FR_calf_joint"/>'
+    file.write_text(file.read_text().replace(motor, ""))
+    _, told = source.published(source.read(file), ("FR_hip_joint", "FR_calf_joint"))
+    assert len(told) == 1 and "nothing in the file drives FR_calf_joint;" in told[0]
+    assert source.published(source.read(file), ("FR_hip_joint",))[1] == []
+
+
 @pytest.mark.parametrize(
     ("moments", "now", "how"),
     [
