@@ -98,10 +98,8 @@ def make(file: source.Source, name: str, part: Path) -> Adopted:
         chosen, more = gains.choose(robot, published, std)
         if len(robot.foot_names) > 2:
             poses = gains.stance(robot, chosen.kp, chosen.kd, chosen.effort_limit)
-            if cut := normal.clear(spec, robot, poses):
-                told += cut
-                robot = loaded(spec, name, file)
-                chosen, more = gains.choose(robot, published, std)
+            told += normal.clear(spec, robot, poses)
+            robot = loaded(spec, name, file)
         told += [*more, *writing.assumed(robot)]
         base = robot.mj_model.body(robot.base_body).name
         shown, copied = looks.draw(spec, file, base, part / "assets")

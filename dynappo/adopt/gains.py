@@ -110,9 +110,13 @@ def sag(robot: robot_lib.Robot, kp, kd, effort) -> float:
 
 
 def stance(robot: robot_lib.Robot, kp, kd, effort) -> np.ndarray:
-    """`qpos` [T, nq] of `STANDS` in which the PD holds the default pose, at every tenth step and the last."""
+    """`qpos` [T, nq] of `STANDS` in which the PD holds the default pose, at every tenth step.
+
+    On its feet alone: no other part touches the ground, even if it is below.
+    """
     model = copy.copy(robot.mj_model)
     model.opt.timestep = TIMESTEP
+    model.geom_contype[robot.parts] = model.geom_conaffinity[robot.parts] = 0
     data, home, poses = mujoco.MjData(model), robot.home_qpos, []
     data.qpos[:] = home
     for step in range(round(STANDS / TIMESTEP)):
@@ -181,8 +185,8 @@ def of_pd(robot, published: Published, effort) -> tuple[np.ndarray, np.ndarray, 
             break
     else:
         gains.append(
-            f"kp: with none that was tried the robot stands: it {_moves(sinks)}; look at the pose and "
-            "the limits"
+            f"kp: that is the stiffest that is tried, and the robot does not stand: it {_moves(sinks)}; look at "
+            "the pose and the limits"
         )
     return kp, kd, [*told, *gains, *damping]
 

@@ -239,32 +239,37 @@ def clear(spec: mujoco.MjSpec, robot: robot_lib.Robot, poses: np.ndarray) -> lis
     if poses[:, 2].min() < LIES * robot.home_qpos[2]:
         return []
     model, data, told = robot.mj_model, mujoco.MjData(robot.mj_model), []
-    geoms = {geom.id: geom for geom in spec.geoms}
+    geoms, alike = {geom.id: geom for geom in spec.geoms}, {}
     heights = np.array([feet_lib.lowest_points(model, qpos, robot.parts) for qpos in poses])
-    for i in np.flatnonzero(heights.min(0) <= 0) if len(robot.parts) else []:
-        part, low, data.qpos[:] = robot.parts[i], heights[:, i].min(), poses[heights[:, i].argmin()]
+    for i, part in enumerate(robot.parts):
+        shape = int(model.geom_type[part]), tuple(model.geom_size[part].round(6))
+        alike.setdefault(shape, []).append(i)
+    for (kind, _), those in alike.items():  # legs stay alike
+        i = those[heights[:, those].min(0).argmin()]
+        low, data.qpos[:] = heights[:, i].min(), poses[heights[:, i].argmin()]
+        if low > 0:
+            continue
         mujoco.mj_kinematics(model, data)
-        body, kind, size = (
-            model.geom_bodyid[part],
-            model.geom_type[part],
-            model.geom_size[part].copy(),
-        )
-        name = model.geom(part).name or model.body(body).name
+        size, ends = model.geom_size[robot.parts[i]].copy(), {}
         along = int(size.argmax()) if kind == BOX else 1
-        axis = _matrix(model.geom_quat[part])[:, along if kind == BOX else 2]
-        down = data.xmat[body].reshape(3, 3)[2] @ axis
-        less = (ABOVE - low) / max(abs(down), 1e-6)
+        for part in robot.parts[those]:
+            axis = _matrix(model.geom_quat[part])[:, along if kind == BOX else 2]
+            ends[part] = axis, data.xmat[model.geom_bodyid[part]].reshape(3, 3)[2] @ axis
+        less = (ABOVE - low) / max(abs(ends[robot.parts[i]][1]), 1e-6)
+        names = [model.geom(p).name or model.body(model.geom_bodyid[p]).name for p in ends]
         if kind == SPHERE or less > size[along]:
             told.append(
-                f"EDIT NEEDED: {name}, a part that is no foot, touches the ground as the robot stands; "
-                "make it smaller, or change the default pose"
+                f"EDIT NEEDED: {names[those.index(i)]}, a part that is no foot, touches the ground as the "
+                "robot stands; make it smaller, or change the default pose"
             )
             continue
         size[along] -= less / 2
-        geoms[part].size, geoms[part].quat = size, model.geom_quat[part]
-        geoms[part].pos = model.geom_pos[part] + np.sign(down) * axis * less / 2
+        for part, (axis, down) in ends.items():
+            geoms[part].size, geoms[part].quat = size, model.geom_quat[part]
+            geoms[part].pos = model.geom_pos[part] + np.sign(down) * axis * less / 2
         told.append(
-            f"shapes: {name} is {less * 1e3:.0f} mm shorter, for it touches the ground as the robot stands"
+            f"shapes: {less * 1e3:.0f} mm shorter, for they touch the ground as the robot stands: "
+            f"{', '.join(names)}"
         )
     return told
 
