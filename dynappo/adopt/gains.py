@@ -185,8 +185,8 @@ def of_pd(robot, published: Published, effort) -> tuple[np.ndarray, np.ndarray, 
             break
     else:
         gains.append(
-            f"kp: that is the stiffest that is tried, and the robot does not stand: it {_moves(sinks)}; look at "
-            "the pose and the limits"
+            f"kp: that is the stiffest that is tried, and the robot does not stand: it {_moves(sinks)}; "
+            "look at the pose and the limits"
         )
     return kp, kd, [*told, *gains, *damping]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import glob
 import hashlib
 import re
 from pathlib import Path
@@ -96,7 +97,7 @@ def read(xml: Path, notes: list[str] | None = None) -> Source:
 
 def _urdf(xml: Path, root: ElementTree.Element, notes: list[str]) -> Source:
     """A URDF: its meshes found, its links kept apart, its base free; MuJoCo would weld it to the world."""
-    lost, velocity = [], {}
+    lost, velocity, elsewhere = [], {}, []
     for joint in root.iter("joint"):
         for limit in joint.iter("limit"):
             velocity[joint.get("name", "")] = float(limit.get("velocity", "nan"))
@@ -116,6 +117,10 @@ def _urdf(xml: Path, root: ElementTree.Element, notes: list[str]) -> Source:
                 link.remove(shape)
             else:
                 mesh.set("filename", str(found))
+                if why:
+                    elsewhere.append(f"{found.parent.name}/{found.name}")
+    if elsewhere:
+        notes.append(f"meshes are taken from a folder beside the URDF: {_listed(elsewhere)}")
     _tell(lost, notes)
     _mend_inertias(root, notes)
     for other in root.findall("mujoco"):
@@ -188,9 +193,10 @@ def _number(element: ElementTree.Element | None, name: str) -> float:
 
 
 def _mesh(folders: list[Path], name: str) -> tuple[Path | None, str]:
-    """`(file, "")` of a URDF's mesh, or `(None, what is wrong)`.
+    """`(file, "")` of a URDF's mesh, or `(None, what is wrong)`; `(file, "beside")` if it is elsewhere.
 
-    `package://NAME/PATH` is looked for in the folders above those of `folders`, too.
+    `package://NAME/PATH` is looked for in the folders above those of `folders`, too; at last a file of that
+    name in a folder beside the URDF, where people put what they copy.
     """
     path = re.sub(r"^(package|file)://", "", name)
     inside = path.partition("/")[2] if name.startswith("package://") else path
@@ -202,6 +208,9 @@ def _mesh(folders: list[Path], name: str) -> tuple[Path | None, str]:
                     return (
                         (candidate, "") if readable else (None, "of a kind that MuJoCo cannot read")
                     )
+    beside = sorted(folders[-1].glob(f"*/{glob.escape(Path(path).name)}")) if path else []
+    if beside and beside[0].suffix.lower() in MESHES:
+        return beside[0].resolve(), "beside"
     return None, "not found"
 
 

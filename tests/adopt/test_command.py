@@ -298,6 +298,11 @@ def test_meshes_of_a_urdf_are_found_in_its_meshdir(tmp_path):
     notes = source.read(file).notes
     assert "are not found: camera.dae" in notes[0]
     assert "of a kind that MuJoCo cannot read: a.dae" in notes[1]
+    (tmp_path / "far/cube.obj").unlink()
+    (tmp_path / "urdf/assets").mkdir()
+    (tmp_path / "urdf/assets/cube.obj").write_text(published.CUBE)
+    notes = source.read(file).notes
+    assert notes[0] == "meshes are taken from a folder beside the URDF: assets/cube.obj"
     mesh = '<mesh filename="a.dae"/>'
     file.write_text(file.read_text().replace(rod, mesh))
     assert "cannot read (a.dae); convert them to .obj" in refused(source.read, file)
