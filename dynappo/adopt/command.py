@@ -15,6 +15,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import warnings
 from pathlib import Path
 from typing import NamedTuple
 
@@ -207,10 +208,12 @@ def run(flags) -> None:
     check_writable(folder, config)
     notes: list[str] = []
     try:
-        file = source.read(flags.file, notes)
-        with new_folder(folder) as part:
-            made = made_of(file, flags.name, part)
-            check(part, flags.name, made)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of numbers in the file that overflow
+            file = source.read(flags.file, notes)
+            with new_folder(folder) as part:
+                made = made_of(file, flags.name, part)
+                check(part, flags.name, made)
     except ConfigError:
         for line in notes:  # what was found before the error may explain it
             print(line)
