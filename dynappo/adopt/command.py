@@ -9,10 +9,13 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import os
 import re
 import shutil
 import subprocess
 import sys
+import tempfile
+import warnings
 from pathlib import Path
 from typing import NamedTuple
 
@@ -24,6 +27,7 @@ from dynappo.config import ConfigError, files, interpreter, shell
 from dynappo.config import flags as flags_lib
 from dynappo.physics import complete, mjcf, motors
 from dynappo.physics import robot as robot_lib
+from dynappo.physics import text as text_lib
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 USAGE = """\
@@ -86,12 +90,17 @@ def make(file: source.Source, name: str, part: Path) -> Adopted:
     with mjcf.one_line(file.xml):
         spec, robot, more = completed(file, name)
         told += more
-        published = source.published(file, robot.joint_names)
+        published, more = source.published(file, robot.joint_names)
+        told += more
         effort, _ = gains.efforts(robot, published)
         told += normal.joints(spec, robot.joint_names, published, effort)
         robot = loaded(spec, name, file)
         std = writing.INIT_STD[writing.light(robot)]
         chosen, more = gains.choose(robot, published, std)
+        if len(robot.foot_names) > 2:
+            poses = gains.stance(robot, chosen.kp, chosen.kd, chosen.effort_limit)
+            told += normal.clear(spec, robot, poses)
+            robot = loaded(spec, name, file)
         told += [*more, *writing.assumed(robot)]
         base = robot.mj_model.body(robot.base_body).name
         shown, copied = looks.draw(spec, file, base, part / "assets")
@@ -106,14 +115,15 @@ def make(file: source.Source, name: str, part: Path) -> Adopted:
         spec.modelname = name
         spec.compile()
         text = writing.mjcf(spec, name, file)
-    licence = source.licence(file.xml)
-    told.append(f"licence: {licence[0] or 'none found; ask before you share this robot'}")
-    return Adopted(
-        mjcf=text,
-        config=writing.config(robot, file, chosen),
-        readme=writing.readme(robot, file, told, licence, shown),
-        told=told,
-    )
+        licence = source.licence(file.xml)
+        where = f"found at {licence[0]}: check that it is of this robot" if licence[0] else ""
+        told.append(f"licence: {where or 'none found; ask before you share this robot'}")
+        return Adopted(
+            mjcf=text,
+            config=writing.config(robot, file, chosen),
+            readme=writing.readme(robot, file, told, licence, shown),
+            told=told,
+        )
 
 
 def completed(file: source.Source, name: str) -> tuple[mujoco.MjSpec, robot_lib.Robot, list[str]]:
@@ -124,7 +134,7 @@ def completed(file: source.Source, name: str) -> tuple[mujoco.MjSpec, robot_lib.
         try:
             done = complete.complete(spec)
             # written and read again: no classes, frames or fromto are left that hold what is set below
-            spec = mujoco.MjSpec.from_string(normal.text(done.spec))
+            spec = mujoco.MjSpec.from_string(text_lib.of(done.spec))
             told += [*done.notes, *normal.solver(spec, float(done.model.body_mass.sum()))]
             told += [*normal.feet(spec), *normal.frames(spec, spec.compile())]
             robot = loaded(spec, name, file)
@@ -133,6 +143,12 @@ def completed(file: source.Source, name: str) -> tuple[mujoco.MjSpec, robot_lib.
             return spec, loaded(spec, name, file), told
         except (ValueError, ConfigError) as error:
             problem = problem or error
+    if "expected a foot" in str(problem):
+        raise ValueError(
+            "no legs found: no limb without wheels ends near the robot's lowest point in the home pose; "
+            "only robots on feet are adopted. If it has feet, name their shapes NAME_foot, NAME_foot1, "
+            "... in the file"
+        )
     assert problem
     raise problem
 
@@ -140,41 +156,69 @@ def completed(file: source.Source, name: str) -> tuple[mujoco.MjSpec, robot_lib.
 def loaded(spec: mujoco.MjSpec, name: str, file: source.Source) -> robot_lib.Robot:
     """The robot of a spec; ConfigError as of the file that it was made from."""
     spec.compile()
-    return robot_lib.load_text(spec.to_xml(), name, file.xml)
+    try:
+        return robot_lib.load_text(spec.to_xml(), name, file.xml)
+    except ConfigError as error:
+        raise ConfigError(str(error).replace("the robot that it carries: ", "")) from None
 
 
 @contextlib.contextmanager
 def new_folder(folder: Path):
-    """Yields a folder beside `folder` that takes its place at the end; after an error nothing is left."""
+    """Yields a folder beside `folder` that takes its place at the end, or whose files take that of the same
+    ones there; after an error nothing is left."""
     part = folder.with_name(f".{folder.name}.part")
     missing = [above for above in part.parents if not above.exists()]
     try:
         shutil.rmtree(part, ignore_errors=True)  # of a process that was killed
         part.mkdir(parents=True)
         yield part
-        if folder.exists():
-            shutil.rmtree(folder)
-        part.rename(folder)
-    except BaseException:
+        if folder.exists():  # what somebody else put there stays
+            shutil.copytree(part, folder, dirs_exist_ok=True)
+            shutil.rmtree(part)
+        else:
+            part.rename(folder)
+    except BaseException as error:
         shutil.rmtree(part, ignore_errors=True)
         for above in missing:
             with contextlib.suppress(OSError):
                 above.rmdir()
+        if isinstance(error, OSError) and str(part) in str(error.filename):
+            error.filename = str(folder)  # a name that somebody knows
         raise
+
+
+def check_writable(folder: Path, config: Path) -> None:
+    """ConfigError if robots/NAME/ or configs/NAME.py cannot be written."""
+    for path in (folder / "README.md", config):
+        above = next(one for one in path.parents if os.path.lexists(one))
+        if not above.is_dir():
+            raise ConfigError(f"{path} cannot be written: {above} is no folder; move it away")
+        if not os.access(above, os.W_OK | os.X_OK):
+            raise ConfigError(
+                f"{path} cannot be written: no permission to write in {above.resolve()}; "
+                "work in another folder"
+            )
+        if path.is_dir():
+            raise ConfigError(f"{path} cannot be written: it is a folder; move it away")
 
 
 def run(flags) -> None:
     """Adopt the robot as the flags say, tell each assumption, and look at it."""
     folder, config = check_free(flags.name, flags.force)
-    file = source.read(flags.file)
-    with new_folder(folder) as part:
-        made = make(file, flags.name, part)
-        files.write_text(part / f"{flags.name}.xml", made.mjcf)
-        files.write_text(part / "README.md", made.readme)
-        files.write_text(part / f"{flags.name}.py", made.config)
-        check(part, flags.name)
-        config.parent.mkdir(parents=True, exist_ok=True)
-        (part / f"{flags.name}.py").replace(config)
+    check_writable(folder, config)
+    notes: list[str] = []
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of numbers in the file that overflow
+            file = source.read(flags.file, notes)
+            with new_folder(folder) as part:
+                made = made_of(file, flags.name, part)
+                check(part, flags.name, made)
+    except ConfigError:
+        for line in notes:  # what was found before the error may explain it
+            print(line)
+        raise
+    files.write_text(config, made.config)
     for line in made.told:
         print(line)
     print(f"written {folder / f'{flags.name}.xml'}, {config}, {folder / 'README.md'}\n", flush=True)
@@ -182,12 +226,29 @@ def run(flags) -> None:
     print(f"\nnext    {shell.pasted(f'python -m dynappo.train --config={config}')}")
 
 
-def check(part: Path, name: str) -> None:
-    """Load what was written, as training will; ConfigError if it cannot be."""
+def made_of(file: source.Source, name: str, part: Path) -> Adopted:
+    """`make`; ConfigError for whatever a file brings it to."""
+    try:
+        return make(file, name, part)
+    except (ConfigError, OSError, MemoryError):
+        raise
+    except Exception as error:  # a file may have anything: no command ends in a traceback for it
+        what = " ".join(str(error).split())
+        raise ConfigError(
+            f"{file.xml}: it cannot be adopted ({type(error).__name__}: {what})"
+        ) from error
+
+
+def check(part: Path, name: str, made: Adopted) -> None:
+    """Write the robot's files to `part` and load them, as training will; ConfigError if that fails."""
+    files.write_text(part / f"{name}.xml", made.mjcf)
+    files.write_text(part / "README.md", made.readme)
     robot = robot_lib.load_xml(part / f"{name}.xml")
-    config = config_lib.load(str(part / f"{name}.py"))
-    config.robot = files.robots()[0]  # that of the part is not among the robots yet
-    motors.fitted(config_lib.validate(config), robot)
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / f"{name}.py"
+        file.write_text(made.config, encoding="utf-8")
+        config = config_lib.validate(config_lib.load(str(file)), robot_here=False)
+    motors.fitted(config, robot)
 
 
 def look(config: Path, picture: Path) -> None:

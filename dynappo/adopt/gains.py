@@ -11,10 +11,10 @@ The rules, for joint j of a robot of mass m whose feet hang l below the base:
 
 They are what Go1, Go2, the ANYmals and Spot have in common here (kp / effort 0.9 to 1.6 /rad, kd / kp 0.02
 to 0.06 s) and what others choose: mjlab's action scale is effort / (4 kp), its kd / kp 0.064 s; Unitree's and
-Booster's own controllers have 0.02 to 0.03 s. A servo's gains from the file are kept if they are of that
-kind:
-stable, and between the effort in 0.45 rad and in 3 rad. MuJoCo Menagerie's kp of 100 for a Go1 is not: a
-policy that explores by 0.25 rad would be at the motors' limit all the time.
+Booster's own controllers have 0.02 to 0.03 s. A servo's kp from the file is kept, for each kind
+of joint, if it lies between the effort in 0.45 rad and in 3 rad; its kd too, or as much of it as is stable.
+MuJoCo Menagerie's kp of 100 for a Go1 is not: a policy that explores by 0.25 rad would be at the motors'
+limit all the time.
 """
 
 from __future__ import annotations
@@ -26,11 +26,12 @@ import mujoco
 import numpy as np
 
 from dynappo.adopt.source import Published
+from dynappo.physics import kinds as kinds_lib
 from dynappo.physics import robot as robot_lib
 
 TIMESTEP = 0.005  # s, of physics
 STRENGTH, STRONGEST = 0.45, 2.0  # of m g l: what is assumed, and what is believed
-SAG, STANDS = 0.15, 2.0  # of its height, that it may sink by in so many s
+SAG, STANDS = 0.15, 5.0  # of its height, that it may sink by in so many s, as in `look`
 RATIO = 0.025  # s, kd / kp
 DAMPS, BEST_DAMPS = (
     0.5,
@@ -63,18 +64,33 @@ def efforts(robot: robot_lib.Robot, published: Published) -> tuple[np.ndarray, l
     """`(limits [A] in N m, lines)`; the lines say what was assumed."""
     each = weight(robot) * reach(robot)
     most, ruled = STRONGEST * each, round(STRENGTH * each, 1)
-    out = published.effort
-    if np.isnan(out).all():
-        told = [f"effort: no limit in the file; {STRENGTH:g} m g l = {ruled:g} N m"]
-    elif (odd := out > most).any():
-        told = [
-            f"effort: the file's {out[odd].max():g} N m is more than {STRONGEST:g} m g l = {most:.0f} N m, "
-            f"which no motor has; {STRENGTH:g} m g l = {ruled:g} N m"
-        ]
-    else:
-        told = [f"effort: {span(out)} N m, of the file"]
-    bad = np.isnan(out) | (out > most)
-    return np.where(bad, ruled, out), told
+    rule = f"{STRENGTH:g} m g l = {ruled:g} N m"
+    out, names = published.effort, robot.joint_names
+    none, odd = np.isnan(out), out > most
+    if none.all():
+        return np.full(len(out), ruled), [f"effort: no limit in the file; {rule}"]
+    told, good = [], ~(none | odd)
+    if odd.any():
+        told.append(
+            f"effort: the file's {out[odd].max():g} N m{at(names, odd)} is more than {STRONGEST:g} m g l = "
+            f"{most:.0f} N m, which no motor has; {rule}"
+        )
+    if none.any():
+        told.append(f"effort: no limit in the file{at(names, none)}; {rule}")
+    if good.any():
+        told.append(f"effort: {span(out[good])} N m{at(names, good)}, of the file")
+    return np.where(good, out, ruled), told
+
+
+def at(names: tuple[str, ...], where: np.ndarray) -> str:
+    """` at A, B` for the joints `where` [A], by their kinds if these are whole; "" if it is all of them."""
+    if where.all():
+        return ""
+    kinds = kinds_lib.kinds(names)
+    whole = {k: ids for k, ids in kinds.items() if where[ids].all()}
+    covered = {i for ids in whole.values() for i in ids}
+    said = [*whole, *(names[i] for i in np.flatnonzero(where) if i not in covered)]
+    return " at " + ", ".join(said[:6]) + f" and {len(said) - 6} more" * (len(said) > 6)
 
 
 def weight(robot: robot_lib.Robot) -> float:
@@ -90,15 +106,26 @@ def sag(robot: robot_lib.Robot, kp, kd, effort) -> float:
     """
     if len(robot.foot_names) < 3:
         return 0.0
+    return float(1 - stance(robot, kp, kd, effort)[-1, 2] / robot.home_qpos[2])
+
+
+def stance(robot: robot_lib.Robot, kp, kd, effort) -> np.ndarray:
+    """`qpos` [T, nq] of `STANDS` in which the PD holds the default pose, at every tenth step.
+
+    On its feet alone: no other part touches the ground, even if it is below.
+    """
     model = copy.copy(robot.mj_model)
     model.opt.timestep = TIMESTEP
-    data, home = mujoco.MjData(model), robot.home_qpos
+    model.geom_contype[robot.parts] = model.geom_conaffinity[robot.parts] = 0
+    data, home, poses = mujoco.MjData(model), robot.home_qpos, []
     data.qpos[:] = home
-    for _ in range(round(STANDS / TIMESTEP)):
+    for step in range(round(STANDS / TIMESTEP)):
         torque = kp * (home[7:] - data.qpos[7:]) - kd * data.qvel[6:]
         data.ctrl[:] = np.clip(torque, -effort, effort)
         mujoco.mj_step(model, data)
-    return float(1 - data.qpos[2] / home[2])
+        if step % 10 == 9:
+            poses.append(data.qpos.copy())
+    return np.array(poses)
 
 
 def choose(
@@ -108,59 +135,107 @@ def choose(
     effort, told = efforts(robot, published)
     kp, kd, more = of_pd(robot, published, effort)
     told += more
-    velocity = np.where(published.velocity > FASTEST, np.nan, published.velocity)
-    unknown = np.isnan(velocity)
-    told.append(
-        f"speed: no limit in the file; {SPEED:g} rad/s"
-        if unknown.all()
-        else f"speed: {span(velocity[~unknown])} rad/s, of the file"
-    )
+    names, velocity = robot.joint_names, published.velocity
+    fast, none = velocity > FASTEST, np.isnan(velocity)
+    known = ~(fast | none)
+    if none.any():
+        told.append(f"speed: no limit in the file{at(names, none)}; {SPEED:g} rad/s")
+    if fast.any():
+        told.append(
+            f"speed: the file's {velocity[fast].max():g} rad/s{at(names, fast)} has no motor; {SPEED:g} rad/s"
+        )
+    if known.any():
+        told.append(f"speed: {span(velocity[known])} rad/s{at(names, known)}, of the file")
     scale = np.minimum(EXPLORES, SHARE * effort / kp) / init_std
     told.append(
         f"action scale: {span(_two(scale))} rad; with ppo.init_std {init_std:g} exploration asks for "
         f"{(kp * scale * init_std / effort).max():.0%} of the effort at most"
     )
-    return Motors(kp, kd, effort, np.where(unknown, SPEED, velocity), _two(scale)), told
+    return Motors(kp, kd, effort, np.where(known, velocity, SPEED), _two(scale)), told
 
 
 def of_pd(robot, published: Published, effort) -> tuple[np.ndarray, np.ndarray, list[str]]:
-    """`(kp [A], kd [A], lines)`: the file's if they fit, else by the rules."""
-    told = []
-    if published.servo.all():
-        kp, kd = published.kp, np.maximum(published.kd, 0.0)
-        wrong = _misfit(robot, kp, kd, effort)
-        if not wrong:
-            return kp, kd, [f"kp, kd: {span(kp)} N m/rad and {span(kd)} N m s/rad, of the file"]
-        told = [f"kp, kd: not the file's {span(kp)} and {span(_two(kd))}, for {wrong}"]
-    for more in STEPS:
-        kp = _two(effort * more)
-        kd = kp * RATIO
-        kd = _two(kd * _less(robot, kd))
+    """`(kp [A], kd [A], lines)`: the file's at the kinds of joints where they fit, else by the rules."""
+    names, kept, told = robot.joint_names, np.zeros(len(effort), bool), []
+    for joints in kinds_lib.kinds(names).values():
+        servo, angle = published.servo[joints], effort[joints] / published.kp[joints]
+        kept[joints] = servo.all() and (angle >= STIFF).all() and (angle <= SOFT).all()
+    servo = published.servo
+    if (not_kept := servo & ~kept).any():
+        angle = effort[not_kept] / published.kp[not_kept]
+        told.append(
+            f"kp: not the file's {span(published.kp[not_kept])}{at(names, not_kept)}, where "
+            f"{span(_two(angle))} rad of error are a motor's whole effort; a kind of joint keeps its servos "
+            f"if all have {STIFF:g} to {SOFT:g}"
+        )
+    if kept.any():
+        kp, kd, gains, damping = _with(robot, published, effort, kept, 1.0)
+        if kept.all() and (sinks := sag(robot, kp, kd, effort)) > SAG:
+            told.append(
+                f"kp: not the file's {span(kp)} N m/rad, which do not hold the robot up: it {_moves(sinks)}"
+            )
+            kept = np.zeros_like(kept)
+        elif kept.all():
+            return kp, kd, [*told, *gains, *damping]
+    for step in STEPS:
+        kp, kd, gains, damping = _with(robot, published, effort, kept, step)
         sinks = sag(robot, kp, kd, effort)
         if sinks < SAG:
+            gains[-1] += f", with which it {_moves(sinks)}" * bool(sinks)
             break
-    why = f", with which it sinks by {sinks:.0%} of its height" * bool(sinks)
-    told.append(f"kp: effort / {1 / more:.2g} rad = {span(kp)} N m/rad{why}")
-    told.append(f"kd: kp x {RATIO:g} s, where stable: {span(kd)} N m s/rad")
-    return kp, kd, told
+    else:
+        gains.append(
+            f"kp: that is the stiffest that is tried, and the robot does not stand: it {_moves(sinks)}; "
+            "look at the pose and the limits"
+        )
+    return kp, kd, [*told, *gains, *damping]
 
 
-def _misfit(robot, kp, kd, effort) -> str:
-    """What is wrong with a servo's gains for a policy with an explicit PD; "" if nothing is."""
-    if (share := robot_lib.damping_rate(robot, kd, TIMESTEP)) > DAMPS:
-        return f"kd takes {share:.2g} of a joint's speed in a step of {TIMESTEP * 1e3:g} ms"
-    if (angle := (effort / kp).min()) < STIFF:
-        return f"{angle:.2g} rad of error are a motor's whole effort"
-    if (effort / kp).max() > SOFT or sag(robot, kp, kd, effort) > SAG:
-        return "they do not hold the robot up"
-    return ""
+def _with(
+    robot, published: Published, effort, kept, step: float
+) -> tuple[np.ndarray, np.ndarray, list[str], list[str]]:
+    """`(kp, kd, lines, lines)`: the file's at the joints `kept`, else kp = effort x `step`; kd as far as it
+    is stable."""
+    names, gains, damping, ruled = robot.joint_names, [], [], ~kept
+    kp = np.where(kept, published.kp, _two(effort * step))
+    wanted = np.where(kept, np.maximum(published.kd, 0), kp * RATIO)
+    share = robot_lib.damping_rate(robot, wanted, TIMESTEP)
+    theirs = kept.all() and share <= DAMPS
+    kd = wanted if theirs else _two(wanted * _less(robot, wanted))
+    lower = kept & (kd < 0.99 * wanted)
+    same = kept & ~lower
+    if kept.any():
+        gains.append(f"kp: {span(kp[kept])} N m/rad{at(names, kept)}, of the file")
+    if ruled.any():
+        gains.append(
+            f"kp: effort / {1 / step:.2g} rad = {span(kp[ruled])} N m/rad{at(names, ruled)}"
+        )
+    if same.any():
+        damping.append(f"kd: {span(kd[same])} N m s/rad{at(names, same)}, of the file")
+    if lower.any():
+        damping.append(
+            f"kd: {span(kd[lower])} N m s/rad{at(names, lower)}, not the file's "
+            f"{span(_two(wanted[lower]))}, with which kd takes {share:.2g} of a joint's speed in a step of "
+            f"{TIMESTEP * 1e3:g} ms"
+        )
+    if ruled.any():
+        damping.append(
+            f"kd: kp x {RATIO:g} s, where stable: {span(kd[ruled])} N m s/rad{at(names, ruled)}"
+        )
+    return kp, kd, gains, damping
+
+
+def _moves(sinks: float) -> str:
+    """A share of its height by which a robot sinks, or rises where springs push it up."""
+    return f"{'sinks' if sinks > 0 else 'rises'} by {abs(sinks):.0%} of its height"
 
 
 def _less(robot, kd) -> np.ndarray:
     """Factors [A] up to 1 with which `kd` is stable: of each joint alone, then of all together."""
     alone = TIMESTEP * np.diag(robot_lib.joint_mobility(robot)) * kd
-    factors = np.minimum(1.0, BEST_DAMPS / alone)
-    return factors * min(1.0, BEST_DAMPS / robot_lib.damping_rate(robot, kd * factors, TIMESTEP))
+    factors = np.minimum(1.0, BEST_DAMPS / np.maximum(alone, 1e-12))
+    together = robot_lib.damping_rate(robot, kd * factors, TIMESTEP)
+    return factors * min(1.0, BEST_DAMPS / max(together, 1e-12))
 
 
 def _two(values: np.ndarray) -> np.ndarray:

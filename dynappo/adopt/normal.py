@@ -7,8 +7,8 @@ import numpy as np
 
 from dynappo.adopt import gains
 from dynappo.adopt.source import Published
+from dynappo.physics import feet as feet_lib
 from dynappo.physics import robot as robot_lib
-from dynappo.physics import text as text_lib
 
 HEAVY = 30.0  # kg, from which on feet creep apart with impratio 1
 FRICTION = 0.8  # of the feet, which `task.randomize.friction` assumes
@@ -16,16 +16,14 @@ FIRM = 0.9, 0.95  # solimp of the feet: with Menagerie's 0.015 they sink in and 
 SOFTEST = 0.8
 WIDE = 9.42  # rad, of a joint without a range
 CLEAR = 1.1  # of a foot's radius
+ABOVE = 0.01  # m above the ground: so high end parts that would touch it
+LIES = 0.7  # of its height
+JOINTS = mujoco.mjtEq.mjEQ_JOINT
 BOX, SPHERE, CAPSULE = (
     mujoco.mjtGeom.mjGEOM_BOX,
     mujoco.mjtGeom.mjGEOM_SPHERE,
     mujoco.mjtGeom.mjGEOM_CAPSULE,
 )
-
-
-def text(spec: mujoco.MjSpec) -> str:
-    """The MJCF of a compiled spec (physics/text.py)."""
-    return text_lib.of(spec)
 
 
 def solver(spec: mujoco.MjSpec, mass: float) -> list[str]:
@@ -94,8 +92,13 @@ def frames(spec: mujoco.MjSpec, model: mujoco.MjModel) -> list[str]:
     any was turned.
 
     It changes no motion, and the one-kernel physics needs it. With R the rotation of a link's frame in
-    the base's: offsets, axes and inertias x become R x, and what is in the link is turned by R.
+    the base's: offsets, axes and inertias x become R x, and what is in the link is turned by R. Frames stay
+    where tendons or equality constraints have places in them; no such robot takes that physics anyway.
     """
+    held = [tendon.name or "a tendon" for tendon in spec.tendons]
+    held += [e.name or "an equality" for e in spec.equalities if e.type != JOINTS]
+    if held:
+        return [f"frames: as in the file, for {', '.join(held[:4])} has places in them"]
     turned, rotation = False, {1: np.eye(3)}
     for i in range(1, model.nbody):
         body, parent = spec.body(model.body(i).name), int(model.body_parentid[i])
@@ -139,7 +142,7 @@ def feet(spec: mujoco.MjSpec) -> list[str]:
         if geom.margin or geom.gap:
             margins.append(float(geom.margin))
             geom.margin = geom.gap = 0.0
-        if not _is_foot(geom.name):
+        if not feet_lib.NAME.fullmatch(geom.name):
             continue
         if geom.solimp[0] < SOFTEST:
             soft.append(float(geom.solimp[0]))
@@ -226,8 +229,49 @@ def shanks(spec: mujoco.MjSpec, robot: robot_lib.Robot) -> list[str]:
     return [f"shapes: {len(cut)} that reach a foot end {CLEAR:g} of its radius above its middle"]
 
 
-def _is_foot(name: str) -> bool:
-    return name.rstrip("0123456789_").endswith("_foot")
+def clear(spec: mujoco.MjSpec, robot: robot_lib.Robot, poses: np.ndarray) -> list[str]:
+    """Shorten parts that touch the ground while the robot stands, `poses` [T, nq]; a line on each, also on
+    those of which that would take half.
+
+    A capsule, cylinder or box loses what is below `ABOVE` at the end of its longest axis. Nothing is done for
+    a robot that lies down.
+    """
+    if poses[:, 2].min() < LIES * robot.home_qpos[2]:
+        return []
+    model, data, told = robot.mj_model, mujoco.MjData(robot.mj_model), []
+    geoms, alike = {geom.id: geom for geom in spec.geoms}, {}
+    heights = np.array([feet_lib.lowest_points(model, qpos, robot.parts) for qpos in poses])
+    for i, part in enumerate(robot.parts):
+        shape = int(model.geom_type[part]), tuple(model.geom_size[part].round(6))
+        alike.setdefault(shape, []).append(i)
+    for (kind, _), those in alike.items():  # legs stay alike
+        i = those[heights[:, those].min(0).argmin()]
+        low, data.qpos[:] = heights[:, i].min(), poses[heights[:, i].argmin()]
+        if low > 0:
+            continue
+        mujoco.mj_kinematics(model, data)
+        size, ends = model.geom_size[robot.parts[i]].copy(), {}
+        along = int(size.argmax()) if kind == BOX else 1
+        for part in robot.parts[those]:
+            axis = _matrix(model.geom_quat[part])[:, along if kind == BOX else 2]
+            ends[part] = axis, data.xmat[model.geom_bodyid[part]].reshape(3, 3)[2] @ axis
+        less = (ABOVE - low) / max(abs(ends[robot.parts[i]][1]), 1e-6)
+        names = [model.geom(p).name or model.body(model.geom_bodyid[p]).name for p in ends]
+        if kind == SPHERE or less > size[along]:
+            told.append(
+                f"EDIT NEEDED: {names[those.index(i)]}, a part that is no foot, touches the ground as the "
+                "robot stands; make it smaller, or change the default pose"
+            )
+            continue
+        size[along] -= less / 2
+        for part, (axis, down) in ends.items():
+            geoms[part].size, geoms[part].quat = size, model.geom_quat[part]
+            geoms[part].pos = model.geom_pos[part] + np.sign(down) * axis * less / 2
+        told.append(
+            f"shapes: {less * 1e3:.0f} mm shorter, for they touch the ground as the robot stands: "
+            f"{', '.join(names)}"
+        )
+    return told
 
 
 def scene(spec: mujoco.MjSpec, height: float) -> None:

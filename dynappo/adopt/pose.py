@@ -8,6 +8,8 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from dynappo.physics import kinematics
+
 BENT = 0.85  # of the longest reach, from the leg's second joint to its end
 GRID = 41  # angles of each joint that are tried
 WIDEST = 1.6  # rad from the joint's zero
@@ -43,7 +45,7 @@ def candidates(
             ],
         )
     if not spec.keys:
-        yield spec.copy(), []
+        yield _with_home(spec, model.qpos0), ["home: no keyframe; all joints are at rest"]
 
 
 def _with_home(spec: mujoco.MjSpec, qpos: np.ndarray) -> mujoco.MjSpec:
@@ -78,11 +80,9 @@ def _bent(model: mujoco.MjModel) -> tuple[np.ndarray, int]:
     data, qpos, count = mujoco.MjData(model), model.qpos0.copy(), 0
     if model.njnt and model.jnt_type[0] == mujoco.mjtJoint.mjJNT_FREE:
         qpos[3:7] = [1, 0, 0, 0]
-    hinges = [j for j in range(model.njnt) if model.jnt_type[j] == HINGE]
-    moved = {int(model.jnt_bodyid[j]): j for j in hinges}
-    for joint in hinges:
-        chain = _chain(model, moved, int(model.jnt_bodyid[joint]))
-        if len(chain) != 3:
+    chains = _limbs(model)
+    for chain in chains:
+        if len(chain) != 3 or any(model.jnt_type[joint] != HINGE for joint in chain):
             continue
         angles = _angles(model, data, qpos, chain)
         if angles is not None:
@@ -91,24 +91,16 @@ def _bent(model: mujoco.MjModel) -> tuple[np.ndarray, int]:
     return qpos, count
 
 
-def _chain(model, moved: dict[int, int], last: int) -> list[int]:
-    """The joints from the base to body `last`, if no joint is below it; else none."""
-    parents = {_above(model, moved, body) for body in moved}
-    if last in parents:
-        return []
-    chain = []
-    while last in moved:
-        chain.insert(0, moved[last])
-        last = _above(model, moved, last)
-    return chain
+def _limbs(model: mujoco.MjModel) -> list[list[int]]:
+    """The joints from the base to the end of each limb."""
+    chains = [_joints_to(model, int(body)) for body in np.flatnonzero(model.body_jntnum)]
+    chains = [chain for chain in chains if chain]
+    return [c for c in chains if not any(c[-1] in other for other in chains if other is not c)]
 
 
-def _above(model, moved, body: int) -> int:
-    """The next body above that a hinge moves; 0 if there is none."""
-    body = int(model.body_parentid[body])
-    while body > 0 and body not in moved:
-        body = int(model.body_parentid[body])
-    return body
+def _joints_to(model: mujoco.MjModel, body: int) -> list[int]:
+    """The ids of the joints between the base and a body; `kinematics` has none for the free joint."""
+    return [joint + 1 for joint in kinematics.joints_to(model, body)]
 
 
 def _angles(model, data, qpos, chain: list[int]) -> np.ndarray | None:
@@ -146,15 +138,8 @@ def _end(model, data, qpos, chain: list[int]) -> np.ndarray:
     data.qpos[:] = qpos
     mujoco.mj_kinematics(model, data)
     body = int(model.jnt_bodyid[chain[2]])
-    inside = [g for g in range(model.ngeom) if body in _line(model, int(model.geom_bodyid[g]))]
+    bodies = model.geom_bodyid
+    inside = [g for g, of in enumerate(bodies) if chain[2] in _joints_to(model, int(of))]
     points = np.array([data.geom_xpos[g] for g in inside] or [data.xipos[body]])
     far = points[np.linalg.norm(points - data.xanchor[chain[2]], axis=1).argmax()]
     return data.xmat[body].reshape(3, 3).T @ (far - data.xpos[body])
-
-
-def _line(model, body: int) -> list[int]:
-    """A body and all above it."""
-    line = [body]
-    while (body := int(model.body_parentid[body])) > 0:
-        line.append(body)
-    return line

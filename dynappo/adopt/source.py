@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
+import glob
+import hashlib
 import re
 from pathlib import Path
 from typing import NamedTuple
@@ -15,8 +18,16 @@ from dynappo.physics import mjcf
 
 MESHES = {".obj", ".stl", ".msh"}  # that MuJoCo reads
 LICENCES = ("LICENSE*", "LICENCE*", "COPYING*")
-UPWARD = 4  # folders above the file in which its meshes and its licence are looked for
+ROOTS = ".git", "package.xml"  # what the folder of a whole repository or package has
+UPWARD = 4  # folders above the file in which its meshes and its package's folder are looked for
 BALL = 0.02  # m, radius
+ROUNDED = (
+    0.05  # of the largest principal moment, by which it may be more than the sum of the others
+)
+EXACT = 1e-6  # of it, that MuJoCo may be off when it computes them
+LIGHT = 0.05  # of the robot's mass: a link whose inertia may be a guess
+EXPORTED = re.compile(r"mesh|collision|visual", re.IGNORECASE)  # in names that an exporter makes
+XX = "xx xy xz yy yz zz".split()
 
 
 class Source(NamedTuple):
@@ -40,8 +51,25 @@ class Published(NamedTuple):
     servo: np.ndarray  # [A] bool: a position servo drives the joint
 
 
-def read(xml: Path) -> Source:
-    """The robot of a file; a ConfigError begins with its path, and says what is wrong."""
+class Lost(NamedTuple):
+    """A shape whose mesh cannot be used."""
+
+    link: str
+    file: str
+    why: str
+    collides: bool
+
+
+def read(xml: Path, notes: list[str] | None = None) -> Source:
+    """The robot of a file; a ConfigError begins with its path, and says what is wrong.
+
+    `notes` gets the lines on what was changed as soon as they are known, also where an error follows.
+    """
+    notes = [] if notes is None else notes
+    if xml.is_dir():
+        inside = sorted([*xml.glob("*.xml"), *xml.glob("*.urdf")])
+        such = f", such as {inside[0]}" if inside else ""
+        raise ConfigError(f"{xml}: it is a folder; name the MJCF or URDF in it{such}")
     if not xml.is_file():
         raise ConfigError(f"{xml}: there is no such file; name an MJCF or a URDF")
     with mjcf.one_line(xml):
@@ -50,40 +78,51 @@ def read(xml: Path) -> Source:
             root = ElementTree.fromstring(text)
         except ElementTree.ParseError as error:
             raise ValueError(f"XML parse error: {error}") from None
+        if any("/xacro}" in str(element.tag) for element in root.iter()):
+            raise ValueError("it is a xacro, of which a URDF is made by: xacro FILE > ROBOT.urdf")
         if root.tag == "robot":
-            return _urdf(xml, root)
+            return _urdf(xml, root, notes)
         if root.tag != "mujoco":
             raise ValueError(f"expected an MJCF or a URDF, found the element {root.tag}")
-        spec, notes = mujoco.MjSpec.from_file(str(xml)), []
-        folder = Path(spec.modelfiledir or xml.parent) / spec.meshdir
-        before = len(spec.geoms)
-        lost = _drop_meshes(spec, lambda file: (folder / file).is_file())
-        notes += [f"meshes that are not there are left out: {_listed(lost)}"] if lost else []
+        spec = mujoco.MjSpec.from_file(str(xml))
         for kind, things in (("joint", spec.joints), ("link", spec.bodies[1:])):
             for i, thing in enumerate(things):
                 thing.name = thing.name or f"{kind}{i}"
-        return Source(xml, spec, spec.copy().compile(), {}, before - len(spec.geoms), tuple(notes))
+        lost = _drop_meshes(spec, Path(spec.modelfiledir or xml.parent) / spec.meshdir)
+        _tell(lost, notes)
+        _check_limbs(spec, lost)
+        looks = sum(not one.collides for one in lost)
+        return Source(xml, spec, spec.copy().compile(), {}, looks, tuple(notes))
 
 
-def _urdf(xml: Path, root: ElementTree.Element) -> Source:
+def _urdf(xml: Path, root: ElementTree.Element, notes: list[str]) -> Source:
     """A URDF: its meshes found, its links kept apart, its base free; MuJoCo would weld it to the world."""
-    notes, lost, velocity, gone = [], [], {}, 0
+    lost, velocity, elsewhere = [], {}, []
     for joint in root.iter("joint"):
         for limit in joint.iter("limit"):
             velocity[joint.get("name", "")] = float(limit.get("velocity", "nan"))
+    compilers = [*root.findall("mujoco/compiler")]
+    folders = [xml.parent / one.get("meshdir", ".") for one in compilers] + [xml.parent]
     for link in root.iter("link"):
         for shape in [*link.findall("visual"), *link.findall("collision")]:
-            mesh = shape.find("geometry/mesh")
+            mesh, collides = shape.find("geometry/mesh"), shape.tag == "collision"
+            if EXPORTED.search(shape.get("name", "")):
+                shape.attrib.pop("name")  # no foot's, even if it ends so
             if mesh is None:
                 continue
-            found = _mesh(xml.parent, mesh.get("filename", ""))
+            name = mesh.get("filename", "")
+            found, why = _mesh(folders, name)
             if found is None:
-                gone += shape.tag == "visual"
-                lost.append(Path(mesh.get("filename", "")).name)
+                lost.append(Lost(link.get("name", ""), Path(name).name, why, collides))
                 link.remove(shape)
             else:
                 mesh.set("filename", str(found))
-    odd = [link.get("name", "") for link in root.iter("link") if _mend_inertia(link)]
+                if why:
+                    elsewhere.append(f"{found.parent.name}/{found.name}")
+    if elsewhere:
+        notes.append(f"meshes are taken from a folder beside the URDF: {_listed(elsewhere)}")
+    _tell(lost, notes)
+    _mend_inertias(root, notes)
     for other in root.findall("mujoco"):
         root.remove(other)
     options = dict(fusestatic="false", discardvisual="false", strippath="false", angle="radian")
@@ -95,55 +134,131 @@ def _urdf(xml: Path, root: ElementTree.Element) -> Source:
         if not body.joints:
             body.add_freejoint()
             notes.append(f"the URDF fixes nothing to the world: {body.name} has a free joint")
+    _check_limbs(spec, lost)
     spec.fuse_static()
-    notes += [f"meshes that MuJoCo cannot read are left out: {_listed(lost)}"] if lost else []
-    if odd:
-        notes.append(f"impossible inertias are replaced by a ball's: {_listed(odd)}")
-    return Source(xml, spec, spec.copy().compile(), velocity, gone, tuple(notes))
+    looks = sum(not one.collides for one in lost)
+    return Source(xml, spec, spec.copy().compile(), velocity, looks, tuple(notes))
 
 
-def _mend_inertia(link: ElementTree.Element) -> bool:
-    """Whether a link's inertia is one that no body can have; it is then that of a ball of `BALL`.
+def _mend_inertias(root: ElementTree.Element, notes: list[str]) -> None:
+    """Give the links of a URDF inertias that a body can have; a line on each that was changed.
 
-    Sensors and covers in URDFs often have such: principal moments must be positive, and none larger than
-    the sum of the others.
+    Principal moments must be positive, and none larger than the sum of the others. One that is rounded
+    badly gets the nearest that are; a ball's get sensors and covers, which often have zeros or worse.
+    ValueError for a heavy link, whose inertia nobody should guess.
     """
-    element, mass = link.find("inertial/inertia"), link.find("inertial/mass")
-    if element is None or mass is None:
-        return False
-    xx, xy, xz, yy, yz, zz = (float(element.get(f"i{n}", 0)) for n in "xx xy xz yy yz zz".split())
-    small, middle, large = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    if small > 1e-12 and small + middle >= large:
-        return False
-    moment = 0.4 * float(mass.get("value", 0)) * BALL**2
-    for name in "xx xy xz yy yz zz".split():
-        element.set(f"i{name}", str(moment if name[0] == name[1] else 0.0))
-    return True
+    links = {link.get("name", ""): link for link in root.iter("link")}
+    masses = {n: _number(link.find("inertial/mass"), "value") for n, link in links.items()}
+    for name, link in links.items():
+        element, mass = link.find("inertial/inertia"), masses[name]
+        if element is None or not mass > 0:
+            continue
+        xx, xy, xz, yy, yz, zz = (_number(element, f"i{n}") for n in XX)
+        moments, axes = np.linalg.eigh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        small, middle, large = moments
+        over = large - small - middle
+        if small > 1e-12 and over < -EXACT * large:
+            continue
+        ball = 0.4 * mass * BALL**2
+        if small > 1e-12 and over <= ROUNDED * large:  # over / 3 from each: the nearest in the norm
+            new, how = (
+                moments + (over / 3 + EXACT * large) * np.array([1, 1, -1]),
+                "the nearest that are",
+            )
+        elif mass <= LIGHT * sum(masses.values()):
+            new, how = np.full(3, ball), f"those of a ball of {BALL * 100:g} cm"
+        else:
+            raise ValueError(
+                f"the link {name} of {mass:g} kg has the principal moments {_moments(moments)} kg m^2, "
+                "which no body has: expected positive ones, none above the sum of the others; "
+                "correct its inertia"
+            )
+        for n, value in zip(XX, (axes * new @ axes.T)[np.triu_indices(3)], strict=True):
+            element.set(f"i{n}", repr(float(value)))
+        if small <= 1e-12 or over > EXACT * large:
+            old = _moments(moments)
+            notes.append(
+                f"inertia of {name}: no body has the principal moments {old} kg m^2; now {how}, "
+                f"{_moments(new)}"
+            )
 
 
-def _mesh(folder: Path, name: str) -> Path | None:
-    """The file of a URDF's mesh; `package://NAME/PATH` is looked for in the folders above, too."""
+def _moments(values: np.ndarray) -> str:
+    return ", ".join(f"{value:.4g}" for value in values)
+
+
+def _number(element: ElementTree.Element | None, name: str) -> float:
+    """A number of a URDF's element; 0 if there is none."""
+    return 0.0 if element is None else float(element.get(name, 0))
+
+
+def _mesh(folders: list[Path], name: str) -> tuple[Path | None, str]:
+    """`(file, "")` of a URDF's mesh, or `(None, what is wrong)`; `(file, "beside")` if it is elsewhere.
+
+    `package://NAME/PATH` is looked for in the folders above those of `folders`, too; at last a file of that
+    name in a folder beside the URDF, where people put what they copy.
+    """
     path = re.sub(r"^(package|file)://", "", name)
-    if Path(path).suffix.lower() not in MESHES:
-        return None
     inside = path.partition("/")[2] if name.startswith("package://") else path
-    for above in [folder.resolve(), *folder.resolve().parents[:UPWARD]]:
-        for candidate in (above / path, above / inside):
-            if candidate.is_file():
-                return candidate
-    return None
+    for folder in folders:
+        for above in [folder.resolve(), *folder.resolve().parents[:UPWARD]]:
+            for candidate in (above / path, above / inside):
+                if candidate.is_file():
+                    readable = candidate.suffix.lower() in MESHES
+                    return (
+                        (candidate, "") if readable else (None, "of a kind that MuJoCo cannot read")
+                    )
+    beside = sorted(folders[-1].glob(f"*/{glob.escape(Path(path).name)}")) if path else []
+    if beside and beside[0].suffix.lower() in MESHES:
+        return beside[0].resolve(), "beside"
+    return None, "not found"
 
 
-def _drop_meshes(spec: mujoco.MjSpec, exists) -> list[str]:
-    """Delete the meshes and pictures whose files are not there, and what uses them; their names."""
-    lost = {mesh.name or Path(mesh.file).stem: mesh for mesh in spec.meshes if mesh.file}
-    lost = {name: mesh for name, mesh in lost.items() if not exists(mesh.file)}
+def _drop_meshes(spec: mujoco.MjSpec, folder: Path) -> list[Lost]:
+    """Delete the meshes whose files are not there, and the shapes that have them, which are returned."""
+    gone = {mesh.name or Path(mesh.file).stem: mesh for mesh in spec.meshes if mesh.file}
+    gone = {name: mesh for name, mesh in gone.items() if not (folder / mesh.file).is_file()}
+    lost = []
     for geom in list(spec.geoms):
-        if geom.meshname in lost:
+        if geom.meshname in gone:
+            file = Path(gone[geom.meshname].file).name
+            collides = bool(geom.contype or geom.conaffinity) and geom.group != 2
+            lost.append(Lost(geom.parent.name, file, "not found", collides))
             spec.delete(geom)
-    for mesh in lost.values():
+    for mesh in gone.values():
         spec.delete(mesh)
-    return [*lost]
+    return lost
+
+
+def _tell(lost: list[Lost], notes: list[str]) -> None:
+    """A line for each way in which meshes are lost: looks and shapes that collide apart."""
+    for why in ("not found", "of a kind that MuJoCo cannot read"):
+        for collides, what in ((False, "looks"), (True, "SHAPES THAT COLLIDE")):
+            names = [one.file for one in lost if (one.why, one.collides) == (why, collides)]
+            if names:
+                notes.append(f"{what} are left out, their meshes are {why}: {_listed(names)}")
+
+
+def _check_limbs(spec: mujoco.MjSpec, lost: list[Lost]) -> None:
+    """ValueError if a moving link but the base has lost all shapes that collide: a robot that lies on it
+    would not have fallen."""
+
+    def moving(body):
+        while body.parent is not None and body.parent.name != "world" and not body.joints:
+            body = body.parent
+        return body.name
+
+    had = {moving(spec.body(one.link)): one for one in lost if one.collides}
+    have = {moving(geom.parent) for geom in spec.geoms if geom.contype or geom.conaffinity}
+    base = {body.name for body in spec.worldbody.bodies}
+    bare = [link for link in had if link not in have | base]
+    if bare:
+        files = _listed([had[link].file for link in bare])
+        convert = "get them" if had[bare[0]].why == "not found" else "convert them to .obj or .stl"
+        raise ValueError(
+            f"no shape that collides is left on {_listed(bare)}: their meshes are {had[bare[0]].why} "
+            f"({files}); {convert}, or give the links boxes or capsules"
+        )
 
 
 def _listed(names: list[str], most: int = 4) -> str:
@@ -153,52 +268,107 @@ def _listed(names: list[str], most: int = 4) -> str:
     return ", ".join(some[:most]) + more
 
 
-def published(source: Source, joints: tuple[str, ...]) -> Published:
-    """What the file says of the motors of `joints`.
+def published(source: Source, joints: tuple[str, ...]) -> tuple[Published, list[str]]:
+    """What the file says of the motors of `joints`, and lines on what one would not expect.
 
     A servo's torque is gain u + bias_1 q + bias_2 qd (MuJoCo's `affine` bias): with gear g,
-    kp = -bias_1 g^2 and kd = -bias_2 g^2, and joint damping is its own. The effort is the smallest
-    limit on the way: of the joint, of the actuator's force, of a plain motor's control.
+    kp = -bias_1 g^2 and kd = -bias_2 g^2, and joint damping is its own. An actuator's effort is the
+    smallest of the limits of its force and of a plain motor's control; several on a joint add up, and the
+    joint's own limit holds for all.
     """
     model = source.model
     kp, kd, effort, velocity = np.full((4, len(joints)), np.nan)
     servo = np.zeros(len(joints), bool)
-    on = {int(model.actuator_trnid[a, 0]): a for a in range(model.nu) if _drives_joint(model, a)}
+    on: dict[int, list[int]] = {}
+    for a in range(model.nu):
+        if model.actuator_trntype[a] == mujoco.mjtTrn.mjTRN_JOINT:
+            on.setdefault(int(model.actuator_trnid[a, 0]), []).append(a)
     for i, name in enumerate(joints):
         j = model.joint(name).id
-        limits = [model.jnt_actfrcrange[j]] if model.jnt_actfrclimited[j] else []
-        if (a := on.get(j)) is not None:
-            gear = model.actuator_gear[a, 0]
-            bias = model.actuator_biasprm[a]
-            if model.actuator_biastype[a] == mujoco.mjtBias.mjBIAS_AFFINE and bias[1] < 0:
-                servo[i], kp[i] = True, -bias[1] * gear**2
-                kd[i] = -bias[2] * gear**2 + model.dof_damping[model.jnt_dofadr[j]]
-            elif model.actuator_ctrllimited[a]:
-                gain = model.actuator_gainprm[a, 0]
-                limits.append(model.actuator_ctrlrange[a] * gain * gear)
-            if model.actuator_forcelimited[a]:
-                limits.append(model.actuator_forcerange[a] * gear)
-        if limits:
-            effort[i] = min(np.abs(limit).max() for limit in limits)
+        actuators = on.get(j, [])
+        limits = [np.abs(model.jnt_actfrcrange[j]).max()] if model.jnt_actfrclimited[j] else []
+        if actuators:
+            limits.append(sum(_most(model, a) for a in actuators))  # nan if one has no limit
+        pulls = [_servo(model, a) for a in actuators]
+        if any(stiff > 0 for stiff, _ in pulls):
+            servo[i], kp[i] = True, sum(stiff for stiff, _ in pulls)
+            kd[i] = sum(damps for _, damps in pulls) + model.dof_damping[model.jnt_dofadr[j]]
+        effort[i] = np.nanmin([np.nan, *limits]) if np.isfinite(limits).any() else np.nan
         velocity[i] = source.velocity.get(name, np.nan)
-    effort[effort <= 0], velocity[velocity <= 0] = np.nan, np.nan
-    return Published(kp, kd, effort, velocity, servo)
+    effort[~(effort > 0)], velocity[~(velocity > 0)] = np.nan, np.nan
+    told = []
+    several = [name for name in joints if len(on.get(model.joint(name).id, [])) > 1]
+    if several:
+        told.append(f"motors: several actuators add up at {_listed(several)}")
+    idle = [name for name in joints if model.joint(name).id not in on]
+    if idle and on:
+        told.append(
+            f"motors: nothing in the file drives {_listed(idle)}; all joints have a motor here, with effort "
+            "and gains as the others"
+        )
+    return Published(kp, kd, effort, velocity, servo), told
 
 
-def _drives_joint(model: mujoco.MjModel, actuator: int) -> bool:
-    """Whether an actuator acts on one joint."""
-    return model.actuator_trntype[actuator] == mujoco.mjtTrn.mjTRN_JOINT
+def _most(model: mujoco.MjModel, a: int) -> float:
+    """The largest torque (N m) of an actuator; nan if nothing limits it."""
+    limits, gear = [], abs(model.actuator_gear[a, 0])
+    plain = model.actuator_biastype[a] == mujoco.mjtBias.mjBIAS_NONE
+    fixed = model.actuator_gaintype[a] == mujoco.mjtGain.mjGAIN_FIXED
+    if plain and fixed and model.actuator_ctrllimited[a]:  # a servo's control is no torque
+        limits.append(np.abs(model.actuator_ctrlrange[a] * model.actuator_gainprm[a, 0]).max())
+    if model.actuator_forcelimited[a]:
+        limits.append(np.abs(model.actuator_forcerange[a]).max())
+    return min(limits) * gear if limits else np.nan
+
+
+def _servo(model: mujoco.MjModel, a: int) -> tuple[float, float]:
+    """`(kp, kd)` of an actuator at its joint; zeros of a plain motor."""
+    if model.actuator_biastype[a] != mujoco.mjtBias.mjBIAS_AFFINE:
+        return 0.0, 0.0
+    gear = model.actuator_gear[a, 0]
+    return -model.actuator_biasprm[a, 1] * gear**2, -model.actuator_biasprm[a, 2] * gear**2
 
 
 def licence(xml: Path) -> tuple[str, str]:
-    """`(where, text)` of the licence: a file beside the robot's or above it, or comments in it."""
-    for folder in [xml.resolve().parent, *xml.resolve().parents[1:UPWARD]]:
+    """`(where, text)` of the licence: a file beside the robot's, or in a folder above up to that of its
+    package or repository; else comments in it."""
+    folders = [xml.resolve().parent, *xml.resolve().parents[1 : UPWARD + 1]]
+    tops = [i for i, folder in enumerate(folders) if any((folder / n).exists() for n in ROOTS)]
+    for folder in folders[: tops[0] + 1 if tops else 1]:
         for pattern in LICENCES:
             for file in sorted(folder.glob(pattern)):
                 if file.is_file():
                     return str(file), file.read_text(encoding="utf-8", errors="replace").strip()
-        if (folder / ".git").exists() or (folder / "package.xml").exists():
-            break
     comments = re.findall(r"<!--(.*?)-->", xml.read_text(encoding="utf-8"), re.S)
     said = [c.strip() for c in comments if re.search(r"licen[sc]e|copyright", c, re.I)]
+    said = [comment for comment in said if "`dynappo adopt`" not in comment]  # our own
     return (f"comments in {xml.name}", "\n\n".join(said)) if said else ("", "")
+
+
+def origin(xml: Path) -> str:
+    """Where the file is from, for a person: its sha256, and the checkout that it lies in."""
+    said = f"sha256 {hashlib.sha256(xml.read_bytes()).hexdigest()}"
+    for folder in xml.resolve().parents:
+        if not (folder / ".git").is_dir():
+            continue
+        with contextlib.suppress(OSError, UnicodeDecodeError):
+            config = (folder / ".git/config").read_text(encoding="utf-8")
+            remote = re.search(r'\[remote "[^"]*"\][^\[]*?url\s*=\s*(\S+)', config)
+            where = re.sub(r"//[^/@]*@", "//", remote[1]) if remote else str(folder)  # no password
+            path = xml.resolve().relative_to(folder.resolve()).as_posix()
+            return f"{said}; `{path}` of {where}, commit {_commit(folder / '.git')}"
+        break
+    return said
+
+
+def _commit(git: Path) -> str:
+    """The commit that a checkout has."""
+    head = (git / "HEAD").read_text(encoding="utf-8").strip()
+    if not head.startswith("ref: "):
+        return head
+    name = head.removeprefix("ref: ")
+    if (git / name).is_file():
+        return (git / name).read_text(encoding="utf-8").strip()
+    packed = (git / "packed-refs").read_text(encoding="utf-8")
+    found = re.search(rf"^([0-9a-f]+) {re.escape(name)}$", packed, re.M)
+    return found[1] if found else "unknown"

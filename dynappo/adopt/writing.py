@@ -7,11 +7,11 @@ from xml.etree import ElementTree
 
 import mujoco
 
-from dynappo.adopt import normal
 from dynappo.adopt.gains import Motors
-from dynappo.adopt.source import Source
+from dynappo.adopt.source import Source, origin
 from dynappo.physics import kinds
 from dynappo.physics import robot as robot_lib
+from dynappo.physics import text as text_lib
 
 LIGHT = 25.0  # kg, up to which the reward weights of the Unitree tasks hold; above, those of the ANYmals
 INIT_STD = {True: 1.0, False: 0.5}  # ppo.init_std, of light robots and of heavy ones
@@ -21,12 +21,13 @@ LOAD, OF_BASE = (
     0.1,
     0.3,
 )  # by what share of the robot's mass the base's varies; at most this of its own
+UNBROKEN = dict(break_long_words=False, break_on_hyphens=False)  # paths
 HEAD = '''"""{name} on flat ground, adopted from {file}.
 
     python -m dynappo.look configs/{name}.py
     python -m dynappo.train --config=configs/{name}.py
 
-robots/{name}/README.md says where every number is from. Variants as in `default.py`.
+robots/{name}/README.md says what was assumed. What is not set here is of `default.py`, as are the variants.
 """
 
 import runpy
@@ -43,7 +44,7 @@ def get_config(variant=""):
     task = config.task
 '''
 HEAVIER = """\
-    # a heavy robot: what Isaac Lab has for the ANYmals
+    # a heavy robot: as the ANYmals here
     config.ppo.init_std = 0.5
     task.weights.update(track_linear_velocity=1.0, track_yaw_rate=0.5, flat_orientation=-5.0)
     task.weights.feet_air_time = 0.5
@@ -133,7 +134,7 @@ def _field(name: str, value: float | dict[str, float]) -> str:
 
 def mjcf(spec: mujoco.MjSpec, robot_name: str, source: Source) -> str:
     """The text of a compiled spec, with a comment on its origin."""
-    root = ElementTree.fromstring(normal.text(spec))
+    root = ElementTree.fromstring(text_lib.of(spec))
     about = (
         f"\n    {robot_name}, adopted from {source.xml.name} by `dynappo adopt`: README.md has source, "
         f"licence and"
@@ -163,19 +164,20 @@ def readme(
     ]
     table = "".join(f"| {name} | {value} |\n" for name, value in rows)
     assumed = "".join(
-        textwrap.fill(line, 100, initial_indent="- ", subsequent_indent="  ") + "\n"
+        textwrap.fill(line, 100, initial_indent="- ", subsequent_indent="  ", **UNBROKEN) + "\n"
         for line in told
     )
     legal = (
-        f"From {where}:\n\n" + textwrap.indent(text, "    ").rstrip()
+        f"From {where}; check that it is of this robot:\n\n"
+        + textwrap.indent(text, "    ").rstrip()
         if text
         else "No licence was found beside the file or in it. Ask its owner before you share this robot."
     )
     return (
         f"# {robot.name}\n\n"
         f"`{robot.name}.xml` is made by `dynappo adopt` from `{source.xml}`"
-        f"{', its looks included' if looks else ''}.\nGains, limits and what else depends on the robot are "
-        f"in "
+        f"{', its looks included' if looks else ''}\n({origin(source.xml)}).\n"
+        f"Gains, limits and what else depends on the robot are in "
         f"`configs/{robot.name}.py`.\n\n"
         f"| what | value |\n|---|---|\n{table}\n"
         f"## What was assumed\n\n{assumed}\n"

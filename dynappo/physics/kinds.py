@@ -11,7 +11,7 @@ SIDES |= set("fl fr rl rr lf rf lh rh hl hr bl br lb rb ll lr".split())
 def kind(name: str) -> str:
     """A joint's name without the words for its leg or side: `hip_joint` of `FL_hip_joint`.
 
-    The first word is always kept where nothing else is: `LL_HR` (Berkeley's hip rotation) is `HR`.
+    The last word is kept where nothing else would be: `LL_HR` (Berkeley's hip rotation) is `HR`.
     """
     words = [word for word in name.split("_") if word]
     rest = [word for word in words if word.lower() not in SIDES]

@@ -56,7 +56,7 @@ ROBOTS = {  # name here: file in SOURCES
     "mini_cheetah": f"{MODELS}/mini_cheetah/mini_cheetah.xml",
     "mini_cheetah_urdf": f"{MODELS}/mini_cheetah/mini_cheetah.urdf",
     "aliengo": f"{MODELS}/aliengo/aliengo.xml",
-    "g1": "unitree_g1/g1.xml",
+    "g1_m": "unitree_g1/g1.xml",
     "h1": "unitree_h1/h1.xml",
     "t1": "booster_t1/t1.xml",
     "berkeley": "berkeley_humanoid/berkeley_humanoid.xml",
@@ -69,6 +69,7 @@ LINES = {  # column: what `adopt` and `look` print
     "feet": r"feet ([\w, ]+?), \d+ other",
     "effort": r"^effort: (.*)",
     "gains": r"^kp.*: (.*)",
+    "kp": r"^PD +kp (.*) N m/rad, kd",
     "sag_mm": r"^sag +(\d+) mm",
     "exploring": r"^explore .*: (\d+%)",
 }

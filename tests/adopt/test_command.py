@@ -1,5 +1,6 @@
 """`dynappo adopt`: what it writes of a published robot, that the robot moves as published, every mistake."""
 
+import hashlib
 import os
 from functools import partial
 from pathlib import Path
@@ -139,7 +140,7 @@ def test_a_urdf_is_adopted_with_a_pose_of_bent_legs(tmp_path, monkeypatch, capsy
     Path("toy.urdf").write_text(published.urdf())
     assert run("toy.urdf") == 0
     said, robot = capsys.readouterr().out, robot_lib.load("toy")
-    for part in ("camera.dae", "impossible inertias", "4 legs bent to 85%", "speed: 21 rad/s"):
+    for part in ("camera.dae", "those of a ball of 2 cm", "4 legs bent to 85%", "speed: 21 rad/s"):
         assert part in said
     config = config_lib.load("configs/toy.py")
     assert (config.task.effort_limit, config.task.velocity_limit) == (30.0, 21.0)
@@ -175,7 +176,11 @@ def mistake_after(file, capsys):
     return mistake(command.main, [file], capsys)
 
 
-BALL = '<mujoco><worldbody><body name="a"><freejoint/><geom size="1"/></body></worldbody></mujoco>'
+BALL = (  # an arm on a base that lies on the floor
+    '<mujoco><worldbody><body name="a"><freejoint/><geom size="1"/><body pos="0 0 2"><joint/>'
+    '<geom size=".1"/></body></body></worldbody></mujoco>'
+)
+XACRO = '<robot xmlns:xacro="http://ros.org/wiki/xacro"><xacro:arg name="a"/></robot>'
 MISTAKES = {  # arguments, what the line must say
     "nothing": ([], "no file given; try: "),
     "no file": (["no.xml"], "no.xml: there is no such file"),
@@ -184,7 +189,9 @@ MISTAKES = {  # arguments, what the line must say
     "default": (["toy.xml", "--name=default"], "dynappo has that itself"),
     "no XML": (["text.xml"], "text.xml: XML parse error"),
     "other XML": (["page.xml"], "expected an MJCF or a URDF, found the element html"),
-    "no legs": (["ball.xml"], "ball.xml: "),
+    "no legs": (["ball.xml"], "ball.xml: no legs found"),
+    "a folder": (["assets"], "assets: it is a folder; name the MJCF"),
+    "a xacro": (["macro.xml"], "macro.xml: it is a xacro"),
     "a flag": (["toy.xml", "--nam=x"], "--nam=x: no such flag"),
 }
 
@@ -193,7 +200,7 @@ MISTAKES = {  # arguments, what the line must say
 def test_a_mistake_is_one_line_and_leaves_nothing(name, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     published.write(tmp_path)
-    for file, text in {"text": "no", "page": "<html/>", "ball": BALL}.items():
+    for file, text in {"text": "no", "page": "<html/>", "ball": BALL, "macro": XACRO}.items():
         Path(f"{file}.xml").write_text(text)
     before = sorted(tmp_path.rglob("*"))
     arguments, expected = MISTAKES[name]
@@ -209,25 +216,252 @@ def test_a_folder_that_fails_halfway_is_gone(tmp_path, monkeypatch):
     assert not [*tmp_path.iterdir()]
 
 
-def test_a_licence_is_found_above_the_file_or_in_it(tmp_path):
+def test_a_licence_is_found_up_to_the_package_or_in_the_file(tmp_path):
+    """Further up it is that of something else; and our own comment is none."""
     inside = tmp_path / "a" / "b"
     inside.mkdir(parents=True)
     file = inside / "toy.xml"
     file.write_text("<mujoco><!-- Copyright 2020 Me, MIT License --></mujoco>")
+    (tmp_path / "COPYING.txt").write_text("GPL\n")
     assert source.licence(file) == ("comments in toy.xml", "Copyright 2020 Me, MIT License")
-    (tmp_path / "a" / "COPYING.txt").write_text("GPL\n")
-    assert source.licence(file) == (str(tmp_path / "a" / "COPYING.txt"), "GPL")
-    file.write_text("<mujoco/>")
-    (tmp_path / "a" / "COPYING.txt").unlink()
+    (tmp_path / "a" / "package.xml").touch()
+    assert source.licence(file)[0] == "comments in toy.xml"
+    (tmp_path / "a" / "package.xml").rename(tmp_path / "package.xml")
+    assert source.licence(file) == (str(tmp_path / "COPYING.txt"), "GPL")
+    (inside / "LICENSE").write_text("BSD")
+    assert source.licence(file)[1] == "BSD"
+    (inside / "LICENSE").unlink()
+    (tmp_path / "COPYING.txt").unlink()
+    file.write_text(
+        "<mujoco><!-- x, adopted by `dynappo adopt`: README.md has the licence --></mujoco>"
+    )
     assert source.licence(file) == ("", "")
 
 
-def test_a_mesh_that_is_no_longer_there_is_left_out(tmp_path):
+def test_where_a_file_is_from_is_read_from_its_checkout(tmp_path):
+    file = tmp_path / "robots/toy.xml"
+    file.parent.mkdir()
+    file.write_text("<mujoco/>")
+    only = "sha256 " + hashlib.sha256(b"<mujoco/>").hexdigest()
+    assert source.origin(file) == only
+    git = tmp_path / ".git"
+    git.mkdir()
+    (git / "config").write_text('[remote "origin"]\n\turl = https://me:word@host.org/some/robots\n')
+    (git / "HEAD").write_text("ref: refs/heads/main\n")
+    (git / "packed-refs").write_text("# pack-refs\nab12 refs/heads/main\n")
+    expected = f"{only}; `robots/toy.xml` of https://host.org/some/robots, commit ab12"
+    assert source.origin(file) == expected
+    (git / "HEAD").write_text("cd34\n")
+    assert source.origin(file) == expected.replace("ab12", "cd34")
+
+
+def test_looks_that_are_not_there_are_left_out(tmp_path):
     file = published.write(tmp_path)
     (tmp_path / "assets/cube.obj").unlink()
     read = source.read(file)
-    assert read.notes == ("meshes that are not there are left out: cube",) and read.lost == 5
+    assert read.notes == ("looks are left out, their meshes are not found: cube.obj",)
+    assert read.lost == 5
     assert "there is no such file" in refused(source.read, tmp_path / "no.urdf")
+
+
+def test_a_limb_without_its_colliding_meshes_is_refused(tmp_path, monkeypatch, capsys):
+    """Its thighs would not touch the ground in a fall; of one that keeps a shape a strong line is enough."""
+    shape = '<geom type="capsule" fromto="0 0 0 0 0 -0.2" size="0.02" group="3"/>'
+    mesh = '<geom type="mesh" mesh="lost" group="3"/>'
+    asset = '<mesh name="lost" file="lost.obj"/><mesh file="cube.obj"'
+    text = published.mjcf().replace('<mesh file="cube.obj"', asset)
+    monkeypatch.chdir(tmp_path)
+    published.write(tmp_path, text.replace(shape, mesh))
+    assert status(command.main, "toy.xml") == 2
+    said = capsys.readouterr()
+    assert "SHAPES THAT COLLIDE are left out, their meshes are not found: lost.obj" in said.out
+    assert "no shape that collides is left on FL_thigh, FR_thigh, RL_thigh, RR_thigh" in said.err
+    assert said.err.count("\n") == 1 and not Path("robots").exists()
+    published.write(tmp_path, text.replace(shape, shape + mesh))
+    assert source.read(Path("toy.xml")).notes[0].startswith("SHAPES THAT COLLIDE")
+
+
+def test_meshes_of_a_urdf_are_found_in_its_meshdir(tmp_path):
+    """Or they are said to be absent, or of another kind."""
+    rod = '<cylinder radius="0.015" length="0.15"/>'
+    seen = "<visual><geometry><mesh filename='{}'/></geometry></visual></link>"
+    text = published.urdf().replace("</link>", seen.format("cube.obj"), 1)
+    text = text.replace("</link>\n  <joint", seen.format("a.dae") + "\n  <joint", 1)
+    head = "<mujoco><compiler meshdir='../far'/></mujoco>"
+    (tmp_path / "urdf").mkdir()
+    (tmp_path / "far").mkdir()
+    file = tmp_path / "urdf/toy.urdf"
+    file.write_text(text.replace('<robot name="toy">', '<robot name="toy">' + head))
+    assert "not found: a.dae, camera.dae, cube.obj" in source.read(file).notes[0]
+    (tmp_path / "far/cube.obj").write_text(published.CUBE)
+    (tmp_path / "far/a.dae").touch()
+    notes = source.read(file).notes
+    assert "are not found: camera.dae" in notes[0]
+    assert "of a kind that MuJoCo cannot read: a.dae" in notes[1]
+    (tmp_path / "far/cube.obj").unlink()
+    (tmp_path / "urdf/assets").mkdir()
+    (tmp_path / "urdf/assets/cube.obj").write_text(published.CUBE)
+    notes = source.read(file).notes
+    assert notes[0] == "meshes are taken from a folder beside the URDF: assets/cube.obj"
+    mesh = '<mesh filename="a.dae"/>'
+    file.write_text(file.read_text().replace(rod, mesh))
+    assert "cannot read (a.dae); convert them to .obj" in refused(source.read, file)
+
+
+def test_feet_of_a_urdf_are_not_called_as_its_exporter_called_their_meshes(tmp_path, monkeypatch):
+    """`mesh_collision_lower_leg_4_foot_1` would be the foot `mesh_collision_lower_leg_4`."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(command, "look", lambda *_: None)
+    text, ball = published.urdf(), '<collision><origin xyz="0 0 0"/><geometry><sphere'
+    assert text.count(ball) == 4
+    for i in range(4):
+        text = text.replace(
+            ball, ball.replace(">", f' name="mesh_collision_leg_{i}_foot_1">', 1), 1
+        )
+    Path("toy.urdf").write_text(text)
+    assert run("toy.urdf") == 0
+    assert set(robot_lib.load("toy").foot_names) == {"FR", "FL", "RR", "RL"}
+
+
+def test_joints_that_nothing_drives_are_told(tmp_path):
+    file = tmp_path / "toy.xml"
+    published.write(tmp_path)
+    motor = '<position class="calf" name="FR_calf" joint="FR_calf_joint"/>'
+    file.write_text(file.read_text().replace(motor, ""))
+    _, told = source.published(source.read(file), ("FR_hip_joint", "FR_calf_joint"))
+    assert len(told) == 1 and "nothing in the file drives FR_calf_joint;" in told[0]
+    assert source.published(source.read(file), ("FR_hip_joint",))[1] == []
+
+
+@pytest.mark.parametrize(
+    ("moments", "now", "how"),
+    [
+        # 0.08 % off: a third of that from each
+        ((0.03, 0.0912, 0.1213), (0.03003333, 0.09123333, 0.12126667), "the nearest that are"),
+        ((0.01, 0.02, 0.2), None, "no body has"),
+        ((0.0, 0.0, 0.0), None, "no body has"),
+    ],
+)
+def test_an_inertia_that_is_rounded_gets_the_nearest_and_a_wrong_one_is_refused(
+    moments, now, how, tmp_path
+):
+    """Of the base, 6 kg; turned, so that the matrix is full."""
+    turn, _ = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))
+    full = turn @ np.diag(moments) @ turn.T
+    numbers = [full[i] for i in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
+    entry = 'ixx="{}" iyy="{}" izz="{}" ixy="{}" ixz="{}" iyz="{}"'
+    file = tmp_path / "toy.urdf"
+    even = entry.format(0.06, 0.06, 0.06, 0, 0, 0)
+    assert even in published.urdf()
+    file.write_text(published.urdf().replace(even, entry.format(*numbers)))
+    if now is None:
+        assert "link base of 6 kg has the principal moments" in refused(source.read, file)
+        return
+    # the camera, which is fixed to the base, has little of its mass
+    file.write_text(file.read_text().replace('<mass value="0.1"/>', '<mass value="1e-9"/>'))
+    read = source.read(file)
+    told = [note for note in read.notes if "inertia of base" in note]
+    assert how in told[0] and "0.03, 0.0912, 0.1213" in told[0] and "0.03003" in told[0]
+    np.testing.assert_allclose(sorted(read.model.body("base").inertia), now, rtol=1e-4)
+
+
+TIES = {
+    "connect": '<equality><connect body1="RR_thigh" body2="RR_calf" anchor="0.03 0.01 -0.2"/></equality>',
+    "weld": '<equality><weld body1="RR_hip" body2="trunk" relpose="0.1 0.2 0.3 0.9 0.3 0.1 0"/></equality>',
+    "tendon": '<tendon><spatial class="soft" springlength="0.1"><site site="a"/><site site="b"/></spatial>'
+    "</tendon>",
+    "fixed": '<tendon><fixed class="soft"><joint joint="RR_hip_joint" coef="2"/></fixed></tendon>',
+}
+
+
+@pytest.mark.parametrize("name", TIES)
+def test_ties_between_links_stay_what_they_are(name, tmp_path, monkeypatch, capsys):
+    """What the constraints miss, and lengths and forces of tendons, in the same state of both models; the
+    hind legs' frames are turned in the file."""
+    text = published.mjcf().replace("<actuator>", TIES[name] + "<actuator>")
+    text = text.replace('<geom friction="0.6"', '<tendon damping="1"/><geom friction="0.6"')
+    text = text.replace('<default class="calf">', '<default class="soft"><tendon stiffness="70"/></default>'
+                        '<default class="calf">')  # fmt: skip
+    at = '<body name="RR_hip" '
+    text = text.replace(at, '<site name="a" pos="0.1 0 0"/>' + at)
+    at = '<body name="RR_calf" '
+    text = text.replace(at, '<site name="b" pos="0.03 0.01 -0.1"/>' + at)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(command, "look", lambda *_: None)
+    published.write(tmp_path, text)
+    assert run("toy.xml", "--name=mine") == 0
+    assert "frames: as in the file" in capsys.readouterr().out
+    found = []
+    for file in ("toy.xml", "robots/mine/mine.xml"):
+        model = mujoco.MjModel.from_xml_path(file)
+        data = mujoco.MjData(model)
+        data.qpos[:] = [0, 0, 0.5, 1, 0, 0, 0, *np.linspace(-0.5, 0.5, 12)]
+        data.qvel[6:] = np.linspace(1, 0.3, 12)
+        order = [model.joint(f"{leg}_{joint}_joint").qposadr[0] for leg, *_ in published.LEGS
+                 for joint in ("hip", "thigh", "calf")]  # fmt: skip
+        data.qpos[order] = np.linspace(-0.5, 0.5, 12)
+        mujoco.mj_forward(model, data)
+        equal = data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY
+        missed = data.efc_pos[equal] if model.neq else np.zeros(0)
+        found.append(np.concatenate([missed, data.ten_length, model.tendon_stiffness]))
+        assert len(found[-1]) == {"connect": 3, "weld": 6}.get(name, 2)
+    np.testing.assert_allclose(found[1], found[0], atol=1e-6)
+
+
+def test_force_leaves_what_is_not_its_own(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(command, "look", lambda *_: None)
+    published.write(tmp_path)
+    assert run("toy.xml") == 0
+    Path("robots/toy/notes.txt").write_text("mine")
+    Path("robots/toy/README.md").write_text("old")
+    assert run("toy.xml", "--force") == 0
+    assert Path("robots/toy/notes.txt").read_text() == "mine"
+    assert Path("robots/toy/README.md").read_text() != "old"
+    assert not [*tmp_path.glob("robots/.*")]
+
+
+@pytest.mark.parametrize("taken", ["robots", "configs"])
+def test_where_nothing_can_be_written_is_said_first(taken, tmp_path, monkeypatch, capsys):
+    """A file where the folder would be; a folder that may not be written (root may write everywhere)."""
+    monkeypatch.chdir(tmp_path)
+    published.write(tmp_path)
+    Path(taken).write_text("x")
+    said = mistake(command.main, ["toy.xml"], capsys)
+    assert f"cannot be written: {taken} is no folder" in said and ".part" not in said
+    Path(taken).unlink()
+    Path(taken).mkdir()
+    real = os.access
+    monkeypatch.setattr(os, "access", lambda path, *how: path != Path(taken) and real(path, *how))
+    said = mistake(command.main, ["toy.xml"], capsys)
+    assert f"{taken}/toy" in said and "no permission" in said and ".part" not in said
+    assert not [*Path(taken).iterdir()]
+
+
+def test_no_file_ends_in_a_traceback(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    published.write(tmp_path)
+
+    def broken(*_):
+        np.multiply(1e300, np.array([1e300]))  # a warning would be a line more
+        raise AttributeError("no such thing")
+
+    monkeypatch.setattr(command.looks, "draw", broken)
+    said = mistake(command.main, ["toy.xml"], capsys)
+    assert "toy.xml: it cannot be adopted (AttributeError: no such thing)" in said
+    assert not Path("robots").exists()
+
+
+def test_the_readme_breaks_no_path(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(command, "look", lambda *_: None)
+    deep = tmp_path / "a-folder-with-a-name-of-many-words" / ("another-one-" * 6)
+    file = published.write(deep)
+    assert run(file, "--name=mine") == 0
+    text = Path("robots/mine/README.md").read_text()
+    digest = hashlib.sha256(file.read_bytes()).hexdigest()
+    assert f"found at {deep.resolve()}/LICENSE: check" in " ".join(text.split())
+    assert str(deep / "LICENSE") in text and digest in text
 
 
 @pytest.mark.slow

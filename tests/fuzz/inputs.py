@@ -11,6 +11,7 @@ import re
 from typing import NamedTuple
 
 import numpy as np
+import published
 
 from dynappo.config import fields, files
 
@@ -154,6 +155,12 @@ FLAGS = {  # command -> flag: texts that its value may be
 }
 
 
+# with what robots rarely have; its mesh is not there
+TIED = published.mjcf().replace(
+    "<actuator>",
+    '<tendon><fixed stiffness="9"><joint joint="RR_hip_joint" coef="2"/></fixed></tendon><equality>'
+    '<weld body1="FL_hip" body2="trunk"/></equality><actuator><motor joint="FL_hip_joint" gear="3"/>',
+)
 GO2 = str(files.find("robots", "go2/go2.xml", own=True))
 RIGHT = {  # arguments with which a command goes on; one of each group
     "train": (GOOD[:-1] + ["mine.py"], [], ["--workdir=new", "--workdir=old", "--fresh"]),
@@ -166,7 +173,7 @@ RIGHT = {  # arguments with which a command goes on; one of each group
     "evaluate": (["go1", "anymal_d", "mine.npz"], [], ["--out=new", "--seed=3", "--episodes=9"]),
     "export": (["go1", "go2", "mine.npz"], ["--out=a.onnx", "--out=a.npz"], ["--joint-order=mjcf"]),
     "look": (GOOD[:-1] + ["mine.py", "go1"], [], ["--out=a.png"]),
-    "adopt": (["mine.xml", GO2], ["--name=mine", "--name=other"], []),
+    "adopt": (["mine.xml", "toy.xml", "mine.urdf", GO2], ["--name=mine", "--name=other"], []),
 }
 
 
@@ -262,9 +269,9 @@ def _script(rng) -> bytes:
     return _damaged(rng, data) if rng.random() < 0.3 else data
 
 
-def _xml(rng) -> bytes:
-    """The Go1's file, damaged, or with another value of an attribute."""
-    text = files.find("robots", "go1/go1.xml", own=True).read_text()
+def _xml(rng, text: str = "") -> bytes:
+    """The Go1's file or `text`, damaged, or with another value of an attribute."""
+    text = text or files.find("robots", "go1/go1.xml", own=True).read_text()
     if rng.random() < 0.5:
         return _damaged(rng, text.encode())
     at = rng.choice(list(re.finditer(r'="([^"]*)"', text)))
@@ -296,4 +303,11 @@ def _policy(rng) -> bytes:
     return out.getvalue()
 
 
-MAKERS = {"mine.py": _config_file, "mine.csv": _script, "mine.xml": _xml, "mine.npz": _policy}
+MAKERS = {
+    "mine.py": _config_file,
+    "mine.csv": _script,
+    "mine.xml": _xml,
+    "mine.npz": _policy,
+    "mine.urdf": lambda rng: _xml(rng, published.urdf()),
+    "toy.xml": lambda rng: _xml(rng, TIED),
+}
