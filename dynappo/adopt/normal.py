@@ -260,7 +260,7 @@ def clear(spec: mujoco.MjSpec, robot: robot_lib.Robot, poses: np.ndarray) -> lis
         if kind == SPHERE or less > size[along]:
             told.append(
                 f"EDIT NEEDED: {names[those.index(i)]}, a part that is no foot, touches the ground as the "
-                "robot stands; make it smaller, or change the default pose"
+                "robot stands; raise task.kp, make it smaller, or change the default pose"
             )
             continue
         size[along] -= less / 2

@@ -21,7 +21,6 @@ LOAD, OF_BASE = (
     0.1,
     0.3,
 )  # by what share of the robot's mass the base's varies; at most this of its own
-UNBROKEN = dict(break_long_words=False, break_on_hyphens=False)  # paths
 HEAD = '''"""{name} on flat ground, adopted from {file}.
 
     python -m dynappo.look configs/{name}.py
@@ -163,10 +162,14 @@ def readme(
         ("base height in the default pose", f"{robot.home_qpos[2]:.4f} m"),
     ]
     table = "".join(f"| {name} | {value} |\n" for name, value in rows)
-    assumed = "".join(
-        textwrap.fill(line, 100, initial_indent="- ", subsequent_indent="  ", **UNBROKEN) + "\n"
-        for line in told
+    lines = textwrap.TextWrapper(  # no break inside paths
+        100,
+        initial_indent="- ",
+        subsequent_indent="  ",
+        break_long_words=False,
+        break_on_hyphens=False,
     )
+    assumed = "".join(lines.fill(line) + "\n" for line in told)
     legal = (
         f"From {where}; check that it is of this robot:\n\n"
         + textwrap.indent(text, "    ").rstrip()
