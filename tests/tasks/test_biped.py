@@ -252,10 +252,10 @@ def test_a_posture_without_numbers_is_one_line(g1):
 
 @pytest.mark.parametrize("variant", ["best", "ppo", "deploy", "quick", "laptop", "dyna4"])
 def test_every_variant_of_a_g1_is_valid_and_the_same_left_and_right(g1, variant):
-    from dynappo.tasks.velocity import mirror
+    from dynappo.tasks.velocity import partners
 
     config, robot = motors.fitted(config_lib.validate(config_lib.load(f"g1:{variant}")), g1)
-    mirror.check_motors(config.task, robot)
+    partners.check_motors(config.task, robot)
     reward_sum.terms_of(config.task)
     config_lib.split(config)
     assert config.run.walks == "tracking" and config.task.fall_reward < 0
