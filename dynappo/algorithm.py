@@ -86,7 +86,7 @@ def iterate(
     horizon, num_envs = static.rollout.horizon, static.rollout.num_envs
     hyper = hyper_at(static, hyper, iteration)
     real = (jnp.arange(horizon) < n_real)[:, None]
-    same = symmetry.policy_image(static, env), units.policy_units(static, env)
+    image, scales = symmetry.policy_image(static, env), units.policy_units(static, env)
     iteration_key = jax.random.fold_in(state.key, iteration)
 
     def key(purpose, k=0):
@@ -122,7 +122,9 @@ def iterate(
             now = state.replace(learner=learner)
             rows = imagine(env, hyper, now, rows, n_real, start, key(ROWS, k), static=static)
         batch = estimate(static, hyper, env, learner.params, rows, real, k)
-        learner, learned = fast.update(static, hyper, learner, batch, key(UPDATE, k), *same)
+        learner, learned = fast.update(
+            static, hyper, learner, batch, key(UPDATE, k), image=image, units=scales
+        )
         return learner, rows, learned
 
     nothing = dict.fromkeys(ppo.METRICS, jnp.zeros(()))

@@ -17,9 +17,8 @@ from typing import Any
 
 from dynappo.types import Env, Static
 
-Units = Callable[
-    [Any], Any
-]  # of a tree of weights, gradients or steps: times s, in the first layers
+# a tree of weights, gradients or steps, with those of the first layers times s
+Units = Callable[[Any], Any]
 
 
 def policy_units(static: Static, env: Env) -> Units | None:
@@ -43,13 +42,11 @@ def policy_units(static: Static, env: Env) -> Units | None:
         first = first | {"kernel": first["kernel"] * by[:, None]}
         return {"params": network["params"] | {"Dense_0": first}}
 
-    return lambda tree: (
-        tree
-        | {
-            "actor": scaled(tree["actor"], actor),
-            "critic": scaled(tree["critic"], critic),
-        }
-    )
+    def units(tree):
+        actor_tree, critic_tree = tree["actor"], tree["critic"]
+        return tree | {"actor": scaled(actor_tree, actor), "critic": scaled(critic_tree, critic)}
+
+    return units
 
 
 def apply(tree: Any, units: Units | None) -> Any:

@@ -130,7 +130,7 @@ def adopt(file: Path, name: str) -> dict[str, str]:
         found = re.findall(pattern, done.stdout, re.M)
         row[column] = found[-1] if found else ""
     row["notes"] = "; ".join(re.findall(r"^note: (?:\S+\.xml: )?(.*)", done.stdout, re.M))
-    row["problem"] = done.stderr.strip()
+    row["problem"] = done.stderr.strip().replace(f"{file.parent}/", "")  # no path of this machine
     print(" | ".join(row.values()), flush=True)
     return row
 
