@@ -190,29 +190,15 @@ def imagine(
 
 
 def run(
-    env: Env, hyper: Hyper, state: TrainState, columns: Columns, count=None, *, static: Static
+    env: Env, hyper: Hyper, state: TrainState, columns: Columns, *, static: Static
 ) -> tuple[TrainState, Metrics]:
-    """`iterate` over every row of the schedule; metrics have shape `[I]`.
-
-    With a traced `count` over the first `count` rows alone, and the metrics of the others are 0: one
-    compiled program then serves chunks of any length up to I.
-    """
+    """`iterate` over every row of the schedule; metrics have shape `[I]`."""
     columns = {name: jnp.asarray(column) for name, column in columns.items()}
-    length = len(columns["iteration"])
-    # jit: traced once, for the shapes of its metrics and for the loop
-    step = jax.jit(partial(iterate, env, static=static))
 
-    def counts(i):
-        return {name: column[i] for name, column in columns.items()}
+    def one(state, counts):
+        return iterate(env, hyper, state, counts, static=static)
 
-    def one(i, carry):
-        state, table = carry
-        state, metrics = step(hyper, state, counts(i))
-        return state, jax.tree.map(lambda column, x: column.at[i].set(x), table, metrics)
-
-    _, shapes = jax.eval_shape(step, hyper, state, counts(0))
-    table = jax.tree.map(lambda x: jnp.zeros((length, *x.shape), x.dtype), shapes)
-    return jax.lax.fori_loop(0, length if count is None else count, one, (state, table))
+    return jax.lax.scan(one, state, columns)
 
 
 def policy(static: Static, env: Env, params: dict):

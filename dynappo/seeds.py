@@ -91,20 +91,31 @@ def init(env: Env, hyper: Hyper, keys: PRNGKeyArray, *, static: Static) -> Train
     return jax.vmap(one, (axes(hyper), 0), spmd_axis_name="seed")(hyper, keys)
 
 
+def iterate(
+    env: Env,
+    hyper: Hyper,
+    state: TrainState,
+    counts: dict[str, Int[Array, ""]],
+    *,
+    static: Static,
+) -> tuple[TrainState, Metrics]:
+    """`algorithm.iterate` of every seed; metrics `[S]`. Counts are loop bounds, so not batched."""
+    one = partial(algorithm.iterate, env, static=static)
+    return jax.vmap(one, (axes(hyper), 0, None), spmd_axis_name="seed")(hyper, state, counts)
+
+
 def run(
     env: Env,
     hyper: Hyper,
     state: TrainState,
     columns: dict[str, Int[Array, " I"]],
-    count=None,
     *,
     static: Static,
 ) -> tuple[TrainState, Metrics]:
-    """`algorithm.run` of every seed; metrics `[I, S]`. Columns and `count` are loop bounds, so not
-    batched."""
+    """`algorithm.run` of every seed; metrics `[I, S]`. Columns are loop bounds, so not batched."""
     one = partial(algorithm.run, env, static=static)
-    over = (axes(hyper), 0, None, None), (0, 1)
-    return jax.vmap(one, *over, spmd_axis_name="seed")(hyper, state, columns, count)
+    over = (axes(hyper), 0, None), (0, 1)
+    return jax.vmap(one, *over, spmd_axis_name="seed")(hyper, state, columns)
 
 
 def evaluate(

@@ -582,44 +582,20 @@ def test_the_whole_ramp_is_traced_once(run, tail, first):
         run(hyper, state, {name: c[:1] for name, c in columns(config).items()})
 
 
-@pytest.mark.slow
-def test_chunks_of_any_length_are_one_program_and_one_run(env, run_as_users, tail, first):
-    """With a `count`, of a chunk with more room: the bits of a run of exactly these rows, in any parts."""
-    config, static, hyper = tail
-    cols, room = columns(config), ITERATIONS + 3
-    expected = run_as_users(hyper, first(), cols)
-
-    def once(hyper, state, columns, count):
-        return algorithm.run(env, hyper, state, columns, count, static=static)
-
-    some = jax.jit(chex.assert_max_traces(once, n=1), compiler_options=AS_USERS)
-    for parts in ((ITERATIONS,), (1, 3, 2), (2, 4)):
-        state, found, done = first(), [], 0
-        for count in parts:
-            rows = {n: np.asarray(c[done : done + count]) for n, c in cols.items()}
-            rows = {n: np.pad(c, (0, room - count)) for n, c in rows.items()}
-            state, metrics = some(hyper, state, rows, np.int32(count))
-            assert all(len(x) == room and not x[count:].any() for x in metrics.values())
-            found, done = [*found, {n: x[:count] for n, x in metrics.items()}], done + count
-        metrics = {n: np.concatenate([m[n] for m in found]) for n in found[0]}
-        assert_same((state, metrics), expected)
-
-
 def loops_over_rows(env, static, hyper, seeds, cols):
     """Shapes of the predicates of all `while` loops under vmap over seeds, and of fill's only."""
     keys = jax.random.split(jax.random.key(0), seeds)
     init = jax.vmap(partial(algorithm.init, env, static=static), (None, 0))
     states = jax.eval_shape(init, hyper, keys)
-    run = jax.vmap(partial(algorithm.run, env, static=static), (None, 0, None, None))
-    program = jax.make_jaxpr(run)(hyper, states, cols, jnp.int32(2)).jaxpr
+    run = jax.vmap(partial(algorithm.run, env, static=static), (None, 0, None))
+    program = jax.make_jaxpr(run)(hyper, states, cols).jaxpr
     loops = [e for e in inner(program) if e.primitive.name == "while"]
     fill = [e for e in loops if (seeds, N, R) in {v.aval.shape[:-1] for v in e.outvars}]
     return [[e.params["cond_jaxpr"].out_avals[0].shape for e in some] for some in (loops, fill)]
 
 
 def test_under_vmap_over_seeds_the_trip_counts_stay_scalars(env, tail, plain):
-    """No predicate is batched, that of the loop over iterations neither, so no seed pays for rows that
-    its loop does not run."""
+    """No predicate is batched, so no seed pays for rows that its loop does not run."""
     every, fill = loops_over_rows(env, *tail[1:], 3, columns(tail[0]))
     assert fill == [(), ()] and set(every) == {()}
     every, fill = loops_over_rows(env, *plain[1:], 3, columns(plain[0]))

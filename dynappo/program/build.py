@@ -26,7 +26,7 @@ from dynappo.program import devices, distributed, memory
 if TYPE_CHECKING:  # it imports JAX, and a mistake is answered without
     from dynappo.types import Hyper, Static
 
-ROOM = 128  # iterations, at least, that a call of the program has room for
+ROWS = 128  # of the table of metrics that stays on the device
 
 
 class Program(NamedTuple):
@@ -131,21 +131,26 @@ def program(
     env = env._replace(mesh=mesh)
     length = run.eval_steps or config.task.episode_length
     key = jax.random.key(run.seed)
-    init, step, episodes = algorithm.init, algorithm.run, scores.evaluate
+    init, step, episodes = algorithm.init, algorithm.iterate, scores.evaluate
     if run.num_seeds > 1:
-        init, step, episodes = seeds.init, seeds.run, seeds.evaluate
+        init, step, episodes = seeds.init, seeds.iterate, seeds.evaluate
         hyper, key = each or (hyper, seeds.keys(run.seed, run.num_seeds))
     init, step = partial(init, env, static=static), partial(step, env, static=static)
     episodes = partial(episodes, env, static=static, num_envs=run.eval_envs, num_steps=length)
     columns = schedule.columns(config)
-    chunk, count = _padded(columns, max(run.log_every, ROOM)), np.int32(1)
+    first = _row(columns, 0)
     everywhere = NamedSharding(mesh, PartitionSpec())
     shapes = jax.eval_shape(init, hyper, key)
     spread = seeds.shardings(mesh, shapes, run.num_seeds)
     shapes = jax.tree.map(_placed, shapes, spread)
     init = jax.jit(init, out_shardings=spread)
-    step = jax.jit(step, donate_argnums=1, out_shardings=(spread, everywhere))
+    step = jax.jit(step)  # traced once, for the shapes of its metrics and for the program
+    _, table = jax.eval_shape(step, hyper, shapes, first)
+    table = jax.jit(partial(_table, table), out_shardings=everywhere)
+    step = jax.jit(partial(_noted, step), donate_argnums=(1, 2), out_shardings=(spread, everywhere))
     episodes = jax.jit(episodes, out_shardings=everywhere)
+
+    noted = jax.eval_shape(table), first, np.int32(0)
 
     # Python traces one after the other, what compiles longest first; XLA compiles beside it
     repeated, once = _xla_options()
@@ -153,7 +158,7 @@ def program(
         if robot is None:  # the first state of an environment of your own may be wrong
             starting = pool.submit(init.lower(hyper, key).compile, once)
             env_contract.check_start(starting.result()(hyper, key).env_state)
-        stepping = pool.submit(step.lower(hyper, shapes, chunk, count).compile, repeated)
+        stepping = pool.submit(step.lower(hyper, shapes, *noted).compile, repeated)
         if robot is not None:
             starting = pool.submit(init.lower(hyper, key).compile, once)
         # several devices or processes share settings and steps of a compilation: at the first call
@@ -173,8 +178,9 @@ def program(
     memory.check_compiled(config, size, memory.limit(mesh.local_devices[0]))
     distributed.barrier()
     if impl == "warp":  # its kernels are built and loaded at the first call
-        one_row = {name: np.minimum(column, 1) for name, column in chunk.items()}
-        jax.block_until_ready(compiled(hyper, jax.tree.map(jnp.copy, state), one_row, count))
+        once = {name: np.minimum(count, 1) for name, count in first.items()}
+        copy = jax.tree.map(jnp.copy, state)
+        jax.block_until_ready(compiled(hyper, copy, table(), once, np.int32(0)))
 
     return Program(
         robot=robot,
@@ -183,7 +189,7 @@ def program(
         hyper=hyper,
         state=state,
         columns=columns,
-        step=partial(_step, compiled, max(run.log_every, ROOM)),
+        step=partial(_step, compiled, table),
         evaluate=partial(_evaluate, mesh, hyper, episodes, evaluating),
         place=partial(jax.device_put, device=spread),
         impl=impl,
@@ -193,20 +199,44 @@ def program(
     )
 
 
-def _padded(columns: dict[str, np.ndarray], room: int) -> dict[str, np.ndarray]:
-    """The first `room` rows of the schedule's columns; where there are fewer, 0 follows."""
-    rows = {name: column[:room] for name, column in columns.items()}
-    return {name: np.pad(x, (0, room - len(x))) for name, x in rows.items()}
+def _row(columns: dict[str, np.ndarray], i: int) -> dict[str, np.ndarray]:
+    """Row i of the schedule's columns."""
+    return {name: np.asarray(column[i]) for name, column in columns.items()}
 
 
-def _step(compiled: Callable, room: int, hyper: Hyper, state, columns: dict[str, np.ndarray]):
-    """`(state, metrics)` after a chunk of at most `room` iterations: of any length in one program, so that
-    another `run.log_every` compiles nothing."""
+def _table(metrics):
+    """Zeros for the metrics of `ROWS` iterations."""
+    import jax
+    import jax.numpy as jnp
+
+    return jax.tree.map(lambda x: jnp.zeros((ROWS, *x.shape), x.dtype), metrics)
+
+
+def _noted(iterate: Callable, hyper: Hyper, state, table, counts, i):
+    """`(state, table)` after an iteration, with its metrics in row i of the table."""
     import jax
 
-    count = len(columns["iteration"])
-    state, metrics = compiled(hyper, state, _padded(columns, room), np.int32(count))
-    return state, jax.tree.map(lambda x: x[:count], metrics)
+    state, metrics = iterate(hyper, state, counts)
+    return state, jax.tree.map(lambda column, x: column.at[i].set(x), table, metrics)
+
+
+def _step(compiled: Callable, table: Callable, hyper: Hyper, state, columns: dict[str, np.ndarray]):
+    """`(state, metrics)` after a chunk of any length, whose iterations are queued one by one.
+
+    One program of a single iteration serves every `run.log_every`. A loop on the device whose length is an
+    argument would, too, but an iteration of `ppo16` then took 10 % longer on an H200 (experiments/03_speed).
+    """
+    import jax
+    import jax.numpy as jnp
+
+    count, parts = len(columns["iteration"]), []
+    for begin in range(0, count, ROWS):
+        rows, metrics = min(ROWS, count - begin), table()
+        for i in range(rows):
+            row = _row(columns, begin + i)
+            state, metrics = compiled(hyper, state, metrics, row, np.int32(i))
+        parts.append(jax.tree.map(lambda x, rows=rows: x[:rows], metrics))
+    return state, parts[0] if len(parts) == 1 else jax.tree.map(lambda *x: jnp.concat(x), *parts)
 
 
 def _xla_options() -> tuple[Any, Any]:

@@ -12,6 +12,7 @@ import json
 import os
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -25,13 +26,16 @@ def main():
     parser.add_argument("jobs", nargs="+", metavar="ROBOT:VARIANT")
     parser.add_argument("--repeats", type=int, default=20)
     parser.add_argument("--set", action="append", default=[], metavar="FIELD=VALUE")
+    parser.add_argument(
+        "--iteration", type=int, default=100, help="the one of the schedule that is run"
+    )
     parser.add_argument("--out", type=Path)
     args = parser.parse_args()
     if args.other == "serve":
-        return serve(args.jobs[0], args.set)
+        return serve(args.jobs[0], args.set, args.iteration)
     found = {}
     for job in args.jobs:
-        other, this = (start(Path(path).resolve(), job, args.set) for path in (args.other, HERE))
+        other, this = (start(Path(path).resolve(), job, args) for path in (args.other, HERE))
         for process in (other, this):
             print(job, ask(process), flush=True)  # it has compiled
         times = np.array([[float(ask(p)) for p in (other, this)] for _ in range(args.repeats + 1)])
@@ -47,10 +51,11 @@ def main():
             args.out.write_text(json.dumps(found, indent=1) + "\n")
 
 
-def start(checkout: Path, job: str, settings) -> subprocess.Popen:
+def start(checkout: Path, job: str, args) -> subprocess.Popen:
     """A process of a checkout that serves `job`."""
     path = os.pathsep.join([str(checkout), os.environ.get("PYTHONPATH", "")])
-    command = [sys.executable, __file__, "serve", job, *(f"--set={s}" for s in settings)]
+    command = [sys.executable, __file__, "serve", job, f"--iteration={args.iteration}"]
+    command += [f"--set={s}" for s in args.set]
     environment = os.environ | {"PYTHONPATH": path, "XLA_PYTHON_CLIENT_MEM_FRACTION": "0.35"}
     pipe = subprocess.PIPE
     return subprocess.Popen(
@@ -66,7 +71,7 @@ def ask(process: subprocess.Popen) -> str:
     return process.stdout.readline().strip()
 
 
-def serve(job: str, settings) -> None:
+def serve(job: str, settings, iteration: int) -> None:
     """Compile `job`, answer the first line with the checkout, every other with ms of an iteration."""
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)  # Warp prints what it compiles
@@ -80,14 +85,31 @@ def serve(job: str, settings) -> None:
         config_lib.override(config, field, value)
     config = config_lib.validate(config)
     try:
-        from dynappo.bench.phases import last_iteration
         from dynappo.program.build import program
     except ImportError:  # a checkout from before the folders
-        from dynappo.bench import last_iteration  # pyright: ignore
         from dynappo.train import setup as program  # pyright: ignore
-    run = last_iteration(config, program(config))
+    run = chunk(program(config), config.run.log_every, iteration)
     for i, _ in enumerate(sys.stdin):
         print(Path(dynappo.__file__).parent if i == 0 else run(), file=answers, flush=True)
+
+
+def chunk(program, every: int, iteration: int):
+    """A function that runs iteration `iteration` `every` times from the first state: ms of one."""
+    import jax
+    import jax.numpy as jnp
+
+    columns = {
+        name: jnp.full(every, column[min(iteration, len(column)) - 1], jnp.int32)
+        for name, column in program.columns.items()
+    }
+
+    def run():
+        copy = jax.block_until_ready(jax.tree.map(jnp.copy, program.state))
+        began = time.perf_counter()
+        jax.block_until_ready(program.step(program.hyper, copy, columns))
+        return (time.perf_counter() - began) / every * 1e3
+
+    return run
 
 
 if __name__ == "__main__":
