@@ -10,10 +10,17 @@ import runpy
 
 default = runpy.run_path(str(pathlib.Path(__file__).with_name("default.py")))
 
+# N m and rad/s of hip, thigh and calf, of four legs: the vendor's URDF. The calf has another gear
+EFFORT = (23.7, 23.7, 45.43) * 4
+SPEED = (30.1, 30.1, 15.7) * 4
+
 
 def get_config(variant=""):
     """The defaults with this robot's differences."""
     config = default["defaults"]()
     config.robot = "go2"
-    config.task.update(effort_limit=23.5, saturation_effort=23.5)
+    if variant in default["OF_THE_PAPER"]:  # one kind of motor, as in Isaac Lab
+        config.task.update(effort_limit=23.5, saturation_effort=23.5)
+    else:
+        config.task.update(effort_limit=EFFORT, saturation_effort=EFFORT, velocity_limit=SPEED)
     return default["apply_variant"](config, variant)

@@ -132,7 +132,7 @@ def surface(model, data, geom):
 
 def policy(robot, size=0.0):
     """A policy of Go1's numbers for a robot: its actor gives zero, or moves the joints by `size`."""
-    config = config_lib.validate(config_lib.load("configs/go1.py"))
+    config = config_lib.validate(config_lib.load("configs/default.py"))
     joints, rng = len(robot.joint_names), np.random.default_rng(0)
     layers, wide = {}, 12 + 3 * joints
     for i, out in enumerate((8, joints)):

@@ -14,7 +14,7 @@ GO1 = robot_lib.load("go1")
 
 def described(name="go1"):
     """`(config, robot)` of a bundled robot."""
-    return config_lib.validate(config_lib.load(f"configs/{name}.py")), robot_lib.load(name)
+    return config_lib.validate(config_lib.load(f"configs/{name}.py:dyna4")), robot_lib.load(name)
 
 
 def actor(seed=0, hidden=(16, 16), size=0.5):

@@ -15,7 +15,7 @@ FIELDS = f"{MOTORS} posture_std posture_std_standing"
 
 
 def load(**task):
-    config = config_lib.load("go1")
+    config = config_lib.load("go1:ppo16")
     config.task.update(**task)
     return config
 

@@ -32,7 +32,7 @@ def of_functions(static: Static, hyper: Hyper) -> float:
     low, high = hyper.task.randomize.base_com  # error: three numbers
     return static.ppo.epochs * hyper.ppo.gamma + len(static.model.hidden) + low * high
 
-static, hyper = config.split(config.validate(config.load("go1")))
+static, hyper = config.split(config.validate(config.load("go1:ppo16")))
 static.ppo.gamma  # error: a float
 hyper.ppo.epochs  # error: no float
 static.task.weights  # error: all floats
@@ -105,7 +105,7 @@ def test_a_float_that_is_none_is_part_of_the_program_and_any_number_of_it_is_not
     """By the structure of the tree."""
 
     def hyper(value):
-        config = config_lib.load("go1")
+        config = config_lib.load("go1:ppo16")
         config.task.max_tilt = config.task.weights.foot_slip = value
         static, hyper = split(config)
         assert "max_tilt" not in static.task._fields and "foot_slip" in hyper.task.weights._fields

@@ -32,17 +32,17 @@ def test_it_says_what_a_robot_is_and_how_it_stands(capsys):
     assert told["is"].startswith("stable: damping takes 0.19 of a joint's speed in a step")
     assert re.match(r"\d+ mm in 5 s: the base at 0.325 m, then 0.2\d+ m", told["sag"])
     assert re.match(
-        r"up to \d\.\d N m, at F[LR]_calf_joint: \d+% of the limit 23.7", told["torque"]
+        r"up to \d\.\d N m, at \w+_joint: \d+% of the limit 23.7", told["torque"]
     )
     assert told["limbs"] == "12 joints, feet FL, FR, RL, RR, 14 other shapes"
     assert told["explore"].endswith("6.2 N m, at FL_hip_joint: 26% of the limit 23.7")
     rows = {
-        "hip_joint": r"-0.10 to 0.10 +-0.86 to 0.86",
-        "thigh_joint": r"0.80 to 1.00 +-0.69 to 4.50",
-        "calf_joint": r"-1.50 +-2.82 to -0.89",
+        "hip_joint": r"-0.10 to 0.10 +-0.86 to 0.86 +25 +0.5 +23.7 +\d+% +26%",
+        "thigh_joint": r"0.80 to 1.00 +-0.69 to 4.50 +25 +0.5 +23.7 +\d+% +26%",
+        "calf_joint": r"-1.50 +-2.82 to -0.89 +25 +0.5 +35.55 +\d+% +18%",
     }
     for kind, numbers in rows.items():
-        assert re.search(rf"^{kind} +x 4 +{numbers} +25 +0.5 +23.7 +\d+% +26%$", text, re.M), kind
+        assert re.search(rf"^{kind} +x 4 +{numbers}$", text, re.M), kind
     assert "note: " not in text
 
 

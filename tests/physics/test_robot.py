@@ -211,9 +211,9 @@ def test_controls_are_the_joint_torques(loaded):
 
 
 def motor(facts, name):
-    """Gains and motor limits: the config's where the robot has one, else the published ones."""
+    """Gains and Isaac Lab's motor limits: the config's where the robot has one, else the published ones."""
     path = files.find("configs", f"{name}.py")
-    return config.load(f"{name}.py").task if path else SimpleNamespace(**facts["pd"])
+    return config.load(f"{name}.py:ppo16").task if path else SimpleNamespace(**facts["pd"])
 
 
 def test_a_config_has_the_published_gains_and_limits(facts, name):

@@ -296,7 +296,7 @@ def test_a_policy_without_a_robot_keeps_its_networks_and_its_config(policy, tmp_
 
 def of_joints():
     """`(config, robot)` of a Go1 whose joints differ; as `described`."""
-    config = config_lib.load("go1")
+    config = config_lib.load("go1:ppo16")
     config.task.update(kp={".*_calf_joint": 35, ".*": 25}, kd=tuple(0.1 * np.arange(1, 13)))
     config.task.update(armature={".*": 0.02}, joint_friction=0.1)
     return config_lib.validate(config), described()[1]
@@ -327,7 +327,7 @@ def test_numbers_of_each_joint_are_in_the_file_which_older_readers_refuse_by_its
     "new", [{"armature": 0.01}, {"joint_friction": 0.1}, {"kd": (1.0, 2.0) * 6}]
 )
 def test_what_the_older_format_cannot_say_has_the_newer(new):
-    config = config_lib.load("go1")
+    config = config_lib.load("go1:ppo16")
     config.task.update(new)
     policy = policy_file.describe(config_lib.validate(config), described()[1])
     assert policy_file.about(policy)["format"] == 3
