@@ -184,6 +184,7 @@ class Weights(NamedTuple):
     posture_deviation: float | None = None  # the same
     feet_air_time_biped: float | None = None
     foot_slip: float | None = None
+    foot_drag: float | None = None
     feet_distance: float | None = None
 
 

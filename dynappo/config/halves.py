@@ -188,6 +188,7 @@ class HyperWeights(NamedTuple):
     feet_distance: float | None
     flat_orientation: float
     foot_clearance: float
+    foot_drag: float | None
     foot_slip: float | None
     joint_accelerations: float
     joint_limits: float
