@@ -176,7 +176,7 @@ def arrow(scene, start, vector, rgba) -> None:
 
 
 def lift(model, data, base: int) -> float:
-    """Height (m) above body `base` at which an arrow clears the robot: a humanoid's trunk is above its base."""
+    """Height (m) above body `base` at which an arrow clears the robot: a humanoid's trunk is above that."""
     robot = np.flatnonzero(model.body_rootid[model.geom_bodyid] == base)
     row, box = data.geom_xmat[robot, 6:], model.geom_aabb[robot]
     top = data.geom_xpos[robot, 2] + (box[:, :3] * row).sum(-1) + (box[:, 3:] * np.abs(row)).sum(-1)
