@@ -227,6 +227,7 @@ class HyperTask(NamedTuple):
     standing: float
     start_anew: float
     tracking_std: float
+    turning: float
     velocity_limit: float | tuple[float, ...]
     weights: HyperWeights
 

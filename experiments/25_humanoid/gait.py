@@ -9,7 +9,7 @@ A row a policy and command of 8 s in C MuJoCo, the first second left out; the me
 - `arm_swing` (rad): half of the range, 5 to 95 %, of the shoulders' pitch, mean of both
 - `arm_phase`: correlation of a shoulder's pitch with that of the hip on the other side: 1 as people walk
 - `arm_spread` (m): how far the hands are outside of the shoulders, mean
-- `step_width` (m): the left foot is so far to the left of the right one, mean; `step_width_least` 1 % quantile
+- `step_width` (m): the left foot is so far to the left of the right one, mean; `step_width_least`: 1 %
 - `drift` (m/s): distance from first to last place over the time, when told to stand
 - `knee` (rad): mean angle of the knees, 0 is straight
 """

@@ -1,9 +1,10 @@
-"""The table of the tuning runs in README.md, from results/tuning.csv.xz.
+"""The tables in README.md, from results/tuning.csv.xz and results/gait.csv.xz (of `gait.py`).
 
     python experiments/25_humanoid/table.py
 
-A row a job, of its seeds: when they walk (`dynappo/policy/walks.py`, by tracking), in millions of simulator
-steps, each seed; and the last evaluation, in the mean: errors and falls.
+How they walk: a row a policy. What was tried: a row a job, of its seeds: when they walk
+(`dynappo/policy/walks.py`, by tracking), in millions of simulator steps, each seed; and the last evaluation,
+in the mean: errors and falls.
 """
 
 import csv
@@ -15,13 +16,54 @@ import numpy as np
 
 from dynappo.policy import walks
 
-FILE = Path(__file__).parent / "results" / "tuning.csv.xz"
+RESULTS = Path(__file__).parent / "results"
+GAIT = (  # heading, measure, command, format
+    ("strides /s", "stride_frequency", "0.5 ahead", "{:.1f}"),
+    ("at 1 m/s", "stride_frequency", "1 ahead", "{:.1f}"),
+    ("clearance, cm", "clearance", "0.5 ahead", "{:.1f}"),
+    ("at 1 m/s", "clearance", "1 ahead", "{:.1f}"),
+    ("slip, m/s", "slip", "0.5 ahead", "{:.2f}"),
+    ("at 1 m/s", "slip", "1 ahead", "{:.2f}"),
+    ("in the air", "flight", "0.5 ahead", "{:.0%}"),
+    ("at 1 m/s", "flight", "1 ahead", "{:.0%}"),
+    ("0.5 m/s back", "flight", "0.5 back", "{:.0%}"),
+    ("duty factor", "duty_factor", "0.5 ahead", "{:.2f}"),
+    ("torque", "torque_share", "1 ahead", "{:.0%}"),
+    ("arms, rad", "arm_swing", "1 ahead", "{:.2f}"),
+    ("torso, rad", "torso_tilt", "1 ahead", "{:.2f}"),
+    ("stands, rad/s", "joint_speed", "stand", "{:.2f}"),
+    ("turns 0.5", "yaw_error", "turn 0.5", "{:.2f}"),
+    ("-0.5", "yaw_error", "turn -0.5", "{:.2f}"),
+)
 OF_ALL = "run."  # fields that say how it was run, not what was tried
 
 
 def main():
-    with lzma.open(FILE, "rt") as file:
-        rows = [*csv.DictReader(file)]
+    gait()
+    tuning()
+
+
+def read(name):
+    with lzma.open(RESULTS / name, "rt") as file:
+        return [*csv.DictReader(file)]
+
+
+def gait():
+    print("| policy |", " | ".join(heading for heading, *_ in GAIT), "|")
+    print("|---|" + "---|" * len(GAIT))
+    for name, some in groupby(read("gait.csv.xz"), lambda row: row["policy"]):
+        found = {row["asked"]: row for row in some}
+        cells = []
+        for _, measure, asked, text in GAIT:
+            value = found[asked][measure]
+            scale = 100 if measure == "clearance" else 1
+            cells.append(text.format(scale * float(value)) if value else "-")
+        print(f"| {name} |", " | ".join(cells), "|")
+    print()
+
+
+def tuning():
+    rows = read("tuning.csv.xz")
     print("| run | what differs | walks, M steps | M steps in all | m/s | rad/s | falls |")
     print("|---|---|---|---|---|---|---|")
     for name, some in groupby(rows, lambda row: row["name"]):
