@@ -33,26 +33,22 @@ def at_ground(body: Body, data) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     `contact`: whether a foot touches the ground; `load` (N): sum of the normal forces on it; `slide` (m/s):
     horizontal speed of its points of contact, weighted with these forces, 0 without load.
     """
-    count = len(body.foot_names)
-    contact, load, moved, force = (
-        np.zeros(count, bool),
-        np.zeros(count),
-        np.zeros(count),
-        np.zeros(6),
-    )
-    for i in np.flatnonzero(data.contact.dist < 0):
-        pair = data.contact.geom[i]
-        geom = pair[~body.ground[pair]]
-        if len(geom) != 1 or (foot := body.foot_of[geom[0]]) < 0:
-            continue
-        contact[foot] = True
+    count, force = len(body.foot_names), np.zeros(6)
+    touching = np.flatnonzero(data.contact.dist < 0)
+    pairs = data.contact.geom[touching]
+    foot = body.foot_of[pairs].max(-1)  # -1 of what is no foot
+    kept = (foot >= 0) & body.ground[pairs].any(-1)
+    touching, foot, shape = touching[kept], foot[kept], pairs[kept][body.foot_of[pairs[kept]] >= 0]
+    normal = np.zeros(len(touching))
+    for k, i in enumerate(touching):
         mujoco.mj_contactForce(body.model, data, i, force)
-        moving = body.model.geom_bodyid[geom[0]]
-        arm = data.contact.pos[i] - data.subtree_com[body.model.body_rootid[moving]]
-        turn, move = data.cvel[moving, :3], data.cvel[moving, 3:]
-        velocity = move + np.cross(turn, arm)
-        load[foot] += force[0]
-        moved[foot] += force[0] * np.hypot(*velocity[:2])
+        normal[k] = force[0]
+    moving = body.model.geom_bodyid[shape]
+    x, y, z = (data.contact.pos[touching] - data.subtree_com[body.base_body]).T
+    turn_x, turn_y, turn_z, move_x, move_y, _ = data.cvel[moving].T
+    speed = np.hypot(move_x + turn_y * z - turn_z * y, move_y + turn_z * x - turn_x * z)
+    contact = np.bincount(foot, minlength=count) > 0
+    load, moved = (np.bincount(foot, each, count) for each in (normal, normal * speed))
     return contact, load, np.divide(moved, load, out=np.zeros(count), where=load > 0)
 
 
