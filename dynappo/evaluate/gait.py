@@ -118,8 +118,9 @@ def measures(body: Body, parts: Iterable[Mapping[str, np.ndarray]]) -> dict[str,
         _mean(each[name]["air_time"] for name, s in zip(each, sides, strict=True) if s == side)
         for side in (1, -1)
     ]
-    known = None not in swings
-    mean["asymmetry"] = abs(swings[0] - swings[1]) / np.mean(swings) if known else None
+    left, right = swings
+    known = left is not None and right is not None
+    mean["asymmetry"] = 2 * abs(left - right) / (left + right) if known else None
     return mean | {"feet": each}
 
 

@@ -44,8 +44,8 @@ def main():
 
 
 def read(name):
-    with lzma.open(RESULTS / name, "rt") as file:
-        return [*csv.DictReader(file)]
+    text = lzma.decompress((RESULTS / name).read_bytes()).decode()
+    return [*csv.DictReader(text.splitlines())]
 
 
 def gait():

@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -64,7 +65,8 @@ def known(on=(24, 20, 12, 30), late=(0, 20, 20, 0), rows=1000, period=40):
     load = np.array([100.0, 50, 50, 100]) * contact
     slide = np.where(phase < 10, 0.3, 0.1) * contact
     height = np.array([0.04, 0.06, 0.08, 0.1]) * np.sin(np.pi * swung)
-    return dict(contact=contact, load=load, slide=slide, height=height)
+    part: dict[str, Any] = dict(contact=contact, load=load, slide=slide, height=height)
+    return part
 
 
 def test_the_gait_of_known_feet(body):
