@@ -185,6 +185,7 @@ class Weights(NamedTuple):
     posture_deviation: float | None = None  # the same
     feet_air_time_biped: float | None = None
     foot_slip: float | None = None
+    foot_drag: float | None = None
     feet_distance: float | None = None
 
 
@@ -246,6 +247,7 @@ class Task(NamedTuple):
     heading: bool | None = None  # the yaw rate turns the robot to a heading; exact only
     resample_steps: Steps | None = None  # control steps between two commands; 0: an episode
     standing: Share | None = None  # share of commands that are zero
+    turning: Share = 0.0  # share of commands that only turn, on the spot
     termination: Literal["parts", "base"] | None = None  # "base" (exact) needs contacts="full"
     undesired: Literal["parts", "thighs"] | None = None  # contacts; "thighs": exact
     # parts at the ground are seen in every physics step (exact) or in the last of a row. Seen

@@ -6,7 +6,8 @@ FEET = ("FL", "FR", "RL", "RR")
 
 
 def foot(duty=0.5):
-    return {"duty_factor": duty, "air_time": 0.2, "stride_frequency": 2.5}
+    swings = {"air_time": 0.2, "stride_frequency": 2.5, "clearance": 0.05, "slip": 0.1}
+    return {"duty_factor": duty} | swings
 
 
 def numbers(fallen=(), speeds=(0.5, 1.0)):
@@ -28,8 +29,9 @@ def numbers(fallen=(), speeds=(0.5, 1.0)):
     gait = foot() | {"feet": {name: foot(0.2 + j / 10) for j, name in enumerate(FEET)}}
     ahead = [rows[0] | gait | {"command": [speed, 0.0, 0.0], "speed": speed} for speed in speeds]
     every = dict.fromkeys(names, 2.0) | gait | {"episodes": len(rows), "falls": len(fallen)}
-    held = {"vy": 0.0, "wz": 0.0}
-    return dict(seconds=6.0, axes=grid, held=held, all=every, ahead=ahead, commands=rows)
+    standing = rows[0] | gait | {"command": [0.0, 0.0, 0.0]}
+    some = dict(seconds=6.0, axes=grid, held={"vy": 0.0, "wz": 0.0}, all=every)
+    return some | dict(ahead=ahead, standing=standing, commands=rows)
 
 
 def changes():

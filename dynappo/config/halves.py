@@ -188,6 +188,7 @@ class HyperWeights(NamedTuple):
     feet_distance: float | None
     flat_orientation: float
     foot_clearance: float
+    foot_drag: float | None
     foot_slip: float | None
     joint_accelerations: float
     joint_limits: float
@@ -226,6 +227,7 @@ class HyperTask(NamedTuple):
     standing: float
     start_anew: float
     tracking_std: float
+    turning: float
     velocity_limit: float | tuple[float, ...]
     weights: HyperWeights
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from dynappo.config import shell
-from dynappo.evaluate import trials
+from dynappo.evaluate.gait import intervals
 
 WINDOW = 2.0  # s of a gait diagram
 PALE = 0.3  # m/s, the least error that has the darkest colour
@@ -115,7 +115,7 @@ def gait(title: str, numbers: dict[str, Any], recordings, timestep: float):
     for panel, row in zip(panels, numbers["ahead"], strict=True):
         shown = recordings[tuple(row["command"])]["contact"][-round(WINDOW / timestep) :]
         for j, foot in enumerate(row["feet"].values()):
-            on, off = trials.intervals(shown[:, j])
+            on, off = intervals(shown[:, j])
             bars = [(a * timestep, (b - a) * timestep) for a, b in zip(on, off, strict=True)]
             # left and right, front to back: the two diagonals of four feet, the two tripods of six
             color = "#d9822b" if (j + j // 2) % 2 else "#1f4e79"

@@ -16,10 +16,18 @@ ROWS = (  # of the table of the trials: name, label, format
     ("cost_of_transport", "cost of transport", "{:.2f}"),
     ("positive_cost_of_transport", "  of positive work alone", "{:.2f}"),
     ("torque", "mean torque of a joint", "{:.1f} N m"),
+    ("torque_share", "  of the limit, at most", "{:.0%}"),
     ("action_rate", "action rate", "{:.1f} rad/s"),
+    ("joint_speed", "joint speed", "{:.2f} rad/s"),
+    ("tilt", "tilt of the base", "{:.3f} rad"),
+    ("height", "height of the base", "{:.3f} m"),
     ("air_time", "foot air time", "{:.3f} s"),
     ("duty_factor", "duty factor", "{:.2f}"),
     ("stride_frequency", "stride frequency", "{:.2f} /s"),
+    ("clearance", "foot clearance", "{:.3f} m"),
+    ("slip", "foot slip", "{:.2f} m/s"),
+    ("flight", "all feet in the air", "{:.0%}"),
+    ("asymmetry", "left and right differ", "{:.0%}"),
 )
 
 
@@ -64,7 +72,7 @@ def stress(screen, rows: list[dict[str, Any]]) -> None:
 
 
 def trials(screen, numbers: dict[str, Any]) -> None:
-    """Print the table of the trials: over all commands, and at each speed ahead."""
+    """Print the table of the trials: over all commands, at each speed ahead, and standing."""
     headings, *rows = trials_rows(numbers)
     screen.print(trials_text(numbers), soft_wrap=True)
     _table(screen, rows, headings)
@@ -82,12 +90,14 @@ def trials_text(numbers: dict[str, Any]) -> str:
 
 def trials_rows(numbers: dict[str, Any]) -> list[list[str]]:
     """The table of the trials as texts, its headings first."""
-    every, ahead = numbers["all"], numbers["ahead"]
-    falls = ["none" if row["fall"] is None else f"after {row['fall']:.1f} s" for row in ahead]
-    rows = [["", "all commands", *(f"{row['command'][0]:g} m/s ahead" for row in ahead)]]
-    rows += [["falls", f"{every['falls']} of {every['episodes']}", *falls]]
+    every, one = numbers["all"], [*numbers["ahead"]]
+    headings = ["", "all commands", *(f"{row['command'][0]:g} m/s ahead" for row in one)]
+    if numbers["standing"]:
+        headings, one = [*headings, "standing"], [*one, numbers["standing"]]
+    falls = ["none" if row["fall"] is None else f"after {row['fall']:.1f} s" for row in one]
+    rows = [headings, ["falls", f"{every['falls']} of {every['episodes']}", *falls]]
     for name, label, text in ROWS:
-        values = [row[name] for row in (every, *ahead)]
+        values = [row[name] for row in (every, *one)]
         rows += [[label, *("-" if v is None else text.format(v) for v in values)]]
     return rows
 

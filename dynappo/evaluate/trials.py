@@ -11,9 +11,10 @@ over the time after the first second and before a fall:
 - `cost_of_transport`: power / (weight x speed), without commands where it is slower than 0.1 m/s;
 - `torque`: mean over joints of |torque|; `action_rate`: root mean square over joints of the speed at
   which the policy moves the joints' targets;
-- `duty_factor`: share of time a foot is on the ground; `air_time`: mean duration of its swings;
-  `stride_frequency`: touch-downs a second. Contacts and swings shorter than a control step are
-  bounces and do not count.
+- `torque_share`: the share of its limit that the most loaded joint stays below for 99 % of the time;
+  `joint_speed`: root mean square over joints (rad/s);
+- `tilt`: mean angle of the base from upright (rad); `height`: mean height of its frame (m);
+- how the feet move: `gait.py`.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from dynappo.evaluate import gait as gait_lib
 from dynappo.physics import actuators
 from dynappo.policy import episode as episode_lib
 from dynappo.policy import policy_file, source
@@ -35,6 +37,7 @@ SECONDS = 6.0  # of an episode
 POINTS = 5  # of a command's range
 SPEEDS = (0.5, 1.0)  # m/s ahead, at which the gait is looked at
 MIN_SPEED = 0.1  # m/s, from which on something is transported
+FINE = "torque speed contact load slide centre up".split()  # of a physics step
 
 
 def record(body: Body, act: Callable, command, seconds: float = SECONDS) -> dict[str, Any]:
@@ -42,15 +45,16 @@ def record(body: Body, act: Callable, command, seconds: float = SECONDS) -> dict
 
     A row a control step: `velocity [T, 3]` (as the command, in the base frame), `action [T, A]` and
     `qpos [T, nq]` after it. A row a physics step: `torque [P, A]` (N m), `speed [P, A]` (rad/s) at
-    which it was applied, and `contact [P, F]`, whether a foot touches the ground. `fall` (s), or None.
+    which it was applied, and of the feet `contact`, `load`, `slide` (`gait.at_ground`) and `height` (m) of
+    their lowest points, `[P, F]`. `fall` (s), or None.
     A blow-up of the physics is a fall, and its step has no rows.
     """
     mujoco.set_mju_user_warning(lambda message: None)  # else they go into a file in the folder
     data, dt = mujoco.MjData(body.model), episode_lib.period(body)
     com, action = body.model.body_ipos[body.base_body], np.zeros(len(body.policy.joint_names))
-    joints, feet = len(action), np.arange(len(body.foot_names))
-    widths = dict(velocity=3, action=joints, qpos=body.model.nq)
-    widths |= dict(torque=joints, speed=joints, contact=len(feet))
+    joints, feet, shapes = len(action), len(body.foot_names), gait_lib.shapes(body)
+    widths = dict(velocity=3, action=joints, qpos=body.model.nq, torque=joints, speed=joints)
+    widths |= dict(contact=feet, load=feet, slide=feet, centre=len(shapes), up=3 * len(shapes))
     rows: dict[str, list] = {name: [] for name in widths}
     p, command, fall = body.policy, np.asarray(command, float), None
     see = observe.memory(p.observation, p.history)
@@ -62,9 +66,8 @@ def record(body: Body, act: Callable, command, seconds: float = SECONDS) -> dict
         for _ in range(body.substeps):
             torque, speed, down = episode_lib.physics_step(body, data, target)
             fell |= down
-            pairs = data.contact.geom[data.contact.dist < 0]
-            touched = pairs[body.ground[pairs].any(1)]
-            inside.append((torque, speed, np.isin(feet, body.foot_of[touched])))
+            place = data.geom_xpos[shapes, 2], data.geom_xmat[shapes, 6:].ravel()
+            inside.append((torque, speed, *gait_lib.at_ground(body, data), *place))
         finite = np.isfinite(data.qpos).all() and np.isfinite(data.qvel).all()
         if finite:
             coordinates = episode_lib.coordinates(body, data)
@@ -73,13 +76,15 @@ def record(body: Body, act: Callable, command, seconds: float = SECONDS) -> dict
             rows["action"].append(action)
             rows["qpos"].append(data.qpos.copy())
             for row in inside:
-                for name, values in zip(("torque", "speed", "contact"), row, strict=True):
+                for name, values in zip(FINE, row, strict=True):
                     rows[name].append(values)
         if fell or not finite:
             fall = (k + 1) * dt
             break
     columns = {name: np.reshape(rows[name], (-1, width)) for name, width in widths.items()}
-    return columns | {"command": command, "fall": fall}
+    up = columns.pop("up").reshape(-1, len(shapes), 3)
+    height = gait_lib.heights(body, columns.pop("centre"), up)
+    return columns | {"height": height, "command": command, "fall": fall}
 
 
 def measured_rows(body: Body, recording: dict[str, Any]) -> dict[str, np.ndarray]:
@@ -93,7 +98,8 @@ def measured_rows(body: Body, recording: dict[str, Any]) -> dict[str, np.ndarray
         last = min(last, round(recording["fall"] / dt) - 1)
     last = max(first, last)
     fine = slice(first * body.substeps, last * body.substeps)
-    cut = {name: recording[name][fine] for name in ("torque", "speed", "contact")}
+    names = ("torque", "speed", "contact", "load", "slide", "height")
+    cut = {name: recording[name][fine] for name in names} | {"qpos": recording["qpos"][first:last]}
     targets = body.policy.action_scale * recording["action"]
     change = np.diff(targets, axis=0, prepend=0 * targets[:1]) / dt
     velocity = recording["velocity"][first:last]
@@ -104,7 +110,8 @@ def measured_rows(body: Body, recording: dict[str, Any]) -> dict[str, np.ndarray
 def measures(body: Body, recordings: Iterable[dict[str, Any]]) -> dict[str, float | None]:
     """Measures over several episodes together; None where one cannot be computed."""
     parts = [part for r in recordings if len((part := measured_rows(body, r))["velocity"])]
-    names = "tracking_error yaw_error speed power positive_power torque action_rate"
+    names = "tracking_error yaw_error speed power positive_power torque torque_share action_rate"
+    names += " joint_speed tilt height"
     if not parts:
         return dict.fromkeys([*names.split(), "cost_of_transport", "positive_cost_of_transport"])
     weight = body.model.body_subtreemass[body.base_body] * np.linalg.norm(body.model.opt.gravity)
@@ -113,9 +120,12 @@ def measures(body: Body, recordings: Iterable[dict[str, Any]]) -> dict[str, floa
     power = [part["torque"] * part["speed"] for part in parts]  # [P, A] each
     watts = np.array([np.abs(p).sum(-1).mean() for p in power])
     positive = np.array([np.clip(p, 0, None).sum(-1).mean() for p in power])
-    error, change, torque = (
-        np.concatenate([part[name] for part in parts]) for name in ("error", "change", "torque")
+    error, change, torque, turning, qpos = (
+        np.concatenate([part[name] for part in parts])
+        for name in ("error", "change", "torque", "speed", "qpos")
     )
+    x, y, z = qpos[:, body.root[0] + np.array([4, 5, 2])].T
+    tilt = np.arccos(np.clip(1 - 2 * (x**2 + y**2), -1, 1))
     walks = speed > MIN_SPEED
     carried = weight * (speed * steps)[walks].sum()
 
@@ -129,56 +139,21 @@ def measures(body: Body, recordings: Iterable[dict[str, Any]]) -> dict[str, floa
         "power": float((watts * steps).sum() / steps.sum()),
         "positive_power": float((positive * steps).sum() / steps.sum()),
         "torque": float(np.abs(torque).mean()),
+        "torque_share": float(
+            np.quantile((np.abs(torque) / body.policy.effort_limit).max(-1), 0.99)
+        ),
         "action_rate": float(np.sqrt((change**2).mean())),
+        "joint_speed": float(np.sqrt((turning**2).mean())),
+        "tilt": float(tilt.mean()),
+        "height": float(z.mean()),
         "cost_of_transport": cost(watts),
         "positive_cost_of_transport": cost(positive),
     }
 
 
-def strides(contact: np.ndarray, brief: int) -> tuple[np.ndarray, np.ndarray]:
-    """`(swings, touchdowns)` of one foot's `contact [P]`: their lengths, and when each step begins.
-
-    A contact or a swing of fewer than `brief` rows is a bounce: it belongs to what is around it.
-    Swings that the recording cuts are left out.
-    """
-    on, off = intervals(contact)
-    cut = (on == 0) | (off == len(contact))
-    on, off = on[cut | (off - on >= brief)], off[cut | (off - on >= brief)]
-    swings = on[1:] - off[:-1]
-    real = swings >= brief
-    first = on[:1][on[:1] > 0]  # the end of a swing that had begun before
-    return swings[real], np.concatenate([first, on[1:][real]])
-
-
-def intervals(contact: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """`(first rows, rows after the last)` of the stretches of `contact [P]` that are True."""
-    edges = np.diff(np.concatenate([[0], contact.astype(int), [0]]))
-    return np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
-
-
 def gait(body: Body, recordings: Iterable[dict[str, Any]]) -> dict[str, Any]:
-    """How the feet move: `duty_factor`, `air_time`, `stride_frequency`, and these of each foot."""
-    contacts = [c for r in recordings if len(c := measured_rows(body, r)["contact"])]
-    timestep, each = body.model.opt.timestep, {}
-    for j, name in enumerate(body.foot_names):
-        found = [strides(c[:, j], body.substeps) for c in contacts]
-        swings = np.concatenate([np.zeros(0), *[swing for swing, _ in found]])
-        steps = [begins for _, begins in found if len(begins) > 1]
-        lasted = sum(int(begins[-1] - begins[0]) for begins in steps) * timestep
-        count = sum(len(begins) - 1 for begins in steps)
-        down = np.concatenate([c[:, j] for c in contacts]) if contacts else None
-        each[name] = {
-            "duty_factor": None if down is None else float(down.mean()),
-            "air_time": float(swings.mean() * timestep) if len(swings) else None,
-            "stride_frequency": count / lasted if count else None,
-        }
-    mean = {name: _mean(foot[name] for foot in each.values()) for name in [*each.values()][0]}
-    return mean | {"feet": each}
-
-
-def _mean(values: Iterable[float | None]) -> float | None:
-    known = [value for value in values if value is not None]
-    return float(np.mean(known)) if known else None
+    """How the feet move in the rows that count: `gait.measures`."""
+    return gait_lib.measures(body, [measured_rows(body, r) for r in recordings])
 
 
 def axes(policy: Policy, points: int = POINTS) -> dict[str, np.ndarray]:
@@ -206,8 +181,9 @@ def run(
     """`(numbers, recordings)` of one episode a command; `recordings` by command.
 
     The grid is vx by vy without turning, and vx by yaw rate without going sideways (`held`); `all`
-    is over these, its gait without the command to stand. `tell(done, total)` is called before every
-    episode, and at the end. `body` is the robot; None: the policy's own.
+    is over these, its gait without the command to stand; `standing` is the row of that command, or None
+    where it is not in the grid. `tell(done, total)` is called
+    before every episode, and at the end. `body` is the robot; None: the policy's own.
     """
     body = body or source.body(policy)[0]
     act, grid = policy_file.actor(policy.params, policy.activation), axes(policy, points)
@@ -224,11 +200,13 @@ def run(
     some = [found[command] for command in cells]
     walks = [r for r in some if np.linalg.norm(r["command"]) > MIN_SPEED]
     fallen = sum(r["fall"] is not None for r in some)
+    stands = [r for r in some if not r["command"].any()]
     numbers = {
         "seconds": seconds,
         "axes": {name: values.tolist() for name, values in grid.items()},
         "held": {name: held[name] for name in ("vy", "wz")},
         "all": {"episodes": len(some), "falls": fallen} | measures(body, some) | gait(body, walks),
+        "standing": _row(body, stands[0]) | gait(body, stands) if stands else None,
         "ahead": [_row(body, found[command]) | gait(body, [found[command]]) for command in ahead],
         "commands": [_row(body, r) for r in some],
     }

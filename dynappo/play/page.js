@@ -291,7 +291,7 @@ function arrows(scene, bodies, command, velocity) {
   const pairs = [[command, COLORS.command, 0], [velocity, COLORS.velocity, 1]];
   for (const [v, color, k] of pairs) {
     const speed = Math.hypot(v[0], v[1]);
-    const at = add(base.position, [0, 0, size * (0.3 + 0.085 * k)]);
+    const at = add(base.position, [0, 0, Math.max(0.3 * size, scene.top) + 0.085 * size * k]);
     if (speed > 0.05)
       place(straight(0.75 * size * speed, 0.02 * size, 20), yaw + Math.atan2(v[1], v[0]), at, color);
     const floor = [base.position[0], base.position[1], scene.floor + 0.02 * size];

@@ -22,6 +22,7 @@ import mujoco
 import numpy as np
 
 from dynappo.config import files
+from dynappo.policy import render
 from dynappo.policy.episode import Body
 
 HERE = Path(__file__).parent
@@ -91,6 +92,7 @@ def scene(body: Body, episode: dict[str, np.ndarray]) -> dict[str, Any]:
     relative = position - root[:, None]
     unit = max(float(np.abs(relative).max()), 1e-3) / 32767
     data = mujoco.MjData(model)
+    data.qpos[:] = episode["qpos"][0]
     mujoco.mj_kinematics(model, data)
     planes = [
         i for i in range(model.ngeom) if body.ground[i] and _kind(model, i) == "plane"
@@ -105,6 +107,9 @@ def scene(body: Body, episode: dict[str, np.ndarray]) -> dict[str, Any]:
         "dt": dt,
         "unit": unit,
         "floor": float(data.geom_xpos[planes[0], 2]) if planes else 0.0,
+        "top": render.lift(
+            model, data, body.base_body
+        ),  # m above the base, where an arrow is clear of it
         "radius": float(reach[robot].max()) * 1.15,  # m, about that of the robot
         "tile": 0.25,  # m, the side of a field of the floor
         "fall": float((fell[0] + 1) * dt) if len(fell) else None,

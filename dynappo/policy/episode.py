@@ -193,10 +193,17 @@ def reset(body: Body, data) -> None:
 def _lowest(model, data, geoms) -> np.ndarray:
     """Heights (m) of the lowest points of `geoms`; of a mesh, of the box around it."""
     ids = np.asarray(geoms, int)
-    row = data.geom_xmat[ids, 6:]  # third row of the rotation matrix
-    exact = contacts.lowest(contacts.floor_distance(model, ids), data.geom_xpos[ids, 2], row)
+    return lowest(model, ids, data.geom_xpos[ids, 2], data.geom_xmat[ids, 6:])
+
+
+def lowest(model, ids: np.ndarray, height: np.ndarray, row: np.ndarray) -> np.ndarray:
+    """Heights [..., G] (m) of the lowest points of geoms `ids` [G]; of a mesh, of the box around it.
+
+    `height` [..., G] is that of their centres, `row` [..., G, 3] the third row of each rotation matrix.
+    """
+    exact = contacts.lowest(contacts.floor_distance(model, ids), height, row)
     centre, half = model.geom_aabb[ids, :3], model.geom_aabb[ids, 3:]
-    around = data.geom_xpos[ids, 2] + (centre * row).sum(-1) - (half * np.abs(row)).sum(-1)
+    around = height + (centre * row).sum(-1) - (half * np.abs(row)).sum(-1)
     return np.where(np.isin(model.geom_type[ids], [*contacts.MOST]), exact, around)
 
 

@@ -48,6 +48,10 @@ PATIENCE = 20.0  # s that a second of film may take: a driver may hang
 LACKS_PACKAGE, CANNOT_WRITE = 3, 4  # exit statuses of the rendering process
 LACKS = "no video: {} is not installed; "
 SHORTEST = 0.05  # m/s, the slowest that is drawn as an arrow
+LIFT, CLEAR = (
+    0.14,
+    0.06,
+)  # m, of arrows: the least above the base, and above the robot's highest point
 GREEN, BLUE = (0.1, 0.7, 0.2, 0.9), (0.2, 0.4, 0.9, 0.9)  # arrows of command and velocity
 # half a megabyte per second; without a palette of the film's own colours the sky shows bands
 GIF = (
@@ -171,13 +175,21 @@ def arrow(scene, start, vector, rgba) -> None:
     scene.ngeom += 1
 
 
+def lift(model, data, base: int) -> float:
+    """Height (m) above body `base` at which an arrow clears the robot: a humanoid's trunk is above that."""
+    robot = np.flatnonzero(model.body_rootid[model.geom_bodyid] == base)
+    row, box = data.geom_xmat[robot, 6:], model.geom_aabb[robot]
+    top = data.geom_xpos[robot, 2] + (box[:, :3] * row).sum(-1) + (box[:, 3:] * np.abs(row)).sum(-1)
+    return max(LIFT, float(top.max() - data.xpos[base, 2]) + CLEAR)
+
+
 def arrows(scene, data, base: int, command, velocity) -> None:
     """Add the arrows of command (green) and velocity (blue) above body `base`."""
     x, y = data.xmat[base].reshape(3, 3)[:2, 0]
     heading = np.array([[x, -y], [y, x]]) / max(np.hypot(x, y), 1e-6)
-    start = data.xpos[base] + [0, 0, 0.14]
-    for vector, lift, rgba in ((command, 0.0, GREEN), (velocity, 0.04, BLUE)):
-        arrow(scene, start + [0, 0, lift], np.append(heading @ vector[:2], 0.0), rgba)
+    start = data.xpos[base] + [0, 0, lift(data.model, data, base)]
+    for vector, more, rgba in ((command, 0.0, GREEN), (velocity, 0.04, BLUE)):
+        arrow(scene, start + [0, 0, more], np.append(heading @ vector[:2], 0.0), rgba)
 
 
 def camera(model, base: int) -> mujoco.MjvCamera:

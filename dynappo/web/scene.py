@@ -20,7 +20,7 @@ from dynappo.web import live as live_lib
 from dynappo.web.live import Live
 
 GREEN, BLUE = (26, 158, 77), (33, 107, 237)  # command and velocity, as on the page in one file
-LIFT = (0.14, 0.18)  # m above the base
+LIFT = (0.0, 0.04)  # m, command and velocity
 LONG = 0.5  # m of an arrow for each m/s
 SHORTEST = 0.05  # m/s of an arrow that is drawn
 NARROW = 0.65  # width over height: a phone held upright, where viser puts its buttons at the bottom
@@ -120,11 +120,12 @@ def update(shown: Shown, live: Live) -> None:
     at = data.xpos[base] - origin
     x, y = data.xmat[base].reshape(3, 3)[:2, 0]
     heading = np.array([[x, -y], [y, x]]) / max(np.hypot(x, y), 1e-6)
+    above = render.lift(live.body.model, data, base)
     with shown.server.atomic():
         for arrow, lift, name in zip(shown.arrows, LIFT, ("command", "velocity"), strict=True):
             tip = np.append(heading @ live.row[name][:2] * LONG, 0.0)
             arrow.visible = bool(np.linalg.norm(tip) > SHORTEST * LONG)
-            start = at + [0, 0, lift]
+            start = at + [0, 0, above + lift]
             arrow.points = np.stack([start, start + tip])[None].astype(np.float32)
         shown.box.position, shown.box.wxyz = at, data.xquat[base]
         shown.robot.update_from_mjdata(data)

@@ -16,7 +16,8 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from dynappo.evaluate import stress, trials
+from dynappo.evaluate import stress
+from dynappo.evaluate.gait import intervals
 from dynappo.policy import episode, policy_file, source
 from dynappo.tasks.velocity import observe
 
@@ -56,7 +57,7 @@ def measure(policy) -> dict[str, float]:
             if settled:
                 changes.append((action - before) * policy.action_scale / (dt * body.substeps))
         for height in np.array(heights).T:
-            swings = zip(*trials.intervals(height > LOW), strict=True)
+            swings = zip(*intervals(height > LOW), strict=True)
             clearances += [height[on:off].max() for on, off in swings if (off - on) * dt >= SWING]
     weight = model.body_subtreemass[body.base_body] * -model.opt.gravity[2]
     return {

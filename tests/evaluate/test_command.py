@@ -70,7 +70,7 @@ def test_the_command_writes_what_it_prints(saved, tmp_path, monkeypatch, capsys,
         told.setdefault(line[:24].strip(), re.split(r"\s{2,}", line[24:].strip()))
     sweep = written["sweep"]
     for name, label, text in evaluate_show.ROWS:
-        columns = [sweep["all"], *sweep["ahead"]]
+        columns = [sweep["all"], *sweep["ahead"], sweep["standing"]]
         expected = ["-" if c[name] is None else text.format(c[name]) for c in columns]
         assert told[label.strip()] == expected, label
     text = "\n".join(lines)

@@ -79,7 +79,7 @@ def test_a_page_plays_the_poses_of_mujoco(written, body, walked):
         values = pages.numbers(scene, name, "<f4", 3)
         np.testing.assert_allclose(values, walked[name], atol=1e-6)
     assert scene["floor"] == 0 and scene["fall"] is None
-    assert 0.3 < scene["radius"] < 0.7
+    assert 0.3 < scene["radius"] < 0.7 and scene["top"] == pytest.approx(0.14, abs=0.02)
 
 
 def test_a_page_needs_nothing_from_anywhere(written):

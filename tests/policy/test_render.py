@@ -1,5 +1,6 @@
 """The film: a file with the robot in its middle, or a line that says why not and what to install."""
 
+import itertools
 import re
 import sys
 
@@ -9,6 +10,7 @@ import pytest
 from answers import shell
 from toy_policy import GO1, described
 
+from dynappo.config import files
 from dynappo.config import shell as shell_lib
 from dynappo.policy import episode, policy_file, render
 
@@ -222,3 +224,24 @@ def test_without_room_for_its_own_files_a_film_is_one_line(standing, tmp_path, m
     monkeypatch.setattr(render.np, "savez", full)
     problem = render.film(GO1, rows_of(standing, slice(2)), tmp_path / "video.mp4")
     assert problem == "no video: cannot write a temporary file (No space left on device)"
+
+
+@pytest.mark.parametrize("name", ["go1", "g1"])
+def test_arrows_are_above_the_robot_a_humanoid_s_head_too(name):
+    """By the corners of the boxes around all shapes; a Go1's are where they always were."""
+    path = files.find("robots", f"{name}/{name}.xml")
+    model = mujoco.MjModel.from_xml_path(str(path))
+    data = mujoco.MjData(model)
+    data.qpos[:] = model.key("home").qpos
+    mujoco.mj_forward(model, data)
+    scene = mujoco.MjvScene(model, 10)
+    render.arrows(scene, data, 1, np.array([1.0, 0, 0]), np.array([0.5, 0, 0]))
+    top = -np.inf
+    for i in range(1, model.ngeom):
+        for signs in itertools.product((-1, 1), repeat=3):
+            corner = model.geom_aabb[i, :3] + signs * model.geom_aabb[i, 3:]
+            top = max(top, data.geom_xpos[i, 2] + data.geom_xmat[i, 6:] @ corner)
+    heights = [scene.geoms[k].pos[2] for k in range(2)]
+    assert scene.ngeom == 2 and min(heights) > top + 0.05
+    if name == "go1":
+        assert heights[0] == pytest.approx(data.xpos[1, 2] + 0.14, abs=1e-5)

@@ -18,9 +18,8 @@ from dynappo.tasks.velocity import env as env_lib
 from dynappo.tasks.velocity import reward_sum, rewards
 
 ROBOTS, DT, MOST, PAID = 24, 0.02, 0.7, -2.5
-TERMS = (
-    "alive upright posture posture_deviation feet_air_time_biped foot_slip feet_distance".split()
-)
+TERMS = "alive upright posture posture_deviation feet_air_time_biped foot_slip foot_drag".split()
+TERMS += ["feet_distance"]
 KNOWN = set(TERMS) - {"feet_air_time_biped", "foot_slip"}
 STD = {".*_knee_joint": 0.4, "waist_.*": 0.1, ".*": 0.2}
 
@@ -83,7 +82,7 @@ def feet_in_mujoco(robot, qpos, qvel):
     model, data = robot.mj_model, mujoco.MjData(robot.mj_model)
     data.qpos[:], data.qvel[:] = qpos, qvel
     mujoco.mj_forward(model, data)
-    places, velocities = [], []
+    places, velocities, heights = [], [], []
     for foot in range(2):
         shapes = robot.feet[robot.foot_of == foot]
         body, middle, six = (
@@ -93,16 +92,17 @@ def feet_in_mujoco(robot, qpos, qvel):
         )
         mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_XBODY, body, six, 0)
         velocities.append(six[3:] + np.cross(six[:3], middle - data.xpos[body]))
+        heights.append(middle[2])
         base = robot.base_body
         places.append(data.xmat[base].reshape(3, 3).T @ (middle - data.xpos[base]))
-    return np.array(places), np.array(velocities)
+    return np.array(places), np.array(velocities), heights
 
 
 def by_loops(world, i):
     """The terms of robot `i` after the step, a number at a time."""
     robot, after = world.robot, world.after
     qpos, command = after.qpos[i].astype(float), np.asarray(world.before.command[i], float)
-    places, velocities = feet_in_mujoco(robot, qpos, after.qvel[i].astype(float))
+    places, velocities, heights = feet_in_mujoco(robot, qpos, after.qvel[i].astype(float))
     down = after.contact_steps[i] > 0
     moves = math.sqrt(sum(c**2 for c in command)) > 0.1
     std = per_joint.numbers("", tuple(STD.items()), robot.joint_names, "g1")
@@ -120,6 +120,10 @@ def by_loops(world, i):
         posture_deviation=sum(x**2 for x in off),
         feet_air_time_biped=min(0.4, *since) if paid else 0.0,
         foot_slip=sum(math.hypot(*v[:2]) for v, d in zip(velocities, down, strict=True) if d),
+        foot_drag=sum(
+            math.hypot(*v[:2]) * max(0.0, 0.1 - (z - min(heights)))
+            for v, z in zip(velocities, heights, strict=True)
+        ),
         feet_distance=max(0.0, 0.2 - (places[0, 1] - places[1, 1])),
     )
 
@@ -132,6 +136,7 @@ def test_every_term_of_a_step_is_that_of_plain_loops_and_of_c_mujocos_velocities
     paid = [row["feet_air_time_biped"] for row in rows]
     assert 0.4 in paid and 0 in paid and any(0 < x < 0.39 for x in paid)
     assert sum(row["foot_slip"] > 0.1 for row in rows) > ROBOTS / 2
+    assert sum(row["foot_drag"] > 0.01 for row in rows) > ROBOTS / 2
     assert (
         sum(row["feet_distance"] > 0.01 for row in rows)
         > 3

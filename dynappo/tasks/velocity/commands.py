@@ -10,6 +10,9 @@ The paper draws a command uniformly and keeps it for the episode. Isaac Lab's ta
 - `task.resample_steps`: the command is drawn again after so many control steps (0: never);
 - `task.standing`: with this probability, at each draw, the robot is asked to stand still.
 
+`task.turning` is the probability of a command that only turns, on the spot: of uniform draws, few are near
+to one.
+
 The part of a rollout that the transition model writes keeps the command of its first row.
 """
 
@@ -29,12 +32,15 @@ def draw(task, hyper: Hyper, qpos, key: PRNGKeyArray) -> tuple[Float[Array, " 3"
     ranges = hyper.task.command_x, hyper.task.command_y, hyper.task.command_yaw
     *velocity, heading, standing = jax.random.uniform(key, (5,))
     command = [low + (high - low) * u for u, (low, high) in zip(velocity, ranges, strict=True)]
+    stands = hyper.task.standing
+    turns = (standing >= stands) & (standing < stands + hyper.task.turning)
     goal = Goal(
         heading=(2 * heading - 1) * jnp.pi,
-        standing=(standing < hyper.task.standing).astype(jnp.float32),
+        standing=(standing < stands).astype(jnp.float32),
         steps_left=jnp.int32(task.resample_steps),
     )
-    return follow(task, hyper, jnp.stack(command), goal, qpos), goal
+    drawn = jnp.stack(command) * jnp.stack([1 - turns, 1 - turns, 1])
+    return follow(task, hyper, drawn, goal, qpos), goal
 
 
 def follow(task, hyper: Hyper, command, goal: Goal, qpos):

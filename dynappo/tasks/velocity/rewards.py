@@ -199,6 +199,19 @@ def foot_slip(foot_velocity, gravity, contact):
     return (xp.sqrt(((foot_velocity - up) ** 2).sum(-1)) * contact).sum()
 
 
+def foot_drag(foot_position, foot_velocity, gravity, wanted=0.1):
+    """Sum over feet of horizontal speed, m/s, times what the foot lacks to `wanted`, m, above the lowest.
+
+    Of the middles of feet. One that moves near the ground costs, and one that slides. mjlab: foot_clearance,
+    of heights above the ground, and for higher feet too; those above the lowest foot follow from joints.
+    """
+    xp = foot_velocity.__array_namespace__()
+    height = -(foot_position * gravity).sum(-1)
+    lacks = xp.clip(wanted - (height - height.min()), 0, None)
+    up = (foot_velocity * gravity).sum(-1, keepdims=True) * gravity
+    return (xp.sqrt(((foot_velocity - up) ** 2).sum(-1)) * lacks).sum()
+
+
 def feet_distance(foot_position, foot_side, least=0.2):
     """m by which left feet are less than `least` to the left of right ones, in the mean; base frame.
 
