@@ -213,12 +213,8 @@ def test_falls_are_told_in_lines():
     ]
 
 
-# of the ten seeds of results/headline.csv.xz none of a Go1 falls in 0 of these changes (results/changes.txt)
-FALLS = pytest.mark.xfail(strict=True, reason="falls in 3 of 200, all reversals of its direction")
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [pytest.param("go1", marks=FALLS), *BUNDLED[1:]])
+@pytest.mark.parametrize("name", BUNDLED)
 def test_no_bundled_policy_falls_when_its_command_changes(name):
     found = changes.run(bundled(name))
     assert (found["changes"], found["falls"], found["start_falls"]) == (200, 0, 0)
