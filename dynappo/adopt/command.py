@@ -1,8 +1,8 @@
 """Make a robot of a published MJCF or URDF: `dynappo adopt FILE --name=NAME`.
 
-It writes robots/NAME/ (the MJCF in the form that is trained here, the published looks, a README with source,
-licence and every assumption) and configs/NAME.py, looks at the robot, and prints the next command. It asks
-nothing and overwrites nothing. C MuJoCo and NumPy, without JAX; it takes a few seconds.
+It writes robots/NAME/ (the MJCF in the form that dynappo trains, the published looks, a README with source,
+licence and every assumption) and configs/NAME.py, checks the robot, and prints the next command. It asks
+nothing, and overwrites nothing without --force. C MuJoCo and NumPy, without JAX; it takes a few seconds.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Puts the looks of a published file back on its completed robot: meshes, materials, pictures.
 
-Physics never sees them (group 2). Completing a robot may merge bodies and turn frames, so each look is
-placed by where it is in the world: the base at the origin, all joints at the same angles in both models.
+Physics never sees them (group 2). `complete` may have merged bodies and turned frames. Each look therefore
+goes to its place in the world, with the base at the origin and the joints of both models at the same angles.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Brings a completed robot into the form in which robots are trained here: solver, feet, joints, a scene."""
+"""Brings a completed robot into the form that dynappo trains: solver, feet, joints, frames, a scene."""
 
 from __future__ import annotations
 

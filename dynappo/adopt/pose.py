@@ -1,4 +1,4 @@
-"""A default pose for a file that has none: of a scene beside it, else legs bent by a rule."""
+"""A default pose for a file without one: that of a scene beside it, else legs bent by a rule."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """The time of each part of an iteration, measured on the program that trains.
 
-The compiled chunk takes the number of real rows and of epochs as arguments, so the parts are
-differences between calls of the same program: the times they take inside it.
+The compiled chunk takes the number of real rows and of epochs as arguments. The time of a part is the
+difference between two calls of that program.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Which fields a config has, and what each may hold: as dynappo's own configs/default.py says."""
+"""Which fields a config has, and what each may hold, as configs/default.py says."""
 
 from __future__ import annotations
 

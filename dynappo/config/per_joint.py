@@ -1,4 +1,4 @@
-"""Numbers of joints: from what a config says (`PerJoint` in configs/default.py) to a number a joint."""
+"""Turns what a config says of its joints (`PerJoint` in configs/default.py) into a number for each joint."""
 
 from __future__ import annotations
 

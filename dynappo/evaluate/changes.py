@@ -1,12 +1,12 @@
-"""Does a policy stay on its feet when its command changes? In C MuJoCo and NumPy, as it is played.
+"""Measures whether a robot falls when its command changes, in C MuJoCo and NumPy.
 
-`run`: `NUMBER` changes of command. A walk is a first command and `PER_WALK` changes, each to a command
-drawn uniformly from the ranges that were trained, after `EVERY` seconds of the one before. A robot that
-falls is put on its feet at once and goes on with the same command, as on the live page: so every change
-is made, and a change counts as a fall where the robot falls before the next one. Falls under the first
-command of a walk, before anything has changed, are counted apart (`start_falls`).
+`run` makes `NUMBER` changes of command. A walk is a first command and `PER_WALK` changes, each after `EVERY`
+seconds, to a command drawn uniformly from the ranges of training. A robot that falls is put on its feet at
+once and goes on with the same command, as on the live page, so every change takes place. A change counts as
+a fall if the robot falls before the next one. Falls under the first command of a walk count apart
+(`start_falls`).
 
-`tours`: the tours that the film and the live page show.
+`tours` plays the tours that the film and the live page show.
 
 A blow-up of the physics is a fall.
 """

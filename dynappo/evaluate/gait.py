@@ -1,18 +1,18 @@
-"""How the feet move in recorded trials, of any number of them. NumPy only.
+"""How the feet move in recorded trials, for any number of feet. NumPy only.
 
-Of each foot, and their mean; contacts and swings shorter than a control step are bounces and do not count:
+For each foot, and their mean; contacts and swings shorter than a control step are bounces and do not count:
 
 - `duty_factor`: share of time on the ground; `air_time` (s): mean duration of its swings;
   `stride_frequency`: touch-downs a second
-- `clearance` (m): the highest that its lowest point is in a swing, mean over swings
+- `clearance` (m): the greatest height of its lowest point in a swing, mean over swings
 - `slip` (m/s): horizontal speed of the points that touch the ground, mean weighted with their load. A
   foot that rolls over its edge does not slip
 
-Of all feet:
+For all feet together:
 
 - `flight`: share of time with every foot in the air
-- `asymmetry`: difference of the mean swings of the left and of the right feet, share of their mean. Left
-  and right as the default pose has them
+- `asymmetry`: difference between the mean swings of the left and the right feet, as a share of their mean.
+  The default pose says which feet are left
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Writes report.html: the results of an evaluation, and the robot under each command, in one file.
 
-The tables are those of `show`, the maps those of `figures`, the player is the page of `dynappo play`,
-which is there once: a click on a command gives it that command's recording.
+The tables come from `show`, the maps from `figures`, the player from the page of `dynappo play`. There is one
+player: a click on a command loads that command's recording into it.
 """
 
 from __future__ import annotations

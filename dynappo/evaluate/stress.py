@@ -1,17 +1,17 @@
 """Robustness tests: latency, friction, payload, weak motors, pushes, noise, other physics.
 
-Eight commands of ten seconds for each disturbance, in C MuJoCo, with every contact and a solver that
-converges; NumPy only. The same commands and the same random numbers for each, so that rows of the table
-differ by the disturbance alone.
+Eight commands of ten seconds for each disturbance, in C MuJoCo and NumPy, with every contact and a solver
+that converges. Commands and random numbers are the same for each, so rows of the table differ by the
+disturbance alone.
 
-- a delay is of the actions, or of the observations; both together is their sum (physics/randomize.py).
-  `jitter` adds a delay to each action by itself, uniform from 0; none overtakes another
+- a delay is of the actions, of the observations, or of both, where the two add up (physics/randomize.py).
+  `jitter` adds to each action a delay of its own, uniform from 0; none overtakes another
 - friction is that of every contact with the ground; mass is added to the base, its inertia scaled with it
 - `motors` is the share of the torque that arrives
 - a push adds a horizontal velocity of the given size to the base's, in a random direction, every 2 s
 - noise is that of training (Isaac Lab's, `configs/default.py`)
-- `velocity` is what the policy reads of its linear velocity, times the true one. A policy that does not
-  see it has no such row
+- `velocity` is the share of the true linear velocity that the policy reads. A policy that does not see it has
+  no such row
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Measures a policy under each command of a grid: tracking, effort and gait, in C MuJoCo and NumPy.
 
-With every contact, a solver that converges, no noise, and one episode for each command. Definitions,
-over the time after the first second and before a fall:
+One episode for each command, with every contact, a solver that converges, and no noise. Definitions, over
+the time after the first second and before a fall:
 
 - `tracking_error`, `yaw_error`: root mean squares of the planar velocity and of the yaw rate, as in
   `dynappo/scores.py`;

@@ -1,7 +1,7 @@
 """Check a robot before training: `dynappo look CONFIG --out=look.png`.
 
-It shows what the MJCF and the config add up to: mass, joints, whether the PD is stable, and how the
-robot stands with it. C MuJoCo and NumPy, without JAX; it takes a second or two.
+It shows what robot the MJCF and the config make: mass, joints, whether the PD is stable, and how the robot
+stands with it. C MuJoCo and NumPy, without JAX; it takes a second or two.
 """
 
 from __future__ import annotations

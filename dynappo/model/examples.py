@@ -1,6 +1,6 @@
 """The transition model's training data: rows of a rollout as inputs, targets and weights.
 
-The model predicts the observation's `prop`, with `model.clean` without its noise. The rest of an
+The model predicts the observation's `prop`, without its noise if `model.clean` is set. The rest of the
 observation, the context, is known (`Env.advance`).
 """
 

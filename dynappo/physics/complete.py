@@ -1,11 +1,11 @@
 """Completes a robot's file, so that any MJCF of a robot can be trained: `complete(spec) -> Completed`.
 
-Published files differ in what they leave to a scene, and in what they bring beside the robot. What
-`robot_contract` expects is therefore put in place when a file is read, and each change is a line for a
-person. A file that lacks nothing goes through untouched: the same compiled model, and no line.
+Published files differ in what they leave to a scene, and in what they contain beside the robot. `complete`
+makes of them what `robot_contract` expects, with a line for the user about each change. A complete file
+stays untouched: the same compiled model, and no line.
 
-The order matters: masses are fixed before the shapes that they come from go, bodies are merged before
-limbs are looked at, and the feet are known before meshes become primitives that must end above them.
+The order of steps matters: masses are fixed before the shapes that they come from go, bodies are merged
+before limbs are found, and feet are found before meshes become primitives that must end above them.
 """
 
 from __future__ import annotations

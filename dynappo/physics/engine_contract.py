@@ -1,7 +1,7 @@
 """Checks that an engine has what a robot's file asks for: `check(robot, physics, impl)`.
 
-NumPy and C MuJoCo; MJX and MuJoCo Warp, whose import takes seconds, are asked only about files with more
-in them than every engine has (`PLAIN`).
+NumPy and C MuJoCo. It imports MJX or MuJoCo Warp, which takes seconds, only for files that have more than
+every engine can simulate (`PLAIN`).
 """
 
 from __future__ import annotations

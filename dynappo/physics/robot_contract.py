@@ -14,8 +14,8 @@
 
 Frames may be turned, joints may have a place and a `ref`, several may share a body, and need no range.
 
-What else a file may have (equalities, tendons, springs, ...) is simulated by every engine that has it;
-an engine that lacks it says so (engine.py). On a GPU it takes several times as long (warp/scope.py).
+A file may have more (equalities, tendons, springs, ...): an engine simulates it or says that it cannot
+(engine_contract.py). On a GPU a control step then takes several times as long (warp/scope.py).
 """
 
 from __future__ import annotations

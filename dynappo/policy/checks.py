@@ -1,6 +1,6 @@
 """Checks a policy from a file: types, shapes, and ranges that make sense for a walking robot.
 
-Ranges are generous: a value outside is a mistake, or meant to harm.
+Ranges are generous: a value outside is a mistake or an attack.
 """
 
 from __future__ import annotations

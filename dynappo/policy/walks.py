@@ -1,16 +1,16 @@
 """Whether a robot walks: one definition, for what the commands print and for every experiment. NumPy only.
 
 **A robot walks** from the first evaluation on at which its return is at least its level and at most 1 % of
-the episodes have a fall, if both hold at every later evaluation too. One evaluation alone has no later
-ones. A share of 1 % is told apart from 2 % by about a thousand episodes.
+the episodes have a fall, if both hold at every later evaluation, too. A single evaluation has no later ones.
+It takes about a thousand episodes to tell 1 % from 2 %.
 
-The level is a share of the best possible return, that of perfect tracking, `(w_lin + w_yaw) T` in episodes
-of T seconds (tasks/velocity/rewards.py): 38 of 45 with the weights of the Unitree tasks, 24 of 30 with
-those of ANYmal's, 20 s each. With weights of your own it is the smaller share, 0.8.
+The level is a share of the return of perfect tracking, `(w_lin + w_yaw) T` in episodes of T seconds
+(tasks/velocity/rewards.py): 38 of 45 with the weights of the Unitree tasks, 24 of 30 with the ANYmals', both
+in 20 s. With weights of your own it is the smaller share, 0.8.
 
 With `run.walks` = "tracking" the level is one of errors: at most 0.2 m/s and 0.25 rad/s, root mean squares
-as in dynappo/scores.py. A biped is also paid for its posture and for being upright, so its return says
-little about how it tracks.
+as in dynappo/scores.py. A biped's reward has terms for posture and uprightness, so its return says little
+about how it tracks.
 """
 
 from __future__ import annotations

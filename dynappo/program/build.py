@@ -1,8 +1,8 @@
-"""From a validated config to a compiled program: `program(config)`. `check(config)` finds mistakes
-first, in a second.
+"""Turns a validated config into a compiled program: `program(config)`. `check(config)` finds mistakes before
+that, in a second.
 
-A `Program` has the robot, the environment, the first state, the one compiled call that a run
-repeats, and the evaluation.
+A `Program` has the robot, the environment, the first state, the one compiled call that a run repeats, and
+the evaluation.
 """
 
 from __future__ import annotations

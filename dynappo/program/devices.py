@@ -1,6 +1,6 @@
 """Chooses the devices and the engine of a run, and sets up JAX for a command.
 
-Only commands call `own_process`: in a notebook it would override the user's own settings.
+Only commands call `own_process`: in a notebook it would override the user's settings.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What `dynappo train` prints: what a run will do, how it goes, what came out, what to do next."""
+"""What `dynappo train` prints: what a run will do, its progress, its results, what to do next."""
 
 from __future__ import annotations
 

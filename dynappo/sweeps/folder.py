@@ -1,4 +1,4 @@
-"""The folder of a sweep: a `sweep.json`, and the folder of a run for each combination."""
+"""The folder of a sweep: a `sweep.json`, and a run's folder for each combination."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The combinations of a sweep, from the text of a command line; and which of them train in one program."""
+"""Reads the combinations of a sweep from a command line, and says which of them train in one program."""
 
 from __future__ import annotations
 

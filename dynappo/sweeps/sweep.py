@@ -1,4 +1,4 @@
-"""All combinations of a sweep, one group after the other, told to a person."""
+"""Trains all combinations of a sweep, one group after the other, and reports to the user."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a sweep came to: a row for each combination, best first; on screen and as sweep.csv."""
+"""The results of a sweep: a row for each combination, best first; on screen and as sweep.csv."""
 
 from __future__ import annotations
 

@@ -1,9 +1,8 @@
 """The command `dynappo train`: its flags, and what stops it.
 
-It stands above `run` and `sweeps`, which know nothing of it: without --sweep it trains one run with
-`run.training.train_together`, with --sweep a list of them with `sweeps.sweep`, which calls the same. So
-imports go one way, `run` <- `sweeps` <- `train`, and the command is where every command is, in
-`dynappo/NAME/command.py`.
+Without --sweep it trains one run with `run.training.train_together`; with --sweep a list of them with
+`sweeps.sweep`, which calls the same. `run` and `sweeps` know nothing of this command: imports go one way,
+`run` <- `sweeps` <- `train`.
 """
 
 from __future__ import annotations

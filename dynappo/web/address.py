@@ -1,4 +1,4 @@
-"""Where the page is served: what `--serve[=PORT]` means. Without viser, so that any command may ask."""
+"""The address of the page: what `--serve[=PORT]` means. Without viser, so any command may import it."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """A robot that walks in real time in C MuJoCo while others look, steer and push.
 
 `Live` holds all state, and one thread (`run`) changes it. Other threads put functions into
-`Live.wishes` (`wish`); `run` calls them between two control steps, so that no lock is needed.
+`Live.wishes` (`wish`); `run` calls them between two control steps, so no lock is needed.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """The policies that the page offers: the bundled ones, and those of a run, the newest first.
 
-A run that trains writes its policy anew at every checkpoint; `watch` sees that.
+A run that trains writes its policy anew at every checkpoint; `watch` notices.
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 
     serve(Offer("runs/go1", None, None, False), Address("127.0.0.1", 8080))
 
-Physics and drawing are in the thread that calls `serve`; viser has its own for the browsers. A viewer
-that comes or goes changes nothing for the robot.
+Physics and drawing run in the thread that calls `serve`; viser has its own threads for the browsers. A
+viewer that comes or goes changes nothing for the robot.
 """
 
 from __future__ import annotations

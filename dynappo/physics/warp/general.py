@@ -1,5 +1,5 @@
-"""A control step of any file by MuJoCo Warp's own step: where the kernel declines (`scope.declines`), as
-with dry friction, or contacts of every part.
+"""A control step of any file by MuJoCo Warp's own step, where our kernel declines (`scope.declines`): with
+dry friction, for example, or contacts of every part.
 """
 
 from __future__ import annotations

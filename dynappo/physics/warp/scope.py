@@ -1,11 +1,10 @@
-"""Which models the kernel of quadruped.py computes whole; `declines` says why it does not.
+"""Which models the kernel of quadruped.py computes whole; `declines` names what it cannot compute.
 
-An allow-list: what the kernel reads of a model is written down as a new model, by MuJoCo's own
-compiler. The kernel computes the given model only if the two are equal, field by field, but for
-those of `HARMLESS`. So nothing that it does not read can be dropped in silence: a tendon, a spring,
-a flag, and what a later MuJoCo adds, make the two differ. Such a model goes to MuJoCo Warp's own
-step (general.py), which takes about seven times as long (1024 Go1 on an H200). NumPy and C MuJoCo
-only, so that a robot can be looked at where there is no GPU.
+An allow-list: MuJoCo's compiler makes a second model of only what the kernel reads. The kernel takes the
+given model if the two are equal, field by field, but for those of `HARMLESS`. So it drops nothing in
+silence: a tendon, a spring, a flag, and what a later MuJoCo adds, make the two differ. Such a model takes
+MuJoCo Warp's own step (general.py), about seven times as long (1024 Go1 on an H200). NumPy and C MuJoCo
+only, so `dynappo look` can ask where there is no GPU.
 """
 
 from __future__ import annotations

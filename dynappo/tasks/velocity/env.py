@@ -1,7 +1,7 @@
 """The velocity task as an `Env`: `make(robot, task, physics)`; all functions are of one robot.
 
-It follows Isaac Lab's flat velocity tasks and the paper; where they differ, `task.formulation`
-chooses, and configs/README.md says how. Order inside a control step
+It follows Isaac Lab's flat velocity tasks and the paper. Where they differ, `task.formulation` chooses
+(configs/README.md). Order inside a control step
 (isaaclab/envs/manager_based_rl_env.py): action, four physics steps with the actuator model in each,
 terminations, rewards, command, push, observation. `autoreset` does the reset.
 """

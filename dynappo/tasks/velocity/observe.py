@@ -14,9 +14,9 @@ qpos and qvel, because after `mjx.step` every derived quantity is one substep ol
 |                  | 36-47 | previous action                                          |            |
 
 The order is the paper's, o = [q, qd, g, v, w] and [c, a]: the transition model predicts the first,
-and `advance` computes the second. `PREDICTED` and `KNOWN` define the parts; sizes, noise, mirror
-image, the tables of ONNX files and what a reward term can ask for follow from them. To add a part,
-add an entry there and a value in `observe`, and for `KNOWN` also one in `advance` (docs/task.md).
+and `advance` computes the second. `PREDICTED` and `KNOWN` define the parts; from them follow sizes, noise,
+mirror image, the tables of ONNX files and what a reward term can ask for. To add a part, add an entry there
+and a value in `observe`, and for `KNOWN` also one in `advance` (docs/task.md).
 """
 
 import re

@@ -1,4 +1,4 @@
-"""The left-right mirror image of a robot's joints, and that its motors are their own: NumPy, C MuJoCo.
+"""The mirror image of a robot's joints, and a check that its motors are symmetric. NumPy and C MuJoCo.
 
 The partner of a joint is the joint at the mirrored place, about the mirrored axis, in the home pose; the
 two axes decide the sign. A joint on the middle plane is its own partner.

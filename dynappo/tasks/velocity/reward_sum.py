@@ -1,4 +1,4 @@
-"""The reward: finds the term of each weight, calls it with what it asks for, and sums.
+"""The reward: finds the term of each weight, calls it with its arguments, and sums.
 
 `task.weights.NAME` is the weight of the function `NAME` in rewards.py, and the function's
 parameters say what it needs. So a new term takes two changes: the function, and its weight.
