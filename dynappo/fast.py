@@ -197,6 +197,6 @@ def fill(
 
 
 def grouped(rows: Transition) -> tuple[Float[Array, "... 8 R"], dict[str, Array]]:
-    """The fields of one number a robot as one array, and the others."""
+    """The fields with one number for each robot as one array, and the other fields."""
     fields = {name: getattr(rows, name) for name in Transition.__dataclass_fields__}
     return jnp.stack([fields.pop(name) for name in NUMBERS], -2), fields

@@ -55,7 +55,7 @@ def row_keys(key: PRNGKeyArray, robot_index: Int[Array, " R"]) -> Callable[..., 
 
 
 def write(rows: Any, t: Int[Array, ""], row: Any) -> Any:
-    """`rows` with `row` in the place t."""
+    """`rows` with `row` as its row t."""
     return jax.tree.map(lambda every, one: every.at[t].set(one), rows, row)
 
 

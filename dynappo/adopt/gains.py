@@ -46,7 +46,7 @@ ROTOR = 6e-4  # kg m^2 for each N m
 
 
 class Motors(NamedTuple):
-    """Numbers of `A` joints, as the config's group `task` has them."""
+    """Numbers of the motors of `A` joints, as in the config's group `task`."""
 
     kp: np.ndarray  # [A] N m/rad
     kd: np.ndarray  # [A] N m s/rad
@@ -56,7 +56,7 @@ class Motors(NamedTuple):
 
 
 def reach(robot: robot_lib.Robot) -> float:
-    """How far the feet are below the base in the default pose (m)."""
+    """How far below the base the feet are in the default pose (m)."""
     return float(robot.home_qpos[2])
 
 
@@ -226,7 +226,7 @@ def _with(
 
 
 def _moves(sinks: float) -> str:
-    """A share of its height by which a robot sinks, or rises where springs push it up."""
+    """By what share of its height a robot sinks, or rises if springs push it up."""
     return f"{'sinks' if sinks > 0 else 'rises'} by {abs(sinks):.0%} of its height"
 
 

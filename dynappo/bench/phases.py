@@ -19,10 +19,14 @@ FITS = 10  # times the epochs of a fit, to measure one
 def measure(config, program, state, repeats: int = 5) -> dict[str, float]:
     """Median ms of `iteration` (as the schedule ends), `physics` and `tail` (a row), `fit`, `ppo`.
 
-    With T(rows, epochs) the time of an iteration: `fit` = (T(N_r, 10 epochs) - T(N_r, 0)) / 10 at the
-    last N_r, because one fit can be less than a CPU's physics varies; without a model `physics` =
-    (T(N) - T(0)) / N. With one, T(0, 0) has N tail rows: their cost is measured by itself (`tail`, one
-    row), and `physics` is corrected by it. `ppo` is the rest: advantages, minibatches, gradient steps.
+    T(rows, epochs) is the time of an iteration.
+
+    - `fit` = (T(N_r, 10) - T(N_r, 0)) / 10 at the last N_r, because one fit can be less than a CPU's
+      physics varies
+    - `physics` = (T(N) - T(0)) / N without a model. With one, T(0, 0) has N rows of a tail: `tail` is the
+      time of one of them, measured by itself, and corrects `physics`
+    - `ppo` is the rest: advantages, minibatches, gradient steps
+
     `tail` and `ppo` are those of one round.
     """
     horizon = config.rollout.horizon

@@ -13,7 +13,7 @@ from dynappo.config.fields import ConfigError
 
 
 def names() -> list[str]:
-    """The fields, all of the group `task`, without that: kp, kd, ..."""
+    """The names of these fields of the group `task`: kp, kd, ..."""
     return [name.partition(".")[2] for name, field in fields.every().items() if field.per_joint]
 
 

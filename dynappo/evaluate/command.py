@@ -109,7 +109,7 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
 
 
 def folder(what: str, path: Path) -> Path:
-    """Where the evaluation of `what`, found at `path`, goes by default."""
+    """The default folder for the evaluation of `what`, found at `path`."""
     if what in files.bundled():
         return Path(f"evaluation-{what}")
     workdir = path.parent.parent if path.is_dir() else path.parent

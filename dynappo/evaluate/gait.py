@@ -61,7 +61,7 @@ def intervals(contact: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def stances(contact: np.ndarray, brief: int) -> tuple[np.ndarray, np.ndarray]:
     """`intervals` of one foot's `contact [P]` without bounces, which belong to what is around them.
 
-    A bounce is a contact or a swing of fewer than `brief` rows. What the recording cuts is none.
+    A bounce is a contact or a swing of fewer than `brief` rows. One that the recording cuts is no bounce.
     """
     on, off = intervals(contact)
     long = (on == 0) | (off == len(contact)) | (off - on >= brief)
@@ -83,10 +83,10 @@ def strides(contact: np.ndarray, brief: int) -> tuple[np.ndarray, np.ndarray, np
 
 
 def measures(body: Body, parts: Iterable[Mapping[str, np.ndarray]]) -> dict[str, Any]:
-    """The measures above over several recordings together, and of each foot in `feet`.
+    """The measures of the module's docstring over several recordings together, and of each foot in `feet`.
 
-    A part has a row a physics step: `contact`, `load`, `slide` and `height` (of the lowest point, m), all
-    `[P, F]`. None where one cannot be computed.
+    A recording has a row for each physics step: `contact`, `load`, `slide` and `height` (of the lowest point,
+    m), all `[P, F]`. None where one cannot be computed.
     """
     parts = [part for part in parts if len(part["contact"])]
     timestep, each = body.model.opt.timestep, {}

@@ -103,7 +103,7 @@ def scene(body: Body, recording: dict[str, Any]) -> dict[str, Any]:
 
 
 def measures(row: dict[str, Any]) -> list[tuple[str, str]]:
-    """What stands beside the player."""
+    """The measures that the page shows beside the player."""
     known = [
         (label.strip(), text.format(row[key]))
         for key, label, text in show.ROWS

@@ -54,7 +54,7 @@ NOISE = dict(
 
 
 class Stress(NamedTuple):
-    """A disturbance; each default changes nothing."""
+    """A disturbance; with its defaults it changes nothing."""
 
     name: str
     action_delay: float = 0.0  # s
@@ -139,7 +139,7 @@ def run(policy: Policy, body: Body, tell: Callable[[int, int], None] = lambda do
 
 
 def commands(policy: Policy) -> np.ndarray:
-    """The eight commands [8, 3] in the ranges that were trained; m/s, m/s, rad/s."""
+    """The eight commands [8, 3], in the ranges of training; m/s, m/s, rad/s."""
     ranges = np.array([policy.command_x, policy.command_y, policy.command_yaw])
     low, high = ranges.T
     share = np.array(COMMANDS)
@@ -216,7 +216,7 @@ def play(body: Body, act: Callable, command, stress: Stress, seed: int = 0, seco
 
 
 def _snapshot(data) -> SimpleNamespace:
-    """What an observation is made of, as it is now."""
+    """A copy of the numbers that an observation is made of."""
     return SimpleNamespace(qpos=data.qpos.copy(), qvel=data.qvel.copy(), time=data.time)
 
 

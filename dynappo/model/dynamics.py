@@ -51,7 +51,7 @@ class TailState:
 
 
 def tail(static: Static, env: Env, state) -> TailState:
-    """The start of a tail, from the `obs` and `prop` of a physics state or of a row."""
+    """The start of a tail, from the `obs` and `prop` of a physics state or a row."""
     prop = state.prop if static.model.clean else state.obs[..., : env.prop_size]
     return TailState(obs=state.obs, prop=prop)
 

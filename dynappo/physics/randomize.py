@@ -148,7 +148,7 @@ def merge(model, body: Body, base_body: int, feet, varied: frozenset[str]):
 
 
 def varied(ranges) -> frozenset[str]:
-    """Names of the ranges that are not collapsed to the value that the robot's file has."""
+    """Names of the ranges that hold more than the value in the robot's file."""
     names = {name for name in AROUND if np.any(getattr(ranges, name))}
     for name, nominal in NOMINAL.items():
         if tuple(getattr(ranges, name)) != (nominal, nominal):

@@ -155,7 +155,7 @@ def _check_geoms(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
 
 
 def parts_of(model: mujoco.MjModel) -> np.ndarray:
-    """The geoms [G] of a robot that must not touch the ground: all that can, but the feet."""
+    """The geoms [G] of a robot that must not touch the ground: all that can touch it, but the feet."""
     return np.setdiff1d(
         np.flatnonzero(model.geom_conaffinity & 1), feet.named(names(model.ngeom, model.geom))[0]
     )

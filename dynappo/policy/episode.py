@@ -158,7 +158,7 @@ def _lowest_limbs(model, joints, pose, touches) -> dict[str, list[int]]:
 
 
 def _above(model, body):
-    """The ancestors of `body`, without the world."""
+    """The ancestors of `body`, but the world."""
     while (body := int(model.body_parentid[body])) > 0:
         yield body
 

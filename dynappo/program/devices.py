@@ -39,7 +39,7 @@ def own_process(device: str = "auto") -> None:
 
 
 def begin() -> None:
-    """Start JAX's devices in a thread: a GPU takes half a second, in which Python imports the rest."""
+    """Start JAX's devices in a thread: a GPU takes half a second, and Python imports the rest meanwhile."""
     import jax
 
     def start():

@@ -84,5 +84,5 @@ def limit(device: Any) -> int | None:
 
 
 def text(size: int) -> str:
-    """A number of bytes for a person."""
+    """A number of bytes, in words."""
     return f"{size / 2**30:.1f} GiB" if size >= 2**30 else f"{size / 2**20:.0f} MiB"

@@ -289,7 +289,7 @@ def _read(folder: Path, like):
 
 
 def _flat(state: Any) -> dict[str, Any]:
-    """What orbax is given: the arrays that are not empty, by their paths, random keys as integers.
+    """The arrays that orbax gets: those that are not empty, by their paths, random keys as integers.
 
     Types that tensorstore does not know, such as uint4, become bytes. With several processes, all
     are arrays of NumPy.

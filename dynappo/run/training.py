@@ -40,7 +40,7 @@ class Run(NamedTuple):
 
 
 class Trained(NamedTuple):
-    """What a training came to."""
+    """The results of a training."""
 
     runs: list[OpenRun]  # with the metrics of their iterations; the files are closed
     state: Any  # of all runs, as `joint.join` makes it

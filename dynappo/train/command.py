@@ -53,7 +53,7 @@ class Command(NamedTuple):
 
 
 def parse(argv: list[str] | None) -> Command:
-    """A command line, understood; ConfigError if it cannot be."""
+    """The `Command` of a command line; ConfigError if it cannot be understood."""
     parser = flags.parser("train", "Train a legged robot to follow velocity commands.", USAGE)
     parser.add_argument(
         "--config",
@@ -118,7 +118,7 @@ def parse(argv: list[str] | None) -> Command:
 
 
 def _prepare_page(serve: str, config, sweep) -> None:
-    """ConfigError if `--serve` cannot be done; checkpoints come often, for each is a newer policy."""
+    """ConfigError if `--serve` cannot be done. Makes checkpoints frequent: each is a newer policy."""
     address.read(serve)
     address.check()
     if sweep or not config.robot:
@@ -153,7 +153,7 @@ def main(argv: list[str] | None = None) -> None:
 
 
 def afterwards(command: Command) -> str:
-    """What the same command will do with what a stopped one has left."""
+    """What the same command will do after this one was stopped."""
     goes_on = SWEEP_GOES_ON if command.sweep else GOES_ON
     if distributed.several() and not distributed.first():
         return f"{goes_on}, if there is one"  # which the first process can see
@@ -163,7 +163,7 @@ def afterwards(command: Command) -> str:
 
 
 def train_and_show(command: Command, stop: Stop) -> None:
-    """Train what a command line asks for, and tell a person how it goes."""
+    """Train what a command line asks for, and print the progress."""
     from rich.console import Console
 
     out = Console(highlight=False, quiet=not distributed.first())

@@ -50,7 +50,7 @@ LOGGER.addFilter(lambda record: record.getMessage() != "opening handshake failed
 
 @dataclass
 class Guard:
-    """What a server answers to."""
+    """Which requests a server answers."""
 
     names: set[str]  # hosts, as a browser writes them
     any_number: bool  # and all that are numbers, not names: no one can turn those elsewhere
@@ -182,7 +182,7 @@ def _plain(value: Any, depth: int = 4) -> bool:
 
 
 def _numbers(value: Any, count: int) -> bool:
-    """Whether a value is a list of so many numbers; `_plain` has seen that they are finite."""
+    """Whether a value is a list of that many numbers; `_plain` has checked that they are finite."""
     return (
         isinstance(value, list | tuple)
         and [type(n) in (int, float) for n in value] == [True] * count
@@ -190,7 +190,7 @@ def _numbers(value: Any, count: int) -> bool:
 
 
 def _camera(message: messages.ViewerCameraMessage) -> bool:
-    """Whether it looks anywhere, as viser demands where the camera is moved."""
+    """Whether a camera has a direction, an up and a size, without which viser cannot move it."""
     if not all(_numbers(getattr(message, name), size) for name, size in VECTORS.items()):
         return False
     if not _numbers([getattr(message, name) for name in LENGTHS], len(LENGTHS)):
@@ -201,7 +201,7 @@ def _camera(message: messages.ViewerCameraMessage) -> bool:
 
 
 def _fits(gui: viser.GuiApi, message: messages.GuiUpdateMessage) -> bool:
-    """Whether a person can give that value to that element."""
+    """Whether a user can give that element that value."""
     handle = gui._gui_input_handle_from_uuid.get(message.uuid)
     if set(message.updates) != {"value"}:
         return False

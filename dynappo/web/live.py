@@ -27,7 +27,7 @@ STRONGEST = 1.5  # times its weight
 
 @dataclass
 class Live:
-    """A robot, what it is asked for and what it did; arrays of `A` joints in the policy's order."""
+    """A robot, its commands and its last control steps; arrays of `A` joints are in the policy's order."""
 
     body: Body
     act: Callable[[np.ndarray], np.ndarray]

@@ -78,7 +78,7 @@ WORDS = {
 
 
 def declines(model: mujoco.MjModel, feet: np.ndarray, every: bool) -> str:
-    """What a model that keeps the contract has that the kernel does not compute; "" if nothing.
+    """What the kernel does not compute of a model that keeps the contract; "" if nothing.
 
     `feet` are the geom ids of their shapes. `every`: parts at the ground are wanted of each physics step.
     """
@@ -125,7 +125,7 @@ def fields(model: mujoco.MjModel) -> dict[str, Any]:
 
 
 def _equal(found, expected) -> bool:
-    """Up to what a compiler's second turn of a quaternion rounds."""
+    """Whether two arrays are equal, up to the rounding of a quaternion that is compiled twice."""
     found, expected = np.asarray(found), np.asarray(expected)
     if found.dtype.kind not in "biuf" or found.shape != expected.shape:
         return found.shape == expected.shape and bool((found == expected).all())
@@ -186,7 +186,7 @@ def _plain(model: mujoco.MjModel, feet: np.ndarray) -> mujoco.MjModel:
 
 
 def _rules(model: mujoco.MjModel, feet: np.ndarray, every: bool) -> str:
-    """As `declines`, of numbers that the kernel reads, but takes only some values of."""
+    """As `declines`, for numbers that the kernel reads, but of which it takes only some values."""
     if (model.jnt_solref[1:] <= 0).any() or (model.geom_solref[feet] <= 0).any():
         return "solref as stiffness and damping (negative)"
     if ((model.exclude_signature >> 16) * (model.exclude_signature & 0xFFFF) == 0).any():

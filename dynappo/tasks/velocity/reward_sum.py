@@ -78,7 +78,7 @@ def asks(term: Callable[..., Any]) -> list[str]:
 
 
 def known_names(task) -> set[str]:
-    """What a term may ask for that needs no physics; of `task`, its floats, and those of joints [A]."""
+    """The names that a term may ask for without physics; of `task`, its floats and numbers of joints [A]."""
     of_joints = {name for name in per_joint.names() if isinstance(task[name], tuple)}
     numbers = {name for name, value in task.items() if type(value) is float} | of_joints
     return {*observe.PARTS, *rewards.Feet._fields, "action"} | numbers

@@ -118,8 +118,7 @@ def sense(view: View, hyper: Hyper, prop, context, key):
 
 
 def first(view: View, sensed, body):
-    """What follows the numbers of observe.py where an episode begins: the first reading, again and
-    again; body."""
+    """What follows observe.py's numbers at the start of an episode: the first reading, repeated; body."""
     xp = sensed.__array_namespace__()
     return xp.concat([*[sensed[reading(view)]] * (view.history - 1), body])
 
