@@ -346,7 +346,7 @@ def licence(xml: Path) -> tuple[str, str]:
 
 
 def origin(xml: Path) -> str:
-    """Where the file is from, for a person: its sha256, and the checkout that it lies in."""
+    """Where the file is from, in words: its sha256, and its checkout."""
     said = f"sha256 {hashlib.sha256(xml.read_bytes()).hexdigest()}"
     for folder in xml.resolve().parents:
         if not (folder / ".git").is_dir():

@@ -223,7 +223,7 @@ def _snapshot(data) -> SimpleNamespace:
 def measure(body: Body, stress: Stress, seconds: float = SECONDS) -> dict[str, Any]:
     """A row of the table: falls of the eight commands, tracking and yaw error of what stood.
 
-    Root mean squares after the first second and before a fall; None where nobody stood so long.
+    Root mean squares after the first second and before a fall; None if no robot stood that long.
     """
     policy, changed = body.policy, disturbed(body, stress)
     act = policy_file.actor(policy.params, policy.activation)

@@ -177,7 +177,7 @@ def train_and_show(command: Command, stop: Stop) -> None:
 
 
 def train_run(out, command: Command, stop: Stop) -> str:
-    """Train one run, and print what will happen, how it goes and what came out.
+    """Train one run, and print what will happen, the progress and the results.
 
     Returns "", or, if `stop` interrupted it, a line on what was saved.
     """

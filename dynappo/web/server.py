@@ -84,7 +84,7 @@ def _free(address: Address) -> tuple[set[str], int]:
 
 
 def _binds(family: int, number: str, port: int) -> bool:
-    """Whether nobody listens there; OSError where nobody can."""
+    """Whether the port is free; OSError if it cannot be used."""
     with socket.socket(family, socket.SOCK_STREAM) as probe:
         if os.name == "posix":  # as asyncio does
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)

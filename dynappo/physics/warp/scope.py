@@ -98,7 +98,7 @@ def declines(model: mujoco.MjModel, feet: np.ndarray, every: bool) -> str:
 
 
 def slower(robot: robot_lib.Robot, physics, every: bool) -> str:
-    """A line for a person on a robot that on a GPU needs MuJoCo Warp's own step, and why; "" if the kernel
+    """A line on a robot that on a GPU needs MuJoCo Warp's own step, and why; "" if the kernel
     does it. `physics` is the config's group."""
     reason = declines(robot_lib.physics_model(robot, physics), robot.feet, every)
     return reason and (
