@@ -12,9 +12,9 @@ set stay.
 - The concurrency-optimised scheduler is off: with it, jaxlib 0.10.2 deadlocks on two cores at 256
   robots, when parallel loops (random bits, the constraint solver) take all threads and wait for
   one. Turning it off costs nothing measurable.
-- jaxlib 0.10.2 computes wrong numbers in sums of products with more than 32,768 results
-  (jax-ml/jax#39103): from robot 2,340 on, lowest points of a Go1 were wrong and falls were reported
-  where there were none. The fusion that causes it is off, in that version only; no GPU is affected.
+- One fusion is off, in jaxlib 0.10.2 alone, because that version computes wrong numbers in sums of
+  products with more than 32,768 results (jax-ml/jax#39103): from robot 2,340 on, a Go1's lowest points
+  were wrong, and standing robots counted as fallen. No GPU is affected.
 """
 
 import contextlib

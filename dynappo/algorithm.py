@@ -17,8 +17,9 @@ new tails, which start from real rows drawn at random, and learns from these alo
 simulator steps: with two, Go1 walks after two thirds of the steps (experiments/21_less).
 
 Every random number comes from `fold_in` of the run's key with the iteration, a purpose, the row and
-the robot's global index. So two chunks equal one run, and a row does not depend on N_r. A key is drawn
-from once, or split once, or folded, and never two of these: `split(key)[i]` is `fold_in(key, i)`.
+the robot's global index. So two chunks equal one run, and a row does not depend on N_r. A key is used in
+one way alone: drawn from once, split once, or folded. Two would give equal bits: `split(key)[i]` is
+`fold_in(key, i)`.
 
 Read next, in the order of `iterate`:
 
@@ -26,7 +27,7 @@ Read next, in the order of `iterate`:
 - model/dynamics.py (`fit`, `step`): the transition model, which learns from the rows and writes more
 - learner/ppo.py (`update`, `loss`), gae.py and networks.py: how the policy learns from them
 - schedule.py: how many rows the model writes in each iteration; stats.py: an iteration's metrics
-- fast.py: what `iterate` calls: the same functions with fewer kernels; seeds.py: many seeds and devices
+- fast.py: the same functions with fewer kernels, which `iterate` calls; seeds.py: many seeds and devices
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Functions of the method as a GPU has them fast. Read the plain ones first: these give the same.
+"""The method's functions in a form that is fast on a GPU. Read the plain ones first: these give the same.
 
 A GPU takes some microseconds to start a kernel, however small its arrays. The policy's networks and the
 model's are small, so the number of kernels decides how long an update, a fit or a tail takes.
@@ -11,8 +11,8 @@ model's are small, so the number of kernels decides how long an update, a fit or
 | `step`         | `dynamics.step`        | weights are rounded once, not for each row                   |
 | `fill`         | `rollout.fill`         | a row's single numbers are written at once                   |
 
-Each has its plain one's arguments and returns its numbers, but for the order of sums: tests/test_fast.py
-compares them. `algorithm` and `bench` call these.
+Each takes the arguments of its plain function and returns the same numbers, up to the order of sums
+(tests/test_fast.py). `algorithm` and `bench` call these.
 """
 
 from __future__ import annotations
@@ -197,6 +197,6 @@ def fill(
 
 
 def grouped(rows: Transition) -> tuple[Float[Array, "... 8 R"], dict[str, Array]]:
-    """The fields of one number a robot as one array, and the others."""
+    """The fields with one number for each robot as one array, and the other fields."""
     fields = {name: getattr(rows, name) for name in Transition.__dataclass_fields__}
     return jnp.stack([fields.pop(name) for name in NUMBERS], -2), fields

@@ -3,10 +3,10 @@
 One `fill` serves both, as in google-deepmind/mctx. A rollout is always `[N, R, ...]`, however many
 of its rows are real.
 
-Why a `fori_loop` with a traced bound: physics is compiled once for every N_r of the ramp, and the
-loop stops after N_r rows. A `scan` with a `cond` inside, or a `switch` over lengths, becomes a
-`select` once its predicate is batched, and then computes every row. So the bound must never be
-batched: under `jax.vmap` over seeds it has `in_axes=None`.
+Why a `fori_loop` with a traced bound: XLA compiles physics once for all N_r of the ramp, and the loop
+stops after N_r rows. A `scan` with a `cond` inside, or a `switch` over lengths, becomes a `select` once its
+predicate is batched, and then computes every row. The bound must never be batched: under `jax.vmap` over
+seeds it has `in_axes=None`.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def row_keys(key: PRNGKeyArray, robot_index: Int[Array, " R"]) -> Callable[..., 
 
 
 def write(rows: Any, t: Int[Array, ""], row: Any) -> Any:
-    """`rows` with `row` in the place t."""
+    """`rows` with `row` as its row t."""
     return jax.tree.map(lambda every, one: every.at[t].set(one), rows, row)
 
 

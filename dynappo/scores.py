@@ -1,14 +1,13 @@
 """Evaluates a policy in deterministic episodes: return, falls and tracking error.
 
-Runs are compared by these numbers. Trials of one command after another, in C MuJoCo, are in
-evaluate/trials.py.
+These numbers compare runs. evaluate/trials.py has trials of one command after another, in C MuJoCo.
 
 Each robot runs one episode of the nominal task: the policy's mean action, no observation noise, no
 randomised physics, full-length episodes, commands drawn as in training. Tracking error is the root
 mean square of the planar velocity error (m/s) after the first second, over all robots that still
 stand; `yaw_error` is the same for the yaw rate (rad/s).
 
-It uses the training environment: only floats of the config make the task nominal.
+It uses the training environment; floats of the config alone make the task nominal.
 """
 
 from __future__ import annotations

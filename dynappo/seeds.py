@@ -15,9 +15,9 @@ advantages, KL. So the method's code knows nothing of devices. E devices with R 
 what one device with E R robots computes, and no random number depends on a robot's device. Only
 physics is told to stay on the device of its robots (`algorithm.physics_step`).
 
-Which axis: seeds do not communicate, so `seed` costs nothing; use it first. With the robots of one
-seed over `env`, devices sum gradients after each minibatch, which pays off with thousands of robots
-a device (experiments/02_scaling).
+Which axis: use `seed` first, because seeds do not communicate. With the robots of one seed over `env`,
+devices sum gradients after each minibatch, which pays off with thousands of robots on each device
+(experiments/02_scaling).
 """
 
 from __future__ import annotations

@@ -15,8 +15,8 @@ What the names mean, everywhere:
   gamma. In a tail with `model.falls` it is the probability that the episode continues.
 - `truncation` is 1 where the time limit ended the episode: its value is bootstrapped from
   `next_obs` and no advantage crosses it. A row of physics never has both a fall and a truncation.
-- `next_obs` is observed before any reset. Unless the robot is reset in between, it is the same
-  array as the next row's `obs`, noise included.
+- `next_obs` is observed before any reset. Without a reset in between, it is the next row's `obs`, noise
+  included.
 - `prop` is the predicted part of the observation without its noise, `next_prop` that of `next_obs`.
 - `static` and `hyper` are the two halves of the whole config (config/splitting.py); the fields of
   their types are in config/halves.py.

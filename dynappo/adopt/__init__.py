@@ -1,8 +1,8 @@
 """Adopt: the command `dynappo adopt`, which makes a robot of a published MJCF or URDF. Start at `command.py`.
 
-- `command`: its flags, its order, what it prints
+- `command`: its flags, its steps, what it prints
 - `pose`: a default pose, where the file has none in which it stands
-- `normal`: solver, feet, joints and frames as robots have them here
+- `normal`: the form that dynappo trains: solver, feet, joints, frames
 - `source`: reads the file, its meshes, its licence, and what it says of its motors
 - `gains`: gains, limits and the action scale, from the file or by rule
 - `looks`: puts the published meshes back on the completed robot

@@ -1,8 +1,8 @@
 """Make a robot of a published MJCF or URDF: `dynappo adopt FILE --name=NAME`.
 
-It writes robots/NAME/ (the MJCF in the form that is trained here, the published looks, a README with source,
-licence and every assumption) and configs/NAME.py, looks at the robot, and prints the next command. It asks
-nothing and overwrites nothing. C MuJoCo and NumPy, without JAX; it takes a few seconds.
+It writes robots/NAME/ (the MJCF in the form that dynappo trains, the published looks, a README with source,
+licence and every assumption) and configs/NAME.py, checks the robot, and prints the next command. It asks
+nothing, and overwrites nothing without --force. C MuJoCo and NumPy, without JAX; it takes a few seconds.
 """
 
 from __future__ import annotations
@@ -154,7 +154,7 @@ def completed(file: source.Source, name: str) -> tuple[mujoco.MjSpec, robot_lib.
 
 
 def loaded(spec: mujoco.MjSpec, name: str, file: source.Source) -> robot_lib.Robot:
-    """The robot of a spec; ConfigError as of the file that it was made from."""
+    """The robot of a spec; a ConfigError names the file that the spec was made from."""
     spec.compile()
     try:
         return robot_lib.load_text(spec.to_xml(), name, file.xml)
@@ -164,8 +164,8 @@ def loaded(spec: mujoco.MjSpec, name: str, file: source.Source) -> robot_lib.Rob
 
 @contextlib.contextmanager
 def new_folder(folder: Path):
-    """Yields a folder beside `folder` that takes its place at the end, or whose files take that of the same
-    ones there; after an error nothing is left."""
+    """Yields a folder beside `folder`; at the end it becomes `folder`, or its files replace those there.
+    After an error nothing is left."""
     part = folder.with_name(f".{folder.name}.part")
     missing = [above for above in part.parents if not above.exists()]
     try:
@@ -203,7 +203,7 @@ def check_writable(folder: Path, config: Path) -> None:
 
 
 def run(flags) -> None:
-    """Adopt the robot as the flags say, tell each assumption, and look at it."""
+    """Adopt the robot as the flags say, print each assumption, and check it with `look`."""
     folder, config = check_free(flags.name, flags.force)
     check_writable(folder, config)
     notes: list[str] = []
@@ -227,7 +227,7 @@ def run(flags) -> None:
 
 
 def made_of(file: source.Source, name: str, part: Path) -> Adopted:
-    """`make`; ConfigError for whatever a file brings it to."""
+    """`make`; every error that a file causes is a ConfigError."""
     try:
         return make(file, name, part)
     except (ConfigError, OSError, MemoryError):
@@ -252,7 +252,7 @@ def check(part: Path, name: str, made: Adopted) -> None:
 
 
 def look(config: Path, picture: Path) -> None:
-    """Run the command `look`; where nothing can be drawn, that is one line and no failure."""
+    """Run the command `look`; if it cannot draw, it prints a line and does not fail."""
     command = [*interpreter.command("dynappo.look"), str(config), f"--out={picture}"]
     done = subprocess.run(command, stderr=subprocess.PIPE, text=True)
     said = done.stderr.strip()

@@ -2,19 +2,19 @@
 
 The rules, for joint j of a robot of mass m whose feet hang l below the base:
 
-    effort     of the file, if it is below 2 m g l, which no motor of the robot has; else 0.45 m g l
-    kp         effort / 1 rad; for all joints higher, up to effort / 0.45 rad, where the robot sinks by more
-               than 15 % of its height when it stands on three feet or more (`sag`)
-    kd         kp x 0.025 s, but no more than takes 0.4 of a joint's speed in a physics step
+    effort     the file's, if it is below 2 m g l (no real motor reaches that); else 0.45 m g l
+    kp         effort / 1 rad; higher for all joints, up to effort / 0.45 rad, if a robot on three feet or
+               more sinks by more than 15 % of its height (`sag`)
+    kd         kp x 0.025 s, but it takes at most 0.4 of a joint's speed in a physics step
     armature   0.0006 kg m^2 for each N m of effort, where the file has none
     scale      0.25 rad of exploration, but at most a third of the effort: effort / (3 kp)
 
-They are what Go1, Go2, the ANYmals and Spot have in common here (kp / effort 0.9 to 1.6 /rad, kd / kp 0.02
-to 0.06 s) and what others choose: mjlab's action scale is effort / (4 kp), its kd / kp 0.064 s; Unitree's and
-Booster's own controllers have 0.02 to 0.03 s. A servo's kp from the file is kept, for each kind
-of joint, if it lies between the effort in 0.45 rad and in 3 rad; its kd too, or as much of it as is stable.
-MuJoCo Menagerie's kp of 100 for a Go1 is not: a policy that explores by 0.25 rad would be at the motors'
-limit all the time.
+The configs of Go1, Go2, the ANYmals and Spot lie near these rules (kp / effort 0.9 to 1.6 /rad, kd / kp 0.02
+to 0.06 s), and so do others: mjlab's action scale is effort / (4 kp), its kd / kp 0.064 s; Unitree's and
+Booster's own controllers have 0.02 to 0.03 s. A kind of joint keeps its servo's kp from the file if that
+lies between effort / 3 rad and effort / 0.45 rad, and as much of the servo's kd as is stable. MuJoCo
+Menagerie's kp of 100 for a Go1 lies outside: a policy that explores by 0.25 rad would always be at the
+motors' limit.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ ROTOR = 6e-4  # kg m^2 for each N m
 
 
 class Motors(NamedTuple):
-    """Numbers of `A` joints, as the config's group `task` has them."""
+    """Numbers of the motors of `A` joints, as in the config's group `task`."""
 
     kp: np.ndarray  # [A] N m/rad
     kd: np.ndarray  # [A] N m s/rad
@@ -56,7 +56,7 @@ class Motors(NamedTuple):
 
 
 def reach(robot: robot_lib.Robot) -> float:
-    """How far the feet are below the base in the default pose (m)."""
+    """How far below the base the feet are in the default pose (m)."""
     return float(robot.home_qpos[2])
 
 
@@ -226,7 +226,7 @@ def _with(
 
 
 def _moves(sinks: float) -> str:
-    """A share of its height by which a robot sinks, or rises where springs push it up."""
+    """By what share of its height a robot sinks, or rises if springs push it up."""
     return f"{'sinks' if sinks > 0 else 'rises'} by {abs(sinks):.0%} of its height"
 
 

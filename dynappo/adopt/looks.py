@@ -1,7 +1,7 @@
 """Puts the looks of a published file back on its completed robot: meshes, materials, pictures.
 
-Physics never sees them (group 2). Completing a robot may merge bodies and turn frames, so each look is
-placed by where it is in the world: the base at the origin, all joints at the same angles in both models.
+Physics never sees them (group 2). `complete` may have merged bodies and turned frames. Each look therefore
+goes to its place in the world, with the base at the origin and the joints of both models at the same angles.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ def draw(spec: mujoco.MjSpec, source: Source, base: str, assets: Path) -> tuple[
 
 
 def _drawn(geom) -> bool:
-    """Whether a geom of the robot is seen, as viewers have it."""
+    """Whether viewers show a geom of the robot."""
     return geom.parent.name != "world" and geom.group <= LOOKS
 
 
@@ -74,7 +74,7 @@ def _at_zero(model, like=None) -> mujoco.MjData:
 
 
 def _body(whole, model, body: int, base: str) -> int:
-    """The body of `model` that has become of a body of the file: itself, or one that it was fixed to."""
+    """The body of `model` that a body of the file has become: itself, or the one that it was fixed to."""
     names = {model.body(i).name: i for i in range(1, model.nbody)}
     while body > 0 and whole.body(body).name not in names:
         body = int(whole.body_parentid[body])

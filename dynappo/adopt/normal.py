@@ -1,4 +1,4 @@
-"""Brings a completed robot into the form in which robots are trained here: solver, feet, joints, a scene."""
+"""Brings a completed robot into the form that dynappo trains: solver, feet, joints, frames, a scene."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ BOX, SPHERE, CAPSULE = (
 
 
 def solver(spec: mujoco.MjSpec, mass: float) -> list[str]:
-    """The solver that everything was trained with; lines on what was another."""
+    """Set the solver of the bundled robots; a line on each option that was different."""
     option, told = spec.option, []
     wanted = dict(
         integrator=mujoco.mjtIntegrator.mjINT_EULER,
@@ -50,7 +50,7 @@ def solver(spec: mujoco.MjSpec, mass: float) -> list[str]:
 def joints(
     spec: mujoco.MjSpec, names: tuple[str, ...], published: Published, effort: np.ndarray
 ) -> list[str]:
-    """Dry friction and a servo's damping are left out, rotors are added; a line on each."""
+    """Take out dry friction and a servo's damping, add the inertia of rotors; a line on each."""
     told, dry, servo, rotors, endless = [], [], [], [], []
     for name, is_servo, most in zip(names, published.servo, effort, strict=True):
         joint = spec.joint(name)
@@ -136,7 +136,7 @@ def _quat(matrix: np.ndarray) -> np.ndarray:
 
 
 def feet(spec: mujoco.MjSpec) -> list[str]:
-    """Firm feet with the friction that is trained with, no margins; lines on what was another."""
+    """Make feet firm, with the friction of training and no margins; a line on what was different."""
     soft, slippery, margins = [], [], []
     for geom in spec.geoms:
         if geom.margin or geom.gap:
@@ -193,10 +193,10 @@ def round_feet(spec: mujoco.MjSpec, robot: robot_lib.Robot) -> list[str]:
 
 
 def shanks(spec: mujoco.MjSpec, robot: robot_lib.Robot) -> list[str]:
-    """Shapes that reach a foot's middle end above it: a foot gives way under load, and they must not
-    touch the ground before it. A line if any was shortened.
+    """Shorten shapes that reach down to a foot's middle; a line if any was.
 
-    Of a robot whose feet are spheres: a capsule, cylinder or box in the foot's body, along its longest axis.
+    A foot gives way under load, and these shapes must not touch the ground before it. If the feet are
+    spheres: a capsule, cylinder or box in the foot's body, along its longest axis.
     """
     model, cut = robot.mj_model, []
     geoms = {geom.id: geom for geom in spec.geoms}
@@ -230,11 +230,10 @@ def shanks(spec: mujoco.MjSpec, robot: robot_lib.Robot) -> list[str]:
 
 
 def clear(spec: mujoco.MjSpec, robot: robot_lib.Robot, poses: np.ndarray) -> list[str]:
-    """Shorten parts that touch the ground while the robot stands, `poses` [T, nq]; a line on each, also on
-    those of which that would take half.
+    """Shorten parts that touch the ground in the standing robot's `poses` [T, nq]; a line on each.
 
-    A capsule, cylinder or box loses what is below `ABOVE` at the end of its longest axis. Nothing is done for
-    a robot that lies down.
+    A capsule, cylinder or box loses what is below `ABOVE` at the end of its longest axis. A part that would
+    lose more than half stays, and its line says so. A robot that lies down stays as it is.
     """
     if poses[:, 2].min() < LIES * robot.home_qpos[2]:
         return []

@@ -1,4 +1,4 @@
-"""A default pose for a file that has none: of a scene beside it, else legs bent by a rule."""
+"""A default pose for a file without one: that of a scene beside it, else legs bent by a rule."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ HINGE = mujoco.mjtJoint.mjJNT_HINGE
 def candidates(
     spec: mujoco.MjSpec, model: mujoco.MjModel, xml: Path
 ) -> Iterator[tuple[mujoco.MjSpec, list[str]]]:
-    """Copies of a spec with a keyframe, the best first, each with a line on where that is from.
+    """Copies of a spec with a keyframe, the best first, each with a line on its source.
 
-    The file's own; that of a scene beside it; bent legs. The next is for a file whose robot cannot stand
+    The file's own keyframe; that of a scene beside the file; bent legs. Each is for a robot that cannot stand
     in the one before.
     """
     if spec.keys:
@@ -73,9 +73,10 @@ def _of_scene(scene: Path, model: mujoco.MjModel) -> np.ndarray | None:
 def _bent(model: mujoco.MjModel) -> tuple[np.ndarray, int]:
     """`(qpos, legs)`: the pose at rest, with the last two joints of each leg of three joints bent.
 
-    A leg is a chain of three bodies with a hinge each, the last without children. Of the angles that put its
-    end below its second joint, at `BENT` of the farthest, those are taken that bend the knee in the middle of
-    its range; where the range says nothing, so that the knee points to the base's middle.
+    A leg is a chain of three bodies with a hinge each, the last without children. Of the pairs of angles
+    that put its end below its second joint, at `BENT` of the longest reach, it takes the one whose knee is
+    nearest to the middle of its range. Without a limited range it takes one whose knee points to the base's
+    middle.
     """
     data, qpos, count = mujoco.MjData(model), model.qpos0.copy(), 0
     if model.njnt and model.jnt_type[0] == mujoco.mjtJoint.mjJNT_FREE:

@@ -63,7 +63,7 @@ class Lost(NamedTuple):
 def read(xml: Path, notes: list[str] | None = None) -> Source:
     """The robot of a file; a ConfigError begins with its path, and says what is wrong.
 
-    `notes` gets the lines on what was changed as soon as they are known, also where an error follows.
+    `notes` gets the line on a change as soon as it is known, even if an error follows.
     """
     notes = [] if notes is None else notes
     if xml.is_dir():
@@ -141,10 +141,10 @@ def _urdf(xml: Path, root: ElementTree.Element, notes: list[str]) -> Source:
 
 
 def _mend_inertias(root: ElementTree.Element, notes: list[str]) -> None:
-    """Give the links of a URDF inertias that a body can have; a line on each that was changed.
+    """Give the links of a URDF inertias that a body can have; a line on each change.
 
-    Principal moments must be positive, and none larger than the sum of the others. One that is rounded
-    badly gets the nearest that are; a ball's get sensors and covers, which often have zeros or worse.
+    Principal moments must be positive, and none larger than the sum of the others. Badly rounded moments
+    become the nearest possible ones. Sensors and covers, which often have zeros or worse, get a ball's.
     ValueError for a heavy link, whose inertia nobody should guess.
     """
     links = {link.get("name", ""): link for link in root.iter("link")}
@@ -195,8 +195,8 @@ def _number(element: ElementTree.Element | None, name: str) -> float:
 def _mesh(folders: list[Path], name: str) -> tuple[Path | None, str]:
     """`(file, "")` of a URDF's mesh, or `(None, what is wrong)`; `(file, "beside")` if it is elsewhere.
 
-    `package://NAME/PATH` is looked for in the folders above those of `folders`, too; at last a file of that
-    name in a folder beside the URDF, where people put what they copy.
+    The search for `package://NAME/PATH` includes the folders above `folders`; last comes a file of that name
+    in a folder beside the URDF, where people put copies.
     """
     path = re.sub(r"^(package|file)://", "", name)
     inside = path.partition("/")[2] if name.startswith("package://") else path
@@ -269,7 +269,7 @@ def _listed(names: list[str], most: int = 4) -> str:
 
 
 def published(source: Source, joints: tuple[str, ...]) -> tuple[Published, list[str]]:
-    """What the file says of the motors of `joints`, and lines on what one would not expect.
+    """What the file says of the motors of `joints`, and lines on what is unusual.
 
     A servo's torque is gain u + bias_1 q + bias_2 qd (MuJoCo's `affine` bias): with gear g,
     kp = -bias_1 g^2 and kd = -bias_2 g^2, and joint damping is its own. An actuator's effort is the
@@ -346,7 +346,7 @@ def licence(xml: Path) -> tuple[str, str]:
 
 
 def origin(xml: Path) -> str:
-    """Where the file is from, for a person: its sha256, and the checkout that it lies in."""
+    """Where the file is from, in words: its sha256, and its checkout."""
     said = f"sha256 {hashlib.sha256(xml.read_bytes()).hexdigest()}"
     for folder in xml.resolve().parents:
         if not (folder / ".git").is_dir():
@@ -362,7 +362,7 @@ def origin(xml: Path) -> str:
 
 
 def _commit(git: Path) -> str:
-    """The commit that a checkout has."""
+    """The commit of a checkout."""
     head = (git / "HEAD").read_text(encoding="utf-8").strip()
     if not head.startswith("ref: "):
         return head

@@ -67,7 +67,7 @@ def light(robot: robot_lib.Robot) -> bool:
 
 
 def load(robot: robot_lib.Robot) -> float:
-    """By how many kg the base's mass varies."""
+    """By how many kg the base's mass varies in training."""
     model = robot.mj_model
     return float(min(LOAD * model.body_mass.sum(), OF_BASE * model.body_mass[robot.base_body]))
 
@@ -104,7 +104,7 @@ def config(robot: robot_lib.Robot, source: Source, motors: Motors) -> str:
 
 
 def assumed(robot: robot_lib.Robot) -> list[str]:
-    """Lines on what the config takes from the robot's mass."""
+    """Lines on the numbers that the config derives from the robot's mass."""
     mass = float(robot.mj_model.body_mass.sum())
     like = "the Unitree tasks'" if light(robot) else "the ANYmal tasks'"
     told = [

@@ -89,7 +89,7 @@ def parse(argv: list[str] | None):
 
 
 def show(names, reports, versus) -> None:
-    """Print a column a config."""
+    """Print one column for each config."""
     from rich.console import Console
     from rich.table import Table
 
@@ -127,7 +127,7 @@ def show(names, reports, versus) -> None:
 
 
 def run(configs, names, repeats: int, out: Path | None, compile: bool) -> None:
-    """Measure each config, show what came out, and write it if asked."""
+    """Measure each config, print the results, and write them if the flags say so."""
     devices.own_process(configs[0].run.device)
     for config in configs:
         build.check(config)

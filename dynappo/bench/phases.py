@@ -1,7 +1,7 @@
 """The time of each part of an iteration, measured on the program that trains.
 
-The compiled chunk takes the number of real rows and of epochs as arguments, so the parts are
-differences between calls of the same program: the times they take inside it.
+The compiled chunk takes the number of real rows and of epochs as arguments. The time of a part is the
+difference between two calls of that program.
 """
 
 from __future__ import annotations
@@ -19,10 +19,14 @@ FITS = 10  # times the epochs of a fit, to measure one
 def measure(config, program, state, repeats: int = 5) -> dict[str, float]:
     """Median ms of `iteration` (as the schedule ends), `physics` and `tail` (a row), `fit`, `ppo`.
 
-    With T(rows, epochs) the time of an iteration: `fit` = (T(N_r, 10 epochs) - T(N_r, 0)) / 10 at the
-    last N_r, because one fit can be less than a CPU's physics varies; without a model `physics` =
-    (T(N) - T(0)) / N. With one, T(0, 0) has N tail rows: their cost is measured by itself (`tail`, one
-    row), and `physics` is corrected by it. `ppo` is the rest: advantages, minibatches, gradient steps.
+    T(rows, epochs) is the time of an iteration.
+
+    - `fit` = (T(N_r, 10) - T(N_r, 0)) / 10 at the last N_r, because one fit can be less than a CPU's
+      physics varies
+    - `physics` = (T(N) - T(0)) / N without a model. With one, T(0, 0) has N rows of a tail: `tail` is the
+      time of one of them, measured by itself, and corrects `physics`
+    - `ppo` is the rest: advantages, minibatches, gradient steps
+
     `tail` and `ppo` are those of one round.
     """
     horizon = config.rollout.horizon

@@ -4,11 +4,11 @@ The settings:
 
 - `loading`: reads a config file, and fields set on the command line
 - `fields`: the fields of configs/default.py, and what each may hold; `ConfigError`
-- `per_joint`: numbers of joints, from patterns of names to one a joint
+- `per_joint`: turns patterns of joint names into one number for each joint
 - `validation`: which settings can run together
 - `splitting`: `static` and `hyper`, the two halves that the program takes; `halves`: their types
 
-What every command needs beside them, without JAX:
+What every command also needs, without JAX:
 
 - `flags`: a command's flags, and how it ends
 - `files`: finds configs/ and robots/, writes small files, locks

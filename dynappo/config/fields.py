@@ -1,4 +1,4 @@
-"""Which fields a config has, and what each may hold: as dynappo's own configs/default.py says."""
+"""Which fields a config has, and what each may hold, as configs/default.py says."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def flat(config, prefix="") -> dict[str, Any]:
 
 
 class Field(NamedTuple):
-    """What a field may hold; of several numbers `low` and `high` hold for each."""
+    """What a field may hold; `low` and `high` hold for each number of several."""
 
     kind: type  # also of one that is None; of `per_joint` float
     default: Any
@@ -135,12 +135,12 @@ def _convert_joints(value) -> tuple[Any, ...] | None:
 
 
 def sizes(field: Field) -> bool:
-    """Whether it is a tuple of sizes, of which there may be any number."""
+    """Whether the field is a tuple of sizes, of any length."""
     return field.kind is tuple and type(field.like[0]) is int
 
 
 def expected(field: Field) -> str:
-    """The type that a value must have, for a person."""
+    """The type that a value must have, in words."""
     if field.per_joint:
         return "float, a dict of floats by patterns of joints' names, or a tuple of a float a joint"
     text = f"tuple like {field.like}" if field.kind is tuple else field.kind.__name__
@@ -148,7 +148,7 @@ def expected(field: Field) -> str:
 
 
 def check(name: str, value) -> None:
-    """ConfigError if a value of the right type is not one that the field may hold."""
+    """ConfigError if the field may not hold this value of the right type."""
     field = every()[name]
     if field.choices and value is not None:
         expect(value in field.choices, name, value, f"one of {', '.join(field.choices)}")
@@ -194,7 +194,7 @@ def expect(ok, field: str, value, expected: str) -> None:
 
 
 def check_names(names) -> None:
-    """ConfigError where a field lacks, or where one is there that dynappo does not have."""
+    """ConfigError if a field is missing, or unknown to dynappo."""
     for name in sorted(every().keys() - names):
         raise ConfigError(f"the config lacks {name}; start from configs/default.py")
     for name in sorted(names - every().keys()):
@@ -202,7 +202,7 @@ def check_names(names) -> None:
 
 
 def near(name: str) -> str:
-    """What to do about a name that is no field."""
+    """What to do about a name that is not a field."""
     import difflib
 
     close = difflib.get_close_matches(name, every(), 1, 0.4)
@@ -210,8 +210,8 @@ def near(name: str) -> str:
 
 
 def typed(values: dict[str, Any]) -> config_dict.ConfigDict:
-    """The config of these values by dotted name, each with the type of its field; ConfigError where it
-    cannot have it. A field that is missing, or None as its default is, has the default."""
+    """The config of `values` by dotted name, each converted to the type of its field; ConfigError if that is
+    impossible. A missing field, or None where that is the default, has the default."""
     found = {}
     for name, field in every().items():
         if name in values and not (values[name] is None and field.default is None):

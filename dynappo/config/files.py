@@ -43,7 +43,7 @@ def bundled() -> list[str]:
 
 
 def check_regular(path: Path) -> None:
-    """OSError where there is a pipe or a device: reading it may block, or never end."""
+    """OSError for a pipe or a device: reading one may block, or never end."""
     if path.exists() and not path.is_file() and not path.is_dir():
         raise OSError(errno.EINVAL, "Not a regular file", str(path))
 

@@ -172,11 +172,11 @@ def start(command: str) -> None:
 
 
 def answer(action: Callable[[], None], stopped: str | Callable[[], str] = "stopped") -> None:
-    """Run `action`; turn what ends it into one line and an exit status. No other place decides this.
+    """Run `action`; turn its end into one line and an exit status. Only this function decides that.
 
     Status 2: the user asked for something impossible. 1: numbers blew up, the machine failed (disk, memory,
-    another process), or the reader of a pipe has gone, which prints nothing. 130, or the status that the
-    KeyboardInterrupt holds: interrupted, with the line `stopped`. A defect keeps its traceback.
+    another process), or the reader of a pipe has gone, which prints nothing. 130, or the KeyboardInterrupt's
+    own status: interrupted, with the line `stopped`. A bug keeps its traceback.
     """
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # what a terminal has no letter for
@@ -226,7 +226,7 @@ def _interrupt() -> None:
 
 
 def _explained(error: Exception) -> tuple[str, int]:
-    """The line for an error and the exit status; a defect of ours has no line."""
+    """The line for an error, and the exit status; a bug of dynappo has no line."""
     text = str(error)
     if isinstance(error, ImportError) and re.search("map segment|allocate memory", text):
         return "out of memory (Python's imports); take a larger machine", 1
@@ -259,7 +259,7 @@ def _unnamed() -> str:
 
 
 def _one_line(text: str) -> str:
-    """A text that may hold anything a user typed, in one line that a terminal can show."""
+    """A text that may hold anything that a user typed, as one line that a terminal can show."""
     if len(text) > LONGEST:
         half = LONGEST // 2
         text = f"{text[:half]} ... {text[-half:]}"

@@ -1,10 +1,10 @@
 """Starts a module of this package in a Python of its own, which imports nothing from the working directory.
 
-`python -m` looks for modules in the working directory first: a `tempfile.py` that lies there would be
-run. `python -P` does not; but then it would not find this package either, where only the working
-directory has it. So the new Python is given this file, which loads the package from where it lies.
+`python -m` looks for modules in the working directory first, and would run a `tempfile.py` that lies
+there. `python -P` does not look there, but would miss this package if only the working directory has it.
+So the new Python runs this file, which loads the package from its own folder.
 
-As a script it has not imported the package: it may use nothing but Python's own modules.
+As a script this file may use only Python's own modules, because it has not imported the package yet.
 """
 
 from __future__ import annotations

@@ -27,8 +27,8 @@ OWN = (pathlib.Path(), pathlib.Path("configs"))  # a name in one of these may me
 def load(spec: str) -> config_dict.ConfigDict:
     """The config of `NAME`, `FILE.py`, `NAME:VARIANT` or `FILE.py:VARIANT`; not validated.
 
-    `NAME` is `configs/NAME.py`; that and `NAME.py` are looked up here, then among dynappo's own configs; a
-    path with another folder is that file or none. The file is run: it may do whatever its author may.
+    `NAME` is `configs/NAME.py`. dynappo looks for that, and for `NAME.py`, in the working directory, then
+    among its own configs; a path with another folder means that file alone. The file runs as Python.
     """
     return load_both(spec)[0]
 

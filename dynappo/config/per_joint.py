@@ -1,4 +1,4 @@
-"""Numbers of joints: from what a config says (`PerJoint` in configs/default.py) to a number a joint."""
+"""Turns what a config says of its joints (`PerJoint` in configs/default.py) into a number for each joint."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from dynappo.config.fields import ConfigError
 
 
 def names() -> list[str]:
-    """The fields, all of the group `task`, without that: kp, kd, ..."""
+    """The names of these fields of the group `task`: kp, kd, ..."""
     return [name.partition(".")[2] for name, field in fields.every().items() if field.per_joint]
 
 

@@ -31,7 +31,7 @@ def pasted(text: str) -> str:
 def install(extra: str) -> str:
     """What installs `dynappo[EXTRA]` into this Python: from the clone, else the extra's own packages.
 
-    By name, dynappo itself is not to be had everywhere.
+    Not every index has dynappo itself.
     """
     pip = f"{_python()} -m pip install"
     if (versions.ROOT / "constraints.txt").exists():

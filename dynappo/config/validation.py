@@ -1,4 +1,4 @@
-"""Which settings can run together; needs no JAX. What one field may hold: `fields`."""
+"""Which settings can run together, without JAX. `fields` says what one field may hold."""
 
 from __future__ import annotations
 

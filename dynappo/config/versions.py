@@ -8,7 +8,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def of(package: str) -> str:
-    """As it is installed; "unknown" if it is not."""
+    """The installed version of a package; "unknown" if it is not installed."""
     try:
         return metadata.version(package)
     except metadata.PackageNotFoundError:
@@ -16,7 +16,7 @@ def of(package: str) -> str:
 
 
 def commit(root: Path = ROOT) -> str | None:
-    """Of the checkout that this package is in, with `-dirty` if files differ; None where there is none."""
+    """The commit of this package's checkout, with `-dirty` if files differ; None without a checkout."""
     if not (root / ".git").exists():  # a wheel may lie inside of somebody else's checkout
         return None
     command = ["git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=12"]

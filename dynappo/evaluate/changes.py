@@ -1,12 +1,12 @@
-"""Does a policy stay on its feet when its command changes? In C MuJoCo and NumPy, as it is played.
+"""Measures whether a robot falls when its command changes, in C MuJoCo and NumPy.
 
-`run`: `NUMBER` changes of command. A walk is a first command and `PER_WALK` changes, each to a command
-drawn uniformly from the ranges that were trained, after `EVERY` seconds of the one before. A robot that
-falls is put on its feet at once and goes on with the same command, as on the live page: so every change
-is made, and a change counts as a fall where the robot falls before the next one. Falls under the first
-command of a walk, before anything has changed, are counted apart (`start_falls`).
+`run` makes `NUMBER` changes of command. A walk is a first command and `PER_WALK` changes, each after `EVERY`
+seconds, to a command drawn uniformly from the ranges of training. A robot that falls is put on its feet at
+once and goes on with the same command, as on the live page, so every change takes place. A change counts as
+a fall if the robot falls before the next one. Falls under the first command of a walk count apart
+(`start_falls`).
 
-`tours`: the tours that the film and the live page show.
+`tours` plays the tours that the film and the live page show.
 
 A blow-up of the physics is a fall.
 """
@@ -31,7 +31,7 @@ ROUNDS = 2  # of the live page's tour, which has no end
 
 
 def falls(body: Body, act: Callable, command: Callable, seconds: float) -> list[float]:
-    """When (s) the robot falls, of `seconds` from standing; after each fall it stands up, and goes on.
+    """Times (s) of the robot's falls in `seconds` from standing; after each it stands up and goes on.
 
     `act(obs)` is the policy, `command(t)` its command, whose time goes on through falls. The time of a
     fall is the end of its control step.
@@ -68,11 +68,11 @@ def run(
     seed: int = 0,
     tell: Callable[[int, int], None] = lambda done, total: None,
 ) -> dict[str, Any]:
-    """`number` changes of command: `falls` of them, and of each of these what it was.
+    """Make `number` changes of command: the number of `falls`, and a description of each in `fell`.
 
-    `fell` has the command before, the one that was new (m/s, m/s, rad/s), and how long after (s). Equal
-    for equal seeds; with more changes, the first are the same. `tell(done, total)`: changes, after each
-    walk.
+    `fell` has the command before, the new one (m/s, m/s, rad/s), and the time from the change to the fall
+    (s). Equal seeds give equal results; with more changes, the first are the same. After each walk
+    `tell(done, total)` gets the number of changes.
     """
     policy, dt = body.policy, episode_lib.period(body)
     act = policy_file.actor(policy.params, policy.activation)
@@ -101,9 +101,9 @@ def run(
 
 
 def tours(body: Body) -> list[dict[str, Any]]:
-    """The tour of `play`'s film, and that of the live page, which goes round: when the robot `fell_at` (s).
+    """Play the tour of `play`'s film, and that of the live page, which repeats: when the robot `fell_at` (s).
 
-    The page asks for nothing beyond the ranges that were trained. It is empty where the robot walks the tour.
+    The page keeps commands within the ranges of training. `fell_at` is empty if the robot never falls.
     """
     policy = body.policy
     act = policy_file.actor(policy.params, policy.activation)

@@ -4,8 +4,8 @@ It runs three kinds of episodes, all with the policy's mean action:
 
 - `trials.run`, a grid of commands in C MuJoCo: where it tracks well, what walking costs, how the
   feet move;
-- `changes`, in C MuJoCo too: whether it stays on its feet when its command changes, and on the tours
-  that are shown;
+- `changes`, in C MuJoCo too: whether it falls when its command changes, and on the tours of the film and
+  the live page;
 - `episodes`, the task it was trained on, on MJX (`scores.py`): return, falls and tracking error,
   the numbers to compare runs by. `--fast` leaves these out; then JAX is not imported.
 """
@@ -109,7 +109,7 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
 
 
 def folder(what: str, path: Path) -> Path:
-    """Where the evaluation of `what`, found at `path`, goes by default."""
+    """The default folder for the evaluation of `what`, found at `path`."""
     if what in files.bundled():
         return Path(f"evaluation-{what}")
     workdir = path.parent.parent if path.is_dir() else path.parent

@@ -137,7 +137,7 @@ def gait(title: str, numbers: dict[str, Any], recordings, timestep: float):
 
 
 def _gait_title(row: dict[str, Any]) -> str:
-    """What was asked and what came: speed, strides, duty factor."""
+    """Commanded and measured: speed, strides, duty factor."""
     formats = (
         ("fall", "fell after {:.1f} s"),
         ("speed", "walks at {:.2f} m/s"),

@@ -1,18 +1,18 @@
-"""How the feet move in recorded trials, of any number of them. NumPy only.
+"""How the feet move in recorded trials, for any number of feet. NumPy only.
 
-Of each foot, and their mean; contacts and swings shorter than a control step are bounces and do not count:
+For each foot, and their mean; contacts and swings shorter than a control step are bounces and do not count:
 
 - `duty_factor`: share of time on the ground; `air_time` (s): mean duration of its swings;
   `stride_frequency`: touch-downs a second
-- `clearance` (m): the highest that its lowest point is in a swing, mean over swings
+- `clearance` (m): the greatest height of its lowest point in a swing, mean over swings
 - `slip` (m/s): horizontal speed of the points that touch the ground, mean weighted with their load. A
   foot that rolls over its edge does not slip
 
-Of all feet:
+For all feet together:
 
 - `flight`: share of time with every foot in the air
-- `asymmetry`: difference of the mean swings of the left and of the right feet, share of their mean. Left
-  and right as the default pose has them
+- `asymmetry`: difference between the mean swings of the left and the right feet, as a share of their mean.
+  The default pose says which feet are left
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ def intervals(contact: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def stances(contact: np.ndarray, brief: int) -> tuple[np.ndarray, np.ndarray]:
     """`intervals` of one foot's `contact [P]` without bounces, which belong to what is around them.
 
-    A bounce is a contact or a swing of fewer than `brief` rows. What the recording cuts is none.
+    A bounce is a contact or a swing of fewer than `brief` rows. One that the recording cuts is no bounce.
     """
     on, off = intervals(contact)
     long = (on == 0) | (off == len(contact)) | (off - on >= brief)
@@ -83,10 +83,10 @@ def strides(contact: np.ndarray, brief: int) -> tuple[np.ndarray, np.ndarray, np
 
 
 def measures(body: Body, parts: Iterable[Mapping[str, np.ndarray]]) -> dict[str, Any]:
-    """The measures above over several recordings together, and of each foot in `feet`.
+    """The measures of the module's docstring over several recordings together, and of each foot in `feet`.
 
-    A part has a row a physics step: `contact`, `load`, `slide` and `height` (of the lowest point, m), all
-    `[P, F]`. None where one cannot be computed.
+    A recording has a row for each physics step: `contact`, `load`, `slide` and `height` (of the lowest point,
+    m), all `[P, F]`. None where one cannot be computed.
     """
     parts = [part for part in parts if len(part["contact"])]
     timestep, each = body.model.opt.timestep, {}

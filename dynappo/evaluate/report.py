@@ -1,7 +1,7 @@
 """Writes report.html: the results of an evaluation, and the robot under each command, in one file.
 
-The tables are those of `show`, the maps those of `figures`, the player is the page of `dynappo play`,
-which is there once: a click on a command gives it that command's recording.
+The tables come from `show`, the maps from `figures`, the player from the page of `dynappo play`. There is one
+player: a click on a command loads that command's recording into it.
 """
 
 from __future__ import annotations
@@ -103,7 +103,7 @@ def scene(body: Body, recording: dict[str, Any]) -> dict[str, Any]:
 
 
 def measures(row: dict[str, Any]) -> list[tuple[str, str]]:
-    """What stands beside the player."""
+    """The measures that the page shows beside the player."""
     known = [
         (label.strip(), text.format(row[key]))
         for key, label, text in show.ROWS

@@ -81,7 +81,7 @@ def trials(screen, numbers: dict[str, Any]) -> None:
 
 
 def trials_text(numbers: dict[str, Any]) -> str:
-    """What the trials are."""
+    """A line that says what the trials are."""
     return (
         f"{numbers['all']['episodes']} commands, {numbers['seconds']:g} s each, in C MuJoCo without noise; "
         "the first second is left out"
@@ -121,7 +121,7 @@ def notes(rows: list[dict[str, Any]]) -> list[str]:
 
 
 def command_text(row: dict[str, Any]) -> str:
-    """The command of a row, for a person."""
+    """The command of a row, in words."""
     x, y, turn = row["command"]
     return f"asked for {x:g}, {y:g} m/s, {turn:g} rad/s"
 
@@ -167,7 +167,7 @@ def episodes(screen, numbers: dict[str, Any]) -> None:
 
 
 def episodes_text(numbers: dict[str, Any]) -> str:
-    """What the episodes of the task are."""
+    """A line that says what the episodes of the task are."""
     task = "noise, pushes, randomised physics" if numbers["randomize"] else "no noise"
     engine = devices.ENGINES[numbers["impl"]]
     return (

@@ -1,17 +1,17 @@
 """Robustness tests: latency, friction, payload, weak motors, pushes, noise, other physics.
 
-Eight commands of ten seconds for each disturbance, in C MuJoCo, with every contact and a solver that
-converges; NumPy only. The same commands and the same random numbers for each, so that rows of the table
-differ by the disturbance alone.
+Eight commands of ten seconds for each disturbance, in C MuJoCo and NumPy, with every contact and a solver
+that converges. Commands and random numbers are the same for each, so rows of the table differ by the
+disturbance alone.
 
-- a delay is of the actions, or of the observations; both together is their sum (physics/randomize.py).
-  `jitter` adds a delay to each action by itself, uniform from 0; none overtakes another
+- a delay is of the actions, of the observations, or of both, where the two add up (physics/randomize.py).
+  `jitter` adds to each action a delay of its own, uniform from 0; none overtakes another
 - friction is that of every contact with the ground; mass is added to the base, its inertia scaled with it
 - `motors` is the share of the torque that arrives
 - a push adds a horizontal velocity of the given size to the base's, in a random direction, every 2 s
 - noise is that of training (Isaac Lab's, `configs/default.py`)
-- `velocity` is what the policy reads of its linear velocity, times the true one. A policy that does not
-  see it has no such row
+- `velocity` is the share of the true linear velocity that the policy reads. A policy that does not see it has
+  no such row
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ NOISE = dict(
 
 
 class Stress(NamedTuple):
-    """A disturbance; each default changes nothing."""
+    """A disturbance; with its defaults it changes nothing."""
 
     name: str
     action_delay: float = 0.0  # s
@@ -139,7 +139,7 @@ def run(policy: Policy, body: Body, tell: Callable[[int, int], None] = lambda do
 
 
 def commands(policy: Policy) -> np.ndarray:
-    """The eight commands [8, 3] in the ranges that were trained; m/s, m/s, rad/s."""
+    """The eight commands [8, 3], in the ranges of training; m/s, m/s, rad/s."""
     ranges = np.array([policy.command_x, policy.command_y, policy.command_yaw])
     low, high = ranges.T
     share = np.array(COMMANDS)
@@ -216,14 +216,14 @@ def play(body: Body, act: Callable, command, stress: Stress, seed: int = 0, seco
 
 
 def _snapshot(data) -> SimpleNamespace:
-    """What an observation is made of, as it is now."""
+    """A copy of the numbers that an observation is made of."""
     return SimpleNamespace(qpos=data.qpos.copy(), qvel=data.qvel.copy(), time=data.time)
 
 
 def measure(body: Body, stress: Stress, seconds: float = SECONDS) -> dict[str, Any]:
     """A row of the table: falls of the eight commands, tracking and yaw error of what stood.
 
-    Root mean squares after the first second and before a fall; None where nobody stood so long.
+    Root mean squares after the first second and before a fall; None if no robot stood that long.
     """
     policy, changed = body.policy, disturbed(body, stress)
     act = policy_file.actor(policy.params, policy.activation)

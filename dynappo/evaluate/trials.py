@@ -1,7 +1,7 @@
 """Measures a policy under each command of a grid: tracking, effort and gait, in C MuJoCo and NumPy.
 
-With every contact, a solver that converges, no noise, and one episode for each command. Definitions,
-over the time after the first second and before a fall:
+One episode for each command, with every contact, a solver that converges, and no noise. Definitions, over
+the time after the first second and before a fall:
 
 - `tracking_error`, `yaw_error`: root mean squares of the planar velocity and of the yaw rate, as in
   `dynappo/scores.py`;
@@ -157,7 +157,7 @@ def gait(body: Body, recordings: Iterable[dict[str, Any]]) -> dict[str, Any]:
 
 
 def axes(policy: Policy, points: int = POINTS) -> dict[str, np.ndarray]:
-    """The commands of the grid on each axis, over the range that was trained."""
+    """The commands of the grid on each axis, over the range of training."""
     ranges = {"vx": policy.command_x, "vy": policy.command_y, "wz": policy.command_yaw}
     return {
         name: np.unique(np.round(np.linspace(low, high, points), 6))
@@ -166,7 +166,7 @@ def axes(policy: Policy, points: int = POINTS) -> dict[str, np.ndarray]:
 
 
 def speeds(policy: Policy) -> list[float]:
-    """The speeds ahead (m/s) of the gait diagrams: `SPEEDS`, as far as they were trained."""
+    """The speeds ahead (m/s) of the gait diagrams: `SPEEDS`, within the range of training."""
     low, high = policy.command_x
     return sorted({float(np.clip(speed, low, high)) for speed in SPEEDS})
 

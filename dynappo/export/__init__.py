@@ -5,5 +5,5 @@
 - `deploy_yaml`: its settings for the controllers of unitree_rl_lab
 - `joint_order`: the orders of joints that robots and simulators use
 
-No other command imports it. It imports `policy`, `physics`, `task.observe` and `config`, and no JAX.
+No other command imports it. It imports `policy`, `physics`, `tasks.velocity.observe` and `config`, no JAX.
 """

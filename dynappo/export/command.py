@@ -78,7 +78,7 @@ def check_out(out: Path, taken: Path) -> None:
 
 
 def table(policy: Policy, out: Path, order: str, targets: bool) -> list[tuple[str, str]]:
-    """What was written and how to use it, as (name, text) for a person."""
+    """What was written and how to use it, as (name, text) for printing."""
     kind = f"ONNX, float32, opset {onnx_file.OPSET}" if out.suffix == ".onnx" else "policy file"
     rows = [("written", f"{out} ({out.stat().st_size / 1024:.0f} KiB, {kind})")]
     if out.suffix == ".onnx":
@@ -110,7 +110,7 @@ def table(policy: Policy, out: Path, order: str, targets: bool) -> list[tuple[st
 
 
 def run(flags) -> None:
-    """Export as the flags say, and tell what was written."""
+    """Export as the flags say, and print what was written."""
     policy, path, named = source.of_flags(flags)
     check_out(flags.out, path)
     robot, note = source.robot(policy, flags.robot_xml)

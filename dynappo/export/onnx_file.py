@@ -1,10 +1,10 @@
 """A policy as an ONNX network, `obs [batch, O]` to `action [batch, A]`, with everything a robot needs.
 
-A policy that sees the last h readings takes them part by part, and of each part the oldest first: the order
-of Isaac Lab's observation manager, and of the deploy code of Unitree's lab.
+A policy that sees the last h readings takes them part by part, and of each part the oldest first, as Isaac
+Lab's observation manager and unitree_rl_lab's controllers do.
 
-It is made from the parameters alone (no JAX, no torch) and computes in float32 whatever `ppo.precision`
-is. Its metadata holds the rest: observation table, joints, default pose, gains, limits, times.
+`export` makes the network from the parameters alone (no JAX, no torch); it computes in float32 whatever
+`ppo.precision` is. Its metadata has the rest: observation table, joints, default pose, gains, limits, times.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 - `ppo`: the update of an iteration, a minibatch's step, the loss
 - `gae`: advantages and returns of a rollout
-- `symmetry`: a policy that treats left and right alike: each gradient is averaged with its image
+- `symmetry`: a policy that treats left and right alike, by the mean of each gradient and its image
 - `units`: networks that learn as if parts of an observation came in other units
 - `networks`: multilayer perceptrons and the Gaussian policy
 

@@ -6,10 +6,10 @@ standard deviation is one free parameter per action, used as it is, without an e
 (rsl_rl/modules/actor_critic.py, noise_std_type "scalar").
 
 The mean action is clipped to +-10. Why: the last action is part of the observation, so the policy's
-output feeds back into its input. In a pose that was rare in training, actions of ANYmal grew by a
-constant factor each step, with saturated motors and without a fall: one such episode had a return
-of -1e14, and values then overflowed. A policy that walks stays below 6; 10 is 2.5 rad of a Unitree
-joint, more than the joint can turn.
+output feeds back into its input. In a pose that was rare in training, an ANYmal's actions grew by a
+constant factor each step, with saturated motors and without a fall. One such episode had a return
+of -1e14, and values overflowed. A policy that walks stays below 6; 10 is 2.5 rad of a Unitree joint,
+more than the joint can turn.
 """
 
 from __future__ import annotations

@@ -1,13 +1,13 @@
 """Networks that learn as if parts of an observation came in other units; `policy_units`.
 
 Joint velocities are ten times larger than angles, and noisy. With `ppo.scale_inputs` policy and value
-function learn as networks that see s x instead of x, s as in `Env.input_scale`. The first layer W of such
+function learn as networks that see s x instead of x, where s is `Env.input_scale`. The first layer W of such
 a network has
 
     W (s x) = U x,   U = s W:   grad_W = s grad_U,   and a step of W by d is a step of U by s d
 
-so the rows of U are made s times smaller at first, and gradient and step are multiplied by s. The networks
-themselves see x: policies, ONNX files and checkpoints know nothing of units.
+So U starts as s times the initial W, and gradient and step are multiplied by s. The networks themselves see
+x: policies, ONNX files and checkpoints know nothing of units.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Check a robot before training: `dynappo look CONFIG --out=look.png`.
 
-It shows what the MJCF and the config add up to: mass, joints, whether the PD is stable, and how the
-robot stands with it. C MuJoCo and NumPy, without JAX; it takes a second or two.
+It shows what robot the MJCF and the config make: mass, joints, whether the PD is stable, and how the robot
+stands with it. C MuJoCo and NumPy, without JAX; it takes a second or two.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
 
 
 def about(robot: robot_lib.Robot, config, pd: facts.PD) -> list[tuple[str, str]]:
-    """What can be said before it stands, as (name, text) for a person."""
+    """What is known before the robot stands, as (name, text) for printing."""
     task, dt = config.task, config.physics.timestep
     kp, kd = (_span(np.atleast_1d(x), None) for x in (task.kp, task.kd))
     verdict = "stable" if pd.damping < 1 else "the joints chatter"
@@ -88,7 +88,7 @@ def about(robot: robot_lib.Robot, config, pd: facts.PD) -> list[tuple[str, str]]
 
 
 def standing(robot: robot_lib.Robot, config, stood: dict) -> list[tuple[str, str]]:
-    """How it stood, as (name, text) for a person."""
+    """How the robot stood, as (name, text) for printing."""
     home, rest, share = robot.home_qpos[2], stood["rest"], stood["share"]
     asked = facts.explores(robot, config)
     if stood["fall"] is not None and len(robot.foot_names) < 3:
@@ -107,7 +107,7 @@ def standing(robot: robot_lib.Robot, config, stood: dict) -> list[tuple[str, str
 
 
 def _of_limit(robot: robot_lib.Robot, config, share: np.ndarray) -> str:
-    """The largest of some shares of the motors' limits, for a person."""
+    """The largest of some shares of the motors' limits, in words."""
     worst = int(share.argmax())
     limit = np.broadcast_to(facts.limit(config.task), len(share))[worst]
     name = robot.joint_names[worst]
@@ -152,7 +152,7 @@ def _span(values: np.ndarray, digits: int | None) -> str:
 
 
 def notes(robot: robot_lib.Robot, config, pd: facts.PD, stood: dict) -> list[str]:
-    """A line on each thing that should be changed before it is trained."""
+    """A line on each thing to change before training."""
     out = [*_wrong_pd(pd), *_wrong_standing(robot, stood), *_wrong_config(robot, config)]
     out += _wrong_engine(robot, config.physics)
     if slow := scope.slower(robot, config.physics, config.task.remember_ground):
@@ -250,7 +250,7 @@ def _wrong_config(robot: robot_lib.Robot, config) -> list[str]:
 
 
 def run(flags) -> None:
-    """Look at the robot as the flags say, and tell what there is to see."""
+    """Check the robot as the flags say, and print the findings."""
     if flags.out is not None:
         flags_lib.check_writable(flags.out)
     config = flags.config

@@ -47,11 +47,14 @@ def pd(robot: robot_lib.Robot, kp, kd, timestep: float) -> PD:
 def stand(body: Body) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     """`(episode, numbers)` of five seconds under zero action: the PD holds the default pose.
 
-    `fall` (s): when a part that is no foot, `fell_on`, touched the ground, or None; `rest` (m): height of the
-    base at the end, of a robot on one or two feet that falls halfway to its fall; `moved` (m): how much the
-    height changed in the last second; `slid` (m): how far the feet went after the first, until a fall; `sunk`
-    (m): how deep the lowest foot is in the floor then; `torque [A]` (N m): what each motor holds in the last
-    second, kp times the joint's mean error, and `share [A]` of its limit.
+    - `fall` (s): when the part `fell_on` touched the ground, or None
+    - `rest` (m): height of the base at the end; if a robot on one or two feet falls, halfway to its fall
+    - `moved` (m): how much the height changed in the last second
+    - `slid` (m): how far the feet went after the first second, until a fall
+    - `sunk` (m): how deep the lowest foot is in the floor then
+    - `torque [A]` (N m): what each motor holds in the last second, kp times the joint's mean error
+    - `share [A]`: the share of the motor's limit that this is
+
     FloatingPointError if the physics blows up.
     """
     p, count = body.policy, len(body.policy.joint_names)
@@ -92,7 +95,7 @@ def balances(body: Body) -> bool:
 
 
 def _feet(body: Body, qpos: np.ndarray) -> np.ndarray:
-    """Of each foot x and y of its first shape, and the height of its lowest point (m), [F, 3]."""
+    """x and y of each foot's first shape, and the height of its lowest point (m), [F, 3]."""
     data = mujoco.MjData(body.model)
     data.qpos[:] = qpos
     mujoco.mj_kinematics(body.model, data)
@@ -103,7 +106,7 @@ def _feet(body: Body, qpos: np.ndarray) -> np.ndarray:
 
 
 def _lowest_part(body: Body, qpos: np.ndarray) -> str:
-    """What a part that is no foot and is the lowest of all is called."""
+    """The name of the lowest part."""
     parts = np.flatnonzero(body.parts)
     if not len(parts):
         return "a part"
@@ -120,7 +123,7 @@ def explores(robot: robot_lib.Robot, config) -> np.ndarray:
 
 
 def low_parts(robot: robot_lib.Robot, below: float) -> list[str]:
-    """The parts that come lower than `below` (m) in the default pose, each with its height in mm."""
+    """The parts lower than `below` (m) in the default pose, each with its height in mm."""
     heights = feet.lowest_points(robot.mj_model, robot.home_qpos, robot.parts)
     names = [
         robot.mj_model.geom(g).name or robot.mj_model.body(robot.mj_model.geom_bodyid[g]).name

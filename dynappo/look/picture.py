@@ -1,7 +1,7 @@
-"""Draws a robot as the trainer sees it: beside its looks, the shapes that touch the floor, feet and parts.
+"""Draws a robot's looks beside the shapes that physics sees: feet and parts.
 
-Three robots in one scene, all in the default pose: as it looks, from the side; its shapes from the side; its
-shapes from the front. Orange shapes are feet, grey-blue ones parts, which end an episode at the ground.
+Three views in one scene, all in the default pose: looks from the side, shapes from the side, shapes from the
+front. Orange shapes are feet, grey-blue ones parts: a part at the ground ends an episode.
 """
 
 from __future__ import annotations

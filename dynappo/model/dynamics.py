@@ -4,17 +4,17 @@
     L(theta) = sum over robots and real rows of Huber((o_prop_{k+1}, r_k) - f_theta(o_k, a_k))  (3)
 
 An MLP, fitted in each iteration to the real rows, from the last weights and Adam moments. The paper
-leaves two things open: here the target is the change of state, and running moments scale inputs and
-targets. `predict_change = normalize = False` is the other choice. It never learns across a reset.
+leaves two things open. Here the target is the change of state, and running moments scale inputs and
+targets; `predict_change = normalize = False` turns both off. The model never learns across a reset.
 
 Options beyond the paper, fields of the group model that are off in the paper's variants:
 
 - `clean`: f_theta reads and predicts the state without noise, and the policy in the tail sees it
   with new noise. A model that has to predict noise cannot have a smaller error than the noise.
 - `known_reward`: the reward is `env.known_reward` of the prediction, plus the rest from f_theta.
-- `falls`: sigmoid(f_theta) is the probability of a fall, and 1 minus it is the tail's discount. The
-  model learns from rows with a fall too, without class weights. What a fall pays (`env.fall_reward`) is no
-  part of what f_theta predicts; a tail's row has it times that probability.
+- `falls`: sigmoid(f_theta) is the probability p of a fall, and 1 - p is the tail's discount. The model then
+  learns from rows with a fall, too, without class weights. f_theta does not predict the reward of a fall
+  (`env.fall_reward`): a tail's row gets p times that reward.
 
 Why an epoch runs through the rows of each robot, not through all rows in random order (`orders`):
 JAX cannot permute a traced number of rows, and computing on masked rows would cost what the tail
@@ -51,7 +51,7 @@ class TailState:
 
 
 def tail(static: Static, env: Env, state) -> TailState:
-    """The start of a tail, from the `obs` and `prop` of a physics state or of a row."""
+    """The start of a tail, from the `obs` and `prop` of a physics state or a row."""
     prop = state.prop if static.model.clean else state.obs[..., : env.prop_size]
     return TailState(obs=state.obs, prop=prop)
 

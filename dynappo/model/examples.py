@@ -1,6 +1,6 @@
 """The transition model's training data: rows of a rollout as inputs, targets and weights.
 
-The model predicts the observation's `prop`, with `model.clean` without its noise. The rest of an
+The model predicts the observation's `prop`, without its noise if `model.clean` is set. The rest of the
 observation, the context, is known (`Env.advance`).
 """
 
@@ -49,10 +49,10 @@ def before_and_after(static: Static, env: Env, rows: Transition):
 
 def targets(static: Static, hyper: Hyper, env: Env, rows: Transition) -> Float[Array, "... K"]:
     """The model's target for each row: change of prop (or next prop), reward / dt without its known
-    share, and, with `model.falls`, 1 where the robot fell, whose `Env.fall_reward` is known too.
+    share, and, with `model.falls`, 1 where the robot fell. `Env.fall_reward` is part of the known share.
 
-    The known share is that of what the model sees and predicts, as it will be in a tail: without
-    `clean` of sensed props, although the reward itself was paid for exact ones.
+    The known share is computed from what the model sees and predicts, as in a tail: without `clean` from
+    sensed props, although the reward itself was computed from exact ones.
     """
     (obs, after), reward, fell = before_and_after(static, env, rows), rows.reward, 1 - rows.discount
     if static.model.known_reward:

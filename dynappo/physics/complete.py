@@ -1,11 +1,11 @@
 """Completes a robot's file, so that any MJCF of a robot can be trained: `complete(spec) -> Completed`.
 
-Published files differ in what they leave to a scene, and in what they bring beside the robot. What
-`robot_contract` expects is therefore put in place when a file is read, and each change is a line for a
-person. A file that lacks nothing goes through untouched: the same compiled model, and no line.
+Published files differ in what they leave to a scene, and in what they contain beside the robot. `complete`
+makes of them what `robot_contract` expects, with a line for the user about each change. A complete file
+stays untouched: the same compiled model, and no line.
 
-The order matters: masses are fixed before the shapes that they come from go, bodies are merged before
-limbs are looked at, and the feet are known before meshes become primitives that must end above them.
+The order of steps matters: masses are fixed before the shapes that they come from go, bodies are merged
+before limbs are found, and feet are found before meshes become primitives that must end above them.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ VIEW_AXES = np.array([[0.612, 0.791, 0.0], [-0.217, 0.168, 0.962]])  # right and
 
 
 class Completed(NamedTuple):
-    """A spec that `robot_contract` can check, its compiled model, and what was done, a line each."""
+    """A spec that `robot_contract` can check, its compiled model, and a line on each change."""
 
     spec: mujoco.MjSpec
     model: mujoco.MjModel
@@ -103,7 +103,7 @@ def _compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:
 
 
 def _list(names, most: int = 6) -> str:
-    """`names` for a person, in order; few of them."""
+    """The first few `names`, in order, in words."""
     names = list(dict.fromkeys(str(name) for name in names))
     return ", ".join(names[:most]) + f" and {len(names) - most} more" * (len(names) > most)
 
@@ -218,9 +218,9 @@ def _sizes(body) -> list[tuple[str, int]]:
 
 
 def _keys(spec: mujoco.MjSpec, poses: list[np.ndarray], freed: bool, notes: list[str]) -> None:
-    """Keyframes that do not fit are taken out, and the first of the others is `home` if none is.
+    """Delete keyframes that do not fit; the first of the others becomes `home` if none is.
 
-    `poses` are their `qpos`. Those of a base that was not free (`freed`) have none of its numbers.
+    `poses` are their `qpos`, without numbers of the base if that was not free before (`freed`).
     """
     size = sum(count for _, count in _sizes(spec.worldbody))
     for key, pose in zip(list(spec.keys), poses, strict=True):
@@ -318,7 +318,7 @@ def _kind(geom) -> str:
 
 
 def _masses(spec: mujoco.MjSpec, shapes: list, notes: list[str]) -> None:
-    """Masses that come from shapes are written down, for looks and meshes go."""
+    """Masses that come from shapes are written down, because looks and meshes go."""
     always = spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
     bodies = [b for b in spec.bodies[1:] if always or not b.explicitinertial]
     bodies = [b for b in bodies if b.geoms]
@@ -380,7 +380,7 @@ def _pairs(spec: mujoco.MjSpec, floor, notes: list[str]) -> None:
 
 
 def _motors(spec: mujoco.MjSpec, model: mujoco.MjModel, notes: list[str]) -> bool:
-    """One plain motor a joint; what an actuator adds to a joint's inertia and damping stays."""
+    """One plain motor for each joint; an actuator's share of a joint's inertia and damping stays."""
     try:
         robot_contract.check_motors(model)
         return False
@@ -499,9 +499,9 @@ def _add(body, **fields) -> None:
 
 
 def _above_foot(model, data, geom: int, points: np.ndarray, foot: np.ndarray) -> np.ndarray:
-    """Those of a mesh's `points` that are above the foot at its end, which shall touch the floor before it.
+    """Those of a mesh's `points` that are above the foot at its end, so the foot touches the floor first.
 
-    All of them if too few are.
+    All points if too few are above.
     """
     if not len(foot):
         return points

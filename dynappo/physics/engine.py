@@ -1,17 +1,17 @@
 """Simulates one control step: PD, motor limits, four physics steps, contacts by geometry.
 
-Why kinematics are one substep old: `mjx.step` computes geom positions from the coordinates it
+Why kinematics are one physics step old: `mjx.step` computes geom positions from the coordinates it
 starts from, so after it they are those of 5 ms before. Foot contacts (a foot's lowest point below the
-floor) and the lowest points of other parts are read from them, at no cost; observations and rewards
-are computed from the new qpos and qvel.
+floor) and the lowest points of parts come from these positions, at no cost; observations and rewards come
+from the new qpos and qvel.
 
 Why contact by geometry: it is the same for every engine and needs no contact forces, so the parts
 that must not touch the ground need no collision pairs (`physics.contacts = feet`).
 
 Why data are rebuilt from a template in every control step: the state is then small, a reset costs
 no physics call, and a checkpoint does not depend on the engine. Why not in every physics step:
-filling the 168 arrays of mjx.Data took 0.6 of 4.4 ms (experiments/03_speed). On a
-GPU a control step is one call without mjx.Data (warp/call.py).
+filling the 168 arrays of mjx.Data took 0.6 of 4.4 ms (experiments/03_speed). On a GPU a control step is
+one call without mjx.Data (warp/call.py).
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Checks that an engine has what a robot's file asks for: `check(robot, physics, impl)`.
 
-NumPy and C MuJoCo; MJX and MuJoCo Warp, whose import takes seconds, are asked only about files with more
-in them than every engine has (`PLAIN`).
+NumPy and C MuJoCo. It imports MJX or MuJoCo Warp, which takes seconds, only for files that have more than
+every engine can simulate (`PLAIN`).
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def check(robot: robot_lib.Robot, physics, impl: str) -> None:
 
 
 def lacks(robot: robot_lib.Robot, physics, impl: str) -> str:
-    """What of the robot's file the engine `impl` cannot simulate; "" if nothing."""
+    """What the engine `impl` cannot simulate of the robot's file; "" if nothing."""
     if impl == "c":
         name = _unlike_others(robot.mj_model)
         return name and f"the integrator {name}"
@@ -98,7 +98,7 @@ def _check_warp(model: mujoco.MjModel) -> None:
 
 
 def _check_mjx(model: mujoco.MjModel) -> None:
-    """NotImplementedError for a model that MJX cannot step, or of which it would leave something out."""
+    """NotImplementedError for a model that MJX cannot step, or would simulate only in part."""
     unseen = [name for name in UNSEEN if getattr(model, name).any()]
     unseen += ["opt.noslip_iterations"] * bool(model.opt.noslip_iterations)
     discrete = model.opt.integrator == mujoco.mjtIntegrator.mjINT_DISCRETE

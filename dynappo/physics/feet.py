@@ -68,8 +68,8 @@ def by_shape(model: mujoco.MjModel, home: np.ndarray) -> dict[str, list[int]]:
     """The shapes of each foot, by the foot's name.
 
     A limb stands if it ends close to the lowest point of the robot in the pose `home`, and not in a
-    wheel. Its foot is what of its last body reaches down there, but for a shank that goes on upwards;
-    the name is what the names of the limb's joints have in common.
+    wheel. Its foot is those shapes of its last body that reach down there, but for a shank that goes on
+    upwards. The foot's name is what the names of the limb's joints have in common.
     """
     geoms = np.flatnonzero(model.geom_bodyid > 0)
     if not len(geoms):

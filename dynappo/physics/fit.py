@@ -23,7 +23,7 @@ class Primitive(NamedTuple):
     volume: float  # m^3
 
     def text(self) -> str:
-        """For a person: the kind, and its extent along each of its axes."""
+        """In words: the kind, and its extent along each of its axes."""
         x, y, z = self.size
         whole = {BOX: (x, y, z), SPHERE: (x,), CAPSULE: (x, x + y), CYLINDER: (x, y)}
         return f"{KINDS[self.kind]} of {' x '.join(f'{2 * s:.3g}' for s in whole[self.kind])} m"

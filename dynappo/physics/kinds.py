@@ -1,4 +1,4 @@
-"""What joints of different legs or sides have in common: their kind, and a pattern for its names."""
+"""Kinds of joints: what a name says without its leg or side, and a pattern that matches the kind's names."""
 
 from __future__ import annotations
 

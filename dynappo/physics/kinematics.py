@@ -2,8 +2,8 @@
 
 A foot's shapes are points with radii: a sphere's middle, the two ends of a capsule, the eight corners of
 a box, the middles of a cylinder's two rims. Each point moves with the hinges between it and the base. Axes
-and offsets are those in the base's frame where all joints are at their `ref`, so that frames may be turned
-(Lynch and Park, Modern Robotics 4.1, the product of exponentials):
+and offsets are taken in the base's frame with all joints at their `ref`, so frames may be turned (Lynch and
+Park, Modern Robotics 4.1, the product of exponentials):
 
     x <- o_i + exp([a_i] (q_i - ref_i)) x        from the last joint to the first
 """

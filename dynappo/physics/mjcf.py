@@ -1,8 +1,8 @@
-"""Compiles an MJCF, with errors in one line; one that a policy carries may read no file.
+"""Compiles an MJCF, with errors in one line; the MJCF inside a policy may read no file.
 
-An MJCF in a file of its own is trusted as code is: it may name any file of the machine, and take any time
-and memory (robots/README.md). One inside a policy.npz or a checkpoint comes from whoever sent that, so it
-must need no other file (`check_alone`).
+An MJCF file is trusted as code is: it may name any file of the machine, and take any time and memory
+(robots/README.md). The MJCF inside a policy.npz or a checkpoint comes from whoever sent that, so it must need
+no other file (`check_alone`).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The motors of a robot, joint by joint: what a config says of them, and their inertia in a model."""
+"""A robot's motors, joint by joint: their numbers in a config, and their inertia in the compiled model."""
 
 from __future__ import annotations
 

@@ -6,12 +6,12 @@ the inertia scaled in proportion, centre of mass, foot friction, PD gains. Range
 are single values on Go1. A range that is just the file's value costs nothing, because that field of
 the model stays one array for all robots.
 
-What real robots have beside these is None in a `Body` unless its range says otherwise: weak motors, friction
-and inertia in the joints, actions that come late, torques that lag, sensors that are a little off.
+Real robots differ in more: weak motors, friction and inertia in the joints, actions that come late, torques
+that lag, sensors that are a little off. Each is None in a `Body` unless its range says otherwise.
 
-Why one delay, and not one of the sensors and one of the motors: only their sum matters. Observations that
-are d_o seconds old and motors that obey d_a seconds later have the same effect as exact observations and
-motors that obey after d_o + d_a; all that differs is a clock that is d_o late.
+Why one delay, and not one for the sensors and one for the motors: only their sum matters. Observations that
+are d_o seconds old and motors that obey d_a seconds later have the same effect as fresh observations and
+motors that obey after d_o + d_a; only the clock is d_o late.
 
 MuJoCo's `*_invweight0` (the solver's estimate of inverse inertia at the contacts) stays nominal: it
 only scales the regularisation of the constraints.
@@ -148,7 +148,7 @@ def merge(model, body: Body, base_body: int, feet, varied: frozenset[str]):
 
 
 def varied(ranges) -> frozenset[str]:
-    """Names of the ranges that are not collapsed to the value that the robot's file has."""
+    """Names of the ranges that hold more than the value in the robot's file."""
     names = {name for name in AROUND if np.any(getattr(ranges, name))}
     for name, nominal in NOMINAL.items():
         if tuple(getattr(ranges, name)) != (nominal, nominal):

@@ -99,8 +99,8 @@ def _robot(name: str, xml: Path, text: str = "") -> Robot:
 def _alone(xml: Path, spec: mujoco.MjSpec, changed: bool) -> str:
     """A robot's MJCF as one text that needs no other file; `spec` is the completed file, and is changed.
 
-    A file that was not `changed` and names no other file has its own text. Else it is the completed file, in
-    which collision shapes are drawn instead of looks; of a file that was not changed "" if that cannot be.
+    The file's own text if `complete` has not `changed` it and it names no other file. Else that of the
+    completed file, with collision shapes in place of looks; "" if an unchanged file cannot be written so.
     """
     if not changed:
         with contextlib.suppress(ValueError):
@@ -176,7 +176,7 @@ def with_settings(model: mujoco.MjModel, physics, parts: np.ndarray) -> mujoco.M
 
 
 def check_base_mass(robot: Robot, kilograms: tuple[float, float]) -> None:
-    """ConfigError if a base's mass could vary by so much that nothing of it would be left."""
+    """ConfigError if the base's mass could vary to 0 or less."""
     base = robot.mj_model.body_mass[robot.base_body]
     if kilograms[0] <= -base:
         raise ConfigError(

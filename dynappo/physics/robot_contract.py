@@ -14,8 +14,8 @@
 
 Frames may be turned, joints may have a place and a `ref`, several may share a body, and need no range.
 
-What else a file may have (equalities, tendons, springs, ...) is simulated by every engine that has it;
-an engine that lacks it says so (engine.py). On a GPU it takes several times as long (warp/scope.py).
+A file may have more (equalities, tendons, springs, ...): an engine simulates it or says that it cannot
+(engine_contract.py). On a GPU a control step then takes several times as long (warp/scope.py).
 """
 
 from __future__ import annotations
@@ -155,7 +155,7 @@ def _check_geoms(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
 
 
 def parts_of(model: mujoco.MjModel) -> np.ndarray:
-    """The geoms [G] of a robot that must not touch the ground: all that can, but the feet."""
+    """The geoms [G] of a robot that must not touch the ground: all that can touch it, but the feet."""
     return np.setdiff1d(
         np.flatnonzero(model.geom_conaffinity & 1), feet.named(names(model.ngeom, model.geom))[0]
     )

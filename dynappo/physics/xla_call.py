@@ -6,8 +6,7 @@ a call. Here XLA's C interface for foreign functions (jaxlib/include/xla/ffi/api
 names these structures have) passes the arrays' addresses, and the program is cached as any other.
 
 Call it with `has_side_effect=True`: JAX then waits for the program before Python ends. Otherwise a
-program that is still running would call into a Python that is gone, and the process hangs or
-crashes.
+running program could call into a Python that is gone, and the process would hang or crash.
 """
 
 from __future__ import annotations

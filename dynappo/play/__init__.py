@@ -1,7 +1,7 @@
 """Play: the command `dynappo play`, which shows a policy walking. Start reading at `command.py`.
 
 - `command`: its flags and what it prints
-- `command_script`: what `--command` asks of the robot: numbers, a script, a tour
+- `command_script`: the commands that `--command` gives: numbers, a script, a tour
 - `film`: films and pictures, drawn with `policy.render`
 - `page`, `page.html`, `page.js`: one HTML file that plays an episode
 - `serve`: the page in a browser, with folder `web`

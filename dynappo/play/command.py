@@ -108,7 +108,7 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
 
 
 def choose(flags) -> tuple[Policy, Callable[[np.ndarray], np.ndarray], str]:
-    """`(policy, act, text)` of the command line; `text` says what acts."""
+    """`(policy, act, text)` of the command line; `text` names what acts."""
     if flags.policy is None:
         policy, _, text = source.of_flags(flags)
         return policy, policy_file.actor(policy.params, policy.activation), text

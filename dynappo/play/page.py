@@ -1,13 +1,13 @@
-"""One HTML file that plays an episode: recording and player, with nothing to download or install.
+"""Writes one HTML file that plays an episode: recording and player, with nothing to download or install.
 
 Writing it needs no OpenGL. `page.js` draws it with WebGL 2 from what `scene` records: shapes and
 materials of the MJCF, and the pose of every body at every row.
 
-Why no library's player. viser's recordings (viser 1.1.1) work without a network, but take 1.7 MB for
-12 s of a Go1 where this page takes 0.23 MB, and an open port to write them. They have no numbers, no
-chart, no table, no contact shapes, and `evaluate`'s report could not change the recording in one.
-brax's page fetches three.js from a CDN. three.js itself (0.7 MB, MIT) would replace the WebGL calls, a
-third of `page.js`; chart, controls and arrows would stay.
+Why no library's player: viser's recordings (viser 1.1.1) work without a network, but take 1.7 MB for
+12 s of a Go1 (this page: 0.23 MB), and an open port to write them. They have no numbers, chart, table or
+contact shapes, and `evaluate`'s report could not change the recording in one. brax's page fetches three.js
+from a CDN. three.js itself (0.7 MB, MIT) would replace the WebGL calls, a third of `page.js`; chart,
+controls and arrows would stay.
 """
 
 from __future__ import annotations

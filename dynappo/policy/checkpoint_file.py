@@ -2,10 +2,13 @@
 
 It uses tensorstore, with which orbax writes them: orbax itself would start JAX, and JAX would occupy a
 GPU that is training. Python reads the files, and tensorstore decodes them in memory. This keeps three
-kinds of failure apart: if the machine cannot read a file now, that is an OSError or a MemoryError; if
-the files are proven wrong (missing, cut, a checksum that fails), that is `Damaged`; anything else may be
-a fault of this program or of another version of its libraries, and is `Unread`. A run moves only what is
-`Damaged` out of its way.
+kinds of failure apart:
+
+- OSError, MemoryError: the machine cannot read a file now;
+- `Damaged`: the files are proven wrong (missing, cut, a checksum that fails);
+- `Unread`: anything else, perhaps a fault of this program or of another version of its libraries.
+
+A run moves only what is `Damaged` out of its way.
 """
 
 from __future__ import annotations

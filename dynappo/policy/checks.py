@@ -1,6 +1,6 @@
 """Checks a policy from a file: types, shapes, and ranges that make sense for a walking robot.
 
-Ranges are generous: a value outside is a mistake, or meant to harm.
+Ranges are generous: a value outside is a mistake or an attack.
 """
 
 from __future__ import annotations
@@ -112,7 +112,7 @@ def _check_config(fields: dict[str, Any]) -> None:
 
 
 def _expect_same(field: str, own, trained, where: str) -> None:
-    """Of numbers of joints: each is one of those of the config, whose patterns nobody matches here."""
+    """For numbers of joints: each must be one of the config's, whose patterns are not matched here."""
     own, trained = (list(x) if isinstance(x, tuple | np.ndarray) else x for x in (own, trained))
     same = own == trained
     if field in PER_JOINT and isinstance(trained, list):

@@ -1,13 +1,13 @@
 """Plays a policy in C MuJoCo and NumPy, in its robot's own file or in another MJCF (sim-to-sim).
 
-Another MJCF must have the policy's hinge joints by name, in any order and with other joints
-in between; and above them the base, a body with a free joint, x ahead and z up. A file with nothing to
-stand on, as robots are published, gets a floor. Everything else is as in that file: masses, contacts,
-time step, and armature unless the policy was trained with one of its own (task.armature).
+Another MJCF must have the policy's hinge joints by name, in any order and with other joints in between;
+and above them the base, a body with a free joint, x ahead and z up. A file without a floor, as robots are
+published, gets one. Masses, contacts and time step come from that file, and armature too, unless the policy
+was trained with its own (task.armature).
 
-Only the actuators are replaced: the file's are switched off, and the policy's own motor model
-drives the joints: PD and limits (`physics/actuators.py`), joint damping and friction. Why the last
-two: in a file for position servos (MuJoCo Menagerie's Go1: kp 100, damping 2) they are the servo's.
+Only the actuators change: the file's are off, and the policy's own motor model drives the joints, with PD
+and limits (`physics/actuators.py`), joint damping and friction. Why the last two: in a file for position
+servos (MuJoCo Menagerie's Go1: kp 100, damping 2) they are the servo's.
 """
 
 from __future__ import annotations
@@ -158,7 +158,7 @@ def _lowest_limbs(model, joints, pose, touches) -> dict[str, list[int]]:
 
 
 def _above(model, body):
-    """The ancestors of `body`, without the world."""
+    """The ancestors of `body`, but the world."""
     while (body := int(model.body_parentid[body])) > 0:
         yield body
 

@@ -5,8 +5,7 @@ with everything needed to compute torques: robot, joints in the policy's order, 
 motor limits, times, the ranges of its commands, the config it was trained with, and the robot's
 MJCF.
 
-`load_checkpoint` reads the policy of a checkpoint, with the config saved in it
-(checkpoint_file.py).
+`load_checkpoint` reads the policy of a checkpoint, with the checkpoint's own config (checkpoint_file.py).
 """
 
 from __future__ import annotations

@@ -1,16 +1,16 @@
 """Whether a robot walks: one definition, for what the commands print and for every experiment. NumPy only.
 
 **A robot walks** from the first evaluation on at which its return is at least its level and at most 1 % of
-the episodes have a fall, if both hold at every later evaluation too. One evaluation alone has no later
-ones. A share of 1 % is told apart from 2 % by about a thousand episodes.
+the episodes have a fall, if both hold at every later evaluation, too. A single evaluation has no later ones.
+It takes about a thousand episodes to tell 1 % from 2 %.
 
-The level is a share of the best possible return, that of perfect tracking, `(w_lin + w_yaw) T` in episodes
-of T seconds (tasks/velocity/rewards.py): 38 of 45 with the weights of the Unitree tasks, 24 of 30 with
-those of ANYmal's, 20 s each. With weights of your own it is the smaller share, 0.8.
+The level is a share of the return of perfect tracking, `(w_lin + w_yaw) T` in episodes of T seconds
+(tasks/velocity/rewards.py): 38 of 45 with the weights of the Unitree tasks, 24 of 30 with the ANYmals', both
+in 20 s. With weights of your own it is the smaller share, 0.8.
 
 With `run.walks` = "tracking" the level is one of errors: at most 0.2 m/s and 0.25 rad/s, root mean squares
-as in dynappo/scores.py. A biped is also paid for its posture and for being upright, so its return says
-little about how it tracks.
+as in dynappo/scores.py. A biped's reward has terms for posture and uprightness, so its return says little
+about how it tracks.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ def tracks(errors, yaw_errors) -> np.ndarray:
 
 
 class Reached(NamedTuple):
-    """What it took, `[...]` a number a seed, in what `steps` counts; NaN: never."""
+    """How many `steps` each seed took, `[...]`; NaN: never."""
 
     walks: np.ndarray  # from there on at every evaluation: at the level, falls at most 1 %
     level: np.ndarray  # first at the level, whatever came after
@@ -72,7 +72,7 @@ class Reached(NamedTuple):
 
 
 def reached(steps, returns, fall_rates, least: float, most: float = MOST_FALLS) -> Reached:
-    """When each seed walks, of its evaluations `[E, ...]` in order; `steps` is `[E]` or `[E, ...]`.
+    """When each seed walks, by its evaluations `[E, ...]` in order; `steps` is `[E]` or `[E, ...]`.
 
     `least` is the `level`, `most` the share of episodes with a fall. At an evaluation with a NaN
     the robot does not walk. ValueError where the shapes differ.
@@ -89,7 +89,7 @@ def reached_by_tracking(steps, errors, yaw_errors, fall_rates, most: float = MOS
 
 
 def _reached(steps, numbers, level, fall_rates, most: float) -> Reached:
-    """`numbers` of evaluations are at the `level` where that is True."""
+    """`Reached`, where `level` says which evaluations are at the level."""
     numbers, fall_rates = np.asarray(numbers, float), np.asarray(fall_rates, float)
     steps = np.asarray(steps, float)
     if numbers.shape != fall_rates.shape or steps.shape not in (numbers.shape, numbers.shape[:1]):
@@ -105,7 +105,7 @@ def _reached(steps, numbers, level, fall_rates, most: float) -> Reached:
 
 
 def _first(steps: np.ndarray, true: np.ndarray) -> np.ndarray:
-    """`steps` where `true` `[E, ...]` is so first; NaN where it never is."""
+    """`steps` at the first True of `true` `[E, ...]`; NaN without one."""
     if not len(true):
         return np.full(true.shape[1:], np.nan)
     found = np.take_along_axis(steps, true.argmax(0)[None], 0)[0]

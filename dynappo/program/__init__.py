@@ -6,6 +6,6 @@
 - `memory`: whether a run fits into memory
 - `distributed`: one run over several processes
 
-The commands `train`, `bench` and `evaluate` import it. It imports the method, `task`, `physics` and
-`config`.
+`run`, `sweeps` and the commands `train`, `bench` and `evaluate` import it. It imports the method, `tasks`,
+`physics` and `config`.
 """

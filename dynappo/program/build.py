@@ -1,8 +1,8 @@
-"""From a validated config to a compiled program: `program(config)`. `check(config)` finds mistakes
-first, in a second.
+"""Turns a validated config into a compiled program: `program(config)`. `check(config)` finds mistakes before
+that, in a second.
 
-A `Program` has the robot, the environment, the first state, the one compiled call that a run
-repeats, and the evaluation.
+A `Program` has the robot, the environment, the first state, the one compiled call that a run repeats, and
+the evaluation.
 """
 
 from __future__ import annotations
@@ -90,8 +90,8 @@ def _begin_warp() -> None:
 
 @contextlib.contextmanager
 def _uncollected():
-    """No garbage collection: tracing makes objects and no garbage, and looking for it takes a quarter
-    of its time (4.7 s of CPU time with it, 3.5 without, `best` on MJX-JAX)."""
+    """Without garbage collection: tracing makes objects but no garbage, and the search for garbage takes a
+    quarter of its time (4.7 s of CPU time with it, 3.5 without, `best` on MJX-JAX)."""
     was = gc.isenabled()
     gc.disable()
     try:
@@ -240,10 +240,10 @@ def _step(compiled: Callable, table: Callable, hyper: Hyper, state, columns: dic
 
 
 def _xla_options() -> tuple[Any, Any]:
-    """Of XLA, for what repeats and for what runs once.
+    """XLA's options for programs that repeat, and for those that run once.
 
-    On a GPU a program is compiled on all cores (19.5 instead of 22.4 s of a start). On a CPU the first state
-    is not optimised: it takes 10 ms instead of 3, its compilation 2.5 s of CPU time instead of 6.3.
+    On a GPU XLA compiles on all cores (19.5 instead of 22.4 s of a start). On a CPU it does not optimise the
+    first state, which takes 10 ms instead of 3, but 2.5 s of CPU time to compile instead of 6.3.
     """
     import jax
 

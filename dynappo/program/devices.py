@@ -1,6 +1,6 @@
 """Chooses the devices and the engine of a run, and sets up JAX for a command.
 
-Only commands call `own_process`: in a notebook it would override the user's own settings.
+Only commands call `own_process`: in a notebook it would override the user's settings.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ def own_process(device: str = "auto") -> None:
 
 
 def begin() -> None:
-    """Start JAX's devices in a thread: a GPU takes half a second, in which Python imports the rest."""
+    """Start JAX's devices in a thread: a GPU takes half a second, and Python imports the rest meanwhile."""
     import jax
 
     def start():

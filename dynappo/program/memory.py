@@ -1,9 +1,8 @@
 """Checks whether a run fits into a device's memory.
 
-XLA says what a program needs only after half a minute of compiling. So `check` refuses at once what is
-hopeless, a rollout buffer and robots that alone do not fit; `check_compiled` has the compiler's count.
-MuJoCo Warp, where it simulates (physics/warp/general.py), keeps its own arrays outside JAX's memory; they
-are not counted.
+XLA says what a program needs only after half a minute of compiling. So `check` refuses at once a rollout
+buffer and robots that do not fit even alone; `check_compiled` uses the compiler's count. MuJoCo Warp
+(physics/warp/general.py) keeps its own arrays outside JAX's memory; neither counts them.
 """
 
 from __future__ import annotations
@@ -85,5 +84,5 @@ def limit(device: Any) -> int | None:
 
 
 def text(size: int) -> str:
-    """A number of bytes for a person."""
+    """A number of bytes, in words."""
     return f"{size / 2**30:.1f} GiB" if size >= 2**30 else f"{size / 2**20:.0f} MiB"

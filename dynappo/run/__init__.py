@@ -2,15 +2,15 @@
 
 - `training`: the training sequence: check, open, build, resume, loop, finish
 - `loop`: the loop over chunks of iterations
-- `joint`: several runs as one program, and taken apart again
+- `joint`: runs several runs as one program, and takes their results apart
 - `workdir`: the folder of a run: open it, resume it, save into it
 - `checkpoint`, `log`: what a run writes while it trains
-- `restore`: start from the networks of another run
+- `restore`: starts from the networks of another run
 - `finish`, `learning_curves`: what a run writes at its end: summary, policy, film, picture
-- `nonfinite`: what is told and saved when numbers blow up
-- `show`: what is printed of a run
+- `nonfinite`: what a run says and saves when numbers blow up
+- `show`: what `train` prints of a run
 - `stop`: ctrl-C and SIGTERM
 
 `sweeps` and the command `train` import it; no other command does. It imports `program`, `policy`, `config`,
-`schedule` and `sweep`. What a checkpoint holds is `types.TrainState`, and what `workdir.save` puts beside it.
+`schedule` and `seeds`. A checkpoint holds a `types.TrainState`, and what `workdir.save` puts beside it.
 """

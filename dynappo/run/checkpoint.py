@@ -4,14 +4,14 @@ Each holds two things: `state`, and `about`, a JSON text with the iteration, the
 simulator steps, the config, the shape of every array and a hash of their bytes. The hash finds a
 damaged file; the shapes explain why a checkpoint of another run does not fit.
 
-Orbax writes them; they are read array by array (policy/checkpoint_file.py), so that a checkpoint of a
-version with other options still loads. Of the velocity task the state holds no `mjx.Data` (it depends on
-the engine), so one made with Warp on a GPU goes on with MJX-JAX on a CPU.
+Orbax writes them; policy/checkpoint_file.py reads them array by array, so a checkpoint of a version with
+other options still loads. The velocity task's state holds no `mjx.Data`, which depends on the engine: a run
+begun with Warp on a GPU resumes with MJX-JAX on a CPU.
 
-Orbax is given a flat dict of arrays by their paths, not the tree: it refuses arrays of size 0, joins the
-names of nested ones with a dot, so that two may become one, and does not know every kind of node. It is given
-a path of plain names, for etils' `glob` takes `[` in a folder's name for a pattern, tensorstore takes a
-backslash for a slash, and both fail in silence (`_plain`).
+Why orbax gets a flat dict of arrays by their paths, not the tree: it refuses arrays of size 0, joins the
+names of nested ones with a dot, so that two may become one, and does not know every kind of node. Why it gets
+a path of plain names (`_plain`): etils' `glob` takes `[` in a folder's name for a pattern, tensorstore takes
+a backslash for a slash, and both fail in silence.
 """
 
 from __future__ import annotations
@@ -289,7 +289,7 @@ def _read(folder: Path, like):
 
 
 def _flat(state: Any) -> dict[str, Any]:
-    """What orbax is given: the arrays that are not empty, by their paths, random keys as integers.
+    """The arrays that orbax gets: those that are not empty, by their paths, random keys as integers.
 
     Types that tensorstore does not know, such as uint4, become bytes. With several processes, all
     are arrays of NumPy.

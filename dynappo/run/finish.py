@@ -147,7 +147,7 @@ def check_saved(run: OpenRun, robot, state, say) -> None:
 
 
 def summarise(config, program, metrics, evaluation: dict) -> dict[str, Any]:
-    """What a run came to: return (mean of the last 10 rows), cost, and evaluation if there is one."""
+    """The results of a run: return (mean of the last 10 rows), cost, and evaluation if there is one."""
     returns = metrics["episode_return"]
     summary = {
         "robot": config.robot,

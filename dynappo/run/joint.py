@@ -1,8 +1,8 @@
 """Several runs as one program: compiled once, stepped together, taken apart to be written.
 
-All runs' seeds share one batch axis; each keeps its run's hyperparameters and has the keys that the run alone
-would give it. So each run is what it would be alone, to the last digits of a float. One run alone is not
-batched further, and is the same to the bit.
+All runs' seeds share one batch axis; each keeps its run's hyperparameters, and the keys that the run would
+give it alone. So each run gives what it would give alone, up to the last digits of a float. A single run is
+not batched further, and gives the same to the bit.
 """
 
 from __future__ import annotations

@@ -161,7 +161,7 @@ def _labels(axes, panel: Panel, values, named: bool) -> None:
 
 
 def _written(panel: Panel, number: float) -> str:
-    """A number as the panel writes it, or shorter: a wide one would leave the panel no room."""
+    """A number as the panel writes it, or shorter if a wide one would leave the panel no room."""
     text = panel.number.format(number)
     return text if len(text) <= WIDEST else f"{number:.2g}"
 

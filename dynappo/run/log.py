@@ -81,10 +81,10 @@ def csv_sink(path: Path) -> Sink:
 
 
 def tensorboard_sink(workdir: Path, start: int) -> Sink:
-    """Scalars of every row, one event a row; those after `start`, of a killed run, are taken back.
+    """Scalars of every row, one event for each row; deletes those after `start`, of a killed run.
 
     Not tensorboardX's SummaryWriter: its thread dies of a full disk and then waits for ever. After a
-    failure a new file is begun, because a record that was cut off ends what can be read of the old.
+    failure it begins a new file, because readers stop at a record that is cut off.
     """
     from tensorboardX.event_file_writer import EventsWriter
     from tensorboardX.proto.event_pb2 import Event, SessionLog
@@ -328,5 +328,5 @@ def errno_of(error: Exception) -> int | None:
 
 
 def of_the_machine(error: Exception) -> bool:
-    """Whether the cause is the machine, a disk or memory, and not what was to be written."""
+    """Whether the machine (a disk, memory) is the cause, and not what was to be written."""
     return isinstance(error, (OSError, MemoryError)) or errno_of(error) is not None

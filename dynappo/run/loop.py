@@ -1,8 +1,9 @@
 """The one loop over chunks of iterations, of one run or of several that share a program.
 
-The device computes a chunk (`run.log_every` iterations) in one call. The host writes a chunk's rows while
-the device computes the next; but where a checkpoint is due, before it. So no checkpoint covers an iteration
-whose row is not in metrics.csv, and a run that is killed between the two lacks no row.
+The device computes a chunk (`run.log_every` iterations) in one call. The host writes a chunk's rows of
+metrics.csv while the device computes the next chunk; where a checkpoint is due, it writes them before that.
+So no checkpoint covers an iteration whose row is not in metrics.csv, and a run that is killed between the
+two lacks no row.
 """
 
 from __future__ import annotations

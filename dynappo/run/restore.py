@@ -84,7 +84,7 @@ def weights(source: Path, like: Any, say: Callable[[str], None] = print) -> tupl
 
 
 def _read(source: Path, say) -> tuple[dict[str, np.ndarray], str]:
-    """The arrays of a policy.npz or a checkpoint, named as in a checkpoint, and what they are of."""
+    """The arrays of a policy.npz or a checkpoint, named as in a checkpoint, and the name of their source."""
     if source.is_file():
         leaves = checks.leaves(policy_file.load(source).params)
         return {f"learner/params/{k}": v for k, v in leaves}, "policy.npz"

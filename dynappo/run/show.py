@@ -1,4 +1,4 @@
-"""What `dynappo train` prints: what a run will do, how it goes, what came out, what to do next."""
+"""What `dynappo train` prints: what a run will do, its progress, its results, what to do next."""
 
 from __future__ import annotations
 
@@ -49,12 +49,12 @@ def describe(config) -> str:
 
 
 def count(steps: int) -> str:
-    """A number of steps for a person."""
+    """A number of steps, in words."""
     return f"{steps / 1e6:.2f} M" if steps >= 1e5 else f"{steps:,}"
 
 
 def unusual(out, text: str) -> None:
-    """A line on what a user may not expect."""
+    """Print a line on something that a user may not expect."""
     out.print(text, style="yellow", markup=False, soft_wrap=True)
 
 

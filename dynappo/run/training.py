@@ -1,9 +1,9 @@
 """The training sequence: check, open, build, resume, loop, finish. Start reading here.
 
-`train_together` trains runs that share one program, most often one run: it is what `train`, the command
-`dynappo train` and each group of a sweep call. The method is not here (see `algorithm.py`). Settings are
-checked before JAX is imported, so a wrong one fails at once. Nothing here changes a setting of the process;
-the commands do, in `devices.own_process`.
+`train_together` trains runs that share one program, most often one run. `train`, the command `dynappo train`
+and each group of a sweep call it. The method is in `algorithm.py`. Settings are checked before JAX is
+imported, so a wrong one fails at once. Only commands change settings of the process
+(`devices.own_process`).
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class Run(NamedTuple):
 
 
 class Trained(NamedTuple):
-    """What a training came to."""
+    """The results of a training."""
 
     runs: list[OpenRun]  # with the metrics of their iterations; the files are closed
     state: Any  # of all runs, as `joint.join` makes it

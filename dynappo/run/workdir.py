@@ -273,7 +273,7 @@ def save(run: OpenRun, robot, state, say) -> None:
     """Save a checkpoint of the last iteration of `run.history`, and policy.npz, which can be played at once.
 
     ConfigError if the run's first checkpoint cannot be saved, or read back, and the machine is not the
-    cause: so the run ends now, not after all its iterations.
+    cause: the run then ends now, not after all its iterations.
     """
     from dynappo.run import checkpoint
 

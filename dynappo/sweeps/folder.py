@@ -1,4 +1,4 @@
-"""The folder of a sweep: a `sweep.json`, and the folder of a run for each combination."""
+"""The folder of a sweep: a `sweep.json`, and a run's folder for each combination."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ ELSE = "choose another --workdir, or --fresh to move that sweep aside"
 
 
 def is_one(workdir: Path) -> bool:
-    """Whether a sweep has begun there."""
+    """Whether a sweep has begun in a folder."""
     return os.path.isfile(workdir / ABOUT)  # False where the name is too long
 
 
@@ -155,7 +155,7 @@ def iterations_saved(workdir: Path, one: Combination) -> int:
 
 
 def blown_up(workdir: Path, one: Combination) -> str:
-    """What was not finite in a combination that blew up; "" if it did not."""
+    """What was not finite in a combination that blew up; "" in any other."""
     path = workdir / one.name / BLOWN_UP
     return json.loads(path.read_bytes())["problem"] if path.is_file() else ""
 

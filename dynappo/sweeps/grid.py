@@ -1,4 +1,4 @@
-"""The combinations of a sweep, from the text of a command line; and which of them train in one program."""
+"""Reads the combinations of a sweep from a command line, and says which of them train in one program."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def read(texts: list[str]) -> dict[str, list[str]]:
 
 
 def _parts(text: str) -> list[str]:
-    """`text` cut at its commas, but for those inside of brackets or quotes."""
+    """`text` split at its commas, but for those inside brackets or quotes."""
     parts, depth, quote = [""], 0, ""
     for letter in text:
         if quote:
@@ -111,8 +111,8 @@ def _short(value: Any) -> str:
 def by_vmap(field: str, own_env: bool = False) -> bool:
     """Whether values of a field can differ between the seeds of one program: floats, alone or in a tuple.
 
-    With an environment of one's own only those of `ppo` and `model`: what `get_env` makes of others, nobody
-    knows.
+    With an environment of one's own only those of `ppo` and `model`: `get_env` may build others into the
+    program.
     """
     kind = fields.every()[field]
     number = kind.like[0] if kind.kind is tuple else kind.kind()
@@ -124,7 +124,7 @@ def by_vmap(field: str, own_env: bool = False) -> bool:
 
 
 def groups(combinations: list[Combination], done: list[int]) -> list[list[Combination]]:
-    """The combinations that can go on in one program, in the order of their firsts.
+    """The combinations in groups that can train in one program, in the order of their first members.
 
     They differ in floats alone (`by_vmap`), and have `done` as many iterations: `run.joint`. A field that
     has several numbers for the joints is part of the program, and so is one that is None.

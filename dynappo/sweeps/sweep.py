@@ -1,4 +1,4 @@
-"""All combinations of a sweep, one group after the other, told to a person."""
+"""Trains all combinations of a sweep, one group after the other, and reports to the user."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ def _todo(workdir: Path, combinations: list[Combination]) -> list[Combination]:
 
 
 def _describe(out, workdir: Path, combinations: list[Combination]) -> None:
-    """What will happen."""
+    """Print what will happen."""
     todo, count = _todo(workdir, combinations), len(combinations)
     programs = len(grid.groups(todo, [folder.iterations_saved(workdir, one) for one in todo]))
     has = f", {count - len(todo)} are done" if len(todo) < count else ""
@@ -134,7 +134,7 @@ def _leave_blown_up(say, run: training.OpenRun, iteration: int, error: FloatingP
 
 
 def _show(out, workdir: Path, combinations: list[Combination], swept: list[str]) -> None:
-    """The table, the picture, and where the best is."""
+    """Show the table, the picture, and where the best policy is."""
     rows = table.rows(workdir, combinations)
     table.write(workdir / "sweep.csv", rows)
     problem = picture.draw(workdir, rows, swept)

@@ -1,4 +1,4 @@
-"""What a sweep came to: a row for each combination, best first; on screen and as sweep.csv."""
+"""The results of a sweep: a row for each combination, best first; on screen and as sweep.csv."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def rows(workdir: Path, combinations: list[Combination]) -> list[dict[str, Any]]
 
 
 def row(workdir: Path, one: Combination) -> dict[str, Any]:
-    """One combination's: its values, its numbers over seeds (None where there are none), its folder."""
+    """The row of one combination: its values, its numbers over seeds (None without any), its folder."""
     summary = folder.summary(workdir, one)
     problem = folder.blown_up(workdir, one)
     evaluation = summary.get("evaluation", {})
@@ -61,7 +61,7 @@ def row(workdir: Path, one: Combination) -> dict[str, Any]:
 
 
 def _mean(values) -> float:
-    """Of the seeds that have a number."""
+    """Mean over the seeds that have a number."""
     some = [v for v in np.ravel(values) if v is not None and np.isfinite(v)]
     return float(np.mean(some)) if some else np.nan
 
@@ -76,7 +76,7 @@ def write(path: Path, table: list[dict[str, Any]]) -> None:
 
 
 def print_table(out, table: list[dict[str, Any]], swept: list[str]) -> None:
-    """The rows for a person."""
+    """Print the rows as a table."""
     from rich.table import Table
 
     page = Table(box=None, padding=(0, 2, 0, 0))

@@ -16,8 +16,8 @@ trainers call `jax.device_put_replicated` and its swimmer `jnp.clip(a_min=)`, wh
 its wrappers, `acting.generate_unroll` and `acting.Evaluator` work.
 
 Playground's locomotion tasks clone MuJoCo Menagerie when first loaded, for visual meshes. Its Go1
-observes a dict with the action before the last one in it, which no context of it can know;
-experiments/02_brax trains it all the same.
+observes the action before the last one, which no context can compute; experiments/02_brax trains it all the
+same.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """Train: the command `dynappo train`, and `train(config)` from Python (`run.training.train`).
 
-- `command`: the flags of the command; it trains one run, or a sweep
+- `command`: its flags; trains one run, or a sweep
 
-No other command imports it. It imports `run`, `sweeps`, `program`, `config` and what starts the page of
-`--serve`.
+No other command imports it. It imports `run`, `sweeps`, `program`, `config`, and of `web` what `--serve`
+needs.
 """
 
 from typing import TYPE_CHECKING

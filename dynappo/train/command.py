@@ -1,9 +1,8 @@
 """The command `dynappo train`: its flags, and what stops it.
 
-It stands above `run` and `sweeps`, which know nothing of it: without --sweep it trains one run with
-`run.training.train_together`, with --sweep a list of them with `sweeps.sweep`, which calls the same. So
-imports go one way, `run` <- `sweeps` <- `train`, and the command is where every command is, in
-`dynappo/NAME/command.py`.
+Without --sweep it trains one run with `run.training.train_together`; with --sweep a list of them with
+`sweeps.sweep`, which calls the same. `run` and `sweeps` know nothing of this command: imports go one way,
+`run` <- `sweeps` <- `train`.
 """
 
 from __future__ import annotations
@@ -54,7 +53,7 @@ class Command(NamedTuple):
 
 
 def parse(argv: list[str] | None) -> Command:
-    """A command line, understood; ConfigError if it cannot be."""
+    """The `Command` of a command line; ConfigError if it cannot be understood."""
     parser = flags.parser("train", "Train a legged robot to follow velocity commands.", USAGE)
     parser.add_argument(
         "--config",
@@ -119,7 +118,7 @@ def parse(argv: list[str] | None) -> Command:
 
 
 def _prepare_page(serve: str, config, sweep) -> None:
-    """ConfigError if `--serve` cannot be done; checkpoints come often, for each is a newer policy."""
+    """ConfigError if `--serve` cannot be done. Makes checkpoints frequent: each is a newer policy."""
     address.read(serve)
     address.check()
     if sweep or not config.robot:
@@ -154,7 +153,7 @@ def main(argv: list[str] | None = None) -> None:
 
 
 def afterwards(command: Command) -> str:
-    """What the same command will do with what a stopped one has left."""
+    """What the same command will do after this one was stopped."""
     goes_on = SWEEP_GOES_ON if command.sweep else GOES_ON
     if distributed.several() and not distributed.first():
         return f"{goes_on}, if there is one"  # which the first process can see
@@ -164,7 +163,7 @@ def afterwards(command: Command) -> str:
 
 
 def train_and_show(command: Command, stop: Stop) -> None:
-    """Train what a command line asks for, and tell a person how it goes."""
+    """Train what a command line asks for, and print the progress."""
     from rich.console import Console
 
     out = Console(highlight=False, quiet=not distributed.first())
@@ -178,7 +177,7 @@ def train_and_show(command: Command, stop: Stop) -> None:
 
 
 def train_run(out, command: Command, stop: Stop) -> str:
-    """Train one run, and print what will happen, how it goes and what came out.
+    """Train one run, and print what will happen, the progress and the results.
 
     Returns "", or, if `stop` interrupted it, a line on what was saved.
     """

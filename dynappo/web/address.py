@@ -1,4 +1,4 @@
-"""Where the page is served: what `--serve[=PORT]` means. Without viser, so that any command may ask."""
+"""The address of the page: what `--serve[=PORT]` means. Without viser, so any command may import it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ NEEDED = ("viser", "mjviser")
 
 
 class Address(NamedTuple):
-    """Where the page is."""
+    """The address of the page."""
 
     host: str
     port: int
@@ -34,7 +34,7 @@ def read(text: str) -> Address:
 
 
 def check() -> None:
-    """ConfigError if what serves pages is not installed."""
+    """ConfigError if the packages that serve pages are not installed."""
     lacks = [name for name in NEEDED if importlib.util.find_spec(name) is None]
     if lacks:
         raise ConfigError(f"--serve needs {' and '.join(lacks)}: {shell.install('web')}")

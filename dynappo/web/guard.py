@@ -1,21 +1,20 @@
 """Protects the page from other web sites: which requests are answered, which messages are allowed.
 
-viser answers whoever asks, and believes what a browser says. But any web site that somebody opens may
-connect to a server on their machine, under its own name or under one that it makes the browser look up
-anew (DNS rebinding). So here, for each request:
+viser answers any request, and believes what a browser sends. But any web site that somebody opens may connect
+to a server on their machine, under the server's name or by DNS rebinding. So here, for each request:
 
 - `Host` must be a name of this server (`names`), so that no foreign name leads here;
 - `Origin`, where there is one, must be that same host: a page of another site is refused;
 - the address must have no query: viser's page connects to whatever server `?websocket=` names, and
-  runs the code that it sends. Answers carry a Content-Security-Policy that forbids it once more.
+  runs the code that it sends. A Content-Security-Policy in each answer forbids it, too.
 
-And of what a browser sends, only that is taken which this page can send: a camera, the value of a
-slider, box, button or list within its limits, a key, a pull. viser itself would take any field of any
-element, files, and the request to open a public tunnel to this server.
+From a browser it takes only what this page can send: a camera, the value of a slider, box, button or list
+within its limits, a key, a pull. viser itself would take any field of any element, files, and the request to
+open a public tunnel to this server.
 
-viser has no place for such checks. It starts its server with `websockets.asyncio.server.serve`, which has
-(`process_request`, `create_connection`); `watching` puts them in. If a version of viser starts it in
-another way, `Guard.on` stays false, and nothing is served (`server.start`).
+viser has no hook for such checks. It starts its server with `websockets.asyncio.server.serve`, which has two
+(`process_request`, `create_connection`); `watching` puts the checks there. If a version of viser starts its
+server in another way, `Guard.on` stays false, and nothing is served (`server.start`).
 """
 
 from __future__ import annotations
@@ -51,7 +50,7 @@ LOGGER.addFilter(lambda record: record.getMessage() != "opening handshake failed
 
 @dataclass
 class Guard:
-    """What a server answers to."""
+    """Which requests a server answers."""
 
     names: set[str]  # hosts, as a browser writes them
     any_number: bool  # and all that are numbers, not names: no one can turn those elsewhere
@@ -183,7 +182,7 @@ def _plain(value: Any, depth: int = 4) -> bool:
 
 
 def _numbers(value: Any, count: int) -> bool:
-    """Whether a value is a list of so many numbers; `_plain` has seen that they are finite."""
+    """Whether a value is a list of that many numbers; `_plain` has checked that they are finite."""
     return (
         isinstance(value, list | tuple)
         and [type(n) in (int, float) for n in value] == [True] * count
@@ -191,7 +190,7 @@ def _numbers(value: Any, count: int) -> bool:
 
 
 def _camera(message: messages.ViewerCameraMessage) -> bool:
-    """Whether it looks anywhere, as viser demands where the camera is moved."""
+    """Whether a camera has a direction, an up and a size, without which viser cannot move it."""
     if not all(_numbers(getattr(message, name), size) for name, size in VECTORS.items()):
         return False
     if not _numbers([getattr(message, name) for name in LENGTHS], len(LENGTHS)):
@@ -202,7 +201,7 @@ def _camera(message: messages.ViewerCameraMessage) -> bool:
 
 
 def _fits(gui: viser.GuiApi, message: messages.GuiUpdateMessage) -> bool:
-    """Whether a person can give that value to that element."""
+    """Whether a user can give that element that value."""
     handle = gui._gui_input_handle_from_uuid.get(message.uuid)
     if set(message.updates) != {"value"}:
         return False

@@ -1,7 +1,7 @@
 """A robot that walks in real time in C MuJoCo while others look, steer and push.
 
 `Live` holds all state, and one thread (`run`) changes it. Other threads put functions into
-`Live.wishes` (`wish`); `run` calls them between two control steps, so that no lock is needed.
+`Live.wishes` (`wish`); `run` calls them between two control steps, so no lock is needed.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ STRONGEST = 1.5  # times its weight
 
 @dataclass
 class Live:
-    """A robot, what it is asked for and what it did; arrays of `A` joints in the policy's order."""
+    """A robot, its commands and its last control steps; arrays of `A` joints are in the policy's order."""
 
     body: Body
     act: Callable[[np.ndarray], np.ndarray]

@@ -76,7 +76,7 @@ def add(
     look: Callable[[dict[str, bool]], None],
     of_run: bool,
 ) -> Panels:
-    """Build them; `choose(name)` loads a policy, `look(flags)` follows and shows contacts.
+    """Build the panels; `choose(name)` loads a policy, `look(flags)` follows and shows contacts.
 
     `of_run`: with the curves of a run.
     """
@@ -118,7 +118,7 @@ def _gamepad(server: viser.ViserServer) -> None:
 
 
 def _by_person(event, action: Callable[[], None]) -> None:
-    """Call `action` if a person caused the event; the program sets values too."""
+    """Call `action` if a user caused the event: the program sets values, too."""
     if event.client is not None:
         action()
 
@@ -161,7 +161,7 @@ def _steering(server: viser.ViserServer, live: Live):
 
 
 def key(server: viser.ViserServer, name: Any, text: str, action: Callable[[], None]) -> None:
-    """Have a key do `action`; it is in viser's list of commands too."""
+    """Bind a key to `action`; viser's list of commands shows it, too."""
     server.gui.add_command(text, hotkey=name).on_trigger(lambda _: action())
 
 

@@ -1,6 +1,6 @@
 """The policies that the page offers: the bundled ones, and those of a run, the newest first.
 
-A run that trains writes its policy anew at every checkpoint; `watch` sees that.
+A run that trains writes its policy anew at every checkpoint; `watch` notices.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ EVERY = 1.0  # s between two looks at the folder of a run
 
 
 class Chosen(NamedTuple):
-    """A policy that can be put into the browser."""
+    """A policy that the browser can show."""
 
     body: Body
     act: Callable[[np.ndarray], np.ndarray]
@@ -123,7 +123,7 @@ def standing(offer: Offer) -> Chosen:
 
 
 def stamp(offer: Offer) -> tuple:
-    """What changes where the run has written a new policy."""
+    """A value that changes when the run has written a new policy."""
     try:
         path = source.locate(offer.what, offer.seed)
         return path, path.stat().st_mtime_ns

@@ -109,7 +109,7 @@ def _bridged(x, values):
 
 
 def line(columns: dict[str, np.ndarray]) -> str:
-    """How far the run is."""
+    """A line on the run's progress."""
     last = {name: column[-1] for name, column in columns.items()}
     return (
         f"iteration {last['iteration']:.0f}, {last['sim_steps'] / 1e6:.2f} M simulator steps, "

@@ -78,14 +78,14 @@ def _view(live: Live, narrow: bool) -> tuple[np.ndarray, np.ndarray]:
 
 
 def welcome(shown: Shown, live: Live, client: viser.ClientHandle) -> None:
-    """Have a viewer who comes see the robot."""
+    """Point the camera of a new viewer at the robot."""
     position, look_at = _view(live, client.camera.aspect < NARROW)
     at = np.zeros(3) if shown.follow else live.data.xpos[live.body.base_body].copy()
     client.camera.position, client.camera.look_at = position + at, look_at + at
 
 
 def _hand(server: viser.ViserServer, live: Live) -> viser.GlbHandle:
-    """A box around the base that nobody sees: who drags it pulls the robot."""
+    """An invisible box around the base: whoever drags it pulls the robot."""
     model, base = live.body.model, live.body.base_body
     half = np.full(3, 0.05)
     for i in np.flatnonzero(model.geom_bodyid == base):
@@ -132,7 +132,7 @@ def update(shown: Shown, live: Live) -> None:
 
 
 def follow(shown: Shown, live: Live, on: bool) -> None:
-    """Have the camera go with the robot, or stay where it is."""
+    """Make the camera follow the robot, or stay where it is."""
     if on == shown.follow:
         return
     shift = live.data.xpos[live.body.base_body] * (-1 if on else 1)
@@ -146,5 +146,5 @@ def follow(shown: Shown, live: Live, on: bool) -> None:
 
 
 def contacts(shown: Shown, points: bool, forces: bool) -> None:
-    """Draw contact points and contact forces, or do not."""
+    """Draw contact points and contact forces, or stop."""
     shown.robot.show_contact_points, shown.robot.show_contact_forces = points, forces

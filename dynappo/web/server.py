@@ -2,8 +2,8 @@
 
     serve(Offer("runs/go1", None, None, False), Address("127.0.0.1", 8080))
 
-Physics and drawing are in the thread that calls `serve`; viser has its own for the browsers. A viewer
-that comes or goes changes nothing for the robot.
+Physics and drawing run in the thread that calls `serve`; viser has its own threads for the browsers. A
+viewer that comes or goes changes nothing for the robot.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ TELL, PLOT, CURVES = 0.25, 0.4, 2.0  # s between two updates
 
 @dataclass
 class Page:
-    """All that is served."""
+    """Everything that the server shows."""
 
     server: viser.ViserServer
     live: Live
@@ -84,7 +84,7 @@ def _free(address: Address) -> tuple[set[str], int]:
 
 
 def _binds(family: int, number: str, port: int) -> bool:
-    """Whether nobody listens there; OSError where nobody can."""
+    """Whether the port is free; OSError if it cannot be used."""
     with socket.socket(family, socket.SOCK_STREAM) as probe:
         if os.name == "posix":  # as asyncio does
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -129,7 +129,7 @@ def open_page(server, offer: Offer, first: Chosen, given, named: str | None = No
 
 
 def play(page: Page, found: Chosen, name: str) -> None:
-    """Play `found` from now on; the robot goes on walking where it is the same one."""
+    """Play `found` from now on; if the robot is the same, it goes on walking."""
     page.text, page.name, page.live.note = found.text, name, found.note
     if same_robot(page.live.body, found.body):
         live_lib.take_policy(page.live, found.act)
@@ -151,7 +151,7 @@ def same_robot(one: Body, other: Body) -> bool:
 
 
 def view(page: Page, flags: dict[str, bool]) -> None:
-    """Follow, or not; draw contacts, or not."""
+    """Set whether the camera follows and contacts are drawn."""
     scene.contacts(page.shown, flags["contacts"], flags["forces"])
     scene.follow(page.shown, page.live, flags["follow"])
 
@@ -251,7 +251,7 @@ def serve(
 
 
 def _seen_from_here(host: str) -> str:
-    """The host as a browser on this machine writes it."""
+    """The host as a browser on this machine must write it."""
     everywhere = {"0.0.0.0": "127.0.0.1", "::": "[::1]"}
     return everywhere.get(host, f"[{host}]" if ":" in host else host)
 

@@ -3,7 +3,7 @@
 - `call`: the call, and what Warp keeps between calls
 - `arrays`: names and shapes of the arrays that JAX and Warp exchange
 - `quadruped`: one kernel for a robot that keeps the contract; algebra.h and quadruped.h are its source
-- `scope`: which files that kernel computes, and why it does not
+- `scope`: which files that kernel computes, and why not the others
 - `general`: any other file, by MuJoCo Warp's own step
 - `kernels`: what `general` does between physics steps
 - `building`: builds Warp's kernels in threads while JAX traces and XLA compiles

@@ -29,7 +29,7 @@ MODEL = ("body_mass", "body_inertia", "body_ipos", "geom_friction", "dof_armatur
 
 
 class Shape(NamedTuple):
-    """What a control step is made for."""
+    """The sizes and options that a control step is compiled for."""
 
     substeps: int
     every: bool  # parts at the ground in every physics step, not only in the last

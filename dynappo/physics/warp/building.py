@@ -1,8 +1,8 @@
 """Builds Warp's kernels side by side, while JAX traces and XLA compiles.
 
-Why: Warp builds a module when one of its kernels is first launched. A first physics step so built
-forty modules, one after the other, when XLA was done: most of the first start. Here the step runs
-once without its launches, to see which kernels it has.
+Why: Warp builds a module when one of its kernels is first launched. The first physics step would build
+forty modules, one after the other, after XLA is done: most of the first start. Here the step runs once
+without its launches, to see which kernels it has.
 """
 
 from __future__ import annotations

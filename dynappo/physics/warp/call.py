@@ -1,11 +1,11 @@
 """Calls Warp once a control step, with only the arrays that the step exchanges.
 
-A robot that has no more than the contract asks for is one kernel of ours (quadruped.py); any other file
-is MuJoCo Warp's own step (general.py); scope.py decides.
+A robot that has no more than the contract asks for takes one kernel of ours (quadruped.py); any other file
+takes MuJoCo Warp's own step (general.py). scope.py decides.
 
 Why not `mjx.step`: it takes and returns all 168 arrays of mjx.Data, which every physics step fills and
-copies for nothing: 0.95 of a row's 4.40 ms with 4096 Go1 on an H100. Why not once a physics step: XLA's
-loop around it costs the motors' and the feet's small kernels four times a row (measured in
+copies for nothing: 0.95 of a row's 4.40 ms with 4096 Go1 on an H100. Why not a call for each physics step:
+XLA's loop around it launches the small kernels of motors and feet four times a row (measured in
 experiments/03_speed). A call is captured as a CUDA graph for each set of addresses that JAX passes
 (`GraphMode.WARP`, MJX's default; the last 32 are kept).
 

@@ -1,5 +1,5 @@
-"""A control step of any file by MuJoCo Warp's own step: where the kernel declines (`scope.declines`), as
-with dry friction, or contacts of every part.
+"""A control step of any file by MuJoCo Warp's own step, where our kernel declines (`scope.declines`): with
+dry friction, for example, or contacts of every part.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ class Kept(NamedTuple):
 
 
 def kept(mj_model: mujoco.MjModel, shape: arrays.Shape, count: int) -> Kept:
-    """All robots share one contact buffer with room for as many contacts as all can have, and each
-    has as many constraint rows as it can need, so that neither can overflow."""
+    """Allocate buffers that cannot overflow: one for all contacts that all robots can have, and for each
+    robot the constraint rows that it can need."""
     room, rows = contacts.most(mj_model)
     model = mjw.put_model(mj_model)
     model.opt.warn_overflow = 0  # else a line per world and step at the solver's limit

@@ -1,5 +1,4 @@
-"""A control step of a quadruped in one kernel of our own: algebra.h, quadruped.h, and the numbers they
-need.
+"""A control step of a quadruped in one kernel of our own: algebra.h, quadruped.h, and their numbers.
 
 Why our own: MuJoCo Warp takes about 95 launches for a physics step of 1024 robots, most of them 2 to
 15 us long, and all robots wait for the one whose solver takes longest. The contract of a robot's
@@ -8,8 +7,8 @@ that are spheres on a plane. With a thread for each leg, the numbers of a robot 
 registers within a control step, and the legs meet only in the base's six equations.
 
 It solves MuJoCo's own problem (soft contacts with a pyramidal cone, joint limits, implicit damping)
-by Newton's method with an exact line search, and is tested against C MuJoCo and `mjx.step`. What of a
-model it reads is `constants` and `arrays.MODEL`; scope.py must know all of it.
+by Newton's method with an exact line search; tests compare it with C MuJoCo and `mjx.step`. It reads
+`constants` and `arrays.MODEL` of a model; scope.py must know all of these.
 """
 
 from __future__ import annotations

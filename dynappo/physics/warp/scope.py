@@ -1,11 +1,10 @@
-"""Which models the kernel of quadruped.py computes whole; `declines` says why it does not.
+"""Which models the kernel of quadruped.py computes whole; `declines` names what it cannot compute.
 
-An allow-list: what the kernel reads of a model is written down as a new model, by MuJoCo's own
-compiler. The kernel computes the given model only if the two are equal, field by field, but for
-those of `HARMLESS`. So nothing that it does not read can be dropped in silence: a tendon, a spring,
-a flag, and what a later MuJoCo adds, make the two differ. Such a model goes to MuJoCo Warp's own
-step (general.py), which takes about seven times as long (1024 Go1 on an H200). NumPy and C MuJoCo
-only, so that a robot can be looked at where there is no GPU.
+An allow-list: MuJoCo's compiler makes a second model of only what the kernel reads. The kernel takes the
+given model if the two are equal, field by field, but for those of `HARMLESS`. So it drops nothing in
+silence: a tendon, a spring, a flag, and what a later MuJoCo adds, make the two differ. Such a model takes
+MuJoCo Warp's own step (general.py), about seven times as long (1024 Go1 on an H200). NumPy and C MuJoCo
+only, so `dynappo look` can ask where there is no GPU.
 """
 
 from __future__ import annotations
@@ -79,7 +78,7 @@ WORDS = {
 
 
 def declines(model: mujoco.MjModel, feet: np.ndarray, every: bool) -> str:
-    """What a model that keeps the contract has that the kernel does not compute; "" if nothing.
+    """What the kernel does not compute of a model that keeps the contract; "" if nothing.
 
     `feet` are the geom ids of their shapes. `every`: parts at the ground are wanted of each physics step.
     """
@@ -99,7 +98,7 @@ def declines(model: mujoco.MjModel, feet: np.ndarray, every: bool) -> str:
 
 
 def slower(robot: robot_lib.Robot, physics, every: bool) -> str:
-    """A line for a person on a robot that on a GPU needs MuJoCo Warp's own step, and why; "" if the kernel
+    """A line on a robot that on a GPU needs MuJoCo Warp's own step, and why; "" if the kernel
     does it. `physics` is the config's group."""
     reason = declines(robot_lib.physics_model(robot, physics), robot.feet, every)
     return reason and (
@@ -126,7 +125,7 @@ def fields(model: mujoco.MjModel) -> dict[str, Any]:
 
 
 def _equal(found, expected) -> bool:
-    """Up to what a compiler's second turn of a quaternion rounds."""
+    """Whether two arrays are equal, up to the rounding of a quaternion that is compiled twice."""
     found, expected = np.asarray(found), np.asarray(expected)
     if found.dtype.kind not in "biuf" or found.shape != expected.shape:
         return found.shape == expected.shape and bool((found == expected).all())
@@ -187,7 +186,7 @@ def _plain(model: mujoco.MjModel, feet: np.ndarray) -> mujoco.MjModel:
 
 
 def _rules(model: mujoco.MjModel, feet: np.ndarray, every: bool) -> str:
-    """As `declines`, of numbers that the kernel reads, but takes only some values of."""
+    """As `declines`, for numbers that the kernel reads, but of which it takes only some values."""
     if (model.jnt_solref[1:] <= 0).any() or (model.geom_solref[feet] <= 0).any():
         return "solref as stiffness and damping (negative)"
     if ((model.exclude_signature >> 16) * (model.exclude_signature & 0xFFFF) == 0).any():

@@ -8,7 +8,7 @@ number in configs/: docs/task.md.
 - `rewards`: the terms of the reward, one function each; `reward_sum`: matches them with weights and
   sums
 - `commands`, `observe`, `pushes`: the commanded velocity, the numbers that a policy sees, kicks
-- `view`: what policy, value function and model see of a robot; readings before, errors of sensors
+- `view`: what policy, value function and model see of a robot; earlier readings, errors of sensors
 - `partners`: which joint is the mirror image of another; needs no JAX
 - `mirror`: the mirror image of an observation and an action, from the robot's model
 

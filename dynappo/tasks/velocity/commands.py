@@ -4,16 +4,14 @@ The paper draws a command uniformly and keeps it for the episode. Isaac Lab's ta
 (isaaclab/envs/mdp/commands/velocity_command.py, 2.2.1), chosen by
 `task.formulation = isaaclab_exact`, do three more things, each with its own field:
 
-- `task.heading`: a world heading is drawn, and the yaw rate is `task.heading_gain` times what is
-  left to turn, inside the range `command_yaw`; it changes at every step and fades as the robot
-  turns;
-- `task.resample_steps`: the command is drawn again after so many control steps (0: never);
-- `task.standing`: with this probability, at each draw, the robot is asked to stand still.
+- `task.heading`: a world heading is drawn, and the yaw rate is `task.heading_gain` times the angle that is
+  left to turn, inside the range `command_yaw`; it changes at every step and fades as the robot turns;
+- `task.resample_steps`: the command is drawn again after this number of control steps (0: never);
+- `task.standing`: the probability, at each draw, of the command to stand still.
 
-`task.turning` is the probability of a command that only turns, on the spot: of uniform draws, few are near
-to one.
+`task.turning` is the probability of a command that only turns, on the spot: few uniform draws come near that.
 
-The part of a rollout that the transition model writes keeps the command of its first row.
+A tail keeps the command of its first row.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The velocity task as an `Env`: `make(robot, task, physics)`; all functions are of one robot.
 
-It follows Isaac Lab's flat velocity tasks and the paper; where they differ, `task.formulation`
-chooses, and configs/README.md says how. Order inside a control step
+It follows Isaac Lab's flat velocity tasks and the paper. Where they differ, `task.formulation` chooses
+(configs/README.md). Order inside a control step
 (isaaclab/envs/manager_based_rl_env.py): action, four physics steps with the actuator model in each,
 terminations, rewards, command, push, observation. `autoreset` does the reset.
 """
@@ -106,9 +106,9 @@ def make(robot: robot_lib.Robot, task, physics_config, *, impl: str = "jax") -> 
 def ground_rules(robot: robot_lib.Robot, task) -> tuple[np.ndarray, np.ndarray]:
     """`(fatal [G], undesired [K, G])`: what `task.termination` and `task.undesired` mean here.
 
-    The paper: a fall is any part at the ground, and each part counts. Isaac Lab: only the base
-    falls, and each thigh counts: the links that a leg's joints move after the first, but the foot's own.
-    Of a leg that has no such link, the first.
+    The paper: any part at the ground is a fall, and each part counts. Isaac Lab: only the base at the ground
+    is a fall, and each thigh counts. A thigh is the links that a leg's joints move after the first, but the
+    foot's own; without such a link, the first.
     """
     model = robot.mj_model
     bodies = model.geom_bodyid[robot.parts]
@@ -126,7 +126,7 @@ def ground_rules(robot: robot_lib.Robot, task) -> tuple[np.ndarray, np.ndarray]:
 
 
 def feet_of(robot: robot_lib.Robot, terms: reward_sum.Terms) -> Feet | None:
-    """What the facts `rewards.Feet` of this robot take, if one of `terms` asks for them."""
+    """What `rewards.Feet` of this robot is computed from, if one of `terms` asks for it."""
     asked = {ask for term in terms.values() for ask in reward_sum.asks(term)}
     if not asked & set(rewards.Feet._fields):
         return None

@@ -14,9 +14,9 @@ qpos and qvel, because after `mjx.step` every derived quantity is one substep ol
 |                  | 36-47 | previous action                                          |            |
 
 The order is the paper's, o = [q, qd, g, v, w] and [c, a]: the transition model predicts the first,
-and `advance` computes the second. `PREDICTED` and `KNOWN` define the parts; sizes, noise, mirror
-image, the tables of ONNX files and what a reward term can ask for follow from them. To add a part,
-add an entry there and a value in `observe`, and for `KNOWN` also one in `advance` (docs/task.md).
+and `advance` computes the second. `PREDICTED` and `KNOWN` define the parts; from them follow sizes, noise,
+mirror image, the tables of ONNX files and what a reward term can ask for. To add a part, add an entry there
+and a value in `observe`, and for `KNOWN` also one in `advance` (docs/task.md).
 """
 
 import re
@@ -34,7 +34,7 @@ UNSEEN = {"full": (), "onboard": ("linear_velocity",)}  # parts that no sensor t
 
 
 class Part(NamedTuple):
-    """Numbers of an observation that belong together."""
+    """One part of an observation: numbers that belong together."""
 
     size: int | None  # None: one number a joint
     unit: str
@@ -88,7 +88,7 @@ def prop_size(joints: int) -> int:
 
 
 def name(observation: str, joints: int) -> str:
-    """The name, in policy files, of what a policy of `task.observation` sees of one step."""
+    """The name, in policy files, of one step's reading with `task.observation`."""
     count = sum(rows(joints)[part].stop - rows(joints)[part].start for part in _seen(observation))
     return f"{NAMES[observation]}-{count}"
 
@@ -117,7 +117,7 @@ def shown(name: str) -> tuple[str, ...]:
 
 
 def columns(name: str) -> np.ndarray:
-    """Of an observation's numbers those that a policy of observation `name` sees."""
+    """The columns of an observation that a policy of observation `name` sees."""
     places = rows(_named(name)[1])
     return np.concatenate(
         [np.arange(places[part].start, places[part].stop) for part in shown(name)]
@@ -125,7 +125,7 @@ def columns(name: str) -> np.ndarray:
 
 
 def reading(name: str) -> dict[str, slice]:
-    """Where each part is in what a policy of observation `name` sees of one step."""
+    """Where each part is in one step's reading of a policy of observation `name`."""
     return _places(shown(name), _named(name)[1])
 
 

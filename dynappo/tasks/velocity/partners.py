@@ -1,4 +1,4 @@
-"""The left-right mirror image of a robot's joints, and that its motors are their own: NumPy, C MuJoCo.
+"""The mirror image of a robot's joints, and a check that its motors are symmetric. NumPy and C MuJoCo.
 
 The partner of a joint is the joint at the mirrored place, about the mirrored axis, in the home pose; the
 two axes decide the sign. A joint on the middle plane is its own partner.
@@ -23,7 +23,7 @@ MOVES, TURNS = np.array(observe.MOVES, float), np.array(observe.TURNS, float)
 def joints(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
     """`(partner, sign)` [A] of each joint; ConfigError if one has no partner.
 
-    A hinge is a line: where along its axis a file places it does not matter, but tells left from right.
+    A hinge is a line: its place along the axis changes no motion, but tells left from right.
     """
     model = robot.mj_model
     data = mujoco.MjData(model)

@@ -1,4 +1,4 @@
-"""Pushes: from time to time the base's horizontal velocity is changed.
+"""Pushes: sudden changes of the base's horizontal velocity, from time to time.
 
 As in Isaac Lab (isaaclab/envs/mdp/events.py, push_by_setting_velocity), after the reward and before
 the observation. `settings` is the config's group `task.push`, `dt` the seconds of a control step.

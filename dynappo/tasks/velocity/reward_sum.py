@@ -1,4 +1,4 @@
-"""The reward: finds the term of each weight, calls it with what it asks for, and sums.
+"""The reward: finds the term of each weight, calls it with its arguments, and sums.
 
 `task.weights.NAME` is the weight of the function `NAME` in rewards.py, and the function's
 parameters say what it needs. So a new term takes two changes: the function, and its weight.
@@ -78,7 +78,7 @@ def asks(term: Callable[..., Any]) -> list[str]:
 
 
 def known_names(task) -> set[str]:
-    """What a term may ask for that needs no physics; of `task`, its floats, and those of joints [A]."""
+    """The names that a term may ask for without physics; of `task`, its floats and numbers of joints [A]."""
     of_joints = {name for name in per_joint.names() if isinstance(task[name], tuple)}
     numbers = {name for name, value in task.items() if type(value) is float} | of_joints
     return {*observe.PARTS, *rewards.Feet._fields, "action"} | numbers

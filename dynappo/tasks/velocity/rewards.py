@@ -9,23 +9,22 @@ weight and the control step, and sums. The code works with NumPy and jax.numpy.
 A term's parameter names say what it needs. It may ask for:
 
 - any part of the observation (observe.py), without noise: the predicted ones as they are at the end
-  of the control step, before a push; the copied ones, `command` and `previous_action`, as the
-  policy saw them
+  of the control step, before a push; the known ones, `command` and `previous_action`, as the policy saw
+  them
 - the fields of `Feet`, which follow from these
 - `action`, the raw action of this step, and any number of the config's group `task`, like
   `tracking_std`
 - the fields of `Measured`, which only physics knows
 
-In the rows that the transition model writes, terms that need nothing of `Measured` can be computed
-(`model.known_reward`); the model learns the sum of the others. A parameter with a default is the
-term's own constant.
+In synthetic rows, terms that need nothing of `Measured` can be computed (`model.known_reward`); the model
+learns the sum of the others. A parameter with a default is the term's own constant.
 
-`track_*` is the only source of a positive return: an episode of T seconds that tracks perfectly
-earns (w_lin + w_yaw) T, 45 on Go1. An untrained robot gets more penalty than reward, and a fall
-ends the penalties, so early in training episodes get shorter before they get longer. A biped gets `alive`,
-`upright` and `posture` too, and `task.fall_reward` makes a fall cost something by itself.
+On quadrupeds only `track_*` earns a positive return: an episode of T seconds that tracks perfectly earns
+(w_lin + w_yaw) T, 45 on Go1. An untrained robot gets more penalty than reward, and a fall ends the
+penalties, so early in training episodes get shorter before they get longer. A biped also earns `alive`,
+`upright` and `posture`, and `task.fall_reward` makes a fall itself cost something.
 
-Terms of bipeds are in no program whose weight is None. Their sources: Isaac Lab's flat G1 (2.2.1), mjlab 1.6
+A biped's term whose weight is None is in no program. Their sources: Isaac Lab's flat G1 (2.2.1), mjlab 1.6
 and MuJoCo Playground 0.2 (G1JoystickFlatTerrain).
 """
 

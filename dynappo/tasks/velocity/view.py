@@ -8,10 +8,12 @@ robot's own body (physics/randomize.py), which physics knows and no sensor tells
 
     obs = [ numbers of observe.py, as sensed | readings before, the newest first | body ]
 
-All but the predicted numbers, which come first, follow from the row before (`advance`), so the transition
-model writes tails of these as of the 48. Each network has its columns (`views`): the policy the readings, a
-value function with `ppo.critic = "state"` and the model all but the readings before, of which the model takes
-one, because with it comes the action that a delay may still hold back.
+The predicted numbers come first; all others follow from the row before (`advance`), so the transition model
+can write tails of this observation, too. Each network sees its own columns (`views`):
+
+- the policy: the readings;
+- a value function with `ppo.critic = "state"`: all but the readings before;
+- the model: the same and one reading before, whose action a delay may still hold back.
 """
 
 from __future__ import annotations
@@ -116,8 +118,7 @@ def sense(view: View, hyper: Hyper, prop, context, key):
 
 
 def first(view: View, sensed, body):
-    """What follows the numbers of observe.py where an episode begins: the first reading, again and
-    again; body."""
+    """What follows observe.py's numbers at the start of an episode: the first reading, repeated; body."""
     xp = sensed.__array_namespace__()
     return xp.concat([*[sensed[reading(view)]] * (view.history - 1), body])
 
