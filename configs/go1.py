@@ -17,7 +17,7 @@ SPEED = (30.1, 30.1, 20.06) * 4
 
 
 def get_config(variant=""):
-    """The defaults are Go1's, but for its motors: the paper's variants keep the one kind of Isaac Lab 2.2.1."""
+    """The defaults are Go1's; the paper's variants keep their one kind of motor, of Isaac Lab 2.2.1."""
     config = default["defaults"]()
     config.robot = "go1"
     if variant not in default["OF_THE_PAPER"]:

@@ -513,7 +513,9 @@ def test_what_the_page_says_of_the_goal_and_of_single_seeds_is_so():
     slow = table.seeds(jobs["best-g"])[np.argmax(ours_of("best-g").walks)]
     bad = [r for r in slow if r["sim_steps"] > 1.2e6 and r["fall_rate"] > 0.01]
     falls = [r["fall_rate"] for r in bad]
-    assert (min(falls), max(falls)) == (0.012, 0.021) and round(bad[-1]["sim_steps"] / 1e6, 1) == 2.7
+    assert (min(falls), max(falls)) == (0.012, 0.021) and round(
+        bad[-1]["sim_steps"] / 1e6, 1
+    ) == 2.7
     (never,) = np.flatnonzero(np.isnan(ours_of("best-h").walks))
     end = [r["fall_rate"] for r in table.seeds(jobs["best-h"])[never]][-3:]
     assert (min(end), max(end)) == (0.013, 0.015)

@@ -23,7 +23,7 @@ look, play = partial(status, look_command.main), partial(status, play_command.ma
 CONFIG = """
 from dynappo import config as config_lib
 def get_config(variant=""):
-    config = config_lib.load("configs/go1.py:laptop")
+    config = config_lib.load("configs/default.py:laptop")
     config.robot = "mine"
     config.ppo.symmetry = False
     config.physics.impl = "{impl}"

@@ -31,9 +31,7 @@ def test_it_says_what_a_robot_is_and_how_it_stands(capsys):
     assert told["PD"] == "kp 25 N m/rad, kd 0.5 N m s/rad, a step of 5 ms"
     assert told["is"].startswith("stable: damping takes 0.19 of a joint's speed in a step")
     assert re.match(r"\d+ mm in 5 s: the base at 0.325 m, then 0.2\d+ m", told["sag"])
-    assert re.match(
-        r"up to \d\.\d N m, at \w+_joint: \d+% of the limit 23.7", told["torque"]
-    )
+    assert re.match(r"up to \d\.\d N m, at \w+_joint: \d+% of the limit 23.7", told["torque"])
     assert told["limbs"] == "12 joints, feet FL, FR, RL, RR, 14 other shapes"
     assert told["explore"].endswith("6.2 N m, at FL_hip_joint: 26% of the limit 23.7")
     rows = {
