@@ -201,8 +201,8 @@ def beside(jobs) -> str:
 
 
 def factor(one, other, end: float) -> str:
-    """Mean steps of `one` by those of `other`; a NaN of `one` counts with `end`, which is too few. No number with
-    a NaN of `other`."""
+    """Mean steps of `one` by those of `other`; a NaN of `one` counts with `end`, which is too few.
+    No number where `other` has a NaN."""
     if never := np.isnan(other).sum():
         return f"`best`: {never} never"
     if np.isnan(one).any():
