@@ -19,9 +19,10 @@ help:  ## list the targets
 train: $(VENV)/.train  ## train a Go1 on two CPU cores, three to five minutes with the set-up; ends with a film
 	$(BIN)/python -m dynappo.train --config=$(CONFIG) --workdir=$(WORKDIR)
 
-# a file stays in one of the two processes: its tests share compiled programs
-test: $(VENV)/.dev  ## run the tests, eight minutes on two idle cores (the slow ones: .venv/bin/pytest -m slow; 2000 bad inputs: -m fuzz)
-	$(BIN)/python -m pytest -n 2 --dist loadfile
+# A file stays in one of the two processes: its tests share compiled programs. conftest.py, not xdist, says
+# which comes first. Bytecode is written whatever the environment says: some sixty processes import JAX
+test: $(VENV)/.dev  ## run the tests, five minutes on two idle cores (the slow ones: .venv/bin/pytest -m slow; 2000 bad inputs: -m fuzz)
+	PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
 
 check: $(VENV)/.dev  ## lint, format, types and spelling: what must be clean before a commit
 	$(BIN)/ruff check

@@ -26,7 +26,15 @@ gc.set_threshold(50_000, 20, 100)
 # a shell that starts these tests in the background has them ignore ctrl-C, and all that they start
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
-PEERS = pathlib.Path(__file__).parent / "peers"
+TESTS = pathlib.Path(__file__).parent
+PEERS = TESTS / "peers"
+LONGEST = """
+test_algorithm test_fast tasks/test_env program/test_distributed web/test_browser play/test_page_in_browser
+test_experiments sweeps/test_sweep run/test_checkpoint test_seeds run/test_run physics/test_xla_call
+physics/test_warp_call run/test_engines tasks/test_change tasks/test_brax_env model/test_options
+model/test_dynamics learner/test_ppo physics/test_kernel_scope train/test_command physics/test_c_mujoco
+policy/test_source sweeps/test_every_float run/test_workdir policy/test_render physics/test_feet
+""".split()  # files that take more than ten seconds of a processor, about in this order (README.md)
 
 
 def pytest_sessionstart():
@@ -41,6 +49,13 @@ def pytest_sessionstart():
             f"DYNAPPO_TEST_DEVICE is gpu, but JAX has {jax.devices()} and Warp "
             f"{wp.get_preferred_device()}; expected CUDA devices"
         )
+
+
+def pytest_collection_modifyitems(items):
+    """The files that take longest begin first, so that no core waits for one of them in the end."""
+    place = {TESTS / f"{name}.py": i for i, name in enumerate(LONGEST)}
+    assert all(path.is_file() for path in place), "LONGEST names a file that is gone"
+    items.sort(key=lambda item: place.get(item.path, len(place)))  # else as they were
 
 
 def pytest_collection_finish():

@@ -1,6 +1,7 @@
 """Robots in all kinds of states, for the kernel of a control step and for C MuJoCo."""
 
 import copy
+import functools
 
 import mujoco
 import numpy as np
@@ -14,14 +15,23 @@ ROBOTS = 64
 MOTOR = (20.0, 0.5, 23.7, 28.0, 30.0, 0.9, 0.3, 1.0)  # arrays.MOTOR
 
 
+load = functools.cache(robot_lib.load)  # hundreds of cases are one robot
+
+
+@functools.cache
+def physics(name):
+    """The group physics of a config, its solver run to the end."""
+    config = config_lib.load(f"configs/{name}.py")
+    config.physics.update(iterations=30, ls_iterations=30)
+    return config.physics
+
+
 class Case:
     """Robots near the floor, tilted, pushed, some joints beyond their range; and their numbers."""
 
     def __init__(self, name, substeps=1, robot=None, motors=MOTOR):
-        config = config_lib.load(f"configs/{name}.py")
-        config.physics.update(iterations=30, ls_iterations=30)
-        self.robot = robot = robot or robot_lib.load(name)
-        self.model = model = robot_lib.physics_model(robot, config.physics)
+        self.robot = robot = robot or load(name)
+        self.model = model = robot_lib.physics_model(robot, physics(name))
         self.shape = arrays.shape(model, robot, substeps, False)
         rng = np.random.default_rng(0)
         qpos = np.tile(model.key("home").qpos, (ROBOTS, 1))

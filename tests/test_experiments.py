@@ -948,6 +948,7 @@ def test_efficiency_by_evaluation_and_against_earlier_batches_too(tmp_path):
 # Measurements
 
 
+@pytest.mark.slow
 def test_the_update_that_is_timed_beside_rsl_rl_is_ours_on_the_same_rows(monkeypatch):
     """Returns by a loop; with them and without, one update is the same."""
     peers = script("03_speed/peers")

@@ -109,6 +109,7 @@ def one_of(tree, seed, axis=0):
     )
 
 
+@pytest.mark.slow  # as a sweep on a mesh, without seeds
 def test_robots_on_eight_devices_compute_what_one_device_computes(mesh_of_robots, single):
     """E devices with R robots each are one device with E R robots, over six iterations: every
     metric, the learning rate's path, and every array of the state."""
@@ -123,6 +124,7 @@ def test_a_seed_of_a_sweep_on_a_mesh_is_its_run_alone(mesh_of_both, swept, singl
     """With values of its own for two fields: every metric, and every array of the state."""
     state, metrics, _ = mesh_of_both
     expected_state, expected = single(seed, swept[1][seed])
+    assert len(np.unique(expected["learning_rate"])) > 2  # the path has turns to get wrong
     same(one_of(metrics, seed, 1), expected)
     same(one_of(state, seed), expected_state, 2e-3, 2e-4)
     assert len(np.unique(metrics["model_loss"][-1])) == SEEDS
@@ -208,12 +210,14 @@ def test_seeds_on_devices_of_their_own_send_each_other_nothing(mesh_of_both):
     assert any(len(group) == 4 for group in groups)
 
 
-def test_robots_on_devices_of_their_own_send_sums_and_finished_episodes_only(mesh_of_robots, toy):
+@pytest.mark.parametrize("mesh", ["both", pytest.param("robots", marks=pytest.mark.slow)])
+def test_robots_on_devices_of_their_own_send_sums_and_finished_episodes_only(mesh, request, toy):
     """No row of a rollout travels: gradients and moments are sums, and of rows only reward-sized
-    numbers [N, R] are gathered, for the mean return of the last 100 episodes."""
+    numbers [N, R] of each seed are gathered, for the mean return of the last 100 episodes."""
     env, static, _, _ = toy
     rows = static.rollout.horizon * static.rollout.num_envs
-    sent = [message[:2] for message in messages(mesh_of_robots[2])]
+    rows *= SEEDS // SHAPE[0] if mesh == "both" else 1
+    sent = [message[:2] for message in messages(request.getfixturevalue(f"mesh_of_{mesh}")[2])]
     assert any(kind == "all-reduce" for kind, _ in sent)
     assert all(kind in ("all-reduce", "all-gather") for kind, _ in sent)
     assert max(size for kind, size in sent if kind == "all-gather") <= rows

@@ -79,8 +79,9 @@ def linear_rows(seed, horizon=HORIZON):
     return jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), rows)
 
 
+@functools.cache
 def start(static, env=ENV):
-    """An untrained model."""
+    """An untrained model, the same for all tests of a setting."""
     return jax.jit(partial(dynamics.init, static, env))(jax.random.key(0))
 
 

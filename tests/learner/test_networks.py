@@ -1,5 +1,6 @@
 """The networks against rsl_rl's outputs, the Gaussian against numerical integrals."""
 
+import functools
 from functools import partial
 
 import flax.linen as nn
@@ -21,8 +22,12 @@ def make(settings):
     def fresh(fields=None, seed=0):
         fields = {"hidden": (32, 32, 32)} | (fields or {})
         static, hyper = settings({f"ppo.{name}": value for name, value in fields.items()})
-        init = jax.jit(partial(networks.init_policy, static, hyper, OBS, ACTIONS))
-        return static, init(jax.random.key(seed))
+        return static, compiled(static)(hyper, OBS, ACTIONS, jax.random.key(seed))
+
+    @functools.cache
+    def compiled(static):
+        init = partial(networks.init_policy, static)
+        return jax.jit(init, static_argnums=(1, 2))
 
     return fresh
 

@@ -64,12 +64,13 @@ def step(ppo_settings):
 def recorded(peer, from_torch, ppo_settings):
     """`f(name) -> (learner, batch, old_std)` as they were when rsl_rl's PPO.update was called."""
 
+    init = jax.jit(partial(ppo.init, *ppo_settings(), OBS, ACTIONS))
+
     def make(name):
         z = peer(name)
         theirs = {"action_mean": "mean", "advantages": "advantage"}
         columns = {k: z[theirs.get(k, k)] for k in ppo.Batch._fields[:7]}  # no weight
         batch = ppo.Batch(**{k: jnp.asarray(x) for k, x in columns.items()})
-        init = jax.jit(partial(ppo.init, *ppo_settings(), OBS, ACTIONS))
         learner = init(jax.random.key(0))
         learner = learner.replace(params=jax.tree.map(jnp.asarray, from_torch(z)))
         return learner, batch, jnp.asarray(z["collect.std"])

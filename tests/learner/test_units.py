@@ -29,8 +29,15 @@ def environment(views):
     return SimpleNamespace(input_scale=SCALE, views=views)
 
 
-@pytest.mark.parametrize("module", [ppo, fast])
-@pytest.mark.parametrize(("critic", "views"), [("obs", None), ("state", VIEWS)])
+@pytest.mark.parametrize(
+    ("module", "critic", "views"),
+    [
+        (fast, "obs", None),
+        (ppo, "state", VIEWS),
+        pytest.param(ppo, "obs", None, marks=pytest.mark.slow),
+        pytest.param(fast, "state", VIEWS, marks=pytest.mark.slow),
+    ],
+)
 def test_an_update_in_units_is_one_on_inputs_in_these_units(module, critic, views):
     """The plain update of networks that see s x, against that of networks that see x."""
     of_actor = np.arange(OBS) if views is None else views.actor

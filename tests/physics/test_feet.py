@@ -1,5 +1,8 @@
 """Robots of other feet and limbs than the bundled ones: engines against a plain loop in C MuJoCo, the lowest
-points of feet against points on their surfaces, and the room for their contacts."""
+points of feet against points on their surfaces, and the room for their contacts.
+
+No test names a device for Warp: its kernels run on the GPU if there is one, as those of test_warp_call.py.
+"""
 
 import copy
 from functools import partial
@@ -80,7 +83,14 @@ def runs(world, impl):
         return simulate(body, SimpleNamespace(**s, torque=None), action)
 
     step = jax.jit(jax.vmap(one, (axes, 0, 0)))
-    return lambda start, action: jax.device_get(step(bodies, start, action))
+    # C MuJoCo's call is there for CPUs alone
+    device = jax.devices("cpu" if impl == "c" else None)[0]
+
+    def run(start, action):
+        with jax.default_device(device):
+            return jax.device_get(step(bodies, start, action))
+
+    return run
 
 
 def by_hand(world, i):
@@ -221,20 +231,19 @@ def test_in_warp_a_foot_is_as_low_as_the_lowest_of_its_shapes():
         data.qpos[:] = row
         mujoco.mj_kinematics(model, data)
         place[i], turn[i] = data.geom_xpos, data.geom_xmat.reshape(-1, 3, 3)
-    with wp.ScopedDevice("cpu"):
-        out = {name: wp.zeros((POSES, feet), dtype=int) for name in CLOCKS}
-        out |= {name: wp.full((POSES, feet), -1.0, dtype=float) for name in ("peak", "last_peak")}
-        out["lowest"] = wp.zeros((POSES, parts), dtype=float)
-        numbers = [shape.first, shape.feet, shape.soles, shape.parts, shape.floor]
-        kinds = int, int, float, int, float
-        given_geoms = [wp.array(x, dtype=k) for x, k in zip(numbers, kinds, strict=True)]
-        geoms = [wp.array(place, dtype=wp.vec3), wp.array(turn, dtype=wp.mat33)]
-        wp.launch(
-            kernels.keep,
-            dim=(POSES, feet + parts),
-            inputs=[0, 0, 0, *given_geoms, *geoms],
-            outputs=[*out.values()],
-        )
+    out = {name: wp.zeros((POSES, feet), dtype=int) for name in CLOCKS}
+    out |= {name: wp.full((POSES, feet), -1.0, dtype=float) for name in ("peak", "last_peak")}
+    out["lowest"] = wp.zeros((POSES, parts), dtype=float)
+    numbers = [shape.first, shape.feet, shape.soles, shape.parts, shape.floor]
+    kinds = int, int, float, int, float
+    given_geoms = [wp.array(x, dtype=k) for x, k in zip(numbers, kinds, strict=True)]
+    geoms = [wp.array(place, dtype=wp.vec3), wp.array(turn, dtype=wp.mat33)]
+    wp.launch(
+        kernels.keep,
+        dim=(POSES, feet + parts),
+        inputs=[0, 0, 0, *given_geoms, *geoms],
+        outputs=[*out.values()],
+    )
     found = {name: value.numpy() for name, value in out.items()}
     ids = np.concatenate([robot.feet, robot.parts])
     low = np.array([other_robots.lowest_points(model, row, ids) for row in given])
@@ -258,15 +267,14 @@ def test_there_is_room_for_all_contacts_and_no_more(robot, touching):
 
     model = robot_lib.physics_model(robot, settings(touching).physics)
     room, rows = contacts.most(model)
-    with wp.ScopedDevice("cpu"):
-        made = mjw.put_model(model)
-        data = mjw.make_data(model, nworld=2, naconmax=20 * room, njmax=20 * rows)
-        sunk = np.tile(robot.home_qpos, (2, 1))
-        sunk[:, 2] -= 3
-        data.qpos = wp.array(sunk, dtype=float)
-        mjw.forward(made, data)
-        assert data.nacon.numpy()[0] == 2 * room
-        assert (data.nefc.numpy() <= rows).all() and (data.nefc.numpy() > rows / 3).all()
+    made = mjw.put_model(model)
+    data = mjw.make_data(model, nworld=2, naconmax=20 * room, njmax=20 * rows)
+    sunk = np.tile(robot.home_qpos, (2, 1))
+    sunk[:, 2] -= 3
+    data.qpos = wp.array(sunk, dtype=float)
+    mjw.forward(made, data)
+    assert data.nacon.numpy()[0] == 2 * room
+    assert (data.nefc.numpy() <= rows).all() and (data.nefc.numpy() > rows / 3).all()
 
 
 # ---- which robots the kernel computes

@@ -17,7 +17,7 @@ from dynappo import config as config_lib
 from dynappo import seeds
 from dynappo.physics import contacts as contacts_lib
 from dynappo.physics import engine as engine_lib
-from dynappo.physics import randomize
+from dynappo.physics import motors, randomize
 from dynappo.physics import robot as robot_lib
 from dynappo.tasks.velocity import env as env_lib
 
@@ -47,11 +47,14 @@ class World:
         config = config_lib.load(f"configs/{name}.py" + ":deploy" * hardware)
         config.physics.update(contacts=contacts, iterations=20, ls_iterations=20)  # to the end
         config.task.randomize.update(WIDE | (HARDWARE if hardware else {}))
+        if hardware:
+            own = 1 + 0.1 * np.arange(12)
+            for field in ("kp", "kd", "effort_limit", "saturation_effort", "velocity_limit"):
+                config.task[field] = tuple((config.task[field] * own).tolist())
         config.task.actuator = "lag" if hardware else "pd"
-        config = config_lib.validate(config)
+        config, robot = motors.fitted(config_lib.validate(config), robot_lib.load(name))
         _, self.hyper = config_lib.split(config)
         self.config = config
-        robot = robot_lib.load(name)
         if dry:
             spec = robot_lib.physics_spec(robot.xml)
             for joint in spec.joints[1:]:
@@ -114,13 +117,13 @@ class World:
         return after
 
 
-SLOW = [pytest.param(name, marks=pytest.mark.slow) for name in ("anymal_c", "dry")]
+SLOW = [pytest.param(name, marks=pytest.mark.slow) for name in ("go1", "anymal_c", "dry")]
 
 
-@pytest.fixture(scope="module", params=["go1", "hardware", *SLOW])
+@pytest.fixture(scope="module", params=["hardware", *SLOW])
 def world(request):
-    """Feet only; all that `deploy` varies; damping and every contact, in every
-    physics step; all that `deploy` varies on a file with dry friction."""
+    """Feet only; all that `deploy` varies, and a motor of its own at each joint; damping and every contact,
+    in every physics step; as the second, on a file with dry friction."""
     made = {
         "go1": ("go1", "feet", False),
         "hardware": ("go1", "feet", True),

@@ -1,4 +1,5 @@
-"""Whole runs on C MuJoCo: the same bits twice, resumed and as seeds; checkpoints that move to MJX."""
+"""Whole runs on C MuJoCo, with motors of their own at the calves: the same bits twice, resumed and as seeds;
+checkpoints that move to MJX."""
 
 import shutil
 
@@ -10,6 +11,7 @@ from toy_runs import assert_same, leaves
 
 from dynappo import config as config_lib
 from dynappo import train
+from dynappo.policy import episode, policy_file, source
 from dynappo.program import build
 
 SMALL = (
@@ -19,8 +21,13 @@ SMALL = (
 ).split()
 
 
+CALF, OTHER = 35.55, 23.7  # N m
+
+
 def settings(*fields):
     config = config_lib.load("configs/go1.py:laptop")
+    limits = {".*_calf_joint": CALF, ".*": OTHER}
+    config.task.update(effort_limit=limits, saturation_effort=limits)
     for text in [*SMALL, *fields]:
         config_lib.override(config, *text.split("=", 1))
     return config
@@ -48,6 +55,19 @@ def test_a_run_on_c_mujoco_learns_from_real_rows_and_evaluates(whole):
     assert not metrics["blowups"].any()
     assert np.isfinite(state.env_state.qpos).all() and np.ptp(state.env_state.qpos[:, 2]) > 0.01
     assert '"impl": "c"' in (folder / "summary.json").read_text()
+
+
+def test_its_policy_holds_a_number_a_joint_and_plays(whole):
+    policy, _ = source.load(str(whole[2]))
+    np.testing.assert_array_equal(policy.effort_limit, [OTHER, OTHER, CALF] * 4)
+    body, _ = source.body(policy)
+    actor = policy_file.actor(policy.params, policy.activation)
+    episode.play(body, actor, lambda t: np.zeros(3), 0.1)
+    text = (whole[2] / "config.json").read_text()
+    back = config_lib.from_json(text)
+    assert back.task.effort_limit == ((".*_calf_joint", CALF), (".*", OTHER))
+    given = config_lib.to_json(config_lib.validate(settings("physics.threads=1")))
+    assert config_lib.difference(text, given) == ""
 
 
 @pytest.mark.parametrize("threads", [1, pytest.param(3, marks=pytest.mark.slow)])

@@ -260,15 +260,15 @@ def test_brax_evaluates_our_task(toy):
     np.testing.assert_allclose(found["eval/episode_reward"], toy_env.DT * terms, rtol=1e-5)
 
 
-@pytest.fixture(scope="module")
-def go1():
+def of_go1(impl):
     """The velocity task of a Go1 behind brax's wrappers, not compiled."""
     config, _, hyper = toy_env.settings({"task.episode_length": 2}, variant="quick")
-    env = env_lib.make(robot_lib.load("go1"), config.task, config.physics)
+    env = env_lib.make(robot_lib.load("go1"), config.task, config.physics, impl=impl)
     return training.wrap(door.to_brax(env, hyper), 2)
 
 
-def test_a_go1_fits_brax_without_being_run(go1):
+def test_a_go1_fits_brax_without_being_run():
+    go1 = of_go1("c")  # traced in a third of MJX's time
     assert (go1.observation_size, go1.action_size, go1.backend) == (48, 12, "mjx")
     before = jax.eval_shape(go1.reset, jax.random.split(jax.random.PRNGKey(0), 2))
     after = jax.eval_shape(go1.step, before, jnp.zeros((2, 12)))
@@ -276,7 +276,9 @@ def test_a_go1_fits_brax_without_being_run(go1):
 
 
 @pytest.mark.slow
-def test_brax_unrolls_a_go1(go1):
+def test_brax_unrolls_a_go1():
+    go1 = of_go1("jax")
+
     @jax.jit
     def run(key):
         first = go1.reset(jax.random.split(key, 2))
@@ -348,6 +350,7 @@ def pendulum():
     return brax_env, env
 
 
+@pytest.mark.slow
 def test_a_brax_environment_is_brax_stepped_by_hand(pendulum):
     brax_env, env = pendulum
     actions = jnp.asarray(np.random.default_rng(0).normal(0, 0.7, (25, 1)), jnp.float32)

@@ -211,12 +211,15 @@ def test_the_benchmark_has_none_of_it():
     assert state.torque is None
 
 
-def test_a_lagging_torque_approaches_what_is_wanted_with_its_time_constant():
+# of MJX: physics/test_warp_call.py compares it with Warp
+@pytest.mark.parametrize("impl", ["warp", pytest.param("jax", marks=pytest.mark.slow)])
+def test_a_lagging_torque_approaches_what_is_wanted_with_its_time_constant(impl):
     """Against C MuJoCo a physics step at a time: tau' = (wanted - tau) / T, kept from row to row."""
-    fields = {"task.actuator": "lag", "task.randomize.lag": (0.01, 0.03), "physics.impl": "jax"}
+    pytest.importorskip("warp" if impl == "warp" else "mujoco")
+    fields = {"task.actuator": "lag", "task.randomize.lag": (0.01, 0.03), "physics.impl": impl}
     config = configured(**fields, **{"task.randomize.base_mass": (0.0, 0.0)})
     robot, hyper = robot_lib.load("go1"), quiet(config_lib.split(config)[1])
-    env = env_lib.make(robot, config.task, config.physics, impl="jax")
+    env = env_lib.make(robot, config.task, config.physics, impl=impl)
     key = jax.random.key(3)
     body = jax.jit(env.randomize)(hyper, key)
     state, step = jax.jit(env.reset)(hyper, body, key), jax.jit(env.step)
