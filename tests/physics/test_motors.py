@@ -64,7 +64,7 @@ def test_what_does_not_fit_the_robot_is_told_before_anything_is_compiled():
     assert line.startswith("the pattern '.*_calf_joint' of task.kp matches no joint of anymal_c")
     line = refused(build.check, load(kd=(1.0,) * 11))
     assert line.startswith("task.kd has 11 numbers, expected 12: one for each joint of go1")
-    config = load(kp={"FL.*": 35, ".*": 25})  # `best` learns from mirror images
+    config = load(variant="best", kp={"FL.*": 35, ".*": 25})  # it learns from mirror images
     line = refused(build.check, config)
     expected = (
         "task.kp is 35 at FL_hip_joint and 25 at FR_hip_joint, expected the same left and right"
