@@ -43,6 +43,12 @@ UNITS = {
     "control_dt": "s",
     "control_rate": "Hz",
 }
+GAIT_CLOCK = (
+    "gait_phase is computed, not measured: the angle is 2 pi f t with f in gait_frequency (Hz) and t the "
+    "seconds since the start; the phase of the first foot is the angle, that of the second the angle + pi, "
+    "and both are pi while the command is at most 0.1 in size; the four numbers are the cosine of each "
+    "phase, then the sines"
+)
 LICENCE = "dynappo and its bundled policies: Apache-2.0; a policy of your own: as you decide"
 
 
@@ -83,6 +89,11 @@ def about(policy: Policy, robot: robot_lib.Robot) -> dict[str, Any]:
     fields = policy._asdict()
     config = fields.pop("config")
     del fields["params"], fields["mjcf"], fields["seed"]
+    units = UNITS
+    if policy.gait_frequency is None:
+        del fields["gait_frequency"]
+    else:
+        fields["gait_clock"], units = GAIT_CLOCK, UNITS | {"gait_frequency": "Hz"}
     return fields | {
         "default_pose": policy.default_pose.tolist(),
         "joint_range": [model.joint(name).range.tolist() for name in policy.joint_names],
@@ -90,7 +101,7 @@ def about(policy: Policy, robot: robot_lib.Robot) -> dict[str, Any]:
         "control_dt": control_dt,
         "control_rate": 1 / control_dt,
         "observation_table": observation_table(policy),
-        "units": UNITS,
+        "units": units,
         "dynappo": versions.of("dynappo"),
         "licence": LICENCE,
         "config": config,
