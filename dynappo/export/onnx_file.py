@@ -38,6 +38,7 @@ UNITS = {
     "command_x": "m/s",
     "command_y": "m/s",
     "command_yaw": "rad/s",
+    "gait_frequency": "Hz",
     "base_com": "m",
     "timestep": "s",
     "control_dt": "s",
@@ -89,11 +90,8 @@ def about(policy: Policy, robot: robot_lib.Robot) -> dict[str, Any]:
     fields = policy._asdict()
     config = fields.pop("config")
     del fields["params"], fields["mjcf"], fields["seed"]
-    units = UNITS
-    if policy.gait_frequency is None:
-        del fields["gait_frequency"]
-    else:
-        fields["gait_clock"], units = GAIT_CLOCK, UNITS | {"gait_frequency": "Hz"}
+    if policy.gait_frequency is not None:
+        fields["gait_clock"] = GAIT_CLOCK
     return fields | {
         "default_pose": policy.default_pose.tolist(),
         "joint_range": [model.joint(name).range.tolist() for name in policy.joint_names],
@@ -101,7 +99,7 @@ def about(policy: Policy, robot: robot_lib.Robot) -> dict[str, Any]:
         "control_dt": control_dt,
         "control_rate": 1 / control_dt,
         "observation_table": observation_table(policy),
-        "units": units,
+        "units": UNITS,
         "dynappo": versions.of("dynappo"),
         "licence": LICENCE,
         "config": config,
