@@ -12,6 +12,8 @@ import pytest
 
 from dynappo import config as config_lib
 from dynappo.config import ConfigError
+from dynappo.evaluate import stress
+from dynappo.export import deploy_yaml, joint_order, onnx_file
 from dynappo.learner import symmetry
 from dynappo.physics import robot as robot_lib
 from dynappo.policy import episode, policy_file
@@ -206,7 +208,7 @@ def policy_of(world):
 
 
 def test_an_episode_of_c_mujoco_shows_what_the_environment_does(world):
-    """Moving, standing and moving again, with the same actions; the clock is that of the middle frequency, from
+    """Moving, standing, moving again, with the same actions; the clock is that of the middle frequency, from
     angle 0."""
     policy = policy_of(world)
     assert policy.observation == "velocity-phase-52" and policy.gait_frequency == RANGE
@@ -273,6 +275,51 @@ def test_a_policys_file_has_its_clock_and_an_older_one_has_none(world, tmp_path)
         policy_file.save_params(path, policy.params, about=policy_file.to_json(about | change))
         with pytest.raises(ConfigError, match=expected):
             policy_file.load(path)
+
+
+def test_on_a_robot_the_phases_are_part_of_an_onnx_files_obs_and_no_deploy_yaml_has_them(world):
+    policy = policy_of(world)
+    order = tuple(reversed(policy.joint_names))
+    facts = onnx_file.about(joint_order.permute(policy, order), world.robot)
+    row = facts["observation_table"][-1]
+    assert (row["name"], row["start"], row["stop"]) == ("gait_phase", 48, 52)
+    assert facts["gait_frequency"] == RANGE and "2 pi f t" in facts["gait_clock"]
+    assert "gait_clock" not in onnx_file.about(other_robots.policy(world.robot), world.robot)
+    size = len(onnx_file.order(policy))
+    assert (
+        onnx_file.onnx_model(policy, facts).graph.input[0].type.tensor_type.shape.dim[1].dim_value
+        == size
+        == 52
+    )
+    first = [
+        p.params["actor"]["params"]["Dense_0"]["kernel"]
+        for p in (policy, joint_order.permute(policy, order))
+    ]
+    np.testing.assert_array_equal(first[0][48:], first[1][48:])
+    with pytest.raises(ConfigError, match="a deploy.yaml has no gait_phase"):
+        deploy_yaml.text(policy, world.robot)
+
+
+def test_a_late_sensor_makes_no_late_clock(world):
+    """The robot computes the phases itself; what it senses may be 40 ms old."""
+    policy = policy_of(world)
+    body = episode.load(world.robot.xml, policy, policy.timestep, text=world.robot.alone)
+    seen = {}
+    for late in (0.0, 0.04):
+        rows = seen[late] = []
+        stress.play(
+            body,
+            lambda obs, rows=rows: rows.append(obs) or np.zeros(12),
+            MOVES,
+            stress.Stress("late", sensor_delay=late),
+            seconds=0.2,
+        )
+    count = min(map(len, seen.values()))
+    phases = [np.array(rows)[:count, 48:] for rows in seen.values()]
+    expected = [by_loops(2 * math.pi * 1.375 * DT * k, MOVES) for k in range(count)]
+    assert count > 5
+    for found in phases:
+        np.testing.assert_allclose(found, expected, atol=1e-9)
 
 
 def test_a_robot_of_four_feet_and_a_term_without_its_clock_are_one_line_each(world):
