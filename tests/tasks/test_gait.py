@@ -262,7 +262,7 @@ def test_a_policys_file_has_its_clock_and_an_older_one_has_none(world, tmp_path)
     assert about["format"] == 4 and about["gait_frequency"] == RANGE
     policy_file.save_params(path, policy.params, about=policy_file.to_json(about))
     found = policy_file.load(path)
-    assert tuple(found.gait_frequency) == RANGE and found.observation == policy.observation
+    assert found.gait_frequency == [*RANGE] and found.observation == policy.observation
     without = policy._replace(gait_frequency=None, observation="velocity-48")
     assert "gait_frequency" not in policy_file.about(without)
     for change, expected in (
