@@ -45,6 +45,7 @@ Small = Annotated[float, Between(0, 100)]
 Signed = Annotated[float, Between(-100, 100)]
 Share = Annotated[float, Between(0, 1)]
 Seconds = Annotated[float, Between(0, 1_000_000)]
+Frequency = Annotated[float, Between(0.01, 10)]
 Range = tuple[NotNegative, NotNegative]  # low, high
 Command = tuple[Signed, Signed]  # low, high
 Layers = tuple[Few, ...]
@@ -186,6 +187,7 @@ class Weights(NamedTuple):
     feet_air_time_biped: float | None = None
     foot_slip: float | None = None
     foot_drag: float | None = None
+    feet_phase: float | None = None  # with task.gait_frequency
     feet_distance: float | None = None
 
 
@@ -267,6 +269,12 @@ class Task(NamedTuple):
     # second where the robot is told to stand. None: not in the program
     posture_std: Annotated[PerJoint, Between(1e-3, 1e6)] | None = None
     posture_std_standing: Annotated[PerJoint, Between(1e-3, 1e6)] | None = None
+    # Hz, strides of a biped's gait clock (tasks/velocity/gait.py): drawn where a robot starts anew; feet's
+    # phases are part of the observation. Playground's G1: 1.25 to 1.5. None: not in the program
+    gait_frequency: tuple[Frequency, Frequency] | None = None
+    gait_foot_height: Positive = (
+        0.15  # m, in the middle of a swing, for feet_phase; Playground's G1
+    )
     # rad per unit of action; IL
     action_scale: Annotated[PerJoint, Between(1e-12, 100)] = 0.25
     # "full": the 48 numbers of tasks/velocity/observe.py; "onboard": the 45 that a robot measures, so

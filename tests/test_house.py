@@ -44,7 +44,7 @@ MAY_IMPORT = {
 }
 WITHOUT_JAX = {"policy", "adopt", "look", "web", "play", "export", "config", "schedule"}
 WITHOUT_JAX |= {
-    f"tasks.velocity.{name}" for name in ("rewards", "reward_sum", "observe", "partners")
+    f"tasks.velocity.{name}" for name in ("rewards", "reward_sum", "observe", "gait", "partners")
 }
 WITHOUT_JAX |= {
     f"physics.{name}"

@@ -18,7 +18,7 @@ from dynappo.config.files import find
 TINY = 1e-12
 WHOLE = {"low": 1 - 2**31, "high": 2**31 - 1}
 SIZE = {"low": -1e9, "high": 1e9}
-SIZES = (128, 128, 128)  # what a tuple that is None by default may be
+SIZES = (128, 128, 128)  # what sizes that are None by default may be
 REPEATS = 3  # of a pattern: each multiplies the time that it can take by a name's length
 
 
@@ -77,7 +77,7 @@ def every() -> dict[str, Field]:
                 of_joints = _of_joints(types[name])
                 kind = float if of_joints else group.get_type(name)
                 limits = _limits(types[name], kind)
-                like = (value or SIZES) if kind is tuple else ()
+                like = (value or _like(types[name])) if kind is tuple else ()
                 yield prefix + name, Field(kind, value, **limits, per_joint=of_joints, like=like)
 
     return dict(walk(_defaults(), _file()["Config"], ""))
@@ -87,6 +87,15 @@ def _of_joints(annotation) -> bool:
     """Whether a type is what configs/default.py calls `PerJoint`."""
     parts = get_args(annotation)
     return dict[str, float] in parts or any(map(_of_joints, parts))
+
+
+def _like(annotation) -> tuple[Any, ...]:
+    """What a tuple that is None by default may be: sizes, or its least and largest `low, high`."""
+    parts = get_args(get_args(annotation)[0])  # of `tuple[...] | None`
+    if Ellipsis in parts:
+        return SIZES
+    limits = _limits(parts[0], parts[0])
+    return float(limits["low"]), float(limits["high"])
 
 
 def _limits(annotation, kind: type) -> dict[str, Any]:

@@ -187,6 +187,7 @@ class HyperWeights(NamedTuple):
     feet_air_time: float
     feet_air_time_biped: float | None
     feet_distance: float | None
+    feet_phase: float | None
     flat_orientation: float
     foot_clearance: float
     foot_drag: float | None
@@ -212,6 +213,8 @@ class HyperTask(NamedTuple):
     command_yaw: tuple[float, float]
     effort_limit: float | tuple[float, ...]
     fall_reward: float | None
+    gait_foot_height: float
+    gait_frequency: tuple[float, float] | None
     heading_gain: float
     joint_friction: float | tuple[float, ...]
     kd: float | tuple[float, ...]

@@ -26,8 +26,8 @@ BUILT_IN = "task.armature"  # the number that is part of the program
 def split(config) -> tuple[Static, Hyper]:
     """`(static, hyper)` of a validated config; floats go to `hyper`, all else to `static`.
 
-    A float that is None is in `hyper` too. A None there is no leaf but a part of the tree's structure, so
-    whether it is None is part of the program.
+    A float that is None, or a tuple of them, is in `hyper` too. A None there is no leaf but a part of the
+    tree's structure, so whether it is None is part of the program.
     `task.armature` is in `static`: the solver's numbers follow from it when a model is made.
     ConfigError where a field has patterns of joints, which `per_joint.resolved` makes numbers.
     """
@@ -55,7 +55,7 @@ def _take(config, half: str, group: str, floats: bool) -> Any:
 def _is_float(name: str, value: Any) -> bool:
     if value is None:
         field = fields_lib.every().get(name)
-        return field is not None and field.kind is float
+        return field is not None and float in (field.kind, *map(type, field.like))
     return type(value[0] if isinstance(value, tuple) else value) is float
 
 

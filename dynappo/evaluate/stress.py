@@ -173,7 +173,7 @@ def play(body: Body, act: Callable, command, stress: Stress, seed: int = 0, seco
     see, com = observe.memory(p.observation, p.history), model.body_ipos[body.base_body]
     dt, step = episode_lib.period(body), model.opt.timestep
     old = round(stress.sensor_delay / step)
-    parts = observe.rows(len(p.joint_names))
+    parts = observe.rows(len(p.joint_names), observe.has_clock(p.observation))
     scale = stress.noise * np.concatenate(
         [np.full(part.stop - part.start, NOISE.get(name, 0.0)) for name, part in parts.items()]
     )
@@ -191,7 +191,7 @@ def play(body: Body, act: Callable, command, stress: Stress, seed: int = 0, seco
                 [np.cos(angle), np.sin(angle)]
             )
             seen[-1] = _snapshot(data)
-        obs = episode_lib.look(body, seen[-1 - old], command, action)
+        obs = episode_lib.look(body, seen[-1 - old], command, action, k * dt)  # no clock is late
         obs[parts["linear_velocity"]] *= stress.velocity
         action = act(see(obs + rng.uniform(-1, 1, len(obs)) * scale))
         delay = stress.action_delay
@@ -217,7 +217,7 @@ def play(body: Body, act: Callable, command, stress: Stress, seed: int = 0, seco
 
 def _snapshot(data) -> SimpleNamespace:
     """A copy of the numbers that an observation is made of."""
-    return SimpleNamespace(qpos=data.qpos.copy(), qvel=data.qvel.copy(), time=data.time)
+    return SimpleNamespace(qpos=data.qpos.copy(), qvel=data.qvel.copy())
 
 
 def measure(body: Body, stress: Stress, seconds: float = SECONDS) -> dict[str, Any]:

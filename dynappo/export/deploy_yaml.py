@@ -39,6 +39,11 @@ def text(policy: Policy, robot: robot_lib.Robot) -> str:
     """The file's content; ConfigError for a policy that sees what those controllers do not measure."""
     parts = observe.reading(policy.observation)
     unknown = [name for name in parts if name not in TERMS]
+    if "gait_phase" in unknown:
+        raise ConfigError(
+            f"a deploy.yaml has no gait_phase, which this policy of {policy.robot} sees; export an ONNX, "
+            "whose metadata say how a robot computes it, or a policy trained without task.gait_frequency"
+        )
     if unknown:
         raise ConfigError(
             f"a deploy.yaml has no {', '.join(unknown)}, which this policy of {policy.robot} sees; export "

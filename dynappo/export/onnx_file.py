@@ -38,11 +38,18 @@ UNITS = {
     "command_x": "m/s",
     "command_y": "m/s",
     "command_yaw": "rad/s",
+    "gait_frequency": "Hz",
     "base_com": "m",
     "timestep": "s",
     "control_dt": "s",
     "control_rate": "Hz",
 }
+GAIT_CLOCK = (
+    "gait_phase is computed, not measured: the angle is 2 pi f t with f in gait_frequency (Hz) and t the "
+    "seconds since the start; the phase of the first foot is the angle, that of the second the angle + pi, "
+    "and both are pi while the command is at most 0.1 in size; the four numbers are the cosine of each "
+    "phase, then the sines"
+)
 LICENCE = "dynappo and its bundled policies: Apache-2.0; a policy of your own: as you decide"
 
 
@@ -83,6 +90,8 @@ def about(policy: Policy, robot: robot_lib.Robot) -> dict[str, Any]:
     fields = policy._asdict()
     config = fields.pop("config")
     del fields["params"], fields["mjcf"], fields["seed"]
+    if policy.gait_frequency is not None:
+        fields["gait_clock"] = GAIT_CLOCK
     return fields | {
         "default_pose": policy.default_pose.tolist(),
         "joint_range": [model.joint(name).range.tolist() for name in policy.joint_names],

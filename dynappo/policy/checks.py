@@ -30,13 +30,15 @@ RANGES = {
     "command_x": (-100, 100, "m/s"),
     "command_y": (-100, 100, "m/s"),
     "command_yaw": (-100, 100, "rad/s"),
+    "gait_frequency": (0.01, 10, "Hz"),
 }
 COUNTS = "substeps", "history"
 PER_JOINT = (
     "action_scale kp kd effort_limit saturation_effort velocity_limit armature dry_friction".split()
 )
 OF_JOINTS = "default_pose", "joint_damping", "joint_friction"  # one number per joint
-COMMANDS = "command_x", "command_y", "command_yaw"  # (low, high)
+PAIRS = "command_x", "command_y", "command_yaw", "gait_frequency"  # (low, high)
+MAY_BE_NONE = "armature", "gait_frequency"  # the MJCF's; no gait clock
 DEEPEST = 10  # groups in groups of parameters
 PERIOD = 1.0  # s between two actions at most
 
@@ -52,11 +54,11 @@ def check(fields: dict[str, Any]) -> None:
     _expect(len(set(joints)) == len(joints), "its joint_names hold a joint more than once")
     for name, (low, high, unit) in RANGES.items():
         value = fields[name]
-        several = name in OF_JOINTS + COMMANDS
+        several = name in OF_JOINTS + PAIRS
         if name in PER_JOINT and isinstance(value, list | np.ndarray):  # else one number for all
             several, count = True, len(value)
             _expect(count == len(joints), f"{count} values of {name} for {len(joints)} joints")
-        if value is None and name == "armature":  # the MJCF's
+        if value is None and name in MAY_BE_NONE:
             continue
         for one in _list(value) if several else [value]:
             number = type(one) is int if name in COUNTS else type(one) in (int, float)
@@ -67,7 +69,7 @@ def check(fields: dict[str, Any]) -> None:
         count = len(fields[name])
         fits = count == len(joints) or (name != "default_pose" and not count)
         _expect(fits, f"{count} values of {name} for {len(joints)} joints")
-    for name in COMMANDS:
+    for name in (name for name in PAIRS if fields[name] is not None or name not in MAY_BE_NONE):
         ends = _list(fields[name])
         ordered = len(ends) == 2 and ends[0] <= ends[1]
         _expect(ordered, f"{name} is {reprlib.repr(ends)}, expected (low, high)")

@@ -213,12 +213,27 @@ def foot_heights(body: Body, data) -> np.ndarray:
     return np.array([_lowest(body.model, data, shapes).min() for shapes in feet])
 
 
-def look(body: Body, data, asked, last_action) -> np.ndarray:
-    """The observation of the robot in `data`, without noise."""
-    com = body.model.body_ipos[body.base_body]
+def look(body: Body, data, asked, last_action, time: float | None = None) -> np.ndarray:
+    """The observation of the robot in `data`, without noise.
+
+    `time` (s) since the start is what a gait clock shows; None: that of `data`.
+    """
+    time = data.time if time is None else time
+    com, clock = body.model.body_ipos[body.base_body], gait_clock(body, time)
     return observe.observe(
-        *coordinates(body, data), com, body.policy.default_pose, asked, last_action
+        *coordinates(body, data), com, body.policy.default_pose, asked, last_action, clock
     )
+
+
+def gait_clock(body: Body, time: float) -> tuple[float, float] | None:
+    """Angle and turn (rad) of the policy's gait clock `time` (s) after the start; None if it has none.
+
+    At the middle of the frequencies that it was trained with; at the start the first foot is in mid-swing.
+    """
+    if body.policy.gait_frequency is None:
+        return None
+    rate = 2 * np.pi * float(np.mean(body.policy.gait_frequency))  # rad/s
+    return rate * time, rate * period(body)
 
 
 def step(body: Body, data, action) -> tuple[float, bool]:

@@ -29,9 +29,8 @@ from dynappo.policy import checkpoint_file, checks
 from dynappo.tasks.velocity import observe
 
 # of `about`. 1 has no MJCF, and its robot is found by name; 3 has what 2 cannot say: numbers of each joint,
-# armature, dry friction. What 2 can say is written as 2, for older readers
-FORMAT = 3
-READ = (1, 2, 3)
+# armature, dry friction; 4 has a gait clock. What an older format can say is written in it, for older readers
+READ = (1, 2, 3, 4)
 MAX_BYTES = 2**27  # of all arrays together; a policy has less than 1 MiB
 # what NumPy says of a file that is no npz, or damaged
 DAMAGE = (ValueError, TypeError, EOFError, KeyError, RuntimeError, MemoryError, SyntaxError)
@@ -48,10 +47,11 @@ TASK = {
     name: name
     for name in (
         "action_scale kp kd effort_limit saturation_effort velocity_limit armature command_x command_y "
-        "command_yaw"
+        "command_yaw gait_frequency"
     ).split()
 } | {"joint_friction": "dry_friction"}  # `joint_friction` is the MJCF's
-NEWER = {"armature": None, "joint_friction": 0.0}  # which older configs lack
+# which older configs lack
+NEWER = {"armature": None, "joint_friction": 0.0, "gait_frequency": None}
 
 
 class Policy(NamedTuple):
@@ -86,6 +86,7 @@ class Policy(NamedTuple):
         ""  # the robot's, needs no other file; empty: the robot is found by name (source.py)
     )
     history: int = 1  # readings that it sees, the newest first
+    gait_frequency: tuple[float, float] | None = None  # Hz, the range of its gait clock; None: none
     seed: int | None = None  # its number in a run of several seeds, from 0; None: unknown
 
 
@@ -101,7 +102,11 @@ def describe(config, robot: robot_lib.Robot, params: dict | None = None) -> Poli
             task[name] = per_joint.by_name(task[name], robot.joint_names)
         return Policy(
             robot=robot.name,
-            observation=observe.name(task.get("observation", "full"), len(robot.joint_names)),
+            observation=observe.name(
+                task.get("observation", "full"),
+                len(robot.joint_names),
+                task.get("gait_frequency") is not None,
+            ),
             history=task.get("history", 1),
             activation=fields["ppo"]["activation"],
             joint_names=robot.joint_names,
@@ -137,12 +142,15 @@ def about(policy: Policy) -> dict[str, Any]:
     """The entry `about` of a policy's file: all but `params`."""
     entry = policy._asdict()
     del entry["params"]
-    new = {TASK[name]: nothing for name, nothing in NEWER.items()}
+    if entry["gait_frequency"] is not None:
+        return entry | {"format": 4}
+    del entry["gait_frequency"]
+    new = {TASK[name]: nothing for name, nothing in NEWER.items() if TASK[name] in entry}
     several = any(
         isinstance(entry[TASK[name]], np.ndarray) for name in per_joint.names() if name in TASK
     )
     if several or any(entry[own] != nothing for own, nothing in new.items()):
-        return entry | {"format": FORMAT}
+        return entry | {"format": 3}
     return {name: value for name, value in entry.items() if name not in new} | {"format": 2}
 
 
@@ -299,11 +307,14 @@ def _checked(path: Path, policy: Policy) -> Policy:
     )
     try:
         checks.check(policy._asdict())
-        observations = [observe.name(kind, len(policy.joint_names)) for kind in observe.NAMES]
+        clock = policy.gait_frequency is not None
+        joints = len(policy.joint_names)
+        observations = [observe.name(kind, joints, clock) for kind in observe.NAMES]
         expect(
             policy.observation in observations,
             f"its observation is {reprlib.repr(policy.observation)}, this dynappo computes "
-            + " and ".join(map(repr, observations)),
+            + " and ".join(map(repr, observations))
+            + f" of one with{'' if clock else 'out'} a gait clock",
         )
         inputs = len(observe.columns(policy.observation)) * policy.history
         checks.check_params(policy.params, inputs, len(policy.joint_names))

@@ -52,7 +52,7 @@ def check(config, env: Any = None) -> None:
     from dynappo.physics import engine_contract, motors, robot
     from dynappo.program import environment
     from dynappo.tasks import env_contract
-    from dynappo.tasks.velocity import partners, reward_sum
+    from dynappo.tasks.velocity import gait, partners, reward_sum
 
     if env is not None:
         devices.engine(config)
@@ -63,6 +63,7 @@ def check(config, env: Any = None) -> None:
         threading.Thread(target=_begin_warp, daemon=True).start()
     config, loaded = motors.fitted(config, robot.load(config.robot))
     robot.check_base_mass(loaded, config.task.randomize.base_mass)
+    gait.check(config.task.gait_frequency, loaded.name, len(loaded.foot_names))
     reward_sum.terms_of(config.task)
     if config.ppo.symmetry:
         partners.check_motors(config.task, loaded)

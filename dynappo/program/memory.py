@@ -19,9 +19,10 @@ CURE = "lower one of them, or use more devices (run.mesh_seed, run.mesh_env)"
 
 def bytes_per_row(config, joints: int) -> int:
     """Bytes of a types.Transition, at least: without what obs tells of a robot's body."""
-    task = config.task
-    past = (task.history - 1) * len(observe.columns(observe.name(task.observation, joints)))
-    numbers = observe.size(joints) + past, joints, observe.prop_size(joints)
+    task, clock = config.task, config.task.gait_frequency is not None
+    name = observe.name(task.observation, joints, clock)
+    past = (task.history - 1) * len(observe.columns(name))
+    numbers = observe.size(joints, clock) + past, joints, observe.prop_size(joints)
     return 4 * (2 * sum(numbers) + 8)
 
 

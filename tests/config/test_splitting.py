@@ -97,6 +97,7 @@ def test_every_config_splits_into_the_written_fields_each_in_one_half(spec, form
         float | tuple[float, ...],
         float | None,
         float | tuple[float, ...] | None,
+        tuple[float, float] | None,
     )
     assert all(kind in one_or_several or {float} == set(get_args(kind)) for kind in floats.values())
 

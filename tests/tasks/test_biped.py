@@ -19,7 +19,7 @@ from dynappo.tasks.velocity import reward_sum, rewards
 
 ROBOTS, DT, MOST, PAID = 24, 0.02, 0.7, -2.5
 TERMS = "alive upright posture posture_deviation feet_air_time_biped foot_slip foot_drag".split()
-TERMS += ["feet_distance"]
+TERMS += ["feet_distance", "feet_phase"]
 KNOWN = set(TERMS) - {"feet_air_time_biped", "foot_slip"}
 STD = {".*_knee_joint": 0.4, "waist_.*": 0.1, ".*": 0.2}
 
@@ -29,7 +29,7 @@ def settings(robot, **task):
     config = config_lib.load("configs/g1.py:laptop")
     config.physics.threads = 1
     config.task.update(posture_std=STD, posture_std_standing=0.1, max_tilt=MOST, fall_reward=PAID)
-    config.task.update(tracking_std=0.5, **task)
+    config.task.update(tracking_std=0.5, gait_frequency=(1.0, 2.0), gait_foot_height=0.12, **task)
     for group, value in ((config.task.weights, 1.0), (config.task.noise, 0.0)):
         group.update(dict.fromkeys(group, value))
     return motors.fitted(config_lib.validate(config), robot)
@@ -98,6 +98,19 @@ def feet_in_mujoco(robot, qpos, qvel):
     return np.array(places), np.array(velocities), heights
 
 
+def phases(world, i):
+    """rad, of each foot before the step."""
+    angle, moves = float(world.before.gait.angle[i]), np.linalg.norm(world.before.command[i]) > 0.1
+    return (angle, angle + math.pi) if moves else (math.pi, math.pi)
+
+
+def swing(phase, height):
+    """m: Playground's gait.get_rz."""
+    x = (phase + math.pi) % (2 * math.pi) / (2 * math.pi)
+    up, down = (t**3 + 3 * t**2 * (1 - t) for t in (2 * x, 2 * x - 1))
+    return height * up if x <= 0.5 else height - height * down
+
+
 def by_loops(world, i):
     """The terms of robot `i` after the step, a number at a time."""
     robot, after = world.robot, world.after
@@ -125,6 +138,13 @@ def by_loops(world, i):
             for v, z in zip(velocities, heights, strict=True)
         ),
         feet_distance=max(0.0, 0.2 - (places[0, 1] - places[1, 1])),
+        feet_phase=math.exp(
+            -sum(
+                (z - min(heights) - swing(phase, 0.12)) ** 2
+                for z, phase in zip(heights, phases(world, i), strict=True)
+            )
+            / 0.01
+        ),
     )
 
 
@@ -137,6 +157,7 @@ def test_every_term_of_a_step_is_that_of_plain_loops_and_of_c_mujocos_velocities
     assert 0.4 in paid and 0 in paid and any(0 < x < 0.39 for x in paid)
     assert sum(row["foot_slip"] > 0.1 for row in rows) > ROBOTS / 2
     assert sum(row["foot_drag"] > 0.01 for row in rows) > ROBOTS / 2
+    assert sum(0.1 < row["feet_phase"] < 0.9 for row in rows) > ROBOTS / 2
     assert (
         sum(row["feet_distance"] > 0.01 for row in rows)
         > 3
@@ -151,9 +172,11 @@ def test_what_follows_from_joints_and_velocities_is_known_to_the_model(world):
     assert known.keys() & set(TERMS) == KNOWN
     of_row = jax.vmap(world.env.known_reward, (None, 0, 0, 0))
     # the state was set by hand: of its observation only the context counts
+    phase = np.array([phases(world, i) for i in range(ROBOTS)])
     obs = world.before.obs.at[:, world.env.prop_size : world.env.prop_size + 3].set(
         world.before.command
     )
+    obs = obs.at[:, -5:-1].set(np.concatenate([np.cos(phase), np.sin(phase)], -1))
     found = of_row(world.hyper, obs, world.action, jnp.asarray(world.outcome.next_prop))
     expected = DT * sum(world.outcome.metrics[f"reward_{name}"] for name in known)
     np.testing.assert_allclose(found, expected, 1e-4, 1e-5)

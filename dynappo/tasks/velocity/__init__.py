@@ -8,10 +8,11 @@ number in configs/: docs/task.md.
 - `rewards`: the terms of the reward, one function each; `reward_sum`: matches them with weights and
   sums
 - `commands`, `observe`, `pushes`: the commanded velocity, the numbers that a policy sees, kicks
+- `gait`: the gait clock of a biped
 - `view`: what policy, value function and model see of a robot; earlier readings, errors of sensors
 - `partners`: which joint is the mirror image of another; needs no JAX
 - `mirror`: the mirror image of an observation and an action, from the robot's model
 
 Sizes follow from the robot: any number of joints and feet. It imports `types`, `physics` and `config`;
-`rewards`, `reward_sum` and `observe` need no JAX, so that a policy can be played without it.
+`rewards`, `reward_sum`, `observe` and `gait` need no JAX, so that a policy can be played without it.
 """

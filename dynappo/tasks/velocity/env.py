@@ -18,8 +18,17 @@ import numpy as np
 from dynappo.physics import engine as engine_lib
 from dynappo.physics import kinematics, randomize
 from dynappo.physics import robot as robot_lib
-from dynappo.tasks.velocity import commands, mirror, observe, pushes, reward_sum, rewards, view
-from dynappo.tasks.velocity.state import Goal, State
+from dynappo.tasks.velocity import (
+    commands,
+    gait,
+    mirror,
+    observe,
+    pushes,
+    reward_sum,
+    rewards,
+    view,
+)
+from dynappo.tasks.velocity.state import Gait, Goal, State
 from dynappo.types import Env, Hyper, Outcome
 
 AGES = ("clock", "episode_steps", "episode_return")  # zero at the start of an episode
@@ -56,13 +65,17 @@ class Constants(NamedTuple):
 def make(robot: robot_lib.Robot, task, physics_config, *, impl: str = "jax") -> Env:
     """The task of `task` and `physics_config` (config groups) on `robot`, stepped by `impl`.
 
-    ConfigError where terms of the reward and their weights do not fit (reward_sum.py).
+    ConfigError where terms of the reward and their weights do not fit (reward_sum.py), or a gait clock the
+    robot's feet.
     """
+    gait.check(task.gait_frequency, robot.name, len(robot.foot_names))
     terms = reward_sum.terms_of(task)
     varied = randomize.varied(task.randomize)
     fatal, undesired = ground_rules(robot, task)
     joints = len(robot.joint_names)
-    layout = view.make(task.observation, task.history, joints, varied)
+    layout = view.make(
+        task.observation, task.history, joints, varied, task.gait_frequency is not None
+    )
     lags, rubs = task.actuator == "lag", bool(np.any(task.joint_friction))
     const = Constants(
         engine=engine_lib.make(
@@ -201,8 +214,8 @@ def _at_start(const: Constants, hyper: Hyper, key) -> State:
     """Pose and velocity (configs/README.md), lifted until no foot is below ground; then `_commanded`."""
     r, default = hyper.task.reset, jnp.asarray(const.robot.default_pose, jnp.float32)
     # one draw for all: each draw is a kernel of its own, and a quarter of a second of compilation
-    draw = jax.random.uniform(key, (default.size + 10,))
-    scale, xy, velocity, yaw, wait = jnp.split(draw, default.size + np.array([0, 2, 8, 9]))
+    draw = jax.random.uniform(key, (default.size + 10 + 2 * const.view.clock,))
+    scale, xy, velocity, yaw, rest = jnp.split(draw, default.size + np.array([0, 2, 8, 9]))
     low, high = r.joint_scale
     joints = default * (low + (high - low) * scale)
     joints = jnp.clip(joints, *_soft_limits(const, hyper))
@@ -223,6 +236,7 @@ def _at_start(const: Constants, hyper: Hyper, key) -> State:
         prop=jnp.zeros(()),
         command=jnp.zeros(3),
         goal=Goal(heading=jnp.zeros(()), standing=jnp.zeros(()), steps_left=none),
+        gait=_gait(const, hyper, rest),
         last_action=default * 0,
         older_action=default * 0,
         torque=default * 0 if const.engine.lags else None,
@@ -233,9 +247,17 @@ def _at_start(const: Constants, hyper: Hyper, key) -> State:
         last_peak=jnp.zeros(len(const.robot.foot_names)),
         clock=none,
         episode_steps=none,
-        push_in=pushes.wait(hyper.task.push, const.dt, wait[0]),
+        push_in=pushes.wait(hyper.task.push, const.dt, rest[0]),
         episode_return=jnp.zeros(()),
     )
+
+
+def _gait(const: Constants, hyper: Hyper, draws) -> Gait | None:
+    """A gait clock that starts anew, of the last two draws; None where there is none."""
+    if not const.view.clock:
+        return None
+    angle, turn = gait.start(hyper.task.gait_frequency, const.dt, draws[-2:])
+    return Gait(angle=angle, turn=turn)
 
 
 def _soft_limits(const: Constants, hyper: Hyper):
@@ -280,11 +302,15 @@ def step(const: Constants, hyper: Hyper, body, state: State, action, key):
         const.task, hyper, state.command, state.goal, after.qpos, command_key
     )
     qvel, push_in = pushes.push(hyper.task.push, const.dt, after.qvel, state.push_in, push_key)
+    stride = state.gait
+    if stride is not None:
+        stride = stride.replace(angle=gait.advance(stride.angle, stride.turn))
     next_state = state.replace(
         qpos=after.qpos,
         qvel=qvel,
         command=command,
         goal=goal,
+        gait=stride,
         last_action=action,
         older_action=state.last_action,
         torque=after.torque if const.engine.lags else None,
@@ -327,7 +353,7 @@ def step(const: Constants, hyper: Hyper, body, state: State, action, key):
 def _known(const: Constants, hyper: Hyper, seen, action) -> dict[str, Any]:
     """What a term can ask for without physics (rewards.py): `seen` has the predicted parts of the next
     observation and the known parts of this one."""
-    parts = observe.split(seen, len(const.robot.joint_names))
+    parts = observe.split(seen, len(const.robot.joint_names), const.view.clock)
     if const.feet is not None:
         parts |= _feet(const, const.feet, parts)._asdict()
     return engine_lib.per_joint_arrays(hyper)._asdict() | parts | {"action": action}

@@ -25,9 +25,13 @@ def images(robot: Robot, layout: view.View) -> tuple[Mirror, Mirror] | None:
     except ConfigError:
         return None
     index, sign, start = [], [], 0
-    for signs in view.parts(layout):
-        count = len(own.index) if signs is None else len(signs)
-        index.append(start + (own.index if signs is None else np.arange(count)))
-        sign.append(own.sign if signs is None else np.array(signs, float))
-        start += count
+    for part in view.parts(layout):
+        if part.signs is None:
+            image = own
+        else:
+            places = part.places or range(len(part.signs))
+            image = Mirror(np.array(places), np.array(part.signs, float))
+        index.append(start + image.index)
+        sign.append(image.sign)
+        start += len(image.index)
     return Mirror(np.concatenate(index), np.concatenate(sign)), own

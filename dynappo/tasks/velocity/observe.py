@@ -13,6 +13,9 @@ qpos and qvel, because after `mjx.step` every derived quantity is one substep ol
 | known (context)  | 33-35 | command vx, vy, yaw rate                                 | m/s, rad/s |
 |                  | 36-47 | previous action                                          |            |
 
+With `task.gait_frequency` two known parts of a biped follow (gait.py): `gait_phase`, 4 numbers, and
+`gait_turn`, one, which no policy sees.
+
 The order is the paper's, o = [q, qd, g, v, w] and [c, a]: the transition model predicts the first,
 and `advance` computes the second. `PREDICTED` and `KNOWN` define the parts; from them follow sizes, noise,
 mirror image, the tables of ONNX files and what a reward term can ask for. To add a part, add an entry there
@@ -22,15 +25,19 @@ and a value in `observe`, and for `KNOWN` also one in `advance` (docs/task.md).
 import re
 from collections.abc import Callable
 from functools import cache
-from itertools import accumulate
+from itertools import accumulate, product
 from typing import NamedTuple
 
 import numpy as np
 
+from dynappo.tasks.velocity import gait
+
 # by `task.observation`, with the count of numbers behind it the name in policy files ("velocity-48"): a
 # policy that sees other numbers is refused by its name, so change it with them
 NAMES = {"full": "velocity", "onboard": "onboard"}
-UNSEEN = {"full": (), "onboard": ("linear_velocity",)}  # parts that no sensor tells
+CLOCKED = "-phase"  # follows the name of one with a gait clock, as in "velocity-phase-103"
+# parts that no sensor tells, and the share of a gait clock that the policy is not to see
+UNSEEN = {"full": ("gait_turn",), "onboard": ("linear_velocity", "gait_turn")}
 
 
 class Part(NamedTuple):
@@ -43,6 +50,8 @@ class Part(NamedTuple):
     # of each number in the left-right mirror image; None: mirrored as the joints
     signs: tuple[int, ...] | None = None
     scale: float = 1.0  # of what networks learn from, with `ppo.scale_inputs`; as in legged_gym
+    # where in the part the mirror image of each number is; empty: in its own place
+    places: tuple[int, ...] = ()
 
 
 # signs of vectors in the mirror image; rotations have the opposite sign
@@ -62,7 +71,23 @@ KNOWN = dict(
     command=Part(3, "m/s, m/s, rad/s", "vx, vy, yaw rate, base frame", signs=(1, -1, -1)),
     previous_action=Part(None, "1", "action of the step before; zero at first"),
 )
-PARTS = PREDICTED | KNOWN
+# the same, with `task.gait_frequency`
+GAIT = dict(
+    gait_phase=Part(
+        4,
+        "1",
+        "cosine of each foot's phase, then the sines; highest at phase 0, down at pi",
+        signs=(1, 1, 1, 1),
+        places=(1, 0, 3, 2),
+    ),
+    gait_turn=Part(1, "rad", "advance of the phases in a control step", signs=(1,)),
+)
+PARTS = PREDICTED | KNOWN | GAIT
+
+
+def parts(clock: bool = False) -> dict[str, Part]:
+    """The parts of an observation, with or without a gait clock, in their order."""
+    return PARTS if clock else PREDICTED | KNOWN
 
 
 def _places(names, joints: int) -> dict[str, slice]:
@@ -72,14 +97,14 @@ def _places(names, joints: int) -> dict[str, slice]:
 
 
 @cache
-def rows(joints: int) -> dict[str, slice]:
+def rows(joints: int, clock: bool = False) -> dict[str, slice]:
     """Where each part is in the observation of a robot of so many joints."""
-    return _places([*PARTS], joints)
+    return _places([*parts(clock)], joints)
 
 
-def size(joints: int) -> int:
+def size(joints: int, clock: bool = False) -> int:
     """Numbers of an observation."""
-    return [*rows(joints).values()][-1].stop
+    return [*rows(joints, clock).values()][-1].stop
 
 
 def prop_size(joints: int) -> int:
@@ -87,38 +112,51 @@ def prop_size(joints: int) -> int:
     return rows(joints)[[*PREDICTED][-1]].stop
 
 
-def name(observation: str, joints: int) -> str:
+def name(observation: str, joints: int, clock: bool = False) -> str:
     """The name, in policy files, of one step's reading with `task.observation`."""
-    count = sum(rows(joints)[part].stop - rows(joints)[part].start for part in _seen(observation))
-    return f"{NAMES[observation]}-{count}"
+    count = sum(_size(part, joints) for part in _seen(observation, clock))
+    return f"{NAMES[observation]}{CLOCKED * clock}-{count}"
 
 
-def _seen(observation: str) -> list[str]:
-    return [part for part in PARTS if part not in UNSEEN[observation]]
+def _size(part: str, joints: int) -> int:
+    count = PARTS[part].size
+    return joints if count is None else count
+
+
+def _seen(observation: str, clock: bool) -> list[str]:
+    return [part for part in parts(clock) if part not in UNSEEN[observation]]
 
 
 @cache
-def _named(name: str) -> tuple[str, int]:
-    """`(task.observation, joints)` of a name; ValueError if it is none."""
-    for observation, text in NAMES.items():
+def _named(name: str) -> tuple[str, int, bool]:
+    """`(task.observation, joints, clock)` of a name; ValueError if it is none."""
+    for observation, clock in product(NAMES, (False, True)):
+        text = NAMES[observation] + CLOCKED * clock
         found = re.fullmatch(rf"{re.escape(text)}-(\d{{1,4}})", name)
-        sizes = [PARTS[part].size for part in _seen(observation)]
+        sizes = [PARTS[part].size for part in _seen(observation, clock)]
         joints, rest = divmod(
             int(found[1]) - sum(filter(None, sizes)) if found else -1, sizes.count(None)
         )
         if found and joints > 0 and not rest:
-            return observation, joints
+            return observation, joints, clock
     raise ValueError(f"no observation has the name {name!r}")
+
+
+def has_clock(name: str) -> bool:
+    """Whether a policy of observation `name` sees a gait clock."""
+    return _named(name)[2]
 
 
 def shown(name: str) -> tuple[str, ...]:
     """The parts that a policy of observation `name` sees."""
-    return tuple(_seen(_named(name)[0]))
+    observation, _, clock = _named(name)
+    return tuple(_seen(observation, clock))
 
 
 def columns(name: str) -> np.ndarray:
     """The columns of an observation that a policy of observation `name` sees."""
-    places = rows(_named(name)[1])
+    _, joints, clock = _named(name)
+    places = rows(joints, clock)
     return np.concatenate(
         [np.arange(places[part].start, places[part].stop) for part in shown(name)]
     )
@@ -184,8 +222,11 @@ def base_motion(qpos, qvel, base_com):
     return gravity, linear, angular
 
 
-def observe(qpos, qvel, base_com, default_pose, command, last_action):
-    """The observation [O] of one robot, without noise; see the module's table."""
+def observe(qpos, qvel, base_com, default_pose, command, last_action, clock=None):
+    """The observation [O] of one robot, without noise; see the module's table.
+
+    `clock` is the angle and the turn (rad) of a gait clock; None where the robot has none.
+    """
     xp = qpos.__array_namespace__()
     gravity, linear, angular = base_motion(qpos, qvel, base_com)
     values = dict(
@@ -197,35 +238,46 @@ def observe(qpos, qvel, base_com, default_pose, command, last_action):
         command=command,
         previous_action=last_action,
     )
-    return xp.concat([values[name] for name in PARTS])
+    if clock is not None:
+        angle, turn = clock
+        values |= dict(gait_phase=gait.shown(angle, command), gait_turn=xp.asarray(turn)[None])
+    return xp.concat([values[name] for name in parts(clock is not None)])
 
 
-def advance(context, action):
+def advance(context, action, clock: bool = False):
     """The known parts [..., C] of the observation after `action`, from those before."""
     xp = context.__array_namespace__()
-    before = split_context(context, action.shape[-1])
+    before = split_context(context, action.shape[-1], clock)
     values = dict(
         command=before["command"],
         previous_action=action,
     )
-    return xp.concat([values[name] for name in KNOWN], axis=-1)
+    if clock:
+        phase, turn = before["gait_phase"], before["gait_turn"]
+        values |= dict(gait_phase=gait.shown_later(phase, turn, before["command"]), gait_turn=turn)
+    return xp.concat([values[name] for name in _known(clock)], axis=-1)
 
 
-def split(obs, joints: int):
+def _known(clock: bool) -> list[str]:
+    return [name for name in parts(clock) if name not in PREDICTED]
+
+
+def split(obs, joints: int, clock: bool = False):
     """The parts of observations [..., O] of a robot of so many joints, by name."""
-    return {name: obs[..., where] for name, where in rows(joints).items()}
+    return {name: obs[..., where] for name, where in rows(joints, clock).items()}
 
 
-def split_context(context, joints: int):
+def split_context(context, joints: int, clock: bool = False):
     """As `split`, of the known parts [..., C] alone."""
-    return {name: context[..., where] for name, where in _places([*KNOWN], joints).items()}
+    places = _places(_known(clock), joints)
+    return {name: context[..., where] for name, where in places.items()}
 
 
-def noise_scale(noise, xp, joints: int):
+def noise_scale(noise, xp, joints: int, clock: bool = False):
     """Half widths [O] of the uniform observation noise; `noise` is the config's group."""
     scales = [
         getattr(noise, PARTS[name].noise) if PARTS[name].noise else 0.0
-        for name, where in rows(joints).items()
+        for name, where in rows(joints, clock).items()
         for _ in range(where.start, where.stop)
     ]
     return xp.stack([xp.asarray(v) for v in scales])

@@ -63,6 +63,11 @@ def terms_of(task) -> Terms:
             terms[other] = terms[name]
     used = {name: term for name, term in terms.items() if task.weights.get(name) is not None}
     for name, term in used.items():
+        if task.gait_frequency is None and not observe.GAIT.keys().isdisjoint(asks(term)):
+            raise ConfigError(
+                f"task.gait_frequency is None, expected (low, high) in Hz where task.weights.{name} is a "
+                "number: its term follows the gait clock; set it, as (1.25, 1.5), or the weight to None"
+            )
         for missing in (ask for ask in asks(term) if ask in task and task[ask] is None):
             raise ConfigError(
                 f"task.{missing} is None, expected numbers where task.weights.{name} is one: its term "

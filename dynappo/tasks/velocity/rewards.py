@@ -30,6 +30,8 @@ and MuJoCo Playground 0.2 (G1JoystickFlatTerrain).
 
 from typing import Any, NamedTuple
 
+from dynappo.tasks.velocity import gait
+
 
 class Feet(NamedTuple):
     """Where the feet are and go, from joints and velocities alone (kinematics.py); of F feet.
@@ -211,6 +213,19 @@ def foot_drag(foot_position, foot_velocity, gravity, wanted=0.1):
     return (xp.sqrt(((foot_velocity - up) ** 2).sum(-1)) * lacks).sum()
 
 
+def feet_phase(foot_position, gravity, gait_phase, gait_foot_height, variance=0.01):
+    """exp(-sum over feet of (height - target)^2 / `variance`), heights in m, above the lowest foot.
+
+    The target is that of the gait clock (gait.target), `task.gait_foot_height` in mid-swing, at the phase
+    that the policy saw. Of the middles of feet. Playground: feet_phase, of heights above the ground; those
+    above the lowest foot follow from joints. Between two steps both targets are half as high, so no walk is
+    paid 1 there.
+    """
+    height = -(foot_position * gravity).sum(-1)
+    off = height - height.min() - gait.target(gait_phase, gait_foot_height)
+    return _exp(-(off**2).sum() / variance)
+
+
 def feet_distance(foot_position, foot_side, least=0.2):
     """m by which left feet are less than `least` to the left of right ones, in the mean; base frame.
 
@@ -222,8 +237,8 @@ def feet_distance(foot_position, foot_side, least=0.2):
 
 
 def _moving(command):
-    """Whether the command is to move: 0.1 or more in size."""
-    return (command**2).sum() > 0.1**2
+    """Whether the command is to move: more than 0.1 in size."""
+    return gait.moves(command)
 
 
 def _off_pose(joint_position, command, moving, standing):

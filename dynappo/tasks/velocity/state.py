@@ -16,6 +16,13 @@ class Goal(struct.PyTreeNode):
     steps_left: Int[Array, "..."]  # control steps until the next draw
 
 
+class Gait(struct.PyTreeNode):
+    """A robot's gait clock (gait.py)."""
+
+    angle: Float[Array, "..."]  # rad, the phase of the first foot while it is told to move
+    turn: Float[Array, "..."]  # rad, its advance in a control step
+
+
 class State(struct.PyTreeNode):
     """The integration state of physics and all memory of the task.
 
@@ -30,6 +37,7 @@ class State(struct.PyTreeNode):
     prop: Float[Array, "... P"]  # the observation's predicted part, before its noise
     command: Float[Array, "... 3"]  # m/s, m/s, rad/s in the base frame
     goal: Goal
+    gait: Any  # Gait; None without task.gait_frequency
     last_action: Float[Array, "... A"]
     older_action: Float[Array, "... A"]  # the one before
     torque: Any  # [..., A] N m, as the motors give it; None unless it lags

@@ -41,23 +41,36 @@ class View(NamedTuple):
     history: int
     varied: frozenset[str]  # ranges of the body, where it is part of obs
     body: int  # numbers of the body in obs
+    clock: bool  # whether it has the parts of a gait clock
 
 
-def make(observation: str, history: int, joints: int, varied: frozenset[str] = frozenset()) -> View:
-    """The layout for `task.observation` and `task.history`; `varied` are the ranges of the body."""
+def make(
+    observation: str,
+    history: int,
+    joints: int,
+    varied: frozenset[str] = frozenset(),
+    clock: bool = False,
+) -> View:
+    """The layout for `task.observation` and `task.history`; `varied` are the ranges of the body, `clock`
+    is whether `task.gait_frequency` is set."""
     onboard = observation == "onboard"
     sizes = [randomize.size_of(name, joints) for name in randomize.traits(varied)]
-    return View(observation, joints, history, varied, sum(sizes) * onboard)
+    return View(observation, joints, history, varied, sum(sizes) * onboard, clock)
+
+
+def name(view: View) -> str:
+    """The name, in policy files, of what the policy sees of one step."""
+    return observe.name(view.observation, view.joints, view.clock)
 
 
 def reading(view: View) -> np.ndarray:
     """Columns [K] of observe.py that the policy sees."""
-    return observe.columns(observe.name(view.observation, view.joints))
+    return observe.columns(name(view))
 
 
 def now(view: View) -> int:
     """Numbers of observe.py, which an observation begins with."""
-    return observe.size(view.joints)
+    return observe.size(view.joints, view.clock)
 
 
 def size(view: View) -> int:
@@ -88,7 +101,8 @@ def views(view: View) -> Views | None:
 def exact(robot: Robot, body: randomize.Body, state: State):
     """The numbers of observe.py of a state, without noise or error."""
     default = jnp.asarray(robot.default_pose, jnp.float32)
-    seen = state.command, state.last_action
+    clock = None if state.gait is None else (state.gait.angle, state.gait.turn)
+    seen = state.command, state.last_action, clock
     return observe.observe(state.qpos, state.qvel, body.base_com, default, *seen)
 
 
@@ -99,7 +113,7 @@ def observation(view: View, robot: Robot, hyper: Hyper, body: randomize.Body, st
     """
     clean, told, prop_size = exact(robot, body, state), jnp.zeros(0), observe.prop_size(view.joints)
     unit = jax.random.uniform(key, clean.shape, minval=-1.0, maxval=1.0)
-    sensed = clean + unit * observe.noise_scale(hyper.task.noise, jnp, view.joints)
+    sensed = clean + unit * observe.noise_scale(hyper.task.noise, jnp, view.joints, view.clock)
     if view.body:
         com = robot.mj_model.body_ipos[robot.base_body]
         told = randomize.numbers(body, com, view.varied)
@@ -135,9 +149,10 @@ def later(view: View, obs):
 
 
 def advance(view: View, hyper: Hyper, context, prop, action, next_prop):
-    """`Env.advance`: command and last action, then what was sensed before (`prop`), then the body."""
+    """`Env.advance`: command, last action, gait clock, what was sensed before (`prop`), the body."""
     xp = context.__array_namespace__()
-    following = observe.advance(context[..., : now(view) - prop.shape[-1]], action)
+    known = context[..., : now(view) - prop.shape[-1]]
+    following = observe.advance(known, action, view.clock)
     return xp.concat([following, later(view, xp.concat([prop, context], axis=-1))], axis=-1)
 
 
@@ -168,16 +183,16 @@ def bias(view: View, obs):
 def scale(view: View) -> np.ndarray:
     """`Env.input_scale`: the scale of each number of an observation (observe.Part)."""
     every = np.ones(now(view))
-    for name, where in observe.rows(view.joints).items():
+    for name, where in observe.rows(view.joints, view.clock).items():
         every[where] = observe.PARTS[name].scale
     before = [every[reading(view)]] * (view.history - 1)
     return np.concatenate([every, *before, np.ones(view.body)]).astype(np.float32)
 
 
-def parts(view: View) -> list[tuple[int, ...] | None]:
-    """The signs of each part of an observation in the mirror image, part by part (observe.Part)."""
-    rows = [part.signs for part in observe.PARTS.values()]
-    name = observe.name(view.observation, view.joints)
-    seen = [observe.PARTS[part].signs for part in observe.shown(name)]
-    body = [randomize.TRAITS[name].signs for name in randomize.traits(view.varied)]
-    return rows + seen * (view.history - 1) + (body if view.body else [])
+def parts(view: View) -> list[observe.Part]:
+    """The parts of an observation, one after the other."""
+    now = [*observe.parts(view.clock).values()]
+    seen = [observe.PARTS[part] for part in observe.shown(name(view))]
+    traits = randomize.traits(view.varied) if view.body else ()
+    body = [observe.Part(None, "", "", signs=randomize.TRAITS[trait].signs) for trait in traits]
+    return now + seen * (view.history - 1) + body
