@@ -385,10 +385,11 @@ def apply_variant(config: config_dict.ConfigDict, variant: str) -> config_dict.C
         # Learning takes half of a CPU's time, so the networks are small and the model has few epochs. Swish,
         # a larger KL and gamma 0.98 let it learn from fewer steps (experiments/04_laptop).
         config.physics.impl = "c"
-        # Short episodes that begin in three ways, as in `_best`, and smaller steps of PPO at the end
+        # Short episodes that begin in three ways, smaller steps of PPO and physics alone at the end: as in `_best`
         config.task.update(tracking_std=1.0, episode_length=125, carry_on=True)
         config.task.update(start_anew=1 / 3, keep_command=1 / 3)
-        config.schedule.late_from, config.ppo.late_kl = 250, 0.5
+        config.schedule.update(late_from=250, last_iteration=350)
+        config.ppo.late_kl = 0.5
         config.rollout.update(num_envs=512, horizon=24)
         config.schedule.update(start_iteration=0, end_iteration=20, start_steps=0, end_steps=16)
         config.model.update(clean=True, known_reward=True, falls=True, minibatches=6)
