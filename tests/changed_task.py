@@ -63,11 +63,8 @@ def power_of(model, state, i, action, robot, task):
     for field in ("qpos", "qvel", "qacc_warmstart"):
         getattr(data, field)[:] = getattr(state, field)[i]
     target = robot.default_pose + task.action_scale * action
-    limits = dict(
-        effort_limit=task.effort_limit,
-        saturation_effort=task.saturation_effort,
-        velocity_limit=task.velocity_limit,
-    )
+    names = "effort_limit", "saturation_effort", "velocity_limit"
+    limits = {name: np.array(task[name]) for name in names}  # one number, or one a joint
     for _ in range(4):
         qd = data.qvel[6:].copy()
         torque = actuators.clip_dc_motor(

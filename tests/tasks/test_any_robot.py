@@ -44,6 +44,7 @@ def world(hexapod):
     """A few rows of four hexapods on C MuJoCo, with all that is a number a joint."""
     config = config_lib.load("configs/go1.py")
     config.task.update(termination="base", undesired="thighs", observation="onboard", history=2)
+    config.task.update(effort_limit=23.7, saturation_effort=23.7, velocity_limit=30.0)
     config.task.randomize.update(encoder_bias=0.02)
     config.physics.update(contacts="full", threads=1)
     config.ppo.critic = "state"

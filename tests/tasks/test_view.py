@@ -224,6 +224,7 @@ def test_a_lagging_torque_approaches_what_is_wanted_with_its_time_constant(impl)
     body = jax.jit(env.randomize)(hyper, key)
     state, step = jax.jit(env.reset)(hyper, body, key), jax.jit(env.step)
     task, model = config.task, robot_lib.physics_model(robot, config.physics)
+    limit = np.array(task.effort_limit)
     data, torque = mujoco.MjData(model), np.zeros(12)
     data.qpos[:], data.qvel[:] = state.qpos, state.qvel
     share = 1 - np.exp(-0.005 / float(body.lag))
@@ -236,7 +237,7 @@ def test_a_lagging_torque_approaches_what_is_wanted_with_its_time_constant(impl)
             arrived = told[2 + max((t * 4 + k - late) // 4, t - 2)]
             target = robot.default_pose + 0.25 * arrived - np.asarray(body.encoder_bias)
             wanted = task.kp * (target - data.qpos[7:]) - task.kd * data.qvel[6:]
-            wanted = np.clip(wanted, -task.effort_limit, task.effort_limit) * float(body.strength)
+            wanted = np.clip(wanted, -limit, limit) * float(body.strength)
             torque = torque + share * (wanted - torque)
             data.ctrl[:] = torque
             mujoco.mj_step(model, data)
