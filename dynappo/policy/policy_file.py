@@ -306,7 +306,8 @@ def _checked(path: Path, policy: Policy) -> Policy:
         f"its activation is {reprlib.repr(policy.activation)}, expected one of {', '.join(ACTIVATIONS)}",
     )
     try:
-        checks.check(policy._asdict())
+        entries = policy._asdict()  # of a file lists, of a checkpoint's config arrays
+        checks.check({n: x.tolist() if isinstance(x, np.ndarray) else x for n, x in entries.items()})
         clock = policy.gait_frequency is not None
         joints = len(policy.joint_names)
         observations = [observe.name(kind, joints, clock) for kind in observe.NAMES]
