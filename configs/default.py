@@ -18,7 +18,7 @@ Variants, appended to the file name as in `configs/go1.py:ppo16`:
 | `fast`             | 16     | as dyna4                    | 5 epochs after 50, bfloat16|
 | `best` (default)   | 20     | 0 to 16 over 0-5, until 150 | experiments/21_less        |
 | `deploy`           | 20     | as best                     | for hardware: robots/DEPLOY.md |
-| `laptop`           | 24     | 0 to 16 over 0-20           | two CPU cores: it walks    |
+| `laptop`           | 24     | 0 to 16 over 0-20, until 350| two CPU cores: it walks    |
 | `quick`            | 24     | 0 to 4                      | the smallest run on MJX    |
 """
 

@@ -21,7 +21,8 @@ units and sources. Nothing imports it at run time: `splitting.split` makes the s
 config itself, so a new field works before it is here.
 
 Why written out: a type checker runs no code, and no type in Python selects fields by their types. Two
-classes a group by hand would separate what belongs together, as `desired_kl` and `adaptive`.
+classes for each group, written by hand, would separate fields that belong together, like `desired_kl` and
+`adaptive`.
 """
 
 from typing import NamedTuple
