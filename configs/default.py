@@ -385,7 +385,7 @@ def apply_variant(config: config_dict.ConfigDict, variant: str) -> config_dict.C
         # Learning takes half of a CPU's time, so the networks are small and the model has few epochs. Swish,
         # a larger KL and gamma 0.98 let it learn from fewer steps (experiments/04_laptop).
         config.physics.impl = "c"
-        # Short episodes that begin in three ways, smaller steps of PPO and physics alone at the end: as in `_best`
+        # As in `_best`: episodes begin in three ways; smaller steps of PPO and physics alone at the end
         config.task.update(tracking_std=1.0, episode_length=125, carry_on=True)
         config.task.update(start_anew=1 / 3, keep_command=1 / 3)
         config.schedule.update(late_from=250, last_iteration=350)

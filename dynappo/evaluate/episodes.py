@@ -26,14 +26,15 @@ def settings(policy: Policy):
 
     Fields that are newer than the policy have their defaults.
     """
-    config = config_lib.load("configs/default.py")
+    config = fields.defaults()
     for name, value in config_lib.flat(policy.config).items():
         field = fields.every().get(name)
-        if field is None or value is None:
+        if field is None:
             continue
         group, _, leaf = name.rpartition(".")
-        node, settled = config[group] if group else config, fields.convert(field, value)
-        if settled is None:
+        node = config[group] if group else config
+        settled = None if value is None else fields.convert(field, value)
+        if settled is None and value is not None:
             raise ConfigError(
                 f"the policy's config has {name} = {value!r}, expected one like {field.default!r}"
             )
