@@ -307,7 +307,9 @@ def _checked(path: Path, policy: Policy) -> Policy:
     )
     try:
         entries = policy._asdict()  # of a file lists, of a checkpoint's config arrays
-        checks.check({n: x.tolist() if isinstance(x, np.ndarray) else x for n, x in entries.items()})
+        checks.check(
+            {n: x.tolist() if isinstance(x, np.ndarray) else x for n, x in entries.items()}
+        )
         clock = policy.gait_frequency is not None
         joints = len(policy.joint_names)
         observations = [observe.name(kind, joints, clock) for kind in observe.NAMES]
