@@ -119,8 +119,9 @@ def measures(body: Body, parts: Iterable[Mapping[str, np.ndarray]]) -> dict[str,
         for side in (1, -1)
     ]
     left, right = swings
-    known = left is not None and right is not None
-    mean["asymmetry"] = 2 * abs(left - right) / (left + right) if known else None
+    mean["asymmetry"] = None
+    if left is not None and right is not None:
+        mean["asymmetry"] = 2 * abs(left - right) / (left + right)
     return mean | {"feet": each}
 
 
