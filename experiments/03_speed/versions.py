@@ -1,10 +1,10 @@
-"""Is this checkout slower than another? An iteration of both, alternating on one GPU.
+"""Is this checkout slower than others? An iteration of each, in turns on one GPU.
 
-    python experiments/03_speed/versions.py OTHER_CHECKOUT go1:ppo16 go1:best --out FILE.json
+    python experiments/03_speed/versions.py CHECKOUT[,CHECKOUT ...] go1:ppo16 go1:best --out FILE.json
 
 Each checkout has a process of its own, which compiles its program and then runs one chunk of iterations
-whenever it is asked; the two are asked in turns. FILE.json gets the ms of every call and the ratio
-this / other of neighbouring calls: median, minimum, maximum.
+whenever it is asked, in turns. FILE.json gets the ms of every call and, for each other checkout, the ratio
+this / other of neighbouring calls: median, least, most.
 """
 
 import argparse
@@ -22,7 +22,7 @@ HERE = Path(__file__).resolve().parents[2]
 
 def main():
     parser = argparse.ArgumentParser()
-    parser.add_argument("other", help="another checkout; for a process of a checkout: serve")
+    parser.add_argument("other", help="other checkouts, with commas; for a process of one: serve")
     parser.add_argument("jobs", nargs="+", metavar="ROBOT:VARIANT")
     parser.add_argument("--repeats", type=int, default=20)
     parser.add_argument("--set", action="append", default=[], metavar="FIELD=VALUE")
@@ -34,19 +34,24 @@ def main():
     if args.other == "serve":
         return serve(args.jobs[0], args.set, args.iteration)
     found = {}
+    checkouts = [*map(Path, args.other.split(",")), HERE]
     for job in args.jobs:
-        other, this = (start(Path(path).resolve(), job, args) for path in (args.other, HERE))
-        for process in (other, this):
+        processes = [start(path.resolve(), job, args) for path in checkouts]
+        for process in processes:
             print(job, ask(process), flush=True)  # it has compiled
-        times = np.array([[float(ask(p)) for p in (other, this)] for _ in range(args.repeats + 1)])
-        for process in (other, this):
+        turns = [[float(ask(process)) for process in processes] for _ in range(args.repeats + 1)]
+        for process in processes:
             process.stdin.close()
             process.wait()
-        ratio = times[1:, 1] / times[1:, 0]  # the first warms
-        found[job] = {"ms": times[1:].round(3).tolist(), "ratio": float(np.median(ratio))}
-        found[job] |= {"ratio_min": float(ratio.min()), "ratio_max": float(ratio.max())}
-        ms = np.median(times[1:], 0)
-        print(f"{job}: {ms[1]:.2f} ms here, {ms[0]:.2f} there, ratio {np.median(ratio):.4f}")
+        times = np.array(turns[1:])  # the first warms
+        found[job] = {"checkouts": [path.name for path in checkouts], "ms": times.round(3).tolist()}
+        *others, here = np.median(times, 0)
+        for path, ms, column in zip(checkouts[:-1], others, times.T[:-1], strict=True):
+            ratio = times[:, -1] / column
+            found[job][path.name] = [float(x) for x in (np.median(ratio), ratio.min(), ratio.max())]
+            print(
+                f"{job}: {here:.2f} ms here, {ms:.2f} in {path.name}, ratio {np.median(ratio):.4f}"
+            )
         if args.out:
             args.out.write_text(json.dumps(found, indent=1) + "\n")
 
@@ -56,7 +61,7 @@ def start(checkout: Path, job: str, args) -> subprocess.Popen:
     path = os.pathsep.join([str(checkout), os.environ.get("PYTHONPATH", "")])
     command = [sys.executable, __file__, "serve", job, f"--iteration={args.iteration}"]
     command += [f"--set={s}" for s in args.set]
-    environment = os.environ | {"PYTHONPATH": path, "XLA_PYTHON_CLIENT_MEM_FRACTION": "0.35"}
+    environment = os.environ | {"PYTHONPATH": path, "XLA_PYTHON_CLIENT_MEM_FRACTION": "0.1"}
     pipe = subprocess.PIPE
     return subprocess.Popen(
         command, env=environment, cwd=checkout, stdin=pipe, stdout=pipe, text=True

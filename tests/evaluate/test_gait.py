@@ -1,13 +1,12 @@
 """How feet move: drawn contacts, known feet, and a Go1 in C MuJoCo against points on its soles."""
 
-import itertools
 import math
 from typing import Any
 
 import mujoco
 import numpy as np
 import pytest
-from toy_policy import GO1, actor, described
+from toy_policy import GO1, actor, described, trot
 
 from dynappo.evaluate import gait, trials
 from dynappo.policy import episode, policy_file
@@ -20,18 +19,6 @@ def body():
     """A Go1 whose actor always gives zero: it stands at the default pose."""
     policy = policy_file.describe(*described(), actor(size=0.0))
     return episode.load(GO1.xml, policy, policy.timestep)
-
-
-def trot():
-    """A new policy that lifts diagonal legs in turn, 2.5 times a second, whatever it sees."""
-    count = itertools.count()
-
-    def act(obs):
-        swing = math.sin(2 * math.pi * 2.5 * 0.02 * next(count))
-        lift = np.array([max(0, swing), max(0, -swing), max(0, -swing), max(0, swing)])
-        return np.stack([0 * lift, 2.0 * lift + 0.3, -4.0 * lift], 1).ravel()
-
-    return act
 
 
 CONTACTS = {  # contact, swings, touch-downs; shorter than 3 is a bounce

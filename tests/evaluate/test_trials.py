@@ -6,7 +6,7 @@ import math
 import mujoco
 import numpy as np
 import pytest
-from toy_policy import GO1, actor, described
+from toy_policy import GO1, actor, described, trot
 
 from dynappo.evaluate import trials
 from dynappo.policy import episode, policy_file
@@ -24,18 +24,6 @@ def policy():
 @pytest.fixture(scope="module")
 def body(policy):
     return episode.load(GO1.xml, policy, policy.timestep)
-
-
-def trot():
-    """A new policy that lifts diagonal legs in turn, 2.5 times a second, whatever it sees."""
-    count = itertools.count()
-
-    def act(obs):
-        swing = math.sin(2 * math.pi * 2.5 * 0.02 * next(count))
-        lift = np.array([max(0, swing), max(0, -swing), max(0, -swing), max(0, swing)])
-        return np.stack([0 * lift, 2.0 * lift + 0.3, -4.0 * lift], 1).ravel()
-
-    return act
 
 
 @pytest.fixture(scope="module")
