@@ -10,6 +10,7 @@ from __future__ import annotations
 import concurrent.futures
 import contextlib
 import gc
+import math
 import os
 import threading
 import time
@@ -26,7 +27,7 @@ from dynappo.program import devices, distributed, memory
 if TYPE_CHECKING:  # it imports JAX, and a mistake is answered without
     from dynappo.types import Hyper, Static
 
-ROWS = 128  # of the table of metrics that stays on the device
+TOGETHER = 10  # iterations, at most, in one call of the compiled program
 
 
 class Program(NamedTuple):
@@ -139,19 +140,17 @@ def program(
     init, step = partial(init, env, static=static), partial(step, env, static=static)
     episodes = partial(episodes, env, static=static, num_envs=run.eval_envs, num_steps=length)
     columns = schedule.columns(config)
-    first = _row(columns, 0)
+    # a divisor of `log_every`: all multiples of 10 share a program
+    together = math.gcd(run.log_every, TOGETHER)
+    part = {name: column[:together] for name, column in columns.items()}
     everywhere = NamedSharding(mesh, PartitionSpec())
     shapes = jax.eval_shape(init, hyper, key)
     spread = seeds.shardings(mesh, shapes, run.num_seeds)
     shapes = jax.tree.map(_placed, shapes, spread)
     init = jax.jit(init, out_shardings=spread)
-    step = jax.jit(step)  # traced once, for the shapes of its metrics and for the program
-    _, table = jax.eval_shape(step, hyper, shapes, first)
-    table = jax.jit(partial(_table, table), out_shardings=everywhere)
-    step = jax.jit(partial(_noted, step), donate_argnums=(1, 2), out_shardings=(spread, everywhere))
+    step = partial(_iterations, step)
+    step = jax.jit(step, donate_argnums=1, out_shardings=(spread, everywhere))
     episodes = jax.jit(episodes, out_shardings=everywhere)
-
-    noted = jax.eval_shape(table), first, np.int32(0)
 
     # Python traces one after the other, what compiles longest first; XLA compiles beside it
     repeated, once = _xla_options()
@@ -159,7 +158,7 @@ def program(
         if robot is None:  # the first state of an environment of your own may be wrong
             starting = pool.submit(init.lower(hyper, key).compile, once)
             env_contract.check_start(starting.result()(hyper, key).env_state)
-        stepping = pool.submit(step.lower(hyper, shapes, *noted).compile, repeated)
+        stepping = pool.submit(step.lower(hyper, shapes, part).compile, repeated)
         if robot is not None:
             starting = pool.submit(init.lower(hyper, key).compile, once)
         # several devices or processes share settings and steps of a compilation: at the first call
@@ -179,9 +178,8 @@ def program(
     memory.check_compiled(config, size, memory.limit(mesh.local_devices[0]))
     distributed.barrier()
     if impl == "warp":  # its kernels are built and loaded at the first call
-        once = {name: np.minimum(count, 1) for name, count in first.items()}
-        copy = jax.tree.map(jnp.copy, state)
-        jax.block_until_ready(compiled(hyper, copy, table(), once, np.int32(0)))
+        once = {name: np.minimum(column, 1) for name, column in part.items()}
+        jax.block_until_ready(compiled(hyper, jax.tree.map(jnp.copy, state), once))
 
     return Program(
         robot=robot,
@@ -190,7 +188,7 @@ def program(
         hyper=hyper,
         state=state,
         columns=columns,
-        step=partial(_step, compiled, table),
+        step=partial(_step, compiled, together),
         evaluate=partial(_evaluate, mesh, hyper, episodes, evaluating),
         place=partial(jax.device_put, device=spread),
         impl=impl,
@@ -200,43 +198,28 @@ def program(
     )
 
 
-def _row(columns: dict[str, np.ndarray], i: int) -> dict[str, np.ndarray]:
-    """Row i of the schedule's columns."""
-    return {name: np.asarray(column[i]) for name, column in columns.items()}
-
-
-def _table(metrics):
-    """Zeros for the metrics of `ROWS` iterations."""
-    import jax
-    import jax.numpy as jnp
-
-    return jax.tree.map(lambda x: jnp.zeros((ROWS, *x.shape), x.dtype), metrics)
-
-
-def _noted(iterate: Callable, hyper: Hyper, state, table, counts, i):
-    """`(state, table)` after an iteration, with its metrics in row i of the table."""
+def _iterations(iterate: Callable, hyper: Hyper, state, columns: dict[str, np.ndarray]):
+    """`(state, metrics)` after an iteration for each row of the schedule's columns."""
     import jax
 
-    state, metrics = iterate(hyper, state, counts)
-    return state, jax.tree.map(lambda column, x: column.at[i].set(x), table, metrics)
+    return jax.lax.scan(lambda state, row: iterate(hyper, state, row), state, columns)
 
 
-def _step(compiled: Callable, table: Callable, hyper: Hyper, state, columns: dict[str, np.ndarray]):
-    """`(state, metrics)` after a chunk of any length, whose iterations are queued one by one.
+def _step(compiled: Callable, together: int, hyper: Hyper, state, columns: dict[str, np.ndarray]):
+    """`(state, metrics)` after a chunk: calls of `together` iterations, queued one after the other.
 
-    One program of a single iteration serves every `run.log_every`. A loop on the device whose length is an
-    argument would, too, but an iteration of `ppo16` then took 10 % longer on an H200 (experiments/03_speed).
+    How many is known when the program is compiled. A loop whose length is an argument would serve every
+    `run.log_every`, but the host waits for each of its rounds (`ppo16` on an H200: 10 % longer), and calls
+    of a single iteration cost 3 ms of Python each (experiments/03_speed).
     """
     import jax
     import jax.numpy as jnp
 
-    count, parts = len(columns["iteration"]), []
-    for begin in range(0, count, ROWS):
-        rows, metrics = min(ROWS, count - begin), table()
-        for i in range(rows):
-            row = _row(columns, begin + i)
-            state, metrics = compiled(hyper, state, metrics, row, np.int32(i))
-        parts.append(jax.tree.map(lambda x, rows=rows: x[:rows], metrics))
+    parts = []
+    for begin in range(0, len(columns["iteration"]), together):
+        rows = {name: column[begin : begin + together] for name, column in columns.items()}
+        state, metrics = compiled(hyper, state, rows)
+        parts.append(metrics)
     return state, parts[0] if len(parts) == 1 else jax.tree.map(lambda *x: jnp.concat(x), *parts)
 
 

@@ -104,7 +104,7 @@ def chunk(program, every: int, iteration: int):
     import jax.numpy as jnp
 
     columns = {
-        name: jnp.full(every, column[min(iteration, len(column)) - 1], jnp.int32)
+        name: np.full(every, column[min(iteration, len(column)) - 1], np.int32)
         for name, column in program.columns.items()
     }
 

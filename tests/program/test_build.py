@@ -21,11 +21,11 @@ def first_chunk(program):
     return program.step(program.hyper, program.state, columns)
 
 
-def test_one_program_serves_every_log_every(monkeypatch):
-    """What is compiled does not depend on it, and chunks of other lengths are the same run, to the bit; one
-    longer than the table of metrics, too."""
+def test_chunks_of_any_length_are_one_run_and_multiples_share_a_program(monkeypatch):
+    """Two calls of two iterations, or four of one, are the same run, to the bit. Where `run.log_every` is
+    another multiple of the same divisor, nothing else is compiled."""
     workdirs.toy(monkeypatch)
-    monkeypatch.setattr(build, "ROWS", 3)
+    monkeypatch.setattr(build, "TOGETHER", 2)
     lowered, compile_ = [], jax.stages.Lowered.compile
 
     def compiled(one, *options):
@@ -44,18 +44,23 @@ def test_one_program_serves_every_log_every(monkeypatch):
     )
     program.evaluate(program.state)
     assert judged == [(8, 20)]
-    texts, results = lowered[:], []
-    for parts in ((2, 2), (1, 3), (4,)):
+    texts = lowered[:]
+    single = build.program(
+        workdirs.config(run__log_every=1, run__checkpoint_every=4, run__eval_envs=0)
+    )
+    assert not set(lowered[len(texts) :]) <= set(texts)
+    whole, results = len(lowered), []
+    for of, parts in ((program, (2, 2)), (program, (4,)), (single, (1, 3)), (single, (4,))):
         state, found, done = jax.tree.map(lambda x: x.copy(), program.state), [], 0
         for count in parts:
             columns = {n: column[done : done + count] for n, column in program.columns.items()}
-            state, metrics = program.step(program.hyper, state, columns)
+            state, metrics = of.step(program.hyper, state, columns)
             assert {len(x) for x in metrics.values()} == {count}
             found, done = [*found, metrics], done + count
         results.append((state, {n: np.concatenate([m[n] for m in found]) for n in found[0]}))
     for other in results[1:]:
         assert_same(other, results[0])
-    assert lowered == texts  # nothing of ours was compiled for another length
+    assert len(lowered) == whole  # nothing of ours was compiled for another length
 
     class Enough(Exception):
         """Both programs are lowered."""
