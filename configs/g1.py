@@ -34,7 +34,8 @@ MOTORS = {
 FREQUENCY, DAMPING_RATIO = 10.0, 2.0  # Hz; of a motor alone under its PD (mjlab)
 
 
-# rad, how far a joint may be from the default pose: mjlab's, walking. Arms swing with the shoulder's pitch
+# rad, how far a joint may be from the default pose: mjlab's, walking, but for the shoulder's pitch (0.15
+# there): with 0.5 the arms swing against the legs, with 0.15 hardly
 POSTURE = {
     ".*_hip_pitch_joint": 0.3,
     ".*_hip_(roll|yaw)_joint": 0.15,
@@ -44,7 +45,8 @@ POSTURE = {
     "waist_yaw_joint": 0.2,
     "waist_roll_joint": 0.08,
     "waist_pitch_joint": 0.1,
-    ".*_(shoulder_pitch|shoulder_roll|elbow)_joint": 0.15,
+    ".*_shoulder_pitch_joint": 0.5,
+    ".*_(shoulder_roll|elbow)_joint": 0.15,
     ".*_shoulder_yaw_joint": 0.1,
     ".*_wrist_.*_joint": 0.3,
 }
@@ -100,6 +102,7 @@ def _task(task):
     task.update(max_tilt=math.radians(70))  # mjlab
     task.fall_reward = -2.0  # PG's -100 and IL's -200 are -2 and -4 in a row of 0.02 s
     task.update(posture_std=POSTURE, posture_std_standing=0.05)  # mjlab
+    task.gait_frequency = (1.25, 1.5)  # PG
     task.weights.update(
         track_linear_velocity=2.0,  # mjlab; IL, PG 1
         track_yaw_rate=2.0,  # mjlab, of a wider kernel; IL 1, PG 0.75
@@ -109,14 +112,14 @@ def _task(task):
         vertical_velocity=-0.2,  # IL
         roll_pitch_rate=-0.05,  # IL, mjlab
         feet_air_time=0.0,  # of quadrupeds
-        feet_air_time_biped=0.75,  # IL
+        feet_phase=1.0,  # PG
         foot_clearance=-0.5,  # mjlab -0.25 of 10 cm, here of 6 cm
-        foot_slip=-0.1,  # IL
+        foot_slip=-0.5,  # PG -0.25, IL -0.1
         feet_distance=-1.0,  # PG
         joint_limits=-1.0,  # mjlab, PG
         joint_torques=-2e-6,  # IL, of hips and knees
         joint_accelerations=-1e-7,  # IL, of hips and knees
-        action_rate=-0.01,  # IL -0.005; mjlab -0.1
+        action_rate=-0.03,  # IL -0.005; mjlab -0.1
     )
 
 

@@ -2,7 +2,8 @@
 
 The fields are those of its export_deploy_cfg.py: joints and gains, times, ranges of commands, the action, and
 the observation term by term, in the order in which they follow each other in `obs`; of each term
-`history_length` readings, the oldest first. `joint_ids_map` gives the motor number of each joint of the
+`history_length` readings, the oldest first. The gait clock's `period` (s) is that of the middle of
+`task.gait_frequency`. `joint_ids_map` gives the motor number of each joint of the
 policy; `stiffness` and `damping` are in the order of the motors, `scale` and `offset` in that of the policy.
 """
 
@@ -25,6 +26,7 @@ TERMS = dict(
     angular_velocity="base_ang_vel",
     command="velocity_commands",
     previous_action="last_action",
+    gait_phase="gait_phase",
 )
 
 
@@ -39,11 +41,6 @@ def text(policy: Policy, robot: robot_lib.Robot) -> str:
     """The file's content; ConfigError for a policy that sees what those controllers do not measure."""
     parts = observe.reading(policy.observation)
     unknown = [name for name in parts if name not in TERMS]
-    if "gait_phase" in unknown:
-        raise ConfigError(
-            f"a deploy.yaml has no gait_phase, which this policy of {policy.robot} sees; export an ONNX, "
-            "whose metadata say how a robot computes it, or a policy trained without task.gait_frequency"
-        )
     if unknown:
         raise ConfigError(
             f"a deploy.yaml has no {', '.join(unknown)}, which this policy of {policy.robot} sees; export "
@@ -81,11 +78,13 @@ def text(policy: Policy, robot: robot_lib.Robot) -> str:
         "    joint_ids: null",
         "observations:",
     ]
+    params_of: dict[str, dict] = {"command": {"command_name": "base_velocity"}}
+    if policy.gait_frequency is not None:
+        params_of["gait_phase"] = {"period": 1 / float(np.mean(policy.gait_frequency))}
     for name, rows in parts.items():
-        params = {"command_name": "base_velocity"} if name == "command" else {}
         lines += [
             f"  {TERMS[name]}:",
-            f"    params: {json.dumps(params)}",
+            f"    params: {json.dumps(params_of.get(name, {}))}",
             "    clip: null",
             f"    scale: {[1.0] * (rows.stop - rows.start)}",
             f"    history_length: {policy.history}",

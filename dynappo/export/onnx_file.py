@@ -18,7 +18,7 @@ from dynappo.config import ConfigError, files, shell, versions
 from dynappo.physics import robot as robot_lib
 from dynappo.policy import policy_file
 from dynappo.policy.policy_file import Policy
-from dynappo.tasks.velocity import observe
+from dynappo.tasks.velocity import gait, observe
 
 # Everything used here is in opset 14 already, and ONNX Runtime reads opset 17 from its 1.12 (2022) on
 OPSET, IR_VERSION = 17, 8
@@ -45,10 +45,9 @@ UNITS = {
     "control_rate": "Hz",
 }
 GAIT_CLOCK = (
-    "gait_phase is computed, not measured: the angle is 2 pi f t with f in gait_frequency (Hz) and t the "
-    "seconds since the start; the phase of the first foot is the angle, that of the second the angle + pi, "
-    "and both are pi while the command is at most 0.1 in size; the four numbers are the cosine of each "
-    "phase, then the sines"
+    "gait_phase is computed, not measured: sine and cosine of 2 pi f t with f in gait_frequency (Hz) and t "
+    "the seconds since the start; it may go on while the command is at most 0.1 in size, where the policy "
+    "was trained on zeros: the file sets it to zero there"
 )
 LICENCE = "dynappo and its bundled policies: Apache-2.0; a policy of your own: as you decide"
 
@@ -130,37 +129,57 @@ def onnx_model(policy: Policy, facts: dict[str, Any], targets: bool = False):
         weights.append(numpy_helper.from_array(_float32(name, value), name))
         return name
 
-    def node(kind, *inputs, to):
-        nodes.append(helper.make_node(kind, inputs, [to]))
-        return to
+    def integers(name, value):
+        weights.append(numpy_helper.from_array(np.asarray(value, np.int64), name))
+        return name
 
+    def node(kind, *inputs, name, **attributes):
+        nodes.append(helper.make_node(kind, inputs, [name], **attributes))
+        return name
+
+    if policy.gait_frequency is not None:  # a robot's clock goes on where the policy saw zeros
+        places = {part: np.arange(rows.start, rows.stop) for part, rows in table(policy)}
+        places["others"] = np.arange(places["gait_phase"][0])  # it is the last part
+        others, phase, command = (
+            node("Gather", x, integers(f"{part}_places", places[part]), name=part, axis=1)
+            for part in ("others", "gait_phase", "command")
+        )
+        of_reading = np.kron(np.eye(policy.history), np.ones((3, 2)))
+        squares = node("Mul", command, command, name="command_squares")
+        squares = node("MatMul", squares, constant("of_reading", of_reading), name="command_size")
+        moves = node("Greater", squares, constant("still", gait.STILL**2), name="moves")
+        moves = node("Cast", moves, name="moving", to=onnx.TensorProto.FLOAT)
+        phase = node("Mul", phase, moves, name="gait_phase_moving")
+        x = node("Concat", others, phase, name="seen", axis=1)
     for i in range(len(layers)):
         layer, last = layers[f"Dense_{i}"], i == len(layers) - 1
         weights_in = layer["kernel"][order(policy)] if i == 0 else layer["kernel"]
         kernel = constant(f"kernel_{i}", weights_in)
         bias = constant(f"bias_{i}", layer["bias"])
-        x = node("Gemm", x, kernel, bias, to=f"linear_{i}")
+        x = node("Gemm", x, kernel, bias, name=f"linear_{i}")
         if last:
             limit = policy_file.MAX_MEAN
             ends = constant("lowest_action", -limit), constant("highest_action", limit)
-            x = node("Clip", x, *ends, to="action")
+            x = node("Clip", x, *ends, name="action")
             break
         if policy.activation == "swish":  # an operator of its own only from opset 24 on
-            gate = node("Sigmoid", x, to=f"gate_{i}")
-            x = node("Mul", x, gate, to=f"hidden_{i}")
+            gate = node("Sigmoid", x, name=f"gate_{i}")
+            x = node("Mul", x, gate, name=f"hidden_{i}")
         else:
-            x = node(policy.activation.capitalize(), x, to=f"hidden_{i}")
+            x = node(policy.activation.capitalize(), x, name=f"hidden_{i}")
     if targets:
-        x = node("Mul", x, constant("action_scale", policy.action_scale), to="scaled")
-        node("Add", x, constant("default_pose", policy.default_pose), to="targets")
+        x = node("Mul", x, constant("action_scale", policy.action_scale), name="scaled")
+        node("Add", x, constant("default_pose", policy.default_pose), name="targets")
 
     def values(name, size, text):
         kind = onnx.TensorProto.FLOAT
         return helper.make_tensor_value_info(name, kind, ["batch", size], doc_string=text)
 
     size, joints = len(order(policy)), len(policy.joint_names)
-    table = facts["observation_table"]
-    rows = [f"{r['start']}-{r['stop'] - 1} {r['name']} ({r['unit']})" for r in table]
+    rows = [
+        f"{r['start']}-{r['stop'] - 1} {r['name']} ({r['unit']})"
+        for r in facts["observation_table"]
+    ]
     outputs = [values("action", joints, "raw; it is also the previous_action of the next step")]
     if targets:
         outputs.append(values("targets", joints, "joint positions, rad"))

@@ -12,6 +12,7 @@ processes share the GPU, because compiling takes longer than training; their clo
 """
 
 import csv
+import math
 import os
 import subprocess
 import sys
@@ -29,7 +30,7 @@ from dynappo.policy import policy_file
 from dynappo.program import build, devices
 from experiments import paper
 
-DEFAULTS = dict(seed=100, num_seeds=5, log_every=1, eval_every=20, eval_envs=100, eval_steps=1000)
+DEFAULTS = dict(seed=100, num_seeds=5, eval_every=20, eval_envs=100, eval_steps=1000)
 MEASURED = "return", "fall_rate", "tracking_error", "yaw_error"
 
 
@@ -73,6 +74,9 @@ def run(job: str, *fields: str, policies: Path | None = None, late=None) -> list
     config.run.update(**DEFAULTS)
     for field in fields:
         config_lib.override(config, *field.split("=", 1))
+    # an evaluation ends a chunk
+    ends = config.run.num_iterations, config.run.eval_every or config.run.num_iterations
+    config.run.log_every = math.gcd(*ends, *(late or ()))
     config = config_lib.validate(config)
     build.check(config)
     program, seeds = build.program(config), config.run.num_seeds

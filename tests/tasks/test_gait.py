@@ -57,10 +57,9 @@ def world():
 
 
 def by_loops(angle, command):
-    """The four numbers, of the first foot's phase."""
+    """The two numbers, of the first foot's phase."""
     moves = math.sqrt(sum(float(c) ** 2 for c in command)) > 0.1
-    phases = (angle, angle + math.pi) if moves else (math.pi, math.pi)
-    return [math.cos(p) for p in phases] + [math.sin(p) for p in phases]
+    return [math.sin(angle), math.cos(angle)] if moves else [0.0, 0.0]
 
 
 def get_rz(phi, swing_height):
@@ -76,11 +75,14 @@ def get_rz(phi, swing_height):
 def test_the_wanted_height_of_a_foot_is_playgrounds():
     for phi in np.linspace(-math.pi, math.pi, 101):
         other = (phi + 2 * math.pi) % (2 * math.pi) - math.pi
-        phase = np.array([math.cos(phi), math.cos(other), math.sin(phi), math.sin(other)])
-        expected = [get_rz(phi, 0.15), get_rz(other, 0.15)]
+        phase = np.array([math.sin(phi), math.cos(phi)])
+        heights = [get_rz(phi, 0.15), get_rz(other, 0.15)]
+        expected = [height - min(heights) for height in heights]
         np.testing.assert_allclose(gait.target(phase, 0.15), expected, atol=1e-12)
         np.testing.assert_allclose(gait.target(jnp.asarray(phase), 0.15), expected, atol=1e-6)
-    assert gait.target(np.array([1.0, -1.0, 0.0, 0.0]), 0.15).tolist() == [0.15, 0.0]
+    assert gait.target(np.array([0.0, 1.0]), 0.15).tolist() == [0.15, 0.0]
+    assert gait.target(np.array([0.0, -1.0]), 0.15).tolist() == [0.0, 0.15]
+    assert gait.target(np.zeros(2), 0.15).tolist() == [0.0, 0.0]
 
 
 def test_each_robot_has_its_own_frequency_and_start_of_the_ranges(world):
@@ -97,7 +99,7 @@ def test_each_robot_has_its_own_frequency_and_start_of_the_ranges(world):
 
 
 def test_every_row_shows_the_phases_of_plain_loops(world):
-    """Some stand: their phases rest at pi, and say nothing of the angle."""
+    """Some stand, and see nothing of the angle."""
     start = world.states[0].gait
     stands = 0
     for t, state in enumerate(world.states):
@@ -106,7 +108,7 @@ def test_every_row_shows_the_phases_of_plain_loops(world):
             expected = by_loops(angle, state.command[i])
             np.testing.assert_allclose(state.obs[i, WHERE["gait_phase"]], expected, atol=2e-5)
             np.testing.assert_allclose(state.obs[i, WHERE["gait_turn"]], turn)
-            stands += expected[0] == expected[1]
+            stands += expected == [0.0, 0.0]
     assert 0 < stands < ROBOTS * len(world.states)
     assert (abs(world.states[-1].gait.angle) <= math.pi + 1e-5).all()
 
@@ -126,30 +128,24 @@ def test_a_tail_computes_the_clock_from_its_first_row(world):
 def test_the_networks_see_the_phases_and_the_policy_not_the_frequency(world):
     views, turn = world.env.views, WHERE["gait_turn"].start
     phases = set(range(*WHERE["gait_phase"].indices(100)))
-    assert (world.env.obs_size, world.env.prop_size) == (53, 33) and phases == set(range(48, 52))
+    assert (world.env.obs_size, world.env.prop_size) == (51, 33) and phases == {48, 49}
     assert all(phases <= set(columns.tolist()) for columns in views)
     assert [turn in columns for columns in views] == [False, True, True]
 
 
-def test_feet_are_opposite_again_after_the_robot_has_stood(world):
-    """Where Playground's go on together: its phases are both pi while it stands."""
-    for command, together in ((STANDS, True), (MOVES, False)):
-        seen = gait.shown(1.0, command)
-        assert (seen[0] == seen[1]) == together
+def test_the_clock_goes_on_while_the_robot_stands(world):
+    """Playground's phases are both pi then, and after it both feet go on together."""
     told = jnp.asarray(np.tile(STANDS, (ROBOTS, 1)), jnp.float32)
     state = jax.tree.map(jnp.asarray, world.states[-1]).replace(command=told)
     state = state.replace(goal=state.goal.replace(standing=jnp.zeros(ROBOTS)))
     for _ in range(2):
         state = world.step(world.hyper, world.body, state, world.actions[0], world.keys)[0]
-    np.testing.assert_allclose(
-        state.obs[:, WHERE["gait_phase"]], [[-1, -1, 0, 0]] * ROBOTS, atol=1e-6
-    )
+    np.testing.assert_array_equal(state.obs[:, WHERE["gait_phase"]], 0)
     state = state.replace(command=told + 0.5)
     state = world.step(world.hyper, world.body, state, world.actions[0], world.keys)[0]
     phase = np.asarray(state.obs[:, WHERE["gait_phase"]])
-    np.testing.assert_allclose(phase[:, ::2], -phase[:, 1::2], atol=1e-6)
     angle = world.states[-1].gait.angle + 3 * world.states[-1].gait.turn
-    np.testing.assert_allclose(phase[:, 0], np.cos(angle), atol=1e-5)
+    np.testing.assert_allclose(phase, np.stack([np.sin(angle), np.cos(angle)], 1), atol=1e-5)
 
 
 def test_the_mirror_image_of_an_observation_is_that_of_the_mirrored_robot():
@@ -193,9 +189,11 @@ def test_the_mirror_image_of_an_observation_is_that_of_the_mirrored_robot():
         np.testing.assert_array_equal(symmetry.vector(of_obs, found), obs)
 
 
-def policy_of(world):
+def policy_of(world, history=1):
     config = world.config
-    sizes, rng = (observe.size(12, True) - 1, 8, 12), np.random.default_rng(0)
+    if history > 1:
+        config = config_lib.validate(settings(standing=0.3, history=history))
+    sizes, rng = (history * (observe.size(12, True) - 1), 8, 12), np.random.default_rng(0)
     layers = {
         f"Dense_{i}": {
             "kernel": rng.normal(size=sizes[i : i + 2]).astype(np.float32) * 0.1,
@@ -211,7 +209,7 @@ def test_an_episode_of_c_mujoco_shows_what_the_environment_does(world):
     """Moving, standing, moving again, with the same actions; the clock is that of the middle frequency, from
     angle 0."""
     policy = policy_of(world)
-    assert policy.observation == "velocity-phase-52" and policy.gait_frequency == RANGE
+    assert policy.observation == "velocity-phase-50" and policy.gait_frequency == RANGE
     body = episode.load(world.robot.xml, policy, policy.timestep, text=world.robot.alone)
     actions, seen = np.random.default_rng(1).normal(0, 0.1, (30, 12)), []
 
@@ -251,7 +249,7 @@ def test_an_episode_of_c_mujoco_shows_what_the_environment_does(world):
         state, _ = step(
             world.hyper, body_0, state, jnp.asarray(actions[k], jnp.float32), world.keys[0]
         )
-    resting = np.array(seen)[:, 48:50].sum(-1) < -1.9
+    resting = (np.array(seen)[:, 48:] == 0).all(-1)
     assert resting.tolist() == [10 <= k < 20 for k in range(30)]
     assert len(played["qpos"]) == 30
 
@@ -266,7 +264,7 @@ def test_a_policys_file_has_its_clock_and_an_older_one_has_none(world, tmp_path)
     without = policy._replace(gait_frequency=None, observation="velocity-48")
     assert "gait_frequency" not in policy_file.about(without)
     for change, expected in (
-        ({"gait_frequency": None, "config": {}}, "'velocity-phase-52'.*without a gait clock"),
+        ({"gait_frequency": None, "config": {}}, "'velocity-phase-50'.*without a gait clock"),
         ({"observation": "velocity-48"}, "'velocity-48'.*with a gait clock"),
         ({"gait_frequency": [1.0]}, r"gait_frequency is \[1.0\], expected \(low, high\)"),
         ({"gait_frequency": [0.0, 1.0]}, "gait_frequency is 0.0, expected 0.01 to 10 Hz"),
@@ -277,27 +275,56 @@ def test_a_policys_file_has_its_clock_and_an_older_one_has_none(world, tmp_path)
             policy_file.load(path)
 
 
-def test_on_a_robot_the_phases_are_part_of_an_onnx_files_obs_and_no_deploy_yaml_has_them(world):
+def test_on_a_robot_the_phase_is_part_of_an_onnx_files_obs_and_a_deploy_yaml_has_its_period(world):
     policy = policy_of(world)
     order = tuple(reversed(policy.joint_names))
     facts = onnx_file.about(joint_order.permute(policy, order), world.robot)
     row = facts["observation_table"][-1]
-    assert (row["name"], row["start"], row["stop"]) == ("gait_phase", 48, 52)
+    assert (row["name"], row["start"], row["stop"]) == ("gait_phase", 48, 50)
     assert facts["gait_frequency"] == RANGE and "2 pi f t" in facts["gait_clock"]
     assert "gait_clock" not in onnx_file.about(other_robots.policy(world.robot), world.robot)
     size = len(onnx_file.order(policy))
     assert (
         onnx_file.onnx_model(policy, facts).graph.input[0].type.tensor_type.shape.dim[1].dim_value
         == size
-        == 52
+        == 50
     )
     first = [
         p.params["actor"]["params"]["Dense_0"]["kernel"]
         for p in (policy, joint_order.permute(policy, order))
     ]
     np.testing.assert_array_equal(first[0][48:], first[1][48:])
-    with pytest.raises(ConfigError, match="a deploy.yaml has no gait_phase"):
-        deploy_yaml.text(policy, world.robot)
+    seen = policy._replace(observation="onboard-phase-47")
+    written = deploy_yaml.text(seen, world.robot).splitlines()
+    assert written[-5:] == [
+        "  gait_phase:",
+        f'    params: {{"period": {1 / 1.375}}}',
+        "    clip: null",
+        "    scale: [1.0, 1.0]",
+        "    history_length: 1",
+    ]
+
+
+@pytest.mark.parametrize("history", [1, 3])
+def test_an_onnx_file_sets_the_clock_to_zero_where_each_reading_is_to_stand(world, history):
+    """A robot's clock goes on. The actor of JAX, which saw zeros there, does the same."""
+    runtime, policy = pytest.importorskip("onnxruntime"), policy_of(world, history)
+    model = onnx_file.onnx_model(policy, onnx_file.about(policy, world.robot))
+    session = runtime.InferenceSession(model.SerializeToString())
+    rng, actor = np.random.default_rng(0), policy_file.actor(policy.params, policy.activation)
+    order, told = onnx_file.order(policy), set()
+    for _ in range(20):
+        newest_first = rng.normal(size=(history, 50)).astype(np.float32)
+        for reading in newest_first:
+            reading[WHERE["command"]] = MOVES if rng.random() < 0.5 else STANDS
+        seen = newest_first.copy()
+        for reading in seen:
+            stands = np.linalg.norm(reading[WHERE["command"]]) <= 0.1
+            reading[48:] *= not stands
+            told.add(bool(stands))
+        action = session.run(["action"], {"obs": newest_first.reshape(-1)[order][None]})[0]
+        np.testing.assert_allclose(action[0], actor(seen.reshape(-1)), atol=1e-5)
+    assert told == {True, False}
 
 
 def test_a_late_sensor_makes_no_late_clock(world):

@@ -29,8 +29,7 @@ def images(robot: Robot, layout: view.View) -> tuple[Mirror, Mirror] | None:
         if part.signs is None:
             image = own
         else:
-            places = part.places or range(len(part.signs))
-            image = Mirror(np.array(places), np.array(part.signs, float))
+            image = Mirror(np.arange(len(part.signs)), np.array(part.signs, float))
         index.append(start + image.index)
         sign.append(image.sign)
         start += len(image.index)

@@ -13,7 +13,7 @@ qpos and qvel, because after `mjx.step` every derived quantity is one substep ol
 | known (context)  | 33-35 | command vx, vy, yaw rate                                 | m/s, rad/s |
 |                  | 36-47 | previous action                                          |            |
 
-With `task.gait_frequency` two known parts of a biped follow (gait.py): `gait_phase`, 4 numbers, and
+With `task.gait_frequency` two known parts of a biped follow (gait.py): `gait_phase`, 2 numbers, and
 `gait_turn`, one, which no policy sees.
 
 The order is the paper's, o = [q, qd, g, v, w] and [c, a]: the transition model predicts the first,
@@ -50,8 +50,6 @@ class Part(NamedTuple):
     # of each number in the left-right mirror image; None: mirrored as the joints
     signs: tuple[int, ...] | None = None
     scale: float = 1.0  # of what networks learn from, with `ppo.scale_inputs`; as in legged_gym
-    # where in the part the mirror image of each number is; empty: in its own place
-    places: tuple[int, ...] = ()
 
 
 # signs of vectors in the mirror image; rotations have the opposite sign
@@ -74,11 +72,10 @@ KNOWN = dict(
 # the same, with `task.gait_frequency`
 GAIT = dict(
     gait_phase=Part(
-        4,
+        2,
         "1",
-        "cosine of each foot's phase, then the sines; highest at phase 0, down at pi",
-        signs=(1, 1, 1, 1),
-        places=(1, 0, 3, 2),
+        "sine and cosine of the first foot's phase, 0 where it is highest; 0 0 to stand",
+        signs=(-1, -1),
     ),
     gait_turn=Part(1, "rad", "advance of the phases in a control step", signs=(1,)),
 )
@@ -254,7 +251,7 @@ def advance(context, action, clock: bool = False):
     )
     if clock:
         phase, turn = before["gait_phase"], before["gait_turn"]
-        values |= dict(gait_phase=gait.shown_later(phase, turn, before["command"]), gait_turn=turn)
+        values |= dict(gait_phase=gait.shown_later(phase, turn), gait_turn=turn)
     return xp.concat([values[name] for name in _known(clock)], axis=-1)
 
 

@@ -218,8 +218,7 @@ def feet_phase(foot_position, gravity, gait_phase, gait_foot_height, variance=0.
 
     The target is that of the gait clock (gait.target), `task.gait_foot_height` in mid-swing, at the phase
     that the policy saw. Of the middles of feet. Playground: feet_phase, of heights above the ground; those
-    above the lowest foot follow from joints. Between two steps both targets are half as high, so no walk is
-    paid 1 there.
+    above the lowest foot follow from joints.
     """
     height = -(foot_position * gravity).sum(-1)
     off = height - height.min() - gait.target(gait_phase, gait_foot_height)
