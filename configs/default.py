@@ -180,13 +180,9 @@ class Weights(NamedTuple):
     stand_still: float = 0.0
     foot_clearance: float = 0.0
     # of bipeds; None: the term is not in the program
-    alive: float | None = None
     upright: float | None = None
     posture: float | None = None  # with task.posture_std
-    posture_deviation: float | None = None  # the same
-    feet_air_time_biped: float | None = None
     foot_slip: float | None = None
-    foot_drag: float | None = None
     feet_phase: float | None = None  # with task.gait_frequency
     feet_distance: float | None = None
 
@@ -249,7 +245,6 @@ class Task(NamedTuple):
     heading: bool | None = None  # the yaw rate turns the robot to a heading; exact only
     resample_steps: Steps | None = None  # control steps between two commands; 0: an episode
     standing: Share | None = None  # share of commands that are zero
-    turning: Share = 0.0  # share of commands that only turn, on the spot
     termination: Literal["parts", "base"] | None = None  # "base" (exact) needs contacts="full"
     undesired: Literal["parts", "thighs"] | None = None  # contacts; "thighs": exact
     # parts at the ground are seen in every physics step (exact) or in the last of a row. Seen
@@ -265,8 +260,8 @@ class Task(NamedTuple):
     max_tilt: Annotated[float, Between(0.01, 3.15)] | None = None
     # paid once, in the row of a fall, not times 0.02 s as weights are; None: nothing
     fall_reward: float | None = None
-    # rad, how far a joint may be from the default pose in the terms `posture` and `posture_deviation`; the
-    # second where the robot is told to stand. None: not in the program
+    # rad, how far a joint may be from the default pose in the term `posture`; the second where the robot is
+    # told to stand. None: not in the program
     posture_std: Annotated[PerJoint, Between(1e-3, 1e6)] | None = None
     posture_std_standing: Annotated[PerJoint, Between(1e-3, 1e6)] | None = None
     # Hz, strides of a biped's gait clock (tasks/velocity/gait.py): drawn where a robot starts anew; feet's

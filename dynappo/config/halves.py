@@ -182,21 +182,17 @@ class HyperReset(NamedTuple):
 class HyperWeights(NamedTuple):
     action_acceleration: float
     action_rate: float
-    alive: float | None
     energy: float
     feet_air_time: float
-    feet_air_time_biped: float | None
     feet_distance: float | None
     feet_phase: float | None
     flat_orientation: float
     foot_clearance: float
-    foot_drag: float | None
     foot_slip: float | None
     joint_accelerations: float
     joint_limits: float
     joint_torques: float
     posture: float | None
-    posture_deviation: float | None
     roll_pitch_rate: float
     stand_still: float
     track_linear_velocity: float
@@ -231,7 +227,6 @@ class HyperTask(NamedTuple):
     standing: float
     start_anew: float
     tracking_std: float
-    turning: float
     velocity_limit: float | tuple[float, ...]
     weights: HyperWeights
 

@@ -53,11 +53,7 @@ FIELDS = {  # 4 robots that fall, step, stand and bend their joints far, all wit
     "task.posture_std_standing": 0.1,
 }
 FIELDS |= {
-    f"task.weights.{name}": -2.0
-    for name in (
-        "alive upright posture posture_deviation feet_air_time_biped foot_slip foot_drag "
-        "feet_distance"
-    ).split()
+    f"task.weights.{name}": -2.0 for name in ("upright", "posture", "foot_slip", "feet_distance")
 }
 # what is in the program only where it is not 0
 ERRORS = ("task.randomize.encoder_bias", "task.randomize.imu_tilt", "task.joint_friction")

@@ -15,9 +15,7 @@ PAPER = SimpleNamespace(heading=False, resample_steps=0)
 ISAAC = SimpleNamespace(heading=True, resample_steps=500)
 RANGES = dict(command_x=(-1.0, 0.5), command_y=(-0.25, 0.75), command_yaw=(-0.8, 1.0))
 HYPER, HALF = (
-    SimpleNamespace(
-        task=SimpleNamespace(**RANGES, heading_gain=0.5, standing=standing, turning=0.0)
-    )
+    SimpleNamespace(task=SimpleNamespace(**RANGES, heading_gain=0.5, standing=standing))
     for standing in (0.0, 0.5)
 )
 LEVEL = jnp.array([0.0, 0.0, 0.3, 1.0, 0.0, 0.0, 0.0])
@@ -48,19 +46,6 @@ def test_the_papers_command_is_uniform_in_its_ranges_and_never_changes():
     after = commands.advance(PAPER, HYPER, command[0], goal, turned, jax.random.key(1))
     np.testing.assert_array_equal(after[0], command[0])
     assert after[1] is goal
-
-
-def test_a_share_of_the_commands_only_turns_beside_those_that_stand():
-    """The others, and every yaw rate of those that move, are as without it."""
-    task = SimpleNamespace(**{**vars(HALF.task), "turning": 0.2})
-    plain, _ = draws(PAPER, HALF)
-    command, goal = draws(PAPER, SimpleNamespace(task=task))
-    turns = (command[:, :2] == 0).all(-1) & (command[:, 2] != 0)
-    assert goal.standing.mean() == pytest.approx(0.5, abs=0.03)
-    assert turns.mean() == pytest.approx(0.2, abs=0.03)
-    np.testing.assert_array_equal(command[~turns], plain[~turns])
-    np.testing.assert_array_equal(command[:, 2], plain[:, 2])
-    assert np.quantile(command[turns, 2], [0.1, 0.9]) == pytest.approx([-0.62, 0.82], abs=0.1)
 
 
 def test_the_heading_of_any_attitude_is_that_of_the_x_axis():

@@ -9,8 +9,6 @@ The paper draws a command uniformly and keeps it for the episode. Isaac Lab's ta
 - `task.resample_steps`: the command is drawn again after this number of control steps (0: never);
 - `task.standing`: the probability, at each draw, of the command to stand still.
 
-`task.turning` is the probability of a command that only turns, on the spot: few uniform draws come near that.
-
 A tail keeps the command of its first row.
 """
 
@@ -30,15 +28,12 @@ def draw(task, hyper: Hyper, qpos, key: PRNGKeyArray) -> tuple[Float[Array, " 3"
     ranges = hyper.task.command_x, hyper.task.command_y, hyper.task.command_yaw
     *velocity, heading, standing = jax.random.uniform(key, (5,))
     command = [low + (high - low) * u for u, (low, high) in zip(velocity, ranges, strict=True)]
-    stands = hyper.task.standing
-    turns = (standing >= stands) & (standing < stands + hyper.task.turning)
     goal = Goal(
         heading=(2 * heading - 1) * jnp.pi,
-        standing=(standing < stands).astype(jnp.float32),
+        standing=(standing < hyper.task.standing).astype(jnp.float32),
         steps_left=jnp.int32(task.resample_steps),
     )
-    drawn = jnp.stack(command) * jnp.stack([1 - turns, 1 - turns, 1])
-    return follow(task, hyper, drawn, goal, qpos), goal
+    return follow(task, hyper, jnp.stack(command), goal, qpos), goal
 
 
 def follow(task, hyper: Hyper, command, goal: Goal, qpos):

@@ -387,8 +387,6 @@ def _measured(
         contact=contact,
         touchdown=contact & (after.contact_steps <= const.engine.substeps),
         last_air_time=after.last_air_steps * const.engine.timestep,
-        air_time=after.air_steps * const.engine.timestep,
-        contact_time=after.contact_steps * const.engine.timestep,
         lowest=jnp.where(const.undesired, after.lowest, jnp.inf).min(-1),
     )
 

@@ -35,7 +35,7 @@ from dynappo.tasks.velocity import gait
 # by `task.observation`, with the count of numbers behind it the name in policy files ("velocity-48"): a
 # policy that sees other numbers is refused by its name, so change it with them
 NAMES = {"full": "velocity", "onboard": "onboard"}
-CLOCKED = "-phase"  # follows the name of one with a gait clock, as in "velocity-phase-103"
+CLOCKED = "-phase"  # follows the name of one with a gait clock, as in "velocity-phase-101"
 # parts that no sensor tells, and the share of a gait clock that the policy is not to see
 UNSEEN = {"full": ("gait_turn",), "onboard": ("linear_velocity", "gait_turn")}
 

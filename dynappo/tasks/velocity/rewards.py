@@ -21,8 +21,8 @@ learns the sum of the others. A parameter with a default is the term's own const
 
 On quadrupeds only `track_*` earns a positive return: an episode of T seconds that tracks perfectly earns
 (w_lin + w_yaw) T, 45 on Go1. An untrained robot gets more penalty than reward, and a fall ends the
-penalties, so early in training episodes get shorter before they get longer. A biped also earns `alive`,
-`upright` and `posture`, and `task.fall_reward` makes a fall itself cost something.
+penalties, so early in training episodes get shorter before they get longer. A biped also earns
+`upright`, `posture` and `feet_phase`, and `task.fall_reward` makes a fall itself cost something.
 
 A biped's term whose weight is None is in no program. Their sources: Isaac Lab's flat G1 (2.2.1), mjlab 1.6
 and MuJoCo Playground 0.2 (G1JoystickFlatTerrain).
@@ -55,8 +55,6 @@ class Measured(NamedTuple):
     contact: Any  # [F] bool: the foot is on the ground
     touchdown: Any  # [F] bool: it came down in this control step
     last_air_time: Any  # [F] s, length of its last finished air phase
-    air_time: Any  # [F] s, since it left the ground; 0 while it is down
-    contact_time: Any  # [F] s, since it came down; 0 while it is in the air
     swing_height: Any  # [F] m, highest that its lowest point was in that phase
     older_action: Any  # [A] the action before `previous_action`
     over_limit: Any  # [A] rad, beyond the middle `task.reset.soft_limit` of a joint's range
@@ -152,11 +150,6 @@ def undesired_contacts(lowest):
     return (lowest < 0).sum() * 1.0
 
 
-def alive():
-    """1 in every row. Isaac Lab: is_alive."""
-    return 1.0
-
-
 def upright(gravity, std=0.45):
     """exp(-(g_x^2 + g_y^2) / `std`^2) of the gravity direction in the base frame. mjlab: upright."""
     return _exp(-(gravity[:2] ** 2).sum() / std**2)
@@ -168,29 +161,9 @@ def posture(joint_position, command, posture_std, posture_std_standing):
     The std (rad) of each joint is `task.posture_std`, or `posture_std_standing` where the command is to
     stand.
     """
-    off = _off_pose(joint_position, command, posture_std, posture_std_standing)
+    xp = joint_position.__array_namespace__()
+    off = joint_position / xp.where(_moving(command), posture_std, posture_std_standing)
     return _exp(-(off**2).mean())
-
-
-def posture_deviation(joint_position, command, posture_std, posture_std_standing):
-    """Sum over joints of (angle from the default pose / std)^2: a weight of 1 / std^2 for each joint.
-
-    Playground: pose, with weights 0.01 to 1; std as in `posture`.
-    """
-    return (_off_pose(joint_position, command, posture_std, posture_std_standing) ** 2).sum()
-
-
-def feet_air_time_biped(air_time, contact_time, command, most=0.4):
-    """Of a robot on exactly one foot, the shorter of how long (s) each foot has been where it is.
-
-    At most `most`; 0 on both feet, on none, and for a slow command. Isaac Lab:
-    feet_air_time_positive_biped. So it pays for long steps, and for no hop.
-    """
-    xp = air_time.__array_namespace__()
-    moving = (command[:2] ** 2).sum() > 0.1**2
-    down = contact_time > 0
-    since = xp.where(down, contact_time, air_time).min()
-    return xp.clip(since, None, most) * (down.sum() == 1) * moving
 
 
 def foot_slip(foot_velocity, gravity, contact):
@@ -198,19 +171,6 @@ def foot_slip(foot_velocity, gravity, contact):
     xp = foot_velocity.__array_namespace__()
     up = (foot_velocity * gravity).sum(-1, keepdims=True) * gravity
     return (xp.sqrt(((foot_velocity - up) ** 2).sum(-1)) * contact).sum()
-
-
-def foot_drag(foot_position, foot_velocity, gravity, wanted=0.1):
-    """Sum over feet of horizontal speed, m/s, times what the foot lacks to `wanted`, m, above the lowest.
-
-    Of the middles of feet. One that moves near the ground costs, and one that slides. mjlab: foot_clearance,
-    of heights above the ground, and for higher feet too; those above the lowest foot follow from joints.
-    """
-    xp = foot_velocity.__array_namespace__()
-    height = -(foot_position * gravity).sum(-1)
-    lacks = xp.clip(wanted - (height - height.min()), 0, None)
-    up = (foot_velocity * gravity).sum(-1, keepdims=True) * gravity
-    return (xp.sqrt(((foot_velocity - up) ** 2).sum(-1)) * lacks).sum()
 
 
 def feet_phase(foot_position, gravity, gait_phase, gait_foot_height, variance=0.01):
@@ -238,12 +198,6 @@ def feet_distance(foot_position, foot_side, least=0.2):
 def _moving(command):
     """Whether the command is to move: more than 0.1 in size."""
     return gait.moves(command)
-
-
-def _off_pose(joint_position, command, moving, standing):
-    """Angles from the default pose [A], in units of a std (rad), one number or [A]: that for the command."""
-    xp = joint_position.__array_namespace__()
-    return joint_position / xp.where(_moving(command), moving, standing)
 
 
 def _exp(x):
