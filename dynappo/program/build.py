@@ -209,8 +209,8 @@ def _step(compiled: Callable, together: int, hyper: Hyper, state, columns: dict[
     """`(state, metrics)` after a chunk: calls of `together` iterations, queued one after the other.
 
     How many is known when the program is compiled. A loop whose length is an argument would serve every
-    `run.log_every`, but the host waits for each of its rounds (`ppo16` on an H200: 10 % longer), and calls
-    of a single iteration cost 3 ms of Python each (experiments/03_speed).
+    `run.log_every`, but the host waits for each of its rounds (`ppo16` on an H200: 10 % longer). Calls of a
+    single iteration cost 3 ms of Python each (experiments/03_speed).
     """
     import jax
     import jax.numpy as jnp
