@@ -61,6 +61,8 @@ def main():
         room = {"XLA_PYTHON_CLIENT_PREALLOCATE": "false"} if args.workers > 1 else {}
         done = subprocess.run(command, env=os.environ | room, capture_output=True, text=True)
         said = (done.stderr.strip() or str(done.returncode)).splitlines()[-1]
+        if done.returncode:
+            (args.out / f"{name}.log").write_text(done.stderr)
         print(name, "done" if done.returncode == 0 else said, flush=True)
 
     with ThreadPoolExecutor(args.workers) as pool:

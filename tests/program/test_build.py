@@ -1,6 +1,7 @@
 """From a config to a compiled program: what does not fit is refused before, nothing else is changed."""
 
 import gc
+import runpy
 import threading
 
 import jax
@@ -10,6 +11,7 @@ import workdirs
 from answers import PATIENCE, refused
 from toy_runs import assert_close, assert_same
 
+from dynappo import config as config_lib
 from dynappo import scores
 from dynappo.config import ConfigError
 from dynappo.program import build, memory
@@ -122,6 +124,14 @@ def test_a_hopeless_size_is_refused_before_anything_is_compiled(monkeypatch):
     run = workdirs.config(rollout__num_envs=2**26)
     assert "the rollout alone needs" in refused(build.check, run)
     build.check(workdirs.config())
+
+
+@pytest.mark.parametrize("robot", ["go1", "go2", "anymal_c", "anymal_d", "g1"])
+def test_every_variant_of_every_robot_can_be_built(robot):
+    """A range that does not fit one robot's body, for example, was found on the GPU."""
+    variants = runpy.run_path("configs/default.py")["VARIANTS"]
+    for variant in (*variants, *["ppo"] * (robot == "g1")):
+        build.check(config_lib.validate(config_lib.load(f"configs/{robot}.py:{variant}")))
 
 
 def test_garbage_is_collected_after_a_build_also_after_one_that_failed(monkeypatch):
