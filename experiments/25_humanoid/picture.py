@@ -8,9 +8,9 @@ Ten frames 0.08 s apart, after three seconds in C MuJoCo: a stride at 1.4 stride
 import argparse
 from pathlib import Path
 
-import matplotlib.pyplot as plt
 import mujoco
 import numpy as np
+from PIL import Image
 
 from dynappo.policy import episode, policy_file, source
 
@@ -32,7 +32,7 @@ def main():
     poses = episode.play(body, act, lambda t: command, START + APART * FRAMES + 0.1)["qpos"]
     each = [round((START + APART * k) / episode.period(body)) for k in range(FRAMES)]
     rows = [np.concatenate(frames(body.model, poses[each], view), 1) for view in VIEWS]
-    plt.imsave(args.out, np.concatenate(rows))
+    Image.fromarray(np.concatenate(rows)).quantize(128).save(args.out)
 
 
 def frames(model, poses, azimuth: float) -> list[np.ndarray]:

@@ -2,13 +2,14 @@
 
     python experiments/25_humanoid/table.py
 
-How they walk: a row a policy. What was tried: a row a job, of its seeds: when they walk
-(`dynappo/policy/walks.py`, by tracking), in millions of simulator steps, each seed; and the last evaluation,
-in the mean: errors and falls.
+How they walk: a row a policy. Fresh: seeds that chose no setting. What was tried: a row a job, of its seeds:
+when they walk (`dynappo/policy/walks.py`, by tracking), in millions of simulator steps, each seed; and the
+last evaluation, in the mean: errors and falls.
 """
 
 import csv
 import lzma
+import re
 from itertools import groupby
 from pathlib import Path
 
@@ -36,10 +37,16 @@ GAIT = (  # heading, measure, command, format
     ("-0.5", "yaw_error", "turn -0.5", "{:.2f}"),
 )
 OF_ALL = "run."  # fields that say how it was run, not what was tried
+SHOULDERS = re.compile(r"task.posture_std=\S+")
+CLOCK = (  # what `configs/g1.py` has had since
+    "task.gait_frequency=(1.25,1.5) task.weights.feet_phase=1.0 task.weights.feet_air_time_biped=0.0"
+)
+SMOOTH = "task.weights.foot_slip=-0.5 task.weights.action_rate=-0.03"
 
 
 def main():
     gait()
+    fresh()
     tuning()
 
 
@@ -62,24 +69,47 @@ def gait():
     print()
 
 
+def evaluations(rows):
+    """`(M steps, m/s, rad/s, falls)`, each [evaluation, seed]."""
+    seeds = sorted({row["seed"] for row in rows})
+    of = [[row for row in rows if row["seed"] == seed] for seed in seeds]
+    names = "sim_steps", "tracking_error", "yaw_error", "fall_rate"
+    return [np.array([[float(row[name]) for row in seed] for seed in of]).T for name in names]
+
+
+def fresh():
+    """Ten seeds that chose no setting, of `best` and of PPO."""
+    print(
+        "| | walks: M steps, mean | last | within the errors, mean | last | in all | m/s | rad/s | falls |"
+    )
+    print("|---|---|---|---|---|---|---|---|---|")
+    rows = [row for row in read("tuning.csv.xz") if row["batch"] == "fresh"]
+    for name, some in groupby(rows, lambda row: row["name"].split("-")[0]):
+        steps, *errors = evaluations([*some])
+        found = walks.reached_by_tracking(steps, *errors)
+        cells = []
+        for each in (found.walks / 1e6, found.level / 1e6):
+            never = np.isnan(each).sum()
+            cells.append(f"{np.nanmean(each):.2f}")
+            cells.append(f"{np.nanmax(each):.2f}" + (f", {never} never" if never else ""))
+        cells.append(f"{steps[-1, 0] / 1e6:.2f}")
+        cells += [f"{error[-1].mean():.3f}" for error in errors[:2]]
+        print(f"| `{name}` |", " | ".join(cells), f"| {100 * errors[2][-1].mean():.1f} % |")
+    print()
+
+
 def tuning():
-    rows = read("tuning.csv.xz")
+    rows = [row for row in read("tuning.csv.xz") if row["batch"] != "fresh"]
     print("| run | what differs | walks, M steps | M steps in all | m/s | rad/s | falls |")
     print("|---|---|---|---|---|---|---|")
     for name, some in groupby(rows, lambda row: row["name"]):
         some = [*some]
-        seeds = sorted({row["seed"] for row in some})
-        of = [[row for row in some if row["seed"] == seed] for seed in seeds]
-
-        def column(key, of=of):
-            return np.array([[float(row[key]) for row in seed] for seed in of]).T
-
-        steps, error, yaw, falls = map(
-            column, ("sim_steps", "tracking_error", "yaw_error", "fall_rate")
-        )
+        steps, error, yaw, falls = evaluations(some)
         found = walks.reached_by_tracking(steps, error, yaw, falls).walks / 1e6
         said = ", ".join("never" if np.isnan(x) else f"{x:.2f}" for x in found)
-        robot, *fields = some[0]["job"].split()
+        job = SHOULDERS.sub("task.shoulders=0.5", some[0]["job"])
+        job = job.replace(CLOCK, "task.clock=on").replace(SMOOTH, "task.smooth=on")
+        robot, *fields = job.split()
         last = dict(field.split("=", 1) for field in fields if not field.startswith(OF_ALL))
         differs = " ".join(f"{k.split('.', 1)[1]}={v}" for k, v in last.items())
         print(
