@@ -1,4 +1,4 @@
-"""One picture of the four robots walking: walking.png.
+"""One picture of the bundled robots walking: walking.png.
 
     MUJOCO_GL=egl python experiments/01_four_robots/picture.py [OUT.png] [--frames ROBOT VX]
 
@@ -17,7 +17,8 @@ from dynappo.policy import episode, policy_file, source
 from experiments import paper, pictures
 
 NAMES = {"go1": "Unitree Go1", "go2": "Unitree Go2", "anymal_c": "ANYmal-C", "anymal_d": "ANYmal-D"}
-SIZE = 440, 720  # pixels, height and width of one robot
+HUMANOID = "g1"
+SIZE, TALL = (440, 720), (888, 500)  # pixels, height and width of one robot; of the humanoid
 SPEED = 0.8  # m/s
 # distance from the base (m), height looked at (m), time after which a stride is looked for (s)
 FRAMING = {
@@ -25,6 +26,7 @@ FRAMING = {
     "go2": (0.97, 0.185, 3.0),
     "anymal_c": (1.68, 0.355, 3.0),
     "anymal_d": (1.68, 0.335, 3.0),
+    "g1": (1.95, 0.655, 3.0),
 }
 
 
@@ -43,8 +45,8 @@ def walks(name, command, seconds=6.0):
 
 
 def stride(feet, start):
-    """The row after `start` where a diagonal pair is highest and the other is down."""
-    one, other = feet[:, [0, 3]], feet[:, [1, 2]]
+    """The row after `start` where a diagonal pair, or one of two feet, is highest and the other is down."""
+    one, other = (feet[:, [0, 3]], feet[:, [1, 2]]) if feet.shape[1] == 4 else np.split(feet, 2, 1)
     lifted = one.min(1) - 2 * np.maximum(other.max(1), 0)
     return start + int(lifted[start : start + 100].argmax())
 
@@ -87,6 +89,23 @@ def sheet(frames, labels, columns, out, dpi=100):
     pictures.palette(out)
 
 
+def beside(left, frame, label, out, dpi=100):
+    """Write the picture file `left` and, right of it, a tall one with its label."""
+    grid, gap = plt.imread(left)[..., :3], 8
+    rows, columns = max(grid.shape[0], frame.shape[0]), grid.shape[1] + gap + frame.shape[1]
+    whole = np.ones((rows, columns, 3))
+    whole[: grid.shape[0], : grid.shape[1]] = grid
+    whole[: frame.shape[0], grid.shape[1] + gap :] = frame / 255
+    figure = plt.figure(figsize=(columns / dpi, rows / dpi), dpi=dpi)
+    axis = figure.add_axes((0, 0, 1, 1))
+    axis.imshow(whole)
+    axis.axis("off")
+    style = dict(fontsize=SIZE[1] / 46, color="0.15", va="top")
+    axis.text(grid.shape[1] + gap + 0.03 * SIZE[1], 0.055 * SIZE[0], label, **style)
+    figure.savefig(out, dpi=dpi)
+    pictures.palette(out)
+
+
 def main():
     parser = paper.parser(__doc__)
     parser.add_argument("out", nargs="?", type=Path, default=Path(__file__).parent / "walking.png")
@@ -105,6 +124,10 @@ def main():
         k = stride(feet, round(FRAMING[name][2] / 0.02))
         frames += render(name, [poses[k]])
     sheet(frames, list(NAMES.values()), 2, args.out)
+    poses, feet = walks(HUMANOID, np.array([SPEED, 0.0, 0.0]))
+    k = stride(feet, round(FRAMING[HUMANOID][2] / 0.02))
+    (frame,) = render(HUMANOID, [poses[k]], TALL)
+    beside(args.out, frame, "Unitree G1", args.out)
 
 
 if __name__ == "__main__":
