@@ -565,6 +565,50 @@ def test_the_pages_of_the_bundled_policies_and_of_a_still_robot_have_the_numbers
     assert f"{row}{best['return']:.1f} | {laptop['return']:.1f} |" in page
 
 
+def test_the_bundled_policies_for_hardware_are_the_best_rows_of_their_file():
+    """choose.txt has five seeds a robot; robots/ROBOT/deploy.json says which of them is there."""
+    best = script("22_deploy/choose").best
+    rows = {}
+    for line in (EXPERIMENTS / "22_deploy/choose.txt").read_text().splitlines():
+        name, text = line.split(maxsplit=1)
+        rows[name] = {key: float(value) for key, value in map(str.split, text.split(", "))}
+    for robot in paper.ROBOTS:
+        mine = {name: row for name, row in rows.items() if name.startswith(f"{robot}-bundled.")}
+        bundled = json.loads((ROOT / f"robots/{robot}/deploy.json").read_text())
+        assert len(mine) == 5 and best(mine)[0] == f"{robot}-bundled.{bundled['seed']}"
+        assert bundled["run_seed"] == 700 + bundled["seed"]
+
+
+def test_a_seed_is_chosen_by_all_its_falls_and_then_by_its_error(monkeypatch):
+    from dynappo.evaluate import changes, stress, trials
+
+    choose = script("22_deploy/choose")
+    row = lambda falls, error: {"falls": falls, "tracking_error": error}  # noqa: E731
+    monkeypatch.setattr(stress, "run", lambda *_: [row(0, 0.1), row(8, None), row(1, 0.3)])
+    walks = [{"fall": None, "tracking_error": 0.16, "yaw_error": 0.25}]
+    walks += [{"fall": 0.5, "tracking_error": None, "yaw_error": None}]
+    monkeypatch.setattr(trials, "run", lambda policy, body: ({"commands": walks}, None))
+    told = {0: (1, 0), 1: (0, 2), 2: (0, 0)}
+    monkeypatch.setattr(
+        changes, "run", lambda _, seed: dict(zip(("falls", "start_falls"), told[seed], strict=True))
+    )
+    monkeypatch.setattr(changes, "tours", lambda _: [{"fell_at": []}, {"fell_at": [1.0, 4.0]}])
+    found = choose.measure("go1")
+    assert found.pop("error") == pytest.approx((0.2 + 0.16) / 2)
+    assert found == {"stress": 9, "commands": 1, "worst": 0.25, "changes": 3, "tours": 2}
+    rows = {
+        name: dict.fromkeys(choose.FALLS, 0) | {kind: falls, "error": error}
+        for name, kind, falls, error in (
+            ("a", "changes", 1, 0.01),
+            ("b", "tours", 1, 0.02),
+            ("c", "stress", 0, 0.09),
+            ("d", "commands", 2, 0.01),
+            ("e", "stress", 0, 0.08),
+        )
+    }
+    assert choose.best(rows) == ["e", "c", "a", "b", "d"]
+
+
 def test_seconds_are_counted_to_the_level_and_until_it_walks():
     seconds = script("21_less/seconds")
     about = {"gpu": "G", "name": "best"}

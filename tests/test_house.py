@@ -39,7 +39,14 @@ MAY_IMPORT = {
     "look": {"look", "policy", "physics", "tasks.velocity.partners", "config"},
     "web": {"web", "policy", "physics", "config"},
     "play": {"play", "web", "policy", "physics", "config"},
-    "export": {"export", "policy", "physics", "tasks.velocity.observe", "config"},
+    "export": {
+        "export",
+        "policy",
+        "physics",
+        "tasks.velocity.observe",
+        "tasks.velocity.gait",
+        "config",
+    },
     "bench": {"bench", "program", "config", "method", "model"},
 }
 WITHOUT_JAX = {"policy", "adopt", "look", "web", "play", "export", "config", "schedule"}

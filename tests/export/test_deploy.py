@@ -13,7 +13,6 @@ import pytest
 from answers import ROOT
 from toy_onnx import MOTORS, infer, onnx_file
 
-from dynappo import config as config_lib
 from dynappo.export import command as export_command
 from dynappo.export import joint_order
 from dynappo.physics import actuators
@@ -37,20 +36,23 @@ def body_of(policy):
 
 
 def test_its_tables_are_those_of_the_code(bundled):
-    """Indices, units, noise; gains, limits and scales of the configs."""
+    """Indices, units, noise; gains, limits and scales of the bundled policies."""
     rows = [line.split(" | ") for line in PAGE.splitlines() if re.match(r"\| \d+-\d+ \|", line)]
     for cells, row in zip(rows, onnx_file.observation_table(bundled), strict=True):
         assert cells[0] == f"| {row['start']}-{row['stop'] - 1}" and cells[2] == row["unit"]
         assert cells[4] == (f"+-{row['noise']:g}" if row["noise"] else "none")
-    numbers = ("| `kp`", "| `effort", "| `action_scale`")
+    numbers = ("| `kp`", "| `effort", "| `velocity", "| `action_scale`")
     lines = [line for line in PAGE.splitlines() if line.startswith(numbers)]
     for column, robots in ((1, ["go1"]), (2, ["go2"]), (3, ["anymal_c", "anymal_d"])):
         for name in robots:
-            task = config_lib.load(f"configs/{name}.py:dyna4").task
-            gains, limits, scale = (line.strip("| ").split(" | ")[column] for line in lines)
-            assert gains.split(", and")[0] == f"{task.kp:g}, {task.kd:g}"
-            assert limits == f"{task.effort_limit:g}, {task.velocity_limit:g}"
-            assert scale == f"{task.action_scale:g}"
+            policy = source.load(f"{name}_deploy")[0]
+            gains, effort, speed, scale = (line.strip("| ").split(" | ")[column] for line in lines)
+            assert gains.split(", and")[0] == f"{policy.kp:g}, {policy.kd:g}"
+            for said, limits in ((effort, policy.effort_limit), (speed, policy.velocity_limit)):
+                legs = np.broadcast_to(limits, 12).reshape(4, 3)  # hip, thigh, calf
+                assert (legs == legs[0]).all() and legs[0, 0] == legs[0, 1]
+                assert said == "; ".join(dict.fromkeys(f"{limit:g}" for limit in legs[0, 1:]))
+            assert scale == f"{policy.action_scale:g}"
 
 
 @pytest.mark.parametrize("order", ["mjcf", "isaaclab"])
@@ -105,7 +107,7 @@ def loop(bundled, tmp_path, monkeypatch):
         def send(target, kp, kd):
             assert (kp, kd) == (policy.kp, policy.kd) and not damped
             torque = actuators.pd(target, data.qpos[body.joint_q], data.qvel[body.joint_v], kp, kd)
-            assert np.abs(torque).max() <= policy.effort_limit + 1e-9
+            assert (np.abs(torque) <= policy.effort_limit + 1e-9).all()
             broken(len(path))
             action = (target - policy.default_pose) / policy.action_scale
             fell.append(episode.step(body, data, action)[1])
