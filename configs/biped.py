@@ -1,8 +1,8 @@
 """Robots on two feet: the task that `g1.py` and adopted bipeds have, and the sizes that learn it.
 
-Rewards are put together from three published tasks of Unitree's G1: Isaac Lab 2.2.1 (IL), mjlab 1.6 and MuJoCo
-Playground 0.2 (PG), whose gait clock makes the walk. experiments/25_humanoid has what was measured, of `best`
-and `ppo`. These variants are this file's; those of the paper are `default.py`'s.
+Rewards are put together from three published tasks of Unitree's G1: Isaac Lab 2.2.1 (IL), mjlab 1.6 and
+MuJoCo Playground 0.2 (PG), whose gait clock makes the walk. experiments/25_humanoid has what was measured, of
+`best` and `ppo`. These variants are this file's; those of the paper are `default.py`'s.
 
 | variant          | robots | rows N | tail N_s | for                                                 |
 |------------------|--------|--------|----------|-----------------------------------------------------|

@@ -231,9 +231,14 @@ def _moves(sinks: float) -> str:
 
 
 def _less(robot, kd) -> np.ndarray:
-    """Factors [A] up to 1 with which `kd` is stable: of each joint alone, then of all together."""
+    """Factors [A] up to 1 with which `kd` is stable: of each joint alone, then of all together.
+
+    A kind of joint has one: links of published robots differ a little left and right, motors must not.
+    """
     alone = TIMESTEP * np.diag(robot_lib.joint_mobility(robot)) * kd
     factors = np.minimum(1.0, BEST_DAMPS / np.maximum(alone, 1e-12))
+    for joints in kinds_lib.kinds(robot.joint_names).values():
+        factors[joints] = factors[joints].min()
     together = robot_lib.damping_rate(robot, kd * factors, TIMESTEP)
     return factors * min(1.0, BEST_DAMPS / max(together, 1e-12))
 

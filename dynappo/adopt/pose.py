@@ -63,7 +63,8 @@ def _of_scene(scene: Path, model: mujoco.MjModel) -> np.ndarray | None:
     except (ValueError, RuntimeError, mujoco.FatalError):
         return None
     joints = [model.joint(i).name for i in range(model.njnt)]
-    if [joint.name for joint in spec.joints] != joints or len(spec.bodies) < 2:
+    names = [joint.name or f"joint{i}" for i, joint in enumerate(spec.joints)]  # as source.read's
+    if names != joints or len(spec.bodies) < 2:
         return None
     keys = sorted(spec.keys, key=lambda key: key.name != "home")
     fits = [np.array(key.qpos) for key in keys if len(key.qpos) == model.nq]
