@@ -163,8 +163,8 @@ def loaded(spec: mujoco.MjSpec, name: str, file: source.Source) -> robot_lib.Rob
 
 @contextlib.contextmanager
 def new_folder(folder: Path):
-    """Yields a folder beside `folder`; at the end it becomes `folder`, or its files replace those there.
-    After an error nothing is left."""
+    """Yields a folder beside `folder`; at the end it becomes `folder`, or its files replace those there
+    and the looks of an earlier adoption. After an error nothing is left."""
     part = folder.with_name(f".{folder.name}.part")
     missing = [above for above in part.parents if not above.exists()]
     try:
@@ -172,7 +172,9 @@ def new_folder(folder: Path):
         part.mkdir(parents=True)
         yield part
         if folder.exists():  # what somebody else put there stays
+            old = looks.written(folder / "assets")
             shutil.copytree(part, folder, dirs_exist_ok=True)
+            looks.remove([path for path in old if not (part / "assets" / path.name).exists()])
             shutil.rmtree(part)
         else:
             part.rename(folder)
