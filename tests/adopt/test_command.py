@@ -195,9 +195,18 @@ MISTAKES = {  # arguments, what the line must say
     "no legs": (["ball.xml"], "ball.xml: no legs found"),
     "a folder": (["assets"], "assets: it is a folder; name the MJCF"),
     "a xacro": (["macro.xml"], "macro.xml: it is a xacro; make a URDF of it first: xacro FILE > "),
-    "no namespace": (["unbound.xml"], "it is a xacro and no XML (unbound prefix: line 1, column 7); make"),
-    "cut": (["cut.xacro"], "cut.xacro: it is a xacro and no XML (no element found: line 1, column 7); make"),
-    "values": (["computed.xacro"], "computed.xacro: it is a xacro; make a URDF of it first: xacro FILE > "),
+    "no namespace": (
+        ["unbound.xml"],
+        "it is a xacro and no XML (unbound prefix: line 1, column 7); make",
+    ),
+    "cut": (
+        ["cut.xacro"],
+        "cut.xacro: it is a xacro and no XML (no element found: line 1, column 7); make",
+    ),
+    "values": (
+        ["computed.xacro"],
+        "computed.xacro: it is a xacro; make a URDF of it first: xacro FILE > ",
+    ),
     "biped": (["toy.xml", "--name=biped"], "dynappo has that itself"),
     "a flag": (["toy.xml", "--nam=x"], "--nam=x: no such flag"),
 }
