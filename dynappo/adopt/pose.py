@@ -14,6 +14,11 @@ BENT = 0.85  # of the longest reach, from the leg's second joint to its end
 GRID = 41  # angles of each joint that are tried
 WIDEST = 1.6  # rad from the joint's zero
 ASIDE = 0.02  # of the reach: how far ahead of the joint the foot may stand
+KNEE = (
+    0.66  # rad, of a biped's leg; hip and ankle turn back by half: about a G1's knees_bent in mjlab
+)
+LEVEL = 0.02  # m, by which the ends of two legs may differ in height
+ALONG = 0.9  # of an axis' unit length
 HINGE = mujoco.mjtJoint.mjJNT_HINGE
 
 
@@ -22,8 +27,8 @@ def candidates(
 ) -> Iterator[tuple[mujoco.MjSpec, list[str]]]:
     """Copies of a spec with a keyframe, the best first, each with a line on its source.
 
-    The file's own keyframe; that of a scene beside the file; bent legs. Each is for a robot that cannot stand
-    in the one before.
+    The file's own keyframe; that of a scene beside the file; bent legs, of four or of two. Each is for a
+    robot that cannot stand in the one before.
     """
     if spec.keys:
         yield spec.copy(), []
@@ -35,15 +40,15 @@ def candidates(
                 [f"home: the file has no keyframe; that of {scene.name} beside it"],
             )
             break
+    why = "the robot does not stand in the file's keyframe" if spec.keys else "no keyframe"
     qpos, bent = _bent(model)
     if bent:
-        why = "the robot does not stand in the file's keyframe" if spec.keys else "no keyframe"
-        yield (
-            _with_home(spec, qpos),
-            [
-                f"home: {why}; {bent} legs bent to {BENT:.0%} of their reach, feet below their joints"
-            ],
-        )
+        how = f"{bent} legs bent to {BENT:.0%} of their reach, feet below their joints"
+        yield _with_home(spec, qpos), [f"home: {why}; {how}"]
+    qpos = _bent_knees(model)
+    if qpos is not None:
+        how = f"knees of two legs bent by {KNEE:g} rad, hips and ankles back by half of that"
+        yield _with_home(spec, qpos), [f"home: {why}; {how}"]
     if not spec.keys:
         yield _with_home(spec, model.qpos0), ["home: no keyframe; all joints are at rest"]
 
@@ -79,11 +84,8 @@ def _bent(model: mujoco.MjModel) -> tuple[np.ndarray, int]:
     nearest to the middle of its range. Without a limited range it takes one whose knee points to the base's
     middle.
     """
-    data, qpos, count = mujoco.MjData(model), model.qpos0.copy(), 0
-    if model.njnt and model.jnt_type[0] == mujoco.mjtJoint.mjJNT_FREE:
-        qpos[3:7] = [1, 0, 0, 0]
-    chains = _limbs(model)
-    for chain in chains:
+    data, qpos, count = mujoco.MjData(model), _at_rest(model), 0
+    for chain in _limbs(model):
         if len(chain) != 3 or any(model.jnt_type[joint] != HINGE for joint in chain):
             continue
         angles = _angles(model, data, qpos, chain)
@@ -91,6 +93,47 @@ def _bent(model: mujoco.MjModel) -> tuple[np.ndarray, int]:
             qpos[model.jnt_qposadr[chain[1:]]] = angles
             count += 1
     return qpos, count
+
+
+def _bent_knees(model: mujoco.MjModel) -> np.ndarray | None:
+    """The pose at rest with bent knees and flat feet; None if there are not two legs that reach lowest.
+
+    Hip, knee and ankle are the first three joints about the y axis of a limb that has no more of them. The
+    knee goes forward; backward if ranges allow only that.
+    """
+    data, qpos = mujoco.MjData(model), _at_rest(model)
+    data.qpos[:] = qpos
+    mujoco.mj_kinematics(model, data)
+    across = data.xaxis[:, 1]
+    legs = []
+    for chain in _limbs(model):
+        pitch = [j for j in chain if model.jnt_type[j] == HINGE and abs(across[j]) > ALONG]
+        if len(pitch) == 3:
+            legs.append((data.xpos[model.jnt_bodyid[chain[-1]], 2], pitch))
+    legs = [leg for leg in legs if leg[0] < min(low for low, _ in legs) + LEVEL]
+    if len(legs) != 2:
+        return None
+    for forward in (1, -1):
+        bent = qpos.copy()
+        for _, pitch in legs:
+            bent[model.jnt_qposadr[pitch]] += (
+                forward * np.sign(across[pitch]) * KNEE * np.array([-0.5, 1, -0.5])
+            )
+        low, high = model.jnt_range[:, 0], model.jnt_range[:, 1]
+        angles = bent[model.jnt_qposadr]
+        joints = np.concatenate([pitch for _, pitch in legs])
+        inside = ~model.jnt_limited.astype(bool) | ((low <= angles) & (angles <= high))
+        if inside[joints].all():
+            return bent
+    return None
+
+
+def _at_rest(model: mujoco.MjModel) -> np.ndarray:
+    """All joints at rest, the base upright."""
+    qpos = model.qpos0.copy()
+    if model.njnt and model.jnt_type[0] == mujoco.mjtJoint.mjJNT_FREE:
+        qpos[3:7] = [1, 0, 0, 0]
+    return qpos
 
 
 def _limbs(model: mujoco.MjModel) -> list[list[int]]:

@@ -115,7 +115,7 @@ def _of_two_feet(robot: robot_lib.Robot) -> str:
     """The lines of a biped's config beside those of every robot."""
     task, _ = bipeds.choose(robot)
     posture = kinds.patterns(robot.joint_names, task.posture_std)
-    apart = "" if task.feet_distance else "    task.weights.feet_distance = 0.0\n"
+    apart = "" if task.feet_distance else "    task.weights.feet_distance = None\n"
     return (
         f"    # Hz and m of steps; rad, from the default pose\n"
         f"    task.gait_frequency = {task.gait_frequency}\n"

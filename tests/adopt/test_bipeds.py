@@ -82,7 +82,7 @@ def test_an_adopted_biped_has_the_task_of_the_g1(adopted):
     assert config.task.gait_foot_height == pytest.approx(0.15 * height, rel=0.05)
     weights = config.task.weights
     assert weights.joint_torques == pytest.approx(-2e-6 * (33.34 / mass) ** 1.5, rel=0.05)
-    assert weights.feet_distance == 0.0  # they are 16 cm apart
+    assert weights.feet_distance is None  # they are 16 cm apart
     weights.update(joint_torques=g1.task.weights.joint_torques, feet_distance=-1.0)
     assert weights == g1.task.weights
     for group in ("ppo", "model", "schedule", "rollout", "run", "physics"):
@@ -168,3 +168,31 @@ def test_a_pose_of_a_scene_is_found_where_the_free_joint_has_no_name(tmp_path, m
     assert run("toy.xml") == 0
     assert "that of scene.xml beside it" in capsys.readouterr().out
     assert robot_lib.load("toy").default_pose[3] == 0.6
+
+
+@pytest.mark.parametrize(
+    ("signs", "limits"), [((1, 1), "0 2.3"), ((1, -1), "-3 3"), ((1, 1), "-2.3 0")]
+)
+def test_without_a_pose_knees_are_bent_and_feet_stay_flat(signs, limits, tmp_path, monkeypatch):
+    """Forward, where the knee's range allows it, whatever the signs of the axes left and right are."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(command, "look", lambda *_: None)
+    spec = mujoco.MjSpec.from_string(other_robots.biped().text)
+    spec.delete(spec.keys[0])
+    for side, sign in zip(("left", "right"), signs, strict=True):
+        for joint in ("hip_pitch", "knee", "ankle_pitch"):
+            one = spec.joint(f"{side}_{joint}")
+            one.axis = [0, sign, 0]
+            one.range = [-3, 3] if joint != "knee" else np.array(limits.split(), float)
+    spec.compile()
+    Path("toy.xml").write_text(spec.to_xml())
+    assert run("toy.xml") == 0
+    robot = robot_lib.load("toy")
+    data = mujoco.MjData(robot.mj_model)
+    data.qpos[:] = robot.home_qpos
+    mujoco.mj_kinematics(robot.mj_model, data)
+    ahead = -1 if limits.endswith(" 0") else 1
+    for side in ("left", "right"):
+        knee, hip = (data.joint(f"{side}_{name}").xanchor for name in ("knee", "hip_pitch"))
+        assert ahead * (knee - hip)[0] == pytest.approx(np.sin(0.33) * 0.25, abs=1e-6)
+        np.testing.assert_allclose(data.geom(f"{side}_foot").xmat, np.eye(3).ravel(), atol=1e-9)
