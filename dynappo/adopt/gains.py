@@ -2,17 +2,17 @@
 
 The rules, for joint j of a robot of mass m whose feet hang l below the base:
 
-    effort     the file's, if it is below 2 m g l (no real motor reaches that); else of m g l at knees 0.45,
-               at hips and waist 0.3, at ankles 0.15, elsewhere 0.08
+    effort     the file's, if it is below 2 m g l (no real motor reaches that); else of m g l 0.45 at hips
+               and knees, 0.3 at the waist, 0.15 at ankles, elsewhere 0.08
     kp         effort / 1 rad; higher for all joints, up to effort / 0.45 rad, if a robot on three feet or
                more sinks by more than 15 % of its height (`sag`)
     kd         kp x 0.025 s, but it takes at most 0.4 of a joint's speed in a physics step
     armature   0.0006 kg m^2 for each N m of effort, where the file has none
     scale      0.25 rad of exploration, but at most a third of the effort: effort / (3 kp)
 
-Limits of 14 published files, in m g l: hips 0.15 to 1, knees 0.24 to 1.1, waists 0.15 to 0.5, ankles 0.06 to
-0.25, arms and heads 0.01 to 0.14. A knee has 1 to 2 times as much as the hips, Isaac Lab's Spot 2.5 times (45
-and up to 115 N m, 0.2 and 0.5 m g l).
+Limits of 14 published files, in m g l: waists 0.15 to 0.5, ankles 0.06 to 0.25, arms and heads 0.01 to 0.14.
+Of ten quadrupeds hips have 0.2 to 1, in the median 0.42, and knees 0.24 to 1.1, in the median 0.5. A knee
+has as much as a hip or up to twice, Isaac Lab's Spot 2.5 times (0.2 and 0.5): one number fits as well as two.
 
 The configs of Go1, Go2, the ANYmals and Spot lie near these rules (kp / effort 0.9 to 1.6 /rad, kd / kp 0.02
 to 0.06 s), and so do others: mjlab's action scale is effort / (4 kp), its kd / kp 0.064 s; Unitree's and
@@ -36,7 +36,7 @@ from dynappo.physics import kinds as kinds_lib
 from dynappo.physics import robot as robot_lib
 
 TIMESTEP = 0.005  # s, of physics
-STRENGTH = {"knee": 0.45, "hip": 0.3, "waist": 0.3, "ankle": 0.15}  # of m g l: what is assumed
+STRENGTH = {"hip": 0.45, "knee": 0.45, "waist": 0.3, "ankle": 0.15}  # of m g l: what is assumed
 WEAKER, STRONGEST = 0.08, 2.0  # of m g l: elsewhere; what is believed
 SAG, STANDS = 0.15, 5.0  # of its height, that it may sink by in so many s, as in `look`
 RATIO = 0.025  # s, kd / kp
@@ -72,7 +72,7 @@ def efforts(robot: robot_lib.Robot, published: Published) -> tuple[np.ndarray, l
     each, names, out = weight(robot) * reach(robot), robot.joint_names, published.effort
     most, where = STRONGEST * each, places.places(robot)[0]
     shares = np.array([STRENGTH.get(place, WEAKER) for place in where])
-    ruled = np.array([float(f"{share * each:.3g}") for share in shares])
+    ruled = np.round(shares * each, 1 if each > 10 else 2)
     none, odd = np.isnan(out), out > most
     told, good = [], ~(none | odd)
     if odd.any():
@@ -89,12 +89,15 @@ def efforts(robot: robot_lib.Robot, published: Published) -> tuple[np.ndarray, l
 
 
 def _rule(shares, ruled, where, asked) -> str:
-    """`hips 0.3 m g l = 68.1 N m, knees ...` for the joints `asked` [A]."""
-    said = {}
+    """`0.45 m g l = 36 N m`, with the places where there are several, for the joints `asked` [A]."""
+    said: dict[str, list[str]] = {}
     for share, most, place in zip(shares[asked], ruled[asked], where[asked], strict=True):
         name = f"{place}s" if place in STRENGTH else "others"
-        said[name] = f"{name} {share:g} m g l = {most:g} N m"
-    return ", ".join(said.values())
+        names = said.setdefault(f"{share:g} m g l = {most:g} N m", [])
+        names += [name] * (name not in names)
+    if len(said) == 1:
+        return next(iter(said))
+    return ", ".join(f"{' and '.join(names)} {limit}" for limit, names in said.items())
 
 
 def at(names: tuple[str, ...], where: np.ndarray) -> str:
