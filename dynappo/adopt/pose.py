@@ -14,9 +14,8 @@ BENT = 0.85  # of the longest reach, from the leg's second joint to its end
 GRID = 41  # angles of each joint that are tried
 WIDEST = 1.6  # rad from the joint's zero
 ASIDE = 0.02  # of the reach: how far ahead of the joint the foot may stand
-KNEE = (
-    0.66  # rad, of a biped's leg; hip and ankle turn back by half: about a G1's knees_bent in mjlab
-)
+# rad: a biped's knee is straight up to the first, and then bent by the second, about as in mjlab's G1
+STRAIGHT, KNEE = 0.25, 0.66
 LEVEL = 0.02  # m, by which the ends of two legs may differ in height
 ALONG = 0.9  # of an axis' unit length
 HINGE = mujoco.mjtJoint.mjJNT_HINGE
@@ -27,30 +26,37 @@ def candidates(
 ) -> Iterator[tuple[mujoco.MjSpec, list[str]]]:
     """Copies of a spec with a keyframe, the best first, each with a line on its source.
 
-    The file's own keyframe; that of a scene beside the file; bent legs, of four or of two. Each is for a
-    robot that cannot stand in the one before.
+    The file's own keyframe; that of a scene beside the file; bent legs; all joints at rest. Each is for a
+    robot that cannot stand in the one before. Straight knees of two legs are bent first.
     """
     if spec.keys:
+        key = next((key for key in spec.keys if key.name == "home"), spec.keys[0])
+        yield from _knees(spec, model, np.array(key.qpos), "the file's keyframe")
         yield spec.copy(), []
     for scene in sorted(xml.parent.glob("*.xml")) if not spec.keys else []:
         found = _of_scene(scene, model) if scene != xml else None
         if found is not None:
-            yield (
-                _with_home(spec, found),
-                [f"home: the file has no keyframe; that of {scene.name} beside it"],
-            )
+            what = f"the file has no keyframe; that of {scene.name} beside it"
+            yield from _knees(spec, model, found, what)
+            yield _with_home(spec, found), [f"home: {what}"]
             break
     why = "the robot does not stand in the file's keyframe" if spec.keys else "no keyframe"
     qpos, bent = _bent(model)
     if bent:
         how = f"{bent} legs bent to {BENT:.0%} of their reach, feet below their joints"
         yield _with_home(spec, qpos), [f"home: {why}; {how}"]
-    qpos = _bent_knees(model)
-    if qpos is not None:
-        how = f"knees of two legs bent by {KNEE:g} rad, hips and ankles back by half of that"
-        yield _with_home(spec, qpos), [f"home: {why}; {how}"]
     if not spec.keys:
-        yield _with_home(spec, model.qpos0), ["home: no keyframe; all joints are at rest"]
+        what = "no keyframe; all joints are at rest"
+        yield from _knees(spec, model, _at_rest(model), what)
+        yield _with_home(spec, model.qpos0), [f"home: {what}"]
+
+
+def _knees(spec, model, qpos: np.ndarray, what: str) -> Iterator[tuple[mujoco.MjSpec, list[str]]]:
+    """A candidate with bent knees, if two legs are straight in the pose `qpos`."""
+    bent = _bent_knees(model, qpos) if len(qpos) == model.nq else None
+    if bent is not None:
+        how = f"straight knees are bent by {KNEE:g} rad, hips and ankles turn back by half of that"
+        yield _with_home(spec, bent), [f"home: {what}, but {how}"]
 
 
 def _with_home(spec: mujoco.MjSpec, qpos: np.ndarray) -> mujoco.MjSpec:
@@ -95,37 +101,41 @@ def _bent(model: mujoco.MjModel) -> tuple[np.ndarray, int]:
     return qpos, count
 
 
-def _bent_knees(model: mujoco.MjModel) -> np.ndarray | None:
-    """The pose at rest with bent knees and flat feet; None if there are not two legs that reach lowest.
+def _bent_knees(model: mujoco.MjModel, qpos: np.ndarray) -> np.ndarray | None:
+    """A pose with the knees of two legs bent, the feet turned as they were; None if there are not two that
+    reach lowest, or their knees are bent already.
 
-    Hip, knee and ankle are the first three joints about the y axis of a limb that has no more of them. The
-    knee goes forward; backward if ranges allow only that.
+    Hip, knee and ankle are the joints about the y axis of a limb that has three. The knee goes forward;
+    backward if ranges allow only that.
     """
-    data, qpos = mujoco.MjData(model), _at_rest(model)
+    data = mujoco.MjData(model)
     data.qpos[:] = qpos
     mujoco.mj_kinematics(model, data)
-    across = data.xaxis[:, 1]
-    legs = []
+    across, legs = data.xaxis[:, 1], []
     for chain in _limbs(model):
         pitch = [j for j in chain if model.jnt_type[j] == HINGE and abs(across[j]) > ALONG]
         if len(pitch) == 3:
             legs.append((data.xpos[model.jnt_bodyid[chain[-1]], 2], pitch))
-    legs = [leg for leg in legs if leg[0] < min(low for low, _ in legs) + LEVEL]
-    if len(legs) != 2:
+    legs = [pitch for low, pitch in legs if low < min(low for low, _ in legs) + LEVEL]
+    if len(legs) != 2 or max(_bend(data.xanchor[pitch]) for pitch in legs) > STRAIGHT:
         return None
+    joints = np.concatenate(legs)
+    where = model.jnt_qposadr[joints]
+    low, high = model.jnt_range[joints].T
     for forward in (1, -1):
         bent = qpos.copy()
-        for _, pitch in legs:
-            bent[model.jnt_qposadr[pitch]] += (
-                forward * np.sign(across[pitch]) * KNEE * np.array([-0.5, 1, -0.5])
-            )
-        low, high = model.jnt_range[:, 0], model.jnt_range[:, 1]
-        angles = bent[model.jnt_qposadr]
-        joints = np.concatenate([pitch for _, pitch in legs])
-        inside = ~model.jnt_limited.astype(bool) | ((low <= angles) & (angles <= high))
-        if inside[joints].all():
+        bent[where] += forward * KNEE * np.sign(across[joints]) * np.tile([-0.5, 1, -0.5], 2)
+        inside = (low <= bent[where]) & (bent[where] <= high)
+        if (inside | ~model.jnt_limited[joints].astype(bool)).all():
             return bent
     return None
+
+
+def _bend(places: np.ndarray) -> float:
+    """The angle (rad) of a knee, from the places [3, 3] of hip, knee and ankle, seen from the side."""
+    thigh, shank = np.diff(places[:, ::2], axis=0)
+    cosine = thigh @ shank / np.linalg.norm(thigh) / np.linalg.norm(shank)
+    return float(np.arccos(np.clip(cosine, -1, 1)))
 
 
 def _at_rest(model: mujoco.MjModel) -> np.ndarray:

@@ -196,3 +196,16 @@ def test_without_a_pose_knees_are_bent_and_feet_stay_flat(signs, limits, tmp_pat
         knee, hip = (data.joint(f"{side}_{name}").xanchor for name in ("knee", "hip_pitch"))
         assert ahead * (knee - hip)[0] == pytest.approx(np.sin(0.33) * 0.25, abs=1e-6)
         np.testing.assert_allclose(data.geom(f"{side}_foot").xmat, np.eye(3).ravel(), atol=1e-9)
+
+
+@pytest.mark.parametrize(("knee", "expected"), [(0.1, 0.76), (0.4, 0.4)])
+def test_straight_knees_of_a_pose_are_bent_and_others_stay(knee, expected, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(command, "look", lambda *_: None)
+    spec = mujoco.MjSpec.from_string(other_robots.biped().text)
+    spec.keys[0].qpos = [0, 0, 1, 1, 0, 0, 0, *[0, 0, -knee / 2, knee, -knee / 2, 0] * 2]
+    spec.compile()
+    Path("toy.xml").write_text(spec.to_xml())
+    assert run("toy.xml") == 0
+    pose = robot_lib.load("toy").default_pose
+    np.testing.assert_allclose(pose, [0, 0, -expected / 2, expected, -expected / 2, 0] * 2)
