@@ -73,7 +73,7 @@ def check_free(name: str, force: bool) -> tuple[Path, Path]:
     """`(folder, config file)` that will be written, in the working directory; ConfigError if they are
     taken."""
     folder, config = Path("robots") / name, Path("configs") / f"{name}.py"
-    if name == "default" or files.find("robots", f"{name}/{name}.xml", own=True):
+    if name in ("default", "biped") or files.find("robots", f"{name}/{name}.xml", own=True):
         raise ConfigError(f"--name={name}: dynappo has that itself; take another name")
     for path in (folder, config):
         if path.exists() and not force:
@@ -95,8 +95,7 @@ def make(file: source.Source, name: str, part: Path) -> Adopted:
         effort, _ = gains.efforts(robot, published)
         told += normal.joints(spec, robot.joint_names, published, effort)
         robot = loaded(spec, name, file)
-        std = writing.INIT_STD[writing.light(robot)]
-        chosen, more = gains.choose(robot, published, std)
+        chosen, more = gains.choose(robot, published, writing.init_std(robot))
         if len(robot.foot_names) > 2:
             poses = gains.stance(robot, chosen.kp, chosen.kd, chosen.effort_limit)
             told += normal.clear(spec, robot, poses)
@@ -164,8 +163,8 @@ def loaded(spec: mujoco.MjSpec, name: str, file: source.Source) -> robot_lib.Rob
 
 @contextlib.contextmanager
 def new_folder(folder: Path):
-    """Yields a folder beside `folder`; at the end it becomes `folder`, or its files replace those there.
-    After an error nothing is left."""
+    """Yields a folder beside `folder`; at the end it becomes `folder`, or its files replace those there
+    and the looks of an earlier adoption. After an error nothing is left."""
     part = folder.with_name(f".{folder.name}.part")
     missing = [above for above in part.parents if not above.exists()]
     try:
@@ -173,7 +172,9 @@ def new_folder(folder: Path):
         part.mkdir(parents=True)
         yield part
         if folder.exists():  # what somebody else put there stays
+            old = looks.written(folder / "assets")
             shutil.copytree(part, folder, dirs_exist_ok=True)
+            looks.remove([path for path in old if not (part / "assets" / path.name).exists()])
             shutil.rmtree(part)
         else:
             part.rename(folder)

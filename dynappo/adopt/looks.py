@@ -6,6 +6,8 @@ goes to its place in the world, with the base at the origin and the joints of bo
 
 from __future__ import annotations
 
+import contextlib
+import hashlib
 import shutil
 from pathlib import Path
 
@@ -15,6 +17,7 @@ import numpy as np
 from dynappo.adopt.source import Source
 
 LOOKS, SHAPES, DRAWN = 2, 3, 0  # groups
+SUMS = "SHA256SUMS"  # which files are from here; `sha256sum -c` reads it
 MESH = mujoco.mjtGeom.mjGEOM_MESH
 
 
@@ -52,7 +55,34 @@ def draw(spec: mujoco.MjSpec, source: Source, base: str, assets: Path) -> tuple[
         if geom.material:
             new.material = copied.material(geom.material)
     spec.meshdir = spec.texturedir = assets.name
+    if copied.files:
+        lines = [f"{_digest(assets / name)}  {name}\n" for name in sorted(copied.files.values())]
+        (assets / SUMS).write_text("".join(lines), encoding="utf-8", newline="\n")
     return len(looks), len(copied.files)
+
+
+def written(assets: Path) -> list[Path]:
+    """The files of the folder `assets` that an adoption wrote and nobody has changed, with their list."""
+    if not (assets / SUMS).is_file():
+        return []
+    lines = (assets / SUMS).read_text(encoding="utf-8", errors="replace").splitlines()
+    sums = [line.partition("  ")[::2] for line in lines]
+    paths = [(assets / name, digest) for digest, name in sums if name == Path(name).name]
+    same = [path for path, digest in paths if path.is_file() and _digest(path) == digest]
+    return [*same, assets / SUMS]
+
+
+def remove(files: list[Path]) -> None:
+    """Remove files, and their folder if nothing else is in it."""
+    for path in files:
+        path.unlink()
+    with contextlib.suppress(OSError):  # somebody has files there
+        for folder in {path.parent for path in files}:
+            folder.rmdir()
+
+
+def _digest(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def _drawn(geom) -> bool:

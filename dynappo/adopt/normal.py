@@ -18,7 +18,7 @@ WIDE = 9.42  # rad, of a joint without a range
 CLEAR = 1.1  # of a foot's radius
 ABOVE = 0.01  # m above the ground: so high end parts that would touch it
 LIES = 0.7  # of its height
-JOINTS = mujoco.mjtEq.mjEQ_JOINT
+JOINTS, JOINT = mujoco.mjtEq.mjEQ_JOINT, mujoco.mjtWrap.mjWRAP_JOINT
 BOX, SPHERE, CAPSULE = (
     mujoco.mjtGeom.mjGEOM_BOX,
     mujoco.mjtGeom.mjGEOM_SPHERE,
@@ -93,9 +93,14 @@ def frames(spec: mujoco.MjSpec, model: mujoco.MjModel) -> list[str]:
 
     It changes no motion, and the one-kernel physics needs it. With R the rotation of a link's frame in
     the base's: offsets, axes and inertias x become R x, and what is in the link is turned by R. Frames stay
-    where tendons or equality constraints have places in them; no such robot takes that physics anyway.
+    where spatial tendons or equality constraints have places in them; no such robot takes that physics
+    anyway. Fixed tendons are sums of joint angles, which stay.
     """
-    held = [tendon.name or "a tendon" for tendon in spec.tendons]
+    held = [
+        tendon.name or "a tendon"
+        for tendon, first in zip(spec.tendons, model.tendon_adr, strict=True)
+        if model.wrap_type[first] != JOINT
+    ]
     held += [e.name or "an equality" for e in spec.equalities if e.type != JOINTS]
     if held:
         return [f"frames: as in the file, for {', '.join(held[:4])} has places in them"]

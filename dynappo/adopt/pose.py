@@ -14,6 +14,10 @@ BENT = 0.85  # of the longest reach, from the leg's second joint to its end
 GRID = 41  # angles of each joint that are tried
 WIDEST = 1.6  # rad from the joint's zero
 ASIDE = 0.02  # of the reach: how far ahead of the joint the foot may stand
+# rad: a biped's knee is straight up to the first, and then bent by the second, about as in mjlab's G1
+STRAIGHT, KNEE = 0.25, 0.66
+LEVEL = 0.02  # m, by which the ends of two legs may differ in height
+ALONG = 0.9  # of an axis' unit length
 HINGE = mujoco.mjtJoint.mjJNT_HINGE
 
 
@@ -22,30 +26,37 @@ def candidates(
 ) -> Iterator[tuple[mujoco.MjSpec, list[str]]]:
     """Copies of a spec with a keyframe, the best first, each with a line on its source.
 
-    The file's own keyframe; that of a scene beside the file; bent legs. Each is for a robot that cannot stand
-    in the one before.
+    The file's own keyframe; that of a scene beside the file; bent legs; all joints at rest. Each is for a
+    robot that cannot stand in the one before. Straight knees of two legs are bent first.
     """
     if spec.keys:
+        key = next((key for key in spec.keys if key.name == "home"), spec.keys[0])
+        yield from _knees(spec, model, np.array(key.qpos), "the file's keyframe")
         yield spec.copy(), []
     for scene in sorted(xml.parent.glob("*.xml")) if not spec.keys else []:
         found = _of_scene(scene, model) if scene != xml else None
         if found is not None:
-            yield (
-                _with_home(spec, found),
-                [f"home: the file has no keyframe; that of {scene.name} beside it"],
-            )
+            what = f"the file has no keyframe; that of {scene.name} beside it"
+            yield from _knees(spec, model, found, what)
+            yield _with_home(spec, found), [f"home: {what}"]
             break
+    why = "the robot does not stand in the file's keyframe" if spec.keys else "no keyframe"
     qpos, bent = _bent(model)
     if bent:
-        why = "the robot does not stand in the file's keyframe" if spec.keys else "no keyframe"
-        yield (
-            _with_home(spec, qpos),
-            [
-                f"home: {why}; {bent} legs bent to {BENT:.0%} of their reach, feet below their joints"
-            ],
-        )
+        how = f"{bent} legs bent to {BENT:.0%} of their reach, feet below their joints"
+        yield _with_home(spec, qpos), [f"home: {why}; {how}"]
     if not spec.keys:
-        yield _with_home(spec, model.qpos0), ["home: no keyframe; all joints are at rest"]
+        what = "no keyframe; all joints are at rest"
+        yield from _knees(spec, model, _at_rest(model), what)
+        yield _with_home(spec, model.qpos0), [f"home: {what}"]
+
+
+def _knees(spec, model, qpos: np.ndarray, what: str) -> Iterator[tuple[mujoco.MjSpec, list[str]]]:
+    """A candidate with bent knees, if two legs are straight in the pose `qpos`."""
+    bent = _bent_knees(model, qpos) if len(qpos) == model.nq else None
+    if bent is not None:
+        how = f"straight knees are bent by {KNEE:g} rad, hips and ankles turn back by half of that"
+        yield _with_home(spec, bent), [f"home: {what}, but {how}"]
 
 
 def _with_home(spec: mujoco.MjSpec, qpos: np.ndarray) -> mujoco.MjSpec:
@@ -63,7 +74,8 @@ def _of_scene(scene: Path, model: mujoco.MjModel) -> np.ndarray | None:
     except (ValueError, RuntimeError, mujoco.FatalError):
         return None
     joints = [model.joint(i).name for i in range(model.njnt)]
-    if [joint.name for joint in spec.joints] != joints or len(spec.bodies) < 2:
+    names = [joint.name or f"joint{i}" for i, joint in enumerate(spec.joints)]  # as source.read's
+    if names != joints or len(spec.bodies) < 2:
         return None
     keys = sorted(spec.keys, key=lambda key: key.name != "home")
     fits = [np.array(key.qpos) for key in keys if len(key.qpos) == model.nq]
@@ -78,11 +90,8 @@ def _bent(model: mujoco.MjModel) -> tuple[np.ndarray, int]:
     nearest to the middle of its range. Without a limited range it takes one whose knee points to the base's
     middle.
     """
-    data, qpos, count = mujoco.MjData(model), model.qpos0.copy(), 0
-    if model.njnt and model.jnt_type[0] == mujoco.mjtJoint.mjJNT_FREE:
-        qpos[3:7] = [1, 0, 0, 0]
-    chains = _limbs(model)
-    for chain in chains:
+    data, qpos, count = mujoco.MjData(model), _at_rest(model), 0
+    for chain in _limbs(model):
         if len(chain) != 3 or any(model.jnt_type[joint] != HINGE for joint in chain):
             continue
         angles = _angles(model, data, qpos, chain)
@@ -90,6 +99,51 @@ def _bent(model: mujoco.MjModel) -> tuple[np.ndarray, int]:
             qpos[model.jnt_qposadr[chain[1:]]] = angles
             count += 1
     return qpos, count
+
+
+def _bent_knees(model: mujoco.MjModel, qpos: np.ndarray) -> np.ndarray | None:
+    """A pose with the knees of two legs bent, the feet turned as they were; None if there are not two that
+    reach lowest, or their knees are bent already.
+
+    Hip, knee and ankle are the joints about the y axis of a limb that has three. The knee goes forward;
+    backward if ranges allow only that.
+    """
+    data = mujoco.MjData(model)
+    data.qpos[:] = qpos
+    mujoco.mj_kinematics(model, data)
+    across, legs = data.xaxis[:, 1], []
+    for chain in _limbs(model):
+        pitch = [j for j in chain if model.jnt_type[j] == HINGE and abs(across[j]) > ALONG]
+        if len(pitch) == 3:
+            legs.append((data.xpos[model.jnt_bodyid[chain[-1]], 2], pitch))
+    legs = [pitch for low, pitch in legs if low < min(low for low, _ in legs) + LEVEL]
+    if len(legs) != 2 or max(_bend(data.xanchor[pitch]) for pitch in legs) > STRAIGHT:
+        return None
+    joints = np.concatenate(legs)
+    where = model.jnt_qposadr[joints]
+    low, high = model.jnt_range[joints].T
+    for forward in (1, -1):
+        bent = qpos.copy()
+        bent[where] += forward * KNEE * np.sign(across[joints]) * np.tile([-0.5, 1, -0.5], 2)
+        inside = (low <= bent[where]) & (bent[where] <= high)
+        if (inside | ~model.jnt_limited[joints].astype(bool)).all():
+            return bent
+    return None
+
+
+def _bend(places: np.ndarray) -> float:
+    """The angle (rad) of a knee, from the places [3, 3] of hip, knee and ankle, seen from the side."""
+    thigh, shank = np.diff(places[:, ::2], axis=0)
+    cosine = thigh @ shank / np.linalg.norm(thigh) / np.linalg.norm(shank)
+    return float(np.arccos(np.clip(cosine, -1, 1)))
+
+
+def _at_rest(model: mujoco.MjModel) -> np.ndarray:
+    """All joints at rest, the base upright."""
+    qpos = model.qpos0.copy()
+    if model.njnt and model.jnt_type[0] == mujoco.mjtJoint.mjJNT_FREE:
+        qpos[3:7] = [1, 0, 0, 0]
+    return qpos
 
 
 def _limbs(model: mujoco.MjModel) -> list[list[int]]:

@@ -28,6 +28,7 @@ EXACT = 1e-6  # of it, that MuJoCo may be off when it computes them
 LIGHT = 0.05  # of the robot's mass: a link whose inertia may be a guess
 EXPORTED = re.compile(r"mesh|collision|visual", re.IGNORECASE)  # in names that an exporter makes
 XX = "xx xy xz yy yz zz".split()
+XACRO = "make a URDF of it first: xacro FILE > ROBOT.urdf"
 
 
 class Source(NamedTuple):
@@ -77,9 +78,11 @@ def read(xml: Path, notes: list[str] | None = None) -> Source:
         try:
             root = ElementTree.fromstring(text)
         except ElementTree.ParseError as error:
+            if xml.suffix == ".xacro" or "<xacro:" in text:
+                raise ValueError(f"it is a xacro and no XML ({error}); {XACRO}") from None
             raise ValueError(f"XML parse error: {error}") from None
-        if any("/xacro}" in str(element.tag) for element in root.iter()):
-            raise ValueError("it is a xacro, of which a URDF is made by: xacro FILE > ROBOT.urdf")
+        if _is_xacro(root):
+            raise ValueError(f"it is a xacro; {XACRO}")
         if root.tag == "robot":
             return _urdf(xml, root, notes)
         if root.tag != "mujoco":
@@ -93,6 +96,14 @@ def read(xml: Path, notes: list[str] | None = None) -> Source:
         _check_limbs(spec, lost)
         looks = sum(not one.collides for one in lost)
         return Source(xml, spec, spec.copy().compile(), {}, looks, tuple(notes))
+
+
+def _is_xacro(root: ElementTree.Element) -> bool:
+    """Whether there are elements of xacro, or in a URDF values for it to compute: ${...}, $(...)."""
+    every = [*root.iter()]
+    values = [value for one in every if root.tag == "robot" for value in one.attrib.values()]
+    elements = any("/xacro}" in str(element.tag) for element in every)
+    return elements or any(re.search(r"\$[{(]", value) for value in values)
 
 
 def _urdf(xml: Path, root: ElementTree.Element, notes: list[str]) -> Source:

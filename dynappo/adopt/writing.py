@@ -7,6 +7,7 @@ from xml.etree import ElementTree
 
 import mujoco
 
+from dynappo.adopt import bipeds
 from dynappo.adopt.gains import Motors
 from dynappo.adopt.source import Source, origin
 from dynappo.physics import kinds
@@ -14,7 +15,6 @@ from dynappo.physics import robot as robot_lib
 from dynappo.physics import text as text_lib
 
 LIGHT = 25.0  # kg, up to which the reward weights of the Unitree tasks hold; above, those of the ANYmals
-INIT_STD = {True: 1.0, False: 0.5}  # ppo.init_std, of light robots and of heavy ones
 TORQUES, AT = 2e-4, 13.0  # weight of squared torques, at a mass (kg); it falls by mass^-1.5
 ABOVE = 0.05  # m over the default pose, where episodes start
 LOAD, OF_BASE = (
@@ -26,19 +26,19 @@ HEAD = '''"""{name} on flat ground, adopted from {file}.
     python -m dynappo.look configs/{name}.py
     python -m dynappo.train --config=configs/{name}.py
 
-robots/{name}/README.md says what was assumed. What is not set here is of `default.py`, as are the variants.
+robots/{name}/README.md says what was assumed. What is not set here is of `{base}.py`, as are the variants.
 """
 
 import runpy
 
 from dynappo.config import files
 
-default = runpy.run_path(str(files.find("configs", "default.py")))
+{base} = runpy.run_path(str(files.find("configs", "{base}.py")))
 
 
 def get_config(variant=""):
     """The defaults with this robot's differences."""
-    config = default["defaults"]()
+    config = {base}["defaults"]()
     config.robot = {name!r}
     task = config.task
 '''
@@ -52,7 +52,7 @@ HEAVIER = """\
     task.push.velocity = 0.5
 """
 END = """\
-    return default["apply_variant"](config, variant)
+    return {base}["apply_variant"](config, variant)
 """
 HEAVIER_END = """\
     config = default["apply_variant"](config, variant)
@@ -64,6 +64,11 @@ HEAVIER_END = """\
 
 def light(robot: robot_lib.Robot) -> bool:
     return float(robot.mj_model.body_mass.sum()) < LIGHT
+
+
+def init_std(robot: robot_lib.Robot) -> float:
+    """ppo.init_std: that of `default.py` and `biped.py`, or of `HEAVIER`."""
+    return 1.0 if light(robot) or bipeds.is_biped(robot) else 0.5
 
 
 def load(robot: robot_lib.Robot) -> float:
@@ -80,8 +85,9 @@ def torque_weight(mass: float) -> float:
 def config(robot: robot_lib.Robot, source: Source, motors: Motors) -> str:
     """The text of configs/NAME.py."""
     mass = float(robot.mj_model.body_mass.sum())
-    names = robot.joint_names
-    lines = [HEAD.format(name=robot.name, file=source.xml.name)]
+    names, on_two = robot.joint_names, bipeds.is_biped(robot)
+    base = "biped" if on_two else "default"
+    lines = [HEAD.format(name=robot.name, file=source.xml.name, base=base)]
     lines.append("    # N m/rad, N m s/rad; rad for an action of 1\n")
     for field in ("kp", "kd", "action_scale"):
         lines.append(_field(field, kinds.patterns(names, getattr(motors, field))))
@@ -96,21 +102,39 @@ def config(robot: robot_lib.Robot, source: Source, motors: Motors) -> str:
     lines.append(
         f"    task.randomize.base_mass = ({-more:.1f}, {more:.1f})  # kg, of a robot of {mass:.1f}\n"
     )
+    if on_two:
+        return "".join([*lines, _of_two_feet(robot), END.format(base=base)])
     if not light(robot):
         lines.append(HEAVIER)
     lines.append(f"    task.weights.joint_torques = {torque_weight(mass):g}  # by mass^-1.5\n")
-    lines.append(END if light(robot) else HEAVIER_END)
+    lines.append(END.format(base=base) if light(robot) else HEAVIER_END)
     return "".join(lines)
 
 
+def _of_two_feet(robot: robot_lib.Robot) -> str:
+    """The lines of a biped's config beside those of every robot."""
+    task, _ = bipeds.choose(robot)
+    posture = kinds.patterns(robot.joint_names, task.posture_std)
+    apart = "" if task.feet_distance else "    task.weights.feet_distance = None\n"
+    return (
+        f"    # Hz and m of steps; rad, from the default pose\n"
+        f"    task.gait_frequency = {task.gait_frequency}\n"
+        f"    task.gait_foot_height = {task.gait_foot_height:g}\n"
+        f"{_field('posture_std', posture)}{apart}"
+        f"    task.weights.joint_torques = {task.joint_torques:g}  # by mass^-1.5\n"
+    )
+
+
 def assumed(robot: robot_lib.Robot) -> list[str]:
-    """Lines on the numbers that the config derives from the robot's mass."""
+    """Lines on the numbers that the config derives from the robot's mass and feet."""
     mass = float(robot.mj_model.body_mass.sum())
+    starts = f"base mass +-{load(robot):.1f} kg; starts {ABOVE * 100:g} cm above the default pose"
+    if bipeds.is_biped(robot):
+        return [*bipeds.choose(robot)[1], f"task: {starts}"]
     like = "the Unitree tasks'" if light(robot) else "the ANYmal tasks'"
     told = [
         f"task: {like} reward weights for {mass:.1f} kg (up to {LIGHT:g} kg those of light robots), torques "
-        f"weighted by {torque_weight(mass):g}; base mass +-{load(robot):.1f} kg; starts "
-        f"{ABOVE * 100:g} cm above the default pose"
+        f"weighted by {torque_weight(mass):g}; {starts}"
     ]
     if len(robot.foot_names) != 4:
         told.append(

@@ -2,6 +2,7 @@
 
 import hashlib
 import os
+import re
 from functools import partial
 from pathlib import Path
 
@@ -181,6 +182,8 @@ BALL = (  # an arm on a base that lies on the floor
     '<geom size=".1"/></body></body></worldbody></mujoco>'
 )
 XACRO = '<robot xmlns:xacro="http://ros.org/wiki/xacro"><xacro:arg name="a"/></robot>'
+UNBOUND = '<robot><xacro:arg name="a"/></robot>'
+COMPUTED = '<robot name="a"><link name="b"><inertial><mass value="${m}"/></inertial></link></robot>'
 MISTAKES = {  # arguments, what the line must say
     "nothing": ([], "no file given; try: "),
     "no file": (["no.xml"], "no.xml: there is no such file"),
@@ -191,7 +194,20 @@ MISTAKES = {  # arguments, what the line must say
     "other XML": (["page.xml"], "expected an MJCF or a URDF, found the element html"),
     "no legs": (["ball.xml"], "ball.xml: no legs found"),
     "a folder": (["assets"], "assets: it is a folder; name the MJCF"),
-    "a xacro": (["macro.xml"], "macro.xml: it is a xacro"),
+    "a xacro": (["macro.xml"], "macro.xml: it is a xacro; make a URDF of it first: xacro FILE > "),
+    "no namespace": (
+        ["unbound.xml"],
+        "it is a xacro and no XML (unbound prefix: line 1, column 7); make",
+    ),
+    "cut": (
+        ["cut.xacro"],
+        "cut.xacro: it is a xacro and no XML (no element found: line 1, column 7); make",
+    ),
+    "values": (
+        ["computed.xacro"],
+        "computed.xacro: it is a xacro; make a URDF of it first: xacro FILE > ",
+    ),
+    "biped": (["toy.xml", "--name=biped"], "dynappo has that itself"),
     "a flag": (["toy.xml", "--nam=x"], "--nam=x: no such flag"),
 }
 
@@ -200,8 +216,11 @@ MISTAKES = {  # arguments, what the line must say
 def test_a_mistake_is_one_line_and_leaves_nothing(name, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     published.write(tmp_path)
-    for file, text in {"text": "no", "page": "<html/>", "ball": BALL, "macro": XACRO}.items():
+    texts = {"text": "no", "page": "<html/>", "ball": BALL, "macro": XACRO, "unbound": UNBOUND}
+    for file, text in texts.items():
         Path(f"{file}.xml").write_text(text)
+    Path("cut.xacro").write_text("<robot>")
+    Path("computed.xacro").write_text(COMPUTED)
     before = sorted(tmp_path.rglob("*"))
     arguments, expected = MISTAKES[name]
     assert expected in mistake(command.main, arguments, capsys)
@@ -376,8 +395,8 @@ TIES = {
 
 @pytest.mark.parametrize("name", TIES)
 def test_ties_between_links_stay_what_they_are(name, tmp_path, monkeypatch, capsys):
-    """What the constraints miss, and lengths and forces of tendons, in the same state of both models; the
-    hind legs' frames are turned in the file."""
+    """What the constraints miss, lengths of tendons and what they do to the joints, in the same state of both
+    models; the hind legs' frames are turned in the file, and only those of a fixed tendon are turned back."""
     text = published.mjcf().replace("<actuator>", TIES[name] + "<actuator>")
     text = text.replace('<geom friction="0.6"', '<tendon damping="1"/><geom friction="0.6"')
     text = text.replace('<default class="calf">', '<default class="soft"><tendon stiffness="70"/></default>'
@@ -390,21 +409,25 @@ def test_ties_between_links_stay_what_they_are(name, tmp_path, monkeypatch, caps
     monkeypatch.setattr(command, "look", lambda *_: None)
     published.write(tmp_path, text)
     assert run("toy.xml", "--name=mine") == 0
-    assert "frames: as in the file" in capsys.readouterr().out
+    frames = "turned until" if name == "fixed" else "as in the file"
+    assert f"frames: {frames}" in capsys.readouterr().out
     found = []
     for file in ("toy.xml", "robots/mine/mine.xml"):
         model = mujoco.MjModel.from_xml_path(file)
+        model.dof_damping[:] = 0  # the servo's, in the file
         data = mujoco.MjData(model)
-        data.qpos[:] = [0, 0, 0.5, 1, 0, 0, 0, *np.linspace(-0.5, 0.5, 12)]
-        data.qvel[6:] = np.linspace(1, 0.3, 12)
+        data.qpos[:7] = [0, 0, 0.5, 1, 0, 0, 0]
         order = [model.joint(f"{leg}_{joint}_joint").qposadr[0] for leg, *_ in published.LEGS
                  for joint in ("hip", "thigh", "calf")]  # fmt: skip
-        data.qpos[order] = np.linspace(-0.5, 0.5, 12)
+        order = np.array(order)
+        data.qpos[order], data.qvel[order - 1] = np.linspace(-0.5, 0.5, 12), np.linspace(1, 0.3, 12)
         mujoco.mj_forward(model, data)
         equal = data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY
         missed = data.efc_pos[equal] if model.neq else np.zeros(0)
-        found.append(np.concatenate([missed, data.ten_length, model.tendon_stiffness]))
-        assert len(found[-1]) == {"connect": 3, "weld": 6}.get(name, 2)
+        pull = data.qfrc_passive[order - 1] * (model.ntendon > 0)
+        found.append(np.concatenate([missed, data.ten_length, model.tendon_stiffness, pull]))
+        assert len(found[-1]) == {"connect": 3, "weld": 6}.get(name, 2) + 12
+        assert pull.any() == (name in ("tendon", "fixed"))
     np.testing.assert_allclose(found[1], found[0], atol=1e-6)
 
 
@@ -419,6 +442,28 @@ def test_force_leaves_what_is_not_its_own(tmp_path, monkeypatch):
     assert Path("robots/toy/notes.txt").read_text() == "mine"
     assert Path("robots/toy/README.md").read_text() != "old"
     assert not [*tmp_path.glob("robots/.*")]
+
+
+def test_force_removes_the_looks_of_the_adoption_before_and_only_them(tmp_path, monkeypatch):
+    """Neither what somebody put beside them nor what somebody changed; nor what a list with paths names."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(command, "look", lambda *_: None)
+    published.write(tmp_path / "with")
+    without = re.sub(r'<geom class="look".*?/>', "", published.mjcf())
+    published.write(tmp_path / "without", without)
+    assets = Path("robots/toy/assets")
+    assert run("with/toy.xml") == 0 and (assets / "cube.obj").is_file()
+    assert run("without/toy.xml", "--force") == 0 and not assets.exists()
+    assert run("with/toy.xml", "--force") == 0
+    (assets / "mine.obj").write_text("mine")
+    (assets / "cube.obj").write_text(published.CUBE + "# mine")
+    Path("robots/toy/kept").write_text("kept")
+    digest = hashlib.sha256(b"kept").hexdigest()
+    with (assets / "SHA256SUMS").open("a") as sums:
+        sums.write(f"{digest}  ../kept\n")
+    assert run("without/toy.xml", "--force") == 0
+    assert sorted(path.name for path in assets.iterdir()) == ["cube.obj", "mine.obj"]
+    assert Path("robots/toy/kept").read_text() == "kept"
 
 
 @pytest.mark.parametrize("taken", ["robots", "configs"])

@@ -78,9 +78,25 @@ def test_by_rule_every_robot_here_stands_and_is_stable(name):
     assert (found.kp * found.action_scale * 0.5 <= found.effort_limit * 0.35).all()
     assert (found.action_scale <= 0.5).all()
     mass = model.body_mass.sum()
-    ruled = 0.45 * mass * 9.81 * robot.home_qpos[2]
+    ruled = mass * 9.81 * robot.home_qpos[2] * 0.45
     np.testing.assert_allclose(found.effort_limit, ruled, rtol=0.01)
     assert len(told) == 5 and told[0].startswith("effort: no limit in the file")
+
+
+SHARES = {  # of m g l, by the names that a G1's joints have
+    "hip": 0.45, "knee": 0.45, "ankle": 0.15, "waist": 0.3, "shoulder": 0.08, "elbow": 0.08, "wrist": 0.08,
+}  # fmt: skip
+
+
+def test_a_humanoid_without_limits_has_weaker_motors_in_ankles_and_arms():
+    robot = robot_lib.load("g1")
+    none = source.Published(*np.full((4, 29), np.nan), np.zeros(29, bool))
+    found, told = gains.efforts(robot, none)
+    whole = robot.mj_model.body_mass.sum() * 9.81 * robot.home_qpos[2]
+    shares = [next(s for word, s in SHARES.items() if word in name) for name in robot.joint_names]
+    np.testing.assert_allclose(found, np.array(shares) * whole, rtol=0.01)
+    for part in ("hips and knees 0.45 m g l = 111.4", "ankles 0.15", "waists 0.3", "others 0.08"):
+        assert part in told[0]
 
 
 def test_light_rotors_get_less_damping():
@@ -139,12 +155,14 @@ def test_what_the_file_says_of_some_joints_only_is_said_so():
     found, told = gains.choose(
         robot, source.Published(nan, nan, effort, speed, np.zeros(12, bool)), 1.0
     )
-    rule = round(0.45 * gains.weight(robot) * robot.home_qpos[2], 1)
+    whole = robot.mj_model.body_mass.sum() * 9.81 * robot.home_qpos[2]
+    rule = round(0.45 * whole, 1)
     np.testing.assert_allclose(found.effort_limit, np.tile([20.0, rule, rule], 4))
     np.testing.assert_allclose(found.velocity_limit, np.tile([30.0, 25.0, 30.0], 4))
     assert "effort: 20 N m at hip_joint, of the file" in told
     assert f"effort: no limit in the file at thigh_joint; 0.45 m g l = {rule:g} N m" in told
-    assert any(line.startswith("effort: the file's 1e+09 N m at calf_joint") for line in told)
+    odd = [line for line in told if line.startswith("effort: the file's 1e+09 N m at calf_joint")]
+    assert len(odd) == 1 and odd[0].endswith(f"; 0.45 m g l = {rule:g} N m")
     assert "speed: no limit in the file at hip_joint; 30 rad/s" in told
     assert "speed: 25 rad/s at thigh_joint, of the file" in told
 

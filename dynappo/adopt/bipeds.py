@@ -1,0 +1,92 @@
+"""What a biped's config sets beside `configs/biped.py`: from the places of its joints, its height and mass.
+
+How far a joint may be from the default pose in the reward `posture` (rad): mjlab's numbers for a Unitree G1,
+walking; the shoulder's is that of `configs/g1.py`. Of pitch, and of other axes:
+
+    hip 0.3, 0.15   knee 0.35   ankle 0.25, 0.1   waist 0.1, roll 0.08, yaw 0.2
+    shoulder 0.5    arm 0.15, yaw 0.1    wrist 0.3    others (heads) 0.15
+
+Times and lengths: those of a G1, whose base is 0.76 m above the ground, at the same Froude number. With the
+base's height l, strides a second go with 1 / sqrt(l), heights of steps with l, but not above a G1's: the
+reward `feet_phase` has one width for all, and does not reach feet that are to be lifted further.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+
+from dynappo.adopt import gains, places
+from dynappo.physics import robot as robot_lib
+
+POSTURE = {  # rad, about x, y, z
+    "hip": (0.15, 0.3, 0.15),
+    "knee": (0.35, 0.35, 0.35),
+    "ankle": (0.1, 0.25, 0.1),
+    "waist": (0.08, 0.1, 0.2),
+    "shoulder": (0.5, 0.5, 0.5),
+    "arm": (0.15, 0.15, 0.1),
+    "wrist": (0.3, 0.3, 0.3),
+    "other": (0.15, 0.15, 0.15),
+}
+G1 = 0.757, 33.3  # m, kg: height of the base, mass
+STRIDES, STEP = (1.25, 1.5), 0.15  # Hz, m: of Playground's G1
+TORQUES = 2e-6  # weight of squared torques, of a G1
+APART = 0.2  # m, of the reward `feet_distance`
+
+
+class Task(NamedTuple):
+    """Fields of the config's group `task` that depend on a biped."""
+
+    posture_std: np.ndarray  # [A] rad
+    gait_frequency: tuple[float, float]  # Hz
+    gait_foot_height: float  # m
+    joint_torques: float  # the term's weight
+    feet_distance: bool  # whether the term can be had: feet stand apart by more than 0.2 m
+
+
+def is_biped(robot: robot_lib.Robot) -> bool:
+    return len(robot.foot_names) == 2
+
+
+def choose(robot: robot_lib.Robot) -> tuple[Task, list[str]]:
+    """A biped's `Task`, and a line on each thing that was assumed."""
+    std, unknown = posture(robot)
+    height = gains.reach(robot) / G1[0]
+    slow, fast = (round(one / height**0.5, 2) for one in STRIDES)
+    step = float(f"{STEP * min(height, 1):.2g}")
+    weight = -float(f"{TORQUES * (G1[1] / robot.mj_model.body_mass.sum()) ** 1.5:.2g}")
+    apart = stance_width(robot)
+    told = [
+        "task: a biped's, with which a Unitree G1 walks (configs/biped.py); torques are weighted by "
+        f"{weight:g}, by mass^-1.5",
+        f"gait: {slow:g} to {fast:g} strides a second, steps {step:g} m high: a G1's {STRIDES[0]:g} to "
+        f"{STRIDES[1]:g} and {STEP:g} for a base at {gains.reach(robot):.2f} m",
+        f"posture: joints may leave the default pose by {gains.span(std)} rad, by their place and axis"
+        + f"; {POSTURE['other'][1]:g} rad{gains.at(robot.joint_names, unknown)}, no leg's, waist's or arm's"
+        * bool(unknown.any()),
+    ]
+    if apart < APART:
+        told.append(
+            f"feet: {apart:.2f} m apart in the default pose, so the reward feet_distance (of {APART:g} m) is "
+            "off"
+        )
+    return Task(std, (slow, fast), step, weight, apart >= APART), told
+
+
+def stance_width(robot: robot_lib.Robot) -> float:
+    """How far apart the middles of two feet are in the default pose, across the base's x axis (m)."""
+    data = mujoco.MjData(robot.mj_model)
+    data.qpos[:] = robot.home_qpos
+    mujoco.mj_kinematics(robot.mj_model, data)
+    aside = data.geom_xpos[robot.feet, 1]
+    return float(abs(aside[robot.foot_of == 0].mean() - aside[robot.foot_of == 1].mean()))
+
+
+def posture(robot: robot_lib.Robot) -> tuple[np.ndarray, np.ndarray]:
+    """`(std [A] in rad, unknown [A])`: of each joint, and whether its place is "other"."""
+    where, axis = places.places(robot)
+    std = [POSTURE[place][along] for place, along in zip(where, axis, strict=True)]
+    return np.array(std), where == "other"
