@@ -56,15 +56,15 @@ if sys.argv[:1] == ["-m"] or Path(sys.argv[0] if sys.argv else "").stem == "dyna
     sys.excepthook = _in_a_line
 
 if TYPE_CHECKING:  # what an editor completes
+    from dynappo.description import robot as robot
     from dynappo.learner import gae as gae
-    from dynappo.physics import robot as robot
     from dynappo.tasks.velocity import env as env
 
 # public modules that are not in this folder, loaded on first use
 _PUBLIC = {
     "env": "dynappo.tasks.velocity.env",
     "gae": "dynappo.learner.gae",
-    "robot": "dynappo.physics.robot",
+    "robot": "dynappo.description.robot",
 }
 
 _FLAGS = {"--xla_cpu_enable_concurrency_optimized_scheduler": "false"}

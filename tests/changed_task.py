@@ -21,9 +21,9 @@ import numpy as np
 import dynappo
 from dynappo import algorithm, schedule
 from dynappo import config as config_lib
+from dynappo.description import robot as robot_lib
 from dynappo.export import joint_order, onnx_file
 from dynappo.physics import actuators, randomize
-from dynappo.physics import robot as robot_lib
 from dynappo.policy import episode, policy_file
 from dynappo.program import build
 from dynappo.tasks.velocity import env as env_lib

@@ -8,7 +8,7 @@ import numpy as np
 import warp as wp
 
 from dynappo import config as config_lib
-from dynappo.physics import robot as robot_lib
+from dynappo.description import robot as robot_lib
 from dynappo.physics.warp import arrays, quadruped
 
 ROBOTS = 64

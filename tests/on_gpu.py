@@ -93,7 +93,7 @@ SHORT = [
 SIZES = {
     "gpu": Size(
         ["run.device=gpu", "physics.impl=warp"],
-        [*WARP, "tests/physics/test_warp_call.py", "tests/physics/test_feet.py", *SHORT],
+        [*WARP, "tests/physics/test_warp_call.py", "tests/description/test_feet.py", *SHORT],
         300,
         1000,
         5,

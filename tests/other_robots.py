@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 
 from dynappo import config as config_lib
-from dynappo.physics import robot as robot_lib
+from dynappo.description import robot as robot_lib
 from dynappo.policy import policy_file
 
 # the shapes of a biped's feet; of a geom: `pos` is from the ankle

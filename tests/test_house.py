@@ -17,11 +17,12 @@ MAY_IMPORT = {
     "method": {"method", "learner", "model"},
     "learner": {"learner", "types"},
     "model": {"model", "learner.networks", "types"},
-    "physics": {"physics", "config", "types"},
-    "tasks": {"tasks.velocity", "physics", "config", "types"},
+    "description": {"description", "config"},
+    "physics": {"physics", "description", "config", "types"},
+    "tasks": {"tasks.velocity", "physics", "description", "config", "types"},
     "config": {"config", "schedule"},
-    "policy": {"policy", "physics", "tasks.velocity.observe", "config"},
-    "program": {"program", "method", "tasks", "physics", "config"},
+    "policy": {"policy", "physics.actuators", "description", "tasks.velocity.observe", "config"},
+    "program": {"program", "method", "tasks", "physics", "description", "config"},
     "run": {"run", "program", "policy", "config", "schedule", "seeds"},
     "sweeps": {"sweeps", "run", "program", "config", "policy.walks"},
     "train": {"train", "sweeps", "run", "program", "config", "web.address", "web.child"},
@@ -30,37 +31,46 @@ MAY_IMPORT = {
         "program",
         "policy",
         "tasks.velocity",
-        "physics",
+        "physics.actuators",
+        "description",
         "config",
         "scores",
         "play.page",
     },
-    "adopt": {"adopt", "physics", "config"},
-    "look": {"look", "policy", "physics", "tasks.velocity.partners", "config"},
-    "web": {"web", "policy", "physics", "config"},
-    "play": {"play", "web", "policy", "physics", "config"},
+    "adopt": {"adopt", "description", "config"},
+    "look": {"look", "policy", "physics", "description", "tasks.velocity.partners", "config"},
+    "web": {"web", "policy", "description", "config"},
+    "play": {"play", "web", "policy", "description", "config"},
     "export": {
         "export",
         "policy",
-        "physics",
+        "description",
         "tasks.velocity.observe",
         "tasks.velocity.gait",
         "config",
     },
     "bench": {"bench", "program", "config", "method", "model"},
 }
-WITHOUT_JAX = {"policy", "adopt", "look", "web", "play", "export", "config", "schedule"}
+WITHOUT_JAX = {
+    "description",
+    "policy",
+    "adopt",
+    "look",
+    "web",
+    "play",
+    "export",
+    "config",
+    "schedule",
+}
 WITHOUT_JAX |= {
     f"tasks.velocity.{name}" for name in ("rewards", "reward_sum", "observe", "gait", "partners")
 }
-WITHOUT_JAX |= {
-    f"physics.{name}"
-    for name in ("robot", "mjcf", "robot_contract", "contacts", "actuators", "warp.scope")
-}
+WITHOUT_JAX |= {"physics.actuators", "physics.warp.scope"}
 JAX = {"jax", "jaxlib", "flax", "optax", "orbax", "brax", "chex", "jaxtyping", "mujoco.mjx"}
 # pure functions: nothing printed, no clock, no file; robot.py reads a robot's file, c_mujoco.py
 # asks for the cores that it may use and locks its threads
-PURE = {"method", "learner", "model", "tasks", "physics", "config.splitting", "config.validation"}
+PURE = {"method", "learner", "model", "tasks", "physics", "description"}
+PURE |= {"config.splitting", "config.validation"}
 SPEAKS = set("print input breakpoint callback pure_callback io_callback".split())
 FILES = set("open read_text write_text read_bytes write_bytes mkdir unlink".split())
 CLOCKS = set("time datetime timeit logging subprocess socket threading".split())
@@ -159,7 +169,7 @@ def test_what_plays_exports_and_checks_settings_needs_no_jax(name):
 
 @pytest.mark.parametrize("name", [n for n in MODULES if inside(n, PURE)])
 def test_pure_modules_do_not_print_read_the_clock_or_touch_files(name):
-    reads = name in ("physics.robot", "physics.warp.quadruped")
+    reads = name in ("description.robot", "physics.warp.quadruped")
     banned, modules = (SPEAKS, CLOCKS) if reads else (SPEAKS | FILES, CLOCKS | PATHS)
     calls = [n.func for n in ast.walk(tree(name)) if isinstance(n, ast.Call)]
     found = {getattr(f, "id", None) or getattr(f, "attr", None) for f in calls} & banned

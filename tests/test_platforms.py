@@ -159,7 +159,7 @@ def test_without_pthread_kill_ctrl_c_reaches_the_main_thread(monkeypatch):
 )
 def test_films_are_rendered_by_what_the_system_has(system, first):
     """In a fresh Python, because it is decided once."""
-    code = f"import sys; from dynappo.physics import robot; sys.platform = {system!r}; "
+    code = f"import sys; from dynappo.description import robot; sys.platform = {system!r}; "
     code += "from dynappo.policy import render; print(*render.BACKENDS, render.NO_OPENGL)"
     done = shell("-c", code)
     assert done.stdout.startswith(first), done.stderr

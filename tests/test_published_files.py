@@ -13,8 +13,9 @@ from answers import refused, status
 from toy_policy import GO1, save
 
 from dynappo import config as config_lib
+from dynappo.description import mjcf, motors, robot
 from dynappo.look import command as look_command
-from dynappo.physics import c_mujoco, mjcf, motors, robot
+from dynappo.physics import c_mujoco
 from dynappo.play import command as play_command
 from dynappo.policy import policy_file
 from dynappo.program import build

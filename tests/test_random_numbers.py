@@ -12,7 +12,7 @@ from toy_env import configure
 
 from dynappo import algorithm, schedule, scores
 from dynappo import config as config_lib
-from dynappo.physics import robot as robot_lib
+from dynappo.description import robot as robot_lib
 from dynappo.tasks.velocity import env as env_lib
 
 ROBOTS, REAL, TAIL, ROUNDS, ITERATIONS, STEPS = 4, 4, 4, 3, 2, 5

@@ -6,8 +6,8 @@ import numpy as np
 import onnxruntime
 
 from dynappo import config as config_lib
+from dynappo.description import robot as robot_lib
 from dynappo.export import onnx_file
-from dynappo.physics import robot as robot_lib
 from dynappo.policy import policy_file
 
 LEGS = "{0}_hip_joint {0}_thigh_joint {0}_calf_joint"

@@ -7,7 +7,7 @@ import xml.etree.ElementTree as ET
 import numpy as np
 
 from dynappo import config as config_lib
-from dynappo.physics import robot as robot_lib
+from dynappo.description import robot as robot_lib
 from dynappo.policy import policy_file
 
 ROBOTS = ("go1", "go2", "anymal_c", "anymal_d")

@@ -10,5 +10,5 @@
 - `looks`: puts the published meshes back on the completed robot
 - `writing`: the texts of the three files
 
-No other command imports it. It imports `physics` and `config`, and no JAX.
+No other command imports it. It imports `description` and `config`, and no JAX.
 """

@@ -19,7 +19,7 @@ import mujoco
 import numpy as np
 
 from dynappo.adopt import gains, places
-from dynappo.physics import robot as robot_lib
+from dynappo.description import robot as robot_lib
 
 POSTURE = {  # rad, about x, y, z
     "hip": (0.15, 0.3, 0.15),

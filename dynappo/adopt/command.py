@@ -25,9 +25,9 @@ from dynappo import config as config_lib
 from dynappo.adopt import gains, looks, normal, pose, source, writing
 from dynappo.config import ConfigError, files, interpreter, shell
 from dynappo.config import flags as flags_lib
-from dynappo.physics import complete, mjcf, motors
-from dynappo.physics import robot as robot_lib
-from dynappo.physics import text as text_lib
+from dynappo.description import complete, mjcf, motors
+from dynappo.description import robot as robot_lib
+from dynappo.description import text as text_lib
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 USAGE = """\

@@ -32,8 +32,8 @@ import numpy as np
 
 from dynappo.adopt import places
 from dynappo.adopt.source import Published
-from dynappo.physics import kinds as kinds_lib
-from dynappo.physics import robot as robot_lib
+from dynappo.description import kinds as kinds_lib
+from dynappo.description import robot as robot_lib
 
 TIMESTEP = 0.005  # s, of physics
 STRENGTH = {"hip": 0.45, "knee": 0.45, "waist": 0.3, "ankle": 0.15}  # of m g l: what is assumed

@@ -7,8 +7,8 @@ import numpy as np
 
 from dynappo.adopt import gains
 from dynappo.adopt.source import Published
-from dynappo.physics import feet as feet_lib
-from dynappo.physics import robot as robot_lib
+from dynappo.description import feet as feet_lib
+from dynappo.description import robot as robot_lib
 
 HEAVY = 30.0  # kg, from which on feet creep apart with impratio 1
 FRICTION = 0.8  # of the feet, which `task.randomize.friction` assumes

@@ -17,8 +17,8 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from dynappo.physics import kinematics
-from dynappo.physics import robot as robot_lib
+from dynappo.description import kinematics
+from dynappo.description import robot as robot_lib
 
 HAND = 4  # joints of an arm before its wrist
 MIDDLE = 0.02  # m aside, up to which a joint is in the middle

@@ -8,7 +8,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from dynappo.physics import kinematics
+from dynappo.description import kinematics
 
 BENT = 0.85  # of the longest reach, from the leg's second joint to its end
 GRID = 41  # angles of each joint that are tried

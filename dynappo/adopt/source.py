@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 
 from dynappo.config import ConfigError
-from dynappo.physics import mjcf
+from dynappo.description import mjcf
 
 MESHES = {".obj", ".stl", ".msh"}  # that MuJoCo reads
 LICENCES = ("LICENSE*", "LICENCE*", "COPYING*")

@@ -10,9 +10,9 @@ import mujoco
 from dynappo.adopt import bipeds
 from dynappo.adopt.gains import Motors
 from dynappo.adopt.source import Source, origin
-from dynappo.physics import kinds
-from dynappo.physics import robot as robot_lib
-from dynappo.physics import text as text_lib
+from dynappo.description import kinds
+from dynappo.description import robot as robot_lib
+from dynappo.description import text as text_lib
 
 LIGHT = 25.0  # kg, up to which the reward weights of the Unitree tasks hold; above, those of the ANYmals
 TORQUES, AT = 2e-4, 13.0  # weight of squared torques, at a mass (kg); it falls by mass^-1.5

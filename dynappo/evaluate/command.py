@@ -19,8 +19,8 @@ import mujoco
 
 from dynappo.config import ConfigError, files
 from dynappo.config import flags as flags_lib
+from dynappo.description.robot import Robot
 from dynappo.evaluate import changes, episodes, figures, report, show, stress, trials
-from dynappo.physics.robot import Robot
 from dynappo.policy import source
 from dynappo.policy.episode import Body
 from dynappo.policy.policy_file import Policy

@@ -12,8 +12,8 @@ import numpy as np
 
 from dynappo import config as config_lib
 from dynappo.config import ConfigError, fields, per_joint
-from dynappo.physics import motors
-from dynappo.physics.robot import Robot
+from dynappo.description import motors
+from dynappo.description.robot import Robot
 from dynappo.policy import policy_file, source, walks
 from dynappo.policy.policy_file import Policy
 from dynappo.program import devices

@@ -5,5 +5,6 @@
 - `deploy_yaml`: its settings for the controllers of unitree_rl_lab
 - `joint_order`: the orders of joints that robots and simulators use
 
-No other command imports it. It imports `policy`, `physics`, `tasks.velocity.observe` and `config`, no JAX.
+No other command imports it. It imports `policy`, `description`,
+`tasks.velocity.observe` and `config`, no JAX.
 """

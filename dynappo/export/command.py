@@ -13,8 +13,8 @@ from pathlib import Path
 
 from dynappo.config import ConfigError, files, shell
 from dynappo.config import flags as flags_lib
+from dynappo.description.robot import Robot
 from dynappo.export import deploy_yaml, joint_order, onnx_file
-from dynappo.physics.robot import Robot
 from dynappo.policy import source
 from dynappo.policy.policy_file import Policy
 

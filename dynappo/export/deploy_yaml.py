@@ -14,8 +14,8 @@ import json
 import numpy as np
 
 from dynappo.config import ConfigError
+from dynappo.description import robot as robot_lib
 from dynappo.export import joint_order
-from dynappo.physics import robot as robot_lib
 from dynappo.policy.policy_file import Policy
 from dynappo.tasks.velocity import observe
 

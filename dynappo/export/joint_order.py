@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from dynappo.config import ConfigError
-from dynappo.physics import robot as robot_lib
+from dynappo.description import robot as robot_lib
 from dynappo.policy import checks
 from dynappo.policy.policy_file import Policy
 from dynappo.tasks.velocity import observe

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from dynappo.config import ConfigError, files, shell, versions
-from dynappo.physics import robot as robot_lib
+from dynappo.description import robot as robot_lib
 from dynappo.policy import policy_file
 from dynappo.policy.policy_file import Policy
 from dynappo.tasks.velocity import gait, observe

@@ -4,6 +4,6 @@
 - `picture`: the robot as it looks, and the shapes that touch the floor
 - `facts`: mass, joints, stability of the PD, and how it stands
 
-No other command imports it. It imports `policy`, `physics`, `tasks.velocity.partners` and `config`, and no
-JAX.
+No other command imports it. It imports `policy`, `physics`, `description`,
+`tasks.velocity.partners` and `config`, and no JAX.
 """

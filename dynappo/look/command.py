@@ -14,9 +14,10 @@ import numpy as np
 from dynappo import config as config_lib
 from dynappo.config import ConfigError
 from dynappo.config import flags as flags_lib
+from dynappo.description import kinds, motors
+from dynappo.description import robot as robot_lib
 from dynappo.look import facts, picture
-from dynappo.physics import engine_contract, kinds, motors
-from dynappo.physics import robot as robot_lib
+from dynappo.physics import engine_contract
 from dynappo.physics.warp import scope
 from dynappo.policy import episode as episode_lib
 from dynappo.policy import policy_file

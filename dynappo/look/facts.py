@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 
-from dynappo.physics import feet
-from dynappo.physics import robot as robot_lib
+from dynappo.description import feet
+from dynappo.description import robot as robot_lib
 from dynappo.policy import episode as episode_lib
 from dynappo.policy.episode import Body
 

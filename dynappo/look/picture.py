@@ -12,8 +12,8 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from dynappo.physics import mjcf
-from dynappo.physics import robot as robot_lib
+from dynappo.description import mjcf
+from dynappo.description import robot as robot_lib
 from dynappo.policy import render
 
 FEET, PARTS, TILE = (0.95, 0.50, 0.10, 1.0), (0.42, 0.55, 0.70, 1.0), (0.80, 0.82, 0.84, 1.0)

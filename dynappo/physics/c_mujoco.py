@@ -32,8 +32,9 @@ import mujoco
 import numpy as np
 from mujoco import rollout
 
-from dynappo.physics import actuators, contacts, engine_contract, motors, xla_call
-from dynappo.physics import robot as robot_lib
+from dynappo.description import contacts, motors
+from dynappo.description import robot as robot_lib
+from dynappo.physics import actuators, engine_contract, xla_call
 
 # the numbers that define a robot's model, in the order of the last argument of a call; of those of the
 # motors one for all joints, or one for each

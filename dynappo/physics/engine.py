@@ -27,8 +27,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from dynappo.config import per_joint
-from dynappo.physics import actuators, c_mujoco, contacts, engine_contract, randomize
-from dynappo.physics import robot as robot_lib
+from dynappo.description import contacts
+from dynappo.description import robot as robot_lib
+from dynappo.physics import actuators, c_mujoco, engine_contract, randomize
 from dynappo.physics.warp import arrays
 from dynappo.physics.warp import call as warp_call
 from dynappo.types import Hyper

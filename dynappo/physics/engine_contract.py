@@ -12,7 +12,7 @@ import io
 import mujoco
 
 from dynappo.config import ConfigError
-from dynappo.physics import robot as robot_lib
+from dynappo.description import robot as robot_lib
 from dynappo.physics.warp import scope
 
 ENGINES = {"jax": "MJX", "warp": "MuJoCo Warp", "c": "C MuJoCo"}

@@ -7,5 +7,5 @@
 - `serve`: the page in a browser, with folder `web`
 - `viewer`: MuJoCo's viewer, with keys that steer
 
-No other command imports it. It imports `web`, `policy`, `physics` and `config`, and no JAX.
+No other command imports it. It imports `web`, `policy`, `description` and `config`, and no JAX.
 """

@@ -17,7 +17,7 @@ import numpy as np
 from dynappo import config as config_lib
 from dynappo.config import ConfigError, files
 from dynappo.config import flags as flags_lib
-from dynappo.physics import robot as robot_lib
+from dynappo.description import robot as robot_lib
 from dynappo.play import command_script, film, page, serve, viewer
 from dynappo.policy import episode as episode_lib
 from dynappo.policy import policy_file, source

@@ -9,6 +9,6 @@
 - `render`: makes a film or a picture of an episode
 - `side_by_side`: makes a small GIF of several robots that walk side by side
 
-The commands, `run`, `sweeps` and `web` import it. It imports `config`, `physics` and
-`tasks.velocity.observe`.
+The commands, `run`, `sweeps` and `web` import it. It imports `config`, `description`,
+`physics.actuators` and `tasks.velocity.observe`.
 """

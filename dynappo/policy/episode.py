@@ -21,8 +21,9 @@ import mujoco
 import numpy as np
 
 from dynappo.config import ConfigError
-from dynappo.physics import actuators, contacts, mjcf, motors
-from dynappo.physics import feet as feet_lib
+from dynappo.description import contacts, mjcf, motors
+from dynappo.description import feet as feet_lib
+from dynappo.physics import actuators
 from dynappo.policy.policy_file import Policy
 from dynappo.tasks.velocity import observe
 

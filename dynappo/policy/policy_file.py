@@ -24,7 +24,7 @@ from ml_collections import config_dict
 
 from dynappo.config import ConfigError, files, per_joint
 from dynappo.config import fields as fields_lib
-from dynappo.physics import robot as robot_lib
+from dynappo.description import robot as robot_lib
 from dynappo.policy import checkpoint_file, checks
 from dynappo.tasks.velocity import observe
 

@@ -23,8 +23,8 @@ import mujoco
 import numpy as np
 
 from dynappo.config import interpreter, shell
-from dynappo.physics import mjcf
-from dynappo.physics import robot as robot_lib
+from dynappo.description import mjcf
+from dynappo.description import robot as robot_lib
 from dynappo.policy import episode as episode_lib
 from dynappo.policy import policy_file
 from dynappo.policy.episode import tour

@@ -17,7 +17,7 @@ import mujoco
 import numpy as np
 
 from dynappo.config import shell
-from dynappo.physics import mjcf
+from dynappo.description import mjcf
 from dynappo.policy import render
 
 SIZE = 440, 184  # pixels

@@ -14,9 +14,9 @@ from typing import Any
 
 from dynappo.config import ConfigError, files
 from dynappo.config import flags as flags_lib
-from dynappo.physics import mjcf
-from dynappo.physics import robot as robot_lib
-from dynappo.physics.robot import Robot
+from dynappo.description import mjcf
+from dynappo.description import robot as robot_lib
+from dynappo.description.robot import Robot
 from dynappo.policy import checkpoint_file, policy_file
 from dynappo.policy import episode as episode_lib
 from dynappo.policy.policy_file import Policy

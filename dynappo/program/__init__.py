@@ -7,5 +7,5 @@
 - `distributed`: one run over several processes
 
 `run`, `sweeps` and the commands `train`, `bench` and `evaluate` import it. It imports the method, `tasks`,
-`physics` and `config`.
+`physics`, `description` and `config`.
 """

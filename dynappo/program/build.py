@@ -50,7 +50,8 @@ class Program(NamedTuple):
 
 def check(config, env: Any = None) -> None:
     """ConfigError if the machine, the robot's file or `env` cannot run it; compiles nothing."""
-    from dynappo.physics import engine_contract, motors, robot
+    from dynappo.description import motors, robot
+    from dynappo.physics import engine_contract
     from dynappo.program import environment
     from dynappo.tasks import env_contract
     from dynappo.tasks.velocity import gait, partners, reward_sum
@@ -257,7 +258,7 @@ def _evaluate(mesh, hyper: Hyper, episodes: Callable, compiled, state):
 def floats(configs: list, env: Any = None) -> list[Hyper]:
     """The `hyper` of each config, all of one robot; or of `env`, an environment of your own."""
     from dynappo.config import per_joint
-    from dynappo.physics import robot
+    from dynappo.description import robot
 
     if env is None:
         of = robot.load(configs[0].robot)
@@ -269,8 +270,8 @@ def _environment(config, env: Any, impl: str) -> tuple[Any, Any, Any, str]:
     """`(config, robot, environment, engine)`: the velocity task of the robot, or the user's `env`."""
     import jax
 
-    from dynappo.physics import motors
-    from dynappo.physics import robot as robot_lib
+    from dynappo.description import motors
+    from dynappo.description import robot as robot_lib
     from dynappo.program import environment
     from dynappo.tasks.velocity import env as env_lib
 

@@ -11,7 +11,7 @@ import os
 from typing import Any
 
 from dynappo.config import ConfigError
-from dynappo.physics.robot import Robot
+from dynappo.description.robot import Robot
 from dynappo.tasks.velocity import observe
 
 CURE = "lower one of them, or use more devices (run.mesh_seed, run.mesh_env)"

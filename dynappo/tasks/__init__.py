@@ -6,8 +6,8 @@
 
 To add a task, write a module, or a folder of modules, with a function that returns an `Env`; there is no
 registry. A climb over rough ground may import what it shares with `velocity`, such as `commands`. Tasks
-import `physics`, `config` and `types`. The method imports no task, because an `Env` is its argument;
-`program` and the commands choose one. `brax_env` alone imports brax.
+import `physics`, `description`, `config` and `types`. The method imports no task, because an `Env` is its
+argument; `program` and the commands choose one. `brax_env` alone imports brax.
 
 Why `tasks` and not `envs`: two folders differ in commands and rewards. `Env` is the type that all of them
 return, and the config's group is `task`.

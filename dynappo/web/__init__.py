@@ -10,6 +10,6 @@
 - `child`: the page in a process of its own, for `train --serve`
 - `server`: puts them together
 
-`play` imports it with `--serve`, `train` only `address` and `child`. It imports `policy`, `physics` and
+`play` imports it with `--serve`, `train` only `address` and `child`. It imports `policy`, `description` and
 `config`, no JAX, and viser and mjviser: `pip install 'dynappo[web]'`.
 """

@@ -15,7 +15,7 @@ import numpy as np
 
 from dynappo import config as config_lib
 from dynappo.config import ConfigError, files
-from dynappo.physics import robot as robot_lib
+from dynappo.description import robot as robot_lib
 from dynappo.policy import checkpoint_file, policy_file, source
 from dynappo.policy.episode import Body
 

@@ -21,8 +21,8 @@ import numpy as np
 from ml_collections import config_dict
 
 from dynappo.config import files
+from dynappo.description import robot as robot_lib
 from dynappo.evaluate import trials
-from dynappo.physics import robot as robot_lib
 from dynappo.policy import policy_file, walks
 
 KEEP = (

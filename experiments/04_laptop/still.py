@@ -14,7 +14,7 @@ import jax
 
 from dynappo import algorithm, scores
 from dynappo import config as config_lib
-from dynappo.physics import robot as robot_lib
+from dynappo.description import robot as robot_lib
 from dynappo.tasks.velocity import env as env_lib
 from experiments import paper
 

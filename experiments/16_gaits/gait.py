@@ -5,7 +5,7 @@ import itertools
 import mujoco
 import numpy as np
 
-from dynappo.physics import robot as robot_lib
+from dynappo.description import robot as robot_lib
 from dynappo.policy import episode as episode_lib
 from dynappo.policy import policy_file
 

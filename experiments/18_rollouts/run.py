@@ -19,8 +19,8 @@ from plot import KEPT, REAL
 from dynappo import algorithm, fast
 from dynappo import config as config_lib
 from dynappo.config import files, versions
+from dynappo.description import robot as robot_lib
 from dynappo.model import dynamics, examples
-from dynappo.physics import robot as robot_lib
 from dynappo.policy import policy_file
 from dynappo.tasks.velocity import env as env_lib
 from experiments import paper

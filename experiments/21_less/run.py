@@ -25,7 +25,7 @@ import numpy as np
 
 from dynappo import config as config_lib
 from dynappo import schedule
-from dynappo.physics import robot as robot_lib
+from dynappo.description import robot as robot_lib
 from dynappo.policy import policy_file
 from dynappo.program import build, devices
 from experiments import paper

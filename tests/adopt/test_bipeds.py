@@ -13,8 +13,8 @@ from answers import status
 
 from dynappo import config as config_lib
 from dynappo.adopt import bipeds, command, gains, source
-from dynappo.physics import motors
-from dynappo.physics import robot as robot_lib
+from dynappo.description import motors
+from dynappo.description import robot as robot_lib
 from dynappo.program import build
 
 run = partial(status, command.main)

@@ -14,8 +14,8 @@ from answers import mistake, refused, shell, status
 
 from dynappo import config as config_lib
 from dynappo.adopt import command, source
-from dynappo.physics import motors
-from dynappo.physics import robot as robot_lib
+from dynappo.description import motors
+from dynappo.description import robot as robot_lib
 from dynappo.physics.warp import scope
 
 run = partial(status, command.main)

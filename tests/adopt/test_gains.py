@@ -9,8 +9,8 @@ import pytest
 from toy_policy import ROBOTS
 
 from dynappo.adopt import gains, normal, source
-from dynappo.physics import complete, feet, text
-from dynappo.physics import robot as robot_lib
+from dynappo.description import complete, feet, text
+from dynappo.description import robot as robot_lib
 
 NONE = source.Published(*np.full((4, 12), np.nan), np.zeros(12, bool))
 

@@ -15,7 +15,7 @@ import write_halves
 
 from dynappo import config as config_lib
 from dynappo.config import files, halves, per_joint
-from dynappo.physics import robot
+from dynappo.description import robot
 
 ROOT = pathlib.Path(__file__).parents[2]
 FILES = sorted({path.stem for path in (ROOT / "configs").glob("*.py")} - {"biped"})  # no robot's

@@ -12,10 +12,10 @@ from ml_collections import config_dict
 from toy_policy import actor, described
 
 from dynappo import config as config_lib
+from dynappo.description import robot as robot_lib
 from dynappo.evaluate import changes, episodes, trials
 from dynappo.evaluate import command as evaluate_command
 from dynappo.evaluate import show as evaluate_show
-from dynappo.physics import robot as robot_lib
 from dynappo.policy import episode, policy_file
 
 

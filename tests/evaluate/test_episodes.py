@@ -10,8 +10,8 @@ from toy_policy import actor, described
 
 from dynappo import config as config_lib
 from dynappo import scores
+from dynappo.description import motors
 from dynappo.evaluate import episodes
-from dynappo.physics import motors
 from dynappo.policy import policy_file
 from dynappo.program import devices
 

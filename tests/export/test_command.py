@@ -13,8 +13,8 @@ from answers import ROOT, mistake, shell, status
 from toy_onnx import GO2_IN_ISAACLAB, MOTORS, described, onnx_file
 
 from dynappo.config import shell as shell_lib
+from dynappo.description import robot as robot_lib
 from dynappo.export import command as export_command
-from dynappo.physics import robot as robot_lib
 from dynappo.policy import episode, policy_file
 
 run = partial(status, export_command.main)

@@ -13,10 +13,10 @@ import pytest
 from answers import ROOT
 from toy_onnx import MOTORS, infer, onnx_file
 
+from dynappo.description import robot as robot_lib
 from dynappo.export import command as export_command
 from dynappo.export import joint_order
 from dynappo.physics import actuators
-from dynappo.physics import robot as robot_lib
 from dynappo.policy import episode, source
 from dynappo.tasks.velocity import observe
 

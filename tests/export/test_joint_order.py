@@ -21,10 +21,10 @@ from toy_onnx import (
 )
 from toy_policy import GO1, ROBOTS
 
+from dynappo.description import robot as robot_lib
 from dynappo.export import deploy_yaml, joint_order, onnx_file
 from dynappo.learner import networks
 from dynappo.physics import actuators
-from dynappo.physics import robot as robot_lib
 
 
 def order_of(text, name):

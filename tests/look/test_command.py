@@ -8,8 +8,8 @@ import pytest
 from answers import mistake, shell, status
 from toy_policy import GO1
 
+from dynappo.description import robot as robot_lib
 from dynappo.look import command as look_command
-from dynappo.physics import robot as robot_lib
 from dynappo.policy import render
 
 run = partial(status, look_command.main)

@@ -14,9 +14,10 @@ import numpy as np
 import pytest
 
 from dynappo import config as config_lib
-from dynappo.physics import actuators, c_mujoco, contacts, motors, randomize
+from dynappo.description import contacts, motors
+from dynappo.description import robot as robot_lib
+from dynappo.physics import actuators, c_mujoco, randomize
 from dynappo.physics import engine as engine_lib
-from dynappo.physics import robot as robot_lib
 from dynappo.tasks.velocity import env as env_lib
 
 ROBOTS, STEPS = 8, 10

@@ -9,8 +9,8 @@ import pytest
 
 from dynappo import config as config_lib
 from dynappo.config import ConfigError
+from dynappo.description import robot as robot_lib
 from dynappo.physics import c_mujoco
-from dynappo.physics import robot as robot_lib
 from dynappo.program import build
 
 ROBOTS = 2

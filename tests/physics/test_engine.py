@@ -16,8 +16,9 @@ import pytest
 from mujoco import mjx
 
 from dynappo import config
+from dynappo.description import robot
 from dynappo.physics import engine as engine_lib
-from dynappo.physics import randomize, robot
+from dynappo.physics import randomize
 from dynappo.tasks.velocity import env as env_lib
 
 POSES = 10_000

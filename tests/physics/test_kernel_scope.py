@@ -13,10 +13,11 @@ import pytest
 from mujoco import mjx
 
 from dynappo import config as config_lib
-from dynappo.physics import contacts as contacts_lib
+from dynappo.description import contacts as contacts_lib
+from dynappo.description import robot as robot_lib
+from dynappo.description import robot_contract
 from dynappo.physics import engine as engine_lib
-from dynappo.physics import engine_contract, robot_contract
-from dynappo.physics import robot as robot_lib
+from dynappo.physics import engine_contract
 from dynappo.physics.warp import scope
 
 pytest.importorskip("warp")

@@ -4,7 +4,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from dynappo.physics import actuators, contacts
+from dynappo.description import contacts
+from dynappo.physics import actuators
 from dynappo.physics.warp import arrays
 
 pytest.importorskip("warp")

@@ -9,7 +9,8 @@ import pytest
 from mujoco import mjx
 
 from dynappo import config
-from dynappo.physics import randomize, robot
+from dynappo.description import robot
+from dynappo.physics import randomize
 from dynappo.tasks.velocity import env
 
 ROBOTS = 512

@@ -15,10 +15,11 @@ from mujoco import mjx
 
 from dynappo import config as config_lib
 from dynappo import seeds
-from dynappo.physics import contacts as contacts_lib
+from dynappo.description import contacts as contacts_lib
+from dynappo.description import motors
+from dynappo.description import robot as robot_lib
 from dynappo.physics import engine as engine_lib
-from dynappo.physics import motors, randomize
-from dynappo.physics import robot as robot_lib
+from dynappo.physics import randomize
 from dynappo.tasks.velocity import env as env_lib
 
 pytest.importorskip("warp")

@@ -23,9 +23,9 @@ from jax.sharding import PartitionSpec
 
 from dynappo import config as config_lib
 from dynappo import seeds
+from dynappo.description import robot as robot_lib
 from dynappo.physics import engine as engine_lib
 from dynappo.physics import randomize, xla_call
-from dynappo.physics import robot as robot_lib
 
 HERE = pathlib.Path(__file__)
 ROBOTS = 8

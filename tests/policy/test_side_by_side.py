@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from toy_policy import GO1, described
 
-from dynappo.physics import mjcf
+from dynappo.description import mjcf
 from dynappo.policy import episode, policy_file, render, side_by_side
 
 LACKS = render.NO_OPENGL, render.LACKS.split("{}")[0]

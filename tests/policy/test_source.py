@@ -12,10 +12,10 @@ from answers import mistake, refused, status
 from ml_collections import config_dict
 from toy_policy import GO1, actor, described, save
 
+from dynappo.description import mjcf, robot
 from dynappo.evaluate import changes, trials
 from dynappo.evaluate import command as evaluate_command
 from dynappo.export import command as export_command
-from dynappo.physics import mjcf, robot
 from dynappo.play import command as play_command
 from dynappo.policy import episode, policy_file, source
 

@@ -11,7 +11,7 @@ from answers import refused
 
 from dynappo import algorithm, rollout
 from dynappo import config as config_lib
-from dynappo.physics import robot as robot_lib
+from dynappo.description import robot as robot_lib
 from dynappo.program import memory
 from dynappo.tasks.velocity import env as env_lib
 

@@ -16,7 +16,7 @@ from toy_runs import leaves
 from dynappo import config as config_lib
 from dynappo import schedule, seeds
 from dynappo.config import fields
-from dynappo.physics import robot
+from dynappo.description import robot
 from dynappo.sweeps import grid
 from dynappo.tasks.velocity import env as env_lib
 

@@ -11,8 +11,8 @@ import pytest
 import robot_files
 
 from dynappo import config as config_lib
-from dynappo.physics import kinematics
-from dynappo.physics import robot as robot_lib
+from dynappo.description import kinematics
+from dynappo.description import robot as robot_lib
 from dynappo.physics.warp import scope
 from dynappo.program import memory
 from dynappo.tasks.velocity import env as env_lib

@@ -12,8 +12,8 @@ import robot_files
 
 from dynappo import config as config_lib
 from dynappo.config import per_joint
-from dynappo.physics import kinematics, motors
-from dynappo.physics import robot as robot_lib
+from dynappo.description import kinematics, motors
+from dynappo.description import robot as robot_lib
 from dynappo.tasks.velocity import env as env_lib
 from dynappo.tasks.velocity import reward_sum, rewards
 

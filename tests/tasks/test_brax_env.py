@@ -16,7 +16,7 @@ from toy_runs import assert_close, assert_same
 
 from dynappo import algorithm, schedule, scores
 from dynappo.config import ConfigError
-from dynappo.physics import robot as robot_lib
+from dynappo.description import robot as robot_lib
 from dynappo.tasks import brax_env as door
 from dynappo.tasks.velocity import env as env_lib
 

@@ -18,7 +18,7 @@ from toy_runs import assert_same
 
 from dynappo import algorithm, rollout
 from dynappo import config as config_lib
-from dynappo.physics import robot as robot_lib
+from dynappo.description import robot as robot_lib
 from dynappo.tasks.velocity import env as env_lib
 from dynappo.tasks.velocity import observe, view
 

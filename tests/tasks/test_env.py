@@ -16,7 +16,8 @@ import numpy as np
 import pytest
 
 from dynappo import config
-from dynappo.physics import actuators, randomize, robot
+from dynappo.description import robot
+from dynappo.physics import actuators, randomize
 from dynappo.tasks.velocity import env as env_lib
 from dynappo.tasks.velocity import observe, reward_sum
 from dynappo.tasks.velocity.state import State

@@ -12,10 +12,10 @@ import pytest
 
 from dynappo import config as config_lib
 from dynappo.config import ConfigError
+from dynappo.description import robot as robot_lib
 from dynappo.evaluate import stress
 from dynappo.export import deploy_yaml, joint_order, onnx_file
 from dynappo.learner import symmetry
-from dynappo.physics import robot as robot_lib
 from dynappo.policy import episode, policy_file
 from dynappo.program import build
 from dynappo.tasks.velocity import env as env_lib

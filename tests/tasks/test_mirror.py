@@ -8,7 +8,7 @@ import pytest
 
 from dynappo import config as config_lib
 from dynappo.config import ConfigError, files
-from dynappo.physics import robot as robot_lib
+from dynappo.description import robot as robot_lib
 from dynappo.program import build
 from dynappo.tasks.velocity import env as env_lib
 from dynappo.tasks.velocity import mirror, view

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from dynappo.physics import robot
+from dynappo.description import robot
 from dynappo.tasks.velocity import observe
 
 ROWS = observe.rows(12)

@@ -15,10 +15,10 @@ import pytest
 
 from dynappo import config as config_lib
 from dynappo import fast
+from dynappo.description import robot as robot_lib
 from dynappo.learner import networks, symmetry
 from dynappo.model import dynamics
 from dynappo.physics import randomize
-from dynappo.physics import robot as robot_lib
 from dynappo.tasks.velocity import env as env_lib
 from dynappo.tasks.velocity import observe, view
 

@@ -19,7 +19,7 @@ from rich.progress import Progress
 
 from dynappo import config as config_lib
 from dynappo.config import shell as shell_lib
-from dynappo.physics import robot as robot_lib
+from dynappo.description import robot as robot_lib
 from dynappo.policy import policy_file, source
 from dynappo.program import build, devices, memory
 from dynappo.run import finish as finish_lib

@@ -16,7 +16,7 @@ import pytest
 from answers import until
 from toy_policy import actor, described
 
-from dynappo.physics import robot as robot_lib
+from dynappo.description import robot as robot_lib
 from dynappo.policy import episode, policy_file, source
 
 pytest.importorskip("mjviser", reason="mjviser is not installed (extra web)")

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dynappo.physics import contacts
+from dynappo.description import contacts
 
 STATE = 11  # a call's first arrays, which differ between robots
 CARRIED = (  # changed in place

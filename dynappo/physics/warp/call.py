@@ -26,7 +26,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from dynappo.physics import robot as robot_lib
+from dynappo.description import robot as robot_lib
 from dynappo.physics.warp import arrays, scope
 
 # one per kind of step: Warp keeps what `jax_callable` was given, arrays included, to the end

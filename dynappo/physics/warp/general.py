@@ -11,7 +11,7 @@ import mujoco
 import warp as wp  # pyright: ignore[reportMissingImports]
 from mujoco.mjx.third_party import mujoco_warp as mjw
 
-from dynappo.physics import contacts
+from dynappo.description import contacts
 from dynappo.physics.warp import arrays, kernels
 
 FEW = 8  # rounds of Newton's method that cost less one after the other than a graph's loop does

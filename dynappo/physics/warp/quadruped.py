@@ -20,8 +20,8 @@ import mujoco
 import numpy as np
 import warp as wp  # pyright: ignore[reportMissingImports]
 
+from dynappo.description.rotation import matrix
 from dynappo.physics.actuators import FRICTION_SPEED
-from dynappo.physics.rotation import matrix
 from dynappo.physics.warp import arrays
 from dynappo.physics.warp.scope import LEGS, LINKS
 

@@ -16,7 +16,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from dynappo.physics import robot as robot_lib
+from dynappo.description import robot as robot_lib
 
 LEGS, LINKS = 4, 12  # of the kernel's robot: a base, and legs of three links, each with a hinge
 # fields without a say in how a robot moves, as patterns

@@ -15,9 +15,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from dynappo.description import kinematics
+from dynappo.description import robot as robot_lib
 from dynappo.physics import engine as engine_lib
-from dynappo.physics import kinematics, randomize
-from dynappo.physics import robot as robot_lib
+from dynappo.physics import randomize
 from dynappo.tasks.velocity import (
     commands,
     gait,

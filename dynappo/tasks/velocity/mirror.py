@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from dynappo.config import ConfigError
-from dynappo.physics.robot import Robot
+from dynappo.description.robot import Robot
 from dynappo.tasks.velocity import partners, view
 from dynappo.types import Mirror
 

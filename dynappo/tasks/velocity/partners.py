@@ -10,8 +10,8 @@ import mujoco
 import numpy as np
 
 from dynappo.config import ConfigError, per_joint
-from dynappo.physics import kinematics
-from dynappo.physics.robot import Robot
+from dynappo.description import kinematics
+from dynappo.description.robot import Robot
 from dynappo.tasks.velocity import observe
 
 CLOSE = 5e-3  # m; of axes, no unit; of the home pose, rad

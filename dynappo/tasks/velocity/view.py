@@ -24,8 +24,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from dynappo.description.robot import Robot
 from dynappo.physics import randomize
-from dynappo.physics.robot import Robot
 from dynappo.tasks.velocity import observe
 from dynappo.tasks.velocity.state import State
 from dynappo.types import Hyper, Views

@@ -18,9 +18,10 @@ import pytest
 from mujoco import mjx
 
 from dynappo import config as config_lib
-from dynappo.physics import actuators, contacts, randomize
+from dynappo.description import contacts
+from dynappo.description import robot as robot_lib
+from dynappo.physics import actuators, randomize
 from dynappo.physics import engine as engine_lib
-from dynappo.physics import robot as robot_lib
 from dynappo.physics.warp import scope
 
 ROBOTS, STEPS, SUBSTEPS = 6, 5, 4

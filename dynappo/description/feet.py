@@ -7,7 +7,7 @@ import re
 import mujoco
 import numpy as np
 
-from dynappo.physics import contacts, kinematics
+from dynappo.description import contacts, kinematics
 
 NAME = re.compile(r"(.+?)_foot(?:_?\d+)?")  # FL_foot; left_foot1, left_foot_2
 # shares of the base's height above the lowest point, in the home pose

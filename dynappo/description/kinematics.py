@@ -15,8 +15,8 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
-from dynappo.physics import contacts
-from dynappo.physics.rotation import matrix
+from dynappo.description import contacts
+from dynappo.description.rotation import matrix
 
 
 class Legs(NamedTuple):

@@ -16,8 +16,8 @@ import mujoco
 import numpy as np
 
 from dynappo.config import ConfigError, files
-from dynappo.physics import complete, feet, mjcf, robot_contract
-from dynappo.physics import text as text_lib
+from dynappo.description import complete, feet, mjcf, robot_contract
+from dynappo.description import text as text_lib
 
 # prefixes of a model's arrays that decide how it moves, and suffixes of those that do not
 MOVES = ("body_", "jnt_", "dof_", "geom_", "qpos", "key_", "actuator_", "eq_", "tendon_")

@@ -15,7 +15,8 @@ import pytest
 
 from dynappo import config
 from dynappo.config import files
-from dynappo.physics import actuators, complete, contacts, kinematics, randomize, robot
+from dynappo.description import complete, contacts, kinematics, robot
+from dynappo.physics import actuators, randomize
 
 FACTS = json.loads((pathlib.Path(__file__).parents[1] / "facts" / "robots.json").read_text())
 ROBOTS = [name for name in files.robots() if name in FACTS]  # a fifth one has no facts here

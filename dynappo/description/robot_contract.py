@@ -23,7 +23,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from dynappo.physics import contacts, feet
+from dynappo.description import contacts, feet
 
 AT_FLOOR = 1e-3  # m above the lowest foot
 FLAGS = mujoco.mjtDisableBit

@@ -8,7 +8,7 @@ import pytest
 import robot_files
 
 from dynappo.config import ConfigError, files
-from dynappo.physics import contacts, feet, fit, robot
+from dynappo.description import contacts, feet, fit, robot
 from dynappo.physics.warp import scope
 
 FILES = dict(biped=robot_files.biped, turned=robot_files.turned, hexapod=robot_files.hexapod)

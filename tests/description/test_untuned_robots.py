@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from dynappo import config as config_lib
-from dynappo.physics import robot as robot_lib
+from dynappo.description import robot as robot_lib
 from dynappo.tasks.velocity import mirror
 
 FOLDER = pathlib.Path(__file__).parents[2] / "experiments" / "23_untuned"

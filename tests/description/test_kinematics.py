@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import robot_files
 
-from dynappo.physics import kinematics, robot
+from dynappo.description import kinematics, robot
 
 SOLE = '<geom type="box" size="0.1 0.04 0.015" mass="0.5"/>'
 SHAPES = {

@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from dynappo.physics import kinds
+from dynappo.description import kinds
 
 LEGS = tuple(
     f"{leg}_{j}_joint" for leg in ("FL", "FR", "RL", "RR") for j in ("hip", "thigh", "calf")

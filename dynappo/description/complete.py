@@ -15,8 +15,8 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
-from dynappo.physics import feet, fit, mjcf, robot_contract
-from dynappo.physics.rotation import matrix, quaternion
+from dynappo.description import feet, fit, mjcf, robot_contract
+from dynappo.description.rotation import matrix, quaternion
 
 VISUAL_GROUP, COLLISION_GROUP = 2, 3  # by the habit of MuJoCo Menagerie
 MESH, PLANE, ELLIPSOID = (

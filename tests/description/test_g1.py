@@ -12,7 +12,7 @@ import pytest
 
 from dynappo import config
 from dynappo.config import files, per_joint
-from dynappo.physics import contacts, robot
+from dynappo.description import contacts, robot
 
 FACTS = json.loads((pathlib.Path(__file__).parents[1] / "facts" / "g1.json").read_text())
 XML = files.find("robots", "g1/g1.xml")

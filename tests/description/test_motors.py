@@ -8,8 +8,9 @@ from answers import refused
 from dynappo import config as config_lib
 from dynappo import train
 from dynappo.config import files
-from dynappo.physics import engine, motors
-from dynappo.physics import robot as robot_lib
+from dynappo.description import motors
+from dynappo.description import robot as robot_lib
+from dynappo.physics import engine
 from dynappo.policy import episode, policy_file, source
 from dynappo.program import build
 from dynappo.tasks.velocity import reward_sum

@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dynappo.physics.contacts import BOX, CAPSULE, CYLINDER, SPHERE
-from dynappo.physics.rotation import quaternion
+from dynappo.description.contacts import BOX, CAPSULE, CYLINDER, SPHERE
+from dynappo.description.rotation import quaternion
 
 SLACK = 1.05  # of volumes: the first kind of KINDS that is no larger than this times the smallest
 KINDS = {SPHERE: "sphere", CAPSULE: "capsule", BOX: "box", CYLINDER: "cylinder"}

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from dynappo.config import per_joint
-from dynappo.physics.robot import Robot
+from dynappo.description.robot import Robot
 
 
 def fitted(config, robot: Robot) -> tuple[Any, Robot]:

@@ -10,7 +10,7 @@ import pytest
 
 from dynappo import config
 from dynappo.config import files
-from dynappo.physics import robot
+from dynappo.description import robot
 
 GO1 = files.find("robots", "go1/go1.xml").read_text()
 

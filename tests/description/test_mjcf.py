@@ -7,7 +7,7 @@ import pytest
 from answers import refused
 from toy_policy import GO1, actor, described
 
-from dynappo.physics import mjcf, robot
+from dynappo.description import mjcf, robot
 from dynappo.policy import episode, policy_file
 
 TEXT = GO1.xml.read_text()

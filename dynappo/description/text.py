@@ -11,7 +11,7 @@ from xml.etree import ElementTree
 import mujoco
 import numpy as np
 
-from dynappo.physics.rotation import matrix, quaternion
+from dynappo.description.rotation import matrix, quaternion
 
 
 def of(spec: mujoco.MjSpec) -> str:
