@@ -60,6 +60,7 @@ def apply_variant(config, variant):
         task.tracking_std = None
     elif variant == "laptop":
         task.tracking_std = None
+        config.run.num_iterations = 540  # ten minutes
         config.model.hidden, config.ppo.hidden = (256, 256, 256), (256, 128)
         config.schedule.end_iteration, config.ppo.gamma = 5, 0.97
         config.ppo.critic = "state"
