@@ -109,7 +109,8 @@ def measures(every: list[dict], sums: bool, some: tuple[int, ...]) -> dict:
         cells |= stats.spread("tail_share_pct", shares)
         if some[3] == 1:  # further rounds cost updates, too
             cells |= pays([ms["fit"] for ms in every], [ms["physics"] - ms["tail"] for ms in every])
-        cells |= stats.spread("break_even", [break_even(ms, some) for ms in every])
+        if some[1]:  # a short run ends before its schedule has a tail
+            cells |= stats.spread("break_even", [break_even(ms, some) for ms in every])
     found = [derived(ms) for ms in every] if sums else [{}]
     for name in SUMS:
         if all(name in one for one in found):
