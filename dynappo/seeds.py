@@ -91,19 +91,6 @@ def init(env: Env, hyper: Hyper, keys: PRNGKeyArray, *, static: Static) -> Train
     return jax.vmap(one, (axes(hyper), 0), spmd_axis_name="seed")(hyper, keys)
 
 
-def iterate(
-    env: Env,
-    hyper: Hyper,
-    state: TrainState,
-    counts: dict[str, Int[Array, ""]],
-    *,
-    static: Static,
-) -> tuple[TrainState, Metrics]:
-    """`algorithm.iterate` of every seed; metrics `[S]`. Counts are loop bounds, so not batched."""
-    one = partial(algorithm.iterate, env, static=static)
-    return jax.vmap(one, (axes(hyper), 0, None), spmd_axis_name="seed")(hyper, state, counts)
-
-
 def run(
     env: Env,
     hyper: Hyper,

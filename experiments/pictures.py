@@ -10,6 +10,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 
 from dynappo.run import learning_curves
@@ -162,3 +163,24 @@ def band(axis, x, values, colour: str, label: str = "", most: int = 50, dash: An
         axis.fill_between(x[rows], low, high, color=colour, alpha=0.18, linewidth=0)
     mean = values[rows].mean(1)
     axis.plot(x[rows], mean, color=colour, linewidth=1.6, label=label, linestyle=dash)
+
+
+def poses(model, rows, size, *, distance, height, azimuth, elevation):
+    """RGB pictures of a robot's `rows` [T, nq], of `size` (height, width) in pixels.
+
+    The camera looks at a point `height` m above the floor, below the base, from `distance` m and from
+    `azimuth` degrees to the heading.
+    """
+    model.vis.global_.offheight, model.vis.global_.offwidth = size
+    data, view = mujoco.MjData(model), mujoco.MjvCamera()
+    view.distance, view.elevation = distance, elevation
+    with mujoco.Renderer(model, *size) as renderer:
+        for qpos in rows:
+            data.qpos[:] = qpos
+            mujoco.mj_forward(model, data)
+            w, x, y, z = qpos[3:7]
+            heading = np.degrees(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
+            view.azimuth = azimuth + heading
+            view.lookat[:] = [*qpos[:2], height]
+            renderer.update_scene(data, camera=view)
+            yield renderer.render().copy()

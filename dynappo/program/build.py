@@ -134,9 +134,9 @@ def program(
     env = env._replace(mesh=mesh)
     length = run.eval_steps or config.task.episode_length
     key = jax.random.key(run.seed)
-    init, step, episodes = algorithm.init, algorithm.iterate, scores.evaluate
+    init, step, episodes = algorithm.init, algorithm.run, scores.evaluate
     if run.num_seeds > 1:
-        init, step, episodes = seeds.init, seeds.iterate, seeds.evaluate
+        init, step, episodes = seeds.init, seeds.run, seeds.evaluate
         hyper, key = each or (hyper, seeds.keys(run.seed, run.num_seeds))
     init, step = partial(init, env, static=static), partial(step, env, static=static)
     episodes = partial(episodes, env, static=static, num_envs=run.eval_envs, num_steps=length)
@@ -149,7 +149,6 @@ def program(
     spread = seeds.shardings(mesh, shapes, run.num_seeds)
     shapes = jax.tree.map(_placed, shapes, spread)
     init = jax.jit(init, out_shardings=spread)
-    step = partial(_iterations, step)
     step = jax.jit(step, donate_argnums=1, out_shardings=(spread, everywhere))
     episodes = jax.jit(episodes, out_shardings=everywhere)
 
@@ -197,13 +196,6 @@ def program(
         bytes_needed=size,
         compile_seconds=time.perf_counter() - began,
     )
-
-
-def _iterations(iterate: Callable, hyper: Hyper, state, columns: dict[str, np.ndarray]):
-    """`(state, metrics)` after an iteration for each row of the schedule's columns."""
-    import jax
-
-    return jax.lax.scan(lambda state, row: iterate(hyper, state, row), state, columns)
 
 
 def _step(compiled: Callable, together: int, hyper: Hyper, state, columns: dict[str, np.ndarray]):

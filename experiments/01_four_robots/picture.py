@@ -7,6 +7,7 @@ robot at VX m/s, 60 ms apart, to look at its gait.
 """
 
 from pathlib import Path
+from typing import Any
 
 import matplotlib.pyplot as plt
 import mujoco
@@ -54,21 +55,11 @@ def stride(feet, start):
 def render(name, poses, size=SIZE, azimuth=128.0, elevation=-9.0):
     """RGB frames of the robot in `poses`, seen from its front left."""
     model = mujoco.MjModel.from_xml_path(str(Path("robots") / name / f"{name}.xml"))
-    model.vis.global_.offheight, model.vis.global_.offwidth = size
-    data = mujoco.MjData(model)
     distance, height, _ = FRAMING[name]
-    view = mujoco.MjvCamera()
-    view.distance, view.elevation = distance, elevation
-    with mujoco.Renderer(model, *size) as renderer:
-        for qpos in poses:
-            data.qpos[:] = qpos
-            mujoco.mj_forward(model, data)
-            w, x, y, z = qpos[3:7]
-            heading = np.degrees(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
-            view.azimuth = azimuth + heading
-            view.lookat[:] = [*qpos[:2], height]
-            renderer.update_scene(data, camera=view)
-            yield renderer.render()
+    look: dict[str, Any] = dict(
+        distance=distance, height=height, azimuth=azimuth, elevation=elevation
+    )
+    return pictures.poses(model, poses, size, **look)
 
 
 def sheet(frames, labels, columns, out, dpi=100):

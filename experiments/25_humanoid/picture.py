@@ -7,12 +7,13 @@ Ten frames 0.08 s apart, after three seconds in C MuJoCo: a stride at 1.4 stride
 
 import argparse
 from pathlib import Path
+from typing import Any
 
-import mujoco
 import numpy as np
 from PIL import Image
 
 from dynappo.policy import episode, policy_file, source
+from experiments import pictures
 
 SIZE = 420, 240  # pixels, height and width of a frame
 VIEWS = (90.0, 180.0)  # degrees from the heading: from the robot's right, from ahead
@@ -31,26 +32,12 @@ def main():
     act = policy_file.actor(policy.params, policy.activation)
     poses = episode.play(body, act, lambda t: command, START + APART * FRAMES + 0.1)["qpos"]
     each = [round((START + APART * k) / episode.period(body)) for k in range(FRAMES)]
-    rows = [np.concatenate(frames(body.model, poses[each], view), 1) for view in VIEWS]
+    look: dict[str, Any] = dict(distance=2.2, height=0.68, elevation=-6.0)
+    rows = [
+        np.concatenate([*pictures.poses(body.model, poses[each], SIZE, azimuth=view, **look)], 1)
+        for view in VIEWS
+    ]
     Image.fromarray(np.concatenate(rows)).quantize(128).save(args.out)
-
-
-def frames(model, poses, azimuth: float) -> list[np.ndarray]:
-    """RGB pictures of the robot in `poses`, seen from `azimuth` degrees to its heading."""
-    model.vis.global_.offheight, model.vis.global_.offwidth = SIZE
-    data, view, found = mujoco.MjData(model), mujoco.MjvCamera(), []
-    view.distance, view.elevation = 2.2, -6.0
-    with mujoco.Renderer(model, *SIZE) as renderer:
-        for qpos in poses:
-            data.qpos[:] = qpos
-            mujoco.mj_forward(model, data)
-            w, x, y, z = qpos[3:7]
-            heading = np.degrees(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
-            view.azimuth = azimuth + heading
-            view.lookat[:] = [*qpos[:2], 0.68]
-            renderer.update_scene(data, camera=view)
-            found.append(renderer.render().copy())
-    return found
 
 
 if __name__ == "__main__":
