@@ -13,7 +13,8 @@ MuJoCo Playground 0.2 (PG), whose gait clock makes the walk. experiments/25_huma
 | `laptop`         | 512    | 24     | 16       | two CPU cores                                       |
 
 A robot's file starts from `defaults`, sets its motors, sizes and `task.posture_std`, and ends with
-`apply_variant`. Metres and strides a second are for a base 0.76 m above the ground.
+`apply_variant`. Metres and strides a second are for a base 0.76 m above the ground; `adopt` writes those of
+other heights into its configs (dynappo/adopt/bipeds.py).
 """
 
 import math
@@ -84,9 +85,9 @@ def _task(task):
         roll_pitch_rate=-0.05,  # IL, mjlab
         feet_air_time=0.0,  # of quadrupeds
         feet_phase=1.0,  # PG
-        foot_clearance=-0.5,  # mjlab -0.25 of 10 cm, here of 6 cm
+        foot_clearance=-0.5,  # mjlab -0.25 of 10 cm, here of task.clearance_height
         foot_slip=-0.5,  # PG -0.25, IL -0.1
-        feet_distance=-1.0,  # PG
+        feet_distance=-1.0,  # PG, of task.feet_apart
         joint_limits=-1.0,  # mjlab, PG
         joint_torques=-2e-6,  # IL, of hips and knees
         joint_accelerations=-1e-7,  # IL, of hips and knees

@@ -267,9 +267,10 @@ class Task(NamedTuple):
     # Hz, strides of a biped's gait clock (tasks/velocity/gait.py): drawn where a robot starts anew; feet's
     # phases are part of the observation. Playground's G1: 1.25 to 1.5. None: not in the program
     gait_frequency: tuple[Frequency, Frequency] | None = None
-    gait_foot_height: Positive = (
-        0.15  # m, in the middle of a swing, for feet_phase; Playground's G1
-    )
+    # m, in the middle of a swing, for feet_phase, whose width goes with it; Playground's G1
+    gait_foot_height: Positive = 0.15
+    clearance_height: Positive = 0.06  # m, that a foot must lift in foot_clearance
+    feet_apart: NotNegative = 0.2  # m, sideways, in feet_distance; Playground's G1
     # rad per unit of action; IL
     action_scale: Annotated[PerJoint, Between(1e-12, 100)] = 0.25
     # "full": the 48 numbers of tasks/velocity/observe.py; "onboard": the 45 that a robot measures, so

@@ -7,12 +7,13 @@ walking; the shoulder's is that of `configs/g1.py`. Of pitch, and of other axes:
     shoulder 0.5    arm 0.15, yaw 0.1    wrist 0.3    others (heads) 0.15
 
 Times and lengths: those of a G1, whose base is 0.76 m above the ground, at the same Froude number. With the
-base's height l, strides a second go with 1 / sqrt(l), heights of steps with l, but not above a G1's: the
-reward `feet_phase` has one width for all, and does not reach feet that are to be lifted further.
+base's height l, strides a second go with 1 / sqrt(l), and with l the heights of steps, how far a foot must
+lift, and how far feet must be apart. They need not be further apart than in the default pose.
 """
 
 from __future__ import annotations
 
+from decimal import ROUND_DOWN, Context
 from typing import NamedTuple
 
 import mujoco
@@ -34,7 +35,7 @@ POSTURE = {  # rad, about x, y, z
 G1 = 0.757, 33.3  # m, kg: height of the base, mass
 STRIDES, STEP = (1.25, 1.5), 0.15  # Hz, m: of Playground's G1
 TORQUES = 2e-6  # weight of squared torques, of a G1
-APART = 0.2  # m, of the reward `feet_distance`
+CLEARANCE, APART = 0.06, 0.2  # m, of the rewards `foot_clearance` and `feet_distance`
 
 
 class Task(NamedTuple):
@@ -43,8 +44,9 @@ class Task(NamedTuple):
     posture_std: np.ndarray  # [A] rad
     gait_frequency: tuple[float, float]  # Hz
     gait_foot_height: float  # m
+    clearance_height: float  # m
+    feet_apart: float  # m
     joint_torques: float  # the term's weight
-    feet_distance: bool  # whether the term can be had: feet stand apart by more than 0.2 m
 
 
 def is_biped(robot: robot_lib.Robot) -> bool:
@@ -56,24 +58,26 @@ def choose(robot: robot_lib.Robot) -> tuple[Task, list[str]]:
     std, unknown = posture(robot)
     height = gains.reach(robot) / G1[0]
     slow, fast = (round(one / height**0.5, 2) for one in STRIDES)
-    step = float(f"{STEP * min(height, 1):.2g}")
+    step, lift, wide = (float(f"{one * height:.2g}") for one in (STEP, CLEARANCE, APART))
+    base = f"for a base at {gains.reach(robot):.2f} m"
     weight = -float(f"{TORQUES * (G1[1] / robot.mj_model.body_mass.sum()) ** 1.5:.2g}")
-    apart = stance_width(robot)
+    stance = stance_width(robot)
+    apart = min(wide, _down(stance))
     told = [
         "task: a biped's, with which a Unitree G1 walks (configs/biped.py); torques are weighted by "
         f"{weight:g}, by mass^-1.5",
         f"gait: {slow:g} to {fast:g} strides a second, steps {step:g} m high: a G1's {STRIDES[0]:g} to "
-        f"{STRIDES[1]:g} and {STEP:g} for a base at {gains.reach(robot):.2f} m",
+        f"{STRIDES[1]:g} and {STEP:g} {base}",
+        f"feet: lifted by at least {lift:g} m in foot_clearance: a G1's {CLEARANCE:g} {base}",
+        f"feet: at least {apart:g} m apart in feet_distance: "
+        + f"{stance:.3g} in the default pose, which is less than " * (apart < wide)
+        + f"a G1's {APART:g} {base}"
+        + f", {wide:g}" * (apart < wide),
         f"posture: joints may leave the default pose by {gains.span(std)} rad, by their place and axis"
         + f"; {POSTURE['other'][1]:g} rad{gains.at(robot.joint_names, unknown)}, no leg's, waist's or arm's"
         * bool(unknown.any()),
     ]
-    if apart < APART:
-        told.append(
-            f"feet: {apart:.2f} m apart in the default pose, so the reward feet_distance (of {APART:g} m) is "
-            "off"
-        )
-    return Task(std, (slow, fast), step, weight, apart >= APART), told
+    return Task(std, (slow, fast), step, lift, apart, weight), told
 
 
 def stance_width(robot: robot_lib.Robot) -> float:
@@ -83,6 +87,11 @@ def stance_width(robot: robot_lib.Robot) -> float:
     mujoco.mj_kinematics(robot.mj_model, data)
     aside = data.geom_xpos[robot.feet, 1]
     return float(abs(aside[robot.foot_of == 0].mean() - aside[robot.foot_of == 1].mean()))
+
+
+def _down(length: float) -> float:
+    """Two digits of a length in m, rounded down; what is less than a micrometre short is not."""
+    return float(Context(prec=2, rounding=ROUND_DOWN).create_decimal(f"{length:.6f}"))
 
 
 def posture(robot: robot_lib.Robot) -> tuple[np.ndarray, np.ndarray]:

@@ -115,12 +115,13 @@ def _of_two_feet(robot: robot_lib.Robot) -> str:
     """The lines of a biped's config beside those of every robot."""
     task, _ = bipeds.choose(robot)
     posture = kinds.patterns(robot.joint_names, task.posture_std)
-    apart = "" if task.feet_distance else "    task.weights.feet_distance = None\n"
     return (
-        f"    # Hz and m of steps; rad, from the default pose\n"
+        f"    # Hz and m of steps; m that feet must lift, and be apart; rad, from the default pose\n"
         f"    task.gait_frequency = {task.gait_frequency}\n"
         f"    task.gait_foot_height = {task.gait_foot_height:g}\n"
-        f"{_field('posture_std', posture)}{apart}"
+        f"    task.clearance_height = {task.clearance_height:g}\n"
+        f"    task.feet_apart = {task.feet_apart:g}\n"
+        f"{_field('posture_std', posture)}"
         f"    task.weights.joint_torques = {task.joint_torques:g}  # by mass^-1.5\n"
     )
 

@@ -204,11 +204,13 @@ class HyperWeights(NamedTuple):
 
 class HyperTask(NamedTuple):
     action_scale: float | tuple[float, ...]
+    clearance_height: float
     command_x: tuple[float, float]
     command_y: tuple[float, float]
     command_yaw: tuple[float, float]
     effort_limit: float | tuple[float, ...]
     fall_reward: float | None
+    feet_apart: float
     gait_foot_height: float
     gait_frequency: tuple[float, float] | None
     heading_gain: float

@@ -59,9 +59,9 @@ def test_the_rule_gives_the_g1_its_own_numbers():
     chosen, _ = bipeds.choose(robot)
     np.testing.assert_array_equal(chosen.posture_std, config.task.posture_std)
     assert chosen.gait_frequency == config.task.gait_frequency
-    assert chosen.gait_foot_height == config.task.gait_foot_height
+    for name in ("gait_foot_height", "clearance_height", "feet_apart"):
+        assert getattr(chosen, name) == config.task[name]
     assert chosen.joint_torques == config.task.weights.joint_torques
-    assert chosen.feet_distance
 
 
 def test_every_variant_of_an_adopted_biped_can_be_built(adopted):
@@ -79,11 +79,12 @@ def test_an_adopted_biped_has_the_task_of_the_g1(adopted):
     np.testing.assert_allclose(
         config.task.gait_frequency, np.array([1.25, 1.5]) / height**0.5, atol=0.01
     )
-    assert config.task.gait_foot_height == pytest.approx(0.15 * height, rel=0.05)
+    lengths = dict(gait_foot_height=0.15, clearance_height=0.06, feet_apart=0.2)
+    for name, of_g1 in lengths.items():
+        assert config.task[name] == pytest.approx(of_g1 * height, rel=0.05)
     weights = config.task.weights
     assert weights.joint_torques == pytest.approx(-2e-6 * (33.34 / mass) ** 1.5, rel=0.05)
-    assert weights.feet_distance is None  # they are 16 cm apart
-    weights.update(joint_torques=g1.task.weights.joint_torques, feet_distance=-1.0)
+    weights.joint_torques = g1.task.weights.joint_torques
     assert weights == g1.task.weights
     for group in ("ppo", "model", "schedule", "rollout", "run", "physics"):
         assert config[group] == g1[group]
@@ -101,6 +102,37 @@ def test_an_adopted_biped_has_the_task_of_the_g1(adopted):
     np.testing.assert_allclose(config.task.randomize.base_mass, (-payload, payload), atol=0.06)
     high = config_lib.load("configs/mine.py:deploy").task.randomize.base_mass
     np.testing.assert_allclose(high, (-payload, 2 * payload), atol=0.2)
+
+
+def sized(size: float, narrow: float = 1.0) -> robot_lib.Robot:
+    """The toy at `size` times its lengths, its legs `narrow` times as far apart."""
+    toy = other_robots.biped()
+    model, home = toy.mj_model, toy.home_qpos.copy()
+    for side in ("left", "right"):
+        model.body(f"{side}_thigh").pos[1] *= narrow
+    model.body_pos[:] *= size
+    model.geom_pos[:] *= size
+    home[:3] *= size
+    return toy._replace(home_qpos=home)
+
+
+@pytest.mark.parametrize(
+    ("size", "narrow", "expected"),
+    [
+        (1.0, 1.0, (0.11, 0.044, 0.15)),  # a base at 0.555 m, feet 0.16 m apart
+        (0.5, 1.0, (0.055, 0.022, 0.073)),
+        (1.8, 1.0, (0.20, 0.079, 0.26)),
+        (1.8, 0.7, (0.20, 0.079, 0.20)),  # 0.2016 m
+        (0.5, 0.5, (0.055, 0.022, 0.04)),
+        (1.0, 0.0, (0.11, 0.044, 0.0)),
+    ],
+)
+def test_lengths_of_rewards_go_with_the_height_of_the_base(size, narrow, expected):
+    """And feet that stand closer need not be further apart, so the default pose costs nothing."""
+    task, told = bipeds.choose(sized(size, narrow))
+    assert (task.gait_foot_height, task.clearance_height, task.feet_apart) == expected
+    assert all(f" {length:g} m " in "".join(told) for length in expected)
+    assert ("in the default pose, which is less" in "".join(told)) == (narrow < 1)
 
 
 LINK = other_robots.inertial(0.3, 0.0)

@@ -46,6 +46,7 @@ FIELDS = {  # 4 robots that fall, step, stand and bend their joints far, all wit
     "task.reset.spawn_height": 0.25,
     "task.reset.soft_limit": 0.4,
     "task.kp": 3.0,
+    "task.weights.foot_clearance": -2.0,  # else task.clearance_height would do nothing
     # in the program where they are not None
     "task.max_tilt": 0.3,
     "task.fall_reward": -2.0,

@@ -20,6 +20,7 @@ from dynappo.tasks.velocity import reward_sum, rewards
 ROBOTS, DT, MOST, PAID = 24, 0.02, 0.7, -2.5
 TERMS = "upright posture foot_slip feet_distance feet_phase".split()
 KNOWN = {*TERMS} - {"foot_slip"}
+LENGTHS = dict(gait_foot_height=0.12, clearance_height=0.07, feet_apart=0.23)  # m
 STD = {".*_knee_joint": 0.4, "waist_.*": 0.1, ".*": 0.2}
 
 
@@ -28,7 +29,7 @@ def settings(robot, **task):
     config = config_lib.load("configs/g1.py:laptop")
     config.physics.threads = 1
     config.task.update(posture_std=STD, posture_std_standing=0.1, max_tilt=MOST, fall_reward=PAID)
-    config.task.update(tracking_std=0.5, gait_frequency=(1.0, 2.0), gait_foot_height=0.12, **task)
+    config.task.update(tracking_std=0.5, gait_frequency=(1.0, 2.0), **LENGTHS, **task)
     for group, value in ((config.task.weights, 1.0), (config.task.noise, 0.0)):
         group.update(dict.fromkeys(group, value))
     return motors.fitted(config_lib.validate(config), robot)
@@ -126,13 +127,13 @@ def by_loops(world, i):
         upright=math.exp(-(1 - up[2] ** 2) / 0.45**2),
         posture=math.exp(-sum(x**2 for x in off) / 29),
         foot_slip=sum(math.hypot(*v[:2]) for v, d in zip(velocities, down, strict=True) if d),
-        feet_distance=max(0.0, 0.2 - (places[0, 1] - places[1, 1])),
+        feet_distance=max(0.0, 0.23 - (places[0, 1] - places[1, 1])),
         feet_phase=math.exp(
             -sum(
                 (z - min(heights) - (up - min(swings))) ** 2
                 for z, up in zip(heights, swings, strict=True)
             )
-            / 0.01
+            / 0.08**2
         ),
     )
 
@@ -172,10 +173,23 @@ def test_what_follows_from_joints_and_velocities_is_known_to_the_model(world):
 def test_crossed_feet_have_a_distance_below_zero():
     def term(left, right, sides=(1, -1)):
         place = np.array([[0.1, left, -0.7], [-0.2, right, -0.7]])
-        return rewards.feet_distance(place, np.array(sides))
+        return rewards.feet_distance(place, np.array(sides), 0.2)
 
     assert term(0.1, -0.1) == term(0.3, -0.1) == 0 and term(0.05, -0.05) == pytest.approx(0.1)
     assert term(-0.1, 0.1) == pytest.approx(0.4) and term(0.1, -0.1, (-1, 1)) == pytest.approx(0.4)
+
+
+def test_a_foot_that_is_off_by_the_same_share_of_its_step_earns_the_same_at_any_size():
+    """Of 0.15 m as Playground's G1, whose squared heights are over 0.01 m^2."""
+    rng, down = np.random.default_rng(0), np.array([0.0, 0.0, -1.0])
+    for _ in range(20):
+        place, angle = rng.normal(0, 0.1, (2, 3)), rng.uniform(0, 2 * math.pi)
+        targets = [swing(angle, 0.15), swing(angle + math.pi, 0.15)]
+        above = place[:, 2] - place[:, 2].min() - (np.array(targets) - min(targets))
+        phase = np.array([math.sin(angle), math.cos(angle)])
+        for size in (1.0, 0.35, 1.3):
+            found = rewards.feet_phase(place * size, down, phase, 0.15 * size)
+            assert found == pytest.approx(math.exp(-(above**2).sum() / 0.01), rel=1e-6)
 
 
 def test_where_a_foot_is_and_how_fast_on_feet_of_every_kind(tmp_path):

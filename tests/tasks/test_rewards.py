@@ -13,6 +13,7 @@ from dynappo.program import build
 from dynappo.tasks.velocity import observe, reward_sum, rewards
 
 STATES = 64
+LIFT = 0.09  # m, task.clearance_height
 # Isaac-Velocity-Flat-*-v0 of Isaac Lab 2.2.1: the terms and their weights, per second. Terms of your own
 # need not be here.
 SMOOTH = dict.fromkeys(  # of other tasks, off in these
@@ -82,9 +83,9 @@ def by_loops(s, std):
     actions = list(zip(s["action"], s["last_action"], s["older_action"], strict=True))
     moves = sum(x**2 for x in s["command"]) > 0.01
     short = [
-        (1 - h / 0.06) ** 2
+        (1 - h / LIFT) ** 2
         for h, down in zip(s["swing_height"], s["touchdown"], strict=True)
-        if down and h < 0.06 and moves
+        if down and h < LIFT and moves
     ]
     return dict(
         action_acceleration=sum((a - 2 * b + c) ** 2 for a, b, c in actions),
@@ -110,7 +111,7 @@ def by_loops(s, std):
 
 def shipped(s, std):
     """Every term of `dynappo.tasks.velocity.rewards`, of NumPy or JAX arrays."""
-    swing = s["swing_height"], s["touchdown"], s["command"]
+    swing = s["swing_height"], s["touchdown"], s["command"], LIFT
     before = s["last_action"], s["older_action"]
     return dict(
         action_acceleration=rewards.action_acceleration(s["action"], *before),
@@ -159,6 +160,7 @@ def test_the_random_states_exercise_every_branch(states):
     found = [by_loops(s, 0.5) for s in states]
     air = [f["feet_air_time"] for f in found]
     assert min(air) < 0 < max(air) and sum(a == 0 for a in air) >= STATES // 2
+    assert sum(f["foot_clearance"] > 0.01 for f in found) > STATES / 4
     assert {f["feet_in_air"] for f in found} == {0.0, 1.0, 2.0, 3.0, 4.0}
 
 
@@ -300,6 +302,7 @@ def test_a_term_is_given_what_the_names_of_its_parameters_ask_for(task, states):
     """Every weight has a term, and they are the terms of `shipped`."""
     names = dict(linear="linear_velocity", angular="angular_velocity", qd="joint_velocity")
     names |= dict(qd_before="joint_velocity_before", last_action="previous_action")
+    numbers = dict(tracking_std=0.5, timestep=0.005, clearance_height=LIFT)
     for air_time, other in (("touchdown", "feet_air_time"), ("indicator", "feet_in_air")):
         task.air_time = air_time
         terms = reward_sum.terms_of(task)
@@ -307,7 +310,7 @@ def test_a_term_is_given_what_the_names_of_its_parameters_ask_for(task, states):
         assert set(terms) == named and "feet_in_air" not in terms
         for state in states[:8]:
             facts = {names.get(name, name): value for name, value in state.items()}
-            found = reward_sum.values(terms, facts | dict(tracking_std=0.5, timestep=0.005))
+            found = reward_sum.values(terms, facts | numbers)
             expected = by_loops(state, 0.5)
             expected["feet_air_time"] = expected[other]
             for name in set(found) & set(UNITREE):

@@ -121,13 +121,14 @@ def stand_still(joint_position, command):
     return abs(joint_position).sum() * ((command**2).sum() < 0.1**2)
 
 
-def foot_clearance(swing_height, touchdown, command, wanted=0.06):
-    """Sum over feet that touch down of (1 - swing height / `wanted`)^2, `wanted` in m, where it was lower.
+def foot_clearance(swing_height, touchdown, command, clearance_height):
+    """Sum over feet that touch down of (1 - swing height / clearance_height)^2, where it was lower.
 
-    Playground's Go1 has the same with 0.1 m, and for higher feet too. 0 for a slow command.
+    `task.clearance_height` is in m. Playground's Go1 has the same with 0.1 m, and for higher feet too. 0 for
+    a slow command.
     """
     moving = _moving(command)
-    short = 1 - swing_height / wanted
+    short = 1 - swing_height / clearance_height
     return (short**2 * (short > 0) * touchdown).sum() * moving
 
 
@@ -173,25 +174,26 @@ def foot_slip(foot_velocity, gravity, contact):
     return (xp.sqrt(((foot_velocity - up) ** 2).sum(-1)) * contact).sum()
 
 
-def feet_phase(foot_position, gravity, gait_phase, gait_foot_height, variance=0.01):
-    """exp(-sum over feet of (height - target)^2 / `variance`), heights in m, above the lowest foot.
+def feet_phase(foot_position, gravity, gait_phase, gait_foot_height):
+    """exp(-sum over feet of ((height - target) / width)^2), heights in m, above the lowest foot.
 
     The target is that of the gait clock (gait.target), `task.gait_foot_height` in mid-swing, at the phase
-    that the policy saw. Of the middles of feet. Playground: feet_phase, of heights above the ground; those
-    above the lowest foot follow from joints.
+    that the policy saw. Of the middles of feet. The width is 2/3 of that height, so that robots of other
+    sizes earn the same with the same walk. Playground: feet_phase, 0.15 m and a width of 0.1 m, of heights
+    above the ground; those above the lowest foot follow from joints.
     """
     height = -(foot_position * gravity).sum(-1)
     off = height - height.min() - gait.target(gait_phase, gait_foot_height)
-    return _exp(-(off**2).sum() / variance)
+    return _exp(-((off / (gait_foot_height * 2 / 3)) ** 2).sum())
 
 
-def feet_distance(foot_position, foot_side, least=0.2):
-    """m by which left feet are less than `least` to the left of right ones, in the mean; base frame.
+def feet_distance(foot_position, foot_side, feet_apart):
+    """m by which left feet are less than feet_apart to the left of right ones, in the mean; base frame.
 
-    No contact keeps the feet apart in physics, so crossed feet have a distance below 0. Playground:
-    feet_distance, there of the distance's size, and 0.1 at most.
+    `task.feet_apart` is in m. No contact keeps the feet apart in physics, so crossed feet have a distance
+    below 0. Playground: feet_distance, there of the distance's size, and 0.1 at most.
     """
-    missing = least - 2 * (foot_side * foot_position[:, 1]).mean()
+    missing = feet_apart - 2 * (foot_side * foot_position[:, 1]).mean()
     return missing * (missing > 0)
 
 
