@@ -44,7 +44,7 @@ def apply_variant(config, variant):
         if variant == "ppo":
             config.rollout.num_envs = 512
             config.run.num_iterations = 600
-            config.schedule.update(end_iteration=0, end_steps=0, rounds=1)
+            config.schedule.update(end_iteration=0, end_steps=0, rounds=1, last_iteration=None)
             config.model.update(clean=False, known_reward=False, falls=False)
             config.ppo.desired_kl = 0.04
         return config
@@ -101,7 +101,7 @@ def _best(config):
     config.run.num_iterations = 240
     config.rollout.update(num_envs=1024, horizon=24)
     config.schedule.update(start_iteration=0, end_iteration=5, start_steps=0, end_steps=20)
-    config.schedule.update(rounds=3, last_iteration=None, late_from=None)
+    config.schedule.update(rounds=3, last_iteration=160, late_from=None)
     config.model.update(clean=True, known_reward=True, falls=True, minibatches=6)
     config.model.update(hidden=(512, 512, 512), activation="swish", precision="bfloat16")
     config.model.update(late_epochs=5, late_from=50)
