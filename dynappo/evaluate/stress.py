@@ -17,6 +17,8 @@ disturbance alone.
 from __future__ import annotations
 
 import copy
+import itertools
+from collections import deque
 from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any, NamedTuple
@@ -166,52 +168,64 @@ def play(body: Body, act: Callable, command, stress: Stress, seed: int = 0, seco
 
     As `trials.record`, with the disturbance. A blow-up of the physics is a fall.
     """
-    mujoco.set_mju_user_warning(lambda message: None)
     p, model = body.policy, body.model
     # not the stream of the pose at the start (`episode.reset`), which is that of seed 0
     rng, data = np.random.default_rng((seed, 1)), mujoco.MjData(model)
-    see, com = observe.memory(p.observation, p.history), model.body_ipos[body.base_body]
     dt, step = episode_lib.period(body), model.opt.timestep
-    old = round(stress.sensor_delay / step)
     parts = observe.rows(len(p.joint_names), observe.has_clock(p.observation))
     scale = stress.noise * np.concatenate(
         [np.full(part.stop - part.start, NOISE.get(name, 0.0)) for name, part in parts.items()]
     )
-    action = np.zeros(len(p.joint_names))
-    episode_lib.reset(body, data)
-    follows = p.default_pose  # of the motors
-    waiting = []  # (arrival, target), on their way to the motors
-    arrival = now = 0  # physics steps
-    seen = [_snapshot(data)] * (old + 1)  # states on their way to the policy
-    velocity, fall = [], None
-    for k in range(round(seconds / dt)):
-        if stress.push and k and k % round(PUSH_EVERY / dt) == 0:
+    late = round(stress.sensor_delay / step)  # physics steps
+    states = deque(maxlen=late + 1)  # on their way to the policy, the oldest first
+    waiting = deque([(0, p.default_pose)])  # (arrival, target), on their way to the motors
+
+    def observed(k, command, last_action):
+        """Push the robot if it is time, and observe it."""
+        if not k:
+            states.extend([_snapshot(data)] * (late + 1))
+        elif stress.push and k % round(PUSH_EVERY / dt) == 0:
             angle = rng.uniform(-np.pi, np.pi)
             data.qvel[body.root[1] : body.root[1] + 2] += stress.push * np.array(
                 [np.cos(angle), np.sin(angle)]
             )
-            seen[-1] = _snapshot(data)
-        obs = episode_lib.look(body, seen[-1 - old], command, action, k * dt)  # no clock is late
+            states[-1] = _snapshot(data)
+        obs = episode_lib.look(body, states[0], command, last_action, k * dt)  # no clock is late
         obs[parts["linear_velocity"]] *= stress.velocity
-        action = act(see(obs + rng.uniform(-1, 1, len(obs)) * scale))
+        return obs + rng.uniform(-1, 1, len(obs)) * scale
+
+    def targets(k, action):
+        """What the motors follow in each physics step: the last target that has arrived."""
         delay = stress.action_delay
         if stress.jitter:
             delay += rng.uniform(0, stress.jitter)
-        arrival = max(arrival, now + round(delay / step))
+        first = k * body.substeps
+        arrival = max(waiting[-1][0], first + round(delay / step))  # none overtakes another
         waiting.append((arrival, actuators.target(action, p.default_pose, p.action_scale)))
-        fell = False
-        for _ in range(body.substeps):
-            while waiting and waiting[0][0] <= now:
-                _, follows = waiting.pop(0)
-            fell |= episode_lib.physics_step(body, data, follows, stress.motors)[2]
-            now += 1
-            seen = [*seen[1:], _snapshot(data)]
-        finite = np.isfinite(data.qpos).all() and np.isfinite(data.qvel).all()
-        if fell or not finite:
-            fall = (k + 1) * dt
-            break
-        _, linear, angular = observe.base_motion(*episode_lib.coordinates(body, data), com)
-        velocity.append([linear[0], linear[1], angular[2]])
+        for now in range(first, first + body.substeps):
+            while len(waiting) > 1 and waiting[1][0] <= now:
+                waiting.popleft()
+            yield waiting[0][1]
+
+    rows = episode_lib.rows(
+        body,
+        data,
+        act,
+        lambda t: command,
+        observed,
+        targets,
+        stress.motors,
+        lambda torque, speed: states.append(_snapshot(data)),
+    )
+    velocity, fall = [], None
+    try:
+        for row in itertools.islice(rows, round(seconds / dt)):
+            if row["fell"]:
+                fall = (len(velocity) + 1) * dt
+                break
+            velocity.append(row["velocity"])
+    except FloatingPointError:
+        fall = (len(velocity) + 1) * dt
     return np.reshape(velocity, (-1, 3)), fall
 
 

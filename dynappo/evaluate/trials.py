@@ -26,12 +26,10 @@ import mujoco
 import numpy as np
 
 from dynappo.evaluate import gait as gait_lib
-from dynappo.physics import actuators
 from dynappo.policy import episode as episode_lib
 from dynappo.policy import policy_file, source
 from dynappo.policy.episode import SETTLE, Body
 from dynappo.policy.policy_file import Policy
-from dynappo.tasks.velocity import observe
 
 SECONDS = 6.0  # of an episode
 POINTS = 5  # of a command's range
@@ -49,39 +47,35 @@ def record(body: Body, act: Callable, command, seconds: float = SECONDS) -> dict
     their lowest points, `[P, F]`. `fall` (s), or None.
     A blow-up of the physics is a fall, and its step has no rows.
     """
-    mujoco.set_mju_user_warning(lambda message: None)  # else they go into a file in the folder
     data, dt = mujoco.MjData(body.model), episode_lib.period(body)
-    com, action = body.model.body_ipos[body.base_body], np.zeros(len(body.policy.joint_names))
-    joints, feet, shapes = len(action), len(body.foot_names), gait_lib.shapes(body)
+    joints, feet = len(body.policy.joint_names), len(body.foot_names)
+    shapes, command, fall = gait_lib.shapes(body), np.asarray(command, float), None
     widths = dict(velocity=3, action=joints, qpos=body.model.nq, torque=joints, speed=joints)
     widths |= dict(contact=feet, load=feet, slide=feet, centre=len(shapes), up=3 * len(shapes))
-    rows: dict[str, list] = {name: [] for name in widths}
-    p, command, fall = body.policy, np.asarray(command, float), None
-    see = observe.memory(p.observation, p.history)
-    episode_lib.reset(body, data)
+    found: dict[str, list] = {name: [] for name in widths}
+    inside = []  # of a control step, a row for each physics step
+
+    def after(torque, speed):
+        place = data.geom_xpos[shapes, 2], data.geom_xmat[shapes, 6:].ravel()
+        inside.append((torque, speed, *gait_lib.at_ground(body, data), *place))
+
+    rows = episode_lib.rows(body, data, act, lambda t: command, after=after)
     for k in range(round(seconds / dt)):
-        action = act(see(episode_lib.look(body, data, command, action)))
-        target = actuators.target(action, p.default_pose, p.action_scale)
-        fell, inside = False, []
-        for _ in range(body.substeps):
-            torque, speed, down = episode_lib.physics_step(body, data, target)
-            fell |= down
-            place = data.geom_xpos[shapes, 2], data.geom_xmat[shapes, 6:].ravel()
-            inside.append((torque, speed, *gait_lib.at_ground(body, data), *place))
-        finite = np.isfinite(data.qpos).all() and np.isfinite(data.qvel).all()
-        if finite:
-            coordinates = episode_lib.coordinates(body, data)
-            _, linear, angular = observe.base_motion(*coordinates, com)
-            rows["velocity"].append([linear[0], linear[1], angular[2]])
-            rows["action"].append(action)
-            rows["qpos"].append(data.qpos.copy())
-            for row in inside:
-                for name, values in zip(FINE, row, strict=True):
-                    rows[name].append(values)
-        if fell or not finite:
+        try:
+            row = next(rows)
+        except FloatingPointError:
             fall = (k + 1) * dt
             break
-    columns = {name: np.reshape(rows[name], (-1, width)) for name, width in widths.items()}
+        for name in ("velocity", "action", "qpos"):
+            found[name].append(row[name])
+        for fine in inside:
+            for name, values in zip(FINE, fine, strict=True):
+                found[name].append(values)
+        inside.clear()
+        if row["fell"]:
+            fall = (k + 1) * dt
+            break
+    columns = {name: np.reshape(found[name], (-1, width)) for name, width in widths.items()}
     up = columns.pop("up").reshape(-1, len(shapes), 3)
     height = gait_lib.heights(body, columns.pop("centre"), up)
     return columns | {"height": height, "command": command, "fall": fall}

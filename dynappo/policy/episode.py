@@ -237,18 +237,25 @@ def gait_clock(body: Body, time: float) -> tuple[float, float] | None:
     return rate * time, rate * period(body)
 
 
-def step(body: Body, data, action) -> tuple[float, bool]:
+def step(
+    body: Body, data, action, targets=None, strength: float = 1.0, after: Callable | None = None
+) -> tuple[float, bool]:
     """One control step with `action` in `data`; returns `(work, fell)`.
 
     `work` (J) is the time integral of the sum over joints of |torque x speed|; `fell`: a part other
-    than a foot touched the ground, or the base tilted by more than `task.max_tilt`.
+    than a foot touched the ground, or the base tilted by more than `task.max_tilt`. `targets` [substeps, A]
+    are the joint angles to hold in each physics step; None: those of `action` in all. `after(torque, speed)`
+    is called after each; both, and `strength`, are as in `physics_step`.
     """
     p, work, fell = body.policy, 0.0, False
-    target = actuators.target(action, p.default_pose, p.action_scale)
-    for _ in range(body.substeps):
-        torque, speed, down = physics_step(body, data, target)
+    if targets is None:
+        targets = [actuators.target(action, p.default_pose, p.action_scale)] * body.substeps
+    for target in targets:
+        torque, speed, down = physics_step(body, data, target, strength)
         work += float(np.abs(torque * speed).sum()) * body.model.opt.timestep
         fell |= down
+        if after is not None:
+            after(torque, speed)
     return work, fell
 
 
@@ -281,12 +288,25 @@ def physics_step(body: Body, data, target, strength=1.0) -> tuple[np.ndarray, np
     return torque, speed, fell
 
 
-def rows(body: Body, data, act: Callable, command: Callable):
+def rows(
+    body: Body,
+    data,
+    act: Callable,
+    command: Callable,
+    observed: Callable | None = None,
+    targets: Callable | None = None,
+    strength: float = 1.0,
+    after: Callable | None = None,
+):
     """Reset the robot in `data` and yield a row after every control step, for ever.
 
     A row has `qpos [nq]` of the file's own model; `command` and `velocity [3]` (vx, vy, yaw rate in
     the base frame; m/s, rad/s); `work` (J) and `fell` as in `step`. `act(obs)` is the policy,
     `command(t)` its command. FloatingPointError if physics blows up, ConfigError if MuJoCo fails.
+
+    What disturbs or measures an episode: `observed(k, command, last_action)` is the observation of control
+    step k instead of `look`, `targets(k, action)` the joint angles instead of the action's; `strength` and
+    `after` are as in `step`.
     """
     # MuJoCo would write warnings to a file in the working directory; what matters is raised
     mujoco.set_mju_user_warning(lambda message: None)
@@ -297,9 +317,11 @@ def rows(body: Body, data, act: Callable, command: Callable):
     action, see = np.zeros(len(p.joint_names)), observe.memory(p.observation, p.history)
     for k in itertools.count():
         asked = np.asarray(command(k * dt), float)
-        action = act(see(look(body, data, asked, action)))
+        obs = observed(k, asked, action) if observed else look(body, data, asked, action)
+        action = act(see(obs))
+        follows = targets(k, action) if targets else None
         with mjcf.one_line(body.xml):  # MuJoCo may run out of memory
-            work, fell = step(body, data, action)
+            work, fell = step(body, data, action, follows, strength, after)
         if not (np.isfinite(data.qpos).all() and np.isfinite(data.qvel).all()):
             raise FloatingPointError(
                 f"{body.xml}: its physics has blown up after {k * dt:.2f} s (numbers that are not "
@@ -308,7 +330,7 @@ def rows(body: Body, data, act: Callable, command: Callable):
         _, linear, angular = observe.base_motion(*coordinates(body, data), com)
         velocity = np.array([linear[0], linear[1], angular[2]])
         row = dict(command=asked, velocity=velocity, work=work, fell=fell)
-        yield dict(qpos=data.qpos.copy(), **row)
+        yield dict(qpos=data.qpos.copy(), action=action, **row)
 
 
 def period(body: Body) -> float:

@@ -2,13 +2,14 @@
 
 import json
 
+import mujoco
 import numpy as np
 import pytest
 from answers import status
 
 from dynappo.evaluate import command, stress, trials
 from dynappo.evaluate.stress import Stress
-from dynappo.policy import source
+from dynappo.policy import episode, source
 from dynappo.tasks.velocity import observe
 
 ROWS = observe.rows(12)
@@ -99,6 +100,38 @@ def test_weak_motors_are_those_of_smaller_gains_and_limits(body):
     )
     expected = trials.record(body._replace(policy=weak), scripted()[0], AHEAD, SECONDS)["velocity"]
     np.testing.assert_allclose(play(body, scripted()[0], motors=0.8), expected, atol=1e-9)
+
+
+def test_gains_of_every_joint_are_those_of_the_joint(body):
+    """Arrays [A]: equal ones are the number; a disturbance acts on the others as on the robot's own."""
+    p, number = body.policy, len(body.policy.joint_names)
+    same = p._replace(kp=np.full(number, p.kp), kd=np.full(number, p.kd))
+    for disturbance in (dict(), dict(action_delay=0.01, motors=0.8, push=0.5, noise=1.0)):
+        one = play(body, scripted()[0], **disturbance)
+        np.testing.assert_array_equal(
+            play(body._replace(policy=same), scripted()[0], **disturbance), one
+        )
+    kp, kd = p.kp * np.linspace(0.6, 1.4, number), p.kd * np.linspace(1.4, 0.6, number)
+    own = body._replace(policy=p._replace(kp=kp, kd=kd))
+    plain = np.array(play(own, scripted()[0]))
+    expected = trials.record(own, scripted()[0], AHEAD, SECONDS)
+    np.testing.assert_array_equal(plain, expected["velocity"])
+    data, target = mujoco.MjData(body.model), p.default_pose + 0.1
+    episode.reset(own, data)
+    q = data.qpos[own.joint_q].copy()
+    torque, _, _ = episode.physics_step(own, data, target, 0.8)
+    np.testing.assert_allclose(torque, 0.8 * kp * (target - q))  # at rest, within the limits
+    weak = p._replace(
+        kp=0.8 * kp,
+        kd=0.8 * kd,
+        effort_limit=0.8 * p.effort_limit,
+        saturation_effort=0.8 * p.saturation_effort,
+    )
+    expected = trials.record(body._replace(policy=weak), scripted()[0], AHEAD, SECONDS)["velocity"]
+    np.testing.assert_allclose(play(own, scripted()[0], motors=0.8), expected, atol=1e-9)
+    assert np.abs(plain - play(body, scripted()[0])).max() > 1e-3
+    rows = [stress.measure(b, Stress("", noise=1.0), 1.2) for b in (body, own)]
+    assert rows[0]["tracking_error"] != rows[1]["tracking_error"] and rows[1]["episodes"] == 8
 
 
 def test_a_load_is_in_the_base_and_friction_everywhere(body):
