@@ -9,6 +9,6 @@
 - `figures`: pictures of the trials
 - `report`, `report.html`: all of it on one page, with a robot that plays each command
 
-No other command imports it. It imports `program`, `policy`, `description`, `tasks`, `config`, `scores`,
-`physics.actuators` and `play.page`.
+No other command imports it. It imports `program`, `page`, `policy`, `description`, `tasks`, `physics`,
+`config` and `scores`.
 """

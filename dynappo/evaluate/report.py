@@ -16,7 +16,7 @@ import numpy as np
 
 from dynappo.config import files
 from dynappo.evaluate import figures, show
-from dynappo.play import page
+from dynappo.page import episode_page
 from dynappo.policy import episode as episode_lib
 from dynappo.policy.episode import Body
 
@@ -59,7 +59,7 @@ def write(
     first: dict[str, Any] = next(iter(scenes.values()), {})
     shared = {part: value for part, value in first.items() if part not in OF_RECORDING}
     title = html.escape(f"{body.policy.robot}, dynappo")
-    text = page.filled(
+    text = episode_page.filled(
         Path(__file__).with_suffix(".html").read_text(encoding="utf-8"),
         TITLE=title,
         HEADING=html.escape(f"How well {body.policy.robot} walks"),
@@ -70,7 +70,7 @@ def write(
         NOTES="".join(f"<li>{html.escape(line)}</li>" for line in show.notes(numbers["commands"])),
         MAPS="".join(_map(*one) for one in figures.maps(numbers)),
         GAIT=_picture(out / "gait.png"),
-        PAGE=_json(page.content(first, body.policy.robot, "", [])) if first else '""',
+        PAGE=_json(episode_page.content(first, body.policy.robot, "", [])) if first else '""',
         SHARED=_json(shared),
         CLIPS=_json(clips),
         FIRST=_json(name(numbers["ahead"][0])),
@@ -90,7 +90,7 @@ def scene(body: Body, recording: dict[str, Any]) -> dict[str, Any]:
     rows = recording["qpos"][some]
     fell = np.zeros(len(rows), bool)
     fell[-1] = recording["fall"] is not None
-    return page.scene(
+    return episode_page.scene(
         body,
         {
             "dt": np.asarray(EVERY * episode_lib.period(body)),
@@ -118,7 +118,7 @@ def _json(value) -> str:
 
 
 def _table(text: str, rows: list[list[str]]) -> str:
-    return f"<p>{html.escape(text)}</p><table>{page.cells(rows)}</table>"
+    return f"<p>{html.escape(text)}</p><table>{episode_page.cells(rows)}</table>"
 
 
 def _picture(path: Path) -> str:

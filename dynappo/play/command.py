@@ -18,7 +18,8 @@ from dynappo import config as config_lib
 from dynappo.config import ConfigError, files
 from dynappo.config import flags as flags_lib
 from dynappo.description import robot as robot_lib
-from dynappo.play import command_script, film, page, serve, viewer
+from dynappo.page import episode_page
+from dynappo.play import command_script, film, serve, viewer
 from dynappo.policy import episode as episode_lib
 from dynappo.policy import policy_file, source
 from dynappo.policy.policy_file import Policy
@@ -157,7 +158,7 @@ def table(body: episode_lib.Body, episode: dict) -> list[tuple[str, str]]:
 def write(body: episode_lib.Body, episode: dict, out: Path, acts: str, rows, pixels=None) -> None:
     """The file that `--out` asks for; ConfigError if something that it needs is not there."""
     if out.suffix == ".html":
-        page.write(body, episode, out, body.policy.robot, acts, rows)
+        episode_page.write(body, episode, out, body.policy.robot, acts, rows)
         return
     problem = film.write(body, episode, out, pixels)
     if problem:

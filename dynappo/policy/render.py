@@ -3,7 +3,7 @@
 Nothing here needs JAX. A separate process renders
 (`dynappo.policy.render EPISODE.npz OUT`), because a process can choose its OpenGL backend only once,
 and a backend that fails may crash the process. On Linux EGL is tried first, then OSMesa.
-`play/page.py` needs neither.
+`page/episode_page.py` needs neither.
 """
 
 from __future__ import annotations

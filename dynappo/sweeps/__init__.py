@@ -7,5 +7,5 @@
 
 Each combination has a folder of its own inside, an ordinary run of `dynappo.run`. So code that plays,
 evaluates, exports or resumes a run knows nothing of sweeps. Only the command `train` imports this folder. It
-imports `run`, `program`, `config` and `policy.walks`.
+imports `run`, `program`, `config` and `policy`.
 """

@@ -193,7 +193,8 @@ addEventListener("load", () => { for (const measures of %s)
 
 
 def test_scripts_in_names_do_not_run_in_a_page_of_one_file(open_, tmp_path):
-    from dynappo.play import command, page
+    from dynappo.page import episode_page
+    from dynappo.play import command
 
     out = tmp_path / "walk.html"
     saved = hostile(tmp_path / "policy.npz")
@@ -207,7 +208,7 @@ def test_scripts_in_names_do_not_run_in_a_page_of_one_file(open_, tmp_path):
     policy, _ = source.load(str(saved))
     body, _ = source.body(policy)
     act = policy_file.actor(policy.params, policy.activation)
-    data = page.scene(body, episode.play(body, act, episode.tour(0.2), 0.2))
+    data = episode_page.scene(body, episode.play(body, act, episode.tour(0.2), 0.2))
     row = f"<tr><td>{RUNS}</td></tr>"
     measures = json.dumps([[[RUNS, RUNS]], row])
     sends = SENDS % (measures, json.dumps(data), json.dumps(RUNS))

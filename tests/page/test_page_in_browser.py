@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from answers import until
 
-from dynappo.play import page
+from dynappo.page import episode_page
 from dynappo.policy import episode, policy_file, source
 
 pytestmark = browser.needed
@@ -22,7 +22,7 @@ def written(tmp_path_factory):
     act = policy_file.actor(policy.params, policy.activation)
     played = episode.play(body, act, episode.tour(6.0), 6.0)
     out = tmp_path_factory.mktemp("page") / "walk.html"
-    page.write(body, played, out, "go1", "the bundled policy", [("fall", "none")])
+    episode_page.write(body, played, out, "go1", "the bundled policy", [("fall", "none")])
     assert out.stat().st_size < 4e6
     return out
 

@@ -13,7 +13,7 @@ import pytest
 from answers import PATIENCE
 from toy_policy import GO1, actor, child, described, other_file
 
-from dynappo.play import page
+from dynappo.page import episode_page
 from dynappo.policy import episode, policy_file
 
 
@@ -43,7 +43,9 @@ def walked(body, act):
 def written(body, walked, tmp_path_factory):
     """A page with a hostile title, as text."""
     out = tmp_path_factory.mktemp("page") / "walk.html"
-    size = page.write(body, walked, out, "<b>go1</b>", "a & b </script>", [("fall", "none <i>")])
+    size = episode_page.write(
+        body, walked, out, "<b>go1</b>", "a & b </script>", [("fall", "none <i>")]
+    )
     assert size == out.stat().st_size
     return out
 
@@ -128,7 +130,7 @@ def test_a_page_grows_by_ten_kilobytes_a_second(body, act, tmp_path):
     sizes = []
     for seconds in (0.2, 1.2):
         rows = episode.play(body, act, lambda t: np.zeros(3), seconds)
-        sizes.append(page.write(body, rows, tmp_path / "walk.html", "go1", "", []))
+        sizes.append(episode_page.write(body, rows, tmp_path / "walk.html", "go1", "", []))
     assert 5_000 < sizes[1] - sizes[0] < 15_000
 
 
@@ -146,7 +148,7 @@ def test_a_page_of_another_file_has_its_meshes_and_what_stands_around(tmp_path, 
 
     other = episode.load(other_file(tmp_path / "other.xml", change), policy)
     rows = episode.play(other, act, lambda t: np.zeros(3), 0.1)
-    scene = page.scene(other, rows)
+    scene = episode_page.scene(other, rows)
     model, data = other.model, mujoco.MjData(other.model)
     data.qpos[:] = rows["qpos"][-1]
     mujoco.mj_kinematics(model, data)
