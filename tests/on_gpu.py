@@ -49,6 +49,7 @@ from dynappo import config as config_lib  # noqa: E402
 from dynappo.config import ConfigError, files, flags, versions  # noqa: E402
 from dynappo.policy import checkpoint_file  # noqa: E402
 from dynappo.policy import walks as walks_lib  # noqa: E402
+from experiments import stats  # noqa: E402
 
 COMMITTED = ROOT / "tests" / "on_gpu.json"
 PACKAGES = (
@@ -170,7 +171,7 @@ def walks(place: Place) -> dict[str, Any]:
     least = walks_lib.level(walks_lib.best(weights))
     found: dict[str, Any] = {"level": round(least, 2), "evaluations": len(returns)}
     for unit, of, scale in (("m_steps", steps, 1e-6), ("seconds", seconds, 1)):
-        reached = walks_lib.reached(of * scale, returns, falls, least)
+        reached = stats.reached(of * scale, returns, falls, least)
         found |= {f"{name}_{unit}": listed(values) for name, values in reached._asdict().items()}
     found |= {"return": listed(returns[-1]), "fall_rate": listed(falls[-1], 4)}
     if size.reach and None in found["careful_m_steps"]:

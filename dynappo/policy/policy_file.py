@@ -231,11 +231,6 @@ def _arrays(path: Path) -> dict[str, np.ndarray]:
         raise ConfigError(f"{path}: not a policy.npz, or damaged") from None
 
 
-def load_params(path: Path) -> dict:
-    """The nested parameters that `save` or `save_params` wrote."""
-    return checks.nested({k: v for k, v in _arrays(path).items() if k != "about"})
-
-
 def load_actor(path: str | Path) -> Callable[[np.ndarray], np.ndarray]:
     """`act(obs [..., O]) -> mean action [..., A]` of any `policy.npz`, also of your own
     environment.

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from answers import refused
 from ml_collections import config_dict
-from toy_policy import ROBOTS, actor, described, save
+from toy_policy import ROBOTS, actor, described, params_in, save
 
 from dynappo import config as config_lib
 from dynappo.config import fields, files
@@ -67,7 +67,7 @@ def test_saving_replaces_the_whole_file_and_leaves_nothing_else(tmp_path):
         assert [p.name for p in tmp_path.iterdir()] == ["policy.npz"]
         for back in (
             policy_file.load(tmp_path / "policy.npz").params,
-            policy_file.load_params(tmp_path / "policy.npz"),
+            params_in(tmp_path / "policy.npz"),
         ):
             jax.tree.map(np.testing.assert_array_equal, back, actor(seed))
 
@@ -250,7 +250,7 @@ def test_a_pickle_in_it_is_not_run(saved, tmp_path, entry):
         arrays = {name: file[name] for name in file}
     arrays[entry] = np.array([Runs(tmp_path / "ran")], dtype=object)
     np.savez(tmp_path / "mine.npz", **arrays)
-    for read in (policy_file.load, policy_file.load_params, policy_file.load_actor):
+    for read in (policy_file.load, policy_file.load_actor):
         assert "not a policy.npz, or damaged" in refused(read, tmp_path / "mine.npz")
     assert not (tmp_path / "ran").exists()
     np.load(tmp_path / "mine.npz", allow_pickle=True)[entry]
