@@ -1,7 +1,7 @@
 """Reads, checks and plays trained policies, without JAX. Start at `policy_file.py`.
 
 - `policy_file`: reads and writes `policy.npz`
-- `source`: which policy, from where, with which robot; the flags that say so
+- `policy_source`: which policy, from where, with which robot; the flags that say so
 - `checks`: checks a policy's types, ranges and shapes
 - `checkpoint_file`: reads the arrays of a checkpoint
 - `episode`: runs a policy on a robot in C MuJoCo and NumPy

@@ -83,7 +83,7 @@ class Policy(NamedTuple):
     armature: float | np.ndarray | None = None
     dry_friction: float | np.ndarray = 0.0
     mjcf: str = (
-        ""  # the robot's, needs no other file; empty: the robot is found by name (source.py)
+        ""  # the robot's, needs no other file; empty: the robot is found by name (policy_source.py)
     )
     history: int = 1  # readings that it sees, the newest first
     gait_frequency: tuple[float, float] | None = None  # Hz, the range of its gait clock; None: none

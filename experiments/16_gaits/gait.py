@@ -28,7 +28,7 @@ def walk(policy: policy_file.Policy, speed: float, seconds: float):
     return {name: measures[name] for name in names} | style(body, episode)
 
 
-def style(body: episode_lib.Body, episode) -> dict:
+def style(body: episode_lib.Player, episode) -> dict:
     """After the first second: mean air time (s) of a swing of a foot, swings of a foot in a second,
     tilt (degrees, root mean square), forward speed (m/s). None where it walked no longer than that."""
     dt = float(episode["dt"])

@@ -15,13 +15,13 @@ from dynappo.config import shell, versions
 def test_the_program_is_one_word_where_the_shell_finds_that_of_this_python(tmp_path, monkeypatch):
     """Else the whole call: somebody has not activated the environment."""
     monkeypatch.setenv("PATH", str(tmp_path))
-    assert shell.program().endswith(" -m dynappo")
+    assert shell.command_line().endswith(" -m dynappo")
     one = tmp_path / "dynappo"
     one.write_text("#!/bin/sh")
     one.chmod(0o755)
-    assert shell.program().endswith(" -m dynappo")  # another Python's
+    assert shell.command_line().endswith(" -m dynappo")  # another Python's
     monkeypatch.setattr(sys, "executable", str(tmp_path / "python"))
-    assert shell.program() == "dynappo"
+    assert shell.command_line() == "dynappo"
 
 
 @pytest.mark.parametrize("folder", [ROOT, ROOT / "configs", Path("/")])
@@ -37,7 +37,7 @@ def test_what_is_told_can_be_run_from_every_folder(folder, monkeypatch):
 
 def test_only_our_own_calls_are_written_anew():
     text = "python -m venv; python -m dynappo.play x; python -m dynappo.train"
-    program = shell.program()
+    program = shell.command_line()
     assert shell.pasted(text) == f"python -m venv; {program} play x; {program} train"
 
 

@@ -6,16 +6,16 @@ import pytest
 from toy_policy import ROBOTS
 
 from dynappo.config import loading
-from dynappo.evaluate import changes, show
+from dynappo.evaluate import changes, tables
 from dynappo.play import command_script
-from dynappo.policy import episode, policy_file, source
+from dynappo.policy import episode, policy_file, policy_source
 from dynappo.web import live
 
 BUNDLED = (*ROBOTS, *(f"{name}_deploy" for name in ROBOTS))
 
 
 def bundled(name):
-    return source.body(source.load(name)[0])[0]
+    return policy_source.player(policy_source.load(name)[0])[0]
 
 
 @pytest.fixture(scope="module")
@@ -201,7 +201,7 @@ def test_falls_are_told_in_lines():
     about = {"changes": 200, "falls": 7, "walks": 25, "start_falls": 2, "every": [2.0, 3.0]}
     tours = [{"tour": "film", "seconds": 12.0, "fell_at": []}]
     tours += [{"tour": "live page", "seconds": 32.0, "fell_at": [8.44, 24.46]}]
-    lines = show.changes_lines(about | {"fell": [row] * 7, "tours": tours})
+    lines = tables.changes_lines(about | {"fell": [row] * 7, "tours": tours})
     assert "one every 2 to 3 s" in lines[0] and lines[0].endswith("falls after 7 of 200")
     said = "fell 0.6 s after 0.50, 0.00 m/s, 0.00 rad/s became 1.00, -0.25 m/s, 0.12 rad/s"
     assert lines[1:6] == [said] * 5

@@ -11,8 +11,8 @@ import toy_sweep
 from answers import until
 from toy_policy import save
 
-from dynappo.evaluate import figures, report, show, trials
-from dynappo.policy import episode, source
+from dynappo.evaluate import figures, report, tables, trials
+from dynappo.policy import episode, policy_source
 
 EPISODES = dict(seconds=20.0, randomize=False, device="cpu", impl="jax", episodes=5)
 EPISODES |= {"return": 33.25, "return_std": 1.5, "length": 987.0, "fall_rate": 0.2}
@@ -22,8 +22,8 @@ EPISODES |= {"return": 33.25, "return_std": 1.5, "length": 987.0, "fall_rate": 0
 def evaluated(tmp_path_factory):
     """`(folder, body, numbers, recordings)` of a Go1 that stands for a while, and falls at 1 m/s."""
     folder = tmp_path_factory.mktemp("evaluated")
-    policy, _ = source.load(str(save(folder / "policy.npz")))
-    body, _ = source.body(policy)
+    policy, _ = policy_source.load(str(save(folder / "policy.npz")))
+    body, _ = policy_source.player(policy)
     numbers, recordings = trials.run(policy, 1.4, 3)
     for row in numbers["commands"]:
         if row["command"] == [1.0, 0.0, 0.0]:
@@ -52,10 +52,10 @@ def part(text, name):
 def test_the_tables_are_those_that_are_printed(evaluated, text):
     seen = " ".join(pages.Reader(text).text.split())
     _, _, numbers, _ = evaluated
-    rows = show.trials_rows(numbers) + show.episodes_rows(EPISODES)
-    for row in [*rows, [show.trials_text(numbers)], [show.episodes_text(EPISODES)]]:
+    rows = tables.trials_rows(numbers) + tables.episodes_rows(EPISODES)
+    for row in [*rows, [tables.trials_text(numbers)], [tables.episodes_text(EPISODES)]]:
         assert " ".join("".join(row).split()) in seen.replace("\n", ""), row
-    for line in show.notes(numbers["commands"]) + show.changes_lines(toy_sweep.changes()):
+    for line in tables.notes(numbers["commands"]) + tables.changes_lines(toy_sweep.changes()):
         assert line in seen
     assert (
         "a </script> policy" in seen

@@ -9,7 +9,7 @@ from answers import status
 
 from dynappo.evaluate import command, stress, trials
 from dynappo.evaluate.stress import Stress
-from dynappo.policy import episode, source
+from dynappo.policy import episode, policy_source
 from dynappo.tasks.velocity import observe
 
 ROWS = observe.rows(12)
@@ -19,12 +19,12 @@ AHEAD = np.array([0.5, 0.0, 0.0])
 
 @pytest.fixture(scope="module")
 def body():
-    return source.body(source.load("go1")[0])[0]
+    return policy_source.player(policy_source.load("go1")[0])[0]
 
 
 @pytest.fixture(scope="module")
 def onboard():
-    return source.body(source.load("go1_deploy")[0])[0]
+    return policy_source.player(policy_source.load("go1_deploy")[0])[0]
 
 
 def scripted(late=0):

@@ -8,7 +8,7 @@ import pytest
 from answers import until
 
 from dynappo.page import episode_page
-from dynappo.policy import episode, policy_file, source
+from dynappo.policy import episode, policy_file, policy_source
 
 pytestmark = browser.needed
 CHANGED = 1.0  # mean difference of two pictures, of 255
@@ -17,8 +17,8 @@ CHANGED = 1.0  # mean difference of two pictures, of 255
 @pytest.fixture(scope="module")
 def written(tmp_path_factory):
     """Six seconds of the bundled Go1."""
-    policy, _ = source.load("go1")
-    body, _ = source.body(policy)
+    policy, _ = policy_source.load("go1")
+    body, _ = policy_source.player(policy)
     act = policy_file.actor(policy.params, policy.activation)
     played = episode.play(body, act, episode.tour(6.0), 6.0)
     out = tmp_path_factory.mktemp("page") / "walk.html"

@@ -17,7 +17,7 @@ from toy_policy import ROBOTS, actor, described, params_in, save
 from dynappo import config as config_lib
 from dynappo.config import fields, files
 from dynappo.learner import networks
-from dynappo.policy import policy_file, source
+from dynappo.policy import policy_file, policy_source
 
 
 @pytest.fixture(scope="module")
@@ -175,7 +175,7 @@ def changed(saved, path, change):
 def test_a_damaged_policy_is_one_line(saved, tmp_path, name):
     change, expected = DAMAGE[name]
     path = changed(saved, tmp_path / "mine.npz", change)
-    line = refused(source.load, str(path))
+    line = refused(policy_source.load, str(path))
     assert line.startswith(f"{path}: ") and line.isprintable() and expected in line
 
 
@@ -218,7 +218,7 @@ def test_a_file_of_another_kind_is_one_line(saved, tmp_path, content):
         cut = whole[: len(whole) // 2]
         other = {"cut": cut, "text": b"robot: go1", "empty": b"", "array": header((4,))}
         path.write_bytes(other[content])
-    line = refused(source.load, str(path))
+    line = refused(policy_source.load, str(path))
     assert line.startswith(f"{path}: ") and any(
         w in line for w in ("damaged", "cannot be read", "not a policy")
     )

@@ -126,8 +126,8 @@ def test_the_last_table_has_the_numbers_and_what_to_do_next(name):
     show.summary(out, run, pathlib.Path("runs/x"), SUMMARY | change)
     found = text.getvalue()
     assert all(part in found for part in shown.split(" | ")) and hidden not in found
-    assert f"see it: {shell_lib.program()} play runs/x --out=walk.html" in found
-    assert f"next: {shell_lib.program()} train --config=go1" in found
+    assert f"see it: {shell_lib.command_line()} play runs/x --out=walk.html" in found
+    assert f"next: {shell_lib.command_line()} train --config=go1" in found
 
 
 def test_brackets_are_no_markup():

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from toy_policy import GO1, actor, described, trot
 
-from dynappo.evaluate import gait, trials
+from dynappo.evaluate import foot_motion, trials
 from dynappo.policy import episode, policy_file
 
 NAMES = ("FL", "FR", "RL", "RR")
@@ -38,7 +38,7 @@ CONTACTS = {  # contact, swings, touch-downs; shorter than 3 is a bounce
 @pytest.mark.parametrize("name", CONTACTS)
 def test_strides_of_drawn_contacts(name):
     drawing, swings, touchdowns = CONTACTS[name]
-    lifts, lands, steps = gait.strides(np.array([c == "#" for c in drawing], bool), 3)
+    lifts, lands, steps = foot_motion.strides(np.array([c == "#" for c in drawing], bool), 3)
     assert [(lands - lifts).tolist(), steps.tolist()] == [swings, touchdowns]
     assert all(drawing[a] == "." and drawing[a - 1] == "#" for a in lifts)
     assert all(drawing[b] == "#" and drawing[b - 1] == "." for b in lands)
@@ -59,7 +59,7 @@ def known(on=(24, 20, 12, 30), late=(0, 20, 20, 0), rows=1000, period=40):
 def test_the_gait_of_known_feet(body):
     """Periods of 40 physics steps (0.2 s), each foot with its own share on the ground, height and slip."""
     on = np.array([24, 20, 12, 30])
-    found = gait.measures(body, [known(), known()])
+    found = foot_motion.measures(body, [known(), known()])
     assert list(found["feet"]) == list(NAMES)
     tops = np.array([0.04, 0.06, 0.08, 0.1])
     slips = (10 * 0.3 + (on - 10) * 0.1) / on
@@ -84,9 +84,9 @@ def test_slip_counts_where_the_load_is(body):
     part = known(on=(40,) * 4)
     part["load"], part["slide"] = np.full((1000, 4), 10.0), np.zeros((1000, 4))
     part["load"][:500], part["slide"][500:] = 90.0, 0.5
-    assert gait.measures(body, [part])["slip"] == pytest.approx(0.05)
+    assert foot_motion.measures(body, [part])["slip"] == pytest.approx(0.05)
     part["load"] = np.zeros((1000, 4))
-    assert gait.measures(body, [part])["slip"] is None
+    assert foot_motion.measures(body, [part])["slip"] is None
 
 
 @pytest.mark.parametrize(
@@ -95,9 +95,9 @@ def test_slip_counts_where_the_load_is(body):
 def test_flight_is_the_time_with_every_foot_in_the_air(body, late, flight):
     """24 of 40 rows on the ground each: in turn, all at once, and 4 rows apart."""
     part = known(on=(24,) * 4, late=late)
-    assert gait.measures(body, [part])["flight"] == pytest.approx(flight, abs=0.005)
+    assert foot_motion.measures(body, [part])["flight"] == pytest.approx(flight, abs=0.005)
     part["contact"][:, 2] |= np.arange(1000) % 40 == 35  # a bounce is no landing
-    assert gait.measures(body, [part])["flight"] == pytest.approx(flight, abs=0.005)
+    assert foot_motion.measures(body, [part])["flight"] == pytest.approx(flight, abs=0.005)
 
 
 def test_a_robot_that_stands_swings_no_foot(body):
@@ -122,7 +122,7 @@ def test_a_foot_slides_as_fast_as_the_robot_that_stands_on_it(body):
     feet = [data.geom(f"{name}_foot").xpos[:2].copy() for name in NAMES]
     base = data.qpos[:2].copy()
     episode.physics_step(body, data, body.policy.default_pose)
-    contact, load, slide = gait.at_ground(body, data)
+    contact, load, slide = foot_motion.at_ground(body, data)
     assert contact.all() and (load > 1).all()
     for j, foot in enumerate(feet):
         x, y = foot - base
