@@ -23,6 +23,11 @@ def command_line() -> str:
     return f"{_python()} -m dynappo"
 
 
+def line(command: str, *words) -> str:
+    """`dynappo COMMAND WORDS` as it can be typed here, whatever is in the words."""
+    return " ".join([command_line(), command, *(quoted(str(word)) for word in words)])
+
+
 def pasted(text: str) -> str:
     """`text` with every `python -m dynappo.COMMAND` as it can be typed here."""
     return re.sub(r"python -m dynappo\.(\w+)", lambda m: f"{command_line()} {m[1]}", text)
@@ -58,7 +63,7 @@ def quoted(word: str) -> str:
     return f'"{word}"' if set(word) - _PLAIN else word
 
 
-_PLAIN = set(string.ascii_letters + string.digits + "._-:\\/")
+_PLAIN = set(string.ascii_letters + string.digits + "._-:=\\/")
 
 
 def _relative(path: str) -> str:

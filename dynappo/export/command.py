@@ -96,7 +96,7 @@ def table(policy: Policy, out: Path, order: str, targets: bool) -> list[tuple[st
         ]
         after = f'python -c "{code}"'
     else:
-        after = f"{shell.command_line()} play {out} --out=walk.html"
+        after = shell.line("play", out, "--out=walk.html")
     joints = f"{' '.join(policy.joint_names)} ({order})"
     if out.suffix in (".xml", ".yaml"):
         kind = (

@@ -38,8 +38,8 @@ def loop(
     `state` holds all runs, as `merged.join` makes it; its buffers are donated. Each run's metrics are
     appended to its `history`. `progress(iteration, last metrics of each good run)` is called after each
     chunk, while the device computes the next. If `stop.status` is set after a chunk, in any process, the runs
-    are saved and the loop ends. A run whose numbers are not finite is passed to `blown_up`, and left out from then on.
-    Files that cannot be written (a full disk) are reported to `say`, and training goes on.
+    are saved and the loop ends. A run whose numbers are not finite is passed to `blown_up`, and left out from
+    then on. Files that cannot be written (a full disk) are reported to `say`, and training goes on.
     """
     import jax
     import jax.numpy as jnp

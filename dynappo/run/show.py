@@ -121,7 +121,7 @@ def describe_program(out, config, program: Program) -> None:
         unusual(out, slow)
     if program.impl == "jax" and program.device == "cpu":
         text = "on a CPU C MuJoCo is more than twice as fast as MJX: --config.physics.impl=c"
-        laptop = f"; made for it: {shell.command_line()} train --config={config.robot}:laptop"
+        laptop = f"; made for it: {shell.line('train', f'--config={config.robot}:laptop')}"
         unusual(out, text + laptop * bool(config.robot))
 
 
@@ -192,7 +192,6 @@ def summary(out, config, workdir: Path, summary: dict[str, Any]) -> None:
             f"no film, no play: it is no robot; policy_file.load_actor('{workdir}/policy.npz') acts"
         )
         return say(text)
-    say(f"see it: {shell.command_line()} play {workdir} --out=walk.html")
+    say(f"see it: {shell.line('play', workdir, '--out=walk.html')}")
     if config.run.num_iterations < 200 or summary["impl"] == "c":
-        name = config.robot
-        say(f"next: {shell.command_line()} train --config={name}  (on a GPU)")
+        say(f"next: {shell.line('train', f'--config={config.robot}')}  (on a GPU)")

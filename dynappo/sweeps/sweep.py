@@ -149,5 +149,5 @@ def _show(out, workdir: Path, combinations: list[Combination], swept: list[str])
     shutil.copyfile(best / "policy.npz", workdir / "policy.npz")
     out.print(f"best: {best}, its policy is {workdir}/policy.npz too", soft_wrap=True, markup=False)
     if combinations[0].config.robot:
-        text = f"see it: {shell.command_line()} play {workdir} --out=walk.html"
+        text = f"see it: {shell.line('play', workdir, '--out=walk.html')}"
         out.print(text, soft_wrap=True, markup=False)

@@ -35,6 +35,17 @@ def test_what_is_told_can_be_run_from_every_folder(folder, monkeypatch):
     assert done.returncode == 0 and done.stdout.startswith("usage: dynappo play"), done.stderr
 
 
+def test_what_is_in_the_words_does_not_change_what_is_told(tmp_path, monkeypatch):
+    """Brackets, blanks, quotes and dollars of a folder's name; the line is given to a real shell."""
+    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    monkeypatch.setenv("PATH", os.defpath)
+    for name in ("plain", "[a]", "a b", "it's", "$HOME", "a;b"):
+        line = shell.line("play", tmp_path / name, "--policy=zero")
+        done = subprocess.run(line, shell=True, capture_output=True, text=True)
+        assert done.returncode == 2 and f"{tmp_path / name}: " in done.stderr, done.stderr
+    assert shell.line("play", "runs/x", "--out=a.html").endswith(" play runs/x --out=a.html")
+
+
 def test_only_our_own_calls_are_written_anew():
     text = "python -m venv; python -m dynappo.play x; python -m dynappo.train"
     program = shell.command_line()

@@ -135,4 +135,4 @@ def test_brackets_are_no_markup():
     text, lacking = io.StringIO(), SUMMARY | {"video": "no video: pip install -e '.[video]'"}
     folder = pathlib.Path("runs/[bold]x")
     show.summary(Console(file=text, width=120), config("configs/go1.py:quick"), folder, lacking)
-    assert "'.[video]'" in text.getvalue() and "play runs/[bold]x " in text.getvalue()
+    assert "'.[video]'" in text.getvalue() and "play 'runs/[bold]x' " in text.getvalue()
