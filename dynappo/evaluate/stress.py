@@ -29,8 +29,9 @@ import numpy as np
 from dynappo.physics import actuators
 from dynappo.policy import episode as episode_lib
 from dynappo.policy import policy_file
-from dynappo.policy.episode import SETTLE, Player
+from dynappo.policy.episode import Player
 from dynappo.policy.policy_file import Policy
+from dynappo.policy.walks import SETTLE
 from dynappo.tasks.velocity import observe
 
 SECONDS = 10.0  # of an episode

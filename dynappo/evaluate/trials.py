@@ -28,8 +28,9 @@ import numpy as np
 from dynappo.evaluate import foot_motion
 from dynappo.policy import episode as episode_lib
 from dynappo.policy import policy_file, policy_source
-from dynappo.policy.episode import SETTLE, Player
+from dynappo.policy.episode import Player
 from dynappo.policy.policy_file import Policy
+from dynappo.policy.walks import SETTLE
 
 SECONDS = 6.0  # of an episode
 POINTS = 5  # of a command's range

@@ -25,9 +25,9 @@ from dynappo.description import contacts, mjcf, motors
 from dynappo.description import feet as feet_lib
 from dynappo.physics import actuators
 from dynappo.policy.policy_file import Policy
+from dynappo.policy.walks import SETTLE
 from dynappo.tasks.velocity import observe
 
-SETTLE = 1.0  # s, left out of the tracking error, as in dynappo/scores.py
 UNEVEN = 0.02  # rad, about a degree
 STRIDE = 0.5  # s between points of the path walked, so that swaying adds no distance
 NEAR = 0.25  # of the base's height: a limb's end that is lower in the default pose is a foot

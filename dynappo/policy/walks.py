@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 
 SECONDS = 20.0  # of an episode
+SETTLE = 1.0  # s of it that are left out of the tracking error, as in dynappo/scores.py
 MOST_FALLS = 0.01  # share of the episodes
 MOST_ERRORS = 0.2, 0.25  # m/s, rad/s
 ROUNDING = 1e-6  # of a share of episodes, a mean in float32
@@ -55,22 +56,33 @@ def tracks(errors, yaw_errors) -> np.ndarray:
     return within & turns
 
 
+def evaluated_seconds(config) -> float:
+    """How long an episode of the run's evaluations is."""
+    steps = config.run.eval_steps or config.task.episode_length
+    return steps * config.physics.substeps * config.physics.timestep
+
+
+def unmeasured(seconds: float) -> str:
+    """Why episodes of so many seconds may have no tracking error."""
+    too_short = seconds <= SETTLE * (1 + ROUNDING)
+    return "not measured in the first second" if too_short else "nobody stood for a second"
+
+
 def in_words(config, evaluation: Mapping[str, Any]) -> str:
     """What evaluated policies do, in words: walk, turn, fall, or lack; of several seeds, how many walk.
 
     `config` is the run's, `evaluation` as in its summary.json. A robot that does not walk yet is judged
     by the errors of one that stands still: the root mean square of the commands. "" where nothing is
-    known of a robot, or tracking earns nothing.
+    known of a robot, or tracking earns nothing, or the episodes are too short to tell.
     """
     names = "return", "fall_rate", "tracking_error", "yaw_error"
     if not {*names} <= evaluation.keys():
         return ""
     task = config.task
-    dt = config.physics.substeps * config.physics.timestep
-    seconds = dt * (config.run.eval_steps or task.episode_length)
+    seconds = evaluated_seconds(config)
     by_errors = config.run.walks == "tracking"
     least = level(best(task.weights, seconds), seconds)
-    if not (by_errors or least > 0):
+    if seconds <= SETTLE * (1 + ROUNDING) or not (by_errors or least > 0):
         return ""
     returns, falls, error, yaw = (np.array(np.ravel(evaluation[name]), float) for name in names)
     low, often = ~(tracks(error, yaw) if by_errors else at(returns, least)), ~seldom(falls)

@@ -165,6 +165,7 @@ def summary(out, config, workdir: Path, summary: dict[str, Any]) -> None:
         rows["episodes"] = "{:g} s in training, {:g} s in the evaluation".format(
             *(dt * n for n in steps)
         )
+    none = walks.unmeasured(walks.evaluated_seconds(config))
     for name, label, unit in (
         ("return", "evaluation: return", ""),
         ("fall_rate", "evaluation: episodes with a fall", " %"),
@@ -174,7 +175,7 @@ def summary(out, config, workdir: Path, summary: dict[str, Any]) -> None:
         if name in summary.get("evaluation", {}):
             scale = 100 if unit == " %" else 1
             value = summary["evaluation"][name]
-            rows[label] = mean(value, unit, scale, "nobody stood for a second")
+            rows[label] = mean(value, unit, scale, none)
     words = walks.in_words(config, summary.get("evaluation", {}))
     rows |= {"the policy": words} if words else {}
     for label, value in rows.items():

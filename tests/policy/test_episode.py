@@ -9,7 +9,6 @@ import pytest
 from answers import refused
 from toy_policy import GO1, ROBOTS, actor, child, described, other_file
 
-from dynappo import scores
 from dynappo.policy import episode, policy_file
 
 ASKED = [0.5, 0.1, -0.2]
@@ -373,7 +372,6 @@ def test_the_measures_are_those_of_a_known_episode(body):
     measured = episode.measures(body, rows)
     assert measured["fall"] == pytest.approx(2.02)
     assert measured["tracking_error"] == pytest.approx(0.1)
-    assert episode.SETTLE == scores.SETTLE
 
 
 @pytest.mark.parametrize("seconds", [12.0, 0.2])

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from dynappo import config as config_lib
+from dynappo import scores
 from dynappo.policy import walks
 
 NAN = math.nan
@@ -108,6 +109,18 @@ def test_the_words_know_the_robot_and_the_time():
     go1.task.weights.update(track_linear_velocity=0.0, track_yaw_rate=0.0)
     assert walks.in_words(go1, good) == ""
     assert walks.in_words(go1, {"return": 1.0}) == ""
+
+
+def test_nothing_is_said_of_the_first_second():
+    """No error is measured in it; a robot that is evaluated for so long has not fallen at once."""
+    go1 = config_lib.load("go1:best")
+    for steps, said in ((50, ""), (51, "falls at once")):
+        go1.run.eval_steps = steps
+        assert walks.in_words(go1, evaluation(1.5, NAN, NAN, 0.0)) == said
+        assert (
+            walks.unmeasured(walks.evaluated_seconds(go1)) == "nobody stood for a second"
+        ) == bool(said)
+    assert walks.SETTLE == scores.SETTLE
 
 
 def test_what_is_turned_and_walked_is_judged_by_the_commands_that_were_given():

@@ -130,6 +130,16 @@ def test_the_last_table_has_the_numbers_and_what_to_do_next(name):
     assert f"next: {shell_lib.command_line()} train --config=go1" in found
 
 
+def test_a_second_of_evaluation_says_nothing_of_falls_or_standing():
+    """No errors are measured in it: nobody fell, and nobody is said to have fallen."""
+    text, short = io.StringIO(), config("configs/go1.py:quick", eval_steps=50)
+    numbers = SUMMARY | {"evaluation": NOBODY | {"fall_rate": 0.0}}
+    show.summary(Console(file=text, width=120), short, pathlib.Path("runs/x"), numbers)
+    found = text.getvalue()
+    assert "0.00 %" in found and found.count("not measured in the first second") == 2
+    assert "stood" not in found and "falls" not in found
+
+
 def test_brackets_are_no_markup():
     """What installs an extra, and a folder's name."""
     text, lacking = io.StringIO(), SUMMARY | {"video": "no video: pip install -e '.[video]'"}
