@@ -80,6 +80,8 @@ def live(out, config) -> Iterator[Callbacks]:
     say = partial(unusual, out)
 
     def opened():
+        if slow := on_a_cpu(config):
+            say(slow)
         shown.enter_context(bar)
 
     def compiled(program):
@@ -119,10 +121,20 @@ def describe_program(out, config, program: Program) -> None:
     )
     if slow := build.slower(program, config):
         unusual(out, slow)
-    if program.impl == "jax" and program.device == "cpu":
-        text = "on a CPU C MuJoCo is more than twice as fast as MJX: --config.physics.impl=c"
-        laptop = f"; made for it: {shell.line('train', f'--config={config.robot}:laptop')}"
-        unusual(out, text + laptop * bool(config.robot))
+
+
+def on_a_cpu(config) -> str:
+    """A line on a robot that would be trained on MJX on a CPU, where that is slow; else ""."""
+    if not config.robot or devices.engine(config) != "jax":
+        return ""
+    if devices.local(config.run.device).platform != "cpu":
+        return ""
+    none = "there is no GPU here; " if config.run.device == "auto" else ""
+    laptop = shell.line("train", f"--config={config.robot}:laptop")
+    return (
+        f"{none}on a CPU C MuJoCo is more than twice as fast as MJX: --config.physics.impl=c; "
+        f"made for a CPU: {laptop}"
+    )
 
 
 def progress_line(last: dict, begun: list) -> str:

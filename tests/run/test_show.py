@@ -2,6 +2,7 @@
 
 import io
 import pathlib
+import re
 from types import SimpleNamespace
 
 import numpy as np
@@ -86,6 +87,24 @@ def test_a_training_is_followed_from_compiling_to_filming(terminal):
     assert shown.endswith("the table\n")
     if not terminal:
         assert shown.count(line) == 10 and f"iteration  100  {line}\nevaluates and films\n" in shown
+
+
+def test_without_a_gpu_it_is_said_before_anything_is_compiled():
+    """And what is made for a CPU; nothing of it where C MuJoCo steps the robots."""
+    laptop = f"made for a CPU: {shell_lib.line('train', '--config=go1:laptop')}"
+    text = io.StringIO()
+    for spec, fields, said in (
+        ("best", {}, f"there is no GPU here; on a CPU C MuJoCo is more than .*; {laptop}"),
+        ("best", {"device": "cpu"}, f"on a CPU C MuJoCo is more than twice .*; {laptop}"),
+        ("laptop", {}, ""),
+    ):
+        out = Console(file=text, width=200)
+        with show.live(out, config(f"configs/go1.py:{spec}", **fields)) as callbacks:
+            callbacks.opened()
+            found = text.getvalue().strip()
+            callbacks.finished()
+        assert re.fullmatch(said, found), found
+        text.truncate(text.seek(0))
 
 
 EVALUATION = {"return": 5.5, "fall_rate": 0.125, "tracking_error": 0.31, "yaw_error": 0.42}
