@@ -17,7 +17,7 @@ from nbclient import NotebookClient
 
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 WITH_OUTPUTS = [path for path in NOTEBOOKS if path.stem != "05_colab"]
-MAX_BYTES, MAX_GIF, MAX_CELL_LINES = 300_000, 120_000, 25
+MAX_BYTES, MAX_GIF = 300_000, 120_000  # of what is stored with every change
 SHOWS = {"print": "stream", "show": "image/", "display": "image/", "show_sweep": "stream"}
 # a path that begins at the root of a machine, or at a drive; not part of an address or a fraction
 ABSOLUTE = re.compile(r"(?<![\w.:/<])/(?!/)\w+/\w|\b[A-Z]:\\")
@@ -253,7 +253,6 @@ def test_a_notebook_defines_nothing(path):
 def test_a_notebook_is_small(path):
     notebook = read(path)
     assert path.stat().st_size <= MAX_BYTES
-    assert all(cell.source.count("\n") < MAX_CELL_LINES for cell in code(notebook))
     assert set(notebook.metadata) == {"kernelspec", "language_info"}
     assert notebook.metadata.kernelspec.name == "python3"
     assert notebook.metadata.language_info == {"name": "python"}
