@@ -20,10 +20,10 @@ EPISODES |= {"return": 33.25, "return_std": 1.5, "length": 987.0, "fall_rate": 0
 
 @pytest.fixture(scope="module")
 def evaluated(tmp_path_factory):
-    """`(folder, body, numbers, recordings)` of a Go1 that stands for a while, and falls at 1 m/s."""
+    """`(folder, player, numbers, recordings)` of a Go1 that stands for a while, and falls at 1 m/s."""
     folder = tmp_path_factory.mktemp("evaluated")
     policy, _ = policy_source.load(str(save(folder / "policy.npz")))
-    body, _ = policy_source.player(policy)
+    player, _ = policy_source.player(policy)
     numbers, recordings = trials.run(policy, 1.4, 3)
     for row in numbers["commands"]:
         if row["command"] == [1.0, 0.0, 0.0]:
@@ -32,9 +32,9 @@ def evaluated(tmp_path_factory):
                 recordings[1.0, 0.0, 0.0][name] = recordings[1.0, 0.0, 0.0][name][:50]
     figures.write(folder, "go1", numbers, recordings, policy.timestep)
     report.write(
-        folder, "a </script> policy", body, numbers, recordings, toy_sweep.changes(), EPISODES
+        folder, "a </script> policy", player, numbers, recordings, toy_sweep.changes(), EPISODES
     )
-    return folder, body, numbers, recordings
+    return folder, player, numbers, recordings
 
 
 @pytest.fixture(scope="module")
@@ -78,7 +78,7 @@ def test_every_command_has_a_button_with_its_errors(evaluated, text):
 
 def test_a_clip_is_the_recording_of_its_command(evaluated, text):
     """Poses against MuJoCo's own, every second control step, the last one among them."""
-    _, body, _, recordings = evaluated
+    _, player, _, recordings = evaluated
     clips, shared = part(text, "clips"), part(text, "shared")
     for command, recording in recordings.items():
         key = ",".join(f"{v:g}" for v in command)
@@ -90,7 +90,7 @@ def test_a_clip_is_the_recording_of_its_command(evaluated, text):
             pages.numbers(scene, "velocity", "<f4", 3), recording["velocity"][times], atol=1e-5
         )
         assert (pages.numbers(scene, "command", "<f4", 3) == command).all()
-        assert scene["dt"] == pytest.approx(2 * episode.period(body)) and scene["rows"] == len(
+        assert scene["dt"] == pytest.approx(2 * episode.period(player)) and scene["rows"] == len(
             times
         )
         assert (scene["fall"] is None) == (recording["fall"] is None)
@@ -99,13 +99,13 @@ def test_a_clip_is_the_recording_of_its_command(evaluated, text):
 
 def test_without_pictures_and_without_mjx(evaluated, tmp_path):
     """Nothing stands where they would be; a robot that fell at once has no clip."""
-    _, body, _, recordings = evaluated
+    _, player, _, recordings = evaluated
     numbers, empty = (
         toy_sweep.numbers(),
         {k: v[:0] for k, v in recordings[0.0, 0.0, 0.0].items() if np.ndim(v) == 2},
     )
     recordings = {tuple(r["command"]): empty for r in numbers["commands"] + numbers["ahead"]}
-    report.write(tmp_path, "policy", body, numbers, recordings, toy_sweep.changes(), None)
+    report.write(tmp_path, "policy", player, numbers, recordings, toy_sweep.changes(), None)
     text = (tmp_path / "report.html").read_text()
     assert (
         part(text, "clips") == {} and "<img" not in text and "return" not in pages.Reader(text).text

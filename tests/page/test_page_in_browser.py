@@ -18,11 +18,11 @@ CHANGED = 1.0  # mean difference of two pictures, of 255
 def written(tmp_path_factory):
     """Six seconds of the bundled Go1."""
     policy, _ = policy_source.load("go1")
-    body, _ = policy_source.player(policy)
+    player, _ = policy_source.player(policy)
     act = policy_file.actor(policy.params, policy.activation)
-    played = episode.play(body, act, episode.tour(6.0), 6.0)
+    played = episode.play(player, act, episode.tour(6.0), 6.0)
     out = tmp_path_factory.mktemp("page") / "walk.html"
-    episode_page.write(body, played, out, "go1", "the bundled policy", [("fall", "none")])
+    episode_page.write(player, played, out, "go1", "the bundled policy", [("fall", "none")])
     assert out.stat().st_size < 4e6
     return out
 

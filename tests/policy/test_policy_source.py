@@ -199,9 +199,9 @@ def test_a_carried_robot_is_drawn(tmp_path):
     from dynappo.policy import render
 
     policy = policy_file.load(spot(tmp_path / "spot.npz"))
-    body, _ = policy_source.player(policy)
-    rows = episode.play(body, lambda obs: np.zeros(12), lambda t: np.zeros(3), 0.02)
-    failed = render.film(body, rows, tmp_path / "a.png")
+    player, _ = policy_source.player(policy)
+    rows = episode.play(player, lambda obs: np.zeros(12), lambda t: np.zeros(3), 0.02)
+    failed = render.film(player, rows, tmp_path / "a.png")
     if failed and render.film(GO1, rows, tmp_path / "b.png"):
         pytest.skip("no pictures here")
     assert failed == ""

@@ -13,7 +13,7 @@ from dynappo.web import live as live_lib
 
 @pytest.fixture(scope="module")
 def trained():
-    """The bundled Go1: `(body, act)`."""
+    """The bundled Go1: `(player, act)`."""
     policy, _ = policy_source.load("go1")
     return policy_source.player(policy)[0], policy_file.actor(policy.params, policy.activation)
 
@@ -89,8 +89,8 @@ def test_a_pull_is_a_spring_with_a_limit(live):
 
 def test_after_a_fall_it_lies_and_stands_up():
     policy = policy_file.describe(*described())
-    body = policy_source.player(policy._replace(mjcf=""), None)[0]
-    live = live_lib.Live(body, lambda obs: np.full(12, 6.0))
+    player = policy_source.player(policy._replace(mjcf=""), None)[0]
+    live = live_lib.Live(player, lambda obs: np.full(12, 6.0))
     for _ in range(200):
         live_lib.step(live)
         if live.fell is not None:

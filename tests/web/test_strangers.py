@@ -206,9 +206,9 @@ def test_scripts_in_names_do_not_run_in_a_page_of_one_file(open_, tmp_path):
     assert tab.value("window.ran") is None
     # whoever has the page in a frame may send another recording, which is no HTML either
     policy, _ = policy_source.load(str(saved))
-    body, _ = policy_source.player(policy)
+    player, _ = policy_source.player(policy)
     act = policy_file.actor(policy.params, policy.activation)
-    data = episode_page.scene(body, episode.play(body, act, episode.tour(0.2), 0.2))
+    data = episode_page.scene(player, episode.play(player, act, episode.tour(0.2), 0.2))
     row = f"<tr><td>{RUNS}</td></tr>"
     measures = json.dumps([[[RUNS, RUNS]], row])
     sends = SENDS % (measures, json.dumps(data), json.dumps(RUNS))
