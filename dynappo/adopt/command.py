@@ -45,7 +45,7 @@ class Adopted(NamedTuple):
     mjcf: str
     config: str
     readme: str
-    told: list[str]
+    notes: list[str]
 
 
 def parse(argv: list[str] | None) -> argparse.Namespace:
@@ -86,27 +86,27 @@ def make(file: source.Source, name: str, part: Path) -> Adopted:
 
     ConfigError if the file cannot be completed, with its path.
     """
-    told = list(file.notes)
+    notes = list(file.notes)
     with mjcf.one_line(file.xml):
         spec, robot, more = completed(file, name)
-        told += more
+        notes += more
         published, more = source.published(file, robot.joint_names)
-        told += more
+        notes += more
         effort, _ = gains.efforts(robot, published)
-        told += normal.joints(spec, robot.joint_names, published, effort)
+        notes += normal.joints(spec, robot.joint_names, published, effort)
         robot = loaded(spec, name, file)
         chosen, more = gains.choose(robot, published, writing.init_std(robot))
         if len(robot.foot_names) > 2:
             poses = gains.stance(robot, chosen.kp, chosen.kd, chosen.effort_limit)
-            told += normal.clear(spec, robot, poses)
+            notes += normal.clear(spec, robot, poses)
             robot = loaded(spec, name, file)
-        told += [*more, *writing.assumed(robot)]
+        notes += [*more, *writing.assumed(robot)]
         base = robot.mj_model.body(robot.base_body).name
         shown, copied = looks.draw(spec, file, base, part / "assets")
         if shown:
-            told.append(f"looks: {shown} shapes as published" + f", {copied} files" * bool(copied))
+            notes.append(f"looks: {shown} shapes as published" + f", {copied} files" * bool(copied))
         else:
-            told.append(
+            notes.append(
                 "looks: the shapes that touch the floor are drawn; the published ones are not there"
             )
         normal.scene(spec, float(robot.home_qpos[2]))
@@ -116,12 +116,12 @@ def make(file: source.Source, name: str, part: Path) -> Adopted:
         text = writing.mjcf(spec, name, file)
         licence = source.licence(file.xml)
         where = f"found at {licence[0]}: check that it is of this robot" if licence[0] else ""
-        told.append(f"licence: {where or 'none found; ask before you share this robot'}")
+        notes.append(f"licence: {where or 'none found; ask before you share this robot'}")
         return Adopted(
             mjcf=text,
             config=writing.config(robot, file, chosen),
-            readme=writing.readme(robot, file, told, licence, shown),
-            told=told,
+            readme=writing.readme(robot, file, notes, licence, shown),
+            notes=notes,
         )
 
 
@@ -129,17 +129,17 @@ def completed(file: source.Source, name: str) -> tuple[mujoco.MjSpec, robot_lib.
     """`(spec, robot, lines)`, with the first default pose in which the robot stands; the first one's error if
     there is none."""
     problem: Exception | None = None
-    for spec, told in pose.candidates(file.spec, file.model, file.xml):
+    for spec, notes in pose.candidates(file.spec, file.model, file.xml):
         try:
             done = complete.complete(spec)
             # written and read again: no classes, frames or fromto are left that hold what is set below
-            spec = mujoco.MjSpec.from_string(text_lib.of(done.spec))
-            told += [*done.notes, *normal.solver(spec, float(done.model.body_mass.sum()))]
-            told += [*normal.feet(spec), *normal.frames(spec, spec.compile())]
+            spec = mujoco.MjSpec.from_string(text_lib.self_contained(done.spec))
+            notes += [*done.notes, *normal.solver(spec, float(done.model.body_mass.sum()))]
+            notes += [*normal.feet(spec), *normal.frames(spec, spec.compile())]
             robot = loaded(spec, name, file)
-            told += normal.round_feet(spec, robot)
-            told += normal.shanks(spec, loaded(spec, name, file))
-            return spec, loaded(spec, name, file), told
+            notes += normal.round_feet(spec, robot)
+            notes += normal.shanks(spec, loaded(spec, name, file))
+            return spec, loaded(spec, name, file), notes
         except (ValueError, ConfigError) as error:
             problem = problem or error
     if "expected a foot" in str(problem):
@@ -220,7 +220,7 @@ def run(flags) -> None:
             print(line)
         raise
     files.write_text(config, made.config)
-    for line in made.told:
+    for line in made.notes:
         print(line)
     print(f"written {folder / f'{flags.name}.xml'}, {config}, {folder / 'README.md'}\n", flush=True)
     look(config, folder / "look.png")

@@ -307,17 +307,17 @@ def published(source: Source, joints: tuple[str, ...]) -> tuple[Published, list[
         effort[i] = np.nanmin([np.nan, *limits]) if np.isfinite(limits).any() else np.nan
         velocity[i] = source.velocity.get(name, np.nan)
     effort[~(effort > 0)], velocity[~(velocity > 0)] = np.nan, np.nan
-    told = []
+    notes = []
     several = [name for name in joints if len(on.get(model.joint(name).id, [])) > 1]
     if several:
-        told.append(f"motors: several actuators add up at {_listed(several)}")
+        notes.append(f"motors: several actuators add up at {_listed(several)}")
     idle = [name for name in joints if model.joint(name).id not in on]
     if idle and on:
-        told.append(
+        notes.append(
             f"motors: nothing in the file drives {_listed(idle)}; all joints have a motor here, with effort "
             "and gains as the others"
         )
-    return Published(kp, kd, effort, velocity, servo), told
+    return Published(kp, kd, effort, velocity, servo), notes
 
 
 def _most(model: mujoco.MjModel, a: int) -> float:

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
-from dynappo.description import feet, fit, mjcf, robot_contract
+from dynappo.description import feet, mjcf, primitives, robot_contract
 from dynappo.description.rotation import matrix, quaternion
 
 VISUAL_GROUP, COLLISION_GROUP = 2, 3  # by the habit of MuJoCo Menagerie
@@ -75,7 +75,7 @@ def _completed(spec: mujoco.MjSpec) -> Completed:
     notes: list[str] = []
     # where bodies go, MuJoCo empties the keys until it compiles
     poses = [np.array(key.qpos) for key in spec.keys]
-    _measure_nothing(spec)
+    _delete_sensors_and_materials(spec)
     floor = _choose_floor(spec)
     freed = _one_robot(spec, floor, notes)
     robot_contract.check_tree(spec)
@@ -117,11 +117,11 @@ def _geoms(spec: mujoco.MjSpec) -> list[str]:
     return [geom.name for geom in sorted(spec.geoms, key=lambda geom: geom.id)]
 
 
-def _called(geom) -> str:
+def _name_of_shape(geom) -> str:
     return geom.name or f"a shape of {geom.parent.name}"
 
 
-def _measure_nothing(spec: mujoco.MjSpec) -> None:
+def _delete_sensors_and_materials(spec: mujoco.MjSpec) -> None:
     """Sensors, skins, materials, what looks at a body: they have no say in how a robot moves, but name files,
     bodies and shapes."""
     for shape in (*spec.geoms, *spec.sites):
@@ -295,20 +295,22 @@ def _shapes(spec: mujoco.MjSpec, notes: list[str]) -> list:
     shapes = [g for g in collide if g.group != VISUAL_GROUP] or collide
     # a foot is one by its name, whatever its numbers say
     feet_too = [g for g in collide if g.group == VISUAL_GROUP] + [
-        g for g in _on_robot(spec) if g.group != VISUAL_GROUP and g.type in fit.KINDS
+        g for g in _on_robot(spec) if g.group != VISUAL_GROUP and g.type in primitives.KINDS
     ]
     meant = [g for g in feet_too if feet.NAME.fullmatch(g.name)]
     meant += [g for g in _on_robot(spec) if g.name and g.name in paired and g not in meant]
     meant += [g for g in shapes if g not in meant]
     if not shapes:
-        plain = [g for g in _on_robot(spec) if g.group == COLLISION_GROUP and g.type in fit.KINDS]
+        plain = [
+            g for g in _on_robot(spec) if g.group == COLLISION_GROUP and g.type in primitives.KINDS
+        ]
         plain = [g for g in plain if g not in meant]
         if plain:
             notes.append(f"nothing collides: shapes of group {COLLISION_GROUP} now touch the floor")
         meant += plain
-    flat = [g for g in meant if g.type not in (*fit.KINDS, MESH, ELLIPSOID)]
+    flat = [g for g in meant if g.type not in (*primitives.KINDS, MESH, ELLIPSOID)]
     if flat:
-        kinds = _list(f"{_called(g)} ({_kind(g)})" for g in flat)
+        kinds = _list(f"{_name_of_shape(g)} ({_kind(g)})" for g in flat)
         notes.append(f"shapes of a kind that a robot cannot have are left out: {kinds}")
     return [g for g in meant if g not in flat]
 
@@ -368,7 +370,7 @@ def _pairs(spec: mujoco.MjSpec, floor, notes: list[str]) -> None:
             geom.friction = np.array(pair.friction)[[0, 2, 3]]
             geom.solref, geom.solimp = pair.solref, pair.solimp
             geom.priority = max(geom.priority, 1 + (floor.priority if floor is not None else 0))
-        if len(own) == 2 and all(geom.type in fit.KINDS for geom in own):
+        if len(own) == 2 and all(geom.type in primitives.KINDS for geom in own):
             continue
         inside += len(own) == 2
         spec.delete(pair)
@@ -471,7 +473,7 @@ def _primitives(spec: mujoco.MjSpec, model: mujoco.MjModel, notes: list[str]) ->
             continue
         turn, pos = matrix(model.geom_quat[i]), model.geom_pos[i]
         if geom.type == ELLIPSOID:
-            one = fit.around_ellipsoid(model.geom_size[i], turn, pos)
+            one = primitives.around_ellipsoid(model.geom_size[i], turn, pos)
         else:
             points = feet.vertices(model, i)
             if i not in shapes:
@@ -479,7 +481,7 @@ def _primitives(spec: mujoco.MjSpec, model: mujoco.MjModel, notes: list[str]) ->
                     model, data, i, points, shapes[model.geom_bodyid[shapes] == body]
                 )
             level = data.xmat[body].reshape(3, 3).T
-            one = fit.around(points @ turn.T + pos, [turn, np.eye(3), level])
+            one = primitives.around(points @ turn.T + pos, [turn, np.eye(3), level])
         kept = {name: getattr(geom, name) for name in KEPT}
         found.setdefault(one.text(), []).append(geom.name or geom.parent.name or "a body")
         parent = geom.parent
@@ -547,7 +549,7 @@ def _contacts(spec: mujoco.MjSpec, model: mujoco.MjModel, notes: list[str]) -> b
             raised.append(geom)
         if condim != geom.condim:
             geom.condim = condim
-            sliding.append(_called(geom))
+            sliding.append(_name_of_shape(geom))
     if crossed:
         notes.append("shapes touch the floor only, not one another")
     if raised:

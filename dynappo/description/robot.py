@@ -114,7 +114,7 @@ def _alone(xml: Path, spec: mujoco.MjSpec, changed: bool) -> str:
             if geom.group > complete.VISUAL_GROUP:
                 geom.group = 0
         spec.compile()
-        text = text_lib.of(spec)
+        text = text_lib.self_contained(spec)
         mjcf.check_alone(text)
         return text
     return ""

@@ -182,7 +182,7 @@ def test_damping_is_alike_left_and_right_where_links_are_not():
     none = source.Published(*np.full((4, count), np.nan), np.zeros(count, bool))
     found, _ = gains.choose(toy, none, 1.0)
     left, right = (toy.joint_names.index(f"{side}_shoulder") for side in ("left", "right"))
-    assert found.kd[left] == found.kd[right] < found.kp[left] * gains.RATIO * 0.9
+    assert found.kd[left] == found.kd[right] < found.kp[left] * gains.KD_PER_KP * 0.9
 
 
 def test_a_pose_of_a_scene_is_found_where_the_free_joint_has_no_name(tmp_path, monkeypatch, capsys):

@@ -8,7 +8,7 @@ import pytest
 import robot_files
 
 from dynappo.config import ConfigError, files
-from dynappo.description import contacts, feet, fit, robot
+from dynappo.description import contacts, feet, primitives, robot
 from dynappo.physics.warp import scope
 
 FILES = dict(biped=robot_files.biped, turned=robot_files.turned, hexapod=robot_files.hexapod)
@@ -229,7 +229,7 @@ def test_the_primitive_around_points_holds_them_and_is_the_one_they_lie_on(kind)
         mujoco.mju_quat2Mat(turn, quat / np.linalg.norm(quat))
         turn, place = turn.reshape(3, 3), rng.normal(size=3)
         points = cloud(kind, rng) @ turn.T + place
-        one = fit.around(points, [np.eye(3), turn])
+        one = primitives.around(points, [np.eye(3), turn])
         assert holds(one, points) and one.kind == kind
         np.testing.assert_allclose(one.pos, place, atol=0.06)
 
@@ -243,7 +243,7 @@ def test_the_primitive_around_an_ellipsoid_holds_it():
         size, turn = rng.uniform(0.1, 1, 3), np.zeros(9)
         mujoco.mju_quat2Mat(turn, np.array([0.6, 0.8, 0, 0]))
         turn = turn.reshape(3, 3)
-        one = fit.around_ellipsoid(size, turn, np.ones(3))
+        one = primitives.around_ellipsoid(size, turn, np.ones(3))
         kinds.add(one.kind)
         assert holds(one, (ball * size) @ turn.T + 1)
         assert one.volume <= 8 * size.prod()
