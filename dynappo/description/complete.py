@@ -73,6 +73,7 @@ def options(spec: mujoco.MjSpec) -> list[str]:
 
 def _completed(spec: mujoco.MjSpec) -> Completed:
     notes: list[str] = []
+    drop_bodies_without_limbs(spec, notes)
     # where bodies go, MuJoCo empties the keys until it compiles
     poses = [np.array(key.qpos) for key in spec.keys]
     _delete_sensors_and_materials(spec)
@@ -135,6 +136,29 @@ def _delete_sensors_and_materials(spec: mujoco.MjSpec) -> None:
 
 
 # the tree
+
+
+def drop_bodies_without_limbs(spec: mujoco.MjSpec, notes: list[str]) -> None:
+    """Take out moving bodies of the world that carry no joint: parked placeholders, balls. A robot beside
+    them has limbs; keyframes keep its numbers."""
+    moving = [body for body in spec.worldbody.bodies if body.find_all("joint")]
+    bare = [body for body in moving if len(body.find_all("joint")) == len(body.joints)]
+    if not bare or len(bare) == len(moving):
+        return
+    keep = np.concatenate(
+        [
+            np.full(count, top not in bare)
+            for top in spec.worldbody.bodies
+            for _, count in _sizes(top)
+        ]
+    )
+    poses = [np.array(key.qpos) for key in spec.keys]
+    notes.append(f"left out, for nothing moves on them: {_list(b.name or 'a body' for b in bare)}")
+    for body in bare:
+        spec.delete(body)
+    for key, pose in zip(spec.keys, poses, strict=True):
+        if len(pose) == len(keep):
+            key.qpos = pose[keep]
 
 
 def _choose_floor(spec: mujoco.MjSpec):
