@@ -1,14 +1,17 @@
 """Make a robot of a published MJCF or URDF: `dynappo adopt FILE --name=NAME`.
 
 It writes robots/NAME/ (the MJCF in the form that dynappo trains, the published looks, a README with source,
-licence and every assumption) and configs/NAME.py, checks the robot, and prints the next command. It asks
-nothing, and overwrites nothing without --force. C MuJoCo and NumPy, without JAX; it takes a few seconds.
+licence and every assumption) and configs/NAME.py, and prints the next command. What `look` or `train` would
+refuse is refused before anything is kept. It asks nothing, and overwrites nothing without --force. C MuJoCo
+and NumPy, without JAX; it takes a few seconds.
 """
 
 from __future__ import annotations
 
 import argparse
 import contextlib
+import glob
+import importlib.util
 import os
 import re
 import shutil
@@ -28,8 +31,12 @@ from dynappo.config import flags as flags_lib
 from dynappo.description import complete, mjcf, motors
 from dynappo.description import robot as robot_lib
 from dynappo.description import text as text_lib
+from dynappo.physics import engine_contract
+from dynappo.tasks.velocity import gait, partners, reward_sum
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+NEEDS_ACTION = "EDIT NEEDED: ", "note: "  # how lines begin that ask for something
+GPUS = "/dev/nvidia[0-9]*", "/dev/dxg"  # of Linux, of Windows' Linux
 USAGE = """\
 FILE is an MJCF or a URDF, as it was published; MuJoCo reads both
   python -m dynappo.adopt mujoco_menagerie/unitree_go1/go1.xml --name=my_go1
@@ -61,12 +68,25 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
     flags = flags_lib.read(parser, argv)
     if flags.file is None:
         raise ConfigError("no file given; try: python -m dynappo.adopt FILE.xml --name=NAME")
-    flags.name = flags.name if flags.name is not None else flags.file.stem
+    flags.notes = []
+    if flags.name is None:
+        flags.name = name_of(flags.file)
+        if flags.name != flags.file.stem:
+            flags.notes.append(
+                f"name: {flags.name}, for a name has letters, digits and _, a letter first; --name=NAME "
+                "takes another"
+            )
     if not NAME.fullmatch(flags.name):
         raise ConfigError(
             f"--name={flags.name}: expected letters, digits and _, a letter first, as in --name=my_robot"
         )
     return flags
+
+
+def name_of(file: Path) -> str:
+    """A robot's name by its file: `my_robot` of my-robot.xml, `robot_3` of 3.xml."""
+    name = re.sub(r"[^A-Za-z0-9_]", "_", file.stem)
+    return name if name[:1].isalpha() else f"robot_{name.lstrip('_')}"
 
 
 def check_free(name: str, force: bool) -> tuple[Path, Path]:
@@ -204,27 +224,39 @@ def check_writable(folder: Path, config: Path) -> None:
 
 
 def run(flags) -> None:
-    """Adopt the robot as the flags say, print each assumption, and check it with `look`."""
+    """Adopt the robot as the flags say; print each assumption, then what needs action, then what is next."""
     folder, config = check_free(flags.name, flags.force)
     check_writable(folder, config)
-    notes: list[str] = []
+    notes: list[str] = flags.notes
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of numbers in the file that overflow
             file = source.read(flags.file, notes)
             with new_folder(folder) as part:
                 made = made_of(file, flags.name, part)
-                check(part, flags.name, made)
-    except ConfigError:
+                engine, seen = check(part, flags.name, made, file.xml)
+    except (ConfigError, FloatingPointError):
         for line in notes:  # what was found before the error may explain it
             print(line)
         raise
     files.write_text(config, made.config)
-    for line in made.notes:
-        print(line)
-    print(f"written {folder / f'{flags.name}.xml'}, {config}, {folder / 'README.md'}\n", flush=True)
-    look(config, folder / "look.png")
-    print(f"\nnext    {shell.pasted(f'python -m dynappo.train --config={config}')}")
+    written = f"written {folder / f'{flags.name}.xml'}, {config}, {folder / 'README.md'}"
+    lines = [*made.notes, written, "", *seen]
+    action = [line for line in lines if line.startswith(NEEDS_ACTION)]
+    print("\n".join(line for line in lines if line not in action))
+    if action:
+        print("\n".join(["", *action]))
+    train = f"python -m dynappo.train --config={config}{'' if has_gpu() else ':laptop'}"
+    print(f"\nnext    {shell.pasted(train)}{engine and f' --config.physics.impl={engine}'}")
+
+
+def has_gpu() -> bool:
+    """Whether `train` would find an NVIDIA GPU, without JAX: a device of the driver, unless JAX is kept from
+    it."""
+    platforms = os.environ.get("JAX_PLATFORMS", "")
+    if platforms and not re.search("cuda|gpu", platforms):
+        return False
+    return any(glob.glob(pattern) for pattern in GPUS)
 
 
 def made_of(file: source.Source, name: str, part: Path) -> Adopted:
@@ -240,27 +272,73 @@ def made_of(file: source.Source, name: str, part: Path) -> Adopted:
         ) from error
 
 
-def check(part: Path, name: str, made: Adopted) -> None:
-    """Write the robot's files to `part` and load them, as training will; ConfigError if that fails."""
+def check(part: Path, name: str, made: Adopted, xml: Path) -> tuple[str, list[str]]:
+    """Write the robot's files to `part`, and do what `look` and `train` do before they accept a robot.
+
+    The result is the engine to name to `train` ("" if what it chooses itself can simulate the robot), and
+    what `look` says. An error, as they have it, if they would refuse the robot.
+    """
     files.write_text(part / f"{name}.xml", made.mjcf)
     files.write_text(part / "README.md", made.readme)
     robot = robot_lib.load_xml(part / f"{name}.xml")
     with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / f"{name}.py"
-        file.write_text(made.config, encoding="utf-8")
-        config = config_lib.validate(config_lib.load(str(file)), robot_here=False)
-    motors.fitted(config, robot)
+        above = Path(folder)  # a working directory that has the robot
+        files.write_text(above / "configs" / f"{name}.py", made.config)
+        shutil.copytree(part, above / "robots" / name)
+        file = str(above / "configs" / f"{name}.py")
+        config = config_lib.validate(config_lib.load(file), robot_here=False)
+        engine = check_trainable(config, robot, xml)
+        seen = look(above, name)
+        picture = above / "robots" / name / "look.png"
+        if picture.exists():
+            shutil.copyfile(picture, part / picture.name)
+    return engine, seen
 
 
-def look(config: Path, picture: Path) -> None:
-    """Run the command `look`; if it cannot draw, it prints a line and does not fail."""
+def check_trainable(config, robot: robot_lib.Robot, xml: Path) -> str:
+    """ConfigError if `train` would refuse the robot; the engine to name to it, or ""."""
+    config, robot = motors.fitted(config, robot)
+    robot_lib.check_base_mass(robot, config.task.randomize.base_mass)
+    gait.check(config.task.gait_frequency, robot.name, len(robot.foot_names))
+    reward_sum.terms_of(config.task)
+    if config.ppo.symmetry:
+        try:
+            partners.check_motors(config.task, robot)
+        except ConfigError as error:
+            raise ConfigError(
+                f"{xml}: {error}; correct places, axes and default angles of its joints: left and right must "
+                "be alike"
+            ) from None
+    robot = robot._replace(xml=xml)  # errors name the file that can be edited
+    warp = has_gpu() and importlib.util.find_spec("warp")
+    for impl in ("warp", "jax") if warp else ("jax",) if has_gpu() else ("jax", "c"):
+        if not engine_contract.lacks(robot, config.physics, impl):
+            return "" if impl == ("warp" if warp else "jax") else impl
+    engine_contract.check(robot, config.physics, "warp" if warp else "jax")
+    return ""
+
+
+def look(folder: Path, name: str) -> list[str]:
+    """What the command `look` says in the working directory `folder`, which gets its picture.
+
+    Without OpenGL it draws nothing, which is a note; what it refuses is an error.
+    """
+    config, picture = Path("configs") / f"{name}.py", Path("robots") / name / "look.png"
     command = [*interpreter.command("dynappo.look"), str(config), f"--out={picture}"]
-    done = subprocess.run(command, stderr=subprocess.PIPE, text=True)
-    said = done.stderr.strip()
-    if said.startswith("dynappo: --out="):
-        print(f"note: {said.partition(': ')[2]}")
-    elif said:
+    done = subprocess.run(command, capture_output=True, text=True, encoding="utf-8", cwd=folder)
+    here = done.stdout.replace(str(folder.resolve()), str(Path.cwd()))
+    here = here.replace(str(folder), str(Path.cwd()))
+    said = done.stderr.strip().removeprefix("dynappo: ")
+    lines = here.splitlines()
+    if said.startswith("--out="):
+        return [*lines, f"note: {said}"]
+    if done.returncode:
+        raise (ConfigError if done.returncode == 2 else FloatingPointError)(
+            f"{name} is not kept, for look refuses it: {said.splitlines()[-1] if said else done.returncode}"
+        )
+    if said:
         print(said, file=sys.stderr)
+    return lines
 
 
 def main(argv: list[str] | None = None) -> None:

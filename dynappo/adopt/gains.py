@@ -209,7 +209,7 @@ def pd_gains(robot, published: Published, effort) -> tuple[np.ndarray, np.ndarra
             break
     else:
         gains.append(
-            f"kp: that is the stiffest that is tried, and the robot does not stand: it "
+            f"EDIT NEEDED: that kp is the stiffest that is tried, and the robot does not stand: it "
             f"{_sinking_in_words(sinks)}; look at the pose and the limits"
         )
     return kp, kd, [*notes, *gains, *damping]

@@ -207,7 +207,7 @@ def readme(
     )
     return (
         f"# {robot.name}\n\n"
-        f"`{robot.name}.xml` is made by `dynappo adopt` from `{source.xml}`"
+        f"`{robot.name}.xml` is made by `dynappo adopt` from `{source.xml.name}`"
         f"{', its looks included' if looks else ''}\n({origin(source.xml)}).\n"
         f"Gains, limits and what else depends on the robot are in "
         f"`configs/{robot.name}.py`.\n\n"

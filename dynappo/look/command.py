@@ -27,6 +27,7 @@ SINKS = 0.25  # of its height: more is no sag
 RESTS = 0.02  # m in the last second: more is not at rest
 SLIDES, SUNK = 0.2, 0.005  # of its height, and m: feet that slide or sink in while it stands
 LOW = 0.01  # m: parts lower than this in the default pose touch the ground in walking
+TURN = 2 * np.pi * np.pi / 180  # rad: a whole turn in radians that is read as degrees
 EXPLORES = 0.37  # of a motor's limit; a third is the rule
 DROP = (
     0.3,
@@ -214,6 +215,7 @@ def _wrong_config(robot: robot_lib.Robot, config) -> list[str]:
             f"task.effort_limit is {effort[i]:g} N m at {robot.joint_names[i]}, which its motor cannot "
             f"reach: task.saturation_effort, of a motor that stands, is {stall[i]:g}"
         )
+    out += _wrong_ranges(robot, np.broadcast_to(task.action_scale, count))
     asked = facts.explores(robot, config)
     if asked.max() > EXPLORES:
         name = robot.joint_names[int(asked.argmax())]
@@ -248,6 +250,25 @@ def _wrong_config(robot: robot_lib.Robot, config) -> list[str]:
             "(task.randomize.friction)"
         )
     return out
+
+
+def _wrong_ranges(robot: robot_lib.Robot, scale: np.ndarray) -> list[str]:
+    """Joints that an action of 1 (`scale` [A], rad) takes through their whole range."""
+    width = np.ptp(robot_lib.joint_ranges(robot), axis=1)
+    narrow = width < scale
+    if (width < TURN).all():
+        return [
+            f"no joint turns by more than {width.max():.2g} rad: in the file that they are from, angles seem "
+            'to be radians that are read as degrees, for want of <compiler angle="radian"/>'
+        ]
+    if not narrow.any():
+        return []
+    names = [robot.joint_names[i] for i in np.flatnonzero(narrow)]
+    more = f" and {len(names) - 6} more" * (len(names) > 6)
+    return [
+        f"the whole range of {', '.join(names[:6])}{more} is {_span(width[narrow], 2)} rad, less than "
+        "task.action_scale: correct the range, or lower the scale"
+    ]
 
 
 def run(flags) -> None:
