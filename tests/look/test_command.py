@@ -223,7 +223,7 @@ def test_it_needs_no_jax(tmp_path):
 
 
 def test_nothing_is_said_of_gpus_where_there_is_none(tmp_path):
-    """Warp's C++ writes past Python's stderr as it starts, which only a file with more than the plain needs."""
+    """Warp's C++ writes past Python's stderr as it starts, for a file that has more than the plain one."""
     pytest.importorskip("warp")
     for folder in ("robots/mine", "configs"):
         (tmp_path / folder).mkdir(parents=True)
