@@ -10,5 +10,6 @@
 - `looks`: puts the published meshes back on the completed robot
 - `writing`: the texts of the three files
 
-No other command imports it. It imports `description` and `config`, and no JAX.
+No other command imports it. It imports `description`, `config`, what checks a robot before training
+(`physics.engine_contract`, `tasks.velocity`'s `gait`, `partners`, `reward_sum`), and no JAX.
 """

@@ -209,8 +209,8 @@ def pd_gains(robot, published: Published, effort) -> tuple[np.ndarray, np.ndarra
             break
     else:
         gains.append(
-            f"EDIT NEEDED: that kp is the stiffest that is tried, and the robot does not stand: it "
-            f"{_sinking_in_words(sinks)}; look at the pose and the limits"
+            f"EDIT NEEDED: kp {span(kp)} N m/rad is the stiffest that is tried, and the robot does not "
+            f"stand: it {_sinking_in_words(sinks)}; look at the pose and the limits"
         )
     return kp, kd, [*notes, *gains, *damping]
 

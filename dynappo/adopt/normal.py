@@ -7,6 +7,7 @@ import numpy as np
 
 from dynappo.adopt import gains
 from dynappo.adopt.source import Published
+from dynappo.description import complete
 from dynappo.description import feet as feet_lib
 from dynappo.description import robot as robot_lib
 from dynappo.description.rotation import matrix, quaternion
@@ -15,7 +16,6 @@ HEAVY_MASS = 30.0  # kg, from which on feet creep apart with impratio 1
 FOOT_FRICTION = 0.8  # of the feet, which `task.randomize.friction` assumes
 FIRM_SOLIMP = 0.9, 0.95  # solimp of the feet: with Menagerie's 0.015 they sink in and slide apart
 SOFTEST_SOLIMP = 0.8  # its first number; feet that have less are made firm
-TURN_AS_DEGREES = 2 * np.pi * np.pi / 180  # rad: a whole turn in radians that is read as degrees
 UNLIMITED_RANGE = 9.42  # rad to both sides, of a joint without a range
 SHANK_CLEARANCE = 1.1  # of a foot's radius: shanks end so far above its middle
 PART_HEIGHT = 0.01  # m above the ground, where parts end that would touch it
@@ -55,7 +55,7 @@ def joints(
     """Take out dry friction and a servo's damping, add the inertia of rotors; a line on each."""
     notes, dry, servo, rotors, endless = [], [], [], [], []
     widths = [float(np.ptp(spec.joint(name).range)) for name in names]
-    if 0 < max(widths) < TURN_AS_DEGREES:
+    if 0 < max(widths) < complete.TURN_AS_DEGREES:
         notes.append(
             f"EDIT NEEDED: no joint turns by more than {max(widths):.2g} rad, so the file's angles seem to "
             'be radians that are read as degrees; write <compiler angle="radian"/> into it, and adopt it '

@@ -30,9 +30,8 @@ ROUNDED = (
 EXACT = 1e-6  # of it, that MuJoCo may be off when it computes them
 LIGHT = 0.05  # of the robot's mass: a link whose inertia may be a guess
 EXPORTED = re.compile(r"mesh|collision|visual", re.IGNORECASE)  # in names that an exporter makes
-NUMBERS = (
-    "mass density diaginertia fullinertia".split()
-)  # of an MJCF's elements, that decide masses
+# attributes of an MJCF's elements that decide masses
+NUMBERS = "mass density diaginertia fullinertia".split()
 XX = "xx xy xz yy yz zz".split()
 XACRO = "make a URDF of it first: xacro FILE > ROBOT.urdf"
 # what is wrong with a mesh, and what to do

@@ -27,6 +27,7 @@ MESH, PLANE, ELLIPSOID = (
 OFF = mujoco.mjtLimited.mjLIMITED_FALSE
 FREE, HINGE = mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtJoint.mjJNT_HINGE
 ON_FLOOR = 0.01  # m that the lowest foot may be from the floor in the home pose
+TURN_AS_DEGREES = 2 * np.pi * np.pi / 180  # rad: a whole turn in radians that is read as degrees
 # of a geom, what a primitive in its place keeps
 KEPT = "name condim priority friction solref solimp solmix margin gap group rgba".split()
 VIEW = np.array([1.11, -0.86, 0.29]) / 0.325  # the camera, in heights of the base
@@ -55,7 +56,7 @@ def options(spec: mujoco.MjSpec) -> list[str]:
     """A line on options with which a robot does not move as it does on a floor on Earth in still air; they
     stay."""
     option, usual = spec.option, mujoco.MjSpec().option
-    told = [
+    unusual = [
         f"{name} {' '.join(f'{x:g}' for x in np.atleast_1d(getattr(option, name)))}"
         for name in ("gravity", "wind", "density", "viscosity")
         if not np.array_equal(getattr(option, name), getattr(usual, name))
@@ -63,12 +64,12 @@ def options(spec: mujoco.MjSpec) -> list[str]:
     flags = [
         flag for flag in mujoco.mjtDisableBit.__members__.values() if flag.name[:6] == "mjDSBL"
     ]
-    told += [
+    unusual += [
         f"no {flag.name.removeprefix('mjDSBL_').lower()}"
         for flag in flags
         if option.disableflags & int(flag)
     ]
-    return [f"the file's options are simulated: {', '.join(told)}"] * bool(told)
+    return [f"the file's options are simulated: {', '.join(unusual)}"] * bool(unusual)
 
 
 def _completed(spec: mujoco.MjSpec) -> Completed:

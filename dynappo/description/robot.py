@@ -75,7 +75,7 @@ def _robot(name: str, xml: Path, text: str = "") -> Robot:
     robot_contract.check(model)
     shapes, foot_of, foot_names = feet.named(robot_contract.names(model.ngeom, model.geom))
     home = model.key("home").qpos.copy()
-    told = complete.options(spec)
+    options = complete.options(spec)
     alone = text or _alone(xml, spec, bool(notes))
     return Robot(
         name=name,
@@ -92,7 +92,7 @@ def _robot(name: str, xml: Path, text: str = "") -> Robot:
         text=text,
         alone=alone,
         played=text or (alone if notes else ""),
-        notes=(*notes, *told),
+        notes=(*notes, *options),
     )
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from dynappo import config as config_lib
 from dynappo.config import ConfigError
 from dynappo.config import flags as flags_lib
-from dynappo.description import kinds, motors
+from dynappo.description import complete, kinds, motors
 from dynappo.description import robot as robot_lib
 from dynappo.look import facts, picture
 from dynappo.physics import engine_contract
@@ -27,7 +27,6 @@ SINKS = 0.25  # of its height: more is no sag
 RESTS = 0.02  # m in the last second: more is not at rest
 SLIDES, SUNK = 0.2, 0.005  # of its height, and m: feet that slide or sink in while it stands
 LOW = 0.01  # m: parts lower than this in the default pose touch the ground in walking
-TURN = 2 * np.pi * np.pi / 180  # rad: a whole turn in radians that is read as degrees
 EXPLORES = 0.37  # of a motor's limit; a third is the rule
 DROP = (
     0.3,
@@ -256,7 +255,7 @@ def _wrong_ranges(robot: robot_lib.Robot, scale: np.ndarray) -> list[str]:
     """Joints that an action of 1 (`scale` [A], rad) takes through their whole range."""
     width = np.ptp(robot_lib.joint_ranges(robot), axis=1)
     narrow = width < scale
-    if (width < TURN).all():
+    if (width < complete.TURN_AS_DEGREES).all():
         return [
             f"no joint turns by more than {width.max():.2g} rad: in the file that they are from, angles seem "
             'to be radians that are read as degrees, for want of <compiler angle="radian"/>'
