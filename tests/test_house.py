@@ -37,7 +37,7 @@ MAY_IMPORT = {
         "config",
         "scores",
     },
-    "adopt": {"description", "config"},
+    "adopt": {"tasks", "physics", "description", "config"},
     "look": {"policy", "tasks", "physics", "description", "config"},
     "web": {"policy", "description", "config"},
     "play": {"web", "page", "policy", "description", "config"},
