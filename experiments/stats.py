@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy import special, stats
 
+from dynappo.policy import walks
 from dynappo.run import learning_curves
 
 LEVEL = 0.95
@@ -221,3 +222,57 @@ def correct(rows: list[dict[str, Any]], prefix: str = "") -> None:
         way = "higher" if row[f"{prefix}difference"] > 0 else "lower"
         unequal, alike = (way, f"{way}, within the margin") if differs else ("not shown", "equal")
         row[f"{prefix}verdict"] = alike if equal else unequal
+
+
+# ---- when a robot walks (dynappo/policy/walks.py)
+
+
+class Reached(NamedTuple):
+    """How many `steps` each seed took, `[...]`; NaN: never."""
+
+    walks: np.ndarray  # from there on at every evaluation: at the level, falls at most 1 %
+    level: np.ndarray  # first at the level, whatever came after
+    careful: np.ndarray  # first at the level with falls at most 1 %, whatever came after
+
+
+def reached(steps, returns, fall_rates, least: float, most: float = walks.MOST_FALLS) -> Reached:
+    """When each seed walks, by its evaluations `[E, ...]` in order; `steps` is `[E]` or `[E, ...]`.
+
+    `least` is the `level`, `most` the share of episodes with a fall. At an evaluation with a NaN
+    the robot does not walk. ValueError where the shapes differ.
+    """
+    return _reached(steps, returns, walks.at(returns, least), fall_rates, most)
+
+
+def reached_by_tracking(
+    steps, errors, yaw_errors, fall_rates, most: float = walks.MOST_FALLS
+) -> Reached:
+    """As `reached`, with the level of errors: m/s and rad/s of evaluations `[E, ...]`."""
+    if np.shape(errors) != np.shape(yaw_errors):
+        shapes = f"errors {np.shape(errors)}, yaw errors {np.shape(yaw_errors)}"
+        raise ValueError(f"{shapes}: expected one shape [evaluations, seeds]")
+    return _reached(steps, errors, walks.tracks(errors, yaw_errors), fall_rates, most)
+
+
+def _reached(steps, numbers, level, fall_rates, most: float) -> Reached:
+    """`Reached`, where `level` says which evaluations are at the level."""
+    numbers, fall_rates = np.asarray(numbers, float), np.asarray(fall_rates, float)
+    steps = np.asarray(steps, float)
+    if numbers.shape != fall_rates.shape or steps.shape not in (numbers.shape, numbers.shape[:1]):
+        raise ValueError(
+            f"steps {steps.shape}, evaluations {numbers.shape}, fall rates {fall_rates.shape}: "
+            "expected one shape [evaluations, seeds]"
+        )
+    seeds = (1,) * (numbers.ndim - steps.ndim)
+    steps = np.broadcast_to(steps.reshape(steps.shape + seeds), numbers.shape)
+    holding = level & walks.seldom(fall_rates, most)
+    kept = np.logical_and.accumulate(holding[::-1])[::-1]
+    return Reached(*(_first(steps, true) for true in (kept, level, holding)))
+
+
+def _first(steps: np.ndarray, true: np.ndarray) -> np.ndarray:
+    """`steps` at the first True of `true` `[E, ...]`; NaN without one."""
+    if not len(true):
+        return np.full(true.shape[1:], np.nan)
+    found = np.take_along_axis(steps, true.argmax(0)[None], 0)[0]
+    return np.where(true.any(0), found, np.nan)

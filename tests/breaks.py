@@ -108,10 +108,10 @@ BREAKS = (  # file, text, what it becomes, tests that must see it
     ("dynappo/adopt/gains.py", "STIFF = 3.0, 0.45", "STIFF = 3.0, 0.045", "adopt/test_gains.py"),
     # a policy, and what is said of it
     (
-        "dynappo/policy/walks.py",
+        "experiments/stats.py",
         "np.logical_and.accumulate(holding[::-1])[::-1]",
         "holding",
-        "policy/test_walks.py",
+        "test_experiments_stats.py",
     ),
     (
         "dynappo/policy/policy_file.py",

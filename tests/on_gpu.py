@@ -13,8 +13,8 @@ there is no GPU. This process imports no JAX, which would take the GPU's memory.
 
 - `kernel`: the tests of our kernel and of MuJoCo Warp, on the GPU (tests/conftest.py makes sure of it)
 - `walks`: two seeds of `go1:best` at once, evaluated every 10 iterations; passes if each is once at its
-  level with falls in at most 1 % of 1000 episodes, and says when each walks (policy/walks.py). Not if each walks
-  to the end: that rests on the worst of thirty evaluations, and one seed in ten gets there later
+  level with falls in at most 1 % of 1000 episodes, and says when each walks (policy/walks.py). Not if each
+  walks to the end: that rests on the worst of thirty evaluations, and one seed in ten gets there later
 - `resume`: a run resumed at half of its way against the run in one go, from the same checkpoint; and a
   run killed -9 that goes on
 - `processes`: a run of two processes against the same run of one; on two GPUs, or on the CPU if there is one
@@ -50,6 +50,7 @@ from dynappo import config as config_lib  # noqa: E402
 from dynappo.config import ConfigError, files, flags, versions  # noqa: E402
 from dynappo.policy import checkpoint_file  # noqa: E402
 from dynappo.policy import walks as walks_lib  # noqa: E402
+from experiments import stats  # noqa: E402
 
 COMMITTED = ROOT / "tests" / "on_gpu.json"
 PACKAGES = (
@@ -171,7 +172,7 @@ def walks(place: Place) -> dict[str, Any]:
     least = walks_lib.level(walks_lib.best(weights))
     found: dict[str, Any] = {"level": round(least, 2), "evaluations": len(returns)}
     for unit, of, scale in (("m_steps", steps, 1e-6), ("seconds", seconds, 1)):
-        reached = walks_lib.reached(of * scale, returns, falls, least)
+        reached = stats.reached(of * scale, returns, falls, least)
         found |= {f"{name}_{unit}": listed(values) for name, values in reached._asdict().items()}
     found |= {"return": listed(returns[-1]), "fall_rate": listed(falls[-1], 4)}
     if size.reach and None in found["careful_m_steps"]:

@@ -2,6 +2,7 @@
 
 import itertools
 import json
+import math
 
 import numpy as np
 import pytest
@@ -189,3 +190,90 @@ def test_every_run_of_a_job_that_is_stored_is_in_its_pool():
             assert f"{path.parent.name}/{path.stem}" in known, path
     seeds = {path.stem for path in results.glob("*_seed5.json")}
     assert seeds <= known
+
+
+# ---- when a robot walks: against a plain loop over evaluations
+
+
+NAN = math.nan
+
+
+def by_hand(steps, returns, falls, least):
+    """`(walks, level, careful)` of one seed, read as the definition is written."""
+
+    def good(k):
+        return returns[k] >= least and falls[k] <= 0.01
+
+    count = range(len(steps))
+    return (
+        next((steps[k] for k in count if all(good(j) for j in count[k:])), NAN),
+        next((steps[k] for k in count if returns[k] >= least), NAN),
+        next((steps[k] for k in count if good(k)), NAN),
+    )
+
+
+CASES = {  # returns, fall rates of evaluations after 1, 2, 3, 4 steps -> walks, at the level, with few falls
+    "at once": ([40, 40, 40, 40], [0, 0, 0, 0], (1, 1, 1)),
+    "exactly": ([30, 38, 38, 38], [0, 0.01, 0.01, 0.01], (2, 2, 2)),
+    "falls at first": ([39, 39, 40, 40], [0.05, 0.02, 0.01, 0], (3, 1, 3)),
+    "relapse of the return": ([39, 37, 39, 40], [0, 0, 0, 0], (3, 1, 1)),
+    "relapse of the falls": ([39, 39, 39, 40], [0, 0, 0.02, 0], (4, 1, 1)),
+    "lost at the end": ([39, 39, 39, 37], [0, 0, 0, 0], (NAN, 1, 1)),
+    "falls at the end": ([39, 39, 39, 39], [0, 0, 0, 0.011], (NAN, 1, 1)),
+    "never at both": ([39, 30, 39, 30], [0.5, 0, 0.5, 0], (NAN, 1, NAN)),
+    "never": ([1, 2, 3, 4], [0, 0, 0, 0], (NAN, NAN, NAN)),
+    "at the last only": ([1, 2, 3, 38], [1, 1, 1, 0], (4, 4, 4)),
+    "nan between": ([39, NAN, 39, 39], [0, 0, 0, 0], (3, 1, 1)),
+    "nan falls": ([39, 39, 39, 39], [0, 0, NAN, 0], (4, 1, 1)),
+    "all nan": ([NAN] * 4, [NAN] * 4, (NAN, NAN, NAN)),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_a_robot_walks_from_where_it_never_relapses(name):
+    returns, falls, expected = CASES[name]
+    np.testing.assert_array_equal(stats.reached([1, 2, 3, 4], returns, falls, 38), expected)
+    np.testing.assert_array_equal(by_hand([1, 2, 3, 4], returns, falls, 38), expected)
+
+
+def test_seeds_are_judged_each_by_itself():
+    """Random evaluations of 200 seeds, against the loop; steps of each seed, or of all."""
+    rng = np.random.default_rng(0)
+    returns = rng.choice([30.0, 37.9, 38.0, 41.0, NAN], (6, 200), p=[0.1, 0.1, 0.3, 0.45, 0.05])
+    falls = rng.choice([0.0, 0.005, 0.01, 0.02], (6, 200), p=[0.5, 0.3, 0.1, 0.1])
+    common, own = np.arange(1, 7) * 10, np.cumsum(rng.integers(1, 9, (6, 200)), 0)
+    for steps in (common, own):
+        found = stats.reached(steps, returns, falls, 38)
+        for s in range(200):
+            mine = steps if steps.ndim == 1 else steps[:, s]
+            expected = by_hand(mine, returns[:, s], falls[:, s], 38)
+            np.testing.assert_array_equal([x[s] for x in found], expected)
+    assert 20 < np.isnan(found.walks).sum() < 180 and (found.walks > found.careful).any()
+
+
+def test_without_evaluations_nobody_walks():
+    assert np.isnan(stats.reached([], [], [], 38)).all()
+    found = stats.reached([], np.zeros((0, 3)), np.zeros((0, 3)), 38)
+    assert np.isnan(found).all() and np.shape(found) == (3, 3)
+    for shapes in (((3,), (4,), (4,)), ((4,), (4, 2), (4,)), ((2,), (4, 2), (4, 2))):
+        with pytest.raises(ValueError, match="expected one shape"):
+            stats.reached(*map(np.zeros, shapes), 38)
+
+
+def test_a_biped_walks_by_its_errors_and_falls():
+    """Against the definition read as it is written; exactly at the level counts, NaN does not."""
+    rng, steps = np.random.default_rng(0), [10, 20, 30, 40]
+    errors = rng.choice([0.1, 0.2, 0.21, NAN], (4, 300), p=[0.3, 0.5, 0.1, 0.1])
+    yaw = rng.choice([0.1, 0.25, 0.26], (4, 300), p=[0.4, 0.5, 0.1])
+    falls = rng.choice([0.0, 0.01, 0.011], (4, 300), p=[0.5, 0.4, 0.1])
+    found = stats.reached_by_tracking(steps, errors, yaw, falls)
+    for s in range(300):
+        level = [
+            1.0 if e <= 0.2 and y <= 0.25 else 0.0
+            for e, y in zip(errors[:, s], yaw[:, s], strict=True)
+        ]
+        expected = by_hand(steps, level, falls[:, s], 1.0)
+        np.testing.assert_array_equal([x[s] for x in found], expected)
+    assert 20 < np.isnan(found.walks).sum() < 280
+    with pytest.raises(ValueError, match="expected one shape"):
+        stats.reached_by_tracking(steps, errors, yaw[:, :1], falls)

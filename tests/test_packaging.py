@@ -175,7 +175,7 @@ def test_the_wheel_carries_configs_and_robots_and_finds_them(tmp_path):
     subprocess.run([*pip, "wheel", "--no-deps", "-w", tmp_path, ROOT], check=True)
     (wheel,) = tmp_path.glob("dynappo-*.whl")
     names = set(zipfile.ZipFile(wheel).namelist())
-    expected = {"dynappo/play/page.html", "dynappo/play/page.js", "dynappo/robots/go1/policy.npz"}
+    expected = {"dynappo/page/page.html", "dynappo/page/page.js", "dynappo/robots/go1/policy.npz"}
     for folder, inside in (("dynappo", "."), ("configs", "dynappo"), ("robots", "dynappo")):
         files = [f.relative_to(ROOT) for f in (ROOT / folder).rglob("*") if f.is_file()]
         files = [f for f in files if "__pycache__" not in f.parts]

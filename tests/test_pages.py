@@ -1,4 +1,4 @@
-"""The Markdown pages: links and pictures lead somewhere, messages are real, the README stays short."""
+"""The Markdown pages: links, pictures and paths lead somewhere, messages are real."""
 
 import ast
 import re
@@ -29,6 +29,36 @@ def test_every_link_leads_somewhere(page):
         assert target.exists(), link
         if anchor and target.suffix == ".md":
             assert anchor in anchors(target.read_text()), link
+
+
+FILES = [p.relative_to(ROOT).parts for p in ROOT.rglob("*")]
+FILES = [parts for parts in FILES if not SKIP & set(parts)]
+ENDS = {"/".join(parts[i:]) for parts in FILES for i in range(len(parts))}
+FOLDERS = {parts[0] for parts in FILES} | {
+    parts[1]
+    for parts in FILES
+    if len(parts) > 2 and parts[0] in ("dynappo", "tests", "experiments")
+}
+OURS = [ROOT / "README.md", *ROOT.glob("docs/*.md"), ROOT / "tests" / "README.md"]
+OURS += ROOT.glob("experiments/**/README.md")
+
+
+@pytest.mark.parametrize("page", OURS, ids=lambda p: str(p.relative_to(ROOT)))
+def test_every_path_in_a_page_is_there(page):
+    """`folder/file`, from any folder down; pages of tests and experiments name their scripts alone too.
+
+    A file that is gone is written `git show COMMIT:path`, or in a line with its commit.
+    """
+    within = page.relative_to(ROOT).parts
+    alone = within[0] == "tests" or within[0] == "experiments" and len(within) > 2
+    text = re.sub(r"```.*?```", "", page.read_text(), flags=re.S)
+    for line in text.splitlines():
+        if re.search(r"\b(?=\w*\d)[0-9a-f]{7,40}\b", line):
+            continue
+        for path in re.findall(r"`((?:[\w.-]+/)*[\w.-]+(?:/|\.\w+))`", line):
+            path = re.sub(r"^(\.\./)+", "", path).rstrip("/")
+            ours = path.split("/")[0] in FOLDERS if "/" in path else alone and path.endswith(".py")
+            assert not ours or "NAME" in path or path in ENDS, path
 
 
 def said():

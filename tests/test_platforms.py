@@ -139,7 +139,7 @@ def test_a_clone_on_another_drive_has_its_whole_path(monkeypatch):
 
     monkeypatch.setattr(shell_lib.os.path, "relpath", relpath)
     assert str(ROOT / "constraints.txt") in shell_lib.install("video")
-    assert shell_lib.program().startswith(sys.executable)
+    assert shell_lib.command_line().startswith(sys.executable)
 
 
 def test_a_text_has_the_same_bytes_everywhere(tmp_path):

@@ -8,7 +8,7 @@ import numpy as np
 
 from dynappo import config as config_lib
 from dynappo.description import robot as robot_lib
-from dynappo.policy import policy_file
+from dynappo.policy import checks, policy_file
 
 ROBOTS = ("go1", "go2", "anymal_c", "anymal_d")
 GO1 = robot_lib.load("go1")
@@ -30,6 +30,12 @@ def actor(seed=0, hidden=(16, 16), size=0.5):
         for i, pair in enumerate(zip(sizes[:-1], sizes[1:], strict=True))
     }
     return {"actor": {"params": layers}, "std": np.ones(12, np.float32)}
+
+
+def params_in(path):
+    """The nested parameters in a policy.npz, of a robot or not."""
+    with np.load(path) as file:
+        return checks.nested({name: file[name] for name in file.files if name != "about"})
 
 
 def trot():

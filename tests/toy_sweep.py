@@ -1,6 +1,6 @@
 """A sweep over commands as `trials.run` gives it, made up so that every number tells its command."""
 
-from dynappo.evaluate import show as evaluate_show
+from dynappo.evaluate import tables as evaluate_tables
 
 FEET = ("FL", "FR", "RL", "RR")
 
@@ -15,7 +15,7 @@ def numbers(fallen=(), speeds=(0.5, 1.0)):
     grid = {"vx": [-1.0, 0.0, 0.5, 1.0], "vy": [-0.5, 0.0, 0.5], "wz": [-1.0, 0.0, 1.0]}
     cells = [(x, y, 0.0) for x in grid["vx"] for y in grid["vy"]]
     cells += [(x, 0.0, turn) for x in grid["vx"] for turn in grid["wz"]]
-    names = [name for name, *_ in evaluate_show.ROWS]
+    names = [name for name, *_ in evaluate_tables.ROWS]
     rows = [
         dict.fromkeys(names, 1.0)
         | {

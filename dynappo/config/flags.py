@@ -94,7 +94,7 @@ def load_run(workdir: Path, rest: list[str]):
     if not files.find("robots", xml):
         raise ConfigError(
             f"--workdir={workdir}: there is no robots/{xml} here; write it from the run by "
-            f"python -m dynappo.export {workdir} --out=robots/{xml}"
+            f"python -m dynappo.export {shell.quoted(str(workdir))} {shell.quoted(f'--out=robots/{xml}')}"
         )
     set_fields(config, rest)
     return config

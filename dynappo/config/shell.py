@@ -15,7 +15,7 @@ from pathlib import Path
 from dynappo.config import versions
 
 
-def program() -> str:
+def command_line() -> str:
     """What starts dynappo here: `dynappo` if the shell finds that of this Python, else its full call."""
     found = shutil.which("dynappo")
     if found and Path(found).absolute().parent == Path(sys.executable).parent:
@@ -23,9 +23,14 @@ def program() -> str:
     return f"{_python()} -m dynappo"
 
 
+def line(command: str, *words) -> str:
+    """`dynappo COMMAND WORDS` as it can be typed here, whatever is in the words."""
+    return " ".join([command_line(), command, *(quoted(str(word)) for word in words)])
+
+
 def pasted(text: str) -> str:
     """`text` with every `python -m dynappo.COMMAND` as it can be typed here."""
-    return re.sub(r"python -m dynappo\.(\w+)", lambda m: f"{program()} {m[1]}", text)
+    return re.sub(r"python -m dynappo\.(\w+)", lambda m: f"{command_line()} {m[1]}", text)
 
 
 def install(extra: str) -> str:
@@ -40,10 +45,14 @@ def install(extra: str) -> str:
         pinned = quoted(os.path.join(root, "constraints.txt"))
         return f"{pip} -c {pinned} -e {quoted(f'{root}[{extra}]')}"
     try:
-        asked = metadata.requires("dynappo") or []
+        requirements = metadata.requires("dynappo") or []
     except metadata.PackageNotFoundError:
-        asked = []
-    of = [re.split(r"\s*;", text)[0] for text in asked if re.search(rf"extra == .{extra}\b", text)]
+        requirements = []
+    of = [
+        re.split(r"\s*;", text)[0]
+        for text in requirements
+        if re.search(rf"extra == .{extra}\b", text)
+    ]
     return f"{pip} {' '.join(map(quoted, of or [f'dynappo[{extra}]']))}"
 
 
@@ -54,7 +63,7 @@ def quoted(word: str) -> str:
     return f'"{word}"' if set(word) - _PLAIN else word
 
 
-_PLAIN = set(string.ascii_letters + string.digits + "._-:\\/")
+_PLAIN = set(string.ascii_letters + string.digits + "._-:=\\/")
 
 
 def _relative(path: str) -> str:

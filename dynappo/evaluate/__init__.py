@@ -1,14 +1,14 @@
 """Evaluate: the command `dynappo evaluate`, which measures a policy. Start reading at `command.py`.
 
-- `command`: its flags, what it writes; `show`: what it prints
+- `command`: its flags, what it writes; `tables`: what it prints
 - `episodes`: episodes of the training task on MJX (`dynappo/scores.py`): return, falls, tracking
 - `trials`: one trial for each command of a grid, in C MuJoCo: tracking, effort, gait
-- `gait`: how the feet move: clearance, slip, symmetry
+- `foot_motion`: how the feet move: clearance, slip, symmetry
 - `changes`: falls when the command changes, and on the tours of the film and of the live page
 - `stress`: trials with late actions, loads, slippery floors, pushes, in other physics
 - `figures`: pictures of the trials
 - `report`, `report.html`: all of it on one page, with a robot that plays each command
 
-No other command imports it. It imports `program`, `policy`, `description`, `tasks`, `config`, `scores`,
-`physics.actuators` and `play.page`.
+No other command imports it. It imports `program`, `page`, `policy`, `description`, `tasks`, `physics`,
+`config` and `scores`.
 """

@@ -22,7 +22,7 @@ import numpy as np
 
 from dynappo.policy import episode as episode_lib
 from dynappo.policy import policy_file
-from dynappo.policy.episode import Body
+from dynappo.policy.episode import Player
 from dynappo.policy.policy_file import Policy
 
 NUMBER, PER_WALK = 200, 8
@@ -30,17 +30,17 @@ EVERY = (2.0, 3.0)  # s between two changes, uniform: so a change comes at any m
 ROUNDS = 2  # of the live page's tour, which has no end
 
 
-def falls(body: Body, act: Callable, command: Callable, seconds: float) -> list[float]:
+def falls(player: Player, act: Callable, command: Callable, seconds: float) -> list[float]:
     """Times (s) of the robot's falls in `seconds` from standing; after each it stands up and goes on.
 
     `act(obs)` is the policy, `command(t)` its command, whose time goes on through falls. The time of a
     fall is the end of its control step.
     """
-    dt, data = episode_lib.period(body), mujoco.MjData(body.model)
+    dt, data = episode_lib.period(player), mujoco.MjData(player.model)
     steps, done, found = round(seconds / dt), 0, []
     while done < steps:
         stood_up = done * dt
-        rows = episode_lib.rows(body, data, act, lambda t, since=stood_up: command(since + t))
+        rows = episode_lib.rows(player, data, act, lambda t, since=stood_up: command(since + t))
         try:
             for row in itertools.islice(rows, steps - done):
                 done += 1
@@ -63,7 +63,7 @@ def script(policy: Policy, dt: float, changes: int, rng) -> tuple[np.ndarray, np
 
 
 def run(
-    body: Body,
+    player: Player,
     number: int = NUMBER,
     seed: int = 0,
     tell: Callable[[int, int], None] = lambda done, total: None,
@@ -74,7 +74,7 @@ def run(
     (s). Equal seeds give equal results; with more changes, the first are the same. After each walk
     `tell(done, total)` gets the number of changes.
     """
-    policy, dt = body.policy, episode_lib.period(body)
+    policy, dt = player.policy, episode_lib.period(player)
     act = policy_file.actor(policy.params, policy.activation)
     fell, at_start, walks = [], 0, -(-number // PER_WALK)
     for walk in range(walks):
@@ -86,8 +86,8 @@ def run(
             return int(np.searchsorted(times[1:-1], t + dt / 2, "right"))
 
         found: dict[int, float] = {}  # command that the robot fell under -> when first
-        asked = lambda t, now=now, commands=commands: commands[now(t)]  # noqa: E731
-        for t in falls(body, act, asked, times[-1]):
+        command_at = lambda t, now=now, commands=commands: commands[now(t)]  # noqa: E731
+        for t in falls(player, act, command_at, times[-1]):
             found.setdefault(now(t - dt), t)  # it ends a step that began under its command
         at_start += found.pop(0, None) is not None
         fell += [
@@ -100,20 +100,27 @@ def run(
     return about | {"every": list(EVERY), "seed": seed, "fell": fell}
 
 
-def tours(body: Body) -> list[dict[str, Any]]:
+def tours(player: Player) -> list[dict[str, Any]]:
     """Play the tour of `play`'s film, and that of the live page, which repeats: when the robot `fell_at` (s).
 
     The page keeps commands within the ranges of training. `fell_at` is empty if the robot never falls.
     """
-    policy = body.policy
+    policy = player.policy
     act = policy_file.actor(policy.params, policy.activation)
     low, high = np.array([policy.command_x, policy.command_y, policy.command_yaw]).T
-    film, page = episode_lib.tour(episode_lib.FILM), episode_lib.tour(episode_lib.ROUND)
-    for_film = falls(body, act, film, episode_lib.FILM)
-    seconds = ROUNDS * episode_lib.ROUND
-    round_and_round = lambda t: np.clip(page(t % episode_lib.ROUND), low, high)  # noqa: E731
-    for_page = falls(body, act, round_and_round, seconds)
+    film, page = (
+        episode_lib.tour(episode_lib.FILM_SECONDS),
+        episode_lib.tour(episode_lib.PAGE_SECONDS),
+    )
+    for_film = falls(player, act, film, episode_lib.FILM_SECONDS)
+    seconds = ROUNDS * episode_lib.PAGE_SECONDS
+    round_and_round = lambda t: np.clip(page(t % episode_lib.PAGE_SECONDS), low, high)  # noqa: E731
+    for_page = falls(player, act, round_and_round, seconds)
     return [
-        {"tour": "film", "seconds": episode_lib.FILM, "fell_at": for_film[:1]},  # then it lies
+        {
+            "tour": "film",
+            "seconds": episode_lib.FILM_SECONDS,
+            "fell_at": for_film[:1],
+        },  # then it lies
         {"tour": "live page", "seconds": seconds, "fell_at": for_page},
     ]

@@ -20,9 +20,9 @@ import mujoco
 from dynappo.config import ConfigError, files
 from dynappo.config import flags as flags_lib
 from dynappo.description.robot import Robot
-from dynappo.evaluate import changes, episodes, figures, report, show, stress, trials
-from dynappo.policy import source
-from dynappo.policy.episode import Body
+from dynappo.evaluate import changes, episodes, figures, report, stress, tables, trials
+from dynappo.policy import policy_source
+from dynappo.policy.episode import Player
 from dynappo.policy.policy_file import Policy
 from dynappo.program import devices
 
@@ -73,7 +73,7 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
     what = "Measure a policy: return, falls, tracking, effort and gait."
     parser = flags_lib.parser("evaluate", what, USAGE)
     flag = parser.add_argument
-    source.add_flags(parser)
+    policy_source.add_flags(parser)
     default = "default: {gpu} on a GPU, {cpu} on a CPU".format(**episodes.NUMBER)
     flag("--episodes", metavar="N", help=f"episodes of the training task, on MJX; {default}")
     flag("--randomize", action="store_true", help="MJX episodes with noise, pushes, random physics")
@@ -93,7 +93,7 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
         raise ConfigError(
             "nothing to evaluate; name a workdir, as in: python -m dynappo.evaluate runs/quick"
         )
-    source.check_flags(flags)
+    policy_source.check_flags(flags)
     for name, *bounds in (("episodes", 1, MAX_EPISODES), ("seed", 0)):
         text = getattr(flags, name)
         if text is not None:
@@ -129,50 +129,50 @@ def open_folder(out: Path) -> None:
         raise ConfigError(f"--out={out}: cannot write there ({error.strerror})") from None
 
 
-def inputs(flags) -> tuple[Policy, Body, Robot | None, Path, tuple[str, str]]:
-    """`(policy, body, robot, path, (named, note))` of the flags; `robot` is None with --fast.
+def inputs(flags) -> tuple[Policy, Player, Robot | None, Path, tuple[str, str]]:
+    """`(policy, player, robot, path, (named, note))` of the flags; `robot` is None with --fast.
 
     ConfigError for all that can be wrong, before anything is written or takes time.
     """
-    policy, path, named = source.of_flags(flags)
-    body, note = source.body(policy, flags.robot_xml)
+    policy, path, named = policy_source.of_flags(flags)
+    player, note = policy_source.player(policy, flags.robot_xml)
     robot = None
     if not flags.fast:
         episodes.settings(policy)
-        robot, _ = source.robot(policy, flags.robot_xml)
+        robot, _ = policy_source.robot(policy, flags.robot_xml)
         episodes.check_robot(policy, robot)
-    return policy, body, robot, path, (named, note)
+    return policy, player, robot, path, (named, note)
 
 
 def run(flags) -> None:
     """Evaluate as the flags say; print the results and write them."""
     from rich.console import Console
 
-    policy, body, robot, path, (named, note) = inputs(flags)
+    policy, player, robot, path, (named, note) = inputs(flags)
     out = flags.out or folder(flags.what, path)
     open_folder(out)
     screen = Console(highlight=False)
-    inside = f" in {body.xml}" if flags.robot_xml else ""
+    inside = f" in {player.xml}" if flags.robot_xml else ""
     screen.print(f"dynappo evaluates {policy.robot}: {named}{inside}", soft_wrap=True, markup=False)
     if note:
         screen.print(note, soft_wrap=True, markup=False)
     about = {"robot": policy.robot, "policy": named, "mujoco": mujoco.__version__}
     about |= {"robot_xml": flags.robot_xml} if flags.robot_xml else {}
     if flags.stress:
-        with show.progress(screen, "disturbances") as tell:
-            rows = stress.run(policy, body, tell)
-        show.stress(screen, rows)
+        with tables.progress(screen, "disturbances") as tell:
+            rows = stress.run(policy, player, tell)
+        tables.stress(screen, rows)
         about |= {"seconds": stress.SECONDS, "rows": rows, "units": STRESS_UNITS}
         files.write_json(out / "stress.json", about)
         return screen.print(f"written to {out}: stress.json", soft_wrap=True, markup=False)
-    with show.progress(screen, "commands") as tell:
-        numbers, recordings = trials.run(policy, tell=tell, body=body)
-    show.trials(screen, numbers)
-    with show.progress(screen, "changes of command") as tell:
+    with tables.progress(screen, "commands") as tell:
+        numbers, recordings = trials.run(policy, tell=tell, player=player)
+    tables.trials(screen, numbers)
+    with tables.progress(screen, "changes of command") as tell:
         number = FEW_CHANGES if flags.fast else changes.NUMBER
-        changed = changes.run(body, number, flags.seed or 0, tell)
-        changed["tours"] = changes.tours(body)
-    show.changes(screen, changed)
+        changed = changes.run(player, number, flags.seed or 0, tell)
+        changed["tours"] = changes.tours(player)
+    tables.changes(screen, changed)
     on_mjx = None
     if not flags.fast:
         import jax
@@ -186,11 +186,11 @@ def run(flags) -> None:
         screen.print(told, soft_wrap=True)
         with screen.status("compiling and running"):
             on_mjx = episodes.run(policy, number, flags.randomize, flags.seed or 0, robot)
-        show.episodes(screen, on_mjx)
+        tables.episodes(screen, on_mjx)
     result = about | {"episodes": on_mjx, "sweep": numbers, "changes": changed, "units": UNITS}
     files.write_json(out / "evaluation.json", result)
     problem = figures.write(out, policy.robot, numbers, recordings, policy.timestep)
-    report.write(out, named, body, numbers, recordings, changed, on_mjx)
+    report.write(out, named, player, numbers, recordings, changed, on_mjx)
     names = "evaluation.json, report.html" + ("" if problem else ", tracking.png, gait.png")
     screen.print(f"written to {out}: {names}", soft_wrap=True, markup=False)
     if problem:

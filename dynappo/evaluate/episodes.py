@@ -14,7 +14,7 @@ from dynappo import config as config_lib
 from dynappo.config import ConfigError, fields, per_joint
 from dynappo.description import motors
 from dynappo.description.robot import Robot
-from dynappo.policy import policy_file, source, walks
+from dynappo.policy import policy_file, policy_source, walks
 from dynappo.policy.policy_file import Policy
 from dynappo.program import devices
 
@@ -93,7 +93,7 @@ def run(
     in_c = trained == "c" and jax.default_backend() == "cpu"
     impl = "c" if in_c else devices.engine(config)
     number = number or NUMBER.get(jax.default_backend(), NUMBER["cpu"])
-    robot = robot or source.robot(policy)[0]
+    robot = robot or policy_source.robot(policy)[0]
     check_robot(policy, robot)
     config, robot = motors.fitted(config, robot)
     static, hyper = config_lib.split(config)

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from dynappo.config import shell
-from dynappo.evaluate.gait import intervals
+from dynappo.evaluate.foot_motion import intervals
 
 WINDOW = 2.0  # s of a gait diagram
 PALE = 0.3  # m/s, the least error that has the darkest colour

@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 
 from dynappo.config import files
-from dynappo.evaluate import figures, show
-from dynappo.play import page
+from dynappo.evaluate import figures, tables
+from dynappo.page import episode_page
 from dynappo.policy import episode as episode_lib
-from dynappo.policy.episode import Body
+from dynappo.policy.episode import Player
 
 EVERY = 2  # control steps between two pictures, which the page joins: 45 commands are 2 MB so
 OF_RECORDING = (
@@ -29,7 +29,7 @@ OF_RECORDING = (
 def write(
     out: Path,
     source: str,
-    body: Body,
+    player: Player,
     numbers: dict[str, Any],
     recordings: dict[tuple, dict[str, Any]],
     changed: dict[str, Any],
@@ -44,13 +44,13 @@ def write(
     rows = [*numbers["commands"], *numbers["ahead"]]
     found = {name(row): row for row in reversed(rows)}  # one row for each command
     scenes = {
-        key: scene(body, recordings[tuple(row["command"])])
+        key: scene(player, recordings[tuple(row["command"])])
         for key, row in found.items()
         if len(recordings[tuple(row["command"])]["qpos"])
     }
     clips = {
         key: {
-            "subtitle": show.command_text(found[key]),
+            "subtitle": tables.command_text(found[key]),
             "measures": measures(found[key]),
             "scene": {part: some[part] for part in OF_RECORDING},
         }
@@ -58,19 +58,23 @@ def write(
     }
     first: dict[str, Any] = next(iter(scenes.values()), {})
     shared = {part: value for part, value in first.items() if part not in OF_RECORDING}
-    title = html.escape(f"{body.policy.robot}, dynappo")
-    text = page.filled(
+    title = html.escape(f"{player.policy.robot}, dynappo")
+    text = episode_page.filled(
         Path(__file__).with_suffix(".html").read_text(encoding="utf-8"),
         TITLE=title,
-        HEADING=html.escape(f"How well {body.policy.robot} walks"),
+        HEADING=html.escape(f"How well {player.policy.robot} walks"),
         SOURCE=html.escape(source),
-        EPISODES=_table(show.episodes_text(on_mjx), show.episodes_rows(on_mjx)) if on_mjx else "",
-        SWEEP=_table(show.trials_text(numbers), show.trials_rows(numbers)),
-        CHANGES="".join(f"<li>{html.escape(line)}</li>" for line in show.changes_lines(changed)),
-        NOTES="".join(f"<li>{html.escape(line)}</li>" for line in show.notes(numbers["commands"])),
+        EPISODES=_table(tables.episodes_text(on_mjx), tables.episodes_rows(on_mjx))
+        if on_mjx
+        else "",
+        SWEEP=_table(tables.trials_text(numbers), tables.trials_rows(numbers)),
+        CHANGES="".join(f"<li>{html.escape(line)}</li>" for line in tables.changes_lines(changed)),
+        NOTES="".join(
+            f"<li>{html.escape(line)}</li>" for line in tables.notes(numbers["commands"])
+        ),
         MAPS="".join(_map(*one) for one in figures.maps(numbers)),
         GAIT=_picture(out / "gait.png"),
-        PAGE=_json(page.content(first, body.policy.robot, "", [])) if first else '""',
+        PAGE=_json(episode_page.content(first, player.policy.robot, "", [])) if first else '""',
         SHARED=_json(shared),
         CLIPS=_json(clips),
         FIRST=_json(name(numbers["ahead"][0])),
@@ -84,16 +88,16 @@ def name(row: dict[str, Any]) -> str:
     return ",".join(f"{value:g}" for value in row["command"])
 
 
-def scene(body: Body, recording: dict[str, Any]) -> dict[str, Any]:
+def scene(player: Player, recording: dict[str, Any]) -> dict[str, Any]:
     """What the page plays of one command's recording."""
     some = slice((len(recording["qpos"]) - 1) % EVERY, None, EVERY)  # the last one is among them
     rows = recording["qpos"][some]
     fell = np.zeros(len(rows), bool)
     fell[-1] = recording["fall"] is not None
-    return page.scene(
-        body,
+    return episode_page.scene(
+        player,
         {
-            "dt": np.asarray(EVERY * episode_lib.period(body)),
+            "dt": np.asarray(EVERY * episode_lib.period(player)),
             "qpos": rows,
             "fell": fell,
             "command": np.tile(recording["command"], (len(rows), 1)),
@@ -106,7 +110,7 @@ def measures(row: dict[str, Any]) -> list[tuple[str, str]]:
     """The measures that the page shows beside the player."""
     known = [
         (label.strip(), text.format(row[key]))
-        for key, label, text in show.ROWS
+        for key, label, text in tables.ROWS
         if key in ("tracking_error", "yaw_error", "cost_of_transport") and row[key] is not None
     ]
     return [("fall", "none" if row["fall"] is None else f"after {row['fall']:.1f} s"), *known]
@@ -118,7 +122,7 @@ def _json(value) -> str:
 
 
 def _table(text: str, rows: list[list[str]]) -> str:
-    return f"<p>{html.escape(text)}</p><table>{page.cells(rows)}</table>"
+    return f"<p>{html.escape(text)}</p><table>{episode_page.cells(rows)}</table>"
 
 
 def _picture(path: Path) -> str:

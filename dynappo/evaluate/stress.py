@@ -17,6 +17,8 @@ disturbance alone.
 from __future__ import annotations
 
 import copy
+import itertools
+from collections import deque
 from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any, NamedTuple
@@ -27,8 +29,9 @@ import numpy as np
 from dynappo.physics import actuators
 from dynappo.policy import episode as episode_lib
 from dynappo.policy import policy_file
-from dynappo.policy.episode import SETTLE, Body
+from dynappo.policy.episode import Player
 from dynappo.policy.policy_file import Policy
+from dynappo.policy.walks import SETTLE
 from dynappo.tasks.velocity import observe
 
 SECONDS = 10.0  # of an episode
@@ -105,31 +108,33 @@ def table(policy: Policy) -> list[Stress]:
     return [stress for stress in TABLE if sees or stress.velocity == 1.0]
 
 
-def other_physics(body: Body) -> list[tuple[str, Body]]:
+def other_physics(player: Player) -> list[tuple[str, Player]]:
     """The same robot in other physics: steps, cones and solvers that the policy did not train with."""
     cone, solver = mujoco.mjtCone, mujoco.mjtSolver
-    period = episode_lib.period(body)
+    period = episode_lib.period(player)
     out = []
     for name, substeps, options in (
         ("steps of 2 ms", round(period / 0.002), {}),
         ("steps of 10 ms", round(period / 0.01), {}),
-        ("elliptic cone", body.substeps, {"cone": int(cone.mjCONE_ELLIPTIC)}),
-        ("pyramidal cone", body.substeps, {"cone": int(cone.mjCONE_PYRAMIDAL)}),
-        ("solver CG", body.substeps, {"solver": int(solver.mjSOL_CG)}),
-        ("solver PGS", body.substeps, {"solver": int(solver.mjSOL_PGS)}),
+        ("elliptic cone", player.substeps, {"cone": int(cone.mjCONE_ELLIPTIC)}),
+        ("pyramidal cone", player.substeps, {"cone": int(cone.mjCONE_PYRAMIDAL)}),
+        ("solver CG", player.substeps, {"solver": int(solver.mjSOL_CG)}),
+        ("solver PGS", player.substeps, {"solver": int(solver.mjSOL_PGS)}),
     ):
-        model = copy.copy(body.model)
+        model = copy.copy(player.model)
         for option, value in options.items():
             setattr(model.opt, option, value)
         model.opt.timestep = period / substeps
-        out.append((name, body._replace(model=model, substeps=substeps)))
+        out.append((name, player._replace(model=model, substeps=substeps)))
     return out
 
 
-def run(policy: Policy, body: Body, tell: Callable[[int, int], None] = lambda done, total: None):
+def run(
+    policy: Policy, player: Player, tell: Callable[[int, int], None] = lambda done, total: None
+):
     """The rows of all disturbances, and of the other physics; `tell(done, total)` after each."""
-    cases = [(stress, body) for stress in table(policy)]
-    cases += [(Stress(name), other) for name, other in other_physics(body)]
+    cases = [(stress, player) for stress in table(policy)]
+    cases += [(Stress(name), other) for name, other in other_physics(player)]
     rows = []
     for stress, where in cases:
         tell(len(rows), len(cases))
@@ -146,9 +151,9 @@ def commands(policy: Policy) -> np.ndarray:
     return np.where(share >= 0, share * high, -share * low)
 
 
-def disturbed(body: Body, stress: Stress) -> Body:
-    """The body with its own load and floor."""
-    model, base = copy.copy(body.model), body.base_body
+def disturbed(player: Player, stress: Stress) -> Player:
+    """The player with its own load and floor."""
+    model, base = copy.copy(player.model), player.base_body
     added = (model.body_mass[base] + stress.mass) / model.body_mass[base]
     if added <= 0.05:  # kg less than there is
         added = 0.05
@@ -158,60 +163,72 @@ def disturbed(body: Body, stress: Stress) -> Body:
         model.geom_friction[:, 0] = stress.friction
         model.pair_friction[:, :2] = stress.friction
     mujoco.mj_setConst(model, mujoco.MjData(model))
-    return body._replace(model=model)
+    return player._replace(model=model)
 
 
-def play(body: Body, act: Callable, command, stress: Stress, seed: int = 0, seconds=SECONDS):
+def play(player: Player, act: Callable, command, stress: Stress, seed: int = 0, seconds=SECONDS):
     """One episode: `(velocity [T, 3], fall)`; `fall` is the time (s) of a fall, or None.
 
     As `trials.record`, with the disturbance. A blow-up of the physics is a fall.
     """
-    mujoco.set_mju_user_warning(lambda message: None)
-    p, model = body.policy, body.model
+    p, model = player.policy, player.model
     # not the stream of the pose at the start (`episode.reset`), which is that of seed 0
     rng, data = np.random.default_rng((seed, 1)), mujoco.MjData(model)
-    see, com = observe.memory(p.observation, p.history), model.body_ipos[body.base_body]
-    dt, step = episode_lib.period(body), model.opt.timestep
-    old = round(stress.sensor_delay / step)
+    dt, step = episode_lib.period(player), model.opt.timestep
     parts = observe.rows(len(p.joint_names), observe.has_clock(p.observation))
     scale = stress.noise * np.concatenate(
         [np.full(part.stop - part.start, NOISE.get(name, 0.0)) for name, part in parts.items()]
     )
-    action = np.zeros(len(p.joint_names))
-    episode_lib.reset(body, data)
-    follows = p.default_pose  # of the motors
-    waiting = []  # (arrival, target), on their way to the motors
-    arrival = now = 0  # physics steps
-    seen = [_snapshot(data)] * (old + 1)  # states on their way to the policy
-    velocity, fall = [], None
-    for k in range(round(seconds / dt)):
-        if stress.push and k and k % round(PUSH_EVERY / dt) == 0:
+    late = round(stress.sensor_delay / step)  # physics steps
+    states = deque(maxlen=late + 1)  # on their way to the policy, the oldest first
+    waiting = deque([(0, p.default_pose)])  # (arrival, target), on their way to the motors
+
+    def observed(k, command, last_action):
+        """Push the robot if it is time, and observe it."""
+        if not k:
+            states.extend([_snapshot(data)] * (late + 1))
+        elif stress.push and k % round(PUSH_EVERY / dt) == 0:
             angle = rng.uniform(-np.pi, np.pi)
-            data.qvel[body.root[1] : body.root[1] + 2] += stress.push * np.array(
+            data.qvel[player.root[1] : player.root[1] + 2] += stress.push * np.array(
                 [np.cos(angle), np.sin(angle)]
             )
-            seen[-1] = _snapshot(data)
-        obs = episode_lib.look(body, seen[-1 - old], command, action, k * dt)  # no clock is late
+            states[-1] = _snapshot(data)
+        obs = episode_lib.look(player, states[0], command, last_action, k * dt)  # no clock is late
         obs[parts["linear_velocity"]] *= stress.velocity
-        action = act(see(obs + rng.uniform(-1, 1, len(obs)) * scale))
+        return obs + rng.uniform(-1, 1, len(obs)) * scale
+
+    def targets(k, action):
+        """What the motors follow in each physics step: the last target that has arrived."""
         delay = stress.action_delay
         if stress.jitter:
             delay += rng.uniform(0, stress.jitter)
-        arrival = max(arrival, now + round(delay / step))
+        first = k * player.substeps
+        arrival = max(waiting[-1][0], first + round(delay / step))  # none overtakes another
         waiting.append((arrival, actuators.target(action, p.default_pose, p.action_scale)))
-        fell = False
-        for _ in range(body.substeps):
-            while waiting and waiting[0][0] <= now:
-                _, follows = waiting.pop(0)
-            fell |= episode_lib.physics_step(body, data, follows, stress.motors)[2]
-            now += 1
-            seen = [*seen[1:], _snapshot(data)]
-        finite = np.isfinite(data.qpos).all() and np.isfinite(data.qvel).all()
-        if fell or not finite:
-            fall = (k + 1) * dt
-            break
-        _, linear, angular = observe.base_motion(*episode_lib.coordinates(body, data), com)
-        velocity.append([linear[0], linear[1], angular[2]])
+        for now in range(first, first + player.substeps):
+            while len(waiting) > 1 and waiting[1][0] <= now:
+                waiting.popleft()
+            yield waiting[0][1]
+
+    rows = episode_lib.rows(
+        player,
+        data,
+        act,
+        lambda t: command,
+        observed,
+        targets,
+        stress.motors,
+        lambda torque, speed: states.append(_snapshot(data)),
+    )
+    velocity, fall = [], None
+    try:
+        for row in itertools.islice(rows, round(seconds / dt)):
+            if row["fell"]:
+                fall = (len(velocity) + 1) * dt
+                break
+            velocity.append(row["velocity"])
+    except FloatingPointError:
+        fall = (len(velocity) + 1) * dt
     return np.reshape(velocity, (-1, 3)), fall
 
 
@@ -220,14 +237,14 @@ def _snapshot(data) -> SimpleNamespace:
     return SimpleNamespace(qpos=data.qpos.copy(), qvel=data.qvel.copy())
 
 
-def measure(body: Body, stress: Stress, seconds: float = SECONDS) -> dict[str, Any]:
+def measure(player: Player, stress: Stress, seconds: float = SECONDS) -> dict[str, Any]:
     """A row of the table: falls of the eight commands, tracking and yaw error of what stood.
 
     Root mean squares after the first second and before a fall; None if no robot stood that long.
     """
-    policy, changed = body.policy, disturbed(body, stress)
+    policy, changed = player.policy, disturbed(player, stress)
     act = policy_file.actor(policy.params, policy.activation)
-    first = round(SETTLE / episode_lib.period(body))
+    first = round(SETTLE / episode_lib.period(player))
     errors, falls = [], 0
     for i, command in enumerate(commands(policy)):
         velocity, fall = play(changed, act, command, stress, i, seconds)

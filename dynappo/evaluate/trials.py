@@ -14,7 +14,7 @@ the time after the first second and before a fall:
 - `torque_share`: the share of its limit that the most loaded joint stays below for 99 % of the time;
   `joint_speed`: root mean square over joints (rad/s);
 - `tilt`: mean angle of the base from upright (rad); `height`: mean height of its frame (m);
-- how the feet move: `gait.py`.
+- how the feet move: `foot_motion.py`.
 """
 
 from __future__ import annotations
@@ -25,13 +25,12 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from dynappo.evaluate import gait as gait_lib
-from dynappo.physics import actuators
+from dynappo.evaluate import foot_motion
 from dynappo.policy import episode as episode_lib
-from dynappo.policy import policy_file, source
-from dynappo.policy.episode import SETTLE, Body
+from dynappo.policy import policy_file, policy_source
+from dynappo.policy.episode import Player
 from dynappo.policy.policy_file import Policy
-from dynappo.tasks.velocity import observe
+from dynappo.policy.walks import SETTLE
 
 SECONDS = 6.0  # of an episode
 POINTS = 5  # of a command's range
@@ -40,81 +39,79 @@ MIN_SPEED = 0.1  # m/s, from which on something is transported
 FINE = "torque speed contact load slide centre up".split()  # of a physics step
 
 
-def record(body: Body, act: Callable, command, seconds: float = SECONDS) -> dict[str, Any]:
+def record(player: Player, act: Callable, command, seconds: float = SECONDS) -> dict[str, Any]:
     """An episode under one `command` (vx, vy, yaw rate), until it ends or the robot falls.
 
     A row a control step: `velocity [T, 3]` (as the command, in the base frame), `action [T, A]` and
     `qpos [T, nq]` after it. A row a physics step: `torque [P, A]` (N m), `speed [P, A]` (rad/s) at
-    which it was applied, and of the feet `contact`, `load`, `slide` (`gait.at_ground`) and `height` (m) of
-    their lowest points, `[P, F]`. `fall` (s), or None.
+    which it was applied, and of the feet `contact`, `load`, `slide` (`foot_motion.at_ground`) and
+    `height` (m) of their lowest points, `[P, F]`. `fall` (s), or None.
     A blow-up of the physics is a fall, and its step has no rows.
     """
-    mujoco.set_mju_user_warning(lambda message: None)  # else they go into a file in the folder
-    data, dt = mujoco.MjData(body.model), episode_lib.period(body)
-    com, action = body.model.body_ipos[body.base_body], np.zeros(len(body.policy.joint_names))
-    joints, feet, shapes = len(action), len(body.foot_names), gait_lib.shapes(body)
-    widths = dict(velocity=3, action=joints, qpos=body.model.nq, torque=joints, speed=joints)
+    data, dt = mujoco.MjData(player.model), episode_lib.period(player)
+    joints, feet = len(player.policy.joint_names), len(player.foot_names)
+    shapes, command, fall = foot_motion.shapes(player), np.asarray(command, float), None
+    widths = dict(velocity=3, action=joints, qpos=player.model.nq, torque=joints, speed=joints)
     widths |= dict(contact=feet, load=feet, slide=feet, centre=len(shapes), up=3 * len(shapes))
-    rows: dict[str, list] = {name: [] for name in widths}
-    p, command, fall = body.policy, np.asarray(command, float), None
-    see = observe.memory(p.observation, p.history)
-    episode_lib.reset(body, data)
+    found: dict[str, list] = {name: [] for name in widths}
+    inside = []  # of a control step, a row for each physics step
+
+    def after(torque, speed):
+        place = data.geom_xpos[shapes, 2], data.geom_xmat[shapes, 6:].ravel()
+        inside.append((torque, speed, *foot_motion.at_ground(player, data), *place))
+
+    rows = episode_lib.rows(player, data, act, lambda t: command, after=after)
     for k in range(round(seconds / dt)):
-        action = act(see(episode_lib.look(body, data, command, action)))
-        target = actuators.target(action, p.default_pose, p.action_scale)
-        fell, inside = False, []
-        for _ in range(body.substeps):
-            torque, speed, down = episode_lib.physics_step(body, data, target)
-            fell |= down
-            place = data.geom_xpos[shapes, 2], data.geom_xmat[shapes, 6:].ravel()
-            inside.append((torque, speed, *gait_lib.at_ground(body, data), *place))
-        finite = np.isfinite(data.qpos).all() and np.isfinite(data.qvel).all()
-        if finite:
-            coordinates = episode_lib.coordinates(body, data)
-            _, linear, angular = observe.base_motion(*coordinates, com)
-            rows["velocity"].append([linear[0], linear[1], angular[2]])
-            rows["action"].append(action)
-            rows["qpos"].append(data.qpos.copy())
-            for row in inside:
-                for name, values in zip(FINE, row, strict=True):
-                    rows[name].append(values)
-        if fell or not finite:
+        try:
+            row = next(rows)
+        except FloatingPointError:
             fall = (k + 1) * dt
             break
-    columns = {name: np.reshape(rows[name], (-1, width)) for name, width in widths.items()}
+        for name in ("velocity", "action", "qpos"):
+            found[name].append(row[name])
+        for fine in inside:
+            for name, values in zip(FINE, fine, strict=True):
+                found[name].append(values)
+        inside.clear()
+        if row["fell"]:
+            fall = (k + 1) * dt
+            break
+    columns = {name: np.reshape(found[name], (-1, width)) for name, width in widths.items()}
     up = columns.pop("up").reshape(-1, len(shapes), 3)
-    height = gait_lib.heights(body, columns.pop("centre"), up)
+    height = foot_motion.heights(player, columns.pop("centre"), up)
     return columns | {"height": height, "command": command, "fall": fall}
 
 
-def measured_rows(body: Body, recording: dict[str, Any]) -> dict[str, np.ndarray]:
+def measured_rows(player: Player, recording: dict[str, Any]) -> dict[str, np.ndarray]:
     """The rows that count: after the first second, before the control step of a fall.
 
     `change [T, A]` (rad/s) is the speed of the joints' targets, from the action before each row.
     """
-    dt, first = episode_lib.period(body), round(SETTLE / episode_lib.period(body))
+    dt, first = episode_lib.period(player), round(SETTLE / episode_lib.period(player))
     last = len(recording["velocity"])
     if recording["fall"] is not None:
         last = min(last, round(recording["fall"] / dt) - 1)
     last = max(first, last)
-    fine = slice(first * body.substeps, last * body.substeps)
+    fine = slice(first * player.substeps, last * player.substeps)
     names = ("torque", "speed", "contact", "load", "slide", "height")
     cut = {name: recording[name][fine] for name in names} | {"qpos": recording["qpos"][first:last]}
-    targets = body.policy.action_scale * recording["action"]
+    targets = player.policy.action_scale * recording["action"]
     change = np.diff(targets, axis=0, prepend=0 * targets[:1]) / dt
     velocity = recording["velocity"][first:last]
     error = velocity - recording["command"]
     return cut | {"velocity": velocity, "error": error, "change": change[first:last]}
 
 
-def measures(body: Body, recordings: Iterable[dict[str, Any]]) -> dict[str, float | None]:
+def measures(player: Player, recordings: Iterable[dict[str, Any]]) -> dict[str, float | None]:
     """Measures over several episodes together; None where one cannot be computed."""
-    parts = [part for r in recordings if len((part := measured_rows(body, r))["velocity"])]
+    parts = [part for r in recordings if len((part := measured_rows(player, r))["velocity"])]
     names = "tracking_error yaw_error speed power positive_power torque torque_share action_rate"
     names += " joint_speed tilt height"
     if not parts:
         return dict.fromkeys([*names.split(), "cost_of_transport", "positive_cost_of_transport"])
-    weight = body.model.body_subtreemass[body.base_body] * np.linalg.norm(body.model.opt.gravity)
+    weight = player.model.body_subtreemass[player.base_body] * np.linalg.norm(
+        player.model.opt.gravity
+    )
     steps = np.array([len(part["velocity"]) for part in parts])
     speed = np.array([np.linalg.norm(part["velocity"][:, :2].mean(0)) for part in parts])
     power = [part["torque"] * part["speed"] for part in parts]  # [P, A] each
@@ -124,7 +121,7 @@ def measures(body: Body, recordings: Iterable[dict[str, Any]]) -> dict[str, floa
         np.concatenate([part[name] for part in parts])
         for name in ("error", "change", "torque", "speed", "qpos")
     )
-    x, y, z = qpos[:, body.root[0] + np.array([4, 5, 2])].T
+    x, y, z = qpos[:, player.root[0] + np.array([4, 5, 2])].T
     tilt = np.arccos(np.clip(1 - 2 * (x**2 + y**2), -1, 1))
     walks = speed > MIN_SPEED
     carried = weight * (speed * steps)[walks].sum()
@@ -140,7 +137,7 @@ def measures(body: Body, recordings: Iterable[dict[str, Any]]) -> dict[str, floa
         "positive_power": float((positive * steps).sum() / steps.sum()),
         "torque": float(np.abs(torque).mean()),
         "torque_share": float(
-            np.quantile((np.abs(torque) / body.policy.effort_limit).max(-1), 0.99)
+            np.quantile((np.abs(torque) / player.policy.effort_limit).max(-1), 0.99)
         ),
         "action_rate": float(np.sqrt((change**2).mean())),
         "joint_speed": float(np.sqrt((turning**2).mean())),
@@ -151,9 +148,9 @@ def measures(body: Body, recordings: Iterable[dict[str, Any]]) -> dict[str, floa
     }
 
 
-def gait(body: Body, recordings: Iterable[dict[str, Any]]) -> dict[str, Any]:
-    """How the feet move in the rows that count: `gait.measures`."""
-    return gait_lib.measures(body, [measured_rows(body, r) for r in recordings])
+def gait(player: Player, recordings: Iterable[dict[str, Any]]) -> dict[str, Any]:
+    """How the feet move in the rows that count: `foot_motion.measures`."""
+    return foot_motion.measures(player, [measured_rows(player, r) for r in recordings])
 
 
 def axes(policy: Policy, points: int = POINTS) -> dict[str, np.ndarray]:
@@ -176,16 +173,16 @@ def run(
     seconds: float = SECONDS,
     points: int = POINTS,
     tell: Callable[[int, int], None] = lambda done, total: None,
-    body: Body | None = None,
+    player: Player | None = None,
 ) -> tuple[dict[str, Any], dict[tuple, dict[str, Any]]]:
     """`(numbers, recordings)` of one episode a command; `recordings` by command.
 
     The grid is vx by vy without turning, and vx by yaw rate without going sideways (`held`); `all`
     is over these, its gait without the command to stand; `standing` is the row of that command, or None
     where it is not in the grid. `tell(done, total)` is called
-    before every episode, and at the end. `body` is the robot; None: the policy's own.
+    before every episode, and at the end. `player` is the robot; None: the policy's own.
     """
-    body = body or source.body(policy)[0]
+    player = player or policy_source.player(policy)[0]
     act, grid = policy_file.actor(policy.params, policy.activation), axes(policy, points)
     held = {name: float(np.clip(0.0, values[0], values[-1])) for name, values in grid.items()}
     cells = [(x, y, held["wz"]) for x in grid["vx"] for y in grid["vy"]]
@@ -195,7 +192,7 @@ def run(
     every, found = [*dict.fromkeys([*cells, *ahead])], {}
     for command in every:
         tell(len(found), len(every))
-        found[command] = record(body, act, command, seconds)
+        found[command] = record(player, act, command, seconds)
     tell(len(every), len(every))
     some = [found[command] for command in cells]
     walks = [r for r in some if np.linalg.norm(r["command"]) > MIN_SPEED]
@@ -205,14 +202,18 @@ def run(
         "seconds": seconds,
         "axes": {name: values.tolist() for name, values in grid.items()},
         "held": {name: held[name] for name in ("vy", "wz")},
-        "all": {"episodes": len(some), "falls": fallen} | measures(body, some) | gait(body, walks),
-        "standing": _row(body, stands[0]) | gait(body, stands) if stands else None,
-        "ahead": [_row(body, found[command]) | gait(body, [found[command]]) for command in ahead],
-        "commands": [_row(body, r) for r in some],
+        "all": {"episodes": len(some), "falls": fallen}
+        | measures(player, some)
+        | gait(player, walks),
+        "standing": _row(player, stands[0]) | gait(player, stands) if stands else None,
+        "ahead": [
+            _row(player, found[command]) | gait(player, [found[command]]) for command in ahead
+        ],
+        "commands": [_row(player, r) for r in some],
     }
     return numbers, found
 
 
-def _row(body: Body, recording: dict[str, Any]) -> dict[str, Any]:
+def _row(player: Player, recording: dict[str, Any]) -> dict[str, Any]:
     command, fall = recording["command"].tolist(), recording["fall"]
-    return {"command": command, "fall": fall} | measures(body, [recording])
+    return {"command": command, "fall": fall} | measures(player, [recording])

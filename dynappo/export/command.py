@@ -15,7 +15,7 @@ from dynappo.config import ConfigError, files, shell
 from dynappo.config import flags as flags_lib
 from dynappo.description.robot import Robot
 from dynappo.export import deploy_yaml, joint_order, onnx_file
-from dynappo.policy import source
+from dynappo.policy import policy_source
 from dynappo.policy.policy_file import Policy
 
 FILES = (".onnx", ".npz", ".xml", ".yaml")
@@ -43,7 +43,7 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
         "export", "Write a policy for a robot: an ONNX network, or a policy.npz.", USAGE
     )
     flag = parser.add_argument
-    source.add_flags(parser)
+    policy_source.add_flags(parser)
     names = "FILE.onnx, FILE.npz, FILE.yaml (for unitree_rl_lab) or FILE.xml (only the robot)"
     flag("--out", metavar="FILE", type=flags_lib.path, help=names)
     flag(
@@ -64,7 +64,7 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
         raise ConfigError(f"--out={flags.out}: expected a file named {', '.join(FILES)}")
     if flags.joint_order and flags.out.suffix == ".xml":
         raise ConfigError(f"--joint-order: not for {flags.out}; an MJCF keeps its joint order")
-    source.check_flags(flags)
+    policy_source.check_flags(flags)
     if flags.targets and flags.out.suffix != ".onnx":
         raise ConfigError(f"--targets: only an .onnx has outputs, not {flags.out}")
     return flags
@@ -96,7 +96,7 @@ def table(policy: Policy, out: Path, order: str, targets: bool) -> list[tuple[st
         ]
         after = f'python -c "{code}"'
     else:
-        after = f"{shell.program()} play {out} --out=walk.html"
+        after = shell.line("play", out, "--out=walk.html")
     joints = f"{' '.join(policy.joint_names)} ({order})"
     if out.suffix in (".xml", ".yaml"):
         kind = (
@@ -111,9 +111,9 @@ def table(policy: Policy, out: Path, order: str, targets: bool) -> list[tuple[st
 
 def run(flags) -> None:
     """Export as the flags say, and print what was written."""
-    policy, path, named = source.of_flags(flags)
+    policy, path, named = policy_source.of_flags(flags)
     check_out(flags.out, path)
-    robot, note = source.robot(policy, flags.robot_xml)
+    robot, note = policy_source.robot(policy, flags.robot_xml)
     if set(robot.joint_names) != set(policy.joint_names):
         raise ConfigError(
             f"{path}: its joints are {', '.join(policy.joint_names)}, "

@@ -10,7 +10,7 @@ import numpy as np
 from dynappo.description import feet
 from dynappo.description import robot as robot_lib
 from dynappo.policy import episode as episode_lib
-from dynappo.policy.episode import Body
+from dynappo.policy.episode import Player
 
 SECONDS = 5.0  # of standing
 LAST = 1.0  # s at its end, over which it should be at rest
@@ -44,7 +44,7 @@ def pd(robot: robot_lib.Robot, kp, kd, timestep: float) -> PD:
     return PD(robot_lib.damping_rate(robot, kd, timestep), bound, float(longest))
 
 
-def stand(body: Body) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+def stand(body: Player) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     """`(episode, numbers)` of five seconds under zero action: the PD holds the default pose.
 
     - `fall` (s): when the part `fell_on` touched the ground, or None
@@ -89,12 +89,12 @@ def limit(motors) -> np.ndarray:
     return np.minimum(motors.effort_limit, motors.saturation_effort)
 
 
-def balances(body: Body) -> bool:
+def balances(body: Player) -> bool:
     """Whether a robot must balance: one on one or two feet falls over without a policy."""
     return len(body.foot_names) < 3
 
 
-def _feet(body: Body, qpos: np.ndarray) -> np.ndarray:
+def _feet(body: Player, qpos: np.ndarray) -> np.ndarray:
     """x and y of each foot's first shape, and the height of its lowest point (m), [F, 3]."""
     data = mujoco.MjData(body.model)
     data.qpos[:] = qpos
@@ -105,7 +105,7 @@ def _feet(body: Body, qpos: np.ndarray) -> np.ndarray:
     return places
 
 
-def _lowest_part(body: Body, qpos: np.ndarray) -> str:
+def _lowest_part(body: Player, qpos: np.ndarray) -> str:
     """The name of the lowest part."""
     parts = np.flatnonzero(body.parts)
     if not len(parts):

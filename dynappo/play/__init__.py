@@ -3,9 +3,8 @@
 - `command`: its flags and what it prints
 - `command_script`: the commands that `--command` gives: numbers, a script, a tour
 - `film`: films and pictures, drawn with `policy.render`
-- `page`, `page.html`, `page.js`: one HTML file that plays an episode
 - `serve`: the page in a browser, with folder `web`
 - `viewer`: MuJoCo's viewer, with keys that steer
 
-No other command imports it. It imports `web`, `policy`, `description` and `config`, and no JAX.
+No other command imports it. It imports `web`, `page`, `policy`, `description` and `config`, and no JAX.
 """

@@ -18,9 +18,10 @@ from dynappo import config as config_lib
 from dynappo.config import ConfigError, files
 from dynappo.config import flags as flags_lib
 from dynappo.description import robot as robot_lib
-from dynappo.play import command_script, film, page, serve, viewer
+from dynappo.page import episode_page
+from dynappo.play import command_script, film, serve, viewer
 from dynappo.policy import episode as episode_lib
-from dynappo.policy import policy_file, source
+from dynappo.policy import policy_file, policy_source
 from dynappo.policy.policy_file import Policy
 
 FILES = {".mp4": "a film", ".gif": "a film", ".png": "its last moment", ".html": "a page"}
@@ -44,7 +45,7 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
     what = "Show a policy walking: in a page, a film, or a viewer with keys to steer."
     parser = flags_lib.parser("play", what, USAGE)
     flag = parser.add_argument
-    source.add_flags(parser)
+    policy_source.add_flags(parser)
     flag(
         "--command",
         metavar="VX,VY,WZ|FILE.csv",
@@ -90,7 +91,7 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
         raise ConfigError(f"--policy={flags.policy!r}: expected zero or random")
     if flags.serve is not None and flags.out is not None:
         raise ConfigError("--serve and --out: expected one of them")
-    source.check_flags(flags)
+    policy_source.check_flags(flags)
     if flags.policy and flags.run_seed is not None:
         raise ConfigError(
             f"--run-seed={flags.run_seed}: --policy={flags.policy} plays none of a run"
@@ -110,7 +111,7 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
 def choose(flags) -> tuple[Policy, Callable[[np.ndarray], np.ndarray], str]:
     """`(policy, act, text)` of the command line; `text` names what acts."""
     if flags.policy is None:
-        policy, _, text = source.of_flags(flags)
+        policy, _, text = policy_source.of_flags(flags)
         return policy, policy_file.actor(policy.params, policy.activation), text
     if flags.what in files.robots():
         name = f"{flags.what}.py"
@@ -119,7 +120,7 @@ def choose(flags) -> tuple[Policy, Callable[[np.ndarray], np.ndarray], str]:
         config = config_lib.validate(config_lib.load(f"configs/{name}"))
         policy = policy_file.describe(config, robot_lib.load(flags.what))._replace(mjcf="")
     else:
-        policy, _, _ = source.of_flags(flags)
+        policy, _, _ = policy_source.of_flags(flags)
     size = len(policy.joint_names)
     if flags.policy == "zero":
         return policy, lambda obs: np.zeros(size), "zero actions"
@@ -136,9 +137,9 @@ def check_out(out: Path) -> None:
     flags_lib.check_writable(out)
 
 
-def table(body: episode_lib.Body, episode: dict) -> list[tuple[str, str]]:
+def table(player: episode_lib.Player, episode: dict) -> list[tuple[str, str]]:
     """The measures of an episode as (name, value), for printing."""
-    m = episode_lib.measures(body, episode)
+    m = episode_lib.measures(player, episode)
 
     def value(name, text, otherwise):
         return otherwise if m[name] is None else text.format(m[name])
@@ -154,12 +155,14 @@ def table(body: episode_lib.Body, episode: dict) -> list[tuple[str, str]]:
     ]
 
 
-def write(body: episode_lib.Body, episode: dict, out: Path, acts: str, rows, pixels=None) -> None:
+def write(
+    player: episode_lib.Player, episode: dict, out: Path, acts: str, rows, pixels=None
+) -> None:
     """The file that `--out` asks for; ConfigError if something that it needs is not there."""
     if out.suffix == ".html":
-        page.write(body, episode, out, body.policy.robot, acts, rows)
+        episode_page.write(player, episode, out, player.policy.robot, acts, rows)
         return
-    problem = film.write(body, episode, out, pixels)
+    problem = film.write(player, episode, out, pixels)
     if problem:
         raise ConfigError(f"--out={out}: {problem}; a page needs neither: --out={out.stem}.html")
 
@@ -169,34 +172,36 @@ def run(flags) -> None:
     out = flags.out
     if out is not None:
         check_out(out)
-    asked = command_script.commands(flags.command, flags.seconds)
+    commands = command_script.commands(flags.command, flags.seconds)
     if flags.serve is not None:
-        serve.run(flags, choose, asked if flags.command else None)
+        serve.run(flags, choose, commands if flags.command else None)
         return
     policy, act, acts = choose(flags)
-    body, other = source.body(policy, flags.robot_xml, flags.keep_joints)
-    seconds = flags.seconds or asked.seconds
+    player, other = policy_source.player(policy, flags.robot_xml, flags.keep_joints)
+    seconds = flags.seconds or commands.seconds
     if out is None:
         viewer.check_display()
         if flags.command is None:  # to be steered from standing
-            asked = asked._replace(at=lambda t: np.zeros(3), text=viewer.KEYS)
-    notes = [other, command_script.outside(policy, asked)]
-    print(f"dynappo plays {policy.robot}: {acts}; {asked.text}")
+            commands = commands._replace(at=lambda t: np.zeros(3), text=viewer.KEYS)
+    notes = [other, command_script.outside(policy, commands)]
+    print(f"dynappo plays {policy.robot}: {acts}; {commands.text}")
     if flags.robot_xml:
-        ms = body.model.opt.timestep * 1e3
+        ms = player.model.opt.timestep * 1e3
         motors = "motors, joint damping and friction are the policy's"
         if flags.keep_joints or not policy.joint_damping:
             motors = "motors are the policy's, joint damping and friction its own"
-        print(f"in {body.xml}: {body.substeps} steps of {ms:g} ms between two actions; {motors}")
+        print(
+            f"in {player.xml}: {player.substeps} steps of {ms:g} ms between two actions; {motors}"
+        )
     for note in filter(None, notes):
         print(note)
     if out is None:
-        episode = viewer.watch(body, act, asked.at, flags.seconds)
+        episode = viewer.watch(player, act, commands.at, flags.seconds)
     else:
-        episode = episode_lib.play(body, act, asked.at, seconds)
-    rows = table(body, episode)
+        episode = episode_lib.play(player, act, commands.at, seconds)
+    rows = table(player, episode)
     if out is not None:
-        write(body, episode, out, acts, rows, flags.size)
+        write(player, episode, out, acts, rows, flags.size)
         rows.append(("written", f"{out} ({out.stat().st_size / 1024:.0f} KiB)"))
     for name, text in rows:
         print(f"{name:18s} {text}")

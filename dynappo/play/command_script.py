@@ -14,7 +14,7 @@ from dynappo.config import ConfigError, files
 from dynappo.policy import episode as episode_lib
 from dynappo.policy.policy_file import Policy
 
-SECONDS = episode_lib.FILM
+SECONDS = episode_lib.FILM_SECONDS
 AFTER_SCRIPT = 2.0  # s, how long the last row of a command script lasts
 LONGEST = 3600  # s that can be played
 MAX_SCRIPT = 2**24  # bytes of a command script; a row each 0.02 s of an hour has less
@@ -46,11 +46,11 @@ def commands(text: str | None, seconds: float | None) -> Commands:
             f"--command={text!r}: expected three numbers VX,VY,WZ (m/s, m/s, rad/s) as in "
             "--command=0.8,0,0, or a FILE.csv with rows t,vx,vy,wz"
         )
-    asked = np.array(values, float)
-    if np.abs(asked).max() > FASTEST:
+    command = np.array(values, float)
+    if np.abs(command).max() > FASTEST:
         raise ConfigError(f"--command={text!r}: expected numbers from -{FASTEST} to {FASTEST}")
-    said = f"{asked[0]:g}, {asked[1]:g} m/s, {asked[2]:g} rad/s"
-    return Commands(lambda t: asked, asked[None], said, SECONDS)
+    said = "{:g}, {:g} m/s, {:g} rad/s".format(*command)
+    return Commands(lambda t: command, command[None], said, SECONDS)
 
 
 def script(path: Path) -> Commands:
@@ -94,10 +94,10 @@ def script(path: Path) -> Commands:
     return Commands(at, table[1:, 1:], f"commands of {path}", seconds)
 
 
-def outside(policy: Policy, asked: Commands) -> str:
+def outside(policy: Policy, wanted: Commands) -> str:
     """A line on a command that the policy was not trained for, or ""."""
     ranges = (policy.command_x, policy.command_y, policy.command_yaw)
-    for axis, (low, high), column in zip(AXES, ranges, asked.rows.T, strict=True):
+    for axis, (low, high), column in zip(AXES, ranges, wanted.rows.T, strict=True):
         worst = column[np.argmax(np.maximum(column - high, low - column))]
         if not low <= worst <= high:
             return f"note: {axis} = {worst:g} was not trained; it was from {low:g} to {high:g}"

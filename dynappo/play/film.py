@@ -8,7 +8,7 @@ from pathlib import Path
 
 from dynappo.config import ConfigError
 from dynappo.policy import render
-from dynappo.policy.episode import Body
+from dynappo.policy.episode import Player
 
 SMALLEST, WIDEST = 64, 3840  # pixels a side
 
@@ -31,7 +31,7 @@ def size(text: str, out: Path | None) -> tuple[int, int]:
     return width, height
 
 
-def write(body: Body, episode: dict, out: Path, pixels: tuple[int, int] | None = None) -> str:
+def write(player: Player, episode: dict, out: Path, pixels: tuple[int, int] | None = None) -> str:
     """`render.film`, with its progress on a terminal; it takes a minute on two cores."""
 
     def tell(share):
@@ -41,9 +41,9 @@ def write(body: Body, episode: dict, out: Path, pixels: tuple[int, int] | None =
     if not sys.stderr.isatty():
         if out.suffix != ".png":
             print("rendering: a minute on two cores", file=sys.stderr, flush=True)
-        return render.film(body, episode, out, pixels)
+        return render.film(player, episode, out, pixels)
     tell(0.0)
     try:
-        return render.film(body, episode, out, pixels, tell)
+        return render.film(player, episode, out, pixels, tell)
     finally:
         print(f"\r{'':26}\r", end="", file=sys.stderr, flush=True)

@@ -9,17 +9,17 @@ from collections.abc import Callable
 from typing import Any
 
 from dynappo.policy import episode as episode_lib
-from dynappo.policy import source
+from dynappo.policy import policy_source
 from dynappo.web import address, live, policies
 from dynappo.web.policies import Chosen, Offer
 
-TOUR = episode_lib.ROUND
+TOUR = episode_lib.PAGE_SECONDS
 
 
-def run(flags: argparse.Namespace, choose: Callable, asked: Any) -> None:
+def run(flags: argparse.Namespace, choose: Callable, commands: Any) -> None:
     """Serve until ctrl-C, or for `--seconds`.
 
-    `choose(flags)` is used where `--policy` names what acts; `asked` are the `Commands` of
+    `choose(flags)` is used where `--policy` names what acts; `commands` are the `Commands` of
     `--command`, until somebody steers, or None. Then the robot of a run walks a tour: nobody steers
     one that learns.
     """
@@ -30,21 +30,21 @@ def run(flags: argparse.Namespace, choose: Callable, asked: Any) -> None:
     offer, named = Offer(flags.what, flags.run_seed, flags.robot_xml, flags.keep_joints), None
     if flags.policy:
         policy, act, named = choose(flags)
-        body, note = source.body(policy, flags.robot_xml, flags.keep_joints)
-        first = Chosen(body, act, named, note)
+        player, note = policy_source.player(policy, flags.robot_xml, flags.keep_joints)
+        first = Chosen(player, act, named, note)
     else:
         first = policies.load(offer, policies.names(offer)[0])
-    at = asked.at if asked and len(asked.rows) > 1 else None
-    if not asked and offer.run is not None:
+    at = commands.at if commands and len(commands.rows) > 1 else None
+    if not commands and offer.run is not None:
         around = episode_lib.tour(TOUR)
         at = lambda t: around(t % TOUR)  # noqa: E731
-    print(f"dynappo plays {first.body.policy.robot}: {first.text}")
+    print(f"dynappo plays {first.player.policy.robot}: {first.text}")
     if first.note:
         print(first.note)
 
     def ready(page, url):
-        if asked and at is None:
-            live.wish(page.live, live.steer, asked.rows[0])
+        if commands and at is None:
+            live.wish(page.live, live.steer, commands.rows[0])
         print(f"open {url} in a browser; ctrl-C ends it", flush=True)
 
     stop = threading.Event()

@@ -50,21 +50,21 @@ def check_display() -> None:
         raise ConfigError(f"{problem}; write a file instead: --out=walk.html (.mp4, .gif, .png)")
 
 
-def steer(asked: np.ndarray, key: int, policy: Policy) -> np.ndarray:
+def steer(command: np.ndarray, key: int, policy: Policy) -> np.ndarray:
     """The command after a key (see KEYS), within what the policy was trained for."""
     if key == STOP:
         return np.zeros(3)
     if key not in STEER:
-        return asked
+        return command
     axis, change = STEER[key]
     ranges = np.array([policy.command_x, policy.command_y, policy.command_yaw])
-    after = asked.copy()
-    after[axis] = np.clip(round(asked[axis] + change, 6), *ranges[axis])
+    after = command.copy()
+    after[axis] = np.clip(round(command[axis] + change, 6), *ranges[axis])
     return after
 
 
 @contextlib.contextmanager
-def window(body: episode_lib.Body, data, press: Callable[[int], None]):
+def window(player: episode_lib.Player, data, press: Callable[[int], None]):
     """MuJoCo's viewer of `data`, following the robot; `press(key)` is called in its thread.
 
     At the end it waits for the viewer's thread: Python would crash if it ended first.
@@ -74,14 +74,14 @@ def window(body: episode_lib.Body, data, press: Callable[[int], None]):
     others = set(threading.enumerate())
     try:
         handle = viewer.launch_passive(
-            body.model, data, key_callback=press, show_left_ui=False, show_right_ui=False
+            player.model, data, key_callback=press, show_left_ui=False, show_right_ui=False
         )
     except RuntimeError as error:  # of a Mac, where it needs mjpython
         raise ConfigError(f"the viewer cannot start: {str(error).splitlines()[0]}") from None
-    handle.opt.geomgroup[:] = render.options(body.model, body.base_body).geomgroup
+    handle.opt.geomgroup[:] = render.options(player.model, player.base_body).geomgroup
     camera = handle.cam
-    camera.type, camera.trackbodyid = mujoco.mjtCamera.mjCAMERA_TRACKING, body.base_body
-    camera.distance, camera.azimuth, camera.elevation = 2.5 * body.model.stat.extent, 142, -14
+    camera.type, camera.trackbodyid = mujoco.mjtCamera.mjCAMERA_TRACKING, player.base_body
+    camera.distance, camera.azimuth, camera.elevation = 2.5 * player.model.stat.extent, 142, -14
     try:
         with handle:
             yield handle
@@ -90,7 +90,7 @@ def window(body: episode_lib.Body, data, press: Callable[[int], None]):
             thread.join(timeout=5)
 
 
-def watch(body: episode_lib.Body, act, given: Callable, seconds: float | None) -> dict:
+def watch(player: episode_lib.Player, act, given: Callable, seconds: float | None) -> dict:
     """Play in MuJoCo's viewer until it is closed, or for `seconds`; returns the last episode.
 
     The first key that steers takes over from the commands `given(t)`.
@@ -100,19 +100,19 @@ def watch(body: episode_lib.Body, act, given: Callable, seconds: float | None) -
 
     def press(key):
         if key == STOP or key in STEER:
-            held[:] = [steer(held[0] if held else now[0], key, body.policy)]
+            held[:] = [steer(held[0] if held else now[0], key, player.policy)]
 
     def command(t):
         now[0] = held[0] if held else given(t)
         return now[0]
 
     def fresh():
-        every = episode_lib.rows(body, data, act, command)
+        every = episode_lib.rows(player, data, act, command)
         return every, [next(every)], time.perf_counter()
 
-    data, period = mujoco.MjData(body.model), episode_lib.period(body)
+    data, period = mujoco.MjData(player.model), episode_lib.period(player)
     every, some, start = fresh()
-    with window(body, data, press) as shown:
+    with window(player, data, press) as shown:
         while shown.is_running() and not (seconds and len(some) * period >= seconds):
             behind = time.perf_counter() - start - len(some) * period  # s
             start += max(0.0, behind - CATCH_UP * period)  # what cannot be caught up is let go
@@ -121,13 +121,15 @@ def watch(body: episode_lib.Body, act, given: Callable, seconds: float | None) -
                     some.append(next(every))
                 clock, row = data.time, some[-1]
                 shown.user_scn.ngeom = 0
-                render.arrows(shown.user_scn, data, body.base_body, row["command"], row["velocity"])
+                render.arrows(
+                    shown.user_scn, data, player.base_body, row["command"], row["velocity"]
+                )
             shown.set_texts(overlay(row))
             shown.sync()
             if data.time < clock:  # backspace, or the viewer's own button: it has reset the data
                 every, some, start = fresh()
             time.sleep(max(0.0, start + len(some) * period - time.perf_counter()))
-    return episode_lib.stack(body, some)
+    return episode_lib.stack(player, some)
 
 
 def overlay(row: dict) -> list:

@@ -1,13 +1,12 @@
 """Reads, checks and plays trained policies, without JAX. Start at `policy_file.py`.
 
 - `policy_file`: reads and writes `policy.npz`
-- `source`: which policy, from where, with which robot; the flags that say so
+- `policy_source`: which policy, from where, with which robot; the flags that say so
 - `checks`: checks a policy's types, ranges and shapes
 - `checkpoint_file`: reads the arrays of a checkpoint
 - `episode`: runs a policy on a robot in C MuJoCo and NumPy
-- `walks`: whether a robot walks, by its evaluations; in words too
+- `walks`: whether a robot walks, by an evaluation; in words too
 - `render`: makes a film or a picture of an episode
-- `side_by_side`: makes a small GIF of several robots that walk side by side
 
 The commands, `run`, `sweeps` and `web` import it. It imports `config`, `description`,
 `physics.actuators` and `tasks.velocity.observe`.

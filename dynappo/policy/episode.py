@@ -25,13 +25,14 @@ from dynappo.description import contacts, mjcf, motors
 from dynappo.description import feet as feet_lib
 from dynappo.physics import actuators
 from dynappo.policy.policy_file import Policy
+from dynappo.policy.walks import SETTLE
 from dynappo.tasks.velocity import observe
 
-SETTLE = 1.0  # s, left out of the tracking error, as in dynappo/scores.py
 UNEVEN = 0.02  # rad, about a degree
 STRIDE = 0.5  # s between points of the path walked, so that swaying adds no distance
 NEAR = 0.25  # of the base's height: a limb's end that is lower in the default pose is a foot
-FILM, ROUND = 12.0, 16.0  # s of the tour in a film, and on the live page, which begins it again
+FILM_SECONDS = 12.0  # of the tour in a film
+PAGE_SECONDS = 16.0  # of the tour on the live page, which begins it again
 TOUR = (  # the commands if none is given: (share of the time, (vx, vy, yaw rate))
     (0.3, (0.8, 0.0, 0.0)),
     (0.2, (0.6, 0.0, 0.8)),
@@ -40,8 +41,8 @@ TOUR = (  # the commands if none is given: (share of the time, (vx, vy, yaw rate
 )
 
 
-class Body(NamedTuple):
-    """A robot in a compiled model; arrays of `A` joints are in the policy's order."""
+class Player(NamedTuple):
+    """A robot in a compiled model, and the policy that plays it; arrays of `A` joints are in its order."""
 
     xml: Path
     text: str  # the MJCF, if `xml` is a file that contains it; else ""
@@ -64,7 +65,7 @@ def load(
     timestep: float | None = None,
     keep_joints: bool = False,
     text: str = "",
-) -> Body:
+) -> Player:
     """The robot of `xml`, driven by `policy`; `timestep` (s) replaces that of the file.
 
     If `text` is given, it is the MJCF, and `xml` the file that contains it. Without `timestep`, the
@@ -113,7 +114,7 @@ def load(
     # no actuators: ours act instead; no autoreset: a blow-up is reported, not hidden
     flags = mujoco.mjtDisableBit
     model.opt.disableflags |= int(flags.mjDSBL_ACTUATION) | int(flags.mjDSBL_AUTORESET)
-    return Body(
+    return Player(
         xml=xml,
         text=text,
         model=model,
@@ -164,31 +165,31 @@ def _above(model, body):
         yield body
 
 
-def coordinates(body: Body, data) -> tuple[np.ndarray, np.ndarray]:
+def coordinates(player: Player, data) -> tuple[np.ndarray, np.ndarray]:
     """`(qpos [7 + A], qvel [6 + A])` as in `tasks/velocity/observe.py`: base, then the policy's joints."""
-    q, v = body.root
-    qpos = np.concatenate([data.qpos[q : q + 7], data.qpos[body.joint_q]])
-    return qpos, np.concatenate([data.qvel[v : v + 6], data.qvel[body.joint_v]])
+    q, v = player.root
+    qpos = np.concatenate([data.qpos[q : q + 7], data.qpos[player.joint_q]])
+    return qpos, np.concatenate([data.qvel[v : v + 6], data.qvel[player.joint_v]])
 
 
-def reset(body: Body, data) -> None:
+def reset(player: Player, data) -> None:
     """Put the robot upright in the default pose, its lowest point on the floor (z = 0).
 
     Each joint is off by up to `UNEVEN`, always by the same amount: a policy that treats left and
     right alike cannot take a first step from an exactly symmetric pose. No real robot stands in
     one.
     """
-    mujoco.mj_resetData(body.model, data)
-    q = body.root[0]
+    mujoco.mj_resetData(player.model, data)
+    q = player.root[0]
     data.qpos[q + 3 : q + 7] = [1, 0, 0, 0]
-    off = np.random.default_rng(0).uniform(-UNEVEN, UNEVEN, len(body.joint_q))
-    off = off[np.argsort(np.argsort(body.policy.joint_names))]  # the same in any joint order
-    data.qpos[body.joint_q] = body.policy.default_pose + off
-    mujoco.mj_kinematics(body.model, data)
-    robot = body.model.body_rootid[body.model.geom_bodyid] == body.base_body
-    shapes = np.flatnonzero(robot & mjcf.touches(body.model))
-    data.qpos[q + 2] -= _lowest(body.model, data, shapes).min()
-    mujoco.mj_forward(body.model, data)
+    off = np.random.default_rng(0).uniform(-UNEVEN, UNEVEN, len(player.joint_q))
+    off = off[np.argsort(np.argsort(player.policy.joint_names))]  # the same in any joint order
+    data.qpos[player.joint_q] = player.policy.default_pose + off
+    mujoco.mj_kinematics(player.model, data)
+    robot = player.model.body_rootid[player.model.geom_bodyid] == player.base_body
+    shapes = np.flatnonzero(robot & mjcf.touches(player.model))
+    data.qpos[q + 2] -= _lowest(player.model, data, shapes).min()
+    mujoco.mj_forward(player.model, data)
 
 
 def _lowest(model, data, geoms) -> np.ndarray:
@@ -208,58 +209,65 @@ def lowest(model, ids: np.ndarray, height: np.ndarray, row: np.ndarray) -> np.nd
     return np.where(np.isin(model.geom_type[ids], [*contacts.MOST]), exact, around)
 
 
-def foot_heights(body: Body, data) -> np.ndarray:
+def foot_heights(player: Player, data) -> np.ndarray:
     """Heights [F] (m) of the feet's lowest points."""
-    feet = [np.flatnonzero(body.foot_of == foot) for foot in range(len(body.foot_names))]
-    return np.array([_lowest(body.model, data, shapes).min() for shapes in feet])
+    feet = [np.flatnonzero(player.foot_of == foot) for foot in range(len(player.foot_names))]
+    return np.array([_lowest(player.model, data, shapes).min() for shapes in feet])
 
 
-def look(body: Body, data, asked, last_action, time: float | None = None) -> np.ndarray:
+def look(player: Player, data, command, last_action, time: float | None = None) -> np.ndarray:
     """The observation of the robot in `data`, without noise.
 
     `time` (s) since the start is what a gait clock shows; None: that of `data`.
     """
     time = data.time if time is None else time
-    com, clock = body.model.body_ipos[body.base_body], gait_clock(body, time)
+    com, clock = player.model.body_ipos[player.base_body], gait_clock(player, time)
     return observe.observe(
-        *coordinates(body, data), com, body.policy.default_pose, asked, last_action, clock
+        *coordinates(player, data), com, player.policy.default_pose, command, last_action, clock
     )
 
 
-def gait_clock(body: Body, time: float) -> tuple[float, float] | None:
+def gait_clock(player: Player, time: float) -> tuple[float, float] | None:
     """Angle and turn (rad) of the policy's gait clock `time` (s) after the start; None if it has none.
 
     At the middle of the frequencies that it was trained with; at the start the first foot is in mid-swing.
     """
-    if body.policy.gait_frequency is None:
+    if player.policy.gait_frequency is None:
         return None
-    rate = 2 * np.pi * float(np.mean(body.policy.gait_frequency))  # rad/s
-    return rate * time, rate * period(body)
+    rate = 2 * np.pi * float(np.mean(player.policy.gait_frequency))  # rad/s
+    return rate * time, rate * period(player)
 
 
-def step(body: Body, data, action) -> tuple[float, bool]:
+def step(
+    player: Player, data, action, targets=None, strength: float = 1.0, after: Callable | None = None
+) -> tuple[float, bool]:
     """One control step with `action` in `data`; returns `(work, fell)`.
 
     `work` (J) is the time integral of the sum over joints of |torque x speed|; `fell`: a part other
-    than a foot touched the ground, or the base tilted by more than `task.max_tilt`.
+    than a foot touched the ground, or the base tilted by more than `task.max_tilt`. `targets` [substeps, A]
+    are the joint angles to hold in each physics step; None: those of `action` in all. `after(torque, speed)`
+    is called after each; both, and `strength`, are as in `physics_step`.
     """
-    p, work, fell = body.policy, 0.0, False
-    target = actuators.target(action, p.default_pose, p.action_scale)
-    for _ in range(body.substeps):
-        torque, speed, down = physics_step(body, data, target)
-        work += float(np.abs(torque * speed).sum()) * body.model.opt.timestep
+    p, work, fell = player.policy, 0.0, False
+    if targets is None:
+        targets = [actuators.target(action, p.default_pose, p.action_scale)] * player.substeps
+    for target in targets:
+        torque, speed, down = physics_step(player, data, target, strength)
+        work += float(np.abs(torque * speed).sum()) * player.model.opt.timestep
         fell |= down
+        if after is not None:
+            after(torque, speed)
     return work, fell
 
 
-def physics_step(body: Body, data, target, strength=1.0) -> tuple[np.ndarray, np.ndarray, bool]:
+def physics_step(player: Player, data, target, strength=1.0) -> tuple[np.ndarray, np.ndarray, bool]:
     """One physics step of motors that hold the joint angles `target`: `(torque, speed, fell)`.
 
     `torque` [A] (N m) is what the joints get, the share `strength` of what the motors should give;
     `speed` [A] (rad/s) is that of the joints when it is applied.
     """
-    p = body.policy
-    q, speed = data.qpos[body.joint_q], data.qvel[body.joint_v]
+    p = player.policy
+    q, speed = data.qpos[player.joint_q], data.qvel[player.joint_v]
     torque = strength * actuators.clip_dc_motor(
         actuators.pd(target, q, speed, p.kp, p.kd),
         speed,
@@ -267,70 +275,85 @@ def physics_step(body: Body, data, target, strength=1.0) -> tuple[np.ndarray, np
         saturation_effort=p.saturation_effort,
         velocity_limit=p.velocity_limit,
     )
-    data.qfrc_applied[body.joint_v] = torque
+    data.qfrc_applied[player.joint_v] = torque
     if np.any(p.dry_friction):
-        data.qfrc_applied[body.joint_v] -= actuators.friction(speed, p.dry_friction)
-    mujoco.mj_step(body.model, data)
+        data.qfrc_applied[player.joint_v] -= actuators.friction(speed, p.dry_friction)
+    mujoco.mj_step(player.model, data)
     one, other = data.contact.geom[data.contact.dist < 0].T
-    ground, parts = body.ground, body.parts
+    ground, parts = player.ground, player.parts
     fell = bool(((ground[one] & parts[other]) | (ground[other] & parts[one])).any())
     most = p.config.get("task", {}).get("max_tilt")  # rad, as in tasks/velocity/env.py
     if most is not None:
-        x, y = data.qpos[body.root[0] + 4 : body.root[0] + 6]
+        x, y = data.qpos[player.root[0] + 4 : player.root[0] + 6]
         fell |= bool(1 - 2 * (x**2 + y**2) < np.cos(most))
     return torque, speed, fell
 
 
-def rows(body: Body, data, act: Callable, command: Callable):
+def rows(
+    player: Player,
+    data,
+    act: Callable,
+    command: Callable,
+    observed: Callable | None = None,
+    targets: Callable | None = None,
+    strength: float = 1.0,
+    after: Callable | None = None,
+):
     """Reset the robot in `data` and yield a row after every control step, for ever.
 
     A row has `qpos [nq]` of the file's own model; `command` and `velocity [3]` (vx, vy, yaw rate in
     the base frame; m/s, rad/s); `work` (J) and `fell` as in `step`. `act(obs)` is the policy,
     `command(t)` its command. FloatingPointError if physics blows up, ConfigError if MuJoCo fails.
+
+    What disturbs or measures an episode: `observed(k, command, last_action)` is the observation of control
+    step k instead of `look`, `targets(k, action)` the joint angles instead of the action's; `strength` and
+    `after` are as in `step`.
     """
     # MuJoCo would write warnings to a file in the working directory; what matters is raised
     mujoco.set_mju_user_warning(lambda message: None)
-    with mjcf.one_line(body.xml):
-        reset(body, data)
-    dt, com = period(body), body.model.body_ipos[body.base_body]
-    p = body.policy
+    with mjcf.one_line(player.xml):
+        reset(player, data)
+    dt, com = period(player), player.model.body_ipos[player.base_body]
+    p = player.policy
     action, see = np.zeros(len(p.joint_names)), observe.memory(p.observation, p.history)
     for k in itertools.count():
-        asked = np.asarray(command(k * dt), float)
-        action = act(see(look(body, data, asked, action)))
-        with mjcf.one_line(body.xml):  # MuJoCo may run out of memory
-            work, fell = step(body, data, action)
+        wanted = np.asarray(command(k * dt), float)
+        obs = observed(k, wanted, action) if observed else look(player, data, wanted, action)
+        action = act(see(obs))
+        follows = targets(k, action) if targets else None
+        with mjcf.one_line(player.xml):  # MuJoCo may run out of memory
+            work, fell = step(player, data, action, follows, strength, after)
         if not (np.isfinite(data.qpos).all() and np.isfinite(data.qvel).all()):
             raise FloatingPointError(
-                f"{body.xml}: its physics has blown up after {k * dt:.2f} s (numbers that are not "
+                f"{player.xml}: its physics has blown up after {k * dt:.2f} s (numbers that are not "
                 "finite)"
             )
-        _, linear, angular = observe.base_motion(*coordinates(body, data), com)
+        _, linear, angular = observe.base_motion(*coordinates(player, data), com)
         velocity = np.array([linear[0], linear[1], angular[2]])
-        row = dict(command=asked, velocity=velocity, work=work, fell=fell)
-        yield dict(qpos=data.qpos.copy(), **row)
+        row = dict(command=wanted, velocity=velocity, work=work, fell=fell)
+        yield dict(qpos=data.qpos.copy(), action=action, **row)
 
 
-def period(body: Body) -> float:
+def period(player: Player) -> float:
     """Seconds between two actions."""
-    return body.model.opt.timestep * body.substeps
+    return player.model.opt.timestep * player.substeps
 
 
-def stack(body: Body, some: Iterable[dict]) -> dict[str, np.ndarray]:
+def stack(player: Player, some: Iterable[dict]) -> dict[str, np.ndarray]:
     """An episode from `rows`: the same names, stacked to `[T, ...]`, and `dt` (s) between rows."""
     some = list(some)
     columns = {name: np.stack([row[name] for row in some]) for name in some[0]}
-    return columns | {"dt": np.array(period(body))}
+    return columns | {"dt": np.array(period(player))}
 
 
-def play(body: Body, act: Callable, command: Callable, seconds: float) -> dict[str, np.ndarray]:
+def play(player: Player, act: Callable, command: Callable, seconds: float) -> dict[str, np.ndarray]:
     """An episode of `seconds`, of at least one row."""
-    steps = max(1, round(seconds / period(body)))
-    every = rows(body, mujoco.MjData(body.model), act, command)
-    return stack(body, itertools.islice(every, steps))
+    steps = max(1, round(seconds / period(player)))
+    every = rows(player, mujoco.MjData(player.model), act, command)
+    return stack(player, itertools.islice(every, steps))
 
 
-def measures(body: Body, episode: dict[str, np.ndarray]) -> dict[str, float | None]:
+def measures(player: Player, episode: dict[str, np.ndarray]) -> dict[str, float | None]:
     """Measures of an episode; None if one cannot be computed.
 
     `seconds`; `distance` (m), along points 0.5 s apart; `tracking_error` (m/s) and `yaw_error`
@@ -338,14 +361,16 @@ def measures(body: Body, episode: dict[str, np.ndarray]) -> dict[str, float | No
     fall; `cost_of_transport`, work / (weight x distance).
     """
     dt, count = float(episode["dt"]), len(episode["qpos"])
-    q = body.root[0]
+    q = player.root[0]
     every = max(1, round(STRIDE / dt))
     points = episode["qpos"][[*range(0, count - 1, every), count - 1], q : q + 2]
     distance = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
     fallen = np.flatnonzero(episode["fell"])
     stood = slice(round(SETTLE / dt), fallen[0] if len(fallen) else count)
     error = (episode["velocity"] - episode["command"])[stood]
-    weight = body.model.body_subtreemass[body.base_body] * np.linalg.norm(body.model.opt.gravity)
+    weight = player.model.body_subtreemass[player.base_body] * np.linalg.norm(
+        player.model.opt.gravity
+    )
 
     def root_mean_square(columns):
         return float(np.sqrt((error[:, columns] ** 2).sum(-1).mean())) if len(error) else None

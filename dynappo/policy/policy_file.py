@@ -83,7 +83,7 @@ class Policy(NamedTuple):
     armature: float | np.ndarray | None = None
     dry_friction: float | np.ndarray = 0.0
     mjcf: str = (
-        ""  # the robot's, needs no other file; empty: the robot is found by name (source.py)
+        ""  # the robot's, needs no other file; empty: the robot is found by name (policy_source.py)
     )
     history: int = 1  # readings that it sees, the newest first
     gait_frequency: tuple[float, float] | None = None  # Hz, the range of its gait clock; None: none
@@ -229,11 +229,6 @@ def _arrays(path: Path) -> dict[str, np.ndarray]:
         if isinstance(error, ConfigError):
             raise
         raise ConfigError(f"{path}: not a policy.npz, or damaged") from None
-
-
-def load_params(path: Path) -> dict:
-    """The nested parameters that `save` or `save_params` wrote."""
-    return checks.nested({k: v for k, v in _arrays(path).items() if k != "about"})
 
 
 def load_actor(path: str | Path) -> Callable[[np.ndarray], np.ndarray]:

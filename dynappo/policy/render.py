@@ -3,7 +3,7 @@
 Nothing here needs JAX. A separate process renders
 (`dynappo.policy.render EPISODE.npz OUT`), because a process can choose its OpenGL backend only once,
 and a backend that fails may crash the process. On Linux EGL is tried first, then OSMesa.
-`play/page.py` needs neither.
+`page/episode_page.py` needs neither.
 """
 
 from __future__ import annotations
@@ -74,8 +74,8 @@ ENCODE = {
 def simulate(robot: robot_lib.Robot, config, act, command, seconds: float) -> dict[str, np.ndarray]:
     """An episode of a run's robot, with the run's config; `episode.rows` says what is in it."""
     described = policy_file.describe(config, robot)
-    body = episode_lib.load(robot.xml, described, described.timestep, text=robot.played)
-    return episode_lib.play(body, act, command, seconds)
+    player = episode_lib.load(robot.xml, described, described.timestep, text=robot.played)
+    return episode_lib.play(player, act, command, seconds)
 
 
 class Shown(NamedTuple):
@@ -87,7 +87,7 @@ class Shown(NamedTuple):
 
 
 def film(
-    robot: robot_lib.Robot | episode_lib.Body | Shown,
+    robot: robot_lib.Robot | episode_lib.Player | Shown,
     episode: dict[str, np.ndarray],
     out: Path,
     size: tuple[int, int] | None = None,
@@ -99,8 +99,8 @@ def film(
     called after each frame. Returns "" if the file was written, else one line that says why not and
     what to install.
     """
-    asked, size = size, size or (PICTURE if out.suffix == ".png" else (WIDTH, HEIGHT))
-    gif = asked[0] if asked else round(GIF_SHARE * WIDTH)
+    wanted, size = size, size or (PICTURE if out.suffix == ".png" else (WIDTH, HEIGHT))
+    gif = wanted[0] if wanted else round(GIF_SHARE * WIDTH)
     with contextlib.ExitStack() as stack:
         try:
             folder = stack.enter_context(tempfile.TemporaryDirectory())

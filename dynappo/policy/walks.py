@@ -1,8 +1,8 @@
 """Whether a robot walks: one definition, for what the commands print and for every experiment. NumPy only.
 
 **A robot walks** from the first evaluation on at which its return is at least its level and at most 1 % of
-the episodes have a fall, if both hold at every later evaluation, too. A single evaluation has no later ones.
-It takes about a thousand episodes to tell 1 % from 2 %.
+the episodes have a fall, if both hold at every later evaluation, too (`reached` in experiments/stats.py). A
+single evaluation, as here, has no later ones. It takes about a thousand episodes to tell 1 % from 2 %.
 
 The level is a share of the return of perfect tracking, `(w_lin + w_yaw) T` in episodes of T seconds
 (tasks/velocity/rewards.py): 38 of 45 with the weights of the Unitree tasks, 24 of 30 with the ANYmals', both
@@ -16,11 +16,12 @@ about how it tracks.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 SECONDS = 20.0  # of an episode
+SETTLE = 1.0  # s of it that are left out of the tracking error, as in dynappo/scores.py
 MOST_FALLS = 0.01  # share of the episodes
 MOST_ERRORS = 0.2, 0.25  # m/s, rad/s
 ROUNDING = 1e-6  # of a share of episodes, a mean in float32
@@ -36,14 +37,6 @@ def best(weights: Mapping[str, float], seconds: float = SECONDS) -> float:
 def level(most: float, seconds: float = SECONDS) -> float:
     """The return from which on a robot walks, of the best possible return `most` in `seconds`."""
     return SHARES.get(round(most / seconds, 6), SHARE) * most
-
-
-def holds(returns, fall_rates, least: float, most: float = MOST_FALLS) -> np.ndarray:
-    """Whether an evaluation is one of a robot that walks: return at least `least`, falls at most `most`.
-
-    Elementwise; False where a number is NaN.
-    """
-    return at(returns, least) & seldom(fall_rates, most)
 
 
 def seldom(fall_rates, most: float = MOST_FALLS) -> np.ndarray:
@@ -63,53 +56,16 @@ def tracks(errors, yaw_errors) -> np.ndarray:
     return within & turns
 
 
-class Reached(NamedTuple):
-    """How many `steps` each seed took, `[...]`; NaN: never."""
-
-    walks: np.ndarray  # from there on at every evaluation: at the level, falls at most 1 %
-    level: np.ndarray  # first at the level, whatever came after
-    careful: np.ndarray  # first at the level with falls at most 1 %, whatever came after
+def evaluated_seconds(config) -> float:
+    """How long an episode of the run's evaluations is."""
+    steps = config.run.eval_steps or config.task.episode_length
+    return steps * config.physics.substeps * config.physics.timestep
 
 
-def reached(steps, returns, fall_rates, least: float, most: float = MOST_FALLS) -> Reached:
-    """When each seed walks, by its evaluations `[E, ...]` in order; `steps` is `[E]` or `[E, ...]`.
-
-    `least` is the `level`, `most` the share of episodes with a fall. At an evaluation with a NaN
-    the robot does not walk. ValueError where the shapes differ.
-    """
-    return _reached(steps, returns, at(returns, least), fall_rates, most)
-
-
-def reached_by_tracking(steps, errors, yaw_errors, fall_rates, most: float = MOST_FALLS) -> Reached:
-    """As `reached`, with the level of errors: m/s and rad/s of evaluations `[E, ...]`."""
-    if np.shape(errors) != np.shape(yaw_errors):
-        shapes = f"errors {np.shape(errors)}, yaw errors {np.shape(yaw_errors)}"
-        raise ValueError(f"{shapes}: expected one shape [evaluations, seeds]")
-    return _reached(steps, errors, tracks(errors, yaw_errors), fall_rates, most)
-
-
-def _reached(steps, numbers, level, fall_rates, most: float) -> Reached:
-    """`Reached`, where `level` says which evaluations are at the level."""
-    numbers, fall_rates = np.asarray(numbers, float), np.asarray(fall_rates, float)
-    steps = np.asarray(steps, float)
-    if numbers.shape != fall_rates.shape or steps.shape not in (numbers.shape, numbers.shape[:1]):
-        raise ValueError(
-            f"steps {steps.shape}, evaluations {numbers.shape}, fall rates {fall_rates.shape}: "
-            "expected one shape [evaluations, seeds]"
-        )
-    seeds = (1,) * (numbers.ndim - steps.ndim)
-    steps = np.broadcast_to(steps.reshape(steps.shape + seeds), numbers.shape)
-    holding = level & seldom(fall_rates, most)
-    kept = np.logical_and.accumulate(holding[::-1])[::-1]
-    return Reached(*(_first(steps, true) for true in (kept, level, holding)))
-
-
-def _first(steps: np.ndarray, true: np.ndarray) -> np.ndarray:
-    """`steps` at the first True of `true` `[E, ...]`; NaN without one."""
-    if not len(true):
-        return np.full(true.shape[1:], np.nan)
-    found = np.take_along_axis(steps, true.argmax(0)[None], 0)[0]
-    return np.where(true.any(0), found, np.nan)
+def unmeasured(seconds: float) -> str:
+    """Why episodes of so many seconds may have no tracking error."""
+    too_short = seconds <= SETTLE * (1 + ROUNDING)
+    return "not measured in the first second" if too_short else "nobody stood for a second"
 
 
 def in_words(config, evaluation: Mapping[str, Any]) -> str:
@@ -117,17 +73,16 @@ def in_words(config, evaluation: Mapping[str, Any]) -> str:
 
     `config` is the run's, `evaluation` as in its summary.json. A robot that does not walk yet is judged
     by the errors of one that stands still: the root mean square of the commands. "" where nothing is
-    known of a robot, or tracking earns nothing.
+    known of a robot, or tracking earns nothing, or the episodes are too short to tell.
     """
     names = "return", "fall_rate", "tracking_error", "yaw_error"
     if not {*names} <= evaluation.keys():
         return ""
     task = config.task
-    dt = config.physics.substeps * config.physics.timestep
-    seconds = dt * (config.run.eval_steps or task.episode_length)
+    seconds = evaluated_seconds(config)
     by_errors = config.run.walks == "tracking"
     least = level(best(task.weights, seconds), seconds)
-    if not (by_errors or least > 0):
+    if seconds <= SETTLE * (1 + ROUNDING) or not (by_errors or least > 0):
         return ""
     returns, falls, error, yaw = (np.array(np.ravel(evaluation[name]), float) for name in names)
     low, often = ~(tracks(error, yaw) if by_errors else at(returns, least)), ~seldom(falls)

@@ -2,7 +2,7 @@
 
 - `training`: the training sequence: check, open, build, resume, loop, finish
 - `loop`: the loop over chunks of iterations
-- `joint`: runs several runs as one program, and takes their results apart
+- `merged`: runs several runs as one program, and takes their results apart
 - `workdir`: the folder of a run: open it, resume it, save into it
 - `checkpoint`, `log`: what a run writes while it trains
 - `restore`: starts from the networks of another run

@@ -167,15 +167,8 @@ def _written(panel: Panel, number: float) -> str:
 
 
 def _apart(heights, gap: float) -> np.ndarray:
-    """`heights`, moved as little as it takes to be `gap` apart, in order, and not above 1."""
-    order = np.argsort(heights, kind="stable")
-    steps = gap * np.arange(len(order))
-    free = np.asarray(heights, float)[order] - steps  # now they must not fall, and may be equal
-    blocks: list[list[float]] = []
-    for height in free:
-        blocks.append([height])
-        while len(blocks) > 1 and np.mean(blocks[-2]) >= np.mean(blocks[-1]):
-            blocks[-2:] = [blocks[-2] + blocks[-1]]
-    moved = np.empty(len(order))
-    moved[order] = np.concatenate([np.full(len(b), np.mean(b)) for b in blocks]) + steps
-    return moved - max(0.0, moved.max() - 1)
+    """`heights`, from the highest down each at least `gap` below the one before; none below 0."""
+    moved, above = np.array(heights, float), np.inf
+    for i in np.argsort(-moved, kind="stable"):
+        above = moved[i] = min(moved[i], above - gap)
+    return moved + max(0.0, -moved.min())

@@ -17,7 +17,7 @@ import numpy as np
 
 from dynappo.program import distributed
 from dynappo.program.build import Program
-from dynappo.run import joint, log
+from dynappo.run import log, merged
 from dynappo.run import workdir as workdir_lib
 from dynappo.run.workdir import OpenRun
 
@@ -35,11 +35,11 @@ def loop(
 ) -> tuple[Any, list[int]]:
     """All iterations after `start`; returns `(state, numbers of the runs that are still good)`.
 
-    `state` holds all runs, as `joint.join` makes it; its buffers are donated. Each run's metrics are appended
-    to its `history`. `progress(iteration, last metrics of each good run)` is called after each chunk, while
-    the device computes the next. If `stop.status` is set after a chunk, in any process, the runs are saved
-    and the loop ends. A run whose numbers are not finite is passed to `blown_up`, and left out from then on.
-    Files that cannot be written (a full disk) are reported to `say`, and training goes on.
+    `state` holds all runs, as `merged.join` makes it; its buffers are donated. Each run's metrics are
+    appended to its `history`. `progress(iteration, last metrics of each good run)` is called after each
+    chunk, while the device computes the next. If `stop.status` is set after a chunk, in any process, the runs
+    are saved and the loop ends. A run whose numbers are not finite is passed to `blown_up`, and left out from
+    then on. Files that cannot be written (a full disk) are reported to `say`, and training goes on.
     """
     import jax
     import jax.numpy as jnp
@@ -47,7 +47,7 @@ def loop(
     from dynappo.run import nonfinite
 
     run, good = runs[0].config.run, list(range(len(runs)))
-    part = partial(joint.part, runs=len(runs), seeds=run.num_seeds)
+    part = partial(merged.part, runs=len(runs), seeds=run.num_seeds)
     copy = jax.jit(partial(jax.tree.map, jnp.copy))  # one dispatch, not one an array
     seconds = max(seconds_so_far(one) for one in runs)
     scheduled = workdir_lib.scheduled_columns(runs[0].config, run.num_iterations)

@@ -80,6 +80,8 @@ def live(out, config) -> Iterator[Callbacks]:
     say = partial(unusual, out)
 
     def opened():
+        if slow := on_a_cpu(config):
+            say(slow)
         shown.enter_context(bar)
 
     def compiled(program):
@@ -119,10 +121,20 @@ def describe_program(out, config, program: Program) -> None:
     )
     if slow := build.slower(program, config):
         unusual(out, slow)
-    if program.impl == "jax" and program.device == "cpu":
-        text = "on a CPU C MuJoCo is more than twice as fast as MJX: --config.physics.impl=c"
-        laptop = f"; made for it: {shell.program()} train --config={config.robot}:laptop"
-        unusual(out, text + laptop * bool(config.robot))
+
+
+def on_a_cpu(config) -> str:
+    """A line on a robot that would be trained on MJX on a CPU, where that is slow; else ""."""
+    if not config.robot or devices.engine(config) != "jax":
+        return ""
+    if devices.local(config.run.device).platform != "cpu":
+        return ""
+    none = "there is no GPU here; " if config.run.device == "auto" else ""
+    laptop = shell.line("train", f"--config={config.robot}:laptop")
+    return (
+        f"{none}on a CPU C MuJoCo is more than twice as fast as MJX: --config.physics.impl=c; "
+        f"made for a CPU: {laptop}"
+    )
 
 
 def progress_line(last: dict, begun: list) -> str:
@@ -165,6 +177,7 @@ def summary(out, config, workdir: Path, summary: dict[str, Any]) -> None:
         rows["episodes"] = "{:g} s in training, {:g} s in the evaluation".format(
             *(dt * n for n in steps)
         )
+    none = walks.unmeasured(walks.evaluated_seconds(config))
     for name, label, unit in (
         ("return", "evaluation: return", ""),
         ("fall_rate", "evaluation: episodes with a fall", " %"),
@@ -174,7 +187,7 @@ def summary(out, config, workdir: Path, summary: dict[str, Any]) -> None:
         if name in summary.get("evaluation", {}):
             scale = 100 if unit == " %" else 1
             value = summary["evaluation"][name]
-            rows[label] = mean(value, unit, scale, "nobody stood for a second")
+            rows[label] = mean(value, unit, scale, none)
     words = walks.in_words(config, summary.get("evaluation", {}))
     rows |= {"the policy": words} if words else {}
     for label, value in rows.items():
@@ -192,7 +205,6 @@ def summary(out, config, workdir: Path, summary: dict[str, Any]) -> None:
             f"no film, no play: it is no robot; policy_file.load_actor('{workdir}/policy.npz') acts"
         )
         return say(text)
-    say(f"see it: {shell.program()} play {workdir} --out=walk.html")
+    say(f"see it: {shell.line('play', workdir, '--out=walk.html')}")
     if config.run.num_iterations < 200 or summary["impl"] == "c":
-        name = config.robot
-        say(f"next: {shell.program()} train --config={name}  (on a GPU)")
+        say(f"next: {shell.line('train', f'--config={config.robot}')}  (on a GPU)")

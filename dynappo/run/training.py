@@ -23,7 +23,7 @@ from dynappo import config as config_lib
 from dynappo.config import ConfigError
 from dynappo.program import build, distributed, environment
 from dynappo.program.build import Program
-from dynappo.run import finish, joint, log
+from dynappo.run import finish, log, merged
 from dynappo.run import loop as loop_lib
 from dynappo.run import workdir as workdir_lib
 from dynappo.run.stop import Stop
@@ -43,7 +43,7 @@ class Trained(NamedTuple):
     """The results of a training."""
 
     runs: list[OpenRun]  # with the metrics of their iterations; the files are closed
-    state: Any  # of all runs, as `joint.join` makes it
+    state: Any  # of all runs, as `merged.join` makes it
     good: list[int]  # numbers of the runs that did not blow up
     ended: bool  # all iterations are done, and nobody asked to stop
 
@@ -147,7 +147,7 @@ def train_together(
         callbacks.opened()
         chunks = [workdir_lib.chunk_length(run.config, run.workdir) for run in runs]
         runs = [_prepared(run, math.gcd(*chunks)) for run in runs]
-        program = joint.program([run.config for run in runs], runs[0].env, import_savers)
+        program = merged.program([run.config for run in runs], runs[0].env, import_savers)
         callbacks.compiled(program)
         trained = resume_and_loop(runs, program, callbacks, stop)
         if trained.ended and runs[0].workdir:
@@ -159,7 +159,7 @@ def _prepared(run: Run, log_every: int) -> Run:
     """The run with chunks of `log_every` iterations, and no `source` if it resumes."""
     from dynappo.run import restore
 
-    config = joint.with_log_every(run.config, log_every)
+    config = merged.with_log_every(run.config, log_every)
     source = restore.source(run.workdir, run.source) if run.workdir else None
     return run._replace(config=config, source=source)
 
@@ -180,7 +180,7 @@ def resume_and_loop(
     `program` is that of all runs; the buffers of its first state are donated.
     """
     callbacks, stop, run = callbacks or Callbacks(), stop or Stop(), runs[0].config.run
-    part = partial(joint.part, runs=len(runs), seeds=run.num_seeds)
+    part = partial(merged.part, runs=len(runs), seeds=run.num_seeds)
     open_runs, states, starts = [], [], []
     stop.patient = True
     try:
@@ -192,7 +192,7 @@ def resume_and_loop(
                 starts.append(start)
             if len(set(starts)) > 1:
                 return Trained(open_runs, None, [], False)
-            state = joint.join(states, run.num_seeds)
+            state = merged.join(states, run.num_seeds)
             del states
             if len(runs) > 1 or runs[0].source:
                 state = program.place(state)
@@ -235,7 +235,7 @@ def _finish(trained: Trained, program: Program, callbacks: Callbacks) -> None:
     """What every good run leaves at its end; all are evaluated at once."""
     callbacks.finishing()
     run = trained.runs[0].config.run
-    part = partial(joint.part, runs=len(trained.runs), seeds=run.num_seeds)
+    part = partial(merged.part, runs=len(trained.runs), seeds=run.num_seeds)
     evaluation = program.evaluate(trained.state) if run.eval_envs else {}
     for i in trained.good:
         one, state = trained.runs[i], part(trained.state, i)

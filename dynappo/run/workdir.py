@@ -18,7 +18,7 @@ import numpy as np
 from dynappo import config as config_lib
 from dynappo import schedule
 from dynappo.config import ConfigError, files
-from dynappo.policy import checkpoint_file, policy_file, source
+from dynappo.policy import checkpoint_file, policy_file, policy_source
 from dynappo.program import distributed
 from dynappo.run import log
 
@@ -82,7 +82,7 @@ def _open(workdir: Path, config, fresh: bool, held: contextlib.ExitStack, say) -
         apart = config_lib.versions_apart(there, config) if begun(workdir) else ""
         if apart:
             say(apart)
-        source.check_same_robot(workdir, _about_newest(workdir), config.robot)
+        policy_source.check_same_robot(workdir, _about_newest(workdir), config.robot)
         done = max(saved(workdir), default=0)
         if done > config.run.num_iterations:
             raise ConfigError(

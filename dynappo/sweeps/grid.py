@@ -126,7 +126,7 @@ def by_vmap(field: str, own_env: bool = False) -> bool:
 def groups(combinations: list[Combination], done: list[int]) -> list[list[Combination]]:
     """The combinations in groups that can train in one program, in the order of their first members.
 
-    They differ in floats alone (`by_vmap`), and have `done` as many iterations: `run.joint`. A field that
+    They differ in floats alone (`by_vmap`), and have `done` as many iterations: `run.merged`. A field that
     has several numbers for the joints is part of the program, and so is one that is None.
     """
     of_joints = {name for name, field in fields.every().items() if field.per_joint}

@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 
 from dynappo.config import ConfigError, files, shell
 from dynappo.program import build, distributed, environment
-from dynappo.run import joint, show, training
+from dynappo.run import merged, show, training
 from dynappo.run.stop import Stop
-from dynappo.sweeps import folder, grid, picture, table
+from dynappo.sweeps import folder, grid, sweep_picture, table
 from dynappo.sweeps.grid import Combination
 
 
@@ -23,7 +23,7 @@ class Sweep(NamedTuple):
     combinations: list[Combination]
 
 
-def train_and_show(
+def train_all(
     out, sweep: Sweep, workdir: Path, fresh: bool, source: Path | None, get_env: Any, stop: Stop
 ) -> str:
     """Train every combination, and print the table on the console `out`.
@@ -88,9 +88,9 @@ def _check(combinations: list[Combination], source: Path | None) -> None:
     for group in grid.groups(combinations, [0] * len(combinations)):
         configs = [one.config for one in group]
         try:
-            build.check(joint.config(configs), group[0].env)
+            build.check(merged.config(configs), group[0].env)
         except ConfigError as error:
-            raise joint.too_many(error, configs) from None
+            raise merged.too_many(error, configs) from None
 
 
 def _todo(workdir: Path, combinations: list[Combination]) -> list[Combination]:
@@ -137,7 +137,7 @@ def _show(out, workdir: Path, combinations: list[Combination], swept: list[str])
     """Show the table, the picture, and where the best policy is."""
     rows = table.rows(workdir, combinations)
     table.write(workdir / "sweep.csv", rows)
-    problem = picture.draw(workdir, rows, swept)
+    problem = sweep_picture.draw(workdir, rows, swept)
     table.print_table(out, rows, swept)
     if rows[0]["return_high"] is not None:
         out.print("±: Student's 95 % interval of the mean over seeds", soft_wrap=True)
@@ -149,5 +149,5 @@ def _show(out, workdir: Path, combinations: list[Combination], swept: list[str])
     shutil.copyfile(best / "policy.npz", workdir / "policy.npz")
     out.print(f"best: {best}, its policy is {workdir}/policy.npz too", soft_wrap=True, markup=False)
     if combinations[0].config.robot:
-        text = f"see it: {shell.program()} play {workdir} --out=walk.html"
+        text = f"see it: {shell.line('play', workdir, '--out=walk.html')}"
         out.print(text, soft_wrap=True, markup=False)

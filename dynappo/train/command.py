@@ -130,11 +130,11 @@ def _prepare_page(serve: str, config, sweep) -> None:
 def main(argv: list[str] | None = None) -> None:
     """The command. Its exit statuses are those of `flags.answer`; 130 on ctrl-C, 143 on SIGTERM, and
     both save first."""
-    stop, asked = Stop(), []
+    stop, parsed = Stop(), []
 
     def action():
-        asked.append(parse(argv))
-        (command,) = asked
+        parsed.append(parse(argv))
+        (command,) = parsed
         with distributed.watched():
             devices.own_process(command.config.run.device)
             distributed.join(*command.processes)
@@ -144,7 +144,7 @@ def main(argv: list[str] | None = None) -> None:
             distributed.leave()
 
     def stopped():
-        return f"stopped; {afterwards(*asked)}" if asked else "stopped"
+        return f"stopped; {afterwards(*parsed)}" if parsed else "stopped"
 
     with distributed.together():
         flags.answer(action, stopped)
@@ -169,7 +169,7 @@ def train_and_show(command: Command, stop: Stop) -> None:
     out = Console(highlight=False, quiet=not distributed.first())
     if command.sweep:
         own = command.fresh, command.restore, command.get_env
-        stopped = sweep_lib.train_and_show(out, command.sweep, command.workdir, *own, stop)
+        stopped = sweep_lib.train_all(out, command.sweep, command.workdir, *own, stop)
     else:
         stopped = train_run(out, command, stop)
     if stopped and distributed.first():

@@ -105,7 +105,11 @@ def tell_once(guard: Guard, kind: str, line: str) -> None:
     """Print the first refusal of each kind."""
     if kind not in guard.told:
         guard.told.add(kind)
-        print(f"dynappo: {line}; more of these are not told", file=sys.stderr, flush=True)
+        print(
+            f"dynappo: {line}. Further refusals of this kind are not printed.",
+            file=sys.stderr,
+            flush=True,
+        )
 
 
 @contextlib.contextmanager
@@ -114,14 +118,14 @@ def watching(guard: Guard) -> Iterator[None]:
     plain = websockets_server.serve
 
     def serve(handler, host, port, *, process_request, **options):
-        def request(connection, asked):
-            kind, found = refusal(guard, asked.headers, asked.path)
+        def request(connection, wanted):
+            kind, found = refusal(guard, wanted.headers, wanted.path)
             if kind:
                 tell_once(guard, kind, f"refused: {kind} {found[:100]!r}: {ANSWERS[kind]}")
                 return connection.respond(http.HTTPStatus.FORBIDDEN, f"{ANSWERS[kind]}\n")
-            response = process_request(connection, asked)
+            response = process_request(connection, wanted)
             if response is not None:
-                response.headers["Content-Security-Policy"] = _policy(asked.headers["Host"])
+                response.headers["Content-Security-Policy"] = _policy(wanted.headers["Host"])
             return response
 
         def connect(*args, **given):

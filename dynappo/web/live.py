@@ -15,10 +15,10 @@ import mujoco
 import numpy as np
 
 from dynappo.policy import episode as episode_lib
-from dynappo.policy.episode import Body
+from dynappo.policy.episode import Player
 
 HISTORY = 8.0  # s that the plots show
-TOUR = episode_lib.ROUND
+TOUR = episode_lib.PAGE_SECONDS
 LIE = 2.0  # s on the ground after a fall, until it stands up
 CATCH_UP = 5  # control steps at once at most; what is further behind is let go
 STIFF = 4.0  # times the robot's weight for each metre that it is pulled
@@ -29,7 +29,7 @@ STRONGEST = 1.5  # times its weight
 class Live:
     """A robot, its commands and its last control steps; arrays of `A` joints are in the policy's order."""
 
-    body: Body
+    player: Player
     act: Callable[[np.ndarray], np.ndarray]
     given: Callable[[float], np.ndarray] | None = None  # t (s) -> command, until somebody steers
     command: np.ndarray = field(default_factory=lambda: np.zeros(3))  # m/s, m/s, rad/s
@@ -50,7 +50,7 @@ class Live:
     work: float = 0.0  # share of that second which the control steps took
 
     def __post_init__(self):
-        take_robot(self, self.body, self.act)
+        take_robot(self, self.player, self.act)
 
 
 def wish(live: Live, function: Callable, *values) -> None:
@@ -58,11 +58,11 @@ def wish(live: Live, function: Callable, *values) -> None:
     live.wishes.append(lambda: function(live, *values))
 
 
-def take_robot(live: Live, body: Body, act: Callable) -> None:
+def take_robot(live: Live, player: Player, act: Callable) -> None:
     """Take another robot, standing, under the command of the last one."""
-    live.body, live.act = body, act
-    live.data = mujoco.MjData(body.model)
-    live.command = within(body, live.command)
+    live.player, live.act = player, act
+    live.data = mujoco.MjData(player.model)
+    live.command = within(player, live.command)
     reset(live)
 
 
@@ -80,7 +80,7 @@ def reset(live: Live) -> None:
 def stand_up(live: Live) -> None:
     """Put the robot on its feet at the origin; its commands go on."""
     live.rows = _rows(live)
-    live.history = deque(maxlen=round(HISTORY / episode_lib.period(live.body)))
+    live.history = deque(maxlen=round(HISTORY / episode_lib.period(live.player)))
     live.t, live.fell, live.pull = 0.0, None, None
     live.row = {"command": command_at(live, live.before), "velocity": np.zeros(3), "fell": False}
     step(live)
@@ -89,14 +89,17 @@ def stand_up(live: Live) -> None:
 def _rows(live: Live) -> Iterator[dict]:
     """The control steps from standing on."""
     return episode_lib.rows(
-        live.body, live.data, lambda obs: live.act(obs), lambda t: command_at(live, live.before + t)
+        live.player,
+        live.data,
+        lambda obs: live.act(obs),
+        lambda t: command_at(live, live.before + t),
     )
 
 
 def command_at(live: Live, t: float) -> np.ndarray:
     """The command at time `t` (s) of `given`."""
     if live.given is not None:
-        live.command = within(live.body, live.given(t))
+        live.command = within(live.player, live.given(t))
     return live.command
 
 
@@ -112,30 +115,30 @@ def steer(live: Live, command) -> None:
     """Set the command (m/s, m/s, rad/s) from now on; one that is not finite is ignored."""
     if not np.isfinite(command).all():
         return
-    live.given, live.command = None, within(live.body, np.asarray(command, float))
+    live.given, live.command = None, within(live.player, np.asarray(command, float))
 
 
-def ranges(body: Body) -> np.ndarray:
+def ranges(player: Player) -> np.ndarray:
     """[3, 2]: the commands that the policy was trained for."""
-    return np.array([body.policy.command_x, body.policy.command_y, body.policy.command_yaw])
+    return np.array([player.policy.command_x, player.policy.command_y, player.policy.command_yaw])
 
 
-def within(body: Body, command) -> np.ndarray:
+def within(player: Player, command) -> np.ndarray:
     """The command, clipped to the ranges that the policy was trained for."""
-    return np.clip(command, *ranges(body).T)
+    return np.clip(command, *ranges(player).T)
 
 
 def push(live: Live, ahead: float, left: float) -> None:
     """Add a velocity (m/s, in the base's heading) to the base's, as `evaluate --stress` does."""
-    x, y = live.data.xmat[live.body.base_body].reshape(3, 3)[:2, 0]
+    x, y = live.data.xmat[live.player.base_body].reshape(3, 3)[:2, 0]
     turn = np.array([[x, -y], [y, x]]) / max(np.hypot(x, y), 1e-6)
-    v = live.body.root[1]
+    v = live.player.root[1]
     live.data.qvel[v : v + 2] += turn @ [ahead, left]
 
 
 def step(live: Live) -> None:
     """One control step; physics that blows up starts anew, or at once pauses, and `note` says so."""
-    model, data, base = live.body.model, live.data, live.body.base_body
+    model, data, base = live.player.model, live.data, live.player.base_body
     force = np.zeros(3)
     if live.pull is not None:
         weight = model.body_subtreemass[base] * np.linalg.norm(model.opt.gravity)
@@ -149,13 +152,13 @@ def step(live: Live) -> None:
         if live.t == 0:  # it will do so again
             live.note += "; paused"
             live.paused, live.rows = True, _rows(live)
-            episode_lib.reset(live.body, data)
+            episode_lib.reset(live.player, data)
         else:
             live.before += live.t
             stand_up(live)
         return
-    live.t += episode_lib.period(live.body)
-    torque = data.qfrc_applied[live.body.joint_v].copy()
+    live.t += episode_lib.period(live.player)
+    torque = data.qfrc_applied[live.player.joint_v].copy()
     live.history.append((live.t, live.row["command"], live.row["velocity"], torque))
     if live.row["fell"] and live.fell is None:
         live.fell = live.t
@@ -171,13 +174,13 @@ def run(
 
     `after()` is called when all control steps that were due are done, at most once a period.
     """
-    period = episode_lib.period(live.body)
+    period = episode_lib.period(live.player)
     start = due = second = time.perf_counter()
     steps, busy = 0, 0.0
     while not stop() and not (seconds and due - start >= seconds):
         while live.wishes:
             live.wishes.popleft()()
-            period = episode_lib.period(live.body)
+            period = episode_lib.period(live.player)
         before = time.perf_counter()
         due = max(due, before - CATCH_UP * period)
         for _ in range(CATCH_UP + 1):  # no more: steps may take longer than their period

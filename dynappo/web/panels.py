@@ -136,13 +136,13 @@ def _steering(server: viser.ViserServer, live: Live):
     gui = server.gui
     with gui.add_folder("command"):
         sliders = []
-        for (name, _), (low, high) in zip(AXES, live_lib.ranges(live.body), strict=True):
+        for (name, _), (low, high) in zip(AXES, live_lib.ranges(live.player), strict=True):
             slider = gui.add_slider(name, low, high, 0.05, float(np.clip(0.0, low, high)))
             sliders.append(slider)
 
         def steered(event):
-            asked = [s.value for s in sliders]
-            _by_person(event, lambda: live_lib.wish(live, live_lib.steer, asked))
+            command = [s.value for s in sliders]
+            _by_person(event, lambda: live_lib.wish(live, live_lib.steer, command))
 
         for slider in sliders:
             slider.on_update(steered)
@@ -167,9 +167,9 @@ def key(server: viser.ViserServer, name: Any, text: str, action: Callable[[], No
 
 def nudge(live: Live, axis: int, change: float) -> None:
     """Add `change` to one number of the command."""
-    asked = live.command.copy()
-    asked[axis] = round(asked[axis] + change, 6)
-    live_lib.steer(live, asked)
+    command = live.command.copy()
+    command[axis] = round(command[axis] + change, 6)
+    live_lib.steer(live, command)
 
 
 def _pushes(server: viser.ViserServer, live: Live) -> None:
@@ -212,17 +212,17 @@ def _plots(server: viser.ViserServer, of_run: bool):
 
 def show_robot(server: viser.ViserServer, panels: Panels, live: Live) -> None:
     """Set what depends on the robot: the ranges of the sliders, the plots of its joints."""
-    for slider, (low, high) in zip(panels.sliders, live_lib.ranges(live.body), strict=True):
+    for slider, (low, high) in zip(panels.sliders, live_lib.ranges(live.player), strict=True):
         slider.min, slider.max = low, high
-    for handle, (low, high) in zip(panels.motion, live_lib.ranges(live.body), strict=True):
+    for handle, (low, high) in zip(panels.motion, live_lib.ranges(live.player), strict=True):
         room = 0.2 * (high - low)
         handle.scales = {"x": {"time": False}, "y": {"range": (low - room, high + room)}}
     for handle in panels.torque:
         handle.remove()
     panels.torque.clear()
     with panels.torques:
-        for kind, joints in by_kind(live.body.policy.joint_names).items():
-            names = [live.body.policy.joint_names[j].partition("_")[0] for j in joints]
+        for kind, joints in by_kind(live.player.policy.joint_names).items():
+            names = [live.player.policy.joint_names[j].partition("_")[0] for j in joints]
             lines: tuple[Any, ...] = (
                 {"label": "s"},
                 *(
@@ -263,8 +263,8 @@ def draw(panels: Panels, live: Live) -> None:
     for i, handle in enumerate(panels.motion):
         handle.data = _window(live_lib.HISTORY, t - live.t, command[:, i], velocity[:, i])
     t, _, _, torque = (np.array(column) for column in zip(*history[-STRIDES:], strict=True))
-    seconds = STRIDES * episode_lib.period(live.body)
-    kinds = by_kind(live.body.policy.joint_names)
+    seconds = STRIDES * episode_lib.period(live.player)
+    kinds = by_kind(live.player.policy.joint_names)
     for handle, joints in zip(panels.torque, kinds.values(), strict=True):
         handle.data = _window(seconds, t - live.t, *torque[:, joints].T)
 
@@ -281,14 +281,14 @@ def show_status(panels: Panels, live: Live, text: str) -> None:
     state = "paused" if live.paused else f"{live.rate:.0f} Hz"
     if live.fell is not None:
         state += ", has fallen"
-    asked, moves = live.row["command"], live.row["velocity"]
-    about = f"<b>{html.escape(live.body.policy.robot)}</b>, {html.escape(text)}"
-    lines = [f"asked {_numbers(asked)}", f"moves {_numbers(moves)}"]
+    command, moves = live.row["command"], live.row["velocity"]
+    about = f"<b>{html.escape(live.player.policy.robot)}</b>, {html.escape(text)}"
+    lines = [f"asked {_numbers(command)}", f"moves {_numbers(moves)}"]
     if live.note:
         lines.append(f"<i>{html.escape(live.note)}</i>")
     parts = about, f"{live.t:.1f} s, {state}", "<br>".join(lines)
     panels.status.content = STATUS.format("".join(map(PARAGRAPH.format, parts)))
-    _follow(panels, [*map(float, asked), live.given is not None])
+    _follow(panels, [*map(float, command), live.given is not None])
     panels.pause.label = "go on" if live.paused else "pause"
 
 

@@ -16,8 +16,8 @@ import numpy as np
 from dynappo import config as config_lib
 from dynappo.config import ConfigError, files
 from dynappo.description import robot as robot_lib
-from dynappo.policy import checkpoint_file, policy_file, source
-from dynappo.policy.episode import Body
+from dynappo.policy import checkpoint_file, policy_file, policy_source
+from dynappo.policy.episode import Player
 
 NEWEST = "newest of the run"
 EVERY = 1.0  # s between two looks at the folder of a run
@@ -26,7 +26,7 @@ EVERY = 1.0  # s between two looks at the folder of a run
 class Chosen(NamedTuple):
     """A policy that the browser can show."""
 
-    body: Body
+    player: Player
     act: Callable[[np.ndarray], np.ndarray]
     text: str  # what it is, for a person
     note: str = ""
@@ -67,7 +67,7 @@ def _bundled() -> list[str]:
 def _there(what: str, seed: int | None = None) -> bool:
     """Whether there is a policy of that name: a robot may have none, a run not yet."""
     try:
-        return bool(source.locate(what, seed))
+        return bool(policy_source.locate(what, seed))
     except ConfigError:
         return False
 
@@ -88,12 +88,14 @@ def load(offer: Offer, name: str) -> Chosen:
     seed = offer.seed if own else None
     if name == NEWEST and not begun(offer):
         return standing(offer)
-    policy, found = source.load(path, seed)
-    body, note = source.body(policy, offer.xml if own else None, offer.keep_joints and own)
+    policy, found = policy_source.load(path, seed)
+    player, note = policy_source.player(
+        policy, offer.xml if own else None, offer.keep_joints and own
+    )
     text = "/".join(found.resolve().parts[-2:])
     if name == NEWEST:
         text += f" ({_iteration(offer)})"
-    return Chosen(body, policy_file.actor(policy.params, policy.activation), text, note)
+    return Chosen(player, policy_file.actor(policy.params, policy.activation), text, note)
 
 
 def _iteration(offer: Offer) -> str:
@@ -117,15 +119,15 @@ def standing(offer: Offer) -> Chosen:
     if not config.robot:
         raise ConfigError(f"{offer.what}: trains an environment of its own, which has no page")
     policy = policy_file.describe(config, robot_lib.load(config.robot))
-    body, note = source.body(policy._replace(mjcf=""), offer.xml, offer.keep_joints)
+    player, note = policy_source.player(policy._replace(mjcf=""), offer.xml, offer.keep_joints)
     size = len(policy.joint_names)
-    return Chosen(body, lambda obs: np.zeros(size), "no policy yet: zero actions", note)
+    return Chosen(player, lambda obs: np.zeros(size), "no policy yet: zero actions", note)
 
 
 def stamp(offer: Offer) -> tuple:
     """A value that changes when the run has written a new policy."""
     try:
-        path = source.locate(offer.what, offer.seed)
+        path = policy_source.locate(offer.what, offer.seed)
         return path, path.stat().st_mtime_ns
     except (ConfigError, OSError):  # none yet, or just being replaced
         return ()

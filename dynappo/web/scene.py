@@ -41,9 +41,9 @@ class Shown:
 def show(server: viser.ViserServer, live: Live) -> Shown:
     """Put the robot of `live` into the scene, alone."""
     server.scene.reset()
-    body = live.body
-    robot = mjviser.ViserMujocoScene(server, body.model, num_envs=1)
-    if render.options(body.model, body.base_body).geomgroup[3]:
+    player = live.player
+    robot = mjviser.ViserMujocoScene(server, player.model, num_envs=1)
+    if render.options(player.model, player.base_body).geomgroup[3]:
         robot.geom_groups_visible[3] = True
         robot.rebuild_visual_handles()
     arrows = [
@@ -68,7 +68,7 @@ def _view(live: Live, narrow: bool) -> tuple[np.ndarray, np.ndarray]:
 
     On a narrow screen the buttons are at the bottom: there the robot is in the upper part.
     """
-    size = live.body.model.stat.extent
+    size = live.player.model.stat.extent
     azimuth, elevation = np.deg2rad([-38, 18])
     flat = np.cos(elevation)
     away = np.array([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)])
@@ -80,13 +80,13 @@ def _view(live: Live, narrow: bool) -> tuple[np.ndarray, np.ndarray]:
 def welcome(shown: Shown, live: Live, client: viser.ClientHandle) -> None:
     """Point the camera of a new viewer at the robot."""
     position, look_at = _view(live, client.camera.aspect < NARROW)
-    at = np.zeros(3) if shown.follow else live.data.xpos[live.body.base_body].copy()
+    at = np.zeros(3) if shown.follow else live.data.xpos[live.player.base_body].copy()
     client.camera.position, client.camera.look_at = position + at, look_at + at
 
 
 def _hand(server: viser.ViserServer, live: Live) -> viser.GlbHandle:
     """An invisible box around the base: whoever drags it pulls the robot."""
-    model, base = live.body.model, live.body.base_body
+    model, base = live.player.model, live.player.base_body
     half = np.full(3, 0.05)
     for i in np.flatnonzero(model.geom_bodyid == base):
         turn = np.zeros(9)
@@ -115,12 +115,12 @@ def _pull(live: Live, pull) -> None:
 
 def update(shown: Shown, live: Live) -> None:
     """Draw the robot as it is now, for all viewers."""
-    data, base = live.data, live.body.base_body
+    data, base = live.data, live.player.base_body
     origin = data.xpos[base] if shown.follow else np.zeros(3)
     at = data.xpos[base] - origin
     x, y = data.xmat[base].reshape(3, 3)[:2, 0]
     heading = np.array([[x, -y], [y, x]]) / max(np.hypot(x, y), 1e-6)
-    above = render.lift(live.body.model, data, base)
+    above = render.lift(live.player.model, data, base)
     with shown.server.atomic():
         for arrow, lift, name in zip(shown.arrows, LIFT, ("command", "velocity"), strict=True):
             tip = np.append(heading @ live.row[name][:2] * LONG, 0.0)
@@ -135,7 +135,7 @@ def follow(shown: Shown, live: Live, on: bool) -> None:
     """Make the camera follow the robot, or stay where it is."""
     if on == shown.follow:
         return
-    shift = live.data.xpos[live.body.base_body] * (-1 if on else 1)
+    shift = live.data.xpos[live.player.base_body] * (-1 if on else 1)
     shown.follow = shown.robot.camera_tracking_enabled = on
     for client in shown.server.get_clients().values():
         with client.atomic():

@@ -22,7 +22,7 @@ import numpy as np
 import viser
 
 from dynappo.config import ConfigError, shell, versions
-from dynappo.policy.episode import Body
+from dynappo.policy.episode import Player
 from dynappo.web import guard, panels, policies, run_plots, scene
 from dynappo.web import live as live_lib
 from dynappo.web.address import Address, read
@@ -104,7 +104,7 @@ def open_page(server, offer: Offer, first: Chosen, given, named: str | None = No
 
     `named`: what the list calls `first`, where it is no policy of `policies.names`.
     """
-    live = Live(first.body, first.act, given)
+    live = Live(first.player, first.act, given)
     names = [*filter(None, [named]), *policies.names(offer)]
     shown = scene.show(server, live)
     page: Page
@@ -131,17 +131,17 @@ def open_page(server, offer: Offer, first: Chosen, given, named: str | None = No
 def play(page: Page, found: Chosen, name: str) -> None:
     """Play `found` from now on; if the robot is the same, it goes on walking."""
     page.text, page.name, page.live.note = found.text, name, found.note
-    if same_robot(page.live.body, found.body):
+    if same_robot(page.live.player, found.player):
         live_lib.take_policy(page.live, found.act)
         return
-    live_lib.take_robot(page.live, found.body, found.act)
+    live_lib.take_robot(page.live, found.player, found.act)
     flags = {name: check.value for name, check in page.panels.look.items()}
     page.shown = scene.show(page.server, page.live)
     panels.show_robot(page.server, page.panels, page.live)
     view(page, flags)
 
 
-def same_robot(one: Body, other: Body) -> bool:
+def same_robot(one: Player, other: Player) -> bool:
     """Whether the policy of `other` can take over in mid-stride: same file, observation and motors."""
     a, b = one.policy, other.policy
     driven = set(a._fields) - {"config", "params", "mjcf", "seed"}

@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 
 from dynappo.config import files
-from dynappo.policy import episode, policy_file, source
+from dynappo.policy import episode, policy_file, policy_source
 from experiments import paper, pictures
 
 NAMES = {"go1": "Unitree Go1", "go2": "Unitree Go2", "anymal_c": "ANYmal-C", "anymal_d": "ANYmal-D"}
@@ -34,7 +34,7 @@ FRAMING = {
 def walks(name, command, seconds=6.0):
     """`(qpos [T, nq], height of each foot [T, F])` of a walk, one row a control step."""
     policy = policy_file.load(files.find("robots", f"{name}/policy.npz"))
-    body = source.body(policy)[0]
+    body = policy_source.player(policy)[0]
     act = policy_file.actor(policy.params, policy.activation)
     poses = episode.play(body, act, lambda t: command, seconds)["qpos"]
     data, heights = mujoco.MjData(body.model), np.empty((len(poses), len(body.foot_names)))

@@ -14,7 +14,7 @@ import numpy as np
 
 from dynappo.policy import walks
 from dynappo.run import learning_curves
-from experiments import paper, pictures
+from experiments import paper, pictures, stats
 
 HERE = Path(__file__).parent
 RESULTS = HERE / "results"
@@ -58,7 +58,7 @@ def mean(values) -> str:
 def walk(rows: list[dict], least: float) -> bool:
     """Whether a run's robot walks at its end: at the level `least`, with falls in at most 1 %."""
     columns = ([row[name] for row in rows] for name in ("steps", "return", "fall_rate"))
-    return bool(np.isfinite(walks.reached(*columns, least).walks))
+    return bool(np.isfinite(stats.reached(*columns, least).walks))
 
 
 def robots() -> str:

@@ -7,7 +7,7 @@ import numpy as np
 
 from dynappo.description import robot as robot_lib
 from dynappo.policy import episode as episode_lib
-from dynappo.policy import policy_file
+from dynappo.policy import policy_file, walks
 
 
 def walk(policy: policy_file.Policy, speed: float, seconds: float):
@@ -28,11 +28,11 @@ def walk(policy: policy_file.Policy, speed: float, seconds: float):
     return {name: measures[name] for name in names} | style(body, episode)
 
 
-def style(body: episode_lib.Body, episode) -> dict:
+def style(body: episode_lib.Player, episode) -> dict:
     """After the first second: mean air time (s) of a swing of a foot, swings of a foot in a second,
     tilt (degrees, root mean square), forward speed (m/s). None where it walked no longer than that."""
     dt = float(episode["dt"])
-    qpos = episode["qpos"][round(episode_lib.SETTLE / dt) :]
+    qpos = episode["qpos"][round(walks.SETTLE / dt) :]
     names = ("air_time", "swings_per_second", "tilt", "speed_ahead")
     if len(qpos) < 2:
         return dict.fromkeys(names)

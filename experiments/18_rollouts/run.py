@@ -57,7 +57,7 @@ def rollouts(config, iterations: int):
     """Yield the rows of each iteration. In the first `WARM` the model is not fitted."""
     static, hyper = config_lib.split(config)
     env = env_lib.make(robot_lib.load(config.robot), config.task, config.physics)
-    bundled = policy_file.load_params(files.find("robots", f"{config.robot}/policy.npz"))
+    bundled = policy_file.load(files.find("robots", f"{config.robot}/policy.npz")).params
     bundled = jax.tree.map(jnp.asarray, {name: bundled[name] for name in ("actor", "std")})
     state = algorithm.init(env, hyper, jax.random.key(0), static=static)
     learner = state.learner.replace(params=state.learner.params | bundled)

@@ -7,7 +7,7 @@ the live page (dynappo/evaluate/changes.py). Default: the bundled policies, and 
 """
 
 from dynappo.evaluate import changes
-from dynappo.policy import source
+from dynappo.policy import policy_source
 from experiments import paper
 
 BUNDLED = [name + kind for kind in ("", "_deploy") for name in paper.ROBOTS]
@@ -25,7 +25,7 @@ def main():
 
 def line(name: str, number: int, seed: int) -> str:
     """A line of one policy."""
-    body = source.body(source.load(name)[0])[0]
+    body = policy_source.player(policy_source.load(name)[0])[0]
     found = changes.run(body, number, seed)
     tours = (
         f"{len(tour['fell_at'])} in the tour of the {tour['tour']}" for tour in changes.tours(body)

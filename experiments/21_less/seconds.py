@@ -102,7 +102,7 @@ def reached(rows: list[dict]) -> np.ndarray:
     """`[2, 3]`: iteration, simulator steps and seconds to the level, and until it walks; NaN: never."""
     returns, falls = ([float(row[name]) for row in rows] for name in ("return", "fall_rate"))
     found = [
-        walks.reached([float(row[name]) for row in rows], returns, falls, LEVEL) for name in COUNTED
+        stats.reached([float(row[name]) for row in rows], returns, falls, LEVEL) for name in COUNTED
     ]
     return np.array([[one.level for one in found], [one.walks for one in found]])
 

@@ -105,13 +105,13 @@ def first(run: list[dict], level: float, name: str = "sim_steps") -> float:
     return float(reached([run], level, name).level[0])
 
 
-def reached(runs, level: float, name: str = "sim_steps", most=walks.MOST_FALLS) -> walks.Reached:
+def reached(runs, level: float, name: str = "sim_steps", most=walks.MOST_FALLS) -> stats.Reached:
     """`name` where each seed walks, is first at the level, and first there with few falls; `[S]` each."""
     columns = (name, "return", "fall_rate")
     found = [
-        walks.reached(*([row[c] for row in run] for c in columns), level, most) for run in runs
+        stats.reached(*([row[c] for row in run] for c in columns), level, most) for run in runs
     ]
-    return walks.Reached(*(np.array(one, float) for one in zip(*found, strict=True)))
+    return stats.Reached(*(np.array(one, float) for one in zip(*found, strict=True)))
 
 
 def spread(values, digits: int = 1) -> str:

@@ -12,7 +12,7 @@ import numpy as np
 
 from dynappo import config as config_lib
 from dynappo import scores
-from dynappo.policy import source
+from dynappo.policy import policy_source
 from dynappo.tasks.velocity import env as env_lib
 from experiments import paper
 
@@ -30,7 +30,7 @@ def main():
 
 def measure(name: str, episodes: int) -> dict[str, float]:
     """`scores.evaluate` of a bundled policy on ROBOT:best, with the observation that it knows."""
-    policy, _ = source.load(name)
+    policy, _ = policy_source.load(name)
     config = config_lib.load(f"configs/{policy.robot}.py:best")
     task = policy.config["task"]
     for field in ("observation", "history"):
@@ -39,7 +39,7 @@ def measure(name: str, episodes: int) -> dict[str, float]:
     config.ppo.activation, config.ppo.hidden = policy.activation, policy.config["ppo"]["hidden"]
     config = config_lib.validate(config)
     static, hyper = config_lib.split(config)
-    env = env_lib.make(source.robot(policy)[0], config.task, config.physics, impl="c")
+    env = env_lib.make(policy_source.robot(policy)[0], config.task, config.physics, impl="c")
     assess = partial(
         scores.evaluate, env, static=static, num_envs=episodes, num_steps=config.run.eval_steps
     )

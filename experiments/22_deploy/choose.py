@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from dynappo.evaluate import changes, stress, trials
-from dynappo.policy import source
+from dynappo.policy import policy_source
 
 SEEDS = (0, 1, 2)  # of the changes of command
 FALLS = ("stress", "commands", "changes", "tours")
@@ -34,8 +34,8 @@ def main():
 
 def measure(name: str) -> dict[str, float]:
     """The numbers of a policy, by name or file."""
-    policy, _ = source.load(name)
-    body, _ = source.body(policy)
+    policy, _ = policy_source.load(name)
+    body, _ = policy_source.player(policy)
     disturbed = stress.run(policy, body)
     walks = trials.run(policy, body=body)[0]["commands"]
     told = [changes.run(body, seed=seed) for seed in SEEDS]

@@ -17,8 +17,8 @@ import mujoco
 import numpy as np
 
 from dynappo.evaluate import stress
-from dynappo.evaluate.gait import intervals
-from dynappo.policy import episode, policy_file, source
+from dynappo.evaluate.foot_motion import intervals
+from dynappo.policy import episode, policy_file, policy_source
 from dynappo.tasks.velocity import observe
 
 SECONDS, SETTLE, SWING, LOW = 6.0, 1.0, 0.06, 0.004
@@ -26,7 +26,9 @@ SECONDS, SETTLE, SWING, LOW = 6.0, 1.0, 0.06, 0.004
 
 def main():
     for name in sys.argv[1:]:
-        policy = policy_file.load(Path(name)) if name.endswith(".npz") else source.load(name)[0]
+        policy = (
+            policy_file.load(Path(name)) if name.endswith(".npz") else policy_source.load(name)[0]
+        )
         row = measure(policy)
         print(
             f"{Path(name).stem:20s}", ", ".join(f"{k} {v:.3g}" for k, v in row.items()), flush=True
@@ -34,7 +36,7 @@ def main():
 
 
 def measure(policy) -> dict[str, float]:
-    body = source.body(policy)[0]
+    body = policy_source.player(policy)[0]
     model, act = body.model, policy_file.actor(policy.params, policy.activation)
     dt, single = model.opt.timestep, body._replace(substeps=1)
     torques, speeds, changes, clearances, work, way = [], [], [], [], 0.0, 0.0

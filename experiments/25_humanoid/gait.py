@@ -3,7 +3,7 @@
     python experiments/25_humanoid/gait.py OUT.csv RUN.npz ...
 
 A row a policy and command of 8 s in C MuJoCo, the first second left out; the measures of
-`dynappo/evaluate/trials.py` and `gait.py`, and of the robot's arms and torso:
+`dynappo/evaluate/trials.py` and `foot_motion.py`, and of the robot's arms and torso:
 
 - `torso_tilt` (rad): mean angle of the torso from upright
 - `arm_swing` (rad): half of the range, 5 to 95 %, of the shoulders' pitch, mean of both
@@ -22,7 +22,7 @@ import mujoco
 import numpy as np
 
 from dynappo.evaluate import trials
-from dynappo.policy import episode, policy_file, source
+from dynappo.policy import episode, policy_file, policy_source
 
 SECONDS = 8.0
 COMMANDS = {
@@ -45,7 +45,7 @@ def main():
     rows = []
     for name in names:
         policy = policy_file.load(Path(name))
-        body = source.body(policy)[0]
+        body = policy_source.player(policy)[0]
         act = policy_file.actor(policy.params, policy.activation)
         for label, command in COMMANDS.items():
             recording = trials.record(body, act, command, SECONDS)
@@ -63,7 +63,7 @@ def main():
             writer.writerow({k: f"{v:.4g}" if isinstance(v, float) else v for k, v in row.items()})
 
 
-def limbs(body: episode.Body, qpos) -> dict[str, float]:
+def limbs(body: episode.Player, qpos) -> dict[str, float]:
     """The measures of arms, torso and knees."""
     model, data = body.model, mujoco.MjData(body.model)
     joint = dict(zip(body.policy.joint_names, body.joint_q, strict=True))

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from dynappo.policy import episode, policy_file, source
+from dynappo.policy import episode, policy_file, policy_source
 from experiments import pictures
 
 SIZE = 420, 240  # pixels, height and width of a frame
@@ -28,7 +28,7 @@ def main():
     args = parser.parse_args()
     command = np.array([float(x) for x in args.command.split(",")])
     policy = policy_file.load(args.policy)
-    body = source.body(policy)[0]
+    body = policy_source.player(policy)[0]
     act = policy_file.actor(policy.params, policy.activation)
     poses = episode.play(body, act, lambda t: command, START + APART * FRAMES + 0.1)["qpos"]
     each = [round((START + APART * k) / episode.period(body)) for k in range(FRAMES)]

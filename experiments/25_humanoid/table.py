@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dynappo.policy import walks
+from experiments import stats
 
 RESULTS = Path(__file__).parent / "results"
 GAIT = (  # heading, measure, command, format
@@ -86,7 +86,7 @@ def fresh():
     rows = [row for row in read("tuning.csv.xz") if row["batch"] == "fresh"]
     for name, some in groupby(rows, lambda row: row["name"].split("-")[0]):
         steps, *errors = evaluations([*some])
-        found = walks.reached_by_tracking(steps, *errors)
+        found = stats.reached_by_tracking(steps, *errors)
         cells = []
         for each in (found.walks / 1e6, found.level / 1e6):
             never = np.isnan(each).sum()
@@ -105,7 +105,7 @@ def tuning():
     for name, some in groupby(rows, lambda row: row["name"]):
         some = [*some]
         steps, error, yaw, falls = evaluations(some)
-        found = walks.reached_by_tracking(steps, error, yaw, falls).walks / 1e6
+        found = stats.reached_by_tracking(steps, error, yaw, falls).walks / 1e6
         said = ", ".join("never" if np.isnan(x) else f"{x:.2f}" for x in found)
         job = SHOULDERS.sub("task.shoulders=0.5", some[0]["job"])
         job = job.replace(CLOCK, "task.clock=on").replace(SMOOTH, "task.smooth=on")

@@ -15,13 +15,13 @@ from dynappo.config import shell, versions
 def test_the_program_is_one_word_where_the_shell_finds_that_of_this_python(tmp_path, monkeypatch):
     """Else the whole call: somebody has not activated the environment."""
     monkeypatch.setenv("PATH", str(tmp_path))
-    assert shell.program().endswith(" -m dynappo")
+    assert shell.command_line().endswith(" -m dynappo")
     one = tmp_path / "dynappo"
     one.write_text("#!/bin/sh")
     one.chmod(0o755)
-    assert shell.program().endswith(" -m dynappo")  # another Python's
+    assert shell.command_line().endswith(" -m dynappo")  # another Python's
     monkeypatch.setattr(sys, "executable", str(tmp_path / "python"))
-    assert shell.program() == "dynappo"
+    assert shell.command_line() == "dynappo"
 
 
 @pytest.mark.parametrize("folder", [ROOT, ROOT / "configs", Path("/")])
@@ -35,9 +35,20 @@ def test_what_is_told_can_be_run_from_every_folder(folder, monkeypatch):
     assert done.returncode == 0 and done.stdout.startswith("usage: dynappo play"), done.stderr
 
 
+def test_what_is_in_the_words_does_not_change_what_is_told(tmp_path, monkeypatch):
+    """Brackets, blanks, quotes and dollars of a folder's name; the line is given to a real shell."""
+    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    monkeypatch.setenv("PATH", os.defpath)
+    for name in ("plain", "[a]", "a b", "it's", "$HOME", "a;b"):
+        line = shell.line("play", tmp_path / name, "--policy=zero")
+        done = subprocess.run(line, shell=True, capture_output=True, text=True)
+        assert done.returncode == 2 and f"{tmp_path / name}: " in done.stderr, done.stderr
+    assert shell.line("play", "runs/x", "--out=a.html").endswith(" play runs/x --out=a.html")
+
+
 def test_only_our_own_calls_are_written_anew():
     text = "python -m venv; python -m dynappo.play x; python -m dynappo.train"
-    program = shell.program()
+    program = shell.command_line()
     assert shell.pasted(text) == f"python -m venv; {program} play x; {program} train"
 
 

@@ -11,7 +11,7 @@ from dynappo.config import files
 from dynappo.description import motors
 from dynappo.description import robot as robot_lib
 from dynappo.physics import engine
-from dynappo.policy import episode, policy_file, source
+from dynappo.policy import episode, policy_file, policy_source
 from dynappo.program import build
 from dynappo.tasks.velocity import reward_sum
 
@@ -93,10 +93,10 @@ def test_calves_with_motors_of_their_own_train(name, impl, tmp_path):
     _, metrics = train.train(config, tmp_path)
     assert np.isfinite(metrics["kl"]).all() and np.isfinite(metrics["model_loss"]).all()
     assert not metrics["blowups"].any()
-    policy, _ = source.load(str(tmp_path))
+    policy, _ = policy_source.load(str(tmp_path))
     calf, _ = CALVES[name]
     np.testing.assert_array_equal(policy.effort_limit, [23.7, 23.7, calf] * 4)
-    body, _ = source.body(policy)
+    body, _ = policy_source.player(policy)
     episode.play(
         body, policy_file.actor(policy.params, policy.activation), lambda t: np.zeros(3), 0.1
     )

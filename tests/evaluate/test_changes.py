@@ -6,16 +6,16 @@ import pytest
 from toy_policy import ROBOTS
 
 from dynappo.config import loading
-from dynappo.evaluate import changes, show
+from dynappo.evaluate import changes, tables
 from dynappo.play import command_script
-from dynappo.policy import episode, policy_file, source
+from dynappo.policy import episode, policy_file, policy_source
 from dynappo.web import live
 
 BUNDLED = (*ROBOTS, *(f"{name}_deploy" for name in ROBOTS))
 
 
 def bundled(name):
-    return source.body(source.load(name)[0])[0]
+    return policy_source.player(policy_source.load(name)[0])[0]
 
 
 @pytest.fixture(scope="module")
@@ -37,9 +37,9 @@ def network(policy):
     return act
 
 
-def plain_loop(body, command, seconds):
+def plain_loop(player, command, seconds):
     """Times of falls, in steps of 20 ms: observation, history, motors and contacts without our functions."""
-    p, m = body.policy, body.model
+    p, m = player.policy, player.model
     data, act, dt = mujoco.MjData(m), network(p), 0.02
     q, v = 7 + np.arange(12), 6 + np.arange(12)  # the robot's own file: base first, then the joints
     assert [m.joint(1 + i).name for i in range(12)] == list(p.joint_names)
@@ -47,13 +47,13 @@ def plain_loop(body, command, seconds):
     action, seen = np.zeros(12), []
     for k in range(round(seconds / dt)):
         if fresh:
-            episode.reset(body, data)
+            episode.reset(player, data)
             action, seen, fresh = np.zeros(12), [], False
         rotation = np.zeros(9)
         mujoco.mju_quat2Mat(rotation, data.qpos[3:7])
         down = rotation.reshape(3, 3).T
         turning = data.qvel[3:6]
-        ahead = down @ data.qvel[:3] + np.cross(turning, m.body_ipos[body.base_body])
+        ahead = down @ data.qvel[:3] + np.cross(turning, m.body_ipos[player.base_body])
         sensed = [data.qpos[q] - p.default_pose, data.qvel[v], down @ [0, 0, -1.0]]
         sensed += [ahead] if p.observation == "velocity-48" else []
         now = np.concatenate([*sensed, turning, command(k * dt), action])
@@ -86,11 +86,11 @@ HARD = np.array([[0.5, 0, 0], [-3.0, 0, 0], [3.0, 2.0, 2.0], [0, -3.0, 0], [2.0,
 @pytest.mark.parametrize("name", ["go1", "go1_deploy"])
 def test_falls_are_those_of_a_plain_loop(bodies, name):
     """Commands far beyond what was trained, one every second: it falls, stands up, goes on, falls again."""
-    body = bodies[name]
+    player = bodies[name]
     command = lambda t: HARD[int((t + 1e-9) // 1.0)]  # noqa: E731
-    expected = plain_loop(body, command, len(HARD))
-    act = policy_file.actor(body.policy.params, body.policy.activation)
-    found = changes.falls(body, act, command, len(HARD))
+    expected = plain_loop(player, command, len(HARD))
+    act = policy_file.actor(player.policy.params, player.policy.activation)
+    found = changes.falls(player, act, command, len(HARD))
     assert len(expected) >= 2
     np.testing.assert_allclose(found, expected, atol=1e-9)
 
@@ -121,9 +121,9 @@ def test_commands_are_drawn_from_the_ranges_that_were_trained(bodies):
 
 def test_a_fall_belongs_to_the_last_change_and_counts_once(bodies, monkeypatch):
     """10 changes are walks of 8 and of 2. Made-up falls, in control steps around the changes."""
-    body, rng = bodies["go1"], np.random.default_rng
+    player, rng = bodies["go1"], np.random.default_rng
     (first, one), (second, two) = (
-        changes.script(body.policy, 0.02, n, rng([7, walk])) for walk, n in enumerate((8, 2))
+        changes.script(player.policy, 0.02, n, rng([7, walk])) for walk, n in enumerate((8, 2))
     )
     made_up = iter(
         [
@@ -140,13 +140,13 @@ def test_a_fall_belongs_to_the_last_change_and_counts_once(bodies, monkeypatch):
     )
     given = []
 
-    def falls(body, act, command, seconds):
+    def falls(player, act, command, seconds):
         given.append([command(t) for t in np.arange(0, seconds - 0.01, 0.02)])
         return next(made_up)
 
     monkeypatch.setattr(changes, "falls", falls)
     told = []
-    found = changes.run(body, 10, 7, lambda *count: told.append(count))
+    found = changes.run(player, 10, 7, lambda *count: told.append(count))
     assert told == [(0, 10), (8, 10), (10, 10)]
     numbers = {name: found[name] for name in ("changes", "falls", "walks", "start_falls", "seed")}
     assert numbers == {"changes": 10, "falls": 3, "walks": 2, "start_falls": 1, "seed": 7}
@@ -163,8 +163,8 @@ def test_a_seed_gives_the_same_falls_and_more_changes_the_same_first(bodies, mon
     """Real walks, with changes every 0.3 s from one end of what nobody trained to the other."""
     monkeypatch.setattr(changes, "EVERY", (0.3, 0.5))
     monkeypatch.setattr(changes, "PER_WALK", 3)
-    body = bodies["go1"]
-    wild = body._replace(policy=body.policy._replace(command_x=(-4, 4), command_y=(-3, 3)))
+    player = bodies["go1"]
+    wild = player._replace(policy=player.policy._replace(command_x=(-4, 4), command_y=(-3, 3)))
     found, again, more = (changes.run(wild, number, 3) for number in (6, 6, 8))
     assert found == again and 0 < found["falls"] <= 6
     assert more["fell"][: len(found["fell"])] == found["fell"]
@@ -173,11 +173,11 @@ def test_a_seed_gives_the_same_falls_and_more_changes_the_same_first(bodies, mon
 
 def test_the_tours_are_those_that_are_shown(bodies, monkeypatch):
     """What `play` films, what a run films, and what the live page asks for, within what was trained."""
-    body = bodies["go1"]
-    narrow = body._replace(policy=body.policy._replace(command_x=(-0.7, 0.7)))
+    player = bodies["go1"]
+    narrow = player._replace(policy=player.policy._replace(command_x=(-0.7, 0.7)))
     given = []
 
-    def falls(body, act, command, seconds):
+    def falls(player, act, command, seconds):
         given.append((np.array([command(t) for t in np.arange(0, seconds, 0.02)]), seconds))
         return [1.0, 2.0]
 
@@ -201,7 +201,7 @@ def test_falls_are_told_in_lines():
     about = {"changes": 200, "falls": 7, "walks": 25, "start_falls": 2, "every": [2.0, 3.0]}
     tours = [{"tour": "film", "seconds": 12.0, "fell_at": []}]
     tours += [{"tour": "live page", "seconds": 32.0, "fell_at": [8.44, 24.46]}]
-    lines = show.changes_lines(about | {"fell": [row] * 7, "tours": tours})
+    lines = tables.changes_lines(about | {"fell": [row] * 7, "tours": tours})
     assert "one every 2 to 3 s" in lines[0] and lines[0].endswith("falls after 7 of 200")
     said = "fell 0.6 s after 0.50, 0.00 m/s, 0.00 rad/s became 1.00, -0.25 m/s, 0.12 rad/s"
     assert lines[1:6] == [said] * 5

@@ -15,7 +15,7 @@ from dynappo import config as config_lib
 from dynappo.description import robot as robot_lib
 from dynappo.evaluate import changes, episodes, trials
 from dynappo.evaluate import command as evaluate_command
-from dynappo.evaluate import show as evaluate_show
+from dynappo.evaluate import tables as evaluate_tables
 from dynappo.policy import episode, policy_file
 
 
@@ -37,7 +37,7 @@ def short(monkeypatch):
     monkeypatch.setattr(changes, "NUMBER", 9)
     monkeypatch.setattr(evaluate_command, "FEW_CHANGES", 3)
     monkeypatch.setattr(changes, "EVERY", (0.2, 0.3))
-    for name in ("FILM", "ROUND"):
+    for name in ("FILM_SECONDS", "PAGE_SECONDS"):
         monkeypatch.setattr(episode, name, 0.2)
 
 
@@ -69,16 +69,16 @@ def test_the_command_writes_what_it_prints(saved, tmp_path, monkeypatch, capsys,
     for line in lines:  # the table of the sweep comes first
         told.setdefault(line[:24].strip(), re.split(r"\s{2,}", line[24:].strip()))
     sweep = written["sweep"]
-    for name, label, text in evaluate_show.ROWS:
+    for name, label, text in evaluate_tables.ROWS:
         columns = [sweep["all"], *sweep["ahead"], sweep["standing"]]
         expected = ["-" if c[name] is None else text.format(c[name]) for c in columns]
         assert told[label.strip()] == expected, label
     text = "\n".join(lines)
     changed = written["changes"]
     assert (changed["changes"], changed["seed"], len(changed["tours"])) == (9, 0, 2)
-    assert set(evaluate_show.changes_lines(changed)) <= set(lines)
+    assert set(evaluate_tables.changes_lines(changed)) <= set(lines)
     page = (out / "report.html").read_text()
-    assert all(line in page for line in evaluate_show.changes_lines(changed))
+    assert all(line in page for line in evaluate_tables.changes_lines(changed))
     for part in (
         "almost walks; falls > 1 %",
         "33.25",
@@ -126,16 +126,16 @@ def test_falls_are_named():
     rows = toy_sweep.numbers()["commands"]
     turned = max(rows, key=lambda row: row["yaw_error"])
     x, y, turn = turned["command"]
-    assert evaluate_show.notes(rows) == [
+    assert evaluate_tables.notes(rows) == [
         "worst tracked: 0.43 m/s, asked for 1, 0 m/s, 1 rad/s",
         f"worst turned: {turned['yaw_error']:.2f} rad/s, asked for {x:g}, {y:g} m/s, {turn:g} rad/s",
     ]
     fell = {tuple(row["command"]) for row in rows[-7:]}
-    lines = evaluate_show.notes(toy_sweep.numbers(fell)["commands"])
+    lines = evaluate_tables.notes(toy_sweep.numbers(fell)["commands"])
     assert sum(line.startswith("fell after 1.5 s, asked for") for line in lines) == 5
     assert "fell on 2 other commands" in lines[5] and lines[6].startswith("worst tracked:")
     everything = toy_sweep.numbers({tuple(row["command"]) for row in rows})["commands"]
-    assert not any("worst" in line for line in evaluate_show.notes(everything))
+    assert not any("worst" in line for line in evaluate_tables.notes(everything))
 
 
 def test_fast_needs_no_jax(saved, tmp_path):

@@ -11,8 +11,8 @@ import toy_sweep
 from answers import until
 from toy_policy import save
 
-from dynappo.evaluate import figures, report, show, trials
-from dynappo.policy import episode, source
+from dynappo.evaluate import figures, report, tables, trials
+from dynappo.policy import episode, policy_source
 
 EPISODES = dict(seconds=20.0, randomize=False, device="cpu", impl="jax", episodes=5)
 EPISODES |= {"return": 33.25, "return_std": 1.5, "length": 987.0, "fall_rate": 0.2}
@@ -20,10 +20,10 @@ EPISODES |= {"return": 33.25, "return_std": 1.5, "length": 987.0, "fall_rate": 0
 
 @pytest.fixture(scope="module")
 def evaluated(tmp_path_factory):
-    """`(folder, body, numbers, recordings)` of a Go1 that stands for a while, and falls at 1 m/s."""
+    """`(folder, player, numbers, recordings)` of a Go1 that stands for a while, and falls at 1 m/s."""
     folder = tmp_path_factory.mktemp("evaluated")
-    policy, _ = source.load(str(save(folder / "policy.npz")))
-    body, _ = source.body(policy)
+    policy, _ = policy_source.load(str(save(folder / "policy.npz")))
+    player, _ = policy_source.player(policy)
     numbers, recordings = trials.run(policy, 1.4, 3)
     for row in numbers["commands"]:
         if row["command"] == [1.0, 0.0, 0.0]:
@@ -32,9 +32,9 @@ def evaluated(tmp_path_factory):
                 recordings[1.0, 0.0, 0.0][name] = recordings[1.0, 0.0, 0.0][name][:50]
     figures.write(folder, "go1", numbers, recordings, policy.timestep)
     report.write(
-        folder, "a </script> policy", body, numbers, recordings, toy_sweep.changes(), EPISODES
+        folder, "a </script> policy", player, numbers, recordings, toy_sweep.changes(), EPISODES
     )
-    return folder, body, numbers, recordings
+    return folder, player, numbers, recordings
 
 
 @pytest.fixture(scope="module")
@@ -52,10 +52,10 @@ def part(text, name):
 def test_the_tables_are_those_that_are_printed(evaluated, text):
     seen = " ".join(pages.Reader(text).text.split())
     _, _, numbers, _ = evaluated
-    rows = show.trials_rows(numbers) + show.episodes_rows(EPISODES)
-    for row in [*rows, [show.trials_text(numbers)], [show.episodes_text(EPISODES)]]:
+    rows = tables.trials_rows(numbers) + tables.episodes_rows(EPISODES)
+    for row in [*rows, [tables.trials_text(numbers)], [tables.episodes_text(EPISODES)]]:
         assert " ".join("".join(row).split()) in seen.replace("\n", ""), row
-    for line in show.notes(numbers["commands"]) + show.changes_lines(toy_sweep.changes()):
+    for line in tables.notes(numbers["commands"]) + tables.changes_lines(toy_sweep.changes()):
         assert line in seen
     assert (
         "a </script> policy" in seen
@@ -78,7 +78,7 @@ def test_every_command_has_a_button_with_its_errors(evaluated, text):
 
 def test_a_clip_is_the_recording_of_its_command(evaluated, text):
     """Poses against MuJoCo's own, every second control step, the last one among them."""
-    _, body, _, recordings = evaluated
+    _, player, _, recordings = evaluated
     clips, shared = part(text, "clips"), part(text, "shared")
     for command, recording in recordings.items():
         key = ",".join(f"{v:g}" for v in command)
@@ -90,7 +90,7 @@ def test_a_clip_is_the_recording_of_its_command(evaluated, text):
             pages.numbers(scene, "velocity", "<f4", 3), recording["velocity"][times], atol=1e-5
         )
         assert (pages.numbers(scene, "command", "<f4", 3) == command).all()
-        assert scene["dt"] == pytest.approx(2 * episode.period(body)) and scene["rows"] == len(
+        assert scene["dt"] == pytest.approx(2 * episode.period(player)) and scene["rows"] == len(
             times
         )
         assert (scene["fall"] is None) == (recording["fall"] is None)
@@ -99,13 +99,13 @@ def test_a_clip_is_the_recording_of_its_command(evaluated, text):
 
 def test_without_pictures_and_without_mjx(evaluated, tmp_path):
     """Nothing stands where they would be; a robot that fell at once has no clip."""
-    _, body, _, recordings = evaluated
+    _, player, _, recordings = evaluated
     numbers, empty = (
         toy_sweep.numbers(),
         {k: v[:0] for k, v in recordings[0.0, 0.0, 0.0].items() if np.ndim(v) == 2},
     )
     recordings = {tuple(r["command"]): empty for r in numbers["commands"] + numbers["ahead"]}
-    report.write(tmp_path, "policy", body, numbers, recordings, toy_sweep.changes(), None)
+    report.write(tmp_path, "policy", player, numbers, recordings, toy_sweep.changes(), None)
     text = (tmp_path / "report.html").read_text()
     assert (
         part(text, "clips") == {} and "<img" not in text and "return" not in pages.Reader(text).text

@@ -22,14 +22,14 @@ def policy():
 
 
 @pytest.fixture(scope="module")
-def body(policy):
+def player(policy):
     return episode.load(GO1.xml, policy, policy.timestep)
 
 
 @pytest.fixture(scope="module")
-def walked(body):
+def walked(player):
     """Two seconds of the trot."""
-    return trials.record(body, trot(), TROT, 2.0)
+    return trials.record(player, trot(), TROT, 2.0)
 
 
 def made_up(seed, fall=None, rows=130, command=(0.5, 0.0, 0.1), speed=0.4):
@@ -54,11 +54,11 @@ def made_up(seed, fall=None, rows=130, command=(0.5, 0.0, 0.1), speed=0.4):
 # ---- a recording
 
 
-def test_a_recording_is_that_of_a_loop_over_physics_steps(body, walked):
+def test_a_recording_is_that_of_a_loop_over_physics_steps(player, walked):
     """Torque, the speed it acts at, and contacts, by PD and heights of the feet; go1's numbers."""
-    model, data, act = body.model, mujoco.MjData(body.model), trot()
+    model, data, act = player.model, mujoco.MjData(player.model), trot()
     feet = [model.geom(f"{name}_foot").id for name in NAMES]
-    episode.reset(body, data)
+    episode.reset(player, data)
     torques, speeds, contacts = [], [], []
     for _ in range(100):
         target = 0.25 * act(None) + model.key("home").qpos[7:]
@@ -82,38 +82,40 @@ def test_a_recording_is_that_of_a_loop_over_physics_steps(body, walked):
     assert walked["fall"] is None
 
 
-def test_a_recording_is_the_episode_that_play_plays(body, walked):
+def test_a_recording_is_the_episode_that_play_plays(player, walked):
     """The same velocities, and the same work of the motors."""
-    played = episode.play(body, trot(), lambda t: TROT, 2.0)
+    played = episode.play(player, trot(), lambda t: TROT, 2.0)
     np.testing.assert_array_equal(walked["velocity"], played["velocity"])
     work = (np.abs(walked["torque"] * walked["speed"]).sum(1) * 0.005).reshape(100, 4).sum(1)
     np.testing.assert_allclose(work, played["work"], rtol=1e-9)
 
 
-def test_a_fall_ends_a_recording(body):
+def test_a_fall_ends_a_recording(player):
     """At the control step at which play says so; the actions are those that were taken."""
     throw = lambda obs: np.full(12, 6.0)  # noqa: E731
-    played = episode.play(body, throw, lambda t: TROT, 2.0)
+    played = episode.play(player, throw, lambda t: TROT, 2.0)
     fell = int(np.flatnonzero(played["fell"])[0])
-    recording = trials.record(body, throw, TROT, 2.0)
+    recording = trials.record(player, throw, TROT, 2.0)
     assert recording["fall"] == pytest.approx((fell + 1) * 0.02)
     assert len(recording["velocity"]) == fell + 1 and len(recording["torque"]) == 4 * (fell + 1)
     np.testing.assert_array_equal(recording["action"], np.full((fell + 1, 12), 6.0))
 
 
-def test_a_blow_up_is_a_fall(body):
+def test_a_blow_up_is_a_fall(player):
     """Numbers that are not finite end the episode, are in no row, and leave nothing to measure."""
     count = itertools.count()
-    recording = trials.record(body, lambda obs: np.full(12, np.nan if next(count) else 0), TROT, 2)
+    recording = trials.record(
+        player, lambda obs: np.full(12, np.nan if next(count) else 0), TROT, 2
+    )
     assert recording["fall"] == pytest.approx(0.04)
     assert {name: len(recording[name]) for name in ("velocity", "contact")} == {
         "velocity": 1,
         "contact": 4,
     }
-    at_once = trials.record(body, lambda obs: np.full(12, np.nan), TROT, 2.0)
+    at_once = trials.record(player, lambda obs: np.full(12, np.nan), TROT, 2.0)
     assert at_once["velocity"].shape == (0, 3) and at_once["torque"].shape == (0, 12)
-    assert set(trials.measures(body, [at_once]).values()) == {None}
-    assert trials.gait(body, [at_once])["duty_factor"] is None
+    assert set(trials.measures(player, [at_once]).values()) == {None}
+    assert trials.gait(player, [at_once])["duty_factor"] is None
 
 
 # ---- what it came to
@@ -193,9 +195,9 @@ RECORDINGS = {
 
 
 @pytest.mark.parametrize("name", RECORDINGS)
-def test_measures_are_those_of_loops(body, walked, name):
+def test_measures_are_those_of_loops(player, walked, name):
     recordings = RECORDINGS[name](walked)
-    measured, expected = trials.measures(body, recordings), loops(recordings)
+    measured, expected = trials.measures(player, recordings), loops(recordings)
     assert measured.keys() == expected.keys()
     for key, value in expected.items():
         if value is None:
@@ -207,8 +209,8 @@ def test_measures_are_those_of_loops(body, walked, name):
         assert measured["cost_of_transport"] is None and measured["power"] > 0
 
 
-def test_nothing_is_said_of_an_episode_that_ended_in_the_first_second(body):
-    measured = trials.measures(body, [made_up(0, fall=1.0, rows=50)])
+def test_nothing_is_said_of_an_episode_that_ended_in_the_first_second(player):
+    measured = trials.measures(player, [made_up(0, fall=1.0, rows=50)])
     assert measured.keys() == loops([made_up(1)]).keys()
     assert set(measured.values()) == {None}
 
@@ -281,7 +283,7 @@ def test_falls_are_counted_and_what_came_before_is_measured(policy):
 def test_the_gait_of_all_commands_is_that_of_walking(policy, monkeypatch):
     """A robot that is told to stand, and stands, is not counted: 0.25 is the share of the others."""
 
-    def fake(body, act, command, seconds):
+    def fake(player, act, command, seconds):
         walks = np.linalg.norm(command) > 0
         contact = np.tile(np.arange(400)[:, None] % 40 < (10 if walks else 40), (1, 4))
         return made_up(0, rows=100, command=command) | {"contact": contact}

@@ -31,7 +31,7 @@ def test_no_other_text_is_a_size(tmp_path, text):
 def test_only_a_terminal_is_told_how_far_it_is(tmp_path, monkeypatch, capsys, terminal):
     """One line that is written over, and gone at the end; also after a failure. A log gets one line."""
 
-    def shipped(body, episode, out, pixels, tell=lambda share: None):
+    def shipped(player, episode, out, pixels, tell=lambda share: None):
         for share in (0.25, 1.0):
             tell(share)
         return f"no video: {pixels}"

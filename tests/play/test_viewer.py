@@ -44,14 +44,14 @@ def test_keys_change_the_command_within_what_was_trained(policy):
 
 def test_the_viewer_steers_and_starts_again(policy, monkeypatch):
     """A window that presses keys: they take over from the script; backspace begins a new episode."""
-    body = episode.load(GO1.xml, policy, policy.timestep)
+    player = episode.load(GO1.xml, policy, policy.timestep)
     act = policy_file.actor(policy.params, policy.activation)
     seen, texts = [], []
 
     class Window:
         def __init__(self, data, press):
             self.data, self.press = data, press
-            self.user_scn = mujoco.MjvScene(body.model, 20)
+            self.user_scn = mujoco.MjvScene(player.model, 20)
 
         def is_running(self):
             return len(seen) < 12
@@ -68,14 +68,14 @@ def test_the_viewer_steers_and_starts_again(policy, monkeypatch):
                 for key in (265, 265, 263, ord("Q")):
                     self.press(key)
             if len(seen) == 8:
-                mujoco.mj_resetData(body.model, self.data)
+                mujoco.mj_resetData(player.model, self.data)
 
     @contextlib.contextmanager
-    def window(body, data, press):
+    def window(player, data, press):
         yield Window(data, press)
 
     monkeypatch.setattr(viewer, "window", window)
-    rows = viewer.watch(body, act, lambda t: np.array([0.3, 0.0, 0.0]), None)
+    rows = viewer.watch(player, act, lambda t: np.array([0.3, 0.0, 0.0]), None)
     times = [t for t, _ in seen]
     assert times[:8] == sorted(times[:8]) and times[8] < times[7]
     np.testing.assert_allclose(rows["command"], np.tile([0.5, 0.0, 0.1], (len(rows["command"]), 1)))
@@ -83,7 +83,7 @@ def test_the_viewer_steers_and_starts_again(policy, monkeypatch):
     assert max(count for _, count in seen) >= 1
     assert "+0.30" in texts[0][0][3] and "+0.50" in texts[-1][0][3]
     seen.clear()
-    assert 3 <= len(viewer.watch(body, act, lambda t: np.zeros(3), 0.06)["qpos"]) < 12
+    assert 3 <= len(viewer.watch(player, act, lambda t: np.zeros(3), 0.06)["qpos"]) < 12
 
 
 def test_a_display_that_is_not_there_is_one_line(monkeypatch):

@@ -12,7 +12,7 @@ from answers import refused, shell
 from toy_policy import GO1, actor, save
 
 from dynappo import config as config_lib
-from dynappo.policy import checkpoint_file, source
+from dynappo.policy import checkpoint_file, policy_source
 from dynappo.run import checkpoint
 from dynappo.types import Learner
 
@@ -48,7 +48,7 @@ def test_a_checkpoint_is_played_without_a_policy_file(tmp_path, seeds):
     (workdir / "checkpoints" / "98").symlink_to("nowhere")
     assert checkpoint_file.iterations(workdir / "checkpoints") == [10, 9]
     for place, step in (("", 10), ("checkpoints", 10), ("checkpoints/9", 9)):
-        found, path = source.load(str(workdir / place))
+        found, path = policy_source.load(str(workdir / place))
         assert path == workdir / "checkpoints" / str(step)
         jax.tree.map(np.testing.assert_array_equal, found.params, networks[step])
 
@@ -61,7 +61,7 @@ def test_one_of_several_seeds_is_played(tmp_path, seed, best, expected):
     written(tmp_path / "run", 3, **({} if best is None else {"best_seed": best}))
     if seed is not None:  # it is not that of the policy.npz, which holds one seed alone
         save(tmp_path / "run" / "policy.npz", 7)
-    found, path = source.load(str(tmp_path / "run"), seed)
+    found, path = policy_source.load(str(tmp_path / "run"), seed)
     assert path.name == "10" and found.seed == expected
     jax.tree.map(np.testing.assert_array_equal, found.params, actor(1000 + expected))
 
@@ -72,25 +72,27 @@ def test_a_seed_that_is_not_there_is_one_line(tmp_path):
     written(several, 3)
     written(one)
     npz = save(tmp_path / "policy.npz")
-    line = refused(source.load, str(several), 3)
+    line = refused(policy_source.load, str(several), 3)
     assert line == f"{several}/checkpoints/10: it holds no seed 3; expected 0 to 2"
-    assert "holds no seed 1; expected 0: the run has one seed" in refused(source.load, str(one), 1)
-    assert source.load(str(one), 0)[0].seed is None
+    assert "holds no seed 1; expected 0: the run has one seed" in refused(
+        policy_source.load, str(one), 1
+    )
+    assert policy_source.load(str(one), 0)[0].seed is None
     for what, path in ((npz, npz), ("go1", "robots/go1/policy.npz")):
-        line = refused(source.load, str(what), 0)
+        line = refused(policy_source.load, str(what), 0)
         assert line.startswith("--run-seed=0: ") and f"{path} holds one policy" in line
     (tmp_path / "young").mkdir()
     save(tmp_path / "young" / "policy.npz")
-    line = refused(source.load, str(tmp_path / "young"), 0)
+    line = refused(policy_source.load, str(tmp_path / "young"), 0)
     assert line == f"{tmp_path}/young: holds no checkpoints/"
     about = several / "checkpoints" / "10" / "about" / "metadata"
     text = json.loads(about.read_text())
     for best in (3, -1, "1", True, 1e9):
         about.write_text(json.dumps(text | {"best_seed": best}))
-        assert "it holds no seed" in refused(source.load, str(several))
+        assert "it holds no seed" in refused(policy_source.load, str(several))
     text["config"]["run"]["num_seeds"] = 10**6
     about.write_text(json.dumps(text))
-    assert "expected 1000000 seeds" in refused(source.load, str(several), 99)
+    assert "expected 1000000 seeds" in refused(policy_source.load, str(several), 99)
 
 
 def test_a_checkpoint_carries_its_robot(tmp_path, monkeypatch):
@@ -101,18 +103,18 @@ def test_a_checkpoint_carries_its_robot(tmp_path, monkeypatch):
     about = tmp_path / "run" / "checkpoints" / "10" / "about" / "metadata"
     text = json.loads(about.read_text()) | {"config": config}
     about.write_text(json.dumps(text))
-    found, _ = source.load("run")
+    found, _ = policy_source.load("run")
     assert found.robot == "spot" and found.joint_names == GO1.joint_names
-    assert source.robot(found)[0].mj_model.body_mass.sum() == GO1.mj_model.body_mass.sum()
+    assert policy_source.robot(found)[0].mj_model.body_mass.sum() == GO1.mj_model.body_mass.sum()
     for wrong, expected in ((7, "holds no config"), ("<mujoco/>", "the robot that it carries: ")):
         about.write_text(json.dumps(text | {"mjcf": wrong}))
-        assert expected in refused(source.load, "run")
+        assert expected in refused(policy_source.load, "run")
 
 
 def test_it_is_read_without_jax(tmp_path):
     """JAX would take a GPU that trains."""
     written(tmp_path / "run")
-    code = "import sys; from dynappo.policy import source; source.load(sys.argv[1]); "
+    code = "import sys; from dynappo.policy import policy_source; policy_source.load(sys.argv[1]); "
     code += "print(sorted({'jax', 'flax', 'orbax'} & set(sys.modules)))"
     done = shell("-c", code, tmp_path / "run")
     assert done.stdout == "[]\n", done.stderr
@@ -123,22 +125,22 @@ def test_damage_is_one_line_and_nothing_is_changed(tmp_path):
     workdir = tmp_path / "run"
     written(workdir)
     shutil.rmtree(workdir / "checkpoints" / "10" / "state" / "ocdbt.process_0")
-    assert "10: not a checkpoint, or damaged" in refused(source.load, str(workdir))
+    assert "10: not a checkpoint, or damaged" in refused(policy_source.load, str(workdir))
     about = workdir / "checkpoints" / "9" / "about" / "metadata"
     text = json.loads(about.read_text())
     about.write_text(json.dumps(text | {"sha256": text["sha256"][::-1]}))
-    line = refused(source.load, str(workdir / "checkpoints" / "9"))
+    line = refused(policy_source.load, str(workdir / "checkpoints" / "9"))
     assert "9: not a checkpoint, or damaged (its numbers are not those that were saved)" in line
     assert checkpoint_file.iterations(workdir / "checkpoints") == [10, 9]
     config = text["config"]
     wrong = ([], {"a.b": 1}, config | {"task": 1}, config | {"robot": {}}, config | {"ppo": [1]})
     for found in wrong:
         about.write_text(json.dumps(text | {"config": found}))
-        line = refused(source.load, str(workdir / "checkpoints" / "9"))
+        line = refused(policy_source.load, str(workdir / "checkpoints" / "9"))
         assert line.endswith("9: not a checkpoint of dynappo (it holds no config)")
     del text["config"]
     about.write_text(json.dumps(text))
-    assert "it holds no config" in refused(source.load, str(workdir / "checkpoints" / "9"))
+    assert "it holds no config" in refused(policy_source.load, str(workdir / "checkpoints" / "9"))
 
 
 def claim(folder, name, shape, chunks):

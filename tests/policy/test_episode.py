@@ -9,7 +9,6 @@ import pytest
 from answers import refused
 from toy_policy import GO1, ROBOTS, actor, child, described, other_file
 
-from dynappo import scores
 from dynappo.policy import episode, policy_file
 
 ASKED = [0.5, 0.1, -0.2]
@@ -21,7 +20,7 @@ def policy():
 
 
 @pytest.fixture(scope="module")
-def body(policy):
+def player(policy):
     """The Go1 in its own file."""
     return episode.load(GO1.xml, policy, policy.timestep)
 
@@ -31,14 +30,14 @@ def act(policy):
     return policy_file.actor(policy.params, policy.activation)
 
 
-def walk(body, act, seconds=0.5):
+def walk(player, act, seconds=0.5):
     """An episode under the command ASKED."""
-    return episode.play(body, act, lambda t: np.array(ASKED), seconds)
+    return episode.play(player, act, lambda t: np.array(ASKED), seconds)
 
 
 @pytest.fixture(scope="module")
-def walked(body, act):
-    return walk(body, act)
+def walked(player, act):
+    return walk(player, act)
 
 
 def stand(obs):
@@ -109,7 +108,7 @@ def test_an_episode_is_that_of_mujoco_by_hand(policy, walked):
     np.testing.assert_array_equal(walked["command"], np.tile(ASKED, (25, 1)))
 
 
-def test_the_policy_sees_what_it_was_trained_on(body):
+def test_the_policy_sees_what_it_was_trained_on(player):
     """The command, its own last action, and at first a robot at its default pose, upright."""
     seen = []
 
@@ -117,7 +116,7 @@ def test_the_policy_sees_what_it_was_trained_on(body):
         seen.append(obs.copy())
         return np.full(12, 0.01 * len(seen))
 
-    episode.play(body, act, lambda t: np.array([0.5, -0.25, t]), 0.1)
+    episode.play(player, act, lambda t: np.array([0.5, -0.25, t]), 0.1)
     np.testing.assert_allclose(np.stack(seen)[:, 33:36], [[0.5, -0.25, 0.02 * k] for k in range(5)])
     np.testing.assert_allclose(
         np.stack(seen)[:, 36:], np.outer(0.01 * np.arange(5), np.ones(12)), atol=1e-12
@@ -131,10 +130,10 @@ def test_the_policy_sees_what_it_was_trained_on(body):
 def test_an_episode_begins_with_the_feet_on_the_floor(name):
     """Upright, about the default pose, the lowest foot touching: by MuJoCo's own distances."""
     config, robot = described(name)
-    body = episode.load(robot.xml, policy_file.describe(config, robot), 0.005)
-    model, data = body.model, mujoco.MjData(body.model)
+    player = episode.load(robot.xml, policy_file.describe(config, robot), 0.005)
+    model, data = player.model, mujoco.MjData(player.model)
     data.qpos[:] = np.random.default_rng(0).normal(size=model.nq)
-    episode.reset(body, data)
+    episode.reset(player, data)
     np.testing.assert_allclose(data.qpos[3:7], [1, 0, 0, 0])
     np.testing.assert_allclose(data.qpos[7:], robot.default_pose, atol=0.02)
     left, right = data.qpos[7:].reshape(4, 3)[::2], data.qpos[7:].reshape(4, 3)[1::2]
@@ -148,26 +147,28 @@ def test_an_episode_begins_with_the_feet_on_the_floor(name):
     assert gaps[lowest] == pytest.approx(0, abs=1e-6) and lowest.endswith("_foot")
 
 
-def test_work_is_torque_times_speed(body, act, walked):
+def test_work_is_torque_times_speed(player, act, walked):
     """Against MuJoCo's own account of the forces on the joints, one physics step at a time."""
-    data, single = mujoco.MjData(body.model), body._replace(substeps=1)
-    episode.reset(body, data)
-    action = act(episode.look(body, data, ASKED, np.zeros(12)))
+    data, single = mujoco.MjData(player.model), player._replace(substeps=1)
+    episode.reset(player, data)
+    action = act(episode.look(player, data, ASKED, np.zeros(12)))
     assert (
         episode.step(single, data, action)[0] == 0
     )  # from rest, nothing is done in the first step
-    data = mujoco.MjData(body.model)
-    episode.reset(body, data)
+    data = mujoco.MjData(player.model)
+    episode.reset(player, data)
     data.qvel[6:] = speed = np.linspace(-3, 3, 12)
     work = episode.step(single, data, action)[0]
     assert work == pytest.approx(np.abs(data.qfrc_applied[6:] * speed).sum() * 0.005)
     assert walked["work"].shape == (25,) and (walked["work"][1:] > 0).all()
 
 
-def test_physics_that_blows_up_is_an_error(policy, body, tmp_path, monkeypatch):
+def test_physics_that_blows_up_is_an_error(policy, player, tmp_path, monkeypatch):
     """Gains beyond all numbers: no film of nonsense, and no log of MuJoCo's in the folder."""
     monkeypatch.chdir(tmp_path)
-    wild = body._replace(policy=policy._replace(effort_limit=1e12, saturation_effort=1e12, kp=1e12))
+    wild = player._replace(
+        policy=policy._replace(effort_limit=1e12, saturation_effort=1e12, kp=1e12)
+    )
     with pytest.raises(FloatingPointError, match="blown up after"):
         episode.play(wild, lambda obs: np.full(12, 1e6), still, 1.0)
     assert not list(tmp_path.iterdir())
@@ -208,31 +209,31 @@ def test_a_base_that_tilts_too_far_has_fallen(policy, most, falls):
     task = policy.config["task"] | {"max_tilt": most}
     if most is None:
         del task["max_tilt"]
-    body = episode.load(GO1.xml, policy._replace(config=policy.config | {"task": task}))
-    data = mujoco.MjData(body.model)
+    player = episode.load(GO1.xml, policy._replace(config=policy.config | {"task": task}))
+    data = mujoco.MjData(player.model)
     data.qpos[:] = GO1.home_qpos
     data.qpos[2] = 2.0
     for axis in (1, 2):
         data.qpos[3:7] = np.cos(0.275), 0, 0, 0
         data.qpos[3 + axis] = -np.sin(0.275)
-        assert episode.step(body, data, np.zeros(12))[1] == falls
+        assert episode.step(player, data, np.zeros(12))[1] == falls
 
 
-def test_sim_to_sim_maps_joints_by_name(tmp_path, policy, body, act, walked):
+def test_sim_to_sim_maps_joints_by_name(tmp_path, policy, player, act, walked):
     """Another order of legs, servos of its own, and a ball: the same trajectory to 1e-9."""
     other = episode.load(other_file(tmp_path / "other.xml"), policy)
-    assert other.joint_q.tolist() != body.joint_q.tolist() and other.model.nu == 12
+    assert other.joint_q.tolist() != player.joint_q.tolist() and other.model.nu == 12
     again = walk(other, act)
     for name in ("command", "velocity", "work"):
         np.testing.assert_allclose(again[name], walked[name], atol=1e-9)
-    joints, expected = again["qpos"][:, other.joint_q], walked["qpos"][:, body.joint_q]
+    joints, expected = again["qpos"][:, other.joint_q], walked["qpos"][:, player.joint_q]
     np.testing.assert_allclose(joints, expected, atol=1e-9)
     base = again["qpos"][:, other.root[0] : other.root[0] + 7]
     np.testing.assert_allclose(base, walked["qpos"][:, :7], atol=1e-9)
 
 
 def test_sim_to_sim_replaces_the_motors(tmp_path, policy, act, walked):
-    """Damping and friction of the file's servos are no part of the body, unless they are kept."""
+    """Damping and friction of the file's servos are no part of the player, unless they are kept."""
 
     def servos(root, trunk):
         child(root, "default/joint").set("damping", "2")
@@ -346,7 +347,7 @@ def test_another_file_that_lacks_something_is_one_line(tmp_path, policy, name):
 # ---- what it came to, and what is asked
 
 
-def test_the_measures_are_those_of_a_known_episode(body):
+def test_the_measures_are_those_of_a_known_episode(player):
     """A straight walk at 0.5 m/s against 0.6 and 0.3 m/s asked; work, a fall, all by hand."""
     t = 0.02 * np.arange(1, 201)
     qpos = np.zeros((200, 19))
@@ -361,7 +362,7 @@ def test_the_measures_are_those_of_a_known_episode(body):
     }
     rows["velocity"][:50] = 99  # the first second does not count
     rows["command"][100:, 0] = 0.3
-    measured = episode.measures(body, rows)
+    measured = episode.measures(player, rows)
     assert measured["seconds"] == pytest.approx(4.0)
     assert measured["distance"] == pytest.approx(0.5 * 3.98, abs=0.01)
     assert measured["tracking_error"] == pytest.approx(np.sqrt((50 * 0.01 + 100 * 0.04) / 150))
@@ -370,10 +371,9 @@ def test_the_measures_are_those_of_a_known_episode(body):
     expected = 200 * 0.3 / (weight * measured["distance"])
     assert measured["cost_of_transport"] == pytest.approx(expected)
     rows["fell"][100:] = True  # from then on nothing counts
-    measured = episode.measures(body, rows)
+    measured = episode.measures(player, rows)
     assert measured["fall"] == pytest.approx(2.02)
     assert measured["tracking_error"] == pytest.approx(0.1)
-    assert episode.SETTLE == scores.SETTLE
 
 
 @pytest.mark.parametrize("seconds", [12.0, 0.2])
@@ -397,9 +397,9 @@ def test_each_joint_has_its_own_motor_armature_and_friction():
     policy = policy_file.describe(config, robot, actor())
     policy = policy._replace(kp=25 * own, kd=own, effort_limit=3 * own, saturation_effort=4 * own)
     policy = policy._replace(velocity_limit=9 * own, armature=0.01 * own, dry_friction=0.1 * own)
-    body = episode.load(robot.xml, policy, 0.005)
-    data, rng = mujoco.MjData(body.model), np.random.default_rng(0)
-    episode.reset(body, data)
+    player = episode.load(robot.xml, policy, 0.005)
+    data, rng = mujoco.MjData(player.model), np.random.default_rng(0)
+    episode.reset(player, data)
     data.qvel[6:] = rng.normal(size=12) * 4
     target, q, qd = rng.normal(size=12), data.qpos[7:].copy(), data.qvel[6:].copy()
     expected, applied = np.zeros(12), np.zeros(12)
@@ -411,11 +411,11 @@ def test_each_joint_has_its_own_motor_armature_and_friction():
         wanted = 25 * own[i] * (target[i] - q[i]) - own[i] * qd[i]
         expected[i] = 0.9 * min(max(wanted, lower), upper)
         applied[i] = expected[i] - 0.1 * own[i] * np.tanh(qd[i] / 0.2)
-    torque, speed, _ = episode.physics_step(body, data, target, 0.9)
+    torque, speed, _ = episode.physics_step(player, data, target, 0.9)
     np.testing.assert_allclose(torque, expected, rtol=1e-12)
     np.testing.assert_allclose(data.qfrc_applied[6:], applied, rtol=1e-12)
     np.testing.assert_array_equal(speed, qd)
-    np.testing.assert_allclose(body.model.dof_armature[6:], 0.01 * own)
+    np.testing.assert_allclose(player.model.dof_armature[6:], 0.01 * own)
     kept = episode.load(robot.xml, policy, keep_joints=True)
     assert (kept.model.dof_armature[6:] == robot.mj_model.dof_armature[6:]).all()
     assert kept.policy.dry_friction == 0.0

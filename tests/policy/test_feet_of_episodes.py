@@ -38,29 +38,29 @@ def unnamed(text):
     return re.sub(r' name="\w+_foot\w*"', "", text)
 
 
-def shapes(body):
+def shapes(player):
     """The geoms of each foot."""
-    return [np.flatnonzero(body.foot_of == k).tolist() for k in range(len(body.foot_names))]
+    return [np.flatnonzero(player.foot_of == k).tolist() for k in range(len(player.foot_names))]
 
 
 def test_the_shapes_of_feet_are_known_by_their_names(robot, tmp_path):
-    body = body_of(robot, tmp_path)
-    assert body.foot_names == robot.foot_names
+    player = body_of(robot, tmp_path)
+    assert player.foot_names == robot.foot_names
     expected = [robot.feet[robot.foot_of == k].tolist() for k in range(len(robot.foot_names))]
-    assert shapes(body) == expected
-    np.testing.assert_array_equal(np.flatnonzero(body.parts), robot.parts)
+    assert shapes(player) == expected
+    np.testing.assert_array_equal(np.flatnonzero(player.parts), robot.parts)
 
 
 def test_without_names_they_are_the_limbs_that_reach_the_ground(robot, tmp_path):
     """Hands are none; what moves with a last link is of its foot."""
-    body, model = body_of(robot, tmp_path, unnamed), robot.mj_model
+    player, model = body_of(robot, tmp_path, unnamed), robot.mj_model
     last = [int(model.geom_bodyid[i]) for i in robot.feet]
-    assert body.foot_names == tuple(dict.fromkeys(model.body(b).name for b in last))
+    assert player.foot_names == tuple(dict.fromkeys(model.body(b).name for b in last))
     touching = np.concatenate([robot.feet, robot.parts])
     expected = [[i for i in sorted(touching) if model.geom_bodyid[i] == b] for b in sorted({*last})]
-    assert shapes(body) == expected
+    assert shapes(player) == expected
     hands = [i for i in robot.parts if model.body(model.geom_bodyid[i]).name.endswith("_arm")]
-    assert body.parts[hands].all() and (len(hands) == 2) == (robot.name == "biped")
+    assert player.parts[hands].all() and (len(hands) == 2) == (robot.name == "biped")
 
 
 def test_the_order_of_bodies_and_the_base_in_the_file_do_not_matter(robot, tmp_path):
@@ -79,8 +79,8 @@ def test_a_geom_that_only_a_pair_lets_touch_is_a_foot(tmp_path):
         pairs = "".join(f'<pair geom1="floor" geom2="{n}_foot"/>' for n in ("left", "right"))
         return text.replace("</mujoco>", f"<contact>{pairs}</contact></mujoco>")
 
-    body = body_of(robot, tmp_path, paired)
-    assert body.foot_names == ("left", "right") and not body.parts.any()
+    player = body_of(robot, tmp_path, paired)
+    assert player.foot_names == ("left", "right") and not player.parts.any()
 
 
 def test_a_file_without_feet_is_one_line(tmp_path):
@@ -93,43 +93,43 @@ def test_a_file_without_feet_is_one_line(tmp_path):
 
 
 def test_heights_of_feet_are_those_of_points_on_their_surfaces(robot, tmp_path):
-    body, rng = body_of(robot, tmp_path), np.random.default_rng(0)
-    data = mujoco.MjData(body.model)
+    player, rng = body_of(robot, tmp_path), np.random.default_rng(0)
+    data = mujoco.MjData(player.model)
     for _ in range(20):
         data.qpos[:] = rng.normal(size=len(data.qpos))
-        mujoco.mj_kinematics(body.model, data)
-        low = other_robots.lowest_points(body.model, data.qpos, robot.feet)
+        mujoco.mj_kinematics(player.model, data)
+        low = other_robots.lowest_points(player.model, data.qpos, robot.feet)
         feet = range(len(robot.foot_names))
         expected = [low[robot.foot_of == k].min() for k in feet]
-        np.testing.assert_allclose(episode.foot_heights(body, data), expected, atol=1e-6)
+        np.testing.assert_allclose(episode.foot_heights(player, data), expected, atol=1e-6)
 
 
 def test_a_recording_has_the_contacts_of_each_foot(robot, tmp_path):
     """Of any of its shapes, by heights; a gait and its picture have a row a foot."""
-    body, count = body_of(robot, tmp_path), len(robot.foot_names)
+    player, count = body_of(robot, tmp_path), len(robot.foot_names)
     flail = lambda obs: np.sin(np.arange(len(robot.joint_names)) + 9 * obs[0])  # noqa: E731
-    recording = trials.record(body, flail, [0.3, 0, 0], 1.0)
-    data, contacts = mujoco.MjData(body.model), []
-    episode.reset(body, data)
+    recording = trials.record(player, flail, [0.3, 0, 0], 1.0)
+    data, contacts = mujoco.MjData(player.model), []
+    episode.reset(player, data)
     for action in recording["action"]:
-        target = body.policy.default_pose + body.policy.action_scale * action
-        for _ in range(body.substeps):
-            episode.physics_step(body, data, target)
-            contacts.append(episode.foot_heights(body, data) < 0)
+        target = player.policy.default_pose + player.policy.action_scale * action
+        for _ in range(player.substeps):
+            episode.physics_step(player, data, target)
+            contacts.append(episode.foot_heights(player, data) < 0)
     found, contacts = recording["contact"], np.array(contacts)
     assert found.shape[1] == count and 0.05 < found.mean() < 0.95
     assert (found == contacts).mean() > 0.99  # heights that end at the floor aside
-    np.testing.assert_array_equal([*trials.gait(body, [recording])["feet"]], robot.foot_names)
+    np.testing.assert_array_equal([*trials.gait(player, [recording])["feet"]], robot.foot_names)
 
 
 def test_a_policy_is_evaluated_on_a_file_that_names_no_foot(tmp_path):
     """As Menagerie's Go1, whose feet are FL, FR, RL, RR: the limbs are called as their last bodies."""
     policy = policy_file.describe(*described(), actor(size=0.0))
-    body = episode.load(other_file(tmp_path / "other.xml"), policy)
+    player = episode.load(other_file(tmp_path / "other.xml"), policy)
     own = episode.load(GO1.xml, policy)
-    assert [name[:2] for name in body.foot_names] == ["RR", "FL", "RL", "FR"]
+    assert [name[:2] for name in player.foot_names] == ["RR", "FL", "RL", "FR"]
     gaits = []
-    for robot in (own, body):
+    for robot in (own, player):
         recording = trials.record(robot, trot(), [0.4, 0, 0], 2.0)
         gaits.append(trials.gait(robot, [recording]))
     expected, found = gaits[0]["feet"], gaits[1]["feet"]

@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 from answers import refused
 from ml_collections import config_dict
-from toy_policy import ROBOTS, actor, described, save
+from toy_policy import ROBOTS, actor, described, params_in, save
 
 from dynappo import config as config_lib
 from dynappo.config import fields, files
 from dynappo.learner import networks
-from dynappo.policy import policy_file, source
+from dynappo.policy import policy_file, policy_source
 
 
 @pytest.fixture(scope="module")
@@ -67,7 +67,7 @@ def test_saving_replaces_the_whole_file_and_leaves_nothing_else(tmp_path):
         assert [p.name for p in tmp_path.iterdir()] == ["policy.npz"]
         for back in (
             policy_file.load(tmp_path / "policy.npz").params,
-            policy_file.load_params(tmp_path / "policy.npz"),
+            params_in(tmp_path / "policy.npz"),
         ):
             jax.tree.map(np.testing.assert_array_equal, back, actor(seed))
 
@@ -175,7 +175,7 @@ def changed(saved, path, change):
 def test_a_damaged_policy_is_one_line(saved, tmp_path, name):
     change, expected = DAMAGE[name]
     path = changed(saved, tmp_path / "mine.npz", change)
-    line = refused(source.load, str(path))
+    line = refused(policy_source.load, str(path))
     assert line.startswith(f"{path}: ") and line.isprintable() and expected in line
 
 
@@ -218,7 +218,7 @@ def test_a_file_of_another_kind_is_one_line(saved, tmp_path, content):
         cut = whole[: len(whole) // 2]
         other = {"cut": cut, "text": b"robot: go1", "empty": b"", "array": header((4,))}
         path.write_bytes(other[content])
-    line = refused(source.load, str(path))
+    line = refused(policy_source.load, str(path))
     assert line.startswith(f"{path}: ") and any(
         w in line for w in ("damaged", "cannot be read", "not a policy")
     )
@@ -250,7 +250,7 @@ def test_a_pickle_in_it_is_not_run(saved, tmp_path, entry):
         arrays = {name: file[name] for name in file}
     arrays[entry] = np.array([Runs(tmp_path / "ran")], dtype=object)
     np.savez(tmp_path / "mine.npz", **arrays)
-    for read in (policy_file.load, policy_file.load_params, policy_file.load_actor):
+    for read in (policy_file.load, policy_file.load_actor):
         assert "not a policy.npz, or damaged" in refused(read, tmp_path / "mine.npz")
     assert not (tmp_path / "ran").exists()
     np.load(tmp_path / "mine.npz", allow_pickle=True)[entry]

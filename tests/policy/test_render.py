@@ -38,8 +38,8 @@ def read(path):
 
 def test_a_run_is_filmed_in_its_own_robot_under_its_own_config(standing):
     """50 rows in a second, of what `episode.play` plays; a robot that does nothing stands still."""
-    body = episode.load(GO1.xml, policy_file.describe(*described()), 0.005)
-    played = episode.play(body, lambda obs: np.zeros(12), render.tour(1.0), 1.0)
+    player = episode.load(GO1.xml, policy_file.describe(*described()), 0.005)
+    played = episode.play(player, lambda obs: np.zeros(12), render.tour(1.0), 1.0)
     assert standing["qpos"].shape == (50, GO1.mj_model.nq)
     for name, column in played.items():
         np.testing.assert_array_equal(standing[name], column, name)

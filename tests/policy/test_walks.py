@@ -1,4 +1,4 @@
-"""Whether a robot walks: against a plain loop over evaluations, and at every edge; in words."""
+"""Whether a robot walks, at every edge; in words."""
 
 import itertools
 import math
@@ -7,62 +7,10 @@ import numpy as np
 import pytest
 
 from dynappo import config as config_lib
+from dynappo import scores
 from dynappo.policy import walks
 
 NAN = math.nan
-
-
-def by_hand(steps, returns, falls, least):
-    """`(walks, level, careful)` of one seed, read as the definition is written."""
-
-    def good(k):
-        return returns[k] >= least and falls[k] <= 0.01
-
-    count = range(len(steps))
-    return (
-        next((steps[k] for k in count if all(good(j) for j in count[k:])), NAN),
-        next((steps[k] for k in count if returns[k] >= least), NAN),
-        next((steps[k] for k in count if good(k)), NAN),
-    )
-
-
-CASES = {  # returns, fall rates of evaluations after 1, 2, 3, 4 steps -> walks, at the level, with few falls
-    "at once": ([40, 40, 40, 40], [0, 0, 0, 0], (1, 1, 1)),
-    "exactly": ([30, 38, 38, 38], [0, 0.01, 0.01, 0.01], (2, 2, 2)),
-    "falls at first": ([39, 39, 40, 40], [0.05, 0.02, 0.01, 0], (3, 1, 3)),
-    "relapse of the return": ([39, 37, 39, 40], [0, 0, 0, 0], (3, 1, 1)),
-    "relapse of the falls": ([39, 39, 39, 40], [0, 0, 0.02, 0], (4, 1, 1)),
-    "lost at the end": ([39, 39, 39, 37], [0, 0, 0, 0], (NAN, 1, 1)),
-    "falls at the end": ([39, 39, 39, 39], [0, 0, 0, 0.011], (NAN, 1, 1)),
-    "never at both": ([39, 30, 39, 30], [0.5, 0, 0.5, 0], (NAN, 1, NAN)),
-    "never": ([1, 2, 3, 4], [0, 0, 0, 0], (NAN, NAN, NAN)),
-    "at the last only": ([1, 2, 3, 38], [1, 1, 1, 0], (4, 4, 4)),
-    "nan between": ([39, NAN, 39, 39], [0, 0, 0, 0], (3, 1, 1)),
-    "nan falls": ([39, 39, 39, 39], [0, 0, NAN, 0], (4, 1, 1)),
-    "all nan": ([NAN] * 4, [NAN] * 4, (NAN, NAN, NAN)),
-}
-
-
-@pytest.mark.parametrize("name", CASES)
-def test_a_robot_walks_from_where_it_never_relapses(name):
-    returns, falls, expected = CASES[name]
-    np.testing.assert_array_equal(walks.reached([1, 2, 3, 4], returns, falls, 38), expected)
-    np.testing.assert_array_equal(by_hand([1, 2, 3, 4], returns, falls, 38), expected)
-
-
-def test_seeds_are_judged_each_by_itself():
-    """Random evaluations of 200 seeds, against the loop; steps of each seed, or of all."""
-    rng = np.random.default_rng(0)
-    returns = rng.choice([30.0, 37.9, 38.0, 41.0, NAN], (6, 200), p=[0.1, 0.1, 0.3, 0.45, 0.05])
-    falls = rng.choice([0.0, 0.005, 0.01, 0.02], (6, 200), p=[0.5, 0.3, 0.1, 0.1])
-    common, own = np.arange(1, 7) * 10, np.cumsum(rng.integers(1, 9, (6, 200)), 0)
-    for steps in (common, own):
-        found = walks.reached(steps, returns, falls, 38)
-        for s in range(200):
-            mine = steps if steps.ndim == 1 else steps[:, s]
-            expected = by_hand(mine, returns[:, s], falls[:, s], 38)
-            np.testing.assert_array_equal([x[s] for x in found], expected)
-    assert 20 < np.isnan(found.walks).sum() < 180 and (found.walks > found.careful).any()
 
 
 def test_rounding_of_float32_is_no_fall():
@@ -70,17 +18,10 @@ def test_rounding_of_float32_is_no_fall():
     for count, episodes in ((10, 1000), (1, 100), (2, 200)):
         share = np.float32(count) * np.float32(1 / episodes)
         for value in (share, np.nextafter(share, np.float32(1)), np.float32(count) / episodes):
-            assert walks.holds(np.float32(38.0), value, walks.level(45.0))
-    assert not walks.holds(38.0, 11 / 1000, 38) and not walks.holds(37.99, 0, 38)
-
-
-def test_without_evaluations_nobody_walks():
-    assert np.isnan(walks.reached([], [], [], 38)).all()
-    found = walks.reached([], np.zeros((0, 3)), np.zeros((0, 3)), 38)
-    assert np.isnan(found).all() and np.shape(found) == (3, 3)
-    for shapes in (((3,), (4,), (4,)), ((4,), (4, 2), (4,)), ((2,), (4, 2), (4, 2))):
-        with pytest.raises(ValueError, match="expected one shape"):
-            walks.reached(*map(np.zeros, shapes), 38)
+            assert walks.seldom(value)
+    assert walks.at(np.float32(38.0), walks.level(45.0)) and not walks.at(37.99, 38)
+    assert not walks.seldom(11 / 1000)
+    assert walks.tracks(np.float32(0.2), np.float32(0.25)) and not walks.tracks(0.2, 0.251)
 
 
 LEVELS = {"go1": 38, "go2": 38, "anymal_c": 24, "anymal_d": 24}
@@ -122,26 +63,6 @@ SAID = {  # (return, tracking error, yaw error, fall rate) of commands from -1 t
         "0 of 2 seeds walk; return < 38: 2; falls > 1 %: 2",
     ),
 }
-
-
-def test_a_biped_walks_by_its_errors_and_falls():
-    """Against the definition read as it is written; exactly at the level counts, NaN does not."""
-    rng, steps = np.random.default_rng(0), [10, 20, 30, 40]
-    errors = rng.choice([0.1, 0.2, 0.21, NAN], (4, 300), p=[0.3, 0.5, 0.1, 0.1])
-    yaw = rng.choice([0.1, 0.25, 0.26], (4, 300), p=[0.4, 0.5, 0.1])
-    falls = rng.choice([0.0, 0.01, 0.011], (4, 300), p=[0.5, 0.4, 0.1])
-    found = walks.reached_by_tracking(steps, errors, yaw, falls)
-    for s in range(300):
-        level = [
-            1.0 if e <= 0.2 and y <= 0.25 else 0.0
-            for e, y in zip(errors[:, s], yaw[:, s], strict=True)
-        ]
-        expected = by_hand(steps, level, falls[:, s], 1.0)
-        np.testing.assert_array_equal([x[s] for x in found], expected)
-    assert 20 < np.isnan(found.walks).sum() < 280
-    assert walks.tracks(np.float32(0.2), np.float32(0.25)) and not walks.tracks(0.2, 0.251)
-    with pytest.raises(ValueError, match="expected one shape"):
-        walks.reached_by_tracking(steps, errors, yaw[:, :1], falls)
 
 
 @pytest.mark.parametrize(
@@ -188,6 +109,18 @@ def test_the_words_know_the_robot_and_the_time():
     go1.task.weights.update(track_linear_velocity=0.0, track_yaw_rate=0.0)
     assert walks.in_words(go1, good) == ""
     assert walks.in_words(go1, {"return": 1.0}) == ""
+
+
+def test_nothing_is_said_of_the_first_second():
+    """No error is measured in it; a robot that is evaluated for so long has not fallen at once."""
+    go1 = config_lib.load("go1:best")
+    for steps, said in ((50, ""), (51, "falls at once")):
+        go1.run.eval_steps = steps
+        assert walks.in_words(go1, evaluation(1.5, NAN, NAN, 0.0)) == said
+        assert (
+            walks.unmeasured(walks.evaluated_seconds(go1)) == "nobody stood for a second"
+        ) == bool(said)
+    assert walks.SETTLE == scores.SETTLE
 
 
 def test_what_is_turned_and_walked_is_judged_by_the_commands_that_were_given():

@@ -11,7 +11,7 @@ from toy_runs import assert_same, leaves
 
 from dynappo import config as config_lib
 from dynappo import train
-from dynappo.policy import episode, policy_file, source
+from dynappo.policy import episode, policy_file, policy_source
 from dynappo.program import build
 
 SMALL = (
@@ -58,9 +58,9 @@ def test_a_run_on_c_mujoco_learns_from_real_rows_and_evaluates(whole):
 
 
 def test_its_policy_holds_a_number_a_joint_and_plays(whole):
-    policy, _ = source.load(str(whole[2]))
+    policy, _ = policy_source.load(str(whole[2]))
     np.testing.assert_array_equal(policy.effort_limit, [OTHER, OTHER, CALF] * 4)
-    body, _ = source.body(policy)
+    body, _ = policy_source.player(policy)
     actor = policy_file.actor(policy.params, policy.activation)
     episode.play(body, actor, lambda t: np.zeros(3), 0.1)
     text = (whole[2] / "config.json").read_text()

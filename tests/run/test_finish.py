@@ -8,11 +8,12 @@ import jax
 import numpy as np
 import pytest
 import workdirs
+from toy_policy import params_in
 from toy_runs import assert_same
 from workdirs import N_REAL
 
 from dynappo.config import shell, versions
-from dynappo.policy import policy_file, render
+from dynappo.policy import render
 from dynappo.run import finish, learning_curves
 
 
@@ -50,7 +51,7 @@ def test_the_summary_says_what_the_run_came_to(whole):
 
 def test_the_policy_is_in_a_plain_file(whole):
     """policy.npz holds the last parameters to the bit."""
-    params = policy_file.load_params(whole.workdir / "policy.npz")
+    params = params_in(whole.workdir / "policy.npz")
     assert_same(params, jax.device_get(whole.state.learner.params))
 
 
@@ -106,7 +107,7 @@ def test_the_policy_of_the_best_seed_is_that_of_the_best_evaluation(
     evaluation = {"return": np.array(at_the_end)} if at_the_end else {}
     run = workdirs.open_run(seeds, tmp_path, metrics)
     summary = finish.finish(run, program(), state, evaluation)
-    kept = policy_file.load_params(tmp_path / "policy.npz")
+    kept = params_in(tmp_path / "policy.npz")
     assert_same(kept, jax.tree.map(lambda x: x[best], params))
     assert len(summary["return"]) == len(summary["return_max"]) == 2
     if at_the_end:

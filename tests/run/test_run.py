@@ -19,12 +19,13 @@ import workdirs
 from answers import refused, shell
 from flax import struct
 from ml_collections import config_dict
+from toy_policy import params_in
 from toy_runs import assert_same
 from workdirs import N_REAL, loop, table
 
 from dynappo import schedule, train, types
 from dynappo.config import ConfigError
-from dynappo.policy import checkpoint_file, policy_file
+from dynappo.policy import checkpoint_file
 from dynappo.program import build
 from dynappo.run import checkpoint, finish, learning_curves, log, training
 from dynappo.run import workdir as workdir_lib
@@ -551,9 +552,7 @@ def test_an_environment_that_is_handed_over_trains_to_the_bit_as_in_the_robots_p
     assert_same(state, whole.state)
     assert table(tmp_path) == table(whole.workdir)
     assert metrics["sim_steps"][-1] == 16 * sum(N_REAL)
-    one, other = (
-        policy_file.load_params(folder / "policy.npz") for folder in (tmp_path, whole.workdir)
-    )
+    one, other = (params_in(folder / "policy.npz") for folder in (tmp_path, whole.workdir))
     assert_same(one, other)
     about = json.loads((tmp_path / "config.json").read_text())
     assert about["robot"] == "" and about["task"]["episode_length"] == 20

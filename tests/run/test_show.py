@@ -2,6 +2,7 @@
 
 import io
 import pathlib
+import re
 from types import SimpleNamespace
 
 import numpy as np
@@ -88,6 +89,24 @@ def test_a_training_is_followed_from_compiling_to_filming(terminal):
         assert shown.count(line) == 10 and f"iteration  100  {line}\nevaluates and films\n" in shown
 
 
+def test_without_a_gpu_it_is_said_before_anything_is_compiled():
+    """And what is made for a CPU; nothing of it where C MuJoCo steps the robots."""
+    laptop = f"made for a CPU: {shell_lib.line('train', '--config=go1:laptop')}"
+    text = io.StringIO()
+    for spec, fields, said in (
+        ("best", {}, f"there is no GPU here; on a CPU C MuJoCo is more than .*; {laptop}"),
+        ("best", {"device": "cpu"}, f"on a CPU C MuJoCo is more than twice .*; {laptop}"),
+        ("laptop", {}, ""),
+    ):
+        out = Console(file=text, width=200)
+        with show.live(out, config(f"configs/go1.py:{spec}", **fields)) as callbacks:
+            callbacks.opened()
+            found = text.getvalue().strip()
+            callbacks.finished()
+        assert re.fullmatch(said, found), found
+        text.truncate(text.seek(0))
+
+
 EVALUATION = {"return": 5.5, "fall_rate": 0.125, "tracking_error": 0.31, "yaw_error": 0.42}
 COST = {"impl": "c", "sim_steps": 2_345_678, "seconds": 61.2, "compile_seconds": 20.0}
 SUMMARY = COST | {"return": 3.25, "return_max": 4.5, "evaluation": EVALUATION, "video": "a.mp4"}
@@ -126,8 +145,18 @@ def test_the_last_table_has_the_numbers_and_what_to_do_next(name):
     show.summary(out, run, pathlib.Path("runs/x"), SUMMARY | change)
     found = text.getvalue()
     assert all(part in found for part in shown.split(" | ")) and hidden not in found
-    assert f"see it: {shell_lib.program()} play runs/x --out=walk.html" in found
-    assert f"next: {shell_lib.program()} train --config=go1" in found
+    assert f"see it: {shell_lib.command_line()} play runs/x --out=walk.html" in found
+    assert f"next: {shell_lib.command_line()} train --config=go1" in found
+
+
+def test_a_second_of_evaluation_says_nothing_of_falls_or_standing():
+    """No errors are measured in it: nobody fell, and nobody is said to have fallen."""
+    text, short = io.StringIO(), config("configs/go1.py:quick", eval_steps=50)
+    numbers = SUMMARY | {"evaluation": NOBODY | {"fall_rate": 0.0}}
+    show.summary(Console(file=text, width=120), short, pathlib.Path("runs/x"), numbers)
+    found = text.getvalue()
+    assert "0.00 %" in found and found.count("not measured in the first second") == 2
+    assert "stood" not in found and "falls" not in found
 
 
 def test_brackets_are_no_markup():
@@ -135,4 +164,4 @@ def test_brackets_are_no_markup():
     text, lacking = io.StringIO(), SUMMARY | {"video": "no video: pip install -e '.[video]'"}
     folder = pathlib.Path("runs/[bold]x")
     show.summary(Console(file=text, width=120), config("configs/go1.py:quick"), folder, lacking)
-    assert "'.[video]'" in text.getvalue() and "play runs/[bold]x " in text.getvalue()
+    assert "'.[video]'" in text.getvalue() and "play 'runs/[bold]x' " in text.getvalue()

@@ -14,12 +14,11 @@ import numpy as np
 import pytest
 import workdirs
 from answers import refused
-from toy_policy import GO1
+from toy_policy import GO1, params_in
 from toy_runs import assert_same
 from workdirs import opened
 
 from dynappo import train
-from dynappo.policy import policy_file
 from dynappo.program import build
 from dynappo.run import checkpoint, finish, restore
 from dynappo.run import workdir as workdir_lib
@@ -397,5 +396,5 @@ def test_a_save_has_the_worth_of_its_own_evaluation_and_the_policy_that_was_judg
         run.history.append(metrics | {"iteration": np.array([done]), "sim_steps": np.array([96])})
         workdir_lib.save(run, GO1, state, pytest.fail)
         assert saved[-1] == (done, worth, best)
-        kept = policy_file.load_params(tmp_path / "policy.npz")
+        kept = params_in(tmp_path / "policy.npz")
         assert_same(kept, jax.tree.map(lambda x, best=best: x[best], params))

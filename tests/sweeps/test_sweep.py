@@ -12,7 +12,7 @@ from answers import refused, status
 from ml_collections import config_dict
 from rich.console import Console
 
-from dynappo.policy import checkpoint_file, source
+from dynappo.policy import checkpoint_file, policy_source
 from dynappo.program import build, devices
 from dynappo.run import learning_curves, training
 from dynappo.run import loop as loop_lib
@@ -52,7 +52,7 @@ def asked(texts, **fields):
 
 def sweep(workdir, stop, texts=SWEEP, fresh=False, restore=None, **fields):
     out = Console(highlight=False)
-    return sweeps.train_and_show(out, asked(texts, **fields), workdir, fresh, restore, None, stop)
+    return sweeps.train_all(out, asked(texts, **fields), workdir, fresh, restore, None, stop)
 
 
 @pytest.fixture(scope="module")
@@ -151,11 +151,11 @@ def test_the_table_has_every_combination_best_first(whole):
     assert (whole / "sweep.png").stat().st_size > 10_000
     best = (whole / rows[0]["folder"] / "policy.npz").read_bytes()
     assert (whole / "policy.npz").read_bytes() == best
-    assert source.locate(str(whole)) == whole / "policy.npz"  # what `play` takes of a sweep
+    assert policy_source.locate(str(whole)) == whole / "policy.npz"  # what `play` takes of a sweep
     with np.load(whole / "policy.npz") as file:
         config = json.loads(str(file["about"]))["config"]
     assert str(config["ppo"]["epochs"]) == rows[0]["ppo.epochs"]
-    assert source.locate(str(whole / NAMES[1]), 1).name == "4"
+    assert policy_source.locate(str(whole / NAMES[1]), 1).name == "4"
 
 
 def test_a_sweep_that_has_ended_is_only_told_again(whole, tmp_path, stop, capsys, monkeypatch):

@@ -20,7 +20,7 @@ from rich.progress import Progress
 from dynappo import config as config_lib
 from dynappo.config import shell as shell_lib
 from dynappo.description import robot as robot_lib
-from dynappo.policy import policy_file, source
+from dynappo.policy import policy_file, policy_source
 from dynappo.program import build, devices, memory
 from dynappo.run import finish as finish_lib
 from dynappo.run import loop as loop_lib
@@ -57,7 +57,7 @@ def test_a_first_run_on_the_go1(tmp_path, monkeypatch):
         "dynappo trains go1: 16 robots, rollouts of 4 rows, the model writes 1 of them (0 to 1 over ",
         "iteration    4  return",
         "return (last 10 iterations)",
-        f"see it: {shell_lib.program()} play {workdir} --out=walk.html",
+        f"see it: {shell_lib.command_line()} play {workdir} --out=walk.html",
     ):
         assert words in done.stdout, done.stdout
     with (workdir / "metrics.csv").open(newline="") as file:
@@ -70,7 +70,7 @@ def test_a_first_run_on_the_go1(tmp_path, monkeypatch):
     for row in rows:
         some = {k: v for k, v in row.items() if not k.startswith("episode_")}
         assert all(np.isfinite(float(value)) for value in some.values()), some
-    policy, path = source.load(str(workdir))
+    policy, path = policy_source.load(str(workdir))
     assert path == workdir / "policy.npz" and policy.robot == "go1"
     assert np.isfinite(policy_file.actor(policy.params, policy.activation)(np.zeros(48))).all()
     assert any((tmp_path / "cache" / "dynappo" / "jax").iterdir())  # for the next process

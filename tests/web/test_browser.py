@@ -207,11 +207,11 @@ def test_another_policy_is_another_robot(served, tab):
     tab.click(*tab.middle("[...document.querySelectorAll('input')].find(e => e.value === 'go1')"))
     option = "[...document.querySelectorAll('[role=option]')].find(e => e.innerText === 'anymal_c')"
     tab.click(*tab.middle(option))
-    until(lambda: page.live.body.policy.robot == "anymal_c")
+    until(lambda: page.live.player.policy.robot == "anymal_c")
     tab.until("document.body.innerText.includes('anymal_c/policy.npz')")
     until(lambda: dark(robot(tab.pixels())) > 0.005)
     until(lambda: tab.value(PLOTTED)[:3] == [[-live_lib.HISTORY, 0]] * 3)
-    assert page.panels.sliders[0].max == pytest.approx(page.live.body.policy.command_x[1])
+    assert page.panels.sliders[0].max == pytest.approx(page.live.player.policy.command_x[1])
 
 
 @pytest.mark.slow

@@ -324,8 +324,8 @@ def test_a_message_without_end_ends_one_connection(served):
 def test_a_step_that_takes_longer_than_its_period_leaves_time_for_wishes(monkeypatch):
     """A policy may ask for a control step of 1e-5 s, which no machine keeps."""
     found = policies.load(policies.Offer("go1", None, None, False), "go1")
-    live = live_lib.Live(found.body, found.act, None)
-    monkeypatch.setattr(live_lib.episode_lib, "period", lambda body: 1e-5)
+    live = live_lib.Live(found.player, found.act, None)
+    monkeypatch.setattr(live_lib.episode_lib, "period", lambda player: 1e-5)
     rounds, end = [], time.monotonic() + PATIENCE
     enough = lambda: len(rounds) > 3 or time.monotonic() > end  # noqa: E731
     live_lib.run(live, lambda: rounds.append(1), enough, 2)

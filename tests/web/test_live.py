@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 from toy_policy import described
 
-from dynappo.policy import episode, policy_file, source
+from dynappo.policy import episode, policy_file, policy_source
 from dynappo.web import live as live_lib
 
 
 @pytest.fixture(scope="module")
 def trained():
-    """The bundled Go1: `(body, act)`."""
-    policy, _ = source.load("go1")
-    return source.body(policy)[0], policy_file.actor(policy.params, policy.activation)
+    """The bundled Go1: `(player, act)`."""
+    policy, _ = policy_source.load("go1")
+    return policy_source.player(policy)[0], policy_file.actor(policy.params, policy.activation)
 
 
 @pytest.fixture
@@ -24,7 +24,7 @@ def live(trained):
 
 
 def walk(live, seconds):
-    for _ in range(round(seconds / episode.period(live.body))):
+    for _ in range(round(seconds / episode.period(live.player))):
         live_lib.step(live)
 
 
@@ -41,7 +41,7 @@ def test_it_walks_as_an_episode_does(live, trained):
 
 def test_a_command_stays_in_what_was_trained(live):
     live_lib.steer(live, [9, -9, 9])
-    np.testing.assert_array_equal(live.command, live_lib.ranges(live.body)[[0, 1, 2], [1, 0, 1]])
+    np.testing.assert_array_equal(live.command, live_lib.ranges(live.player)[[0, 1, 2], [1, 0, 1]])
 
 
 def test_a_tour_goes_round_until_somebody_steers(live):
@@ -59,9 +59,9 @@ def test_a_tour_goes_round_until_somebody_steers(live):
 
 def test_a_push_is_a_velocity_in_the_heading_of_the_base(live):
     """Turned by 90 degrees, ahead is the world's y and left its -x."""
-    q, v = live.body.root
+    q, v = live.player.root
     live.data.qpos[q + 3 : q + 7] = [np.sqrt(0.5), 0, 0, np.sqrt(0.5)]
-    mujoco.mj_kinematics(live.body.model, live.data)
+    mujoco.mj_kinematics(live.player.model, live.data)
     before = live.data.qvel.copy()
     live_lib.push(live, 0.5, 0.2)
     change = live.data.qvel - before
@@ -70,7 +70,7 @@ def test_a_push_is_a_velocity_in_the_heading_of_the_base(live):
 
 
 def test_a_pull_is_a_spring_with_a_limit(live):
-    model, base = live.body.model, live.body.base_body
+    model, base = live.player.model, live.player.base_body
     weight = model.body_subtreemass[base] * 9.81
     live.pull = np.array([0.0, 0.1, 0.0])
     live_lib.step(live)
@@ -89,8 +89,8 @@ def test_a_pull_is_a_spring_with_a_limit(live):
 
 def test_after_a_fall_it_lies_and_stands_up():
     policy = policy_file.describe(*described())
-    body = source.body(policy._replace(mjcf=""), None)[0]
-    live = live_lib.Live(body, lambda obs: np.full(12, 6.0))
+    player = policy_source.player(policy._replace(mjcf=""), None)[0]
+    live = live_lib.Live(player, lambda obs: np.full(12, 6.0))
     for _ in range(200):
         live_lib.step(live)
         if live.fell is not None:
@@ -151,7 +151,7 @@ def test_what_cannot_be_caught_up_is_let_go(live, monkeypatch):
     now, draw = clock(monkeypatch, 0.3)
     counts, began = [live.t], live.t
     live_lib.run(live, lambda: (counts.append(live.t), draw()), lambda: now[0] >= 4)
-    steps = np.diff(counts) / episode.period(live.body)
+    steps = np.diff(counts) / episode.period(live.player)
     assert steps.max() <= live_lib.CATCH_UP + 1.5 and live.t > began
 
 

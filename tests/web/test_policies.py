@@ -35,21 +35,21 @@ def test_a_bundled_robot_comes_first_and_all_others_after_it():
     assert names[0] == "go2" and sorted(names) == trained and len(trained) > 7
     assert offer("go2").run is None
     other = policies.load(offer("go2"), "anymal_d_deploy")
-    assert other.body.policy.robot == "anymal_d" and other.text == "anymal_d/deploy.npz"
+    assert other.player.policy.robot == "anymal_d" and other.text == "anymal_d/deploy.npz"
 
 
 def test_a_run_without_a_policy_shows_its_robot_with_zero_actions(run):
     found = offer(run)
     assert policies.names(found)[0] == policies.NEWEST and not policies.begun(found)
     chosen = policies.load(found, policies.NEWEST)
-    assert chosen.body.policy.robot == "go1" and "no policy yet" in chosen.text
+    assert chosen.player.policy.robot == "go1" and "no policy yet" in chosen.text
     np.testing.assert_array_equal(chosen.act(np.ones(48)), np.zeros(12))
 
 
 def test_the_newest_policy_of_a_run_is_the_one_in_its_file(run):
     save(run / "policy.npz", seed=3)
     chosen = policies.load(offer(run), policies.NEWEST)
-    expected = policy_file.actor(actor(3), chosen.body.policy.activation)
+    expected = policy_file.actor(actor(3), chosen.player.policy.activation)
     obs = np.linspace(-1, 1, 48)
     np.testing.assert_allclose(chosen.act(obs), expected(obs), atol=1e-6)
 
@@ -91,8 +91,8 @@ def test_what_cannot_be_played_is_one_line(run, make, expected):
 def test_another_file_of_the_robot_is_only_for_what_was_named(run):
     save(run / "policy.npz")
     found = offer(run, xml=str(GO1.xml))
-    assert policies.load(found, policies.NEWEST).body.xml == GO1.xml
-    assert policies.load(found, "go2").body.policy.robot == "go2"
+    assert policies.load(found, policies.NEWEST).player.xml == GO1.xml
+    assert policies.load(found, "go2").player.policy.robot == "go2"
 
 
 # ---- curves

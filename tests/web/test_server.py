@@ -56,11 +56,13 @@ def test_who_chose_another_policy_keeps_it(page, tmp_path):
     live = page.live
     found = policies.load(page.offer, "go2")
     page.live.wishes.append(lambda: server.play(page, found, "go2"))
-    until(lambda: live.body.policy.robot == "go2")
-    assert live.t < 1 and page.panels.sliders[0].max == pytest.approx(live.body.policy.command_x[1])
+    until(lambda: live.player.policy.robot == "go2")
+    assert live.t < 1 and page.panels.sliders[0].max == pytest.approx(
+        live.player.policy.command_x[1]
+    )
     save(tmp_path / "policy.npz")
     time.sleep(0.5)
-    assert live.body.policy.robot == "go2" and page.text == "go2/policy.npz"
+    assert live.player.policy.robot == "go2" and page.text == "go2/policy.npz"
 
 
 class Sets:
@@ -104,7 +106,7 @@ def test_torques_of_any_robot_are_drawn_a_plot_for_each_kind_of_joint(page, tmp_
         act = policy_file.actor(policy.params, policy.activation)
         chosen = policies.Chosen(episode.load(xml, policy), act, robot.name)
         live.wishes.append(lambda chosen=chosen: server.play(page, chosen, "other"))
-        until(lambda name=robot.name: live.body.policy.robot == name and len(live.history) > 2)
+        until(lambda name=robot.name: live.player.policy.robot == name and len(live.history) > 2)
         live.wishes.append(lambda: panels.draw(shown, live))
         until(lambda: len(shown.torque[-1].data[0]) > 3)
         assert len(shown.torque) == kinds

@@ -17,7 +17,7 @@ from answers import until
 from toy_policy import actor, described
 
 from dynappo.description import robot as robot_lib
-from dynappo.policy import episode, policy_file, source
+from dynappo.policy import episode, policy_file, policy_source
 
 pytest.importorskip("mjviser", reason="mjviser is not installed (extra web)")
 
@@ -193,7 +193,8 @@ addEventListener("load", () => { for (const measures of %s)
 
 
 def test_scripts_in_names_do_not_run_in_a_page_of_one_file(open_, tmp_path):
-    from dynappo.play import command, page
+    from dynappo.page import episode_page
+    from dynappo.play import command
 
     out = tmp_path / "walk.html"
     saved = hostile(tmp_path / "policy.npz")
@@ -204,10 +205,10 @@ def test_scripts_in_names_do_not_run_in_a_page_of_one_file(open_, tmp_path):
     time.sleep(0.5)
     assert tab.value("window.ran") is None
     # whoever has the page in a frame may send another recording, which is no HTML either
-    policy, _ = source.load(str(saved))
-    body, _ = source.body(policy)
+    policy, _ = policy_source.load(str(saved))
+    player, _ = policy_source.player(policy)
     act = policy_file.actor(policy.params, policy.activation)
-    data = page.scene(body, episode.play(body, act, episode.tour(0.2), 0.2))
+    data = episode_page.scene(player, episode.play(player, act, episode.tour(0.2), 0.2))
     row = f"<tr><td>{RUNS}</td></tr>"
     measures = json.dumps([[[RUNS, RUNS]], row])
     sends = SENDS % (measures, json.dumps(data), json.dumps(RUNS))

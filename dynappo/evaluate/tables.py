@@ -7,6 +7,7 @@ from typing import Any
 
 from dynappo.evaluate import figures
 from dynappo.evaluate.stress import SECONDS
+from dynappo.policy import walks
 from dynappo.program import devices
 
 ROWS = (  # of the table of the trials: name, label, format
@@ -187,7 +188,7 @@ def episodes_rows(numbers: dict[str, Any]) -> list[list[str]]:
         ("yaw_error", "yaw rate error", "{:.2f} rad/s", 1),
     )
     known = ((label, numbers.get(name), text, scale) for name, label, text, scale in rows)
-    none = "nobody stood for a second"
+    none = walks.unmeasured(numbers["seconds"])
     out = [
         [label, none if v is None else text.format(v * scale)] for label, v, text, scale in known
     ]

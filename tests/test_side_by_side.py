@@ -6,7 +6,8 @@ import pytest
 from toy_policy import GO1, described
 
 from dynappo.description import mjcf
-from dynappo.policy import episode, policy_file, render, side_by_side
+from dynappo.policy import episode, policy_file, render
+from notebooks import side_by_side
 
 LACKS = render.NO_OPENGL, render.LACKS.split("{}")[0]
 

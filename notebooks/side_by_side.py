@@ -2,7 +2,7 @@
 
     problem = side_by_side.film(go1.xml, [first, second], Path("walks.gif"))
 
-For notebooks and pages. Only the robots' pixels change, so a second takes 20 to 45 kB (one to three
+For the notebooks here. Only the robots' pixels change, so a second takes 20 to 45 kB (one to three
 robots). With a camera that follows the robot (`render.film`) it takes half a megabyte.
 """
 

@@ -102,10 +102,10 @@ def robot(policy: Policy, xml: str | None = None) -> tuple[Robot, str]:
     )
 
 
-def body(
+def player(
     policy: Policy, xml: str | None = None, keep_joints: bool = False
-) -> tuple[episode_lib.Body, str]:
-    """`(body, note)` in C MuJoCo, as `robot`; here `--robot-xml` needs only the policy's joints."""
+) -> tuple[episode_lib.Player, str]:
+    """`(player, note)` in C MuJoCo, as `robot`; here `--robot-xml` needs only the policy's joints."""
     if xml is None:
         own, note = robot(policy)
         return episode_lib.load(own.xml, policy, policy.timestep, text=own.played), note

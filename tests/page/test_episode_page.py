@@ -13,7 +13,7 @@ import pytest
 from answers import PATIENCE
 from toy_policy import GO1, actor, child, described, other_file
 
-from dynappo.play import page
+from dynappo.page import episode_page
 from dynappo.policy import episode, policy_file
 
 
@@ -28,27 +28,29 @@ def act(policy):
 
 
 @pytest.fixture(scope="module")
-def body(policy):
+def player(policy):
     """The Go1 in its own file."""
     return episode.load(GO1.xml, policy, policy.timestep)
 
 
 @pytest.fixture(scope="module")
-def walked(body, act):
+def walked(player, act):
     """Half a second of that actor."""
-    return episode.play(body, act, lambda t: np.array([0.5, 0.1, -0.2]), 0.5)
+    return episode.play(player, act, lambda t: np.array([0.5, 0.1, -0.2]), 0.5)
 
 
 @pytest.fixture(scope="module")
-def written(body, walked, tmp_path_factory):
+def written(player, walked, tmp_path_factory):
     """A page with a hostile title, as text."""
     out = tmp_path_factory.mktemp("page") / "walk.html"
-    size = page.write(body, walked, out, "<b>go1</b>", "a & b </script>", [("fall", "none <i>")])
+    size = episode_page.write(
+        player, walked, out, "<b>go1</b>", "a & b </script>", [("fall", "none <i>")]
+    )
     assert size == out.stat().st_size
     return out
 
 
-def test_a_page_plays_the_poses_of_mujoco(written, body, walked):
+def test_a_page_plays_the_poses_of_mujoco(written, player, walked):
     """Every geom but the floor, at every row: place, axes, size and colour, to 1e-3."""
     scene = pages.read(written)
     position, turn = pages.unpack(scene)
@@ -124,11 +126,11 @@ def test_a_page_says_what_its_arrows_mean(written):
         np.testing.assert_allclose(one, [float(x) for x in drawn[name].split(",")], atol=0.01)
 
 
-def test_a_page_grows_by_ten_kilobytes_a_second(body, act, tmp_path):
+def test_a_page_grows_by_ten_kilobytes_a_second(player, act, tmp_path):
     sizes = []
     for seconds in (0.2, 1.2):
-        rows = episode.play(body, act, lambda t: np.zeros(3), seconds)
-        sizes.append(page.write(body, rows, tmp_path / "walk.html", "go1", "", []))
+        rows = episode.play(player, act, lambda t: np.zeros(3), seconds)
+        sizes.append(episode_page.write(player, rows, tmp_path / "walk.html", "go1", "", []))
     assert 5_000 < sizes[1] - sizes[0] < 15_000
 
 
@@ -146,7 +148,7 @@ def test_a_page_of_another_file_has_its_meshes_and_what_stands_around(tmp_path, 
 
     other = episode.load(other_file(tmp_path / "other.xml", change), policy)
     rows = episode.play(other, act, lambda t: np.zeros(3), 0.1)
-    scene = page.scene(other, rows)
+    scene = episode_page.scene(other, rows)
     model, data = other.model, mujoco.MjData(other.model)
     data.qpos[:] = rows["qpos"][-1]
     mujoco.mj_kinematics(model, data)
@@ -164,9 +166,9 @@ def test_a_page_of_another_file_has_its_meshes_and_what_stands_around(tmp_path, 
     mujoco.mju_quat2Mat(own, np.array(wedge["quat"]))
     corners = corners @ own.reshape(3, 3).T + wedge["pos"]
     corners = corners @ turn[-1, wedge["body"]].T + position[-1, wedge["body"]]
-    body = model.body("trunk").id
+    trunk = model.body("trunk").id
     expected = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.1]]) + [0, 0, 0.1]
-    expected = expected @ data.xmat[body].reshape(3, 3).T + data.xpos[body]
+    expected = expected @ data.xmat[trunk].reshape(3, 3).T + data.xpos[trunk]
     gaps = np.linalg.norm(corners[:, None] - expected[None], axis=-1).min(1)
     assert len(corners) == 4 and gaps.max() < 1e-3
 
@@ -211,12 +213,12 @@ def test_the_pages_code_finds_the_poses(computed, written):
     scene = pages.read(written)
     position, turn = pages.unpack(scene)
     for k, row in enumerate((0, 7, 24)):
-        for b, body in enumerate(computed["poses"][k]):
-            np.testing.assert_allclose(body["position"], position[row, b], atol=1e-6)
+        for b, player in enumerate(computed["poses"][k]):
+            np.testing.assert_allclose(player["position"], position[row, b], atol=1e-6)
             own = np.zeros(9)
-            mujoco.mju_quat2Mat(own, np.array(body["quat"]))
+            mujoco.mju_quat2Mat(own, np.array(player["quat"]))
             np.testing.assert_allclose(own.reshape(3, 3), turn[row, b], atol=2e-4)
-    between = np.array([body["position"] for body in computed["poses"][3]])
+    between = np.array([player["position"] for player in computed["poses"][3]])
     np.testing.assert_allclose(between, (position[3] + position[4]) / 2, atol=1e-6)
 
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from answers import until
 
-from dynappo.play import page
-from dynappo.policy import episode, policy_file, source
+from dynappo.page import episode_page
+from dynappo.policy import episode, policy_file, policy_source
 
 pytestmark = browser.needed
 CHANGED = 1.0  # mean difference of two pictures, of 255
@@ -17,12 +17,12 @@ CHANGED = 1.0  # mean difference of two pictures, of 255
 @pytest.fixture(scope="module")
 def written(tmp_path_factory):
     """Six seconds of the bundled Go1."""
-    policy, _ = source.load("go1")
-    body, _ = source.body(policy)
+    policy, _ = policy_source.load("go1")
+    player, _ = policy_source.player(policy)
     act = policy_file.actor(policy.params, policy.activation)
-    played = episode.play(body, act, episode.tour(6.0), 6.0)
+    played = episode.play(player, act, episode.tour(6.0), 6.0)
     out = tmp_path_factory.mktemp("page") / "walk.html"
-    page.write(body, played, out, "go1", "the bundled policy", [("fall", "none")])
+    episode_page.write(player, played, out, "go1", "the bundled policy", [("fall", "none")])
     assert out.stat().st_size < 4e6
     return out
 

@@ -74,7 +74,7 @@ function bytes(text) {
   return out.buffer;
 }
 
-// the scene with its arrays as numbers; see page.py for what is in it
+// the scene with its arrays as numbers; see episode_page.py for what is in it
 function decode(scene) {
   const numbers = { root: Float32Array, position: Int16Array, rotation: Int16Array,
     command: Float32Array, velocity: Float32Array };

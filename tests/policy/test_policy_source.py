@@ -17,7 +17,7 @@ from dynappo.evaluate import changes, trials
 from dynappo.evaluate import command as evaluate_command
 from dynappo.export import command as export_command
 from dynappo.play import command as play_command
-from dynappo.policy import episode, policy_file, source
+from dynappo.policy import episode, policy_file, policy_source
 
 TEXT = GO1.xml.read_text()
 HEAVY = TEXT.replace('mass="5.204"', 'mass="7.5"', 1)
@@ -53,7 +53,7 @@ def test_a_policy_is_played_where_there_is_no_robot_of_its_name(tmp_path, monkey
     """By play, evaluate and export, from one file."""
     monkeypatch.chdir(tmp_path)
     spot(tmp_path / "spot.npz")
-    found, note = source.robot(policy_file.load(tmp_path / "spot.npz"))
+    found, note = policy_source.robot(policy_file.load(tmp_path / "spot.npz"))
     assert (found.name, note) == ("spot", "")
     np.testing.assert_array_equal(moved(found.mj_model), moved(GO1.mj_model))
     assert status(play_command.main, "spot.npz", "--seconds=0.2", "--out=walk.html") == 0
@@ -61,7 +61,7 @@ def test_a_policy_is_played_where_there_is_no_robot_of_its_name(tmp_path, monkey
     sweep = partial(trials.run, seconds=0.1, points=1)
     monkeypatch.setattr(trials, "run", sweep)
     monkeypatch.setattr(changes, "EVERY", (0.02, 0.04))  # s, between changes of command
-    for name in ("FILM", "ROUND"):
+    for name in ("FILM_SECONDS", "PAGE_SECONDS"):
         monkeypatch.setattr(episode, name, 0.2)  # s
     assert status(evaluate_command.main, "spot.npz", "--fast") == 0
     assert "dynappo evaluates spot: " in capsys.readouterr().out
@@ -128,21 +128,21 @@ def test_where_the_robot_here_is_another_a_line_says_so(tmp_path, monkeypatch, c
     mass = GO1.mj_model.body_mass.sum()
 
     def total(xml=None):
-        return source.body(policy, xml)[0].model.body_mass.sum()
+        return policy_source.player(policy, xml)[0].model.body_mass.sum()
 
     (folder / "go1.xml").write_text(HEAVY)
     assert total() == pytest.approx(mass) and total("robots/go1/go1.xml") == mass + 7.5 - 5.204
-    assert source.robot(policy, "robots/go1/go1.xml")[0].name == "go1"
+    assert policy_source.robot(policy, "robots/go1/go1.xml")[0].name == "go1"
     for main, out in ((play_command.main, "a.html"), (export_command.main, "a.npz")):
         assert status(main, "mine.npz", f"--out={out}", *["--seconds=0.1"] * (out[2] == "h")) == 0
         notes = [n for n in capsys.readouterr().out.splitlines() if n.startswith("note: ")]
         (line,) = notes
         assert line.startswith(f"note: {folder}/go1.xml is another robot than the go1 that")
     (folder / "go1.xml").write_text(TEXT + "<!-- a word -->")
-    found, note = source.robot(policy)
+    found, note = policy_source.robot(policy)
     assert (note, found.xml) == ("", folder / "go1.xml")  # the same: here it may have looks
     (folder / "go1.xml").write_text("<mujoco/>")  # no robot: the policy has its own
-    assert source.robot(policy)[1] == "" and total() == pytest.approx(mass)
+    assert policy_source.robot(policy)[1] == "" and total() == pytest.approx(mass)
 
 
 CHANGES = {  # what is changed in the Go1, and whether it is another robot
@@ -175,7 +175,7 @@ def test_a_policy_of_before_is_played_in_the_robot_of_its_name(tmp_path):
     about = json.loads(str(arrays["about"]))
     del about["mjcf"], about["seed"]
     np.savez(path, allow_pickle=False, **arrays | {"about": json.dumps(about)})
-    found, note = source.robot(policy_file.load(path))
+    found, note = policy_source.robot(policy_file.load(path))
     assert (found.xml, found.text, note) == (GO1.xml, "", "")
 
 
@@ -199,9 +199,9 @@ def test_a_carried_robot_is_drawn(tmp_path):
     from dynappo.policy import render
 
     policy = policy_file.load(spot(tmp_path / "spot.npz"))
-    body, _ = source.body(policy)
-    rows = episode.play(body, lambda obs: np.zeros(12), lambda t: np.zeros(3), 0.02)
-    failed = render.film(body, rows, tmp_path / "a.png")
+    player, _ = policy_source.player(policy)
+    rows = episode.play(player, lambda obs: np.zeros(12), lambda t: np.zeros(3), 0.02)
+    failed = render.film(player, rows, tmp_path / "a.png")
     if failed and render.film(GO1, rows, tmp_path / "b.png"):
         pytest.skip("no pictures here")
     assert failed == ""
@@ -217,7 +217,7 @@ def test_the_task_needs_no_robot_of_its_name_either(tmp_path, monkeypatch):
     policy_file.save(Path("spot.npz"), actor(), fields, loaded._replace(name="spot"))
     policy = policy_file.load(Path("spot.npz"))
     assert evaluate_command.episodes.settings(policy).robot == "spot"
-    own, _ = source.robot(policy)
+    own, _ = policy_source.robot(policy)
     evaluate_command.episodes.check_robot(policy, own)
     turned = policy._replace(joint_names=policy.joint_names[::-1])
     line = refused(evaluate_command.episodes.check_robot, turned, own)
@@ -250,12 +250,12 @@ def test_names_files_and_folders_are_told_apart(tmp_path, monkeypatch):
     for folder in ("robots/spot", "spot"):
         Path(folder).mkdir(parents=True)
     Path("robots/spot/spot.xml").write_text("<mujoco/>")
-    line = refused(source.locate, "spot")
+    line = refused(policy_source.locate, "spot")
     assert "(robots/spot/policy.npz)" in line and "--policy=zero" in line
     shutil.copy(saved, "robots/spot/policy.npz")
-    assert source.locate("spot") == tmp_path / "robots" / "spot" / "policy.npz"
-    assert "./spot: holds neither" in refused(source.locate, "./spot")
+    assert policy_source.locate("spot") == tmp_path / "robots" / "spot" / "policy.npz"
+    assert "./spot: holds neither" in refused(policy_source.locate, "./spot")
     shutil.copy(saved, "spot/policy.npz")
-    assert source.locate("./spot") == Path("spot/policy.npz")
-    line = refused(source.locate, "sptt")
+    assert policy_source.locate("./spot") == Path("spot/policy.npz")
+    line = refused(policy_source.locate, "sptt")
     assert line.startswith("sptt: no such file or folder") and "go2, spot (or" in line

@@ -24,27 +24,31 @@ import mujoco
 import numpy as np
 
 from dynappo.policy import episode as episode_lib
-from dynappo.policy.episode import Body
+from dynappo.policy.episode import Player
 
 
-def at_ground(body: Body, data) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def at_ground(player: Player, data) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """`(contact, load, slide)` [F] of the last physics step in `data`, as it began.
 
     `contact`: whether a foot touches the ground; `load` (N): sum of the normal forces on it; `slide` (m/s):
     horizontal speed of its points of contact, weighted with these forces, 0 without load.
     """
-    count, force = len(body.foot_names), np.zeros(6)
+    count, force = len(player.foot_names), np.zeros(6)
     touching = np.flatnonzero(data.contact.dist < 0)
     pairs = data.contact.geom[touching]
-    foot = body.foot_of[pairs].max(-1)  # -1 of what is no foot
-    kept = (foot >= 0) & body.ground[pairs].any(-1)
-    touching, foot, shape = touching[kept], foot[kept], pairs[kept][body.foot_of[pairs[kept]] >= 0]
+    foot = player.foot_of[pairs].max(-1)  # -1 of what is no foot
+    kept = (foot >= 0) & player.ground[pairs].any(-1)
+    touching, foot, shape = (
+        touching[kept],
+        foot[kept],
+        pairs[kept][player.foot_of[pairs[kept]] >= 0],
+    )
     normal = np.zeros(len(touching))
     for k, i in enumerate(touching):
-        mujoco.mj_contactForce(body.model, data, i, force)
+        mujoco.mj_contactForce(player.model, data, i, force)
         normal[k] = force[0]
-    moving = body.model.geom_bodyid[shape]
-    x, y, z = (data.contact.pos[touching] - data.subtree_com[body.base_body]).T
+    moving = player.model.geom_bodyid[shape]
+    x, y, z = (data.contact.pos[touching] - data.subtree_com[player.base_body]).T
     turn_x, turn_y, turn_z, move_x, move_y, _ = data.cvel[moving].T
     speed = np.hypot(move_x + turn_y * z - turn_z * y, move_y + turn_z * x - turn_x * z)
     contact = np.bincount(foot, minlength=count) > 0
@@ -82,16 +86,16 @@ def strides(contact: np.ndarray, brief: int) -> tuple[np.ndarray, np.ndarray, np
     return off[:-1], on[1:], on[on > 0]
 
 
-def measures(body: Body, parts: Iterable[Mapping[str, np.ndarray]]) -> dict[str, Any]:
+def measures(player: Player, parts: Iterable[Mapping[str, np.ndarray]]) -> dict[str, Any]:
     """The measures of the module's docstring over several recordings together, and of each foot in `feet`.
 
     A recording has a row for each physics step: `contact`, `load`, `slide` and `height` (of the lowest point,
     m), all `[P, F]`. None where one cannot be computed.
     """
     parts = [part for part in parts if len(part["contact"])]
-    timestep, each = body.model.opt.timestep, {}
-    for j, name in enumerate(body.foot_names):
-        found = [strides(part["contact"][:, j], body.substeps) for part in parts]
+    timestep, each = player.model.opt.timestep, {}
+    for j, name in enumerate(player.foot_names):
+        found = [strides(part["contact"][:, j], player.substeps) for part in parts]
         lasts = np.concatenate([np.zeros(0), *[lands - lifts for lifts, lands, _ in found]])
         tops = [
             part["height"][a:b, j].max()
@@ -112,8 +116,8 @@ def measures(body: Body, parts: Iterable[Mapping[str, np.ndarray]]) -> dict[str,
             "slip": float(moved / load) if load else None,
         }
     mean = {name: _mean(foot[name] for foot in each.values()) for name in [*each.values()][0]}
-    mean["flight"] = _flight([part["contact"] for part in parts], body.substeps)
-    sides = left_or_right(body)
+    mean["flight"] = _flight([part["contact"] for part in parts], player.substeps)
+    sides = left_or_right(player)
     swings = [
         _mean(each[name]["air_time"] for name, s in zip(each, sides, strict=True) if s == side)
         for side in (1, -1)
@@ -125,30 +129,30 @@ def measures(body: Body, parts: Iterable[Mapping[str, np.ndarray]]) -> dict[str,
     return mean | {"feet": each}
 
 
-def left_or_right(body: Body) -> np.ndarray:
+def left_or_right(player: Player) -> np.ndarray:
     """[F] 1 for a foot left of the base in the default pose, -1 right of it, 0 on the middle plane."""
-    data = mujoco.MjData(body.model)
-    data.qpos[body.root[0] + 3 : body.root[0] + 7] = [1, 0, 0, 0]
-    data.qpos[body.joint_q] = body.policy.default_pose
-    mujoco.mj_kinematics(body.model, data)
-    across = data.geom_xpos[:, 1] - data.xpos[body.base_body, 1]
-    feet = range(len(body.foot_names))
-    middle = np.array([across[body.foot_of == foot].mean() for foot in feet])
+    data = mujoco.MjData(player.model)
+    data.qpos[player.root[0] + 3 : player.root[0] + 7] = [1, 0, 0, 0]
+    data.qpos[player.joint_q] = player.policy.default_pose
+    mujoco.mj_kinematics(player.model, data)
+    across = data.geom_xpos[:, 1] - data.xpos[player.base_body, 1]
+    feet = range(len(player.foot_names))
+    middle = np.array([across[player.foot_of == foot].mean() for foot in feet])
     return np.sign(np.where(np.abs(middle) < 1e-3, 0.0, middle))
 
 
-def heights(body: Body, height: np.ndarray, row: np.ndarray) -> np.ndarray:
-    """Heights [P, F] (m) of the feet's lowest points, from those of the geoms of `shapes(body)` [P, G] and
+def heights(player: Player, height: np.ndarray, row: np.ndarray) -> np.ndarray:
+    """Heights [P, F] (m) of the feet's lowest points, from those of the geoms of `shapes(player)` [P, G] and
     the third rows of their rotation matrices [P, G, 3]."""
-    ids = shapes(body)
-    low = episode_lib.lowest(body.model, ids, height, row)
-    feet = range(len(body.foot_names))
-    return np.stack([low[:, body.foot_of[ids] == foot].min(-1) for foot in feet], -1)
+    ids = shapes(player)
+    low = episode_lib.lowest(player.model, ids, height, row)
+    feet = range(len(player.foot_names))
+    return np.stack([low[:, player.foot_of[ids] == foot].min(-1) for foot in feet], -1)
 
 
-def shapes(body: Body) -> np.ndarray:
+def shapes(player: Player) -> np.ndarray:
     """The ids of the feet's geoms [G]."""
-    return np.flatnonzero(body.foot_of >= 0)
+    return np.flatnonzero(player.foot_of >= 0)
 
 
 def _flight(contacts: list[np.ndarray], brief: int) -> float | None:

@@ -23,7 +23,7 @@ import numpy as np
 
 from dynappo.config import files
 from dynappo.policy import render
-from dynappo.policy.episode import Body
+from dynappo.policy.episode import Player
 
 HERE = Path(__file__).parent
 ANONYMOUS = (0.5, 0.5, 0.5, 1.0)  # MuJoCo's rgba of a geom that names no colour
@@ -31,12 +31,14 @@ DRAWN = "sphere capsule ellipsoid cylinder box mesh".split()
 PLAIN = dict(specular=0.5, shininess=0.5, emission=0.0)  # MuJoCo's defaults of a material
 
 
-def write(body: Body, episode: dict[str, np.ndarray], out: Path, heading, subtitle, rows) -> int:
+def write(
+    player: Player, episode: dict[str, np.ndarray], out: Path, heading, subtitle, rows
+) -> int:
     """Write the page and return its size (bytes); `rows` are (name, value) shown beneath the title.
 
     Raises OSError if `out` cannot be written.
     """
-    text = content(scene(body, episode), heading, subtitle, rows)
+    text = content(scene(player, episode), heading, subtitle, rows)
     with files.replacing(out) as part:
         return part.write_bytes(
             text.encode(errors="backslashreplace")
@@ -75,7 +77,7 @@ def filled(template: str, **parts: str) -> str:
     return "".join(pieces)
 
 
-def scene(body: Body, episode: dict[str, np.ndarray]) -> dict[str, Any]:
+def scene(player: Player, episode: dict[str, np.ndarray]) -> dict[str, Any]:
     """What the page draws, as JSON; arrays are base64 of little-endian numbers, row by row.
 
     `root [T, 3]` float32: positions (m) of the base; `position [T, B, 3]` int16: positions of the
@@ -83,10 +85,10 @@ def scene(body: Body, episode: dict[str, np.ndarray]) -> dict[str, Any]:
     (w, x, y, z) times 32767; `command`, `velocity [T, 3]` float32 as in the episode. A geom's `pos`
     and `quat` are in the frame of its `body`, an index in 0..B-1, or -1: fixed in the world.
     """
-    model, dt, fell = body.model, float(episode["dt"]), np.flatnonzero(episode["fell"])
+    model, dt, fell = player.model, float(episode["dt"]), np.flatnonzero(episode["fell"])
     geoms = [i for i in range(model.ngeom) if _kind(model, i) in DRAWN and _rgba(model, i)[3] > 0]
-    moving = {int(model.geom_bodyid[i]) for i in geoms if not body.ground[i]}
-    ids = [body.base_body, *sorted(moving - {body.base_body})]
+    moving = {int(model.geom_bodyid[i]) for i in geoms if not player.ground[i]}
+    ids = [player.base_body, *sorted(moving - {player.base_body})]
     position, quat = poses(model, episode["qpos"], ids)
     root = position[:, 0].astype(np.float32)
     relative = position - root[:, None]
@@ -95,11 +97,11 @@ def scene(body: Body, episode: dict[str, np.ndarray]) -> dict[str, Any]:
     data.qpos[:] = episode["qpos"][0]
     mujoco.mj_kinematics(model, data)
     planes = [
-        i for i in range(model.ngeom) if body.ground[i] and _kind(model, i) == "plane"
+        i for i in range(model.ngeom) if player.ground[i] and _kind(model, i) == "plane"
     ]  # one of them is drawn, without end
     meshes = sorted({int(model.geom_dataid[i]) for i in geoms if _kind(model, i) == "mesh"})
     reach = np.linalg.norm(relative, axis=-1).max(0)
-    robot = [b for b in range(len(ids)) if model.body_rootid[ids[b]] == body.base_body]
+    robot = [b for b in range(len(ids)) if model.body_rootid[ids[b]] == player.base_body]
     return {
         "rows": len(root),
         "bodies": len(ids),
@@ -108,12 +110,12 @@ def scene(body: Body, episode: dict[str, np.ndarray]) -> dict[str, Any]:
         "unit": unit,
         "floor": float(data.geom_xpos[planes[0], 2]) if planes else 0.0,
         "top": render.lift(
-            model, data, body.base_body
+            model, data, player.base_body
         ),  # m above the base, where an arrow is clear of it
         "radius": float(reach[robot].max()) * 1.15,  # m, about that of the robot
         "tile": 0.25,  # m, the side of a field of the floor
         "fall": float((fell[0] + 1) * dt) if len(fell) else None,
-        "geoms": [_geom(model, data, i, ids, meshes, bool(body.ground[i])) for i in geoms],
+        "geoms": [_geom(model, data, i, ids, meshes, bool(player.ground[i])) for i in geoms],
         "meshes": [_mesh(model, i) for i in meshes],
         "root": _packed(root, "<f4"),
         "position": _packed(np.round(relative / unit), "<i2"),
