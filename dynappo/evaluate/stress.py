@@ -173,7 +173,7 @@ def play(body: Body, act: Callable, command, stress: Stress, seed: int = 0, seco
     see, com = observe.memory(p.observation, p.history), model.body_ipos[body.base_body]
     dt, step = episode_lib.period(body), model.opt.timestep
     old = round(stress.sensor_delay / step)
-    parts = observe.rows(len(p.joint_names), observe.has_clock(p.observation))
+    parts = observe.slices(len(p.joint_names), observe.has_clock(p.observation))
     scale = stress.noise * np.concatenate(
         [np.full(part.stop - part.start, NOISE.get(name, 0.0)) for name, part in parts.items()]
     )

@@ -72,7 +72,7 @@ def place(name, touching="feet", rubs=False, each=False, **physics):
     start = [x.astype(np.float32) for x in (qpos, qvel, qvel * 0)]
 
     def run(impl):
-        more = dict(remember=touching == "full", rubs=each)
+        more = dict(every_substep=touching == "full", has_friction=each)
         engine = engine_lib.make(robot, config.physics, varied, impl, **more)
 
         simulate = partial(engine_lib.simulate, engine, hyper)

@@ -8,7 +8,7 @@ weight and the control step, and sums. The code works with NumPy and jax.numpy.
 
 A term's parameter names say what it needs. It may ask for:
 
-- any part of the observation (observe.py), without noise: the predicted ones as they are at the end
+- any quantity of the observation (observe.py), without noise: the predicted ones as they are at the end
   of the control step, before a push; the known ones, `command` and `previous_action`, as the policy saw
   them
 - the fields of `Feet`, which follow from these
