@@ -29,7 +29,7 @@ import numpy as np
 from dynappo.config import per_joint
 from dynappo.description import contacts
 from dynappo.description import robot as robot_lib
-from dynappo.physics import actuators, c_mujoco, engine_contract, randomize
+from dynappo.physics import actuators, c_mujoco, engine_contract, ground, randomize
 from dynappo.physics.warp import arrays
 from dynappo.physics.warp import call as warp_call
 from dynappo.types import Hyper
@@ -137,7 +137,8 @@ class Substeps(NamedTuple):
     last_peak: Any
     torque: Any  # of the motors in the last physics step
     qd_before: Any  # joint velocities before it
-    lowest: Any  # m, lowest point of each part, in all physics steps (`every_substep`) or the last
+    # [G] m above the ground, lowest point of each part, in all physics steps (`every_substep`) or the last
+    lowest: Any
 
 
 class Motor(NamedTuple):
@@ -214,7 +215,8 @@ def _simulate_in_mjx(engine: Engine, body, first: Substeps, target, motor: Motor
 
     def lowest(distance, geoms, data):
         row = data.geom_xmat[geoms].reshape(-1, 9)[:, 6:]  # third row of the rotation matrix
-        return contacts.lowest(distance, data.geom_xpos[geoms, 2], row)
+        z = ground.height_above(data.geom_xpos[geoms, 2], lambda: data.geom_xpos[geoms, :2])
+        return contacts.lowest(distance, z, row)
 
     parts = partial(lowest, engine.floor, robot.parts)
 
@@ -292,11 +294,13 @@ def _simulate_in_c(engine: Engine, body, first: Substeps, target, motor: Motor):
     w, x, y, z = jnp.moveaxis(moved.quat, -1, 0)
     row = jnp.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], -1)
     soles, row = jnp.split(row, [row.shape[1] - len(engine.robot.parts)], axis=1)
+    # without the geoms' place: `Moved` has only heights
+    feet, parts = (ground.height_above(z, None) for z in (moved.feet, moved.height))
     s = first
-    for shapes in contacts.lowest(engine.soles, moved.feet, soles):
+    for shapes in contacts.lowest(engine.soles, feet, soles):
         s = _feet(engine, s, shapes)
     seen = slice(None) if engine.every_substep else slice(-1, None)
-    lowest = contacts.lowest(engine.floor, moved.height[seen], row[seen]).min(0)
+    lowest = contacts.lowest(engine.floor, parts[seen], row[seen]).min(0)
     told = "qpos", "qvel", "qacc_warmstart", "torque", "qd_before"
     return s._replace(lowest=lowest, **{name: getattr(moved, name) for name in told})
 
@@ -306,7 +310,7 @@ SIMULATE = {"jax": _simulate_in_mjx, "warp": _simulate_in_warp, "c": _simulate_i
 
 def _feet(engine: Engine, s: Substeps, lowest) -> Substeps:
     """The feet's timers and heights after one more physics step, which began with the lowest points of
-    their shapes at the heights `lowest` [S]."""
+    their shapes at the heights `lowest` [S] above the ground."""
     of = contacts.of_each_foot(engine.robot.foot_of)
     height = lowest if of.shape[1] == 1 else lowest[of].min(-1)
     contact = height < 0

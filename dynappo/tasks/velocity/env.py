@@ -18,7 +18,7 @@ import numpy as np
 from dynappo.description import kinematics
 from dynappo.description import robot as robot_lib
 from dynappo.physics import engine as engine_lib
-from dynappo.physics import randomize
+from dynappo.physics import ground, randomize
 from dynappo.tasks.velocity import (
     commands,
     gait,
@@ -226,8 +226,9 @@ def _at_start(const: Constants, hyper: Hyper, key) -> State:
     joints = default * (low + (high - low) * scale)
     joints = jnp.clip(joints, *_soft_limits(const, hyper))
     lowest = kinematics.lowest(const.legs, joints)
-    height = jnp.maximum(r.spawn_height, r.foot_clearance - lowest)
+    above = jnp.maximum(r.spawn_height, r.foot_clearance - lowest)
     xy = (2 * xy - 1) * r.position
+    height = ground.world_height(above, lambda: xy)
     yaw = (2 * yaw[0] - 1) * r.yaw
     velocity = (2 * velocity - 1) * r.velocity
     quat = jnp.stack([jnp.cos(yaw / 2), yaw * 0, yaw * 0, jnp.sin(yaw / 2)])
@@ -389,7 +390,7 @@ def _measured(
         torque=after.torque,
         joint_velocity_before=after.qd_before,
         timestep=const.engine.timestep,
-        height=after.qpos[2],
+        height=ground.height_above(after.qpos[2], lambda: after.qpos[:2]),
         contact=contact,
         touchdown=contact & (after.contact_steps <= const.engine.substeps),
         last_air_time=after.last_air_steps * const.engine.timestep,

@@ -18,8 +18,8 @@ With `task.gait_frequency` two known quantities of a biped follow (gait.py): `ga
 
 The order is the paper's, o = [q, qd, g, v, w] and [c, a]: the transition model predicts the first,
 and `advance` computes the second. `PREDICTED` and `KNOWN` define the quantities; from them follow
-sizes, noise, mirror image, the tables of ONNX files and what a reward term can ask for. To add one, add an entry there
-and a value in `observe`, and for `KNOWN` also one in `advance` (docs/task.md).
+sizes, noise, mirror image, the tables of ONNX files and what a reward term can ask for. To add one,
+add an entry there and a value in `observe`, and for `KNOWN` also one in `advance` (docs/task.md).
 """
 
 import re
