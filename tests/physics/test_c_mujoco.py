@@ -204,8 +204,8 @@ SLOW = [pytest.param(*case, marks=pytest.mark.slow) for case in OTHERS]
     ("robot", "touching", "impl"),
     [
         ("go1", "feet, each", "warp"),
+        ("go1", "feet, each", "jax"),
         # of Warp and MJX: test_warp_call.py; of MJX and C: tasks/test_env.py
-        pytest.param("go1", "feet, each", "jax", marks=pytest.mark.slow),
         pytest.param("go1", "feet", "jax", marks=pytest.mark.slow),
         pytest.param("go1", "feet", "warp", marks=pytest.mark.slow),
         pytest.param("go1", "full, each", "warp", marks=pytest.mark.slow),  # general.py
