@@ -226,15 +226,6 @@ def predict(
     static: Static, hyper: Hyper, env: Env, model: ModelState, obs: Float[Array, "R O"], action
 ) -> tuple[Float[Array, "R O"], Float[Array, " R"], Float[Array, " R"]]:
     """`(next observation, reward, discount)`: prop is predicted, the context computed."""
-    prop, reward, discount = predict_prop(static, hyper, env, model, obs=obs, action=action)
-    context = known(hyper, env, obs, action, prop)
-    return jnp.concatenate([prop, context], -1), reward, discount
-
-
-def predict_prop(
-    static: Static, hyper: Hyper, env: Env, model: ModelState, obs: Float[Array, "R O"], action
-) -> tuple[Float[Array, "R P"], Float[Array, " R"], Float[Array, " R"]]:
-    """`(next prop, reward, discount)`: what f_theta predicts, in the units of a row."""
     size = env.prop_size
     (x_mean, x_std), (y_mean, y_std) = scales(static, model)
     x = (examples.inputs(env, obs, action) - x_mean) / x_std
@@ -249,7 +240,7 @@ def predict_prop(
         lives = 1 - jax.nn.sigmoid(y[..., -1] + FALL_LOGIT)
         if env.fall_reward is not None:
             reward += (1 - lives) * env.fall_reward(hyper)
-    return prop, reward, lives
+    return jnp.concatenate([prop, known(hyper, env, obs, action, prop)], -1), reward, lives
 
 
 def known(hyper: Hyper, env: Env, obs, action, next_prop) -> Float[Array, "... O-P"]:
@@ -267,9 +258,9 @@ def step(static: Static, hyper: Hyper, env: Env, model: ModelState):
 
     def row(state: TailState, action, keys):
         seen = jnp.concatenate([state.prop, state.obs[..., env.prop_size :]], -1)
-        prop, reward, discount = predict_prop(static, hyper, env, model, obs=seen, action=action)
+        after, reward, discount = predict(static, hyper, env, model, seen, action)
+        prop = sensed = after[..., : env.prop_size]
         context = known(hyper, env, state.obs, action, prop)  # with what was sensed before
-        sensed = prop
         if static.model.clean:
             keys = jax.vmap(jax.random.fold_in, (0, None))(keys, NOISE)
             sensed = jax.vmap(partial(env.sense, hyper))(prop, context, keys)
