@@ -260,7 +260,8 @@ def step(static: Static, hyper: Hyper, env: Env, model: ModelState):
         seen = jnp.concatenate([state.prop, state.obs[..., env.prop_size :]], -1)
         after, reward, discount = predict(static, hyper, env, model, seen, action)
         prop = sensed = after[..., : env.prop_size]
-        context = known(hyper, env, state.obs, action, prop)  # with what was sensed before
+        # with what was sensed before, unlike the context in `after`, which XLA therefore never computes
+        context = known(hyper, env, state.obs, action, prop)
         if static.model.clean:
             keys = jax.vmap(jax.random.fold_in, (0, None))(keys, NOISE)
             sensed = jax.vmap(partial(env.sense, hyper))(prop, context, keys)
