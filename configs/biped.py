@@ -7,7 +7,7 @@ MuJoCo Playground 0.2 (PG), whose gait clock makes the walk. experiments/25_huma
 | variant          | robots | rows N | tail N_s | for                                                 |
 |------------------|--------|--------|----------|-----------------------------------------------------|
 | `best` (default) | 1024   | 24     | 20       | three rounds of imagination                         |
-| `ppo`            | 512    | 24     | none     | to compare                                          |
+| `ppo`            | 256    | 24     | none     | to compare                                          |
 | `deploy`         | 4096   | 24     | 20       | hardware: what the robot measures, varied, pushed   |
 | `quick`          | 256    | 24     | 4        | the smallest run on MJX                             |
 | `laptop`         | 512    | 24     | 16       | two CPU cores                                       |
@@ -42,11 +42,11 @@ def apply_variant(config, variant):
     if variant in ("", "best", "ppo"):
         _best(config)
         if variant == "ppo":
-            config.rollout.num_envs = 512
-            config.run.num_iterations = 600
+            config.rollout.num_envs = 256
+            config.run.num_iterations = 720
             config.schedule.update(end_iteration=0, end_steps=0, rounds=1, last_iteration=None)
             config.model.update(clean=False, known_reward=False, falls=False)
-            config.ppo.desired_kl = 0.04
+            config.ppo.update(desired_kl=0.04, gamma=0.96)
         return config
     low, high = config.task.randomize.base_mass
     config = default["apply_variant"](config, variant)

@@ -2,7 +2,7 @@
 
     python -m dynappo.train --config=configs/go1.py
 
-`:laptop` walks after a minute of training on two CPU cores; `default.py` lists the paper's variants
+`:laptop` is for two CPU cores; `default.py` lists the paper's variants
 and ours.
 """
 

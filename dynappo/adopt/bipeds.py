@@ -1,4 +1,4 @@
-"""What a biped's config sets beside `configs/biped.py`: from the places of its joints, its height and mass.
+"""What a biped's config sets beside `configs/biped.py`: from the roles of its joints, its height and mass.
 
 How far a joint may be from the default pose in the reward `posture` (rad): mjlab's numbers for a Unitree G1,
 walking; the shoulder's is that of `configs/g1.py`. Of pitch, and of other axes:
@@ -19,7 +19,7 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
-from dynappo.adopt import gains, places
+from dynappo.adopt import gains, joint_roles
 from dynappo.description import robot as robot_lib
 
 POSTURE = {  # rad, about x, y, z
@@ -32,10 +32,10 @@ POSTURE = {  # rad, about x, y, z
     "wrist": (0.3, 0.3, 0.3),
     "other": (0.15, 0.15, 0.15),
 }
-G1 = 0.757, 33.3  # m, kg: height of the base, mass
-STRIDES, STEP = (1.25, 1.5), 0.15  # Hz, m: of Playground's G1
-TORQUES = 2e-6  # weight of squared torques, of a G1
-CLEARANCE, APART = 0.06, 0.2  # m, of the rewards `foot_clearance` and `feet_distance`
+G1_HEIGHT, G1_MASS = 0.757, 33.3  # m of the base, kg
+G1_STRIDES, G1_STEP = (1.25, 1.5), 0.15  # Hz, m: Playground's
+G1_TORQUE_WEIGHT = 2e-6  # of squared torques
+G1_CLEARANCE, G1_FEET_APART = 0.06, 0.2  # m, of the rewards `foot_clearance` and `feet_distance`
 
 
 class Task(NamedTuple):
@@ -56,28 +56,30 @@ def is_biped(robot: robot_lib.Robot) -> bool:
 def choose(robot: robot_lib.Robot) -> tuple[Task, list[str]]:
     """A biped's `Task`, and a line on each thing that was assumed."""
     std, unknown = posture(robot)
-    height = gains.reach(robot) / G1[0]
-    slow, fast = (round(one / height**0.5, 2) for one in STRIDES)
-    step, lift, wide = (float(f"{one * height:.2g}") for one in (STEP, CLEARANCE, APART))
+    height = gains.reach(robot) / G1_HEIGHT
+    slow, fast = (round(one / height**0.5, 2) for one in G1_STRIDES)
+    step, lift, wide = (
+        float(f"{one * height:.2g}") for one in (G1_STEP, G1_CLEARANCE, G1_FEET_APART)
+    )
     base = f"for a base at {gains.reach(robot):.2f} m"
-    weight = -float(f"{TORQUES * (G1[1] / robot.mj_model.body_mass.sum()) ** 1.5:.2g}")
+    weight = -float(f"{G1_TORQUE_WEIGHT * (G1_MASS / robot.mj_model.body_mass.sum()) ** 1.5:.2g}")
     stance = stance_width(robot)
     apart = min(wide, _down(stance))
-    told = [
+    notes = [
         "task: a biped's, with which a Unitree G1 walks (configs/biped.py); torques are weighted by "
         f"{weight:g}, by mass^-1.5",
-        f"gait: {slow:g} to {fast:g} strides a second, steps {step:g} m high: a G1's {STRIDES[0]:g} to "
-        f"{STRIDES[1]:g} and {STEP:g} {base}",
-        f"feet: lifted by at least {lift:g} m in foot_clearance: a G1's {CLEARANCE:g} {base}",
+        f"gait: {slow:g} to {fast:g} strides a second, steps {step:g} m high: a G1's {G1_STRIDES[0]:g} to "
+        f"{G1_STRIDES[1]:g} and {G1_STEP:g} {base}",
+        f"feet: lifted by at least {lift:g} m in foot_clearance: a G1's {G1_CLEARANCE:g} {base}",
         f"feet: at least {apart:g} m apart in feet_distance: "
         + f"{stance:.3g} in the default pose, which is less than " * (apart < wide)
-        + f"a G1's {APART:g} {base}"
+        + f"a G1's {G1_FEET_APART:g} {base}"
         + f", {wide:g}" * (apart < wide),
         f"posture: joints may leave the default pose by {gains.span(std)} rad, by their place and axis"
-        + f"; {POSTURE['other'][1]:g} rad{gains.at(robot.joint_names, unknown)}, no leg's, waist's or arm's"
-        * bool(unknown.any()),
+        + f"; {POSTURE['other'][1]:g} rad{gains.at_joints(robot.joint_names, unknown)}, no leg's, waist's or "
+        "arm's" * bool(unknown.any()),
     ]
-    return Task(std, (slow, fast), step, lift, apart, weight), told
+    return Task(std, (slow, fast), step, lift, apart, weight), notes
 
 
 def stance_width(robot: robot_lib.Robot) -> float:
@@ -95,7 +97,7 @@ def _down(length: float) -> float:
 
 
 def posture(robot: robot_lib.Robot) -> tuple[np.ndarray, np.ndarray]:
-    """`(std [A] in rad, unknown [A])`: of each joint, and whether its place is "other"."""
-    where, axis = places.places(robot)
-    std = [POSTURE[place][along] for place, along in zip(where, axis, strict=True)]
-    return np.array(std), where == "other"
+    """`(std [A] in rad, unknown [A])`: of each joint, and whether its role is "other"."""
+    roles, axis = joint_roles.roles(robot)
+    std = [POSTURE[role][along] for role, along in zip(roles, axis, strict=True)]
+    return np.array(std), roles == "other"

@@ -1,14 +1,17 @@
 """Make a robot of a published MJCF or URDF: `dynappo adopt FILE --name=NAME`.
 
 It writes robots/NAME/ (the MJCF in the form that dynappo trains, the published looks, a README with source,
-licence and every assumption) and configs/NAME.py, checks the robot, and prints the next command. It asks
-nothing, and overwrites nothing without --force. C MuJoCo and NumPy, without JAX; it takes a few seconds.
+licence and every assumption) and configs/NAME.py, and prints the next command. What `look` or `train` would
+refuse is refused before anything is kept. It asks nothing, and overwrites nothing without --force. C MuJoCo
+and NumPy, without JAX; it takes a few seconds.
 """
 
 from __future__ import annotations
 
 import argparse
 import contextlib
+import glob
+import importlib.util
 import os
 import re
 import shutil
@@ -28,8 +31,12 @@ from dynappo.config import flags as flags_lib
 from dynappo.description import complete, mjcf, motors
 from dynappo.description import robot as robot_lib
 from dynappo.description import text as text_lib
+from dynappo.physics import engine_contract
+from dynappo.tasks.velocity import gait, partners, reward_sum
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+NEEDS_ACTION = "EDIT NEEDED: ", "note: "  # how lines begin that ask for something
+GPUS = "/dev/nvidia[0-9]*", "/dev/dxg"  # of Linux, of Windows' Linux
 USAGE = """\
 FILE is an MJCF or a URDF, as it was published; MuJoCo reads both
   python -m dynappo.adopt mujoco_menagerie/unitree_go1/go1.xml --name=my_go1
@@ -45,7 +52,7 @@ class Adopted(NamedTuple):
     mjcf: str
     config: str
     readme: str
-    told: list[str]
+    notes: list[str]
 
 
 def parse(argv: list[str] | None) -> argparse.Namespace:
@@ -61,12 +68,25 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
     flags = flags_lib.read(parser, argv)
     if flags.file is None:
         raise ConfigError("no file given; try: python -m dynappo.adopt FILE.xml --name=NAME")
-    flags.name = flags.name if flags.name is not None else flags.file.stem
+    flags.notes = []
+    if flags.name is None:
+        flags.name = name_of(flags.file)
+        if flags.name != flags.file.stem:
+            flags.notes.append(
+                f"name: {flags.name}, for a name has letters, digits and _, a letter first; --name=NAME "
+                "takes another"
+            )
     if not NAME.fullmatch(flags.name):
         raise ConfigError(
             f"--name={flags.name}: expected letters, digits and _, a letter first, as in --name=my_robot"
         )
     return flags
+
+
+def name_of(file: Path) -> str:
+    """A robot's name by its file: `my_robot` of my-robot.xml, `robot_3` of 3.xml."""
+    name = re.sub(r"[^A-Za-z0-9_]", "_", file.stem)
+    return name if name[:1].isalpha() else f"robot_{name.lstrip('_')}"
 
 
 def check_free(name: str, force: bool) -> tuple[Path, Path]:
@@ -86,27 +106,27 @@ def make(file: source.Source, name: str, part: Path) -> Adopted:
 
     ConfigError if the file cannot be completed, with its path.
     """
-    told = list(file.notes)
+    notes = list(file.notes)
     with mjcf.one_line(file.xml):
         spec, robot, more = completed(file, name)
-        told += more
+        notes += more
         published, more = source.published(file, robot.joint_names)
-        told += more
+        notes += more
         effort, _ = gains.efforts(robot, published)
-        told += normal.joints(spec, robot.joint_names, published, effort)
+        notes += normal.joints(spec, robot.joint_names, published, effort)
         robot = loaded(spec, name, file)
         chosen, more = gains.choose(robot, published, writing.init_std(robot))
         if len(robot.foot_names) > 2:
             poses = gains.stance(robot, chosen.kp, chosen.kd, chosen.effort_limit)
-            told += normal.clear(spec, robot, poses)
+            notes += normal.clear(spec, robot, poses)
             robot = loaded(spec, name, file)
-        told += [*more, *writing.assumed(robot)]
+        notes += [*more, *writing.assumed(robot)]
         base = robot.mj_model.body(robot.base_body).name
         shown, copied = looks.draw(spec, file, base, part / "assets")
         if shown:
-            told.append(f"looks: {shown} shapes as published" + f", {copied} files" * bool(copied))
+            notes.append(f"looks: {shown} shapes as published" + f", {copied} files" * bool(copied))
         else:
-            told.append(
+            notes.append(
                 "looks: the shapes that touch the floor are drawn; the published ones are not there"
             )
         normal.scene(spec, float(robot.home_qpos[2]))
@@ -116,12 +136,12 @@ def make(file: source.Source, name: str, part: Path) -> Adopted:
         text = writing.mjcf(spec, name, file)
         licence = source.licence(file.xml)
         where = f"found at {licence[0]}: check that it is of this robot" if licence[0] else ""
-        told.append(f"licence: {where or 'none found; ask before you share this robot'}")
+        notes.append(f"licence: {where or 'none found; ask before you share this robot'}")
         return Adopted(
             mjcf=text,
             config=writing.config(robot, file, chosen),
-            readme=writing.readme(robot, file, told, licence, shown),
-            told=told,
+            readme=writing.readme(robot, file, notes, licence, shown),
+            notes=notes,
         )
 
 
@@ -129,17 +149,17 @@ def completed(file: source.Source, name: str) -> tuple[mujoco.MjSpec, robot_lib.
     """`(spec, robot, lines)`, with the first default pose in which the robot stands; the first one's error if
     there is none."""
     problem: Exception | None = None
-    for spec, told in pose.candidates(file.spec, file.model, file.xml):
+    for spec, notes in pose.candidates(file.spec, file.model, file.xml):
         try:
             done = complete.complete(spec)
             # written and read again: no classes, frames or fromto are left that hold what is set below
-            spec = mujoco.MjSpec.from_string(text_lib.of(done.spec))
-            told += [*done.notes, *normal.solver(spec, float(done.model.body_mass.sum()))]
-            told += [*normal.feet(spec), *normal.frames(spec, spec.compile())]
+            spec = mujoco.MjSpec.from_string(text_lib.self_contained(done.spec))
+            notes += [*done.notes, *normal.solver(spec, float(done.model.body_mass.sum()))]
+            notes += [*normal.feet(spec), *normal.frames(spec, spec.compile())]
             robot = loaded(spec, name, file)
-            told += normal.round_feet(spec, robot)
-            told += normal.shanks(spec, loaded(spec, name, file))
-            return spec, loaded(spec, name, file), told
+            notes += normal.round_feet(spec, robot)
+            notes += normal.shanks(spec, loaded(spec, name, file))
+            return spec, loaded(spec, name, file), notes
         except (ValueError, ConfigError) as error:
             problem = problem or error
     if "expected a foot" in str(problem):
@@ -204,27 +224,39 @@ def check_writable(folder: Path, config: Path) -> None:
 
 
 def run(flags) -> None:
-    """Adopt the robot as the flags say, print each assumption, and check it with `look`."""
+    """Adopt the robot as the flags say; print each assumption, then what needs action, then what is next."""
     folder, config = check_free(flags.name, flags.force)
     check_writable(folder, config)
-    notes: list[str] = []
+    notes: list[str] = flags.notes
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of numbers in the file that overflow
             file = source.read(flags.file, notes)
             with new_folder(folder) as part:
                 made = made_of(file, flags.name, part)
-                check(part, flags.name, made)
-    except ConfigError:
+                engine, seen = check(part, flags.name, made, file.xml)
+    except (ConfigError, FloatingPointError):
         for line in notes:  # what was found before the error may explain it
             print(line)
         raise
     files.write_text(config, made.config)
-    for line in made.told:
-        print(line)
-    print(f"written {folder / f'{flags.name}.xml'}, {config}, {folder / 'README.md'}\n", flush=True)
-    look(config, folder / "look.png")
-    print(f"\nnext    {shell.pasted(f'python -m dynappo.train --config={config}')}")
+    written = f"written {folder / f'{flags.name}.xml'}, {config}, {folder / 'README.md'}"
+    lines = [*made.notes, written, "", *seen]
+    action = [line for line in lines if line.startswith(NEEDS_ACTION)]
+    print("\n".join(line for line in lines if line not in action))
+    if action:
+        print("\n".join(["", *action]))
+    train = f"python -m dynappo.train --config={config}{'' if has_gpu() else ':laptop'}"
+    print(f"\nnext    {shell.pasted(train)}{engine and f' --config.physics.impl={engine}'}")
+
+
+def has_gpu() -> bool:
+    """Whether `train` would find an NVIDIA GPU, without JAX: a device of the driver, unless JAX is kept from
+    it."""
+    platforms = os.environ.get("JAX_PLATFORMS", "")
+    if platforms and not re.search("cuda|gpu", platforms):
+        return False
+    return any(glob.glob(pattern) for pattern in GPUS)
 
 
 def made_of(file: source.Source, name: str, part: Path) -> Adopted:
@@ -240,27 +272,73 @@ def made_of(file: source.Source, name: str, part: Path) -> Adopted:
         ) from error
 
 
-def check(part: Path, name: str, made: Adopted) -> None:
-    """Write the robot's files to `part` and load them, as training will; ConfigError if that fails."""
+def check(part: Path, name: str, made: Adopted, xml: Path) -> tuple[str, list[str]]:
+    """Write the robot's files to `part`, and do what `look` and `train` do before they accept a robot.
+
+    The result is the engine to name to `train` ("" if what it chooses itself can simulate the robot), and
+    what `look` says. An error, as they have it, if they would refuse the robot.
+    """
     files.write_text(part / f"{name}.xml", made.mjcf)
     files.write_text(part / "README.md", made.readme)
     robot = robot_lib.load_xml(part / f"{name}.xml")
     with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / f"{name}.py"
-        file.write_text(made.config, encoding="utf-8")
-        config = config_lib.validate(config_lib.load(str(file)), robot_here=False)
-    motors.fitted(config, robot)
+        above = Path(folder)  # a working directory that has the robot
+        files.write_text(above / "configs" / f"{name}.py", made.config)
+        shutil.copytree(part, above / "robots" / name)
+        file = str(above / "configs" / f"{name}.py")
+        config = config_lib.validate(config_lib.load(file), robot_here=False)
+        engine = check_trainable(config, robot, xml)
+        seen = look(above, name)
+        picture = above / "robots" / name / "look.png"
+        if picture.exists():
+            shutil.copyfile(picture, part / picture.name)
+    return engine, seen
 
 
-def look(config: Path, picture: Path) -> None:
-    """Run the command `look`; if it cannot draw, it prints a line and does not fail."""
+def check_trainable(config, robot: robot_lib.Robot, xml: Path) -> str:
+    """ConfigError if `train` would refuse the robot; the engine to name to it, or ""."""
+    config, robot = motors.fitted(config, robot)
+    robot_lib.check_base_mass(robot, config.task.randomize.base_mass)
+    gait.check(config.task.gait_frequency, robot.name, len(robot.foot_names))
+    reward_sum.terms_of(config.task)
+    if config.ppo.symmetry:
+        try:
+            partners.check_motors(config.task, robot)
+        except ConfigError as error:
+            raise ConfigError(
+                f"{xml}: {error}; correct places, axes and default angles of its joints: left and right must "
+                "be alike"
+            ) from None
+    robot = robot._replace(xml=xml)  # errors name the file that can be edited
+    warp = has_gpu() and importlib.util.find_spec("warp")
+    for impl in ("warp", "jax") if warp else ("jax",) if has_gpu() else ("jax", "c"):
+        if not engine_contract.lacks(robot, config.physics, impl):
+            return "" if impl == ("warp" if warp else "jax") else impl
+    engine_contract.check(robot, config.physics, "warp" if warp else "jax")
+    return ""
+
+
+def look(folder: Path, name: str) -> list[str]:
+    """What the command `look` says in the working directory `folder`, which gets its picture.
+
+    Without OpenGL it draws nothing, which is a note; what it refuses is an error.
+    """
+    config, picture = Path("configs") / f"{name}.py", Path("robots") / name / "look.png"
     command = [*interpreter.command("dynappo.look"), str(config), f"--out={picture}"]
-    done = subprocess.run(command, stderr=subprocess.PIPE, text=True)
-    said = done.stderr.strip()
-    if said.startswith("dynappo: --out="):
-        print(f"note: {said.partition(': ')[2]}")
-    elif said:
+    done = subprocess.run(command, capture_output=True, text=True, encoding="utf-8", cwd=folder)
+    here = done.stdout.replace(str(folder.resolve()), str(Path.cwd()))
+    here = here.replace(str(folder), str(Path.cwd()))
+    said = done.stderr.strip().removeprefix("dynappo: ")
+    lines = here.splitlines()
+    if said.startswith("--out="):
+        return [*lines, f"note: {said}"]
+    if done.returncode:
+        raise (ConfigError if done.returncode == 2 else FloatingPointError)(
+            f"{name} is not kept, for look refuses it: {said.splitlines()[-1] if said else done.returncode}"
+        )
+    if said:
         print(said, file=sys.stderr)
+    return lines
 
 
 def main(argv: list[str] | None = None) -> None:

@@ -15,6 +15,7 @@ import mujoco
 import numpy as np
 
 from dynappo.adopt.source import Source
+from dynappo.description.rotation import matrix, quaternion
 
 LOOKS, SHAPES, DRAWN = 2, 3, 0  # groups
 SUMS = "SHA256SUMS"  # which files are from here; `sha256sum -c` reads it
@@ -46,7 +47,7 @@ def draw(spec: mujoco.MjSpec, source: Source, base: str, assets: Path) -> tuple[
         inside = other.xmat[body].reshape(3, 3).T
         new = spec.body(model.body(body).name).add_geom()
         new.type, new.group, new.contype, new.conaffinity, new.mass = geom.type, LOOKS, 0, 0, 0
-        new.pos, new.quat = inside @ (position - other.xpos[body]), _quat(inside @ rotation)
+        new.pos, new.quat = inside @ (position - other.xpos[body]), quaternion(inside @ rotation)
         new.rgba = geom.rgba
         if geom.type == MESH:
             new.meshname = copied.mesh(geom.meshname)
@@ -116,17 +117,9 @@ def _frame(model, data, geom: int) -> tuple[np.ndarray, np.ndarray]:
     position, rotation = data.geom_xpos[geom], data.geom_xmat[geom].reshape(3, 3)
     mesh = int(model.geom_dataid[geom])
     if model.geom_type[geom] == MESH and mesh >= 0:
-        turned = np.zeros(9)
-        mujoco.mju_quat2Mat(turned, model.mesh_quat[mesh])
-        rotation = rotation @ turned.reshape(3, 3).T
+        rotation = rotation @ matrix(model.mesh_quat[mesh]).T
         position = position - rotation @ model.mesh_pos[mesh]
     return position, rotation
-
-
-def _quat(rotation: np.ndarray) -> np.ndarray:
-    quat = np.zeros(4)
-    mujoco.mju_mat2Quat(quat, rotation.ravel())
-    return quat
 
 
 class _Copied:

@@ -7,17 +7,19 @@ import numpy as np
 
 from dynappo.adopt import gains
 from dynappo.adopt.source import Published
+from dynappo.description import complete
 from dynappo.description import feet as feet_lib
 from dynappo.description import robot as robot_lib
+from dynappo.description.rotation import matrix, quaternion
 
-HEAVY = 30.0  # kg, from which on feet creep apart with impratio 1
-FRICTION = 0.8  # of the feet, which `task.randomize.friction` assumes
-FIRM = 0.9, 0.95  # solimp of the feet: with Menagerie's 0.015 they sink in and slide apart
-SOFTEST = 0.8
-WIDE = 9.42  # rad, of a joint without a range
-CLEAR = 1.1  # of a foot's radius
-ABOVE = 0.01  # m above the ground: so high end parts that would touch it
-LIES = 0.7  # of its height
+HEAVY_MASS = 30.0  # kg, from which on feet creep apart with impratio 1
+FOOT_FRICTION = 0.8  # of the feet, which `task.randomize.friction` assumes
+FIRM_SOLIMP = 0.9, 0.95  # solimp of the feet: with Menagerie's 0.015 they sink in and slide apart
+SOFTEST_SOLIMP = 0.8  # its first number; feet that have less are made firm
+UNLIMITED_RANGE = 9.42  # rad to both sides, of a joint without a range
+SHANK_CLEARANCE = 1.1  # of a foot's radius: shanks end so far above its middle
+PART_HEIGHT = 0.01  # m above the ground, where parts end that would touch it
+LYING_BELOW = 0.7  # of its height in the default pose: a lower robot lies
 JOINTS, JOINT = mujoco.mjtEq.mjEQ_JOINT, mujoco.mjtWrap.mjWRAP_JOINT
 BOX, SPHERE, CAPSULE = (
     mujoco.mjtGeom.mjGEOM_BOX,
@@ -28,12 +30,12 @@ BOX, SPHERE, CAPSULE = (
 
 def solver(spec: mujoco.MjSpec, mass: float) -> list[str]:
     """Set the solver of the bundled robots; a line on each option that was different."""
-    option, told = spec.option, []
+    option, notes = spec.option, []
     wanted = dict(
         integrator=mujoco.mjtIntegrator.mjINT_EULER,
         cone=mujoco.mjtCone.mjCONE_PYRAMIDAL,
         solver=mujoco.mjtSolver.mjSOL_NEWTON,
-        impratio=3.0 if mass > HEAVY else 1.0,
+        impratio=3.0 if mass > HEAVY_MASS else 1.0,
     )
     changed = [name for name, value in wanted.items() if getattr(option, name) != value]
     for name, value in wanted.items():
@@ -41,17 +43,24 @@ def solver(spec: mujoco.MjSpec, mass: float) -> list[str]:
     option.timestep, option.iterations, option.ls_iterations = gains.TIMESTEP, 4, 8
     if changed:
         ratio = f", impratio {wanted['impratio']:g}"
-        told.append(
+        notes.append(
             f"solver: Newton, Euler, pyramidal cone{ratio}; the file has another {', '.join(changed)}"
         )
-    return told
+    return notes
 
 
 def joints(
     spec: mujoco.MjSpec, names: tuple[str, ...], published: Published, effort: np.ndarray
 ) -> list[str]:
     """Take out dry friction and a servo's damping, add the inertia of rotors; a line on each."""
-    told, dry, servo, rotors, endless = [], [], [], [], []
+    notes, dry, servo, rotors, endless = [], [], [], [], []
+    widths = [float(np.ptp(spec.joint(name).range)) for name in names]
+    if 0 < max(widths) < complete.TURN_AS_DEGREES:
+        notes.append(
+            f"EDIT NEEDED: no joint turns by more than {max(widths):.2g} rad, so the file's angles seem to "
+            'be radians that are read as degrees; write <compiler angle="radian"/> into it, and adopt it '
+            "again with --force"
+        )
     for name, is_servo, most in zip(names, published.servo, effort, strict=True):
         joint = spec.joint(name)
         if joint.frictionloss:
@@ -61,30 +70,35 @@ def joints(
             servo.append(float(joint.damping[0]))
             joint.damping = np.zeros_like(joint.damping)
         if joint.limited == mujoco.mjtLimited.mjLIMITED_FALSE or not np.any(joint.range):
-            joint.range, joint.limited = [-WIDE, WIDE], mujoco.mjtLimited.mjLIMITED_TRUE
+            joint.range, joint.limited = (
+                [-UNLIMITED_RANGE, UNLIMITED_RANGE],
+                mujoco.mjtLimited.mjLIMITED_TRUE,
+            )
             endless.append(name)
         joint.actfrcrange, joint.margin = [0, 0], 0
         if not joint.armature:
-            rotors.append(float(f"{gains.ROTOR * most:.2g}"))
+            rotors.append(float(f"{gains.ROTOR_INERTIA * most:.2g}"))
             joint.armature = rotors[-1]
     if dry:
-        told.append(
+        notes.append(
             f"joints: dry friction of {gains.span(np.array(dry))} N m left out, which takes a slower engine; "
             "task.randomize.joint_friction has it for real robots"
         )
     if servo:
-        told.append(
+        notes.append(
             f"joints: damping of {gains.span(np.array(servo))} N m s/rad left out; in a file for "
             "servos it is the servo's, and kd takes its place"
         )
     if endless:
-        told.append(f"joints: no range at {len(endless)} of {len(names)}; +-{WIDE:g} rad")
-    if rotors:
-        told.append(
-            f"joints: no armature in the file; {gains.span(np.array(rotors))} kg m^2, "
-            f"{gains.ROTOR:g} for each N m of effort"
+        notes.append(
+            f"joints: no range at {len(endless)} of {len(names)}; +-{UNLIMITED_RANGE:g} rad"
         )
-    return told
+    if rotors:
+        notes.append(
+            f"joints: no armature in the file; {gains.span(np.array(rotors))} kg m^2, "
+            f"{gains.ROTOR_INERTIA:g} for each N m of effort"
+        )
+    return notes
 
 
 def frames(spec: mujoco.MjSpec, model: mujoco.MjModel) -> list[str]:
@@ -108,7 +122,7 @@ def frames(spec: mujoco.MjSpec, model: mujoco.MjModel) -> list[str]:
     for i in range(1, model.nbody):
         body, parent = spec.body(model.body(i).name), int(model.body_parentid[i])
         if i > 1:
-            rotation[i] = rotation[parent] @ _matrix(model.body_quat[i])
+            rotation[i] = rotation[parent] @ matrix(model.body_quat[i])
             body.pos = rotation[parent] @ model.body_pos[i]
             turned |= not np.allclose(rotation[i], np.eye(3), atol=1e-9)
         body.quat = [1, 0, 0, 0]
@@ -116,28 +130,16 @@ def frames(spec: mujoco.MjSpec, model: mujoco.MjModel) -> list[str]:
             continue
         body.explicitinertial, body.mass = True, model.body_mass[i]
         body.ipos = rotation[i] @ model.body_ipos[i]
-        body.iquat = _quat(rotation[i] @ _matrix(model.body_iquat[i]))
+        body.iquat = quaternion(rotation[i] @ matrix(model.body_iquat[i]))
         body.inertia, body.fullinertia = model.body_inertia[i], np.full(6, np.nan)
         for joint in body.joints:
             joint.pos, joint.axis = rotation[i] @ joint.pos, rotation[i] @ joint.axis
         for geom in body.geoms:
             geom.pos = rotation[i] @ model.geom_pos[geom.id]
-            geom.quat = _quat(rotation[i] @ _matrix(model.geom_quat[geom.id]))
+            geom.quat = quaternion(rotation[i] @ matrix(model.geom_quat[geom.id]))
         for thing in (*body.sites, *body.cameras, *body.lights):
             spec.delete(thing)
     return ["frames: turned until all are parallel to the base's, which changes no motion"] * turned
-
-
-def _matrix(quat: np.ndarray) -> np.ndarray:
-    out = np.zeros(9)
-    mujoco.mju_quat2Mat(out, quat)
-    return out.reshape(3, 3)
-
-
-def _quat(matrix: np.ndarray) -> np.ndarray:
-    out = np.zeros(4)
-    mujoco.mju_mat2Quat(out, np.ascontiguousarray(matrix).ravel())
-    return out
 
 
 def feet(spec: mujoco.MjSpec) -> list[str]:
@@ -149,27 +151,27 @@ def feet(spec: mujoco.MjSpec) -> list[str]:
             geom.margin = geom.gap = 0.0
         if not feet_lib.NAME.fullmatch(geom.name):
             continue
-        if geom.solimp[0] < SOFTEST:
+        if geom.solimp[0] < SOFTEST_SOLIMP:
             soft.append(float(geom.solimp[0]))
-            geom.solimp = [*FIRM, max(float(np.max(geom.size)), 0.01), 0.5, 2.0]
+            geom.solimp = [*FIRM_SOLIMP, max(float(np.max(geom.size)), 0.01), 0.5, 2.0]
             geom.solref = [0.02, 1.0]
-        if geom.friction[0] != FRICTION:
+        if geom.friction[0] != FOOT_FRICTION:
             slippery.append(float(geom.friction[0]))
-            geom.friction = [FRICTION, *geom.friction[1:]]
-    told = []
+            geom.friction = [FOOT_FRICTION, *geom.friction[1:]]
+    notes = []
     if margins:
-        told.append(f"shapes: contact margins of {gains.span(np.array(margins))} m left out")
+        notes.append(f"shapes: contact margins of {gains.span(np.array(margins))} m left out")
     if soft:
-        told.append(
-            f"feet: solimp {FIRM[0]:g} {FIRM[1]:g} instead of {gains.span(np.array(soft))}, with "
-            "which they sink in"
+        notes.append(
+            f"feet: solimp {FIRM_SOLIMP[0]:g} {FIRM_SOLIMP[1]:g} instead of {gains.span(np.array(soft))}, "
+            "with which they sink in"
         )
     if slippery:
-        told.append(
-            f"feet: friction {FRICTION:g}, which task.randomize.friction assumes; in the file "
+        notes.append(
+            f"feet: friction {FOOT_FRICTION:g}, which task.randomize.friction assumes; in the file "
             f"{gains.span(np.array(slippery))}"
         )
-    return told
+    return notes
 
 
 def round_feet(spec: mujoco.MjSpec, robot: robot_lib.Robot) -> list[str]:
@@ -190,7 +192,7 @@ def round_feet(spec: mujoco.MjSpec, robot: robot_lib.Robot) -> list[str]:
         ):
             continue
         down = -half if data.geom_xmat[foot][8] > 0 else half
-        geom, axis = geoms[int(foot)], _matrix(model.geom_quat[foot])[:, 2]
+        geom, axis = geoms[int(foot)], matrix(model.geom_quat[foot])[:, 2]
         geom.type, geom.size = SPHERE, [radius, 0, 0]
         geom.pos = model.geom_pos[foot] + down * axis
         done += 1
@@ -215,11 +217,11 @@ def shanks(spec: mujoco.MjSpec, robot: robot_lib.Robot) -> list[str]:
                 continue
             along = int(size.argmax()) if kind == BOX else 2
             half = size[along] if kind == BOX else size[1]
-            axis = _matrix(model.geom_quat[part])[:, along]
+            axis = matrix(model.geom_quat[part])[:, along]
             axis = axis * (1 if axis @ (middle - model.geom_pos[part]) > 0 else -1)
             cap = size[0] if kind == CAPSULE else 0.0
             end = axis @ (model.geom_pos[part] - middle) + half + cap  # past the foot's middle
-            less = end + CLEAR * radius
+            less = end + SHANK_CLEARANCE * radius
             aside = np.linalg.norm(
                 (middle - model.geom_pos[part]) - axis * (axis @ (middle - model.geom_pos[part]))
             )
@@ -231,18 +233,20 @@ def shanks(spec: mujoco.MjSpec, robot: robot_lib.Robot) -> list[str]:
             cut.append(less)
     if not cut:
         return []
-    return [f"shapes: {len(cut)} that reach a foot end {CLEAR:g} of its radius above its middle"]
+    return [
+        f"shapes: {len(cut)} that reach a foot end {SHANK_CLEARANCE:g} of its radius above its middle"
+    ]
 
 
 def clear(spec: mujoco.MjSpec, robot: robot_lib.Robot, poses: np.ndarray) -> list[str]:
     """Shorten parts that touch the ground in the standing robot's `poses` [T, nq]; a line on each.
 
-    A capsule, cylinder or box loses what is below `ABOVE` at the end of its longest axis. A part that would
-    lose more than half stays, and its line says so. A robot that lies down stays as it is.
+    A capsule, cylinder or box loses what is below `PART_HEIGHT` at the end of its longest axis. A part that
+    would lose more than half stays, and its line says so. A robot that lies down stays as it is.
     """
-    if poses[:, 2].min() < LIES * robot.home_qpos[2]:
+    if poses[:, 2].min() < LYING_BELOW * robot.home_qpos[2]:
         return []
-    model, data, told = robot.mj_model, mujoco.MjData(robot.mj_model), []
+    model, data, notes = robot.mj_model, mujoco.MjData(robot.mj_model), []
     geoms, alike = {geom.id: geom for geom in spec.geoms}, {}
     heights = np.array([feet_lib.lowest_points(model, qpos, robot.parts) for qpos in poses])
     for i, part in enumerate(robot.parts):
@@ -257,12 +261,12 @@ def clear(spec: mujoco.MjSpec, robot: robot_lib.Robot, poses: np.ndarray) -> lis
         size, ends = model.geom_size[robot.parts[i]].copy(), {}
         along = int(size.argmax()) if kind == BOX else 1
         for part in robot.parts[those]:
-            axis = _matrix(model.geom_quat[part])[:, along if kind == BOX else 2]
+            axis = matrix(model.geom_quat[part])[:, along if kind == BOX else 2]
             ends[part] = axis, data.xmat[model.geom_bodyid[part]].reshape(3, 3)[2] @ axis
-        less = (ABOVE - low) / max(abs(ends[robot.parts[i]][1]), 1e-6)
+        less = (PART_HEIGHT - low) / max(abs(ends[robot.parts[i]][1]), 1e-6)
         names = [model.geom(p).name or model.body(model.geom_bodyid[p]).name for p in ends]
         if kind == SPHERE or less > size[along]:
-            told.append(
+            notes.append(
                 f"EDIT NEEDED: {names[those.index(i)]}, a part that is no foot, touches the ground as the "
                 "robot stands; raise task.kp, make it smaller, or change the default pose"
             )
@@ -271,11 +275,11 @@ def clear(spec: mujoco.MjSpec, robot: robot_lib.Robot, poses: np.ndarray) -> lis
         for part, (axis, down) in ends.items():
             geoms[part].size, geoms[part].quat = size, model.geom_quat[part]
             geoms[part].pos = model.geom_pos[part] + np.sign(down) * axis * less / 2
-        told.append(
+        notes.append(
             f"shapes: {less * 1e3:.0f} mm shorter, for they touch the ground as the robot stands: "
             f"{', '.join(names)}"
         )
-    return told
+    return notes
 
 
 def scene(spec: mujoco.MjSpec, height: float) -> None:

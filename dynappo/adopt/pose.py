@@ -8,7 +8,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from dynappo.description import kinematics
+from dynappo.description import complete, kinematics
 
 BENT = 0.85  # of the longest reach, from the leg's second joint to its end
 GRID = 41  # angles of each joint that are tried
@@ -73,6 +73,7 @@ def _of_scene(scene: Path, model: mujoco.MjModel) -> np.ndarray | None:
         spec = mujoco.MjSpec.from_file(str(scene))
     except (ValueError, RuntimeError, mujoco.FatalError):
         return None
+    complete.drop_bodies_without_limbs(spec, [])
     joints = [model.joint(i).name for i in range(model.njnt)]
     names = [joint.name or f"joint{i}" for i, joint in enumerate(spec.joints)]  # as source.read's
     if names != joints or len(spec.bodies) < 2:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import contextlib
 import glob
 import hashlib
+import math
+import os
 import re
 from pathlib import Path
 from typing import NamedTuple
@@ -14,21 +16,29 @@ import mujoco
 import numpy as np
 
 from dynappo.config import ConfigError
-from dynappo.description import mjcf
+from dynappo.description import complete, mjcf
 
 MESHES = {".obj", ".stl", ".msh"}  # that MuJoCo reads
 LICENCES = ("LICENSE*", "LICENCE*", "COPYING*")
 ROOTS = ".git", "package.xml"  # what the folder of a whole repository or package has
 UPWARD = 4  # folders above the file in which its meshes and its package's folder are looked for
 BALL = 0.02  # m, radius
+LIGHTEST = 0.05  # kg: no robot on legs with motors weighs less
 ROUNDED = (
     0.05  # of the largest principal moment, by which it may be more than the sum of the others
 )
 EXACT = 1e-6  # of it, that MuJoCo may be off when it computes them
 LIGHT = 0.05  # of the robot's mass: a link whose inertia may be a guess
 EXPORTED = re.compile(r"mesh|collision|visual", re.IGNORECASE)  # in names that an exporter makes
+# attributes of an MJCF's elements that decide masses
+NUMBERS = "mass density diaginertia fullinertia".split()
 XX = "xx xy xz yy yz zz".split()
 XACRO = "make a URDF of it first: xacro FILE > ROBOT.urdf"
+# what is wrong with a mesh, and what to do
+UNUSABLE = {
+    "not found": "get them",
+    "of a kind that MuJoCo cannot read": "convert them to .obj or .stl",
+}
 
 
 class Source(NamedTuple):
@@ -83,19 +93,57 @@ def read(xml: Path, notes: list[str] | None = None) -> Source:
             raise ValueError(f"XML parse error: {error}") from None
         if _is_xacro(root):
             raise ValueError(f"it is a xacro; {XACRO}")
+        if root.tag not in ("robot", "mujoco"):
+            raise ValueError(f"expected an MJCF or a URDF, found the element {root.tag}")
+        _check_numbers(xml, root)
         if root.tag == "robot":
             return _urdf(xml, root, notes)
-        if root.tag != "mujoco":
-            raise ValueError(f"expected an MJCF or a URDF, found the element {root.tag}")
         spec = mujoco.MjSpec.from_file(str(xml))
+        complete.drop_bodies_without_limbs(spec, notes)
         for kind, things in (("joint", spec.joints), ("link", spec.bodies[1:])):
             for i, thing in enumerate(things):
                 thing.name = thing.name or f"{kind}{i}"
         lost = _drop_meshes(spec, Path(spec.modelfiledir or xml.parent) / spec.meshdir)
-        _tell(lost, notes)
-        _check_limbs(spec, lost)
-        looks = sum(not one.collides for one in lost)
-        return Source(xml, spec, spec.copy().compile(), {}, looks, tuple(notes))
+        _check_lost(lost, notes)
+        return Source(xml, spec, _compiled(spec), {}, len(lost), tuple(notes))
+
+
+def _compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:
+    """The model of a spec, which stays as it is; ValueError if it has next to no mass."""
+    model = spec.copy().compile()
+    if not model.body_mass.sum() >= LIGHTEST:
+        heaviest = model.body(int(model.body_mass.argmax()))
+        raise ValueError(
+            f"the robot has a mass of {model.body_mass.sum():g} kg, expected {LIGHTEST:g} kg or more: its "
+            f"heaviest body, {heaviest.name}, has {heaviest.mass[0]:g} kg; correct the masses"
+        )
+    return model
+
+
+def _check_numbers(xml: Path, root: ElementTree.Element, body: str = "") -> None:
+    """ValueError for a mass or an inertia of an MJCF or a URDF, or of what it includes, that is no number:
+    MuJoCo takes `nan` for one that is not given."""
+    for element in root:
+        inside = element.get("name", "a body") if element.tag in ("body", "link") else body
+        urdf = body and root.tag == "inertial" and element.tag in ("mass", "inertia")
+        for name, text in element.attrib.items():
+            if (urdf or name in NUMBERS) and not all(map(_is_finite, text.split())):
+                raise ValueError(
+                    f"the {element.tag} of {inside or 'a default class'} has {name}={text!r}, "
+                    "expected a number"
+                )
+        if element.tag == "include":
+            with contextlib.suppress(OSError, ElementTree.ParseError):  # MuJoCo says so
+                path = xml.parent / element.get("file", "")
+                _check_numbers(xml, ElementTree.parse(path).getroot(), inside)
+        _check_numbers(xml, element, inside)
+
+
+def _is_finite(text: str) -> bool:
+    try:
+        return math.isfinite(float(text))
+    except ValueError:
+        return False
 
 
 def _is_xacro(root: ElementTree.Element) -> bool:
@@ -132,7 +180,7 @@ def _urdf(xml: Path, root: ElementTree.Element, notes: list[str]) -> Source:
                     elsewhere.append(f"{found.parent.name}/{found.name}")
     if elsewhere:
         notes.append(f"meshes are taken from a folder beside the URDF: {_listed(elsewhere)}")
-    _tell(lost, notes)
+    _check_lost(lost, notes)
     _mend_inertias(root, notes)
     for other in root.findall("mujoco"):
         root.remove(other)
@@ -145,10 +193,8 @@ def _urdf(xml: Path, root: ElementTree.Element, notes: list[str]) -> Source:
         if not body.joints:
             body.add_freejoint()
             notes.append(f"the URDF fixes nothing to the world: {body.name} has a free joint")
-    _check_limbs(spec, lost)
     spec.fuse_static()
-    looks = sum(not one.collides for one in lost)
-    return Source(xml, spec, spec.copy().compile(), velocity, looks, tuple(notes))
+    return Source(xml, spec, _compiled(spec), velocity, len(lost), tuple(notes))
 
 
 def _mend_inertias(root: ElementTree.Element, notes: list[str]) -> None:
@@ -241,35 +287,20 @@ def _drop_meshes(spec: mujoco.MjSpec, folder: Path) -> list[Lost]:
     return lost
 
 
-def _tell(lost: list[Lost], notes: list[str]) -> None:
-    """A line for each way in which meshes are lost: looks and shapes that collide apart."""
-    for why in ("not found", "of a kind that MuJoCo cannot read"):
-        for collides, what in ((False, "looks"), (True, "SHAPES THAT COLLIDE")):
-            names = [one.file for one in lost if (one.why, one.collides) == (why, collides)]
-            if names:
-                notes.append(f"{what} are left out, their meshes are {why}: {_listed(names)}")
-
-
-def _check_limbs(spec: mujoco.MjSpec, lost: list[Lost]) -> None:
-    """ValueError if a moving link but the base has lost all shapes that collide: a robot that lies on it
-    would not have fallen."""
-
-    def moving(body):
-        while body.parent is not None and body.parent.name != "world" and not body.joints:
-            body = body.parent
-        return body.name
-
-    had = {moving(spec.body(one.link)): one for one in lost if one.collides}
-    have = {moving(geom.parent) for geom in spec.geoms if geom.contype or geom.conaffinity}
-    base = {body.name for body in spec.worldbody.bodies}
-    bare = [link for link in had if link not in have | base]
-    if bare:
-        files = _listed([had[link].file for link in bare])
-        convert = "get them" if had[bare[0]].why == "not found" else "convert them to .obj or .stl"
-        raise ValueError(
-            f"no shape that collides is left on {_listed(bare)}: their meshes are {had[bare[0]].why} "
-            f"({files}); {convert}, or give the links boxes or capsules"
-        )
+def _check_lost(lost: list[Lost], notes: list[str]) -> None:
+    """A line for each way in which looks are lost; ValueError if a shape that collides is: a robot that lies
+    on that link, be it a limb or the base, would not have fallen."""
+    for why in UNUSABLE:
+        if files := [one.file for one in lost if one.why == why and not one.collides]:
+            notes.append(f"looks are left out, their meshes are {why}: {_listed(files)}")
+    for why, remedy in UNUSABLE.items():
+        shapes = [one for one in lost if one.why == why and one.collides]
+        if shapes:
+            raise ValueError(
+                f"shapes that collide are missing on {_listed([one.link for one in shapes])}: their meshes "
+                f"are {why} ({_listed([one.file for one in shapes])}); {remedy}, or give the links boxes or "
+                "capsules"
+            )
 
 
 def _listed(names: list[str], most: int = 4) -> str:
@@ -307,17 +338,17 @@ def published(source: Source, joints: tuple[str, ...]) -> tuple[Published, list[
         effort[i] = np.nanmin([np.nan, *limits]) if np.isfinite(limits).any() else np.nan
         velocity[i] = source.velocity.get(name, np.nan)
     effort[~(effort > 0)], velocity[~(velocity > 0)] = np.nan, np.nan
-    told = []
+    notes = []
     several = [name for name in joints if len(on.get(model.joint(name).id, [])) > 1]
     if several:
-        told.append(f"motors: several actuators add up at {_listed(several)}")
+        notes.append(f"motors: several actuators add up at {_listed(several)}")
     idle = [name for name in joints if model.joint(name).id not in on]
     if idle and on:
-        told.append(
+        notes.append(
             f"motors: nothing in the file drives {_listed(idle)}; all joints have a motor here, with effort "
             "and gains as the others"
         )
-    return Published(kp, kd, effort, velocity, servo), told
+    return Published(kp, kd, effort, velocity, servo), notes
 
 
 def _most(model: mujoco.MjModel, a: int) -> float:
@@ -342,14 +373,15 @@ def _servo(model: mujoco.MjModel, a: int) -> tuple[float, float]:
 
 def licence(xml: Path) -> tuple[str, str]:
     """`(where, text)` of the licence: a file beside the robot's, or in a folder above up to that of its
-    package or repository; else comments in it."""
+    package or repository, by its path from the robot's; else comments in it."""
     folders = [xml.resolve().parent, *xml.resolve().parents[1 : UPWARD + 1]]
     tops = [i for i, folder in enumerate(folders) if any((folder / n).exists() for n in ROOTS)]
     for folder in folders[: tops[0] + 1 if tops else 1]:
         for pattern in LICENCES:
             for file in sorted(folder.glob(pattern)):
                 if file.is_file():
-                    return str(file), file.read_text(encoding="utf-8", errors="replace").strip()
+                    where = Path(os.path.relpath(file, folders[0])).as_posix()
+                    return where, file.read_text(encoding="utf-8", errors="replace").strip()
     comments = re.findall(r"<!--(.*?)-->", xml.read_text(encoding="utf-8"), re.S)
     said = [c.strip() for c in comments if re.search(r"licen[sc]e|copyright", c, re.I)]
     said = [comment for comment in said if "`dynappo adopt`" not in comment]  # our own
@@ -365,7 +397,7 @@ def origin(xml: Path) -> str:
         with contextlib.suppress(OSError, UnicodeDecodeError):
             config = (folder / ".git/config").read_text(encoding="utf-8")
             remote = re.search(r'\[remote "[^"]*"\][^\[]*?url\s*=\s*(\S+)', config)
-            where = re.sub(r"//[^/@]*@", "//", remote[1]) if remote else str(folder)  # no password
+            where = re.sub(r"//[^/@]*@", "//", remote[1]) if remote else folder.name  # no password
             path = xml.resolve().relative_to(folder.resolve()).as_posix()
             return f"{said}; `{path}` of {where}, commit {_commit(folder / '.git')}"
         break

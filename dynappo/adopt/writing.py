@@ -14,13 +14,11 @@ from dynappo.description import kinds
 from dynappo.description import robot as robot_lib
 from dynappo.description import text as text_lib
 
-LIGHT = 25.0  # kg, up to which the reward weights of the Unitree tasks hold; above, those of the ANYmals
-TORQUES, AT = 2e-4, 13.0  # weight of squared torques, at a mass (kg); it falls by mass^-1.5
-ABOVE = 0.05  # m over the default pose, where episodes start
-LOAD, OF_BASE = (
-    0.1,
-    0.3,
-)  # by what share of the robot's mass the base's varies; at most this of its own
+LIGHT_MASS = 25.0  # kg, up to which the reward weights of the Unitree tasks hold; above, those of the ANYmals
+GO1_TORQUE_WEIGHT, GO1_MASS = 2e-4, 13.0  # of squared torques; kg
+START_HEIGHT = 0.05  # m over the default pose, where episodes start
+MASS_VARIES = 0.1  # of the robot's mass, by which the base's varies
+BASE_VARIES_MOST = 0.3  # of the base's own mass
 HEAD = '''"""{name} on flat ground, adopted from {file}.
 
     python -m dynappo.look configs/{name}.py
@@ -63,7 +61,7 @@ HEAVIER_END = """\
 
 
 def light(robot: robot_lib.Robot) -> bool:
-    return float(robot.mj_model.body_mass.sum()) < LIGHT
+    return float(robot.mj_model.body_mass.sum()) < LIGHT_MASS
 
 
 def init_std(robot: robot_lib.Robot) -> float:
@@ -74,12 +72,16 @@ def init_std(robot: robot_lib.Robot) -> float:
 def load(robot: robot_lib.Robot) -> float:
     """By how many kg the base's mass varies in training."""
     model = robot.mj_model
-    return float(min(LOAD * model.body_mass.sum(), OF_BASE * model.body_mass[robot.base_body]))
+    return float(
+        min(
+            MASS_VARIES * model.body_mass.sum(), BASE_VARIES_MOST * model.body_mass[robot.base_body]
+        )
+    )
 
 
 def torque_weight(mass: float) -> float:
     """Weight of the sum of squared torques: -2e-4 at 13 kg, -2.5e-5 at 52 kg, as Isaac Lab has them."""
-    return -float(f"{TORQUES * (AT / mass) ** 1.5:.2g}")
+    return -float(f"{GO1_TORQUE_WEIGHT * (GO1_MASS / mass) ** 1.5:.2g}")
 
 
 def config(robot: robot_lib.Robot, source: Source, motors: Motors) -> str:
@@ -95,7 +97,7 @@ def config(robot: robot_lib.Robot, source: Source, motors: Motors) -> str:
     lines.append(_field("effort_limit", kinds.patterns(names, motors.effort_limit)))
     lines.append("    task.saturation_effort = task.effort_limit\n")
     lines.append(_field("velocity_limit", kinds.patterns(names, motors.velocity_limit)))
-    spawn, more = robot.home_qpos[2] + ABOVE, load(robot)
+    spawn, more = robot.home_qpos[2] + START_HEIGHT, load(robot)
     lines.append(
         f"    task.reset.spawn_height = {spawn:.2f}  # m, of the base: default pose and 5 cm\n"
     )
@@ -129,20 +131,22 @@ def _of_two_feet(robot: robot_lib.Robot) -> str:
 def assumed(robot: robot_lib.Robot) -> list[str]:
     """Lines on the numbers that the config derives from the robot's mass and feet."""
     mass = float(robot.mj_model.body_mass.sum())
-    starts = f"base mass +-{load(robot):.1f} kg; starts {ABOVE * 100:g} cm above the default pose"
+    starts = (
+        f"base mass +-{load(robot):.1f} kg; starts {START_HEIGHT * 100:g} cm above the default pose"
+    )
     if bipeds.is_biped(robot):
         return [*bipeds.choose(robot)[1], f"task: {starts}"]
     like = "the Unitree tasks'" if light(robot) else "the ANYmal tasks'"
-    told = [
-        f"task: {like} reward weights for {mass:.1f} kg (up to {LIGHT:g} kg those of light robots), torques "
-        f"weighted by {torque_weight(mass):g}; {starts}"
+    notes = [
+        f"task: {like} reward weights for {mass:.1f} kg (up to {LIGHT_MASS:g} kg those of light robots), "
+        f"torques weighted by {torque_weight(mass):g}; {starts}"
     ]
     if len(robot.foot_names) != 4:
-        told.append(
+        notes.append(
             f"task: the rewards are those of four legs; no robot of {len(robot.foot_names)} feet was "
             f"trained with them"
         )
-    return told
+    return notes
 
 
 def _field(name: str, value: float | dict[str, float]) -> str:
@@ -158,7 +162,7 @@ def _field(name: str, value: float | dict[str, float]) -> str:
 
 def mjcf(spec: mujoco.MjSpec, robot_name: str, source: Source) -> str:
     """The text of a compiled spec, with a comment on its origin."""
-    root = ElementTree.fromstring(text_lib.of(spec))
+    root = ElementTree.fromstring(text_lib.self_contained(spec))
     about = (
         f"\n    {robot_name}, adopted from {source.xml.name} by `dynappo adopt`: README.md has source, "
         f"licence and"
@@ -172,7 +176,7 @@ def mjcf(spec: mujoco.MjSpec, robot_name: str, source: Source) -> str:
 def readme(
     robot: robot_lib.Robot,
     source: Source,
-    told: list[str],
+    notes: list[str],
     licence: tuple[str, str],
     looks: int,
 ) -> str:
@@ -194,7 +198,7 @@ def readme(
         break_long_words=False,
         break_on_hyphens=False,
     )
-    assumed = "".join(lines.fill(line) + "\n" for line in told)
+    assumed = "".join(lines.fill(line) + "\n" for line in notes)
     legal = (
         f"From {where}; check that it is of this robot:\n\n"
         + textwrap.indent(text, "    ").rstrip()
@@ -203,7 +207,7 @@ def readme(
     )
     return (
         f"# {robot.name}\n\n"
-        f"`{robot.name}.xml` is made by `dynappo adopt` from `{source.xml}`"
+        f"`{robot.name}.xml` is made by `dynappo adopt` from `{source.xml.name}`"
         f"{', its looks included' if looks else ''}\n({origin(source.xml)}).\n"
         f"Gains, limits and what else depends on the robot are in "
         f"`configs/{robot.name}.py`.\n\n"

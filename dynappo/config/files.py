@@ -49,6 +49,24 @@ def check_regular(path: Path) -> None:
 
 
 @contextlib.contextmanager
+def without_stderr() -> Iterator[None]:
+    """What C and C++ libraries write to stderr is lost meanwhile."""
+    try:
+        before = os.dup(2)
+    except OSError:  # there is none
+        yield
+        return
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nowhere, 2)
+        yield
+    finally:
+        os.dup2(before, 2)
+        os.close(before)
+        os.close(nowhere)
+
+
+@contextlib.contextmanager
 def locked(path: Path) -> Iterator[Any]:
     """Yields the lock `path`, which this process holds until the `with` ends; Locked if another one does.
 

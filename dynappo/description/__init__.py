@@ -4,7 +4,7 @@
 - `mjcf`: compiles an MJCF, with errors in one line; the MJCF inside a policy may read no file
 - `complete`: puts in place what a robot's file lacks, and says so
 - `feet`: which of a robot's shapes are its feet
-- `fit`: the smallest primitive around a mesh
+- `primitives`: the smallest primitive around a mesh
 - `robot_contract`: checks the rules that remain
 - `motors`: gives a robot the motors of a config, joint by joint
 - `text`: writes a completed robot as an MJCF that needs no other file

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
-from dynappo.description import feet, fit, mjcf, robot_contract
+from dynappo.description import feet, mjcf, primitives, robot_contract
 from dynappo.description.rotation import matrix, quaternion
 
 VISUAL_GROUP, COLLISION_GROUP = 2, 3  # by the habit of MuJoCo Menagerie
@@ -27,6 +27,7 @@ MESH, PLANE, ELLIPSOID = (
 OFF = mujoco.mjtLimited.mjLIMITED_FALSE
 FREE, HINGE = mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtJoint.mjJNT_HINGE
 ON_FLOOR = 0.01  # m that the lowest foot may be from the floor in the home pose
+TURN_AS_DEGREES = 2 * np.pi * np.pi / 180  # rad: a whole turn in radians that is read as degrees
 # of a geom, what a primitive in its place keeps
 KEPT = "name condim priority friction solref solimp solmix margin gap group rgba".split()
 VIEW = np.array([1.11, -0.86, 0.29]) / 0.325  # the camera, in heights of the base
@@ -55,7 +56,7 @@ def options(spec: mujoco.MjSpec) -> list[str]:
     """A line on options with which a robot does not move as it does on a floor on Earth in still air; they
     stay."""
     option, usual = spec.option, mujoco.MjSpec().option
-    told = [
+    unusual = [
         f"{name} {' '.join(f'{x:g}' for x in np.atleast_1d(getattr(option, name)))}"
         for name in ("gravity", "wind", "density", "viscosity")
         if not np.array_equal(getattr(option, name), getattr(usual, name))
@@ -63,19 +64,20 @@ def options(spec: mujoco.MjSpec) -> list[str]:
     flags = [
         flag for flag in mujoco.mjtDisableBit.__members__.values() if flag.name[:6] == "mjDSBL"
     ]
-    told += [
+    unusual += [
         f"no {flag.name.removeprefix('mjDSBL_').lower()}"
         for flag in flags
         if option.disableflags & int(flag)
     ]
-    return [f"the file's options are simulated: {', '.join(told)}"] * bool(told)
+    return [f"the file's options are simulated: {', '.join(unusual)}"] * bool(unusual)
 
 
 def _completed(spec: mujoco.MjSpec) -> Completed:
     notes: list[str] = []
+    drop_bodies_without_limbs(spec, notes)
     # where bodies go, MuJoCo empties the keys until it compiles
     poses = [np.array(key.qpos) for key in spec.keys]
-    _measure_nothing(spec)
+    _delete_sensors_and_materials(spec)
     floor = _choose_floor(spec)
     freed = _one_robot(spec, floor, notes)
     robot_contract.check_tree(spec)
@@ -117,11 +119,11 @@ def _geoms(spec: mujoco.MjSpec) -> list[str]:
     return [geom.name for geom in sorted(spec.geoms, key=lambda geom: geom.id)]
 
 
-def _called(geom) -> str:
+def _name_of_shape(geom) -> str:
     return geom.name or f"a shape of {geom.parent.name}"
 
 
-def _measure_nothing(spec: mujoco.MjSpec) -> None:
+def _delete_sensors_and_materials(spec: mujoco.MjSpec) -> None:
     """Sensors, skins, materials, what looks at a body: they have no say in how a robot moves, but name files,
     bodies and shapes."""
     for shape in (*spec.geoms, *spec.sites):
@@ -135,6 +137,29 @@ def _measure_nothing(spec: mujoco.MjSpec) -> None:
 
 
 # the tree
+
+
+def drop_bodies_without_limbs(spec: mujoco.MjSpec, notes: list[str]) -> None:
+    """Take out moving bodies of the world that carry no joint: parked placeholders, balls. A robot beside
+    them has limbs; keyframes keep its numbers."""
+    moving = [body for body in spec.worldbody.bodies if body.find_all("joint")]
+    bare = [body for body in moving if len(body.find_all("joint")) == len(body.joints)]
+    if not bare or len(bare) == len(moving):
+        return
+    keep = np.concatenate(
+        [
+            np.full(count, top not in bare)
+            for top in spec.worldbody.bodies
+            for _, count in _sizes(top)
+        ]
+    )
+    poses = [np.array(key.qpos) for key in spec.keys]
+    notes.append(f"left out, for nothing moves on them: {_list(b.name or 'a body' for b in bare)}")
+    for body in bare:
+        spec.delete(body)
+    for key, pose in zip(spec.keys, poses, strict=True):
+        if len(pose) == len(keep):
+            key.qpos = pose[keep]
 
 
 def _choose_floor(spec: mujoco.MjSpec):
@@ -295,20 +320,22 @@ def _shapes(spec: mujoco.MjSpec, notes: list[str]) -> list:
     shapes = [g for g in collide if g.group != VISUAL_GROUP] or collide
     # a foot is one by its name, whatever its numbers say
     feet_too = [g for g in collide if g.group == VISUAL_GROUP] + [
-        g for g in _on_robot(spec) if g.group != VISUAL_GROUP and g.type in fit.KINDS
+        g for g in _on_robot(spec) if g.group != VISUAL_GROUP and g.type in primitives.KINDS
     ]
     meant = [g for g in feet_too if feet.NAME.fullmatch(g.name)]
     meant += [g for g in _on_robot(spec) if g.name and g.name in paired and g not in meant]
     meant += [g for g in shapes if g not in meant]
     if not shapes:
-        plain = [g for g in _on_robot(spec) if g.group == COLLISION_GROUP and g.type in fit.KINDS]
+        plain = [
+            g for g in _on_robot(spec) if g.group == COLLISION_GROUP and g.type in primitives.KINDS
+        ]
         plain = [g for g in plain if g not in meant]
         if plain:
             notes.append(f"nothing collides: shapes of group {COLLISION_GROUP} now touch the floor")
         meant += plain
-    flat = [g for g in meant if g.type not in (*fit.KINDS, MESH, ELLIPSOID)]
+    flat = [g for g in meant if g.type not in (*primitives.KINDS, MESH, ELLIPSOID)]
     if flat:
-        kinds = _list(f"{_called(g)} ({_kind(g)})" for g in flat)
+        kinds = _list(f"{_name_of_shape(g)} ({_kind(g)})" for g in flat)
         notes.append(f"shapes of a kind that a robot cannot have are left out: {kinds}")
     return [g for g in meant if g not in flat]
 
@@ -368,7 +395,7 @@ def _pairs(spec: mujoco.MjSpec, floor, notes: list[str]) -> None:
             geom.friction = np.array(pair.friction)[[0, 2, 3]]
             geom.solref, geom.solimp = pair.solref, pair.solimp
             geom.priority = max(geom.priority, 1 + (floor.priority if floor is not None else 0))
-        if len(own) == 2 and all(geom.type in fit.KINDS for geom in own):
+        if len(own) == 2 and all(geom.type in primitives.KINDS for geom in own):
             continue
         inside += len(own) == 2
         spec.delete(pair)
@@ -471,7 +498,7 @@ def _primitives(spec: mujoco.MjSpec, model: mujoco.MjModel, notes: list[str]) ->
             continue
         turn, pos = matrix(model.geom_quat[i]), model.geom_pos[i]
         if geom.type == ELLIPSOID:
-            one = fit.around_ellipsoid(model.geom_size[i], turn, pos)
+            one = primitives.around_ellipsoid(model.geom_size[i], turn, pos)
         else:
             points = feet.vertices(model, i)
             if i not in shapes:
@@ -479,7 +506,7 @@ def _primitives(spec: mujoco.MjSpec, model: mujoco.MjModel, notes: list[str]) ->
                     model, data, i, points, shapes[model.geom_bodyid[shapes] == body]
                 )
             level = data.xmat[body].reshape(3, 3).T
-            one = fit.around(points @ turn.T + pos, [turn, np.eye(3), level])
+            one = primitives.around(points @ turn.T + pos, [turn, np.eye(3), level])
         kept = {name: getattr(geom, name) for name in KEPT}
         found.setdefault(one.text(), []).append(geom.name or geom.parent.name or "a body")
         parent = geom.parent
@@ -547,7 +574,7 @@ def _contacts(spec: mujoco.MjSpec, model: mujoco.MjModel, notes: list[str]) -> b
             raised.append(geom)
         if condim != geom.condim:
             geom.condim = condim
-            sliding.append(_called(geom))
+            sliding.append(_name_of_shape(geom))
     if crossed:
         notes.append("shapes touch the floor only, not one another")
     if raised:

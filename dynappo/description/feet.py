@@ -8,13 +8,16 @@ import mujoco
 import numpy as np
 
 from dynappo.description import contacts, kinematics
+from dynappo.description.rotation import matrix
 
 NAME = re.compile(r"(.+?)_foot(?:_?\d+)?")  # FL_foot; left_foot1, left_foot_2
 # shares of the base's height above the lowest point, in the home pose
 NEAR = 0.1  # a limb that stands on the floor may end so much higher than the robot's lowest point
 SOLE = 0.03  # a shape of its foot, than the limb's
 SHANK = 0.25  # no shape of a foot reaches further up
-OF_AXIS = 0.1  # of a shape's size, that a wheel's middle may be off its axis
+# a wheel reaches as far to all sides of its axis: the shortest way out, of the longest
+ROUND = 0.82  # its middle may be off by a tenth of the radius, and a mesh may have six corners
+SIDES = 24  # to which its reach is measured
 
 
 def named(geoms: list[str]) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
@@ -46,15 +49,22 @@ def _reach(model, qpos, geoms) -> tuple[np.ndarray, np.ndarray]:
     mujoco.mj_kinematics(model, data)
     geoms = np.asarray(geoms, int)
     row, middle = data.geom_xmat[geoms].reshape(-1, 3, 3)[:, 2], data.geom_xpos[geoms, 2]
-    fixed, linear, ring = contacts.floor_distance(model, geoms)
-    away = fixed + (linear * abs(row)).sum(-1) + ring * np.sqrt(np.maximum(1 - row[:, 2] ** 2, 0))
-    ellipsoid = model.geom_type[geoms] == mujoco.mjtGeom.mjGEOM_ELLIPSOID
-    away = np.where(ellipsoid, np.linalg.norm(model.geom_size[geoms] * row, axis=1), away)
+    away = _half_width(model, geoms, row)
     low, high = middle - away, middle + away
     for i in np.flatnonzero(model.geom_type[geoms] == mujoco.mjtGeom.mjGEOM_MESH):
         heights = middle[i] + vertices(model, geoms[i]) @ row[i]
         low[i], high[i] = heights.min(), heights.max()
     return low, high
+
+
+def _half_width(model, geoms: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """How far each of `geoms` [G] reaches from its middle along a unit vector [G, 3] of its frame; not of
+    meshes."""
+    fixed, linear, ring = contacts.floor_distance(model, geoms)
+    around = np.sqrt(np.maximum(1 - directions[:, 2] ** 2, 0))
+    away = fixed + (linear * abs(directions)).sum(-1) + ring * around
+    ellipsoid = model.geom_type[geoms] == mujoco.mjtGeom.mjGEOM_ELLIPSOID
+    return np.where(ellipsoid, np.linalg.norm(model.geom_size[geoms] * directions, axis=1), away)
 
 
 def vertices(model: mujoco.MjModel, geom: int) -> np.ndarray:
@@ -92,21 +102,23 @@ def by_shape(model: mujoco.MjModel, home: np.ndarray) -> dict[str, list[int]]:
 
 
 def _rolls(model: mujoco.MjModel, geom: int) -> bool:
-    """Whether a shape is a wheel: round about a joint without limits, at its middle."""
+    """Whether a shape is a wheel: round about a joint without limits, whatever its frame is."""
     body = model.geom_bodyid[geom]
     if not model.body_jntnum[body]:
         return False
     joint = model.body_jntadr[body] + model.body_jntnum[body] - 1
     if model.jnt_limited[joint]:
         return False
-    axis, size = model.jnt_axis[joint], model.geom_size[geom, 0]
-    off = np.cross(axis, model.geom_pos[geom] - model.jnt_pos[joint])
-    along = np.zeros(3)
-    mujoco.mju_rotVecQuat(along, np.array([0.0, 0.0, 1.0]), model.geom_quat[geom])
-    ball = model.geom_type[geom] == contacts.SPHERE
-    level = model.geom_type[geom] in (contacts.CYLINDER, contacts.CAPSULE, 7)
-    turns = ball or (level and abs(along @ axis) > 0.99)
-    return bool(turns and np.linalg.norm(off) < OF_AXIS * size)
+    side = np.linalg.svd(model.jnt_axis[joint][None])[2][1:]  # two vectors across the axis
+    angles = np.linspace(0, 2 * np.pi, SIDES, endpoint=False)
+    across = np.column_stack([np.cos(angles), np.sin(angles)]) @ side
+    own = across @ matrix(model.geom_quat[geom])  # in the shape's frame
+    if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH:
+        away = (own @ vertices(model, geom).T).max(1)
+    else:
+        away = _half_width(model, np.full(SIDES, geom), own)
+    reach = across @ (model.geom_pos[geom] - model.jnt_pos[joint]) + away
+    return bool(reach.min() > ROUND * reach.max())
 
 
 def _titles(model: mujoco.MjModel, bodies: list[int]) -> list[str]:

@@ -75,7 +75,7 @@ def _robot(name: str, xml: Path, text: str = "") -> Robot:
     robot_contract.check(model)
     shapes, foot_of, foot_names = feet.named(robot_contract.names(model.ngeom, model.geom))
     home = model.key("home").qpos.copy()
-    told = complete.options(spec)
+    options = complete.options(spec)
     alone = text or _alone(xml, spec, bool(notes))
     return Robot(
         name=name,
@@ -92,7 +92,7 @@ def _robot(name: str, xml: Path, text: str = "") -> Robot:
         text=text,
         alone=alone,
         played=text or (alone if notes else ""),
-        notes=(*notes, *told),
+        notes=(*notes, *options),
     )
 
 
@@ -114,7 +114,7 @@ def _alone(xml: Path, spec: mujoco.MjSpec, changed: bool) -> str:
             if geom.group > complete.VISUAL_GROUP:
                 geom.group = 0
         spec.compile()
-        text = text_lib.of(spec)
+        text = text_lib.self_contained(spec)
         mjcf.check_alone(text)
         return text
     return ""

@@ -1,4 +1,4 @@
-"""Writes a completed robot as an MJCF that needs no other file: `of(spec)`.
+"""Writes a completed robot as an MJCF that needs no other file: `self_contained(spec)`.
 
 MuJoCo's own writer keeps default classes as they were read. They may name materials that are no longer
 there, and then it cannot read its own text. Here each element has its own numbers.
@@ -14,7 +14,7 @@ import numpy as np
 from dynappo.description.rotation import matrix, quaternion
 
 
-def of(spec: mujoco.MjSpec) -> str:
+def self_contained(spec: mujoco.MjSpec) -> str:
     """The MJCF of a compiled spec, without default classes (but tendons') and frames.
 
     The spec's elements lose their classes, which changes none of their numbers.

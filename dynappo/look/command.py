@@ -14,7 +14,7 @@ import numpy as np
 from dynappo import config as config_lib
 from dynappo.config import ConfigError
 from dynappo.config import flags as flags_lib
-from dynappo.description import kinds, motors
+from dynappo.description import complete, kinds, motors
 from dynappo.description import robot as robot_lib
 from dynappo.look import facts, picture
 from dynappo.physics import engine_contract
@@ -214,6 +214,7 @@ def _wrong_config(robot: robot_lib.Robot, config) -> list[str]:
             f"task.effort_limit is {effort[i]:g} N m at {robot.joint_names[i]}, which its motor cannot "
             f"reach: task.saturation_effort, of a motor that stands, is {stall[i]:g}"
         )
+    out += _wrong_ranges(robot, np.broadcast_to(task.action_scale, count))
     asked = facts.explores(robot, config)
     if asked.max() > EXPLORES:
         name = robot.joint_names[int(asked.argmax())]
@@ -248,6 +249,25 @@ def _wrong_config(robot: robot_lib.Robot, config) -> list[str]:
             "(task.randomize.friction)"
         )
     return out
+
+
+def _wrong_ranges(robot: robot_lib.Robot, scale: np.ndarray) -> list[str]:
+    """Joints that an action of 1 (`scale` [A], rad) takes through their whole range."""
+    width = np.ptp(robot_lib.joint_ranges(robot), axis=1)
+    narrow = width < scale
+    if (width < complete.TURN_AS_DEGREES).all():
+        return [
+            f"no joint turns by more than {width.max():.2g} rad: in the file that they are from, angles seem "
+            'to be radians that are read as degrees, for want of <compiler angle="radian"/>'
+        ]
+    if not narrow.any():
+        return []
+    names = [robot.joint_names[i] for i in np.flatnonzero(narrow)]
+    more = f" and {len(names) - 6} more" * (len(names) > 6)
+    return [
+        f"the whole range of {', '.join(names[:6])}{more} is {_span(width[narrow], 2)} rad, less than "
+        "task.action_scale: correct the range, or lower the scale"
+    ]
 
 
 def run(flags) -> None:

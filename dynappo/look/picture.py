@@ -14,6 +14,7 @@ import numpy as np
 
 from dynappo.description import mjcf
 from dynappo.description import robot as robot_lib
+from dynappo.description.rotation import matrix, quaternion
 from dynappo.policy import render
 
 FEET, PARTS, TILE = (0.95, 0.50, 0.10, 1.0), (0.42, 0.55, 0.70, 1.0), (0.80, 0.82, 0.84, 1.0)
@@ -96,19 +97,15 @@ def _place(spec, model, data, geom: int, at: float, yaw: float, **look) -> None:
     mesh = int(model.geom_dataid[geom])
     more = {}
     if model.geom_type[geom] == MESH:  # as the file has it: MuJoCo centres meshes
-        turned = np.zeros(9)
-        mujoco.mju_quat2Mat(turned, model.mesh_quat[mesh])
-        rotation = rotation @ turned.reshape(3, 3).T
+        rotation = rotation @ matrix(model.mesh_quat[mesh]).T
         position = position - rotation @ model.mesh_pos[mesh]
         more = dict(meshname=model.mesh(mesh).name)
     turn = np.array([[np.cos(yaw), -np.sin(yaw), 0], [np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]])
-    quat = np.zeros(4)
-    mujoco.mju_mat2Quat(quat, (turn @ rotation).ravel())
     spec.worldbody.add_geom(
         type=model.geom_type[geom],
         size=model.geom_size[geom],
         pos=turn @ position + [at, 0, 0],
-        quat=quat,
+        quat=quaternion(turn @ rotation),
         contype=0,
         conaffinity=0,
         **more,

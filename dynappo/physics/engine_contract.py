@@ -11,7 +11,7 @@ import io
 
 import mujoco
 
-from dynappo.config import ConfigError
+from dynappo.config import ConfigError, files
 from dynappo.description import robot as robot_lib
 from dynappo.physics.warp import scope
 
@@ -80,10 +80,10 @@ def _unlike_others(model: mujoco.MjModel) -> str:
 
 
 def _warp():
-    """Warp, started; else it prints its version and devices later."""
+    """Warp, started; else it prints its version and devices later, and in C++ that there is no GPU."""
     import warp  # pyright: ignore[reportMissingImports]
 
-    with contextlib.redirect_stdout(io.StringIO()):
+    with contextlib.redirect_stdout(io.StringIO()), files.without_stderr():
         warp.init()
     return warp
 

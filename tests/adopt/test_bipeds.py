@@ -45,7 +45,7 @@ def adopted(tmp_path_factory):
     try:
         Path("toy.xml").write_text(symmetric(other_robots.biped(arms=True)))
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(command, "look", lambda *_: None)
+            patch.setattr(command, "look", lambda *_: [])
             assert run("toy.xml", "--name=mine") == 0
         yield robot_lib.load("mine"), config_lib.load("configs/mine.py")
     finally:
@@ -182,12 +182,12 @@ def test_damping_is_alike_left_and_right_where_links_are_not():
     none = source.Published(*np.full((4, count), np.nan), np.zeros(count, bool))
     found, _ = gains.choose(toy, none, 1.0)
     left, right = (toy.joint_names.index(f"{side}_shoulder") for side in ("left", "right"))
-    assert found.kd[left] == found.kd[right] < found.kp[left] * gains.RATIO * 0.9
+    assert found.kd[left] == found.kd[right] < found.kp[left] * gains.KD_PER_KP * 0.9
 
 
 def test_a_pose_of_a_scene_is_found_where_the_free_joint_has_no_name(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(command, "look", lambda *_: None)
+    monkeypatch.setattr(command, "look", lambda *_: [])
     toy = other_robots.biped()
     spec = mujoco.MjSpec.from_string(toy.text)
     assert not spec.joints[0].name
@@ -208,7 +208,7 @@ def test_a_pose_of_a_scene_is_found_where_the_free_joint_has_no_name(tmp_path, m
 def test_without_a_pose_knees_are_bent_and_feet_stay_flat(signs, limits, tmp_path, monkeypatch):
     """Forward, where the knee's range allows it, whatever the signs of the axes left and right are."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(command, "look", lambda *_: None)
+    monkeypatch.setattr(command, "look", lambda *_: [])
     spec = mujoco.MjSpec.from_string(other_robots.biped().text)
     spec.delete(spec.keys[0])
     for side, sign in zip(("left", "right"), signs, strict=True):
@@ -233,7 +233,7 @@ def test_without_a_pose_knees_are_bent_and_feet_stay_flat(signs, limits, tmp_pat
 @pytest.mark.parametrize(("knee", "expected"), [(0.1, 0.76), (0.4, 0.4)])
 def test_straight_knees_of_a_pose_are_bent_and_others_stay(knee, expected, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(command, "look", lambda *_: None)
+    monkeypatch.setattr(command, "look", lambda *_: [])
     spec = mujoco.MjSpec.from_string(other_robots.biped().text)
     spec.keys[0].qpos = [0, 0, 1, 1, 0, 0, 0, *[0, 0, -knee / 2, knee, -knee / 2, 0] * 2]
     spec.compile()

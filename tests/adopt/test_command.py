@@ -31,9 +31,9 @@ def adopted(tmp_path_factory):
     try:
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(
-                "builtins.print", lambda *what, **_: printed.append(" ".join(map(str, what)))
+                "builtins.print", lambda *what: printed.extend(" ".join(what).split("\n"))
             )
-            patch.setattr(command, "look", lambda config, picture: printed.append(f"look {config}"))
+            patch.setattr(command, "look", lambda folder, name: [f"look {name}", "note: this"])
             assert run("from/toy.xml", "--name=mine") == 0
         config = config_lib.validate(config_lib.load("configs/mine.py"))
         robot = robot_lib.load("mine")
@@ -55,7 +55,9 @@ def test_it_writes_a_robot_that_needs_nothing_more(adopted):
         "mine.xml",
     ]
     assert (folder / "robots/mine/assets/cube.obj").read_text() == published.CUBE
-    assert not [*folder.glob("robots/.*")] and printed[-2] == "look configs/mine.py"
+    assert not [*folder.glob("robots/.*")]
+    # what asks for something comes last, before what is next
+    assert printed[-6:-1] == ["", "look mine", "", "note: this", ""]
     assert "train --config=configs/mine.py" in printed[-1]
 
 
@@ -119,8 +121,8 @@ def test_the_config_has_its_motors_and_its_mass(adopted):
 def test_the_readme_has_source_licence_and_every_line(adopted):
     folder, _, _, printed = adopted
     text = " ".join((folder / "robots/mine/README.md").read_text().split())
-    assert "from/toy.xml" in text and "BSD-3-Clause, Copyright 2026 Somebody" in text
-    for line in printed[:-3]:
+    assert "from `toy.xml`" in text and "BSD-3-Clause, Copyright 2026 Somebody" in text
+    for line in printed[:-7]:
         assert " ".join(line.split()) in text
     said = "\n".join(printed)
     for part in (
@@ -137,7 +139,7 @@ def test_a_urdf_is_adopted_with_a_pose_of_bent_legs(tmp_path, monkeypatch, capsy
     """Feet below the legs' second joints, by forward kinematics; limits of the file; the looks are not
     there."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(command, "look", lambda *_: None)
+    monkeypatch.setattr(command, "look", lambda *_: [])
     Path("toy.urdf").write_text(published.urdf())
     assert run("toy.urdf") == 0
     said, robot = capsys.readouterr().out, robot_lib.load("toy")
@@ -159,7 +161,7 @@ def test_nothing_is_written_over(adopted, tmp_path, monkeypatch, capsys):
     """But with --force, whole."""
     folder, *_ = adopted
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(command, "look", lambda *_: None)
+    monkeypatch.setattr(command, "look", lambda *_: [])
     file = folder / "from/toy.xml"
     Path("configs").mkdir()
     Path("configs/toy.py").write_text("mine")
@@ -227,6 +229,149 @@ def test_a_mistake_is_one_line_and_leaves_nothing(name, tmp_path, monkeypatch, c
     assert sorted(tmp_path.rglob("*")) == before
 
 
+def test_a_robot_that_look_and_train_refuse_is_not_kept(tmp_path, monkeypatch, capsys):
+    """One that is not its own mirror image; one without an engine; what `look` alone finds."""
+    monkeypatch.chdir(tmp_path)
+    published.write(tmp_path)
+    before = sorted(tmp_path.rglob("*"))
+    text = published.mjcf()
+    hip = '<joint name="FR_hip_joint" axis="1 0 0"'
+    assert hip in text
+    Path("toy.xml").write_text(text.replace(hip, hip.replace("1 0 0", "0.8 0 0.6")))
+    said = mistake(command.main, ["toy.xml"], capsys)
+    assert "toy.xml: robot toy is not its own mirror image: no partner of FR_hip_joint" in said
+    Path("toy.xml").write_text(text)
+    with monkeypatch.context() as patch:
+        patch.setattr(command.engine_contract, "lacks", lambda *_: "magic")
+        said = mistake(command.main, ["toy.xml"], capsys)
+        assert "toy.xml: MJX cannot simulate it (magic)" in said
+        calls = iter(["magic", ""])
+        patch.setattr(command.engine_contract, "lacks", lambda *_: next(calls))
+        patch.setattr(command, "has_gpu", lambda: False)
+        patch.setattr(command, "look", lambda *_: [])
+        assert run("toy.xml") == 0
+        last = capsys.readouterr().out.splitlines()[-1]
+        assert last.endswith("--config=configs/toy.py:laptop --config.physics.impl=c")
+        for folder in ("robots", "configs"):
+            command.shutil.rmtree(folder)
+    for code, kind in ((2, "refused"), (1, "blown up")):
+        done = command.subprocess.CompletedProcess([], code, "", f"dynappo: {kind}\n")
+        with monkeypatch.context() as patch:
+            patch.setattr(command.subprocess, "run", lambda *_, done=done, **__: done)
+            assert status(command.main, "toy.xml") == code
+        assert f"toy is not kept, for look refuses it: {kind}" in capsys.readouterr().err
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_radians_that_are_read_as_degrees_are_told_last(tmp_path, monkeypatch, capsys):
+    """By `adopt` and by `look`, which it runs; without a GPU `next` trains on the CPU."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(command, "has_gpu", lambda: False)
+    published.write(tmp_path, published.mjcf().replace(' angle="radian"', ""))
+    assert run("toy.xml") == 0
+    lines = capsys.readouterr().out.splitlines()
+    rest = [line for line in lines[lines.index("", lines.index("") + 1) :] if line]
+    assert len(rest) == 3
+    assert rest[0].startswith("EDIT NEEDED: no joint turns by more than 0.065 rad, so the file's")
+    assert rest[1].startswith("note: no joint turns by more than 0.065 rad: in the file")
+    assert rest[2].startswith("next ") and rest[2].endswith("train --config=configs/toy.py:laptop")
+
+
+def test_whether_there_is_a_gpu(tmp_path, monkeypatch):
+    monkeypatch.delenv("JAX_PLATFORMS", raising=False)
+    monkeypatch.setattr(command, "GPUS", [f"{tmp_path}/nvidia[0-9]*"])
+    (tmp_path / "nvidiactl").touch()
+    assert not command.has_gpu()
+    (tmp_path / "nvidia0").touch()
+    assert command.has_gpu()
+    monkeypatch.setenv("JAX_PLATFORMS", "cpu")
+    assert not command.has_gpu()
+    monkeypatch.setenv("JAX_PLATFORMS", "cuda,cpu")
+    assert command.has_gpu()
+
+
+@pytest.mark.parametrize(
+    ("file", "name"),
+    [("my-robot.v2", "my_robot_v2"), ("3-legs", "robot_3_legs"), ("\xe9", "robot_")],
+)
+def test_a_name_is_made_of_the_files(file, name, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(command, "look", lambda *_: [])
+    published.write(tmp_path).rename(f"{file}.xml")
+    assert run(f"{file}.xml") == 0
+    assert capsys.readouterr().out.startswith(f"name: {name}, for a name has letters")
+    assert robot_lib.load(name).name == name and Path(f"configs/{name}.py").is_file()
+
+
+MASSES = {  # (file, what is replaced, by what): what the line must say
+    (
+        "toy.xml",
+        'mass="0.2"',
+        'mass="nan"',
+    ): "the inertial of FR_calf has mass='nan', expected a number",
+    ("toy.xml", "0.0005 0.0006", "inf 0.0006"): "the inertial of FR_hip has diaginertia='inf",
+    ("toy.xml", 'size="0.02"', 'size="0.02" mass="nan"'): "the geom of FR_thigh has mass='nan'",
+    ("toy.urdf", 'mass value="0.2"', 'mass value="nan"'): "the mass of FR_calf has value='nan'",
+    ("toy.urdf", 'ixx="0.0006"', 'ixx="x"'): "the inertia of FR_hip has ixx='x', expected a number",
+}
+
+
+@pytest.mark.parametrize("case", MASSES)
+def test_a_mass_that_is_no_number_is_one_line(case, tmp_path):
+    """MuJoCo would take the mass of the shapes for it."""
+    file, old, new = case
+    text = published.urdf() if file.endswith("urdf") else published.mjcf()
+    assert old in text
+    published.write(tmp_path)
+    (tmp_path / "a").write_text(text)
+    path = tmp_path / file
+    path.write_text(text.replace(old, new, 1))
+    assert MASSES[case] in refused(source.read, path)
+    include = tmp_path / "scene.xml"
+    if file.endswith("xml"):
+        include.write_text('<mujoco><include file="toy.xml"/></mujoco>')
+        assert MASSES[case] in refused(source.read, include)
+
+
+@pytest.mark.parametrize("kind", ["toy.xml", "toy.urdf"])
+def test_a_robot_of_next_to_no_mass_is_one_line(kind, tmp_path, monkeypatch, capsys):
+    """Whose limits would all be rounded to nothing."""
+    monkeypatch.chdir(tmp_path)
+    published.write(tmp_path)
+    text = published.mjcf() if kind == "toy.xml" else published.urdf()
+    text = re.sub(r'(mass(?: value)?=)"[^"]*"', r'\1"1e-5"', text)
+    Path(kind).write_text(
+        re.sub(
+            r'<link name="camera">.*?</link>|\s*<joint name="on".*?</joint>', "", text, flags=re.S
+        )
+    )
+    assert status(command.main, kind) == 2
+    line = capsys.readouterr().err
+    assert re.search(
+        r"has a mass of 0.000\d+ kg, expected 0.05 kg or more: its heaviest body, \w+, has [12]e-05 kg",
+        line,
+    )
+    assert not Path("robots").exists()
+
+
+def test_a_placeholder_beside_the_robot_is_left_out(tmp_path, monkeypatch, capsys):
+    """As Unitree's files have it, and the keyframe of the scene, with a number for it."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(command, "look", lambda *_: [])
+    parked = '<body name="not_use" pos="0 0 20"><joint name="not_use"/><geom size="0.1" mass="1"/></body>'
+    text = published.mjcf(home="").replace("</worldbody>", parked + "</worldbody>")
+    published.write(tmp_path, text)
+    home = published.HOME.replace('-1.5"', '-1.5 0.7"')
+    Path("scene.xml").write_text(f'<mujoco><include file="toy.xml"/>{home}</mujoco>')
+    assert run("toy.xml") == 0
+    said = capsys.readouterr().out
+    assert "left out, for nothing moves on them: not_use\n" in said
+    assert "that of scene.xml beside it" in said
+    robot = robot_lib.load("toy")
+    assert robot.mj_model.nbody == 14 and robot.default_pose[2] == -1.5
+    assert "5 shapes as published" in said  # not the placeholder's
+
+
 def test_a_folder_that_fails_halfway_is_gone(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(OSError, match="full"), command.new_folder(Path("robots/mine")) as part:
@@ -246,7 +391,7 @@ def test_a_licence_is_found_up_to_the_package_or_in_the_file(tmp_path):
     (tmp_path / "a" / "package.xml").touch()
     assert source.licence(file)[0] == "comments in toy.xml"
     (tmp_path / "a" / "package.xml").rename(tmp_path / "package.xml")
-    assert source.licence(file) == (str(tmp_path / "COPYING.txt"), "GPL")
+    assert source.licence(file) == ("../../COPYING.txt", "GPL")
     (inside / "LICENSE").write_text("BSD")
     assert source.licence(file)[1] == "BSD"
     (inside / "LICENSE").unlink()
@@ -284,7 +429,8 @@ def test_looks_that_are_not_there_are_left_out(tmp_path):
 
 
 def test_a_limb_without_its_colliding_meshes_is_refused(tmp_path, monkeypatch, capsys):
-    """Its thighs would not touch the ground in a fall; of one that keeps a shape a strong line is enough."""
+    """Its thighs would not touch the ground in a fall; of one that keeps a shape, and of the base, as well.
+    Looks may be missing, also where they collide by the file's defaults."""
     shape = '<geom type="capsule" fromto="0 0 0 0 0 -0.2" size="0.02" group="3"/>'
     mesh = '<geom type="mesh" mesh="lost" group="3"/>'
     asset = '<mesh name="lost" file="lost.obj"/><mesh file="cube.obj"'
@@ -293,11 +439,18 @@ def test_a_limb_without_its_colliding_meshes_is_refused(tmp_path, monkeypatch, c
     published.write(tmp_path, text.replace(shape, mesh))
     assert status(command.main, "toy.xml") == 2
     said = capsys.readouterr()
-    assert "SHAPES THAT COLLIDE are left out, their meshes are not found: lost.obj" in said.out
-    assert "no shape that collides is left on FL_thigh, FR_thigh, RL_thigh, RR_thigh" in said.err
+    assert "shapes that collide are missing on FL_thigh, FR_thigh, RL_thigh, RR_thigh" in said.err
+    assert "not found (lost.obj); get them" in said.err
     assert said.err.count("\n") == 1 and not Path("robots").exists()
     published.write(tmp_path, text.replace(shape, shape + mesh))
-    assert source.read(Path("toy.xml")).notes[0].startswith("SHAPES THAT COLLIDE")
+    assert "missing on FL_thigh, FR_thigh" in refused(source.read, Path("toy.xml"))
+    box = '<geom type="box" size="0.15 0.06 0.05" group="3"/>'
+    published.write(tmp_path, text.replace(box, box + mesh))
+    assert "missing on trunk: their meshes are" in refused(source.read, Path("toy.xml"))
+    published.write(tmp_path, text.replace(box, box + mesh.replace('"3"', '"2"')))
+    assert source.read(Path("toy.xml")).notes == (
+        "looks are left out, their meshes are not found: lost.obj",
+    )
 
 
 def test_meshes_of_a_urdf_are_found_in_its_meshdir(tmp_path):
@@ -330,7 +483,7 @@ def test_meshes_of_a_urdf_are_found_in_its_meshdir(tmp_path):
 def test_feet_of_a_urdf_are_not_called_as_its_exporter_called_their_meshes(tmp_path, monkeypatch):
     """`mesh_collision_lower_leg_4_foot_1` would be the foot `mesh_collision_lower_leg_4`."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(command, "look", lambda *_: None)
+    monkeypatch.setattr(command, "look", lambda *_: [])
     text, ball = published.urdf(), '<collision><origin xyz="0 0 0"/><geometry><sphere'
     assert text.count(ball) == 4
     for i in range(4):
@@ -406,7 +559,7 @@ def test_ties_between_links_stay_what_they_are(name, tmp_path, monkeypatch, caps
     at = '<body name="RR_calf" '
     text = text.replace(at, '<site name="b" pos="0.03 0.01 -0.1"/>' + at)
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(command, "look", lambda *_: None)
+    monkeypatch.setattr(command, "look", lambda *_: [])
     published.write(tmp_path, text)
     assert run("toy.xml", "--name=mine") == 0
     frames = "turned until" if name == "fixed" else "as in the file"
@@ -433,7 +586,7 @@ def test_ties_between_links_stay_what_they_are(name, tmp_path, monkeypatch, caps
 
 def test_force_leaves_what_is_not_its_own(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(command, "look", lambda *_: None)
+    monkeypatch.setattr(command, "look", lambda *_: [])
     published.write(tmp_path)
     assert run("toy.xml") == 0
     Path("robots/toy/notes.txt").write_text("mine")
@@ -447,7 +600,7 @@ def test_force_leaves_what_is_not_its_own(tmp_path, monkeypatch):
 def test_force_removes_the_looks_of_the_adoption_before_and_only_them(tmp_path, monkeypatch):
     """Neither what somebody put beside them nor what somebody changed; nor what a list with paths names."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(command, "look", lambda *_: None)
+    monkeypatch.setattr(command, "look", lambda *_: [])
     published.write(tmp_path / "with")
     without = re.sub(r'<geom class="look".*?/>', "", published.mjcf())
     published.write(tmp_path / "without", without)
@@ -499,14 +652,31 @@ def test_no_file_ends_in_a_traceback(tmp_path, monkeypatch, capsys):
 
 def test_the_readme_breaks_no_path(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(command, "look", lambda *_: None)
-    deep = tmp_path / "a-folder-with-a-name-of-many-words" / ("another-one-" * 6)
-    file = published.write(deep)
+    monkeypatch.setattr(command, "look", lambda *_: [])
+    file = published.write(tmp_path / "a-folder-with-a-name-of-many-words" / ("another-one-" * 6))
     assert run(file, "--name=mine") == 0
     text = Path("robots/mine/README.md").read_text()
     digest = hashlib.sha256(file.read_bytes()).hexdigest()
-    assert f"found at {deep.resolve()}/LICENSE: check" in " ".join(text.split())
-    assert str(deep / "LICENSE") in text and digest in text
+    assert "found at LICENSE: check" in " ".join(text.split()) and digest in text
+
+
+def test_no_path_of_this_machine_is_in_what_is_written(tmp_path, monkeypatch):
+    """Of the file, its licence further up, the checkout that it is in, the working directory."""
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    monkeypatch.setattr(command, "look", lambda *_: [])
+    file = published.write(tmp_path / "secret" / "checkout" / "toy")
+    file.with_name("LICENSE").rename(tmp_path / "secret/checkout/LICENSE")
+    git = tmp_path / "secret/checkout/.git"
+    git.mkdir()
+    (git / "config").write_text("")
+    (git / "HEAD").write_text("ab12")
+    assert run(file) == 0
+    written = [path for path in Path.cwd().rglob("*") if path.suffix in (".md", ".xml", ".py")]
+    text = "".join(path.read_text() for path in written)
+    assert len(written) == 3 and "found at ../LICENSE: check" in " ".join(text.split())
+    assert "`toy/toy.xml` of checkout, commit ab12" in " ".join(text.split())
+    assert "secret" not in text and str(tmp_path) not in text and str(Path.home()) + "/" not in text
 
 
 @pytest.mark.slow

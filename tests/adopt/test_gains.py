@@ -186,7 +186,7 @@ def test_parts_that_would_touch_the_ground_are_shortened():
     thigh = robot.mj_model.body(robot.mj_model.jnt_bodyid[2]).name
     spec.body(thigh).add_geom(name="long", type=mujoco.mjtGeom.mjGEOM_CAPSULE, size=[0.02, 0.25, 0],
                               pos=[0, 0, -0.25], mass=0, contype=0, conaffinity=1)  # fmt: skip
-    spec = mujoco.MjSpec.from_string(text.of(complete.complete(spec).spec))
+    spec = mujoco.MjSpec.from_string(text.self_contained(complete.complete(spec).spec))
     spec.compile()
     robot = robot_lib.load_text(spec.to_xml(), "long", robot.xml)
     sunk = robot.home_qpos - np.eye(1, robot.mj_model.nq, 2)[0] * 0.09

@@ -8,7 +8,7 @@ import pytest
 import robot_files
 
 from dynappo.config import ConfigError, files
-from dynappo.description import contacts, feet, fit, robot
+from dynappo.description import contacts, feet, primitives, robot
 from dynappo.physics.warp import scope
 
 FILES = dict(biped=robot_files.biped, turned=robot_files.turned, hexapod=robot_files.hexapod)
@@ -229,7 +229,7 @@ def test_the_primitive_around_points_holds_them_and_is_the_one_they_lie_on(kind)
         mujoco.mju_quat2Mat(turn, quat / np.linalg.norm(quat))
         turn, place = turn.reshape(3, 3), rng.normal(size=3)
         points = cloud(kind, rng) @ turn.T + place
-        one = fit.around(points, [np.eye(3), turn])
+        one = primitives.around(points, [np.eye(3), turn])
         assert holds(one, points) and one.kind == kind
         np.testing.assert_allclose(one.pos, place, atol=0.06)
 
@@ -243,7 +243,7 @@ def test_the_primitive_around_an_ellipsoid_holds_it():
         size, turn = rng.uniform(0.1, 1, 3), np.zeros(9)
         mujoco.mju_quat2Mat(turn, np.array([0.6, 0.8, 0, 0]))
         turn = turn.reshape(3, 3)
-        one = fit.around_ellipsoid(size, turn, np.ones(3))
+        one = primitives.around_ellipsoid(size, turn, np.ones(3))
         kinds.add(one.kind)
         assert holds(one, (ball * size) @ turn.T + 1)
         assert one.volume <= 8 * size.prod()
@@ -344,6 +344,69 @@ def test_wheels_and_arms_are_no_feet(tmp_path):
     found = load(robot_files.biped(), tmp_path)
     bodies = [found.mj_model.body(i).name for i in found.mj_model.geom_bodyid[found.feet]]
     assert bodies == ["left_ankle", "right_ankle"]
+
+
+def disc(turn, corners=16, wide=0.02):
+    """An .obj: a prism of radius 6 cm about its x, y or z axis."""
+    angles = np.linspace(0, 2 * np.pi, corners, endpoint=False)
+    rim = 0.06 * np.stack([np.cos(angles), np.sin(angles)], 1)
+    points = np.concatenate([np.insert(rim, 2, side * wide, 1) for side in (-1, 1)])
+    points = np.roll(points, turn + 1, 1)  # z is axis 2
+    lines = [f"v {' '.join(f'{x:.6f}' for x in point)}" for point in points]
+    for i in range(corners):
+        j = (i + 1) % corners
+        lines += [
+            f"f {i + 1} {j + 1} {corners + j + 1}",
+            f"f {i + 1} {corners + j + 1} {corners + i + 1}",
+        ]
+        lines += [f"f 1 {j + 1} {i + 1}", f"f {corners + 1} {corners + i + 1} {corners + j + 1}"]
+    return "\n".join(lines)
+
+
+@pytest.mark.parametrize("turn", range(3))
+@pytest.mark.parametrize("wide", [0.02, 0.2])
+def test_a_mesh_that_is_round_about_its_joint_is_a_wheel(turn, wide, tmp_path):
+    """Whichever axis of the mesh is along the joint, and MuJoCo has it as: of a disc x, of a roller z."""
+    (tmp_path / "wheel.obj").write_text(disc(turn, wide=wide))
+    text = robot_files.biped().replace(
+        "<worldbody>", '<asset><mesh file="wheel.obj"/></asset><worldbody>'
+    )
+    axis = " ".join(str(float(i == turn)) for i in range(3))
+    spins = f'<joint name="{{0}}_spin" axis="{axis}" limited="false"/>'
+    spins += '<geom type="mesh" mesh="wheel" mass=".1"/>'
+    text = re.sub(
+        r'<body name="(\w+)_sole"[^>]*>.*?</body>',
+        lambda m: f'<body name="{m[1]}_sole" pos="0 0 -.05">{spins.format(m[1])}</body>',
+        text,
+        flags=re.S,
+    )
+    assert text.count("_spin") == 2
+    assert "no limb without wheels" in refused(text, tmp_path)
+    off = " ".join(str(-0.02 * (i == (turn + 1) % 3)) for i in range(3))
+    eccentric = text.replace('mesh="wheel"', f'mesh="wheel" pos="{off}"')
+    assert len(load(eccentric, tmp_path).foot_names) == 2
+    (tmp_path / "square.obj").write_text(disc(turn, corners=4, wide=wide))
+    square = text.replace("wheel.obj", "square.obj").replace('mesh="wheel"', 'mesh="square"')
+    assert len(load(square, tmp_path).foot_names) == 2
+
+
+def test_moving_bodies_without_limbs_beside_the_robot_are_left_out(tmp_path):
+    """Unitree's files have a body parked at 20 m, with a joint, a motor and a place in the keyframes."""
+    text = robot_files.hexapod()
+    parked = (
+        '<body name="parked" pos="0 0 20"><joint name="parked_joint"/><geom size=".1" mass="1"/></body>'
+        '<body name="ball" pos="1 0 0"><freejoint/><geom size=".1"/></body>'
+    )
+    more = text.replace("</worldbody>", parked + "</worldbody>")
+    more = more.replace("</actuator>", '<motor name="parked" joint="parked_joint"/></actuator>')
+    more = re.sub(r'(<key name="home" qpos="[^"]*)"', r'\1 0.3 1 0 0 1 0 0 0"', more)
+    assert more.count("0.3 1 0 0 1 0 0 0") == 1 and "</actuator>" in text
+    found, plain = load(more, tmp_path), load(text, tmp_path)
+    assert found.notes == ("left out, for nothing moves on them: parked, ball",)
+    assert robot.digest(found.mj_model) == robot.digest(plain.mj_model)
+    arm = '<body><joint/><geom size=".1"/></body></body>'
+    two = text.replace("</worldbody>", parked.replace("</body>", arm, 1) + "</worldbody>")
+    assert "expected one robot, found" in refused(two, tmp_path)
 
 
 def test_a_foot_of_several_shapes(tmp_path):

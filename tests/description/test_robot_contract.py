@@ -13,6 +13,7 @@ from dynappo.config import files
 from dynappo.description import robot
 
 GO1 = files.find("robots", "go1/go1.xml").read_text()
+DOOR = '<body name="door"><joint/><geom size="1"/><body><joint/><geom size="1"/></body></body>'
 
 
 def edit(*pairs):
@@ -86,8 +87,8 @@ REFUSED = {
         "a free joint on the base, found root on trunk; give the base a freejoint",
     ),
     "a second robot": (
-        edit(("</worldbody>", '<body name="ball"><freejoint/><geom size="1"/></body></worldbody>')),
-        "one robot, found trunk, ball; take the others out of the file",
+        edit(("</worldbody>", f"{DOOR}</worldbody>")),
+        "one robot, found trunk, door; take the others out of the file",
     ),
     "no joints": (
         lambda text: re.sub(r'<(joint|motor) name="\w\w_[^>]*/>', "", text),

@@ -66,6 +66,10 @@ RULES = {  # fields, what the note says: every rule of robots/README.md that a c
     ),
     "base mass": (["randomize.base_mass=(-1.0,9.0)"], "task.randomize.base_mass is -1 to 9 kg"),
     "friction": (["randomize.friction=(0.2,0.5)"], "friction is 0.80 in the file, but 0.2 to 0.5"),
+    "a range": (
+        ["action_scale=2.0"],
+        "the whole range of FL_hip_joint, FL_calf_joint, .* is 1.73 to 1.93 rad, less than task.action_scale",
+    ),
     "a weak motor": (["effort_limit=3", "saturation_effort=3"], "a motor is at task.effort_limit"),
 }
 
@@ -216,3 +220,16 @@ def test_it_needs_no_jax(tmp_path):
     done = shell("-c", code, "go2")
     assert done.returncode == 0, done.stderr
     assert "PD      kp 25" in done.stdout
+
+
+def test_nothing_is_said_of_gpus_where_there_is_none(tmp_path):
+    """Warp's C++ writes past Python's stderr as it starts, for a file that has more than the plain one."""
+    pytest.importorskip("warp")
+    for folder in ("robots/mine", "configs"):
+        (tmp_path / folder).mkdir(parents=True)
+    tie = '<equality><joint joint1="FL_hip_joint" joint2="FR_hip_joint"/></equality></mujoco>'
+    (tmp_path / "robots/mine/mine.xml").write_text(GO1.xml.read_text().replace("</mujoco>", tie))
+    (tmp_path / "configs/mine.py").write_text(MINE)
+    done = shell("-m", "dynappo.look", "mine", cwd=tmp_path)
+    assert done.returncode == 0 and done.stderr == ""
+    assert "because of equality constraints" in done.stdout

@@ -25,8 +25,8 @@ MIDDLE = 0.02  # m aside, up to which a joint is in the middle
 X, Y, Z = range(3)
 
 
-def places(robot: robot_lib.Robot) -> tuple[np.ndarray, np.ndarray]:
-    """`(places [A], axes [A])` of the joints: words of the table above, and X, Y or Z."""
+def roles(robot: robot_lib.Robot) -> tuple[np.ndarray, np.ndarray]:
+    """`(roles [A], axes [A])` of the joints: words of the table above, and X, Y or Z."""
     model, data = robot.mj_model, mujoco.MjData(robot.mj_model)
     data.qpos[:] = robot.home_qpos
     mujoco.mj_kinematics(model, data)
