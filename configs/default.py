@@ -253,9 +253,9 @@ class Task(NamedTuple):
     remember_ground: bool | None = None
     episode_length: Annotated[int, Between(1, 1_000_000)] = 1000  # control steps, 20 s; IL
     random_clock: bool = True  # episodes start at random ages, so that time-outs spread; IL
-    carry_on: bool = False  # those that time out stay where they are, with a new command; but
-    start_anew: Share = 0.5  # this share of them starts anew all the same,
-    keep_command: Share = 0.0  # and this share stays under the command that it has
+    carry_on: bool = False  # robots that time out stay where they are, with a new command
+    start_anew: Share = 0.5  # with carry_on, the share of those that starts anew
+    keep_command: Share = 0.0  # with carry_on, the share of those that stays with its old command
     # rad, angle between the base's z axis and the vertical; more ends the episode as a fall does. None: any
     max_tilt: Annotated[float, Between(0.01, 3.15)] | None = None
     # paid once, in the row of a fall, not times 0.02 s as weights are; None: nothing

@@ -62,8 +62,8 @@ def init(env: Env, hyper: Hyper, key: PRNGKeyArray, *, static: Static) -> TrainS
         learner=ppo.init(
             static,
             hyper,
-            obs_size,
-            env.action_size,
+            obs_size=obs_size,
+            action_size=env.action_size,
             key=keys[NETWORKS],
             critic_size=critic_size,
             image=image,
@@ -94,19 +94,19 @@ def iterate(
         return jax.random.fold_in(iteration_key, purpose + (ANCHOR + 1) * k)
 
     # Collect N_r rows with physics, from where the last iteration left the robots
-    rows, env_state, sums = collect(env, hyper, state, n_real, key(ROWS), static=static)
+    rows, env_state, sums = collect(env, hyper, state, n_real=n_real, key=key(ROWS), static=static)
     state = state.replace(env_state=env_state)
     metrics = stats.of_rows(sums, n_real * num_envs)
 
     # Train the transition model on them
     if state.model is not None:
         steps = min(4, horizon - static.schedule.end_steps)
-        metrics |= errors.errors(static, hyper, env, state.model, rows, steps)
+        metrics |= errors.errors(static, hyper, env, model=state.model, rows=rows, steps=steps)
         model, losses = fast.fit(
             static,
             hyper,
             state.model,
-            rows=examples.examples(static, hyper, env, rows, n_real),
+            rows=examples.examples(static, hyper, env, rows=rows, n_real=n_real),
             epochs=counts["model_epochs"],
             key=key(FIT),
         )
@@ -118,13 +118,24 @@ def iterate(
         learner, rows, _ = carry
         if state.model is not None:
             last = dynamics.tail(static, env, state.env_state)
-            drawn = dynamics.anchors(static, env, rows, n_real, key(ANCHOR, k))
+            drawn = dynamics.anchors(static, env, rows, n_real=n_real, key=key(ANCHOR, k))
             start = jax.tree.map(partial(jnp.where, k == 0), last, drawn)
             now = state.replace(learner=learner)
-            rows = imagine(env, hyper, now, rows, n_real, start, key(ROWS, k), static=static)
-        batch = estimate(static, hyper, env, learner.params, rows, real, k)
+            rows = imagine(
+                env,
+                hyper,
+                now,
+                rows=rows,
+                n_real=n_real,
+                start=start,
+                key=key(ROWS, k),
+                static=static,
+            )
+        batch = estimate(
+            static, hyper, env, params=learner.params, rows=rows, real=real, of_round=k
+        )
         learner, learned = fast.update(
-            static, hyper, learner, batch, key(UPDATE, k), image=image, units=scales
+            static, hyper, learner, batch=batch, key=key(UPDATE, k), image=image, units=scales
         )
         return learner, rows, learned
 
@@ -155,10 +166,10 @@ def collect(env: Env, hyper: Hyper, state: TrainState, n_real, key, *, static: S
     """Rows `t < n_real` from physics: `(rows [N, R], robots after them, sums of env.metrics)`."""
     return fast.fill(
         rollout.allocate(env, static.rollout.horizon, static.rollout.num_envs),
-        jnp.int32(0),
-        n_real,
-        state.env_state,
-        rollout.row_keys(key, state.robot_index),
+        begin=jnp.int32(0),
+        end=n_real,
+        state=state.env_state,
+        keys=rollout.row_keys(key, state.robot_index),
         act=policy(static, env, state.learner.params),
         step=physics_step(env, hyper, state.params_physics),
         metrics=env.metrics,
@@ -180,10 +191,10 @@ def imagine(
     assert state.model is not None, "plain PPO has no model"
     rows, _, _ = fast.fill(
         rows,
-        n_real,
-        jnp.int32(static.rollout.horizon),
-        start,
-        rollout.row_keys(key, state.robot_index),
+        begin=n_real,
+        end=jnp.int32(static.rollout.horizon),
+        state=start,
+        keys=rollout.row_keys(key, state.robot_index),
         act=policy(static, env, state.learner.params),
         step=fast.step(static, hyper, env, state.model),
     )
@@ -237,12 +248,12 @@ def physics_step(env: Env, hyper: Hyper, bodies):
 
 
 def estimate(
-    static: Static, hyper: Hyper, env: Env, params: dict, rows: Transition, real, k=0
+    static: Static, hyper: Hyper, env: Env, params: dict, rows: Transition, real, of_round=0
 ) -> ppo.Batch:
     """Advantages and returns of a rollout, bootstrapped by V(next_obs) at truncations and row N-1.
 
-    Elsewhere the next row's value is the same number. In rounds `k` > 0 `real` rows [N, 1] have
-    weight 0: an earlier policy chose their actions.
+    Elsewhere the next row's value is the same number. In rounds after the first (`of_round` > 0) `real`
+    rows [N, 1] have weight 0: an earlier policy chose their actions.
     """
     with jax.default_matmul_precision("highest"):
         cut = (rows.truncation == 1).at[-1].set(True)
@@ -260,7 +271,7 @@ def estimate(
         )
     weight = None
     if schedule.uses_model(static):
-        weight = presence(rows, real) * (~real | (k == 0))
+        weight = presence(rows, real) * (~real | (of_round == 0))
     return ppo.Batch(
         obs=obs,
         action=rows.action,

@@ -35,7 +35,7 @@ from dynappo.model.examples import Examples
 from dynappo.types import Env, Hyper, Learner, Metrics, ModelState, Static, Transition
 
 # the fields of a row that are one number a robot
-NUMBERS = "log_prob value reward discount truncation valid episode_return episode_length".split()
+SCALARS = "log_prob value reward discount truncation valid episode_return episode_length".split()
 
 
 def actor_critic(static: Static, params: dict) -> networks.ActorCritic:
@@ -99,7 +99,9 @@ def update(
         in_units = ravel_pytree(units(jax.tree.map(jnp.ones_like, learner.params)))[0]
 
     def loss(vector, rows):
-        return ppo.loss(static, hyper, unflatten(vector), rows, old_std, actor_critic)
+        return ppo.loss(
+            static, hyper, unflatten(vector), rows, old_std=old_std, actor_critic=actor_critic
+        )
 
     def step(learner, rows):
         grads, metrics = jax.grad(loss, has_aux=True)(learner.params, rows)
@@ -114,7 +116,7 @@ def update(
         metrics = jnp.stack([metrics[name] for name in ppo.STEP_METRICS])  # written at once
         return Learner(params=params, opt_state=opt_state, learning_rate=rate), metrics
 
-    flat, means = ppo.steps(static, learner.replace(params=vector), batch, key, step)
+    flat, means = ppo.steps(static, learner.replace(params=vector), batch=batch, key=key, step=step)
     metrics = dict(zip(ppo.STEP_METRICS, means, strict=True))
     metrics["learning_rate"] = flat.learning_rate
     return flat.replace(params=unflatten(flat.params)), metrics
@@ -141,7 +143,8 @@ def fit(
 ) -> tuple[ModelState, Metrics]:
     """`dynamics.fit`, with weights and moments of Adam as one vector each, and one array to draw from."""
     model = dynamics.with_moments_of(hyper, model, rows, epochs)
-    data = jnp.concatenate([*dynamics.scaled(static, model, rows), rows.weight[..., None]], -1)
+    x, y = dynamics.scaled(static, model, rows)
+    data = jnp.concatenate([x, y, rows.weight[..., None]], -1)
     size = rows.x.shape[-1]
     params, unflatten = ravel_pytree(model.params)
     adam = model.opt_state
@@ -152,7 +155,7 @@ def fit(
         x, y, weight = minibatch[..., :size], minibatch[..., size:-1], minibatch[..., -1] * counted
 
         def loss(params):
-            return dynamics.loss(static, hyper, unflatten(params), x, y, weight)
+            return dynamics.loss(static, hyper, unflatten(params), x=x, y=y, weight=weight)
 
         value, grads = jax.value_and_grad(loss)(params)
         updates, opt_state = dynamics.optimizer().update(grads, opt_state)
@@ -184,19 +187,27 @@ def fill(
 ) -> tuple[Transition, Any, Metrics]:
     """`rollout.fill`, with 7 writes a row, not 14."""
 
-    def write(grouped_rows, t, row):
-        # t is a row, so XLA need not ask
+    def write(every_row, t, row):
+        # t is in bounds; skip the check
         put = lambda every, one: every.at[t].set(one, mode="promise_in_bounds")  # noqa: E731
-        return jax.tree.map(put, grouped_rows, grouped(row))
+        return jax.tree.map(put, every_row, scalars_and_rest(row))
 
-    (numbers, others), state, sums = rollout.fill(
-        grouped(rows), begin, end, state, keys, act=act, step=step, metrics=metrics, write=write
+    (scalars, rest), state, sums = rollout.fill(
+        scalars_and_rest(rows),
+        begin=begin,
+        end=end,
+        state=state,
+        keys=keys,
+        act=act,
+        step=step,
+        metrics=metrics,
+        write=write,
     )
-    fields = dict(zip(NUMBERS, jnp.moveaxis(numbers, 1, 0), strict=True)) | others
+    fields = dict(zip(SCALARS, jnp.moveaxis(scalars, 1, 0), strict=True)) | rest
     return Transition(**fields), state, sums
 
 
-def grouped(rows: Transition) -> tuple[Float[Array, "... 8 R"], dict[str, Array]]:
-    """The fields with one number for each robot as one array, and the other fields."""
+def scalars_and_rest(rows: Transition) -> tuple[Float[Array, "... 8 R"], dict[str, Array]]:
+    """The fields `SCALARS` as one array, and a dict of the other fields."""
     fields = {name: getattr(rows, name) for name in Transition.__dataclass_fields__}
-    return jnp.stack([fields.pop(name) for name in NUMBERS], -2), fields
+    return jnp.stack([fields.pop(name) for name in SCALARS], -2), fields

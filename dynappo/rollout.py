@@ -75,7 +75,8 @@ def fill(
 
     `act(state, keys) -> action, action_mean, log_prob, value` and `step(state, action, keys) ->
     state, Outcome` work on all R robots. Only `.obs` and `.prop` of `state` are read here. `sums`
-    are the outcomes' `metrics`, summed over these rows and all robots.
+    are the outcomes' `metrics`, summed over these rows and all robots. `write(rows, t, row) -> rows` is
+    an argument for fast.py, which groups a row's fields.
     """
 
     def one_row(t, carry):
@@ -102,7 +103,7 @@ def fill(
         sums = {name: sums[name] + outcome.metrics[name] for name in metrics}
         return write(rows, t, row), next_state, sums
 
-    # summed over robots once, after the loop: on several devices each sum is a message
+    # sums of each robot [R]; over robots once, after the loop: on several devices that is a message
     sums = {name: jnp.zeros(len(state.obs)) for name in metrics}
     rows, state, sums = jax.lax.fori_loop(begin, end, one_row, (rows, state, sums))
     return rows, state, {name: total.sum() for name, total in sums.items()}

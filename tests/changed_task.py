@@ -30,7 +30,7 @@ from dynappo.tasks.velocity import env as env_lib
 from dynappo.tasks.velocity import observe, reward_sum
 
 ROBOTS, ROWS = 16, 30
-PLACES = observe.rows(12)
+PLACES = observe.slices(12)
 SMALL = {
     "rollout": dict(num_envs=ROBOTS, horizon=4),
     "schedule": dict(start_iteration=0, end_iteration=0, start_steps=2, end_steps=2),

@@ -65,7 +65,7 @@ class Case:
         for name, size in self.sizes().items():
             kind = wp.vec3 if name in arrays.MODEL and len(size) == 2 else float
             a[name] = wp.array(before[name], dtype=int if name in arrays.COUNTS else kind)
-        way.control_step(way.kept(self.model, self.shape, ROBOTS), self.shape, a)
+        way.control_step(way.allocate(self.model, self.shape, ROBOTS), self.shape, a)
         return {name: x.numpy() for name, x in a.items()}
 
     def of_robot(self, i):

@@ -12,6 +12,7 @@ from toy_env import configure
 
 from dynappo import algorithm, schedule, scores
 from dynappo import config as config_lib
+from dynappo.description import motors
 from dynappo.description import robot as robot_lib
 from dynappo.tasks.velocity import env as env_lib
 
@@ -48,25 +49,27 @@ EVERYTHING = {
     "physics.impl": "c",
     "physics.threads": 1,
 }
-# settings without which a function takes another way to its draws
-LESS = {
-    "all": {},
-    "without carry_on": {"task.carry_on": False},
-    "one command and no clock": {"task.resample_steps": 0, "task.random_clock": False},
+# robots and settings with which a function takes another way to its draws
+OTHERS = {
+    "all": ("go1", {}),
+    "without carry_on": ("go1", {"task.carry_on": False}),
+    "one command and no clock": ("go1", {"task.resample_steps": 0, "task.random_clock": False}),
+    "a biped with a gait clock": ("g1", {"task.gait_frequency": (1.25, 1.5)}),
 }
 
 
-def built(fields):
-    """Settings and environment of Go1's `deploy` with `EVERYTHING` and `fields`."""
-    config = configure(EVERYTHING | fields, "configs/go1.py:deploy")
+def built(name, fields):
+    """Settings and environment of the `deploy` of a robot with `EVERYTHING` and `fields`."""
+    config = configure(EVERYTHING | fields, f"configs/{name}.py:deploy")
+    config, robot = motors.fitted(config, robot_lib.load(config.robot))
     static, hyper = config_lib.split(config)
-    env = env_lib.make(robot_lib.load("go1"), config.task, config.physics, impl="c")
+    env = env_lib.make(robot, config.task, config.physics, impl="c")
     return SimpleNamespace(config=config, static=static, hyper=hyper, env=env)
 
 
 @pytest.fixture(scope="module")
 def every():
-    return built({})
+    return built("go1", {})
 
 
 @pytest.fixture(scope="module")
@@ -124,9 +127,9 @@ def times(n, counts):
     return collections.Counter({name: n * count for name, count in counts.items()})
 
 
-@pytest.mark.parametrize("fields", LESS.values(), ids=LESS)
-def test_one_reset_step_and_autoreset_use_no_key_twice(fields, every):
-    world = built(fields) if fields else every
+@pytest.mark.parametrize(("name", "fields"), OTHERS.values(), ids=OTHERS)
+def test_one_reset_step_and_autoreset_use_no_key_twice(name, fields, every):
+    world = built(name, fields) if fields else every
     env, hyper, key = world.env, world.hyper, jax.random.key(3)
     body = jax.eval_shape(env.randomize, hyper, key)
     state = jax.eval_shape(env.reset, hyper, body, key)
@@ -140,9 +143,9 @@ def test_one_reset_step_and_autoreset_use_no_key_twice(fields, every):
         "autoreset": (env.autoreset, hyper, body, *after, key),
         "sense": (env.sense, hyper, *parts, key),
     }
-    for name, call in calls.items():
+    for called, call in calls.items():
         used, _ = random_keys.record(*call)
-        assert used and not random_keys.faults(used), f"{name}: {random_keys.faults(used)}"
+        assert used and not random_keys.faults(used), f"{called}: {random_keys.faults(used)}"
 
 
 # --- the recorder itself ---

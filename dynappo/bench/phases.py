@@ -77,10 +77,10 @@ def _tail_row(program, state, rows: int = 64) -> float:
     def write(state, n):
         return fast.fill(
             rollout.allocate(env, rows, state.robot_index.size),
-            jnp.zeros_like(n),
-            n,
-            dynamics.tail(static, env, state.env_state),
-            rollout.row_keys(state.key, state.robot_index),
+            begin=jnp.zeros_like(n),
+            end=n,
+            state=dynamics.tail(static, env, state.env_state),
+            keys=rollout.row_keys(state.key, state.robot_index),
             act=algorithm.policy(static, env, state.learner.params),
             step=fast.step(static, program.hyper, env, state.model),
         )[0]

@@ -175,7 +175,7 @@ def play(player: Player, act: Callable, command, stress: Stress, seed: int = 0, 
     # not the stream of the pose at the start (`episode.reset`), which is that of seed 0
     rng, data = np.random.default_rng((seed, 1)), mujoco.MjData(model)
     dt, step = episode_lib.period(player), model.opt.timestep
-    parts = observe.rows(len(p.joint_names), observe.has_clock(p.observation))
+    parts = observe.slices(len(p.joint_names), observe.has_clock(p.observation))
     scale = stress.noise * np.concatenate(
         [np.full(part.stop - part.start, NOISE.get(name, 0.0)) for name, part in parts.items()]
     )

@@ -89,7 +89,7 @@ def permute(policy: Policy, names: tuple[str, ...]) -> Policy:
     order = np.array([policy.joint_names.index(name) for name in names])
     one = np.arange(len(observe.columns(policy.observation)))
     for name, part in observe.reading(policy.observation).items():
-        if observe.PARTS[name].signs is None:  # a number a joint
+        if observe.QUANTITIES[name].signs is None:  # a number a joint
             one[part] = one[part][order]
     rows = np.concatenate([one + age * len(one) for age in range(policy.history)])
 

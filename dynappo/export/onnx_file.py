@@ -76,7 +76,7 @@ def observation_table(policy: Policy) -> list[dict[str, Any]]:
     """
     noise, out = policy.config.get("task", {}).get("noise", {}), []
     for name, rows in table(policy):
-        part = observe.PARTS[name]
+        part = observe.QUANTITIES[name]
         half_width = noise.get(part.noise) if part.noise else 0.0
         facts = dict(name=name, start=rows.start, stop=rows.stop, unit=part.unit)
         out.append(facts | dict(content=part.content, noise=half_width))

@@ -53,7 +53,8 @@ class MLP(NamedTuple):
 def init(network: MLP, inputs: int, key: PRNGKeyArray) -> dict:
     """Parameters of an untrained `network` that sees `inputs` numbers, named as flax names them.
 
-    One draw for all arrays: XLA compiles it in a third of the time of many (experiments/03_speed/kernel.md).
+    All weights are one draw, for the time to compile alone: a third of that of a draw for each array
+    (experiments/03_speed/kernel.md).
     """
     fan_in = inputs, *network.sizes[:-1]
     ends = np.cumsum([(n + 1) * size for n, size in zip(fan_in, network.sizes, strict=True)])

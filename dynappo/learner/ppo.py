@@ -53,14 +53,20 @@ def init(
     units: units_lib.Units | None = None,
 ) -> Learner:
     """An untrained learner: sizes as of `networks.init_policy`, `image` and `units` as in `update`."""
-    params = networks.init_policy(static, hyper, obs_size, action_size, key, critic_size)
+    params = networks.init_policy(
+        static, hyper, obs_size=obs_size, action_size=action_size, key=key, critic_size=critic_size
+    )
     params = units_lib.apply(symmetry.tie(params, image), units)
     opt_state = optimizer(hyper).init(params)
     return Learner(params, opt_state, jnp.asarray(hyper.ppo.learning_rate, jnp.float32))
 
 
 def optimizer(hyper: Hyper) -> optax.GradientTransformation:
-    """Adam, without its learning rate, on a gradient whose norm is clipped; its moments are one vector."""
+    """Adam, without its learning rate, on a gradient whose norm is clipped.
+
+    For fast.py (and checkpoints, which hold them so) its moments are one vector, `optax.flatten`: the
+    numbers are those of Adam on a tree.
+    """
     clip = optax.clip_by_global_norm(hyper.ppo.max_grad_norm)
     return optax.flatten(optax.chain(clip, optax.scale_by_adam()))
 
@@ -80,9 +86,10 @@ def update(
     (`symmetry.policy_image`) the policy stays symmetric; with `units` (`units.policy_units`) it learns as
     one that sees its inputs in these.
     """
-    given = dict(old_std=learner.params["std"], image=image, units=units)
-    step = partial(minibatch_step, static, hyper, **given)
-    learner, metrics = steps(static, learner, batch, key, step)
+    step = partial(
+        minibatch_step, static, hyper, old_std=learner.params["std"], image=image, units=units
+    )
+    learner, metrics = steps(static, learner, batch=batch, key=key, step=step)
     return learner, metrics | {"learning_rate": learner.learning_rate}
 
 
@@ -138,7 +145,8 @@ def loss(
         surrogate = mean max(-A rho, -A clip(rho, 1 - eps, 1 + eps)),  rho = pi / pi_old
         value     = mean max((V - R)^2, (V_old + clip(V - V_old, -eps, eps) - R)^2)
 
-    `metrics["kl"]` is the mean KL(old || new). Means are over rows with their weights.
+    `metrics["kl"]` is the mean KL(old || new). Means are over rows with their weights. For fast.py
+    `actor_critic` is an argument, and three means are one of a stack: one kernel on a GPU, not three.
     """
     std = params["std"]
     action_mean, value = actor_critic(static, params)(batch.obs, batch.critic_obs)

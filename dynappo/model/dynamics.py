@@ -25,7 +25,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -104,6 +104,14 @@ def loss(static: Static, hyper: Hyper, params, x, y, weight) -> Float[Array, ""]
     return (error.mean(-1) * weight).sum() / jnp.maximum(weight.sum(), 1)
 
 
+class Minibatch(NamedTuple):
+    """Examples as the network reads them; [T, R] in front of every shape, or [M, R]."""
+
+    x: Float[Array, "... I"]  # inputs, scaled
+    y: Float[Array, "... K"]  # targets, scaled
+    weight: Float[Array, "..."]  # 1 or 0
+
+
 def fit(
     static: Static,
     hyper: Hyper,
@@ -118,12 +126,14 @@ def fit(
     epochs the model stays as it is, moments included, and the losses are NaN.
     """
     model = with_moments_of(hyper, model, rows, epochs)
-    data = *scaled(static, model, rows), rows.weight
+    x, y = scaled(static, model, rows)
+    data = Minibatch(x=x, y=y, weight=rows.weight)
 
     def step(state, minibatch, counted):
-        (params, opt_state), (x, y, weight) = state, minibatch
+        params, opt_state = state
+        weight = minibatch.weight * counted
         of = jax.value_and_grad(partial(loss, static, hyper))
-        value, grads = of(params, x, y, weight * counted)
+        value, grads = of(params, x=minibatch.x, y=minibatch.y, weight=weight)
         updates, opt_state = optimizer().update(grads, opt_state)
         rate = hyper.model.learning_rate
         params = jax.tree.map(lambda old, update: old - rate * update, params, updates)
@@ -250,7 +260,8 @@ def step(static: Static, hyper: Hyper, env: Env, model: ModelState):
         seen = jnp.concatenate([state.prop, state.obs[..., env.prop_size :]], -1)
         after, reward, discount = predict(static, hyper, env, model, seen, action)
         prop = sensed = after[..., : env.prop_size]
-        context = known(hyper, env, state.obs, action, prop)  # with what was sensed before
+        # with what was sensed before, unlike the context in `after`, which XLA therefore never computes
+        context = known(hyper, env, state.obs, action, prop)
         if static.model.clean:
             keys = jax.vmap(jax.random.fold_in, (0, None))(keys, NOISE)
             sensed = jax.vmap(partial(env.sense, hyper))(prop, context, keys)

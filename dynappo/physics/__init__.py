@@ -3,6 +3,7 @@
 - `engine`: a control step: PD, motor limits, physics steps, contacts by geometry
 - folder `warp`: a control step on a GPU, in a kernel of our own or by MuJoCo Warp
 - `c_mujoco`: C MuJoCo on all cores of a CPU, one call per control step
+- `ground`: how high a point is above it
 - `engine_contract`: whether an engine has what a robot's file asks for
 - `actuators`: from a policy's action to joint torques
 - `randomize`: each robot's own physical parameters

@@ -76,15 +76,15 @@ def cores(threads: int) -> int:
     return len(affinity(0)) if affinity else os.cpu_count() or 1
 
 
-def make(robot: robot_lib.Robot, physics, varied: frozenset[str], rubs: bool = False):
+def make(robot: robot_lib.Robot, physics, varied: frozenset[str], has_friction: bool = False):
     """`step(qpos, qvel, qacc_warmstart, target, numbers) -> Moved` of one robot, for `jax.vmap`.
 
     `physics` is the config's group. `target` are joint angles [n, A], a row a physics step; `numbers` are
-    those of `BODY_NUMBERS` and then of `MOTOR_NUMBERS`. `rubs`: joints have friction, also where it does not
-    vary.
+    those of `BODY_NUMBERS` and then of `MOTOR_NUMBERS`. `has_friction`: of the joints,
+    also where it does not vary.
     """
     engine_contract.check(robot, physics, "c")
-    varied |= {"joint_friction"} if rubs else set()
+    varied |= {"joint_friction"} if has_friction else set()
     steps, threads, model = physics.substeps, cores(physics.threads), _model(robot, physics)
     name = f"dynappo_c_{steps}_{threads}_{'_'.join(sorted(varied))}_{robot_lib.digest(model)}"
     if not xla_call.registered(name):
@@ -99,8 +99,7 @@ def make(robot: robot_lib.Robot, physics, varied: frozenset[str], rubs: bool = F
 
 
 def _turned(robot: robot_lib.Robot) -> np.ndarray:
-    """The geoms of which it matters how they are turned: the parts, and before them feet of which one
-    is no sphere."""
+    """Geoms whose orientation matters: parts, preceded by the feet unless all are spheres."""
     spheres = (robot.mj_model.geom_type[robot.feet] == contacts.SPHERE).all()
     return robot.parts if spheres else np.concatenate([robot.feet, robot.parts])
 

@@ -29,7 +29,7 @@ import numpy as np
 from dynappo.config import per_joint
 from dynappo.description import contacts
 from dynappo.description import robot as robot_lib
-from dynappo.physics import actuators, c_mujoco, engine_contract, randomize
+from dynappo.physics import actuators, c_mujoco, engine_contract, ground, randomize
 from dynappo.physics.warp import arrays
 from dynappo.physics.warp import call as warp_call
 from dynappo.types import Hyper
@@ -49,9 +49,11 @@ class Engine(NamedTuple):
     soles: tuple[Any, ...]  # contacts.floor_distance of the feet's shapes
     floor: tuple[Any, ...]  # of the parts
     varied: frozenset[str]  # randomize.varied
-    remember: bool  # parts at the ground: in any physics step of a control step, or in its last
+    every_substep: (
+        bool  # parts at the ground: in any physics step of a control step, or in its last
+    )
     lags: bool  # torques follow with the time constant of the body's `lag`
-    rubs: bool  # joints have the friction task.joint_friction
+    has_friction: bool  # joints have the friction task.joint_friction
 
 
 def make(
@@ -59,17 +61,17 @@ def make(
     physics,
     varied: frozenset[str],
     impl: str,
-    remember: bool = False,
+    every_substep: bool = False,
     lags: bool = False,
-    rubs: bool = False,
+    has_friction: bool = False,
 ) -> Engine:
     """The engine `impl` ("jax", "warp" or "c") of `robot`; `physics` is the config's group."""
     engine_contract.check(robot, physics, impl)
     mj_model, model, data = robot_lib.physics_model(robot, physics), None, None
     if impl == "c":
-        step = c_mujoco.make(robot, physics, varied, rubs)
+        step = c_mujoco.make(robot, physics, varied, has_friction)
     elif impl == "warp":
-        step = warp_call.make(mj_model, robot, physics.substeps, remember)
+        step = warp_call.make(mj_model, robot, physics.substeps, every_substep)
         model = warp_call.model(mj_model)
     else:
         mjx, step = _mjx(), _mjx_step
@@ -89,9 +91,9 @@ def make(
         soles=contacts.floor_distance(mj_model, robot.feet),
         floor=contacts.floor_distance(mj_model, robot.parts),
         varied=varied,
-        remember=remember,
+        every_substep=every_substep,
         lags=lags,
-        rubs=rubs,
+        has_friction=has_friction,
     )
 
 
@@ -135,7 +137,8 @@ class Substeps(NamedTuple):
     last_peak: Any
     torque: Any  # of the motors in the last physics step
     qd_before: Any  # joint velocities before it
-    lowest: Any  # m, lowest point of each part, in all physics steps (`remember`) or the last
+    # [G] m above the ground, lowest point of each part, in all physics steps (`every_substep`) or the last
+    lowest: Any
 
 
 class Motor(NamedTuple):
@@ -191,7 +194,7 @@ def per_joint_arrays(hyper: Hyper):
 
 def _friction(engine: Engine, nominal, added):
     """Dry friction (N m) of one joint or of each; None where no joint has any."""
-    if not engine.rubs:
+    if not engine.has_friction:
         return added
     return nominal if added is None else nominal + added
 
@@ -212,7 +215,8 @@ def _simulate_in_mjx(engine: Engine, body, first: Substeps, target, motor: Motor
 
     def lowest(distance, geoms, data):
         row = data.geom_xmat[geoms].reshape(-1, 9)[:, 6:]  # third row of the rotation matrix
-        return contacts.lowest(distance, data.geom_xpos[geoms, 2], row)
+        z = ground.height_above(data.geom_xpos[geoms, 2], lambda: data.geom_xpos[geoms, :2])
+        return contacts.lowest(distance, z, row)
 
     parts = partial(lowest, engine.floor, robot.parts)
 
@@ -237,7 +241,7 @@ def _simulate_in_mjx(engine: Engine, body, first: Substeps, target, motor: Motor
         s = s._replace(
             torque=torque,
             qd_before=before,
-            lowest=jnp.minimum(s.lowest, parts(data)) if engine.remember else s.lowest,
+            lowest=jnp.minimum(s.lowest, parts(data)) if engine.every_substep else s.lowest,
         )
         return (s, data), None
 
@@ -246,7 +250,7 @@ def _simulate_in_mjx(engine: Engine, body, first: Substeps, target, motor: Motor
     )
     (s, data), _ = jax.lax.scan(substep, (first, data), target)
     s = s._replace(qpos=data.qpos, qvel=data.qvel, qacc_warmstart=data.qacc_warmstart)
-    return s if engine.remember else s._replace(lowest=parts(data))
+    return s if engine.every_substep else s._replace(lowest=parts(data))
 
 
 def _simulate_in_warp(engine: Engine, body, first: Substeps, target, motor: Motor):
@@ -290,11 +294,13 @@ def _simulate_in_c(engine: Engine, body, first: Substeps, target, motor: Motor):
     w, x, y, z = jnp.moveaxis(moved.quat, -1, 0)
     row = jnp.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], -1)
     soles, row = jnp.split(row, [row.shape[1] - len(engine.robot.parts)], axis=1)
+    # without the geoms' place: `Moved` has only heights
+    feet, parts = (ground.height_above(z, None) for z in (moved.feet, moved.height))
     s = first
-    for shapes in contacts.lowest(engine.soles, moved.feet, soles):
+    for shapes in contacts.lowest(engine.soles, feet, soles):
         s = _feet(engine, s, shapes)
-    seen = slice(None) if engine.remember else slice(-1, None)
-    lowest = contacts.lowest(engine.floor, moved.height[seen], row[seen]).min(0)
+    seen = slice(None) if engine.every_substep else slice(-1, None)
+    lowest = contacts.lowest(engine.floor, parts[seen], row[seen]).min(0)
     told = "qpos", "qvel", "qacc_warmstart", "torque", "qd_before"
     return s._replace(lowest=lowest, **{name: getattr(moved, name) for name in told})
 
@@ -304,7 +310,7 @@ SIMULATE = {"jax": _simulate_in_mjx, "warp": _simulate_in_warp, "c": _simulate_i
 
 def _feet(engine: Engine, s: Substeps, lowest) -> Substeps:
     """The feet's timers and heights after one more physics step, which began with the lowest points of
-    their shapes at the heights `lowest` [S]."""
+    their shapes at the heights `lowest` [S] above the ground."""
     of = contacts.of_each_foot(engine.robot.foot_of)
     height = lowest if of.shape[1] == 1 else lowest[of].min(-1)
     contact = height < 0

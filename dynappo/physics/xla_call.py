@@ -33,7 +33,9 @@ _Version = _struct("Version", *_BASE, ("major", c_int), ("minor", c_int))
 _Metadata = _struct(
     "Metadata", ("struct_size", c_size_t), ("version", _Version), ("traits", c_uint32)
 )
-_Told = _struct("Told", ("base", _Extension), ("metadata", POINTER(_Metadata)))
+_MetadataExtension = _struct(
+    "MetadataExtension", ("base", _Extension), ("metadata", POINTER(_Metadata))
+)
 _Buffer = _struct(
     "Buffer",
     *_BASE,
@@ -63,12 +65,12 @@ _CREATE_ERROR = ctypes.CFUNCTYPE(c_void_p, POINTER(_Failure))
 _Api = _struct("Api", *_BASE, ("version", _Version), ("internal", c_void_p), ("fail", c_void_p))
 _HANDLER = ctypes.CFUNCTYPE(c_void_p, POINTER(_Frame))
 
-_KEPT: dict[str, object] = {}  # XLA has no way to forget a target
+_HANDLERS: dict[str, object] = {}  # XLA has no way to forget a target
 
 
 def registered(name: str) -> bool:
     """Whether a function of this name is registered."""
-    return name in _KEPT
+    return name in _HANDLERS
 
 
 def register(name: str, function: Callable[[list[np.ndarray], list[np.ndarray]], None]) -> None:
@@ -78,16 +80,16 @@ def register(name: str, function: Callable[[list[np.ndarray], list[np.ndarray]],
     arguments. An exception in it ends the program with a JaxRuntimeError. A name is registered only
     once.
     """
-    if name in _KEPT:
+    if name in _HANDLERS:
         return
 
     @_HANDLER
     def handler(frame):
         frame = frame.contents
         if frame.extension_start:  # at registration XLA asks for the API version
-            told = cast(frame.extension_start, POINTER(_Told)).contents
-            if told.base.type == METADATA:
-                version = told.metadata.contents.version
+            extension = cast(frame.extension_start, POINTER(_MetadataExtension)).contents
+            if extension.base.type == METADATA:
+                version = extension.metadata.contents.version
                 version.major, version.minor = VERSION
                 return None
         try:
@@ -97,7 +99,7 @@ def register(name: str, function: Callable[[list[np.ndarray], list[np.ndarray]],
         return None
 
     jax.ffi.register_ffi_target(name, jax.ffi.pycapsule(handler), platform="cpu")
-    _KEPT[name] = handler
+    _HANDLERS[name] = handler
 
 
 def _arrays(buffers) -> list[np.ndarray]:

@@ -53,8 +53,7 @@ def check(config, env: Any = None) -> None:
     from dynappo.description import motors, robot
     from dynappo.physics import engine_contract
     from dynappo.program import environment
-    from dynappo.tasks import env_contract
-    from dynappo.tasks.velocity import gait, partners, reward_sum
+    from dynappo.tasks import env_contract, of_robots
 
     if env is not None:
         devices.engine(config)
@@ -64,11 +63,7 @@ def check(config, env: Any = None) -> None:
     if impl == "warp":
         threading.Thread(target=_begin_warp, daemon=True).start()
     config, loaded = motors.fitted(config, robot.load(config.robot))
-    robot.check_base_mass(loaded, config.task.randomize.base_mass)
-    gait.check(config.task.gait_frequency, loaded.name, len(loaded.foot_names))
-    reward_sum.terms_of(config.task)
-    if config.ppo.symmetry:
-        partners.check_motors(config.task, loaded)
+    of_robots.check(config, loaded)
     engine_contract.check(loaded, config.physics, impl)
     memory.check(config, loaded, memory.limit(devices.local(config.run.device)))
 
@@ -259,18 +254,18 @@ def floats(configs: list, env: Any = None) -> list[Hyper]:
 
 
 def _environment(config, env: Any, impl: str) -> tuple[Any, Any, Any, str]:
-    """`(config, robot, environment, engine)`: the velocity task of the robot, or the user's `env`."""
+    """`(config, robot, environment, engine)`: the task of the config's robot, or the user's `env`."""
     import jax
 
     from dynappo.description import motors
     from dynappo.description import robot as robot_lib
     from dynappo.program import environment
-    from dynappo.tasks.velocity import env as env_lib
+    from dynappo.tasks import of_robots
 
     if env is not None:
         return config, None, env, "own"
     environment.check_robot(config)
     config, robot = motors.fitted(config, robot_lib.load(config.robot))
     with jax.default_device(devices.local(config.run.device)):
-        env = env_lib.make(robot, config.task, config.physics, impl=impl)
+        env = of_robots.make(config, robot, impl=impl)
     return config, robot, env, impl

@@ -162,7 +162,7 @@ def from_brax(
             raise ConfigError(f"from_brax: {field} is {value}, expected more than 0")
     names = tuple(n for n, value in first.metrics.items() if value.shape == ())
     limits = action_limit, episode_length, starts, random_clock
-    const = Constants(brax_env, observe, prop_size, *limits, names)
+    const = BraxConstants(brax_env, observe, prop_size, *limits, names)
     return Env(
         randomize=partial(_starts, const),
         reset=partial(_reset, const),
@@ -178,7 +178,7 @@ def from_brax(
     )
 
 
-class Constants(NamedTuple):
+class BraxConstants(NamedTuple):
     """What the functions of a brax environment need; constants of the program."""
 
     brax_env: Any
@@ -191,19 +191,19 @@ class Constants(NamedTuple):
     names: tuple[str, ...]  # of brax's metrics
 
 
-def _starts(const: Constants, hyper: Hyper, key):
+def _starts(const: BraxConstants, hyper: Hyper, key):
     """The robot's `body`: the brax states that its episodes start from, `[starts]`."""
     keys = jax.random.key_data(jax.random.split(key, const.starts))
     return jax.vmap(const.brax_env.reset)(keys)
 
 
-def _reset(const: Constants, hyper: Hyper, body, key) -> BraxState:
+def _reset(const: BraxConstants, hyper: Hyper, body, key) -> BraxState:
     key, clock_key = jax.random.split(key)
     clock = jax.random.randint(clock_key, (), 0, const.episode_length, jnp.int32)
     return _fresh(const, body, key).replace(clock=clock * const.random_clock)
 
 
-def _fresh(const: Constants, body, key) -> BraxState:
+def _fresh(const: BraxConstants, body, key) -> BraxState:
     index = jax.random.randint(key, (), 0, const.starts)
     first = jax.tree.map(lambda x: x[index], body)
     obs, zero = (
@@ -215,7 +215,7 @@ def _fresh(const: Constants, body, key) -> BraxState:
 
 
 def _autoreset(
-    const: Constants, hyper: Hyper, body, state: BraxState, outcome: Outcome, key
+    const: BraxConstants, hyper: Hyper, body, state: BraxState, outcome: Outcome, key
 ) -> BraxState:
     ended = (outcome.discount == 0) | (outcome.truncation == 1)
     new = _fresh(const, body, key)
@@ -224,7 +224,7 @@ def _autoreset(
     return jax.tree.map(lambda x, now: jnp.where(ended, x, now), new, state)
 
 
-def _step(const: Constants, hyper: Hyper, body, state: BraxState, action, key):
+def _step(const: BraxConstants, hyper: Hyper, body, state: BraxState, action, key):
     """One control step -> `(BraxState, Outcome)`; never resets."""
     before = jax.tree.map(lambda x: x, state.brax)  # brax's steps write into the dicts they get
     after = const.brax_env.step(before, jnp.clip(action, -const.action_limit, const.action_limit))

@@ -10,7 +10,7 @@ from dynappo import algorithm
 from dynappo.model import dynamics, examples
 from dynappo.tasks.velocity import observe
 
-ROWS = observe.rows(12)
+ROWS = observe.slices(12)
 # of the predicted numbers, the reward last; units as in observe.py, the reward for a second
 GROUPS = {
     "joint positions (rad)": ROWS["joint_position"],

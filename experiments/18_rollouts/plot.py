@@ -17,7 +17,7 @@ from experiments import paper, pictures
 REAL, KEPT, TAILS = 8, 6, 4  # real rows of an iteration in results/, iterations kept, tails shown
 OF_BEST = 4  # real rows of an iteration of `best`
 GREY, ORANGE, BLUE, INK = pictures.GREY, pictures.VERMILION, pictures.BLUE, "0.2"
-ROWS = observe.rows(12)
+ROWS = observe.slices(12)
 CURVES = {  # column of rows.csv -> number of the state, label
     "speed": (ROWS["linear_velocity"].start, "velocity ahead (m/s)"),
     "thigh": (ROWS["joint_position"].start + 1, "first leg, thigh (rad)"),

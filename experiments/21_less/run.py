@@ -5,8 +5,10 @@
 A line of JOBS.txt is `NAME ROBOT:VARIANT [FIELD=VALUE ...]` and becomes OUT_FOLDER/NAME.csv, a row an
 evaluation and seed. Five seeds at once from 100 on, 100 episodes of 20 s each every 20 iterations, unless
 the line says otherwise (run.seed, run.num_seeds, run.eval_every ...). Jobs whose CSV is there are skipped.
-`--policies` writes OUT_FOLDER/NAME.K.npz, the policy of seed K (0, 1, ...), too. `--workers`: so many
-processes share the GPU, because compiling takes longer than training; their clocks say nothing then.
+While a job runs, its rows so far are in OUT_FOLDER/NAME.csv.part, so one that is stopped loses only what
+came after its last evaluation. `--policies` writes OUT_FOLDER/NAME.K.npz, the policy of seed K (0, 1, ...)
+at the last evaluation, too. `--workers`: so many processes share the GPU, because compiling takes longer
+than training; their clocks say nothing then.
 `--late 200 50`: after iteration 200 evaluate every 50 iterations only.
 `table.py` reads the folder.
 """
@@ -49,9 +51,8 @@ def main():
     )
     if args.only:
         devices.own_process()
-        to = args.out / args.only if args.policies else None
-        rows = run(*jobs[args.only].split(), policies=to, late=args.late)
-        write(args.out / f"{args.only}.csv", rows)
+        job, *fields = jobs[args.only].split()
+        run(args.out / args.only, job, fields, policies=args.policies, late=args.late)
         return
 
     def start(name):
@@ -69,8 +70,9 @@ def main():
         list(pool.map(start, [name for name in jobs if not (args.out / f"{name}.csv").exists()]))
 
 
-def run(job: str, *fields: str, policies: Path | None = None, late=None) -> list[dict]:
-    """Train, and return a row an evaluation and seed; write the seeds' policies as POLICIES.K.npz."""
+def run(to: Path, job: str, fields: list[str], policies: bool = False, late=None) -> None:
+    """Train, and write TO.csv, a row an evaluation and seed, and with `policies` those of the seeds as
+    TO.K.npz. After each evaluation TO.csv.part has the rows so far."""
     robot, _, variant = job.partition(":")
     config = config_lib.load(f"configs/{robot}.py:{variant}")
     config.run.update(**DEFAULTS)
@@ -81,6 +83,7 @@ def run(job: str, *fields: str, policies: Path | None = None, late=None) -> list
     config.run.log_every = math.gcd(*ends, *(late or ()))
     config = config_lib.validate(config)
     build.check(config)
+    part = to.with_name(f"{to.name}.csv.part")
     program, seeds = build.program(config), config.run.num_seeds
     state, steps, seconds, first, rows = program.state, schedule.sim_steps(config), 0.0, 0, []
     for last in evaluations(config, late):
@@ -97,13 +100,19 @@ def run(job: str, *fields: str, policies: Path | None = None, late=None) -> list
                 "seconds": f"{seconds:.4g}",
             }
             rows.append(about | when | {name: f"{found[name][s]:.4g}" for name in MEASURED})
-    if policies:
-        params = jax.device_get(state.learner.params)
-        for k in range(seeds):
-            one = jax.tree.map(lambda x, k=k: x[k] if seeds > 1 else x, params)
-            path = policies.with_name(f"{policies.name}.{k}.npz")
-            policy_file.save(path, one, config, robot_lib.load(config.robot), k)
-    return rows
+        write(part, rows)
+        if policies:
+            save_policies(to, state, config)
+    part.replace(to.with_name(f"{to.name}.csv"))
+
+
+def save_policies(to: Path, state, config) -> None:
+    """Write the policy of each seed as TO.K.npz."""
+    params, seeds = jax.device_get(state.learner.params), config.run.num_seeds
+    for k in range(seeds):
+        one = jax.tree.map(lambda x, k=k: x[k] if seeds > 1 else x, params)
+        path = to.with_name(f"{to.name}.{k}.npz")
+        policy_file.save(path, one, config, robot_lib.load(config.robot), k)
 
 
 def evaluations(config, late=None) -> list[int]:
@@ -118,12 +127,12 @@ def evaluations(config, late=None) -> list[int]:
 
 def write(path: Path, rows: list[dict]) -> None:
     """A CSV, whole or not at all."""
-    part = path.with_suffix(".part")
-    with part.open("w", newline="") as file:
+    whole = path.with_name(f"{path.name}.new")
+    with whole.open("w", newline="") as file:
         writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
         writer.writeheader()
         writer.writerows(rows)
-    part.replace(path)
+    whole.replace(path)
 
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ from dynappo.evaluate.stress import Stress
 from dynappo.policy import episode, policy_source
 from dynappo.tasks.velocity import observe
 
-ROWS = observe.rows(12)
+ROWS = observe.slices(12)
 SECONDS = 0.6
 AHEAD = np.array([0.5, 0.0, 0.0])
 

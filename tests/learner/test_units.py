@@ -99,11 +99,13 @@ def test_without_the_option_there_are_no_units_and_without_a_scale_one_line():
 def test_the_scale_of_an_observation_is_that_of_its_parts():
     """Of each step's readings, and 1 of a body's numbers."""
     layout = view.make("onboard", 3, 2, frozenset({"friction"}))
-    scale, rows = view.scale(layout), observe.rows(2)
+    scale, rows = view.scale(layout), observe.slices(2)
     assert scale.shape == (view.size(layout),) and (scale[-layout.body :] == 1).all()
-    first = scale[: view.now(layout)]
+    first = scale[: view.current_size(layout)]
     assert (first[rows["joint_velocity"]] == np.float32(0.05)).all()
     assert (first[rows["angular_velocity"]] == 0.25).all() and (first != 1).sum() == 2 + 3
     seen = len(view.reading(layout))
-    before = scale[view.now(layout) : view.now(layout) + 2 * seen].reshape(2, seen)
+    before = scale[view.current_size(layout) : view.current_size(layout) + 2 * seen].reshape(
+        2, seen
+    )
     np.testing.assert_array_equal(before, [first[view.reading(layout)]] * 2)

@@ -72,7 +72,7 @@ def place(name, touching="feet", rubs=False, each=False, **physics):
     start = [x.astype(np.float32) for x in (qpos, qvel, qvel * 0)]
 
     def run(impl):
-        more = dict(remember=touching == "full", rubs=each)
+        more = dict(every_substep=touching == "full", has_friction=each)
         engine = engine_lib.make(robot, config.physics, varied, impl, **more)
 
         simulate = partial(engine_lib.simulate, engine, hyper)
@@ -204,8 +204,8 @@ SLOW = [pytest.param(*case, marks=pytest.mark.slow) for case in OTHERS]
     ("robot", "touching", "impl"),
     [
         ("go1", "feet, each", "warp"),
+        ("go1", "feet, each", "jax"),
         # of Warp and MJX: test_warp_call.py; of MJX and C: tasks/test_env.py
-        pytest.param("go1", "feet, each", "jax", marks=pytest.mark.slow),
         pytest.param("go1", "feet", "jax", marks=pytest.mark.slow),
         pytest.param("go1", "feet", "warp", marks=pytest.mark.slow),
         pytest.param("go1", "full, each", "warp", marks=pytest.mark.slow),  # general.py

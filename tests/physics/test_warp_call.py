@@ -63,7 +63,9 @@ class World:
             robot = robot._replace(mj_model=spec.compile())
         varied = randomize.varied(config.task.randomize)
         made = [robot, config.physics, varied]
-        self.engine = engine_lib.make(*made, "warp", remember=contacts == "full", lags=hardware)
+        self.engine = engine_lib.make(
+            *made, "warp", every_substep=contacts == "full", lags=hardware
+        )
         mj_model = robot_lib.physics_model(robot, config.physics)
         impl, room = "jax", {}
         if not fits(self.engine, config):  # MuJoCo Warp's step itself: its result to the digit
@@ -175,7 +177,7 @@ def test_dry_friction_and_contacts_of_all_parts_are_left_to_mujoco_warp(world, r
 
 def fits(engine, config):
     model = robot_lib.physics_model(engine.robot, config.physics)
-    return not scope.declines(model, engine.robot.feet, engine.remember)
+    return not scope.declines(model, engine.robot.feet, engine.every_substep)
 
 
 def test_seeds_of_robots_with_the_same_bodies(world, expected):
@@ -260,7 +262,7 @@ def test_all_kernels_of_a_step_are_found_before_it(world, expected, monkeypatch)
     monkeypatch.setattr(warp_call, "_TOGETHER", {})
     engine = world.engine
     model = robot_lib.physics_model(engine.robot, world.config.physics)
-    step = warp_call.make(model, engine.robot, engine.substeps, engine.remember)
+    step = warp_call.make(model, engine.robot, engine.substeps, engine.every_substep)
     again = engine._replace(step=step)
     given = one(world.bodies, 0), one(world.state, 0, 0), world.actions[0, 0, 0]
     jax.block_until_ready(jax.jit(partial(world.step, again))(*given))

@@ -22,7 +22,7 @@ from dynappo.tasks.velocity import env as env_lib
 from dynappo.tasks.velocity import observe, reward_sum
 from dynappo.tasks.velocity.state import State
 
-ROWS = observe.rows(12)
+ROWS = observe.slices(12)
 ROBOTS, SUBSTEPS, DT = 16, 4, 0.005
 NOISE = (
     [0.01] * 12 + [1.5] * 12 + [0.05] * 3 + [0.1] * 3 + [0.2] * 3 + [0.0] * 15

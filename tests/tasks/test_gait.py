@@ -23,7 +23,7 @@ from dynappo.tasks.velocity import gait, mirror, observe, reward_sum, view
 
 ROBOTS, ROWS, DT = 16, 40, 0.02
 RANGE = (1.25, 1.5)  # Hz
-WHERE = observe.rows(12, True)
+WHERE = observe.slices(12, True)
 MOVES, STANDS = np.array([0.5, 0.2, -0.3]), np.array([0.05, 0.0, 0.05])
 
 
@@ -374,4 +374,4 @@ def test_without_a_frequency_nothing_of_it_is_there(world):
     assert state.gait is None
     with_clock = jax.tree.leaves(world.states[0])
     assert len(with_clock) == len(jax.tree.leaves(state)) + 2
-    assert observe.rows(12) == {k: v for k, v in WHERE.items() if not k.startswith("gait")}
+    assert observe.slices(12) == {k: v for k, v in WHERE.items() if not k.startswith("gait")}

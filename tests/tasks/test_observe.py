@@ -11,7 +11,7 @@ import pytest
 from dynappo.description import robot
 from dynappo.tasks.velocity import observe
 
-ROWS = observe.rows(12)
+ROWS = observe.slices(12)
 STATES = 20
 
 

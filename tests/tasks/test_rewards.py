@@ -338,7 +338,7 @@ def test_a_term_is_known_without_physics_if_it_asks_for_nothing_that_is_measured
 
 
 def test_no_two_things_that_a_term_may_ask_for_have_one_name(task):
-    parts, measured = {*observe.PARTS, "action"}, set(rewards.Measured._fields)
+    parts, measured = {*observe.QUANTITIES, "action"}, set(rewards.Measured._fields)
     numbers = reward_sum.known_names(task) - parts
     assert not parts & measured and not numbers & measured
     assert {"tracking_std", "kp"} <= numbers and not parts & set(task)

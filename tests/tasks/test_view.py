@@ -191,11 +191,11 @@ def test_the_player_in_numpy_remembers_as_the_task_does():
     """`observe.memory`, one observation after another, is the policy's columns of `view`."""
     layout, rng = view.make("onboard", HISTORY, 12), np.random.default_rng(0)
     rows, see = rng.normal(size=(5, 48)), observe.memory("onboard-45", HISTORY)
-    past = view.first(layout, rows[0], np.zeros(layout.body))
+    past = view.rest_at_start(layout, rows[0], np.zeros(layout.body))
     for row in rows:
         obs = np.concatenate([row, past])
         np.testing.assert_array_equal(see(row), obs[view.views(layout).actor])
-        past = view.later(layout, obs)
+        past = view.rest_after(layout, obs)
     np.testing.assert_array_equal(observe.memory("velocity-48", 1)(rows[0]), rows[0])
 
 

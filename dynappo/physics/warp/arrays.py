@@ -8,8 +8,8 @@ import numpy as np
 
 from dynappo.description import contacts
 
-STATE = 11  # a call's first arrays, which differ between robots
-CARRIED = (  # changed in place
+PER_ROBOT = 11  # so many arrays, a call's first, have a row for each robot
+IN_OUT = (  # changed in place
     "qpos",
     "qvel",
     "qacc_warmstart",
@@ -32,7 +32,7 @@ class Shape(NamedTuple):
     """The sizes and options that a control step is compiled for."""
 
     substeps: int
-    every: bool  # parts at the ground in every physics step, not only in the last
+    every_substep: bool  # parts at the ground in every physics step, not only in the last
     feet: np.ndarray  # [S] geoms, foot by foot
     first: np.ndarray  # [F + 1] where each foot's shapes begin, and the last's end
     soles: np.ndarray  # [S, 5] contacts.floor_distance of the feet's shapes
@@ -40,14 +40,14 @@ class Shape(NamedTuple):
     floor: np.ndarray  # [G, 5] of the parts
 
 
-def shape(mj_model, robot, substeps: int, every: bool) -> Shape:
+def shape(mj_model, robot, substeps: int, every_substep: bool) -> Shape:
     """Of `robot`, in its compiled model."""
     soles, floor = (
         np.column_stack(contacts.floor_distance(mj_model, geoms))
         for geoms in (robot.feet, robot.parts)
     )
     first = np.searchsorted(robot.foot_of, np.arange(len(robot.foot_names) + 1))
-    return Shape(substeps, every, robot.feet, first, soles, robot.parts, floor)
+    return Shape(substeps, every_substep, robot.feet, first, soles, robot.parts, floor)
 
 
 def sizes(mj_model, shape: Shape) -> dict[str, tuple[int, ...]]:
@@ -58,7 +58,7 @@ def sizes(mj_model, shape: Shape) -> dict[str, tuple[int, ...]]:
         "qvel": (mj_model.nv,),
         "qacc_warmstart": (mj_model.nv,),
         "torque": joints,
-        **dict.fromkeys(CARRIED[4:], foot),
+        **dict.fromkeys(IN_OUT[4:], foot),
         "target": (shape.substeps, *joints),
         "motor": (1, len(MOTOR)),  # or (A, ...)
         **{name: getattr(mj_model, name).shape for name in MODEL},

@@ -34,7 +34,7 @@ def launched(call: Callable[..., None], *arrays) -> set[tuple[Any, int]]:
     def once(_, while_body, **given):
         while_body(**given)
 
-    with _instead(
+    with _replaced(
         launch=note, launch_tiled=note, capture_while=once, get_suggested_block_size=suggest
     ):
         call(*arrays)
@@ -42,7 +42,7 @@ def launched(call: Callable[..., None], *arrays) -> set[tuple[Any, int]]:
 
 
 @contextlib.contextmanager
-def _instead(**functions: Callable) -> Iterator[None]:
+def _replaced(**functions: Callable) -> Iterator[None]:
     """Warp with other functions of these names."""
     own = {name: getattr(wp, name) for name in functions}
     try:
@@ -54,15 +54,14 @@ def _instead(**functions: Callable) -> Iterator[None]:
             setattr(wp, name, function)
 
 
-def start(modules: set[tuple[Any, int]], places: list[Any]) -> Callable[[], None]:
-    """Build the modules in threads and load them on the devices `places`; the result waits for
-    that."""
+def start(modules: set[tuple[Any, int]], devices: list[Any]) -> Callable[[], None]:
+    """Build the modules in threads and load them on `devices` (Warp's); the result waits for that."""
     ordered = sorted(modules, key=lambda one: one[0].name)
     pool = concurrent.futures.ThreadPoolExecutor(os.cpu_count())
     loads = [
-        pool.submit(module.load, place, block_dim=size)
+        pool.submit(module.load, device, block_dim=size)
         for module, size in ordered
-        for place in places
+        for device in devices
     ]
     pool.shutdown(wait=False)
 

@@ -53,14 +53,14 @@ def model(mj_model) -> Model:
     return Model(**fields, nbody=mj_model.nbody, ngeom=mj_model.ngeom, nv=mj_model.nv)
 
 
-def make(mj_model, robot, substeps: int, every: bool) -> Callable[..., dict[str, Any]]:
+def make(mj_model, robot, substeps: int, every_substep: bool) -> Callable[..., dict[str, Any]]:
     """`step(mjx model, state, target [n, A], motor)` of one robot, for `jax.vmap`: a control step.
 
-    `state` has the fields `arrays.CARRIED`; `motor` [1 or A, 8] are the numbers `arrays.MOTOR`. The result
-    has `CARRIED` after the step, `qd_before` and `lowest`.
+    `state` has the fields `arrays.IN_OUT`; `motor` [1 or A, 8] are the numbers `arrays.MOTOR`. The result
+    has `IN_OUT` after the step, `qd_before` and `lowest`.
     """
-    shape = arrays.shape(mj_model, robot, substeps, every)
-    key = robot_lib.digest(mj_model), substeps, every, *(x.tobytes() for x in shape[2:])
+    shape = arrays.shape(mj_model, robot, substeps, every_substep)
+    key = robot_lib.digest(mj_model), substeps, every_substep, *(x.tobytes() for x in shape[2:])
     if key not in _TOGETHER:
         # made when it is traced: until then Warp may still start
         of_many = functools.cache(functools.partial(_of_many, mj_model, shape))
@@ -68,10 +68,10 @@ def make(mj_model, robot, substeps: int, every: bool) -> Callable[..., dict[str,
     together = _TOGETHER[key]
 
     def step(model, state, target, motor) -> dict[str, Any]:
-        kept = [getattr(state, name) for name in arrays.CARRIED]
-        args = (*kept, target, motor, *(getattr(model, name) for name in arrays.MODEL))
+        state = [getattr(state, name) for name in arrays.IN_OUT]
+        args = (*state, target, motor, *(getattr(model, name) for name in arrays.MODEL))
         found = together(*(x[None] for x in args))
-        return dict(zip((*arrays.CARRIED, *arrays.RESULTS), (x[0] for x in found), strict=True))
+        return dict(zip((*arrays.IN_OUT, *arrays.RESULTS), (x[0] for x in found), strict=True))
 
     return step
 
@@ -84,7 +84,7 @@ def _of_many(mj_model, shape: arrays.Shape) -> Callable[..., Sequence]:
     from dynappo.physics.warp import building, quadruped
 
     way = quadruped
-    if scope.declines(mj_model, shape.feet, shape.every):
+    if scope.declines(mj_model, shape.feet, shape.every_substep):
         from dynappo.physics.warp import general as way
     gpu = jax.local_devices()[0].platform == "gpu"
     sizes = arrays.sizes(mj_model, shape)
@@ -94,24 +94,24 @@ def _of_many(mj_model, shape: arrays.Shape) -> Callable[..., Sequence]:
     def prepare(count: int) -> None:
         """Allocate what Warp keeps for `count` robots, and begin to build the kernels."""
         # the ordinal that the callback gets, in each of several processes
-        places = [wp.get_cuda_device(d.local_hardware_id) for d in jax.local_devices() if gpu]
-        places = places or [wp.get_device("cpu")]
-        for place in places:
-            if (place.alias, count) in own:
+        devices = [wp.get_cuda_device(d.local_hardware_id) for d in jax.local_devices() if gpu]
+        devices = devices or [wp.get_device("cpu")]
+        for device in devices:
+            if (device.alias, count) in own:
                 continue
             # the lock: while another thread captures a call, device and stream are that call's
-            with ffi._FFI_CALLBACK_LOCK, wp.ScopedDevice(place):
-                own[place.alias, count] = way.kept(mj_model, shape, count)
+            with ffi._FFI_CALLBACK_LOCK, wp.ScopedDevice(device):
+                own[device.alias, count] = way.allocate(mj_model, shape, count)
                 if not builds:
                     given = [_example(wp, sizes[n], kind, count) for n, kind in kinds.items()]
-                    builds.append(building.start(building.launched(call, *given), places))
-                wp.synchronize_stream(place)  # JAX's does not wait for it
+                    builds.append(building.start(building.launched(call, *given), devices))
+                wp.synchronize_stream(device)  # JAX's does not wait for it
 
     def call(*given):
         for wait in builds:
             wait()
-        kept = own[given[0].device.alias, given[0].shape[0]]
-        way.control_step(kept, shape, dict(zip(kinds, given, strict=True)))
+        buffers = own[given[0].device.alias, given[0].shape[0]]
+        way.control_step(buffers, shape, dict(zip(kinds, given, strict=True)))
 
     kinds = {name: wp.array(dtype=float, ndim=1 + len(size)) for name, size in sizes.items()}
     kinds |= {name: wp.array2d(dtype=int) for name in arrays.COUNTS}
@@ -126,8 +126,8 @@ def _of_many(mj_model, shape: arrays.Shape) -> Callable[..., Sequence]:
     modes = wp.JaxCallableGraphMode
     few = wp.jax_callable(
         call,
-        num_outputs=len(arrays.CARRIED) + len(arrays.RESULTS),
-        in_out_argnames=[*arrays.CARRIED],
+        num_outputs=len(arrays.IN_OUT) + len(arrays.RESULTS),
+        in_out_argnames=[*arrays.IN_OUT],
         graph_mode=modes.WARP if gpu else modes.NONE,
         vmap_method=None,
     )
@@ -158,7 +158,7 @@ def _batched(step: Callable[..., Sequence]) -> Callable[..., Sequence]:
         count = args[0].shape[int(batched[0])]
 
         def flat(i, x):
-            if i >= arrays.STATE and not batched[i] and len(x) == 1:
+            if i >= arrays.PER_ROBOT and not batched[i] and len(x) == 1:
                 return x
             x = x if batched[i] else x[None]
             return jnp.broadcast_to(x, (axis, count, *x.shape[2:])).reshape(-1, *x.shape[2:])

@@ -17,7 +17,7 @@ from dynappo.physics.warp import arrays, kernels
 FEW = 8  # rounds of Newton's method that cost less one after the other than a graph's loop does
 
 
-class Kept(NamedTuple):
+class Buffers(NamedTuple):
     """What Warp keeps on one device for one number of robots."""
 
     model: Any
@@ -29,14 +29,14 @@ class Kept(NamedTuple):
     floor: Any
 
 
-def kept(mj_model: mujoco.MjModel, shape: arrays.Shape, count: int) -> Kept:
+def allocate(mj_model: mujoco.MjModel, shape: arrays.Shape, count: int) -> Buffers:
     """Allocate buffers that cannot overflow: one for all contacts that all robots can have, and for each
     robot the constraint rows that it can need."""
     room, rows = contacts.most(mj_model)
     model = mjw.put_model(mj_model)
     model.opt.warn_overflow = 0  # else a line per world and step at the solver's limit
     model.opt.graph_conditional = int(model.opt.iterations) > FEW
-    return Kept(
+    return Buffers(
         model=model,
         data=mjw.make_data(mj_model, nworld=count, naconmax=count * room, njmax=rows),
         first=wp.array(shape.first, dtype=int),
@@ -47,12 +47,12 @@ def kept(mj_model: mujoco.MjModel, shape: arrays.Shape, count: int) -> Kept:
     )
 
 
-def control_step(kept: Kept, shape: arrays.Shape, a: dict[str, Any]) -> None:
+def control_step(buffers: Buffers, shape: arrays.Shape, a: dict[str, Any]) -> None:
     """All physics steps of a control step, on the arrays `a` of `warp.arrays.sizes`."""
     count, dofs = a["qvel"].shape
     state = {name: a[name] for name in ("qpos", "qvel", "qacc_warmstart")}
-    model = dataclasses.replace(kept.model, **{name: a[name] for name in arrays.MODEL})
-    data = dataclasses.replace(kept.data, **state, ctrl=a["torque"])
+    model = dataclasses.replace(buffers.model, **{name: a[name] for name in arrays.MODEL})
+    data = dataclasses.replace(buffers.data, **state, ctrl=a["torque"])
     for substep in range(shape.substeps):
         wp.launch(
             kernels.motors,
@@ -63,18 +63,18 @@ def control_step(kept: Kept, shape: arrays.Shape, a: dict[str, Any]) -> None:
         mjw.step(model, data)
         wp.launch(
             kernels.keep,
-            dim=(count, kept.first.size - 1 + kept.parts.size),
+            dim=(count, buffers.first.size - 1 + buffers.parts.size),
             inputs=[
-                int(shape.every),
+                int(shape.every_substep),
                 substep,
                 shape.substeps - 1,
-                kept.first,
-                kept.feet,
-                kept.soles,
-                kept.parts,
-                kept.floor,
+                buffers.first,
+                buffers.feet,
+                buffers.soles,
+                buffers.parts,
+                buffers.floor,
                 data.geom_xpos,
                 data.geom_xmat,
             ],
-            outputs=[a[name] for name in (*arrays.CARRIED[4:], "lowest")],
+            outputs=[a[name] for name in (*arrays.IN_OUT[4:], "lowest")],
         )

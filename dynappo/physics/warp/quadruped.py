@@ -179,30 +179,30 @@ def step(
     )
 
 
-class Kept(NamedTuple):
+class Buffers(NamedTuple):
     """What Warp keeps on one device."""
 
     numbers: list[Any]  # the first arguments of `control_step`
     gpu: bool
 
 
-def kept(mj_model: mujoco.MjModel, shape: arrays.Shape, _: int = 0) -> Kept:
+def allocate(mj_model: mujoco.MjModel, shape: arrays.Shape, _: int = 0) -> Buffers:
     """On the current device."""
     first, rows = parts(mj_model, shape)
     opt, damped = mj_model.opt, bool(mj_model.dof_damping.any())
     numbers = [shape.substeps, int(opt.iterations), int(opt.ls_iterations), int(damped)]
     numbers += [wp.array(constants(mj_model, shape), dtype=float), wp.array(first, dtype=int)]
-    return Kept([*numbers, wp.array2d(rows, dtype=float)], wp.get_device().is_cuda)
+    return Buffers([*numbers, wp.array2d(rows, dtype=float)], wp.get_device().is_cuda)
 
 
-def control_step(kept: Kept, _: arrays.Shape, a: dict[str, Any]) -> None:
+def control_step(buffers: Buffers, _: arrays.Shape, a: dict[str, Any]) -> None:
     """All physics steps of a control step, on the arrays `a` of `warp.arrays.sizes`."""
     robots = a["qpos"].shape[0]
-    changed = *arrays.CARRIED, *arrays.RESULTS
+    changed = *arrays.IN_OUT, *arrays.RESULTS
     wp.launch(
         step,
-        dim=robots * (THREADS if kept.gpu else 1),
-        inputs=[*kept.numbers, *(a[name] for name in ("target", "motor", *arrays.MODEL))],
+        dim=robots * (THREADS if buffers.gpu else 1),
+        inputs=[*buffers.numbers, *(a[name] for name in ("target", "motor", *arrays.MODEL))],
         outputs=[a[name] for name in changed],
         block_dim=BLOCK,
     )

@@ -77,10 +77,11 @@ WORDS = {
 }
 
 
-def declines(model: mujoco.MjModel, feet: np.ndarray, every: bool) -> str:
+def declines(model: mujoco.MjModel, feet: np.ndarray, every_substep: bool) -> str:
     """What the kernel does not compute of a model that keeps the contract; "" if nothing.
 
-    `feet` are the geom ids of their shapes. `every`: parts at the ground are wanted of each physics step.
+    `feet` are the geom ids of their shapes. `every_substep`: parts at the ground are wanted
+    of each physics step.
     """
     last = np.arange(1 + LINKS // LEGS, 2 + LINKS, LINKS // LEGS)  # bodies of the legs, leg by leg
     same = (model.nbody, model.njnt) == (2 + LINKS, 1 + LINKS)
@@ -94,13 +95,13 @@ def declines(model: mujoco.MjModel, feet: np.ndarray, every: bool) -> str:
             found, expected = found[touching], expected[touching]
         if not _equal(found, expected):
             return f"{WORDS[name]} ({name})" if name in WORDS else name
-    return _rules(model, feet, every)
+    return _rules(model, feet, every_substep)
 
 
-def slower(robot: robot_lib.Robot, physics, every: bool) -> str:
+def slower(robot: robot_lib.Robot, physics, every_substep: bool) -> str:
     """A line on a robot that on a GPU needs MuJoCo Warp's own step, and why; "" if the kernel
     does it. `physics` is the config's group."""
-    reason = declines(robot_lib.physics_model(robot, physics), robot.feet, every)
+    reason = declines(robot_lib.physics_model(robot, physics), robot.feet, every_substep)
     return reason and (
         f"{robot.xml}: because of {reason}, physics on a GPU are MuJoCo Warp's own step, which takes "
         "several times as long as the kernel for quadrupeds"
@@ -185,10 +186,10 @@ def _plain(model: mujoco.MjModel, feet: np.ndarray) -> mujoco.MjModel:
     return spec.compile()
 
 
-def _rules(model: mujoco.MjModel, feet: np.ndarray, every: bool) -> str:
+def _rules(model: mujoco.MjModel, feet: np.ndarray, every_substep: bool) -> str:
     """As `declines`, for numbers that the kernel reads, but of which it takes only some values."""
     if (model.jnt_solref[1:] <= 0).any() or (model.geom_solref[feet] <= 0).any():
         return "solref as stiffness and damping (negative)"
     if ((model.exclude_signature >> 16) * (model.exclude_signature & 0xFFFF) == 0).any():
         return "an exclude of the floor (exclude_signature)"
-    return "contacts of parts, wanted of each physics step (task.remember_ground)" * every
+    return "contacts of parts, wanted of each physics step (task.remember_ground)" * every_substep

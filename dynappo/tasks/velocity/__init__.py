@@ -4,6 +4,7 @@
 number in configs/: docs/task.md.
 
 - `env`: the task as pure functions of one robot: reset, step, autoreset
+- `checks`: whether a robot can learn it
 - `state`: what a robot keeps from one control step to the next
 - `rewards`: the terms of the reward, one function each; `reward_sum`: matches them with weights and
   sums

@@ -18,7 +18,7 @@ import numpy as np
 from dynappo.description import kinematics
 from dynappo.description import robot as robot_lib
 from dynappo.physics import engine as engine_lib
-from dynappo.physics import randomize
+from dynappo.physics import ground, randomize
 from dynappo.tasks.velocity import (
     commands,
     gait,
@@ -39,7 +39,7 @@ MIDDLE = 0.005  # m: a foot that is closer to the middle plane is neither left n
 MAX_TURN, MAX_BASE_SPEED = 100.0, 20.0  # rad/s, m/s: above these it is a numerical blow-up
 
 
-class Feet(NamedTuple):
+class FeetGeometry(NamedTuple):
     """What `rewards.Feet` is computed from."""
 
     middles: kinematics.Legs  # [F] points
@@ -54,7 +54,7 @@ class Constants(NamedTuple):
     robot: robot_lib.Robot
     task: Any  # the config's group `task`, for its non-float fields
     legs: kinematics.Legs
-    feet: Feet | None  # None: no term asks for them
+    feet: FeetGeometry | None  # None: no term asks for them
     fatal: np.ndarray  # [G] bool: the parts that end an episode at the ground
     undesired: np.ndarray  # [K, G] bool: the parts that count as one undesired contact
     view: view.View  # the layout of an observation
@@ -77,10 +77,15 @@ def make(robot: robot_lib.Robot, task, physics_config, *, impl: str = "jax") -> 
     layout = view.make(
         task.observation, task.history, joints, varied, task.gait_frequency is not None
     )
-    lags, rubs = task.actuator == "lag", bool(np.any(task.joint_friction))
     const = Constants(
         engine=engine_lib.make(
-            robot, physics_config, varied, impl, task.remember_ground, lags, rubs
+            robot,
+            physics_config,
+            varied=varied,
+            impl=impl,
+            every_substep=task.remember_ground,
+            lags=task.actuator == "lag",
+            has_friction=bool(np.any(task.joint_friction)),
         ),
         robot=robot,
         task=task,
@@ -139,15 +144,15 @@ def ground_rules(robot: robot_lib.Robot, task) -> tuple[np.ndarray, np.ndarray]:
     return fatal, bodies == np.array(list(dict.fromkeys(thighs)))[:, None]
 
 
-def feet_of(robot: robot_lib.Robot, terms: reward_sum.Terms) -> Feet | None:
+def feet_of(robot: robot_lib.Robot, terms: reward_sum.Terms) -> FeetGeometry | None:
     """What `rewards.Feet` of this robot is computed from, if one of `terms` asks for it."""
-    asked = {ask for term in terms.values() for ask in reward_sum.asks(term)}
+    asked = {name for term in terms.values() for name in reward_sum.parameters(term)}
     if not asked & set(rewards.Feet._fields):
         return None
     middles = kinematics.middles(robot.mj_model, robot.feet, robot.foot_of)
     left = kinematics.feet_in_base(middles, robot.default_pose)[:, 1]
     side = np.sign(np.where(abs(left) < MIDDLE, 0.0, left))
-    return Feet(middles, side, robot.mj_model.body_ipos[robot.base_body])
+    return FeetGeometry(middles, side, robot.mj_model.body_ipos[robot.base_body])
 
 
 def _randomize(const: Constants, hyper: Hyper, key):
@@ -190,11 +195,11 @@ def autoreset(const: Constants, hyper: Hyper, body, state: State, outcome: Outco
         here = state.replace(**dict.fromkeys(AGES, 0))
         start = jax.tree.map(lambda here, there: jnp.where(stays, here, there), here, start)
     fresh = _commanded(const, hyper, body, start, command_key, obs_key, same)
-    # those that stay remember what they read; beside a `where` of nothing XLA 0.10 loses C MuJoCo's call
+    # Keep the history of robots that stay. (Without the `if`, XLA 0.10 drops C MuJoCo's call.)
     if stays is not None and const.view.history > 1:
-        now = view.now(const.view)
-        before = jnp.where(stays, state.obs[now:], fresh.obs[now:])
-        fresh = fresh.replace(obs=jnp.concatenate([fresh.obs[:now], before]))
+        size = view.current_size(const.view)
+        before = jnp.where(stays, state.obs[size:], fresh.obs[size:])
+        fresh = fresh.replace(obs=jnp.concatenate([fresh.obs[:size], before]))
     return jax.tree.map(lambda new, old: jnp.where(ended, new, old), fresh, state)
 
 
@@ -221,8 +226,9 @@ def _at_start(const: Constants, hyper: Hyper, key) -> State:
     joints = default * (low + (high - low) * scale)
     joints = jnp.clip(joints, *_soft_limits(const, hyper))
     lowest = kinematics.lowest(const.legs, joints)
-    height = jnp.maximum(r.spawn_height, r.foot_clearance - lowest)
+    above = jnp.maximum(r.spawn_height, r.foot_clearance - lowest)
     xy = (2 * xy - 1) * r.position
+    height = ground.world_height(above, lambda: xy)
     yaw = (2 * yaw[0] - 1) * r.yaw
     velocity = (2 * velocity - 1) * r.velocity
     quat = jnp.stack([jnp.cos(yaw / 2), yaw * 0, yaw * 0, jnp.sin(yaw / 2)])
@@ -321,7 +327,7 @@ def step(const: Constants, hyper: Hyper, body, state: State, action, key):
         episode_steps=state.episode_steps + 1,
         episode_return=state.episode_return + reward,
     )
-    seen = next_state, view.later(const.view, state.obs), obs_key
+    seen = next_state, view.rest_after(const.view, state.obs), obs_key
     prop, obs = view.observation(const.view, const.robot, hyper, body, *seen)
     next_state = next_state.replace(
         prop=jnp.where(ok, prop, state.prop), obs=jnp.where(ok, obs, state.obs)
@@ -360,7 +366,7 @@ def _known(const: Constants, hyper: Hyper, seen, action) -> dict[str, Any]:
     return engine_lib.per_joint_arrays(hyper)._asdict() | parts | {"action": action}
 
 
-def _feet(const: Constants, feet: Feet, parts) -> rewards.Feet:
+def _feet(const: Constants, feet: FeetGeometry, parts) -> rewards.Feet:
     """Of the predicted parts of an observation: v = v_com + w x (p - com) + dp/dt in the base."""
     place = partial(kinematics.feet_in_base, feet.middles)
     joints = parts["joint_position"] + jnp.asarray(const.robot.default_pose, jnp.float32)
@@ -384,7 +390,7 @@ def _measured(
         torque=after.torque,
         joint_velocity_before=after.qd_before,
         timestep=const.engine.timestep,
-        height=after.qpos[2],
+        height=ground.height_above(after.qpos[2], lambda: after.qpos[:2]),
         contact=contact,
         touchdown=contact & (after.contact_steps <= const.engine.substeps),
         last_air_time=after.last_air_steps * const.engine.timestep,
@@ -398,6 +404,6 @@ def known_reward(const: Constants, hyper: Hyper, obs, action, next_prop):
     Exact unless a push changed the velocity after the reward (pushes.py). `task.fall_reward` is not in it:
     only the model knows the probability of a fall.
     """
-    seen = jnp.concatenate([next_prop, obs[next_prop.size : view.now(const.view)]])
+    seen = jnp.concatenate([next_prop, obs[next_prop.size : view.current_size(const.view)]])
     terms = reward_sum.values(const.known, _known(const, hyper, seen, action))
     return reward_sum.total(terms, hyper.task.weights, const.dt)[0]

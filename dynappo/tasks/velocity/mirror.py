@@ -25,11 +25,11 @@ def images(robot: Robot, layout: view.View) -> tuple[Mirror, Mirror] | None:
     except ConfigError:
         return None
     index, sign, start = [], [], 0
-    for part in view.parts(layout):
-        if part.signs is None:
+    for quantity in view.quantities(layout):
+        if quantity.signs is None:
             image = own
         else:
-            image = Mirror(np.arange(len(part.signs)), np.array(part.signs, float))
+            image = Mirror(np.arange(len(quantity.signs)), np.array(quantity.signs, float))
         index.append(start + image.index)
         sign.append(image.sign)
         start += len(image.index)

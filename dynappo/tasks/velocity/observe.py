@@ -3,7 +3,7 @@
 The code works with NumPy and jax.numpy, so that a policy can be played without JAX. It uses only
 qpos and qvel, because after `mjx.step` every derived quantity is one substep old.
 
-| part             | rows, of 12 joints | content                                     | unit       |
+| quantity         | numbers, of 12 joints | content                                     | unit       |
 |------------------|-------|----------------------------------------------------------|------------|
 | predicted (prop) | 0-11  | joint positions minus the default pose                   | rad        |
 |                  | 12-23 | joint velocities                                         | rad/s      |
@@ -13,13 +13,13 @@ qpos and qvel, because after `mjx.step` every derived quantity is one substep ol
 | known (context)  | 33-35 | command vx, vy, yaw rate                                 | m/s, rad/s |
 |                  | 36-47 | previous action                                          |            |
 
-With `task.gait_frequency` two known parts of a biped follow (gait.py): `gait_phase`, 2 numbers, and
+With `task.gait_frequency` two known quantities of a biped follow (gait.py): `gait_phase`, 2 numbers, and
 `gait_turn`, one, which no policy sees.
 
 The order is the paper's, o = [q, qd, g, v, w] and [c, a]: the transition model predicts the first,
-and `advance` computes the second. `PREDICTED` and `KNOWN` define the parts; from them follow sizes, noise,
-mirror image, the tables of ONNX files and what a reward term can ask for. To add a part, add an entry there
-and a value in `observe`, and for `KNOWN` also one in `advance` (docs/task.md).
+and `advance` computes the second. `PREDICTED` and `KNOWN` define the quantities; from them follow
+sizes, noise, mirror image, the tables of ONNX files and what a reward term can ask for. To add one,
+add an entry there and a value in `observe`, and for `KNOWN` also one in `advance` (docs/task.md).
 """
 
 import re
@@ -36,12 +36,12 @@ from dynappo.tasks.velocity import gait
 # policy that sees other numbers is refused by its name, so change it with them
 NAMES = {"full": "velocity", "onboard": "onboard"}
 CLOCKED = "-phase"  # follows the name of one with a gait clock, as in "velocity-phase-101"
-# parts that no sensor tells, and the share of a gait clock that the policy is not to see
+# quantities that no sensor tells, and the share of a gait clock that the policy is not to see
 UNSEEN = {"full": ("gait_turn",), "onboard": ("linear_velocity", "gait_turn")}
 
 
-class Part(NamedTuple):
-    """One part of an observation: numbers that belong together."""
+class Quantity(NamedTuple):
+    """One quantity of an observation: numbers that belong together."""
 
     size: int | None  # None: one number a joint
     unit: str
@@ -56,72 +56,72 @@ class Part(NamedTuple):
 MOVES, TURNS = (1, -1, 1), (-1, 1, -1)
 # the state at the end of a row: the transition model predicts it
 PREDICTED = dict(
-    joint_position=Part(None, "rad", "minus default_pose", "joint_pos"),
-    joint_velocity=Part(None, "rad/s", "of each joint", "joint_vel", scale=0.05),
-    gravity=Part(3, "1", "its direction, base frame (0 0 -1 upright)", "gravity", MOVES),
-    linear_velocity=Part(
+    joint_position=Quantity(None, "rad", "minus default_pose", "joint_pos"),
+    joint_velocity=Quantity(None, "rad/s", "of each joint", "joint_vel", scale=0.05),
+    gravity=Quantity(3, "1", "its direction, base frame (0 0 -1 upright)", "gravity", MOVES),
+    linear_velocity=Quantity(
         3, "m/s", "of the base's centre of mass (base_com), base frame", "linear_velocity", MOVES
     ),
-    angular_velocity=Part(3, "rad/s", "base frame", "angular_velocity", TURNS, 0.25),
+    angular_velocity=Quantity(3, "rad/s", "base frame", "angular_velocity", TURNS, 0.25),
 )
 # what follows from the row before: `advance` computes it
 KNOWN = dict(
-    command=Part(3, "m/s, m/s, rad/s", "vx, vy, yaw rate, base frame", signs=(1, -1, -1)),
-    previous_action=Part(None, "1", "action of the step before; zero at first"),
+    command=Quantity(3, "m/s, m/s, rad/s", "vx, vy, yaw rate, base frame", signs=(1, -1, -1)),
+    previous_action=Quantity(None, "1", "action of the step before; zero at first"),
 )
 # the same, with `task.gait_frequency`
 GAIT = dict(
-    gait_phase=Part(
+    gait_phase=Quantity(
         2,
         "1",
         "sine and cosine of the first foot's phase, 0 where it is highest; 0 0 to stand",
         signs=(-1, -1),
     ),
-    gait_turn=Part(1, "rad", "advance of the phases in a control step", signs=(1,)),
+    gait_turn=Quantity(1, "rad", "advance of the phases in a control step", signs=(1,)),
 )
-PARTS = PREDICTED | KNOWN | GAIT
+QUANTITIES = PREDICTED | KNOWN | GAIT
 
 
-def parts(clock: bool = False) -> dict[str, Part]:
-    """The parts of an observation, with or without a gait clock, in their order."""
-    return PARTS if clock else PREDICTED | KNOWN
+def quantities(clock: bool = False) -> dict[str, Quantity]:
+    """The quantities of an observation, with or without a gait clock, in their order."""
+    return QUANTITIES if clock else PREDICTED | KNOWN
 
 
-def _places(names, joints: int) -> dict[str, slice]:
-    sizes = [joints if (size := PARTS[name].size) is None else size for name in names]
+def _slices(names, joints: int) -> dict[str, slice]:
+    sizes = [joints if (size := QUANTITIES[name].size) is None else size for name in names]
     ends = zip(names, sizes, accumulate(sizes), strict=True)
     return {name: slice(stop - size, stop) for name, size, stop in ends}
 
 
 @cache
-def rows(joints: int, clock: bool = False) -> dict[str, slice]:
-    """Where each part is in the observation of a robot of so many joints."""
-    return _places([*parts(clock)], joints)
+def slices(joints: int, clock: bool = False) -> dict[str, slice]:
+    """Where each quantity is in the observation of a robot of so many joints."""
+    return _slices([*quantities(clock)], joints)
 
 
 def size(joints: int, clock: bool = False) -> int:
     """Numbers of an observation."""
-    return [*rows(joints, clock).values()][-1].stop
+    return [*slices(joints, clock).values()][-1].stop
 
 
 def prop_size(joints: int) -> int:
-    """Numbers of its predicted parts, which come first."""
-    return rows(joints)[[*PREDICTED][-1]].stop
+    """Numbers of its predicted quantities, which come first."""
+    return slices(joints)[[*PREDICTED][-1]].stop
 
 
 def name(observation: str, joints: int, clock: bool = False) -> str:
     """The name, in policy files, of one step's reading with `task.observation`."""
-    count = sum(_size(part, joints) for part in _seen(observation, clock))
+    count = sum(_size(each, joints) for each in _seen(observation, clock))
     return f"{NAMES[observation]}{CLOCKED * clock}-{count}"
 
 
-def _size(part: str, joints: int) -> int:
-    count = PARTS[part].size
+def _size(quantity: str, joints: int) -> int:
+    count = QUANTITIES[quantity].size
     return joints if count is None else count
 
 
 def _seen(observation: str, clock: bool) -> list[str]:
-    return [part for part in parts(clock) if part not in UNSEEN[observation]]
+    return [each for each in quantities(clock) if each not in UNSEEN[observation]]
 
 
 @cache
@@ -130,7 +130,7 @@ def _named(name: str) -> tuple[str, int, bool]:
     for observation, clock in product(NAMES, (False, True)):
         text = NAMES[observation] + CLOCKED * clock
         found = re.fullmatch(rf"{re.escape(text)}-(\d{{1,4}})", name)
-        sizes = [PARTS[part].size for part in _seen(observation, clock)]
+        sizes = [QUANTITIES[each].size for each in _seen(observation, clock)]
         joints, rest = divmod(
             int(found[1]) - sum(filter(None, sizes)) if found else -1, sizes.count(None)
         )
@@ -145,7 +145,7 @@ def has_clock(name: str) -> bool:
 
 
 def shown(name: str) -> tuple[str, ...]:
-    """The parts that a policy of observation `name` sees."""
+    """The quantities that a policy of observation `name` sees."""
     observation, _, clock = _named(name)
     return tuple(_seen(observation, clock))
 
@@ -153,15 +153,13 @@ def shown(name: str) -> tuple[str, ...]:
 def columns(name: str) -> np.ndarray:
     """The columns of an observation that a policy of observation `name` sees."""
     _, joints, clock = _named(name)
-    places = rows(joints, clock)
-    return np.concatenate(
-        [np.arange(places[part].start, places[part].stop) for part in shown(name)]
-    )
+    where = slices(joints, clock)
+    return np.concatenate([np.arange(where[q].start, where[q].stop) for q in shown(name)])
 
 
 def reading(name: str) -> dict[str, slice]:
-    """Where each part is in one step's reading of a policy of observation `name`."""
-    return _places(shown(name), _named(name)[1])
+    """Where each quantity is in one step's reading of a policy of observation `name`."""
+    return _slices(shown(name), _named(name)[1])
 
 
 def memory(name: str, history: int) -> Callable[[np.ndarray], np.ndarray]:
@@ -238,11 +236,11 @@ def observe(qpos, qvel, base_com, default_pose, command, last_action, clock=None
     if clock is not None:
         angle, turn = clock
         values |= dict(gait_phase=gait.shown(angle, command), gait_turn=xp.asarray(turn)[None])
-    return xp.concat([values[name] for name in parts(clock is not None)])
+    return xp.concat([values[name] for name in quantities(clock is not None)])
 
 
 def advance(context, action, clock: bool = False):
-    """The known parts [..., C] of the observation after `action`, from those before."""
+    """The known quantities [..., C] of the observation after `action`, from those before."""
     xp = context.__array_namespace__()
     before = split_context(context, action.shape[-1], clock)
     values = dict(
@@ -256,25 +254,25 @@ def advance(context, action, clock: bool = False):
 
 
 def _known(clock: bool) -> list[str]:
-    return [name for name in parts(clock) if name not in PREDICTED]
+    return [name for name in quantities(clock) if name not in PREDICTED]
 
 
 def split(obs, joints: int, clock: bool = False):
-    """The parts of observations [..., O] of a robot of so many joints, by name."""
-    return {name: obs[..., where] for name, where in rows(joints, clock).items()}
+    """The quantities of observations [..., O] of a robot of so many joints, by name."""
+    return {name: obs[..., where] for name, where in slices(joints, clock).items()}
 
 
 def split_context(context, joints: int, clock: bool = False):
-    """As `split`, of the known parts [..., C] alone."""
-    places = _places(_known(clock), joints)
-    return {name: context[..., where] for name, where in places.items()}
+    """As `split`, of the known quantities [..., C] alone."""
+    known = _slices(_known(clock), joints)
+    return {name: context[..., where] for name, where in known.items()}
 
 
 def noise_scale(noise, xp, joints: int, clock: bool = False):
     """Half widths [O] of the uniform observation noise; `noise` is the config's group."""
     scales = [
-        getattr(noise, PARTS[name].noise) if PARTS[name].noise else 0.0
-        for name, where in rows(joints, clock).items()
+        getattr(noise, QUANTITIES[name].noise) if QUANTITIES[name].noise else 0.0
+        for name, where in slices(joints, clock).items()
         for _ in range(where.start, where.stop)
     ]
     return xp.stack([xp.asarray(v) for v in scales])

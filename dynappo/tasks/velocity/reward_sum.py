@@ -19,7 +19,7 @@ from dynappo.tasks.velocity import observe, rewards
 FILE = "dynappo/tasks/velocity/rewards.py"
 Terms = dict[str, Callable[..., Any]]  # by the name of the weight, in the order of rewards.py
 # a term that replaces another, and the value of task.air_time for which it does
-INSTEAD = {"feet_in_air": ("feet_air_time", "indicator")}
+REPLACEMENTS = {"feet_in_air": ("feet_air_time", "indicator")}
 
 
 def in_rewards() -> Terms:
@@ -44,31 +44,31 @@ def terms_of(task) -> Terms:
             f"task.weights.{name} has no term; expected a function {name} in "
             f"{FILE}{f', which has {close[0]}' if close else ''}"
         )
-    for name in (n for n in terms if n not in weights and n not in INSTEAD):
+    for name in (n for n in terms if n not in weights and n not in REPLACEMENTS):
         raise ConfigError(
             f"task.weights has no weight of the term {name} of {FILE}; add "
             f"`{name}: float = 0.0` to Weights in configs/default.py"
         )
     names = {*known_names(task), *rewards.Measured._fields, *per_joint.names()}
     for name, term in terms.items():
-        for wrong in sorted(set(asks(term)) - names):
+        for wrong in sorted(set(parameters(term)) - names):
             close = difflib.get_close_matches(wrong, names, 1)
             raise ConfigError(
-                f"the term {name} of {FILE} asks for {wrong}, which is not a part of the "
+                f"the term {name} of {FILE} asks for {wrong}, which is not a quantity of the "
                 "observation, nor a number of the config's group task, nor a field of Measured"
                 + (f"; did you mean {close[0]}?" if close else "")
             )
-    for name, (other, air_time) in INSTEAD.items():
+    for name, (other, air_time) in REPLACEMENTS.items():
         if task.air_time == air_time:
             terms[other] = terms[name]
     used = {name: term for name, term in terms.items() if task.weights.get(name) is not None}
     for name, term in used.items():
-        if task.gait_frequency is None and not observe.GAIT.keys().isdisjoint(asks(term)):
+        if task.gait_frequency is None and not observe.GAIT.keys().isdisjoint(parameters(term)):
             raise ConfigError(
                 f"task.gait_frequency is None, expected (low, high) in Hz where task.weights.{name} is a "
                 "number: its term follows the gait clock; set it, as (1.25, 1.5), or the weight to None"
             )
-        for missing in (ask for ask in asks(term) if ask in task and task[ask] is None):
+        for missing in (p for p in parameters(term) if p in task and task[p] is None):
             raise ConfigError(
                 f"task.{missing} is None, expected numbers where task.weights.{name} is one: its term "
                 f"asks for them; set task.{missing}, or the weight to None"
@@ -76,23 +76,23 @@ def terms_of(task) -> Terms:
     return used
 
 
-def asks(term: Callable[..., Any]) -> list[str]:
+def parameters(term: Callable[..., Any]) -> list[str]:
     """What a term asks for: its parameters without a default."""
-    parameters = inspect.signature(term).parameters.values()
-    return [p.name for p in parameters if p.default is p.empty]
+    every = inspect.signature(term).parameters.values()
+    return [p.name for p in every if p.default is p.empty]
 
 
 def known_names(task) -> set[str]:
     """The names that a term may ask for without physics; of `task`, its floats and numbers of joints [A]."""
     of_joints = {name for name in per_joint.names() if isinstance(task[name], tuple)}
     numbers = {name for name, value in task.items() if type(value) is float} | of_joints
-    return {*observe.PARTS, *rewards.Feet._fields, "action"} | numbers
+    return {*observe.QUANTITIES, *rewards.Feet._fields, "action"} | numbers
 
 
 def known(terms: Terms, task) -> Terms:
     """Those of `terms` that can be computed without physics."""
     names = known_names(task)
-    return {name: term for name, term in terms.items() if names.issuperset(asks(term))}
+    return {name: term for name, term in terms.items() if names.issuperset(parameters(term))}
 
 
 def values(terms: Terms, facts: dict[str, Any]) -> dict[str, Any]:
@@ -100,7 +100,7 @@ def values(terms: Terms, facts: dict[str, Any]) -> dict[str, Any]:
 
     ConfigError for a term that is not one number.
     """
-    out = {name: term(**{ask: facts[ask] for ask in asks(term)}) for name, term in terms.items()}
+    out = {name: term(**{p: facts[p] for p in parameters(term)}) for name, term in terms.items()}
     for name, value in out.items():
         if np.shape(value) != ():
             raise ConfigError(

@@ -8,7 +8,7 @@ weight and the control step, and sums. The code works with NumPy and jax.numpy.
 
 A term's parameter names say what it needs. It may ask for:
 
-- any part of the observation (observe.py), without noise: the predicted ones as they are at the end
+- any quantity of the observation (observe.py), without noise: the predicted ones as they are at the end
   of the control step, before a push; the known ones, `command` and `previous_action`, as the policy saw
   them
 - the fields of `Feet`, which follow from these
@@ -51,14 +51,14 @@ class Measured(NamedTuple):
     torque: Any  # [A] N m, of the motors in the last physics step, after all limits
     joint_velocity_before: Any  # [A] rad/s, before that step
     timestep: float  # s, of a physics step
-    height: Any  # m, of the base's frame above the floor
+    height: Any  # m, of the base's frame above the ground
     contact: Any  # [F] bool: the foot is on the ground
     touchdown: Any  # [F] bool: it came down in this control step
     last_air_time: Any  # [F] s, length of its last finished air phase
     swing_height: Any  # [F] m, highest that its lowest point was in that phase
     older_action: Any  # [A] the action before `previous_action`
     over_limit: Any  # [A] rad, beyond the middle `task.reset.soft_limit` of a joint's range
-    lowest: Any  # [K] m, lowest point above the floor of what counts as an undesired contact
+    lowest: Any  # [K] m, lowest point above the ground of what counts as an undesired contact
 
 
 def track_linear_velocity(linear_velocity, command, tracking_std):
@@ -147,7 +147,7 @@ def feet_in_air(contact):
 
 
 def undesired_contacts(lowest):
-    """Number of non-foot parts at the ground, from their `lowest` points (m above the floor)."""
+    """Number of non-foot parts at the ground, from their `lowest` points (m above the ground)."""
     return (lowest < 0).sum() * 1.0
 
 

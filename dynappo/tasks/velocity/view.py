@@ -41,7 +41,7 @@ class View(NamedTuple):
     history: int
     varied: frozenset[str]  # ranges of the body, where it is part of obs
     body: int  # numbers of the body in obs
-    clock: bool  # whether it has the parts of a gait clock
+    clock: bool  # whether it has the quantities of a gait clock
 
 
 def make(
@@ -68,14 +68,14 @@ def reading(view: View) -> np.ndarray:
     return observe.columns(name(view))
 
 
-def now(view: View) -> int:
+def current_size(view: View) -> int:
     """Numbers of observe.py, which an observation begins with."""
     return observe.size(view.joints, view.clock)
 
 
 def size(view: View) -> int:
     """Numbers of an observation."""
-    return now(view) + past_size(view) + view.body
+    return current_size(view) + past_size(view) + view.body
 
 
 def past_size(view: View) -> int:
@@ -85,7 +85,7 @@ def past_size(view: View) -> int:
 
 def views(view: View) -> Views | None:
     """The columns of each network; None where all see all."""
-    sensed, past = now(view), past_size(view)
+    sensed, past = current_size(view), past_size(view)
     if size(view) == sensed == len(reading(view)):
         return None
     everything = np.arange(size(view))
@@ -107,7 +107,7 @@ def exact(robot: Robot, body: randomize.Body, state: State):
 
 
 def observation(view: View, robot: Robot, hyper: Hyper, body: randomize.Body, state, past, key):
-    """`(prop, obs)` of a state: the predicted part as it is, and the whole as it is sensed.
+    """`(prop, obs)` of a state: the predicted numbers as it is, and the whole as it is sensed.
 
     `past` is what follows the numbers of observe.py; None where an episode begins.
     """
@@ -119,7 +119,7 @@ def observation(view: View, robot: Robot, hyper: Hyper, body: randomize.Body, st
         told = randomize.numbers(body, com, view.varied)
         whole = jnp.concatenate([clean, jnp.zeros(past_size(view)), told])
         sensed = sensed.at[:prop_size].add(bias(view, whole))
-    past = first(view, sensed, told) if past is None else past
+    past = rest_at_start(view, sensed, told) if past is None else past
     return clean[:prop_size], jnp.concatenate([sensed, past])
 
 
@@ -131,16 +131,16 @@ def sense(view: View, hyper: Hyper, prop, context, key):
     return prop + jax.random.uniform(key, scale.shape, minval=-1.0, maxval=1.0) * scale
 
 
-def first(view: View, sensed, body):
+def rest_at_start(view: View, sensed, body):
     """What follows observe.py's numbers at the start of an episode: the first reading, repeated; body."""
     xp = sensed.__array_namespace__()
     return xp.concat([*[sensed[reading(view)]] * (view.history - 1), body])
 
 
-def later(view: View, obs):
+def rest_after(view: View, obs):
     """What follows the numbers of observe.py one step after `obs` [..., O]: its reading, those before,
     its body."""
-    sensed = now(view)
+    sensed = current_size(view)
     if view.history == 1:
         return obs[..., sensed:]
     xp, end = obs.__array_namespace__(), sensed + past_size(view)
@@ -151,9 +151,9 @@ def later(view: View, obs):
 def advance(view: View, hyper: Hyper, context, prop, action, next_prop):
     """`Env.advance`: command, last action, gait clock, what was sensed before (`prop`), the body."""
     xp = context.__array_namespace__()
-    known = context[..., : now(view) - prop.shape[-1]]
+    known = context[..., : current_size(view) - prop.shape[-1]]
     following = observe.advance(known, action, view.clock)
-    return xp.concat([following, later(view, xp.concat([prop, context], axis=-1))], axis=-1)
+    return xp.concat([following, rest_after(view, xp.concat([prop, context], axis=-1))], axis=-1)
 
 
 def bias(view: View, obs):
@@ -162,37 +162,37 @@ def bias(view: View, obs):
     Encoders are off by a constant. A tilted IMU reads x + tilt cross x of gravity and angular velocity,
     for small tilts.
     """
-    xp, rows = obs.__array_namespace__(), observe.rows(view.joints)
+    xp, where = obs.__array_namespace__(), observe.slices(view.joints)
     off = dict.fromkeys(observe.PREDICTED)
-    start = now(view) + past_size(view)
+    start = current_size(view) + past_size(view)
     for name in randomize.traits(view.varied) if view.body else ():
         stop = start + randomize.size_of(name, view.joints)
         value, start = obs[..., start:stop] / randomize.TRAITS[name].scale, stop
         if name == "encoder_bias":
             off["joint_position"] = value
         elif name == "imu_tilt":
-            for part in ("gravity", "angular_velocity"):
-                off[part] = observe.cross(value, obs[..., rows[part]])
-    parts = [
-        xp.zeros_like(obs[..., rows[name]]) if value is None else value
+            for sensed in ("gravity", "angular_velocity"):
+                off[sensed] = observe.cross(value, obs[..., where[sensed]])
+    errors = [
+        xp.zeros_like(obs[..., where[name]]) if value is None else value
         for name, value in off.items()
     ]
-    return xp.concat(parts, axis=-1)
+    return xp.concat(errors, axis=-1)
 
 
 def scale(view: View) -> np.ndarray:
-    """`Env.input_scale`: the scale of each number of an observation (observe.Part)."""
-    every = np.ones(now(view))
-    for name, where in observe.rows(view.joints, view.clock).items():
-        every[where] = observe.PARTS[name].scale
+    """`Env.input_scale`: the scale of each number of an observation (observe.Quantity)."""
+    every = np.ones(current_size(view))
+    for name, where in observe.slices(view.joints, view.clock).items():
+        every[where] = observe.QUANTITIES[name].scale
     before = [every[reading(view)]] * (view.history - 1)
     return np.concatenate([every, *before, np.ones(view.body)]).astype(np.float32)
 
 
-def parts(view: View) -> list[observe.Part]:
-    """The parts of an observation, one after the other."""
-    now = [*observe.parts(view.clock).values()]
-    seen = [observe.PARTS[part] for part in observe.shown(name(view))]
+def quantities(view: View) -> list[observe.Quantity]:
+    """The quantities of an observation, one after the other."""
+    current = [*observe.quantities(view.clock).values()]
+    seen = [observe.QUANTITIES[each] for each in observe.shown(name(view))]
     traits = randomize.traits(view.varied) if view.body else ()
-    body = [observe.Part(None, "", "", signs=randomize.TRAITS[trait].signs) for trait in traits]
-    return now + seen * (view.history - 1) + body
+    body = [observe.Quantity(None, "", "", signs=randomize.TRAITS[trait].signs) for trait in traits]
+    return current + seen * (view.history - 1) + body

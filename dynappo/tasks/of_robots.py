@@ -1,0 +1,32 @@
+"""The tasks of robots: which one a config trains, its check and its environment.
+
+There is one, `velocity`, with the config's group `task`. A second one, such as a climb, brings a folder with
+`check(config, robot)` and `make(...)`, and a field of the config that chooses; both functions below then ask
+that field. `program` calls these and knows no task. An environment of your own, brax's among them, does not
+come here: get_env makes it (program/environment.py).
+
+What names the velocity task on its own: evaluate/episodes.py, policy/episode.py and what is played with it,
+and the bytes that program/memory.py counts.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from dynappo.description import robot as robot_lib
+from dynappo.tasks.velocity import checks
+
+if TYPE_CHECKING:  # it imports JAX
+    from dynappo.types import Env
+
+
+def check(config, robot: robot_lib.Robot) -> None:
+    """ConfigError if `robot` cannot learn the task of `config`; compiles nothing."""
+    checks.check(config, robot)
+
+
+def make(config, robot: robot_lib.Robot, *, impl: str) -> Env:
+    """The environment of the task of `config` with `robot`, stepped by the engine `impl`."""
+    from dynappo.tasks.velocity import env  # it takes seconds, and a check answers without
+
+    return env.make(robot, config.task, config.physics, impl=impl)
