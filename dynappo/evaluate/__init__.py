@@ -1,7 +1,7 @@
 """Evaluate: the command `dynappo evaluate`, which measures a policy. Start reading at `command.py`.
 
 - `command`: its flags, what it writes; `tables`: what it prints
-- `episodes`: episodes of the training task on MJX (`dynappo/scores.py`): return, falls, tracking
+- `episodes`: episodes of the training task (`dynappo/scores.py`): return, falls, tracking
 - `trials`: one trial for each command of a grid, in C MuJoCo: tracking, effort, gait
 - `foot_motion`: how the feet move: clearance, slip, symmetry
 - `changes`: falls when the command changes, and on the tours of the film and of the live page

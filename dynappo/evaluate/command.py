@@ -6,7 +6,7 @@ It runs three kinds of episodes, all with the policy's mean action:
   feet move;
 - `changes`, in C MuJoCo too: whether it falls when its command changes, and on the tours of the film and
   the live page;
-- `episodes`, the task it was trained on, on MJX (`scores.py`): return, falls and tracking error,
+- `episodes`, the task it was trained on (`scores.py`): return, falls and tracking error,
   the numbers to compare runs by. `--fast` leaves these out; then JAX is not imported.
 """
 
@@ -62,7 +62,7 @@ or the name of a robot with a bundled policy
   python -m dynappo.evaluate runs/go1 --randomize --episodes=200 --out=hard
   python -m dynappo.evaluate runs/sweep --run-seed=3 --out=third
   python -m dynappo.evaluate go1 --fast --robot-xml=other/scene.xml
-with --robot-xml the episodes on MJX need a file that keeps the rules of robots/README.md; --fast does not
+with --robot-xml the task's episodes need a file that keeps the rules of robots/README.md; --fast does not
 it writes evaluation.json, report.html (tables, maps, the robot under each command), tracking.png and
 gait.png; with --stress only stress.json
 """
@@ -75,12 +75,16 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
     flag = parser.add_argument
     policy_source.add_flags(parser)
     default = "default: {gpu} on a GPU, {cpu} on a CPU".format(**episodes.NUMBER)
-    flag("--episodes", metavar="N", help=f"episodes of the training task, on MJX; {default}")
-    flag("--randomize", action="store_true", help="MJX episodes with noise, pushes, random physics")
+    flag("--episodes", metavar="N", help=f"episodes of the training task; {default}")
+    flag(
+        "--randomize", action="store_true", help="those episodes with noise, pushes, random physics"
+    )
     flag("--seed", metavar="N", help="random seed of all episodes' commands and starts; default: 0")
     flag("--stress", action="store_true", help="robustness: delays, loads, pushes, other physics")
     flag(
-        "--fast", action="store_true", help="no MJX episodes, few changes of command: takes seconds"
+        "--fast",
+        action="store_true",
+        help="no episodes of the task, few changes of command: takes seconds",
     )
     flag(
         "--out",
@@ -103,7 +107,9 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
         if name == "seed" and without == "fast":  # of the changes of command too
             continue
         if (flags.fast or flags.stress) and value is not None and value is not False:
-            raise ConfigError(f"--{name} is for the episodes on MJX, which --{without} leaves out")
+            raise ConfigError(
+                f"--{name} is for the episodes of the task, which --{without} leaves out"
+            )
     flags.fast |= flags.stress
     return flags
 

@@ -1,4 +1,4 @@
-"""Episodes of the task that a policy was trained on, on the same engine, measured by `scores.py`.
+"""Episodes of the task that a policy was trained on, measured by `scores.py`.
 
 JAX is imported only when they run.
 """
@@ -14,6 +14,7 @@ from dynappo import config as config_lib
 from dynappo.config import ConfigError, fields, per_joint
 from dynappo.description import motors
 from dynappo.description.robot import Robot
+from dynappo.physics import engine_contract
 from dynappo.policy import policy_file, policy_source, walks
 from dynappo.policy.policy_file import Policy
 from dynappo.program import devices
@@ -66,7 +67,7 @@ def check_robot(policy: Policy, robot: Robot) -> None:
     if robot.joint_names != policy.joint_names:
         raise ConfigError(
             f"the policy's joints are {' '.join(policy.joint_names)}, those of {robot.xml} are "
-            f"{' '.join(robot.joint_names)}; episodes on MJX need the same order (--fast leaves them out)"
+            f"{' '.join(robot.joint_names)}; the task's episodes need the same order (--fast leaves them out)"
         )
 
 
@@ -79,8 +80,8 @@ def run(
 ) -> dict[str, Any]:
     """`scores.evaluate` of `number` episodes on this machine's device, and what was run.
 
-    Without a number: 1000 on a GPU, 64 on a CPU. `randomize`: the task as it trains. What was trained
-    on C MuJoCo is evaluated on it where the device is a CPU. Without `randomize`,
+    Without a number: 1000 on a GPU, 64 on a CPU. `randomize`: the task as it trains. A CPU has C MuJoCo,
+    which is faster there than MJX and has all of its contacts. Without `randomize`,
     `policy` says what the robot does in words. `robot`: None for the policy's own.
     """
     import jax
@@ -89,11 +90,10 @@ def run(
     from dynappo.tasks.velocity import env as env_lib
 
     config = settings(policy)
-    trained = policy.config.get("physics", {}).get("impl")
-    in_c = trained == "c" and jax.default_backend() == "cpu"
-    impl = "c" if in_c else devices.engine(config)
     number = number or NUMBER.get(jax.default_backend(), NUMBER["cpu"])
     robot = robot or policy_source.robot(policy)[0]
+    in_c = jax.default_backend() == "cpu" and not engine_contract.lacks(robot, config.physics, "c")
+    impl = "c" if in_c else devices.engine(config)
     check_robot(policy, robot)
     config, robot = motors.fitted(config, robot)
     static, hyper = config_lib.split(config)

@@ -158,6 +158,8 @@ def notes(robot: robot_lib.Robot, config, pd: facts.PD, stood: dict) -> list[str
     out += _wrong_engine(robot, config.physics)
     if slow := scope.slower(robot, config.physics, config.task.remember_ground):
         out.append(slow)
+    if coarse := engine_contract.coarse(robot):
+        out.append(coarse)
     return [f"note: {line}" for line in out]
 
 

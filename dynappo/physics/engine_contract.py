@@ -12,6 +12,7 @@ import io
 import mujoco
 
 from dynappo.config import ConfigError, files
+from dynappo.description import contacts
 from dynappo.description import robot as robot_lib
 from dynappo.physics.warp import scope
 
@@ -60,6 +61,19 @@ def lacks(robot: robot_lib.Robot, physics, impl: str) -> str:
     except NotImplementedError as error:
         return str(error)
     return ""
+
+
+def coarse(robot: robot_lib.Robot) -> str:
+    """A line on a robot whose contacts MJX simplifies; "" if it does not."""
+    model = robot.mj_model
+    touching = model.geom_conaffinity[robot.feet] > 0
+    if not (touching & (model.geom_type[robot.feet] == contacts.BOX)).any():
+        return ""
+    return (
+        f"{robot.xml}: a foot is a box, and MJX lets only its corners within 1 mm of the lowest touch the "
+        "floor (C MuJoCo and MuJoCo Warp: all below it), so a policy of another engine may fall there; "
+        "physics.impl=c is exact"
+    )
 
 
 def _plain(model: mujoco.MjModel) -> bool:

@@ -68,10 +68,13 @@ def check(config, env: Any = None) -> None:
     memory.check(config, loaded, memory.limit(devices.local(config.run.device)))
 
 
-def slower(program: Program, config) -> str:
-    """A line on a robot whose physics on this GPU are not the fast kernel's, and why; else ""."""
+def engine_note(program: Program, config) -> str:
+    """A line on a robot whose physics are slower or coarser on this engine, and why; else ""."""
+    from dynappo.physics import engine_contract
     from dynappo.physics.warp import scope
 
+    if program.impl == "jax":
+        return engine_contract.coarse(program.robot)
     if program.impl != "warp":
         return ""
     return scope.slower(program.robot, config.physics, config.task.remember_ground)

@@ -119,8 +119,8 @@ def describe_program(out, config, program: Program) -> None:
         f"{memory.text(program.bytes_needed)} of memory",
         soft_wrap=True,
     )
-    if slow := build.slower(program, config):
-        unusual(out, slow)
+    if note := build.engine_note(program, config):
+        unusual(out, note)
 
 
 def on_a_cpu(config) -> str:

@@ -20,7 +20,7 @@ from mujoco import mjx
 from dynappo import config as config_lib
 from dynappo.description import contacts
 from dynappo.description import robot as robot_lib
-from dynappo.physics import actuators, randomize
+from dynappo.physics import actuators, engine_contract, randomize
 from dynappo.physics import engine as engine_lib
 from dynappo.physics.warp import scope
 
@@ -140,6 +140,12 @@ def in_c(world):
         rows.append((start, run(start, action)))
         start = {name: getattr(rows[-1][1], name) for name in CARRIED}
     return rows
+
+
+def test_what_mjx_simplifies_is_told_of_boxes_alone(robot):
+    """The slow tests of engines measure it: MJX lets only some corners of a box touch."""
+    boxes = contacts.BOX in robot.mj_model.geom_type[robot.feet]
+    assert ("its corners within 1 mm" in engine_contract.coarse(robot)) == boxes
 
 
 def test_steps_in_c_are_those_of_a_plain_loop(world, in_c):

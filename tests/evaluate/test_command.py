@@ -45,13 +45,13 @@ run = partial(status, evaluate_command.main)
 
 
 def test_the_command_writes_what_it_prints(saved, tmp_path, monkeypatch, capsys, short):
-    """Numbers of C MuJoCo and of MJX in one JSON; each is in the table; two pictures."""
+    """Numbers of trials and of episodes in one JSON; each is in the table; two pictures."""
     monkeypatch.chdir(tmp_path)
-    on_mjx = dict(episodes=5, seconds=20.0, randomize=True, seed=0, device="cpu", impl="jax")
-    on_mjx |= {"return": 33.25, "return_std": 1.5, "length": 987.0, "fall_rate": 0.2}
-    on_mjx |= {"tracking_error": 0.12, "yaw_error": None, "policy": "almost walks; falls > 1 %"}
+    of_task = dict(episodes=5, seconds=20.0, randomize=True, seed=0, device="cpu", impl="c")
+    of_task |= {"return": 33.25, "return_std": 1.5, "length": 987.0, "fall_rate": 0.2}
+    of_task |= {"tracking_error": 0.12, "yaw_error": None, "policy": "almost walks; falls > 1 %"}
     calls = []
-    monkeypatch.setattr(episodes, "run", lambda *a: calls.append(a[1:4]) or on_mjx)
+    monkeypatch.setattr(episodes, "run", lambda *a: calls.append(a[1:4]) or of_task)
     monkeypatch.setattr(evaluate_command.devices, "own_process", lambda: calls.append("settings"))
     assert run(saved, "--episodes=5", "--randomize") == 0
     assert calls == ["settings", (5, True, 0)]
@@ -61,7 +61,7 @@ def test_the_command_writes_what_it_prints(saved, tmp_path, monkeypatch, capsys,
     names = ["evaluation.json", "report.html", "tracking.png", "gait.png"]
     assert lines[-1] == "written to evaluation-mover: " + ", ".join(names)
     written = json.loads((out / "evaluation.json").read_text())
-    assert written["episodes"] == on_mjx and written["robot"] == "go1"
+    assert written["episodes"] == of_task and written["robot"] == "go1"
     assert {path.name for path in out.iterdir()} == set(names)
     for name in ("tracking.png", "gait.png"):
         assert (out / name).read_bytes()[:4] == b"\x89PNG" and (out / name).stat().st_size > 20_000
@@ -89,7 +89,7 @@ def test_the_command_writes_what_it_prints(saved, tmp_path, monkeypatch, capsys,
     ):
         assert part in text, part
     assert "noise, pushes, randomised physics; MJX-JAX on cpu" in text
-    known = set(on_mjx) | set(sweep["commands"][0]) | set(sweep["all"]) | set(changed)
+    known = set(of_task) | set(sweep["commands"][0]) | set(sweep["all"]) | set(changed)
     assert set(written["units"]) - known == {"before", "after", "fell_at"}  # of a fall, of a tour
 
 
@@ -163,9 +163,12 @@ MISTAKES = {  # arguments, what the line must say
     "unknown": (["wlk"], "wlk: no such file or folder; expected a workdir"),
     "no episodes": (["POLICY", "--episodes=0"], "--episodes='0': expected an integer of 1 or more"),
     "many": (["POLICY", "--episodes=1000000000"], "of 1 or more, at most 1,000,000"),
-    "randomize": (["POLICY", "--fast", "--randomize"], "--randomize is for the episodes on MJX"),
-    "fast": (["POLICY", "--fast", "--episodes=9"], "--episodes is for the episodes on MJX"),
-    "seeded": (["POLICY", "--stress", "--seed=0"], "--seed is for the episodes on MJX"),
+    "randomize": (
+        ["POLICY", "--fast", "--randomize"],
+        "--randomize is for the episodes of the task",
+    ),
+    "fast": (["POLICY", "--fast", "--episodes=9"], "--episodes is for the episodes of the task"),
+    "seeded": (["POLICY", "--stress", "--seed=0"], "--seed is for the episodes of the task"),
     "a file": (["POLICY", "--fast", "--out=POLICY"], "cannot write there (File exists)"),
     "no policy": (["--fast", "CONFIG"], "config.json: not a policy.npz, or damaged"),
     "no robot": (["SPOT"], "spot"),
