@@ -124,7 +124,7 @@ def _name_of_shape(geom) -> str:
 
 
 def _delete_sensors_and_materials(spec: mujoco.MjSpec) -> None:
-    """Sensors, skins, materials, what looks at a body: they have no say in how a robot moves, but name files,
+    """Delete sensors, skins, materials and what looks at a body: they do not affect motion, but name files,
     bodies and shapes."""
     for shape in (*spec.geoms, *spec.sites):
         shape.material = ""
@@ -520,7 +520,7 @@ def _primitives(spec: mujoco.MjSpec, model: mujoco.MjModel, notes: list[str]) ->
 
 
 def _add(body, **fields) -> None:
-    """A shape that touches the floor, without mass; what a body's default class has beside it goes."""
+    """A shape that touches the floor, without mass. What else a body's default class says is dropped."""
     geom = body.add_geom(mass=0, contype=0, conaffinity=1, material="", meshname="", **fields)
     geom.fromto = [np.nan] * 6
 
