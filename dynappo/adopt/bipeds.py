@@ -1,4 +1,4 @@
-"""What of a biped's config follows from its joints' roles, its height and mass; the rest is `configs/biped.py`.
+"""What of a biped's config follows from its joints, its height and mass; the rest is `configs/biped.py`.
 
 How far a joint may be from the default pose in the reward `posture` (rad): mjlab's numbers for a Unitree G1,
 walking; the shoulder's is that of `configs/g1.py`. Of pitch, and of other axes:
@@ -7,8 +7,8 @@ walking; the shoulder's is that of `configs/g1.py`. Of pitch, and of other axes:
     shoulder 0.5    arm 0.15, yaw 0.1    wrist 0.3    others (heads) 0.15
 
 Times and lengths are those of a G1, whose base is 0.76 m above the ground, at the same Froude number. With l
-the base's height, the stride rate scales as 1 / sqrt(l). The height of steps, how far a foot must lift and how
-far feet must be apart scale as l; feet need not be further apart than in the default pose.
+the base's height, the stride rate scales as 1 / sqrt(l). The height of steps, how far a foot must lift and
+how far feet must be apart scale as l; feet need not be further apart than in the default pose.
 """
 
 from __future__ import annotations
