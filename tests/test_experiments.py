@@ -731,6 +731,7 @@ TOY = (
 ).split()
 
 
+@pytest.mark.slow
 def test_a_batch_goes_on_where_it_was_cut_off_and_chunks_train_as_it_does(tmp_path, monkeypatch):
     """With the toy environment; and the probe of 11_model on the model of its run."""
     from dynappo.tasks.velocity import env as env_lib

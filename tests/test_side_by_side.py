@@ -54,6 +54,7 @@ def test_the_second_robot_is_orange_and_the_first_is_as_in_its_file(walks):
     np.testing.assert_allclose(model.mat("floor").rgba, 1)
 
 
+@pytest.mark.slow
 def test_the_gif_is_small_and_moves(walks, tmp_path):
     Image = pytest.importorskip("PIL.Image")
     out = tmp_path / "walks.gif"

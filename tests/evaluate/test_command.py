@@ -88,7 +88,7 @@ def test_the_command_writes_what_it_prints(saved, tmp_path, monkeypatch, capsys,
         "nobody stood for a second",
     ):
         assert part in text, part
-    assert "noise, pushes, randomised physics; MJX-JAX on cpu" in text
+    assert "noise, pushes, randomised physics; C MuJoCo on cpu" in text
     known = set(of_task) | set(sweep["commands"][0]) | set(sweep["all"]) | set(changed)
     assert set(written["units"]) - known == {"before", "after", "fell_at"}  # of a fall, of a tour
 

@@ -221,7 +221,7 @@ def test_the_task_needs_no_robot_of_its_name_either(tmp_path, monkeypatch):
     evaluate_command.episodes.check_robot(policy, own)
     turned = policy._replace(joint_names=policy.joint_names[::-1])
     line = refused(evaluate_command.episodes.check_robot, turned, own)
-    assert "episodes on MJX need the same order (--fast leaves them out)" in line
+    assert "task's episodes need the same order (--fast leaves them out)" in line
 
 
 @pytest.mark.parametrize("main", [play_command.main, evaluate_command.main, export_command.main])
