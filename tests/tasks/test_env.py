@@ -572,6 +572,7 @@ def test_the_observation_is_that_of_the_new_state_and_holds_command_and_action(l
         ]
         np.testing.assert_allclose(outcomes[t].next_obs, expected, atol=1e-5)
         np.testing.assert_array_equal(after.last_action, moves[t])
+        np.testing.assert_array_equal(after.older_action, moves[t - 1])
         before = states[t].obs[:, 33:], states[t].obs[:, :33]
         known = lab.env.advance(lab.hyper, *before, moves[t], outcomes[t].next_prop)
         np.testing.assert_array_equal(outcomes[t].next_obs[:, 33:], known)
