@@ -7,8 +7,8 @@ import numpy as np
 
 from dynappo.adopt import gains
 from dynappo.adopt.source import Published
-from dynappo.description import complete
 from dynappo.description import feet as feet_lib
+from dynappo.description import joints as joints_lib
 from dynappo.description import robot as robot_lib
 from dynappo.description.rotation import matrix, quaternion
 
@@ -55,7 +55,7 @@ def joints(
     """Take out dry friction and a servo's damping, add the inertia of rotors; a line on each."""
     notes, dry, servo, rotors, endless = [], [], [], [], []
     widths = [float(np.ptp(spec.joint(name).range)) for name in names]
-    if 0 < max(widths) < complete.TURN_AS_DEGREES:
+    if 0 < max(widths) < joints_lib.TURN_AS_DEGREES:
         notes.append(
             f"EDIT NEEDED: no joint turns by more than {max(widths):.2g} rad, so the file's angles seem to "
             'be radians that are read as degrees; write <compiler angle="radian"/> into it, and adopt it '

@@ -2,7 +2,8 @@
 
 - `robot`: loads a robot's file; its legs, feet, parts and default pose
 - `mjcf`: compiles an MJCF, with errors in one line; the MJCF inside a policy may read no file
-- `complete`: puts in place what a robot's file lacks, and says so
+- `complete`: puts in place what a robot's file lacks, and says so: the steps; one robot, floor and camera
+- `collision`, `joints`, `home_pose`: its steps for shapes and masses, for joints and motors, for keyframes
 - `feet`: which of a robot's shapes are its feet
 - `primitives`: the smallest primitive around a mesh
 - `robot_contract`: checks the rules that remain

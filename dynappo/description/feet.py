@@ -35,6 +35,11 @@ def named(geoms: list[str]) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
     return np.array(shapes, int), np.array(foot_of, int), tuple(found)
 
 
+def geom_names(spec: mujoco.MjSpec) -> list[str]:
+    """The names of geoms, in the order of their ids when last compiled."""
+    return [geom.name for geom in sorted(spec.geoms, key=lambda geom: geom.id)]
+
+
 def lowest_points(
     model: mujoco.MjModel, qpos: np.ndarray, geoms: np.ndarray | list[int]
 ) -> np.ndarray:

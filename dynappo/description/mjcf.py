@@ -88,6 +88,12 @@ def _with_floor(xml: Path, text: str) -> mujoco.MjModel:
     return spec.compile()
 
 
+def listed(names, most: int = 6) -> str:
+    """The first few `names`, in order, in words."""
+    names = list(dict.fromkeys(str(name) for name in names))
+    return ", ".join(names[:most]) + f" and {len(names) - most} more" * (len(names) > most)
+
+
 def check_alone(text: str) -> None:
     """ValueError if an MJCF text is no XML, too long, or names a file: MuJoCo would read it."""
     if not isinstance(text, str) or len(text.encode()) > MAX_CARRIED:

@@ -16,7 +16,7 @@ import mujoco
 import numpy as np
 
 from dynappo.config import ConfigError, files
-from dynappo.description import complete, feet, mjcf, robot_contract
+from dynappo.description import collision, complete, feet, joints, mjcf, robot_contract
 from dynappo.description import text as text_lib
 
 # prefixes of a model's arrays that decide how it moves, and suffixes of those that do not
@@ -111,7 +111,7 @@ def _alone(xml: Path, spec: mujoco.MjSpec, changed: bool) -> str:
         contextlib.nullcontext() if changed else contextlib.suppress(ValueError, mujoco.FatalError)
     ):
         for geom in spec.geoms:
-            if geom.group > complete.VISUAL_GROUP:
+            if geom.group > collision.VISUAL_GROUP:
                 geom.group = 0
         spec.compile()
         text = text_lib.self_contained(spec)
@@ -153,7 +153,7 @@ def _spec(xml: Path, text: str) -> mujoco.MjSpec:
 
 def joint_ranges(robot: Robot) -> np.ndarray:
     """The range [A, 2] of each joint, rad; infinite where it has no limits."""
-    return complete.ranges(robot.mj_model)
+    return joints.ranges(robot.mj_model)
 
 
 def physics_model(robot: Robot, physics) -> mujoco.MjModel:

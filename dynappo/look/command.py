@@ -14,7 +14,8 @@ import numpy as np
 from dynappo import config as config_lib
 from dynappo.config import ConfigError
 from dynappo.config import flags as flags_lib
-from dynappo.description import complete, kinds, motors
+from dynappo.description import joints as joints_lib
+from dynappo.description import kinds, motors
 from dynappo.description import robot as robot_lib
 from dynappo.look import facts, picture
 from dynappo.physics import engine_contract
@@ -257,7 +258,7 @@ def _wrong_ranges(robot: robot_lib.Robot, scale: np.ndarray) -> list[str]:
     """Joints that an action of 1 (`scale` [A], rad) takes through their whole range."""
     width = np.ptp(robot_lib.joint_ranges(robot), axis=1)
     narrow = width < scale
-    if (width < complete.TURN_AS_DEGREES).all():
+    if (width < joints_lib.TURN_AS_DEGREES).all():
         return [
             f"no joint turns by more than {width.max():.2g} rad: in the file that they are from, angles seem "
             'to be radians that are read as degrees, for want of <compiler angle="radian"/>'

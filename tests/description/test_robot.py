@@ -15,7 +15,7 @@ import pytest
 
 from dynappo import config
 from dynappo.config import files
-from dynappo.description import complete, contacts, kinematics, robot
+from dynappo.description import collision, contacts, kinematics, robot
 from dynappo.physics import actuators, randomize
 
 FACTS = json.loads((pathlib.Path(__file__).parents[1] / "facts" / "robots.json").read_text())
@@ -195,8 +195,8 @@ def test_the_floor_is_a_plane_at_height_zero(loaded):
 
 def test_looks_are_left_out_and_weigh_nothing(loaded):
     with_looks = mujoco.MjModel.from_xml_path(str(loaded.xml))
-    looks = with_looks.geom_group == complete.VISUAL_GROUP
-    assert looks.any() and not (loaded.mj_model.geom_group == complete.VISUAL_GROUP).any()
+    looks = with_looks.geom_group == collision.VISUAL_GROUP
+    assert looks.any() and not (loaded.mj_model.geom_group == collision.VISUAL_GROUP).any()
     assert loaded.mj_model.ngeom == (~looks).sum()
     np.testing.assert_array_equal(with_looks.body_mass, loaded.mj_model.body_mass)
 
