@@ -196,6 +196,11 @@ def test_the_wheel_carries_configs_and_robots_and_finds_them(tmp_path):
     environment = os.environ | {"PYTHONPATH": str(site)}
     published.write(elsewhere)
     adopt = [sys.executable, "-m", "dynappo.adopt", "toy.xml", "--name=mine"]
+    look = [sys.executable, "-m", "dynappo.look", "configs/mine.py"]
+    train = [sys.executable, "-m", "dynappo.train", "--config=configs/mine.py:laptop"]
+    small = "num_iterations=2 log_every=2 checkpoint_every=0 eval_envs=2 eval_steps=20 video_seconds=0.2"
+    train += [f"--config.run.{field}" for field in small.split()]
+    train += ["--config.rollout.num_envs=16", "--workdir=run"]
     show = "from dynappo import robot; from dynappo.config import files; "
     show += "print(files.find('configs', 'go1.py'), robot.load('go1').xml)"
     for arguments, status, text in (
@@ -204,6 +209,8 @@ def test_the_wheel_carries_configs_and_robots_and_finds_them(tmp_path):
         ([*play, "--out=walk.html"], 0, "fall               none"),
         (adopt, 0, "written robots/mine/mine.xml, configs/mine.py"),
         (adopt, 2, "robots/mine is there already"),
+        (look, 0, "12 joints"),
+        (train, 0, "written to run: "),
     ):
         done = subprocess.run(
             arguments, cwd=elsewhere, env=environment, capture_output=True, text=True

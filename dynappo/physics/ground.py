@@ -1,8 +1,8 @@
 """The ground: a plane at height 0 of the world.
 
 All JAX code of task and engines asks here how high a point is above the ground, and how high to place one.
-On flat ground the answer is the point's own height, and nothing is computed for it. Issue 51 puts an uneven
-ground here: its height map as an argument of both functions, read at `place()`.
+On flat ground the answer is the point's own height, and nothing is computed for it. An uneven ground comes
+here: its height map as an argument of both functions, read at `place()`.
 
 What knows on its own that the ground is flat, and would follow:
 

@@ -679,19 +679,26 @@ def test_no_path_of_this_machine_is_in_what_is_written(tmp_path, monkeypatch):
     assert "secret" not in text and str(tmp_path) not in text and str(Path.home()) + "/" not in text
 
 
+SMALL = (
+    "run.num_iterations=2 run.log_every=2 run.checkpoint_every=0 run.eval_envs=2 run.eval_steps=20 "
+)
+SMALL += "run.video_seconds=0.2 rollout.num_envs=16 schedule.end_iteration=1"
+
+
 @pytest.mark.slow
-def test_what_is_adopted_trains(adopted, tmp_path):
+@pytest.mark.parametrize("legs", [2, 4])
+def test_what_is_adopted_trains(adopted, tmp_path, legs):
     """Two iterations of 16 robots in C MuJoCo, and its policy is played; as a stranger would do it."""
-    folder, *_ = adopted
-    run_it = ["-m", "dynappo.train", "--config=configs/mine.py:quick", f"--workdir={tmp_path}/run"]
-    small = [
-        "run.num_iterations=2",
-        "rollout.num_envs=16",
-        "run.eval_envs=2",
-        "run.video_seconds=0.2",
-    ]
-    small += ["physics.impl=c", "schedule.end_iteration=1"]
-    done = shell(*run_it, *[f"--config.{field}" for field in small], cwd=folder)
+    folder, name = adopted[0], "mine"
+    if legs == 2:  # the bundled one, as if it were somebody's
+        folder = tmp_path
+        file = Path(__file__).parents[2] / "robots/g1/g1.xml"
+        done = shell("-m", "dynappo.adopt", file, "--name=two_legs", cwd=folder)
+        assert done.returncode == 0, done.stderr
+        name = "two_legs"
+    run_it = ["-m", "dynappo.train", f"--config=configs/{name}.py:laptop"]
+    small = [f"--config.{field}" for field in SMALL.split()]
+    done = shell(*run_it, *small, f"--workdir={tmp_path}/run", cwd=folder)
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "run/policy.npz").exists()
     play = ["-m", "dynappo.play", tmp_path / "run", "--seconds=1", f"--out={tmp_path}/walk.html"]
