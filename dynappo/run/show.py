@@ -66,7 +66,7 @@ def live(out, config) -> Iterator[Callbacks]:
     """
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-    total, engine, begun = config.run.num_iterations, "", []
+    total, engine, begun, printed = config.run.num_iterations, "", [], 0
     bar = Progress(
         TextColumn("{task.description}"),
         BarColumn(16),
@@ -96,7 +96,10 @@ def live(out, config) -> Iterator[Callbacks]:
         numbers = {name: [one[name] for one in last] for name in last[0]}
         line = f"{progress_line(numbers, begun)} on {engine}"
         bar.update(task, completed=iteration, line=line)
-        if not out.is_terminal and (PARTS * iteration) % total < PARTS:
+        nonlocal printed
+        part = PARTS * iteration // total
+        if not out.is_terminal and part > printed:
+            printed = part
             out.print(f"iteration {iteration:4d}  {line}", soft_wrap=True)
 
     def finishing():

@@ -61,9 +61,10 @@ def test_the_progress_line_shows_return_length_error_std_and_pace():
     assert "nan" not in line and line.startswith("return     -   length  988")
 
 
-@pytest.mark.parametrize("terminal", [False, True])
-def test_a_training_is_followed_from_compiling_to_filming(terminal):
-    """Of two runs: their mean, one clock, the steps of both. Without a terminal ten lines, not a hundred."""
+@pytest.mark.parametrize(("terminal", "every"), [(False, 1), (False, 4), (True, 1)])
+def test_a_training_is_followed_from_compiling_to_filming(terminal, every):
+    """Of two runs: their mean, one clock, the steps of both. Without a terminal ten lines, not a hundred,
+    also where no chunk ends at a tenth of the run."""
     text = io.StringIO()
     kind = dict(force_terminal=terminal, force_interactive=terminal)
     out = Console(file=text, width=200, highlight=False, **kind)
@@ -73,7 +74,7 @@ def test_a_training_is_followed_from_compiling_to_filming(terminal):
         callbacks.opened()
         callbacks.compiled(SimpleNamespace(**program))
         callbacks.say("the disk is [nearly] full")
-        for i in range(1, 101):
+        for i in range(every, 101, every):
             one = numbers | {"seconds": 2.0 * i, "sim_steps": 1000 * i, "episode_return": 12.0}
             callbacks.progress(i, [one, one | {"episode_return": 14.0}])
         callbacks.finishing()
