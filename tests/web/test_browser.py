@@ -144,8 +144,13 @@ def test_a_push_moves_it(served, tab):
     def sideways():
         return max((abs(velocity[1]) for _, _, velocity, _ in list(live.history)[-40:]), default=0)
 
+    def anew():
+        if live.t > 5:  # a busy machine may take seconds between the click and a look at the clock
+            tab.press("reset")
+        return live.fell is None and 1 < live.t < 5
+
     tab.press("reset")
-    until(lambda: live.fell is None and 1 < live.t < 5)
+    until(anew)
     assert sideways() < 0.15
     tab.key("x", "KeyX", 88)
     until(lambda: sideways() > 0.25)
