@@ -179,7 +179,7 @@ def run(flags) -> None:
         changed = changes.run(player, number, flags.seed or 0, tell)
         changed["tours"] = changes.tours(player)
     tables.changes(screen, changed)
-    on_mjx = None
+    of_task = None
     if not flags.fast:
         import jax
 
@@ -191,12 +191,12 @@ def run(flags) -> None:
             told += ", a minute or two on two cores (--episodes=N; a GPU's default is 1000)"
         screen.print(told, soft_wrap=True)
         with screen.status("compiling and running"):
-            on_mjx = episodes.run(policy, number, flags.randomize, flags.seed or 0, robot)
-        tables.episodes(screen, on_mjx)
-    result = about | {"episodes": on_mjx, "sweep": numbers, "changes": changed, "units": UNITS}
+            of_task = episodes.run(policy, number, flags.randomize, flags.seed or 0, robot)
+        tables.episodes(screen, of_task)
+    result = about | {"episodes": of_task, "sweep": numbers, "changes": changed, "units": UNITS}
     files.write_json(out / "evaluation.json", result)
     problem = figures.write(out, policy.robot, numbers, recordings, policy.timestep)
-    report.write(out, named, player, numbers, recordings, changed, on_mjx)
+    report.write(out, named, player, numbers, recordings, changed, of_task)
     names = "evaluation.json, report.html" + ("" if problem else ", tracking.png, gait.png")
     screen.print(f"written to {out}: {names}", soft_wrap=True, markup=False)
     if problem:

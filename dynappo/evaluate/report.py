@@ -33,12 +33,12 @@ def write(
     numbers: dict[str, Any],
     recordings: dict[tuple, dict[str, Any]],
     changed: dict[str, Any],
-    on_mjx: dict[str, Any] | None,
+    of_task: dict[str, Any] | None,
 ) -> None:
     """Write report.html into `out`, beside the pictures of `figures.write`, of which it shows one.
 
     `source` names the policy; `numbers` and `recordings` are those of `trials.run`, `changed` those
-    of `changes.run` with `tours`, `on_mjx` those of `episodes.run`, or None. Raises OSError if the file
+    of `changes.run` with `tours`, `of_task` those of `episodes.run`, or None. Raises OSError if the file
     cannot be written.
     """
     rows = [*numbers["commands"], *numbers["ahead"]]
@@ -64,8 +64,8 @@ def write(
         TITLE=title,
         HEADING=html.escape(f"How well {player.policy.robot} walks"),
         SOURCE=html.escape(source),
-        EPISODES=_table(tables.episodes_text(on_mjx), tables.episodes_rows(on_mjx))
-        if on_mjx
+        EPISODES=_table(tables.episodes_text(of_task), tables.episodes_rows(of_task))
+        if of_task
         else "",
         SWEEP=_table(tables.trials_text(numbers), tables.trials_rows(numbers)),
         CHANGES="".join(f"<li>{html.escape(line)}</li>" for line in tables.changes_lines(changed)),
