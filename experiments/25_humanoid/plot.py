@@ -37,7 +37,7 @@ ALONE = {  # robots of a job -> label, colour, dashes
 
 def main():
     fig, axes = pictures.figure(2, 3, 5.6)
-    fresh = [row for row in table.read("tuning.csv.xz") if row["batch"] == "fresh"]
+    fresh = [row for row in table.read("tuning.csv.xz") if row["batch"].startswith("fresh")]
     for name, some in groupby(fresh, lambda row: row["name"].split("-")[0]):
         steps, error, yaw, falls = table.evaluations([*some])
         for axis, values in zip(axes[0], (error, yaw, 100 * falls), strict=True):

@@ -83,7 +83,7 @@ def fresh():
         "| | walks: M steps, mean | last | within the errors, mean | last | in all | m/s | rad/s | falls |"
     )
     print("|---|---|---|---|---|---|---|---|---|")
-    rows = [row for row in read("tuning.csv.xz") if row["batch"] == "fresh"]
+    rows = [row for row in read("tuning.csv.xz") if row["batch"].startswith("fresh")]
     for name, some in groupby(rows, lambda row: row["name"].split("-")[0]):
         steps, *errors = evaluations([*some])
         found = stats.reached_by_tracking(steps, *errors)
@@ -99,7 +99,7 @@ def fresh():
 
 
 def tuning():
-    rows = [row for row in read("tuning.csv.xz") if row["batch"] != "fresh"]
+    rows = [row for row in read("tuning.csv.xz") if not row["batch"].startswith("fresh")]
     print("| run | what differs | walks, M steps | M steps in all | m/s | rad/s | falls |")
     print("|---|---|---|---|---|---|---|")
     for name, some in groupby(rows, lambda row: row["name"]):
