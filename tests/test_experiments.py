@@ -20,6 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import toy_env
+from toy_runs import assert_close
 
 from dynappo import algorithm
 from dynappo import config as config_lib
@@ -1000,6 +1001,26 @@ def test_the_update_that_is_timed_beside_rsl_rl_is_ours_on_the_same_rows(monkeyp
     assert (one["std"] != learner.params["std"]).any()
 
 
+def test_the_simulators_tail_is_what_physics_would_have_written():
+    """The control `simulator`, from row 3 on, against rows that are all real; `last` starts there, too."""
+    controls, env = script("21_less/controls"), toy_env.make()
+    _, static, hyper = toy_env.settings(toy_env.TAIL)
+    state = jax.jit(partial(algorithm.init, env, static=static))(hyper, jax.random.key(0))
+    key, n_real = jax.random.key(1), jnp.int32(3)
+    collect = jax.jit(partial(algorithm.collect, env, static=static))
+    whole, _, _ = collect(hyper, state, n_real=jnp.int32(static.rollout.horizon), key=key)
+    rows, robots, _ = collect(hyper, state, n_real=n_real, key=key)
+    now = state.replace(env_state=robots)
+    given = dict(rows=rows, n_real=n_real, start=None, key=key)
+    imagine = jax.jit(partial(controls.simulated, env, static=static))
+    assert_close(imagine(hyper, now, **given), whole, 1e-6)
+    model = jax.jit(partial(controls.from_last, env, static=static))(hyper, now, **given)
+    np.testing.assert_allclose(model.obs[3], whole.obs[3], atol=1e-6)
+    assert abs(model.obs[4] - whole.obs[4]).max() > 1e-3
+    with pytest.raises(SystemExit, match="expected one of last, simulator"):
+        controls.put_in("first")
+
+
 def test_errors_of_the_model_are_those_of_a_loop(monkeypatch):
     """Two predicted numbers of four robots, three rows; a robot that fell is not counted any more."""
     probe, rng = script("11_model/probe"), np.random.default_rng(0)
@@ -1012,7 +1033,7 @@ def test_errors_of_the_model_are_those_of_a_loop(monkeypatch):
         return jnp.concatenate([0.5 * obs[:, :2], action], -1), 2 * obs[:, 0], None
 
     monkeypatch.setattr(probe.dynamics, "predict", predict)
-    env, obs = types.SimpleNamespace(prop_size=2, dt=0.1), rng.normal(size=(4, 3))
+    env, obs = types.SimpleNamespace(prop_size=2, action_size=1, dt=0.1), rng.normal(size=(4, 3))
     rmse, spread = probe.errors(None, None, env, None, rows, obs)
     robots = [0, 1, 2, 3]
     for k in range(3):

@@ -10,15 +10,14 @@ from dynappo import algorithm
 from dynappo.model import dynamics, examples
 from dynappo.tasks.velocity import observe
 
-ROWS = observe.slices(12)
-# of the predicted numbers, the reward last; units as in observe.py, the reward for a second
+# of the predicted numbers; units as in observe.py
 GROUPS = {
-    "joint positions (rad)": ROWS["joint_position"],
-    "joint velocities (rad/s)": ROWS["joint_velocity"],
-    "gravity direction": ROWS["gravity"],
-    "linear velocity (m/s)": ROWS["linear_velocity"],
-    "angular velocity (rad/s)": ROWS["angular_velocity"],
-    "reward (1/s)": slice(observe.prop_size(12), None),
+    "joint positions (rad)": "joint_position",
+    "joint velocities (rad/s)": "joint_velocity",
+    "gravity direction": "gravity",
+    "linear velocity (m/s)": "linear_velocity",
+    "angular velocity (rad/s)": "angular_velocity",
+    "reward (1/s)": None,  # the last number, for a second
 }
 FRESH = 2**30  # in place of an iteration's number: random numbers that training does not use
 
@@ -66,9 +65,12 @@ def errors(static, hyper, env, model, rows, obs):
 
 
 def _parts(env):
-    """The groups; of an environment that is no quadruped, all predicted numbers and the reward."""
-    whole = env.prop_size == observe.prop_size(12)
-    return GROUPS.values() if whole else (slice(0, env.prop_size), slice(env.prop_size, None))
+    """The groups; of an environment that is no legged robot, all predicted numbers and the reward."""
+    reward = slice(env.prop_size, None)
+    if env.prop_size != observe.prop_size(env.action_size):
+        return slice(0, env.prop_size), reward
+    at = observe.slices(env.action_size)
+    return [at[name] if name else reward for name in GROUPS.values()]
 
 
 def rows(iteration: int, seed: int, rmse: np.ndarray, spread: np.ndarray, steps) -> list[dict]:

@@ -4,7 +4,8 @@
 
 A line of JOBS.txt is `NAME ROBOT:VARIANT [FIELD=VALUE ...]` and becomes OUT_FOLDER/NAME.csv, a row an
 evaluation and seed. Five seeds at once from 100 on, 100 episodes of 20 s each every 20 iterations, unless
-the line says otherwise (run.seed, run.num_seeds, run.eval_every ...). Jobs whose CSV is there are skipped.
+the line says otherwise (run.seed, run.num_seeds, run.eval_every ...). `control=NAME` among the fields is one
+of controls.py. Jobs whose CSV is there are skipped.
 While a job runs, its rows so far are in OUT_FOLDER/NAME.csv.part, so one that is stopped loses only what
 came after its last evaluation. `--policies` writes OUT_FOLDER/NAME.K.npz, the policy of seed K (0, 1, ...)
 at the last evaluation, too. `--workers`: so many processes share the GPU, because compiling takes longer
@@ -22,6 +23,7 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import controls
 import jax
 import numpy as np
 
@@ -77,7 +79,11 @@ def run(to: Path, job: str, fields: list[str], policies: bool = False, late=None
     config = config_lib.load(f"configs/{robot}.py:{variant}")
     config.run.update(**DEFAULTS)
     for field in fields:
-        config_lib.override(config, *field.split("=", 1))
+        name, value = field.split("=", 1)
+        if name == "control":
+            controls.put_in(value)
+        else:
+            config_lib.override(config, name, value)
     # an evaluation ends a chunk
     ends = config.run.num_iterations, config.run.eval_every or config.run.num_iterations
     config.run.log_every = math.gcd(*ends, *(late or ()))
