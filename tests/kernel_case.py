@@ -77,7 +77,8 @@ class Case:
         model.opt.iterations, model.opt.ls_iterations, model.opt.tolerance = 200, 200, 0.0
         for name, values in self.fields.items():
             getattr(model, name)[:] = np.asarray(values[i], np.float32)
-        model.body_sameframe[1] = 0  # the base's centre is not where the file has it
+        # no shortcuts for the masses and centres that the file has
+        model.body_sameframe[:], model.dof_simplenum[:] = 0, 0
         data = mujoco.MjData(model)
         data.qpos[:], data.qvel[:] = self.before["qpos"][i], self.before["qvel"][i]
         return model, data

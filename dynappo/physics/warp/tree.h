@@ -70,7 +70,7 @@ const float* mass = body_mass.data + row(body_mass.shape[0]) * body_mass.shape[1
 const vec3* moments = body_inertia.data + row(body_inertia.shape[0]) * body_inertia.shape[1];
 const vec3* centre = body_ipos.data + row(body_ipos.shape[0]) * body_ipos.shape[1];
 const vec3* rub = geom_friction.data + row(geom_friction.shape[0]) * geom_friction.shape[1];
-const float* armature = dof_armature.data + row(dof_armature.shape[0]) * (6 + JOINTS) + 6;
+const float* armature = dof_armature.data + row(dof_armature.shape[0]) * (6 + JOINTS);
 const float h = number[TIMESTEP], gravity = number[GRAVITY], tolerance = number[TOLERANCE];
 
 auto get3 = [](const Row* from, int j) { return vec3(from[0][j], from[1][j], from[2][j]); };
@@ -300,6 +300,7 @@ for (int substep = 0; substep < substeps; ++substep) {
         S.M_base[at(a + 3, b + 3)] = whole.I.data[a][b];
       }
       for (int b = 0; b < 3; ++b) S.M_base[at(a + 3, b)] = cross_h.data[a][b];
+      S.M_base[at(a, a)] += armature[a], S.M_base[at(a + 3, a + 3)] += armature[a + 3];
       S.M_base[21 + a] = -base_force[a], S.M_base[24 + a] = -base_moment[a];
     }
   }
@@ -313,7 +314,7 @@ for (int substep = 0; substep < substeps; ++substep) {
     for (int d = 0; d < depth; ++d) {
       const int a = above(d, j);
       const float m = dot(get3(S.screw, a), force) + dot(get3(S.screw + 3, a), moment);
-      S.M[OWN + d][j] = d == depth - 1 ? m + armature[j] : m;
+      S.M[OWN + d][j] = d == depth - 1 ? m + armature[6 + j] : m;
     }
     trace += S.M[OWN - 1 + depth][j];
     // motors, friction and damping
