@@ -2,6 +2,7 @@
 
 import copy
 import functools
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -9,7 +10,7 @@ import warp as wp
 
 from dynappo import config as config_lib
 from dynappo.description import robot as robot_lib
-from dynappo.physics.warp import arrays, quadruped
+from dynappo.physics.warp import arrays, quadruped, tree
 
 ROBOTS = 64
 MOTOR = (20.0, 0.5, 23.7, 28.0, 30.0, 0.9, 0.3, 1.0)  # arrays.MOTOR
@@ -21,7 +22,8 @@ load = functools.cache(robot_lib.load)  # hundreds of cases are one robot
 @functools.cache
 def physics(name):
     """The group physics of a config, its solver run to the end."""
-    config = config_lib.load(f"configs/{name}.py")
+    own = Path(f"configs/{name}.py")
+    config = config_lib.load(str(own) if own.exists() else "configs/default.py")
     config.physics.update(iterations=30, ls_iterations=30)
     return config.physics
 
@@ -29,18 +31,19 @@ def physics(name):
 class Case:
     """Robots near the floor, tilted, pushed, some joints beyond their range; and their numbers."""
 
-    def __init__(self, name, substeps=1, robot=None, motors=MOTOR):
+    def __init__(self, name, substeps=1, robot=None, motors=MOTOR, way=quadruped):
         self.robot = robot = robot or load(name)
+        self.way = way
         self.model = model = robot_lib.physics_model(robot, physics(name))
         self.shape = arrays.shape(model, robot, substeps, False)
-        rng = np.random.default_rng(0)
+        rng, joints = np.random.default_rng(0), model.nu
         qpos = np.tile(model.key("home").qpos, (ROBOTS, 1))
         qpos[:, 2] -= rng.uniform(0, 0.05, ROBOTS)
         qpos[:, 3:7] += rng.normal(0, 0.2, (ROBOTS, 4))
         qpos[:, 3:7] /= np.linalg.norm(qpos[:, 3:7], axis=1, keepdims=True)
-        qpos[:, 7:] += rng.normal(0, 0.3, (ROBOTS, 12))
-        base = (np.arange(14) == 1)[:, None]
-        scale = rng.uniform(0.8, 1.2, (ROBOTS, 14))
+        qpos[:, 7:] += rng.normal(0, 0.3, (ROBOTS, joints))
+        base = (np.arange(model.nbody) == 1)[:, None]
+        scale = rng.uniform(0.8, 1.2, (ROBOTS, model.nbody))
         self.fields = {
             "body_mass": model.body_mass * scale,
             "body_inertia": model.body_inertia * scale[..., None],
@@ -50,8 +53,8 @@ class Case:
             "dof_armature": model.dof_armature * rng.uniform(0.5, 2, (ROBOTS, 1)),
         }
         self.before = {name: np.zeros((ROBOTS, *size)) for name, size in self.sizes().items()}
-        qvel = rng.normal(0, 0.7, (ROBOTS, 18))
-        target = model.key("home").qpos[7:] + rng.normal(0, 0.3, (ROBOTS, substeps, 12))
+        qvel = rng.normal(0, 0.7, (ROBOTS, model.nv))
+        target = model.key("home").qpos[7:] + rng.normal(0, 0.3, (ROBOTS, substeps, joints))
         motor = np.broadcast_to(motors, (ROBOTS, np.size(motors) // 8, 8))  # for all joints or each
         given = self.fields | dict(qpos=qpos, qvel=qvel, target=target, motor=motor)
         self.before |= {name: np.asarray(x, np.float32) for name, x in given.items()}
@@ -59,9 +62,9 @@ class Case:
     def sizes(self):
         return arrays.sizes(self.model, self.shape)
 
-    def step(self, before, way=quadruped):
+    def step(self, before, way=None):
         """What the kernel, or another `way`, makes of the numbers `before`."""
-        a = {}
+        way, a = way or self.way, {}
         for name, size in self.sizes().items():
             kind = wp.vec3 if name in arrays.MODEL and len(size) == 2 else float
             a[name] = wp.array(before[name], dtype=int if name in arrays.COUNTS else kind)
@@ -74,6 +77,8 @@ class Case:
         model.opt.iterations, model.opt.ls_iterations, model.opt.tolerance = 200, 200, 0.0
         for name, values in self.fields.items():
             getattr(model, name)[:] = np.asarray(values[i], np.float32)
+        # no shortcuts for the masses and centres that the file has
+        model.body_sameframe[:], model.dof_simplenum[:] = 0, 0
         data = mujoco.MjData(model)
         data.qpos[:], data.qvel[:] = self.before["qpos"][i], self.before["qvel"][i]
         return model, data

@@ -157,7 +157,7 @@ def notes(robot: robot_lib.Robot, config, pd: facts.PD, stood: dict) -> list[str
     """A line on each thing to change before training."""
     out = [*_wrong_pd(pd), *_wrong_standing(robot, stood), *_wrong_config(robot, config)]
     out += _wrong_engine(robot, config.physics)
-    if slow := scope.slower(robot, config.physics, config.task.remember_ground):
+    if slow := scope.slower(robot, config.physics):
         out.append(slow)
     if coarse := engine_contract.coarse(robot):
         out.append(coarse)

@@ -54,7 +54,7 @@ def lacks(robot: robot_lib.Robot, physics, impl: str) -> str:
         name = _unlike_others(robot.mj_model)
         return name and f"the integrator {name}"
     model = robot_lib.physics_model(robot, physics)
-    if _plain(model) or not scope.declines(model, robot.feet, False):
+    if _plain(model) or not scope.declines(model, robot.feet):
         return ""
     try:
         _check_warp(model) if impl == "warp" else _check_mjx(model)

@@ -77,7 +77,7 @@ def engine_note(program: Program, config) -> str:
         return engine_contract.coarse(program.robot)
     if program.impl != "warp":
         return ""
-    return scope.slower(program.robot, config.physics, config.task.remember_ground)
+    return scope.slower(program.robot, config.physics)
 
 
 def _begin_warp() -> None:

@@ -1,9 +1,11 @@
-"""A control step on a GPU: one call of Warp. Start at `call`, then `quadruped`.
+"""A control step on a GPU: one call of Warp. Start at `call`, then `quadruped`, then `tree`.
 
 - `call`: the call, and what Warp keeps between calls
 - `arrays`: names and shapes of the arrays that JAX and Warp exchange
-- `quadruped`: one kernel for a robot that keeps the contract; algebra.h and quadruped.h are its source
-- `scope`: which files that kernel computes, and why not the others
+- `quadruped`: one kernel for a base on four legs of three joints; algebra.h, arrow.h and quadruped.h are its source
+- `tree`: one kernel for any other tree of hinges; algebra.h and tree.h are its source
+- `native`: what these two share beside algebra.h
+- `scope`: which files they compute, and why not the others
 - `general`: any other file, by MuJoCo Warp's own step
 - `kernels`: what `general` does between physics steps
 - `building`: builds Warp's kernels in threads while JAX traces and XLA compiles

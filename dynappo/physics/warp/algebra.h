@@ -1,35 +1,14 @@
-// The first half of the function of quadruped.py: whose thread this is, and the equations of a robot of
-// a base and four legs. quadruped.h is the second half.
-//
-// Four threads a robot on a GPU, a leg each (LEGS = 1): all numbers of a leg are a thread's own, and
-// threads meet only to add what the legs do to the base (`total`). On a CPU one thread does all legs
-// (LEGS = 4), with the same lines.
+// What the kernels of quadruped.py and tree.py share, the first part of their functions: vectors, inertias,
+// constraints, motors, and how far a part reaches down.
 //
 // Frames: axes of the world, origin at the base. A spatial vector is two arguments, angular and linear;
 // of a force: its moment about the origin, and it.
-#if defined(__CUDA_ARCH__)
-enum { LEGS = 1 };
-const int robot = thread / 4, leg0 = thread % 4;
-const unsigned us = 0xFu << (threadIdx.x & 28);  // the four threads of this robot
-#else
-enum { LEGS = 4 };
-const int robot = thread, leg0 = 0;
-#endif
 using wp::vec3;
 using wp::mat33;
 using wp::cross;
 using wp::dot;
 using wp::mul;
 
-// Sum over the legs, the same bits in all four threads.
-auto total = [&](float x) {
-#if defined(__CUDA_ARCH__)
-  x += __shfl_xor_sync(us, x, 1);
-  x += __shfl_xor_sync(us, x, 2);
-#endif
-  return x;
-};
-auto total3 = [&](vec3 x) { return vec3(total(x[0]), total(x[1]), total(x[2])); };
 auto read3 = [](const float* p) { return vec3(p[0], p[1], p[2]); };
 auto read33 = [](const float* p) {
   return mat33(p[0], p[1], p[2], p[3], p[4], p[5], p[6], p[7], p[8]);
@@ -77,47 +56,18 @@ auto stiffness = [](float invweight, float imp) {
   return 1.0f / wp::max(invweight * (1.0f - imp) / imp, 1e-15f);
 };
 
-// x = A^-1 b of the matrix of the whole robot: `own` [6] of each leg's joints (3 x 3), `arm` [3] the
-// joints' columns against the base, `base` [21] the base's own. Legs meet only at the base, so each leg
-// is eliminated first (Schur). Negative where not positive definite: NaN.
-using Joints = float[3];
-struct Leg {
-  float own[6];
-  vec3 ang[3], lin[3];
+// The force (and moment) that gives a body the acceleration (aa, al) at the velocity (w, u).
+auto momentum_rate = [](const Inertia& I, vec3 w, vec3 u, vec3 aa, vec3 al, vec3& moment, vec3& force) {
+  const vec3 p = I.force(w, u);
+  moment = I.moment(aa, al) + cross(w, I.moment(w, u)) + cross(u, p);
+  force = I.force(aa, al) + cross(w, p);
 };
+
+// r = A^-1 r of the base's six equations: Cholesky, with inverses on the diagonal. NaN where A is not positive
+// definite.
 auto at = [](int i, int j) { return i * (i + 1) / 2 + j; };  // of a lower triangle
-auto solve = [&](const Leg* legs, const float* base, const Joints* b, vec3 b_lin, vec3 b_ang,
-                 Joints* x, vec3& x_lin, vec3& x_ang) {
-  float Y[LEGS][3][6], z[LEGS][3], A[21], r[6];
-  for (int i = 0; i < 21; ++i) A[i] = 0.0f;
-  for (int i = 0; i < 6; ++i) r[i] = 0.0f;
-  for (int l = 0; l < LEGS; ++l) {
-    const float* h = legs[l].own;
-    const float l00 = 1.0f / sqrtf(h[0]), l10 = h[1] * l00, l20 = h[3] * l00;
-    const float l11 = 1.0f / sqrtf(h[2] - l10 * l10), l21 = (h[4] - l20 * l10) * l11;
-    const float l22 = 1.0f / sqrtf(h[5] - l20 * l20 - l21 * l21);
-    auto own_inverse = [&](float& a, float& c, float& d) {
-      a *= l00, c = (c - l10 * a) * l11, d = (d - l20 * a - l21 * c) * l22;
-      d *= l22, c = (c - l21 * d) * l11, a = (a - l10 * c - l20 * d) * l00;
-    };
-    float B[3][6];
-    for (int k = 0; k < 3; ++k)
-      for (int i = 0; i < 3; ++i) {
-        B[k][i] = Y[l][k][i] = legs[l].lin[k][i];
-        B[k][i + 3] = Y[l][k][i + 3] = legs[l].ang[k][i];
-      }
-    for (int i = 0; i < 6; ++i) own_inverse(Y[l][0][i], Y[l][1][i], Y[l][2][i]);
-    for (int k = 0; k < 3; ++k) z[l][k] = b[l][k];
-    own_inverse(z[l][0], z[l][1], z[l][2]);
-    for (int k = 0; k < 3; ++k)
-      for (int i = 0; i < 6; ++i) {
-        for (int j = 0; j <= i; ++j) A[at(i, j)] -= B[k][i] * Y[l][k][j];
-        r[i] -= B[k][i] * z[l][k];
-      }
-  }
-  for (int i = 0; i < 21; ++i) A[i] = base[i] + total(A[i]);
-  for (int i = 0; i < 3; ++i) r[i] = b_lin[i] + total(r[i]), r[i + 3] = b_ang[i] + total(r[i + 3]);
-  for (int j = 0; j < 6; ++j)  // Cholesky; inverses on the diagonal
+auto solve_base = [&](float* A, float* r) {
+  for (int j = 0; j < 6; ++j)
     for (int i = j; i < 6; ++i) {
       float s = A[at(i, j)];
       for (int k = 0; k < j; ++k) s -= A[at(i, k)] * A[at(j, k)];
@@ -131,10 +81,30 @@ auto solve = [&](const Leg* legs, const float* base, const Joints* b, vec3 b_lin
     for (int k = i + 1; k < 6; ++k) r[i] -= A[at(k, i)] * r[k];
     r[i] *= A[at(i, i)];
   }
-  x_lin = vec3(r[0], r[1], r[2]), x_ang = vec3(r[3], r[4], r[5]);
-  for (int l = 0; l < LEGS; ++l)
-    for (int k = 0; k < 3; ++k) {
-      x[l][k] = z[l][k];
-      for (int i = 0; i < 6; ++i) x[l][k] -= Y[l][k][i] * r[i];
-    }
+};
+
+// A motor's torque (actuators.py: pd, clip_dc_motor, lag); compared so that NaN stays NaN. p: arrays.MOTOR;
+// `before`: of the last physics step.
+auto motor_torque = [](const float* p, float target, float angle, float qd, float before) {
+  const float kp = p[0], kd = p[1], effort = p[2], saturation = p[3];
+  const float speed = p[4], strength = p[5], share = p[7];
+  float t = kp * (target - angle) - kd * qd;
+  const float most = speed * (1.0f + effort / saturation);
+  const float slope = wp::min(wp::max(qd, -most), most) / speed;
+  const float upper = wp::min(saturation * (1.0f - slope), effort);
+  const float lower = wp::max(saturation * (-1.0f - slope), -effort);
+  if (t > upper) t = upper;
+  else if (t < lower) t = lower;
+  t = t * strength;
+  return share < 1.0f ? before + share * (t - before) : t;
+};
+auto rubbing = [&](const float* p, float qd) { return p[6] * tanhf(qd / FRICTION_SPEED); };
+
+// The lowest point of a part (contacts.py), below its link's origin where negative. R: the link's axes;
+// g: its place and rotation in the link, then `contacts.floor_distance`.
+auto lowest_point = [&](const float* g, mat33 R) {
+  const vec3 down(R.data[2][0], R.data[2][1], R.data[2][2]);
+  const vec3 z = mul(wp::transpose(read33(g + 3)), down);
+  return mul(R, read3(g))[2] - (g[12] + g[13] * fabsf(z[0]) + g[14] * fabsf(z[1]) + g[15] * fabsf(z[2]) +
+                                g[16] * sqrtf(wp::max(1.0f - z[2] * z[2], 0.0f)));
 };

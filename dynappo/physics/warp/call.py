@@ -1,7 +1,7 @@
 """Calls Warp once a control step, with only the arrays that the step exchanges.
 
-A robot that has no more than the contract asks for takes one kernel of ours (quadruped.py); any other file
-takes MuJoCo Warp's own step (general.py). scope.py decides.
+A robot that has no more than the contract allows takes one kernel of ours (quadruped.py, or tree.py); any
+other file takes MuJoCo Warp's own step (general.py). scope.py decides.
 
 Why not `mjx.step`: it takes and returns all 168 arrays of mjx.Data, which every physics step fills and
 copies for nothing: 0.95 of a row's 4.40 ms with 4096 Go1 on an H100. Why not a call for each physics step:
@@ -81,10 +81,14 @@ def _of_many(mj_model, shape: arrays.Shape) -> Callable[..., Sequence]:
     import warp as wp  # pyright: ignore[reportMissingImports]
     from warp._src.jax import ffi  # pyright: ignore[reportMissingImports]
 
-    from dynappo.physics.warp import building, quadruped
+    from dynappo.physics.warp import building
 
-    way = quadruped
-    if scope.declines(mj_model, shape.feet, shape.every_substep):
+    kernel = scope.kernel(mj_model, shape.feet, shape.every_substep)
+    if kernel == "quadruped":
+        from dynappo.physics.warp import quadruped as way
+    elif kernel == "tree":
+        from dynappo.physics.warp import tree as way
+    else:
         from dynappo.physics.warp import general as way
     gpu = jax.local_devices()[0].platform == "gpu"
     sizes = arrays.sizes(mj_model, shape)

@@ -1,4 +1,4 @@
-// The second half of the function of quadruped.py: a control step of a quadruped that keeps the contract
+// The third part of the function of quadruped.py: a control step of a quadruped that keeps the contract
 // (contract.py), with its feet on a plane.
 
 // ---- what is there before
@@ -15,7 +15,7 @@ const vec3* moments = body_inertia.data + row(body_inertia.shape[0]) * 14;
 const vec3* centre = body_ipos.data + row(body_ipos.shape[0]) * 14;
 const vec3* rub = geom_friction.data + row(geom_friction.shape[0]) * geom_friction.shape[1];
 const float* armature = dof_armature.data + row(dof_armature.shape[0]) * 18;
-const float* base_k = constants.data;
+const float* base_k = numbers.data;
 const float h = base_k[TIMESTEP], gravity = base_k[GRAVITY], tolerance = base_k[TOLERANCE];
 
 vec3 place = read3(q), lin = read3(v), turning = read3(v + 3);  // turning: in the base's axes
@@ -42,11 +42,6 @@ for (int substep = 0; substep < substeps; ++substep) {
   const mat33 R0 = wp::quat_to_matrix(rotation);
   const vec3 spin = mul(R0, turning);
   const vec3 lift = cross(lin, spin) - vec3(0.0f, 0.0f, gravity);  // acceleration without forces
-  auto momentum_rate = [&](const Inertia& I, vec3 w, vec3 u, vec3 aa, vec3 al, vec3& moment, vec3& force) {
-    const vec3 p = I.force(w, u);
-    moment = I.moment(aa, al) + cross(w, I.moment(w, u)) + cross(u, p);
-    force = I.force(aa, al) + cross(w, p);
-  };
   const Inertia trunk = inertia_of(mass[1], moments[1], mul(R0, centre[1]), mul(R0, read33(base_k + TRUNK)));
   vec3 smooth_ang, smooth_lin;
   momentum_rate(trunk, spin, lin, vec3(), lift, smooth_ang, smooth_lin);
@@ -83,12 +78,9 @@ for (int substep = 0; substep < substeps; ++substep) {
       aref_joint[l][k] = -c[LIMIT + B] * side[l][k] * qd - c[LIMIT + K] * imp * over;
       damping[l][k] = c[DAMPING];
       if (substep == substeps - 1)  // the lowest points of the link's other parts (contacts.py)
-        for (int i = part_of.data[body]; i < part_of.data[body + 1]; ++i) {
+        for (int i = tables.data[body]; i < tables.data[body + 1]; ++i) {
           const float* g = parts.data + i * PART;
-          const vec3 z = mul(wp::transpose(read33(g + 3)), vec3(R.data[2][0], R.data[2][1], R.data[2][2]));
-          const float drop = g[12] + g[13] * fabsf(z[0]) + g[14] * fabsf(z[1]) + g[15] * fabsf(z[2]) +
-                             g[16] * sqrtf(wp::max(1.0f - z[2] * z[2], 0.0f));
-          lowest.data[robot * lowest.shape[1] + (int)g[17]] = place[2] + (where + mul(R, read3(g)))[2] - drop;
+          lowest.data[robot * lowest.shape[1] + (int)g[17]] = place[2] + where[2] + lowest_point(g, R);
         }
     }
     const float* f = base_k + FEET + leg * FOOT;
@@ -115,25 +107,15 @@ for (int substep = 0; substep < substeps; ++substep) {
       const float along = slip[l][2] + (i % 2 ? -mu[l] : mu[l]) * slip[l][i / 2];
       aref[l][i] = -f[CONTACT + B] * along - f[CONTACT + K] * imp * depth[l];
     }
-    // motors (actuators.py: pd, clip_dc_motor, lag, friction); compared so that NaN stays NaN
     for (int k = 2; k >= 0; --k) {
       const float qd = rate[l][k];
       const float* p = motor_of + (motors == 1 ? 0 : leg * 3 + k) * 8;
-      const float kp = p[0], kd = p[1], effort = p[2], saturation = p[3];
-      const float speed = p[4], strength = p[5], friction = p[6], share = p[7];
-      float t = kp * (target.data[(robot * substeps + substep) * 12 + leg * 3 + k] - angle[l][k]) - kd * qd;
-      const float most = speed * (1.0f + effort / saturation);
-      const float slope = wp::min(wp::max(qd, -most), most) / speed;
-      const float upper = wp::min(saturation * (1.0f - slope), effort);
-      const float lower = wp::max(saturation * (-1.0f - slope), -effort);
-      if (t > upper) t = upper;
-      else if (t < lower) t = lower;
-      t = t * strength;
-      if (share < 1.0f) t = torque_is[l][k] + share * (t - torque_is[l][k]);
+      const float wanted = target.data[(robot * substeps + substep) * 12 + leg * 3 + k];
+      const float t = motor_torque(p, wanted, angle[l][k], qd, torque_is[l][k]);
       torque_is[l][k] = t, before[l][k] = qd;
       // from the foot to the base: forces, and the inertia of what hangs on each joint
       if (k < 2) moment[k] = moment[k] + moment[k + 1], force[k] = force[k] + force[k + 1], link[k].add(link[k + 1]);
-      const float rubs = friction * tanhf(qd / FRICTION_SPEED) + damping[l][k] * qd;
+      const float rubs = rubbing(p, qd) + damping[l][k] * qd;
       smooth[l][k] = t - rubs - dot(axis[l][k], moment[k]) - dot(arm[k], force[k]);
       M[l].ang[k] = link[k].moment(axis[l][k], arm[k]), M[l].lin[k] = link[k].force(axis[l][k], arm[k]);
       for (int j = 0; j <= k; ++j)
@@ -144,12 +126,9 @@ for (int substep = 0; substep < substeps; ++substep) {
     whole.add(link[0]);
   }
   if (substep == substeps - 1 && leg0 == 0)
-    for (int i = part_of.data[1]; i < part_of.data[2]; ++i) {
+    for (int i = tables.data[1]; i < tables.data[2]; ++i) {
       const float* g = parts.data + i * PART;
-      const vec3 z = mul(wp::transpose(read33(g + 3)), vec3(R0.data[2][0], R0.data[2][1], R0.data[2][2]));
-      const float drop = g[12] + g[13] * fabsf(z[0]) + g[14] * fabsf(z[1]) + g[15] * fabsf(z[2]) +
-                         g[16] * sqrtf(wp::max(1.0f - z[2] * z[2], 0.0f));
-      lowest.data[robot * lowest.shape[1] + (int)g[17]] = place[2] + mul(R0, read3(g))[2] - drop;
+      lowest.data[robot * lowest.shape[1] + (int)g[17]] = place[2] + lowest_point(g, R0);
     }
   smooth_ang = -(smooth_ang + total3(legs_moment)), smooth_lin = -(smooth_lin + total3(legs_force));
   whole.m = total(whole.m), whole.h = total3(whole.h);
@@ -273,7 +252,7 @@ for (int substep = 0; substep < substeps; ++substep) {
   float a[LEGS][3];
   for (int l = 0; l < LEGS; ++l)
     for (int k = 0; k < 3; ++k) a[l][k] = x[l][k];
-  if (damped) {
+  if (flag) {  // joints with damping
     float force[LEGS][3];
     Leg held[LEGS];
     vec3 ang, lin_, base_ang, base_lin;

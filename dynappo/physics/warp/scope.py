@@ -1,10 +1,10 @@
-"""Which models the kernel of quadruped.py computes whole; `declines` names what it cannot compute.
+"""Which of our kernels computes a model whole, quadruped.py's or tree.py's; `declines` names what neither does.
 
-An allow-list: MuJoCo's compiler makes a second model of only what the kernel reads. The kernel takes the
-given model if the two are equal, field by field, but for those of `HARMLESS`. So it drops nothing in
+An allow-list: MuJoCo's compiler makes a second model of only what the kernel of trees reads. A kernel takes
+the given model if the two are equal, field by field, but for those of `HARMLESS`. So nothing is dropped in
 silence: a tendon, a spring, a flag, and what a later MuJoCo adds, make the two differ. Such a model takes
-MuJoCo Warp's own step (general.py), about seven times as long (1024 Go1 on an H200). NumPy and C MuJoCo
-only, so `dynappo look` can ask where there is no GPU.
+MuJoCo Warp's own step (general.py), about seven times as long (1024 Go1 on an H200). The kernel of quadrupeds
+is faster, and takes less. NumPy and C MuJoCo only, so `dynappo look` can ask where there is no GPU.
 """
 
 from __future__ import annotations
@@ -16,9 +16,12 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from dynappo.description import contacts
 from dynappo.description import robot as robot_lib
 
-LEGS, LINKS = 4, 12  # of the kernel's robot: a base, and legs of three links, each with a hinge
+LEGS, LINKS = 4, 12  # of a quadruped: a base, and legs of three links, each with a hinge
+JOINTS, POINTS = 32, 64  # of a tree, at most: a joint has a thread of a warp; points of contact fill its memory
+TOUCHING = {contacts.SPHERE: 1, contacts.CAPSULE: 2, contacts.BOX: 4}  # points of a tree's feet
 # fields without a say in how a robot moves, as patterns
 HARMLESS = (
     # looks, names, notes, what is only measured, poses to start from; and their sizes
@@ -30,7 +33,7 @@ HARMLESS = (
     # of springs, dry friction, muscles, wind, overrides and sleep, which are looked at themselves
     "qpos_spring dof_solref dof_solimp actuator_lengthrange opt.wind opt.o_* opt.sleep_tolerance dof_length "
     "opt.noslip_tolerance opt.magnetic "
-    # how MuJoCo finds its answer; the kernel's line search is exact, and a sphere on a plane needs none
+    # how MuJoCo finds its answer; our line search is exact, and shapes on a plane need none
     "opt.ls_tolerance opt.jacobian opt.ccd_* opt.sdf_* "
     # shortcuts where two frames are the same
     "*_sameframe body_simple dof_simplenum "
@@ -43,12 +46,6 @@ WORDS = {
     "neq": "equality constraints",
     "ntendon": "tendons",
     "npair": "contact pairs",
-    "body_parentid": "limbs that are not chains of three links from the base",
-    "jnt_bodyid": "several joints in a link",
-    "body_quat": "turned frames",
-    "jnt_pos": "joints beside their link's origin",
-    "qpos0": "a joint's ref",
-    "jnt_limited": "joints without a range",
     "geom_adhesion": "adhesion",
     "geom_surfacevel": "moving surfaces",
     "body_gravcomp": "gravity compensation",
@@ -58,8 +55,7 @@ WORDS = {
     "dof_frictionloss": "dry friction",
     "dof_damping": "damping of the base",
     "dof_dampingpoly": "nonlinear damping",
-    "dof_armature": "armature of the base",
-    "geom_type": "feet that are no spheres",
+    "geom_type": "feet that are no spheres, capsules or boxes",
     "geom_condim": "feet of another condim",
     "geom_margin": "contact margins",
     "geom_gap": "contact gaps",
@@ -77,16 +73,27 @@ WORDS = {
 }
 
 
-def declines(model: mujoco.MjModel, feet: np.ndarray, every_substep: bool) -> str:
-    """What the kernel does not compute of a model that keeps the contract; "" if nothing.
+def kernel(model: mujoco.MjModel, feet: np.ndarray, every_substep: bool) -> str:
+    """Which kernel computes a model that keeps the contract: "quadruped", "tree", or "" for neither.
 
     `feet` are the geom ids of their shapes. `every_substep`: parts at the ground are wanted
     of each physics step.
     """
-    last = np.arange(1 + LINKS // LEGS, 2 + LINKS, LINKS // LEGS)  # bodies of the legs, leg by leg
-    same = (model.nbody, model.njnt) == (2 + LINKS, 1 + LINKS)
-    if not (same and np.array_equal(model.geom_bodyid[feet], last)):
-        return f"other limbs than {LEGS} legs of {LINKS // LEGS} joints, with a sphere as foot"
+    if declines(model, feet):
+        return ""
+    return "tree" if no_quadruped(model, feet, every_substep) else "quadruped"
+
+
+def declines(model: mujoco.MjModel, feet: np.ndarray) -> str:
+    """What no kernel of ours computes of a model that keeps the contract; "" if nothing."""
+    if model.njnt - 1 > JOINTS:
+        return f"more than {JOINTS} joints"
+    kinds = model.geom_type[feet].tolist()
+    if sum(TOUCHING.get(kind, 0) for kind in kinds) > POINTS:
+        return f"feet with more than {POINTS} points of contact"
+    base = model.body_weldid[model.jnt_bodyid[0]]
+    if (model.body_weldid[model.geom_bodyid[feet]] == base).any():
+        return "feet that no joint moves"
     touching = [model.geom("floor").id, *feet]  # of other geoms it matters only that they do not
     expects = fields(_plain(model, feet))
     for name, found in fields(model).items():
@@ -95,16 +102,37 @@ def declines(model: mujoco.MjModel, feet: np.ndarray, every_substep: bool) -> st
             found, expected = found[touching], expected[touching]
         if not _equal(found, expected):
             return f"{WORDS[name]} ({name})" if name in WORDS else name
-    return _rules(model, feet, every_substep)
+    return _rules(model, feet)
 
 
-def slower(robot: robot_lib.Robot, physics, every_substep: bool) -> str:
-    """A line on a robot that on a GPU needs MuJoCo Warp's own step, and why; "" if the kernel
+def no_quadruped(model: mujoco.MjModel, feet: np.ndarray, every_substep: bool) -> str:
+    """What the kernel of trees computes of a model, but that of quadrupeds does not; "" if nothing."""
+    last = np.arange(1 + LINKS // LEGS, 2 + LINKS, LINKS // LEGS)  # bodies of the legs, leg by leg
+    parents = [0 if i == 1 else 1 if i % 3 == 2 else i - 1 for i in range(1, 2 + LINKS)]
+    same = (model.nbody, model.njnt) == (2 + LINKS, 1 + LINKS)
+    same = same and np.array_equal(model.body_parentid[1:], parents)
+    same = same and np.array_equal(model.jnt_bodyid, np.arange(1, 2 + LINKS))
+    if not (same and np.array_equal(model.geom_bodyid[feet], last)):
+        return f"other limbs than {LEGS} legs of {LINKS // LEGS} joints, with a sphere as foot"
+    odd = {
+        "turned frames": not _equal(model.body_quat[2:], np.eye(4)[[0] * LINKS]),
+        "joints beside their link's origin": model.jnt_pos.any(),
+        "a joint's ref": model.qpos0[7:].any(),
+        "joints without a range": not model.jnt_limited[1:].all(),
+        "armature of the base": model.dof_armature[:6].any(),
+        "feet that are no spheres": (model.geom_type[feet] != contacts.SPHERE).any(),
+        "contacts of parts, wanted of each physics step (task.remember_ground)": every_substep,
+    }
+    return next((words for words, found in odd.items() if found), "")
+
+
+def slower(robot: robot_lib.Robot, physics) -> str:
+    """A line on a robot that on a GPU needs MuJoCo Warp's own step, and why; "" if a kernel of ours
     does it. `physics` is the config's group."""
-    reason = declines(robot_lib.physics_model(robot, physics), robot.feet, every_substep)
+    reason = declines(robot_lib.physics_model(robot, physics), robot.feet)
     return reason and (
         f"{robot.xml}: because of {reason}, physics on a GPU are MuJoCo Warp's own step, which takes "
-        "several times as long as the kernel for quadrupeds"
+        "several times as long as a kernel of ours"
     )
 
 
@@ -134,17 +162,17 @@ def _equal(found, expected) -> bool:
 
 
 def _plain(model: mujoco.MjModel, feet: np.ndarray) -> mujoco.MjModel:
-    """A model of what the kernel reads of `model`, and of nothing else (quadruped.constants)."""
+    """A model of what tree.py reads of `model`, and of nothing else."""
     spec, floor = mujoco.MjSpec(), model.geom("floor").id
     spec.compiler.degree = False
     for name in ("timestep", "tolerance", "impratio", "iterations", "ls_iterations"):
         setattr(spec.option, name, getattr(model.opt, name))
     spec.option.gravity = [0, 0, model.opt.gravity[2]]
     bodies = [spec.worldbody]
-    for i in range(1, 2 + LINKS):
-        parent = bodies[0 if i == 1 else 1 if i % 3 == 2 else i - 1]
-        body = parent.add_body(
+    for i in range(1, model.nbody):
+        body = bodies[model.body_parentid[i]].add_body(
             pos=model.body_pos[i],
+            quat=model.body_quat[i],
             mass=model.body_mass[i],
             ipos=model.body_ipos[i],
             iquat=model.body_iquat[i],
@@ -152,32 +180,18 @@ def _plain(model: mujoco.MjModel, feet: np.ndarray) -> mujoco.MjModel:
             explicitinertial=True,
         )
         bodies.append(body)
-        if i == 1:
-            body.quat = model.body_quat[i]
-            body.add_freejoint()
-            continue
-        joint, dof = i - 1, i + 4
-        body.add_joint(
-            name=str(joint),
-            type=mujoco.mjtJoint.mjJNT_HINGE,
-            axis=model.jnt_axis[joint],
-            range=model.jnt_range[joint],
-            limited=mujoco.mjtLimited.mjLIMITED_TRUE,
-            armature=model.dof_armature[dof],
-            damping=[model.dof_damping[dof], 0, 0],
-            solref_limit=model.jnt_solref[joint],
-            solimp_limit=model.jnt_solimp[joint],
-        )
-        spec.add_actuator(
-            name=str(joint), target=str(joint), trntype=mujoco.mjtTrn.mjTRN_JOINT
-        ).set_to_motor()
-    sphere, plane = mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_PLANE
+        first = model.body_jntadr[i]
+        for joint in range(first, first + model.body_jntnum[i]):
+            _add_joint(spec, body, model, joint)
+    plane, sphere = mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_SPHERE
     for i, body in enumerate(model.geom_bodyid):
         geom = bodies[body].add_geom(
             type=plane if i == floor else sphere, size=[1, 1, 1], mass=0, contype=0, conaffinity=0
         )
         if i != floor and i not in feet:
             continue
+        if model.geom_type[i] in TOUCHING:
+            geom.type = mujoco.mjtGeom(model.geom_type[i])
         # the feet's priority is higher (robot_contract.py): of the floor's numbers none counts
         geom.contype, geom.conaffinity = int(i == floor), int(i != floor)
         geom.condim = model.geom_condim[i] if i == floor else 3
@@ -186,10 +200,36 @@ def _plain(model: mujoco.MjModel, feet: np.ndarray) -> mujoco.MjModel:
     return spec.compile()
 
 
-def _rules(model: mujoco.MjModel, feet: np.ndarray, every_substep: bool) -> str:
-    """As `declines`, for numbers that the kernel reads, but of which it takes only some values."""
+def _add_joint(spec: mujoco.MjSpec, body, model: mujoco.MjModel, joint: int) -> None:
+    """To the plain model: the base's free joint, or a hinge with its motor."""
+    dof = model.jnt_dofadr[joint]
+    if joint == 0:
+        body.add_joint(type=mujoco.mjtJoint.mjJNT_FREE, armature=model.dof_armature[dof])
+        return
+    limits = mujoco.mjtLimited
+    body.add_joint(
+        name=str(joint),
+        type=mujoco.mjtJoint.mjJNT_HINGE,
+        pos=model.jnt_pos[joint],
+        axis=model.jnt_axis[joint],
+        ref=model.qpos0[model.jnt_qposadr[joint]],
+        range=model.jnt_range[joint],
+        limited=limits.mjLIMITED_TRUE if model.jnt_limited[joint] else limits.mjLIMITED_FALSE,
+        armature=model.dof_armature[dof],
+        damping=[model.dof_damping[dof], 0, 0],
+        solref_limit=model.jnt_solref[joint],
+        solimp_limit=model.jnt_solimp[joint],
+    )
+    motor = spec.add_actuator(
+        name=str(joint), target=str(joint), trntype=mujoco.mjtTrn.mjTRN_JOINT
+    )
+    motor.set_to_motor()
+
+
+def _rules(model: mujoco.MjModel, feet: np.ndarray) -> str:
+    """As `declines`, for numbers that a kernel reads, but of which it takes only some values."""
     if (model.jnt_solref[1:] <= 0).any() or (model.geom_solref[feet] <= 0).any():
         return "solref as stiffness and damping (negative)"
     if ((model.exclude_signature >> 16) * (model.exclude_signature & 0xFFFF) == 0).any():
         return "an exclude of the floor (exclude_signature)"
-    return "contacts of parts, wanted of each physics step (task.remember_ground)" * every_substep
+    return ""
