@@ -85,7 +85,9 @@ class Point(NamedTuple):
     more: np.ndarray  # a capsule's axis; from a box's middle to a corner
 
 
-def points(model: mujoco.MjModel, shape: arrays.Shape, limbs: Tree) -> tuple[np.ndarray, list[Point]]:
+def points(
+    model: mujoco.MjModel, shape: arrays.Shape, limbs: Tree
+) -> tuple[np.ndarray, list[Point]]:
     """`(feet, points)`: the feet in the order of their links, so that those below a joint are neighbours,
     and their points foot by foot."""
     links = [limbs.frames[model.geom_bodyid[shape.feet[i]] - 1].link for i in shape.first[:-1]]
@@ -190,7 +192,9 @@ def tables(
         [j + 256 * c for j in np.flatnonzero(depth == d) for c in range(OWN + d)]
         for d in range(depth.max() + 1)
     ]
-    foot_link = [limbs.frames[model.geom_bodyid[shape.feet[shape.first[f]]] - 1].link for f in order]
+    foot_link = [
+        limbs.frames[model.geom_bodyid[shape.feet[shape.first[f]]] - 1].link for f in order
+    ]
     feet = np.arange(len(order))
     link_of = [frame.link for frame in limbs.frames]
     pairs = [(a, b) for a in range(6) for b in range(a + 1)] + [(a, RHS) for a in range(6)]
@@ -266,10 +270,16 @@ def allocate(mj_model: mujoco.MjModel, shape: arrays.Shape, _: int = 0) -> Buffe
     places |= WHOLE | _places(floats) | _places(ints)
     step = native.kernel(native.code(sizes | places, "tree"))
     opt = mj_model.opt
-    given = [shape.substeps, int(opt.iterations), int(opt.ls_iterations), int(shape.every_substep)]
-    for arrays_, kind in ((floats, float), (ints, int)):
-        given.append(wp.array(np.concatenate([x.ravel() for x in arrays_.values()]), dtype=kind))
-    given.append(wp.array2d(parts(mj_model, shape, limbs), dtype=float))
+    flat = [np.concatenate([x.ravel() for x in of.values()]) for of in (floats, ints)]
+    given = [
+        shape.substeps,
+        int(opt.iterations),
+        int(opt.ls_iterations),
+        int(shape.every_substep),
+        wp.array(flat[0], dtype=float),
+        wp.array(flat[1], dtype=int),
+        wp.array2d(parts(mj_model, shape, limbs), dtype=float),
+    ]
     return Buffers(step, given, wp.get_device().is_cuda)
 
 
