@@ -109,6 +109,29 @@ def test_several_physics_steps_are_one_after_the_other(g1, every):
     assert (found["contact_steps"] > 1).any() and (found["last_air_steps"] > 0).any()
 
 
+def test_timers_and_peaks_are_those_of_a_plain_loop(g1):
+    """Of feet that land, that have left the ground, that stay down."""
+    rng, shape = np.random.default_rng(0), g1.before["air_steps"].shape
+    air = rng.integers(0, 3, shape)
+    start = {"air_steps": air, "contact_steps": (air == 0) * rng.integers(0, 9, shape)}
+    start |= {"last_air_steps": np.full(shape, 7), "peak": rng.uniform(0, 0.01, shape)}
+    start |= {"last_peak": np.full(shape, 0.3)}
+    found = g1.step(g1.before | start)
+    fresh = g1.step(g1.before)  # its peak is the height, or 0
+    landed = (fresh["contact_steps"] > 0) & (air > 0)
+    down = fresh["contact_steps"] > 0
+    assert landed.any() and (down & ~landed).any() and (~down & (air == 0)).any()
+    expected = {
+        "air_steps": np.where(down, 0, air + 1),
+        "contact_steps": np.where(down, start["contact_steps"] + 1, 0),
+        "last_air_steps": np.where(landed, air + 1, 7),
+        "peak": np.where(down, 0, np.maximum(start["peak"], fresh["peak"])),
+        "last_peak": np.where(landed, start["peak"], 0.3),
+    }
+    for name, value in expected.items():
+        np.testing.assert_allclose(found[name], value, rtol=1e-6, err_msg=name)
+
+
 def test_rounds_stop_at_the_answer(g1):
     """With the six of the config the answer is hardly another."""
     rounds_stop(g1, few=(6, 10), worst=0.2)

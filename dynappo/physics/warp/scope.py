@@ -20,10 +20,7 @@ from dynappo.description import contacts
 from dynappo.description import robot as robot_lib
 
 LEGS, LINKS = 4, 12  # of a quadruped: a base, and legs of three links, each with a hinge
-JOINTS, POINTS = (
-    32,
-    64,
-)  # of a tree, at most: a joint has a thread of a warp; points of contact fill its memory
+JOINTS, POINTS = 32, 64  # of a tree, at most: a thread of a warp each; what fits into its memory
 TOUCHING = {contacts.SPHERE: 1, contacts.CAPSULE: 2, contacts.BOX: 4}  # points of a tree's feet
 # fields without a say in how a robot moves, as patterns
 HARMLESS = (
