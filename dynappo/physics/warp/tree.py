@@ -189,9 +189,10 @@ def tables(
     down = [np.flatnonzero(row == j) for row in up for j in range(joints)]
     end = [1 + max(k for k in range(joints) if j in chains[k]) for j in range(joints)]
     entries = [  # of a depth's joints, against the base, the right-hand side, the joints above
-        [j + 256 * c for j in np.flatnonzero(depth == d) for c in range(OWN + d)]
-        for d in range(depth.max() + 1)
+        [j + 2**8 * c + 2**16 * end[j] for j in np.flatnonzero(depth == d) for c in range(OWN + d)]
+        for d in range(1, depth.max() + 1)
     ]
+    across = -max(map(len, entries)) // THREADS * -THREADS
     foot_link = [
         limbs.frames[model.geom_bodyid[shape.feet[shape.first[f]]] - 1].link for f in order
     ]
@@ -206,8 +207,7 @@ def tables(
         "DOWN_FIRST": _starts(down),
         "DOWN": np.concatenate(down),
         "ROOT": np.flatnonzero(depth == 1),
-        "AT_DEPTH": _starts(entries),
-        "ENTRY": np.concatenate(entries),
+        "ENTRY": [row + [0] * (across - len(row)) for row in entries],
         "PAIR": [a + 256 * b for a, b in pairs],
         "BODY_FIRST": np.searchsorted(np.sort(link_of), np.arange(joints + 2)),
         "BODY_ID": _bodies(limbs),
@@ -265,7 +265,7 @@ def allocate(mj_model: mujoco.MjModel, shape: arrays.Shape, _: int = 0) -> Buffe
     depth = ints["LEVEL"].max()
     sizes = dict(JOINTS=len(limbs.chains), DEPTH=depth, ROUNDS=_rounds(depth), FEET=len(order))
     sizes |= dict(POINTS=len(ends), PARTS=len(shape.parts), ROOTS=len(ints["ROOT"]))
-    sizes |= dict(DAMPED=int(mj_model.dof_damping.any()))
+    sizes |= dict(ACROSS=ints["ENTRY"].shape[1], DAMPED=int(mj_model.dof_damping.any()))
     places = LINK_AT | POINT_AT | PART_AT | native.CONSTRAINT_AT | KINDS
     places |= WHOLE | _places(floats) | _places(ints)
     step = native.kernel(native.code(sizes | places, "tree"))
