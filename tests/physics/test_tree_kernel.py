@@ -30,7 +30,7 @@ from kernel_case import (  # noqa: E402
     several_steps,
 )
 
-from dynappo.physics.warp import general, native, scope, tree  # noqa: E402
+from dynappo.physics.warp import general, scope, tree  # noqa: E402
 
 
 def file(text, folder):
@@ -96,7 +96,8 @@ def test_a_physics_step_is_that_of_c_mujoco(case):
     points = len(case.robot.feet) // len(case.robot.foot_names)
     points *= scope.TOUCHING[int(case.model.geom_type[case.robot.feet[0]])]
     assert set(range(1 + points)) <= set(feet.ravel().tolist())
-    assert {0, 1, len(case.robot.foot_names)} <= set((feet > 0).sum(1).tolist())
+    down = (feet > 0).sum(1)
+    assert down.min() == 0 and down.max() == feet.shape[1] and len(set(down.tolist())) > 2
 
 
 @pytest.mark.parametrize("every", [False, True])
@@ -173,7 +174,9 @@ def test_robots_of_one_size_share_a_kernel(g1):
         robot_lib.load_text(spec.to_xml(), "longer", robot.xml), physics("g1")
     )
     one, two = (tree.allocate(model, g1.shape).step for model in (g1.model, other))
-    assert one is two and one.module is not native.kernel(native.code({}, "tree")).module
+    smaller = made("hexapod", "")
+    three = tree.allocate(smaller.model, smaller.shape).step
+    assert one is two and one.module is not three.module
 
 
 def test_a_robot_that_blew_up_leaves_the_others_alone(g1):

@@ -19,7 +19,6 @@ const int robot = thread / 32, lane = threadIdx.x & 31;
 enum { LANES = 1 };
 const int robot = thread, lane = 0;
 #endif
-
 #define EACH(i, n) for (int i = lane; i < (n); i += LANES)
 
 // Sum over the threads, the same bits in all.
