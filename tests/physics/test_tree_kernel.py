@@ -97,7 +97,7 @@ def test_a_physics_step_is_that_of_c_mujoco(case):
     points *= scope.TOUCHING[int(case.model.geom_type[case.robot.feet[0]])]
     assert set(range(1 + points)) <= set(feet.ravel().tolist())
     down = (feet > 0).sum(1)
-    assert down.min() == 0 and down.max() == feet.shape[1] and len(set(down.tolist())) > 2
+    assert down.min() < 2 and down.max() == feet.shape[1] and len(set(down.tolist())) > 2
 
 
 @pytest.mark.parametrize("every", [False, True])
