@@ -4,7 +4,10 @@ No test names a device for Warp: on a GPU a robot has a warp there, on a CPU a t
 """
 
 from pathlib import Path
+from types import SimpleNamespace
 
+import jax
+import jax.numpy as jnp
 import mujoco
 import numpy as np
 import other_robots
@@ -30,7 +33,8 @@ from kernel_case import (  # noqa: E402
     several_steps,
 )
 
-from dynappo.physics.warp import general, scope, tree  # noqa: E402
+from dynappo.physics.warp import arrays, general, scope, tree  # noqa: E402
+from dynappo.physics.warp import call as warp_call  # noqa: E402
 
 
 def file(text, folder):
@@ -163,6 +167,21 @@ def test_a_drop_is_that_of_c_mujoco(g1):
             mujoco.mj_step(model, data)
         assert data.ncon > 3
         np.testing.assert_allclose(after["qpos"][i], data.qpos, atol=1e-3)
+
+
+def test_jax_calls_it(g1):
+    """Fields of the model are one for all robots, or one a robot."""
+    step = warp_call.make(g1.model, g1.robot, 1, False)
+    fields = warp_call.model(g1.model)
+    expected = g1.step(g1.before | {n: np.asarray(getattr(fields, n))[None] for n in arrays.MODEL})
+    state = {n: jnp.asarray(g1.before[n], expected[n].dtype) for n in arrays.IN_OUT}
+
+    def one(state, target, motor):
+        return step(fields, SimpleNamespace(**state), target, motor)
+
+    found = jax.jit(jax.vmap(one))(state, g1.before["target"], g1.before["motor"])
+    for name in ("qpos", "qvel", "lowest", "peak", "contact_steps"):
+        np.testing.assert_allclose(found[name], expected[name], atol=1e-5, err_msg=name)
 
 
 def test_robots_of_one_size_share_a_kernel(g1):
