@@ -2,15 +2,16 @@
 
 import copy
 import functools
-from pathlib import Path
 
 import mujoco
 import numpy as np
 import warp as wp
 
 from dynappo import config as config_lib
+from dynappo.description import contacts
 from dynappo.description import robot as robot_lib
-from dynappo.physics.warp import arrays, quadruped, tree
+from dynappo.physics import actuators
+from dynappo.physics.warp import arrays, quadruped
 
 ROBOTS = 64
 MOTOR = (20.0, 0.5, 23.7, 28.0, 30.0, 0.9, 0.3, 1.0)  # arrays.MOTOR
@@ -22,26 +23,31 @@ load = functools.cache(robot_lib.load)  # hundreds of cases are one robot
 @functools.cache
 def physics(name):
     """The group physics of a config, its solver run to the end."""
-    own = Path(f"configs/{name}.py")
-    config = config_lib.load(str(own) if own.exists() else "configs/default.py")
+    config = config_lib.load(f"configs/{name}.py")
     config.physics.update(iterations=30, ls_iterations=30)
     return config.physics
 
 
 class Case:
-    """Robots near the floor, tilted, pushed, some joints beyond their range; and their numbers."""
+    """Robots near the floor, tilted, pushed, some joints beyond their range; and their numbers.
 
-    def __init__(self, name, substeps=1, robot=None, motors=MOTOR, way=quadruped):
+    The tilt and the joints' noise of every other robot are `calm` times as large: whole feet touch the floor.
+    """
+
+    def __init__(
+        self, name, substeps=1, robot=None, motors=MOTOR, way=quadruped, calm=1.0, every=False
+    ):
         self.robot = robot = robot or load(name)
-        self.way = way
+        self.way, self.motors = way, motors
         self.model = model = robot_lib.physics_model(robot, physics(name))
-        self.shape = arrays.shape(model, robot, substeps, False)
+        self.shape = arrays.shape(model, robot, substeps, every)
         rng, joints = np.random.default_rng(0), model.nu
         qpos = np.tile(model.key("home").qpos, (ROBOTS, 1))
         qpos[:, 2] -= rng.uniform(0, 0.05, ROBOTS)
-        qpos[:, 3:7] += rng.normal(0, 0.2, (ROBOTS, 4))
+        noise = np.where(np.arange(ROBOTS) % 2, calm, 1.0)[:, None]
+        qpos[:, 3:7] += noise * rng.normal(0, 0.2, (ROBOTS, 4))
         qpos[:, 3:7] /= np.linalg.norm(qpos[:, 3:7], axis=1, keepdims=True)
-        qpos[:, 7:] += rng.normal(0, 0.3, (ROBOTS, joints))
+        qpos[:, 7:] += noise * rng.normal(0, 0.3, (ROBOTS, joints))
         base = (np.arange(model.nbody) == 1)[:, None]
         scale = rng.uniform(0.8, 1.2, (ROBOTS, model.nbody))
         self.fields = {
@@ -89,3 +95,78 @@ def drive(data, torque, motors=MOTOR):
     data.ctrl[:] = torque
     size = np.transpose(motors)[arrays.MOTOR.index("friction")]
     data.qfrc_applied[6:] = -size * np.tanh(data.qvel[6:] / 0.2)
+
+
+def a_physics_step(case):
+    """Assert that one of the kernel is one of C MuJoCo; `(contacts, joint limits, points touching of each
+    foot [ROBOTS, F])`."""
+    found, touching, limited, seen = case.step(case.before), 0, 0, []
+    kp, kd, effort, stall, speed, strength, *_ = np.transpose(case.motors)
+    limits = dict(effort_limit=effort, saturation_effort=stall, velocity_limit=speed)
+    robot = case.robot
+    for i in range(ROBOTS):
+        model, data = case.of_robot(i)
+        before = data.qvel[6:].copy()
+        pd = actuators.pd(case.before["target"][i, 0], data.qpos[7:], before, kp, kd)
+        torque = strength * actuators.clip_dc_motor(pd, before, **limits)
+        atol = 2e-5 * max(1, np.max(effort) / 20)
+        np.testing.assert_allclose(found["torque"][i], torque, atol=atol)
+        drive(data, torque, case.motors)
+        mujoco.mj_step(model, data)
+        touching, limited = touching + data.ncon, limited + data.nl
+        qacc = data.qacc_warmstart
+        np.testing.assert_allclose(found["qacc_warmstart"][i], qacc, atol=3e-5 * abs(qacc).max())
+        fast = max(1, abs(data.qvel).max() / 5)  # light feet and hands turn fast
+        np.testing.assert_allclose(found["qvel"][i], data.qvel, atol=1e-4 * fast)
+        np.testing.assert_allclose(found["qpos"][i], data.qpos, atol=1e-6 * fast)
+        # sqrt(1 - z^2) of an upright cylinder has half of the digits
+        atol = 1e-5 if (model.geom_type[robot.parts] == contacts.CYLINDER).any() else 1e-6
+        np.testing.assert_allclose(found["lowest"][i], _low(model, data, robot.parts), atol=atol)
+        sole, foot_of = _low(model, data, robot.feet), robot.foot_of
+        height = np.array([sole[foot_of == f].min() for f in range(len(robot.foot_names))])
+        np.testing.assert_array_equal(found["contact_steps"][i], height < 0)
+        np.testing.assert_array_equal(found["air_steps"][i], height >= 0)
+        np.testing.assert_allclose(found["peak"][i], np.maximum(height, 0), atol=1e-6)
+        of = [foot_of[list(robot.feet).index(geom)] for geom in data.contact.geom[:, 1]]
+        seen.append(np.bincount(of, minlength=len(height)))
+    return touching, limited, np.array(seen)
+
+
+def _low(model, data, geoms):
+    fixed, linear, ring = contacts.floor_distance(model, geoms)
+    row = data.geom_xmat[geoms][:, 6:]
+    drop = fixed + (linear * abs(row)).sum(-1) + ring * np.sqrt(1 - row[:, 2] ** 2)
+    return data.geom_xpos[geoms, 2] - drop
+
+
+def several_steps(case, several):
+    """Assert that `several` physics steps in a call are calls of one each, of `case`, with the target of
+    each; what they make."""
+    found, after, lows = several.step(several.before), several.before, []
+    for substep in range(several.shape.substeps):
+        target = several.before["target"][:, substep : substep + 1]
+        after = case.step(after | {"target": np.ascontiguousarray(target)})
+        lows.append(after["lowest"])
+    if several.shape.every_substep:
+        after = after | {"lowest": np.min(lows, 0)}
+    for name in (*arrays.IN_OUT, *arrays.RESULTS):
+        atol = 2e-2 if name == "qacc_warmstart" else 1e-4  # rad/s2: contacts are stiff
+        atol *= max(1, abs(after["qvel"]).max() / 5)  # light feet and hands turn fast
+        np.testing.assert_allclose(found[name], after[name], atol=atol, err_msg=name)
+    return found
+
+
+def rounds_stop(case, few, worst=0.1):
+    """Assert that ten times the rounds of Newton's method change nothing, and `few`, of it and of the line
+    search, hardly."""
+    opt = case.model.opt
+    kept, found = (opt.iterations, opt.ls_iterations), case.step(case.before)["qacc_warmstart"]
+    opt.iterations = 300
+    np.testing.assert_allclose(
+        case.step(case.before)["qacc_warmstart"], found, rtol=1e-4, atol=1e-3
+    )
+    opt.iterations, opt.ls_iterations = few
+    short = case.step(case.before)["qacc_warmstart"]
+    opt.iterations, opt.ls_iterations = kept
+    off = abs(short - found).max(1) / abs(found).max(1)
+    assert np.median(off) < 1e-5 and off.max() < worst

@@ -84,7 +84,9 @@ class Size(NamedTuple):
     reach: bool  # whether the two seeds must reach their level
 
 
-WARP = [f"tests/physics/test_{name}.py" for name in ("quadruped_kernel", "kernel_scope")]
+WARP = [
+    f"tests/physics/test_{name}.py" for name in ("quadruped_kernel", "tree_kernel", "kernel_scope")
+]
 # of robots with other feet one, and not MJX, which a GPU compiles for half a minute
 SHORT = [
     "-m",

@@ -74,7 +74,7 @@ PATHS = set("pathlib os shutil tempfile glob".split())
 # pure modules that may do more: two read a file, two ask for cores and lock their threads
 MAY_ALSO = {
     "description.robot": FILES | PATHS,
-    "physics.warp.quadruped": FILES | PATHS,
+    "physics.warp.native": FILES | PATHS,
     "physics.c_mujoco": {"os", "threading"},
     "physics.warp.building": {"os", "threading"},
 }

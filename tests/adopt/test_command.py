@@ -48,7 +48,7 @@ def test_it_writes_a_robot_that_needs_nothing_more(adopted):
     assert robot.notes == () and robot.xml == folder / "robots/mine/mine.xml"
     assert robot.foot_names == ("FR", "FL", "RR", "RL") and len(robot.joint_names) == 12
     assert robot.mj_model.body_mass.sum() == pytest.approx(6 + 4 * (0.7 + 1 + 0.2 + 0.05))
-    assert scope.slower(robot, config.physics, False) == ""
+    assert scope.slower(robot, config.physics) == ""
     assert sorted(p.name for p in (folder / "robots/mine").iterdir()) == [
         "README.md",
         "assets",

@@ -474,7 +474,8 @@ def test_a_urdf_becomes_a_robot_that_moves_freely(tmp_path):
     assert found.home_qpos[2] == pytest.approx(0.3)
 
 
-def test_the_kernel_declines_what_is_no_plain_quadruped(tmp_path):
+def test_the_kernel_of_trees_takes_what_is_no_plain_quadruped(tmp_path):
     for text in FILES.values():
         found = load(text(), tmp_path)
-        assert scope.declines(found.mj_model, found.feet, False)
+        found.mj_model.geom_conaffinity[found.parts] = 0  # physics.contacts=feet
+        assert scope.kernel(found.mj_model, found.feet, False) == "tree"

@@ -287,16 +287,23 @@ def test_there_is_room_for_all_contacts_and_no_more(robot, touching):
 # ---- which robots the kernel computes
 
 
-def test_the_kernel_declines_other_feet():
+def test_the_kernel_of_quadrupeds_declines_other_feet():
     """Of four legs of three joints: a foot of a box, a foot of two spheres, two feet on one leg."""
     robot = robot_lib.load("go1")
     physics = config_lib.validate(config_lib.load("configs/go1.py")).physics
     model = robot_lib.physics_model(robot, physics)
-    assert not scope.declines(model, robot.feet, False)
+    assert not scope.no_quadruped(model, robot.feet, False)
     boxed = copy.copy(model)
     boxed.geom_type[robot.feet[2]] = contacts.BOX
-    assert "feet that are no spheres" in scope.declines(boxed, robot.feet, False)
+    assert "feet that are no spheres" in scope.no_quadruped(boxed, robot.feet, False)
     five = np.concatenate([robot.feet, robot.parts[:1]])
-    assert "a sphere as foot" in scope.declines(model, five, False)
+    assert "a sphere as foot" in scope.no_quadruped(model, five, False)
     swapped = robot.feet[[1, 0, 2, 3]]
-    assert "a sphere as foot" in scope.declines(model, swapped, False)
+    assert "a sphere as foot" in scope.no_quadruped(model, swapped, False)
+
+
+def test_the_kernel_of_trees_declines_cylinders(robot):
+    model = robot_lib.physics_model(robot, settings("feet").physics)
+    odd = contacts.CYLINDER in model.geom_type[robot.feet]
+    assert ("geom_type" in scope.declines(model, robot.feet)) == odd
+    assert scope.kernel(model, robot.feet, True) == ("" if odd else "tree")

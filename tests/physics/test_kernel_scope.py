@@ -1,7 +1,7 @@
-"""The kernel computes all of a robot's file, or declines it: each feature of MJCF in turn.
+"""A kernel computes all of a robot's file, or both decline it: each feature of MJCF in turn.
 
 A file with one more feature is completed, or refused in one line (robot_contract.py), or declined with a
-reason that names the feature, or a control step of the kernel is that of C MuJoCo.
+reason that names the feature, or a control step of the kernel that takes it is that of C MuJoCo.
 """
 
 import copy
@@ -24,7 +24,7 @@ pytest.importorskip("warp")
 
 from kernel_case import ROBOTS, Case, drive  # noqa: E402
 
-from dynappo.physics.warp import general  # noqa: E402
+from dynappo.physics.warp import general, quadruped, tree  # noqa: E402
 
 close = np.testing.assert_allclose
 STEPS = 4  # physics steps of a control step
@@ -296,25 +296,6 @@ DECLINED = {
     "a spatial tendon": (spatial, "tendons"),
     "a pair of parts": (pair(CALF, "FR_calf"), "contact pairs"),
     "an exclude of the floor": (exclude("world", CALF), "exclude"),
-    "a joint's ref": (put("joint", J, ref=0.1), "ref"),
-    "a joint beside its body's origin": (put("joint", J, pos=[0, 0.1, 0]), "link's origin"),
-    "a turned body": (put("body", THIGH, quat=[1, 0.1, 0, 0]), "turned frames"),
-    "a joint without a range": (put("joint", J, limited=0), "without a range"),
-    "a foot that is a box": (
-        put("geom", FOOT, type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.02, 0.02, 0.02]),
-        "no spheres",
-    ),
-    "a foot of two shapes": (
-        lambda spec: spec.body(CALF).add_geom(
-            name="FL_foot2",
-            size=[0.02, 0, 0],
-            pos=[0.01, 0, -0.2],
-            conaffinity=1,
-            contype=0,
-            priority=1,
-        ),
-        "other limbs",
-    ),
     "a motor with nonlinear damping": (motor(damping=[0, 1, 0]), "nonlinear damping"),
     "a spring": (put("joint", J, stiffness=[40, 0, 0], springref=0.3), "springs"),
     "a nonlinear spring": (put("joint", J, stiffness=[0, 5, 0]), "springs"),
@@ -322,7 +303,6 @@ DECLINED = {
     "cubic damping": (put("joint", J, damping=[0, 0, 1]), "damping"),
     "damping of the base": (put("joint", "root", damping=[1, 0, 0]), "damping of the base"),
     "dry friction": (put("joint", J, frictionloss=0.5), "dry friction"),
-    "armature of the base": (put("joint", "root", armature=0.1), "armature of the base"),
     "a joint's margin": (put("joint", J, margin=0.1), "margins"),
     "a foot's margin": (put("geom", FOOT, margin=0.01), "margins"),
     "the floor's margin": (put("geom", "floor", margin=0.01), "margins"),
@@ -363,6 +343,29 @@ DECLINED = {
         and name != "mjENBL_IPC"  # of one integrator
         and value not in robot_contract.NEEDED.values()
     },
+}
+# what only the kernel of trees computes, and how the kernel of quadrupeds names it
+IN_TREES = {
+    "a joint's ref": (put("joint", J, ref=0.1), "ref"),
+    "a joint beside its body's origin": (put("joint", J, pos=[0, 0.1, 0]), "link's origin"),
+    "a turned body": (put("body", THIGH, quat=[1, 0.1, 0, 0]), "turned frames"),
+    "a joint without a range": (put("joint", J, limited=0), "without a range"),
+    "a foot that is a box": (
+        put("geom", FOOT, type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.02, 0.02, 0.02]),
+        "no spheres",
+    ),
+    "a foot of two shapes": (
+        lambda spec: spec.body(CALF).add_geom(
+            name="FL_foot2",
+            size=[0.02, 0, 0],
+            pos=[0.01, 0, -0.2],
+            conaffinity=1,
+            contype=0,
+            priority=1,
+        ),
+        "other limbs",
+    ),
+    "armature of the base": (put("joint", "root", armature=0.1), "armature of the base"),
 }
 COMPUTED = {
     "nothing": both(),
@@ -431,7 +434,11 @@ def load(change, tmp_path):
 
 
 def declines(case):
-    return scope.declines(case.model, case.robot.feet, False)
+    return scope.declines(case.model, case.robot.feet)
+
+
+def kernel(case, every_substep=False):
+    return scope.kernel(case.model, case.robot.feet, every_substep)
 
 
 @pytest.mark.parametrize("feature", REFUSED)
@@ -448,19 +455,79 @@ def test_what_is_completed_is_computed(feature, tmp_path):
     change, words = COMPLETED[feature]
     robot = load(change, tmp_path)
     case = Case("go1", robot=robot)
-    assert words in "; ".join(robot.notes) and not declines(case)
+    assert words in "; ".join(robot.notes) and kernel(case) == "quadruped"
 
 
 @pytest.mark.parametrize("feature", DECLINED)
 def test_the_kernel_declines(feature, tmp_path):
     change, words = DECLINED[feature]
-    assert words in declines(Case("go1", robot=load(change, tmp_path)))
+    case = Case("go1", robot=load(change, tmp_path))
+    assert words in declines(case) and kernel(case) == ""
+
+
+@pytest.mark.parametrize("feature", IN_TREES)
+def test_the_kernel_of_trees_takes_what_that_of_quadrupeds_does_not(feature, tmp_path):
+    change, words = IN_TREES[feature]
+    case = Case("go1", robot=load(change, tmp_path))
+    assert kernel(case) == "tree" and not declines(case)
+    assert words in scope.no_quadruped(case.model, case.robot.feet, False)
+
+
+# other sizes are other kernels, which take seconds to build; test_tree_kernel.py has such feet
+BUILT = [
+    pytest.param(name, marks=[pytest.mark.slow] * ("a foot" in name))
+    for name in (*IN_TREES, "nothing")
+]
+
+
+@pytest.mark.parametrize("feature", BUILT)
+def test_the_kernel_of_trees_computes(feature, tmp_path):
+    change = (IN_TREES[feature] if feature in IN_TREES else [COMPUTED[feature]])[0]
+    compare(Case("go1", robot=load(change, tmp_path), way=tree))
+
+
+def test_parts_of_each_physics_step_are_for_the_kernel_of_trees():
+    case = Case("go1")
+    assert kernel(case) == "quadruped" and kernel(case, True) == "tree"
+
+
+def chain(joints, feet, kind="sphere"):
+    """`(model, feet)` of a base with a chain of hinges, its feet at the end."""
+    sizes = dict(sphere=".1", box=".1 .1 .1", capsule=".1 .1", cylinder=".1 .1")
+    shape = f'<geom type="{kind}" size="{sizes[kind]}" priority="1"/>'
+    part = '<geom size=".01" contype="0" conaffinity="0"/>'
+    link = f'<body pos="0 0 -.1"><joint axis="0 1 0" range="-1 1"/>{part}'
+    text = f"""<mujoco><compiler angle="radian" autolimits="true"/><worldbody>
+      <geom name="floor" type="plane" size="0 0 1" conaffinity="0"/>
+      <body><freejoint/>{part}
+      {link * joints}{shape * feet}{"</body>" * joints}</body></worldbody></mujoco>"""
+    spec = mujoco.MjSpec.from_string(text)
+    for i, joint in enumerate(spec.joints[1:]):
+        joint.name = f"joint{i}"
+        spec.add_actuator(
+            name=joint.name, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT
+        ).set_to_motor()
+    for geom in spec.geoms[1:]:
+        geom.contype = 0
+    model = spec.compile()
+    return model, np.flatnonzero(model.geom_priority)
+
+
+def test_a_tree_has_as_many_joints_as_a_warp_has_threads():
+    """And so many points of contact as fit into a processor's memory."""
+    assert scope.declines(*chain(32, 64)) == ""
+    assert scope.declines(*chain(32, 16, "box")) == ""
+    assert scope.declines(*chain(33, 1)) == "more than 32 joints"
+    assert "64 points" in scope.declines(*chain(2, 65))
+    assert "64 points" in scope.declines(*chain(2, 33, "capsule"))
+    assert "no spheres, capsules or boxes" in scope.declines(*chain(2, 1, "cylinder"))
+    assert scope.declines(*chain(0, 1)) == "feet that no joint moves"
 
 
 @pytest.mark.parametrize("feature", COMPUTED)
 def test_the_kernel_computes(feature, tmp_path):
     case = Case("go1", robot=load(COMPUTED[feature], tmp_path))
-    assert not declines(case)
+    assert kernel(case) == "quadruped"
     compare(case)
 
 
@@ -507,6 +574,7 @@ def test_whatever_number_is_another_is_declined_or_does_as_in_c_mujoco(field):
     value[rows] = np.where(value[rows], 1.1 * value[rows], 0.1)
     setattr(of, name.removeprefix("opt."), value if value.ndim else float(value))
     if not declines(case):
+        case.way = quadruped if kernel(case) == "quadruped" else tree
         compare(case, 1)
 
 

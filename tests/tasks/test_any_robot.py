@@ -109,8 +109,11 @@ def test_legs_are_the_chains_from_the_base_to_each_foot(hexapod):
     assert np.array(bodies)[fatal].tolist() == ["base"]
 
 
-def test_the_kernel_for_quadrupeds_declines_it(hexapod):
-    assert "other limbs" in scope.declines(hexapod.mj_model, hexapod.feet, False)
+def test_the_kernel_of_trees_takes_it(hexapod, biped):
+    for robot in (hexapod, biped):
+        model = robot_lib.physics_model(robot, config_lib.load("configs/go1.py").physics)
+        assert scope.kernel(model, robot.feet, False) == "tree"
+        assert "other limbs" in scope.no_quadruped(model, robot.feet, False)
 
 
 # a biped with a waist and arms, several hinges in a body, box feet

@@ -2,8 +2,8 @@
 
 - `call`: the call, and what Warp keeps between calls
 - `arrays`: names and shapes of the arrays that JAX and Warp exchange
-- `quadruped`: one kernel for a base on four legs of three joints; algebra.h, arrow.h and quadruped.h are its source
-- `tree`: one kernel for any other tree of hinges; algebra.h and tree.h are its source
+- `quadruped`: one kernel for a base on four legs of three joints: algebra.h, arrow.h and quadruped.h
+- `tree`: one kernel for any other tree of hinges: algebra.h and tree.h
 - `native`: what these two share beside algebra.h
 - `scope`: which files they compute, and why not the others
 - `general`: any other file, by MuJoCo Warp's own step

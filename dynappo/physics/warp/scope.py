@@ -1,4 +1,4 @@
-"""Which of our kernels computes a model whole, quadruped.py's or tree.py's; `declines` names what neither does.
+"""Which of our kernels computes a model whole, quadruped.py's or tree.py's, or why neither does.
 
 An allow-list: MuJoCo's compiler makes a second model of only what the kernel of trees reads. A kernel takes
 the given model if the two are equal, field by field, but for those of `HARMLESS`. So nothing is dropped in
@@ -20,7 +20,7 @@ from dynappo.description import contacts
 from dynappo.description import robot as robot_lib
 
 LEGS, LINKS = 4, 12  # of a quadruped: a base, and legs of three links, each with a hinge
-JOINTS, POINTS = 32, 64  # of a tree, at most: a joint has a thread of a warp; points of contact fill its memory
+JOINTS, POINTS = 32, 64  # of a tree, at most: a thread of a warp each; what fits into its memory
 TOUCHING = {contacts.SPHERE: 1, contacts.CAPSULE: 2, contacts.BOX: 4}  # points of a tree's feet
 # fields without a say in how a robot moves, as patterns
 HARMLESS = (
@@ -220,9 +220,7 @@ def _add_joint(spec: mujoco.MjSpec, body, model: mujoco.MjModel, joint: int) -> 
         solref_limit=model.jnt_solref[joint],
         solimp_limit=model.jnt_solimp[joint],
     )
-    motor = spec.add_actuator(
-        name=str(joint), target=str(joint), trntype=mujoco.mjtTrn.mjTRN_JOINT
-    )
+    motor = spec.add_actuator(name=str(joint), target=str(joint), trntype=mujoco.mjtTrn.mjTRN_JOINT)
     motor.set_to_motor()
 
 

@@ -9,18 +9,17 @@
 // is the base. Spatial vectors are rows 0 to 2 linear (force), 3 to 5 angular (moment), as the base's own
 // six degrees of freedom are.
 #if defined(__CUDA_ARCH__)
-#define EACH(i, n) for (int i = threadIdx.x & 31; i < (n); i += 32)
 #define SYNC() __syncwarp()
 #define SHARED __shared__
-const int robot = thread / 32;
-const bool one = (threadIdx.x & 31) == 0;
+enum { LANES = 32 };
+const int robot = thread / 32, lane = threadIdx.x & 31;
 #else
-#define EACH(i, n) for (int i = 0; i < (n); ++i)
 #define SYNC()
 #define SHARED
-const int robot = thread;
-const bool one = true;
+enum { LANES = 1 };
+const int robot = thread, lane = 0;
 #endif
+#define EACH(i, n) for (int i = lane; i < (n); i += LANES)
 
 // Sum over the threads, the same bits in all.
 auto total = [](float x) {
@@ -118,16 +117,25 @@ auto times_base = [&](int c) {
 
 // S.step, `base` = H^-1 S.H[RHS]; H becomes its factors
 auto solve = [&](float* base) {
+  int entry[ACROSS / LANES], next[ACROSS / LANES];  // joint, row, the end of what is below it; read ahead
+  auto read = [&](int depth, int* to) {
+    for (int i = 0; i < ACROSS / LANES; ++i) to[i] = tree[ENTRY + (depth - 1) * ACROSS + i * LANES + lane];
+  };
+  read(DEPTH, entry);
   #pragma unroll 1
   for (int depth = DEPTH; depth > 0; --depth) {
-    const int own = OWN - 1 + depth, from = tree[AT_DEPTH + depth], count = tree[AT_DEPTH + depth + 1] - from;
+    const int own = OWN - 1 + depth;
     SYNC();
-    EACH(i, count) {
-      const int entry = tree[ENTRY + from + i], j = entry & 255, c = entry >> 8, end = tree[END + j];
-      float s = S.H[c][j];
-      for (int k = j + 1; k < end; ++k) s -= S.H[own][k] * S.inverse[k] * S.H[c][k];
-      S.H[c][j] = s;
-      if (c == own) S.inverse[j] = 1.0f / s;
+    if (depth > 1) read(depth - 1, next);
+    for (int i = 0; i < ACROSS / LANES; ++i) {
+      const int j = entry[i] & 255, c = entry[i] >> 8 & 255, end = entry[i] >> 16;
+      if (end > 0) {
+        float s = S.H[c][j];
+        for (int k = j + 1; k < end; ++k) s -= S.H[own][k] * S.inverse[k] * S.H[c][k];
+        S.H[c][j] = s;
+        if (c == own) S.inverse[j] = 1.0f / s;
+      }
+      entry[i] = next[i];
     }
   }
   SYNC();
@@ -142,20 +150,28 @@ auto solve = [&](float* base) {
   for (int i = 0; i < 21; ++i) A[i] = S.H_base[i];
   for (int i = 0; i < 6; ++i) base[i] = S.H_base[21 + i];
   solve_base(A, base);
-  EACH(j, JOINTS) {
+  auto against_base = [&](int j) {
     float s = S.H[RHS][j];
     for (int c = 0; c < 6; ++c) s -= S.H[c][j] * base[c];
-    S.step[j] = s * S.inverse[j];
+    return s * S.inverse[j];
+  };
+#if defined(__CUDA_ARCH__)  // as below, but all joints of a depth at once, by shuffles
+  const int j = lane < JOINTS ? lane : JOINTS - 1, depth = tree[LEVEL + j];
+  float s = against_base(j);
+  for (int d = 0; d < DEPTH - 1; ++d) {
+    const float x_up = __shfl_sync(0xFFFFFFFFu, s, above(d, j));
+    if (d < depth - 1) s -= S.H[OWN + d][j] * S.inverse[j] * x_up;
   }
-  if (one)
+  S.step[j] = s;
+#else
+  for (int j = 0; j < JOINTS; ++j) {
+    float s = against_base(j);
+    for (int d = 0; d < tree[LEVEL + j] - 1; ++d) s -= S.H[OWN + d][j] * S.inverse[j] * S.step[above(d, j)];
+    S.step[j] = s;
+  }
+#endif
+  if (lane == 0)
     for (int c = 0; c < 6; ++c) S.step_base[c] = base[c];
-  #pragma unroll 1
-  for (int depth = 1; depth < DEPTH; ++depth) {
-    SYNC();
-    EACH(j, JOINTS)
-      if (tree[LEVEL + j] > depth)
-        S.step[j] -= S.H[OWN - 1 + depth][j] * S.inverse[j] * S.step[above(depth - 1, j)];
-  }
   SYNC();
 };
 
@@ -197,6 +213,7 @@ for (int substep = 0; substep < substeps; ++substep) {
     put3(pose, j, where), put4(pose + 3, j, turn);
   }
   SYNC();
+  #pragma unroll 1
   for (int round = 0; round < ROUNDS; ++round) {
     EACH(j, JOINTS) {
       const int up = tree[UP + round * JOINTS + j];
@@ -217,7 +234,7 @@ for (int substep = 0; substep < substeps; ++substep) {
     put3(S.screw, j, cross(get3(pose, j), axis)), put3(S.screw + 3, j, axis);
   }
   const vec3 x_ang = mul(R0, x_ang_own);
-  if (one) {
+  if (lane == 0) {
     put3(pose, JOINTS, vec3()), put4(pose + 3, JOINTS, rotation);
     for (int i = 0; i < 3; ++i) S.x_base[i] = x_lin[i], S.x_base[3 + i] = x_ang[i];
   }
@@ -240,6 +257,7 @@ for (int substep = 0; substep < substeps; ++substep) {
   SYNC();
   auto inertia_with = [&](int k, const mat33& R, vec3 where) {  // of the bodies of link k
     Inertia I = {0.0f, vec3(), mat33()};
+    #pragma unroll 1
     for (int i = tree[BODY_FIRST + k]; i < tree[BODY_FIRST + k + 1]; ++i) {
       const float* b = number + BODY + i * 21;
       const int body = tree[BODY_ID + i];
@@ -263,11 +281,13 @@ for (int substep = 0; substep < substeps; ++substep) {
       for (int b = 0; b <= a; ++b) sum[10 + at(a, b)][j] = I.I.data[a][b];
   }
   SYNC();
+  #pragma unroll 1
   for (int round = 0; round < ROUNDS; ++round) {  // as above, from the ends to the base
     EACH(j, JOINTS) {
       const int from = tree[DOWN_FIRST + round * JOINTS + j], end = tree[DOWN_FIRST + round * JOINTS + j + 1];
       float s[16];
       for (int c = 0; c < 16; ++c) s[c] = sum[c][j];
+      #pragma unroll 1
       for (int i = from; i < end; ++i) {
         const int down = tree[DOWN + i];
         for (int c = 0; c < 16; ++c) s[c] += sum[c][down];
@@ -287,12 +307,13 @@ for (int substep = 0; substep < substeps; ++substep) {
   Inertia whole = inertia_with(JOINTS, R0, vec3());
   vec3 base_moment, base_force;
   momentum_rate(whole, spin, lin, vec3(), lift, base_moment, base_force);
+  #pragma unroll 1
   for (int i = 0; i < ROOTS; ++i) {
     const int j = tree[ROOT + i];
     whole.add(inertia_below(j));
     base_force = base_force + get3(sum, j), base_moment = base_moment + get3(sum + 3, j);
   }
-  if (one) {
+  if (lane == 0) {
     const mat33 cross_h = skew(whole.h);
     for (int a = 0; a < 3; ++a) {
       for (int b = 0; b <= a; ++b) {
@@ -373,6 +394,7 @@ for (int substep = 0; substep < substeps; ++substep) {
   // timers, as of the positions at the start of the physics step (engine.py)
   EACH(f, FEET) {
     float height = 1e30f;
+    #pragma unroll 1
     for (int p = tree[POINT_FIRST + f]; p < tree[POINT_FIRST + f + 1]; ++p)
       if (!(S.depth[p] >= height)) height = S.depth[p];  // not `min`, which would lose what is no number
     const int foot = robot * FEET + tree[FOOT_ID + f];
@@ -421,6 +443,7 @@ for (int substep = 0; substep < substeps; ++substep) {
       const float jar = S.side[j] * S.x[j] - S.aref[j], stop = jar < 0.0f ? S.D[j] : 0.0f;
       S.jar[j] = jar;
       float g = times(j) - S.M[RHS][j] + S.side[j] * stop * jar, F[6] = {};  // F: the feet's pull by the joint
+      #pragma unroll 1
       for (int f = from; f < end; ++f)
         for (int a = 0; a < 6; ++a) {
           g -= S.screw[a][j] * S.pull[f][21 + a];
@@ -439,6 +462,7 @@ for (int substep = 0; substep < substeps; ++substep) {
     }
     EACH(i, PAIRS) {
       float s = i < 21 ? S.M_base[i] : times_base(i - 21) - S.M_base[i];
+      #pragma unroll 1
       for (int f = 0; f < FEET; ++f) s += i < 21 ? S.pull[f][i] : -S.pull[f][i];
       S.H_base[i] = s;
     }
@@ -485,7 +509,7 @@ for (int substep = 0; substep < substeps; ++substep) {
     }
     SYNC();
     EACH(j, JOINTS) S.x[j] -= alpha * S.step[j];
-    if (one)
+    if (lane == 0)
       for (int c = 0; c < 6; ++c) S.x_base[c] -= alpha * step[c];
     SYNC();
   }
@@ -517,7 +541,7 @@ for (int substep = 0; substep < substeps; ++substep) {
 }
 
 // ---- what is there after
-if (one)
+if (lane == 0)
   for (int i = 0; i < 3; ++i) {
     q[i] = place[i], q[4 + i] = rotation[i], q[3] = rotation[3];
     v[i] = lin[i], v[3 + i] = turning[i], warm[i] = x_lin[i], warm[3 + i] = x_ang_own[i];

@@ -85,7 +85,9 @@ class Point(NamedTuple):
     more: np.ndarray  # a capsule's axis; from a box's middle to a corner
 
 
-def points(model: mujoco.MjModel, shape: arrays.Shape, limbs: Tree) -> tuple[np.ndarray, list[Point]]:
+def points(
+    model: mujoco.MjModel, shape: arrays.Shape, limbs: Tree
+) -> tuple[np.ndarray, list[Point]]:
     """`(feet, points)`: the feet in the order of their links, so that those below a joint are neighbours,
     and their points foot by foot."""
     links = [limbs.frames[model.geom_bodyid[shape.feet[i]] - 1].link for i in shape.first[:-1]]
@@ -187,10 +189,13 @@ def tables(
     down = [np.flatnonzero(row == j) for row in up for j in range(joints)]
     end = [1 + max(k for k in range(joints) if j in chains[k]) for j in range(joints)]
     entries = [  # of a depth's joints, against the base, the right-hand side, the joints above
-        [j + 256 * c for j in np.flatnonzero(depth == d) for c in range(OWN + d)]
-        for d in range(depth.max() + 1)
+        [j + 2**8 * c + 2**16 * end[j] for j in np.flatnonzero(depth == d) for c in range(OWN + d)]
+        for d in range(1, depth.max() + 1)
     ]
-    foot_link = [limbs.frames[model.geom_bodyid[shape.feet[shape.first[f]]] - 1].link for f in order]
+    across = -max(map(len, entries)) // THREADS * -THREADS
+    foot_link = [
+        limbs.frames[model.geom_bodyid[shape.feet[shape.first[f]]] - 1].link for f in order
+    ]
     feet = np.arange(len(order))
     link_of = [frame.link for frame in limbs.frames]
     pairs = [(a, b) for a in range(6) for b in range(a + 1)] + [(a, RHS) for a in range(6)]
@@ -202,8 +207,7 @@ def tables(
         "DOWN_FIRST": _starts(down),
         "DOWN": np.concatenate(down),
         "ROOT": np.flatnonzero(depth == 1),
-        "AT_DEPTH": _starts(entries),
-        "ENTRY": np.concatenate(entries),
+        "ENTRY": [row + [0] * (across - len(row)) for row in entries],
         "PAIR": [a + 256 * b for a, b in pairs],
         "BODY_FIRST": np.searchsorted(np.sort(link_of), np.arange(joints + 2)),
         "BODY_ID": _bodies(limbs),
@@ -261,15 +265,21 @@ def allocate(mj_model: mujoco.MjModel, shape: arrays.Shape, _: int = 0) -> Buffe
     depth = ints["LEVEL"].max()
     sizes = dict(JOINTS=len(limbs.chains), DEPTH=depth, ROUNDS=_rounds(depth), FEET=len(order))
     sizes |= dict(POINTS=len(ends), PARTS=len(shape.parts), ROOTS=len(ints["ROOT"]))
-    sizes |= dict(DAMPED=int(mj_model.dof_damping.any()))
+    sizes |= dict(ACROSS=ints["ENTRY"].shape[1], DAMPED=int(mj_model.dof_damping.any()))
     places = LINK_AT | POINT_AT | PART_AT | native.CONSTRAINT_AT | KINDS
     places |= WHOLE | _places(floats) | _places(ints)
     step = native.kernel(native.code(sizes | places, "tree"))
     opt = mj_model.opt
-    given = [shape.substeps, int(opt.iterations), int(opt.ls_iterations), int(shape.every_substep)]
-    for arrays_, kind in ((floats, float), (ints, int)):
-        given.append(wp.array(np.concatenate([x.ravel() for x in arrays_.values()]), dtype=kind))
-    given.append(wp.array2d(parts(mj_model, shape, limbs), dtype=float))
+    flat = [np.concatenate([x.ravel() for x in of.values()]) for of in (floats, ints)]
+    given = [
+        shape.substeps,
+        int(opt.iterations),
+        int(opt.ls_iterations),
+        int(shape.every_substep),
+        wp.array(flat[0], dtype=float),
+        wp.array(flat[1], dtype=int),
+        wp.array2d(parts(mj_model, shape, limbs), dtype=float),
+    ]
     return Buffers(step, given, wp.get_device().is_cuda)
 
 
