@@ -571,7 +571,7 @@ def test_a_seed_is_chosen_by_all_its_falls_and_then_by_its_error(monkeypatch):
     monkeypatch.setattr(stress, "run", lambda *_: [row(0, 0.1), row(8, None), row(1, 0.3)])
     walks = [{"fall": None, "tracking_error": 0.16, "yaw_error": 0.25}]
     walks += [{"fall": 0.5, "tracking_error": None, "yaw_error": None}]
-    monkeypatch.setattr(trials, "run", lambda policy, body: ({"commands": walks}, None))
+    monkeypatch.setattr(trials, "run", lambda policy, player: ({"commands": walks}, None))
     told = {0: (1, 0), 1: (0, 2), 2: (0, 0)}
     monkeypatch.setattr(
         changes, "run", lambda _, seed: dict(zip(("falls", "start_falls"), told[seed], strict=True))

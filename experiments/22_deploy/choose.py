@@ -37,7 +37,7 @@ def measure(name: str) -> dict[str, float]:
     policy, _ = policy_source.load(name)
     body, _ = policy_source.player(policy)
     disturbed = stress.run(policy, body)
-    walks = trials.run(policy, body=body)[0]["commands"]
+    walks = trials.run(policy, player=body)[0]["commands"]
     told = [changes.run(body, seed=seed) for seed in SEEDS]
     return {
         "stress": sum(row["falls"] for row in disturbed),

@@ -6,7 +6,6 @@ From results/tuning.csv.xz (batch `fresh`: ten seeds each, 95 % t intervals) and
 line). Steps and seconds are logarithmic.
 """
 
-import csv
 import importlib
 from itertools import groupby
 from pathlib import Path
@@ -25,43 +24,42 @@ PANELS = (  # what `table.evaluations` gives, its name, the level
 )
 LOOKS = {
     "best": ("best", pictures.BLUE, "-"),
-    "ppo": ("PPO, 512 robots", pictures.VERMILION, "-"),
+    "ppo": ("PPO, 256 robots", pictures.ORANGE, "-"),
 }
-ALONE = {  # robots of a job -> label, colour, dashes
-    "best": ("best", pictures.BLUE, "-"),
-    "256": ("PPO, 256 robots", pictures.ORANGE, (0, (1, 1))),
-    "512": ("PPO, 512 robots", pictures.VERMILION, "-"),
-    "2048": ("PPO, 2048 robots", pictures.GREY, (0, (5, 2))),
+ALONE = {  # what runs -> colour, dashes
+    "best": (pictures.BLUE, "-"),
+    "PPO, 256": (pictures.ORANGE, (0, (1, 1))),
+    "PPO, 512": (pictures.VERMILION, "-"),
+    "PPO, 1024": (pictures.VERMILION, (0, (5, 2))),
+    "PPO, 2048": (pictures.GREY, (0, (5, 2))),
+    "PPO, 4096": (pictures.GREY, "-"),
 }
 
 
 def main():
     fig, axes = pictures.figure(2, 3, 5.6)
-    fresh = [row for row in table.read("tuning.csv.xz") if row["batch"].startswith("fresh")]
+    fresh = [row for row in table.read("tuning.csv.xz") if row["batch"] == "fresh"]
     for name, some in groupby(fresh, lambda row: row["name"].split("-")[0]):
         steps, error, yaw, falls = table.evaluations([*some])
         for axis, values in zip(axes[0], (error, yaw, 100 * falls), strict=True):
             label, colour, _ = LOOKS[name]
             pictures.band(axis, steps[:, 0] / 1e6, values, colour, label, most=len(steps))
-    with (table.RESULTS / "alone.csv").open() as file:
-        alone = [*csv.DictReader(file)]
-    for (job, _), some in groupby(alone, lambda row: (row["job"], row["seed"])):
-        rows = [*some]
-        label, colour, dash = ALONE[robots(job)]
+    for engine, name, rows in table.runs_alone():
+        if engine != "kernel":
+            continue
+        colour, dash = ALONE[name]
         seconds = [float(row["seconds"]) for row in rows]
         columns = ("tracking_error", 1), ("yaw_error", 1), ("fall_rate", 100)
         for axis, (column, scale) in zip(axes[1], columns, strict=True):
             values = [scale * float(row[column]) for row in rows]
-            axis.plot(
-                seconds, values, color=colour, ls=dash, lw=1.4, marker="o", ms=2.5, label=label
-            )
+            axis.plot(seconds, values, color=colour, ls=dash, lw=1.2, label=name)
     for axis, (title, level) in zip(np.ravel(axes), PANELS * 2, strict=True):
         axis.axhline(level, color="0.4", lw=1, ls=":")
         axis.set_title(title, loc="left")
         axis.set(xscale="log", ylim=(0, None))
     for row, ticks, words in zip(
         axes,
-        ((0.1, 0.3, 1, 3), (1, 3, 10, 30)),
+        ((0.1, 0.3, 1, 3), (0.3, 1, 3, 10)),
         ("million simulator steps", "seconds of training, a card alone"),
         strict=True,
     ):
@@ -80,14 +78,6 @@ def main():
         fontsize=9.5,
     )
     pictures.save(fig, Path(__file__).with_name("curves"))
-
-
-def robots(job: str) -> str:
-    """`best`, or how many robots PPO has."""
-    if job.startswith("g1:best"):
-        return "best"
-    fields = dict(field.split("=", 1) for field in job.split()[1:])
-    return fields.get("rollout.num_envs", "512")  # that of `g1:ppo` in commit e047394
 
 
 if __name__ == "__main__":

@@ -1,10 +1,11 @@
-"""The tables in README.md, from results/tuning.csv.xz and results/gait.csv.xz (of `gait.py`).
+"""The tables in README.md and tried.md, from the files in results/.
 
     python experiments/25_humanoid/table.py
 
-How they walk: a row a policy. Fresh: seeds that chose no setting. What was tried: a row a job, of its seeds:
-when they walk (`dynappo/policy/walks.py`, by tracking), in millions of simulator steps, each seed; and the
-last evaluation, in the mean: errors and falls.
+Fresh (tuning.csv.xz): seeds that chose no setting. Alone (alone.csv): one run on a card, in seconds. How they
+walk (gait.csv.xz, of `gait.py`): a row a policy. Then a row a job of tuning.csv.xz, batch by batch: when its
+seeds walk (`dynappo/policy/walks.py`, by tracking), in millions of simulator steps; and the last evaluation,
+in the mean: errors and falls.
 """
 
 import csv
@@ -44,10 +45,26 @@ CLOCK = (  # what `configs/g1.py` has had since
 SMOOTH = "task.weights.foot_slip=-0.5 task.weights.action_rate=-0.03"
 
 
+# what is under one heading: batches of tuning.csv.xz
+PARTS = {
+    "What each part is worth": ("ablation",),
+    "What the model is worth": ("control",),
+    "PPO's settings": ("ppo-grid", "ppo-grid2"),
+    "For hardware": ("deploy", "deploy2", "deploy3", "deploy-fresh"),
+}
+
+
 def main():
-    gait()
     fresh()
-    tuning()
+    alone()
+    errors()
+    gait()
+    rows = [row for row in read("tuning.csv.xz") if not row["batch"].startswith("fresh")]
+    for heading, batches in PARTS.items():
+        print(heading + "\n")
+        jobs([row for row in rows if row["batch"] in batches])
+    print("What was tried before\n")
+    jobs([row for row in rows if row["batch"] not in sum(PARTS.values(), ())])
 
 
 def read(name):
@@ -78,13 +95,15 @@ def evaluations(rows):
 
 
 def fresh():
-    """Ten seeds that chose no setting, of `best` and of PPO."""
+    """Ten seeds that chose no setting, of `best` and of PPO; and of earlier settings."""
     print(
-        "| | walks: M steps, mean | last | within the errors, mean | last | in all | m/s | rad/s | falls |"
+        "| batch | | walks: M steps, mean | last | within the errors, mean | last | in all | m/s | "
+        "rad/s | falls |"
     )
-    print("|---|---|---|---|---|---|---|---|---|")
+    print("|---|---|---|---|---|---|---|---|---|---|")
     rows = [row for row in read("tuning.csv.xz") if row["batch"].startswith("fresh")]
-    for name, some in groupby(rows, lambda row: row["name"].split("-")[0]):
+    rows.sort(key=lambda row: row["batch"])
+    for (batch, name), some in groupby(rows, lambda r: (r["batch"], r["name"].split("-")[0])):
         steps, *errors = evaluations([*some])
         found = stats.reached_by_tracking(steps, *errors)
         cells = []
@@ -94,12 +113,57 @@ def fresh():
             cells.append(f"{np.nanmax(each):.2f}" + (f", {never} never" if never else ""))
         cells.append(f"{steps[-1, 0] / 1e6:.2f}")
         cells += [f"{error[-1].mean():.3f}" for error in errors[:2]]
-        print(f"| `{name}` |", " | ".join(cells), f"| {100 * errors[2][-1].mean():.1f} % |")
+        falls = f"{100 * errors[2][-1].mean():.1f} %"
+        print(f"| {batch} | `{name}` |", " | ".join(cells), f"| {falls} |")
     print()
 
 
-def tuning():
-    rows = [row for row in read("tuning.csv.xz") if not row["batch"].startswith("fresh")]
+def alone():
+    """One run at a time on a card: where it walks, and what an iteration took."""
+    print("| engine | robots | seed | walks: M steps | seconds | ms an iteration |")
+    print("|---|---|---|---|---|---|")
+    for engine, robots, some in runs_alone():
+        steps, *errors = evaluations(some)
+        walks = stats.reached_by_tracking(steps, *errors).walks
+        seconds = np.array([float(row["seconds"]) for row in some])
+        at = f"{seconds[steps[:, 0] == walks][0]:.1f}" if np.isfinite(walks[0]) else "-"
+        mean = 1e3 * seconds[-1] / float(some[-1]["iteration"])
+        walked = f"{walks[0] / 1e6:.2f}" if np.isfinite(walks[0]) else "never"
+        print(f"| {engine} | {robots} | {some[0]['seed']} | {walked} | {at} | {mean:.1f} |")
+    print()
+
+
+def runs_alone():
+    """`(engine, "best" or how many robots PPO has, rows)` of each run of alone.csv."""
+    with (RESULTS / "alone.csv").open() as file:
+        rows = [*csv.DictReader(file)]
+    for (engine, job, _), some in groupby(rows, lambda r: (r["engine"], r["job"], r["seed"])):
+        fields = dict(field.split("=", 1) for field in job.split()[1:])
+        robots = fields.get("rollout.num_envs", "512")  # that of `g1:ppo` in commit e047394
+        yield engine, "best" if job.startswith("g1:best") else f"PPO, {robots}", [*some]
+
+
+def errors():
+    """Shares of the spread, of one, four and twenty predictions in a row, by iteration."""
+    with (RESULTS / "errors.csv").open() as file:
+        rows = [*csv.DictReader(file)]
+    at = [*dict.fromkeys(row["iteration"] for row in rows)]
+    print("| 1, 4, 20 predictions in a row |", " | ".join(f"iteration {i}" for i in at), "|")
+    print("|---|" + "---|" * len(at))
+    for group in dict.fromkeys(row["group"] for row in rows):
+        cells = [
+            ", ".join(
+                f"{100 * float(row['share']):.0f}"
+                for row in rows
+                if (row["group"], row["iteration"]) == (group, i)
+            )
+            for i in at
+        ]
+        print(f"| {group} |", " | ".join(f"{cell} %" for cell in cells), "|")
+    print()
+
+
+def jobs(rows):
     print("| run | what differs | walks, M steps | M steps in all | m/s | rad/s | falls |")
     print("|---|---|---|---|---|---|---|")
     for name, some in groupby(rows, lambda row: row["name"]):
@@ -111,11 +175,12 @@ def tuning():
         job = job.replace(CLOCK, "task.clock=on").replace(SMOOTH, "task.smooth=on")
         robot, *fields = job.split()
         last = dict(field.split("=", 1) for field in fields if not field.startswith(OF_ALL))
-        differs = " ".join(f"{k.split('.', 1)[1]}={v}" for k, v in last.items())
+        differs = " ".join(f"{k.split('.', 1)[-1]}={v}" for k, v in last.items())
         print(
             f"| {name} | {robot.split(':')[1]} {differs} | {said} | {steps[-1, 0] / 1e6:.2f} | "
             f"{error[-1].mean():.3f} | {yaw[-1].mean():.3f} | {100 * falls[-1].mean():.1f} % |"
         )
+    print()
 
 
 if __name__ == "__main__":
