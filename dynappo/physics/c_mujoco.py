@@ -250,6 +250,8 @@ class _World:
             model.body_inertia[base] = nominal.body_inertia[base] * scale
         if "base_com" in self.varied:
             model.body_ipos[base] = com
+            # else MuJoCo takes the body's frame for the inertia's, where the file has them in one place
+            model.body_sameframe[base] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
         if "friction" in self.varied:
             model.geom_friction[feet, 0] = friction
         if "armature" in self.varied:

@@ -357,6 +357,27 @@ def test_a_number_for_each_joint_is_that_for_all_where_they_are_equal(go1):
     assert apart[4] > 0.1
 
 
+def test_a_centre_of_mass_moves_from_where_the_body_begins(go1):
+    """MuJoCo notes at compile time that both frames are one, and would not look at the centre again."""
+    centre, states = np.array([0.03, -0.02, 0.01]), []
+    for at in (np.zeros(3), np.full(3, 1e-6)):
+        spec = mujoco.MjSpec.from_string(go1.world.robot.alone)
+        base = spec.body("trunk")
+        base.ipos, base.iquat, base.fullinertia, base.inertia = (
+            at,
+            [1, 0, 0, 0],
+            [np.nan] * 6,
+            [0.02, 0.06, 0.07],
+        )
+        robot = robot_lib.load_text(spec.to_xml(), "go1", go1.world.robot.xml)
+        same_frame = robot.mj_model.body_sameframe[robot.base_body]
+        assert (same_frame == mujoco.mjtSameFrame.mjSAMEFRAME_BODY) == (not at.any())
+        step = jax.vmap(c_mujoco.make(robot, go1.world.config.physics, VARIED))
+        inputs = changed(go1.inputs, 4, slice(None), slice(1, 4), centre)
+        states.append(jax.device_get(step(*inputs)).qvel)
+    np.testing.assert_allclose(*states, atol=2e-5)
+
+
 def test_what_is_not_varied_is_the_files(go1):
     fixed = jax.jit(jax.vmap(go1.make(varied=frozenset())))
     before = jax.device_get(fixed(*go1.inputs))
