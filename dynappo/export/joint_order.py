@@ -21,6 +21,14 @@ ORDERS = ("mjcf", "isaaclab", "unitree")
 # Motor numbers 0-11 of Go1 and Go2, each leg hip to calf: unitree_legged_sdk, quadruped.h (FR_0 = 0,
 # FL_0 = 3, RR_0 = 6, RL_0 = 9) and unitree_sdk2, dds_wrapper/robots/go2/defines.h (JointIndex)
 UNITREE_LEGS = ("FR", "FL", "RR", "RL")
+# Motor numbers 0-28 of a G1: unitree_sdk2, example/g1/low_level/g1_ankle_swing_example.cpp (G1JointIndex)
+_LEG = "hip_pitch hip_roll hip_yaw knee ankle_pitch ankle_roll".split()
+_ARM = "shoulder_pitch shoulder_roll shoulder_yaw elbow wrist_roll wrist_pitch wrist_yaw".split()
+UNITREE_G1 = (
+    *(f"{side}_{name}_joint" for side in ("left", "right") for name in _LEG),
+    *(f"waist_{name}_joint" for name in ("yaw", "roll", "pitch")),
+    *(f"{side}_{name}_joint" for side in ("left", "right") for name in _ARM),
+)
 
 
 def parse(
@@ -45,6 +53,8 @@ def parse(
         return names, text
     if text == "isaaclab":
         return _breadth_first(robot), text
+    if text == "unitree" and set(names) == set(UNITREE_G1):
+        return UNITREE_G1, text
     if text == "unitree":
         expect(set(legs) == set(UNITREE_LEGS), f"{robot.name} has the legs {' '.join(legs)}")
         return tuple(name for leg in UNITREE_LEGS for name in legs[leg]), text
