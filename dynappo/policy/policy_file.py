@@ -35,6 +35,7 @@ MAX_BYTES = 2**27  # of all arrays together; a policy has less than 1 MiB
 # what NumPy says of a file that is no npz, or damaged
 DAMAGE = (ValueError, TypeError, EOFError, KeyError, RuntimeError, MemoryError, SyntaxError)
 DAMAGE += (zipfile.BadZipFile, zlib.error, tokenize.TokenError)
+MIN_STD = 1e-3  # of an input (learner/scaling.py)
 MAX_MEAN = 10.0  # of the mean action (learner/networks.py)
 ACTIVATIONS = {
     "elu": lambda x: np.where(x > 0, x, np.expm1(np.minimum(x, 0))),
@@ -173,6 +174,25 @@ def actor(params: dict, activation: str) -> Callable[[np.ndarray], np.ndarray]:
     return mean
 
 
+def scaled(params: dict) -> dict:
+    """The parameters of networks that see their inputs as they are: what `ppo.normalize` does to them
+    (learner/scaling.py) is multiplied into the first layers."""
+    if "inputs" not in params:
+        return params
+    out = {name: part for name, part in params.items() if name != "inputs"}
+    for name, of in params["inputs"].items():
+        layers = out[name]["params"]
+        count, mean, m2 = (np.asarray(of[part], float) for part in ("count", "mean", "m2"))
+        if count == 0:
+            continue
+        std = np.maximum(np.sqrt(m2 / count), MIN_STD)
+        kernel = np.asarray(layers["Dense_0"]["kernel"], float) / std[:, None]
+        bias = np.asarray(layers["Dense_0"]["bias"], float) - mean @ kernel
+        first = {"kernel": kernel.astype(np.float32), "bias": bias.astype(np.float32)}
+        out[name] = {"params": layers | {"Dense_0": first}}
+    return out
+
+
 def save(
     path: Path, params: dict, config, robot: robot_lib.Robot | None, seed: int | None = None
 ) -> None:
@@ -184,7 +204,7 @@ def save(
     entry: dict[str, Any] = {"robot": "", "config": config.to_dict(), "format": 2}
     if robot is not None:
         entry |= about(describe(config, robot)._replace(seed=seed))
-    save_params(path, params, about=to_json(entry))
+    save_params(path, scaled(params), about=to_json(entry))
 
 
 def to_json(value) -> str:
@@ -369,7 +389,7 @@ def load_checkpoint(folder: Path, seed: int | None = None) -> Policy:
     if not arrays:
         raise ConfigError(f"{folder}: not a checkpoint of dynappo (it holds no networks)")
     try:
-        params = checks.nested(arrays)
+        params = scaled(checks.nested(arrays))
     except ValueError as error:
         raise ConfigError(f"{folder}: {error}") from None
     return _checked(folder, policy._replace(params=params, seed=chosen if seeds > 1 else None))

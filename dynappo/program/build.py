@@ -53,11 +53,14 @@ def check(config, env: Any = None) -> None:
     from dynappo.description import motors, robot
     from dynappo.physics import engine_contract
     from dynappo.program import environment
-    from dynappo.tasks import env_contract, of_robots
+    from dynappo.tasks import by_name, env_contract, of_robots
 
     if env is not None:
         devices.engine(config)
         return env_contract.check(env, config, schedule.uses_model(config))
+    if config.env:
+        devices.engine(config)
+        return by_name.check(config)
     environment.check_robot(config)
     impl = devices.engine(config)
     if impl == "warp":
@@ -69,10 +72,13 @@ def check(config, env: Any = None) -> None:
 
 
 def engine_note(program: Program, config) -> str:
-    """A line on a robot whose physics are slower or coarser on this engine, and why; else ""."""
+    """A line on where another package's environment comes from, or on a robot whose physics are slower or coarser on this engine, and why; else ""."""
     from dynappo.physics import engine_contract
     from dynappo.physics.warp import scope
+    from dynappo.tasks import by_name
 
+    if config.env:
+        return by_name.about(config)
     if program.impl == "jax":
         return engine_contract.coarse(program.robot)
     if program.impl != "warp":
@@ -263,10 +269,14 @@ def _environment(config, env: Any, impl: str) -> tuple[Any, Any, Any, str]:
     from dynappo.description import motors
     from dynappo.description import robot as robot_lib
     from dynappo.program import environment
-    from dynappo.tasks import of_robots
+    from dynappo.tasks import by_name, of_robots
 
     if env is not None:
         return config, None, env, "own"
+    if config.env:
+        with jax.default_device(devices.local(config.run.device)):
+            env = by_name.make(config, impl=impl)
+        return config, None, env, "own" if config.env.startswith("brax:") else impl
     environment.check_robot(config)
     config, robot = motors.fitted(config, robot_lib.load(config.robot))
     with jax.default_device(devices.local(config.run.device)):

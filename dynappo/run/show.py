@@ -31,7 +31,9 @@ def describe(config) -> str:
     s, r, run = config.schedule, config.rollout, config.run
     seeds = f" x {run.num_seeds} seeds" if run.num_seeds > 1 else ""
     what = f"{config.robot}: {r.num_envs} robots"
-    if not config.robot:
+    if config.env:
+        what = f"{config.env}: {r.num_envs} copies"
+    elif not config.robot:
         what = f"an environment of your own: {r.num_envs} copies"
     devices = run.mesh_seed * run.mesh_env
     over = f" over {run.mesh_seed} x {run.mesh_env} devices" if devices > 1 else ""

@@ -1,0 +1,11 @@
+"""MuJoCo Playground's locomotion tasks (0.2.0) as `types.Env`: `--config=playground:TASK`.
+
+The task itself is Playground's, unchanged: its `reset` and its `step` are called. Read in this order:
+
+- `assets`: where the robots' meshes come from, without network
+- `loading`: a task by its name, on the engine that is here
+- `swapped`: the task's step with physics, or noise, replaced by what is given
+- `parts`: what each number of an observation is, found by probing the task
+- `env`: the `Env`
+- `settings`: Playground's PPO settings as fields of our config
+"""
