@@ -22,6 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from ml_collections import config_dict
 
+from dynappo import config as config_lib
 from dynappo.config import ConfigError, files, per_joint
 from dynappo.config import fields as fields_lib
 from dynappo.description import robot as robot_lib
@@ -374,6 +375,12 @@ def load_checkpoint(folder: Path, seed: int | None = None) -> Policy:
         raise
     except (KeyError, AttributeError, TypeError, ValueError):
         raise ConfigError(f"{folder}: not a checkpoint of dynappo (it holds no config)") from None
+    params, chosen = _of_seed(folder, about, seeds, seed)
+    return _checked(folder, policy._replace(params=params, seed=chosen if seeds > 1 else None))
+
+
+def _of_seed(folder: Path, about: dict, seeds: int, seed: int | None) -> tuple[dict, int]:
+    """`(parameters, seed)` of a checkpoint of so many seeds: those of `seed`, or of the best."""
     chosen = seed if seed is not None else about.get("best_seed", 0)
     if type(chosen) is not int or not 0 <= chosen < seeds:
         expected = f"expected 0 to {seeds - 1}" if seeds > 1 else "expected 0: the run has one seed"
@@ -389,7 +396,39 @@ def load_checkpoint(folder: Path, seed: int | None = None) -> Policy:
     if not arrays:
         raise ConfigError(f"{folder}: not a checkpoint of dynappo (it holds no networks)")
     try:
-        params = scaled(checks.nested(arrays))
+        return scaled(checks.nested(arrays)), chosen
     except ValueError as error:
         raise ConfigError(f"{folder}: {error}") from None
-    return _checked(folder, policy._replace(params=params, seed=chosen if seeds > 1 else None))
+
+
+class Other(NamedTuple):
+    """A policy of another package's environment (`config.env`)."""
+
+    config: config_dict.ConfigDict  # of its run, with every field; not validated
+    params: dict[str, Any]
+
+
+def load_other(path: Path, seed: int | None = None) -> Other | None:
+    """The policy of a policy.npz or a checkpoint of another package's environment; None if it is a robot's.
+
+    ConfigError where neither can be told.
+    """
+    if path.is_dir():
+        about, arrays = checkpoint_file.about(path), {}
+    else:
+        arrays = _arrays(path)
+        text = str(arrays.pop("about", "{}"))
+        try:
+            about = json.loads(text, parse_constant=_no_number)
+        except (ValueError, RecursionError):
+            return None  # `load` says what is wrong
+    of = about.get("config") if isinstance(about, dict) else None
+    name = of.get("env") if isinstance(of, dict) else None
+    if not name or not isinstance(name, str):
+        return None
+    config = config_lib.from_json(json.dumps(of))
+    try:
+        params = checks.nested(arrays) if arrays else _of_seed(path, about, config.run.num_seeds, seed)[0]
+    except ValueError as error:
+        raise ConfigError(f"{path}: {error}") from None
+    return Other(config, params)

@@ -8,4 +8,6 @@ The task itself is Playground's, unchanged: its `reset` and its `step` are calle
 - `parts`: what each number of an observation is, found by probing the task
 - `env`: the `Env`
 - `settings`: Playground's PPO settings as fields of our config
+
+`tasks/by_name.py` and configs/playground.py import it. It imports `config`, `types` and Playground.
 """
