@@ -32,7 +32,7 @@ PLAIN = dict(specular=0.5, shininess=0.5, emission=0.0)  # MuJoCo's defaults of 
 
 
 def write(
-    player: Player, episode: dict[str, np.ndarray], out: Path, heading, subtitle, rows
+    player: Any, episode: dict[str, np.ndarray], out: Path, heading, subtitle, rows
 ) -> int:
     """Write the page and return its size (bytes); `rows` are (name, value) shown beneath the title.
 

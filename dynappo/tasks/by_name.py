@@ -6,7 +6,7 @@ Each maker is a module of this folder. `program` calls these functions and knows
 from __future__ import annotations
 
 import difflib
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from dynappo.config import ConfigError
 
@@ -58,13 +58,23 @@ def make(config, *, impl: str) -> Env:
             config.task.episode_length,
             random_clock=config.task.random_clock,
         )
+    return _playground(config, impl)[0]
+
+
+def with_model(config) -> tuple[Env, Any]:
+    """A Playground task of `config` on MJX-JAX, and its MuJoCo model as a film shows it."""
+    return _playground(config, "jax")
+
+
+def _playground(config, impl: str) -> tuple[Env, Any]:
     from dynappo.tasks.playground import env, loading
 
-    run = config.run
+    run, name = config.run, config.env.partition(":")[2]
     # of the robots of all seeds on one device, in training or in an evaluation
     worlds = max(config.rollout.num_envs, run.eval_envs) * run.num_seeds
     loaded = loading.load(name, impl, -(-worlds // (run.mesh_seed * run.mesh_env)))
-    return env.make(loaded.task, config.task.episode_length, config.task.random_clock)
+    made = env.make(loaded.task, config.task.episode_length, config.task.random_clock)
+    return made, loading.drawn(loaded)
 
 
 def _check_brax(name: str) -> None:

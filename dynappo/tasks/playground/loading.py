@@ -8,6 +8,7 @@ import importlib.util
 import pathlib
 from typing import Any, NamedTuple
 
+import mujoco
 from etils import epath
 
 from dynappo.config import ConfigError
@@ -65,6 +66,12 @@ def load(name: str, impl: str = "jax", worlds: int = 1) -> Loaded:
     with task._config.unlocked():  # some tasks set it as they are made
         task._config.naconmax = -(-task._config.naconmax * worlds // PLAYGROUND_ROBOTS)
     return Loaded(name, task, text)
+
+
+def drawn(loaded: Loaded) -> mujoco.MjModel:
+    """The task's model as films and pages show it."""
+    model = loaded.task.mj_model
+    return assets.shown(model) if loaded.assets.startswith(assets.STAND_INS) else model
 
 
 def ppo_config(name: str) -> Any:

@@ -128,8 +128,8 @@ def template(task: Any) -> Any:
 
 def with_fields(data: Any, fields: dict[str, Any]) -> Any:
     """`data` with these arrays, in its own shapes."""
-    shaped = {name: jnp.reshape(x, getattr(data, name).shape) for name, x in fields.items()}
-    return data.replace(**shaped)
+    arrays = {name: jnp.array(x).reshape(getattr(data, name).shape) for name, x in fields.items()}
+    return data.replace(**arrays)
 
 
 def layout(task: Any) -> Layout:
