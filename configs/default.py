@@ -320,7 +320,7 @@ class Config(NamedTuple):
     """Every field, as the paper's `dyna4` has it."""
 
     robot: str = "go1"  # a folder of robots/; "": of another environment
-    env: str = ""  # another's environment, playground:TASK or brax:NAME (docs/environment.md); "": the robot's
+    env: str = ""  # playground:TASK or brax:NAME (docs/environment.md); "": the task of the robot
     run: Run = Run()
     rollout: Rollout = Rollout()
     schedule: Schedule = Schedule()

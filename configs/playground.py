@@ -46,11 +46,12 @@ def _ppo(config, found):
     config.schedule.update(start_iteration=0, end_iteration=0, start_steps=0, end_steps=0)
     config.ppo.update(found.ppo)
     config.ppo.update(adaptive=False, clip_value=False, value_coef=0.25, shuffle_blocks=1)
-    config.run.update(num_iterations=found.iterations)
+    every = config.run.log_every
+    config.run.num_iterations = -(-found.iterations // every) * every
 
 
 def _best(config):
-    """Few robots, five of six rows and two of three updates imagined, as for bipeds (experiments/25_humanoid)."""
+    """Few robots, five of six rows and two of three updates imagined, as for bipeds."""
     config.rollout.update(num_envs=1024, horizon=24)
     config.schedule.update(
         start_iteration=0, end_iteration=5, start_steps=0, end_steps=20, rounds=3

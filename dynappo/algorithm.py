@@ -147,9 +147,9 @@ def iterate(
         metrics |= stats.of_tail(rows, real, env.dt)
 
     if static.ppo.normalize:
-        seen = networks.inputs(static, env, rows.obs, rows.prop)
-        seen = dict(zip(("actor", "critic"), seen, strict=True))
-        learner = scaling.updated(learner, seen, real * rows.valid)
+        of_actor, of_critic = networks.inputs(static, env, rows.obs, rows.prop)
+        seen = {"actor": of_actor, "critic": of_critic}
+        learner = scaling.updated(learner, seen, weight=real * rows.valid)
 
     returns, lengths = stats.finished(state, rows, n_real)
     state = state.replace(learner=learner, returns=returns, lengths=lengths)

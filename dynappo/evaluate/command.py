@@ -20,7 +20,16 @@ import mujoco
 from dynappo.config import ConfigError, files
 from dynappo.config import flags as flags_lib
 from dynappo.description.robot import Robot
-from dynappo.evaluate import changes, episodes, figures, report, stress, tables, task_episodes, trials
+from dynappo.evaluate import (
+    changes,
+    episodes,
+    figures,
+    report,
+    stress,
+    tables,
+    task_episodes,
+    trials,
+)
 from dynappo.policy import policy_source
 from dynappo.policy.episode import Player
 from dynappo.policy.policy_file import Policy

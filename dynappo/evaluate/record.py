@@ -28,7 +28,9 @@ def record(policy: policy_file.Other, out: Path, seed: int, acts: str, seconds: 
 
     config = policy.config
     if not config.env.startswith("playground:"):
-        raise ConfigError(f"{config.env}: no film, no page: only Playground's tasks have a MuJoCo model")
+        raise ConfigError(
+            f"{config.env}: no film, no page: only Playground's tasks have a MuJoCo model"
+        )
     config.run.update(device="cpu", num_seeds=1, mesh_seed=1, mesh_env=1, eval_envs=0)
     config.rollout.num_envs, config.ppo.shuffle_blocks, config.run.mesh_env = 1, 1, 1
     config.physics.impl = "jax"
@@ -56,7 +58,8 @@ def record(policy: policy_file.Other, out: Path, seed: int, acts: str, seconds: 
     names = "qpos", "velocity", "command", "fell", "reward"
     episode = {name: np.array(x) for name, x in zip(names, zip(*rows, strict=True), strict=True)}
     base = int(model.jnt_bodyid[0])
-    np.savez(out, **episode, dt=env.dt, base=base)
+    arrays: dict = episode | {"dt": env.dt, "base": base}
+    np.savez(out, **arrays)
     mujoco.mj_saveModel(model, str(out.with_suffix(".mjb")), None)
 
 

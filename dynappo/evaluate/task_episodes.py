@@ -24,7 +24,7 @@ def check(policy: Other, flags) -> Any:
     for name in ("fast", "stress", "randomize"):
         if getattr(flags, name):
             raise ConfigError(
-                f"--{name}: the policy is of {policy.config.env}, which is evaluated in its own episodes alone"
+                f"--{name}: the policy is of {policy.config.env}, which has its own episodes alone"
             )
     config = policy.config
     config.run.update(device="auto", num_seeds=1, mesh_seed=1, mesh_env=1)

@@ -40,14 +40,19 @@ def check(policy: Other, flags) -> None:
         )
     for name in ("command", "keep_joints"):
         if getattr(flags, name):
-            raise ConfigError(f"--{name.replace('_', '-')}: {env} has commands and a robot of its own")
+            raise ConfigError(
+                f"--{name.replace('_', '-')}: {env} has commands and a robot of its own"
+            )
 
 
 def run(policy: Other, path: Path, flags, named: str) -> None:
     """Record an episode, and write and print what `flags` ask for."""
     acts, out = flags.policy or "policy", flags.out
     told = {"policy": named, "zero": "zero actions", "random": f"random actions, seed {flags.seed}"}
-    print(f"dynappo plays {policy.config.env}: {told[acts]}; it compiles first, a minute or two", flush=True)
+    print(
+        f"dynappo plays {policy.config.env}: {told[acts]}; it compiles first, a minute or two",
+        flush=True,
+    )
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "episode.npz"
         command = [*interpreter.command("dynappo.evaluate.record"), str(path), str(file)]
@@ -72,7 +77,9 @@ def run(policy: Other, path: Path, flags, named: str) -> None:
             shown = render.Shown(file.with_suffix(".mjb"), "", base)
             problem = render.film(shown, episode, out, flags.size)
             if problem:
-                raise ConfigError(f"--out={out}: {problem}; a page needs neither: --out={out.stem}.html")
+                raise ConfigError(
+                    f"--out={out}: {problem}; a page needs neither: --out={out.stem}.html"
+                )
     rows.append(("written", f"{out} ({out.stat().st_size / 1024:.0f} KiB)"))
     for name, text in rows:
         print(f"{name:18s} {text}")

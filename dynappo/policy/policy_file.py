@@ -428,7 +428,11 @@ def load_other(path: Path, seed: int | None = None) -> Other | None:
         return None
     config = config_lib.from_json(json.dumps(of))
     try:
-        params = checks.nested(arrays) if arrays else _of_seed(path, about, config.run.num_seeds, seed)[0]
+        params = (
+            checks.nested(arrays)
+            if arrays
+            else _of_seed(path, about, config.run.num_seeds, seed)[0]
+        )
     except ValueError as error:
         raise ConfigError(f"{path}: {error}") from None
     return Other(config, params)

@@ -83,7 +83,9 @@ def other(flags: argparse.Namespace) -> tuple[policy_file.Other, Path, str] | No
     if found is None:
         return None
     if flags.robot_xml is not None:
-        raise ConfigError(f"--robot-xml={flags.robot_xml}: {path} is a policy of {found.config.env}")
+        raise ConfigError(
+            f"--robot-xml={flags.robot_xml}: {path} is a policy of {found.config.env}"
+        )
     seed = f", seed {flags.run_seed}" if flags.run_seed is not None else ""
     return found, path, "/".join(path.resolve().parts[-2:]) + seed
 

@@ -72,7 +72,8 @@ def check(config, env: Any = None) -> None:
 
 
 def engine_note(program: Program, config) -> str:
-    """A line on where another package's environment comes from, or on a robot whose physics are slower or coarser on this engine, and why; else ""."""
+    """A line on a robot whose physics are slower or coarser on this engine, and why; or on where another
+    package's environment comes from; else ""."""
     from dynappo.physics import engine_contract
     from dynappo.physics.warp import scope
     from dynappo.tasks import by_name

@@ -62,7 +62,7 @@ def check_robot(config) -> None:
     """ConfigError if `config` is for an environment of your own, which is missing here."""
     if config.env:
         raise ConfigError(
-            f"env is {config.env!r}, expected one of dynappo's robots: only train, evaluate and play know others"
+            f"env is {config.env!r}, expected a robot: only train, evaluate and play know others"
         )
     if not config.robot:
         raise ConfigError(

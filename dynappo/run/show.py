@@ -205,6 +205,8 @@ def summary(out, config, workdir: Path, summary: dict[str, Any]) -> None:
         say(str(summary["curves"]))
     if "video" in summary:
         say(str(summary["video"]))
+    if config.env.startswith("playground:"):
+        return say(f"see it: {shell.line('play', workdir, '--out=walk.html')}")
     if not config.robot:
         text = (
             f"no film, no play: it is no robot; policy_file.load_actor('{workdir}/policy.npz') acts"

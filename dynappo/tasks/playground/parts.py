@@ -2,12 +2,12 @@
 
 A Playground task does not say which numbers of its observation are what. But its step can be asked
 (swapped.py): with one and the same state and action, and other data after physics, a number that changes
-depends on physics and must be predicted. All others are known, and the task's own step computes them in a tail.
-With noise at its largest instead of 0, a number that changes is noisy, by that much. Two predicted numbers that
-are always equal are one. So velocities, joints, contacts and air times are predicted; commands and their
-timers, last actions, phases, histories and what a step shows of the step before are known.
+depends on physics and must be predicted. All others are known, and the task's own step computes them in a
+tail. With noise at its largest instead of 0, a number that changes is noisy, by that much. Two predicted
+numbers that are always equal are one. So velocities, joints, contacts and air times are predicted; commands
+and their timers, last actions, phases, histories and what a step shows of the step before are known.
 
-The probes vary data around the task's first pose, so that no probe ends an episode: as in a tail, which goes on.
+The probes vary data around the task's first pose, and those that end an episode are left out: a tail goes on.
 
     raw  = [ every number of the observation | the task's own numbers (info) | ctrl | unseen ]
     obs  = [ prop | context ]: each predicted number once, then what is known
@@ -23,7 +23,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 from jaxtyping import Array, Float
-from mujoco_playground._src import mjx_env
+from mujoco_playground._src import mjx_env  # pyright: ignore[reportMissingImports]
 
 from dynappo.tasks.playground import swapped
 from dynappo.types import Views
@@ -32,8 +32,8 @@ PROBES, ROUNDS = 256, 4
 LARGE = 1e6  # in the place of a task's infinities
 # of data, what a step computes observation, reward and termination from
 FIELDS = (
-    "qpos qvel qacc sensordata xpos xquat xmat xipos geom_xpos geom_xmat site_xpos site_xmat subtree_com cvel "
-    "actuator_force qfrc_actuator"
+    "qpos qvel qacc sensordata xpos xquat xmat xipos geom_xpos geom_xmat site_xpos site_xmat subtree_com "
+    "cvel actuator_force qfrc_actuator"
 ).split()
 ACTOR, CRITIC = "state", "privileged_state"  # Playground's names of the two observations
 
@@ -48,9 +48,9 @@ class Layout(NamedTuple):
     prop_size: int
     noise: np.ndarray  # [P] half width of the uniform noise
     views: Views
-    home: dict[str, np.ndarray] = {}  # data of the task's first pose
-    reads_ctrl: bool = True  # whether a step reads the control before it
-    clipped: bool = True  # whether no reward is below 0
+    home: dict[str, np.ndarray]  # data of the task's first pose
+    reads_ctrl: bool  # whether a step reads the control before it
+    clipped: bool  # whether no reward is below 0
 
 
 class Raw(NamedTuple):
@@ -93,7 +93,7 @@ def unvector(names: tuple[str, ...], numbers: Float[Array, " E"], like: Raw) -> 
         shape, dtype = x.shape, x.dtype
         size = int(np.prod(shape))
         part, place = numbers[place : place + size].reshape(shape), place + size
-        if dtype == bool:
+        if jnp.issubdtype(dtype, jnp.bool_):
             return part > 0.5
         return jnp.round(part).astype(dtype) if jnp.issubdtype(dtype, jnp.integer) else part
 
@@ -163,21 +163,26 @@ def layout(task: Any) -> Layout:
         raw, metrics = jax.device_get(_compiled(partial(_first, task, at_home), keys)(keys))
         metrics = jax.tree.map(lambda x: x[0], metrics)
         probe = _compiled(partial(_probe, task, metrics), *arguments(raw))
-        for _ in range(ROUNDS):
-            raw, numbers, reward, ended = jax.device_get(probe(*arguments(raw)))
+        out = probe(*arguments(raw))
+        for _ in range(
+            ROUNDS - 1
+        ):  # actions, contacts and air times differ more from round to round
+            out = probe(*arguments(jax.device_get(out[0])))
+        raw, numbers, reward, ended = jax.device_get(out)
     exact, other, loudest, coasted = (x[~ended] for x in numbers)
     predicted = (np.abs(exact - other) > 1e-5 * (1 + np.abs(exact))).any(0)
     noise = np.where(predicted, np.abs(loudest - exact).min(0), 0.0)
     noise[noise < 1e-6] = 0.0
     one, reads_ctrl = jax.tree.map(lambda x: x[0], raw), bool((exact != coasted).any())
-    found = _arranged(names_of(raw.obs), one, exact, predicted, noise, reads_ctrl)
-    return found._replace(home=at_home, reads_ctrl=reads_ctrl, clipped=bool(reward.min() >= 0))
+    of_data = {"home": at_home, "reads_ctrl": reads_ctrl, "clipped": bool(reward.min() >= 0)}
+    return _arranged(names_of(raw.obs), one, exact, predicted, noise, of_data)
 
 
 def _compiled(function: Any, *arguments: Any) -> Any:
     """`jax.vmap(function)` for these arguments; not optimised, for it runs a few times."""
     lowered = jax.jit(jax.vmap(function)).lower(*arguments)
-    return lowered.compile({"xla_backend_optimization_level": 0})
+    options: Any = {"xla_backend_optimization_level": 0}
+    return lowered.compile(options)
 
 
 def _contact_sensors(model: mujoco.MjModel) -> np.ndarray:
@@ -188,8 +193,8 @@ def _contact_sensors(model: mujoco.MjModel) -> np.ndarray:
     return np.array([model.sensor_adr[i] for i in of], int)
 
 
-def _first(task: Any, at_home: dict[str, np.ndarray], key) -> Raw:
-    """A reset, all of whose data are those at home."""
+def _first(task: Any, at_home: dict[str, np.ndarray], key) -> tuple[Raw, dict[str, Any]]:
+    """A reset without physics, and its metrics."""
     with swapped.physics(lambda data, ctrl: data):
         out = task.reset(key)
     info = jax.tree.map(jnp.asarray, out.info)
@@ -222,14 +227,14 @@ def _probe(task: Any, metrics, raw: Raw, action, before, after, other_before, ot
     return typed, vectors, exact.reward, ended
 
 
-def _arranged(names, one: Raw, exact, predicted, noise, reads_ctrl: bool) -> Layout:
+def _arranged(names, one: Raw, exact, predicted, noise, of_data: dict[str, Any]) -> Layout:
     """Puts each predicted number once in front, and what is known behind; `one` is a probe's."""
     sizes = [np.size(one.obs)] if names == ("",) else [np.size(one.obs[name]) for name in names]
     seen, acts, noisy = sum(sizes), sizes[0], noise > 0
     # the model sees neither the task's counters nor what is far from all others
     useless = _places(names, one, _is_counter) | (np.abs(exact) > LARGE / 2).any(0)
     used = np.ones(len(predicted), bool)
-    if not reads_ctrl:
+    if not of_data["reads_ctrl"]:
         only = jax.tree.map(np.zeros_like, one)._replace(ctrl=np.ones_like(one.ctrl))
         used = ~_places(names, only, lambda x: x)
     column, source = np.zeros(len(predicted), int), []
@@ -242,13 +247,13 @@ def _arranged(names, one: Raw, exact, predicted, noise, reads_ctrl: bool) -> Lay
             source.append(at)
         column[at] = found
 
-    for at in np.flatnonzero(predicted & used):
+    for at in np.flatnonzero(predicted & used).tolist():
         values = exact[:, at].tobytes()
         # the policy's own numbers are as it senses them; all others may be one of these, exactly
         keys = [(values, bool(noisy[at]))]
         place(at, keys if at < acts else [*keys, (values, not noisy[at])])
     prop_size = len(source)
-    for at in np.flatnonzero(~predicted & used):
+    for at in np.flatnonzero(~predicted & used).tolist():
         # what is seen twice is known once; but what no probe changes, a step may, and the task's own numbers
         # may change after they are seen
         apart = at >= seen or np.ptp(exact[:, at]) == 0
@@ -266,6 +271,7 @@ def _arranged(names, one: Raw, exact, predicted, noise, reads_ctrl: bool) -> Lay
             critic=np.unique(column[acts:seen]) if len(names) > 1 else column[:acts],
             model=np.flatnonzero(~(useless[of] & (of >= seen))),
         ),
+        **of_data,
     )
 
 

@@ -19,7 +19,7 @@ from unittest import mock
 import jax
 import jax.numpy as jnp
 from mujoco import mjx
-from mujoco_playground._src import mjx_env
+from mujoco_playground._src import mjx_env  # pyright: ignore[reportMissingImports]
 
 LOCK = threading.RLock()  # of the modules whose names are replaced
 
@@ -36,12 +36,12 @@ def physics(step: Callable[[Any, Any], Any]) -> Iterator[None]:
         yield
 
 
-def at(data: Any) -> contextlib.AbstractContextManager[None]:
+@contextlib.contextmanager
+def reset_to(data: Any) -> Iterator[None]:
     """Inside, a reset ends in these data, whatever it draws."""
-    stack = contextlib.ExitStack()
-    stack.enter_context(physics(lambda _, ctrl: data))
-    stack.enter_context(mock.patch.object(mjx, "forward", lambda model, _: data))
-    return stack
+    forward = mock.patch.object(mjx, "forward", lambda model, _: data)
+    with physics(lambda _, ctrl: data), forward:
+        yield
 
 
 @contextlib.contextmanager
