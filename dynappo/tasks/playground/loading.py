@@ -65,6 +65,11 @@ def load(name: str, impl: str = "jax", worlds: int = 1) -> Loaded:
     task = locomotion.load(name, config_overrides={"impl": impl})
     with task._config.unlocked():  # some tasks set it as they are made
         task._config.naconmax = -(-task._config.naconmax * worlds // PLAYGROUND_ROBOTS)
+    if impl == "warp":
+        from dynappo.tasks.playground import warp_kernels  # it needs Warp
+
+        task._mjx_model = warp_kernels.quiet(task._mjx_model)
+        warp_kernels.build(task)
     return Loaded(name, task, text)
 
 
