@@ -253,11 +253,11 @@ def _evaluate(mesh, hyper: Hyper, episodes: Callable, compiled, state):
 
 
 def floats(configs: list, env: Any = None) -> list[Hyper]:
-    """The `hyper` of each config, all of one robot; or of `env`, an environment of your own."""
+    """The `hyper` of each config, all of one robot or of another environment."""
     from dynappo.config import per_joint
     from dynappo.description import robot
 
-    if env is None:
+    if env is None and configs[0].robot:
         of = robot.load(configs[0].robot)
         configs = [per_joint.resolved(one, of.joint_names, of.name) for one in configs]
     return [config_lib.split(one)[1] for one in configs]

@@ -9,7 +9,6 @@ import pathlib
 from typing import Any, NamedTuple
 
 import mujoco
-from etils import epath
 
 from dynappo.config import ConfigError
 from dynappo.tasks.playground import assets
@@ -60,7 +59,7 @@ def load(name: str, impl: str = "jax", worlds: int = 1) -> Loaded:
     check_name(name)
     locomotion, mjx_env = _locomotion(), _module("mjx_env")
     folder, text = _found(name)
-    mjx_env.MENAGERIE_PATH = epath.Path(str(folder))
+    mjx_env.MENAGERIE_PATH = mjx_env.epath.Path(str(folder))
     mjx_env.ensure_menagerie_exists = lambda: None  # it would clone Menagerie
     task = locomotion.load(name, config_overrides={"impl": impl})
     with task._config.unlocked():  # some tasks set it as they are made
