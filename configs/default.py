@@ -157,6 +157,8 @@ class Ppo(NamedTuple):
     critic: Literal["obs", "state"] = "obs"
     # learn as if joint velocities were 20 times smaller, angular velocities 4 times (learner/units.py)
     scale_inputs: bool = False
+    # the networks see their inputs with mean 0 and variance 1, of all rows so far (learner/scaling.py)
+    normalize: bool = False
     symmetry: bool = False  # what is learned of the left holds for the right (learner/symmetry.py)
 
 
@@ -317,7 +319,8 @@ class Physics(NamedTuple):
 class Config(NamedTuple):
     """Every field, as the paper's `dyna4` has it."""
 
-    robot: str = "go1"  # a folder of robots/; "": of an environment of your own
+    robot: str = "go1"  # a folder of robots/; "": of another environment
+    env: str = ""  # playground:TASK or brax:NAME (docs/environment.md); "": the task of the robot
     run: Run = Run()
     rollout: Rollout = Rollout()
     schedule: Schedule = Schedule()

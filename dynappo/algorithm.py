@@ -40,7 +40,7 @@ from jax.sharding import PartitionSpec
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from dynappo import fast, rollout, schedule, stats
-from dynappo.learner import gae, networks, ppo, symmetry, units
+from dynappo.learner import gae, networks, ppo, scaling, symmetry, units
 from dynappo.model import dynamics, errors, examples
 from dynappo.types import Columns, Env, Hyper, Metrics, Static, TrainState, Transition
 
@@ -145,6 +145,11 @@ def iterate(
     )
     if state.model is not None:
         metrics |= stats.of_tail(rows, real, env.dt)
+
+    if static.ppo.normalize:
+        of_actor, of_critic = networks.inputs(static, env, rows.obs, rows.prop)
+        seen = {"actor": of_actor, "critic": of_critic}
+        learner = scaling.updated(learner, seen, weight=real * rows.valid)
 
     returns, lengths = stats.finished(state, rows, n_real)
     state = state.replace(learner=learner, returns=returns, lengths=lengths)

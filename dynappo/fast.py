@@ -28,7 +28,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from dynappo import rollout
-from dynappo.learner import networks, ppo, symmetry
+from dynappo.learner import networks, ppo, scaling, symmetry
 from dynappo.learner import units as units_lib
 from dynappo.model import dynamics
 from dynappo.model.examples import Examples
@@ -65,6 +65,9 @@ def actor_critic(static: Static, params: dict) -> networks.ActorCritic:
         return dot("...i,io->...o", networks.cast(precision, obs), kernel)
 
     def both(obs, critic_obs=None):
+        obs = scaling.scaled(params, "actor", obs)
+        if critic_obs is not None:
+            critic_obs = scaling.scaled(params, "critic", critic_obs)
         if static.ppo.critic == "obs":
             x = one(first, obs)
             x = jnp.moveaxis(x.reshape(*x.shape[:-1], 2, -1), -2, 0)

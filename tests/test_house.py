@@ -71,8 +71,12 @@ SPEAKS = set("print input breakpoint callback pure_callback io_callback".split()
 FILES = set("open read_text write_text read_bytes write_bytes mkdir unlink".split())
 CLOCKS = set("time datetime timeit logging subprocess socket threading".split())
 PATHS = set("pathlib os shutil tempfile glob".split())
-# pure modules that may do more: two read a file, two ask for cores and lock their threads
+# pure modules that may do more: some read a file, or write meshes that another package reads; some ask for
+# cores, or lock what threads share
 MAY_ALSO = {
+    "tasks.playground.assets": FILES | PATHS,
+    "tasks.playground.loading": {"pathlib"},
+    "tasks.playground.swapped": {"threading"},
     "description.robot": FILES | PATHS,
     "physics.warp.native": FILES | PATHS,
     "physics.c_mujoco": {"os", "threading"},

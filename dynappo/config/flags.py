@@ -86,6 +86,9 @@ def load_run(workdir: Path, rest: list[str]):
         raise ConfigError(f"{workdir}/config.json: it is not text") from None
     except ConfigError as error:
         raise ConfigError(f"{workdir}/config.json: {error}; name the run's --config too") from None
+    if config.env:
+        set_fields(config, rest)
+        return config
     if not config.robot:
         raise ConfigError(
             f"--workdir={workdir}: it trains an environment of your own; name its file too: --config=FILE.py"

@@ -45,6 +45,7 @@ class StaticPpo(NamedTuple):
     epochs: int
     hidden: tuple[int, ...]
     minibatches: int
+    normalize: bool
     precision: str
     scale_inputs: bool
     shuffle_blocks: int
@@ -101,6 +102,7 @@ class StaticTask(NamedTuple):
 
 
 class Static(NamedTuple):
+    env: str
     model: StaticModel
     physics: StaticPhysics
     ppo: StaticPpo

@@ -66,8 +66,9 @@ def validate(
     _check_hardware(config)
     if schedule.uses_model(config):
         _check_model(config)
+    expect(not (config.env and config.robot), "env", config.env, "'' where a robot is named")
     expect(
-        # "" is that of an environment of one's own (program/environment.py)
+        # "" is that of another environment (program/environment.py)
         not (robot_here and config.robot) or find("robots", f"{config.robot}/{config.robot}.xml"),
         "robot",
         config.robot,
@@ -115,6 +116,9 @@ def _check_pairs(config, fields: dict[str, Any]) -> None:
         config.schedule.end_steps,
         f"less than rollout.horizon = {rollout.horizon}: a rollout needs at least one real row",
     )
+    for name in ("scale_inputs", "symmetry"):
+        text = "False where ppo.normalize is True, which scales each input by itself"
+        expect(not (ppo.normalize and ppo[name]), f"ppo.{name}", ppo[name], text)
     late_from, late_kl = config.schedule.late_from, config.ppo.late_kl
     text = f"an iteration where ppo.late_kl is {late_kl:g}: it holds after that"
     expect(late_from is not None or late_kl == 1, "schedule.late_from", late_from, text)

@@ -20,7 +20,16 @@ import mujoco
 from dynappo.config import ConfigError, files
 from dynappo.config import flags as flags_lib
 from dynappo.description.robot import Robot
-from dynappo.evaluate import changes, episodes, figures, report, stress, tables, trials
+from dynappo.evaluate import (
+    changes,
+    episodes,
+    figures,
+    report,
+    stress,
+    tables,
+    task_episodes,
+    trials,
+)
 from dynappo.policy import policy_source
 from dynappo.policy.episode import Player
 from dynappo.policy.policy_file import Policy
@@ -154,6 +163,12 @@ def run(flags) -> None:
     """Evaluate as the flags say; print the results and write them."""
     from rich.console import Console
 
+    if (other := policy_source.other(flags)) is not None:
+        theirs, path, named = other
+        config = task_episodes.check(theirs, flags)
+        out = flags.out or folder(flags.what, path)
+        open_folder(out)
+        return task_episodes.run(theirs, config, flags, named, out)
     policy, player, robot, path, (named, note) = inputs(flags)
     out = flags.out or folder(flags.what, path)
     open_folder(out)

@@ -111,6 +111,12 @@ def table(policy: Policy, out: Path, order: str, targets: bool) -> list[tuple[st
 
 def run(flags) -> None:
     """Export as the flags say, and print what was written."""
+    theirs = policy_source.other(flags)
+    if theirs is not None:
+        raise ConfigError(
+            f"{theirs[1]}: a policy of {theirs[0].config.env}, and export writes those of dynappo's robots; "
+            "policy_file.load_actor(POLICY_NPZ) acts with it: docs/environment.md"
+        )
     policy, path, named = policy_source.of_flags(flags)
     check_out(flags.out, path)
     robot, note = policy_source.robot(policy, flags.robot_xml)

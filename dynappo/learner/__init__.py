@@ -4,6 +4,7 @@
 - `gae`: advantages and returns of a rollout
 - `symmetry`: a policy that treats left and right alike, by the mean of each gradient and its image
 - `units`: networks that learn as if parts of an observation came in other units
+- `scaling`: inputs of mean 0 and variance 1
 - `networks`: multilayer perceptrons and the Gaussian policy
 
 Pure functions of arrays. The method imports it, and `model` imports its networks; it imports only

@@ -23,6 +23,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
+from dynappo.learner import scaling
 from dynappo.types import Env, Hyper, Static
 
 LOG_2PI = 1.8378770664093453
@@ -97,9 +98,14 @@ def init_policy(
     key: PRNGKeyArray,
     critic_size: int | None = None,
 ) -> dict:
-    """Parameters `{"actor", "critic", "std"}`; the value function sees `critic_size` or `obs_size`."""
+    """Parameters `{"actor", "critic", "std"}`; the value function sees `critic_size` or `obs_size`.
+
+    With `ppo.normalize` also "inputs" (scaling.py).
+    """
     actor_key, critic_key = jax.random.split(key)
-    return {
+    sizes = {"actor": obs_size, "critic": critic_size or obs_size}
+    inputs = {"inputs": {name: scaling.init(size) for name, size in sizes.items()}}
+    return (inputs if static.ppo.normalize else {}) | {
         "actor": init(actor(static, action_size), obs_size, actor_key),
         "critic": init(critic(static), critic_size or obs_size, critic_key),
         "std": jnp.full(action_size, hyper.ppo.init_std, jnp.float32),
@@ -108,13 +114,14 @@ def init_policy(
 
 def policy(static: Static, params: dict, obs: Float[Array, "... O"]) -> Float[Array, "... A"]:
     """Mean action, clipped to +-`MAX_MEAN`. Its std, `params["std"]`, does not depend on `obs`."""
+    obs = scaling.scaled(params, "actor", obs)
     mean = apply(actor(static, params["std"].shape[-1]), params["actor"], obs)
     return jnp.clip(mean, -MAX_MEAN, MAX_MEAN)
 
 
 def value(static: Static, params: dict, obs: Float[Array, "... O"]) -> Float[Array, "..."]:
     """V(obs): the expected discounted return."""
-    return apply(critic(static), params["critic"], obs)[..., 0]
+    return apply(critic(static), params["critic"], scaling.scaled(params, "critic", obs))[..., 0]
 
 
 def actor_critic(static: Static, params: dict) -> ActorCritic:

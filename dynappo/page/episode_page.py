@@ -31,9 +31,7 @@ DRAWN = "sphere capsule ellipsoid cylinder box mesh".split()
 PLAIN = dict(specular=0.5, shininess=0.5, emission=0.0)  # MuJoCo's defaults of a material
 
 
-def write(
-    player: Player, episode: dict[str, np.ndarray], out: Path, heading, subtitle, rows
-) -> int:
+def write(player: Any, episode: dict[str, np.ndarray], out: Path, heading, subtitle, rows) -> int:
     """Write the page and return its size (bytes); `rows` are (name, value) shown beneath the title.
 
     Raises OSError if `out` cannot be written.

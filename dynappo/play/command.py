@@ -19,7 +19,7 @@ from dynappo.config import ConfigError, files
 from dynappo.config import flags as flags_lib
 from dynappo.description import robot as robot_lib
 from dynappo.page import episode_page
-from dynappo.play import command_script, film, serve, viewer
+from dynappo.play import command_script, film, serve, task_episode, viewer
 from dynappo.policy import episode as episode_lib
 from dynappo.policy import policy_file, policy_source
 from dynappo.policy.policy_file import Policy
@@ -167,11 +167,25 @@ def write(
         raise ConfigError(f"--out={out}: {problem}; a page needs neither: --out={out.stem}.html")
 
 
+def _other(flags) -> tuple | None:
+    """The arguments of `task_episode.run` where the policy is of another package's environment."""
+    if flags.what in files.robots():
+        return None
+    found = policy_source.other(flags)
+    if found is None:
+        return None
+    policy, path, named = found
+    task_episode.check(policy, flags)
+    return policy, path, flags, named
+
+
 def run(flags) -> None:
     """Play as the flags say, and print the measures."""
     out = flags.out
     if out is not None:
         check_out(out)
+    if (theirs := _other(flags)) is not None:
+        return task_episode.run(*theirs)
     commands = command_script.commands(flags.command, flags.seconds)
     if flags.serve is not None:
         serve.run(flags, choose, commands if flags.command else None)

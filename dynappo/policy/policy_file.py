@@ -22,6 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from ml_collections import config_dict
 
+from dynappo import config as config_lib
 from dynappo.config import ConfigError, files, per_joint
 from dynappo.config import fields as fields_lib
 from dynappo.description import robot as robot_lib
@@ -35,6 +36,7 @@ MAX_BYTES = 2**27  # of all arrays together; a policy has less than 1 MiB
 # what NumPy says of a file that is no npz, or damaged
 DAMAGE = (ValueError, TypeError, EOFError, KeyError, RuntimeError, MemoryError, SyntaxError)
 DAMAGE += (zipfile.BadZipFile, zlib.error, tokenize.TokenError)
+MIN_STD = 1e-3  # of an input (learner/scaling.py)
 MAX_MEAN = 10.0  # of the mean action (learner/networks.py)
 ACTIVATIONS = {
     "elu": lambda x: np.where(x > 0, x, np.expm1(np.minimum(x, 0))),
@@ -173,6 +175,25 @@ def actor(params: dict, activation: str) -> Callable[[np.ndarray], np.ndarray]:
     return mean
 
 
+def scaled(params: dict) -> dict:
+    """The parameters of networks that see their inputs as they are: what `ppo.normalize` does to them
+    (learner/scaling.py) is multiplied into the first layers."""
+    if "inputs" not in params:
+        return params
+    out = {name: part for name, part in params.items() if name != "inputs"}
+    for name, of in params["inputs"].items():
+        layers = out[name]["params"]
+        count, mean, m2 = (np.asarray(of[part], float) for part in ("count", "mean", "m2"))
+        if count == 0:
+            continue
+        std = np.maximum(np.sqrt(m2 / count), MIN_STD)
+        kernel = np.asarray(layers["Dense_0"]["kernel"], float) / std[:, None]
+        bias = np.asarray(layers["Dense_0"]["bias"], float) - mean @ kernel
+        first = {"kernel": kernel.astype(np.float32), "bias": bias.astype(np.float32)}
+        out[name] = {"params": layers | {"Dense_0": first}}
+    return out
+
+
 def save(
     path: Path, params: dict, config, robot: robot_lib.Robot | None, seed: int | None = None
 ) -> None:
@@ -184,7 +205,7 @@ def save(
     entry: dict[str, Any] = {"robot": "", "config": config.to_dict(), "format": 2}
     if robot is not None:
         entry |= about(describe(config, robot)._replace(seed=seed))
-    save_params(path, params, about=to_json(entry))
+    save_params(path, scaled(params), about=to_json(entry))
 
 
 def to_json(value) -> str:
@@ -354,6 +375,12 @@ def load_checkpoint(folder: Path, seed: int | None = None) -> Policy:
         raise
     except (KeyError, AttributeError, TypeError, ValueError):
         raise ConfigError(f"{folder}: not a checkpoint of dynappo (it holds no config)") from None
+    params, chosen = _of_seed(folder, about, seeds, seed)
+    return _checked(folder, policy._replace(params=params, seed=chosen if seeds > 1 else None))
+
+
+def _of_seed(folder: Path, about: dict, seeds: int, seed: int | None) -> tuple[dict, int]:
+    """`(parameters, seed)` of a checkpoint of so many seeds: those of `seed`, or of the best."""
     chosen = seed if seed is not None else about.get("best_seed", 0)
     if type(chosen) is not int or not 0 <= chosen < seeds:
         expected = f"expected 0 to {seeds - 1}" if seeds > 1 else "expected 0: the run has one seed"
@@ -369,7 +396,43 @@ def load_checkpoint(folder: Path, seed: int | None = None) -> Policy:
     if not arrays:
         raise ConfigError(f"{folder}: not a checkpoint of dynappo (it holds no networks)")
     try:
-        params = checks.nested(arrays)
+        return scaled(checks.nested(arrays)), chosen
     except ValueError as error:
         raise ConfigError(f"{folder}: {error}") from None
-    return _checked(folder, policy._replace(params=params, seed=chosen if seeds > 1 else None))
+
+
+class Other(NamedTuple):
+    """A policy of another package's environment (`config.env`)."""
+
+    config: config_dict.ConfigDict  # of its run, with every field; not validated
+    params: dict[str, Any]
+
+
+def load_other(path: Path, seed: int | None = None) -> Other | None:
+    """The policy of a policy.npz or a checkpoint of another package's environment; None if it is a robot's.
+
+    ConfigError where neither can be told.
+    """
+    if path.is_dir():
+        about, arrays = checkpoint_file.about(path), {}
+    else:
+        arrays = _arrays(path)
+        text = str(arrays.pop("about", "{}"))
+        try:
+            about = json.loads(text, parse_constant=_no_number)
+        except (ValueError, RecursionError):
+            return None  # `load` says what is wrong
+    of = about.get("config") if isinstance(about, dict) else None
+    name = of.get("env") if isinstance(of, dict) else None
+    if not name or not isinstance(name, str):
+        return None
+    config = config_lib.from_json(json.dumps(of))
+    try:
+        params = (
+            checks.nested(arrays)
+            if arrays
+            else _of_seed(path, about, config.run.num_seeds, seed)[0]
+        )
+    except ValueError as error:
+        raise ConfigError(f"{path}: {error}") from None
+    return Other(config, params)

@@ -76,6 +76,20 @@ def load(text: str, seed: int | None = None) -> tuple[Policy, Path]:
     return policy_file.load(path), path
 
 
+def other(flags: argparse.Namespace) -> tuple[policy_file.Other, Path, str] | None:
+    """`(policy, path, text)` of the flags where it is one of another package's environment; else None."""
+    path = locate(flags.what, flags.run_seed)
+    found = policy_file.load_other(path, flags.run_seed)
+    if found is None:
+        return None
+    if flags.robot_xml is not None:
+        raise ConfigError(
+            f"--robot-xml={flags.robot_xml}: {path} is a policy of {found.config.env}"
+        )
+    seed = f", seed {flags.run_seed}" if flags.run_seed is not None else ""
+    return found, path, "/".join(path.resolve().parts[-2:]) + seed
+
+
 # ---- its robot
 
 

@@ -214,8 +214,12 @@ def options(model, base: int) -> mujoco.MjvOption:
 def frames(
     xml: str, text: str, base: int, episode: dict[str, np.ndarray], width=WIDTH, height=HEIGHT
 ):
-    """Yield RGB frames `[H, W, 3]`, one per row of an episode; `text` is the MJCF, or file `xml`."""
-    model = mjcf.model(Path(xml), text)
+    """Yield RGB frames `[H, W, 3]`, one per row of an episode; `text` is the MJCF, or file `xml`.
+
+    An .mjb is of another package's environment (evaluate/record.py).
+    """
+    binary = xml.endswith(".mjb")
+    model = mujoco.MjModel.from_binary_path(xml) if binary else mjcf.model(Path(xml), text)
     data = mujoco.MjData(model)
     window = model.vis.global_
     window.offwidth, window.offheight = max(window.offwidth, width), max(window.offheight, height)

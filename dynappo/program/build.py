@@ -53,11 +53,14 @@ def check(config, env: Any = None) -> None:
     from dynappo.description import motors, robot
     from dynappo.physics import engine_contract
     from dynappo.program import environment
-    from dynappo.tasks import env_contract, of_robots
+    from dynappo.tasks import by_name, env_contract, of_robots
 
     if env is not None:
         devices.engine(config)
         return env_contract.check(env, config, schedule.uses_model(config))
+    if config.env:
+        devices.engine(config)
+        return by_name.check(config)
     environment.check_robot(config)
     impl = devices.engine(config)
     if impl == "warp":
@@ -69,10 +72,14 @@ def check(config, env: Any = None) -> None:
 
 
 def engine_note(program: Program, config) -> str:
-    """A line on a robot whose physics are slower or coarser on this engine, and why; else ""."""
+    """A line on a robot whose physics are slower or coarser on this engine, and why; or on where another
+    package's environment comes from; else ""."""
     from dynappo.physics import engine_contract
     from dynappo.physics.warp import scope
+    from dynappo.tasks import by_name
 
+    if config.env:
+        return by_name.about(config)
     if program.impl == "jax":
         return engine_contract.coarse(program.robot)
     if program.impl != "warp":
@@ -246,11 +253,11 @@ def _evaluate(mesh, hyper: Hyper, episodes: Callable, compiled, state):
 
 
 def floats(configs: list, env: Any = None) -> list[Hyper]:
-    """The `hyper` of each config, all of one robot; or of `env`, an environment of your own."""
+    """The `hyper` of each config, all of one robot or of another environment."""
     from dynappo.config import per_joint
     from dynappo.description import robot
 
-    if env is None:
+    if env is None and configs[0].robot:
         of = robot.load(configs[0].robot)
         configs = [per_joint.resolved(one, of.joint_names, of.name) for one in configs]
     return [config_lib.split(one)[1] for one in configs]
@@ -263,10 +270,14 @@ def _environment(config, env: Any, impl: str) -> tuple[Any, Any, Any, str]:
     from dynappo.description import motors
     from dynappo.description import robot as robot_lib
     from dynappo.program import environment
-    from dynappo.tasks import of_robots
+    from dynappo.tasks import by_name, of_robots
 
     if env is not None:
         return config, None, env, "own"
+    if config.env:
+        with jax.default_device(devices.local(config.run.device)):
+            env = by_name.make(config, impl=impl)
+        return config, None, env, "own" if config.env.startswith("brax:") else impl
     environment.check_robot(config)
     config, robot = motors.fitted(config, robot_lib.load(config.robot))
     with jax.default_device(devices.local(config.run.device)):

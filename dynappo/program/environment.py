@@ -35,6 +35,10 @@ def from_file(get_env: Callable[[Any], Any] | None, config) -> tuple[Any, Any]:
     """`(config, environment)` of a config file: `config_for` what get_env returned; or None."""
     if get_env is None:
         return config, None
+    if config.env:
+        raise ConfigError(
+            f"env is {config.env!r}, but the config's file defines get_env; expected ''"
+        )
     if config.robot:
         raise ConfigError(
             f"robot is {config.robot!r}, but the config's file defines get_env, which says what is trained; "
@@ -56,6 +60,10 @@ def from_file(get_env: Callable[[Any], Any] | None, config) -> tuple[Any, Any]:
 
 def check_robot(config) -> None:
     """ConfigError if `config` is for an environment of your own, which is missing here."""
+    if config.env:
+        raise ConfigError(
+            f"env is {config.env!r}, expected a robot: only train, evaluate and play know others"
+        )
     if not config.robot:
         raise ConfigError(
             "robot is '': this config is of an environment of your own, expected one of dynappo's robots; "

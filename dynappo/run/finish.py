@@ -37,7 +37,7 @@ def finish(
     summary = summarise(config, program, metrics, evaluation)
     evaluated = summary.get("evaluation", {}).get("return", log.last_evaluation(metrics))
     evaluated = None if evaluated is None else np.array(evaluated, float)
-    params = workdir_lib.best_params(config, whole, evaluated)
+    params = policy_file.scaled(workdir_lib.best_params(config, whole, evaluated))
     seed = workdir_lib.best_seed(config, evaluated)
     policy_file.save(workdir / "policy.npz", params, config, program.robot, seed)
     seeds = f" x {config.run.num_seeds} seeds" if config.run.num_seeds > 1 else ""

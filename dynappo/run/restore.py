@@ -113,6 +113,11 @@ def check(source: Path, config) -> None:
     """
     here, there = config_lib.flat(config), {}
     names = ["ppo.hidden", "ppo.activation"]
+    if source.is_file() and config.ppo.normalize:
+        raise ConfigError(
+            f"--restore={source}: in a policy.npz the scaling of ppo.normalize is part of the weights; name "
+            "the workdir of that run, or a checkpoint"
+        )
     if source.is_file():
         there = config_lib.flat(policy_file.load(source).config)
     else:
@@ -122,7 +127,7 @@ def check(source: Path, config) -> None:
             with contextlib.suppress(checkpoint_file.Damaged, KeyError, TypeError, AttributeError):
                 there = config_lib.flat(checkpoint_file.about(folder)["config"])
                 break
-        names += ["run.num_seeds", "ppo.critic_hidden"]
+        names += ["run.num_seeds", "ppo.critic_hidden", "ppo.normalize"]
         if schedule.uses_model(config) and there.get("schedule.end_steps"):
             names += ["model.hidden", "model.activation", "model.falls"]
     for name in names:

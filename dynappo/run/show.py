@@ -31,7 +31,9 @@ def describe(config) -> str:
     s, r, run = config.schedule, config.rollout, config.run
     seeds = f" x {run.num_seeds} seeds" if run.num_seeds > 1 else ""
     what = f"{config.robot}: {r.num_envs} robots"
-    if not config.robot:
+    if config.env:
+        what = f"{config.env}: {r.num_envs} copies"
+    elif not config.robot:
         what = f"an environment of your own: {r.num_envs} copies"
     devices = run.mesh_seed * run.mesh_env
     over = f" over {run.mesh_seed} x {run.mesh_env} devices" if devices > 1 else ""
@@ -203,6 +205,8 @@ def summary(out, config, workdir: Path, summary: dict[str, Any]) -> None:
         say(str(summary["curves"]))
     if "video" in summary:
         say(str(summary["video"]))
+    if config.env.startswith("playground:"):
+        return say(f"see it: {shell.line('play', workdir, '--out=walk.html')}")
     if not config.robot:
         text = (
             f"no film, no play: it is no robot; policy_file.load_actor('{workdir}/policy.npz') acts"

@@ -15,9 +15,7 @@ The second is a `types.Env` like any other:
 trainers call `jax.device_put_replicated` and its swimmer `jnp.clip(a_min=)`, which JAX 0.10 lacks;
 its wrappers, `acting.generate_unroll` and `acting.Evaluator` work.
 
-Playground's locomotion tasks clone MuJoCo Menagerie when first loaded, for visual meshes. Its Go1
-observes the action before the last one, which no context can compute; experiments/02_brax trains it all the
-same.
+Playground's locomotion tasks have a module of their own (`playground`), which computes what is known of them.
 """
 
 from __future__ import annotations

@@ -31,6 +31,7 @@ examples
   python -m dynappo.train --config=go1
   python -m dynappo.train --config=go1:laptop --workdir=runs/try
   python -m dynappo.train --workdir=runs/try
+  python -m dynappo.train --config=playground:Go1JoystickFlatTerrain:ppo
 variants follow the name: go1:quick, :ppo16, :dyna4, ... (none: best)
 set any field of the config (configs/default.py lists them), as in
   --config.run.num_iterations=200 --config.ppo.learning_rate=3e-4
@@ -58,7 +59,7 @@ def parse(argv: list[str] | None) -> Command:
     parser.add_argument(
         "--config",
         metavar="NAME[:VARIANT]|FILE.py[:VARIANT]",
-        help="what to train: a robot, or a config file",
+        help="what to train: a robot, playground:TASK, brax:NAME, or a config file",
     )
     parser.add_argument(
         "--workdir", type=flags.path, help="folder of the run; default: runs/FILE-VARIANT"
@@ -99,7 +100,11 @@ def parse(argv: list[str] | None) -> Command:
     else:
         config, get_env = flags.load_both(known.config, rest)
     name, _, variant = str(known.config).partition(":")
-    folder = Path(name).stem + (f"-{variant}" if variant else "") + "-sweep" * bool(swept)
+    folder = (
+        Path(name).stem
+        + (f"-{variant}" if variant else "").replace(":", "-")
+        + "-sweep" * bool(swept)
+    )
     workdir = known.workdir or Path("runs") / folder
     if not swept and sweep_folder.is_one(workdir):
         raise config_lib.ConfigError(

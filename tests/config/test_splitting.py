@@ -18,7 +18,8 @@ from dynappo.config import files, halves, per_joint
 from dynappo.description import robot
 
 ROOT = pathlib.Path(__file__).parents[2]
-FILES = sorted({path.stem for path in (ROOT / "configs").glob("*.py")} - {"biped"})  # no robot's
+OTHERS = {"biped", "brax", "playground"}  # no robot's
+FILES = sorted({path.stem for path in (ROOT / "configs").glob("*.py")} - OTHERS)
 VARIANTS = runpy.run_path(str(ROOT / "configs" / "default.py"))["VARIANTS"]
 CASES = [(f"{file}.py:{variant}", "isaaclab") for file in FILES for variant in VARIANTS]
 CASES += [("go1.py:dyna4", "paper_text"), ("go1.py:dyna4", "isaaclab_exact")]

@@ -1,0 +1,62 @@
+"""A locomotion task of MuJoCo Playground 0.2.0, by its name (docs/environment.md).
+
+    python -m dynappo.train --config=playground:Go1JoystickFlatTerrain
+    python -m dynappo.train --config=playground:G1JoystickFlatTerrain:ppo
+
+| variant          | robots | rows N | tail N_s | for                                                        |
+|------------------|--------|--------|----------|------------------------------------------------------------|
+| `best` (default) | 1024   | 24     | 20       | three rounds of imagination; a biped's sizes (`biped.py`)  |
+| `ppo`            | 8192   | 20     | none     | Playground's own settings for brax's PPO                   |
+
+Weights, noise, commands and resets are the task's own: the group `task` has only `episode_length`, which is
+the task's. `physics.impl` is its engine: Warp on a GPU that has it, else MJX-JAX.
+"""
+
+import pathlib
+import runpy
+
+from dynappo.tasks.playground import settings
+
+default = runpy.run_path(str(pathlib.Path(__file__).with_name("default.py")))
+
+
+def get_config(variant=""):
+    """The config of "TASK" or "TASK:VARIANT"."""
+    task, _, variant = variant.partition(":")
+    config = default["defaults"]()
+    config.robot, config.env = "", f"playground:{task}"
+    found = settings.of_task(task)
+    config.task.episode_length = found.episode_length
+    config.run.update(video_seconds=0.0, eval_envs=128)
+    config.ppo.update(found.networks)
+    # as brax's policies begin, before the tanh; and observations as those are scaled
+    config.ppo.update(init_std=0.7, activation="swish", normalize=True)
+    if variant == "ppo":
+        _ppo(config, found)
+    elif variant in ("", "best"):
+        _best(config)
+    else:
+        raise ValueError(f"variant {variant!r} is not one of best, ppo")
+    return config
+
+
+def _ppo(config, found):
+    """Playground's numbers. 0.25: brax halves the value's squared error twice."""
+    config.rollout.update(found.rollout)
+    config.schedule.update(start_iteration=0, end_iteration=0, start_steps=0, end_steps=0)
+    config.ppo.update(found.ppo)
+    config.ppo.update(adaptive=False, clip_value=False, value_coef=0.25, shuffle_blocks=1)
+    every = config.run.log_every
+    config.run.num_iterations = -(-found.iterations // every) * every
+
+
+def _best(config):
+    """Few robots, five of six rows and two of three updates imagined, as for bipeds."""
+    config.rollout.update(num_envs=1024, horizon=24)
+    config.schedule.update(
+        start_iteration=0, end_iteration=5, start_steps=0, end_steps=20, rounds=3
+    )
+    config.model.update(clean=True, falls=True, minibatches=6, late_epochs=5, late_from=50)
+    config.model.update(hidden=(512, 512, 512), activation="swish", precision="bfloat16")
+    config.ppo.update(gamma=0.97, desired_kl=0.02, precision="bfloat16")
+    config.run.update(num_iterations=400)

@@ -1,0 +1,86 @@
+"""Environments of other packages, by a name in the config: `config.env` = "playground:TASK" or "brax:NAME".
+
+Each maker is a module of this folder. `program` calls these functions and knows no package.
+"""
+
+from __future__ import annotations
+
+import difflib
+from typing import TYPE_CHECKING, Any
+
+from dynappo.config import ConfigError
+
+if TYPE_CHECKING:  # it imports JAX
+    from dynappo.types import Env
+
+PACKAGES = ("playground", "brax")
+
+
+def check(config) -> None:
+    """ConfigError if there is no such environment, or `config` cannot train it; compiles nothing."""
+    package, _, name = config.env.partition(":")
+    if package == "playground":
+        from dynappo.tasks.playground import loading
+
+        if config.physics.impl == "c":
+            raise ConfigError(
+                f"physics.impl is c, expected jax or warp for {config.env}: a Playground task is MJX's"
+            )
+        loading.check(name)
+    elif package == "brax":
+        _check_brax(name)
+    else:
+        raise ConfigError(f"env is {config.env!r}, expected playground:TASK or brax:NAME")
+
+
+def about(config) -> str:
+    """A line on where the environment comes from, or ""."""
+    package, _, name = config.env.partition(":")
+    if package != "playground":
+        return ""
+    from dynappo.tasks.playground import loading
+
+    return loading.check(name)
+
+
+def make(config, *, impl: str) -> Env:
+    """The environment of `config`, which was checked, stepped by the engine `impl`."""
+    package, _, name = config.env.partition(":")
+    if package == "brax":
+        from brax import envs
+
+        from dynappo.tasks import brax_env
+
+        bare = envs.get_environment(name, backend="spring")
+        return brax_env.from_brax(
+            bare,
+            bare.observation_size,
+            config.task.episode_length,
+            random_clock=config.task.random_clock,
+        )
+    return _playground(config, impl)[0]
+
+
+def with_model(config) -> tuple[Env, Any]:
+    """A Playground task of `config` on MJX-JAX, and its MuJoCo model as a film shows it."""
+    return _playground(config, "jax")
+
+
+def _playground(config, impl: str) -> tuple[Env, Any]:
+    from dynappo.tasks.playground import env, loading
+
+    run, name = config.run, config.env.partition(":")[2]
+    # of the robots of all seeds on one device, in training or in an evaluation
+    worlds = max(config.rollout.num_envs, run.eval_envs) * run.num_seeds
+    loaded = loading.load(name, impl, -(-worlds // (run.mesh_seed * run.mesh_env)))
+    made = env.make(loaded.task, config.task.episode_length, config.task.random_clock)
+    return made, loading.drawn(loaded)
+
+
+def _check_brax(name: str) -> None:
+    from brax import envs
+
+    known = sorted(envs._envs)
+    if name not in known:
+        near = difflib.get_close_matches(name, known, 3, 0.5) or known
+        raise ConfigError(f"brax has no environment {name!r}; there is {', '.join(near)}")

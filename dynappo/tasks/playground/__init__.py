@@ -1,0 +1,15 @@
+"""MuJoCo Playground's locomotion tasks (0.2.0) as `types.Env`: `--config=playground:TASK`.
+
+The task itself is Playground's, unchanged: its `reset` and its `step` are called. Read in this order:
+
+- `assets`: where the robots' meshes come from, without network
+- `loading`: a task by its name, on the engine that is here
+- `warp_kernels`: MJX-Warp's kernels, built side by side
+- `swapped`: the task's step with physics, or noise, replaced by what is given
+- `parts`: what each number of an observation is, found by probing the task
+- `env`: the `Env`
+- `settings`: Playground's PPO settings as fields of our config
+
+`tasks/by_name.py` and configs/playground.py import it. It imports `physics`, `config`,
+`types` and Playground.
+"""

@@ -1,0 +1,277 @@
+"""A Playground task as a `types.Env`: the task's own reset and step, with little carried from row to row.
+
+- **Carried** are qpos, qvel, the solver's warm start and the task's own numbers (ctrl where a task reads it).
+  MJX's data are rebuilt from an empty template in each step. Why: they are hundreds of numbers a robot, and
+  MJX-Warp's contacts have no axis of robots, so neither `where` nor `vmap` over seeds can take them along.
+- **Resets** are the task's own, drawn anew each time. A first observation needs a call of physics. So
+  `autoreset` resets only robots that need it: 1/64 of all at a time, as often as some are left
+  (`restart`). In most rows that is none or one call of 1/64 of the robots.
+- **Actions** end in a tanh, as those of brax's policies. It is part of the environment: the policy is a
+  Gaussian before it. The density of tanh cancels in PPO's ratio.
+- **Noise** is the task's own. `prop` is without: the task's step once more, with physics already done and
+  noise 0 (swapped.py), which is a few kernels.
+- **Tails** compute what is known by the task's own step too (`advance`). What it draws at random, such as the
+  next command, is drawn by a key made of the row's numbers.
+
+`hyper` is not read: weights, noise and ranges are the task's own.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+from jaxtyping import Array, Float, Int
+
+from dynappo.tasks.playground import parts, swapped
+from dynappo.tasks.playground.parts import Layout, Raw
+from dynappo.types import Env, Hyper, Outcome
+
+SHARE = 64  # of the robots, one in so many is reset at a time
+EVENTS = ("reward", "falls", "timeouts", "blowups")  # metrics beside the task's own
+
+
+class State(struct.PyTreeNode):
+    """One robot of a task."""
+
+    qpos: Float[Array, "..."]
+    qvel: Float[Array, "..."]
+    qacc_warmstart: Float[Array, "..."]
+    ctrl: Float[Array, "..."] | None  # None where no step reads it
+    info: dict[str, Any]  # the task's own numbers, and its random key
+    obs: Float[Array, "... O"]
+    prop: Float[Array, "... P"]
+    clock: Int[Array, "..."]  # age of the episode in control steps; the first may start aged
+    episode_steps: Int[Array, "..."]  # control steps since the reset
+    episode_return: Float[Array, "..."]
+
+
+class Constants(NamedTuple):
+    """What the functions below need; constants of the program."""
+
+    task: Any  # Playground's MjxEnv
+    layout: Layout
+    like: Raw  # shapes and types of what a reset gives
+    metrics: dict[str, Any]  # zeros
+    episode_length: int  # control steps
+    random_clock: bool
+
+
+def make(task: Any, episode_length: int | None = None, random_clock: bool = True) -> Env:
+    """The `Env` of a loaded task (loading.py). It probes the task, which takes some seconds.
+
+    `episode_length` is in control steps; None: the task's. `random_clock` ends the first episode of each
+    robot at a random age, so that later ones do not end together.
+    """
+    layout = parts.layout(task)
+
+    def start(key):
+        with swapped.physics(lambda data, ctrl: data):  # shapes need none
+            out = task.reset(key)
+        return parts.after_step(task, out), out.metrics
+
+    like, metrics = jax.eval_shape(start, jax.random.PRNGKey(0))
+    metrics = {name: np.zeros(x.shape, x.dtype) for name, x in metrics.items()}
+    scalars = [name for name, x in metrics.items() if x.shape == ()]
+    length = episode_length or int(task._config.episode_length)
+    const = Constants(task, layout, like, metrics, length, random_clock)
+    cost = _fall_reward(task, layout)
+    return Env(
+        reset=partial(reset, const),
+        step=partial(step, const),
+        autoreset=partial(autoreset, restart(const)),
+        advance=partial(advance, const),
+        sense=partial(sense, const),
+        views=layout.views,
+        fall_reward=None if cost is None else lambda hyper: cost,
+        metrics=(*map(column_name, scalars), *EVENTS),
+        obs_size=len(layout.source),
+        prop_size=layout.prop_size,
+        action_size=task.action_size,
+        dt=float(task.dt),
+        episode_length=length,
+    )
+
+
+def column_name(metric: str) -> str:
+    """The name in metrics.csv of a task's metric: reward/pose is reward_pose there."""
+    return metric.replace("/", "_")
+
+
+def _fall_reward(task: Any, layout: Layout) -> float | None:
+    """What a fall pays, where it is known: a task that clips its rewards at 0 pays what is left."""
+    scales = getattr(task._config.get("reward_config"), "scales", {})
+    cost = scales.get("termination", 0.0) * task.dt
+    return None if layout.clipped or cost == 0 else float(cost)
+
+
+def squashed(action: Float[Array, "A"]) -> Float[Array, "A"]:
+    """The task's action for one of the policy."""
+    return jnp.tanh(action)
+
+
+def reset(const: Constants, hyper: Hyper, body, key) -> State:
+    """The start of an episode: the task's own reset, with a call of physics."""
+    first_key, clock_key = jax.random.split(key)
+    clock = jax.random.randint(clock_key, (), 0, const.episode_length, jnp.int32)
+    return first(const, first_key).replace(clock=clock * const.random_clock)
+
+
+def first(const: Constants, key) -> State:
+    """A first state of age 0."""
+    raw_key, zero = jax.random.key_data(key), jnp.zeros((), jnp.int32)
+    out = const.task.reset(raw_key)
+    with swapped.uniform(0.5), swapped.reset_to(out.data):
+        exact = const.task.reset(raw_key)
+    return _state(const, out, exact).replace(
+        clock=zero, episode_steps=zero, episode_return=0.0 * zero
+    )
+
+
+def _state(const: Constants, out: Any, exact: Any) -> State:
+    """The state after `out`, a Playground state; `exact` is the same without noise."""
+    layout = const.layout
+    raw = jax.tree.map(
+        lambda x, like: jnp.asarray(x, like.dtype), parts.after_step(const.task, out), const.like
+    )
+    numbers = parts.vector(layout.names, raw)
+    quiet = parts.vector(layout.names, parts.after_step(const.task, exact))
+    obs = numbers[layout.source]
+    prop = jnp.where(
+        layout.noise > 0, quiet[layout.source[: layout.prop_size]], obs[: layout.prop_size]
+    )
+    data, zero = out.data, jnp.zeros((), jnp.int32)
+    return State(
+        qpos=data.qpos,
+        qvel=data.qvel,
+        qacc_warmstart=data.qacc_warmstart,
+        ctrl=data.ctrl if layout.reads_ctrl else None,
+        info=raw.info,
+        obs=obs,
+        prop=prop,
+        clock=zero,
+        episode_steps=zero,
+        episode_return=jnp.zeros(()),
+    )
+
+
+def before_step(const: Constants, state: State) -> Any:
+    """The Playground state of a `State`, with MJX's data rebuilt."""
+    data = parts.template(const.task).replace(
+        qpos=state.qpos, qvel=state.qvel, qacc_warmstart=state.qacc_warmstart
+    )
+    if state.ctrl is not None:
+        data = data.replace(ctrl=state.ctrl)
+    numbers = parts.unpack(const.layout, state.obs, state.prop)
+    obs = parts.unvector(const.layout.names, numbers, const.like).obs
+    return swapped.state(data, obs, state.info, const.metrics)
+
+
+def step(const: Constants, hyper: Hyper, body, state: State, action, key):
+    """One control step -> `(State, Outcome)`; never resets. The task has its own random key in `info`.
+
+    If a number is not finite, the episode ends with reward 0 and counts in `blowups`.
+    """
+    acts = squashed(action)
+    out = const.task.step(before_step(const, state), acts)
+    with swapped.uniform(0.5):
+        exact = swapped.step(const.task, before_step(const, state), acts, out.data)
+    after = _state(const, out, exact)
+    ok = jnp.isfinite(out.reward) & jnp.isfinite(after.obs).all() & jnp.isfinite(after.prop).all()
+    ok &= jnp.isfinite(after.qpos).all() & jnp.isfinite(after.qvel).all()
+    reward, clock = jnp.where(ok, out.reward, 0.0), state.clock + 1
+    fell = (out.done > 0) | ~ok
+    timeout = (clock >= const.episode_length) & ~fell
+    after = after.replace(
+        obs=jnp.where(ok, after.obs, state.obs),
+        prop=jnp.where(ok, after.prop, state.prop),
+        clock=clock,
+        episode_steps=state.episode_steps + 1,
+        episode_return=state.episode_return + reward,
+    )
+    told = {
+        column_name(n): jnp.where(ok, x, 0.0) for n, x in out.metrics.items() if jnp.ndim(x) == 0
+    }
+    told |= dict(zip(EVENTS, (reward, fell * 1.0, timeout * 1.0, ~ok * 1.0), strict=True))
+    outcome = Outcome(
+        reward=reward,
+        discount=1.0 - fell,
+        truncation=timeout * 1.0,
+        next_obs=after.obs,
+        next_prop=after.prop,
+        valid=ok * 1.0,
+        episode_return=after.episode_return,
+        episode_length=after.episode_steps * 1.0,
+        metrics=told,
+    )
+    return after, outcome
+
+
+def autoreset(restarted, hyper: Hyper, body, state: State, outcome: Outcome, key) -> State:
+    """`state`, or the first one of a new episode where `outcome` ended one."""
+    ended = (outcome.discount == 0) | (outcome.truncation == 1)
+    return restarted(ended, jax.random.key_data(key), state)
+
+
+def restart(const: Constants):
+    """`f(ended, raw key, state)`: a first state where `ended`, else `state`.
+
+    Under `vmap` the robots that ended are gathered, R / 64 at a time, and only these are reset. The loop runs
+    while some are left, so its length is no part of the program, and a robot's new state does not depend on
+    the others.
+    """
+
+    def fresh(key):
+        return first(const, jax.random.wrap_key_data(key))
+
+    @jax.custom_batching.custom_vmap
+    def one(ended, key, state):
+        return jax.tree.map(partial(jnp.where, ended), fresh(key), state)
+
+    @one.def_vmap
+    def of_all(axis_size, in_batched, *arguments):
+        ended, keys, states = jax.tree.map(
+            lambda x, batched: x if batched else jnp.broadcast_to(x, (axis_size, *jnp.shape(x))),
+            arguments,
+            tuple(in_batched),
+        )
+        few = -(-axis_size // SHARE)
+
+        def some(carry):
+            left, states = carry
+            index = jnp.nonzero(left, size=few, fill_value=axis_size)[
+                0
+            ]  # what is out of bounds is dropped
+            new = jax.vmap(fresh)(keys.at[index].get(mode="clip"))
+            put = partial(jax.tree.map, lambda x, y: x.at[index].set(y, mode="drop"))
+            return left.at[index].set(False, mode="drop"), put(states, new)
+
+        _, states = jax.lax.while_loop(lambda carry: carry[0].any(), some, (ended, states))
+        return states, jax.tree.map(lambda _: True, states)
+
+    return one
+
+
+def advance(const: Constants, hyper: Hyper, context, prop, action, next_prop):
+    """`Env.advance`: what the task's step computes without physics."""
+    layout, names = const.layout, const.layout.names
+    obs = jnp.concatenate([prop, context])
+    raw = parts.unvector(names, parts.unpack(layout, obs, prop), const.like)
+    info = (
+        raw.info | {"rng": parts.key_of(prop, context, action)} if "rng" in raw.info else raw.info
+    )
+    data = parts.with_fields(parts.template(const.task), layout.home)
+    before = data.replace(ctrl=raw.ctrl) if layout.reads_ctrl else data
+    start = swapped.state(before, raw.obs, info, const.metrics)
+    out = swapped.step(const.task, start, squashed(action), data)
+    numbers = parts.vector(names, parts.after_step(const.task, out))
+    return numbers[layout.source[layout.prop_size :]]
+
+
+def sense(const: Constants, hyper: Hyper, prop, context, key):
+    """`Env.sense`: uniform noise, as wide as the task's."""
+    return prop + const.layout.noise * jax.random.uniform(key, prop.shape, minval=-1.0, maxval=1.0)

@@ -1,0 +1,95 @@
+"""A Playground task by its name: the object that Playground's registry makes, without its network access."""
+
+from __future__ import annotations
+
+import difflib
+import importlib
+import importlib.util
+import pathlib
+from typing import Any, NamedTuple
+
+import mujoco
+
+from dynappo.config import ConfigError
+from dynappo.tasks.playground import assets
+
+PLAYGROUND_ROBOTS = 8192  # for which the tasks' own naconmax is
+MISSING = "MuJoCo Playground is not installed; pip install 'dynappo[playground]' (0.2.0, the last for JAX)"
+
+
+class Loaded(NamedTuple):
+    """A task and where its robot's files came from."""
+
+    name: str
+    task: Any  # Playground's MjxEnv
+    assets: str  # a line
+
+
+def names() -> list[str]:
+    """The tasks that can be loaded; ConfigError where Playground is not installed."""
+    return sorted(_locomotion().ALL_ENVS)
+
+
+def check_name(name: str) -> None:
+    """ConfigError if there is no such task; it names the near ones."""
+    known = names()
+    if name not in known:
+        near = difflib.get_close_matches(name, known, 3, 0.5) or known
+        raise ConfigError(f"playground has no locomotion task {name!r}; there is {', '.join(near)}")
+
+
+def check(name: str) -> str:
+    """A line on where the files of the task's robot come from; ConfigError where it cannot be loaded."""
+    check_name(name)
+    return _found(name)[1]
+
+
+def _found(name: str) -> tuple[pathlib.Path, str]:
+    make = _locomotion()._envs[name]
+    family = getattr(make, "func", make).__module__.split(".")[-2]
+    return assets.find(family, pathlib.Path(str(_module("mjx_env").ROOT_PATH)).parent)
+
+
+def load(name: str, impl: str = "jax", worlds: int = 1) -> Loaded:
+    """The task `name` on the engine `impl`, "jax" or "warp".
+
+    `worlds` is how many robots one call of physics steps, of all seeds: MJX-Warp's room for contacts
+    (`naconmax`) is for all of them together. The task's own number is for Playground's 8192.
+    """
+    check_name(name)
+    locomotion, mjx_env = _locomotion(), _module("mjx_env")
+    folder, text = _found(name)
+    mjx_env.MENAGERIE_PATH = mjx_env.epath.Path(str(folder))
+    mjx_env.ensure_menagerie_exists = lambda: None  # it would clone Menagerie
+    task = locomotion.load(name, config_overrides={"impl": impl})
+    with task._config.unlocked():  # some tasks set it as they are made
+        task._config.naconmax = -(-task._config.naconmax * worlds // PLAYGROUND_ROBOTS)
+    if impl == "warp":
+        from dynappo.tasks.playground import warp_kernels  # it needs Warp
+
+        task._mjx_model = warp_kernels.quiet(task._mjx_model)
+        warp_kernels.build(task)
+    return Loaded(name, task, text)
+
+
+def drawn(loaded: Loaded) -> mujoco.MjModel:
+    """The task's model as films and pages show it."""
+    model = loaded.task.mj_model
+    return assets.shown(model) if loaded.assets.startswith(assets.STAND_INS) else model
+
+
+def ppo_config(name: str) -> Any:
+    """Playground's settings of brax's PPO for a task."""
+    _locomotion()
+    params = importlib.import_module("mujoco_playground.config.locomotion_params")
+    return params.brax_ppo_config(name)
+
+
+def _locomotion() -> Any:
+    return _module("locomotion")
+
+
+def _module(name: str) -> Any:
+    if importlib.util.find_spec("mujoco_playground") is None:
+        raise ConfigError(MISSING)
+    return importlib.import_module(f"mujoco_playground._src.{name}")
