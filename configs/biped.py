@@ -8,7 +8,7 @@ MuJoCo Playground 0.2 (PG), whose gait clock makes the walk. experiments/25_huma
 |------------------|--------|--------|----------|-----------------------------------------------------|
 | `best` (default) | 1024   | 24     | 20       | three rounds of imagination                         |
 | `ppo`            | 256    | 24     | none     | to compare                                          |
-| `deploy`         | 4096   | 24     | 20       | hardware: what the robot measures, varied, pushed   |
+| `deploy`         | 4096   | 24     | 16       | hardware: what the robot measures, varied, pushed   |
 | `quick`          | 256    | 24     | 4        | the smallest run on MJX                             |
 | `laptop`         | 512    | 24     | 16       | two CPU cores                                       |
 
@@ -43,7 +43,7 @@ def apply_variant(config, variant):
         _best(config)
         if variant == "ppo":
             config.rollout.num_envs = 256
-            config.run.num_iterations = 720
+            config.run.num_iterations = 840
             config.schedule.update(end_iteration=0, end_steps=0, rounds=1, last_iteration=None)
             config.model.update(clean=False, known_reward=False, falls=False)
             config.ppo.update(desired_kl=0.04, gamma=0.96, minibatches=8)

@@ -88,7 +88,10 @@ def table(policy: Policy, out: Path, order: str, targets: bool) -> list[tuple[st
             f"{str(out)!r}).run(None, {{'obs': np.zeros((1, {size}), np.float32)}}))"
         )
         rows += [
-            ("input", f"obs [batch, {size}]; its table is in robots/DEPLOY.md and in the metadata"),
+            (
+                "input",
+                f"obs [batch, {size}]; its table is in the metadata, a Go1's in robots/DEPLOY.md",
+            ),
             (
                 "output",
                 f"action [batch, {count}]" + f", targets [batch, {count}] (rad)" * targets,

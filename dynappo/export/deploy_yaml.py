@@ -44,7 +44,7 @@ def text(policy: Policy, robot: robot_lib.Robot) -> str:
     if unknown:
         raise ConfigError(
             f"a deploy.yaml has no {', '.join(unknown)}, which this policy of {policy.robot} sees; export "
-            "one trained with task.observation=onboard, as go1_deploy"
+            f"one trained with task.observation=onboard, as {policy.robot}_deploy"
         )
     order = motors(robot)
     of_motor = [policy.joint_names.index(name) for name in order]

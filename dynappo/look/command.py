@@ -73,7 +73,7 @@ def about(robot: robot_lib.Robot, config, pd: facts.PD) -> list[tuple[str, str]]
     """What is known before the robot stands, as (name, text) for printing."""
     task, dt = config.task, config.physics.timestep
     kp, kd = (_span(np.atleast_1d(x), None) for x in (task.kp, task.kd))
-    verdict = "stable" if pd.damping < 1 else "the joints chatter"
+    verdict = "stable" if pd.damping < 1 else "stable, but the joints chatter"
     verdict = "unstable" if pd.bound >= 2 else verdict
     feet = ", ".join(robot.foot_names)
     return [
@@ -84,7 +84,7 @@ def about(robot: robot_lib.Robot, config, pd: facts.PD) -> list[tuple[str, str]]
         (
             "  is",
             f"{verdict}: damping takes {pd.damping:.2f} of a joint's speed in a step (below 1; "
-            f"better below 0.5), stable below steps of {pd.longest * 1e3:.1f} ms",
+            f"better below 0.5), most at {pd.joint}; stable below steps of {pd.longest * 1e3:.1f} ms",
         ),
     ]
 

@@ -28,6 +28,7 @@ class PD(NamedTuple):
     damping: float  # the share of a joint's speed that damping takes off in a step
     bound: float  # the largest eigenvalue, of 2
     longest: float  # s, the time step at which it would be 2
+    joint: str  # the one that damping slows most
 
 
 def pd(robot: robot_lib.Robot, kp, kd, timestep: float) -> PD:
@@ -41,7 +42,8 @@ def pd(robot: robot_lib.Robot, kp, kd, timestep: float) -> PD:
     companion[count:, :count] = mobility * np.broadcast_to(kp, count) / 4
     companion[count:, count:] = mobility * np.broadcast_to(kd, count) / 2
     longest = 1 / np.linalg.eigvals(companion).real.max()
-    return PD(robot_lib.damping_rate(robot, kd, timestep), bound, float(longest))
+    slowed = robot.joint_names[int(np.argmax(np.diag(mobility) * np.broadcast_to(kd, count)))]
+    return PD(robot_lib.damping_rate(robot, kd, timestep), bound, float(longest), slowed)
 
 
 def stand(body: Player) -> tuple[dict[str, np.ndarray], dict[str, Any]]:

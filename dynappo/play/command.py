@@ -144,11 +144,12 @@ def table(player: episode_lib.Player, episode: dict) -> list[tuple[str, str]]:
     def value(name, text, otherwise):
         return otherwise if m[name] is None else text.format(m[name])
 
-    short = "only after a second"
+    short, told = "only after a second", episode["command"]
+    changing = ", every change of command counted" * bool((told != told[:1]).any())
     return [
         ("played", f"{m['seconds']:.1f} s"),
         ("distance", f"{m['distance']:.1f} m"),
-        ("tracking error", value("tracking_error", "{:.2f} m/s", short)),
+        ("tracking error", value("tracking_error", "{:.2f} m/s" + changing, short)),
         ("yaw rate error", value("yaw_error", "{:.2f} rad/s", short)),
         ("fall", value("fall", "after {:.1f} s", "none")),
         ("cost of transport", value("cost_of_transport", "{:.2f}", "did not go anywhere")),

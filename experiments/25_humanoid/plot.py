@@ -28,11 +28,11 @@ LOOKS = {
 }
 ALONE = {  # what runs -> colour, dashes
     "best": (pictures.BLUE, "-"),
-    "PPO, 256": (pictures.ORANGE, (0, (1, 1))),
+    "PPO, 256": (pictures.ORANGE, "-"),
     "PPO, 512": (pictures.VERMILION, "-"),
     "PPO, 1024": (pictures.VERMILION, (0, (5, 2))),
     "PPO, 2048": (pictures.GREY, (0, (5, 2))),
-    "PPO, 4096": (pictures.GREY, "-"),
+    "PPO, 4096": (pictures.GREEN, "-"),
 }
 
 

@@ -49,7 +49,8 @@ def test_what_should_be_changed_is_a_note(capsys):
     """Gains with which an ANYmal's joints chatter and it kneels; any field can be set."""
     assert run(*WEAK) == 0
     text = capsys.readouterr().out
-    assert "the joints chatter: damping takes 1.53" in text
+    assert "stable, but the joints chatter: damping takes 1.53" in text
+    assert re.search(r"most at \w\w_KFE;", text)  # the shank is lightest
     for part in (
         "lower task.kd",
         "a part that is no foot, touches the ground after",
