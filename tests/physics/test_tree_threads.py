@@ -29,11 +29,15 @@ def test_lanes_make_what_one_thread_makes(name, tmp_path):
 
 
 def races(*arguments) -> int:
-    """How many ThreadSanitizer reports, of two robots."""
+    """How many ThreadSanitizer reports, of twelve robots."""
     script = ROOT / "tests" / "emulated_warp.py"
-    command = [sys.executable, script, "biped", "--robots=2", "--races", *arguments]
+    command = [sys.executable, script, "biped", "--robots=12", "--races", *arguments]
     paths = os.pathsep.join([str(ROOT), str(ROOT / "tests")])
-    extra = {"LD_PRELOAD": emulated_warp.tsan(), "TSAN_OPTIONS": "exitcode=0", "PYTHONPATH": paths}
+    extra = {
+        "LD_PRELOAD": emulated_warp.tsan(),
+        "TSAN_OPTIONS": "exitcode=0 history_size=7",
+        "PYTHONPATH": paths,
+    }
     done = subprocess.run(command, env=os.environ | extra, capture_output=True, text=True)
     assert done.returncode == 0 and "lowest" in done.stdout, done.stderr[-2000:]
     return done.stderr.count("WARNING: ThreadSanitizer")
