@@ -112,7 +112,9 @@ def loop(request, tmp_path, monkeypatch):
             broken(len(path))
             action = (target - policy.default_pose) / policy.action_scale
             fell.append(episode.step(body, data, action)[1])
-            if len(path) < 150 and len(body.foot_names) == 2:  # a biped does not stand by itself: a rope
+            if (
+                len(path) < 150 and len(body.foot_names) == 2
+            ):  # a biped does not stand by itself: a rope
                 data.qpos[:7], data.qvel[:6] = held, 0
             path.append(data.qpos[:3].copy())
 
