@@ -30,7 +30,7 @@ def get_config(variant=""):
     config.robot, config.env = "", f"playground:{task}"
     found = settings.of_task(task)
     config.task.episode_length = found.episode_length
-    config.run.update(video_seconds=0.0, eval_envs=128)
+    config.run.eval_envs = 128
     config.ppo.update(found.networks)
     # as brax's policies begin, before the tanh; and observations as those are scaled
     config.ppo.update(init_std=0.7, activation="swish", normalize=True)

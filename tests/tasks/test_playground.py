@@ -5,6 +5,7 @@ To compile MJX takes longest, so most of these tests trace the tasks with C MuJo
 """
 
 import functools
+import json
 import sys
 import types as python_types
 from unittest import mock
@@ -18,6 +19,10 @@ import pytest
 from answers import refused, status
 
 from dynappo import config as config_lib
+from dynappo import schedule
+from dynappo.export import command as export
+from dynappo.policy import policy_file
+from dynappo.run import overflow
 from dynappo.tasks import by_name
 from dynappo.types import Outcome
 
@@ -454,6 +459,124 @@ def test_settings_are_playgrounds():
         assert settings.of_task(name).rollout["num_envs"] == 8192
 
 
+@pytest.mark.parametrize("name", loading.names())
+def test_ppo_is_exactly_playgrounds_settings(name):
+    """Number by number, of each task; what no row names has no counterpart (settings.py)."""
+    theirs = loading.ppo_config(name)
+    config = config_lib.validate(config_lib.load(f"playground:{name}:ppo"))
+    ppo, networks = config.ppo, theirs.network_factory
+    assert config.rollout.num_envs == theirs.num_envs == theirs.batch_size * theirs.num_minibatches
+    assert config.rollout.horizon == theirs.unroll_length and theirs.action_repeat == 1
+    assert (ppo.minibatches, ppo.epochs) == (theirs.num_minibatches, theirs.num_updates_per_batch)
+    assert (ppo.gamma, ppo.lambda_) == (theirs.discounting, 0.95)
+    assert (ppo.learning_rate, ppo.entropy_coef) == (theirs.learning_rate, theirs.entropy_cost)
+    assert ppo.clip_epsilon == theirs.get("clipping_epsilon", 0.3)
+    assert ppo.max_grad_norm == theirs.max_grad_norm == 1.0 and theirs.reward_scaling == 1
+    assert (
+        ppo.normalize == theirs.normalize_observations and not ppo.adaptive and not ppo.clip_value
+    )
+    assert ppo.hidden == networks.policy_hidden_layer_sizes and ppo.activation == "swish"
+    assert (ppo.critic_hidden or ppo.hidden) == networks.value_hidden_layer_sizes
+    assert (ppo.critic == "state") == (networks.value_obs_key == "privileged_state")
+    assert networks.policy_obs_key == "state" and not ppo.symmetry
+    assert config.task.episode_length == theirs.episode_length
+    steps = config.run.num_iterations * theirs.num_envs * theirs.unroll_length
+    per_log = config.run.log_every * theirs.num_envs * theirs.unroll_length
+    assert theirs.num_timesteps <= steps < theirs.num_timesteps + per_log
+    assert config.schedule.end_steps == 0 and not schedule.uses_model(config_lib.split(config)[0])
+
+
+@pytest.mark.parametrize("name", loading.names())
+def test_best_is_valid_for_each_task(name):
+    config = config_lib.validate(config_lib.load(f"playground:{name}"))
+    assert (config.rollout.num_envs, config.rollout.horizon) == (1024, 24)
+    assert (config.schedule.end_steps, config.schedule.rounds) == (20, 3)
+    assert config.model.clean and config.model.falls and not config.model.known_reward
+    assert config.ppo.normalize and config.run.video_seconds > 0
+
+
+def test_where_warp_has_no_room_for_contacts_the_run_ends():
+    """It flags each world; a step's metrics have the flags, and the host looks at their sums."""
+    for flags, constraints, contacts in (
+        (0, 0, 0),
+        (1 << 9, 0, 0),
+        (1, 1, 0),
+        (8, 0, 1),
+        (2 | 4, 1, 1),
+    ):
+        data = python_types.SimpleNamespace(
+            _impl=python_types.SimpleNamespace(overflow=jnp.array(flags))
+        )
+        told = env.overflows(data)
+        found = told["overflow_constraints"], told["overflow_contacts"]
+        assert found == (constraints, contacts), flags
+    nothing = python_types.SimpleNamespace(_impl=python_types.SimpleNamespace())
+    assert env.overflows(nothing) == {}
+    metrics = {"iteration": np.array([4, 5]), "overflow_contacts": np.array([0.0, 0.0])}
+    overflow.check(metrics)
+    metrics["overflow_contacts"][1] = 0.25
+    with pytest.raises(
+        FloatingPointError, match=r"no room for all contacts in iteration 5, in 25.00%"
+    ):
+        overflow.check(metrics)
+    several = np.array([[0.0, 0.0], [0.0, 0.5]])  # seeds
+    with pytest.raises(FloatingPointError, match="constraints in iteration 5"):
+        overflow.check({"iteration": np.array([4, 5]), "overflow_constraints": several})
+
+
+def test_warps_flags_are_those_that_are_looked_at():
+    """Of its own names; a solver that stops at its limit is no overflow."""
+    kinds = pytest.importorskip("mujoco.mjx.third_party.mujoco_warp").OverflowType
+    rows, contacts = env.OVERFLOWS["overflow_constraints"], env.OVERFLOWS["overflow_contacts"]
+    assert rows == kinds.NEFC | kinds.NJMAX_NNZ
+    of_contacts = kinds.BROADPHASE | kinds.NARROWPHASE | kinds.CCD | kinds.HFIELD
+    assert contacts == of_contacts | kinds.CONTACT_MATCH
+
+
+def test_room_for_contacts_is_the_tasks_for_many_robots_and_more_for_few():
+    """Playground's number is for 8192: 4 a robot here."""
+    for worlds, room in ((8192, 4 * 8192), (1024, 4096), (128, 2048), (1, 16)):
+        assert loading.load(GO1, worlds=worlds).task._config.naconmax == room
+    assert task(GO1)._config.njmax == loading.load(GO1).task._config.njmax
+
+
+def test_an_exported_policy_takes_the_tasks_observation(tmp_path, capsys):
+    """ONNX against NumPy: the scaling of inputs is in it, and a tanh at its end."""
+    runtime = pytest.importorskip("onnxruntime")
+    config = config_lib.validate(config_lib.load(f"playground:{GO1}:ppo"))
+    draw = np.random.default_rng(0)
+    sizes = (48, 8, 12)
+    layers = {
+        f"Dense_{i}": {
+            "kernel": draw.normal(size=sizes[i : i + 2]),
+            "bias": draw.normal(size=sizes[i + 1]),
+        }
+        for i in range(2)
+    }
+    inputs = {"actor": {"count": 9.0, "mean": draw.normal(size=48), "m2": draw.uniform(1, 90, 48)}}
+    params = jax.tree.map(np.float32, {"actor": {"params": layers}, "inputs": inputs})
+    policy_file.save(tmp_path / "policy.npz", params, config, None)
+    file = str(tmp_path / "policy.npz")
+    assert status(export.main, file, f"--out={tmp_path}/p.onnx") == 0
+    told = capsys.readouterr().out
+    assert "obs [batch, 48]" in told and "FR_hip_joint" in told
+    net = runtime.InferenceSession(str(tmp_path / "p.onnx"))
+    obs = draw.normal(size=(5, 48)).astype(np.float32)
+    act = policy_file.load_actor(tmp_path / "policy.npz")
+    np.testing.assert_allclose(net.run(None, {"obs": obs})[0], np.tanh(act(obs)), atol=1e-5)
+    about = {k: json.loads(v) for k, v in net.get_modelmeta().custom_metadata_map.items()}
+    assert about["task"] == f"playground:{GO1}" and about["control_dt"] == 0.02
+    np.testing.assert_allclose(about["default_pose"], task(GO1)._default_pose)
+    assert about["action_scale"] == task(GO1)._config.action_scale
+    assert len(about["joint_names"]) == 12 and about["config"]["ppo"]["normalize"]
+    for flag, said in (
+        (f"--out={tmp_path}/p.yaml", "FILE.onnx alone"),
+        ("--targets", "of its own"),
+    ):
+        flags = (flag,) if "out" in flag else (flag, f"--out={tmp_path}/q.onnx")
+        assert status(export.main, file, *flags) == 2 and said in capsys.readouterr().err
+
+
 def test_mistakes_are_one_line(monkeypatch):
     """A wrong name, variant or engine; a robot that has no stand-in; Playground not installed."""
     assert GO1 in refused(loading.check, "Go1Joystick")
@@ -491,7 +614,7 @@ def test_a_run_from_the_command_line_trains_resumes_and_is_evaluated(spec, tmp_p
     small = """rollout.num_envs=8 rollout.horizon=6 ppo.minibatches=2 run.num_iterations=2 run.log_every=1
         model.minibatches=3 model.hidden=(16,) ppo.hidden=(16,) ppo.critic_hidden=(16,) run.eval_envs=2
         run.eval_steps=4 run.device=cpu model.precision=highest ppo.precision=highest
-        ppo.shuffle_blocks=1""".split()
+        ppo.shuffle_blocks=1 run.video_seconds=0.1""".split()
     flags = [f"--config.{field}" for field in small]
     if not spec.endswith(":ppo"):
         flags += ["--config.schedule.end_steps=4", "--config.schedule.end_iteration=0"]

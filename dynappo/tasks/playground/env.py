@@ -44,6 +44,10 @@ PARTS, RENEWAL = (
 EVENTS = ("reward", "falls", "timeouts", "blowups")  # metrics beside the task's own
 
 
+# Warp's flags of a world (mujoco_warp's OverflowType): what had no room, and these bits
+OVERFLOWS = {"overflow_constraints": 0b11, "overflow_contacts": 0b111_1100}
+
+
 class Spare(struct.PyTreeNode):
     """A first state made ahead."""
 
@@ -104,6 +108,7 @@ def make(
     like, metrics = jax.eval_shape(start, jax.random.PRNGKey(0))
     metrics = {name: np.zeros(x.shape, x.dtype) for name, x in metrics.items()}
     scalars = [name for name, x in metrics.items() if x.shape == ()]
+    told = (*EVENTS, *(OVERFLOWS if task.mjx_model.impl.value == "warp" else ()))
     length = episode_length or int(task._config.episode_length)
     settling = -(-swapped.steps_of_a_reset(task) // task.n_substeps)
     cost = settling if settling > 1 else 0
@@ -118,7 +123,7 @@ def make(
         views=layout.views,
         fall_reward=None if fall is None else lambda hyper: fall,
         mirror=image,
-        metrics=(*map(column_name, scalars), *EVENTS),
+        metrics=(*map(column_name, scalars), *told),
         obs_size=len(layout.source),
         prop_size=layout.prop_size,
         action_size=task.action_size,
@@ -230,6 +235,7 @@ def step(const: Constants, hyper: Hyper, body, state: State, action, key):
         column_name(n): jnp.where(ok, x, 0.0) for n, x in out.metrics.items() if jnp.ndim(x) == 0
     }
     told |= dict(zip(EVENTS, (reward, fell * 1.0, timeout * 1.0, ~ok * 1.0), strict=True))
+    told |= overflows(out.data)
     outcome = Outcome(
         reward=reward,
         discount=1.0 - fell,
@@ -242,6 +248,16 @@ def step(const: Constants, hyper: Hyper, body, state: State, action, key):
         metrics=told,
     )
     return after, outcome
+
+
+def overflows(data: Any) -> dict[str, Float[Array, ""]]:
+    """1 where Warp had no room for some contacts or constraints of this robot; the run ends if one is
+    (run/overflow.py). {} of another engine, which has room for all."""
+    flags = getattr(data._impl, "overflow", None)
+    if flags is None:
+        return {}
+    flags = jnp.asarray(flags).reshape(-1)[0]
+    return {name: ((flags & bits) > 0) * 1.0 for name, bits in OVERFLOWS.items()}
 
 
 def autoreset(restarted, hyper: Hyper, body, state: State, outcome: Outcome, key) -> State:
