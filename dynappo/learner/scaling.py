@@ -49,7 +49,9 @@ def _add(old: dict[str, Array], x: Float[Array, "N R K"], weight: Float[Array, "
     apart = jnp.where(weight[..., None] > 0, x - old["mean"], 0.0)
     mean = old["mean"] + apart.sum((0, 1)) / jnp.maximum(count, 1.0)
     after = jnp.where(weight[..., None] > 0, x - mean, 0.0)
-    return {"count": count, "mean": mean, "m2": old["m2"] + (apart * after).sum((0, 1))}
+    # rounding makes the sum of a number that never changes as good as 0, on either side
+    m2 = jnp.maximum(old["m2"] + (apart * after).sum((0, 1)), 0.0)
+    return {"count": count, "mean": mean, "m2": m2}
 
 
 def scaled(params: dict, network: str, x: Float[Array, "... K"]) -> Float[Array, "... K"]:

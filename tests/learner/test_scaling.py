@@ -103,6 +103,17 @@ def test_no_update_changes_the_moments():
     assert (after.params["actor"]["params"]["Dense_0"]["kernel"] != before).any()
 
 
+def test_a_number_that_never_changes_is_no_nan():
+    """Rounding would make its variance negative: of numbers drawn, about half."""
+    *_, made = learner(True)
+    x = np.ones((N, R, 1), np.float32) * np.random.default_rng(0).uniform(1, 20, OBS)
+    seen = dict.fromkeys(("actor", "critic"), x.astype(np.float32))
+    for _ in range(3):
+        made = scaling.updated(made, seen, np.ones((N, R), np.float32))
+        assert (made.params["inputs"]["actor"]["m2"] >= 0).all()
+        assert bool(jnp.isfinite(scaling.scaled(made.params, "actor", x)).all())
+
+
 def test_with_mirror_images_the_moments_are_their_own():
     """Those of all rows and of their images: what is scaled of an image is the image of what is scaled."""
     mirror = Mirror(np.array([1, 0, 2, 3, 5, 4]), np.array([1.0, 1.0, -1.0, 1.0, -1.0, -1.0]))

@@ -20,8 +20,10 @@ from answers import refused, status
 
 from dynappo import config as config_lib
 from dynappo import schedule
+from dynappo.config import files
+from dynappo.evaluate import task_facts
 from dynappo.export import command as export
-from dynappo.policy import policy_file
+from dynappo.policy import policy_file, recorded
 from dynappo.run import overflow
 from dynappo.tasks import by_name
 from dynappo.types import Outcome
@@ -540,7 +542,7 @@ def test_room_for_contacts_is_the_tasks_for_many_robots_and_more_for_few():
     assert task(GO1)._config.njmax == loading.load(GO1).task._config.njmax
 
 
-def test_an_exported_policy_takes_the_tasks_observation(tmp_path, capsys):
+def test_an_exported_policy_takes_the_tasks_observation(tmp_path, capsys, monkeypatch):
     """ONNX against NumPy: the scaling of inputs is in it, and a tanh at its end."""
     runtime = pytest.importorskip("onnxruntime")
     config = config_lib.validate(config_lib.load(f"playground:{GO1}:ppo"))
@@ -557,6 +559,12 @@ def test_an_exported_policy_takes_the_tasks_observation(tmp_path, capsys):
     params = jax.tree.map(np.float32, {"actor": {"params": layers}, "inputs": inputs})
     policy_file.save(tmp_path / "policy.npz", params, config, None)
     file = str(tmp_path / "policy.npz")
+
+    def here(policy, out):  # not in a process of its own, which the slow test below starts
+        files.write_json(out, task_facts.facts(f"playground:{GO1}"))
+        return 0
+
+    monkeypatch.setattr(recorded, "facts", here)
     assert status(export.main, file, f"--out={tmp_path}/p.onnx") == 0
     told = capsys.readouterr().out
     assert "obs [batch, 48]" in told and "FR_hip_joint" in told
@@ -622,3 +630,5 @@ def test_a_run_from_the_command_line_trains_resumes_and_is_evaluated(spec, tmp_p
     more = "--config.run.num_iterations=3"
     assert status(command.main, f"--workdir={tmp_path}/run", more) == 0
     assert (tmp_path / "run" / "policy.npz").is_file() and "dynappo" in sys.modules
+    exported = status(export.main, f"{tmp_path}/run", f"--out={tmp_path}/p.onnx")
+    assert exported == (0 if spec.startswith("playground") else 2)
