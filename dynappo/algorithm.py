@@ -149,7 +149,8 @@ def iterate(
     if static.ppo.normalize:
         of_actor, of_critic = networks.inputs(static, env, rows.obs, rows.prop)
         seen = {"actor": of_actor, "critic": of_critic}
-        learner = scaling.updated(learner, seen, weight=real * rows.valid)
+        mirrors = symmetry.input_mirrors(static, env) if static.ppo.symmetry else None
+        learner = scaling.updated(learner, seen, weight=real * rows.valid, mirrors=mirrors)
 
     returns, lengths = stats.finished(state, rows, n_real)
     state = state.replace(learner=learner, returns=returns, lengths=lengths)

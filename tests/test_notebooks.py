@@ -1,4 +1,4 @@
-"""Every notebook runs, at a tiny size, and shows its outputs, small and clean (05, for Colab, has none).
+"""Every notebook runs, at a tiny size, and shows its outputs, small and clean (those for Colab have none).
 
 The outputs are written by `make notebooks`, which runs notebooks/execute.py, at their full size.
 """
@@ -16,7 +16,8 @@ from IPython.core.inputtransformer2 import TransformerManager
 from nbclient import NotebookClient
 
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
-WITH_OUTPUTS = [path for path in NOTEBOOKS if path.stem != "05_colab"]
+FOR_COLAB = ("05_colab", "06_playground")  # which carry no outputs
+WITH_OUTPUTS = [path for path in NOTEBOOKS if path.stem not in FOR_COLAB]
 MAX_BYTES, MAX_GIF = 300_000, 120_000  # of what is stored with every change
 SHOWS = {"print": "stream", "show": "image/", "display": "image/", "show_sweep": "stream"}
 # a path that begins at the root of a machine, or at a drive; not part of an address or a fraction
@@ -88,6 +89,20 @@ TINY["05_colab"] = {
     "workdir": "set by its test",
     "install": False,
 }
+
+TINY["06_playground"] = TINY["05_colab"] | {
+    "task": "Go1JoystickFlatTerrain",
+    "flags": " ".join(
+        f"--config.{field}"
+        for field in (
+            "run.num_iterations=2 run.log_every=1 run.eval_envs=2 run.eval_steps=4 run.video_seconds=0.2 "
+            "rollout.num_envs=8 rollout.horizon=6 schedule.end_iteration=0 schedule.end_steps=4 "
+            "model.minibatches=3 ppo.minibatches=2 ppo.shuffle_blocks=1 run.device=cpu "
+            "model.precision=highest ppo.precision=highest"
+        ).split()
+    ),
+}
+del TINY["06_playground"]["config"]
 
 
 def read(path):
@@ -221,6 +236,18 @@ def test_on_colab_a_run_is_trained_and_its_film_is_shown(tmp_path):
     assert filmed or "no video:" in text  # which says what to install
 
 
+@pytest.mark.slow
+def test_on_colab_a_task_of_playground_is_trained_shown_and_exported(tmp_path):
+    pytest.importorskip("mujoco_playground", reason="MuJoCo Playground is not installed")
+    path = ROOT / "notebooks" / "06_playground.ipynb"
+    notebook = execute(path, TINY[path.stem] | {"workdir": str(tmp_path / "run")})
+    text = printed(notebook)
+    assert "evaluation: return" in text and "policy.onnx (" in text
+    assert (tmp_path / "run" / "policy.onnx").is_file() and outputs(notebook, "image/png")
+    filmed = "<video" in "".join(outputs(notebook, "text/html"))
+    assert filmed or "no video:" in text
+
+
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
 def test_a_notebook_uses_only_what_there_is(path):
     """Every module of dynappo, and beside it, that it imports, and every name that it takes from one."""
@@ -238,7 +265,7 @@ def test_a_notebook_uses_only_what_there_is(path):
     used = [n for n in nodes if isinstance(n, ast.Attribute) and isinstance(n.value, ast.Name)]
     taken = {(n.value.id, n.attr) for n in used if n.value.id in modules}
     missing = [f"{name}.{attr}" for name, attr in taken if not hasattr(modules[name], attr)]
-    assert (taken or path.stem == "05_colab") and not missing
+    assert (taken or path.stem in FOR_COLAB) and not missing
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
@@ -258,8 +285,9 @@ def test_a_notebook_is_small(path):
     assert notebook.metadata.language_info == {"name": "python"}
 
 
-def test_the_notebook_for_colab_carries_no_outputs():
-    for cell in code(read(ROOT / "notebooks" / "05_colab.ipynb")):
+@pytest.mark.parametrize("name", FOR_COLAB)
+def test_a_notebook_for_colab_carries_no_outputs(name):
+    for cell in code(read(ROOT / "notebooks" / f"{name}.ipynb")):
         assert not cell.outputs and cell.execution_count is None, "clear all outputs, then save"
 
 

@@ -116,9 +116,8 @@ def _check_pairs(config, fields: dict[str, Any]) -> None:
         config.schedule.end_steps,
         f"less than rollout.horizon = {rollout.horizon}: a rollout needs at least one real row",
     )
-    for name in ("scale_inputs", "symmetry"):
-        text = "False where ppo.normalize is True, which scales each input by itself"
-        expect(not (ppo.normalize and ppo[name]), f"ppo.{name}", ppo[name], text)
+    text = "False where ppo.normalize is True, which scales each input by itself"
+    expect(not (ppo.normalize and ppo.scale_inputs), "ppo.scale_inputs", ppo.scale_inputs, text)
     late_from, late_kl = config.schedule.late_from, config.ppo.late_kl
     text = f"an iteration where ppo.late_kl is {late_kl:g}: it holds after that"
     expect(late_from is not None or late_kl == 1, "schedule.late_from", late_from, text)

@@ -14,9 +14,9 @@ from pathlib import Path
 from dynappo.config import ConfigError, files, shell
 from dynappo.config import flags as flags_lib
 from dynappo.description.robot import Robot
-from dynappo.export import deploy_yaml, joint_order, onnx_file
+from dynappo.export import deploy_yaml, joint_order, onnx_file, task_onnx
 from dynappo.policy import policy_source
-from dynappo.policy.policy_file import Policy
+from dynappo.policy.policy_file import Other, Policy
 
 FILES = (".onnx", ".npz", ".xml", ".yaml")
 USAGE = """\
@@ -116,10 +116,7 @@ def run(flags) -> None:
     """Export as the flags say, and print what was written."""
     theirs = policy_source.other(flags)
     if theirs is not None:
-        raise ConfigError(
-            f"{theirs[1]}: a policy of {theirs[0].config.env}, and export writes those of dynappo's robots; "
-            "policy_file.load_actor(POLICY_NPZ) acts with it: docs/environment.md"
-        )
+        return of_task(*theirs, flags)
     policy, path, named = policy_source.of_flags(flags)
     check_out(flags.out, path)
     robot, note = policy_source.robot(policy, flags.robot_xml)
@@ -140,6 +137,16 @@ def run(flags) -> None:
     if note:
         print(note)
     for name, text in table(policy, flags.out, order, flags.targets):
+        print(f"{name:10s}  {text}")
+
+
+def of_task(policy: Other, path: Path, named: str, flags) -> None:
+    """`run` for a policy of another package's environment."""
+    task_onnx.check(policy, path, flags)
+    check_out(flags.out, path)
+    facts = task_onnx.save(policy, path, flags.out)
+    print(f"dynappo exports {policy.config.env}: {named}")
+    for name, text in task_onnx.table(facts, policy, flags.out):
         print(f"{name:10s}  {text}")
 
 

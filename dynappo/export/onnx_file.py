@@ -114,67 +114,116 @@ def _float32(name: str, value) -> np.ndarray:
     return array
 
 
+class Graph:
+    """Nodes and constants of a network that is being put together; names are those of its outputs."""
+
+    def __init__(self):
+        self.nodes: list[Any] = []
+        self.weights: list[Any] = []
+
+    def node(self, kind: str, *inputs: str, name: str, **attributes) -> str:
+        from onnx import helper
+
+        self.nodes.append(helper.make_node(kind, inputs, [name], **attributes))
+        return name
+
+    def constant(self, name: str, value) -> str:
+        return self.array(name, _float32(name, value))
+
+    def array(self, name: str, value) -> str:
+        from onnx import numpy_helper
+
+        self.weights.append(numpy_helper.from_array(value, name))
+        return name
+
+
+def add_network(
+    graph: Graph, params: dict, activation: str, x: str, name: str, rows: Any = slice(None)
+) -> str:
+    """The actor of `params` on `x`, whose numbers are the network's own in the order `rows`."""
+    layers = params["actor"]["params"]
+    for i in range(len(layers)):
+        layer, last = layers[f"Dense_{i}"], i == len(layers) - 1
+        kernel = layer["kernel"][rows] if i == 0 else layer["kernel"]
+        kernel = graph.constant(f"kernel_{i}", kernel)
+        bias = graph.constant(f"bias_{i}", layer["bias"])
+        x = graph.node("Gemm", x, kernel, bias, name=f"linear_{i}")
+        if last:
+            limit = policy_file.MAX_MEAN
+            ends = (
+                graph.constant("lowest_action", -limit),
+                graph.constant("highest_action", limit),
+            )
+            return graph.node("Clip", x, *ends, name=name)
+        if activation == "swish":  # an operator of its own only from opset 24 on
+            gate = graph.node("Sigmoid", x, name=f"gate_{i}")
+            x = graph.node("Mul", x, gate, name=f"hidden_{i}")
+        else:
+            x = graph.node(activation.capitalize(), x, name=f"hidden_{i}")
+    raise ValueError("a network without layers")
+
+
+def values(name: str, size: int, text: str):
+    """An input or output [batch, size]."""
+    from onnx import TensorProto, helper
+
+    return helper.make_tensor_value_info(name, TensorProto.FLOAT, ["batch", size], doc_string=text)
+
+
+def checked(graph: Graph, inputs: list, outputs: list, facts: dict[str, Any], text: str):
+    """The graph as an `onnx.ModelProto`; every metadata value is JSON."""
+    import onnx
+    from onnx import helper
+
+    made = helper.make_graph(graph.nodes, "policy", inputs, outputs, initializer=graph.weights)
+    model = helper.make_model(
+        made,
+        opset_imports=[helper.make_opsetid("", OPSET)],
+        ir_version=IR_VERSION,
+        producer_name="dynappo",
+        producer_version=facts["dynappo"],
+        doc_string=text,
+    )
+    helper.set_model_props(
+        model, {name: policy_file.to_json(value) for name, value in facts.items()}
+    )
+    onnx.checker.check_model(model, full_check=True)
+    return model
+
+
 def onnx_model(policy: Policy, facts: dict[str, Any], targets: bool = False):
     """The actor as an `onnx.ModelProto`, checked; every metadata value is JSON.
 
     `targets` adds an output: the joint position targets, `default_pose + action_scale * action` (rad).
     """
-    import onnx
-    from onnx import helper, numpy_helper
+    from onnx import TensorProto
 
-    layers = policy.params["actor"]["params"]
-    nodes, weights, x = [], [], "obs"
-
-    def constant(name, value):
-        weights.append(numpy_helper.from_array(_float32(name, value), name))
-        return name
-
-    def integers(name, value):
-        weights.append(numpy_helper.from_array(np.asarray(value, np.int64), name))
-        return name
-
-    def node(kind, *inputs, name, **attributes):
-        nodes.append(helper.make_node(kind, inputs, [name], **attributes))
-        return name
-
+    graph, x = Graph(), "obs"
+    node, constant = graph.node, graph.constant
     if policy.gait_frequency is not None:  # a robot's clock goes on where the policy saw zeros
         places = {part: np.arange(rows.start, rows.stop) for part, rows in table(policy)}
         places["others"] = np.arange(places["gait_phase"][0])  # it is the last part
         others, phase, command = (
-            node("Gather", x, integers(f"{part}_places", places[part]), name=part, axis=1)
+            node(
+                "Gather",
+                x,
+                graph.array(f"{part}_places", np.asarray(places[part], np.int64)),
+                name=part,
+                axis=1,
+            )
             for part in ("others", "gait_phase", "command")
         )
         of_reading = np.kron(np.eye(policy.history), np.ones((3, 2)))
         squares = node("Mul", command, command, name="command_squares")
         squares = node("MatMul", squares, constant("of_reading", of_reading), name="command_size")
         moves = node("Greater", squares, constant("still", gait.STILL**2), name="moves")
-        moves = node("Cast", moves, name="moving", to=onnx.TensorProto.FLOAT)
+        moves = node("Cast", moves, name="moving", to=TensorProto.FLOAT)
         phase = node("Mul", phase, moves, name="gait_phase_moving")
         x = node("Concat", others, phase, name="seen", axis=1)
-    for i in range(len(layers)):
-        layer, last = layers[f"Dense_{i}"], i == len(layers) - 1
-        weights_in = layer["kernel"][order(policy)] if i == 0 else layer["kernel"]
-        kernel = constant(f"kernel_{i}", weights_in)
-        bias = constant(f"bias_{i}", layer["bias"])
-        x = node("Gemm", x, kernel, bias, name=f"linear_{i}")
-        if last:
-            limit = policy_file.MAX_MEAN
-            ends = constant("lowest_action", -limit), constant("highest_action", limit)
-            x = node("Clip", x, *ends, name="action")
-            break
-        if policy.activation == "swish":  # an operator of its own only from opset 24 on
-            gate = node("Sigmoid", x, name=f"gate_{i}")
-            x = node("Mul", x, gate, name=f"hidden_{i}")
-        else:
-            x = node(policy.activation.capitalize(), x, name=f"hidden_{i}")
+    x = add_network(graph, policy.params, policy.activation, x, "action", order(policy))
     if targets:
         x = node("Mul", x, constant("action_scale", policy.action_scale), name="scaled")
         node("Add", x, constant("default_pose", policy.default_pose), name="targets")
-
-    def values(name, size, text):
-        kind = onnx.TensorProto.FLOAT
-        return helper.make_tensor_value_info(name, kind, ["batch", size], doc_string=text)
-
     size, joints = len(order(policy)), len(policy.joint_names)
     rows = [
         f"{r['start']}-{r['stop'] - 1} {r['name']} ({r['unit']})"
@@ -183,26 +232,12 @@ def onnx_model(policy: Policy, facts: dict[str, Any], targets: bool = False):
     outputs = [values("action", joints, "raw; it is also the previous_action of the next step")]
     if targets:
         outputs.append(values("targets", joints, "joint positions, rad"))
-    graph = helper.make_graph(
-        nodes, "policy", [values("obs", size, "; ".join(rows))], outputs, initializer=weights
+    text = (
+        f"Walking policy of {policy.robot}. Joint position targets (rad) are default_pose + "
+        "action_scale * action, followed by a PD of gains kp and kd at the motors; one action "
+        "every control_dt. Each metadata value is JSON. How to use it: robots/DEPLOY.md of dynappo."
     )
-    model = helper.make_model(
-        graph,
-        opset_imports=[helper.make_opsetid("", OPSET)],
-        ir_version=IR_VERSION,
-        producer_name="dynappo",
-        producer_version=facts["dynappo"],
-        doc_string=(
-            f"Walking policy of {policy.robot}. Joint position targets (rad) are default_pose + "
-            "action_scale * action, followed by a PD of gains kp and kd at the motors; one action "
-            "every control_dt. Each metadata value is JSON. How to use it: robots/DEPLOY.md of dynappo."
-        ),
-    )
-    helper.set_model_props(
-        model, {name: policy_file.to_json(value) for name, value in facts.items()}
-    )
-    onnx.checker.check_model(model, full_check=True)
-    return model
+    return checked(graph, [values("obs", size, "; ".join(rows))], outputs, facts, text)
 
 
 def save(policy: Policy, robot: robot_lib.Robot, out: Path, targets: bool = False) -> None:

@@ -17,7 +17,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from dynappo.types import Learner
+from dynappo.learner.symmetry import vector
+from dynappo.types import Learner, Mirror
 
 MIN_STD = 1e-3  # of a number that hardly changes; policy/policy_file.py has it too
 
@@ -28,10 +29,17 @@ def init(size: int) -> dict[str, Array]:
 
 
 def updated(
-    learner: Learner, seen: dict[str, Float[Array, "N R K"]], weight: Float[Array, "N R"]
+    learner: Learner,
+    seen: dict[str, Float[Array, "N R K"]],
+    weight: Float[Array, "N R"],
+    mirrors: dict[str, Mirror] | None = None,
 ) -> Learner:
-    """The learner with the rows of weight 1 added, of what each network saw."""
+    """The learner with the rows of weight 1 added, of what each network saw; with `mirrors` of a symmetric
+    policy, also their mirror images, so that scaled inputs have the same mirror."""
     old = learner.params["inputs"]
+    if mirrors is not None:
+        seen = {n: jnp.concatenate([x, vector(mirrors[n], x)], 1) for n, x in seen.items()}
+        weight = jnp.concatenate([weight, weight], 1)
     new = {name: _add(old[name], x, weight) for name, x in seen.items()}
     return learner.replace(params=learner.params | {"inputs": new})
 
@@ -41,7 +49,9 @@ def _add(old: dict[str, Array], x: Float[Array, "N R K"], weight: Float[Array, "
     apart = jnp.where(weight[..., None] > 0, x - old["mean"], 0.0)
     mean = old["mean"] + apart.sum((0, 1)) / jnp.maximum(count, 1.0)
     after = jnp.where(weight[..., None] > 0, x - mean, 0.0)
-    return {"count": count, "mean": mean, "m2": old["m2"] + (apart * after).sum((0, 1))}
+    # rounding makes the sum of a number that never changes as good as 0, on either side
+    m2 = jnp.maximum(old["m2"] + (apart * after).sum((0, 1)), 0.0)
+    return {"count": count, "mean": mean, "m2": m2}
 
 
 def scaled(params: dict, network: str, x: Float[Array, "... K"]) -> Float[Array, "... K"]:

@@ -73,18 +73,30 @@ def policy_image(static: Static, env: Env) -> Image | None:
         raise ValueError(
             "ppo.symmetry is True: this environment has no mirror image; set it to False"
         )
-    (obs, action), views = env.mirror, env.views
+    of, action = input_mirrors(static, env), env.mirror[1]
+
+    def image(params: dict) -> dict:
+        actor = network_image(params["actor"], of["actor"], action)
+        critic = network_image(params["critic"], of["critic"], unchanged(1))
+        # what else there is, the moments that scale inputs, is its own image (scaling.py)
+        return params | {
+            "actor": actor,
+            "critic": critic,
+            "std": params["std"][action.index],
+        }
+
+    return image
+
+
+def input_mirrors(static: Static, env: Env) -> dict[str, Mirror]:
+    """The mirrors of what policy and value function see, of an environment that has one."""
+    assert env.mirror is not None
+    obs, views = env.mirror[0], env.views
     of_actor = obs if views is None else part(obs, views.actor)
     of_critic = of_actor
     if static.ppo.critic == "state" and views is not None:
         of_critic = part(obs, views.critic)
-
-    def image(params: dict) -> dict:
-        actor = network_image(params["actor"], of_actor, action)
-        critic = network_image(params["critic"], of_critic, unchanged(1))
-        return {"actor": actor, "critic": critic, "std": params["std"][action.index]}
-
-    return image
+    return {"actor": of_actor, "critic": of_critic}
 
 
 def numbered(params):

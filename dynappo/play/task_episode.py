@@ -5,7 +5,6 @@ The episode is recorded by evaluate/record.py, in a process of its own, because 
 
 from __future__ import annotations
 
-import subprocess
 import sys
 import tempfile
 from pathlib import Path
@@ -14,9 +13,9 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 
-from dynappo.config import ConfigError, interpreter
+from dynappo.config import ConfigError
 from dynappo.page import episode_page
-from dynappo.policy import render
+from dynappo.policy import recorded, render
 from dynappo.policy.policy_file import Other
 
 SECONDS = 12.0  # of a film
@@ -35,7 +34,8 @@ def check(policy: Other, flags) -> None:
     env = policy.config.env
     if flags.serve is not None or flags.out is None:
         raise ConfigError(
-            f"the policy is of {env}, which is played into a file alone (its physics are MJX's): "
+            f"the policy is of {env}: neither the live page nor the viewer shows it, whose robots move in C "
+            "MuJoCo while the task needs MJX; it is played into a file: "
             "--out=FILE.html, .mp4, .gif or .png"
         )
     for name in ("command", "keep_joints"):
@@ -55,9 +55,7 @@ def run(policy: Other, path: Path, flags, named: str) -> None:
     )
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "episode.npz"
-        command = [*interpreter.command("dynappo.evaluate.record"), str(path), str(file)]
-        command += [str(flags.seed), acts, f"{flags.seconds or SECONDS:g}"]
-        status = subprocess.run(command, check=False).returncode
+        status = recorded.episode(path, file, flags.seed, acts, flags.seconds or SECONDS)
         if status:
             sys.exit(status)  # it has said why
         episode: dict[str, Any] = dict(np.load(file))

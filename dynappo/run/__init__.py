@@ -7,6 +7,7 @@
 - `checkpoint`, `log`: what a run writes while it trains
 - `restore`: starts from the networks of another run
 - `finish`, `learning_curves`: what a run writes at its end: summary, policy, film, picture
+- `overflow`: an engine that had no room for all contacts
 - `nonfinite`: what a run says and saves when numbers blow up
 - `show`: what `train` prints of a run
 - `stop`: ctrl-C and SIGTERM

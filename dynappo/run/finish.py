@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import tempfile
 import time
 from collections.abc import Callable
 from functools import partial
@@ -45,7 +46,10 @@ def finish(
     title = (robots if config.robot else workdir.resolve().name) + seeds
     problem = learning_curves.draw(metrics, workdir / "curves.png", title)
     summary["curves"] = problem or str(workdir / "curves.png")
-    if config.run.video_seconds:
+    if config.run.video_seconds and not config.robot:
+        problem = _film_of_task(config, workdir) or str(workdir / "video.mp4")
+        summary["video"] = problem
+    elif config.run.video_seconds:
         act = policy_file.actor(params, config.ppo.activation)
         seconds = config.run.video_seconds
         try:
@@ -66,6 +70,22 @@ def finish(
     if config.run.wandb:
         log.attempt("Weights & Biases", partial(to_wandb, *shown), say, "all else is there")
     return summary
+
+
+def _film_of_task(config, workdir: Path) -> str:
+    """The film of an episode of another package's environment; "", or why there is none."""
+    from dynappo.policy import recorded, render
+
+    if not config.env.startswith("playground:"):
+        return "no video: the environment has no MuJoCo model"
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "episode.npz"
+        policy = workdir / "policy.npz"
+        if recorded.episode(policy, file, 0, "policy", config.run.video_seconds):
+            return "no video: the episode could not be recorded"
+        episode = dict(np.load(file))
+        shown = render.Shown(file.with_suffix(".mjb"), "", int(episode["base"]))
+        return render.film(shown, episode, workdir / "video.mp4")
 
 
 def final(summary: dict[str, Any]) -> dict[str, float]:

@@ -17,7 +17,7 @@ import numpy as np
 
 from dynappo.program import distributed
 from dynappo.program.build import Program
-from dynappo.run import log, merged
+from dynappo.run import log, merged, overflow
 from dynappo.run import workdir as workdir_lib
 from dynappo.run.workdir import OpenRun
 
@@ -73,6 +73,7 @@ def loop(
             try:
                 was = partial(part, before, i)
                 nonfinite.check(chunks[i], columns, part(networks, i), was, runs[i].workdir)
+                overflow.check(chunks[i])
             except FloatingPointError as error:
                 blown_up(runs[i], done, error)
                 del chunks[i]

@@ -73,8 +73,8 @@ def _playground(config, impl: str) -> tuple[Env, Any]:
     # of the robots of all seeds on one device, in training or in an evaluation
     worlds = max(config.rollout.num_envs, run.eval_envs) * run.num_seeds
     loaded = loading.load(name, impl, -(-worlds // (run.mesh_seed * run.mesh_env)))
-    made = env.make(loaded.task, config.task.episode_length, config.task.random_clock)
-    return made, loading.drawn(loaded)
+    own = config.task.episode_length, config.task.random_clock, config.ppo.symmetry
+    return env.make(loaded.task, *own), loading.drawn(loaded)
 
 
 def _check_brax(name: str) -> None:

@@ -127,7 +127,9 @@ def _prepare_page(serve: str, config, sweep) -> None:
     address.read(serve)
     address.check()
     if sweep or not config.robot:
-        raise config_lib.ConfigError("--serve shows one run of a robot of robots/; leave it out")
+        raise config_lib.ConfigError(
+            "--serve shows one run of a robot of robots/, not other environments or sweeps; leave it out"
+        )
     if config.run.checkpoint_every == fields.defaults().run.checkpoint_every:
         config.run.checkpoint_every = 2 * config.run.log_every
 

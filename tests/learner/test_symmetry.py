@@ -11,7 +11,7 @@ import toy_env
 from jax.flatten_util import ravel_pytree
 
 from dynappo import fast
-from dynappo.learner import networks, ppo, symmetry
+from dynappo.learner import networks, ppo, scaling, symmetry
 from dynappo.types import Mirror
 
 # of six observed numbers and three actions: pairs, one that turns round and one that stays
@@ -142,3 +142,20 @@ def test_an_update_stays_symmetric_and_without_the_image_does_not(
 def test_an_environment_without_a_mirror_image_is_refused_in_one_line(settings):
     with pytest.raises(ValueError, match="ppo.symmetry is True.* no mirror image"):
         symmetry.policy_image(settings[0], SimpleNamespace(mirror=None, views=None))
+
+
+def test_a_policy_that_scales_its_inputs_is_symmetric_too(settings, image, batch):
+    """`ppo.normalize`: moments of rows and images, which no update changes."""
+    static, hyper = settings
+    static = static._replace(ppo=static.ppo._replace(normalize=True))
+    learner = ppo.init(static, hyper, 6, 3, jax.random.key(0), image=image)
+    seen = dict.fromkeys(("actor", "critic"), 3 * batch.obs + jnp.arange(6.0))
+    mirrors = dict.fromkeys(("actor", "critic"), OBS)
+    learner = scaling.updated(learner, seen, jnp.ones((N, R)), mirrors)
+    assert_symmetric(static, learner.params)
+    update = partial(fast.update, static, hyper, batch=batch, key=jax.random.key(1), image=image)
+    after, _ = jax.jit(update)(learner)
+    assert_symmetric(static, after.params)
+    np.testing.assert_array_equal(
+        after.params["inputs"]["actor"]["mean"], learner.params["inputs"]["actor"]["mean"]
+    )

@@ -1,36 +1,53 @@
 """Playground's tasks under our trainer: the same numbers as the task's own step, without network or meshes.
 
-Compiling MJX takes most of the time, so one program has all that one task's steps are compared with.
+To compile MJX takes longest, so most of these tests trace the tasks with C MuJoCo's physics
+(playground_in_c.py); one compiles our step on MJX.
 """
 
 import functools
+import json
 import sys
 import types as python_types
+from unittest import mock
 
 import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
+import playground_in_c
 import pytest
 from answers import refused, status
 
 from dynappo import config as config_lib
+from dynappo import schedule
+from dynappo.config import files
+from dynappo.evaluate import task_facts
+from dynappo.export import command as export
+from dynappo.policy import policy_file, recorded
+from dynappo.run import overflow
 from dynappo.tasks import by_name
 from dynappo.types import Outcome
 
 pytest.importorskip("mujoco_playground", reason="MuJoCo Playground is not installed")
 
-from dynappo.tasks.playground import assets, env, loading, parts, settings, swapped  # noqa: E402
+from dynappo.tasks.playground import (  # noqa: E402
+    assets,
+    env,
+    loading,
+    mirrored,
+    parts,
+    settings,
+    swapped,
+)
 from dynappo.train import command  # noqa: E402
 
 ROBOTS, ROWS = 3, 6
-GO1, SPOT = (
-    "Go1JoystickFlatTerrain",
-    "SpotJoystickGaitTracking",
-)  # a dict of observations, one with a history
-EVERY = [
-    name for name in loading.names() if name != "BarkourJoystick"
-]  # whose robot is Menagerie's
+# two observations; phases too; one observation, with a history; a reset that settles
+GO1, BIPED, SPOT, GETUP = (
+    "Go1JoystickFlatTerrain BerkeleyHumanoidJoystickFlatTerrain SpotJoystickGaitTracking "
+    "Go1Getup".split()
+)
+EVERY = [name for name in loading.names() if name != "BarkourJoystick"]  # a robot of Menagerie's
 
 
 @pytest.fixture(autouse=True)
@@ -48,18 +65,50 @@ def task(name):
 
 
 @functools.cache
+def explored(name):
+    """`(layout, what it was found by)`."""
+    return parts.layout(task(name))
+
+
+@functools.cache
 def made(name):
-    return env.make(task(name), random_clock=False)
+    return made_with(name, random_clock=False)
+
+
+def made_with(name, **options):
+    found = explored(name)
+    with mock.patch.object(parts, "layout", lambda _: found):
+        return env.make(task(name), **options)
+
+
+def actor(of):
+    """The columns of obs that are the task's own `state`."""
+    assert of.views is not None
+    return of.views.actor
 
 
 def const(of):
     return of.step.args[0]
 
 
+def in_c(name, function):
+    """`jax.jit(function)`, traced with C MuJoCo's physics."""
+
+    def traced(*arguments):
+        with playground_in_c.physics(task(name)):
+            return function(*arguments)
+
+    return jax.jit(traced)
+
+
+def every(function):
+    """A function of an `Env` for all robots, without hyper and body."""
+    return jax.vmap(functools.partial(function, None, None))
+
+
 @functools.cache
-def restarted():
-    """`f(states, fell, timed out, keys) -> states` of Go1's robots; one program for all tests."""
-    of = made(GO1)
+def restarted(name=GO1):
+    """`f(states, fell, timed out, keys) -> states` of a task's robots; one program for all tests."""
 
     def some(states, fell, late, keys):
         zeros = jnp.zeros(ROBOTS)
@@ -73,54 +122,78 @@ def restarted():
             episode_length=zeros,
             valid=zeros + 1,
         )
-        return jax.vmap(functools.partial(of.autoreset, None, None))(states, outcome, keys)
+        return every(made(name).autoreset)(states, outcome, keys)
 
-    return jax.jit(some)
+    return in_c(name, some)
 
 
-@functools.cache
-def rollout():
-    """`(states before, actions, states after, outcomes, Playground's own states)` of Go1, all [ROWS, ROBOTS].
-
-    Playground's states go on from its own data, which are never rebuilt.
-    """
-    of, keys = made(GO1), jax.random.split(jax.random.key(3), ROBOTS)
-    shapes = jax.eval_shape(jax.vmap(functools.partial(of.reset, None, None)), keys)
+def started(name):
+    """First states, by `autoreset` of empty ones: to compile `reset` takes as long again."""
+    keys = jax.random.split(jax.random.key(3), ROBOTS)
+    shapes = jax.eval_shape(every(made(name).reset), keys)
     nothing = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
-    ours = restarted()(nothing, jnp.ones(ROBOTS), jnp.zeros(ROBOTS), keys)
-    actions = np.random.default_rng(0).normal(size=(ROWS, ROBOTS, of.action_size))
+    return restarted(name)(nothing, jnp.ones(ROBOTS), jnp.zeros(ROBOTS), keys)
+
+
+def drawn_actions(name):
+    shape = ROWS, ROBOTS, made(name).action_size
+    return 0.3 * np.random.default_rng(0).normal(size=shape).astype(np.float32)
+
+
+def side_by_side(name, compiled):
+    """`(states before, actions, states after, outcomes, Playground's own states)`, all [ROWS, ROBOTS].
+
+    Playground's states go on from its own data, which are never rebuilt. `compiled(function)` jits it.
+    """
+    of, keys = made(name), jax.random.split(jax.random.key(3), ROBOTS)
 
     def both(ours, own, action):
-        after, outcome = jax.vmap(functools.partial(of.step, None, None))(ours, action, keys)
-        return after, outcome, jax.vmap(task(GO1).step)(own, jnp.tanh(action))
+        after, outcome = every(of.step)(ours, action, keys)
+        return after, outcome, jax.vmap(task(name).step)(own, jnp.tanh(action))
 
+    ours, both, rows = started(name), compiled(both), []
     own = jax.jit(jax.vmap(functools.partial(env.before_step, const(of))))(ours)
-    shapes = jax.eval_shape(both, ours, own, actions[0])[
-        2
-    ]  # else the first step is a program of its own
-    own = jax.tree.map(lambda x, like: jnp.asarray(x, like.dtype), own, shapes)
-    both, rows = jax.jit(both), []
-    for action in 0.3 * actions.astype(np.float32):
+    for action in drawn_actions(name):
         after, outcome, theirs = both(ours, own, action)
+        # what it begins with has other types: the first step would be a program of its own
+        theirs = jax.tree.map(lambda x, like: jnp.asarray(x, like.dtype), theirs, own)
         rows.append((ours, action, after, outcome, theirs))
         ours, own = after, theirs
     return jax.tree.map(lambda *x: np.stack(x), *rows)
 
 
-def test_reward_observation_and_end_are_those_of_the_tasks_own_step():
-    """Although MJX's data are rebuilt before each step; and no key of random numbers is another."""
-    _, _, after, outcome, own = rollout()
-    of = made(GO1)
+@functools.cache
+def rollout(name):
+    """`side_by_side` in C MuJoCo."""
+    return side_by_side(name, functools.partial(in_c, name))
+
+
+def same_as_own(name, rows):
+    """Reward, observations, end, random keys and terms are those of the task's own step."""
+    _, _, after, outcome, own = rows
+    of = made(name)
     np.testing.assert_allclose(outcome.reward, own.reward, atol=1e-5)
     np.testing.assert_array_equal(1 - outcome.discount, own.done)
     np.testing.assert_allclose(after.qpos, own.data.qpos, atol=1e-4)
-    for name, columns in (("state", of.views.actor), ("privileged_state", None)):
-        numbers = outcome.next_obs[..., columns] if columns is not None else raw(of, outcome)[name]
-        np.testing.assert_allclose(numbers, own.obs[name], rtol=1e-3, atol=2e-3)
+    seen = outcome.next_obs[..., actor(of)]
+    np.testing.assert_allclose(seen, own.obs["state"], rtol=1e-3, atol=2e-3)
+    privileged = raw(of, outcome)["privileged_state"]
+    np.testing.assert_allclose(privileged, own.obs["privileged_state"], rtol=1e-3, atol=2e-3)
     np.testing.assert_array_equal(after.info["rng"], own.info["rng"])
-    for name in ("reward/tracking_lin_vel", "reward/torques"):
-        told = outcome.metrics[env.column_name(name)]
-        np.testing.assert_allclose(told, own.metrics[name], rtol=1e-3, atol=1e-4)
+    for term, value in own.metrics.items():
+        told = outcome.metrics[env.column_name(term)]
+        np.testing.assert_allclose(told, value, rtol=1e-3, atol=1e-4)
+
+
+@pytest.mark.parametrize("name", [GO1, BIPED])
+def test_reward_observation_and_end_are_those_of_the_tasks_own_step(name):
+    """Although MJX's data are rebuilt before each step; and no key of random numbers is another."""
+    same_as_own(name, rollout(name))
+
+
+@pytest.mark.slow
+def test_they_are_on_mjx_too():
+    same_as_own(GO1, side_by_side(GO1, jax.jit))
 
 
 def raw(of, outcome):
@@ -133,26 +206,21 @@ def raw(of, outcome):
     return jax.vmap(jax.vmap(one))(outcome.next_obs, outcome.next_prop)
 
 
-def test_physics_are_those_of_c_mujoco():
-    """Of one control step, from a state of the rollout; contacts too: the robot has landed."""
-    before, action, after, *_ = rollout()
-    model, row = task(GO1).mj_model, ROWS - 1
-    data = mujoco.MjData(model)
-    for robot in range(ROBOTS):
-        mujoco.mj_resetData(model, data)
-        data.qpos[:], data.qvel[:] = before.qpos[row, robot], before.qvel[row, robot]
-        data.qacc_warmstart[:] = before.qacc_warmstart[row, robot]
-        pose = task(GO1)._default_pose
-        data.ctrl[:] = pose + np.tanh(action[row, robot]) * task(GO1)._config.action_scale
-        for _ in range(task(GO1).n_substeps):
-            mujoco.mj_step(model, data)
-        np.testing.assert_allclose(after.qpos[row, robot], data.qpos, atol=2e-3)
+def test_physics_of_mjx_are_those_of_c_mujoco():
+    """Of one control step of our `step`, from the last row in C: the robot has landed."""
+    before, action, after, outcome, _ = jax.tree.map(lambda x: x[-1, 0], rollout(GO1))
+    step = jax.jit(functools.partial(made(GO1).step, None, None))
+    found, told = step(before, action, jax.random.key(0))
+    np.testing.assert_allclose(found.qpos, after.qpos, atol=2e-3)
+    np.testing.assert_allclose(told.reward, outcome.reward, atol=2e-3)
+    np.testing.assert_allclose(found.qvel, after.qvel, atol=0.2)
 
 
-def test_what_is_known_is_computed_exactly():
+@pytest.mark.parametrize("name", [GO1, BIPED])
+def test_what_is_known_is_computed_exactly(name):
     """The next row's context, all that the model does not predict, from the row's own numbers."""
-    before, action, _, outcome, _ = rollout()
-    of = made(GO1)
+    before, action, _, outcome, _ = rollout(name)
+    of = made(name)
     advance = jax.jit(jax.vmap(jax.vmap(functools.partial(of.advance, None))))
     size = of.prop_size
     found = advance(before.obs[..., size:], before.obs[..., :size], action, outcome.next_prop)
@@ -160,16 +228,25 @@ def test_what_is_known_is_computed_exactly():
     np.testing.assert_allclose(found, outcome.next_obs[..., size:], atol=1e-5)
 
 
+def test_phases_are_known():
+    """The biped's clock of the gait: cosine and sine of both feet."""
+    of = made(BIPED)
+    phases = actor(of)[-4:]
+    assert (phases >= of.prop_size).all() and actor(of).size == 52
+    seen = rollout(BIPED)[3].next_obs[..., phases]
+    np.testing.assert_allclose(seen[..., :2] ** 2 + seen[..., 2:] ** 2, 1.0, atol=1e-5)
+
+
 def test_noise_is_on_what_the_policy_senses_as_wide_as_the_task_says():
     """Uniform, of the five kinds of sensors; `prop` has none, and `sense` adds it."""
-    before, *_ = rollout()
+    before, *_ = rollout(GO1)
     of, scales = made(GO1), task(GO1)._config.noise_config.scales
     noise = const(of).layout.noise
     wide = np.repeat(
         [scales.linvel, scales.gyro, scales.gravity, scales.joint_pos, scales.joint_vel],
         [3, 3, 3, 12, 12],
     )
-    np.testing.assert_allclose(noise[of.views.actor[:33]], wide, rtol=1e-5)
+    np.testing.assert_allclose(noise[actor(of)[:33]], wide, rtol=1e-5)
     assert (noise[33:] == 0).all() and of.prop_size == 80
     off = np.abs(before.obs[..., : of.prop_size] - before.prop)
     assert (off <= noise + 1e-4).all() and (off[..., :33].max((0, 1)) > noise[:33] / 10).all()
@@ -179,7 +256,7 @@ def test_noise_is_on_what_the_policy_senses_as_wide_as_the_task_says():
 
 def test_those_that_ended_start_anew_and_no_others():
     """Under vmap they are gathered, a few at a time; each gets the state of its own key, and all differ."""
-    states = jax.tree.map(lambda x: jnp.asarray(x[-1]), rollout()[2])
+    states = jax.tree.map(lambda x: jnp.asarray(x[-1]), rollout(GO1)[2])
     keys = jax.random.split(jax.random.key(9), ROBOTS)
     fell, late = np.array([1.0, 0, 0]), np.array([0.0, 0, 1])
     after, ended = restarted()(states, fell, late, keys), (fell + late) > 0
@@ -188,10 +265,58 @@ def test_those_that_ended_start_anew_and_no_others():
     assert (after.clock[ended] == 0).all() and (after.episode_return[ended] == 0).all()
     places = np.asarray(after.qpos[ended])
     assert len(np.unique(places[:, 0])) == ended.sum() and (np.abs(places[:, :2]) <= 0.5).all()
-    alone = restarted()(
-        states, np.zeros(ROBOTS), late, keys
-    )  # whoever else ends, a robot starts as its key says
+    # whoever else ends, a robot starts as its key says
+    alone = restarted()(states, np.zeros(ROBOTS), late, keys)
     np.testing.assert_array_equal(alone.qpos[2], after.qpos[2])
+
+
+def test_a_costly_reset_is_made_ahead():
+    """Go1Getup settles for 25 control steps: a robot starts from its spare, with a key of its own. Spares
+    are drawn anew, one part when its time has come."""
+    of = made(GETUP)
+    assert (
+        const(of).cost == 26 and const(made(GO1)).cost == 0
+    )  # 125 steps and a call, 5 a control step
+    keys = jax.random.split(jax.random.key(3), ROBOTS)
+    states = in_c(GETUP, every(of.reset))(keys)
+    moved = states.replace(qpos=states.qpos + 1, clock=states.clock + 7)
+    at = jax.tree.map(lambda x: x, moved.spare.replace(rows=jnp.full(ROBOTS, 5)))
+    after = restarted(GETUP)(moved.replace(spare=at), np.array([1.0, 0, 0]), jnp.zeros(3), keys)
+    np.testing.assert_array_equal(after.qpos[0], states.spare.state.qpos[0])
+    np.testing.assert_array_equal(after.qpos[1:], moved.qpos[1:])
+    assert list(after.clock) == [0, 7, 7] and (after.spare.rows == 5).all()
+    assert (after.info["rng"][0] != states.info["rng"][0]).any()
+    np.testing.assert_array_equal(after.spare.state.qpos, states.qpos)
+    # 3 robots are one part; it is due every 260 rows
+    at = moved.spare.replace(rows=jnp.full(ROBOTS, 260))
+    after = restarted(GETUP)(moved.replace(spare=at), jnp.zeros(3), jnp.zeros(3), keys[::-1])
+    assert (np.abs(after.spare.state.qpos - states.qpos).max(-1) > 1e-3).all()
+    np.testing.assert_array_equal(after.qpos, moved.qpos)
+    assert len(np.unique(np.asarray(after.spare.state.qpos)[:, 2])) > 1
+
+
+def test_a_part_of_the_spares_is_drawn_at_a_time():
+    """Of 8 robots two, and then the next two; also under the `vmap` of seeds."""
+    keys = jax.random.split(jax.random.key(0), (2, 8))
+    of = const(made(GETUP))._replace(cost=1)  # each 3 rows a part
+
+    @jax.jit
+    def drawn(ended, keys, states):
+        with mock.patch.object(env, "first", lambda _, key: one_state(jax.random.uniform(key))):
+            restart = jax.vmap(jax.vmap(env.restart_from_spares(of)))
+            return restart(ended, jax.random.key_data(keys), states)
+
+    def one_state(x):
+        x = x * jnp.ones(1)
+        zero = jnp.zeros((), jnp.int32)
+        return env.State(x, x, x, None, {}, x, x, zero, zero, x[0])
+
+    start = jax.vmap(jax.vmap(lambda _: one_state(0.0)))(keys)
+    for now, new in ((3, [1, 5]), (4, []), (6, [2, 6])):
+        rows = jnp.full((2, 8), now)
+        after = drawn(jnp.zeros((2, 8), bool), keys, start.replace(spare=env.Spare(start, rows)))
+        changed = np.flatnonzero(np.asarray(after.spare.state.qpos)[0, :, 0])
+        assert changed.tolist() == new and not np.asarray(after.qpos).any()
 
 
 @pytest.mark.parametrize("name", [SPOT])
@@ -200,16 +325,59 @@ def test_a_history_is_known_but_for_what_is_new(name):
     of = made(name)
     layout = const(of).layout
     predicted = layout.source[: of.prop_size]
-    assert layout.names == ("",) and of.views.actor.size == 69
+    assert layout.names == ("",) and actor(of).size == 69
     assert set(range(30)) <= set(predicted) and not set(range(30, 54)) & set(predicted)
     obs = jnp.arange(69.0) / 100
     like = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), const(of).like)
     info = like.info | {"qpos_error_history": obs[18:54]}
     numbers = parts.vector(layout.names, like._replace(obs=obs, info=info))
     before, size = numbers[layout.source], of.prop_size
-    after = of.advance(None, before[size:], before[:size], jnp.zeros(of.action_size), None)
-    seen = jnp.concatenate([before[:size], after])[of.views.actor]
+    advance = jax.jit(functools.partial(of.advance, None))
+    after = advance(before[size:], before[:size], jnp.zeros(of.action_size), None)
+    seen = jnp.concatenate([before[:size], after])[actor(of)]
     np.testing.assert_allclose(seen[30:54], obs[18:42], atol=1e-6)
+
+
+def test_a_mirror_image_is_found_where_there_is_one():
+    """The biped's: velocities and joints of the other side, its command, the other foot's phase. Not Go1's,
+    whose velocities are those of an IMU that sits 7 cm to the right."""
+    of, (layout, probed) = made(BIPED), explored(BIPED)
+    found = mirrored.find(task(BIPED), layout, probed)
+    assert not isinstance(found, str)
+    obs, action = found
+    assert action.index.tolist() == [6, 7, 8, 9, 10, 11, 0, 1, 2, 3, 4, 5]
+    seen = actor(of)
+    one = np.arange(1.0, of.obs_size + 1)
+    image = (obs.sign * one[obs.index])[seen]
+    one = one[seen]
+    places = dict(linvel=0, gyro=3, gravity=6, command=9, joints=12, velocities=24, last=36)
+    for name, signs in (("linvel", [1, -1, 1]), ("gyro", [-1, 1, -1]), ("gravity", [1, -1, 1])):
+        at = slice(places[name], places[name] + 3)
+        np.testing.assert_array_equal(image[at], signs * one[at])
+    at = slice(places["command"], places["command"] + 3)
+    np.testing.assert_array_equal(image[at], [1, -1, -1] * one[at])
+    for name in ("joints", "velocities", "last"):
+        at = slice(places[name], places[name] + 12)
+        np.testing.assert_array_equal(image[at], action.sign * one[at][action.index])
+    np.testing.assert_array_equal(image[-4:], one[[-3, -4, -1, -2]])
+    reason = mirrored.find(task(GO1), *explored(GO1))
+    assert reason == "reward/lin_vel_z tells left from right"
+
+
+def test_symmetry_is_refused_where_there_is_no_mirror_image():
+    text = refused(functools.partial(made_with, symmetry=True), GO1)
+    assert "ppo.symmetry is True, but this task has no mirror image: reward/lin_vel_z" in text
+    assert set(settings.SYMMETRIC) <= set(loading.names())
+    for name in (GO1, BIPED):
+        config = config_lib.load(f"playground:{name}")
+        assert config.ppo.symmetry == (name in settings.SYMMETRIC) == (name == BIPED)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", EVERY)
+def test_the_tasks_with_a_mirror_image_are_those_named(name):
+    found = mirrored.find(task(name), *explored(name))
+    assert isinstance(found, str) == (name not in settings.SYMMETRIC), found
 
 
 def test_draws_in_a_tail_differ_from_row_to_row():
@@ -293,6 +461,130 @@ def test_settings_are_playgrounds():
         assert settings.of_task(name).rollout["num_envs"] == 8192
 
 
+@pytest.mark.parametrize("name", loading.names())
+def test_ppo_is_exactly_playgrounds_settings(name):
+    """Number by number, of each task; what no row names has no counterpart (settings.py)."""
+    theirs = loading.ppo_config(name)
+    config = config_lib.validate(config_lib.load(f"playground:{name}:ppo"))
+    ppo, networks = config.ppo, theirs.network_factory
+    assert config.rollout.num_envs == theirs.num_envs == theirs.batch_size * theirs.num_minibatches
+    assert config.rollout.horizon == theirs.unroll_length and theirs.action_repeat == 1
+    assert (ppo.minibatches, ppo.epochs) == (theirs.num_minibatches, theirs.num_updates_per_batch)
+    assert (ppo.gamma, ppo.lambda_) == (theirs.discounting, 0.95)
+    assert (ppo.learning_rate, ppo.entropy_coef) == (theirs.learning_rate, theirs.entropy_cost)
+    assert ppo.clip_epsilon == theirs.get("clipping_epsilon", 0.3)
+    assert ppo.max_grad_norm == theirs.max_grad_norm == 1.0 and theirs.reward_scaling == 1
+    assert (
+        ppo.normalize == theirs.normalize_observations and not ppo.adaptive and not ppo.clip_value
+    )
+    assert ppo.hidden == networks.policy_hidden_layer_sizes and ppo.activation == "swish"
+    assert (ppo.critic_hidden or ppo.hidden) == networks.value_hidden_layer_sizes
+    assert (ppo.critic == "state") == (networks.value_obs_key == "privileged_state")
+    assert networks.policy_obs_key == "state" and not ppo.symmetry
+    assert config.task.episode_length == theirs.episode_length
+    steps = config.run.num_iterations * theirs.num_envs * theirs.unroll_length
+    per_log = config.run.log_every * theirs.num_envs * theirs.unroll_length
+    assert theirs.num_timesteps <= steps < theirs.num_timesteps + per_log
+    assert config.schedule.end_steps == 0 and not schedule.uses_model(config_lib.split(config)[0])
+
+
+@pytest.mark.parametrize("name", loading.names())
+def test_best_is_valid_for_each_task(name):
+    config = config_lib.validate(config_lib.load(f"playground:{name}"))
+    assert (config.rollout.num_envs, config.rollout.horizon) == (1024, 24)
+    assert (config.schedule.end_steps, config.schedule.rounds) == (20, 3)
+    assert config.model.clean and config.model.falls and not config.model.known_reward
+    assert config.ppo.normalize and config.run.video_seconds > 0
+
+
+def test_where_warp_has_no_room_for_contacts_the_run_ends():
+    """It flags each world; a step's metrics have the flags, and the host looks at their sums."""
+    for flags, constraints, contacts in (
+        (0, 0, 0),
+        (1 << 9, 0, 0),
+        (1, 1, 0),
+        (8, 0, 1),
+        (2 | 4, 1, 1),
+    ):
+        data = python_types.SimpleNamespace(
+            _impl=python_types.SimpleNamespace(overflow=jnp.array(flags))
+        )
+        told = env.overflows(data)
+        found = told["overflow_constraints"], told["overflow_contacts"]
+        assert found == (constraints, contacts), flags
+    nothing = python_types.SimpleNamespace(_impl=python_types.SimpleNamespace())
+    assert env.overflows(nothing) == {}
+    metrics = {"iteration": np.array([4, 5]), "overflow_contacts": np.array([0.0, 0.0])}
+    overflow.check(metrics)
+    metrics["overflow_contacts"][1] = 0.25
+    with pytest.raises(
+        FloatingPointError, match=r"no room for all contacts in iteration 5, in 25.00%"
+    ):
+        overflow.check(metrics)
+    several = np.array([[0.0, 0.0], [0.0, 0.5]])  # seeds
+    with pytest.raises(FloatingPointError, match="constraints in iteration 5"):
+        overflow.check({"iteration": np.array([4, 5]), "overflow_constraints": several})
+
+
+def test_warps_flags_are_those_that_are_looked_at():
+    """Of its own names; a solver that stops at its limit is no overflow."""
+    kinds = pytest.importorskip("mujoco.mjx.third_party.mujoco_warp").OverflowType
+    rows, contacts = env.OVERFLOWS["overflow_constraints"], env.OVERFLOWS["overflow_contacts"]
+    assert rows == kinds.NEFC | kinds.NJMAX_NNZ
+    of_contacts = kinds.BROADPHASE | kinds.NARROWPHASE | kinds.CCD | kinds.HFIELD
+    assert contacts == of_contacts | kinds.CONTACT_MATCH
+
+
+def test_room_for_contacts_is_the_tasks_for_many_robots_and_more_for_few():
+    """Playground's number is for 8192: 4 a robot here."""
+    for worlds, room in ((8192, 4 * 8192), (1024, 4096), (128, 2048), (1, 16)):
+        assert loading.load(GO1, worlds=worlds).task._config.naconmax == room
+    assert task(GO1)._config.njmax == loading.load(GO1).task._config.njmax
+
+
+def test_an_exported_policy_takes_the_tasks_observation(tmp_path, capsys, monkeypatch):
+    """ONNX against NumPy: the scaling of inputs is in it, and a tanh at its end."""
+    runtime = pytest.importorskip("onnxruntime")
+    config = config_lib.validate(config_lib.load(f"playground:{GO1}:ppo"))
+    draw = np.random.default_rng(0)
+    sizes = (48, 8, 12)
+    layers = {
+        f"Dense_{i}": {
+            "kernel": draw.normal(size=sizes[i : i + 2]),
+            "bias": draw.normal(size=sizes[i + 1]),
+        }
+        for i in range(2)
+    }
+    inputs = {"actor": {"count": 9.0, "mean": draw.normal(size=48), "m2": draw.uniform(1, 90, 48)}}
+    params = jax.tree.map(np.float32, {"actor": {"params": layers}, "inputs": inputs})
+    policy_file.save(tmp_path / "policy.npz", params, config, None)
+    file = str(tmp_path / "policy.npz")
+
+    def here(policy, out):  # not in a process of its own, which the slow test below starts
+        files.write_json(out, task_facts.facts(f"playground:{GO1}"))
+        return 0
+
+    monkeypatch.setattr(recorded, "facts", here)
+    assert status(export.main, file, f"--out={tmp_path}/p.onnx") == 0
+    told = capsys.readouterr().out
+    assert "obs [batch, 48]" in told and "FR_hip_joint" in told
+    net = runtime.InferenceSession(str(tmp_path / "p.onnx"))
+    obs = draw.normal(size=(5, 48)).astype(np.float32)
+    act = policy_file.load_actor(tmp_path / "policy.npz")
+    np.testing.assert_allclose(net.run(None, {"obs": obs})[0], np.tanh(act(obs)), atol=1e-5)
+    about = {k: json.loads(v) for k, v in net.get_modelmeta().custom_metadata_map.items()}
+    assert about["task"] == f"playground:{GO1}" and about["control_dt"] == 0.02
+    np.testing.assert_allclose(about["default_pose"], task(GO1)._default_pose)
+    assert about["action_scale"] == task(GO1)._config.action_scale
+    assert len(about["joint_names"]) == 12 and about["config"]["ppo"]["normalize"]
+    for flag, said in (
+        (f"--out={tmp_path}/p.yaml", "FILE.onnx alone"),
+        ("--targets", "of its own"),
+    ):
+        flags = (flag,) if "out" in flag else (flag, f"--out={tmp_path}/q.onnx")
+        assert status(export.main, file, *flags) == 2 and said in capsys.readouterr().err
+
+
 def test_mistakes_are_one_line(monkeypatch):
     """A wrong name, variant or engine; a robot that has no stand-in; Playground not installed."""
     assert GO1 in refused(loading.check, "Go1Joystick")
@@ -330,7 +622,7 @@ def test_a_run_from_the_command_line_trains_resumes_and_is_evaluated(spec, tmp_p
     small = """rollout.num_envs=8 rollout.horizon=6 ppo.minibatches=2 run.num_iterations=2 run.log_every=1
         model.minibatches=3 model.hidden=(16,) ppo.hidden=(16,) ppo.critic_hidden=(16,) run.eval_envs=2
         run.eval_steps=4 run.device=cpu model.precision=highest ppo.precision=highest
-        ppo.shuffle_blocks=1""".split()
+        ppo.shuffle_blocks=1 run.video_seconds=0.1""".split()
     flags = [f"--config.{field}" for field in small]
     if not spec.endswith(":ppo"):
         flags += ["--config.schedule.end_steps=4", "--config.schedule.end_iteration=0"]
@@ -338,3 +630,5 @@ def test_a_run_from_the_command_line_trains_resumes_and_is_evaluated(spec, tmp_p
     more = "--config.run.num_iterations=3"
     assert status(command.main, f"--workdir={tmp_path}/run", more) == 0
     assert (tmp_path / "run" / "policy.npz").is_file() and "dynappo" in sys.modules
+    exported = status(export.main, f"{tmp_path}/run", f"--out={tmp_path}/p.onnx")
+    assert exported == (0 if spec.startswith("playground") else 2)

@@ -7,6 +7,7 @@ The task itself is Playground's, unchanged: its `reset` and its `step` are calle
 - `warp_kernels`: MJX-Warp's kernels, built side by side
 - `swapped`: the task's step with physics, or noise, replaced by what is given
 - `parts`: what each number of an observation is, found by probing the task
+- `mirrored`: left for right, found by trying
 - `env`: the `Env`
 - `settings`: Playground's PPO settings as fields of our config
 

@@ -6,6 +6,9 @@
 - **Resets** are the task's own, drawn anew each time. A first observation needs a call of physics. So
   `autoreset` resets only robots that need it: 1/64 of all at a time, as often as some are left
   (`restart`). In most rows that is none or one call of 1/64 of the robots.
+- **Costly resets.** A getup task lets the robot settle for 125 physics steps. Where a reset has more of them
+  than a step, each robot carries a first state made ahead and starts from that (`restart_from_spares`). All
+  of them are drawn anew every 10 resets' worth of rows, a quarter at a time, so this costs a tenth of a row.
 - **Actions** end in a tanh, as those of brax's policies. It is part of the environment: the policy is a
   Gaussian before it. The density of tanh cancels in PPO's ratio.
 - **Noise** is the task's own. `prop` is without: the task's step once more, with physics already done and
@@ -18,6 +21,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -27,12 +31,28 @@ import numpy as np
 from flax import struct
 from jaxtyping import Array, Float, Int
 
-from dynappo.tasks.playground import parts, swapped
+from dynappo.config import ConfigError
+from dynappo.tasks.playground import mirrored, parts, swapped
 from dynappo.tasks.playground.parts import Layout, Raw
 from dynappo.types import Env, Hyper, Outcome
 
 SHARE = 64  # of the robots, one in so many is reset at a time
+PARTS, RENEWAL = (
+    4,
+    10,
+)  # of costly resets: spares are drawn anew in so many parts, in so many times the cost
 EVENTS = ("reward", "falls", "timeouts", "blowups")  # metrics beside the task's own
+
+
+# Warp's flags of a world (mujoco_warp's OverflowType): what had no room, and these bits
+OVERFLOWS = {"overflow_constraints": 0b11, "overflow_contacts": 0b111_1100}
+
+
+class Spare(struct.PyTreeNode):
+    """A first state made ahead."""
+
+    state: State  # which has no spare
+    rows: Int[Array, "..."]  # control steps of all episodes
 
 
 class State(struct.PyTreeNode):
@@ -48,6 +68,7 @@ class State(struct.PyTreeNode):
     clock: Int[Array, "..."]  # age of the episode in control steps; the first may start aged
     episode_steps: Int[Array, "..."]  # control steps since the reset
     episode_return: Float[Array, "..."]
+    spare: Spare | None = None  # where a reset is costly
 
 
 class Constants(NamedTuple):
@@ -59,36 +80,50 @@ class Constants(NamedTuple):
     metrics: dict[str, Any]  # zeros
     episode_length: int  # control steps
     random_clock: bool
+    cost: int  # of a reset, in control steps; 0: no more than one, so no robot has a spare
 
 
-def make(task: Any, episode_length: int | None = None, random_clock: bool = True) -> Env:
+def make(
+    task: Any,
+    episode_length: int | None = None,
+    random_clock: bool = True,
+    symmetry: bool = False,
+) -> Env:
     """The `Env` of a loaded task (loading.py). It probes the task, which takes some seconds.
 
     `episode_length` is in control steps; None: the task's. `random_clock` ends the first episode of each
-    robot at a random age, so that later ones do not end together.
+    robot at a random age, so that later ones do not end together. `symmetry` asks for the mirror image;
+    ConfigError where there is none.
     """
-    layout = parts.layout(task)
+    layout, probed = parts.layout(task)
+    image = mirrored.find(task, layout, probed) if symmetry else None
+    if isinstance(image, str):
+        raise ConfigError(f"ppo.symmetry is True, but this task has no mirror image: {image}")
 
     def start(key):
-        with swapped.physics(lambda data, ctrl: data):  # shapes need none
+        with swapped.physics(lambda data, ctrl, n: data):  # shapes need none
             out = task.reset(key)
         return parts.after_step(task, out), out.metrics
 
     like, metrics = jax.eval_shape(start, jax.random.PRNGKey(0))
     metrics = {name: np.zeros(x.shape, x.dtype) for name, x in metrics.items()}
     scalars = [name for name, x in metrics.items() if x.shape == ()]
+    told = (*EVENTS, *(OVERFLOWS if task.mjx_model.impl.value == "warp" else ()))
     length = episode_length or int(task._config.episode_length)
-    const = Constants(task, layout, like, metrics, length, random_clock)
-    cost = _fall_reward(task, layout)
+    settling = -(-swapped.steps_of_a_reset(task) // task.n_substeps)
+    cost = settling if settling > 1 else 0
+    const = Constants(task, layout, like, metrics, length, random_clock, cost)
+    fall = _fall_reward(task, layout)
     return Env(
         reset=partial(reset, const),
         step=partial(step, const),
-        autoreset=partial(autoreset, restart(const)),
+        autoreset=partial(autoreset, restart_from_spares(const) if cost else restart(const)),
         advance=partial(advance, const),
         sense=partial(sense, const),
         views=layout.views,
-        fall_reward=None if cost is None else lambda hyper: cost,
-        metrics=(*map(column_name, scalars), *EVENTS),
+        fall_reward=None if fall is None else lambda hyper: fall,
+        mirror=image,
+        metrics=(*map(column_name, scalars), *told),
         obs_size=len(layout.source),
         prop_size=layout.prop_size,
         action_size=task.action_size,
@@ -118,7 +153,9 @@ def reset(const: Constants, hyper: Hyper, body, key) -> State:
     """The start of an episode: the task's own reset, with a call of physics."""
     first_key, clock_key = jax.random.split(key)
     clock = jax.random.randint(clock_key, (), 0, const.episode_length, jnp.int32)
-    return first(const, first_key).replace(clock=clock * const.random_clock)
+    state = first(const, first_key)
+    spare = Spare(state, clock * 0) if const.cost else None  # at first it is the state itself
+    return state.replace(clock=clock * const.random_clock, spare=spare)
 
 
 def first(const: Constants, key) -> State:
@@ -192,11 +229,13 @@ def step(const: Constants, hyper: Hyper, body, state: State, action, key):
         clock=clock,
         episode_steps=state.episode_steps + 1,
         episode_return=state.episode_return + reward,
+        spare=state.spare and state.spare.replace(rows=state.spare.rows + 1),
     )
     told = {
         column_name(n): jnp.where(ok, x, 0.0) for n, x in out.metrics.items() if jnp.ndim(x) == 0
     }
     told |= dict(zip(EVENTS, (reward, fell * 1.0, timeout * 1.0, ~ok * 1.0), strict=True))
+    told |= overflows(out.data)
     outcome = Outcome(
         reward=reward,
         discount=1.0 - fell,
@@ -209,6 +248,16 @@ def step(const: Constants, hyper: Hyper, body, state: State, action, key):
         metrics=told,
     )
     return after, outcome
+
+
+def overflows(data: Any) -> dict[str, Float[Array, ""]]:
+    """1 where Warp had no room for some contacts or constraints of this robot; the run ends if one is
+    (run/overflow.py). {} of another engine, which has room for all."""
+    flags = getattr(data._impl, "overflow", None)
+    if flags is None:
+        return {}
+    flags = jnp.asarray(flags).reshape(-1)[0]
+    return {name: ((flags & bits) > 0) * 1.0 for name, bits in OVERFLOWS.items()}
 
 
 def autoreset(restarted, hyper: Hyper, body, state: State, outcome: Outcome, key) -> State:
@@ -251,6 +300,65 @@ def restart(const: Constants):
             return left.at[index].set(False, mode="drop"), put(states, new)
 
         _, states = jax.lax.while_loop(lambda carry: carry[0].any(), some, (ended, states))
+        return states, jax.tree.map(lambda _: True, states)
+
+    return one
+
+
+def restart_from_spares(const: Constants):
+    """As `restart`, where a reset is costly: `state`, or where `ended` the robot's spare, with a key of its
+    own, so that commands and noise differ where a spare serves twice.
+
+    When its time has come, one part of the spares is drawn anew. Robots of all seeds have the same rows, so
+    the loop below runs once in all of them or in none.
+    """
+
+    def taken(ended, key, state):
+        fresh = state.spare.state
+        if "rng" in fresh.info:
+            rng = jax.random.fold_in(jax.random.wrap_key_data(key), 1)
+            fresh = fresh.replace(info=fresh.info | {"rng": jax.random.key_data(rng)})
+        return jax.tree.map(partial(jnp.where, ended), fresh.replace(spare=state.spare), state)
+
+    def drawn(key, old):
+        new = first(const, jax.random.wrap_key_data(key))
+        ok = [jnp.isfinite(x).all() for x in (new.obs, new.prop, new.qpos, new.qvel)]
+        return jax.tree.map(partial(jnp.where, jnp.all(jnp.stack(ok))), new, old)
+
+    @jax.custom_batching.custom_vmap
+    def one(ended, key, state):
+        several = jax.tree.map(lambda x: x[None], (ended, key, state))
+        return jax.tree.map(lambda x: x[0], of_some(1, *several))
+
+    def of_some(size, ended, keys, states):
+        parts = math.gcd(size, PARTS)
+        every = -(-RENEWAL * const.cost // parts)
+        now, states = states.spare.rows[0], jax.vmap(taken)(ended, keys, states)
+        which = now // every % parts
+
+        def split(x):
+            return x.reshape(size // parts, parts, *x.shape[1:])
+
+        def draw(carry):
+            _, spares = carry
+            new = jax.vmap(drawn)(
+                split(keys)[:, which], jax.tree.map(lambda x: split(x)[:, which], spares)
+            )
+            put = partial(jax.tree.map, lambda x, y: split(x).at[:, which].set(y).reshape(x.shape))
+            return jnp.zeros((), bool), put(spares, new)
+
+        due = now % every == 0
+        _, spares = jax.lax.while_loop(lambda carry: carry[0], draw, (due, states.spare.state))
+        return states.replace(spare=states.spare.replace(state=spares))
+
+    @one.def_vmap
+    def of_all(axis_size, in_batched, *arguments):
+        arguments = jax.tree.map(
+            lambda x, batched: x if batched else jnp.broadcast_to(x, (axis_size, *jnp.shape(x))),
+            arguments,
+            tuple(in_batched),
+        )
+        states = of_some(axis_size, *arguments)
         return states, jax.tree.map(lambda _: True, states)
 
     return one

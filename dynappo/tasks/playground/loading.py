@@ -14,6 +14,9 @@ from dynappo.config import ConfigError
 from dynappo.tasks.playground import assets
 
 PLAYGROUND_ROBOTS = 8192  # for which the tasks' own naconmax is
+# times the room that tasks ask for, of contacts and constraints; if it runs out, a run ends (run/overflow.py)
+ROOM = 1.0
+FEW = 4096  # contacts: few robots may all lie on the ground at once, and have up to four times their share
 MISSING = "MuJoCo Playground is not installed; pip install 'dynappo[playground]' (0.2.0, the last for JAX)"
 
 
@@ -63,7 +66,9 @@ def load(name: str, impl: str = "jax", worlds: int = 1) -> Loaded:
     mjx_env.ensure_menagerie_exists = lambda: None  # it would clone Menagerie
     task = locomotion.load(name, config_overrides={"impl": impl})
     with task._config.unlocked():  # some tasks set it as they are made
-        task._config.naconmax = -(-task._config.naconmax * worlds // PLAYGROUND_ROBOTS)
+        each = task._config.naconmax / PLAYGROUND_ROBOTS
+        task._config.naconmax = round(ROOM * max(each * worlds, min(4 * each * worlds, FEW)))
+        task._config.njmax = round(ROOM * task._config.njmax)
     if impl == "warp":
         from dynappo.tasks.playground import warp_kernels  # it needs Warp
 

@@ -62,6 +62,14 @@ class Raw(NamedTuple):
     unseen: Float[Array, " U"]
 
 
+class Probed(NamedTuple):
+    """A task's step without physics, to be asked again (mirrored.py)."""
+
+    # (raw, action, data before and after, and others) of PROBES -> as `_probe`
+    ask: Any
+    raw: Raw  # of PROBES: numbers of the task after some rows
+
+
 def names_of(obs: Any) -> tuple[str, ...]:
     """The observations: the policy's first."""
     if not isinstance(obs, dict):
@@ -132,8 +140,11 @@ def with_fields(data: Any, fields: dict[str, Any]) -> Any:
     return data.replace(**arrays)
 
 
-def layout(task: Any) -> Layout:
-    """The task's `Layout`. Takes some seconds, most of them to compile the task's step without physics."""
+def layout(task: Any) -> tuple[Layout, Probed]:
+    """The task's `Layout`, and what it was found by.
+
+    Takes some seconds, most of them to compile the task's step without physics.
+    """
     at_home = home(task)
     draw = np.random.default_rng(0)
     contacts = _contact_sensors(task.mj_model)
@@ -168,14 +179,15 @@ def layout(task: Any) -> Layout:
             ROUNDS - 1
         ):  # actions, contacts and air times differ more from round to round
             out = probe(*arguments(jax.device_get(out[0])))
-        raw, numbers, reward, ended = jax.device_get(out)
+        raw, numbers, reward, _, ended = jax.device_get(out)
     exact, other, loudest, coasted = (x[~ended] for x in numbers)
     predicted = (np.abs(exact - other) > 1e-5 * (1 + np.abs(exact))).any(0)
     noise = np.where(predicted, np.abs(loudest - exact).min(0), 0.0)
     noise[noise < 1e-6] = 0.0
     one, reads_ctrl = jax.tree.map(lambda x: x[0], raw), bool((exact != coasted).any())
     of_data = {"home": at_home, "reads_ctrl": reads_ctrl, "clipped": bool(reward.min() >= 0)}
-    return _arranged(names_of(raw.obs), one, exact, predicted, noise, of_data)
+    arranged = _arranged(names_of(raw.obs), one, exact, predicted, noise, of_data)
+    return arranged, Probed(probe, raw)
 
 
 def _compiled(function: Any, *arguments: Any) -> Any:
@@ -195,7 +207,7 @@ def _contact_sensors(model: mujoco.MjModel) -> np.ndarray:
 
 def _first(task: Any, at_home: dict[str, np.ndarray], key) -> tuple[Raw, dict[str, Any]]:
     """A reset without physics, and its metrics."""
-    with swapped.physics(lambda data, ctrl: data):
+    with swapped.physics(lambda data, ctrl, n: data):
         out = task.reset(key)
     info = jax.tree.map(jnp.asarray, out.info)
     raw = Raw(out.obs, info, jnp.asarray(at_home["ctrl"]), unseen(task, out.data))
@@ -203,8 +215,8 @@ def _first(task: Any, at_home: dict[str, np.ndarray], key) -> tuple[Raw, dict[st
 
 
 def _probe(task: Any, metrics, raw: Raw, action, before, after, other_before, other_after):
-    """`(raw after the step, four vectors of its numbers, reward, done)`: without noise, with other data, with
-    the largest noise, and with another ctrl before."""
+    """`(raw after the step, four vectors of its numbers, reward, its terms, done)`: without noise, with other
+    data, with the largest noise, and with another ctrl before."""
     data, names = template(task), names_of(raw.obs)
 
     def run(before, after, ctrl=raw.ctrl):
@@ -224,7 +236,8 @@ def _probe(task: Any, metrics, raw: Raw, action, before, after, other_before, ot
     ended = (exact.done + other.done + loudest.done + real.done) > 0
     typed = jax.tree.map(lambda x, y: jnp.asarray(x, y.dtype), after_step(task, real), raw)
     vectors = tuple(map(numbers, (exact, other, loudest, coasted)))
-    return typed, vectors, exact.reward, ended
+    terms = {name: x for name, x in exact.metrics.items() if name.startswith("reward/")}
+    return typed, vectors, exact.reward, terms, ended
 
 
 def _arranged(names, one: Raw, exact, predicted, noise, of_data: dict[str, Any]) -> Layout:

@@ -24,6 +24,16 @@ from typing import Any, NamedTuple
 
 from dynappo.tasks.playground import loading
 
+# where mirrored.py finds a mirror image. It says of the others why not: Go1's IMU, whose velocities it sees,
+# is 7 cm to the right; G1's hips may leave their pose for commands to the left alone; Apollo's sides differ
+SYMMETRIC = (
+    "BerkeleyHumanoidJoystickFlatTerrain",
+    "SpotGetup",
+    "SpotJoystickGaitTracking",
+    "T1JoystickFlatTerrain",
+    "T1JoystickRoughTerrain",
+)
+
 
 class Settings(NamedTuple):
     """Fields of the groups of a config."""

@@ -25,22 +25,24 @@ LOCK = threading.RLock()  # of the modules whose names are replaced
 
 
 @contextlib.contextmanager
-def physics(step: Callable[[Any, Any], Any]) -> Iterator[None]:
-    """Inside, physics are `step(data, ctrl) -> data`, and a reset's data are not completed."""
+def physics(
+    step: Callable[[Any, Any, int], Any], forward: Callable[[Any], Any] = lambda data: data
+) -> Iterator[None]:
+    """Inside, physics are `step(data, ctrl, n) -> data` of n physics steps, and `forward(data) -> data`
+    completes a reset's data; by default it does not."""
 
     def replaced(model, data, action, n_substeps=1):
-        return step(data, action)
+        return step(data, action, n_substeps)
 
-    forward = mock.patch.object(mjx, "forward", lambda model, data: data)
-    with LOCK, mock.patch.object(mjx_env, "step", replaced), forward:
+    completed = mock.patch.object(mjx, "forward", lambda model, data: forward(data))
+    with LOCK, mock.patch.object(mjx_env, "step", replaced), completed:
         yield
 
 
 @contextlib.contextmanager
 def reset_to(data: Any) -> Iterator[None]:
     """Inside, a reset ends in these data, whatever it draws."""
-    forward = mock.patch.object(mjx, "forward", lambda model, _: data)
-    with physics(lambda _, ctrl: data), forward:
+    with physics(lambda _, ctrl, n: data, lambda _: data):
         yield
 
 
@@ -60,8 +62,25 @@ def uniform(at: float) -> Iterator[None]:
 
 def step(task: Any, state: Any, action, after: Any):
     """`task.step(state, action)` where physics end in the data `after`."""
-    with physics(lambda data, ctrl: after.replace(ctrl=ctrl)):
+    with physics(lambda data, ctrl, n: after.replace(ctrl=ctrl)):
         return task.step(state, action)
+
+
+def steps_of_a_reset(task: Any) -> int:
+    """Physics steps in the task's reset; a call that completes data is one."""
+    counted = []
+
+    def step(data, ctrl, n):
+        counted.append(int(n))
+        return data
+
+    def forward(data):
+        counted.append(1)
+        return data
+
+    with physics(step, forward):
+        jax.eval_shape(task.reset, jax.random.PRNGKey(0))
+    return sum(counted)
 
 
 def state(data, obs, info, metrics) -> Any:
