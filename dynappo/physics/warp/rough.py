@@ -1,4 +1,4 @@
-"""As `kernels.keep`, on ground that is not flat: heights of feet and parts from their probes (contacts)."""
+"""`kernels.keep` on ground that is not flat: heights of feet and parts from their probes (contacts.py)."""
 
 # Warp compiles these functions; for Python its arrays cannot be indexed
 # pyright: reportIndexIssue=false, reportGeneralTypeIssues=false, reportAssignmentType=false

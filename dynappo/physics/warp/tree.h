@@ -402,7 +402,6 @@ for (int substep = 0; substep < substeps; ++substep) {
     if (i > 1) way = vec3(-way[1], way[0], 0.0f);
     const float depth = place[2] + at_point[2] - point(RADIUS, p);
     at_point[2] -= point(RADIUS, p) + 0.5f * depth;
-    if (i == 0) S.depth[p] = depth;
 #endif
     const float mu = wp::max(rub[tree[POINT_GEOM + p]][0], 1e-5f);
     const vec3 force = up + way * (i % 2 ? -mu : mu), moment = cross(at_point, force);
@@ -419,6 +418,9 @@ for (int substep = 0; substep < substeps; ++substep) {
       S.edge_D[e] = stiffness(k[INVWEIGHT] * (1.0f + mu2) * 2.0f * mu2, imp);
       S.edge_aref[e] = -k[B] * speed - k[K] * imp * depth;
     }
+#if !GROUND
+    if (i == 0) S.depth[p] = depth;
+#endif
   }
   SYNC();
   // timers, as of the positions at the start of the physics step (engine.py)
