@@ -2,5 +2,5 @@
 
 - `height_map`: heights on a grid; height, normal and distance of points from the ground
 
-Imports nothing of dynappo; `physics` imports it.
+It imports nothing of dynappo; `physics` imports it.
 """
