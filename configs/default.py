@@ -234,6 +234,32 @@ class Randomize(NamedTuple):
     imu_tilt: NotNegative = 0.0  # rad, half width, about each axis
 
 
+class Tiles(NamedTuple):
+    """The ground with task.terrain="rough" (dynappo/terrain/tiles.py), part of the program; IL's rough tasks."""
+
+    seed: Whole = 0
+    rows: Annotated[int, Between(1, 100)] = 10  # from easy to hard, along x
+    columns: Annotated[int, Between(1, 100)] = 20  # along y, each of one kind
+    start_rows: Few = 6  # robots begin in the easiest so many
+    size: Annotated[float, Between(2, 100)] = 8.0  # m, side of a tile
+    cell: Annotated[float, Between(0.01, 1)] = 0.1  # m, between two heights of the map
+    border: Annotated[float, Between(0, 100)] = 2.0  # m, flat, around all; beyond it is flat too
+    height_step: Annotated[float, Between(1e-4, 0.1)] = 0.005  # m, heights are multiples of this
+    # columns of each kind: pyramid_stairs, pit_stairs, boxes, random, pyramid_slope, pit_slope
+    shares: tuple[Share, Share, Share, Share, Share, Share] = (0.2, 0.2, 0.2, 0.2, 0.1, 0.1)
+    stairs: Range = (0.05, 0.23)  # m, height of a step in the easiest and in the hardest row
+    tread: Positive = 0.3  # m
+    stairs_platform: NotNegative = 3.0  # m, in the middle
+    stairs_border: NotNegative = 1.0  # m, before the first step
+    boxes: Range = (0.05, 0.20)  # m, up and down
+    box_width: Positive = 0.45  # m
+    random: Range = (0.02, 0.10)  # m, lowest and highest point, in every row
+    random_step: Positive = 0.02  # m, between two heights
+    slope: Range = (0.0, 0.4)  # rise over run
+    platform: NotNegative = 2.0  # m, in the middle of boxes and slopes
+    margin: NotNegative = 0.25  # m, flat, around boxes, random ground and slopes
+
+
 class Task(NamedTuple):
     """What the robot is asked and paid for."""
 
@@ -256,6 +282,9 @@ class Task(NamedTuple):
     carry_on: bool = False  # robots that time out stay where they are, with a new command
     start_anew: Share = 0.5  # with carry_on, the share of those that starts anew
     keep_command: Share = 0.0  # with carry_on, the share of those that stays with its old command
+    # "rough": the ground of `tiles`, with a curriculum (dynappo/terrain). A robot that leaves its tile ends its
+    # episode as the time does, and starts a row harder
+    terrain: Literal["flat", "rough"] = "flat"
     # rad, angle between the base's z axis and the vertical; more ends the episode as a fall does. None: any
     max_tilt: Annotated[float, Between(0.01, 3.15)] | None = None
     # paid once, in the row of a fall, not times 0.02 s as weights are; None: nothing
@@ -298,6 +327,7 @@ class Task(NamedTuple):
     reset: Reset = Reset()
     push: Push = Push()
     randomize: Randomize = Randomize()
+    tiles: Tiles = Tiles()
 
 
 class Physics(NamedTuple):

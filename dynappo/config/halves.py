@@ -83,6 +83,29 @@ class StaticSchedule(NamedTuple):
     start_steps: int
 
 
+class StaticTiles(NamedTuple):
+    border: float
+    box_width: float
+    boxes: tuple[float, float]
+    cell: float
+    columns: int
+    height_step: float
+    margin: float
+    platform: float
+    random: tuple[float, float]
+    random_step: float
+    rows: int
+    seed: int
+    shares: tuple[float, float, float, float, float, float]
+    size: float
+    slope: tuple[float, float]
+    stairs: tuple[float, float]
+    stairs_border: float
+    stairs_platform: float
+    start_rows: int
+    tread: float
+
+
 class StaticTask(NamedTuple):
     actuator: str
     air_time: str
@@ -97,6 +120,8 @@ class StaticTask(NamedTuple):
     remember_ground: bool
     resample_steps: int
     termination: str
+    terrain: str
+    tiles: StaticTiles
     undesired: str
 
 
