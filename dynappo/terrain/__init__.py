@@ -5,5 +5,6 @@
 - `curriculum`: which tile a robot gets next
 - `scan`: where a robot is in the world, and what it sees of the ground
 
-`physics`, tasks, `policy`, `look` and `evaluate` import it; it imports no other folder. All but `curriculum` need no JAX.
+`physics`, tasks, `policy`, `look` and `evaluate` import it; it imports no other folder. All but `curriculum`
+need no JAX.
 """
