@@ -195,6 +195,11 @@ class Noise(NamedTuple):
     gravity: NotNegative = 0.05
     linear_velocity: NotNegative = 0.1  # m/s
     angular_velocity: NotNegative = 0.2  # rad/s
+    scan: NotNegative = 0.1  # m, on each point of the height scan
+    # of a robot's own map, drawn for an episode: shifted along x and y, and up; m, half widths
+    scan_shift: NotNegative = 0.0
+    scan_lift: NotNegative = 0.0
+    scan_dropout: Share = 0.0  # share of the points that are missing, which read 0
 
 
 class Reset(NamedTuple):
@@ -235,7 +240,7 @@ class Randomize(NamedTuple):
 
 
 class Tiles(NamedTuple):
-    """The ground with task.terrain="rough" (dynappo/terrain/tiles.py), part of the program; IL's rough tasks."""
+    """The ground with task.terrain="rough" (terrain/tiles.py), part of the program; IL's rough tasks."""
 
     seed: Whole = 0
     rows: Annotated[int, Between(1, 100)] = 10  # from easy to hard, along x
@@ -282,9 +287,13 @@ class Task(NamedTuple):
     carry_on: bool = False  # robots that time out stay where they are, with a new command
     start_anew: Share = 0.5  # with carry_on, the share of those that starts anew
     keep_command: Share = 0.0  # with carry_on, the share of those that stays with its old command
-    # "rough": the ground of `tiles`, with a curriculum (dynappo/terrain). A robot that leaves its tile ends its
-    # episode as the time does, and starts a row harder
+    # "rough": the ground of `tiles`, with a curriculum (dynappo/terrain). A robot that leaves its tile ends
+    # its episode as the time does, and starts a row harder
     terrain: Literal["flat", "rough"] = "flat"
+    # what is seen of it: nothing, or heights of a grid of 17 x 11 points around the base (terrain/scan.py)
+    scan: Literal["none", "grid"] = "none"
+    # controls: the ground of a tail's first row is kept in the tail; or the model does not see it
+    ground_in_tail: Literal["known", "frozen", "blind"] = "known"
     # rad, angle between the base's z axis and the vertical; more ends the episode as a fall does. None: any
     max_tilt: Annotated[float, Between(0.01, 3.15)] | None = None
     # paid once, in the row of a fall, not times 0.02 s as weights are; None: nothing

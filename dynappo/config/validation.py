@@ -65,6 +65,9 @@ def validate(
     _check_pairs(config, flat(config))
     _check_hardware(config)
     _check_tiles(config.task.tiles)
+    for name, none in (("scan", "none"), ("ground_in_tail", "known")):
+        value, text = config.task[name], f"{none} where task.terrain is flat"
+        expect(config.task.terrain == "rough" or value == none, f"task.{name}", value, text)
     if schedule.uses_model(config):
         _check_model(config)
     expect(

@@ -38,9 +38,9 @@ def draw(tiles: Any, ground: HeightMap):
     (x, y), (nx, ny) = ground.corner, heights.shape
     figure = Figure(figsize=(12, 1.2 + 10 * nx / ny), layout="constrained")
     panel, top = figure.subplots(), max(float(np.abs(heights).max()), 1e-3)
-    shown = dict(cmap=_colours(), vmin=-top, vmax=top)
-    cells = dict(dx=ground.cell, dy=ground.cell, vert_exag=STEEPER, blend_mode="soft")
-    shaded = LightSource(*SUN).shade(heights, **shown, **cells)
+    shown: dict[str, Any] = dict(cmap=_colours(), vmin=-top, vmax=top)
+    cells: dict[str, Any] = dict(dx=ground.cell, dy=ground.cell, vert_exag=STEEPER)
+    shaded = LightSource(*SUN).shade(heights, blend_mode="soft", **shown, **cells)
     extent = y, y + ground.cell * (ny - 1), x, x + ground.cell * (nx - 1)
     image = panel.imshow(shaded, origin="lower", extent=extent)
     image.set_cmap(_colours())
