@@ -11,6 +11,7 @@ from dynappo import config as config_lib
 from dynappo.description import contacts
 from dynappo.description import robot as robot_lib
 from dynappo.physics import actuators
+from dynappo.physics import ground as ground_lib
 from dynappo.physics.warp import arrays, quadruped
 
 ROBOTS = 64
@@ -35,12 +36,20 @@ class Case:
     """
 
     def __init__(
-        self, name, substeps=1, robot=None, motors=MOTOR, way=quadruped, calm=1.0, every=False
+        self,
+        name,
+        substeps=1,
+        robot=None,
+        motors=MOTOR,
+        way=quadruped,
+        calm=1.0,
+        every=False,
+        ground=None,
     ):
         self.robot = robot = robot or load(name)
         self.way, self.motors = way, motors
-        self.model = model = robot_lib.physics_model(robot, physics(name))
-        self.shape = arrays.shape(model, robot, substeps, every)
+        self.model = model = ground_lib.model(robot, physics(name), ground)
+        self.ground, self.shape = ground, arrays.shape(model, robot, substeps, every, ground)
         rng, joints = np.random.default_rng(0), model.nu
         qpos = np.tile(model.key("home").qpos, (ROBOTS, 1))
         qpos[:, 2] -= rng.uniform(0, 0.05, ROBOTS)
@@ -48,6 +57,8 @@ class Case:
         qpos[:, 3:7] += noise * rng.normal(0, 0.2, (ROBOTS, 4))
         qpos[:, 3:7] /= np.linalg.norm(qpos[:, 3:7], axis=1, keepdims=True)
         qpos[:, 7:] += noise * rng.normal(0, 0.3, (ROBOTS, joints))
+        if ground is not None:
+            self.spread(qpos)
         base = (np.arange(model.nbody) == 1)[:, None]
         scale = rng.uniform(0.8, 1.2, (ROBOTS, model.nbody))
         self.fields = {
@@ -64,6 +75,33 @@ class Case:
         motor = np.broadcast_to(motors, (ROBOTS, np.size(motors) // 8, 8))  # for all joints or each
         given = self.fields | dict(qpos=qpos, qvel=qvel, target=target, motor=motor)
         self.before |= {name: np.asarray(x, np.float32) for name, x in given.items()}
+
+    def spread(self, qpos):
+        """Robots over a height map, the lowest foot of each a little in it or above it."""
+        heights, cell, corner = self.ground
+        rng, data = np.random.default_rng(1), mujoco.MjData(self.model)
+        far = cell * (np.array(heights.shape) - 1)
+        qpos[:, :2] = corner + rng.uniform(0.25, 0.75, (ROBOTS, 2)) * far
+        for pose in qpos:
+            for _ in range(3):  # feet that are lowered meet other triangles
+                data.qpos[:] = pose
+                mujoco.mj_kinematics(self.model, data)
+                pose[2] -= self.above(data)[0].min()
+            pose[2] -= rng.uniform(-0.002, 0.008)
+
+    def above(self, data):
+        """Heights of the feet's shapes, and of the parts, above a height map."""
+        feet, parts = self.robot.feet, self.robot.parts
+        found = (ground_lib.feet_above, feet), (ground_lib.parts_above, parts)
+        return [
+            measure(
+                contacts.probes(self.model, geoms),
+                self.ground,
+                data.geom_xpos[geoms],
+                data.geom_xmat[geoms].reshape(-1, 3, 3),
+            )
+            for measure, geoms in found
+        ]
 
     def sizes(self):
         return arrays.sizes(self.model, self.shape)

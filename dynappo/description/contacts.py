@@ -1,8 +1,13 @@
-"""How a robot's primitives touch the floor: how far each reaches down, how many contacts it can have.
+"""How a robot's primitives touch the ground: how far each reaches down, with which points it comes first to
+ground that is not flat, how many contacts it can have.
 
 Contacts are counted as in MuJoCo Warp, which must allocate room for all of them
 (mujoco_warp/_src/collision_primitive_core.py).
 """
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -12,6 +17,7 @@ BOX, SPHERE, CAPSULE, CYLINDER = (
     for name in ("BOX", "SPHERE", "CAPSULE", "CYLINDER")
 )
 MOST = {SPHERE: 1, CAPSULE: 2, CYLINDER: 4, BOX: 8}  # against the floor
+MOST_ON_HFIELD = 4  # of any of them, against a height field
 MOST_OF_PAIR = 8, 50  # of two primitives; of a mesh with anything (mjMAXCONPAIR)
 ROWS_PER_CONTACT = 4  # constraint rows of a pyramidal cone with sliding friction
 ROWS_PER_EQUALITY = 6  # of a weld, which has the most
@@ -20,7 +26,8 @@ ROWS_PER_EQUALITY = 6  # of a weld, which has the most
 def most(model) -> tuple[int, int]:
     """`(contacts, constraint rows)` that one robot of a compiled model can have at most."""
     kinds = model.geom_type[model.geom_conaffinity > 0]
-    contacts = sum(MOST[int(kind)] for kind in kinds)
+    most = MOST_ON_HFIELD if model.nhfield else None
+    contacts = sum(most or MOST[int(kind)] for kind in kinds)
     rows = contacts * ROWS_PER_CONTACT + model.neq * ROWS_PER_EQUALITY
     plain = np.isin(model.geom_type, [*MOST, mujoco.mjtGeom.mjGEOM_PLANE])
     pairs = np.where(plain[model.pair_geom1] & plain[model.pair_geom2], *MOST_OF_PAIR)
@@ -63,6 +70,60 @@ def lowest(distance, height, row):
     xp = height.__array_namespace__()
     drop = fixed + (linear * xp.abs(row)).sum(-1)
     return height - (drop + ring * xp.sqrt(xp.maximum(1 - row[..., 2] ** 2, 0)))
+
+
+class Probes(NamedTuple):
+    """Spheres in the geoms, P of them: what of a geom is asked for its distance from ground that is not flat.
+
+    On flat ground the lowest of a geom's is its lowest point: the ends of a capsule, the corners of a box,
+    the lowest points of a cylinder's two rims.
+    """
+
+    geom: np.ndarray  # [P] the geom's number, ascending
+    place: np.ndarray  # [P, 3] m, in its frame
+    radius: np.ndarray  # [P] m
+    ring: np.ndarray  # [P] m, a cylinder's radius: the probe is so far down its disc
+
+
+PROBE_SPACING = 0.1  # m, at most, between neighbours along an edge
+
+
+def probes(model: mujoco.MjModel, geoms: np.ndarray) -> Probes:
+    """Of `geoms`. Between the ends there are more, or a stair's edge would pass between them."""
+    rows = []
+    for number, geom in enumerate(geoms):
+        kind, size = int(model.geom_type[geom]), model.geom_size[geom]
+        if kind == SPHERE:
+            rows.append([number, 0, 0, 0, size[0], 0])
+        elif kind == BOX:
+            ways = [_along(half) for half in size]
+            for at in np.stack(np.meshgrid(*ways, indexing="ij"), -1).reshape(-1, 3):
+                if (abs(at) >= size).any():  # on the surface
+                    rows.append([number, *at, 0, 0])
+        else:
+            round_end = kind == CAPSULE
+            for z in _along(size[1]):
+                rows.append([number, 0, 0, z, size[0] * round_end, size[0] * (not round_end)])
+    rows = np.array(rows, float).reshape(-1, 6)
+    return Probes(rows[:, 0].astype(int), rows[:, 1:4], rows[:, 4], rows[:, 5])
+
+
+def _along(half: float) -> np.ndarray:
+    return np.linspace(-half, half, 2 + int(2 * half / PROBE_SPACING))
+
+
+def probe_points(of: Probes, place, turn):
+    """Where they are, [..., P, 3] (m), for the places [..., G, 3] and rotations [..., G, 3, 3] of their
+    geoms; NumPy and JAX."""
+    xp: Any = place.__array_namespace__()
+    turn = turn[..., of.geom, :, :]
+    found = place[..., of.geom, :] + (turn * of.place[:, None, :]).sum(-1)
+    if not of.ring.any():
+        return found
+    axis = turn[..., 2]
+    up = xp.asarray([0.0, 0.0, 1.0], dtype=axis.dtype) - axis[..., 2:] * axis
+    size = xp.sqrt(xp.maximum((up * up).sum(-1, keepdims=True), 1e-12))
+    return found - of.ring[:, None] * up / size
 
 
 def of_each_foot(foot_of: np.ndarray) -> np.ndarray:

@@ -35,6 +35,8 @@ from mujoco import rollout
 from dynappo.description import contacts, motors
 from dynappo.description import robot as robot_lib
 from dynappo.physics import actuators, engine_contract, xla_call
+from dynappo.physics import ground as ground_lib
+from dynappo.terrain.height_map import HeightMap
 
 # the numbers that define a robot's model, in the order of the last argument of a call; of those of the
 # motors one for all joints, or one for each
@@ -63,9 +65,10 @@ class Moved(NamedTuple):
     qacc_warmstart: Any
     torque: Any  # [A] N m, of the motors in the last physics step
     qd_before: Any  # [A] rad/s, before it
-    feet: Any  # [n, S] m, heights of the centres of the feet's shapes
-    height: Any  # [n, G] m, of the parts' centres
-    quat: Any  # orientations, [n, G, 4] of the parts, or [n, S + G, 4] where feet are no spheres
+    feet: Any  # [n, S] m, heights of the centres of the feet's shapes; on a height map [n, S, 3], places
+    parts: Any  # [n, G] or [n, G, 3], of the parts' centres
+    # orientations, [n, G, 4] of the parts, or [n, S + G, 4] where feet are no spheres, and on a height map
+    quat: Any
 
 
 def cores(threads: int) -> int:
@@ -76,40 +79,51 @@ def cores(threads: int) -> int:
     return len(affinity(0)) if affinity else os.cpu_count() or 1
 
 
-def make(robot: robot_lib.Robot, physics, varied: frozenset[str], has_friction: bool = False):
+def make(
+    robot: robot_lib.Robot,
+    physics,
+    varied: frozenset[str],
+    has_friction: bool = False,
+    ground: HeightMap | None = None,
+):
     """`step(qpos, qvel, qacc_warmstart, target, numbers) -> Moved` of one robot, for `jax.vmap`.
 
     `physics` is the config's group. `target` are joint angles [n, A], a row a physics step; `numbers` are
     those of `BODY_NUMBERS` and then of `MOTOR_NUMBERS`. `has_friction`: of the joints,
-    also where it does not vary.
+    also where it does not vary. `ground`: None is flat.
     """
-    engine_contract.check(robot, physics, "c")
+    engine_contract.check(robot, physics, "c", ground)
     varied |= {"joint_friction"} if has_friction else set()
-    steps, threads, model = physics.substeps, cores(physics.threads), _model(robot, physics)
+    steps, threads, model = physics.substeps, cores(physics.threads), _model(robot, physics, ground)
     name = f"dynappo_c_{steps}_{threads}_{'_'.join(sorted(varied))}_{robot_lib.digest(model)}"
     if not xla_call.registered(name):
         xla_call.register(name, _World(robot, model, steps, threads, varied).step)
     parts, feet = len(robot.parts), len(robot.feet)
     shapes = (model.nq,), (model.nv,), (model.nv,), (model.nu,), (model.nu,)
-    shapes += (steps, feet), (steps, parts), (steps, len(_turned(robot)), 4)
+    place = () if ground is None else (3,)
+    turned = len(_turned(robot, ground is not None))
+    shapes += (steps, feet, *place), (steps, parts, *place), (steps, turned, 4)
     shapes = [jax.ShapeDtypeStruct(shape, jnp.float32) for shape in shapes]
     # declared as a side effect, so that JAX waits for it before Python ends (xla_call.py)
     call = jax.ffi.ffi_call(name, shapes, vmap_method="broadcast_all", has_side_effect=True)
     return lambda *args: Moved(*call(*args))
 
 
-def _turned(robot: robot_lib.Robot) -> np.ndarray:
-    """Geoms whose orientation matters: parts, preceded by the feet unless all are spheres."""
+def _turned(robot: robot_lib.Robot, rough: bool) -> np.ndarray:
+    """Geoms whose orientation matters: parts, preceded by the feet unless all are spheres and the ground is
+    not `rough`."""
     spheres = (robot.mj_model.geom_type[robot.feet] == contacts.SPHERE).all()
-    return robot.parts if spheres else np.concatenate([robot.feet, robot.parts])
+    return robot.parts if spheres and not rough else np.concatenate([robot.feet, robot.parts])
 
 
-def _model(robot: robot_lib.Robot, physics) -> mujoco.MjModel:
+def _model(robot: robot_lib.Robot, physics, ground: HeightMap | None) -> mujoco.MjModel:
     """The robot's model with sensors for the geoms, and DC motors that hold a joint angle."""
     spec = robot_lib.physics_spec(robot.xml, robot.text)
+    ground_lib.put(spec, ground)
     geom, kinds = mujoco.mjtObj.mjOBJ_GEOM, mujoco.mjtSensor
     feet, parts, turned = (
-        [spec.geoms[i] for i in ids] for ids in (robot.feet, robot.parts, _turned(robot))
+        [spec.geoms[i] for i in ids]
+        for ids in (robot.feet, robot.parts, _turned(robot, ground is not None))
     )
     for sensor in list(spec.sensors):  # the file's own
         spec.delete(sensor)
@@ -172,11 +186,13 @@ class _World:
         else:
             after, sensed = self._roll(*given)
         feet, parts = len(robot.feet), len(robot.parts)
-        turned = len(_turned(robot))
+        rough = bool(model.nhfield)
+        turned = len(_turned(robot, rough))
         positions, quats, torque = np.split(
             sensed, [3 * (feet + parts), 3 * (feet + parts) + 4 * turned], 2
         )
-        heights = positions[..., 2::3]
+        places = positions.reshape(*positions.shape[:2], -1, 3)
+        places = places if rough else places[..., 2]
         velocity = after[..., 1 + model.nq :]
         before = velocity[:, -2] if self.steps > 1 else state[:, 1 + model.nq :]
         found = (
@@ -185,8 +201,8 @@ class _World:
             (velocity[:, -1] - before) / model.opt.timestep,
             torque[:, -1],
             before[:, 6:],
-            heights[..., :feet],
-            heights[..., feet:],
+            places[:, :, :feet],
+            places[:, :, feet:],
             quats.reshape(count, self.steps, turned, 4),
         )
         for out, value in zip(outs, found, strict=True):

@@ -5,6 +5,8 @@ starts from, so after it they are those of 5 ms before. Foot contacts (a foot's 
 floor) and the lowest points of parts come from these positions, at no cost; observations and rewards come
 from the new qpos and qvel.
 
+On ground that is not flat both are distances from its triangles (ground.py).
+
 Why contact by geometry: it is the same for every engine and needs no contact forces, so the parts
 that must not touch the ground need no collision pairs (`physics.contacts = feet`).
 
@@ -29,9 +31,11 @@ import numpy as np
 from dynappo.config import per_joint
 from dynappo.description import contacts
 from dynappo.description import robot as robot_lib
-from dynappo.physics import actuators, c_mujoco, engine_contract, ground, randomize
+from dynappo.physics import actuators, c_mujoco, engine_contract, randomize
+from dynappo.physics import ground as ground_lib
 from dynappo.physics.warp import arrays
 from dynappo.physics.warp import call as warp_call
+from dynappo.terrain.height_map import HeightMap
 from dynappo.types import Hyper
 
 
@@ -54,6 +58,10 @@ class Engine(NamedTuple):
     )
     lags: bool  # torques follow with the time constant of the body's `lag`
     has_friction: bool  # joints have the friction task.joint_friction
+    ground: HeightMap | None  # None: flat
+    probes: tuple[
+        Any, ...
+    ]  # contacts.probes of the feet's shapes, and of the parts; none on flat ground
 
 
 def make(
@@ -64,14 +72,16 @@ def make(
     every_substep: bool = False,
     lags: bool = False,
     has_friction: bool = False,
+    ground: HeightMap | None = None,
 ) -> Engine:
-    """The engine `impl` ("jax", "warp" or "c") of `robot`; `physics` is the config's group."""
-    engine_contract.check(robot, physics, impl)
-    mj_model, model, data = robot_lib.physics_model(robot, physics), None, None
+    """The engine `impl` ("jax", "warp" or "c") of `robot` on a `ground`, None being a plane; `physics` is the
+    config's group."""
+    engine_contract.check(robot, physics, impl, ground)
+    mj_model, model, data = ground_lib.model(robot, physics, ground), None, None
     if impl == "c":
-        step = c_mujoco.make(robot, physics, varied, has_friction)
+        step = c_mujoco.make(robot, physics, varied, has_friction, ground)
     elif impl == "warp":
-        step = warp_call.make(mj_model, robot, physics.substeps, every_substep)
+        step = warp_call.make(mj_model, robot, physics.substeps, every_substep, ground)
         model = warp_call.model(mj_model)
     else:
         mjx, step = _mjx(), _mjx_step
@@ -94,7 +104,13 @@ def make(
         every_substep=every_substep,
         lags=lags,
         has_friction=has_friction,
+        ground=ground,
+        probes=() if ground is None else _probes(mj_model, robot),
     )
+
+
+def _probes(model, robot: robot_lib.Robot):
+    return tuple(contacts.probes(model, geoms) for geoms in (robot.feet, robot.parts))
 
 
 def _mjx():
@@ -215,10 +231,17 @@ def _simulate_in_mjx(engine: Engine, body, first: Substeps, target, motor: Motor
 
     def lowest(distance, geoms, data):
         row = data.geom_xmat[geoms].reshape(-1, 9)[:, 6:]  # third row of the rotation matrix
-        z = ground.height_above(data.geom_xpos[geoms, 2], lambda: data.geom_xpos[geoms, :2])
+        z = ground_lib.height_above(data.geom_xpos[geoms, 2], lambda: data.geom_xpos[geoms, :2])
         return contacts.lowest(distance, z, row)
 
     parts = partial(lowest, engine.floor, robot.parts)
+    feet = partial(lowest, engine.soles, robot.feet)
+    if engine.ground is not None:
+        above = ground_lib.feet_above, ground_lib.parts_above
+        feet, parts = (
+            partial(_above, *on, engine.ground, geoms)
+            for *on, geoms in zip(above, engine.probes, (robot.feet, robot.parts), strict=True)
+        )
 
     def substep(carry, target):
         s, data = carry
@@ -237,7 +260,7 @@ def _simulate_in_mjx(engine: Engine, body, first: Substeps, target, motor: Motor
         if motor.friction is not None:
             felt -= actuators.friction(before, motor.friction)
         data = engine.step(model, data, felt)
-        s = _feet(engine, s, lowest(engine.soles, robot.feet, data))
+        s = _feet(engine, s, feet(data))
         s = s._replace(
             torque=torque,
             qd_before=before,
@@ -251,6 +274,10 @@ def _simulate_in_mjx(engine: Engine, body, first: Substeps, target, motor: Motor
     (s, data), _ = jax.lax.scan(substep, (first, data), target)
     s = s._replace(qpos=data.qpos, qvel=data.qvel, qacc_warmstart=data.qacc_warmstart)
     return s if engine.every_substep else s._replace(lowest=parts(data))
+
+
+def _above(found, probes, ground: HeightMap, geoms, data):
+    return found(probes, ground, data.geom_xpos[geoms], data.geom_xmat[geoms])
 
 
 def _simulate_in_warp(engine: Engine, body, first: Substeps, target, motor: Motor):
@@ -291,18 +318,36 @@ def _simulate_in_c(engine: Engine, body, first: Substeps, target, motor: Motor):
         target,
         jnp.concatenate([jnp.stack(jnp.broadcast_arrays(*own)), motors]),
     )
-    w, x, y, z = jnp.moveaxis(moved.quat, -1, 0)
-    row = jnp.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], -1)
-    soles, row = jnp.split(row, [row.shape[1] - len(engine.robot.parts)], axis=1)
-    # without the geoms' place: `Moved` has only heights
-    feet, parts = (ground.height_above(z, None) for z in (moved.feet, moved.height))
+    soles, heights = _heights_in_c(engine, moved)
     s = first
-    for shapes in contacts.lowest(engine.soles, feet, soles):
+    for shapes in soles:
         s = _feet(engine, s, shapes)
-    seen = slice(None) if engine.every_substep else slice(-1, None)
-    lowest = contacts.lowest(engine.floor, parts[seen], row[seen]).min(0)
+    lowest = heights.min(0)
     told = "qpos", "qvel", "qacc_warmstart", "torque", "qd_before"
     return s._replace(lowest=lowest, **{name: getattr(moved, name) for name in told})
+
+
+def _heights_in_c(engine: Engine, moved: c_mujoco.Moved):
+    """`(soles [n, S], parts [n or 1, G])`: the lowest points (m above the ground) of the feet's shapes in all
+    physics steps, and of the parts in those that count."""
+    seen = slice(None) if engine.every_substep else slice(-1, None)
+    w, x, y, z = jnp.moveaxis(moved.quat, -1, 0)
+    row = jnp.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], -1)
+    split = row.shape[1] - len(engine.robot.parts)
+    if engine.ground is not None:
+        one = jnp.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], -1)
+        two = jnp.stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)], -1)
+        feet, parts = jnp.split(jnp.stack([one, two, row], -2), [split], axis=1)
+        return (
+            ground_lib.feet_above(engine.probes[0], engine.ground, moved.feet, feet),
+            ground_lib.parts_above(engine.probes[1], engine.ground, moved.parts[seen], parts[seen]),
+        )
+    soles, row = jnp.split(row, [split], axis=1)
+    # without the geoms' place: `Moved` has only heights
+    feet, parts = (ground_lib.height_above(z, None) for z in (moved.feet, moved.parts))
+    return contacts.lowest(engine.soles, feet, soles), contacts.lowest(
+        engine.floor, parts[seen], row[seen]
+    )
 
 
 SIMULATE = {"jax": _simulate_in_mjx, "warp": _simulate_in_warp, "c": _simulate_in_c}

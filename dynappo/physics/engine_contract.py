@@ -14,7 +14,9 @@ import mujoco
 from dynappo.config import ConfigError, files
 from dynappo.description import contacts
 from dynappo.description import robot as robot_lib
+from dynappo.physics import ground as ground_lib
 from dynappo.physics.warp import scope
+from dynappo.terrain.height_map import HeightMap
 
 ENGINES = {"jax": "MJX", "warp": "MuJoCo Warp", "c": "C MuJoCo"}
 # What MJX 3.17 takes no notice of and does not refuse, although C MuJoCo and MuJoCo Warp do it.
@@ -31,16 +33,18 @@ PLAIN = (
 INTEGRATORS = mujoco.mjtIntegrator.mjINT_EULER, mujoco.mjtIntegrator.mjINT_IMPLICITFAST
 
 
-def check(robot: robot_lib.Robot, physics, impl: str) -> None:
-    """ConfigError if the engine `impl` lacks what the robot's file asks for; `physics` is the config's
-    group. What the kernel computes, every engine does."""
+def check(robot: robot_lib.Robot, physics, impl: str, ground: HeightMap | None = None) -> None:
+    """ConfigError if the engine `impl` lacks what the robot's file asks for, on a `ground`; `physics` is the
+    config's group. What the kernel computes, every engine does."""
     name = _unlike_others(robot.mj_model)
     if impl == "c" and name:
         raise ConfigError(
             f"physics.impl is c, but {robot.xml} has the integrator {name}, with which C MuJoCo's motors are "
             "not those of the other engines; set physics.impl=jax, or take the integrator out of the file"
         )
-    reason = lacks(robot, physics, impl)
+    if ground is not None:
+        ground_lib.check(ground)
+    reason = lacks(robot, physics, impl, ground)
     if reason:
         raise ConfigError(
             f"{robot.xml}: {ENGINES[impl]} cannot simulate it ({reason}); take that out of the file, or set "
@@ -48,12 +52,14 @@ def check(robot: robot_lib.Robot, physics, impl: str) -> None:
         )
 
 
-def lacks(robot: robot_lib.Robot, physics, impl: str) -> str:
+def lacks(robot: robot_lib.Robot, physics, impl: str, ground: HeightMap | None = None) -> str:
     """What the engine `impl` cannot simulate of the robot's file; "" if nothing."""
     if impl == "c":
         name = _unlike_others(robot.mj_model)
         return name and f"the integrator {name}"
     model = robot_lib.physics_model(robot, physics)
+    if ground is not None and impl == "jax" and _on_a_map(model):
+        return _on_a_map(model)
     if _plain(model) or not scope.declines(model, robot.feet):
         return ""
     try:
@@ -61,6 +67,12 @@ def lacks(robot: robot_lib.Robot, physics, impl: str) -> str:
     except NotImplementedError as error:
         return str(error)
     return ""
+
+
+def _on_a_map(model: mujoco.MjModel) -> str:
+    """What MJX has not on a height map: cylinders, which touch nothing else there."""
+    touching = model.geom_type[model.geom_conaffinity > 0]
+    return "cylinders on a height map" if (touching == contacts.CYLINDER).any() else ""
 
 
 def coarse(robot: robot_lib.Robot) -> str:

@@ -1,15 +1,16 @@
-"""The ground: a plane at height 0 of the world.
+"""The ground: a plane at height 0 of the world, or a height map (terrain/height_map.py).
 
 All JAX code of task and engines asks here how high a point is above the ground, and how high to place one.
-On flat ground the answer is the point's own height, and nothing is computed for it. An uneven ground comes
-here: its height map as an argument of both functions, read at `place()`.
+On flat ground (`None`) the answer is the point's own height, and nothing is computed for it.
 
-What knows on its own that the ground is flat, and would follow:
+On a height map MuJoCo's floor is a `hfield` of the same triangles. What this project measures itself:
 
-- description/robot_contract.py: the geom `floor` is a plane at height 0
-- physics/c_mujoco.py: of geoms a control step gives heights alone (`Moved`), without their place
-- physics/warp/kernels.py and quadruped.h: heights and contacts inside a control step on a GPU
-- description/contacts.py: how far a geom reaches down is not how far it is from a slope
+- a foot is down where a sphere of it is in the nearest triangle (`height_map.nearest`), as deep as its
+  contact; in the air its height is the distance from the nearest triangle of the cells below it
+- a part is as high as the lowest of its probes (contacts.py) above the plane of the triangle below each
+  (`height_map.gap`)
+
+Both are the lowest point's height where the map is flat.
 """
 
 from __future__ import annotations
@@ -17,15 +18,92 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+import mujoco
+import numpy as np
+
+from dynappo.description import contacts, motors
+from dynappo.description import robot as robot_lib
+from dynappo.terrain import height_map
+from dynappo.terrain.height_map import HeightMap
+
 # x and y [..., 2] (m, in the world) of the points; a function, so that flat ground computes nothing
 Place = Callable[[], Any]
+THICK = 0.2  # m, of MuJoCo's height field below its lowest point
 
 
-def height_above(z, place: Place | None):
+def height_above(z, place: Place | None, ground: HeightMap | None = None):
     """Heights [...] (m) above the ground of points at the heights `z` [...] in the world."""
-    return z
+    return z if ground is None else z - _height(place, ground)
 
 
-def world_height(above, place: Place | None):
+def world_height(above, place: Place | None, ground: HeightMap | None = None):
     """Heights [...] (m) in the world of points that are so high `above` [...] the ground."""
-    return above
+    return above if ground is None else above + _height(place, ground)
+
+
+def _height(place: Place | None, ground: HeightMap):
+    assert place is not None
+    xy = place()
+    return height_map.height(*ground, xy[..., 0], xy[..., 1])
+
+
+def feet_above(probes: contacts.Probes, ground: HeightMap, place, turn):
+    """Heights [..., S] (m) of the feet's shapes at `place` [..., S, 3], with the rotations `turn` [..., S, 3,
+    3]: the distance of the lowest of their probes from the nearest triangle; below 0 where it touches."""
+    points = contacts.probe_points(probes, place, turn)
+    distance, _ = height_map.nearest(*ground, points, probes.radius)
+    return _of_geoms(probes, distance - probes.radius)
+
+
+def parts_above(probes: contacts.Probes, ground: HeightMap, place, turn):
+    """As `feet_above`, of parts [..., G]: above the planes of the triangles below their probes."""
+    points = contacts.probe_points(probes, place, turn)
+    return _of_geoms(probes, height_map.gap(*ground, points, probes.radius))
+
+
+def _of_geoms(probes: contacts.Probes, heights):
+    if not len(probes.geom):
+        return heights
+    return heights[..., contacts.of_each_foot(probes.geom)].min(-1)
+
+
+def model(robot: robot_lib.Robot, physics, ground: HeightMap | None) -> mujoco.MjModel:
+    """`robot.physics_model` on this ground."""
+    if ground is None:
+        return robot_lib.physics_model(robot, physics)
+    spec = robot_lib.physics_spec(robot.xml, robot.text)
+    put(spec, ground)
+    made = robot_lib.with_settings(spec.compile(), physics, robot.parts)
+    motors.set_armature(made, np.arange(6, made.nv), robot.mj_model.dof_armature[6:])
+    return made
+
+
+def put(spec: mujoco.MjSpec, ground: HeightMap | None) -> None:
+    """Make the geom `floor` a height field, with the same friction and all else; nothing for `None`."""
+    if ground is None:
+        return
+    heights, low = ground.heights, float(ground.heights.min())
+    half = [ground.cell * (count - 1) / 2 for count in heights.shape]
+    rise = max(float(heights.max()) - low, 1e-3)  # MuJoCo wants one; a flat map has only zeros
+    spec.add_hfield(
+        name="floor",
+        nrow=heights.shape[1],
+        ncol=heights.shape[0],
+        size=[*half, rise, THICK],
+        userdata=heights.T.ravel(),  # rows are along y
+    )
+    floor = spec.geom("floor")
+    floor.type, floor.hfieldname = mujoco.mjtGeom.mjGEOM_HFIELD, "floor"
+    floor.pos = [c + h for c, h in zip(ground.corner, half, strict=True)] + [low]
+    floor.quat = [1, 0, 0, 0]
+
+
+def check(ground: HeightMap) -> None:
+    """ValueError for a map that is none."""
+    heights = ground.heights
+    if heights.ndim != 2 or min(heights.shape) < 2 or heights.dtype != np.float32:
+        raise ValueError(
+            f"a height map of {heights.dtype} {heights.shape}, expected float32 [X, Y] of at least 2 x 2"
+        )
+    if not np.isfinite(heights).all() or not ground.cell > 0:
+        raise ValueError("a height map with heights that are not finite, or a cell of no size")

@@ -43,9 +43,10 @@ def normal(map_array, cell: float, corner: tuple[float, float], x, y):
 def gap(map_array, cell: float, corner: tuple[float, float], point, radius):
     """Distances [...] (m) of spheres around `point` [..., 3] from the plane of the triangle below, negative
     inside: the vertical distance times the normal's z. Exact on a slope; no look at the triangles around."""
-    x, y, z = point[..., 0], point[..., 1], point[..., 2]
-    up = normal(map_array, cell, corner, x, y)[..., 2]
-    return (z - height(map_array, cell, corner, x, y)) * up - radius
+    z, slope, s, t = _under(map_array, cell, corner, point[..., 0], point[..., 1])
+    z = z + cell * (slope[0] * s + slope[1] * t)
+    xp = point.__array_namespace__()
+    return (point[..., 2] - z) / xp.sqrt(1 + slope[0] ** 2 + slope[1] ** 2) - radius
 
 
 def nearest(map_array, cell: float, corner: tuple[float, float], point, radius: np.ndarray):

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dynappo.description import contacts
+from dynappo.terrain.height_map import HeightMap
 
 PER_ROBOT = 11  # so many arrays, a call's first, have a row for each robot
 IN_OUT = (  # changed in place
@@ -38,16 +39,25 @@ class Shape(NamedTuple):
     soles: np.ndarray  # [S, 5] contacts.floor_distance of the feet's shapes
     parts: np.ndarray  # [G] geoms
     floor: np.ndarray  # [G, 5] of the parts
+    ground: HeightMap | None = None  # None: flat
 
 
-def shape(mj_model, robot, substeps: int, every_substep: bool) -> Shape:
-    """Of `robot`, in its compiled model."""
+def shape(
+    mj_model, robot, substeps: int, every_substep: bool, ground: HeightMap | None = None
+) -> Shape:
+    """Of `robot`, in its compiled model on the `ground`."""
     soles, floor = (
         np.column_stack(contacts.floor_distance(mj_model, geoms))
         for geoms in (robot.feet, robot.parts)
     )
     first = np.searchsorted(robot.foot_of, np.arange(len(robot.foot_names) + 1))
-    return Shape(substeps, every_substep, robot.feet, first, soles, robot.parts, floor)
+    return Shape(substeps, every_substep, robot.feet, first, soles, robot.parts, floor, ground)
+
+
+def map_numbers(ground: HeightMap) -> np.ndarray:
+    """A height map as the array that ground.h reads: cell, corner, X, Y, then the heights."""
+    head = [ground.cell, *ground.corner, *ground.heights.shape]
+    return np.concatenate([head, ground.heights.ravel()]).astype(np.float32)
 
 
 def sizes(mj_model, shape: Shape) -> dict[str, tuple[int, ...]]:

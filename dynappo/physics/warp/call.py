@@ -24,10 +24,12 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from flax import struct
 
 from dynappo.description import robot as robot_lib
 from dynappo.physics.warp import arrays, scope
+from dynappo.terrain.height_map import HeightMap
 
 # one per kind of step: Warp keeps what `jax_callable` was given, arrays included, to the end
 _TOGETHER: dict[tuple[Any, ...], Callable[..., Sequence]] = {}
@@ -53,14 +55,19 @@ def model(mj_model) -> Model:
     return Model(**fields, nbody=mj_model.nbody, ngeom=mj_model.ngeom, nv=mj_model.nv)
 
 
-def make(mj_model, robot, substeps: int, every_substep: bool) -> Callable[..., dict[str, Any]]:
-    """`step(mjx model, state, target [n, A], motor)` of one robot, for `jax.vmap`: a control step.
+def make(
+    mj_model, robot, substeps: int, every_substep: bool, ground: HeightMap | None = None
+) -> Callable[..., dict[str, Any]]:
+    """`step(mjx model, state, target [n, A], motor)` of one robot, for `jax.vmap`: a control step on the
+    `ground`, which `mj_model` has too.
 
     `state` has the fields `arrays.IN_OUT`; `motor` [1 or A, 8] are the numbers `arrays.MOTOR`. The result
     has `IN_OUT` after the step, `qd_before` and `lowest`.
     """
-    shape = arrays.shape(mj_model, robot, substeps, every_substep)
-    key = robot_lib.digest(mj_model), substeps, every_substep, *(x.tobytes() for x in shape[2:])
+    shape = arrays.shape(mj_model, robot, substeps, every_substep, ground)
+    floor = () if ground is None else (ground.heights, np.array([ground.cell, *ground.corner]))
+    key = robot_lib.digest(mj_model), substeps, every_substep
+    key = *key, *(x.tobytes() for x in (*shape[2:-1], *floor))
     if key not in _TOGETHER:
         # made when it is traced: until then Warp may still start
         of_many = functools.cache(functools.partial(_of_many, mj_model, shape))

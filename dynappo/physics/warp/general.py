@@ -12,7 +12,7 @@ import warp as wp  # pyright: ignore[reportMissingImports]
 from mujoco.mjx.third_party import mujoco_warp as mjw
 
 from dynappo.description import contacts
-from dynappo.physics.warp import arrays, kernels
+from dynappo.physics.warp import arrays, kernels, rough
 
 FEW = 8  # rounds of Newton's method that cost less one after the other than a graph's loop does
 
@@ -22,11 +22,8 @@ class Buffers(NamedTuple):
 
     model: Any
     data: Any
-    first: Any  # of the feet, as `arrays.Shape`
-    feet: Any
-    soles: Any
-    parts: Any
-    floor: Any
+    keep: Any  # the kernel of timers and heights, and its arguments behind the first three
+    numbers: list[Any]
 
 
 def allocate(mj_model: mujoco.MjModel, shape: arrays.Shape, count: int) -> Buffers:
@@ -39,12 +36,14 @@ def allocate(mj_model: mujoco.MjModel, shape: arrays.Shape, count: int) -> Buffe
     return Buffers(
         model=model,
         data=mjw.make_data(mj_model, nworld=count, naconmax=count * room, njmax=rows),
-        first=wp.array(shape.first, dtype=int),
-        feet=wp.array(shape.feet, dtype=int),
-        soles=wp.array(shape.soles, dtype=float),
-        parts=wp.array(shape.parts, dtype=int),
-        floor=wp.array(shape.floor, dtype=float),
+        keep=kernels.keep if shape.ground is None else rough.keep,
+        numbers=_flat(shape) if shape.ground is None else rough.arguments(mj_model, shape),
     )
+
+
+def _flat(shape: arrays.Shape) -> list[Any]:
+    given = (shape.first, int), (shape.feet, int), (shape.soles, float), (shape.parts, int)
+    return [wp.array(x, dtype=kind) for x, kind in (*given, (shape.floor, float))]
 
 
 def control_step(buffers: Buffers, shape: arrays.Shape, a: dict[str, Any]) -> None:
@@ -62,17 +61,13 @@ def control_step(buffers: Buffers, shape: arrays.Shape, a: dict[str, Any]) -> No
         )
         mjw.step(model, data)
         wp.launch(
-            kernels.keep,
-            dim=(count, buffers.first.size - 1 + buffers.parts.size),
+            buffers.keep,
+            dim=(count, len(shape.first) - 1 + len(shape.parts)),
             inputs=[
                 int(shape.every_substep),
                 substep,
                 shape.substeps - 1,
-                buffers.first,
-                buffers.feet,
-                buffers.soles,
-                buffers.parts,
-                buffers.floor,
+                *buffers.numbers,
                 data.geom_xpos,
                 data.geom_xmat,
             ],

@@ -61,6 +61,33 @@ def _lowest(distance: wp.array[float], at: wp.vec3, turn: wp.mat33):
     return at[2] - (drop + distance[4] * wp.sqrt(wp.max(1.0 - z * z, 0.0)))
 
 
+@wp.func
+def foot(
+    robot: int,
+    i: int,
+    height: float,  # m, of its lowest point above the ground
+    air_steps: wp.array2d[int],
+    contact_steps: wp.array2d[int],
+    last_air_steps: wp.array2d[int],
+    peak: wp.array2d[float],
+    last_peak: wp.array2d[float],
+):
+    """A foot's timers and heights after one more physics step (engine.py: `_feet`)."""
+    contact = height < 0.0
+    if contact and air_steps[robot, i] > 0:
+        last_air_steps[robot, i] = air_steps[robot, i] + 1
+        last_peak[robot, i] = peak[robot, i]
+    if contact:
+        air_steps[robot, i] = 0
+        contact_steps[robot, i] = contact_steps[robot, i] + 1
+        peak[robot, i] = 0.0
+    else:
+        air_steps[robot, i] = air_steps[robot, i] + 1
+        contact_steps[robot, i] = 0
+        if not (height <= peak[robot, i]):
+            peak[robot, i] = height
+
+
 @wp.kernel
 def keep(
     every: int,  # 1: parts in every physics step, 0: only in the last
@@ -89,19 +116,7 @@ def keep(
             sole = _lowest(soles[k], geom_xpos[robot, feet[k]], geom_xmat[robot, feet[k]])
             if not (sole >= height):  # not `min`, which would lose what is no number
                 height = sole
-        contact = height < 0.0
-        if contact and air_steps[robot, i] > 0:
-            last_air_steps[robot, i] = air_steps[robot, i] + 1
-            last_peak[robot, i] = peak[robot, i]
-        if contact:
-            air_steps[robot, i] = 0
-            contact_steps[robot, i] = contact_steps[robot, i] + 1
-            peak[robot, i] = 0.0
-        else:
-            air_steps[robot, i] = air_steps[robot, i] + 1
-            contact_steps[robot, i] = 0
-            if not (height <= peak[robot, i]):
-                peak[robot, i] = height
+        foot(robot, i, height, air_steps, contact_steps, last_air_steps, peak, last_peak)
         return
     if every == 0 and substep < last:
         return

@@ -15,6 +15,7 @@ import warp as wp  # pyright: ignore[reportMissingImports]
 from dynappo.physics.actuators import FRICTION_SPEED
 from dynappo.physics.warp import arrays
 
+PROBE = 10  # numbers of a part's probe, on ground that is not flat
 BLOCK = 32  # threads: few, so that 1024 robots are on all processors of a GPU
 CONSTRAINT_AT = dict(B=5, K=6, INVWEIGHT=7)  # of `constraint`
 
@@ -31,12 +32,15 @@ def constraint(model, solref, solimp, invweight) -> list[float]:
     return [low, high, max(solimp[2], 1e-15), mid, power, b, k, invweight]
 
 
-def code(sizes: dict[str, int], *headers: str) -> str:
-    """The constants `sizes`, then the headers algebra.h and `headers`."""
+def code(sizes: dict[str, int], *headers: str, rough: bool = False) -> str:
+    """The constants `sizes`, then the headers algebra.h and `headers`; `rough`: as for ground that is not
+    flat, with ground.h."""
+    headers = ("ground", *headers) if rough else headers
     lines = [f"enum {{ {name} = {value} }};\n" for name, value in sizes.items()]
     lines.append(f"const float FRICTION_SPEED = {FRICTION_SPEED!r};\n")
     texts = [Path(__file__).with_name(f"{name}.h").read_text() for name in ("algebra", *headers)]
-    return "".join(lines + texts)
+    text = "".join(lines + texts)
+    return f"#define GROUND 1\n{text}\n#undef GROUND\n" if rough else text
 
 
 @functools.cache

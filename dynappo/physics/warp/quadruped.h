@@ -1,5 +1,17 @@
 // The third part of the function of quadruped.py: a control step of a quadruped that keeps the contract
-// (contract.py), with its feet on a plane.
+// (contract.py), with its feet on a plane, or (GROUND) on a height map.
+//
+// On a height map each foot has one contact, with the nearest triangle, and its normal and tangents; MuJoCo's
+// own has one more for every other triangle that the sphere reaches. A plane's are the world's axes.
+#if GROUND
+#define IN_FRAME(l, u) mul(frame[l], u)
+#define IN_WORLD(l, F) mul(wp::transpose(frame[l]), F)
+#define TURNED(l, W) mul(wp::transpose(frame[l]), mul(W, frame[l]))
+#else
+#define IN_FRAME(l, u) (u)
+#define IN_WORLD(l, F) (F)
+#define TURNED(l, W) (W)
+#endif
 
 // ---- what is there before
 float* q = qpos.data + robot * 19;
@@ -35,6 +47,15 @@ for (int l = 0; l < LEGS; ++l) {
   last_air[l] = last_air_steps.data[foot];
   high[l] = peak.data[foot], last_high[l] = last_peak.data[foot];
 }
+#if GROUND
+const float* const ground = base_k + MAP;
+mat33 frame[LEGS];  // of a foot's contact: rows are its tangents and its normal
+auto keep_probe = [&](const float* g, mat33 R, vec3 where) {  // of a part (contacts.Probes)
+  float& yet = lowest.data[robot * lowest.shape[1] + (int)g[8]];
+  const float height = probe_above(ground, g, R, where);
+  if (g[9] > 0.0f || !(height >= yet)) yet = height;  // the part's first, or lower, or no number
+};
+#endif
 
 for (int substep = 0; substep < substeps; ++substep) {
   // ---- kinematics, velocities, forces without contacts, inertia (recursive Newton-Euler and
@@ -80,12 +101,23 @@ for (int substep = 0; substep < substeps; ++substep) {
       if (substep == substeps - 1)  // the lowest points of the link's other parts (contacts.py)
         for (int i = tables.data[body]; i < tables.data[body + 1]; ++i) {
           const float* g = parts.data + i * PART;
+#if GROUND
+          keep_probe(g, R, place + where);
+#else
           lowest.data[robot * lowest.shape[1] + (int)g[17]] = place[2] + where[2] + lowest_point(g, R);
+#endif
         }
     }
     const float* f = base_k + FEET + leg * FOOT;
     at_foot[l] = where + mul(R, read3(f));
+#if GROUND
+    vec3 up, one, two;
+    depth[l] = nearest(ground, place + at_foot[l], f[RADIUS], up) - f[RADIUS];
+    tangents(up, one, two);
+    frame[l] = mat33(one[0], one[1], one[2], two[0], two[1], two[2], up[0], up[1], up[2]);
+#else
     depth[l] = place[2] + at_foot[l][2] - f[RADIUS];
+#endif
     // timers, as of the positions at the start of the physics step (engine.py)
     const bool down = depth[l] < 0.0f;
     if (down && air[l] > 0) last_air[l] = air[l] + 1, last_high[l] = high[l];
@@ -93,12 +125,17 @@ for (int substep = 0; substep < substeps; ++substep) {
     touch[l] = down ? touch[l] + 1 : 0;
     if (down) high[l] = 0.0f;
     else if (!(depth[l] <= high[l])) high[l] = depth[l];
+#if GROUND
+    at_foot[l] = at_foot[l] - up * (f[RADIUS] + 0.5f * depth[l]);  // the point of contact
+#else
     at_foot[l][2] -= f[RADIUS] + 0.5f * depth[l];  // the point of contact
+#endif
     slip[l] = lin + cross(spin, at_foot[l]);
     for (int k = 0; k < 3; ++k) {
       J[l][k] = arm[k] + cross(axis[l][k], at_foot[l]);
       slip[l] = slip[l] + J[l][k] * rate[l][k];
     }
+    slip[l] = IN_FRAME(l, slip[l]);
     mu[l] = wp::max(rub[(int)f[GEOM]][0], 1e-5f);
     const float imp = impedance(f + CONTACT, depth[l]), mu2 = mu[l] * mu[l];
     const float weight = f[CONTACT + INVWEIGHT] * (1.0f + mu2) * 2.0f * mu2;
@@ -128,7 +165,11 @@ for (int substep = 0; substep < substeps; ++substep) {
   if (substep == substeps - 1 && leg0 == 0)
     for (int i = tables.data[1]; i < tables.data[2]; ++i) {
       const float* g = parts.data + i * PART;
+#if GROUND
+      keep_probe(g, R0, place);
+#else
       lowest.data[robot * lowest.shape[1] + (int)g[17]] = place[2] + lowest_point(g, R0);
+#endif
     }
   smooth_ang = -(smooth_ang + total3(legs_moment)), smooth_lin = -(smooth_lin + total3(legs_force));
   whole.m = total(whole.m), whole.h = total3(whole.h);
@@ -162,6 +203,7 @@ for (int substep = 0; substep < substeps; ++substep) {
     for (int l = 0; l < LEGS; ++l) {
       vec3 u = x_lin + cross(x_ang, at_foot[l]);
       for (int k = 0; k < 3; ++k) u = u + J[l][k] * x[l][k];
+      u = IN_FRAME(l, u);
       float f[4], on[4];  // forces along the edges of the pyramid, and their stiffnesses
       for (int i = 0; i < 4; ++i) {
         jar[l][i] = u[2] + (i % 2 ? -mu[l] : mu[l]) * u[i / 2] - aref[l][i];
@@ -169,10 +211,10 @@ for (int substep = 0; substep < substeps; ++substep) {
         f[i] = -on[i] * jar[l][i];
       }
       const float m1 = mu[l], m2 = mu[l] * mu[l];
-      const vec3 F(m1 * (f[0] - f[1]), m1 * (f[2] - f[3]), f[0] + f[1] + f[2] + f[3]);
+      const vec3 F = IN_WORLD(l, vec3(m1 * (f[0] - f[1]), m1 * (f[2] - f[3]), f[0] + f[1] + f[2] + f[3]));
       const float xz = m1 * (on[0] - on[1]), yz = m1 * (on[2] - on[3]);
-      const mat33 W(m2 * (on[0] + on[1]), 0.0f, xz, 0.0f, m2 * (on[2] + on[3]), yz, xz, yz,
-                    on[0] + on[1] + on[2] + on[3]);
+      const mat33 W = TURNED(l, mat33(m2 * (on[0] + on[1]), 0.0f, xz, 0.0f, m2 * (on[2] + on[3]), yz, xz, yz,
+                                      on[0] + on[1] + on[2] + on[3]));
       hess[l] = M[l];
       grad_ang = grad_ang - cross(at_foot[l], F), grad_lin = grad_lin - F;
       for (int k = 0; k < 3; ++k) {
@@ -212,6 +254,7 @@ for (int substep = 0; substep < substeps; ++substep) {
         const float stop = jar_joint[l][k] < 0.0f ? D_joint[l][k] : 0.0f, e = side[l][k] * step[l][k];
         held += stop * e * e, held_slope += stop * e * jar_joint[l][k];
       }
+      u = IN_FRAME(l, u);
       for (int i = 0; i < 4; ++i) {
         edge[l][i] = u[2] + (i % 2 ? -mu[l] : mu[l]) * u[i / 2];
         const float on = jar[l][i] < 0.0f ? D_foot[l] : 0.0f;
@@ -297,3 +340,6 @@ for (int l = 0; l < LEGS; ++l) {
   last_air_steps.data[foot] = last_air[l];
   peak.data[foot] = high[l], last_peak.data[foot] = last_high[l];
 }
+#undef IN_FRAME
+#undef IN_WORLD
+#undef TURNED

@@ -19,6 +19,7 @@ import mujoco
 import numpy as np
 import warp as wp  # pyright: ignore[reportMissingImports]
 
+from dynappo.description import contacts
 from dynappo.description.rotation import matrix
 from dynappo.physics.warp import arrays, native
 from dynappo.physics.warp.scope import LEGS, LINKS
@@ -29,9 +30,10 @@ WHOLE = dict(TIMESTEP=0, GRAVITY=1, TOLERANCE=2, TRUNK=3, LINKS=12, FEET=12 + LI
 LINK_AT = dict(PLACE=0, AXIS=3, TURN=6, LOW=15, HIGH=16, DAMPING=17, LIMIT=18, LINK=28)
 FOOT_AT = dict(RADIUS=3, GEOM=4, CONTACT=5, FOOT=15)
 PART_AT = dict(PART=18)
-_CODE = native.code(
-    WHOLE | LINK_AT | FOOT_AT | native.CONSTRAINT_AT | PART_AT, "arrow", "quadruped"
-)
+MAP = WHOLE["FEET"] + LEGS * FOOT_AT["FOOT"]  # behind them all, arrays.map_numbers
+_PLACES = WHOLE | LINK_AT | FOOT_AT | native.CONSTRAINT_AT
+_CODE = native.code(_PLACES | PART_AT, "arrow", "quadruped")
+_ROUGH = native.code(_PLACES | dict(MAP=MAP, PART=native.PROBE), "arrow", "quadruped", rough=True)
 
 
 def constants(model: mujoco.MjModel, shape: arrays.Shape) -> np.ndarray:
@@ -68,22 +70,43 @@ def parts(model: mujoco.MjModel, shape: arrays.Shape) -> tuple[np.ndarray, np.nd
     return first, np.array(rows, np.float32).reshape(-1, PART_AT["PART"])
 
 
+def probes(model: mujoco.MjModel, shape: arrays.Shape) -> tuple[np.ndarray, np.ndarray]:
+    """As `parts`, of the probes (contacts.py) for ground that is not flat: place, axis of the ring, radius,
+    ring, number of the part, and 1 for the part's first."""
+    found = contacts.probes(model, shape.parts)
+    geom = shape.parts[found.geom]
+    order = np.argsort(model.geom_bodyid[geom], kind="stable")
+    first = np.searchsorted(model.geom_bodyid[geom][order], np.arange(model.nbody + 1))
+    new = np.diff(found.geom, prepend=-1) > 0
+    rows = []
+    for i in order:
+        turn = matrix(model.geom_quat[geom[i]])
+        place = model.geom_pos[geom[i]] + turn @ found.place[i]
+        rows.append([*place, *turn[:, 2], found.radius[i], found.ring[i], found.geom[i], new[i]])
+    return first.astype(np.int32), np.array(rows, np.float32).reshape(-1, native.PROBE)
+
+
 class Buffers(NamedTuple):
     """What Warp keeps on one device."""
 
+    code: str
     numbers: list[Any]  # the kernel's first arguments
     gpu: bool
 
 
 def allocate(mj_model: mujoco.MjModel, shape: arrays.Shape, _: int = 0) -> Buffers:
     """On the current device."""
-    first, rows = parts(mj_model, shape)
+    rough, whole = shape.ground is not None, constants(mj_model, shape)
+    first, rows = (probes if rough else parts)(mj_model, shape)
+    if shape.ground is not None:
+        whole = np.concatenate([whole, arrays.map_numbers(shape.ground)])
     opt, damped = mj_model.opt, bool(mj_model.dof_damping.any())
     numbers = [shape.substeps, int(opt.iterations), int(opt.ls_iterations), int(damped)]
-    numbers += [wp.array(constants(mj_model, shape), dtype=float), wp.array(first, dtype=int)]
-    return Buffers([*numbers, wp.array2d(rows, dtype=float)], wp.get_device().is_cuda)
+    numbers += [wp.array(whole, dtype=float), wp.array(first, dtype=int)]
+    numbers += [wp.array2d(rows, dtype=float)]
+    return Buffers(_ROUGH if rough else _CODE, numbers, wp.get_device().is_cuda)
 
 
 def control_step(buffers: Buffers, _: arrays.Shape, a: dict[str, Any]) -> None:
     """All physics steps of a control step, on the arrays `a` of `warp.arrays.sizes`."""
-    native.launch(native.kernel(_CODE), THREADS if buffers.gpu else 1, buffers.numbers, a)
+    native.launch(native.kernel(buffers.code), THREADS if buffers.gpu else 1, buffers.numbers, a)

@@ -183,11 +183,22 @@ def _plain(model: mujoco.MjModel, feet: np.ndarray) -> mujoco.MjModel:
         first = model.body_jntadr[i]
         for joint in range(first, first + model.body_jntnum[i]):
             _add_joint(spec, body, model, joint)
-    plane, sphere = mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_SPHERE
+    sphere, ground = mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_PLANE
+    if _rough(model):  # whatever its heights, which are in an array of the kernel's own (ground.h)
+        ground, (rows, columns) = (
+            mujoco.mjtGeom.mjGEOM_HFIELD,
+            (model.hfield_nrow[0], model.hfield_ncol[0]),
+        )
+        heights = np.zeros(rows * columns)
+        spec.add_hfield(
+            name="floor", nrow=rows, ncol=columns, size=model.hfield_size[0], userdata=heights
+        )
     for i, body in enumerate(model.geom_bodyid):
         geom = bodies[body].add_geom(
-            type=plane if i == floor else sphere, size=[1, 1, 1], mass=0, contype=0, conaffinity=0
+            type=ground if i == floor else sphere, size=[1, 1, 1], mass=0, contype=0, conaffinity=0
         )
+        if i == floor and _rough(model):
+            geom.hfieldname = "floor"
         if i != floor and i not in feet:
             continue
         if model.geom_type[i] in TOUCHING:
@@ -226,8 +237,15 @@ def _add_joint(spec: mujoco.MjSpec, body, model: mujoco.MjModel, joint: int) -> 
 
 def _rules(model: mujoco.MjModel, feet: np.ndarray) -> str:
     """As `declines`, for numbers that a kernel reads, but of which it takes only some values."""
+    if _rough(model) and (model.geom_type[feet] == contacts.BOX).any():
+        return "feet that are boxes, on ground that is not flat"  # an edge of the ground between its corners
     if (model.jnt_solref[1:] <= 0).any() or (model.geom_solref[feet] <= 0).any():
         return "solref as stiffness and damping (negative)"
     if ((model.exclude_signature >> 16) * (model.exclude_signature & 0xFFFF) == 0).any():
         return "an exclude of the floor (exclude_signature)"
     return ""
+
+
+def _rough(model: mujoco.MjModel) -> bool:
+    """Whether the floor is a height map (ground.py)."""
+    return model.geom_type[model.geom("floor").id] == mujoco.mjtGeom.mjGEOM_HFIELD

@@ -1,5 +1,7 @@
 // The second part of the function of tree.py: a control step of a robot that is a tree of hinges on a free
-// base, with its feet on a plane.
+// base, with its feet on a plane, or (GROUND) on a height map: each sphere of a foot, and each end of a capsule,
+// then has one contact, with the nearest triangle; MuJoCo's own has one with every triangle that the shape
+// reaches, anywhere along a capsule.
 //
 // On a GPU a warp is a robot, and its 32 threads take what there is to do in turns: EACH(i, n) gives thread i
 // item i: a joint, an edge of a contact, an entry of a matrix. What a thread leaves for others is in `S`;
@@ -49,6 +51,9 @@ struct State {
   float edge[7][LONG];  // of a pyramid: a force of 1 along it; what it lacks in acceleration
   float edge_jar[LONG], edge_aref[LONG], edge_D[LONG], edge_on[LONG], along[LONG];
   float depth[POINTS];
+#if GROUND
+  float normal[POINTS][3];
+#endif
   float foot[FEET][6];       // accelerations of the feet's links
   float pull[FEET][PAIRS];  // stiffness and force of a foot's contacts
 };
@@ -70,6 +75,9 @@ const vec3* moments = body_inertia.data + row(body_inertia.shape[0]) * body_iner
 const vec3* centre = body_ipos.data + row(body_ipos.shape[0]) * body_ipos.shape[1];
 const vec3* rub = geom_friction.data + row(geom_friction.shape[0]) * geom_friction.shape[1];
 const float* armature = dof_armature.data + row(dof_armature.shape[0]) * (6 + JOINTS);
+#if GROUND
+const float* const ground = number + MAP;
+#endif
 const float h = number[TIMESTEP], gravity = number[GRAVITY], tolerance = number[TOLERANCE];
 
 auto get3 = [](const Row* from, int j) { return vec3(from[0][j], from[1][j], from[2][j]); };
@@ -360,8 +368,29 @@ for (int substep = 0; substep < substeps; ++substep) {
 
   // ---- contacts: four edges of a pyramid at each point of a foot (MuJoCo: mjc_PlaneSphere, mjc_PlaneCapsule,
   // mjc_PlaneBox)
+#if GROUND
+  auto end_of = [&](int p) {
+    const int j = tree[FOOT_LINK + tree[POINT_FOOT + p]];
+    return get3(pose, j) + wp::quat_rotate(get4(pose + 3, j), point3(PLACE, p));
+  };
+  EACH(p, POINTS) {
+    vec3 up;
+    S.depth[p] = nearest(ground, place + end_of(p), point(RADIUS, p), up) - point(RADIUS, p);
+    for (int c = 0; c < 3; ++c) S.normal[p][c] = up[c];
+  }
+  SYNC();
+#endif
   EACH(e, EDGES) {
+#if GROUND
+    const int p = e / 4, i = e % 4, j = tree[FOOT_LINK + tree[POINT_FOOT + p]];
+    const float depth = S.depth[p];
+    const vec3 up = read3(S.normal[p]), at_point = end_of(p) - up * (point(RADIUS, p) + 0.5f * depth);
+    vec3 way, other_way;
+    tangents(up, way, other_way);
+    if (i > 1) way = other_way;
+#else
     const int p = e / 4, i = e % 4, j = tree[FOOT_LINK + tree[POINT_FOOT + p]], kind = tree[POINT_KIND + p];
+    const vec3 up(0.0f, 0.0f, 1.0f);
     const wp::quat turn = get4(pose + 3, j);
     vec3 at_point = get3(pose, j) + wp::quat_rotate(turn, point3(PLACE, p)), way(1.0f, 0.0f, 0.0f);
     if (kind != SPHERE) {
@@ -373,8 +402,9 @@ for (int substep = 0; substep < substeps; ++substep) {
     if (i > 1) way = vec3(-way[1], way[0], 0.0f);
     const float depth = place[2] + at_point[2] - point(RADIUS, p);
     at_point[2] -= point(RADIUS, p) + 0.5f * depth;
+#endif
     const float mu = wp::max(rub[tree[POINT_GEOM + p]][0], 1e-5f);
-    const vec3 force = vec3(0.0f, 0.0f, 1.0f) + way * (i % 2 ? -mu : mu), moment = cross(at_point, force);
+    const vec3 force = up + way * (i % 2 ? -mu : mu), moment = cross(at_point, force);
     float speed = 0.0f;
     for (int c = 0; c < 3; ++c) {
       S.edge[c][e] = force[c], S.edge[3 + c][e] = moment[c];
@@ -388,7 +418,9 @@ for (int substep = 0; substep < substeps; ++substep) {
       S.edge_D[e] = stiffness(k[INVWEIGHT] * (1.0f + mu2) * 2.0f * mu2, imp);
       S.edge_aref[e] = -k[B] * speed - k[K] * imp * depth;
     }
+#if !GROUND
     if (i == 0) S.depth[p] = depth;
+#endif
   }
   SYNC();
   // timers, as of the positions at the start of the physics step (engine.py)
@@ -410,10 +442,19 @@ for (int substep = 0; substep < substeps; ++substep) {
   const bool every = flag;  // parts in every physics step, not only in the last
   if (every || substep == substeps - 1)
     EACH(i, PARTS) {
-      const float* g = parts.data + i * PART;
       const int j = tree[PART_LINK + i];
       const mat33 R = wp::quat_to_matrix(get4(pose + 3, j));
+#if GROUND
+      float low = 1e30f;
+      #pragma unroll 1
+      for (int k = tree[PROBE_FIRST + i]; k < tree[PROBE_FIRST + i + 1]; ++k) {
+        const float height = probe_above(ground, parts.data + k * PART, R, place + get3(pose, j));
+        if (!(height >= low)) low = height;
+      }
+#else
+      const float* g = parts.data + i * PART;
       const float low = place[2] + pose[2][j] + lowest_point(g, R);
+#endif
       float& lowest_yet = lowest.data[robot * PARTS + i];
       if (!every || substep == 0 || !(low >= lowest_yet)) lowest_yet = low;
     }

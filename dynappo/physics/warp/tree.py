@@ -221,6 +221,9 @@ def tables(
         "POINT_GEOM": [one.geom for one in ends],
         "PART_LINK": [limbs.frames[b - 1].link for b in model.geom_bodyid[shape.parts]],
     }
+    if shape.ground is not None:
+        of = contacts.probes(model, shape.parts).geom
+        found["PROBE_FIRST"] = np.searchsorted(of, np.arange(len(shape.parts) + 1))
     return {name: np.asarray(value, int) for name, value in found.items()}
 
 
@@ -242,6 +245,16 @@ def parts(model: mujoco.MjModel, shape: arrays.Shape, limbs: Tree) -> np.ndarray
         for place, turn in [_in_link(model, limbs, geom)]
     ]
     return np.array(rows, np.float32).reshape(-1, PART_AT["PART"])
+
+
+def probes(model: mujoco.MjModel, shape: arrays.Shape, limbs: Tree) -> np.ndarray:
+    """[P, PROBE], of the parts' probes (contacts.py) for ground that is not flat: place and axis of the ring
+    in the link, radius, ring."""
+    found, rows = contacts.probes(model, shape.parts), []
+    for number, place, radius, ring in zip(*found, strict=True):
+        middle, turn = _in_link(model, limbs, shape.parts[number])
+        rows.append([*(middle + turn @ place), *turn[:, 2], radius, ring, number, 0])
+    return np.array(rows, np.float32).reshape(-1, native.PROBE)
 
 
 def _places(of: dict[str, np.ndarray]) -> dict[str, int]:
@@ -268,7 +281,11 @@ def allocate(mj_model: mujoco.MjModel, shape: arrays.Shape, _: int = 0) -> Buffe
     sizes |= dict(ACROSS=ints["ENTRY"].shape[1], DAMPED=int(mj_model.dof_damping.any()))
     places = LINK_AT | POINT_AT | PART_AT | native.CONSTRAINT_AT | KINDS
     places |= WHOLE | _places(floats) | _places(ints)
-    step = native.kernel(native.code(sizes | places, "tree"))
+    rough = shape.ground is not None
+    if shape.ground is not None:
+        floats = floats | {"MAP": arrays.map_numbers(shape.ground)}
+        places |= dict(MAP=_places(floats)["MAP"], PART=native.PROBE)
+    step = native.kernel(native.code(sizes | places, "tree", rough=rough))
     opt = mj_model.opt
     flat = [np.concatenate([x.ravel() for x in of.values()]) for of in (floats, ints)]
     given = [
@@ -278,7 +295,7 @@ def allocate(mj_model: mujoco.MjModel, shape: arrays.Shape, _: int = 0) -> Buffe
         int(shape.every_substep),
         wp.array(flat[0], dtype=float),
         wp.array(flat[1], dtype=int),
-        wp.array2d(parts(mj_model, shape, limbs), dtype=float),
+        wp.array2d((probes if rough else parts)(mj_model, shape, limbs), dtype=float),
     ]
     return Buffers(step, given, wp.get_device().is_cuda)
 
