@@ -24,7 +24,7 @@ MAY_IMPORT = {
     "tasks": {"terrain", "physics", "description", "config", "types"},
     "policy": {"tasks", "terrain", "physics", "description", "config"},
     "page": {"policy", "config"},
-    "program": {"method", "tasks", "physics", "description", "config"},
+    "program": {"method", "tasks", "terrain", "physics", "description", "config"},
     "run": {"program", "policy", "config", "schedule", "seeds"},
     "sweeps": {"run", "program", "policy", "config"},
     "train": {"sweeps", "run", "program", "web", "config"},

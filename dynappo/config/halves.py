@@ -113,12 +113,14 @@ class StaticTask(NamedTuple):
     carry_on: bool
     episode_length: int
     formulation: str
+    ground_in_tail: str
     heading: bool
     history: int
     observation: str
     random_clock: bool
     remember_ground: bool
     resample_steps: int
+    scan: str
     termination: str
     terrain: str
     tiles: StaticTiles
@@ -172,6 +174,10 @@ class HyperNoise(NamedTuple):
     joint_pos: float
     joint_vel: float
     linear_velocity: float
+    scan: float
+    scan_dropout: float
+    scan_lift: float
+    scan_shift: float
 
 
 class HyperPush(NamedTuple):

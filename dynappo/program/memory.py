@@ -13,6 +13,7 @@ from typing import Any
 from dynappo.config import ConfigError
 from dynappo.description.robot import Robot
 from dynappo.tasks.velocity import observe
+from dynappo.terrain import scan
 
 CURE = "lower one of them, or use more devices (run.mesh_seed, run.mesh_env)"
 
@@ -23,7 +24,7 @@ def bytes_per_row(config, joints: int, feet: int) -> int:
     name = observe.name(task.observation, joints, clock)
     past = (task.history - 1) * len(observe.columns(name))
     if task.terrain != "flat":
-        past += sum(surroundings.sizes(feet, task.scan == "grid", bool(task.heading)).values())
+        past += sum(scan.sizes(feet, task.scan == "grid", bool(task.heading)).values())
     numbers = observe.size(joints, clock) + past, joints, observe.prop_size(joints)
     return 4 * (2 * sum(numbers) + 8)
 

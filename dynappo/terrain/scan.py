@@ -33,6 +33,19 @@ POSE = 4  # x, y, z of the base's origin (m), yaw (rad)
 FLAT = 1e-2  # of |(r_y, r_z)|: a base that points up has no yaw
 
 
+def sizes(feet: int, has_scan: bool, heading: bool) -> dict[str, int]:
+    """Numbers of each part of the surroundings (tasks/velocity/surroundings.py) of a robot with so many feet,
+    in their order; `heading`: of commands that turn to one."""
+    return dict(
+        pose=POSE,
+        rate=POSE,
+        goal=2 * heading,
+        shift=3 * has_scan,
+        feet=len(AT_FOOT) * feet,
+        scan=SIZE[0] * SIZE[1] * has_scan,
+    )
+
+
 def points() -> np.ndarray:
     """The scan's points [S, 2] (m), x ahead and y left of the base; the first x first, from right to left."""
     x, y = ((np.arange(n) - (n - 1) / 2) * SPACING for n in SIZE)

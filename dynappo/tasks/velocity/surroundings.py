@@ -75,22 +75,10 @@ def _partners(feet: np.ndarray) -> np.ndarray:
     return np.where(away.min(-1) < APART, away.argmin(-1), np.arange(len(feet)))
 
 
-def sizes(feet: int, has_scan: bool, heading: bool) -> dict[str, int]:
-    """Numbers of each part of a robot with so many feet, in their order."""
-    return dict(
-        pose=scan.POSE,
-        rate=scan.POSE,
-        goal=2 * heading,
-        shift=3 * has_scan,
-        feet=len(scan.AT_FOOT) * feet,
-        scan=len(scan.points()) * has_scan,
-    )
-
-
 def places(s: Surroundings) -> dict[str, slice]:
     """Where each part is."""
     out, start = {}, 0
-    for name, count in sizes(len(s.partner), s.scan, s.heading).items():
+    for name, count in scan.sizes(len(s.partner), s.scan, s.heading).items():
         out[name] = slice(start, start + count)
         start += count
     return out
@@ -98,7 +86,7 @@ def places(s: Surroundings) -> dict[str, slice]:
 
 def size(s: Surroundings | None) -> int:
     """Numbers of all parts; 0 on flat ground."""
-    return 0 if s is None else sum(sizes(len(s.partner), s.scan, s.heading).values())
+    return 0 if s is None else sum(scan.sizes(len(s.partner), s.scan, s.heading).values())
 
 
 def columns(s: Surroundings | None, network: str) -> np.ndarray:
