@@ -318,36 +318,28 @@ def _simulate_in_c(engine: Engine, body, first: Substeps, target, motor: Motor):
         target,
         jnp.concatenate([jnp.stack(jnp.broadcast_arrays(*own)), motors]),
     )
-    soles, heights = _heights_in_c(engine, moved)
-    s = first
-    for shapes in soles:
-        s = _feet(engine, s, shapes)
-    lowest = heights.min(0)
-    told = "qpos", "qvel", "qacc_warmstart", "torque", "qd_before"
-    return s._replace(lowest=lowest, **{name: getattr(moved, name) for name in told})
-
-
-def _heights_in_c(engine: Engine, moved: c_mujoco.Moved):
-    """`(soles [n, S], parts [n or 1, G])`: the lowest points (m above the ground) of the feet's shapes in all
-    physics steps, and of the parts in those that count."""
-    seen = slice(None) if engine.every_substep else slice(-1, None)
     w, x, y, z = jnp.moveaxis(moved.quat, -1, 0)
     row = jnp.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], -1)
     split = row.shape[1] - len(engine.robot.parts)
-    if engine.ground is not None:
+    seen, s = slice(None) if engine.every_substep else slice(-1, None), first
+    if engine.ground is None:
+        soles, row = jnp.split(row, [split], axis=1)
+        # without the geoms' place: `Moved` has only heights
+        feet, parts = (ground_lib.height_above(z, None) for z in (moved.feet, moved.parts))
+        for shapes in contacts.lowest(engine.soles, feet, soles):
+            s = _feet(engine, s, shapes)
+        lowest = contacts.lowest(engine.floor, parts[seen], row[seen]).min(0)
+    else:
         one = jnp.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], -1)
         two = jnp.stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)], -1)
         feet, parts = jnp.split(jnp.stack([one, two, row], -2), [split], axis=1)
-        return (
-            ground_lib.feet_above(engine.probes[0], engine.ground, moved.feet, feet),
-            ground_lib.parts_above(engine.probes[1], engine.ground, moved.parts[seen], parts[seen]),
-        )
-    soles, row = jnp.split(row, [split], axis=1)
-    # without the geoms' place: `Moved` has only heights
-    feet, parts = (ground_lib.height_above(z, None) for z in (moved.feet, moved.parts))
-    return contacts.lowest(engine.soles, feet, soles), contacts.lowest(
-        engine.floor, parts[seen], row[seen]
-    )
+        of_feet, of_parts = engine.probes
+        for shapes in ground_lib.feet_above(of_feet, engine.ground, moved.feet, feet):
+            s = _feet(engine, s, shapes)
+        heights = ground_lib.parts_above(of_parts, engine.ground, moved.parts[seen], parts[seen])
+        lowest = heights.min(0)
+    told = "qpos", "qvel", "qacc_warmstart", "torque", "qd_before"
+    return s._replace(lowest=lowest, **{name: getattr(moved, name) for name in told})
 
 
 SIMULATE = {"jax": _simulate_in_mjx, "warp": _simulate_in_warp, "c": _simulate_in_c}
