@@ -4,7 +4,7 @@ A robot begins in one of the first `task.tiles.start_rows` rows, in any column, 
 anew,
 
     one row harder:  it is farther from the middle of its tile than half of the tile's side
-    one row easier:  it is not, and is nearer than half of the way that its last command asks for in an episode
+    one row easier:  it is not, and is nearer than half of the way of its last command in an episode
     any row:         it would be harder than the last
 
 Its tile is part of its state, so a run that goes on has the same, and every seed its own

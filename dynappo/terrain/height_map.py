@@ -69,7 +69,7 @@ def nearest(map_array, cell: float, corner: tuple[float, float], point, radius: 
         for d in (-radius, radius)
     )
     count = 1 + int(np.ceil(2 * np.max(radius) / cell))
-    best = way = None
+    candidates = []
     for a in range(count):
         for b in range(count):
             i, j = xp.minimum(first[0] + a, last[0]), xp.minimum(first[1] + b, last[1])
@@ -82,14 +82,13 @@ def nearest(map_array, cell: float, corner: tuple[float, float], point, radius: 
             found = [_on_plane(v00, v10, v11, cell, False), _on_plane(v00, v11, v01, cell, True)]
             edges = (v00, v10), (v10, v11), (v00, v11), (v00, v01), (v01, v11)
             found += [_on_edge(*ends, above) for ends in edges]
-            for distance, n in found:
-                if best is None:
-                    best, way = distance, n
-                    continue
-                nearer = abs(distance) < abs(best)
-                best = xp.where(nearer, distance, best)
-                way = xp.where(nearer[..., None], n, way)
-    return best, way
+            candidates += found
+    # one choice among all: a chain of them would be copied, and copied again, where XLA fuses (20 GB)
+    distance = xp.stack([distance for distance, _ in candidates], -1)
+    normal = xp.stack([n for _, n in candidates], -2)
+    best = xp.argmin(abs(distance), axis=-1, keepdims=True)
+    distance = xp.take_along_axis(distance, best, axis=-1)[..., 0]
+    return distance, xp.take_along_axis(normal, best[..., None], axis=-2)[..., 0, :]
 
 
 def _under(map_array, cell, corner, x, y):

@@ -1,4 +1,4 @@
-"""The velocity task on rough ground: starts, the curriculum, what is observed, and tails that know the ground.
+"""The velocity task on rough ground: starts, curriculum, what is observed, and tails that know the ground.
 
 Go2 in C MuJoCo on 3 x 6 small tiles. What is observed is compared with loops over points in plain Python,
 with MuJoCo's own kinematics; tails with the rows of physics.
@@ -181,14 +181,17 @@ def test_a_tail_knows_where_the_robot_is_and_the_ground_there(world):
         off = abs(np.asarray(found - true))
         start = world.first - PROP
         pose = off[:, start:][:, world.where["pose"]]
-        # in the air to rounding, with half of the change in a step instead of 5/8 ten times as much
-        assert pose[:, :3].max() < (2e-4 if t < 5 else 3e-3) and pose[:, 3].max() < 5e-3
+        # in the air to rounding; with half of the change in a step instead of 5/8, ten times as much
+        free = (world.states[t + 1].contact_steps == 0).all(-1)
+        assert pose[free, :3].max(initial=0) < 1e-4 and (free.sum() > 3 or t > 3)
+        assert pose[:, :3].max() < 3e-3 and pose[:, 3].max() < 5e-3
         assert off[:, start:][:, world.where["goal"]].max() == 0
         assert off[:, start:][:, world.where["shift"]].max() == 0
         for part in ("feet", "scan"):
             assert np.quantile(off[:, start:][:, world.where[part]], 0.95) < 3e-3, part
         assert off[:, :3].max() < 4e-3  # the command: its yaw rate turns to the heading
-        np.testing.assert_allclose(found[:, 3:start], true[:, 3:start], atol=1e-6)
+        # the readings before have the command, too
+        np.testing.assert_allclose(found[:, 3:start], true[:, 3:start], atol=4e-3)
     turned = abs(world.states[-1].command[:, 2] - world.states[0].command[:, 2])
     assert turned.max() > 0.02  # so that a command which is kept would have shown
 
@@ -303,10 +306,8 @@ def test_the_mirror_image_is_what_a_mirrored_robot_sees_on_a_mirrored_ground(wor
     other[[1, 4, 6]] *= -1  # y, and rotations about x and z
     other[7:] = symmetry.vector(action, qpos[7:])
     # the triangles of a cell are not symmetric; on the grid's lines the heights are
-    seen = [
-        np.asarray(surroundings.exact(layout.around, *map(jnp.asarray, pair), None, jnp.zeros(3)))
-        for pair in ((qpos, qvel), (other, speed))
-    ]
+    exact = jax.jit(lambda *pair: surroundings.exact(layout.around, *pair, None, jnp.zeros(3)))
+    seen = [np.asarray(exact(*pair)) for pair in ((qpos, qvel), (other, speed))]
     size = view.own_size(layout)
     mirrored = symmetry.vector(image, np.concatenate([np.zeros(size), seen[0]]))[size:]
     where = surroundings.places(layout.around)

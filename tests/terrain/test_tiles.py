@@ -1,4 +1,4 @@
-"""The rough ground: each kind of tile against plain loops, point by point; seeds, rows, columns, its picture."""
+"""The rough ground: each kind of tile against plain loops, point by point; seeds, rows, its picture."""
 
 import functools
 import re

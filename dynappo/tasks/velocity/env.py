@@ -78,8 +78,8 @@ def make(
 ) -> Env:
     """The task of `task` and `physics_config` (config groups) on `robot`, stepped by `impl`.
 
-    With `task.terrain` "rough" it is on the ground of `task.tiles`, or on a `ground` of one's own, whose tiles
-    are where that group says.
+    With `task.terrain` "rough" it is on the ground of `task.tiles`, or on a `ground` of one's own, whose
+    tiles are where that group says.
 
     ConfigError where terms of the reward and their weights do not fit (reward_sum.py), or a gait clock the
     robot's feet.
@@ -376,7 +376,7 @@ def step(const: Constants, hyper: Hyper, body, state: State, action, key):
         reward += hyper.task.fall_reward * fell
     clock = state.clock + 1
     timeout = (clock >= const.task.episode_length) & ~fell
-    crossed = None
+    crossed: Any = None
     if const.ground is not None:  # it has left its tile: the end of this way, as the time is
         away = _from_centre(const, state.tile, after.qpos[:2])
         crossed = (away > const.task.tiles.size / 2) & ~fell

@@ -1,18 +1,18 @@
-"""Where a robot is on a ground that is not flat, and what that ground is there: the last part of an observation.
+"""Where a robot is on a ground that is not flat, and that ground: the last part of an observation.
 
     [ pose | rate | goal | shift | feet | scan ]          terrain/scan.py defines the quantities
 
 All of it is known in a tail (`advance`): the pose moves with the velocities that the model predicts, and the
 ground is looked up there. So a height scan is never predicted.
 
-| part  | numbers | content                                                              | seen by              |
-|-------|---------|----------------------------------------------------------------------|----------------------|
-| pose  | 4       | x, y, z of the base's origin in the world (m), yaw (rad)             | no network           |
-| rate  | 4       | its change (m/s, rad/s)                                              | no network           |
-| goal  | 2       | heading (rad, world), and 1 where told to stand; with `task.heading` | no network           |
-| shift | 3       | m, by how much the robot's map is off; with a scan                   | no network           |
-| feet  | 5 F     | m, of each foot above the ground under it and around it              | value function, model|
-| scan  | 187     | m, base above the ground - 0.5, with noise; with `task.scan=grid`    | policy, value function|
+| part  | numbers | content                                                           | seen by       |
+|-------|---------|-------------------------------------------------------------------|---------------|
+| pose  | 4       | x, y, z of the base's origin in the world (m), yaw (rad)          | none          |
+| rate  | 4       | its change (m/s, rad/s)                                           | none          |
+| goal  | 2       | heading (rad, world), 1 where told to stand; with `task.heading`  | none          |
+| shift | 3       | m, by how much the robot's map is off; with a scan                | none          |
+| feet  | 5 F     | m, of each foot above the ground under it and around it           | value, model  |
+| scan  | 187     | m, base above the ground - 0.5, with noise; with `task.scan=grid` | policy, value |
 
 The yaw rate of a heading command follows from the pose, so a tail computes it too. `task.ground_in_tail` has
 two controls: "frozen" keeps feet and scan as they were in the tail's first row, and with "blind" the model

@@ -175,7 +175,8 @@ def rest_after(view: View, obs):
 
 
 def advance(view: View, hyper: Hyper, context, prop, action, next_prop):
-    """`Env.advance`: command, last action, gait clock, what was sensed before (`prop`), the body, the ground."""
+    """`Env.advance`: command, last action, gait clock, what was sensed before (`prop`), the body, and the
+    ground."""
     xp = context.__array_namespace__()
     known = context[..., : current_size(view) - prop.shape[-1]]
     following = observe.advance(known, action, view.clock)
