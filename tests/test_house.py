@@ -43,7 +43,7 @@ MAY_IMPORT = {
     "look": {"policy", "tasks", "terrain", "physics", "description", "config"},
     "web": {"policy", "description", "config"},
     "play": {"web", "page", "policy", "description", "config"},
-    "export": {"policy", "tasks", "description", "config"},
+    "export": {"policy", "tasks", "terrain", "description", "config"},
     "bench": {"program", "method", "model", "config"},
 }
 # of tasks and physics that is what these import, and the rewards, which NumPy computes too

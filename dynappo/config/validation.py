@@ -64,7 +64,7 @@ def validate(
     config.run.log_every = min(config.run.log_every, config.run.num_iterations)
     _check_pairs(config, flat(config))
     _check_hardware(config)
-    _check_tiles(config.task.tiles)
+    check_tiles(config.task.tiles)
     for name, none in (("scan", "none"), ("ground_in_tail", "known")):
         value, text = config.task[name], f"{none} where task.terrain is flat"
         expect(config.task.terrain == "rough" or value == none, f"task.{name}", value, text)
@@ -135,7 +135,7 @@ def _check_pairs(config, fields: dict[str, Any]) -> None:
     )
 
 
-def _check_tiles(tiles) -> None:
+def check_tiles(tiles) -> None:
     """Checks that tiles consist of whole cells and have room for what is in them."""
     for name in ("size", "border"):
         count = tiles[name] / tiles.cell

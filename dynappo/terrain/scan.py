@@ -58,7 +58,7 @@ def mirror() -> np.ndarray:
 
 
 def upright(gravity) -> Any:
-    """T [3, 3], from the base to the frame turned by yaw alone; `gravity` [3] is its direction, base frame."""
+    """T [3, 3], from the base to the frame turned by yaw alone; `gravity` [3] is a direction there."""
     xp = gravity.__array_namespace__()
     r = -gravity / xp.sqrt((gravity**2).sum())
     c = xp.clip(xp.sqrt(r[1] ** 2 + r[2] ** 2), FLAT, None)
