@@ -88,28 +88,28 @@ class Probes(NamedTuple):
 PROBE_SPACING = 0.1  # m, at most, between neighbours along an edge
 
 
-def probes(model: mujoco.MjModel, geoms: np.ndarray) -> Probes:
-    """Of `geoms`. Between the ends there are more, or a stair's edge would pass between them."""
+def probes(model: mujoco.MjModel, geoms: np.ndarray, between: bool = True) -> Probes:
+    """Of `geoms`. With more `between` the ends of each, or a stair's edge would pass there unseen."""
     rows = []
     for number, geom in enumerate(geoms):
         kind, size = int(model.geom_type[geom]), model.geom_size[geom]
         if kind == SPHERE:
             rows.append([number, 0, 0, 0, size[0], 0])
         elif kind == BOX:
-            ways = [_along(half) for half in size]
+            ways = [_along(half, between) for half in size]
             for at in np.stack(np.meshgrid(*ways, indexing="ij"), -1).reshape(-1, 3):
                 if (abs(at) >= size).any():  # on the surface
                     rows.append([number, *at, 0, 0])
         else:
             round_end = kind == CAPSULE
-            for z in _along(size[1]):
+            for z in _along(size[1], between):
                 rows.append([number, 0, 0, z, size[0] * round_end, size[0] * (not round_end)])
     rows = np.array(rows, float).reshape(-1, 6)
     return Probes(rows[:, 0].astype(int), rows[:, 1:4], rows[:, 4], rows[:, 5])
 
 
-def _along(half: float) -> np.ndarray:
-    return np.linspace(-half, half, 2 + int(2 * half / PROBE_SPACING))
+def _along(half: float, between: bool) -> np.ndarray:
+    return np.linspace(-half, half, 2 + between * int(2 * half / PROBE_SPACING))
 
 
 def probe_points(of: Probes, place, turn):

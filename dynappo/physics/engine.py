@@ -110,7 +110,7 @@ def make(
 
 
 def _probes(model, robot: robot_lib.Robot):
-    return tuple(contacts.probes(model, geoms) for geoms in (robot.feet, robot.parts))
+    return contacts.probes(model, robot.feet, between=False), contacts.probes(model, robot.parts)
 
 
 def _mjx():

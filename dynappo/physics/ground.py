@@ -6,7 +6,8 @@ On flat ground (`None`) the answer is the point's own height, and nothing is com
 On a height map MuJoCo's floor is a `hfield` of the same triangles. What this project measures itself:
 
 - a foot is down where a sphere of it is in the nearest triangle (`height_map.nearest`), as deep as its
-  contact; in the air its height is the distance from the nearest triangle of the cells below it
+  contact; in the air its height is the distance from the nearest triangle of the cells below it. Spheres of a
+  capsule are its two ends, and its kernel's contacts; of a box and a cylinder, points
 - a part is as high as the lowest of its probes (contacts.py) above the plane of the triangle below each
   (`height_map.gap`)
 

@@ -59,36 +59,39 @@ def nearest(map_array, cell: float, corner: tuple[float, float], point, radius: 
     xp = point.__array_namespace__()
     heights, far = xp.asarray(map_array), _far(map_array, cell, corner)
     above = point[..., 2] >= height(heights, cell, corner, point[..., 0], point[..., 1])
-    size = heights.shape
-    within = [xp.clip(point[..., k], corner[k], far[k]) - corner[k] for k in (0, 1)]
-    first, last = (
-        [
-            xp.clip(xp.floor((w + d) / cell).astype(int), 0, n - 2)
-            for w, n in zip(within, size, strict=True)
-        ]
-        for d in (-radius, radius)
-    )
+    sign = xp.where(above, 1.0, -1.0)[..., None]
+    # the cells [..., C] below; on the last ones again where there are fewer
     count = 1 + int(np.ceil(2 * np.max(radius) / cell))
-    candidates = []
-    for a in range(count):
-        for b in range(count):
-            i, j = xp.minimum(first[0] + a, last[0]), xp.minimum(first[1] + b, last[1])
-            # the cell's corners, seen from the point
-            x, y = i * cell - within[0], j * cell - within[1]
-            v00, v10, v11, v01 = (
-                xp.stack([x + m * cell, y + n * cell, heights[i + m, j + n] - point[..., 2]], -1)
-                for m, n in ((0, 0), (1, 0), (1, 1), (0, 1))
-            )
-            found = [_on_plane(v00, v10, v11, cell, False), _on_plane(v00, v11, v01, cell, True)]
-            edges = (v00, v10), (v10, v11), (v00, v11), (v00, v01), (v01, v11)
-            found += [_on_edge(*ends, above) for ends in edges]
-            candidates += found
-    # one choice among all: a chain of them would be copied, and copied again, where XLA fuses (20 GB)
-    distance = xp.stack([distance for distance, _ in candidates], -1)
-    normal = xp.stack([n for _, n in candidates], -2)
-    best = xp.argmin(abs(distance), axis=-1, keepdims=True)
-    distance = xp.take_along_axis(distance, best, axis=-1)[..., 0]
-    return distance, xp.take_along_axis(normal, best[..., None], axis=-2)[..., 0, :]
+    steps = np.stack(np.meshgrid(*[np.arange(count)] * 2, indexing="ij"), -1).reshape(-1, 2)
+    at, seen = [], []
+    for k, size in enumerate(heights.shape):
+        within = xp.clip(point[..., k], corner[k], far[k]) - corner[k]
+        first, last = (
+            xp.clip(xp.floor((within + d) / cell).astype(int), 0, size - 2)[..., None]
+            for d in (-radius, radius)
+        )
+        at.append(xp.minimum(first + steps[:, k], last))
+        seen.append(at[-1] * cell - within[..., None])
+    # all that can be nearest, [..., C, 7]: arrays, not a chain of comparisons, which XLA would fuse for hours
+    (i, j), (x, y), z = at, seen, point[..., 2:]
+    v00, v10, v11, v01 = (  # the cells' corners, seen from the point
+        xp.stack([x + m * cell, y + n * cell, heights[i + m, j + n] - z], -1)
+        for m, n in ((0, 0), (1, 0), (1, 1), (0, 1))
+    )
+    one, other = xp.stack([v10, v11], -2), xp.stack([v11, v01], -2)
+    on_plane = _on_plane(v00[..., None, :], one, other, cell, np.array([False, True]))
+    start, end = xp.stack([v00, v10, v00, v00, v01], -2), xp.stack([v10, v11, v11, v01, v11], -2)
+    on_edge = _on_edge(start, end, sign[..., None])
+    distance, way = (
+        xp.concatenate([p, e], point.ndim) for p, e in zip(on_plane, on_edge, strict=True)
+    )
+    distance = distance.reshape(*point.shape[:-1], -1)
+    way = way.reshape(*distance.shape, 3)
+    best = xp.argmin(abs(distance), -1)[..., None]
+    return (
+        xp.take_along_axis(distance, best, -1)[..., 0],
+        xp.take_along_axis(way, best[..., None], -2)[..., 0, :],
+    )
 
 
 def _under(map_array, cell, corner, x, y):
@@ -114,7 +117,7 @@ def _far(map_array, cell, corner) -> tuple[float, float]:
     return tuple(c + cell * (n - 1) for c, n in zip(corner, map_array.shape, strict=True))
 
 
-def _on_plane(a, b, c, cell, upper: bool):
+def _on_plane(a, b, c, cell, upper):
     """Signed distance of the origin from a triangle's plane, and its normal; infinite where the nearest
     point of the plane is not in the triangle. `upper`: of the two of a cell that with the corner (0, 1)."""
     xp = a.__array_namespace__()
@@ -130,17 +133,16 @@ def _on_plane(a, b, c, cell, upper: bool):
     n = n / xp.sqrt((n * n).sum(-1, keepdims=True))
     distance = -(n * a).sum(-1)
     u, v = -(distance * n[..., 0] + a[..., 0]), -(distance * n[..., 1] + a[..., 1])
-    low, high = (u, v) if upper else (v, u)
+    low, high = xp.where(upper, u, v), xp.where(upper, v, u)
     inside = (low >= 0) & (low <= high) & (high <= cell)
     return xp.where(inside, distance, xp.inf), n
 
 
-def _on_edge(a, b, above):
-    """Signed distance of the origin from the line from a to b, and the normal there."""
+def _on_edge(a, b, sign):
+    """Distance of the origin from the line from a to b, with the `sign`, and the normal there."""
     xp = a.__array_namespace__()
     e = b - a
     t = xp.clip(-(a * e).sum(-1) / (e * e).sum(-1), 0, 1)
     q = a + t[..., None] * e
     distance = xp.sqrt((q * q).sum(-1))
-    sign = xp.where(above, 1.0, -1.0)
     return sign * distance, -q * (sign / xp.maximum(distance, 1e-9))[..., None]

@@ -45,7 +45,8 @@ def table(of: contacts.Probes) -> np.ndarray:
 
 def arguments(mj_model, shape: arrays.Shape) -> list[Any]:
     """The first arguments of `keep` but `every`, `substep` and `last`."""
-    feet, parts = (contacts.probes(mj_model, geoms) for geoms in (shape.feet, shape.parts))
+    feet = contacts.probes(mj_model, shape.feet, between=False)
+    parts = contacts.probes(mj_model, shape.parts)
     foot_of = np.searchsorted(shape.first, feet.geom, side="right") - 1
     starts = [
         np.searchsorted(of, np.arange(count + 1))
