@@ -20,6 +20,9 @@ Variants, appended to the file name as in `configs/go1.py:ppo16`:
 | `deploy`           | 20     | as best                     | for hardware: robots/DEPLOY.md |
 | `laptop`           | 24     | 0 to 16 over 0-20, until 350| two CPU cores: it walks    |
 | `quick`            | 24     | 0 to 4                      | the smallest run on MJX    |
+| `rough`            | 24     | 0 to 16 over 0-20           | stairs, boxes, slopes: docs/terrain.md |
+| `rough_blind`      | 24     | as rough                    | without a height scan      |
+| `rough_deploy`     | 24     | as rough                    | for hardware               |
 """
 
 from typing import Annotated, Any, Literal, NamedTuple, get_args, get_origin, get_type_hints
@@ -62,7 +65,8 @@ PAPER = {
     "dyna4": (16, (0, 100, 0, 4)),
 }
 OF_THE_PAPER = (*PAPER, "fast")
-VARIANTS = (*OF_THE_PAPER, "best", "deploy", "quick", "laptop")
+ROUGH = ("rough", "rough_blind", "rough_deploy")
+VARIANTS = (*OF_THE_PAPER, "best", "deploy", "quick", "laptop", *ROUGH)
 
 
 class Run(NamedTuple):
@@ -197,6 +201,11 @@ class Noise(NamedTuple):
     gravity: NotNegative = 0.05
     linear_velocity: NotNegative = 0.1  # m/s
     angular_velocity: NotNegative = 0.2  # rad/s
+    scan: NotNegative = 0.1  # m, on each point of the height scan
+    # of a robot's own map, drawn for an episode: shifted along x and y, and up; m, half widths
+    scan_shift: NotNegative = 0.0
+    scan_lift: NotNegative = 0.0
+    scan_dropout: Share = 0.0  # share of the points that are missing, which read 0
 
 
 class Reset(NamedTuple):
@@ -236,6 +245,32 @@ class Randomize(NamedTuple):
     imu_tilt: NotNegative = 0.0  # rad, half width, about each axis
 
 
+class Tiles(NamedTuple):
+    """The ground with task.terrain="rough" (terrain/tiles.py), part of the program; IL's rough tasks."""
+
+    seed: Whole = 0
+    rows: Annotated[int, Between(1, 100)] = 10  # from easy to hard, along x
+    columns: Annotated[int, Between(1, 100)] = 20  # along y, each of one kind
+    start_rows: Few = 6  # robots begin in the easiest so many
+    size: Annotated[float, Between(2, 100)] = 8.0  # m, side of a tile
+    cell: Annotated[float, Between(0.01, 1)] = 0.1  # m, between two heights of the map
+    border: Annotated[float, Between(0, 100)] = 2.0  # m, flat, around all; beyond it is flat too
+    height_step: Annotated[float, Between(1e-4, 0.1)] = 0.005  # m, heights are multiples of this
+    # columns of each kind: pyramid_stairs, pit_stairs, boxes, random, pyramid_slope, pit_slope
+    shares: tuple[Share, Share, Share, Share, Share, Share] = (0.2, 0.2, 0.2, 0.2, 0.1, 0.1)
+    stairs: Range = (0.05, 0.23)  # m, height of a step in the easiest and in the hardest row
+    tread: Positive = 0.3  # m
+    stairs_platform: NotNegative = 3.0  # m, in the middle
+    stairs_border: NotNegative = 1.0  # m, before the first step
+    boxes: Range = (0.05, 0.20)  # m, up and down
+    box_width: Positive = 0.45  # m
+    random: Range = (0.02, 0.10)  # m, lowest and highest point, in every row
+    random_step: Positive = 0.02  # m, between two heights
+    slope: Range = (0.0, 0.4)  # rise over run
+    platform: NotNegative = 2.0  # m, in the middle of boxes and slopes
+    margin: NotNegative = 0.25  # m, flat, around boxes, random ground and slopes
+
+
 class Task(NamedTuple):
     """What the robot is asked and paid for."""
 
@@ -258,6 +293,13 @@ class Task(NamedTuple):
     carry_on: bool = False  # robots that time out stay where they are, with a new command
     start_anew: Share = 0.5  # with carry_on, the share of those that starts anew
     keep_command: Share = 0.0  # with carry_on, the share of those that stays with its old command
+    # "rough": the ground of `tiles`, with a curriculum (dynappo/terrain). A robot that leaves its tile ends
+    # its episode as the time does, and starts a row harder
+    terrain: Literal["flat", "rough"] = "flat"
+    # what is seen of it: nothing, or heights of a grid of 17 x 11 points around the base (terrain/scan.py)
+    scan: Literal["none", "grid"] = "none"
+    # controls: the ground of a tail's first row is kept in the tail; or the model does not see it
+    ground_in_tail: Literal["known", "frozen", "blind"] = "known"
     # rad, angle between the base's z axis and the vertical; more ends the episode as a fall does. None: any
     max_tilt: Annotated[float, Between(0.01, 3.15)] | None = None
     # paid once, in the row of a fall, not times 0.02 s as weights are; None: nothing
@@ -300,6 +342,7 @@ class Task(NamedTuple):
     reset: Reset = Reset()
     push: Push = Push()
     randomize: Randomize = Randomize()
+    tiles: Tiles = Tiles()
 
 
 class Physics(NamedTuple):
@@ -380,6 +423,12 @@ def apply_variant(config: config_dict.ConfigDict, variant: str) -> config_dict.C
         _best(config)
     elif variant == "deploy":
         _deploy(config)
+    elif variant in ROUGH:
+        if variant == "rough_deploy":
+            _deploy(config)
+        _rough(config)
+        if variant == "rough_blind":
+            config.task.scan = "none"
     elif variant == "laptop":
         # Learning takes half of a CPU's time, so the networks are small and the model has few epochs. Swish,
         # a larger KL and gamma 0.98 let it learn from fewer steps (experiments/04_laptop).
@@ -454,3 +503,35 @@ def _deploy(config: config_dict.ConfigDict) -> None:
         weights[name] *= 2
     weights.update(action_acceleration=-0.01)
     weights.update(stand_still=-0.5, joint_limits=-5.0)
+
+
+def _rough(config: config_dict.ConfigDict) -> None:
+    """Rough ground, as Isaac Lab's rough tasks (velocity_env_cfg.py; a robot's own numbers: its file).
+
+    Different from there, and why:
+
+    - Every part that touches the ground ends an episode, where there it is the base alone: the fast kernels
+      of physics have contacts of the feet only, so a shank would sink into a step. So a policy may not lean
+      on one. For the base alone, on MuJoCo's own step: --config.task.termination=base
+      --config.physics.contacts=full.
+    - A robot that leaves its tile ends its episode, as the time does, and starts a row harder. There it walks
+      on, for 20 s: here it gets to harder rows in a fifth of the steps.
+    - The scan's noise and the ground are Isaac Lab's; rows are even from easy to hard (terrain/tiles.py).
+    """
+    task = config.task
+    if task.observation == "full":  # not of deploy, which has all of it
+        _best(config)
+    task.update(terrain="rough", scan="grid")
+    # commands: a heading, kept for an episode, which ends at the tile's edge; 2 % stand
+    task.update(heading=True, standing=0.02, resample_steps=0)
+    task.update(episode_length=1000, carry_on=False, start_anew=0.5, keep_command=0.0)
+    # only the value function sees the ground at the feet
+    config.ppo.critic = "state"
+    # the scan has 187 numbers, so networks as there, and a GPU has room for more robots
+    config.ppo.update(hidden=(512, 256, 128), late_kl=1.0)
+    config.rollout.update(num_envs=2048, horizon=24)
+    config.model.minibatches = 6
+    config.schedule.update(start_iteration=0, end_iteration=20, start_steps=0, end_steps=16)
+    config.schedule.update(last_iteration=None, late_from=None, rounds=2)
+    config.run.num_iterations = 600
+    task.weights.flat_orientation = 0.0

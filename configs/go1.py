@@ -22,4 +22,8 @@ def get_config(variant=""):
     config.robot = "go1"
     if variant not in default["OF_THE_PAPER"]:
         config.task.update(effort_limit=EFFORT, saturation_effort=EFFORT, velocity_limit=SPEED)
+    # rough ground (Isaac Lab's rough task): smaller than the defaults of `Tiles`
+    config.task.tiles.update(boxes=(0.025, 0.1), random=(0.01, 0.06), random_step=0.01)
+    if variant in default["ROUGH"]:
+        config.task.weights.feet_air_time = 0.01
     return default["apply_variant"](config, variant)

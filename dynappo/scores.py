@@ -35,6 +35,18 @@ def nominal(hyper: Hyper) -> Hyper:
     return hyper._replace(task=task._replace(noise=still, randomize=bodies, push=push))
 
 
+def mean_actions(env: Env, static: Static, params: dict):
+    """`act(state) -> mean action` of all robots, in full precision as when the policy is played, whatever it
+    was trained in."""
+    exact = static._replace(ppo=static.ppo._replace(precision="highest"))
+
+    def act(state):
+        obs, _ = networks.inputs(exact, env, state.obs, state.prop)
+        return networks.policy(exact, params, obs)
+
+    return act
+
+
 def evaluate(
     env: Env,
     hyper: Hyper,
@@ -66,13 +78,11 @@ def evaluate(
     sums = dict.fromkeys(("return", "length", "falls", "rows", *errors), zero)
 
     advance = algorithm.physics_step(env, hyper, bodies)
-    # full precision, as when the policy is played, whatever it was trained in
-    exact = static._replace(ppo=static.ppo._replace(precision="highest"))
+    act = mean_actions(env, static, params)
 
     def step(carry, t):
         state, alive, sums = carry
-        obs, _ = networks.inputs(exact, env, state.obs, state.prop)
-        action = networks.policy(exact, params, obs)
+        action = act(state)
         step_keys = jax.vmap(jax.random.fold_in, (0, None))(keys, t)
         # robots whose episode ended continue from a reset, to keep numbers finite, but do not count
         state, outcome = advance(state, action, step_keys)

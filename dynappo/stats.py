@@ -70,7 +70,7 @@ def of_rows(sums: Metrics, count) -> Metrics:
     """Sums over `count` real rows -> means; squared errors -> root mean squares; events stay counts."""
     out = {}
     for name, total in sums.items():
-        if name in ("falls", "timeouts", "blowups"):
+        if name in ("falls", "timeouts", "blowups", "crossings"):
             out[name] = total
         elif name.endswith("_error_sq"):
             out[name.removesuffix("_sq")] = jnp.sqrt(total / count)

@@ -170,6 +170,9 @@ class Env(NamedTuple):
     advance: Callable[..., Any] = lambda hyper, context, prop, action, next_prop: context[:0]
     # (hyper, prop, context, key) -> prop [P] as it is sensed; by default exactly
     sense: Callable[..., Any] = lambda hyper, prop, context, key: prop
+    # (hyper, context, key) -> context [O - P] of a row of a tail as it is sensed, where noise is on what is
+    # known, too; None: exactly. `advance` must read nothing that it changes
+    sense_context: Callable[..., Any] | None = None
     views: Views | None = None  # None: every network sees all of obs
     # (hyper, obs, action, next_prop) -> []
     known_reward: Callable[..., Any] = lambda hyper, obs, action, next_prop: np.float32(0)

@@ -21,10 +21,10 @@ MAY_IMPORT = {
     "description": {"config"},
     "terrain": set(),
     "physics": {"terrain", "description", "config", "types"},
-    "tasks": {"physics", "description", "config", "types"},
-    "policy": {"tasks", "physics", "description", "config"},
+    "tasks": {"terrain", "physics", "description", "config", "types"},
+    "policy": {"tasks", "terrain", "physics", "description", "config"},
     "page": {"policy", "config"},
-    "program": {"method", "tasks", "physics", "description", "config"},
+    "program": {"method", "tasks", "terrain", "physics", "description", "config"},
     "run": {"program", "policy", "config", "schedule", "seeds"},
     "sweeps": {"run", "program", "policy", "config"},
     "train": {"sweeps", "run", "program", "web", "config"},
@@ -33,16 +33,17 @@ MAY_IMPORT = {
         "page",
         "policy",
         "tasks",
+        "terrain",
         "physics",
         "description",
         "config",
         "scores",
     },
     "adopt": {"tasks", "physics", "description", "config"},
-    "look": {"policy", "tasks", "physics", "description", "config"},
+    "look": {"policy", "tasks", "terrain", "physics", "description", "config"},
     "web": {"policy", "description", "config"},
     "play": {"web", "page", "policy", "description", "config"},
-    "export": {"policy", "tasks", "description", "config"},
+    "export": {"policy", "tasks", "terrain", "description", "config"},
     "bench": {"program", "method", "model", "config"},
 }
 # of tasks and physics that is what these import, and the rewards, which NumPy computes too
@@ -64,9 +65,10 @@ WITHOUT_JAX |= {
     f"tasks.velocity.{name}" for name in ("rewards", "reward_sum", "observe", "gait", "partners")
 }
 WITHOUT_JAX |= {"physics.actuators", "physics.warp.scope"}
+WITHOUT_JAX |= {f"terrain.{name}" for name in ("height_map", "tiles", "scan")}
 JAX = {"jax", "jaxlib", "flax", "optax", "orbax", "brax", "chex", "jaxtyping", "mujoco.mjx"}
 # pure functions: nothing printed, no clock, no file
-PURE = {"method", "learner", "model", "tasks", "physics", "description"}
+PURE = {"method", "learner", "model", "tasks", "terrain", "physics", "description"}
 PURE |= {"config.splitting", "config.validation"}
 SPEAKS = set("print input breakpoint callback pure_callback io_callback".split())
 FILES = set("open read_text write_text read_bytes write_bytes mkdir unlink".split())

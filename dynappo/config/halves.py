@@ -84,6 +84,29 @@ class StaticSchedule(NamedTuple):
     start_steps: int
 
 
+class StaticTiles(NamedTuple):
+    border: float
+    box_width: float
+    boxes: tuple[float, float]
+    cell: float
+    columns: int
+    height_step: float
+    margin: float
+    platform: float
+    random: tuple[float, float]
+    random_step: float
+    rows: int
+    seed: int
+    shares: tuple[float, float, float, float, float, float]
+    size: float
+    slope: tuple[float, float]
+    stairs: tuple[float, float]
+    stairs_border: float
+    stairs_platform: float
+    start_rows: int
+    tread: float
+
+
 class StaticTask(NamedTuple):
     actuator: str
     air_time: str
@@ -91,13 +114,17 @@ class StaticTask(NamedTuple):
     carry_on: bool
     episode_length: int
     formulation: str
+    ground_in_tail: str
     heading: bool
     history: int
     observation: str
     random_clock: bool
     remember_ground: bool
     resample_steps: int
+    scan: str
     termination: str
+    terrain: str
+    tiles: StaticTiles
     undesired: str
 
 
@@ -149,6 +176,10 @@ class HyperNoise(NamedTuple):
     joint_pos: float
     joint_vel: float
     linear_velocity: float
+    scan: float
+    scan_dropout: float
+    scan_lift: float
+    scan_shift: float
 
 
 class HyperPush(NamedTuple):

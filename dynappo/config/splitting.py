@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from dynappo.config.halves import Hyper, Static
 
 
-BUILT_IN = "task.armature"  # the number that is part of the program
+BUILT_IN = "task.armature", "task.tiles."  # numbers that are part of the program
 
 
 def split(config) -> tuple[Static, Hyper]:
@@ -28,7 +28,8 @@ def split(config) -> tuple[Static, Hyper]:
 
     A float that is None, or a tuple of them, is in `hyper` too. A None there is no leaf but a part of the
     tree's structure, so whether it is None is part of the program.
-    `task.armature` is in `static`: the solver's numbers follow from it when a model is made.
+    `task.armature` is in `static`: the solver's numbers follow from it when a model is made. So is the group
+    `task.tiles`, from which the ground is made.
     ConfigError where a field has patterns of joints, which `per_joint.resolved` makes numbers.
     """
     return _take(config, "Static", "", False), _take(config, "Hyper", "", True)
@@ -47,7 +48,7 @@ def _take(config, half: str, group: str, floats: bool) -> Any:
                 f"{name} has a number for each kind of joint, expected one number: no robot of "
                 "dynappo's is trained here"
             )
-        elif floats == (_is_float(name, value) and name != BUILT_IN):
+        elif floats == (_is_float(name, value) and not name.startswith(BUILT_IN)):
             fields[key] = value
     return _record(half + group.rpartition(".")[2].title(), tuple(fields))(**fields)
 

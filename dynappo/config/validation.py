@@ -64,6 +64,10 @@ def validate(
     config.run.log_every = min(config.run.log_every, config.run.num_iterations)
     _check_pairs(config, flat(config))
     _check_hardware(config)
+    check_tiles(config.task.tiles)
+    for name, none in (("scan", "none"), ("ground_in_tail", "known")):
+        value, text = config.task[name], f"{none} where task.terrain is flat"
+        expect(config.task.terrain == "rough" or value == none, f"task.{name}", value, text)
     if schedule.uses_model(config):
         _check_model(config)
     expect(not (config.env and config.robot), "env", config.env, "'' where a robot is named")
@@ -132,6 +136,24 @@ def _check_pairs(config, fields: dict[str, Any]) -> None:
         "task.formulation=isaaclab_exact): knees would sink through the floor; set "
         "--config.physics.contacts=full",
     )
+
+
+def check_tiles(tiles) -> None:
+    """Checks that tiles consist of whole cells and have room for what is in them."""
+    for name in ("size", "border"):
+        count = tiles[name] / tiles.cell
+        text = f"a multiple of task.tiles.cell = {tiles.cell:g}"
+        expect(abs(count - round(count)) < 1e-6, f"task.tiles.{name}", tiles[name], text)
+    expect(sum(tiles.shares) > 0, "task.tiles.shares", tiles.shares, "one or more above 0")
+    count = tiles.rows * tiles.columns * round(tiles.size / tiles.cell) ** 2
+    text = "at most 100 million cells: task.tiles.rows x columns x (size / cell)^2"
+    expect(count <= 10**8, "task.tiles.cell", tiles.cell, text)
+    for name, room in (
+        ("stairs_platform", tiles.size - 2 * tiles.stairs_border),
+        ("platform", tiles.size - 2 * tiles.margin),
+    ):
+        text = f"at most {room:g}: a tile has {tiles.size:g} m with its border"
+        expect(tiles[name] <= room, f"task.tiles.{name}", tiles[name], text)
 
 
 def _check_hardware(config) -> None:

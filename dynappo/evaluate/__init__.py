@@ -8,10 +8,11 @@
 - `trials`: one trial for each command of a grid, in C MuJoCo: tracking, effort, gait
 - `foot_motion`: how the feet move: clearance, slip, symmetry
 - `changes`: falls when the command changes, and on the tours of the film and of the live page
+- `crossing`: which tiles of a rough ground a policy crosses, by kind and by row
 - `stress`: trials with late actions, loads, slippery floors, pushes, in other physics
 - `figures`: pictures of the trials
 - `report`, `report.html`: all of it on one page, with a robot that plays each command
 
 No other command imports it. It imports `program`, `page`, `policy`, `description`, `tasks`, `physics`,
-`config` and `scores`.
+`terrain`, `config` and `scores`.
 """

@@ -22,6 +22,7 @@ from dynappo.config import flags as flags_lib
 from dynappo.description.robot import Robot
 from dynappo.evaluate import (
     changes,
+    crossing,
     episodes,
     figures,
     report,
@@ -68,6 +69,7 @@ or the name of a robot with a bundled policy
   python -m dynappo.evaluate runs/quick
   python -m dynappo.evaluate go1 --fast
   python -m dynappo.evaluate go1_deploy --stress
+  python -m dynappo.evaluate runs/rough --crossing
   python -m dynappo.evaluate runs/go1 --randomize --episodes=200 --out=hard
   python -m dynappo.evaluate runs/sweep --run-seed=3 --out=third
   python -m dynappo.evaluate go1 --fast --robot-xml=other/scene.xml
@@ -90,6 +92,7 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
     )
     flag("--seed", metavar="N", help="random seed of all episodes' commands and starts; default: 0")
     flag("--stress", action="store_true", help="robustness: delays, loads, pushes, other physics")
+    flag("--crossing", action="store_true", help="rough ground: which tiles it crosses")
     flag(
         "--fast",
         action="store_true",
@@ -111,6 +114,8 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
         text = getattr(flags, name)
         if text is not None:
             setattr(flags, name, flags_lib.whole(name, text, *bounds))
+    if flags.crossing and (flags.stress or flags.fast or flags.randomize):
+        raise ConfigError("--crossing: expected no --stress, --fast or --randomize beside it")
     for name in ("episodes", "randomize", "seed"):
         value, without = getattr(flags, name), "stress" if flags.stress else "fast"
         if name == "seed" and without == "fast":  # of the changes of command too
@@ -177,6 +182,8 @@ def run(flags) -> None:
     screen.print(f"dynappo evaluates {policy.robot}: {named}{inside}", soft_wrap=True, markup=False)
     if note:
         screen.print(note, soft_wrap=True, markup=False)
+    if flags.crossing:
+        return _crossing(flags, screen, policy, robot, named, out)
     about = {"robot": policy.robot, "policy": named, "mujoco": mujoco.__version__}
     about |= {"robot_xml": flags.robot_xml} if flags.robot_xml else {}
     if flags.stress:
@@ -216,6 +223,16 @@ def run(flags) -> None:
     screen.print(f"written to {out}: {names}", soft_wrap=True, markup=False)
     if problem:
         screen.print(problem, soft_wrap=True, markup=False, style="yellow")
+
+
+def _crossing(flags, screen, policy: Policy, robot: Robot | None, named: str, out: Path) -> None:
+    """Which tiles of a rough ground the policy crosses: printed, and written as crossing.json."""
+    devices.own_process()
+    with screen.status("compiling and running"):
+        numbers = crossing.run(policy, flags.episodes, flags.seed or 0, robot)
+    tables.crossing(screen, numbers)
+    files.write_json(out / "crossing.json", {"robot": policy.robot, "policy": named} | numbers)
+    screen.print(f"written to {out}: crossing.json", soft_wrap=True, markup=False)
 
 
 def main(argv: list[str] | None = None) -> None:

@@ -161,6 +161,31 @@ def changes_lines(numbers: dict[str, Any]) -> list[str]:
     return lines
 
 
+def crossing(screen, numbers: dict[str, Any]) -> None:
+    """Print how many tiles of each kind and row were crossed."""
+    screen.print(
+        f"{numbers['tries']} tries of {numbers['seconds']:g} s, told {numbers['speed']:g} m/s, on tiles that "
+        f"training has not seen; {devices.ENGINES[numbers['impl']]} on {numbers['device']}",
+        soft_wrap=True,
+    )
+    _table(screen, crossing_rows(numbers))
+
+
+def crossing_rows(numbers: dict[str, Any]) -> list[list[str]]:
+    """The table as texts: a line for each kind, and of all; crossed, falls, and crossed in each row."""
+
+    def share(one: dict[str, int], name: str) -> str:
+        return f"{one[name] / one['tries']:.0%}" if one["tries"] else "-"
+
+    out = []
+    for kind, one in {**numbers["kinds"], "all": numbers["all"]}.items():
+        rows = numbers["rows"].get(kind, [])
+        each = ", ".join(share(row, "crossed") for row in rows)
+        text = f"{share(one, 'crossed')} of {one['tries']}, falls {share(one, 'fell')}"
+        out.append([kind.replace("_", " "), text + f"; rows {each}" * bool(rows)])
+    return out
+
+
 def episodes(screen, numbers: dict[str, Any]) -> None:
     """Print the table of the episodes of the task."""
     screen.print(episodes_text(numbers), soft_wrap=True)

@@ -40,7 +40,9 @@ def motors(robot: robot_lib.Robot) -> tuple[str, ...]:
 def text(policy: Policy, robot: robot_lib.Robot) -> str:
     """The file's content; ConfigError for a policy that sees what those controllers do not measure."""
     parts = observe.reading(policy.observation)
-    unknown = [name for name in parts if name not in TERMS]
+    unknown = [name for name in parts if name not in TERMS] + ["height scan"] * (
+        policy.scan != "none"
+    )
     if unknown:
         raise ConfigError(
             f"a deploy.yaml has no {', '.join(unknown)}, which this policy of {policy.robot} sees; export "

@@ -16,6 +16,7 @@ from dynappo.description import robot as robot_lib
 from dynappo.policy import checks
 from dynappo.policy.policy_file import Policy
 from dynappo.tasks.velocity import observe
+from dynappo.terrain import scan
 
 ORDERS = ("mjcf", "isaaclab", "unitree")
 # Motor numbers 0-11 of Go1 and Go2, each leg hip to calf: unitree_legged_sdk, quadruped.h (FR_0 = 0,
@@ -101,7 +102,9 @@ def permute(policy: Policy, names: tuple[str, ...]) -> Policy:
     for name, part in observe.reading(policy.observation).items():
         if observe.QUANTITIES[name].signs is None:  # a number a joint
             one[part] = one[part][order]
-    rows = np.concatenate([one + age * len(one) for age in range(policy.history)])
+    rows = [one + age * len(one) for age in range(policy.history)]
+    seen = len(scan.points()) * (policy.scan == "grid")  # the same in any order of joints
+    rows = np.concatenate([*rows, policy.history * len(one) + np.arange(seen)])
 
     def layers(network):
         """The layers of a network, for observations in the new order."""

@@ -19,6 +19,7 @@ from dynappo.description import robot as robot_lib
 from dynappo.policy import policy_file
 from dynappo.policy.policy_file import Policy
 from dynappo.tasks.velocity import gait, observe
+from dynappo.terrain import scan
 
 # Everything used here is in opset 14 already, and ONNX Runtime reads opset 17 from its 1.12 (2022) on
 OPSET, IR_VERSION = 17, 8
@@ -49,16 +50,29 @@ GAIT_CLOCK = (
     "the seconds since the start; it may go on while the command is at most 0.1 in size, where the policy "
     "was trained on zeros: the file sets it to zero there"
 )
+SCAN = "height_scan"
+HEIGHT_SCAN = observe.Quantity(
+    None,
+    "m",
+    "height of the base's frame above the ground - 0.5, clipped to +-1, at 17 x 11 points 0.1 m apart around "
+    "the base, turned with its yaw alone: x from -0.8 to 0.8, for each y from -0.5 (right) to 0.5; 0 where "
+    "the map has none. Once, not for each reading",
+    "scan",
+)
 LICENCE = "dynappo and its bundled policies: Apache-2.0; a policy of your own: as you decide"
 
 
 def table(policy: Policy) -> list[tuple[str, slice]]:
     """The parts of the file's `obs`, and where each is."""
     parts = observe.reading(policy.observation)
-    return [
+    every = [
         (name, slice(rows.start * policy.history, rows.stop * policy.history))
         for name, rows in parts.items()
     ]
+    if policy.scan == "grid":
+        start = every[-1][1].stop
+        every.append((SCAN, slice(start, start + len(scan.points()))))
+    return every
 
 
 def order(policy: Policy) -> np.ndarray:
@@ -66,7 +80,8 @@ def order(policy: Policy) -> np.ndarray:
     parts = observe.reading(policy.observation)
     width, ages = len(observe.columns(policy.observation)), range(policy.history)[::-1]
     rows = [np.arange(p.start, p.stop) + age * width for p in parts.values() for age in ages]
-    return np.concatenate(rows)
+    last = len(scan.points()) * (policy.scan == "grid")
+    return np.concatenate([*rows, policy.history * width + np.arange(last)])
 
 
 def observation_table(policy: Policy) -> list[dict[str, Any]]:
@@ -76,7 +91,7 @@ def observation_table(policy: Policy) -> list[dict[str, Any]]:
     """
     noise, out = policy.config.get("task", {}).get("noise", {}), []
     for name, rows in table(policy):
-        part = observe.QUANTITIES[name]
+        part = HEIGHT_SCAN if name == SCAN else observe.QUANTITIES[name]
         half_width = noise.get(part.noise) if part.noise else 0.0
         facts = dict(name=name, start=rows.start, stop=rows.stop, unit=part.unit)
         out.append(facts | dict(content=part.content, noise=half_width))

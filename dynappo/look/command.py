@@ -17,12 +17,13 @@ from dynappo.config import flags as flags_lib
 from dynappo.description import joints as joints_lib
 from dynappo.description import kinds, motors
 from dynappo.description import robot as robot_lib
-from dynappo.look import facts, picture
+from dynappo.look import facts, ground, picture
 from dynappo.physics import engine_contract
 from dynappo.physics.warp import scope
 from dynappo.policy import episode as episode_lib
 from dynappo.policy import policy_file
 from dynappo.tasks.velocity import partners
+from dynappo.terrain import tiles as tiles_lib
 
 SINKS = 0.25  # of its height: more is no sag
 RESTS = 0.02  # m in the last second: more is not at rest
@@ -44,6 +45,7 @@ CONFIG is a robot's name, or its config file; you can set any field
   python -m dynappo.look go1
   python -m dynappo.look configs/mine.py --out=look.png
   python -m dynappo.look configs/mine.py --config.task.kp=60 --config.task.kd=2
+  python -m dynappo.look go2 --config.task.terrain=rough --ground=ground.png
 how to add a robot, and how to fix what you see: robots/README.md
 """
 
@@ -60,12 +62,19 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
         help="a robot or a config file: NAME[:VARIANT] or FILE.py[:VARIANT]",
     )
     flag("--out", metavar="FILE.png", type=flags_lib.path, help="a picture: looks, feet and parts")
+    flag("--ground", metavar="FILE.png", type=flags_lib.path, help="a picture of a rough ground")
     flags, rest = flags_lib.read_known(parser, argv)
     if not flags.what:
         raise ConfigError("no config given; try: python -m dynappo.look go1")
-    if flags.out is not None and flags.out.suffix != ".png":
-        raise ConfigError(f"--out={flags.out}: expected a file named .png")
+    for name, out in (("out", flags.out), ("ground", flags.ground)):
+        if out is not None and out.suffix != ".png":
+            raise ConfigError(f"--{name}={out}: expected a file named .png")
     flags.config = config_lib.validate(flags_lib.load(flags.what, rest))
+    if flags.ground is not None and flags.config.task.terrain == "flat":
+        raise ConfigError(
+            f"--ground={flags.ground}: task.terrain is 'flat' in {flags.what}, expected 'rough'; set "
+            "--config.task.terrain=rough"
+        )
     return flags
 
 
@@ -275,8 +284,9 @@ def _wrong_ranges(robot: robot_lib.Robot, scale: np.ndarray) -> list[str]:
 
 def run(flags) -> None:
     """Check the robot as the flags say, and print the findings."""
-    if flags.out is not None:
-        flags_lib.check_writable(flags.out)
+    for out in (flags.out, flags.ground):
+        if out is not None:
+            flags_lib.check_writable(out)
     config = flags.config
     config, robot = motors.fitted(config, robot_lib.load(config.robot))
     robot_lib.check_base_mass(robot, config.task.randomize.base_mass)
@@ -307,6 +317,13 @@ def run(flags) -> None:
                 )
             ]
         )
+    if flags.ground is not None:
+        tiles = config.task.tiles
+        problem = ground.write(tiles, tiles_lib.make(tiles), flags.ground)
+        if problem:
+            raise ConfigError(f"--ground={flags.ground}: {problem}")
+        size = f"{tiles.rows} x {tiles.columns} tiles of {tiles.size:g} m"
+        show([("ground", f"{flags.ground}: {size}, from above")])
 
 
 def show(rows: list[tuple[str, str]]) -> None:

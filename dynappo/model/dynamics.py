@@ -39,7 +39,8 @@ from dynappo.model.examples import Examples
 from dynappo.types import Env, Hyper, Metrics, ModelState, Outcome, Static, Transition
 
 FALL_LOGIT = -4.6  # added to the network's output: untrained, it predicts 1 %
-NOISE = 4  # purpose of random numbers, the same as algorithm.STEP; no row is written by both
+# purposes of random numbers, the same as algorithm.STEP and RESET; no row is written by both
+NOISE, CONTEXT_NOISE = 4, 5
 
 
 @struct.dataclass
@@ -263,8 +264,11 @@ def step(static: Static, hyper: Hyper, env: Env, model: ModelState):
         # with what was sensed before, unlike the context in `after`, which XLA therefore never computes
         context = known(hyper, env, state.obs, action, prop)
         if static.model.clean:
-            keys = jax.vmap(jax.random.fold_in, (0, None))(keys, NOISE)
-            sensed = jax.vmap(partial(env.sense, hyper))(prop, context, keys)
+            noise_keys = jax.vmap(jax.random.fold_in, (0, None))(keys, NOISE)
+            sensed = jax.vmap(partial(env.sense, hyper))(prop, context, noise_keys)
+        if env.sense_context is not None:
+            noise_keys = jax.vmap(jax.random.fold_in, (0, None))(keys, CONTEXT_NOISE)
+            context = jax.vmap(partial(env.sense_context, hyper))(context, noise_keys)
         obs, zero = jnp.concatenate([sensed, context], -1), jnp.zeros_like(reward)
         outcome = Outcome(
             reward=reward,

@@ -28,6 +28,7 @@ from dynappo.policy.episode import Player
 HERE = Path(__file__).parent
 ANONYMOUS = (0.5, 0.5, 0.5, 1.0)  # MuJoCo's rgba of a geom that names no colour
 DRAWN = "sphere capsule ellipsoid cylinder box mesh".split()
+GROUND = 0.66, 0.69, 0.72  # of a height field, whose edges its own texture would hide
 PLAIN = dict(specular=0.5, shininess=0.5, emission=0.0)  # MuJoCo's defaults of a material
 
 
@@ -84,7 +85,8 @@ def scene(player: Player, episode: dict[str, np.ndarray]) -> dict[str, Any]:
     and `quat` are in the frame of its `body`, an index in 0..B-1, or -1: fixed in the world.
     """
     model, dt, fell = player.model, float(episode["dt"]), np.flatnonzero(episode["fell"])
-    geoms = [i for i in range(model.ngeom) if _kind(model, i) in DRAWN and _rgba(model, i)[3] > 0]
+    shown = [*DRAWN, "hfield"]
+    geoms = [i for i in range(model.ngeom) if _kind(model, i) in shown and _rgba(model, i)[3] > 0]
     moving = {int(model.geom_bodyid[i]) for i in geoms if not player.ground[i]}
     ids = [player.base_body, *sorted(moving - {player.base_body})]
     position, quat = poses(model, episode["qpos"], ids)
@@ -98,6 +100,8 @@ def scene(player: Player, episode: dict[str, np.ndarray]) -> dict[str, Any]:
         i for i in range(model.ngeom) if player.ground[i] and _kind(model, i) == "plane"
     ]  # one of them is drawn, without end
     meshes = sorted({int(model.geom_dataid[i]) for i in geoms if _kind(model, i) == "mesh"})
+    fields = sorted({int(model.geom_dataid[i]) for i in geoms if _kind(model, i) == "hfield"})
+    under = [float(data.geom_xpos[i, 2]) for i in geoms if _kind(model, i) == "hfield"]
     reach = np.linalg.norm(relative, axis=-1).max(0)
     robot = [b for b in range(len(ids)) if model.body_rootid[ids[b]] == player.base_body]
     return {
@@ -106,7 +110,8 @@ def scene(player: Player, episode: dict[str, np.ndarray]) -> dict[str, Any]:
         "base": 0,
         "dt": dt,
         "unit": unit,
-        "floor": float(data.geom_xpos[planes[0], 2]) if planes else 0.0,
+        # a ground of its own has no plane, which would hide what is below it
+        "floor": float(data.geom_xpos[planes[0], 2]) if planes else min(under, default=0.05) - 0.05,
         "top": render.lift(
             model, data, player.base_body
         ),  # m above the base, where an arrow is clear of it
@@ -114,7 +119,7 @@ def scene(player: Player, episode: dict[str, np.ndarray]) -> dict[str, Any]:
         "tile": 0.25,  # m, the side of a field of the floor
         "fall": float((fell[0] + 1) * dt) if len(fell) else None,
         "geoms": [_geom(model, data, i, ids, meshes, bool(player.ground[i])) for i in geoms],
-        "meshes": [_mesh(model, i) for i in meshes],
+        "meshes": [_mesh(model, i) for i in meshes] + [_field(model, i) for i in fields],
         "root": _packed(root, "<f4"),
         "position": _packed(np.round(relative / unit), "<i2"),
         "rotation": _packed(np.round(quat * 32767), "<i2"),
@@ -162,16 +167,33 @@ def _geom(model, data, i: int, ids: list[int], meshes: list[int], fixed: bool) -
     if fixed:
         pos, quat = data.geom_xpos[i], np.zeros(4)
         mujoco.mju_mat2Quat(quat, data.geom_xmat[i])
-    shape = {"mesh": meshes.index(int(model.geom_dataid[i]))} if _kind(model, i) == "mesh" else {}
+    kind, shape, colour = _kind(model, i), {}, _rgba(model, i)[:3]
+    if kind == "mesh":
+        shape = {"mesh": meshes.index(int(model.geom_dataid[i]))}
+    elif kind == "hfield":  # a mesh for the page, after the others; there is one at most
+        kind, shape, colour = "mesh", {"mesh": len(meshes)}, GROUND
     return shape | {
-        "type": _kind(model, i),
+        "type": kind,
         "size": _short(model.geom_size[i], 5),
         "pos": _short(pos, 5),
         "quat": _short(quat, 6),
-        "color": _short(_rgba(model, i)[:3], 3),
+        "color": _short(colour, 3),
         **{name: round(value, 3) for name, value in finish.items()},
         "body": -1 if fixed else ids.index(int(model.geom_bodyid[i])),
         "group": int(model.geom_group[i]),
+    }
+
+
+def _field(model, i: int) -> dict[str, Any]:
+    """Height field `i`: heights [ny, nx] int16 in units of `unit` m, of which the page makes a mesh."""
+    ny, nx, start = (int(getattr(model, f"hfield_{n}")[i]) for n in ("nrow", "ncol", "adr"))
+    half_x, half_y, top, _ = model.hfield_size[i]
+    heights = model.hfield_data[start : start + nx * ny] * 32767
+    return {
+        "heights": _packed(np.round(heights), "<i2"),
+        "unit": float(top) / 32767,
+        "size": [nx, ny],
+        "cell": [float(2 * half_x / (nx - 1)), float(2 * half_y / (ny - 1))],
     }
 
 

@@ -80,13 +80,35 @@ function decode(scene) {
     command: Float32Array, velocity: Float32Array };
   const out = { ...scene };
   for (const [name, kind] of Object.entries(numbers)) out[name] = new kind(bytes(scene[name]));
-  out.meshes = scene.meshes.map((mesh) => ({
+  out.meshes = scene.meshes.map((mesh) => mesh.heights ? field(mesh) : ({
     vertices: new Float32Array(bytes(mesh.vertices)),
     normals: new Float32Array(bytes(mesh.normals)),
     faces: new Uint32Array(bytes(mesh.faces)),
     face_normals: new Uint32Array(bytes(mesh.face_normals)),
   }));
   return out;
+}
+
+// a ground as a mesh: heights on a grid, two flat triangles a cell
+function field(mesh) {
+  const z = new Int16Array(bytes(mesh.heights)), [nx, ny] = mesh.size, [dx, dy] = mesh.cell;
+  const vertices = [], normals = [], faces = [], face_normals = [];
+  for (let j = 0; j < ny; j++)
+    for (let i = 0; i < nx; i++)
+      vertices.push((i - (nx - 1) / 2) * dx, (j - (ny - 1) / 2) * dy, z[j * nx + i] * mesh.unit);
+  const side = (from, to) => [0, 1, 2].map((k) => vertices[3 * to + k] - vertices[3 * from + k]);
+  for (let j = 0; j + 1 < ny; j++)
+    for (let i = 0; i + 1 < nx; i++) {
+      const a = j * nx + i, c = a + nx + 1;
+      for (const [b, d] of [[a + 1, c], [c, a + nx]]) {
+        const [u, v] = [side(a, b), side(a, d)], n = normals.length / 3;
+        normals.push(...unit([u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2],
+          u[0] * v[1] - u[1] * v[0]]));
+        faces.push(a, b, d);
+        face_normals.push(n, n, n);
+      }
+    }
+  return { vertices, normals, faces, face_normals };
 }
 
 // [{position, quat}] of every body at `row`, which may lie between two rows

@@ -30,6 +30,7 @@ NAME_OR_DIR is a workdir (while it trains: its newest checkpoint), a checkpoint 
 or the name of a robot with a bundled policy
   python -m dynappo.play runs/quick --out=walk.html
   python -m dynappo.play go1 --command=0.8,0,0.3 --seconds=6 --out=turn.mp4
+  python -m dynappo.play go2 --ground=pit_stairs:0.3 --command=0.8,0,0 --out=stairs.html
   python -m dynappo.play go1 --command=drill.csv --robot-xml=other/scene.xml --out=drill.gif
   python -m dynappo.play anymal_c --policy=random
   python -m dynappo.play runs/sweep --run-seed=3 --out=walk.html
@@ -77,6 +78,11 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
         "--keep-joints",
         action="store_true",
         help="with --robot-xml: keep its damping and friction of the joints",
+    )
+    flag(
+        "--ground",
+        metavar="KIND:DIFFICULTY",
+        help="a tile of rough ground, as pit_stairs:0.5, in the place of the floor",
     )
     flags = flags_lib.read(parser, argv)
     if flags.serve and not flags.what and not re.fullmatch(r"(.*:)?\d+", flags.serve):
@@ -192,7 +198,8 @@ def run(flags) -> None:
         serve.run(flags, choose, commands if flags.command else None)
         return
     policy, act, acts = choose(flags)
-    player, other = policy_source.player(policy, flags.robot_xml, flags.keep_joints)
+    field = policy_source.ground(policy, flags.ground) if flags.ground else None
+    player, other = policy_source.player(policy, flags.robot_xml, flags.keep_joints, field)
     seconds = flags.seconds or commands.seconds
     if out is None:
         viewer.check_display()

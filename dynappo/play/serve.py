@@ -30,7 +30,12 @@ def run(flags: argparse.Namespace, choose: Callable, commands: Any) -> None:
     offer, named = Offer(flags.what, flags.run_seed, flags.robot_xml, flags.keep_joints), None
     if flags.policy:
         policy, act, named = choose(flags)
-        player, note = policy_source.player(policy, flags.robot_xml, flags.keep_joints)
+        player, note = policy_source.player(
+            policy,
+            flags.robot_xml,
+            flags.keep_joints,
+            policy_source.ground(policy, flags.ground) if flags.ground else None,
+        )
         first = Chosen(player, act, named, note)
     else:
         first = policies.load(offer, policies.names(offer)[0])

@@ -32,6 +32,7 @@ RANGES = {
     "command_yaw": (-100, 100, "rad/s"),
     "gait_frequency": (0.01, 10, "Hz"),
 }
+SCANS = "none", "grid"
 COUNTS = "substeps", "history"
 PER_JOINT = (
     "action_scale kp kd effort_limit saturation_effort velocity_limit armature dry_friction".split()
@@ -79,6 +80,8 @@ def check(fields: dict[str, Any]) -> None:
     _expect(isinstance(text, str), f"mjcf is {reprlib.repr(text)}, expected a text")
     known = seed is None or (type(seed) is int and 0 <= seed < 2**31)
     _expect(known, f"seed is {reprlib.repr(seed)}, expected a number from 0 on")
+    scan = fields["scan"]
+    _expect(scan in SCANS, f"scan is {reprlib.repr(scan)}, expected one of {', '.join(SCANS)}")
     _check_config(fields)
 
 
@@ -103,7 +106,7 @@ def _check_config(fields: dict[str, Any]) -> None:
         group = config.get(name, {})
         named = f"config.{name}"
         _expect(isinstance(group, dict), f"{named} is {reprlib.repr(group)}, expected a group")
-        for field in ({*RANGES, "activation"} - {*OF_JOINTS}) & group.keys():
+        for field in ({*RANGES, "activation", "scan"} - {*OF_JOINTS}) & group.keys():
             _expect_same(field, fields[field], group[field], named)
     task = config.get("task", {})
     if "joint_friction" in task:  # `joint_friction` of `about` is the MJCF's

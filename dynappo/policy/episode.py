@@ -23,10 +23,12 @@ import numpy as np
 from dynappo.config import ConfigError
 from dynappo.description import contacts, mjcf, motors
 from dynappo.description import feet as feet_lib
-from dynappo.physics import actuators
+from dynappo.physics import actuators, ground
 from dynappo.policy.policy_file import Policy
 from dynappo.policy.walks import SETTLE
 from dynappo.tasks.velocity import observe
+from dynappo.terrain import height_map, scan
+from dynappo.terrain.height_map import HeightMap
 
 UNEVEN = 0.02  # rad, about a degree
 STRIDE = 0.5  # s between points of the path walked, so that swaying adds no distance
@@ -57,6 +59,7 @@ class Player(NamedTuple):
     foot_of: np.ndarray  # [ngeom] the number of the foot that it is a shape of, else -1
     foot_names: tuple[str, ...]  # [F]
     substeps: int
+    field: HeightMap | None = None  # the ground; None: as the file has it
 
 
 def load(
@@ -65,8 +68,9 @@ def load(
     timestep: float | None = None,
     keep_joints: bool = False,
     text: str = "",
+    field: HeightMap | None = None,
 ) -> Player:
-    """The robot of `xml`, driven by `policy`; `timestep` (s) replaces that of the file.
+    """The robot of `xml`, driven by `policy`; `timestep` (s) replaces that of the file, `field` its floor.
 
     If `text` is given, it is the MJCF, and `xml` the file that contains it. Without `timestep`, the
     file's own is changed to the nearest that divides the time between two actions. `keep_joints`:
@@ -77,7 +81,7 @@ def load(
         if not ok:
             raise ConfigError(f"{xml}: expected {text}")
 
-    model = mjcf.model(xml, text)
+    model = compiled(xml, text, field)
     kinds = {model.joint(i).name: int(model.jnt_type[i]) for i in range(model.njnt)}
     hinge, free = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_FREE)
     lacks = [name for name in policy.joint_names if kinds.get(name) != hinge]
@@ -128,7 +132,24 @@ def load(
         foot_of=foot_of,
         foot_names=tuple(feet),
         substeps=substeps,
+        field=field,
     )
+
+
+def compiled(xml: Path, text: str = "", field: HeightMap | None = None) -> mujoco.MjModel:
+    """The model of a file, or of the MJCF `text` in it, on a ground in the place of its geom `floor`."""
+    if field is None:
+        return mjcf.model(xml, text)
+    with mjcf.one_line(xml):
+        if text:
+            mjcf.check_alone(text)
+        spec = mujoco.MjSpec.from_string(text) if text else mujoco.MjSpec.from_file(str(xml))
+        if spec.geom("floor") is None:
+            raise ConfigError(
+                f"{xml}: expected a geom named floor, which the rough ground replaces"
+            )
+        ground.put(spec, field)
+        return mjcf.check_model(spec.compile())
 
 
 def _named_feet(model, touches) -> dict[str, list[int]]:
@@ -173,7 +194,8 @@ def coordinates(player: Player, data) -> tuple[np.ndarray, np.ndarray]:
 
 
 def reset(player: Player, data) -> None:
-    """Put the robot upright in the default pose, its lowest point on the floor (z = 0).
+    """Put the robot upright in the default pose, its lowest point on the floor (z = 0), or as high above the
+    highest ground that is below the robot.
 
     Each joint is off by up to `UNEVEN`, always by the same amount: a policy that treats left and
     right alike cannot take a first step from an exactly symmetric pose. No real robot stands in
@@ -189,6 +211,9 @@ def reset(player: Player, data) -> None:
     robot = player.model.body_rootid[player.model.geom_bodyid] == player.base_body
     shapes = np.flatnonzero(robot & mjcf.touches(player.model))
     data.qpos[q + 2] -= _lowest(player.model, data, shapes).min()
+    if player.field is not None:
+        x, y = data.geom_xpos[shapes, :2].T
+        data.qpos[q + 2] += height_map.height(*player.field, x, y).max()
     mujoco.mj_forward(player.model, data)
 
 
@@ -225,6 +250,25 @@ def look(player: Player, data, command, last_action, time: float | None = None) 
     return observe.observe(
         *coordinates(player, data), com, player.policy.default_pose, command, last_action, clock
     )
+
+
+def seen(player: Player, data, shift=(0.0, 0.0, 0.0)) -> np.ndarray:
+    """The height scan [S] of the robot in `data`, without noise; empty for a policy that sees none.
+
+    `shift` (m) is by how much its map is off: ahead, left, up. Without a ground of its own, that of a
+    floor at height 0.
+    """
+    if player.policy.scan == "none":
+        return np.zeros(0)
+    qpos, _ = coordinates(player, data)
+    pose = np.append(qpos[:3], observe.heading(qpos[3:7]))
+    return scan.scan(lambda x, y: _height(player, x, y), pose, np.asarray(shift, float))
+
+
+def _height(player: Player, x, y) -> np.ndarray:
+    if player.field is None:
+        return np.zeros_like(x)
+    return height_map.height(*player.field, x, y)
 
 
 def gait_clock(player: Player, time: float) -> tuple[float, float] | None:
@@ -298,6 +342,7 @@ def rows(
     targets: Callable | None = None,
     strength: float = 1.0,
     after: Callable | None = None,
+    shift=(0.0, 0.0, 0.0),
 ):
     """Reset the robot in `data` and yield a row after every control step, for ever.
 
@@ -307,7 +352,7 @@ def rows(
 
     What disturbs or measures an episode: `observed(k, command, last_action)` is the observation of control
     step k instead of `look`, `targets(k, action)` the joint angles instead of the action's; `strength` and
-    `after` are as in `step`.
+    `after` are as in `step`, `shift` (m) is as in `seen`.
     """
     # MuJoCo would write warnings to a file in the working directory; what matters is raised
     mujoco.set_mju_user_warning(lambda message: None)
@@ -319,7 +364,7 @@ def rows(
     for k in itertools.count():
         wanted = np.asarray(command(k * dt), float)
         obs = observed(k, wanted, action) if observed else look(player, data, wanted, action)
-        action = act(see(obs))
+        action = act(np.concatenate([see(obs), seen(player, data, shift)]))
         follows = targets(k, action) if targets else None
         with mjcf.one_line(player.xml):  # MuJoCo may run out of memory
             work, fell = step(player, data, action, follows, strength, after)
@@ -343,6 +388,8 @@ def stack(player: Player, some: Iterable[dict]) -> dict[str, np.ndarray]:
     """An episode from `rows`: the same names, stacked to `[T, ...]`, and `dt` (s) between rows."""
     some = list(some)
     columns = {name: np.stack([row[name] for row in some]) for name in some[0]}
+    if player.field is not None:
+        columns |= {name: np.asarray(x) for name, x in player.field._asdict().items()}
     return columns | {"dt": np.array(period(player))}
 
 

@@ -28,10 +28,12 @@ from dynappo.config import fields as fields_lib
 from dynappo.description import robot as robot_lib
 from dynappo.policy import checkpoint_file, checks
 from dynappo.tasks.velocity import observe
+from dynappo.terrain import scan as scan_lib
 
 # of `about`. 1 has no MJCF, and its robot is found by name; 3 has what 2 cannot say: numbers of each joint,
-# armature, dry friction; 4 has a gait clock. What an older format can say is written in it, for older readers
-READ = (1, 2, 3, 4)
+# armature, dry friction; 4 has a gait clock; 5 a height scan. What an older format can say is written in it,
+# for older readers
+READ = (1, 2, 3, 4, 5)
 MAX_BYTES = 2**27  # of all arrays together; a policy has less than 1 MiB
 # what NumPy says of a file that is no npz, or damaged
 DAMAGE = (ValueError, TypeError, EOFError, KeyError, RuntimeError, MemoryError, SyntaxError)
@@ -49,11 +51,11 @@ TASK = {
     name: name
     for name in (
         "action_scale kp kd effort_limit saturation_effort velocity_limit armature command_x command_y "
-        "command_yaw gait_frequency"
+        "command_yaw gait_frequency scan"
     ).split()
 } | {"joint_friction": "dry_friction"}  # `joint_friction` is the MJCF's
 # which older configs lack
-NEWER = {"armature": None, "joint_friction": 0.0, "gait_frequency": None}
+NEWER = {"armature": None, "joint_friction": 0.0, "gait_frequency": None, "scan": "none"}
 
 
 class Policy(NamedTuple):
@@ -89,6 +91,8 @@ class Policy(NamedTuple):
     )
     history: int = 1  # readings that it sees, the newest first
     gait_frequency: tuple[float, float] | None = None  # Hz, the range of its gait clock; None: none
+    # as `task.scan`: "grid" sees a height scan (terrain/scan.py) after its readings
+    scan: str = "none"
     seed: int | None = None  # its number in a run of several seeds, from 0; None: unknown
 
 
@@ -144,6 +148,9 @@ def about(policy: Policy) -> dict[str, Any]:
     """The entry `about` of a policy's file: all but `params`."""
     entry = policy._asdict()
     del entry["params"]
+    if entry["scan"] != "none":
+        return entry | {"format": 5}
+    del entry["scan"]
     if entry["gait_frequency"] is not None:
         return entry | {"format": 4}
     del entry["gait_frequency"]
@@ -336,6 +343,7 @@ def _checked(path: Path, policy: Policy) -> Policy:
             + f" of one with{'' if clock else 'out'} a gait clock",
         )
         inputs = len(observe.columns(policy.observation)) * policy.history
+        inputs += len(scan_lib.points()) * (policy.scan == "grid")
         checks.check_params(policy.params, inputs, len(policy.joint_names))
     except ValueError as error:
         raise ConfigError(f"{path}: {error}") from None

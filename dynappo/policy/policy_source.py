@@ -12,7 +12,7 @@ import os
 from pathlib import Path
 from typing import Any
 
-from dynappo.config import ConfigError, files
+from dynappo.config import ConfigError, fields, files, validation
 from dynappo.config import flags as flags_lib
 from dynappo.description import mjcf
 from dynappo.description import robot as robot_lib
@@ -20,6 +20,8 @@ from dynappo.description.robot import Robot
 from dynappo.policy import checkpoint_file, policy_file
 from dynappo.policy import episode as episode_lib
 from dynappo.policy.policy_file import Policy
+from dynappo.terrain import tiles as tiles_lib
+from dynappo.terrain.height_map import HeightMap
 
 # ---- the policy
 
@@ -117,14 +119,53 @@ def robot(policy: Policy, xml: str | None = None) -> tuple[Robot, str]:
 
 
 def player(
-    policy: Policy, xml: str | None = None, keep_joints: bool = False
+    policy: Policy,
+    xml: str | None = None,
+    keep_joints: bool = False,
+    field: HeightMap | None = None,
 ) -> tuple[episode_lib.Player, str]:
-    """`(player, note)` in C MuJoCo, as `robot`; here `--robot-xml` needs only the policy's joints."""
+    """`(player, note)` in C MuJoCo, as `robot`; here `--robot-xml` needs only the policy's joints. `field` is
+    the ground; None: the floor of the file."""
     if xml is None:
         own, note = robot(policy)
-        return episode_lib.load(own.xml, policy, policy.timestep, text=own.played), note
-    other = _of_flag(xml, lambda path: episode_lib.load(path, policy, keep_joints=keep_joints))
+        text = own.played
+        return episode_lib.load(own.xml, policy, policy.timestep, text=text, field=field), note
+    other = _of_flag(
+        xml, lambda path: episode_lib.load(path, policy, keep_joints=keep_joints, field=field)
+    )
     return other, f"note: {xml} has no floor; one is added" * mjcf.floor_added(other.model)
+
+
+def ground(policy: Policy, text: str) -> HeightMap:
+    """The ground of `--ground=KIND:DIFFICULTY`, a tile of those that the policy's config has.
+
+    ConfigError if there is no such kind, or the config's tiles cannot be made.
+    """
+    kind, _, hard = text.partition(":")
+    try:
+        difficulty = float(hard or 0.5)
+    except ValueError:
+        difficulty = -1.0
+    if kind not in tiles_lib.KINDS or not 0 <= difficulty <= 1:
+        raise ConfigError(
+            f"--ground={text}: expected a kind and its difficulty, 0 to 1, as pit_stairs:0.5; kinds are "
+            f"{', '.join(tiles_lib.KINDS)}"
+        )
+    return tiles_lib.single(tiles(policy), kind, difficulty)
+
+
+def tiles(policy: Policy) -> Any:
+    """The group `task.tiles` of the policy's config, checked; of an older policy the default's."""
+    group, found = fields.defaults().task.tiles, policy.config.get("task", {}).get("tiles", {})
+    for name in group if isinstance(found, dict) else ():
+        field, full = fields.every()[f"task.tiles.{name}"], f"task.tiles.{name}"
+        value = fields.convert(field, found.get(name, group[name]))
+        if value is None:
+            raise ConfigError(f"the policy's config has {full} = {found[name]!r}")
+        fields.check(full, value)
+        group[name] = value
+    validation.check_tiles(group)
+    return group
 
 
 def _of_flag(xml: str, load):

@@ -23,14 +23,16 @@ import mujoco
 import numpy as np
 
 from dynappo.config import interpreter, shell
-from dynappo.description import mjcf
 from dynappo.description import robot as robot_lib
 from dynappo.policy import episode as episode_lib
 from dynappo.policy import policy_file
 from dynappo.policy.episode import tour
+from dynappo.terrain import tiles
+from dynappo.terrain.height_map import HeightMap
 
 __all__ = ["film", "simulate", "tour"]
 
+FILMED = ("pit_stairs", 0.3)  # the tile of a run's film, and its difficulty
 FPS, WIDTH, HEIGHT = 25, 640, 360  # software OpenGL on two cores renders about ten a second
 PICTURE = 1280, 720
 # values of MUJOCO_GL, in the order in which they are tried; macOS and Windows have their own OpenGL
@@ -72,9 +74,17 @@ ENCODE = {
 
 
 def simulate(robot: robot_lib.Robot, config, act, command, seconds: float) -> dict[str, np.ndarray]:
-    """An episode of a run's robot, with the run's config; `episode.rows` says what is in it."""
-    described = policy_file.describe(config, robot)
-    player = episode_lib.load(robot.xml, described, described.timestep, text=robot.played)
+    """An episode of a run's robot, with the run's config; `episode.rows` says what is in it.
+
+    Of a run on rough ground it is on a tile of `FILMED`, which is in the episode as `heights`, `cell` and
+    `corner`.
+    """
+    described, field = policy_file.describe(config, robot), None
+    if config.task.terrain == "rough":
+        field = tiles.single(config.task.tiles, *FILMED)
+    player = episode_lib.load(
+        robot.xml, described, described.timestep, text=robot.played, field=field
+    )
     return episode_lib.play(player, act, command, seconds)
 
 
@@ -109,6 +119,7 @@ def film(
             shown: dict[str, Any] = {"xml": str(robot.xml), "text": text}
             shown |= {"base": robot.base_body}
             shown |= {name: episode[name] for name in ("qpos", "command", "velocity", "dt")}
+            shown |= {name: episode[name] for name in HeightMap._fields if name in episode}
             np.savez(npz, **shown)
             out.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:  # no temporary folder, or a full disk
@@ -212,14 +223,23 @@ def options(model, base: int) -> mujoco.MjvOption:
 
 
 def frames(
-    xml: str, text: str, base: int, episode: dict[str, np.ndarray], width=WIDTH, height=HEIGHT
+    xml: str,
+    text: str,
+    base: int,
+    episode: dict[str, np.ndarray],
+    width=WIDTH,
+    height=HEIGHT,
+    field: HeightMap | None = None,
 ):
-    """Yield RGB frames `[H, W, 3]`, one per row of an episode; `text` is the MJCF, or file `xml`.
-
-    An .mjb is of another package's environment (evaluate/record.py).
+    """Yield RGB frames `[H, W, 3]`, one per row of an episode; `text` is the MJCF, or file `xml`, and `field`
+    the ground. An .mjb is of another package's environment (evaluate/record.py).
     """
     binary = xml.endswith(".mjb")
-    model = mujoco.MjModel.from_binary_path(xml) if binary else mjcf.model(Path(xml), text)
+    model = (
+        mujoco.MjModel.from_binary_path(xml)
+        if binary
+        else episode_lib.compiled(Path(xml), text, field)
+    )
     data = mujoco.MjData(model)
     window = model.vis.global_
     window.offwidth, window.offheight = max(window.offwidth, width), max(window.offheight, height)
@@ -280,14 +300,17 @@ def main(argv: list[str]) -> None:
     """
     episode = dict(np.load(argv[0], allow_pickle=False))
     xml, text = str(episode.pop("xml")), str(episode.pop("text"))
-    base, dt = int(episode.pop("base")), float(episode.pop("dt"))
+    base, dt, field = int(episode.pop("base")), float(episode.pop("dt")), None
+    if "heights" in episode:
+        heights, cell, corner = (episode.pop(name) for name in HeightMap._fields)
+        field = HeightMap(heights, float(cell), (float(corner[0]), float(corner[1])))
     out, (width, height, gif) = Path(argv[1]), map(int, argv[2:5])
     try:
         if out.suffix == ".png":
             from PIL import Image
 
             last = {name: rows[-1:] for name, rows in episode.items()}
-            picture = next(frames(xml, text, base, last, width, height))
+            picture = next(frames(xml, text, base, last, width, height, field))
             picture = with_legend(picture, legend(last, width, height))
             Image.fromarray(picture).save(out, optimize=True)
             return
@@ -296,7 +319,8 @@ def main(argv: list[str]) -> None:
         count = max(1, round(len(episode["qpos"]) * dt * FPS))
         shown = np.minimum(np.round(np.arange(count) / (FPS * dt)), len(episode["qpos"]) - 1)
         some = {name: rows[shown.astype(int)] for name, rows in episode.items()}
-        pictures, card = frames(xml, text, base, some, width, height), legend(some, width, height)
+        pictures = frames(xml, text, base, some, width, height, field)
+        card = legend(some, width, height)
         first = next(pictures)  # without OpenGL this fails, before anything is written
         out.open("wb").close()
         how: dict[str, Any] = dict(ENCODE[out.suffix])

@@ -13,15 +13,18 @@ from typing import Any
 from dynappo.config import ConfigError
 from dynappo.description.robot import Robot
 from dynappo.tasks.velocity import observe
+from dynappo.terrain import scan
 
 CURE = "lower one of them, or use more devices (run.mesh_seed, run.mesh_env)"
 
 
-def bytes_per_row(config, joints: int) -> int:
+def bytes_per_row(config, joints: int, feet: int) -> int:
     """Bytes of a types.Transition, at least: without what obs tells of a robot's body."""
     task, clock = config.task, config.task.gait_frequency is not None
     name = observe.name(task.observation, joints, clock)
     past = (task.history - 1) * len(observe.columns(name))
+    if task.terrain != "flat":
+        past += sum(scan.sizes(feet, task.scan == "grid", bool(task.heading)).values())
     numbers = observe.size(joints, clock) + past, joints, observe.prop_size(joints)
     return 4 * (2 * sum(numbers) + 8)
 
@@ -38,7 +41,7 @@ def least(config, robot: Robot) -> int:
     """The least bytes that a run needs on each device: the buffer, and the robots of every seed."""
     run, joints = config.run, len(robot.joint_names)
     robots = config.rollout.num_envs * run.num_seeds // (run.mesh_seed * run.mesh_env)
-    rows = config.rollout.horizon * bytes_per_row(config, joints)
+    rows = config.rollout.horizon * bytes_per_row(config, joints, len(robot.foot_names))
     return robots * (rows + bytes_per_robot(joints, len(robot.foot_names)))
 
 

@@ -14,7 +14,14 @@ from dynappo.config import ConfigError, fields
 
 MOST, LONGEST = 1000, 200  # combinations; characters of a folder's name
 # floats that are built into the program, or say what is (which bodies differ: physics.randomize)
-BUILT_IN = ("run.", "physics.", "task.randomize.", "task.armature", "task.joint_friction")
+BUILT_IN = (
+    "run.",
+    "physics.",
+    "task.randomize.",
+    "task.tiles.",
+    "task.armature",
+    "task.joint_friction",
+)
 NOT_HERE = {  # what one process or one folder has once
     "run.device": "a process has one; give a command for each",
     "run.wandb": "a sweep does not log to Weights & Biases",

@@ -1,6 +1,10 @@
-"""The ground where it is not flat: a height map, and how to look it up.
+"""The ground, where it is not the flat floor at height 0.
 
-- `height_map`: heights on a grid; height, normal and distance of points from the ground
+- `height_map`: heights on a grid, and how high and how steep it is at a point
+- `tiles`: makes a rough ground from a seed and the config: stairs, boxes, slopes, from easy to hard
+- `curriculum`: which tile a robot gets next
+- `scan`: where a robot is in the world, and what it sees of the ground
 
-It imports nothing of dynappo; `physics` imports it.
+`physics`, tasks, `policy`, `look` and `evaluate` import it; it imports no other folder. All but `curriculum`
+need no JAX.
 """

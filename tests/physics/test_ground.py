@@ -33,7 +33,7 @@ def raised(monkeypatch):
     """A ground at `RAISED`; the list gets the shape of x and y at each question, or None."""
     asked = []
 
-    def height_above(z, place):
+    def height_above(z, place, ground=None):
         asked.append(place and place().shape)
         return z - RAISED
 

@@ -100,7 +100,7 @@ DAMAGE = {  # what is done to the arrays or to `about`, what the line must say
     "a field is missing": (lambda _, about: about.pop("kp"), "kp"),
     "a field too many": (lambda _, about: about.update(mass=1), "mass"),
     "params": (lambda _, about: about.update(params={}), "`about` is damaged"),
-    "another format": (lambda _, about: about.update(format=5), "format 5, this dynappo reads 4"),
+    "another format": (lambda _, about: about.update(format=6), "format 6, this dynappo reads 5"),
     "another observation": (lambda _, about: about.update(observation="scan-187"), "'scan-187'"),
     "another activation": (lambda _, about: about.update(activation="mish"), "'mish'"),
     "an activation that is a list": (lambda _, about: about.update(activation=["elu"]), "['elu']"),

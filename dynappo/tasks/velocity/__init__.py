@@ -9,6 +9,7 @@ number in configs/: docs/task.md.
 - `rewards`: the terms of the reward, one function each; `reward_sum`: matches them with weights and
   sums
 - `commands`, `observe`, `pushes`: the commanded velocity, the numbers that a policy sees, kicks
+- `surroundings`: where a robot is on rough ground, and that ground: known in a tail, too
 - `gait`: the gait clock of a biped
 - `view`: what policy, value function and model see of a robot; earlier readings, errors of sensors
 - `partners`: which joint is the mirror image of another; needs no JAX

@@ -9,7 +9,8 @@ The paper draws a command uniformly and keeps it for the episode. Isaac Lab's ta
 - `task.resample_steps`: the command is drawn again after this number of control steps (0: never);
 - `task.standing`: the probability, at each draw, of the command to stand still.
 
-A tail keeps the command of its first row.
+A tail keeps the command of its first row; on a ground that is not flat it knows the robot's heading, and so
+the yaw rate (surroundings.py).
 """
 
 from __future__ import annotations
@@ -39,10 +40,16 @@ def draw(task, hyper: Hyper, qpos, key: PRNGKeyArray) -> tuple[Float[Array, " 3"
 def follow(task, hyper: Hyper, command, goal: Goal, qpos):
     """The command now: the yaw rate turns towards the heading; zero if the robot should stand."""
     if task.heading:
-        left = goal.heading - observe.heading(qpos[3:7])
-        left = (left + jnp.pi) % (2 * jnp.pi) - jnp.pi  # the shorter way round
-        low, high = hyper.task.command_yaw
-        command = command.at[2].set(jnp.clip(hyper.task.heading_gain * left, low, high))
+        return turned(hyper, command, goal, observe.heading(qpos[3:7]))
+    return command * (1 - goal.standing)
+
+
+def turned(hyper: Hyper, command, goal: Goal, heading):
+    """The command of a robot that is to turn to its goal's heading from `heading` (rad, world)."""
+    left = goal.heading - heading
+    left = (left + jnp.pi) % (2 * jnp.pi) - jnp.pi  # the shorter way round
+    low, high = hyper.task.command_yaw
+    command = command.at[2].set(jnp.clip(hyper.task.heading_gain * left, low, high))
     return command * (1 - goal.standing)
 
 

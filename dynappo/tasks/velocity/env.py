@@ -27,9 +27,12 @@ from dynappo.tasks.velocity import (
     pushes,
     reward_sum,
     rewards,
+    surroundings,
     view,
 )
 from dynappo.tasks.velocity.state import Gait, Goal, State
+from dynappo.terrain import curriculum, scan, tiles
+from dynappo.terrain.height_map import HeightMap
 from dynappo.types import Env, Hyper, Outcome
 
 AGES = ("clock", "episode_steps", "episode_return")  # zero at the start of an episode
@@ -58,13 +61,25 @@ class Constants(NamedTuple):
     fatal: np.ndarray  # [G] bool: the parts that end an episode at the ground
     undesired: np.ndarray  # [K, G] bool: the parts that count as one undesired contact
     view: view.View  # the layout of an observation
+    ground: HeightMap | None  # None: flat
+    centres: np.ndarray | None  # [rows, columns, 2] m, of the ground's tiles
     terms: reward_sum.Terms  # of the reward
     known: reward_sum.Terms  # those that need no physics
     dt: float  # s
 
 
-def make(robot: robot_lib.Robot, task, physics_config, *, impl: str = "jax") -> Env:
+def make(
+    robot: robot_lib.Robot,
+    task,
+    physics_config,
+    *,
+    impl: str = "jax",
+    ground: HeightMap | None = None,
+) -> Env:
     """The task of `task` and `physics_config` (config groups) on `robot`, stepped by `impl`.
+
+    With `task.terrain` "rough" it is on the ground of `task.tiles`, or on a `ground` of one's own, whose
+    tiles are where that group says.
 
     ConfigError where terms of the reward and their weights do not fit (reward_sum.py), or a gait clock the
     robot's feet.
@@ -74,9 +89,14 @@ def make(robot: robot_lib.Robot, task, physics_config, *, impl: str = "jax") -> 
     varied = randomize.varied(task.randomize)
     fatal, undesired = ground_rules(robot, task)
     joints = len(robot.joint_names)
-    layout = view.make(
-        task.observation, task.history, joints, varied, task.gait_frequency is not None
-    )
+    around = None
+    if task.terrain == "flat":
+        ground = None
+    else:
+        ground = tiles.make(task.tiles) if ground is None else ground
+        around = surroundings.make(robot, task, physics_config, ground)
+    clock = task.gait_frequency is not None
+    layout = view.make(task.observation, task.history, joints, varied, clock, around)
     const = Constants(
         engine=engine_lib.make(
             robot,
@@ -86,6 +106,7 @@ def make(robot: robot_lib.Robot, task, physics_config, *, impl: str = "jax") -> 
             every_substep=task.remember_ground,
             lags=task.actuator == "lag",
             has_friction=bool(np.any(task.joint_friction)),
+            ground=ground,
         ),
         robot=robot,
         task=task,
@@ -94,6 +115,8 @@ def make(robot: robot_lib.Robot, task, physics_config, *, impl: str = "jax") -> 
         fatal=fatal,
         undesired=undesired,
         view=layout,
+        ground=ground,
+        centres=None if ground is None else tiles.centres(task.tiles),
         terms=terms,
         known=reward_sum.known(terms, task),
         dt=physics_config.substeps * physics_config.timestep,
@@ -101,6 +124,10 @@ def make(robot: robot_lib.Robot, task, physics_config, *, impl: str = "jax") -> 
     names = [f"reward_{name}" for name in terms]
     if task.fall_reward is not None:
         names.append("reward_fall")
+    names += ["velocity_error_sq", "yaw_error_sq", "falls", "timeouts", "blowups"]
+    if ground is not None:
+        names += ["crossings", "terrain_row"]
+        names += [f"terrain_row_{row}" for row in range(task.tiles.rows)]
     return Env(
         randomize=partial(_randomize, const),
         reset=partial(reset, const),
@@ -108,10 +135,15 @@ def make(robot: robot_lib.Robot, task, physics_config, *, impl: str = "jax") -> 
         autoreset=partial(autoreset, const),
         advance=partial(view.advance, layout),
         sense=partial(view.sense, layout),
+        sense_context=(
+            partial(view.sense_context, layout)
+            if around is not None and around.scan and around.tail != "frozen"
+            else None
+        ),
         views=view.views(layout),
         known_reward=partial(known_reward, const),
         fall_reward=None if task.fall_reward is None else lambda hyper: hyper.task.fall_reward,
-        metrics=(*names, "velocity_error_sq", "yaw_error_sq", "falls", "timeouts", "blowups"),
+        metrics=tuple(names),
         obs_size=view.size(layout),
         prop_size=observe.prop_size(joints),
         action_size=joints,
@@ -166,8 +198,12 @@ def _randomize(const: Constants, hyper: Hyper, key):
 def reset(const: Constants, hyper: Hyper, body, key) -> State:
     """A robot at the start of an episode; with `task.random_clock`, at a random age of it."""
     key, clock_key = jax.random.split(key)
+    tile = None
+    if const.ground is not None:
+        key, tile_key = jax.random.split(key)
+        tile = curriculum.start(const.task.tiles, jax.random.uniform(tile_key, (2,)))
     pose_key, command_key, obs_key = jax.random.split(key, 3)
-    state = _at_start(const, hyper, pose_key)
+    state = _at_start(const, hyper, pose_key, tile)
     state = _commanded(const, hyper, body, state, command_key, obs_key)
     if not const.task.random_clock:
         return state
@@ -187,8 +223,12 @@ def autoreset(const: Constants, hyper: Hyper, body, state: State, outcome: Outco
     ended = (outcome.discount == 0) | (outcome.truncation == 1)
     if const.task.carry_on:
         key, coin_key = jax.random.split(key)
+    tile = None
+    if const.ground is not None:
+        key, tile_key = jax.random.split(key)
+        tile = _next_tile(const, state, jax.random.uniform(tile_key))
     pose_key, command_key, obs_key = jax.random.split(key, 3)
-    start, stays, same = _at_start(const, hyper, pose_key), None, None
+    start, stays, same = _at_start(const, hyper, pose_key, tile), None, None
     if const.task.carry_on:
         coin = jnp.where(outcome.truncation == 1, jax.random.uniform(coin_key), 1.0)
         stays, same = coin < 1 - hyper.task.start_anew, coin < hyper.task.keep_command
@@ -197,9 +237,10 @@ def autoreset(const: Constants, hyper: Hyper, body, state: State, outcome: Outco
     fresh = _commanded(const, hyper, body, start, command_key, obs_key, same)
     # Keep the history of robots that stay. (Without the `if`, XLA 0.10 drops C MuJoCo's call.)
     if stays is not None and const.view.history > 1:
-        size = view.current_size(const.view)
-        before = jnp.where(stays, state.obs[size:], fresh.obs[size:])
-        fresh = fresh.replace(obs=jnp.concatenate([fresh.obs[:size], before]))
+        size, end = view.current_size(const.view), view.own_size(const.view)
+        before = jnp.where(stays, state.obs[size:end], fresh.obs[size:end])
+        after = [] if const.ground is None else [fresh.obs[end:]]
+        fresh = fresh.replace(obs=jnp.concatenate([fresh.obs[:size], before, *after]))
     return jax.tree.map(lambda new, old: jnp.where(ended, new, old), fresh, state)
 
 
@@ -216,11 +257,33 @@ def _commanded(
     return state.replace(prop=prop, obs=obs)
 
 
-def _at_start(const: Constants, hyper: Hyper, key) -> State:
+def _next_tile(const: Constants, state: State, draw) -> curriculum.Tile:
+    """The tile of a robot that starts anew after `state`."""
+    walked = _from_centre(const, state.tile, state.qpos[:2])
+    speed = jnp.sqrt((state.command[:2] ** 2).sum())
+    asked = speed * const.task.episode_length * const.dt
+    return curriculum.move(const.task.tiles, state.tile, walked, asked, draw)
+
+
+def _centre(const: Constants, tile: curriculum.Tile):
+    """World x and y (m) of the middle of a tile."""
+    return jnp.asarray(const.centres, jnp.float32)[tile.row, tile.column]
+
+
+def _from_centre(const: Constants, tile: curriculum.Tile, xy):
+    """m from the middle of a tile."""
+    return jnp.sqrt(((xy - _centre(const, tile)) ** 2).sum())
+
+
+def _at_start(const: Constants, hyper: Hyper, key, tile: curriculum.Tile | None) -> State:
     """Pose and velocity (configs/README.md), lifted until no foot is below ground; then `_commanded`."""
     r, default = hyper.task.reset, jnp.asarray(const.robot.default_pose, jnp.float32)
     # one draw for all: each draw is a kernel of its own, and a quarter of a second of compilation
-    draw = jax.random.uniform(key, (default.size + 10 + 2 * const.view.clock,))
+    around = const.view.around
+    has_scan = around is not None and around.scan
+    count = default.size + 10 + 2 * const.view.clock
+    draw = jax.random.uniform(key, (count + 3 * has_scan,))
+    draw, shift = (draw[:count], draw[count:]) if has_scan else (draw, None)
     scale, xy, velocity, yaw, rest = jnp.split(draw, default.size + np.array([0, 2, 8, 9]))
     low, high = r.joint_scale
     joints = default * (low + (high - low) * scale)
@@ -228,8 +291,15 @@ def _at_start(const: Constants, hyper: Hyper, key) -> State:
     lowest = kinematics.lowest(const.legs, joints)
     above = jnp.maximum(r.spawn_height, r.foot_clearance - lowest)
     xy = (2 * xy - 1) * r.position
-    height = ground.world_height(above, lambda: xy)
     yaw = (2 * yaw[0] - 1) * r.yaw
+    if tile is None:
+        height = ground.world_height(above, lambda: xy)
+    else:
+        xy = xy + _centre(const, tile)
+        # over the highest ground that is below the base or a foot
+        feet = scan.turned(kinematics.feet_in_base(const.legs, joints)[:, :2], yaw)
+        below = jnp.concatenate([xy[None], xy + feet])
+        height = ground.world_height(above, lambda: below, const.ground).max()
     velocity = (2 * velocity - 1) * r.velocity
     quat = jnp.stack([jnp.cos(yaw / 2), yaw * 0, yaw * 0, jnp.sin(yaw / 2)])
     qpos = jnp.concatenate([xy, height[None], quat, joints])
@@ -256,6 +326,8 @@ def _at_start(const: Constants, hyper: Hyper, key) -> State:
         episode_steps=none,
         push_in=pushes.wait(hyper.task.push, const.dt, rest[0]),
         episode_return=jnp.zeros(()),
+        tile=tile,
+        scan_shift=surroundings.draw_shift(hyper, shift) if has_scan else None,
     )
 
 
@@ -304,6 +376,11 @@ def step(const: Constants, hyper: Hyper, body, state: State, action, key):
         reward += hyper.task.fall_reward * fell
     clock = state.clock + 1
     timeout = (clock >= const.task.episode_length) & ~fell
+    crossed: Any = None
+    if const.ground is not None:  # it has left its tile: the end of this way, as the time is
+        away = _from_centre(const, state.tile, after.qpos[:2])
+        crossed = (away > const.task.tiles.size / 2) & ~fell
+        timeout |= crossed
     obs_key, push_key, command_key = jax.random.split(key, 3)
     command, goal = commands.advance(
         const.task, hyper, state.command, state.goal, after.qpos, command_key
@@ -343,6 +420,10 @@ def step(const: Constants, hyper: Hyper, body, state: State, action, key):
     }
     if hyper.task.fall_reward is not None:
         metrics["reward_fall"] = hyper.task.fall_reward * fell / const.dt
+    if const.ground is not None:
+        row = state.tile.row
+        metrics |= {"crossings": crossed * 1.0, "terrain_row": row * 1.0}
+        metrics |= {f"terrain_row_{k}": (row == k) * 1.0 for k in range(const.task.tiles.rows)}
     outcome = Outcome(
         reward=reward,
         discount=1.0 - fell,
@@ -390,7 +471,7 @@ def _measured(
         torque=after.torque,
         joint_velocity_before=after.qd_before,
         timestep=const.engine.timestep,
-        height=ground.height_above(after.qpos[2], lambda: after.qpos[:2]),
+        height=ground.height_above(after.qpos[2], lambda: after.qpos[:2], const.ground),
         contact=contact,
         touchdown=contact & (after.contact_steps <= const.engine.substeps),
         last_air_time=after.last_air_steps * const.engine.timestep,

@@ -9,7 +9,7 @@ import numpy as np
 
 from dynappo.config import ConfigError
 from dynappo.description.robot import Robot
-from dynappo.tasks.velocity import partners, view
+from dynappo.tasks.velocity import partners, surroundings, view
 from dynappo.types import Mirror
 
 
@@ -33,4 +33,8 @@ def images(robot: Robot, layout: view.View) -> tuple[Mirror, Mirror] | None:
         index.append(start + image.index)
         sign.append(image.sign)
         start += len(image.index)
+    if layout.around is not None:
+        around, signs = surroundings.mirror(layout.around)
+        index.append(start + around)
+        sign.append(signs)
     return Mirror(np.concatenate(index), np.concatenate(sign)), own

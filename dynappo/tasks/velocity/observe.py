@@ -268,6 +268,11 @@ def split_context(context, joints: int, clock: bool = False):
     return {name: context[..., where] for name, where in known.items()}
 
 
+def split_prop(prop, joints: int):
+    """As `split`, of the predicted quantities [..., P] alone."""
+    return {name: prop[..., where] for name, where in _slices(PREDICTED, joints).items()}
+
+
 def noise_scale(noise, xp, joints: int, clock: bool = False):
     """Half widths [O] of the uniform observation noise; `noise` is the config's group."""
     scales = [

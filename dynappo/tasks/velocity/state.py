@@ -50,3 +50,5 @@ class State(struct.PyTreeNode):
     episode_steps: Int[Array, "..."]  # control steps since the reset
     push_in: Int[Array, "..."]  # control steps until the next push
     episode_return: Float[Array, "..."]
+    tile: Any = None  # curriculum.Tile; None on flat ground
+    scan_shift: Any = None  # [..., 3] m, by how much the robot's map is off; None without a scan

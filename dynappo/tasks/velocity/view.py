@@ -8,6 +8,8 @@ robot's own body (physics/randomize.py), which physics knows and no sensor tells
 
     obs = [ numbers of observe.py, as sensed | readings before, the newest first | body ]
 
+On a ground that is not flat, where the robot is and the ground there come after that (surroundings.py).
+
 The predicted numbers come first; all others follow from the row before (`advance`), so the transition model
 can write tails of this observation, too. Each network sees its own columns (`views`):
 
@@ -26,8 +28,9 @@ import numpy as np
 
 from dynappo.description.robot import Robot
 from dynappo.physics import randomize
-from dynappo.tasks.velocity import observe
-from dynappo.tasks.velocity.state import State
+from dynappo.tasks.velocity import commands, observe, surroundings
+from dynappo.tasks.velocity.state import Goal, State
+from dynappo.tasks.velocity.surroundings import Surroundings
 from dynappo.types import Hyper, Views
 
 ERRORS = {"encoder_bias", "imu_tilt"}  # of sensors
@@ -42,6 +45,7 @@ class View(NamedTuple):
     varied: frozenset[str]  # ranges of the body, where it is part of obs
     body: int  # numbers of the body in obs
     clock: bool  # whether it has the quantities of a gait clock
+    around: Surroundings | None  # None: the ground is flat
 
 
 def make(
@@ -50,12 +54,13 @@ def make(
     joints: int,
     varied: frozenset[str] = frozenset(),
     clock: bool = False,
+    around: Surroundings | None = None,
 ) -> View:
     """The layout for `task.observation` and `task.history`; `varied` are the ranges of the body, `clock`
     is whether `task.gait_frequency` is set."""
     onboard = observation == "onboard"
     sizes = [randomize.size_of(name, joints) for name in randomize.traits(varied)]
-    return View(observation, joints, history, varied, sum(sizes) * onboard, clock)
+    return View(observation, joints, history, varied, sum(sizes) * onboard, clock, around)
 
 
 def name(view: View) -> str:
@@ -75,6 +80,11 @@ def current_size(view: View) -> int:
 
 def size(view: View) -> int:
     """Numbers of an observation."""
+    return own_size(view) + surroundings.size(view.around)
+
+
+def own_size(view: View) -> int:
+    """Those before the surroundings."""
     return current_size(view) + past_size(view) + view.body
 
 
@@ -88,13 +98,16 @@ def views(view: View) -> Views | None:
     sensed, past = current_size(view), past_size(view)
     if size(view) == sensed == len(reading(view)):
         return None
-    everything = np.arange(size(view))
+    everything = np.arange(own_size(view))
     before, body = everything[sensed : sensed + past], everything[sensed + past :]
     state = np.concatenate([everything[:sensed], body])
+    actor, critic, model = (
+        own_size(view) + surroundings.columns(view.around, network) for network in Views._fields
+    )
     return Views(
-        actor=np.concatenate([reading(view), before]),
-        critic=state,
-        model=np.concatenate([state, before[: len(reading(view))]]),
+        actor=np.concatenate([reading(view), before, actor]),
+        critic=np.concatenate([state, critic]),
+        model=np.concatenate([state, before[: len(reading(view))], model]),
     )
 
 
@@ -112,6 +125,12 @@ def observation(view: View, robot: Robot, hyper: Hyper, body: randomize.Body, st
     `past` is what follows the numbers of observe.py; None where an episode begins.
     """
     clean, told, prop_size = exact(robot, body, state), jnp.zeros(0), observe.prop_size(view.joints)
+    ground = []
+    if view.around is not None:
+        key, ground_key = jax.random.split(key)
+        there = state.qpos, state.qvel, state.goal, state.scan_shift
+        there = surroundings.exact(view.around, *there)
+        ground = [surroundings.sense(view.around, hyper, there, ground_key)]
     unit = jax.random.uniform(key, clean.shape, minval=-1.0, maxval=1.0)
     sensed = clean + unit * observe.noise_scale(hyper.task.noise, jnp, view.joints, view.clock)
     if view.body:
@@ -120,7 +139,7 @@ def observation(view: View, robot: Robot, hyper: Hyper, body: randomize.Body, st
         whole = jnp.concatenate([clean, jnp.zeros(past_size(view)), told])
         sensed = sensed.at[:prop_size].add(bias(view, whole))
     past = rest_at_start(view, sensed, told) if past is None else past
-    return clean[:prop_size], jnp.concatenate([sensed, past])
+    return clean[:prop_size], jnp.concatenate([sensed, past, *ground])
 
 
 def sense(view: View, hyper: Hyper, prop, context, key):
@@ -129,6 +148,13 @@ def sense(view: View, hyper: Hyper, prop, context, key):
         prop = prop + bias(view, jnp.concatenate([prop, context]))
     scale = observe.noise_scale(hyper.task.noise, jnp, view.joints)[: prop.size]
     return prop + jax.random.uniform(key, scale.shape, minval=-1.0, maxval=1.0) * scale
+
+
+def sense_context(view: View, hyper: Hyper, context, key):
+    """`Env.sense_context`: the ground as it is sensed. All before it is known as it is."""
+    around, own = view.around, own_size(view) - observe.prop_size(view.joints)
+    assert around is not None
+    return jnp.concatenate([context[:own], surroundings.sense(around, hyper, context[own:], key)])
 
 
 def rest_at_start(view: View, sensed, body):
@@ -140,20 +166,38 @@ def rest_at_start(view: View, sensed, body):
 def rest_after(view: View, obs):
     """What follows the numbers of observe.py one step after `obs` [..., O]: its reading, those before,
     its body."""
-    sensed = current_size(view)
+    sensed, own = current_size(view), own_size(view)
     if view.history == 1:
-        return obs[..., sensed:]
+        return obs[..., sensed:own]
     xp, end = obs.__array_namespace__(), sensed + past_size(view)
     kept = obs[..., sensed : end - len(reading(view))]
-    return xp.concat([obs[..., reading(view)], kept, obs[..., end:]], axis=-1)
+    return xp.concat([obs[..., reading(view)], kept, obs[..., end:own]], axis=-1)
 
 
 def advance(view: View, hyper: Hyper, context, prop, action, next_prop):
-    """`Env.advance`: command, last action, gait clock, what was sensed before (`prop`), the body."""
+    """`Env.advance`: command, last action, gait clock, what was sensed before (`prop`), the body, and the
+    ground."""
     xp = context.__array_namespace__()
     known = context[..., : current_size(view) - prop.shape[-1]]
     following = observe.advance(known, action, view.clock)
-    return xp.concat([following, rest_after(view, xp.concat([prop, context], axis=-1))], axis=-1)
+    rest = rest_after(view, xp.concat([prop, context], axis=-1))
+    if view.around is None:
+        return xp.concat([following, rest], axis=-1)
+    around = context[..., own_size(view) - prop.shape[-1] :]
+    around = surroundings.advance(view.around, around, next_prop)
+    return xp.concat([_turning(view, hyper, following, around), rest, around], axis=-1)
+
+
+def _turning(view: View, hyper: Hyper, known, around):
+    """The known quantities, in which a heading command has the yaw rate of the pose in `around`."""
+    assert view.around is not None
+    if not view.around.heading:
+        return known
+    where = surroundings.places(view.around)
+    heading, standing = around[where["goal"]]
+    goal = Goal(heading=heading, standing=standing, steps_left=jnp.int32(0))
+    command = commands.turned(hyper, known[:3], goal, around[where["pose"]][3])
+    return jnp.concatenate([command, known[3:]])
 
 
 def bias(view: View, obs):
@@ -186,11 +230,12 @@ def scale(view: View) -> np.ndarray:
     for name, where in observe.slices(view.joints, view.clock).items():
         every[where] = observe.QUANTITIES[name].scale
     before = [every[reading(view)]] * (view.history - 1)
-    return np.concatenate([every, *before, np.ones(view.body)]).astype(np.float32)
+    rest = np.ones(view.body + surroundings.size(view.around))
+    return np.concatenate([every, *before, rest]).astype(np.float32)
 
 
 def quantities(view: View) -> list[observe.Quantity]:
-    """The quantities of an observation, one after the other."""
+    """The quantities of an observation before the surroundings, one after the other."""
     current = [*observe.quantities(view.clock).values()]
     seen = [observe.QUANTITIES[each] for each in observe.shown(name(view))]
     traits = randomize.traits(view.varied) if view.body else ()

@@ -1,0 +1,65 @@
+"""A picture of the ground that a config trains on, from above: heights, and where each kind of tile is.
+
+matplotlib is imported only here, and may be absent.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dynappo.config import shell
+from dynappo.terrain import tiles as tiles_lib
+from dynappo.terrain.height_map import HeightMap
+
+SUN = 315.0, 35.0  # degrees: from where, how high
+STEEPER = 3.0  # times, for the shadows alone
+
+
+def write(tiles: Any, ground: HeightMap, out: Path) -> str:
+    """Write the picture `out` of the group `task.tiles` and its map; "", or a line that says why not."""
+    try:
+        import matplotlib  # noqa: F401
+    except ImportError:
+        return f"no picture: matplotlib is not installed; {shell.install('video')}"
+    figure = draw(tiles, ground)
+    figure.savefig(out, dpi=120)
+    return ""
+
+
+def draw(tiles: Any, ground: HeightMap):
+    """The picture as a matplotlib Figure: the columns side by side, the hardest row on top."""
+    from matplotlib.colors import LightSource
+    from matplotlib.figure import Figure
+
+    heights = np.asarray(ground.heights, float)
+    (x, y), (nx, ny) = ground.corner, heights.shape
+    figure = Figure(figsize=(12, 1.2 + 10 * nx / ny), layout="constrained")
+    panel, top = figure.subplots(), max(float(np.abs(heights).max()), 1e-3)
+    shown: dict[str, Any] = dict(cmap=_colours(), vmin=-top, vmax=top)
+    cells: dict[str, Any] = dict(dx=ground.cell, dy=ground.cell, vert_exag=STEEPER)
+    shaded = LightSource(*SUN).shade(heights, blend_mode="soft", **shown, **cells)
+    extent = y, y + ground.cell * (ny - 1), x, x + ground.cell * (nx - 1)
+    image = panel.imshow(shaded, origin="lower", extent=extent)
+    image.set_cmap(_colours())
+    image.set_clim(-top, top)
+    middles, kinds = tiles_lib.centres(tiles), tiles_lib.kinds(tiles)
+    panel.set_yticks(middles[:, 0, 0], [f"{hard:.2f}" for hard in tiles_lib.difficulty(tiles)])
+    groups = [kind for kind in range(len(tiles_lib.KINDS)) if (kinds == kind).any()]
+    places = [middles[0, kinds == kind, 1].mean() for kind in groups]
+    panel.set_xticks(places, [tiles_lib.KINDS[kind].replace("_", " ") for kind in groups])
+    panel.set_ylabel("difficulty")
+    panel.tick_params(length=0)
+    panel.spines[:].set_visible(False)
+    bar = figure.colorbar(image, ax=panel, pad=0.01, aspect=30, shrink=0.9)
+    bar.set_label("height (m)")
+    bar.outline.set_visible(False)
+    return figure
+
+
+def _colours():
+    import matplotlib
+
+    return matplotlib.colormaps["BrBG_r"]

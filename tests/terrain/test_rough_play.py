@@ -1,0 +1,164 @@
+"""A policy that sees a height scan: its file, C MuJoCo's episodes on a tile, its page, its export."""
+
+import base64
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+from answers import mistake, status
+
+from dynappo import config as config_lib
+from dynappo.config import ConfigError
+from dynappo.description import motors
+from dynappo.description import robot as robot_lib
+from dynappo.export import deploy_yaml, joint_order, onnx_file
+from dynappo.page import episode_page
+from dynappo.play import command as play_command
+from dynappo.policy import episode, policy_file, policy_source
+from dynappo.terrain import height_map, scan, tiles
+
+INPUTS = 48 + 187
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
+    """The file of an untrained Go2 with a scan."""
+    config = config_lib.load("configs/go2.py:rough")
+    config, robot = motors.fitted(config_lib.validate(config), robot_lib.load("go2"))
+    rng, sizes = np.random.default_rng(0), (INPUTS, 8, 12)
+    layers = {
+        f"Dense_{i}": dict(
+            kernel=rng.normal(0, 0.1, (n, m)).astype(np.float32), bias=np.zeros(m, np.float32)
+        )
+        for i, (n, m) in enumerate(zip(sizes, sizes[1:], strict=False))
+    }
+    params = {"actor": {"params": layers}, "std": np.ones(12, np.float32)}
+    out = tmp_path_factory.mktemp("rough") / "policy.npz"
+    policy_file.save(out, params, config, robot)
+    return out
+
+
+def test_a_file_says_that_its_policy_sees_a_scan(written):
+    policy = policy_file.load(written)
+    assert policy.scan == "grid" and policy.observation == "velocity-48"
+    assert policy_file.about(policy)["format"] == 5
+    assert "scan" not in policy_file.about(policy._replace(scan="none"))
+
+
+def test_a_policy_is_shown_the_ground_around_it_step_after_step(written):
+    """On stairs, as a loop over points looks it up; with a map that is off; and without a ground, a floor."""
+    policy = policy_file.load(written)
+    field = policy_source.ground(policy, "pyramid_stairs:0.5")
+    np.testing.assert_array_equal(
+        field.heights, tiles.single(policy_source.tiles(policy), "pyramid_stairs", 0.5).heights
+    )
+    for ground, shift in (
+        (field, (0.0, 0.0, 0.0)),
+        (field, (0.1, -0.2, 0.05)),
+        (None, (0.1, 0, 0)),
+    ):
+        player, _ = policy_source.player(policy, field=ground)
+        seen, data = [], mujoco.MjData(player.model)
+        act = lambda obs, seen=seen: seen.append(obs.copy()) or np.zeros(12)  # noqa: E731
+        rows = episode.rows(player, data, act, lambda t: np.zeros(3), shift=shift)
+        for _ in range(3):
+            before = data.qpos.copy()
+            next(rows)
+        assert seen[-1].shape == (INPUTS,)
+        x, y, z = before[:3]
+        yaw = np.arctan2(
+            2 * (before[4] * before[5] + before[3] * before[6]),
+            1 - 2 * (before[5] ** 2 + before[6] ** 2),
+        )
+        expected = []
+        for dx, dy in scan.points() + shift[:2]:
+            at = x + np.cos(yaw) * dx - np.sin(yaw) * dy, y + np.sin(yaw) * dx + np.cos(yaw) * dy
+            below = 0.0 if ground is None else float(height_map.height(*ground, *map(np.array, at)))
+            expected.append(np.clip(z - below - 0.5 + shift[2], -1, 1))
+        np.testing.assert_allclose(seen[-1][48:], expected, atol=1e-6)
+        assert abs(seen[-1][:12]).max() < 0.5  # the reading of its joints comes first
+
+
+def test_a_robot_begins_on_the_platform_and_stands_on_the_ground(written):
+    policy = policy_file.load(written)
+    flat, _ = policy_source.player(policy)
+    for text in ("pyramid_stairs:1", "pit_stairs:1", "random:0"):
+        player, _ = policy_source.player(policy, field=policy_source.ground(policy, text))
+        heights = []
+        for one in (flat, player):
+            data = mujoco.MjData(one.model)
+            episode.reset(one, data)
+            heights.append(data.qpos[2])
+        ground = height_map.height(*player.field, np.zeros(1), np.zeros(1))[0]
+        assert heights[1] - heights[0] == pytest.approx(
+            ground, abs=0.06 if "random" in text else 1e-6
+        )
+        played = episode.play(player, lambda obs: np.zeros(12), lambda t: np.zeros(3), 1.0)
+        assert not played["fell"].any()  # it stands, it does not sink in
+
+
+def test_a_page_has_the_ground_as_heights_and_no_plane_above_it(written):
+    policy = policy_file.load(written)
+    player, _ = policy_source.player(policy, field=policy_source.ground(policy, "pit_stairs:1"))
+    played = episode.play(player, lambda obs: np.zeros(12), lambda t: np.zeros(3), 0.1)
+    shown = episode_page.scene(player, played)
+    (field,) = [geom for geom in shown["geoms"] if shown["meshes"][geom.get("mesh", 0)].get("heights")
+                and geom["type"] == "mesh" and geom["body"] == -1]  # fmt: skip
+    mesh = shown["meshes"][field["mesh"]]
+    heights = np.frombuffer(base64.b64decode(mesh["heights"]), "<i2") * mesh["unit"]
+    heights = heights.reshape(mesh["size"][::-1]).T + field["pos"][2]
+    np.testing.assert_allclose(heights, player.field.heights, atol=1e-4)
+    assert mesh["cell"] == pytest.approx([0.1, 0.1]) and shown["floor"] < heights.min()
+
+
+def test_an_exported_network_takes_the_scan_last_in_any_order_of_joints(written):
+    pytest.importorskip("onnxruntime")
+    import onnxruntime
+
+    policy, robot = policy_file.load(written), robot_lib.load("go2")
+    obs = np.random.default_rng(1).normal(size=(3, INPUTS)).astype(np.float32)
+    expected = policy_file.actor(policy.params, policy.activation)(obs)
+    facts = onnx_file.about(policy, robot)
+    last = facts["observation_table"][-1]
+    assert (last["name"], last["start"], last["stop"], last["noise"]) == (
+        "height_scan",
+        48,
+        235,
+        0.1,
+    )
+    model = onnx_file.onnx_model(policy, facts)
+    session = onnxruntime.InferenceSession(model.SerializeToString())
+    found = session.run(["action"], {"obs": obs[:, onnx_file.order(policy)]})[0]
+    np.testing.assert_allclose(found, expected, atol=1e-5)
+    names = policy.joint_names[::-1]
+    other = joint_order.permute(policy, names)
+    back = np.arange(INPUTS)
+    for part in (slice(0, 12), slice(12, 24), slice(36, 48)):
+        back[part] = back[part][::-1]
+    turned = policy_file.actor(other.params, policy.activation)(obs[:, back])
+    np.testing.assert_allclose(turned, expected[:, ::-1], atol=1e-5)
+    with pytest.raises(ConfigError, match="height scan"):
+        deploy_yaml.text(policy, robot)
+
+
+def test_play_puts_a_robot_on_a_tile(written, tmp_path, capsys):
+    out = tmp_path / "stairs.html"
+    play = [str(written), "--seconds=0.2", f"--out={out}", "--command=0,0,0"]
+    assert status(play_command.main, *play, "--ground=boxes:0.2") == 0 and out.stat().st_size > 1e5
+    capsys.readouterr()
+    said = mistake(play_command.main, [*play, "--ground=lava"], capsys)
+    assert "--ground=lava: expected a kind and its difficulty" in said and "pit_stairs" in said
+
+
+def test_jax_and_numpy_see_the_same(written):
+    """`scan.scan` and `height_map.height` of both."""
+    field = policy_source.ground(policy_file.load(written), "boxes:1")
+    pose = np.array([0.7, -1.2, 0.4, 0.8])
+    found = [
+        scan.scan(lambda x, y: height_map.height(*field, x, y), xp.asarray(pose), xp.zeros(3))
+        for xp in (np, jnp)
+    ]
+    off = abs(np.asarray(found[0]) - np.asarray(jax.device_get(found[1])))
+    assert off.max() < 1e-4
