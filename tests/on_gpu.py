@@ -85,7 +85,8 @@ class Size(NamedTuple):
 
 
 WARP = [
-    f"tests/physics/test_{name}.py" for name in ("quadruped_kernel", "tree_kernel", "kernel_scope")
+    f"tests/physics/test_{name}.py"
+    for name in ("quadruped_kernel", "tree_kernel", "kernel_scope", "rough_ground")
 ]
 # of robots with other feet one, and not MJX, which a GPU compiles for half a minute
 SHORT = [

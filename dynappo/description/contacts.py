@@ -85,7 +85,7 @@ class Probes(NamedTuple):
     ring: np.ndarray  # [P] m, a cylinder's radius: the probe is so far down its disc
 
 
-PROBE_SPACING = 0.1  # m, at most, between neighbours along an edge
+PROBE_SPACING = 0.2  # m, at most, between neighbours along an edge: less than a stair is deep
 
 
 def probes(model: mujoco.MjModel, geoms: np.ndarray, between: bool = True) -> Probes:

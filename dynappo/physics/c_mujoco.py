@@ -52,6 +52,7 @@ MOTOR_NUMBERS = (
 CONTROL = int(mujoco.mjtState.mjSTATE_CTRL)
 APPLIED = CONTROL | int(mujoco.mjtState.mjSTATE_QFRC_APPLIED)
 POSITION = int(mujoco.mjtCtrlInput.mjINPUT_POS)  # a motor's control is a position
+ROOM = 2e9  # bytes, of all models: a robot's has the whole ground, which may be a map of many MB
 FAR = 500.0  # MuJoCo never gets a state or a target above it: it would log a warning
 FAR_ACCELERATION = 1e6
 _ONE_AT_A_TIME = threading.Lock()  # the pool of threads can do only one call at a time
@@ -116,7 +117,7 @@ def _turned(robot: robot_lib.Robot, rough: bool) -> np.ndarray:
     return robot.parts if spheres and not rough else np.concatenate([robot.feet, robot.parts])
 
 
-def _model(robot: robot_lib.Robot, physics, ground: HeightMap | None) -> mujoco.MjModel:
+def _model(robot: robot_lib.Robot, physics, ground: HeightMap | None = None) -> mujoco.MjModel:
     """The robot's model with sensors for the geoms, and DC motors that hold a joint angle."""
     spec = robot_lib.physics_spec(robot.xml, robot.text)
     ground_lib.put(spec, ground)
@@ -155,12 +156,16 @@ class _World:
         self.models: list[mujoco.MjModel] = []
         self.written = np.zeros((0, 0), np.float32)  # the numbers in the models
         self.datas = [mujoco.MjData(model) for _ in range(threads)]
+        self.most = max(threads, int(ROOM / mujoco.mj_sizeModel(model)))  # robots at a time
         self.pool = rollout.Rollout(nthread=threads if threads > 1 else 0)
 
     def step(self, args: list[np.ndarray], outs: list[np.ndarray]) -> None:
         with _ONE_AT_A_TIME:
             robots = args[0].size // self.model.nq
-            self._step([a.reshape(robots, -1) for a in args], outs)
+            given, found = ([x.reshape(robots, -1) for x in arrays] for arrays in (args, outs))
+            for first in range(0, robots, self.most):
+                some = slice(first, first + self.most)
+                self._step([x[some] for x in given], [x[some] for x in found])
 
     def _step(self, args, outs) -> None:
         qpos, qvel, warm, target, numbers = args

@@ -49,12 +49,13 @@ def gap(map_array, cell: float, corner: tuple[float, float], point, radius):
     return (point[..., 2] - z) / xp.sqrt(1 + slope[0] ** 2 + slope[1] ** 2) - radius
 
 
-def nearest(map_array, cell: float, corner: tuple[float, float], point, radius: np.ndarray):
+def nearest(map_array, cell: float, corner: tuple[float, float], point, radius):
     """`(distance [...], normal [..., 3])` of the ground's nearest point from `point` [..., 3].
 
     The distance (m) is negative under the ground. The normal is from there to the point, or of the triangle
     if it is on one, and not on an edge. Looked at are the triangles of the cells that a sphere of `radius`
-    [...] around the point is over, so it is the nearest of all where that sphere touches.
+    [...] around the point is over, so it is the nearest of all where that sphere touches. `radius`
+    is NumPy's, a constant.
     """
     xp = point.__array_namespace__()
     heights, far = xp.asarray(map_array), _far(map_array, cell, corner)
@@ -112,7 +113,7 @@ def _under(map_array, cell, corner, x, y):
     return h00, slope, s, t
 
 
-def _far(map_array, cell, corner) -> tuple[float, float]:
+def _far(map_array, cell, corner) -> tuple[float, ...]:
     """x and y of the last corner (m)."""
     return tuple(c + cell * (n - 1) for c, n in zip(corner, map_array.shape, strict=True))
 

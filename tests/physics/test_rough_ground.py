@@ -24,7 +24,7 @@ import pytest
 
 from dynappo import config as config_lib
 from dynappo.description import robot as robot_lib
-from dynappo.physics import actuators, randomize
+from dynappo.physics import actuators, c_mujoco, randomize
 from dynappo.physics import engine as engine_lib
 from dynappo.physics import ground as ground_lib
 from dynappo.policy import policy_file
@@ -367,7 +367,8 @@ def simulated(impl, ground, states, every=False):
         )
         return engine_lib.simulate(engine, hyper, body, state, jnp.zeros(12))
 
-    return jax.device_get(jax.jit(jax.vmap(step))(*states))
+    with jax.default_device(jax.devices("cpu" if impl == "c" else None)[0]):
+        return jax.device_get(jax.jit(jax.vmap(step))(*states))
 
 
 @pytest.fixture(scope="module")
@@ -375,7 +376,7 @@ def states(rough):
     return np.float32(rough.before["qpos"][:16]), np.float32(0.3 * rough.before["qvel"][:16])
 
 
-@pytest.mark.parametrize("impl", ["warp", pytest.param("jax", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("impl", ["warp", pytest.param("jax", id="mjx", marks=pytest.mark.slow)])
 def test_engines_agree(states, impl):
     """Four physics steps on rough ground: a foot that is over an edge has one contact in our kernel, and
     of several MJX keeps four; most robots have none, and all have the same feet down at first."""
@@ -401,6 +402,29 @@ def test_the_map_is_where_it_says_and_engines_measure_from_it(states):
         np.testing.assert_allclose(found.lowest, here.lowest, atol=1e-5)
         np.testing.assert_allclose(found.peak, here.peak, atol=1e-5)
         np.testing.assert_array_equal(found.contact_steps, here.contact_steps)
+
+
+def test_robots_take_turns_where_a_model_is_large(states):
+    """Each has a model of its own, with the whole map; C MuJoCo then keeps some of them at a time."""
+    robot, group = load("go1"), load_physics("go1")
+    model = c_mujoco._model(robot, group, GROUND["rough"])
+    count, steps = len(states[0]), 2
+    numbers = np.tile([1, 0, 0, 0, 0.8, 1, *MOTOR[:5], 0], (count, 1)).astype(np.float32)
+    numbers[:, 4] = np.linspace(0.2, 1.5, count)  # friction
+    target = np.tile(robot.default_pose, (count, steps, 1)).astype(np.float32)
+    args = [*states, states[1] * 0, target, numbers]
+    shapes = (model.nq,), (model.nv,), (model.nv,), (model.nu,), (model.nu,)
+    feet, parts = len(robot.feet), len(robot.parts)
+    shapes += (steps, feet, 3), (steps, parts, 3), (steps, feet + parts, 4)
+    found = []
+    for most in (100, 3):
+        world = c_mujoco._World(robot, model, steps, 1, {"friction"})
+        world.most = most
+        found.append([np.zeros((count, *shape), np.float32) for shape in shapes])
+        world.step(args, found[-1])
+        assert len(world.models) <= most
+    for one, other in zip(*found, strict=True):
+        np.testing.assert_array_equal(one, other)
 
 
 @pytest.mark.slow

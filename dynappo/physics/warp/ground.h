@@ -42,19 +42,22 @@ auto nearest = [&](const float* ground, vec3 p, float radius, vec3& normal) {
   auto cell_of = [&](float x, int most) { return wp::min(wp::max((int)floorf(x / cell), 0), most); };
   const int i0 = cell_of(b.x - radius, X - 2), i1 = cell_of(b.x + radius, X - 2);
   const int j0 = cell_of(b.y - radius, Y - 2), j1 = cell_of(b.y + radius, Y - 2);
+  // the nearest yet: its square, and the way from p to it; on a plane, that plane's normal
   float best = 1e30f;
-  vec3 way(0.0f, 0.0f, 1.0f);
-  auto on_plane = [&](vec3 n, vec3 a, bool upper) {  // n: not of length 1
-    n = n / wp::length(n);
-    const float distance = -dot(n, a), u = -(distance * n[0] + a[0]), v = -(distance * n[1] + a[1]);
+  vec3 way(0.0f, 0.0f, -1.0f), plane;
+  bool on_edge_yet = true;
+  auto on_plane = [&](vec3 n, vec3 a, bool upper) {
+    const float above = -dot(n, a), share = above / dot(n, n), square = above * share;
+    const float u = -(share * n[0] + a[0]), v = -(share * n[1] + a[1]);
     const float low = upper ? u : v, high = upper ? v : u;
-    if (low >= 0.0f && low <= high && high <= cell && fabsf(distance) < fabsf(best)) best = distance, way = n;
+    if (low >= 0.0f && low <= high && high <= cell && square < best)
+      best = square, way = n * -share, plane = n, on_edge_yet = false;
   };
   auto on_edge = [&](vec3 a, vec3 e) {
     const float t = -dot(a, e) / dot(e, e);
     const vec3 q = a + e * wp::min(wp::max(t, 0.0f), 1.0f);
-    const float distance = wp::length(q);
-    if (distance < fabsf(best)) best = sign * distance, way = q * (-sign / wp::max(distance, 1e-9f));
+    const float square = dot(q, q);
+    if (square < best) best = square, way = q, on_edge_yet = true;
   };
   #pragma unroll 1
   for (int i = i0; i <= i1; ++i)
@@ -66,12 +69,17 @@ auto nearest = [&](const float* ground, vec3 p, float radius, vec3& normal) {
       const vec3 right(cell, 0.0f, z10 - z00), left(0.0f, cell, z01 - z00);
       on_plane(vec3(z00 - z10, z10 - z11, cell), v00, false);
       on_plane(vec3(z01 - z11, z00 - z01, cell), v00, true);
-      on_edge(v00, right), on_edge(v00, left), on_edge(v00, v11 - v00);
+      on_edge(v00, v11 - v00);
+      if (j == j0) on_edge(v00, right);  // else of the cell before
+      if (i == i0) on_edge(v00, left);
       on_edge(v00 + right, vec3(0.0f, cell, z11 - z10)), on_edge(v00 + left, vec3(cell, 0.0f, z11 - z01));
     }
-  normal = way;
+  const float distance = sqrtf(best);
+  const vec3 n = wp::normalize(plane);
+  normal = on_edge_yet ? way * (-sign / wp::max(distance, 1e-9f)) : n;
+  const float found = on_edge_yet ? sign * distance : -dot(way, n);
   // a place that is no number has no distance: nothing of it was less than another
-  return p[0] == p[0] && p[1] == p[1] && p[2] == p[2] ? best : p[0] + p[1] + p[2];
+  return p[0] == p[0] && p[1] == p[1] && p[2] == p[2] ? found : p[0] + p[1] + p[2];
 };
 
 // The tangents of MuJoCo's contact frame of a normal (mju_makeFrame).
