@@ -63,6 +63,8 @@ def apply_variant(config, variant):
         task.randomize.delay = (0.0, 0.02)
         task.weights.update(feet_phase=2.0, foot_clearance=-0.5, stand_still=0.0, joint_limits=-1.0)
         task.weights.update(action_rate=-0.03, action_acceleration=0.0, energy=0.0)
+    elif variant == "rough_deploy":  # the rough variants of bipeds have not been tried
+        task.randomize.base_mass = (low, 2 * high)
     elif variant == "quick":
         task.tracking_std = None
     elif variant == "laptop":
