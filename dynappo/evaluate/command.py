@@ -20,7 +20,17 @@ import mujoco
 from dynappo.config import ConfigError, files
 from dynappo.config import flags as flags_lib
 from dynappo.description.robot import Robot
-from dynappo.evaluate import changes, crossing, episodes, figures, report, stress, tables, trials
+from dynappo.evaluate import (
+    changes,
+    crossing,
+    episodes,
+    figures,
+    report,
+    stairs,
+    stress,
+    tables,
+    trials,
+)
 from dynappo.policy import policy_source
 from dynappo.policy.episode import Player
 from dynappo.policy.policy_file import Policy
@@ -175,6 +185,11 @@ def run(flags) -> None:
             rows = stress.run(policy, player, tell)
         tables.stress(screen, rows)
         about |= {"seconds": stress.SECONDS, "rows": rows, "units": STRESS_UNITS}
+        task = policy.config.get("task", {})
+        if task.get("terrain") == "rough" and not flags.robot_xml:
+            with tables.progress(screen, "flights of stairs") as tell:
+                about["stairs"] = stairs.run(policy, tell)
+            tables.stairs(screen, about["stairs"])
         files.write_json(out / "stress.json", about)
         return screen.print(f"written to {out}: stress.json", soft_wrap=True, markup=False)
     with tables.progress(screen, "commands") as tell:
