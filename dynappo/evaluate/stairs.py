@@ -127,7 +127,7 @@ def attempt(one: Player, case: Stress, speed: float, start: float, seed: int = 0
         for row in itertools.islice(rows, round(SECONDS / episode_lib.period(one))):
             if row["fell"]:
                 return "fell"
-            if row["qpos"][q] > goal:
+            if np.asarray(row["qpos"])[q] > goal:
                 return "climbed"
     except FloatingPointError:
         return "fell"
