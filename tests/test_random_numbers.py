@@ -39,6 +39,10 @@ EVERYTHING = {
     "ppo.shuffle_blocks": 4,
     "task.formulation": "isaaclab_exact",
     "task.heading": True,
+    "task.terrain": "rough",
+    "task.scan": "grid",
+    "task.tiles.rows": 2,
+    "task.tiles.columns": 6,
     "task.resample_steps": 5,
     "task.standing": 0.3,
     "task.history": 3,
@@ -55,6 +59,7 @@ OTHERS = {
     "without carry_on": ("go1", {"task.carry_on": False}),
     "one command and no clock": ("go1", {"task.resample_steps": 0, "task.random_clock": False}),
     "a biped with a gait clock": ("g1", {"task.gait_frequency": (1.25, 1.5)}),
+    "flat ground": ("go1", {"task.terrain": "flat", "task.scan": "none"}),
 }
 
 
@@ -105,15 +110,18 @@ def test_a_run_has_as_many_draws_as_its_rows_robots_and_rounds_need(uses):
         files = [use.where.split(" > ")[-1].split(":")[0] for use in uses[name] if use.how == DRAWN]
         return dict(collections.Counter(files))
 
-    # a body; a pose and the two draws of a clock; command; noise
-    start = collections.Counter({"randomize.py": 1, "env.py": 3, "commands.py": 1, "view.py": 1})
-    # a step's command, push, noise; a reset's pose and coin, command, noise
-    row = collections.Counter({"env.py": 2, "commands.py": 2, "view.py": 2, "pushes.py": 1})
+    # a body; a tile, a pose and the two draws of a clock; command; noise, also of the scan
+    start = dict.fromkeys(("randomize.py", "commands.py", "view.py", "surroundings.py"), 1)
+    start = collections.Counter(start | {"env.py": 4})
+    # a step's command, push, noise; a reset's tile, pose and coin, command, noise
+    row = dict.fromkeys(("commands.py", "view.py", "surroundings.py"), 2)
+    row = collections.Counter(row | {"env.py": 3, "pushes.py": 1})
     assert draws("init") == times(ROBOTS, start) | {"networks.py": 3}  # actor, critic, model
     assert draws("evaluate") == times(ROBOTS, start + times(STEPS, row))
     made = ROUNDS * TAIL
     expected = times(ROBOTS * REAL, row)
     expected["view.py"] += ROBOTS * made  # noise on what the model predicts
+    expected["surroundings.py"] += ROBOTS * made  # and on the scan, which it does not
     expected["algorithm.py"] = ROBOTS * (REAL + made)  # actions
     # an epoch's order, and two for where the robots start in it; two for the anchors of a round
     expected["dynamics.py"] = 3 * EVERYTHING["model.epochs"] + 2 * ROUNDS

@@ -26,6 +26,7 @@ from dynappo.evaluate import (
     episodes,
     figures,
     report,
+    stairs,
     stress,
     tables,
     task_episodes,
@@ -191,6 +192,11 @@ def run(flags) -> None:
             rows = stress.run(policy, player, tell)
         tables.stress(screen, rows)
         about |= {"seconds": stress.SECONDS, "rows": rows, "units": STRESS_UNITS}
+        task = policy.config.get("task", {})
+        if task.get("terrain") == "rough" and not flags.robot_xml:
+            with tables.progress(screen, "flights of stairs") as tell:
+                about["stairs"] = stairs.run(policy, tell)
+            tables.stairs(screen, about["stairs"])
         files.write_json(out / "stress.json", about)
         return screen.print(f"written to {out}: stress.json", soft_wrap=True, markup=False)
     with tables.progress(screen, "commands") as tell:

@@ -69,6 +69,7 @@ class Stress(NamedTuple):
     push: float = 0.0  # m/s
     noise: float = 0.0  # times that of training
     velocity: float = 1.0
+    scan_shift: tuple[float, float, float] = (0.0, 0.0, 0.0)  # m, ahead, left, up
 
 
 TABLE = (
@@ -171,9 +172,26 @@ def play(player: Player, act: Callable, command, stress: Stress, seed: int = 0, 
 
     As `trials.record`, with the disturbance. A blow-up of the physics is a fall.
     """
+    rows = disturbed_rows(player, act, lambda t: command, mujoco.MjData(player.model), stress, seed)
+    velocity, fall, dt = [], None, episode_lib.period(player)
+    try:
+        for row in itertools.islice(rows, round(seconds / dt)):
+            if row["fell"]:
+                fall = (len(velocity) + 1) * dt
+                break
+            velocity.append(row["velocity"])
+    except FloatingPointError:
+        fall = (len(velocity) + 1) * dt
+    return np.reshape(velocity, (-1, 3)), fall
+
+
+def disturbed_rows(
+    player: Player, act: Callable, command: Callable, data, stress: Stress, seed: int = 0
+):
+    """The rows of an episode (`episode.rows`) of the robot in `data`, with the disturbance; `command(t)`."""
     p, model = player.policy, player.model
     # not the stream of the pose at the start (`episode.reset`), which is that of seed 0
-    rng, data = np.random.default_rng((seed, 1)), mujoco.MjData(model)
+    rng = np.random.default_rng((seed, 1))
     dt, step = episode_lib.period(player), model.opt.timestep
     parts = observe.slices(len(p.joint_names), observe.has_clock(p.observation))
     scale = stress.noise * np.concatenate(
@@ -210,26 +228,17 @@ def play(player: Player, act: Callable, command, stress: Stress, seed: int = 0, 
                 waiting.popleft()
             yield waiting[0][1]
 
-    rows = episode_lib.rows(
+    return episode_lib.rows(
         player,
         data,
         act,
-        lambda t: command,
+        command,
         observed,
         targets,
         stress.motors,
         lambda torque, speed: states.append(_snapshot(data)),
+        stress.scan_shift,
     )
-    velocity, fall = [], None
-    try:
-        for row in itertools.islice(rows, round(seconds / dt)):
-            if row["fell"]:
-                fall = (len(velocity) + 1) * dt
-                break
-            velocity.append(row["velocity"])
-    except FloatingPointError:
-        fall = (len(velocity) + 1) * dt
-    return np.reshape(velocity, (-1, 3)), fall
 
 
 def _snapshot(data) -> SimpleNamespace:

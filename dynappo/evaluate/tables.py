@@ -72,6 +72,20 @@ def stress(screen, rows: list[dict[str, Any]]) -> None:
     _table(screen, cells, ["", "falls", "tracking error", "yaw rate error"])
 
 
+def stairs(screen, rows: list[dict[str, Any]]) -> None:
+    """Print how many flights of stairs were climbed: a line a disturbance, a column a height."""
+    heights = [f"{height:g} m" for height in rows[0]["heights"]]
+    screen.print(
+        f"stairs of boxes, up, {rows[0]['tries']} tries of each height in C MuJoCo: climbed, falls",
+        soft_wrap=True,
+    )
+    cells = [
+        [row["stress"], *(f"{c}, {f}" for c, f in zip(row["climbed"], row["falls"], strict=True))]
+        for row in rows
+    ]
+    _table(screen, cells, ["", *heights])
+
+
 def trials(screen, numbers: dict[str, Any]) -> None:
     """Print the table of the trials: over all commands, at each speed ahead, and standing."""
     headings, *rows = trials_rows(numbers)

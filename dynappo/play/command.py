@@ -97,6 +97,10 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
         raise ConfigError(f"--policy={flags.policy!r}: expected zero or random")
     if flags.serve is not None and flags.out is not None:
         raise ConfigError("--serve and --out: expected one of them")
+    if flags.serve is not None and flags.ground:
+        raise ConfigError(
+            "--ground: the live page has no rough ground yet; write a page with --out"
+        )
     policy_source.check_flags(flags)
     if flags.policy and flags.run_seed is not None:
         raise ConfigError(

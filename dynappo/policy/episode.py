@@ -43,6 +43,13 @@ TOUR = (  # the commands if none is given: (share of the time, (vx, vy, yaw rate
 )
 
 
+class Box(NamedTuple):
+    """A box that stands in the world."""
+
+    middle: tuple[float, float, float]  # m
+    half: tuple[float, float, float]  # m, half of its sides
+
+
 class Player(NamedTuple):
     """A robot in a compiled model, and the policy that plays it; arrays of `A` joints are in its order."""
 
@@ -69,8 +76,11 @@ def load(
     keep_joints: bool = False,
     text: str = "",
     field: HeightMap | None = None,
+    boxes: tuple[Box, ...] = (),
 ) -> Player:
     """The robot of `xml`, driven by `policy`; `timestep` (s) replaces that of the file, `field` its floor.
+
+    With `boxes` the ground is the file's floor and these, and `field` is only the map that a policy sees.
 
     If `text` is given, it is the MJCF, and `xml` the file that contains it. Without `timestep`, the
     file's own is changed to the nearest that divides the time between two actions. `keep_joints`:
@@ -81,7 +91,7 @@ def load(
         if not ok:
             raise ConfigError(f"{xml}: expected {text}")
 
-    model = compiled(xml, text, field)
+    model = compiled(xml, text, field, boxes)
     kinds = {model.joint(i).name: int(model.jnt_type[i]) for i in range(model.njnt)}
     hinge, free = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_FREE)
     lacks = [name for name in policy.joint_names if kinds.get(name) != hinge]
@@ -136,9 +146,12 @@ def load(
     )
 
 
-def compiled(xml: Path, text: str = "", field: HeightMap | None = None) -> mujoco.MjModel:
-    """The model of a file, or of the MJCF `text` in it, on a ground in the place of its geom `floor`."""
-    if field is None:
+def compiled(
+    xml: Path, text: str = "", field: HeightMap | None = None, boxes: tuple[Box, ...] = ()
+) -> mujoco.MjModel:
+    """The model of a file, or of the MJCF `text` in it, on a ground in the place of its geom `floor`; or on
+    that floor, with boxes on it."""
+    if field is None and not boxes:
         return mjcf.model(xml, text)
     with mjcf.one_line(xml):
         if text:
@@ -148,7 +161,20 @@ def compiled(xml: Path, text: str = "", field: HeightMap | None = None) -> mujoc
             raise ConfigError(
                 f"{xml}: expected a geom named floor, which the rough ground replaces"
             )
-        ground.put(spec, field)
+        floor = spec.geom("floor")
+        for box in boxes:
+            spec.worldbody.add_geom(
+                type=mujoco.mjtGeom.mjGEOM_BOX,
+                pos=box.middle,
+                size=box.half,
+                friction=floor.friction,
+                contype=floor.contype,
+                conaffinity=floor.conaffinity,
+                condim=floor.condim,
+                priority=floor.priority,
+            )
+        if not boxes:
+            ground.put(spec, field)
         return mjcf.check_model(spec.compile())
 
 

@@ -150,6 +150,8 @@ def test_play_puts_a_robot_on_a_tile(written, tmp_path, capsys):
     capsys.readouterr()
     said = mistake(play_command.main, [*play, "--ground=lava"], capsys)
     assert "--ground=lava: expected a kind and its difficulty" in said and "pit_stairs" in said
+    said = mistake(play_command.main, [str(written), "--serve", "--ground=boxes"], capsys)
+    assert "the live page has no rough ground yet" in said
 
 
 def test_jax_and_numpy_see_the_same(written):

@@ -16,7 +16,7 @@ MIDDLE = 40  # the cell in the middle of a tile of 8 m
 
 
 def group(**fields):
-    config = config_lib.load("configs/go2.py:ppo16")
+    config = config_lib.load("configs/anymal_c.py:ppo16")
     config.task.tiles.update(fields)
     return config_lib.validate(config).task.tiles
 
