@@ -182,7 +182,12 @@ def _other(flags) -> tuple | None:
     """The arguments of `task_episode.run` where the policy is of another package's environment."""
     if flags.what in files.robots():
         return None
-    found = policy_source.other(flags)
+    try:
+        found = policy_source.other(flags)
+    except ConfigError:
+        if flags.serve is None:
+            raise
+        return None  # a run that has no policy yet is served, too
     if found is None:
         return None
     policy, path, named = found
