@@ -58,7 +58,7 @@ def build(name, ranges=None, contacts="feet", impl="jax", **task):
         robot=loaded,
         settings=settings,
         hyper=hyper,
-        quiet=of_task(hyper, noise=hyper.task.noise._make([0.0] * 5)),
+        quiet=of_task(hyper, noise=hyper.task.noise._make([0.0] * len(hyper.task.noise))),
         model=robot.physics_model(loaded, settings.physics),
         reset=batched(env.reset, (None, 0, 0)),
         step=batched(env.step, (None, 0, 0, 0, 0)),
