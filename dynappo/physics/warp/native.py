@@ -45,7 +45,7 @@ def code(sizes: dict[str, int], *headers: str, rough: bool = False) -> str:
 
 @functools.cache
 def kernel(snippet: str) -> Any:
-    """Of a text of `code`. Warp reads the arguments from the source of both functions, so they stand twice."""
+    """Of a text of `code`. Warp reads arguments from the source of both functions, so they stand twice."""
 
     @wp.func_native(snippet)
     def of_thread(  # pyright: ignore[reportReturnType]
