@@ -2,7 +2,8 @@
 // (contract.py), with its feet on a plane, or (GROUND) on a height map.
 //
 // On a height map each foot has one contact, with the nearest triangle, and its normal and tangents; MuJoCo's
-// own has one more for every other triangle that the sphere reaches. A plane's are the world's axes.
+// own has one more for every other triangle that the sphere reaches (docs/terrain.md, Contacts, on why not here).
+// A plane's are the world's axes.
 #if GROUND
 #define IN_FRAME(l, u) mul(frame[l], u)
 #define IN_WORLD(l, F) mul(wp::transpose(frame[l]), F)
