@@ -11,6 +11,11 @@ MuJoCo Playground 0.2 (PG), whose gait clock makes the walk. experiments/25_huma
 | `deploy`         | 4096   | 24     | 16       | hardware: what the robot measures, varied, pushed   |
 | `quick`          | 256    | 24     | 4        | the smallest run on MJX                             |
 | `laptop`         | 512    | 24     | 16       | two CPU cores                                       |
+| `rough`          | 2048   | 24     | 16       | stairs, boxes, slopes, with a height scan           |
+| `rough_blind`    | 2048   | 24     | 16       | the same without a scan                             |
+| `rough_deploy`   | 2048   | 24     | 16       | rough ground for hardware                           |
+
+On rough ground nothing has been trained yet; `_rough` says what is different there.
 
 A robot's file starts from `defaults`, sets its motors, sizes and `task.posture_std`, and ends with
 `apply_variant`. Metres and strides a second are for a base 0.76 m above the ground; `adopt` writes those of
@@ -38,7 +43,7 @@ def defaults():
 
 
 def apply_variant(config, variant):
-    """As `default.py`'s, with a biped's `best`, `ppo`, `deploy`, `quick` and `laptop`."""
+    """As `default.py`'s, with a biped's `best`, `ppo`, `deploy`, `quick`, `laptop` and rough ground."""
     if variant in ("", "best", "ppo"):
         _best(config)
         if variant == "ppo":
@@ -51,7 +56,7 @@ def apply_variant(config, variant):
     low, high = config.task.randomize.base_mass
     config = default["apply_variant"](config, variant)
     task = config.task
-    if variant == "deploy":
+    if variant in ("deploy", "rough_deploy"):
         _best(config)
         config.rollout.num_envs = 4096
         config.run.num_iterations = 450
@@ -63,8 +68,8 @@ def apply_variant(config, variant):
         task.randomize.delay = (0.0, 0.02)
         task.weights.update(feet_phase=2.0, foot_clearance=-0.5, stand_still=0.0, joint_limits=-1.0)
         task.weights.update(action_rate=-0.03, action_acceleration=0.0, energy=0.0)
-    elif variant == "rough_deploy":  # the rough variants of bipeds have not been tried
-        task.randomize.base_mass = (low, 2 * high)
+    elif variant in default["ROUGH"]:
+        _best(config)
     elif variant == "quick":
         task.tracking_std = None
     elif variant == "laptop":
@@ -73,6 +78,9 @@ def apply_variant(config, variant):
         config.model.hidden, config.ppo.hidden = (256, 256, 256), (256, 128)
         config.schedule.end_iteration, config.ppo.gamma = 5, 0.97
         config.ppo.critic = "state"
+    if variant in default["ROUGH"]:
+        default["rough"](config, variant)
+        _rough(task)
     return config
 
 
@@ -83,6 +91,8 @@ def _task(task):
     task.fall_reward = -2.0  # PG's -100 and IL's -200 are -2 and -4 in a row of 0.02 s
     task.posture_std_standing = 0.05  # mjlab
     task.gait_frequency = (1.25, 1.5)  # PG
+    # rough ground: steps up to 0.10 m in mjlab, 0.23 m in IL; the rest half as high as IL's
+    task.tiles.update(stairs=(0.0, 0.15), boxes=(0.025, 0.1), random=(0.01, 0.05), random_step=0.01)
     task.weights.update(
         track_linear_velocity=2.0,  # mjlab; IL, PG 1
         track_yaw_rate=2.0,  # mjlab, of a wider kernel; IL 1, PG 0.75
@@ -101,6 +111,20 @@ def _task(task):
         joint_accelerations=-1e-7,  # IL, of hips and knees
         action_rate=-0.03,  # IL -0.005; mjlab -0.1
     )
+
+
+def _rough(task):
+    """Rough ground, where it is not `default.py`'s: commands and rewards as Isaac Lab's G1 has them there.
+
+    - It walks ahead and turns, not aside. Going up is not punished, and torques are by less than a tenth.
+    - `feet_phase` stays, which is not Isaac Lab's: heights are above the ground under each foot
+      (rewards.py). So are those of `foot_clearance`, in any task. `foot_slip` stays horizontal: on the
+      steepest slope a foot that slides pays 7 % less.
+    - Feet touch with the ends of their capsules, four points a foot. A step's edge between them does not
+      hold the foot: it tips there, as if it had stepped beside the step.
+    """
+    task.update(command_x=(0.0, 1.0), command_y=(0.0, 0.0))
+    task.weights.update(vertical_velocity=0.0, joint_torques=-1.5e-7, joint_accelerations=-1.25e-7)
 
 
 def _best(config):

@@ -424,11 +424,8 @@ def apply_variant(config: config_dict.ConfigDict, variant: str) -> config_dict.C
     elif variant == "deploy":
         _deploy(config)
     elif variant in ROUGH:
-        if variant == "rough_deploy":
-            _deploy(config)
-        _rough(config)
-        if variant == "rough_blind":
-            config.task.scan = "none"
+        _deploy(config) if variant == "rough_deploy" else _best(config)
+        rough(config, variant)
     elif variant == "laptop":
         # Learning takes half of a CPU's time, so the networks are small and the model has few epochs. Swish,
         # a larger KL and gamma 0.98 let it learn from fewer steps (experiments/04_laptop).
@@ -505,8 +502,9 @@ def _deploy(config: config_dict.ConfigDict) -> None:
     weights.update(stand_still=-0.5, joint_limits=-5.0)
 
 
-def _rough(config: config_dict.ConfigDict) -> None:
-    """Rough ground, as Isaac Lab's rough tasks (velocity_env_cfg.py; a robot's own numbers: its file).
+def rough(config: config_dict.ConfigDict, variant: str) -> None:
+    """Rough ground, on top of `best` or `deploy`, as Isaac Lab's rough tasks (velocity_env_cfg.py; a robot's
+    own numbers: its file).
 
     Different from there, and why:
 
@@ -519,9 +517,7 @@ def _rough(config: config_dict.ConfigDict) -> None:
     - The scan's noise and the ground are Isaac Lab's; rows are even from easy to hard (terrain/tiles.py).
     """
     task = config.task
-    if task.observation == "full":  # not of deploy, which has all of it
-        _best(config)
-    task.update(terrain="rough", scan="grid")
+    task.update(terrain="rough", scan="none" if variant == "rough_blind" else "grid")
     # commands: a heading, kept for an episode, which ends at the tile's edge; 2 % stand
     task.update(heading=True, standing=0.02, resample_steps=0)
     task.update(episode_length=1000, carry_on=False, start_anew=0.5, keep_command=0.0)

@@ -363,7 +363,11 @@ def step(const: Constants, hyper: Hyper, body, state: State, action, key):
     ok &= (speed[3:] < MAX_TURN).all() & (speed[:3] < MAX_BASE_SPEED).all()
 
     moved = state.replace(qpos=after.qpos, qvel=after.qvel)
-    known = _known(const, hyper, view.exact(const.robot, body, moved), action)
+    around, heights = const.view.around, None
+    if around is not None and const.feet is not None:
+        there = surroundings.exact(around, after.qpos, after.qvel, state.goal, state.scan_shift)
+        heights = surroundings.foot_heights(around, there)
+    known = _known(const, hyper, view.exact(const.robot, body, moved), action, heights)
     facts = known | _measured(const, hyper, state, after)._asdict()
     terms = reward_sum.values(const.terms, facts)
     reward, weighted = reward_sum.total(terms, hyper.task.weights, const.dt)
@@ -438,16 +442,17 @@ def step(const: Constants, hyper: Hyper, body, state: State, action, key):
     return next_state, outcome
 
 
-def _known(const: Constants, hyper: Hyper, seen, action) -> dict[str, Any]:
+def _known(const: Constants, hyper: Hyper, seen, action, heights) -> dict[str, Any]:
     """What a term can ask for without physics (rewards.py): `seen` has the predicted parts of the next
-    observation and the known parts of this one."""
+    observation and the known parts of this one; `heights` [F] are the feet's above the ground, None where it
+    is flat."""
     parts = observe.split(seen, len(const.robot.joint_names), const.view.clock)
     if const.feet is not None:
-        parts |= _feet(const, const.feet, parts)._asdict()
+        parts |= _feet(const, const.feet, parts, heights)._asdict()
     return engine_lib.per_joint_arrays(hyper)._asdict() | parts | {"action": action}
 
 
-def _feet(const: Constants, feet: FeetGeometry, parts) -> rewards.Feet:
+def _feet(const: Constants, feet: FeetGeometry, parts, heights) -> rewards.Feet:
     """Of the predicted parts of an observation: v = v_com + w x (p - com) + dp/dt in the base."""
     place = partial(kinematics.feet_in_base, feet.middles)
     joints = parts["joint_position"] + jnp.asarray(const.robot.default_pose, jnp.float32)
@@ -455,7 +460,9 @@ def _feet(const: Constants, feet: FeetGeometry, parts) -> rewards.Feet:
     arm = position - jnp.asarray(feet.base_com, jnp.float32)
     carried = observe.cross(jnp.broadcast_to(parts["angular_velocity"], arm.shape), arm)
     velocity = parts["linear_velocity"] + carried + moves
-    return rewards.Feet(position, velocity, jnp.asarray(feet.side, jnp.float32))
+    if heights is None:
+        heights = -(position * parts["gravity"]).sum(-1)
+    return rewards.Feet(position, velocity, jnp.asarray(feet.side, jnp.float32), heights)
 
 
 def _measured(
@@ -483,8 +490,13 @@ def known_reward(const: Constants, hyper: Hyper, obs, action, next_prop):
     """The share of a row's reward that is a function of `obs`, `action` and `next_prop`.
 
     Exact unless a push changed the velocity after the reward (pushes.py). `task.fall_reward` is not in it:
-    only the model knows the probability of a fall.
+    only the model knows the probability of a fall. On rough ground feet are where a tail finds them, a few
+    millimetres off (scan.moved).
     """
     seen = jnp.concatenate([next_prop, obs[next_prop.size : view.current_size(const.view)]])
-    terms = reward_sum.values(const.known, _known(const, hyper, seen, action))
+    around, heights = const.view.around, None
+    if around is not None and const.feet is not None:
+        there = surroundings.advance(around, obs[view.own_size(const.view) :], next_prop)
+        heights = surroundings.foot_heights(around, there)
+    terms = reward_sum.values(const.known, _known(const, hyper, seen, action, heights))
     return reward_sum.total(terms, hyper.task.weights, const.dt)[0]

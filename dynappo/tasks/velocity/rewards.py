@@ -34,7 +34,8 @@ from dynappo.tasks.velocity import gait
 
 
 class Feet(NamedTuple):
-    """Where the feet are and go, from joints and velocities alone (kinematics.py); of F feet.
+    """Where the feet are and go, from joints and velocities alone (kinematics.py); of F feet. On rough ground
+    their heights are those of surroundings.py, which a tail knows too.
 
     The place of a foot is the middle of its shapes. Velocities take the base's centre of mass as the
     robot's file has it.
@@ -43,6 +44,8 @@ class Feet(NamedTuple):
     foot_position: Any  # [F, 3] m, from the base's origin, base frame
     foot_velocity: Any  # [F, 3] m/s, against the ground, base frame
     foot_side: Any  # [F] in the default pose: 1 left of the middle, -1 right, 0 on it
+    # [F] m, up: on rough ground above the ground under it; else from the base, so only differences count
+    foot_height: Any
 
 
 class Measured(NamedTuple):
@@ -174,16 +177,18 @@ def foot_slip(foot_velocity, gravity, contact):
     return (xp.sqrt(((foot_velocity - up) ** 2).sum(-1)) * contact).sum()
 
 
-def feet_phase(foot_position, gravity, gait_phase, gait_foot_height):
+def feet_phase(foot_height, gait_phase, gait_foot_height):
     """exp(-sum over feet of ((height - target) / width)^2), heights in m, above the lowest foot.
+
+    On rough ground each height is above the ground under that foot, less the smaller of the two: on stairs a
+    foot that stands is at 0 on any step, and one that swings is as high as the target above its own step.
 
     The target is that of the gait clock (gait.target), `task.gait_foot_height` in mid-swing, at the phase
     that the policy saw. Of the middles of feet. The width is 2/3 of that height, so that robots of other
     sizes earn the same with the same walk. Playground: feet_phase, 0.15 m and a width of 0.1 m, of heights
     above the ground; those above the lowest foot follow from joints.
     """
-    height = -(foot_position * gravity).sum(-1)
-    off = height - height.min() - gait.target(gait_phase, gait_foot_height)
+    off = foot_height - foot_height.min() - gait.target(gait_phase, gait_foot_height)
     return _exp(-((off / (gait_foot_height * 2 / 3)) ** 2).sum())
 
 

@@ -134,6 +134,11 @@ def _looked_up(s: Surroundings, pose, gravity, joints, shift) -> list[Any]:
     return [shift, at_feet, scan.scan(height(s), pose, shift)] if s.scan else [at_feet]
 
 
+def foot_heights(s: Surroundings, numbers):
+    """[F] m, of the middle of each foot above the ground under it, of the numbers of a state."""
+    return numbers[places(s)["feet"]].reshape(len(s.partner), -1)[:, 0]
+
+
 def draw_shift(hyper: Hyper, draws):
     """A shift [3] m of the map, of `draws` [3] from 0 to 1."""
     half = jnp.stack([hyper.task.noise.scan_shift] * 2 + [hyper.task.noise.scan_lift])
