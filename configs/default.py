@@ -248,6 +248,11 @@ class Randomize(NamedTuple):
 class Tiles(NamedTuple):
     """The ground with task.terrain="rough" (terrain/tiles.py), part of the program; IL's rough tasks."""
 
+    # a ground of your own, FILE.npy or FILE.png (terrain/map_file.py), `cell` m between two points: tiles of
+    # `size` are places on it, and all else here is not looked at. "": none
+    map: str = ""
+    map_level: Positive = 0.005  # m, a level of a picture's grey
+    map_hash: str = ""  # of the file; follows from it, as rows and columns do
     seed: Whole = 0
     rows: Annotated[int, Between(1, 100)] = 10  # from easy to hard, along x
     columns: Annotated[int, Between(1, 100)] = 20  # along y, each of one kind

@@ -17,7 +17,7 @@ MAY_IMPORT = {
     "method": {"learner", "model"},
     "learner": {"types"},
     "model": {"learner", "types"},
-    "config": {"schedule"},
+    "config": {"terrain", "schedule"},
     "description": {"config"},
     "terrain": set(),
     "physics": {"terrain", "description", "config", "types"},
@@ -65,7 +65,7 @@ WITHOUT_JAX |= {
     f"tasks.velocity.{name}" for name in ("rewards", "reward_sum", "observe", "gait", "partners")
 }
 WITHOUT_JAX |= {"physics.actuators", "physics.warp.scope"}
-WITHOUT_JAX |= {f"terrain.{name}" for name in ("height_map", "tiles", "scan")}
+WITHOUT_JAX |= {f"terrain.{name}" for name in ("height_map", "tiles", "scan", "map_file")}
 JAX = {"jax", "jaxlib", "flax", "optax", "orbax", "brax", "chex", "jaxtyping", "mujoco.mjx"}
 # pure functions: nothing printed, no clock, no file
 PURE = {"method", "learner", "model", "tasks", "terrain", "physics", "description"}
@@ -81,6 +81,7 @@ MAY_ALSO = {
     "tasks.playground.loading": {"pathlib"},
     "tasks.playground.swapped": {"threading"},
     "description.robot": FILES | PATHS,
+    "terrain.map_file": FILES | PATHS,
     "physics.warp.native": FILES | PATHS,
     "physics.c_mujoco": {"os", "threading"},
     "physics.warp.building": {"os", "threading"},

@@ -6,6 +6,7 @@ The settings:
 - `fields`: the fields of configs/default.py, and what each may hold; `ConfigError`
 - `per_joint`: turns patterns of joint names into one number for each joint
 - `validation`: which settings can run together
+- `ground_map`: what follows from a file of the ground
 - `splitting`: `static` and `hyper`, the two halves that the program takes; `halves`: their types
 
 What every command also needs, without JAX:
@@ -16,7 +17,8 @@ What every command also needs, without JAX:
 - `versions`: which code made a result
 - `interpreter`: starts a module of this package in a process of its own
 
-Every folder but those of the method may import it. It imports `schedule` and nothing that needs JAX.
+Every folder but those of the method may import it. It imports `schedule` and
+`terrain`, and nothing that needs JAX.
 """
 
 from dynappo.config.fields import ConfigError, flat

@@ -18,7 +18,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from dynappo import config as config_lib
-from dynappo.config import ConfigError, fields, files, shell
+from dynappo.config import ConfigError, fields, files, ground_map, shell
 
 # errno values caused by a bad path; others are failures of input or output
 BAD_PATH = (
@@ -114,6 +114,7 @@ def set_fields(config, rest: list[str]) -> None:
             raise ConfigError(f"{flag}: no such flag; expected {expected}=VALUE")
         field, equals, text = flag.removeprefix("--config.").partition("=")
         config_lib.override(config, field, text if equals else next(more, ""))
+    ground_map.settle(config, any(flag.startswith("--config.task.tiles.") for flag in rest))
 
 
 def path(text: str) -> Path:

@@ -91,6 +91,9 @@ class StaticTiles(NamedTuple):
     cell: float
     columns: int
     height_step: float
+    map: str
+    map_hash: str
+    map_level: float
     margin: float
     platform: float
     random: tuple[float, float]

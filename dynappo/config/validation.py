@@ -68,6 +68,9 @@ def validate(
     for name, none in (("scan", "none"), ("ground_in_tail", "known")):
         value, text = config.task[name], f"{none} where task.terrain is flat"
         expect(config.task.terrain == "rough" or value == none, f"task.{name}", value, text)
+    own = config.task.tiles.map
+    text = "'' where task.terrain is flat; rough ground: --config=ROBOT:rough"
+    expect(config.task.terrain == "rough" or not own, "task.tiles.map", own, text)
     if schedule.uses_model(config):
         _check_model(config)
     expect(not (config.env and config.robot), "env", config.env, "'' where a robot is named")
@@ -140,6 +143,10 @@ def _check_pairs(config, fields: dict[str, Any]) -> None:
 
 def check_tiles(tiles) -> None:
     """Checks that tiles consist of whole cells and have room for what is in them."""
+    if tiles.map:  # the file's
+        text = "one that a command line has set: --config.task.tiles.map=FILE"
+        expect(bool(tiles.map_hash), "task.tiles.map", tiles.map, text)
+        return
     for name in ("size", "border"):
         count = tiles[name] / tiles.cell
         text = f"a multiple of task.tiles.cell = {tiles.cell:g}"

@@ -4,7 +4,7 @@ A robot begins in the middle of a tile, anywhere in the whole grid, turned anyho
 `SPEED` ahead: to a heading drawn for it, if the task has headings, else where it looks. It crosses its tile
 if it leaves it, farther from the middle than half of its side, within `SECONDS` and without a fall, and no
 more than `ASIDE` beside the way that it was told. No noise, nominal bodies, the policy's mean action. The
-ground is that of the policy's config with another seed.
+ground is that of the policy's config with another seed; of a policy that was trained on a map, that map.
 
 JAX is imported only when it runs.
 """
@@ -130,15 +130,16 @@ def tries(
 
 
 def counted(tiles, found: dict[str, np.ndarray]) -> dict[str, Any]:
-    """`all`, `kinds` and, of each kind, `rows`: how many tries, crossings and falls."""
-    kinds = tiles_lib.kinds(tiles)[found["column"]]
+    """`all`, `kinds` and, of each kind, `rows`: how many tries, crossings and falls. On a map of one's own
+    the only kind is `map`."""
+    kinds = np.zeros_like(found["column"]) if tiles.map else tiles_lib.kinds(tiles)[found["column"]]
 
     def of(which) -> dict[str, int]:
         sums = {name: int(found[name][which].sum()) for name in ("crossed", "fell")}
         return {"tries": int(which.sum())} | sums
 
     out: dict[str, Any] = {"all": of(kinds >= 0), "kinds": {}, "rows": {}}
-    for kind, name in enumerate(tiles_lib.KINDS):
+    for kind, name in enumerate(["map"] if tiles.map else tiles_lib.KINDS):
         here = kinds == kind
         if here.any():
             out["kinds"][name] = of(here)

@@ -177,9 +177,10 @@ def changes_lines(numbers: dict[str, Any]) -> list[str]:
 
 def crossing(screen, numbers: dict[str, Any]) -> None:
     """Print how many tiles of each kind and row were crossed."""
+    where = "its own map" if "map" in numbers["kinds"] else "tiles that training has not seen"
     screen.print(
-        f"{numbers['tries']} tries of {numbers['seconds']:g} s, told {numbers['speed']:g} m/s, on tiles that "
-        f"training has not seen; {devices.ENGINES[numbers['impl']]} on {numbers['device']}",
+        f"{numbers['tries']} tries of {numbers['seconds']:g} s, told {numbers['speed']:g} m/s, on {where}; "
+        f"{devices.ENGINES[numbers['impl']]} on {numbers['device']}",
         soft_wrap=True,
     )
     _table(screen, crossing_rows(numbers))

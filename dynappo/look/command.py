@@ -19,11 +19,11 @@ from dynappo.description import kinds, motors
 from dynappo.description import robot as robot_lib
 from dynappo.look import facts, ground, picture
 from dynappo.physics import engine_contract
+from dynappo.physics.ground import of_tiles
 from dynappo.physics.warp import scope
 from dynappo.policy import episode as episode_lib
 from dynappo.policy import policy_file
 from dynappo.tasks.velocity import partners
-from dynappo.terrain import tiles as tiles_lib
 
 SINKS = 0.25  # of its height: more is no sag
 RESTS = 0.02  # m in the last second: more is not at rest
@@ -319,7 +319,7 @@ def run(flags) -> None:
         )
     if flags.ground is not None:
         tiles = config.task.tiles
-        problem = ground.write(tiles, tiles_lib.make(tiles), flags.ground)
+        problem = ground.write(tiles, of_tiles(tiles), flags.ground)
         if problem:
             raise ConfigError(f"--ground={flags.ground}: {problem}")
         size = f"{tiles.rows} x {tiles.columns} tiles of {tiles.size:g} m"

@@ -45,18 +45,25 @@ def draw(tiles: Any, ground: HeightMap):
     image = panel.imshow(shaded, origin="lower", extent=extent)
     image.set_cmap(_colours())
     image.set_clim(-top, top)
-    middles, kinds = tiles_lib.centres(tiles), tiles_lib.kinds(tiles)
-    panel.set_yticks(middles[:, 0, 0], [f"{hard:.2f}" for hard in tiles_lib.difficulty(tiles)])
-    groups = [kind for kind in range(len(tiles_lib.KINDS)) if (kinds == kind).any()]
-    places = [middles[0, kinds == kind, 1].mean() for kind in groups]
-    panel.set_xticks(places, [tiles_lib.KINDS[kind].replace("_", " ") for kind in groups])
-    panel.set_ylabel("difficulty")
+    if tiles.map:  # no rows, no kinds
+        panel.set(xticks=[], yticks=[])
+    else:
+        _name_tiles(panel, tiles)
     panel.tick_params(length=0)
     panel.spines[:].set_visible(False)
     bar = figure.colorbar(image, ax=panel, pad=0.01, aspect=30, shrink=0.9)
     bar.set_label("height (m)")
     bar.outline.set_visible(False)
     return figure
+
+
+def _name_tiles(panel, tiles: Any) -> None:
+    middles, kinds = tiles_lib.centres(tiles), tiles_lib.kinds(tiles)
+    panel.set_yticks(middles[:, 0, 0], [f"{hard:.2f}" for hard in tiles_lib.difficulty(tiles)])
+    groups = [kind for kind in range(len(tiles_lib.KINDS)) if (kinds == kind).any()]
+    places = [middles[0, kinds == kind, 1].mean() for kind in groups]
+    panel.set_xticks(places, [tiles_lib.KINDS[kind].replace("_", " ") for kind in groups])
+    panel.set_ylabel("difficulty")
 
 
 def _colours():

@@ -22,9 +22,11 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from dynappo.config import ConfigError
 from dynappo.description import contacts, motors
 from dynappo.description import robot as robot_lib
-from dynappo.terrain import height_map
+from dynappo.terrain import height_map, map_file
+from dynappo.terrain import tiles as tiles_lib
 from dynappo.terrain.height_map import HeightMap
 
 # x and y [..., 2] (m, in the world) of the points; a function, so that flat ground computes nothing
@@ -97,6 +99,14 @@ def put(spec: mujoco.MjSpec, ground: HeightMap | None) -> None:
     floor.type, floor.hfieldname = mujoco.mjtGeom.mjGEOM_HFIELD, "floor"
     floor.pos = [c + h for c, h in zip(ground.corner, half, strict=True)] + [low]
     floor.quat = [1, 0, 0, 0]
+
+
+def of_tiles(tiles: Any) -> HeightMap:
+    """The ground of the config's group `task.tiles`; ConfigError where it has a map that is not there."""
+    try:
+        return tiles_lib.make(tiles)
+    except map_file.BadMap as error:
+        raise ConfigError(f"task.tiles.map: {error}") from None
 
 
 def check(ground: HeightMap) -> None:

@@ -81,8 +81,8 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
     )
     flag(
         "--ground",
-        metavar="KIND:DIFFICULTY",
-        help="a tile of rough ground, as pit_stairs:0.5, in the place of the floor",
+        metavar="KIND:DIFFICULTY|FILE",
+        help="a tile of rough ground, as pit_stairs:0.5, or a map, .npy or .png, in the place of the floor",
     )
     flags = flags_lib.read(parser, argv)
     if flags.serve and not flags.what and not re.fullmatch(r"(.*:)?\d+", flags.serve):

@@ -20,6 +20,7 @@ from dynappo.description.robot import Robot
 from dynappo.policy import checkpoint_file, policy_file
 from dynappo.policy import episode as episode_lib
 from dynappo.policy.policy_file import Policy
+from dynappo.terrain import map_file
 from dynappo.terrain import tiles as tiles_lib
 from dynappo.terrain.height_map import HeightMap
 
@@ -137,10 +138,17 @@ def player(
 
 
 def ground(policy: Policy, text: str) -> HeightMap:
-    """The ground of `--ground=KIND:DIFFICULTY`, a tile of those that the policy's config has.
+    """The ground of `--ground=KIND:DIFFICULTY`, a tile of those that the policy's config has, or of
+    `--ground=FILE`, with the config's `cell` and `map_level`.
 
-    ConfigError if there is no such kind, or the config's tiles cannot be made.
+    ConfigError if there is no such kind or file, or the config's tiles cannot be made.
     """
+    if text.lower().endswith(map_file.SUFFIXES):
+        group = tiles(policy)
+        try:
+            return map_file.load(text, group.map_level, group.cell)
+        except map_file.BadMap as error:
+            raise ConfigError(f"--ground: {error}") from None
     kind, _, hard = text.partition(":")
     try:
         difficulty = float(hard or 0.5)
@@ -148,8 +156,8 @@ def ground(policy: Policy, text: str) -> HeightMap:
         difficulty = -1.0
     if kind not in tiles_lib.KINDS or not 0 <= difficulty <= 1:
         raise ConfigError(
-            f"--ground={text}: expected a kind and its difficulty, 0 to 1, as pit_stairs:0.5; kinds are "
-            f"{', '.join(tiles_lib.KINDS)}"
+            f"--ground={text}: expected a file, .npy or .png, or a kind and its difficulty, 0 to 1, as "
+            f"pit_stairs:0.5; kinds are {', '.join(tiles_lib.KINDS)}"
         )
     return tiles_lib.single(tiles(policy), kind, difficulty)
 

@@ -24,6 +24,7 @@ import numpy as np
 
 from dynappo.config import interpreter, shell
 from dynappo.description import robot as robot_lib
+from dynappo.physics import ground
 from dynappo.policy import episode as episode_lib
 from dynappo.policy import policy_file
 from dynappo.policy.episode import tour
@@ -76,12 +77,13 @@ ENCODE = {
 def simulate(robot: robot_lib.Robot, config, act, command, seconds: float) -> dict[str, np.ndarray]:
     """An episode of a run's robot, with the run's config; `episode.rows` says what is in it.
 
-    Of a run on rough ground it is on a tile of `FILMED`, which is in the episode as `heights`, `cell` and
-    `corner`.
+    Of a run on rough ground it is on a tile of `FILMED`, or on the run's own map, which is in the episode as
+    `heights`, `cell` and `corner`.
     """
     described, field = policy_file.describe(config, robot), None
     if config.task.terrain == "rough":
-        field = tiles.single(config.task.tiles, *FILMED)
+        own = config.task.tiles
+        field = ground.of_tiles(own) if own.map else tiles.single(own, *FILMED)
     player = episode_lib.load(
         robot.xml, described, described.timestep, text=robot.played, field=field
     )

@@ -7,6 +7,8 @@ anew,
     one row easier:  it is not, and is nearer than half of the way of its last command in an episode
     any row:         it would be harder than the last
 
+On a map of one's own no row is harder than another: it starts in any.
+
 Its tile is part of its state, so a run that goes on has the same, and every seed its own
 (isaaclab_tasks/.../velocity/mdp/curriculums.py, terrain_levels_vel; terrain_importer.py, update_env_origins).
 """
@@ -27,7 +29,8 @@ class Tile(struct.PyTreeNode):
 
 def start(tiles, draws: Float[Array, " 2"]) -> Tile:
     """The first tile of a robot; `draws` from 0 to 1."""
-    counts = jnp.array([min(tiles.start_rows, tiles.rows), tiles.columns])
+    rows = tiles.rows if tiles.map else min(tiles.start_rows, tiles.rows)
+    counts = jnp.array([rows, tiles.columns])
     row, column = _whole(draws, counts)
     return Tile(row=row, column=column)
 
@@ -38,6 +41,8 @@ def move(tiles, tile: Tile, walked, asked, draw) -> Tile:
     `walked` (m) is how far it is from the middle of its tile; `asked` (m) the way of its command in an
     episode; `draw`, from 0 to 1, chooses the row after the last.
     """
+    if tiles.map:
+        return tile.replace(row=_whole(draw, tiles.rows).astype(jnp.int32))
     harder = walked > tiles.size / 2
     easier = ~harder & (walked < asked / 2)
     row = tile.row + harder - easier

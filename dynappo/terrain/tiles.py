@@ -13,8 +13,10 @@ the ground is flat, at height 0, where every tile begins too.
 | `pyramid_slope`  | a slope down, from a platform  | `slope`: rise over run                        |
 | `pit_slope`      | a slope up                     | the same                                      |
 
+With `task.tiles.map` the ground is that file's; tiles are places on it, of no kind.
+
 What differs from Isaac Lab: the rows' difficulties are even, 0 to 1, where there each tile draws its own
-between two such; walls are a cell wide, where there stairs and boxes have vertical ones. NumPy alone.
+between two such; walls are a cell wide, where there stairs and boxes have vertical ones.
 """
 
 from __future__ import annotations
@@ -23,6 +25,7 @@ from typing import Any
 
 import numpy as np
 
+from dynappo.terrain import map_file
 from dynappo.terrain.height_map import HeightMap
 
 KINDS = ("pyramid_stairs", "pit_stairs", "boxes", "random", "pyramid_slope", "pit_slope")
@@ -48,7 +51,9 @@ def centres(tiles: Any) -> np.ndarray:
 
 
 def make(tiles: Any) -> HeightMap:
-    """The ground of the config's group `task.tiles`."""
+    """The ground of the config's group `task.tiles`; map_file.BadMap where its file is not there."""
+    if tiles.map:
+        return map_file.load(tiles.map, tiles.map_level, tiles.cell, tiles.map_hash)
     width, border = cells(tiles), round(tiles.border / tiles.cell)
     shape = np.array([tiles.rows, tiles.columns]) * width + 2 * border + 1
     heights = np.zeros(shape, np.float32)

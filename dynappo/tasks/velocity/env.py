@@ -19,6 +19,7 @@ from dynappo.description import kinematics
 from dynappo.description import robot as robot_lib
 from dynappo.physics import engine as engine_lib
 from dynappo.physics import ground, randomize
+from dynappo.physics.ground import of_tiles
 from dynappo.tasks.velocity import (
     commands,
     gait,
@@ -93,7 +94,7 @@ def make(
     if task.terrain == "flat":
         ground = None
     else:
-        ground = tiles.make(task.tiles) if ground is None else ground
+        ground = of_tiles(task.tiles) if ground is None else ground
         around = surroundings.make(robot, task, physics_config, ground)
     clock = task.gait_frequency is not None
     layout = view.make(task.observation, task.history, joints, varied, clock, around)

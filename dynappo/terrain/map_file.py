@@ -1,0 +1,89 @@
+"""A ground from a file: an array of heights (.npy), or a picture whose grey is the height.
+
+A row of the array, or of the picture's points, is one x, the first the lowest; along it is y. The middle of
+the map is the world's origin. Heights in an array are in m; a picture's are levels from 0, black, of `level` m.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+from pathlib import Path
+
+import numpy as np
+
+from dynappo.terrain.height_map import HeightMap
+
+SUFFIXES = (".npy", ".png")
+HIGHEST = 100.0  # m, of a height above or below 0
+MOST = 10**8  # points
+
+
+class BadMap(ValueError):
+    """A file that is no ground, in one line: what was found, and what was expected."""
+
+
+def load(path: str, level: float, cell: float, digest: str = "") -> HeightMap:
+    """The ground in a file, `cell` m between two points. With a `digest` it must be that file: where there is
+    none at `path`, one of its name in the working directory is taken."""
+    file = Path(path)
+    if digest and not file.is_file():
+        file = Path(file.name)
+    data = _read(file if file.is_file() else Path(path))
+    if digest and hashed(data) != digest:
+        raise BadMap(
+            f"{file} is another file ({hashed(data)}), expected the one that the run began with ({digest})"
+        )
+    heights = _heights(file, data, level)
+    shape = heights.shape
+    if heights.ndim != 2 or min(shape) < 2 or heights.size > MOST:
+        raise BadMap(
+            f"{file}: an array of {shape}, expected two axes of at least 2 points, 100 million together"
+        )
+    if not (abs(heights) <= HIGHEST).all():  # False for what is no number
+        raise BadMap(
+            f"{file}: heights beyond {HIGHEST:g} m or that are no numbers, expected m from -100 to 100"
+        )
+    corner = [-cell * (count - 1) / 2 for count in shape]
+    return HeightMap(heights.astype(np.float32), float(cell), (corner[0], corner[1]))
+
+
+def digest(path: str) -> str:
+    """What tells a file from another."""
+    return hashed(_read(Path(path)))
+
+
+def hashed(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()[:16]
+
+
+def _read(file: Path) -> bytes:
+    if file.suffix.lower() not in SUFFIXES:
+        raise BadMap(f"{file}: expected a file that ends in {' or '.join(SUFFIXES)}")
+    try:
+        return file.read_bytes()
+    except OSError as error:
+        raise BadMap(f"{file} cannot be read ({error.strerror})") from None
+
+
+def _heights(file: Path, data: bytes, level: float) -> np.ndarray:
+    if file.suffix.lower() == ".npy":
+        try:
+            found = np.load(io.BytesIO(data), allow_pickle=False)
+        except (ValueError, EOFError, OSError, SyntaxError, MemoryError):
+            found = None
+        if not isinstance(found, np.ndarray) or found.dtype.kind not in "fiub":
+            raise BadMap(f"{file}: expected an array of numbers, as numpy.save writes it")
+        return found.astype(float)
+    try:
+        from PIL import Image, UnidentifiedImageError
+    except ImportError:
+        raise BadMap(
+            f"{file}: a picture needs Pillow: pip install pillow; or save a .npy"
+        ) from None
+    try:
+        picture = Image.open(io.BytesIO(data))
+        deep = picture.mode.startswith("I")  # 16 bits
+        return level * np.asarray(picture if deep else picture.convert("L"), float)
+    except (UnidentifiedImageError, OSError, SyntaxError, ValueError, Image.DecompressionBombError):
+        raise BadMap(f"{file}: expected a picture in the format PNG") from None

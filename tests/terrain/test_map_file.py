@@ -1,0 +1,173 @@
+"""A ground of one's own from a file: what is read, what is refused, and that a run keeps it."""
+
+import os
+import re
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from dynappo import config as config_lib
+from dynappo.config import ConfigError, flags
+from dynappo.description import motors
+from dynappo.description import robot as robot_lib
+from dynappo.evaluate import crossing
+from dynappo.look import command as look
+from dynappo.physics import ground
+from dynappo.policy import policy_file, policy_source
+from dynappo.tasks.velocity import env as env_lib
+from dynappo.terrain import curriculum, map_file
+from dynappo.terrain import tiles as tiles_lib
+
+HEIGHTS = np.random.default_rng(0).uniform(-0.1, 0.2, (91, 171)).astype(np.float32)
+
+
+@pytest.fixture
+def array(tmp_path):
+    path = tmp_path / "mine.npy"
+    np.save(path, HEIGHTS)
+    return path
+
+
+def picture(path, levels, mode=None):
+    image = pytest.importorskip("PIL.Image").fromarray(levels)
+    (image.convert(mode) if mode else image).save(path)
+    return str(path)
+
+
+def settled(path, *more, spec="go2:rough"):
+    fields = [f"--config.task.tiles.map={path}", *(f"--config.task.tiles.{one}" for one in more)]
+    return flags.load(spec, fields)
+
+
+def test_an_array_is_the_ground_and_its_middle_the_origin(array):
+    found = map_file.load(str(array), 0.005, 0.1)
+    np.testing.assert_array_equal(found.heights, HEIGHTS)
+    assert found.heights.dtype == np.float32 and found.cell == 0.1
+    np.testing.assert_allclose(found.corner, (-4.5, -8.5))
+    ground.check(found)
+
+
+def test_levels_of_a_picture_are_heights(tmp_path):
+    levels = np.random.default_rng(0).integers(0, 256, (20, 30), np.uint8)
+    expected = 0.01 * levels.astype(float)
+    for mode in (None, "RGB", "RGBA"):
+        path = picture(tmp_path / "a.png", levels, mode)
+        np.testing.assert_allclose(map_file.load(path, 0.01, 0.1).heights, expected, atol=1e-6)
+    deep = 200 * levels.astype(np.uint16)
+    found = map_file.load(picture(tmp_path / "b.PNG", deep), 0.001, 0.1).heights
+    np.testing.assert_allclose(found, 0.2 * levels, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "says"),
+    [
+        ("a.npy", None, "cannot be read (No such file or directory)"),
+        ("a.txt", b"", "expected a file that ends in .npy or .png"),
+        ("a.npy", b"nonsense", "expected an array of numbers, as numpy.save writes it"),
+        ("a.png", b"nonsense", "expected a picture in the format PNG"),
+        ("a.npy", np.zeros((3, 4, 5)), "an array of (3, 4, 5), expected two axes of at least 2"),
+        ("a.npy", np.zeros((1, 4)), "an array of (1, 4), expected two axes of at least 2 points"),
+        ("a.npy", np.full((4, 4), np.nan), "heights beyond 100 m or that are no numbers"),
+        ("a.npy", np.full((4, 4), 101.0), "heights beyond 100 m or that are no numbers"),
+        ("a.npy", np.array([["a", "b"]]), "expected an array of numbers"),
+        ("a.npy", np.array([[{}, 1]]), "expected an array of numbers"),
+        ("a.npy", np.zeros((41, 90)), "task.tiles.size is 8, expected at most 4: "),
+    ],
+)
+def test_a_bad_file_is_one_line_that_says_what_was_found_and_expected(
+    tmp_path, name, content, says
+):
+    path = tmp_path / name
+    if isinstance(content, bytes):
+        path.write_bytes(content)
+    elif content is not None:
+        np.save(path, content)
+    with pytest.raises(ConfigError, match=re.escape(says)) as error:
+        settled(path)
+    assert str(path) in str(error.value) and "\n" not in str(error.value)
+    assert str(error.value).startswith("task.tiles.")
+
+
+def test_a_run_keeps_which_file_it_is_and_its_tiles_are_as_many_as_fit(
+    array, tmp_path, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    config = settled("mine.npy", "size=4.0")
+    tiles = config.task.tiles
+    assert (tiles.rows, tiles.columns) == (2, 4) and tiles.map == str(array)
+    assert tiles.map_hash == map_file.digest(str(array))
+    kept = config_lib.from_json(config_lib.to_json(config_lib.validate(config)))
+    monkeypatch.chdir("/")
+    assert config_lib.validate(kept).task.tiles == config_lib.validate(config).task.tiles
+    np.testing.assert_array_equal(ground.of_tiles(kept.task.tiles).heights, HEIGHTS)
+    flags.set_fields(kept, ["--config.run.num_iterations=3"])  # a run goes on
+    assert kept.task.tiles.map_hash == tiles.map_hash and kept.task.tiles.rows == 2
+    # moved: beside the one who asks
+    (tmp_path / "here").mkdir()
+    array.rename(tmp_path / "here" / "mine.npy")
+    monkeypatch.chdir(tmp_path / "here")
+    np.testing.assert_array_equal(ground.of_tiles(kept.task.tiles).heights, HEIGHTS)
+    np.save("mine.npy", HEIGHTS + 0.01)
+    with pytest.raises(ConfigError, match="is another file .*expected the one that the run began"):
+        ground.of_tiles(kept.task.tiles)
+    os.unlink("mine.npy")
+    with pytest.raises(ConfigError, match=r"task.tiles.map: .*mine.npy cannot be read"):
+        ground.of_tiles(kept.task.tiles)
+    flags.set_fields(kept, ["--config.task.tiles.map="])  # and back to made tiles
+    assert kept.task.tiles.map_hash == ""
+
+
+def test_a_map_that_no_command_line_set_is_refused(array):
+    config = config_lib.load("go2:rough")
+    config.task.tiles.map = str(array)
+    with pytest.raises(ConfigError, match="expected one that a command line has set"):
+        config_lib.validate(config)
+    with pytest.raises(ConfigError, match="expected '' where task.terrain is flat"):
+        config_lib.validate(settled(array, spec="go2:best"))
+
+
+def test_the_task_is_on_the_map_and_robots_start_all_over_it(array):
+    config = config_lib.validate(settled(array, "size=4.0"))
+    config, robot = motors.fitted(config, robot_lib.load("go2"))
+    env = env_lib.make(robot, config.task, config.physics, impl="c")
+    assert "terrain_row_1" in env.metrics and "terrain_row_2" not in env.metrics
+    tiles = config.task.tiles
+    assert tiles_lib.centres(tiles).shape == (2, 4, 2)
+    draws = jnp.asarray(np.random.default_rng(0).uniform(size=(200, 2)))
+    first = [curriculum.start(tiles, draw) for draw in draws]
+    assert {int(one.row) for one in first} == {0, 1}
+    after = [curriculum.move(tiles, first[0], 9.0, 1.0, draw) for draw in draws[:, 0]]
+    assert {int(one.row) for one in after} == {0, 1}
+
+
+def test_crossings_of_a_map_have_one_kind(array):
+    tiles = config_lib.validate(settled(array, "size=4.0")).task.tiles
+    found = dict(
+        row=np.array([0, 1, 1]),
+        column=np.array([0, 3, 2]),
+        crossed=np.array([1, 0, 1]),
+        fell=np.array([0, 1, 0]),
+    )
+    numbers = crossing.counted(tiles, found)
+    assert numbers["kinds"] == {"map": {"tries": 3, "crossed": 2, "fell": 1}}
+    assert numbers["rows"]["map"][1] == {"tries": 2, "crossed": 1, "fell": 1}
+
+
+def test_play_and_look_show_it(array, tmp_path):
+    policy = policy_file.load(robot_lib.load("go2").xml.with_name("policy.npz"))
+    np.testing.assert_array_equal(policy_source.ground(policy, str(array)).heights, HEIGHTS)
+    with pytest.raises(ConfigError, match=r"--ground: .*no.npy cannot be read"):
+        policy_source.ground(policy, str(tmp_path / "no.npy"))
+    out = tmp_path / "seen.png"
+    look.run(
+        look.parse(
+            [
+                "go2:rough",
+                f"--config.task.tiles.map={array}",
+                "--config.task.tiles.size=4.0",
+                f"--ground={out}",
+            ]
+        )
+    )
+    assert out.stat().st_size > 1000
