@@ -13,8 +13,10 @@ import re
 import shlex
 import tomllib
 
+import numpy as np
 import pytest
 from answers import ROOT
+from PIL import Image
 from test_pages import PAGES
 
 from dynappo import config as config_lib
@@ -91,6 +93,7 @@ def elsewhere(tmp_path, monkeypatch):
     about = dict(sweep={"ppo.gamma": ["0.97"]}, combinations={}, restore=None, own_env=False)
     about["config"] = config_lib.load("go1:best").to_dict()
     (sweep / "sweep.json").write_text(json.dumps(about))
+    Image.fromarray(np.zeros((90, 90), np.uint8)).save(tmp_path / "ground.png")
     for name, config in WRITTEN.items():
         (tmp_path / name).parent.mkdir(exist_ok=True)
         text = (

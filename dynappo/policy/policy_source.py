@@ -156,8 +156,8 @@ def ground(policy: Policy, text: str) -> HeightMap:
         difficulty = -1.0
     if kind not in tiles_lib.KINDS or not 0 <= difficulty <= 1:
         raise ConfigError(
-            f"--ground={text}: expected a file, .npy or .png, or a kind and its difficulty, 0 to 1, as "
-            f"pit_stairs:0.5; kinds are {', '.join(tiles_lib.KINDS)}"
+            f"--ground={text}: expected a kind and its difficulty, 0 to 1, as pit_stairs:0.5, or a file, "
+            f".npy or .png; kinds are {', '.join(tiles_lib.KINDS)}"
         )
     return tiles_lib.single(tiles(policy), kind, difficulty)
 

@@ -1,7 +1,7 @@
 """A ground from a file: an array of heights (.npy), or a picture whose grey is the height.
 
 A row of the array, or of the picture's points, is one x, the first the lowest; along it is y. The middle of
-the map is the world's origin. Heights in an array are in m; a picture's are levels from 0, black, of `level` m.
+the map is the world's origin. Heights in an array are in m; a picture's are levels, 0 is black, of `level` m.
 """
 
 from __future__ import annotations

@@ -97,7 +97,7 @@ def test_a_crossing_is_a_tile_left_the_way_that_was_told_in_time_and_without_a_f
 
 
 def test_crossings_are_counted_by_kind_and_row_and_printed():
-    group = SimpleNamespace(rows=2, columns=3, shares=(1.0, 0.0, 1.0, 0.0, 0.0, 1.0))
+    group = SimpleNamespace(map="", rows=2, columns=3, shares=(1.0, 0.0, 1.0, 0.0, 0.0, 1.0))
     found = dict(
         row=[0, 0, 1, 1, 0], column=[0, 0, 0, 1, 2], crossed=[1, 0, 1, 0, 1], fell=[0, 1, 0, 0, 0]
     )
