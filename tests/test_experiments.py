@@ -1148,3 +1148,25 @@ def test_every_folder_runs_on_two_cores_and_again_from_what_is_there(tmp_path):
         assert (out / "results.csv").read_bytes() == first
         assert {p: p.stat().st_mtime_ns for p in out.glob("results/*")} == trained
         assert list(out.glob("*.png"))
+
+
+def test_the_table_of_crossings_adds_tries_up():
+    """By hand: rows of stairs, up and down, and of ground that has no size."""
+    crossing = script("28_rough/crossing")
+    sizes = ["0.05", "0.1", "0.18"]
+    rows = [
+        dict(policy=policy, kind=kind, row=row, size=size, tries=4, crossed=crossed, fell=fell)
+        for policy, kind, crosses in (
+            ("a.0", "pyramid_stairs", (4, 3, 0)),
+            ("a.0", "pit_stairs", (2, 1, 2)),
+            ("a.0", "random", (4, 0, 0)),
+            ("b.0", "pyramid_stairs", (0, 0, 0)),
+        )
+        for row, (crossed, size) in enumerate(zip(crosses, sizes, strict=True))
+        for size, fell in [("" if kind == "random" else size, 1)]
+    ]
+    _, heads, one, other = (line.split() for line in crossing.table(rows))
+    assert heads == "policy all fell pyr_st pit_st random stairs>=0.10 stairs>=0.18".split()
+    # 16 of 36; 7 of 12 and 3 of 4 in the middle; 5 of 12; 4 of 12; of the two steepest rows 6 of 16; 2 of 8
+    assert one == "a.0 44 25 58/75 42/25 33/0 38 25".split()
+    assert other == "b.0 0 25 0/0 -/- -/- 0 0".split()

@@ -11,6 +11,7 @@ JAX is imported only when it runs.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -39,6 +40,13 @@ def run(
 
     Without a number: 1000 tries on a GPU, 100 on a CPU, in C MuJoCo. `robot`: None for the policy's own.
     """
+    return prepared(policy, number, robot)(policy, seed)
+
+
+def prepared(
+    policy: Policy, number: int | None = None, robot: Robot | None = None
+) -> Callable[[Policy, int], dict[str, Any]]:
+    """`(policy, seed) -> numbers` as `run`, for all policies of this one's config: compiled once."""
     import jax
 
     from dynappo.tasks.velocity import env as env_lib
@@ -51,20 +59,24 @@ def run(
     config, robot = motors.fitted(config, robot)
     static, hyper = config_lib.split(config)
     env = env_lib.make(robot, config.task, config.physics, impl=impl)
-    measure = partial(
-        tries, env, static=static, num_envs=number, num_steps=config.task.episode_length
+    measure = jax.jit(
+        partial(tries, env, static=static, num_envs=number, num_steps=config.task.episode_length)
     )
-    params = {"std": np.ones(len(policy.joint_names), np.float32)} | policy.params
-    found = jax.device_get(jax.jit(measure)(hyper, params, jax.random.key(seed)))
-    return {
-        "tries": number,
-        "seconds": SECONDS,
-        "speed": SPEED,
-        "seed": seed,
-        "tiles_seed": config.task.tiles.seed,
-        "device": jax.devices()[0].device_kind,
-        "impl": impl,
-    } | counted(config.task.tiles, found)
+
+    def measured(policy: Policy, seed: int) -> dict[str, Any]:
+        params = {"std": np.ones(len(policy.joint_names), np.float32)} | policy.params
+        found = jax.device_get(measure(hyper, params, jax.random.key(seed)))
+        return {
+            "tries": number,
+            "seconds": SECONDS,
+            "speed": SPEED,
+            "seed": seed,
+            "tiles_seed": config.task.tiles.seed,
+            "device": jax.devices()[0].device_kind,
+            "impl": impl,
+        } | counted(config.task.tiles, found)
+
+    return measured
 
 
 def on_other_ground(config):
