@@ -2,6 +2,7 @@
 
 import functools
 import gc
+import importlib.metadata
 import inspect
 import os
 import pathlib
@@ -16,11 +17,12 @@ import pytest
 # bits in different programs turn on what users have (`toy_runs.AS_USERS`). On a GPU all is as users have it
 ON_GPU = os.environ.get("DYNAPPO_TEST_DEVICE") == "gpu"  # set by on_gpu.py
 if not ON_GPU:
-    os.environ["XLA_FLAGS"] = (
-        os.environ.get("XLA_FLAGS", "")
-        + " --xla_force_host_platform_device_count=8 --xla_backend_optimization_level=0"
-        + " --xla_cpu_use_fusion_emitters=false --xla_cpu_parallel_codegen_split_count=1"
-    )
+    flags = "--xla_force_host_platform_device_count=8 --xla_backend_optimization_level=0"
+    flags += " --xla_cpu_parallel_codegen_split_count=1"
+    # XLA ends the process, and pytest hides why, at a flag that it does not know: 0.11 has lost this one
+    if tuple(map(int, importlib.metadata.version("jaxlib").split(".")[:2])) < (0, 11):
+        flags += " --xla_cpu_use_fusion_emitters=false"
+    os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {flags}"
 # tracing makes many objects and no garbage: collecting it as often as Python does is a third of the work
 gc.set_threshold(50_000, 20, 100)
 # a shell that starts these tests in the background has them ignore ctrl-C, and all that they start

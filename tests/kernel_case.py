@@ -2,27 +2,19 @@
 
 import copy
 import functools
-import multiprocessing
-from concurrent.futures import ProcessPoolExecutor
-from types import SimpleNamespace
 
-import jax
-import jax.numpy as jnp
 import mujoco
 import numpy as np
-import pytest
 import warp as wp
 
 from dynappo import config as config_lib
 from dynappo.description import contacts
 from dynappo.description import robot as robot_lib
-from dynappo.physics import actuators, randomize
-from dynappo.physics import engine as engine_lib
+from dynappo.physics import actuators
 from dynappo.physics import ground as ground_lib
 from dynappo.physics.warp import arrays, quadruped
 
 ROBOTS = 64
-NEAR = dict(qpos=5e-4, lowest=1e-3, peak=1e-3, qvel=0.02)  # what engines share, and how closely
 MOTOR = (20.0, 0.5, 23.7, 28.0, 30.0, 0.9, 0.3, 1.0)  # arrays.MOTOR
 
 
@@ -239,36 +231,3 @@ def rounds_stop(case, few, worst=0.1):
     opt.iterations, opt.ls_iterations = kept
     off = abs(short - found).max(1) / abs(found).max(1)
     assert np.median(off) < 1e-5 and off.max() < worst
-
-
-def simulated(impl, ground, states, every=False):
-    """`states`, qpos and qvel of Go1s on `ground`, after a control step on the engine `impl`.
-
-    Where JAX has a GPU, C MuJoCo runs in a process of its own, whose JAX has the CPU alone, as users have it.
-    """
-    if impl != "c" or jax.default_backend() == "cpu":
-        return _simulated(impl, ground, states, every)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("JAX_PLATFORMS", "cpu")
-        # a process that dies is an error here
-        with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as other:
-            return other.submit(_simulated, impl, ground, states, every).result()
-
-
-def _simulated(impl, ground, states, every):
-    config = config_lib.validate(config_lib.load("configs/go1.py:ppo16"))
-    hyper, robot = config_lib.split(config)[1], load("go1")
-    engine = engine_lib.make(robot, config.physics, frozenset(), impl, every, ground=ground)
-    body = randomize.Body(1.0, np.zeros(3, np.float32), 0.8, 1.0, 1.0)  # on no device
-
-    def step(qpos, qvel):
-        count = jnp.zeros(len(robot.foot_names), jnp.int32)
-        counts = dict.fromkeys(("air_steps", "contact_steps", "last_air_steps"), count)
-        peaks = dict.fromkeys(("peak", "last_peak"), count.astype(float))
-        state = SimpleNamespace(
-            qpos=qpos, qvel=qvel, qacc_warmstart=qvel * 0, torque=jnp.zeros(12), **counts, **peaks
-        )
-        found = engine_lib.simulate(engine, hyper, body, state, jnp.zeros(12))
-        return {name: getattr(found, name) for name in (*NEAR, "contact_steps")}
-
-    return SimpleNamespace(**jax.device_get(jax.jit(jax.vmap(step))(*states)))
