@@ -89,6 +89,7 @@ class StaticTiles(NamedTuple):
     box_width: float
     boxes: tuple[float, float]
     cell: float
+    climb: int
     columns: int
     height_step: float
     margin: float
