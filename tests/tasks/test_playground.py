@@ -36,6 +36,7 @@ from dynappo.tasks.playground import (  # noqa: E402
     loading,
     mirrored,
     parts,
+    room,
     settings,
     swapped,
 )
@@ -558,11 +559,52 @@ def test_warps_flags_are_those_that_are_looked_at():
     assert contacts == of_contacts | kinds.CONTACT_MATCH
 
 
-def test_room_for_contacts_is_the_tasks_for_many_robots_and_more_for_few():
-    """Playground's number is for 8192: 4 a robot here."""
-    for worlds, room in ((8192, 4 * 8192), (1024, 4096), (128, 2048), (1, 16)):
-        assert loading.load(GO1, worlds=worlds).task._config.naconmax == room
-    assert task(GO1)._config.njmax == loading.load(GO1).task._config.njmax
+def test_room_for_contacts_is_for_all_robots_and_more_for_few():
+    """4 a robot here, one of each foot, which is the task's own number."""
+    for worlds, contacts in ((8192, 4 * 8192), (1024, 4096), (128, 2048), (1, 16)):
+        assert loading.load(GO1, worlds=worlds).task._config.naconmax == contacts
+    assert loading.own_room(loading.made(GO1)[0]) == (40, 4)
+
+
+@pytest.mark.parametrize(
+    ("name", "constraints", "contacts"),
+    [
+        # 12 frictions, 12 limits, 4 feet with 4 rows of a pyramid
+        (GO1, 40, 4),
+        # 4 of each foot on a height field
+        ("Go1JoystickRoughTerrain", 12 + 12 + 16 * 4, 16),
+        # 8 of each box with the plane, 8 of the two boxes, 2 of each hand and thigh, all without friction
+        ("G1JoystickFlatTerrain", 29 + 29 + 16 * 4 + 12, 16),
+        ("SpotFlatTerrainJoystick", 40, 4),
+        # whose shapes could have 276 and 64: it never gets all
+        ("Op3Joystick", 200, 16),
+        # asks for more
+        ("Go1Getup", 250, 30),
+    ],
+)
+def test_a_robot_has_room_for_all_constraints(name, constraints, contacts):
+    """Those of its model, by hand; and no task has less than it asks for."""
+    config = loading.load(name, worlds=8192).task._config
+    assert (config.njmax, config.naconmax) == (constraints, contacts * 8192)
+    own = loading.own_room(loading.made(name)[0])
+    assert config.njmax >= own[0] and config.naconmax >= own[1] * 8192
+
+
+@pytest.mark.parametrize("name", ["G1JoystickFlatTerrain", BIPED, "Go1Getup"])
+def test_the_shapes_that_may_touch_are_those_that_warp_tries(name):
+    """And contacts of robots in poses by chance, mostly inside themselves, have the condim that we name."""
+    warp = pytest.importorskip("mujoco.mjx.third_party.mujoco_warp")
+    model, draw = task(name).mj_model, np.random.default_rng(0)
+    named = {(a, b): dim for a, b, dim in room.pairs(model)}
+    tried = warp.put_model(model).nxn_geom_pair_filtered.numpy().tolist()
+    assert {tuple(sorted(pair)) for pair in tried} == set(named)
+    data, seen = mujoco.MjData(model), set()
+    for _ in range(50):
+        data.qpos[:] = draw.normal(size=model.nq)
+        data.qpos[2] = draw.uniform(0.0, 0.6)
+        mujoco.mj_forward(model, data)
+        seen |= {(*sorted(map(int, one.geom)), int(one.dim)) for one in data.contact}
+    assert seen and all(named[a, b] == dim for a, b, dim in seen)
 
 
 def test_an_exported_policy_takes_the_tasks_observation(tmp_path, capsys, monkeypatch):
