@@ -144,6 +144,22 @@ def test_the_page_of_seconds_has_the_table_of_its_runs(monkeypatch, capsys):
 
 
 LESS = EXPERIMENTS / "21_less"
+
+
+def test_a_run_tells_what_its_task_has():
+    """Errors of a task with commands of ours, none of Playground's; on rough ground the curriculum's row."""
+    measured, ones = script("21_less/run").measured, np.ones(2)
+    evaluated = {"return": 3 * ones, "return_std": ones, "length": ones, "fall_rate": 0 * ones}
+    found = measured(evaluated, {"reward": np.ones((4, 2))})
+    assert list(found) == ["return", "fall_rate"] and list(found["return"]) == [3, 3]
+    errors = {"yaw_error": ones, "tracking_error": ones}
+    rows = {"terrain_row": np.array([[0.0, 1.0], [1.0, 4.0]])}
+    found = measured(evaluated | errors, rows)
+    assert list(found) == ["return", "fall_rate", "tracking_error", "yaw_error", "terrain_row"]
+    assert list(found["terrain_row"]) == [0.5, 2.5]
+    assert measured({"return": 3.0}, {"terrain_row": np.ones(4)})["terrain_row"].shape == (1,)
+
+
 RUNS = {"**`best`**": "best", "PPO, same task": "ppo-task", "PPO, as before": "ppo"}
 OLDER = {  # rows of the table of older runs -> names in fresh.csv.xz
     "`best` of then": "new",
