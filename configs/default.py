@@ -152,6 +152,8 @@ class Ppo(NamedTuple):
     clip_value: bool = True
     value_coef: NotNegative = 1.0
     entropy_coef: float = 0.01
+    # the entropy is that of tanh(action): for an environment that squashes actions so
+    squashed: bool = False
     gamma: Share = 0.99
     lambda_: Share = 0.95
     max_grad_norm: Positive = 1.0

@@ -49,6 +49,7 @@ class StaticPpo(NamedTuple):
     precision: str
     scale_inputs: bool
     shuffle_blocks: int
+    squashed: bool
     symmetry: bool
 
 
