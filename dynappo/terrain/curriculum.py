@@ -3,7 +3,7 @@
 A robot begins in one of the first `task.tiles.start_rows` rows, in any column, which it keeps. When it starts
 anew,
 
-    a row harder, or `task.tiles.climb`:  it is farther from the middle of its tile than half of the tile's side
+    `task.tiles.climb` rows harder:  it is farther from the middle of its tile than half of its side
     a row easier:  it is not, and is nearer than half of the way of its last command in an episode
     any row:       it would be harder than the last
 

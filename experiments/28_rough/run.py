@@ -3,8 +3,8 @@
     python experiments/28_rough/run.py OUT_FOLDER JOBS.txt [--workers 4] [--policies]
 
 A line of JOBS.txt is as for 21_less/run.py. OUT_FOLDER/NAME.csv has a row an evaluation and seed: `TRIES`
-tries on tiles of another seed (`dynappo evaluate --crossing`), and of each kind the shares crossed, row by row
-from easy to hard. `--policies` and `--late` are as there.
+tries on tiles of another seed (`dynappo evaluate --crossing`), and of each kind the shares crossed, row by
+row from easy to hard. `--policies` and `--late` are as there.
 """
 
 import importlib
@@ -26,7 +26,7 @@ from dynappo.tasks.velocity import env as env_lib
 
 less = importlib.import_module("experiments.21_less.run")
 
-TRIES = 4000
+TRIES = 2000
 
 
 def run(to: Path, job: str, fields: list[str], policies: bool = False, late=None) -> None:
