@@ -17,6 +17,7 @@ than training; their clocks say nothing then.
 """
 
 import csv
+import importlib
 import math
 import os
 import subprocess
@@ -25,7 +26,6 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-import controls
 import jax
 import numpy as np
 
@@ -36,6 +36,8 @@ from dynappo.policy import policy_file
 from dynappo.program import build, devices
 from dynappo.run import overflow
 from experiments import paper
+
+controls = importlib.import_module("experiments.21_less.controls")
 
 DEFAULTS = dict(seed=100, num_seeds=5, eval_every=20, eval_envs=100, eval_steps=1000)
 MEASURED = "return", "fall_rate", "tracking_error", "yaw_error"  # those that a task has
