@@ -17,6 +17,7 @@ than training; their clocks say nothing then.
 """
 
 import csv
+import importlib
 import math
 import os
 import subprocess
@@ -25,7 +26,6 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-import controls
 import jax
 import numpy as np
 
@@ -37,13 +37,17 @@ from dynappo.program import build, devices
 from dynappo.run import overflow
 from experiments import paper
 
+controls = importlib.import_module("experiments.21_less.controls")
+
 DEFAULTS = dict(seed=100, num_seeds=5, eval_every=20, eval_envs=100, eval_steps=1000)
 MEASURED = "return", "fall_rate", "tracking_error", "yaw_error"  # those that a task has
 TRAINED = ("terrain_row",)  # the same, of training
 
 
-def main():
-    parser = paper.parser(__doc__)
+def main(about=__doc__, script=__file__, run_job=None):
+    """The command; 28_rough/run.py has it, too, with a `run` of its own."""
+    run_job = run_job or run
+    parser = paper.parser(about)
     parser.add_argument("out", type=Path)
     parser.add_argument("jobs", type=Path)
     parser.add_argument("--workers", type=int, default=1)
@@ -58,11 +62,11 @@ def main():
     if args.only:
         devices.own_process()
         job, *fields = jobs[args.only].split()
-        run(args.out / args.only, job, fields, policies=args.policies, late=args.late)
+        run_job(args.out / args.only, job, fields, policies=args.policies, late=args.late)
         return
 
     def start(name):
-        command = [sys.executable, __file__, args.out, args.jobs, "--only", name]
+        command = [sys.executable, script, args.out, args.jobs, "--only", name]
         command += ["--policies"] * args.policies
         command += ["--late", *map(str, args.late)] if args.late else []
         room = {"XLA_PYTHON_CLIENT_PREALLOCATE": "false"} if args.workers > 1 else {}
