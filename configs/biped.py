@@ -51,7 +51,7 @@ def apply_variant(config, variant):
             config.run.num_iterations = 840
             config.schedule.update(end_iteration=0, end_steps=0, rounds=1, last_iteration=None)
             config.model.update(clean=False, known_reward=False, falls=False)
-            config.ppo.update(desired_kl=0.04, gamma=0.96, minibatches=8)
+            config.ppo.update(desired_kl=0.04, gamma=0.96, minibatches=12)
         return config
     low, high = config.task.randomize.base_mass
     config = default["apply_variant"](config, variant)

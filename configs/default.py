@@ -152,6 +152,8 @@ class Ppo(NamedTuple):
     clip_value: bool = True
     value_coef: NotNegative = 1.0
     entropy_coef: float = 0.01
+    # the entropy is that of tanh(action): for an environment that squashes actions so
+    squashed: bool = False
     gamma: Share = 0.99
     lambda_: Share = 0.95
     max_grad_norm: Positive = 1.0
@@ -257,6 +259,7 @@ class Tiles(NamedTuple):
     rows: Annotated[int, Between(1, 100)] = 10  # from easy to hard, along x
     columns: Annotated[int, Between(1, 100)] = 20  # along y, each of one kind
     start_rows: Few = 6  # robots begin in the easiest so many
+    climb: Few = 1  # rows harder for a robot that has crossed its tile
     size: Annotated[float, Between(2, 100)] = 8.0  # m, side of a tile
     cell: Annotated[float, Between(0.01, 1)] = 0.1  # m, between two heights of the map
     border: Annotated[float, Between(0, 100)] = 2.0  # m, flat, around all; beyond it is flat too

@@ -32,8 +32,9 @@ def get_config(variant=""):
     config.task.episode_length = found.episode_length
     config.run.eval_envs = 128
     config.ppo.update(found.networks)
-    # as brax's policies begin, before the tanh; and observations as those are scaled
-    config.ppo.update(init_std=0.7, activation="swish", normalize=True)
+    # as brax's policies begin, before the tanh; their entropy, with which noise does not grow for ever
+    config.ppo.update(init_std=0.7, squashed=True)
+    config.ppo.update(activation="swish", normalize=True)  # and observations scaled as theirs
     if variant == "ppo":
         _ppo(config, found)
     elif variant in ("", "best"):

@@ -171,8 +171,9 @@ def a_physics_step(case, mj_step=mujoco.mj_step):
         mj_step(model, data)
         touching, limited = touching + data.ncon, limited + data.nl
         qacc = data.qacc_warmstart
-        # MuJoCo's heights on a map are shares of the highest, of single precision; contacts are stiff
-        share = 3e-5 if case.ground is None else 2e-4
+        # a GPU was off by 3.1e-5. On a map MuJoCo's heights are shares of the highest, of single
+        # precision; contacts are stiff
+        share = 5e-5 if case.ground is None else 2e-4
         np.testing.assert_allclose(found["qacc_warmstart"][i], qacc, atol=share * abs(qacc).max())
         fast = max(1, abs(data.qvel).max() / 5)  # light feet and hands turn fast
         np.testing.assert_allclose(found["qvel"][i], data.qvel, atol=1e-4 * fast)

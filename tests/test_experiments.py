@@ -143,7 +143,104 @@ def test_the_page_of_seconds_has_the_table_of_its_runs(monkeypatch, capsys):
         assert " | ".join(cells) in page, name
 
 
+PLAYGROUND = "05_playground"
+
+
+@pytest.fixture
+def playground_runs(monkeypatch, tmp_path):
+    """The table script of 05_playground on two runs of brax's PPO and three of ours, by hand."""
+    table = script(f"{PLAYGROUND}/table")
+    monkeypatch.setattr(table, "RESULTS", tmp_path)
+
+    def run(name, job, seed, returns):
+        head = "job,seed,iteration,sim_steps,seconds,return,fall_rate\n"
+        rows = (f"{job},{seed},{i},{i}e6,{10 * i},{x},0.5\n" for i, x in enumerate(returns, 1))
+        (tmp_path / f"{name}.csv").write_text(head + "".join(rows))
+
+    run("a", "brax:Go1Getup", 0, [5, 12, 10])
+    run("b", "brax:Go1Getup", 1, [5, 12, 14])
+    run("c", "playground:Go1Getup:best run.seed=0", 0, [2, 11, 12])
+    run("d", "playground:Go1Getup:best run.seed=1", 1, [11, 11, 11, 9])
+    run("e", "playground:Go1Getup:ppo run.seed=1", 1, [1, 2])
+    return table
+
+
+def test_when_a_run_reaches_the_reference(playground_runs, capsys):
+    """brax's last return, 12 in the mean of 10 and 14; 90 % of it are 10.8."""
+    table, found = playground_runs, playground_runs.runs()
+    assert table.reference(found, "Go1Getup") == 12
+    best = found["Go1Getup", "best"]
+    assert [table.first(rows, 10.8) for rows in best] == [(2, 20), (1, 10)]
+    assert table.first_cells(best, 10.8) == ["1.5", "15"]
+    assert table.first_cells(best, 12) == ["3.0, 1 never", "30"]
+    assert table.first_cells(found["Go1Getup", "ppo"], 10.8) == ["never", "never"]
+    assert np.isnan(table.reference({}, "Go1Getup"))
+    assert table.reference({("Go1Getup", "ppo"): found["Go1Getup", "ppo"]}, "Go1Getup") == 2
+    table.main()
+    out = capsys.readouterr().out
+    assert (
+        "| Go1Getup | `best` | 2 | 10.5 | 50.0% | 3.5 | 35 | 1.5 | 15 | 3.0, 1 never | 30 |" in out
+    )
+    assert "- `best`: 1.0, 6.5; 2.0, 11.0; 3.0, 11.5\n" in out
+
+
+def test_the_curves_of_playgrounds_tasks_are_drawn(playground_runs, drawn, monkeypatch):
+    plot = script(f"{PLAYGROUND}/plot")
+    monkeypatch.setattr(plot, "table", playground_runs)
+    plot.main()
+    assert drawn == ["curves"]
+
+
+def test_playgrounds_jobs_are_valid_and_evaluated_about_ten_times():
+    """Each in episodes as long as the task's; the name says what it is."""
+    pytest.importorskip("mujoco_playground", reason="MuJoCo Playground is not installed")
+    evaluations = script("21_less/run").evaluations
+    lines = (EXPERIMENTS / PLAYGROUND / "jobs.txt").read_text().splitlines()
+    assert len({line.split()[0] for line in lines}) == len(lines) == 72
+    for line in lines:
+        name, job, *fields = line.split()
+        config = config_lib.load(job)
+        _, task, variant = job.split(":")
+        for field in fields:
+            config_lib.override(config, *field.split("=", 1))
+        config = config_lib.validate(config)
+        assert name == f"{task}-{variant}-{config.run.seed}" and config.run.num_seeds == 1
+        assert 10 <= len(evaluations(config)) <= 11
+        assert config.run.eval_steps == config.task.episode_length
+
+
+def test_brax_gets_playgrounds_settings():
+    """brax's trainer, with what JAX has removed put back; its state has an axis of devices."""
+    pytest.importorskip("mujoco_playground", reason="MuJoCo Playground is not installed")
+    brax_ppo = script(f"{PLAYGROUND}/brax_ppo")
+    placed = brax_ppo.replicated({"a": np.arange(3.0), "b": 2}, jax.local_devices()[:1])
+    assert placed["a"].shape == (1, 3) and placed["b"].shape == (1,)
+    np.testing.assert_array_equal(jax.pmap(lambda x: 2 * x)(placed["a"])[0], [0, 2, 4])
+    whole = brax_ppo.asked("Go1JoystickFlatTerrain", None, None, None)
+    assert (whole.num_timesteps, whole.num_envs, whole.num_evals) == (200_000_000, 8192, 10)
+    assert (whole.batch_size, whole.num_minibatches, whole.num_resets_per_eval) == (256, 32, 10)
+    few = brax_ppo.asked("Go1JoystickFlatTerrain", 640, 8, 2)
+    assert (few.num_timesteps, few.num_envs, few.num_evals) == (640, 8, 3)
+    assert few.batch_size * few.num_minibatches == 8
+
+
 LESS = EXPERIMENTS / "21_less"
+
+
+def test_a_run_tells_what_its_task_has():
+    """Errors of a task with commands of ours, none of Playground's; on rough ground the curriculum's row."""
+    measured, ones = script("21_less/run").measured, np.ones(2)
+    evaluated = {"return": 3 * ones, "return_std": ones, "length": ones, "fall_rate": 0 * ones}
+    found = measured(evaluated, {"reward": np.ones((4, 2))})
+    assert list(found) == ["return", "fall_rate"] and list(found["return"]) == [3, 3]
+    errors = {"yaw_error": ones, "tracking_error": ones}
+    rows = {"terrain_row": np.array([[0.0, 1.0], [1.0, 4.0]])}
+    found = measured(evaluated | errors, rows)
+    assert list(found) == ["return", "fall_rate", "tracking_error", "yaw_error", "terrain_row"]
+    assert list(found["terrain_row"]) == [0.5, 2.5]
+    assert measured({"return": 3.0}, {"terrain_row": np.ones(4)})["terrain_row"].shape == (1,)
+
+
 RUNS = {"**`best`**": "best", "PPO, same task": "ppo-task", "PPO, as before": "ppo"}
 OLDER = {  # rows of the table of older runs -> names in fresh.csv.xz
     "`best` of then": "new",

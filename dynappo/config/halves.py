@@ -49,6 +49,7 @@ class StaticPpo(NamedTuple):
     precision: str
     scale_inputs: bool
     shuffle_blocks: int
+    squashed: bool
     symmetry: bool
 
 
@@ -89,6 +90,7 @@ class StaticTiles(NamedTuple):
     box_width: float
     boxes: tuple[float, float]
     cell: float
+    climb: int
     columns: int
     height_step: float
     map: str

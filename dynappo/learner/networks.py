@@ -175,6 +175,18 @@ def entropy(std: Float[Array, "... A"]) -> Float[Array, "..."]:
     return (0.5 + 0.5 * LOG_2PI + jnp.log(std)).sum(-1)
 
 
+def squashed_entropy(
+    mean: Float[Array, "... A"], std: Float[Array, "... A"], noise: Float[Array, "... A"]
+) -> Float[Array, "..."]:
+    """Entropy of tanh(x), x = mean + std noise: that of x plus log(1 - tanh(x)^2), at one x a row.
+
+    It has a maximum, where that of x grows with std for ever (brax/training/distribution.py).
+    """
+    x = mean + std * noise
+    slope = 2 * (jnp.log(2.0) - x - jax.nn.softplus(-2 * x))
+    return entropy(std) + slope.sum(-1)
+
+
 def kl(
     old_mean: Float[Array, "... A"],
     old_std: Float[Array, "... A"],

@@ -145,7 +145,8 @@ def loss(
         surrogate = mean max(-A rho, -A clip(rho, 1 - eps, 1 + eps)),  rho = pi / pi_old
         value     = mean max((V - R)^2, (V_old + clip(V - V_old, -eps, eps) - R)^2)
 
-    `metrics["kl"]` is the mean KL(old || new). Means are over rows with their weights. For fast.py
+    The entropy is the policy's, or with `ppo.squashed` that of tanh of its actions, with the noise of the
+    rows. `metrics["kl"]` is the mean KL(old || new). Means are over rows with their weights. For fast.py
     `actor_critic` is an argument, and three means are one of a stack: one kernel on a GPU, not three.
     """
     std = params["std"]
@@ -158,8 +159,15 @@ def loss(
     if static.ppo.clip_value:
         change = jnp.clip(value - batch.value, -hyper.ppo.clip_epsilon, hyper.ppo.clip_epsilon)
         error = jnp.maximum(error, (batch.value + change - batch.returns) ** 2)
-    kl, entropy = networks.kl(batch.action_mean, old_std, action_mean, std), networks.entropy(std)
-    surrogate, value_loss, kl = mean(jnp.stack([surrogate, error, kl]), batch.weight)
+    kl = networks.kl(batch.action_mean, old_std, action_mean, std)
+    if static.ppo.squashed:
+        noise = (batch.action - batch.action_mean) / old_std
+        entropy = networks.squashed_entropy(action_mean, std, noise)
+        means = mean(jnp.stack([surrogate, error, kl, entropy]), batch.weight)
+        surrogate, value_loss, kl, entropy = means
+    else:
+        entropy = networks.entropy(std)
+        surrogate, value_loss, kl = mean(jnp.stack([surrogate, error, kl]), batch.weight)
     total = surrogate + hyper.ppo.value_coef * value_loss - hyper.ppo.entropy_coef * entropy
     metrics = {"kl": kl, "surrogate_loss": surrogate, "value_loss": value_loss, "entropy": entropy}
     return total, metrics

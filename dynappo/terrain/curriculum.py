@@ -3,9 +3,9 @@
 A robot begins in one of the first `task.tiles.start_rows` rows, in any column, which it keeps. When it starts
 anew,
 
-    one row harder:  it is farther from the middle of its tile than half of the tile's side
-    one row easier:  it is not, and is nearer than half of the way of its last command in an episode
-    any row:         it would be harder than the last
+    `task.tiles.climb` rows harder:  it is farther from the middle of its tile than half of its side
+    a row easier:  it is not, and is nearer than half of the way of its last command in an episode
+    any row:       it would be harder than the last
 
 On a map of one's own no row is harder than another: it starts in any.
 
@@ -45,7 +45,7 @@ def move(tiles, tile: Tile, walked, asked, draw) -> Tile:
         return tile.replace(row=_whole(draw, tiles.rows).astype(jnp.int32))
     harder = walked > tiles.size / 2
     easier = ~harder & (walked < asked / 2)
-    row = tile.row + harder - easier
+    row = tile.row + tiles.climb * harder - easier
     row = jnp.where(row >= tiles.rows, _whole(draw, tiles.rows), jnp.maximum(row, 0))
     return tile.replace(row=row.astype(jnp.int32))
 

@@ -1,6 +1,8 @@
 """Runs of run.py, packed into one file: a batch is appended, one of the same number replaced.
 
 python experiments/21_less/pack.py results/fresh.csv.xz BATCH OUT_FOLDER
+
+Seconds are left out: these runs share a card.
 """
 
 import csv
@@ -11,6 +13,8 @@ from pathlib import Path
 from experiments import paper
 
 COLUMNS = "batch name job seed iteration sim_steps return fall_rate early tracking_error yaw_error".split()
+# of 28_rough/run.py
+CROSSINGS = "terrain_row crossed fell pyramid_stairs pit_stairs boxes random pyramid_slope pit_slope".split()
 
 
 def main():
@@ -27,7 +31,8 @@ def main():
         with path.open(newline="") as file:
             kept += [{"batch": args.batch, "name": path.stem} | row for row in csv.DictReader(file)]
     text = io.StringIO(newline="")
-    writer = csv.DictWriter(text, COLUMNS, extrasaction="ignore", lineterminator="\n")
+    columns = COLUMNS if all("crossed" not in row for row in kept) else COLUMNS[:6] + CROSSINGS
+    writer = csv.DictWriter(text, columns, extrasaction="ignore", lineterminator="\n")
     writer.writeheader()
     writer.writerows(kept)
     args.path.write_bytes(lzma.compress(text.getvalue().encode(), preset=9))

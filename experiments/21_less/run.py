@@ -2,10 +2,12 @@
 
     python experiments/21_less/run.py OUT_FOLDER JOBS.txt [--workers 4] [--policies] [--late 200 50]
 
-A line of JOBS.txt is `NAME ROBOT:VARIANT [FIELD=VALUE ...]` and becomes OUT_FOLDER/NAME.csv, a row an
-evaluation and seed. Five seeds at once from 100 on, 100 episodes of 20 s each every 20 iterations, unless
-the line says otherwise (run.seed, run.num_seeds, run.eval_every ...). `control=NAME` among the fields is one
-of controls.py. Jobs whose CSV is there are skipped.
+A line of JOBS.txt is `NAME ROBOT:VARIANT [FIELD=VALUE ...]`, or `NAME playground:TASK:VARIANT ...`, and
+becomes OUT_FOLDER/NAME.csv, a row an evaluation and seed: return and falls, and errors where the task tells
+them; on rough ground `terrain_row`, the mean row of the robots in training since the evaluation before. Five
+seeds at once from 100 on, 100 episodes of 20 s each every 20 iterations, unless the line says otherwise
+(run.seed, run.num_seeds, run.eval_every ...). `control=NAME` among the fields is one of controls.py. Jobs
+whose CSV is there are skipped.
 While a job runs, its rows so far are in OUT_FOLDER/NAME.csv.part, so one that is stopped loses only what
 came after its last evaluation. `--policies` writes OUT_FOLDER/NAME.K.npz, the policy of seed K (0, 1, ...)
 at the last evaluation, too. `--workers`: so many processes share the GPU, because compiling takes longer
@@ -15,6 +17,7 @@ than training; their clocks say nothing then.
 """
 
 import csv
+import importlib
 import math
 import os
 import subprocess
@@ -23,7 +26,6 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-import controls
 import jax
 import numpy as np
 
@@ -32,14 +34,20 @@ from dynappo import schedule
 from dynappo.description import robot as robot_lib
 from dynappo.policy import policy_file
 from dynappo.program import build, devices
+from dynappo.run import overflow
 from experiments import paper
 
+controls = importlib.import_module("experiments.21_less.controls")
+
 DEFAULTS = dict(seed=100, num_seeds=5, eval_every=20, eval_envs=100, eval_steps=1000)
-MEASURED = "return", "fall_rate", "tracking_error", "yaw_error"
+MEASURED = "return", "fall_rate", "tracking_error", "yaw_error"  # those that a task has
+TRAINED = ("terrain_row",)  # the same, of training
 
 
-def main():
-    parser = paper.parser(__doc__)
+def main(about=__doc__, script=__file__, run_job=None):
+    """The command; 28_rough/run.py has it, too, with a `run` of its own."""
+    run_job = run_job or run
+    parser = paper.parser(about)
     parser.add_argument("out", type=Path)
     parser.add_argument("jobs", type=Path)
     parser.add_argument("--workers", type=int, default=1)
@@ -54,11 +62,11 @@ def main():
     if args.only:
         devices.own_process()
         job, *fields = jobs[args.only].split()
-        run(args.out / args.only, job, fields, policies=args.policies, late=args.late)
+        run_job(args.out / args.only, job, fields, policies=args.policies, late=args.late)
         return
 
     def start(name):
-        command = [sys.executable, __file__, args.out, args.jobs, "--only", name]
+        command = [sys.executable, script, args.out, args.jobs, "--only", name]
         command += ["--policies"] * args.policies
         command += ["--late", *map(str, args.late)] if args.late else []
         room = {"XLA_PYTHON_CLIENT_PREALLOCATE": "false"} if args.workers > 1 else {}
@@ -95,9 +103,10 @@ def run(to: Path, job: str, fields: list[str], policies: bool = False, late=None
     for last in evaluations(config, late):
         chunk = {name: column[first:last] for name, column in program.columns.items()}
         began = time.perf_counter()
-        state, _ = jax.block_until_ready(program.step(program.hyper, state, chunk))
+        state, trained = jax.block_until_ready(program.step(program.hyper, state, chunk))
         seconds, first = seconds + time.perf_counter() - began, last
-        found = {name: np.ravel(x) for name, x in program.evaluate(state).items()}
+        overflow.check(trained | chunk)
+        found = measured(program.evaluate(state), trained)
         for s in range(seeds):
             about = {"job": " ".join([job, *fields]), "seed": config.run.seed + s}
             when = {
@@ -105,20 +114,28 @@ def run(to: Path, job: str, fields: list[str], policies: bool = False, late=None
                 "sim_steps": int(steps[last - 1]),
                 "seconds": f"{seconds:.4g}",
             }
-            rows.append(about | when | {name: f"{found[name][s]:.4g}" for name in MEASURED})
+            rows.append(about | when | {name: f"{x[s]:.4g}" for name, x in found.items()})
         write(part, rows)
         if policies:
             save_policies(to, state, config)
     part.replace(to.with_name(f"{to.name}.csv"))
 
 
+def measured(evaluation: dict, trained: dict) -> dict[str, np.ndarray]:
+    """Numbers of each seed: of the evaluation, and means over the iterations since the one before."""
+    found = {name: np.ravel(evaluation[name]) for name in MEASURED if name in evaluation}
+    means = {name: np.mean(trained[name], 0) for name in TRAINED if name in trained}
+    return found | {name: np.ravel(x) for name, x in means.items()}
+
+
 def save_policies(to: Path, state, config) -> None:
     """Write the policy of each seed as TO.K.npz."""
     params, seeds = jax.device_get(state.learner.params), config.run.num_seeds
+    robot = robot_lib.load(config.robot) if config.robot else None
     for k in range(seeds):
         one = jax.tree.map(lambda x, k=k: x[k] if seeds > 1 else x, params)
         path = to.with_name(f"{to.name}.{k}.npz")
-        policy_file.save(path, one, config, robot_lib.load(config.robot), k)
+        policy_file.save(path, one, config, robot, k)
 
 
 def evaluations(config, late=None) -> list[int]:

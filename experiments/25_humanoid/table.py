@@ -49,7 +49,8 @@ SMOOTH = "task.weights.foot_slip=-0.5 task.weights.action_rate=-0.03"
 PARTS = {
     "What each part is worth": ("ablation",),
     "What the model is worth": ("control",),
-    "PPO's settings": ("ppo-grid", "ppo-grid2"),
+    "PPO's settings": ("ppo-grid", "ppo-grid2", "ppo-grid3", "ppo-grid4"),
+    "Settings for seconds": ("seconds", "seconds2"),
     "For hardware": ("deploy", "deploy2", "deploy3", "deploy-fresh"),
 }
 
@@ -134,13 +135,19 @@ def alone():
 
 
 def runs_alone():
-    """`(engine, "best" or how many robots PPO has, rows)` of each run of alone.csv."""
+    """`(engine, "best" or PPO's robots, rows)` of each run of alone.csv."""
     with (RESULTS / "alone.csv").open() as file:
         rows = [*csv.DictReader(file)]
     for (engine, job, _), some in groupby(rows, lambda r: (r["engine"], r["job"], r["seed"])):
         fields = dict(field.split("=", 1) for field in job.split()[1:])
         robots = fields.get("rollout.num_envs", "512")  # that of `g1:ppo` in commit e047394
-        yield engine, "best" if job.startswith("g1:best") else f"PPO, {robots}", [*some]
+        rows = fields.get("rollout.horizon", "24")
+        ppo = f"PPO, {robots}" + (f" x {rows}" if rows != "24" else "")
+        name = "best" if job.startswith("g1:best") else ppo
+        batches = fields.get("ppo.minibatches", "4")
+        name += f", {batches} minibatches" if name == "best" and batches != "4" else ""
+        name += f", {fields['ppo.epochs']} epochs" if "ppo.epochs" in fields else ""
+        yield engine, name, [*some]
 
 
 def errors():

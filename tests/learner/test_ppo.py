@@ -396,6 +396,30 @@ def test_a_fresh_learner_has_the_initial_std_learning_rate_and_float32_leaves(pp
     assert {x.dtype.name for x in jax.tree.leaves(learner)} == {"float32", "int32"}
 
 
+def test_with_squashed_actions_the_entropy_is_that_of_their_tanh(recorded, ppo_settings):
+    """Of the rows' own noise; the rest of the loss stays, and both paths learn the same."""
+    learner, batch, old_std = recorded("update")
+    rows, (mean, _) = (
+        flat(batch),
+        networks.actor_critic(ppo_settings()[0], learner.params)(flat(batch).obs),
+    )
+    noise = (np.float64(rows.action) - rows.action_mean) / old_std
+    tanh = np.tanh(mean + learner.params["std"] * noise)
+    of_gaussian = 0.5 + 0.5 * np.log(2 * np.pi) + np.log(np.float64(learner.params["std"]))
+    expected = (of_gaussian + np.log(1 - np.float64(tanh) ** 2)).sum(-1).mean()
+    found = {}
+    for squashed in (False, True):
+        static, hyper = ppo_settings(squashed=squashed)
+        found[squashed] = jax.jit(partial(ppo.loss, static, hyper))(learner.params, rows, old_std)
+    (plain, before), (total, after) = found[False], found[True]
+    assert float(after["entropy"]) == pytest.approx(expected, rel=1e-4)
+    less = float(hyper.ppo.entropy_coef) * (expected - float(before["entropy"]))
+    assert float(total) == pytest.approx(float(plain) - less, rel=1e-4)
+    of = [jax.jit(partial(m.update, static, hyper)) for m in (ppo, fast)]
+    ours, theirs = (update(learner, batch, jax.random.key(5))[0] for update in of)
+    assert_trees_close(ours.params, theirs.params)
+
+
 # weights of rows
 
 

@@ -36,6 +36,7 @@ from dynappo.tasks.playground import (  # noqa: E402
     loading,
     mirrored,
     parts,
+    room,
     settings,
     swapped,
 )
@@ -128,11 +129,14 @@ def restarted(name=GO1):
 
 
 def started(name):
-    """First states, by `autoreset` of empty ones: to compile `reset` takes as long again."""
+    """First states, by `autoreset` of empty ones: to compile `reset` takes as long again. It draws spares in
+    the row 0, and starts from them when it is called again."""
     keys = jax.random.split(jax.random.key(3), ROBOTS)
     shapes = jax.eval_shape(every(made(name).reset), keys)
-    nothing = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
-    return restarted(name)(nothing, jnp.ones(ROBOTS), jnp.zeros(ROBOTS), keys)
+    states = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
+    for _ in range(2):
+        states = restarted(name)(states, jnp.ones(ROBOTS), jnp.zeros(ROBOTS), keys)
+    return states
 
 
 def drawn_actions(name):
@@ -254,69 +258,89 @@ def test_noise_is_on_what_the_policy_senses_as_wide_as_the_task_says():
     assert (np.abs(sensed) <= noise).all() and (sensed[:33] != 0).all()
 
 
-def test_those_that_ended_start_anew_and_no_others():
-    """Under vmap they are gathered, a few at a time; each gets the state of its own key, and all differ."""
+def in_row(states, row):
+    return states.replace(spare=states.spare.replace(rows=jnp.full(ROBOTS, row)))
+
+
+def test_those_that_ended_start_from_their_spares_and_no_others():
+    """Each from its own, with a random key of its own; the spares stay as they are in a row like this."""
     states = jax.tree.map(lambda x: jnp.asarray(x[-1]), rollout(GO1)[2])
     keys = jax.random.split(jax.random.key(9), ROBOTS)
     fell, late = np.array([1.0, 0, 0]), np.array([0.0, 0, 1])
-    after, ended = restarted()(states, fell, late, keys), (fell + late) > 0
-    for old, new in zip(jax.tree.leaves(states), jax.tree.leaves(after), strict=True):
+    after, ended = restarted()(in_row(states, 5), fell, late, keys), (fell + late) > 0
+    for old, new in zip(
+        jax.tree.leaves(states.replace(spare=None)),
+        jax.tree.leaves(after.replace(spare=None)),
+        strict=True,
+    ):
         np.testing.assert_array_equal(old[~ended], new[~ended])
+    spares = states.spare.state
+    np.testing.assert_array_equal(after.spare.state.qpos, spares.qpos)
+    for name in ("qpos", "qvel", "obs", "prop"):
+        np.testing.assert_array_equal(getattr(after, name)[ended], getattr(spares, name)[ended])
     assert (after.clock[ended] == 0).all() and (after.episode_return[ended] == 0).all()
+    assert (after.info["rng"][ended] != spares.info["rng"][ended]).any(-1).all()
+    assert len(np.unique(np.asarray(after.info["rng"]), axis=0)) == ROBOTS
     places = np.asarray(after.qpos[ended])
     assert len(np.unique(places[:, 0])) == ended.sum() and (np.abs(places[:, :2]) <= 0.5).all()
-    # whoever else ends, a robot starts as its key says
-    alone = restarted()(states, np.zeros(ROBOTS), late, keys)
-    np.testing.assert_array_equal(alone.qpos[2], after.qpos[2])
 
 
-def test_a_costly_reset_is_made_ahead():
-    """Go1Getup settles for 25 control steps: a robot starts from its spare, with a key of its own. Spares
-    are drawn anew, one part when its time has come."""
-    of = made(GETUP)
-    assert (
-        const(of).cost == 26 and const(made(GO1)).cost == 0
-    )  # 125 steps and a call, 5 a control step
-    keys = jax.random.split(jax.random.key(3), ROBOTS)
-    states = in_c(GETUP, every(of.reset))(keys)
-    moved = states.replace(qpos=states.qpos + 1, clock=states.clock + 7)
-    at = jax.tree.map(lambda x: x, moved.spare.replace(rows=jnp.full(ROBOTS, 5)))
-    after = restarted(GETUP)(moved.replace(spare=at), np.array([1.0, 0, 0]), jnp.zeros(3), keys)
-    np.testing.assert_array_equal(after.qpos[0], states.spare.state.qpos[0])
-    np.testing.assert_array_equal(after.qpos[1:], moved.qpos[1:])
-    assert list(after.clock) == [0, 7, 7] and (after.spare.rows == 5).all()
-    assert (after.info["rng"][0] != states.info["rng"][0]).any()
-    np.testing.assert_array_equal(after.spare.state.qpos, states.qpos)
-    # 3 robots are one part; it is due every 260 rows
-    at = moved.spare.replace(rows=jnp.full(ROBOTS, 260))
-    after = restarted(GETUP)(moved.replace(spare=at), jnp.zeros(3), jnp.zeros(3), keys[::-1])
-    assert (np.abs(after.spare.state.qpos - states.qpos).max(-1) > 1e-3).all()
-    np.testing.assert_array_equal(after.qpos, moved.qpos)
-    assert len(np.unique(np.asarray(after.spare.state.qpos)[:, 2])) > 1
+def test_all_spares_are_drawn_anew_when_their_time_has_come():
+    """Every 10 resets' worth of rows: Go1Getup settles for 125 steps after a call, 5 a control step."""
+    assert const(made(GO1)).every == 10 and const(made(GETUP)).every == 260
+    states = jax.tree.map(lambda x: jnp.asarray(x[-1]), rollout(GO1)[2])
+    keys, nobody = jax.random.split(jax.random.key(9), ROBOTS), jnp.zeros(ROBOTS)
+    for row in (9, 11):
+        after = restarted()(in_row(states, row), nobody, nobody, keys)
+        np.testing.assert_array_equal(after.spare.state.qpos, states.spare.state.qpos)
+    after = restarted()(in_row(states, 20), nobody, nobody, keys)
+    assert (np.abs(after.spare.state.qpos - states.spare.state.qpos).max(-1) > 1e-3).all()
+    assert len(np.unique(np.asarray(after.spare.state.qpos)[:, 0])) == ROBOTS
+    np.testing.assert_array_equal(after.qpos, states.qpos)
+    # who ends in this row starts from the old one, and the new one has another key
+    after = restarted()(in_row(states, 20), jnp.ones(ROBOTS), nobody, keys)
+    np.testing.assert_array_equal(after.qpos, states.spare.state.qpos)
+    assert (after.info["rng"] != after.spare.state.info["rng"]).any(-1).all()
 
 
-def test_a_part_of_the_spares_is_drawn_at_a_time():
-    """Of 8 robots two, and then the next two; also under the `vmap` of seeds."""
+def test_a_reset_that_settles_is_made_ahead_too():
+    """At first the spare is the first state itself, which lies on the ground."""
+    states = in_c(GETUP, every(made(GETUP).reset))(jax.random.split(jax.random.key(3), ROBOTS))
+    np.testing.assert_array_equal(states.spare.state.qpos, states.qpos)
+    np.testing.assert_array_equal(states.spare.rows, np.zeros(ROBOTS))
+    height = np.asarray(states.qpos)[:, 2]
+    assert len(np.unique(height)) == ROBOTS and (height < 0.35).all()
+
+
+def test_spares_of_several_seeds_are_drawn_in_the_same_rows():
+    """Under their `vmap`; and one that is not finite is not taken."""
     keys = jax.random.split(jax.random.key(0), (2, 8))
-    of = const(made(GETUP))._replace(cost=1)  # each 3 rows a part
-
-    @jax.jit
-    def drawn(ended, keys, states):
-        with mock.patch.object(env, "first", lambda _, key: one_state(jax.random.uniform(key))):
-            restart = jax.vmap(jax.vmap(env.restart_from_spares(of)))
-            return restart(ended, jax.random.key_data(keys), states)
+    of = const(made(GO1))
 
     def one_state(x):
         x = x * jnp.ones(1)
         zero = jnp.zeros((), jnp.int32)
         return env.State(x, x, x, None, {}, x, x, zero, zero, x[0])
 
+    def new(_, key):
+        x = jax.random.uniform(key)
+        return one_state(jnp.where(x > 0.8, jnp.nan, x))
+
+    @jax.jit
+    def drawn(ended, keys, states):
+        with mock.patch.object(env, "first", new):
+            restart = jax.vmap(jax.vmap(env.restart(of)))
+            return restart(ended, jax.random.key_data(keys), states)
+
     start = jax.vmap(jax.vmap(lambda _: one_state(0.0)))(keys)
-    for now, new in ((3, [1, 5]), (4, []), (6, [2, 6])):
-        rows = jnp.full((2, 8), now)
-        after = drawn(jnp.zeros((2, 8), bool), keys, start.replace(spare=env.Spare(start, rows)))
-        changed = np.flatnonzero(np.asarray(after.spare.state.qpos)[0, :, 0])
-        assert changed.tolist() == new and not np.asarray(after.qpos).any()
+    nobody = jnp.zeros((2, 8), bool)
+    for row, some in ((9, False), (10, True), (11, False), (20, True)):
+        rows = jnp.full((2, 8), row)
+        after = drawn(nobody, keys, start.replace(spare=env.Spare(start, rows)))
+        spares = np.asarray(after.spare.state.qpos)[..., 0]
+        assert np.isfinite(spares).all() and not np.asarray(after.qpos).any()
+        assert len(np.unique(spares)) == (16 - (spares == 0).sum() + 1 if some else 1)
+        assert 0 < (spares == 0).sum() < 8 if some else not spares.any()
 
 
 @pytest.mark.parametrize("name", [SPOT])
@@ -535,11 +559,52 @@ def test_warps_flags_are_those_that_are_looked_at():
     assert contacts == of_contacts | kinds.CONTACT_MATCH
 
 
-def test_room_for_contacts_is_the_tasks_for_many_robots_and_more_for_few():
-    """Playground's number is for 8192: 4 a robot here."""
-    for worlds, room in ((8192, 4 * 8192), (1024, 4096), (128, 2048), (1, 16)):
-        assert loading.load(GO1, worlds=worlds).task._config.naconmax == room
-    assert task(GO1)._config.njmax == loading.load(GO1).task._config.njmax
+def test_room_for_contacts_is_for_all_robots_and_more_for_few():
+    """4 a robot here, one of each foot, which is the task's own number."""
+    for worlds, contacts in ((8192, 4 * 8192), (1024, 4096), (128, 2048), (1, 16)):
+        assert loading.load(GO1, worlds=worlds).task._config.naconmax == contacts
+    assert loading.own_room(loading.made(GO1)[0]) == (40, 4)
+
+
+@pytest.mark.parametrize(
+    ("name", "constraints", "contacts"),
+    [
+        # 12 frictions, 12 limits, 4 feet with 4 rows of a pyramid
+        (GO1, 40, 4),
+        # 4 of each foot on a height field
+        ("Go1JoystickRoughTerrain", 12 + 12 + 16 * 4, 16),
+        # 8 of each box with the plane, 8 of the two boxes, 2 of each hand and thigh, all without friction
+        ("G1JoystickFlatTerrain", 29 + 29 + 16 * 4 + 12, 16),
+        ("SpotFlatTerrainJoystick", 40, 4),
+        # whose shapes could have 276 and 64: it never gets all
+        ("Op3Joystick", 200, 16),
+        # asks for more
+        ("Go1Getup", 250, 30),
+    ],
+)
+def test_a_robot_has_room_for_all_constraints(name, constraints, contacts):
+    """Those of its model, by hand; and no task has less than it asks for."""
+    config = loading.load(name, worlds=8192).task._config
+    assert (config.njmax, config.naconmax) == (constraints, contacts * 8192)
+    own = loading.own_room(loading.made(name)[0])
+    assert config.njmax >= own[0] and config.naconmax >= own[1] * 8192
+
+
+@pytest.mark.parametrize("name", ["G1JoystickFlatTerrain", BIPED, "Go1Getup"])
+def test_the_shapes_that_may_touch_are_those_that_warp_tries(name):
+    """And contacts of robots in poses by chance, mostly inside themselves, have the condim that we name."""
+    warp = pytest.importorskip("mujoco.mjx.third_party.mujoco_warp")
+    model, draw = task(name).mj_model, np.random.default_rng(0)
+    named = {(a, b): dim for a, b, dim in room.pairs(model)}
+    tried = warp.put_model(model).nxn_geom_pair_filtered.numpy().tolist()
+    assert {tuple(sorted(pair)) for pair in tried} == set(named)
+    data, seen = mujoco.MjData(model), set()
+    for _ in range(50):
+        data.qpos[:] = draw.normal(size=model.nq)
+        data.qpos[2] = draw.uniform(0.0, 0.6)
+        mujoco.mj_forward(model, data)
+        seen |= {(*sorted(map(int, one.geom)), int(one.dim)) for one in data.contact}
+    assert seen and all(named[a, b] == dim for a, b, dim in seen)
 
 
 def test_an_exported_policy_takes_the_tasks_observation(tmp_path, capsys, monkeypatch):

@@ -221,8 +221,10 @@ def test_leaving_a_tile_ends_the_episode_as_the_time_does_and_the_next_is_a_row_
         np.testing.assert_array_equal(outcome.metrics[f"terrain_row_{row}"], state.tile.row == row)
 
 
-def test_the_curriculum_is_isaac_labs_rule():
-    t, rng = configured().task.tiles, np.random.default_rng(0)
+@pytest.mark.parametrize("climb", [1, 2])
+def test_the_curriculum_is_isaac_labs_rule(climb):
+    """But for `climb`, how many rows harder."""
+    t, rng = configured(**{"task.tiles.climb": climb}).task.tiles, np.random.default_rng(0)
     move = jax.jit(partial(curriculum.move, t))
     for row, walked, asked in [
         (r, w, a) for r in range(3) for w in (0.5, 3, 5) for a in (0, 3, 12)
@@ -234,7 +236,7 @@ def test_the_curriculum_is_isaac_labs_rule():
             assert moved.column == 4
             rows.add(int(moved.row))
         if walked > 4:
-            assert rows == ({row + 1} if row < 2 else {0, 1, 2})
+            assert rows == ({row + climb} if row + climb <= 2 else {0, 1, 2})
         elif walked < asked / 2:
             assert rows == {max(0, row - 1)}
         else:

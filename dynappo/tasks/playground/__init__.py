@@ -3,6 +3,7 @@
 The task itself is Playground's, unchanged: its `reset` and its `step` are called. Read in this order:
 
 - `assets`: where the robots' meshes come from, without network
+- `room`: how many constraints and contacts a robot may have in MJX-Warp
 - `loading`: a task by its name, on the engine that is here
 - `warp_kernels`: MJX-Warp's kernels, built side by side
 - `swapped`: the task's step with physics, or noise, replaced by what is given

@@ -3,12 +3,11 @@
 - **Carried** are qpos, qvel, the solver's warm start and the task's own numbers (ctrl where a task reads it).
   MJX's data are rebuilt from an empty template in each step. Why: they are hundreds of numbers a robot, and
   MJX-Warp's contacts have no axis of robots, so neither `where` nor `vmap` over seeds can take them along.
-- **Resets** are the task's own, drawn anew each time. A first observation needs a call of physics. So
-  `autoreset` resets only robots that need it: 1/64 of all at a time, as often as some are left
-  (`restart`). In most rows that is none or one call of 1/64 of the robots.
-- **Costly resets.** A getup task lets the robot settle for 125 physics steps. Where a reset has more of them
-  than a step, each robot carries a first state made ahead and starts from that (`restart_from_spares`). All
-  of them are drawn anew every 10 resets' worth of rows, a quarter at a time, so this costs a tenth of a row.
+- **Resets** are the task's own. A first observation needs a call of physics, and Warp's call takes long for
+  few robots too. So each robot carries a first state made ahead and starts from that (`restart`). All of them
+  are drawn anew at once, every 10 resets' worth of rows: 10 for a reset of one call, 260 for a getup task's,
+  which lets the robot settle for 125 physics steps. An episode that is longer never sees a first state twice;
+  after a shorter one it may be the same, with another random key.
 - **Actions** end in a tanh, as those of brax's policies. It is part of the environment: the policy is a
   Gaussian before it. The density of tanh cancels in PPO's ratio.
 - **Noise** is the task's own. `prop` is without: the task's step once more, with physics already done and
@@ -21,7 +20,6 @@
 
 from __future__ import annotations
 
-import math
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -36,11 +34,7 @@ from dynappo.tasks.playground import mirrored, parts, swapped
 from dynappo.tasks.playground.parts import Layout, Raw
 from dynappo.types import Env, Hyper, Outcome
 
-SHARE = 64  # of the robots, one in so many is reset at a time
-PARTS, RENEWAL = (
-    4,
-    10,
-)  # of costly resets: spares are drawn anew in so many parts, in so many times the cost
+RENEWAL = 10  # spares are drawn anew in so many times a reset's cost, which is at least 1 row
 EVENTS = ("reward", "falls", "timeouts", "blowups")  # metrics beside the task's own
 
 
@@ -68,7 +62,7 @@ class State(struct.PyTreeNode):
     clock: Int[Array, "..."]  # age of the episode in control steps; the first may start aged
     episode_steps: Int[Array, "..."]  # control steps since the reset
     episode_return: Float[Array, "..."]
-    spare: Spare | None = None  # where a reset is costly
+    spare: Spare | None = None  # None in a spare's own state
 
 
 class Constants(NamedTuple):
@@ -80,7 +74,7 @@ class Constants(NamedTuple):
     metrics: dict[str, Any]  # zeros
     episode_length: int  # control steps
     random_clock: bool
-    cost: int  # of a reset, in control steps; 0: no more than one, so no robot has a spare
+    every: int  # rows, in which all spares are drawn anew once
 
 
 def make(
@@ -110,14 +104,13 @@ def make(
     scalars = [name for name, x in metrics.items() if x.shape == ()]
     told = (*EVENTS, *(OVERFLOWS if task.mjx_model.impl.value == "warp" else ()))
     length = episode_length or int(task._config.episode_length)
-    settling = -(-swapped.steps_of_a_reset(task) // task.n_substeps)
-    cost = settling if settling > 1 else 0
-    const = Constants(task, layout, like, metrics, length, random_clock, cost)
+    cost = -(-swapped.steps_of_a_reset(task) // task.n_substeps)
+    const = Constants(task, layout, like, metrics, length, random_clock, RENEWAL * cost)
     fall = _fall_reward(task, layout)
     return Env(
         reset=partial(reset, const),
         step=partial(step, const),
-        autoreset=partial(autoreset, restart_from_spares(const) if cost else restart(const)),
+        autoreset=partial(autoreset, restart(const)),
         advance=partial(advance, const),
         sense=partial(sense, const),
         views=layout.views,
@@ -154,7 +147,7 @@ def reset(const: Constants, hyper: Hyper, body, key) -> State:
     first_key, clock_key = jax.random.split(key)
     clock = jax.random.randint(clock_key, (), 0, const.episode_length, jnp.int32)
     state = first(const, first_key)
-    spare = Spare(state, clock * 0) if const.cost else None  # at first it is the state itself
+    spare = Spare(state, clock * 0)  # at first it is the state itself
     return state.replace(clock=clock * const.random_clock, spare=spare)
 
 
@@ -267,57 +260,16 @@ def autoreset(restarted, hyper: Hyper, body, state: State, outcome: Outcome, key
 
 
 def restart(const: Constants):
-    """`f(ended, raw key, state)`: a first state where `ended`, else `state`.
+    """`f(ended, raw key, state)`: the spare where `ended`, with a random key of its own, else `state`.
 
-    Under `vmap` the robots that ended are gathered, R / 64 at a time, and only these are reset. The loop runs
-    while some are left, so its length is no part of the program, and a robot's new state does not depend on
-    the others.
-    """
-
-    def fresh(key):
-        return first(const, jax.random.wrap_key_data(key))
-
-    @jax.custom_batching.custom_vmap
-    def one(ended, key, state):
-        return jax.tree.map(partial(jnp.where, ended), fresh(key), state)
-
-    @one.def_vmap
-    def of_all(axis_size, in_batched, *arguments):
-        ended, keys, states = jax.tree.map(
-            lambda x, batched: x if batched else jnp.broadcast_to(x, (axis_size, *jnp.shape(x))),
-            arguments,
-            tuple(in_batched),
-        )
-        few = -(-axis_size // SHARE)
-
-        def some(carry):
-            left, states = carry
-            index = jnp.nonzero(left, size=few, fill_value=axis_size)[
-                0
-            ]  # what is out of bounds is dropped
-            new = jax.vmap(fresh)(keys.at[index].get(mode="clip"))
-            put = partial(jax.tree.map, lambda x, y: x.at[index].set(y, mode="drop"))
-            return left.at[index].set(False, mode="drop"), put(states, new)
-
-        _, states = jax.lax.while_loop(lambda carry: carry[0].any(), some, (ended, states))
-        return states, jax.tree.map(lambda _: True, states)
-
-    return one
-
-
-def restart_from_spares(const: Constants):
-    """As `restart`, where a reset is costly: `state`, or where `ended` the robot's spare, with a key of its
-    own, so that commands and noise differ where a spare serves twice.
-
-    When its time has come, one part of the spares is drawn anew. Robots of all seeds have the same rows, so
-    the loop below runs once in all of them or in none.
+    When their time has come, all spares are drawn anew, under `vmap` in one call of physics. Robots of all
+    seeds have the same rows, so the loop below runs once in all of them or in none.
     """
 
     def taken(ended, key, state):
         fresh = state.spare.state
         if "rng" in fresh.info:
-            rng = jax.random.fold_in(jax.random.wrap_key_data(key), 1)
-            fresh = fresh.replace(info=fresh.info | {"rng": jax.random.key_data(rng)})
+            fresh = fresh.replace(info=fresh.info | {"rng": key})
         return jax.tree.map(partial(jnp.where, ended), fresh.replace(spare=state.spare), state)
 
     def drawn(key, old):
@@ -328,26 +280,18 @@ def restart_from_spares(const: Constants):
     @jax.custom_batching.custom_vmap
     def one(ended, key, state):
         several = jax.tree.map(lambda x: x[None], (ended, key, state))
-        return jax.tree.map(lambda x: x[0], of_some(1, *several))
+        return jax.tree.map(lambda x: x[0], of_some(*several))
 
-    def of_some(size, ended, keys, states):
-        parts = math.gcd(size, PARTS)
-        every = -(-RENEWAL * const.cost // parts)
-        now, states = states.spare.rows[0], jax.vmap(taken)(ended, keys, states)
-        which = now // every % parts
-
-        def split(x):
-            return x.reshape(size // parts, parts, *x.shape[1:])
+    def of_some(ended, keys, states):
+        keys = jax.vmap(jax.random.split)(jax.random.wrap_key_data(keys))
+        keys = jax.random.key_data(keys)
+        states = jax.vmap(taken)(ended, keys[:, 0], states)
 
         def draw(carry):
-            _, spares = carry
-            new = jax.vmap(drawn)(
-                split(keys)[:, which], jax.tree.map(lambda x: split(x)[:, which], spares)
-            )
-            put = partial(jax.tree.map, lambda x, y: split(x).at[:, which].set(y).reshape(x.shape))
-            return jnp.zeros((), bool), put(spares, new)
+            return jnp.zeros((), bool), jax.vmap(drawn)(keys[:, 1], carry[1])
 
-        due = now % every == 0
+        due = states.spare.rows[0] % const.every == 0
+        # not `cond`: under the `vmap` of seeds that would draw in each row
         _, spares = jax.lax.while_loop(lambda carry: carry[0], draw, (due, states.spare.state))
         return states.replace(spare=states.spare.replace(state=spares))
 
@@ -358,7 +302,7 @@ def restart_from_spares(const: Constants):
             arguments,
             tuple(in_batched),
         )
-        states = of_some(axis_size, *arguments)
+        states = of_some(*arguments)
         return states, jax.tree.map(lambda _: True, states)
 
     return one

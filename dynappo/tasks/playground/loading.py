@@ -11,10 +11,10 @@ from typing import Any, NamedTuple
 import mujoco
 
 from dynappo.config import ConfigError
-from dynappo.tasks.playground import assets
+from dynappo.tasks.playground import assets, room
 
 PLAYGROUND_ROBOTS = 8192  # for which the tasks' own naconmax is
-# times the room that tasks ask for, of contacts and constraints; if it runs out, a run ends (run/overflow.py)
+# times the room of contacts and constraints (`_room`); if it runs out, a run ends (run/overflow.py)
 ROOM = 1.0
 FEW = 4096  # contacts: few robots may all lie on the ground at once, and have up to four times their share
 MISSING = "MuJoCo Playground is not installed; pip install 'dynappo[playground]' (0.2.0, the last for JAX)"
@@ -57,24 +57,38 @@ def load(name: str, impl: str = "jax", worlds: int = 1) -> Loaded:
     """The task `name` on the engine `impl`, "jax" or "warp".
 
     `worlds` is how many robots one call of physics steps, of all seeds: MJX-Warp's room for contacts
-    (`naconmax`) is for all of them together. The task's own number is for Playground's 8192.
+    (`naconmax`) is for all of them together.
     """
-    check_name(name)
-    locomotion, mjx_env = _locomotion(), _module("mjx_env")
-    folder, text = _found(name)
-    mjx_env.MENAGERIE_PATH = mjx_env.epath.Path(str(folder))
-    mjx_env.ensure_menagerie_exists = lambda: None  # it would clone Menagerie
-    task = locomotion.load(name, config_overrides={"impl": impl})
-    with task._config.unlocked():  # some tasks set it as they are made
-        each = task._config.naconmax / PLAYGROUND_ROBOTS
-        task._config.naconmax = round(ROOM * max(each * worlds, min(4 * each * worlds, FEW)))
-        task._config.njmax = round(ROOM * task._config.njmax)
+    task, text = made(name, impl)
+    with task._config.unlocked():
+        task._config.njmax, task._config.naconmax = _room(task, worlds)
     if impl == "warp":
         from dynappo.tasks.playground import warp_kernels  # it needs Warp
 
         task._mjx_model = warp_kernels.quiet(task._mjx_model)
         warp_kernels.build(task)
     return Loaded(name, task, text)
+
+
+def made(name: str, impl: str = "jax") -> tuple[Any, str]:
+    """The task as Playground's registry makes it, and where its robot's files came from."""
+    check_name(name)
+    locomotion, mjx_env = _locomotion(), _module("mjx_env")
+    folder, text = _found(name)
+    mjx_env.MENAGERIE_PATH = mjx_env.epath.Path(str(folder))
+    mjx_env.ensure_menagerie_exists = lambda: None  # it would clone Menagerie
+    return locomotion.load(name, config_overrides={"impl": impl}), text
+
+
+def own_room(task: Any) -> tuple[int, float]:
+    """`(constraints, contacts)` a robot for which Playground's task asks; its contacts are 8192 robots'."""
+    return task._config.njmax, task._config.naconmax / PLAYGROUND_ROBOTS
+
+
+def _room(task: Any, worlds: int) -> tuple[int, int]:
+    """`(njmax, naconmax)`: the task's own, or what its robot needs if that is more."""
+    rows, each = map(max, own_room(task), room.needed(task.mj_model))
+    return round(ROOM * rows), round(ROOM * max(each * worlds, min(4 * each * worlds, FEW)))
 
 
 def drawn(loaded: Loaded) -> mujoco.MjModel:

@@ -1,0 +1,114 @@
+"""The tables of this folder's page, from results/*.csv.
+
+    python experiments/05_playground/table.py
+
+The reference of a task is what brax's PPO has in its last evaluation, in the mean over seeds; where there is
+none, what our PPO with Playground's settings has. The first table tells when it is reached: the evaluation in
+which a seed has 90 % and 100 % of it, in millions of simulator steps and in seconds of training, in the mean
+over the seeds that get there. Then returns, by steps.
+"""
+
+import csv
+from pathlib import Path
+
+import numpy as np
+
+RESULTS = Path(__file__).parent / "results"
+KINDS = {  # variant -> what the page calls it
+    "brax": "brax's PPO",
+    "ppo": "our PPO, Playground's settings",
+    "best": "`best`",
+}
+SHARES = 0.9, 1.0  # of the reference
+
+
+def main():
+    found = runs()
+    if not found:
+        print(f"nothing was run: no CSV in {RESULTS}")
+        return
+    heads = [f"{share:.0%}: {unit}" for share in SHARES for unit in ("M steps", "seconds")]
+    print(f"| task | | seeds | last return | falls | M steps | seconds | {' | '.join(heads)} |")
+    print("|---" * (7 + len(heads)) + "|")
+    for task in tasks(found):
+        level = reference(found, task)
+        for kind in KINDS:
+            some = found.get((task, kind))
+            if not some:
+                continue
+            last = [[float(row[k]) for k in ("return", "fall_rate")] for *_, row in some]
+            back, falls = np.mean(last, 0)
+            size, took = np.mean([when(rows[-1]) for rows in some], 0)
+            cells = [task, KINDS[kind], len(some), f"{back:.1f}", f"{falls:.1%}", f"{size:.1f}"]
+            cells += [f"{took:.0f}"]
+            cells += [cell for share in SHARES for cell in first_cells(some, share * level)]
+            print("| " + " | ".join(map(str, cells)) + " |")
+    print()
+    for task in tasks(found):
+        returns(found, task)
+
+
+def runs() -> dict[tuple[str, str], list[list[dict]]]:
+    """`{(task, variant): runs}`; a run are the rows of a seed, by step."""
+    out: dict[tuple[str, str], list[list[dict]]] = {}
+    for path in sorted(RESULTS.glob("*.csv")):
+        with path.open() as file:
+            rows = [*csv.DictReader(file)]
+        for seed in dict.fromkeys(row["seed"] for row in rows):
+            of_seed = [row for row in rows if row["seed"] == seed]
+            out.setdefault(named(of_seed[0]["job"]), []).append(of_seed)
+    return out
+
+
+def named(job: str) -> tuple[str, str]:
+    """`(task, variant)` of `playground:TASK:VARIANT FIELD=VALUE ...` or `brax:TASK`."""
+    kind, task, *variant = job.split()[0].split(":")
+    return task, variant[0] if variant else kind
+
+
+def tasks(found) -> list[str]:
+    return [*dict.fromkeys(task for task, _ in found)]
+
+
+def reference(found, task: str) -> float:
+    """The last return of brax's PPO, or of ours, in the mean over seeds; NaN without either."""
+    some = found.get((task, "brax")) or found.get((task, "ppo")) or []
+    return float(np.mean([float(rows[-1]["return"]) for rows in some])) if some else np.nan
+
+
+def when(row: dict) -> tuple[float, float]:
+    """Millions of simulator steps, seconds."""
+    return float(row["sim_steps"]) / 1e6, float(row["seconds"])
+
+
+def first(rows: list[dict], level: float) -> tuple[float, float]:
+    """`when` of the first evaluation of a seed that has `level`; NaN if none has."""
+    at = (when(row) for row in rows if float(row["return"]) >= level)
+    return next(at, (np.nan, np.nan))
+
+
+def first_cells(some, level: float) -> list[str]:
+    each = np.array([first(rows, level) for rows in some])
+    never = int(np.isnan(each[:, 0]).sum())
+    if never == len(each):
+        return ["never", "never"]
+    steps, seconds = np.nanmean(each, 0)
+    return [f"{steps:.1f}" + (f", {never} never" if never else ""), f"{seconds:.0f}"]
+
+
+def returns(found, task: str) -> None:
+    """Returns in the mean over seeds, in every evaluation that all seeds have."""
+    print(f"{task}: M steps, return\n")
+    for kind, name in KINDS.items():
+        some = found.get((task, kind))
+        if some:
+            pairs = [
+                (when(rows[0])[0], np.mean([float(r["return"]) for r in rows]))
+                for rows in zip(*some, strict=False)
+            ]
+            print(f"- {name}:", "; ".join(f"{at:.1f}, {back:.1f}" for at, back in pairs))
+    print()
+
+
+if __name__ == "__main__":
+    main()
