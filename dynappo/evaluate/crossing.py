@@ -1,7 +1,7 @@
 """Which tiles of a rough ground a policy crosses: by kind and by row, on tiles that it was not trained on.
 
 A robot begins in the middle of a tile, anywhere in the whole grid, turned anyhow, and is told to walk
-`SPEED` ahead: to a heading drawn for it, if the task has headings, else where it looks. It crosses its tile
+`SPEED` ahead, where it looks. It crosses its tile
 if it leaves it, farther from the middle than half of its side, within `SECONDS` and without a fall, and no
 more than `ASIDE` beside the way that it was told. No noise, nominal bodies, the policy's mean action. The
 ground is that of the policy's config with another seed; of a policy that was trained on a map, that map.
@@ -110,6 +110,10 @@ def tries(
     body_keys, reset_keys, keys = (jax.random.split(k, num_envs) for k in jax.random.split(key, 3))
     bodies = jax.vmap(env.randomize, (None, 0))(hyper, body_keys)
     start = jax.vmap(env.reset, (None, 0, 0))(hyper, bodies, reset_keys)
+    told = jax.vmap(observe.heading)(start.qpos[:, 3:7])
+    if static.task.heading:
+        # a heading drawn at random may be behind: a robot that turns while it walks leaves beside its way
+        start = start.replace(goal=start.goal.replace(heading=told))
     act = scores.mean_actions(env, static, params)
 
     def step(carry, t):
@@ -131,9 +135,6 @@ def tries(
     zero = jnp.zeros(num_envs)
     carry = start, zero + 1, zero, zero
     (end, _, crossed, fell), _ = jax.lax.scan(step, carry, jnp.arange(num_steps))
-    told = jax.vmap(observe.heading)(start.qpos[:, 3:7])
-    if static.task.heading:
-        told = start.goal.heading
     way = end.qpos[:, :2] - start.qpos[:, :2]
     off = jnp.arctan2(way[:, 1], way[:, 0]) - told
     aside = jnp.abs((off + jnp.pi) % (2 * jnp.pi) - jnp.pi)

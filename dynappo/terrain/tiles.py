@@ -69,8 +69,9 @@ def make(tiles: Any) -> HeightMap:
     return HeightMap(heights, float(tiles.cell), (float(corner[0]), float(corner[1])))
 
 
-def single(tiles: Any, kind: str, hard: float, seed: int = 0, around: float = 4.0) -> HeightMap:
-    """One tile of this kind and difficulty, its middle the origin; `around` (m) it the ground is flat."""
+def single(tiles: Any, kind: str, hard: float, seed: int = 0, around: float = 12.0) -> HeightMap:
+    """One tile of this kind and difficulty, its middle the origin; `around` (m) it the ground is flat, so far
+    that nobody reaches its end in a film."""
     border, rng = round(around / tiles.cell), np.random.default_rng((seed, 0, 0))
     heights = np.pad(tile(tiles, kind, hard, rng), border).astype(np.float32)
     corner = -(tiles.size / 2 + border * tiles.cell)

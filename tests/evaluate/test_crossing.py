@@ -47,10 +47,14 @@ def walkers():
 
     def reset(hyper, body, key):
         number = jax.random.key_data(key)[-1] % len(TRIES)
-        goal = SimpleGoal(heading=jnp.radians(jnp.array(told))[number])
+        looks = jnp.radians(jnp.array(told))[number]
+        goal = SimpleGoal(
+            heading=looks + 1.6
+        )  # which a try changes: it is told to go where it looks
         none = jnp.zeros(1)
         tile = curriculum.Tile(row=jnp.int32(number % 2), column=jnp.int32(number % 3))
-        start = jnp.array([5.0, -3.0, 0.3, 1.0, 0, 0, 0])
+        turn = [jnp.cos(looks / 2), 0.0, 0.0, jnp.sin(looks / 2)]
+        start = jnp.array([5.0, -3.0, 0.3, *turn])
         return State(start, none, none, goal, tile, number, jnp.int32(0))
 
     def step(hyper, body, state, action, key):
@@ -58,6 +62,7 @@ def walkers():
             jnp.radians(jnp.array(goes))[state.number],
             DT * SPEED / jnp.array(slow)[state.number],
         )
+        way += state.goal.heading - jnp.radians(jnp.array(told))[state.number]
         xy = state.qpos[:2] + pace * jnp.stack([jnp.cos(way), jnp.sin(way)])
         steps = state.steps + 1
         fell = (steps == falls[state.number]) * 1.0
