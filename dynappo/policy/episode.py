@@ -33,6 +33,7 @@ from dynappo.terrain.height_map import HeightMap
 UNEVEN = 0.02  # rad, about a degree
 STRIDE = 0.5  # s between points of the path walked, so that swaying adds no distance
 NEAR = 0.25  # of the base's height: a limb's end that is lower in the default pose is a foot
+PLAIN = [0.62, 0.66, 0.70, 1.0]  # colour of rough ground
 FILM_SECONDS = 12.0  # of the tour in a film
 PAGE_SECONDS = 16.0  # of the tour on the live page, which begins it again
 TOUR = (  # the commands if none is given: (share of the time, (vx, vy, yaw rate))
@@ -175,6 +176,10 @@ def compiled(
             )
         if not boxes:
             ground.put(spec, field)
+            floor.material, floor.rgba = (
+                "",
+                PLAIN,
+            )  # a pattern would be stretched on the walls of steps
         return mjcf.check_model(spec.compile())
 
 

@@ -116,7 +116,7 @@ def test_entropy_is_the_integral_of_minus_p_log_p(peer):
 
 
 def test_squashed_entropy_is_the_integral_of_minus_p_log_p_of_tanh():
-    """Of one action y = tanh(x): p(y) = p(x) cosh(x)^2. Over the std it has a maximum, 0.87 at a mean of 0."""
+    """Of one action y = tanh(x): p(y) = p(x) cosh(x)^2. It has a maximum over the std: 0.87 at mean 0."""
     x = np.linspace(-20, 20, 400_001)
     noise, found = np.random.default_rng(0).normal(size=(400_000, 1)), {}
     for mean, std in [(0.0, 0.3), (0.0, 0.87), (0.0, 3.0), (0.7, 0.7), (-1.5, 0.4)]:
