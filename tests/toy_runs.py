@@ -1,6 +1,7 @@
 """What a run over a toy environment did: its columns, the rollout inside an iteration, comparisons."""
 
 import functools
+import importlib.metadata
 from functools import partial
 
 import jax
@@ -12,7 +13,9 @@ from dynappo import algorithm, schedule
 from dynappo.types import Transition
 
 N, R, ITERATIONS = 8, 16, 6  # of `toy_env.settings`
-AS_USERS = {"xla_cpu_use_fusion_emitters": True}  # of `jax.jit`; conftest.py turns it off
+# of `jax.jit`: what conftest.py turns off; jaxlib 0.11 has lost the flag
+OLD = tuple(map(int, importlib.metadata.version("jaxlib").split(".")[:2])) < (0, 11)
+AS_USERS = {"xla_cpu_use_fusion_emitters": True} if OLD else {}
 FIELDS = len(Transition.__dataclass_fields__)
 
 

@@ -3,9 +3,9 @@
     python experiments/28_rough/table.py [OUT_FOLDER]
 
 Without a folder of `run.py` (NAME.csv): all runs that are kept. A line a seed: after the last evaluation, the
-share of tries that crossed their tile, of all; of stairs with steps up to `HIGH` of the robot, up (a pyramid is
-walked down, so its stairs go down) and down; of the other kinds in the two middle rows; and which step the
-first evaluation had from which on 90 % cross such stairs and 95 % each other kind (`level`).
+share of tries that crossed their tile, of all; of stairs with steps up to `HIGH` of the robot, up (a pit) and
+down (a pyramid); of the other kinds in the two middle rows; and M steps from which on 90 % cross such stairs
+and 95 % each other kind (`level`).
 """
 
 import csv
