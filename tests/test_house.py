@@ -78,6 +78,7 @@ PATHS = set("pathlib os shutil tempfile glob".split())
 # cores, or lock what threads share
 MAY_ALSO = {
     "tasks.playground.assets": FILES | PATHS,
+    "tasks.playground.c_physics": {"pure_callback"},
     "tasks.playground.loading": {"pathlib"},
     "tasks.playground.swapped": {"threading"},
     "description.robot": FILES | PATHS,

@@ -232,7 +232,7 @@ def frames(
     field: HeightMap | None = None,
 ):
     """Yield RGB frames `[H, W, 3]`, one per row of an episode; `text` is the MJCF, or file `xml`, and `field`
-    the ground. An .mjb is of another package's environment (evaluate/record.py).
+    the ground. An .mjb is of another package's environment.
     """
     binary = xml.endswith(".mjb")
     model = (

@@ -1,7 +1,7 @@
 """Playground's tasks under our trainer: the same numbers as the task's own step, without network or meshes.
 
 To compile MJX takes longest, so most of these tests trace the tasks with C MuJoCo's physics
-(playground_in_c.py); one compiles our step on MJX.
+(c_physics.py); one compiles our step on MJX.
 """
 
 import functools
@@ -14,7 +14,6 @@ import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
-import playground_in_c
 import pytest
 from answers import refused, status
 
@@ -32,6 +31,7 @@ pytest.importorskip("mujoco_playground", reason="MuJoCo Playground is not instal
 
 from dynappo.tasks.playground import (  # noqa: E402
     assets,
+    c_physics,
     env,
     loading,
     mirrored,
@@ -96,7 +96,7 @@ def in_c(name, function):
     """`jax.jit(function)`, traced with C MuJoCo's physics."""
 
     def traced(*arguments):
-        with playground_in_c.physics(task(name)):
+        with c_physics.physics(task(name)):
             return function(*arguments)
 
     return jax.jit(traced)
