@@ -8,6 +8,7 @@ import numpy as np
 
 from dynappo.config import ConfigError
 from dynappo.page import episode_page
+from dynappo.play import film
 from dynappo.play.command_script import Commands, outside
 from dynappo.policy import policy_file, task_player
 from dynappo.policy.policy_file import Other
@@ -62,9 +63,12 @@ def run(policy: Other, named: str, flags, commands: Commands | None) -> None:
         at = commands.at if commands else None
         episode = task_player.episode(player, act, seconds, at, flags.seed)
         rows = table(player, episode)
-        if out.suffix == ".html":
-            episode_page.write(player, episode, out, env, told, rows)
-        elif problem := task_player.film(player, episode, out, flags.size):
+    if out.suffix == ".html":
+        episode_page.write(player, episode, out, env, told, rows)
+    else:
+        with task_player.shown(player) as shown:
+            problem = film.write(shown, episode, out, flags.size)
+        if problem:
             raise ConfigError(
                 f"--out={out}: {problem}; a page needs neither: --out={out.stem}.html"
             )

@@ -255,11 +255,10 @@ def episode(
     return columns | {"dt": np.array(player.dt)}
 
 
-def film(
-    player: TaskPlayer, episode: dict[str, Any], out: Path, size: tuple[int, int] | None = None
-) -> str:
-    """`render.film` of an episode of the player."""
+@contextlib.contextmanager
+def shown(player: TaskPlayer) -> Iterator[render.Shown]:
+    """The player as `render.film` takes it."""
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "model.mjb"
         mujoco.mj_saveModel(player.model, str(file), None)
-        return render.film(render.Shown(file, "", player.base_body), episode, out, size)
+        yield render.Shown(file, "", player.base_body)

@@ -73,7 +73,7 @@ def finish(
 
 def _film_of_task(config, workdir: Path) -> str:
     """The film of an episode of another package's environment; "", or why there is none."""
-    from dynappo.policy import task_player
+    from dynappo.policy import render, task_player
 
     if not config.env.startswith("playground:"):
         return "no video: the environment has no MuJoCo model"
@@ -83,7 +83,8 @@ def _film_of_task(config, workdir: Path) -> str:
     try:
         with task_player.playing(config.env) as player:
             episode = task_player.episode(player, act, config.run.video_seconds)
-            return task_player.film(player, episode, workdir / "video.mp4")
+        with task_player.shown(player) as shown:
+            return render.film(shown, episode, workdir / "video.mp4")
     except (ConfigError, FloatingPointError) as error:
         return f"no video: {error}"
 

@@ -450,14 +450,34 @@ def test_stand_ins_change_no_physics(name, monkeypatch, tmp_path):
         np.testing.assert_array_equal(getattr(one, field), getattr(other, field), field)
 
 
-def test_a_film_shows_ellipsoids_where_meshes_are_missing():
-    """Of the bodies' masses and inertias, so about as large as the robot; the model itself is as it was."""
+def test_a_film_shows_shapes_where_meshes_are_missing():
+    """The trunk an ellipsoid; thighs and calves are capsules from joint to joint and to the foot."""
     model = task(GO1).mj_model
-    drawn = assets.shown(model)
-    round_ones = drawn.geom_type == mujoco.mjtGeom.mjGEOM_ELLIPSOID
-    assert round_ones.sum() >= 13 and not (model.geom_type == mujoco.mjtGeom.mjGEOM_ELLIPSOID).any()
-    trunk = drawn.geom_size[round_ones & (drawn.geom_bodyid == model.body("trunk").id)][0]
-    assert 0.1 < max(trunk) < 0.5
+    drawn, kinds = assets.shown(model), mujoco.mjtGeom
+    assert (model.geom_type == kinds.mjGEOM_MESH).sum() >= 13, "the model is as it was"
+
+    def shape(body):
+        seen = (drawn.geom_bodyid == model.body(body).id) & (drawn.geom_rgba[:, 3] > 0)
+        (geom,) = np.flatnonzero(seen & (drawn.geom_group < 3))
+        return geom, drawn.geom_type[geom], drawn.geom_size[geom]
+
+    _, kind, size = shape("trunk")
+    assert kind == kinds.mjGEOM_ELLIPSOID and 0.15 < size.max() < 0.4 and size.min() > 0.02
+    data = mujoco.MjData(model)
+    data.qpos[:] = np.asarray(task(GO1)._init_q)
+    mujoco.mj_kinematics(model, data)
+    seen = mujoco.MjData(drawn)
+    seen.qpos[:] = data.qpos
+    mujoco.mj_kinematics(drawn, seen)
+    for leg in ("FR", "RL"):
+        ends = [data.body(f"{leg}_{part}").xpos for part in ("thigh", "calf")]
+        ends.append(data.geom(leg).xpos)
+        for part, one, other in zip(("thigh", "calf"), ends, ends[1:], strict=False):
+            geom, kind, size = shape(f"{leg}_{part}")
+            assert kind == kinds.mjGEOM_CAPSULE and 0.01 < size[0] < 0.05
+            np.testing.assert_allclose(seen.geom_xpos[geom], (one + other) / 2, atol=1e-6)
+            along = seen.geom_xmat[geom].reshape(3, 3)[:, 2] * 2 * size[1]
+            np.testing.assert_allclose(along, other - one, atol=1e-6)
 
 
 def test_meshes_come_from_where_they_are(monkeypatch, tmp_path):
