@@ -79,7 +79,7 @@ PATHS = set("pathlib os shutil tempfile glob".split())
 MAY_ALSO = {
     "tasks.playground.assets": FILES | PATHS,
     "tasks.playground.c_physics": {"pure_callback"},
-    "tasks.playground.loading": {"pathlib"},
+    "tasks.playground.loading": {"pathlib", "os"},
     "tasks.playground.swapped": {"threading"},
     "description.robot": FILES | PATHS,
     "physics.warp.native": FILES | PATHS,

@@ -33,7 +33,7 @@ UNITS = {
 
 def check(policy: Other, flags) -> Any:
     """The config of the evaluation, validated; ConfigError for what cannot be done."""
-    for name in ("fast", "stress", "randomize"):
+    for name in ("stress", "crossing", "fast", "randomize"):
         if getattr(flags, name):
             raise ConfigError(
                 f"--{name}: the policy is of {policy.config.env}, which has its own episodes alone"
@@ -41,7 +41,7 @@ def check(policy: Other, flags) -> Any:
     config = policy.config
     config.run.update(device="auto", num_seeds=1, mesh_seed=1, mesh_env=1)
     config.physics.impl = "auto"  # it may have been trained on another machine
-    config.run.eval_envs = flags.episodes or 0
+    config.run.update(eval_envs=flags.episodes or 0, eval_every=0)
     return config_lib.validate(config)
 
 
