@@ -10,7 +10,7 @@ from dynappo.config import ConfigError
 from dynappo.page import episode_page
 from dynappo.play import film
 from dynappo.play.command_script import Commands, outside
-from dynappo.policy import policy_file, task_player
+from dynappo.policy import task_player
 from dynappo.policy.policy_file import Other
 from dynappo.policy.task_player import TaskPlayer
 
@@ -36,10 +36,11 @@ def check(policy: Other, flags) -> None:
 
 def acts(policy: Other, player: TaskPlayer, flags, named: str) -> tuple[Any, str]:
     """`(act, text)`: the policy, or what `--policy` says."""
-    act = policy_file.actor(policy.params, policy.config.ppo.activation)
-    which = flags.policy or "policy"
-    told = {"policy": named, "zero": "zero actions", "random": f"random actions, seed {flags.seed}"}
-    return task_player.actor(player, which, act, flags.seed), told[which]
+    if flags.policy == "zero":
+        return task_player.still(player), "zero actions"
+    if flags.policy == "random":
+        return task_player.at_random(player, flags.seed), f"random actions, seed {flags.seed}"
+    return task_player.actor(player, policy), named
 
 
 def command_ranges(player: TaskPlayer) -> np.ndarray:

@@ -13,6 +13,7 @@ from __future__ import annotations
 import contextlib
 import itertools
 import json
+import reprlib
 import subprocess
 import tempfile
 from collections.abc import Callable, Iterator
@@ -23,7 +24,8 @@ import mujoco
 import numpy as np
 
 from dynappo.config import ConfigError, interpreter
-from dynappo.policy import render
+from dynappo.policy import checks, policy_file, render
+from dynappo.policy.policy_file import Other
 
 CLOSING = 5.0  # s, for the process to end
 Rows = TypeVar("Rows", "Ask", "Told")
@@ -117,6 +119,8 @@ def start(env: str) -> TaskPlayer:
             assert process.stdout
             line = process.stdout.readline()
             if not line:
+                with contextlib.suppress(subprocess.TimeoutExpired):
+                    process.wait(CLOSING)  # it says why
                 raise ConfigError(f"{env}: the process that steps it could not start")
             about = json.loads(line)
             model = mujoco.MjModel.from_binary_path(str(file))
@@ -199,9 +203,9 @@ def rows(
     base in `data`, and the force on that in `xfrc_applied`. FloatingPointError if physics blows up.
     """
     v, base = player.root[1], player.base_body
-    still, own = np.zeros(3), np.full(3, np.nan)
+    none, own = np.zeros(3), np.full(3, np.nan)
     nothing = np.zeros(len(player.joint_names))
-    told = tell(player, Ask([1], [seed], own, still, still, nothing))
+    told = tell(player, Ask([1], [seed], own, none, none, nothing))
     mujoco.set_mju_user_warning(lambda message: None)  # as in `episode.rows`
     _show(player, data, told)
     for k in itertools.count():
@@ -229,12 +233,27 @@ def torques(player: TaskPlayer, data: mujoco.MjData) -> np.ndarray:
     return data.qfrc_actuator[player.joint_v].copy()
 
 
-def actor(player: TaskPlayer, acts: str, act: Callable | None, seed: int = 0) -> Callable:
-    """What acts: `act` for "policy"; else "zero" or "random" actions."""
-    size = len(player.joint_names)
+def actor(player: TaskPlayer, policy: Other) -> Callable[[np.ndarray], np.ndarray]:
+    """The mean actions of a policy; ConfigError where its networks are not for this task."""
+    activation, size = policy.config.ppo.activation, len(player.joint_names)
+    try:
+        checks.check_params(policy.params, player.observed, size)
+        if activation not in policy_file.ACTIVATIONS:
+            raise ValueError(f"its activation is {reprlib.repr(activation)}")
+    except ValueError as error:
+        raise ConfigError(f"a policy of {player.env}: {error}") from None
+    return policy_file.actor(policy.params, activation)
+
+
+def still(player: TaskPlayer) -> Callable[[np.ndarray], np.ndarray]:
+    """Zero actions."""
+    return lambda obs: np.zeros(len(player.joint_names))
+
+
+def at_random(player: TaskPlayer, seed: int) -> Callable[[np.ndarray], np.ndarray]:
+    """Random actions."""
     draw = np.random.default_rng((seed, 1))
-    of = {"zero": lambda obs: np.zeros(size), "random": lambda obs: draw.normal(size=size)}
-    return of.get(acts, act)
+    return lambda obs: draw.normal(size=len(player.joint_names))
 
 
 def episode(

@@ -79,9 +79,9 @@ def _film_of_task(config, workdir: Path) -> str:
         return "no video: the environment has no MuJoCo model"
     policy = policy_file.load_other(workdir / "policy.npz")
     assert policy is not None
-    act = policy_file.actor(policy.params, config.ppo.activation)
     try:
         with task_player.playing(config.env) as player:
+            act = task_player.actor(player, policy)
             episode = task_player.episode(player, act, config.run.video_seconds)
         with task_player.shown(player) as shown:
             return render.film(shown, episode, workdir / "video.mp4")

@@ -96,9 +96,8 @@ def load(offer: Offer, name: str) -> Chosen:
     if name == NEWEST:
         text += f" ({_iteration(offer)})"
     if (theirs := policy_file.load_other(found, seed)) is not None:
-        act = policy_file.actor(theirs.params, theirs.config.ppo.activation)
         player = task(theirs.config.env)
-        return Chosen(player, act, text, player.assets)
+        return Chosen(player, task_player.actor(player, theirs), text, player.assets)
     policy, _ = policy_source.load(path, seed)
     player, note = policy_source.player(
         policy, offer.xml if own else None, offer.keep_joints and own
@@ -140,7 +139,7 @@ def standing(offer: Offer) -> Chosen:
         raise ConfigError(f"{offer.what}: holds neither a policy.npz nor checkpoints/") from None
     if config.env:
         player = task(config.env)
-        act = task_player.actor(player, "zero", None)
+        act = task_player.still(player)
         return Chosen(player, act, "no policy yet: zero actions", player.assets)
     if not config.robot:
         raise ConfigError(f"{offer.what}: trains an environment of its own, which has no page")

@@ -32,6 +32,7 @@ pytest.importorskip("mujoco_playground", reason="MuJoCo Playground is not instal
 from dynappo.tasks.playground import (  # noqa: E402
     assets,
     c_physics,
+    commands,
     env,
     loading,
     mirrored,
@@ -480,6 +481,53 @@ def test_a_film_shows_shapes_where_meshes_are_missing():
             np.testing.assert_allclose(along, other - one, atol=1e-6)
 
 
+def test_the_error_is_that_of_the_velocity_in_the_bases_frame():
+    """The row's command less what MuJoCo says of the data after it; getting up has none."""
+    before, _, after, outcome, _ = rollout(GO1)
+    model = task(GO1).mj_model
+    data = mujoco.MjData(model)
+    for at in np.ndindex(ROWS, ROBOTS):
+        data.qpos[:], data.qvel[:] = after.qpos[at], after.qvel[at]
+        mujoco.mj_forward(model, data)
+        moves = np.zeros(6)
+        kind = mujoco.mjtObj.mjOBJ_XBODY
+        mujoco.mj_objectVelocity(model, data, kind, model.body("trunk").id, moves, 1)
+        off = np.array([moves[3], moves[4], moves[2]]) - before.info["command"][at]
+        errors = [outcome.metrics[name][at] for name in env.ERRORS]
+        np.testing.assert_allclose(
+            errors, [(off[:2] ** 2).sum(), off[2] ** 2], rtol=1e-3, atol=1e-5
+        )
+    assert np.asarray(before.info["command"]).any()
+    assert set(env.ERRORS) <= set(made(GO1).metrics)
+    assert not set(env.ERRORS) & set(made(GETUP).metrics)
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        (GO1, [1.5, 0.8, 1.2]),
+        ("G1JoystickFlatTerrain", [1.0, 0.5, 1.0]),
+        ("ApolloJoystickFlatTerrain", [1.5, 0.8, 1.2]),
+        (SPOT, [1.0, 0.8, 1.0]),
+        (GETUP, None),
+    ],
+)
+def test_ranges_of_commands_are_those_that_the_task_draws_from(name, expected):
+    """As the task's own config has them, each in its way."""
+    info = jax.eval_shape(lambda key: reset_without_physics(task(name), key), jax.random.PRNGKey(0))
+    found = commands.ranges(task(name), info)
+    if expected is None:
+        assert found is None
+        return
+    assert found is not None
+    np.testing.assert_allclose(found, np.outer(expected, [-1, 1]), atol=1e-6)
+
+
+def reset_without_physics(of, key):
+    with swapped.physics(lambda data, ctrl, n: data):
+        return of.reset(key).info
+
+
 def test_meshes_come_from_where_they_are(monkeypatch, tmp_path):
     """From the folder that the variable names, also before a clone; a wrong one is an error."""
     monkeypatch.undo()
@@ -672,12 +720,17 @@ def test_an_exported_policy_takes_the_tasks_observation(tmp_path, capsys, monkey
 
 def test_mistakes_are_one_line(monkeypatch):
     """A wrong name, variant or engine; a robot that has no stand-in; Playground not installed."""
-    assert GO1 in refused(loading.check, "Go1Joystick")
+    assert "there is Go1Joystick" in refused(loading.check, "Go1Joystik")
     assert "'best' is not" not in refused(config_lib.load, f"playground:{GO1}:fast")
     assert "is not one of best, ppo" in refused(config_lib.load, f"playground:{GO1}:fast")
     assert "no locomotion task ''" in refused(config_lib.load, "playground")
     assert assets.VARIABLE in refused(loading.check, "BarkourJoystick")
     config = config_lib.load(f"playground:{GO1}")
+    for field in ("task.weights.vertical_velocity", "task.noise.gravity", "physics.timestep"):
+        told = refused(config_lib.override, config, field, "0.1")
+        assert told.startswith(f"--config.{field}: playground:{GO1} has its own weights, noise")
+    config_lib.override(config, "task.episode_length", "500")
+    assert config.task.episode_length == 500
     config.physics.impl = "c"
     assert "expected jax or warp" in refused(by_name.check, config)
     config.env = "gym:Ant"
