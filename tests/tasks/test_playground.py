@@ -20,9 +20,9 @@ from answers import refused, status
 from dynappo import config as config_lib
 from dynappo import schedule
 from dynappo.config import files
-from dynappo.evaluate import task_facts
+from dynappo.evaluate import task_episodes, task_facts
 from dynappo.export import command as export
-from dynappo.policy import policy_file, recorded
+from dynappo.policy import policy_file, recorded, render
 from dynappo.run import overflow
 from dynappo.tasks import by_name
 from dynappo.types import Outcome
@@ -716,6 +716,44 @@ def test_an_exported_policy_takes_the_tasks_observation(tmp_path, capsys, monkey
     ):
         flags = (flag,) if "out" in flag else (flag, f"--out={tmp_path}/q.onnx")
         assert status(export.main, file, *flags) == 2 and said in capsys.readouterr().err
+
+
+def test_an_evaluation_needs_no_flag_and_tells_terms_of_the_reward():
+    """Also of a policy that was trained on a GPU, and evaluated every 200 iterations."""
+    flags = python_types.SimpleNamespace(
+        episodes=None, stress=False, crossing=False, fast=False, randomize=False
+    )
+    config = config_lib.load(f"playground:{GO1}:ppo")
+    config.physics.impl, config.run.eval_every, config.run.num_seeds = "warp", 200, 4
+    policy = policy_file.Other(config, {})
+    checked = task_episodes.check(policy, flags)
+    assert (checked.physics.impl, checked.run.num_seeds) == ("auto", 1)
+    flags.fast = flags.stress = True  # as --stress sets both
+    assert refused(task_episodes.check, policy, flags).startswith("--stress: ")
+    numbers = {"yaw_error": None, "return": 30.694, "fall_rate": 0.25}
+    rows = task_episodes.table(numbers, {"pose": 50.0, "torques": -2.0, "alive": None}, 0.02)
+    assert rows[:3] == [
+        ("return", "30.69"),
+        ("fall rate", "0.250 of the episodes"),
+        ("yaw error", "-"),
+    ]
+    terms = {name.strip(): text.split() for name, text in rows[4:]}
+    assert terms["pose"] == ["50.00", "1.000"] and terms["torques"] == ["-2.00", "-0.040"]
+    assert terms["alive"] == ["-", "-"]
+
+
+@pytest.mark.parametrize("name", [GO1, "G1JoystickFlatTerrain"])
+def test_a_films_camera_sees_the_whole_robot_and_its_arrows(name):
+    """From floor to the arrows' height, above and below the base that it follows."""
+    model = task(name).mj_model
+    data = mujoco.MjData(model)
+    data.qpos[:] = np.asarray(task(name)._init_q)
+    mujoco.mj_forward(model, data)
+    base = int(model.jnt_bodyid[0])
+    view = render.whole(model, data, base)
+    half = view.distance * np.tan(np.deg2rad(model.vis.global_.fovy) / 2)
+    assert half > 1.1 * max(data.xpos[base, 2], render.lift(model, data, base))
+    assert view.trackbodyid == base and view.distance < 4
 
 
 def test_mistakes_are_one_line(monkeypatch):
