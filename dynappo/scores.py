@@ -57,12 +57,14 @@ def evaluate(
     num_envs: int,
     num_steps: int,
     randomize: bool = False,
+    totals: tuple[str, ...] = (),
 ) -> Metrics:
     """Metrics of `num_envs` episodes of at most `num_steps` control steps.
 
     `return`, `length` (control steps), `fall_rate`, `tracking_error` (m/s), `yaw_error` (rad/s),
     `return_std` over episodes. With `randomize`, on the training task: noise, pushes, and different
-    physics for each robot; errors are still those of the true velocities.
+    physics for each robot; errors are still those of the true velocities. `totals` are metrics of the
+    environment, such as terms of its reward, of which the sum over an episode is told as `total_NAME`.
     """
     hyper = hyper if randomize else nominal(hyper)
     key = jax.random.fold_in(key, algorithm.EPISODES)  # a run of this seed draws from the others
@@ -75,7 +77,8 @@ def evaluate(
     settled = round(SETTLE / env.dt)
     errors = [name for name in env.metrics if name.endswith("_error_sq")]
     zero = jnp.zeros(num_envs)
-    sums = dict.fromkeys(("return", "length", "falls", "rows", *errors), zero)
+    total = [f"total_{name}" for name in totals]
+    sums = dict.fromkeys(("return", "length", "falls", "rows", *errors, *total), zero)
 
     advance = algorithm.physics_step(env, hyper, bodies)
     act = mean_actions(env, static, params)
@@ -93,6 +96,7 @@ def evaluate(
             "falls": alive * (1 - outcome.discount),
             "rows": rows,
         } | {name: rows * outcome.metrics[name] for name in errors}
+        row |= {f"total_{name}": alive * outcome.metrics[name] for name in totals}
         alive = alive * outcome.discount * (1 - outcome.truncation)
         return (state, alive, jax.tree.map(jnp.add, sums, row)), None
 
@@ -102,7 +106,7 @@ def evaluate(
         "return_std": sums["return"].std(),
         "length": sums["length"].mean(),
         "fall_rate": sums["falls"].mean(),
-    }
+    } | {name: sums[name].mean() for name in total}
     names = {"velocity_error_sq": "tracking_error"}
     for name in errors:
         # NaN if all robots fell in the first second

@@ -78,7 +78,8 @@ PATHS = set("pathlib os shutil tempfile glob".split())
 # cores, or lock what threads share
 MAY_ALSO = {
     "tasks.playground.assets": FILES | PATHS,
-    "tasks.playground.loading": {"pathlib"},
+    "tasks.playground.c_physics": {"pure_callback"},
+    "tasks.playground.loading": {"pathlib", "os"},
     "tasks.playground.swapped": {"threading"},
     "description.robot": FILES | PATHS,
     "terrain.map_file": FILES | PATHS,

@@ -120,6 +120,22 @@ def test_episodes_are_those_of_a_loop(assess, settings, params, seed, steps, lim
         np.testing.assert_allclose(metrics[name], value, 2e-4, err_msg=name)
 
 
+def test_totals_are_sums_over_the_episodes_that_count(settings, params):
+    """The reward itself as a term of it: its sum is the return, also where robots fell before the end."""
+    static, hyper = settings
+    env = toy_env.make(episode_length=LIMIT)
+
+    def step(*arguments):
+        state, outcome = env.step(*arguments)
+        return state, outcome.replace(metrics=outcome.metrics | {"reward_all": outcome.reward})
+
+    told = env._replace(step=step, metrics=(*env.metrics, "reward_all"))
+    sizes = {"static": static, "num_envs": ROBOTS, "num_steps": STEPS, "totals": ("reward_all",)}
+    metrics = jax.jit(partial(scores.evaluate, told, **sizes))(hyper, params, jax.random.key(0))
+    assert 0 < metrics["fall_rate"] < 1
+    np.testing.assert_allclose(metrics["total_reward_all"], metrics["return"], 1e-5)
+
+
 def test_an_evaluation_is_deterministic_and_its_commands_are_drawn(assess, params):
     """The same key gives the same bits, another key other commands."""
     one, two, other = assess(params), assess(params), assess(params, 1)

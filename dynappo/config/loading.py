@@ -23,6 +23,9 @@ from dynappo.config.files import find
 
 OWN = (pathlib.Path(), pathlib.Path("configs"))  # a name in one of these may mean dynappo's own
 
+# what an environment by name (config.env) reads of the groups task and physics
+OF_NAMED = ("task.episode_length", "task.random_clock", "physics.impl")
+
 
 def load(spec: str) -> config_dict.ConfigDict:
     """The config of `NAME`, `FILE.py`, `NAME:VARIANT` or `FILE.py:VARIANT`; not validated.
@@ -103,6 +106,12 @@ def override(config: config_dict.ConfigDict, field: str, text: str) -> None:
         old = node[leaf]
     except (KeyError, TypeError, AttributeError):
         raise ConfigError(f"--config.{field}: no such field; {fields.near(field)}") from None
+    own = field.partition(".")[0] in ("task", "physics") and field not in OF_NAMED
+    if config.get("env") and own:
+        raise ConfigError(
+            f"--config.{field}: {config.env} has its own weights, noise, commands and physics; of these "
+            f"groups it reads {', '.join(OF_NAMED)}"
+        )
     if isinstance(old, config_dict.ConfigDict):
         raise ConfigError(f"--config.{field} is a group, expected one of {', '.join(old)}")
     kind = fields.every()[field]

@@ -70,6 +70,11 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
         if out is not None and out.suffix != ".png":
             raise ConfigError(f"--{name}={out}: expected a file named .png")
     flags.config = config_lib.validate(flags_lib.load(flags.what, rest))
+    if not flags.config.robot:
+        raise ConfigError(
+            f"{flags.what}: expected a robot; that of a Playground task is shown by dynappo play WORKDIR "
+            "--policy=zero --out=FILE.html, with the workdir of a run"
+        )
     if flags.ground is not None and flags.config.task.terrain == "flat":
         raise ConfigError(
             f"--ground={flags.ground}: task.terrain is 'flat' in {flags.what}, expected 'rough'; set "

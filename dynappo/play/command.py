@@ -22,7 +22,7 @@ from dynappo.page import episode_page
 from dynappo.play import command_script, film, serve, task_episode, viewer
 from dynappo.policy import episode as episode_lib
 from dynappo.policy import policy_file, policy_source
-from dynappo.policy.policy_file import Policy
+from dynappo.policy.policy_file import Other, Policy
 
 FILES = {".mp4": "a film", ".gif": "a film", ".png": "its last moment", ".html": "a page"}
 USAGE = f"""\
@@ -178,8 +178,8 @@ def write(
         raise ConfigError(f"--out={out}: {problem}; a page needs neither: --out={out.stem}.html")
 
 
-def _other(flags) -> tuple | None:
-    """The arguments of `task_episode.run` where the policy is of another package's environment."""
+def _other(flags) -> tuple[Other, str] | None:
+    """`(policy, text)` where the policy is of another package's environment."""
     if flags.what in files.robots():
         return None
     try:
@@ -190,9 +190,9 @@ def _other(flags) -> tuple | None:
         return None  # a run that has no policy yet is served, too
     if found is None:
         return None
-    policy, path, named = found
+    policy, _, named = found
     task_episode.check(policy, flags)
-    return policy, path, flags, named
+    return policy, named
 
 
 def run(flags) -> None:
@@ -200,12 +200,13 @@ def run(flags) -> None:
     out = flags.out
     if out is not None:
         check_out(out)
-    if (theirs := _other(flags)) is not None:
-        return task_episode.run(*theirs)
+    theirs = _other(flags)
     commands = command_script.commands(flags.command, flags.seconds)
     if flags.serve is not None:
-        serve.run(flags, choose, commands if flags.command else None)
+        serve.run(flags, theirs, choose, commands if flags.command else None)
         return
+    if theirs is not None:
+        return task_episode.run(*theirs, flags, commands if flags.command else None)
     policy, act, acts = choose(flags)
     field = policy_source.ground(policy, flags.ground) if flags.ground else None
     player, other = policy_source.player(policy, flags.robot_xml, flags.keep_joints, field)
@@ -214,7 +215,7 @@ def run(flags) -> None:
         viewer.check_display()
         if flags.command is None:  # to be steered from standing
             commands = commands._replace(at=lambda t: np.zeros(3), text=viewer.KEYS)
-    notes = [other, command_script.outside(policy, commands)]
+    notes = [other, command_script.outside(command_script.ranges_of(policy), commands)]
     print(f"dynappo plays {policy.robot}: {acts}; {commands.text}")
     if flags.robot_xml:
         ms = player.model.opt.timestep * 1e3

@@ -94,9 +94,13 @@ def script(path: Path) -> Commands:
     return Commands(at, table[1:, 1:], f"commands of {path}", seconds)
 
 
-def outside(policy: Policy, wanted: Commands) -> str:
-    """A line on a command that the policy was not trained for, or ""."""
-    ranges = (policy.command_x, policy.command_y, policy.command_yaw)
+def ranges_of(policy: Policy) -> np.ndarray:
+    """[3, 2] the commands that the policy was trained for."""
+    return np.array([policy.command_x, policy.command_y, policy.command_yaw])
+
+
+def outside(ranges: np.ndarray, wanted: Commands) -> str:
+    """A line on a command that was not trained, outside of `ranges` [3, 2], or ""."""
     for axis, (low, high), column in zip(AXES, ranges, wanted.rows.T, strict=True):
         worst = column[np.argmax(np.maximum(column - high, low - column))]
         if not low <= worst <= high:

@@ -31,7 +31,9 @@ def size(text: str, out: Path | None) -> tuple[int, int]:
     return width, height
 
 
-def write(player: Player, episode: dict, out: Path, pixels: tuple[int, int] | None = None) -> str:
+def write(
+    player: Player | render.Shown, episode: dict, out: Path, pixels: tuple[int, int] | None = None
+) -> str:
     """`render.film`, with its progress on a terminal; it takes a minute on two cores."""
 
     def tell(share):

@@ -6,7 +6,8 @@
 - `checkpoint_file`: reads the arrays of a checkpoint
 - `episode`: runs a policy on a robot in C MuJoCo and NumPy
 - `walks`: whether a robot walks, by an evaluation; in words too
-- `recorded`: what processes with JAX tell of other packages' environments
+- `task_player`: a robot of a Playground task, a control step at a time
+- `recorded`: what a process with JAX tells of such a task
 - `render`: makes a film or a picture of an episode
 
 The commands, `run`, `sweeps` and `web` import it. It imports `config`, `description`,

@@ -216,6 +216,19 @@ def camera(model, base: int) -> mujoco.MjvCamera:
     return view
 
 
+def whole(model, data, base: int) -> mujoco.MjvCamera:
+    """A camera that follows body `base` of the robot in `data`, and sees it and the arrows above it."""
+    robot = np.flatnonzero(model.body_rootid == base)
+    wide = np.linalg.norm(data.xpos[robot, :2] - data.xpos[base, :2], axis=1).max()
+    below = data.xpos[base, 2] - data.xpos[robot, 2].min()
+    tall = max(below, lift(model, data, base)) + 2 * CLEAR
+    view = mujoco.MjvCamera()
+    view.type, view.trackbodyid = mujoco.mjtCamera.mjCAMERA_TRACKING, base
+    far = 1.3 * tall / np.tan(np.deg2rad(model.vis.global_.fovy) / 2)
+    view.distance, view.azimuth, view.elevation = max(far, 3.5 * wide), 142, -14
+    return view
+
+
 def options(model, base: int) -> mujoco.MjvOption:
     """MuJoCo's default options; contact shapes are drawn too if the robot has no other geoms."""
     option = mujoco.MjvOption()
@@ -234,7 +247,7 @@ def frames(
     field: HeightMap | None = None,
 ):
     """Yield RGB frames `[H, W, 3]`, one per row of an episode; `text` is the MJCF, or file `xml`, and `field`
-    the ground. An .mjb is of another package's environment (evaluate/record.py).
+    the ground. An .mjb is of another package's environment.
     """
     binary = xml.endswith(".mjb")
     model = (
@@ -245,7 +258,11 @@ def frames(
     data = mujoco.MjData(model)
     window = model.vis.global_
     window.offwidth, window.offheight = max(window.offwidth, width), max(window.offheight, height)
-    view, option = camera(model, base), options(model, base)
+    option, view = options(model, base), camera(model, base)
+    if binary:  # a file's own camera may leave out the arrows
+        data.qpos[:] = episode["qpos"][0]
+        mujoco.mj_forward(model, data)
+        view = whole(model, data, base)
     with mujoco.Renderer(model, height, width) as renderer:
         for k, qpos in enumerate(episode["qpos"]):
             data.qpos[:] = qpos

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import tempfile
 import time
 from collections.abc import Callable
 from functools import partial
@@ -74,18 +73,20 @@ def finish(
 
 def _film_of_task(config, workdir: Path) -> str:
     """The film of an episode of another package's environment; "", or why there is none."""
-    from dynappo.policy import recorded, render
+    from dynappo.policy import render, task_player
 
     if not config.env.startswith("playground:"):
         return "no video: the environment has no MuJoCo model"
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "episode.npz"
-        policy = workdir / "policy.npz"
-        if recorded.episode(policy, file, 0, "policy", config.run.video_seconds):
-            return "no video: the episode could not be recorded"
-        episode = dict(np.load(file))
-        shown = render.Shown(file.with_suffix(".mjb"), "", int(episode["base"]))
-        return render.film(shown, episode, workdir / "video.mp4")
+    policy = policy_file.load_other(workdir / "policy.npz")
+    assert policy is not None
+    try:
+        with task_player.playing(config.env) as player:
+            act = task_player.actor(player, policy)
+            episode = task_player.episode(player, act, config.run.video_seconds)
+        with task_player.shown(player) as shown:
+            return render.film(shown, episode, workdir / "video.mp4")
+    except (ConfigError, FloatingPointError) as error:
+        return f"no video: {error}"
 
 
 def final(summary: dict[str, Any]) -> dict[str, float]:

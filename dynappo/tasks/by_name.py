@@ -5,7 +5,9 @@ Each maker is a module of this folder. `program` calls these functions and knows
 
 from __future__ import annotations
 
+import contextlib
 import difflib
+from contextlib import AbstractContextManager
 from typing import TYPE_CHECKING, Any
 
 from dynappo.config import ConfigError
@@ -61,12 +63,19 @@ def make(config, *, impl: str) -> Env:
     return _playground(config, impl)[0]
 
 
-def with_model(config) -> tuple[Env, Any]:
-    """A Playground task of `config` on MJX-JAX, and its MuJoCo model as a film shows it."""
-    return _playground(config, "jax")
+def in_c(config) -> tuple[Env, AbstractContextManager]:
+    """The environment of `config` for a CPU: inside the context, a Playground task is traced with C MuJoCo's
+    physics, which compile and run faster there than MJX."""
+    if not config.env.startswith("playground:"):
+        return make(config, impl="jax"), contextlib.nullcontext()
+    from dynappo.tasks.playground import c_physics
+
+    env, task = _playground(config, "jax")
+    return env, c_physics.physics(task)
 
 
 def _playground(config, impl: str) -> tuple[Env, Any]:
+    """The environment, and Playground's object of the task."""
     from dynappo.tasks.playground import env, loading
 
     run, name = config.run, config.env.partition(":")[2]
@@ -74,7 +83,7 @@ def _playground(config, impl: str) -> tuple[Env, Any]:
     worlds = max(config.rollout.num_envs, run.eval_envs) * run.num_seeds
     loaded = loading.load(name, impl, -(-worlds // (run.mesh_seed * run.mesh_env)))
     own = config.task.episode_length, config.task.random_clock, config.ppo.symmetry
-    return env.make(loaded.task, *own), loading.drawn(loaded)
+    return env.make(loaded.task, *own), loaded.task
 
 
 def _check_brax(name: str) -> None:

@@ -126,9 +126,10 @@ def _prepare_page(serve: str, config, sweep) -> None:
     """ConfigError if `--serve` cannot be done. Makes checkpoints frequent: each is a newer policy."""
     address.read(serve)
     address.check()
-    if sweep or not config.robot:
+    if sweep or not (config.robot or config.env.startswith("playground:")):
         raise config_lib.ConfigError(
-            "--serve shows one run of a robot of robots/, not other environments or sweeps; leave it out"
+            "--serve shows one run of a robot of robots/ or of a Playground task, not other environments or "
+            "sweeps; leave it out"
         )
     if config.run.checkpoint_every == fields.defaults().run.checkpoint_every:
         config.run.checkpoint_every = 2 * config.run.log_every

@@ -1,5 +1,7 @@
 """A robot that walks in real time in C MuJoCo while others look, steer and push.
 
+It is a `Player`, or a `TaskPlayer` of a Playground task.
+
 `Live` holds all state, and one thread (`run`) changes it. Other threads put functions into
 `Live.wishes` (`wish`); `run` calls them between two control steps, so no lock is needed.
 """
@@ -15,7 +17,9 @@ import mujoco
 import numpy as np
 
 from dynappo.policy import episode as episode_lib
+from dynappo.policy import task_player
 from dynappo.policy.episode import Player
+from dynappo.policy.task_player import TaskPlayer
 
 HISTORY = 8.0  # s that the plots show
 TOUR = episode_lib.PAGE_SECONDS
@@ -29,7 +33,7 @@ STRONGEST = 1.5  # times its weight
 class Live:
     """A robot, its commands and its last control steps; arrays of `A` joints are in the policy's order."""
 
-    player: Player
+    player: Player | TaskPlayer
     act: Callable[[np.ndarray], np.ndarray]
     given: Callable[[float], np.ndarray] | None = None  # t (s) -> command, until somebody steers
     command: np.ndarray = field(default_factory=lambda: np.zeros(3))  # m/s, m/s, rad/s
@@ -48,6 +52,7 @@ class Live:
     note: str = ""  # what went wrong last
     rate: float = 0.0  # control steps a second, of the last second
     work: float = 0.0  # share of that second which the control steps took
+    starts: int = 0  # how often it stood up
 
     def __post_init__(self):
         take_robot(self, self.player, self.act)
@@ -58,7 +63,7 @@ def wish(live: Live, function: Callable, *values) -> None:
     live.wishes.append(lambda: function(live, *values))
 
 
-def take_robot(live: Live, player: Player, act: Callable) -> None:
+def take_robot(live: Live, player: Player | TaskPlayer, act: Callable) -> None:
     """Take another robot, standing, under the command of the last one."""
     live.player, live.act = player, act
     live.data = mujoco.MjData(player.model)
@@ -80,20 +85,20 @@ def reset(live: Live) -> None:
 def stand_up(live: Live) -> None:
     """Put the robot on its feet at the origin; its commands go on."""
     live.rows = _rows(live)
-    live.history = deque(maxlen=round(HISTORY / episode_lib.period(live.player)))
+    live.history = deque(maxlen=round(HISTORY / period(live.player)))
     live.t, live.fell, live.pull = 0.0, None, None
     live.row = {"command": command_at(live, live.before), "velocity": np.zeros(3), "fell": False}
     step(live)
 
 
 def _rows(live: Live) -> Iterator[dict]:
-    """The control steps from standing on."""
-    return episode_lib.rows(
-        live.player,
-        live.data,
-        lambda obs: live.act(obs),
-        lambda t: command_at(live, live.before + t),
-    )
+    """The control steps from standing on; of a task from its reset on, each time another."""
+    act, command = lambda obs: live.act(obs), lambda t: command_at(live, live.before + t)
+    if isinstance(live.player, TaskPlayer):
+        live.starts += 1
+        steered = command if len(ranges(live.player)) else None
+        return task_player.rows(live.player, live.data, act, steered, live.starts)
+    return episode_lib.rows(live.player, live.data, act, command)
 
 
 def command_at(live: Live, t: float) -> np.ndarray:
@@ -118,14 +123,47 @@ def steer(live: Live, command) -> None:
     live.given, live.command = None, within(live.player, np.asarray(command, float))
 
 
-def ranges(player: Player) -> np.ndarray:
-    """[3, 2]: the commands that the policy was trained for."""
+def name(player: Player | TaskPlayer) -> str:
+    """What it is, for a person."""
+    return player.env if isinstance(player, TaskPlayer) else player.policy.robot
+
+
+def joint_names(player: Player | TaskPlayer) -> tuple[str, ...]:
+    """In the order of the torques."""
+    return player.joint_names if isinstance(player, TaskPlayer) else player.policy.joint_names
+
+
+def period(player: Player | TaskPlayer) -> float:
+    """Seconds between two actions."""
+    return player.dt if isinstance(player, TaskPlayer) else episode_lib.period(player)
+
+
+def ranges(player: Player | TaskPlayer) -> np.ndarray:
+    """[3, 2]: the commands that the policy was trained for; [0, 2] of a task that has none."""
+    if isinstance(player, TaskPlayer):
+        return np.zeros((0, 2)) if player.ranges is None else player.ranges
     return np.array([player.policy.command_x, player.policy.command_y, player.policy.command_yaw])
 
 
-def within(player: Player, command) -> np.ndarray:
-    """The command, clipped to the ranges that the policy was trained for."""
-    return np.clip(command, *ranges(player).T)
+def within(player: Player | TaskPlayer, command) -> np.ndarray:
+    """The command, clipped to the ranges that the policy was trained for; 0 of a task that has none."""
+    few = ranges(player)
+    return np.clip(command, *few.T) if len(few) else np.zeros(3)
+
+
+def torques(player: Player | TaskPlayer, data: mujoco.MjData) -> np.ndarray:
+    """[A] N m, of the motors in the last control step."""
+    if isinstance(player, TaskPlayer):
+        return task_player.torques(player, data)
+    return data.qfrc_applied[player.joint_v].copy()
+
+
+def over(live: Live) -> bool:
+    """Whether the episode of a task without command is at its end: a robot that has got up would stay so."""
+    player = live.player
+    if not isinstance(player, TaskPlayer) or player.ranges is not None:
+        return False
+    return live.t > (player.episode_length - 0.5) * player.dt
 
 
 def push(live: Live, ahead: float, left: float) -> None:
@@ -152,19 +190,29 @@ def step(live: Live) -> None:
         if live.t == 0:  # it will do so again
             live.note += "; paused"
             live.paused, live.rows = True, _rows(live)
-            episode_lib.reset(live.player, data)
+            _still(live)
         else:
             live.before += live.t
             stand_up(live)
         return
-    live.t += episode_lib.period(live.player)
-    torque = data.qfrc_applied[live.player.joint_v].copy()
+    live.t += period(live.player)
+    torque = torques(live.player, data)
     live.history.append((live.t, live.row["command"], live.row["velocity"], torque))
     if live.row["fell"] and live.fell is None:
         live.fell = live.t
-    if live.stands_up and live.fell is not None and live.t - live.fell > LIE:
+    lies = live.fell is not None and live.t - live.fell > LIE
+    if live.stands_up and (lies or over(live)):
         live.before += live.t
         stand_up(live)
+
+
+def _still(live: Live) -> None:
+    """Put a robot whose physics blow up at once on its feet, where it stays."""
+    if isinstance(live.player, TaskPlayer):
+        mujoco.mj_resetData(live.player.model, live.data)
+        mujoco.mj_forward(live.player.model, live.data)
+    else:
+        episode_lib.reset(live.player, live.data)
 
 
 def run(
@@ -174,20 +222,20 @@ def run(
 
     `after()` is called when all control steps that were due are done, at most once a period.
     """
-    period = episode_lib.period(live.player)
+    every = period(live.player)
     start = due = second = time.perf_counter()
     steps, busy = 0, 0.0
     while not stop() and not (seconds and due - start >= seconds):
         while live.wishes:
             live.wishes.popleft()()
-            period = episode_lib.period(live.player)
+            every = period(live.player)
         before = time.perf_counter()
-        due = max(due, before - CATCH_UP * period)
+        due = max(due, before - CATCH_UP * every)
         for _ in range(CATCH_UP + 1):  # no more: steps may take longer than their period
             if live.paused or due > time.perf_counter():
                 break
             step(live)
-            steps, due = steps + 1, due + period / live.speed
+            steps, due = steps + 1, due + every / live.speed
         busy += time.perf_counter() - before
         after()
         now = time.perf_counter()
@@ -195,5 +243,5 @@ def run(
             live.rate, live.work = steps / (now - second), busy / (now - second)
             steps, busy, second = 0, 0.0, now
         if live.paused:
-            due = now + period
-        time.sleep(min(max(0.0, due - now), period))
+            due = now + every
+        time.sleep(min(max(0.0, due - now), every))

@@ -15,7 +15,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import viser
 
-from dynappo.policy import episode as episode_lib
 from dynappo.web import live as live_lib
 from dynappo.web.live import Live
 
@@ -40,6 +39,7 @@ HELP = (
 STATUS = '<div style="padding: 0 12px; font-size: 14px; overflow-wrap: anywhere">{}</div>'
 PARAGRAPH = '<p style="margin: 0 0 8px">{}</p>'
 POINTS = 160  # of a plot
+LATE = 0.9  # of real time; below the page says so
 STRIDES = 100  # control steps of torques, a few strides
 COLOURS = "#216bed", "#e0762f", "#1a9e4d", "#a23bd0", "#c2185b", "#7a7a00"  # of legs and arms
 
@@ -56,6 +56,7 @@ class Panels:
     """The handles that change while the robot walks."""
 
     status: viser.GuiHtmlHandle
+    steering: viser.GuiFolderHandle  # with sliders and tour
     sliders: list[viser.GuiSliderHandle]
     tour: viser.GuiCheckboxHandle
     pause: viser.GuiButtonHandle
@@ -84,7 +85,7 @@ def add(
     status = gui.add_html("")
     policy = gui.add_dropdown("policy", offered, initial_value=offered[0])
     policy.on_update(lambda event: _by_person(event, lambda: choose(policy.value)))
-    sliders, tour = _steering(server, live)
+    steering, sliders, tour = _steering(server, live)
     with gui.add_folder("time"):
         pause = gui.add_button("pause")
         pause.on_click(lambda _: live_lib.wish(live, _pause))
@@ -108,7 +109,7 @@ def add(
         lambda: setattr(checks["follow"], "value", not checks["follow"].value),
     )
     plots = _plots(server, of_run)
-    return Panels(status, sliders, tour, pause, policy, checks, *plots)
+    return Panels(status, steering, sliders, tour, pause, policy, checks, *plots)
 
 
 def _gamepad(server: viser.ViserServer) -> None:
@@ -134,9 +135,10 @@ def _pause(live: Live) -> None:
 def _steering(server: viser.ViserServer, live: Live):
     """Sliders and keys for the command, and the tour."""
     gui = server.gui
-    with gui.add_folder("command"):
+    steering = gui.add_folder("command")
+    with steering:
         sliders = []
-        for (name, _), (low, high) in zip(AXES, live_lib.ranges(live.player), strict=True):
+        for (name, _), (low, high) in zip(AXES, _ranges(live), strict=True):
             slider = gui.add_slider(name, low, high, 0.05, float(np.clip(0.0, low, high)))
             sliders.append(slider)
 
@@ -157,7 +159,13 @@ def _steering(server: viser.ViserServer, live: Live):
     key(server, "space", "stop", lambda: live_lib.wish(live, live_lib.steer, np.zeros(3)))
     key(server, "P", "pause", lambda: live_lib.wish(live, _pause))
     key(server, "R", "reset", lambda: live_lib.wish(live, live_lib.reset))
-    return sliders, tour
+    return steering, sliders, tour
+
+
+def _ranges(live: Live) -> np.ndarray:
+    """[3, 2] the ranges of sliders and plots; some for a task without command, which shows no slider."""
+    found = live_lib.ranges(live.player)
+    return found if len(found) else np.tile([-1.0, 1.0], (3, 1))
 
 
 def key(server: viser.ViserServer, name: Any, text: str, action: Callable[[], None]) -> None:
@@ -212,17 +220,18 @@ def _plots(server: viser.ViserServer, of_run: bool):
 
 def show_robot(server: viser.ViserServer, panels: Panels, live: Live) -> None:
     """Set what depends on the robot: the ranges of the sliders, the plots of its joints."""
-    for slider, (low, high) in zip(panels.sliders, live_lib.ranges(live.player), strict=True):
+    panels.steering.visible = bool(len(live_lib.ranges(live.player)))
+    for slider, (low, high) in zip(panels.sliders, _ranges(live), strict=True):
         slider.min, slider.max = low, high
-    for handle, (low, high) in zip(panels.motion, live_lib.ranges(live.player), strict=True):
+    for handle, (low, high) in zip(panels.motion, _ranges(live), strict=True):
         room = 0.2 * (high - low)
         handle.scales = {"x": {"time": False}, "y": {"range": (low - room, high + room)}}
     for handle in panels.torque:
         handle.remove()
     panels.torque.clear()
     with panels.torques:
-        for kind, joints in by_kind(live.player.policy.joint_names).items():
-            names = [live.player.policy.joint_names[j].partition("_")[0] for j in joints]
+        for kind, joints in by_kind(live_lib.joint_names(live.player)).items():
+            names = [live_lib.joint_names(live.player)[j].partition("_")[0] for j in joints]
             lines: tuple[Any, ...] = (
                 {"label": "s"},
                 *(
@@ -263,8 +272,8 @@ def draw(panels: Panels, live: Live) -> None:
     for i, handle in enumerate(panels.motion):
         handle.data = _window(live_lib.HISTORY, t - live.t, command[:, i], velocity[:, i])
     t, _, _, torque = (np.array(column) for column in zip(*history[-STRIDES:], strict=True))
-    seconds = STRIDES * episode_lib.period(live.player)
-    kinds = by_kind(live.player.policy.joint_names)
+    seconds = STRIDES * live_lib.period(live.player)
+    kinds = by_kind(live_lib.joint_names(live.player))
     for handle, joints in zip(panels.torque, kinds.values(), strict=True):
         handle.data = _window(seconds, t - live.t, *torque[:, joints].T)
 
@@ -279,11 +288,15 @@ def _window(seconds: float, t: np.ndarray, *columns: np.ndarray) -> tuple[np.nda
 def show_status(panels: Panels, live: Live, text: str) -> None:
     """Show state, command and velocity, and set the sliders to the command."""
     state = "paused" if live.paused else f"{live.rate:.0f} Hz"
+    share = live.rate * live_lib.period(live.player) / live.speed
+    if not live.paused and 0 < share < LATE:
+        state += f", slower than real time: {share:.1f} of it"
     if live.fell is not None:
         state += ", has fallen"
     command, moves = live.row["command"], live.row["velocity"]
-    about = f"<b>{html.escape(live.player.policy.robot)}</b>, {html.escape(text)}"
-    lines = [f"asked {_numbers(command)}", f"moves {_numbers(moves)}"]
+    about = f"<b>{html.escape(live_lib.name(live.player))}</b>, {html.escape(text)}"
+    lines = [f"asked {_numbers(command)}"] if len(live_lib.ranges(live.player)) else []
+    lines.append(f"moves {_numbers(moves)}")
     if live.note:
         lines.append(f"<i>{html.escape(live.note)}</i>")
     parts = about, f"{live.t:.1f} s, {state}", "<br>".join(lines)

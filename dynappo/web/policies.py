@@ -16,17 +16,20 @@ import numpy as np
 from dynappo import config as config_lib
 from dynappo.config import ConfigError, files
 from dynappo.description import robot as robot_lib
-from dynappo.policy import checkpoint_file, policy_file, policy_source
+from dynappo.policy import checkpoint_file, policy_file, policy_source, task_player
 from dynappo.policy.episode import Player
+from dynappo.policy.task_player import TaskPlayer
 
 NEWEST = "newest of the run"
 EVERY = 1.0  # s between two looks at the folder of a run
+STARTED: dict[str, TaskPlayer] = {}  # by the environment
+STARTING = threading.Lock()
 
 
 class Chosen(NamedTuple):
     """A policy that the browser can show."""
 
-    player: Player
+    player: Player | TaskPlayer
     act: Callable[[np.ndarray], np.ndarray]
     text: str  # what it is, for a person
     note: str = ""
@@ -88,14 +91,32 @@ def load(offer: Offer, name: str) -> Chosen:
     seed = offer.seed if own else None
     if name == NEWEST and not begun(offer):
         return standing(offer)
-    policy, found = policy_source.load(path, seed)
-    player, note = policy_source.player(
-        policy, offer.xml if own else None, offer.keep_joints and own
-    )
+    found = policy_source.locate(path, seed)
     text = "/".join(found.resolve().parts[-2:])
     if name == NEWEST:
         text += f" ({_iteration(offer)})"
+    if (theirs := policy_file.load_other(found, seed)) is not None:
+        player = task(theirs.config.env)
+        return Chosen(player, task_player.actor(player, theirs), text, player.assets)
+    policy, _ = policy_source.load(path, seed)
+    player, note = policy_source.player(
+        policy, offer.xml if own else None, offer.keep_joints and own
+    )
     return Chosen(player, policy_file.actor(policy.params, policy.activation), text, note)
+
+
+def task(env: str) -> TaskPlayer:
+    """The robot of another package's environment. It is started once, and takes every policy of that."""
+    with STARTING:
+        if env not in STARTED:
+            STARTED[env] = task_player.start(env)
+        return STARTED[env]
+
+
+def close() -> None:
+    """End the processes of all that `task` started."""
+    while STARTED:
+        task_player.close(STARTED.popitem()[1])
 
 
 def _iteration(offer: Offer) -> str:
@@ -116,6 +137,10 @@ def standing(offer: Offer) -> Chosen:
         config = config_lib.from_json(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise ConfigError(f"{offer.what}: holds neither a policy.npz nor checkpoints/") from None
+    if config.env:
+        player = task(config.env)
+        act = task_player.still(player)
+        return Chosen(player, act, "no policy yet: zero actions", player.assets)
     if not config.robot:
         raise ConfigError(f"{offer.what}: trains an environment of its own, which has no page")
     policy = policy_file.describe(config, robot_lib.load(config.robot))

@@ -23,6 +23,7 @@ import viser
 
 from dynappo.config import ConfigError, shell, versions
 from dynappo.policy.episode import Player
+from dynappo.policy.task_player import TaskPlayer
 from dynappo.web import guard, panels, policies, run_plots, scene
 from dynappo.web import live as live_lib
 from dynappo.web.address import Address, read
@@ -141,8 +142,11 @@ def play(page: Page, found: Chosen, name: str) -> None:
     view(page, flags)
 
 
-def same_robot(one: Player, other: Player) -> bool:
-    """Whether the policy of `other` can take over in mid-stride: same file, observation and motors."""
+def same_robot(one: Player | TaskPlayer, other: Player | TaskPlayer) -> bool:
+    """Whether the policy of `other` can take over in mid-stride: same file, observation and motors. A task's
+    robot is started once, and takes each of its policies."""
+    if isinstance(one, TaskPlayer) or isinstance(other, TaskPlayer):
+        return one is other
     a, b = one.policy, other.policy
     driven = set(a._fields) - {"config", "params", "mjcf", "seed"}
     if a.mjcf and b.mjcf and a.mjcf != b.mjcf or one.xml != other.xml:
@@ -266,4 +270,7 @@ def in_notebook(what: str, seconds: float) -> None:
     def ready(_, url):
         display(IFrame(url, 960, 600))
 
-    serve(offer, read(""), first, seconds=seconds, ready=ready)
+    try:
+        serve(offer, read(""), first, seconds=seconds, ready=ready)
+    finally:
+        policies.close()

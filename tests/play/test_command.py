@@ -70,13 +70,13 @@ def test_a_wrong_script_is_one_line(tmp_path, text, expected):
 
 
 def test_commands_outside_the_training_are_pointed_out(saved):
-    policy = policy_file.load(saved)
+    ranges = command_script.ranges_of(policy_file.load(saved))
     for text, note in (
         ("1,-1,1", ""),
         ("1.5,0,0", "note: vx = 1.5 was not trained; it was from -1 to 1"),
         ("0,0,-2", "note: wz = -2 was not trained; it was from -1 to 1"),
     ):
-        assert command_script.outside(policy, command_script.commands(text, None)) == note
+        assert command_script.outside(ranges, command_script.commands(text, None)) == note
 
 
 # ---- what it writes

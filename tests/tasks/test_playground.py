@@ -1,7 +1,7 @@
 """Playground's tasks under our trainer: the same numbers as the task's own step, without network or meshes.
 
 To compile MJX takes longest, so most of these tests trace the tasks with C MuJoCo's physics
-(playground_in_c.py); one compiles our step on MJX.
+(c_physics.py); one compiles our step on MJX.
 """
 
 import functools
@@ -14,7 +14,6 @@ import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
-import playground_in_c
 import pytest
 from answers import refused, status
 
@@ -32,6 +31,8 @@ pytest.importorskip("mujoco_playground", reason="MuJoCo Playground is not instal
 
 from dynappo.tasks.playground import (  # noqa: E402
     assets,
+    c_physics,
+    commands,
     env,
     loading,
     mirrored,
@@ -96,7 +97,7 @@ def in_c(name, function):
     """`jax.jit(function)`, traced with C MuJoCo's physics."""
 
     def traced(*arguments):
-        with playground_in_c.physics(task(name)):
+        with c_physics.physics(task(name)):
             return function(*arguments)
 
     return jax.jit(traced)
@@ -450,14 +451,81 @@ def test_stand_ins_change_no_physics(name, monkeypatch, tmp_path):
         np.testing.assert_array_equal(getattr(one, field), getattr(other, field), field)
 
 
-def test_a_film_shows_ellipsoids_where_meshes_are_missing():
-    """Of the bodies' masses and inertias, so about as large as the robot; the model itself is as it was."""
+def test_a_film_shows_shapes_where_meshes_are_missing():
+    """The trunk an ellipsoid; thighs and calves are capsules from joint to joint and to the foot."""
     model = task(GO1).mj_model
-    drawn = assets.shown(model)
-    round_ones = drawn.geom_type == mujoco.mjtGeom.mjGEOM_ELLIPSOID
-    assert round_ones.sum() >= 13 and not (model.geom_type == mujoco.mjtGeom.mjGEOM_ELLIPSOID).any()
-    trunk = drawn.geom_size[round_ones & (drawn.geom_bodyid == model.body("trunk").id)][0]
-    assert 0.1 < max(trunk) < 0.5
+    drawn, kinds = assets.shown(model), mujoco.mjtGeom
+    assert (model.geom_type == kinds.mjGEOM_MESH).sum() >= 13, "the model is as it was"
+
+    def shape(body):
+        seen = (drawn.geom_bodyid == model.body(body).id) & (drawn.geom_rgba[:, 3] > 0)
+        (geom,) = np.flatnonzero(seen & (drawn.geom_group < 3))
+        return geom, drawn.geom_type[geom], drawn.geom_size[geom]
+
+    _, kind, size = shape("trunk")
+    assert kind == kinds.mjGEOM_ELLIPSOID and 0.15 < size.max() < 0.4 and size.min() > 0.02
+    data = mujoco.MjData(model)
+    data.qpos[:] = np.asarray(task(GO1)._init_q)
+    mujoco.mj_kinematics(model, data)
+    seen = mujoco.MjData(drawn)
+    seen.qpos[:] = data.qpos
+    mujoco.mj_kinematics(drawn, seen)
+    for leg in ("FR", "RL"):
+        ends = [data.body(f"{leg}_{part}").xpos for part in ("thigh", "calf")]
+        ends.append(data.geom(leg).xpos)
+        for part, one, other in zip(("thigh", "calf"), ends, ends[1:], strict=False):
+            geom, kind, size = shape(f"{leg}_{part}")
+            assert kind == kinds.mjGEOM_CAPSULE and 0.01 < size[0] < 0.05
+            np.testing.assert_allclose(seen.geom_xpos[geom], (one + other) / 2, atol=1e-6)
+            along = seen.geom_xmat[geom].reshape(3, 3)[:, 2] * 2 * size[1]
+            np.testing.assert_allclose(along, other - one, atol=1e-6)
+
+
+def test_the_error_is_that_of_the_velocity_in_the_bases_frame():
+    """The row's command less what MuJoCo says of the data after it; getting up has none."""
+    before, _, after, outcome, _ = rollout(GO1)
+    model = task(GO1).mj_model
+    data = mujoco.MjData(model)
+    for at in np.ndindex(ROWS, ROBOTS):
+        data.qpos[:], data.qvel[:] = after.qpos[at], after.qvel[at]
+        mujoco.mj_forward(model, data)
+        moves = np.zeros(6)
+        kind = mujoco.mjtObj.mjOBJ_XBODY
+        mujoco.mj_objectVelocity(model, data, kind, model.body("trunk").id, moves, 1)
+        off = np.array([moves[3], moves[4], moves[2]]) - before.info["command"][at]
+        errors = [outcome.metrics[name][at] for name in env.ERRORS]
+        np.testing.assert_allclose(
+            errors, [(off[:2] ** 2).sum(), off[2] ** 2], rtol=1e-3, atol=1e-5
+        )
+    assert np.asarray(before.info["command"]).any()
+    assert set(env.ERRORS) <= set(made(GO1).metrics)
+    assert not set(env.ERRORS) & set(made(GETUP).metrics)
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        (GO1, [1.5, 0.8, 1.2]),
+        ("G1JoystickFlatTerrain", [1.0, 0.5, 1.0]),
+        ("ApolloJoystickFlatTerrain", [1.5, 0.8, 1.5]),
+        (SPOT, [1.0, 0.5, 1.0]),
+        (GETUP, None),
+    ],
+)
+def test_ranges_of_commands_are_those_that_the_task_draws_from(name, expected):
+    """As the task's own config has them, each in its way."""
+    reset = functools.partial(reset_without_physics, task(name))
+    found = commands.ranges(task(name), jax.eval_shape(reset, jax.random.PRNGKey(0)))
+    if expected is None:
+        assert found is None
+        return
+    assert found is not None
+    np.testing.assert_allclose(found, np.outer(expected, [-1, 1]), atol=1e-6)
+
+
+def reset_without_physics(of, key):
+    with swapped.physics(lambda data, ctrl, n: data):
+        return of.reset(key).info
 
 
 def test_meshes_come_from_where_they_are(monkeypatch, tmp_path):
@@ -652,12 +720,17 @@ def test_an_exported_policy_takes_the_tasks_observation(tmp_path, capsys, monkey
 
 def test_mistakes_are_one_line(monkeypatch):
     """A wrong name, variant or engine; a robot that has no stand-in; Playground not installed."""
-    assert GO1 in refused(loading.check, "Go1Joystick")
+    assert "there is Go1Joystick" in refused(loading.check, "Go1Joystik")
     assert "'best' is not" not in refused(config_lib.load, f"playground:{GO1}:fast")
     assert "is not one of best, ppo" in refused(config_lib.load, f"playground:{GO1}:fast")
     assert "no locomotion task ''" in refused(config_lib.load, "playground")
     assert assets.VARIABLE in refused(loading.check, "BarkourJoystick")
     config = config_lib.load(f"playground:{GO1}")
+    for field in ("task.weights.vertical_velocity", "task.noise.gravity", "physics.timestep"):
+        told = refused(config_lib.override, config, field, "0.1")
+        assert told.startswith(f"--config.{field}: playground:{GO1} has its own weights, noise")
+    config_lib.override(config, "task.episode_length", "500")
+    assert config.task.episode_length == 500
     config.physics.impl = "c"
     assert "expected jax or warp" in refused(by_name.check, config)
     config.env = "gym:Ant"

