@@ -1,6 +1,6 @@
 """The rough ground that the page draws: a few triangles instead of a height for each cell.
 
-mjviser would send a tile with the floor around it, 320 x 320 cells, as a mesh of 5 MB.
+mjviser would send a tile with the floor around it, 320 x 320 cells, as a mesh of 4 MB.
 """
 
 from __future__ import annotations

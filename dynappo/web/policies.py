@@ -121,7 +121,9 @@ def ground(policy: Policy, text: str | None) -> tuple[HeightMap | None, str]:
             return ground_mesh.near(ground_lib.of_tiles(tiles)), f", on {Path(tiles.map).name}"
         text = "{}:{}".format(*render.FILMED)
     field = policy_source.ground(policy, text) if text else None
-    return (ground_mesh.near(field), f", on {Path(text).name}") if field else (None, "")
+    if not text or field is None:
+        return None, ""
+    return ground_mesh.near(field), f", on {Path(text).name}"
 
 
 def task(env: str) -> TaskPlayer:
