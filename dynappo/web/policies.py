@@ -16,7 +16,6 @@ import numpy as np
 from dynappo import config as config_lib
 from dynappo.config import ConfigError, files
 from dynappo.description import robot as robot_lib
-from dynappo.physics import ground as ground_lib
 from dynappo.policy import checkpoint_file, policy_file, policy_source, render, task_player
 from dynappo.policy.episode import Player
 from dynappo.policy.policy_file import Policy
@@ -117,10 +116,9 @@ def ground(policy: Policy, text: str | None) -> tuple[HeightMap | None, str]:
     task = policy.config.get("task", {})
     if not text and task.get("terrain") == "rough":
         tiles = policy_source.tiles(policy)
-        if tiles.map:
-            return ground_mesh.near(ground_lib.of_tiles(tiles)), f", on {Path(tiles.map).name}"
-        text = "{}:{}".format(*render.FILMED)
-    field = policy_source.ground(policy, text) if text else None
+        field, text = render.filmed(tiles), tiles.map or "{}:{}".format(*render.FILMED)
+    else:
+        field = policy_source.ground(policy, text) if text else None
     if not text or field is None:
         return None, ""
     return ground_mesh.near(field), f", on {Path(text).name}"
