@@ -41,7 +41,7 @@ MAY_IMPORT = {
     },
     "adopt": {"tasks", "physics", "description", "config"},
     "look": {"policy", "tasks", "terrain", "physics", "description", "config"},
-    "web": {"policy", "description", "config"},
+    "web": {"policy", "terrain", "description", "config"},
     "play": {"web", "page", "policy", "description", "config"},
     "export": {"policy", "tasks", "terrain", "description", "config"},
     "bench": {"program", "method", "model", "config"},

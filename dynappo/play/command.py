@@ -35,6 +35,7 @@ or the name of a robot with a bundled policy
   python -m dynappo.play anymal_c --policy=random
   python -m dynappo.play runs/sweep --run-seed=3 --out=walk.html
   python -m dynappo.play runs/go1 --serve
+  python -m dynappo.play go2 --serve --ground=boxes:0.3
 a command script has rows t,vx,vy,wz (s, m/s, m/s, rad/s); a row holds until the next one
 without --out MuJoCo's viewer opens, with these keys
   {viewer.KEYS}
@@ -82,7 +83,8 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
     flag(
         "--ground",
         metavar="KIND:DIFFICULTY|FILE",
-        help="a tile of rough ground, as pit_stairs:0.5, or a map, .npy or .png, in the place of the floor",
+        help="a tile of rough ground, as pit_stairs:0.5, or a map, .npy or .png, in the place of the floor; "
+        "default: floor; with --serve that of the policy's training",
     )
     flags = flags_lib.read(parser, argv)
     if flags.serve and not flags.what and not re.fullmatch(r"(.*:)?\d+", flags.serve):
@@ -97,10 +99,6 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
         raise ConfigError(f"--policy={flags.policy!r}: expected zero or random")
     if flags.serve is not None and flags.out is not None:
         raise ConfigError("--serve and --out: expected one of them")
-    if flags.serve is not None and flags.ground:
-        raise ConfigError(
-            "--ground: the live page has no rough ground yet; write a page with --out"
-        )
     policy_source.check_flags(flags)
     if flags.policy and flags.run_seed is not None:
         raise ConfigError(

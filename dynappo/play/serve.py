@@ -32,7 +32,7 @@ def run(
     address.check()
     from dynappo.web import server
 
-    offer = Offer(flags.what, flags.run_seed, flags.robot_xml, flags.keep_joints)
+    offer = Offer(flags.what, flags.run_seed, flags.robot_xml, flags.keep_joints, flags.ground)
     try:
         first, named = _first(flags, theirs, choose, offer)
         at = commands.at if commands and len(commands.rows) > 1 else None
@@ -71,9 +71,9 @@ def _first(
         act, named = task_episode.acts(theirs[0], player, flags, theirs[1])
         return Chosen(player, act, named, player.assets), named
     policy, act, named = choose(flags)
-    field = policy_source.ground(policy, flags.ground) if flags.ground else None
+    field, on = policies.ground(policy, flags.ground)
     player, note = policy_source.player(policy, flags.robot_xml, flags.keep_joints, field)
-    return Chosen(player, act, named, note), named
+    return Chosen(player, act, named + on, note), named
 
 
 def _at_eof(stop: threading.Event) -> None:

@@ -24,6 +24,8 @@ from dynappo.terrain import map_file
 from dynappo.terrain import tiles as tiles_lib
 from dynappo.terrain.height_map import HeightMap
 
+FLOOR = "floor"  # as --ground: none that is rough
+
 # ---- the policy
 
 
@@ -137,12 +139,14 @@ def player(
     return other, f"note: {xml} has no floor; one is added" * mjcf.floor_added(other.model)
 
 
-def ground(policy: Policy, text: str) -> HeightMap:
+def ground(policy: Policy, text: str) -> HeightMap | None:
     """The ground of `--ground=KIND:DIFFICULTY`, a tile of those that the policy's config has, or of
-    `--ground=FILE`, with the config's `cell` and `map_level`.
+    `--ground=FILE`, with the config's `cell` and `map_level`. None: `--ground=floor`, that of the file.
 
     ConfigError if there is no such kind or file, or the config's tiles cannot be made.
     """
+    if text == FLOOR:
+        return None
     if text.lower().endswith(map_file.SUFFIXES):
         group = tiles(policy)
         try:
@@ -157,7 +161,7 @@ def ground(policy: Policy, text: str) -> HeightMap:
     if kind not in tiles_lib.KINDS or not 0 <= difficulty <= 1:
         raise ConfigError(
             f"--ground={text}: expected a kind and its difficulty, 0 to 1, as pit_stairs:0.5, or a file, "
-            f".npy or .png; kinds are {', '.join(tiles_lib.KINDS)}"
+            f".npy or .png, or {FLOOR}; kinds are {', '.join(tiles_lib.KINDS)}"
         )
     return tiles_lib.single(tiles(policy), kind, difficulty)
 

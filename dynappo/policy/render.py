@@ -82,12 +82,16 @@ def simulate(robot: robot_lib.Robot, config, act, command, seconds: float) -> di
     """
     described, field = policy_file.describe(config, robot), None
     if config.task.terrain == "rough":
-        own = config.task.tiles
-        field = ground.of_tiles(own) if own.map else tiles.single(own, *FILMED)
+        field = filmed(config.task.tiles)
     player = episode_lib.load(
         robot.xml, described, described.timestep, text=robot.played, field=field
     )
     return episode_lib.play(player, act, command, seconds)
+
+
+def filmed(own: Any) -> HeightMap:
+    """The ground of a run's film, of the config's group `task.tiles`."""
+    return ground.of_tiles(own) if own.map else tiles.single(own, *FILMED)
 
 
 class Shown(NamedTuple):

@@ -25,6 +25,7 @@ HISTORY = 8.0  # s that the plots show
 TOUR = episode_lib.PAGE_SECONDS
 LIE = 2.0  # s on the ground after a fall, until it stands up
 CATCH_UP = 5  # control steps at once at most; what is further behind is let go
+EDGE = 0.5  # m from the end of a height map, beyond which there is no ground: it begins again
 STIFF = 4.0  # times the robot's weight for each metre that it is pulled
 STRONGEST = 1.5  # times its weight
 
@@ -166,6 +167,17 @@ def over(live: Live) -> bool:
     return live.t > (player.episode_length - 0.5) * player.dt
 
 
+def at_the_end(live: Live) -> bool:
+    """Whether the robot is at the end of its height map, or beyond it."""
+    player = live.player
+    if isinstance(player, TaskPlayer) or player.field is None:
+        return False
+    _, cell, corner = player.field
+    half = cell * (np.array(player.field.heights.shape) - 1) / 2
+    away = np.abs(live.data.xpos[player.base_body][:2] - corner - half)
+    return bool((away > half - np.minimum(EDGE, half / 2)).any())
+
+
 def push(live: Live, ahead: float, left: float) -> None:
     """Add a velocity (m/s, in the base's heading) to the base's, as `evaluate --stress` does."""
     x, y = live.data.xmat[live.player.base_body].reshape(3, 3)[:2, 0]
@@ -201,7 +213,7 @@ def step(live: Live) -> None:
     if live.row["fell"] and live.fell is None:
         live.fell = live.t
     lies = live.fell is not None and live.t - live.fell > LIE
-    if live.stands_up and (lies or over(live)):
+    if at_the_end(live) or live.stands_up and (lies or over(live)):
         live.before += live.t
         stand_up(live)
 

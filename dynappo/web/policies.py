@@ -16,9 +16,12 @@ import numpy as np
 from dynappo import config as config_lib
 from dynappo.config import ConfigError, files
 from dynappo.description import robot as robot_lib
-from dynappo.policy import checkpoint_file, policy_file, policy_source, task_player
+from dynappo.policy import checkpoint_file, policy_file, policy_source, render, task_player
 from dynappo.policy.episode import Player
+from dynappo.policy.policy_file import Policy
 from dynappo.policy.task_player import TaskPlayer
+from dynappo.terrain.height_map import HeightMap
+from dynappo.web import ground_mesh
 
 NEWEST = "newest of the run"
 EVERY = 1.0  # s between two looks at the folder of a run
@@ -42,6 +45,7 @@ class Offer(NamedTuple):
     seed: int | None
     xml: str | None
     keep_joints: bool
+    ground: str | None = None  # as of --ground
 
     @property
     def run(self) -> Path | None:
@@ -99,10 +103,25 @@ def load(offer: Offer, name: str) -> Chosen:
         player = task(theirs.config.env)
         return Chosen(player, task_player.actor(player, theirs), text, player.assets)
     policy, _ = policy_source.load(path, seed)
+    field, on = ground(policy, offer.ground)
     player, note = policy_source.player(
-        policy, offer.xml if own else None, offer.keep_joints and own
+        policy, offer.xml if own else None, offer.keep_joints and own, field
     )
-    return Chosen(player, policy_file.actor(policy.params, policy.activation), text, note)
+    return Chosen(player, policy_file.actor(policy.params, policy.activation), text + on, note)
+
+
+def ground(policy: Policy, text: str | None) -> tuple[HeightMap | None, str]:
+    """`(ground, ", on what")` of `--ground`, or where there is none what the policy was trained for: a tile
+    as in the run's film, or the run's map. None: a floor."""
+    task = policy.config.get("task", {})
+    if not text and task.get("terrain") == "rough":
+        tiles = policy_source.tiles(policy)
+        field, text = render.filmed(tiles), tiles.map or "{}:{}".format(*render.FILMED)
+    else:
+        field = policy_source.ground(policy, text) if text else None
+    if not text or field is None:
+        return None, ""
+    return ground_mesh.near(field), f", on {Path(text).name}"
 
 
 def task(env: str) -> TaskPlayer:
@@ -138,15 +157,19 @@ def standing(offer: Offer) -> Chosen:
     except FileNotFoundError:
         raise ConfigError(f"{offer.what}: holds neither a policy.npz nor checkpoints/") from None
     if config.env:
+        if offer.ground:
+            raise ConfigError(f"--ground: {config.env} has a ground of its own")
         player = task(config.env)
         act = task_player.still(player)
         return Chosen(player, act, "no policy yet: zero actions", player.assets)
     if not config.robot:
         raise ConfigError(f"{offer.what}: trains an environment of its own, which has no page")
     policy = policy_file.describe(config, robot_lib.load(config.robot))
-    player, note = policy_source.player(policy._replace(mjcf=""), offer.xml, offer.keep_joints)
+    field, on = ground(policy, offer.ground)
+    policy = policy._replace(mjcf="")
+    player, note = policy_source.player(policy, offer.xml, offer.keep_joints, field)
     size = len(policy.joint_names)
-    return Chosen(player, lambda obs: np.zeros(size), "no policy yet: zero actions", note)
+    return Chosen(player, lambda obs: np.zeros(size), "no policy yet: zero actions" + on, note)
 
 
 def stamp(offer: Offer) -> tuple:

@@ -15,15 +15,21 @@ import trimesh
 import trimesh.visual
 import viser
 
+from dynappo.policy import episode as episode_lib
 from dynappo.policy import render
+from dynappo.policy.task_player import TaskPlayer
+from dynappo.terrain.height_map import HeightMap
+from dynappo.web import ground_mesh
 from dynappo.web import live as live_lib
 from dynappo.web.live import Live
 
 GREEN, BLUE = (26, 158, 77), (33, 107, 237)  # command and velocity, as on the page in one file
+LINES, ABOVE = (112, 120, 128), 0.003  # colour of lines on rough ground, and m above it
 LIFT = (0.0, 0.04)  # m, command and velocity
 LONG = 0.5  # m of an arrow for each m/s
 SHORTEST = 0.05  # m/s of an arrow that is drawn
 NARROW = 0.65  # width over height: a phone held upright, where viser puts its buttons at the bottom
+STEEP = 32  # degrees, the camera's elevation on rough ground: above the stairs that lead up to it
 NEAR = 1.7  # the camera's distance, times the extent of the model
 
 
@@ -42,7 +48,12 @@ def show(server: viser.ViserServer, live: Live) -> Shown:
     """Put the robot of `live` into the scene, alone."""
     server.scene.reset()
     player = live.player
+    fields = player.model.geom_type == mujoco.mjtGeom.mjGEOM_HFIELD
+    if (field := _field(live)) is not None:
+        player.model.geom_rgba[fields, 3] = 0  # mjviser leaves it out: `_ground` draws it
     robot = mjviser.ViserMujocoScene(server, player.model, num_envs=1)
+    if field is not None:
+        _ground(server, field)
     if render.options(player.model, player.base_body).geomgroup[3]:
         robot.geom_groups_visible[3] = True
         robot.rebuild_visual_handles()
@@ -63,13 +74,34 @@ def show(server: viser.ViserServer, live: Live) -> Shown:
     return shown
 
 
+def _field(live: Live) -> HeightMap | None:
+    return None if isinstance(live.player, TaskPlayer) else live.player.field
+
+
+def _ground(server: viser.ViserServer, field: HeightMap) -> None:
+    """Draw a height map, which moves with the world while the camera follows."""
+    points, faces = ground_mesh.triangles(field)
+    server.scene.add_mesh_simple(
+        "/fixed_bodies/ground",
+        points,
+        faces,
+        color=np.array(episode_lib.PLAIN[:3]),
+        flat_shading=True,
+        cast_shadow=False,
+        receive_shadow=0.2,
+    )
+    lines = ground_mesh.lines(field)
+    lines[..., 2] += ABOVE
+    server.scene.add_line_segments("/fixed_bodies/lines", lines, LINES, thickness=0.008)
+
+
 def _view(live: Live, narrow: bool) -> tuple[np.ndarray, np.ndarray]:
     """`(position, look_at)` of a camera, from the base: ahead, to the right and above.
 
     On a narrow screen the buttons are at the bottom: there the robot is in the upper part.
     """
     size = live.player.model.stat.extent
-    azimuth, elevation = np.deg2rad([-38, 18])
+    azimuth, elevation = np.deg2rad([-38, STEEP if _field(live) is not None else 18])
     flat = np.cos(elevation)
     away = np.array([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)])
     if narrow:

@@ -151,7 +151,15 @@ def same_robot(one: Player | TaskPlayer, other: Player | TaskPlayer) -> bool:
     driven = set(a._fields) - {"config", "params", "mjcf", "seed"}
     if a.mjcf and b.mjcf and a.mjcf != b.mjcf or one.xml != other.xml:
         return False
+    if not _same_ground(one, other):
+        return False
     return all(np.array_equal(getattr(a, name), getattr(b, name)) for name in driven)
+
+
+def _same_ground(one: Player, other: Player) -> bool:
+    if one.field is None or other.field is None:
+        return one.field is other.field
+    return all(map(np.array_equal, one.field, other.field))
 
 
 def view(page: Page, flags: dict[str, bool]) -> None:

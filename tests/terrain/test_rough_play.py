@@ -16,8 +16,10 @@ from dynappo.description import robot as robot_lib
 from dynappo.export import deploy_yaml, joint_order, onnx_file
 from dynappo.page import episode_page
 from dynappo.play import command as play_command
-from dynappo.policy import episode, policy_file, policy_source
-from dynappo.terrain import height_map, scan, tiles
+from dynappo.policy import episode, policy_file, policy_source, render
+from dynappo.terrain import height_map, map_file, scan, tiles
+from dynappo.web import live as live_lib
+from dynappo.web import policies
 
 INPUTS = 48 + 187
 
@@ -150,8 +152,49 @@ def test_play_puts_a_robot_on_a_tile(written, tmp_path, capsys):
     capsys.readouterr()
     said = mistake(play_command.main, [*play, "--ground=lava"], capsys)
     assert "--ground=lava: expected a kind and its difficulty" in said and "pit_stairs" in said
-    said = mistake(play_command.main, [str(written), "--serve", "--ground=boxes"], capsys)
-    assert "the live page has no rough ground yet" in said
+    flat = tmp_path / "flat.html"
+    play[2] = f"--out={flat}"
+    assert status(play_command.main, *play, "--ground=floor") == 0
+    assert '"heights"' in out.read_text() and '"heights"' not in flat.read_text()
+    capsys.readouterr()
+    for ground in ("lava", "none.png"):  # before a server starts
+        serve = [str(written), "--serve", f"--ground={ground}", "--seconds=0.1"]
+        said = mistake(play_command.main, serve, capsys)
+        assert f"--ground={ground}" in said or f"--ground: {ground}" in said
+
+
+def test_on_the_live_page_it_sees_and_walks_as_in_an_episode(written):
+    """The same commands on the same stairs give the same states, bit for bit."""
+    policy = policy_file.load(written)
+    act = policy_file.actor(policy.params, policy.activation)
+    field, _ = policies.ground(policy, "pyramid_stairs:1")
+    player, _ = policy_source.player(policy, field=field)
+    live = live_lib.Live(player, act, lambda t: np.array([0.5, 0.0, 0.0]))
+    for _ in range(30):
+        live_lib.step(live)
+    whole, _ = policy_source.player(policy, field=policy_source.ground(policy, "pyramid_stairs:1"))
+    expected = episode.play(whole, act, live.given, 31 * 0.02)
+    np.testing.assert_array_equal(live.row["qpos"], expected["qpos"][-1])
+
+
+def test_the_live_page_takes_the_ground_of_the_training(written, tmp_path):
+    policy = policy_file.load(written)
+    field, on = policies.ground(policy, None)
+    kind, hard = render.FILMED
+    expected = tiles.single(policy_source.tiles(policy), kind, hard)
+    np.testing.assert_array_equal(field.heights, expected.heights)
+    assert on == f", on {kind}:{hard}"
+    assert policies.ground(policy, "floor") == (None, "")
+    np.save(tmp_path / "own.npy", np.linspace(0, 1, 900).reshape(30, 30))
+    task = policy.config["task"]
+    file = str(tmp_path / "own.npy")
+    own = task["tiles"] | {"map": file, "map_hash": map_file.digest(file)}
+    mine = policy._replace(config=policy.config | {"task": task | {"tiles": own}})
+    field, on = policies.ground(mine, None)
+    assert field.heights.shape == (30, 30) and on == ", on own.npy"
+    assert policies.ground(mine, "boxes")[1] == ", on boxes"
+    flat = policy._replace(config=policy.config | {"task": task | {"terrain": "flat"}})
+    assert policies.ground(flat, None) == (None, "")
 
 
 def test_jax_and_numpy_see_the_same(written):

@@ -21,9 +21,9 @@ SIZE = (1200, 800)  # pixels: panels on both sides leave the robot half of it
 
 
 @contextlib.contextmanager
-def serving(port):
+def serving(port, ground=None):
     """The bundled Go1 on a page: `page`, `url`."""
-    offer, stop, told = policies.Offer("go1", None, None, False), threading.Event(), []
+    offer, stop, told = policies.Offer("go1", None, None, False, ground), threading.Event(), []
     args = offer, address.Address("127.0.0.1", port), policies.load(offer, "go1")
 
     def ready(page, url):
@@ -258,6 +258,26 @@ def test_a_lost_connection_comes_back_by_itself(tmp_path):
 def test_nothing_was_wrong_in_the_console(tab):
     """The last test of this page. What viser's own sliders say of touch screens does no harm."""
     assert not [e for e in tab.errors if "preventDefault inside passive" not in e]
+
+
+def test_stairs_are_seen_and_their_walls_are_darker(tmp_path):
+    """A robot in a pit: around it are treads and, less of them, walls, each of one grey."""
+    with (
+        serving(8560, "pit_stairs:1") as at,
+        browser.chromium(tmp_path / "profile", SIZE) as open_,
+    ):
+        tab = shown(open_(at.url))
+
+        def seen():
+            pixels = robot(tab.pixels(tmp_path / "stairs.png"))
+            grey = pixels.mean(-1)[np.ptp(pixels, axis=-1) < 40]
+            treads = ((grey > 150) & (grey < 200)).mean()
+            walls = ((grey > 85) & (grey < 140)).mean()
+            return treads > 0.3 and 0.05 < walls < treads
+
+        until(seen)
+        assert at.page.live.fell is None
+        assert not [e for e in tab.errors if "preventDefault inside passive" not in e]
 
 
 def test_only_this_machine_is_let_in(served):
