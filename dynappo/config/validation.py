@@ -182,6 +182,7 @@ def _check_model(config) -> None:
     seen = config.ppo.critic == "obs" or config.model.clean
     text = "obs where model.clean is False: a tail then has no exact state; or set model.clean=True"
     expect(seen, "ppo.critic", config.ppo.critic, text)
+    _check_memory(config)
     horizon, minibatches = config.rollout.horizon, config.model.minibatches
     expected = f"a multiple of model.minibatches = {minibatches}: a minibatch has as many rows of every robot"
     expect(horizon % minibatches == 0, "rollout.horizon", horizon, expected)
@@ -192,3 +193,28 @@ def _check_model(config) -> None:
             f"most the {fewest} real rows of the longest tail; raise model.minibatches or lower "
             "schedule.end_steps"
         )
+
+
+def _check_memory(config) -> None:
+    """Checks that a memory holds an iteration and is read, and that nothing reads one that is not there."""
+    memory, horizon, robots = config.model.memory, config.rollout.horizon, config.rollout.num_envs
+    anchors, remembered = config.schedule.anchors, config.model.remembered
+    text = f"0, or at least rollout.horizon = {horizon}: the rows of an iteration"
+    expect(memory == 0 or memory >= horizon, "model.memory", memory, text)
+    text = "0 where neither model.remembered nor schedule.anchors reads the memory"
+    expect(memory == 0 or remembered or anchors, "model.memory", memory, text)
+    text = "0 where model.memory is 0"
+    expect(memory or not remembered, "model.remembered", remembered, text)
+    expect(anchors <= memory, "schedule.anchors", anchors, f"at most model.memory = {memory}")
+    expect(
+        not anchors or config.schedule.rounds > 1,
+        "schedule.anchors",
+        anchors,
+        "0 where schedule.rounds is 1: the first round goes on from the last row",
+    )
+    most = robots * max(memory, config.rollout.imagined * horizon)
+    name = "rollout.num_envs x rollout.imagined x rollout.horizon, or x model.memory"
+    expect(most < 2**31, name, most, "an integer of 32 bits")
+    text = "even sizes where model.symmetry is True"
+    halves = not config.model.symmetry or all(size % 2 == 0 for size in config.model.hidden)
+    expect(halves, "model.hidden", config.model.hidden, text)
