@@ -111,6 +111,7 @@ class Schedule(NamedTuple):
     rounds: Few = 1  # of imagination in an iteration (algorithm.py); paper: 1
     # rows of each robot, the newest in the memory, in which tails of later rounds begin; 0: the iteration's
     anchors: Whole = 0
+    new_commands: bool = False  # such a tail begins under a new command (Env.retell)
     late_from: Whole | None = None  # the iteration after which ppo.late_kl holds; None: never
 
 

@@ -128,10 +128,9 @@ def iterate(
         learner, rows, _ = carry
         if state.model is not None:
             last = memory.branches(static, dynamics.tail(static, env, state.env_state), axis=0)
-            if state.memory is not None and static.schedule.anchors:
-                drawn = memory.anchors(static, state.memory, counts, key=key(ANCHOR, k))
-            else:
-                drawn = dynamics.anchors(static, env, rows, n_real=n_real, key=key(ANCHOR, k))
+            drawn = memory.starts(
+                static, hyper, env, state.memory, rows=rows, counts=counts, key=key(ANCHOR, k)
+            )
             start = jax.tree.map(partial(jnp.where, k == 0), last, drawn)
             now = state.replace(learner=learner)
             rows = imagine(

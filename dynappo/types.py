@@ -190,6 +190,8 @@ class Env(NamedTuple):
     # (hyper) -> [], the share of the reward that a fall (`discount` 0) pays once, not times dt (with
     # `model.falls`); None: none
     fall_reward: Callable[..., Any] | None = None
+    # (hyper, context, key) -> context of a robot that is asked something else, with `schedule.new_commands`
+    retell: Callable[..., Any] | None = None
     mirror: tuple[Mirror, Mirror] | None = None  # of obs and action, with `ppo.symmetry`
     input_scale: np.ndarray | None = None  # [O] of each number of obs, with `ppo.scale_inputs`
     mesh: jax.sharding.Mesh | None = None  # devices over which the robots are spread (seeds.py)

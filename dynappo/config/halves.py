@@ -85,6 +85,7 @@ class StaticSchedule(NamedTuple):
     end_steps: int
     last_iteration: int | None
     late_from: int | None
+    new_commands: bool
     rounds: int
     start_iteration: int
     start_steps: int

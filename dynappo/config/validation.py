@@ -212,6 +212,9 @@ def _check_memory(config) -> None:
         anchors,
         "0 where schedule.rounds is 1: the first round goes on from the last row",
     )
+    told = config.schedule.new_commands
+    text = "False where schedule.rounds is 1: the first round goes on from the last row"
+    expect(not told or config.schedule.rounds > 1, "schedule.new_commands", told, text)
     most = robots * max(memory, config.rollout.imagined * horizon)
     name = "rollout.num_envs x rollout.imagined x rollout.horizon, or x model.memory"
     expect(most < 2**31, name, most, "an integer of 32 bits")

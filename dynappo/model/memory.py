@@ -12,7 +12,8 @@ these alone forgets the rest. So they are kept.
 - **Fit**: beside each new row, a minibatch has `model.remembered` rows of the ring, drawn at random among
   all (`draw`). So new rows weigh 1 / (1 + remembered), an old row less the more there are, and a fit costs
   the same however many are kept. The ring is written first, so it is never empty.
-- **Tails**: those of later rounds begin in the newest `schedule.anchors` rows of a robot (`anchors`).
+- **Tails**: those of later rounds begin in the newest `schedule.anchors` rows of a robot (`starts`), with
+  `schedule.new_commands` under a new command: 64 robots hear few, and what is asked is known, not predicted.
 - **More imagined robots than real ones**: `rollout.imagined` of them go on from where each real robot is
   (`branches`). Each is a robot of its own in the rollout [N, R x imagined]: the first rows are those of its
   real robot, the tail is its own. So PPO, its weights and its advantages are those of one tail a robot, and
@@ -34,7 +35,7 @@ from jaxtyping import Array, Int, PRNGKeyArray
 
 from dynappo.model import dynamics, examples
 from dynappo.model.examples import Examples
-from dynappo.types import Columns, Env, Memory, Static
+from dynappo.types import Columns, Env, Hyper, Memory, Static, Transition
 
 
 def init(static: Static, env: Env) -> Memory:
@@ -77,7 +78,39 @@ def draw(memory: Memory, counts: Columns, key: PRNGKeyArray, rows: int) -> Examp
     return Examples(x=x, y=y, weight=weight, count=jnp.int32(rows))
 
 
-def anchors(static: Static, memory: Memory, counts: Columns, key: PRNGKeyArray):
+def starts(
+    static: Static,
+    hyper: Hyper,
+    env: Env,
+    memory: Memory | None,
+    rows: Transition,
+    counts: Columns,
+    key: PRNGKeyArray,
+) -> dynamics.TailState:
+    """Where the tails of a later round begin: in `rows` of this iteration (of the imagined robots), or in the
+    memory; with `schedule.new_commands` each under a new command."""
+    asked = None
+    if static.schedule.new_commands:
+        key, asked = jax.random.split(key)
+    if memory is not None and static.schedule.anchors:
+        state = anchors(static, memory, counts, key)
+    else:
+        state = dynamics.anchors(static, env, rows, n_real=counts["n_real"], key=key)
+    if asked is None:
+        return state
+    if env.retell is None:
+        raise ValueError(
+            "schedule.new_commands is True: this environment has no `retell`; set it to False"
+        )
+    keys = jax.random.split(asked, len(state.obs))
+    before, context = jnp.split(state.obs, [env.prop_size], axis=-1)
+    context = jax.vmap(partial(env.retell, hyper))(context, keys)
+    return dynamics.TailState(obs=jnp.concatenate([before, context], -1), prop=state.prop)
+
+
+def anchors(
+    static: Static, memory: Memory, counts: Columns, key: PRNGKeyArray
+) -> dynamics.TailState:
     """The start of a tail for each imagined robot, from one of its robot's newest rows."""
     size, num_envs = memory.weight.shape
     newest = counts["memory_begin"] + counts["n_real"]  # the place after the last row
