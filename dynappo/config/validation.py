@@ -212,12 +212,17 @@ def _check_memory(config) -> None:
         anchors,
         "0 where schedule.rounds is 1: the first round goes on from the last row",
     )
-    told = config.schedule.new_commands
+    told, task = config.schedule.new_commands, config.task
     text = "False where schedule.rounds is 1: the first round goes on from the last row"
     expect(not told or config.schedule.rounds > 1, "schedule.new_commands", told, text)
+    alone = task.terrain == "flat" and not (task.heading or task.gait_frequency or config.env)
+    text = "False with rough ground, headings, a gait clock or another package's task"
+    expect(not told or alone, "schedule.new_commands", told, text)
     most = robots * max(memory, config.rollout.imagined * horizon)
     name = "rollout.num_envs x rollout.imagined x rollout.horizon, or x model.memory"
     expect(most < 2**31, name, most, "an integer of 32 bits")
+    tied, text = config.model.symmetry, "False where ppo.symmetry is False"
+    expect(config.ppo.symmetry or not tied, "model.symmetry", tied, text)
     text = "even sizes where model.symmetry is True"
-    halves = not config.model.symmetry or all(size % 2 == 0 for size in config.model.hidden)
+    halves = not tied or all(size % 2 == 0 for size in config.model.hidden)
     expect(halves, "model.hidden", config.model.hidden, text)

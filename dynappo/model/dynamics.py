@@ -88,10 +88,7 @@ def mirrors(static: Static, env: Env) -> tuple[Mirror, Mirror] | None:
     """The mirrors of the model's input and target, or None without `model.symmetry`."""
     if not static.model.symmetry:
         return None
-    if env.mirror is None:
-        raise ValueError(
-            "model.symmetry is True: this environment has no mirror image; set it to False"
-        )
+    assert env.mirror is not None, "model.symmetry comes with ppo.symmetry"
     obs, action = env.mirror
     seen = obs if env.views is None else symmetry.part(obs, env.views.model)
     prop = symmetry.part(obs, np.arange(env.prop_size))

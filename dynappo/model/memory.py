@@ -98,10 +98,7 @@ def starts(
         state = dynamics.anchors(static, env, rows, n_real=counts["n_real"], key=key)
     if asked is None:
         return state
-    if env.retell is None:
-        raise ValueError(
-            "schedule.new_commands is True: this environment has no `retell`; set it to False"
-        )
+    assert env.retell is not None, "a config with schedule.new_commands for another environment"
     keys = jax.random.split(asked, len(state.obs))
     before, context = jnp.split(state.obs, [env.prop_size], axis=-1)
     context = jax.vmap(partial(env.retell, hyper))(context, keys)
