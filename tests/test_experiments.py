@@ -238,6 +238,23 @@ def test_jobs_of_few_robots_are_valid_and_evaluated_on_the_way_to_45_thousand_st
                 assert steps[-1] > 75_000
 
 
+def test_the_table_of_few_robots_is_that_of_its_runs():
+    """Each line, and no run is left out."""
+    table, few = script("27_few/table"), EXPERIMENTS / "27_few"
+    page = (few / "README.md").read_text()
+    jobs = table.runs.read(few / "results")
+    lines = [cells(line) for line in page.splitlines() if line.startswith("| `")]
+    found = {row[0].strip("`"): row[2:] for row in lines if len(row) == 8}
+    told = {
+        row[0]: row[1:] for row in map(cells, table.table(jobs, [17.4, 27.6, 43]).splitlines()[2:])
+    }
+    assert found == told and len(jobs) >= 9
+    laptop = [line.split() for line in (few / "laptop.txt").read_text().splitlines()]
+    assert {name: fields for name, *fields in laptop if name in jobs} == {
+        name: rows[0]["job"].split() for name, rows in jobs.items()
+    }
+
+
 def test_brax_gets_playgrounds_settings():
     """brax's trainer, with what JAX has removed put back; its state has an axis of devices."""
     pytest.importorskip("mujoco_playground", reason="MuJoCo Playground is not installed")
