@@ -2,8 +2,9 @@
 
     python experiments/27_few/table.py FOLDER [--at 17.4 27.6 43]
 
-A row a job: means over its seeds, between two evaluations on a straight line, empty where runs have ended; the
-first evaluation at the level (ANYmals 24, else 38), mean over the seeds that get there; the seconds of training.
+A row a job: means over its seeds, between two evaluations on a straight line, empty where runs have ended;
+the first evaluation at the level (ANYmals 24, else 38), mean over the seeds that get there; the seconds of
+training.
 """
 
 import importlib
