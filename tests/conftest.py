@@ -29,12 +29,13 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 TESTS = pathlib.Path(__file__).parent
 PEERS = TESTS / "peers"
 LONGEST = """
+model/test_memory
 test_algorithm test_fast tasks/test_env program/test_distributed web/test_browser page/test_page_in_browser
 test_experiments sweeps/test_sweep run/test_checkpoint test_seeds run/test_run physics/test_xla_call
 tasks/test_playground physics/test_warp_call run/test_engines tasks/test_change tasks/test_brax_env
-model/test_memory model/test_options model/test_dynamics learner/test_ppo physics/test_kernel_scope
-train/test_command physics/test_c_mujoco physics/test_rough_ground policy/test_policy_source
-sweeps/test_every_float run/test_workdir policy/test_render description/test_feet
+model/test_options model/test_dynamics learner/test_ppo physics/test_kernel_scope train/test_command
+physics/test_c_mujoco physics/test_rough_ground policy/test_policy_source sweeps/test_every_float
+run/test_workdir policy/test_render description/test_feet
 """.split()  # files that take more than ten seconds of a processor, about in this order (README.md)
 
 

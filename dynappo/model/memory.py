@@ -17,8 +17,8 @@ these alone forgets the rest. So they are kept.
 - **More imagined robots than real ones**: `rollout.imagined` of them go on from where each real robot is
   (`branches`). Each is a robot of its own in the rollout [N, R x imagined]: the first rows are those of its
   real robot, the tail is its own. So PPO, its weights and its advantages are those of one tail a robot, and
-  a real row's advantage is estimated from as many tails. The price: real rows are copied, in later rounds with
-  weight 0. It is small where a rollout has more synthetic rows than real ones.
+  a real row's advantage is estimated from as many tails. The price: real rows are copied, in later rounds
+  with weight 0. It is small where a rollout has more synthetic rows than real ones.
 
 All three are off in the paper's variants: without a memory the state has no ring, and with one imagined
 robot the rollout is that of the real ones.
