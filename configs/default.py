@@ -17,6 +17,7 @@ Variants, appended to the file name as in `configs/go1.py:ppo16`:
 | `dyna4`            | 16     | 0 to 4 over iterations 0-100| paper, Table III           |
 | `fast`             | 16     | as dyna4                    | 5 epochs after 50, bfloat16|
 | `best` (default)   | 20     | 0 to 16 over 0-5, until 150 | experiments/21_less        |
+| `few`              | 20     | as best                     | 64 robots, 45 k steps: experiments/27_few |
 | `deploy`           | 20     | as best                     | for hardware: robots/DEPLOY.md |
 | `laptop`           | 24     | 0 to 16 over 0-20, until 350| two CPU cores: it walks    |
 | `quick`            | 24     | 0 to 4                      | the smallest run on MJX    |
@@ -66,7 +67,7 @@ PAPER = {
 }
 OF_THE_PAPER = (*PAPER, "fast")
 ROUGH = ("rough", "rough_blind", "rough_deploy")
-VARIANTS = (*OF_THE_PAPER, "best", "deploy", "quick", "laptop", *ROUGH)
+VARIANTS = (*OF_THE_PAPER, "best", "few", "deploy", "quick", "laptop", *ROUGH)
 
 
 class Run(NamedTuple):
@@ -96,6 +97,7 @@ class Rollout(NamedTuple):
 
     num_envs: Annotated[int, Between(1, 100_000_000)] = 4096  # R; paper
     horizon: Few = 16  # N = N_r + N_s; paper
+    imagined: Few = 1  # robots that write tails, for each simulated one (model/memory.py); paper: 1
 
 
 class Schedule(NamedTuple):
@@ -107,6 +109,9 @@ class Schedule(NamedTuple):
     end_steps: Whole = 4  # y
     last_iteration: Whole | None = None  # of a tail; later all rows are real. None: every iteration
     rounds: Few = 1  # of imagination in an iteration (algorithm.py); paper: 1
+    # rows of each robot, the newest in the memory, in which tails of later rounds begin; 0: the iteration's
+    anchors: Whole = 0
+    new_commands: bool = False  # such a tail begins under a new command (Env.retell)
     late_from: Whole | None = None  # the iteration after which ppo.late_kl holds; None: never
 
 
@@ -129,6 +134,11 @@ class Model(NamedTuple):
     clean: bool = False  # carry the state without noise, and draw the policy's noise anew
     known_reward: bool = False  # compute the terms that need no model, and learn the rest
     falls: bool = False  # predict the probability of a fall; nothing in a tail ends by time
+    # real rows of past iterations (model/memory.py)
+    memory: Whole = 0  # rows of each robot that are kept; 0: none
+    remembered: Annotated[int, Between(0, 100)] = 0  # of them, beside each new row of a minibatch
+    weight_decay: Positive | None = None  # of the weights, a step, times the learning rate
+    symmetry: bool = False  # learn from mirrored rows, too (learner/symmetry.py)
 
 
 class Ppo(NamedTuple):
@@ -429,6 +439,8 @@ def apply_variant(config: config_dict.ConfigDict, variant: str) -> config_dict.C
         config.model.update(late_epochs=5, late_from=50, precision="bfloat16")
     elif variant == "best":
         _best(config)
+    elif variant == "few":
+        _few(config)
     elif variant == "deploy":
         _deploy(config)
     elif variant in ROUGH:
@@ -477,6 +489,17 @@ def _best(config: config_dict.ConfigDict) -> None:
     # after ten seconds of a slow one, so one in three goes on under its own
     config.task.update(episode_length=125, carry_on=True, start_anew=1 / 3, keep_command=1 / 3)
     config.run.eval_steps = 1000
+
+
+def _few(config: config_dict.ConfigDict) -> None:
+    """`best` with 64 robots and 45 k simulator steps in all: the model remembers every real row, and each
+    real robot is continued by several imagined ones (dynappo/model/memory.py; experiments/27_few)."""
+    _best(config)
+    config.rollout.update(num_envs=64, imagined=16)
+    config.model.update(memory=800, remembered=3, symmetry=True, late_epochs=None)
+    config.schedule.update(anchors=200, last_iteration=None, late_from=None)
+    config.ppo.late_kl = 1.0
+    config.run.num_iterations = 160  # of 256 real rows, after the ramp: 45 k
 
 
 def _deploy(config: config_dict.ConfigDict) -> None:

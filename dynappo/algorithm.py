@@ -16,6 +16,9 @@ Rounds of imagination (`schedule.rounds`; the paper has one): after its update, 
 new tails, which start from real rows drawn at random, and learns from these alone. This saves
 simulator steps: with two, Go1 walks after two thirds of the steps (experiments/21_less).
 
+A memory (`model.memory`; the paper has none) keeps real rows of past iterations: the model learns from them,
+too, and tails of later rounds begin there. So few robots are enough (experiments/27_few).
+
 Every random number comes from `fold_in` of the run's key with the iteration, a purpose, the row and
 the robot's global index. So two chunks equal one run, and a row does not depend on N_r. A key is used in
 one way alone: drawn from once, split once, or folded. Two would give equal bits: `split(key)[i]` is
@@ -25,6 +28,7 @@ Read next, in the order of `iterate`:
 
 - rollout.py (`fill`) and types.py: the rows of a rollout, and the environment that writes them
 - model/dynamics.py (`fit`, `step`): the transition model, which learns from the rows and writes more
+- model/memory.py: rows of past iterations, and more imagined robots than real ones
 - learner/ppo.py (`update`, `loss`), gae.py and networks.py: how the policy learns from them
 - schedule.py: how many rows the model writes in each iteration; stats.py: an iteration's metrics
 - fast.py: the same functions with fewer kernels, which `iterate` calls; seeds.py: many seeds and devices
@@ -41,7 +45,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from dynappo import fast, rollout, schedule, stats
 from dynappo.learner import gae, networks, ppo, scaling, symmetry, units
-from dynappo.model import dynamics, errors, examples
+from dynappo.model import dynamics, errors, examples, memory
 from dynappo.types import Columns, Env, Hyper, Metrics, Static, TrainState, Transition
 
 # purposes of random numbers: of a seed, whose policy may be evaluated with the same; and of an iteration
@@ -76,6 +80,7 @@ def init(env: Env, hyper: Hyper, key: PRNGKeyArray, *, static: Static) -> TrainS
         returns=jnp.full(stats.RETURNS, jnp.nan),
         lengths=jnp.full(stats.RETURNS, jnp.nan),
         key=keys[ITERATIONS],
+        memory=memory.init(static, env) if uses_model and static.model.memory else None,
     )
 
 
@@ -102,23 +107,30 @@ def iterate(
     if state.model is not None:
         steps = min(4, horizon - static.schedule.end_steps)
         metrics |= errors.errors(static, hyper, env, model=state.model, rows=rows, steps=steps)
+        new, past = examples.examples(static, hyper, env, rows=rows, n_real=n_real), state.memory
+        if past is not None:
+            past = memory.remember(past, new, dynamics.tail(static, env, rows), counts)
         model, losses = fast.fit(
             static,
             hyper,
             state.model,
-            rows=examples.examples(static, hyper, env, rows=rows, n_real=n_real),
+            rows=new,
             epochs=counts["model_epochs"],
             key=key(FIT),
+            mirrors=dynamics.mirrors(static, env),
+            draw=memory.drawing(static, past, counts),
         )
-        state, metrics = state.replace(model=model), metrics | losses
+        state, metrics = state.replace(model=model, memory=past), metrics | losses
 
     # Let the model write the tail of N_s = N - N_r rows, then update the policy by PPO on real and
     # synthetic rows alike; in further rounds, on new tails of the new policy
     def one_round(k, carry):
         learner, rows, _ = carry
         if state.model is not None:
-            last = dynamics.tail(static, env, state.env_state)
-            drawn = dynamics.anchors(static, env, rows, n_real=n_real, key=key(ANCHOR, k))
+            last = memory.branches(static, dynamics.tail(static, env, state.env_state), axis=0)
+            drawn = memory.starts(
+                static, hyper, env, state.memory, rows=rows, counts=counts, key=key(ANCHOR, k)
+            )
             start = jax.tree.map(partial(jnp.where, k == 0), last, drawn)
             now = state.replace(learner=learner)
             rows = imagine(
@@ -140,11 +152,13 @@ def iterate(
         return learner, rows, learned
 
     nothing = dict.fromkeys(ppo.METRICS, jnp.zeros(()))
+    rows = memory.branches(static, rows, axis=1) if state.model is not None else rows
     learner, rows, learned = jax.lax.fori_loop(
         0, counts.get("rounds", 1), one_round, (state.learner, rows, nothing)
     )
     if state.model is not None:
         metrics |= stats.of_tail(rows, real, env.dt)
+        rows = memory.real_robots(static, rows, axis=1)
 
     if static.ppo.normalize:
         of_actor, of_critic = networks.inputs(static, env, rows.obs, rows.prop)
@@ -193,14 +207,14 @@ def imagine(
     *,
     static: Static,
 ) -> Transition:
-    """`rows` with the rows `t >= n_real` from the model, each robot's from its `start`."""
+    """`rows` with the rows `t >= n_real` from the model, each imagined robot's from its `start`."""
     assert state.model is not None, "plain PPO has no model"
     rows, _, _ = fast.fill(
         rows,
         begin=n_real,
         end=jnp.int32(static.rollout.horizon),
         state=start,
-        keys=rollout.row_keys(key, state.robot_index),
+        keys=rollout.row_keys(key, memory.imagined_index(static, state.robot_index)),
         act=policy(static, env, state.learner.params),
         step=fast.step(static, hyper, env, state.model),
     )

@@ -32,7 +32,7 @@ from dynappo.learner import networks, ppo, scaling, symmetry
 from dynappo.learner import units as units_lib
 from dynappo.model import dynamics
 from dynappo.model.examples import Examples
-from dynappo.types import Env, Hyper, Learner, Metrics, ModelState, Static, Transition
+from dynappo.types import Env, Hyper, Learner, Metrics, Mirror, ModelState, Static, Transition
 
 # the fields of a row that are one number a robot
 SCALARS = "log_prob value reward discount truncation valid episode_return episode_length".split()
@@ -143,12 +143,22 @@ def fit(
     rows: Examples,
     epochs: Int[Array, ""],
     key: PRNGKeyArray,
+    *,
+    mirrors: tuple[Mirror, Mirror] | None = None,
+    draw: Callable | None = None,
 ) -> tuple[ModelState, Metrics]:
     """`dynamics.fit`, with weights and moments of Adam as one vector each, and one array to draw from."""
-    model = dynamics.with_moments_of(hyper, model, rows, epochs)
-    x, y = dynamics.scaled(static, model, rows)
-    data = jnp.concatenate([x, y, rows.weight[..., None]], -1)
+    model = dynamics.with_moments_of(hyper, model, rows, epochs, mirrors)
+
+    def minibatch(rows: Examples):
+        x, y = dynamics.scaled(static, model, rows)
+        return jnp.concatenate([x, y, rows.weight[..., None]], -1)
+
+    data, past = minibatch(rows), None
+    if draw is not None:
+        past = lambda key, n: minibatch(draw(key, n))  # noqa: E731
     size = rows.x.shape[-1]
+    with_image = mean_with_image(model.params, dynamics.image(mirrors))
     params, unflatten = ravel_pytree(model.params)
     adam = model.opt_state
     opt_state = adam._replace(mu=ravel_pytree(adam.mu)[0], nu=ravel_pytree(adam.nu)[0])
@@ -161,11 +171,18 @@ def fit(
             return dynamics.loss(static, hyper, unflatten(params), x=x, y=y, weight=weight)
 
         value, grads = jax.value_and_grad(loss)(params)
-        updates, opt_state = dynamics.optimizer().update(grads, opt_state)
+        updates, opt_state = dynamics.optimizer(hyper).update(with_image(grads), opt_state, params)
         return (params - hyper.model.learning_rate * updates, opt_state), value
 
     (params, opt_state), metrics = dynamics.passes(
-        static, (params, opt_state), data, count=rows.count, epochs=epochs, key=key, step=step
+        static,
+        (params, opt_state),
+        data,
+        count=rows.count,
+        epochs=epochs,
+        key=key,
+        step=step,
+        past=past,
     )
     opt_state = opt_state._replace(mu=unflatten(opt_state.mu), nu=unflatten(opt_state.nu))
     return model.replace(params=unflatten(params), opt_state=opt_state), metrics

@@ -47,7 +47,9 @@ def uses_model(config) -> bool:
 
 def columns(config) -> dict[str, np.ndarray]:
     """What `algorithm.run` scans over, each int32 `[I]`: `iteration`, from 1, and `n_real`, N_r;
-    with a tail `model_epochs`, the passes of the model's fit; with several rounds `rounds`."""
+    with a tail `model_epochs`, the passes of the model's fit; with several rounds `rounds`; with a memory
+    `memory_begin`, the place of the first new row in the ring, and `memory_count`, the rows that it then
+    holds."""
     i = np.arange(1, config.run.num_iterations + 1, dtype=np.int32)
     tail = table(config)
     out = {"iteration": i, "n_real": np.int32(config.rollout.horizon) - tail}
@@ -58,6 +60,10 @@ def columns(config) -> dict[str, np.ndarray]:
         out["model_epochs"] = np.where(_over(config, i), 0, epochs).astype(np.int32)
         if config.schedule.rounds > 1:  # one where there is no tail
             out["rounds"] = np.where(tail > 0, config.schedule.rounds, 1).astype(np.int32)
+        if m.memory:
+            after = np.cumsum(out["n_real"], dtype=np.int64)
+            out["memory_begin"] = ((after - out["n_real"]) % m.memory).astype(np.int32)
+            out["memory_count"] = np.minimum(after, m.memory).astype(np.int32)
     return out
 
 

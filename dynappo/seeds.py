@@ -35,7 +35,8 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 from dynappo import algorithm, scores
 from dynappo.types import Env, Hyper, Metrics, Static, TrainState
 
-ROBOTS = ("env_state", "params_physics", "robot_index")  # fields of TrainState with an axis R
+# fields of TrainState with an axis R, and which of a seed's axes it is
+ROBOTS = {"env_state": 0, "params_physics": 0, "robot_index": 0, "memory": 1}
 
 
 def keys(seed: int, num_seeds: int) -> PRNGKeyArray:
@@ -150,12 +151,12 @@ def shardings(over: Mesh, state: Any, num_seeds: int) -> Any:
     """The sharding of a TrainState's arrays (or shapes): seeds on `seed`, robots on `env`."""
     seeds = ("seed",) if num_seeds > 1 else ()
 
+    def spread(name):
+        return (*seeds, *[None] * ROBOTS[name], "env") if name in ROBOTS else seeds
+
     def whole(axes):
         return lambda _: NamedSharding(over, PartitionSpec(*axes))
 
     return state.replace(
-        **{
-            name: jax.tree.map(whole((*seeds, "env") if name in ROBOTS else seeds), part)
-            for name, part in vars(state).items()
-        }
+        **{name: jax.tree.map(whole(spread(name)), part) for name, part in vars(state).items()}
     )

@@ -106,6 +106,16 @@ class ModelState(struct.PyTreeNode):
     targets: Moments
 
 
+class Memory(struct.PyTreeNode):
+    """The newest M real rows of each robot (model/memory.py), as a ring; `[M, R]` in front of every shape."""
+
+    x: Float[Array, "... I"]  # the model's input,
+    y: Float[Array, "... K"]  # its target,
+    weight: Float[Array, "..."]  # and 1 or 0
+    obs: Float[Array, "... O"]  # where a tail may begin
+    prop: Float[Array, "... P"]
+
+
 class TrainState(struct.PyTreeNode):
     """Everything that a run carries from one iteration to the next."""
 
@@ -117,6 +127,7 @@ class TrainState(struct.PyTreeNode):
     returns: Float[Array, "100"]  # of the last finished episodes, newest last; NaN before
     lengths: Float[Array, "100"]
     key: PRNGKeyArray
+    memory: Memory | None = None  # None: without, or plain PPO
 
 
 class Mirror(NamedTuple):
@@ -179,6 +190,8 @@ class Env(NamedTuple):
     # (hyper) -> [], the share of the reward that a fall (`discount` 0) pays once, not times dt (with
     # `model.falls`); None: none
     fall_reward: Callable[..., Any] | None = None
+    # (hyper, context, key) -> context of a robot that is asked something else, with `schedule.new_commands`
+    retell: Callable[..., Any] | None = None
     mirror: tuple[Mirror, Mirror] | None = None  # of obs and action, with `ppo.symmetry`
     input_scale: np.ndarray | None = None  # [O] of each number of obs, with `ppo.scale_inputs`
     mesh: jax.sharding.Mesh | None = None  # devices over which the robots are spread (seeds.py)

@@ -31,6 +31,7 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 TESTS = pathlib.Path(__file__).parent
 PEERS = TESTS / "peers"
 LONGEST = """
+model/test_memory
 test_algorithm test_fast tasks/test_env program/test_distributed web/test_browser page/test_page_in_browser
 test_experiments sweeps/test_sweep run/test_checkpoint test_seeds run/test_run physics/test_xla_call
 tasks/test_playground web/test_task_page physics/test_warp_call run/test_engines tasks/test_change

@@ -22,7 +22,7 @@ import pytest
 import toy_env
 from toy_runs import assert_close
 
-from dynappo import algorithm
+from dynappo import algorithm, schedule
 from dynappo import config as config_lib
 from dynappo.learner import networks
 from experiments import paper, pictures, run, stats
@@ -207,6 +207,52 @@ def test_playgrounds_jobs_are_valid_and_evaluated_about_ten_times():
         assert name == f"{task}-{variant}-{config.run.seed}" and config.run.num_seeds == 1
         assert 10 <= len(evaluations(config)) <= 11
         assert config.run.eval_steps == config.task.episode_length
+
+
+def test_jobs_of_few_robots_are_valid_and_evaluated_on_the_way_to_45_thousand_steps():
+    """Of 27_few: `robots-R` has R robots, 1024 imagined ones, and a memory for all rows up to there. With up
+    to 64 robots there are ten evaluations until then."""
+    evaluations = script("21_less/run").evaluations
+    for file in ("jobs", "laptop"):
+        lines = (EXPERIMENTS / f"27_few/{file}.txt").read_text().splitlines()
+        assert len({line.split()[0] for line in lines}) == len(lines)
+        for line in lines:
+            name, job, *fields = line.split()
+            robot, _, variant = job.partition(":")
+            config = config_lib.load(f"configs/{robot}.py:{variant}")
+            config.run.log_every = 1
+            for field in fields:
+                if not field.startswith("control="):
+                    config_lib.override(config, *field.split("=", 1))
+            config = config_lib.validate(config)
+            steps = schedule.sim_steps(config)
+            if name.startswith("robots-"):
+                robots, memory = int(name.split("-")[1]), config.model.memory
+                assert config.rollout.num_envs == robots
+                assert robots * config.rollout.imagined == 1024
+                assert memory * robots >= 45_000
+            if file == "jobs":
+                asked = [steps[i - 1] for i in evaluations(config)]
+                many = config.rollout.num_envs > 64
+                assert many or sum(s <= 45_000 for s in asked) >= 10, name
+                assert steps[-1] > 75_000
+
+
+def test_the_table_of_few_robots_is_that_of_its_runs():
+    """Each line, and no run is left out."""
+    table, few = script("27_few/table"), EXPERIMENTS / "27_few"
+    page = (few / "README.md").read_text()
+    jobs = table.runs.read(few / "results")
+    lines = [cells(line) for line in page.splitlines() if line.startswith("| `")]
+    found = {row[0].strip("`"): row[2:] for row in lines if len(row) == 8}
+    told = {
+        row[0]: row[1:] for row in map(cells, table.table(jobs, [17.4, 27.6, 43]).splitlines()[2:])
+    }
+    assert found == told and len(jobs) >= 9
+    laptop = [line.split() for line in (few / "laptop.txt").read_text().splitlines()]
+    assert {name: fields for name, *fields in laptop if name in jobs} == {
+        name: rows[0]["job"].split() for name, rows in jobs.items()
+    }
 
 
 def test_brax_gets_playgrounds_settings():

@@ -61,6 +61,19 @@ OTHERS = {
     "a biped with a gait clock": ("g1", {"task.gait_frequency": (1.25, 1.5)}),
     "flat ground": ("go1", {"task.terrain": "flat", "task.scan": "none"}),
 }
+# more imagined robots than real ones, whose tails begin in a memory and under new commands
+FEW = {
+    "task.formulation": "isaaclab",
+    "task.heading": False,
+    "task.terrain": "flat",
+    "task.scan": "none",
+    "rollout.imagined": 2,
+    "model.memory": 8,
+    "model.remembered": 2,
+    "model.symmetry": True,
+    "schedule.anchors": 8,
+    "schedule.new_commands": True,
+}
 
 
 def built(name, fields):
@@ -129,6 +142,23 @@ def test_a_run_has_as_many_draws_as_its_rows_robots_and_rounds_need(uses):
         ROUNDS * EVERYTHING["ppo.shuffle_blocks"]
     )  # of so few rows, each shuffle is one
     assert draws("run") == times(ITERATIONS, expected)
+
+
+def test_a_run_with_a_memory_uses_no_key_twice():
+    """Nor do two imagined robots of a real one share a key."""
+    world = built("go1", FEW)
+    columns = {name: jnp.asarray(column) for name, column in schedule.columns(world.config).items()}
+    init = partial(algorithm.init, world.env, static=world.static)
+    state = jax.eval_shape(init, world.hyper, jax.random.key(0))
+    state = state.replace(key=jax.random.key(0), robot_index=jnp.arange(ROBOTS))
+    run = partial(algorithm.run, world.env, static=world.static)
+    used, _ = random_keys.record(run, world.hyper, state, columns)
+    assert not random_keys.faults(used), "\n".join(random_keys.faults(used))
+    drawn = [use.where for use in used if use.how == DRAWN]
+    actions = [where for where in drawn if where.split(" > ")[-1].startswith("algorithm.py")]
+    assert len(actions) == ITERATIONS * ROBOTS * (REAL + 2 * ROUNDS * TAIL)
+    commands = [where for where in drawn if "memory.py" in where and "commands.py" in where]
+    assert len(commands) == ITERATIONS * ROUNDS * 2 * ROBOTS
 
 
 def times(n, counts):

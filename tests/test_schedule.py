@@ -26,7 +26,7 @@ def config_of(a, b, x, y, iterations, horizon=16):
         ),
         run=SimpleNamespace(num_iterations=iterations),
         rollout=SimpleNamespace(num_envs=4096, horizon=horizon),
-        model=SimpleNamespace(epochs=25, late_epochs=None, late_from=50),
+        model=SimpleNamespace(epochs=25, late_epochs=None, late_from=50, memory=0),
     )
 
 
@@ -153,7 +153,7 @@ def test_simulator_steps_are_the_running_total_over_robots_and_pass_2_to_the_31(
 def test_late_epochs_replace_epochs_after_iteration_late_from():
     config = config_of(0, 100, 0, 4, 8)
     np.testing.assert_array_equal(schedule.columns(config)["model_epochs"], [25] * 8)
-    config.model = SimpleNamespace(epochs=25, late_epochs=5, late_from=3)
+    config.model.late_epochs, config.model.late_from = 5, 3
     np.testing.assert_array_equal(
         schedule.columns(config)["model_epochs"], [25, 25, 25, 5, 5, 5, 5, 5]
     )

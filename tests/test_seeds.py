@@ -119,6 +119,22 @@ def test_robots_on_eight_devices_compute_what_one_device_computes(mesh_of_robots
     same(state, expected_state, 2e-3, 2e-4)
 
 
+@pytest.mark.slow  # compiles twice
+def test_a_memory_and_imagined_robots_on_several_devices_are_those_of_one():
+    """Two seeds, a quarter of their robots on each of 2 x 4 devices: the ring, and who learned of it."""
+    fields = {"rollout.num_envs": 64, "ppo.shuffle_blocks": 8, "rollout.imagined": 2}
+    fields |= {"schedule.rounds": 2, "model.memory": 11, "model.remembered": 2}
+    config, static, hyper = toy_env.settings(toy_env.TAIL | fields | {"schedule.anchors": 7})
+    env, columns = toy_env.make(), schedule.columns(config)
+    first = jax.jit(partial(seeds.init, env, static=static))(hyper, seeds.keys(0, 2))
+    expected, told = jax.jit(partial(seeds.run, env, static=static))(hyper, first, columns)
+    of = env, static, hyper, columns
+    state, metrics, _ = on_a_mesh(of, SHAPE, seeds.run, hyper, first, 2)
+    same(metrics, told)
+    same(state, expected, 2e-3, 2e-4)
+    assert state.memory.x.sharding.spec == PartitionSpec("seed", None, "env")
+
+
 @pytest.mark.parametrize("seed", range(SEEDS))
 def test_a_seed_of_a_sweep_on_a_mesh_is_its_run_alone(mesh_of_both, swept, single, seed):
     """With values of its own for two fields: every metric, and every array of the state."""

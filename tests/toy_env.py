@@ -109,6 +109,10 @@ def make(*, episode_length: int = 20, aged: bool = True) -> Env:
             episode_return=jnp.zeros(()),
         )
 
+    def retell(hyper, context, key):
+        low, high = hyper.task.command_x
+        return context.at[0].set(jax.random.uniform(key, (), minval=low, maxval=high))
+
     def reset(hyper, body, key):
         key, clock_key = jax.random.split(key)
         clock = jax.random.randint(clock_key, (), 0, episode_length) * aged
@@ -152,6 +156,7 @@ def make(*, episode_length: int = 20, aged: bool = True) -> Env:
             + hyper.task.noise.joint_pos * jax.random.uniform(key, (3,), minval=-1.0, maxval=1.0)
         ),
         known_reward=lambda hyper, obs, action, prop: DT * (1.0 - (prop[0] - obs[3]) ** 2),
+        retell=retell,
         metrics=METRICS,
         obs_size=6,
         prop_size=3,

@@ -35,27 +35,29 @@ def row(config, **kwargs):
     return {name: column[0] for name, column in columns(config, **kwargs).items()}
 
 
-def carries_a_rollout(equation):
+def carries_a_rollout(equation, robots):
     """Whether an equation is the loop of rounds, which carries the rollout's fields."""
     shapes = [v.aval.shape for v in equation.outvars]
-    return equation.primitive.name in ("while", "scan") and shapes.count((N, R, 6)) >= 2
+    return equation.primitive.name in ("while", "scan") and shapes.count((N, robots, 6)) >= 2
 
 
 @functools.cache
 def observe(env, static, as_users=False):
     """`f(hyper, state, row) -> (rollout, state, metrics)`: `iterate`, and the rollout inside it.
 
-    The rollout is what the last loop of rounds leaves in the program of `iterate`: the
-    program itself is asked for it. `as_users`: its bits are compared with those of another program.
+    The rollout, of the imagined robots, is what the last loop of rounds leaves in the program of `iterate`:
+    the program itself is asked for it. `as_users`: its bits are compared with those of another program.
     """
+
+    robots = R * static.rollout.imagined
 
     def call(hyper, state, row):
         closed, shape = jax.make_jaxpr(
             partial(algorithm.iterate, env, static=static), return_shape=True
         )(hyper, state, row)
         program = closed.jaxpr
-        carried = [e for e in program.eqns if carries_a_rollout(e)][-1].outvars
-        begin = [v.aval.shape for v in carried].index((N, R, 6))
+        carried = [e for e in program.eqns if carries_a_rollout(e, robots)][-1].outvars
+        begin = [v.aval.shape for v in carried].index((N, robots, 6))
         program = program.replace(
             outvars=[*carried[begin : begin + FIELDS], *program.outvars],
             debug_info=program.debug_info.with_unknown_names(),

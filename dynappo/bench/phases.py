@@ -70,17 +70,18 @@ def _tail_row(program, state, rows: int = 64) -> float:
     import jax.numpy as jnp
 
     from dynappo import algorithm, fast, rollout
-    from dynappo.model import dynamics
+    from dynappo.model import dynamics, memory
 
     static, env = program.static, program.env
 
     def write(state, n):
+        robots = memory.imagined_index(static, state.robot_index)
         return fast.fill(
-            rollout.allocate(env, rows, state.robot_index.size),
+            rollout.allocate(env, rows, robots.size),
             begin=jnp.zeros_like(n),
             end=n,
-            state=dynamics.tail(static, env, state.env_state),
-            keys=rollout.row_keys(state.key, state.robot_index),
+            state=memory.branches(static, dynamics.tail(static, env, state.env_state), axis=0),
+            keys=rollout.row_keys(state.key, robots),
             act=algorithm.policy(static, env, state.learner.params),
             step=fast.step(static, program.hyper, env, state.model),
         )[0]

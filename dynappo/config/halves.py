@@ -21,10 +21,13 @@ class StaticModel(NamedTuple):
     known_reward: bool
     late_epochs: int | None
     late_from: int
+    memory: int
     minibatches: int
     normalize: bool
     precision: str
     predict_change: bool
+    remembered: int
+    symmetry: bool
 
 
 class StaticPhysics(NamedTuple):
@@ -55,6 +58,7 @@ class StaticPpo(NamedTuple):
 
 class StaticRollout(NamedTuple):
     horizon: int
+    imagined: int
     num_envs: int
 
 
@@ -76,10 +80,12 @@ class StaticRun(NamedTuple):
 
 
 class StaticSchedule(NamedTuple):
+    anchors: int
     end_iteration: int
     end_steps: int
     last_iteration: int | None
     late_from: int | None
+    new_commands: bool
     rounds: int
     start_iteration: int
     start_steps: int
@@ -149,6 +155,7 @@ class HyperModel(NamedTuple):
     huber_delta: float
     learning_rate: float
     stats_decay: float
+    weight_decay: float | None
 
 
 class HyperPhysics(NamedTuple):

@@ -189,6 +189,7 @@ def _check_model(config) -> None:
     seen = config.ppo.critic == "obs" or config.model.clean
     text = "obs where model.clean is False: a tail then has no exact state; or set model.clean=True"
     expect(seen, "ppo.critic", config.ppo.critic, text)
+    _check_memory(config)
     horizon, minibatches = config.rollout.horizon, config.model.minibatches
     expected = f"a multiple of model.minibatches = {minibatches}: a minibatch has as many rows of every robot"
     expect(horizon % minibatches == 0, "rollout.horizon", horizon, expected)
@@ -199,3 +200,36 @@ def _check_model(config) -> None:
             f"most the {fewest} real rows of the longest tail; raise model.minibatches or lower "
             "schedule.end_steps"
         )
+
+
+def _check_memory(config) -> None:
+    """Checks that a memory holds an iteration and is read, and that nothing reads one that is not there."""
+    memory, horizon, robots = config.model.memory, config.rollout.horizon, config.rollout.num_envs
+    anchors, remembered = config.schedule.anchors, config.model.remembered
+    text = f"0, or at least rollout.horizon = {horizon}: the rows of an iteration"
+    expect(memory == 0 or memory >= horizon, "model.memory", memory, text)
+    text = "0 where neither model.remembered nor schedule.anchors reads the memory"
+    expect(memory == 0 or remembered or anchors, "model.memory", memory, text)
+    text = "0 where model.memory is 0"
+    expect(memory or not remembered, "model.remembered", remembered, text)
+    expect(anchors <= memory, "schedule.anchors", anchors, f"at most model.memory = {memory}")
+    expect(
+        not anchors or config.schedule.rounds > 1,
+        "schedule.anchors",
+        anchors,
+        "0 where schedule.rounds is 1: the first round goes on from the last row",
+    )
+    told, task = config.schedule.new_commands, config.task
+    text = "False where schedule.rounds is 1: the first round goes on from the last row"
+    expect(not told or config.schedule.rounds > 1, "schedule.new_commands", told, text)
+    alone = task.terrain == "flat" and not (task.heading or task.gait_frequency or config.env)
+    text = "False with rough ground, headings, a gait clock or another package's task"
+    expect(not told or alone, "schedule.new_commands", told, text)
+    most = robots * max(memory, config.rollout.imagined * horizon)
+    name = "rollout.num_envs x rollout.imagined x rollout.horizon, or x model.memory"
+    expect(most < 2**31, name, most, "an integer of 32 bits")
+    tied, text = config.model.symmetry, "False where ppo.symmetry is False"
+    expect(config.ppo.symmetry or not tied, "model.symmetry", tied, text)
+    text = "even sizes where model.symmetry is True"
+    halves = not tied or all(size % 2 == 0 for size in config.model.hidden)
+    expect(halves, "model.hidden", config.model.hidden, text)

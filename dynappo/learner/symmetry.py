@@ -13,8 +13,8 @@ the gradient of the loss on all rows and their mirror images, at the cost of the
 networks stay ordinary MLPs.
 
 Why not train on rows and mirrored rows (Mittal et al. 2024, arXiv:2403.04359): the same gradient
-takes twice the time. Why not a symmetric transition model too: it learns no faster
-(experiments/04_laptop).
+takes twice the time. The transition model can be symmetric, too (`model.symmetry`): with 512 robots it learns
+no faster (experiments/04_laptop); with few each row tells more.
 """
 
 from __future__ import annotations
@@ -53,6 +53,12 @@ def network_image(params, inputs: Mirror, outputs: Mirror):
         out[f"Dense_{i}"] = {"kernel": kernel, "bias": vector(after, layer["bias"])}
         before = half
     return {"params": out}
+
+
+def beside(one: Mirror, other: Mirror) -> Mirror:
+    """The mirror of two vectors, one after the other."""
+    index = np.concatenate([one.index, len(one.index) + other.index])
+    return Mirror(index, np.concatenate([one.sign, other.sign]))
 
 
 def part(mirror: Mirror, columns) -> Mirror:

@@ -29,14 +29,15 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 import optax
 from flax import struct
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
-from dynappo.learner import networks
+from dynappo.learner import networks, symmetry
 from dynappo.model import examples, moments
 from dynappo.model.examples import Examples
-from dynappo.types import Env, Hyper, Metrics, ModelState, Outcome, Static, Transition
+from dynappo.types import Env, Hyper, Metrics, Mirror, ModelState, Outcome, Static, Transition
 
 FALL_LOGIT = -4.6  # added to the network's output: untrained, it predicts 1 %
 # purposes of random numbers, the same as algorithm.STEP and RESET; no row is written by both
@@ -58,7 +59,7 @@ def tail(static: Static, env: Env, state) -> TailState:
 
 
 def anchors(static: Static, env: Env, rows: Transition, n_real: Int[Array, ""], key) -> TailState:
-    """The start of a tail for each robot, from one of its rows `t < n_real`, drawn at random."""
+    """The start of a tail for each robot of `rows`, from one of its rows `t < n_real`, drawn at random."""
     t = jax.random.randint(key, rows.reward.shape[1:], 0, n_real)[None]
     return jax.tree.map(lambda x: pick(x, t)[0], tail(static, env, rows))
 
@@ -74,12 +75,30 @@ def init(static: Static, env: Env, key: PRNGKeyArray) -> ModelState:
     """An untrained model; its moments have weight 0 until the first fit."""
     inputs, outputs = examples.input_size(env), env.prop_size + 1
     params = networks.init(network(static, env.prop_size), inputs, key)
+    params = symmetry.tie(params, image(mirrors(static, env)))
     return ModelState(
         params=params,
         opt_state=optimizer().init(params),
         inputs=moments.init(inputs),
         targets=moments.init(outputs + static.model.falls),
     )
+
+
+def mirrors(static: Static, env: Env) -> tuple[Mirror, Mirror] | None:
+    """The mirrors of the model's input and target, or None without `model.symmetry`."""
+    if not static.model.symmetry:
+        return None
+    assert env.mirror is not None, "model.symmetry comes with ppo.symmetry"
+    obs, action = env.mirror
+    seen = obs if env.views is None else symmetry.part(obs, env.views.model)
+    prop = symmetry.part(obs, np.arange(env.prop_size))
+    same = symmetry.unchanged(1 + static.model.falls)  # reward and fall
+    return symmetry.beside(seen, action), symmetry.beside(prop, same)
+
+
+def image(mirrors: tuple[Mirror, Mirror] | None) -> symmetry.Image | None:
+    """Of the model's weights those that give the mirrored target for the mirrored input."""
+    return None if mirrors is None else lambda params: symmetry.network_image(params, *mirrors)
 
 
 def scales(static: Static, model: ModelState):
@@ -120,43 +139,73 @@ def fit(
     rows: Examples,
     epochs: Int[Array, ""],
     key: PRNGKeyArray,
+    *,
+    mirrors: tuple[Mirror, Mirror] | None = None,
+    draw: Callable | None = None,
 ) -> tuple[ModelState, Metrics]:
     """`epochs` passes of Adam over `rows`, in minibatches. First the moments that scale them are updated.
+
+    With `mirrors` (of a symmetric model) it learns from mirrored rows, too. `draw(key, n) -> Examples`
+    gives n rows of each robot out of a memory (memory.py): `model.remembered` beside each new one.
 
     Metrics: the loss of the last minibatch, and of the first, whose rows are new to the model. With 0
     epochs the model stays as it is, moments included, and the losses are NaN.
     """
-    model = with_moments_of(hyper, model, rows, epochs)
-    x, y = scaled(static, model, rows)
-    data = Minibatch(x=x, y=y, weight=rows.weight)
+    model = with_moments_of(hyper, model, rows, epochs, mirrors)
+
+    def minibatch(rows: Examples):
+        x, y = scaled(static, model, rows)
+        return Minibatch(x=x, y=y, weight=rows.weight)
 
     def step(state, minibatch, counted):
         params, opt_state = state
         weight = minibatch.weight * counted
         of = jax.value_and_grad(partial(loss, static, hyper))
         value, grads = of(params, x=minibatch.x, y=minibatch.y, weight=weight)
-        updates, opt_state = optimizer().update(grads, opt_state)
+        grads = symmetry.mean(grads, image(mirrors))
+        updates, opt_state = optimizer(hyper).update(grads, opt_state, params)
         rate = hyper.model.learning_rate
         params = jax.tree.map(lambda old, update: old - rate * update, params, updates)
         return (params, opt_state), value
 
     start = model.params, model.opt_state
+    past = None if draw is None else lambda key, n: minibatch(draw(key, n))
     (params, opt_state), metrics = passes(
-        static, start, data, count=rows.count, epochs=epochs, key=key, step=step
+        static,
+        start,
+        minibatch(rows),
+        count=rows.count,
+        epochs=epochs,
+        key=key,
+        step=step,
+        past=past,
     )
     return model.replace(params=params, opt_state=opt_state), metrics
 
 
-def optimizer() -> optax.GradientTransformation:
-    """Adam without its learning rate, which the step applies."""
-    return optax.scale_by_adam()
+def optimizer(hyper: Hyper | None = None) -> optax.GradientTransformation:
+    """Adam without its learning rate, which the step applies; with weight decay, if there is any."""
+    adam = optax.scale_by_adam()
+    if hyper is None or hyper.model.weight_decay is None:
+        return adam
+    decay = hyper.model.weight_decay
+
+    def update(grads, state, params):
+        updates, state = adam.update(grads, state)
+        return jax.tree.map(lambda change, old: change + decay * old, updates, params), state
+
+    return optax.GradientTransformation(adam.init, update)
 
 
-def with_moments_of(hyper: Hyper, model: ModelState, rows: Examples, epochs) -> ModelState:
-    """The model with its moments updated by `rows`; with 0 epochs, as it was."""
+def with_moments_of(
+    hyper: Hyper, model: ModelState, rows: Examples, epochs, mirrors=None
+) -> ModelState:
+    """The model with its moments updated by `rows`, and by mirrored rows where it has `mirrors`; with 0
+    epochs, as it was."""
     decay, fits = hyper.model.stats_decay, epochs > 0
-    inputs = moments.update(model.inputs, rows.x, rows.weight, decay)
-    targets = moments.update(model.targets, rows.y, rows.weight, decay)
+    of_x, of_y = (None, None) if mirrors is None else mirrors
+    inputs = moments.update(model.inputs, rows.x, rows.weight, decay, of_x)
+    targets = moments.update(model.targets, rows.y, rows.weight, decay, of_y)
     inputs, targets = jax.tree.map(
         partial(jnp.where, fits), (inputs, targets), (model.inputs, model.targets)
     )
@@ -178,12 +227,15 @@ def passes(
     epochs: Int[Array, ""],
     key: PRNGKeyArray,
     step: Callable,
+    past: Callable | None = None,
 ) -> tuple[Any, Metrics]:
     """`step(state, minibatch, counted) -> state, loss` for each minibatch of `epochs` passes over `data`.
 
     `data` is a tree of arrays [T, R, ...], of which the rows `t < count` are used, each once an epoch. A
     minibatch is [M, R, ...] with M = T / `model.minibatches`. The last one may be incomplete: `counted`
-    [M, 1] is False for rows beyond the end. Returns the last state, and the metrics of `fit`.
+    [M, 1] is False for rows beyond the end. `past(key, n)` gives n more rows of each robot, which follow
+    those of `data` in each minibatch, `model.remembered` for each. Returns the last state, and the metrics of
+    `fit`.
     """
     length, num_envs = jax.tree.leaves(data)[0].shape[:2]
     size = length // static.model.minibatches  # rows of each robot in a minibatch
@@ -194,8 +246,14 @@ def passes(
         place = i * size + jnp.arange(size)  # counted through all epochs
         epoch = place // count % len(order)  # more epochs than the setting's begin again
         t = order[epoch[:, None], (place[:, None] + first[epoch]) % count]
-        rows = jax.tree.map(lambda x: pick(x, t), data)
-        state, value = step(state, rows, (place < epochs * count)[:, None])
+        rows, counted = jax.tree.map(lambda x: pick(x, t), data), (place < epochs * count)[:, None]
+        if past is not None:
+            n = size * static.model.remembered
+            # `orders` folds smaller numbers
+            more = past(jax.random.fold_in(key, len(order) + i), n)
+            rows = jax.tree.map(lambda *parts: jnp.concatenate(parts), rows, more)
+            counted = jnp.concatenate([counted, jnp.ones((n, 1), bool)])
+        state, value = step(state, rows, counted)
         return state, jnp.where(i == 0, value, before), value
 
     steps = (epochs * count + size - 1) // size

@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 from typing import Any
 
+from dynappo import schedule
 from dynappo.config import ConfigError
 from dynappo.description.robot import Robot
 from dynappo.tasks.velocity import observe
@@ -38,10 +39,14 @@ def bytes_per_robot(joints: int, feet: int) -> int:
 
 
 def least(config, robot: Robot) -> int:
-    """The least bytes that a run needs on each device: the buffer, and the robots of every seed."""
+    """The least bytes that a run needs on each device: the buffer, a memory, and the robots of every seed."""
     run, joints = config.run, len(robot.joint_names)
     robots = config.rollout.num_envs * run.num_seeds // (run.mesh_seed * run.mesh_env)
-    rows = config.rollout.horizon * bytes_per_row(config, joints, len(robot.foot_names))
+    row = bytes_per_row(config, joints, len(robot.foot_names))
+    kept = config.model.memory * row // 2  # a row's states before it, not those after it
+    rows = config.rollout.horizon * row
+    if schedule.uses_model(config):
+        rows = rows * config.rollout.imagined + kept
     return robots * (rows + bytes_per_robot(joints, len(robot.foot_names)))
 
 

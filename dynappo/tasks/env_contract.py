@@ -54,6 +54,14 @@ def check(env: Any, config, tail: bool) -> None:
     if config.model.clean:
         found = _shapes("sense", env.sense, hyper, prop, context, key)
         _check_shape("sense(hyper, prop, context, key)", found, (p,), "[prop_size]")
+    if config.schedule.new_commands:
+        if env.retell is None:
+            raise _wrong(
+                "retell is None where schedule.new_commands is True",
+                "a function, or schedule.new_commands=False",
+            )
+        found = _shapes("retell", env.retell, hyper, context, key)
+        _check_shape("retell(hyper, context, key)", found, (o - p,), "[obs_size - prop_size]")
     if config.model.known_reward:
         obs = jax.ShapeDtypeStruct((o,), jnp.float32)
         known = _shapes("known_reward", env.known_reward, hyper, obs, action, prop)

@@ -11,7 +11,7 @@ A job of run.py with `control=NAME` runs under `CONTROLS[NAME]`, which puts a fu
 import jax.numpy as jnp
 
 from dynappo import algorithm, fast, rollout
-from dynappo.model import dynamics
+from dynappo.model import dynamics, memory
 
 _imagine = algorithm.imagine
 
@@ -26,21 +26,22 @@ def put_in(name: str) -> None:
 def from_last(env, hyper, state, *, start, static, **given):
     """`algorithm.imagine` from the robots' own states."""
     del start
-    start = dynamics.tail(static, env, state.env_state)
+    start = memory.branches(static, dynamics.tail(static, env, state.env_state), axis=0)
     return _imagine(env, hyper, state, start=start, static=static, **given)
 
 
 def simulated(env, hyper, state, *, rows, n_real, start, key, static):
     """`algorithm.imagine` by physics, from the robots' own states."""
     del start
+    robots, bodies = memory.branches(static, (state.env_state, state.params_physics), axis=0)
     rows, _, _ = fast.fill(
         rows,
         begin=n_real,
         end=jnp.int32(static.rollout.horizon),
-        state=state.env_state,
-        keys=rollout.row_keys(key, state.robot_index),
+        state=robots,
+        keys=rollout.row_keys(key, memory.imagined_index(static, state.robot_index)),
         act=algorithm.policy(static, env, state.learner.params),
-        step=algorithm.physics_step(env, hyper, state.params_physics),
+        step=algorithm.physics_step(env, hyper, bodies),
     )
     return rows
 

@@ -160,7 +160,7 @@ BAD_OVERRIDES = [  # field, text, what the line must say
     ("gamma", "1", "did you mean ppo.gamma?"),
     ("robot.name", "1", "did you mean robot?"),
     ("zzzz", "1", "configs/default.py lists all fields"),
-    ("schedule", "1", "a group, expected one of end_iteration, end_steps, last_iteration"),
+    ("schedule", "1", "a group, expected one of anchors, end_iteration, end_steps"),
     ("run.seed", "1.5", "='1.5': expected int"),
     ("run.seed", "True", "='True': expected int"),
     ("ppo.clip_epsilon", "small", "='small': expected float"),

@@ -32,9 +32,31 @@ def config(some):
     return out
 
 
+REMEMBERS = {
+    "model.memory": 20,
+    "model.remembered": 3,
+    "schedule.anchors": 9,
+    "schedule.rounds": 2,
+}
+ASKED = {"schedule.new_commands": True}
+TIED = {"model.symmetry": True, "ppo.symmetry": True}
 WRONG = [  # fields, what the line begins with, what is expected
     # one field by itself
     ({"run.log_every": 0}, "run.log_every is 0", "1 to 2,147,483,647"),
+    # a memory, and who reads it
+    ({"rollout.imagined": 0}, "rollout.imagined is 0", "1 to 10,000"),
+    ({"model.memory": 15, "model.remembered": 1}, "model.memory is 15", "rollout.horizon = 16"),
+    ({"model.memory": 16}, "model.memory is 16", "0 where neither model.remembered nor"),
+    ({"model.remembered": 1}, "model.remembered is 1", "0 where model.memory is 0"),
+    ({"schedule.anchors": 1}, "schedule.anchors is 1", "at most model.memory = 0"),
+    (REMEMBERS | {"schedule.anchors": 21}, "schedule.anchors is 21", "at most model.memory = 20"),
+    (REMEMBERS | {"schedule.rounds": 1}, "schedule.anchors is 9", "0 where schedule.rounds is 1"),
+    (REMEMBERS | {"model.memory": 10**6}, "rollout.num_envs x rollout.imagined", "32 bits"),
+    ({"schedule.new_commands": True}, "schedule.new_commands is True", "schedule.rounds is 1"),
+    (REMEMBERS | ASKED | {"task.heading": True}, "schedule.new_commands is True", "headings"),
+    ({"model.symmetry": True}, "model.symmetry is True", "False where ppo.symmetry is False"),
+    (TIED | {"model.hidden": (8, 7)}, "model.hidden is (8, 7)", "even sizes where model.symmetry"),
+    ({"model.weight_decay": 0.0}, "model.weight_decay is 0.0", "more than 0"),
     ({"run.eval_envs": -1}, "run.eval_envs is -1", "0 to 1,000,000"),
     ({"run.video_seconds": -1.0}, "run.video_seconds is -1.0", "0 to 600"),
     ({"task.kp": 1e9}, "task.kp is 1000000000.0", "0 to 100,000"),

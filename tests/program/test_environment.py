@@ -110,12 +110,21 @@ WRONG = {  # what is changed of the toy, what the line says
         {"sense": lambda h, prop, context, key: jnp.zeros(2)},
         r"sense.* \(2,\), expected \(3,\)",
     ),
+    "no other command": (
+        {"retell": None},
+        "retell is None where schedule.new_commands is True, expected a function",
+    ),
+    "another command": (
+        {"retell": lambda h, context, key: context[:2]},
+        r"retell.* \(2,\), expected \(3,\)",
+    ),
     "known reward": (
         {"known_reward": lambda h, obs, action, prop: prop},
         r"known_reward.* \(3,\), expected \(\)",
     ),
 }
 ASKS = {"model__clean": True, "model__known_reward": True}
+TELLS = ASKS | {"schedule__new_commands": True, "schedule__rounds": 2}
 
 
 @pytest.mark.parametrize("case", WRONG)
@@ -124,16 +133,16 @@ def test_what_is_not_as_the_contract_has_it_is_one_line(case):
     fields, words = WRONG[case]
     with pytest.raises(config_lib.ConfigError, match=f"the environment: .*{words}") as error:
         env = TOY._replace(**fields)
-        build.check(environment.config_for(workdirs.config(**ASKS), env), env)
+        build.check(environment.config_for(workdirs.config(**TELLS), env), env)
     text = str(error.value)
     assert "\n" not in text and text.endswith("docs/environment.md has the contract")
 
 
 def test_an_environment_that_keeps_the_contract_passes():
     """With a model and without; what only the model asks for is not looked at without it."""
-    config = environment.config_for(workdirs.config(**ASKS), TOY)
+    config = environment.config_for(workdirs.config(**TELLS), TOY)
     build.check(config, TOY)
-    plain = workdirs.config(schedule__end_steps=0, **ASKS)
+    plain = workdirs.config(schedule__end_steps=0, **TELLS)
     build.check(plain, TOY._replace(advance=raising, sense=raising, known_reward=raising))
     assert "advance cannot be run" in refused(build.check, config, TOY._replace(advance=raising))
 

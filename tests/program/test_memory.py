@@ -50,6 +50,21 @@ def test_the_least_is_the_rollout_buffer_and_the_robots():
     assert memory.least(config(rollout__num_envs=64, **spread), robot) == memory.least(run, robot)
 
 
+def test_the_least_has_a_memory_and_the_rows_of_all_imagined_robots():
+    """What more it is than without: the ring, to a tenth, and the rollout of four robots for one."""
+    without = memory.least(config(rollout__num_envs=64), robot_lib.load("go1"))
+    many = config(rollout__num_envs=64, rollout__imagined=4)
+    kept = config(rollout__num_envs=64, model__memory=300, model__remembered=1, model__clean=True)
+    robot = robot_lib.load("go1")
+    static, hyper = config_lib.split(kept)
+    env = env_lib.make(robot, kept.task, kept.physics)
+    buffer = jax.eval_shape(partial(rollout.allocate, env, 16, 64))
+    state = jax.eval_shape(partial(algorithm.init, env, static=static), hyper, jax.random.key(0))
+    assert memory.least(many, robot) - without == pytest.approx(3 * size(buffer), rel=0.01)
+    ring = size(state.memory)
+    assert 0.5 * ring < memory.least(kept, robot) - without <= ring
+
+
 @pytest.mark.parametrize("donated", [False, True])
 def test_what_is_needed_are_the_compilers_own_figures(donated):
     """Arguments and results, of which donated ones count once, and scratch: a matrix of 1 MiB and 4."""

@@ -50,7 +50,13 @@ def state():
 
 
 FALLS = {"model.clean": True, "model.falls": True}
-KINDS = {"plain": {}, "tail": toy_env.TAIL, "falls": toy_env.TAIL | FALLS}
+REMEMBERS = toy_env.TAIL | {"model.memory": 9, "model.remembered": 1}
+KINDS = {
+    "plain": {},
+    "tail": toy_env.TAIL,
+    "falls": toy_env.TAIL | FALLS,
+    "memory": REMEMBERS | FALLS,
+}
 
 
 @pytest.fixture(scope="module")
@@ -101,6 +107,7 @@ def test_a_state_comes_back_to_the_bit(tmp_path, state, kind):
     """Weights, moments, physics, rings with NaN and the typed key, with a model and without."""
     there = state(KINDS[kind])
     assert (there.model is None) == (kind == "plain")
+    assert (there.memory is None) == (kind != "memory")
     save(tmp_path, {20: there})
     blank = jax.tree.map(
         lambda x: x if jax.dtypes.issubdtype(x.dtype, jax.dtypes.prng_key) else x * 0, there

@@ -598,6 +598,20 @@ def odd_env():
     return env._replace(reset=reset, step=step, autoreset=types.autoreset(reset))
 
 
+@pytest.mark.slow  # compiles twice
+def test_a_run_that_remembers_goes_on_to_the_bit(tmp_path):
+    """Its ring and where that begins, too: rows of the first half are drawn in the second."""
+    more = dict(schedule__rounds=2, rollout__imagined=2, model__memory=11)
+    more |= dict(model__remembered=2, schedule__anchors=11)
+    whole, _ = train.train(workdirs.config(**more), tmp_path / "whole", env=toy_env.make())
+    assert whole.memory.weight.any()
+    half = workdirs.config(run__num_iterations=2, **more)
+    train.train(half, tmp_path / "run", env=toy_env.make())
+    state, _ = train.train(workdirs.config(**more), tmp_path / "run", env=toy_env.make())
+    assert_same(state, whole)
+    assert table(tmp_path / "run") == table(tmp_path / "whole")
+
+
 @pytest.mark.slow  # 30 s of compiling, twice
 def test_a_run_of_an_environment_with_any_state_goes_on_to_the_bit(tmp_path):
     """Its second half, after a stop, is that of the run without one."""

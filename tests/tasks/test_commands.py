@@ -8,7 +8,10 @@ import mujoco
 import numpy as np
 import pytest
 
+from dynappo import config as config_lib
+from dynappo.description import robot as robot_lib
 from dynappo.tasks.velocity import commands, observe
+from dynappo.tasks.velocity import env as env_lib
 from dynappo.tasks.velocity.state import Goal
 
 PAPER = SimpleNamespace(heading=False, resample_steps=0)
@@ -110,3 +113,20 @@ def test_headings_are_drawn_all_around():
     heading = draws(ISAAC, HYPER)[1].heading
     counts, _ = np.histogram(heading, bins=8, range=(-np.pi, np.pi))
     assert counts.sum() == len(heading) and counts.min() > 400
+
+
+def test_a_tail_may_hear_another_command_and_nothing_else_is_new():
+    """Of Go1's observation the three numbers of the command, drawn in their ranges."""
+    config = config_lib.validate(config_lib.load("configs/go1.py:best"))
+    robot = robot_lib.load("go1")
+    env = env_lib.make(robot, config.task, config.physics)
+    hyper = config_lib.split(config)[1]
+    assert env.retell is not None
+    context = jnp.arange(7.0, 7.0 + env.obs_size - env.prop_size)
+    keys = jax.random.split(jax.random.key(0), 200)
+    told = np.asarray(jax.vmap(lambda key: env.retell(hyper, context, key))(keys))
+    np.testing.assert_array_equal(told[:, 3:], np.broadcast_to(context[3:], told[:, 3:].shape))
+    assert np.abs(told[:, :3]).max() <= 1 and (told[:, :3].std(0) > 0.5).all()
+    assert env.prop_size == 33  # the command is 33 to 35 of observe.py's table
+    follows = config_lib.validate(config_lib.load("configs/go1.py:rough"))
+    assert env_lib.make(robot, follows.task, follows.physics).retell is None

@@ -143,6 +143,8 @@ def make(
         ),
         views=view.views(layout),
         known_reward=partial(known_reward, const),
+        # a heading, and the phase of a gait clock, follow from more than the command
+        retell=None if around is not None or task.heading or clock else partial(retell, const),
         fall_reward=None if task.fall_reward is None else lambda hyper: hyper.task.fall_reward,
         metrics=tuple(names),
         obs_size=view.size(layout),
@@ -256,6 +258,12 @@ def _commanded(
     state = state.replace(command=told[0], goal=told[1])
     prop, obs = view.observation(const.view, const.robot, hyper, body, state, None, obs_key)
     return state.replace(prop=prop, obs=obs)
+
+
+def retell(const: Constants, hyper: Hyper, context, key):
+    """The context of an observation, which begins with the command, under a new one."""
+    command, _ = commands.draw(const.task, hyper, None, key)
+    return context.at[: command.size].set(command)
 
 
 def _next_tile(const: Constants, state: State, draw) -> curriculum.Tile:
