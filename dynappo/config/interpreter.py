@@ -1,4 +1,5 @@
-"""Starts a module of this package in a Python of its own, which imports nothing from the working directory.
+"""Starts a module of this package in a Python of its own, and ends it. It imports nothing from the working
+directory.
 
 `python -m` looks for modules in the working directory first, and would run a `tempfile.py` that lies
 there. `python -P` does not look there, but would miss this package if only the working directory has it.
@@ -9,8 +10,10 @@ As a script this file may use only Python's own modules, because it has not impo
 
 from __future__ import annotations
 
+import contextlib
 import importlib.util
 import runpy
+import subprocess
 import sys
 from pathlib import Path
 
@@ -18,6 +21,18 @@ from pathlib import Path
 def command(module: str) -> list[str]:
     """What starts `module` (its full name) of this package; arguments may follow."""
     return [sys.executable, "-P", str(Path(__file__).resolve()), module]
+
+
+def end(process: subprocess.Popen, patience: float) -> None:
+    """End a process that does so when its stdin closes; kill it if it is there after `patience` seconds."""
+    assert process.stdin
+    with contextlib.suppress(OSError):  # it may have ended
+        process.stdin.close()
+    try:
+        process.wait(patience)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
 
 
 def _run(module: str) -> None:

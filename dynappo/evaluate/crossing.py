@@ -112,7 +112,8 @@ def tries(
     start = jax.vmap(env.reset, (None, 0, 0))(hyper, bodies, reset_keys)
     told = jax.vmap(observe.heading)(start.qpos[:, 3:7])
     if static.task.heading:
-        # a heading drawn at random may be behind: a robot that turns while it walks leaves beside its way
+        # a heading drawn at random may be behind: a robot that turns while it walks leaves beside its way.
+        # Its first observation, one row, still has the old one
         start = start.replace(goal=start.goal.replace(heading=told))
     act = scores.mean_actions(env, static, params)
 

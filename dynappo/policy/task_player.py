@@ -154,15 +154,7 @@ def _player(env: str, about: dict[str, Any], model, process) -> TaskPlayer:
 
 def close(player: TaskPlayer) -> None:
     """End the player's process."""
-    process = player.process
-    with contextlib.suppress(OSError):  # it may have ended
-        assert process.stdin
-        process.stdin.close()
-    try:
-        process.wait(CLOSING)
-    except subprocess.TimeoutExpired:
-        process.kill()
-        process.wait()
+    interpreter.end(player.process, CLOSING)
 
 
 @contextlib.contextmanager

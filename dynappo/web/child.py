@@ -28,10 +28,4 @@ def serving(workdir: Path, serve: str | None):
     try:
         yield
     finally:
-        assert process.stdin
-        process.stdin.close()
-        try:
-            process.wait(PATIENCE)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
+        interpreter.end(process, PATIENCE)

@@ -9,7 +9,7 @@
   which lets the robot settle for 125 physics steps. An episode that is longer never sees a first state twice;
   after a shorter one it may be the same, with another random key.
 - **Actions** end in a tanh, as those of brax's policies. It is part of the environment: the policy is a
-  Gaussian before it. The density of tanh cancels in PPO's ratio.
+  Gaussian before it. The density of tanh cancels in PPO's ratio, but not in the entropy (`ppo.squashed`).
 - **Noise** is the task's own. `prop` is without: the task's step once more, with physics already done and
   noise 0 (swapped.py), which is a few kernels.
 - **Tails** compute what is known by the task's own step too (`advance`). What it draws at random, such as the
