@@ -17,7 +17,7 @@ Variants, appended to the file name as in `configs/go1.py:ppo16`:
 | `dyna4`            | 16     | 0 to 4 over iterations 0-100| paper, Table III           |
 | `fast`             | 16     | as dyna4                    | 5 epochs after 50, bfloat16|
 | `best` (default)   | 20     | 0 to 16 over 0-5, until 150 | experiments/21_less        |
-| `few`              | 20     | as best                     | 64 robots, 45 k steps: experiments/27_few |
+| `few`              | 26     | the same, to 24             | 64 robots, 45 k steps: experiments/27_few |
 | `deploy`           | 20     | as best                     | for hardware: robots/DEPLOY.md |
 | `laptop`           | 24     | 0 to 16 over 0-20, until 350| two CPU cores: it walks    |
 | `quick`            | 24     | 0 to 4                      | the smallest run on MJX    |
@@ -493,13 +493,13 @@ def _best(config: config_dict.ConfigDict) -> None:
 
 def _few(config: config_dict.ConfigDict) -> None:
     """`best` with 64 robots and 45 k simulator steps in all: the model remembers every real row, and each
-    real robot is continued by several imagined ones (dynappo/model/memory.py; experiments/27_few)."""
+    real robot is continued by 64 imagined ones (dynappo/model/memory.py; experiments/27_few)."""
     _best(config)
-    config.rollout.update(num_envs=64, imagined=16)
-    config.model.update(memory=800, remembered=3, symmetry=True, late_epochs=None)
-    config.schedule.update(anchors=200, last_iteration=None, late_from=None)
+    config.rollout.update(num_envs=64, imagined=64, horizon=26)
+    config.model.update(memory=800, remembered=3, minibatches=13, symmetry=True, late_epochs=None)
+    config.schedule.update(end_steps=24, anchors=200, last_iteration=None, late_from=None)
     config.ppo.late_kl = 1.0
-    config.run.num_iterations = 160  # of 256 real rows, after the ramp: 45 k
+    config.run.num_iterations = 320  # of 128 real rows, after the ramp: 44 k
 
 
 def _deploy(config: config_dict.ConfigDict) -> None:

@@ -1,0 +1,88 @@
+"""Returns of few robots over simulator steps, and when they are at the level, by what is set: curves.png.
+
+    python experiments/27_few/plot.py
+
+From results/gpu.csv.xz; the bands are 95 % t intervals, the bars reach from the first seed to the last.
+"""
+
+import importlib
+from pathlib import Path
+
+import numpy as np
+
+from experiments import pictures
+
+table = importlib.import_module("experiments.27_few.table")
+HERE = Path(__file__).parent
+ROBOTS = (  # last letter of a job -> what it is called, colour
+    ("g", "Go1", pictures.BLUE),
+    ("h", "Go2", pictures.SKY),
+    ("c", "ANYmal-C", pictures.VERMILION),
+    ("d", "ANYmal-D", pictures.ORANGE),
+)
+IMAGINED = (  # robots for each simulated one -> job, of those with 4 real rows and 16 imagined ones
+    (1, "part-imagined-{}"),
+    (4, "try-imagined4-{}"),
+    (16, "few-{}"),
+    (64, "try-imagined64-{}"),
+    (64, "i64-{}"),
+    (256, "i256-{}"),
+)
+SIMULATED = ((16, "robots16"), (64, "new-g"), (256, "robots256"), (1024, "robots1024"))
+
+
+def main():
+    jobs = table.read(HERE / "results" / "gpu.csv.xz")
+    page, axes = pictures.figure(1, 3, 3.4)
+    over_steps, by_imagined, by_simulated = axes[0]
+    for letter, robot, colour in ROBOTS:
+        curve(over_steps, jobs[f"new-{letter}"], robot, colour)
+        for count, name in IMAGINED:
+            if name.format(letter) in jobs:
+                bar(by_imagined, count, jobs[name.format(letter)], colour)
+    for count, name in SIMULATED:
+        bar(by_simulated, count, jobs[name], pictures.BLUE)
+    bar(by_simulated, 1024, jobs["best-g"], pictures.GREY)
+    over_steps.axhline(1, color="0.4", lw=1, ls=":")
+    over_steps.set(xlabel="thousand simulator steps", xlim=(0, 50), ylim=(0, None))
+    over_steps.set_title("return, in levels", loc="left")
+    over_steps.legend(frameon=False, fontsize=8, loc="lower right")
+    for axis, what in (
+        (by_imagined, "imagined robots for a real one"),
+        (by_simulated, "real robots"),
+    ):
+        axis.set(xlabel=what, xscale="log")
+        axis.set_title("thousand steps to the level", loc="left")
+    pictures.log(by_imagined)
+    pictures.log(by_simulated)
+    ticks(by_imagined, (1, 4, 16, 64, 256))
+    ticks(by_simulated, (16, 64, 256, 1024))
+    pictures.save(page, HERE / "curves")
+
+
+def curve(axis, job, robot, colour):
+    """The mean return of a job's seeds, in levels of its robot."""
+    seeds = table.runs.seeds(job)
+    steps = np.array([row["sim_steps"] for row in seeds[0]]) / 1e3
+    returns = np.array([[row["return"] for row in rows] for rows in seeds]).T
+    pictures.band(axis, steps, returns / table.level_of(job), colour, robot, most=len(steps))
+
+
+def bar(axis, at, job, colour):
+    """When the seeds of a job are first at the level; a cross above where none is."""
+    seeds = table.runs.seeds(job)
+    first = table.runs.reached(seeds, table.level_of(job)).level / 1e3
+    if np.isnan(first).all():
+        axis.plot(at, 1e-3 * seeds[0][-1]["sim_steps"], "x", color=colour)
+        return
+    axis.plot([at, at], [np.nanmin(first), np.nanmax(first)], color=colour, lw=1.2)
+    axis.plot(at, np.nanmean(first), "o", color=colour, ms=5)
+
+
+def ticks(axis, at):
+    axis.set_xticks(at, [f"{tick:g}" for tick in at])
+    axis.set_xticks([], minor=True)
+
+
+if __name__ == "__main__":
+    main()
