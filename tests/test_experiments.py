@@ -25,6 +25,7 @@ from toy_runs import assert_close
 from dynappo import algorithm, schedule
 from dynappo import config as config_lib
 from dynappo.learner import networks
+from dynappo.model import dynamics
 from experiments import paper, pictures, run, stats
 
 ROOT = pathlib.Path(config_lib.__file__).parents[2]
@@ -238,7 +239,7 @@ def test_jobs_of_few_robots_are_valid_and_evaluated_on_the_way_to_45_thousand_st
 
 
 def test_the_tables_of_few_robots_are_those_of_their_runs():
-    """Each line with returns is that of a job, by hand that of its name; of the runs on a CPU none is left out,
+    """Each line with returns is that of a job, by hand that of its name; no run on a CPU is left out,
     and they ran what laptop.txt says, less what `few` was then."""
     table, few = script("27_few/table"), EXPERIMENTS / "27_few"
     page = [cells(line) for line in (few / "README.md").read_text().splitlines() if "|" in line]
@@ -1170,8 +1171,90 @@ def test_the_simulators_tail_is_what_physics_would_have_written():
     model = jax.jit(partial(controls.from_last, env, static=static))(hyper, now, **given)
     np.testing.assert_allclose(model.obs[3], whole.obs[3], atol=1e-6)
     assert abs(model.obs[4] - whole.obs[4]).max() > 1e-3
-    with pytest.raises(SystemExit, match="expected one of last, simulator"):
+    with pytest.raises(SystemExit, match="expected one of last, simulator, ensemble"):
         controls.put_in("first")
+
+
+def test_members_of_an_ensemble_write_a_row_each_and_the_most_doubtful_tails_end():
+    """Of three equal models: the row of one, whoever writes it, and nobody is in doubt. Of three others: each
+    robot's row is that of one of them, and those that end are the ones in whom they differ most."""
+    controls, env = script("21_less/controls"), toy_env.make()
+    _, static, hyper = toy_env.settings(toy_env.TAIL)
+    state = jax.jit(partial(algorithm.init, env, static=static))(hyper, jax.random.key(0))
+    start = dynamics.tail(static, env, state.env_state)
+    keys = jax.random.split(jax.random.key(1), len(start.obs))
+    action = jax.random.normal(jax.random.key(2), (len(keys), env.action_size))
+
+    def written(model, end=False):
+        step = controls.by_members(end, static, hyper, env, model)
+        return jax.jit(step)(start, action, keys)[1]
+
+    models = controls.inits(static, env, jax.random.key(3))
+    ones = [jax.tree.map(lambda x, k=k: x[k], models) for k in range(controls.MEMBERS)]
+    alone = [dynamics.step(static, hyper, env, one)(start, action, keys)[1] for one in ones]
+    same = written(jax.tree.map(lambda x: jnp.stack([x[0]] * len(x)), models))
+    np.testing.assert_allclose(same.next_prop, alone[0].next_prop, atol=1e-6)
+    props = np.stack([row.next_prop for row in alone])
+    found = written(models, end=True)
+    near = abs(props - np.asarray(found.next_prop)).max(-1).argmin(0)
+    np.testing.assert_allclose(found.next_prop, props[near, np.arange(len(near))], atol=1e-6)
+    assert len(keys) < 8 or len(set(near)) > 1
+    (_, (_, scale)) = dynamics.scales(static, ones[0])
+    doubt = (props.std(0) / np.asarray(scale)[: env.prop_size]).mean(-1)
+    ends = np.asarray(found.truncation) == 1
+    assert ends.any() and doubt[ends].min() >= doubt[~ends].max()
+
+
+def test_crossq_renormalises_batches_and_knows_the_probability_of_its_actions():
+    """In training a batch's own moments at first; later, while they are near the running ones, what an
+    evaluation gives. The log-probability is that of the change of variables, by a numerical derivative."""
+    crossq = script("24_off_policy/crossq")
+    norm, rng = crossq.Renorm(), np.random.default_rng(0)
+    x = rng.normal(3.0, 2.0, (64, 5)).astype(np.float32)
+    start = norm.init(jax.random.key(0), x, False)
+    out, after = norm.apply(start, x, True, mutable=["stats"])
+    np.testing.assert_allclose(out, (x - x.mean(0)) / np.sqrt(x.var(0) + 1e-3), atol=1e-4)
+    after = after["stats"]
+    np.testing.assert_allclose(after["mean"], 0.01 * x.mean(0), rtol=1e-4)
+    np.testing.assert_allclose(after["var"], 0.99 + 0.01 * x.var(0), rtol=1e-4)
+    stats = {"mean": x.mean(0) + 0.3, "var": 1.2 * x.var(0), "steps": jnp.float32(crossq.WARM)}
+    late = {"params": start["params"], "stats": stats}
+    trained, _ = norm.apply(late, x, True, mutable=["stats"])
+    np.testing.assert_allclose(trained, norm.apply(late, x, False), atol=1e-4)
+
+    method = types.SimpleNamespace(actor=crossq.Network((8,), 4))
+    obs, key = x[:6], jax.random.key(1)
+    actor = method.actor.init(jax.random.key(2), obs, False)
+    (action, log_prob), _ = crossq.act(method, actor, obs, key, train=False)
+    mean, log_std = np.split(np.asarray(method.actor.apply(actor, obs, False), np.float64), 2, -1)
+    std = np.exp(crossq.LOW + 0.5 * (crossq.HIGH - crossq.LOW) * (np.tanh(log_std) + 1))
+    raw = np.arctanh(np.asarray(action, np.float64))
+    slope = (np.tanh(raw + 1e-6) - np.tanh(raw - 1e-6)) / 2e-6
+    density = np.exp(-0.5 * ((raw - mean) / std) ** 2) / (std * np.sqrt(2 * np.pi)) / slope
+    np.testing.assert_allclose(log_prob, np.log(density).sum(-1), atol=0.02)
+
+
+@functools.cache
+def of_one_iteration(name):
+    """`(std of the policy, metrics)` after an iteration on the toy environment, under a control or none."""
+    env, fields = toy_env.make(), {"schedule.rounds": 2, "model.epochs": 5}
+    config, static, hyper = toy_env.settings(toy_env.TAIL | fields)
+    counts = {k: jnp.asarray(v[-1]) for k, v in schedule.columns(config).items()}
+    with pytest.MonkeyPatch.context() as patch:
+        for module, function, other in script("21_less/controls").CONTROLS.get(name, []):
+            patch.setattr(module, function, other)
+        state = algorithm.init(env, hyper, jax.random.key(0), static=static)
+        iterate = jax.jit(partial(algorithm.iterate, env, static=static))
+        state, metrics = iterate(hyper, state, counts)
+    assert all(np.isfinite(x).all() for x in jax.tree.leaves(state.learner.params))
+    return state.learner.params["std"], metrics
+
+
+@pytest.mark.parametrize("name", ["ensemble-end", "stopping", "real-again"])
+def test_an_iteration_under_a_control_learns_and_is_not_the_shipped_one(name):
+    """Finite, and another policy."""
+    std, metrics = of_one_iteration(name)
+    assert np.isfinite(metrics["model_loss"]) and (std != of_one_iteration("")[0]).any()
 
 
 def test_errors_of_the_model_are_those_of_a_loop(monkeypatch):

@@ -1,26 +1,43 @@
 """Controls that isolate what the model is worth: an iteration in which one thing is another.
 
-A job of run.py with `control=NAME` runs under `CONTROLS[NAME]`, which puts a function in the place of
-`algorithm.imagine`; all else is the shipped code.
+A job of run.py with `control=NAME` runs under `CONTROLS[NAME]`, which puts functions in the place of some of
+the shipped ones; all else is the shipped code.
 
 - `last`: every round's tails start from where physics left the robots, not from real rows drawn at random
 - `simulator`: as `last`, and the simulator writes the tails in the model's place. These rows are not counted
   as simulator steps, and the robots do not keep them: it is what a perfect model would give
+
+Ideas of other model-based methods (27_few):
+
+- `ensemble`: `MEMBERS` models, fitted apart; each row of each robot is written by one drawn at random (MBPO)
+- `ensemble-end`: and a tail ends, with the value as its bootstrap, where it is among the `DOUBTFUL` share of
+  all robots in whose row the members disagree most
+- `stopping`: a fit has `PARTS` parts, and ends with the weights that were best on the robots that it did not
+  see
+- `real-again`: PPO learns from the real rows in every round, not in the first alone
 """
 
+from functools import partial
+
+import jax
 import jax.numpy as jnp
 
 from dynappo import algorithm, fast, rollout
-from dynappo.model import dynamics, memory
+from dynappo.model import dynamics, errors, memory
 
-_imagine = algorithm.imagine
+MEMBERS, DOUBTFUL, PARTS, UNSEEN = 3, 0.02, 5, 8
+MEMBER = 7  # of a robot's key in a row; `algorithm` and `dynamics` fold 0 to 3
+
+_imagine, _estimate, _presence = algorithm.imagine, algorithm.estimate, algorithm.presence
+_init, _fit, _step, _errors = dynamics.init, fast.fit, fast.step, errors.errors
 
 
 def put_in(name: str) -> None:
     """Put a control into `algorithm`, in a process of its own."""
     if name not in CONTROLS:
         raise SystemExit(f"control is {name!r}, expected one of {', '.join(CONTROLS)}")
-    algorithm.imagine = CONTROLS[name]
+    for module, function, other in CONTROLS[name]:
+        setattr(module, function, other)
 
 
 def from_last(env, hyper, state, *, start, static, **given):
@@ -46,4 +63,86 @@ def simulated(env, hyper, state, *, rows, n_real, start, key, static):
     return rows
 
 
-CONTROLS = {"last": from_last, "simulator": simulated}
+def inits(static, env, key):
+    """`dynamics.init` of each member: every array has an axis `MEMBERS` in front."""
+    return jax.vmap(partial(_init, static, env))(jax.random.split(key, MEMBERS))
+
+
+def fits(static, hyper, model, rows, epochs, key, **given):
+    """`fast.fit` of each member, in an order of its own; losses are their mean."""
+    one = lambda model, key: _fit(static, hyper, model, rows, epochs, key, **given)  # noqa: E731
+    model, metrics = jax.vmap(one)(model, jax.random.split(key, MEMBERS))
+    return model, jax.tree.map(jnp.mean, metrics)
+
+
+def errors_of_first(static, hyper, env, *, model, **given):
+    """`errors.errors` of the first member."""
+    return _errors(static, hyper, env, model=jax.tree.map(lambda x: x[0], model), **given)
+
+
+def by_members(end, static, hyper, env, model):
+    """`fast.step` by a member drawn for each robot and row; with `end`, the most doubtful tails end there."""
+
+    def step(state, action, keys):
+        each = jax.vmap(lambda one: _step(static, hyper, env, one)(state, action, keys))(model)
+        member_keys = jax.vmap(jax.random.fold_in, (0, None))(keys, MEMBER)
+        which = jax.vmap(lambda k: jax.random.randint(k, (), 0, MEMBERS))(member_keys)
+        state, outcome = jax.tree.map(lambda x: x[which, jnp.arange(len(which))], each)
+        if end:
+            _, (_, scale) = dynamics.scales(static, jax.tree.map(lambda x: x[0], model))
+            doubt = (each[1].next_prop.std(0) / scale[: env.prop_size]).mean(-1)
+            ends = doubt > jnp.quantile(doubt, 1 - DOUBTFUL)
+            outcome = outcome.replace(truncation=1.0 * ends)
+        return state, outcome
+
+    return step
+
+
+def presence_to_the_end(rows, real):
+    """`algorithm.presence`, 0 in a tail after its end."""
+    goes_on = jnp.cumprod(jnp.where(real, 1.0, 1 - rows.truncation), axis=0)
+    return _presence(rows, real) * jnp.roll(goes_on, 1, axis=0).at[0].set(1.0)
+
+
+def stopped(static, hyper, model, rows, epochs, key, **given):
+    """`fast.fit` in parts; of their ends the one with the least loss on every `UNSEEN`th robot."""
+    unseen = jnp.arange(rows.weight.shape[1]) % UNSEEN == 0
+    shown = rows._replace(weight=rows.weight * ~unseen)
+
+    def part(carry, key):
+        model, best, least = carry
+        model, metrics = _fit(static, hyper, model, shown, epochs // PARTS, key, **given)
+        x, y = dynamics.scaled(static, model, rows)
+        now = jnp.arange(len(x))[:, None] < rows.count
+        loss = dynamics.loss(static, hyper, model.params, x, y, rows.weight * unseen * now)
+        best = jax.tree.map(partial(jnp.where, loss < least), model, best)
+        return (model, best, jnp.minimum(loss, least)), metrics
+
+    start = model, model, jnp.float32(jnp.inf)
+    (_, best, _), metrics = jax.lax.scan(part, start, jax.random.split(key, PARTS))
+    return best, jax.tree.map(lambda x: x[-1], metrics)
+
+
+def of_the_first_round(*args, of_round=0, **given):
+    """`algorithm.estimate`, with weight on real rows in every round."""
+    del of_round
+    return _estimate(*args, of_round=0, **given)
+
+
+def _ensemble(end: bool):
+    return [
+        (dynamics, "init", inits),
+        (fast, "fit", fits),
+        (fast, "step", partial(by_members, end)),
+        (errors, "errors", errors_of_first),
+    ]
+
+
+CONTROLS = {  # name -> what is put where
+    "last": [(algorithm, "imagine", from_last)],
+    "simulator": [(algorithm, "imagine", simulated)],
+    "ensemble": _ensemble(end=False),
+    "ensemble-end": [*_ensemble(end=True), (algorithm, "presence", presence_to_the_end)],
+    "stopping": [(fast, "fit", stopped)],
+    "real-again": [(algorithm, "estimate", of_the_first_round)],
+}

@@ -80,6 +80,7 @@ class Robots(envs.Env):
 
     observation_size = property(lambda self: self._env.obs_size)
     action_size = property(lambda self: self._env.action_size)
+    mirror = property(lambda self: self._env.mirror)
     backend = property(lambda self: "mjx")
 
 

@@ -1,0 +1,335 @@
+"""CrossQ on our task: SAC without target networks, with batch renormalisation in its networks.
+
+    python experiments/24_off_policy/crossq.py OUT.csv [--config go1:few] [--seed 100] [--robots 64]
+
+The method is that of Bhatt et al. (CrossQ, ICLR 2024), written anew: two critics of width `--width`, one pass
+of (s, a) and (s', a') together through them, Adam with b1 = 0.5, an actor and a temperature that learn every
+third update. The task, its resets and the evaluations are those of sac.py, and OUT.csv has the same columns.
+A control step adds a transition of each robot, and is followed by `--updates` gradient steps of `--batch`
+transitions: `--updates` = `--robots` is one for each transition.
+
+`--mirror`: half of a batch is mirrored, left for right, as `best` has a policy and a model that treat both
+alike. Everything between two evaluations is one compiled program.
+"""
+
+import functools
+import importlib
+import time
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import flax.linen as nn
+import jax
+import jax.numpy as jnp
+import optax
+from flax import struct
+
+from dynappo.learner import symmetry
+from dynappo.program import devices
+from dynappo.run import log
+from experiments import paper
+
+sac = importlib.import_module("experiments.24_off_policy.sac")
+
+RATE, DELAY = 1e-3, 3  # of Adam; updates of the critics for one of the actor
+LOW, HIGH = -5.0, 2.0  # of the logarithm of an action's standard deviation
+KEEP, WARM = 0.99, 10_000  # of running moments; updates until they are used in training
+MOST_R, MOST_D = 3.0, 5.0  # of the correction of a batch's moments
+
+
+class Renorm(nn.Module):
+    """Batch renormalisation (Ioffe 2017): in training a batch's own moments, corrected towards the running
+    ones after `WARM` updates; else the running ones. A class because flax's modules are."""
+
+    @nn.compact
+    def __call__(self, x, train: bool):
+        size = x.shape[-1]
+        zeros, ones = functools.partial(jnp.zeros, size), functools.partial(jnp.ones, size)
+        mean, var = self.variable("stats", "mean", zeros), self.variable("stats", "var", ones)
+        steps = self.variable("stats", "steps", jnp.zeros, ())
+        scale = self.param("scale", nn.initializers.ones, (size,))
+        bias = self.param("bias", nn.initializers.zeros, (size,))
+        if not train:
+            return scale * (x - mean.value) / jnp.sqrt(var.value + 1e-3) + bias
+        now_mean, now_var = x.mean(0), x.var(0)
+        std, old_std = jnp.sqrt(now_var + 1e-3), jnp.sqrt(var.value + 1e-3)
+        r = jax.lax.stop_gradient(jnp.clip(std / old_std, 1 / MOST_R, MOST_R))
+        d = jax.lax.stop_gradient(jnp.clip((now_mean - mean.value) / old_std, -MOST_D, MOST_D))
+        warm = steps.value >= WARM
+        r, d = jnp.where(warm, r, 1.0), jnp.where(warm, d, 0.0)
+        if not self.is_initializing():
+            mean.value = KEEP * mean.value + (1 - KEEP) * jax.lax.stop_gradient(now_mean)
+            var.value = KEEP * var.value + (1 - KEEP) * jax.lax.stop_gradient(now_var)
+            steps.value += 1
+        return scale * ((x - now_mean) / std * r + d) + bias
+
+
+class Network(nn.Module):
+    """Layers of `widths`, each input renormalised, ReLU between them."""
+
+    widths: tuple[int, ...]
+    size: int
+
+    @nn.compact
+    def __call__(self, x, train: bool):
+        for width in self.widths:
+            x = nn.relu(nn.Dense(width)(Renorm()(x, train)))
+        return nn.Dense(self.size)(Renorm()(x, train))
+
+
+class Transitions(NamedTuple):
+    """A ring of `[K, R, ...]`."""
+
+    obs: Any
+    action: Any
+    reward: Any
+    lives: Any  # 0 where the robot fell
+    next_obs: Any
+
+
+class Learner(struct.PyTreeNode):
+    actor: Any  # flax variables
+    critics: Any  # the same of both, in front [2]
+    log_alpha: Any
+    opt_actor: Any
+    opt_critics: Any
+    opt_alpha: Any
+    updates: Any
+
+
+class Method(NamedTuple):
+    """What the functions here need; constants of the program."""
+
+    actor: Network
+    critic: Network
+    gamma: float
+    reward_scaling: float
+    batch: int
+    updates: int
+    mirrors: Any  # of obs and action, or None
+
+
+ADAM = optax.adam(RATE, b1=0.5)
+
+
+def main():
+    parser = paper.parser(__doc__)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--config", default="go1:few")
+    parser.add_argument("--set", action="append", default=[], metavar="FIELD=VALUE")
+    parser.add_argument("--seed", type=int, default=100)
+    parser.add_argument("--steps", type=int, default=100_000, help="of the simulator")
+    parser.add_argument("--evaluations", type=int, default=20)
+    parser.add_argument("--robots", type=int, default=64)
+    parser.add_argument("--updates", type=int, default=64, help="gradient steps a control step")
+    parser.add_argument("--batch", type=int, default=256)
+    parser.add_argument("--first", type=int, default=5000, help="transitions with random actions")
+    parser.add_argument("--gamma", type=float, default=0.98)
+    parser.add_argument("--reward-scaling", type=float, default=40.0)
+    parser.add_argument("--gain", type=float, default=1.5)
+    parser.add_argument("--width", type=int, default=1024, help="of the critics' two layers")
+    parser.add_argument("--mirror", action="store_true")
+    args = parser.parse_args()
+    devices.own_process()
+    args.out.parent.mkdir(parents=True, exist_ok=True)
+    train(args)
+
+
+def train(args) -> None:
+    """A row of OUT.csv an evaluation, as soon as it is there."""
+    robots, evaluated = sac.robots(args)
+    size, chunks = args.steps // args.robots, args.evaluations
+    method = Method(
+        actor=Network((256, 256), 2 * robots.action_size),
+        critic=Network((args.width, args.width), 1),
+        gamma=args.gamma,
+        reward_scaling=args.reward_scaling,
+        batch=args.batch,
+        updates=args.updates,
+        mirrors=robots.mirror if args.mirror else None,
+    )
+    key, reset_key = jax.random.split(jax.random.PRNGKey(args.seed))
+    state = robots.reset(jax.random.split(reset_key, args.robots))
+    learner = start(method, robots, key)
+    ring = Transitions(
+        *(jnp.zeros((size, *x.shape)) for x in of(state, state, zeros(robots, args)))
+    )
+
+    def chunk(carry, steps):
+        return jax.lax.scan(
+            functools.partial(control_step, method, robots, args.first), carry, steps
+        )[0]
+
+    compiled, look = (
+        jax.jit(chunk),
+        jax.jit(functools.partial(evaluate, evaluated, method)),
+    )
+    ends = [size * (k + 1) // chunks for k in range(chunks)]
+    carry, seconds, begin = (learner, state, ring, jax.random.fold_in(key, 1)), 0.0, 0
+    for end in ends:
+        began = time.perf_counter()
+        carry = jax.block_until_ready(compiled(carry, jnp.arange(begin, end)))
+        seconds, begin = seconds + time.perf_counter() - began, end
+        sums = [float(x) for x in look(carry[0], jax.random.fold_in(key, 2))]
+        found = sac.row("crossq", args, end * args.robots, seconds, sums)
+        log.append_csv(args.out, [found])
+        print(*found.values(), f"alpha {float(jnp.exp(carry[0].log_alpha)):.3g}", flush=True)
+
+
+def zeros(robots, args):
+    return jnp.zeros((args.robots, robots.action_size))
+
+
+def of(state, after, action) -> Transitions:
+    """The transition of each robot; `next_obs` is that before a reset."""
+    lives = 1 - after.metrics["falls"]
+    return Transitions(state.obs, action, after.reward, lives, after.info["next_obs"])
+
+
+def start(method: Method, robots, key) -> Learner:
+    actor_key, critic_key = jax.random.split(key)
+    obs = jnp.zeros((2, robots.observation_size))
+    both = jnp.zeros((2, robots.observation_size + robots.action_size))
+    actor = method.actor.init(actor_key, obs, False)
+    critics = jax.vmap(lambda k: method.critic.init(k, both, False))(jax.random.split(critic_key))
+    return Learner(
+        actor=actor,
+        critics=critics,
+        log_alpha=jnp.zeros(()),
+        opt_actor=ADAM.init(actor["params"]),
+        opt_critics=ADAM.init(critics["params"]),
+        opt_alpha=ADAM.init(jnp.zeros(())),
+        updates=jnp.int32(0),
+    )
+
+
+def control_step(method: Method, robots, first, carry, t):
+    """Each robot acts once; then `method.updates` gradient steps."""
+    learner, state, ring, key = carry
+    key, act_key, random_key, learn_key = jax.random.split(key, 4)
+    (action, _), _ = act(method, learner.actor, state.obs, act_key, train=False)
+    count = state.obs.shape[0]
+    anything = jax.random.uniform(random_key, action.shape, minval=-1, maxval=1)
+    action = jnp.where(t * count < first, anything, action)
+    after = robots.step(state, action)
+    ring = jax.tree.map(lambda every, one: every.at[t].set(one), ring, of(state, after, action))
+
+    def update(i, learner):
+        batch_key, update_key = jax.random.split(jax.random.fold_in(learn_key, i))
+        return learn(method, learner, sample(method, ring, t + 1, batch_key), update_key)
+
+    steps = jnp.where((t + 1) * count < first, 0, method.updates)
+    learner = jax.lax.fori_loop(0, steps, update, learner)
+    return (learner, after, ring, key), None
+
+
+def sample(method: Method, ring: Transitions, filled, key) -> Transitions:
+    """`method.batch` transitions of those before `filled`, the second half of them mirrored."""
+    time_key, robot_key = jax.random.split(key)
+    t = jax.random.randint(time_key, (method.batch,), 0, filled)
+    r = jax.random.randint(robot_key, (method.batch,), 0, ring.reward.shape[1])
+    batch = jax.tree.map(lambda x: x[t, r], ring)
+    if method.mirrors is None:
+        return batch
+    flip = jnp.arange(method.batch) >= method.batch // 2
+    obs, action = method.mirrors
+
+    def image(x, mirror):
+        return jnp.where(flip[:, None], symmetry.vector(mirror, x), x)
+
+    return batch._replace(
+        obs=image(batch.obs, obs),
+        next_obs=image(batch.next_obs, obs),
+        action=image(batch.action, action),
+    )
+
+
+def act(method: Method, actor, obs, key, train: bool):
+    """`((action, log_prob), statistics)`: a Gaussian's sample through a tanh."""
+    out, stats = method.actor.apply(actor, obs, train, mutable=["stats"])
+    mean, log_std = jnp.split(out, 2, -1)
+    log_std = LOW + 0.5 * (HIGH - LOW) * (jnp.tanh(log_std) + 1)
+    noise = jax.random.normal(key, mean.shape)
+    raw = mean + jnp.exp(log_std) * noise
+    log_prob = -0.5 * noise**2 - log_std - 0.5 * jnp.log(2 * jnp.pi)
+    log_prob -= 2 * (jnp.log(2.0) - raw - jax.nn.softplus(-2 * raw))  # of the tanh
+    return (jnp.tanh(raw), log_prob.sum(-1)), stats
+
+
+def values(method: Method, critics, obs, action, train: bool):
+    """`(q [2, B], statistics)` of both critics."""
+    x = jnp.concatenate([obs, action], -1)
+    q, stats = jax.vmap(lambda c: method.critic.apply(c, x, train, mutable=["stats"]))(critics)
+    return q[..., 0], stats
+
+
+def learn(method: Method, learner: Learner, batch: Transitions, key) -> Learner:
+    """One update of the critics; of actor and temperature every `DELAY`th."""
+    next_key, actor_key = jax.random.split(key)
+    alpha = jnp.exp(learner.log_alpha)
+    (next_action, next_log), _ = act(method, learner.actor, batch.next_obs, next_key, train=False)
+
+    def critic_loss(params):
+        critics = {**learner.critics, "params": params}
+        obs = jnp.concatenate(
+            [batch.obs, batch.next_obs]
+        )  # one pass, so both have the same moments
+        q, stats = values(method, critics, obs, jnp.concatenate([batch.action, next_action]), True)
+        now, after = jnp.split(q, 2, -1)
+        after = after.min(0) - alpha * next_log
+        target = method.reward_scaling * batch.reward + method.gamma * batch.lives * after
+        return ((now - jax.lax.stop_gradient(target)) ** 2).sum(0).mean(), stats
+
+    (_, stats), grads = jax.value_and_grad(critic_loss, has_aux=True)(learner.critics["params"])
+    change, opt_critics = ADAM.update(grads, learner.opt_critics)
+    params = optax.apply_updates(learner.critics["params"], change)
+    learner = learner.replace(
+        critics={"params": params, **stats}, opt_critics=opt_critics, updates=learner.updates + 1
+    )
+    act_too = functools.partial(learn_actor, method, batch=batch, key=actor_key)
+    return jax.lax.cond(learner.updates % DELAY == 0, act_too, lambda x: x, learner)
+
+
+def learn_actor(method: Method, learner: Learner, batch: Transitions, key) -> Learner:
+    def actor_loss(params):
+        (action, log_prob), stats = act(
+            method, {**learner.actor, "params": params}, batch.obs, key, train=True
+        )
+        q, _ = values(method, learner.critics, batch.obs, action, False)
+        return (jnp.exp(learner.log_alpha) * log_prob - q.min(0)).mean(), (log_prob.mean(), stats)
+
+    (_, (log_prob, stats)), grads = jax.value_and_grad(actor_loss, has_aux=True)(
+        learner.actor["params"]
+    )
+    change, opt_actor = ADAM.update(grads, learner.opt_actor)
+    params = optax.apply_updates(learner.actor["params"], change)
+    entropy = -0.5 * batch.action.shape[-1]  # what is asked for, as brax's SAC
+    grad = -jnp.exp(learner.log_alpha) * (log_prob + entropy)
+    move, opt_alpha = ADAM.update(grad, learner.opt_alpha)
+    return learner.replace(
+        actor={"params": params, **stats},
+        opt_actor=opt_actor,
+        log_alpha=learner.log_alpha + move,
+        opt_alpha=opt_alpha,
+    )
+
+
+def evaluate(robots, method: Method, learner: Learner, key):
+    """Means over episodes of reward, falls, squared error and steps, with the mean action."""
+    state = robots.reset(jax.random.split(key, sac.EPISODES))
+    ones = jnp.ones(sac.EPISODES)
+
+    def step(carry, _):
+        state, alive, sums = carry
+        out: Any = method.actor.apply(learner.actor, state.obs, False)
+        after = robots.step(state, jnp.tanh(jnp.split(out, 2, -1)[0]))
+        found = [after.reward, after.metrics["falls"], after.metrics["velocity_error_sq"], ones]
+        sums = [s + alive * x for s, x in zip(sums, found, strict=True)]
+        return (after, alive * (1 - after.done), sums), None
+
+    (_, _, sums), _ = jax.lax.scan(step, (state, ones, [0 * ones] * 4), length=sac.LENGTH)
+    return [x.mean() for x in sums]
+
+
+if __name__ == "__main__":
+    main()
