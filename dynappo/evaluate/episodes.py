@@ -5,6 +5,7 @@ JAX is imported only when they run.
 
 from __future__ import annotations
 
+import copy
 from functools import partial
 from typing import Any
 
@@ -71,6 +72,21 @@ def check_robot(policy: Policy, robot: Robot) -> None:
         )
 
 
+def driven(policy: Policy, robot: Robot) -> Robot:
+    """`robot` with what is the policy's own, whatever file it comes from: the default pose, and damping and
+    friction of the joints, as `policy/episode.py` has them."""
+    own = robot._replace(
+        default_pose=policy.default_pose,
+        home_qpos=np.concatenate([robot.home_qpos[:7], policy.default_pose]),
+    )
+    if not policy.joint_damping:  # not known
+        return own
+    model = copy.copy(robot.mj_model)
+    model.dof_damping[6:] = policy.joint_damping
+    model.dof_frictionloss[6:] = policy.joint_friction
+    return own._replace(mj_model=model)
+
+
 def run(
     policy: Policy,
     number: int | None = None,
@@ -95,7 +111,7 @@ def run(
     in_c = jax.default_backend() == "cpu" and not engine_contract.lacks(robot, config.physics, "c")
     impl = "c" if in_c else devices.engine(config)
     check_robot(policy, robot)
-    config, robot = motors.fitted(config, robot)
+    config, robot = motors.fitted(config, driven(policy, robot))
     static, hyper = config_lib.split(config)
     length = config.run.eval_steps or config.task.episode_length
     env = env_lib.make(robot, config.task, config.physics, impl=impl)

@@ -144,6 +144,9 @@ def _model(robot: robot_lib.Robot, physics, ground: HeightMap | None = None) -> 
         motor.forcelimited, motor.forcerange = True, [-1, 1]  # replaced by each robot's numbers
     model = robot_lib.with_settings(spec.compile(), physics, robot.parts)
     motors.set_armature(model, np.arange(6, model.nv), robot.mj_model.dof_armature[6:])
+    # a policy may bring its own (evaluate/episodes.py)
+    model.dof_damping[6:] = robot.mj_model.dof_damping[6:]
+    model.dof_frictionloss[6:] = robot.mj_model.dof_frictionloss[6:]
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # a blow-up must be visible
     return model
 

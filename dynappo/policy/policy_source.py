@@ -81,6 +81,14 @@ def load(text: str, seed: int | None = None) -> tuple[Policy, Path]:
     return policy_file.load(path), path
 
 
+def named(what: str, path: Path) -> str:
+    """The policy that `what` means, found at `path`, for printing: its folder and file; a bundled one begins with
+    robots/, and a file or folder of its name that is here is told apart."""
+    bundled = what in files.bundled()
+    apart = f", not that of ./{what}" if bundled and os.path.exists(what) else ""
+    return "/".join(path.resolve().parts[-3 if bundled else -2 :]) + apart
+
+
 def other(flags: argparse.Namespace) -> tuple[policy_file.Other, Path, str] | None:
     """`(policy, path, text)` of the flags where it is one of another package's environment; else None."""
     path = locate(flags.what, flags.run_seed)
@@ -92,7 +100,7 @@ def other(flags: argparse.Namespace) -> tuple[policy_file.Other, Path, str] | No
             f"--robot-xml={flags.robot_xml}: {path} is a policy of {found.config.env}"
         )
     seed = f", seed {flags.run_seed}" if flags.run_seed is not None else ""
-    return found, path, "/".join(path.resolve().parts[-2:]) + seed
+    return found, path, named(flags.what, path) + seed
 
 
 # ---- its robot
@@ -242,7 +250,7 @@ def check_flags(flags: argparse.Namespace) -> None:
 def of_flags(flags: argparse.Namespace) -> tuple[Policy, Path, str]:
     """`(policy, path, text)` of the flags; `text` names the file and the seed, for printing."""
     policy, path = load(flags.what, flags.run_seed)
-    text = "/".join(path.resolve().parts[-2:])
+    text = named(flags.what, path)
     run = policy.config.get("run", {})
     seeds = run.get("num_seeds") if isinstance(run, dict) else None
     if policy.seed is not None:

@@ -225,6 +225,8 @@ def _resumed(run: Run, state, files: contextlib.ExitStack, say) -> tuple[OpenRun
         checkpoints = files.enter_context(checkpoint.opened(workdir, say))
     if run.source:
         state = restore.start_from(run.source, state, workdir, say)
+        if writes and (text := restore.apart(run.source, config)):
+            say(text)
     start, state, history = workdir_lib.resume(config, workdir, checkpoints, state, say)
     if writes:
         sinks = files.enter_context(log.opened(config, workdir, start, say))
