@@ -139,11 +139,14 @@ def _show(out, workdir: Path, combinations: list[Combination], swept: list[str])
     table.write(workdir / "sweep.csv", rows)
     problem = sweep_picture.draw(workdir, rows, swept)
     table.print_table(out, rows, swept)
+    if why := table.ranking(rows[0]["ranked_by"], swept):
+        show.unusual(out, why)
     if rows[0]["return_high"] is not None:
         out.print("±: Student's 95 % interval of the mean over seeds", soft_wrap=True)
     out.print(f"written to {workdir}: sweep.csv, a run's folder for each", soft_wrap=True)
     out.print(problem or str(workdir / "sweep.png"), soft_wrap=True, markup=False)
-    if rows[0]["note"]:
+    if rows[0]["note"] or not rows[0]["ranked_by"]:
+        (workdir / "policy.npz").unlink(missing_ok=True)  # of a sweep before values were added
         return
     best = workdir / rows[0]["folder"]
     shutil.copyfile(best / "policy.npz", workdir / "policy.npz")
