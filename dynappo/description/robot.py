@@ -19,9 +19,21 @@ from dynappo.config import ConfigError, files
 from dynappo.description import collision, complete, feet, joints, mjcf, robot_contract
 from dynappo.description import text as text_lib
 
-# prefixes and suffixes of a model's arrays that do not decide how it moves: shapes that touch are no meshes, and
-# a file's own sensors are not read. All others do, also those that a later MuJoCo adds
-LOOKS = ("bvh_", "cam_", "light_", "mat_", "mesh_", "name", "numeric_", "oct_", "sensor_", "skin_", "tex")
+# prefixes and suffixes of a model's arrays that do not decide how it moves: shapes that touch are no meshes,
+# and a file's own sensors are not read. All others do, also those that a later MuJoCo adds
+LOOKS = (
+    "bvh_",
+    "cam_",
+    "light_",
+    "mat_",
+    "mesh_",
+    "name",
+    "numeric_",
+    "oct_",
+    "sensor_",
+    "skin_",
+    "tex",
+)
 LOOKS += ("tuple_", "signature")
 OF_LOOKS = ("_group", "_rgba", "_matid", "_user", "_bvhadr", "_bvhnum")
 

@@ -32,7 +32,7 @@ import mujoco
 import numpy as np
 from mujoco import rollout
 
-from dynappo.description import contacts, motors
+from dynappo.description import contacts, mjcf, motors
 from dynappo.description import robot as robot_lib
 from dynappo.physics import actuators, engine_contract, xla_call
 from dynappo.physics import ground as ground_lib
@@ -163,7 +163,7 @@ class _World:
         self.pool = rollout.Rollout(nthread=threads if threads > 1 else 0)
 
     def step(self, args: list[np.ndarray], outs: list[np.ndarray]) -> None:
-        with _ONE_AT_A_TIME:
+        with _ONE_AT_A_TIME, mjcf.without_warnings():  # blow-ups are counted (velocity/env.py)
             robots = args[0].size // self.model.nq
             given, found = ([x.reshape(robots, -1) for x in arrays] for arrays in (args, outs))
             for first in range(0, robots, self.most):

@@ -14,8 +14,7 @@ import numpy as np
 from dynappo import config as config_lib
 from dynappo import schedule
 from dynappo.config import ConfigError, files
-from dynappo.description import robot as robot_lib
-from dynappo.policy import checkpoint_file, checks, policy_file
+from dynappo.policy import checkpoint_file, checks, policy_file, policy_source
 from dynappo.program import distributed
 from dynappo.run import workdir as workdir_lib
 
@@ -136,7 +135,7 @@ def check(source: Path, config) -> None:
                 f"--restore={source}: {name} is {one} there, {other} here; "
                 "set what that run has (its config.json says it)"
             )
-    own = _robot(config)
+    own = policy_source.of_name(config.robot)
     if robot and own and robot.joint_names != own.joint_names:
         if sorted(robot.joint_names) == sorted(own.joint_names):
             raise ConfigError(
@@ -147,8 +146,8 @@ def check(source: Path, config) -> None:
 
 
 def about(source: Path) -> tuple[dict[str, Any], Any]:
-    """`(config by dotted names, robot)` of what a run starts from; of the robot, None where it is not known, only
-    `joint_names` and `default_pose` are to be read."""
+    """`(config by dotted names, robot)` of what a run starts from; of the robot, None where it is not known,
+    only `joint_names` and `default_pose` are to be read."""
     if source.is_file():
         policy = policy_file.load(source)
         return config_lib.flat(policy.config), policy
@@ -156,22 +155,15 @@ def about(source: Path) -> tuple[dict[str, Any], Any]:
     for folder in [source] if one else [source / "checkpoints" / str(s) for s in saved(source)]:
         with contextlib.suppress(checkpoint_file.Damaged, KeyError, TypeError, AttributeError):
             found = checkpoint_file.about(folder)
-            config, text = config_lib.flat(found["config"]), found.get("mjcf")
-            name = config.get("robot")
-            return config, robot_lib.load_text(text, name, folder) if text else None
+            config = config_lib.flat(found["config"])
+            return config, policy_source.carried(found, config["robot"], folder)
     return {}, None
 
 
-def _robot(config) -> robot_lib.Robot | None:
-    """A run's robot; None in another environment, or where its file cannot be used."""
-    with contextlib.suppress(ConfigError):
-        return robot_lib.load(config.robot) if config.robot else None
-    return None
-
-
 def apart(source: Path, config) -> str:
-    """A line on what the numbers of the networks in `source` mean there and not here; "" if nothing differs."""
-    (there, robot), here, own = about(source), config_lib.flat(config), _robot(config)
+    """A line on what the numbers of the networks in `source` mean there and not here; "" if nothing does."""
+    (there, robot), own = about(source), policy_source.of_name(config.robot)
+    here = config_lib.flat(config)
     found = [
         f"{name} is {there[name]} there, {here[name]} here"
         for name in MEANING

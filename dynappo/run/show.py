@@ -15,6 +15,7 @@ from dynappo.config import shell
 from dynappo.policy import walks
 from dynappo.program import build, devices, memory
 from dynappo.program.build import Program
+from dynappo.run import blowups
 from dynappo.run.training import Callbacks
 
 # by engine: how long it takes, and what for (experiments/03_speed; README)
@@ -176,6 +177,8 @@ def summary(out, config, workdir: Path, summary: dict[str, Any]) -> None:
         "simulator steps": f"{count(summary['sim_steps'])} on {devices.ENGINES[summary['impl']]}",
         "training": f"{took}, after {summary['compile_seconds']:.0f} s of set-up",
     }
+    if summary.get("blowups", 0) >= blowups.SOME:
+        rows["physics blew up"] = f"in {summary['blowups']:.0%} of the rows"
     if config.run.eval_steps and config.run.eval_envs and config.robot:
         dt = config.physics.substeps * config.physics.timestep
         steps = config.task.episode_length, config.run.eval_steps

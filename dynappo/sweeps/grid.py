@@ -26,8 +26,8 @@ NOT_HERE = {  # what one process or one folder has once
     "run.device": "a process has one; give a command for each",
     "run.wandb": "a sweep does not log to Weights & Biases",
 }
-# of the group `task`: what leaves an evaluation's rewards, commands, episodes and ground as they are, and what
-# changes its rewards alone. Every other field of `task` and `physics` changes what is asked
+# of the group `task`: what leaves an evaluation's rewards, commands, episodes and ground as they are, and
+# what changes its rewards alone. Every other field of `task` and `physics` changes what is asked
 SAME_TASK = (
     "noise. push. randomize. random_clock carry_on start_anew keep_command observation history scan "
     "ground_in_tail actuator action_scale kp kd effort_limit saturation_effort velocity_limit"
@@ -144,8 +144,8 @@ def by_vmap(field: str, own_env: bool = False) -> bool:
 def ranked_by(combinations: list[Combination]) -> str:
     """By which measure the combinations of a sweep can be ranked: one that does not depend on what is swept.
 
-    `BY_RETURN`; `BY_ERRORS` where their rewards differ; "" where what is asked of them differs, or may, as in an
-    environment of one's own.
+    `BY_RETURN`; `BY_ERRORS` where their rewards differ; "" where what is asked of them differs, or may, as in
+    an environment of one's own.
     """
     first = combinations[0]
     by = BY_RETURN

@@ -16,8 +16,8 @@ from dynappo.sweeps.grid import Combination
 
 
 def rows(workdir: Path, combinations: list[Combination]) -> list[dict[str, Any]]:
-    """A row for each combination: the best first (`grid.ranked_by`), then those without a number, with a `note`
-    that says why; in the order of the grid where they cannot be ranked.
+    """A row for each combination: the best first (`grid.ranked_by`), then those without a number, with a
+    `note` that says why; in the order of the grid where they cannot be ranked.
 
     Returns are evaluated ones, or of training (its last 10 iterations) where `run.eval_envs` is 0.
     """
@@ -25,7 +25,9 @@ def rows(workdir: Path, combinations: list[Combination]) -> list[dict[str, Any]]
     found = [row(workdir, one) | {"ranked_by": by} for one in combinations]
 
     def place(one):
-        falls, error = (np.inf if one[n] is None else one[n] for n in ("fall_rate", "tracking_error"))
+        falls, error = (
+            np.inf if one[n] is None else one[n] for n in ("fall_rate", "tracking_error")
+        )
         if by == grid.BY_ERRORS:
             return not walks.seldom(falls), error, falls
         return (-np.inf if one["return_mean"] is None else one["return_mean"]) * -1
