@@ -13,6 +13,8 @@ It runs three kinds of episodes, all with the policy's mean action:
 from __future__ import annotations
 
 import argparse
+import contextlib
+import json
 from pathlib import Path
 
 import mujoco
@@ -134,7 +136,7 @@ def folder(what: str, path: Path) -> Path:
     if what in files.bundled():
         return Path(f"evaluation-{what}")
     workdir = path.parent.parent if path.is_dir() else path.parent
-    if (workdir / "config.json").is_file():
+    if any((workdir / name).is_file() for name in ("config.json", "sweep.json")):
         return workdir / "evaluation"
     return Path(f"evaluation-{path.stem}")
 
@@ -150,6 +152,16 @@ def open_folder(out: Path) -> None:
         raise ConfigError(f"--out={out}: cannot write there ({error.strerror})") from None
 
 
+def replaced(out: Path, named: str) -> str:
+    """A line where the folder has the results of another policy, which are about to be written over; else ""."""
+    for name in ("evaluation.json", "stress.json", "crossing.json"):
+        with contextlib.suppress(OSError, ValueError, TypeError, KeyError):
+            before = json.loads((out / name).read_bytes())["policy"]
+            if before != named:
+                return f"note: {out} holds results of {before}; --out=DIR keeps both"
+    return ""
+
+
 def inputs(flags) -> tuple[Policy, Player, Robot | None, Path, tuple[str, str]]:
     """`(policy, player, robot, path, (named, note))` of the flags; `robot` is None with --fast.
 
@@ -162,6 +174,7 @@ def inputs(flags) -> tuple[Policy, Player, Robot | None, Path, tuple[str, str]]:
         episodes.settings(policy)
         robot, _ = policy_source.robot(policy, flags.robot_xml)
         episodes.check_robot(policy, robot)
+        note = "\n".join(filter(None, (note, episodes.left_out(policy))))
     return policy, player, robot, path, (named, note)
 
 
@@ -181,8 +194,8 @@ def run(flags) -> None:
     screen = Console(highlight=False)
     inside = f" in {player.xml}" if flags.robot_xml else ""
     screen.print(f"dynappo evaluates {policy.robot}: {named}{inside}", soft_wrap=True, markup=False)
-    if note:
-        screen.print(note, soft_wrap=True, markup=False)
+    for line in filter(None, (note, replaced(out, named))):
+        screen.print(line, soft_wrap=True, markup=False)
     if flags.crossing:
         return _crossing(flags, screen, policy, robot, named, out)
     about = {"robot": policy.robot, "policy": named, "mujoco": mujoco.__version__}

@@ -53,6 +53,20 @@ def settings(policy: Policy):
     return config
 
 
+def left_out(policy: Policy) -> str:
+    """A line on what the task of the policy's training had and this version of dynappo has not; else ""."""
+    found = {
+        name: value
+        for name, value in config_lib.flat(policy.config).items()
+        if name.startswith(("task.", "physics.")) and name not in fields.every() and value
+    }
+    names = ", ".join(f"{name} = {value!r}" for name, value in found.items())
+    return names and (
+        f"note: the policy's config has {names}, which this dynappo does not know: the task's episodes are "
+        "without, and their return is another than in training"
+    )
+
+
 def _check(config, policy: Policy) -> None:
     """ConfigError where the config of a policy's file is that of another network."""
     layers = policy.params["actor"]["params"]

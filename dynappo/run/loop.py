@@ -120,6 +120,8 @@ def seconds_so_far(run: OpenRun) -> float:
 def write_rows(chunks: list[tuple[OpenRun, dict]], say: Callable[[str], None]) -> None:
     """Hand each run's chunk to all of its logs."""
     for run, chunk in chunks:
+        if run.sinks:
+            workdir_lib.check_held(run.workdir)
         table = log.rows(chunk) if run.sinks else []
         for sink in run.sinks:
             log.attempt(sink.name, partial(sink.write, table), say)

@@ -242,6 +242,18 @@ def _elsewhere(found: tuple[dict[str, str], ...]) -> str:
     return f", now with {', '.join(apart)}" if apart else ""
 
 
+def check_held(workdir: Path) -> None:
+    """OSError where another run has begun in `workdir`: its lock was deleted, or the disk has no locks."""
+    found = ""
+    with contextlib.suppress(OSError):
+        found = (workdir / "lock").read_text()
+    if found and found != files.holder():
+        raise OSError(
+            f"{workdir}: another run has begun in this folder ({found.strip()}); this one ends, before "
+            "rows of both are mixed"
+        )
+
+
 def resume(config, workdir: Path, checkpoints, state, say, made: tuple[dict[str, str], ...] = ()):
     """`(iterations done, state, [their metrics])` of the newest good checkpoint of `workdir`.
 

@@ -106,9 +106,16 @@ def _describe(out, workdir: Path, combinations: list[Combination]) -> None:
     """Print what will happen."""
     todo, count = _todo(workdir, combinations), len(combinations)
     programs = len(grid.groups(todo, [folder.iterations_saved(workdir, one) for one in todo]))
+    apart = programs > len(grid.groups(todo, [0] * len(todo)))
     has = f", {count - len(todo)} are done" if len(todo) < count else ""
     ask = f"{programs} program{'s' * (programs != 1)} to compile{has}"
     out.print(f"[bold]dynappo[/bold] sweeps {count} combinations: {ask}", soft_wrap=True)
+    if apart:
+        show.unusual(
+            out,
+            "some have come further than others of their program: each part goes on in a program of its own, "
+            "so their last digits may be others than without the stop",
+        )
     if todo:
         out.print(f"the first {show.describe(todo[0].config)}", soft_wrap=True, markup=False)
 
