@@ -8,6 +8,7 @@ import itertools
 import json
 import math
 import sys
+from collections.abc import Sequence
 from fnmatch import fnmatch
 from functools import partial
 from pathlib import Path
@@ -127,7 +128,7 @@ def _compare(workdir: Path, here: str) -> None:
             )
 
 
-def _may_change(text: str) -> list[str]:
+def _may_change(text: str) -> Sequence[str]:
     """`MAY_CHANGE` of a run with the config `text`; returns of longer episodes are not those that it has."""
     with contextlib.suppress(KeyError, TypeError):
         if json.loads(text)["run"]["eval_every"]:
