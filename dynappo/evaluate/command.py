@@ -153,7 +153,7 @@ def open_folder(out: Path) -> None:
 
 
 def replaced(out: Path, named: str) -> str:
-    """A line where the folder has the results of another policy, which are about to be written over; else ""."""
+    """A line where the folder has results of another policy, about to be written over; else ""."""
     for name in ("evaluation.json", "stress.json", "crossing.json"):
         with contextlib.suppress(OSError, ValueError, TypeError, KeyError):
             before = json.loads((out / name).read_bytes())["policy"]

@@ -20,7 +20,7 @@ from dynappo.run.training import Callbacks
 
 # by engine: how long it takes, and what for (experiments/03_speed; README)
 COMPILING = {
-    "warp": "8 s if cached, else 20 to 35 s",
+    "warp": "7 to 10 s if cached, else 20 to 35 s",
     "jax": "under a minute; half of it when cached",
     "c": "15 s; 5 when cached",
 }
