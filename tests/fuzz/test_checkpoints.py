@@ -1,8 +1,8 @@
 """Checkpoints wherever a run's folder is and whatever its state holds: they come back to the bit.
 
 Folders have names of any characters, of up to 255 bytes, and links on the way; states are trees as
-environments of one's own have them: nested dicts, tuples and dataclasses of arrays of any type, empty ones and
-random keys among them. A seeded generator. `-m fuzz` tries 200.
+environments of one's own have them: nested dicts, tuples and dataclasses of arrays of any type, empty ones
+and random keys among them. A seeded generator. `-m fuzz` tries 200.
 """
 
 import random
