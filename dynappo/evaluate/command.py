@@ -152,6 +152,17 @@ def open_folder(out: Path) -> None:
         raise ConfigError(f"--out={out}: cannot write there ({error.strerror})") from None
 
 
+def rough_note(policy: Policy, flags) -> str:
+    """A line on what the numbers of a policy of rough ground are of; else ""."""
+    if policy.config.get("task", {}).get("terrain") != "rough" or flags.crossing:
+        return ""
+    return (
+        "note: trained on rough ground; the commands and their changes are on a flat floor, and an episode of "
+        "the task ends where the robot leaves its tile, so its return is smaller than on a floor; --crossing "
+        "tells which tiles it crosses"
+    )
+
+
 def replaced(out: Path, named: str) -> str:
     """A line where the folder has results of another policy, about to be written over; else ""."""
     for name in ("evaluation.json", "stress.json", "crossing.json"):
@@ -174,7 +185,8 @@ def inputs(flags) -> tuple[Policy, Player, Robot | None, Path, tuple[str, str]]:
         episodes.settings(policy)
         robot, _ = policy_source.robot(policy, flags.robot_xml)
         episodes.check_robot(policy, robot)
-        note = "\n".join(filter(None, (note, episodes.left_out(policy))))
+        more = note, episodes.left_out(policy), rough_note(policy, flags)
+        note = "\n".join(filter(None, more))
     return policy, player, robot, path, (named, note)
 
 

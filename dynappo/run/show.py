@@ -177,6 +177,11 @@ def summary(out, config, workdir: Path, summary: dict[str, Any]) -> None:
         "simulator steps": f"{count(summary['sim_steps'])} on {devices.ENGINES[summary['impl']]}",
         "training": f"{took}, after {summary['compile_seconds']:.0f} s of set-up",
     }
+    if config.task.terrain == "rough" and "length" in summary.get("evaluation", {}):
+        rows["evaluation: length"] = mean(summary["evaluation"]["length"], " control steps")
+        rows["evaluation: length"] += ", to the edge of its tile"
+    if len(origins := summary.get("origins", [])) > 1:
+        rows["computed by"] = ", then ".join(f"{o['engine']} on {o['device']}" for o in origins)
     if summary.get("blowups", 0) >= blowups.SOME:
         rows["physics blew up"] = f"in {summary['blowups']:.0%} of the rows"
     if config.run.eval_steps and config.run.eval_envs and config.robot:

@@ -224,7 +224,7 @@ def _resumed(
     from dynappo.run import checkpoint, restore
 
     checkpoints, sinks, writes = None, [], distributed.first()  # of several processes, only one
-    made = workdir_lib.origins(workdir, workdir_lib.made_by(program)) if writes else ()
+    made = workdir_lib.origins(workdir, workdir_lib.made_by(program, config)) if writes else ()
     if writes:
         checkpoints = files.enter_context(checkpoint.opened(workdir, say))
     if run.source:

@@ -223,9 +223,10 @@ def hold(workdir: Path):
         ) from None
 
 
-def made_by(program) -> dict[str, str]:
+def made_by(program, config) -> dict[str, str]:
     """What decides, beside the config, which numbers a program computes."""
-    packages = {name: versions.of(name) for name in ("jax", "mujoco")}
+    names = ["jax", "mujoco", *filter(None, [config.env.partition(":")[0]])]
+    packages = {name: versions.of(name) for name in names}
     commit = versions.commit() or "unknown"
     return {"commit": commit, "engine": program.impl, "device": program.device} | packages
 

@@ -200,7 +200,7 @@ def test_a_last_checkpoint_that_is_not_there_is_saved_once_more(
     """Else the line says why; of room it speaks where room is in the way, and else not."""
     workdir = tmp_path / "run"
     shutil.copytree(whole.workdir, workdir)
-    made = (workdir_lib.made_by(program()),)
+    made = (workdir_lib.made_by(program(), config),)
     run = workdirs.open_run(config, workdir, whole.metrics)._replace(origins=made)
     at = run, program().robot, whole.state, pytest.fail
     finish.check_saved(*at)

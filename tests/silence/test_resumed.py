@@ -117,7 +117,7 @@ def test_another_engine_device_or_commit_is_said_and_kept(config, program, tmp_p
     assert said == [f"goes on from iteration 2 of {tmp_path}, now with {there}"]
     about = checkpoint_file.about(tmp_path / "checkpoints" / "4")
     assert [one["engine"] for one in about["origins"]] == ["jax", "c"]
-    made = workdir_lib.made_by(program())
+    made = workdir_lib.made_by(program(), config)
     again = workdir_lib.origins(tmp_path, made | {"engine": "c"})
     assert len(again) == 2  # the same as last time
     more = workdir_lib.origins(tmp_path, made | {"engine": "c", "commit": "0123456789ab"})
