@@ -17,8 +17,6 @@ import contextlib
 import json
 from pathlib import Path
 
-import mujoco
-
 from dynappo.config import ConfigError, files
 from dynappo.config import flags as flags_lib
 from dynappo.description.robot import Robot
@@ -157,7 +155,7 @@ def rough_note(policy: Policy, flags) -> str:
     if policy.config.get("task", {}).get("terrain") != "rough" or flags.crossing:
         return ""
     return (
-        "note: trained on rough ground; the commands and their changes are on a flat floor, and an episode of "
+        "note: trained on rough ground; commands and their changes are on a flat floor, and an episode of "
         "the task ends where the robot leaves its tile, so its return is smaller than on a floor; --crossing "
         "tells which tiles it crosses"
     )
@@ -210,7 +208,7 @@ def run(flags) -> None:
         screen.print(line, soft_wrap=True, markup=False)
     if flags.crossing:
         return _crossing(flags, screen, policy, robot, named, out)
-    about = {"robot": policy.robot, "policy": named, "mujoco": mujoco.__version__}
+    about = {"robot": policy.robot, **episodes.measured(policy.params, named)}
     about |= {"robot_xml": flags.robot_xml} if flags.robot_xml else {}
     if flags.stress:
         with tables.progress(screen, "disturbances") as tell:
@@ -262,7 +260,8 @@ def _crossing(flags, screen, policy: Policy, robot: Robot | None, named: str, ou
     with screen.status("compiling and running"):
         numbers = crossing.run(policy, flags.episodes, flags.seed or 0, robot)
     tables.crossing(screen, numbers)
-    files.write_json(out / "crossing.json", {"robot": policy.robot, "policy": named} | numbers)
+    about = {"robot": policy.robot, **episodes.measured(policy.params, named)}
+    files.write_json(out / "crossing.json", about | numbers)
     screen.print(f"written to {out}: crossing.json", soft_wrap=True, markup=False)
 
 

@@ -6,17 +6,18 @@ JAX is imported only when they run.
 from __future__ import annotations
 
 import copy
+import hashlib
 from functools import partial
 from typing import Any
 
 import numpy as np
 
 from dynappo import config as config_lib
-from dynappo.config import ConfigError, fields, per_joint
+from dynappo.config import ConfigError, fields, per_joint, versions
 from dynappo.description import motors
 from dynappo.description.robot import Robot
 from dynappo.physics import engine_contract
-from dynappo.policy import policy_file, policy_source, walks
+from dynappo.policy import checks, policy_file, policy_source, walks
 from dynappo.policy.policy_file import Policy
 from dynappo.program import devices
 
@@ -84,6 +85,16 @@ def check_robot(policy: Policy, robot: Robot) -> None:
             f"the policy's joints are {' '.join(policy.joint_names)}, those of {robot.xml} are "
             f"{' '.join(robot.joint_names)}; the task's episodes need the same order (--fast leaves them out)"
         )
+
+
+def measured(params: dict, named: str) -> dict[str, Any]:
+    """What was measured, and with which code: `policy`, its name; a hash of its parameters, which tells a
+    policy from a later one in the same file; the commit and MuJoCo's version."""
+    content = hashlib.sha256()
+    for name, value in sorted(checks.leaves({"actor": params["actor"]})):
+        content.update(name.encode() + np.ascontiguousarray(value).tobytes())
+    about = {"policy": named, "policy_sha256": content.hexdigest()[:16]}
+    return about | {"commit": versions.commit(), "mujoco": versions.of("mujoco")}
 
 
 def driven(policy: Policy, robot: Robot) -> Robot:

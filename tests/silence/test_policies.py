@@ -159,6 +159,23 @@ def test_a_policy_in_another_order_does_the_same_and_its_file_says_which(inside)
     assert "need the same order" in refused(episodes.check_robot, turned, GO1)
 
 
+def test_an_evaluation_says_of_which_policy_and_which_code_it_is(inside):
+    """The same parameters have the same hash in any file; one changed number another."""
+    policy = policy_file.load(Path("mine.npz"))
+    first = episodes.measured(policy.params, "run/policy.npz")
+    assert first == episodes.measured(policy_file.load(Path("mine.npz")).params, "run/policy.npz")
+    assert (
+        first["policy"] == "run/policy.npz"
+        and first["commit"]
+        and first["mujoco"] == mujoco.__version__
+    )
+    policy.params["actor"]["params"]["Dense_1"]["bias"][3] += 1e-6
+    assert (
+        episodes.measured(policy.params, "run/policy.npz")["policy_sha256"]
+        != first["policy_sha256"]
+    )
+
+
 def test_a_seed_that_is_not_in_a_file_is_refused(inside, capsys):
     """One policy has no seeds to choose from."""
     line = mistake(export_command.main, ["mine.npz", "--run-seed=1", "--out=a.npz"], capsys)

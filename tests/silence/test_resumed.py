@@ -224,6 +224,21 @@ def test_a_run_whose_lock_was_deleted_ends_before_it_mixes_rows(config, program,
     assert len(workdirs.table(tmp_path)) == 2
 
 
+def test_rows_of_two_runs_in_one_file_are_said(whole, config, program, tmp_path):
+    """Each iteration is there once afterwards, and the run goes on."""
+    workdir, said = tmp_path / "run", []
+    shutil.copytree(whole.workdir, workdir)
+    text = (workdir / "metrics.csv").read_text()
+    (workdir / "metrics.csv").write_text(text + "".join(text.splitlines(keepends=True)[2:4]))
+    workdirs.loop(config, program(), workdir, say=said.append)
+    assert said[
+        0
+    ] == f"{workdir / 'metrics.csv'} has 2 rows twice, as if two runs had written it; " + (
+        "the last of each is kept"
+    )
+    assert [row["iteration"] for row in workdirs.table(workdir)] == ["1", "2", "3", "4"]
+
+
 def test_a_folder_without_locks_has_the_name_of_who_came_last(tmp_path, monkeypatch):
     """So a second run is seen there, too."""
     import errno
