@@ -11,8 +11,11 @@ from toy_policy import GO1, actor
 
 from dynappo import config as config_lib
 from dynappo import schedule
+from dynappo.bench import command as bench_command
+from dynappo.description import robot
 from dynappo.evaluate import command as evaluate_command
 from dynappo.export import command as export_command
+from dynappo.export import deploy_yaml, joint_order
 from dynappo.policy import policy_file, policy_source, walks
 from dynappo.run import show
 from dynappo.run import workdir as workdir_lib
@@ -105,6 +108,26 @@ def test_simulator_steps_are_those_of_real_robots_alone(spec):
         more.rollout.imagined = 1
         again = workdir_lib.scheduled_columns(config_lib.validate(more), c.run.num_iterations)
         assert again["sim_steps"].tolist() == found
+
+
+def test_a_config_that_is_timed_beside_itself_has_two_columns():
+    """Its file would have one."""
+    for argv in (
+        ["--config=go1:laptop", "--vs=go1:laptop"],
+        ["--config=go1:laptop", "--engines=c,c"],
+    ):
+        _, names, *_ = bench_command.parse(argv)
+        assert len({*names}) == 2 and names[1] == f"{names[0]}, again"
+    assert bench_command.parse(["--config=go1:laptop", "--vs=go1"])[1] == ["go1:laptop", "go1"]
+
+
+def test_a_g1_of_any_file_has_its_makers_motor_numbers():
+    """In deploy.yaml, whatever order its joints have."""
+    g1 = robot.load("g1")
+    turned = g1._replace(joint_names=g1.joint_names[::-1])
+    for one in (g1, turned):
+        assert deploy_yaml.motors(one) == joint_order.UNITREE_G1
+    assert deploy_yaml.motors(robot.load("anymal_c")) == robot.load("anymal_c").joint_names
 
 
 def test_the_version_of_a_task_of_others_is_part_of_what_made_a_run():
