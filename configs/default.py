@@ -382,6 +382,7 @@ class Config(NamedTuple):
 
     robot: str = "go1"  # a folder of robots/; "": of another environment
     env: str = ""  # playground:TASK or brax:NAME (docs/environment.md); "": the task of the robot
+    code: str = ""  # of an environment of one's own, a hash of its file; follows from that
     run: Run = Run()
     rollout: Rollout = Rollout()
     schedule: Schedule = Schedule()

@@ -85,6 +85,8 @@ def parse(argv: list[str] | None):
         # an evaluation would compile beside what is timed
         config.run.update(num_seeds=1, mesh_seed=1, eval_every=0, eval_envs=0)
         configs.append(config_lib.validate(config))
+    if names[1:] == names[:1]:  # how much two measurements of the same differ
+        names = [names[0], f"{names[0]}, again"]
     return configs, names, repeats, known.out, known.compile
 
 

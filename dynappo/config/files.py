@@ -66,6 +66,11 @@ def without_stderr() -> Iterator[None]:
         os.close(nowhere)
 
 
+def holder() -> str:
+    """What this process writes into its locks."""
+    return f"pid {os.getpid()} on {socket.gethostname()}\n"
+
+
 @contextlib.contextmanager
 def locked(path: Path) -> Iterator[Any]:
     """Yields the lock `path`, which this process holds until the `with` ends; Locked if another one does.
@@ -77,18 +82,18 @@ def locked(path: Path) -> Iterator[Any]:
 
     lock = filelock.FileLock(path)
     try:
-        try:
-            lock.acquire(blocking=False)
-            with contextlib.suppress(PermissionError):  # Windows locks what the file holds, too
-                path.write_text(f"pid {os.getpid()} on {socket.gethostname()}\n")
-        except filelock.Timeout:
-            holder = "its process is unknown"
-            with contextlib.suppress(PermissionError):
-                holder = path.read_text().strip()
-            raise Locked(holder) from None
-        except OSError as error:
-            if error.errno not in NO_LOCKS:
-                raise
+        lock.acquire(blocking=False)
+    except filelock.Timeout:
+        other = "its process is unknown"
+        with contextlib.suppress(PermissionError):
+            other = path.read_text().strip()
+        raise Locked(other) from None
+    except OSError as error:
+        if error.errno not in NO_LOCKS:
+            raise
+    try:
+        with contextlib.suppress(PermissionError):  # Windows locks what the file holds, too
+            path.write_text(holder())
         yield lock
     finally:
         lock.release()

@@ -140,6 +140,7 @@ class StaticTask(NamedTuple):
 
 
 class Static(NamedTuple):
+    code: str
     env: str
     model: StaticModel
     physics: StaticPhysics

@@ -17,7 +17,7 @@ from typing import Any
 
 from ml_collections import config_dict
 
-from dynappo.config import fields
+from dynappo.config import fields, own_code
 from dynappo.config.fields import ConfigError, flat
 from dynappo.config.files import find
 
@@ -61,7 +61,7 @@ def load_both(spec: str) -> tuple[config_dict.ConfigDict, Callable[[Any], Any] |
         raise ConfigError(f"--config: {path}: get_config {_cannot_be_run(error)}") from None
     if get_env is None:
         return config, None
-    config.robot = ""
+    config.robot, config.code = "", own_code.digest(path)
 
     def one_line(config):
         try:
@@ -166,6 +166,8 @@ def difference(old: str, new: str, except_for=()) -> str:
         return "its config.json cannot be read"
     after = flat(json.loads(new))
     for name in (name for name in before if name in after and name not in except_for):
+        if name == "code" and before[name] != after[name]:
+            return "the file with get_env, or one that it imports, has changed; comments and get_config may"
         if before[name] != after[name]:
             return f"{name} {before[name]} there, {after[name]} here"
     return ""

@@ -33,16 +33,25 @@ def one_line(xml: Path, what: str = ""):
     `what` comes after the path: the part of the file that is meant. MuJoCo's warnings are dropped
     meanwhile: it would write them to a file in the working directory.
     """
-    before = mujoco.get_mju_user_warning()
-    mujoco.set_mju_user_warning(lambda message: None)
     try:
-        yield
+        with without_warnings():
+            yield
     except ConfigError:
         raise
     except (OSError, ValueError, RuntimeError, MemoryError, mujoco.FatalError) as error:
         text = getattr(error, "strerror", None) or str(error)
         text = " ".join(text.split()) or "it needs more memory than there is"
         raise ConfigError(f"{xml}: {what}{text}") from None
+
+
+@contextlib.contextmanager
+def without_warnings():
+    """MuJoCo's warnings are dropped meanwhile: it would write each to stderr, or to a file in the working
+    directory."""
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(lambda message: None)
+    try:
+        yield
     finally:
         mujoco.set_mju_user_warning(before)
 

@@ -19,9 +19,23 @@ from dynappo.config import ConfigError, files
 from dynappo.description import collision, complete, feet, joints, mjcf, robot_contract
 from dynappo.description import text as text_lib
 
-# prefixes of a model's arrays that decide how it moves, and suffixes of those that do not
-MOVES = ("body_", "jnt_", "dof_", "geom_", "qpos", "key_", "actuator_", "eq_", "tendon_")
-LOOKS = ("_group", "_rgba", "_matid", "_user", "_bvhadr", "_bvhnum")
+# prefixes and suffixes of a model's arrays that do not decide how it moves: shapes that touch are no meshes,
+# and a file's own sensors are not read. All others do, also those that a later MuJoCo adds
+LOOKS = (
+    "bvh_",
+    "cam_",
+    "light_",
+    "mat_",
+    "mesh_",
+    "name",
+    "numeric_",
+    "oct_",
+    "sensor_",
+    "skin_",
+    "tex",
+)
+LOOKS += ("tuple_", "signature")
+OF_LOOKS = ("_group", "_rgba", "_matid", "_user", "_bvhadr", "_bvhnum")
 
 
 class Robot(NamedTuple):
@@ -136,8 +150,9 @@ def same(one: Robot, other: Robot) -> bool:
 
 def _motion(model: mujoco.MjModel) -> dict[str, np.ndarray]:
     """The arrays and options of a model that decide how it moves."""
-    names = [n for n in dir(model) if n.startswith(MOVES) and not n.endswith(LOOKS)]
-    arrays = {name: np.asarray(getattr(model, name)) for name in names}
+    names = [n for n in dir(model) if not n.startswith(("_", *LOOKS)) and not n.endswith(OF_LOOKS)]
+    found = {name: getattr(model, name) for name in names}
+    arrays = {name: x for name, x in found.items() if isinstance(x, np.ndarray)}
     options = {n: np.asarray(getattr(model.opt, n)) for n in dir(model.opt) if n[0] != "_"}
     return arrays | options
 

@@ -13,9 +13,9 @@ It runs three kinds of episodes, all with the policy's mean action:
 from __future__ import annotations
 
 import argparse
+import contextlib
+import json
 from pathlib import Path
-
-import mujoco
 
 from dynappo.config import ConfigError, files
 from dynappo.config import flags as flags_lib
@@ -134,7 +134,7 @@ def folder(what: str, path: Path) -> Path:
     if what in files.bundled():
         return Path(f"evaluation-{what}")
     workdir = path.parent.parent if path.is_dir() else path.parent
-    if (workdir / "config.json").is_file():
+    if any((workdir / name).is_file() for name in ("config.json", "sweep.json")):
         return workdir / "evaluation"
     return Path(f"evaluation-{path.stem}")
 
@@ -150,6 +150,27 @@ def open_folder(out: Path) -> None:
         raise ConfigError(f"--out={out}: cannot write there ({error.strerror})") from None
 
 
+def rough_note(policy: Policy, flags) -> str:
+    """A line on what the numbers of a policy of rough ground are of; else ""."""
+    if policy.config.get("task", {}).get("terrain") != "rough" or flags.crossing:
+        return ""
+    return (
+        "note: trained on rough ground; commands and their changes are on a flat floor, and an episode of "
+        "the task ends where the robot leaves its tile, so its return is smaller than on a floor; --crossing "
+        "tells which tiles it crosses"
+    )
+
+
+def replaced(out: Path, named: str) -> str:
+    """A line where the folder has results of another policy, about to be written over; else ""."""
+    for name in ("evaluation.json", "stress.json", "crossing.json"):
+        with contextlib.suppress(OSError, ValueError, TypeError, KeyError):
+            before = json.loads((out / name).read_bytes())["policy"]
+            if before != named:
+                return f"note: {out} holds results of {before}; --out=DIR keeps both"
+    return ""
+
+
 def inputs(flags) -> tuple[Policy, Player, Robot | None, Path, tuple[str, str]]:
     """`(policy, player, robot, path, (named, note))` of the flags; `robot` is None with --fast.
 
@@ -162,6 +183,8 @@ def inputs(flags) -> tuple[Policy, Player, Robot | None, Path, tuple[str, str]]:
         episodes.settings(policy)
         robot, _ = policy_source.robot(policy, flags.robot_xml)
         episodes.check_robot(policy, robot)
+        more = note, episodes.left_out(policy), rough_note(policy, flags)
+        note = "\n".join(filter(None, more))
     return policy, player, robot, path, (named, note)
 
 
@@ -181,11 +204,11 @@ def run(flags) -> None:
     screen = Console(highlight=False)
     inside = f" in {player.xml}" if flags.robot_xml else ""
     screen.print(f"dynappo evaluates {policy.robot}: {named}{inside}", soft_wrap=True, markup=False)
-    if note:
-        screen.print(note, soft_wrap=True, markup=False)
+    for line in filter(None, (note, replaced(out, named))):
+        screen.print(line, soft_wrap=True, markup=False)
     if flags.crossing:
         return _crossing(flags, screen, policy, robot, named, out)
-    about = {"robot": policy.robot, "policy": named, "mujoco": mujoco.__version__}
+    about = {"robot": policy.robot, **episodes.measured(policy.params, named)}
     about |= {"robot_xml": flags.robot_xml} if flags.robot_xml else {}
     if flags.stress:
         with tables.progress(screen, "disturbances") as tell:
@@ -237,7 +260,8 @@ def _crossing(flags, screen, policy: Policy, robot: Robot | None, named: str, ou
     with screen.status("compiling and running"):
         numbers = crossing.run(policy, flags.episodes, flags.seed or 0, robot)
     tables.crossing(screen, numbers)
-    files.write_json(out / "crossing.json", {"robot": policy.robot, "policy": named} | numbers)
+    about = {"robot": policy.robot, **episodes.measured(policy.params, named)}
+    files.write_json(out / "crossing.json", about | numbers)
     screen.print(f"written to {out}: crossing.json", soft_wrap=True, markup=False)
 
 

@@ -56,7 +56,7 @@ def prepared(
     robot = robot or policy_source.robot(policy)[0]
     in_c = jax.default_backend() == "cpu" and not engine_contract.lacks(robot, config.physics, "c")
     impl = "c" if in_c else devices.engine(config)
-    config, robot = motors.fitted(config, robot)
+    config, robot = motors.fitted(config, episodes.driven(policy, robot))
     static, hyper = config_lib.split(config)
     env = env_lib.make(robot, config.task, config.physics, impl=impl)
     measure = jax.jit(

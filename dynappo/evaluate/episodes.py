@@ -5,17 +5,19 @@ JAX is imported only when they run.
 
 from __future__ import annotations
 
+import copy
+import hashlib
 from functools import partial
 from typing import Any
 
 import numpy as np
 
 from dynappo import config as config_lib
-from dynappo.config import ConfigError, fields, per_joint
+from dynappo.config import ConfigError, fields, per_joint, versions
 from dynappo.description import motors
 from dynappo.description.robot import Robot
 from dynappo.physics import engine_contract
-from dynappo.policy import policy_file, policy_source, walks
+from dynappo.policy import checks, policy_file, policy_source, walks
 from dynappo.policy.policy_file import Policy
 from dynappo.program import devices
 
@@ -52,6 +54,20 @@ def settings(policy: Policy):
     return config
 
 
+def left_out(policy: Policy) -> str:
+    """A line on what the task of the policy's training had and this version of dynappo has not; else ""."""
+    found = {
+        name: value
+        for name, value in config_lib.flat(policy.config).items()
+        if name.startswith(("task.", "physics.")) and name not in fields.every() and value
+    }
+    names = ", ".join(f"{name} = {value!r}" for name, value in found.items())
+    return names and (
+        f"note: the policy's config has {names}, which this dynappo does not know: the task's episodes are "
+        "without, and their return is another than in training"
+    )
+
+
 def _check(config, policy: Policy) -> None:
     """ConfigError where the config of a policy's file is that of another network."""
     layers = policy.params["actor"]["params"]
@@ -69,6 +85,31 @@ def check_robot(policy: Policy, robot: Robot) -> None:
             f"the policy's joints are {' '.join(policy.joint_names)}, those of {robot.xml} are "
             f"{' '.join(robot.joint_names)}; the task's episodes need the same order (--fast leaves them out)"
         )
+
+
+def measured(params: dict, named: str) -> dict[str, Any]:
+    """What was measured, and with which code: `policy`, its name; a hash of its parameters, which tells a
+    policy from a later one in the same file; the commit and MuJoCo's version."""
+    content = hashlib.sha256()
+    for name, value in sorted(checks.leaves({"actor": params["actor"]})):
+        content.update(name.encode() + np.ascontiguousarray(value).tobytes())
+    about = {"policy": named, "policy_sha256": content.hexdigest()[:16]}
+    return about | {"commit": versions.commit(), "mujoco": versions.of("mujoco")}
+
+
+def driven(policy: Policy, robot: Robot) -> Robot:
+    """`robot` with what is the policy's own, whatever file it comes from: the default pose, and damping and
+    friction of the joints, as `policy/episode.py` has them."""
+    own = robot._replace(
+        default_pose=policy.default_pose,
+        home_qpos=np.concatenate([robot.home_qpos[:7], policy.default_pose]),
+    )
+    if not policy.joint_damping:  # not known
+        return own
+    model = copy.copy(robot.mj_model)
+    model.dof_damping[6:] = policy.joint_damping
+    model.dof_frictionloss[6:] = policy.joint_friction
+    return own._replace(mj_model=model)
 
 
 def run(
@@ -95,7 +136,7 @@ def run(
     in_c = jax.default_backend() == "cpu" and not engine_contract.lacks(robot, config.physics, "c")
     impl = "c" if in_c else devices.engine(config)
     check_robot(policy, robot)
-    config, robot = motors.fitted(config, robot)
+    config, robot = motors.fitted(config, driven(policy, robot))
     static, hyper = config_lib.split(config)
     length = config.run.eval_steps or config.task.episode_length
     env = env_lib.make(robot, config.task, config.physics, impl=impl)

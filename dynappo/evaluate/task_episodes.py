@@ -75,7 +75,8 @@ def run(policy: Other, config, flags, named: str, out: Path) -> None:
     of_terms = {name.removeprefix(TERM): numbers.pop(f"total_{name}") for name in terms}
     for name, text in table(numbers, of_terms, env.dt):
         print(f"{name:24s} {text}")
-    about = {"env": config.env, "policy": named, "episodes": number, "control_steps": length}
+    about = {"env": config.env, **episodes.measured(policy.params, named)}
+    about |= {"episodes": number, "control_steps": length}
     about |= {"seed": flags.seed or 0, "device": jax.devices()[0].device_kind, "impl": impl}
     files.write_json(out / "evaluation.json", about | numbers | {"reward_terms": of_terms})
     print(f"written to {out}: evaluation.json")

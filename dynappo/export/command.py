@@ -134,10 +134,19 @@ def run(flags) -> None:
     else:
         onnx_file.save(policy, robot, flags.out, flags.targets)
     print(f"dynappo exports {policy.robot}: {named}")
+    if flags.robot_xml and not same_pose(policy, robot):
+        note = f"note: the default pose of {robot.xml} is another; the policy keeps its own"
     if note:
         print(note)
     for name, text in table(policy, flags.out, order, flags.targets):
         print(f"{name:10s}  {text}")
+
+
+def same_pose(policy: Policy, robot: Robot) -> bool:
+    """Whether the robot's default pose is the policy's, whatever the order of their joints."""
+    own = dict(zip(robot.joint_names, robot.default_pose.tolist(), strict=True))
+    there = zip(policy.joint_names, policy.default_pose.tolist(), strict=True)
+    return all(abs(own[name] - angle) < 1e-6 for name, angle in there)
 
 
 def of_task(policy: Other, path: Path, named: str, flags) -> None:

@@ -33,7 +33,9 @@ TERMS = dict(
 def motors(robot: robot_lib.Robot) -> tuple[str, ...]:
     """The joints in the order of the motors: Unitree's, or that of the MJCF for other robots."""
     legs = {name.partition("_")[0] for name in robot.joint_names}
-    text = "unitree" if legs == set(joint_order.UNITREE_LEGS) else "mjcf"
+    theirs = legs == set(joint_order.UNITREE_LEGS)
+    theirs |= set(robot.joint_names) == set(joint_order.UNITREE_G1)
+    text = "unitree" if theirs else "mjcf"
     return joint_order.parse(text, robot.joint_names, robot)[0]
 
 

@@ -21,7 +21,7 @@ HOW = (
     "obs is the task's own observation `state` (or its only one), as its step returns it. action is in "
     "[-1, 1], as its step takes it: in most tasks a motor's target is default_pose + action_scale * action, "
     "in the order of joint_names, rad; in getup tasks the joint's angle takes the place of default_pose. "
-    "Observation, noise and reward are in the task's source, in mujoco_playground 0.2.0"
+    "Observation, noise and reward are in the task's source, in mujoco_playground (`playground`, its version)"
 )
 UNITS = {"default_pose": "rad", "action_scale": "rad", "control_dt": "s", "timestep": "s"}
 
@@ -52,6 +52,7 @@ def save(policy: Other, path: Path, out: Path) -> dict[str, Any]:
             sys.exit(status)  # it has said why
         facts = json.loads(file.read_text())
     facts |= {"how": HOW, "units": UNITS, "dynappo": versions.of("dynappo")}
+    facts |= {"playground": versions.of("playground")}
     facts |= {"config": policy.config.to_dict()}
     try:
         data = onnx_model(policy, facts).SerializeToString(deterministic=True)

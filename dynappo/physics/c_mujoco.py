@@ -32,7 +32,7 @@ import mujoco
 import numpy as np
 from mujoco import rollout
 
-from dynappo.description import contacts, motors
+from dynappo.description import contacts, mjcf, motors
 from dynappo.description import robot as robot_lib
 from dynappo.physics import actuators, engine_contract, xla_call
 from dynappo.physics import ground as ground_lib
@@ -144,6 +144,9 @@ def _model(robot: robot_lib.Robot, physics, ground: HeightMap | None = None) -> 
         motor.forcelimited, motor.forcerange = True, [-1, 1]  # replaced by each robot's numbers
     model = robot_lib.with_settings(spec.compile(), physics, robot.parts)
     motors.set_armature(model, np.arange(6, model.nv), robot.mj_model.dof_armature[6:])
+    # a policy may bring its own (evaluate/episodes.py)
+    model.dof_damping[6:] = robot.mj_model.dof_damping[6:]
+    model.dof_frictionloss[6:] = robot.mj_model.dof_frictionloss[6:]
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # a blow-up must be visible
     return model
 
@@ -160,7 +163,7 @@ class _World:
         self.pool = rollout.Rollout(nthread=threads if threads > 1 else 0)
 
     def step(self, args: list[np.ndarray], outs: list[np.ndarray]) -> None:
-        with _ONE_AT_A_TIME:
+        with _ONE_AT_A_TIME, mjcf.without_warnings():  # blow-ups are counted (velocity/env.py)
             robots = args[0].size // self.model.nq
             given, found = ([x.reshape(robots, -1) for x in arrays] for arrays in (args, outs))
             for first in range(0, robots, self.most):

@@ -81,6 +81,14 @@ def load(text: str, seed: int | None = None) -> tuple[Policy, Path]:
     return policy_file.load(path), path
 
 
+def named(what: str, path: Path) -> str:
+    """The policy that `what` means, found at `path`, for printing: its folder and file; a bundled one begins
+    with robots/, and a file or folder of its name that is here is told apart."""
+    bundled = what in files.bundled()
+    apart = f", not that of ./{what}" if bundled and os.path.exists(what) else ""
+    return "/".join(path.resolve().parts[-3 if bundled else -2 :]) + apart
+
+
 def other(flags: argparse.Namespace) -> tuple[policy_file.Other, Path, str] | None:
     """`(policy, path, text)` of the flags where it is one of another package's environment; else None."""
     path = locate(flags.what, flags.run_seed)
@@ -92,7 +100,7 @@ def other(flags: argparse.Namespace) -> tuple[policy_file.Other, Path, str] | No
             f"--robot-xml={flags.robot_xml}: {path} is a policy of {found.config.env}"
         )
     seed = f", seed {flags.run_seed}" if flags.run_seed is not None else ""
-    return found, path, "/".join(path.resolve().parts[-2:]) + seed
+    return found, path, named(flags.what, path) + seed
 
 
 # ---- its robot
@@ -190,16 +198,29 @@ def _of_flag(xml: str, load):
         raise ConfigError(f"--robot-xml={error}") from None
 
 
+def carried(about: dict[str, Any], name: str, folder: Path) -> Robot | None:
+    """The robot in a checkpoint's `about`; None where it holds none, as old ones."""
+    text = about.get("mjcf", "")
+    return robot_lib.load_text(text, name, folder) if isinstance(text, str) and text else None
+
+
+def of_name(name: str) -> Robot | None:
+    """The robot of a run; None in another environment, or where its file cannot be used."""
+    try:
+        return robot_lib.load(name) if name else None
+    except ConfigError:
+        return None
+
+
 def check_same_robot(workdir: Path, about: dict[str, Any], name: str) -> None:
     """ConfigError if robots/NAME is a different robot from the one that the run in `workdir`
     trains.
 
     `about` is that of its newest checkpoint. Old checkpoints that store no robot are not checked.
     """
-    text = about.get("mjcf", "")
-    if not isinstance(text, str) or not text:
+    there = carried(about, name, workdir / "checkpoints")
+    if there is None:
         return
-    there = robot_lib.load_text(text, name, workdir / "checkpoints")
     here = robot_lib.load(name)
     if not robot_lib.same(there, here):
         raise ConfigError(
@@ -242,7 +263,7 @@ def check_flags(flags: argparse.Namespace) -> None:
 def of_flags(flags: argparse.Namespace) -> tuple[Policy, Path, str]:
     """`(policy, path, text)` of the flags; `text` names the file and the seed, for printing."""
     policy, path = load(flags.what, flags.run_seed)
-    text = "/".join(path.resolve().parts[-2:])
+    text = named(flags.what, path)
     run = policy.config.get("run", {})
     seeds = run.get("num_seeds") if isinstance(run, dict) else None
     if policy.seed is not None:

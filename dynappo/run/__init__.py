@@ -8,6 +8,7 @@
 - `restore`: starts from the networks of another run
 - `finish`, `learning_curves`: what a run writes at its end: summary, policy, film, picture
 - `overflow`: an engine that had no room for all contacts
+- `blowups`: physics that an engine could not compute
 - `nonfinite`: what a run says and saves when numbers blow up
 - `show`: what `train` prints of a run
 - `stop`: ctrl-C and SIGTERM

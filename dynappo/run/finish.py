@@ -14,7 +14,7 @@ import numpy as np
 from dynappo.config import ConfigError, files, versions
 from dynappo.policy import policy_file
 from dynappo.program import distributed
-from dynappo.run import learning_curves, log
+from dynappo.run import blowups, learning_curves, log
 from dynappo.run import workdir as workdir_lib
 from dynappo.run.workdir import OpenRun
 
@@ -57,6 +57,8 @@ def finish(
         except (FloatingPointError, ConfigError) as error:  # the run itself has ended well
             problem = f"no video: {error}"
         summary["video"] = problem or str(workdir / "video.mp4")
+    if len(run.origins) > 1:  # else all of it is in the summary itself
+        summary["origins"] = list(run.origins)
     if (workdir / "restored_from").exists():
         text = (workdir / "restored_from").read_bytes().decode(errors="replace")
         summary["restored_from"] = ", ".join(text.split("\n")).strip(", ")
@@ -186,6 +188,8 @@ def summarise(config, program, metrics, evaluation: dict) -> dict[str, Any]:
         "versions": {name: versions.of(name) for name in ("dynappo", "jax", "mujoco-mjx")},
         "commit": versions.commit(),
     }
+    if share := blowups.share(metrics, config.rollout.num_envs):
+        summary["blowups"] = share  # of the rows that physics wrote
     if evaluation:
         summary["evaluation"] = {name: _numbers(v) for name, v in evaluation.items()}
     return summary

@@ -216,7 +216,11 @@ def resume_csv(
     holds something other than numbers, is replaced by these and empty cells; then the file as it was is kept
     as `metrics.csv.damaged`, and `say` reports it.
     """
-    found = _whole_rows(path)
+    found, twice = _whole_rows(path)
+    if twice:
+        say(
+            f"{path} has {twice} rows twice, as if two runs had written it; the last of each is kept"
+        )
     table, lost = [], []
     for i, iteration in enumerate(scheduled["iteration"]):
         for seed in range(seeds):
@@ -253,22 +257,25 @@ def _free(path: Path, word: str) -> Path:
     return next(p for n in numbers if not (p := path.with_suffix(f".csv.{word}{n}")).exists())
 
 
-def _whole_rows(path: Path) -> dict[tuple[int, int], dict[str, str]]:
-    """The rows of a metrics.csv by iteration and seed, as text; only those that are whole."""
+def _whole_rows(path: Path) -> tuple[dict[tuple[int, int], dict[str, str]], int]:
+    """The rows of a metrics.csv by iteration and seed, as text, only those that are whole; and how many were
+    there twice."""
     try:
         text = path.read_bytes().decode(errors="replace").replace("\0", "\ufffd")
     except FileNotFoundError:
-        return {}
+        return {}, 0
     lines = [line for line in text.splitlines(keepends=True) if line.endswith("\n")]
     header, *rows = [line.strip("\r\n").split(",") for line in lines] or [[]]
-    found = {}
+    found, twice = {}, 0
     for cells in rows:
         row = dict(zip(header, cells, strict=False))
         with contextlib.suppress(ValueError):  # a row with a cell that is no number
             numbers = [float(cell or 0) for cell in cells if len(cell) < LONGEST]
             if len(numbers) == len(header) and np.isfinite(numbers).all() and "iteration" in row:
-                found[int(row["iteration"]), int(row.get("seed", 0))] = row
-    return found
+                place = int(row["iteration"]), int(row.get("seed", 0))
+                twice += place in found
+                found[place] = row
+    return found, twice
 
 
 def read_csv(path: Path, seeds: int = 1) -> dict[str, np.ndarray]:

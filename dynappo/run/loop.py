@@ -17,7 +17,7 @@ import numpy as np
 
 from dynappo.program import distributed
 from dynappo.program.build import Program
-from dynappo.run import log, merged, overflow
+from dynappo.run import blowups, log, merged, overflow
 from dynappo.run import workdir as workdir_lib
 from dynappo.run.workdir import OpenRun
 
@@ -51,6 +51,7 @@ def loop(
     copy = jax.jit(partial(jax.tree.map, jnp.copy))  # one dispatch, not one an array
     seconds = max(seconds_so_far(one) for one in runs)
     scheduled = workdir_lib.scheduled_columns(runs[0].config, run.num_iterations)
+    told = set()  # runs whose physics blow up now and then
     later: list[Callable[[], None]] = []  # what is done while the device computes
     for first in range(start, run.num_iterations, run.log_every):
         rows, done = slice(first, first + run.log_every), first + run.log_every
@@ -74,6 +75,10 @@ def loop(
                 was = partial(part, before, i)
                 nonfinite.check(chunks[i], columns, part(networks, i), was, runs[i].workdir)
                 overflow.check(chunks[i])
+                line = blowups.check(chunks[i], runs[i].config.rollout.num_envs)
+                if line and i not in told:  # once a run
+                    told.add(i)
+                    say(line)
             except FloatingPointError as error:
                 blown_up(runs[i], done, error)
                 del chunks[i]
@@ -115,6 +120,8 @@ def seconds_so_far(run: OpenRun) -> float:
 def write_rows(chunks: list[tuple[OpenRun, dict]], say: Callable[[str], None]) -> None:
     """Hand each run's chunk to all of its logs."""
     for run, chunk in chunks:
+        if run.sinks:
+            workdir_lib.check_held(run.workdir)
         table = log.rows(chunk) if run.sinks else []
         for sink in run.sinks:
             log.attempt(sink.name, partial(sink.write, table), say)

@@ -14,9 +14,15 @@ import numpy as np
 from dynappo import config as config_lib
 from dynappo import schedule
 from dynappo.config import ConfigError, files
-from dynappo.policy import checkpoint_file, checks, policy_file
+from dynappo.policy import checkpoint_file, checks, policy_file, policy_source
 from dynappo.program import distributed
 from dynappo.run import workdir as workdir_lib
+
+# fields without which a policy's observations and actions mean something else, though their numbers fit
+MEANING = (
+    "robot env task.observation task.history task.action_scale task.kp task.kd task.actuator "
+    "task.gait_frequency physics.timestep physics.substeps ppo.critic ppo.scale_inputs"
+).split()
 
 
 def start_from(folder: Path, state: Any, workdir: Path, say: Callable[[str], None] = print) -> Any:
@@ -111,22 +117,14 @@ def check(source: Path, config) -> None:
 
     To be called before anything is compiled, written or moved; `weights` checks the arrays themselves.
     """
-    here, there = config_lib.flat(config), {}
+    here, (there, robot) = config_lib.flat(config), about(source)
     names = ["ppo.hidden", "ppo.activation"]
     if source.is_file() and config.ppo.normalize:
         raise ConfigError(
             f"--restore={source}: in a policy.npz the scaling of ppo.normalize is part of the weights; name "
             "the workdir of that run, or a checkpoint"
         )
-    if source.is_file():
-        there = config_lib.flat(policy_file.load(source).config)
-    else:
-        one = (source / checkpoint_file.STATE).is_dir()
-        folders = [source] if one else [source / "checkpoints" / str(s) for s in saved(source)]
-        for folder in folders:
-            with contextlib.suppress(checkpoint_file.Damaged, KeyError, TypeError, AttributeError):
-                there = config_lib.flat(checkpoint_file.about(folder)["config"])
-                break
+    if not source.is_file():
         names += ["run.num_seeds", "ppo.critic_hidden", "ppo.normalize"]
         if schedule.uses_model(config) and there.get("schedule.end_steps"):
             names += ["model.hidden", "model.activation", "model.falls"]
@@ -137,6 +135,45 @@ def check(source: Path, config) -> None:
                 f"--restore={source}: {name} is {one} there, {other} here; "
                 "set what that run has (its config.json says it)"
             )
+    own = policy_source.of_name(config.robot)
+    if robot and own and robot.joint_names != own.joint_names:
+        if sorted(robot.joint_names) == sorted(own.joint_names):
+            raise ConfigError(
+                f"--restore={source}: its joints are {' '.join(robot.joint_names)}, expected the order of "
+                f"{config.robot}, {' '.join(own.joint_names)}; dynappo export with --joint-order=mjcf writes "
+                "a policy.npz in this one"
+            )
+
+
+def about(source: Path) -> tuple[dict[str, Any], Any]:
+    """`(config by dotted names, robot)` of what a run starts from; of the robot, None where it is not known,
+    only `joint_names` and `default_pose` are to be read."""
+    if source.is_file():
+        policy = policy_file.load(source)
+        return config_lib.flat(policy.config), policy
+    one = (source / checkpoint_file.STATE).is_dir()
+    for folder in [source] if one else [source / "checkpoints" / str(s) for s in saved(source)]:
+        with contextlib.suppress(checkpoint_file.Damaged, KeyError, TypeError, AttributeError):
+            found = checkpoint_file.about(folder)
+            config = config_lib.flat(found["config"])
+            return config, policy_source.carried(found, config["robot"], folder)
+    return {}, None
+
+
+def apart(source: Path, config) -> str:
+    """A line on what the numbers of the networks in `source` mean there and not here; "" if nothing does."""
+    (there, robot), own = about(source), policy_source.of_name(config.robot)
+    here = config_lib.flat(config)
+    found = [
+        f"{name} is {there[name]} there, {here[name]} here"
+        for name in MEANING
+        if name in there and np.ravel(there[name]).tolist() != np.ravel(here[name]).tolist()
+    ]
+    if robot and own and robot.joint_names != own.joint_names:
+        found.append("its joints have other names")
+    elif robot and own and not np.allclose(robot.default_pose, own.default_pose, atol=1e-6):
+        found.append("its default pose is another")
+    return f"--restore={source}: {'; '.join(found)}" if found else ""
 
 
 def saved(folder: Path) -> list[int]:

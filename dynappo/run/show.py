@@ -15,11 +15,12 @@ from dynappo.config import shell
 from dynappo.policy import walks
 from dynappo.program import build, devices, memory
 from dynappo.program.build import Program
+from dynappo.run import blowups
 from dynappo.run.training import Callbacks
 
 # by engine: how long it takes, and what for (experiments/03_speed; README)
 COMPILING = {
-    "warp": "8 s if cached, else 20 to 35 s",
+    "warp": "7 to 10 s if cached, else 20 to 35 s",
     "jax": "under a minute; half of it when cached",
     "c": "15 s; 5 when cached",
 }
@@ -176,6 +177,13 @@ def summary(out, config, workdir: Path, summary: dict[str, Any]) -> None:
         "simulator steps": f"{count(summary['sim_steps'])} on {devices.ENGINES[summary['impl']]}",
         "training": f"{took}, after {summary['compile_seconds']:.0f} s of set-up",
     }
+    if config.task.terrain == "rough" and "length" in summary.get("evaluation", {}):
+        rows["evaluation: length"] = mean(summary["evaluation"]["length"], " control steps")
+        rows["evaluation: length"] += ", to the edge of its tile"
+    if len(origins := summary.get("origins", [])) > 1:
+        rows["computed by"] = ", then ".join(f"{o['engine']} on {o['device']}" for o in origins)
+    if summary.get("blowups", 0) >= blowups.SOME:
+        rows["physics blew up"] = f"in {summary['blowups']:.0%} of the rows"
     if config.run.eval_steps and config.run.eval_envs and config.robot:
         dt = config.physics.substeps * config.physics.timestep
         steps = config.task.episode_length, config.run.eval_steps

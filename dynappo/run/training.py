@@ -186,7 +186,8 @@ def resume_and_loop(
     try:
         with contextlib.ExitStack() as files:  # also where it is interrupted: a save is finished
             for i, one in enumerate(runs):
-                opened, state, start = _resumed(one, part(program.state, i), files, callbacks.say)
+                own = part(program.state, i)
+                opened, state, start = _resumed(one, program, own, files, callbacks.say)
                 open_runs.append(opened)
                 states.append(state)
                 starts.append(start)
@@ -213,7 +214,9 @@ def resume_and_loop(
     return Trained(open_runs, state, good, not stopped and set(done) == {run.num_iterations})
 
 
-def _resumed(run: Run, state, files: contextlib.ExitStack, say) -> tuple[OpenRun, Any, int]:
+def _resumed(
+    run: Run, program: Program, state, files: contextlib.ExitStack, say
+) -> tuple[OpenRun, Any, int]:
     """`(run with its files open, its state, iterations done)`."""
     config, workdir = run.config, run.workdir
     if workdir is None:
@@ -221,14 +224,17 @@ def _resumed(run: Run, state, files: contextlib.ExitStack, say) -> tuple[OpenRun
     from dynappo.run import checkpoint, restore
 
     checkpoints, sinks, writes = None, [], distributed.first()  # of several processes, only one
+    made = workdir_lib.origins(workdir, workdir_lib.made_by(program, config)) if writes else ()
     if writes:
         checkpoints = files.enter_context(checkpoint.opened(workdir, say))
     if run.source:
         state = restore.start_from(run.source, state, workdir, say)
-    start, state, history = workdir_lib.resume(config, workdir, checkpoints, state, say)
+        if writes and (text := restore.apart(run.source, config)):
+            say(text)
+    start, state, history = workdir_lib.resume(config, workdir, checkpoints, state, say, made)
     if writes:
         sinks = files.enter_context(log.opened(config, workdir, start, say))
-    return OpenRun(config, workdir, checkpoints, sinks, history), state, start
+    return OpenRun(config, workdir, checkpoints, sinks, history, made), state, start
 
 
 def _finish(trained: Trained, program: Program, callbacks: Callbacks) -> None:

@@ -8,6 +8,7 @@ import itertools
 import json
 import math
 import sys
+from collections.abc import Sequence
 from fnmatch import fnmatch
 from functools import partial
 from pathlib import Path
@@ -17,7 +18,7 @@ import numpy as np
 
 from dynappo import config as config_lib
 from dynappo import schedule
-from dynappo.config import ConfigError, files
+from dynappo.config import ConfigError, files, versions
 from dynappo.policy import checkpoint_file, policy_file, policy_source
 from dynappo.program import distributed
 from dynappo.run import log
@@ -45,6 +46,8 @@ class OpenRun(NamedTuple):
     checkpoints: Any  # `checkpoint.Checkpoints`; None where another process writes, or none does
     sinks: list[log.Sink]
     history: list[dict[str, np.ndarray]]  # a chunk each, the first of what was done before; grows
+    # what computed its iterations (`made_by`), the newest last; several where it was resumed elsewhere
+    origins: tuple[dict[str, str], ...] = ()
 
     def metrics(self) -> dict[str, np.ndarray]:
         """The metrics of all iterations that are done, as columns."""
@@ -117,12 +120,20 @@ def _compare(workdir: Path, here: str) -> None:
         return
     kept = _about_newest(workdir).get("config")
     for text in [there] * ours + [json.dumps(kept)] * (bool(kept) or not ours):
-        changed = config_lib.difference(text, here, MAY_CHANGE)
+        changed = config_lib.difference(text, here, _may_change(text))
         if changed:
             raise ConfigError(
                 f"--workdir={workdir} holds a run of another config ({changed}); "
                 "choose another folder, or --fresh to move that run aside"
             )
+
+
+def _may_change(text: str) -> Sequence[str]:
+    """`MAY_CHANGE` of a run with the config `text`; returns of longer episodes are not those that it has."""
+    with contextlib.suppress(KeyError, TypeError):
+        if json.loads(text)["run"]["eval_every"]:
+            return [name for name in MAY_CHANGE if name != "run.eval_steps"]
+    return MAY_CHANGE
 
 
 def _about_newest(workdir: Path) -> dict:
@@ -212,16 +223,49 @@ def hold(workdir: Path):
         ) from None
 
 
-def resume(config, workdir: Path, checkpoints, state, say):
+def made_by(program, config) -> dict[str, str]:
+    """What decides, beside the config, which numbers a program computes."""
+    names = ["jax", "mujoco", *filter(None, [config.env.partition(":")[0]])]
+    packages = {name: versions.of(name) for name in names}
+    commit = versions.commit() or "unknown"
+    return {"commit": commit, "engine": program.impl, "device": program.device} | packages
+
+
+def origins(workdir: Path, here: dict[str, str]) -> tuple[dict[str, str], ...]:
+    """What has computed the run in `workdir` so far, by its newest checkpoint; then `here`, which goes on."""
+    kept = [one for one in _about_newest(workdir).get("origins", []) if isinstance(one, dict)]
+    return (*kept, here) if kept[-1:] != [here] else tuple(kept)
+
+
+def _elsewhere(found: tuple[dict[str, str], ...]) -> str:
+    """Words on how the newest of `origins` differs from the one before; "" where there is none."""
+    was, now = [*found[:1], *found][-2:] if found else ({}, {})
+    apart = [f"{n} {now[n]} ({was[n]} before)" for n in now if was.get(n, now[n]) != now[n]]
+    return f", now with {', '.join(apart)}" if apart else ""
+
+
+def check_held(workdir: Path) -> None:
+    """OSError where another run has begun in `workdir`: its lock was deleted, or the disk has no locks."""
+    found = ""
+    with contextlib.suppress(OSError):
+        found = (workdir / "lock").read_text()
+    if found and found != files.holder():
+        raise OSError(
+            f"{workdir}: another run has begun in this folder ({found.strip()}); this one ends, before "
+            "rows of both are mixed"
+        )
+
+
+def resume(config, workdir: Path, checkpoints, state, say, made: tuple[dict[str, str], ...] = ()):
     """`(iterations done, state, [their metrics])` of the newest good checkpoint of `workdir`.
 
-    Of several processes the first reads it and sends state and iteration to the others. The devices may be
-    others than those it was saved from.
+    `made` are its `origins`. Of several processes the first reads it and sends state and iteration to the
+    others. The devices may be others than those it was saved from.
     """
     history = []
 
     def read(state):
-        start, state, found = _resume(config, workdir, checkpoints, state, say)
+        start, state, found = _resume(config, workdir, checkpoints, state, say, made)
         history.extend(found)
         return start, state
 
@@ -231,7 +275,7 @@ def resume(config, workdir: Path, checkpoints, state, say):
     return start, state, history
 
 
-def _resume(config, workdir: Path, checkpoints, state, say):
+def _resume(config, workdir: Path, checkpoints, state, say, made):
     from dynappo.run import checkpoint
 
     csv = workdir / "metrics.csv"
@@ -245,10 +289,7 @@ def _resume(config, workdir: Path, checkpoints, state, say):
     blank = np.full((start, seeds) if seeds > 1 else start, np.nan)
     history = dict.fromkeys(SUMMED, blank) | {"seconds": np.full(start, np.nan)} | history
     if start < config.run.num_iterations:
-        here = config.physics.impl
-        before = _about_newest(workdir).get("config", {}).get("physics", {}).get("impl", here)
-        other = f", now with physics.impl={here}, {before} before" if before != here else ""
-        say(f"goes on from iteration {start} of {workdir}{other}")
+        say(f"goes on from iteration {start} of {workdir}{_elsewhere(made)}")
     else:
         again = ["evaluated"] * bool(config.run.eval_envs)
         again += ["filmed"] * (config.run.video_seconds > 0)
@@ -320,6 +361,7 @@ def begin_save(run: OpenRun, robot, state) -> None:
         config=run.config.to_dict(),
         mjcf=robot.alone if robot else "",
         best_seed=best_seed(run.config, evaluated) or 0,
+        origins=list(run.origins),
     )
 
 

@@ -26,6 +26,17 @@ NOT_HERE = {  # what one process or one folder has once
     "run.device": "a process has one; give a command for each",
     "run.wandb": "a sweep does not log to Weights & Biases",
 }
+# of the group `task`: what leaves an evaluation's rewards, commands, episodes and ground as they are, and
+# what changes its rewards alone. Every other field of `task` and `physics` changes what is asked
+SAME_TASK = (
+    "noise. push. randomize. random_clock carry_on start_anew keep_command observation history scan "
+    "ground_in_tail actuator action_scale kp kd effort_limit saturation_effort velocity_limit"
+).split()
+REWARD = (
+    "weights. tracking_std air_time fall_reward posture_std posture_std_standing gait_foot_height "
+    "clearance_height feet_apart"
+).split()
+BY_RETURN, BY_ERRORS = "return", "falls, then tracking error"
 
 
 class Combination(NamedTuple):
@@ -128,6 +139,29 @@ def by_vmap(field: str, own_env: bool = False) -> bool:
         and not field.startswith(BUILT_IN)
         and (not own_env or field.startswith(("ppo.", "model.")))
     )
+
+
+def ranked_by(combinations: list[Combination]) -> str:
+    """By which measure the combinations of a sweep can be ranked: one that does not depend on what is swept.
+
+    `BY_RETURN`; `BY_ERRORS` where their rewards differ; "" where what is asked of them differs, or may, as in
+    an environment of one's own.
+    """
+    first = combinations[0]
+    by = BY_RETURN
+    for field in first.values:
+        group, _, name = field.partition(".")
+        if field in ("robot", "env", "run.eval_steps"):
+            return ""
+        if group not in ("task", "physics") or field in ("physics.impl", "physics.threads"):
+            continue
+        evaluated = first.env is None and first.config.run.eval_envs
+        within = name.partition(".")[0] + "." * ("." in name)
+        alike, paid = within in SAME_TASK, within in REWARD
+        if group == "physics" or not evaluated or not (alike or paid):
+            return ""
+        by = BY_ERRORS if paid else by
+    return by
 
 
 def groups(combinations: list[Combination], done: list[int]) -> list[list[Combination]]:

@@ -106,9 +106,16 @@ def _describe(out, workdir: Path, combinations: list[Combination]) -> None:
     """Print what will happen."""
     todo, count = _todo(workdir, combinations), len(combinations)
     programs = len(grid.groups(todo, [folder.iterations_saved(workdir, one) for one in todo]))
+    apart = programs > len(grid.groups(todo, [0] * len(todo)))
     has = f", {count - len(todo)} are done" if len(todo) < count else ""
     ask = f"{programs} program{'s' * (programs != 1)} to compile{has}"
     out.print(f"[bold]dynappo[/bold] sweeps {count} combinations: {ask}", soft_wrap=True)
+    if apart:
+        show.unusual(
+            out,
+            "some have come further than others of their program: each part goes on in a program of its own, "
+            "so their last digits may be others than without the stop",
+        )
     if todo:
         out.print(f"the first {show.describe(todo[0].config)}", soft_wrap=True, markup=False)
 
@@ -139,11 +146,14 @@ def _show(out, workdir: Path, combinations: list[Combination], swept: list[str])
     table.write(workdir / "sweep.csv", rows)
     problem = sweep_picture.draw(workdir, rows, swept)
     table.print_table(out, rows, swept)
+    if why := table.ranking(rows[0]["ranked_by"], swept):
+        show.unusual(out, why)
     if rows[0]["return_high"] is not None:
         out.print("±: Student's 95 % interval of the mean over seeds", soft_wrap=True)
     out.print(f"written to {workdir}: sweep.csv, a run's folder for each", soft_wrap=True)
     out.print(problem or str(workdir / "sweep.png"), soft_wrap=True, markup=False)
-    if rows[0]["note"]:
+    if rows[0]["note"] or not rows[0]["ranked_by"]:
+        (workdir / "policy.npz").unlink(missing_ok=True)  # of a sweep before values were added
         return
     best = workdir / rows[0]["folder"]
     shutil.copyfile(best / "policy.npz", workdir / "policy.npz")

@@ -28,7 +28,8 @@ def draw(workdir: Path, table: list[dict[str, Any]], swept: list[str]) -> str:
 
 
 def figure(workdir: Path, table: list[dict[str, Any]], swept: list[str]) -> Any:
-    """The rows of `table.rows` as a matplotlib Figure, the best on top and darkest.
+    """The rows of `table.rows` as a matplotlib Figure, the best on top and darkest where they can
+    be ranked.
 
     Left the return while training over simulator steps, the mean of the seeds; right the return at the end,
     each seed a dot, their mean and its 95 % interval a bar. Combinations without an end are left out.
@@ -69,7 +70,7 @@ def figure(workdir: Path, table: list[dict[str, Any]], swept: list[str]) -> Any:
     labels = [", ".join(str(one[field]) for field in swept) for one in named]
     right.set_yticks(range(len(named)), labels, fontsize=9.5, color="0.2")
     right.set_ylim(max(len(shown), 1) - 0.4, -0.6)
-    title = ", ".join(swept)
+    title = ", ".join(swept) + " (not ranked)" * (not table[0]["ranked_by"])
     page.suptitle(title, x=0.01, ha="left", fontsize=15, fontweight="bold")
     return page
 

@@ -11,19 +11,28 @@ import numpy as np
 from dynappo.config import files
 from dynappo.policy import walks
 from dynappo.run import learning_curves, show
-from dynappo.sweeps import folder
+from dynappo.sweeps import folder, grid
 from dynappo.sweeps.grid import Combination
 
 
 def rows(workdir: Path, combinations: list[Combination]) -> list[dict[str, Any]]:
-    """A row for each combination: highest return first, then those without one, with a `note` that says why.
+    """A row for each combination: the best first (`grid.ranked_by`), then those without a number, with a
+    `note` that says why; in the order of the grid where they cannot be ranked.
 
     Returns are evaluated ones, or of training (its last 10 iterations) where `run.eval_envs` is 0.
     """
-    found = [row(workdir, one) for one in combinations]
-    return sorted(
-        found, key=lambda r: -r["return_mean"] if r["return_mean"] is not None else np.inf
-    )
+    by = grid.ranked_by(combinations)
+    found = [row(workdir, one) | {"ranked_by": by} for one in combinations]
+
+    def place(one):
+        falls, error = (
+            np.inf if one[n] is None else one[n] for n in ("fall_rate", "tracking_error")
+        )
+        if by == grid.BY_ERRORS:
+            return not walks.seldom(falls), error, falls
+        return (-np.inf if one["return_mean"] is None else one["return_mean"]) * -1
+
+    return sorted(found, key=place) if by else sorted(found, key=lambda one: bool(one["note"]))
 
 
 def row(workdir: Path, one: Combination) -> dict[str, Any]:
@@ -82,26 +91,46 @@ def print_table(out, table: list[dict[str, Any]], swept: list[str]) -> None:
     page = Table(box=None, padding=(0, 2, 0, 0))
     evaluated = all(one["return_of"] == "evaluation" for one in table if not one["note"])
     names = ["seeds", "evaluated return" if evaluated else "return", "falls", "steps", "seconds"]
+    by = table[0]["ranked_by"]
+    names[3:3] = ["error"] * (by == grid.BY_ERRORS)
     for field in swept:
         page.add_column(field)
     for name in names:
         page.add_column(name, justify="right", no_wrap=True)
     page.add_column("the policy" if evaluated else "")
     for i, one in enumerate(table):
-        page.add_row(*(str(one[field]) for field in swept), *_cells(one), style="bold" * (i == 0))
+        best = i == 0 and by and not one["note"]
+        page.add_row(*(str(one[n]) for n in swept), *_cells(one), style="bold" if best else "")
     out.print(page)
 
 
+def ranking(by: str, swept: list[str]) -> str:
+    """Why the combinations of a sweep are not ranked by their return; "" where they are."""
+    if by == grid.BY_RETURN:
+        return ""
+    names = ", ".join(swept)
+    if by:
+        return f"ranked by {by}: {names} changes the reward, so the returns are not of one scale"
+    return (
+        f"not ranked: {names} may change what is measured, so neither returns nor errors are of one scale; "
+        "dynappo evaluate tells what each does, in its own task"
+    )
+
+
 def _cells(one: dict[str, Any]) -> list[str]:
-    """Seeds, return with its interval, falls, simulator steps, seconds, what the policies do."""
+    """Seeds, return with its interval, falls, perhaps the tracking error, simulator steps, seconds, what the
+    policies do."""
+    by_errors = one["ranked_by"] == grid.BY_ERRORS
     if one["note"]:
-        return [str(one["seeds"]), one["note"], "", "", "", ""]
+        return [str(one["seeds"]), one["note"], *[""] * (4 + by_errors)]
+    error = one["tracking_error"]
     mean, high, falls = one["return_mean"], one["return_high"], one["fall_rate"]
     text = "no episode ended" if mean is None else f"{mean:.2f}"
     return [
         str(one["seeds"]),
         text if high is None else f"{text} ± {high - mean:.2f}",
         "" if falls is None else f"{100 * falls:.1f} %",
+        *["" if error is None else f"{error:.2f} m/s"] * by_errors,
         show.count(int(one["sim_steps"])),
         "" if one["seconds"] is None else f"{one['seconds']:.1f}",
         one["policy"],

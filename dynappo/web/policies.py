@@ -96,7 +96,7 @@ def load(offer: Offer, name: str) -> Chosen:
     if name == NEWEST and not begun(offer):
         return standing(offer)
     found = policy_source.locate(path, seed)
-    text = "/".join(found.resolve().parts[-2:])
+    text = policy_source.named(path, found)
     if name == NEWEST:
         text += f" ({_iteration(offer)})"
     if (theirs := policy_file.load_other(found, seed)) is not None:

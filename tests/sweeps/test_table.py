@@ -16,7 +16,7 @@ def test_a_row_says_what_the_policies_do(tmp_path, monkeypatch, capsys):
     rows = []
     for evaluation in ({"evaluation": walks}, {}):
         monkeypatch.setattr(folder, "summary", lambda *_, e=evaluation: done | e)
-        rows.append(table.row(tmp_path, one))
+        rows += table.rows(tmp_path, [one])
     assert [row["return_mean"] for row in rows] == [33, 7]
     assert [row["fall_rate"] for row in rows] == [0.02, None]
     assert [row["policy"] for row in rows] == [

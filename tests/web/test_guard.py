@@ -221,7 +221,7 @@ def test_only_a_policy_of_the_list_can_be_chosen(served, stranger, tmp_path):
         stranger(update(panels.policy, str(name)))
         time.sleep(0.2)
         notes.add(live.note)
-        assert panels.policy.value == "go1" and served.page.text == "go1/policy.npz"
+        assert panels.policy.value == "go1" and served.page.text == "robots/go1/policy.npz"
     assert notes == {""}
     said = {refused(policies.load, served.page.offer, str(n)) for n in (there, tmp_path, "none")}
     assert said == {"no such policy in the list"}

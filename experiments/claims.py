@@ -1,0 +1,228 @@
+"""The numbers that more than one page states, each once: docs/numbers.csv, with hardware, date and source.
+
+    python experiments/claims.py      # writes docs/numbers.csv; a line for each page that says something else
+
+Those of runs are computed from files of results; `MEASURED` has times that somebody took by hand. A new
+measurement is a new row here, then this command, then the pages that it names. `STATED` has the words in
+which a page states a number; tests/test_claims.py holds the pages to them.
+"""
+
+import csv
+import re
+import runpy
+from pathlib import Path
+
+import numpy as np
+
+from dynappo.policy import walks
+from experiments import stats
+
+ROOT = Path(__file__).parents[1]
+NUMBERS = ROOT / "docs/numbers.csv"
+COLUMNS = "name value unit hardware date commit source".split()
+HEADLINE = "experiments/21_less/results/headline.csv.xz"
+HUMANOID = "experiments/25_humanoid/results/tuning.csv.xz"
+SECONDS = "experiments/21_less/results/seconds.csv.xz"
+ROUGH = "experiments/28_rough/results/tuning.csv.xz"
+LAPTOP = "experiments/04_laptop/results/make_train.txt"
+GO = "H200", "2026-11-26", "7b70357"
+ANYMAL = "two H100", "2026-11-25", "9d17f6c"
+CORES = "two CPU cores", "2026-11-26"
+ROBOTS = {"go1": ("g", GO), "go2": ("h", GO), "anymal_c": ("c", ANYMAL), "anymal_d": ("d", ANYMAL)}
+STARTS = "an H200 and slower hosts", "2026-11-24", "", "experiments/03_speed/kernel.md"
+
+MEASURED = [  # name, value, unit, hardware, date, commit, source
+    ("make train", "three to five", "minutes", *CORES, "5917f71", f"a clock; {LAPTOP}"),
+    ("make test", "nine", "minutes", *CORES, "b9cd2c2", "a clock"),
+    ("notebooks", "ten", "minutes", "two CPU cores", "not noted", "", "a clock"),
+    ("evaluate", "a minute or two", "", "two CPU cores", "not noted", "", "a clock"),
+    ("start, cold", "20 to 35", "s", *STARTS),
+    ("start, warm", "7 to 10", "s", *STARTS),
+]
+
+STATED = {  # name -> where, and the words
+    "make train": [
+        ("README.md", "a Go1 in {} minutes on two CPU cores"),
+        ("README.md", "make train # a Go1 learns to walk on two CPU cores: {} minutes"),
+        ("Makefile", "train a Go1 on two CPU cores, {} minutes with the set-up"),
+    ],
+    "make test": [
+        ("README.md", "make test # the tests: {} minutes on two idle cores"),
+        ("Makefile", "run the tests, {} minutes on two idle cores"),
+    ],
+    "notebooks": [("notebooks/README.md", "writes their outputs into them, in about {} minutes")],
+    "evaluate": [
+        ("docs/watch.md", "dynappo evaluate runs/go1 # {} on two cores"),
+        ("dynappo/evaluate/command.py", ", {} on two cores (--episodes=N"),
+    ],
+    "start, cold": [
+        ("README.md", "the first time after {} s, because XLA compiles"),
+        ("docs/troubleshooting.md", "The first start on a GPU takes {} s"),
+        ("dynappo/run/show.py", "if cached, else {} s"),
+    ],
+    "start, warm": [
+        ("README.md", "Training starts after {} s"),
+        ("docs/troubleshooting.md", "Later starts take {} s"),
+        ("dynappo/run/show.py", "{} s if cached"),
+    ],
+    "go1 walks": [
+        ("README.md", "with falls in at most 1 %, after {:.2f} million"),
+        ("docs/results.md", "a Go1 walks after {:.2f} M simulator steps"),
+    ],
+    "go2 walks": [("docs/results.md", "nine of ten Go2 after {:.2f} M")],
+    "anymal_c walks": [("docs/results.md", "ANYmal-C and -D after {:.2f} and")],
+    "anymal_d walks": [("docs/results.md", "and {:.2f} M. PPO alone")],
+    "go1 first at 38": [
+        ("README.md", "follows commands after {:.2f} million"),
+        ("docs/speed.md", "1024 need {:.2f} M"),
+    ],
+    "go1 falls, first at 38": [
+        ("README.md", "{:.1f} % of its episodes still have a fall"),
+        ("docs/results.md", "(24), {:.1f} and 2.2 % of the episodes of Go1 and Go2"),
+    ],
+    "go1 PPO walks": [("README.md", "and {:.1f} million to walk")],
+    "go1 PPO first at 38": [("README.md", "needs {:.1f} million to follow")],
+    "g1 walks": [
+        ("README.md", "after {:.2f} million simulator steps (ten of ten"),
+        ("docs/results.md", "`best` | {:.2f} ("),
+    ],
+    "g1 walks, last seed": [
+        ("README.md", "the last after {:.2f}"),
+        ("docs/results.md", "`best` | 0.70 ({:.2f})"),
+    ],
+    "g1 PPO walks": [
+        ("README.md", "PPO {:.1f})"),
+        ("docs/results.md", "PPO alone, 256 robots | {:.2f} ("),
+    ],
+    "go1 seconds to 38": [
+        ("README.md", "reached 38 after {:.1f} s of training"),
+        ("docs/results.md", "on an H100 is at 38 after {:.1f} s"),
+        ("docs/speed.md", "38 after 60 iterations, {:.1f} s (H100"),
+    ],
+    "go1 PPO seconds to 38": [
+        ("README.md", "PPO alone took {:.1f} s"),
+        ("docs/results.md", "PPO with 2048 robots is at 38 after {:.1f} s"),
+    ],
+    "go1 PPO steps, by best's, at equal seconds": [
+        ("README.md", "s and {:.0f} times the steps"),
+        ("docs/speed.md", "but {:.0f} times the simulator steps"),
+    ],
+    "go2 crosses": [
+        ("README.md", "crosses {:.0%} of all tiles of stairs"),
+    ],
+    "laptop return": [("README.md", "evaluation: return {:.2f}")],
+    "laptop seconds": [("README.md", "training {:.1f} s, after 12 s of set-up")],
+}
+
+
+def main():
+    rows = [*measured(), *MEASURED]
+    with NUMBERS.open("w", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerows([COLUMNS, *rows])
+    for line in wrong(read()):
+        print(line)
+
+
+def read() -> dict[str, dict[str, str]]:
+    """The rows of docs/numbers.csv by name."""
+    with NUMBERS.open(newline="") as file:
+        return {row["name"]: row for row in csv.DictReader(file)}
+
+
+def wrong(numbers: dict[str, dict[str, str]]) -> list[str]:
+    """A line for each page that does not state a number as it should."""
+    found = []
+    for name, places in STATED.items():
+        for page, words in places:
+            text = " ".join(re.sub(r"[*]", "", (ROOT / page).read_text()).split())
+            value = numbers[name]["value"]
+            said = words.format(float(value) if re.search(r"{:", words) else value)
+            if said.replace(" %", "%") not in text.replace(" %", "%"):
+                found.append(f"{page} does not say {said!r} ({name}, docs/numbers.csv)")
+    return found
+
+
+def measured():
+    """The rows that follow from results."""
+    table = runpy.run_path(str(ROOT / "experiments/21_less/table.py"))
+    jobs = table["read"](ROOT / HEADLINE)
+    for robot, (letter, where) in ROBOTS.items():
+        for run, title in (("best", ""), ("ppo-task", " PPO")):
+            job = jobs[f"{run}-{letter}"]
+            level = walks.level(table["best"](job))
+            found, rest = (
+                table["reached"](table["seeds"](job), level),
+                ("M steps", *where, HEADLINE),
+            )
+            yield f"{robot}{title} walks", million(found.walks), *rest
+            yield f"{robot}{title} first at {level:g}", million(found.level), *rest
+        runs = table["seeds"](jobs[f"best-{letter}"])
+        falls = 100 * np.mean([table["first"](run, level, "fall_rate") for run in runs])
+        yield f"{robot} falls, first at {level:g}", f"{falls:.6g}", "%", *where, HEADLINE
+    yield from humanoid()
+    yield from seconds()
+    yield from rough()
+    yield from laptop()
+
+
+def million(steps) -> str:
+    """Mean of the seeds that get there."""
+    return f"{np.nanmean(steps) / 1e6:.6g}"
+
+
+def humanoid():
+    table = runpy.run_path(str(ROOT / "experiments/25_humanoid/table.py"))
+    where = "M steps", "four H100", "2026-11-26", "62c7c90", HUMANOID
+    rows = [row for row in table["read"]("tuning.csv.xz") if row["batch"].startswith("fresh")]
+    for name, title in (("best", ""), ("ppo", " PPO")):
+        some = [
+            row
+            for row in rows
+            if row["name"].split("-")[0] == name and 940 <= int(row["seed"]) < 950
+        ]
+        found = stats.reached_by_tracking(*table["evaluations"](some)).walks
+        yield f"g1{title} walks", million(found), *where
+        yield f"g1{title} walks, last seed", f"{np.nanmax(found) / 1e6:.6g}", *where
+
+
+def seconds():
+    script = runpy.run_path(str(ROOT / "experiments/21_less/seconds.py"))
+    _, *rows = script["table"](script["read"]())
+    of = {row[1]: row for row in rows if row[0] == "H100"}
+    where = "H100", "2026-11-25", "", SECONDS
+    best, ppo = of["best"], next(row for name, row in of.items() if "2048" in name)
+    steps, times = ([float(row[i].split()[0]) for row in (best, ppo)] for i in (4, 5))
+    for title, value in zip(("", " PPO"), times, strict=True):
+        yield f"go1{title} seconds to 38", f"{value:.6g}", "s", *where
+    name = "go1 PPO steps, by best's, at equal seconds"
+    yield name, f"{steps[1] / steps[0]:.6g}", "", *where
+
+
+def rough():
+    script = runpy.run_path(str(ROOT / "experiments/28_rough/table.py"))
+    rows = [row for row in script["rows"]("") if row["name"] == "go2-best"]
+    last = {row["seed"]: float(row["crossed"]) for row in rows}
+    yield (
+        "go2 crosses",
+        f"{np.mean([*last.values()]):.6g}",
+        "",
+        "H200",
+        "2026-11-26",
+        "344f2cf",
+        ROUGH,
+    )
+
+
+def laptop():
+    text = (ROOT / LAPTOP).read_text()
+    for name, words, unit in (
+        ("return", "evaluation: return +", ""),
+        ("seconds", "training +", "s"),
+    ):
+        (value,) = re.findall(words + "([0-9.]+)", text)
+        yield f"laptop {name}", value, unit, *CORES, "5917f71", LAPTOP
+
+
+if __name__ == "__main__":
+    main()
