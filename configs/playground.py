@@ -8,8 +8,9 @@
 | `best` (default) | 1024   | 24     | 20       | three rounds of imagination; a biped's sizes (`biped.py`)  |
 | `ppo`            | 8192   | 20     | none     | Playground's own settings for brax's PPO                   |
 
-`best` is hardly tuned for these tasks: the same settings for all of them. It treats left and right alike (`ppo.symmetry`) in those that have a
-mirror image (dynappo/tasks/playground/settings.py); elsewhere that is refused, with the reason.
+`best` has the same settings for all of these tasks, hardly tuned. It treats left and right alike
+(`ppo.symmetry`) in those that have a mirror image (dynappo/tasks/playground/settings.py); elsewhere that is
+refused, with the reason.
 
 Weights, noise, commands and resets are the task's own: the group `task` has only `episode_length`, which is
 the task's. `physics.impl` is its engine: Warp on a GPU that has it, else MJX-JAX.

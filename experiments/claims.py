@@ -24,6 +24,7 @@ HEADLINE = "experiments/21_less/results/headline.csv.xz"
 HUMANOID = "experiments/25_humanoid/results/tuning.csv.xz"
 SECONDS = "experiments/21_less/results/seconds.csv.xz"
 ROUGH = "experiments/28_rough/results/tuning.csv.xz"
+FEW = "experiments/27_few/results/gpu.csv.xz"
 LAPTOP = "experiments/04_laptop/results/make_train.txt"
 GO = "H200", "2026-11-26", "7b70357"
 ANYMAL = "two H100", "2026-11-25", "9d17f6c"
@@ -82,6 +83,8 @@ STATED = {  # name -> where, and the words
     ],
     "go1 PPO walks": [("README.md", "and {:.1f} million to walk")],
     "go1 PPO first at 38": [("README.md", "needs {:.1f} million to follow")],
+    "go1 few, first at 38": [("README.md", "follows commands after {:.1f} thousand steps")],
+    "anymal_c few, first at 24": [("README.md", "an ANYmal-C after {:.1f} thousand")],
     "g1 walks": [
         ("README.md", "after {:.2f} million simulator steps (ten of ten"),
         ("docs/results.md", "`best` | {:.2f} ("),
@@ -160,6 +163,11 @@ def measured():
         runs = table["seeds"](jobs[f"best-{letter}"])
         falls = 100 * np.mean([table["first"](run, level, "fall_rate") for run in runs])
         yield f"{robot} falls, first at {level:g}", f"{falls:.6g}", "%", *where, HEADLINE
+    jobs = table["read"](ROOT / FEW)
+    for robot, job, level in (("go1", "new-g", 38), ("anymal_c", "new-c", 24)):
+        found = table["reached"](table["seeds"](jobs[job]), level).level
+        steps, where = f"{np.mean(found) / 1e3:.6g}", ("H100", "2026-11-26", "a5ca842")
+        yield f"{robot} few, first at {level}", steps, "thousand steps", *where, FEW
     yield from humanoid()
     yield from seconds()
     yield from rough()

@@ -26,6 +26,7 @@ from dynappo import algorithm, schedule
 from dynappo import config as config_lib
 from dynappo.learner import networks
 from dynappo.model import dynamics
+from dynappo.policy import policy_file
 from experiments import paper, pictures, run, stats
 
 ROOT = pathlib.Path(config_lib.__file__).parents[2]
@@ -1232,6 +1233,18 @@ def test_crossq_renormalises_batches_and_knows_the_probability_of_its_actions():
     slope = (np.tanh(raw + 1e-6) - np.tanh(raw - 1e-6)) / 2e-6
     density = np.exp(-0.5 * ((raw - mean) / std) ** 2) / (std * np.sqrt(2 * np.pi)) / slope
     np.testing.assert_allclose(log_prob, np.log(density).sum(-1), atol=0.02)
+
+
+def test_a_teacher_says_what_its_policy_does_in_the_exact_state():
+    """The bundled Go1's, against its own NumPy function; noise is not in it, nor what comes later."""
+    student, rng = script("29_student/student"), np.random.default_rng(0)
+    teacher = policy_file.load(EXPERIMENTS.parent / "robots/go1/policy.npz")
+    prop, obs = rng.normal(size=(7, 33)), rng.normal(size=(7, 240))
+    robots = types.SimpleNamespace(prop=jnp.float32(prop), obs=jnp.float32(obs))
+    said = student.labels(types.SimpleNamespace(prop_size=33), None, teacher)(robots)
+    told = policy_file.actor(teacher.params, teacher.activation)
+    wanted = told(np.concatenate([prop, obs[:, 33:48]], 1).astype(np.float32))
+    np.testing.assert_allclose(said, wanted, atol=1e-4)
 
 
 @functools.cache

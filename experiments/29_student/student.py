@@ -3,10 +3,11 @@
     python experiments/29_student/student.py student.npz [--teacher go1] [--config go1:best] [--steps 500000]
 
 The student walks in the task of `--config` with the onboard observation: what a robot measures, of the last
-five steps. In every state that it meets the teacher says what it would have done there, and the student learns to
-say the same, by least squares (DAgger, Ross et al. 2011; the student acts from the first step on). The
-teacher sees the state as it is, without noise. `student.npz` is a policy like any other: `dynappo evaluate`,
-`play` and `export` take it. One iteration is one call of a compiled program.
+five steps. In every state that it meets the teacher says what it would have done there, and the student
+learns to say the same, by least squares (DAgger, Ross et al. 2011; the student acts from the first step on).
+The teacher sees the state as it is, without noise. `student.npz` is a policy like any other: `dynappo
+evaluate`, `play` and `export` take it. One iteration is one call of a compiled program. The page:
+docs/student.md.
 """
 
 from functools import partial
