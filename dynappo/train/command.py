@@ -15,10 +15,10 @@ from typing import Any, NamedTuple
 
 from dynappo import config as config_lib
 from dynappo.config import fields, flags
+from dynappo.config.stop import Stop
 from dynappo.program import devices, distributed, environment
 from dynappo.run import show, training
 from dynappo.run import workdir as workdir_lib
-from dynappo.run.stop import Stop
 from dynappo.sweeps import folder as sweep_folder
 from dynappo.sweeps import grid
 from dynappo.sweeps import sweep as sweep_lib
