@@ -26,7 +26,8 @@ BAD_PATH = (
     *(errno.ENOENT, errno.ENOTDIR, errno.EISDIR, errno.EACCES, errno.EPERM),
     *(errno.ENAMETOOLONG, errno.ELOOP),
 )
-LONGEST = 600  # characters of a line
+LONGEST = 600  # characters of a path
+LINE = 1500  # of a line: a robot's file may break several rules
 STOPPED = (129, 130, 143)  # exit statuses of a command that was stopped by a signal
 
 
@@ -279,7 +280,7 @@ def _unnamed() -> str:
 
 def _one_line(text: str) -> str:
     """A text that may hold anything that a user typed, as one line that a terminal can show."""
-    if len(text) > LONGEST:
-        half = LONGEST // 2
+    if len(text) > LINE:
+        half = LINE // 2
         text = f"{text[:half]} ... {text[-half:]}"
     return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)

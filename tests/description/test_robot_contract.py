@@ -338,6 +338,33 @@ def test_the_message_names_the_rule_and_what_breaks_it(tmp_path, case):
     assert message(tmp_path, change).startswith(f"expected {expected}")
 
 
+SPUR = '<geom name="FL_spur" class="collision" type="box" size="0.1 0.1 0.3"/>'
+
+
+def test_all_that_is_wrong_is_said_at_once(tmp_path):
+    """With the tree: options. Where the tree is right: feet, parts, motors."""
+    change = edit(
+        (HIP, f'{HIP} type="slide"'),
+        ('gravity="0 0 -9.81"', 'gravity="0 0 9.81"'),
+        ("<flag eulerdamp", "<flag contact='disable' limit='disable' eulerdamp"),
+    )
+    assert message(tmp_path, change) == (
+        "expected hinge joints after the free one; make hinges of, or fix, all others, found FL_hip_joint "
+        "(slide); expected no flag that disables constraint, contact, limit, gravity, actuation, found "
+        "contact, limit; expected gravity that points down (option gravity), found 0 0 9.81"
+    )
+    change = chain(
+        move("FR_foot", "trunk"),
+        edit((f"{FOOT}/>", f'{FOOT}/><geom name="RL_foot2" class="foot"/>{SPUR}')),
+    )
+    assert message(tmp_path, change) == (
+        "expected the shapes of the foot RL in one body; name the others differently, found FL_calf, RL_calf"
+        "; expected one foot in a body, found more in FL_calf; expected feet in bodies that joints move, not "
+        "in the base, found FR_foot; expected no part but the feet at the floor in the home pose; name it "
+        "NAME_foot, or give a keyframe home, found FL_spur"
+    )
+
+
 @pytest.mark.parametrize("case", COMPLETED)
 def test_a_file_is_completed_and_each_change_is_told(tmp_path, case):
     change, notes, same = COMPLETED[case]
