@@ -105,9 +105,11 @@ def live(out, config) -> Iterator[Callbacks]:
             out.print(f"iteration {iteration:4d}  {line}", soft_wrap=True)
 
     def finishing():
-        bar.update(task, description="evaluating, filming")
-        if not out.is_terminal:
-            out.print("evaluates and films")
+        does = {"evaluates": config.run.eval_envs, "films": config.run.video_seconds}
+        text = " and ".join(name for name, asked in does.items() if asked)
+        bar.update(task, description=text or "writing")
+        if text and not out.is_terminal:
+            out.print(text)
 
     def finished(*_):
         bar.update(task, description="trained")

@@ -76,20 +76,35 @@ def write(path: Path, table: list[dict[str, Any]]) -> None:
 
 
 def print_table(out, table: list[dict[str, Any]], swept: list[str]) -> None:
-    """Print the rows as a table."""
+    """Print the rows as a table. On a narrow console what the policies do is a line each, below it."""
+    page = _page(table, swept, "the policy")
+    if out.measure(page, options=out.options.update(width=1000)).maximum <= out.width:
+        return out.print(page)
+    out.print(_page(table, swept, ""))
+    for one in table:
+        if one["policy"]:
+            values = ", ".join(str(one[field]) for field in swept)
+            out.print(f"{values}: {one['policy']}", markup=False, soft_wrap=True)
+
+
+def _page(table: list[dict[str, Any]], swept: list[str], words: str):
+    """The table; without a column for what the policies do where that has no name in `words`."""
     from rich.table import Table
 
-    page = Table(box=None, padding=(0, 2, 0, 0))
+    page = Table(box=None, padding=(0, 2, 0, 0), pad_edge=False)
     evaluated = all(one["return_of"] == "evaluation" for one in table if not one["note"])
-    names = ["seeds", "evaluated return" if evaluated else "return", "falls", "steps", "seconds"]
-    for field in swept:
-        page.add_column(field)
-    for name in names:
+    last = [field.rpartition(".")[2] for field in swept]
+    for field, name in zip(swept, last, strict=True):  # a long name breaks, and is not cut
+        page.add_column(name if last.count(name) == 1 else field, overflow="fold")
+    of = "evaluated return" if evaluated else "return"
+    for name in ["seeds", of, "falls", "steps", "seconds"]:
         page.add_column(name, justify="right", no_wrap=True)
-    page.add_column("the policy" if evaluated else "")
+    if words:
+        page.add_column(words if evaluated else "", overflow="fold")
     for i, one in enumerate(table):
-        page.add_row(*(str(one[field]) for field in swept), *_cells(one), style="bold" * (i == 0))
-    out.print(page)
+        cells = [*(str(one[field]) for field in swept), *_cells(one)]
+        page.add_row(*cells[: len(page.columns)], style="bold" * (i == 0))
+    return page
 
 
 def _cells(one: dict[str, Any]) -> list[str]:
