@@ -20,7 +20,7 @@ from dynappo.run.training import Callbacks
 # by engine: how long it takes, and what for (experiments/03_speed; README)
 COMPILING = {
     "warp": "8 s if cached, else 20 to 35 s",
-    "jax": "under a minute; half of it when cached",
+    "jax": "under a minute, on a CPU minutes; half of it when cached",
     "c": "15 s; 5 when cached",
 }
 PARTS = 10  # lines of a run where there is no terminal
@@ -136,10 +136,11 @@ def on_a_cpu(config) -> str:
         return ""
     if devices.local(config.run.device).platform != "cpu":
         return ""
-    none = "there is no GPU here; " if config.run.device == "auto" else ""
+    none = "there is no GPU here, so this will be slow; " if config.run.device == "auto" else ""
     laptop = shell.line("train", f"--config={config.robot}:laptop")
     return (
-        f"{none}on a CPU C MuJoCo is more than twice as fast as MJX: --config.physics.impl=c; "
+        f"{none}on a CPU MJX compiles for minutes, and C MuJoCo is more than twice as fast: "
+        "--config.physics.impl=c; "
         f"made for a CPU: {laptop}"
     )
 

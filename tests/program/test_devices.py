@@ -109,3 +109,15 @@ def test_a_process_of_our_own_keeps_its_programs_and_leaves_the_gpu_alone(tmp_pa
     monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(theirs))
     done = shell("-c", code)
     assert done.stdout == f"cpu {theirs} 0.0\nNone {ours} 0.0\n", done.stderr
+
+
+@pytest.mark.parametrize("own", [None, "0"])
+def test_the_alarms_of_a_slow_compiler_are_off_on_a_cpu(monkeypatch, own):
+    """Unless the shell says what XLA may print."""
+    monkeypatch.delenv("TF_CPP_MIN_LOG_LEVEL", raising=False)
+    if own:
+        monkeypatch.setenv("TF_CPP_MIN_LOG_LEVEL", own)
+    code = "import sys; from dynappo.program import devices; assert 'jax' not in sys.modules\n"
+    code += "devices.own_process('cpu'); import jax, os; print(os.environ['TF_CPP_MIN_LOG_LEVEL'])"
+    done = shell("-c", code)
+    assert done.stdout.strip() == (own or "3"), done.stderr
