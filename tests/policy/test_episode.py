@@ -370,7 +370,9 @@ def test_the_measures_are_those_of_a_known_episode(player):
     weight = 9.81 * mujoco.MjModel.from_xml_path(str(GO1.xml)).body_mass.sum()
     expected = 200 * 0.3 / (weight * measured["distance"])
     assert measured["cost_of_transport"] == pytest.approx(expected)
-    rows["fell"][100:] = True  # from then on nothing counts, wherever it slides and whatever it spends
+    rows["fell"][100:] = (
+        True  # from then on nothing counts, wherever it slides and whatever it spends
+    )
     rows["qpos"][100:, 0] += 99
     rows["work"][100:] = 99
     measured = episode.measures(player, rows)
