@@ -16,6 +16,15 @@ from dynappo.config import ConfigError, shell
 
 # as printed; "own" is the engine of an environment of your own
 ENGINES = {"jax": "MJX-JAX", "warp": "Warp", "c": "C MuJoCo", "own": "JAX"}
+# what a shell may set for other programs, and with which ours cannot be traced or mean something else
+USUAL = {
+    "jax_enable_x64": False,
+    "jax_debug_nans": False,
+    "jax_debug_infs": False,
+    "jax_disable_jit": False,
+    "jax_numpy_dtype_promotion": "standard",
+    "jax_numpy_rank_promotion": "allow",
+}
 
 
 def own_process(device: str = "auto") -> None:
@@ -34,6 +43,12 @@ def own_process(device: str = "auto") -> None:
     warnings.formatwarning = lambda message, *_, **__: f"dynappo: {str(message).splitlines()[0]}\n"
     if device == "cpu":
         jax.config.update("jax_platforms", "cpu")
+    other = [name for name, usual in USUAL.items() if getattr(jax.config, name) != usual]
+    for name in other:
+        jax.config.update(name, USUAL[name])
+    if other:
+        names = ", ".join(map(str.upper, other))
+        warnings.warn(f"{names} of the shell: dynappo does not compute so; off here", stacklevel=2)
     cache = Path(os.environ.get("XDG_CACHE_HOME", "~/.cache")).expanduser() / "dynappo" / "jax"
     if not os.environ.get("JAX_COMPILATION_CACHE_DIR"):
         jax.config.update("jax_compilation_cache_dir", str(cache))
