@@ -47,7 +47,7 @@ def _read(workdir: Path) -> dict[str, Any]:
         about = json.loads(path.read_bytes())
         kinds = {"sweep": dict, "config": dict, "own_env": bool, "combinations": dict}
         right = all(isinstance(about[name], kind) for name, kind in kinds.items())
-        right &= all(
+        right = right and all(
             isinstance(texts, list) and all(isinstance(text, str) for text in texts)
             for texts in about["sweep"].values()
         )
