@@ -20,6 +20,7 @@ A file may have more (equalities, tendons, springs, ...): an engine simulates it
 
 from __future__ import annotations
 
+import reprlib
 from collections.abc import Callable
 from functools import partial
 
@@ -29,6 +30,7 @@ import numpy as np
 from dynappo.description import contacts, feet
 
 AT_FLOOR = 1e-3  # m above the lowest foot
+NAME = 100  # characters of a robot's or a joint's name
 FLAGS = mujoco.mjtDisableBit
 NEEDED = {  # without these there is nothing to train
     "constraint": FLAGS.mjDSBL_CONSTRAINT,
@@ -43,7 +45,7 @@ def check(model: mujoco.MjModel) -> None:
     """A ValueError, in a line, for a compiled file that breaks rules: of each what was found, what to do."""
     rules = _check_flags, _check_gravity, check_motors, _check_state, _check_floor, _check_contype
     rules += _check_whole_feet, _check_one_foot, _check_moving_feet, _check_hold, _check_parts
-    rules += _check_touching, _check_home, _check_camera
+    rules += _check_touching, _check_home, _check_camera, _check_names
     _check_all(*(partial(rule, model) for rule in rules))
 
 
@@ -217,6 +219,17 @@ def _check_touching(model: mujoco.MjModel) -> None:
 def parts_of(model: mujoco.MjModel) -> np.ndarray:
     """The geoms [G] of a robot that must not touch the ground: all that can touch it, but the feet."""
     return np.setdiff1d(_touching(model), _shapes(model)[0])
+
+
+def is_plain(name: str) -> bool:
+    """Whether a policy's file may have this name of a robot or a joint."""
+    return 0 < len(name) <= NAME and name.isprintable()
+
+
+def _check_names(model: mujoco.MjModel) -> None:
+    odd = [name for name in names(model.njnt, model.joint)[1:] if not is_plain(name)]
+    rule = f"names of joints of at most {NAME} plain characters"
+    _expect(not odd, rule, ", ".join(map(reprlib.repr, odd[:2])))
 
 
 def _check_camera(model: mujoco.MjModel) -> None:

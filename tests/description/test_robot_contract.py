@@ -94,6 +94,14 @@ REFUSED = {
         lambda text: re.sub(r'<(joint|motor) name="\w\w_[^>]*/>', "", text),
         "hinge joints, found none",
     ),
+    "a joint's name that no policy may have": (
+        lambda text: text.replace("FL_hip_joint", "FL_" + "hip" * 40),
+        "names of joints of at most 100 plain characters, found 'FL_hiphiphip...phiphiphiphip'",
+    ),
+    "a joint's name of two lines": (
+        lambda text: text.replace("FL_hip_joint", "FL&#10;hip"),
+        r"names of joints of at most 100 plain characters, found 'FL\nhip'",
+    ),
     "a foot in another leg": (
         move("FL_foot", "FR_calf"),
         "one foot in a body, found more in FR_calf",
