@@ -4,6 +4,7 @@ Every case edits the text of a shipped file as a person would get it wrong.
 """
 
 import re
+import warnings
 
 import numpy as np
 import pytest
@@ -401,3 +402,14 @@ def test_home_need_not_be_the_first_keyframe(tmp_path):
     path.write_text(edit(("<keyframe>", '<keyframe><key name="other"/>'))(GO1))
     expected = robot.load("go1").home_qpos
     np.testing.assert_array_equal(robot.load_xml(path).home_qpos, expected)
+
+
+def test_mujocos_warnings_leave_no_file(tmp_path, monkeypatch):
+    """Of a mass that a solver cannot take: when it is read, and when `look` computes with it."""
+    monkeypatch.chdir(tmp_path)
+    path = tmp_path / "mine.xml"
+    path.write_text(edit(('mass="0.195862"', 'mass="1e300"'))(GO1))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of MuJoCo's compiler
+        robot.damping_rate(robot.load_xml(path), 0.5, 0.005)
+    assert [p.name for p in tmp_path.iterdir()] == ["mine.xml"]
