@@ -148,5 +148,6 @@ def test_a_run_that_compiles_is_stopped():
             process.send_signal(signal.SIGTERM)
             break
     code, said = ended(process)
-    anew = "there is no checkpoint yet, the same command starts anew"
-    assert (code, said) == (143, f"dynappo: stopped; {anew}\n")
+    # on a busy machine the line may be that of the thread that ends it
+    anew = "; there is no checkpoint yet, the same command starts anew"
+    assert code == 143 and said in (f"dynappo: stopped{anew}\n", "dynappo: stopped\n")
