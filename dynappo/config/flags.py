@@ -53,7 +53,7 @@ def read_known(
         hint = "; write it as --flag=VALUE" if "expected one argument" in str(error) else ""
         raise ConfigError(str(error).removeprefix("argument ") + hint) from None
     for name, value in vars(flags).items():
-        if value == []:  # what argparse makes of `--flag=--`
+        if value == [] or str(value) == "--":  # what argparse makes of `--flag=--`; Python 3.13
             raise ConfigError(f"--{name.replace('_', '-')}: expected a value, not '--'")
     return flags, rest
 
