@@ -29,7 +29,7 @@ from typing import TYPE_CHECKING
 def _in_a_line(kind, error, trace) -> None:
     """Python's own error report, but ctrl-C and a missing package are one line."""
     if issubclass(kind, KeyboardInterrupt):
-        line, status = "stopped", 130
+        line, status = "stopped", (*error.args, 130)[0]
     elif issubclass(kind, ModuleNotFoundError) and not str(error.name).startswith("dynappo"):
         line, status = f"{error.name} is not installed for {sys.executable}; {_remedy()}", 2
     else:

@@ -67,6 +67,16 @@ def pytest_collection_finish():
     gc.freeze()
 
 
+@pytest.fixture(scope="session", autouse=True)
+def patience():
+    """A test that interrupts a command in this process is not ended where the machine is busy."""
+    from answers import PATIENCE
+
+    from dynappo.config import stop
+
+    stop.PATIENCE = PATIENCE
+
+
 @pytest.fixture(scope="session")
 def settings():
     """`settings(fields, spec) -> (static, hyper)`: a valid config with `fields` set, split."""

@@ -97,7 +97,8 @@ def show(names, reports, versus) -> None:
 
     table = Table(box=None, padding=(0, 2, 0, 0))
     for title in ("", *names):
-        table.add_column(title, justify="right" if title else "left")
+        # a long name breaks, and is not cut
+        table.add_column(title, justify="right" if title else "left", overflow="fold")
     rows = {}
     for name in ("iteration", "physics", "tail", "fit", "ppo"):
         unit = "ms a row" if name in ("physics", "tail") else "ms"

@@ -12,7 +12,7 @@ The settings:
 
 What every command also needs, without JAX:
 
-- `flags`: a command's flags, and how it ends
+- `flags`: a command's flags, and how it ends; `stop`: ctrl-C and other signals
 - `files`: finds configs/ and robots/, writes small files, locks
 - `shell`: shell commands in messages, as they can be pasted on this machine
 - `versions`: which code made a result

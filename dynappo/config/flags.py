@@ -19,13 +19,16 @@ from pathlib import Path
 
 from dynappo import config as config_lib
 from dynappo.config import ConfigError, fields, files, ground_map, shell
+from dynappo.config.stop import Stop, leave
 
 # errno values caused by a bad path; others are failures of input or output
 BAD_PATH = (
     *(errno.ENOENT, errno.ENOTDIR, errno.EISDIR, errno.EACCES, errno.EPERM),
     *(errno.ENAMETOOLONG, errno.ELOOP),
 )
-LONGEST = 600  # characters of a line
+LONGEST = 600  # characters of a path
+LINE = 1500  # of a line: a robot's file may break several rules
+STOPPED = (129, 130, 143)  # exit statuses of a command that was stopped by a signal
 
 
 def parser(command: str, description: str, epilog: str) -> argparse.ArgumentParser:
@@ -50,7 +53,7 @@ def read_known(
         hint = "; write it as --flag=VALUE" if "expected one argument" in str(error) else ""
         raise ConfigError(str(error).removeprefix("argument ") + hint) from None
     for name, value in vars(flags).items():
-        if value == []:  # what argparse makes of `--flag=--`
+        if value == [] or str(value) == "--":  # what argparse makes of `--flag=--`; Python 3.13
             raise ConfigError(f"--{name.replace('_', '-')}: expected a value, not '--'")
     return flags, rest
 
@@ -172,7 +175,19 @@ def start(command: str) -> None:
     in its own process: films are made in another (policy/render.py), the viewer has its own window.
     """
     os.environ["MUJOCO_GL"] = "disable"
-    importlib.import_module(f"dynappo.{command}.command").main()
+    stop = Stop()
+    try:
+        with stop:
+            importlib.import_module(f"dynappo.{command}.command").main()
+    except SystemExit as end:
+        if end.code in STOPPED:
+            leave(end.code)
+        raise
+    except Exception:  # C++ that Python imports has made another of the KeyboardInterrupt
+        if not stop.interrupted.is_set():
+            raise
+        print("dynappo: stopped", file=sys.stderr)
+        leave(stop.status)
 
 
 def answer(action: Callable[[], None], stopped: str | Callable[[], str] = "stopped") -> None:
@@ -216,17 +231,18 @@ def answer(action: Callable[[], None], stopped: str | Callable[[], str] = "stopp
 def _interrupt_again(lost) -> None:
     """Python prints what a finalizer raises (JAX has some), and goes on; ctrl-C is raised again instead."""
     if isinstance(lost.exc_value, KeyboardInterrupt):
-        threading.Timer(0.05, _interrupt).start()
+        status = (*lost.exc_value.args, 130)[0]
+        threading.Timer(0.05, _interrupt, [signal.Signals(status - 128)]).start()
     else:
         sys.__unraisablehook__(lost)
 
 
-def _interrupt() -> None:
-    """Ctrl-C for the main thread, also where it waits in a system call; Windows has only the plainer way."""
+def _interrupt(number: signal.Signals = signal.SIGINT) -> None:
+    """Signals the main thread, also where it waits in a system call; Windows has only the plainer way."""
     if hasattr(signal, "pthread_kill"):
-        signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
+        signal.pthread_kill(threading.main_thread().ident or 0, number)
     else:
-        _thread.interrupt_main()
+        _thread.interrupt_main(number)
 
 
 def _explained(error: Exception) -> tuple[str, int]:
@@ -264,7 +280,7 @@ def _unnamed() -> str:
 
 def _one_line(text: str) -> str:
     """A text that may hold anything that a user typed, as one line that a terminal can show."""
-    if len(text) > LONGEST:
-        half = LONGEST // 2
+    if len(text) > LINE:
+        half = LINE // 2
         text = f"{text[:half]} ... {text[-half:]}"
     return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)

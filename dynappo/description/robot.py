@@ -224,7 +224,8 @@ def joint_mobility(robot: Robot) -> np.ndarray:
     """Joint accelerations by joint torques [A, A] (1/(kg m^2)), base free, in the default pose."""
     model, data = robot.mj_model, mujoco.MjData(robot.mj_model)
     data.qpos[:] = robot.home_qpos
-    mujoco.mj_forward(model, data)
     inertia = np.zeros((model.nv, model.nv))
-    mujoco.mj_fullM(model, data, inertia)
+    with mjcf.one_line(robot.xml):
+        mujoco.mj_forward(model, data)
+        mujoco.mj_fullM(model, data, inertia)
     return np.linalg.inv(inertia)[6:, 6:]

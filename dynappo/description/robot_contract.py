@@ -20,12 +20,17 @@ A file may have more (equalities, tendons, springs, ...): an engine simulates it
 
 from __future__ import annotations
 
+import reprlib
+from collections.abc import Callable
+from functools import partial
+
 import mujoco
 import numpy as np
 
 from dynappo.description import contacts, feet
 
 AT_FLOOR = 1e-3  # m above the lowest foot
+NAME = 100  # characters of a robot's or a joint's name
 FLAGS = mujoco.mjtDisableBit
 NEEDED = {  # without these there is nothing to train
     "constraint": FLAGS.mjDSBL_CONSTRAINT,
@@ -37,13 +42,23 @@ NEEDED = {  # without these there is nothing to train
 
 
 def check(model: mujoco.MjModel) -> None:
-    """A ValueError, in a line, for a compiled file that breaks a rule: what was found, what to do."""
-    _check_options(model)
-    check_motors(model)
-    _check_state(model)
-    shapes, parts = _check_geoms(model)
-    _check_home(model, shapes, parts)
-    _expect("track" in names(model.ncam, model.camera), "a camera named track")
+    """A ValueError, in a line, for a compiled file that breaks rules: of each what was found, what to do."""
+    rules = _check_flags, _check_gravity, check_motors, _check_state, _check_floor, _check_contype
+    rules += _check_whole_feet, _check_one_foot, _check_moving_feet, _check_hold, _check_parts
+    rules += _check_touching, _check_home, _check_camera, _check_names
+    _check_all(*(partial(rule, model) for rule in rules))
+
+
+def _check_all(*rules: Callable[[], None]) -> None:
+    """ValueError with all `rules` that are broken, so that a file is mended at once."""
+    broken = []
+    for rule in rules:
+        try:
+            rule()
+        except ValueError as error:
+            broken.append(str(error))
+    if broken:
+        raise ValueError("; ".join(dict.fromkeys(broken)))
 
 
 def _expect(ok, rule: str, found="") -> None:
@@ -58,7 +73,12 @@ def names(count: int, get) -> list[str]:
 
 
 def check_tree(spec: mujoco.MjSpec) -> None:
-    """A free joint, and hinges below it; before anything is compiled."""
+    """A free joint, hinges below it, and options; before anything is compiled."""
+    rules = _check_joints, _check_rigid, _check_flags, _check_gravity
+    _check_all(*(partial(rule, spec) for rule in rules))
+
+
+def _check_joints(spec: mujoco.MjSpec) -> None:
     kinds = [mujoco.mjtJoint(j.type).name.removeprefix("mjJNT_").lower() for j in spec.joints]
     found = [
         f"{j.name or j.parent.name} ({kind})" for j, kind in zip(spec.joints, kinds, strict=True)
@@ -68,17 +88,28 @@ def check_tree(spec: mujoco.MjSpec) -> None:
     odd = ", ".join(text for text in found[1:] if not text.endswith("(hinge)"))
     _expect(not odd, "hinge joints after the free one; make hinges of, or fix, all others", odd)
     _expect(len(found) > 1, "hinge joints", "none")
+
+
+def _check_rigid(spec: mujoco.MjSpec) -> None:
     _expect(not spec.flexes, "rigid bodies only", f"{len(spec.flexes)} flex")
     _expect(not spec.plugins, "no plugins", f"{len(spec.plugins)}")
 
 
-def _check_options(model: mujoco.MjModel) -> None:
+def _check_flags(of: mujoco.MjModel | mujoco.MjSpec) -> None:
     """A robot falls, stands on its feet and has joints with limits and motors."""
-    off = model.opt.disableflags
+    off = _options(of).disableflags
     odd = [word for word, flag in NEEDED.items() if off & int(flag)]
     _expect(not odd, "no flag that disables " + ", ".join(NEEDED), ", ".join(odd))
+
+
+def _check_gravity(of: mujoco.MjModel | mujoco.MjSpec) -> None:
+    gravity = _options(of).gravity
     rule = "gravity that points down (option gravity)"
-    _expect(model.opt.gravity[2] < 0, rule, " ".join(f"{x:g}" for x in model.opt.gravity))
+    _expect(gravity[2] < 0, rule, " ".join(f"{x:g}" for x in gravity))
+
+
+def _options(of: mujoco.MjModel | mujoco.MjSpec):
+    return of.opt if isinstance(of, mujoco.MjModel) else of.option
 
 
 def _check_state(model: mujoco.MjModel) -> None:
@@ -114,56 +145,100 @@ def check_motors(model: mujoco.MjModel) -> None:
     _expect(not model.opt.disableactuator, "no motor disabled", "the option actuatorgroupdisable")
 
 
-def _check_geoms(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
-    """`(feet [S], parts [G])`, geom ids: what touches the floor."""
+def _listed(model: mujoco.MjModel, ids) -> str:
     geoms = names(model.ngeom, model.geom)
+    return ", ".join(geoms[i] for i in ids)
 
-    def listed(ids):
-        return ", ".join(geoms[i] for i in ids)
 
+def _touching(model: mujoco.MjModel) -> np.ndarray:
+    """The geoms that can touch the floor."""
+    return np.flatnonzero(model.geom_conaffinity & 1)
+
+
+def _shapes(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
+    return feet.named(names(model.ngeom, model.geom))
+
+
+def _check_floor(model: mujoco.MjModel) -> None:
     floor = model.geom("floor")
     kind = mujoco.mjtGeom(floor.type[0]).name.removeprefix("mjGEOM_").lower()
     flat = kind == "plane" and not (floor.quat[1:3].any() or floor.pos[2] or floor.bodyid[0])
     found = f"type {kind}, pos {floor.pos}, quat {floor.quat}"
     _expect(flat, "the geom floor to be a plane at height 0 of the world", found)
-    touching = np.flatnonzero(model.geom_conaffinity & 1)
-    odd = [i for i in np.flatnonzero(model.geom_contype) if i != floor.id]
-    _expect(not odd, "contype 0 at every geom but the floor", listed(odd))
 
-    shapes, foot_of, titles = feet.named(geoms)
-    bodies = model.geom_bodyid[shapes]
+
+def _check_contype(model: mujoco.MjModel) -> None:
+    odd = [i for i in np.flatnonzero(model.geom_contype) if i != model.geom("floor").id]
+    _expect(not odd, "contype 0 at every geom but the floor", _listed(model, odd))
+
+
+def _check_whole_feet(model: mujoco.MjModel) -> None:
+    shapes, foot_of, titles = _shapes(model)
     for foot, name in enumerate(titles):
-        inside = {model.body(i).name for i in bodies[foot_of == foot]}
+        inside = {model.body(i).name for i in model.geom_bodyid[shapes[foot_of == foot]]}
         rule = f"the shapes of the foot {name} in one body; name the others differently"
         _expect(len(inside) == 1, rule, ", ".join(sorted(inside)))
-    rule = "one foot in a body"
-    crowded = [i for i in np.unique(bodies) if len(np.unique(foot_of[bodies == i])) > 1]
-    _expect(not crowded, rule, ", ".join(f"more in {model.body(i).name}" for i in crowded))
-    odd = listed(shapes[bodies <= model.jnt_bodyid[0]])
-    _expect(not odd, "feet in bodies that joints move, not in the base", odd)
-    over = model.geom_priority[shapes] > floor.priority
-    _expect(over.all(), "the feet of higher priority than the floor", listed(shapes[~over]))
-    _expect(np.isin(shapes, touching).all(), "feet that touch the floor (conaffinity 1)")
 
-    odd = listed(touching[~np.isin(model.geom_type[touching], list(contacts.MOST))])
+
+def _check_one_foot(model: mujoco.MjModel) -> None:
+    shapes, foot_of, _ = _shapes(model)
+    bodies = model.geom_bodyid[shapes]
+    crowded = [i for i in np.unique(bodies) if len(np.unique(foot_of[bodies == i])) > 1]
+    found = ", ".join(f"more in {model.body(i).name}" for i in crowded)
+    _expect(not crowded, "one foot in a body", found)
+
+
+def _check_moving_feet(model: mujoco.MjModel) -> None:
+    shapes = _shapes(model)[0]
+    odd = _listed(model, shapes[model.geom_bodyid[shapes] <= model.jnt_bodyid[0]])
+    _expect(not odd, "feet in bodies that joints move, not in the base", odd)
+
+
+def _check_hold(model: mujoco.MjModel) -> None:
+    """What lets feet stand."""
+    shapes = _shapes(model)[0]
+    weak = shapes[model.geom_priority[shapes] <= model.geom("floor").priority]
+    _expect(not len(weak), "the feet of higher priority than the floor", _listed(model, weak))
+    _expect(np.isin(shapes, _touching(model)).all(), "feet that touch the floor (conaffinity 1)")
+
+
+def _check_parts(model: mujoco.MjModel) -> None:
+    touching = _touching(model)
+    odd = _listed(model, touching[~np.isin(model.geom_type[touching], list(contacts.MOST))])
     _expect(not odd, f"parts of type box, sphere, capsule or cylinder, not {odd}")
-    odd = listed(touching[model.geom_bodyid[touching] == 0])
+
+
+def _check_touching(model: mujoco.MjModel) -> None:
+    touching = _touching(model)
+    odd = _listed(model, touching[model.geom_bodyid[touching] == 0])
     _expect(not odd, "what touches the floor (conaffinity) to be on the robot", odd)
-    odd = listed(touching[model.geom_condim[touching] > 3])
+    odd = _listed(model, touching[model.geom_condim[touching] > 3])
     _expect(not odd, "condim 1 or 3 where something touches the floor", odd)
-    return shapes, parts_of(model)
 
 
 def parts_of(model: mujoco.MjModel) -> np.ndarray:
     """The geoms [G] of a robot that must not touch the ground: all that can touch it, but the feet."""
-    return np.setdiff1d(
-        np.flatnonzero(model.geom_conaffinity & 1), feet.named(names(model.ngeom, model.geom))[0]
-    )
+    return np.setdiff1d(_touching(model), _shapes(model)[0])
 
 
-def _check_home(model: mujoco.MjModel, shapes: np.ndarray, parts: np.ndarray) -> None:
+def is_plain(name: str) -> bool:
+    """Whether a policy's file may have this name of a robot or a joint."""
+    return 0 < len(name) <= NAME and name.isprintable()
+
+
+def _check_names(model: mujoco.MjModel) -> None:
+    odd = [name for name in names(model.njnt, model.joint)[1:] if not is_plain(name)]
+    rule = f"names of joints of at most {NAME} plain characters"
+    _expect(not odd, rule, ", ".join(map(reprlib.repr, odd[:2])))
+
+
+def _check_camera(model: mujoco.MjModel) -> None:
+    _expect("track" in names(model.ncam, model.camera), "a camera named track")
+
+
+def _check_home(model: mujoco.MjModel) -> None:
     """The default pose: on its feet, and on nothing else."""
-    home = model.key("home").qpos
+    home, shapes, parts = model.key("home").qpos, _shapes(model)[0], parts_of(model)
     geoms = names(model.ngeom, model.geom)
     lowest = feet.lowest_points(model, home, shapes).min()
     _expect(abs(lowest) < 0.01, "the keyframe home with the lowest foot on the floor")

@@ -67,7 +67,7 @@ MAX_EPISODES = 10**6  # of which each is a robot in memory
 USAGE = """\
 NAME_OR_DIR is a workdir (while it trains: its newest checkpoint), a checkpoint folder, a policy.npz,
 or the name of a robot with a bundled policy
-  python -m dynappo.evaluate runs/quick
+  python -m dynappo.evaluate runs/laptop
   python -m dynappo.evaluate go1 --fast
   python -m dynappo.evaluate go1_deploy --stress
   python -m dynappo.evaluate runs/rough --crossing
@@ -108,7 +108,7 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
     flags = flags_lib.read(parser, argv)
     if not flags.what:
         raise ConfigError(
-            "nothing to evaluate; name a workdir, as in: python -m dynappo.evaluate runs/quick"
+            "nothing to evaluate; name a workdir, as in: python -m dynappo.evaluate runs/laptop"
         )
     policy_source.check_flags(flags)
     for name, *bounds in (("episodes", 1, MAX_EPISODES), ("seed", 0)):

@@ -56,7 +56,7 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
     if not flags.what:
         raise ConfigError(
             "nothing to export; name a workdir, as in: "
-            "python -m dynappo.export runs/quick --out=policy.onnx"
+            "python -m dynappo.export runs/laptop --out=policy.onnx"
         )
     if flags.out is None:
         raise ConfigError("--out is missing; try --out=policy.onnx")

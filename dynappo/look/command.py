@@ -131,12 +131,13 @@ def _of_limit(robot: robot_lib.Robot, config, share: np.ndarray) -> str:
 
 
 def joints(robot: robot_lib.Robot, config, stood: dict) -> list[str]:
-    """A line for each kind of joint: how many, default pose, range, and shares of the motor's limit."""
+    """A line for each kind of joint: how many, default pose, range, the motor's limit (N m), and shares
+    of it that standing and exploring take."""
     names, count = robot.joint_names, len(robot.joint_names)
     asked = facts.explores(robot, config)
     fields = config.task.kp, config.task.kd, facts.limit(config.task)
     numbers = [np.broadcast_to(field, count) for field in fields]
-    head = "default (rad)", "range (rad)", "kp", "kd", "limit (N m)", "standing", "exploring"
+    head = "default (rad)", "range (rad)", "kp", "kd", "limit", "stand", "explore"
     rows: list[tuple[str, ...]] = [("joints", "", *head)]
     for kind, some in kinds.kinds(names).items():
         limited = [robot.mj_model.joint(names[i]).range for i in some if _limited(robot, names[i])]

@@ -28,7 +28,7 @@ FILES = {".mp4": "a film", ".gif": "a film", ".png": "its last moment", ".html":
 USAGE = f"""\
 NAME_OR_DIR is a workdir (while it trains: its newest checkpoint), a checkpoint folder, a policy.npz,
 or the name of a robot with a bundled policy
-  python -m dynappo.play runs/quick --out=walk.html
+  python -m dynappo.play runs/laptop --out=walk.html
   python -m dynappo.play go1 --command=0.8,0,0.3 --seconds=6 --out=turn.mp4
   python -m dynappo.play go2 --ground=pit_stairs:0.3 --command=0.8,0,0 --out=stairs.html
   python -m dynappo.play go1 --command=drill.csv --robot-xml=other/scene.xml --out=drill.gif
@@ -91,7 +91,7 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
         flags.what, flags.serve = flags.serve, ""  # --serve NAME
     if not flags.what:
         raise ConfigError(
-            "nothing to play; name a workdir, as in: python -m dynappo.play runs/quick"
+            "nothing to play; name a workdir, as in: python -m dynappo.play runs/laptop"
         )
     if flags.keep_joints and flags.robot_xml is None:
         raise ConfigError("--keep-joints needs --robot-xml=FILE")

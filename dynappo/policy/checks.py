@@ -10,7 +10,9 @@ from typing import Any
 
 import numpy as np
 
-NAME = 100  # characters of a robot's or a joint's name
+from dynappo.description.robot_contract import NAME, is_plain
+from dynappo.tasks.velocity import observe
+
 # field -> (low, high, unit)
 RANGES = {
     "action_scale": (1e-6, 100, "rad"),
@@ -48,7 +50,7 @@ def check(fields: dict[str, Any]) -> None:
     """ValueError if a field of a `Policy`, except `params`, has a wrong type or is out of range."""
     joints = _list(fields["joint_names"])
     for name in (fields["robot"], *joints):
-        plain = isinstance(name, str) and 0 < len(name) <= NAME and name.isprintable()
+        plain = isinstance(name, str) and is_plain(name)
         _expect(plain, f"a name is {reprlib.repr(name)}, expected at most {NAME} plain characters")
     robot = fields["robot"]
     _expect(not set(robot) & set("/\\") and robot != "..", f"robot is {robot!r}, expected a name")
@@ -111,6 +113,12 @@ def _check_config(fields: dict[str, Any]) -> None:
     task = config.get("task", {})
     if "joint_friction" in task:  # `joint_friction` of `about` is the MJCF's
         _expect_same("dry_friction", fields["dry_friction"], task["joint_friction"], "config.task")
+    if "observation" in task:
+        seen = task["observation"]
+        known = isinstance(seen, str) and seen in observe.NAMES
+        joints, clock = len(fields["joint_names"]), fields["gait_frequency"] is not None
+        named = observe.name(seen, joints, clock) if known else seen
+        _expect_same("observation", fields["observation"], named, "config.task")
     noise = config.get("task", {}).get("noise", {})
     named = f"config.task.noise is {reprlib.repr(noise)}"
     _expect(isinstance(noise, dict), f"{named}, expected a group")

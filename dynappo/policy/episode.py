@@ -434,18 +434,19 @@ def play(player: Player, act: Callable, command: Callable, seconds: float) -> di
 def measures(player: Player, episode: dict[str, np.ndarray]) -> dict[str, float | None]:
     """Measures of an episode; None if one cannot be computed.
 
-    `seconds`; `distance` (m), along points 0.5 s apart; `tracking_error` (m/s) and `yaw_error`
-    (rad/s), root mean squares after the first second and before a fall; `fall`, the time (s) of a
-    fall; `cost_of_transport`, work / (weight x distance).
+    `seconds`, that it was played; `fall`, the time (s) of a fall. What the robot does after a fall counts
+    nowhere: `distance` (m), along points 0.5 s apart; `cost_of_transport`, work / (weight x distance);
+    `tracking_error` (m/s) and `yaw_error` (rad/s), root mean squares after the first second.
     """
     dt, count = float(episode["dt"]), len(episode["qpos"])
     q = player.root[0]
-    every = max(1, round(STRIDE / dt))
-    points = episode["qpos"][[*range(0, count - 1, every), count - 1], q : q + 2]
-    distance = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
     fallen = np.flatnonzero(episode["fell"])
-    stood = slice(round(SETTLE / dt), fallen[0] if len(fallen) else count)
-    error = (episode["velocity"] - episode["command"])[stood]
+    last = int(fallen[0]) if len(fallen) else count
+    every = max(1, round(STRIDE / dt))
+    stood = sorted({*range(0, last, every), max(last - 1, 0)})
+    points = episode["qpos"][stood, q : q + 2]
+    distance = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
+    error = (episode["velocity"] - episode["command"])[round(SETTLE / dt) : last]
     weight = player.model.body_subtreemass[player.base_body] * np.linalg.norm(
         player.model.opt.gravity
     )
@@ -459,7 +460,7 @@ def measures(player: Player, episode: dict[str, np.ndarray]) -> dict[str, float 
         "tracking_error": root_mean_square([0, 1]),
         "yaw_error": root_mean_square([2]),
         "fall": float((fallen[0] + 1) * dt) if len(fallen) else None,
-        "cost_of_transport": float(episode["work"].sum() / (weight * distance))
+        "cost_of_transport": float(episode["work"][:last].sum() / (weight * distance))
         if distance > 0.5
         else None,
     }

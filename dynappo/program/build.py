@@ -109,6 +109,16 @@ def _uncollected():
             gc.enable()
 
 
+@contextlib.contextmanager
+def _compilers():
+    """Threads that compile; an interruption does not wait for them."""
+    pool = concurrent.futures.ThreadPoolExecutor(2)
+    try:
+        yield pool
+    finally:
+        pool.shutdown(wait=False, cancel_futures=True)
+
+
 @_uncollected()
 def program(
     config,
@@ -159,7 +169,7 @@ def program(
 
     # Python traces one after the other, what compiles longest first; XLA compiles beside it
     repeated, once = _xla_options()
-    with seeds.partitioner(mesh), concurrent.futures.ThreadPoolExecutor(2) as pool:
+    with seeds.partitioner(mesh), _compilers() as pool:
         if robot is None:  # the first state of an environment of your own may be wrong
             starting = pool.submit(init.lower(hyper, key).compile, once)
             env_contract.check_start(starting.result()(hyper, key).env_state)

@@ -16,11 +16,24 @@ from dynappo.config import ConfigError, shell
 
 # as printed; "own" is the engine of an environment of your own
 ENGINES = {"jax": "MJX-JAX", "warp": "Warp", "c": "C MuJoCo", "own": "JAX"}
+# what a shell may set for other programs, and with which ours cannot be traced or mean something else
+USUAL = {
+    "jax_enable_x64": False,
+    "jax_debug_nans": False,
+    "jax_debug_infs": False,
+    "jax_disable_jit": False,
+    "jax_numpy_dtype_promotion": "standard",
+    "jax_numpy_rank_promotion": "allow",
+}
 
 
 def own_process(device: str = "auto") -> None:
     """Set up JAX for a command: "cpu" touches no GPU, and compiled programs are cached on disk
     unless the user has set a cache. Warnings of libraries become one line."""
+    if device == "cpu" or not importlib.util.find_spec("jax_plugins"):
+        # XLA prints red alarms where it compiles for two minutes, as MJX on a CPU. No setting is for them
+        # alone; where a GPU may be, such lines are about the GPU too, and stay
+        os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
     try:
         import jax
     except ValueError as error:  # a variable JAX_... that is not a number or not a bool
@@ -30,6 +43,12 @@ def own_process(device: str = "auto") -> None:
     warnings.formatwarning = lambda message, *_, **__: f"dynappo: {str(message).splitlines()[0]}\n"
     if device == "cpu":
         jax.config.update("jax_platforms", "cpu")
+    other = [name for name, usual in USUAL.items() if getattr(jax.config, name) != usual]
+    for name in other:
+        jax.config.update(name, USUAL[name])
+    if other:
+        names = ", ".join(map(str.upper, other))
+        warnings.warn(f"{names} of the shell: dynappo does not compute so; off here", stacklevel=2)
     cache = Path(os.environ.get("XDG_CACHE_HOME", "~/.cache")).expanduser() / "dynappo" / "jax"
     if not os.environ.get("JAX_COMPILATION_CACHE_DIR"):
         jax.config.update("jax_compilation_cache_dir", str(cache))

@@ -11,7 +11,6 @@
 - `blowups`: physics that an engine could not compute
 - `nonfinite`: what a run says and saves when numbers blow up
 - `show`: what `train` prints of a run
-- `stop`: ctrl-C and SIGTERM
 
 `sweeps` and the command `train` import it; no other command does. It imports `program`, `policy`, `config`,
 `schedule` and `seeds`. A checkpoint holds a `types.TrainState`, and what `workdir.save` puts beside it.

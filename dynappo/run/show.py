@@ -21,7 +21,7 @@ from dynappo.run.training import Callbacks
 # by engine: how long it takes, and what for (experiments/03_speed; README)
 COMPILING = {
     "warp": "7 to 10 s if cached, else 20 to 35 s",
-    "jax": "under a minute; half of it when cached",
+    "jax": "under a minute, on a CPU minutes; half of it when cached",
     "c": "15 s; 5 when cached",
 }
 PARTS = 10  # lines of a run where there is no terminal
@@ -106,9 +106,11 @@ def live(out, config) -> Iterator[Callbacks]:
             out.print(f"iteration {iteration:4d}  {line}", soft_wrap=True)
 
     def finishing():
-        bar.update(task, description="evaluating, filming")
-        if not out.is_terminal:
-            out.print("evaluates and films")
+        does = {"evaluates": config.run.eval_envs, "films": config.run.video_seconds}
+        text = " and ".join(name for name, asked in does.items() if asked)
+        bar.update(task, description=text or "writing")
+        if text and not out.is_terminal:
+            out.print(text)
 
     def finished(*_):
         bar.update(task, description="trained")
@@ -135,10 +137,11 @@ def on_a_cpu(config) -> str:
         return ""
     if devices.local(config.run.device).platform != "cpu":
         return ""
-    none = "there is no GPU here; " if config.run.device == "auto" else ""
+    none = "there is no GPU here, so this will be slow; " if config.run.device == "auto" else ""
     laptop = shell.line("train", f"--config={config.robot}:laptop")
     return (
-        f"{none}on a CPU C MuJoCo is more than twice as fast as MJX: --config.physics.impl=c; "
+        f"{none}on a CPU MJX compiles for minutes, and C MuJoCo is more than twice as fast: "
+        "--config.physics.impl=c; "
         f"made for a CPU: {laptop}"
     )
 

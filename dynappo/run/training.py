@@ -21,12 +21,12 @@ import numpy as np
 
 from dynappo import config as config_lib
 from dynappo.config import ConfigError
+from dynappo.config.stop import Stop
 from dynappo.program import build, distributed, environment
 from dynappo.program.build import Program
 from dynappo.run import finish, log, merged
 from dynappo.run import loop as loop_lib
 from dynappo.run import workdir as workdir_lib
-from dynappo.run.stop import Stop
 from dynappo.run.workdir import OpenRun
 
 

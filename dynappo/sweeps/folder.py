@@ -45,9 +45,15 @@ def _read(workdir: Path) -> dict[str, Any]:
     path = workdir / ABOUT
     try:
         about = json.loads(path.read_bytes())
-        if {"sweep", "config", "own_env", "restore", "combinations"} <= about.keys():
+        kinds = {"sweep": dict, "config": dict, "own_env": bool, "combinations": dict}
+        right = all(isinstance(about[name], kind) for name, kind in kinds.items())
+        right = right and all(
+            isinstance(texts, list) and all(isinstance(text, str) for text in texts)
+            for texts in about["sweep"].values()
+        )
+        if right and isinstance(about["restore"], str | None):
             return about
-    except (ValueError, AttributeError, RecursionError):
+    except (ValueError, TypeError, KeyError, RecursionError):
         pass
     raise ConfigError(f"{path}: it is not the JSON of a sweep; choose another --workdir")
 
@@ -157,7 +163,12 @@ def iterations_saved(workdir: Path, one: Combination) -> int:
 def blown_up(workdir: Path, one: Combination) -> str:
     """What was not finite in a combination that blew up; "" in any other."""
     path = workdir / one.name / BLOWN_UP
-    return json.loads(path.read_bytes())["problem"] if path.is_file() else ""
+    if not path.is_file():
+        return ""
+    try:
+        return str(json.loads(path.read_bytes())["problem"])
+    except (ValueError, TypeError, KeyError):  # damaged since
+        return f"{path} cannot be read"
 
 
 def summary(workdir: Path, one: Combination) -> dict[str, Any]:

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from dynappo.config import ConfigError, files, shell
+from dynappo.config.stop import Stop
 from dynappo.program import build, distributed, environment
 from dynappo.run import merged, show, training
-from dynappo.run.stop import Stop
 from dynappo.sweeps import folder, grid, sweep_picture, table
 from dynappo.sweeps.grid import Combination
 

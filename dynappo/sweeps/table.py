@@ -85,23 +85,38 @@ def write(path: Path, table: list[dict[str, Any]]) -> None:
 
 
 def print_table(out, table: list[dict[str, Any]], swept: list[str]) -> None:
-    """Print the rows as a table."""
+    """Print the rows as a table. On a narrow console what the policies do is a line each, below it."""
+    page = _page(table, swept, "the policy")
+    if out.measure(page, options=out.options.update(width=1000)).maximum <= out.width:
+        return out.print(page)
+    out.print(_page(table, swept, ""))
+    for one in table:
+        if one["policy"]:
+            values = ", ".join(str(one[field]) for field in swept)
+            out.print(f"{values}: {one['policy']}", markup=False, soft_wrap=True)
+
+
+def _page(table: list[dict[str, Any]], swept: list[str], words: str):
+    """The table; without a column for what the policies do where that has no name in `words`."""
     from rich.table import Table
 
-    page = Table(box=None, padding=(0, 2, 0, 0))
+    page = Table(box=None, padding=(0, 2, 0, 0), pad_edge=False)
     evaluated = all(one["return_of"] == "evaluation" for one in table if not one["note"])
+    last = [field.rpartition(".")[2] for field in swept]
+    for field, name in zip(swept, last, strict=True):  # a long name breaks, and is not cut
+        page.add_column(name if last.count(name) == 1 else field, overflow="fold")
     names = ["seeds", "evaluated return" if evaluated else "return", "falls", "steps", "seconds"]
     by = table[0]["ranked_by"]
     names[3:3] = ["error"] * (by == grid.BY_ERRORS)
-    for field in swept:
-        page.add_column(field)
     for name in names:
         page.add_column(name, justify="right", no_wrap=True)
-    page.add_column("the policy" if evaluated else "")
+    if words:
+        page.add_column(words if evaluated else "", overflow="fold")
     for i, one in enumerate(table):
         best = i == 0 and by and not one["note"]
-        page.add_row(*(str(one[n]) for n in swept), *_cells(one), style="bold" if best else "")
-    out.print(page)
+        cells = [*(str(one[field]) for field in swept), *_cells(one)]
+        page.add_row(*cells[: len(page.columns)], style="bold" if best else "")
+    return page
 
 
 def ranking(by: str, swept: list[str]) -> str:

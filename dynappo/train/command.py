@@ -15,10 +15,10 @@ from typing import Any, NamedTuple
 
 from dynappo import config as config_lib
 from dynappo.config import fields, flags
+from dynappo.config.stop import Stop
 from dynappo.program import devices, distributed, environment
 from dynappo.run import show, training
 from dynappo.run import workdir as workdir_lib
-from dynappo.run.stop import Stop
 from dynappo.sweeps import folder as sweep_folder
 from dynappo.sweeps import grid
 from dynappo.sweeps import sweep as sweep_lib
@@ -32,7 +32,7 @@ examples
   python -m dynappo.train --config=go1:laptop --workdir=runs/try
   python -m dynappo.train --workdir=runs/try
   python -m dynappo.train --config=playground:Go1JoystickFlatTerrain:ppo
-variants follow the name: go1:quick, :ppo16, :dyna4, ... (none: best)
+variants follow the name: go1:laptop, :ppo16, :dyna4, ... (none: best)
 set any field of the config (configs/default.py lists them), as in
   --config.run.num_iterations=200 --config.ppo.learning_rate=3e-4
 the same command again resumes the run in its workdir, and so does --workdir=DIR alone

@@ -101,7 +101,7 @@ def add(
         up = gui.add_checkbox("stand up after a fall", True)
         up.on_update(lambda _: live_lib.wish(live, _set, "stands_up", up.value))
     gui.add_markdown(HELP)
-    _gamepad(server)
+    _additions(server)
     key(
         server,
         "F",
@@ -112,9 +112,9 @@ def add(
     return Panels(status, steering, sliders, tour, pause, policy, checks, *plots)
 
 
-def _gamepad(server: viser.ViserServer) -> None:
-    """Have a gamepad press keys. A script in a page's HTML runs only as what a picture does on an error."""
-    code = (Path(__file__).parent / "gamepad.js").read_text(encoding="utf-8")
+def _additions(server: viser.ViserServer) -> None:
+    """What viser's page lacks. A script in a page's HTML runs only as what a picture does on an error."""
+    code = (Path(__file__).parent / "additions.js").read_text(encoding="utf-8")
     server.gui.add_html(f'<img src="data:," hidden onerror="{html.escape(code)}">')
 
 

@@ -90,3 +90,15 @@ def test_it_prints_a_column_a_config_and_writes_the_same_numbers(tmp_path, monke
     found = written["configs"][vs]
     assert found["ms"] == ms and found["control_steps_per_second"] == 102_400
     assert asked[0] == "auto" and [config.robot for config in asked[1:]] == ["go1", "go2"] * 2
+
+
+def test_eighty_columns_hold_two_long_names(monkeypatch, capsys):
+    """They break; nothing is cut."""
+    monkeypatch.setenv("COLUMNS", "80")
+    names = [f"configs/a_robot_of_a_long_name_{i}.py:dyna4_noschedule" for i in (1, 2)]
+    rates = dict(control_steps_per_second=102_400, physics_steps_per_second=409_600)
+    report = dict(device="cpu", impl="c", ms={"iteration": 50.0}, iterations_per_second=20.0)
+    report |= rates | dict(peak_bytes=2**30, setup_seconds=6.0)
+    bench_command.show(names, [report, report], None)
+    lines = capsys.readouterr().out.splitlines()
+    assert max(map(len, lines)) <= 80 and not any("…" in line for line in lines)

@@ -4,6 +4,7 @@ Every case edits the text of a shipped file as a person would get it wrong.
 """
 
 import re
+import warnings
 
 import numpy as np
 import pytest
@@ -93,6 +94,14 @@ REFUSED = {
     "no joints": (
         lambda text: re.sub(r'<(joint|motor) name="\w\w_[^>]*/>', "", text),
         "hinge joints, found none",
+    ),
+    "a joint's name that no policy may have": (
+        lambda text: text.replace("FL_hip_joint", "FL_" + "hip" * 40),
+        "names of joints of at most 100 plain characters, found 'FL_hiphiphip...phiphiphiphip'",
+    ),
+    "a joint's name of two lines": (
+        lambda text: text.replace("FL_hip_joint", "FL&#10;hip"),
+        r"names of joints of at most 100 plain characters, found 'FL\nhip'",
     ),
     "a foot in another leg": (
         move("FL_foot", "FR_calf"),
@@ -338,6 +347,33 @@ def test_the_message_names_the_rule_and_what_breaks_it(tmp_path, case):
     assert message(tmp_path, change).startswith(f"expected {expected}")
 
 
+SPUR = '<geom name="FL_spur" class="collision" type="box" size="0.1 0.1 0.3"/>'
+
+
+def test_all_that_is_wrong_is_said_at_once(tmp_path):
+    """With the tree: options. Where the tree is right: feet, parts, motors."""
+    change = edit(
+        (HIP, f'{HIP} type="slide"'),
+        ('gravity="0 0 -9.81"', 'gravity="0 0 9.81"'),
+        ("<flag eulerdamp", "<flag contact='disable' limit='disable' eulerdamp"),
+    )
+    assert message(tmp_path, change) == (
+        "expected hinge joints after the free one; make hinges of, or fix, all others, found FL_hip_joint "
+        "(slide); expected no flag that disables constraint, contact, limit, gravity, actuation, found "
+        "contact, limit; expected gravity that points down (option gravity), found 0 0 9.81"
+    )
+    change = chain(
+        move("FR_foot", "trunk"),
+        edit((f"{FOOT}/>", f'{FOOT}/><geom name="RL_foot2" class="foot"/>{SPUR}')),
+    )
+    assert message(tmp_path, change) == (
+        "expected the shapes of the foot RL in one body; name the others differently, found FL_calf, RL_calf"
+        "; expected one foot in a body, found more in FL_calf; expected feet in bodies that joints move, not "
+        "in the base, found FR_foot; expected no part but the feet at the floor in the home pose; name it "
+        "NAME_foot, or give a keyframe home, found FL_spur"
+    )
+
+
 @pytest.mark.parametrize("case", COMPLETED)
 def test_a_file_is_completed_and_each_change_is_told(tmp_path, case):
     change, notes, same = COMPLETED[case]
@@ -366,3 +402,14 @@ def test_home_need_not_be_the_first_keyframe(tmp_path):
     path.write_text(edit(("<keyframe>", '<keyframe><key name="other"/>'))(GO1))
     expected = robot.load("go1").home_qpos
     np.testing.assert_array_equal(robot.load_xml(path).home_qpos, expected)
+
+
+def test_mujocos_warnings_leave_no_file(tmp_path, monkeypatch):
+    """Of a mass that a solver cannot take: when it is read, and when `look` computes with it."""
+    monkeypatch.chdir(tmp_path)
+    path = tmp_path / "mine.xml"
+    path.write_text(edit(('mass="0.195862"', 'mass="1e300"'))(GO1))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of MuJoCo's compiler
+        robot.damping_rate(robot.load_xml(path), 0.5, 0.005)
+    assert [p.name for p in tmp_path.iterdir()] == ["mine.xml"]

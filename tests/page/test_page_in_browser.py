@@ -132,3 +132,14 @@ def test_nothing_was_wrong_in_the_console_and_nothing_was_fetched(tab):
     """The last test of each window."""
     assert not tab.errors
     assert tab.value("performance.getEntriesByType('resource').length") == 0
+
+
+def test_no_card_covers_another(tab):
+    """Also on a phone, where facts and buttons have no room side by side."""
+    boxes = tab.value(
+        "['facts', 'tools', 'bar'].map(id => document.getElementById(id).getBoundingClientRect())"
+        ".map(b => [b.left, b.top, b.right, b.bottom])"
+    )
+    for i, (left, top, right, bottom) in enumerate(boxes):
+        for x, y, far, low in boxes[i + 1 :]:
+            assert far <= left or right <= x or low <= top or bottom <= y, boxes

@@ -370,10 +370,20 @@ def test_the_measures_are_those_of_a_known_episode(player):
     weight = 9.81 * mujoco.MjModel.from_xml_path(str(GO1.xml)).body_mass.sum()
     expected = 200 * 0.3 / (weight * measured["distance"])
     assert measured["cost_of_transport"] == pytest.approx(expected)
-    rows["fell"][100:] = True  # from then on nothing counts
+    rows["fell"][100:] = (
+        True  # from then on nothing counts, wherever it slides and whatever it spends
+    )
+    rows["qpos"][100:, 0] += 99
+    rows["work"][100:] = 99
     measured = episode.measures(player, rows)
     assert measured["fall"] == pytest.approx(2.02)
     assert measured["tracking_error"] == pytest.approx(0.1)
+    assert measured["distance"] == pytest.approx(0.5 * 1.98, abs=0.01)
+    expected = 100 * 0.3 / (weight * measured["distance"])
+    assert measured["cost_of_transport"] == pytest.approx(expected)
+    rows["fell"][:] = True
+    measured = episode.measures(player, rows)
+    assert (measured["distance"], measured["cost_of_transport"]) == (0.0, None)
 
 
 @pytest.mark.parametrize("seconds", [12.0, 0.2])

@@ -102,6 +102,14 @@ DAMAGE = {  # what is done to the arrays or to `about`, what the line must say
     "params": (lambda _, about: about.update(params={}), "`about` is damaged"),
     "another format": (lambda _, about: about.update(format=6), "format 6, this dynappo reads 5"),
     "another observation": (lambda _, about: about.update(observation="scan-187"), "'scan-187'"),
+    "another observation in its config": (
+        lambda _, about: about["config"]["task"].update(observation="onboard"),
+        "observation is 'velocity-48', but 'onboard-45' in config.task",
+    ),
+    "no observation in its config": (
+        lambda _, about: about["config"]["task"].update(observation=["full"]),
+        "observation is 'velocity-48', but ['full'] in config.task",
+    ),
     "another activation": (lambda _, about: about.update(activation="mish"), "'mish'"),
     "an activation that is a list": (lambda _, about: about.update(activation=["elu"]), "['elu']"),
     "a joint too few": (lambda _, about: about["joint_names"].pop(), "joints"),

@@ -1,6 +1,7 @@
 """Which devices and which engine: what a config asks for and this machine has not is one line."""
 
 import importlib.util
+import json
 import re
 import threading
 from types import SimpleNamespace
@@ -109,3 +110,29 @@ def test_a_process_of_our_own_keeps_its_programs_and_leaves_the_gpu_alone(tmp_pa
     monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(theirs))
     done = shell("-c", code)
     assert done.stdout == f"cpu {theirs} 0.0\nNone {ours} 0.0\n", done.stderr
+
+
+@pytest.mark.parametrize("own", [None, "0"])
+def test_the_alarms_of_a_slow_compiler_are_off_on_a_cpu(monkeypatch, own):
+    """Unless the shell says what XLA may print."""
+    monkeypatch.delenv("TF_CPP_MIN_LOG_LEVEL", raising=False)
+    if own:
+        monkeypatch.setenv("TF_CPP_MIN_LOG_LEVEL", own)
+    code = "import sys; from dynappo.program import devices; assert 'jax' not in sys.modules\n"
+    code += "devices.own_process('cpu'); import jax, os; print(os.environ['TF_CPP_MIN_LOG_LEVEL'])"
+    done = shell("-c", code)
+    assert done.stdout.strip() == (own or "3"), done.stderr
+
+
+def test_what_a_shell_sets_for_other_programs_is_off_and_told(monkeypatch):
+    """A robot's program cannot be traced with any of these."""
+    other = {name: "1" for name in devices.USUAL if isinstance(devices.USUAL[name], bool)}
+    other |= {"jax_numpy_dtype_promotion": "strict", "jax_numpy_rank_promotion": "raise"}
+    assert other.keys() == devices.USUAL.keys()
+    for name, value in other.items():
+        monkeypatch.setenv(name.upper(), value)
+    code = "from dynappo.program import devices; devices.own_process('cpu'); import jax, json\n"
+    code += "print(json.dumps({name: getattr(jax.config, name) for name in devices.USUAL}))"
+    done = shell("-c", code)
+    assert json.loads(done.stdout) == devices.USUAL
+    assert done.stderr.startswith("dynappo: JAX_ENABLE_X64, ") and done.stderr.count("\n") == 1

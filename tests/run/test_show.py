@@ -90,13 +90,33 @@ def test_a_training_is_followed_from_compiling_to_filming(terminal, every):
         assert shown.count(line) == 10 and f"iteration  100  {line}\nevaluates and films\n" in shown
 
 
+@pytest.mark.parametrize(
+    ("fields", "said"),
+    [
+        ({}, "evaluates and films\n"),
+        ({"video_seconds": 0.0}, "evaluates\n"),
+        ({"eval_envs": 0}, "films\n"),
+        ({"eval_envs": 0, "video_seconds": 0.0}, ""),
+    ],
+)
+def test_nothing_is_announced_that_is_not_done(fields, said):
+    text = io.StringIO()
+    with show.live(Console(file=text), config("configs/go1.py:dyna4", **fields)) as callbacks:
+        callbacks.finishing()
+    assert text.getvalue() == said
+
+
 def test_without_a_gpu_it_is_said_before_anything_is_compiled():
     """And what is made for a CPU; nothing of it where C MuJoCo steps the robots."""
     laptop = f"made for a CPU: {shell_lib.line('train', '--config=go1:laptop')}"
     text = io.StringIO()
     for spec, fields, said in (
-        ("best", {}, f"there is no GPU here; on a CPU C MuJoCo is more than .*; {laptop}"),
-        ("best", {"device": "cpu"}, f"on a CPU C MuJoCo is more than twice .*; {laptop}"),
+        (
+            "best",
+            {},
+            f"there is no GPU here, so this will be slow; on a CPU MJX compiles for minutes.*; {laptop}",
+        ),
+        ("best", {"device": "cpu"}, f"on a CPU MJX compiles .*; {laptop}"),
         ("laptop", {}, ""),
     ):
         out = Console(file=text, width=200)

@@ -12,6 +12,7 @@ from answers import refused, status
 from ml_collections import config_dict
 from rich.console import Console
 
+from dynappo import config as config_lib
 from dynappo.policy import checkpoint_file, policy_source
 from dynappo.program import build, devices
 from dynappo.run import learning_curves, training
@@ -325,6 +326,28 @@ def test_runs_and_sweeps_are_not_mixed_in_a_folder(whole, tmp_path, stop):
     (workdir / "sweep.json").write_text("[]")
     assert "it is not the JSON of a sweep" in refused(sweep, workdir, stop)
     assert "it is not the JSON" in refused(train_command.parse, [f"--workdir={workdir}"])
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"sweep": ["ppo.epochs"]},
+        {"sweep": {"ppo.epochs": 3}},
+        {"sweep": {"ppo.epochs": [3]}},
+        {"config": "go1"},
+        {"own_env": None},
+        {"restore": 3},
+        {"combinations": []},
+    ],
+)
+def test_a_sweep_json_of_other_types_is_one_line(tmp_path, wrong):
+    about = {"sweep": {"ppo.epochs": ["3"]}, "own_env": False, "restore": None, "combinations": {}}
+    about |= {"config": config_lib.load("go1").to_dict()}
+    (tmp_path / "sweep.json").write_text(json.dumps(about))
+    assert train_command.parse([f"--workdir={tmp_path}"]).sweep
+    (tmp_path / "sweep.json").write_text(json.dumps(about | wrong))
+    line = refused(train_command.parse, [f"--workdir={tmp_path}"])
+    assert "sweep.json: it is not the JSON of a sweep" in line
 
 
 def test_a_wrong_combination_is_one_line_and_nothing_is_written(tmp_path, capsys, monkeypatch):

@@ -24,7 +24,6 @@ from dynappo.policy import policy_file, policy_source
 from dynappo.program import build, devices, memory
 from dynappo.run import finish as finish_lib
 from dynappo.run import loop as loop_lib
-from dynappo.run.stop import Stop
 from dynappo.train import command as train_command
 
 GO1 = "--config=configs/go1.py:dyna4"
@@ -200,21 +199,6 @@ def test_a_run_has_a_folder_of_its_own(argv, folder):
 # ---- what stops it
 
 
-def test_the_first_signal_asks_the_second_interrupts():
-    """Ctrl-C or SIGTERM while the loop runs; before it, at once. Then handlers are as they were."""
-    before = signal.getsignal(signal.SIGTERM)
-    with Stop() as _, pytest.raises(KeyboardInterrupt):
-        signal.raise_signal(signal.SIGTERM)
-    stop = Stop()
-    with stop:
-        stop.patient = True
-        signal.raise_signal(signal.SIGTERM)
-        assert stop.status == 143
-        with pytest.raises(KeyboardInterrupt):
-            signal.raise_signal(signal.SIGINT)
-    assert stop.status == 130 and signal.getsignal(signal.SIGTERM) is before
-
-
 @pytest.mark.parametrize(
     ("flags", "saved", "expected"),
     [
@@ -338,7 +322,8 @@ def test_a_run_can_be_killed_at_any_moment(tmp_path):
         return int(lines[-1].split(",")[0]) if len(lines) > 1 else 0
 
     workdir, never, reached = tmp_path / "run", tmp_path / "never", 0
-    for kind, code in ((signal.SIGKILL, -9), (signal.SIGINT, 130), (signal.SIGTERM, 143)):
+    asked = [(number, 128 + number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)]
+    for kind, code in ((signal.SIGKILL, -9), *asked):
         run = start(workdir)
         while last(workdir) < reached + 20:
             assert run.poll() is None, run.communicate()

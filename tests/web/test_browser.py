@@ -219,6 +219,20 @@ def test_another_policy_is_another_robot(served, tab):
     assert page.panels.sliders[0].max == pytest.approx(page.live.player.policy.command_x[1])
 
 
+NO_NOTE = "!document.querySelector('.mantine-Notification-root')"
+ABOVE = """(() => {
+  const panel = document.querySelector('.mantine-Paper-root[style*="position: fixed"]');
+  const [a, b] = [panel, document.querySelector('canvas')].map(e => e.getBoundingClientRect());
+  return a.left === 0 && a.width === innerWidth && a.height <= innerHeight / 2
+    && Math.abs(b.bottom - a.top) < 1 && b.top === 0 && b.width === innerWidth;
+})()"""
+
+
+def test_notes_go_away(tab):
+    """viser's, that there is no graphics card."""
+    tab.until(NO_NOTE)
+
+
 @pytest.mark.slow
 def test_a_narrow_screen_and_a_second_viewer(served, tab, tmp_path):
     """Both see the same robot; the one who goes leaves the other, and the robot, as they are."""
@@ -226,7 +240,9 @@ def test_a_narrow_screen_and_a_second_viewer(served, tab, tmp_path):
     with browser.chromium(tmp_path / "profile", browser.NARROW) as open_, tab.at_rest():
         other = shown(open_(served.url))
         assert len(served.page.server.get_clients()) == count + 1
-        until(lambda: dark(other.pixels(tmp_path / "narrow.png")[150:310], 200) > 0.02)
+        until(lambda: dark(other.pixels(tmp_path / "narrow.png")[80:310], 200) > 0.02)
+        other.until(ABOVE, "the robot above, the panel below")
+        other.until(NO_NOTE, "notes go away")
         other.key("i", "KeyI", 73)
         until(lambda: served.page.live.command[0] > 0)
         assert not other.errors

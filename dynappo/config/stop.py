@@ -1,0 +1,105 @@
+"""How a command is asked to stop: by ctrl-C, by SIGTERM, or because its terminal is closed (SIGHUP)."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import socket
+import stat
+import sys
+import threading
+import time
+
+AGAIN = 1.0  # s after which a signal is a second one: what hands a signal on may send the first one twice
+PATIENCE = 1.5  # s in which an interrupted command must end, or hear that it is interrupted
+
+
+class Stop:
+    """Catches these signals while it is entered. Never entered, it asks for nothing.
+
+    A signal interrupts. While the loop of a run trains, it is `patient` instead: the first signal asks the
+    loop to save and stop, and a second one interrupts. `status` is the exit status that it means.
+
+    Python calls a handler only between two of its own instructions, not while XLA compiles or computes in
+    the main thread; and a library may catch the KeyboardInterrupt. So a thread ends the process if it is
+    there `PATIENCE` after an interruption. That is no worse than kill -9: what is saved stays whole.
+    """
+
+    def __init__(self):
+        self.status, self.patient = 0, False
+        self.first: float | None = None  # when the first signal came
+        self.interrupted, self.over = threading.Event(), threading.Event()
+
+    def __enter__(self):
+        self.over.clear()
+        self.old = {s: signal.signal(s, self._handle) for s in _signals()}
+        # Python writes the signal's number there at once, wherever the main thread is
+        theirs, self.ours = socket.socketpair()
+        self.ours.setblocking(False)
+        self.woken = signal.set_wakeup_fd(self.ours.fileno(), warn_on_full_buffer=False)
+        threading.Thread(target=self._watch, args=(theirs,), daemon=True).start()
+        return self
+
+    def __exit__(self, *_):
+        self.over.set()
+        signal.set_wakeup_fd(self.woken)
+        self.ours.close()  # which ends the thread
+        for number, handler in self.old.items():
+            signal.signal(number, handler)
+
+    def _interrupts(self) -> bool:
+        """Whether a signal that comes now interrupts; the first one is noted."""
+        now = time.monotonic()
+        self.first = self.first or now
+        return not self.patient or now - self.first > AGAIN
+
+    def _handle(self, number, _):
+        self.status = 128 + number
+        if number == getattr(signal, "SIGHUP", None):
+            _print_nowhere()
+        if self._interrupts():
+            self.interrupted.set()
+            raise KeyboardInterrupt(self.status)
+
+    def _watch(self, signals: socket.socket) -> None:
+        with signals:
+            while numbers := signals.recv(100):
+                # a patient one is given the time to finish what it saves
+                done = self.interrupted if self.patient else self.over
+                if self._interrupts() and not done.wait(PATIENCE) and not self.over.is_set():
+                    _end(128 + numbers[-1])
+
+
+def leave(status: int) -> None:
+    """End the process at once: no thread that still compiles is waited for, as Python would do."""
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(OSError, AttributeError, ValueError):
+            stream.flush()
+    os._exit(status)
+
+
+def _signals() -> list[signal.Signals]:
+    """Those that this system has; not a SIGHUP that `nohup` has made harmless."""
+    found = [signal.SIGINT, signal.SIGTERM]
+    hangup: signal.Signals | None = getattr(signal, "SIGHUP", None)
+    if hangup and signal.getsignal(hangup) is not signal.SIG_IGN:
+        found.append(hangup)
+    return found
+
+
+def _print_nowhere() -> None:
+    """What is printed from now on is lost, instead of an error: the terminal is gone."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    for number in (1, 2):
+        if stat.S_ISCHR(os.fstat(number).st_mode):  # a terminal that is gone is none for isatty
+            os.dup2(nowhere, number)
+
+
+def _end(status: int) -> None:
+    """`leave` with a line, from another thread than the main one, which may hold the locks of the streams."""
+    with contextlib.suppress(OSError):
+        if os.isatty(1):
+            os.write(1, b"\x1b[?25h\n")  # the cursor, which a progress bar hides
+        os.write(2, b"dynappo: stopped\n")
+    os._exit(status)

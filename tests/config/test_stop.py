@@ -1,0 +1,153 @@
+"""Ctrl-C, SIGTERM and SIGHUP: what a process that hears them does, and one whose main thread is deaf."""
+
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+from answers import PATIENCE, ROOT, shell
+
+from dynappo.config import stop as stop_lib
+from dynappo.config.stop import Stop
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such signals")
+# as XLA's compiler, it is in C for an hour, without the lock of Python
+DEAF = "hashlib.pbkdf2_hmac('sha256', b'', b'', 2**31 - 1)"
+
+
+def started(code):
+    """A process that runs `code`, once it has said that it begins."""
+    code = "import hashlib, time\nfrom dynappo.config.stop import Stop\n" + code
+    pipe = subprocess.PIPE
+    command = [sys.executable, "-c", code]
+    process = subprocess.Popen(command, cwd=ROOT, stdout=pipe, stderr=pipe, text=True)
+    assert process.stdout.readline() == "begins\n", process.communicate()
+    return process
+
+
+def ended(process):
+    """`(exit status, what it said on stderr)`."""
+    try:
+        _, said = process.communicate(timeout=PATIENCE)
+    finally:
+        process.kill()
+    return process.returncode, said
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_main_thread_that_does_not_hear_it_is_ended(number):
+    process = started(  # the signal may come just before it is deaf
+        "with Stop():\n  while True:\n    try: print('begins', flush=True); " + DEAF + "\n"
+        "    except KeyboardInterrupt: pass"
+    )
+    process.send_signal(number)
+    assert ended(process) == (128 + number, "dynappo: stopped\n")
+
+
+def test_what_catches_the_interruption_is_ended():
+    """As trimesh does where it imports."""
+    process = started(
+        "with Stop():\n  try: print('begins', flush=True); time.sleep(999)\n"
+        "  except BaseException: pass\n  time.sleep(999)"
+    )
+    process.send_signal(signal.SIGINT)
+    assert ended(process) == (130, "dynappo: stopped\n")
+
+
+def test_where_a_run_trains_the_second_signal_ends_it():
+    """The first asked it to save when it is back in Python."""
+    process = started(
+        f"with Stop() as stop: stop.patient = True; print('begins', flush=True); {DEAF}"
+    )
+    end = time.monotonic() + PATIENCE
+    while process.poll() is None and time.monotonic() < end:
+        process.send_signal(signal.SIGTERM)
+        time.sleep(0.3)
+    assert ended(process) == (143, "dynappo: stopped\n")
+
+
+def test_before_a_run_trains_a_signal_interrupts():
+    """Then the handlers are as they were."""
+    before = signal.getsignal(signal.SIGTERM)
+    with Stop() as stop, pytest.raises(KeyboardInterrupt):
+        signal.raise_signal(signal.SIGTERM)
+    assert stop.status == 143 and signal.getsignal(signal.SIGTERM) is before
+
+
+def test_a_signal_that_is_sent_twice_asks_once(monkeypatch):
+    """As by a shell and by what runs in it; only one that comes later is a second one."""
+    with Stop() as stop:
+        stop.patient = True
+        monkeypatch.setattr(stop_lib, "AGAIN", float("inf"))
+        signal.raise_signal(signal.SIGINT)
+        signal.raise_signal(signal.SIGINT)
+        assert stop.status == 130
+        monkeypatch.setattr(stop_lib, "AGAIN", -1.0)
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGTERM)
+    assert stop.status == 143
+
+
+def test_what_nohup_started_outlives_the_terminal():
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with Stop() as stop:
+            signal.raise_signal(signal.SIGHUP)
+        assert stop.status == 0 and signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
+def test_one_inside_another_gives_its_handlers_and_its_watch_back():
+    def heard():
+        return [signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)]
+
+    before = heard()
+    with Stop() as outer:
+        between, fd = heard(), outer.ours.fileno()
+        with Stop():
+            assert heard() != between
+        assert heard() == between
+        assert signal.set_wakeup_fd(fd) == fd
+    assert heard() == before
+
+
+def test_an_import_that_is_interrupted_in_c_is_no_bug():
+    """pybind11 makes an ImportError of the KeyboardInterrupt."""
+    done = shell(
+        "-c",
+        "import signal\nfrom dynappo.config import flags\n"
+        "def imported(name):\n  try: signal.raise_signal(signal.SIGTERM)\n"
+        "  except KeyboardInterrupt as stop: raise ImportError('initialization failed') from stop\n"
+        "flags.importlib.import_module = imported\nflags.start('play')",
+    )
+    assert (done.returncode, done.stderr) == (143, "dynappo: stopped\n")
+
+
+def test_a_run_that_compiles_is_stopped():
+    """Its threads would compile for an hour, and Python would wait for them."""
+    code = (
+        "import hashlib, sys; sys.path.insert(0, 'tests')\n"
+        "import toy_env, toy_train, jax\nfrom dynappo.config import flags\n"
+        "from dynappo.tasks.velocity import env\n"
+        "env.make = lambda *_, **__: toy_env.make()\n"
+        "def compile(*_): print('begins', flush=True); " + DEAF + "\n"
+        "jax.stages.Lowered.compile = compile\n"
+        "sys.argv[1:] = [*toy_train.ARGUMENTS, '--workdir=/nowhere/run']\n"
+        "from dynappo.run import workdir\n"
+        "import contextlib; workdir.open_workdir = lambda *_: contextlib.nullcontext()\n"
+        "flags.start('train')"
+    )
+    pipe = subprocess.PIPE
+    process = subprocess.Popen(
+        [sys.executable, "-c", code], cwd=ROOT, stdout=pipe, stderr=pipe, text=True
+    )
+    for line in process.stdout:
+        if line == "begins\n":
+            process.send_signal(signal.SIGTERM)
+            break
+    code, said = ended(process)
+    # on a busy machine the line may be that of the thread that ends it
+    anew = "; there is no checkpoint yet, the same command starts anew"
+    assert code == 143 and said in (f"dynappo: stopped{anew}\n", "dynappo: stopped\n")
