@@ -7,6 +7,7 @@ The settings:
 - `per_joint`: turns patterns of joint names into one number for each joint
 - `validation`: which settings can run together
 - `ground_map`: what follows from a file of the ground
+- `terms`: terms of one's own for the velocity task, in a file of one's own
 - `splitting`: `static` and `hyper`, the two halves that the program takes; `halves`: their types
 
 What every command also needs, without JAX:

@@ -65,6 +65,13 @@ def validate(
     _check_pairs(config, flat(config))
     _check_hardware(config)
     check_tiles(config.task.tiles)
+    text = "a file that has been read: --config.task.terms=FILE, or terms.use(config, terms.read(FILE))"
+    expect(
+        bool(config.task.terms) == bool(config.task.terms_hash),
+        "task.terms",
+        config.task.terms,
+        text,
+    )
     for name, none in (("scan", "none"), ("ground_in_tail", "known")):
         value, text = config.task[name], f"{none} where task.terrain is flat"
         expect(config.task.terrain == "rough" or value == none, f"task.{name}", value, text)

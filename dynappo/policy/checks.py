@@ -111,6 +111,11 @@ def _check_config(fields: dict[str, Any]) -> None:
     task = config.get("task", {})
     if "joint_friction" in task:  # `joint_friction` of `about` is the MJCF's
         _expect_same("dry_friction", fields["dry_friction"], task["joint_friction"], "config.task")
+    for name in ("terms", "terms_hash", "terms_about"):
+        text = task.get(name, "")
+        _expect(
+            isinstance(text, str), f"config.task.{name} is {reprlib.repr(text)}, expected a text"
+        )
     noise = config.get("task", {}).get("noise", {})
     named = f"config.task.noise is {reprlib.repr(noise)}"
     _expect(isinstance(noise, dict), f"{named}, expected a group")

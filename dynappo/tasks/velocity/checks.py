@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dynappo.description import robot as robot_lib
-from dynappo.tasks.velocity import gait, partners, reward_sum
+from dynappo.tasks.velocity import gait, own, partners, reward_sum
 
 
 def check(config, robot: robot_lib.Robot) -> None:
@@ -12,6 +12,7 @@ def check(config, robot: robot_lib.Robot) -> None:
     task = config.task
     robot_lib.check_base_mass(robot, task.randomize.base_mass)
     gait.check(task.gait_frequency, robot.name, len(robot.foot_names))
+    own.check(task, config.ppo.symmetry)
     reward_sum.terms_of(task)
     if config.ppo.symmetry:
         partners.check_motors(task, robot)
