@@ -78,6 +78,8 @@ def validate(
     own = config.task.tiles.map
     text = "'' where task.terrain is flat; rough ground: --config=ROBOT:rough"
     expect(config.task.terrain == "rough" or not own, "task.tiles.map", own, text)
+    text = "'' where no robot of dynappo's is trained: terms are of its velocity task"
+    expect(bool(config.robot) or not config.task.terms, "task.terms", config.task.terms, text)
     if schedule.uses_model(config):
         _check_model(config)
     expect(not (config.env and config.robot), "env", config.env, "'' where a robot is named")

@@ -15,7 +15,7 @@ for it. The code works with NumPy and jax.numpy.
 from __future__ import annotations
 
 import difflib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,6 +24,11 @@ from dynappo.config import ConfigError, terms
 from dynappo.config.terms import Term, Terms
 from dynappo.tasks.velocity import observe, reward_sum, rewards
 
+# what terms may ask for, beside quantities and numbers: by size
+SCALARS = "timestep height episode_steps episode_return fell timed_out".split()
+OF_JOINTS = "action torque joint_velocity_before older_action over_limit".split()
+OF_FEET = "contact touchdown last_air_time swing_height foot_side foot_height".split()
+BOOLS = "contact touchdown fell timed_out".split()
 RANGES = "command_x", "command_y", "command_yaw"
 
 
@@ -86,7 +91,7 @@ def check(task, symmetry: bool = False) -> Terms:
     `symmetry`, for an observation without a mirror image."""
     found = terms.of(task)
     for term in found.every():
-        _check_name(term.name, f"the term {term.name} of {term.file}")
+        _check_name(task, term.name, f"the term {term.name} of {term.file}")
         for wrong in sorted(set(terms.parameters(term.function)) - _names(task, found, term)):
             near = difflib.get_close_matches(wrong, _names(task, found, term), 1)
             raise ConfigError(
@@ -99,8 +104,9 @@ def check(task, symmetry: bool = False) -> Terms:
                 f"the observation {term.name} of {term.file} has no signs, expected those of its mirror "
                 "image where ppo.symmetry is True: signs=(1, ...), -1 where left and right flip it"
             )
+    of_terms = {term.name for term in found.every()} - {*found.curricula}
     for name in task.own:
-        _check_name(name, f"the number {name} of {found.path}")
+        _check_name(task, name, f"the number {name} of {found.path}", of_terms)
     declared = {name for term in found.every() for name in term.numbers} | {*found.curricula}
     noisy = {name for name, term in found.observations.items() if term.how.noise is not None}
     _check_declared("own", set(task.own), declared, "no term has that number")
@@ -117,11 +123,12 @@ def _kind(term: Term) -> str:
     return f"{'an' if name[0] == 'o' else 'a'} {name}"
 
 
-def _check_name(name: str, what: str) -> None:
+def _check_name(task, name: str, what: str, others: Iterable[str] = ()) -> None:
     used = {*observe.QUANTITIES, *rewards.Feet._fields, *rewards.Measured._fields, *Placed._fields}
-    used |= {*Ended._fields, *reward_sum.in_rewards(), "action", "draw", "dt"}
-    if name in used:
-        raise ConfigError(f"{what} has a name that dynappo uses itself; expected another name")
+    used |= {*Ended._fields, *reward_sum.in_rewards(), *task, "action", "draw", "dt"}
+    if name in used or name in others:
+        by = "a term has" if name in others else "dynappo uses"
+        raise ConfigError(f"{what} has a name that {by} already; expected another one")
 
 
 def _check_declared(group: str, names: set[str], declared: set[str], text: str) -> None:
@@ -176,6 +183,32 @@ def _value(term: Term, facts: Mapping[str, Any], shape: tuple[int, ...]) -> Any:
             f"the term {term.name} of {term.file} has the shape {np.shape(value)}, expected {expected}"
         )
     return value
+
+
+def tried(own: Own, facts: Mapping[str, Any], obs, draw) -> None:
+    """Call every term, with an observation `obs` that has a gait clock; ConfigError as of `_value`."""
+    seen = observe.split(obs, own.joints, True, own.seen)
+    facts = {**facts, **scalars(own, seen), "dt": own.dt}
+    predicted(own, facts)
+    before = {each.name: seen[each.name] for each in own.seen if each.known}
+    following(own, before, facts)
+    levels(own, before, facts)
+    for timeout in (False, True):
+        ends(own, facts, timeout)
+    reward_sum.values({n: terms.guarded(t) for n, t in own.terms.rewards.items()}, facts)
+    if (sample := sampler(own, facts, before)) is not None:
+        sample[1](draw)
+
+
+def check_finite(own: Own, obs) -> None:
+    """ConfigError if a quantity of one's own in the first observations [..., O] is not finite."""
+    for each in own.seen:
+        where = observe.slices(own.joints, own=own.seen)[each.name]
+        if not np.isfinite(np.asarray(obs[..., where])).all():
+            raise ConfigError(
+                f"the term {each.name} of {own.terms.path} is not finite where an episode begins, expected "
+                "finite numbers"
+            )
 
 
 def predicted(own: Own, facts: Mapping[str, Any]) -> dict[str, Any]:

@@ -48,7 +48,7 @@ def terms_of(task) -> Terms:
         close = difflib.get_close_matches(name, terms, 1)
         raise ConfigError(
             f"task.weights.{name} has no term; expected a function {name} in "
-            f"{task.terms or FILE}{f'; did you mean {close[0]}?' if close else ''}"
+            f"{task.terms or FILE}{f', which has {close[0]}' if close else ''}"
         )
     for name in (n for n in terms if n not in weights and n not in REPLACEMENTS):
         raise ConfigError(
