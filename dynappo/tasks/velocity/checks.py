@@ -14,14 +14,14 @@ def check(config, robot: robot_lib.Robot) -> None:
     robot_lib.check_base_mass(robot, task.randomize.base_mass)
     gait.check(task.gait_frequency, robot.name, len(robot.foot_names))
     own.check(task, config.ppo.symmetry)
-    reward_sum.terms_of(task)
+    used = reward_sum.terms_of(task)
     if config.ppo.symmetry:
         partners.check_motors(task, robot)
     if task.terms:
-        _try_terms(config, robot)
+        _try_terms(config, robot, used)
 
 
-def _try_terms(config, robot: robot_lib.Robot) -> None:
+def _try_terms(config, robot: robot_lib.Robot, used: reward_sum.Terms) -> None:
     """ConfigError for a term of one's own that JAX cannot trace, or that has another shape than it should."""
     import jax
     import jax.numpy as jnp
@@ -43,6 +43,6 @@ def _try_terms(config, robot: robot_lib.Robot) -> None:
 
     def each(hyper, facts):
         facts |= own.numbers(hyper._replace(task=engine.per_joint_arrays(hyper)))
-        own.tried(made, facts, facts.pop("obs"), facts.pop("draw"))
+        own.tried(made, used, facts, facts.pop("obs"), facts.pop("draw"))
 
     jax.eval_shape(each, split(config)[1], facts)

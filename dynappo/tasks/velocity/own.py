@@ -185,8 +185,9 @@ def _value(term: Term, facts: Mapping[str, Any], shape: tuple[int, ...]) -> Any:
     return value
 
 
-def tried(own: Own, facts: Mapping[str, Any], obs, draw) -> None:
-    """Call every term, with an observation `obs` that has a gait clock; ConfigError as of `_value`."""
+def tried(own: Own, used: reward_sum.Terms, facts: Mapping[str, Any], obs, draw) -> None:
+    """Call every term, of rewards those that are `used`, with an observation `obs` that has a gait clock;
+    ConfigError as of `_value`."""
     seen = observe.split(obs, own.joints, True, own.seen)
     facts = {**facts, **scalars(own, seen), "dt": own.dt}
     predicted(own, facts)
@@ -195,7 +196,7 @@ def tried(own: Own, facts: Mapping[str, Any], obs, draw) -> None:
     levels(own, before, facts)
     for timeout in (False, True):
         ends(own, facts, timeout)
-    reward_sum.values({n: terms.guarded(t) for n, t in own.terms.rewards.items()}, facts)
+    reward_sum.values({n: used[n] for n in own.terms.rewards if n in used}, facts)
     if (sample := sampler(own, facts, before)) is not None:
         sample[1](draw)
 
