@@ -396,39 +396,35 @@ def flag(config) -> list[str]:
 # ---- their functions
 
 
-def parameters(function: Callable[..., Any]) -> list[str]:
+@functools.cache
+def parameters(function: Callable[..., Any]) -> tuple[str, ...]:
     """What a term asks for: its parameters without a default."""
     every = inspect.signature(function).parameters.values()
-    return [p.name for p in every if p.default is p.empty]
+    return tuple(p.name for p in every if p.default is p.empty)
 
 
 def call(term: Term, facts: Mapping[str, Any]) -> Any:
-    """The value of a term; its errors are those of `guarded`."""
+    """The value of a term; what it raises comes as a ConfigError of one line that names the place."""
     asked = parameters(term.function)
     for name in asked:
         if name not in facts:
             raise ConfigError(
                 f"the term {term.name} of {term.file} asks for {name}, which is not known here"
             )
-    return guarded(term)(**{name: facts[name] for name in asked})
+    try:
+        return term.function(**{name: facts[name] for name in asked})
+    except ConfigError:
+        raise
+    except Exception as error:
+        every = traceback.extract_tb(error.__traceback__)
+        frames = [frame for frame in every if frame.filename == term.file]
+        line = f", line {frames[-1].lineno}" if frames else ""
+        text = " ".join(str(error).split())[:240]
+        raise ConfigError(
+            f"the term {term.name} of {term.file}{line} cannot be run: {type(error).__name__}: {text}"
+        ) from None
 
 
 def guarded(term: Term) -> Callable[..., Any]:
-    """The function of a term; what it raises comes as a ConfigError of one line that names the place."""
-
-    @functools.wraps(term.function)
-    def one_line(**facts):
-        try:
-            return term.function(**facts)
-        except ConfigError:
-            raise
-        except Exception as error:
-            every = traceback.extract_tb(error.__traceback__)
-            frames = [frame for frame in every if frame.filename == term.file]
-            line = f", line {frames[-1].lineno}" if frames else ""
-            text = " ".join(str(error).split())[:240]
-            raise ConfigError(
-                f"the term {term.name} of {term.file}{line} cannot be run: {type(error).__name__}: {text}"
-            ) from None
-
-    return one_line
+    """The function of a term, with the errors of `call`."""
+    return functools.wraps(term.function)(lambda **facts: call(term, facts))

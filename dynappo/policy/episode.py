@@ -306,15 +306,15 @@ def start(player: Player) -> dict[str, Any]:
 def _placed(player: Player, data) -> own_lib.Placed:
     """What an observation of one's own may ask for."""
     qpos, qvel = coordinates(player, data)
+    contact = np.zeros(len(player.foot_names), bool)
     one, other = data.contact.geom[data.contact.dist < 0].T
-    touched = np.where(player.ground[one], player.foot_of[other], -1)
-    touched = np.append(touched, np.where(player.ground[other], player.foot_of[one], -1))
-    return own_lib.Placed(
-        qpos=qpos,
-        qvel=qvel,
-        height=qpos[2] - float(_height(player, qpos[:1], qpos[1:2])[0]),
-        contact=np.isin(np.arange(len(player.foot_names)), touched),
-    )
+    for touching, touched in ((one, other), (other, one)):
+        feet = player.foot_of[touching[player.ground[touched]]]
+        contact[feet[feet >= 0]] = True
+    height = qpos[2]
+    if player.field is not None:
+        height = height - _height(player, qpos[:1], qpos[1:2])[0]
+    return own_lib.Placed(qpos=qpos, qvel=qvel, height=height, contact=contact)
 
 
 def ends(player: Player) -> list[str]:
@@ -453,7 +453,7 @@ def rows(
     dt, com = period(player), player.model.body_ipos[player.base_body]
     p = player.policy
     action, see = np.zeros(len(p.joint_names)), observe.memory(p.observation, p.history, p.own)
-    kept = start(player)
+    kept, steps = start(player), bool(player.own.seen or ends(player))
     for k in itertools.count():
         told = np.asarray(command(k * dt), float), action
         wanted = told[0]
@@ -470,7 +470,7 @@ def rows(
                 f"{player.xml}: its physics has blown up after {k * dt:.2f} s (numbers that are not "
                 "finite)"
             )
-        if player.own.terms.path:
+        if steps:
             kept, ended = _own_step(player, data, told, action, k * dt, kept)
             fell |= ended
         _, linear, angular = observe.base_motion(*coordinates(player, data), com)

@@ -276,14 +276,14 @@ def test_the_wheel_does_what_the_page_says_in_an_empty_folder(tmp_path):
     write(folder)
     write(folder, ["A curriculum"], "level.py")
     around = os.environ | {"PYTHONPATH": str(site), "JAX_PLATFORMS": "cpu"}
-    around["DYNAPPO_CACHE"] = str(tmp_path / "cache")
     train, play, evaluate, export = blocks("sh")["A run, a policy, and the file"][0].splitlines()
     (command,) = blocks("sh")["A command"]
 
     def run(line, *more, status=0):
-        words = [sys.executable, "-m", *shlex.split(line.replace("dynappo ", "dynappo.", 1))]
+        _, name, *words = shlex.split(line)
+        words = [name, *words] if name == "-c" else ["-m", f"dynappo.{name}", *words]
         done = subprocess.run(
-            [*words, *more], cwd=folder, env=around, text=True, capture_output=True
+            [sys.executable, *words, *more], cwd=folder, env=around, text=True, capture_output=True
         )
         assert done.returncode == status, f"{line}\n{done.stdout[-3000:]}\n{done.stderr[-5000:]}"
         return done.stdout + done.stderr
@@ -301,9 +301,15 @@ def test_the_wheel_does_what_the_page_says_in_an_empty_folder(tmp_path):
     assert "with my_terms.py" in run(play, "--seconds=1")
     assert "name the file" in run("dynappo play runs/mine --out=walk.html", status=2)
     run(export)
-    run(evaluate, "--episodes=2")
+    assert "with my_terms.py" in run(evaluate, "--fast")
     found = json.loads((folder / "runs/mine/evaluation/evaluation.json").read_text())
-    assert found["episodes"]["episodes"] == 2 and len(found["sweep"]["commands"]) > 9
+    assert len(found["sweep"]["commands"]) > 9
+    # the task's episodes alone: all of `evaluate` takes minutes on two busy cores
+    code = "from pathlib import Path; from dynappo.evaluate import episodes; "
+    code += "from dynappo.policy import policy_source as s; policy = s.load('runs/mine')[0]; "
+    code += "policy = s.with_terms(policy, Path('my_terms.py'))[0]; "
+    code += "print(episodes.run(policy, 2)['episodes'], 'episodes')"
+    assert "2 episodes" in run("dynappo " + shlex.join(["-c", code]))
     swept = "--sweep=task.weights.motor_work=-1e-3,-2e-3"
     out = run(train.replace("runs/mine", "runs/sweep"), swept, *SHORT, longer)
     assert "1 program to compile" in out and "--terms=my_terms.py" in out

@@ -88,7 +88,7 @@ def _file(term: Callable[..., Any]) -> str:
     return FILE if own.__module__ == rewards.__name__ else own.__code__.co_filename
 
 
-def parameters(term: Callable[..., Any]) -> list[str]:
+def parameters(term: Callable[..., Any]) -> tuple[str, ...]:
     """What a term asks for: its parameters without a default."""
     return terms_lib.parameters(term)
 
