@@ -22,6 +22,7 @@ from dynappo.description.robot import Robot
 from dynappo.policy import checkpoint_file, policy_file
 from dynappo.policy import episode as episode_lib
 from dynappo.policy.policy_file import Policy
+from dynappo.tasks.velocity import own as own_lib
 from dynappo.terrain import map_file
 from dynappo.terrain import tiles as tiles_lib
 from dynappo.terrain.height_map import HeightMap
@@ -172,15 +173,18 @@ def player(
 
 def _not_ended(player: episode_lib.Player) -> str:
     """A note on ends of one's own that this player does not know; or ""."""
-    told = player.policy.config.get("task", {}).get("terms_about") or "{}"
-    names = json.loads(told).get("terminations", [])
-    lacks = [name for name in names if name not in episode_lib.ends(player)]
+    known = episode_lib.ends(player)
+    lacks = [
+        name
+        for name in own_lib.told_ends(player.policy.config.get("task", {}))
+        if name not in known
+    ]
     why = (
         "they ask for what play does not know"
         if player.own.terms.path
         else "name their file: --terms"
     )
-    return f"note: nothing ends here by {', '.join(map(str, lacks))} ({why})" if lacks else ""
+    return f"note: nothing ends here by {', '.join(lacks)} ({why})" if lacks else ""
 
 
 def ground(policy: Policy, text: str) -> HeightMap | None:

@@ -265,6 +265,7 @@ SHORT = """
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(3600)  # two minutes of two idle cores
 def test_the_wheel_does_what_the_page_says_in_an_empty_folder(tmp_path):
     """Train, go on, sweep, evaluate, play, export: only the wheel and the reader's own file are there."""
     pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", "-q"]

@@ -15,6 +15,7 @@ for it. The code works with NumPy and jax.numpy.
 from __future__ import annotations
 
 import difflib
+import json
 from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
@@ -81,6 +82,12 @@ def played(task: Mapping[str, Any], joints: int, dt: float) -> Own:
         if not shown:
             return Own(terms.NONE, (), joints, dt)
         raise ConfigError(f"the policy sees {', '.join(shown)}: {error}") from None
+
+
+def told_ends(task: Mapping[str, Any]) -> list[str]:
+    """The names of one's own terminations, of a policy's `task`, whose terms may not have been read."""
+    found = json.loads(task.get("terms_about") or "{}").get("terminations", [])
+    return [name for name in found if isinstance(name, str) and name.isidentifier()]
 
 
 # ---- checks
