@@ -255,8 +255,10 @@ def read(path: str | Path, names: Mapping[str, Any] | None = None) -> Terms:
         curricula=groups.get(Curriculum, {}),
     )
     _numbers(out)
-    _READ[out.digest] = out
-    return out
+    known = _READ.get(out.digest)
+    if known is None or known.path != out.path:  # else the same functions again
+        known = _READ[out.digest] = out
+    return known
 
 
 def _run(path: str | Path, where: str) -> dict[str, Any]:

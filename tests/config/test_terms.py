@@ -214,6 +214,21 @@ def test_a_policy_that_sees_nothing_of_its_own_plays_without_the_file():
     assert not player.own.terms.path
 
 
+def test_a_strangers_policy_that_names_quantities_without_terms_is_one_line(saved):
+    policy = policy_file.load(saved)
+    task = policy.config["task"] | {"terms_hash": ""}
+    alone = policy._replace(config=policy.config | {"task": task})
+    assert "sees seen, and its config names no terms" in refused(policy_source.player, alone)
+
+
+def test_reading_a_file_again_gives_the_same_functions():
+    """So a page that loads a newer policy of a run goes on with the robot that it shows."""
+    first = terms.read(write(WORK + SEEN))
+    assert terms.read("mine.py") is first
+    write(WORK + SEEN + "# other\n")
+    assert terms.read("mine.py") is not first
+
+
 DAMAGE = {
     "name": "no name",
     "size": 0,

@@ -62,8 +62,8 @@ def arrived(path, goal):
     return path[0] > goal
 
 @terms.termination()
-def tipped(angular_velocity, torque):
-    return angular_velocity[0] + 0 * torque[0] > 2.0
+def tipped(angular_velocity, torque, foot_position):
+    return angular_velocity[0] + 0 * torque[0] + 0 * foot_position[3, 2] > 2.0
 
 @terms.command(draws=2)
 def scaled(draw, level, command_x, effort):

@@ -115,7 +115,7 @@ def make(
         robot=robot,
         task=task,
         legs=kinematics.legs(robot.mj_model, robot.feet),
-        feet=feet_of(robot, terms),
+        feet=feet_of(robot, terms | {n: t.function for n, t in of_own.terms.terminations.items()}),
         fatal=fatal,
         undesired=undesired,
         view=layout,
@@ -448,10 +448,8 @@ def step(const: Constants, hyper: Hyper, body, state: State, action, key):
         episode_return=state.episode_return + reward,
     )
     if state.own is not None:
-        size, next_seen = (
-            view.prop_size(const.view),
-            view.exact(const.view, const.robot, hyper, body, next_state),
-        )
+        size = view.prop_size(const.view)
+        next_seen = view.exact(const.view, const.robot, hyper, body, next_state)
         following = view.following(const.view, hyper, seen[size:], action, next_seen[:size])
         following = {name: jnp.where(ok, x, state.own[name]) for name, x in following.items()}
         next_state = next_state.replace(own=following)

@@ -75,8 +75,12 @@ def played(task: Mapping[str, Any], joints: int, dt: float) -> Own:
     ConfigError where it sees some, and its terms have not been read.
     """
     seen = observe.own(task.get("terms_about") or "")
+    if not task.get("terms_hash"):
+        if seen:  # `terms.use` writes both
+            raise ConfigError(f"the policy sees {seen[0].name}, and its config names no terms")
+        return NONE
     try:
-        return Own(terms.of(task), seen, joints, dt) if task.get("terms_hash") else NONE
+        return Own(terms.of(task), seen, joints, dt)
     except ConfigError as error:
         shown = [each.name for each in seen if each.shown]
         if not shown:
