@@ -11,7 +11,7 @@ from answers import mistake, refused, status
 
 from dynappo import config as config_lib
 from dynappo import terms
-from dynappo.config import flags
+from dynappo.config import ConfigError, flags
 from dynappo.description import robot as robot_lib
 from dynappo.evaluate import command as evaluate
 from dynappo.export import command as export
@@ -21,6 +21,7 @@ from dynappo.run import workdir as workdir_lib
 from dynappo.sweeps import grid
 from dynappo.tasks.velocity import observe
 from dynappo.train import command as train
+from dynappo.web import policies
 
 HEAD = "from dynappo import terms\n\n"
 WORK = "@terms.reward(weight=-1e-3, numbers={'share': 0.5})\ndef work(torque, share): return 0.0\n"
@@ -267,3 +268,14 @@ def test_a_run_goes_on_only_with_the_same_text():
     config_lib.override(config, "task.terms", write(WORK + "# other\n"))
     told = config_lib.difference(before, config_lib.to_json(config), may)
     assert told == "the code of its terms, mine.py, is another now"
+
+
+def test_a_page_takes_the_file_for_the_policy_that_was_named(saved):
+    offer = policies.Offer(str(saved), None, None, False)
+    with pytest.raises(ConfigError, match="name the file"):
+        policies.load(offer, str(saved))
+    chosen = policies.load(offer._replace(terms=Path("good.py")), str(saved))
+    assert chosen.player.own.terms.path.endswith("good.py") and "with good.py" in chosen.text
+    assert not Path("ran").exists()
+    again = policies.load(offer._replace(terms=Path("good.py")), str(saved))
+    assert chosen.player.own == again.player.own  # so the robot goes on walking
