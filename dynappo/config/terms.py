@@ -351,6 +351,15 @@ def leave(config, but: Mapping[str, Mapping[str, Any]] | None = None) -> None:
     config.task.update(terms="", terms_hash="", terms_about="")
 
 
+def without_command(config) -> None:
+    """Draw commands from the config's ranges, where it names terms with a command of their own."""
+    found = of(config.task)
+    if found.command is not None:
+        bare = found._replace(command=None, digest=f"{found.digest}-")
+        _READ[bare.digest] = bare
+        use(config, bare)
+
+
 def _about(terms: Terms) -> str:
     """What is said of terms without their code, as JSON: names, and the parts of an observation."""
     seen = [_part(name, term, **term.how._asdict()) for name, term in terms.observations.items()]

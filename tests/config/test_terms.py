@@ -14,6 +14,7 @@ from dynappo import terms
 from dynappo.config import ConfigError, flags
 from dynappo.description import robot as robot_lib
 from dynappo.evaluate import command as evaluate
+from dynappo.evaluate import crossing
 from dynappo.export import command as export
 from dynappo.play import command as play
 from dynappo.policy import policy_file, policy_source
@@ -220,6 +221,17 @@ def test_a_strangers_policy_that_names_quantities_without_terms_is_one_line(save
     task = policy.config["task"] | {"terms_hash": ""}
     alone = policy._replace(config=policy.config | {"task": task})
     assert "sees seen, and its config names no terms" in refused(policy_source.player, alone)
+
+
+def test_where_one_command_is_asked_for_that_of_a_file_is_left_out():
+    draws = (
+        "@terms.command(draws=1, numbers={'most': 2.0})\ndef fast(draw, most): return most * draw\n"
+    )
+    config = flags.load("go2:rough", [f"--config.task.terms={write(WORK + draws)}"])
+    assert terms.of(config.task).command is not None and config.task.own.most == 2.0
+    other = crossing.on_other_ground(config_lib.validate(config))
+    assert terms.of(other.task).command is None and terms.of(other.task).rewards.keys() == {"work"}
+    assert dict(other.task.own) == {"share": 0.5} and other.task.command_x == (0.8, 0.8)
 
 
 def test_reading_a_file_again_gives_the_same_functions():
