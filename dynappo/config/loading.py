@@ -97,6 +97,8 @@ def _run(path: pathlib.Path, variant: str) -> tuple[config_dict.ConfigDict, Any]
 
 def _use_terms(config: config_dict.ConfigDict, path: pathlib.Path, names: dict[str, Any]) -> None:
     """Use the terms of a config file, whose `names` these are, or of the file that it names, beside it."""
+    if fields.every().keys() - flat(config).keys():
+        return  # `check_names` says what is missing
     given, own = config.task.terms, terms.declared(names)
     if own and given and not config.task.terms_hash:
         raise ConfigError(
