@@ -76,9 +76,9 @@ def test_a_config_file_may_have_terms_or_name_their_file_beside_it():
     assert fields_of(config) == (-1e-3, None, {"share": 0.5}) and config.task.terms == "mine.py"
     write(WORK + CONFIG.format("loaded.task.terms = 'mine.py'"), "folder/twice.py")
     assert "the file has terms itself (work, ...)" in refused(config_lib.load, "folder/twice.py")
-    write(CONFIG.format("loaded.task.weights.wokr = -3"), "folder/typo.py")
+    write(CONFIG.format("loaded.task.weights.works = -3"), "folder/typo.py")
     said = refused(config_lib.load, "folder/typo.py")
-    assert "task.weights.wokr is not a field" in said
+    assert "task.weights.works is not a field" in said
 
 
 def test_a_hash_is_of_the_text_of_every_file_that_terms_come_from():

@@ -30,8 +30,8 @@ def slow_joints(joint_velocity, previous_action, calm, level, effort, dt):
     return calm * (joint_velocity**2).sum() + level * effort[0] + dt * previous_action[0]
 
 @terms.reward(weight=-1.0)
-def higher(height, qpos, episode_steps):
-    return height + qpos[0] + episode_steps
+def higher(height, qpos, episode_steps, feet_down):
+    return height + qpos[0] + episode_steps + feet_down.sum()
 
 @terms.reward(weight=None)
 def unused(nothing_like_it=1.0):
@@ -182,6 +182,7 @@ def test_rewards_are_sums_of_their_terms_and_the_known_ones_are_computed_in_a_ta
         tail = compute(alone, row.before.obs, row.action, row.after.prop)
         np.testing.assert_allclose(tail, DT * found, rtol=1e-5)
         height = row.after.qpos[:, 2] + row.after.qpos[:, 0] + row.before.episode_steps
+        height += part(world, row.after.prop, "feet_down").sum(-1)
         np.testing.assert_allclose(row.outcome.metrics["reward_higher"], -height, rtol=1e-5)
         assert "reward_unused" not in row.outcome.metrics
 
