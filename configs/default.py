@@ -67,6 +67,7 @@ PAPER = {
 }
 OF_THE_PAPER = (*PAPER, "fast")
 ROUGH = ("rough", "rough_blind", "rough_deploy")
+OPEN = "weights", "noise", "own"  # groups of `task` with fields of terms of your own
 VARIANTS = (*OF_THE_PAPER, "best", "few", "deploy", "quick", "laptop", *ROUGH)
 
 
@@ -220,6 +221,10 @@ class Noise(NamedTuple):
     scan_dropout: Share = 0.0  # share of the points that are missing, which read 0
 
 
+class Own(NamedTuple):
+    """Numbers of terms of your own, by name (docs/task.md)."""
+
+
 class Reset(NamedTuple):
     """How an episode starts; IL."""
 
@@ -355,6 +360,12 @@ class Task(NamedTuple):
     command_y: Command = (-1.0, 1.0)  # m/s
     command_yaw: Command = (-1.0, 1.0)  # rad/s
     heading_gain: Signed = 0.5  # 1/s, yaw rate for each rad that is left to turn; IL
+    # a file with terms of your own: rewards, observations, ends, commands, curricula (docs/task.md). Their
+    # weights and noises are fields of `weights` and `noise`, their other numbers of `own`. "": none
+    terms: str = ""
+    terms_hash: str = ""  # of the file; follows from it, as what it adds to an observation does
+    terms_about: str = ""
+    own: Own = Own()
     weights: Weights = Weights()
     noise: Noise = Noise()
     reset: Reset = Reset()
@@ -398,8 +409,14 @@ def get_config(variant: str = "") -> config_dict.ConfigDict:
 
 
 def defaults() -> config_dict.ConfigDict:
-    """`Config` as a config that can be changed: of every field the value may, the type may not."""
-    return config_dict.ConfigDict(_nested(Config())).lock()
+    """`Config` as a config that can be changed: of every field the value may, the type may not.
+
+    Groups in `OPEN` take the fields of terms of your own; a name that is none is found when it is loaded.
+    """
+    config = config_dict.ConfigDict(_nested(Config())).lock()
+    for group in OPEN:
+        config.task[group].unlock()
+    return config
 
 
 class _EachJoint(config_dict.FieldReference):

@@ -4,7 +4,7 @@ Start reading at `algorithm.py`, whose first lines say which file to read next. 
 method; each folder is one subject, and its `__init__` says what is in it. The public modules can be
 imported from here:
 
-    from dynappo import algorithm, config, env, gae, robot, schedule, scores, seeds, train
+    from dynappo import algorithm, config, env, gae, robot, schedule, scores, seeds, terms, train
 
 Importing the package sets two flags of XLA's CPU compiler, before JAX starts. Values that you have
 set stay.
@@ -56,6 +56,7 @@ if sys.argv[:1] == ["-m"] or Path(sys.argv[0] if sys.argv else "").stem == "dyna
     sys.excepthook = _in_a_line
 
 if TYPE_CHECKING:  # what an editor completes
+    from dynappo.config import terms as terms
     from dynappo.description import robot as robot
     from dynappo.learner import gae as gae
     from dynappo.tasks.velocity import env as env
@@ -65,6 +66,7 @@ _PUBLIC = {
     "env": "dynappo.tasks.velocity.env",
     "gae": "dynappo.learner.gae",
     "robot": "dynappo.description.robot",
+    "terms": "dynappo.config.terms",
 }
 
 _FLAGS = {"--xla_cpu_enable_concurrency_optimized_scheduler": "false"}

@@ -67,6 +67,7 @@ def evaluate(
     environment, such as terms of its reward, of which the sum over an episode is told as `total_NAME`.
     """
     hyper = hyper if randomize else nominal(hyper)
+    hyper = hyper if env.evaluated is None else env.evaluated(hyper)
     key = jax.random.fold_in(key, algorithm.EPISODES)  # a run of this seed draws from the others
     body_keys, reset_keys, keys = (jax.random.split(k, num_envs) for k in jax.random.split(key, 3))
     bodies = jax.vmap(env.randomize, (None, 0))(hyper, body_keys)

@@ -194,6 +194,8 @@ class Env(NamedTuple):
     retell: Callable[..., Any] | None = None
     mirror: tuple[Mirror, Mirror] | None = None  # of obs and action, with `ppo.symmetry`
     input_scale: np.ndarray | None = None  # [O] of each number of obs, with `ppo.scale_inputs`
+    # (hyper) -> hyper of an evaluation, which scores.py has made nominal; None: that
+    evaluated: Callable[..., Any] | None = None
     mesh: jax.sharding.Mesh | None = None  # devices over which the robots are spread (seeds.py)
 
 

@@ -37,7 +37,7 @@ test_experiments sweeps/test_sweep run/test_checkpoint test_seeds run/test_run p
 tasks/test_playground web/test_task_page physics/test_warp_call run/test_engines tasks/test_change
 tasks/test_brax_env model/test_options model/test_dynamics learner/test_ppo physics/test_kernel_scope
 train/test_command physics/test_c_mujoco physics/test_rough_ground policy/test_policy_source
-sweeps/test_every_float run/test_workdir policy/test_render description/test_feet
+tasks/test_own sweeps/test_every_float run/test_workdir policy/test_render description/test_feet
 """.split()  # files that take more than ten seconds of a processor, about in this order (README.md)
 
 

@@ -259,3 +259,19 @@ def test_no_random_number_is_used_twice(settings, params):
     sizes = dict(static=static, num_envs=ROBOTS, num_steps=STEPS)
     found = scores.evaluate(spy, hyper, params, jax.random.key(0), **sizes)
     assert found["same_error"] == 0
+
+
+def test_an_evaluation_has_the_floats_that_the_environment_asks_for(assess, settings, params):
+    """`Env.evaluated` of commands that are not those of training, as if the config had them."""
+
+    def faster(hyper):
+        return hyper._replace(task=hyper.task._replace(command_x=(0.7, 0.8)))
+
+    static, hyper = settings
+    env = toy_env.make(episode_length=LIMIT)._replace(evaluated=faster)
+    run = partial(scores.evaluate, env, static=static, num_envs=ROBOTS, num_steps=STEPS)
+    found = jax.jit(run)(hyper, params, jax.random.key(0))
+    expected = assess(params, hyper=faster(hyper))
+    assert expected["return"] != assess(params)["return"]
+    for name, value in expected.items():
+        np.testing.assert_allclose(found[name], value, rtol=1e-6, err_msg=name)

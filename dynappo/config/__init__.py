@@ -8,6 +8,7 @@ The settings:
 - `validation`: which settings can run together
 - `ground_map`: what follows from a file of the ground
 - `own_code`: whether the code of an environment of one's own has changed
+- `terms`: terms of one's own for the velocity task, in a file of one's own
 - `splitting`: `static` and `hyper`, the two halves that the program takes; `halves`: their types
 
 What every command also needs, without JAX:

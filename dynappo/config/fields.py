@@ -19,6 +19,8 @@ TINY = 1e-12
 WHOLE = {"low": 1 - 2**31, "high": 2**31 - 1}
 SIZE = {"low": -1e9, "high": 1e9}
 SIZES = (128, 128, 128)  # what sizes that are None by default may be
+# groups in which terms of one's own have fields of their own, floats, where `task.terms` names a file
+OWN = re.compile(r"task\.(weights|noise|own)\.[A-Za-z][A-Za-z0-9_]{0,99}")
 REPEATS = 3  # of a pattern: each multiplies the time that it can take by a name's length
 
 
@@ -81,6 +83,25 @@ def every() -> dict[str, Field]:
                 yield prefix + name, Field(kind, value, **limits, per_joint=of_joints, like=like)
 
     return dict(walk(_defaults(), _file()["Config"], ""))
+
+
+def is_own(name: str) -> bool:
+    """Whether a dotted name can be a field of terms of one's own (config/terms.py)."""
+    return name not in every() and OWN.fullmatch(name) is not None
+
+
+def field(name: str) -> Field | None:
+    """The field of a dotted name, also one of terms of one's own; None if there is none."""
+    if not is_own(name):
+        return every().get(name)
+    noise = name.startswith("task.noise.")
+    return Field(float, None, low=0.0 if noise else SIZE["low"], high=SIZE["high"])
+
+
+def _known(name: str) -> Field:
+    found = field(name)
+    assert found is not None, name
+    return found
 
 
 def _of_joints(annotation) -> bool:
@@ -158,7 +179,7 @@ def expected(field: Field) -> str:
 
 def check(name: str, value) -> None:
     """ConfigError if the field may not hold this value of the right type."""
-    field = every()[name]
+    field = _known(name)
     if field.choices and value is not None:
         expect(value in field.choices, name, value, f"one of {', '.join(field.choices)}")
     if value is None or field.low == -math.inf:
@@ -202,12 +223,14 @@ def expect(ok, field: str, value, expected: str) -> None:
         raise ConfigError(f"{field} is {shown}, expected {expected}")
 
 
-def check_names(names) -> None:
-    """ConfigError if a field is missing, or unknown to dynappo."""
-    for name in sorted(every().keys() - names):
+def check_names(values: dict[str, Any]) -> None:
+    """ConfigError if one of the fields by dotted names is missing, or unknown to dynappo."""
+    for name in sorted(every().keys() - values.keys()):
         raise ConfigError(f"the config lacks {name}; start from configs/default.py")
-    for name in sorted(names - every().keys()):
-        raise ConfigError(f"{name} is not a field; {near(name)}")
+    own = bool(values["task.terms"])
+    for name in sorted(values.keys() - every().keys()):
+        if not (own and is_own(name)):
+            raise ConfigError(f"{name} is not a field; {near(name)}")
 
 
 def near(name: str) -> str:
@@ -224,15 +247,25 @@ def typed(values: dict[str, Any]) -> config_dict.ConfigDict:
     found = {}
     for name, field in every().items():
         if name in values and not (values[name] is None and field.default is None):
-            found[name] = convert(field, values[name])
-            if found[name] is None:
-                raise ConfigError(f"{name} is {values[name]!r}, expected {expected(field)}")
+            found[name] = _converted(name, field, values[name])
     out = defaults()
     out.update_from_flattened_dict(found)
+    for name in filter(is_own, values if values.get("task.terms") else ()):
+        value, (_, group, leaf) = values[name], name.split(".")
+        value = None if value is None else _converted(name, _known(name), value)
+        with out.task[group].unlocked():
+            out.task[group][leaf] = value
     return out
+
+
+def _converted(name: str, field: Field, value) -> Any:
+    found = convert(field, value)
+    if found is None:
+        raise ConfigError(f"{name} is {value!r}, expected {expected(field)}")
+    return found
 
 
 def copied(config) -> config_dict.ConfigDict:
     """A copy in which every field has the type of its default; ConfigError where a field is missing."""
-    check_names(flat(config).keys())
+    check_names(flat(config))
     return typed(flat(config))

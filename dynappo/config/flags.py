@@ -18,7 +18,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from dynappo import config as config_lib
-from dynappo.config import ConfigError, fields, files, ground_map, shell
+from dynappo.config import ConfigError, fields, files, ground_map, shell, terms
 from dynappo.config.stop import Stop, leave
 
 # errno values caused by a bad path; others are failures of input or output
@@ -103,12 +103,22 @@ def load_run(workdir: Path, rest: list[str]):
             f"python -m dynappo.export {shell.quoted(str(workdir))} {shell.quoted(f'--out=robots/{xml}')}"
         )
     set_fields(config, rest)
+    check_terms(config, workdir)
     return config
+
+
+def check_terms(config, workdir: Path) -> None:
+    """ConfigError if a run's own config names terms of one's own, whose file this command line does not."""
+    try:
+        terms.of(config.task)
+    except ConfigError as error:
+        raise ConfigError(f"--workdir={workdir}: {error}") from None
 
 
 def set_fields(config, rest: list[str]) -> None:
     """Set every `--config.GROUP.FIELD=VALUE` of `rest`."""
-    more = iter(rest)
+    # the file of terms first: others may be fields of these
+    more = iter(sorted(rest, key=lambda flag: not flag.startswith("--config.task.terms=")))
     for flag in more:
         if not flag.startswith("--config."):
             name = flag.lstrip("-").partition("=")[0].replace("-", "_")

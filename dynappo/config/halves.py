@@ -134,6 +134,9 @@ class StaticTask(NamedTuple):
     resample_steps: int
     scan: str
     termination: str
+    terms: str
+    terms_about: str
+    terms_hash: str
     terrain: str
     tiles: StaticTiles
     undesired: str

@@ -17,7 +17,7 @@ from typing import Any
 
 from ml_collections import config_dict
 
-from dynappo.config import fields, own_code
+from dynappo.config import fields, own_code, terms
 from dynappo.config.fields import ConfigError, flat
 from dynappo.config.files import find
 
@@ -52,7 +52,7 @@ def load_both(spec: str) -> tuple[config_dict.ConfigDict, Callable[[Any], Any] |
         raise ConfigError(f"--config: no file {name!r}{where}")
     try:
         config, get_env = _run(path, variant)
-        fields.check_names(flat(config).keys())
+        fields.check_names(flat(config))
     except ConfigError as error:
         raise ConfigError(f"--config: {path}: {error}") from None
     except ValueError as error:  # of a variant
@@ -90,8 +90,25 @@ def _run(path: pathlib.Path, variant: str) -> tuple[config_dict.ConfigDict, Any]
         raise ConfigError(
             f"get_config returns {kind}, expected a ConfigDict; see configs/default.py"
         )
-    # a frozen one can be changed again
-    return config_dict.ConfigDict(config), names.get("get_env")
+    config = config_dict.ConfigDict(config)  # a frozen one can be changed again
+    _use_terms(config, path, names)
+    return config, names.get("get_env")
+
+
+def _use_terms(config: config_dict.ConfigDict, path: pathlib.Path, names: dict[str, Any]) -> None:
+    """Use the terms of a config file, whose `names` these are, or of the file that it names, beside it."""
+    if fields.every().keys() - flat(config).keys():
+        return  # `check_names` says what is missing
+    given, own = config.task.terms, terms.declared(names)
+    if own and given and not config.task.terms_hash:
+        raise ConfigError(
+            f"task.terms is {given!r}, but the file has terms itself ({own[0].name}, ...); expected one of "
+            "them: import the others into it"
+        )
+    if own:
+        terms.use(config, terms.read(path, names))
+    elif given and not config.task.terms_hash:
+        terms.use(config, terms.read(path.parent / given))
 
 
 def _line(error: BaseException) -> str:
@@ -114,7 +131,8 @@ def override(config: config_dict.ConfigDict, field: str, text: str) -> None:
         )
     if isinstance(old, config_dict.ConfigDict):
         raise ConfigError(f"--config.{field} is a group, expected one of {', '.join(old)}")
-    kind = fields.every()[field]
+    kind = fields.field(field)
+    assert kind is not None
     try:
         value = text if kind.kind is str else ast.literal_eval(text.strip())
     except (ValueError, SyntaxError, TypeError, RecursionError, MemoryError):  # of deep nesting too
@@ -124,6 +142,8 @@ def override(config: config_dict.ConfigDict, field: str, text: str) -> None:
         raise ConfigError(f"--config.{field}={text!r}: expected {fields.expected(kind)}")
     with node.ignore_type():
         node[leaf] = value
+    if field == "task.terms":
+        terms.use(config, terms.read(value)) if value else terms.leave(config)
 
 
 def to_json(config) -> str:
@@ -168,6 +188,8 @@ def difference(old: str, new: str, except_for=()) -> str:
     for name in (name for name in before if name in after and name not in except_for):
         if name == "code" and before[name] != after[name]:
             return "the file with get_env, or one that it imports, has changed; comments and get_config may"
+        if before[name] != after[name] and name == "task.terms_hash":
+            return f"the code of its terms, {before['task.terms'] or 'none'}, is another now"
         if before[name] != after[name]:
             return f"{name} {before[name]} there, {after[name]} here"
     return ""

@@ -40,7 +40,7 @@ def install(extra: str) -> str:
     """
     pip = f"{_python()} -m pip install"
     if (versions.ROOT / "constraints.txt").exists():
-        root, short = str(versions.ROOT), _relative(str(versions.ROOT))
+        root, short = str(versions.ROOT), relative(str(versions.ROOT))
         root = short if len(short) < len(root) else root
         pinned = quoted(os.path.join(root, "constraints.txt"))
         return f"{pip} -c {pinned} -e {quoted(f'{root}[{extra}]')}"
@@ -66,7 +66,7 @@ def quoted(word: str) -> str:
 _PLAIN = set(string.ascii_letters + string.digits + "._-:=\\/")
 
 
-def _relative(path: str) -> str:
+def relative(path: str) -> str:
     """From the working directory; as it is where it lies on another drive."""
     try:
         return os.path.relpath(path)
@@ -76,5 +76,5 @@ def _relative(path: str) -> str:
 
 def _python() -> str:
     """This Python, by the shortest path."""
-    short = _relative(sys.executable)
+    short = relative(sys.executable)
     return quoted(sys.executable if short.startswith("..") else short)

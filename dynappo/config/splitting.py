@@ -55,7 +55,7 @@ def _take(config, half: str, group: str, floats: bool) -> Any:
 
 def _is_float(name: str, value: Any) -> bool:
     if value is None:
-        field = fields_lib.every().get(name)
+        field = fields_lib.field(name)
         return field is not None and float in (field.kind, *map(type, field.like))
     return type(value[0] if isinstance(value, tuple) else value) is float
 

@@ -65,12 +65,21 @@ def validate(
     _check_pairs(config, flat(config))
     _check_hardware(config)
     check_tiles(config.task.tiles)
+    text = "a file that has been read: --config.task.terms=FILE, or terms.use(config, terms.read(FILE))"
+    expect(
+        bool(config.task.terms) == bool(config.task.terms_hash),
+        "task.terms",
+        config.task.terms,
+        text,
+    )
     for name, none in (("scan", "none"), ("ground_in_tail", "known")):
         value, text = config.task[name], f"{none} where task.terrain is flat"
         expect(config.task.terrain == "rough" or value == none, f"task.{name}", value, text)
     own = config.task.tiles.map
     text = "'' where task.terrain is flat; rough ground: --config=ROBOT:rough"
     expect(config.task.terrain == "rough" or not own, "task.tiles.map", own, text)
+    text = "'' where no robot of dynappo's is trained: terms are of its velocity task"
+    expect(bool(config.robot) or not config.task.terms, "task.terms", config.task.terms, text)
     if schedule.uses_model(config):
         _check_model(config)
     expect(not (config.env and config.robot), "env", config.env, "'' where a robot is named")

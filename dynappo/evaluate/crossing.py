@@ -19,6 +19,7 @@ import numpy as np
 from ml_collections import config_dict
 
 from dynappo import config as config_lib
+from dynappo.config import terms
 from dynappo.description import motors
 from dynappo.description.robot import Robot
 from dynappo.evaluate import episodes
@@ -82,6 +83,7 @@ def prepared(
 def on_other_ground(config):
     """The config of these tries: other tiles, every row, one command."""
     config = config_dict.ConfigDict(config)
+    terms.without_command(config)
     task, tiles = config.task, config.task.tiles
     tiles.update(seed=tiles.seed + OTHER_GROUND, start_rows=tiles.rows)
     steps = round(SECONDS / (config.physics.substeps * config.physics.timestep))

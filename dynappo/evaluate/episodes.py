@@ -20,6 +20,7 @@ from dynappo.physics import engine_contract
 from dynappo.policy import checks, policy_file, policy_source, walks
 from dynappo.policy.policy_file import Policy
 from dynappo.program import devices
+from dynappo.tasks.velocity import own
 
 NUMBER = {"gpu": 1000, "cpu": 64}
 
@@ -31,8 +32,8 @@ def settings(policy: Policy):
     """
     config = fields.defaults()
     for name, value in config_lib.flat(policy.config).items():
-        field = fields.every().get(name)
-        if field is None:
+        field = fields.field(name)
+        if field is None or (fields.is_own(name) and not policy.config["task"].get("terms")):
             continue
         group, _, leaf = name.rpartition(".")
         node = config[group] if group else config
@@ -41,7 +42,8 @@ def settings(policy: Policy):
             raise ConfigError(
                 f"the policy's config has {name} = {value!r}, expected one like {field.default!r}"
             )
-        node[leaf] = settled
+        with node.unlocked():
+            node[leaf] = settled
     for name in per_joint.names():
         if isinstance(config.task[name], tuple) and name in policy_file.TASK:
             # the policy's own; `check_robot` compares its joints with the robot's
@@ -51,6 +53,7 @@ def settings(policy: Policy):
     config.physics.update(impl="auto", threads=0)
     config = config_lib.validate(config, robot_here=False)  # the policy may carry it
     _check(config, policy)
+    own.check(config.task)
     return config
 
 

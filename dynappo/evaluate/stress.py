@@ -105,7 +105,7 @@ TABLE = (
 
 def table(policy: Policy) -> list[Stress]:
     """The disturbances that can disturb `policy`."""
-    sees = "linear_velocity" in observe.shown(policy.observation)
+    sees = "linear_velocity" in observe.shown(policy.observation, policy.own)
     return [stress for stress in TABLE if sees or stress.velocity == 1.0]
 
 
@@ -193,15 +193,17 @@ def disturbed_rows(
     # not the stream of the pose at the start (`episode.reset`), which is that of seed 0
     rng = np.random.default_rng((seed, 1))
     dt, step = episode_lib.period(player), model.opt.timestep
-    parts = observe.slices(len(p.joint_names), observe.has_clock(p.observation))
+    parts = observe.slices(len(p.joint_names), observe.has_clock(p.observation, p.own), p.own)
+    trained = p.config.get("task", {}).get("noise", {})
+    half = NOISE | {each.name: trained.get(each.quantity.noise, 0.0) for each in p.own}
     scale = stress.noise * np.concatenate(
-        [np.full(part.stop - part.start, NOISE.get(name, 0.0)) for name, part in parts.items()]
+        [np.full(part.stop - part.start, half.get(name, 0.0)) for name, part in parts.items()]
     )
     late = round(stress.sensor_delay / step)  # physics steps
     states = deque(maxlen=late + 1)  # on their way to the policy, the oldest first
     waiting = deque([(0, p.default_pose)])  # (arrival, target), on their way to the motors
 
-    def observed(k, command, last_action):
+    def observed(k, command, last_action, kept):
         """Push the robot if it is time, and observe it."""
         if not k:
             states.extend([_snapshot(data)] * (late + 1))
@@ -211,7 +213,8 @@ def disturbed_rows(
                 [np.cos(angle), np.sin(angle)]
             )
             states[-1] = _snapshot(data)
-        obs = episode_lib.look(player, states[0], command, last_action, k * dt)  # no clock is late
+        now = command, last_action, k * dt, kept  # no clock is late
+        obs = episode_lib.look(player, states[0], *now)
         obs[parts["linear_velocity"]] *= stress.velocity
         return obs + rng.uniform(-1, 1, len(obs)) * scale
 
@@ -243,7 +246,8 @@ def disturbed_rows(
 
 def _snapshot(data) -> SimpleNamespace:
     """A copy of the numbers that an observation is made of."""
-    return SimpleNamespace(qpos=data.qpos.copy(), qvel=data.qvel.copy())
+    contact = SimpleNamespace(geom=data.contact.geom.copy(), dist=data.contact.dist.copy())
+    return SimpleNamespace(qpos=data.qpos.copy(), qvel=data.qvel.copy(), contact=contact)
 
 
 def measure(player: Player, stress: Stress, seconds: float = SECONDS) -> dict[str, Any]:

@@ -41,7 +41,7 @@ def motors(robot: robot_lib.Robot) -> tuple[str, ...]:
 
 def text(policy: Policy, robot: robot_lib.Robot) -> str:
     """The file's content; ConfigError for a policy that sees what those controllers do not measure."""
-    parts = observe.reading(policy.observation)
+    parts = observe.reading(policy.observation, policy.own)
     unknown = [name for name in parts if name not in TERMS] + ["height scan"] * (
         policy.scan != "none"
     )

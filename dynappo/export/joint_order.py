@@ -98,9 +98,9 @@ def permute(policy: Policy, names: tuple[str, ...]) -> Policy:
     If the robot's joints are read and driven in that order, it does what it did before.
     """
     order = np.array([policy.joint_names.index(name) for name in names])
-    one = np.arange(len(observe.columns(policy.observation)))
-    for name, part in observe.reading(policy.observation).items():
-        if observe.QUANTITIES[name].signs is None:  # a number a joint
+    one = np.arange(len(observe.columns(policy.observation, policy.own)))
+    for name, part in observe.reading(policy.observation, policy.own).items():
+        if observe.quantity(name, policy.own).size is None:  # a number a joint
             one[part] = one[part][order]
     rows = [one + age * len(one) for age in range(policy.history)]
     seen = len(scan.points()) * (policy.scan == "grid")  # the same in any order of joints

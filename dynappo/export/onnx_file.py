@@ -64,7 +64,7 @@ LICENCE = "dynappo and its bundled policies: Apache-2.0; a policy of your own: a
 
 def table(policy: Policy) -> list[tuple[str, slice]]:
     """The parts of the file's `obs`, and where each is."""
-    parts = observe.reading(policy.observation)
+    parts = observe.reading(policy.observation, policy.own)
     every = [
         (name, slice(rows.start * policy.history, rows.stop * policy.history))
         for name, rows in parts.items()
@@ -77,8 +77,8 @@ def table(policy: Policy) -> list[tuple[str, slice]]:
 
 def order(policy: Policy) -> np.ndarray:
     """The policy's own columns (newest reading first) in the order of the file."""
-    parts = observe.reading(policy.observation)
-    width, ages = len(observe.columns(policy.observation)), range(policy.history)[::-1]
+    parts = observe.reading(policy.observation, policy.own)
+    width, ages = len(observe.columns(policy.observation, policy.own)), range(policy.history)[::-1]
     rows = [np.arange(p.start, p.stop) + age * width for p in parts.values() for age in ages]
     last = len(scan.points()) * (policy.scan == "grid")
     return np.concatenate([*rows, policy.history * width + np.arange(last)])
@@ -91,7 +91,7 @@ def observation_table(policy: Policy) -> list[dict[str, Any]]:
     """
     noise, out = policy.config.get("task", {}).get("noise", {}), []
     for name, rows in table(policy):
-        part = HEIGHT_SCAN if name == SCAN else observe.QUANTITIES[name]
+        part = HEIGHT_SCAN if name == SCAN else observe.quantity(name, policy.own)
         half_width = noise.get(part.noise) if part.noise else 0.0
         facts = dict(name=name, start=rows.start, stop=rows.stop, unit=part.unit)
         out.append(facts | dict(content=part.content, noise=half_width))

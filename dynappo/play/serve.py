@@ -32,7 +32,8 @@ def run(
     address.check()
     from dynappo.web import server
 
-    offer = Offer(flags.what, flags.run_seed, flags.robot_xml, flags.keep_joints, flags.ground)
+    how = flags.robot_xml, flags.keep_joints, flags.ground, flags.terms
+    offer = Offer(flags.what, flags.run_seed, *how)
     try:
         first, named = _first(flags, theirs, choose, offer)
         at = commands.at if commands and len(commands.rows) > 1 else None

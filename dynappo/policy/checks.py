@@ -113,11 +113,17 @@ def _check_config(fields: dict[str, Any]) -> None:
     task = config.get("task", {})
     if "joint_friction" in task:  # `joint_friction` of `about` is the MJCF's
         _expect_same("dry_friction", fields["dry_friction"], task["joint_friction"], "config.task")
+    for name in ("terms", "terms_hash", "terms_about"):
+        text = task.get(name, "")
+        _expect(
+            isinstance(text, str), f"config.task.{name} is {reprlib.repr(text)}, expected a text"
+        )
     if "observation" in task:
         seen = task["observation"]
         known = isinstance(seen, str) and seen in observe.NAMES
         joints, clock = len(fields["joint_names"]), fields["gait_frequency"] is not None
-        named = observe.name(seen, joints, clock) if known else seen
+        own = observe.own(task.get("terms_about", ""))
+        named = observe.name(seen, joints, clock, own) if known else seen
         _expect_same("observation", fields["observation"], named, "config.task")
     noise = config.get("task", {}).get("noise", {})
     named = f"config.task.noise is {reprlib.repr(noise)}"

@@ -13,9 +13,9 @@ servos (MuJoCo Menagerie's Go1: kp 100, damping 2) they are the servo's.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -27,6 +27,7 @@ from dynappo.physics import actuators, ground
 from dynappo.policy.policy_file import Policy
 from dynappo.policy.walks import SETTLE
 from dynappo.tasks.velocity import observe
+from dynappo.tasks.velocity import own as own_lib
 from dynappo.terrain import height_map, scan
 from dynappo.terrain.height_map import HeightMap
 
@@ -68,6 +69,8 @@ class Player(NamedTuple):
     foot_names: tuple[str, ...]  # [F]
     substeps: int
     field: HeightMap | None = None  # the ground; None: as the file has it
+    own: own_lib.Own = own_lib.NONE  # the policy's terms of one's own, and
+    given: Mapping[str, float] = {}  # the numbers of its task, which these may ask for
 
 
 def load(
@@ -122,6 +125,7 @@ def load(
     elif policy.armature is not None:
         motors.set_armature(model, model.jnt_dofadr[joints], policy.armature)
     between = policy.timestep * policy.substeps  # s, two actions
+    own = own_lib.played(policy.config.get("task", {}), len(joints), between)
     substeps = max(1, round(between / (timestep or model.opt.timestep)))
     model.opt.timestep = between / substeps
     model.opt.iterations = max(model.opt.iterations, 100)  # solved until it has converged
@@ -144,6 +148,8 @@ def load(
         foot_names=tuple(feet),
         substeps=substeps,
         field=field,
+        own=own,
+        given=own_lib.numbers_in(policy.config.get("task", {})),
     )
 
 
@@ -271,16 +277,71 @@ def foot_heights(player: Player, data) -> np.ndarray:
     return np.array([_lowest(player.model, data, shapes).min() for shapes in feet])
 
 
-def look(player: Player, data, command, last_action, time: float | None = None) -> np.ndarray:
+def look(
+    player: Player, data, command, last_action, time: float | None = None, kept=None
+) -> np.ndarray:
     """The observation of the robot in `data`, without noise.
 
-    `time` (s) since the start is what a gait clock shows; None: that of `data`.
+    `time` (s) since the start is what a gait clock shows; None: that of `data`. `kept` are the known
+    quantities of one's own (`own_lib.starts`); None: those of the start.
     """
     time = data.time if time is None else time
     com, clock = player.model.body_ipos[player.base_body], gait_clock(player, time)
-    return observe.observe(
-        *coordinates(player, data), com, player.policy.default_pose, command, last_action, clock
+
+    def of_own(values):
+        facts = {**player.given, **values, **_placed(player, data)._asdict()}
+        now = start(player) if kept is None else kept
+        return own_lib.predicted(player.own, facts) | now
+
+    told = player.policy.default_pose, command, last_action, clock, player.own.seen
+    return observe.observe(*coordinates(player, data), com, *told, of_own=of_own)
+
+
+def start(player: Player) -> dict[str, Any]:
+    """The known quantities of one's own where an episode begins, with curricula as in an evaluation."""
+    levels = {name: term.how.evaluated for name, term in player.own.terms.curricula.items()}
+    return own_lib.starts(player.own, {**player.given, **levels}, np) or {}
+
+
+def _placed(player: Player, data) -> own_lib.Placed:
+    """What an observation of one's own may ask for."""
+    qpos, qvel = coordinates(player, data)
+    contact = np.zeros(len(player.foot_names), bool)
+    one, other = data.contact.geom[data.contact.dist < 0].T
+    for touching, touched in ((one, other), (other, one)):
+        feet = player.foot_of[touching[player.ground[touched]]]
+        contact[feet[feet >= 0]] = True
+    height = qpos[2]
+    if player.field is not None:
+        height = height - _height(player, qpos[:1], qpos[1:2])[0]
+    return own_lib.Placed(qpos=qpos, qvel=qvel, height=height, contact=contact)
+
+
+def ends(player: Player) -> list[str]:
+    """The terminations of one's own that end an episode here, as a fall or as the time."""
+    known = {*player.given, *observe.quantities(True, player.own.seen), *own_lib.Placed._fields}
+    terms = player.own.terms.terminations
+    return [n for n, t in terms.items() if own_lib.asks_only(t, known | {"action"})]
+
+
+def _own_step(
+    player: Player, data, told: tuple[Any, Any], action, time: float, kept
+) -> tuple[dict[str, Any], bool]:
+    """`(kept, fell)` after a control step with `action`: known quantities of one's own, and its ends.
+
+    `told` are command and action before it, `time` (s) and `kept` as they were then.
+    """
+    parts = observe.split(
+        look(player, data, *told, time=time, kept=kept),
+        len(player.joint_q),
+        player.policy.gait_frequency is not None,
+        player.own.seen,
     )
+    facts = {**player.given, **parts, "action": action}
+    after = own_lib.following(player.own, kept, facts)
+    facts |= _placed(player, data)._asdict()
+    down = own_lib.ends(player.own, facts, timeout=False, names=ends(player))
+    return after, any(map(bool, down.values()))
 
 
 def seen(player: Player, data, shift=(0.0, 0.0, 0.0)) -> np.ndarray:
@@ -381,9 +442,9 @@ def rows(
     the base frame; m/s, rad/s); `work` (J) and `fell` as in `step`. `act(obs)` is the policy,
     `command(t)` its command. FloatingPointError if physics blows up, ConfigError if MuJoCo fails.
 
-    What disturbs or measures an episode: `observed(k, command, last_action)` is the observation of control
-    step k instead of `look`, `targets(k, action)` the joint angles instead of the action's; `strength` and
-    `after` are as in `step`, `shift` (m) is as in `seen`.
+    What disturbs or measures an episode: `observed(k, command, last_action, kept)` is the observation of
+    control step k instead of `look`, `targets(k, action)` the joint angles instead of the action's;
+    `strength` and `after` are as in `step`, `shift` (m) is as in `seen`.
     """
     # MuJoCo would write warnings to a file in the working directory; what matters is raised
     mujoco.set_mju_user_warning(lambda message: None)
@@ -391,10 +452,15 @@ def rows(
         reset(player, data)
     dt, com = period(player), player.model.body_ipos[player.base_body]
     p = player.policy
-    action, see = np.zeros(len(p.joint_names)), observe.memory(p.observation, p.history)
+    action, see = np.zeros(len(p.joint_names)), observe.memory(p.observation, p.history, p.own)
+    kept, steps = start(player), bool(player.own.seen or ends(player))
     for k in itertools.count():
-        wanted = np.asarray(command(k * dt), float)
-        obs = observed(k, wanted, action) if observed else look(player, data, wanted, action)
+        told = np.asarray(command(k * dt), float), action
+        wanted = told[0]
+        if observed:
+            obs = observed(k, *told, kept)
+        else:
+            obs = look(player, data, *told, kept=kept)
         action = act(np.concatenate([see(obs), seen(player, data, shift)]))
         follows = targets(k, action) if targets else None
         with mjcf.one_line(player.xml):  # MuJoCo may run out of memory
@@ -404,6 +470,9 @@ def rows(
                 f"{player.xml}: its physics has blown up after {k * dt:.2f} s (numbers that are not "
                 "finite)"
             )
+        if steps:
+            kept, ended = _own_step(player, data, told, action, k * dt, kept)
+            fell |= ended
         _, linear, angular = observe.base_motion(*coordinates(player, data), com)
         velocity = np.array([linear[0], linear[1], angular[2]])
         row = dict(command=wanted, velocity=velocity, work=work, fell=fell)

@@ -95,6 +95,11 @@ class Policy(NamedTuple):
     scan: str = "none"
     seed: int | None = None  # its number in a run of several seeds, from 0; None: unknown
 
+    @property
+    def own(self) -> observe.Own:
+        """The quantities of one's own that it was trained with, as its config says (config/terms.py)."""
+        return observe.own(self.config.get("task", {}).get("terms_about", ""))
+
 
 def describe(config, robot: robot_lib.Robot, params: dict | None = None) -> Policy:
     """The policy of a run's config; ConfigError if the config lacks a field, or its numbers of joints do not
@@ -112,6 +117,7 @@ def describe(config, robot: robot_lib.Robot, params: dict | None = None) -> Poli
                 task.get("observation", "full"),
                 len(robot.joint_names),
                 task.get("gait_frequency") is not None,
+                observe.own(task.get("terms_about", "")),
             ),
             history=task.get("history", 1),
             activation=fields["ppo"]["activation"],
@@ -334,15 +340,15 @@ def _checked(path: Path, policy: Policy) -> Policy:
             {n: x.tolist() if isinstance(x, np.ndarray) else x for n, x in entries.items()}
         )
         clock = policy.gait_frequency is not None
-        joints = len(policy.joint_names)
-        observations = [observe.name(kind, joints, clock) for kind in observe.NAMES]
+        joints, own = len(policy.joint_names), policy.own
+        observations = [observe.name(kind, joints, clock, own) for kind in observe.NAMES]
         expect(
             policy.observation in observations,
             f"its observation is {reprlib.repr(policy.observation)}, this dynappo computes "
             + " and ".join(map(repr, observations))
             + f" of one with{'' if clock else 'out'} a gait clock",
         )
-        inputs = len(observe.columns(policy.observation)) * policy.history
+        inputs = len(observe.columns(policy.observation, own)) * policy.history
         inputs += len(scan_lib.points()) * (policy.scan == "grid")
         checks.check_params(policy.params, inputs, len(policy.joint_names))
     except ValueError as error:

@@ -8,11 +8,13 @@ of the same name, the policy's own is used, and a note says so (`robot`).
 from __future__ import annotations
 
 import argparse
+import json
 import os
 from pathlib import Path
 from typing import Any
 
-from dynappo.config import ConfigError, fields, files, validation
+from dynappo import config as config_lib
+from dynappo.config import ConfigError, fields, files, terms, validation
 from dynappo.config import flags as flags_lib
 from dynappo.description import mjcf
 from dynappo.description import robot as robot_lib
@@ -20,6 +22,7 @@ from dynappo.description.robot import Robot
 from dynappo.policy import checkpoint_file, policy_file
 from dynappo.policy import episode as episode_lib
 from dynappo.policy.policy_file import Policy
+from dynappo.tasks.velocity import own as own_lib
 from dynappo.terrain import map_file
 from dynappo.terrain import tiles as tiles_lib
 from dynappo.terrain.height_map import HeightMap
@@ -89,6 +92,33 @@ def named(what: str, path: Path) -> str:
     return "/".join(path.resolve().parts[-3 if bundled else -2 :]) + apart
 
 
+def with_terms(policy: Policy, file: Path | None) -> tuple[Policy, str]:
+    """`(policy, text)` with the terms of a file that the user has named; `text` says so, "" without a file.
+
+    The file may have changed since the training, but not in what the policy sees: ConfigError then, and where
+    the policy has no terms of one's own.
+    """
+    if file is None:
+        return policy, ""
+    task = policy.config.get("task", {})
+    if not task.get("terms_hash"):
+        raise ConfigError(f"--terms={file}: the policy was trained without terms of one's own")
+    config = config_lib.from_json(json.dumps(policy.config))
+    terms.use(config, terms.read(file))
+    here = config.to_dict()["task"]
+    names = "terms", "terms_hash", "terms_about", "own", "weights", "noise"
+    now = policy.config | {"task": task | {name: here[name] for name in names}}
+    new = policy._replace(config=now)
+    if new.own != policy.own:
+        before, after = (", ".join(each.name for each in x.own) or "none" for x in (policy, new))
+        raise ConfigError(
+            f"--terms={file}: its quantities of an observation are {after}, those of the policy {before}, or "
+            "of other sizes; name the file as it was"
+        )
+    since = ", which has changed since the training" * (here["terms_hash"] != task["terms_hash"])
+    return new, f", with {file.name}{since}"
+
+
 def other(flags: argparse.Namespace) -> tuple[policy_file.Other, Path, str] | None:
     """`(policy, path, text)` of the flags where it is one of another package's environment; else None."""
     path = locate(flags.what, flags.run_seed)
@@ -140,11 +170,29 @@ def player(
     if xml is None:
         own, note = robot(policy)
         text = own.played
-        return episode_lib.load(own.xml, policy, policy.timestep, text=text, field=field), note
+        found = episode_lib.load(own.xml, policy, policy.timestep, text=text, field=field)
+        return found, "; ".join(filter(None, [note, _not_ended(found)]))
     other = _of_flag(
         xml, lambda path: episode_lib.load(path, policy, keep_joints=keep_joints, field=field)
     )
-    return other, f"note: {xml} has no floor; one is added" * mjcf.floor_added(other.model)
+    note = f"note: {xml} has no floor; one is added" * mjcf.floor_added(other.model)
+    return other, "; ".join(filter(None, [note, _not_ended(other)]))
+
+
+def _not_ended(player: episode_lib.Player) -> str:
+    """A note on ends of one's own that this player does not know; or ""."""
+    known = episode_lib.ends(player)
+    lacks = [
+        name
+        for name in own_lib.told_ends(player.policy.config.get("task", {}))
+        if name not in known
+    ]
+    why = (
+        "they ask for what play does not know"
+        if player.own.terms.path
+        else "name their file: --terms"
+    )
+    return f"note: nothing ends here by {', '.join(lacks)} ({why})" if lacks else ""
 
 
 def ground(policy: Policy, text: str) -> HeightMap | None:
@@ -234,7 +282,7 @@ def check_same_robot(workdir: Path, about: dict[str, Any], name: str) -> None:
 
 
 def add_flags(parser: argparse.ArgumentParser) -> None:
-    """Add the policy's name, `--run-seed` and `--robot-xml`."""
+    """Add the policy's name, `--run-seed`, `--robot-xml` and `--terms`."""
     what = "workdir, checkpoint, policy.npz or robot"
     parser.add_argument("what", nargs="?", metavar="NAME_OR_DIR", help=what)
     parser.add_argument(
@@ -246,6 +294,12 @@ def add_flags(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--robot-xml", metavar="FILE", help="another MJCF with the same joint names"
+    )
+    parser.add_argument(
+        "--terms",
+        metavar="FILE",
+        type=flags_lib.path,
+        help="of a policy with terms of your own: their file, which runs as Python",
     )
 
 
@@ -263,9 +317,10 @@ def check_flags(flags: argparse.Namespace) -> None:
 def of_flags(flags: argparse.Namespace) -> tuple[Policy, Path, str]:
     """`(policy, path, text)` of the flags; `text` names the file and the seed, for printing."""
     policy, path = load(flags.what, flags.run_seed)
+    policy, own = with_terms(policy, flags.terms)
     text = named(flags.what, path)
     run = policy.config.get("run", {})
     seeds = run.get("num_seeds") if isinstance(run, dict) else None
     if policy.seed is not None:
         text += f", seed {policy.seed}" + (f" of 0 to {seeds - 1}" if type(seeds) is int else "")
-    return policy, path, text
+    return policy, path, text + own

@@ -139,7 +139,7 @@ def program(
 
     impl = devices.engine(config)
     from dynappo import algorithm, scores, seeds
-    from dynappo.tasks import env_contract
+    from dynappo.tasks import env_contract, of_robots
 
     began = time.perf_counter()
     run = config.run
@@ -184,6 +184,8 @@ def program(
         # the state last: XLA times kernels while it compiles, on a GPU with nothing else to do
         compiled = stepping.result()
         state = starting.result()(hyper, key)
+        if robot is not None:
+            of_robots.check_start(config, robot, state.env_state)
         evaluating = None
         if soon:  # while the run trains
             later = concurrent.futures.ThreadPoolExecutor(1)

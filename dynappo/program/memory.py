@@ -22,11 +22,12 @@ CURE = "lower one of them, or use more devices (run.mesh_seed, run.mesh_env)"
 def bytes_per_row(config, joints: int, feet: int) -> int:
     """Bytes of a types.Transition, at least: without what obs tells of a robot's body."""
     task, clock = config.task, config.task.gait_frequency is not None
-    name = observe.name(task.observation, joints, clock)
-    past = (task.history - 1) * len(observe.columns(name))
+    own = observe.own(task.terms_about)
+    name = observe.name(task.observation, joints, clock, own)
+    past = (task.history - 1) * len(observe.columns(name, own))
     if task.terrain != "flat":
         past += sum(scan.sizes(feet, task.scan == "grid", bool(task.heading)).values())
-    numbers = observe.size(joints, clock) + past, joints, observe.prop_size(joints)
+    numbers = observe.size(joints, clock, own) + past, joints, observe.prop_size(joints, own)
     return 4 * (2 * sum(numbers) + 8)
 
 

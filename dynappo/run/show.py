@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from dynappo import schedule
-from dynappo.config import shell
+from dynappo.config import shell, terms
 from dynappo.policy import walks
 from dynappo.program import build, devices, memory
 from dynappo.program.build import Program
@@ -45,6 +45,9 @@ def describe(config) -> str:
             span = f"{s.start_iteration}-{s.end_iteration}"
             tail += f" ({s.start_steps} to {s.end_steps} over iterations {span})"
     steps = count(schedule.sim_steps(config)[-1])
+    if config.task.terms:
+        names = ", ".join(term.name for term in terms.of(config.task).every())
+        tail += f"\nwith terms of {config.task.terms}: {names}"
     return (
         f"trains {what}{seeds}{over}, rollouts of {r.horizon} rows, {tail}\n"
         f"{run.num_iterations} iterations, {steps} simulator steps"
@@ -223,6 +226,6 @@ def summary(out, config, workdir: Path, summary: dict[str, Any]) -> None:
             f"no film, no play: it is no robot; policy_file.load_actor('{workdir}/policy.npz') acts"
         )
         return say(text)
-    say(f"see it: {shell.line('play', workdir, '--out=walk.html')}")
-    if config.run.num_iterations < 200 or summary["impl"] == "c":
+    say(f"see it: {shell.line('play', workdir, *terms.flag(config), '--out=walk.html')}")
+    if not config.task.terms and (config.run.num_iterations < 200 or summary["impl"] == "c"):
         say(f"next: {shell.line('train', f'--config={config.robot}')}  (on a GPU)")

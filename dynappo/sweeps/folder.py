@@ -38,6 +38,7 @@ def load(workdir: Path, rest: list[str]) -> tuple[Any, dict[str, list[str]]]:
             "--config=FILE.py --sweep=FIELD=VALUE,VALUE"
         )
     flags.set_fields(config, rest)
+    flags.check_terms(config, workdir)
     return config, about["sweep"]
 
 

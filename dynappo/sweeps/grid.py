@@ -132,7 +132,8 @@ def by_vmap(field: str, own_env: bool = False) -> bool:
     With an environment of one's own only those of `ppo` and `model`: `get_env` may build others into the
     program.
     """
-    kind = fields.every()[field]
+    kind = fields.field(field)
+    assert kind is not None
     number = kind.like[0] if kind.kind is tuple else kind.kind()
     return (
         isinstance(number, float)

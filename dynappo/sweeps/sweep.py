@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from dynappo.config import ConfigError, files, shell
+from dynappo.config import ConfigError, files, shell, terms
 from dynappo.config.stop import Stop
 from dynappo.program import build, distributed, environment
 from dynappo.run import merged, show, training
@@ -159,5 +159,6 @@ def _show(out, workdir: Path, combinations: list[Combination], swept: list[str])
     shutil.copyfile(best / "policy.npz", workdir / "policy.npz")
     out.print(f"best: {best}, its policy is {workdir}/policy.npz too", soft_wrap=True, markup=False)
     if combinations[0].config.robot:
-        text = f"see it: {shell.line('play', workdir, '--out=walk.html')}"
+        own = terms.flag(combinations[0].config)
+        text = f"see it: {shell.line('play', workdir, *own, '--out=walk.html')}"
         out.print(text, soft_wrap=True, markup=False)

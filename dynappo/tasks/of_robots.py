@@ -14,7 +14,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from dynappo.description import robot as robot_lib
-from dynappo.tasks.velocity import checks
+from dynappo.tasks.velocity import checks, own
 
 if TYPE_CHECKING:  # it imports JAX
     from dynappo.types import Env
@@ -23,6 +23,13 @@ if TYPE_CHECKING:  # it imports JAX
 def check(config, robot: robot_lib.Robot) -> None:
     """ConfigError if `robot` cannot learn the task of `config`; compiles nothing."""
     checks.check(config, robot)
+
+
+def check_start(config, robot: robot_lib.Robot, state) -> None:
+    """ConfigError if a term of one's own is not finite in the first state of a run, of any robot."""
+    if config.task.terms:
+        dt = config.physics.substeps * config.physics.timestep
+        own.check_finite(own.make(config.task, len(robot.joint_names), dt), state.obs)
 
 
 def make(config, robot: robot_lib.Robot, *, impl: str) -> Env:

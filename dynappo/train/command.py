@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from dynappo import config as config_lib
-from dynappo.config import fields, flags
+from dynappo.config import fields, flags, terms
 from dynappo.config.stop import Stop
 from dynappo.program import devices, distributed, environment
 from dynappo.run import show, training
@@ -198,7 +198,8 @@ def train_run(out, command: Command, stop: Stop) -> str:
         def opened():  # not before: the page shows what is in the folder
             callbacks.opened()
             serve = command.serve if distributed.first() else None
-            stack.enter_context(child.serving(command.workdir, serve))
+            path = terms.of(config.task).path if serve is not None else ""
+            stack.enter_context(child.serving(command.workdir, serve, path))
 
         def finished(*of):
             callbacks.finished(*of)

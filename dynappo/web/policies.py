@@ -46,6 +46,7 @@ class Offer(NamedTuple):
     xml: str | None
     keep_joints: bool
     ground: str | None = None  # as of --ground
+    terms: Path | None = None  # as of --terms, for the policies of a run
 
     @property
     def run(self) -> Path | None:
@@ -103,11 +104,13 @@ def load(offer: Offer, name: str) -> Chosen:
         player = task(theirs.config.env)
         return Chosen(player, task_player.actor(player, theirs), text, player.assets)
     policy, _ = policy_source.load(path, seed)
+    policy, with_terms = policy_source.with_terms(policy, offer.terms if own else None)
     field, on = ground(policy, offer.ground)
     player, note = policy_source.player(
         policy, offer.xml if own else None, offer.keep_joints and own, field
     )
-    return Chosen(player, policy_file.actor(policy.params, policy.activation), text + on, note)
+    act = policy_file.actor(policy.params, policy.activation)
+    return Chosen(player, act, text + with_terms + on, note)
 
 
 def ground(policy: Policy, text: str | None) -> tuple[HeightMap | None, str]:
@@ -165,6 +168,7 @@ def standing(offer: Offer) -> Chosen:
     if not config.robot:
         raise ConfigError(f"{offer.what}: trains an environment of its own, which has no page")
     policy = policy_file.describe(config, robot_lib.load(config.robot))
+    policy, _ = policy_source.with_terms(policy, offer.terms)
     field, on = ground(policy, offer.ground)
     policy = policy._replace(mjcf="")
     player, note = policy_source.player(policy, offer.xml, offer.keep_joints, field)

@@ -153,6 +153,8 @@ def same_robot(one: Player | TaskPlayer, other: Player | TaskPlayer) -> bool:
         return False
     if not _same_ground(one, other):
         return False
+    if a.own != b.own or one.own != other.own:
+        return False
     return all(np.array_equal(getattr(a, name), getattr(b, name)) for name in driven)
 
 

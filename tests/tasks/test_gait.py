@@ -241,7 +241,7 @@ def test_an_episode_of_c_mujoco_shows_what_the_environment_does(world):
                 qpos=jnp.asarray(qpos, jnp.float32), qvel=jnp.asarray(qvel, jnp.float32)
             )
         state = state.replace(command=jnp.asarray(told(k * DT), jnp.float32))
-        expected = view.exact(world.robot, body_0, state)[view.reading(layout)]
+        expected = view.exact(layout, world.robot, world.hyper, body_0, state)[view.reading(layout)]
         known = slice(world.env.prop_size, None)
         np.testing.assert_allclose(seen[k][known], expected[known], atol=1e-5)
         if k == 0:  # later the solvers' tolerances part the robots

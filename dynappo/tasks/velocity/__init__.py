@@ -8,6 +8,7 @@ number in configs/: docs/task.md.
 - `state`: what a robot keeps from one control step to the next
 - `rewards`: the terms of the reward, one function each; `reward_sum`: matches them with weights and
   sums
+- `own`: terms of one's own, in a file of one's own
 - `commands`, `observe`, `pushes`: the commanded velocity, the numbers that a policy sees, kicks
 - `surroundings`: where a robot is on rough ground, and that ground: known in a tail, too
 - `gait`: the gait clock of a biped
@@ -16,5 +17,5 @@ number in configs/: docs/task.md.
 - `mirror`: the mirror image of an observation and an action, from the robot's model
 
 Sizes follow from the robot: any number of joints and feet. It imports `types`, `physics` and `config`;
-`rewards`, `reward_sum`, `observe` and `gait` need no JAX, so that a policy can be played without it.
+`rewards`, `reward_sum`, `observe`, `own` and `gait` need no JAX, so that a policy can be played without it.
 """

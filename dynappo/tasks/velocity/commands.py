@@ -9,11 +9,15 @@ The paper draws a command uniformly and keeps it for the episode. Isaac Lab's ta
 - `task.resample_steps`: the command is drawn again after this number of control steps (0: never);
 - `task.standing`: the probability, at each draw, of the command to stand still.
 
+A command of one's own (config/terms.py) is drawn in the place of the uniform one; all else holds for it, too.
+
 A tail keeps the command of its first row; on a ground that is not flat it knows the robot's heading, and so
 the yaw rate (surroundings.py).
 """
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
@@ -23,12 +27,23 @@ from dynappo.tasks.velocity import observe
 from dynappo.tasks.velocity.state import Goal
 from dynappo.types import Hyper
 
+Sampler = (
+    tuple[int, Callable] | None
+)  # how many numbers one of one's own draws, and of these a command
 
-def draw(task, hyper: Hyper, qpos, key: PRNGKeyArray) -> tuple[Float[Array, " 3"], Goal]:
+
+def draw(
+    task, hyper: Hyper, qpos, key: PRNGKeyArray, own: Sampler = None
+) -> tuple[Float[Array, " 3"], Goal]:
     """A fresh `(command, goal)` for a robot at `qpos`; m/s, m/s, rad/s."""
     ranges = hyper.task.command_x, hyper.task.command_y, hyper.task.command_yaw
+    if own is not None:
+        key, own_key = jax.random.split(key)
     *velocity, heading, standing = jax.random.uniform(key, (5,))
     command = [low + (high - low) * u for u, (low, high) in zip(velocity, ranges, strict=True)]
+    if own is not None:
+        count, sample = own
+        command = [*sample(jax.random.uniform(own_key, (count,)))]
     goal = Goal(
         heading=(2 * heading - 1) * jnp.pi,
         standing=(standing < hyper.task.standing).astype(jnp.float32),
@@ -53,12 +68,12 @@ def turned(hyper: Hyper, command, goal: Goal, heading):
     return command * (1 - goal.standing)
 
 
-def advance(task, hyper: Hyper, command, goal: Goal, qpos, key: PRNGKeyArray):
+def advance(task, hyper: Hyper, command, goal: Goal, qpos, key: PRNGKeyArray, own: Sampler = None):
     """`(command, goal)` of the next control step, for a robot now at `qpos`."""
     command = follow(task, hyper, command, goal, qpos)
     if not task.resample_steps:
         return command, goal
     goal = goal.replace(steps_left=goal.steps_left - 1)
-    fresh = draw(task, hyper, qpos, key)
+    fresh = draw(task, hyper, qpos, key, own)
     due = goal.steps_left <= 0
     return jax.tree.map(lambda new, old: jnp.where(due, new, old), fresh, (command, goal))

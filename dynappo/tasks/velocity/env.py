@@ -25,6 +25,7 @@ from dynappo.tasks.velocity import (
     gait,
     mirror,
     observe,
+    own,
     pushes,
     reward_sum,
     rewards,
@@ -86,6 +87,8 @@ def make(
     robot's feet.
     """
     gait.check(task.gait_frequency, robot.name, len(robot.foot_names))
+    dt = physics_config.substeps * physics_config.timestep
+    of_own = own.make(task, len(robot.joint_names), dt)
     terms = reward_sum.terms_of(task)
     varied = randomize.varied(task.randomize)
     fatal, undesired = ground_rules(robot, task)
@@ -97,7 +100,7 @@ def make(
         ground = of_tiles(task.tiles) if ground is None else ground
         around = surroundings.make(robot, task, physics_config, ground)
     clock = task.gait_frequency is not None
-    layout = view.make(task.observation, task.history, joints, varied, clock, around)
+    layout = view.make(task.observation, task.history, joints, varied, clock, around, of_own)
     const = Constants(
         engine=engine_lib.make(
             robot,
@@ -112,7 +115,7 @@ def make(
         robot=robot,
         task=task,
         legs=kinematics.legs(robot.mj_model, robot.feet),
-        feet=feet_of(robot, terms),
+        feet=feet_of(robot, terms | {n: t.function for n, t in of_own.terms.terminations.items()}),
         fatal=fatal,
         undesired=undesired,
         view=layout,
@@ -120,7 +123,7 @@ def make(
         centres=None if ground is None else tiles.centres(task.tiles),
         terms=terms,
         known=reward_sum.known(terms, task),
-        dt=physics_config.substeps * physics_config.timestep,
+        dt=dt,
     )
     names = [f"reward_{name}" for name in terms]
     if task.fall_reward is not None:
@@ -129,6 +132,8 @@ def make(
     if ground is not None:
         names += ["crossings", "terrain_row"]
         names += [f"terrain_row_{row}" for row in range(task.tiles.rows)]
+    names += [f"ended_{name}" for name in of_own.terms.terminations]
+    names += [f"curriculum_{name}" for name in of_own.terms.curricula]
     return Env(
         randomize=partial(_randomize, const),
         reset=partial(reset, const),
@@ -148,12 +153,13 @@ def make(
         fall_reward=None if task.fall_reward is None else lambda hyper: hyper.task.fall_reward,
         metrics=tuple(names),
         obs_size=view.size(layout),
-        prop_size=observe.prop_size(joints),
+        prop_size=view.prop_size(layout),
         action_size=joints,
         dt=const.dt,
         episode_length=task.episode_length,
         mirror=mirror.images(robot, layout),
         input_scale=view.scale(layout),
+        evaluated=partial(own.evaluated, of_own) if of_own.terms.curricula else None,
     )
 
 
@@ -232,11 +238,21 @@ def autoreset(const: Constants, hyper: Hyper, body, state: State, outcome: Outco
         tile = _next_tile(const, state, jax.random.uniform(tile_key))
     pose_key, command_key, obs_key = jax.random.split(key, 3)
     start, stays, same = _at_start(const, hyper, pose_key, tile), None, None
+    mine = const.view.own
     if const.task.carry_on:
         coin = jnp.where(outcome.truncation == 1, jax.random.uniform(coin_key), 1.0)
         stays, same = coin < 1 - hyper.task.start_anew, coin < hyper.task.keep_command
         here = state.replace(**dict.fromkeys(AGES, 0))
         start = jax.tree.map(lambda here, there: jnp.where(stays, here, there), here, start)
+    if mine.terms.curricula:
+        episode = own.Ended(
+            episode_return=state.episode_return,
+            episode_steps=state.episode_steps,
+            fell=outcome.discount == 0,
+            timed_out=outcome.truncation == 1,
+        )
+        facts = own.numbers(hyper) | {"command": state.command} | episode._asdict()
+        start = start.replace(own=start.own | own.levels(mine, state.own, facts))
     fresh = _commanded(const, hyper, body, start, command_key, obs_key, same)
     # Keep the history of robots that stay. (Without the `if`, XLA 0.10 drops C MuJoCo's call.)
     if stays is not None and const.view.history > 1:
@@ -251,7 +267,8 @@ def _commanded(
     const: Constants, hyper: Hyper, body, state: State, command_key, obs_key, same=None
 ) -> State:
     """`state` with a new command, unless it keeps the `same`, and the observation of both."""
-    told = commands.draw(const.task, hyper, state.qpos, command_key)
+    sample = own.sampler(const.view.own, own.numbers(hyper), state.own or {})
+    told = commands.draw(const.task, hyper, state.qpos, command_key, sample)
     if same is not None:
         has = state.command, state.goal
         told = jax.tree.map(lambda old, new: jnp.where(same, old, new), has, told)
@@ -262,7 +279,12 @@ def _commanded(
 
 def retell(const: Constants, hyper: Hyper, context, key):
     """The context of an observation, which begins with the command, under a new one."""
-    command, _ = commands.draw(const.task, hyper, None, key)
+    mine, sample = const.view.own, None
+    if mine.terms.command is not None:
+        known = context[: view.current_size(const.view) - view.prop_size(const.view)]
+        before = observe.split_context(known, const.view.joints, const.view.clock, mine.seen)
+        sample = own.sampler(mine, own.numbers(hyper), before)
+    command, _ = commands.draw(const.task, hyper, None, key, sample)
     return context.at[: command.size].set(command)
 
 
@@ -337,6 +359,7 @@ def _at_start(const: Constants, hyper: Hyper, key, tile: curriculum.Tile | None)
         episode_return=jnp.zeros(()),
         tile=tile,
         scan_shift=surroundings.draw_shift(hyper, shift) if has_scan else None,
+        own=own.starts(const.view.own, own.numbers(hyper), jnp),
     )
 
 
@@ -371,12 +394,13 @@ def step(const: Constants, hyper: Hyper, body, state: State, action, key):
     ok = jnp.isfinite(after.qpos).all() & jnp.isfinite(after.qacc_warmstart).all()
     ok &= (speed[3:] < MAX_TURN).all() & (speed[:3] < MAX_BASE_SPEED).all()
 
-    moved = state.replace(qpos=after.qpos, qvel=after.qvel)
+    moved = state.replace(qpos=after.qpos, qvel=after.qvel, contact_steps=after.contact_steps)
     around, heights = const.view.around, None
     if around is not None and const.feet is not None:
         there = surroundings.exact(around, after.qpos, after.qvel, state.goal, state.scan_shift)
         heights = surroundings.foot_heights(around, there)
-    known = _known(const, hyper, view.exact(const.robot, body, moved), action, heights)
+    seen = view.exact(const.view, const.robot, hyper, body, moved)
+    known = _known(const, hyper, seen, action, heights)
     facts = known | _measured(const, hyper, state, after)._asdict()
     terms = reward_sum.values(const.terms, facts)
     reward, weighted = reward_sum.total(terms, hyper.task.weights, const.dt)
@@ -385,19 +409,25 @@ def step(const: Constants, hyper: Hyper, body, state: State, action, key):
     fell = (const.fatal & (after.lowest < 0)).any() | ~ok
     if hyper.task.max_tilt is not None:
         fell |= known["gravity"][2] > -jnp.cos(hyper.task.max_tilt)
+    mine = const.view.own
+    falls, timeouts = (own.ends(mine, facts, timeout) for timeout in (False, True))
+    for ends in falls.values():
+        fell |= ends
     if hyper.task.fall_reward is not None:  # once, so not times dt; a blow-up is a fall too
         reward += hyper.task.fall_reward * fell
     clock = state.clock + 1
     timeout = (clock >= const.task.episode_length) & ~fell
+    for ends in timeouts.values():
+        timeout |= ends & ~fell
     crossed: Any = None
     if const.ground is not None:  # it has left its tile: the end of this way, as the time is
         away = _from_centre(const, state.tile, after.qpos[:2])
         crossed = (away > const.task.tiles.size / 2) & ~fell
         timeout |= crossed
     obs_key, push_key, command_key = jax.random.split(key, 3)
-    command, goal = commands.advance(
-        const.task, hyper, state.command, state.goal, after.qpos, command_key
-    )
+    told = state.command, state.goal, after.qpos, command_key
+    sample = own.sampler(mine, own.numbers(hyper), state.own or {})
+    command, goal = commands.advance(const.task, hyper, *told, sample)
     qvel, push_in = pushes.push(hyper.task.push, const.dt, after.qvel, state.push_in, push_key)
     stride = state.gait
     if stride is not None:
@@ -417,8 +447,14 @@ def step(const: Constants, hyper: Hyper, body, state: State, action, key):
         episode_steps=state.episode_steps + 1,
         episode_return=state.episode_return + reward,
     )
-    seen = next_state, view.rest_after(const.view, state.obs), obs_key
-    prop, obs = view.observation(const.view, const.robot, hyper, body, *seen)
+    if state.own is not None:
+        size = view.prop_size(const.view)
+        next_seen = view.exact(const.view, const.robot, hyper, body, next_state)
+        following = view.following(const.view, hyper, seen[size:], action, next_seen[:size])
+        following = {name: jnp.where(ok, x, state.own[name]) for name, x in following.items()}
+        next_state = next_state.replace(own=following)
+    now = next_state, view.rest_after(const.view, state.obs), obs_key
+    prop, obs = view.observation(const.view, const.robot, hyper, body, *now)
     next_state = next_state.replace(
         prop=jnp.where(ok, prop, state.prop), obs=jnp.where(ok, obs, state.obs)
     )
@@ -437,6 +473,8 @@ def step(const: Constants, hyper: Hyper, body, state: State, action, key):
         row = state.tile.row
         metrics |= {"crossings": crossed * 1.0, "terrain_row": row * 1.0}
         metrics |= {f"terrain_row_{k}": (row == k) * 1.0 for k in range(const.task.tiles.rows)}
+    metrics |= {f"ended_{name}": ends * 1.0 for name, ends in (falls | timeouts).items()}
+    metrics |= {f"curriculum_{name}": known[name] for name in mine.terms.curricula}
     outcome = Outcome(
         reward=reward,
         discount=1.0 - fell,
@@ -455,10 +493,11 @@ def _known(const: Constants, hyper: Hyper, seen, action, heights) -> dict[str, A
     """What a term can ask for without physics (rewards.py): `seen` has the predicted parts of the next
     observation and the known parts of this one; `heights` [F] are the feet's above the ground, None where it
     is flat."""
-    parts = observe.split(seen, len(const.robot.joint_names), const.view.clock)
+    parts = view.split(const.view, seen)
     if const.feet is not None:
         parts |= _feet(const, const.feet, parts, heights)._asdict()
-    return engine_lib.per_joint_arrays(hyper)._asdict() | parts | {"action": action}
+    given = own.numbers(hyper._replace(task=engine_lib.per_joint_arrays(hyper)))
+    return given | parts | {"action": action, "dt": const.dt}
 
 
 def _feet(const: Constants, feet: FeetGeometry, parts, heights) -> rewards.Feet:
@@ -492,6 +531,9 @@ def _measured(
         touchdown=contact & (after.contact_steps <= const.engine.substeps),
         last_air_time=after.last_air_steps * const.engine.timestep,
         lowest=jnp.where(const.undesired, after.lowest, jnp.inf).min(-1),
+        qpos=after.qpos,
+        qvel=after.qvel,
+        episode_steps=state.episode_steps,
     )
 
 

@@ -26,10 +26,13 @@ def images(robot: Robot, layout: view.View) -> tuple[Mirror, Mirror] | None:
         return None
     index, sign, start = [], [], 0
     for quantity in view.quantities(layout):
-        if quantity.signs is None:
+        if quantity.size is None and quantity.signs is None:
             image = own
+        elif quantity.signs is None:  # one's own, of which nobody has said it
+            return None
         else:
-            image = Mirror(np.arange(len(quantity.signs)), np.array(quantity.signs, float))
+            order = np.arange(len(quantity.signs)) if quantity.order is None else quantity.order
+            image = Mirror(np.array(order), np.array(quantity.signs, float))
         index.append(start + image.index)
         sign.append(image.sign)
         start += len(image.index)

@@ -16,12 +16,16 @@ qpos and qvel, because after `mjx.step` every derived quantity is one substep ol
 With `task.gait_frequency` two known quantities of a biped follow (gait.py): `gait_phase`, 2 numbers, and
 `gait_turn`, one, which no policy sees.
 
+Quantities of one's own (`task.terms`; own.py) follow these: predicted ones after the angular velocity, known
+ones after the previous action. `own` in the functions below are these, () where there are none.
+
 The order is the paper's, o = [q, qd, g, v, w] and [c, a]: the transition model predicts the first,
 and `advance` computes the second. `PREDICTED` and `KNOWN` define the quantities; from them follow
 sizes, noise, mirror image, the tables of ONNX files and what a reward term can ask for. To add one,
 add an entry there and a value in `observe`, and for `KNOWN` also one in `advance` (docs/task.md).
 """
 
+import json
 import re
 from collections.abc import Callable
 from functools import cache
@@ -36,6 +40,7 @@ from dynappo.tasks.velocity import gait
 # policy that sees other numbers is refused by its name, so change it with them
 NAMES = {"full": "velocity", "onboard": "onboard"}
 CLOCKED = "-phase"  # follows the name of one with a gait clock, as in "velocity-phase-101"
+OWN = "-own"  # follows that of one with quantities of one's own, as in "velocity-own-51"
 # quantities that no sensor tells, and the share of a gait clock that the policy is not to see
 UNSEEN = {"full": ("gait_turn",), "onboard": ("linear_velocity", "gait_turn")}
 
@@ -50,6 +55,19 @@ class Quantity(NamedTuple):
     # of each number in the left-right mirror image; None: mirrored as the joints
     signs: tuple[int, ...] | None = None
     scale: float = 1.0  # of what networks learn from, with `ppo.scale_inputs`; as in legged_gym
+    order: tuple[int, ...] | None = None  # which number each is in the mirror image; None: the same
+
+
+class OwnQuantity(NamedTuple):
+    """One of `task.terms`, as its file declares it (config/terms.py)."""
+
+    name: str
+    quantity: Quantity
+    known: bool  # else predicted
+    shown: bool  # to the policy
+
+
+Own = tuple[OwnQuantity, ...]
 
 
 # signs of vectors in the mirror image; rotations have the opposite sign
@@ -82,55 +100,107 @@ GAIT = dict(
 QUANTITIES = PREDICTED | KNOWN | GAIT
 
 
-def quantities(clock: bool = False) -> dict[str, Quantity]:
+@cache
+def own(about: str) -> Own:
+    """The quantities of one's own in `task.terms_about`; ValueError where `terms.use` did not write it."""
+    if not about:
+        return ()
+    try:
+        return tuple(_own(part) for part in json.loads(about)["observation"])
+    except (KeyError, TypeError, AttributeError, RecursionError) as error:
+        raise ValueError(f"task.terms_about is damaged ({error})") from None
+
+
+def _own(part) -> OwnQuantity:
+    def expect(ok, name):
+        if not ok:
+            raise ValueError(
+                f"task.terms_about has a quantity whose {name} is {str(part[name])[:80]!r}"
+            )
+
+    name, size, signs, order = (part[key] for key in ("name", "size", "signs", "order"))
+    expect(isinstance(name, str) and name.isidentifier() and len(name) <= 100, "name")
+    expect(size is None or (type(size) is int and 0 < size <= 10_000), "size")
+    expect(signs is None or (len(signs) == size and set(signs) <= {1, -1}), "signs")
+    expect(order is None or sorted(order) == [*range(size or 0)], "order")
+    expect(type(part["scale"]) is float and abs(part["scale"]) < 1e9, "scale")
+    for text in ("unit", "content"):
+        expect(isinstance(part[text], str) and len(part[text]) <= 1000, text)
+    quantity = Quantity(
+        size=size,
+        unit=part["unit"],
+        content=part["content"],
+        noise=name if part["noisy"] else "",
+        signs=None if signs is None else tuple(signs),
+        scale=part["scale"],
+        order=None if order is None else tuple(order),
+    )
+    return OwnQuantity(name, quantity, bool(part["known"]), bool(part["shown"]))
+
+
+@cache
+def quantities(clock: bool = False, own: Own = ()) -> dict[str, Quantity]:
     """The quantities of an observation, with or without a gait clock, in their order."""
-    return QUANTITIES if clock else PREDICTED | KNOWN
+    known = {each.name: each.quantity for each in own if each.known}
+    return predicted(own) | KNOWN | known | (GAIT if clock else {})
 
 
-def _slices(names, joints: int) -> dict[str, slice]:
-    sizes = [joints if (size := QUANTITIES[name].size) is None else size for name in names]
+@cache
+def predicted(own: Own = ()) -> dict[str, Quantity]:
+    """Those that the transition model predicts, which come first."""
+    return PREDICTED | {each.name: each.quantity for each in own if not each.known}
+
+
+def _slices(names, joints: int, own: Own = ()) -> dict[str, slice]:
+    sizes = [_size(name, joints, own) for name in names]
     ends = zip(names, sizes, accumulate(sizes), strict=True)
     return {name: slice(stop - size, stop) for name, size, stop in ends}
 
 
 @cache
-def slices(joints: int, clock: bool = False) -> dict[str, slice]:
+def slices(joints: int, clock: bool = False, own: Own = ()) -> dict[str, slice]:
     """Where each quantity is in the observation of a robot of so many joints."""
-    return _slices([*quantities(clock)], joints)
+    return _slices([*quantities(clock, own)], joints, own)
 
 
-def size(joints: int, clock: bool = False) -> int:
+def size(joints: int, clock: bool = False, own: Own = ()) -> int:
     """Numbers of an observation."""
-    return [*slices(joints, clock).values()][-1].stop
+    return [*slices(joints, clock, own).values()][-1].stop
 
 
-def prop_size(joints: int) -> int:
+def prop_size(joints: int, own: Own = ()) -> int:
     """Numbers of its predicted quantities, which come first."""
-    return slices(joints)[[*PREDICTED][-1]].stop
+    return slices(joints, own=own)[[*predicted(own)][-1]].stop
 
 
-def name(observation: str, joints: int, clock: bool = False) -> str:
+def name(observation: str, joints: int, clock: bool = False, own: Own = ()) -> str:
     """The name, in policy files, of one step's reading with `task.observation`."""
-    count = sum(_size(each, joints) for each in _seen(observation, clock))
-    return f"{NAMES[observation]}{CLOCKED * clock}-{count}"
+    count = sum(_size(each, joints, own) for each in _seen(observation, clock, own))
+    return f"{NAMES[observation]}{CLOCKED * clock}{OWN * bool(own)}-{count}"
 
 
-def _size(quantity: str, joints: int) -> int:
-    count = QUANTITIES[quantity].size
+def quantity(name: str, own: Own = ()) -> Quantity:
+    """The quantity of a name."""
+    return quantities(True, own)[name]
+
+
+def _size(name: str, joints: int, own: Own = ()) -> int:
+    count = quantity(name, own).size
     return joints if count is None else count
 
 
-def _seen(observation: str, clock: bool) -> list[str]:
-    return [each for each in quantities(clock) if each not in UNSEEN[observation]]
+def _seen(observation: str, clock: bool, own: Own = ()) -> list[str]:
+    unseen = {*UNSEEN[observation], *(each.name for each in own if not each.shown)}
+    return [each for each in quantities(clock, own) if each not in unseen]
 
 
 @cache
-def _named(name: str) -> tuple[str, int, bool]:
+def _named(name: str, own: Own = ()) -> tuple[str, int, bool]:
     """`(task.observation, joints, clock)` of a name; ValueError if it is none."""
     for observation, clock in product(NAMES, (False, True)):
-        text = NAMES[observation] + CLOCKED * clock
+        text = NAMES[observation] + CLOCKED * clock + OWN * bool(own)
         found = re.fullmatch(rf"{re.escape(text)}-(\d{{1,4}})", name)
-        sizes = [QUANTITIES[each].size for each in _seen(observation, clock)]
+        sizes = [quantity(each, own).size for each in _seen(observation, clock, own)]
         joints, rest = divmod(
             int(found[1]) - sum(filter(None, sizes)) if found else -1, sizes.count(None)
         )
@@ -139,35 +209,35 @@ def _named(name: str) -> tuple[str, int, bool]:
     raise ValueError(f"no observation has the name {name!r}")
 
 
-def has_clock(name: str) -> bool:
+def has_clock(name: str, own: Own = ()) -> bool:
     """Whether a policy of observation `name` sees a gait clock."""
-    return _named(name)[2]
+    return _named(name, own)[2]
 
 
-def shown(name: str) -> tuple[str, ...]:
+def shown(name: str, own: Own = ()) -> tuple[str, ...]:
     """The quantities that a policy of observation `name` sees."""
-    observation, _, clock = _named(name)
-    return tuple(_seen(observation, clock))
+    observation, _, clock = _named(name, own)
+    return tuple(_seen(observation, clock, own))
 
 
-def columns(name: str) -> np.ndarray:
+def columns(name: str, own: Own = ()) -> np.ndarray:
     """The columns of an observation that a policy of observation `name` sees."""
-    _, joints, clock = _named(name)
-    where = slices(joints, clock)
-    return np.concatenate([np.arange(where[q].start, where[q].stop) for q in shown(name)])
+    _, joints, clock = _named(name, own)
+    where = slices(joints, clock, own)
+    return np.concatenate([np.arange(where[q].start, where[q].stop) for q in shown(name, own)])
 
 
-def reading(name: str) -> dict[str, slice]:
+def reading(name: str, own: Own = ()) -> dict[str, slice]:
     """Where each quantity is in one step's reading of a policy of observation `name`."""
-    return _slices(shown(name), _named(name)[1])
+    return _slices(shown(name, own), _named(name, own)[1], own)
 
 
-def memory(name: str, history: int) -> Callable[[np.ndarray], np.ndarray]:
+def memory(name: str, history: int, own: Own = ()) -> Callable[[np.ndarray], np.ndarray]:
     """`see(observation) -> what the policy sees`, step after step of one episode: its readings, newest first.
 
     Before the first there was nothing else: it stands for all before it.
     """
-    seen, kept = columns(name), []
+    seen, kept = columns(name, own), []
 
     def see(obs):
         now = obs[seen]
@@ -217,10 +287,13 @@ def base_motion(qpos, qvel, base_com):
     return gravity, linear, angular
 
 
-def observe(qpos, qvel, base_com, default_pose, command, last_action, clock=None):
+def observe(
+    qpos, qvel, base_com, default_pose, command, last_action, clock=None, own: Own = (), of_own=None
+):
     """The observation [O] of one robot, without noise; see the module's table.
 
-    `clock` is the angle and the turn (rad) of a gait clock; None where the robot has none.
+    `clock` is the angle and the turn (rad) of a gait clock; None where the robot has none. `of_own(values)`
+    gives the quantities `own` by name, from the others.
     """
     xp = qpos.__array_namespace__()
     gravity, linear, angular = base_motion(qpos, qvel, base_com)
@@ -236,13 +309,19 @@ def observe(qpos, qvel, base_com, default_pose, command, last_action, clock=None
     if clock is not None:
         angle, turn = clock
         values |= dict(gait_phase=gait.shown(angle, command), gait_turn=xp.asarray(turn)[None])
-    return xp.concat([values[name] for name in quantities(clock is not None)])
+    if own:
+        assert of_own is not None
+        values |= of_own(values)
+    return xp.concat([values[name] for name in quantities(clock is not None, own)])
 
 
-def advance(context, action, clock: bool = False):
-    """The known quantities [..., C] of the observation after `action`, from those before."""
+def advance(context, action, clock: bool = False, own: Own = (), of_own=None):
+    """The known quantities [..., C] of the observation after `action`, from those before.
+
+    `of_own(before)` gives those of `own`, from all before.
+    """
     xp = context.__array_namespace__()
-    before = split_context(context, action.shape[-1], clock)
+    before = split_context(context, action.shape[-1], clock, own)
     values = dict(
         command=before["command"],
         previous_action=action,
@@ -250,34 +329,38 @@ def advance(context, action, clock: bool = False):
     if clock:
         phase, turn = before["gait_phase"], before["gait_turn"]
         values |= dict(gait_phase=gait.shown_later(phase, turn), gait_turn=turn)
-    return xp.concat([values[name] for name in _known(clock)], axis=-1)
+    if own:
+        assert of_own is not None
+        values |= of_own(before)
+    return xp.concat([values[name] for name in _known(clock, own)], axis=-1)
 
 
-def _known(clock: bool) -> list[str]:
-    return [name for name in quantities(clock) if name not in PREDICTED]
+def _known(clock: bool, own: Own = ()) -> list[str]:
+    return [name for name in quantities(clock, own) if name not in predicted(own)]
 
 
-def split(obs, joints: int, clock: bool = False):
+def split(obs, joints: int, clock: bool = False, own: Own = ()):
     """The quantities of observations [..., O] of a robot of so many joints, by name."""
-    return {name: obs[..., where] for name, where in slices(joints, clock).items()}
+    return {name: obs[..., where] for name, where in slices(joints, clock, own).items()}
 
 
-def split_context(context, joints: int, clock: bool = False):
+def split_context(context, joints: int, clock: bool = False, own: Own = ()):
     """As `split`, of the known quantities [..., C] alone."""
-    known = _slices(_known(clock), joints)
+    known = _slices(_known(clock, own), joints, own)
     return {name: context[..., where] for name, where in known.items()}
 
 
-def split_prop(prop, joints: int):
+def split_prop(prop, joints: int, own: Own = ()):
     """As `split`, of the predicted quantities [..., P] alone."""
-    return {name: prop[..., where] for name, where in _slices(PREDICTED, joints).items()}
+    return {name: prop[..., where] for name, where in _slices(predicted(own), joints, own).items()}
 
 
-def noise_scale(noise, xp, joints: int, clock: bool = False):
+def noise_scale(noise, xp, joints: int, clock: bool = False, own: Own = ()):
     """Half widths [O] of the uniform observation noise; `noise` is the config's group."""
+    every = quantities(clock, own)
     scales = [
-        getattr(noise, QUANTITIES[name].noise) if QUANTITIES[name].noise else 0.0
-        for name, where in slices(joints, clock).items()
+        getattr(noise, every[name].noise) if every[name].noise else 0.0
+        for name, where in slices(joints, clock, own).items()
         for _ in range(where.start, where.stop)
     ]
     return xp.stack([xp.asarray(v) for v in scales])

@@ -1,7 +1,8 @@
 """The reward: finds the term of each weight, calls it with its arguments, and sums.
 
 `task.weights.NAME` is the weight of the function `NAME` in rewards.py, and the function's
-parameters say what it needs. So a new term takes two changes: the function, and its weight.
+parameters say what it needs. So a new term takes two changes: the function, and its weight. A term of one's
+own, in a file of one's own, brings both (config/terms.py).
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from dynappo.config import ConfigError, per_joint
+from dynappo.config import terms as terms_lib
 from dynappo.tasks.velocity import observe, rewards
 
 FILE = "dynappo/tasks/velocity/rewards.py"
@@ -37,16 +39,20 @@ def terms_of(task) -> Terms:
     One that is None leaves its term out. ConfigError for a weight without a term, a term without a weight,
     and a term with an unknown parameter or one that is None.
     """
-    terms, weights = in_rewards(), set(task.weights)
+    own = terms_lib.of(task).rewards
+    terms, weights = (
+        in_rewards() | {n: terms_lib.guarded(t) for n, t in own.items()},
+        set(task.weights),
+    )
     for name in sorted(weights - terms.keys()):
         close = difflib.get_close_matches(name, terms, 1)
         raise ConfigError(
             f"task.weights.{name} has no term; expected a function {name} in "
-            f"{FILE}{f', which has {close[0]}' if close else ''}"
+            f"{task.terms or FILE}{f', which has {close[0]}' if close else ''}"
         )
     for name in (n for n in terms if n not in weights and n not in REPLACEMENTS):
         raise ConfigError(
-            f"task.weights has no weight of the term {name} of {FILE}; add "
+            f"task.weights has no weight of the term {name} of {_file(terms[name])}; add "
             f"`{name}: float = 0.0` to Weights in configs/default.py"
         )
     names = {*known_names(task), *rewards.Measured._fields, *per_joint.names()}
@@ -54,7 +60,7 @@ def terms_of(task) -> Terms:
         for wrong in sorted(set(parameters(term)) - names):
             close = difflib.get_close_matches(wrong, names, 1)
             raise ConfigError(
-                f"the term {name} of {FILE} asks for {wrong}, which is not a quantity of the "
+                f"the term {name} of {_file(term)} asks for {wrong}, which is not a quantity of the "
                 "observation, nor a number of the config's group task, nor a field of Measured"
                 + (f"; did you mean {close[0]}?" if close else "")
             )
@@ -76,17 +82,35 @@ def terms_of(task) -> Terms:
     return used
 
 
-def parameters(term: Callable[..., Any]) -> list[str]:
+def _file(term: Callable[..., Any]) -> str:
+    """Where a term is, for messages."""
+    own = inspect.unwrap(term)
+    return FILE if own.__module__ == rewards.__name__ else own.__code__.co_filename
+
+
+def parameters(term: Callable[..., Any]) -> tuple[str, ...]:
     """What a term asks for: its parameters without a default."""
-    every = inspect.signature(term).parameters.values()
-    return [p.name for p in every if p.default is p.empty]
+    return terms_lib.parameters(term)
+
+
+def numbers_of(task) -> set[str]:
+    """The names of the config's single numbers that a term may ask for: of `task` and `task.own`."""
+    return {name for name, value in task.items() if type(value) is float} | {*task.get("own", ())}
 
 
 def known_names(task) -> set[str]:
     """The names that a term may ask for without physics; of `task`, its floats and numbers of joints [A]."""
     of_joints = {name for name in per_joint.names() if isinstance(task[name], tuple)}
-    numbers = {name for name, value in task.items() if type(value) is float} | of_joints
-    return {*observe.QUANTITIES, *rewards.Feet._fields, "action"} | numbers
+    own = {each.name for each in observe.own(task.terms_about)}
+    return {
+        *observe.QUANTITIES,
+        *own,
+        *rewards.Feet._fields,
+        "action",
+        "dt",
+        *numbers_of(task),
+        *of_joints,
+    }
 
 
 def known(terms: Terms, task) -> Terms:
@@ -104,7 +128,7 @@ def values(terms: Terms, facts: dict[str, Any]) -> dict[str, Any]:
     for name, value in out.items():
         if np.shape(value) != ():
             raise ConfigError(
-                f"the term {name} of {FILE} has the shape {np.shape(value)}, expected "
+                f"the term {name} of {_file(terms[name])} has the shape {np.shape(value)}, expected "
                 "one number of one robot; sum it"
             )
     return out

@@ -12,8 +12,8 @@ A term's parameter names say what it needs. It may ask for:
   of the control step, before a push; the known ones, `command` and `previous_action`, as the policy saw
   them
 - the fields of `Feet`, which follow from these
-- `action`, the raw action of this step, and any number of the config's group `task`, like
-  `tracking_std`
+- `action`, the raw action of this step, any number of the config's group `task`, like
+  `tracking_std`, and `dt`, the seconds of a control step
 - the fields of `Measured`, which only physics knows
 
 In synthetic rows, terms that need nothing of `Measured` can be computed (`model.known_reward`); the model
@@ -62,6 +62,10 @@ class Measured(NamedTuple):
     older_action: Any  # [A] the action before `previous_action`
     over_limit: Any  # [A] rad, beyond the middle `task.reset.soft_limit` of a joint's range
     lowest: Any  # [K] m, lowest point above the ground of what counts as an undesired contact
+    # for terms of one's own
+    qpos: Any  # [7 + A] base and joints, as in observe.py
+    qvel: Any  # [6 + A]
+    episode_steps: Any  # control steps from the reset to the start of this one
 
 
 def track_linear_velocity(linear_velocity, command, tracking_std):
