@@ -164,7 +164,7 @@ def of_log(log: Log, layout: view.View) -> Entries:
 
 
 def _of_contact(log: Log, contact: np.ndarray) -> dict[str, np.ndarray]:
-    """The fields `log_file.OF_CONTACT` of each entry; the swing in which an episode begins has no length."""
+    """The fields `log_file.OF_CONTACT` of each entry; a swing is counted from the episode's start."""
     touchdown, lasted = np.zeros_like(contact), np.zeros(contact.shape, np.float32)
     for episode in log_file.episodes(log):
         steps, last = np.zeros(contact.shape[1]), np.zeros(contact.shape[1])
