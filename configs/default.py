@@ -19,6 +19,7 @@ Variants, appended to the file name as in `configs/go1.py:ppo16`:
 | `best` (default)   | 20     | 0 to 16 over 0-5, until 150 | experiments/21_less        |
 | `few`              | 20     | as best                     | 64 robots, 45 k steps: experiments/27_few |
 | `logs`             | 20     | 16                          | from recorded rows: robots/DEPLOY.md |
+| `logs_deploy`      | 20     | 16                          | the same of a policy for hardware |
 | `deploy`           | 20     | as best                     | for hardware: robots/DEPLOY.md |
 | `laptop`           | 24     | 0 to 16 over 0-20, until 350| two CPU cores: it walks    |
 | `quick`            | 24     | 0 to 4                      | the smallest run on MJX    |
@@ -68,7 +69,17 @@ PAPER = {
 }
 OF_THE_PAPER = (*PAPER, "fast")
 ROUGH = ("rough", "rough_blind", "rough_deploy")
-VARIANTS = (*OF_THE_PAPER, "best", "few", "logs", "deploy", "quick", "laptop", *ROUGH)
+VARIANTS = (
+    *OF_THE_PAPER,
+    "best",
+    "few",
+    "logs",
+    "logs_deploy",
+    "deploy",
+    "quick",
+    "laptop",
+    *ROUGH,
+)
 
 
 class Run(NamedTuple):
@@ -447,7 +458,8 @@ def apply_variant(config: config_dict.ConfigDict, variant: str) -> config_dict.C
         _best(config)
     elif variant == "few":
         _few(config)
-    elif variant == "logs":
+    elif variant in ("logs", "logs_deploy"):
+        _best(config) if variant == "logs" else _deploy(config)
         _logs(config)
     elif variant == "deploy":
         _deploy(config)
@@ -511,8 +523,7 @@ def _few(config: config_dict.ConfigDict) -> None:
 
 
 def _logs(config: config_dict.ConfigDict) -> None:
-    """`best`, from the rows of a file in place of simulated ones (robots/DEPLOY.md; experiments/27_few)."""
-    _best(config)
+    """From the rows of a file in place of simulated ones (robots/DEPLOY.md; experiments/27_few)."""
     config.rollout.num_envs = 512
     config.schedule.update(end_iteration=0, start_steps=16, last_iteration=None, late_from=None)
     config.model.update(symmetry=True, late_epochs=None)

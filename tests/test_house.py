@@ -62,7 +62,8 @@ JAX = {
     "schedule",
 }
 WITHOUT_JAX |= {
-    f"tasks.velocity.{name}" for name in ("rewards", "reward_sum", "observe", "gait", "partners", "log_file")
+    f"tasks.velocity.{name}"
+    for name in ("rewards", "reward_sum", "observe", "gait", "partners", "log_file")
 }
 WITHOUT_JAX |= {"physics.actuators", "physics.warp.scope"}
 WITHOUT_JAX |= {f"terrain.{name}" for name in ("height_map", "tiles", "scan", "map_file")}
