@@ -93,6 +93,7 @@ def elsewhere(tmp_path, monkeypatch):
     about = dict(sweep={"ppo.gamma": ["0.97"]}, combinations={}, restore=None, own_env=False)
     about["config"] = config_lib.load("go1:best").to_dict()
     (sweep / "sweep.json").write_text(json.dumps(about))
+    (tmp_path / "walked.npz").touch()  # a log, whose content a parser does not read
     Image.fromarray(np.zeros((90, 90), np.uint8)).save(tmp_path / "ground.png")
     for name, config in WRITTEN.items():
         (tmp_path / name).parent.mkdir(exist_ok=True)

@@ -1,7 +1,8 @@
 """Fine-tuning from one robot's log: return before and after, and what the true simulator would give.
 
-    python experiments/27_few/logs.py OUT_FOLDER [--cases payload motors friction] [--seconds 80 200 600]
-        [--seeds 0 1] [--noise 0.2] [--sensors 0.2] [--every 20] [--bound] [--name NAME] [FIELD=VALUE ...]
+    python experiments/27_few/logs.py OUT_FOLDER [FIELD=VALUE ...] [--cases payload motors friction]
+        [--seconds 80 200 600] [--seeds 0 1] [--noise 0.2] [--sensors 0.2] [--every 20] [--bound]
+        [--deployments 1] [--restore RUN] [--name NAME]
 
 No hardware: the robot is a second simulator, C MuJoCo with all contacts and a solver that converges, in which
 `CASES` differ from what the policy trained with. It walks under the bundled go1 policy and `--noise`, the
@@ -9,6 +10,9 @@ standard deviation on each action; `--sensors` is the noise on its readings, tim
 recorded is all that the fine-tuning (`go1:logs`) sees of it. The policy is evaluated in the changed simulator
 every `--every` iterations, without noise: the first row is before. With `--bound` the same policy is trained
 in the changed simulator itself instead (`go1:best`, or what FIELDs make of it), and no log is read.
+
+With `--deployments N` the fine-tuned policy walks for as long again, its log is added, and it is fine-tuned
+on all of it, until it has walked N times. `--restore` is a run whose value function and model are taken, too.
 
 Writes OUT_FOLDER/NAME-CASE-SECONDS-SEED.csv, a row an evaluation; those that are there are skipped.
 `model_error` is the model's after one step, on a log of the same robot that it never saw, relative to no
@@ -22,9 +26,11 @@ import math
 import time
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from dynappo import algorithm, schedule, scores
 from dynappo import config as config_lib
@@ -49,6 +55,15 @@ CASES = {  # how the robot differs: kg on its base, share of the torque, frictio
 POLICY = "go1"
 UNSEEN = 9000  # seed of the log that the model never sees
 MEASURED = "return", "fall_rate", "tracking_error", "yaw_error"
+SHOWN = (
+    "model_loss",
+    "model_error_1",
+    "tail_bias",
+    "tail_falls",
+    "policy_std",
+    "kl",
+    "learning_rate",
+)
 
 
 def main():
@@ -56,7 +71,10 @@ def main():
     parser.add_argument("out", type=Path)
     parser.add_argument("fields", nargs="*", metavar="FIELD=VALUE")
     parser.add_argument(
-        "--cases", nargs="+", choices=CASES, default=["payload", "motors", "friction"]
+        "--cases",
+        nargs="+",
+        choices=["payload", "motors", "friction", "none"],
+        default=["payload", "motors", "friction"],
     )
     parser.add_argument("--seconds", nargs="+", type=int, default=[80, 200, 600])
     parser.add_argument("--seeds", nargs="+", type=int, default=[0])
@@ -65,6 +83,7 @@ def main():
     parser.add_argument("--every", type=int, default=20)
     parser.add_argument("--episodes", type=int, default=100)
     parser.add_argument("--bound", action="store_true")
+    parser.add_argument("--deployments", type=int, default=1)
     parser.add_argument("--name", default="")
     parser.add_argument(
         "--restore", type=Path, help="a run to start from, in place of the bundled policy"
@@ -86,86 +105,81 @@ def run(to: Path, args, case: str, seconds: int, seed: int) -> None:
     config = config_lib.load(f"{POLICY}:{'best' if args.bound else 'logs'}")
     for field in args.fields:
         config_lib.override(config, *field.split("=", 1))
-    config.run.update(
-        seed=seed, log_every=math.gcd(args.every, config.run.num_iterations), eval_envs=0
-    )
-    change = CASES[case]
-    robot = robot_lib.load(config.robot)
+    log_every = math.gcd(args.every, config.run.num_iterations)
+    config.run.update(seed=seed, log_every=log_every, eval_envs=0)
+    change, took, done, rows = CASES[case], 0.0, 0, []
+    state: Any = None
     if args.bound:
         changed(config, change)
-    else:
-        config.run.logs = str(recorded(to.parent, args, case, seconds, seed).resolve())
-    config = config_lib.validate(config)
-    build.check(config)
-    program = build.program(config)
-    source = args.restore or policy_source.locate(POLICY)
-    restore.check(source, config)
-    state = program.place(restore.weights(source, program.state)[1])
-    assess, unseen = evaluator(config, change, args.episodes), None
-    if not args.bound:
-        log = fields.copied(config)
-        log.run.logs = str(recorded(to.parent, args, case, 80, UNSEEN).resolve())
-        unseen = model_error(config_lib.validate(log), robot)
-    steps, took, rows = schedule.sim_steps(config), 0.0, []
+    assess, unseen = evaluator(config, change, args.episodes), lambda model: math.nan
+    arrays: dict[str, np.ndarray] = {}
 
-    def look(done):
-        found = assess(state.learner.params)
-        about = dict(
-            job=" ".join([to.stem, *args.fields]), case=case, log_seconds=seconds, seed=seed
-        )
+    def look():
+        about = dict(job=" ".join([to.stem, *args.fields]), case=case, seed=seed)
         about |= dict(noise=args.noise, sensors=args.sensors, iteration=done)
+        about |= dict(log_seconds=len(arrays["time"]) * 0.02 // 1 if arrays else 0)
         about |= dict(sim_steps=int(steps[done - 1]) if done and args.bound else 0)
-        about |= {name: f"{float(found[name]):.4g}" for name in MEASURED}
-        error = math.nan if unseen is None or not done else unseen(state.model)
-        about |= dict(model_error=f"{error:.4g}", seconds=f"{took:.4g}")
+        found = assess(state.learner.params) | {"model_error": unseen(state.model), "seconds": took}
+        about |= {
+            name: f"{float(found[name]):.4g}" for name in (*MEASURED, "model_error", "seconds")
+        }
         rows.append(about)
-        print(
-            " ".join(
-                f"{k}={about[k]}" for k in ("job", "iteration", *MEASURED, "model_error", "seconds")
-            ),
-            flush=True,
-        )
+        print(", ".join(f"{name} {value}" for name, value in about.items()), flush=True)
 
-    look(0)
-    for first in range(0, config.run.num_iterations, args.every):
-        chunk = {
-            name: column[first : first + args.every] for name, column in program.columns.items()
-        }
-        began = time.perf_counter()
-        state, metrics = jax.block_until_ready(program.step(program.hyper, state, chunk))
-        took += time.perf_counter() - began
-        last = {
-            k: round(float(metrics[k][-1]), 4)
-            for k in (
-                "model_loss",
-                "model_error_1",
-                "tail_bias",
-                "tail_falls",
-                "policy_std",
-                "kl",
-                "learning_rate",
-            )
-            if k in metrics
-        }
-        print("   ", last, flush=True)
-        look(first + len(chunk["iteration"]))
+    for deployment in range(args.deployments):
+        if not args.bound:
+            acts = None if state is None else jax.device_get(state.learner.params)
+            arrays = joined(arrays, recorded(args, case, seconds, seed + 100 * deployment, acts))
+            config.run.logs = str(to.with_suffix(f".{deployment}.npz").resolve())
+            recording.save(Path(config.run.logs), the_robot(case), arrays)
+        valid = config_lib.validate(config)
+        build.check(valid)
+        program = build.program(valid)
+        if state is None:
+            source = args.restore or policy_source.locate(POLICY)
+            restore.check(source, valid)
+            first = restore.weights(source, program.state)[1]
+        else:
+            first = program.state.replace(learner=state.learner, model=state.model)
+        state, steps = program.place(first), schedule.sim_steps(valid)
+        if not args.bound and not deployment:
+            unseen = model_error(config, args, case, to.with_suffix(".unseen.npz"))
+        if not done:
+            look()
+        for begin in range(0, config.run.num_iterations, args.every):
+            chunk = slice(begin, begin + args.every)
+            columns = {name: column[chunk] for name, column in program.columns.items()}
+            began = time.perf_counter()
+            state, metrics = jax.block_until_ready(program.step(program.hyper, state, columns))
+            took += time.perf_counter() - began
+            done += len(columns["iteration"])
+            print({n: round(float(metrics[n][-1]), 4) for n in SHOWN if n in metrics}, flush=True)
+            look()
     with to.open("w", newline="") as file:
         writer = csv.DictWriter(file, rows[0])
         writer.writeheader()
         writer.writerows(rows)
 
 
-def recorded(folder: Path, args, case: str, seconds: int, seed: int) -> Path:
-    """The log of the robot of a case."""
-    to = folder / f"{case}-{seconds}-{seed}-{args.noise:g}-{args.sensors:g}.npz"
-    if not to.exists():
-        policy, _ = policy_source.load(POLICY)
-        player = disturbed(policy_source.player(policy)[0], CASES[case])
-        arrays = recording.record(
-            player, seconds, args.noise, args.sensors, seed=seed, strength=CASES[case].motors
-        )
-        recording.save(to, player, arrays)
-    return to
+def the_robot(case: str, params=None):
+    """The robot of a case, under the bundled policy or another's parameters."""
+    policy, _ = policy_source.load(POLICY)
+    policy = policy if params is None else policy._replace(params=params)
+    return disturbed(policy_source.player(policy)[0], CASES[case])
+
+
+def recorded(args, case: str, seconds: int, seed: int, params=None) -> dict[str, np.ndarray]:
+    """What the robot of a case records."""
+    player, strength = the_robot(case, params), CASES[case].motors
+    return recording.record(player, seconds, args.noise, args.sensors, seed=seed, strength=strength)
+
+
+def joined(one: dict[str, np.ndarray], other: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Two logs as one, with a gap between them."""
+    if not one:
+        return other
+    later = other | {"time": other["time"] + one["time"][-1] + recording.GAP}
+    return {name: np.concatenate([one[name], later[name]]) for name in one}
 
 
 def changed(config, change: Stress) -> None:
@@ -192,23 +206,25 @@ def evaluator(config, change: Stress, episodes: int):
     return lambda params: jax.device_get(compiled(hyper, params, jax.random.key(0)))
 
 
-def model_error(config, robot):
-    """`error(model)` after one step, of the rows of another log."""
-    config, robot = motors.fitted(config, robot)
-    env = of_robots.logged(
-        config, robot, of_robots.make(config, robot, impl=devices.engine(config))
-    )
+def model_error(config, args, case: str, to: Path):
+    """`error(model)` after one step, of the rows of another log, which is written to TO."""
+    recording.save(to, the_robot(case), recorded(args, case, 80, UNSEEN))
+    config = fields.copied(config)
+    config.run.logs = str(to.resolve())
+    config, robot = motors.fitted(config_lib.validate(config), robot_lib.load(config.robot))
+    impl = devices.engine(config)
+    env = of_robots.logged(config, robot, of_robots.make(config, robot, impl=impl))
     static, hyper = config_lib.split(config)
     state = jax.jit(partial(algorithm.init, env, static=static))(hyper, jax.random.key(0))
 
     @jax.jit
-    def error(model):
-        rows, _, _ = algorithm.collect(
-            env, hyper, state, jnp.int32(1), jax.random.key(1), static=static
-        )
+    def error(state, model):
+        rows = algorithm.collect(env, hyper, state, jnp.int32(1), jax.random.key(1), static=static)[
+            0
+        ]
         return errors.errors(static, hyper, env, model, rows, 1)["model_error_1"]
 
-    return lambda model: float(error(model))
+    return lambda model: error(state, model)
 
 
 if __name__ == "__main__":
