@@ -526,7 +526,7 @@ def _logs(config: config_dict.ConfigDict) -> None:
     """From the rows of a file in place of simulated ones (robots/DEPLOY.md; experiments/27_few)."""
     config.rollout.num_envs = 512
     config.schedule.update(end_iteration=0, start_steps=16, last_iteration=None, late_from=None)
-    config.model.update(symmetry=True, late_epochs=None)
+    config.model.update(symmetry=True, late_epochs=None, learning_rate=1e-3)
     # the policy takes ten iterations: with more it learns what is wrong in the model
     config.ppo.update(late_kl=1.0, value_first=20, entropy_coef=0.0)
     config.run.num_iterations = 30
