@@ -162,7 +162,9 @@ def test_what_the_loop_logs_is_a_log_of_that_robot(loop, tmp_path, bundled):
     readings = log.readings
     assert np.linalg.norm(readings["linear_velocity"][100:, :2] - AHEAD[:2], axis=1).mean() < 0.15
     layout = logged.view.make("onboard", 5, 12)
-    seen = logged.of_log(log, layout).obs[:, logged.view.views(layout).actor]
+    views = logged.view.views(layout)
+    assert views is not None
+    seen = logged.of_log(log, layout).obs[:, views.actor]
     act = policy_file.actor(bundled.params, bundled.activation)
     np.testing.assert_allclose(act(seen), readings["action"], atol=1e-3)
 

@@ -221,14 +221,14 @@ def test_a_policy_that_sees_readings_before_sees_those_of_the_log(world):
     log = world[3]
     config, robot = configured(observation="onboard", history=3)
     layout = logged.view.make("onboard", 3, 12, logged.randomize.varied(config.task.randomize))
-    entries = logged.of_log(log, layout)
+    entries, views = logged.of_log(log, layout), logged.view.views(layout)
+    assert views is not None
     for episode in log_file.episodes(log):
         see = observe_lib.memory("onboard-45", 3)
         for t in range(episode.start, min(episode.stop, episode.start + 6)):
             previous = log.readings["action"][t - 1] * (t > episode.start)
             now = np.concatenate([*(log.readings[n][t] for n in log_file.SEEN), previous])
-            actor = logged.view.views(layout).actor
-            np.testing.assert_array_equal(entries.obs[t][actor], see(now))
+            np.testing.assert_array_equal(entries.obs[t][views.actor], see(now))
 
 
 # ---- the method
@@ -255,7 +255,11 @@ def test_ppo_learns_from_no_recorded_row_and_the_model_from_all(replayed):
     params, real = states[1].learner.params, (jnp.arange(8) < 4)[:, None]
     for own, weight in ((env, 0), (toy_env.make(), 1)):
         batch = algorithm.estimate(static, hyper, own, params=params, rows=rows, real=real)
-        assert (batch.weight[:4] == weight).all() and (batch.weight[4] == 1).all()
+        assert (
+            batch.weight is not None
+            and (batch.weight[:4] == weight).all()
+            and (batch.weight[4] == 1).all()
+        )
     first, later = (jax.tree.leaves(states[i].model.params)[0] for i in (0, 1))
     assert (first != later).any()
 
