@@ -18,6 +18,8 @@ Variants, appended to the file name as in `configs/go1.py:ppo16`:
 | `fast`             | 16     | as dyna4                    | 5 epochs after 50, bfloat16|
 | `best` (default)   | 20     | 0 to 16 over 0-5, until 150 | experiments/21_less        |
 | `few`              | 26     | the same, to 24             | 64 robots, 45 k steps: experiments/27_few |
+| `logs`             | 20     | 16                          | from recorded rows: robots/DEPLOY.md |
+| `logs_deploy`      | 20     | 16                          | the same of a policy for hardware |
 | `deploy`           | 20     | as best                     | for hardware: robots/DEPLOY.md |
 | `laptop`           | 24     | 0 to 16 over 0-20, until 350| two CPU cores: it walks    |
 | `quick`            | 24     | 0 to 4                      | the smallest run on MJX    |
@@ -68,7 +70,17 @@ PAPER = {
 OF_THE_PAPER = (*PAPER, "fast")
 ROUGH = ("rough", "rough_blind", "rough_deploy")
 OPEN = "weights", "noise", "own"  # groups of `task` with fields of terms of your own
-VARIANTS = (*OF_THE_PAPER, "best", "few", "deploy", "quick", "laptop", *ROUGH)
+VARIANTS = (
+    *OF_THE_PAPER,
+    "best",
+    "few",
+    "logs",
+    "logs_deploy",
+    "deploy",
+    "quick",
+    "laptop",
+    *ROUGH,
+)
 
 
 class Run(NamedTuple):
@@ -91,6 +103,9 @@ class Run(NamedTuple):
     # than tracking are rewards
     walks: Literal["return", "tracking"] = "return"
     wandb: str = ""  # project of Weights & Biases to log to; empty: none
+    # --logs: a file of a robot's rows, from which it learns in place of simulated ones (robots/DEPLOY.md)
+    logs: str = ""
+    logs_hash: str = ""  # of the file; follows from it
 
 
 class Rollout(NamedTuple):
@@ -172,6 +187,8 @@ class Ppo(NamedTuple):
     # what the value function sees: "obs", as the policy; or "state", without noise and with
     # what no sensor tells (tasks/velocity/view.py)
     critic: Literal["obs", "state"] = "obs"
+    # iterations in which only the value function learns: one of a restored policy that has none
+    value_first: Whole = 0
     # learn as if joint velocities were 20 times smaller, angular velocities 4 times (learner/units.py)
     scale_inputs: bool = False
     # the networks see their inputs with mean 0 and variance 1, of all rows so far (learner/scaling.py)
@@ -459,6 +476,9 @@ def apply_variant(config: config_dict.ConfigDict, variant: str) -> config_dict.C
         _best(config)
     elif variant == "few":
         _few(config)
+    elif variant in ("logs", "logs_deploy"):
+        _best(config) if variant == "logs" else _deploy(config)
+        _logs(config)
     elif variant == "deploy":
         _deploy(config)
     elif variant in ROUGH:
@@ -518,6 +538,16 @@ def _few(config: config_dict.ConfigDict) -> None:
     config.schedule.update(end_steps=24, anchors=200, last_iteration=None, late_from=None)
     config.ppo.late_kl = 1.0
     config.run.num_iterations = 320  # of 128 real rows, after the ramp: 44 k
+
+
+def _logs(config: config_dict.ConfigDict) -> None:
+    """From the rows of a file in place of simulated ones (robots/DEPLOY.md; experiments/27_few)."""
+    config.rollout.num_envs = 512
+    config.schedule.update(end_iteration=0, start_steps=16, last_iteration=None, late_from=None)
+    config.model.update(symmetry=True, late_epochs=None, learning_rate=1e-3)
+    # the policy takes ten iterations: with more it learns what is wrong in the model
+    config.ppo.update(late_kl=1.0, value_first=20, entropy_coef=0.0)
+    config.run.num_iterations = 30
 
 
 def _deploy(config: config_dict.ConfigDict) -> None:

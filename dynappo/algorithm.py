@@ -46,7 +46,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from dynappo import fast, rollout, schedule, stats
 from dynappo.learner import gae, networks, ppo, scaling, symmetry, units
 from dynappo.model import dynamics, errors, examples, memory
-from dynappo.types import Columns, Env, Hyper, Metrics, Static, TrainState, Transition
+from dynappo.types import Columns, Env, Hyper, Learner, Metrics, Static, TrainState, Transition
 
 # purposes of random numbers: of a seed, whose policy may be evaluated with the same; and of an iteration
 NETWORKS, MODEL, BODIES, START, ITERATIONS, EPISODES = range(6)
@@ -146,10 +146,10 @@ def iterate(
         batch = estimate(
             static, hyper, env, params=learner.params, rows=rows, real=real, of_round=k
         )
-        learner, learned = fast.update(
+        updated, learned = fast.update(
             static, hyper, learner, batch=batch, key=key(UPDATE, k), image=image, units=scales
         )
-        return learner, rows, learned
+        return value_first(static, iteration, learner, updated), rows, learned
 
     nothing = dict.fromkeys(ppo.METRICS, jnp.zeros(()))
     rows = memory.branches(static, rows, axis=1) if state.model is not None else rows
@@ -190,7 +190,9 @@ def collect(env: Env, hyper: Hyper, state: TrainState, n_real, key, *, static: S
         end=n_real,
         state=state.env_state,
         keys=rollout.row_keys(key, state.robot_index),
-        act=policy(static, env, state.learner.params),
+        act=as_recorded(
+            env, policy(static, env, state.learner.params), state.learner.params["std"]
+        ),
         step=physics_step(env, hyper, state.params_physics),
         metrics=env.metrics,
     )
@@ -247,6 +249,31 @@ def policy(static: Static, env: Env, params: dict):
     return act
 
 
+def as_recorded(env: Env, act, std):
+    """`act` with the actions of a record, in an environment that has one."""
+    if (recorded := env.recorded) is None:
+        return act
+
+    def again(state, keys):
+        _, mean, _, value = act(state, keys)
+        action = jax.vmap(recorded)(state)
+        return action, mean, networks.log_prob(mean, std, action), value
+
+    return again
+
+
+def value_first(static: Static, iteration, before: Learner, after: Learner) -> Learner:
+    """`after` an update; in the first `ppo.value_first` iterations with the policy as it was `before`."""
+    if not static.ppo.value_first:
+        return after
+    waits = partial(jnp.where, iteration <= static.ppo.value_first)
+    held = {
+        name: jax.tree.map(waits, before.params[name], after.params[name])
+        for name in ("actor", "std")
+    }
+    return after.replace(params=after.params | held)
+
+
 def physics_step(env: Env, hyper: Hyper, bodies):
     """`step(state, action, keys)` of all robots: the environment's step, then its autoreset.
 
@@ -272,8 +299,8 @@ def estimate(
 ) -> ppo.Batch:
     """Advantages and returns of a rollout, bootstrapped by V(next_obs) at truncations and row N-1.
 
-    Elsewhere the next row's value is the same number. In rounds after the first (`of_round` > 0) `real`
-    rows [N, 1] have weight 0: an earlier policy chose their actions.
+    Elsewhere the next row's value is the same number. `real` rows [N, 1] whose actions another policy chose
+    have weight 0: in rounds after the first (`of_round` > 0), and where all are recorded.
     """
     with jax.default_matmul_precision("highest"):
         cut = (rows.truncation == 1).at[-1].set(True)
@@ -291,7 +318,8 @@ def estimate(
         )
     weight = None
     if schedule.uses_model(static):
-        weight = presence(rows, real) * (~real | (of_round == 0))
+        own = of_round == 0 if env.recorded is None else False
+        weight = presence(rows, real) * (~real | own)
     return ppo.Batch(
         obs=obs,
         action=rows.action,

@@ -190,6 +190,9 @@ class Env(NamedTuple):
     # (hyper) -> [], the share of the reward that a fall (`discount` 0) pays once, not times dt (with
     # `model.falls`); None: none
     fall_reward: Callable[..., Any] | None = None
+    # (state) -> action [A], of an environment whose rows are recorded: what was done then, whatever the
+    # policy would do. PPO does not learn from such rows
+    recorded: Callable[..., Any] | None = None
     # (hyper, context, key) -> context of a robot that is asked something else, with `schedule.new_commands`
     retell: Callable[..., Any] | None = None
     mirror: tuple[Mirror, Mirror] | None = None  # of obs and action, with `ppo.symmetry`

@@ -95,6 +95,7 @@ def elsewhere(tmp_path, monkeypatch):
     (sweep / "sweep.json").write_text(json.dumps(about))
     page = (ROOT / "docs" / "task.md").read_text()  # whose reader writes its first example
     (tmp_path / "my_terms.py").write_text(re.search(r"^```python\n(.*?)^```", page, re.M | re.S)[1])
+    (tmp_path / "walked.npz").touch()  # a log, whose content a parser does not read
     Image.fromarray(np.zeros((90, 90), np.uint8)).save(tmp_path / "ground.png")
     for name, config in WRITTEN.items():
         (tmp_path / name).parent.mkdir(exist_ok=True)

@@ -63,7 +63,7 @@ JAX = {
 }
 WITHOUT_JAX |= {
     f"tasks.velocity.{name}"
-    for name in ("rewards", "reward_sum", "observe", "own", "gait", "partners")
+    for name in ("rewards", "reward_sum", "observe", "own", "gait", "partners", "log_file")
 }
 WITHOUT_JAX |= {"physics.actuators", "physics.warp.scope"}
 WITHOUT_JAX |= {f"terrain.{name}" for name in ("height_map", "tiles", "scan", "map_file")}
@@ -83,6 +83,7 @@ MAY_ALSO = {
     "tasks.playground.loading": {"pathlib", "os"},
     "tasks.playground.swapped": {"threading"},
     "description.robot": FILES | PATHS,
+    "tasks.velocity.log_file": FILES | PATHS,
     "terrain.map_file": FILES | PATHS,
     "physics.warp.native": FILES | PATHS,
     "physics.c_mujoco": {"os", "threading"},

@@ -156,8 +156,8 @@ def whole(name: str, text: str, least: int, most: int = 2**31 - 1) -> int:
     return value
 
 
-def check_writable(out: Path) -> None:
-    """ConfigError if no file can be written at `out`; leaves none behind, and no folder."""
+def check_writable(out: Path, flag: str = "out") -> None:
+    """ConfigError if no file can be written at `out`, the value of a flag; leaves nothing behind."""
     missing: list[Path] = []
     try:
         target = out.resolve()  # what a link points to may be missing
@@ -168,7 +168,7 @@ def check_writable(out: Path) -> None:
         target.open("ab").close()
     except (OSError, RuntimeError) as error:  # links in a circle
         reason = getattr(error, "strerror", None) or error
-        raise ConfigError(f"--out={out}: cannot write there ({reason})") from None
+        raise ConfigError(f"--{flag}={out}: cannot write there ({reason})") from None
     else:
         if fresh:
             target.unlink()

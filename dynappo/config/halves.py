@@ -54,6 +54,7 @@ class StaticPpo(NamedTuple):
     shuffle_blocks: int
     squashed: bool
     symmetry: bool
+    value_first: int
 
 
 class StaticRollout(NamedTuple):
@@ -69,6 +70,8 @@ class StaticRun(NamedTuple):
     eval_every: int
     eval_steps: int
     log_every: int
+    logs: str
+    logs_hash: str
     mesh_env: int
     mesh_seed: int
     num_iterations: int

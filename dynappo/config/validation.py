@@ -82,6 +82,7 @@ def validate(
     expect(bool(config.robot) or not config.task.terms, "task.terms", config.task.terms, text)
     if schedule.uses_model(config):
         _check_model(config)
+    _check_logs(config)
     expect(not (config.env and config.robot), "env", config.env, "'' where a robot is named")
     expect(
         # "" is that of another environment (program/environment.py)
@@ -209,6 +210,21 @@ def _check_model(config) -> None:
             f"most the {fewest} real rows of the longest tail; raise model.minibatches or lower "
             "schedule.end_steps"
         )
+
+
+def _check_logs(config) -> None:
+    """Checks that a policy can learn where all real rows are recorded: from tails, of what a log tells."""
+    if not config.run.logs:
+        return
+    task = config.task
+    fits = bool((schedule.table(config) > 0).all()) and schedule.uses_model(config)
+    text = "'' where an iteration has no tail: PPO learns from the model's rows alone; try --config=go1:logs"
+    expect(fits, "run.logs", config.run.logs, text)
+    alone = task.terrain == "flat" and not (task.heading or task.gait_frequency or config.env)
+    text = (
+        "'' with rough ground, headings, a gait clock or another package's task, which no log tells"
+    )
+    expect(alone, "run.logs", config.run.logs, text)
 
 
 def _check_memory(config) -> None:

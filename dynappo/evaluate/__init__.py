@@ -10,6 +10,7 @@
 - `changes`: falls when the command changes, and on the tours of the film and of the live page
 - `crossing`: which tiles of a rough ground a policy crosses, by kind and by row
 - `stress`: trials with late actions, loads, slippery floors, pushes, in other physics
+- `recording`: a log as a robot's controller would write it, to learn from
 - `stairs`: the same on stairs made of boxes, for policies of rough ground
 - `figures`: pictures of the trials
 - `report`, `report.html`: all of it on one page, with a robot that plays each command

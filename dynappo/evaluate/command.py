@@ -25,6 +25,7 @@ from dynappo.evaluate import (
     crossing,
     episodes,
     figures,
+    recording,
     report,
     stairs,
     stress,
@@ -64,6 +65,8 @@ UNITS = {
 STRESS_UNITS = {name: UNITS[name] for name in ("tracking_error", "yaw_error")}
 FEW_CHANGES = 48  # with --fast
 MAX_EPISODES = 10**6  # of which each is a robot in memory
+RECORDED, MOST_SECONDS = 80, 36_000  # s of a log
+MOST_NOISE = 10.0
 USAGE = """\
 NAME_OR_DIR is a workdir (while it trains: its newest checkpoint), a checkpoint folder, a policy.npz,
 or the name of a robot with a bundled policy
@@ -74,9 +77,10 @@ or the name of a robot with a bundled policy
   python -m dynappo.evaluate runs/go1 --randomize --episodes=200 --out=hard
   python -m dynappo.evaluate runs/sweep --run-seed=3 --out=third
   python -m dynappo.evaluate go1 --fast --robot-xml=other/scene.xml
+  python -m dynappo.evaluate go1 --record=walked.npz --seconds=80 --noise=0.2
 with --robot-xml the task's episodes need a file that keeps the rules of robots/README.md; --fast does not
 it writes evaluation.json, report.html (tables, maps, the robot under each command), tracking.png and
-gait.png; with --stress only stress.json
+gait.png; with --stress only stress.json, with --record only FILE.npz
 """
 
 
@@ -94,6 +98,14 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
     flag("--seed", metavar="N", help="random seed of all episodes' commands and starts; default: 0")
     flag("--stress", action="store_true", help="robustness: delays, loads, pushes, other physics")
     flag("--crossing", action="store_true", help="rough ground: which tiles it crosses")
+    flag(
+        "--record",
+        metavar="FILE.npz",
+        type=flags_lib.path,
+        help="write a log as the robot's controller would, to learn from (train --logs), and nothing else",
+    )
+    flag("--seconds", metavar="S", help=f"with --record: how long; default: {RECORDED}")
+    flag("--noise", metavar="STD", help="with --record: of each action, in its units; default: 0")
     flag(
         "--fast",
         action="store_true",
@@ -125,8 +137,39 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
             raise ConfigError(
                 f"--{name} is for the episodes of the task, which --{without} leaves out"
             )
-    flags.fast |= flags.stress
+    _check_record(flags)
+    flags.fast |= flags.stress or flags.record is not None
     return flags
+
+
+def _check_record(flags) -> None:
+    """Make numbers of the flags of `--record`; ConfigError if they are none, or without it."""
+    if flags.record is None:
+        for name in ("seconds", "noise"):
+            if getattr(flags, name) is not None:
+                raise ConfigError(f"--{name} is for --record=FILE.npz, which is not there")
+        return
+    others = [
+        n
+        for n in ("stress", "crossing", "fast", "randomize", "episodes", "out")
+        if getattr(flags, n)
+    ]
+    if others or flags.record.suffix != ".npz":
+        found = f"--{others[0]} beside it" if others else f"--record={flags.record}"
+        raise ConfigError(
+            f"{found}: expected --record=FILE.npz, with --seconds, --noise and --seed alone"
+        )
+    flags_lib.check_writable(flags.record, "record")
+    flags.seconds = flags_lib.whole("seconds", flags.seconds or str(RECORDED), 1, MOST_SECONDS)
+    try:
+        noise = float(flags.noise or 0)
+    except ValueError:
+        noise = -1.0
+    if not 0 <= noise <= MOST_NOISE:
+        raise ConfigError(
+            f"--noise={flags.noise}: expected 0 to {MOST_NOISE:g}, units of the action"
+        )
+    flags.noise = noise
 
 
 def folder(what: str, path: Path) -> Path:
@@ -199,6 +242,8 @@ def run(flags) -> None:
         open_folder(out)
         return task_episodes.run(theirs, config, flags, named, out)
     policy, player, robot, path, (named, note) = inputs(flags)
+    if flags.record:
+        return _record(flags, player, named)
     out = flags.out or folder(flags.what, path)
     open_folder(out)
     screen = Console(highlight=False)
@@ -252,6 +297,22 @@ def run(flags) -> None:
     screen.print(f"written to {out}: {names}", soft_wrap=True, markup=False)
     if problem:
         screen.print(problem, soft_wrap=True, markup=False, style="yellow")
+
+
+def _record(flags, player: Player, named: str) -> None:
+    """Write what a controller would have recorded."""
+    from rich.console import Console
+
+    recording.check(player)
+    screen = Console(highlight=False)
+    with tables.progress(screen, "control steps") as tell:
+        arrays = recording.record(
+            player, flags.seconds, flags.noise, seed=flags.seed or 0, tell=tell
+        )
+    recording.save(flags.record, player, arrays)
+    falls = int(arrays["fell"].sum())
+    text = f"{player.policy.robot}: {named}; {flags.seconds} s, {falls} falls, written to {flags.record}"
+    screen.print(f"dynappo records {text}", soft_wrap=True, markup=False)
 
 
 def _crossing(flags, screen, policy: Policy, robot: Robot | None, named: str, out: Path) -> None:

@@ -69,17 +69,21 @@ def check(config, env: Any = None) -> None:
     of_robots.check(config, loaded)
     engine_contract.check(loaded, config.physics, impl)
     memory.check(config, loaded, memory.limit(devices.local(config.run.device)))
+    if config.run.logs:
+        of_robots.about_log(config, loaded)
 
 
 def engine_note(program: Program, config) -> str:
     """A line on a robot whose physics are slower or coarser on this engine, and why; or on where another
-    package's environment comes from; else ""."""
+    package's environment comes from, or what is in a log; else ""."""
     from dynappo.physics import engine_contract
     from dynappo.physics.warp import scope
-    from dynappo.tasks import by_name
+    from dynappo.tasks import by_name, of_robots
 
     if config.env:
         return by_name.about(config)
+    if config.run.logs:
+        return of_robots.about_log(config, program.robot)
     if program.impl == "jax":
         return engine_contract.coarse(program.robot)
     if program.impl != "warp":
@@ -147,13 +151,14 @@ def program(
     config, robot, env, impl = _environment(config, env, impl)
     static, hyper = config_lib.split(config)
     env = env._replace(mesh=mesh)
+    source = of_robots.logged(config, robot, env) if run.logs else env  # of the rows
     length = run.eval_steps or config.task.episode_length
     key = jax.random.key(run.seed)
     init, step, episodes = algorithm.init, algorithm.run, scores.evaluate
     if run.num_seeds > 1:
         init, step, episodes = seeds.init, seeds.run, seeds.evaluate
         hyper, key = each or (hyper, seeds.keys(run.seed, run.num_seeds))
-    init, step = partial(init, env, static=static), partial(step, env, static=static)
+    init, step = partial(init, source, static=static), partial(step, source, static=static)
     episodes = partial(episodes, env, static=static, num_envs=run.eval_envs, num_steps=length)
     columns = schedule.columns(config)
     # a divisor of `log_every`: all multiples of 10 share a program

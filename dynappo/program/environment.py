@@ -58,6 +58,13 @@ def from_file(get_env: Callable[[Any], Any] | None, config) -> tuple[Any, Any]:
     return config_for(config, env), env
 
 
+def set_log(config, path: str) -> None:
+    """Set the log that a run learns from, `run.logs`, and its hash; ConfigError if it cannot be read."""
+    from dynappo.tasks.velocity import log_file
+
+    config.run.update(logs=path, logs_hash=log_file.digest(path))
+
+
 def check_robot(config) -> None:
     """ConfigError if `config` is for an environment of your own, which is missing here."""
     if config.env:

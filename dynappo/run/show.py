@@ -44,14 +44,19 @@ def describe(config) -> str:
         if s.end_iteration > s.start_iteration:
             span = f"{s.start_iteration}-{s.end_iteration}"
             tail += f" ({s.start_steps} to {s.end_steps} over iterations {span})"
-    steps = count(schedule.sim_steps(config)[-1])
+    steps = f"{count(schedule.sim_steps(config)[-1])} {real_rows(config)}"
     if config.task.terms:
         names = ", ".join(term.name for term in terms.of(config.task).every())
         tail += f"\nwith terms of {config.task.terms}: {names}"
     return (
         f"trains {what}{seeds}{over}, rollouts of {r.horizon} rows, {tail}\n"
-        f"{run.num_iterations} iterations, {steps} simulator steps"
+        f"{run.num_iterations} iterations, {steps}"
     )
+
+
+def real_rows(config) -> str:
+    """What `sim_steps` counts."""
+    return "entries of the log, seen again and again" if config.run.logs else "simulator steps"
 
 
 def count(steps: int) -> str:
@@ -209,6 +214,8 @@ def summary(out, config, workdir: Path, summary: dict[str, Any]) -> None:
             rows[label] = mean(value, unit, scale, none)
     words = walks.in_words(config, summary.get("evaluation", {}))
     rows |= {"the policy": words} if words else {}
+    if config.run.logs:
+        del rows["simulator steps"]
     for label, value in rows.items():
         table.add_row(label, value)
     out.print(table)

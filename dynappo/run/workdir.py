@@ -26,7 +26,7 @@ from dynappo.run import log
 # what may differ when a run goes on: nothing of it changes a number that training computes
 MAY_CHANGE = (
     "run.num_iterations run.log_every run.checkpoint_every run.eval_every run.eval_envs run.eval_steps "
-    "run.video_seconds run.device run.mesh_seed run.mesh_env run.tensorboard run.wandb "
+    "run.video_seconds run.device run.mesh_seed run.mesh_env run.tensorboard run.wandb run.logs "
     "physics.impl physics.threads task.terms"
 ).split()
 # what runs write into their folder, `evaluate` too, and what people film or export into it

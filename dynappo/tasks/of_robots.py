@@ -14,7 +14,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from dynappo.description import robot as robot_lib
-from dynappo.tasks.velocity import checks, own
+from dynappo.tasks.velocity import checks, log_file, own
 
 if TYPE_CHECKING:  # it imports JAX
     from dynappo.types import Env
@@ -30,6 +30,25 @@ def check_start(config, robot: robot_lib.Robot, state) -> None:
     if config.task.terms:
         dt = config.physics.substeps * config.physics.timestep
         own.check_finite(own.make(config.task, len(robot.joint_names), dt), state.obs)
+
+
+def about_log(config, robot: robot_lib.Robot) -> str:
+    """A line on the log that `robot` is to learn from; ConfigError if it is of another robot, or damaged.
+
+    The config's numbers a joint are resolved (`motors.fitted`).
+    """
+    return log_file.in_words(_log(config, robot), config)
+
+
+def logged(config, robot: robot_lib.Robot, env: Env) -> Env:
+    """`env` with the rows of the log in place of simulated ones; ConfigError as `about_log`."""
+    from dynappo.tasks.velocity import logged
+
+    return logged.make(env, _log(config, robot), robot, config.task)
+
+
+def _log(config, robot: robot_lib.Robot) -> log_file.Log:
+    return log_file.load(config.run.logs, robot, config, config.run.logs_hash)
 
 
 def make(config, robot: robot_lib.Robot, *, impl: str) -> Env:

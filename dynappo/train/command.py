@@ -31,6 +31,7 @@ examples
   python -m dynappo.train --config=go1
   python -m dynappo.train --config=go1:laptop --workdir=runs/try
   python -m dynappo.train --workdir=runs/try
+  python -m dynappo.train --config=go1:logs --logs=walked.npz --restore=runs/go1
   python -m dynappo.train --config=playground:Go1JoystickFlatTerrain:ppo
 variants follow the name: go1:laptop, :ppo16, :dyna4, ... (none: best)
 set any field of the config (configs/default.py lists them), as in
@@ -74,6 +75,12 @@ def parse(argv: list[str] | None) -> Command:
         help="start from the networks of another workdir, a checkpoint or a policy.npz",
     )
     parser.add_argument(
+        "--logs",
+        type=flags.path,
+        metavar="FILE",
+        help="learn from a robot's recorded rows in place of simulated ones (robots/DEPLOY.md)",
+    )
+    parser.add_argument(
         "--sweep",
         action="append",
         metavar="FIELD=VALUE,VALUE,...",
@@ -99,6 +106,8 @@ def parse(argv: list[str] | None) -> Command:
         config, get_env = flags.load_run(known.workdir, rest), None
     else:
         config, get_env = flags.load_both(known.config, rest)
+    if known.logs:
+        environment.set_log(config, os.path.abspath(known.logs))
     name, _, variant = str(known.config).partition(":")
     folder = (
         Path(name).stem

@@ -5,6 +5,7 @@ import re
 from functools import partial
 from pathlib import Path
 
+import numpy as np
 import pytest
 import toy_sweep
 from answers import mistake, shell, status
@@ -13,10 +14,10 @@ from toy_policy import actor, described
 
 from dynappo import config as config_lib
 from dynappo.description import robot as robot_lib
-from dynappo.evaluate import changes, episodes, trials
+from dynappo.evaluate import changes, episodes, recording, trials
 from dynappo.evaluate import command as evaluate_command
 from dynappo.evaluate import tables as evaluate_tables
-from dynappo.policy import episode, policy_file
+from dynappo.policy import episode, policy_file, policy_source
 
 
 @pytest.fixture(scope="module")
@@ -156,6 +157,20 @@ runpy.run_module("dynappo.evaluate", run_name="__main__", alter_sys=True)
     assert (tmp_path / "out" / "evaluation.json").is_file()
 
 
+def test_a_recording_is_one_file(tmp_path, monkeypatch, capsys):
+    """Of the noise, seconds and seed that the flags say; the same again is the same."""
+    monkeypatch.chdir(tmp_path)
+    flags = "go1 --record=a.npz --seconds=11 --noise=0.1 --seed=3".split()
+    assert run(*flags) == 0 and [path.name for path in tmp_path.iterdir()] == ["a.npz"]
+    assert capsys.readouterr().out.endswith("11 s, 0 falls, written to a.npz\n")
+    player, _ = policy_source.player(policy_source.load("go1")[0])
+    expected = recording.record(player, 11, 0.1, seed=3)
+    with np.load("a.npz") as found:
+        assert {*found.files} == {*expected, "about"}
+        for name, array in expected.items():
+            np.testing.assert_array_equal(found[name], array)
+
+
 # ---- mistakes
 
 MISTAKES = {  # arguments, what the line must say
@@ -172,6 +187,21 @@ MISTAKES = {  # arguments, what the line must say
     "a file": (["POLICY", "--fast", "--out=POLICY"], "cannot write there (File exists)"),
     "no policy": (["--fast", "CONFIG"], "config.json: not a policy.npz, or damaged"),
     "no robot": (["SPOT"], "spot"),
+    "recorded": (["POLICY", "--record=a.txt"], "--record=a.txt: expected --record=FILE.npz"),
+    "recorded with": (
+        ["POLICY", "--record=a.npz", "--stress"],
+        "--stress beside it: expected --rec",
+    ),
+    "recorded where": (["POLICY", "--record=POLICY/a.npz"], "cannot write there (File exists)"),
+    "seconds": (
+        ["POLICY", "--seconds=9"],
+        "--seconds is for --record=FILE.npz, which is not there",
+    ),
+    "noise": (["POLICY", "--record=a.npz", "--noise=nan"], "--noise=nan: expected 0 to 10"),
+    "a clock": (
+        ["g1", "--record=a.npz"],
+        "g1's policy sees a gait clock, which a log does not hold",
+    ),
 }
 
 

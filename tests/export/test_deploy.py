@@ -13,12 +13,14 @@ import pytest
 from answers import ROOT
 from toy_onnx import MOTORS, infer, onnx_file
 
+from dynappo import config as config_lib
+from dynappo.description import motors
 from dynappo.description import robot as robot_lib
 from dynappo.export import command as export_command
 from dynappo.export import joint_order
 from dynappo.physics import actuators
-from dynappo.policy import episode, policy_source
-from dynappo.tasks.velocity import observe
+from dynappo.policy import episode, policy_file, policy_source
+from dynappo.tasks.velocity import log_file, logged, observe
 
 PAGE = (ROOT / "robots" / "DEPLOY.md").read_text()
 AHEAD = np.array([0.6, 0.0, 0.0])  # m/s, m/s, rad/s
@@ -84,7 +86,10 @@ def loop(request, tmp_path, monkeypatch):
     The button is pressed after `steps`; before, `broken(step)` is called. Returns where the base was
     [steps, 3], whether the robot fell, and how often it was told to damp.
     """
-    (code,) = re.findall(r"```python\n(.*?)```", PAGE, re.S)
+    code, more = re.findall(r"```python\n(.*?)```", PAGE, re.S)
+    before, inside, after = re.split(r"\n\n+", more)
+    (acts,) = re.findall(r"\n *action = net.run.*\n", code)
+    code = code.replace("try:\n", f"{before}\ntry:\n").replace(acts, f"{acts}{inside}\n") + after
     export_command.main([request.param, f"--out={tmp_path}/policy.onnx", "--joint-order=unitree"])
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(time, "sleep", lambda seconds: None)
@@ -142,6 +147,26 @@ def test_the_loop_walks_in_c_mujoco(loop):
     assert len(path) == 650 and not fell and damped == [True]
     assert np.abs(path[149][:2]).max() < 0.05  # m: it stands where it was
     assert path[-1][0] > 5.0
+
+
+def test_what_the_loop_logs_is_a_log_of_that_robot(loop, tmp_path, bundled):
+    """With the lines for that: 10 s of walking, in the motors' order; the entries are the policy's."""
+    config = config_lib.validate(config_lib.load("go1:logs_deploy"))
+    config, robot = motors.fitted(config, robot_lib.load("go1"))
+    loop(700)
+    about = json.loads(str(np.load(tmp_path / "walked.npz")["about"]))
+    if about["robot"] != "go1":
+        pytest.skip("a biped's policy sees a gait clock, which no log tells")
+    log = log_file.load(str(tmp_path / "walked.npz"), robot, config)
+    assert len(log.goes_on) == 550 and log.goes_on[:-1].all() and not log.fell.any()
+    readings = log.readings
+    assert np.linalg.norm(readings["linear_velocity"][100:, :2] - AHEAD[:2], axis=1).mean() < 0.15
+    layout = logged.view.make("onboard", 5, 12)
+    views = logged.view.views(layout)
+    assert views is not None
+    seen = logged.of_log(log, layout).obs[:, views.actor]
+    act = policy_file.actor(bundled.params, bundled.activation)
+    np.testing.assert_allclose(act(seen), readings["action"], atol=1e-3)
 
 
 def test_the_loop_damps_whatever_happens(loop):

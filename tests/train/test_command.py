@@ -20,6 +20,7 @@ from rich.progress import Progress
 from dynappo import config as config_lib
 from dynappo.config import shell as shell_lib
 from dynappo.description import robot as robot_lib
+from dynappo.evaluate import recording
 from dynappo.policy import policy_file, policy_source
 from dynappo.program import build, devices, memory
 from dynappo.run import finish as finish_lib
@@ -75,6 +76,42 @@ def test_a_first_run_on_the_go1(tmp_path, monkeypatch):
     assert any((tmp_path / "cache" / "dynappo" / "jax").iterdir())  # for the next process
 
 
+LOGGED = """
+--config=configs/go1.py:logs --config.rollout.num_envs=16 --config.model.hidden=(16,16)
+--config.ppo.hidden=(16,16) --config.run.num_iterations=2 --config.run.log_every=2 --config.run.eval_envs=0
+--config.run.video_seconds=0 --config.run.tensorboard=False --config.physics.impl=c
+""".split()
+
+
+def test_a_run_may_learn_from_a_log(tmp_path, monkeypatch, capsys):
+    """It says what is in the log, and goes on with that file alone."""
+    monkeypatch.chdir(tmp_path)
+    player, _ = policy_source.player(policy_source.load("go1")[0])
+    arrays = recording.record(player, 11)
+    recording.save(pathlib.Path("walked.npz"), player, arrays)
+    flags = [*LOGGED, "--workdir=run"]
+    assert status(train_command.main, *flags, "--logs=walked.npz") == 0
+    said = capsys.readouterr().out
+    assert "2 iterations, 128 entries of the log" in said and "simulator steps" not in said
+    assert f"{tmp_path}/walked.npz: 11 s of one robot, 1 episodes, 0 falls" in said.replace(
+        "\n", ""
+    )
+    with open("run/metrics.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert float(rows[1]["model_error_1"]) < float(rows[0]["model_error_1"])
+    policy = json.loads(str(np.load("run/policy.npz")["about"]))
+    assert policy["config"]["run"]["logs"] == f"{tmp_path}/walked.npz"
+    said = mistake(train_command.main, ["--workdir=run", "--logs=gone.npz"], capsys)
+    assert f"--logs={tmp_path}/gone.npz: cannot be read" in said
+    recording.save(pathlib.Path("walked.npz"), player, arrays | {"time": arrays["time"] + 1})
+    for again, expected in (
+        ([*flags, "--logs=walked.npz"], "run.logs_hash"),
+        (["--workdir=run"], "walked.npz: is another file than the run began with"),
+    ):
+        assert status(train_command.main, *again) == 2
+        assert expected in capsys.readouterr().err
+
+
 # ---- mistakes
 
 MISTAKES = {  # flags after the config file, what the line must say
@@ -93,6 +130,11 @@ MISTAKES = {  # flags after the config file, what the line must say
     "no number": (["--processes=two"], "--processes: invalid int value: 'two'"),
     "workdir empty": (["--workdir="], "--workdir: is empty, expected a path"),
     "restore empty": (["--restore="], "--restore: is empty, expected a path"),
+    "no log": (["--logs=none.npz"], "none.npz: cannot be read (No such file or directory)"),
+    "log and no tail": (
+        ["--logs=taken"],
+        "an iteration has no tail: PPO learns from the model's rows",
+    ),
     "long name": ([f"--workdir={'a' * 300}"], "cannot write there (File name too long)"),
     "two lines": (["--workdir=taken/a\nb"], "--workdir=taken/a\\nb: cannot write there (Not a dir"),
     "long line": (["--config.run.seed=" + "x" * 9999], "... "),

@@ -13,9 +13,11 @@ number in configs/: docs/task.md.
 - `surroundings`: where a robot is on rough ground, and that ground: known in a tail, too
 - `gait`: the gait clock of a biped
 - `view`: what policy, value function and model see of a robot; earlier readings, errors of sensors
+- `log_file`: what a robot's controller recorded, as a file; `logged`: the environment whose rows these are
 - `partners`: which joint is the mirror image of another; needs no JAX
 - `mirror`: the mirror image of an observation and an action, from the robot's model
 
 Sizes follow from the robot: any number of joints and feet. It imports `types`, `physics` and `config`;
-`rewards`, `reward_sum`, `observe`, `own` and `gait` need no JAX, so that a policy can be played without it.
+`rewards`, `reward_sum`, `observe`, `own`, `gait` and `log_file` need no JAX, so that a policy can be played
+without.
 """

@@ -318,7 +318,7 @@ def _at_start(const: Constants, hyper: Hyper, key, tile: curriculum.Tile | None)
     scale, xy, velocity, yaw, rest = jnp.split(draw, default.size + np.array([0, 2, 8, 9]))
     low, high = r.joint_scale
     joints = default * (low + (high - low) * scale)
-    joints = jnp.clip(joints, *_soft_limits(const, hyper))
+    joints = jnp.clip(joints, *soft_limits(const.robot, hyper))
     lowest = kinematics.lowest(const.legs, joints)
     above = jnp.maximum(r.spawn_height, r.foot_clearance - lowest)
     xy = (2 * xy - 1) * r.position
@@ -371,15 +371,21 @@ def _gait(const: Constants, hyper: Hyper, draws) -> Gait | None:
     return Gait(angle=angle, turn=turn)
 
 
-def _soft_limits(const: Constants, hyper: Hyper):
+def soft_limits(robot: robot_lib.Robot, hyper: Hyper):
     """`(low, high)` [A] rad: the middle `task.reset.soft_limit` of each joint's range, if it has one."""
-    low, high = jnp.asarray(const.robot.mj_model.jnt_range[1:].T, jnp.float32)
+    low, high = jnp.asarray(robot.mj_model.jnt_range[1:].T, jnp.float32)
     spare = (1 - hyper.task.reset.soft_limit) / 2 * (high - low)
     low, high = low + spare, high - spare
-    free = ~np.isfinite(robot_lib.joint_ranges(const.robot)[:, 0])
+    free = ~np.isfinite(robot_lib.joint_ranges(robot)[:, 0])
     if free.any():
         low, high = jnp.where(free, -jnp.inf, low), jnp.where(free, jnp.inf, high)
     return low, high
+
+
+def over_limit(robot: robot_lib.Robot, hyper: Hyper, joints):
+    """rad by which `joints` [A] are beyond their `soft_limits`."""
+    low, high = soft_limits(robot, hyper)
+    return jnp.maximum(jnp.maximum(low - joints, joints - high), 0)
 
 
 def step(const: Constants, hyper: Hyper, body, state: State, action, key):
@@ -517,11 +523,10 @@ def _measured(
     const: Constants, hyper: Hyper, state: State, after: engine_lib.Substeps
 ) -> rewards.Measured:
     contact = after.contact_steps > 0
-    low, high = _soft_limits(const, hyper)
     joints = after.qpos[7:]
     return rewards.Measured(
         older_action=state.older_action,
-        over_limit=jnp.maximum(jnp.maximum(low - joints, joints - high), 0),
+        over_limit=over_limit(const.robot, hyper, joints),
         swing_height=after.last_peak,
         torque=after.torque,
         joint_velocity_before=after.qd_before,
@@ -537,8 +542,9 @@ def _measured(
     )
 
 
-def known_reward(const: Constants, hyper: Hyper, obs, action, next_prop):
-    """The share of a row's reward that is a function of `obs`, `action` and `next_prop`.
+def known_reward(const: Constants, hyper: Hyper, obs, action, next_prop, measured=None):
+    """The share of a row's reward that is a function of `obs`, `action` and `next_prop`; and of `measured`,
+    fields of `rewards.Measured` by name, where some are known (logged.py).
 
     Exact unless a push changed the velocity after the reward (pushes.py). `task.fall_reward` is not in it:
     only the model knows the probability of a fall. On rough ground feet are where a tail finds them, a few
@@ -549,5 +555,9 @@ def known_reward(const: Constants, hyper: Hyper, obs, action, next_prop):
     if around is not None and const.feet is not None:
         there = surroundings.advance(around, obs[view.own_size(const.view) :], next_prop)
         heights = surroundings.foot_heights(around, there)
-    terms = reward_sum.values(const.known, _known(const, hyper, seen, action, heights))
-    return reward_sum.total(terms, hyper.task.weights, const.dt)[0]
+    facts, terms = _known(const, hyper, seen, action, heights), const.known
+    if measured:
+        facts |= measured
+        terms = reward_sum.known(const.terms, const.task, measured.keys())
+    values = reward_sum.values(terms, facts)
+    return reward_sum.total(values, hyper.task.weights, const.dt)[0]

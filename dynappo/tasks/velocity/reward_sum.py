@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import difflib
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
@@ -113,9 +113,9 @@ def known_names(task) -> set[str]:
     }
 
 
-def known(terms: Terms, task) -> Terms:
-    """Those of `terms` that can be computed without physics."""
-    names = known_names(task)
+def known(terms: Terms, task, measured: Iterable[str] = ()) -> Terms:
+    """Those of `terms` that can be computed without physics, but for the fields `measured` of `Measured`."""
+    names = known_names(task).union(measured)
     return {name: term for name, term in terms.items() if names.issuperset(parameters(term))}
 
 
