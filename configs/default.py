@@ -338,8 +338,9 @@ class Task(NamedTuple):
     terrain: Literal["flat", "rough"] = "flat"
     # what is seen of it: nothing, or heights of a grid of 17 x 11 points around the base (terrain/scan.py)
     scan: Literal["none", "grid"] = "none"
-    # controls: the ground of a tail's first row is kept in the tail; or the model does not see it
-    ground_in_tail: Literal["known", "frozen", "blind"] = "known"
+    # controls: the ground of a tail's first row is kept in the tail; or the model does not see it. "parts": a
+    # tail also knows where a part that ends an episode is in the ground (not measured yet)
+    ground_in_tail: Literal["known", "frozen", "blind", "parts"] = "known"
     # rad, angle between the base's z axis and the vertical; more ends the episode as a fall does. None: any
     max_tilt: Annotated[float, Between(0.01, 3.15)] | None = None
     # paid once, in the row of a fall, not times 0.02 s as weights are; None: nothing

@@ -187,6 +187,9 @@ class Env(NamedTuple):
     views: Views | None = None  # None: every network sees all of obs
     # (hyper, obs, action, next_prop) -> []
     known_reward: Callable[..., Any] = lambda hyper, obs, action, next_prop: np.float32(0)
+    # (hyper, prop, context) -> [], 1 where a state is known to be the end of its episode; a tail's discount
+    # is 0 there, whatever the model predicts. None: nothing is known of it
+    known_end: Callable[..., Any] | None = None
     # (hyper) -> [], the share of the reward that a fall (`discount` 0) pays once, not times dt (with
     # `model.falls`); None: none
     fall_reward: Callable[..., Any] | None = None

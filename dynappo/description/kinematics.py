@@ -61,7 +61,7 @@ def _of_chains(model: mujoco.MjModel, rows: list, others: list[int]) -> Legs:
         joints=joints,
         offsets=offsets,
         axes=np.array([padded(axes, (3,)) for *_, axes in chains]),
-        ref=np.array([padded(model.qpos0[7 + np.array(j)]) for j, *_ in chains]),
+        ref=np.array([padded(model.qpos0[7 + np.array(j, int)]) for j, *_ in chains]),
         real=np.array([padded(np.ones(len(joints))) for joints, *_ in chains]),
         radius=np.array([radius for _, radius, _ in rows]),
         rim=np.array([rim for *_, rim in rows]),
@@ -78,6 +78,19 @@ def middles(model: mujoco.MjModel, feet: np.ndarray, foot_of: np.ndarray) -> Leg
         points = np.concatenate([_points(model, geom)[0] for geom in shapes])
         chains.append((_chain(model, body, points.mean(0)), 0.0, 0.0))
     return _of_chains(model, chains, list(range(len(chains))))
+
+
+def probed(model: mujoco.MjModel, geoms: np.ndarray) -> Legs:
+    """As `legs`, of the probes of `geoms` (contacts.py); `other` is a neighbour along a cylinder's axis."""
+    of = contacts.probes(model, geoms)
+    rows, others = [], []
+    for k, number in enumerate(of.geom):
+        geom = geoms[number]
+        point = model.geom_pos[geom] + matrix(model.geom_quat[geom]) @ of.place[k]
+        rows.append((_chain(model, model.geom_bodyid[geom], point), of.radius[k], of.ring[k]))
+        same = np.flatnonzero(of.geom == number)
+        others.append(int(same[-1] if k == same[0] else same[0]) if of.ring[k] else k)
+    return _of_chains(model, rows, others)
 
 
 def _points(model: mujoco.MjModel, geom: int) -> tuple[np.ndarray, float, float]:

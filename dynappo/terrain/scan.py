@@ -111,6 +111,14 @@ def scan(height, pose, shift) -> Any:
     return xp.clip(pose[2] - height(at[..., 0], at[..., 1]) - BELOW + shift[2], -CLIP, CLIP)
 
 
+def in_world(pose, gravity, points) -> Any:
+    """[P, 3] (m) in the world of `points` [P, 3] in the base."""
+    xp = pose.__array_namespace__()
+    level = (upright(gravity) * points[:, None]).sum(-1)
+    flat = turned(level[:, :2], pose[3]) + pose[:2]
+    return xp.concat([flat, pose[2] + level[:, 2:]], axis=-1)
+
+
 def at_feet(height, pose, gravity, feet) -> Any:
     """[F * 5] how high each foot is above the ground at `AT_FOOT`; `feet` [F, 3] (m) in the base."""
     xp = pose.__array_namespace__()

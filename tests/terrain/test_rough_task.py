@@ -13,11 +13,13 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
+from ml_collections import ConfigDict
 
 from dynappo import config as config_lib
-from dynappo.description import motors
+from dynappo.description import contacts, motors
 from dynappo.description import robot as robot_lib
 from dynappo.learner import symmetry
+from dynappo.physics import ground as ground_lib
 from dynappo.tasks.velocity import env as env_lib
 from dynappo.tasks.velocity import mirror, surroundings, view
 from dynappo.terrain import curriculum, scan, tiles
@@ -324,3 +326,40 @@ def test_points_of_the_scan_are_isaac_labs():
     points = scan.points()
     assert points.shape == (187, 2) and abs(points).max(0).tolist() == [0.8, 0.5]
     np.testing.assert_allclose(points[scan.mirror()] * [1, -1], points, atol=1e-12)
+
+
+def test_a_tail_knows_where_a_part_is_in_the_ground(world):
+    """With "parts", robots lowered into the ground by up to 0.4 m, against MuJoCo's kinematics: the probes of
+    every part that ends an episode. A tail's discount is 0 where one is in the ground."""
+    robot, config = world.robot, ConfigDict(world.config)
+    config.task.ground_in_tail = "parts"
+    fatal, _ = env_lib.ground_rules(robot, config.task)
+    around = surroundings.make(robot, config.task, config.physics, world.ground, fatal)
+    model, rng = robot.mj_model, np.random.default_rng(3)
+    parts = robot.parts[fatal]
+    probes = contacts.probes(model, parts)
+    poses, touched, state = [], [], world.states[0]
+    for k in range(4 * ROBOTS):
+        qpos = np.array(state.qpos[k % ROBOTS], float)
+        qpos[2] -= rng.uniform(0, 0.4)
+        qpos[3:7] += rng.normal(0, 0.1, 4)
+        qpos[3:7] /= np.linalg.norm(qpos[3:7])
+        qpos[7:] += rng.normal(0, 0.2, 12)
+        data = posed(robot, qpos)
+        turn = data.geom_xmat[parts].reshape(-1, 3, 3)
+        above = ground_lib.parts_above(probes, world.ground, data.geom_xpos[parts], turn)
+        touched.append((above < 0).any())
+        gravity = data.xmat[robot.base_body].reshape(3, 3).T @ [0, 0, -1.0]
+        joints = qpos[7:] - robot.default_pose
+        poses.append((qpos, np.concatenate([joints, np.zeros(12), gravity, np.zeros(6)])))
+    goal, shift = jax.tree.map(lambda x: x[0], (state.goal, state.scan_shift))
+
+    def touches(qpos, prop):
+        numbers = surroundings.exact(around, qpos, jnp.zeros(18), goal, shift)
+        return surroundings.touches(around, numbers, prop)
+
+    found = jax.jit(jax.vmap(touches))(
+        *(jnp.float32(np.stack(x)) for x in zip(*poses, strict=True))
+    )
+    assert 5 < sum(touched) < len(touched) - 5
+    np.testing.assert_array_equal(found, touched)

@@ -98,7 +98,7 @@ def make(
         ground = None
     else:
         ground = of_tiles(task.tiles) if ground is None else ground
-        around = surroundings.make(robot, task, physics_config, ground)
+        around = surroundings.make(robot, task, physics_config, ground, fatal)
     clock = task.gait_frequency is not None
     layout = view.make(task.observation, task.history, joints, varied, clock, around, of_own)
     const = Constants(
@@ -148,6 +148,7 @@ def make(
         ),
         views=view.views(layout),
         known_reward=partial(known_reward, const),
+        known_end=None if around is None or around.parts is None else partial(known_end, const),
         # a heading, and the phase of a gait clock, follow from more than the command
         retell=None if around is not None or task.heading or clock else partial(retell, const),
         fall_reward=None if task.fall_reward is None else lambda hyper: hyper.task.fall_reward,
@@ -540,6 +541,15 @@ def _measured(
         qvel=after.qvel,
         episode_steps=state.episode_steps,
     )
+
+
+def known_end(const: Constants, hyper: Hyper, prop, context):
+    """1 where a part is in the ground that ends an episode there, as far as a tail knows where it is."""
+    del hyper
+    around = const.view.around
+    assert around is not None
+    numbers = context[view.own_size(const.view) - prop.size :]
+    return 1.0 * surroundings.touches(around, numbers, prop)
 
 
 def known_reward(const: Constants, hyper: Hyper, obs, action, next_prop, measured=None):

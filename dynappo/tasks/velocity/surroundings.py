@@ -16,7 +16,8 @@ ground is looked up there. So a height scan is never predicted.
 
 The yaw rate of a heading command follows from the pose, so a tail computes it too. `task.ground_in_tail` has
 two controls: "frozen" keeps feet and scan as they were in the tail's first row, and with "blind" the model
-does not see the feet's part.
+does not see the feet's part. With "parts" a tail also knows where a part that ends an episode is in the
+ground (`touches`), and the model need not foresee it.
 """
 
 from __future__ import annotations
@@ -50,10 +51,14 @@ class Surroundings(NamedTuple):
     default_pose: np.ndarray  # [A] rad
     dt: float  # s, a control step
     substeps: int
+    parts: kinematics.Legs | None  # with "parts": probes of those that end an episode
 
 
-def make(robot: Robot, task: Any, physics: Any, ground: HeightMap) -> Surroundings:
-    """Of the config's groups `task` and `physics`, on `ground`."""
+def make(
+    robot: Robot, task: Any, physics: Any, ground: HeightMap, fatal: np.ndarray | None = None
+) -> Surroundings:
+    """Of the config's groups `task` and `physics`, on `ground`; `fatal` [G] are the parts that end an
+    episode there, if that is to be known."""
     middles = kinematics.middles(robot.mj_model, robot.feet, robot.foot_of)
     return Surroundings(
         ground=ground,
@@ -66,6 +71,11 @@ def make(robot: Robot, task: Any, physics: Any, ground: HeightMap) -> Surroundin
         default_pose=robot.default_pose,
         dt=physics.substeps * physics.timestep,
         substeps=physics.substeps,
+        parts=(
+            kinematics.probed(robot.mj_model, robot.parts[fatal])
+            if task.ground_in_tail == "parts" and fatal is not None and fatal.any()
+            else None
+        ),
     )
 
 
@@ -137,6 +147,23 @@ def _looked_up(s: Surroundings, pose, gravity, joints, shift) -> list[Any]:
 def foot_heights(s: Surroundings, numbers):
     """[F] m, of the middle of each foot above the ground under it, of the numbers of a state."""
     return numbers[places(s)["feet"]].reshape(len(s.partner), -1)[:, 0]
+
+
+def touches(s: Surroundings, numbers, prop):
+    """Whether a part that ends an episode is in the ground, of the numbers of a state and its predicted
+    ones."""
+    assert s.parts is not None
+    seen = observe.split_prop(prop, len(s.default_pose))
+    joints = seen["joint_position"] + jnp.asarray(s.default_pose, jnp.float32)
+    points = kinematics.feet_in_base(s.parts, joints)
+    there = scan.in_world(numbers[places(s)["pose"]], seen["gravity"], points)
+    if s.parts.rim.any():  # the lowest points of cylinders' rims, as contacts.probe_points
+        axis = there - there[s.parts.other]
+        axis /= jnp.maximum(jnp.linalg.norm(axis, axis=-1, keepdims=True), 1e-6)
+        up = jnp.array([0.0, 0.0, 1.0]) - axis[:, 2:] * axis
+        size = jnp.sqrt(jnp.maximum((up**2).sum(-1, keepdims=True), 1e-12))
+        there -= jnp.float32(s.parts.rim)[:, None] * up / size
+    return (height_map.gap(*s.ground, there, jnp.float32(s.parts.radius)) < 0).any()
 
 
 def draw_shift(hyper: Hyper, draws):
