@@ -53,6 +53,10 @@ def apply_variant(config, variant):
             config.model.update(clean=False, known_reward=False, falls=False)
             config.ppo.update(desired_kl=0.04, gamma=0.96, minibatches=12)
         return config
+    if variant in ("logs", "logs_deploy"):
+        raise ValueError(
+            f"variant {variant!r} is for robots without a gait clock, which no log tells"
+        )
     low, high = config.task.randomize.base_mass
     config = default["apply_variant"](config, variant)
     task = config.task

@@ -27,11 +27,14 @@ GAP = 1.0  # s, in which a robot is put on its feet
 def check(player: Player) -> None:
     """ConfigError for a policy that sees what no log tells."""
     policy = player.policy
-    if policy.scan != "none" or policy.gait_frequency is not None:
+    seen = {
+        "a height scan": policy.scan != "none",
+        "a gait clock": policy.gait_frequency is not None,
+        "quantities of one's own": bool(policy.own),
+    }
+    for what in (name for name, there in seen.items() if there):
         raise ConfigError(
-            f"--record: {policy.robot}'s policy sees "
-            + ("a height scan" if policy.scan != "none" else "a gait clock")
-            + ", which a log does not hold; expected one without"
+            f"--record: {policy.robot}'s policy sees {what}, which a log does not hold; expected one without"
         )
 
 
@@ -80,7 +83,7 @@ def record(
         seen = {name: obs[parts[name]] for name in log_file.SEEN}
         return seen | dict(action=action, time=now, fell=fell, contact=contact)
 
-    def observed(k, told, last_action):
+    def observed(k, told, last_action, kept):
         obs = sensed(k, told, last_action)
         entries.append(entry(obs, None, False))
         return obs

@@ -116,7 +116,7 @@ def end(case: inputs.Input) -> tuple[str, str]:
     except SystemExit as stop:
         line = err.getvalue()
         right = stop.code == 2 and line.startswith("dynappo: ") and line.count("\n") == 1
-        right = right and len(line) < flags.LONGEST + 20
+        right = right and len(line) < flags.LINE + 20
         return ("refused" if right else "wrong"), f"status {stop.code}: {line[-2000:]}"
     except BaseException:
         return "wrong", traceback.format_exc()

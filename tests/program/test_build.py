@@ -131,6 +131,10 @@ def test_every_variant_of_every_robot_can_be_built(robot):
     """A range that does not fit one robot's body, for example, was found on the GPU."""
     variants = runpy.run_path("configs/default.py")["VARIANTS"]
     for variant in (*variants, *["ppo"] * (robot == "g1")):
+        if robot == "g1" and variant.startswith("logs"):  # it has a gait clock, which no log tells
+            with pytest.raises(ConfigError, match="without a gait clock"):
+                config_lib.load(f"configs/{robot}.py:{variant}")
+            continue
         build.check(config_lib.validate(config_lib.load(f"configs/{robot}.py:{variant}")))
 
 

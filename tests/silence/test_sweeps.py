@@ -11,9 +11,9 @@ from rich.console import Console
 
 from dynappo import config as config_lib
 from dynappo.config import fields
+from dynappo.config.stop import Stop
 from dynappo.program import devices
 from dynappo.run import training
-from dynappo.run.stop import Stop
 from dynappo.sweeps import folder, grid, sweep_picture, table
 from dynappo.sweeps import sweep as sweeps
 

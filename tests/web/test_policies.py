@@ -35,7 +35,7 @@ def test_a_bundled_robot_comes_first_and_all_others_after_it():
     assert names[0] == "go2" and sorted(names) == trained and len(trained) > 7
     assert offer("go2").run is None
     other = policies.load(offer("go2"), "anymal_d_deploy")
-    assert other.player.policy.robot == "anymal_d" and other.text == "anymal_d/deploy.npz"
+    assert other.player.policy.robot == "anymal_d" and other.text == "robots/anymal_d/deploy.npz"
 
 
 def test_a_run_without_a_policy_shows_its_robot_with_zero_actions(run):

@@ -62,7 +62,7 @@ def test_who_chose_another_policy_keeps_it(page, tmp_path):
     )
     save(tmp_path / "policy.npz")
     time.sleep(0.5)
-    assert live.player.policy.robot == "go2" and page.text == "go2/policy.npz"
+    assert live.player.policy.robot == "go2" and page.text == "robots/go2/policy.npz"
 
 
 class Sets:
