@@ -1263,6 +1263,7 @@ def of_one_iteration(name):
     return state.learner.params["std"], metrics
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["ensemble-end", "stopping", "real-again"])
 def test_an_iteration_under_a_control_learns_and_is_not_the_shipped_one(name):
     """Finite, and another policy."""

@@ -21,7 +21,12 @@ ROOT = pathlib.Path(__file__).parents[2]
 OTHERS = {"biped", "brax", "playground"}  # no robot's
 FILES = sorted({path.stem for path in (ROOT / "configs").glob("*.py")} - OTHERS)
 VARIANTS = runpy.run_path(str(ROOT / "configs" / "default.py"))["VARIANTS"]
-CASES = [(f"{file}.py:{variant}", "isaaclab") for file in FILES for variant in VARIANTS]
+CASES = [
+    (f"{file}.py:{variant}", "isaaclab")
+    for file in FILES
+    for variant in VARIANTS
+    if file != "g1" or not variant.startswith("logs")  # it has a gait clock, which no log tells
+]
 CASES += [("go1.py:dyna4", "paper_text"), ("go1.py:dyna4", "isaaclab_exact")]
 GROUND = "task.tiles."
 # what pyright must say, and where

@@ -18,7 +18,10 @@ DEAF = "hashlib.pbkdf2_hmac('sha256', b'', b'', 2**31 - 1)"
 
 def started(code):
     """A process that runs `code`, once it has said that it begins."""
-    code = "import hashlib, time\nfrom dynappo.config.stop import Stop\n" + code
+    # pytest may be under nohup, or in a background that ignores ctrl-C: a process inherits that
+    heard = "signal.signal(signal.SIGHUP, signal.SIG_DFL)\n"
+    heard += "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+    code = f"import hashlib, signal, time\n{heard}from dynappo.config.stop import Stop\n{code}"
     pipe = subprocess.PIPE
     command = [sys.executable, "-c", code]
     process = subprocess.Popen(command, cwd=ROOT, stdout=pipe, stderr=pipe, text=True)
