@@ -17,7 +17,7 @@ Variants, appended to the file name as in `configs/go1.py:ppo16`:
 | `dyna4`            | 16     | 0 to 4 over iterations 0-100| paper, Table III           |
 | `fast`             | 16     | as dyna4                    | 5 epochs after 50, bfloat16|
 | `best` (default)   | 20     | 0 to 16 over 0-5, until 150 | experiments/21_less        |
-| `few`              | 26     | the same, to 24             | 64 robots, 45 k steps: experiments/27_few |
+| `few`              | 26     | the same, to 24             | 64 robots, 44 k steps: experiments/27_few |
 | `logs`             | 20     | 16                          | from recorded rows: robots/DEPLOY.md |
 | `logs_deploy`      | 20     | 16                          | the same of a policy for hardware |
 | `deploy`           | 20     | as best                     | for hardware: robots/DEPLOY.md |
@@ -531,7 +531,7 @@ def _best(config: config_dict.ConfigDict) -> None:
 
 
 def _few(config: config_dict.ConfigDict) -> None:
-    """`best` with 64 robots and 45 k simulator steps in all: the model remembers every real row, and each
+    """`best` with 64 robots and 44 k simulator steps in all: the model remembers every real row, and each
     real robot is continued by 64 imagined ones (dynappo/model/memory.py; experiments/27_few)."""
     _best(config)
     config.rollout.update(num_envs=64, imagined=64, horizon=26)

@@ -56,6 +56,18 @@ CAMERA = {
     "look_at": [0, 0, 0],
     "up_direction": [0, 0, 1],
 }
+DRAG = {
+    "type": "SceneNodeDragMessage",
+    "phase": "start",
+    "name": "/hand",
+    "instance_index": None,
+    "start_position": [0, 0, 0],
+    "start_screen_pos": [0, 0],
+    "end_position": [0.1, 0, 0],
+    "end_screen_pos": [0, 0],
+    "button": "left",
+    "modifier": None,
+}
 
 
 def update(handle, value, name="value"):

@@ -322,7 +322,10 @@ def step(static: Static, hyper: Hyper, env: Env, model: ModelState):
         # with what was sensed before, unlike the context in `after`, which XLA therefore never computes
         context = known(hyper, env, state.obs, action, prop)
         if env.known_end is not None:
-            discount *= 1 - jax.vmap(partial(env.known_end, hyper))(prop, context)
+            ends = jax.vmap(partial(env.known_end, hyper))(prop, context)
+            if static.model.falls and env.fall_reward is not None:
+                reward += ends * discount * env.fall_reward(hyper)  # `predict` paid the rest
+            discount *= 1 - ends
         if static.model.clean:
             noise_keys = jax.vmap(jax.random.fold_in, (0, None))(keys, NOISE)
             sensed = jax.vmap(partial(env.sense, hyper))(prop, context, noise_keys)

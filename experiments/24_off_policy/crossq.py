@@ -148,9 +148,10 @@ def train(args) -> None:
         updates=args.updates,
         mirrors=robots.mirror if args.mirror else None,
     )
-    key, reset_key = jax.random.split(jax.random.PRNGKey(args.seed))
+    keys = jax.random.split(jax.random.PRNGKey(args.seed), 4)
+    start_key, reset_key, run_key, look_key = keys
     state = robots.reset(jax.random.split(reset_key, args.robots))
-    learner = start(method, robots, key)
+    learner = start(method, robots, start_key)
     ring = Transitions(
         *(jnp.zeros((size, *x.shape)) for x in of(state, state, zeros(robots, args)))
     )
@@ -165,12 +166,12 @@ def train(args) -> None:
         jax.jit(functools.partial(evaluate, evaluated, method)),
     )
     ends = [size * (k + 1) // chunks for k in range(chunks)]
-    carry, seconds, begin = (learner, state, ring, jax.random.fold_in(key, 1)), 0.0, 0
+    carry, seconds, begin = (learner, state, ring, run_key), 0.0, 0
     for end in ends:
         began = time.perf_counter()
         carry = jax.block_until_ready(compiled(carry, jnp.arange(begin, end)))
         seconds, begin = seconds + time.perf_counter() - began, end
-        sums = [float(x) for x in look(carry[0], jax.random.fold_in(key, 2))]
+        sums = [float(x) for x in look(carry[0], look_key)]
         found = sac.row("crossq", args, end * args.robots, seconds, sums)
         log.append_csv(args.out, [found])
         print(*found.values(), f"alpha {float(jnp.exp(carry[0].log_alpha)):.3g}", flush=True)

@@ -64,7 +64,8 @@ def main():
     static, hyper = config_lib.split(fitted)
     teacher, _ = policy_source.load(args.teacher)
     begin, learn = parts(env, static, hyper, teacher, args)
-    student, key = begin(jax.random.key(args.seed)), jax.random.key(args.seed + 1)
+    begin_key, key = jax.random.split(jax.random.key(args.seed))
+    student = begin(begin_key)
     evaluate = jax.jit(partial(scores.evaluate, env, static=static, num_envs=200, num_steps=1000))
     count = max(1, args.steps // (args.robots * ROWS))
     for i in range(count):

@@ -18,7 +18,7 @@ from answers import PATIENCE, status, until
 
 server = pytest.importorskip("dynappo.web.server", reason="mjviser is not installed (extra web)")
 
-from live_page import CAMERA, client, joined, serving, update  # noqa: E402
+from live_page import CAMERA, DRAG, client, joined, serving, update  # noqa: E402
 from websockets import exceptions  # noqa: E402
 
 from dynappo.config import ConfigError  # noqa: E402
@@ -26,18 +26,6 @@ from dynappo.play import command as play_command  # noqa: E402
 from dynappo.web import address  # noqa: E402
 
 FEW, MANY = 150, 3000
-DRAG = {
-    "type": "SceneNodeDragMessage",
-    "phase": "start",
-    "name": "/hand",
-    "instance_index": None,
-    "start_position": [0, 0, 0],
-    "start_screen_pos": [0, 0],
-    "end_position": [0.1, 0, 0],
-    "end_screen_pos": [0, 0],
-    "button": "left",
-    "modifier": None,
-}
 VALUES = [
     None,
     True,

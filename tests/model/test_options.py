@@ -170,6 +170,27 @@ def test_a_tail_pays_for_at_most_one_fall(env):
         np.testing.assert_allclose(paid, -5 * (1 - 0.6**n) * np.ones(R), 1e-3)
 
 
+def test_an_end_that_is_known_is_certain_in_a_tail_and_pays_one_fall(env):
+    """Where a coordinate of the next state is above 0, whatever the network says (probability 0.4); with
+    `falls` and without."""
+    known = env._replace(known_end=lambda hyper, prop, context: 1.0 * (prop[0] > 0))
+    paying = known._replace(fall_reward=lambda hyper: -5.0)
+    prop = jnp.asarray(np.random.default_rng(0).normal(size=(R, 3)), jnp.float32)
+    keys, ends = jax.random.split(jax.random.key(0), R), np.asarray(prop[:, 0] > 0)
+    assert ends.any() and not ends.all()
+    for falls, lives in ((True, 0.6), (False, 1.0)):
+        on = {"model.clean": True, "model.falls": falls, "model.known_reward": False}
+        _, static, hyper = settings(on | {"model.normalize": False})
+        logit = [float(np.log(0.4 / 0.6) + 4.6)] * falls
+        model = that_says([0.0, 0.0, 0.0, 0.0, *logit], start(static, env))
+        state = dynamics.TailState(obs=jnp.concatenate([prop, jnp.zeros((R, 3))], 1), prop=prop)
+        step = dynamics.step(static, hyper, paying, model)
+        _, outcome = step(state, jnp.zeros((R, 2)), keys)
+        np.testing.assert_allclose(outcome.discount, np.where(ends, 0.0, lives), atol=1e-5)
+        paid = np.where(ends, -5.0, -2.0) if falls else np.zeros(R)
+        np.testing.assert_allclose(outcome.reward, paid, atol=1e-3)
+
+
 # ---- falls and time limits
 
 

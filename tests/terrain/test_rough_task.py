@@ -330,7 +330,7 @@ def test_points_of_the_scan_are_isaac_labs():
 
 def test_a_tail_knows_where_a_part_is_in_the_ground(world):
     """With "parts", robots lowered into the ground by up to 0.4 m, against MuJoCo's kinematics: the probes of
-    every part that ends an episode. A tail's discount is 0 where one is in the ground."""
+    every part that ends an episode."""
     robot, config = world.robot, ConfigDict(world.config)
     config.task.ground_in_tail = "parts"
     fatal, _ = env_lib.ground_rules(robot, config.task)

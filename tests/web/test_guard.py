@@ -19,7 +19,7 @@ from dynappo.web import live as live_lib
 server = pytest.importorskip("dynappo.web.server", reason="mjviser is not installed (extra web)")
 
 import msgspec  # noqa: E402  (viser brings both)
-from live_page import CAMERA, PROTOCOL, joined, serving, update  # noqa: E402
+from live_page import CAMERA, DRAG, PROTOCOL, joined, serving, update  # noqa: E402
 from websockets import exceptions  # noqa: E402
 from websockets.datastructures import Headers  # noqa: E402
 
@@ -257,18 +257,6 @@ CAMERAS = (
     {"fov": None},
     {"more": 1},
 )
-DRAG = {
-    "type": "SceneNodeDragMessage",
-    "phase": "start",
-    "name": "/hand",
-    "instance_index": None,
-    "start_position": [0, 0, 0],
-    "start_screen_pos": [0, 0],
-    "end_position": [0.1, 0, 0],
-    "end_screen_pos": [0, 0],
-    "button": "left",
-    "modifier": None,
-}
 DRAGS = (
     {"end_position": [math.nan, 0, 0]},
     {"end_position": [1e300, 0, 0]},
