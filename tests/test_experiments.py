@@ -215,7 +215,7 @@ def test_jobs_of_few_robots_are_valid_and_evaluated_on_the_way_to_45_thousand_st
     """Of 27_few: `robots-R` has R robots and a memory for all rows up to there. With up to 64 robots there
     are ten evaluations until 45 thousand steps, which every run reaches."""
     evaluations = script("21_less/run").evaluations
-    for file in ("jobs", "laptop"):
+    for file in ("jobs", "laptop", "fresh"):
         lines = (EXPERIMENTS / f"27_few/{file}.txt").read_text().splitlines()
         assert len({line.split()[0] for line in lines}) == len(lines)
         for line in lines:
