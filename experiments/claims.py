@@ -164,9 +164,9 @@ def measured():
         falls = 100 * np.mean([table["first"](run, level, "fall_rate") for run in runs])
         yield f"{robot} falls, first at {level:g}", f"{falls:.6g}", "%", *where, HEADLINE
     jobs = table["read"](ROOT / FEW)
-    for robot, job, level in (("go1", "new-g", 38), ("anymal_c", "new-c", 24)):
+    for robot, job, level in (("go1", "few-940-g", 38), ("anymal_c", "few-940-c", 24)):
         found = table["reached"](table["seeds"](jobs[job]), level).level
-        steps, where = f"{np.mean(found) / 1e3:.6g}", ("H100", "2026-11-26", "a5ca842")
+        steps, where = f"{np.mean(found) / 1e3:.6g}", ("H200", "2026-11-26", "ef6cd4f")
         yield f"{robot} few, first at {level}", steps, "thousand steps", *where, FEW
     yield from humanoid()
     yield from seconds()
@@ -209,7 +209,7 @@ def seconds():
 
 def rough():
     script = runpy.run_path(str(ROOT / "experiments/28_rough/table.py"))
-    rows = [row for row in script["rows"]("") if row["name"] == "go2-best"]
+    rows = [row for row in script["rows"]("") if row["name"] == "go2-p3late"]
     last = {row["seed"]: float(row["crossed"]) for row in rows}
     yield (
         "go2 crosses",
@@ -217,7 +217,7 @@ def rough():
         "",
         "H200",
         "2026-11-26",
-        "344f2cf",
+        "ef6cd4f",
         ROUGH,
     )
 

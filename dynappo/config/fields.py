@@ -171,10 +171,14 @@ def sizes(field: Field) -> bool:
 
 def expected(field: Field) -> str:
     """The type that a value must have, in words."""
+    none = ", or None" * (field.default is None)
     if field.per_joint:
-        return "float, a dict of floats by patterns of joints' names, or a tuple of a float a joint"
+        return (
+            "float, a dict of floats by patterns of joints' names, or a tuple of a float a joint"
+            + none
+        )
     text = f"tuple like {field.like}" if field.kind is tuple else field.kind.__name__
-    return text + ", one or more sizes above 0" * sizes(field)
+    return text + ", one or more sizes above 0" * sizes(field) + none
 
 
 def check(name: str, value) -> None:

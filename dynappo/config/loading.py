@@ -138,7 +138,8 @@ def override(config: config_dict.ConfigDict, field: str, text: str) -> None:
     except (ValueError, SyntaxError, TypeError, RecursionError, MemoryError):  # of deep nesting too
         value = None
     value = fields.convert(kind, value)
-    if value is None:
+    none = kind.default is None and text.strip() == "None"  # that is a value, too
+    if value is None and not none:
         raise ConfigError(f"--config.{field}={text!r}: expected {fields.expected(kind)}")
     with node.ignore_type():
         node[leaf] = value

@@ -171,7 +171,8 @@ BAD_OVERRIDES = [  # field, text, what the line must say
     ("ppo.hidden", "(0, 64)", "expected tuple"),
     ("task.command_x", "1.0", "expected tuple like (-1.0, 1.0)"),
     ("task.command_x", "(1, 2, 3)", "expected tuple"),
-    ("model.late_epochs", "5.0", "expected int"),
+    ("model.late_epochs", "5.0", "expected int, or None"),
+    ("model.epochs", "None", "expected int"),
     ("task.tracking_std", "wide", "expected float"),
     ("ppo.clip_epsilon", "1" + "0" * 400, "expected float"),  # no float can hold it
     ("run.seed", "-" * 5000 + "1", "expected int"),
@@ -187,6 +188,15 @@ def test_a_wrong_field_or_value_is_refused_and_changes_nothing(field, text, expe
     line = refused(config_lib.override, config, field, text)
     assert line.startswith(f"--config.{field}") and expected in line
     assert config_lib.to_json(config) == before
+
+
+def test_a_field_that_is_none_by_default_can_be_none_again():
+    config = load("few")
+    assert config.schedule.late_from == 160
+    config_lib.override(config, "schedule.late_from", "None")
+    assert config.schedule.late_from is None
+    config_lib.override(config, "schedule.late_from", "100")
+    assert config.schedule.late_from == 100
 
 
 # ---- config.json

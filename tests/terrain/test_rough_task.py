@@ -329,10 +329,9 @@ def test_points_of_the_scan_are_isaac_labs():
 
 
 def test_a_tail_knows_where_a_part_is_in_the_ground(world):
-    """With "parts", robots lowered into the ground by up to 0.4 m, against MuJoCo's kinematics: the probes of
+    """Robots lowered into the ground by up to 0.4 m, against MuJoCo's kinematics: the probes of
     every part that ends an episode."""
     robot, config = world.robot, ConfigDict(world.config)
-    config.task.ground_in_tail = "parts"
     fatal, _ = env_lib.ground_rules(robot, config.task)
     around = surroundings.make(robot, config.task, config.physics, world.ground, fatal)
     model, rng = robot.mj_model, np.random.default_rng(3)

@@ -14,10 +14,10 @@ ground is looked up there. So a height scan is never predicted.
 | feet  | 5 F     | m, of each foot above the ground under it and around it           | value, model  |
 | scan  | 187     | m, base above the ground - 0.5, with noise; with `task.scan=grid` | policy, value |
 
-The yaw rate of a heading command follows from the pose, so a tail computes it too. `task.ground_in_tail` has
-two controls: "frozen" keeps feet and scan as they were in the tail's first row, and with "blind" the model
-does not see the feet's part. With "parts" a tail also knows where a part that ends an episode is in the
-ground (`touches`), and the model need not foresee it.
+The yaw rate of a heading command follows from the pose, so a tail computes it too, and that a part which ends
+an episode is in the ground (`touches`): the model need not foresee it. `task.ground_in_tail` has two controls
+without that: "frozen" keeps feet and scan as they were in the tail's first row, and with "blind" the model
+does not see the feet's part.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class Surroundings(NamedTuple):
     default_pose: np.ndarray  # [A] rad
     dt: float  # s, a control step
     substeps: int
-    parts: kinematics.Legs | None  # with "parts": probes of those that end an episode
+    parts: kinematics.Legs | None  # probes of those that end an episode; None: not known in a tail
 
 
 def make(
@@ -73,7 +73,7 @@ def make(
         substeps=physics.substeps,
         parts=(
             kinematics.probed(robot.mj_model, robot.parts[fatal])
-            if task.ground_in_tail == "parts" and fatal is not None and fatal.any()
+            if task.ground_in_tail == "known" and fatal is not None and fatal.any()
             else None
         ),
     )
