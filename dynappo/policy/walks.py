@@ -132,6 +132,36 @@ def unmeasured(seconds: float) -> str:
     return "not measured in the first second" if too_short else "nobody stood for a second"
 
 
+class Said(NamedTuple):
+    """What a robot does, and how far it is from that."""
+
+    does: str
+    several: str
+    nearly: str
+    begins: str
+    stands: str
+    fails: str
+
+
+WALKS = Said(
+    "walks",
+    "walk",
+    "almost walks",
+    "begins to walk",
+    "stands, does not walk yet",
+    "does not walk yet",
+)
+TURNS = Said(
+    "turns on the spot",
+    "turn",
+    "almost turns",
+    "begins to turn",
+    "stands, does not turn yet",
+    "does not turn yet",
+)
+STANDS = Said("stands still", "stand still", "", "", "", "does not stand still")
+
+
 class Found(NamedTuple):
     """What an evaluation tells of each seed, and what it lacks."""
 
@@ -184,30 +214,30 @@ def in_words(config, evaluation: Mapping[str, Any]) -> str:
     if judged is None:
         return ""
     returns, falls, errors, low, often, least, most, (speed, turn) = judged
-    walks, moves = "walks", "walk"
-    if not speed:
-        walks, moves = ("turns on the spot", "turn") if turn else ("stands still", "stand still")
+    said = WALKS if speed else TURNS if turn else STANDS
     if len(returns) > 1:
         units = zip(most, ("m/s", "rad/s"), strict=True)
         limits = ", ".join(_number(m, unit) for m, unit in units if np.isfinite(m))
         lacks = {f"errors > {limits}" if least is None else f"return < {least:g}": low.sum()}
         lacks |= {f"falls > {100 * MOST_FALLS:g} %": often.sum()}
         parts = [f"{what}: {count}" for what, count in lacks.items() if count]
-        return "; ".join([f"{(~low & ~often).sum()} of {len(returns)} seeds {moves}", *parts])
+        return "; ".join(
+            [f"{(~low & ~often).sum()} of {len(returns)} seeds {said.several}", *parts]
+        )
     (error, yaw), fallen = errors[:, 0], falls[0]
     if not np.isfinite(error):  # nobody stood for the first second
         return "falls at once"
     if not low[0] and not often[0]:
         turns = ", turns" if yaw < 0.5 * turn else ", does not turn yet"
         turns = turns if speed and turn else ""
-        return f"{walks}{turns}, {'seldom falls' if fallen > ROUNDING else 'does not fall'}"
-    does = f"does not {moves}"
+        return f"{said.does}{turns}, {'seldom falls' if fallen > ROUNDING else 'does not fall'}"
+    does = said.fails
     if speed or turn:
         share, enough = (error / speed, most[0] / speed) if speed else (yaw / turn, most[1] / turn)
         nearly = share < 0.33 if least is not None else share < 1.5 * enough
-        does = f"almost {walks}" if nearly else f"begins to {moves}"
+        does = said.nearly if nearly else said.begins
         if share > 0.8:
-            does = f"{'' if fallen > 0.1 else 'stands, '}does not {moves} yet"
+            does = said.fails if fallen > 0.1 else said.stands
     lacks = {}
     if least is not None:
         lacks[f"return {returns[0]:.2f} < {least:g}"] = low[0]
