@@ -33,7 +33,7 @@ or the name of a robot with a bundled policy
   python -m dynappo.play go2 --ground=pit_stairs:0.3 --command=0.8,0,0 --out=stairs.html
   python -m dynappo.play go1 --command=drill.csv --robot-xml=other/scene.xml --out=drill.gif
   python -m dynappo.play anymal_c --policy=random
-  python -m dynappo.play runs/sweep --run-seed=3 --out=walk.html
+  python -m dynappo.play runs/seeds --run-seed=3 --out=walk.html
   python -m dynappo.play runs/go1 --serve
   python -m dynappo.play go2 --serve --ground=boxes:0.3
 a command script has rows t,vx,vy,wz (s, m/s, m/s, rad/s); a row holds until the next one

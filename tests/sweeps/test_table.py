@@ -44,9 +44,10 @@ def made_up(name, errors, falls=0.0, returns=(), walking=0, by=grid.BY_RETURN):
     row = {"folder": name, "note": "", "ranked_by": by, "seeds": len(errors), "fall_rate": falls}
     row |= {"walking": walking}
     for what, values in (("tracking_error", errors), ("return", returns or errors)):
-        low, high = stats.t.interval(0.95, len(values) - 1, np.mean(values), stats.sem(values))
-        known = len(values) > 1
-        row |= {f"{what}_low": low if known else None, f"{what}_high": high if known else None}
+        low, high = None, None
+        if len(values) > 1:
+            low, high = stats.t.interval(0.95, len(values) - 1, np.mean(values), stats.sem(values))
+        row |= {f"{what}_low": low, f"{what}_high": high}
     return row
 
 
