@@ -204,6 +204,9 @@ def summary(out, config, workdir: Path, summary: dict[str, Any]) -> None:
         "simulator steps": f"{count(summary['sim_steps'])} on {devices.ENGINES[summary['impl']]}",
         "training": f"{took}, after {summary['compile_seconds']:.0f} s of set-up",
     }
+    after = {"evaluation": "evaluation_seconds", "film": "video_seconds"}
+    if known := [f"{n} {summary[key]:.1f} s" for n, key in after.items() if key in summary]:
+        rows["after training"] = ", ".join(known)
     if config.task.terrain == "rough" and "length" in summary.get("evaluation", {}):
         rows["evaluation: length"] = mean(summary["evaluation"]["length"], " control steps")
         rows["evaluation: length"] += ", to the edge of its tile"

@@ -166,6 +166,12 @@ TABLES = {  # what differs in the summary, what is shown, what is not
         "0.50 m/s",
         "None",
     ),
+    "what came after": (
+        {"evaluation_seconds": 3.14, "video_seconds": 12.3},
+        "after training | evaluation 3.1 s, film 12.3 s",
+        "nan",
+    ),
+    "no film": ({"evaluation_seconds": 3.14}, "after training | evaluation 3.1 s", "film"),
     "no evaluation": ({"evaluation": {}}, "3.25 | runs/x: metrics.csv", "evaluation:"),
 }
 
