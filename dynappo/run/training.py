@@ -249,7 +249,7 @@ def _finish(trained: Trained, program: Program, callbacks: Callbacks) -> None:
     for i in trained.good:
         one, state = trained.runs[i], part(trained.state, i)
         own = part(evaluation, i)
-        summary = finish.finish(one, program, state, own, callbacks.say, evaluation_seconds=seconds)
+        summary = finish.finish(one, program, state, own, callbacks.say, seconds)
         if distributed.first():
             callbacks.finished(one.config, one.workdir, summary)
         finish.check_saved(one, program.robot, state, callbacks.say)
