@@ -61,7 +61,7 @@ def of_little_effect(config, names: Iterable[str]) -> str:
     if config.ppo.adaptive and "ppo.learning_rate" in names:
         return (
             "ppo.learning_rate decides little: the KL changes it at every minibatch (ppo.adaptive is True), "
-            "and after an iteration or two it is what ppo.desired_kl makes of it; set that, or "
+            "and after an iteration or two it is what ppo.desired_kl makes of it; set or sweep that, or "
             "--config.ppo.adaptive=False too"
         )
     idle = [] if config.ppo.adaptive else [name for name in names if name in OF_ADAPTIVE]

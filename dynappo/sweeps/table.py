@@ -87,7 +87,7 @@ def _mean(values) -> float:
 
 
 def doubt(table: list[dict[str, Any]]) -> str:
-    """A line on what the table does not show: that its first row is better than the others, that any walks.
+    """Lines on what the table does not show: that its first row is better than the others, that any walks.
 
     Two combinations differ where the intervals over their seeds, of what they are ranked by, do not overlap.
     """
@@ -115,7 +115,7 @@ def doubt(table: list[dict[str, Any]]) -> str:
     known = [one["walking"] for one in table if one["walking"] is not None]
     if known and not any(known):
         lines.append("no seed walks yet, so even the first is not good enough")
-    return "; ".join(lines)
+    return "\n".join(lines)
 
 
 def write(path: Path, table: list[dict[str, Any]]) -> None:

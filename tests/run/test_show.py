@@ -51,7 +51,9 @@ def test_a_learning_rate_that_the_kl_adapts_is_said_to_decide_little():
     fixed.ppo.adaptive = False
     fixed = config_lib.validate(fixed)
     rate, kl = ("ppo.learning_rate", "ppo.gamma"), ("ppo.desired_kl", "ppo.gamma")
-    assert "set that, or --config.ppo.adaptive=False" in show.of_little_effect(adaptive, rate)
+    assert "set or sweep that, or --config.ppo.adaptive=False" in show.of_little_effect(
+        adaptive, rate
+    )
     assert "so ppo.desired_kl changes nothing" in show.of_little_effect(fixed, kl)
     assert not show.of_little_effect(adaptive, kl) and not show.of_little_effect(fixed, rate)
 

@@ -66,9 +66,9 @@ def test_a_difference_that_cannot_be_seen_is_not_called_one():
     assert said[0].startswith("no seed walks")
     assert said[1].startswith(
         "no difference can be seen between the first and 1 of the 2 others: the 95 % intervals of the return "
-        "overlap; for more seeds: another --workdir with --config.run.num_seeds=6; "
+        "overlap; for more seeds: another --workdir with --config.run.num_seeds=6\n"
     )
-    assert said[2].startswith("no difference can be seen: it takes two seeds of each, or more;")
+    assert said[2].startswith("no difference can be seen: it takes two seeds of each, or more; for")
     for walking in (1, None):
         assert table.doubt([apart[0] | {"walking": walking}, apart[1] | {"walking": walking}]) == ""
     blown = {"note": "blew up", "walking": None}
