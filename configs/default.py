@@ -99,8 +99,8 @@ class Run(NamedTuple):
     video_seconds: Annotated[float, Between(0, 600)] = 12.0  # s of film after training; 0: none
     device: Literal["auto", "cpu", "gpu"] = "auto"
     tensorboard: bool = True  # write TensorBoard's events into the workdir
-    # what tells that the robot walks (policy/walks.py): its return, or its tracking errors, where other terms
-    # than tracking are rewards
+    # what tells that the robot walks (policy/walks.py): its return, in a task in which that was measured; or
+    # its tracking errors, where other terms than tracking are rewards
     walks: Literal["return", "tracking"] = "return"
     wandb: str = ""  # project of Weights & Biases to log to; empty: none
     # --logs: a file of a robot's rows, from which it learns in place of simulated ones (robots/DEPLOY.md)

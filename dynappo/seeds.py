@@ -1,6 +1,6 @@
 """Trains many seeds at once with `jax.vmap`, and on many devices with a mesh.
 
-    hyper = seeds.vary(hyper, "ppo.learning_rate", [1e-3, 3e-4])    # optional
+    hyper = seeds.vary(hyper, "ppo.entropy_coef", [1e-2, 3e-3])    # optional
     state = jax.jit(partial(seeds.init, env, static=static))(hyper, seeds.keys(0, 2))
     run = jax.jit(partial(seeds.run, env, static=static))
     state, metrics = run(hyper, state, schedule.columns(config))
@@ -45,7 +45,7 @@ def keys(seed: int, num_seeds: int) -> PRNGKeyArray:
 
 
 def vary(hyper: Hyper, field: str, values) -> Hyper:
-    """`hyper` with one value of `field` ("ppo.learning_rate") for each seed.
+    """`hyper` with one value of `field` ("ppo.entropy_coef") for each seed.
 
     Call it several times to vary several fields together: seed s takes value s of each. ValueError
     if there is no such float, if it is None, or if it is built into the environment: the groups run and
@@ -63,7 +63,7 @@ def _set(node, field, path, values):
     name, *rest = path
     if name not in getattr(node, "_fields", ()):
         raise ValueError(
-            f"{field} is not a float of the config; expected one like ppo.learning_rate"
+            f"{field} is not a float of the config; expected one like ppo.entropy_coef"
         )
     old = getattr(node, name)
     if old is None:

@@ -75,7 +75,7 @@ or the name of a robot with a bundled policy
   python -m dynappo.evaluate go1_deploy --stress
   python -m dynappo.evaluate runs/rough --crossing
   python -m dynappo.evaluate runs/go1 --randomize --episodes=200 --out=hard
-  python -m dynappo.evaluate runs/sweep --run-seed=3 --out=third
+  python -m dynappo.evaluate runs/seeds --run-seed=3 --out=third
   python -m dynappo.evaluate go1 --fast --robot-xml=other/scene.xml
   python -m dynappo.evaluate go1 --record=walked.npz --seconds=80 --noise=0.2
 with --robot-xml the task's episodes need a file that keeps the rules of robots/README.md; --fast does not

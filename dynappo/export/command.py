@@ -25,7 +25,7 @@ NAME_OR_DIR is a workdir, a checkpoint folder, a policy.npz, or the name of a ro
   python -m dynappo.export go2 --out=policy.onnx --joint-order=unitree --targets
   python -m dynappo.export go2_deploy --out=deploy.yaml --joint-order=isaaclab
   python -m dynappo.export anymal_c --out=policy.npz --joint-order=isaaclab
-  python -m dynappo.export runs/sweep --run-seed=3 --out=third.npz
+  python -m dynappo.export runs/seeds --run-seed=3 --out=third.npz
   python -m dynappo.export old.npz --robot-xml=mine.xml --out=policy.npz
 a policy.npz carries its robot's MJCF, so you can play it anywhere
 joint orders (of the observation, the action and everything in the metadata)

@@ -33,7 +33,7 @@ or the name of a robot with a bundled policy
   python -m dynappo.play go2 --ground=pit_stairs:0.3 --command=0.8,0,0 --out=stairs.html
   python -m dynappo.play go1 --command=drill.csv --robot-xml=other/scene.xml --out=drill.gif
   python -m dynappo.play anymal_c --policy=random
-  python -m dynappo.play runs/sweep --run-seed=3 --out=walk.html
+  python -m dynappo.play runs/seeds --run-seed=3 --out=walk.html
   python -m dynappo.play runs/go1 --serve
   python -m dynappo.play go2 --serve --ground=boxes:0.3
 a command script has rows t,vx,vy,wz (s, m/s, m/s, rad/s); a row holds until the next one
@@ -146,21 +146,26 @@ def check_out(out: Path) -> None:
 
 
 def table(player: episode_lib.Player, episode: dict) -> list[tuple[str, str]]:
-    """The measures of an episode as (name, value), for printing."""
+    """The measures of an episode as (name, value), for printing; after a fall, what they are of."""
     m = episode_lib.measures(player, episode)
+    until = "" if m["fall"] is None else " until the fall"
 
     def value(name, text, otherwise):
         return otherwise if m[name] is None else text.format(m[name])
 
-    short, told = "only after a second", episode["command"]
+    played, told = f"{m['seconds']:.1f} s", episode["command"]
+    short = "fell in the first second" if until else "only after a second"
     changing = ", every change of command counted" * bool((told != told[:1]).any())
     return [
-        ("played", f"{m['seconds']:.1f} s"),
-        ("distance", f"{m['distance']:.1f} m"),
-        ("tracking error", value("tracking_error", "{:.2f} m/s" + changing, short)),
-        ("yaw rate error", value("yaw_error", "{:.2f} rad/s", short)),
+        ("played", value("fall", f"{{:.1f}} s{until}, {played} in all", played)),
+        ("distance", f"{m['distance']:.1f} m{until}"),
+        ("tracking error", value("tracking_error", f"{{:.2f}} m/s{until}{changing}", short)),
+        ("yaw rate error", value("yaw_error", f"{{:.2f}} rad/s{until}", short)),
         ("fall", value("fall", "after {:.1f} s", "none")),
-        ("cost of transport", value("cost_of_transport", "{:.2f}", "did not go anywhere")),
+        (
+            "cost of transport",
+            value("cost_of_transport", f"{{:.2f}}{until}", "did not go anywhere"),
+        ),
     ]
 
 

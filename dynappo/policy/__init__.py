@@ -5,11 +5,12 @@
 - `checks`: checks a policy's types, ranges and shapes
 - `checkpoint_file`: reads the arrays of a checkpoint
 - `episode`: runs a policy on a robot in C MuJoCo and NumPy
+- `asked`: how fast a task asks its robot to walk and to turn
 - `walks`: whether a robot walks, by an evaluation; in words too
 - `task_player`: a robot of a Playground task, a control step at a time
 - `recorded`: what a process with JAX tells of such a task
 - `render`: makes a film or a picture of an episode
 
 The commands, `run`, `sweeps` and `web` import it. It imports `config`, `description`,
-`physics.actuators` and `tasks.velocity.observe`.
+`physics.actuators` and, of `tasks.velocity`, `observe` and `own`.
 """

@@ -53,6 +53,7 @@ def locate(text: str, seed: int | None = None) -> Path:
         )
     if seed is None and (path / "policy.npz").is_file():
         return path / "policy.npz"
+    _check_no_sweep(text, path, seed)
     if (path / checkpoint_file.STATE).is_dir():
         return path
     folder = path / "checkpoints" if (path / "checkpoints").is_dir() else path
@@ -61,6 +62,22 @@ def locate(text: str, seed: int | None = None) -> Path:
         lacks = "neither a policy.npz nor checkpoints/" if seed is None else "no checkpoints/"
         raise ConfigError(f"{text}: holds {lacks}")
     return folder / str(saved[0])
+
+
+def _check_no_sweep(text: str, path: Path, seed: int | None) -> None:
+    """ConfigError for the folder of a sweep: it holds no seeds, and without an end no policy."""
+    if not (path / "sweep.json").is_file():
+        return
+    runs = sorted(config.parent for config in path.glob("*/config.json"))
+    some = (run for run in runs if checkpoint_file.iterations(run / "checkpoints"))
+    such = next(some, None)
+    lacks = "has not ended, or is not ranked, so it has no policy.npz"
+    if seed is not None:
+        lacks = f"has no seed {seed} itself"
+    then = (
+        f"name one of its runs, such as {such}" if such else "none of its runs has a checkpoint yet"
+    )
+    raise ConfigError(f"{text}: is a sweep, which {lacks}; {then}")
 
 
 def _bundled(name: str) -> Path:

@@ -5,29 +5,73 @@ the episodes have a fall, if both hold at every later evaluation, too (`reached`
 single evaluation, as here, has no later ones. It takes about a thousand episodes to tell 1 % from 2 %.
 
 The level is a share of the return of perfect tracking, `(w_lin + w_yaw) T` in episodes of T seconds
-(tasks/velocity/rewards.py): 38 of 45 with the weights of the Unitree tasks, 24 of 30 with the ANYmals', both
-in 20 s. With weights of your own it is the smaller share, 0.8.
+(tasks/velocity/rewards.py): 38 of 45 for the Unitree robots, 24 of 30 for the ANYmals, both in 20 s. It was
+measured with the rewards, commands and ends of their own configs (`MEASURED`), and means nothing with others:
+a term of one's own pays or costs, and with slow commands a robot that stands earns much.
 
-With `run.walks` = "tracking" the level is one of errors: at most 0.2 m/s and 0.25 rad/s, root mean squares
-as in dynappo/scores.py. A biped's reward has terms for posture and uprightness, so its return says little
-about how it tracks. So it is on rough ground, where an episode ends at the edge of its tile: who crosses it
-soon has a smaller return than who stands.
+Everywhere else (`by_return` is False) the level is one of errors, root mean squares as in dynappo/scores.py:
+at most 0.2 m/s and 0.25 rad/s; of slow commands at most half, of fast ones a fifth, of what a robot that
+stands still would have (asked.py). So it is with `run.walks` = "tracking", too: a biped's reward has terms
+for posture and uprightness, so its return says little about how it tracks. And so on rough ground, where an
+episode ends at the edge of its tile: who crosses it soon has a smaller return than who stands.
+
+Of tasks of other packages, and of environments of one's own, nothing is said.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+
+from dynappo.policy import asked
 
 SECONDS = 20.0  # of an episode
 SETTLE = 1.0  # s of it that are left out of the tracking error, as in dynappo/scores.py
 MOST_FALLS = 0.01  # share of the episodes
 MOST_ERRORS = 0.2, 0.25  # m/s, rad/s
+SLOW, FAST = 1 / 2, 1 / 5  # of the error of a robot that stands still: at most, and always enough
 ROUNDING = 1e-6  # of a share of episodes, a mean in float32
 SHARES = {2.25: 38 / 45, 1.5: 24 / 30}  # best possible return of a second -> share of it
 SHARE = 0.8  # of any other
+# What the levels of returns were measured with: weights that are not 0, and all else that decides a return
+UNITREE = {
+    "track_linear_velocity": 1.5,
+    "track_yaw_rate": 0.75,
+    "vertical_velocity": -2.0,
+    "roll_pitch_rate": -0.05,
+    "flat_orientation": -2.5,
+    "joint_torques": -2e-4,
+    "joint_accelerations": -2.5e-7,
+    "action_rate": -0.01,
+    "feet_air_time": 0.25,
+}
+ANYMAL = UNITREE | {
+    "track_linear_velocity": 1.0,
+    "track_yaw_rate": 0.5,
+    "flat_orientation": -5.0,
+    "joint_torques": -2.5e-5,
+    "feet_air_time": 0.5,
+    "undesired_contacts": -1.0,
+}
+WEIGHTS = {"go1": UNITREE, "go2": UNITREE, "anymal_c": ANYMAL, "anymal_d": ANYMAL}
+MEASURED = {
+    "terms": ("",),
+    "terrain": ("flat",),
+    "tracking_std": (0.5, 1.0),
+    "air_time": ("touchdown",),
+    "fall_reward": (None,),
+    "command_x": ((-1.0, 1.0),),
+    "command_y": ((-1.0, 1.0),),
+    "command_yaw": ((-1.0, 1.0),),
+    "heading": (False,),
+    "resample_steps": (0,),
+    "standing": (0.0,),
+    "termination": ("parts",),
+    "undesired": ("parts",),
+    "max_tilt": (None,),
+}
 
 
 def best(weights: Mapping[str, float], seconds: float = SECONDS) -> float:
@@ -50,11 +94,30 @@ def at(returns, least: float) -> np.ndarray:
     return np.asarray(returns, float) >= least * (1 - ROUNDING)
 
 
-def tracks(errors, yaw_errors) -> np.ndarray:
-    """Whether an evaluation is at the level of errors, m/s and rad/s. Elementwise; False where one is NaN."""
-    pairs = zip((errors, yaw_errors), MOST_ERRORS, strict=True)
-    within, turns = (np.asarray(x, float) <= most * (1 + ROUNDING) for x, most in pairs)
+def tracks(errors, yaw_errors, most: tuple[float, float] = MOST_ERRORS) -> np.ndarray:
+    """Whether errors, m/s and rad/s, are at most `most`. Elementwise; False where one is NaN."""
+    pairs = zip((errors, yaw_errors), most, strict=True)
+    within, turns = (np.asarray(x, float) <= m * (1 + ROUNDING) for x, m in pairs)
     return within & turns
+
+
+def by_return(config) -> bool:
+    """Whether the return of a validated config tells that its robot walks: what decides it is as measured."""
+    task = config.task
+    weights = {name: weight for name, weight in task.weights.items() if weight}
+    as_measured = all(task[name] in values for name, values in MEASURED.items())
+    return config.run.walks == "return" and as_measured and weights == WEIGHTS.get(config.robot)
+
+
+def most_errors(config, still: tuple[float, float]) -> tuple[float, float]:
+    """The largest errors, m/s and rad/s, of a robot that walks, of those of one that stands `still`; infinite
+    where tracking earns nothing, and absolute where nothing is asked."""
+    paid = (config.task.weights[n] > 0 for n in ("track_linear_velocity", "track_yaw_rate"))
+    linear, yaw = (
+        np.inf if not pays else min(SLOW * error or most, max(most, FAST * error))
+        for pays, error, most in zip(paid, still, MOST_ERRORS, strict=True)
+    )
+    return linear, yaw
 
 
 def evaluated_seconds(config) -> float:
@@ -69,54 +132,124 @@ def unmeasured(seconds: float) -> str:
     return "not measured in the first second" if too_short else "nobody stood for a second"
 
 
+class Said(NamedTuple):
+    """What a robot does, and how far it is from that."""
+
+    does: str
+    several: str
+    nearly: str
+    begins: str
+    stands: str
+    fails: str
+
+
+WALKS = Said(
+    "walks",
+    "walk",
+    "almost walks",
+    "begins to walk",
+    "stands, does not walk yet",
+    "does not walk yet",
+)
+TURNS = Said(
+    "turns on the spot",
+    "turn",
+    "almost turns",
+    "begins to turn",
+    "stands, does not turn yet",
+    "does not turn yet",
+)
+STANDS = Said("stands still", "stand still", "", "", "", "does not stand still")
+
+
+class Found(NamedTuple):
+    """What an evaluation tells of each seed, and what it lacks."""
+
+    returns: np.ndarray
+    falls: np.ndarray  # share of the episodes
+    errors: np.ndarray  # [2, seeds] m/s, rad/s
+    low: np.ndarray  # below the level
+    often: np.ndarray  # falls so
+    least: float | None  # the level of returns; None: it is one of errors
+    most: tuple[float, float]  # m/s, rad/s: that level
+    still: tuple[float, float]  # errors of a robot that stands; 0: nothing is asked, or paid
+
+
+def found(config, evaluation: Mapping[str, Any]) -> Found | None:
+    """Judge an evaluation as in a summary.json of the run of a validated `config`.
+
+    None where nothing is known of a robot, where tracking earns nothing, where the episodes are too short to
+    tell, and where it is not known what is asked.
+    """
+    names = "return", "fall_rate", "tracking_error", "yaw_error"
+    seconds = evaluated_seconds(config)
+    if not config.robot or not {*names} <= evaluation.keys() or seconds <= SETTLE * (1 + ROUNDING):
+        return None
+    still = asked.of(config)
+    most = most_errors(config, still) if still else (np.inf, np.inf)
+    if still is None or most == (np.inf, np.inf):
+        return None
+    returns, falls, error, yaw = (np.array(np.ravel(evaluation[name]), float) for name in names)
+    least = level(best(config.task.weights, seconds), seconds) if by_return(config) else None
+    low = ~(tracks(error, yaw, most) if least is None else at(returns, least))
+    paid = (s if np.isfinite(m) else 0.0 for s, m in zip(still, most, strict=True))
+    linear, turn = paid
+    errors = np.stack([error, yaw])
+    return Found(returns, falls, errors, low, ~seldom(falls), least, most, (linear, turn))
+
+
+def walking(config, evaluation: Mapping[str, Any]) -> int | None:
+    """How many of the seeds walk; None where nothing says so (`found`)."""
+    judged = found(config, evaluation)
+    return None if judged is None else int((~judged.low & ~judged.often).sum())
+
+
 def in_words(config, evaluation: Mapping[str, Any]) -> str:
     """What evaluated policies do, in words: walk, turn, fall, or lack; of several seeds, how many walk.
 
-    `config` is the run's, `evaluation` as in its summary.json. A robot that does not walk yet is judged
-    by the errors of one that stands still: the root mean square of the commands. "" where nothing is
-    known of a robot, or tracking earns nothing, or the episodes are too short to tell.
+    A robot that does not walk yet is judged by the errors of one that stands still. Where no walk or no turn
+    is asked for, none is spoken of. "" where nothing can be said (`found`).
     """
-    names = "return", "fall_rate", "tracking_error", "yaw_error"
-    if not {*names} <= evaluation.keys():
+    judged = found(config, evaluation)
+    if judged is None:
         return ""
-    task = config.task
-    seconds = evaluated_seconds(config)
-    # on rough ground an episode ends where the robot leaves its tile, and so its return
-    by_errors = config.run.walks == "tracking" or config.task.terrain == "rough"
-    least = level(best(task.weights, seconds), seconds)
-    if seconds <= SETTLE * (1 + ROUNDING) or not (by_errors or least > 0):
-        return ""
-    returns, falls, error, yaw = (np.array(np.ravel(evaluation[name]), float) for name in names)
-    low, often = ~(tracks(error, yaw) if by_errors else at(returns, least)), ~seldom(falls)
-    walking = ~low & ~often
+    returns, falls, errors, low, often, least, most, (speed, turn) = judged
+    said = WALKS if speed else TURNS if turn else STANDS
     if len(returns) > 1:
-        lacks = {
-            f"errors > {_errors(*MOST_ERRORS)}" if by_errors else f"return < {least:g}": low.sum()
-        }
+        units = zip(most, ("m/s", "rad/s"), strict=True)
+        limits = ", ".join(_number(m, unit) for m, unit in units if np.isfinite(m))
+        lacks = {f"errors > {limits}" if least is None else f"return < {least:g}": low.sum()}
         lacks |= {f"falls > {100 * MOST_FALLS:g} %": often.sum()}
         parts = [f"{what}: {count}" for what, count in lacks.items() if count]
-        return "; ".join([f"{walking.sum()} of {len(returns)} seeds walk", *parts])
-    if not np.isfinite(error[0]):  # nobody stood for the first second
+        return "; ".join(
+            [f"{(~low & ~often).sum()} of {len(returns)} seeds {said.several}", *parts]
+        )
+    (error, yaw), fallen = errors[:, 0], falls[0]
+    if not np.isfinite(error):  # nobody stood for the first second
         return "falls at once"
-    share, turn = error[0] / still(task.command_x, task.command_y), yaw[0] / still(task.command_yaw)
-    if walking[0]:
-        turning = "turns" if turn < 0.5 else "does not turn yet"
-        return f"walks, {turning}, {'seldom falls' if falls[0] > ROUNDING else 'does not fall'}"
-    does = "almost walks" if share < 0.33 else "begins to walk"
-    if share > 0.8:
-        does = "does not walk yet" if falls[0] > 0.1 else "stands, does not walk yet"
-    lacks = {f"return {returns[0]:.2f} < {least:g}": low[0]}
-    if by_errors:
-        lacks = {f"errors {_errors(error[0], yaw[0])} > {_errors(*MOST_ERRORS)}": low[0]}
-    lacks |= {f"falls {100 * falls[0]:.1f} % > {100 * MOST_FALLS:g} %": often[0]}
+    if not low[0] and not often[0]:
+        turns = ", turns" if yaw < 0.5 * turn else ", does not turn yet"
+        turns = turns if speed and turn else ""
+        return f"{said.does}{turns}, {'seldom falls' if fallen > ROUNDING else 'does not fall'}"
+    does = said.fails
+    if speed or turn:
+        share, enough = (error / speed, most[0] / speed) if speed else (yaw / turn, most[1] / turn)
+        nearly = share < 0.33 if least is not None else share < 1.5 * enough
+        does = said.nearly if nearly else said.begins
+        if share > 0.8:
+            does = said.fails if fallen > 0.1 else said.stands
+    lacks = {}
+    if least is not None:
+        lacks[f"return {returns[0]:.2f} < {least:g}"] = low[0]
+    else:
+        for name, x, m, unit in (
+            ("error", error, most[0], "m/s"),
+            ("yaw rate error", yaw, most[1], "rad/s"),
+        ):
+            lacks[f"{name} {_number(x, unit)} > {_number(m, unit)}"] = x > m * (1 + ROUNDING)
+    lacks |= {f"falls {100 * fallen:.1f} % > {100 * MOST_FALLS:g} %": often[0]}
     return "; ".join([does, *(what for what, true in lacks.items() if true)])
 
 
-def _errors(error: float, yaw_error: float) -> str:
-    return f"{error:.2f} m/s, {yaw_error:.2f} rad/s"
-
-
-def still(*ranges: tuple[float, float]) -> float:
-    """Root mean square of commands drawn uniformly from `ranges`: the error of a robot that stands still."""
-    square = sum((low * low + low * high + high * high) / 3 for low, high in ranges)
-    return max(square**0.5, 1e-6)
+def _number(error: float, unit: str) -> str:
+    return f"{error:.{2 if error >= 0.1 else 3}f} {unit}"

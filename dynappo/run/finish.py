@@ -22,11 +22,17 @@ ROOM = (errno.ENOSPC, errno.EDQUOT)
 
 
 def finish(
-    run: OpenRun, program, state, evaluation: dict, say: Callable[[str], None] = print
+    run: OpenRun,
+    program,
+    state,
+    evaluation: dict,
+    say: Callable[[str], None] = print,
+    evaluation_seconds: float | None = None,
 ) -> dict[str, Any]:
     """Write policy.npz, summary.json, curves and film of a run, and log them; returns the summary.
 
-    `evaluation` is that of its last policy, {} where there is none. Of several processes the first does this.
+    `evaluation` is that of its last policy, {} where there is none; it took `evaluation_seconds`. Of several
+    processes the first does this.
     """
     from dynappo.policy import render
 
@@ -45,6 +51,9 @@ def finish(
     title = (robots if config.robot else workdir.resolve().name) + seeds
     problem = learning_curves.draw(metrics, workdir / "curves.png", title)
     summary["curves"] = problem or str(workdir / "curves.png")
+    if evaluation_seconds is not None:  # of all runs of a program at once
+        summary["evaluation_seconds"] = evaluation_seconds
+    began = time.perf_counter()
     if config.run.video_seconds and not config.robot:
         problem = _film_of_task(config, workdir) or str(workdir / "video.mp4")
         summary["video"] = problem
@@ -57,6 +66,8 @@ def finish(
         except (FloatingPointError, ConfigError) as error:  # the run itself has ended well
             problem = f"no video: {error}"
         summary["video"] = problem or str(workdir / "video.mp4")
+    if "video" in summary:
+        summary["video_seconds"] = time.perf_counter() - began
     if len(run.origins) > 1:  # else all of it is in the summary itself
         summary["origins"] = list(run.origins)
     if (workdir / "restored_from").exists():

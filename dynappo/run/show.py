@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -24,6 +24,8 @@ COMPILING = {
     "jax": "under a minute, on a CPU minutes; half of it when cached",
     "c": "15 s; 5 when cached",
 }
+# what only an adaptive learning rate reads
+OF_ADAPTIVE = ("ppo.desired_kl", "ppo.late_kl", "ppo.min_learning_rate", "ppo.max_learning_rate")
 PARTS = 10  # lines of a run where there is no terminal
 
 
@@ -52,6 +54,20 @@ def describe(config) -> str:
         f"trains {what}{seeds}{over}, rollouts of {r.horizon} rows, {tail}\n"
         f"{run.num_iterations} iterations, {steps}"
     )
+
+
+def of_little_effect(config, names: Iterable[str]) -> str:
+    """A line on fields among `names` that decide little or nothing as `config` is; "" if there are none."""
+    if config.ppo.adaptive and "ppo.learning_rate" in names:
+        return (
+            "ppo.learning_rate decides little: the KL changes it at every minibatch (ppo.adaptive is True), "
+            "and after an iteration or two it is what ppo.desired_kl makes of it; set or sweep that, or "
+            "--config.ppo.adaptive=False too"
+        )
+    idle = [] if config.ppo.adaptive else [name for name in names if name in OF_ADAPTIVE]
+    if not idle:
+        return ""
+    return f"ppo.adaptive is False, so {', '.join(idle)} changes nothing; set ppo.learning_rate"
 
 
 def real_rows(config) -> str:
@@ -188,6 +204,9 @@ def summary(out, config, workdir: Path, summary: dict[str, Any]) -> None:
         "simulator steps": f"{count(summary['sim_steps'])} on {devices.ENGINES[summary['impl']]}",
         "training": f"{took}, after {summary['compile_seconds']:.0f} s of set-up",
     }
+    after = {"evaluation": "evaluation_seconds", "film": "video_seconds"}
+    if known := [f"{n} {summary[key]:.1f} s" for n, key in after.items() if key in summary]:
+        rows["after training"] = ", ".join(known)
     if config.task.terrain == "rough" and "length" in summary.get("evaluation", {}):
         rows["evaluation: length"] = mean(summary["evaluation"]["length"], " control steps")
         rows["evaluation: length"] += ", to the edge of its tile"

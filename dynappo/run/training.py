@@ -12,6 +12,7 @@ import contextlib
 import functools
 import math
 import sys
+import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -242,10 +243,13 @@ def _finish(trained: Trained, program: Program, callbacks: Callbacks) -> None:
     callbacks.finishing()
     run = trained.runs[0].config.run
     part = partial(merged.part, runs=len(trained.runs), seeds=run.num_seeds)
+    began = time.perf_counter()
     evaluation = program.evaluate(trained.state) if run.eval_envs else {}
+    seconds = time.perf_counter() - began if run.eval_envs else None
     for i in trained.good:
         one, state = trained.runs[i], part(trained.state, i)
-        summary = finish.finish(one, program, state, part(evaluation, i), callbacks.say)
+        own = part(evaluation, i)
+        summary = finish.finish(one, program, state, own, callbacks.say, seconds)
         if distributed.first():
             callbacks.finished(one.config, one.workdir, summary)
         finish.check_saved(one, program.robot, state, callbacks.say)

@@ -22,8 +22,10 @@ BUILT_IN = (
     "task.armature",
     "task.joint_friction",
 )
-NOT_HERE = {  # what one process or one folder has once
+NOT_HERE = {  # what one process or one folder has once, and seeds, over which every combination is averaged
     "run.device": "a process has one; give a command for each",
+    "run.seed": "for seeds use --config.run.num_seeds=2",
+    "run.num_seeds": "for seeds use --config.run.num_seeds=2",
     "run.wandb": "a sweep does not log to Weights & Biases",
 }
 # of the group `task`: what leaves an evaluation's rewards, commands, episodes and ground as they are, and

@@ -116,6 +116,9 @@ def _describe(out, workdir: Path, combinations: list[Combination]) -> None:
             "some have come further than others of their program: each part goes on in a program of its own, "
             "so their last digits may be others than without the stop",
         )
+    notes = (show.of_little_effect(one.config, one.values) for one in todo)
+    for note in dict.fromkeys(filter(None, notes)):
+        show.unusual(out, note)
     if todo:
         out.print(f"the first {show.describe(todo[0].config)}", soft_wrap=True, markup=False)
 
@@ -157,7 +160,13 @@ def _show(out, workdir: Path, combinations: list[Combination], swept: list[str])
         return
     best = workdir / rows[0]["folder"]
     shutil.copyfile(best / "policy.npz", workdir / "policy.npz")
-    out.print(f"best: {best}, its policy is {workdir}/policy.npz too", soft_wrap=True, markup=False)
+    doubt = table.doubt(rows)
+    if doubt:
+        show.unusual(out, doubt)
+    rank = "first" if doubt else "best"
+    out.print(
+        f"{rank}: {best}, its policy is {workdir}/policy.npz too", soft_wrap=True, markup=False
+    )
     if combinations[0].config.robot:
         own = terms.flag(combinations[0].config)
         text = f"see it: {shell.line('play', workdir, *own, '--out=walk.html')}"

@@ -41,17 +41,18 @@ def row(workdir: Path, one: Combination) -> dict[str, Any]:
     problem = folder.blown_up(workdir, one)
     evaluation = summary.get("evaluation", {})
     returns = np.ravel(evaluation.get("return", summary.get("return", [])))
-    returns = np.array([np.nan if x is None else x for x in returns], float)
-    mean = float(returns.mean()) if returns.size else np.nan
-    around = float(learning_curves.half_width(returns)) if returns.size else np.nan
+    mean, low, high = _interval(returns)
+    _, error_low, error_high = _interval(np.ravel(evaluation.get("tracking_error", [])))
     at = folder.iterations_saved(workdir, one)
     note = "" if summary else "blew up" if problem else f"at iteration {at}"
     numbers = {
         "return_mean": mean,
-        "return_low": mean - around,
-        "return_high": mean + around,
+        "return_low": low,
+        "return_high": high,
         "fall_rate": _mean(evaluation.get("fall_rate")),
         "tracking_error": _mean(evaluation.get("tracking_error")),
+        "tracking_error_low": error_low,
+        "tracking_error_high": error_high,
         "sim_steps": summary.get("sim_steps", np.nan),
         "seconds": _mean(summary.get("seconds")),
     }
@@ -60,19 +61,61 @@ def row(workdir: Path, one: Combination) -> dict[str, Any]:
         | {"seeds": one.config.run.num_seeds}
         | {name: float(v) if np.isfinite(v) else None for name, v in numbers.items()}
         | {
-            "returns": " ".join(f"{x:.6g}" for x in returns),
+            "returns": " ".join(f"{np.nan if x is None else x:.6g}" for x in returns),
             "return_of": "evaluation" if "return" in evaluation else "training",
             "policy": walks.in_words(one.config, evaluation) if evaluation else "",
+            "walking": walks.walking(one.config, evaluation),  # of its seeds
             "folder": one.name,
             "note": note,
         }
     )
 
 
+def _interval(values) -> tuple[float, float, float]:
+    """`(mean, low, high)` of a number of each seed, Student's 95 %; NaN where it cannot be computed."""
+    values = np.array([np.nan if x is None else x for x in values], float)
+    if not values.size:
+        return np.nan, np.nan, np.nan
+    mean, around = float(values.mean()), float(learning_curves.half_width(values))
+    return mean, mean - around, mean + around
+
+
 def _mean(values) -> float:
     """Mean over the seeds that have a number."""
     some = [v for v in np.ravel(values) if v is not None and np.isfinite(v)]
     return float(np.mean(some)) if some else np.nan
+
+
+def doubt(table: list[dict[str, Any]]) -> str:
+    """Lines on what the table does not show: that its first row is better than the others, that any walks.
+
+    Two combinations differ where the intervals over their seeds, of what they are ranked by, do not overlap.
+    """
+    first, *others = [one for one in table if not one["note"]]
+    lines = []
+    by_errors = first["ranked_by"] == grid.BY_ERRORS
+    name = "tracking_error" if by_errors else "return"
+    if by_errors:  # those that fall too often are behind, whatever their errors are
+        seldom = walks.seldom(first["fall_rate"])
+        others = [one for one in others if walks.seldom(one["fall_rate"]) == seldom]
+    low, high = f"{name}_low", f"{name}_high"
+    spread = [one for one in (first, *others) if one[low] is not None]
+    if others and len(spread) <= len(others):
+        lines.append("no difference can be seen: it takes two seeds of each, or more")
+    elif close := sum(one[low] <= first[high] and first[low] <= one[high] for one in spread[1:]):
+        which = "the second" if len(others) == 1 else f"{close} of the {len(others)} others"
+        lines.append(
+            f"no difference can be seen between the first and {which}: the 95 % intervals of the "
+            f"{name.replace('_', ' ')} overlap"
+        )
+    if lines:
+        lines[0] += (
+            f"; for more seeds: another --workdir with --config.run.num_seeds={2 * max(first['seeds'], 2)}"
+        )
+    known = [one["walking"] for one in table if one["walking"] is not None]
+    if known and not any(known):
+        lines.append("no seed walks yet, so even the first is not good enough")
+    return "\n".join(lines)
 
 
 def write(path: Path, table: list[dict[str, Any]]) -> None:
@@ -86,7 +129,7 @@ def write(path: Path, table: list[dict[str, Any]]) -> None:
 
 def print_table(out, table: list[dict[str, Any]], swept: list[str]) -> None:
     """Print the rows as a table. On a narrow console what the policies do is a line each, below it."""
-    page = _page(table, swept, "the policy")
+    page = _page(table, swept, "the policy" if any(one["policy"] for one in table) else "")
     if out.measure(page, options=out.options.update(width=1000)).maximum <= out.width:
         return out.print(page)
     out.print(_page(table, swept, ""))

@@ -35,7 +35,7 @@ examples
   python -m dynappo.train --config=playground:Go1JoystickFlatTerrain:ppo
 variants follow the name: go1:laptop, :ppo16, :dyna4, ... (none: best)
 set any field of the config (configs/default.py lists them), as in
-  --config.run.num_iterations=200 --config.ppo.learning_rate=3e-4
+  --config.run.num_iterations=200 --config.ppo.desired_kl=0.03
 the same command again resumes the run in its workdir, and so does --workdir=DIR alone
 a FILE.py with get_env(config) trains an environment of your own: docs/environment.md
 """
@@ -52,6 +52,7 @@ class Command(NamedTuple):
     get_env: Any = None  # of the config's file, if it has an environment of its own
     serve: str | None = None  # the address of a page; "": the usual one
     sweep: sweep_lib.Sweep | None = None  # instead of a run; `config` is its first combination's
+    given: tuple[str, ...] = ()  # the fields that flags set
 
 
 def parse(argv: list[str] | None) -> Command:
@@ -128,7 +129,9 @@ def parse(argv: list[str] | None) -> Command:
     config = sweep.combinations[0].config if sweep else config_lib.validate(config)
     processes = (known.coordinator, known.processes, known.process)
     own = known.fresh, known.restore, processes, get_env
-    return Command(config, workdir, *own, serve=known.serve, sweep=sweep)
+    flagged = (text.partition("=")[0] for text in rest if text.startswith("--config."))
+    given = tuple(text.removeprefix("--config.") for text in flagged)
+    return Command(config, workdir, *own, serve=known.serve, sweep=sweep, given=given)
 
 
 def _prepare_page(serve: str, config, sweep) -> None:
@@ -202,6 +205,8 @@ def train_run(out, command: Command, stop: Stop) -> str:
     run = training.Run(config, command.workdir, env, command.restore)
     out.print(f"dynappo {show.describe(config)}", markup=False, soft_wrap=True)
     training.check(run, command.fresh)  # before anything is written
+    if note := show.of_little_effect(config, command.given):
+        show.unusual(out, note)
     with contextlib.ExitStack() as stack, show.live(out, config) as callbacks:
 
         def opened():  # not before: the page shows what is in the folder

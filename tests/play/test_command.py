@@ -11,13 +11,18 @@ from toy_policy import other_file, save
 
 from dynappo.play import command as play_command
 from dynappo.play import command_script
-from dynappo.policy import episode, policy_file, render
+from dynappo.policy import episode, policy_file, policy_source, render
 
 
 @pytest.fixture(scope="module")
 def saved(tmp_path_factory):
     """The policy.npz of an actor of the Go1."""
     return save(tmp_path_factory.mktemp("saved") / "policy.npz")
+
+
+@pytest.fixture(scope="module")
+def player(saved):
+    return policy_source.player(policy_file.load(saved))[0]
 
 
 # ---- commands
@@ -99,6 +104,33 @@ def test_play_writes_a_page_and_tells_what_came_out(saved, tmp_path, monkeypatch
     assert list(told) == names.split("|")
     command = pages.numbers(pages.read(Path("walk.html")), "command", "<f4", 3)
     np.testing.assert_allclose(command[:, 0], [0.5] * 20 + [1.4] * 55, atol=1e-6)
+
+
+def test_after_a_fall_every_number_says_that_it_is_until_then(player):
+    """A robot that goes 0.5 m/s until it lies, after 1.5 s or 0.5 s of 4."""
+    qpos = np.zeros((200, 19))
+    qpos[:, 0] = 0.01 * np.arange(200)
+    rows = {"qpos": qpos, "work": np.ones(200), "dt": np.array(0.02), "fell": np.zeros(200, bool)}
+    rows["velocity"], rows["command"] = (
+        np.tile([0.5, 0, 0], (200, 1)),
+        np.tile([0.6, 0, 0.1], (200, 1)),
+    )
+    stands = dict(play_command.table(player, rows))
+    assert stands["played"] == "4.0 s" and stands["tracking error"] == "0.10 m/s"
+    assert not any("until" in text for text in stands.values())
+    rows["fell"][74:] = True
+    fell = dict(play_command.table(player, rows))
+    assert fell["played"] == "1.5 s until the fall, 4.0 s in all" and fell["fall"] == "after 1.5 s"
+    assert fell["distance"] == "0.7 m until the fall"
+    assert fell["tracking error"] == "0.10 m/s until the fall"
+    assert fell["yaw rate error"] == "0.10 rad/s until the fall"
+    assert fell["cost of transport"].endswith(" until the fall")
+    rows["fell"][24:] = True
+    fell = dict(play_command.table(player, rows))
+    assert (
+        fell["played"].startswith("0.5 s until")
+        and fell["tracking error"] == "fell in the first second"
+    )
 
 
 def test_zero_stands_and_random_follows_its_seed(tmp_path, monkeypatch):

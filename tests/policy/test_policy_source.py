@@ -18,6 +18,7 @@ from dynappo.evaluate import command as evaluate_command
 from dynappo.export import command as export_command
 from dynappo.play import command as play_command
 from dynappo.policy import episode, policy_file, policy_source
+from dynappo.sweeps import folder as sweep_folder
 
 TEXT = GO1.xml.read_text()
 HEAVY = TEXT.replace('mass="5.204"', 'mass="7.5"', 1)
@@ -237,3 +238,25 @@ def test_names_files_and_folders_are_told_apart(tmp_path, monkeypatch):
     assert policy_source.locate("./spot") == Path("spot/policy.npz")
     line = refused(policy_source.locate, "sptt")
     assert line.startswith("sptt: no such file or folder") and "go2, spot (or" in line
+
+
+@pytest.mark.parametrize("ended", [False, True])
+def test_a_sweep_is_told_from_a_run(ended, tmp_path):
+    """It has no seeds; without an end, no policy; the run that is named can be played."""
+    sweep, run = tmp_path / "lr", tmp_path / "lr" / "ppo.gamma=0.98"
+    run.mkdir(parents=True)
+    (sweep / sweep_folder.ABOUT).write_text("{}")
+    (run / "config.json").write_text("{}")
+    if ended:
+        (sweep / "policy.npz").touch()
+        assert policy_source.locate(str(sweep)) == sweep / "policy.npz"
+    else:
+        line = refused(policy_source.locate, str(sweep))
+        assert line.startswith(f"{sweep}: is a sweep, which has not ended")
+        assert line.endswith("none of its runs has a checkpoint yet")
+    (run / "checkpoints" / "20" / "state").mkdir(parents=True)
+    for seed in (1, *[None] * (not ended)):
+        line = refused(policy_source.locate, str(sweep), seed)
+        assert f"is a sweep, which has no{'t ended' if seed is None else ' seed 1'}" in line
+        assert line.endswith(f"name one of its runs, such as {run}")
+    assert policy_source.locate(str(run), 1) == run / "checkpoints" / "20"

@@ -2,13 +2,14 @@
 
 import itertools
 import math
+from typing import Any
 
 import numpy as np
 import pytest
 
 from dynappo import config as config_lib
-from dynappo import scores
-from dynappo.policy import walks
+from dynappo import scores, terms
+from dynappo.policy import asked, walks
 
 NAN = math.nan
 
@@ -40,6 +41,23 @@ def test_the_level_follows_from_the_weights_and_the_time(name):
     assert walks.level(most) == pytest.approx(0.8 * (4.0 + weights.track_yaw_rate) * 20)
 
 
+def valid(spec="go1:best", **task):
+    """A valid config with fields of `task` set."""
+    config = config_lib.load(spec)
+    weights = task.pop("weights", {})
+    config.task.weights.update(weights)
+    config.task.update(task)
+    return config_lib.validate(config)
+
+
+def evaluation(*numbers) -> dict[str, Any]:
+    return dict(zip(("return", "tracking_error", "yaw_error", "fall_rate"), numbers, strict=True))
+
+
+def said(numbers, spec="go1:best", **task):
+    return walks.in_words(valid(spec, **task), evaluation(*numbers))
+
+
 SAID = {  # (return, tracking error, yaw error, fall rate) of commands from -1 to 1: what is said
     "stands": ((26.0, 0.8, 0.57, 0.0), "stands, does not walk yet; return 26.00 < 38"),
     "falls often": (
@@ -67,12 +85,12 @@ SAID = {  # (return, tracking error, yaw error, fall rate) of commands from -1 t
 
 
 @pytest.mark.parametrize(
-    ("numbers", "said"),
+    ("numbers", "words"),
     [
         ((3.0, 0.2, 0.25, 0.01), "walks, turns, seldom falls"),
         (
             (99.0, 0.21, 0.2, 0.0),
-            "almost walks; errors 0.21 m/s, 0.20 rad/s > 0.20 m/s, 0.25 rad/s",
+            "almost walks; error 0.21 m/s > 0.20 m/s",
         ),
         ((99.0, 0.2, 0.2, 0.02), "almost walks; falls 2.0 % > 1 %"),
         ((99.0, NAN, NAN, 1.0), "falls at once"),
@@ -82,55 +100,184 @@ SAID = {  # (return, tracking error, yaw error, fall rate) of commands from -1 t
         ),
     ],
 )
-def test_of_a_g1_errors_are_said_and_not_its_return(numbers, said):
-    assert walks.in_words(config_lib.load("g1"), evaluation(*numbers)) == said
-
-
-def evaluation(*numbers):
-    return dict(zip(("return", "tracking_error", "yaw_error", "fall_rate"), numbers, strict=True))
+def test_of_a_g1_errors_are_said_and_not_its_return(numbers, words):
+    assert said(numbers, "g1") == words
 
 
 @pytest.mark.parametrize("name", SAID)
 def test_what_a_policy_does_is_said_in_words(name):
     """A robot that stands still under these commands errs by 0.816 m/s and 0.577 rad/s."""
-    numbers, said = SAID[name]
-    assert walks.in_words(config_lib.load("go1:best"), evaluation(*numbers)) == said
+    numbers, words = SAID[name]
+    assert said(numbers) == words
 
 
 def test_the_words_know_the_robot_and_the_time():
     """A return of 30 is far for a Go1, enough for an ANYmal, and for a Go1 that is evaluated for 10 s."""
     good = evaluation(30.0, 0.1, 0.1, 0.0)
+    assert walks.in_words(valid(), good) == "almost walks; return 30.00 < 38"
+    assert walks.in_words(valid("anymal_d:best"), good).startswith("walks")
     go1 = config_lib.load("go1:best")
-    assert walks.in_words(go1, good) == "almost walks; return 30.00 < 38"
-    assert walks.in_words(config_lib.load("anymal_d:best"), good).startswith("walks")
     for fields in ({"eval_steps": 500}, {"eval_steps": 0}):
         go1.run.update(fields)
         go1.task.episode_length = 500
-        assert walks.in_words(go1, good).startswith("walks")
-    go1.task.weights.update(track_linear_velocity=0.0, track_yaw_rate=0.0)
-    assert walks.in_words(go1, good) == ""
-    assert walks.in_words(go1, {"return": 1.0}) == ""
+        assert walks.in_words(config_lib.validate(go1), good).startswith("walks")
+    unpaid = {"track_linear_velocity": 0.0, "track_yaw_rate": 0.0}
+    assert walks.in_words(valid(weights=unpaid), good) == ""
+    assert walks.in_words(valid(), {"return": 1.0}) == ""
 
 
 def test_nothing_is_said_of_the_first_second():
     """No error is measured in it; a robot that is evaluated for so long has not fallen at once."""
     go1 = config_lib.load("go1:best")
-    for steps, said in ((50, ""), (51, "falls at once")):
+    for steps, words in ((50, ""), (51, "falls at once")):
         go1.run.eval_steps = steps
-        assert walks.in_words(go1, evaluation(1.5, NAN, NAN, 0.0)) == said
-        assert (
-            walks.unmeasured(walks.evaluated_seconds(go1)) == "nobody stood for a second"
-        ) == bool(said)
+        config = config_lib.validate(go1)
+        assert walks.in_words(config, evaluation(1.5, NAN, NAN, 0.0)) == words
+        short = walks.unmeasured(walks.evaluated_seconds(config)) != "nobody stood for a second"
+        assert short == (not words)
     assert walks.SETTLE == scores.SETTLE
+
+
+OWN_TASKS = {  # fields of the task, numbers, what is said where return or fixed errors would be wrong
+    "a cost": (
+        {"weights": {"joint_torques": -1e-3}},
+        (32.4, 0.08, 0.1, 0.0),
+        "walks, turns, does not fall",
+    ),
+    "a bonus": (
+        {"weights": {"feet_air_time": 3.0}},
+        (44.0, 0.8, 0.57, 0.0),
+        "stands, does not walk yet; error 0.80 m/s > 0.20 m/s; yaw rate error 0.57 rad/s > 0.25 rad/s",
+    ),
+    "a width": (
+        {"tracking_std": 3.0},
+        (44.0, 0.5, 0.2, 0.0),
+        "begins to walk; error 0.50 m/s > 0.20 m/s",
+    ),
+    "slow": (
+        {"command_x": (-0.2, 0.2), "command_y": (0.0, 0.0), "command_yaw": (0.0, 0.0)},
+        (43.0, 0.115, 0.0, 0.0),
+        "stands, does not walk yet; error 0.12 m/s > 0.058 m/s",
+    ),
+    "slow, walks": (
+        {"command_x": (-0.2, 0.2), "command_y": (0.0, 0.0), "command_yaw": (0.0, 0.0)},
+        (43.0, 0.05, 0.01, 0.0),
+        "walks, does not fall",
+    ),
+    "fast": (
+        {"command_x": (0.0, 3.0), "command_y": (0.0, 0.0)},
+        (30.0, 0.34, 0.2, 0.0),
+        "walks, turns, does not fall",
+    ),
+    "on the spot": (
+        {"command_x": (0.0, 0.0), "command_y": (0.0, 0.0)},
+        (40.0, 0.05, 0.1, 0.0),
+        "turns on the spot, does not fall",
+    ),
+    "on no spot": (
+        {"command_x": (0.0, 0.0), "command_y": (0.0, 0.0)},
+        (40.0, 0.05, 0.57, 0.0),
+        "stands, does not turn yet; yaw rate error 0.57 rad/s > 0.25 rad/s",
+    ),
+    "told to stand": ({"standing": 1.0}, (40.0, 0.01, 0.01, 0.0), "stands still, does not fall"),
+    "turns unpaid": (
+        {"weights": {"track_yaw_rate": 0.0}},
+        (20.0, 0.1, 0.57, 0.0),
+        "walks, does not fall",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", OWN_TASKS)
+def test_with_rewards_or_commands_of_ones_own_errors_tell_and_not_the_return(name):
+    task, numbers, words = OWN_TASKS[name]
+    assert said(numbers, **task) == words
+
+
+@pytest.mark.parametrize("name", LEVELS)
+def test_the_return_tells_where_it_was_measured(name):
+    """Of the four robots' own flat tasks, with either width of tracking, and of nothing else."""
+    for variant in ("best", "few", "ppo16", "dyna4", "fast", "laptop", "quick", "logs"):
+        assert walks.by_return(valid(f"{name}:{variant}"))
+    for variant in ("deploy", "rough", "rough_deploy"):
+        assert not walks.by_return(valid(f"{name}:{variant}"))
+    for field, value in {
+        "formulation": "paper_text",
+        "command_y": (-0.5, 0.5),
+        "fall_reward": -1.0,
+        "max_tilt": 1.0,
+        "standing": 0.1,
+    }.items():
+        assert not walks.by_return(valid(name, **{field: value}))
+    assert not walks.by_return(valid(name, weights={"energy": -1e-4}))
+    adopted = config_lib.load(name)
+    adopted.robot = "mydog"  # the same weights are others for a robot of another size
+    assert not walks.by_return(config_lib.validate(adopted, robot_here=False))
+
+
+def test_of_other_packages_tasks_nothing_is_said():
+    """A return of 38 means nothing there."""
+    theirs = config_lib.load("go1:best")
+    theirs.robot, theirs.env = "", "playground:Go1JoystickFlatTerrain"
+    theirs = config_lib.validate(theirs)
+    for numbers in ((14.95, 0.1, 0.1, 0.0), ([14.95, 40.0], [0.1, 0.1], [0.1, 0.1], [0.0, 0.0])):
+        assert walks.in_words(theirs, evaluation(*numbers)) == ""
+        assert walks.walking(theirs, evaluation(*numbers)) is None
+
+
+TERMS = """
+from dynappo import terms
+
+@terms.reward(weight=-0.5)
+def rent(dt):
+    return 1.0 + 0 * dt
+
+@terms.curriculum(start=0.1, evaluated=1.0, numbers={"step_up": 0.05})
+def level(level, fell, step_up):
+    return level + step_up * ~fell
+
+@terms.command(draws=1)
+def ahead(draw, level, command_x):
+    xp = draw.__array_namespace__()
+    low, high = command_x
+    return xp.stack([level * (low + (high - low) * draw[0]), 0 * draw[0], 0 * draw[0]])
+"""
+
+
+def test_a_command_of_ones_own_is_drawn_to_know_what_is_asked(tmp_path):
+    """0.3 to 1.2 m/s ahead with the curriculum at its end, no turn: who stands does not walk."""
+    (tmp_path / "mine.py").write_text(TERMS)
+    config = config_lib.load("go1:laptop")
+    terms.use(config, terms.read(tmp_path / "mine.py"))
+    config.task.command_x = (0.3, 1.2)
+    config.task.standing = 0.19
+    config = config_lib.validate(config)
+    speed, turn = asked.of(config) or (NAN, NAN)
+    assert speed == pytest.approx(0.9 * np.sqrt((0.3**2 + 0.3 * 1.2 + 1.2**2) / 3), rel=0.02)
+    assert turn == 0
+    stands = walks.in_words(config, evaluation(38.5, speed, 0.0, 0.0))
+    assert stands.startswith("stands, does not walk yet; error 0.73 m/s > 0.20 m/s")
+    assert walks.in_words(config, evaluation(28.0, 0.1, 0.05, 0.0)) == "walks, does not fall"
+    unread = config_lib.load("go1:laptop")
+    unread.task.update(terms="gone.py", terms_hash="0" * 64)
+    unread = config_lib.validate(unread)
+    assert walks.in_words(unread, evaluation(28.0, 0.1, 0.05, 0.0)) == ""
 
 
 def test_what_is_turned_and_walked_is_judged_by_the_commands_that_were_given():
     """0.2 m/s is little where robots are asked for 1 m/s, and all where they are asked for 0.2 m/s."""
-    config = config_lib.load("go1:best")
-    slow = evaluation(20.0, 0.2, 0.1, 0.0)
-    assert walks.in_words(config, slow).startswith("almost walks")
-    config.task.update(command_x=(0.2, 0.2), command_y=(0.0, 0.0))
-    assert walks.in_words(config, slow).startswith("stands")
+    slow = (20.0, 0.2, 0.1, 0.0)
+    assert said(slow).startswith("almost walks")
+    assert said(slow, command_x=(0.2, 0.2), command_y=(0.0, 0.0)).startswith("stands")
     for low, high in itertools.product((-1.0, 0.0, 0.5), (0.5, 1.0)):
         drawn = np.linspace(low, high, 100_001)
-        assert walks.still((low, high)) == pytest.approx(np.sqrt(np.mean(drawn**2)), rel=1e-4)
+        assert asked.uniform((low, high)) == pytest.approx(np.sqrt(np.mean(drawn**2)), rel=1e-4)
+
+
+def test_a_heading_asks_for_turns_inside_the_range():
+    """Of a robot that turns to none: half of the angle, at most 1 rad/s."""
+    angles = np.random.default_rng(0).uniform(-np.pi, np.pi, 100_000)
+    _, turn = asked.of(valid("go2:rough")) or (NAN, NAN)
+    expected = np.sqrt(0.98 * np.mean(np.clip(0.5 * angles, -1, 1) ** 2))
+    assert turn == pytest.approx(expected, rel=0.01)
+    assert (asked.of(valid("go2:rough", command_yaw=(0.0, 0.0))) or (NAN, NAN))[1] == 0

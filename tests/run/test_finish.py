@@ -2,6 +2,7 @@
 
 import json
 import sys
+import time
 from types import SimpleNamespace
 
 import jax
@@ -40,6 +41,9 @@ def test_the_summary_says_what_the_run_came_to(whole):
     assert ended > 0 and summary["return_of_all"] == pytest.approx(total / ended, rel=1e-4)
     assert summary["seconds"] == pytest.approx(whole.metrics["seconds"][-1], rel=1e-4)
     assert summary["compile_seconds"] > 0 and summary["impl"] == "jax"
+    assert (
+        summary["evaluation_seconds"] > 0 and "video_seconds" not in summary
+    )  # no film was asked for
     size = sum(x.nbytes for x in jax.tree.leaves((whole.state.env_state, whole.state.learner)))
     assert summary["bytes_needed"] > size
     assert {"dynappo", "jax", "mujoco-mjx"} <= summary["versions"].keys()
@@ -122,11 +126,12 @@ def test_there_is_a_film_or_the_reason(program, whole, tmp_path, monkeypatch):
     """The summary says which; without matplotlib too."""
     filmed = workdirs.config(run__video_seconds=0.1)
     run = workdirs.open_run(filmed, tmp_path, whole.metrics)
-    monkeypatch.setattr(render, "simulate", lambda *_: {"qpos": np.zeros((5, 19))})
+    monkeypatch.setattr(render, "simulate", lambda *_: time.sleep(0.05))
     for problem in ("", "no video: no OpenGL"):
         monkeypatch.setattr(render, "film", lambda *_, problem=problem: problem)
         summary = finish.finish(run, program(), whole.state, {})
         assert summary["video"] == (problem or str(tmp_path / "video.mp4"))
+        assert 0.05 < summary["video_seconds"] < 60 and "evaluation_seconds" not in summary
         assert summary["curves"] == str(tmp_path / "curves.png")
 
     def blown_up(*_):

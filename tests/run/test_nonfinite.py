@@ -80,7 +80,7 @@ def test_a_training_that_blows_up_names_the_first_bad_number(
     with pytest.raises(FloatingPointError, match=name) as error:
         workdirs.loop(config, bad, tmp_path)
     text = str(error.value)
-    assert "\n" not in text and "Lower ppo.learning_rate or model.learning_rate" in text
+    assert "\n" not in text and "Lower ppo.desired_kl (where" in text
     assert not (tmp_path / "metrics.csv").exists()
     assert not list((tmp_path / "checkpoints").iterdir())
     dumped = tmp_path / "nonfinite.npz"

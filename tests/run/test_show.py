@@ -44,6 +44,20 @@ def test_the_description_says_what_will_happen(spec, tail):
     assert show.describe(many) == f"{first}\n{second}"
 
 
+def test_a_learning_rate_that_the_kl_adapts_is_said_to_decide_little():
+    """And with a fixed one what only an adaptive one reads."""
+    adaptive = config()
+    fixed = config_lib.load("configs/go1.py:dyna4")
+    fixed.ppo.adaptive = False
+    fixed = config_lib.validate(fixed)
+    rate, kl = ("ppo.learning_rate", "ppo.gamma"), ("ppo.desired_kl", "ppo.gamma")
+    assert "set or sweep that, or --config.ppo.adaptive=False" in show.of_little_effect(
+        adaptive, rate
+    )
+    assert "so ppo.desired_kl changes nothing" in show.of_little_effect(fixed, kl)
+    assert not show.of_little_effect(adaptive, kl) and not show.of_little_effect(fixed, rate)
+
+
 def test_the_progress_line_shows_return_length_error_std_and_pace():
     """The pace is of the last chunks; of seeds the mean; a dash before the first episode ends."""
     numbers = dict(episode_return=12.345, episode_length=987.6, velocity_error=0.234)
@@ -154,6 +168,12 @@ TABLES = {  # what differs in the summary, what is shown, what is not
         "0.50 m/s",
         "None",
     ),
+    "what came after": (
+        {"evaluation_seconds": 3.14, "video_seconds": 12.3},
+        "after training | evaluation 3.1 s, film 12.3 s",
+        "nan",
+    ),
+    "no film": ({"evaluation_seconds": 3.14}, "after training | evaluation 3.1 s", "film"),
     "no evaluation": ({"evaluation": {}}, "3.25 | runs/x: metrics.csv", "evaluation:"),
 }
 

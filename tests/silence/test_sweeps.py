@@ -19,7 +19,7 @@ from dynappo.sweeps import sweep as sweeps
 
 BY = {  # what is swept -> how it is ranked
     "ppo.epochs=1,2": grid.BY_RETURN,
-    "run.seed=1,2": grid.BY_RETURN,
+    "run.num_iterations=100,200": grid.BY_RETURN,
     "task.kp=20.0,30.0": grid.BY_RETURN,
     "task.noise.joint_vel=0.5,1.5": grid.BY_RETURN,
     "physics.impl=c,jax": grid.BY_RETURN,

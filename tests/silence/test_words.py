@@ -31,7 +31,7 @@ def test_a_robot_that_crosses_its_tile_soon_is_not_said_to_walk_badly():
     """Its episode ends there and so does its return; on a floor the same return is one that is low."""
     assert walks.in_words(config(), SEEN) == "walks, turns, does not fall"
     assert "return 15.00 < 38" in walks.in_words(config("go2:best"), SEEN)
-    assert "errors 0.50 m/s" in walks.in_words(config(), SEEN | {"tracking_error": 0.5})
+    assert "error 0.50 m/s" in walks.in_words(config(), SEEN | {"tracking_error": 0.5})
 
 
 def test_who_fell_once_is_not_said_not_to_fall():

@@ -70,8 +70,13 @@ def test_a_folder_has_a_name_that_needs_no_quotes(config):
         (["ppo.epochs=3", "ppo.epochs=5"], "ppo.epochs is swept twice"),
         (["ppo.hidden=64,64"], "--sweep=ppo.hidden='64': expected tuple"),
         (["run.device=cpu,gpu"], "run.device cannot be swept"),
+        (["run.seed=0,1"], "for seeds use --config.run.num_seeds=2"),
+        (["config.run.num_seeds=1,2"], "for seeds use --config.run.num_seeds=2"),
         (["run.wandb=a,b"], "does not log to Weights & Biases"),
-        (["run.seed=" + ",".join(map(str, range(1001)))], "1,001 combinations, expected at most"),
+        (
+            ["run.num_iterations=" + ",".join(map(str, range(1001)))],
+            "1,001 combinations, expected at most",
+        ),
         ([f"ppo.hidden=({'8,' * 120})"], "sweep fewer fields at once"),
     ],
 )

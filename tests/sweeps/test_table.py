@@ -1,6 +1,11 @@
 """What a sweep came to: its words."""
 
+import io
+
+import numpy as np
+import pytest
 from rich.console import Console
+from scipy import stats
 
 from dynappo import config as config_lib
 from dynappo.sweeps import folder, grid, table
@@ -32,6 +37,74 @@ def test_a_row_says_what_the_policies_do(tmp_path, monkeypatch, capsys):
     assert head.split() == "epochs seeds evaluated return falls steps seconds".split()
     assert line.split()[:3] == ["3", "1", "33.00"]
     assert words == "3: 1 of 2 seeds walk; return < 38: 1; falls > 1 %: 1"
+
+
+def made_up(name, errors, falls=0.0, returns=(), walking=0, by=grid.BY_RETURN):
+    """A row of a table with a number for each seed, as `table.row` makes it."""
+    row = {"folder": name, "note": "", "ranked_by": by, "seeds": len(errors), "fall_rate": falls}
+    row |= {"walking": walking}
+    for what, values in (("tracking_error", errors), ("return", returns or errors)):
+        low, high = None, None
+        if len(values) > 1:
+            low, high = stats.t.interval(0.95, len(values) - 1, np.mean(values), stats.sem(values))
+        row |= {f"{what}_low": low, f"{what}_high": high}
+    return row
+
+
+def test_a_difference_that_cannot_be_seen_is_not_called_one():
+    """One seed each; seeds that mix; seeds that do not. Of errors, only between those that fall as seldom."""
+    apart = [
+        made_up("a", [0.1] * 3, returns=[40.0, 41.0, 42.0]),
+        made_up("b", [0.1] * 3, returns=[9, 10, 11]),
+    ]
+    mixed = [apart[0], made_up("b", [0.1] * 3, returns=[30.0, 39.0, 44.0]), apart[1]]
+    single = [made_up("a", [40.0]), made_up("b", [12.0])]
+    said = [table.doubt(rows) for rows in (apart, mixed, single)]
+    assert all(
+        text.endswith("no seed walks yet, so even the first is not good enough") for text in said
+    )
+    assert said[0].startswith("no seed walks")
+    assert said[1].startswith(
+        "no difference can be seen between the first and 1 of the 2 others: the 95 % intervals of the return "
+        "overlap; for more seeds: another --workdir with --config.run.num_seeds=6\n"
+    )
+    assert said[2].startswith("no difference can be seen: it takes two seeds of each, or more; for")
+    for walking in (1, None):
+        assert table.doubt([apart[0] | {"walking": walking}, apart[1] | {"walking": walking}]) == ""
+    blown = {"note": "blew up", "walking": None}
+    assert table.doubt([apart[0] | {"walking": 3}, blown]) == ""
+    errors = [
+        made_up("a", [0.1, 0.2], walking=1, by=grid.BY_ERRORS),
+        made_up("b", [0.1, 0.21], 0.5),
+    ]
+    assert table.doubt(errors) == ""
+    errors[1]["fall_rate"] = 0.01
+    assert table.doubt(errors).startswith(
+        "no difference can be seen between the first and the second: the"
+    )
+
+
+def test_a_row_has_intervals_and_how_many_seeds_walk(tmp_path, monkeypatch):
+    """Student's of what combinations are ranked by; nothing of another package's task."""
+    config = config_lib.load("configs/go1.py:laptop")
+    errors, returns = [0.1, 0.14, 0.3], [40.0, 39.0, 26.0]
+    done = {"return": 1.0, "evaluation": {"return": returns, "tracking_error": errors}}
+    done["evaluation"] |= {"fall_rate": [0.0, 0.0, 0.2], "yaw_error": errors}
+    monkeypatch.setattr(folder, "summary", lambda *_: done)
+    (row,) = table.rows(
+        tmp_path, [grid.Combination("a", {"ppo.epochs": 3}, config_lib.validate(config))]
+    )
+    for name, values in (("return", returns), ("tracking_error", errors)):
+        low, high = stats.t.interval(0.95, 2, np.mean(values), stats.sem(values))
+        assert (row[f"{name}_low"], row[f"{name}_high"]) == pytest.approx((low, high))
+    assert row["walking"] == 2
+    config.robot, config.env = "", "playground:Go1JoystickFlatTerrain"
+    theirs = grid.Combination("a", {"ppo.epochs": 3}, config_lib.validate(config))
+    (row,) = table.rows(tmp_path, [theirs])
+    assert row["walking"] is None and row["policy"] == ""
+    out = Console(width=200, record=True, file=io.StringIO())
+    table.print_table(out, [row | {"sim_steps": 1.0}], ["ppo.epochs"])
+    assert "the policy" not in out.export_text()
 
 
 def test_a_table_fits_eighty_columns_and_nothing_is_cut(capsys):
