@@ -8,7 +8,7 @@ from __future__ import annotations
 import contextlib
 import difflib
 from contextlib import AbstractContextManager
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from dynappo.config import ConfigError
 
@@ -16,6 +16,16 @@ if TYPE_CHECKING:  # it imports JAX
     from dynappo.types import Env
 
 PACKAGES = ("playground", "brax")
+
+
+class Made(NamedTuple):
+    """An environment, and how its evaluation is traced."""
+
+    env: Env
+    evaluating: AbstractContextManager = (
+        contextlib.nullcontext()
+    )  # in which an evaluation is traced
+    engine: str = "own"  # which then steps it
 
 
 def check(config) -> None:
@@ -45,8 +55,12 @@ def about(config) -> str:
     return loading.check(name)
 
 
-def make(config, *, impl: str) -> Env:
-    """The environment of `config`, which was checked, stepped by the engine `impl`."""
+def make(config, *, impl: str, platform: str) -> Made:
+    """The environment of `config`, which was checked, stepped by the engine `impl` on JAX's `platform`.
+
+    With "jax" on a "cpu" a Playground task is evaluated with C MuJoCo's physics, which compile and run faster
+    there than MJX; of one run and one seed, for these physics have one axis of robots.
+    """
     package, _, name = config.env.partition(":")
     if package == "brax":
         from brax import envs
@@ -54,24 +68,14 @@ def make(config, *, impl: str) -> Env:
         from dynappo.tasks import brax_env
 
         bare = envs.get_environment(name, backend="spring")
-        return brax_env.from_brax(
-            bare,
-            bare.observation_size,
-            config.task.episode_length,
-            random_clock=config.task.random_clock,
-        )
-    return _playground(config, impl)[0]
-
-
-def in_c(config) -> tuple[Env, AbstractContextManager]:
-    """The environment of `config` for a CPU: inside the context, a Playground task is traced with C MuJoCo's
-    physics, which compile and run faster there than MJX."""
-    if not config.env.startswith("playground:"):
-        return make(config, impl="jax"), contextlib.nullcontext()
+        size, length = bare.observation_size, config.task.episode_length
+        return Made(brax_env.from_brax(bare, size, length, random_clock=config.task.random_clock))
+    env, task = _playground(config, impl)
+    if impl != "jax" or platform != "cpu" or config.run.num_seeds > 1:
+        return Made(env, engine=impl)
     from dynappo.tasks.playground import c_physics
 
-    env, task = _playground(config, "jax")
-    return env, c_physics.physics(task)
+    return Made(env, c_physics.physics(task), "c")
 
 
 def _playground(config, impl: str) -> tuple[Env, Any]:

@@ -742,6 +742,26 @@ def test_an_evaluation_needs_no_flag_and_tells_terms_of_the_reward():
     assert terms["alive"] == ["-", "-"]
 
 
+@pytest.mark.parametrize(
+    ("impl", "platform", "seeds", "engine"),
+    [
+        ("jax", "cpu", 1, "c"),
+        ("jax", "cpu", 2, "jax"),
+        ("jax", "gpu", 1, "jax"),
+        ("warp", "gpu", 1, "warp"),
+    ],
+)
+def test_a_cpu_evaluates_in_c_as_evaluate_does(impl, platform, seeds, engine, monkeypatch):
+    """So a training on MJX there compiles MJX once. C's physics have one axis of robots, so of one seed."""
+    monkeypatch.setattr(by_name, "_playground", lambda config, impl: ("env", "task"))
+    monkeypatch.setattr(c_physics, "physics", lambda task: f"C MuJoCo's of {task}")
+    config = config_lib.load(f"playground:{GO1}")
+    config.run.num_seeds = seeds
+    found = by_name.make(config, impl=impl, platform=platform)
+    assert (found.env, found.engine) == ("env", engine)
+    assert (found.evaluating == "C MuJoCo's of task") == (engine == "c")
+
+
 @pytest.mark.parametrize("name", [GO1, "G1JoystickFlatTerrain"])
 def test_a_films_camera_sees_the_whole_robot_and_its_arrows(name):
     """From floor to the arrows' height, above and below the base that it follows."""
