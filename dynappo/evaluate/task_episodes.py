@@ -81,7 +81,7 @@ def run(policy: Other, config, flags, named: str, out: Path) -> None:
 
 
 def a_while() -> str:
-    """How long it compiles, where that is long: C MuJoCo's physics too are called from the task's own code."""
+    """How long it compiles, where that is long: C MuJoCo's physics are called from the task's own code."""
     import jax
 
     return ", up to a minute on a CPU" if jax.default_backend() == "cpu" else ""

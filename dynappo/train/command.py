@@ -133,8 +133,7 @@ def parse(argv: list[str] | None) -> Command:
 
 def _prepare_page(serve: str, config, sweep) -> None:
     """ConfigError if `--serve` cannot be done. Makes checkpoints frequent: each is a newer policy."""
-    address.read(serve)
-    address.check()
+    address.check(address.read(serve))
     if sweep or not (config.robot or config.env.startswith("playground:")):
         raise config_lib.ConfigError(
             "--serve shows one run of a robot of robots/ or of a Playground task, not other environments or "
