@@ -25,6 +25,7 @@ import contextlib
 import importlib
 import importlib.util
 import os
+import re
 import sys
 from importlib import metadata
 from pathlib import Path
@@ -36,15 +37,19 @@ def _in_a_line(kind, error, trace) -> None:
     if issubclass(kind, KeyboardInterrupt):
         line, status = "stopped", (*error.args, 130)[0]
     elif issubclass(kind, ModuleNotFoundError) and not str(error.name).startswith("dynappo"):
-        line, status = f"{error.name} is not installed for {sys.executable}; {_remedy()}", 2
+        line, status = (
+            f"{error.name} is not installed for {sys.executable}; {_remedy(str(error.name))}",
+            2,
+        )
     else:
         return sys.__excepthook__(kind, error, trace)
     print(f"dynappo: {line}", file=sys.stderr, flush=True)
     os._exit(status)
 
 
-def _remedy() -> str:
-    """What to do if a package is missing: in a clone, use the clone's own `.venv`."""
+def _remedy(module: str) -> str:
+    """What to do if a module is missing: in a clone, use the clone's own `.venv`; else install its package,
+    for dynappo itself may not be where pip looks."""
     root = Path(__file__).resolve().parents[1]
     own = root / ".venv"
     if (own / "bin" / "python").exists() and own != Path(sys.prefix):
@@ -53,7 +58,13 @@ def _remedy() -> str:
         return rf"{own}\Scripts\activate"
     if (root / "constraints.txt").exists():
         return f"{sys.executable} -m pip install -c {root}/constraints.txt -e {root}"
-    return f"{sys.executable} -m pip install --force-reinstall dynappo"
+    try:
+        needed = [re.split(r"[^\w.-]", text)[0] for text in metadata.requires("dynappo") or []]
+    except metadata.PackageNotFoundError:
+        needed = []
+    names = re.sub("[._]", "-", module), module.partition(".")[0].replace("_", "-")
+    package = next((name for name in needed if name in names), names[1])
+    return f"{sys.executable} -m pip install {package}"
 
 
 # only when Python starts one of our commands, whose imports take half a second

@@ -11,6 +11,7 @@ from contextlib import AbstractContextManager
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from dynappo.config import ConfigError
+from dynappo.tasks import names
 
 if TYPE_CHECKING:  # it imports JAX
     from dynappo.types import Env
@@ -40,7 +41,7 @@ def check(config) -> None:
             )
         loading.check(name)
     elif package == "brax":
-        _check_brax(name)
+        check_brax(name)
     else:
         raise ConfigError(f"env is {config.env!r}, expected playground:TASK or brax:NAME")
 
@@ -90,10 +91,9 @@ def _playground(config, impl: str) -> tuple[Env, Any]:
     return env.make(loaded.task, *own), loaded.task
 
 
-def _check_brax(name: str) -> None:
-    from brax import envs
-
-    known = sorted(envs._envs)
+def check_brax(name: str) -> None:
+    """ConfigError if brax has no such environment; it names the near ones."""
+    known = names.registered("brax", "envs")
     if name not in known:
         near = difflib.get_close_matches(name, known, 3, 0.5) or known
         raise ConfigError(f"brax has no environment {name!r}; there is {', '.join(near)}")

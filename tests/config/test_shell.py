@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from answers import ROOT
 
+import dynappo
 from dynappo.config import shell, versions
 
 
@@ -83,3 +84,16 @@ def test_without_a_package_that_it_needs_every_command_says_what_to_do(tmp_path)
         assert done.returncode == 2 and done.stderr.count("\n") == 1
         assert done.stderr.startswith("dynappo: ml_collections is not installed for ")
         assert "pip install" in done.stderr or "activate" in done.stderr
+
+
+def test_beside_a_wheel_a_missing_module_is_its_package(tmp_path, monkeypatch):
+    monkeypatch.setattr(dynappo, "__file__", str(tmp_path / "dynappo" / "__init__.py"))
+    asked = ["mujoco-mjx<4,>=3.17", "jax>=0.10; python_version>'3'", "ml-collections>=1"]
+    monkeypatch.setattr(metadata, "requires", lambda name: asked)
+    for module, package in (
+        ("mujoco.mjx", "mujoco-mjx"),
+        ("jax.numpy", "jax"),
+        ("ml_collections", "ml-collections"),
+        ("else_where.x", "else-where"),
+    ):
+        assert dynappo._remedy(module) == f"{sys.executable} -m pip install {package}"

@@ -5,24 +5,28 @@ To compile MJX takes longest, so most of these tests trace the tasks with C MuJo
 """
 
 import functools
+import importlib.util
 import json
 import sys
 import types as python_types
 from unittest import mock
 
+import answers
 import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
-from answers import refused, status
+from answers import mistake, refused, status
 
 from dynappo import config as config_lib
 from dynappo import schedule
-from dynappo.config import files
+from dynappo.config import files, shell
+from dynappo.evaluate import command as evaluate
 from dynappo.evaluate import task_episodes, task_facts
 from dynappo.export import command as export
-from dynappo.policy import policy_file, recorded, render
+from dynappo.play import command as play
+from dynappo.policy import policy_file, recorded, render, task_player
 from dynappo.run import overflow
 from dynappo.tasks import by_name
 from dynappo.types import Outcome
@@ -796,7 +800,42 @@ def test_mistakes_are_one_line(monkeypatch):
     config.robot = "go1"
     assert "expected '' where a robot is named" in refused(config_lib.validate, config)
     monkeypatch.setattr(loading.importlib.util, "find_spec", lambda name: None)
-    assert "pip install 'dynappo[playground]'" in refused(loading.names)
+    assert refused(loading.names).endswith(shell.install("playground"))
+
+
+def test_without_playground_each_command_says_in_one_line_how_to_install_it(
+    tmp_path, monkeypatch, capsys
+):
+    """With this Python, in no other process; and what such a process refuses is that one line."""
+    config = config_lib.validate(config_lib.load(f"playground:{GO1}:ppo"))
+    layers = {"Dense_0": {"kernel": np.ones((48, 12)), "bias": np.ones(12)}}
+    params = jax.tree.map(np.float32, {"actor": {"params": layers}})
+    policy_file.save(tmp_path / "policy.npz", params, config, None)
+    file, find = str(tmp_path / "policy.npz"), importlib.util.find_spec
+    started = mock.Mock(side_effect=AssertionError)
+    with monkeypatch.context() as m:
+        m.setattr(importlib.util, "find_spec", lambda n: None if "playgr" in n else find(n))
+        m.setattr(task_player.subprocess, "Popen", started)
+        for main, argv in (
+            (command.main, [f"--config=playground:{GO1}"]),
+            (play.main, [file, f"--out={tmp_path}/a.html"]),
+            (play.main, [file, "--serve"]),
+            (evaluate.main, [file, f"--out={tmp_path}/e"]),
+            (export.main, [file, f"--out={tmp_path}/p.onnx"]),
+        ):
+            assert "not installed; " + shell.install("playground") in mistake(main, argv, capsys)
+    code = f"print('{json.dumps({task_player.REFUSED: 'no such robot'})}')"
+    monkeypatch.setattr(task_player.interpreter, "command", lambda _: [sys.executable, "-c", code])
+    assert refused(task_player.start, f"playground:{GO1}") == "no such robot"
+
+
+def test_a_name_is_known_without_the_import_of_its_package():
+    """That takes 3 to 40 s."""
+    code = "import sys; from dynappo.tasks import names; print(names.registered('brax', 'envs'), "
+    code += "names.registered('mujoco_playground', '_src.locomotion'), 'jax' in sys.modules)"
+    from brax import envs
+
+    assert answers.shell("-c", code).stdout == f"{sorted(envs._envs)} {loading.names()} False\n"
 
 
 @pytest.mark.slow

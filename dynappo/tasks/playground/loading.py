@@ -11,14 +11,15 @@ from typing import Any, NamedTuple
 
 import mujoco
 
-from dynappo.config import ConfigError
+from dynappo.config import ConfigError, shell
+from dynappo.tasks import names as names_lib
 from dynappo.tasks.playground import assets, room
 
 PLAYGROUND_ROBOTS = 8192  # for which the tasks' own naconmax is
 # times the room of contacts and constraints (`_room`); if it runs out, a run ends (run/overflow.py)
 ROOM = 1.0
 FEW = 4096  # contacts: few robots may all lie on the ground at once, and have up to four times their share
-MISSING = "MuJoCo Playground is not installed; pip install 'dynappo[playground]' (0.2.0, the last for JAX)"
+PACKAGE = "mujoco_playground"
 
 
 class Loaded(NamedTuple):
@@ -31,7 +32,14 @@ class Loaded(NamedTuple):
 
 def names() -> list[str]:
     """The tasks that can be loaded; ConfigError where Playground is not installed."""
-    return sorted(_locomotion().ALL_ENVS)
+    check_installed()
+    return names_lib.registered(PACKAGE, "_src.locomotion")
+
+
+def check_installed() -> None:
+    """ConfigError, with what installs it, if Playground is not there."""
+    if importlib.util.find_spec(PACKAGE) is None:
+        raise ConfigError(f"MuJoCo Playground is not installed; {shell.install('playground')}")
 
 
 def check_name(name: str) -> None:
@@ -103,7 +111,7 @@ def drawn(loaded: Loaded) -> mujoco.MjModel:
 def ppo_config(name: str) -> Any:
     """Playground's settings of brax's PPO for a task."""
     _locomotion()
-    params = importlib.import_module("mujoco_playground.config.locomotion_params")
+    params = importlib.import_module(f"{PACKAGE}.config.locomotion_params")
     return params.brax_ppo_config(name)
 
 
@@ -112,6 +120,5 @@ def _locomotion() -> Any:
 
 
 def _module(name: str) -> Any:
-    if importlib.util.find_spec("mujoco_playground") is None:
-        raise ConfigError(MISSING)
-    return importlib.import_module(f"mujoco_playground._src.{name}")
+    check_installed()
+    return importlib.import_module(f"{PACKAGE}._src.{name}")
