@@ -26,7 +26,7 @@ import numpy as np
 from dynappo.config import ConfigError, interpreter
 from dynappo.policy import checks, policy_file, render
 from dynappo.policy.policy_file import Other
-from dynappo.tasks.playground import loading
+from dynappo.tasks import names
 
 REFUSED = "refused"  # what the process tells, with the reason, where there is no such robot
 CLOSING = 5.0  # s, for the process to end
@@ -102,7 +102,7 @@ def check(env: str) -> None:
     """ConfigError for an environment that has no MuJoCo model, or whose package is not installed."""
     if not env.startswith("playground:"):
         raise ConfigError(f"{env}: no film, no page: only Playground's tasks have a MuJoCo model")
-    loading.check_installed()
+    names.check_playground()
 
 
 def start(env: str) -> TaskPlayer:

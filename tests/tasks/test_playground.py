@@ -799,7 +799,7 @@ def test_mistakes_are_one_line(monkeypatch):
     assert "expected playground:TASK or brax:NAME" in refused(by_name.check, config)
     config.robot = "go1"
     assert "expected '' where a robot is named" in refused(config_lib.validate, config)
-    monkeypatch.setattr(loading.importlib.util, "find_spec", lambda name: None)
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     assert refused(loading.names).endswith(shell.install("playground"))
 
 

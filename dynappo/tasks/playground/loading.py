@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import difflib
 import importlib
-import importlib.util
 import os.path
 import pathlib
 from typing import Any, NamedTuple
 
 import mujoco
 
-from dynappo.config import ConfigError, shell
+from dynappo.config import ConfigError
 from dynappo.tasks import names as names_lib
 from dynappo.tasks.playground import assets, room
 
@@ -19,7 +18,6 @@ PLAYGROUND_ROBOTS = 8192  # for which the tasks' own naconmax is
 # times the room of contacts and constraints (`_room`); if it runs out, a run ends (run/overflow.py)
 ROOM = 1.0
 FEW = 4096  # contacts: few robots may all lie on the ground at once, and have up to four times their share
-PACKAGE = "mujoco_playground"
 
 
 class Loaded(NamedTuple):
@@ -32,14 +30,8 @@ class Loaded(NamedTuple):
 
 def names() -> list[str]:
     """The tasks that can be loaded; ConfigError where Playground is not installed."""
-    check_installed()
-    return names_lib.registered(PACKAGE, "_src.locomotion")
-
-
-def check_installed() -> None:
-    """ConfigError, with what installs it, if Playground is not there."""
-    if importlib.util.find_spec(PACKAGE) is None:
-        raise ConfigError(f"MuJoCo Playground is not installed; {shell.install('playground')}")
+    names_lib.check_playground()
+    return names_lib.registered(names_lib.PLAYGROUND, "_src.locomotion")
 
 
 def check_name(name: str) -> None:
@@ -111,7 +103,7 @@ def drawn(loaded: Loaded) -> mujoco.MjModel:
 def ppo_config(name: str) -> Any:
     """Playground's settings of brax's PPO for a task."""
     _locomotion()
-    params = importlib.import_module(f"{PACKAGE}.config.locomotion_params")
+    params = importlib.import_module(f"{names_lib.PLAYGROUND}.config.locomotion_params")
     return params.brax_ppo_config(name)
 
 
@@ -120,5 +112,5 @@ def _locomotion() -> Any:
 
 
 def _module(name: str) -> Any:
-    check_installed()
-    return importlib.import_module(f"{PACKAGE}._src.{name}")
+    names_lib.check_playground()
+    return importlib.import_module(f"{names_lib.PLAYGROUND}._src.{name}")
