@@ -23,6 +23,12 @@ def test_the_program_is_one_word_where_the_shell_finds_that_of_this_python(tmp_p
     assert shell.command_line().endswith(" -m dynappo")  # another Python's
     monkeypatch.setattr(sys, "executable", str(tmp_path / "python"))
     assert shell.command_line() == "dynappo"
+    monkeypatch.setenv("PATH", os.defpath)
+    assert shell.command_line().endswith(" -m dynappo")
+    monkeypatch.setattr(sys, "argv", [str(one), "play"])  # started by its path
+    assert shell.command_line() == str(one)
+    monkeypatch.chdir(tmp_path.parent)
+    assert shell.command_line() == os.path.join(tmp_path.name, "dynappo")
 
 
 @pytest.mark.parametrize("folder", [ROOT, ROOT / "configs", Path("/")])

@@ -237,3 +237,10 @@ def test_names_files_and_folders_are_told_apart(tmp_path, monkeypatch):
     assert policy_source.locate("./spot") == Path("spot/policy.npz")
     line = refused(policy_source.locate, "sptt")
     assert line.startswith("sptt: no such file or folder") and "go2, spot (or" in line
+
+
+def test_a_relative_path_is_told_as_it_was_given():
+    for what in ("runs/laptop", "laptop"):
+        path = Path(what) / "policy.npz"
+        assert policy_source.named(what, path) == f"{what}/policy.npz"
+    assert policy_source.named("/a/b/c", Path("/a/b/c/policy.npz")) == "c/policy.npz"
