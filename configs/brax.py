@@ -10,6 +10,8 @@ All of the observation is predicted. The settings are those of experiments/02_br
 import pathlib
 import runpy
 
+from dynappo.tasks import by_name
+
 default = runpy.run_path(str(pathlib.Path(__file__).with_name("default.py")))
 
 
@@ -18,6 +20,7 @@ def get_config(variant=""):
     name, _, variant = variant.partition(":")
     if variant not in ("", "best", "ppo"):
         raise ValueError(f"variant {variant!r} is not one of best, ppo")
+    by_name.check_brax(name)
     config = default["defaults"]()
     config.robot, config.env = "", f"brax:{name}"
     config.physics.impl = "jax"

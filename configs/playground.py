@@ -19,7 +19,7 @@ the task's. `physics.impl` is its engine: Warp on a GPU that has it, else MJX-JA
 import pathlib
 import runpy
 
-from dynappo.tasks.playground import settings
+from dynappo.tasks.playground import loading, settings
 
 default = runpy.run_path(str(pathlib.Path(__file__).with_name("default.py")))
 
@@ -27,6 +27,9 @@ default = runpy.run_path(str(pathlib.Path(__file__).with_name("default.py")))
 def get_config(variant=""):
     """The config of "TASK" or "TASK:VARIANT"."""
     task, _, variant = variant.partition(":")
+    if variant not in ("", "best", "ppo"):  # before Playground is imported
+        loading.check_name(task)
+        raise ValueError(f"variant {variant!r} is not one of best, ppo")
     config = default["defaults"]()
     config.robot, config.env = "", f"playground:{task}"
     found = settings.of_task(task)
@@ -38,10 +41,8 @@ def get_config(variant=""):
     config.ppo.update(activation="swish", normalize=True)  # and observations scaled as theirs
     if variant == "ppo":
         _ppo(config, found)
-    elif variant in ("", "best"):
-        _best(config, symmetric=task in settings.SYMMETRIC)
     else:
-        raise ValueError(f"variant {variant!r} is not one of best, ppo")
+        _best(config, symmetric=task in settings.SYMMETRIC)
     return config
 
 

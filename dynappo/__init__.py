@@ -6,8 +6,8 @@ imported from here:
 
     from dynappo import algorithm, config, env, gae, robot, schedule, scores, seeds, terms, train
 
-Importing the package sets two flags of XLA's CPU compiler, before JAX starts. Values that you have
-set stay.
+Importing the package sets two flags of XLA's CPU compiler, and what XLA may print, before JAX starts.
+Values that you have set stay.
 
 - The concurrency-optimised scheduler is off: with it, jaxlib 0.10.2 deadlocks on two cores at 256
   robots, when parallel loops (random bits, the constraint solver) take all threads and wait for
@@ -15,11 +15,17 @@ set stay.
 - One fusion is off, in jaxlib 0.10.2 alone, because that version computes wrong numbers in sums of
   products with more than 32,768 results (jax-ml/jax#39103): from robot 2,340 on, a Go1's lowest points
   were wrong, and standing robots counted as fallen. No GPU is affected.
+- Where JAX has no plugin for a GPU, XLA prints fatal errors alone (`TF_CPP_MIN_LOG_LEVEL`): it raises red
+  alarms where it compiles for two minutes, as MJX on a CPU, and no setting is for them alone. With a plugin
+  such lines are about the GPU too, and stay. Set here, because JAX reads it when it is imported, and
+  Playground's and brax's settings import JAX before a command is set up.
 """
 
 import contextlib
 import importlib
+import importlib.util
 import os
+import re
 import sys
 from importlib import metadata
 from pathlib import Path
@@ -31,15 +37,19 @@ def _in_a_line(kind, error, trace) -> None:
     if issubclass(kind, KeyboardInterrupt):
         line, status = "stopped", (*error.args, 130)[0]
     elif issubclass(kind, ModuleNotFoundError) and not str(error.name).startswith("dynappo"):
-        line, status = f"{error.name} is not installed for {sys.executable}; {_remedy()}", 2
+        line, status = (
+            f"{error.name} is not installed for {sys.executable}; {_remedy(str(error.name))}",
+            2,
+        )
     else:
         return sys.__excepthook__(kind, error, trace)
     print(f"dynappo: {line}", file=sys.stderr, flush=True)
     os._exit(status)
 
 
-def _remedy() -> str:
-    """What to do if a package is missing: in a clone, use the clone's own `.venv`."""
+def _remedy(module: str) -> str:
+    """What to do if a module is missing: in a clone, use the clone's own `.venv`; else install its package,
+    for dynappo itself may not be where pip looks."""
     root = Path(__file__).resolve().parents[1]
     own = root / ".venv"
     if (own / "bin" / "python").exists() and own != Path(sys.prefix):
@@ -48,7 +58,13 @@ def _remedy() -> str:
         return rf"{own}\Scripts\activate"
     if (root / "constraints.txt").exists():
         return f"{sys.executable} -m pip install -c {root}/constraints.txt -e {root}"
-    return f"{sys.executable} -m pip install --force-reinstall dynappo"
+    try:
+        needed = [re.split(r"[^\w.-]", text)[0] for text in metadata.requires("dynappo") or []]
+    except metadata.PackageNotFoundError:
+        needed = []
+    names = re.sub("[._]", "-", module), module.partition(".")[0].replace("_", "-")
+    package = next((name for name in needed if name in names), names[1])
+    return f"{sys.executable} -m pip install {package}"
 
 
 # only when Python starts one of our commands, whose imports take half a second
@@ -73,6 +89,8 @@ _FLAGS = {"--xla_cpu_enable_concurrency_optimized_scheduler": "false"}
 with contextlib.suppress(metadata.PackageNotFoundError):  # reported where jax is imported
     if metadata.version("jaxlib") == "0.10.2":
         _FLAGS["--xla_cpu_experimental_ynn_fusion_type"] = ""
+if importlib.util.find_spec("jax_plugins") is None:
+    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
 for _flag, _value in _FLAGS.items():
     if _flag not in os.environ.get("XLA_FLAGS", ""):
         os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {_flag}={_value}".strip()

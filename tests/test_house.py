@@ -78,6 +78,7 @@ PATHS = set("pathlib os shutil tempfile glob".split())
 # pure modules that may do more: some read a file, or write meshes that another package reads; some ask for
 # cores, or lock what threads share
 MAY_ALSO = {
+    "tasks.names": FILES | PATHS,
     "tasks.playground.assets": FILES | PATHS,
     "tasks.playground.c_physics": {"pure_callback"},
     "tasks.playground.loading": {"pathlib", "os"},

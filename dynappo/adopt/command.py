@@ -65,6 +65,11 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
         "--name", metavar="NAME", help="the robot's name here; else the file's, without its suffix"
     )
     flag("--force", action="store_true", help="write anew what is there already")
+    _, rest = flags_lib.read_known(parser, argv)
+    if rest and not rest[0].startswith("-"):
+        raise ConfigError(
+            f"{rest[0]}: expected one FILE; the robot's name is a flag: --name={rest[0]}"
+        )
     flags = flags_lib.read(parser, argv)
     if flags.file is None:
         raise ConfigError("no file given; try: python -m dynappo.adopt FILE.xml --name=NAME")

@@ -50,6 +50,12 @@ def roles(robot: robot_lib.Robot) -> tuple[np.ndarray, np.ndarray]:
     return out, axis
 
 
+def footless(robot: robot_lib.Robot) -> list[str]:
+    """The names of the joints that lead to no foot, as those of an arm or a head."""
+    lead = {j for body in _ends(robot) for j in kinematics.joints_to(robot.mj_model, body)}
+    return [name for j, name in enumerate(robot.joint_names) if j not in lead]
+
+
 def _ends(robot: robot_lib.Robot) -> list[int]:
     """The body of each foot."""
     bodies = robot.mj_model.geom_bodyid[robot.feet]

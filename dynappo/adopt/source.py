@@ -20,6 +20,7 @@ from dynappo.description import complete, mjcf
 
 MESHES = {".obj", ".stl", ".msh"}  # that MuJoCo reads
 LICENCES = ("LICENSE*", "LICENCE*", "COPYING*")
+SUFFIXES = ".xml", ".urdf", ".mjcf"  # of files that are XML, perhaps with a mistake in it
 ROOTS = ".git", "package.xml"  # what the folder of a whole repository or package has
 UPWARD = 4  # folders above the file in which its meshes and its package's folder are looked for
 BALL = 0.02  # m, radius
@@ -90,6 +91,8 @@ def read(xml: Path, notes: list[str] | None = None) -> Source:
         except ElementTree.ParseError as error:
             if xml.suffix == ".xacro" or "<xacro:" in text:
                 raise ValueError(f"it is a xacro and no XML ({error}); {XACRO}") from None
+            if xml.suffix.lower() not in SUFFIXES:
+                raise ValueError(f"expected an MJCF or a URDF, found no XML ({error})") from None
             raise ValueError(f"XML parse error: {error}") from None
         if _is_xacro(root):
             raise ValueError(f"it is a xacro; {XACRO}")

@@ -7,7 +7,7 @@ from xml.etree import ElementTree
 
 import mujoco
 
-from dynappo.adopt import bipeds
+from dynappo.adopt import bipeds, joint_roles
 from dynappo.adopt.gains import Motors
 from dynappo.adopt.source import Source, origin
 from dynappo.description import kinds
@@ -141,6 +141,11 @@ def assumed(robot: robot_lib.Robot) -> list[str]:
         f"task: {like} reward weights for {mass:.1f} kg (up to {LIGHT_MASS:g} kg those of light robots), "
         f"torques weighted by {torque_weight(mass):g}; {starts}"
     ]
+    if arm := joint_roles.footless(robot):
+        notes.append(
+            f"note: {len(arm)} joints lead to no foot ({', '.join(arm)}); they are actions too, and nothing "
+            "rewards what an arm does: to hold them still, take these joints out of the file, adopt it anew"
+        )
     if len(robot.foot_names) != 4:
         notes.append(
             f"task: the rewards are those of four legs; no robot of {len(robot.foot_names)} feet was "

@@ -54,7 +54,10 @@ def load_both(spec: str) -> tuple[config_dict.ConfigDict, Callable[[Any], Any] |
         config, get_env = _run(path, variant)
         fields.check_names(flat(config))
     except ConfigError as error:
-        raise ConfigError(f"--config: {path}: {error}") from None
+        own = looked_up and path == find("configs", path.name, own=True)
+        raise ConfigError(
+            f"--config={spec}: {error}" if own else f"--config: {path}: {error}"
+        ) from None
     except ValueError as error:  # of a variant
         raise ConfigError(f"--config={spec}: {_line(error)}") from None
     except (Exception, SystemExit) as error:  # a file that ends Python must not look like a success

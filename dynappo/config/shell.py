@@ -16,10 +16,15 @@ from dynappo.config import versions
 
 
 def command_line() -> str:
-    """What starts dynappo here: `dynappo` if the shell finds that of this Python, else its full call."""
-    found = shutil.which("dynappo")
-    if found and Path(found).absolute().parent == Path(sys.executable).parent:
+    """What starts dynappo here: `dynappo` if the shell finds that of this Python, or its path if it was
+    started so, else its full call."""
+    found, home = shutil.which("dynappo"), Path(sys.executable).parent
+    if found and Path(found).absolute().parent == home:
         return "dynappo"
+    started = Path(sys.argv[0] if sys.argv else "")
+    if started.stem == "dynappo" and started.is_file() and started.absolute().parent == home:
+        short = relative(str(started.absolute()))
+        return quoted(str(started.absolute()) if short.startswith("..") else short)
     return f"{_python()} -m dynappo"
 
 

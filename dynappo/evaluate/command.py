@@ -282,9 +282,10 @@ def run(flags) -> None:
         devices.own_process()
         device = jax.default_backend()
         number = flags.episodes or episodes.NUMBER.get(device, episodes.NUMBER["cpu"])
-        told = f"{number} episodes of the training task"
+        told = f"evaluates {number} episodes of the training task"
         if device == "cpu":
-            told += ", a minute or two on two cores (--episodes=N; a GPU's default is 1000)"
+            told += ": it compiles and runs for a minute or two on two cores"
+            told += " (--episodes=N; a GPU's default is 1000)"
         screen.print(told, soft_wrap=True)
         with screen.status("compiling and running"):
             of_task = episodes.run(policy, number, flags.randomize, flags.seed or 0, robot)
@@ -318,6 +319,7 @@ def _record(flags, player: Player, named: str) -> None:
 def _crossing(flags, screen, policy: Policy, robot: Robot | None, named: str, out: Path) -> None:
     """Which tiles of a rough ground the policy crosses: printed, and written as crossing.json."""
     devices.own_process()
+    screen.print("compiles, and tries the tiles; on a CPU minutes", soft_wrap=True)
     with screen.status("compiling and running"):
         numbers = crossing.run(policy, flags.episodes, flags.seed or 0, robot)
     tables.crossing(screen, numbers)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import time
 from typing import Any
 
 from dynappo.evaluate import figures
@@ -10,6 +11,7 @@ from dynappo.evaluate.stress import SECONDS
 from dynappo.policy import walks
 from dynappo.program import devices
 
+PATIENCE = 15.0  # s without a line
 ROWS = (  # of the table of the trials: name, label, format
     ("speed", "speed", "{:.2f} m/s"),
     ("tracking_error", "tracking error", "{:.2f} m/s"),
@@ -34,15 +36,26 @@ ROWS = (  # of the table of the trials: name, label, format
 
 @contextlib.contextmanager
 def progress(screen, what: str):
-    """Yields `tell(done, total)`, which moves a bar on a terminal."""
+    """Yields `tell(done, total)`, which moves a bar on a terminal; elsewhere a line says what begins, and
+    others how far it is, where that takes long."""
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
     columns = (TextColumn(what), BarColumn(24), TextColumn("{task.completed}/{task.total}"))
     hidden = not screen.is_terminal
     bar = Progress(*columns, TimeRemainingColumn(), console=screen, transient=True, disable=hidden)
     with bar:
-        task = bar.add_task("")
-        yield lambda done, total: bar.update(task, completed=done, total=total)
+        task, said = bar.add_task(""), time.monotonic()
+        if hidden:
+            screen.print(f"measures {what} in C MuJoCo", soft_wrap=True)
+
+        def tell(done, total):
+            nonlocal said
+            bar.update(task, completed=done, total=total)
+            if hidden and done < total and time.monotonic() - said >= PATIENCE:
+                said = time.monotonic()
+                screen.print(f"{what} {done}/{total}", soft_wrap=True)
+
+        yield tell
 
 
 def _table(screen, rows: list[list[str]], headings: list[str] | None = None) -> None:

@@ -5,7 +5,6 @@ There is no grid of commands in C MuJoCo, as robots have it: what such a task as
 
 from __future__ import annotations
 
-import contextlib
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -59,17 +58,16 @@ def run(policy: Other, config, flags, named: str, out: Path) -> None:
     print(f"dynappo evaluates {config.env}: {named}")
     for line in filter(None, [by_name.about(config)]):
         print(line)
-    if impl == "warp" or jax.default_backend() == "gpu":
-        env, inside = by_name.make(config, impl=impl), contextlib.nullcontext()
-    else:
-        env, inside = by_name.in_c(config)
-        impl = "c" if config.env.startswith("playground:") else impl
-    print(f"{number} episodes of {length} control steps; it compiles and runs", flush=True)
+    print(
+        f"{number} episodes of {length} control steps; it compiles{a_while()}, and runs", flush=True
+    )
+    made = by_name.make(config, impl=impl, platform=jax.default_backend())
+    env, impl = made.env, impl if made.engine == "own" else made.engine
     static, hyper = config_lib.split(config)
     terms = tuple(name for name in env.metrics if name.startswith(TERM))
     sizes = {"static": static, "num_envs": number, "num_steps": length, "totals": terms}
     assess = jax.jit(partial(scores.evaluate, env, **sizes))
-    with inside:
+    with made.evaluating:
         metrics = assess(hyper, policy.params, jax.random.key(flags.seed or 0))
     numbers = {n: float(x) if np.isfinite(x) else None for n, x in jax.device_get(metrics).items()}
     of_terms = {name.removeprefix(TERM): numbers.pop(f"total_{name}") for name in terms}
@@ -80,6 +78,13 @@ def run(policy: Other, config, flags, named: str, out: Path) -> None:
     about |= {"seed": flags.seed or 0, "device": jax.devices()[0].device_kind, "impl": impl}
     files.write_json(out / "evaluation.json", about | numbers | {"reward_terms": of_terms})
     print(f"written to {out}: evaluation.json")
+
+
+def a_while() -> str:
+    """How long it compiles, where that is long: C MuJoCo's physics are called from the task's own code."""
+    import jax
+
+    return ", up to a minute on a CPU" if jax.default_backend() == "cpu" else ""
 
 
 def table(numbers: dict[str, float | None], terms: dict[str, float | None], dt: float):

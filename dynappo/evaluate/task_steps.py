@@ -16,7 +16,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from dynappo.config import flags
+from dynappo.config import ConfigError, flags
 from dynappo.policy import task_player
 from dynappo.policy.task_player import Ask, Told
 from dynappo.program import devices
@@ -97,12 +97,16 @@ def main(argv: list[str]) -> None:
 
     def action():
         env, model_file = argv
-        task_player.check(env)
         # what libraries print must not come between the answers
         told = os.fdopen(os.dup(1), "wb")
         os.dup2(2, 1)
         devices.own_process("cpu")
-        serve(env.partition(":")[2], Path(model_file), sys.stdin.buffer, told)
+        try:
+            task_player.check(env)
+            serve(env.partition(":")[2], Path(model_file), sys.stdin.buffer, told)
+        except ConfigError as error:  # who started us says it, in one line
+            _write(told, json.dumps({task_player.REFUSED: str(error)}).encode() + b"\n")
+            sys.exit(2)
 
     flags.answer(action)
 

@@ -112,6 +112,7 @@ def about(policy: Policy, robot: robot_lib.Robot) -> dict[str, Any]:
         "base_com": model.body_ipos[robot.base_body].tolist(),
         "control_dt": control_dt,
         "control_rate": 1 / control_dt,
+        "history_order": "of each quantity the oldest reading first",
         "observation_table": observation_table(policy),
         "units": UNITS,
         "dynappo": versions.of("dynappo"),

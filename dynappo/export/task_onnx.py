@@ -16,6 +16,7 @@ from dynappo.config import ConfigError, files, shell, versions
 from dynappo.export import onnx_file
 from dynappo.policy import recorded
 from dynappo.policy.policy_file import Other
+from dynappo.tasks import names
 
 HOW = (
     "obs is the task's own observation `state` (or its only one), as its step returns it. action is in "
@@ -34,6 +35,7 @@ def check(policy: Other, path: Path, flags) -> None:
             f"{path}: a policy of {env}, and export writes those of dynappo's robots and of Playground's "
             "tasks; policy_file.load_actor(POLICY_NPZ) acts with it: docs/environment.md"
         )
+    names.check_playground()
     if flags.out.suffix != ".onnx":
         raise ConfigError(f"--out={flags.out}: a policy of {env} is written as FILE.onnx alone")
     for name in ("joint_order", "targets"):

@@ -29,7 +29,7 @@ def run(
     Then the robot of a run walks a tour: nobody steers one that learns.
     """
     where = address.read(flags.serve)
-    address.check()
+    address.check(where)
     from dynappo.web import server
 
     how = flags.robot_xml, flags.keep_joints, flags.ground, flags.terms

@@ -265,22 +265,48 @@ def _arrays(path: Path) -> dict[str, np.ndarray]:
         raise ConfigError(f"{path}: not a policy.npz, or damaged") from None
 
 
+def bundled(name: str) -> Path:
+    """The file of a bundled policy: of a robot, or ROBOT_deploy; ConfigError if the robot has none."""
+    if name not in files.robots():
+        name = f"{name.removesuffix('_deploy')}/deploy"
+        return files.find("robots", f"{name}.npz") or Path(f"{name}.npz")
+    path = files.find("robots", f"{name}/policy.npz")
+    if path is None:
+        raise ConfigError(
+            f"{name}: no policy is bundled with this robot (robots/{name}/policy.npz); "
+            "train one, or see the robot with --policy=zero or --policy=random"
+        )
+    return path
+
+
 def load_actor(path: str | Path) -> Callable[[np.ndarray], np.ndarray]:
     """`act(obs [..., O]) -> mean action [..., A]` of any `policy.npz`, also of your own
     environment.
 
-    NumPy only. ConfigError if the file is not a policy.npz, or is damaged.
+    `path` may be the name of a bundled policy, as "go1". NumPy only. ConfigError if the file is not a
+    policy.npz, or is damaged; `act` raises ValueError for other than O numbers.
     """
+    if not Path(path).exists() and str(path) in files.bundled():
+        path = bundled(str(path))
     arrays = _arrays(Path(path))
     try:
         activation = json.loads(str(arrays.pop("about")))["config"]["ppo"]["activation"]
-        act = actor(checks.nested(arrays), activation)
+        params = checks.nested(arrays)
+        act, size = actor(params, activation), len(params["actor"]["params"]["Dense_0"]["kernel"])
     except (KeyError, TypeError, ValueError, AttributeError, RecursionError):
         raise ConfigError(
             f"{path}: holds no actor, or does not say which activation it has; expected a policy.npz "
             "as training writes it"
         ) from None
-    return act
+
+    def checked(obs):
+        found = np.shape(obs)[-1:]
+        if found != (size,):
+            text = f"{found[0]} numbers" if found else "one number, without an axis"
+            raise ValueError(f"obs has {text}, expected {size}: what the policy of {path} sees")
+        return act(np.asarray(obs))
+
+    return checked
 
 
 def _no_number(text: str):

@@ -39,7 +39,7 @@ def locate(text: str, seed: int | None = None) -> Path:
     is the policy.npz, or, while the run trains, the newest checkpoint. With a `seed` it is a
     checkpoint: only checkpoints hold all seeds.
     """
-    path = _bundled(text) if text in files.bundled() else Path(text)
+    path = policy_file.bundled(text) if text in files.bundled() else Path(text)
     if os.path.isfile(path):  # False, not an error, if the name is too long
         if seed is not None:
             raise ConfigError(
@@ -80,19 +80,6 @@ def _check_no_sweep(text: str, path: Path, seed: int | None) -> None:
     raise ConfigError(f"{text}: is a sweep, which {lacks}; {then}")
 
 
-def _bundled(name: str) -> Path:
-    if name not in files.robots():
-        name = f"{name.removesuffix('_deploy')}/deploy"
-        return files.find("robots", f"{name}.npz") or Path(f"{name}.npz")
-    path = files.find("robots", f"{name}/policy.npz")
-    if path is None:
-        raise ConfigError(
-            f"{name}: no policy is bundled with this robot (robots/{name}/policy.npz); "
-            "train one, or see the robot with --policy=zero or --policy=random"
-        )
-    return path
-
-
 def load(text: str, seed: int | None = None) -> tuple[Policy, Path]:
     """`(policy, path)` of what `text` means (see `locate`), of several seeds number `seed`."""
     path = locate(text, seed)
@@ -102,10 +89,13 @@ def load(text: str, seed: int | None = None) -> tuple[Policy, Path]:
 
 
 def named(what: str, path: Path) -> str:
-    """The policy that `what` means, found at `path`, for printing: its folder and file; a bundled one begins
-    with robots/, and a file or folder of its name that is here is told apart."""
+    """The policy that `what` means, found at `path`, for printing: a relative path as it is, of an absolute
+    one folder and file; a bundled one begins with robots/, and a file or folder of its name that is here is
+    told apart."""
     bundled = what in files.bundled()
     apart = f", not that of ./{what}" if bundled and os.path.exists(what) else ""
+    if not bundled and not path.is_absolute():
+        return path.as_posix()
     return "/".join(path.resolve().parts[-3 if bundled else -2 :]) + apart
 
 

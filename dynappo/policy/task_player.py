@@ -26,7 +26,9 @@ import numpy as np
 from dynappo.config import ConfigError, interpreter
 from dynappo.policy import checks, policy_file, render
 from dynappo.policy.policy_file import Other
+from dynappo.tasks import names
 
+REFUSED = "refused"  # what the process tells, with the reason, where there is no such robot
 CLOSING = 5.0  # s, for the process to end
 Rows = TypeVar("Rows", "Ask", "Told")
 
@@ -97,15 +99,16 @@ def unpacked(kind: type[Rows], sizes: dict[str, int], text: bytes) -> Rows:
 
 
 def check(env: str) -> None:
-    """ConfigError for an environment that has no MuJoCo model."""
+    """ConfigError for an environment that has no MuJoCo model, or whose package is not installed."""
     if not env.startswith("playground:"):
         raise ConfigError(f"{env}: no film, no page: only Playground's tasks have a MuJoCo model")
+    names.check_playground()
 
 
 def start(env: str) -> TaskPlayer:
     """The robot of the task `env`, when its process is ready, after some ten seconds.
 
-    ConfigError where it cannot be; then the process has said why in another line.
+    ConfigError where it cannot be, with what the process says of it.
     """
     check(env)
     with tempfile.TemporaryDirectory() as folder:
@@ -120,9 +123,11 @@ def start(env: str) -> TaskPlayer:
             line = process.stdout.readline()
             if not line:
                 with contextlib.suppress(subprocess.TimeoutExpired):
-                    process.wait(CLOSING)  # it says why
+                    process.wait(CLOSING)  # a bug, which it prints
                 raise ConfigError(f"{env}: the process that steps it could not start")
             about = json.loads(line)
+            if REFUSED in about:
+                raise ConfigError(about[REFUSED])
             model = mujoco.MjModel.from_binary_path(str(file))
         except BaseException:
             process.kill()

@@ -25,6 +25,7 @@ from dynappo import schedule
 from dynappo.program import devices, distributed, memory
 
 if TYPE_CHECKING:  # it imports JAX, and a mistake is answered without
+    from dynappo.tasks import by_name
     from dynappo.types import Hyper, Static
 
 TOGETHER = 10  # iterations, at most, in one call of the compiled program
@@ -41,6 +42,8 @@ class Program(NamedTuple):
     columns: dict[str, np.ndarray]  # [I]
     step: Callable  # (hyper, state, columns of one chunk) -> state, metrics
     evaluate: Callable  # (state) -> metrics of deterministic episodes
+    evaluated_on: str  # the engine of these
+    ready: Callable[[], bool]  # whether `evaluate` is compiled
     place: Callable  # (state) -> the state, placed on the devices as `step` expects
     impl: str
     device: str
@@ -148,7 +151,8 @@ def program(
     began = time.perf_counter()
     run = config.run
     mesh = seeds.mesh(run.mesh_seed, run.mesh_env, devices.available(run.device))
-    config, robot, env, impl = _environment(config, env, impl)
+    config, robot, made, impl = _environment(config, env, impl)
+    env, evaluated_on = made.env, impl
     static, hyper = config_lib.split(config)
     env = env._replace(mesh=mesh)
     source = of_robots.logged(config, robot, env) if run.logs else env  # of the rows
@@ -184,7 +188,9 @@ def program(
         # several devices or processes share settings and steps of a compilation: at the first call
         soon = run.eval_envs and mesh.size == 1 and jax.process_count() == 1
         if soon:
-            lowered = episodes.lower(hyper, shapes.learner.params, jax.random.key(0))
+            evaluated_on = made.engine
+            with made.evaluating:
+                lowered = episodes.lower(hyper, shapes.learner.params, jax.random.key(0))
         meanwhile()
         # the state last: XLA times kernels while it compiles, on a GPU with nothing else to do
         compiled = stepping.result()
@@ -212,6 +218,8 @@ def program(
         columns=columns,
         step=partial(_step, compiled, together),
         evaluate=partial(_evaluate, mesh, hyper, episodes, evaluating),
+        evaluated_on=evaluated_on,
+        ready=lambda: evaluating is not None and evaluating.done(),
         place=partial(jax.device_put, device=spread),
         impl=impl,
         device=devices.local(run.device).device_kind,
@@ -280,7 +288,7 @@ def floats(configs: list, env: Any = None) -> list[Hyper]:
     return [config_lib.split(one)[1] for one in configs]
 
 
-def _environment(config, env: Any, impl: str) -> tuple[Any, Any, Any, str]:
+def _environment(config, env: Any, impl: str) -> tuple[Any, Any, by_name.Made, str]:
     """`(config, robot, environment, engine)`: the task of the config's robot, or the user's `env`."""
     import jax
 
@@ -290,13 +298,14 @@ def _environment(config, env: Any, impl: str) -> tuple[Any, Any, Any, str]:
     from dynappo.tasks import by_name, of_robots
 
     if env is not None:
-        return config, None, env, "own"
+        return config, None, by_name.Made(env), "own"
     if config.env:
-        with jax.default_device(devices.local(config.run.device)):
-            env = by_name.make(config, impl=impl)
-        return config, None, env, "own" if config.env.startswith("brax:") else impl
+        device = devices.local(config.run.device)
+        with jax.default_device(device):
+            made = by_name.make(config, impl=impl, platform=device.platform)
+        return config, None, made, "own" if made.engine == "own" else impl
     environment.check_robot(config)
     config, robot = motors.fitted(config, robot_lib.load(config.robot))
     with jax.default_device(devices.local(config.run.device)):
         env = of_robots.make(config, robot, impl=impl)
-    return config, robot, env, impl
+    return config, robot, by_name.Made(env, engine=impl), impl

@@ -30,9 +30,7 @@ USUAL = {
 def own_process(device: str = "auto") -> None:
     """Set up JAX for a command: "cpu" touches no GPU, and compiled programs are cached on disk
     unless the user has set a cache. Warnings of libraries become one line."""
-    if device == "cpu" or not importlib.util.find_spec("jax_plugins"):
-        # XLA prints red alarms where it compiles for two minutes, as MJX on a CPU. No setting is for them
-        # alone; where a GPU may be, such lines are about the GPU too, and stay
+    if device == "cpu":  # no alarms of a slow compiler, as in dynappo/__init__.py
         os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
     try:
         import jax

@@ -22,10 +22,13 @@ from dynappo.run.training import Callbacks
 COMPILING = {
     "warp": "7 to 10 s if cached, else 20 to 35 s",
     "jax": "under a minute, on a CPU minutes; half of it when cached",
-    "c": "15 s; 5 when cached",
+    "c": "15 s, on a slow machine minutes; a third of it when cached",
+    "own": "under a minute, on a CPU perhaps minutes",
 }
 # what only an adaptive learning rate reads
 OF_ADAPTIVE = ("ppo.desired_kl", "ppo.late_kl", "ppo.min_learning_rate", "ppo.max_learning_rate")
+# fields of a run that shows within minutes whether all works (docs/environment.md)
+SMALL = "--config.rollout.num_envs=64 --config.run.num_iterations=20"
 PARTS = 10  # lines of a run where there is no terminal
 
 
@@ -93,7 +96,9 @@ def live(out, config) -> Iterator[Callbacks]:
     """
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-    total, engine, begun, printed = config.run.num_iterations, "", [], 0
+    total, begun, printed = config.run.num_iterations, [], 0
+    engine, program = "", None
+    compiles = f"({COMPILING[_engine(config)]})"
     bar = Progress(
         TextColumn("{task.description}"),
         BarColumn(16),
@@ -103,17 +108,19 @@ def live(out, config) -> Iterator[Callbacks]:
         console=out,
         disable=not out.is_terminal,
     )
-    task = bar.add_task(f"compiling ({COMPILING[devices.engine(config)]})", total=total, line="")
+    task = bar.add_task(f"compiling {compiles}", total=total, line="")
     say = partial(unusual, out)
 
     def opened():
         if slow := on_a_cpu(config):
             say(slow)
+        if not out.is_terminal:
+            out.print(f"compiles for {devices.ENGINES[_engine(config)]} {compiles}", soft_wrap=True)
         shown.enter_context(bar)
 
-    def compiled(program):
-        nonlocal engine
-        engine = devices.ENGINES[program.impl]
+    def compiled(made):
+        nonlocal engine, program
+        program, engine = made, devices.ENGINES[made.impl]
         describe_program(out, config, program)
         bar.update(task, description="training")
 
@@ -130,11 +137,10 @@ def live(out, config) -> Iterator[Callbacks]:
             out.print(f"iteration {iteration:4d}  {line}", soft_wrap=True)
 
     def finishing():
-        does = {"evaluates": config.run.eval_envs, "films": config.run.video_seconds}
-        text = " and ".join(name for name, asked in does.items() if asked)
+        text = at_the_end(config, program)
         bar.update(task, description=text or "writing")
         if text and not out.is_terminal:
-            out.print(text)
+            out.print(text, soft_wrap=True)
 
     def finished(*_):
         bar.update(task, description="trained")
@@ -155,13 +161,43 @@ def describe_program(out, config, program: Program) -> None:
         unusual(out, note)
 
 
+def at_the_end(config, program: Program | None) -> str:
+    """What is done when all iterations are, and how much of it; "" if nothing is."""
+    run, does = config.run, []
+    if run.eval_envs:
+        steps = run.eval_steps or config.task.episode_length
+        seeds = f" of each of {run.num_seeds} seeds" if run.num_seeds > 1 else ""
+        does.append(f"evaluates {run.eval_envs} episodes of {steps} control steps{seeds}")
+        if program:
+            does[0] += f" on {devices.ENGINES[program.evaluated_on]}"
+            does[0] += "" if program.ready() else ", which compiles first (on a CPU a while)"
+    if run.video_seconds and _has_robot(config):
+        does.append(f"films {run.video_seconds:g} s")
+    return "; then ".join(does)
+
+
+def _engine(config) -> str:
+    """A key of `devices.ENGINES`, before anything is built."""
+    return devices.engine(config) if _has_robot(config) else "own"
+
+
+def _has_robot(config) -> bool:
+    """Whether MuJoCo steps a robot, and not code of others."""
+    return bool(config.robot) or config.env.startswith("playground:")
+
+
 def on_a_cpu(config) -> str:
-    """A line on a robot that would be trained on MJX on a CPU, where that is slow; else ""."""
-    if not config.robot or devices.engine(config) != "jax":
-        return ""
-    if devices.local(config.run.device).platform != "cpu":
+    """A line on what would be trained on a CPU, where that is slow: MJX, and brax; else ""."""
+    engine = _engine(config)
+    if devices.local(config.run.device).platform != "cpu" or engine not in ("jax", "own"):
         return ""
     none = "there is no GPU here, so this will be slow; " if config.run.device == "auto" else ""
+    if not config.robot:
+        known = {"playground": "MJX compiles", "brax": "brax's physics compile", "": ""}
+        if physics := known[config.env.partition(":")[0]]:
+            small = f"; a small run: {SMALL}" * (config.rollout.num_envs > 64)
+            return f"{none}on a CPU {physics} for minutes{small}"
+        return ""
     laptop = shell.line("train", f"--config={config.robot}:laptop")
     return (
         f"{none}on a CPU MJX compiles for minutes, and C MuJoCo is more than twice as fast: "

@@ -3,6 +3,7 @@
 - folder `velocity`: robots that follow a commanded velocity
 - `of_robots`: which task of robots a config trains, for `program`
 - `by_name`: environments of other packages that a config names, for `program` and `evaluate`
+- `names`: the names of these, without importing their packages
 - folder `playground`: MuJoCo Playground's locomotion tasks
 - `brax_env`: the environments of brax and MuJoCo Playground, and ours as a brax environment
 - `env_contract`: checks an environment of your own against what `types.Env` asks for

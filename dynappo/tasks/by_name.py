@@ -8,14 +8,25 @@ from __future__ import annotations
 import contextlib
 import difflib
 from contextlib import AbstractContextManager
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from dynappo.config import ConfigError
+from dynappo.tasks import names
 
 if TYPE_CHECKING:  # it imports JAX
     from dynappo.types import Env
 
 PACKAGES = ("playground", "brax")
+
+
+class Made(NamedTuple):
+    """An environment, and how its evaluation is traced."""
+
+    env: Env
+    evaluating: AbstractContextManager = (
+        contextlib.nullcontext()
+    )  # in which an evaluation is traced
+    engine: str = "own"  # which then steps it
 
 
 def check(config) -> None:
@@ -30,7 +41,7 @@ def check(config) -> None:
             )
         loading.check(name)
     elif package == "brax":
-        _check_brax(name)
+        check_brax(name)
     else:
         raise ConfigError(f"env is {config.env!r}, expected playground:TASK or brax:NAME")
 
@@ -45,8 +56,12 @@ def about(config) -> str:
     return loading.check(name)
 
 
-def make(config, *, impl: str) -> Env:
-    """The environment of `config`, which was checked, stepped by the engine `impl`."""
+def make(config, *, impl: str, platform: str) -> Made:
+    """The environment of `config`, which was checked, stepped by the engine `impl` on JAX's `platform`.
+
+    With "jax" on a "cpu" a Playground task is evaluated with C MuJoCo's physics, which compile and run faster
+    there than MJX; of one run and one seed, for these physics have one axis of robots.
+    """
     package, _, name = config.env.partition(":")
     if package == "brax":
         from brax import envs
@@ -54,24 +69,14 @@ def make(config, *, impl: str) -> Env:
         from dynappo.tasks import brax_env
 
         bare = envs.get_environment(name, backend="spring")
-        return brax_env.from_brax(
-            bare,
-            bare.observation_size,
-            config.task.episode_length,
-            random_clock=config.task.random_clock,
-        )
-    return _playground(config, impl)[0]
-
-
-def in_c(config) -> tuple[Env, AbstractContextManager]:
-    """The environment of `config` for a CPU: inside the context, a Playground task is traced with C MuJoCo's
-    physics, which compile and run faster there than MJX."""
-    if not config.env.startswith("playground:"):
-        return make(config, impl="jax"), contextlib.nullcontext()
+        size, length = bare.observation_size, config.task.episode_length
+        return Made(brax_env.from_brax(bare, size, length, random_clock=config.task.random_clock))
+    env, task = _playground(config, impl)
+    if impl != "jax" or platform != "cpu" or config.run.num_seeds > 1:
+        return Made(env, engine=impl)
     from dynappo.tasks.playground import c_physics
 
-    env, task = _playground(config, "jax")
-    return env, c_physics.physics(task)
+    return Made(env, c_physics.physics(task), "c")
 
 
 def _playground(config, impl: str) -> tuple[Env, Any]:
@@ -86,10 +91,9 @@ def _playground(config, impl: str) -> tuple[Env, Any]:
     return env.make(loaded.task, *own), loaded.task
 
 
-def _check_brax(name: str) -> None:
-    from brax import envs
-
-    known = sorted(envs._envs)
+def check_brax(name: str) -> None:
+    """ConfigError if brax has no such environment; it names the near ones."""
+    known = names.registered("brax", "envs")
     if name not in known:
         near = difflib.get_close_matches(name, known, 3, 0.5) or known
         raise ConfigError(f"brax has no environment {name!r}; there is {', '.join(near)}")

@@ -33,6 +33,7 @@ examples
   python -m dynappo.train --workdir=runs/try
   python -m dynappo.train --config=go1:logs --logs=walked.npz --restore=runs/go1
   python -m dynappo.train --config=playground:Go1JoystickFlatTerrain:ppo
+--config=playground: lists the tasks of MuJoCo Playground, --config=brax: those of brax
 variants follow the name: go1:laptop, :ppo16, :dyna4, ... (none: best)
 set any field of the config (configs/default.py lists them), as in
   --config.run.num_iterations=200 --config.ppo.desired_kl=0.03
@@ -136,8 +137,7 @@ def parse(argv: list[str] | None) -> Command:
 
 def _prepare_page(serve: str, config, sweep) -> None:
     """ConfigError if `--serve` cannot be done. Makes checkpoints frequent: each is a newer policy."""
-    address.read(serve)
-    address.check()
+    address.check(address.read(serve))
     if sweep or not (config.robot or config.env.startswith("playground:")):
         raise config_lib.ConfigError(
             "--serve shows one run of a robot of robots/ or of a Playground task, not other environments or "
@@ -203,13 +203,13 @@ def train_run(out, command: Command, stop: Stop) -> str:
     """
     config, env = environment.from_file(command.get_env, command.config)
     run = training.Run(config, command.workdir, env, command.restore)
-    out.print(f"dynappo {show.describe(config)}", markup=False, soft_wrap=True)
     training.check(run, command.fresh)  # before anything is written
     if note := show.of_little_effect(config, command.given):
         show.unusual(out, note)
     with contextlib.ExitStack() as stack, show.live(out, config) as callbacks:
 
-        def opened():  # not before: the page shows what is in the folder
+        def opened():  # nothing is announced that is then refused; the page shows what is in the folder
+            out.print(f"dynappo {show.describe(config)}", markup=False, soft_wrap=True)
             callbacks.opened()
             serve = command.serve if distributed.first() else None
             path = terms.of(config.task).path if serve is not None else ""

@@ -20,6 +20,8 @@ server in another way, `Guard.on` stays false, and nothing is served (`server.st
 from __future__ import annotations
 
 import contextlib
+import gzip
+import html
 import http
 import ipaddress
 import logging
@@ -55,6 +57,7 @@ class Guard:
     names: set[str]  # hosts, as a browser writes them
     any_number: bool  # and all that are numbers, not names: no one can turn those elsewhere
     gui: viser.GuiApi | None = None  # what the page consists of, once it is there
+    title: str = "dynappo"  # of the browser's tab, which viser calls Viser
     on: bool = False  # whether the server asks this guard
     told: set[str] = field(default_factory=set)
 
@@ -126,6 +129,7 @@ def watching(guard: Guard) -> Iterator[None]:
             response = process_request(connection, wanted)
             if response is not None:
                 response.headers["Content-Security-Policy"] = _policy(wanted.headers["Host"])
+                _entitle(guard, response)
             return response
 
         def connect(*args, **given):
@@ -149,6 +153,20 @@ def watching(guard: Guard) -> Iterator[None]:
         yield
     finally:
         websockets_server.serve = plain
+
+
+def _entitle(guard: Guard, response) -> None:
+    """Give viser's page our title; viser has no option for it."""
+    packed = response.headers.get("Content-Encoding") == "gzip"
+    if not response.headers.get("Content-Type", "").startswith("text/html"):
+        return
+    body = gzip.decompress(response.body) if packed else response.body
+    body = body.replace(
+        b"<title>Viser</title>", f"<title>{html.escape(guard.title)}</title>".encode()
+    )
+    response.body = gzip.compress(body, 1) if packed else body
+    del response.headers["Content-Length"]
+    response.headers["Content-Length"] = str(len(response.body))
 
 
 def _policy(host: str) -> str:

@@ -9,10 +9,7 @@ viewer that comes or goes changes nothing for the robot.
 from __future__ import annotations
 
 import contextlib
-import errno
 import io
-import os
-import socket
 import threading
 import time
 from collections.abc import Callable
@@ -26,7 +23,7 @@ from dynappo.policy.episode import Player
 from dynappo.policy.task_player import TaskPlayer
 from dynappo.web import guard, panels, policies, run_plots, scene
 from dynappo.web import live as live_lib
-from dynappo.web.address import Address, read
+from dynappo.web.address import Address, free, read, taken
 from dynappo.web.live import Live
 from dynappo.web.policies import Chosen, Offer
 
@@ -47,10 +44,12 @@ class Page:
     name: str  # chosen in the list
 
 
-def start(address: Address) -> tuple[viser.ViserServer, int]:
-    """`(server, port)`: on the port, or the next free one above it; only its own page is let in."""
-    found, port = _free(address)
+def start(address: Address, title: str = "dynappo") -> tuple[viser.ViserServer, int]:
+    """`(server, port)`: on a port as `address.free` says; only its own page is let in. `title` is that of
+    the browser's tab."""
+    found, port = free(address)
     watch = guard.for_address(address.host, found)
+    watch.title = title
     with contextlib.redirect_stdout(io.StringIO()), guard.watching(watch):  # it prints its own name
         server = viser.ViserServer(address.host, port, label="dynappo", verbose=False)
     if not watch.on:
@@ -59,45 +58,13 @@ def start(address: Address) -> tuple[viser.ViserServer, int]:
             f"--serve: viser {versions.of('viser')} starts its server in a way that dynappo cannot "
             f"protect from other web sites: {shell.install('web')}"
         )
+    if address.named and server.get_port() != address.port:  # taken since we looked
+        server.stop()
+        raise taken(address)
     watch.gui = server.gui
     server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="medium")
     server.gui.main_panel.dock_right()
     return server, server.get_port()
-
-
-def _free(address: Address) -> tuple[set[str], int]:
-    """`(addresses, port)`: those of the host, and the first port from the given one that is free there."""
-    host, first = address
-    try:
-        found = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
-        places = {(family, str(place[0])) for family, *_, place in found}
-        for port in range(first, 65536):
-            if all(_binds(family, number, port) for family, number in places):
-                return {number for _, number in places}, port
-    except OSError as error:
-        raise ConfigError(
-            f"--serve={host}:{first}: this machine cannot listen there ({error.strerror}); "
-            f"--serve={max(first, 1024)} listens on 127.0.0.1"
-        ) from None
-    raise ConfigError(
-        f"--serve={host}:{first}: every port from there on is taken; choose a lower one"
-    )
-
-
-def _binds(family: int, number: str, port: int) -> bool:
-    """Whether the port is free; OSError if it cannot be used."""
-    with socket.socket(family, socket.SOCK_STREAM) as probe:
-        if os.name == "posix":  # as asyncio does
-            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        if family == socket.AF_INET6:
-            probe.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
-        try:
-            probe.bind((number, port))
-        except OSError as error:
-            if error.errno != errno.EADDRINUSE:
-                raise
-            return False
-    return True
 
 
 def open_page(server, offer: Offer, first: Chosen, given, named: str | None = None) -> Page:
@@ -248,7 +215,9 @@ def serve(
     `ready(page, url)` is called when browsers can open it.
     """
     stop = stop or threading.Event()
-    server, port = start(address)
+    server, port = start(address, f"dynappo: {live_lib.name(first.player)}")
+    if port != address.port:
+        print(f"{address.port} is taken: {port}")
     seen = policies.stamp(offer)
     try:
         page = open_page(server, offer, first, given, named)

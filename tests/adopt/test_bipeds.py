@@ -12,7 +12,7 @@ import pytest
 from answers import status
 
 from dynappo import config as config_lib
-from dynappo.adopt import bipeds, command, gains, source
+from dynappo.adopt import bipeds, command, gains, joint_roles, source
 from dynappo.description import motors
 from dynappo.description import robot as robot_lib
 from dynappo.program import build
@@ -170,6 +170,9 @@ def test_a_waist_arms_with_fingers_and_a_head():
     for side in "lr":
         assert [found[f"{side}{i}"] for i in range(7)] == [0.5, 0.15, 0.1, 0.15, 0.3, 0.3, 0.3]
     assert [name for name, is_so in zip(robot.joint_names, unknown, strict=True) if is_so] == ["h"]
+    arms = {f"{side}{i}" for side in "lr" for i in range(7)}
+    assert set(joint_roles.footless(robot)) == arms | {"h", "w"}
+    assert joint_roles.footless(robot_lib.load("go1")) == []
     assert "0.15 rad at h, no leg's" in "".join(bipeds.choose(robot)[1])
 
 

@@ -703,3 +703,13 @@ def test_what_is_adopted_trains(adopted, tmp_path, legs):
     assert (tmp_path / "run/policy.npz").exists()
     play = ["-m", "dynappo.play", tmp_path / "run", "--seconds=1", f"--out={tmp_path}/walk.html"]
     assert shell(*play, cwd=folder).returncode == 0
+
+
+def test_a_second_word_is_a_name_that_lacks_its_flag_and_a_page_is_no_robot(tmp_path, capsys):
+    page = tmp_path / "README.md"
+    page.write_text("# a robot\n")
+    for argv, said in (
+        (["a.xml", "spot5"], "spot5: expected one FILE; the robot's name is a flag: --name=spot5"),
+        ([str(page), "--name=spot5"], f"{page}: expected an MJCF or a URDF, found no XML ("),
+    ):
+        assert said in mistake(command.main, argv, capsys)

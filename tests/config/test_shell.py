@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from answers import ROOT
 
+import dynappo
 from dynappo.config import shell, versions
 
 
@@ -22,6 +23,12 @@ def test_the_program_is_one_word_where_the_shell_finds_that_of_this_python(tmp_p
     assert shell.command_line().endswith(" -m dynappo")  # another Python's
     monkeypatch.setattr(sys, "executable", str(tmp_path / "python"))
     assert shell.command_line() == "dynappo"
+    monkeypatch.setenv("PATH", os.defpath)
+    assert shell.command_line().endswith(" -m dynappo")
+    monkeypatch.setattr(sys, "argv", [str(one), "play"])  # started by its path
+    assert shell.command_line() == str(one)
+    monkeypatch.chdir(tmp_path.parent)
+    assert shell.command_line() == os.path.join(tmp_path.name, "dynappo")
 
 
 @pytest.mark.parametrize("folder", [ROOT, ROOT / "configs", Path("/")])
@@ -83,3 +90,16 @@ def test_without_a_package_that_it_needs_every_command_says_what_to_do(tmp_path)
         assert done.returncode == 2 and done.stderr.count("\n") == 1
         assert done.stderr.startswith("dynappo: ml_collections is not installed for ")
         assert "pip install" in done.stderr or "activate" in done.stderr
+
+
+def test_beside_a_wheel_a_missing_module_is_its_package(tmp_path, monkeypatch):
+    monkeypatch.setattr(dynappo, "__file__", str(tmp_path / "dynappo" / "__init__.py"))
+    asked = ["mujoco-mjx<4,>=3.17", "jax>=0.10; python_version>'3'", "ml-collections>=1"]
+    monkeypatch.setattr(metadata, "requires", lambda name: asked)
+    for module, package in (
+        ("mujoco.mjx", "mujoco-mjx"),
+        ("jax.numpy", "jax"),
+        ("ml_collections", "ml-collections"),
+        ("else_where.x", "else-where"),
+    ):
+        assert dynappo._remedy(module) == f"{sys.executable} -m pip install {package}"

@@ -1,5 +1,6 @@
 """The command `python -m dynappo.evaluate`: the file, the table, and every mistake."""
 
+import io
 import json
 import re
 from functools import partial
@@ -10,6 +11,7 @@ import pytest
 import toy_sweep
 from answers import mistake, shell, status
 from ml_collections import config_dict
+from rich.console import Console
 from toy_policy import actor, described
 
 from dynappo import config as config_lib
@@ -237,3 +239,15 @@ def test_stopped_and_disk_full(saved, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(evaluate_command.files, "write_json", full)
     assert run(saved, "--fast", f"--out={tmp_path}") == 1
     assert "evaluation.json cannot be read or written (No space left" in capsys.readouterr().err
+
+
+def test_a_long_measurement_says_what_begins_and_how_far_it_is(monkeypatch):
+    """Where no bar moves; of a short one only the first line."""
+    for patience, more in ((0.0, "commands 1/3\ncommands 2/3\n"), (60.0, "")):
+        monkeypatch.setattr(evaluate_tables, "PATIENCE", patience)
+        text = io.StringIO()
+        with evaluate_tables.progress(Console(file=text), "commands") as tell:
+            assert text.getvalue() == "measures commands in C MuJoCo\n"
+            for done in (1, 2, 3):
+                tell(done, 3)
+        assert text.getvalue() == "measures commands in C MuJoCo\n" + more

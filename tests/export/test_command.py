@@ -5,6 +5,7 @@ import shlex
 import sys
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import jax
 import numpy as np
@@ -116,3 +117,17 @@ def test_help_explains_the_joint_orders(capsys):
     text = capsys.readouterr().out
     words = "--joint-order isaaclab unitree policy.npz DEPLOY.md".split()
     assert all(word in text for word in [*words, "FR FL RR RL"])
+
+
+def test_a_word_comes_before_a_task_is_asked(tmp_path, monkeypatch, capsys):
+    """Its process takes up to minutes."""
+    said = []
+    monkeypatch.setattr(export_command.task_onnx, "check", lambda *_: None)
+    monkeypatch.setattr(export_command.task_onnx, "table", lambda *_: [])
+    save = lambda *_: said.append(capsys.readouterr().out)  # noqa: E731
+    monkeypatch.setattr(export_command.task_onnx, "save", save)
+    policy = SimpleNamespace(config=SimpleNamespace(env="playground:Go1Getup"))
+    export_command.of_task(
+        policy, tmp_path / "a.npz", "runs/a", SimpleNamespace(out=tmp_path / "a.onnx")
+    )
+    assert said[0].startswith("dynappo exports playground:Go1Getup: runs/a; ")

@@ -114,7 +114,7 @@ def test_metadata_hold_all_that_a_robot_needs(name):
     config = config_lib.load(f"configs/{name}.py:dyna4")
     model = mujoco.MjModel.from_xml_path(str(robot.xml))
     home = model.key("home").qpos
-    beside = {"observation_table", "units", "dynappo", "licence"}
+    beside = {"observation_table", "history_order", "units", "dynappo", "licence"}
     fields = {*policy_file.Policy._fields, *onnx_file.UNITS} - {"params", "mjcf", "seed"}
     assert set(facts) == fields | beside
     assert facts["robot"] == name and facts["joint_names"] == list(names)

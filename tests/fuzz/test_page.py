@@ -200,7 +200,7 @@ def test_whatever_is_given_as_a_port_is_an_address_or_one_line(capsys):
     for _ in range(2000):
         text = "".join(rng.choice(letters) for _ in range(rng.choice((1, 2, 4, 6, 9))))
         try:
-            host, port = address.read(text)
+            host, port, _ = address.read(text)
             assert host and 1 <= port <= 65535
             ends[0] += 1
         except ConfigError as error:

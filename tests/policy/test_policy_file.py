@@ -382,3 +382,18 @@ def test_a_checkpoints_patterns_are_checked_before_they_are_used():
         tree["task"]["kp"] = value
         line = refused(policy_file.describe, config_dict.ConfigDict(tree), robot)
         assert expected in line
+
+
+def test_an_actor_is_found_by_name_and_tells_how_many_numbers_it_wants():
+    """Not NumPy's error of a product."""
+    act = policy_file.load_actor("go1")
+    assert act(np.zeros(48)).shape == (12,) and act(np.zeros((3, 48))).shape == (3, 12)
+    for obs, found in (
+        (np.zeros(47), "47 numbers"),
+        (np.zeros((48, 2)), "2 numbers"),
+        (1.0, "one number"),
+    ):
+        with pytest.raises(
+            ValueError, match=f"obs has {found}.*, expected 48: what the policy of .*go1"
+        ):
+            act(obs)

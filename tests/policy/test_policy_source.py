@@ -260,3 +260,10 @@ def test_a_sweep_is_told_from_a_run(ended, tmp_path):
         assert f"is a sweep, which has no{'t ended' if seed is None else ' seed 1'}" in line
         assert line.endswith(f"name one of its runs, such as {run}")
     assert policy_source.locate(str(run), 1) == run / "checkpoints" / "20"
+
+
+def test_a_relative_path_is_told_as_it_was_given():
+    for what in ("runs/laptop", "laptop"):
+        path = Path(what) / "policy.npz"
+        assert policy_source.named(what, path) == f"{what}/policy.npz"
+    assert policy_source.named("/a/b/c", Path("/a/b/c/policy.npz")) == "c/policy.npz"

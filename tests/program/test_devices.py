@@ -124,6 +124,18 @@ def test_the_alarms_of_a_slow_compiler_are_off_on_a_cpu(monkeypatch, own):
     assert done.stdout.strip() == (own or "3"), done.stderr
 
 
+@pytest.mark.parametrize("plugin", [False, True])
+def test_they_are_off_where_python_imports_dynappo_and_no_gpu_may_be(monkeypatch, tmp_path, plugin):
+    """JAX sets a level of its own when it is imported, and a Playground task's settings import it before
+    `own_process`; a plugin's lines are about its GPU."""
+    monkeypatch.delenv("TF_CPP_MIN_LOG_LEVEL", raising=False)
+    if plugin:
+        (tmp_path / "jax_plugins").mkdir()
+    code = f"import sys; sys.path.append({str(tmp_path)!r}); import dynappo, jax, os\n"
+    done = shell("-c", code + "print(os.environ['TF_CPP_MIN_LOG_LEVEL'])")
+    assert done.stdout.strip() == ("1" if plugin else "3"), done.stderr
+
+
 def test_what_a_shell_sets_for_other_programs_is_off_and_told(monkeypatch):
     """A robot's program cannot be traced with any of these."""
     other = {name: "1" for name in devices.USUAL if isinstance(devices.USUAL[name], bool)}

@@ -83,6 +83,7 @@ def test_a_training_is_followed_from_compiling_to_filming(terminal, every):
     kind = dict(force_terminal=terminal, force_interactive=terminal)
     out = Console(file=text, width=200, highlight=False, **kind)
     program = {"impl": "c", "device": "cpu", "compile_seconds": 7.2, "bytes_needed": 3 << 20}
+    program |= {"evaluated_on": "jax", "ready": lambda: False}
     numbers = dict(episode_length=500.0, velocity_error=0.25, policy_std=0.5)
     with show.live(out, config("configs/go1.py:dyna4", num_iterations=100)) as callbacks:
         callbacks.opened()
@@ -101,21 +102,29 @@ def test_a_training_is_followed_from_compiling_to_filming(terminal, every):
     assert line in shown and ("compiling (" in shown) == ("100/100" in shown) == terminal
     assert shown.endswith("the table\n")
     if not terminal:
-        assert shown.count(line) == 10 and f"iteration  100  {line}\nevaluates and films\n" in shown
+        assert shown.index("compiles for MJX-JAX (") < shown.index("compiled in 7 s")
+        end = "evaluates 1000 episodes of 1000 control steps on MJX-JAX, which compiles first"
+        assert shown.count(line) == 10
+        assert f"iteration  100  {line}\n{end} (on a CPU a while); then films 12 s\n" in shown
 
 
 @pytest.mark.parametrize(
     ("fields", "said"),
     [
-        ({}, "evaluates and films\n"),
-        ({"video_seconds": 0.0}, "evaluates\n"),
-        ({"eval_envs": 0}, "films\n"),
+        ({}, "evaluates 1000 episodes of 1000 control steps; then films 12 s\n"),
+        (
+            {"video_seconds": 0.0, "num_seeds": 2, "eval_steps": 50},
+            "evaluates 1000 episodes of 50 control steps of each of 2 seeds\n",
+        ),
+        ({"eval_envs": 0}, "films 12 s\n"),
         ({"eval_envs": 0, "video_seconds": 0.0}, ""),
     ],
 )
 def test_nothing_is_announced_that_is_not_done(fields, said):
     text = io.StringIO()
-    with show.live(Console(file=text), config("configs/go1.py:dyna4", **fields)) as callbacks:
+    with show.live(
+        Console(file=text, width=200), config("configs/go1.py:dyna4", **fields)
+    ) as callbacks:
         callbacks.finishing()
     assert text.getvalue() == said
 
@@ -132,13 +141,26 @@ def test_without_a_gpu_it_is_said_before_anything_is_compiled():
         ),
         ("best", {"device": "cpu"}, f"on a CPU MJX compiles .*; {laptop}"),
         ("laptop", {}, ""),
+        (
+            "playground:Go1Getup",
+            {},
+            "there is no GPU here, so .*; on a CPU MJX compiles for minutes; a small run: --config.*",
+        ),
+        (
+            "brax:hopper",
+            {},
+            "there is no GPU here, so .*; on a CPU brax's physics compile for minutes; a small .*",
+        ),
     ):
         out = Console(file=text, width=200)
-        with show.live(out, config(f"configs/go1.py:{spec}", **fields)) as callbacks:
+        spec = spec if ":" in spec else f"configs/go1.py:{spec}"
+        with show.live(out, config(spec, **fields)) as callbacks:
             callbacks.opened()
-            found = text.getvalue().strip()
+            found, compiles = text.getvalue().strip().rsplit("compiles for ", 1)
             callbacks.finished()
-        assert re.fullmatch(said, found), found
+        assert re.fullmatch(said, found.strip()), found
+        engine = "C MuJoCo" if "laptop" in spec else "JAX" if "brax" in spec else "MJX-JAX"
+        assert compiles.startswith(f"{engine} (") and "minutes" in compiles
         text.truncate(text.seek(0))
 
 

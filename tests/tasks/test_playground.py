@@ -5,24 +5,28 @@ To compile MJX takes longest, so most of these tests trace the tasks with C MuJo
 """
 
 import functools
+import importlib.util
 import json
 import sys
 import types as python_types
 from unittest import mock
 
+import answers
 import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
-from answers import refused, status
+from answers import mistake, refused, status
 
 from dynappo import config as config_lib
 from dynappo import schedule
-from dynappo.config import files
+from dynappo.config import files, shell
+from dynappo.evaluate import command as evaluate
 from dynappo.evaluate import task_episodes, task_facts
 from dynappo.export import command as export
-from dynappo.policy import policy_file, recorded, render
+from dynappo.play import command as play
+from dynappo.policy import policy_file, recorded, render, task_player
 from dynappo.run import overflow
 from dynappo.tasks import by_name
 from dynappo.types import Outcome
@@ -742,6 +746,26 @@ def test_an_evaluation_needs_no_flag_and_tells_terms_of_the_reward():
     assert terms["alive"] == ["-", "-"]
 
 
+@pytest.mark.parametrize(
+    ("impl", "platform", "seeds", "engine"),
+    [
+        ("jax", "cpu", 1, "c"),
+        ("jax", "cpu", 2, "jax"),
+        ("jax", "gpu", 1, "jax"),
+        ("warp", "gpu", 1, "warp"),
+    ],
+)
+def test_a_cpu_evaluates_in_c_as_evaluate_does(impl, platform, seeds, engine, monkeypatch):
+    """So a training on MJX there compiles MJX once. C's physics have one axis of robots, so of one seed."""
+    monkeypatch.setattr(by_name, "_playground", lambda config, impl: ("env", "task"))
+    monkeypatch.setattr(c_physics, "physics", lambda task: f"C MuJoCo's of {task}")
+    config = config_lib.load(f"playground:{GO1}")
+    config.run.num_seeds = seeds
+    found = by_name.make(config, impl=impl, platform=platform)
+    assert (found.env, found.engine) == ("env", engine)
+    assert (found.evaluating == "C MuJoCo's of task") == (engine == "c")
+
+
 @pytest.mark.parametrize("name", [GO1, "G1JoystickFlatTerrain"])
 def test_a_films_camera_sees_the_whole_robot_and_its_arrows(name):
     """From floor to the arrows' height, above and below the base that it follows."""
@@ -775,8 +799,43 @@ def test_mistakes_are_one_line(monkeypatch):
     assert "expected playground:TASK or brax:NAME" in refused(by_name.check, config)
     config.robot = "go1"
     assert "expected '' where a robot is named" in refused(config_lib.validate, config)
-    monkeypatch.setattr(loading.importlib.util, "find_spec", lambda name: None)
-    assert "pip install 'dynappo[playground]'" in refused(loading.names)
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    assert refused(loading.names).endswith(shell.install("playground"))
+
+
+def test_without_playground_each_command_says_in_one_line_how_to_install_it(
+    tmp_path, monkeypatch, capsys
+):
+    """With this Python, in no other process; and what such a process refuses is that one line."""
+    config = config_lib.validate(config_lib.load(f"playground:{GO1}:ppo"))
+    layers = {"Dense_0": {"kernel": np.ones((48, 12)), "bias": np.ones(12)}}
+    params = jax.tree.map(np.float32, {"actor": {"params": layers}})
+    policy_file.save(tmp_path / "policy.npz", params, config, None)
+    file, find = str(tmp_path / "policy.npz"), importlib.util.find_spec
+    started = mock.Mock(side_effect=AssertionError)
+    with monkeypatch.context() as m:
+        m.setattr(importlib.util, "find_spec", lambda n: None if "playgr" in n else find(n))
+        m.setattr(task_player.subprocess, "Popen", started)
+        for main, argv in (
+            (command.main, [f"--config=playground:{GO1}"]),
+            (play.main, [file, f"--out={tmp_path}/a.html"]),
+            (play.main, [file, "--serve"]),
+            (evaluate.main, [file, f"--out={tmp_path}/e"]),
+            (export.main, [file, f"--out={tmp_path}/p.onnx"]),
+        ):
+            assert "not installed; " + shell.install("playground") in mistake(main, argv, capsys)
+    code = f"print('{json.dumps({task_player.REFUSED: 'no such robot'})}')"
+    monkeypatch.setattr(task_player.interpreter, "command", lambda _: [sys.executable, "-c", code])
+    assert refused(task_player.start, f"playground:{GO1}") == "no such robot"
+
+
+def test_a_name_is_known_without_the_import_of_its_package():
+    """That takes 3 to 40 s."""
+    code = "import sys; from dynappo.tasks import names; print(names.registered('brax', 'envs'), "
+    code += "names.registered('mujoco_playground', '_src.locomotion'), 'jax' in sys.modules)"
+    from brax import envs
+
+    assert answers.shell("-c", code).stdout == f"{sorted(envs._envs)} {loading.names()} False\n"
 
 
 @pytest.mark.slow

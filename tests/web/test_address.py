@@ -1,5 +1,7 @@
 """What --serve means, and every mistake in it: of play and of train."""
 
+import socket
+
 import pytest
 from answers import mistake, refused
 
@@ -11,11 +13,11 @@ from dynappo.web import address
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        ("", ("127.0.0.1", 8080)),
-        ("9000", ("127.0.0.1", 9000)),
-        ("0.0.0.0:80", ("0.0.0.0", 80)),
-        ("[::]:8080", ("::", 8080)),
-        ("robot.lab:1234", ("robot.lab", 1234)),
+        ("", ("127.0.0.1", 8080, False)),
+        ("9000", ("127.0.0.1", 9000, True)),
+        ("0.0.0.0:80", ("0.0.0.0", 80, True)),
+        ("[::]:8080", ("::", 8080, True)),
+        ("robot.lab:1234", ("robot.lab", 1234, True)),
     ],
 )
 def test_an_address_is_of_this_machine_alone_unless_it_names_a_host(text, expected):
@@ -29,8 +31,28 @@ def test_what_is_no_port_is_one_line(text):
 
 def test_without_viser_it_says_what_to_install(monkeypatch):
     monkeypatch.setattr(address, "NEEDED", ("viser", "no_such_package"))
-    assert "--serve needs no_such_package: " in (line := refused(address.check))
+    assert "--serve needs no_such_package: " in (line := refused(address.check, address.read("")))
     assert "[web]" in line
+
+
+def test_a_named_port_that_is_taken_is_refused_and_none_else(capsys):
+    """Before a policy is loaded or a run begins. Else the page of whoever holds it would be steered."""
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        other.listen()
+        port = other.getsockname()[1]
+        flag = f"--serve={port}"
+        for main, argv in (
+            (play_command.main, ["go1", flag]),
+            (train_command.main, ["--config=go1:laptop", flag]),
+        ):
+            line = mistake(main, argv, capsys)
+            assert (
+                f"--serve: port {port} is taken" in line
+                and "--serve alone takes a free one" in line
+            )
+        found = address.free(address.Address("127.0.0.1", port))
+        assert found == ({"127.0.0.1"}, found[1]) and found[1] > port
 
 
 def test_the_flag_may_stand_before_the_name():

@@ -114,4 +114,4 @@ def test_ctrl_c_ends_all_and_the_port_is_free_again(tmp_path):
     out, err = process.communicate(timeout=PATIENCE)
     assert process.returncode == 130 and err == "dynappo: stopped\n"
     assert f"open http://127.0.0.1:{port} in a browser" in said[1] and not out
-    assert server._free(address.Address("127.0.0.1", port))[1] == port
+    assert address.free(address.Address("127.0.0.1", port))[1] == port

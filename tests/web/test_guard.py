@@ -1,10 +1,12 @@
 """Who is let in to the page, over sockets, and what of all that a client may send is taken."""
 
 import contextlib
+import gzip
 import math
 import os
 import socket
 import time
+import urllib.request
 
 import numpy as np
 import pytest
@@ -163,9 +165,16 @@ def test_the_last_port_may_be_taken():
         other.listen()
         taken = other.getsockname()[1]
         if taken < 65000:
-            it, port = server.start(address.Address("127.0.0.1", taken))
+            it, port = server.start(address.Address("127.0.0.1", taken), "a <robot>")
+            with urllib.request.urlopen(f"http://127.0.0.1:{port}") as plain:
+                page = plain.read()
+            asked = {"Accept-Encoding": "gzip"}
+            asked = urllib.request.Request(f"http://127.0.0.1:{port}", headers=asked)
+            with urllib.request.urlopen(asked) as packed:
+                assert gzip.decompress(packed.read()) == page
             it.stop()
             assert taken < port < taken + 50
+            assert b"<title>a &lt;robot&gt;</title>" in page and page.count(b"<title>") == 1
 
 
 # ---- what is taken

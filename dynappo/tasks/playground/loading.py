@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import difflib
 import importlib
-import importlib.util
 import os.path
 import pathlib
 from typing import Any, NamedTuple
@@ -12,13 +11,13 @@ from typing import Any, NamedTuple
 import mujoco
 
 from dynappo.config import ConfigError
+from dynappo.tasks import names as names_lib
 from dynappo.tasks.playground import assets, room
 
 PLAYGROUND_ROBOTS = 8192  # for which the tasks' own naconmax is
 # times the room of contacts and constraints (`_room`); if it runs out, a run ends (run/overflow.py)
 ROOM = 1.0
 FEW = 4096  # contacts: few robots may all lie on the ground at once, and have up to four times their share
-MISSING = "MuJoCo Playground is not installed; pip install 'dynappo[playground]' (0.2.0, the last for JAX)"
 
 
 class Loaded(NamedTuple):
@@ -31,7 +30,8 @@ class Loaded(NamedTuple):
 
 def names() -> list[str]:
     """The tasks that can be loaded; ConfigError where Playground is not installed."""
-    return sorted(_locomotion().ALL_ENVS)
+    names_lib.check_playground()
+    return names_lib.registered(names_lib.PLAYGROUND, "_src.locomotion")
 
 
 def check_name(name: str) -> None:
@@ -103,7 +103,7 @@ def drawn(loaded: Loaded) -> mujoco.MjModel:
 def ppo_config(name: str) -> Any:
     """Playground's settings of brax's PPO for a task."""
     _locomotion()
-    params = importlib.import_module("mujoco_playground.config.locomotion_params")
+    params = importlib.import_module(f"{names_lib.PLAYGROUND}.config.locomotion_params")
     return params.brax_ppo_config(name)
 
 
@@ -112,6 +112,5 @@ def _locomotion() -> Any:
 
 
 def _module(name: str) -> Any:
-    if importlib.util.find_spec("mujoco_playground") is None:
-        raise ConfigError(MISSING)
-    return importlib.import_module(f"mujoco_playground._src.{name}")
+    names_lib.check_playground()
+    return importlib.import_module(f"{names_lib.PLAYGROUND}._src.{name}")
