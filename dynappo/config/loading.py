@@ -122,7 +122,9 @@ def override(config: config_dict.ConfigDict, field: str, text: str) -> None:
         node = functools.reduce(lambda c, k: c[k], filter(None, group.split(".")), config)
         old = node[leaf]
     except (KeyError, TypeError, AttributeError):
-        raise ConfigError(f"--config.{field}: no such field; {fields.near(field)}") from None
+        raise ConfigError(
+            f"--config.{field}: no such field; {fields.near(field, flat(config))}"
+        ) from None
     own = field.partition(".")[0] in ("task", "physics") and field not in OF_NAMED
     if config.get("env") and own:
         raise ConfigError(

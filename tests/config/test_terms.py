@@ -59,6 +59,8 @@ def test_a_flag_names_the_file_and_its_fields_are_flags_too():
     assert [each.name for each in observe.own(config.task.terms_about)] == ["seen"]
     again = config_lib.from_json(config_lib.to_json(config_lib.validate(config)))
     assert fields_of(again) == fields_of(config) and terms.of(again.task).rewards.keys() == {"work"}
+    said = refused(config_lib.override, config, "task.weights.wok", "2")
+    assert said == "--config.task.weights.wok: no such field; did you mean task.weights.work?"
     config_lib.override(config, "task.terms", write(SEEN, "other.py"))
     assert fields_of(config) == (None, 0.1, {}) and config.task.terms == "other.py"
     config_lib.override(config, "task.terms", "")
@@ -126,6 +128,14 @@ MISTAKES = {  # of a file -> a part of the line
     "@terms.command(draws=0)\ndef c(draw): return draw\n": "draws is 0",
     "".join(f"@terms.command(draws=1)\ndef {c}(draw): return draw\n" for c in "cd"): "two commands, c and d",
     "@terms.reward(weight=1.0)\nclass Term: pass\n": "the term Term is no function",
+    "@terms.reward(-1.0)\ndef f(torque): return 0.0\n": "@terms.reward: too many positional arguments; write",
+    "@terms.reward(wight=1.0)\ndef f(torque): return 0.0\n": "'weight'; write @terms.reward(weight=...)",
+} | {  # each decorator without its parentheses
+    f"@terms.{name}\ndef f(): return 0.0\n": f"write @terms.{name}({needed})"
+    for name, needed in dict(
+        reward="weight=...", observation="size=...", known="start=...", termination="", command="draws=...",
+        curriculum="start=...",
+    ).items()
 }  # fmt: skip
 
 

@@ -316,7 +316,7 @@ def test_the_wheel_does_what_the_page_says_in_an_empty_folder(tmp_path):
     longer = "--config.run.num_iterations=4"
     told = "--config.task.command_x=(0.0,2.0)"
     assert "goes on from iteration 2" in run(train, told, *SHORT, longer)
-    assert "--config.task.terms=FILE" in run("dynappo train --workdir=runs/mine", status=2)
+    assert "--terms=FILE" in run("dynappo train --workdir=runs/mine", status=2)
     head = (folder / "runs/mine/metrics.csv").read_text().split("\n")[0].split(",")
     assert {"reward_motor_work", "ended_too_low"} <= set(head)
     assert "with my_terms.py" in run(play, "--seconds=1")
