@@ -141,12 +141,8 @@ def _in_parentheses(make: Callable[P, R]) -> Callable[P, R]:
         try:
             signature.bind(*args, **kwargs)
         except TypeError as error:
-            bare = len(args) == 1 and inspect.isfunction(args[0])
-            wrong = (
-                f"{args[0].__name__} has a decorator without parentheses"
-                if bare
-                else f"@terms.{name}: {error}"
-            )
+            of = getattr(args[0], "__name__", "") if args else ""
+            wrong = f"{of} has a decorator without parentheses" if of else f"@terms.{name}: {error}"
             raise ConfigError(f"{wrong}; write @terms.{name}({', '.join(needed)})") from None
         return make(*args, **kwargs)
 
