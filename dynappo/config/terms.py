@@ -417,6 +417,17 @@ def _about(terms: Terms) -> str:
     )
 
 
+def told(about: str) -> list[str]:
+    """The names of the terms in what `_about` wrote; none where it is something else."""
+    try:
+        found = json.loads(about or "{}")
+        seen = [each["name"] for each in found.get("observation", [])]
+        names = [*found.get("rewards", []), *seen, *found.get("terminations", [])]
+        return list(dict.fromkeys(map(str, [*names, *filter(None, [found.get("command")])])))
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
+        return []
+
+
 def _part(name: str, term: Term, *, noise, start, **of) -> dict[str, Any]:
     content = " ".join((term.function.__doc__ or "").strip().partition("\n")[0].split())[:CONTENT]
     noisy, known = noise is not None, start is not None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import difflib
 import errno
 import itertools
 import json
@@ -126,6 +127,14 @@ def _compare(workdir: Path, here: str) -> None:
                 f"--workdir={workdir} holds a run of another config ({changed}); "
                 "choose another folder, or --fresh to move that run aside"
             )
+
+
+def no_run(workdir: Path) -> str:
+    """The line on a folder that holds no run to go on with, and the run beside it whose name is like its."""
+    beside = [path.parent.name for path in workdir.parent.glob("*/config.json")]
+    near = difflib.get_close_matches(workdir.name, beside, 1)
+    meant = f"did you mean --workdir={workdir.parent / near[0]}? " if near else ""
+    return f"--workdir={workdir}: no run there to go on with; {meant}--config=NAME, as go1:laptop, starts one"
 
 
 def _may_change(text: str) -> Sequence[str]:

@@ -75,6 +75,12 @@ def parse(argv: list[str] | None) -> Command:
         help="start from the networks of another workdir, a checkpoint or a policy.npz",
     )
     parser.add_argument(
+        "--terms",
+        type=flags.path,
+        metavar="FILE",
+        help="terms of your own, which run as Python (docs/task.md); same as --config.task.terms=FILE",
+    )
+    parser.add_argument(
         "--logs",
         type=flags.path,
         metavar="FILE",
@@ -97,13 +103,16 @@ def parse(argv: list[str] | None) -> Command:
     several.add_argument("--coordinator", metavar="HOST:PORT", help="of process 0")
     several.add_argument("--processes", type=int, metavar="N")
     several.add_argument("--process", type=int, metavar="I", help="0 to N-1")
-    known, rest = flags.read_known(parser, argv)
+    known, rest = flags.read_with_fields(parser, argv)
+    rest += [f"--config.task.terms={known.terms}"] if known.terms else []
     here = known.config is None and known.workdir
     swept = grid.read(known.sweep or [])
     if here and not swept and sweep_folder.is_one(known.workdir):
         (config, swept), get_env = sweep_folder.load(known.workdir, rest), None
     elif here and not swept and os.path.isfile(known.workdir / "config.json"):
         config, get_env = flags.load_run(known.workdir, rest), None
+    elif here and not swept:
+        raise config_lib.ConfigError(workdir_lib.no_run(known.workdir))
     else:
         config, get_env = flags.load_both(known.config, rest)
     if known.logs:

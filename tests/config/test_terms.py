@@ -63,6 +63,11 @@ def test_a_flag_names_the_file_and_its_fields_are_flags_too():
     assert said == "--config.task.weights.wok: no such field; did you mean task.weights.work?"
     config_lib.override(config, "task.terms", write(SEEN, "other.py"))
     assert fields_of(config) == (None, 0.1, {}) and config.task.terms == "other.py"
+    both = (
+        train.parse(["--config=go1:laptop", *more, "--config.task.weights.work=-2"]).config
+        for more in ([given], ["--terms=mine.py"])
+    )
+    assert next(both) == next(both)
     config_lib.override(config, "task.terms", "")
     assert fields_of(config) == (None, None, {}) and not config.task.terms_hash
 
@@ -290,6 +295,15 @@ def test_a_run_goes_on_only_with_the_same_text():
     config_lib.override(config, "task.terms", write(WORK + "# other\n"))
     told = config_lib.difference(before, config_lib.to_json(config), may)
     assert told == "the code of its terms, mine.py, is another now"
+    after = config_lib.to_json(flags.load("go1:laptop", []))
+    may = [*may, "task.weights.work", "task.own.share"]
+    assert config_lib.difference(before, after, may) == "with terms work there, none here"
+    assert config_lib.difference(after, before, may) == "with terms none there, work here"
+    level = "@terms.curriculum(start=1.0)\ndef level(level): return level\n"
+    command = "@terms.command(draws=1)\ndef fast(draw): return draw\n"
+    config_lib.override(config, "task.terms", write(WORK + SEEN + level + command, "more.py"))
+    told = config_lib.difference(before, config_lib.to_json(config), may)
+    assert told == "with terms work there, work, seen, level, fast here"
 
 
 def test_a_page_takes_the_file_for_the_policy_that_was_named(saved):

@@ -419,7 +419,7 @@ def test_a_workdir_alone_is_enough_to_go_on(tmp_path):
 def test_a_workdir_that_is_not_enough_says_what_else(tmp_path):
     """None there, one's own environment, a robot that is elsewhere, a config.json that is none."""
     empty = tmp_path / "empty"
-    assert "--config is missing" in refused(train_command.parse, [f"--workdir={empty}"])
+    assert "no run there to go on with" in refused(train_command.parse, [f"--workdir={empty}"])
     own = saved_config(tmp_path / "own", robot="")
     assert "name its file too: --config=FILE.py" in refused(
         train_command.parse, [f"--workdir={own}"]
