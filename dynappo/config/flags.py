@@ -32,13 +32,20 @@ LINE = 1500  # of a line: a robot's file may break several rules
 STOPPED = (129, 130, 143)  # exit statuses of a command that was stopped by a signal
 
 
+class Help(argparse.RawDescriptionHelpFormatter):
+    """Help whose commands and files are as they can be typed and found here."""
+
+    def format_help(self) -> str:
+        return shell.pasted(super().format_help())
+
+
 def parser(command: str, description: str, epilog: str) -> argparse.ArgumentParser:
     """A parser of `dynappo COMMAND`; the commands in `epilog` are printed as they are called here."""
     return argparse.ArgumentParser(
         prog=f"dynappo {command}",
         description=description,
-        epilog=shell.pasted(epilog),
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        epilog=epilog,
+        formatter_class=Help,
         allow_abbrev=False,
         exit_on_error=False,
     )
