@@ -15,6 +15,7 @@ import reprlib
 import signal
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -289,11 +290,21 @@ def answer(action: Callable[[], None], stopped: str | Callable[[], str] = "stopp
 
 def _interrupt_again(lost) -> None:
     """Python prints what a finalizer raises (JAX has some), and goes on; ctrl-C is raised again instead."""
-    if isinstance(lost.exc_value, KeyboardInterrupt):
-        status = (*lost.exc_value.args, 130)[0]
-        threading.Timer(0.05, _interrupt, [signal.Signals(status - 128)]).start()
-    else:
+    if not isinstance(lost.exc_value, KeyboardInterrupt):
         sys.__unraisablehook__(lost)
+        return
+    begun = None
+    while (
+        begun is None
+    ):  # one that comes meanwhile is ignored; a `threading.Thread` would be waited for
+        with contextlib.suppress(KeyboardInterrupt):
+            status = (*lost.exc_value.args, 130)[0]
+            begun = _thread.start_new_thread(_interrupt_later, (signal.Signals(status - 128),))
+
+
+def _interrupt_later(number: signal.Signals) -> None:
+    time.sleep(0.05)
+    _interrupt(number)
 
 
 def _interrupt(number: signal.Signals = signal.SIGINT) -> None:

@@ -24,7 +24,7 @@ from dynappo.sweeps import grid
 from dynappo.sweeps import sweep as sweep_lib
 from dynappo.web import address, child
 
-GOES_ON = "the same command goes on from the last checkpoint"
+GOES_ON = "the same command goes on from {}"
 SWEEP_GOES_ON = "the same command goes on with the sweep"
 USAGE = """\
 examples
@@ -170,7 +170,11 @@ def main(argv: list[str] | None = None) -> None:
             distributed.leave()
 
     def stopped():
+        for folder in workdir_lib.new_folders():  # where this process is ended while it compiles
+            workdir_lib.remove_made(folder)
         return f"stopped; {afterwards(*parsed)}" if parsed else "stopped"
+
+    stop.ended = stopped
 
     with distributed.together():
         flags.answer(action, stopped)
@@ -181,10 +185,12 @@ def main(argv: list[str] | None = None) -> None:
 def afterwards(command: Command) -> str:
     """What the same command will do after this one was stopped."""
     goes_on = SWEEP_GOES_ON if command.sweep else GOES_ON
-    if distributed.several() and not distributed.first():
-        return f"{goes_on}, if there is one"  # which the first process can see
-    if not command.sweep and not workdir_lib.saved(command.workdir):
-        return "there is no checkpoint yet, the same command starts anew"
+    if distributed.several() and not distributed.first():  # which cannot see it
+        return f"{goes_on.format('the last checkpoint')}, if there is one"
+    if not command.sweep:
+        if not (saved := workdir_lib.saved(command.workdir)):
+            return "there is no checkpoint yet, the same command starts anew"
+        goes_on = goes_on.format(f"iteration {saved[0]}")
     return goes_on.replace("command", "command without --fresh") if command.fresh else goes_on
 
 

@@ -125,6 +125,30 @@ def test_ctrl_c_in_a_finalizer_interrupts_a_moment_later(capsys, listening):
     assert err.endswith("dynappo: stopped\n") and sys.unraisablehook is before
 
 
+def test_a_second_ctrl_c_in_that_moment_is_ignored(capfd, listening):
+    """It comes while the first one is taken up: once it was an `Exception ignored in`, and both were lost."""
+
+    class First(KeyboardInterrupt):
+        @property
+        def args(self):  # pyright: ignore[reportIncompatibleVariableOverride]
+            more.append(None)
+            if len(more) == 2:
+                signal.raise_signal(signal.SIGINT)
+            return ()
+
+    def ctrl_c():
+        raise First
+
+    def action():
+        Dying(ctrl_c)
+        time.sleep(20)
+        raise AssertionError("not interrupted")
+
+    more = [None]
+    assert status(lambda _: flags.answer(action)) == 130 and len(more) > 2
+    assert capfd.readouterr().err == "dynappo: stopped\n"
+
+
 COMMANDS = ("train", "adopt", "look", "play", "evaluate", "export", "bench")
 
 
