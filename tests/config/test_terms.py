@@ -134,7 +134,7 @@ MISTAKES = {  # of a file -> a part of the line
     "".join(f"@terms.command(draws=1)\ndef {c}(draw): return draw\n" for c in "cd"): "two commands, c and d",
     "@terms.reward(weight=1.0)\nclass Term: pass\n": "the term Term is no function",
     "@terms.reward(-1.0)\ndef f(torque): return 0.0\n": "@terms.reward: too many positional arguments; write",
-    "@terms.reward(wight=1.0)\ndef f(torque): return 0.0\n": "'weight'; write @terms.reward(weight=...)",
+    "@terms.reward(weights=1.0)\ndef f(torque): return 0.0\n": "'weight'; write @terms.reward(weight=...)",
 } | {  # each decorator without its parentheses
     f"@terms.{name}\ndef f(): return 0.0\n": f"write @terms.{name}({needed})"
     for name, needed in dict(
