@@ -64,7 +64,7 @@ def parse(argv: list[str] | None):
     parser.add_argument(
         "--out", type=flags.path, metavar="FILE.json", help="write all numbers to this file"
     )
-    known, rest = flags.read_known(parser, argv)
+    known, rest = flags.read_with_fields(parser, argv)
     repeats = flags.whole("repeats", known.repeats, 1, 10_000)
     if known.out:  # before minutes of measuring
         flags.check_writable(known.out)

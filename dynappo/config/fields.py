@@ -7,6 +7,7 @@ import functools
 import math
 import re
 import runpy
+from collections.abc import Iterable
 from types import UnionType
 from typing import Annotated, Any, Literal, NamedTuple, Union, get_args, get_origin, get_type_hints
 
@@ -237,11 +238,11 @@ def check_names(values: dict[str, Any]) -> None:
             raise ConfigError(f"{name} is not a field; {near(name)}")
 
 
-def near(name: str) -> str:
-    """What to do about a name that is not a field."""
+def near(name: str, names: Iterable[str] = ()) -> str:
+    """What to do about a name that is not a field, nor one of `names`, which a config may have besides."""
     import difflib
 
-    close = difflib.get_close_matches(name, every(), 1, 0.4)
+    close = difflib.get_close_matches(name, {**every(), **dict.fromkeys(names)}, 1, 0.4)
     return f"did you mean {close[0]}?" if close else "configs/default.py lists all fields"
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import _thread
 import argparse
 import contextlib
+import difflib
 import errno
 import importlib
 import io
@@ -14,7 +15,8 @@ import reprlib
 import signal
 import sys
 import threading
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from dynappo import config as config_lib
@@ -31,13 +33,20 @@ LINE = 1500  # of a line: a robot's file may break several rules
 STOPPED = (129, 130, 143)  # exit statuses of a command that was stopped by a signal
 
 
+class Help(argparse.RawDescriptionHelpFormatter):
+    """Help whose commands and files are as they can be typed and found here."""
+
+    def format_help(self) -> str:
+        return shell.pasted(super().format_help())
+
+
 def parser(command: str, description: str, epilog: str) -> argparse.ArgumentParser:
     """A parser of `dynappo COMMAND`; the commands in `epilog` are printed as they are called here."""
     return argparse.ArgumentParser(
         prog=f"dynappo {command}",
         description=description,
-        epilog=shell.pasted(epilog),
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        epilog=epilog,
+        formatter_class=Help,
         allow_abbrev=False,
         exit_on_error=False,
     )
@@ -46,7 +55,10 @@ def parser(command: str, description: str, epilog: str) -> argparse.ArgumentPars
 def read_known(
     of: argparse.ArgumentParser, argv: list[str] | None
 ) -> tuple[argparse.Namespace, list[str]]:
-    """`(flags, the rest)` of `argv`, or of the command line; ConfigError if one cannot be understood."""
+    """`(flags, the rest)` of `argv`, or of the command line; ConfigError if one cannot be understood.
+
+    The rest is for a command that takes fields of the config, too (`set_fields`).
+    """
     try:
         flags, rest = of.parse_known_args(argv)
     except argparse.ArgumentError as error:
@@ -62,21 +74,64 @@ def read(of: argparse.ArgumentParser, argv: list[str] | None) -> argparse.Namesp
     """The flags; ConfigError also where there are others."""
     flags, rest = read_known(of, argv)
     if rest:
-        of_all = f"python -m {of.prog.replace(' ', '.')} --help"
-        raise ConfigError(f"{rest[0]}: no such flag; {of_all} lists them")
+        of_all = f"python -m {of.prog.replace(' ', '.')} --help lists them"
+        raise ConfigError(f"{rest[0]}: no such flag; {_meant(of, rest[0]) or of_all}")
     return flags
 
 
-def load(spec: str | None, rest: list[str]):
+def read_with_fields(
+    of: argparse.ArgumentParser, argv: list[str] | None
+) -> tuple[argparse.Namespace, list[str]]:
+    """As `read_known`; ConfigError where the rest has more than `--config.GROUP.FIELD=VALUE`."""
+    flags, rest = read_known(of, argv)
+    for word, _ in _fields(rest):
+        if not word.startswith("--config."):
+            unnamed = getattr(flags, "config", "") is None
+            raise ConfigError(_no_flag(word, _meant(of, word, unnamed)))
+    return flags, rest
+
+
+def _meant(of: argparse.ArgumentParser, word: str, unnamed: bool = False) -> str:
+    """What may be meant by a word that is no flag of a command: a flag like it, or, where `unnamed` says that
+    --config is missing, a config or the folder of a run; "" where nothing is."""
+    known, near = re.findall(r"--[a-z][a-z-]*", of.format_usage()), []
+    if word.startswith("-") or "=" in word:
+        near = difflib.get_close_matches(f"--{word.lstrip('-').partition('=')[0]}", known, 1)
+    elif unnamed and os.path.isdir(word) and "--workdir" in known:
+        near = [f"--workdir={word}"]
+    elif unnamed and re.fullmatch(r"([A-Za-z_]\w*|.*\.py)(:\w+)*", word):
+        near = [f"--config={word}"]
+    return f"did you mean {near[0]}?" if near else ""
+
+
+def _no_flag(word: str, meant: str = "") -> str:
+    """The line on a word that is no flag: the field of its name, or what was `meant`."""
+    name = word.lstrip("-").partition("=")[0].replace("-", "_")
+    named = [f"--config.{n}" for n in fields.every() if n.rpartition(".")[2] == name]
+    expected = f"expected {' or '.join(named or ['--config.GROUP.FIELD'])}=VALUE"
+    return f"{word}: no such flag; {expected if named or not meant else meant}"
+
+
+def _fields(rest: list[str]) -> Iterator[tuple[str, str]]:
+    """`(flag, value)` of `--flag=value` and of `--flag value`; the flag may be anything."""
+    words = iter(rest)
+    for word in words:
+        flag, equals, value = (
+            word.partition("=") if word.startswith("--config.") else (word, "=", "")
+        )
+        yield flag, value if equals else next(words, "")
+
+
+def load(spec: str | None, rest: list[str], flag: str = "--config"):
     """The config `--config=SPEC` with every `--config.GROUP.FIELD=VALUE` of `rest`; not validated."""
-    return load_both(spec, rest)[0]
+    return load_both(spec, rest, flag)[0]
 
 
-def load_both(spec: str | None, rest: list[str]):
+def load_both(spec: str | None, rest: list[str], flag: str = "--config"):
     """`load(spec, rest)`, and the `get_env` that the file may define (`loading.load_both`)."""
     if not spec:
         raise ConfigError("--config is missing; try --config=go1:laptop")
-    config, get_env = config_lib.load_both(spec)
+    config, get_env = config_lib.load_both(spec, flag)
     set_fields(config, rest)
     return config, get_env
 
@@ -118,15 +173,10 @@ def check_terms(config, workdir: Path) -> None:
 def set_fields(config, rest: list[str]) -> None:
     """Set every `--config.GROUP.FIELD=VALUE` of `rest`."""
     # the file of terms first: others may be fields of these
-    more = iter(sorted(rest, key=lambda flag: not flag.startswith("--config.task.terms=")))
-    for flag in more:
+    for flag, text in sorted(_fields(rest), key=lambda given: given[0] != "--config.task.terms"):
         if not flag.startswith("--config."):
-            name = flag.lstrip("-").partition("=")[0].replace("-", "_")
-            named = [f"--config.{n}" for n in fields.every() if n.rpartition(".")[2] == name]
-            expected = " or ".join(named or ["--config.GROUP.FIELD"])
-            raise ConfigError(f"{flag}: no such flag; expected {expected}=VALUE")
-        field, equals, text = flag.removeprefix("--config.").partition("=")
-        config_lib.override(config, field, text if equals else next(more, ""))
+            raise ConfigError(_no_flag(flag))
+        config_lib.override(config, flag.removeprefix("--config."), text)
     ground_map.settle(config, any(flag.startswith("--config.task.tiles.") for flag in rest))
 
 
@@ -240,11 +290,21 @@ def answer(action: Callable[[], None], stopped: str | Callable[[], str] = "stopp
 
 def _interrupt_again(lost) -> None:
     """Python prints what a finalizer raises (JAX has some), and goes on; ctrl-C is raised again instead."""
-    if isinstance(lost.exc_value, KeyboardInterrupt):
-        status = (*lost.exc_value.args, 130)[0]
-        threading.Timer(0.05, _interrupt, [signal.Signals(status - 128)]).start()
-    else:
+    if not isinstance(lost.exc_value, KeyboardInterrupt):
         sys.__unraisablehook__(lost)
+        return
+    begun = None
+    while (
+        begun is None
+    ):  # one that comes meanwhile is ignored; a `threading.Thread` would be waited for
+        with contextlib.suppress(KeyboardInterrupt):
+            status = (*lost.exc_value.args, 130)[0]
+            begun = _thread.start_new_thread(_interrupt_later, (signal.Signals(status - 128),))
+
+
+def _interrupt_later(number: signal.Signals) -> None:
+    time.sleep(0.05)
+    _interrupt(number)
 
 
 def _interrupt(number: signal.Signals = signal.SIGINT) -> None:

@@ -17,7 +17,7 @@ from typing import Any
 
 from ml_collections import config_dict
 
-from dynappo.config import fields, own_code, terms
+from dynappo.config import fields, files, own_code, terms
 from dynappo.config.fields import ConfigError, flat
 from dynappo.config.files import find
 
@@ -36,12 +36,15 @@ def load(spec: str) -> config_dict.ConfigDict:
     return load_both(spec)[0]
 
 
-def load_both(spec: str) -> tuple[config_dict.ConfigDict, Callable[[Any], Any] | None]:
+def load_both(
+    spec: str, flag: str = "--config"
+) -> tuple[config_dict.ConfigDict, Callable[[Any], Any] | None]:
     """`load(spec)`, and the `get_env(config)` that the file may define; else None.
 
     Where it does, `robot` is "": what is trained is no robot of dynappo's. What `get_env` raises comes as a
-    ConfigError of one line.
+    ConfigError of one line. `flag` is where `spec` was named; "": not by a flag.
     """
+    of = f"{flag}: " if flag else ""
     name, _, variant = spec.partition(":")
     path = pathlib.Path(f"configs/{name}.py" if name.isidentifier() else name)
     looked_up = path.parent in OWN
@@ -49,19 +52,20 @@ def load_both(spec: str) -> tuple[config_dict.ConfigDict, Callable[[Any], Any] |
         path = find("configs", path.name) or path
     if not path.is_file():
         where = " here or among dynappo's own configs" if looked_up else ""
-        raise ConfigError(f"--config: no file {name!r}{where}")
+        with_one = [robot for robot in files.robots() if find("configs", f"{robot}.py")]
+        robots = f"; robots that have one are {', '.join(with_one)}" if name.isidentifier() else ""
+        raise ConfigError(f"{of}no file {name!r}{where}{robots}")
     try:
         config, get_env = _run(path, variant)
         fields.check_names(flat(config))
     except ConfigError as error:
         own = looked_up and path == find("configs", path.name, own=True)
-        raise ConfigError(
-            f"--config={spec}: {error}" if own else f"--config: {path}: {error}"
-        ) from None
+        told = f"{flag}={spec}".lstrip("=") if own else f"{of}{path}"
+        raise ConfigError(f"{told}: {error}") from None
     except ValueError as error:  # of a variant
-        raise ConfigError(f"--config={spec}: {_line(error)}") from None
+        raise ConfigError(f"{flag}={spec}: {_line(error)}".lstrip("=")) from None
     except (Exception, SystemExit) as error:  # a file that ends Python must not look like a success
-        raise ConfigError(f"--config: {path}: get_config {_cannot_be_run(error)}") from None
+        raise ConfigError(f"{of}{path}: get_config {_cannot_be_run(error)}") from None
     if get_env is None:
         return config, None
     config.robot, config.code = "", own_code.digest(path)
@@ -70,9 +74,9 @@ def load_both(spec: str) -> tuple[config_dict.ConfigDict, Callable[[Any], Any] |
         try:
             return get_env(config)
         except ConfigError as error:
-            raise ConfigError(f"--config: {path}: {error}") from None
+            raise ConfigError(f"{of}{path}: {error}") from None
         except (Exception, SystemExit) as error:
-            raise ConfigError(f"--config: {path}: get_env {_cannot_be_run(error)}") from None
+            raise ConfigError(f"{of}{path}: get_env {_cannot_be_run(error)}") from None
 
     return config, one_line
 
@@ -125,7 +129,9 @@ def override(config: config_dict.ConfigDict, field: str, text: str) -> None:
         node = functools.reduce(lambda c, k: c[k], filter(None, group.split(".")), config)
         old = node[leaf]
     except (KeyError, TypeError, AttributeError):
-        raise ConfigError(f"--config.{field}: no such field; {fields.near(field)}") from None
+        raise ConfigError(
+            f"--config.{field}: no such field; {fields.near(field, flat(config))}"
+        ) from None
     own = field.partition(".")[0] in ("task", "physics") and field not in OF_NAMED
     if config.get("env") and own:
         raise ConfigError(
@@ -192,8 +198,18 @@ def difference(old: str, new: str, except_for=()) -> str:
     for name in (name for name in before if name in after and name not in except_for):
         if name == "code" and before[name] != after[name]:
             return "the file with get_env, or one that it imports, has changed; comments and get_config may"
-        if before[name] != after[name] and name == "task.terms_hash":
-            return f"the code of its terms, {before['task.terms'] or 'none'}, is another now"
+        if before[name] != after[name] and name in ("task.terms_hash", "task.terms_about"):
+            return _terms_apart(before, after)
         if before[name] != after[name]:
-            return f"{name} {before[name]} there, {after[name]} here"
+            there, here = ("none" if each == "" else each for each in (before[name], after[name]))
+            return f"{name} {there} there, {here} here"
     return ""
+
+
+def _terms_apart(before: dict[str, Any], after: dict[str, Any]) -> str:
+    """In words, how the terms of two configs differ."""
+    there, here = (terms.told(each.get("task.terms_about") or "") for each in (before, after))
+    if there == here:
+        return f"the code of its terms, {before.get('task.terms') or 'none'}, is another now"
+    there, here = (", ".join(names) or "none" for names in (there, here))
+    return f"with terms {there} there, {here} here"

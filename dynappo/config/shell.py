@@ -12,7 +12,7 @@ import sys
 from importlib import metadata
 from pathlib import Path
 
-from dynappo.config import versions
+from dynappo.config import files, versions
 
 
 def command_line() -> str:
@@ -34,8 +34,16 @@ def line(command: str, *words) -> str:
 
 
 def pasted(text: str) -> str:
-    """`text` with every `python -m dynappo.COMMAND` as it can be typed here."""
-    return re.sub(r"python -m dynappo\.(\w+)", lambda m: f"{command_line()} {m[1]}", text)
+    """`text` with every `python -m dynappo.COMMAND` as it can be typed here, and every file of configs/ and
+    robots/ by its full path where that is in a wheel."""
+    text = re.sub(r"python -m dynappo\.(\w+)", lambda m: f"{command_line()} {m[1]}", text)
+    return re.sub(r"(?<![\w./\\=-])(configs|robots)/[\w./]*\w", lambda m: _located(m[0]), text)
+
+
+def _located(name: str) -> str:
+    """A file of configs/ or robots/ as it can be opened: in a clone it is in sight."""
+    ours = files.PACKAGE / name
+    return str(ours) if ours.is_file() and not os.path.exists(name) else name
 
 
 def install(extra: str) -> str:

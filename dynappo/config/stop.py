@@ -10,24 +10,29 @@ import stat
 import sys
 import threading
 import time
+from collections.abc import Callable
 
 AGAIN = 1.0  # s after which a signal is a second one: what hands a signal on may send the first one twice
 PATIENCE = 1.5  # s in which an interrupted command must end, or hear that it is interrupted
+LAST = 0.5  # s in which the line on its end must be found
 
 
 class Stop:
     """Catches these signals while it is entered. Never entered, it asks for nothing.
 
     A signal interrupts. While the loop of a run trains, it is `patient` instead: the first signal asks the
-    loop to save and stop, and a second one interrupts. `status` is the exit status that it means.
+    loop to save and stop, and a second one interrupts. `status` is the exit status that it means. `waits` is
+    what is said at once of that first signal, since the loop may hear of it much later; "": nothing.
 
     Python calls a handler only between two of its own instructions, not while XLA compiles or computes in
     the main thread; and a library may catch the KeyboardInterrupt. So a thread ends the process if it is
-    there `PATIENCE` after an interruption. That is no worse than kill -9: what is saved stays whole.
+    there `PATIENCE` after an interruption, with the line that `ended` gives. That is no worse than kill -9:
+    what is saved stays whole.
     """
 
     def __init__(self):
-        self.status, self.patient = 0, False
+        self.status, self.patient, self.waits = 0, False, ""
+        self.ended: Callable[[], str] = lambda: "stopped"
         self.first: float | None = None  # when the first signal came
         self.interrupted, self.over = threading.Event(), threading.Event()
 
@@ -67,8 +72,21 @@ class Stop:
             while numbers := signals.recv(100):
                 # a patient one is given the time to finish what it saves
                 done = self.interrupted if self.patient else self.over
-                if self._interrupts() and not done.wait(PATIENCE) and not self.over.is_set():
-                    _end(128 + numbers[-1])
+                if not self._interrupts():
+                    self._say()
+                elif not done.wait(PATIENCE) and not self.over.is_set():
+                    _end(128 + numbers[-1], self.ended)
+
+    def _say(self) -> None:
+        """Print `waits`, once; in a thread, for the main one may hold the locks of the streams."""
+        text, self.waits = self.waits, ""
+
+        def printed():
+            with contextlib.suppress(OSError, ValueError):  # the terminal may be gone
+                print(f"dynappo: {text}", file=sys.stderr, flush=True)
+
+        if text and not self.over.is_set():
+            threading.Thread(target=printed, daemon=True).start()
 
 
 def leave(status: int) -> None:
@@ -96,10 +114,20 @@ def _print_nowhere() -> None:
             os.dup2(nowhere, number)
 
 
-def _end(status: int) -> None:
-    """`leave` with a line, from another thread than the main one, which may hold the locks of the streams."""
+def _end(status: int, line: Callable[[], str]) -> None:
+    """`leave` with a line, from another thread than the main one, which may hold the locks of the streams,
+    and others, for which `line` would wait."""
+    found = ["stopped"]
+
+    def find():
+        with contextlib.suppress(Exception):
+            found.append(line())
+
+    finding = threading.Thread(target=find, daemon=True)
+    finding.start()
+    finding.join(LAST)
     with contextlib.suppress(OSError):
         if os.isatty(1):
             os.write(1, b"\x1b[?25h\n")  # the cursor, which a progress bar hides
-        os.write(2, b"dynappo: stopped\n")
+        os.write(2, f"dynappo: {found[-1]}\n".encode(errors="backslashreplace"))
     os._exit(status)

@@ -31,10 +31,11 @@ import json
 import math
 import os
 import runpy
+import textwrap
 import traceback
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, ParamSpec, TypeVar
 
 from dynappo.config import fields, shell
 from dynappo.config.fields import ConfigError
@@ -107,18 +108,54 @@ class Terms(NamedTuple):
         return [term for group in of for term in group.values()] + [*filter(None, [self.command])]
 
 
+# what to do about JAX's errors of a value that it does not know yet
+UNTRACED = {
+    "TracerBoolConversionError": "no `if`, `and`, `or`, `not`, min() or max() on a value: x * (x > 0), or "
+    "xp.where with xp = x.__array_namespace__()",
+    "TracerArrayConversionError": "NumPy cannot have the value: use xp = x.__array_namespace__() in the "
+    "place of np",
+    "ConcretizationTypeError": "no float(), int() or math on a value: x * 1.0, or a function of "
+    "xp = x.__array_namespace__()",
+    "TracerIntegerConversionError": "no value as an index or a range: xp.where, with "
+    "xp = x.__array_namespace__()",
+    "NonConcreteBooleanIndexError": "no x[condition]: x * condition, or xp.where with "
+    "xp = x.__array_namespace__()",
+}
 NONE = Terms()
+P = ParamSpec("P")
+R = TypeVar("R")
 _READ: dict[str, Terms] = {}  # by digest: what this process has read
 
 
 # ---- the decorators
 
 
+def _in_parentheses(make: Callable[P, R]) -> Callable[P, R]:
+    """`make` with a ConfigError of one line for `@terms.reward` without parentheses, or with wrong ones."""
+    signature = inspect.signature(make)
+    needed = [f"{p.name}=..." for p in signature.parameters.values() if p.default is p.empty]
+    name = getattr(make, "__name__", "")
+
+    @functools.wraps(make)
+    def called(*args: P.args, **kwargs: P.kwargs) -> R:
+        try:
+            signature.bind(*args, **kwargs)
+        except TypeError as error:
+            of = getattr(args[0], "__name__", "") if args else ""
+            wrong = f"{of} has a decorator without parentheses" if of else f"@terms.{name}: {error}"
+            raise ConfigError(f"{wrong}; write @terms.{name}({', '.join(needed)})") from None
+        return make(*args, **kwargs)
+
+    return called
+
+
+@_in_parentheses
 def reward(*, weight: float | None, numbers: Mapping[str, float] | None = None):
     """A term of the reward: one number of a robot. `weight`, 1/s, has the sign; None leaves it out."""
     return _marked(Reward(_number("weight", weight, none=True)), numbers)
 
 
+@_in_parentheses
 def observation(
     *,
     size: int | None,
@@ -140,6 +177,7 @@ def observation(
     return _marked(_checked(seen), numbers)
 
 
+@_in_parentheses
 def known(
     *,
     start: tuple[float, ...],
@@ -159,11 +197,13 @@ def known(
     return _marked(_checked(seen), numbers)
 
 
+@_in_parentheses
 def termination(*, timeout: bool = False, numbers: Mapping[str, float] | None = None):
     """An end of an episode: True where it ends, as a fall does; with `timeout` as the time does."""
     return _marked(Termination(timeout), numbers)
 
 
+@_in_parentheses
 def command(*, draws: int, numbers: Mapping[str, float] | None = None):
     """What draws a command [3] (m/s, m/s, rad/s) from `draw`, so many numbers from 0 to 1, in the place of
     uniform ones in `task.command_x`, `command_y` and `command_yaw`."""
@@ -172,6 +212,7 @@ def command(*, draws: int, numbers: Mapping[str, float] | None = None):
     return _marked(Command(draws), numbers)
 
 
+@_in_parentheses
 def curriculum(
     *, start: float, evaluated: float | None = None, numbers: Mapping[str, float] | None = None
 ):
@@ -376,6 +417,17 @@ def _about(terms: Terms) -> str:
     )
 
 
+def told(about: str) -> list[str]:
+    """The names of the terms in what `_about` wrote; none where it is something else."""
+    try:
+        found = json.loads(about or "{}")
+        seen = [each["name"] for each in found.get("observation", [])]
+        names = [*found.get("rewards", []), *seen, *found.get("terminations", [])]
+        return list(dict.fromkeys(map(str, [*names, *filter(None, [found.get("command")])])))
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
+        return []
+
+
 def _part(name: str, term: Term, *, noise, start, **of) -> dict[str, Any]:
     content = " ".join((term.function.__doc__ or "").strip().partition("\n")[0].split())[:CONTENT]
     noisy, known = noise is not None, start is not None
@@ -393,7 +445,7 @@ def of(task) -> Terms:
     if digest not in _READ:
         raise ConfigError(
             f"its terms are code in {task.get('terms')!r}, which is not run unasked; "
-            "name the file: --terms=FILE (train: --config.task.terms=FILE)"
+            "name the file: --terms=FILE"
         )
     return _READ[digest]
 
@@ -430,10 +482,18 @@ def call(term: Term, facts: Mapping[str, Any]) -> Any:
         every = traceback.extract_tb(error.__traceback__)
         frames = [frame for frame in every if frame.filename == term.file]
         line = f", line {frames[-1].lineno}" if frames else ""
-        text = " ".join(str(error).split())[:240]
+        text = _in_words(error)
         raise ConfigError(
-            f"the term {term.name} of {term.file}{line} cannot be run: {type(error).__name__}: {text}"
+            f"the term {term.name} of {term.file}{line} cannot be run: {text}"
         ) from None
+
+
+def _in_words(error: Exception) -> str:
+    """What a term has raised: for what JAX cannot trace what to do, else the error, cut between words."""
+    name = type(error).__name__  # JAX is not imported here
+    if name in UNTRACED:
+        return f"{UNTRACED[name]} (docs/task.md)"
+    return textwrap.shorten(f"{name}: {error}", 300, placeholder=" ...")
 
 
 def guarded(term: Term) -> Callable[..., Any]:

@@ -17,7 +17,7 @@ import contextlib
 import json
 from pathlib import Path
 
-from dynappo.config import ConfigError, files
+from dynappo.config import ConfigError, files, shell
 from dynappo.config import flags as flags_lib
 from dynappo.description.robot import Robot
 from dynappo.evaluate import (
@@ -248,7 +248,8 @@ def run(flags) -> None:
     open_folder(out)
     screen = Console(highlight=False)
     inside = f" in {player.xml}" if flags.robot_xml else ""
-    screen.print(f"dynappo evaluates {policy.robot}: {named}{inside}", soft_wrap=True, markup=False)
+    text = shell.pasted(f"dynappo evaluates {policy.robot}: {named}{inside}")
+    screen.print(text, soft_wrap=True, markup=False)
     for line in filter(None, (note, replaced(out, named))):
         screen.print(line, soft_wrap=True, markup=False)
     if flags.crossing:

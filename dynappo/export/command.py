@@ -109,7 +109,12 @@ def table(policy: Policy, out: Path, order: str, targets: bool) -> list[tuple[st
         )
         rows = [("written", f"{out} ({out.stat().st_size / 1024:.0f} KiB, {kind})")]
         return [*rows, ("joints", joints)]
-    return [*rows, ("joints", joints), ("try", after), ("on a robot", "robots/DEPLOY.md")]
+    return [
+        *rows,
+        ("joints", joints),
+        ("try", after),
+        ("on a robot", shell.pasted("robots/DEPLOY.md")),
+    ]
 
 
 def run(flags) -> None:
@@ -133,7 +138,7 @@ def run(flags) -> None:
         files.write_text(flags.out, deploy_yaml.text(policy, robot))
     else:
         onnx_file.save(policy, robot, flags.out, flags.targets)
-    print(f"dynappo exports {policy.robot}: {named}")
+    print(shell.pasted(f"dynappo exports {policy.robot}: {named}"))
     if flags.robot_xml and not same_pose(policy, robot):
         note = f"note: the default pose of {robot.xml} is another; the policy keeps its own"
     if note:

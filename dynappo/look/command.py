@@ -63,13 +63,13 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
     )
     flag("--out", metavar="FILE.png", type=flags_lib.path, help="a picture: looks, feet and parts")
     flag("--ground", metavar="FILE.png", type=flags_lib.path, help="a picture of a rough ground")
-    flags, rest = flags_lib.read_known(parser, argv)
+    flags, rest = flags_lib.read_with_fields(parser, argv)
     if not flags.what:
         raise ConfigError("no config given; try: python -m dynappo.look go1")
     for name, out in (("out", flags.out), ("ground", flags.ground)):
         if out is not None and out.suffix != ".png":
             raise ConfigError(f"--{name}={out}: expected a file named .png")
-    flags.config = config_lib.validate(flags_lib.load(flags.what, rest))
+    flags.config = config_lib.validate(flags_lib.load(flags.what, rest, flag=""))
     if not flags.config.robot:
         raise ConfigError(
             f"{flags.what}: expected a robot; that of a Playground task is shown by dynappo play WORKDIR "

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from dynappo import config as config_lib
-from dynappo.config import ConfigError, files
+from dynappo.config import ConfigError, files, shell
 from dynappo.config import flags as flags_lib
 from dynappo.description import robot as robot_lib
 from dynappo.page import episode_page
@@ -219,7 +219,7 @@ def run(flags) -> None:
         if flags.command is None:  # to be steered from standing
             commands = commands._replace(at=lambda t: np.zeros(3), text=viewer.KEYS)
     notes = [other, command_script.outside(command_script.ranges_of(policy), commands)]
-    print(f"dynappo plays {policy.robot}: {acts}; {commands.text}")
+    print(shell.pasted(f"dynappo plays {policy.robot}: {acts}; {commands.text}"))
     if flags.robot_xml:
         ms = player.model.opt.timestep * 1e3
         motors = "motors, joint damping and friction are the policy's"

@@ -8,7 +8,7 @@ import threading
 from collections.abc import Callable
 from typing import Any
 
-from dynappo.config import ConfigError
+from dynappo.config import ConfigError, shell
 from dynappo.play import task_episode
 from dynappo.policy import episode as episode_lib
 from dynappo.policy import policy_source
@@ -42,7 +42,7 @@ def run(
             at = lambda t: around(t % TOUR)  # noqa: E731
         if commands and not len(live.ranges(first.player)):
             raise ConfigError(f"--command: {live.name(first.player)} has no command to follow")
-        print(f"dynappo plays {live.name(first.player)}: {first.text}")
+        print(shell.pasted(f"dynappo plays {live.name(first.player)}: {first.text}"))
         if first.note:
             print(first.note)
 

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from dynappo.config import terms
 from dynappo.program import distributed
 from dynappo.program.build import Program
 from dynappo.run import blowups, log, merged, overflow
@@ -79,6 +80,8 @@ def loop(
                 if line and i not in told:  # once a run
                     told.add(i)
                     say(line)
+                if first == 0 and (line := unpaid(chunks[i], runs[i].config)):
+                    say(line)
             except FloatingPointError as error:
                 blown_up(runs[i], done, error)
                 del chunks[i]
@@ -107,6 +110,16 @@ def loop(
     for action in later:
         action()
     return state, good
+
+
+def unpaid(chunk: dict[str, np.ndarray], config) -> str:
+    """A line on reward terms of one's own that were 0 in every row of a run's first chunk; "" without any."""
+    weights, none = config.task.weights, np.ones(1)
+    own = [f"reward_{name}" for name in terms.of(config.task).rewards if weights[name]]
+    zero = [name for name in own if not chunk.get(name, none).any()]
+    if not zero:
+        return ""
+    return f"{', '.join(zero)} is 0 in every row so far; docs/task.md has unit and zero of what terms ask for"
 
 
 def seconds_so_far(run: OpenRun) -> float:

@@ -30,6 +30,8 @@ from dynappo.run import loop as loop_lib
 from dynappo.run import workdir as workdir_lib
 from dynappo.run.workdir import OpenRun
 
+WAITS = "stopping after this block of iterations; again to stop now"
+
 
 class Run(NamedTuple):
     """A run to be trained."""
@@ -183,7 +185,7 @@ def resume_and_loop(
     callbacks, stop, run = callbacks or Callbacks(), stop or Stop(), runs[0].config.run
     part = partial(merged.part, runs=len(runs), seeds=run.num_seeds)
     open_runs, states, starts = [], [], []
-    stop.patient = True
+    stop.patient, stop.waits = True, WAITS if distributed.first() else ""
     try:
         with contextlib.ExitStack() as files:  # also where it is interrupted: a save is finished
             for i, one in enumerate(runs):

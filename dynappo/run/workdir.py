@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import difflib
 import errno
 import itertools
 import json
@@ -38,6 +39,10 @@ WRITTEN = (
 SUMMED = ("episode_return", "episodes", "episode_return_sum")
 
 
+# open folders that were not there before: these and those above them, and what their config.json says
+_MADE: dict[Path, tuple[list[Path], str]] = {}
+
+
 class OpenRun(NamedTuple):
     """A run that trains: its config, its open folder, and the metrics of its iterations so far."""
 
@@ -64,7 +69,8 @@ def open_workdir(workdir: Path, config, fresh: bool = False, say=lambda text: No
 
     If a run has begun in it, only fields that do not change what is computed may differ (`MAY_CHANGE`): a run
     can be made longer or filmed again. `say` reports a run of another version of dynappo. `fresh` moves the
-    run that is there to `WORKDIR.old-1`, and starts anew. Of several processes the first does all this.
+    run that is there to `WORKDIR.old-1`, and starts anew. A new folder is removed if the `with` fails before
+    anything is computed. Of several processes the first does all this.
     """
     with contextlib.ExitStack() as held:
         distributed.on_first(lambda: _open(workdir, config, fresh, held, say))
@@ -75,8 +81,12 @@ def _open(workdir: Path, config, fresh: bool, held: contextlib.ExitStack, say) -
     try:
         if fresh and _movable(workdir):
             say(f"the run that was there is {move_aside(workdir)} now")
+        missing = [folder for folder in (workdir, *workdir.parents) if not folder.exists()]
         workdir.mkdir(parents=True, exist_ok=True)
         held.enter_context(hold(workdir))
+        if missing:
+            _MADE[workdir] = missing, config_lib.to_json(config) + "\n"
+            held.enter_context(_removed_if_unused(workdir))
         for name in ("config.json", "metrics.csv", "restored_from"):
             files.check_regular(workdir / name)
         text, path = config_lib.to_json(config), workdir / "config.json"
@@ -99,6 +109,38 @@ def _open(workdir: Path, config, fresh: bool, held: contextlib.ExitStack, say) -
         raise ConfigError(
             f"--workdir={workdir}: cannot write there ({error.strerror}); choose another folder"
         ) from None
+
+
+def new_folders() -> list[Path]:
+    """The open folders that were not there before."""
+    return [*_MADE]
+
+
+@contextlib.contextmanager
+def _removed_if_unused(workdir: Path):
+    """`remove_made` where the `with` fails."""
+    try:
+        yield
+    except BaseException:
+        remove_made(workdir)
+        raise
+    finally:
+        del _MADE[workdir]
+
+
+def remove_made(workdir: Path) -> None:
+    """Remove a folder that this process has made, if it holds only what `open_workdir` wrote into it."""
+    if workdir not in _MADE:
+        return
+    missing, text = _MADE[workdir]
+    ours = {"config.json": text, "lock": files.holder()}
+    with contextlib.suppress(OSError, ValueError):
+        there = [*workdir.iterdir()]
+        own = all(path.name in ours and path.read_text() == ours[path.name] for path in there)
+        for path in there if own else ():
+            path.unlink()
+        for folder in missing if own else ():
+            folder.rmdir()  # those above may hold another run by now
 
 
 def _compare(workdir: Path, here: str) -> None:
@@ -126,6 +168,14 @@ def _compare(workdir: Path, here: str) -> None:
                 f"--workdir={workdir} holds a run of another config ({changed}); "
                 "choose another folder, or --fresh to move that run aside"
             )
+
+
+def no_run(workdir: Path) -> str:
+    """The line on a folder that holds no run to go on with, and the run beside it whose name is like its."""
+    beside = [path.parent.name for path in workdir.parent.glob("*/config.json")]
+    near = difflib.get_close_matches(workdir.name, beside, 1)
+    meant = f"did you mean --workdir={workdir.parent / near[0]}? " if near else ""
+    return f"--workdir={workdir}: no run there to go on with; {meant}--config=NAME, as go1:laptop, starts one"
 
 
 def _may_change(text: str) -> Sequence[str]:

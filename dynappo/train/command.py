@@ -24,7 +24,7 @@ from dynappo.sweeps import grid
 from dynappo.sweeps import sweep as sweep_lib
 from dynappo.web import address, child
 
-GOES_ON = "the same command goes on from the last checkpoint"
+GOES_ON = "the same command goes on from {}"
 SWEEP_GOES_ON = "the same command goes on with the sweep"
 USAGE = """\
 examples
@@ -77,6 +77,12 @@ def parse(argv: list[str] | None) -> Command:
         help="start from the networks of another workdir, a checkpoint or a policy.npz",
     )
     parser.add_argument(
+        "--terms",
+        type=flags.path,
+        metavar="FILE",
+        help="terms of your own, which run as Python (docs/task.md); same as --config.task.terms=FILE",
+    )
+    parser.add_argument(
         "--logs",
         type=flags.path,
         metavar="FILE",
@@ -99,13 +105,16 @@ def parse(argv: list[str] | None) -> Command:
     several.add_argument("--coordinator", metavar="HOST:PORT", help="of process 0")
     several.add_argument("--processes", type=int, metavar="N")
     several.add_argument("--process", type=int, metavar="I", help="0 to N-1")
-    known, rest = flags.read_known(parser, argv)
+    known, rest = flags.read_with_fields(parser, argv)
+    rest += [f"--config.task.terms={known.terms}"] if known.terms else []
     here = known.config is None and known.workdir
     swept = grid.read(known.sweep or [])
     if here and not swept and sweep_folder.is_one(known.workdir):
         (config, swept), get_env = sweep_folder.load(known.workdir, rest), None
     elif here and not swept and os.path.isfile(known.workdir / "config.json"):
         config, get_env = flags.load_run(known.workdir, rest), None
+    elif here and not swept:
+        raise config_lib.ConfigError(workdir_lib.no_run(known.workdir))
     else:
         config, get_env = flags.load_both(known.config, rest)
     if known.logs:
@@ -164,7 +173,11 @@ def main(argv: list[str] | None = None) -> None:
             distributed.leave()
 
     def stopped():
+        for folder in workdir_lib.new_folders():  # where this process is ended while it compiles
+            workdir_lib.remove_made(folder)
         return f"stopped; {afterwards(*parsed)}" if parsed else "stopped"
+
+    stop.ended = stopped
 
     with distributed.together():
         flags.answer(action, stopped)
@@ -175,10 +188,12 @@ def main(argv: list[str] | None = None) -> None:
 def afterwards(command: Command) -> str:
     """What the same command will do after this one was stopped."""
     goes_on = SWEEP_GOES_ON if command.sweep else GOES_ON
-    if distributed.several() and not distributed.first():
-        return f"{goes_on}, if there is one"  # which the first process can see
-    if not command.sweep and not workdir_lib.saved(command.workdir):
-        return "there is no checkpoint yet, the same command starts anew"
+    if distributed.several() and not distributed.first():  # which cannot see it
+        return f"{goes_on.format('the last checkpoint')}, if there is one"
+    if not command.sweep:
+        if not (saved := workdir_lib.saved(command.workdir)):
+            return "there is no checkpoint yet, the same command starts anew"
+        goes_on = goes_on.format(f"iteration {saved[0]}")
     return goes_on.replace("command", "command without --fresh") if command.fresh else goes_on
 
 

@@ -1,8 +1,11 @@
 """What every command shares: flags in both spellings, and an end that is one line and a status."""
 
 import argparse
+import contextlib
 import importlib
+import io
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -11,7 +14,10 @@ import time
 import pytest
 from answers import PATIENCE, ROOT, refused, shell, status
 
+from dynappo.bench import command as bench
 from dynappo.config import ConfigError, flags
+from dynappo.look import command as look
+from dynappo.train import command as train
 
 GO1 = "configs/go1.py:dyna4"
 ENDS = {  # what an action raises, exit status, the line after "dynappo: "
@@ -119,6 +125,30 @@ def test_ctrl_c_in_a_finalizer_interrupts_a_moment_later(capsys, listening):
     assert err.endswith("dynappo: stopped\n") and sys.unraisablehook is before
 
 
+def test_a_second_ctrl_c_in_that_moment_is_ignored(capfd, listening):
+    """It comes while the first one is taken up: once it was an `Exception ignored in`, and both were lost."""
+
+    class First(KeyboardInterrupt):
+        @property
+        def args(self):  # pyright: ignore[reportIncompatibleVariableOverride]
+            more.append(None)
+            if len(more) == 2:
+                signal.raise_signal(signal.SIGINT)
+            return ()
+
+    def ctrl_c():
+        raise First
+
+    def action():
+        Dying(ctrl_c)
+        time.sleep(20)
+        raise AssertionError("not interrupted")
+
+    more = [None]
+    assert status(lambda _: flags.answer(action)) == 130 and len(more) > 2
+    assert capfd.readouterr().err == "dynappo: stopped\n"
+
+
 COMMANDS = ("train", "adopt", "look", "play", "evaluate", "export", "bench")
 
 
@@ -193,10 +223,60 @@ def test_flags_are_written_out_and_complete():
     assert flags.read(parser, ["--workdir=a"]).workdir == "a"
     for argv, expected in (
         (["--workdir=--"], "--workdir: expected a value, not '--'"),
-        (["--work=a"], "--work=a: no such flag; python -m dynappo.show --help lists them"),
+        (["--work=a"], "--work=a: no such flag; did you mean --workdir?"),
+        (["workdir=a"], "workdir=a: no such flag; did you mean --workdir?"),
+        (["--fast"], "--fast: no such flag; python -m dynappo.show --help lists them"),
+        (["go1"], "go1: no such flag; python -m dynappo.show --help lists them"),
         (["--workdir"], "--workdir: expected one argument; write it as --flag=VALUE"),
     ):
         assert refused(flags.read, parser, argv) == expected
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_a_mistyped_flag_of_any_command_is_told_its_name(name):
+    """Each of its flags with a letter less."""
+    command = importlib.import_module(f"dynappo.{name}.command")
+    with pytest.raises(SystemExit), contextlib.redirect_stdout(io.StringIO()) as said:
+        command.parse(["--help"])
+    names = {*re.findall(r"--[a-z][a-z-]+", said.getvalue().partition("\n\n")[0])} - {"--help"}
+    assert len(names) > 1
+    for flag in names:
+        line = refused(command.parse, [f"{flag[:3]}{flag[4:]}=x"])
+        assert line.startswith(f"{flag[:3]}{flag[4:]}=x: no such flag; did you mean {flag}?"), line
+
+
+def test_words_that_are_no_flags_say_what_may_be_meant(tmp_path, monkeypatch):
+    """A config or a run without its flag, and with another flag mistyped; a robot that is not there."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "runs" / "g1-laptop").mkdir(parents=True)
+    (tmp_path / "runs" / "g1-laptop" / "config.json").write_text("{}")
+    for command, words, expected in (
+        (train, ["spot:laptop"], "spot:laptop: no such flag; did you mean --config=spot:laptop?"),
+        (train, ["own/dog.py"], "own/dog.py: no such flag; did you mean --config=own/dog.py?"),
+        (train, ["runs/g1-laptop"], "did you mean --workdir=runs/g1-laptop?"),
+        (train, ["--config=go1", "quick"], "quick: no such flag; expected --config.GROUP.FIELD"),
+        (
+            train,
+            ["--workdir=runs/g1-lptop"],
+            "did you mean --workdir=runs/g1-laptop? --config=NAME",
+        ),
+        (
+            train,
+            ["--workdir=runs/new"],
+            "runs/new: no run there to go on with; --config=NAME, as go1:l",
+        ),
+        (
+            train,
+            ["--config=go3"],
+            "--config: no file 'go3' here or among dynappo's own configs; robots",
+        ),
+        (bench, ["go1"], "go1: no such flag; did you mean --config=go1?"),
+        (look, ["configs/spt.py"], "no file 'configs/spt.py' here"),
+        (look, ["go1:nope"], "go1:nope: variant 'nope' is not"),
+    ):
+        line = refused(command.parse, words)
+        assert expected in line and ("--config" in line) == ("--config" in expected), line
+    assert "one are anymal_c, anymal_d, g1, go1, go2" in refused(train.parse, ["--config=go3"])
 
 
 def test_an_empty_path_and_a_far_number_are_refused():

@@ -7,10 +7,13 @@ from importlib import metadata
 from pathlib import Path
 
 import pytest
-from answers import ROOT
+from answers import ROOT, status
 
 import dynappo
-from dynappo.config import shell, versions
+from dynappo.config import files, shell, versions
+from dynappo.export import command as export
+from dynappo.play import command as play
+from dynappo.train import command as train
 
 
 def test_the_program_is_one_word_where_the_shell_finds_that_of_this_python(tmp_path, monkeypatch):
@@ -57,6 +60,35 @@ def test_only_our_own_calls_are_written_anew():
     text = "python -m venv; python -m dynappo.play x; python -m dynappo.train"
     program = shell.command_line()
     assert shell.pasted(text) == f"python -m venv; {program} play x; {program} train"
+
+
+def test_files_of_a_wheel_are_told_by_their_full_path(tmp_path, monkeypatch, capsys):
+    """In helps, errors and what `play` says; in a clone, and of a file that is here, as it is."""
+    wheel, here = tmp_path / "site" / "dynappo", tmp_path / "here"
+    wheel.mkdir(parents=True)
+    here.mkdir()
+    for folder in ("configs", "robots"):
+        (wheel / folder).symlink_to(ROOT / folder)
+    assert shell.pasted("configs/default.py lists them") == "configs/default.py lists them"
+    monkeypatch.setattr(files, "PACKAGE", wheel)
+    monkeypatch.chdir(here)
+    for main, words, name in (
+        (train.main, ["--help"], "configs/default.py"),
+        (train.main, ["--config=go1", "--config.zzzz=1"], "configs/default.py"),
+        (export.main, ["--help"], "robots/DEPLOY.md"),
+        (export.main, ["go1", "--out=go1.npz"], "robots/go1/policy.npz"),
+        (play.main, ["go1", "--seconds=0.1", "--out=walk.html"], "robots/go1/policy.npz"),
+    ):
+        status(main, *words)
+        said = "".join(capsys.readouterr())
+        assert f"{wheel}/{name}" in said and said.count(name) == said.count(f"{wheel}/{name}"), said
+    assert str(wheel) not in (here / "walk.html").read_text()  # which is shown to others
+    (here / "configs").mkdir()
+    (here / "configs" / "default.py").touch()
+    text = (
+        "configs/default.py robots/mine/mine.xml --config=configs/go1.py dynappo/robots/README.md"
+    )
+    assert shell.pasted(text) == text
 
 
 @pytest.mark.parametrize("folder", [".", "tests"])

@@ -70,6 +70,32 @@ def test_where_a_run_trains_the_second_signal_ends_it():
     assert ended(process) == (143, "dynappo: stopped\n")
 
 
+def test_where_a_run_trains_the_first_signal_is_answered_at_once():
+    """Though the main thread is deaf; once, whatever comes in the next second; then the second ends it."""
+    process = started(
+        "with Stop() as stop: stop.patient, stop.waits = True, 'stopping soon'; stop.ended = lambda: 'ended'"
+        f"; print('begins', flush=True); {DEAF}"
+    )
+    for _ in range(2):
+        process.send_signal(signal.SIGINT)
+    assert process.stderr.readline() == "dynappo: stopping soon\n"
+    assert process.poll() is None
+    time.sleep(stop_lib.AGAIN + 0.2)
+    process.send_signal(signal.SIGINT)
+    assert ended(process) == (130, "dynappo: ended\n")
+
+
+@pytest.mark.parametrize("line", ["1 / 0", "time.sleep(999)"])
+def test_a_line_on_the_end_that_cannot_be_found_holds_nothing_up(line):
+    """As where it waits for a lock that the main thread has."""
+    process = started(
+        f"with Stop() as stop:\n  stop.ended = lambda: {line}\n  while True:\n"
+        f"    try: print('begins', flush=True); {DEAF}\n    except KeyboardInterrupt: pass"
+    )
+    process.send_signal(signal.SIGTERM)
+    assert ended(process) == (143, "dynappo: stopped\n")
+
+
 def test_before_a_run_trains_a_signal_interrupts():
     """Then the handlers are as they were."""
     before = signal.getsignal(signal.SIGTERM)
@@ -128,18 +154,25 @@ def test_an_import_that_is_interrupted_in_c_is_no_bug():
     assert (done.returncode, done.stderr) == (143, "dynappo: stopped\n")
 
 
-def test_a_run_that_compiles_is_stopped():
-    """Its threads would compile for an hour, and Python would wait for them."""
+@pytest.mark.parametrize("there", ["nothing", "a checkpoint", "a file of the user's"])
+def test_a_run_that_compiles_is_stopped(there, tmp_path):
+    """Its threads would compile for an hour, and Python would wait for them. A new folder is gone again."""
+    run, users = tmp_path / "runs" / "mine", there == "a file of the user's"
+    after = "there is no checkpoint yet, the same command starts anew"
+    if there == "a checkpoint":
+        (run / "checkpoints" / "40").mkdir(parents=True)
+        after = "the same command goes on from iteration 40"
     code = (
         "import hashlib, sys; sys.path.insert(0, 'tests')\n"
         "import toy_env, toy_train, jax\nfrom dynappo.config import flags\n"
         "from dynappo.tasks.velocity import env\n"
         "env.make = lambda *_, **__: toy_env.make()\n"
-        "def compile(*_): print('begins', flush=True); " + DEAF + "\n"
+        f"import pathlib; run = pathlib.Path({str(run)!r})\n"
+        f"def compile(*_):\n  if {users}: (run / 'notes.txt').touch()\n"
+        f"  print('begins', flush=True); {DEAF}\n"
         "jax.stages.Lowered.compile = compile\n"
-        "sys.argv[1:] = [*toy_train.ARGUMENTS, '--workdir=/nowhere/run']\n"
-        "from dynappo.run import workdir\n"
-        "import contextlib; workdir.open_workdir = lambda *_: contextlib.nullcontext()\n"
+        "from dynappo.run import workdir; workdir._compare = lambda *_: None\n"
+        "sys.argv[1:] = [*toy_train.ARGUMENTS, f'--workdir={run}']\n"
         "flags.start('train')"
     )
     pipe = subprocess.PIPE
@@ -151,6 +184,7 @@ def test_a_run_that_compiles_is_stopped():
             process.send_signal(signal.SIGTERM)
             break
     code, said = ended(process)
-    # on a busy machine the line may be that of the thread that ends it
-    anew = "; there is no checkpoint yet, the same command starts anew"
-    assert code == 143 and said in (f"dynappo: stopped{anew}\n", "dynappo: stopped\n")
+    assert (code, said) == (143, f"dynappo: stopped; {after}\n")
+    assert (tmp_path / "runs").exists() == run.exists() == (there != "nothing")
+    kept = {"config.json", "lock", "notes.txt"}
+    assert not users or {path.name for path in run.iterdir()} == kept

@@ -59,8 +59,15 @@ def test_a_flag_names_the_file_and_its_fields_are_flags_too():
     assert [each.name for each in observe.own(config.task.terms_about)] == ["seen"]
     again = config_lib.from_json(config_lib.to_json(config_lib.validate(config)))
     assert fields_of(again) == fields_of(config) and terms.of(again.task).rewards.keys() == {"work"}
+    said = refused(config_lib.override, config, "task.weights.wok", "2")
+    assert said == "--config.task.weights.wok: no such field; did you mean task.weights.work?"
     config_lib.override(config, "task.terms", write(SEEN, "other.py"))
     assert fields_of(config) == (None, 0.1, {}) and config.task.terms == "other.py"
+    both = (
+        train.parse(["--config=go1:laptop", *more, "--config.task.weights.work=-2"]).config
+        for more in ([given], ["--terms=mine.py"])
+    )
+    assert next(both) == next(both)
     config_lib.override(config, "task.terms", "")
     assert fields_of(config) == (None, None, {}) and not config.task.terms_hash
 
@@ -126,6 +133,14 @@ MISTAKES = {  # of a file -> a part of the line
     "@terms.command(draws=0)\ndef c(draw): return draw\n": "draws is 0",
     "".join(f"@terms.command(draws=1)\ndef {c}(draw): return draw\n" for c in "cd"): "two commands, c and d",
     "@terms.reward(weight=1.0)\nclass Term: pass\n": "the term Term is no function",
+    "@terms.reward(-1.0)\ndef f(torque): return 0.0\n": "@terms.reward: too many positional arguments; write",
+    "@terms.reward(weights=1.0)\ndef f(torque): return 0.0\n": "'weight'; write @terms.reward(weight=...)",
+} | {  # each decorator without its parentheses
+    f"@terms.{name}\ndef f(): return 0.0\n": f"write @terms.{name}({needed})"
+    for name, needed in dict(
+        reward="weight=...", observation="size=...", known="start=...", termination="", command="draws=...",
+        curriculum="start=...",
+    ).items()
 }  # fmt: skip
 
 
@@ -280,6 +295,15 @@ def test_a_run_goes_on_only_with_the_same_text():
     config_lib.override(config, "task.terms", write(WORK + "# other\n"))
     told = config_lib.difference(before, config_lib.to_json(config), may)
     assert told == "the code of its terms, mine.py, is another now"
+    after = config_lib.to_json(flags.load("go1:laptop", []))
+    may = [*may, "task.weights.work", "task.own.share"]
+    assert config_lib.difference(before, after, may) == "with terms work there, none here"
+    assert config_lib.difference(after, before, may) == "with terms none there, work here"
+    level = "@terms.curriculum(start=1.0)\ndef level(level): return level\n"
+    command = "@terms.command(draws=1)\ndef fast(draw): return draw\n"
+    config_lib.override(config, "task.terms", write(WORK + SEEN + level + command, "more.py"))
+    told = config_lib.difference(before, config_lib.to_json(config), may)
+    assert told == "with terms work there, work, seen, level, fast here"
 
 
 def test_a_page_takes_the_file_for_the_policy_that_was_named(saved):

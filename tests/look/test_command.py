@@ -187,7 +187,7 @@ def test_motors_are_told_by_kind_of_joint(capsys):
 
 MISTAKES = {  # arguments, what the line must say
     "nothing": ([], "no config given; try: "),
-    "unknown": (["wlk"], "--config: no file 'wlk'"),
+    "unknown": (["wlk"], "no file 'wlk' here or among dynappo's own configs; robots"),
     "suffix": (["go1", "--out=a.html"], "--out=a.html: expected a file named .png"),
     "no folder": (
         ["go1", "--out=/proc/no/a.png"],

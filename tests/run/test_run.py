@@ -23,7 +23,8 @@ from toy_policy import params_in
 from toy_runs import assert_same
 from workdirs import N_REAL, loop, table
 
-from dynappo import schedule, train, types
+from dynappo import config as config_lib
+from dynappo import schedule, terms, train, types
 from dynappo.config import ConfigError
 from dynappo.policy import checkpoint_file
 from dynappo.program import build
@@ -132,6 +133,26 @@ def test_a_robot_that_physics_cannot_compute_is_counted_and_training_goes_on(con
     assert metrics["blowups"][0] == 1 and metrics["blowups"][1:].sum() == 0
     leaves = jax.tree.leaves((state.env_state, state.learner.params))
     assert all(np.isfinite(leaf).all() for leaf in leaves)
+
+
+def test_a_term_of_ones_own_that_is_always_0_is_told_once(config, program, tmp_path):
+    """After the first chunk; not one whose weight is 0 or None, nor one that pays somewhere."""
+    path, weights = tmp_path / "mine.py", dict(x=1.0, effort=1.0, off=0.0, none=None)
+    text = "@terms.reward(weight={})\ndef {}(command): return 0.0\n"
+    of = "".join(text.format(weight, name) for name, weight in weights.items())
+    path.write_text(f"from dynappo import terms\n{of}")
+    config = config_lib.from_json(config_lib.to_json(config))
+    terms.use(config, terms.read(path))
+    whole, said = program(), []
+
+    def step(*given):
+        state, metrics = whole.step(*given)
+        return state, metrics | {f"reward_{n}": metrics["reward_x"] * 0 for n in ("x", "off")}
+
+    loop(config, whole._replace(step=step), say=said.append)
+    assert [line for line in said if "reward" in line] == [
+        "reward_x is 0 in every row so far; docs/task.md has unit and zero of what terms ask for"
+    ]
 
 
 # ---- nothing of the process is changed

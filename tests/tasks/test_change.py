@@ -148,6 +148,26 @@ def test_the_reward_term_is_what_c_mujoco_says(world):
     assert "motor_work" not in known and "action_rate" in known
 
 
+def test_lifted_feet_are_as_high_above_the_lowest_one_as_c_mujoco_says(world):
+    """In training, and computed in the tail: 0 where all stand, whatever the base's height and tilt."""
+    model, lifted = world.robot.mj_model, []
+    data, feet = mujoco.MjData(model), world.robot.feet
+    assert len(feet) == 4  # a sphere each, so its middle is the foot's
+    for row in world.rows[::3]:
+        for i in range(0, ROBOTS, 3):
+            data.qpos[:] = row.after.qpos[i]
+            mujoco.mj_kinematics(model, data)
+            up = data.geom_xpos[feet, 2]
+            walks = np.linalg.norm(row.before.command[i]) > 0.1
+            expected = np.clip(up - up.min(), 0, 0.08).sum() * walks
+            found = row.outcome.metrics["reward_lift_feet"][i]
+            assert found == pytest.approx(expected, abs=1e-5)
+            lifted.append(found)
+    assert 0.01 < np.mean(lifted) < 0.2
+    known = reward_sum.known(reward_sum.terms_of(world.config.task), world.config.task)
+    assert "lift_feet" in known
+
+
 def test_the_observations_are_where_the_base_is_and_what_the_clock_says(world):
     height, clock = world.places["base_height"], world.places["gait_clock"]
     assert (world.env.obs_size, world.env.prop_size) == (51, 34) and height == slice(33, 34)
@@ -289,14 +309,14 @@ def test_the_wheel_does_what_the_page_says_in_an_empty_folder(tmp_path):
         assert done.returncode == status, f"{line}\n{done.stdout[-3000:]}\n{done.stderr[-5000:]}"
         return done.stdout + done.stderr
 
-    four = "motor_work, base_height, gait_clock, too_low, ahead_or_turn"
+    four = "motor_work, lift_feet, base_height, gait_clock, too_low, ahead_or_turn"
     assert f"with terms of my_terms.py: {four}" in run(
         command, *SHORT, "--config.run.num_iterations=2", "--workdir=runs/mine"
     )
     longer = "--config.run.num_iterations=4"
     told = "--config.task.command_x=(0.0,2.0)"
     assert "goes on from iteration 2" in run(train, told, *SHORT, longer)
-    assert "--config.task.terms=FILE" in run("dynappo train --workdir=runs/mine", status=2)
+    assert "--terms=FILE" in run("dynappo train --workdir=runs/mine", status=2)
     head = (folder / "runs/mine/metrics.csv").read_text().split("\n")[0].split(",")
     assert {"reward_motor_work", "ended_too_low"} <= set(head)
     assert "with my_terms.py" in run(play, "--seconds=1")

@@ -290,7 +290,16 @@ WRONG = {  # what follows the import -> a part of the line
     "@terms.curriculum(start=0.0)\ndef f(f, action): return f": "asks for action, which a curriculum",
     "@terms.reward(weight=1.0)\ndef f(torque): return torque": r"has the shape \(12,\), expected one number",
     "@terms.observation(size=2, signs=(1, 1))\ndef f(qpos): return qpos[:3]": r"\(3,\), expected \(2,\)",
-    "@terms.termination()\ndef f(height): return 1 if height < 0.2 else 0": "line 5 cannot be run: Tracer",
+    "@terms.termination()\ndef f(height): return 1 if height < 0.2 else 0": (
+        r"line 5 cannot be run: no `if`, .* on a value: x \* \(x > 0\), or xp.where .*docs/task.md"
+    ),
+    "import numpy as np\n@terms.reward(weight=1.0)\ndef f(foot_height): return np.asarray(foot_height)[0]": (
+        r"line 6 cannot be run: NumPy cannot have the value: use xp = x.__array_namespace__\(\) in"
+    ),
+    "import math\n@terms.reward(weight=1.0)\ndef f(height): return math.exp(height)": "no float.* math on a",
+    "@terms.reward(weight=1.0)\ndef f(torque): return torque[torque > 0].sum()": r"no x\[condition\]: x \*",
+    "@terms.reward(weight=1.0)\ndef f(qpos): return [1, 2][qpos[0].astype(int)]": "no value as an index",
+    "@terms.reward(weight=1.0)\ndef f(qpos): raise ValueError('so it is ' * 99)": r" \.\.\.$",
     "@terms.command(draws=1)\ndef f(draw): return draw": r"shape \(1,\), expected \(3,\)",
     "@terms.observation(size=1)\ndef f(qpos): return qpos[:1]": "has no signs, .* ppo.symmetry is True",
     "@terms.reward(weight=1.0)\ndef energy(torque): return 0.0": "energy .* a name that dynappo uses",

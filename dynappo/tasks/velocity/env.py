@@ -516,7 +516,8 @@ def _feet(const: Constants, feet: FeetGeometry, parts, heights) -> rewards.Feet:
     carried = observe.cross(jnp.broadcast_to(parts["angular_velocity"], arm.shape), arm)
     velocity = parts["linear_velocity"] + carried + moves
     if heights is None:
-        heights = -(position * parts["gravity"]).sum(-1)
+        up = -(position * parts["gravity"]).sum(-1)
+        heights = up - up.min()  # where the flat ground is, only physics knows
     return rewards.Feet(position, velocity, jnp.asarray(feet.side, jnp.float32), heights)
 
 

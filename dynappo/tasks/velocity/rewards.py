@@ -44,7 +44,7 @@ class Feet(NamedTuple):
     foot_position: Any  # [F, 3] m, from the base's origin, base frame
     foot_velocity: Any  # [F, 3] m/s, against the ground, base frame
     foot_side: Any  # [F] in the default pose: 1 left of the middle, -1 right, 0 on it
-    # [F] m, up: on rough ground above the ground under it; else from the base, so only differences count
+    # [F] m, up: on flat ground above the lowest foot, so that is 0; on rough ground above that under it
     foot_height: Any
 
 
