@@ -89,11 +89,16 @@ def stairs(screen, rows: list[dict[str, Any]]) -> None:
     """Print how many flights of stairs were climbed: a line a disturbance, a column a height."""
     heights = [f"{height:g} m" for height in rows[0]["heights"]]
     screen.print(
-        f"stairs of boxes, up, {rows[0]['tries']} tries of each height in C MuJoCo: climbed, falls",
+        f"stairs of boxes, up, {rows[0]['tries']} tries of each height in C MuJoCo: climbed, falls, "
+        "and those in which a shank or thigh touched a step",
         soft_wrap=True,
     )
     cells = [
-        [row["stress"], *(f"{c}, {f}" for c, f in zip(row["climbed"], row["falls"], strict=True))]
+        [row["stress"]]
+        + [
+            ", ".join(map(str, of))
+            for of in zip(row["climbed"], row["falls"], row["bumped"], strict=True)
+        ]
         for row in rows
     ]
     _table(screen, cells, ["", *heights])

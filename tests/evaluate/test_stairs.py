@@ -37,12 +37,13 @@ def test_a_robot_climbs_low_steps_falls_on_high_ones_and_is_late_where_it_is_slo
     walker, monkeypatch
 ):
     none = Stress("none")
-    assert stairs.attempt(walker, none, 0.8, -0.1) == "climbed"
+    assert stairs.attempt(walker, none, 0.8, -0.1)[0] == "climbed"
     high = stairs.player(walker.policy, 0.18)
-    assert stairs.attempt(high, none, 0.8, 0.0) in ("fell", "late")
+    end, bumped = stairs.attempt(high, none, 0.8, 0.0)
+    assert end in ("fell", "late") and bumped
     monkeypatch.setattr(stairs, "SECONDS", 1.0)
     before = walker.model.geom_pos.copy()
-    assert stairs.attempt(walker, none, 0.5, -0.2) == "late"
+    assert stairs.attempt(walker, none, 0.5, -0.2)[0] == "late"
     np.testing.assert_array_equal(walker.model.geom_pos, before)
 
 
@@ -50,11 +51,27 @@ def test_the_table_has_a_row_a_disturbance_and_no_scan_for_the_blind(walker, mon
     from rich.console import Console
 
     monkeypatch.setattr(
-        stairs, "attempt", lambda one, case, *how, seed: "climbed" if seed % 2 else "fell"
+        stairs,
+        "attempt",
+        lambda one, case, *how, seed: ("climbed" if seed % 2 else "fell", seed == 1),
     )
     rows = stairs.run(walker.policy)
     assert [row["stress"] for row in rows] == ["none", "actions 20 ms late", "friction 0.4"]
     assert rows[0]["heights"] == [0.05, 0.095, 0.14, 0.185]
     assert rows[0]["climbed"] == rows[0]["falls"] == [3] * 4 and rows[0]["tries"] == 6
+    assert rows[0]["bumped"] == [1] * 4
     tables.stairs(Console(width=120), rows)
-    assert "0.095 m" in capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert "0.095 m" in out and "3, 3, 1" in out
+
+
+def test_what_ends_a_try_is_the_base_alone(walker):
+    model, fatal = walker.model, stairs.base(walker)
+    bodies = {
+        mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_BODY, b) for b in model.geom_bodyid[fatal]
+    }
+    others = {
+        mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_BODY, b)
+        for b in model.geom_bodyid[walker.parts & ~fatal]
+    }
+    assert bodies == {"base"} and {"FL_calf", "RR_thigh"} <= others
