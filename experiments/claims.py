@@ -54,7 +54,7 @@ STATED = {  # name -> where, and the words
     "notebooks": [("notebooks/README.md", "writes their outputs into them, in about {} minutes")],
     "evaluate": [
         ("docs/watch.md", "dynappo evaluate runs/go1 # {} on two cores"),
-        ("dynappo/evaluate/command.py", ", {} on two cores (--episodes=N"),
+        ("dynappo/evaluate/command.py", "compiles and runs for {} on two cores"),
     ],
     "start, cold": [
         ("README.md", "the first time after {} s, because XLA compiles"),
