@@ -138,6 +138,8 @@ def override(config: config_dict.ConfigDict, field: str, text: str) -> None:
             f"--config.{field}: {config.env} has its own weights, noise, commands and physics; of these "
             f"groups it reads {', '.join(OF_NAMED)}"
         )
+    if field in ("task.terms_hash", "task.terms_about"):
+        raise ConfigError(f"--config.{field}: follows from the file that --config.task.terms names")
     if isinstance(old, config_dict.ConfigDict):
         raise ConfigError(f"--config.{field} is a group, expected one of {', '.join(old)}")
     kind = fields.field(field)

@@ -177,6 +177,8 @@ BAD_OVERRIDES = [  # field, text, what the line must say
     ("ppo.clip_epsilon", "1" + "0" * 400, "expected float"),  # no float can hold it
     ("run.seed", "-" * 5000 + "1", "expected int"),
     ("ppo.hidden", "{[]: 1}", "expected tuple"),
+    ("task.terms_about", "{", "follows from the file that --config.task.terms names"),
+    ("task.terms_hash", "0", "follows from the file that --config.task.terms names"),
     ("ppo.hidden", "(64, True)", "expected tuple"),
 ]
 
