@@ -35,6 +35,7 @@ SLOW, FAST = 1 / 2, 1 / 5  # of the error of a robot that stands still: at most,
 ROUNDING = 1e-6  # of a share of episodes, a mean in float32
 SHARES = {2.25: 38 / 45, 1.5: 24 / 30}  # best possible return of a second -> share of it
 SHARE = 0.8  # of any other
+CLEARANCE = -0.3  # the weight of foot_clearance up to which a return tells the same (experiments/22_deploy)
 # What the levels of returns were measured with: weights that are not 0, and all else that decides a return
 UNITREE = {
     "track_linear_velocity": 1.5,
@@ -106,6 +107,7 @@ def by_return(config) -> bool:
     task = config.task
     weights = {name: weight for name, weight in task.weights.items() if weight}
     as_measured = all(task[name] in values for name, values in MEASURED.items())
+    as_measured = as_measured and CLEARANCE <= weights.pop("foot_clearance", 0.0) <= 0
     return config.run.walks == "return" and as_measured and weights == WEIGHTS.get(config.robot)
 
 
