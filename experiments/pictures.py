@@ -94,11 +94,12 @@ def missing(axis, what: str = "not run yet") -> None:
     axis.text(0.5, 0.5, what, transform=axis.transAxes, **how)
 
 
-def log(axis, subs=(1, 2, 5)) -> None:
-    """A logarithmic y axis with plain numbers."""
-    axis.set_yscale("log")
-    axis.yaxis.get_major_locator().set_params(subs=subs)
-    axis.yaxis.set_major_formatter("{x:g}")
+def log(axis, subs=(1, 2, 5), which="y") -> None:
+    """A logarithmic axis, y or x, with plain numbers."""
+    axis.set(**{f"{which}scale": "log"})
+    along = {"x": axis.xaxis, "y": axis.yaxis}[which]
+    along.get_major_locator().set_params(subs=subs)
+    along.set_major_formatter("{x:g}")
     axis.minorticks_off()
 
 

@@ -186,6 +186,32 @@ def test_when_a_run_reaches_the_reference(playground_runs, capsys):
     assert "- `best`: 1.0, 6.5; 2.0, 11.0; 3.0, 11.5\n" in out
 
 
+def test_steps_and_seconds_to_equal_returns(playground_runs, capsys):
+    """brax's mean is 5, 12, 12; that of `best` 6.5, 11, 11.5, a line each: of 7 from 5 to 12 they are 1.5, 6
+    and 6.5. A level of the first evaluation, or one that is never reached, has no number."""
+    table = playground_runs
+    curve = table.mean(table.runs()["Go1Getup", "brax"])
+    np.testing.assert_allclose(curve, [[1, 10, 5], [2, 20, 12], [3, 30, 12]])
+    np.testing.assert_allclose(table.to_return(curve, 6.5), [1 + 1.5 / 7, 10 + 15 / 7])
+    assert np.isnan(table.to_return(curve, 5)).all() and np.isnan(table.to_return(curve, 13)).all()
+    table.beside(table.runs())
+    assert capsys.readouterr().out.splitlines()[2:5] == [
+        "| Go1Getup | 6.5 | 1.0, 10 | 1.2, 12 | 1.2 | 1.2 |",
+        "| Go1Getup | 11.0 | 2.0, 20 | 1.9, 19 | 0.9 | 0.9 |",
+        "| Go1Getup | 11.5 | 3.0, 30 | 1.9, 19 | 0.6 | 0.6 |",
+    ]
+
+
+def test_equal_returns_on_playgrounds_page_are_those_of_its_runs(capsys):
+    table = script(f"{PLAYGROUND}/table")
+    table.beside(table.runs())
+    told = {line.split(" | ", 1)[1] for line in capsys.readouterr().out.splitlines()[2:] if line}
+    page = (EXPERIMENTS / PLAYGROUND / "README.md").read_text()
+    part = page.split("times the seconds |\n")[1].split("\n\n")[0].splitlines()[1:]
+    rows = [line.split("| ", 2)[2] for line in part]
+    assert len(rows) == 10 and set(rows) <= told
+
+
 def test_the_curves_of_playgrounds_tasks_are_drawn(playground_runs, drawn, monkeypatch):
     plot = script(f"{PLAYGROUND}/plot")
     monkeypatch.setattr(plot, "table", playground_runs)

@@ -44,13 +44,14 @@ def panel(axis, found, task, unit):
         for at, back in curves:
             axis.plot(at, back, color=colour, lw=0.7, alpha=0.5)
         if curves:
-            least = min(len(at) for at, _ in curves)
-            at, back = (np.mean([curve[i][:least] for curve in curves], 0) for i in (0, 1))
-            axis.plot(at, back, color=colour, lw=1.8, label=table.KINDS[kind].strip("`"))
+            mean = table.mean(some)
+            axis.plot(
+                mean[:, unit], mean[:, 2], color=colour, lw=1.8, label=table.KINDS[kind].strip("`")
+            )
     level = table.reference(found, task)
     if np.isfinite(level):
         axis.axhline(level, color="0.4", lw=1, ls=":")
-    axis.set_xscale("log")
+    pictures.log(axis, which="x")
 
 
 def returns(rows):

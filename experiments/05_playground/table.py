@@ -5,7 +5,9 @@
 The reference of a task is what brax's PPO has in its last evaluation, in the mean over seeds; where there is
 none, what our PPO with Playground's settings has. The first table tells when it is reached: the evaluation in
 which a seed has 90 % and 100 % of it, in millions of simulator steps and in seconds of training, in the mean
-over the seeds that get there. Then returns, by steps.
+over the seeds that get there. The second compares `best` with brax's PPO at equal returns: at each evaluation
+of `best` that is above all before it, what brax's PPO needs for as much, on a straight line between its two
+evaluations around it. Then returns, by steps.
 """
 
 import csv
@@ -44,6 +46,7 @@ def main():
             cells += [cell for share in SHARES for cell in first_cells(some, share * level)]
             print("| " + " | ".join(map(str, cells)) + " |")
     print()
+    beside(found)
     for task in tasks(found):
         returns(found, task)
 
@@ -96,17 +99,50 @@ def first_cells(some, level: float) -> list[str]:
     return [f"{steps:.1f}" + (f", {never} never" if never else ""), f"{seconds:.0f}"]
 
 
+def mean(some) -> np.ndarray:
+    """M steps, seconds and return in the mean over seeds, `[E, 3]`: of the evaluations that all have."""
+    together = zip(*some, strict=False)
+    return np.array(
+        [np.mean([[*when(r), float(r["return"])] for r in rows], 0) for rows in together]
+    )
+
+
+def to_return(curve: np.ndarray, level: float) -> np.ndarray:
+    """M steps and seconds `[2]` where a curve of `mean` first has `level`, on a straight line between two
+    evaluations; NaN where it never has, or has it in its first evaluation."""
+    above = curve[:, 2] >= level
+    if not above.any() or above[0]:
+        return np.full(2, np.nan)
+    (*low, less), (*high, more) = curve[above.argmax() - 1], curve[above.argmax()]
+    return low + (level - less) / (more - less) * (np.array(high) - low)
+
+
+def beside(found) -> None:
+    """Steps and seconds of `best` and of brax's PPO at equal returns, and how many times those of `best`."""
+    print(
+        "| task | return | `best`: M steps, s | brax's PPO | times the steps | times the seconds |"
+    )
+    print("|---|---|---|---|---|---|")
+    for task in tasks(found):
+        if not {(task, "best"), (task, "brax")} <= set(found):
+            continue
+        ours, theirs = (mean(found[task, kind]) for kind in ("best", "brax"))
+        for *mine, level in ours[ours[:, 2] == np.maximum.accumulate(ours[:, 2])]:
+            other = to_return(theirs, level)
+            if np.isfinite(other).all():
+                both = ("{:.1f}, {:.0f}".format(*pair) for pair in (mine, other))
+                times = (f"{x:.1f}" for x in other / mine)
+                print(f"| {task} | {level:.1f} | {' | '.join([*both, *times])} |")
+    print()
+
+
 def returns(found, task: str) -> None:
     """Returns in the mean over seeds, in every evaluation that all seeds have."""
     print(f"{task}: M steps, return\n")
     for kind, name in KINDS.items():
         some = found.get((task, kind))
         if some:
-            pairs = [
-                (when(rows[0])[0], np.mean([float(r["return"]) for r in rows]))
-                for rows in zip(*some, strict=False)
-            ]
-            print(f"- {name}:", "; ".join(f"{at:.1f}, {back:.1f}" for at, back in pairs))
+            print(f"- {name}:", "; ".join(f"{at:.1f}, {back:.1f}" for at, _, back in mean(some)))
     print()
 
 

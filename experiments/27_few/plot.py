@@ -28,6 +28,7 @@ IMAGINED = (  # robots for each simulated one -> job, of those with 4 real rows 
     (64, "i64-{}"),
     (256, "i256-{}"),
 )
+# before today's weight of foot_clearance
 SIMULATED = ((16, "robots16"), (64, "few-940-g"), (256, "robots256"), (1024, "robots1024"))
 
 
@@ -36,7 +37,7 @@ def main():
     page, axes = pictures.figure(1, 3, 3.4)
     over_steps, by_imagined, by_simulated = axes[0]
     for letter, robot, colour in ROBOTS:
-        curve(over_steps, jobs[f"few-940-{letter}"], robot, colour)
+        curve(over_steps, jobs[f"fresh-{letter}"], robot, colour)
         for count, name in IMAGINED:
             if name.format(letter) in jobs:
                 bar(by_imagined, count, jobs[name.format(letter)], colour)

@@ -28,11 +28,15 @@ def main():
 
 
 def read(path: Path, batch: str | None = None) -> dict[str, list[dict]]:
-    """`name -> rows`, as 21_less/table.py reads them."""
-    jobs = runs.read(path)
-    if batch:
-        jobs = {name: [r for r in rows if r["batch"] == batch] for name, rows in jobs.items()}
-    return {name: rows for name, rows in jobs.items() if rows}
+    """`name -> rows`, as 21_less/table.py reads them; but a job of two batches is two, for `few` has changed
+    between them: the later is called `NAME of batch K`."""
+    jobs = {}
+    for name, rows in runs.read(path).items():
+        for one in dict.fromkeys(row.get("batch", "") for row in rows):
+            if one == (batch or one):
+                known = f"{name} of batch {one}" if name in jobs else name
+                jobs[known] = [row for row in rows if row.get("batch", "") == one]
+    return jobs
 
 
 def table(jobs: dict[str, list[dict]], at: list[float]) -> str:
