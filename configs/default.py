@@ -209,7 +209,8 @@ class Weights(NamedTuple):
     action_rate: float = -0.01
     feet_air_time: float = 0.25
     undesired_contacts: float = 0.0
-    # for smooth and careful gaits; 0 in Isaac Lab's tasks
+    # for smooth and careful gaits; 0 in Isaac Lab's tasks. A robot's file has a weight of foot_clearance for
+    # `best`, `few`, `logs` and `laptop`, and a larger one for `deploy`
     action_acceleration: float = 0.0
     energy: float = 0.0
     joint_limits: float = 0.0

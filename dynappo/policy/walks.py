@@ -7,7 +7,8 @@ single evaluation, as here, has no later ones. It takes about a thousand episode
 The level is a share of the return of perfect tracking, `(w_lin + w_yaw) T` in episodes of T seconds
 (tasks/velocity/rewards.py): 38 of 45 for the Unitree robots, 24 of 30 for the ANYmals, both in 20 s. It was
 measured with the rewards, commands and ends of their own configs (`MEASURED`), and means nothing with others:
-a term of one's own pays or costs, and with slow commands a robot that stands earns much.
+a term of one's own pays or costs, and with slow commands a robot that stands earns much. One weight may be
+another: `foot_clearance` from `CLEARANCE` to 0, which costs a robot that walks little.
 
 Everywhere else (`by_return` is False) the level is one of errors, root mean squares as in dynappo/scores.py:
 at most 0.2 m/s and 0.25 rad/s; of slow commands at most half, of fast ones a fifth, of what a robot that
@@ -35,7 +36,8 @@ SLOW, FAST = 1 / 2, 1 / 5  # of the error of a robot that stands still: at most,
 ROUNDING = 1e-6  # of a share of episodes, a mean in float32
 SHARES = {2.25: 38 / 45, 1.5: 24 / 30}  # best possible return of a second -> share of it
 SHARE = 0.8  # of any other
-CLEARANCE = -0.3  # the weight of foot_clearance up to which a return tells the same (experiments/22_deploy)
+# The largest cost of foot_clearance with which a return tells the same (experiments/22_deploy, 21_less)
+CLEARANCE = -0.3
 # What the levels of returns were measured with: weights that are not 0, and all else that decides a return
 UNITREE = {
     "track_linear_velocity": 1.5,
@@ -72,6 +74,7 @@ MEASURED = {
     "termination": ("parts",),
     "undesired": ("parts",),
     "max_tilt": (None,),
+    "clearance_height": (0.06,),
 }
 
 

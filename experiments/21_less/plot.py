@@ -20,8 +20,7 @@ table = importlib.import_module("experiments.21_less.table")
 ROBOTS = {"g": "Go1", "h": "Go2", "c": "ANYmal-C", "d": "ANYmal-D"}
 RUNS = {  # name in the results -> label, colour, dashes
     "best": ("best", pictures.BLUE, "-"),
-    "ppo-task": ("PPO, tuned, the same task", pictures.VERMILION, "-"),
-    "ppo": ("PPO, tuned, as before", pictures.ORANGE, (0, (1, 1))),
+    "ppo": ("PPO, tuned", pictures.VERMILION, "-"),
     "ppo24": ("PPO-24, 4096 robots (older)", pictures.GREY, (0, (5, 2))),
     "ppo16": ("PPO-16, 4096 robots (older)", pictures.BLACK, "-"),
 }

@@ -7,8 +7,8 @@
 falls, or stays there with any, at most 3 % and at most 1 % at every later evaluation.
 
 `--at`: return and falls after so many million steps, between two evaluations on a straight line.
-`--beside`: `best` against PPO, in steps and at equal steps (headline.csv.xz). `--phases`: per cent of falls
-while the model writes tails and after.
+`--beside`: `best` against PPO, in steps and at equal steps (headline.csv.xz, low_feet.csv.xz). `--phases`:
+per cent of falls while the model writes tails and after.
 
 `--parts`: a line a part that was taken out, a column a robot: steps until it walks, until it is first at the
 level, then return and falls at the end.
@@ -184,6 +184,8 @@ def beside(jobs) -> str:
     head = ["", "to the level", "until it walks", "return at 2 M", "at PPO's end"]
     head, lines = [*head, "p that they are equal", "falls at 2 M", "at PPO's end"], []
     for letter, name in itertools.product("ghcd", ("ppo-task", "ppo")):
+        if f"{name}-{letter}" not in jobs:
+            continue
         mine, ppo = jobs[f"best-{letter}"], jobs[f"{name}-{letter}"]
         end, margin = seeds(ppo)[0][-1]["sim_steps"], 1.0 if letter in "gh" else 0.7
         one, other = (reached(seeds(job), walks.level(best(mine))) for job in (ppo, mine))

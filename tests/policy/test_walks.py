@@ -210,6 +210,10 @@ def test_the_return_tells_where_it_was_measured(name):
     }.items():
         assert not walks.by_return(valid(name, **{field: value}))
     assert not walks.by_return(valid(name, weights={"energy": -1e-4}))
+    for weight in (0.0, -0.2, -0.3, -0.31, -0.5, 0.1):
+        told = -0.3 <= weight <= 0  # feet that are lifted cost little
+        assert walks.by_return(valid(name, weights={"foot_clearance": weight})) == told
+    assert not walks.by_return(valid(name, clearance_height=0.1))
     adopted = config_lib.load(name)
     adopted.robot = "mydog"  # the same weights are others for a robot of another size
     assert not walks.by_return(config_lib.validate(adopted, robot_here=False))
