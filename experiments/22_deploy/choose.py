@@ -1,8 +1,9 @@
 """Which seed of a policy for hardware is bundled: the one that falls least, then the one that tracks best.
 
-    python experiments/22_deploy/choose.py OUT/go1-bundled.*.npz ... > experiments/22_deploy/choose.txt
+    python experiments/22_deploy/choose.py OUT/go1-bundled.2.npz ... > experiments/22_deploy/choose.txt
 
-C MuJoCo. Prints a row a policy:
+Seeds are played in the order of their last return, until one does not fall at all: four minutes a policy on
+a core. C MuJoCo. Prints a row a policy:
 
 - stress: falls in the rows of `dynappo evaluate --stress`, eight episodes each
 - error: mean tracking error, m/s; half of it is that of these rows, half that of the 45 commands
