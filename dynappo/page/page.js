@@ -91,11 +91,11 @@ function decode(scene) {
 
 // a ground as a mesh: heights on a grid, two flat triangles a cell
 function field(mesh) {
-  const z = new Int16Array(bytes(mesh.heights)), [nx, ny] = mesh.size, [dx, dy] = mesh.cell;
+  const z = new Int16Array(bytes(mesh.heights)), { x, y } = mesh, nx = x.length, ny = y.length;
   const vertices = [], normals = [], faces = [], face_normals = [];
   for (let j = 0; j < ny; j++)
     for (let i = 0; i < nx; i++)
-      vertices.push((i - (nx - 1) / 2) * dx, (j - (ny - 1) / 2) * dy, z[j * nx + i] * mesh.unit);
+      vertices.push(x[i], y[j], z[j * nx + i] * mesh.unit);
   const side = (from, to) => [0, 1, 2].map((k) => vertices[3 * to + k] - vertices[3 * from + k]);
   for (let j = 0; j + 1 < ny; j++)
     for (let i = 0; i + 1 < nx; i++) {
