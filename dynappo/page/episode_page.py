@@ -117,6 +117,8 @@ def scene(player: Player, episode: dict[str, np.ndarray]) -> dict[str, Any]:
             model, data, player.base_body
         ),  # m above the base, where an arrow is clear of it
         "radius": float(reach[robot].max()) * 1.15,  # m, about that of the robot
+        # radians, of the camera: on rough ground above the stairs that lead up to it
+        "elevation": 0.56 if fields else 0.2,
         "tile": 0.25,  # m, the side of a field of the floor
         "fall": float((fell[0] + 1) * dt) if len(fell) else None,
         "geoms": [_geom(model, data, i, ids, meshes, bool(player.ground[i])) for i in geoms],

@@ -645,7 +645,7 @@ function main() {
   let scene = decode(JSON.parse($("scene").textContent)), last = scene.rows - 1;
   const canvas = $("stage"), render = webgl(canvas, scene) || (() => {});
   $("note").hidden = canvas.getContext("webgl2") !== null;
-  const home = { azimuth: -0.66, elevation: 0.2, distance: 4.6 * scene.radius };
+  const home = { azimuth: -0.66, elevation: scene.elevation, distance: 4.6 * scene.radius };
   const camera = { ...home, fovy: 0.55, target: [0, 0, 0] };
   const state = { row: 0, playing: true, speed: 1, follow: true, kind: "looks", level: 0, held: 0 };
   const start = /[#&]t=([\d.]+)/.exec(location.hash);  // page.html#t=2.5 shows that moment; also #contacts

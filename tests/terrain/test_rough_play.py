@@ -124,6 +124,19 @@ def test_a_page_has_the_ground_as_heights_and_no_plane_above_it(written, text, m
     assert ground.heights.size == 410_881 and heights.size < most and shown["floor"] < heights.min()
 
 
+def test_the_pages_camera_is_above_the_steepest_stairs(written):
+    """Wherever the robot is on its way ahead; page.js looks from 38 degrees to its right, 4.6 radii away."""
+    policy = policy_file.load(written)
+    player, _ = policy_source.player(policy, field=policy_source.ground(policy, "pit_stairs:1"))
+    played = episode.play(player, lambda obs: np.zeros(12), lambda t: np.zeros(3), 0.1)
+    shown, x = episode_page.scene(player, played), np.linspace(0, 4, 81)
+    away, up = 4.6 * shown["radius"], shown["elevation"]
+    base = 0.3 + height_map.height(*player.field, x, 0 * x)
+    beside = away * np.cos(up) * np.array([np.cos(-0.66), np.sin(-0.66)])
+    below = height_map.height(*player.field, x + beside[0], 0 * x + beside[1])
+    assert (base + away * np.sin(up) - below > 0.2).all()
+
+
 def test_an_exported_network_takes_the_scan_last_in_any_order_of_joints(written):
     pytest.importorskip("onnxruntime")
     import onnxruntime
