@@ -1503,3 +1503,54 @@ def test_the_table_of_crossings_adds_tries_up():
     # 16 of 36; 7 of 12 and 3 of 4 in the middle; 5 of 12; 4 of 12; of the two steepest rows 6 of 16; 2 of 8
     assert one == "a.0 44 25 58/75 42/25 33/0 38 25".split()
     assert other == "b.0 0 25 0/0 -/- -/- 0 0".split()
+
+
+def crossings(name, seed, steps, crossed, boxes, first_stairs=1.0):
+    """A row of 28_rough's results: of all kinds but boxes, and of stairs above 0.10 m, all as told."""
+    stairs = " ".join([str(first_stairs)] * 3 + ["0"] * 7)
+    kinds = dict.fromkeys(("random", "pyramid_slope", "pit_slope"), " ".join(["1"] * 10))
+    kinds |= dict(
+        pit_stairs=stairs, pyramid_stairs=stairs, boxes=" ".join(["0"] * 4 + boxes + ["0"] * 4)
+    )
+    told = dict(name=name, seed=seed, job="go2:rough run.seed=0", sim_steps=str(steps))
+    return told | kinds | dict(crossed=str(crossed), fell=str(round(1 - crossed, 3)))
+
+
+def test_the_tables_of_rough_ground_by_hand():
+    """A level counts from where it is kept, on stairs up to 0.10 m and in the two middle rows."""
+    table = script("28_rough/table")
+    good, bad = ["1.0", "0.9"], ["1.0", "0.8"]
+    rows = [
+        crossings("a", "0", 1_000_000, 0.4, good),
+        crossings("a", "0", 2_000_000, 0.5, bad),
+        crossings("a", "0", 3_000_000, 0.8, good),
+        crossings("a", "1", 1_000_000, 0.7, good),
+        crossings("a", "1", 3_000_000, 0.6, good),
+        crossings("a", "2", 3_000_000, 0.7, good, first_stairs=0.89),
+    ]
+    found = [*table.runs(rows)]
+    assert [run.level for run in found] == [3.0, 1.0, np.inf]
+    assert cells(table.by_seed(found)[2]) == (
+        "a 0 2048 3.0 0.80 0.20 1.00 1.00 0.95 1.00 1.00 1.00 3.0".split()
+    )
+    assert cells(table.by_seed(found)[4])[-1] == "never"
+    (mine,) = map(cells, table.by_robot(found)[2:])
+    assert mine[:6] == ["a", "3", "0.70 (0.60)", "0.30 (0.40)", "0.96 (0.89)", "0.96 (0.89)"]
+    assert mine[6:] == ["0.95 (0.95)", *["1.00 (1.00)"] * 3, "2.0 (3.0)", "2 of 3"]
+
+
+def test_the_page_of_rough_ground_has_the_tables_of_its_runs():
+    table, folder = script("28_rough/table"), EXPERIMENTS / "28_rough"
+    page = (folder / "README.md").read_text()
+    fresh = [*table.runs(table.rows(folder / "results/fresh.csv.xz"))]
+    assert len(fresh) == 30
+    assert "\n".join(table.by_robot(fresh)) in page
+    kept = [row for row in table.rows() if row["batch"] in ("cell", "parts")]
+    lines = table.by_robot([*table.runs(kept)])[2:]
+    missing = {cells(line)[0] for line in lines if line not in page}
+    assert missing == {
+        f"anc-{x}" for x in "cell5 im2 model512 robots1536 symmetry".split()
+    }  # cut off
+    assert len(lines) == 19 + len(missing)
+    first = table.by_seed([*table.runs([row for row in table.rows() if row["batch"] == "first"])])
+    assert sum(line in page for line in first[2:]) == 10

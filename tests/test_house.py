@@ -23,7 +23,7 @@ MAY_IMPORT = {
     "physics": {"terrain", "description", "config", "types"},
     "tasks": {"terrain", "physics", "description", "config", "types"},
     "policy": {"tasks", "terrain", "physics", "description", "config"},
-    "page": {"policy", "config"},
+    "page": {"policy", "terrain", "config"},
     "program": {"method", "tasks", "terrain", "physics", "description", "config"},
     "run": {"program", "policy", "config", "schedule", "seeds"},
     "sweeps": {"run", "program", "policy", "config"},

@@ -24,6 +24,7 @@ import numpy as np
 from dynappo.config import files
 from dynappo.policy import render
 from dynappo.policy.episode import Player
+from dynappo.terrain import height_map
 
 HERE = Path(__file__).parent
 ANONYMOUS = (0.5, 0.5, 0.5, 1.0)  # MuJoCo's rgba of a geom that names no colour
@@ -116,6 +117,8 @@ def scene(player: Player, episode: dict[str, np.ndarray]) -> dict[str, Any]:
             model, data, player.base_body
         ),  # m above the base, where an arrow is clear of it
         "radius": float(reach[robot].max()) * 1.15,  # m, about that of the robot
+        # radians, of the camera: on rough ground above the stairs that lead up to it
+        "elevation": 0.56 if fields else 0.2,
         "tile": 0.25,  # m, the side of a field of the floor
         "fall": float((fell[0] + 1) * dt) if len(fell) else None,
         "geoms": [_geom(model, data, i, ids, meshes, bool(player.ground[i])) for i in geoms],
@@ -185,15 +188,17 @@ def _geom(model, data, i: int, ids: list[int], meshes: list[int], fixed: bool) -
 
 
 def _field(model, i: int) -> dict[str, Any]:
-    """Height field `i`: heights [ny, nx] int16 in units of `unit` m, of which the page makes a mesh."""
+    """Height field `i`, of which the page makes a mesh: heights [y, x] int16 in units of `unit` m, at `x` and
+    `y` (m). Rows and columns that are as those on both of their sides are left out."""
     ny, nx, start = (int(getattr(model, f"hfield_{n}")[i]) for n in ("nrow", "ncol", "adr"))
     half_x, half_y, top, _ = model.hfield_size[i]
-    heights = model.hfield_data[start : start + nx * ny] * 32767
+    heights = np.round(model.hfield_data[start : start + nx * ny] * 32767).reshape(ny, nx)
+    rows, columns = height_map.needed(heights), height_map.needed(heights.T)
     return {
-        "heights": _packed(np.round(heights), "<i2"),
+        "heights": _packed(heights[np.ix_(rows, columns)], "<i2"),
         "unit": float(top) / 32767,
-        "size": [nx, ny],
-        "cell": [float(2 * half_x / (nx - 1)), float(2 * half_y / (ny - 1))],
+        "x": _short(np.linspace(-half_x, half_x, nx)[columns], 5),
+        "y": _short(np.linspace(-half_y, half_y, ny)[rows], 5),
     }
 
 

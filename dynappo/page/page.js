@@ -91,11 +91,11 @@ function decode(scene) {
 
 // a ground as a mesh: heights on a grid, two flat triangles a cell
 function field(mesh) {
-  const z = new Int16Array(bytes(mesh.heights)), [nx, ny] = mesh.size, [dx, dy] = mesh.cell;
+  const z = new Int16Array(bytes(mesh.heights)), { x, y } = mesh, nx = x.length, ny = y.length;
   const vertices = [], normals = [], faces = [], face_normals = [];
   for (let j = 0; j < ny; j++)
     for (let i = 0; i < nx; i++)
-      vertices.push((i - (nx - 1) / 2) * dx, (j - (ny - 1) / 2) * dy, z[j * nx + i] * mesh.unit);
+      vertices.push(x[i], y[j], z[j * nx + i] * mesh.unit);
   const side = (from, to) => [0, 1, 2].map((k) => vertices[3 * to + k] - vertices[3 * from + k]);
   for (let j = 0; j + 1 < ny; j++)
     for (let i = 0; i + 1 < nx; i++) {
@@ -645,7 +645,7 @@ function main() {
   let scene = decode(JSON.parse($("scene").textContent)), last = scene.rows - 1;
   const canvas = $("stage"), render = webgl(canvas, scene) || (() => {});
   $("note").hidden = canvas.getContext("webgl2") !== null;
-  const home = { azimuth: -0.66, elevation: 0.2, distance: 4.6 * scene.radius };
+  const home = { azimuth: -0.66, elevation: scene.elevation, distance: 4.6 * scene.radius };
   const camera = { ...home, fovy: 0.55, target: [0, 0, 0] };
   const state = { row: 0, playing: true, speed: 1, follow: true, kind: "looks", level: 0, held: 0 };
   const start = /[#&]t=([\d.]+)/.exec(location.hash);  // page.html#t=2.5 shows that moment; also #contacts

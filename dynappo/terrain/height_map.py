@@ -4,7 +4,7 @@ A cell is split along the diagonal from its corner (i, j) to (i + 1, j + 1), as 
 height field (mjc_ConvexHField: strips of triangles (r + 1, c), (r, c), (r + 1, c + 1), ...). Outside the map
 the height is that of its nearest edge; MuJoCo has no ground there.
 
-All functions are for NumPy and JAX alike, `map_array` [X, Y] being a map's `heights`.
+All functions but `needed` are for NumPy and JAX alike, `map_array` [X, Y] being a map's `heights`.
 """
 
 from __future__ import annotations
@@ -22,6 +22,13 @@ class HeightMap(NamedTuple):
     )  # [X, Y] float32, m; [i, j] at x = corner[0] + i cell, y = corner[1] + j cell
     cell: float  # m
     corner: tuple[float, float]  # m, of heights[0, 0]
+
+
+def needed(rows: np.ndarray) -> np.ndarray:
+    """The numbers of the rows [X, Y] that differ from one beside them, and of the first and the last: without
+    the others the surface is the same."""
+    changes = (np.diff(rows, axis=0) != 0).any(1)
+    return np.flatnonzero(np.append(True, changes) | np.append(changes, True))
 
 
 def height(map_array, cell: float, corner: tuple[float, float], x, y):

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from dynappo.terrain import height_map
 from dynappo.terrain.height_map import HeightMap
 
 REACH = 20.0  # m from the middle: no more of a large map is simulated and drawn
@@ -27,8 +28,8 @@ def triangles(field: HeightMap) -> tuple[np.ndarray, np.ndarray]:
 
     A row or column of heights that are those on both of its sides is left out.
     """
-    rows = _needed(field.heights)
-    columns = _needed(field.heights[rows].T)
+    rows = height_map.needed(field.heights)
+    columns = height_map.needed(field.heights[rows].T)
     x, y = (c + field.cell * i for c, i in zip(field.corner, (rows, columns), strict=True))
     points = np.empty((len(rows), len(columns), 3), np.float32)
     points[..., 0], points[..., 1] = x[:, None], y
@@ -37,12 +38,6 @@ def triangles(field: HeightMap) -> tuple[np.ndarray, np.ndarray]:
     a, b, c, d = number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]
     faces = np.stack([a, b, c, a, c, d], -1)  # the diagonal of height_map.py
     return points.reshape(-1, 3), faces.reshape(-1, 3)
-
-
-def _needed(rows: np.ndarray) -> np.ndarray:
-    """The numbers of the rows that differ from one beside them, and of the first and the last."""
-    changes = (np.diff(rows, axis=0) != 0).any(1)
-    return np.flatnonzero(np.append(True, changes) | np.append(changes, True))
 
 
 def lines(field: HeightMap) -> np.ndarray:
@@ -64,7 +59,7 @@ def _every_metre(x: np.ndarray, y: np.ndarray, heights: np.ndarray) -> np.ndarra
     whole = np.arange(np.ceil(x[0] - 1e-6), x[-1] + 1e-6)
     found = [np.zeros((0, 2, 3))]
     for i in sorted({int(abs(x - metre).argmin()) for metre in whole}):
-        j = _needed(heights[i][:, None])
+        j = height_map.needed(heights[i][:, None])
         line = np.stack([np.full(len(j), x[i]), y[j], heights[i, j]], -1)
         found.append(np.stack([line[:-1], line[1:]], 1))
     return np.concatenate(found)

@@ -178,15 +178,17 @@ PROBE = """
 const fs = require("fs"), vm = require("vm");
 const scene = JSON.parse(fs.readFileSync(process.argv[2]));
 const code = fs.readFileSync(process.argv[3], "utf8"), context = vm.createContext({ atob });
-const names = "decode, pose, shape, shoot";
+const names = "decode, pose, shape, shoot, field";
 vm.runInContext(`${code}; this.page = { ${names} };`, context);
-const { decode, pose, shape, shoot } = context.page, s = decode(scene);
+const { decode, pose, shape, shoot, field } = context.page, s = decode(scene);
 const solid = (m) => ({ points: m.points, normals: m.normals, faces: m.faces });
 const kinds = { sphere: [0.02, 0, 0], ellipsoid: [0.05, 0.02, 0.03], capsule: [0.02, 0.1, 0],
   cylinder: [0.04, 0.01, 0], box: [0.1, 0.02, 0.05] };
 const out = { poses: [0, 7, 24, 3.5].map((row) => pose(s, row)), solids: {} };
 for (const [type, size] of Object.entries(kinds)) out.solids[type] = solid(shape({ type, size }, [], 20));
 out.camera = shoot({ azimuth: 0.3, elevation: 0.4, distance: 2, fovy: 0.6, target: [1, 2, 0.3] }, 1.5);
+const heights = Buffer.from(new Int16Array([0, 1, 2, 3, 5, 9]).buffer).toString("base64");
+out.ground = field({ heights, unit: 0.5, x: [-1, 0, 2], y: [1, 4] });
 console.log(JSON.stringify(out));
 """
 
@@ -220,6 +222,23 @@ def test_the_pages_code_finds_the_poses(computed, written):
             np.testing.assert_allclose(own.reshape(3, 3), turn[row, b], atol=2e-4)
     between = np.array([player["position"] for player in computed["poses"][3]])
     np.testing.assert_allclose(between, (position[3] + position[4]) / 2, atol=1e-6)
+
+
+def test_the_pages_ground_has_its_heights_at_their_places(computed):
+    """Two triangles a cell, split from its corner of least x and y to that of the most, normals upwards."""
+    ground = computed["ground"]
+    points, normals = (np.reshape(ground[name], (-1, 3)) for name in ("vertices", "normals"))
+    places = [[x, y] for y in (1, 4) for x in (-1, 0, 2)]
+    np.testing.assert_allclose(points, np.c_[places, [0, 0.5, 1, 1.5, 2.5, 4.5]])
+    faces = np.reshape(ground["faces"], (-1, 3))
+    assert {frozenset(face) for face in faces.tolist()} == {
+        frozenset(face) for face in ((0, 1, 4), (0, 4, 3), (1, 2, 5), (1, 5, 4))
+    }
+    a, b, c = points[faces].swapaxes(0, 1)
+    up = np.cross(b - a, c - a)
+    assert ground["face_normals"] == np.repeat(np.arange(4), 3).tolist()
+    np.testing.assert_allclose(normals, up / np.linalg.norm(up, axis=1)[:, None], atol=1e-9)
+    assert (normals[:, 2] > 0).all()
 
 
 def surface(kind, points):

@@ -101,18 +101,40 @@ def test_a_robot_begins_on_the_platform_and_stands_on_the_ground(written):
         assert not played["fell"].any()  # it stands, it does not sink in
 
 
-def test_a_page_has_the_ground_as_heights_and_no_plane_above_it(written):
+@pytest.mark.parametrize("text, most", [("pit_stairs:1", 1000), ("random:1", 27_000)])
+def test_a_page_has_the_ground_as_heights_and_no_plane_above_it(written, text, most):
+    """Without rows and columns that change nothing; of 410,881 points so many are left."""
     policy = policy_file.load(written)
-    player, _ = policy_source.player(policy, field=policy_source.ground(policy, "pit_stairs:1"))
+    player, _ = policy_source.player(policy, field=policy_source.ground(policy, text))
     played = episode.play(player, lambda obs: np.zeros(12), lambda t: np.zeros(3), 0.1)
     shown = episode_page.scene(player, played)
     (field,) = [geom for geom in shown["geoms"] if shown["meshes"][geom.get("mesh", 0)].get("heights")
                 and geom["type"] == "mesh" and geom["body"] == -1]  # fmt: skip
     mesh = shown["meshes"][field["mesh"]]
     heights = np.frombuffer(base64.b64decode(mesh["heights"]), "<i2") * mesh["unit"]
-    heights = heights.reshape(mesh["size"][::-1]).T + field["pos"][2]
-    np.testing.assert_allclose(heights, player.field.heights, atol=1e-4)
-    assert mesh["cell"] == pytest.approx([0.1, 0.1]) and shown["floor"] < heights.min()
+    heights = heights.reshape(len(mesh["y"]), len(mesh["x"])).T + field["pos"][2]
+    ground = player.field
+    x, y = (
+        c + ground.cell * np.arange(n)
+        for c, n in zip(ground.corner, ground.heights.shape, strict=True)
+    )
+    along_y = np.stack([np.interp(y, mesh["y"], line) for line in heights])
+    every = np.stack([np.interp(x, mesh["x"], line) for line in along_y.T], 1)
+    np.testing.assert_allclose(every, ground.heights, atol=1e-4)
+    assert ground.heights.size == 410_881 and heights.size < most and shown["floor"] < heights.min()
+
+
+def test_the_pages_camera_is_above_the_steepest_stairs(written):
+    """Wherever the robot is on its way ahead; page.js looks from 38 degrees to its right, 4.6 radii away."""
+    policy = policy_file.load(written)
+    player, _ = policy_source.player(policy, field=policy_source.ground(policy, "pit_stairs:1"))
+    played = episode.play(player, lambda obs: np.zeros(12), lambda t: np.zeros(3), 0.1)
+    shown, x = episode_page.scene(player, played), np.linspace(0, 4, 81)
+    away, up = 4.6 * shown["radius"], shown["elevation"]
+    base = 0.3 + height_map.height(*player.field, x, 0 * x)
+    beside = away * np.cos(up) * np.array([np.cos(-0.66), np.sin(-0.66)])
+    below = height_map.height(*player.field, x + beside[0], 0 * x + beside[1])
+    assert (base + away * np.sin(up) - below > 0.2).all()
 
 
 def test_an_exported_network_takes_the_scan_last_in_any_order_of_joints(written):
@@ -148,7 +170,7 @@ def test_an_exported_network_takes_the_scan_last_in_any_order_of_joints(written)
 def test_play_puts_a_robot_on_a_tile(written, tmp_path, capsys):
     out = tmp_path / "stairs.html"
     play = [str(written), "--seconds=0.2", f"--out={out}", "--command=0,0,0"]
-    assert status(play_command.main, *play, "--ground=boxes:0.2") == 0 and out.stat().st_size > 1e5
+    assert status(play_command.main, *play, "--ground=boxes:0.2") == 0 and out.stat().st_size > 5e4
     capsys.readouterr()
     said = mistake(play_command.main, [*play, "--ground=lava"], capsys)
     assert "--ground=lava: expected a kind and its difficulty" in said and "pit_stairs" in said
