@@ -514,6 +514,18 @@ def apply_variant(config: config_dict.ConfigDict, variant: str) -> config_dict.C
     return config
 
 
+def lift_feet(
+    config, variant: str, best: float, laptop: float, deploy: tuple[float, float]
+) -> None:
+    """Pay for high feet in our own variants, on flat ground: weights of `foot_clearance`, and of `deploy` the
+    weight and the height in m. What they cost: experiments/22_deploy."""
+    weights = {"": best, "best": best, "few": best, "logs": best, "laptop": laptop}
+    if variant in weights:
+        config.task.weights.foot_clearance = weights[variant]
+    if variant in ("deploy", "logs_deploy"):
+        config.task.weights.foot_clearance, config.task.clearance_height = deploy
+
+
 def _best(config: config_dict.ConfigDict) -> None:
     """Few robots, and four of five rows and two of three updates imagined, until the robot walks; then
     physics alone. What each setting is worth: experiments/21_less."""

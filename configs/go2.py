@@ -13,9 +13,6 @@ default = runpy.run_path(str(pathlib.Path(__file__).with_name("default.py")))
 # N m and rad/s of hip, thigh and calf, of four legs: the vendor's URDF. The calf has another gear
 EFFORT = (23.7, 23.7, 45.43) * 4
 SPEED = (30.1, 30.1, 15.7) * 4
-# weights of `foot_clearance`: feet 3 cm high at 0.5 m/s, 5 cm in `deploy` (experiments/22_deploy)
-CLEARANCE = {"": -0.2, "best": -0.2, "few": -0.2, "logs": -0.2, "laptop": -0.3}
-CLEARANCE |= {"deploy": -1.5, "logs_deploy": -1.5}
 
 
 def get_config(variant=""):
@@ -32,8 +29,6 @@ def get_config(variant=""):
         config.task.weights.feet_air_time = 0.01
         config.task.tiles.cell = 0.05  # m, the width of a wall: with 0.1 stairs are slopes
     config = default["apply_variant"](config, variant)
-    if variant in CLEARANCE:
-        config.task.weights.foot_clearance = CLEARANCE[variant]
-    if variant in ("deploy", "logs_deploy"):
-        config.task.clearance_height = 0.08
+    # feet 3 cm high at 0.5 m/s, and 5 cm in `deploy`
+    default["lift_feet"](config, variant, best=-0.2, laptop=-0.3, deploy=(-1.5, 0.08))
     return config
