@@ -18,7 +18,7 @@ ROBOTS = 16
 # of position and quaternion (w, x, y, z), and of linear and angular velocity
 QPOS, QVEL = np.array([1, -1, 1, 1, -1, 1, -1]), np.array([1, -1, 1, -1, 1, -1])
 OTHER_FOOT = np.array([1, 0, 3, 2])  # front left, front right, hind left, hind right
-CLOCKS = ("air_steps", "contact_steps", "last_air_steps")
+CLOCKS = ("air_steps", "contact_steps", "last_air_steps", "peak", "last_peak")
 # of a step: Go1's base has its centre of mass 2 mm to the left, the others' sides are more alike
 UNLIKE = {"go1": 0.05, "go2": 0.002, "anymal_c": 0.01, "anymal_d": 0.01}
 

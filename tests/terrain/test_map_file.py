@@ -36,6 +36,7 @@ def picture(path, levels, mode=None):
 
 
 def settled(path, *more, spec="go2:rough"):
+    more = ("cell=0.1", *more)
     fields = [f"--config.task.tiles.map={path}", *(f"--config.task.tiles.{one}" for one in more)]
     return flags.load(spec, fields)
 
