@@ -29,8 +29,8 @@ def main():
 
 
 def measure(name: str, episodes: int) -> dict[str, float]:
-    """`scores.evaluate` of a bundled policy on ROBOT:best with Isaac Lab's weights, which pay nothing for high
-    feet; with the observation that it knows."""
+    """`scores.evaluate` of a bundled policy on ROBOT:best, with the observation that it knows, and with
+    Isaac Lab's weights, which pay nothing for high feet."""
     policy, _ = policy_source.load(name)
     config = config_lib.load(f"configs/{policy.robot}.py:best")
     config.task.weights.foot_clearance = 0.0
