@@ -210,7 +210,7 @@ class Weights(NamedTuple):
     feet_air_time: float = 0.25
     undesired_contacts: float = 0.0
     # for smooth and careful gaits; 0 in Isaac Lab's tasks. A robot's file has a weight of foot_clearance for
-    # `best`, `few`, `logs` and `laptop`, and a larger one for `deploy`
+    # `best`, `few` and `laptop`, and a larger one for `deploy` (`lift_feet`)
     action_acceleration: float = 0.0
     energy: float = 0.0
     joint_limits: float = 0.0

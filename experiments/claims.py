@@ -219,7 +219,7 @@ def laptop():
         ("seconds", "training +", "s"),
     ):
         (value,) = re.findall(words + "([0-9.]+)", text)
-        yield f"laptop {name}", value, unit, CORES[0], "2026-11-27", "06cd730", LAPTOP
+        yield f"laptop {name}", value, unit, CORES[0], "2026-11-27", "5514f2e", LAPTOP
 
 
 if __name__ == "__main__":
