@@ -2,12 +2,15 @@
 
     python experiments/05_playground/table.py
 
-The reference of a task is what brax's PPO has in its last evaluation, in the mean over seeds; where there is
-none, what our PPO with Playground's settings has. The first table tells when it is reached: the evaluation in
+The reference of a task is the most that brax's PPO has in any evaluation, in the mean over seeds; where there
+is none, what our PPO with Playground's settings has. The first table tells when it is reached: the evaluation in
 which a seed has 90 % and 100 % of it, in millions of simulator steps and in seconds of training, in the mean
 over the seeds that get there. The second compares `best` with brax's PPO at equal returns: at each evaluation
 of `best` that is above all before it, what brax's PPO needs for as much, on a straight line between its two
 evaluations around it. Then returns, by steps.
+
+Means over seeds are of the evaluations that three seeds have, or all where there are fewer. Runs named -steps
+share a card, so their seconds are left out.
 """
 
 import csv
@@ -40,9 +43,16 @@ def main():
                 continue
             last = [[float(row[k]) for k in ("return", "fall_rate")] for *_, row in some]
             back, falls = np.mean(last, 0)
-            size, took = np.mean([when(rows[-1]) for rows in some], 0)
-            cells = [task, KINDS[kind], len(some), f"{back:.1f}", f"{falls:.1%}", f"{size:.1f}"]
-            cells += [f"{took:.0f}"]
+            size, took = zip(*(when(rows[-1]) for rows in some), strict=True)
+            cells = [
+                task,
+                KINDS[kind],
+                len(some),
+                f"{back:.1f}",
+                f"{falls:.1%}",
+                f"{np.mean(size):.1f}",
+            ]
+            cells += [average(took)]
             cells += [cell for share in SHARES for cell in first_cells(some, share * level)]
             print("| " + " | ".join(map(str, cells)) + " |")
     print()
@@ -57,6 +67,8 @@ def runs() -> dict[tuple[str, str], list[list[dict]]]:
     for path in sorted(RESULTS.glob("*.csv")):
         with path.open() as file:
             rows = [*csv.DictReader(file)]
+        if path.stem.endswith("-steps"):
+            rows = [row | {"seconds": "nan"} for row in rows]
         for seed in dict.fromkeys(row["seed"] for row in rows):
             of_seed = [row for row in rows if row["seed"] == seed]
             out.setdefault(named(of_seed[0]["job"]), []).append(of_seed)
@@ -74,9 +86,13 @@ def tasks(found) -> list[str]:
 
 
 def reference(found, task: str) -> float:
-    """The last return of brax's PPO, or of ours, in the mean over seeds; NaN without either."""
-    some = found.get((task, "brax")) or found.get((task, "ppo")) or []
-    return float(np.mean([float(rows[-1]["return"]) for rows in some])) if some else np.nan
+    """The most that brax's PPO has, or ours, in the mean over seeds; NaN without either."""
+    some = found.get((task, "brax")) or found.get((task, "ppo"))
+    return (
+        float(np.mean([max(float(row["return"]) for row in rows) for rows in some]))
+        if some
+        else np.nan
+    )
 
 
 def when(row: dict) -> tuple[float, float]:
@@ -95,15 +111,28 @@ def first_cells(some, level: float) -> list[str]:
     never = int(np.isnan(each[:, 0]).sum())
     if never == len(each):
         return ["never", "never"]
-    steps, seconds = np.nanmean(each, 0)
-    return [f"{steps:.1f}" + (f", {never} never" if never else ""), f"{seconds:.0f}"]
+    steps = f"{np.nanmean(each[:, 0]):.1f}" + (f", {never} never" if never else "")
+    return [steps, average(each[:, 1])]
+
+
+def average(numbers) -> str:
+    """Of those that are there, without decimals."""
+    there = [x for x in numbers if np.isfinite(x)]
+    return f"{np.mean(there):.0f}" if there else "-"
 
 
 def mean(some) -> np.ndarray:
-    """M steps, seconds and return in the mean over seeds, `[E, 3]`: of the evaluations that all have."""
-    together = zip(*some, strict=False)
+    """M steps, seconds (NaN where no run was alone) and return in the mean over seeds, `[E, 3]`."""
+    together: dict[int, list] = {}
+    for rows in some:
+        for row in rows:
+            numbers = [*when(row), float(row["return"])]
+            together.setdefault(int(row["iteration"]), []).append(numbers)
+    enough = [np.array(x) for _, x in sorted(together.items()) if len(x) >= min(3, len(some))]
+    alone = [x[np.isfinite(x[:, 1]), 1] for x in enough]
+    seconds = [x.mean() if len(x) else np.nan for x in alone]
     return np.array(
-        [np.mean([[*when(r), float(r["return"])] for r in rows], 0) for rows in together]
+        [[x[0, 0], took, x[:, 2].mean()] for x, took in zip(enough, seconds, strict=True)]
     )
 
 
@@ -130,8 +159,8 @@ def beside(found) -> None:
         for *mine, level in ours[ours[:, 2] == np.maximum.accumulate(ours[:, 2])]:
             other = to_return(theirs, level)
             if np.isfinite(other).all():
-                both = ("{:.1f}, {:.0f}".format(*pair) for pair in (mine, other))
-                times = (f"{x:.1f}" for x in other / mine)
+                both = (f"{steps:.1f}, {average([took])}" for steps, took in (mine, other))
+                times = (f"{x:.1f}" if np.isfinite(x) else "-" for x in other / mine)
                 print(f"| {task} | {level:.1f} | {' | '.join([*both, *times])} |")
     print()
 
