@@ -8,7 +8,7 @@
 | `best` (default) | 1024   | 24     | 20       | three rounds of imagination; a biped's sizes (`biped.py`)  |
 | `ppo`            | 8192   | 20     | none     | Playground's own settings for brax's PPO                   |
 
-`best` has the same settings for all of these tasks, hardly tuned. It treats left and right alike
+`best` has the same settings for all of these tasks (experiments/05_playground). It treats left and right alike
 (`ppo.symmetry`) in those that have a mirror image (dynappo/tasks/playground/settings.py); elsewhere that is
 refused, with the reason.
 

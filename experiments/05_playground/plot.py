@@ -2,8 +2,8 @@
 
     python experiments/05_playground/plot.py
 
-From results/*.csv; thin lines are seeds, thick ones their mean where all have an evaluation. Dotted: the
-reference of `table.py`. Steps and seconds are logarithmic.
+From results/*.csv; thin lines are seeds, thick ones the mean of `table.py`. Dotted: its reference. Steps and
+seconds are logarithmic.
 """
 
 import importlib
@@ -31,7 +31,8 @@ def main():
         row[0].set_title(task, loc="left")
     axes[-1, 0].set_xlabel("million simulator steps")
     axes[-1, 1].set_xlabel("seconds of training, a card alone")
-    pictures.legend(page, axes[0, 0], len(LOOKS))
+    of_most = max(axes[:, 0], key=lambda axis: len(axis.get_legend_handles_labels()[0]))
+    pictures.legend(page, of_most, len(LOOKS))
     pictures.save(page, Path(__file__).with_name("curves"))
 
 

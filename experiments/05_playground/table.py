@@ -3,9 +3,9 @@
     python experiments/05_playground/table.py
 
 The reference of a task is the most that brax's PPO has in any evaluation, in the mean over seeds; where there
-is none, what our PPO with Playground's settings has. The first table tells when it is reached: the evaluation in
-which a seed has 90 % and 100 % of it, in millions of simulator steps and in seconds of training, in the mean
-over the seeds that get there. The second compares `best` with brax's PPO at equal returns: at each evaluation
+is none, what our PPO with Playground's settings has. The first table tells when it is reached: the evaluation
+in which a seed has 90 % and 100 % of it, in millions of simulator steps and in seconds of training, in the
+mean over the seeds that get there. The second compares `best` with brax's PPO at equal returns: at each evaluation
 of `best` that is above all before it, what brax's PPO needs for as much, on a straight line between its two
 evaluations around it. Then returns, by steps.
 
@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-RESULTS = Path(__file__).parent / "results"
+RESULTS, JOBS = Path(__file__).parent / "results", Path(__file__).with_name("jobs.txt")
 KINDS = {  # variant -> what the page calls it
     "brax": "brax's PPO",
     "ppo": "our PPO, Playground's settings",
@@ -82,7 +82,9 @@ def named(job: str) -> tuple[str, str]:
 
 
 def tasks(found) -> list[str]:
-    return [*dict.fromkeys(task for task, _ in found)]
+    """In the order of jobs.txt."""
+    asked = [line.split()[1].split(":")[1] for line in JOBS.read_text().splitlines()]
+    return sorted(dict.fromkeys(task for task, _ in found), key=asked.index)
 
 
 def reference(found, task: str) -> float:
@@ -107,6 +109,8 @@ def first(rows: list[dict], level: float) -> tuple[float, float]:
 
 
 def first_cells(some, level: float) -> list[str]:
+    if np.isnan(level):
+        return ["-", "-"]
     each = np.array([first(rows, level) for rows in some])
     never = int(np.isnan(each[:, 0]).sum())
     if never == len(each):
