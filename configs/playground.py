@@ -8,9 +8,9 @@
 | `best` (default) | 1024   | 24     | 20       | three rounds of imagination; a biped's sizes (`biped.py`)  |
 | `ppo`            | 8192   | 20     | none     | Playground's own settings for brax's PPO                   |
 
-`best` has the same settings for all of these tasks (experiments/05_playground). It treats left and right alike
-(`ppo.symmetry`) in those that have a mirror image (dynappo/tasks/playground/settings.py); elsewhere that is
-refused, with the reason.
+`best` has the same settings for all of these tasks (experiments/05_playground). It treats left and right
+alike (`ppo.symmetry`) in those that have a mirror image (dynappo/tasks/playground/settings.py); elsewhere
+that is refused, with the reason.
 
 Weights, noise, commands and resets are the task's own: the group `task` has only `episode_length`, which is
 the task's. `physics.impl` is its engine: Warp on a GPU that has it, else MJX-JAX.
@@ -63,11 +63,10 @@ def _best(config, symmetric):
     so a tail learns nothing from them (Go1: a return of 18 without the delay, 29 with it). And after
     iteration 600: fewer falls, and the last of the return.
 
-    A learning rate of at most 0.001: the KL alone lets it grow tenfold. With the ceiling Getup ends at 16.5 and
-    without at 11.3, Berkeley has 32.7 after 3.5 M steps and without 31.6; Spot loses 2.
+    A learning rate of at most 0.001: the KL alone lets it grow tenfold. With the ceiling Getup ends at 16.5,
+    without at 11.3; Berkeley has 32.7 after 3.5 M steps, without 31.6; Spot loses 1.
 
-    One or two seeds each: experiments/05_playground.
-    A guess is the initial noise of 0.7. No `known_reward`: without physics a step computes few terms.
+    One or two seeds each: experiments/05_playground. A guess is the initial noise of 0.7. No `known_reward`: without physics a step computes few terms.
     """
     config.rollout.update(num_envs=1024, horizon=24)
     config.schedule.update(start_iteration=50, end_iteration=55, start_steps=0, end_steps=20)

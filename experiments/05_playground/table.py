@@ -5,9 +5,9 @@
 The reference of a task is the most that brax's PPO has in any evaluation, in the mean over seeds; where there
 is none, what our PPO with Playground's settings has. The first table tells when it is reached: the evaluation
 in which a seed has 90 % and 100 % of it, in millions of simulator steps and in seconds of training, in the
-mean over the seeds that get there. The second compares `best` with brax's PPO at equal returns: at each evaluation
-of `best` that is above all before it, what brax's PPO needs for as much, on a straight line between its two
-evaluations around it. Then returns, by steps.
+mean over the seeds that get there. The second compares `best` with brax's PPO at equal returns: at each
+evaluation of `best` that is above all before it, what brax's PPO needs for as much, on a straight line
+between its two evaluations around it. Then returns, by steps.
 
 Means over seeds are of the evaluations that three seeds have, or all where there are fewer. Runs named -steps
 share a card, so their seconds are left out.
