@@ -66,7 +66,8 @@ def _best(config, symmetric):
     A learning rate of at most 0.001: the KL alone lets it grow tenfold. With the ceiling Getup ends at 16.5,
     without at 11.3; Berkeley has 32.7 after 3.5 M steps, without 31.6; Spot loses 1.
 
-    One or two seeds each: experiments/05_playground. A guess is the initial noise of 0.7. No `known_reward`: without physics a step computes few terms.
+    One or two seeds each: experiments/05_playground. A guess is the initial noise of 0.7. No
+    `known_reward`: without physics a step computes few terms.
     """
     config.rollout.update(num_envs=1024, horizon=24)
     config.schedule.update(start_iteration=50, end_iteration=55, start_steps=0, end_steps=20)
