@@ -252,6 +252,22 @@ def test_playgrounds_jobs_are_valid_and_evaluated_ten_or_twenty_times():
         assert config.run.eval_steps == config.task.episode_length
 
 
+def test_a_seed_that_blew_up_is_told_with_its_first_iteration():
+    """Not a loss in an iteration without a fit, nor returns before the first episode ends."""
+    bad, nan = script("21_less/run").blown_up, np.nan
+    losses = np.array([[1, 1, nan], [2, nan, nan], [nan, nan, nan]])  # iterations, seeds
+    told = {"iteration": np.array([7, 8, 9]), "model_epochs": np.array([1, 1, 0])}
+    returns = {"episode_return": np.full((3, 3), nan)}
+    assert bad(told | returns | {"model_loss": losses}, 3) == {
+        1: "seed 1: model_loss is not finite in iteration 8\n",
+        2: "seed 2: model_loss is not finite in iteration 7\n",
+    }
+    assert bad(told | {"value_loss": np.array([1, nan, nan])}, 1) == {
+        0: "seed 0: value_loss is not finite in iteration 8\n"
+    }
+    assert bad(told | {"value_loss": np.ones((3, 3))}, 3) == {}
+
+
 def test_jobs_of_few_robots_are_valid_and_evaluated_on_the_way_to_45_thousand_steps():
     """Of 27_few: `robots-R` has R robots and a memory for all rows up to there. With up to 64 robots there
     are ten evaluations until 45 thousand steps, which every run reaches."""

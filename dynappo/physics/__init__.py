@@ -7,6 +7,7 @@
 - `engine_contract`: whether an engine has what a robot's file asks for
 - `actuators`: from a policy's action to joint torques
 - `randomize`: each robot's own physical parameters
+- `cores`: how many cores a process may use
 - `xla_call`: lets compiled CPU programs call a Python function
 
 Tasks, `policy`, `program` and some commands import it; it imports `terrain`, `description`, `types`

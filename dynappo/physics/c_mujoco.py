@@ -22,7 +22,6 @@ the change of velocity in the last physics step, which without joint damping is 
 from __future__ import annotations
 
 import copy
-import os
 import threading
 from typing import Any, NamedTuple
 
@@ -36,6 +35,7 @@ from dynappo.description import contacts, mjcf, motors
 from dynappo.description import robot as robot_lib
 from dynappo.physics import actuators, engine_contract, xla_call
 from dynappo.physics import ground as ground_lib
+from dynappo.physics.cores import cores
 from dynappo.terrain.height_map import HeightMap
 
 # the numbers that define a robot's model, in the order of the last argument of a call; of those of the
@@ -70,14 +70,6 @@ class Moved(NamedTuple):
     parts: Any  # [n, G] or [n, G, 3], of the parts' centres
     # orientations, [n, G, 4] of the parts, or [n, S + G, 4] where feet are no spheres, and on a height map
     quat: Any
-
-
-def cores(threads: int) -> int:
-    """The number of threads for `physics.threads`; 0 means every core that this process may use."""
-    if threads:
-        return threads
-    affinity = getattr(os, "sched_getaffinity", None)  # not on macOS
-    return len(affinity(0)) if affinity else os.cpu_count() or 1
 
 
 def make(

@@ -11,7 +11,6 @@ import concurrent.futures
 import contextlib
 import gc
 import math
-import os
 import threading
 import time
 from collections.abc import Callable
@@ -254,9 +253,11 @@ def _xla_options() -> tuple[Any, Any]:
     """
     import jax
 
+    from dynappo.physics.cores import cores
+
     if jax.default_backend() == "gpu":
-        cores = {"xla_gpu_force_compilation_parallelism": os.cpu_count() or 1}
-        return cores, cores
+        at_once = {"xla_gpu_force_compilation_parallelism": cores()}
+        return at_once, at_once
     return {}, {"xla_backend_optimization_level": 0}
 
 

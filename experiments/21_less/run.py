@@ -8,6 +8,7 @@ them; on rough ground `terrain_row`, the mean row of the robots in training sinc
 seeds at once from 100 on, 100 episodes of 20 s each every 20 iterations, unless the line says otherwise
 (run.seed, run.num_seeds, run.eval_every ...). `control=NAME` among the fields is one of controls.py. Jobs
 whose CSV is there are skipped.
+A seed whose numbers are no longer finite trains on beside the others; OUT_FOLDER/NAME.log says since when.
 While a job runs, its rows so far are in OUT_FOLDER/NAME.csv.part, so one that is stopped loses only what
 came after its last evaluation. `--policies` writes OUT_FOLDER/NAME.K.npz, the policy of seed K (0, 1, ...)
 at the last evaluation, too. `--workers`: so many processes share the GPU, because compiling takes longer
@@ -34,7 +35,7 @@ from dynappo import schedule
 from dynappo.description import robot as robot_lib
 from dynappo.policy import policy_file
 from dynappo.program import build, devices
-from dynappo.run import overflow
+from dynappo.run import nonfinite, overflow
 from experiments import paper
 
 controls = importlib.import_module("experiments.21_less.controls")
@@ -100,12 +101,16 @@ def run(to: Path, job: str, fields: list[str], policies: bool = False, late=None
     part = to.with_name(f"{to.name}.csv.part")
     program, seeds = build.program(config), config.run.num_seeds
     state, steps, seconds, first, rows = program.state, schedule.sim_steps(config), 0.0, 0, []
+    since: dict[int, str] = {}
     for last in evaluations(config, late):
         chunk = {name: column[first:last] for name, column in program.columns.items()}
         began = time.perf_counter()
         state, trained = jax.block_until_ready(program.step(program.hyper, state, chunk))
         seconds, first = seconds + time.perf_counter() - began, last
         overflow.check(trained | chunk)
+        since = blown_up(trained | chunk, seeds) | since
+        if since:
+            to.with_name(f"{to.name}.log").write_text("".join(since.values()))
         found = measured(program.evaluate(state), trained)
         for s in range(seeds):
             about = {"job": " ".join([job, *fields]), "seed": config.run.seed + s}
@@ -126,6 +131,17 @@ def measured(evaluation: dict, trained: dict) -> dict[str, np.ndarray]:
     found = {name: np.ravel(evaluation[name]) for name in MEASURED if name in evaluation}
     means = {name: np.mean(trained[name], 0) for name in TRAINED if name in trained}
     return found | {name: np.ravel(x) for name, x in means.items()}
+
+
+def blown_up(trained: dict, seeds: int) -> dict[int, str]:
+    """A line for each seed with a number that is not finite: the first one, and its iteration."""
+    trained = {name: np.asarray(x) for name, x in trained.items()}
+    lines = {}
+    for s in range(seeds):
+        own = {name: x[:, s] if x.ndim > 1 else x for name, x in trained.items()}
+        if found := nonfinite.first_metric(own, own.get("model_epochs")):
+            lines[s] = "seed {}: {} is not finite in iteration {}\n".format(s, *found)
+    return lines
 
 
 def save_policies(to: Path, state, config) -> None:

@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import concurrent.futures
 import contextlib
-import os
 from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
 import warp as wp  # pyright: ignore[reportMissingImports]
+
+from dynappo.physics.cores import cores
 
 
 def launched(call: Callable[..., None], *arrays) -> set[tuple[Any, int]]:
@@ -57,7 +58,7 @@ def _replaced(**functions: Callable) -> Iterator[None]:
 def start(modules: set[tuple[Any, int]], devices: list[Any]) -> Callable[[], None]:
     """Build the modules in threads and load them on `devices` (Warp's); the result waits for that."""
     ordered = sorted(modules, key=lambda one: one[0].name)
-    pool = concurrent.futures.ThreadPoolExecutor(os.cpu_count())
+    pool = concurrent.futures.ThreadPoolExecutor(cores())
     loads = [
         pool.submit(module.load, device, block_dim=size)
         for module, size in ordered
