@@ -87,7 +87,8 @@ MAY_ALSO = {
     "tasks.velocity.log_file": FILES | PATHS,
     "terrain.map_file": FILES | PATHS,
     "physics.warp.native": FILES | PATHS,
-    "physics.c_mujoco": {"os", "threading"},
+    "physics.c_mujoco": {"threading"},
+    "physics.cores": {"os"},
     "physics.warp.building": {"os", "threading"},
 }
 
