@@ -785,9 +785,9 @@ def test_the_pages_of_the_bundled_policies_and_of_a_still_robot_have_the_numbers
     """gait.txt and benchmark.txt are what the scripts of those names printed."""
     page = (EXPERIMENTS / "22_deploy/README.md").read_text()
     for line in (EXPERIMENTS / "22_deploy/gait.txt").read_text().splitlines():
-        name, cost, torque, speed, change, height = re.findall(r"^\w+|[\d.]+(?=,|$)", line)
+        name, *values = re.findall(r"^\w+|[\d.]+(?=,|$)", line)
         row = next(cells(one) for one in page.splitlines() if one.startswith(f"| `{name}` |"))[1:]
-        for shown, value in zip(row, (cost, torque, speed, change, height), strict=True):
+        for shown, value in zip(row, values, strict=True):
             number = shown.split()[0]
             digits = len(number.partition(".")[2])
             # the file has three digits, so its last one may round either way

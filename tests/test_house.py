@@ -89,7 +89,7 @@ MAY_ALSO = {
     "physics.warp.native": FILES | PATHS,
     "physics.c_mujoco": {"threading"},
     "physics.cores": {"os"},
-    "physics.warp.building": {"os", "threading"},
+    "physics.warp.building": {"threading"},
 }
 
 

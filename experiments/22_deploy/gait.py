@@ -8,6 +8,9 @@ Seven commands of 6 s in C MuJoCo, the first second left out. Prints a row a pol
 - torque and joint speed that 99.9 % of all physics steps and joints stay below
 - change of the targets: root mean square, rad/s, over control steps and joints
 - clearance: median over swings of at least 60 ms of the highest that a foot's lowest point was
+- scuff: horizontal speed of a foot's centre that 90 % of the feet below 4 mm stay below; one that rolls over
+  its toe moves, too, and so does one that has just landed or is about to lift
+- load: the mean normal force of the foot that carries most, over that of the one that carries least
 """
 
 import sys
@@ -17,7 +20,7 @@ import mujoco
 import numpy as np
 
 from dynappo.evaluate import stress
-from dynappo.evaluate.foot_motion import intervals
+from dynappo.evaluate.foot_motion import at_ground, intervals
 from dynappo.policy import episode, policy_file, policy_source
 from dynappo.tasks.velocity import observe
 
@@ -40,6 +43,8 @@ def measure(policy) -> dict[str, float]:
     model, act = body.model, policy_file.actor(policy.params, policy.activation)
     dt, single = model.opt.timestep, body._replace(substeps=1)
     torques, speeds, changes, clearances, work, way = [], [], [], [], 0.0, 0.0
+    scuffs, load = [], np.zeros(len(body.foot_names))
+    shapes = [int(np.flatnonzero(body.foot_of == foot)[0]) for foot in range(len(load))]
     for command in stress.commands(policy)[1:]:
         data, heights = mujoco.MjData(model), []
         episode.reset(body, data)
@@ -54,6 +59,9 @@ def measure(policy) -> dict[str, float]:
                     torques.append(np.abs(data.qfrc_applied[body.joint_v]))
                     speeds.append(np.abs(data.qvel[body.joint_v]))
                     heights.append(episode.foot_heights(body, data))
+                    moves = np.array([ground_speed(model, data, shape) for shape in shapes])
+                    scuffs.extend(moves[heights[-1] < LOW])
+                    load += at_ground(body, data)[1]
                     way += np.linalg.norm(data.qvel[:2]) * dt
                     work += done
             if settled:
@@ -68,7 +76,16 @@ def measure(policy) -> dict[str, float]:
         "joint speed rad/s": np.quantile(speeds, 0.999),
         "change of targets rad/s": np.sqrt(np.mean(np.square(changes))),
         "clearance cm": 100 * np.median(clearances),
+        "scuff m/s": np.quantile(scuffs, 0.9),
+        "load": load.max() / load.min(),
     }
+
+
+def ground_speed(model, data, shape: int) -> float:
+    """Horizontal speed of a shape's centre, m/s."""
+    velocity = np.zeros(6)
+    mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_GEOM, shape, velocity, 0)
+    return float(np.hypot(*velocity[3:5]))
 
 
 if __name__ == "__main__":
