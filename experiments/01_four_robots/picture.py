@@ -1,9 +1,9 @@
 """One picture of the bundled robots walking: walking.png.
 
-    MUJOCO_GL=egl python experiments/01_four_robots/picture.py [OUT.png] [--frames ROBOT VX]
+    MUJOCO_GL=egl python experiments/01_four_robots/picture.py [OUT.png] [--frames VX POLICY ...]
 
-Each walks ahead at 0.8 m/s on C MuJoCo and is caught in mid-stride. With --frames, a strip of one
-robot at VX m/s, 60 ms apart, to look at its gait.
+Each walks ahead at 0.8 m/s on C MuJoCo and is caught in mid-stride. With --frames, a row of frames of each
+policy (a name or a file) at VX m/s, from the side, 60 ms apart, to look at its gait.
 """
 
 from pathlib import Path
@@ -13,7 +13,6 @@ import matplotlib.pyplot as plt
 import mujoco
 import numpy as np
 
-from dynappo.config import files
 from dynappo.policy import episode, policy_file, policy_source
 from experiments import paper, pictures
 
@@ -33,7 +32,7 @@ FRAMING = {
 
 def walks(name, command, seconds=6.0):
     """`(qpos [T, nq], height of each foot [T, F])` of a walk, one row a control step."""
-    policy = policy_file.load(files.find("robots", f"{name}/policy.npz"))
+    policy = policy_source.load(name)[0]
     body = policy_source.player(policy)[0]
     act = policy_file.actor(policy.params, policy.activation)
     poses = episode.play(body, act, lambda t: command, seconds)["qpos"]
@@ -100,14 +99,17 @@ def beside(left, frame, label, out, dpi=100):
 def main():
     parser = paper.parser(__doc__)
     parser.add_argument("out", nargs="?", type=Path, default=Path(__file__).parent / "walking.png")
-    parser.add_argument("--frames", nargs=2, metavar=("ROBOT", "VX"))
+    parser.add_argument("--frames", nargs="+", metavar="VX POLICY")
     args = parser.parse_args()
     if args.frames:
-        name, speed = args.frames
-        poses, _ = walks(name, np.array([float(speed), 0.0, 0.0]))
-        shown = poses[200:236:3]
-        frames = list(render(name, shown, (270, 400), azimuth=90.0, elevation=-4.0))
-        sheet(frames, [f"{60 * i} ms" for i in range(len(shown))], 4, args.out)
+        speed, *names = args.frames
+        frames, labels = [], []
+        for name in names:
+            poses, _ = walks(name, np.array([float(speed), 0.0, 0.0]))
+            robot = policy_source.load(name)[0].robot
+            frames += render(robot, poses[200:215:3], (230, 340), azimuth=90.0, elevation=-4.0)
+            labels += [f"{Path(name).stem}, {60 * i} ms" for i in range(5)]
+        sheet(frames, labels, 5, args.out)
         return
     frames = []
     for name in NAMES:
