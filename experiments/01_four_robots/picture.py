@@ -103,6 +103,8 @@ def main():
     args = parser.parse_args()
     if args.frames:
         speed, *names = args.frames
+        if not names:
+            parser.error("--frames: expected a speed and at least one policy, as 0.5 go1")
         frames, labels = [], []
         for name in names:
             poses, _ = walks(name, np.array([float(speed), 0.0, 0.0]))
