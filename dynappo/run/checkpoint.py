@@ -60,9 +60,13 @@ def opened(workdir: Path, say: Callable[[str], None] = print) -> Iterator[Checkp
     is absent. So a damaged text is moved aside first, and `say` reports it. A text that cannot be read now is
     an OSError, and nothing is moved: a disk may come back. At the end of the `with` a save in progress is
     finished. Within it orbax's loggers are silent: they log every step of every save.
+
+    What a killed save has left is removed here. Orbax would do so in a thread of its own, which may outlast
+    the `with` and remove the save of the next one.
     """
     folder = workdir / "checkpoints"
     folder.mkdir(parents=True, exist_ok=True)
+    _remove_unfinished(folder)
     for iteration in checkpoint_file.iterations(folder):
         for part in TEXTS:
             _check_text(folder / str(iteration), part, say)
@@ -173,7 +177,6 @@ def manager(folder: Path) -> ocp.CheckpointManager:
         **alone,
         preservation_policy=keep,
         best_fn=worth,
-        cleanup_tmp_directories=True,  # of a save that was killed
         # else a thread of orbax waits five minutes for a folder that could not be made
         async_options=ocp.AsyncOptions(create_directories_asynchronously=False),
     )
@@ -216,9 +219,13 @@ def wait(checkpoints: Checkpoints) -> None:
     try:
         checkpoints.manager.wait_until_finished()
     except Exception:
-        for part in checkpoints.folder.glob("*.orbax-checkpoint-tmp*"):
-            shutil.rmtree(part, ignore_errors=True)
+        _remove_unfinished(checkpoints.folder)
         raise
+
+
+def _remove_unfinished(folder: Path) -> None:
+    for part in folder.glob("*.orbax-checkpoint-tmp*"):
+        shutil.rmtree(part, ignore_errors=True)
 
 
 def read_back(folder: Path, state: Any) -> None:

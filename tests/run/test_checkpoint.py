@@ -266,6 +266,18 @@ def test_the_newest_three_are_kept_and_the_newest_is_restored(tmp_path, small):
     assert iteration == 11 and (back["a"] == 11).all()
 
 
+def test_what_a_killed_save_left_is_gone_at_once_and_no_later_save_is_taken_for_one(tmp_path):
+    """Orbax's own thread did so, and could come late: then it removed the save in progress."""
+    part = tmp_path / "checkpoints" / "12.orbax-checkpoint-tmp-0"
+    for _ in range(5):
+        part.mkdir(parents=True)
+        with checkpoint.opened(tmp_path, pytest.fail):
+            assert not part.exists()
+            part.mkdir()  # a save in progress
+        assert part.exists()
+        part.rmdir()
+
+
 def test_the_best_in_an_evaluation_is_kept_beside_the_newest(tmp_path, small):
     """One without an evaluation is never the best, whatever its training episodes were worth."""
     worth = {1: 3.0, 2: 9.0, 3: 5.0, 4: None, 5: 1.0, 6: 2.0}
