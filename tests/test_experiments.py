@@ -331,12 +331,21 @@ def test_brax_gets_playgrounds_settings():
     placed = brax_ppo.replicated({"a": np.arange(3.0), "b": 2}, jax.local_devices()[:1])
     assert placed["a"].shape == (1, 3) and placed["b"].shape == (1,)
     np.testing.assert_array_equal(jax.pmap(lambda x: 2 * x)(placed["a"])[0], [0, 2, 4])
-    whole = brax_ppo.asked("Go1JoystickFlatTerrain", None, None, None)
+    whole = brax_ppo.asked("Go1JoystickFlatTerrain")
     assert (whole.num_timesteps, whole.num_envs, whole.num_evals) == (200_000_000, 8192, 10)
     assert (whole.batch_size, whole.num_minibatches, whole.num_resets_per_eval) == (256, 32, 10)
     few = brax_ppo.asked("Go1JoystickFlatTerrain", 640, 8, 2)
     assert (few.num_timesteps, few.num_envs, few.num_evals) == (640, 8, 3)
     assert few.batch_size * few.num_minibatches == 8
+    # a robot is reset after as many steps of its own: 271 in Playground's
+    assert brax_ppo.control_steps(whole) == pytest.approx(271, abs=1)
+    for evals, resets in ((90, 1), (45, 2), (18, 5), (9, 10), (3, 30)):
+        other = brax_ppo.asked("Go1JoystickFlatTerrain", evals=evals)
+        assert other.num_resets_per_eval == resets
+    half = brax_ppo.asked("Go1JoystickFlatTerrain", steps=100_000_000, evals=9)
+    assert half.num_resets_per_eval == 5
+    assert brax_ppo.asked("Go1Getup", evals=10, resets=1).num_resets_per_eval == 1
+    assert brax_ppo.asked("G1JoystickFlatTerrain", evals=10).num_resets_per_eval == 2
 
 
 LESS = EXPERIMENTS / "21_less"

@@ -88,7 +88,7 @@ def _playground(config, impl: str) -> tuple[Env, Any]:
     worlds = max(config.rollout.num_envs, run.eval_envs) * run.num_seeds
     loaded = loading.load(name, impl, -(-worlds // (run.mesh_seed * run.mesh_env)))
     own = config.task.episode_length, config.task.random_clock, config.ppo.symmetry
-    return env.make(loaded.task, *own), loaded.task
+    return env.make(loaded.task, *own, known_reward=config.model.known_reward), loaded.task
 
 
 def check_brax(name: str) -> None:

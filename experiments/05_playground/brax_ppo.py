@@ -3,8 +3,10 @@
     python experiments/05_playground/brax_ppo.py --task=Go1JoystickFlatTerrain --out=results/go1-brax-0.csv
 
 Trainer, networks, wrappers and resets are brax's and Playground's own. With `wrapper.wrap_for_brax_training`
-a robot starts each episode from its one cached state; some settings draw all states anew ten times between
-two evaluations. `--steps` and `--evals` are Playground's if not given.
+a robot starts each episode from its one cached state. In between, Playground's settings reset all robots ten
+times between two evaluations: a robot of Spot's trains for 140 control steps in a row, of an episode of 1000,
+and never hears a second command. `--steps` and `--evals` are Playground's if not given; with others a robot
+is reset about as often (`resets`). `--resets` sets how often between two evaluations.
 
 Not theirs:
 
@@ -43,25 +45,46 @@ def main():
     parser.add_argument("--steps", type=int, help="of the simulator, in all")
     parser.add_argument("--robots", type=int)
     parser.add_argument("--evals", type=int, help="after the start")
+    parser.add_argument("--resets", type=int, help="of all robots, between two evaluations")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--impl", choices=("jax", "warp"), help="warp on a GPU, else jax")
     args = parser.parse_args()
     devices.own_process()
-    settings = asked(args.task, args.steps, args.robots, args.evals)
+    settings = asked(args.task, args.steps, args.robots, args.evals, args.resets)
     impl = args.impl or ("warp" if jax.default_backend() == "gpu" else "jax")
     run(args.task, impl, settings, args.seed, args.out)
 
 
-def asked(name: str, steps: int | None, robots: int | None, evals: int | None):
-    """Playground's settings of a task, with other sizes where they are given."""
+def asked(
+    name: str,
+    steps: int | None = None,
+    robots: int | None = None,
+    evals: int | None = None,
+    resets: int | None = None,
+):
+    """Playground's settings of a task, with other sizes where they are given.
+
+    Between two resets a robot has about as many control steps as in Playground's, whatever the sizes are:
+    brax counts resets by evaluations.
+    """
     settings = loading.ppo_config(name)
+    own = control_steps(settings)
     settings.num_timesteps = steps or settings.num_timesteps
     settings.num_envs = robots or settings.num_envs
     settings.num_minibatches = min(settings.num_minibatches, settings.num_envs)
     settings.batch_size = settings.num_envs // settings.num_minibatches  # as it is for 8192 robots
     if evals:
         settings.num_evals = evals + 1  # brax counts the one at the start
+    if resets is None:
+        resets = round(settings.num_resets_per_eval * control_steps(settings) / own) or 1
+    settings.num_resets_per_eval = resets
     return settings
+
+
+def control_steps(settings) -> float:
+    """Of a robot between two resets of all."""
+    epochs = (settings.num_evals - 1) * max(settings.num_resets_per_eval, 1)
+    return settings.num_timesteps / settings.num_envs / epochs
 
 
 def run(name: str, impl: str, settings, seed: int, out: Path) -> None:

@@ -13,6 +13,11 @@ from pathlib import Path
 from experiments import paper
 
 COLUMNS = "batch name job seed iteration sim_steps return fall_rate early tracking_error yaw_error".split()
+# of training; run.py's `TRAINED`
+TRAINED = (
+    "falls tail_falls tail_bias model_error_1 model_error_4 model_loss_before policy_std "
+    "learning_rate kl"
+).split()
 # of 28_rough/run.py
 CROSSINGS = "terrain_row crossed fell pyramid_stairs pit_stairs boxes random pyramid_slope pit_slope".split()
 
@@ -31,7 +36,7 @@ def main():
         with path.open(newline="") as file:
             kept += [{"batch": args.batch, "name": path.stem} | row for row in csv.DictReader(file)]
     text = io.StringIO(newline="")
-    columns = COLUMNS if all("crossed" not in row for row in kept) else COLUMNS[:6] + CROSSINGS
+    columns = [name for name in COLUMNS + CROSSINGS + TRAINED if any(name in row for row in kept)]
     writer = csv.DictWriter(text, columns, extrasaction="ignore", lineterminator="\n")
     writer.writeheader()
     writer.writerows(kept)

@@ -3,11 +3,11 @@
     python experiments/21_less/run.py OUT_FOLDER JOBS.txt [--workers 4] [--policies] [--late 200 50]
 
 A line of JOBS.txt is `NAME ROBOT:VARIANT [FIELD=VALUE ...]`, or `NAME playground:TASK:VARIANT ...`, and
-becomes OUT_FOLDER/NAME.csv, a row an evaluation and seed: return and falls, and errors where the task tells
-them; on rough ground `terrain_row`, the mean row of the robots in training since the evaluation before. Five
-seeds at once from 100 on, 100 episodes of 20 s each every 20 iterations, unless the line says otherwise
-(run.seed, run.num_seeds, run.eval_every ...). `control=NAME` among the fields is one of controls.py. Jobs
-whose CSV is there are skipped.
+becomes OUT_FOLDER/NAME.csv, a row an evaluation and seed: return and falls, errors where the task tells them,
+and means of training since the evaluation before (`TRAINED`; `terrain_row` is the mean row of the robots on
+rough ground). Five seeds at once from 100 on, 100 episodes of 20 s each every 20 iterations, unless the line
+says otherwise (run.seed, run.num_seeds, run.eval_every ...). `control=NAME` among the fields is one of
+controls.py. Jobs whose CSV is there are skipped.
 A seed whose numbers are no longer finite trains on beside the others; OUT_FOLDER/NAME.log says since when.
 While a job runs, its rows so far are in OUT_FOLDER/NAME.csv.part, so one that is stopped loses only what
 came after its last evaluation. `--policies` writes OUT_FOLDER/NAME.K.npz, the policy of seed K (0, 1, ...)
@@ -42,7 +42,11 @@ controls = importlib.import_module("experiments.21_less.controls")
 
 DEFAULTS = dict(seed=100, num_seeds=5, eval_every=20, eval_envs=100, eval_steps=1000)
 MEASURED = "return", "fall_rate", "tracking_error", "yaw_error"  # those that a task has
-TRAINED = ("terrain_row",)  # the same, of training
+# the same, of training
+TRAINED = (
+    "terrain_row falls tail_falls tail_bias model_error_1 model_error_4 model_loss_before policy_std "
+    "learning_rate kl"
+).split()
 
 
 def main(about=__doc__, script=__file__, run_job=None):

@@ -30,7 +30,7 @@ from flax import struct
 from jaxtyping import Array, Float, Int
 
 from dynappo.config import ConfigError
-from dynappo.tasks.playground import commands, mirrored, parts, swapped
+from dynappo.tasks.playground import commands, known, mirrored, parts, swapped
 from dynappo.tasks.playground.parts import Layout, Raw
 from dynappo.tasks.velocity import observe
 from dynappo.types import Env, Hyper, Outcome
@@ -77,6 +77,7 @@ class Constants(NamedTuple):
     episode_length: int  # control steps
     random_clock: bool
     every: int  # rows, in which all spares are drawn anew once
+    known: known.Known | None  # of rewards and end in a tail
 
 
 def make(
@@ -84,22 +85,30 @@ def make(
     episode_length: int | None = None,
     random_clock: bool = True,
     symmetry: bool = False,
+    known_reward: bool = False,
 ) -> Env:
     """The `Env` of a loaded task (loading.py). It probes the task, which takes some seconds.
 
     `episode_length` is in control steps; None: the task's. `random_clock` ends the first episode of each
     robot at a random age, so that later ones do not end together. `symmetry` asks for the mirror image;
-    ConfigError where there is none.
+    ConfigError where there is none. With `known_reward` a tail computes the terms of the reward that follow
+    from what is predicted, and the end (known.py).
     """
     layout, probed = parts.layout(task)
+    fall = _fall_reward(task, layout)
+    found = known.find(task, layout, probed, fall is not None) if known_reward else None
     image = mirrored.find(task, layout, probed) if symmetry else None
     if isinstance(image, str):
         raise ConfigError(f"ppo.symmetry is True, but this task has no mirror image: {image}")
 
+    if found is not None:
+        layout = parts.with_rest(layout)
+        image = image and mirrored.with_rest(image, layout)
+
     def start(key):
         with swapped.physics(lambda data, ctrl, n: data):  # shapes need none
             out = task.reset(key)
-        return parts.after_step(task, out), out.metrics
+        return parts.after_step(task, out, found and found.rest), out.metrics
 
     like, metrics = jax.eval_shape(start, jax.random.PRNGKey(0))
     metrics = {name: np.zeros(x.shape, x.dtype) for name, x in metrics.items()}
@@ -108,8 +117,7 @@ def make(
     told = (*EVENTS, *steered, *(OVERFLOWS if task.mjx_model.impl.value == "warp" else ()))
     length = episode_length or int(task._config.episode_length)
     cost = -(-swapped.steps_of_a_reset(task) // task.n_substeps)
-    const = Constants(task, layout, like, metrics, length, random_clock, RENEWAL * cost)
-    fall = _fall_reward(task, layout)
+    const = Constants(task, layout, like, metrics, length, random_clock, RENEWAL * cost, found)
     return Env(
         reset=partial(reset, const),
         step=partial(step, const),
@@ -117,6 +125,8 @@ def make(
         advance=partial(advance, const),
         sense=partial(sense, const),
         views=layout.views,
+        known_reward=nothing_known if found is None else partial(reward_known, const),
+        known_end=partial(end_known, const) if found is not None and found.end else None,
         fall_reward=None if fall is None else lambda hyper: fall,
         mirror=image,
         metrics=(*map(column_name, scalars), *told),
@@ -165,14 +175,17 @@ def first(const: Constants, key) -> State:
     )
 
 
+def after_step(const: Constants, out: Any) -> Raw:
+    """The `Raw` of a Playground state."""
+    return parts.after_step(const.task, out, const.known and const.known.rest)
+
+
 def _state(const: Constants, out: Any, exact: Any) -> State:
     """The state after `out`, a Playground state; `exact` is the same without noise."""
     layout = const.layout
-    raw = jax.tree.map(
-        lambda x, like: jnp.asarray(x, like.dtype), parts.after_step(const.task, out), const.like
-    )
-    numbers = parts.vector(layout.names, raw)
-    quiet = parts.vector(layout.names, parts.after_step(const.task, exact))
+    now, quiet = (after_step(const, x) for x in (out, exact))
+    raw = jax.tree.map(lambda x, like: jnp.asarray(x, like.dtype), now, const.like)
+    numbers, quiet = parts.vector(layout.names, raw), parts.vector(layout.names, quiet)
     obs = numbers[layout.source]
     prop = jnp.where(
         layout.noise > 0, quiet[layout.source[: layout.prop_size]], obs[: layout.prop_size]
@@ -325,20 +338,52 @@ def restart(const: Constants):
 
 def advance(const: Constants, hyper: Hyper, context, prop, action, next_prop):
     """`Env.advance`: what the task's step computes without physics."""
+    data = parts.with_fields(parts.template(const.task), const.layout.home)
+    numbers = parts.vector(
+        const.layout.names, after_step(const, _in_tail(const, prop, context, action, data))
+    )
+    return numbers[const.layout.source[const.layout.prop_size :]]
+
+
+def nothing_known(hyper: Hyper, obs, action, next_prop):
+    """`Env.known_reward` of a task of which no term is."""
+    return jnp.zeros(())
+
+
+def reward_known(const: Constants, hyper: Hyper, obs, action, next_prop):
+    """`Env.known_reward`: all of it, of a state that the model predicts (known.py)."""
+    assert const.known is not None
+    prop, context = jnp.split(obs, [const.layout.prop_size])
+    out = _in_tail(const, prop, context, action, _filled(const, next_prop))
+    return known.reward(const.layout, const.known, out.metrics, next_prop)
+
+
+def end_known(const: Constants, hyper: Hyper, prop, context):
+    """`Env.known_end`: 1 where the task ends the episode in a state that the model predicts."""
+    still = jnp.zeros(const.task.action_size)
+    return _in_tail(const, prop, context, still, _filled(const, prop)).done
+
+
+def _filled(const: Constants, prop):
+    assert const.known is not None
+    return known.filled(const.layout, const.known, parts.template(const.task), prop)
+
+
+def _in_tail(const: Constants, prop, context, action, after):
+    """Playground's state after a step whose physics end in the data `after`."""
     layout, names = const.layout, const.layout.names
     obs = jnp.concatenate([prop, context])
     raw = parts.unvector(names, parts.unpack(layout, obs, prop), const.like)
     info = (
         raw.info | {"rng": parts.key_of(prop, context, action)} if "rng" in raw.info else raw.info
     )
-    data = parts.with_fields(parts.template(const.task), layout.home)
-    before = data.replace(ctrl=raw.ctrl) if layout.reads_ctrl else data
+    before = parts.with_fields(parts.template(const.task), layout.home)
+    before = before.replace(ctrl=raw.ctrl) if layout.reads_ctrl else before
     start = swapped.state(before, raw.obs, info, const.metrics)
-    out = swapped.step(const.task, start, squashed(action), data)
-    numbers = parts.vector(names, parts.after_step(const.task, out))
-    return numbers[layout.source[layout.prop_size :]]
+    return swapped.step(const.task, start, squashed(action), after)
 
 
 def sense(const: Constants, hyper: Hyper, prop, context, key):
-    """`Env.sense`: uniform noise, as wide as the task's."""
-    return prop + const.layout.noise * jax.random.uniform(key, prop.shape, minval=-1.0, maxval=1.0)
+    """`Env.sense`: uniform noise, as wide as the task's, and the same where the task draws it once."""
+    draws = jax.random.uniform(key, prop.shape, minval=-1.0, maxval=1.0)
+    return prop + const.layout.noise * draws[const.layout.draw]

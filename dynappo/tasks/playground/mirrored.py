@@ -60,7 +60,7 @@ def find(task: Any, layout: Layout, probed: Probed) -> tuple[Mirror, Mirror] | s
     going = ~(ended | ended_image)
     if going.sum() < 50:
         return "most random states end the episode"
-    last = x.shape[1] - raw.unseen.shape[1]
+    last = x.shape[1] - raw.unseen.shape[1] - raw.applied.shape[1]
     ctrl = slice(last - raw.ctrl.shape[1], last)
     if not _same(_turned(actions, x[going, ctrl]), y[going, ctrl]).all():
         return "mirrored actions are not mirrored controls"
@@ -71,6 +71,13 @@ def find(task: Any, layout: Layout, probed: Probed) -> tuple[Mirror, Mirror] | s
         return "the reward tells left from right"
     found = _matched(layout, x[going][:, layout.source], y[going][:, layout.source])
     return found if isinstance(found, str) else (found, actions)
+
+
+def with_rest(image: tuple[Mirror, Mirror], layout: Layout) -> tuple[Mirror, Mirror]:
+    """The image with the number of `parts.with_rest`, which it leaves as it is."""
+    (obs, action), at = image, layout.prop_size - 1
+    index = np.insert(obs.index + (obs.index >= at), at, at)
+    return Mirror(index, np.insert(obs.sign, at, 1.0)), action
 
 
 def _asked(probed: Probed, raw, action, before, after):
@@ -110,7 +117,7 @@ def _flat(model: mujoco.MjModel) -> mujoco.MjModel:
 
 def _states(model, home, joints: Mirror, actions: Mirror, draw) -> tuple[dict, dict]:
     """Data of random states about the first pose, near the ground, and of their images, by C MuJoCo."""
-    data, low, high = mujoco.MjData(model), *model.jnt_range[1:].T
+    low, high = model.jnt_range[1:].T
     found: tuple[list, list] = [], []
     for _ in range(parts.PROBES):
         qpos, qvel = home["qpos"].astype(float), draw.normal(0, 0.3, model.nv)
@@ -127,14 +134,9 @@ def _states(model, home, joints: Mirror, actions: Mirror, draw) -> tuple[dict, d
             np.concatenate([qvel[:6] * QVEL, _turned(joints, qvel[6:])]),
             _turned(actions, ctrl),
         )
-        for rows, (q, v, u) in zip(found, ((qpos, qvel, ctrl), image), strict=True):
-            mujoco.mj_resetData(model, data)
-            data.qpos[:], data.qvel[:], data.ctrl[:] = q, v, u
-            mujoco.mj_forward(model, data)
-            rows.append([np.array(getattr(data, name), np.float32) for name in home])
-    one, other = (
-        dict(zip(home, map(np.stack, zip(*rows, strict=True)), strict=True)) for rows in found
-    )
+        for rows, state in zip(found, ((qpos, qvel, ctrl), image), strict=True):
+            rows.append(state)
+    one, other = (parts.data_of_states(model, rows) for rows in found)
     return one, other
 
 

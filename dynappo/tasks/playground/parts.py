@@ -9,7 +9,10 @@ and their timers, last actions, phases, histories and what a step shows of the s
 
 The probes vary data around the task's first pose, and those that end an episode are left out: a tail goes on.
 
-    raw  = [ every number of the observation | the task's own numbers (info) | ctrl | unseen ]
+Noise is drawn once for numbers that show the same measurement: Spot's joints are sensed, and the same sensed
+joints are the newest of its history. Numbers whose noise is equal in all probes are such (`Layout.draw`).
+
+    raw  = [ every number of the observation | the task's own numbers (info) | ctrl | applied | unseen ]
     obs  = [ prop | context ]: each predicted number once, then what is known
 """
 
@@ -47,6 +50,7 @@ class Layout(NamedTuple):
     source: np.ndarray  # [O] the raw number that a number of obs is
     prop_size: int
     noise: np.ndarray  # [P] half width of the uniform noise
+    draw: np.ndarray  # [P] the first number that has the same draw of it
     views: Views
     home: dict[str, np.ndarray]  # data of the task's first pose
     reads_ctrl: bool  # whether a step reads the control before it
@@ -59,6 +63,9 @@ class Raw(NamedTuple):
     obs: Any
     info: dict[str, Any]
     ctrl: Float[Array, " A"]
+    # ctrl as motors take it, within their range: what the model reads. A task that adds up its actions may
+    # ask for 77 rad
+    applied: Float[Array, " A"]
     unseen: Float[Array, " U"]
 
 
@@ -77,17 +84,42 @@ def names_of(obs: Any) -> tuple[str, ...]:
     return tuple(name for name in (ACTOR, CRITIC) if name in obs)
 
 
-def unseen(task: Any, data: Any) -> Float[Array, " U"]:
-    """What rewards are computed from and no observation tells: heights of the base and of the feet, m."""
+def unseen(task: Any, names: tuple[str, ...], data: Any) -> Float[Array, " U"]:
+    """What follows from the state and no observation tells: heights of the base and of the feet, m.
+
+    And velocities of base (in its frame) and joints, of a task with one observation, which leaves them out.
+    """
     feet = getattr(task, "_feet_site_id", np.zeros(0, int))
-    return jnp.concatenate([data.qpos[2:3], data.site_xpos[feet, 2]])
+    heights = [data.qpos[2:3], data.site_xpos[feet, 2]]
+    if len(names) > 1:
+        return jnp.concatenate(heights)
+    moves = [
+        data.sensordata[start : start + size]
+        for start, size in (_sensor(task.mj_model, name) for name in ("local_linvel", "gyro"))
+    ]
+    return jnp.concatenate([*heights, *moves, data.qvel[6:]])
+
+
+def _sensor(model: mujoco.MjModel, name: str) -> tuple[int, int]:
+    """Place and size of a sensor's numbers; size 0 where there is none."""
+    i = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SENSOR, name)
+    return (0, 0) if i < 0 else (int(model.sensor_adr[i]), int(model.sensor_dim[i]))
+
+
+def applied(task: Any, ctrl: Float[Array, " A"]) -> Float[Array, " A"]:
+    """`ctrl` within the motors' range."""
+    model = task.mj_model
+    low, high = np.where(
+        model.actuator_ctrllimited > 0, model.actuator_ctrlrange.T, [[-np.inf], [np.inf]]
+    )
+    return jnp.clip(ctrl, low, high)
 
 
 def vector(names: tuple[str, ...], raw: Raw) -> Float[Array, " E"]:
     """All raw numbers; keys of random numbers are none."""
     of_obs = [raw.obs] if names == ("",) else [raw.obs[name] for name in names]
     of_info = [x for key, x in sorted(raw.info.items()) if key != "rng"]
-    leaves = [*of_obs, *jax.tree.leaves(of_info), raw.ctrl, raw.unseen]
+    leaves = [*of_obs, *jax.tree.leaves(of_info), raw.ctrl, raw.applied, raw.unseen]
     numbers = [jnp.ravel(jnp.asarray(x)).astype(jnp.float32) for x in leaves]
     return jnp.nan_to_num(jnp.concatenate(numbers), nan=jnp.nan, posinf=LARGE, neginf=-LARGE)
 
@@ -111,21 +143,57 @@ def unvector(names: tuple[str, ...], numbers: Float[Array, " E"], like: Raw) -> 
         obs = like.obs | {name: take(like.obs[name]) for name in names}
     info = {key: jax.tree.map(take, like.info[key]) for key in sorted(like.info) if key != "rng"}
     info |= {key: x for key, x in like.info.items() if key == "rng"}
-    return Raw(obs, info, take(like.ctrl), take(like.unseen))
+    return Raw(obs, info, *map(take, (like.ctrl, like.applied, like.unseen)))
 
 
-def after_step(task: Any, out: Any) -> Raw:
-    """The `Raw` of a Playground state."""
-    return Raw(out.obs, out.info, out.data.ctrl, unseen(task, out.data))
+def after_step(task: Any, out: Any, rest: tuple[str, ...] | None = None) -> Raw:
+    """The `Raw` of a Playground state; `rest` are terms of the reward, whose sum is the last of `unseen`."""
+    ctrl, hidden = out.data.ctrl, unseen(task, names_of(out.obs), out.data)
+    if rest is not None:
+        left = sum((out.metrics[name] for name in rest), jnp.zeros(()))
+        hidden = jnp.append(hidden, left)
+    return Raw(out.obs, out.info, ctrl, applied(task, ctrl), hidden)
+
+
+def with_rest(layout: Layout) -> Layout:
+    """The layout with one more raw number, the last, as the last of `prop`. The model sees it, too."""
+    size, last = layout.prop_size, len(layout.column)
+
+    def moved(columns):
+        return columns + (columns >= size)
+
+    views = Views(*map(moved, layout.views))
+    return layout._replace(
+        column=np.append(moved(layout.column), size),
+        noisy=np.append(layout.noisy, False),
+        source=np.insert(layout.source, size, last),
+        prop_size=size + 1,
+        noise=np.append(layout.noise, np.float32(0)),
+        draw=np.append(layout.draw, size),
+        views=views._replace(model=np.sort(np.append(views.model, size))),
+    )
 
 
 def home(task: Any) -> dict[str, np.ndarray]:
-    """Data of the task's first pose, by C MuJoCo."""
+    """Data of the task's first pose."""
     model = task.mj_model
-    data = mujoco.MjData(model)
-    data.qpos[:] = np.asarray(getattr(task, "_init_q", model.qpos0))
-    mujoco.mj_forward(model, data)
-    return {name: np.array(getattr(data, name), np.float32) for name in (*FIELDS, "ctrl")}
+    qpos = np.asarray(getattr(task, "_init_q", model.qpos0))
+    states = data_of_states(model, [(qpos, np.zeros(model.nv), np.zeros(model.nu))])
+    return {name: x[0] for name, x in states.items()}
+
+
+def data_of_states(
+    model: mujoco.MjModel, states: list[tuple[Any, Any, Any]]
+) -> dict[str, np.ndarray]:
+    """Data, [K] in front, of K states `(qpos, qvel, ctrl)` by C MuJoCo."""
+    data, rows, names = mujoco.MjData(model), [], [*FIELDS, "ctrl"]
+    for qpos, qvel, ctrl in states:
+        mujoco.mj_resetData(model, data)
+        data.qpos[:], data.qvel[:], data.ctrl[:] = qpos, qvel, ctrl
+        mujoco.mj_forward(model, data)
+        rows.append([np.array(getattr(data, name), np.float32) for name in names])
+    columns = map(np.stack, zip(*rows, strict=True))
+    return dict(zip(names, columns, strict=True))
 
 
 def template(task: Any) -> Any:
@@ -147,23 +215,7 @@ def layout(task: Any) -> tuple[Layout, Probed]:
     """
     at_home = home(task)
     draw = np.random.default_rng(0)
-    contacts = _contact_sensors(task.mj_model)
-
-    def varied() -> dict[str, np.ndarray]:
-        """`at_home` for each probe, with more or less noise."""
-        size = 10 ** draw.uniform(-2.5, -0.5, PROBES)
-        out = {}
-        for name, x in at_home.items():
-            spread = draw.normal(size=(PROBES, *x.shape)) * size.reshape(-1, *[1] * x.ndim)
-            out[name] = (x + spread).astype(np.float32)
-        # of contacts one changes, or none is left, or each changes by chance
-        touches = np.repeat(at_home["sensordata"][None, contacts] > 0, PROBES, 0)
-        one = np.arange(len(contacts)) == draw.integers(0, max(len(contacts), 1), (PROBES, 1))
-        some = draw.uniform(size=touches.shape) < draw.uniform(size=(PROBES, 1))
-        how = draw.integers(0, 3, (PROBES, 1))
-        turned = np.select([how == 0, how == 1], [one, touches], some)
-        out["sensordata"][:, contacts] = touches ^ turned
-        return out
+    varied = partial(_varied, at_home, _contact_sensors(task.mj_model), draw)
 
     def arguments(raw):
         action = draw.uniform(-1, 1, (PROBES, task.action_size)).astype(np.float32)
@@ -180,14 +232,32 @@ def layout(task: Any) -> tuple[Layout, Probed]:
         ):  # actions, contacts and air times differ more from round to round
             out = probe(*arguments(jax.device_get(out[0])))
         raw, numbers, reward, _, ended = jax.device_get(out)
-    exact, other, loudest, coasted = (x[~ended] for x in numbers)
+    exact, other, loudest, coasted, real = (x[~ended] for x in numbers)
     predicted = (np.abs(exact - other) > 1e-5 * (1 + np.abs(exact))).any(0)
     noise = np.where(predicted, np.abs(loudest - exact).min(0), 0.0)
     noise[noise < 1e-6] = 0.0
+    drawn = (real - exact) / np.where(noise > 0, noise, 1.0)
     one, reads_ctrl = jax.tree.map(lambda x: x[0], raw), bool((exact != coasted).any())
     of_data = {"home": at_home, "reads_ctrl": reads_ctrl, "clipped": bool(reward.min() >= 0)}
-    arranged = _arranged(names_of(raw.obs), one, exact, predicted, noise, of_data)
+    arranged = _arranged(names_of(raw.obs), one, exact, predicted, noise, drawn, of_data)
     return arranged, Probed(probe, raw)
+
+
+def _varied(at_home: dict[str, np.ndarray], contacts, draw) -> dict[str, np.ndarray]:
+    """`at_home` for each probe, with more or less noise; `contacts` are places of `_contact_sensors`."""
+    size = 10 ** draw.uniform(-2.5, -0.5, PROBES)
+    out = {}
+    for name, x in at_home.items():
+        spread = draw.normal(size=(PROBES, *x.shape)) * size.reshape(-1, *[1] * x.ndim)
+        out[name] = (x + spread).astype(np.float32)
+    # of contacts one changes, or none is left, or each changes by chance
+    touches = np.repeat(at_home["sensordata"][None, contacts] > 0, PROBES, 0)
+    one = np.arange(len(contacts)) == draw.integers(0, max(len(contacts), 1), (PROBES, 1))
+    some = draw.uniform(size=touches.shape) < draw.uniform(size=(PROBES, 1))
+    how = draw.integers(0, 3, (PROBES, 1))
+    turned = np.select([how == 0, how == 1], [one, touches], some)
+    out["sensordata"][:, contacts] = touches ^ turned
+    return out
 
 
 def _compiled(function: Any, *arguments: Any) -> Any:
@@ -210,13 +280,13 @@ def _first(task: Any, at_home: dict[str, np.ndarray], key) -> tuple[Raw, dict[st
     with swapped.physics(lambda data, ctrl, n: data):
         out = task.reset(key)
     info = jax.tree.map(jnp.asarray, out.info)
-    raw = Raw(out.obs, info, jnp.asarray(at_home["ctrl"]), unseen(task, out.data))
-    return raw, out.metrics
+    data = out.data.replace(ctrl=jnp.asarray(at_home["ctrl"]))
+    return after_step(task, out.replace(data=data, info=info)), out.metrics
 
 
 def _probe(task: Any, metrics, raw: Raw, action, before, after, other_before, other_after):
-    """`(raw after the step, four vectors of its numbers, reward, its terms, done)`: without noise, with other
-    data, with the largest noise, and with another ctrl before."""
+    """`(raw after the step, five vectors of its numbers, reward, its terms, done)`: without noise, with other
+    data, with the largest noise, with another ctrl before, and with noise."""
     data, names = template(task), names_of(raw.obs)
 
     def run(before, after, ctrl=raw.ctrl):
@@ -235,21 +305,22 @@ def _probe(task: Any, metrics, raw: Raw, action, before, after, other_before, ot
         loudest = run(before, after)
     ended = (exact.done + other.done + loudest.done + real.done) > 0
     typed = jax.tree.map(lambda x, y: jnp.asarray(x, y.dtype), after_step(task, real), raw)
-    vectors = tuple(map(numbers, (exact, other, loudest, coasted)))
+    vectors = tuple(map(numbers, (exact, other, loudest, coasted, real)))
     terms = {name: x for name, x in exact.metrics.items() if name.startswith("reward/")}
     return typed, vectors, exact.reward, terms, ended
 
 
-def _arranged(names, one: Raw, exact, predicted, noise, of_data: dict[str, Any]) -> Layout:
+def _arranged(names, one: Raw, exact, predicted, noise, drawn, of_data: dict[str, Any]) -> Layout:
     """Puts each predicted number once in front, and what is known behind; `one` is a probe's."""
     sizes = [np.size(one.obs)] if names == ("",) else [np.size(one.obs[name]) for name in names]
     seen, acts, noisy = sum(sizes), sizes[0], noise > 0
-    # the model sees neither the task's counters nor what is far from all others
-    useless = _places(names, one, _is_counter) | (np.abs(exact) > LARGE / 2).any(0)
-    used = np.ones(len(predicted), bool)
-    if not of_data["reads_ctrl"]:
-        only = jax.tree.map(np.zeros_like, one)._replace(ctrl=np.ones_like(one.ctrl))
-        used = ~_places(names, only, lambda x: x)
+    nothing = jax.tree.map(np.zeros_like, one)
+    asked = nothing._replace(ctrl=np.ones_like(one.ctrl))
+    taken = nothing._replace(applied=np.ones_like(one.ctrl))
+    asked, taken = (_places(names, only, lambda x: x) for only in (asked, taken))
+    # the model sees neither the task's counters nor what is far from all others, nor ctrl beyond its range
+    useless = _places(names, one, _is_counter) | (np.abs(exact) > LARGE / 2).any(0) | asked
+    used = np.ones(len(predicted), bool) if of_data["reads_ctrl"] else ~(asked | taken)
     column, source = np.zeros(len(predicted), int), []
     first: dict[tuple[bytes, bool], int] = {}
 
@@ -272,13 +343,18 @@ def _arranged(names, one: Raw, exact, predicted, noise, of_data: dict[str, Any])
         apart = at >= seen or np.ptp(exact[:, at]) == 0
         place(at, [(b"%d" % at, True) if apart else (exact[:, at].tobytes(), False)])
     of = np.array(source)
+    loud, own = noise[of[:prop_size]], np.arange(prop_size)
+    shares = drawn[:, of[:prop_size]]
+    # of one draw, at the precision with which it was added
+    same = np.abs(shares[:, :, None] - shares[:, None]).max(0) < 1e-2
     return Layout(
         names=names,
         column=column,
         noisy=noisy,
         source=of,
         prop_size=prop_size,
-        noise=noise[of[:prop_size]].astype(np.float32),
+        noise=loud.astype(np.float32),
+        draw=np.where(loud > 0, same.argmax(-1), own),
         views=Views(
             actor=column[:acts],
             critic=np.unique(column[acts:seen]) if len(names) > 1 else column[:acts],
