@@ -9,6 +9,7 @@ The task itself is Playground's, unchanged: its `reset` and its `step` are calle
 - `swapped`: the task's step with physics, or noise, replaced by what is given
 - `parts`: what each number of an observation is, found by probing the task
 - `mirrored`: left for right, found by trying
+- `known`: what of reward and end follows from what the model predicts
 - `commands`: which tasks have a command, and its ranges
 - `env`: the `Env`
 - `settings`: Playground's PPO settings as fields of our config
