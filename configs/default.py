@@ -155,6 +155,8 @@ class Model(NamedTuple):
     remembered: Annotated[int, Between(0, 100)] = 0  # of them, beside each new row of a minibatch
     weight_decay: Positive | None = None  # of the weights, a step, times the learning rate
     symmetry: bool = False  # learn from mirrored rows, too (learner/symmetry.py)
+    # a predicted prop stays within so many standard deviations of the model's inputs; None: no bound
+    bound: Positive | None = None
 
 
 class Ppo(NamedTuple):

@@ -159,6 +159,7 @@ class Static(NamedTuple):
 
 
 class HyperModel(NamedTuple):
+    bound: float | None
     huber_delta: float
     learning_rate: float
     stats_decay: float

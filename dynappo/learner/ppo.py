@@ -97,6 +97,7 @@ def steps(
     static: Static, learner: Learner, batch: Batch, key: PRNGKeyArray, step: Callable
 ) -> tuple[Learner, Any]:
     """`step(learner, minibatch) -> learner, metrics` over all epochs, and the metrics' means."""
+    batch = jax.tree.map(partial(present, weight=batch.weight), batch)
     batch = batch._replace(advantages=normalize(batch.advantages, batch.weight))
     shuffled = minibatches(static, batch, key)
 
@@ -146,19 +147,21 @@ def loss(
         value     = mean max((V - R)^2, (V_old + clip(V - V_old, -eps, eps) - R)^2)
 
     The entropy is the policy's, or with `ppo.squashed` that of tanh of its actions, with the noise of the
-    rows. `metrics["kl"]` is the mean KL(old || new). Means are over rows with their weights. For fast.py
-    `actor_critic` is an argument, and three means are one of a stack: one kernel on a GPU, not three.
+    rows. `metrics["kl"]` is the mean KL(old || new). Means are over rows with their weights; in a row
+    of weight 0 `log_prob`, `value`, `advantages` and `returns` may be any number. For fast.py `actor_critic`
+    is an argument, and three means are one of a stack: one kernel on a GPU, not three.
     """
     std = params["std"]
     action_mean, value = actor_critic(static, params)(batch.obs, batch.critic_obs)
     chex.assert_equal_shape([value, batch.value, batch.returns, batch.advantages])
-    ratio = jnp.exp(networks.log_prob(action_mean, std, batch.action) - batch.log_prob)
+    here = partial(present, weight=batch.weight)
+    ratio = jnp.exp(here(networks.log_prob(action_mean, std, batch.action) - batch.log_prob))
     clipped = jnp.clip(ratio, 1 - hyper.ppo.clip_epsilon, 1 + hyper.ppo.clip_epsilon)
     surrogate = -jnp.minimum(batch.advantages * ratio, batch.advantages * clipped)
-    error = (value - batch.returns) ** 2
+    error = here(value - batch.returns) ** 2
     if static.ppo.clip_value:
         change = jnp.clip(value - batch.value, -hyper.ppo.clip_epsilon, hyper.ppo.clip_epsilon)
-        error = jnp.maximum(error, (batch.value + change - batch.returns) ** 2)
+        error = jnp.maximum(error, here(batch.value + change - batch.returns) ** 2)
     kl = networks.kl(batch.action_mean, old_std, action_mean, std)
     if static.ppo.squashed:
         noise = (batch.action - batch.action_mean) / old_std
@@ -187,7 +190,18 @@ def mean(x: Float[Array, "... B"], weight: Float[Array, " B"] | None) -> Float[A
     """Weighted mean over rows, sum w x / sum w."""
     if weight is None:
         return x.mean(-1)
-    return (x * weight).mean(-1) / jnp.maximum(weight.mean(), 1e-8)
+    return jnp.where(weight > 0, x * weight, 0.0).mean(-1) / jnp.maximum(weight.mean(), 1e-8)
+
+
+def present(x, weight):
+    """`x` [..., K], 0 in rows of weight 0.
+
+    Such a row (recorded, or past a fall in a tail) may hold any number, and weight 0 alone does not silence
+    it: 0 times infinity is NaN. So it becomes 0 before what overflows, and the gradient is finite, too.
+    """
+    if weight is None:
+        return x
+    return jnp.where(weight.reshape(*weight.shape, *[1] * (x.ndim - weight.ndim)) > 0, x, 0.0)
 
 
 def normalize(advantages: Float[Array, "..."], weight=None) -> Float[Array, "..."]:
@@ -195,7 +209,7 @@ def normalize(advantages: Float[Array, "..."], weight=None) -> Float[Array, "...
     std^2 = sum w (A - mean)^2 / (sum w - 1)."""
     if weight is None:
         return (advantages - advantages.mean()) / (advantages.std(ddof=1) + 1e-8)
-    share = jnp.maximum(weight.mean(), 1e-8)
+    advantages, share = present(advantages, weight), jnp.maximum(weight.mean(), 1e-8)
     centred = advantages - (advantages * weight).mean() / share
     count = jnp.maximum(weight.sum() - 1, 1)
     return centred / (jnp.sqrt((weight * centred**2).sum() / count) + 1e-8)

@@ -49,8 +49,9 @@ def check(metrics, columns, networks, before: Callable[[], Any], workdir: Path |
     kept = workdir and checkpoint_file.iterations(workdir / "checkpoints")
     raise FloatingPointError(
         f"{name} is not finite in iteration {iteration}: training has blown up ({where}). Lower "
-        "ppo.desired_kl (where ppo.adaptive is False, ppo.learning_rate) or model.learning_rate, or shorten "
-        "the tail; " + ("the last checkpoint is good" if kept else "nothing has been saved yet")
+        "ppo.desired_kl (where ppo.adaptive is False, ppo.learning_rate) or model.learning_rate, shorten the "
+        "tail, or set model.bound; "
+        + ("the last checkpoint is good" if kept else "nothing has been saved yet")
     )
 
 

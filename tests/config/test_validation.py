@@ -57,6 +57,8 @@ WRONG = [  # fields, what the line begins with, what is expected
     ({"model.symmetry": True}, "model.symmetry is True", "False where ppo.symmetry is False"),
     (TIED | {"model.hidden": (8, 7)}, "model.hidden is (8, 7)", "even sizes where model.symmetry"),
     ({"model.weight_decay": 0.0}, "model.weight_decay is 0.0", "more than 0"),
+    ({"model.bound": 0.0}, "model.bound is 0.0", "more than 0"),
+    ({"model.bound": -3.0}, "model.bound is -3.0", "more than 0"),
     ({"run.eval_envs": -1}, "run.eval_envs is -1", "0 to 1,000,000"),
     ({"run.video_seconds": -1.0}, "run.video_seconds is -1.0", "0 to 600"),
     ({"task.kp": 1e9}, "task.kp is 1000000000.0", "0 to 100,000"),

@@ -483,3 +483,70 @@ def test_of_a_row_of_weight_0_nothing_is_learned(toy, weight):
     pairs = zip(jax.tree.leaves(one), jax.tree.leaves(two), strict=True)
     close = [np.allclose(x, y, 1e-4, 1e-6) for x, y in pairs]
     assert all(close) if weight == 0 else not any(close[:3])
+
+
+# rows of weight 0
+
+
+@pytest.fixture(scope="module")
+def absent(recorded):
+    """`(learner, batch, the same batch spoilt, old_std)`: a third of the rows have weight 0, and the spoilt
+    batch has numbers there that overflow or are none; `batch` has others than recorded."""
+    learner, batch, old_std = recorded("update")
+    rng = np.random.default_rng(0)
+    weight = rng.random((HORIZON, ROBOTS)) * (rng.random((HORIZON, ROBOTS)) > 0.3)
+    bad = [np.nan, np.inf, -np.inf, 1e30, -200.0]  # exp(200) is infinite
+
+    def spoil(x, numbers):
+        there = weight.reshape(*weight.shape, *[1] * (x.ndim - 2)) > 0
+        return jnp.where(there, x, jnp.asarray(numbers(x.shape), jnp.float32))
+
+    batches = [
+        jax.tree.map(partial(spoil, numbers=numbers), batch)._replace(weight=jnp.float32(weight))
+        for numbers in (lambda shape: rng.normal(size=shape), lambda shape: rng.choice(bad, shape))
+    ]
+    return learner, *batches, old_std
+
+
+def assert_finite_and_same(found, expected):
+    for a, b in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
+        assert np.isfinite(b).all()
+        np.testing.assert_array_equal(a, b)
+
+
+def test_means_are_of_rows_of_some_weight_whatever_the_others_hold(absent):
+    """Against NumPy without these rows."""
+    _, _, spoilt, _ = absent
+    there = np.asarray(spoilt.weight) > 0
+    raw, weight = (np.float64(x)[there] for x in (spoilt.advantages, spoilt.weight))
+    mean = (raw * weight).sum() / weight.sum()
+    std = np.sqrt((weight * (raw - mean) ** 2).sum() / (weight.sum() - 1))
+    normal = np.asarray(ppo.normalize(spoilt.advantages, spoilt.weight))
+    np.testing.assert_allclose(normal[there], (raw - mean) / std, 1e-4, 1e-5)
+    found = ppo.mean(jnp.stack([flat(spoilt).advantages] * 2), flat(spoilt).weight)
+    np.testing.assert_allclose(found, [mean, mean], 1e-4)
+
+
+@pytest.mark.parametrize(
+    "fields", [{}, {"clip_value": False}, {"squashed": True}], ids=["", "unclipped", "squashed"]
+)
+def test_rows_of_weight_0_have_no_say_in_loss_and_gradients(absent, ppo_settings, fields):
+    """To the bit, whatever a tail or a record has led to there."""
+    learner, batch, spoilt, old_std = absent
+    gradient = jax.jit(jax.value_and_grad(partial(ppo.loss, *ppo_settings(**fields)), has_aux=True))
+    spoilt = spoilt._replace(obs=batch.obs, action=batch.action, action_mean=batch.action_mean)
+    found, expected = (gradient(learner.params, flat(b), old_std) for b in (spoilt, batch))
+    assert_finite_and_same(found, expected)
+
+
+@pytest.mark.parametrize("module", [ppo, fast], ids=["plain", "fast"])
+@pytest.mark.parametrize("critic", ["obs", "state"])
+def test_rows_of_weight_0_have_no_say_in_an_update(absent, ppo_settings, module, critic):
+    """Whatever is in them: observations and actions too."""
+    learner, *batches, _ = absent
+    if critic == "state":
+        batches = [b._replace(critic_obs=2 * b.obs) for b in batches]
+    update = jax.jit(partial(module.update, *ppo_settings(critic=critic)))
+    expected, found = (update(learner, b, jax.random.key(5)) for b in batches)
+    assert_finite_and_same(found, expected)
+    assert np.abs(found[0].params["std"] - learner.params["std"]).max() > 1e-4

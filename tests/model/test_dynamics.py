@@ -22,12 +22,13 @@ from toy_model import (
     linear_rows,
     settings,
     start,
+    that_says,
 )
 from toy_runs import assert_same
 
 from dynappo import fast
 from dynappo.learner import networks
-from dynappo.model import dynamics
+from dynappo.model import dynamics, examples, moments
 from dynappo.types import Moments
 
 
@@ -354,3 +355,73 @@ def test_without_normalisation_the_moments_do_not_matter():
     static, hyper = settings(normalize=True)
     scaled = dynamics.predict(static, hyper, ENV, model.replace(inputs=other), *args)
     assert not np.array_equal(scaled[0], expected[0])
+
+
+# a bound on what is predicted
+
+
+def bounded(hyper, bound):
+    return hyper._replace(model=hyper.model._replace(bound=bound))
+
+
+def of_moments(static, hyper, model, rows):
+    """`model` with the moments of `rows`, without a fit."""
+    of = examples.examples(static, hyper, ENV, rows, i32(HORIZON))
+    return dynamics.with_moments_of(hyper, model, of, i32(1))
+
+
+@pytest.mark.parametrize("normalize", [True, False])
+def test_a_predicted_prop_is_at_most_so_many_std_from_the_mean_of_the_inputs(typed, normalize):
+    """Against NumPy; the context and the known reward follow from what is left of the prediction."""
+    static, hyper = settings(normalize=normalize, known_reward=True)
+    rows = linear_rows(0)
+    model = that_says([1e4, -1e4, 0.0, 0.0, 0.0], start(static))
+    model = of_moments(static, hyper, model, rows)
+    action, props = rows.action[0], np.float64(rows.obs[..., :PROP]).reshape(-1, PROP)
+    mean, std = props.mean(0), props.std(0)
+    least, largest = mean - 1.5 * std, mean + 1.5 * std
+    free, _, _ = dynamics.predict(static, hyper, ENV, model, rows.obs[0], action)
+    hyper = bounded(hyper, 1.5)
+    after, reward, _ = typed(dynamics.predict)(static, hyper, ENV, model, rows.obs[0], action)
+    expected = np.clip(free[:, :PROP], least, largest)
+    np.testing.assert_allclose(after[:, :PROP], expected, 1e-5, 1e-5)
+    np.testing.assert_allclose(expected[:, :2], [[largest[0], least[1]]] * ROBOTS)
+    assert (expected[:, 2] != free[:, 2]).any() and (expected[:, 2] == free[:, 2]).any()
+    np.testing.assert_array_equal(after[:, PROP:], free[:, PROP:])
+    known = ENV.known_reward(hyper, rows.obs[0].T, action.T, expected.T)
+    said = float(model.targets.mean[-1]) / float(model.targets.weight) * DT if normalize else 0.0
+    np.testing.assert_allclose(reward, known + said, 1e-4, 1e-5)
+
+
+@pytest.mark.parametrize("module", [dynamics, fast], ids=["plain", "fast"])
+def test_a_model_that_diverges_stays_within_the_bound_in_a_tail_of_24_rows(module):
+    static, hyper = settings()
+    model, rows = start(static), linear_rows(0)
+    steep = jax.tree.map(lambda weight: 10 * weight, model.params)
+    model = of_moments(static, hyper, model.replace(params=steep), rows)
+    first = dynamics.TailState(obs=rows.obs[0], prop=rows.obs[0, :, :PROP])
+
+    @jax.jit
+    def tail(hyper):
+        step = module.step(static, hyper, ENV, model)
+        return jax.lax.scan(lambda state, a: step(state, a, None), first, jnp.ones((24, ROBOTS, 2)))
+
+    mean, std = (np.asarray(x)[:PROP] for x in moments.scale(model.inputs))
+    free = np.abs(np.asarray(tail(hyper)[1].next_prop) - mean) / std
+    assert not free[-1].max() < 1e10  # or it is not finite
+    _, outcome = tail(bounded(hyper, 20.0))
+    away = np.abs(np.asarray(outcome.next_prop) - mean) / std
+    assert 19.99 < away.max() < 20.01
+    np.testing.assert_array_equal(outcome.next_obs[..., :PROP], outcome.next_prop)
+    assert np.abs(outcome.reward).max() < 1e3
+
+
+def test_a_bound_that_nothing_reaches_changes_no_bit():
+    static, hyper = settings()
+    model, rows = start(static), linear_rows(0)
+    model = of_moments(static, hyper, model, rows)
+    found, expected = (
+        dynamics.predict(static, bounded(hyper, bound), ENV, model, rows.obs[0], rows.action[0])
+        for bound in (1e3, None)
+    )
+    assert_same(found, expected)

@@ -49,6 +49,7 @@ FIELDS = {  # 4 robots that fall, step, stand and bend their joints far, all wit
     "task.weights.foot_clearance": -2.0,  # else task.clearance_height would do nothing
     # in the program where they are not None
     "model.weight_decay": 0.01,
+    "model.bound": 0.5,
     "task.max_tilt": 0.3,
     "task.fall_reward": -2.0,
     "task.posture_std": 0.2,
