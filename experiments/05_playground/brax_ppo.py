@@ -94,12 +94,14 @@ def run(name: str, impl: str, settings, seed: int, out: Path) -> None:
     own = {name: value for name, value in settings.items() if name != "network_factory"}
     a_step = settings.num_envs * settings.unroll_length * settings.action_repeat
     rows, spent = [], []
+    sizes = settings.num_timesteps, settings.num_evals - 1, settings.num_resets_per_eval
+    about = "steps={} evals={} resets={}".format(*sizes)
 
     def progress(steps, metrics):
         if steps == 0:
             return
         row = {
-            "job": f"brax:{name}",
+            "job": f"brax:{name} {about}",
             "seed": seed,
             "iteration": steps // a_step,
             "sim_steps": steps,
