@@ -36,12 +36,14 @@ from dynappo.description import robot as robot_lib
 from dynappo.policy import policy_file
 from dynappo.program import build, devices
 from dynappo.run import nonfinite, overflow
+from dynappo.terrain import tiles
 from experiments import paper
 
 controls = importlib.import_module("experiments.21_less.controls")
 
 DEFAULTS = dict(seed=100, num_seeds=5, eval_every=20, eval_envs=100, eval_steps=1000)
-MEASURED = "return", "fall_rate", "tracking_error", "yaw_error"  # those that a task has
+MEASURED = "return", "fall_rate", "tracking_error", "yaw_error"  # those that an evaluation has
+MEASURED = *MEASURED, "crossed", "fell", *tiles.KINDS, "map"  # and of 28_rough/run.py
 # the same, of training
 TRAINED = (
     "terrain_row falls tail_falls tail_bias model_error_1 model_error_4 model_loss_before policy_std "
@@ -49,9 +51,8 @@ TRAINED = (
 ).split()
 
 
-def main(about=__doc__, script=__file__, run_job=None):
-    """The command; 28_rough/run.py has it, too, with a `run` of its own."""
-    run_job = run_job or run
+def main(about=__doc__, script=__file__, evaluation=None):
+    """The command; 28_rough/run.py has it, too, with an `evaluation` of its own."""
     parser = paper.parser(about)
     parser.add_argument("out", type=Path)
     parser.add_argument("jobs", type=Path)
@@ -67,7 +68,7 @@ def main(about=__doc__, script=__file__, run_job=None):
     if args.only:
         devices.own_process()
         job, *fields = jobs[args.only].split()
-        run_job(args.out / args.only, job, fields, policies=args.policies, late=args.late)
+        run(args.out / args.only, job, fields, args.policies, args.late, evaluation)
         return
 
     def start(name):
@@ -85,9 +86,14 @@ def main(about=__doc__, script=__file__, run_job=None):
         list(pool.map(start, [name for name in jobs if not (args.out / f"{name}.csv").exists()]))
 
 
-def run(to: Path, job: str, fields: list[str], policies: bool = False, late=None) -> None:
+def run(
+    to: Path, job: str, fields: list[str], policies: bool = False, late=None, evaluation=None
+) -> None:
     """Train, and write TO.csv, a row an evaluation and seed, and with `policies` those of the seeds as
-    TO.K.npz. After each evaluation TO.csv.part has the rows so far."""
+    TO.K.npz. After each evaluation TO.csv.part has the rows so far.
+
+    `evaluation(config) -> f(state) -> columns [S]` by name, in place of the program's own.
+    """
     robot, _, variant = job.partition(":")
     config = config_lib.load(f"configs/{robot}.py:{variant}")
     config.run.update(**DEFAULTS)
@@ -104,6 +110,7 @@ def run(to: Path, job: str, fields: list[str], policies: bool = False, late=None
     build.check(config)
     part = to.with_name(f"{to.name}.csv.part")
     program, seeds = build.program(config), config.run.num_seeds
+    evaluate = evaluation(config) if evaluation else program.evaluate
     state, steps, seconds, first, rows = program.state, schedule.sim_steps(config), 0.0, 0, []
     since: dict[int, str] = {}
     for last in evaluations(config, late):
@@ -115,7 +122,7 @@ def run(to: Path, job: str, fields: list[str], policies: bool = False, late=None
         since = blown_up(trained | chunk, seeds) | since
         if since:
             to.with_name(f"{to.name}.log").write_text("".join(since.values()))
-        found = measured(program.evaluate(state), trained)
+        found = measured(evaluate(state), trained)
         for s in range(seeds):
             about = {"job": " ".join([job, *fields]), "seed": config.run.seed + s}
             when = {
@@ -123,7 +130,7 @@ def run(to: Path, job: str, fields: list[str], policies: bool = False, late=None
                 "sim_steps": int(steps[last - 1]),
                 "seconds": f"{seconds:.4g}",
             }
-            rows.append(about | when | {name: f"{x[s]:.4g}" for name, x in found.items()})
+            rows.append(about | when | {name: text(x[s]) for name, x in found.items()})
         write(part, rows)
         if policies:
             save_policies(to, state, config)
@@ -135,6 +142,11 @@ def measured(evaluation: dict, trained: dict) -> dict[str, np.ndarray]:
     found = {name: np.ravel(evaluation[name]) for name in MEASURED if name in evaluation}
     means = {name: np.mean(trained[name], 0) for name in TRAINED if name in trained}
     return found | {name: np.ravel(x) for name, x in means.items()}
+
+
+def text(x) -> str:
+    """A cell of the CSV; shares row by row are words already."""
+    return x if isinstance(x, str) else f"{x:.4g}"
 
 
 def blown_up(trained: dict, seeds: int) -> dict[int, str]:
@@ -150,12 +162,15 @@ def blown_up(trained: dict, seeds: int) -> dict[int, str]:
 
 def save_policies(to: Path, state, config) -> None:
     """Write the policy of each seed as TO.K.npz."""
-    params, seeds = jax.device_get(state.learner.params), config.run.num_seeds
     robot = robot_lib.load(config.robot) if config.robot else None
-    for k in range(seeds):
-        one = jax.tree.map(lambda x, k=k: x[k] if seeds > 1 else x, params)
-        path = to.with_name(f"{to.name}.{k}.npz")
-        policy_file.save(path, one, config, robot, k)
+    for k, one in enumerate(each_seeds(jax.device_get(state.learner.params), config)):
+        policy_file.save(to.with_name(f"{to.name}.{k}.npz"), one, config, robot, k)
+
+
+def each_seeds(params, config) -> list:
+    """Those of each seed."""
+    seeds = config.run.num_seeds
+    return [jax.tree.map(lambda x, k=k: x[k], params) for k in range(seeds)] if seeds > 1 else [params]
 
 
 def evaluations(config, late=None) -> list[int]:

@@ -2,26 +2,20 @@
 
     python experiments/28_rough/run.py OUT_FOLDER JOBS.txt [--workers 4] [--policies]
 
-A line of JOBS.txt is as for 21_less/run.py. OUT_FOLDER/NAME.csv has a row an evaluation and seed: `TRIES`
-tries on tiles of another seed (`dynappo evaluate --crossing`), and of each kind the shares crossed, row by
-row from easy to hard. `--policies` and `--late` are as there.
+All is as in 21_less/run.py, jobs and flags, too, but the evaluation: `TRIES` tries on tiles of another seed
+(`dynappo evaluate --crossing`), and of each kind the shares crossed, row by row from easy to hard.
 """
 
 import importlib
-import math
-import time
 from functools import partial
-from pathlib import Path
 
 import jax
-import numpy as np
 
 from dynappo import config as config_lib
-from dynappo import schedule
 from dynappo.description import motors
 from dynappo.description import robot as robot_lib
 from dynappo.evaluate import crossing
-from dynappo.program import build, devices
+from dynappo.program import devices
 from dynappo.tasks.velocity import env as env_lib
 
 less = importlib.import_module("experiments.21_less.run")
@@ -29,35 +23,15 @@ less = importlib.import_module("experiments.21_less.run")
 TRIES = 2000
 
 
-def run(to: Path, job: str, fields: list[str], policies: bool = False, late=None) -> None:
-    """Train, and write TO.csv, and with `policies` TO.K.npz."""
-    robot, _, variant = job.partition(":")
-    config = config_lib.load(f"configs/{robot}.py:{variant}")
-    for field in fields:
-        config_lib.override(config, *field.split("=", 1))
-    ends = config.run.num_iterations, config.run.eval_every or config.run.num_iterations
-    config.run.log_every = math.gcd(*ends, *(late or ()))
-    config = config_lib.validate(config)
-    build.check(config)
+def of_seeds(config):
+    """`f(state) -> columns [S]` of the crossings of each seed's policy."""
     measure = tries(config)
-    program, seeds = build.program(config), config.run.num_seeds
-    state, steps, seconds, first, rows = program.state, schedule.sim_steps(config), 0.0, 0, []
-    for last in less.evaluations(config, late):
-        chunk = {name: column[first:last] for name, column in program.columns.items()}
-        began = time.perf_counter()
-        state, metrics = jax.block_until_ready(program.step(program.hyper, state, chunk))
-        seconds, first = seconds + time.perf_counter() - began, last
-        params, levels = state.learner.params, np.asarray(metrics["terrain_row"])
-        for k in range(seeds):
-            one = jax.tree.map(lambda x, k=k: x[k] if seeds > 1 else x, params)
-            row = dict(job=" ".join([job, *fields]), seed=config.run.seed + k, iteration=last)
-            row |= dict(sim_steps=int(steps[last - 1]), seconds=f"{seconds:.4g}")
-            level = levels.reshape(seeds, -1)[k] if seeds > 1 else levels
-            rows.append(row | dict(terrain_row=f"{level.ravel()[-1]:.3g}") | measure(one))
-        less.write(to.with_name(f"{to.name}.csv.part"), rows)
-    if policies:
-        less.save_policies(to, state, config)
-    to.with_name(f"{to.name}.csv.part").replace(to.with_name(f"{to.name}.csv"))
+
+    def of(state):
+        found = [measure(params) for params in less.each_seeds(state.learner.params, config)]
+        return {name: [one[name] for one in found] for name in found[0]}
+
+    return of
 
 
 def tries(config):
@@ -83,4 +57,4 @@ def tries(config):
 
 
 if __name__ == "__main__":
-    less.main(__doc__, __file__, run)
+    less.main(__doc__, __file__, of_seeds)
