@@ -333,7 +333,8 @@ class Task(NamedTuple):
     remember_ground: bool | None = None
     episode_length: Annotated[int, Between(1, 1_000_000)] = 1000  # control steps, 20 s; IL
     random_clock: bool = True  # episodes start at random ages, so that time-outs spread; IL
-    carry_on: bool = False  # robots that time out stay where they are, with a new command
+    # robots that time out stay where they are, with a new command; on a flat floor alone
+    carry_on: bool = False
     start_anew: Share = 0.5  # with carry_on, the share of those that starts anew
     keep_command: Share = 0.0  # with carry_on, the share of those that stays with its old command
     # "rough": the ground of `tiles`, with a curriculum (dynappo/terrain). A robot that leaves its tile ends
@@ -341,8 +342,9 @@ class Task(NamedTuple):
     terrain: Literal["flat", "rough"] = "flat"
     # what is seen of it: nothing, or heights of a grid of 17 x 11 points around the base (terrain/scan.py)
     scan: Literal["none", "grid"] = "none"
-    # controls: the ground of a tail's first row is kept in the tail; or the model does not see it
-    ground_in_tail: Literal["known", "frozen", "blind"] = "known"
+    # controls, each without one thing: a tail does not end where a part is in the ground; feet and scan stay
+    # as in its first row; the model does not see the ground
+    ground_in_tail: Literal["known", "no_end", "frozen", "blind"] = "known"
     # rad, angle between the base's z axis and the vertical; more ends the episode as a fall does. None: any
     max_tilt: Annotated[float, Between(0.01, 3.15)] | None = None
     # paid once, in the row of a fall, not times 0.02 s as weights are; None: nothing

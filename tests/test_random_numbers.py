@@ -18,8 +18,8 @@ from dynappo.tasks.velocity import env as env_lib
 
 ROBOTS, REAL, TAIL, ROUNDS, ITERATIONS, STEPS = 4, 4, 4, 3, 2, 5
 DRAWN, SPLIT, FOLDED = random_keys.RANDOM.values()
-# `deploy` varies every body, has pushes, noise, an onboard observation, carry_on, a clean model with falls,
-# symmetry; this adds the rest of what draws, and makes it small
+# `deploy` varies every body, has pushes, noise, an onboard observation, a clean model with falls, symmetry; this
+# adds the rest of what draws but carry_on, which is of flat ground alone, and makes it small
 EVERYTHING = {
     "rollout.num_envs": ROBOTS,
     "rollout.horizon": REAL + TAIL,
@@ -40,6 +40,7 @@ EVERYTHING = {
     "task.formulation": "isaaclab_exact",
     "task.heading": True,
     "task.terrain": "rough",
+    "task.carry_on": False,
     "task.scan": "grid",
     "task.tiles.rows": 2,
     "task.tiles.columns": 6,
@@ -53,20 +54,20 @@ EVERYTHING = {
     "physics.impl": "c",
     "physics.threads": 1,
 }
+FLAT = {"task.terrain": "flat", "task.scan": "none", "task.carry_on": True}
 # robots and settings with which a function takes another way to its draws
 OTHERS = {
     "all": ("go1", {}),
-    "without carry_on": ("go1", {"task.carry_on": False}),
     "one command and no clock": ("go1", {"task.resample_steps": 0, "task.random_clock": False}),
     "a biped with a gait clock": ("g1", {"task.gait_frequency": (1.25, 1.5)}),
-    "flat ground": ("go1", {"task.terrain": "flat", "task.scan": "none"}),
+    "that on flat ground": ("g1", FLAT | {"task.gait_frequency": (1.25, 1.5)}),
+    "flat ground": ("go1", FLAT),
 }
 # more imagined robots than real ones, whose tails begin in a memory and under new commands
 FEW = {
     "task.formulation": "isaaclab",
     "task.heading": False,
-    "task.terrain": "flat",
-    "task.scan": "none",
+    **FLAT,
     "rollout.imagined": 2,
     "model.memory": 8,
     "model.remembered": 2,
@@ -126,9 +127,9 @@ def test_a_run_has_as_many_draws_as_its_rows_robots_and_rounds_need(uses):
     # a body; a tile, a pose and the two draws of a clock; command; noise, also of the scan
     start = dict.fromkeys(("randomize.py", "commands.py", "view.py", "surroundings.py"), 1)
     start = collections.Counter(start | {"env.py": 4})
-    # a step's command, push, noise; a reset's tile, pose and coin, command, noise
+    # a step's command, push, noise; a reset's tile and pose, command, noise
     row = dict.fromkeys(("commands.py", "view.py", "surroundings.py"), 2)
-    row = collections.Counter(row | {"env.py": 3, "pushes.py": 1})
+    row = collections.Counter(row | {"env.py": 2, "pushes.py": 1})
     assert draws("init") == times(ROBOTS, start) | {"networks.py": 3}  # actor, critic, model
     assert draws("evaluate") == times(ROBOTS, start + times(STEPS, row))
     made = ROUNDS * TAIL

@@ -75,6 +75,9 @@ def validate(
     for name, none in (("scan", "none"), ("ground_in_tail", "known")):
         value, text = config.task[name], f"{none} where task.terrain is flat"
         expect(config.task.terrain == "rough" or value == none, f"task.{name}", value, text)
+    stays = config.task.carry_on
+    text = "False where task.terrain is rough: who has left its tile and stays would time out in every row"
+    expect(config.task.terrain == "flat" or not stays, "task.carry_on", stays, text)
     own = config.task.tiles.map
     text = "'' where task.terrain is flat; rough ground: --config=ROBOT:rough"
     expect(config.task.terrain == "rough" or not own, "task.tiles.map", own, text)

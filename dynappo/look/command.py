@@ -45,7 +45,7 @@ CONFIG is a robot's name, or its config file; you can set any field
   python -m dynappo.look go1
   python -m dynappo.look configs/mine.py --out=look.png
   python -m dynappo.look configs/mine.py --config.task.kp=60 --config.task.kd=2
-  python -m dynappo.look go2 --config.task.terrain=rough --ground=ground.png
+  python -m dynappo.look go2:rough --ground=ground.png
 how to add a robot, and how to fix what you see: robots/README.md
 """
 
@@ -78,7 +78,7 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
     if flags.ground is not None and flags.config.task.terrain == "flat":
         raise ConfigError(
             f"--ground={flags.ground}: task.terrain is 'flat' in {flags.what}, expected 'rough'; set "
-            "--config.task.terrain=rough"
+            "--config.task.terrain=rough --config.task.carry_on=False"
         )
     return flags
 

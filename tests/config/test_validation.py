@@ -114,6 +114,11 @@ WRONG = [  # fields, what the line begins with, what is expected
         "task.keep_command is 0.4",
         "at most 1 - task.start_anew = 0.3",
     ),
+    (
+        {"task.terrain": "rough", "task.carry_on": True},
+        "task.carry_on is True",
+        "False where task.terrain is rough",
+    ),
     ({"schedule.end_steps": 16}, "schedule.end_steps is 16", "less than rollout.horizon = 16"),
     (
         {"ppo.minibatches": 3},

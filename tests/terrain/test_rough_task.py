@@ -279,6 +279,27 @@ def test_a_frozen_ground_stays_as_it_was_in_the_first_row_of_a_tail(world):
         assert same == (name not in ("pose", "rate")), name
 
 
+def test_each_control_of_the_ground_in_a_tail_is_without_one_thing(world):
+    """Of three: that a tail ends where a part is in the ground, that feet and scan move on, that the model
+    sees the feet's part."""
+    old, after = jnp.asarray(world.states[0].obs[0, world.first :]), world.outcomes[0].next_prop[0]
+    without = {"known": None, "no_end": "end", "frozen": "moves", "blind": "sees"}
+    for control, what in without.items():
+        config = configured(**{"task.ground_in_tail": control})
+        env = env_lib.make(world.robot, config.task, config.physics, impl="c")
+        fatal, _ = env_lib.ground_rules(world.robot, config.task)
+        around = surroundings.make(
+            world.robot, config.task, config.physics, world.ground, fatal
+        )
+        new = surroundings.advance(around, old, jnp.asarray(after))
+        found = {
+            "end": env.known_end is not None,
+            "moves": not np.array_equal(new[world.where["scan"]], old[world.where["scan"]]),
+            "sees": len(surroundings.columns(around, "model")) > 0,
+        }
+        assert found == {name: name != what for name in found}, control
+
+
 def test_noise_is_on_the_scan_alone_and_some_points_are_missing(world):
     noise = world.hyper.task.noise._replace(scan=0.1, scan_dropout=0.3)
     hyper = world.hyper._replace(task=world.hyper.task._replace(noise=noise))

@@ -141,7 +141,7 @@ def test_look_draws_the_ground(tmp_path, capsys):
     out = tmp_path / "ground.png"
     small = ["--config.task.tiles.rows=2", "--config.task.tiles.columns=6"]
     look = functools.partial(status, look_command.main)
-    assert look("go2", "--config.task.terrain=rough", *small, f"--ground={out}") == 0
+    assert look("go2:rough", *small, f"--ground={out}") == 0
     assert re.search("^ground .*: 2 x 6 tiles of 8 m", capsys.readouterr().out, re.M)
     assert out.stat().st_size > 5000
     said = mistake(look_command.main, ["go2", f"--ground={out}"], capsys)
