@@ -270,8 +270,10 @@ def test_a_seed_that_blew_up_is_told_with_its_first_iteration():
 
 def test_jobs_of_few_robots_are_valid_and_evaluated_on_the_way_to_45_thousand_steps():
     """Of 27_few: `robots-R` has R robots and a memory for all rows up to there. With up to 64 robots there
-    are ten evaluations until 45 thousand steps, which every run reaches."""
+    are ten evaluations until 45 thousand steps, which every run reaches. Smaller steps begin at the share of
+    a run's simulator steps at which they begin in `few`."""
     evaluations = script("21_less/run").evaluations
+    few = schedule.sim_steps(config_lib.validate(config_lib.load("go1:few")))
     for file in ("jobs", "laptop", "fresh"):
         lines = (EXPERIMENTS / f"27_few/{file}.txt").read_text().splitlines()
         assert len({line.split()[0] for line in lines}) == len(lines)
@@ -294,6 +296,11 @@ def test_jobs_of_few_robots_are_valid_and_evaluated_on_the_way_to_45_thousand_st
                 many = config.rollout.num_envs > 64
                 assert many or sum(s <= 45_000 for s in asked) >= 10, name
                 assert steps[-1] > 42_000, name
+                late = config.schedule.late_from
+                assert (late is None) == name.startswith("part-late")
+                assert late is None or steps[late - 1] / steps[-1] == pytest.approx(
+                    few[160 - 1] / few[-1], abs=0.012
+                )
 
 
 def test_the_tables_of_few_robots_are_those_of_their_runs():
@@ -1329,6 +1336,69 @@ def test_members_of_an_ensemble_write_a_row_each_and_the_most_doubtful_tails_end
     assert ends.any() and doubt[ends].min() >= doubt[~ends].max()
 
 
+def test_real_rows_learn_nothing_from_a_tail_that_begins_elsewhere():
+    """The control `real-again`, 5 real rows of 8: in a later round advantages and returns of real rows are
+    those of a rollout that ends with them, and they weigh 1; in the first all is as shipped."""
+    controls, env = script("21_less/controls"), toy_env.make()
+    _, static, hyper = toy_env.settings(toy_env.TAIL | {"schedule.rounds": 2})
+    state = jax.jit(partial(algorithm.init, env, static=static))(hyper, jax.random.key(0))
+    collect = jax.jit(partial(algorithm.collect, env, static=static))
+    rows, _, _ = collect(hyper, state, n_real=jnp.int32(8), key=jax.random.key(1))
+    real = (jnp.arange(8) < 5)[:, None]
+    rows = rows.replace(reward=jnp.where(real, rows.reward, 1e3))
+    given = static, hyper, env, state.learner.params
+    again, estimate = (
+        jax.jit(partial(f, *given)) for f in (controls.of_the_first_round, algorithm.estimate)
+    )
+    later = again(rows=rows, real=real, of_round=jnp.int32(1))
+    alone = estimate(rows=jax.tree.map(lambda x: x[:5], rows), real=real[:5])
+    shipped = estimate(rows=rows, real=real, of_round=jnp.int32(1))
+    for name in ("advantages", "returns"):
+        np.testing.assert_allclose(getattr(later, name)[:5], getattr(alone, name), rtol=1e-5)
+        np.testing.assert_array_equal(getattr(later, name)[5:], getattr(shipped, name)[5:])
+    assert (abs(shipped.advantages[:5] - alone.advantages).max(0) > 10).any()
+    assert (later.weight[:5] == 1).all() and (shipped.weight[:5] == 0).all()
+    first = jnp.int32(0)
+    one, other = (f(rows=rows, real=real, of_round=first) for f in (again, estimate))
+    assert_close(one, other, 1e-6)
+
+
+def test_a_fit_that_stops_sees_its_own_robots_alone_and_moves_the_moments_once():
+    """The control `stopping`: every eighth robot's rows decide, and no weight depends on remembered ones of
+    theirs. The moments are those of one update by the other robots."""
+    controls, env, rng = script("21_less/controls"), toy_env.make(), np.random.default_rng(0)
+    fields = {"model.epochs": 10, "model.memory": 8, "model.remembered": 1, "model.minibatches": 4}
+    _, static, hyper = toy_env.settings(toy_env.TAIL | fields)
+    model = dynamics.init(static, env, jax.random.key(0))
+    sizes = dynamics.examples.input_size(env), env.prop_size + 1 + static.model.falls
+
+    def rows(n):
+        x, y = (jnp.float32(rng.normal(2.0, 3.0, (n, 16, size))) for size in sizes)
+        return dynamics.examples.Examples(x=x, y=y, weight=jnp.ones((n, 16)), count=jnp.int32(n))
+
+    new, past, unseen = rows(8), rows(2), np.arange(16) % 8 == 0
+
+    def fitted(past):
+        draw = lambda key, n: past  # noqa: E731
+        return controls.stopped(
+            static, hyper, model, new, jnp.int32(10), jax.random.key(1), draw=draw
+        )[0]
+
+    fit = jax.jit(fitted)
+    found = fit(past)
+    far = past._replace(y=past.y + 100.0 * unseen[:, None])
+    jax.tree.map(np.testing.assert_array_equal, fit(far), found)
+    near = fit(past._replace(y=past.y + 1.0 * ~unseen[:, None])).params
+    both = zip(*map(jax.tree.leaves, (near, found.params)), strict=True)
+    assert any((a != b).any() for a, b in both)
+    shown = np.asarray(new.x[:, ~unseen]).reshape(-1, sizes[0])
+    mean, std = dynamics.moments.scale(found.inputs)
+    np.testing.assert_allclose(mean, shown.mean(0), rtol=1e-4)
+    np.testing.assert_allclose(std, shown.std(0), rtol=1e-4)
+    once = 1 - float(hyper.model.stats_decay)
+    np.testing.assert_allclose(found.inputs.weight, once, rtol=1e-5)
+
+
 def test_crossq_renormalises_batches_and_knows_the_probability_of_its_actions():
     """In training a batch's own moments at first; later, while they are near the running ones, what an
     evaluation gives. The log-probability is that of the change of variables, by a numerical derivative."""
@@ -1598,6 +1668,41 @@ def test_a_run_on_rough_ground_has_the_crossings_and_the_row_of_each_seed(tmp_pa
     assert not (tmp_path / "1.log").exists()
     line = "seed 1: value_loss is not finite in iteration 3\n"
     assert (tmp_path / "3.log").read_text() == line
+
+
+ROUGH_CONTROLS = {  # jobs of 28_rough -> those of which they change one field, and that field
+    "no-end": ("known", "task.ground_in_tail", "no_end"),
+    "blind-model": ("known", "task.ground_in_tail", "blind"),
+    "frozen": ("known", "task.ground_in_tail", "frozen"),
+    "ppo-gamma": ("ppo-4096", "ppo.gamma", 0.99),
+    "ppo-kl1": ("ppo-4096", "ppo.desired_kl", 0.01),
+}
+
+
+def test_jobs_on_rough_ground_are_valid_and_a_control_changes_one_thing():
+    """No job is another's, but that `known` has seeds of its own; smaller steps begin after three fifths of a
+    run."""
+    found = {}
+    for file in ("jobs", "tuning"):
+        for line in (EXPERIMENTS / f"28_rough/{file}.txt").read_text().splitlines():
+            name, job, *fields = line.split()
+            config = config_lib.load(job)
+            for field in fields:
+                config_lib.override(config, *field.split("=", 1))
+            config = config_lib.validate(config)
+            late, steps = config.schedule.late_from, schedule.sim_steps(config)
+            assert late is None or steps[late - 1] / steps[-1] == pytest.approx(0.6, abs=0.01), name
+            task = {k: x for k, x in config_lib.flat(config).items() if not k.startswith("run.")}
+            assert name not in found
+            task["iterations"] = config.run.num_iterations
+            same = [other for other, its in found.items() if its == task]
+            robot, _, what = name.partition("-")
+            assert same == ([f"{robot}-best"] if what == "known" else []), name
+            found[name] = task
+    for robot in ("go2", "anymal_c"):
+        for name, (of, field, value) in ROUGH_CONTROLS.items():
+            mine, other = found[f"{robot}-{name}"], found[f"{robot}-{of}"]
+            assert {k: x for k, x in mine.items() if x != other[k]} == {field: value}, name
 
 
 def test_the_row_in_training_is_kept_where_it_was_read_rightly():

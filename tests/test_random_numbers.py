@@ -18,8 +18,8 @@ from dynappo.tasks.velocity import env as env_lib
 
 ROBOTS, REAL, TAIL, ROUNDS, ITERATIONS, STEPS = 4, 4, 4, 3, 2, 5
 DRAWN, SPLIT, FOLDED = random_keys.RANDOM.values()
-# `deploy` varies every body, has pushes, noise, an onboard observation, a clean model with falls, symmetry; this
-# adds the rest of what draws but carry_on, which is of flat ground alone, and makes it small
+# `deploy` varies every body, has pushes, noise, an onboard observation, a clean model with falls, symmetry;
+# this adds the rest of what draws, but carry_on, which is of flat ground alone, and makes it small
 EVERYTHING = {
     "rollout.num_envs": ROBOTS,
     "rollout.horizon": REAL + TAIL,

@@ -3,17 +3,19 @@
 A job of run.py with `control=NAME` runs under `CONTROLS[NAME]`, which puts functions in the place of some of
 the shipped ones; all else is the shipped code.
 
-- `last`: every round's tails start from where physics left the robots, not from real rows drawn at random
+- `last`: every round's tails start from where physics left the robots, not from real rows drawn at random; so
+  nothing reads `schedule.anchors` and `schedule.new_commands`
 - `simulator`: as `last`, and the simulator writes the tails in the model's place. These rows are not counted
-  as simulator steps, and the robots do not keep them: it is what a perfect model would give
+  as simulator steps, and the robots do not keep them: it is what a perfect model would give. What it is
+  compared with is `last`
 
 Ideas of other model-based methods (27_few):
 
 - `ensemble`: `MEMBERS` models, fitted apart; each row of each robot is written by one drawn at random (MBPO)
 - `ensemble-end`: and a tail ends, with the value as its bootstrap, where it is among the `DOUBTFUL` share of
   all robots in whose row the members disagree most
-- `stopping`: a fit has `PARTS` parts, and ends with the weights that were best on the robots that it did not
-  see
+- `stopping`: a fit has `PARTS` parts, and ends with the weights that were best on the new rows of the robots
+  that it did not see; with a memory not the remembered ones either
 - `real-again`: PPO learns from the real rows in every round, not in the first alone
 """
 
@@ -107,11 +109,17 @@ def presence_to_the_end(rows, real):
 def stopped(static, hyper, model, rows, epochs, key, **given):
     """`fast.fit` in parts; of their ends the one with the least loss on every `UNSEEN`th robot."""
     unseen = jnp.arange(rows.weight.shape[1]) % UNSEEN == 0
-    shown = rows._replace(weight=rows.weight * ~unseen)
+    hide = lambda rows: rows._replace(weight=rows.weight * ~unseen)  # noqa: E731
+    shown, draw = hide(rows), given.pop("draw", None)
+    if draw is not None:
+        given["draw"] = lambda key, n: hide(draw(key, n))
+    # the moments change once a fit: a part's decay is 1
+    model = dynamics.with_moments_of(hyper, model, shown, epochs, given.get("mirrors"))
+    kept = hyper._replace(model=hyper.model._replace(stats_decay=1.0))
 
     def part(carry, key):
         model, best, least = carry
-        model, metrics = _fit(static, hyper, model, shown, epochs // PARTS, key, **given)
+        model, metrics = _fit(static, kept, model, shown, epochs // PARTS, key, **given)
         x, y = dynamics.scaled(static, model, rows)
         now = jnp.arange(len(x))[:, None] < rows.count
         loss = dynamics.loss(static, hyper, model.params, x, y, rows.weight * unseen * now)
@@ -123,10 +131,15 @@ def stopped(static, hyper, model, rows, epochs, key, **given):
     return best, jax.tree.map(lambda x: x[-1], metrics)
 
 
-def of_the_first_round(*args, of_round=0, **given):
-    """`algorithm.estimate`, with weight on real rows in every round."""
-    del of_round
-    return _estimate(*args, of_round=0, **given)
+def of_the_first_round(*args, rows, real, of_round=0, **given):
+    """`algorithm.estimate`, with weight on real rows in every round.
+
+    In later rounds a tail begins somewhere else, so the last real row is cut off: it is bootstrapped by
+    V(next_obs), and no advantage comes to it from the tail.
+    """
+    last = real & ~jnp.roll(real, -1, axis=0).at[-1].set(False)
+    cut = jnp.where(last & (of_round > 0), 1.0, rows.truncation)
+    return _estimate(*args, rows=rows.replace(truncation=cut), real=real, of_round=0, **given)
 
 
 def _ensemble(end: bool):

@@ -169,8 +169,9 @@ def save_policies(to: Path, state, config) -> None:
 
 def each_seeds(params, config) -> list:
     """Those of each seed."""
-    seeds = config.run.num_seeds
-    return [jax.tree.map(lambda x, k=k: x[k], params) for k in range(seeds)] if seeds > 1 else [params]
+    if config.run.num_seeds == 1:
+        return [params]
+    return [jax.tree.map(lambda x, k=k: x[k], params) for k in range(config.run.num_seeds)]
 
 
 def evaluations(config, late=None) -> list[int]:

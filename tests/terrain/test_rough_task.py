@@ -288,9 +288,7 @@ def test_each_control_of_the_ground_in_a_tail_is_without_one_thing(world):
         config = configured(**{"task.ground_in_tail": control})
         env = env_lib.make(world.robot, config.task, config.physics, impl="c")
         fatal, _ = env_lib.ground_rules(world.robot, config.task)
-        around = surroundings.make(
-            world.robot, config.task, config.physics, world.ground, fatal
-        )
+        around = surroundings.make(world.robot, config.task, config.physics, world.ground, fatal)
         new = surroundings.advance(around, old, jnp.asarray(after))
         found = {
             "end": env.known_end is not None,
