@@ -16,8 +16,8 @@ ground is looked up there. So a height scan is never predicted.
 
 The yaw rate of a heading command follows from the pose, so a tail computes it too, and that a part which ends
 an episode is in the ground (`touches`): the model need not foresee it. `task.ground_in_tail` has three
-controls, each without one thing: with "no_end" a tail does not know that it ends there, "frozen" keeps feet and
-scan as they were in the tail's first row, and with "blind" the model does not see the feet's part.
+controls, each without one thing: with "no_end" a tail does not know that it ends there, "frozen" keeps feet
+and scan as they were in the tail's first row, and with "blind" the model does not see the feet's part.
 """
 
 from __future__ import annotations
