@@ -13,6 +13,7 @@ from typing import Any
 
 PACKAGE = Path(__file__).resolve().parents[1]
 NO_LOCKS = (errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS)  # of some file systems
+MORE = "deploy", "rough"  # policies that a robot may have beside its first
 
 
 class Locked(Exception):
@@ -37,8 +38,14 @@ def robots() -> list[str]:
 
 
 def bundled() -> list[str]:
-    """Names of bundled policies: of each robot, and `ROBOT_deploy` where it has one for hardware."""
-    more = [f"{name}_deploy" for name in robots() if find("robots", f"{name}/deploy.npz")]
+    """Names of bundled policies: of each robot, and where it has them `ROBOT_deploy`, for hardware, and
+    `ROBOT_rough`, for rough ground."""
+    more = [
+        f"{name}_{kind}"
+        for name in robots()
+        for kind in MORE
+        if find("robots", f"{name}/{kind}.npz")
+    ]
     return sorted([*robots(), *more])
 
 

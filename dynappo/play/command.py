@@ -30,7 +30,7 @@ NAME_OR_DIR is a workdir (while it trains: its newest checkpoint), a checkpoint 
 or the name of a robot with a bundled policy
   python -m dynappo.play runs/laptop --out=walk.html
   python -m dynappo.play go1 --command=0.8,0,0.3 --seconds=6 --out=turn.mp4
-  python -m dynappo.play go2 --ground=pyramid_slope:0.5 --command=0.8,0,0 --out=slope.html
+  python -m dynappo.play go2_rough --ground=pit_stairs:0.3 --command=0.8,0,0 --out=stairs.html
   python -m dynappo.play go1 --command=drill.csv --robot-xml=other/scene.xml --out=drill.gif
   python -m dynappo.play anymal_c --policy=random
   python -m dynappo.play runs/seeds --run-seed=3 --out=walk.html

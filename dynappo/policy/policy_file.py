@@ -266,10 +266,11 @@ def _arrays(path: Path) -> dict[str, np.ndarray]:
 
 
 def bundled(name: str) -> Path:
-    """The file of a bundled policy: of a robot, or ROBOT_deploy; ConfigError if the robot has none."""
+    """The file of a bundled policy, one of `files.bundled()`; ConfigError if the robot has none."""
     if name not in files.robots():
-        name = f"{name.removesuffix('_deploy')}/deploy"
-        return files.find("robots", f"{name}.npz") or Path(f"{name}.npz")
+        robot, _, kind = name.rpartition("_")
+        name = f"{robot}/{kind}.npz"
+        return files.find("robots", name) or Path(name)
     path = files.find("robots", f"{name}/policy.npz")
     if path is None:
         raise ConfigError(

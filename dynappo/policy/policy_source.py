@@ -49,7 +49,7 @@ def locate(text: str, seed: int | None = None) -> Path:
     if not os.path.isdir(path):
         raise ConfigError(
             f"{text}: no such file or folder; expected a workdir, a checkpoint, a policy.npz or one "
-            f"of {', '.join(files.robots())} (or ROBOT_deploy)"
+            f"of {', '.join(files.bundled())}"
         )
     if seed is None and (path / "policy.npz").is_file():
         return path / "policy.npz"

@@ -3,13 +3,14 @@ r"""Put trained policies beside their robots: the files that `dynappo play go1` 
     python experiments/run.py OUT go1:best go2:best anymal_c:best anymal_d:best \
         --policies --seeds 6 --set run.eval_envs=500
     python experiments/01_four_robots/bundle.py go1=OUT/go1_best.5.npz go2=OUT/go2_best.2.npz ...
-    python experiments/01_four_robots/bundle.py go1_deploy=OUT/g.0.npz ...
+    python experiments/01_four_robots/bundle.py go1_deploy=OUT/g.0.npz go2_rough=OUT/go2-best.0.npz ...
 
-Writes robots/ROBOT/policy.npz, of go1_deploy robots/go1/deploy.npz, without the value function, which only
-training needs, and a JSON with what is known of it: from OUT/go1_best.json the numbers of that seed, or
+Writes robots/ROBOT/policy.npz, of go1_deploy robots/go1/deploy.npz, of go2_rough robots/go2/rough.npz, without
+the value function, which only training needs, and a JSON with what is known of it: from OUT/go1_best.json the numbers of that seed, or
 from OUT/g.csv (experiments/21_less/run.py) its last evaluation. A policy that falls on one of the 45
 commands of `dynappo evaluate`, or is off by more than `WORST` on one, is not taken; a humanoid, which walks
-by its errors, may be off by as much as then counts as walking (dynappo/policy/walks.py).
+by its errors, may be off by as much as then counts as walking (dynappo/policy/walks.py). One for rough ground
+was told headings, not yaw rates: it must not fall, and `evaluate --crossing` says what it can do.
 """
 
 import csv
@@ -30,17 +31,18 @@ KEEP = (
 )
 
 WORST = 0.2  # m/s and rad/s
-EVALUATED = "return fall_rate tracking_error yaw_error".split()
+EVALUATED = "return fall_rate tracking_error yaw_error crossed fell".split()  # those that a run has
 
 
 def main():
     for argument in sys.argv[1:]:
         name, source = argument.split("=")
-        robot = name.removesuffix("_deploy")
-        file = "policy" if robot == name else "deploy"
+        robot, _, file = (name, "", "policy") if name in files.robots() else name.rpartition("_")
         policy = policy_file.load(Path(source))
         tracks = policy.config["run"].get("walks") == "tracking"
         worst = walks.MOST_ERRORS if tracks else (WORST, WORST)
+        if file == "rough":
+            worst = np.inf, np.inf
         for row in trials.run(policy)[0]["commands"]:
             off = row["tracking_error"] or 0, row["yaw_error"] or 0
             if row["fall"] is not None or np.greater(off, worst).any():
@@ -63,7 +65,7 @@ def of_run(run: Path, seed: int) -> dict:
     with run.with_suffix(".csv").open() as file:
         rows = list(csv.DictReader(file))
     last = [row for row in rows if row["iteration"] == rows[-1]["iteration"]][seed]
-    numbers = {name: float(last[name]) for name in EVALUATED}
+    numbers = {name: float(last[name]) for name in EVALUATED if last.get(name)}
     steps = {name: int(last[name]) for name in ("iteration", "sim_steps")}
     return {"job": last["job"], "run_seed": int(last["seed"])} | steps | {"evaluation": numbers}
 

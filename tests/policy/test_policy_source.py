@@ -237,7 +237,7 @@ def test_names_files_and_folders_are_told_apart(tmp_path, monkeypatch):
     shutil.copy(saved, "spot/policy.npz")
     assert policy_source.locate("./spot") == Path("spot/policy.npz")
     line = refused(policy_source.locate, "sptt")
-    assert line.startswith("sptt: no such file or folder") and "go2, spot (or" in line
+    assert line.startswith("sptt: no such file or folder") and "go2_rough, spot" in line
 
 
 @pytest.mark.parametrize("ended", [False, True])

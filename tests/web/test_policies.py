@@ -30,7 +30,9 @@ def run(tmp_path):
 def test_a_bundled_robot_comes_first_and_all_others_after_it():
     names = policies.names(offer("go2"))
     trained = [
-        n for n in files.bundled() if files.find("robots", f"{n}/policy.npz") or "_deploy" in n
+        n
+        for n in files.bundled()
+        if n not in files.robots() or files.find("robots", f"{n}/policy.npz")
     ]
     assert names[0] == "go2" and sorted(names) == trained and len(trained) > 7
     assert offer("go2").run is None
