@@ -5,12 +5,13 @@ r"""Put trained policies beside their robots: the files that `dynappo play go1` 
     python experiments/01_four_robots/bundle.py go1=OUT/go1_best.5.npz go2=OUT/go2_best.2.npz ...
     python experiments/01_four_robots/bundle.py go1_deploy=OUT/g.0.npz go2_rough=OUT/go2-best.0.npz ...
 
-Writes robots/ROBOT/policy.npz, of go1_deploy robots/go1/deploy.npz, of go2_rough robots/go2/rough.npz, without
-the value function, which only training needs, and a JSON with what is known of it: from OUT/go1_best.json the numbers of that seed, or
-from OUT/g.csv (experiments/21_less/run.py) its last evaluation. A policy that falls on one of the 45
-commands of `dynappo evaluate`, or is off by more than `WORST` on one, is not taken; a humanoid, which walks
-by its errors, may be off by as much as then counts as walking (dynappo/policy/walks.py). One for rough ground
-was told headings, not yaw rates: it must not fall, and `evaluate --crossing` says what it can do.
+Writes robots/ROBOT/policy.npz, of go1_deploy robots/go1/deploy.npz, of go2_rough robots/go2/rough.npz,
+without the value function, which only training needs, and a JSON with what is known of it: from
+OUT/go1_best.json the numbers of that seed, or from OUT/g.csv (experiments/21_less/run.py) its last
+evaluation. A policy that falls on one of the 45 commands of `dynappo evaluate`, or is off by more than
+`WORST` on one, is not taken; a humanoid, which walks by its errors, may be off by as much as then counts as
+walking (dynappo/policy/walks.py). One for rough ground was told headings, not yaw rates: it must not fall,
+and `evaluate --crossing` says what it can do.
 """
 
 import csv
