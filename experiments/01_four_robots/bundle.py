@@ -42,8 +42,7 @@ def main():
         policy = policy_file.load(Path(source))
         tracks = policy.config["run"].get("walks") == "tracking"
         worst = walks.MOST_ERRORS if tracks else (WORST, WORST)
-        if file == "rough":
-            worst = np.inf, np.inf
+        worst = (np.inf, np.inf) if file == "rough" else worst
         for row in trials.run(policy)[0]["commands"]:
             off = row["tracking_error"] or 0, row["yaw_error"] or 0
             if row["fall"] is not None or np.greater(off, worst).any():
