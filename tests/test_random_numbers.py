@@ -16,7 +16,7 @@ from dynappo.description import motors
 from dynappo.description import robot as robot_lib
 from dynappo.tasks.velocity import env as env_lib
 
-ROBOTS, REAL, TAIL, ROUNDS, ITERATIONS, STEPS = 4, 4, 4, 3, 2, 5
+ROBOTS, REAL, TAIL, ROUNDS, ITERATIONS, STEPS = 4, 2, 2, 2, 2, 2
 DRAWN, SPLIT, FOLDED = random_keys.RANDOM.values()
 # `deploy` varies every body, has pushes, noise, an onboard observation, a clean model with falls, symmetry;
 # this adds the rest of what draws, but carry_on, which is of flat ground alone, and makes it small
@@ -31,7 +31,7 @@ EVERYTHING = {
     "schedule.rounds": ROUNDS,
     "schedule.last_iteration": None,
     "model.hidden": (8, 8),
-    "model.epochs": 3,
+    "model.epochs": 2,
     "model.late_epochs": None,
     "model.minibatches": 2,
     "ppo.hidden": (8, 8),

@@ -12,8 +12,11 @@ from dynappo.config import stop as stop_lib
 from dynappo.config.stop import Stop
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such signals")
-# as XLA's compiler, it is in C for an hour, without the lock of Python
-DEAF = "hashlib.pbkdf2_hmac('sha256', b'', b'', 2**31 - 1)"
+# as XLA's compiler, it is in C for ever, without the lock of Python: it asks twice for one lock, which no
+# signal interrupts
+DEAF = "[lock(mutex) for _ in 'ab']"
+LOCK = "import ctypes; c, mutex = ctypes.CDLL(None), ctypes.create_string_buffer(256)\n"
+LOCK += "c.pthread_mutex_init(mutex, None); lock = c.pthread_mutex_lock\n"
 
 
 def started(code):
@@ -21,7 +24,7 @@ def started(code):
     # pytest may be under nohup, or in a background that ignores ctrl-C: a process inherits that
     heard = "signal.signal(signal.SIGHUP, signal.SIG_DFL)\n"
     heard += "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
-    code = f"import hashlib, signal, time\n{heard}from dynappo.config.stop import Stop\n{code}"
+    code = f"import signal, time\n{LOCK}{heard}from dynappo.config.stop import Stop\n{code}"
     pipe = subprocess.PIPE
     command = [sys.executable, "-c", code]
     process = subprocess.Popen(command, cwd=ROOT, stdout=pipe, stderr=pipe, text=True)
@@ -163,7 +166,7 @@ def test_a_run_that_compiles_is_stopped(there, tmp_path):
         (run / "checkpoints" / "40").mkdir(parents=True)
         after = "the same command goes on from iteration 40"
     code = (
-        "import hashlib, sys; sys.path.insert(0, 'tests')\n"
+        f"{LOCK}import sys; sys.path.insert(0, 'tests')\n"
         "import toy_env, toy_train, jax\nfrom dynappo.config import flags\n"
         "from dynappo.tasks.velocity import env\n"
         "env.make = lambda *_, **__: toy_env.make()\n"

@@ -161,10 +161,11 @@ def test_a_fit_takes_remembered_rows_beside_each_new_one(env):
         weight = jnp.ones(x.shape[:2])
         return dynamics.loss(static, hyper, model.params, x=x, y=y, weight=weight)
 
+    given = model, new, jnp.int32(1), jax.random.key(0)
     for fit in (dynamics.fit, fast.fit):
+        run = jax.jit(lambda w, fit=fit: fit(static, hyper, *given, draw=partial(draw, w)))
         for weight, share in ((1.0, 2.0), (0.0, 0.0)):  # remembered rows for each new one
-            given = model, new, jnp.int32(1), jax.random.key(0)
-            after, found = fit(static, hyper, *given, draw=partial(draw, weight))
+            after, found = run(weight)
             of_new = mean_loss(after, new._replace(x=new.x[:size], y=new.y[:size]))
             expected = (of_new + share * mean_loss(after, old)) / (1 + share)
             np.testing.assert_allclose(found["model_loss"], expected, rtol=1e-5)
@@ -205,7 +206,7 @@ def test_what_is_told_of_real_robots_counts_each_once(branched, env):
     one = static._replace(rollout=static.rollout._replace(imagined=1))
     config = settings({"task.noise.joint_pos": 0.0})[0]
     counts = row(config, n_real=5) | {"rounds": jnp.int32(1), "memory_count": jnp.int32(5)}
-    alone, expected = jax.jit(partial(algorithm.iterate, env, static=one))(hyper, start, counts)
+    _, alone, expected = observe(env, one)(hyper, start, counts)
     assert_close(
         (state.env_state, state.memory, state.returns, state.lengths),
         (alone.env_state, alone.memory, alone.returns, alone.lengths),
@@ -243,8 +244,9 @@ def everything(env):
     return config, static, hyper, jax.jit(chex.assert_max_traces(run, n=1))
 
 
+@pytest.mark.slow  # test_seeds.py has one seed of several by default; the next test that none is mixed
 def test_a_seed_of_several_remembers_what_it_would_alone(everything, env):
-    """Learner, model and ring under vmap; no trip count is batched."""
+    """Learner, model and ring under vmap."""
     config, static, hyper, run = everything
     table = columns(config)
     start = seeds.init(env, hyper, seeds.keys(3, 2), static=static)
@@ -256,6 +258,12 @@ def test_a_seed_of_several_remembers_what_it_would_alone(everything, env):
         assert_close(one.memory, expected.memory, 1e-3)
         assert_close(one.learner.params, expected.learner.params, 2e-3)
         np.testing.assert_allclose(metrics["model_loss"][:, s], told["model_loss"], 1e-3)
+
+
+def test_with_a_memory_no_trip_count_is_batched(everything, env):
+    config, static, hyper, _ = everything
+    table = columns(config)
+    start = jax.eval_shape(partial(seeds.init, env, static=static), hyper, seeds.keys(3, 2))
     program = jax.make_jaxpr(partial(seeds.run, env, static=static))(hyper, start, table)
     assert set(trip_counts(program.jaxpr)) == {()}
 
@@ -313,9 +321,8 @@ def test_a_symmetric_model_predicts_the_mirror_image_in_the_mirror(tied):
     assert [len(m.index) for m in mirrors] == [8, 5]
     models = [model]
     for fit in (dynamics.fit, fast.fit):
-        models.append(
-            fit(static, hyper, model, rows, jnp.int32(2), jax.random.key(2), mirrors=mirrors)[0]
-        )
+        run = jax.jit(partial(fit, static, mirrors=mirrors))
+        models.append(run(hyper, model, rows, jnp.int32(2), jax.random.key(2))[0])
     assert_close(models[1], models[2], 1e-4)
     assert np.abs(leaves(models[1].params)[list(leaves(models[1].params))[0]]).max() > 0
     for one in models:
@@ -341,8 +348,9 @@ def test_a_symmetric_fit_is_a_fit_to_rows_and_mirrored_rows(tied):
     # one minibatch an epoch, so that the order of the robots' rows makes no difference
     static = static._replace(model=static.model._replace(minibatches=1))
     key = jax.random.key(2)
-    one, losses = dynamics.fit(static, hyper, model, rows, jnp.int32(2), key, mirrors=mirrors)
-    other, expected = dynamics.fit(static, hyper, model, both, jnp.int32(2), key)
+    fit = partial(dynamics.fit, static)
+    one, losses = jax.jit(partial(fit, mirrors=mirrors))(hyper, model, rows, jnp.int32(2), key)
+    other, expected = jax.jit(fit)(hyper, model, both, jnp.int32(2), key)
     assert_close((one.inputs, one.targets), (other.inputs, other.targets), 1e-4)
     # a bias of 0 is its own image: its gradient is 0 there and rounding here, which Adam makes a step
     other = jax.tree.map(lambda a, b: jnp.where(a == 0, 0.0, b), one.params, other.params)
@@ -357,9 +365,9 @@ def test_weight_decay_draws_each_weight_to_zero(tied):
     found = []
     for fit in (dynamics.fit, fast.fit):
         decayed = hyper._replace(model=hyper.model._replace(weight_decay=0.5))
+        run = jax.jit(partial(fit, static))
         after = [
-            fit(static, h, model, rows, jnp.int32(1), jax.random.key(0))[0].params
-            for h in (hyper, decayed)
+            run(h, model, rows, jnp.int32(1), jax.random.key(0))[0].params for h in (hyper, decayed)
         ]
         gone = jax.tree.map(lambda a, b: a - b, *after)
         shrunk = jax.tree.map(lambda w: hyper.model.learning_rate * 0.5 * w, model.params)
