@@ -6,6 +6,7 @@ import importlib.metadata
 import inspect
 import os
 import pathlib
+import runpy
 import signal
 import typing
 
@@ -23,6 +24,8 @@ if not ON_GPU:
     if tuple(map(int, importlib.metadata.version("jaxlib").split(".")[:2])) < (0, 11):
         flags += " --xla_cpu_use_fusion_emitters=false"
     os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {flags}"
+# where a program was traced is in its text, which takes a tenth of lowering it
+os.environ.setdefault("JAX_TRACEBACK_IN_LOCATIONS_LIMIT", "0")
 # tracing makes many objects and no garbage: collecting it as often as Python does is a third of the work
 gc.set_threshold(50_000, 20, 100)
 # a shell that starts these tests in the background has them ignore ctrl-C, and all that they start
@@ -75,6 +78,23 @@ def patience():
     from dynappo.config import stop
 
     stop.PATIENCE = PATIENCE
+
+
+@pytest.fixture(scope="session", autouse=True)
+def compiled_once():
+    """A config file, and default.py, which each of them runs, are compiled again only where they changed."""
+    plain, made = runpy._get_code_from_file, {}  # type: ignore[attr-defined]
+
+    def code(*args):
+        found = os.stat(args[-1])
+        of = (*args, found.st_mtime_ns, found.st_size, found.st_ino)
+        if of not in made:
+            made[of] = plain(*args)
+        return made[of]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(runpy, "_get_code_from_file", code)
+        yield
 
 
 @pytest.fixture(scope="session")

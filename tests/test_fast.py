@@ -38,8 +38,8 @@ def normal(seed, *shape):
 @pytest.mark.parametrize(
     ("hidden", "precision", "critic"),  # each pair of values once
     [
-        ((24,), "highest", "obs"),
-        ((24,), "bfloat16", "state"),
+        pytest.param((24,), "highest", "obs", marks=pytest.mark.slow),
+        pytest.param((24,), "bfloat16", "state", marks=pytest.mark.slow),
         ((32, 16, 8), "highest", "state"),
         ((32, 16, 8), "bfloat16", "obs"),
     ],
@@ -122,18 +122,19 @@ def updates(static, hyper, batch, env, critic_size=None):
 
 UPDATES = [  # fields of ppo, and whether rows have weights
     ({}, False),
-    ({"symmetry": True}, True),
-    ({"critic": "state", "symmetry": True}, False),
     ({"critic": "state", "symmetry": True, "critic_hidden": (24, 8, 4)}, False),
     ({"clip_value": False, "adaptive": False, "activation": "tanh"}, True),
     ({"shuffle_blocks": 4, "hidden": (24,), "desired_kl": 0.002, "max_grad_norm": 0.1}, False),
 ]
-OTHERS = [
-    pytest.param(fields, not weighted, marks=pytest.mark.slow) for fields, weighted in UPDATES
+OTHERS = [(fields, not weighted) for fields, weighted in UPDATES] + [
+    (fields, weighted)
+    for fields in ({"symmetry": True}, {"critic": "state", "symmetry": True})
+    for weighted in (True, False)
 ]
+SLOW = [pytest.param(*case, marks=pytest.mark.slow) for case in OTHERS]
 
 
-@pytest.mark.parametrize(("fields", "weighted"), UPDATES + OTHERS, ids=str)
+@pytest.mark.parametrize(("fields", "weighted"), UPDATES + SLOW, ids=str)
 def test_an_update_of_one_vector_is_the_update_of_all_weights(fields, weighted):
     """Networks, Adam's moments, learning rate and metrics, by every option of the plain one."""
     static, hyper = settings(**fields)
@@ -175,7 +176,13 @@ def fits(static):
 
 
 @pytest.mark.parametrize(
-    "fields", [{}, {"falls": True, "clean": True}, {"normalize": False}], ids=str
+    "fields",
+    [
+        {},
+        {"falls": True, "clean": True},
+        pytest.param({"normalize": False}, marks=pytest.mark.slow),
+    ],
+    ids=str,
 )
 @pytest.mark.parametrize(("n_real", "epochs"), [(8, 2), (5, 3), (3, 0)])
 def test_a_fit_of_one_vector_is_the_fit_of_all_weights(fields, n_real, epochs):

@@ -60,8 +60,9 @@ def batch(settings, learner):
 def assert_symmetric(static, params):
     """By what the networks say of mirrored observations."""
     obs = np.random.default_rng(1).normal(size=(50, 6)).astype(np.float32)
-    mean, value = networks.actor_critic(static, params)(jnp.asarray(obs))
-    other = networks.actor_critic(static, params)(jnp.asarray(mirrored(OBS, obs)))
+    says = jax.jit(lambda params, obs: networks.actor_critic(static, params)(obs))
+    mean, value = says(params, obs)
+    other = says(params, np.float32(mirrored(OBS, obs)))
     np.testing.assert_allclose(other[0], mirrored(ACTION, mean), 1e-5, 1e-6)
     np.testing.assert_allclose(other[1], value, 1e-5, 1e-6)
     np.testing.assert_array_equal(params["std"], np.asarray(params["std"])[[1, 0, 2]])
@@ -78,19 +79,21 @@ def test_a_mirror_is_its_own_inverse(mirror):
 
 def test_the_image_of_a_network_is_the_mirrored_network_of_mirrored_inputs(settings, image):
     static, hyper = settings
-    params = networks.init_policy(static, hyper, 6, 3, jax.random.key(3))
+    init = jax.jit(partial(networks.init_policy, static, hyper, 6, 3))
+    params = init(jax.random.key(3))
     obs = np.random.default_rng(1).normal(size=(50, 6)).astype(np.float32)
-    mean, value = networks.actor_critic(static, params)(jnp.asarray(mirrored(OBS, obs)))
-    found = networks.actor_critic(static, image(params))(jnp.asarray(obs))
+    says = jax.jit(lambda params, obs: networks.actor_critic(static, params)(obs))
+    mean, value = says(params, np.float32(mirrored(OBS, obs)))
+    found = says(jax.jit(image)(params), obs)
     np.testing.assert_allclose(found[0], mirrored(ACTION, mean), 1e-5, 1e-6)
     np.testing.assert_allclose(found[1], value, 1e-5, 1e-6)
-    assert np.abs(found[0] - networks.policy(static, params, jnp.asarray(obs))).max() > 0.05
+    assert np.abs(found[0] - says(params, obs)[0]).max() > 0.05
 
 
 def test_fresh_weights_are_symmetric_and_spread_as_before(settings, learner):
     static, hyper = settings
     assert_symmetric(static, learner.params)
-    plain = networks.init_policy(static, hyper, 6, 3, jax.random.key(0))
+    plain = jax.jit(partial(networks.init_policy, static, hyper, 6, 3))(jax.random.key(0))
     for name in ("actor", "critic"):
         kernel, before = (p[name]["params"]["Dense_1"]["kernel"] for p in (learner.params, plain))
         assert len(np.unique(kernel)) == kernel.size // 2
@@ -126,8 +129,9 @@ def test_an_update_stays_symmetric_and_without_the_image_does_not(
     settings, image, learner, batch, module
 ):
     static, hyper = settings
-    update = partial(module.update, static, hyper, learner, batch, jax.random.key(1))
-    after, metrics = update(image)
+    update = partial(module.update, static, hyper)
+    given = learner, batch, jax.random.key(1)
+    after, metrics = jax.jit(partial(update, image=image))(*given)
     assert metrics["kl"] > 1e-4
     assert_symmetric(static, after.params)
     for x, y in zip(
@@ -135,7 +139,7 @@ def test_an_update_stays_symmetric_and_without_the_image_does_not(
     ):
         np.testing.assert_array_equal(x, y)  # to the bit: nothing drifts apart
     with pytest.raises(AssertionError):
-        params = update()[0].params
+        params = jax.jit(update)(*given)[0].params
         assert_symmetric(static, params)
 
 
@@ -148,10 +152,15 @@ def test_a_policy_that_scales_its_inputs_is_symmetric_too(settings, image, batch
     """`ppo.normalize`: moments of rows and images, which no update changes."""
     static, hyper = settings
     static = static._replace(ppo=static.ppo._replace(normalize=True))
-    learner = ppo.init(static, hyper, 6, 3, jax.random.key(0), image=image)
     seen = dict.fromkeys(("actor", "critic"), 3 * batch.obs + jnp.arange(6.0))
     mirrors = dict.fromkeys(("actor", "critic"), OBS)
-    learner = scaling.updated(learner, seen, jnp.ones((N, R)), mirrors)
+
+    @jax.jit
+    def begun(key):
+        learner = ppo.init(static, hyper, 6, 3, key, image=image)
+        return scaling.updated(learner, seen, jnp.ones((N, R)), mirrors)
+
+    learner = begun(jax.random.key(0))
     assert_symmetric(static, learner.params)
     update = partial(fast.update, static, hyper, batch=batch, key=jax.random.key(1), image=image)
     after, _ = jax.jit(update)(learner)

@@ -276,6 +276,7 @@ def test_nothing_was_wrong_in_the_console(tab):
     assert not [e for e in tab.errors if "preventDefault inside passive" not in e]
 
 
+@pytest.mark.slow  # what the page is sent is the map (test_ground.py)
 def test_stairs_are_seen_and_their_walls_are_darker(tmp_path):
     """A robot in a pit: around it are treads and, less of them, walls, each of one grey."""
     with (
