@@ -81,6 +81,17 @@ def patience():
 
 
 @pytest.fixture(scope="session", autouse=True)
+def kept_programs(request):
+    """Programs that are the same as in an earlier run are read, from .pytest_cache (README.md)."""
+    if ON_GPU or not hasattr(request.config, "cache"):
+        return
+    import jax
+
+    jax.config.update("jax_compilation_cache_dir", str(request.config.cache.mkdir("jax")))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.05)
+
+
+@pytest.fixture(scope="session", autouse=True)
 def compiled_once():
     """A config file, and default.py, which each of them runs, are compiled again only where they changed."""
     plain, made = runpy._get_code_from_file, {}  # type: ignore[attr-defined]

@@ -1399,6 +1399,7 @@ def test_a_fit_that_stops_sees_its_own_robots_alone_and_moves_the_moments_once()
     np.testing.assert_allclose(found.inputs.weight, once, rtol=1e-5)
 
 
+@pytest.mark.slow  # of an experiment that has been run
 def test_crossq_renormalises_batches_and_knows_the_probability_of_its_actions():
     """In training a batch's own moments at first; later, while they are near the running ones, what an
     evaluation gives. The log-probability is that of the change of variables, by a numerical derivative."""

@@ -18,6 +18,7 @@ from dynappo.policy import render
 OTHER = ROOT / "tests" / "other_system.py"
 
 
+@pytest.mark.slow  # no file imports what is missing, and a robot is played there
 def test_every_module_can_be_imported():
     done = shell(OTHER, "imports")
     assert done.returncode == 0, done.stderr

@@ -91,7 +91,20 @@ def actor(count):
     return {"actor": {"params": layers}, "std": np.ones(count, "f4")}
 
 
-@pytest.mark.parametrize("kind", KINDS)
+# what is read and told of the others is tested without a run (description/, look/, physics/)
+SLOW = {
+    "collides as looks that have a class with a material",
+    "a material of all shapes",
+    "a tendon of a class",
+    "gravity of the moon",
+    "only the floor is missing",
+}
+
+
+@pytest.mark.parametrize(
+    "kind",
+    [pytest.param(kind, marks=[pytest.mark.slow] if kind in SLOW else []) for kind in KINDS],
+)
 def test_what_look_lets_pass_trains_and_plays(kind, tmp_path, monkeypatch, capsys):
     """A control step of C MuJoCo, a second of play, in the robot that the policy carries too."""
     mine(KINDS[kind], monkeypatch, tmp_path)

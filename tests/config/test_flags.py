@@ -70,7 +70,13 @@ def test_what_ends_a_command_is_one_line_and_a_status(name, capsys):
     assert said.err == f"dynappo: {line}" and said.out == ""
 
 
-@pytest.mark.parametrize("command", "bench evaluate export play train".split())
+@pytest.mark.parametrize(
+    "command",
+    [
+        *("evaluate", "train"),
+        *(pytest.param(name, marks=pytest.mark.slow) for name in ("bench", "export", "play")),
+    ],
+)
 def test_no_command_needs_the_opengl_that_is_asked_for(command, monkeypatch):
     """MuJoCo raises at its import where MUJOCO_GL names nothing that is there."""
     monkeypatch.setenv("MUJOCO_GL", "nonsense")

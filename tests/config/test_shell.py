@@ -49,7 +49,7 @@ def test_what_is_in_the_words_does_not_change_what_is_told(tmp_path, monkeypatch
     """Brackets, blanks, quotes and dollars of a folder's name; the line is given to a real shell."""
     monkeypatch.setenv("PYTHONPATH", str(ROOT))
     monkeypatch.setenv("PATH", os.defpath)
-    for name in ("plain", "[a]", "a b", "it's", "$HOME", "a;b"):
+    for name in ("[a] b", "it's; $HOME"):
         line = shell.line("play", tmp_path / name, "--policy=zero")
         done = subprocess.run(line, shell=True, capture_output=True, text=True)
         assert done.returncode == 2 and f"{tmp_path / name}: " in done.stderr, done.stderr

@@ -92,7 +92,7 @@ SMALL = (
 ).split()
 
 
-@pytest.mark.slow  # a Go1 on C MuJoCo: run/test_engines.py
+@pytest.mark.slow  # a Go1 on C MuJoCo: train/test_command.py
 @pytest.mark.parametrize(("name", "impl"), [("go2", "c"), ("go1", "jax"), ("go2", "jax")])
 def test_calves_with_motors_of_their_own_train(name, impl, tmp_path):
     """One iteration; the policy's file holds a number a joint, and plays."""

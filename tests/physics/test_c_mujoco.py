@@ -204,7 +204,8 @@ SLOW = [pytest.param(*case, marks=pytest.mark.slow) for case in OTHERS]
     ("robot", "touching", "impl"),
     [
         ("go1", "feet, each", "warp"),
-        ("go1", "feet, each", "jax"),
+        # of both and a loop over C MuJoCo: tasks/test_env.py, and the plain loop above
+        pytest.param("go1", "feet, each", "jax", marks=pytest.mark.slow),
         # of Warp and MJX: test_warp_call.py; of MJX and C: tasks/test_env.py
         pytest.param("go1", "feet", "jax", marks=pytest.mark.slow),
         pytest.param("go1", "feet", "warp", marks=pytest.mark.slow),

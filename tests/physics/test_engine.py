@@ -21,7 +21,7 @@ from dynappo.physics import engine as engine_lib
 from dynappo.physics import randomize
 from dynappo.tasks.velocity import env as env_lib
 
-POSES = 10_000
+POSES = 3_000
 NEAR = 0.02  # m from the floor
 ROUNDING = 2e-6  # m, of single precision at the end of a leg; measured 6e-7
 WORLDS, STEPS = 8, 100
@@ -95,7 +95,7 @@ def collisions(model, loaded, poses):
 
 @pytest.fixture(scope="module")
 def seen(loaded, name):
-    """How both see 10,000 poses with the lowest part at the floor, and 10,000 with `any` one there.
+    """How both see `POSES` poses with the lowest part at the floor, and as many with `any` one there.
 
     Any attitude and any joint angles in their ranges; "at the floor" is within 2 cm of it, and
     `any` is a part or foot drawn anew for each pose.
@@ -134,7 +134,8 @@ def test_every_part_and_foot_is_at_the_floor_in_many_poses(seen):
     assert 0.45 < falls.mean() < 0.55
     near = (np.abs(seen.any.lowest) < NEAR).sum(axis=0)
     below = ((-NEAR < seen.any.lowest) & seen.any.touch).sum(axis=0)
-    assert (near > 500).all() and (below > 200).all() and (near - below > 200).all()
+    few = POSES // 50
+    assert (near > 2.5 * few).all() and (below > few).all() and (near - below > few).all()
 
 
 @pytest.mark.parametrize("kind", ["lowest", "any"])

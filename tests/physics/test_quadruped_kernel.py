@@ -10,8 +10,11 @@ from kernel_case import MOTOR, Case, a_physics_step, rounds_stop, several_steps 
 # a motor of its own at each joint [12, 8]; the share, 1, is without lag
 EACH = np.array(MOTOR) * (1 + 0.1 * np.arange(12)[:, None] * (np.arange(8) < 7))
 
+# of the same size as one of the others
+SLOW = [pytest.param(name, marks=pytest.mark.slow) for name in ("go1", "go2", "anymal_d")]
 
-@pytest.fixture(scope="module", params=["go1", "go2", "anymal_c", "anymal_d", "go1 each"])
+
+@pytest.fixture(scope="module", params=["anymal_c", "go1 each", *SLOW])
 def case(request):
     name, _, each = request.param.partition(" ")
     return Case(name, motors=EACH if each else MOTOR)

@@ -30,10 +30,10 @@ from dynappo.physics.warp import arrays, general, scope, tree  # noqa: E402
 from dynappo.physics.warp import call as warp_call  # noqa: E402
 
 LIMITED = dict(g1=20, biped=3, mine=0)  # joints that are beyond their range
-SLOW = [pytest.param("hexapod", marks=pytest.mark.slow)]
+SLOW = [pytest.param(name, marks=pytest.mark.slow) for name in ("hexapod", "biped")]
 
 
-@pytest.fixture(scope="module", params=["g1", "damped", "biped", "turned", *SLOW])
+@pytest.fixture(scope="module", params=["g1", "damped", "turned", *SLOW])
 def case(request, tmp_path_factory):
     case = made(request.param, tmp_path_factory.mktemp("robot"))
     assert scope.kernel(case.model, case.robot.feet, False) == "tree"
@@ -95,6 +95,7 @@ def test_rounds_stop_at_the_answer(g1):
     rounds_stop(g1, few=(6, 10), worst=0.2)
 
 
+@pytest.mark.slow  # a step, and several one after the other, are those of C MuJoCo
 def test_a_drop_is_that_of_c_mujoco(g1):
     """Half a second: G1 falls on its feet, and its motors hold it."""
     steps, motors = made("g1", "", substeps=20), g1.motors.copy()

@@ -246,7 +246,7 @@ def test_a_name_that_a_stream_or_a_page_cannot_show_is_written_in_ascii(
     assert done.returncode == 2 and "\\xfc\\udcff/no.npz: no such file" in done.stderr
 
 
-@pytest.mark.parametrize("backend", ["osmesa", "nonsense"])
+@pytest.mark.parametrize("backend", [pytest.param("osmesa", marks=pytest.mark.slow), "nonsense"])
 def test_a_page_needs_no_opengl_whatever_is_asked_for(saved, tmp_path, monkeypatch, backend):
     """MuJoCo cannot be imported with a MUJOCO_GL that is not there; a page is written nevertheless."""
     monkeypatch.setenv("MUJOCO_GL", backend)

@@ -194,7 +194,10 @@ def test_with_rewards_or_commands_of_ones_own_errors_tell_and_not_the_return(nam
     assert said(numbers, **task) == words
 
 
-@pytest.mark.parametrize("name", LEVELS)
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(n, marks=[pytest.mark.slow] if n in ("go2", "anymal_c") else []) for n in LEVELS],
+)
 def test_the_return_tells_where_it_was_measured(name):
     """Of the four robots' own flat tasks, with either width of tracking, and of nothing else."""
     for variant in ("best", "few", "ppo16", "dyna4", "fast", "laptop", "quick", "logs"):

@@ -20,7 +20,8 @@ SMALL = (
     "run.eval_envs=4 run.video_seconds=0.0 run.tensorboard=False task.episode_length=40"
 ).split()
 
-
+# by default: a first run of a Go1 on C MuJoCo, with such motors (train/test_command.py); resumed, of the toy
+pytestmark = pytest.mark.slow
 CALF, OTHER = 35.55, 23.7  # N m
 
 
@@ -70,7 +71,7 @@ def test_its_policy_holds_a_number_a_joint_and_plays(whole):
     assert config_lib.difference(text, given) == ""
 
 
-@pytest.mark.parametrize("threads", [1, pytest.param(3, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("threads", [1, 3])
 def test_it_resumes_to_the_bit_and_does_not_depend_on_the_threads(threads, whole, tmp_path):
     """From the checkpoint of half of the run on. Of threads in one step: physics/test_c_mujoco.py."""
     shutil.copytree(whole[2], tmp_path, dirs_exist_ok=True)
@@ -82,7 +83,6 @@ def test_it_resumes_to_the_bit_and_does_not_depend_on_the_threads(threads, whole
         np.testing.assert_array_equal(metrics[name][2:], whole[1][name][2:])
 
 
-@pytest.mark.slow
 def test_a_seed_among_several_is_the_run_alone(whole):
     state, _ = train.train(settings("run.num_seeds=2", "run.eval_envs=0"))
     first = jax.tree.map(lambda x: x[0], state.env_state)
@@ -91,7 +91,6 @@ def test_a_seed_among_several_is_the_run_alone(whole):
         np.testing.assert_allclose(leaves(first)[name], value, 2e-3, 2e-3, err_msg=name)
 
 
-@pytest.mark.slow
 def test_a_checkpoint_moves_to_mjx_and_back(whole, tmp_path):
     train.train(settings("run.num_iterations=2"), tmp_path)
     state, _ = train.train(settings("physics.impl=jax"), tmp_path)

@@ -117,7 +117,10 @@ def survives(config, program, half, whole, workdir, kind, n) -> bool:
     return bool(disk.hit)
 
 
-@pytest.mark.parametrize("kind", FAULTS)
+@pytest.mark.parametrize(  # those three are an OSError of the same operations
+    "kind",
+    [pytest.param(k, marks=[pytest.mark.slow] if k in ("EIO", "EMFILE") else []) for k in FAULTS],
+)
 def test_some_faults(config, program, half, whole, tmp_path, kind):
     """The first three operations, which a folder is opened with, and some of the others."""
     some = {0, 2, 4, *np.random.default_rng(len(kind)).integers(5, 50, 2).tolist()}

@@ -435,6 +435,7 @@ def test_a_first_checkpoint_that_cannot_be_read_back_ends_the_run(
         },
         "its numbers are not those": lambda state: flat(state) | {"lengths": np.zeros(100, "f4")},
     }
+    monkeypatch.setattr(learning_curves, "draw", lambda *_: "no picture")
     for i, (reason, change) in enumerate(wrong.items()):
         told = []
         with monkeypatch.context() as patch:
@@ -563,6 +564,7 @@ def test_several_seeds_train_at_once(whole, tmp_path, monkeypatch):
 # ---- an environment of one's own
 
 
+@pytest.mark.slow  # one of get_env trains in test_environment_page.py
 def test_an_environment_that_is_handed_over_trains_to_the_bit_as_in_the_robots_place(
     config, whole, tmp_path
 ):

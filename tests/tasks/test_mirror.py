@@ -28,7 +28,11 @@ def turned(table, x):
     return np.asarray(table.sign, np.float32) * np.asarray(x)[..., table.index]
 
 
-@pytest.fixture(scope="module", params=UNLIKE)
+# the four have the same joints: two of them by default
+SLOW = [pytest.param(name, marks=pytest.mark.slow) for name in ("go2", "anymal_c")]
+
+
+@pytest.fixture(scope="module", params=["go1", "anymal_d", *SLOW])
 def world(request):
     """Robots that stumble, and `step(state, action) -> Outcome` of all of them."""
     config = config_lib.load(f"configs/{request.param}.py")

@@ -194,7 +194,10 @@ def same_as_own(name, rows):
         np.testing.assert_allclose(told, value, rtol=1e-3, atol=1e-4)
 
 
-@pytest.mark.parametrize("name", [GO1, BIPED])
+BOTH = [GO1, pytest.param(BIPED, marks=pytest.mark.slow)]
+
+
+@pytest.mark.parametrize("name", BOTH)
 def test_reward_observation_and_end_are_those_of_the_tasks_own_step(name):
     """Although MJX's data are rebuilt before each step; and no key of random numbers is another."""
     same_as_own(name, rollout(name))
@@ -215,6 +218,7 @@ def raw(of, outcome):
     return jax.vmap(jax.vmap(one))(outcome.next_obs, outcome.next_prop)
 
 
+@pytest.mark.slow  # MJX against C MuJoCo: tasks/test_env.py; the step, by the test above in C
 def test_physics_of_mjx_are_those_of_c_mujoco():
     """Of one control step of our `step`, from the last row in C: the robot has landed."""
     before, action, after, outcome, _ = jax.tree.map(lambda x: x[-1, 0], rollout(GO1))
@@ -225,7 +229,7 @@ def test_physics_of_mjx_are_those_of_c_mujoco():
     np.testing.assert_allclose(found.qvel, after.qvel, atol=0.2)
 
 
-@pytest.mark.parametrize("name", [GO1, BIPED])
+@pytest.mark.parametrize("name", BOTH)
 def test_what_is_known_is_computed_exactly(name):
     """The next row's context, all that the model does not predict, from the row's own numbers."""
     before, action, _, outcome, _ = rollout(name)
@@ -237,6 +241,7 @@ def test_what_is_known_is_computed_exactly(name):
     np.testing.assert_allclose(found, outcome.next_obs[..., size:], atol=1e-5)
 
 
+@pytest.mark.slow  # its rollout is that of the tests above
 def test_phases_are_known():
     """The biped's clock of the gait: cosine and sine of both feet."""
     of = made(BIPED)

@@ -45,6 +45,10 @@ FIRST = """
 --config.run.num_iterations=4 --config.run.log_every=2 --config.run.eval_envs=0
 --config.run.video_seconds=0 --config.physics.impl=c
 """.split()
+# N m: a Go1's own
+CALF, OTHER = 35.55, 23.7
+FIRST.append(f"--config.task.effort_limit={{'.*_calf_joint': {CALF}, '.*': {OTHER}}}")
+FIRST.append(f"--config.task.saturation_effort={{'.*_calf_joint': {CALF}, '.*': {OTHER}}}")
 
 
 def test_a_first_run_on_the_go1(tmp_path, monkeypatch):
@@ -72,6 +76,7 @@ def test_a_first_run_on_the_go1(tmp_path, monkeypatch):
         assert all(np.isfinite(float(value)) for value in some.values()), some
     policy, path = policy_source.load(str(workdir))
     assert path == workdir / "policy.npz" and policy.robot == "go1"
+    np.testing.assert_array_equal(policy.effort_limit, [OTHER, OTHER, CALF] * 4)
     assert np.isfinite(policy_file.actor(policy.params, policy.activation)(np.zeros(48))).all()
     assert any((tmp_path / "cache" / "dynappo" / "jax").iterdir())  # for the next process
 
