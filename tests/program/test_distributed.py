@@ -83,6 +83,7 @@ def saved(workdir):
 
 UNJUDGED = "run.eval_envs=0"  # an evaluation would only be compiled
 LONG = ("run.num_iterations=100000", UNJUDGED)
+PLAIN = "schedule.end_steps=0"  # half of the program; the model on several devices: test_seeds.py
 SPLIT = ("run.num_seeds=1", "run.mesh_env=2")  # the robots of one seed over two processes
 
 
@@ -93,7 +94,7 @@ def killed(tmp_path_factory):
     `(workdir, end of the first)`.
     """
     workdir = tmp_path_factory.mktemp("killed") / "run"
-    handles = start(workdir, *LONG, *SPLIT, processes=2, devices=2)
+    handles = start(workdir, *LONG, PLAIN, *SPLIT, processes=2, devices=2)
     until(lambda: saved(workdir), handles)
     handles[1].kill()
     return workdir, end(handles[:1])[0]
@@ -114,7 +115,7 @@ def test_what_was_lost_goes_on_on_one_process_and_other_devices(
     a run that never stopped and had one device from the start."""
     workdir, _ = killed
     total = max(saved(workdir)) + 4
-    fields = f"run.num_iterations={total}", UNJUDGED, "run.num_seeds=1"
+    fields = f"run.num_iterations={total}", UNJUDGED, PLAIN, "run.num_seeds=1"
     workdirs.toy(monkeypatch)
     monkeypatch.setattr(build, "program", workdirs.compiled_once(build.program))
     monkeypatch.setattr(devices, "own_process", lambda device: None)

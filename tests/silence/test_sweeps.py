@@ -13,7 +13,7 @@ from dynappo import config as config_lib
 from dynappo.config import fields
 from dynappo.config.stop import Stop
 from dynappo.program import devices
-from dynappo.run import training
+from dynappo.run import learning_curves, training
 from dynappo.sweeps import folder, grid, sweep_picture, table
 from dynappo.sweeps import sweep as sweeps
 
@@ -120,6 +120,7 @@ def test_a_sweep_over_the_reward_keeps_the_policy_of_the_best_tracker(
 ):
     """Trained, with the toy environment; over commands it keeps none, not even one of before."""
     monkeypatch.setattr(devices, "own_process", lambda device: None)
+    monkeypatch.setattr(learning_curves, "draw", lambda *_: "no picture")
     monkeypatch.setattr(training.merged, "program", lambda configs, *_: program())
     for text, kept in (
         ("task.weights.action_rate=-0.01", True),
