@@ -141,6 +141,7 @@ def test_falls_are_named():
     assert not any("worst" in line for line in evaluate_tables.notes(everything))
 
 
+@pytest.mark.slow  # test_house.py sees every import
 def test_fast_needs_no_jax(saved, tmp_path):
     """`python -m dynappo.evaluate` and all it does with --fast, where JAX cannot be imported."""
     (tmp_path / "jax").mkdir()

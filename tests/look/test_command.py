@@ -213,6 +213,7 @@ def test_a_mistake_is_one_line_and_status_2(name, tmp_path, monkeypatch, capsys)
     assert not [*tmp_path.iterdir()]
 
 
+@pytest.mark.slow  # test_house.py sees every import
 def test_it_needs_no_jax(tmp_path):
     """`python -m dynappo.look`, where JAX cannot be imported."""
     (tmp_path / "jax").mkdir()

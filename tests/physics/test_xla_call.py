@@ -153,7 +153,7 @@ def test_two_programs_at_once_compute_what_each_does_alone():
     found: dict[int, list] = {}
 
     def work(i):
-        found[i] = [jax.device_get(programs[i](*robots())) for _ in range(8)]
+        found[i] = [jax.device_get(programs[i](*robots())) for _ in range(4)]
 
     threads = [threading.Thread(target=work, args=(i,), daemon=True) for i in range(len(programs))]
     for thread in threads:

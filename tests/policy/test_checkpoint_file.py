@@ -111,6 +111,7 @@ def test_a_checkpoint_carries_its_robot(tmp_path, monkeypatch):
         assert expected in refused(policy_source.load, "run")
 
 
+@pytest.mark.slow  # test_house.py sees every import
 def test_it_is_read_without_jax(tmp_path):
     """JAX would take a GPU that trains."""
     written(tmp_path / "run")
