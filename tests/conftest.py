@@ -34,13 +34,13 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 TESTS = pathlib.Path(__file__).parent
 PEERS = TESTS / "peers"
 LONGEST = """
-model/test_memory
-test_algorithm test_fast tasks/test_env program/test_distributed web/test_browser page/test_page_in_browser
-test_experiments sweeps/test_sweep run/test_checkpoint test_seeds run/test_run physics/test_xla_call
-tasks/test_playground web/test_task_page physics/test_warp_call run/test_engines tasks/test_change
-tasks/test_brax_env model/test_options model/test_dynamics learner/test_ppo physics/test_kernel_scope
-train/test_command physics/test_c_mujoco physics/test_rough_ground policy/test_policy_source
-tasks/test_own sweeps/test_every_float run/test_workdir policy/test_render description/test_feet
+test_algorithm tasks/test_env tasks/test_playground program/test_distributed run/test_checkpoint
+train/test_command sweeps/test_sweep physics/test_kernel_scope test_fast model/test_memory
+web/test_browser test_random_numbers test_seeds adopt/test_command web/test_task_page test_experiments
+model/test_options run/test_run tasks/test_playground_known physics/test_xla_call physics/test_warp_call
+test_commands_in_pages config/test_stop tasks/test_brax_env page/test_page_in_browser
+learner/test_symmetry web/test_strangers program/test_build tasks/test_change evaluate/test_command
+web/test_guard
 """.split()  # files that take more than ten seconds of a processor, about in this order (README.md)
 
 
