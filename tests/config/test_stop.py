@@ -157,7 +157,11 @@ def test_an_import_that_is_interrupted_in_c_is_no_bug():
     assert (done.returncode, done.stderr) == (143, "dynappo: stopped\n")
 
 
-@pytest.mark.parametrize("there", ["nothing", "a checkpoint", "a file of the user's"])
+# of a checkpoint only the line is another one: train/test_command.py
+CHECKPOINT = pytest.param("a checkpoint", marks=pytest.mark.slow)
+
+
+@pytest.mark.parametrize("there", ["nothing", CHECKPOINT, "a file of the user's"])
 def test_a_run_that_compiles_is_stopped(there, tmp_path):
     """Its threads would compile for an hour, and Python would wait for them. A new folder is gone again."""
     run, users = tmp_path / "runs" / "mine", there == "a file of the user's"
