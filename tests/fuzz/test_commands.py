@@ -32,7 +32,7 @@ from dynappo.policy import episode
 from dynappo.program import build, devices, memory
 
 LIMIT = 5.0  # s of the processor for an input; the slowest takes a tenth of it
-FEW, MANY = 40, 2000
+FEW, MANY = 100, 2000
 FIRST = int(os.environ.get("FUZZ_FIRST", "0"))  # the number of the first input, for more than these
 
 
@@ -170,7 +170,7 @@ def check(count, tmp_path, monkeypatch, capsys):
         assert counts[command, "refused"] and counts[command, "accepted"]
 
 
-def test_some_bad_inputs_are_one_line_each(nothing_is_compiled, tmp_path, monkeypatch, capsys):
+def test_a_hundred_bad_inputs_are_one_line_each(nothing_is_compiled, tmp_path, monkeypatch, capsys):
     check(FEW, tmp_path, monkeypatch, capsys)
 
 
