@@ -24,6 +24,7 @@ import logging
 import shutil
 import sys
 import tempfile
+import time
 import traceback
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -224,8 +225,14 @@ def wait(checkpoints: Checkpoints) -> None:
 
 
 def _remove_unfinished(folder: Path) -> None:
-    for part in folder.glob("*.orbax-checkpoint-tmp*"):
-        shutil.rmtree(part, ignore_errors=True)
+    """Remove what is left of saves; more than once, for a thread of one that failed may still write there."""
+    for pause in (0.0, 0.05, 0.2, 0.5):  # s
+        time.sleep(pause)
+        left = list(folder.glob("*.orbax-checkpoint-tmp*"))
+        if not left:
+            return
+        for part in left:
+            shutil.rmtree(part, ignore_errors=True)
 
 
 def read_back(folder: Path, state: Any) -> None:

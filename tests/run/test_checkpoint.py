@@ -278,6 +278,23 @@ def test_what_a_killed_save_left_is_gone_at_once_and_no_later_save_is_taken_for_
         part.rmdir()
 
 
+def test_what_a_failed_save_writes_while_it_is_removed_is_removed_too(tmp_path, monkeypatch):
+    """A thread of orbax puts a file into the folder once more: the first attempt leaves it."""
+    part, remove, calls = tmp_path / "4.orbax-checkpoint-tmp-0", shutil.rmtree, []
+
+    def busy(path, **options):
+        remove(path, **options)
+        calls.append(path)
+        if len(calls) < 3:
+            path.mkdir()
+            (path / "late").write_text("x")
+
+    part.mkdir()
+    monkeypatch.setattr(shutil, "rmtree", busy)
+    checkpoint._remove_unfinished(tmp_path)
+    assert calls == [part] * 3 and not part.exists()
+
+
 def test_the_best_in_an_evaluation_is_kept_beside_the_newest(tmp_path, small):
     """One without an evaluation is never the best, whatever its training episodes were worth."""
     worth = {1: 3.0, 2: 9.0, 3: 5.0, 4: None, 5: 1.0, 6: 2.0}
