@@ -32,7 +32,7 @@ SHARP = 0.5  # pixels drawn for one of the page: a CPU draws them all
 # A CPU draws every frame, and takes the time from what is tested: fewer frames, without smooth edges. The
 # first three come with times seconds apart, so that a page finds at once that it has no graphics card.
 SELDOM = """
-window.rest = 1000;
+window.rest = 250;
 let slow = 3, later = 0;
 const soon = window.requestAnimationFrame.bind(window);
 window.requestAnimationFrame = call => setTimeout(() => soon(now => {
@@ -162,7 +162,7 @@ class Tab:
         """Draw next to nothing, and leave the processor to another page."""
         self.value("window.rest = 5000")
         yield
-        self.value("window.rest = 1000")
+        self.value("window.rest = 250")
 
     def watched(self, yes):
         """Whether the page believes that a person looks at it."""

@@ -56,13 +56,7 @@ GO1, BIPED, SPOT, GETUP = (
 EVERY = [name for name in loading.names() if name != "BarkourJoystick"]  # a robot of Menagerie's
 
 
-@pytest.fixture(autouse=True)
-def no_menagerie(monkeypatch, tmp_path_factory):
-    """Stand-ins in a folder of these tests, also where the machine has meshes."""
-    folder = tmp_path_factory.getbasetemp() / "stand_ins"
-    folder.mkdir(exist_ok=True)
-    monkeypatch.setattr(assets.tempfile, "gettempdir", lambda: str(folder))
-    monkeypatch.setattr(assets, "_places", lambda playground: iter(()))
+pytestmark = pytest.mark.usefixtures("stand_ins")
 
 
 @functools.cache

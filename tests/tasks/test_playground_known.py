@@ -11,7 +11,6 @@ import pytest
 pytest.importorskip("mujoco_playground", reason="MuJoCo Playground is not installed")
 
 from dynappo.tasks.playground import (  # noqa: E402
-    assets,
     c_physics,
     env,
     known,
@@ -23,13 +22,7 @@ from dynappo.tasks.playground import (  # noqa: E402
 SPOT = "SpotFlatTerrainJoystick"
 
 
-@pytest.fixture(autouse=True)
-def no_menagerie(monkeypatch, tmp_path_factory):
-    """Stand-ins in a folder of these tests, also where the machine has meshes."""
-    folder = tmp_path_factory.getbasetemp() / "stand_ins"
-    folder.mkdir(exist_ok=True)
-    monkeypatch.setattr(assets.tempfile, "gettempdir", lambda: str(folder))
-    monkeypatch.setattr(assets, "_places", lambda playground: iter(()))
+pytestmark = pytest.mark.usefixtures("stand_ins")
 
 
 @functools.cache
