@@ -34,7 +34,7 @@ STARTS = "an H200 and slower hosts", "2026-11-24", "", "experiments/03_speed/ker
 
 MEASURED = [  # name, value, unit, hardware, date, commit, source
     ("make train", "three to six", "minutes", *CORES, "b9cc75e", f"a clock; {LAPTOP}"),
-    ("make test", "nine to twelve", "minutes", *CORES, "d47165f", "a clock"),
+    ("make test", "ten to fourteen", "minutes", CORES[0], "2026-11-27", "9b783e7", "a clock"),
     ("notebooks", "ten", "minutes", "two CPU cores", "not noted", "", "a clock"),
     ("evaluate", "a minute or two", "", "two CPU cores", "not noted", "", "a clock"),
     ("start, cold", "20 to 35", "s", *STARTS),
