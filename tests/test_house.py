@@ -5,6 +5,7 @@ import functools
 import graphlib
 import pathlib
 
+import breaks
 import pytest
 
 import dynappo
@@ -200,3 +201,11 @@ def test_a_folder_says_what_is_in_it_and_who_imports_it(folder):
     text = ast.get_docstring(tree(name_of(folder / "__init__.py"))) or ""
     names = [f.stem for f in folder.glob("*.py") if not f.stem.startswith("__")]
     assert "import" in text and not [name for name in names if f"`{name}`" not in text]
+
+
+def test_what_breaks_py_breaks_is_there():
+    """Each text is in its file once it is run, and the tests that must see it exist."""
+    for path, text, instead, tests in breaks.BREAKS:
+        whole = (breaks.ROOT / path).read_text()
+        assert text in whole and text != instead, f"{path} has no {text!r}"
+        assert all((breaks.ROOT / "tests" / name).is_file() for name in tests.split()), tests
