@@ -16,7 +16,7 @@ INSTALL := $(BIN)/python -m pip install -q --disable-pip-version-check --no-comp
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-9s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 
-train: $(VENV)/.train  ## train a Go1 on two CPU cores, three to six minutes with the set-up; ends with a film
+train: $(VENV)/.train  ## train a Go1 on two CPU cores, three to seven minutes with the set-up; ends with a film
 	$(BIN)/python -m dynappo.train --config=$(CONFIG) --workdir=$(WORKDIR)
 
 # A file stays in one of the two processes: its tests share compiled programs. conftest.py, not xdist, says
