@@ -97,15 +97,15 @@ class Job(NamedTuple):
 
 
 def read(job: str, fields) -> Job:
-    given = dict(field.split("=", 1) for field in fields)
-    count, engine = int(given.pop("seeds", 1)), given.pop("engine", "")
+    values = dict(field.split("=", 1) for field in fields)
+    count, engine = int(values.pop("seeds", 1)), values.pop("engine", "")
     if engine not in ("", "mujoco_warp"):
         raise SystemExit(f"engine is {engine!r}, expected mujoco_warp; others by physics.impl")
-    evaluated = int(given.pop("episodes", EPISODES)), int(given.pop("steps", STEPS))
+    evaluated = int(values.pop("episodes", EPISODES)), int(values.pop("steps", STEPS))
     robot, _, variant = job.partition(":")
     config = config_lib.load(f"configs/{robot}.py:{variant}")
     config.run.update(**DEFAULTS)
-    for name, value in given.items():
+    for name, value in values.items():
         config_lib.override(config, name, value)
     return Job(" ".join([job, *fields]), config_lib.validate(config), count, engine, *evaluated)
 
@@ -119,10 +119,12 @@ def one(path: Path, job: Job, compile: bool = False) -> None:
         scope.kernel = lambda *_: ""
     program = build.program(config)
     init = jax.jit(partial(algorithm.init, program.env, static=program.static))
-    measure = crossings(config) if config.task.terrain == "rough" else episodes(job, program)
+    play, flat = episodes(job, program), config.task.terrain == "flat"
+    measure = partial(scores, program, play) if flat else crossings(config)
     if compile:
-        state = init(program.hyper, jax.random.key(0))
-        measure([state.learner.params] * len(ends(config)))
+        first = init(program.hyper, jax.random.key(0)).learner.params
+        if flat:
+            play.lower(*given(program, [first] * len(ends(config)))).compile()
         return
     about = {"job": job.text, "device": program.device, "commit": versions.commit()}
     about |= parts(config, program)
@@ -157,8 +159,7 @@ def train(config, program, state) -> tuple[list[dict], list]:
         state, metrics = jax.block_until_ready(program.step(program.hyper, state, columns))
         seconds, first = seconds + time.perf_counter() - began, last
         overflow.check(metrics | columns)
-        if less.blown_up(metrics | columns, 1):
-            raise FloatingPointError(f"training has blown up before iteration {last}")
+        print(*less.blown_up(metrics | columns, 1).values(), end="")
         policies.append(jax.tree.map(jnp.copy, state.learner.params))
         row = {"iteration": last, "sim_steps": int(steps[last - 1]), "seconds": f"{seconds:.4f}"}
         rows.append(row)
@@ -166,16 +167,21 @@ def train(config, program, state) -> tuple[list[dict], list]:
 
 
 def episodes(job: Job, program):
-    """`f(policies) -> columns [E]`: episodes of all policies at once; compiled once."""
+    """The compiled `seeds.evaluate` of all policies of a run at once: each its own, all the same episodes."""
     sizes = dict(static=program.static, num_envs=job.episodes, num_steps=job.steps)
-    play = jax.jit(partial(seeds.evaluate, program.env, **sizes))
+    return jax.jit(partial(seeds.evaluate, program.env, **sizes))
 
-    def of(policies):
-        together = jax.tree.map(lambda *x: jnp.stack(x), *policies)
-        found = jax.device_get(play(program.hyper, together, jax.random.key(0)))
-        return {name: found[name] for name in less.MEASURED if name in found}
 
-    return of
+def given(program, policies) -> tuple:
+    """Its arguments."""
+    together = jax.tree.map(lambda *x: jnp.stack(x), *policies)
+    return program.hyper, together, jax.random.key(0)
+
+
+def scores(program, play, policies) -> dict:
+    """Columns `[E]`, a number a policy."""
+    found = jax.device_get(play(*given(program, policies)))
+    return {name: found[name] for name in less.MEASURED if name in found}
 
 
 def crossings(config):
