@@ -15,16 +15,16 @@ from experiments import pictures, stats
 
 table = importlib.import_module("experiments.30_row_cost.table")
 
-LABELS = {  # place -> words; where they stand beside the pair, in points: on the left, on the right
-    "go1.kernel": ("Go1,\nour kernel", (9, -4), (9, -1)),
-    "go1.warp": ("Go1,\nMuJoCo Warp", (0, -8), (0, -8)),
-    "go1.exact": ("Go1, exact task,\nMuJoCo Warp", (0, -40), (0, -40)),
-    "anymal_c.exact": ("ANYmal-C, exact\ntask, MuJoCo Warp", (0, -72), (0, -72)),
-    "go1.jax": ("Go1,\nMJX-JAX", (0, -8), (0, -8)),
-    "g1.kernel": ("G1,\nour kernel", (4, 12), (0, -8)),
-    "g1.warp": ("G1,\nMuJoCo Warp", (0, 8), (0, -8)),
-    "go2.rough": ("Go2, rough,\nour kernel", (0, 8), (0, 8)),
-    "go1.laptop": ("Go1,\nC MuJoCo", (-4, 10), (0, -8)),
+LABELS = {  # place -> words
+    "go1.kernel": "Go1, our kernel",
+    "go1.warp": "Go1, MuJoCo Warp",
+    "go1.exact": "Go1, exact task, MuJoCo Warp",
+    "anymal_c.exact": "ANYmal-C, exact task, MuJoCo Warp",
+    "go1.jax": "Go1, MJX-JAX",
+    "g1.kernel": "G1, our kernel",
+    "g1.warp": "G1, MuJoCo Warp",
+    "go2.rough": "Go2 on rough ground, our kernel",
+    "go1.laptop": "Go1, C MuJoCo",
 }
 LOOKS = {"best": (pictures.BLUE, "o", "best"), "ppo": (pictures.BLACK, "s", "PPO, tuned")}
 DASHES = {"a GPU": "-", "two cores": (0, (4, 2))}
@@ -35,15 +35,16 @@ def main():
     found = table.runs()
     page, ((seconds, steps),) = pictures.figure(1, 2, 4.6)
     computed(seconds, found)
+    places = {}
     for place in dict.fromkeys(run.place for run in found):
         if not (both := table.settings(found, place)):
             continue
         best, ppos = both
         ms, fast, few = table.cost(found, best), table.fastest(ppos), table.sparing(ppos)
-        words, *where = LABELS.get(place, (place, (0, -8), (0, -8)))
-        words = f"{words},\n{best.batch.partition(',')[0]}"
-        pair(seconds, ms, best.level[:, 2], fast.level[:, 2], words, where[0])
-        pair(steps, ms, best.level[:, 1] / 1e6, few.level[:, 1] / 1e6, words, where[1])
+        number = len(places) + 1
+        places[f"{LABELS.get(place, place)}, {best.batch.partition(',')[0]}"] = number
+        pair(seconds, ms, best.level[:, 2], fast.level[:, 2], number)
+        pair(steps, ms, best.level[:, 1] / 1e6, few.level[:, 1] / 1e6, number)
         least = fast.level[:, 1].mean() / 1e6
         if fast.method != few.method:
             steps.plot(1.04 * ms, least, "s", color=pictures.GREY, ms=4.5, mfc="none", zorder=2)
@@ -53,8 +54,8 @@ def main():
         axis.set(xlim=(0.1, 100), xlabel="ms of a simulated row of 1024 robots")
         axis.set_title(f"{words} to the level", loc="left")
     seconds.set_ylim(0.25, 300)
-    steps.set_ylim(0.12, 14)
-    legend(page)
+    steps.set_ylim(0.12, None)
+    legend(page, places)
     pictures.save(page, Path(__file__).with_name("row_cost"))
 
 
@@ -80,7 +81,7 @@ def computed(axis, found) -> None:
     )
 
 
-def pair(axis, ms: float, best, ppo, words: str, where: tuple[int, int]) -> None:
+def pair(axis, ms: float, best, ppo, number: int) -> None:
     """`best` and PPO at a place, joined by a line, with t intervals where there are `table.OFTEN` seeds."""
     means = []
     for values, (colour, mark, _), beside in zip(
@@ -93,15 +94,13 @@ def pair(axis, ms: float, best, ppo, words: str, where: tuple[int, int]) -> None
         bar = stats.half_of(one) if often else None
         axis.errorbar(ms * beside, one.mean, bar, fmt=mark, capsize=2.5, lw=1.2, **look)
     axis.plot([ms, ms], means, color="0.6", lw=0.8, zorder=1)
-    right, up = where
-    sides = {-1: "right", 0: "center", 1: "left"}
-    at = {"ha": sides[int(np.sign(right))], "va": "bottom" if up > 0 else "top"}
-    end = max(means) if up > 0 else min(means)
-    axis.annotate(words, (ms, end), where, textcoords="offset points", **at, **TEXT)
+    how = dict(textcoords="offset points", ha="right", va="center", fontsize=9, fontweight="bold")
+    behind = dict(boxstyle="round,pad=0.08", fc="white", ec="none", alpha=0.85)
+    axis.annotate(f"{number}", (ms * 0.96, means[0]), (-6, 0), bbox=behind, zorder=3, **how)
 
 
-def legend(page) -> None:
-    """What marks and lines are."""
+def legend(page, places: dict[str, int]) -> None:
+    """Above what the numbers are, below what marks and lines are."""
     from matplotlib.lines import Line2D
 
     def line(colour, dash):
@@ -117,6 +116,11 @@ def legend(page) -> None:
     keys["computed: Go1, best"] = line(colour, "-")
     keys["computed: PPO; a row of 4096 costs 1.35 times"] = line(other, DASHES["a GPU"])
     keys["computed: PPO; a row costs as its robots"] = line(other, DASHES["two cores"])
+    numbers = [mark(other, f"${number}$", mew=0.3) for number in places.values()]
+    above = dict(
+        loc="outside upper left", ncols=4 if len(places) < 5 else 3, frameon=False, fontsize=8.5
+    )
+    page.legend(numbers, places, handletextpad=0.1, columnspacing=1.2, **above)
     how = dict(ncols=3, frameon=False, fontsize=8.5, columnspacing=1.6)
     page.legend(keys.values(), keys.keys(), loc="outside lower center", **how)
 
