@@ -946,6 +946,12 @@ def test_seconds_where_a_row_costs_more_and_where_two_runs_break_even():
     assert even == pytest.approx(1 + 1 / 1.9, rel=0.02)
     assert 1.4 < low <= even <= high < 1.7
     assert table.fastest([fast, few]) is fast and table.sparing([fast, few]) is few
+    # a run with a seed that never gets there says nothing
+    assert table.even(best, [fast, few], 1.0) == "{:.2g} ({:.2g} to {:.2g})".format(
+        *table.break_even(best, [fast, few], 1.0, table.POWERS["a GPU"])
+    )
+    never = table.to_walk(best._replace(walks=best.level * [[1], [1], [np.nan]]))
+    assert table.even(never, [fast], 1.0) == "-" == table.even(best, [], 1.0)
     # the last batch with five seeds wins, else the one with most
     found = [best, fast, few]
     assert table.settings(found, "go1.kernel") == (best, [fast, few])

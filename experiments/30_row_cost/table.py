@@ -310,7 +310,7 @@ def interval(values) -> str:
 def compared(found: list[Run]) -> str:
     """A line a place: `best` beside PPO's fastest and its most sparing setting; where they break even."""
     head = ["place", "ms a row", "`best`, s", "`best` for seconds", "PPO, s", "PPO by `best`"]
-    head += ["steps, PPO by `best`", "break-even, ms"]
+    head += ["steps, PPO by `best`", "break-even, ms", "to a walk, ms"]
     lines = []
     for place in dict.fromkeys(run.place for run in found):
         if not (pair := settings(found, place)):
@@ -325,10 +325,22 @@ def compared(found: list[Run]) -> str:
         cells += ["-" if quick is best else f"{interval(quick.level[:, 2])} ({quick.method})"]
         cells += [f"{interval(times[0])} ({fast.method})"]
         cells += [ratio(*times), f"{ratio(*steps)} ({few.method})"]
-        many = [run for run in ppos if len(run.level) >= MANY]
-        even = break_even(best, many, ms, power_of(place)) if many else ()
-        lines.append([*cells, "{:.2g} ({:.2g} to {:.2g})".format(*even) if even else "-"])
+        lines.append([*cells, even(best, ppos, ms), even(to_walk(best), [*map(to_walk, ppos)], ms)])
     return paper.markdown(head, lines)
+
+
+def to_walk(run: Run) -> Run:
+    """One that counts to a walk, not to the level."""
+    return run._replace(level=run.walks)
+
+
+def even(best: Run, ppos: list[Run], ms: float) -> str:
+    """`break_even` of runs with `MANY` seeds, all of which get there."""
+    able = [run for run in (best, *ppos) if len(run.level) >= MANY and np.isfinite(run.level).all()]
+    if len(able) < 2 or able[0] is not best:
+        return "-"
+    at, low, high = break_even(best, able[1:], ms, power_of(best.place))
+    return f"{at:.2g} ({low:.2g} to {high:.2g})"
 
 
 def ratio(one, other) -> str:
