@@ -8,6 +8,7 @@ which a page states a number; tests/test_claims.py holds the pages to them.
 """
 
 import csv
+import importlib
 import lzma
 import re
 import runpy
@@ -23,7 +24,7 @@ NUMBERS = ROOT / "docs/numbers.csv"
 COLUMNS = "name value unit hardware date commit source".split()
 HEADLINE = "experiments/21_less/results/headline.csv.xz"
 HUMANOID = "experiments/25_humanoid/results/tuning.csv.xz"
-SECONDS = "experiments/21_less/results/seconds.csv.xz"
+SECONDS = "experiments/30_row_cost/results/alone.csv.xz"
 ROUGH = "experiments/28_rough/results/fresh.csv.xz"
 FEW = "experiments/27_few/results/gpu.csv.xz"
 LAPTOP = "experiments/04_laptop/results/make_train.txt"
@@ -193,16 +194,14 @@ def humanoid():
 
 
 def seconds():
-    script = runpy.run_path(str(ROOT / "experiments/21_less/seconds.py"))
-    _, *rows = script["table"](script["read"]())
-    of = {row[1]: row for row in rows if row[0] == "H100"}
+    table = importlib.import_module("experiments.30_row_cost.table")
+    found = [run for run in table.of_rows(table.read()) if run.place == "go1.kernel"]
+    of = {run.method: run.level.mean(0) for run in found if run.batch == table.H100}
     where = "H100", "2026-11-25", "", SECONDS
-    best, ppo = of["best"], next(row for name, row in of.items() if "2048" in name)
-    steps, times = ([float(row[i].split()[0]) for row in (best, ppo)] for i in (4, 5))
-    for title, value in zip(("", " PPO"), times, strict=True):
+    for title, (_, _, value) in zip(("", " PPO"), (of["best"], of["ppo2048"]), strict=True):
         yield f"go1{title} seconds to 38", f"{value:.6g}", "s", *where
     name = "go1 PPO steps, by best's, at equal seconds"
-    yield name, f"{steps[1] / steps[0]:.6g}", "", *where
+    yield name, f"{of['ppo2048'][1] / of['best'][1]:.6g}", "", *where
 
 
 def rough():

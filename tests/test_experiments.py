@@ -27,6 +27,7 @@ from dynappo import config as config_lib
 from dynappo.learner import networks
 from dynappo.model import dynamics
 from dynappo.policy import policy_file
+from dynappo.terrain import tiles
 from experiments import paper, pictures, run, stats
 
 ROOT = pathlib.Path(config_lib.__file__).parents[2]
@@ -135,14 +136,23 @@ def test_the_page_of_the_peers_has_the_numbers_of_its_runs(drawn, monkeypatch, c
         assert " | ".join(cells[2:5] + cells[6:9]) in page, name
 
 
-def test_the_page_of_seconds_has_the_table_of_its_runs(monkeypatch, capsys):
-    monkeypatch.setattr(sys, "argv", ["seconds.py"])
-    script("21_less/seconds").main()
-    page = (EXPERIMENTS / "21_less/README.md").read_text().replace("*", "")
-    rows = [line.strip("| ").split(" | ") for line in capsys.readouterr().out.splitlines()[1:]]
-    assert len(rows) == 10
-    for _, name, *cells in rows:
-        assert " | ".join(cells) in page, name
+ROW_COST = "30_row_cost"
+
+
+def test_the_page_of_seconds_has_the_tables_of_its_runs(monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["table.py"])
+    script(f"{ROW_COST}/table").main()
+    page = (EXPERIMENTS / ROW_COST / "README.md").read_text().replace("*", "")
+    rows = [line.strip("| ").split(" | ") for line in capsys.readouterr().out.splitlines()]
+    rows = [cells for cells in rows if cells[0].startswith(("go", "g1", "anymal"))]
+    assert len(rows) >= 31
+    for cells in rows:
+        assert " | ".join(cells[1:]) in page, cells
+
+
+def test_seconds_and_steps_are_drawn_over_the_cost_of_a_row(drawn):
+    script(f"{ROW_COST}/plot").main()
+    assert drawn == ["row_cost"]
 
 
 PLAYGROUND = "05_playground"
@@ -879,23 +889,112 @@ def test_a_seed_is_chosen_by_all_its_falls_and_then_by_its_error(monkeypatch):
 
 
 def test_seconds_are_counted_to_the_level_and_until_it_walks():
-    seconds = script("21_less/seconds")
-    about = {"gpu": "G", "name": "best"}
+    table = script(f"{ROW_COST}/table")
+    about = {"batch": "G, day", "name": "go1.kernel.best", "job": "go1:best rollout.num_envs=512"}
     found = []
     for seed, folder, clock in (("0", "a", 2.0), ("0", "b", 4.0), ("1", "a", 6.0)):
         for at, value in ((10, 20.0), (20, 38.5), (30, 37.0), (40, 39.0)):
             row = {"seed": seed, "run": folder, "iteration": at, "sim_steps": at * 1000}
-            row |= {"seconds": clock * at, "return": value, "fall_rate": "0.01"}
+            row |= {"seconds": clock * at, "return": value, "fall_rate": "0.01", "row_ms": "0.2"}
             found.append(about | row)
-    # a seed's clock is the median of its runs: 60 and 120, mean 90, t(1) 12.7 x 42.4 / sqrt(2)
-    level = ["2", "20", "0.02 ± 0.00", "90.00 ± 381.19"]
-    walk = ["2", "40", "0.04 ± 0.00", "180.00 ± 762.37"]  # after the relapse at 30
-    assert seconds.table(found)[1] == ["G", "best", *level, *walk]
-    low = about | {"seed": "2", "run": "a", "iteration": 1, "sim_steps": 1, "seconds": 1}
-    low |= {"return": 30.0, "fall_rate": 0.0}
-    more = ["2 of 3", *level[1:], "2 of 3", *walk[1:]]
-    assert seconds.table([*found, low])[1] == ["G", "best", *more]
-    assert seconds.table([low])[1] == ["G", "best", *["0 of 1", "-", "-", "-"] * 2]
+    (run,) = table.of_rows(found)
+    assert run[:4] == ("go1.kernel", "G, day", "best", 512) and run.row == 0.2
+    # a seed's clock is the median of its runs: 60 and 120; it walks after the relapse at 30
+    np.testing.assert_allclose(run.level, [[20, 20_000, 60], [20, 20_000, 120]])
+    np.testing.assert_allclose(run.walks, [[40, 40_000, 120], [40, 40_000, 240]])
+    assert table.cells(run.walks) == ["2", "0.04", "180.00"]
+    low = about | {"seed": "2", "iteration": 1, "sim_steps": 1, "seconds": 1}
+    (run,) = table.of_rows([*found, low | {"return": 30.0, "fall_rate": 0.0}])
+    assert np.isnan(run.walks[2]).all() and table.cells(run.walks)[0] == "2 of 3"
+    assert table.cells(run.walks[2:]) == ["0 of 1", "-", "-"]
+    # 90, 60 and 120: mean 90, t(2) 4.303 x 30 / sqrt(3)
+    assert table.interval([90, 60, 120]) == "90.00 ± 74.52"
+
+
+def test_a_g1_counts_errors_and_rough_ground_crossings():
+    table = script(f"{ROW_COST}/table")
+    rows = [
+        {"iteration": k, "sim_steps": k, "seconds": k / 2, "fall_rate": falls, "job": "g1:best"}
+        | {"tracking_error": error, "yaw_error": 0.2}
+        for k, (error, falls) in enumerate(((0.3, 0.0), (0.2, 0.1), (0.1, 0.0)), 1)
+    ]
+    np.testing.assert_allclose(table.reached(rows), [[2, 2, 1.0], [3, 3, 1.5]])
+    rows = [
+        {"iteration": k, "sim_steps": k, "seconds": k, "job": "go2:rough", "crossed": "0.5"}
+        | dict.fromkeys(tiles.KINDS, " ".join([share] * 10))
+        for k, share in enumerate(("0.9", "0.96", "0.9", "1.0"), 1)
+    ]
+    np.testing.assert_allclose(table.reached(rows), [[2, 2, 2], [4, 4, 4]])
+
+
+def test_seconds_where_a_row_costs_more_and_where_two_runs_break_even():
+    """`best`: 100 rows of 1024 robots and 2 s; PPO: 1000 rows of 2048 and 1 s, or 5000 of 256 and 5 s."""
+    table = script(f"{ROW_COST}/table")
+    noise = np.array([-0.01, 0, 0.01])[:, None]
+
+    def run(method, robots, rows, seconds):
+        level = np.array([[1, rows * robots, seconds]]) * (1 + noise * [0, 0, 1])
+        return table.Run("go1.kernel", "G, day", method, robots, level, level, np.nan)
+
+    best, fast = run("best", 1024, 100, 2.0), run("ppo2048", 2048, 1000, 1.0)
+    few = run("ppo256", 256, 5000, 5.0)
+    # 2 ms more a row: 0.2 s; 1000 rows of twice as many robots 2 ** power times 2 s
+    np.testing.assert_allclose(table.later(best, 1.0, 3.0, 1.0).mean(), 2.2)
+    np.testing.assert_allclose(table.later(fast, 1.0, [1.0, 3.0], 0.5).mean(0), [1, 1 + 2 * 2**0.5])
+    # with a row as dear as its robots: 2 + 0.1 (c - 1) = 1 + 2 (c - 1) at c = 1 + 1 / 1.9
+    even, low, high = table.break_even(best, [fast, few], 1.0, 1.0)
+    assert even == pytest.approx(1 + 1 / 1.9, rel=0.02)
+    assert 1.4 < low <= even <= high < 1.7
+    assert table.fastest([fast, few]) is fast and table.sparing([fast, few]) is few
+    # a run with a seed that never gets there says nothing
+    assert table.even(best, [fast, few], 1.0) == "{:.2g} ({:.2g} to {:.2g})".format(
+        *table.break_even(best, [fast, few], 1.0, table.POWERS["a GPU"])
+    )
+    never = table.to_walk(best._replace(walks=best.level * [[1], [1], [np.nan]]))
+    assert table.even(never, [fast], 1.0) == "-" == table.even(best, [], 1.0)
+    # the last batch with five seeds wins, else the one with most
+    found = [best, fast, few]
+    assert table.settings(found, "go1.kernel") == (best, [fast, few])
+    assert table.settings([best], "go1.kernel") is None
+
+
+def test_jobs_of_the_row_costs_are_valid_and_of_places_that_have_a_name():
+    measure = script(f"{ROW_COST}/run")
+    places = script(f"{ROW_COST}/plot").LABELS
+    lines = (EXPERIMENTS / ROW_COST / "jobs.txt").read_text().splitlines()
+    assert len({line.split()[0] for line in lines}) == len(lines) == 39
+    for line in lines:
+        name, job, *fields = line.split()
+        place, _, method = name.rpartition(".")
+        read = measure.read(job, fields)
+        assert place in places and (read.engine == "mujoco_warp") == place.endswith("warp")
+        assert 10 <= len(measure.ends(read.config)) <= 30
+        uses_model = schedule.uses_model(read.config)
+        assert uses_model != method.startswith("ppo")
+        assert read.seeds >= 5 or method.startswith("tune")
+    with pytest.raises(SystemExit, match="engine is 'c', expected mujoco_warp"):
+        measure.read("go1:best", ["engine=c"])
+
+
+def test_a_run_alone_is_timed_between_evaluations_and_keeps_its_policies(monkeypatch):
+    measure = script(f"{ROW_COST}/run")
+    job = measure.read("go1:best", ["run.num_iterations=20", "seeds=2", "rollout.num_envs=16"])
+    clock = iter([1.0, 1.5, 7.0, 7.25])
+    monkeypatch.setattr(measure.time, "perf_counter", lambda: next(clock))
+
+    def step(hyper, state, columns):
+        more = len(columns["iteration"])
+        params = state.learner.params + more
+        metrics = {"policy_std": np.ones(more), "iteration": columns["iteration"]}
+        return types.SimpleNamespace(learner=types.SimpleNamespace(params=params)), metrics
+
+    program = types.SimpleNamespace(step=step, hyper=0, columns=schedule.columns(job.config))
+    state = types.SimpleNamespace(learner=types.SimpleNamespace(params=jnp.zeros(())))
+    rows, policies = measure.train(job.config, program, state)
+    steps = schedule.sim_steps(job.config)
+    assert [row["seconds"] for row in rows] == ["0.5000", "0.7500"]
+    assert [row["sim_steps"] for row in rows] == [steps[9], steps[19]]
+    assert policies == [10, 20] and (job.seeds, job.episodes) == (2, 500)
 
 
 def test_steps_until_robots_walk_count_falls_and_relapses():

@@ -1,0 +1,355 @@
+"""Seconds and simulator steps to the level and to a walk, `best` beside PPO, by what a simulated row costs.
+
+    python experiments/30_row_cost/table.py                          # the tables of README.md
+    python experiments/30_row_cost/table.py --add BATCH FOLDER ...   # adds or replaces jobs of run.py
+
+Runs are those of results/alone.csv.xz, one at a time on their device, and those of 25_humanoid and 04_laptop
+that were. A name is PLACE.METHOD: a place is a robot, task and engine; METHOD is `best`, one with settings
+for seconds, or `ppo` with its robots. BATCH says card and date; the clock of a seed that ran more than once
+is the median. What the level is, and a walk: dynappo/policy/walks.py.
+
+Computed: `later` gives a run's seconds if its rows cost more, from its own clock and rows. `break_even` is
+the cost at which `best` and the fastest PPO take equally long.
+"""
+
+import collections
+import csv
+import importlib
+import lzma
+import math
+from functools import partial
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from dynappo.policy import walks
+from dynappo.terrain import tiles
+from experiments import paper, stats
+
+humanoid = importlib.import_module("experiments.25_humanoid.table")
+rough = importlib.import_module("experiments.28_rough.table")
+laptop = importlib.import_module("experiments.04_laptop.table")
+
+RESULTS = Path(__file__).parent / "results/alone.csv.xz"
+COUNTED = ("iteration", "sim_steps", "seconds")
+COLUMNS = (
+    "batch name job device commit seed run row_ms tail_ms fit_ms ppo_ms iteration sim_steps seconds return "
+    "fall_rate tracking_error yaw_error crossed fell"
+).split() + [*tiles.KINDS]
+H100, H200, G1, CORES = (
+    "H100, 2026-11-25",
+    "H200, 2026-11-25",
+    "H200, 2026-11-26",
+    "two cores, 2026-11-22",
+)
+ROWS = {  # ms of a row of 1024 robots where runs do not have it; README.md says from where
+    ("go1.kernel", H100): 0.18,
+    ("go1.kernel", H200): 0.18,
+    ("g1.kernel", G1): 0.54,
+    ("g1.warp", G1): 4.46,
+    ("go1.laptop", CORES): 2 * 16.3,
+}
+BUSY = {("PPO, 256", "900"), ("PPO, 2048", "900"), ("PPO, 2048", "901")}  # left out there, too
+# a row of R robots costs (R / 1024) ** POWER times one of 1024
+POWERS = {"a GPU": math.log(2.98 / 2.2) / math.log(4), "two cores": 1.0}
+MANY, OFTEN = 3, 5  # seeds of a choice, and of an interval
+COSTS = np.geomspace(0.1, 100, 601)  # ms
+
+
+class Run(NamedTuple):
+    """Seeds of a setting at a place."""
+
+    place: str
+    batch: str
+    method: str
+    robots: int
+    level: np.ndarray  # [S, 3]: iteration, simulator steps, seconds; NaN: never
+    walks: np.ndarray
+    row: float  # ms, of a row of its robots; NaN: not measured
+
+
+def main():
+    parser = paper.parser(__doc__)
+    parser.add_argument("folders", nargs="*", type=Path)
+    parser.add_argument("--add", metavar="BATCH")
+    args = parser.parse_args()
+    if args.add:
+        add(args.add, args.folders)
+    found = runs()
+    print(table(found), compared(found), sep="\n\n")
+
+
+# ---- files
+
+
+def read() -> list[dict]:
+    with lzma.open(RESULTS, "rt", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def add(batch: str, folders: list[Path]) -> None:
+    """Into results/alone.csv.xz, in place of jobs of that batch with the same names."""
+    new = []
+    for path in sorted(path for folder in folders for path in folder.glob("*.csv")):
+        with path.open(newline="") as file:
+            new += [{"batch": batch, "name": path.stem} | row for row in csv.DictReader(file)]
+    again = {(row["batch"], row["name"]) for row in new}
+    kept = [row for row in read() if (row["batch"], row["name"]) not in again]
+    with lzma.open(RESULTS, "wt", newline="", preset=9) as file:
+        writer = csv.DictWriter(file, COLUMNS, extrasaction="ignore", lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(kept + new)
+
+
+# ---- runs
+
+
+def runs() -> list[Run]:
+    """All of them, place by place."""
+    found = [*of_rows(read()), *of_humanoid(), *of_laptop()]
+    return sorted(found, key=lambda run: (cost(found, run), run.place, run.batch))
+
+
+def of_rows(rows: list[dict]) -> list[Run]:
+    """The runs of results/alone.csv.xz."""
+    jobs = collections.defaultdict(lambda: collections.defaultdict(list))
+    for row in rows:
+        jobs[row["batch"], row["name"]][row["seed"], row.get("run", "")].append(row)
+    return [of_job(key[0], key[1], list(job.values())) for key, job in jobs.items()]
+
+
+def of_job(batch: str, name: str, each: list[list[dict]]) -> Run:
+    place, _, method = name.rpartition(".")
+    by_seed = collections.defaultdict(list)
+    for rows in each:
+        by_seed[rows[0]["seed"]].append(reached(rows))
+    level, walking = np.array([np.median(again, 0) for again in by_seed.values()]).transpose(
+        1, 0, 2
+    )
+    first = each[0][0]
+    row = float(first.get("row_ms") or "nan")
+    return Run(place, batch, method, robots(first["job"]), level, walking, row)
+
+
+def robots(job: str) -> int:
+    given = dict(field.split("=", 1) for field in job.split()[1:])
+    of_variant = {"laptop": 512, "rough": 2048}.get(job.split()[0].partition(":")[2], 1024)
+    return int(given.get("rollout.num_envs", of_variant))
+
+
+def reached(rows: list[dict]) -> np.ndarray:
+    """`[2, 3]`: iteration, simulator steps and seconds to the level, and until it walks; NaN: never.
+
+    Of a G1 the level is one of errors, on rough ground one of crossings, whatever falls; there a robot
+    walks from where on it is at the level.
+    """
+    job = rows[0]["job"]
+
+    def column(name):
+        return [float(row[name]) for row in rows]
+
+    if rows[0].get("crossed"):
+        good = [2.0 * rough.at_level(rough.shares(row)) for row in rows]
+        measured = partial(stats.reached, returns=good, fall_rates=[0.0] * len(rows), least=1)
+    elif job.startswith("g1"):
+        names = {"errors": "tracking_error", "yaw_errors": "yaw_error", "fall_rates": "fall_rate"}
+        errors = {argument: column(name) for argument, name in names.items()}
+        measured = partial(stats.reached_by_tracking, **errors)
+    else:
+        least = walks.level(45 if job.startswith("go") else 30)
+        returns, falls = column("return"), column("fall_rate")
+        measured = partial(stats.reached, returns=returns, fall_rates=falls, least=least)
+    found = [measured(column(name)) for name in COUNTED]
+    return np.array([[one.level for one in found], [one.walks for one in found]])
+
+
+def of_humanoid() -> list[Run]:
+    """The runs of 25_humanoid that had a card alone."""
+    jobs = collections.defaultdict(list)
+    for engine, name, rows in humanoid.runs_alone():
+        if (name, rows[0]["seed"]) not in BUSY or engine != "kernel":
+            jobs["kernel" if engine == "kernel" else "warp", name].append(rows)
+    found = []
+    for (engine, name), each in jobs.items():
+        run = of_job(G1, f"g1.{engine}.{name.replace('PPO, ', 'ppo')}", each)
+        count = int(name.split()[1].strip(",")) if "PPO" in name else 1024
+        found.append(run._replace(robots=count))
+    return found
+
+
+def of_laptop() -> list[Run]:
+    """The runs of 04_laptop; seconds are iterations by those of two idle cores."""
+    found = []
+    for name in ("go1", "ppo16", "ppo24"):
+        each = [
+            [row | {"sim_steps": row["steps"], "job": run["job"], "seed": k} for row in run["rows"]]
+            for k, run in enumerate(laptop.runs(name))
+        ]
+        method = "best" if name == "go1" else f"ppo512 x {name[3:]}"
+        found.append(of_job(CORES, f"go1.laptop.{method}", each))
+    return found
+
+
+# ---- what a row costs
+
+
+def cost(found: list[Run], run: Run) -> float:
+    """ms of a simulated row of 1024 robots at a run's place, in its batch: measured with that many, or with
+    the number that is nearest."""
+    own = [one for one in found if (one.place, one.batch) == (run.place, run.batch)]
+    some = [one for one in own if one.row == one.row]
+    if not some:
+        return ROWS.get((run.place, run.batch), math.nan)
+    near = min(abs(math.log(one.robots / 1024)) for one in some)
+    some = [one for one in some if abs(math.log(one.robots / 1024)) == near]
+    power = power_of(run.place)
+    return float(np.mean([one.row * (1024 / one.robots) ** power for one in some]))
+
+
+def power_of(place: str) -> float:
+    return POWERS["two cores" if place.endswith("laptop") else "a GPU"]
+
+
+def later(run: Run, before: float, after, power: float) -> np.ndarray:
+    """Seconds to the level, `[S, ...]`, if a row of 1024 robots cost `after` ms `[...]`, not `before`.
+
+    seconds + rows (after - before) (robots / 1024) ^ power
+    """
+    after = np.asarray(after, float)
+    rows, seconds = run.level[:, 1] / run.robots, run.level[:, 2]
+    more = (after - before) * (run.robots / 1024) ** power / 1e3
+    return seconds.reshape(-1, *[1] * after.ndim) + rows.reshape(-1, *[1] * after.ndim) * more
+
+
+def settings(found: list[Run], place: str) -> tuple[Run, list[Run]] | None:
+    """`(best, PPO's)` of the last batch in which `best` has five seeds, else of that with most; of runs all
+    of whose seeds get to the level. None where one of the two has not been run."""
+    mine = [run for run in found if run.place == place and np.isfinite(run.level).all()]
+    both = [
+        (run, [ppo for ppo in mine if ppo.batch == run.batch and ppo.method.startswith("ppo")])
+        for run in mine
+        if run.method == "best"
+    ]
+    both = [pair for pair in both if pair[1]]
+    date = lambda pair: (min(len(pair[0].level), OFTEN), pair[0].batch.split(", ")[-1])  # noqa: E731
+    return max(both, key=date, default=None)
+
+
+def variants(found: list[Run], best: Run) -> list[Run]:
+    """`best`, and its settings for seconds at the same place, with as many seeds as say something."""
+    here = [run for run in found if (run.place, run.batch) == (best.place, best.batch)]
+    named = [run for run in here if run.method.startswith("best") and len(run.level) >= MANY]
+    return [best, *(run for run in named if run is not best and np.isfinite(run.level).all())]
+
+
+def fastest(some: list[Run]) -> Run:
+    """With the fewest seconds in the mean, of those with `MANY` seeds or more, if there are any."""
+    many = [run for run in some if len(run.level) >= MANY]
+    return min(many or some, key=lambda run: run.level[:, 2].mean())
+
+
+def sparing(some: list[Run]) -> Run:
+    """With the fewest simulator steps in the mean."""
+    return min(some, key=lambda run: run.level[:, 1].mean())
+
+
+def break_even(
+    best: Run, ppos: list[Run], before: float, power: float
+) -> tuple[float, float, float]:
+    """ms of a row of 1024 robots at which `best` and the fastest PPO take equally long; from which and up to
+    which Welch's 95 % interval of the difference has a 0 in it."""
+    at = {run.method: later(run, before, COSTS, power) for run in ppos}
+    mine = later(best, before, COSTS, power)
+    means = np.array([times.mean(0) for times in at.values()])
+    named = [*at]
+    even, equal = math.nan, []
+    for k, ms in enumerate(COSTS):
+        other = at[named[means[:, k].argmin()]][:, k]
+        gain = stats.difference(other, mine[:, k])
+        even = ms if math.isnan(even) and gain.value > 0 else even
+        if gain.low <= 0 <= gain.high:
+            equal.append(ms)
+    return even, min(equal, default=math.nan), max(equal, default=math.nan)
+
+
+# ---- tables
+
+
+def table(found: list[Run]) -> str:
+    head = ["place", "ms a row", "where", "run", "seeds", "level: iterations", "M steps", "seconds"]
+    head += ["walks: seeds", "M steps", "seconds"]
+    lines = []
+    for run in found:
+        reached, steps, seconds = cells(run.walks)
+        total, (_, *level) = len(run.level), cells(run.level)
+        known = run.level[np.isfinite(run.level[:, 0]), 0]
+        iterations = f"{known.mean():.0f}" if len(known) else "-"
+        seeds = f"{total}" if len(known) == total else f"{len(known)} of {total}"
+        lines.append(
+            [run.place, f"{cost(found, run):.3g}", run.batch, run.method, seeds, iterations, *level]
+            + [reached, steps, seconds]
+        )
+    return paper.markdown(head, lines)
+
+
+def cells(reached: np.ndarray) -> list[str]:
+    """How many of the seeds `[S, 3]` got there; million steps and seconds of these."""
+    _, steps, seconds = reached.T
+    count = int(np.isfinite(seconds).sum())
+    some = str(count) if count == len(reached) else f"{count} of {len(reached)}"
+    return [some, interval(steps / 1e6), interval(seconds)] if count else [some, "-", "-"]
+
+
+def interval(values) -> str:
+    """Mean, and of three or more half of its t interval."""
+    found = stats.moments(values)
+    return f"{found.mean:.2f}" + (f" ± {stats.half_of(found):.2f}" if found.n >= MANY else "")
+
+
+def compared(found: list[Run]) -> str:
+    """A line a place: `best` beside PPO's fastest and its most sparing setting; where they break even."""
+    head = ["place", "ms a row", "`best`, s", "`best` for seconds", "PPO, s", "PPO by `best`"]
+    head += ["steps, PPO by `best`", "break-even, ms", "to a walk, ms"]
+    lines = []
+    for place in dict.fromkeys(run.place for run in found):
+        if not (pair := settings(found, place)):
+            continue
+        best, ppos = pair
+        fast, few, ms = fastest(ppos), sparing(ppos), cost(found, best)
+        times, steps = (
+            [run.level[:, k] for run in (one, best)] for one, k in ((fast, 2), (few, 1))
+        )
+        quick = fastest(variants(found, best))
+        cells = [place, f"{ms:.3g}", interval(times[1])]
+        cells += ["-" if quick is best else f"{interval(quick.level[:, 2])} ({quick.method})"]
+        cells += [f"{interval(times[0])} ({fast.method})"]
+        cells += [ratio(*times), f"{ratio(*steps)} ({few.method})"]
+        lines.append([*cells, even(best, ppos, ms), even(to_walk(best), [*map(to_walk, ppos)], ms)])
+    return paper.markdown(head, lines)
+
+
+def to_walk(run: Run) -> Run:
+    """One that counts to a walk, not to the level."""
+    return run._replace(level=run.walks)
+
+
+def even(best: Run, ppos: list[Run], ms: float) -> str:
+    """`break_even` of runs with `MANY` seeds, all of which get there."""
+    able = [run for run in (best, *ppos) if len(run.level) >= MANY and np.isfinite(run.level).all()]
+    if len(able) < 2 or able[0] is not best:
+        return "-"
+    at, low, high = break_even(best, able[1:], ms, power_of(best.place))
+    return f"{at:.2g} ({low:.2g} to {high:.2g})"
+
+
+def ratio(one, other) -> str:
+    """Of means, with Fieller's 95 % interval where both have three seeds or more."""
+    found = stats.ratio(one, other)
+    if min(len(one), len(other)) < MANY:
+        return f"{found.value:.2g}"
+    return f"{found.value:.2g} ({found.low:.2g} to {found.high:.2g})"
+
+
+if __name__ == "__main__":
+    main()
