@@ -44,7 +44,8 @@ def finish(
     evaluated = evaluation or log.last_evaluation(metrics)
     params = policy_file.scaled(workdir_lib.best_params(config, whole, evaluated))
     seed = workdir_lib.best_seed(config, evaluated)
-    policy_file.save(workdir / "policy.npz", params, config, program.robot, seed)
+    far = summary["iterations"], summary["sim_steps"]
+    policy_file.save(workdir / "policy.npz", params, config, program.robot, seed, *far)
     seeds = f" x {config.run.num_seeds} seeds" if config.run.num_seeds > 1 else ""
     robots = f"{config.robot}: {config.rollout.num_envs} robots"
     title = (robots if config.robot else workdir.resolve().name) + seeds

@@ -390,8 +390,8 @@ def save(run: OpenRun, robot, state, say) -> None:
     evaluated = last_evaluation(run)
     params = best_params(run.config, state.learner.params, evaluated)
     best = best_seed(run.config, evaluated)
-    path = workdir / "policy.npz"
-    write = partial(policy_file.save, path, params, run.config, robot, best)
+    path, steps = workdir / "policy.npz", int(run.history[-1]["sim_steps"][-1])
+    write = partial(policy_file.save, path, params, run.config, robot, best, done, steps)
     log.attempt("policy.npz", write, say)
 
 

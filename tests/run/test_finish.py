@@ -54,7 +54,10 @@ def test_the_summary_says_what_the_run_came_to(whole):
 
 
 def test_the_policy_is_in_a_plain_file(whole):
-    """policy.npz holds the last parameters to the bit."""
+    """policy.npz holds the last parameters to the bit, and how far the run was."""
+    with np.load(whole.workdir / "policy.npz") as file:
+        found = file["trained/iteration"].item(), file["trained/sim_steps"].item()
+    assert found == (4, 16 * sum(N_REAL))
     params = params_in(whole.workdir / "policy.npz")
     assert_same(params, jax.device_get(whole.state.learner.params))
 

@@ -379,8 +379,11 @@ def test_a_save_has_the_worth_of_its_own_evaluation_and_the_policy_that_was_judg
         (6, before, None, 1),  # judged earlier, not now
         (8, crossed, {"return": 4.0, "crossed": 0.375}, 0),
     ):
-        run.history.append(metrics | {"iteration": np.array([done]), "sim_steps": np.array([96])})
+        counts = {"iteration": np.array([done]), "sim_steps": np.array([96 * done])}
+        run.history.append(metrics | counts)
         workdir_lib.save(run, GO1, state, pytest.fail)
         assert saved[-1] == (done, worth, best)
         kept = params_in(tmp_path / "policy.npz")
         assert_same(kept, jax.tree.map(lambda x, best=best: x[best], params))
+        with np.load(tmp_path / "policy.npz") as file:
+            assert (file["trained/iteration"], file["trained/sim_steps"]) == (done, 96 * done)
