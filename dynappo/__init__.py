@@ -26,10 +26,32 @@ import importlib
 import importlib.util
 import os
 import re
+import signal
 import sys
-from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+
+def _starts_command() -> bool:
+    """Whether Python starts one of our commands, and not a program that imports this package."""
+    named = any(argument.partition(".")[0] == "dynappo" for argument in sys.orig_argv[1:])
+    return sys.argv[:1] == ["-m"] and named or Path((sys.argv or [""])[0]).stem == "dynappo"
+
+
+def _stopped(number: int, _) -> None:
+    """The handler of signals until `config.stop.Stop` hears them: nothing has begun, so it ends at once."""
+    with contextlib.suppress(OSError):  # the terminal may be gone
+        os.write(2, b"dynappo: stopped\n")
+    os._exit(128 + number)
+
+
+if _starts_command():  # before all else: imports take a second
+    for _name in ("SIGINT", "SIGTERM", "SIGHUP"):  # Windows has not all of them
+        _number = getattr(signal, _name, None)
+        if _number and signal.getsignal(_number) is not signal.SIG_IGN:  # as after `nohup`
+            signal.signal(_number, _stopped)
+
+from importlib import metadata  # noqa: E402 (it takes as long as Python's start)
 
 
 def _in_a_line(kind, error, trace) -> None:
@@ -67,8 +89,7 @@ def _remedy(module: str) -> str:
     return f"{sys.executable} -m pip install {package}"
 
 
-# only when Python starts one of our commands, whose imports take half a second
-if sys.argv[:1] == ["-m"] or Path(sys.argv[0] if sys.argv else "").stem == "dynappo":
+if _starts_command():
     sys.excepthook = _in_a_line
 
 if TYPE_CHECKING:  # what an editor completes

@@ -62,7 +62,8 @@ def evaluate(
     """Metrics of `num_envs` episodes of at most `num_steps` control steps.
 
     `return`, `length` (control steps), `fall_rate`, `tracking_error` (m/s), `yaw_error` (rad/s),
-    `return_std` over episodes. With `randomize`, on the training task: noise, pushes, and different
+    `return_std` over episodes; on ground of tiles `crossed`, the share of robots that left theirs without a
+    fall, which ends their episode. With `randomize`, on the training task: noise, pushes, and different
     physics for each robot; errors are still those of the true velocities. `totals` are metrics of the
     environment, such as terms of its reward, of which the sum over an episode is told as `total_NAME`.
     """
@@ -79,7 +80,8 @@ def evaluate(
     errors = [name for name in env.metrics if name.endswith("_error_sq")]
     zero = jnp.zeros(num_envs)
     total = [f"total_{name}" for name in totals]
-    sums = dict.fromkeys(("return", "length", "falls", "rows", *errors, *total), zero)
+    tiles = [name for name in env.metrics if name == "crossings"]
+    sums = dict.fromkeys(("return", "length", "falls", "rows", *errors, *total, *tiles), zero)
 
     advance = algorithm.physics_step(env, hyper, bodies)
     act = mean_actions(env, static, params)
@@ -98,6 +100,7 @@ def evaluate(
             "rows": rows,
         } | {name: rows * outcome.metrics[name] for name in errors}
         row |= {f"total_{name}": alive * outcome.metrics[name] for name in totals}
+        row |= {name: alive * outcome.metrics[name] for name in tiles}
         alive = alive * outcome.discount * (1 - outcome.truncation)
         return (state, alive, jax.tree.map(jnp.add, sums, row)), None
 
@@ -108,6 +111,8 @@ def evaluate(
         "length": sums["length"].mean(),
         "fall_rate": sums["falls"].mean(),
     } | {name: sums[name].mean() for name in total}
+    if tiles:
+        metrics["crossed"] = sums["crossings"].mean()
     names = {"velocity_error_sq": "tracking_error"}
     for name in errors:
         # NaN if all robots fell in the first second

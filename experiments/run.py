@@ -84,7 +84,8 @@ def batch(out: Path, jobs, seeds: int, settings=(), thin=1, policies=False, lock
             params = jax.device_get(state.learner.params)
             for k in range(seeds):
                 one = jax.tree.map(lambda leaf, k=k: leaf[k], params) if seeds > 1 else params
-                policy_file.save(path.with_suffix(f".{k}.npz"), one, config, program.robot)
+                far = dict(iteration=summary["iterations"], sim_steps=summary["sim_steps"])
+                policy_file.save(path.with_suffix(f".{k}.npz"), one, config, program.robot, **far)
         files.write_json(path, summary)
         print(row(job, summary), f"{time.perf_counter() - began:6.0f}", flush=True)
 
@@ -121,7 +122,8 @@ def keep_actors(folder: Path, job: str, iteration: int, config, program, state) 
     actors = jax.device_get(state.learner.params["actor"])
     for s in range(config.run.num_seeds):
         one = {"actor": jax.tree.map(lambda leaf, s=s: leaf[s], actors)}
-        policy_file.save(actor(folder, job, iteration, s), one, config, program.robot)
+        to = actor(folder, job, iteration, s)
+        policy_file.save(to, one, config, program.robot, iteration=iteration)
 
 
 def actor(folder: Path, job: str, iteration: int, seed: int) -> Path:

@@ -51,9 +51,10 @@ def mistake(main, arguments, capsys) -> str:
     return said.err
 
 
-def shell(*arguments, cwd=ROOT, timeout=PATIENCE):
-    """A fresh Python with these arguments; environment and package as here."""
-    path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))
+def shell(*arguments, cwd=ROOT, timeout=PATIENCE, first=ROOT):
+    """A fresh Python with these arguments; environment and package as here. In `first` it looks for modules
+    before anywhere else."""
+    path = os.pathsep.join(filter(None, [str(first), str(ROOT), os.environ.get("PYTHONPATH")]))
     return subprocess.run(
         [sys.executable, *map(str, arguments)],
         cwd=cwd,

@@ -136,6 +136,33 @@ def test_totals_are_sums_over_the_episodes_that_count(settings, params):
     np.testing.assert_allclose(metrics["total_reward_all"], metrics["return"], 1e-5)
 
 
+def test_a_robot_crosses_its_tile_once(settings, params):
+    """Where it is fast, without a fall. Its episode ends there, and those after it count as little."""
+    static, hyper = settings
+    env = toy_env.make(episode_length=LIMIT)
+
+    def step(*arguments):
+        state, outcome = env.step(*arguments)
+        crossed = (abs(outcome.next_prop[0]) > 0.4) * outcome.discount
+        told = outcome.metrics | {"crossings": crossed}
+        return state, outcome.replace(truncation=crossed, metrics=told)
+
+    told = env._replace(step=step, metrics=(*env.metrics, "crossings"))
+    sizes = {"static": static, "num_envs": ROBOTS, "num_steps": STEPS}
+    metrics = jax.jit(partial(scores.evaluate, told, **sizes))(hyper, params, jax.random.key(0))
+    crossed = 0
+    for prop, command in zip(*start(settings, 0), strict=True):
+        action, ended = np.zeros(2), False
+        for _ in range(STEPS):
+            action = actor(params, np.concatenate([prop, [command], action]))
+            prop = np.array(toy_env.A) @ prop + np.array(toy_env.B) @ action
+            fell = abs(prop[1]) > toy_env.LIMIT
+            crossed += (abs(prop[0]) > 0.4) * (not fell and not ended)
+            ended |= fell or abs(prop[0]) > 0.4
+    assert 0 < crossed < ROBOTS
+    np.testing.assert_allclose(metrics["crossed"], crossed / ROBOTS, 1e-6)
+
+
 def test_an_evaluation_is_deterministic_and_its_commands_are_drawn(assess, params):
     """The same key gives the same bits, another key other commands."""
     one, two, other = assess(params), assess(params), assess(params, 1)

@@ -35,7 +35,8 @@ def actor(seed=0, hidden=(16, 16), size=0.5):
 def params_in(path):
     """The nested parameters in a policy.npz, of a robot or not."""
     with np.load(path) as file:
-        return checks.nested({name: file[name] for name in file.files if name != "about"})
+        names = [name for name in file.files if not name.startswith(("about", "trained/"))]
+        return checks.nested({name: file[name] for name in names})
 
 
 def trot():

@@ -243,7 +243,7 @@ def start(command: str) -> None:
         if end.code in STOPPED:
             leave(end.code)
         raise
-    except Exception:  # C++ that Python imports has made another of the KeyboardInterrupt
+    except Exception:  # C++ has made another of the KeyboardInterrupt
         if not stop.interrupted.is_set():
             raise
         print("dynappo: stopped", file=sys.stderr)

@@ -11,6 +11,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from types import FrameType
 
 AGAIN = 1.0  # s after which a signal is a second one: what hands a signal on may send the first one twice
 PATIENCE = 1.5  # s in which an interrupted command must end, or hear that it is interrupted
@@ -27,7 +28,8 @@ class Stop:
     Python calls a handler only between two of its own instructions, not while XLA compiles or computes in
     the main thread; and a library may catch the KeyboardInterrupt. So a thread ends the process if it is
     there `PATIENCE` after an interruption, with the line that `ended` gives. That is no worse than kill -9:
-    what is saved stays whole.
+    what is saved stays whole. Where a module is imported the process ends so at once: jaxlib's own crashes
+    (a segmentation fault, or an abort) if a KeyboardInterrupt is raised while it is loaded.
     """
 
     def __init__(self):
@@ -59,12 +61,15 @@ class Stop:
         self.first = self.first or now
         return not self.patient or now - self.first > AGAIN
 
-    def _handle(self, number, _):
+    def _handle(self, number, frame):
         self.status = 128 + number
         if number == getattr(signal, "SIGHUP", None):
             _print_nowhere()
         if self._interrupts():
             self.interrupted.set()
+            if _imports(frame):
+                _flush()
+                _end(self.status, self.ended)
             raise KeyboardInterrupt(self.status)
 
     def _watch(self, signals: socket.socket) -> None:
@@ -91,10 +96,24 @@ class Stop:
 
 def leave(status: int) -> None:
     """End the process at once: no thread that still compiles is waited for, as Python would do."""
-    for stream in (sys.stdout, sys.stderr):
-        with contextlib.suppress(OSError, AttributeError, ValueError):
-            stream.flush()
+    _flush()
     os._exit(status)
+
+
+def _flush() -> None:
+    """What was printed is written; not where this thread is just doing so (RuntimeError)."""
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(OSError, AttributeError, ValueError, RuntimeError):
+            stream.flush()
+
+
+def _imports(frame: FrameType | None) -> bool:
+    """Whether this frame, or one that has called it, imports a module."""
+    while frame is not None:
+        if "importlib._bootstrap" in frame.f_code.co_filename:
+            return True
+        frame = frame.f_back
+    return False
 
 
 def _signals() -> list[signal.Signals]:
@@ -115,8 +134,8 @@ def _print_nowhere() -> None:
 
 
 def _end(status: int, line: Callable[[], str]) -> None:
-    """`leave` with a line, from another thread than the main one, which may hold the locks of the streams,
-    and others, for which `line` would wait."""
+    """`leave` with a line, where the main thread may hold the locks of the streams, and others, for which
+    `line` would wait."""
     found = ["stopped"]
 
     def find():

@@ -245,6 +245,7 @@ def episodes_rows(numbers: dict[str, Any]) -> list[list[str]]:
         ("tracking_error", "tracking error", "{:.2f} m/s", 1),
         ("yaw_error", "yaw rate error", "{:.2f} rad/s", 1),
     )
+    rows += (("crossed", "tiles crossed", "{:.1f} %", 100),) * ("crossed" in numbers)
     known = ((label, numbers.get(name), text, scale) for name, label, text, scale in rows)
     none = walks.unmeasured(numbers["seconds"])
     out = [

@@ -103,7 +103,8 @@ def about(policy: Policy, robot: robot_lib.Robot) -> dict[str, Any]:
     model, control_dt = robot.mj_model, policy.timestep * policy.substeps
     fields = policy._asdict()
     config = fields.pop("config")
-    del fields["params"], fields["mjcf"], fields["seed"]
+    for name in ("params", "mjcf", "seed", *policy_file.TRAINED):
+        del fields[name]
     if policy.gait_frequency is not None:
         fields["gait_clock"] = GAIT_CLOCK
     return fields | {
@@ -264,7 +265,8 @@ def save(policy: Policy, robot: robot_lib.Robot, out: Path, targets: bool = Fals
     try:
         if out.suffix == ".npz":
             entry = policy_file.to_json(policy_file.about(policy))
-            policy_file.save_params(out, policy.params, about=entry)
+            far = policy_file.trained(policy._asdict())
+            policy_file.save_params(out, policy.params, about=entry, **far)
             return
         data = onnx_model(policy, about(policy, robot), targets).SerializeToString(
             deterministic=True

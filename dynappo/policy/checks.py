@@ -42,6 +42,7 @@ PER_JOINT = (
 OF_JOINTS = "default_pose", "joint_damping", "joint_friction"  # one number per joint
 PAIRS = "command_x", "command_y", "command_yaw", "gait_frequency"  # (low, high)
 MAY_BE_NONE = "armature", "gait_frequency"  # the MJCF's; no gait clock
+WHERE = {"seed": 2**31, "iteration": 2**31, "sim_steps": 2**53}  # of a run it is from; or None
 DEEPEST = 10  # groups in groups of parameters
 PERIOD = 1.0  # s between two actions at most
 
@@ -78,13 +79,19 @@ def check(fields: dict[str, Any]) -> None:
         _expect(ordered, f"{name} is {reprlib.repr(ends)}, expected (low, high)")
     period = fields["substeps"] * fields["timestep"]
     _expect(period <= PERIOD, f"{period:g} s lie between two actions, expected at most {PERIOD:g}")
-    text, seed = fields["mjcf"], fields["seed"]
+    text = fields["mjcf"]
     _expect(isinstance(text, str), f"mjcf is {reprlib.repr(text)}, expected a text")
-    known = seed is None or (type(seed) is int and 0 <= seed < 2**31)
-    _expect(known, f"seed is {reprlib.repr(seed)}, expected a number from 0 on")
+    check_counts({name: fields[name] for name in WHERE})
     scan = fields["scan"]
     _expect(scan in SCANS, f"scan is {reprlib.repr(scan)}, expected one of {', '.join(SCANS)}")
     _check_config(fields)
+
+
+def check_counts(found: dict[str, Any]) -> None:
+    """ValueError if one of these is neither None nor a whole number below its limit in `WHERE`."""
+    for name, value in found.items():
+        known = value is None or (type(value) is int and 0 <= value < WHERE[name])
+        _expect(known, f"{name} is {reprlib.repr(value)}, expected a number from 0 on")
 
 
 def _expect(ok, text: str) -> None:

@@ -3,7 +3,8 @@
 The file has parameters with names like `actor/params/Dense_0/kernel`, and one JSON text, `about`,
 with everything needed to compute torques: robot, joints in the policy's order, default pose, gains,
 motor limits, times, the ranges of its commands, the config it was trained with, and the robot's
-MJCF.
+MJCF. Beside them `trained/iteration` and `trained/sim_steps` are one number each: how far its run was, where
+that is known. Older readers take these for parameters that no network asks for, so they are floats.
 
 `load_checkpoint` reads the policy of a checkpoint, with the checkpoint's own config (checkpoint_file.py).
 """
@@ -15,7 +16,7 @@ import reprlib
 import tokenize
 import zipfile
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -54,6 +55,7 @@ TASK = {
         "command_yaw gait_frequency scan"
     ).split()
 } | {"joint_friction": "dry_friction"}  # `joint_friction` is the MJCF's
+TRAINED = "iteration", "sim_steps"  # the names of how far its run was
 # which older configs lack
 NEWER = {"armature": None, "joint_friction": 0.0, "gait_frequency": None, "scan": "none"}
 
@@ -94,6 +96,8 @@ class Policy(NamedTuple):
     # as `task.scan`: "grid" sees a height scan (terrain/scan.py) after its readings
     scan: str = "none"
     seed: int | None = None  # its number in a run of several seeds, from 0; None: unknown
+    iteration: int | None = None  # of its run, the first is 1; None: unknown
+    sim_steps: int | None = None  # that its run had taken by then, of one seed
 
     @property
     def own(self) -> observe.Own:
@@ -151,9 +155,10 @@ def _of_task(name: str, task: dict[str, Any], robot: robot_lib.Robot) -> Any:
 
 
 def about(policy: Policy) -> dict[str, Any]:
-    """The entry `about` of a policy's file: all but `params`."""
+    """The entry `about` of a policy's file: all but `params`, and how far its run was."""
     entry = policy._asdict()
-    del entry["params"]
+    for name in ("params", *TRAINED):
+        del entry[name]
     if entry["scan"] != "none":
         return entry | {"format": 5}
     del entry["scan"]
@@ -208,17 +213,45 @@ def scaled(params: dict) -> dict:
 
 
 def save(
-    path: Path, params: dict, config, robot: robot_lib.Robot | None, seed: int | None = None
+    path: Path,
+    params: dict,
+    config,
+    robot: robot_lib.Robot | None,
+    seed: int | None = None,
+    iteration: int | None = None,
+    sim_steps: int | None = None,
 ) -> None:
     """Write `policy.npz`: the nested parameters, and their description from `config` and `robot`.
 
-    `seed` is their number in a run of several seeds. Without a robot (an environment of your own),
+    `seed` is their number in a run of several seeds, which was at `iteration`, after `sim_steps` simulator
+    steps of each seed. Without a robot (an environment of your own),
     the description is only the config; `load_actor` reads such a file.
     """
     entry: dict[str, Any] = {"robot": "", "config": config.to_dict(), "format": 2}
     if robot is not None:
         entry |= about(describe(config, robot)._replace(seed=seed))
-    save_params(path, scaled(params), about=to_json(entry))
+    far = trained({"iteration": iteration, "sim_steps": sim_steps})
+    save_params(path, scaled(params), about=to_json(entry), **far)
+
+
+def trained(found: Mapping[str, int | None]) -> dict[str, np.ndarray]:
+    """The entries of a file that say how far its run was: those of `TRAINED` that are known."""
+    known = ((name, found[name]) for name in TRAINED)
+    return {f"trained/{name}": np.array(x, np.float64) for name, x in known if x is not None}
+
+
+def _pop_trained(path: Path, arrays: dict[str, np.ndarray]) -> dict[str, int]:
+    """Take what `trained` has written out of the arrays of a file; ConfigError if it is no whole number."""
+    known = {name: arrays.pop(f"trained/{name}", None) for name in TRAINED}
+    found = {}
+    for name, value in known.items():
+        if value is None:
+            continue
+        if value.shape != () or value.dtype != np.float64 or not value.item().is_integer():
+            seen = reprlib.repr(value.tolist())
+            raise ConfigError(f"{path}: trained/{name} is {seen}, expected a whole number")
+        found[name] = int(value)
+    return found
 
 
 def to_json(value) -> str:
@@ -324,7 +357,7 @@ def _not_a_robot(path: Path) -> ConfigError:
 def load(path: Path) -> Policy:
     """The policy of a `policy.npz`, whoever made it; a one-line ConfigError says what is wrong."""
     arrays = _arrays(path)
-    text = arrays.pop("about", None)
+    text, far = arrays.pop("about", None), _pop_trained(path, arrays)
     if text is None:
         raise ConfigError(f"{path}: no entry `about`: not a policy.npz as training writes it")
     try:
@@ -341,7 +374,7 @@ def load(path: Path) -> Policy:
             )
         if about.get("robot") == "":
             raise _not_a_robot(path)
-        policy = Policy(**about, params=params)
+        policy = Policy(**about | far, params=params)
     except ConfigError:
         raise
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
@@ -417,7 +450,9 @@ def load_checkpoint(folder: Path, seed: int | None = None) -> Policy:
     except (KeyError, AttributeError, TypeError, ValueError):
         raise ConfigError(f"{folder}: not a checkpoint of dynappo (it holds no config)") from None
     params, chosen = _of_seed(folder, about, seeds, seed)
-    return _checked(folder, policy._replace(params=params, seed=chosen if seeds > 1 else None))
+    far = {name: about.get(name) for name in TRAINED}
+    number = chosen if seeds > 1 else None
+    return _checked(folder, policy._replace(params=params, seed=number, **far))
 
 
 def _of_seed(folder: Path, about: dict, seeds: int, seed: int | None) -> tuple[dict, int]:
@@ -447,6 +482,8 @@ class Other(NamedTuple):
 
     config: config_dict.ConfigDict  # of its run, with every field; not validated
     params: dict[str, Any]
+    iteration: int | None = None  # as in a `Policy`
+    sim_steps: int | None = None
 
 
 def load_other(path: Path, seed: int | None = None) -> Other | None:
@@ -456,8 +493,10 @@ def load_other(path: Path, seed: int | None = None) -> Other | None:
     """
     if path.is_dir():
         about, arrays = checkpoint_file.about(path), {}
+        far = {name: about.get(name) for name in TRAINED}
     else:
         arrays = _arrays(path)
+        far = _pop_trained(path, arrays)
         text = str(arrays.pop("about", "{}"))
         try:
             about = json.loads(text, parse_constant=_no_number)
@@ -469,6 +508,7 @@ def load_other(path: Path, seed: int | None = None) -> Other | None:
         return None
     config = config_lib.from_json(json.dumps(of))
     try:
+        checks.check_counts(far)
         params = (
             checks.nested(arrays)
             if arrays
@@ -476,4 +516,4 @@ def load_other(path: Path, seed: int | None = None) -> Other | None:
         )
     except ValueError as error:
         raise ConfigError(f"{path}: {error}") from None
-    return Other(config, params)
+    return Other(config, params, **far)

@@ -137,7 +137,13 @@ def other(flags: argparse.Namespace) -> tuple[policy_file.Other, Path, str] | No
             f"--robot-xml={flags.robot_xml}: {path} is a policy of {found.config.env}"
         )
     seed = f", seed {flags.run_seed}" if flags.run_seed is not None else ""
-    return found, path, named(flags.what, path) + seed
+    return found, path, named(flags.what, path) + seed + _how_far(found)
+
+
+def _how_far(policy: Policy | policy_file.Other) -> str:
+    """Words on how far its run was, named as in metrics.csv; "" where that is not known."""
+    iteration = f", iteration {policy.iteration}" if policy.iteration is not None else ""
+    return iteration + (f", {policy.sim_steps:,} sim_steps" if policy.sim_steps is not None else "")
 
 
 # ---- its robot
@@ -330,4 +336,4 @@ def of_flags(flags: argparse.Namespace) -> tuple[Policy, Path, str]:
     seeds = run.get("num_seeds") if isinstance(run, dict) else None
     if policy.seed is not None:
         text += f", seed {policy.seed}" + (f" of 0 to {seeds - 1}" if type(seeds) is int else "")
-    return policy, path, text + own
+    return policy, path, text + _how_far(policy) + own

@@ -5,6 +5,7 @@
 - `merged`: runs several runs as one program, and takes their results apart
 - `workdir`: the folder of a run: open it, resume it, save into it
 - `checkpoint`, `log`: what a run writes while it trains
+- `worth`: which checkpoint, and which seed, is the best
 - `restore`: starts from the networks of another run
 - `finish`, `learning_curves`: what a run writes at its end: summary, policy, film, picture
 - `overflow`: an engine that had no room for all contacts

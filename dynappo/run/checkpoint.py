@@ -26,7 +26,7 @@ import sys
 import tempfile
 import time
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -40,10 +40,11 @@ from orbax.checkpoint import checkpoint_managers
 from dynappo.config import ConfigError
 from dynappo.policy import checkpoint_file
 from dynappo.program import distributed
-from dynappo.run import log
+from dynappo.run import log, worth
 
+EVALUATED = "eval_"  # begins the names of metrics of an evaluation
 TEXTS = {"metrics": "metrics/metrics", "_CHECKPOINT_METADATA": "_CHECKPOINT_METADATA"}
-KEEP = 3  # newest ones, and the one with the highest return in an evaluation
+KEEP = 3  # newest ones, and the best in an evaluation (run/worth.py)
 
 
 class Checkpoints(NamedTuple):
@@ -157,14 +158,14 @@ def _check_text(step: Path, part: str, say) -> None:
 def manager(folder: Path) -> ocp.CheckpointManager:
     """Orbax's manager of the checkpoints in `folder`; use `opened`."""
 
-    def worth(metrics):  # checkpoints from before evaluations were kept have another number
-        return metrics.get("eval_return", -np.inf)
+    def worth_of(metrics):  # checkpoints from before evaluations were kept have another number
+        return worth.worth({name.removeprefix(EVALUATED): x for name, x in metrics.items()})
 
     keep = checkpoint_managers.AnyPreservationPolicy(
         [
             checkpoint_managers.LatestN(KEEP),
             checkpoint_managers.BestN(
-                get_metric_fn=worth, n=1, keep_checkpoints_without_metrics=False
+                get_metric_fn=worth_of, n=1, keep_checkpoints_without_metrics=False
             ),
         ]
     )
@@ -177,7 +178,7 @@ def manager(folder: Path) -> ocp.CheckpointManager:
     options = ocp.CheckpointManagerOptions(
         **alone,
         preservation_policy=keep,
-        best_fn=worth,
+        best_fn=worth_of,
         # else a thread of orbax waits five minutes for a folder that could not be made
         async_options=ocp.AsyncOptions(create_directories_asynchronously=False),
     )
@@ -192,12 +193,12 @@ def save(
     checkpoints: Checkpoints,
     iteration: int,
     state: Any,
-    eval_return: float | None = None,
+    evaluation: Mapping[str, float] | None = None,
     **about,
 ) -> None:
     """Start saving; the arrays are copied off the device before this returns.
 
-    `eval_return` is the return of an evaluation, if there was one: the checkpoint with the highest is kept.
+    `evaluation` has what was evaluated of it (`worth.MEASURES`), if it was: the best checkpoint is kept.
     `about` (JSON: `sim_steps`, `config`) is kept beside the state. Threads do the writing: `wait` waits for
     them, and raises what went wrong. A disk that is too full is an OSError before anything is written:
     orbax's threads would print a traceback for every array.
@@ -211,7 +212,7 @@ def save(
     args = ocp.args.Composite(
         state=ocp.args.StandardSave(_flat(state)), about=ocp.args.JsonSave(about)
     )
-    metrics = None if eval_return is None else {"eval_return": eval_return}
+    metrics = evaluation and {EVALUATED + name: value for name, value in evaluation.items()}
     checkpoints.manager.save(iteration, args=args, metrics=metrics, force=True)
 
 

@@ -41,11 +41,11 @@ def finish(
         return {}
     config, workdir, metrics = run.config, run.workdir, run.metrics()
     summary = summarise(config, program, metrics, evaluation)
-    evaluated = summary.get("evaluation", {}).get("return", log.last_evaluation(metrics))
-    evaluated = None if evaluated is None else np.array(evaluated, float)
+    evaluated = evaluation or log.last_evaluation(metrics)
     params = policy_file.scaled(workdir_lib.best_params(config, whole, evaluated))
     seed = workdir_lib.best_seed(config, evaluated)
-    policy_file.save(workdir / "policy.npz", params, config, program.robot, seed)
+    far = summary["iterations"], summary["sim_steps"]
+    policy_file.save(workdir / "policy.npz", params, config, program.robot, seed, *far)
     seeds = f" x {config.run.num_seeds} seeds" if config.run.num_seeds > 1 else ""
     robots = f"{config.robot}: {config.rollout.num_envs} robots"
     title = (robots if config.robot else workdir.resolve().name) + seeds

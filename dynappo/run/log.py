@@ -21,6 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from dynappo.config import ConfigError, files, shell
+from dynappo.run import worth
 
 RETURN_ROWS = 10  # the return of a run is the mean of its last rows
 FIRST = (
@@ -306,11 +307,13 @@ def join(history: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
     return {name: np.concatenate([column(c, name) for c in history]) for name in names}
 
 
-def last_evaluation(metrics: dict[str, np.ndarray]) -> Any:
-    """The return of the last evaluation, one a seed if there are several; None if there was none."""
-    returns = np.atleast_1d(metrics.get("eval_return", np.nan))
+def last_evaluation(metrics: dict[str, np.ndarray]) -> dict[str, Any]:
+    """What the last evaluation says of the policy's worth (`worth.MEASURES`): numbers, or arrays `[S]` of
+    several seeds; {} if there was none."""
+    found = {n: metrics[f"eval_{n}"] for n in worth.MEASURES if f"eval_{n}" in metrics}
+    returns = np.atleast_1d(found.get("return", np.nan))
     there = np.isfinite(returns.reshape(len(returns), -1)).any(1)
-    return returns[there][-1] if there.any() else None
+    return {name: column[there][-1] for name, column in found.items()} if there.any() else {}
 
 
 def attempt(what: str, action: Callable[[], Any], say, then: str = "training goes on") -> None:

@@ -258,6 +258,7 @@ def summary(out, config, workdir: Path, summary: dict[str, Any]) -> None:
         )
     none = walks.unmeasured(walks.evaluated_seconds(config))
     for name, label, unit in (
+        ("crossed", "evaluation: tiles crossed", " %"),
         ("return", "evaluation: return", ""),
         ("fall_rate", "evaluation: episodes with a fall", " %"),
         ("tracking_error", "evaluation: tracking error", " m/s"),

@@ -9,7 +9,7 @@ import itertools
 import json
 import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from fnmatch import fnmatch
 from functools import partial
 from pathlib import Path
@@ -22,7 +22,7 @@ from dynappo import schedule
 from dynappo.config import ConfigError, files, versions
 from dynappo.policy import checkpoint_file, policy_file, policy_source
 from dynappo.program import distributed
-from dynappo.run import log
+from dynappo.run import log, worth
 
 # what may differ when a run goes on: nothing of it changes a number that training computes
 MAY_CHANGE = (
@@ -390,8 +390,8 @@ def save(run: OpenRun, robot, state, say) -> None:
     evaluated = last_evaluation(run)
     params = best_params(run.config, state.learner.params, evaluated)
     best = best_seed(run.config, evaluated)
-    path = workdir / "policy.npz"
-    write = partial(policy_file.save, path, params, run.config, robot, best)
+    path, steps = workdir / "policy.npz", int(run.history[-1]["sim_steps"][-1])
+    write = partial(policy_file.save, path, params, run.config, robot, best, done, steps)
     log.attempt("policy.npz", write, say)
 
 
@@ -402,11 +402,12 @@ def begin_save(run: OpenRun, robot, state) -> None:
     last = run.history[-1]
     evaluated = last_evaluation(run)
     now = "eval_return" in last and np.isfinite(last["eval_return"][-1]).all()
+    mean = {name: float(np.mean(value)) for name, value in evaluated.items()}
     checkpoint.save(
         run.checkpoints,
         run.iterations(),
         state,
-        eval_return=float(np.mean(evaluated)) if now else None,
+        evaluation=mean if now else None,
         sim_steps=int(last["sim_steps"][-1]),
         config=run.config.to_dict(),
         mjcf=robot.alone if robot else "",
@@ -415,24 +416,23 @@ def begin_save(run: OpenRun, robot, state) -> None:
     )
 
 
-def last_evaluation(run: OpenRun) -> Any:
-    """The return of the run's last evaluation, one a seed if there are several; None before one."""
-    found = map(log.last_evaluation, reversed(run.history))
-    return next((returns for returns in found if returns is not None), None)
+def last_evaluation(run: OpenRun) -> dict[str, Any]:
+    """`log.last_evaluation` of the run; {} before one."""
+    return next(filter(None, map(log.last_evaluation, reversed(run.history))), {})
 
 
-def best_seed(config, evaluated) -> int | None:
-    """The seed with the highest return in `evaluated`, the last evaluation; None if the run has one seed.
+def best_seed(config, evaluated: Mapping[str, Any]) -> int | None:
+    """The best seed (`worth.best`) in `evaluated`, the last evaluation; None if the run has one seed.
 
     The first if nothing was evaluated: an exploring policy's returns would favour a seed whose
     robots have just fallen (experiments/20_tail).
     """
     if config.run.num_seeds == 1:
         return None
-    return 0 if evaluated is None else int(np.nan_to_num(evaluated, nan=-np.inf).argmax())
+    return worth.best(evaluated) if evaluated else 0
 
 
-def best_params(config, params, evaluated) -> dict:
+def best_params(config, params, evaluated: Mapping[str, Any]) -> dict:
     """The networks as NumPy arrays; of several seeds, those of `best_seed`."""
     import jax
 

@@ -51,7 +51,8 @@ def main():
         params = {part: policy.params[part] for part in ("actor", "std")}
         config = config_dict.ConfigDict(policy.config)
         out = Path("robots") / robot / file
-        policy_file.save(out.with_suffix(".npz"), params, config, robot_lib.load(robot))
+        far = {name: getattr(policy, name) for name in policy_file.TRAINED}
+        policy_file.save(out.with_suffix(".npz"), params, config, robot_lib.load(robot), **far)
         known = of_run(Path(run), int(seed))
         files.write_json(out.with_suffix(".json"), {"seed": int(seed), "robot": robot} | known)
         print(name, out.with_suffix(".npz").stat().st_size // 1000, "kB")

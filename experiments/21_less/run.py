@@ -133,7 +133,7 @@ def run(
             rows.append(about | when | {name: text(x[s]) for name, x in found.items()})
         write(part, rows)
         if policies:
-            save_policies(to, state, config)
+            save_policies(to, state, config, last, int(steps[last - 1]))
     part.replace(to.with_name(f"{to.name}.csv"))
 
 
@@ -160,11 +160,12 @@ def blown_up(trained: dict, seeds: int) -> dict[int, str]:
     return lines
 
 
-def save_policies(to: Path, state, config) -> None:
+def save_policies(to: Path, state, config, iteration: int, sim_steps: int) -> None:
     """Write the policy of each seed as TO.K.npz."""
+    far = iteration, sim_steps
     robot = robot_lib.load(config.robot) if config.robot else None
     for k, one in enumerate(each_seeds(jax.device_get(state.learner.params), config)):
-        policy_file.save(to.with_name(f"{to.name}.{k}.npz"), one, config, robot, k)
+        policy_file.save(to.with_name(f"{to.name}.{k}.npz"), one, config, robot, k, *far)
 
 
 def each_seeds(params, config) -> list:

@@ -204,12 +204,12 @@ def test_what_a_terminal_has_no_letter_for_is_printed_as_its_number():
 def test_ctrl_c_while_a_command_is_imported_is_one_line():
     """Half a second in which nothing of ours could catch it; in another program nothing is changed."""
     code = "import sys; sys.argv[0] = '-m'; import dynappo; raise KeyboardInterrupt"
-    done = shell("-c", code)
+    done = shell("-c", code, "dynappo.play")
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "dynappo: stopped\n")
     code = "import sys; import dynappo; assert sys.excepthook is sys.__excepthook__"
     assert shell("-c", code).returncode == 0
     code = "import sys; sys.argv[0] = '-m'; import dynappo; 1 / 0"
-    assert "ZeroDivisionError" in shell("-c", code).stderr
+    assert "ZeroDivisionError" in shell("-c", code, "dynappo.play").stderr
 
 
 def test_fields_are_set_in_both_spellings_and_the_last_one_counts():

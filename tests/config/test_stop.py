@@ -107,6 +107,35 @@ def test_before_a_run_trains_a_signal_interrupts():
     assert stop.status == 143 and signal.getsignal(signal.SIGTERM) is before
 
 
+def test_a_signal_that_comes_while_a_module_is_imported_ends_it_at_once(tmp_path):
+    """Nothing is raised there: jaxlib, while it is loaded, crashes of a KeyboardInterrupt. What was printed
+    is written."""
+    (tmp_path / "taking.py").write_text("import signal; signal.raise_signal(signal.SIGTERM)")
+    code = (
+        f"import sys; sys.path.insert(0, {str(tmp_path)!r})\nfrom dynappo.config.stop import Stop\n"
+    )
+    code += "with Stop() as stop:\n  stop.ended = lambda: 'ended'; print('before')\n"
+    code += "  try: import taking\n  except BaseException as error: print(repr(error))\n  print('after')"
+    done = shell("-c", code)
+    assert (done.returncode, done.stdout, done.stderr) == (143, "before\n", "dynappo: ended\n")
+
+
+def test_a_command_hears_signals_before_its_own_imports(tmp_path):
+    """As where it imports ml_collections, long before `Stop` is there; not so what imports this package."""
+    (tmp_path / "ml_collections.py").write_text(
+        "import signal; signal.raise_signal(signal.SIGTERM)"
+    )
+    (tmp_path / "theirs").mkdir()
+    (tmp_path / "theirs" / "__init__.py").write_text("import dynappo, signal, sys")
+    told = "from theirs import *; print(signal.getsignal(15) is signal.SIG_DFL, sys.excepthook is "
+    (tmp_path / "theirs" / "__main__.py").write_text(f"{told}sys.__excepthook__)")
+    for module in ("dynappo", "dynappo.play"):
+        done = shell("-m", module, first=tmp_path)
+        assert (done.returncode, done.stderr) == (143, "dynappo: stopped\n"), module
+    done = shell("-m", "theirs", first=tmp_path)
+    assert done.stdout == "True True\n", done.stderr
+
+
 def test_a_signal_that_is_sent_twice_asks_once(monkeypatch):
     """As by a shell and by what runs in it; only one that comes later is a second one."""
     with Stop() as stop:

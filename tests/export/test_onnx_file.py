@@ -115,7 +115,8 @@ def test_metadata_hold_all_that_a_robot_needs(name):
     model = mujoco.MjModel.from_xml_path(str(robot.xml))
     home = model.key("home").qpos
     beside = {"observation_table", "history_order", "units", "dynappo", "licence"}
-    fields = {*policy_file.Policy._fields, *onnx_file.UNITS} - {"params", "mjcf", "seed"}
+    of_a_run = {"seed", *policy_file.TRAINED}
+    fields = {*policy_file.Policy._fields, *onnx_file.UNITS} - {"params", "mjcf", *of_a_run}
     assert set(facts) == fields | beside
     assert facts["robot"] == name and facts["joint_names"] == list(names)
     for joint, pose, limits in zip(names, facts["default_pose"], facts["joint_range"], strict=True):

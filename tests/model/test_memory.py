@@ -233,6 +233,15 @@ def test_tails_under_a_new_command_begin_in_the_same_states(env):
 
 
 @pytest.fixture(scope="module")
+def together(history, env):
+    """`(state, metrics)` of the runs of seeds 0 and 1 in one program, with the setting of `history`."""
+    config, static, hyper, _ = history
+    start = jax.jit(partial(seeds.init, env, static=static))(hyper, seeds.keys(0, 2))
+    run = jax.jit(partial(seeds.run, env, static=static))
+    return jax.device_get(run(hyper, start, columns(config)))
+
+
+@pytest.fixture(scope="module")
 def everything(env):
     """All options at once: `(config, static, hyper, run of one seed)`."""
     fields = {"rollout.imagined": MANY, "model.weight_decay": 1e-3}
@@ -244,7 +253,27 @@ def everything(env):
     return config, static, hyper, jax.jit(chex.assert_max_traces(run, n=1))
 
 
-@pytest.mark.slow  # test_seeds.py has one seed of several by default; the next test that none is mixed
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_seed_of_several_is_its_run_alone(history, together, env, seed):
+    """Every metric of six iterations, and all of the state behind them: the ring, what the model and the
+    policy have learned of it. The run alone is by the program of `history`."""
+    config, static, hyper, out = history
+    state, metrics = together
+    state, alone = jax.tree.map(lambda x: x[seed], state), out
+    if seed:
+        call, table = observe(env, static), columns(config)
+        one = jax.jit(partial(algorithm.init, env, static=static))(hyper, jax.random.key(seed))
+        alone = []
+        for i in range(len(table["iteration"])):
+            rows, one, told = call(hyper, one, {n: c[i] for n, c in table.items()})
+            alone.append((rows, one, told))
+    assert np.asarray(state.memory.weight).all()
+    assert_close(state, alone[-1][1], 2e-3)
+    for i, (_, _, told) in enumerate(alone):
+        assert_close({name: x[i, seed] for name, x in metrics.items()}, told, 1e-3)
+
+
+@pytest.mark.slow  # compiles twice; the test above is of one imagined robot for a real one
 def test_a_seed_of_several_remembers_what_it_would_alone(everything, env):
     """Learner, model and ring under vmap."""
     config, static, hyper, run = everything

@@ -3,6 +3,7 @@
 import json
 import re
 import shutil
+from types import SimpleNamespace
 
 import jax
 import numpy as np
@@ -64,6 +65,34 @@ def test_one_of_several_seeds_is_played(tmp_path, seed, best, expected):
     found, path = policy_source.load(str(tmp_path / "run"), seed)
     assert path.name == "10" and found.seed == expected
     jax.tree.map(np.testing.assert_array_equal, found.params, actor(1000 + expected))
+
+
+def test_it_is_told_how_far_the_run_was(tmp_path, monkeypatch):
+    """Older checkpoints lack the steps; a hostile number is one line."""
+    monkeypatch.chdir(tmp_path)
+    written(tmp_path / "run", 2, sim_steps=1_234_567)
+    written(tmp_path / "old")
+    none = {"run_seed": None, "robot_xml": None, "terms": None}
+    for what, steps, text in (
+        (
+            "run",
+            1_234_567,
+            "run/checkpoints/10, seed 0 of 0 to 1, iteration 10, 1,234,567 sim_steps",
+        ),
+        (
+            "run/checkpoints/9",
+            1_234_567,
+            "run/checkpoints/9, seed 0 of 0 to 1, iteration 9, 1,234,567",
+        ),
+        ("old", None, "old/checkpoints/10, iteration 10"),
+    ):
+        policy, _, told = policy_source.of_flags(SimpleNamespace(what=what, **none))
+        assert policy.sim_steps == steps and told.removesuffix(" sim_steps") == text.removesuffix(
+            " sim_steps"
+        )
+    about = tmp_path / "old" / "checkpoints" / "10" / "about" / "metadata"
+    about.write_text(json.dumps(json.loads(about.read_text()) | {"sim_steps": "many"}))
+    assert "sim_steps is 'many', expected a number" in refused(policy_source.load, "old")
 
 
 def test_a_seed_that_is_not_there_is_one_line(tmp_path):

@@ -13,11 +13,12 @@ import pytest
 from answers import refused
 from ml_collections import config_dict
 from toy_policy import ROBOTS, actor, described, params_in, save
+from toy_runs import assert_same
 
 from dynappo import config as config_lib
 from dynappo.config import fields, files
 from dynappo.learner import networks
-from dynappo.policy import policy_file, policy_source
+from dynappo.policy import checks, policy_file, policy_source
 
 
 @pytest.fixture(scope="module")
@@ -92,6 +93,13 @@ def test_the_actor_in_numpy_is_the_policy_in_jax(settings, activation):
 
 
 FIRST, SECOND = (f"actor/params/Dense_{i}/kernel" for i in (0, 1))
+
+
+def far(name, value):
+    """Damage to a file: `value` as its number `name` of how far the run was."""
+    return lambda arrays, _: arrays.update({f"trained/{name}": np.asarray(value)})
+
+
 DAMAGE = {  # what is done to the arrays or to `about`, what the line must say
     "no about": (lambda a, _: a.pop("about"), "no entry `about`"),
     "about is no JSON": (lambda a, _: a.update(about="{robot"), "`about` is damaged"),
@@ -117,6 +125,12 @@ DAMAGE = {  # what is done to the arrays or to `about`, what the line must say
     "one number is not finite": (lambda a, _: a[FIRST].put(7, np.nan), "not finite"),
     "complex": (lambda a, _: a.update({FIRST: a[FIRST] * 1j}), "holds complex"),
     "integers": (lambda a, _: a.update({FIRST: a[FIRST].astype(int)}), "holds int64"),
+    "half an iteration": (far("iteration", 1.5), "trained/iteration is 1.5, expected a whole"),
+    "no number of an iteration": (far("iteration", np.nan), "trained/iteration is nan, expected"),
+    "an iteration below 0": (far("iteration", -1.0), "iteration is -1, expected a number from 0"),
+    "steps in words": (far("sim_steps", "many"), "trained/sim_steps is 'many', expected a whole"),
+    "several steps": (far("sim_steps", [1.0, 2.0]), "trained/sim_steps is [1.0, 2.0], expected"),
+    "too many steps": (far("sim_steps", 2.0**60), "sim_steps is 1152921504606846976, expected"),
     "another size": (lambda a, _: a.update({FIRST: a[FIRST][:30]}), "48 observations"),
     "a layer is missing": (lambda a, _: a.pop(FIRST), "Dense_0"),
     "a layer too many": (
@@ -297,6 +311,43 @@ def test_a_policy_without_a_robot_keeps_its_networks_and_its_config(policy, tmp_
     one = policy_file.actor(policy.params, "tanh")(np.ones(48))
     np.testing.assert_array_equal(act(np.ones(48)), one)
     assert "which is not a robot of dynappo's" in refused(policy_file.load, path)
+
+
+# ---- how far its run was
+
+
+def test_a_policy_file_says_how_far_its_run_was_and_older_readers_take_it(saved, policy, tmp_path):
+    """These refuse an unknown word in `about`, and take arrays of real numbers for parameters."""
+    assert (policy.iteration, policy.sim_steps) == (None, None)
+    path, steps = tmp_path / "policy.npz", 2**40 + 1
+    policy_file.save(path, actor(), *described(), iteration=400, sim_steps=steps)
+    found = policy_file.load(path)
+    assert (found.iteration, found.sim_steps) == (400, steps)
+    assert_same(found.params, policy.params)
+    with np.load(path) as file, np.load(saved) as before:
+        arrays = {name: file[name] for name in file.files}
+        assert arrays.pop("about") == before["about"]
+        assert {*arrays} - {*before.files} == {"trained/iteration", "trained/sim_steps"}
+    checks.check_params(checks.nested(arrays), 48, 12)
+    obs = np.ones(48)
+    np.testing.assert_array_equal(
+        policy_file.load_actor(path)(obs), policy_file.load_actor(saved)(obs)
+    )
+
+
+def test_the_policy_of_another_task_says_so_too(tmp_path):
+    config, path = config_dict.ConfigDict(described()[0]), tmp_path / "policy.npz"
+    config.env = "brax:ant"
+    for known in ({}, {"iteration": 7, "sim_steps": 99}):
+        policy_file.save(path, actor(), config, None, **known)
+        found = policy_file.load_other(path)
+        assert found and {"iteration": found.iteration, "sim_steps": found.sim_steps} == {
+            "iteration": known.get("iteration"),
+            "sim_steps": known.get("sim_steps"),
+        }
+        assert_same(found.params, actor())
+    policy_file.save(path, actor(), config, None, iteration=-1)
+    assert "iteration is -1, expected a number from 0 on" in refused(policy_file.load_other, path)
 
 
 # ---- motors of each joint

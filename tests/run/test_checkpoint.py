@@ -75,7 +75,7 @@ def small():
 def saved(small, tmp_path_factory):
     """A workdir in which `small` was saved and evaluated in iterations 4 and 5."""
     folder = tmp_path_factory.mktemp("saved")
-    save(folder, {4: small, 5: small}, eval_return=1.0)
+    save(folder, {4: small, 5: small}, evaluation={"return": 1.0})
     return folder
 
 
@@ -295,13 +295,24 @@ def test_what_a_failed_save_writes_while_it_is_removed_is_removed_too(tmp_path, 
     assert calls == [part] * 3 and not part.exists()
 
 
-def test_the_best_in_an_evaluation_is_kept_beside_the_newest(tmp_path, small):
+@pytest.mark.parametrize(
+    ("crossed", "best"),
+    [
+        ({}, 2),
+        ({1: 0.25, 2: 0.5, 3: 0.75, 5: 0.5, 6: 0.0}, 3),  # though its return is smaller
+        ({1: 0.75, 2: 0.25, 3: 0.75, 5: 0.75, 6: 0.5}, 3),  # of equals the highest return
+        ({1: 0.0, 6: 0.0}, 1),  # evaluated by a version that did not count crossings: 2, 3 and 5
+    ],
+)
+def test_the_best_in_an_evaluation_is_kept_beside_the_newest(tmp_path, small, crossed, best):
     """One without an evaluation is never the best, whatever its training episodes were worth."""
-    worth = {1: 3.0, 2: 9.0, 3: 5.0, 4: None, 5: 1.0, 6: 2.0}
+    returns = {1: 3.0, 2: 9.0, 3: 5.0, 4: None, 5: 1.0, 6: 2.0}
     with checkpoint.opened(tmp_path, pytest.fail) as checkpoints:
-        for iteration, eval_return in worth.items():
-            checkpoint.save(checkpoints, iteration, small, eval_return)
-    assert workdirs.steps(tmp_path) == {"2", "4", "5", "6"}
+        for iteration, value in returns.items():
+            of = {"crossed": crossed[iteration]} if iteration in crossed else {}
+            evaluation = None if value is None else {"return": value} | of
+            checkpoint.save(checkpoints, iteration, small, evaluation)
+    assert workdirs.steps(tmp_path) == {str(best), "4", "5", "6"}
     assert restore(tmp_path, small)[0] == 6
 
 
@@ -328,7 +339,7 @@ def test_checkpoints_of_before_with_the_return_of_training_episodes_are_still_go
     iteration, state = restore(tmp_path, plain)
     assert iteration == 1
     assert_same(state, plain)
-    save(tmp_path, {2: plain}, eval_return=-5.0)
+    save(tmp_path, {2: plain}, evaluation={"return": -5.0})
     save(tmp_path, dict.fromkeys((3, 4, 5), plain))
     assert workdirs.steps(tmp_path) == {"2", "3", "4", "5"}
 
@@ -362,7 +373,7 @@ def test_a_checkpoint_of_another_shape_is_refused_in_one_line(
 
 def test_damaged_checkpoints_are_passed_over_one_by_one(tmp_path, small):
     """The JSON of one, the arrays of another; the third is good, and both can be written again."""
-    folder = save(tmp_path, {4: small, 5: small, 6: small}, eval_return=1.0)
+    folder = save(tmp_path, {4: small, 5: small, 6: small}, evaluation={"return": 1.0})
     (folder / "6" / "about" / "metadata").write_text("{")
     shutil.rmtree(folder / "5" / "state" / "d")
     said = []
@@ -545,19 +556,19 @@ def test_a_text_that_is_not_what_was_written_is_damage(tmp_path, two, small, nam
     harmless = name == "_CHECKPOINT_METADATA" and text in ("gone", '{"eval_return": "x"}')
     assert [line.partition(" is damaged")[0] for line in said] == [TEXTS[name]] * (not harmless)
     assert len(list(tmp_path.glob("damaged-5*"))) == len(said)
-    save(tmp_path, {6: small}, eval_return=2.0)
+    save(tmp_path, {6: small}, evaluation={"return": 2.0})
     assert "6" in workdirs.steps(tmp_path)
 
 
 @pytest.mark.parametrize("left", ["state", "about", "metrics", "_CHECKPOINT_METADATA"])
 def test_the_remains_of_an_old_one_are_no_damage(tmp_path, small, left):
     """A run was killed while it deleted it: nobody needs it, and the newest is taken without a word."""
-    folder = save(tmp_path, {3: small, 4: small, 5: small}, eval_return=1.0)
+    folder = save(tmp_path, {3: small, 4: small, 5: small}, evaluation={"return": 1.0})
     for path in (folder / "3").iterdir():
         if path.name != left:
             shutil.rmtree(path) if path.is_dir() else path.unlink()
     assert restore(tmp_path, small)[0] == 5
-    save(tmp_path, {6: small, 7: small}, eval_return=2.0)
+    save(tmp_path, {6: small, 7: small}, evaluation={"return": 2.0})
     assert restore(tmp_path, small)[0] == 7 and "3" not in workdirs.steps(tmp_path)
     assert not list(tmp_path.glob("damaged*"))
 

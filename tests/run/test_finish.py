@@ -54,7 +54,10 @@ def test_the_summary_says_what_the_run_came_to(whole):
 
 
 def test_the_policy_is_in_a_plain_file(whole):
-    """policy.npz holds the last parameters to the bit."""
+    """policy.npz holds the last parameters to the bit, and how far the run was."""
+    with np.load(whole.workdir / "policy.npz") as file:
+        found = file["trained/iteration"].item(), file["trained/sim_steps"].item()
+    assert found == (4, 16 * sum(N_REAL))
     params = params_in(whole.workdir / "policy.npz")
     assert_same(params, jax.device_get(whole.state.learner.params))
 
@@ -89,12 +92,14 @@ def test_the_return_of_all_is_that_of_the_episodes_of_the_last_episodes_length(c
         (None, [1.0, 3.0], 1),
         ([np.nan, -7.0], None, 1),
         (None, None, 0),
+        ([3.0, 1.0, 0.25, 0.75], None, 1),  # on tiles, of which the second crosses more
     ],
 )
 def test_the_policy_of_the_best_seed_is_that_of_the_best_evaluation(
     program, whole, tmp_path, at_the_end, on_the_way, best, monkeypatch
 ):
     """Whatever the training episodes say: they favour the other one."""
+    at_the_end, crossed = (at_the_end or [])[:2], (at_the_end or [])[2:]
     monkeypatch.setattr(learning_curves, "draw", lambda *_: "no picture")
     seeds = workdirs.config(run__num_seeds=2)
     state = jax.tree.map(lambda x: jax.numpy.stack([x, x]), whole.state)
@@ -109,6 +114,7 @@ def test_the_policy_of_the_best_seed_is_that_of_the_best_evaluation(
     if on_the_way:
         metrics["eval_return"] = np.array([[np.nan] * 2, on_the_way, [np.nan] * 2, [np.nan] * 2])
     evaluation = {"return": np.array(at_the_end)} if at_the_end else {}
+    evaluation |= {"crossed": np.array(crossed)} if crossed else {}
     run = workdirs.open_run(seeds, tmp_path, metrics)
     summary = finish.finish(run, program(), state, evaluation)
     kept = params_in(tmp_path / "policy.npz")

@@ -329,10 +329,15 @@ def test_asking_for_weights_and_biases_without_it_is_one_line(monkeypatch):
     ],
 )
 def test_the_last_evaluation_is_that_of_the_last_row_that_has_one(returns, last):
-    found = log.last_evaluation({} if returns is None else {"eval_return": np.array(returns)})
-    assert (found is None) == (last is None)
-    if last is not None:
-        np.testing.assert_array_equal(found, last)
+    """And of other numbers of it those that say which policy is the best."""
+    columns = {} if returns is None else {"eval_return": np.array(returns)}
+    crossed = {"eval_crossed": np.array(returns) / 10} if returns else {}
+    for more, names in (({}, {"return"}), (crossed, {"return", "crossed"})):
+        found = log.last_evaluation(columns | more | {"eval_fall_rate": np.ones(9)})
+        assert found.keys() == (set() if last is None else names)
+        for name, value in found.items():
+            expected = np.array(last) / (10 if name == "crossed" else 1)
+            np.testing.assert_array_equal(value, expected)
 
 
 def test_what_fails_is_told_in_one_line_and_training_goes_on():

@@ -328,21 +328,26 @@ NAN = float("nan")
 @pytest.mark.parametrize(
     ("judged", "best"),
     [
-        (None, 0),  # never evaluated: the training episodes of an exploring policy say nothing
-        ([1.0, 2.0, 3.0], 2),
-        ([-5.0, -1.0, -3.0], 1),
-        ([NAN, -1.0, -3.0], 1),
-        ([NAN, NAN, NAN], 0),
+        ({}, 0),  # never evaluated: the training episodes of an exploring policy say nothing
+        ({"return": [1.0, 2.0, 3.0]}, 2),
+        ({"return": [-5.0, -1.0, -3.0]}, 1),
+        ({"return": [NAN, -1.0, -3.0]}, 1),
+        ({"return": [NAN, NAN, NAN]}, 0),
+        # who crosses its tile soon has a small return
+        ({"return": [3.0, 2.0, 1.0], "crossed": [0.5, 0.9, 0.7]}, 1),
+        ({"return": [3.0, 1.0, 2.0], "crossed": [0.5, 0.9, 0.9]}, 2),
+        ({"return": [3.0, 3.0, 1.0], "crossed": [0.0, 0.0, 0.0]}, 0),
+        ({"return": [3.0, 9.0, 1.0], "crossed": [0.5, NAN, 0.6]}, 2),
     ],
 )
 def test_the_best_of_several_seeds_is_the_best_in_the_evaluation(judged, best):
     params = {"std": np.arange(3.0), "actor": {"kernel": np.arange(12.0).reshape(3, 4)}}
     config = workdirs.config(run__num_seeds=3)
-    judged = None if judged is None else np.array(judged)
+    judged = {name: np.array(value) for name, value in judged.items()}
     found = workdir_lib.best_params(config, params, judged)
     assert_same(found, jax.tree.map(lambda x: x[best], params))
     one = workdirs.config()
-    assert_same(workdir_lib.best_params(one, params, np.array(3.0)), params)
+    assert_same(workdir_lib.best_params(one, params, {"return": np.array(3.0)}), params)
 
 
 def test_a_save_has_the_worth_of_its_own_evaluation_and_the_policy_that_was_judged_best(
@@ -357,8 +362,8 @@ def test_a_save_has_the_worth_of_its_own_evaluation_and_the_policy_that_was_judg
     monkeypatch.setattr(
         checkpoint,
         "save",
-        lambda _, done, state, eval_return, **about: saved.append(
-            (done, eval_return, about["best_seed"])
+        lambda _, done, state, evaluation, **about: saved.append(
+            (done, evaluation, about["best_seed"])
         ),
     )
     monkeypatch.setattr(checkpoint, "wait", lambda manager: None)
@@ -366,14 +371,19 @@ def test_a_save_has_the_worth_of_its_own_evaluation_and_the_policy_that_was_judg
     training = np.array([[9.0, 1.0], [9.0, 1.0]])
     now = {"episode_return": training, "eval_return": np.array([[NAN, NAN], [3.0, 5.0]])}
     before = {"episode_return": training}
+    crossed = now | {"eval_crossed": np.array([[NAN, NAN], [0.5, 0.25]])}
     run = workdirs.open_run(config, tmp_path)
     for done, metrics, worth, best in (
         (2, before, None, 0),
-        (4, now, 4.0, 1),
+        (4, now, {"return": 4.0}, 1),
         (6, before, None, 1),  # judged earlier, not now
+        (8, crossed, {"return": 4.0, "crossed": 0.375}, 0),
     ):
-        run.history.append(metrics | {"iteration": np.array([done]), "sim_steps": np.array([96])})
+        counts = {"iteration": np.array([done]), "sim_steps": np.array([96 * done])}
+        run.history.append(metrics | counts)
         workdir_lib.save(run, GO1, state, pytest.fail)
         assert saved[-1] == (done, worth, best)
         kept = params_in(tmp_path / "policy.npz")
         assert_same(kept, jax.tree.map(lambda x, best=best: x[best], params))
+        with np.load(tmp_path / "policy.npz") as file:
+            assert (file["trained/iteration"], file["trained/sim_steps"]) == (done, 96 * done)

@@ -14,6 +14,7 @@ from dynappo import schedule
 from dynappo.bench import command as bench_command
 from dynappo.description import robot
 from dynappo.evaluate import command as evaluate_command
+from dynappo.evaluate import tables
 from dynappo.export import command as export_command
 from dynappo.export import deploy_yaml, joint_order
 from dynappo.policy import policy_file, policy_source, walks
@@ -53,10 +54,15 @@ def test_what_numbers_of_rough_ground_are_of_is_said(tmp_path, monkeypatch, caps
     assert "are on a flat floor" in line and "ends where the robot leaves its tile" in line
     assert evaluate_command.rough_note(rough, SimpleNamespace(crossing=True)) == ""
     summary = {"return": 1.0, "return_max": 1.0, "sim_steps": 9, "seconds": 1.0, "impl": "c"}
-    summary |= {"compile_seconds": 1.0, "evaluation": SEEN}
+    summary |= {"compile_seconds": 1.0, "evaluation": SEEN | {"crossed": [0.905, 0.925]}}
     show.summary(Console(width=120), config(), tmp_path, summary)
     text = " ".join(capsys.readouterr().out.split())
     assert "evaluation: length 320.00 control steps, to the edge of its tile" in text
+    told = tables.episodes_rows(SEEN | {"seconds": 20.0, "crossed": 0.915})
+    assert ["tiles crossed", "91.5 %"] in told
+    floor = [label for label, _ in tables.episodes_rows(SEEN | {"seconds": 20.0})]
+    assert floor and "tiles crossed" not in floor
+    assert "evaluation: tiles crossed 91.50 % (2 seeds: 90.50 to 92.50)" in text
 
 
 def test_seconds_of_two_machines_are_said_to_be_of_two(tmp_path, capsys):
