@@ -90,6 +90,6 @@ def _heights(file: Path, data: bytes, level: float) -> np.ndarray:
         raise BadMap(f"{file}: expected a picture in the format PNG") from None
     if (red != green).any() or (red != blue).any():
         raise BadMap(
-            f"{file}: a picture with colours, expected levels of grey (look --ground draws a ground, in colours)"
+            f"{file}: a picture with colours, expected levels of grey; what look --ground writes is no map"
         )
     return level * red.astype(float)
