@@ -292,5 +292,6 @@ def summary(out, config, workdir: Path, summary: dict[str, Any]) -> None:
         )
         return say(text)
     say(f"see it: {shell.line('play', workdir, *terms.flag(config), '--out=walk.html')}")
-    if not config.task.terms and (config.run.num_iterations < 200 or summary["impl"] == "c"):
+    small = config.run.num_iterations < 200 or summary["impl"] == "c"
+    if small and not config.task.terms and config.task.terrain == "flat":  # best is on flat ground
         say(f"next: {shell.line('train', f'--config={config.robot}')}  (on a GPU)")

@@ -57,6 +57,7 @@ def test_what_numbers_of_rough_ground_are_of_is_said(tmp_path, monkeypatch, caps
     show.summary(Console(width=120), config(), tmp_path, summary)
     text = " ".join(capsys.readouterr().out.split())
     assert "evaluation: length 320.00 control steps, to the edge of its tile" in text
+    assert "next:" not in text  # which would be another task, on a floor
 
 
 def test_seconds_of_two_machines_are_said_to_be_of_two(tmp_path, capsys):
