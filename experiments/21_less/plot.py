@@ -43,7 +43,9 @@ def main():
         axis.set(xscale="log", ylim=(0, None))
     pictures.outer(axes, "simulator steps (logarithmic)", "evaluated return")
     pictures.head(
-        fig, f"Band: {pictures.covers([5, 10])}. Dotted: follows its commands (38; 24)", fontsize=9.5
+        fig,
+        f"Band: {pictures.covers([5, 10])}. Dotted: follows its commands (38; 24)",
+        fontsize=9.5,
     )
     pictures.legend(fig, axes[0, 0], 3)
     pictures.save(fig, Path(__file__).with_name("curves"))
