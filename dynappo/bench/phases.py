@@ -21,8 +21,8 @@ def measure(config, program, state, repeats: int = 5) -> dict[str, float]:
 
     T(rows, epochs) is the time of an iteration.
 
-    - `fit` = (T(N_r, 10) - T(N_r, 0)) / 10 at the last N_r, because one fit can be less than a CPU's
-      physics varies
+    - `fit` = (T(N_r, 10) - T(N_r, 0)) / 10 in the last iteration that has one, because one fit can be less
+      than a CPU's physics varies
     - `physics` = (T(N) - T(0)) / N without a model. With one, T(0, 0) has N rows of a tail: `tail` is the
       time of one of them, measured by itself, and corrects `physics`
     - `ppo` is the rest: advantages, minibatches, gradient steps
@@ -44,9 +44,10 @@ def measure(config, program, state, repeats: int = 5) -> dict[str, float]:
     # without real rows the same program writes a tail, also where the schedule has ended it
     out["tail"] = _tail_row(program, state) if fitted else 0.0
     out["physics"] = (all_real - no_real) / horizon + out["tail"]
-    if last.get("model_epochs"):
-        many = ms(**none | {"model_epochs": FITS * last["model_epochs"]})
-        out["fit"] = (many - ms(**none)) / FITS
+    if fitted and (fits := np.flatnonzero(program.columns["model_epochs"])).size:
+        there = {name: int(column[fits[-1]]) for name, column in program.columns.items()}
+        many = ms(**there | none | {"model_epochs": FITS * there["model_epochs"]})
+        out["fit"] = (many - ms(**there | none)) / FITS
     out["ppo"] = no_real - horizon * out["tail"]
     return out
 

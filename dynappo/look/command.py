@@ -45,7 +45,7 @@ CONFIG is a robot's name, or its config file; you can set any field
   python -m dynappo.look go1
   python -m dynappo.look configs/mine.py --out=look.png
   python -m dynappo.look configs/mine.py --config.task.kp=60 --config.task.kd=2
-  python -m dynappo.look go2:rough --ground=ground.png
+  python -m dynappo.look go2:rough --ground=tiles.png
 how to add a robot, and how to fix what you see: robots/README.md
 """
 

@@ -139,6 +139,7 @@ def film(
             command += map(str, (*size, gif))
             status, said = _process(command, environment, limit, tell)
             if status is None:
+                out.unlink(missing_ok=True)  # what it had written by then
                 return f"no video: rendering by {backend} took more than {limit:.0f} s"
             if status == 0:
                 return ""

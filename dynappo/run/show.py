@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 from collections.abc import Iterable, Iterator
 from functools import partial
 from pathlib import Path
@@ -246,8 +247,10 @@ def summary(out, config, workdir: Path, summary: dict[str, Any]) -> None:
     if config.task.terrain == "rough" and "length" in summary.get("evaluation", {}):
         rows["evaluation: length"] = mean(summary["evaluation"]["length"], " control steps")
         rows["evaluation: length"] += ", to the edge of its tile"
-    if len(origins := summary.get("origins", [])) > 1:
-        rows["computed by"] = ", then ".join(f"{o['engine']} on {o['device']}" for o in origins)
+    where = [f"{one['engine']} on {one['device']}" for one in summary.get("origins", [])]
+    where = [one for one, _ in itertools.groupby(where)]  # origins may differ in their commit alone
+    if len(where) > 1:
+        rows["computed by"] = ", then ".join(where)
     if summary.get("blowups", 0) >= blowups.SOME:
         rows["physics blew up"] = f"in {summary['blowups']:.0%} of the rows"
     if config.run.eval_steps and config.run.eval_envs and config.robot:
@@ -290,5 +293,6 @@ def summary(out, config, workdir: Path, summary: dict[str, Any]) -> None:
         )
         return say(text)
     say(f"see it: {shell.line('play', workdir, *terms.flag(config), '--out=walk.html')}")
-    if not config.task.terms and (config.run.num_iterations < 200 or summary["impl"] == "c"):
+    small = config.run.num_iterations < 200 or summary["impl"] == "c"
+    if small and not config.task.terms and config.task.terrain == "flat":  # best is on flat ground
         say(f"next: {shell.line('train', f'--config={config.robot}')}  (on a GPU)")

@@ -83,7 +83,13 @@ def _heights(file: Path, data: bytes, level: float) -> np.ndarray:
         ) from None
     try:
         picture = Image.open(io.BytesIO(data))
-        deep = picture.mode.startswith("I")  # 16 bits
-        return level * np.asarray(picture if deep else picture.convert("L"), float)
+        if picture.mode.startswith("I"):  # 16 bits
+            return level * np.asarray(picture, float)
+        red, green, blue = np.moveaxis(np.asarray(picture.convert("RGB")), -1, 0)
     except (UnidentifiedImageError, OSError, SyntaxError, ValueError, Image.DecompressionBombError):
         raise BadMap(f"{file}: expected a picture in the format PNG") from None
+    if (red != green).any() or (red != blue).any():
+        raise BadMap(
+            f"{file}: a picture with colours, expected levels of grey; what look --ground writes is no map"
+        )
+    return level * red.astype(float)

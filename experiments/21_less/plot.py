@@ -20,7 +20,7 @@ table = importlib.import_module("experiments.21_less.table")
 ROBOTS = {"g": "Go1", "h": "Go2", "c": "ANYmal-C", "d": "ANYmal-D"}
 RUNS = {  # name in the results -> label, colour, dashes
     "best": ("best", pictures.BLUE, "-"),
-    "ppo": ("PPO, tuned", pictures.VERMILION, "-"),
+    "ppo": ("PPO alone, tuned", pictures.VERMILION, "-"),
     "ppo24": ("PPO-24, 4096 robots (older)", pictures.GREY, (0, (5, 2))),
     "ppo16": ("PPO-16, 4096 robots (older)", pictures.BLACK, "-"),
 }
@@ -43,7 +43,9 @@ def main():
         axis.set(xscale="log", ylim=(0, None))
     pictures.outer(axes, "simulator steps (logarithmic)", "evaluated return")
     pictures.head(
-        fig, f"Band: {pictures.covers([5, 10])}. Dotted: the level of a walk", fontsize=9.5
+        fig,
+        f"Band: {pictures.covers([5, 10])}. Dotted: follows its commands (38; 24)",
+        fontsize=9.5,
     )
     pictures.legend(fig, axes[0, 0], 3)
     pictures.save(fig, Path(__file__).with_name("curves"))

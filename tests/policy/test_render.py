@@ -208,6 +208,14 @@ def test_a_driver_that_hangs_is_not_waited_for_for_ever(standing, tmp_path, monk
     assert not list(tmp_path.iterdir())
 
 
+def test_half_a_film_does_not_stay(standing, tmp_path, monkeypatch):
+    """Of a driver that is too slow: what it had written is no film."""
+    out = tmp_path / "a.mp4"
+    monkeypatch.setattr(render, "_process", lambda *_: (out.write_bytes(b"half"), (None, ""))[1])
+    assert "took more than" in render.film(GO1, rows_of(standing, slice(2)), out)
+    assert not out.exists()
+
+
 def test_a_film_that_cannot_be_written_is_not_a_missing_package(standing, filmed, tmp_path):
     """A folder that has its name: the line says so."""
     (tmp_path / "video.mp4").mkdir()

@@ -63,6 +63,7 @@ def test_what_numbers_of_rough_ground_are_of_is_said(tmp_path, monkeypatch, caps
     floor = [label for label, _ in tables.episodes_rows(SEEN | {"seconds": 20.0})]
     assert floor and "tiles crossed" not in floor
     assert "evaluation: tiles crossed 91.50 % (2 seeds: 90.50 to 92.50)" in text
+    assert "next:" not in text  # which would be another task, on a floor
 
 
 def test_seconds_of_two_machines_are_said_to_be_of_two(tmp_path, capsys):
@@ -72,6 +73,11 @@ def test_seconds_of_two_machines_are_said_to_be_of_two(tmp_path, capsys):
     summary |= {"compile_seconds": 1.0, "origins": origins}
     show.summary(Console(width=120), config("go1:laptop"), tmp_path, summary)
     assert "warp on NVIDIA H200, then c on cpu" in " ".join(capsys.readouterr().out.split())
+    # another commit on the same machine is nothing to say of seconds
+    show.summary(
+        Console(width=120), config("go1:laptop"), tmp_path, summary | {"origins": origins[1:] * 2}
+    )
+    assert "computed by" not in capsys.readouterr().out
 
 
 def test_a_policy_that_gets_another_robot_keeps_its_pose_and_says_so(tmp_path, monkeypatch, capsys):

@@ -60,6 +60,14 @@ def test_levels_of_a_picture_are_heights(tmp_path):
     np.testing.assert_allclose(found, 0.2 * levels, atol=1e-5)
 
 
+def test_a_picture_with_colours_is_no_ground(tmp_path):
+    colours = np.zeros((20, 30, 4), np.uint8)
+    colours[3, 4, 2] = 1  # one point is not grey
+    path = picture(tmp_path / "seen.png", colours)
+    with pytest.raises(map_file.BadMap, match="seen.png: a picture with colours, expected levels"):
+        map_file.load(path, 0.01, 0.1)
+
+
 @pytest.mark.parametrize(
     ("name", "content", "says"),
     [
