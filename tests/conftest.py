@@ -88,7 +88,18 @@ def kept_programs(request):
     import jax
 
     jax.config.update("jax_compilation_cache_dir", str(request.config.cache.mkdir("jax")))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.05)
+    # small programs too: thousands of them, half of the seconds of each, and the other process reads them
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def one_context():
+    """MLIR's context is made once a file: of lowering a small program that is three quarters."""
+    from jax._src.interpreters import mlir
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(mlir, "make_ir_context", functools.cache(mlir.make_ir_context))
+        yield
 
 
 @pytest.fixture(scope="session", autouse=True)
