@@ -34,13 +34,14 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 TESTS = pathlib.Path(__file__).parent
 PEERS = TESTS / "peers"
 LONGEST = """
-test_algorithm tasks/test_env tasks/test_playground program/test_distributed run/test_checkpoint
-train/test_command sweeps/test_sweep physics/test_kernel_scope test_fast model/test_memory
-web/test_browser test_random_numbers test_seeds adopt/test_command web/test_task_page test_experiments
-model/test_options run/test_run tasks/test_playground_known physics/test_xla_call physics/test_warp_call
-test_commands_in_pages config/test_stop tasks/test_brax_env page/test_page_in_browser
-learner/test_symmetry web/test_strangers program/test_build tasks/test_change evaluate/test_command
-web/test_guard
+test_algorithm tasks/test_playground run/test_run tasks/test_env train/test_command run/test_checkpoint
+test_experiments learner/test_ppo program/test_distributed test_fast sweeps/test_sweep test_random_numbers
+physics/test_kernel_scope physics/test_rough_ground test_seeds model/test_dynamics model/test_memory
+web/test_task_page adopt/test_command physics/test_c_mujoco physics/test_warp_call sweeps/test_every_float
+physics/test_xla_call program/test_build model/test_options terrain/test_rough_task policy/test_render
+tasks/test_brax_env tasks/test_logged run/test_faults test_environment_page learner/test_symmetry
+web/test_browser evaluate/test_command test_commands_in_pages description/test_feet config/test_stop
+tasks/test_change test_scores learner/test_networks tasks/test_draws
 """.split()  # files that take more than ten seconds of a processor, about in this order (README.md)
 
 
@@ -88,7 +89,18 @@ def kept_programs(request):
     import jax
 
     jax.config.update("jax_compilation_cache_dir", str(request.config.cache.mkdir("jax")))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.05)
+    # small programs too: thousands of them, half of the seconds of each, and the other process reads them
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def one_context():
+    """MLIR's context is made once a file: of lowering a small program that is three quarters."""
+    from jax._src.interpreters import mlir
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(mlir, "make_ir_context", functools.cache(mlir.make_ir_context))
+        yield
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -69,8 +69,8 @@ def recorded(peer, from_torch, ppo_settings):
     def make(name):
         z = peer(name)
         theirs = {"action_mean": "mean", "advantages": "advantage"}
-        columns = {k: z[theirs.get(k, k)] for k in ppo.Batch._fields[:7]}  # no weight
-        batch = ppo.Batch(**{k: jnp.asarray(x) for k, x in columns.items()})
+        # no weight; NumPy's arrays, of which tests take parts without a program for each
+        batch = ppo.Batch(**{k: z[theirs.get(k, k)] for k in ppo.Batch._fields[:7]})
         learner = init(jax.random.key(0))
         learner = learner.replace(params=jax.tree.map(jnp.asarray, from_torch(z)))
         return learner, batch, jnp.asarray(z["collect.std"])
@@ -200,7 +200,7 @@ def test_the_loss_is_the_mean_over_rows_of_the_larger_of_two_terms(
     static, hyper = ppo_settings(clip_value=clip_value, clip_epsilon=0.1)
     learner, batch, old_std = recorded("update")
     batch = jax.tree.map(lambda x: x[:64], flat(batch))
-    _, metrics = ppo.loss(static, hyper, learner.params, batch, old_std)
+    _, metrics = jax.jit(partial(ppo.loss, static, hyper))(learner.params, batch, old_std)
     mean = networks.policy(static, learner.params, batch.obs)
     value = np.float64(networks.value(static, learner.params, batch.obs))
     ratio = np.exp(
@@ -322,7 +322,8 @@ def test_blocks_are_permuted_differently_and_independently_of_the_number_of_bloc
 
 def test_minibatches_depend_on_the_key_alone(ppo_settings, small_batch):
     static, _ = ppo_settings()
-    shuffled = [ppo.minibatches(static, small_batch, jax.random.key(k)).obs for k in (1, 1, 2)]
+    shuffle = jax.jit(partial(ppo.minibatches, static))
+    shuffled = [np.asarray(shuffle(small_batch, jax.random.key(k)).obs) for k in (1, 1, 2)]
     np.testing.assert_array_equal(shuffled[0], shuffled[1])
     assert (shuffled[0][..., 0] != shuffled[2][..., 0]).mean() > 0.9
 
@@ -429,8 +430,8 @@ def random_batch(seed):
     sizes = dict(obs=(6,), action=(2,), action_mean=(2,))
     shapes = {name: (HORIZON, ROBOTS, *sizes.get(name, ())) for name in ppo.Batch._fields[:7]}
     numbers = {name: rng.normal(size=shape).astype(np.float32) for name, shape in shapes.items()}
-    numbers["log_prob"] = -2 + 0.1 * numbers["log_prob"]
-    return ppo.Batch(**jax.tree.map(jnp.asarray, numbers))
+    numbers["log_prob"] = -2 + np.float32(0.1) * numbers["log_prob"]
+    return ppo.Batch(**numbers)
 
 
 @pytest.fixture(scope="module")
@@ -461,7 +462,7 @@ def test_a_weight_is_a_share_of_a_row_in_every_mean(toy):
 
     zero = jnp.broadcast_to(1.0 * first, (HORIZON, ROBOTS))
     some = jax.tree.map(lambda x: x[:5], batch)
-    twice = jax.tree.map(lambda x: jnp.concatenate([x, x[:5]]), batch)
+    twice = jax.tree.map(lambda x: np.concatenate([x, x[:5]]), batch)
     for weight, same in ((zero, some), (0.5 + 0.5 * zero, twice)):
         assert_trees_close(ask(batch._replace(weight=weight)), ask(same), 1e-4)
     normal = ppo.normalize(batch.advantages, zero)[:5]
@@ -475,7 +476,7 @@ def test_of_a_row_of_weight_0_nothing_is_learned(toy, weight):
     batch, update = random_batch(0), toy[-1]
 
     def spoil(x, y):
-        return jnp.where(tail.reshape(HORIZON, 1, *[1] * (x.ndim - 2)), 10 * y, x)
+        return np.where(tail.reshape(HORIZON, 1, *[1] * (x.ndim - 2)), 10 * y, x)
 
     spoilt = jax.tree.map(spoil, batch, random_batch(1))
     weights = jnp.broadcast_to(jnp.where(tail, weight, 1.0), (HORIZON, ROBOTS))
@@ -499,10 +500,10 @@ def absent(recorded):
 
     def spoil(x, numbers):
         there = weight.reshape(*weight.shape, *[1] * (x.ndim - 2)) > 0
-        return jnp.where(there, x, jnp.asarray(numbers(x.shape), jnp.float32))
+        return np.where(there, x, numbers(x.shape).astype(np.float32))
 
     batches = [
-        jax.tree.map(partial(spoil, numbers=numbers), batch)._replace(weight=jnp.float32(weight))
+        jax.tree.map(partial(spoil, numbers=numbers), batch)._replace(weight=np.float32(weight))
         for numbers in (lambda shape: rng.normal(size=shape), lambda shape: rng.choice(bad, shape))
     ]
     return learner, *batches, old_std

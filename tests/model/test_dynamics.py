@@ -71,8 +71,9 @@ def test_a_fit_learns_a_linear_world_and_predicts_rows_it_has_not_seen(precision
     assert metrics["model_loss_before"] < 0.2 * first["model_loss_before"]
     assert {x.dtype.name for x in jax.tree.leaves(model)} == {"float32", "int32"}
 
-    rows = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), linear_rows(1000))
-    next_obs, reward, _ = dynamics.predict(static, hyper, ENV, model, rows.obs, rows.action)
+    rows = jax.tree.map(lambda x: np.reshape(x, (-1, *x.shape[2:])), linear_rows(1000))
+    predict = jax.jit(partial(dynamics.predict, static, hyper, ENV))
+    next_obs, reward, _ = jax.device_get(predict(model, rows.obs, rows.action))
     assert next_obs.dtype == reward.dtype == jnp.float32
     change = (rows.next_obs - rows.obs)[:, :PROP]
     error = next_obs[:, :PROP] - rows.next_obs[:, :PROP]
@@ -85,7 +86,9 @@ def test_the_plain_form_learns_the_next_state_itself():
     model, rows = start(static), linear_rows(0)
     model, metrics = fit(static)(hyper, model, rows, i32(HORIZON), i32(100), jax.random.key(0))
     assert metrics["model_loss"] < 0.2 * metrics["model_loss_before"]
-    next_obs, _, _ = dynamics.predict(static, hyper, ENV, model, rows.obs[0], rows.action[0])
+    rows = jax.device_get(rows)
+    predict = jax.jit(partial(dynamics.predict, static, hyper, ENV))
+    next_obs, _, _ = jax.device_get(predict(model, rows.obs[0], rows.action[0]))
     error = (next_obs - rows.next_obs[0])[:, :PROP]
     assert rms(error)[0] < 0.5 * rms(rows.next_obs[0])[0]  # of the number around 5
 
@@ -110,9 +113,9 @@ def test_a_fit_of_no_epochs_changes_nothing_and_has_no_loss():
     loop and without a branch: both would be paid for in every iteration."""
     static, hyper = settings()
     fits = jax.vmap(fit(static), (None, 0, 0, None, None, 0))
-    rows = jax.tree.map(lambda *x: jnp.stack(x), linear_rows(1), linear_rows(2))
+    rows = jax.tree.map(lambda *x: np.stack(x), linear_rows(1), linear_rows(2))
     keys = jax.random.split(jax.random.key(0))
-    models = jax.tree.map(lambda x: jnp.stack([x, x]), start(static))
+    models = jax.tree.map(lambda x: np.stack([x, x]), start(static))
     models, losses = fits(hyper, models, rows, i32(HORIZON), i32(2), keys)
     assert all(np.isfinite(loss).all() for loss in losses.values())
     fresh = jax.tree.map(lambda x: 3 * x, rows)  # whose moments are others
@@ -124,7 +127,7 @@ def test_a_fit_of_no_epochs_changes_nothing_and_has_no_loss():
 
     jaxpr = str(jax.make_jaxpr(fits)(hyper, models, fresh, i32(HORIZON), i32(0), keys))
     assert " cond[" not in jaxpr
-    one, moved = (jax.tree.map(lambda x: x[0], tree) for tree in (models, fresh))
+    one, moved = (jax.tree.map(lambda x: x[0], jax.device_get(tree)) for tree in (models, fresh))
     after, _ = fit(static)(hyper, one, moved, i32(HORIZON), i32(0), keys[0])
     assert_same(after, one)
     after, _ = fit(static)(hyper, one, moved, i32(HORIZON), i32(1), keys[0])

@@ -50,9 +50,10 @@ def history(env):
 def test_the_memory_holds_the_newest_rows_of_each_robot_in_turn(history, env):
     """Against a list to which every iteration appends its real rows, as the model learned from them."""
     config, static, hyper, out = history
+    learned_of = jax.jit(partial(examples.examples, static, hyper, env))
     xs, ys, weights, obs, props = [], [], [], [], []
     for n, (rows, state, _) in zip(schedule.columns(config)["n_real"], out, strict=True):
-        kept = examples.examples(static, hyper, env, rows, jnp.int32(n))
+        kept = jax.device_get(learned_of(rows, jnp.int32(n)))
         for list_, array in zip(
             (xs, ys, weights, obs, props),
             (kept.x, kept.y, kept.weight, rows.obs, rows.prop),
@@ -140,14 +141,14 @@ def test_a_fit_takes_remembered_rows_beside_each_new_one(env):
 
     def some(length):
         return examples.Examples(
-            x=jnp.asarray(rng.normal(size=(length, R, 8)), jnp.float32),
-            y=jnp.asarray(rng.random((length, R, 5)), jnp.float32),
-            weight=jnp.ones((length, R)),
-            count=jnp.int32(2),
+            x=rng.normal(size=(length, R, 8)).astype(np.float32),
+            y=rng.random((length, R, 5)).astype(np.float32),
+            weight=np.ones((length, R), np.float32),
+            count=np.int32(2),
         )
 
     new, old, asked = some(N), some(2), []
-    model = dynamics.init(static, env, jax.random.key(0))
+    model = jax.jit(partial(dynamics.init, static, env))(jax.random.key(0))
     size = N // static.model.minibatches
     new = new._replace(count=jnp.int32(size))
 
@@ -156,6 +157,7 @@ def test_a_fit_takes_remembered_rows_beside_each_new_one(env):
         x, y, ones = (jnp.concatenate([a] * (n // 2)) for a in old[:3])
         return examples.Examples(x=x, y=y, weight=weight * ones, count=jnp.int32(n))
 
+    @jax.jit
     def mean_loss(after, rows):
         x, y = dynamics.scaled(static, after, rows)
         weight = jnp.ones(x.shape[:2])
@@ -355,11 +357,13 @@ def test_a_symmetric_model_predicts_the_mirror_image_in_the_mirror(tied):
     assert_close(models[1], models[2], 1e-4)
     assert np.abs(leaves(models[1].params)[list(leaves(models[1].params))[0]]).max() > 0
     for one in models:
-        x = jnp.concatenate([obs, action], -1)
-        inputs, outputs = dynamics.scales(static, one)
+        x = np.concatenate([obs, action], -1)
+        inputs, outputs = jax.jit(partial(dynamics.scales, static))(one)
         net = dynamics.network(static, 3)
-        f = lambda x, net=net, one=one, i=inputs, o=outputs: (  # noqa: E731
-            dynamics.networks.apply(net, one.params, (x - i[0]) / i[1]) * o[1] + o[0]
+        f = jax.jit(
+            lambda x, net=net, one=one, i=inputs, o=outputs: (
+                dynamics.networks.apply(net, one.params, (x - i[0]) / i[1]) * o[1] + o[0]
+            )
         )
         expected = symmetry.vector(mirrors[1], f(x))
         np.testing.assert_allclose(f(symmetry.vector(mirrors[0], x)), expected, 1e-4, 1e-4)
@@ -408,7 +412,7 @@ def test_weight_decay_draws_each_weight_to_zero(tied):
 def test_off_it_is_the_program_of_before(env):
     """No ring, no copies of rows and no more draws: the same states to the bit with every field at 0."""
     config, static, hyper = toy_env.settings(toy_env.TAIL | {"schedule.rounds": 2})
-    state = algorithm.init(env, hyper, jax.random.key(0), static=static)
+    state = jax.jit(partial(algorithm.init, env, static=static))(hyper, jax.random.key(0))
     counts = row(config, n_real=5)
     assert static.rollout.imagined == 1 and state.memory is None
     rows = jax.tree.map(jnp.ones_like, state.env_state)
@@ -419,5 +423,6 @@ def test_off_it_is_the_program_of_before(env):
     real = fast.rollout.allocate(env, N, R).replace(
         obs=jax.random.normal(key, (N, R, 6)), prop=jax.random.normal(key, (N, R, 3))
     )
-    starts = memory.starts(static, hyper, env, None, real, counts, key)
-    assert_same(starts, dynamics.anchors(static, env, real, counts["n_real"], key))
+    starts = jax.jit(partial(memory.starts, static, hyper, env, None))(real, counts, key)
+    anchors = jax.jit(partial(dynamics.anchors, static, env))(real, counts["n_real"], key)
+    assert_same(starts, anchors)

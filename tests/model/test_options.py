@@ -88,6 +88,7 @@ def test_the_model_is_asked_and_told_states_without_noise(iterated, n_real):
 def test_a_tail_carries_the_state_and_shows_the_policy_fresh_noise(iterated, env):
     """Rows after N_r: the model on its own states, noise of the task's width, each row's its own."""
     static, hyper, _, out = iterated
+    predict = jax.jit(jax.vmap(partial(dynamics.predict, static, hyper, env), (None, 0, 0)))
     for n in (5, 3):
         rows, state, _ = out[n]
         np.testing.assert_array_equal(rows.obs[n], state.env_state.obs)
@@ -96,12 +97,11 @@ def test_a_tail_carries_the_state_and_shows_the_policy_fresh_noise(iterated, env
         np.testing.assert_array_equal(rows.obs[n + 1 :], rows.next_obs[n:-1])
         np.testing.assert_array_equal(rows.next_obs[n:, :, 3], rows.obs[n:, :, 3])
         np.testing.assert_array_equal(rows.next_obs[n:, :, 4:], rows.action[n:])
-        known = np.concatenate([rows.prop, rows.obs[..., 3:]], -1)[n:]
-        call = partial(dynamics.predict, static, hyper, env, state.model)
-        obs, reward, discount = jax.vmap(call)(known, rows.action[n:])
-        np.testing.assert_allclose(rows.next_prop[n:], obs[..., :3], 1e-4, 1e-5)
-        np.testing.assert_allclose(rows.reward[n:], reward, 1e-4, 1e-5)
-        np.testing.assert_allclose(rows.discount[n:], discount, 1e-4, 1e-5)
+        known = np.concatenate([rows.prop, rows.obs[..., 3:]], -1)
+        obs, reward, discount = jax.device_get(predict(state.model, known, rows.action))
+        np.testing.assert_allclose(rows.next_prop[n:], obs[n:, :, :3], 1e-4, 1e-5)
+        np.testing.assert_allclose(rows.reward[n:], reward[n:], 1e-4, 1e-5)
+        np.testing.assert_allclose(rows.discount[n:], discount[n:], 1e-4, 1e-5)
         noise = (rows.next_obs[..., :3] - rows.next_prop)[n:]
         assert np.abs(noise).max() <= NOISE + 1e-5
         assert 0.8 * NOISE**2 / 3 < noise.var() < 1.2 * NOISE**2 / 3
@@ -123,10 +123,10 @@ def test_a_predicted_reward_is_that_of_the_predicted_state_and_the_rest(env):
     on = {"model.clean": True, "model.known_reward": True, "model.falls": True}
     _, static, hyper = settings(on | {"model.normalize": False})
     model = that_says([0.2, 0.3, -0.1, -0.5, 2.0], start(static, env))
-    obs = jnp.asarray(np.random.default_rng(0).normal(size=(7, 6)), jnp.float32)
-    action = jnp.ones((7, 2))
-    after, reward, discount = dynamics.predict(static, hyper, env, model, obs, action)
-    np.testing.assert_allclose(after[:, :3], obs[:, :3] + jnp.array([0.2, 0.3, -0.1]), 1e-5)
+    obs = np.random.default_rng(0).normal(size=(7, 6)).astype(np.float32)
+    predict = jax.jit(partial(dynamics.predict, static, hyper, env))
+    after, reward, discount = jax.device_get(predict(model, obs, np.ones((7, 2), np.float32)))
+    np.testing.assert_allclose(after[:, :3], obs[:, :3] + np.float32([0.2, 0.3, -0.1]), 1e-5)
     known = 1 - (obs[:, 0] + 0.2 - obs[:, 3]) ** 2
     np.testing.assert_allclose(reward, DT * (known - 0.5), 1e-4, 1e-6)
     np.testing.assert_allclose(discount, 1 / (1 + np.exp(2.0 - 4.6)) + 0 * reward, 1e-5)
@@ -162,7 +162,8 @@ def test_a_tail_pays_for_at_most_one_fall(env):
     paying = env._replace(fall_reward=lambda hyper: -5.0)
     logit = float(np.log(0.4 / 0.6) + 4.6)
     model = that_says([0.0, 0.0, 0.0, 0.0, logit], start(static, env))
-    step, keys = dynamics.step(static, hyper, paying, model), jax.random.split(jax.random.key(0), R)
+    step = jax.jit(dynamics.step(static, hyper, paying, model))
+    keys = jax.random.split(jax.random.key(0), R)
     state, there, paid = dynamics.TailState(obs=jnp.zeros((R, 6)), prop=jnp.zeros((R, 3))), 1.0, 0.0
     for n in range(1, 20):
         state, outcome = step(state, jnp.zeros((R, 2)), keys)
@@ -224,9 +225,9 @@ def fallible(env):
 
 def probability(static, hyper, env, model, rows):
     """Predicted probability of a fall in every row."""
-    obs = jnp.concatenate([rows.prop, rows.obs[..., 3:]], -1)
-    call = partial(dynamics.predict, static, hyper, env, model)
-    return 1 - np.asarray(jax.vmap(call)(obs, rows.action)[2])
+    obs = np.concatenate([rows.prop, rows.obs[..., 3:]], -1)
+    predict = jax.jit(jax.vmap(partial(dynamics.predict, static, hyper, env), (None, 0, 0)))
+    return 1 - np.asarray(predict(model, obs, rows.action)[2])
 
 
 def test_the_head_learns_which_rows_fall_and_how_many(env, fallible):
@@ -298,7 +299,8 @@ def test_the_policy_learns_from_a_tail_by_what_survives_of_it(iterated, env):
         weight[t] = weight[t - 1] * rows.discount[t - 1]
     assert weight.min() < 0.5
     real = np.arange(N)[:, None] < 3
-    batch = algorithm.estimate(static, hyper, env, first.learner.params, rows, real)
+    estimate = jax.jit(partial(algorithm.estimate, static, hyper, env))
+    batch = estimate(first.learner.params, rows, real)
     key = jax.random.fold_in(jax.random.fold_in(first.key, 4), algorithm.UPDATE)
     update = jax.jit(partial(ppo.update, static, hyper))
     expected, other = (

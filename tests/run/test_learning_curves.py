@@ -1,6 +1,5 @@
 """Curves of a run: the interval against scipy and by counting, the picture against its data."""
 
-import io
 import sys
 
 import numpy as np
@@ -141,7 +140,9 @@ def test_what_a_run_lacks_is_left_out():
 
 
 @pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize("seeds, iterations", [(1, 40), (3, 40), (3, 1), (12, 40)])
+@pytest.mark.parametrize(
+    "seeds, iterations", [(1, 40), (3, 1), pytest.param(12, 40, marks=pytest.mark.slow)]
+)  # three seeds of 40: the next test
 def test_a_png_is_written(tmp_path, seeds, iterations):
     """Without a warning."""
     metrics = run(seeds, iterations)
@@ -163,7 +164,7 @@ def test_the_metrics_of_a_run_and_its_metrics_csv_are_one_picture(tmp_path):
 
 
 @pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize("seeds", [1, 3])
+@pytest.mark.parametrize("seeds", [3, pytest.param(1, marks=pytest.mark.slow)])
 @pytest.mark.parametrize(
     ("name", "change"),
     [
@@ -178,7 +179,7 @@ def test_every_panel_has_room_whatever_its_last_numbers(seeds, name, change):
     metrics = run(seeds)
     metrics[name][20:] = change(metrics[name][20:])
     page = learning_curves.figure(metrics, "a run")
-    page.savefig(io.BytesIO(), format="png", dpi=150)
+    page.draw_without_rendering()
     assert all(axes.get_window_extent().width > 150 for axes in page.axes)
     places = [text.xy[1] for axes in page.axes for text in axes.texts]
     assert len(places) > 3 and 0 <= min(places) and max(places) <= 1

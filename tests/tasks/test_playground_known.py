@@ -60,7 +60,7 @@ def states(name, of, seed):
     rest = np.sum([terms[name] for name in found.rest], axis=0)
     after = np.concatenate([exact, rest[:, None]], -1)[:, layout.source]
     vector = functools.partial(parts.vector, layout.names)
-    start = np.asarray(jax.vmap(vector)(probed.raw))
+    start = np.asarray(jax.jit(jax.vmap(vector))(probed.raw))
     start = np.concatenate([start, np.zeros((len(start), 1))], -1)[:, layout.source]
     size = layout.prop_size
     return start, action, after[:, :size], after[:, size:], reward, ended
@@ -72,14 +72,15 @@ def test_reward_and_end_are_those_of_the_tasks_own_step(monkeypatch):
     assert of.known_end is not None
     start, action, after, context, reward, ended = states(SPOT, of, seed=9)
     assert 20 < ended.sum() < 200 and 20 < (reward == 0).sum() < 230
-    found = jax.jit(jax.vmap(functools.partial(of.known_reward, None)))(start, action, after)
+    reward_of = jax.jit(jax.vmap(functools.partial(of.known_reward, None)))
+    found = reward_of(start, action, after)
     np.testing.assert_allclose(found, reward, rtol=1e-4, atol=1e-5)
     ends = jax.jit(jax.vmap(functools.partial(of.known_end, None)))
     np.testing.assert_array_equal(ends(after, context), ended)
     # and it follows from what is given: without the rest, and upright, it is another
     other = after.copy()
     other[:, -1] -= 1.0
-    wrong = jax.vmap(functools.partial(of.known_reward, None))(start, action, other)
+    wrong = reward_of(start, action, other)
     np.testing.assert_allclose(wrong, np.maximum(found - 0.02, 0), atol=0.021)
     assert (np.abs(wrong - found) > 0.01).any()
 
@@ -139,7 +140,7 @@ def test_noise_is_drawn_once_for_what_is_sensed_once(monkeypatch):
     of = made(SPOT, monkeypatch)
     prop = jnp.zeros(of.prop_size)
     keys = jax.random.split(jax.random.key(0), 50)
-    sensed = np.asarray(jax.vmap(lambda key: of.sense(None, prop, None, key))(keys))
+    sensed = np.asarray(jax.jit(jax.vmap(lambda key: of.sense(None, prop, None, key)))(keys))
     joints, newest = sensed[:, 6:18], sensed[:, 18:30]
     np.testing.assert_allclose(joints, newest, atol=1e-6)
     assert np.unique(np.abs(joints)).size == joints.size
@@ -155,8 +156,9 @@ def test_with_the_rest_all_other_numbers_are_where_they_were():
     layout, _ = explored(SPOT)
     more, size = parts.with_rest(layout), layout.prop_size
     raw = jnp.arange(len(layout.column) + 1.0)
-    obs, prop = parts.pack(more, raw, raw + 0.25)
-    before, before_prop = parts.pack(layout, raw[:-1], raw[:-1] + 0.25)
+    obs, prop = jax.jit(functools.partial(parts.pack, more))(raw, raw + 0.25)
+    pack = jax.jit(functools.partial(parts.pack, layout))
+    before, before_prop = pack(raw[:-1], raw[:-1] + 0.25)
     np.testing.assert_array_equal(np.delete(obs, size), before)
     np.testing.assert_array_equal(prop[:-1], before_prop)
     assert obs[size] == raw[-1] and prop[-1] == raw[-1] + 0.25
