@@ -38,7 +38,7 @@ REWARD = (
     "weights. tracking_std air_time fall_reward posture_std posture_std_standing gait_foot_height "
     "clearance_height feet_apart"
 ).split()
-BY_RETURN, BY_ERRORS = "return", "falls, then tracking error"
+BY_RETURN, BY_ERRORS, BY_CROSSED = "return", "falls, then tracking error", "tiles crossed"
 
 
 class Combination(NamedTuple):
@@ -147,23 +147,25 @@ def by_vmap(field: str, own_env: bool = False) -> bool:
 def ranked_by(combinations: list[Combination]) -> str:
     """By which measure the combinations of a sweep can be ranked: one that does not depend on what is swept.
 
-    `BY_RETURN`; `BY_ERRORS` where their rewards differ; "" where what is asked of them differs, or may, as in
-    an environment of one's own.
+    `BY_RETURN`; `BY_ERRORS` where their rewards differ; on rough ground `BY_CROSSED` in place of both, as in
+    a run (run/worth.py); "" where what is asked of them differs, or may, as in an environment of one's own.
     """
     first = combinations[0]
-    by = BY_RETURN
+    config = first.config
+    crosses = first.env is None and config.task.terrain == "rough" and config.run.eval_envs
+    by = BY_CROSSED if crosses else BY_RETURN
     for field in first.values:
         group, _, name = field.partition(".")
         if field in ("robot", "env", "run.eval_steps"):
             return ""
         if group not in ("task", "physics") or field in ("physics.impl", "physics.threads"):
             continue
-        evaluated = first.env is None and first.config.run.eval_envs
+        evaluated = first.env is None and config.run.eval_envs
         within = name.partition(".")[0] + "." * ("." in name)
         alike, paid = within in SAME_TASK, within in REWARD
         if group == "physics" or not evaluated or not (alike or paid):
             return ""
-        by = BY_ERRORS if paid else by
+        by = BY_ERRORS if paid and not crosses else by
     return by
 
 

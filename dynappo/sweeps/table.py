@@ -10,9 +10,16 @@ import numpy as np
 
 from dynappo.config import files
 from dynappo.policy import walks
-from dynappo.run import learning_curves, show
+from dynappo.run import learning_curves, show, worth
 from dynappo.sweeps import folder, grid
 from dynappo.sweeps.grid import Combination
+
+# what combinations are ranked by beside the return: its number in a row, its column, its unit, and
+# how many of these it has
+MORE = {
+    grid.BY_ERRORS: ("tracking_error", "error", "{:.2f} m/s", 1),
+    grid.BY_CROSSED: ("crossed", "crossed", "{:.1f} %", 100),
+}
 
 
 def rows(workdir: Path, combinations: list[Combination]) -> list[dict[str, Any]]:
@@ -30,7 +37,10 @@ def rows(workdir: Path, combinations: list[Combination]) -> list[dict[str, Any]]
         )
         if by == grid.BY_ERRORS:
             return not walks.seldom(falls), error, falls
-        return (-np.inf if one["return_mean"] is None else one["return_mean"]) * -1
+        measures = {"crossed": one["crossed"]} if by == grid.BY_CROSSED else {}
+        measures["return"] = one["return_mean"]
+        best = worth.worth({name: np.nan if x is None else x for name, x in measures.items()})
+        return tuple(-x for x in best)
 
     return sorted(found, key=place) if by else sorted(found, key=lambda one: bool(one["note"]))
 
@@ -43,6 +53,7 @@ def row(workdir: Path, one: Combination) -> dict[str, Any]:
     returns = np.ravel(evaluation.get("return", summary.get("return", [])))
     mean, low, high = _interval(returns)
     _, error_low, error_high = _interval(np.ravel(evaluation.get("tracking_error", [])))
+    crossed, crossed_low, crossed_high = _interval(np.ravel(evaluation.get("crossed", [])))
     at = folder.iterations_saved(workdir, one)
     note = "" if summary else "blew up" if problem else f"at iteration {at}"
     numbers = {
@@ -53,6 +64,9 @@ def row(workdir: Path, one: Combination) -> dict[str, Any]:
         "tracking_error": _mean(evaluation.get("tracking_error")),
         "tracking_error_low": error_low,
         "tracking_error_high": error_high,
+        "crossed": crossed,
+        "crossed_low": crossed_low,
+        "crossed_high": crossed_high,
         "sim_steps": summary.get("sim_steps", np.nan),
         "seconds": _mean(summary.get("seconds")),
     }
@@ -93,9 +107,10 @@ def doubt(table: list[dict[str, Any]]) -> str:
     """
     first, *others = [one for one in table if not one["note"]]
     lines = []
-    by_errors = first["ranked_by"] == grid.BY_ERRORS
-    name = "tracking_error" if by_errors else "return"
-    if by_errors:  # those that fall too often are behind, whatever their errors are
+    by = first["ranked_by"]
+    name = MORE[by][0] if by in MORE else "return"
+    said = by if by == grid.BY_CROSSED else name.replace("_", " ")
+    if by == grid.BY_ERRORS:  # those that fall too often are behind, whatever their errors are
         seldom = walks.seldom(first["fall_rate"])
         others = [one for one in others if walks.seldom(one["fall_rate"]) == seldom]
     low, high = f"{name}_low", f"{name}_high"
@@ -106,7 +121,7 @@ def doubt(table: list[dict[str, Any]]) -> str:
         which = "the second" if len(others) == 1 else f"{close} of the {len(others)} others"
         lines.append(
             f"no difference can be seen between the first and {which}: the 95 % intervals of the "
-            f"{name.replace('_', ' ')} overlap"
+            f"{said} overlap"
         )
     if lines:
         lines[0] += (
@@ -150,7 +165,7 @@ def _page(table: list[dict[str, Any]], swept: list[str], words: str):
         page.add_column(name if last.count(name) == 1 else field, overflow="fold")
     names = ["seeds", "evaluated return" if evaluated else "return", "falls", "steps", "seconds"]
     by = table[0]["ranked_by"]
-    names[3:3] = ["error"] * (by == grid.BY_ERRORS)
+    names[3:3] = [MORE[by][1]] if by in MORE else []
     for name in names:
         page.add_column(name, justify="right", no_wrap=True)
     if words:
@@ -167,6 +182,8 @@ def ranking(by: str, swept: list[str]) -> str:
     if by == grid.BY_RETURN:
         return ""
     names = ", ".join(swept)
+    if by == grid.BY_CROSSED:
+        return f"ranked by {by}: on rough ground a return is less the sooner a robot is across its tile"
     if by:
         return f"ranked by {by}: {names} changes the reward, so the returns are not of one scale"
     return (
@@ -176,19 +193,22 @@ def ranking(by: str, swept: list[str]) -> str:
 
 
 def _cells(one: dict[str, Any]) -> list[str]:
-    """Seeds, return with its interval, falls, perhaps the tracking error, simulator steps, seconds, what the
-    policies do."""
-    by_errors = one["ranked_by"] == grid.BY_ERRORS
+    """Seeds, return with its interval, falls, perhaps the tracking error or the share of tiles crossed,
+    simulator steps, seconds, what the policies do."""
+    by = one["ranked_by"]
     if one["note"]:
-        return [str(one["seeds"]), one["note"], *[""] * (4 + by_errors)]
-    error = one["tracking_error"]
+        return [str(one["seeds"]), one["note"], *[""] * (4 + (by in MORE))]
+    more = []
+    if by in MORE:
+        name, _, written, scale = MORE[by]
+        more = ["" if one[name] is None else written.format(scale * one[name])]
     mean, high, falls = one["return_mean"], one["return_high"], one["fall_rate"]
     text = "no episode ended" if mean is None else f"{mean:.2f}"
     return [
         str(one["seeds"]),
         text if high is None else f"{text} ± {high - mean:.2f}",
         "" if falls is None else f"{100 * falls:.1f} %",
-        *["" if error is None else f"{error:.2f} m/s"] * by_errors,
+        *more,
         show.count(int(one["sim_steps"])),
         "" if one["seconds"] is None else f"{one['seconds']:.1f}",
         one["policy"],

@@ -64,6 +64,18 @@ def test_without_evaluations_and_in_ones_own_environment_a_task_is_not_ranked():
     assert grid.ranked_by(combinations("ppo.epochs=1,2", run__eval_envs=0)) == grid.BY_RETURN
 
 
+def test_on_rough_ground_the_tiles_crossed_are_the_measure():
+    """Also where the reward is swept; not where the ground is, nor without an evaluation."""
+    rough = {"task__terrain": "rough"}
+    for text in ("ppo.epochs=1,2", "task.weights.track_linear_velocity=1.5,15.0"):
+        assert grid.ranked_by(combinations(text, **rough)) == grid.BY_CROSSED
+    assert (
+        grid.ranked_by(combinations("ppo.epochs=1,2", run__eval_envs=0, **rough)) == grid.BY_RETURN
+    )
+    for text in ("task.terrain=flat,rough", "task.tiles.climb=1,2"):
+        assert grid.ranked_by(combinations(text, **rough)) == ""
+
+
 def of(error, falls, returns):
     return {"return": returns, "fall_rate": falls, "tracking_error": error, "yaw_error": 0.1}
 

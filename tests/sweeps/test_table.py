@@ -107,6 +107,29 @@ def test_a_row_has_intervals_and_how_many_seeds_walk(tmp_path, monkeypatch):
     assert "the policy" not in out.export_text()
 
 
+def test_on_rough_ground_the_first_crosses_most(tmp_path, monkeypatch, capsys):
+    """A return that is higher because robots do not arrive is behind; of equal shares the return decides."""
+    config = config_lib.load("configs/go2.py:rough")
+    crossed = {"a": ([0.5, 0.52], 30.0), "b": ([0.9, 0.8], 12.0), "c": ([0.8, 0.9], 13.0)}
+
+    def summary(_, one):
+        shares, high = crossed[one.name]
+        found = {"return": [high, high], "tracking_error": [0.1, 0.1], "crossed": shares}
+        found |= {"fall_rate": [0.1, 0.1], "yaw_error": [0.1, 0.1]}
+        return {"return": 1.0, "sim_steps": 1e6, "evaluation": found}
+
+    monkeypatch.setattr(folder, "summary", summary)
+    each = [grid.Combination(x, {"ppo.epochs": 3}, config_lib.validate(config)) for x in crossed]
+    rows = table.rows(tmp_path, each)
+    assert [row["folder"] for row in rows] == ["c", "b", "a"]
+    low, high = stats.t.interval(0.95, 1, 0.85, stats.sem([0.8, 0.9]))
+    assert (rows[0]["crossed_low"], rows[0]["crossed_high"]) == pytest.approx((low, high))
+    assert "the 95 % intervals of the tiles crossed overlap" in table.doubt(rows)
+    table.print_table(Console(width=120), rows, ["ppo.epochs"])
+    head, first, *_ = capsys.readouterr().out.splitlines()
+    assert "crossed" in head.split() and "85.0 %" in first
+
+
 def test_a_table_fits_eighty_columns_and_nothing_is_cut(capsys):
     """Also of three fields with long names, two of which end alike; words are lines of their own."""
     swept = ["task.weights.track_linear_velocity", "ppo.learning_rate", "model.learning_rate"]
