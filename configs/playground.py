@@ -8,10 +8,10 @@
 | `best` (default) | 1024   | 24     | 20       | three rounds of imagination; a biped's sizes (`biped.py`)  |
 | `ppo`            | 8192   | 20     | none     | Playground's own settings for brax's PPO                   |
 
-`best` has the same settings for all of these tasks (experiments/05_playground) but two, by
+All of these tasks share the settings of `best` (experiments/05_playground), except for two fields, by
 dynappo/tasks/playground/settings.py. It treats left and right alike (`ppo.symmetry`) where a task has a
-mirror image; elsewhere that is refused, with the reason. On quadrupeds its tails compute terms of the reward
-that follow from what the model predicts (`model.known_reward`).
+mirror image; elsewhere that is refused, with the reason. On Go1's and Spot's tasks its tails compute terms of
+the reward that follow from what the model predicts (`model.known_reward`).
 
 Weights, noise, commands and resets are the task's own: the group `task` has only `episode_length`, which is
 the task's. `physics.impl` is its engine: Warp on a GPU that has it, else MJX-JAX.
@@ -68,8 +68,9 @@ def _best(config, symmetric, known_reward):
     A learning rate of at most 0.001: the KL alone lets it grow tenfold. With the ceiling Getup ends at 16.5,
     without at 11.3; Berkeley has 32.7 after 3.5 M steps, without 31.6; Spot loses 1.
 
-    The value function sees the state, in tasks with one observation, too: Spot ends at 50.5 instead of 44.4,
-    and with known rewards as well it is above 46 from 2.1 M steps on, where it was at 34.
+    The value function sees the state where Playground's does not, too: Spot ends at 50.5 instead of 44.4, and
+    with known rewards as well it is above 46 from 2.3 M steps on, where it was at 32. Not measured on H1,
+    Op3, Barkour and Spot's other tasks.
 
     One or two seeds each: experiments/05_playground. A guess is the initial noise of 0.7.
     """

@@ -34,7 +34,9 @@ from typing import TYPE_CHECKING
 
 def _starts_command() -> bool:
     """Whether Python starts one of our commands, and not a program that imports this package."""
-    named = any(argument.partition(".")[0] == "dynappo" for argument in sys.orig_argv[1:])
+    # `-m dynappo.play`, and `-mdynappo.play` without a space
+    words = [argument.removeprefix("-m").partition(".")[0] for argument in sys.orig_argv[1:]]
+    named = "dynappo" in words
     return sys.argv[:1] == ["-m"] and named or Path((sys.argv or [""])[0]).stem == "dynappo"
 
 

@@ -233,6 +233,40 @@ def test_equal_returns_on_playgrounds_page_are_those_of_its_runs(capsys):
     assert len(rows) == 15 and set(rows) <= told
 
 
+def test_playgrounds_runs_of_one_thing_at_a_time_are_those_of_the_page():
+    """Each line with two seeds' returns is that of a run, at the steps of its head."""
+    folder, runs = EXPERIMENTS / PLAYGROUND, {}
+    with lzma.open(folder / "results" / "tuning.csv.xz", "rt", newline="") as file:
+        for row in csv.DictReader(file):
+            if row["batch"] == "one-thing" and row["seed"] in ("100", "101"):
+                at = f"{float(row['sim_steps']) / 1e6:.1f} M"
+                seen = float(row["return"]), float(row["fall_rate"])
+                runs.setdefault(row["name"], {}).setdefault(at, []).append(seen)
+
+    def agrees(run, mine):
+        for at, cell in mine.items():
+            returns = ", ".join(f"{x:.1f}" for x, _ in run.get(at, []))
+            falls = 100 * np.mean([falls for _, falls in run.get(at, [(0, 0)])])
+            if cell not in (returns, f"{returns} ({falls:.0f} %)"):
+                return False
+        return True
+
+    checked, head = [], []
+    for text in (folder / "README.md").read_text().splitlines():
+        line = [cell.strip() for cell in text.replace("**", "")[1:-1].split("|")]
+        if line[-1] == "6.0 M" and line[-2] in ("3.5 M", "4.8 M"):
+            head = line
+        elif text[:1] != "|":
+            head = []
+        elif head and "---" not in text:
+            mine = {at: cell for at, cell in zip(head, line, strict=True) if at.endswith(" M")}
+            mine = {at: cell for at, cell in mine.items() if cell not in ("", "cut off")}
+            of = [name for name, run in runs.items() if agrees(run, mine)]
+            assert len(of) == 1, line
+            checked += of
+    assert {*checked} == {*runs} and len(checked) == len(runs)
+
+
 def test_the_curves_of_playgrounds_tasks_are_drawn(playground_runs, drawn, monkeypatch):
     plot = script(f"{PLAYGROUND}/plot")
     monkeypatch.setattr(plot, "table", playground_runs)
@@ -339,6 +373,15 @@ def test_the_tables_of_few_robots_are_those_of_their_runs():
     known = {(*row[:-1], last) for row, last in zip(on_gpu, never, strict=True)}
     assert len(fresh) == 4 and len(parts) == 43
     assert {tuple(row) for row in fresh + parts} <= known
+    of_runs = table.table(table.read(packed, "one-commit"), []).splitlines()[2:]
+    of_runs = {line[0]: line[2:] for line in map(cells, of_runs)}
+    rows = {row[0]: row for row in page if len(row) == 7 and row[3].endswith("of 5")}
+    for label, part in (("nothing: `few`", "whole"), ("a memory", "memory")):
+        assert rows[label][1::2][:2] == [
+            x if "(" in x else f"{x} of 5" for x in of_runs[f"part-{part}-h"]
+        ]
+    whole = of_runs["part-whole-d"]
+    assert rows["nothing: `few`"][4::2] == [whole[0], f"{whole[1]} of 5"]
 
 
 def test_brax_gets_playgrounds_settings():
@@ -1845,12 +1888,12 @@ def test_the_page_of_rough_ground_has_the_tables_of_its_runs():
     fresh = [*table.runs(table.rows(folder / "results/fresh.csv.xz"))]
     assert len(fresh) == 30
     assert "\n".join(table.by_robot(fresh)) in page
-    kept = [row for row in table.rows() if row["batch"] in ("cell", "parts")]
+    kept = [row for row in table.rows() if row["batch"] in ("cell", "parts", "one-commit")]
     lines = table.by_robot([*table.runs(kept)])[2:]
     missing = {cells(line)[0] for line in lines if line not in page}
     assert missing == {
         f"anc-{x}" for x in "cell5 im2 model512 robots1536 symmetry".split()
     }  # cut off
-    assert len(lines) == 19 + len(missing)
+    assert len(lines) == 23 + len(missing)
     first = table.by_seed([*table.runs([row for row in table.rows() if row["batch"] == "first"])])
     assert sum(line in page for line in first[2:]) == 10

@@ -17,8 +17,10 @@ MEASURES = ("crossed", "return")  # of an evaluation; one counts where those bef
 
 def worth(evaluation: Mapping[str, float]) -> tuple[float, ...]:
     """One number for each of `MEASURES`: the better policy has the larger tuple. What is missing, or NaN, is
-    below every number."""
-    found = (float(evaluation.get(name, np.nan)) for name in MEASURES)
+    below every number; without a return nothing counts."""
+    found = [float(evaluation.get(name, np.nan)) for name in MEASURES]
+    if np.isnan(found[-1]):
+        return (-np.inf,) * len(MEASURES)
     return tuple(-np.inf if np.isnan(value) else value for value in found)
 
 

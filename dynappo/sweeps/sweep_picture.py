@@ -10,6 +10,7 @@ import numpy as np
 
 from dynappo.config import shell
 from dynappo.run import learning_curves, log
+from dynappo.sweeps import grid
 
 MOST_NAMED = 24  # combinations with a label
 NO_PICTURE = "no sweep.png: matplotlib is not installed; "
@@ -70,8 +71,9 @@ def figure(workdir: Path, table: list[dict[str, Any]], swept: list[str]) -> Any:
     labels = [", ".join(str(one[field]) for field in swept) for one in named]
     right.set_yticks(range(len(named)), labels, fontsize=9.5, color="0.2")
     right.set_ylim(max(len(shown), 1) - 0.4, -0.6)
-    title = ", ".join(swept) + " (not ranked)" * (not table[0]["ranked_by"])
-    page.suptitle(title, x=0.01, ha="left", fontsize=15, fontweight="bold")
+    by = table[0]["ranked_by"]
+    ranked = {grid.BY_RETURN: "", "": " (not ranked)"}.get(by, f" (ranked by {by})")
+    page.suptitle(", ".join(swept) + ranked, x=0.01, ha="left", fontsize=15, fontweight="bold")
     return page
 
 

@@ -28,8 +28,12 @@ def rows(workdir: Path, combinations: list[Combination]) -> list[dict[str, Any]]
 
     Returns are evaluated ones, or of training (its last 10 iterations) where `run.eval_envs` is 0.
     """
-    by = grid.ranked_by(combinations)
-    found = [row(workdir, one) | {"ranked_by": by} for one in combinations]
+    by, found = grid.ranked_by(combinations), [row(workdir, one) for one in combinations]
+    if by == grid.BY_CROSSED and all(
+        one["crossed"] is None for one in found
+    ):  # of an older version
+        by = grid.BY_RETURN
+    found = [one | {"ranked_by": by} for one in found]
 
     def place(one):
         falls, error = (
@@ -113,6 +117,8 @@ def doubt(table: list[dict[str, Any]]) -> str:
     if by == grid.BY_ERRORS:  # those that fall too often are behind, whatever their errors are
         seldom = walks.seldom(first["fall_rate"])
         others = [one for one in others if walks.seldom(one["fall_rate"]) == seldom]
+    if by == grid.BY_CROSSED:
+        others = [one for one in others if one["crossed"] is not None]
     low, high = f"{name}_low", f"{name}_high"
     spread = [one for one in (first, *others) if one[low] is not None]
     if others and len(spread) <= len(others):

@@ -26,7 +26,7 @@ LABELS = {  # place -> words
     "go2.rough": "Go2 on rough ground, our kernel",
     "go1.laptop": "Go1, C MuJoCo",
 }
-LOOKS = {"best": (pictures.BLUE, "o", "best"), "ppo": (pictures.BLACK, "s", "PPO, tuned")}
+LOOKS = {"best": (pictures.BLUE, "o", "best"), "ppo": (pictures.BLACK, "s", "PPO")}
 DASHES = {"a GPU": "-", "two cores": (0, (4, 2))}
 TEXT = {"fontsize": 8, "color": "0.25", "linespacing": 1.1}
 

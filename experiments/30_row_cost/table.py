@@ -309,8 +309,8 @@ def interval(values) -> str:
 
 def compared(found: list[Run]) -> str:
     """A line a place: `best` beside PPO's fastest and its most sparing setting; where they break even."""
-    head = ["place", "ms a row", "`best`, s", "`best` for seconds", "PPO, s", "PPO by `best`"]
-    head += ["steps, PPO by `best`", "break-even, ms", "to a walk, ms"]
+    head = ["place", "ms a row", "`best`, s", "`best` for seconds", "PPO, s", "s, PPO / `best`"]
+    head += ["steps, PPO / `best`", "break-even, ms", "to a walk, ms"]
     lines = []
     for place in dict.fromkeys(run.place for run in found):
         if not (pair := settings(found, place)):

@@ -129,8 +129,8 @@ def test_a_command_hears_signals_before_its_own_imports(tmp_path):
     (tmp_path / "theirs" / "__init__.py").write_text("import dynappo, signal, sys")
     told = "from theirs import *; print(signal.getsignal(15) is signal.SIG_DFL, sys.excepthook is "
     (tmp_path / "theirs" / "__main__.py").write_text(f"{told}sys.__excepthook__)")
-    for module in ("dynappo", "dynappo.play"):
-        done = shell("-m", module, first=tmp_path)
+    for module in (("-m", "dynappo"), ("-m", "dynappo.play"), ("-mdynappo.play",)):
+        done = shell(*module, first=tmp_path)
         assert (done.returncode, done.stderr) == (143, "dynappo: stopped\n"), module
     done = shell("-m", "theirs", first=tmp_path)
     assert done.stdout == "True True\n", done.stderr

@@ -338,6 +338,7 @@ NAN = float("nan")
         ({"return": [3.0, 1.0, 2.0], "crossed": [0.5, 0.9, 0.9]}, 2),
         ({"return": [3.0, 3.0, 1.0], "crossed": [0.0, 0.0, 0.0]}, 0),
         ({"return": [3.0, 9.0, 1.0], "crossed": [0.5, NAN, 0.6]}, 2),
+        ({"return": [3.0, NAN, 1.0], "crossed": [0.5, 0.9, 0.4]}, 0),
     ],
 )
 def test_the_best_of_several_seeds_is_the_best_in_the_evaluation(judged, best):

@@ -128,6 +128,15 @@ def test_on_rough_ground_the_first_crosses_most(tmp_path, monkeypatch, capsys):
     table.print_table(Console(width=120), rows, ["ppo.epochs"])
     head, first, *_ = capsys.readouterr().out.splitlines()
     assert "crossed" in head.split() and "85.0 %" in first
+    # of an older version, which did not say what was crossed: some, then all
+    for shares, _ in (crossed["b"], crossed["c"]):
+        shares[:] = [None, None]
+    some = table.rows(tmp_path, each)
+    assert [row["folder"] for row in some][0] == "a" and table.doubt(some).startswith("no seed")
+    crossed["a"][0][:] = [None, None]
+    old = table.rows(tmp_path, each)
+    assert {row["ranked_by"] for row in old} == {grid.BY_RETURN}
+    assert [row["return_mean"] for row in old] == [30, 13, 12]
 
 
 def test_a_table_fits_eighty_columns_and_nothing_is_cut(capsys):

@@ -33,8 +33,9 @@ SYMMETRIC = (
     "T1JoystickFlatTerrain",
     "T1JoystickRoughTerrain",
 )
-# how names of tasks begin where computed rewards help (known.py); Berkeley learns slower with them, G1 and
-# T1 no faster (experiments/05_playground)
+# how names of tasks begin that have computed rewards (known.py): measured on Go1's joystick, getup and
+# handstand and on Spot's joystick. Berkeley learns slower with them, G1 and T1 no faster
+# (experiments/05_playground)
 REWARD_KNOWN = ("Go1", "Spot")
 
 
