@@ -69,8 +69,8 @@ def _best(config, symmetric, known_reward):
     without at 11.3; Berkeley has 32.7 after 3.5 M steps, without 31.6; Spot loses 1.
 
     The value function sees the state where Playground's does not, too: Spot ends at 50.5 instead of 44.4, and
-    with known rewards as well it is above 46 from 2.3 M steps on, where it was at 32. Not measured on H1,
-    Op3, Barkour and Spot's other tasks.
+    with known rewards as well it is above 46 from 2.3 M steps on, where it was at 32. Spot's other tasks
+    have not run; H1, Op3 and Barkour only so.
 
     One or two seeds each: experiments/05_playground. A guess is the initial noise of 0.7.
     """

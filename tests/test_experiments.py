@@ -223,6 +223,31 @@ def test_runs_that_share_a_card_have_no_seconds(playground_runs, tmp_path):
     np.testing.assert_allclose(curve, expected)
 
 
+def test_braxs_runs_that_share_a_card_have_the_seconds_of_one_alone(playground_runs, tmp_path, capsys):
+    """A run alone takes 0.3 s a step; of the two kinds of resets that counts which is sooner at a return, and
+    which is higher is the reference."""
+    for path in (tmp_path / "a.csv", tmp_path / "b.csv"):
+        path.unlink()
+    head = "job,seed,iteration,sim_steps,seconds,return,fall_rate"
+    job = "brax:Go1Getup steps=9 evals=3 resets=1"
+
+    def write(name, job, *rows):
+        lines = [f"{job},0,{i},{i}e6,{took},{x},0" for i, took, x in rows]
+        (tmp_path / f"{name}.csv").write_text("\n".join([head, *lines, ""]))
+
+    write("x-brax-alone-0", job, (1, 2e5, 1), (2, 6e5, 99))
+    write("x-brax-shared-0", "brax:Go1Getup", (1, 9e6, 6), (2, 9e6, 7), (8, 9e6, 12))
+    write("x-brax-resets1-shared-0", job, (1, 9e6, 2), (4, 9e6, 14))
+    found = playground_runs.runs()
+    assert playground_runs.reference(found, "Go1Getup") == 14
+    at = [playground_runs.when(row) for row in found["Go1Getup", "brax1"][0]]
+    np.testing.assert_allclose(at, [(1, 3e5), (4, 12e5)])
+    playground_runs.beside(found)
+    told = [line.split(" | ")[1:4] for line in capsys.readouterr().out.splitlines()[2:5]]
+    expected = ["1.5, 450000", "3.2, 975000", "3.4, 1012500"]
+    assert [cells[2] for cells in told] == expected
+
+
 def test_equal_returns_on_playgrounds_page_are_those_of_its_runs(capsys):
     table = script(f"{PLAYGROUND}/table")
     table.beside(table.runs())
@@ -230,7 +255,9 @@ def test_equal_returns_on_playgrounds_page_are_those_of_its_runs(capsys):
     page = (EXPERIMENTS / PLAYGROUND / "README.md").read_text()
     part = page.split("times the seconds |\n")[1].split("\n\n")[0].splitlines()[1:]
     rows = [line.split("| ", 2)[2] for line in part]
-    assert len(rows) == 15 and set(rows) <= told
+    assert len(rows) > 25 and set(rows) <= told
+    named = [line.split("|")[1].strip() for line in part]
+    assert len([name for name in named if name]) == 11
 
 
 def test_playgrounds_runs_of_one_thing_at_a_time_are_those_of_the_page():
@@ -252,7 +279,8 @@ def test_playgrounds_runs_of_one_thing_at_a_time_are_those_of_the_page():
         return True
 
     checked, head = [], []
-    for text in (folder / "README.md").read_text().splitlines():
+    page = (folder / "README.md").read_text().split("## The control that Handstand adds up")[0]
+    for text in page.splitlines():
         line = [cell.strip() for cell in text.replace("**", "")[1:-1].split("|")]
         if line[-1] == "6.0 M" and line[-2] in ("3.5 M", "4.8 M"):
             head = line
@@ -265,6 +293,28 @@ def test_playgrounds_runs_of_one_thing_at_a_time_are_those_of_the_page():
             assert len(of) == 1, line
             checked += of
     assert {*checked} == {*runs} and len(checked) == len(runs)
+
+
+def test_what_handstand_and_go1_had_again_is_on_playgrounds_page():
+    """Four seeds a cell; and Go1 after 2.5 M steps, in words."""
+    folder, runs = EXPERIMENTS / PLAYGROUND, {}
+    with lzma.open(folder / "results" / "tuning.csv.xz", "rt", newline="") as file:
+        for row in csv.DictReader(file):
+            if row["batch"] == "again":
+                at = runs.setdefault((row["name"], f"{float(row['sim_steps']) / 1e6:.1f} M"), [])
+                at.append(f"{float(row['return']):.1f}")
+    text = (folder / "README.md").read_text()
+    part = text.split("## The control that Handstand adds up")[1].split("\n\n")
+    head, _, *lines = next(x for x in part if x.startswith("| | 1.9 M")).splitlines()
+    heads = [cell.strip() for cell in head.split("|")[2:-1]]
+    for name, line in zip(("old", "base", "known"), lines, strict=True):
+        cells = [cell.strip() for cell in line.split("|")[2:-1]]
+        assert cells == [", ".join(runs[f"hand-again-{name}", at]) for at in heads]
+    told = " ".join(text.split())
+    for name in ("base", "old"):
+        assert f"({', '.join(runs[f'go1-again-{name}', '2.5 M'])})" in told
+    known = sorted(runs["go1-again-known", "2.5 M"])
+    assert f"({known[0]} to {known[-1]})" in told
 
 
 def test_the_curves_of_playgrounds_tasks_are_drawn(playground_runs, drawn, monkeypatch):

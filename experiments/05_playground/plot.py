@@ -1,4 +1,4 @@
-"""Returns over simulator steps, and over seconds of training: curves.png, a row of panels a task.
+"""Returns over simulator steps, and over seconds of training: curves.png, two panels a task.
 
     python experiments/05_playground/plot.py
 
@@ -14,7 +14,12 @@ import numpy as np
 from experiments import pictures
 
 table = importlib.import_module("experiments.05_playground.table")
-LOOKS = {"brax": pictures.BLACK, "ppo": pictures.ORANGE, "best": pictures.BLUE}
+LOOKS = {
+    "brax": pictures.BLACK,
+    "brax1": "0.55",
+    "ppo": pictures.ORANGE,
+    "best": pictures.BLUE,
+}
 
 
 def main():
@@ -23,15 +28,20 @@ def main():
     if not names:
         print(f"nothing was run: no CSV in {table.RESULTS}")
         return
-    page, axes = pictures.figure(len(names), 2, 0.5 + 2.2 * len(names))
-    for row, task in zip(axes, names, strict=True):
-        for unit, axis in enumerate(row):
+    rows = -(-len(names) // 2)
+    page, axes = pictures.figure(rows, 4, 0.5 + 2.0 * rows)
+    pairs = axes.reshape(2 * rows, 2)  # two tasks a row
+    for pair, task in zip(pairs, names, strict=False):
+        for unit, axis in enumerate(pair):
             panel(axis, found, task, unit)
-        row[0].set_ylabel("return")
-        row[0].set_title(task, loc="left")
-    axes[-1, 0].set_xlabel("million simulator steps")
-    axes[-1, 1].set_xlabel("seconds of training, a card alone")
-    of_most = max(axes[:, 0], key=lambda axis: len(axis.get_legend_handles_labels()[0]))
+        pair[0].set_title(task.removesuffix("Terrain"), loc="left")
+    for axis in axes.flat:
+        axis.set_visible(bool(axis.lines))
+    for axis in axes[:, 0]:
+        axis.set_ylabel("return")
+    for axis, unit in zip(axes[-1], ("million steps", "seconds") * 2, strict=True):
+        axis.set_xlabel(unit)
+    of_most = max(axes.flat, key=lambda axis: len(axis.get_legend_handles_labels()[0]))
     pictures.legend(page, of_most, len(LOOKS))
     pictures.save(page, Path(__file__).with_name("curves"))
 
@@ -42,6 +52,7 @@ def panel(axis, found, task, unit):
         curves = [
             (np.array([table.when(row)[unit] for row in rows]), returns(rows)) for rows in some
         ]
+        curves = [(at, back) for at, back in curves if np.isfinite(at).any()]
         for at, back in curves:
             axis.plot(at, back, color=colour, lw=0.7, alpha=0.5)
         if curves:
@@ -52,7 +63,7 @@ def panel(axis, found, task, unit):
     level = table.reference(found, task)
     if np.isfinite(level):
         axis.axhline(level, color="0.4", lw=1, ls=":")
-    pictures.log(axis, which="x")
+    pictures.log(axis, subs=(1, 3), which="x")
 
 
 def returns(rows):

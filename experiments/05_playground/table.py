@@ -2,15 +2,17 @@
 
     python experiments/05_playground/table.py
 
-The reference of a task is the most that brax's PPO has in any evaluation, in the mean over seeds; where there
-is none, what our PPO with Playground's settings has. The first table tells when it is reached: the evaluation
+brax's PPO has run with Playground's resets of all robots, ten or so between two evaluations, and with one.
+The reference of a task is the most that either has in any evaluation, in the mean over seeds; where there is
+none, what our PPO with Playground's settings has. The first table tells when it is reached: the evaluation
 in which a seed has 90 % and 100 % of it, in millions of simulator steps and in seconds of training, in the
 mean over the seeds that get there. The second compares `best` with brax's PPO at equal returns: at each
 evaluation of `best` that is above all before it, what brax's PPO needs for as much, on a straight line
-between its two evaluations around it. Then returns, by steps.
+between its two evaluations around it, with those resets that get there first. Then returns, by steps.
 
 Means over seeds are of the evaluations that three seeds have, or all where there are fewer. Runs named -steps
-share a card, so their seconds are left out.
+and -shared share a card, so their seconds are left out. Those of brax's PPO are its steps times what a step
+takes in a run of the same task alone (`rates`); one named -brax-alone is there for that only.
 """
 
 import csv
@@ -21,9 +23,11 @@ import numpy as np
 RESULTS, JOBS = Path(__file__).parent / "results", Path(__file__).with_name("jobs.txt")
 KINDS = {  # variant -> what the page calls it
     "brax": "brax's PPO",
+    "brax1": "brax's PPO, one reset",
     "ppo": "our PPO, Playground's settings",
     "best": "`best`",
 }
+BRAX = "brax", "brax1"
 SHARES = 0.9, 1.0  # of the reference
 
 
@@ -64,20 +68,39 @@ def main():
 def runs() -> dict[tuple[str, str], list[list[dict]]]:
     """`{(task, variant): runs}`; a run are the rows of a seed, by step."""
     out: dict[tuple[str, str], list[list[dict]]] = {}
+    a_step = rates()
     for path in sorted(RESULTS.glob("*.csv")):
-        with path.open() as file:
-            rows = [*csv.DictReader(file)]
-        if path.stem.endswith("-steps"):
-            rows = [row | {"seconds": "nan"} for row in rows]
+        if "-brax-alone" in path.stem:
+            continue
+        rows = read(path)
+        task, kind = named(rows[0]["job"])
+        if "-steps" in path.stem or "-shared" in path.stem:
+            rate = a_step.get(task, np.nan) if kind.startswith("brax") else np.nan
+            rows = [row | {"seconds": f"{rate * float(row['sim_steps'])}"} for row in rows]
         for seed in dict.fromkeys(row["seed"] for row in rows):
             of_seed = [row for row in rows if row["seed"] == seed]
-            out.setdefault(named(of_seed[0]["job"]), []).append(of_seed)
+            out.setdefault((task, kind), []).append(of_seed)
     return out
 
 
+def rates() -> dict[str, float]:
+    """Seconds of a simulator step of brax's PPO, by task, in a run alone on a card."""
+    alone = [path for path in sorted(RESULTS.glob("*-brax-*.csv")) if "-shared" not in path.stem]
+    last = [read(path)[-1] for path in alone]
+    return {named(row["job"])[0]: float(row["seconds"]) / float(row["sim_steps"]) for row in last}
+
+
+def read(path: Path) -> list[dict]:
+    with path.open() as file:
+        return [*csv.DictReader(file)]
+
+
 def named(job: str) -> tuple[str, str]:
-    """`(task, variant)` of `playground:TASK:VARIANT FIELD=VALUE ...` or `brax:TASK`."""
-    kind, task, *variant = job.split()[0].split(":")
+    """`(task, variant)` of `playground:TASK:VARIANT FIELD=VALUE ...` or `brax:TASK NAME=VALUE ...`."""
+    of, *about = job.split()
+    kind, task, *variant = of.split(":")
+    if kind == "brax" and "resets=1" in about:
+        kind = "brax1"
     return task, variant[0] if variant else kind
 
 
@@ -89,12 +112,10 @@ def tasks(found) -> list[str]:
 
 def reference(found, task: str) -> float:
     """The most that brax's PPO has, or ours, in the mean over seeds; NaN without either."""
-    some = found.get((task, "brax")) or found.get((task, "ppo"))
-    return (
-        float(np.mean([max(float(row["return"]) for row in rows) for rows in some]))
-        if some
-        else np.nan
-    )
+    some = [found[task, kind] for kind in BRAX if (task, kind) in found]
+    some = some or [found[task, "ppo"]] if (task, "ppo") in found else some
+    most = [np.mean([max(float(row["return"]) for row in rows) for rows in runs]) for runs in some]
+    return float(max(most, default=np.nan))
 
 
 def when(row: dict) -> tuple[float, float]:
@@ -157,12 +178,14 @@ def beside(found) -> None:
     )
     print("|---|---|---|---|---|---|")
     for task in tasks(found):
-        if not {(task, "best"), (task, "brax")} <= set(found):
+        theirs = [mean(found[task, kind]) for kind in BRAX if (task, kind) in found]
+        if (task, "best") not in found or not theirs:
             continue
-        ours, theirs = (mean(found[task, kind]) for kind in ("best", "brax"))
+        ours = mean(found[task, "best"])
         for *mine, level in ours[ours[:, 2] == np.maximum.accumulate(ours[:, 2])]:
-            other = to_return(theirs, level)
-            if np.isfinite(other).all():
+            others = [to_return(curve, level) for curve in theirs]
+            other = min(others, key=lambda x: np.nan_to_num(x[0], nan=np.inf))
+            if np.isfinite(other[0]):
                 both = (f"{steps:.1f}, {average([took])}" for steps, took in (mine, other))
                 times = (f"{x:.1f}" if np.isfinite(x) else "-" for x in other / mine)
                 print(f"| {task} | {level:.1f} | {' | '.join([*both, *times])} |")

@@ -60,7 +60,7 @@ def find(task: Any, layout: Layout, probed: Probed) -> tuple[Mirror, Mirror] | s
     going = ~(ended | ended_image)
     if going.sum() < 50:
         return "most random states end the episode"
-    last = x.shape[1] - raw.unseen.shape[1] - raw.applied.shape[1]
+    last = x.shape[1] - raw.unseen.shape[1]
     ctrl = slice(last - raw.ctrl.shape[1], last)
     if not _same(_turned(actions, x[going, ctrl]), y[going, ctrl]).all():
         return "mirrored actions are not mirrored controls"

@@ -12,7 +12,7 @@ The probes vary data around the task's first pose, and those that end an episode
 Noise is drawn once for numbers that show the same measurement: Spot's joints are sensed, and the same sensed
 joints are the newest of its history. Numbers whose noise is equal in all probes are such (`Layout.draw`).
 
-    raw  = [ every number of the observation | the task's own numbers (info) | ctrl | applied | unseen ]
+    raw  = [ every number of the observation | the task's own numbers (info) | ctrl | unseen ]
     obs  = [ prop | context ]: each predicted number once, then what is known
 """
 
@@ -63,9 +63,6 @@ class Raw(NamedTuple):
     obs: Any
     info: dict[str, Any]
     ctrl: Float[Array, " A"]
-    # ctrl as motors take it, within their range: what the model reads. A task that adds up its actions may
-    # ask for 77 rad
-    applied: Float[Array, " A"]
     unseen: Float[Array, " U"]
 
 
@@ -106,20 +103,11 @@ def _sensor(model: mujoco.MjModel, name: str) -> tuple[int, int]:
     return (0, 0) if i < 0 else (int(model.sensor_adr[i]), int(model.sensor_dim[i]))
 
 
-def applied(task: Any, ctrl: Float[Array, " A"]) -> Float[Array, " A"]:
-    """`ctrl` within the motors' range."""
-    model = task.mj_model
-    low, high = np.where(
-        model.actuator_ctrllimited > 0, model.actuator_ctrlrange.T, [[-np.inf], [np.inf]]
-    )
-    return jnp.clip(ctrl, low, high)
-
-
 def vector(names: tuple[str, ...], raw: Raw) -> Float[Array, " E"]:
     """All raw numbers; keys of random numbers are none."""
     of_obs = [raw.obs] if names == ("",) else [raw.obs[name] for name in names]
     of_info = [x for key, x in sorted(raw.info.items()) if key != "rng"]
-    leaves = [*of_obs, *jax.tree.leaves(of_info), raw.ctrl, raw.applied, raw.unseen]
+    leaves = [*of_obs, *jax.tree.leaves(of_info), raw.ctrl, raw.unseen]
     numbers = [jnp.ravel(jnp.asarray(x)).astype(jnp.float32) for x in leaves]
     return jnp.nan_to_num(jnp.concatenate(numbers), nan=jnp.nan, posinf=LARGE, neginf=-LARGE)
 
@@ -143,16 +131,16 @@ def unvector(names: tuple[str, ...], numbers: Float[Array, " E"], like: Raw) -> 
         obs = like.obs | {name: take(like.obs[name]) for name in names}
     info = {key: jax.tree.map(take, like.info[key]) for key in sorted(like.info) if key != "rng"}
     info |= {key: x for key, x in like.info.items() if key == "rng"}
-    return Raw(obs, info, *map(take, (like.ctrl, like.applied, like.unseen)))
+    return Raw(obs, info, take(like.ctrl), take(like.unseen))
 
 
 def after_step(task: Any, out: Any, rest: tuple[str, ...] | None = None) -> Raw:
     """The `Raw` of a Playground state; `rest` are terms of the reward, whose sum is the last of `unseen`."""
-    ctrl, hidden = out.data.ctrl, unseen(task, names_of(out.obs), out.data)
+    hidden = unseen(task, names_of(out.obs), out.data)
     if rest is not None:
         left = sum((out.metrics[name] for name in rest), jnp.zeros(()))
         hidden = jnp.append(hidden, left)
-    return Raw(out.obs, out.info, ctrl, applied(task, ctrl), hidden)
+    return Raw(out.obs, out.info, out.data.ctrl, hidden)
 
 
 def with_rest(layout: Layout) -> Layout:
@@ -314,13 +302,12 @@ def _arranged(names, one: Raw, exact, predicted, noise, drawn, of_data: dict[str
     """Puts each predicted number once in front, and what is known behind; `one` is a probe's."""
     sizes = [np.size(one.obs)] if names == ("",) else [np.size(one.obs[name]) for name in names]
     seen, acts, noisy = sum(sizes), sizes[0], noise > 0
-    nothing = jax.tree.map(np.zeros_like, one)
-    asked = nothing._replace(ctrl=np.ones_like(one.ctrl))
-    taken = nothing._replace(applied=np.ones_like(one.ctrl))
-    asked, taken = (_places(names, only, lambda x: x) for only in (asked, taken))
-    # the model sees neither the task's counters nor what is far from all others, nor ctrl beyond its range
-    useless = _places(names, one, _is_counter) | (np.abs(exact) > LARGE / 2).any(0) | asked
-    used = np.ones(len(predicted), bool) if of_data["reads_ctrl"] else ~(asked | taken)
+    # the model sees neither the task's counters nor what is far from all others
+    useless = _places(names, one, _is_counter) | (np.abs(exact) > LARGE / 2).any(0)
+    used = np.ones(len(predicted), bool)
+    if not of_data["reads_ctrl"]:
+        only = jax.tree.map(np.zeros_like, one)._replace(ctrl=np.ones_like(one.ctrl))
+        used = ~_places(names, only, lambda x: x)
     column, source = np.zeros(len(predicted), int), []
     first: dict[tuple[bytes, bool], int] = {}
 

@@ -33,9 +33,9 @@ SYMMETRIC = (
     "T1JoystickFlatTerrain",
     "T1JoystickRoughTerrain",
 )
-# how names of tasks begin that have computed rewards (known.py): measured on Go1's joystick, getup and
-# handstand and on Spot's joystick. Berkeley learns slower with them, G1 and T1 no faster
-# (experiments/05_playground)
+# how names of tasks begin that have computed rewards (known.py): the joysticks of Go1 and Spot learn sooner
+# with them; on Getup and Handstand nothing is shown. Berkeley learns slower, G1 and T1 no faster; the others
+# have not been run with them (experiments/05_playground)
 REWARD_KNOWN = ("Go1", "Spot")
 
 
