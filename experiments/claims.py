@@ -29,6 +29,7 @@ ROUGH = "experiments/28_rough/results/fresh.csv.xz"
 FEW = "experiments/27_few/results/gpu.csv.xz"
 LAPTOP = "experiments/04_laptop/results/make_train.txt"
 FRESH = "2026-11-27", "e01cca1"
+ALONE = "H200, 2026-11-27", "24fde7d"  # a batch of SECONDS, whose rows do not have its commit
 CORES = "two CPU cores", "2026-11-26"
 ROBOTS = {"go1": "g", "go2": "h", "anymal_c": "c", "anymal_d": "d"}
 STARTS = "an H200 and slower hosts", "2026-11-24", "", "experiments/03_speed/kernel.md"
@@ -99,17 +100,47 @@ STATED = {  # name -> where, and the words
         ("docs/results.md", "PPO alone, 256 robots | {:.2f} ("),
     ],
     "go1 seconds to 38": [
-        ("README.md", "reached 38 after {:.1f} s of training"),
-        ("docs/results.md", "on an H100 is at 38 after {:.1f} s"),
-        ("docs/speed.md", "38 after 60 iterations, {:.1f} s (H100"),
+        ("README.md", "follows commands after {:.1f} s of training"),
+        ("docs/results.md", "alone on an H200 is at 38 after {:.1f} s"),
+        ("docs/speed.md", "38 after 56 iterations, {:.1f} s;"),
+    ],
+    "go1 seconds to a walk": [
+        ("README.md", "s of training and walks after {:.1f}"),
+        ("docs/results.md", "s and walks after {:.1f} (mean of five fresh seeds"),
+        ("docs/speed.md", "s; walks after {:.1f} s (H200, five seeds)"),
     ],
     "go1 PPO seconds to 38": [
-        ("README.md", "PPO alone took {:.1f} s"),
+        ("README.md", "PPO alone with 2048 robots takes {:.1f} and"),
         ("docs/results.md", "PPO with 2048 robots is at 38 after {:.1f} s"),
+        ("docs/speed.md", "H200: Go1 is at 38 after {:.1f} instead of"),
     ],
-    "go1 PPO steps, by best's, at equal seconds": [
-        ("README.md", "s and {:.0f} times the steps"),
+    "go1 PPO seconds to a walk": [
+        ("README.md", "and {:.1f} s, for"),
+        ("docs/results.md", "and walks after {:.1f}. Where a row"),
+        ("docs/speed.md", "walks after {:.1f} instead of"),
+    ],
+    "go1 fast PPO's steps to 38, by best's": [
+        ("README.md", "s, for {:.0f} and"),
         ("docs/speed.md", "but {:.0f} times the simulator steps"),
+    ],
+    "go1 fast PPO's steps to a walk, by best's": [
+        ("README.md", "and {:.0f} times the steps"),
+    ],
+    "go1 seconds to 38, MuJoCo Warp": [
+        ("README.md", "with MuJoCo Warp's own step it is {:.1f} instead of"),
+        ("docs/results.md", "at 38 after {:.1f} instead of"),
+    ],
+    "go1 PPO seconds to 38, MuJoCo Warp": [
+        ("README.md", "instead of {:.1f} s, and"),
+        ("docs/results.md", "instead of {:.1f} s, and walks"),
+    ],
+    "go1 seconds to a walk, MuJoCo Warp": [
+        ("README.md", "and {:.1f} instead of"),
+        ("docs/results.md", "s, and walks after {:.1f} instead of"),
+    ],
+    "go1 PPO seconds to a walk, MuJoCo Warp": [
+        ("README.md", "instead of {:.1f} to a walk"),
+        ("docs/results.md", "instead of {:.1f} (five seeds"),
     ],
     "go2 crosses": [
         ("README.md", "crosses {:.0%} of all tiles of stairs"),
@@ -195,13 +226,17 @@ def humanoid():
 
 def seconds():
     table = importlib.import_module("experiments.30_row_cost.table")
-    found = [run for run in table.of_rows(table.read()) if run.place == "go1.kernel"]
-    of = {run.method: run.level.mean(0) for run in found if run.batch == table.H100}
-    where = "H100", "2026-11-25", "", SECONDS
-    for title, (_, _, value) in zip(("", " PPO"), (of["best"], of["ppo2048"]), strict=True):
-        yield f"go1{title} seconds to 38", f"{value:.6g}", "s", *where
-    name = "go1 PPO steps, by best's, at equal seconds"
-    yield name, f"{of['ppo2048'][1] / of['best'][1]:.6g}", "", *where
+    found = [run for run in table.of_rows(table.read()) if run.batch == ALONE[0]]
+    for place, engine in (("go1.kernel", ""), ("go1.warp", ", MuJoCo Warp")):
+        best, ppos = table.settings(found, place)
+        ppo = table.fastest(ppos)
+        for level, of in (("38", "level"), ("a walk", "walks")):
+            (_, few, mine), (_, steps, its) = (getattr(run, of).mean(0) for run in (best, ppo))
+            where = *ALONE[0].split(", "), ALONE[1], SECONDS
+            yield f"go1 seconds to {level}{engine}", f"{mine:.6g}", "s", *where
+            yield f"go1 PPO seconds to {level}{engine}", f"{its:.6g}", "s", *where
+            name = f"go1 fast PPO's steps to {level}, by best's{engine}"
+            yield name, f"{steps / few:.6g}", "", *where
 
 
 def rough():

@@ -145,7 +145,7 @@ def test_the_page_of_seconds_has_the_tables_of_its_runs(monkeypatch, capsys):
     page = (EXPERIMENTS / ROW_COST / "README.md").read_text().replace("*", "")
     rows = [line.strip("| ").split(" | ") for line in capsys.readouterr().out.splitlines()]
     rows = [cells for cells in rows if cells[0].startswith(("go", "g1", "anymal"))]
-    assert len(rows) >= 31
+    assert len(rows) >= 45
     for cells in rows:
         assert " | ".join(cells[1:]) in page, cells
 
@@ -1049,13 +1049,19 @@ def test_seconds_where_a_row_costs_more_and_where_two_runs_break_even():
     found = [best, fast, few]
     assert table.settings(found, "go1.kernel") == (best, [fast, few])
     assert table.settings([best], "go1.kernel") is None
+    # settings for seconds: those on tuning seeds only until others have run on fresh ones, both by name
+    tuned, chosen = run("tune-r1", 1024, 100, 1.5), run("best-r1", 1024, 100, 1.6)
+    assert table.variants([*found, tuned], best) == [best, tuned]
+    assert table.variants([*found, tuned, chosen], best) == [best, chosen]
+    assert "(tune-r1, tuning seeds) |" in table.compared([*found, tuned])
+    assert "(best-r1) |" in table.compared([*found, tuned, chosen])
 
 
 def test_jobs_of_the_row_costs_are_valid_and_of_places_that_have_a_name():
     measure = script(f"{ROW_COST}/run")
     places = script(f"{ROW_COST}/plot").LABELS
     lines = (EXPERIMENTS / ROW_COST / "jobs.txt").read_text().splitlines()
-    assert len({line.split()[0] for line in lines}) == len(lines) == 39
+    assert len({line.split()[0] for line in lines}) == len(lines) == 41
     for line in lines:
         name, job, *fields = line.split()
         place, _, method = name.rpartition(".")

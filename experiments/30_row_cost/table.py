@@ -5,8 +5,9 @@
 
 Runs are those of results/alone.csv.xz, one at a time on their device, and those of 25_humanoid and 04_laptop
 that were. A name is PLACE.METHOD: a place is a robot, task and engine; METHOD is `best`, one with settings
-for seconds, or `ppo` with its robots. BATCH says card and date; the clock of a seed that ran more than once
-is the median. What the level is, and a walk: dynappo/policy/walks.py.
+for seconds (`tune-`: on the seeds among which they are chosen), or `ppo` with its robots. BATCH says card and
+date; the clock of a seed that ran more than once is the median. What the level is, and a walk:
+dynappo/policy/walks.py.
 
 Computed: `later` gives a run's seconds if its rows cost more, from its own clock and rows. `break_even` is
 the cost at which `best` and the fastest PPO take equally long.
@@ -54,6 +55,7 @@ BUSY = {("PPO, 256", "900"), ("PPO, 2048", "900"), ("PPO, 2048", "901")}  # left
 # a row of R robots costs (R / 1024) ** POWER times one of 1024
 POWERS = {"a GPU": math.log(2.98 / 2.2) / math.log(4), "two cores": 1.0}
 MANY, OFTEN = 3, 5  # seeds of a choice, and of an interval
+TUNING = "tune-"  # so begin settings of `best` on seeds 0 to 2, among which one is chosen
 COSTS = np.geomspace(0.1, 100, 601)  # ms
 
 
@@ -237,10 +239,12 @@ def settings(found: list[Run], place: str) -> tuple[Run, list[Run]] | None:
 
 
 def variants(found: list[Run], best: Run) -> list[Run]:
-    """`best`, and its settings for seconds at the same place, with as many seeds as say something."""
+    """`best`, and its settings for seconds at the same place, with as many seeds as say something; those that
+    were tuned, `tune-`, only where none has run on fresh seeds."""
     here = [run for run in found if (run.place, run.batch) == (best.place, best.batch)]
-    named = [run for run in here if run.method.startswith("best") and len(run.level) >= MANY]
-    return [best, *(run for run in named if run is not best and np.isfinite(run.level).all())]
+    some = [run for run in here if len(run.level) >= MANY and np.isfinite(run.level).all()]
+    fresh = [run for run in some if run.method.startswith("best") and run is not best]
+    return [best, *(fresh or [run for run in some if run.method.startswith(TUNING)])]
 
 
 def fastest(some: list[Run]) -> Run:
@@ -322,7 +326,8 @@ def compared(found: list[Run]) -> str:
         )
         quick = fastest(variants(found, best))
         cells = [place, f"{ms:.3g}", interval(times[1])]
-        cells += ["-" if quick is best else f"{interval(quick.level[:, 2])} ({quick.method})"]
+        named = quick.method + ", tuning seeds" * quick.method.startswith(TUNING)
+        cells += ["-" if quick is best else f"{interval(quick.level[:, 2])} ({named})"]
         cells += [f"{interval(times[0])} ({fast.method})"]
         cells += [ratio(*times), f"{ratio(*steps)} ({few.method})"]
         lines.append([*cells, even(best, ppos, ms), even(to_walk(best), [*map(to_walk, ppos)], ms)])
