@@ -1938,18 +1938,141 @@ def test_the_tables_of_rough_ground_by_hand():
     assert mine[6:] == ["0.95 (0.95)", *["1.00 (1.00)"] * 3, "2.0 (3.0)", "2 of 3"]
 
 
+def test_the_steps_of_ppo_on_rough_ground_by_hand(monkeypatch):
+    """Straight lines from 0 at 0; the level first reached and kept; 90 % by one of two seeds of `best`."""
+    table = script("28_rough/table")
+    monkeypatch.setattr(table, "PPO", {"b": "a"})
+    good, bad, million = ["1.0", "0.9"], ["1.0", "0.8"], 1_000_000
+    mine = [
+        crossings("a", "0", 1 * million, 0.60, bad),
+        crossings("a", "0", 2 * million, 0.80, good),
+        crossings("a", "0", 3 * million, 0.90, bad),
+        crossings("a", "0", 4 * million, 0.88, good),
+        crossings("a", "1", 1 * million, 0.80, good),
+        crossings("a", "1", 4 * million, 0.86, good),
+    ]
+    best = table.pace("a", mine)
+    assert (best.robots, best.steps) == ("2048", 4.0)
+    nan = np.nan
+    np.testing.assert_allclose(best.when, [[1.5, 2.0, 3.0, 2.0, 4.0], [0.875, 1.0, nan, 1.0, 1.0]])
+    others = [crossings("b", str(s), 10 * million, c, good) for s, c in enumerate((0.7, 1.0, 0.9))]
+    ppo = table.pace("b", others)
+    np.testing.assert_allclose(ppo.when[0], [10.0, nan, nan, 10.0, 10.0])
+    lines = table.beside_ppo({"a": best, "b": ppo})
+    assert cells(lines[2])[3:6] == [
+        "1.2 (0.9 to 1.5)",
+        "1.5 (1.0 to 2.0)",
+        "3.0 (3.0 to 3.0; 1 of 2)",
+    ]
+    name, seeds, at_70, at_80, at_90, level, kept = cells(lines[7])
+    assert (name, seeds, at_90) == ("b", "3 and 2", "-")
+    expected = stats.ratio(ppo.when[:, 0], best.when[:, 0])
+    assert at_70.startswith(f"{expected.value:.1f}") and at_80 == "at least 6.0"
+    assert (level, kept) == ("6.7", "4.0")
+
+
+def test_two_seeds_of_ppo_have_no_interval():
+    """Student's t of one degree of freedom says nothing."""
+    table = script("28_rough/table")
+    some = {"pct": 250.0, "low": -10.0, "high": 900.0}
+    assert table.times(some, 2) == "2.5" and table.times(some, 3) == "2.5 (-0.1 to 9.0)"
+
+
 def test_the_page_of_rough_ground_has_the_tables_of_its_runs():
     table, folder = script("28_rough/table"), EXPERIMENTS / "28_rough"
     page = (folder / "README.md").read_text()
-    fresh = [*table.runs(table.rows(folder / "results/fresh.csv.xz"))]
+    packed = table.rows(folder / "results/fresh.csv.xz")
+    fresh = [*table.runs([row for row in packed if row["batch"] == "fresh"])]
     assert len(fresh) == 30
     assert "\n".join(table.by_robot(fresh)) in page
-    kept = [row for row in table.rows() if row["batch"] in ("cell", "parts", "one-commit")]
+    assert "\n".join(table.beside_ppo(table.paces())) in page
+    ppo = table.by_robot([*table.runs([row for row in packed if row["batch"] == "fresh-ppo"])])[2:]
+    assert len(ppo) == 2 and all(line in page for line in ppo)
+    batches = ("cell", "parts", "one-commit", "one-commit-4")
+    kept = [row for row in table.rows() if row["batch"] in batches]
     lines = table.by_robot([*table.runs(kept)])[2:]
     missing = {cells(line)[0] for line in lines if line not in page}
     assert missing == {
         f"anc-{x}" for x in "cell5 im2 model512 robots1536 symmetry".split()
     }  # cut off
-    assert len(lines) == 23 + len(missing)
+    assert len(lines) == 29 + len(missing)
     first = table.by_seed([*table.runs([row for row in table.rows() if row["batch"] == "first"])])
     assert sum(line in page for line in first[2:]) == 10
+
+
+def test_the_page_of_rough_ground_says_what_its_runs_say():
+    """What a known end is worth, the controls on the way, ANYmal-C's boxes, whether PPO is later."""
+    table, folder = script("28_rough/table"), EXPERIMENTS / "28_rough"
+    page = " ".join((folder / "README.md").read_text().split())
+    lines = (folder / "README.md").read_text().splitlines()
+    rows = [*table.rows(folder / "results/fresh.csv.xz"), *table.rows()]
+    of = {}
+    for row in rows:
+        if row["batch"] in (*table.TODAY, "one-commit"):
+            of.setdefault(row["name"], {}).setdefault(row["seed"], []).append(row)
+    worth = {
+        "go2": "4.3 points (95 %: 2.0 to 6.5; Welch, p 0.002, by Holm 0.005)",
+        "anymal_c": "5.3 points on ANYmal-C (95 %: 1.8 to 8.7; Welch, p 0.011, also by Holm",
+    }
+    ends = {name: [float(s[-1]["crossed"]) for s in seeds.values()] for name, seeds in of.items()}
+    p = []
+    for robot, words in worth.items():
+        both = ends[f"{robot}-known"], ends[f"{robot}-no-end"]
+        assert words in page
+        told = [float(x) for x in re.findall(r"\d\.\d+", words)]
+        p.append(stats.welch_of(*both))
+        np.testing.assert_allclose(told[:3], 100 * np.array(stats.difference(*both)), atol=0.051)
+        assert told[3] == pytest.approx(p[-1], abs=5e-4)
+    np.testing.assert_allclose(stats.holm(p), [0.005, 0.011], atol=5e-4)
+    # on the way
+    found = 0
+    for robot, title in (("go2", "Go2"), ("anymal_c", "ANYmal-C")):
+        for what in ("known", "no-end", "frozen", "blind-model"):
+            (line,) = [x for x in lines if x.startswith(f"| {title}, {what.replace('-', ' ')} |")]
+            seeds = of[f"{robot}-{what}"].values()
+            each = [np.mean([float(s[i]["crossed"]) for s in seeds]) for i in range(1, 12, 2)]
+            each.append(np.mean([float(s[-1]["terrain_row"]) for s in seeds]))
+            *shares, row = map(float, cells(line)[1:])
+            np.testing.assert_allclose(shares, each[:-1], atol=0.00501)
+            assert row == pytest.approx(each[-1], abs=0.0501)
+            found += 1
+    assert found == 8
+
+    def by_row(name, kind, last=1):
+        runs = of[name].values()
+        shares = [[s[i][kind].split() for i in range(-last, 0)] for s in runs]
+        return np.array(shares, float).mean((0, 1))
+
+    for name, words in (
+        ("anymal_c-best", "94, 86, 66, 52, 48 and 22 %"),
+        ("anymal_c-ppo-4096", "90, 90, 71, 56, 45 and 26 %"),
+    ):
+        assert words in page
+        told = [int(x) for x in re.findall(r"\d+", words)]
+        np.testing.assert_allclose(told, 100 * by_row(name, "boxes")[4:], atol=0.51)
+    assert "91 % of the middle rows' boxes in the mean" in page
+    assert by_row("anymal_c-ppo-4096", "boxes", 10)[4:6].mean() == pytest.approx(0.91, abs=0.005)
+    counts = [
+        sum(table.at_level(table.shares(row)) for row in s)
+        for s in of["anymal_c-ppo-4096"].values()
+    ]
+    assert (min(counts), max(counts)) == (3, 5) and "three to five of 30 evaluations" in page
+    assert "it climbs in 7 % at its end, with 4096 robots in 94 %; `best` in 49 %" in page
+    for name, share in (("go2-ppo-1024", 7), ("go2-ppo-4096", 94), ("go2-best", 49)):
+        assert 100 * by_row(name, "pit_stairs")[7] == pytest.approx(share, abs=0.51)
+    # every seed of PPO after every seed of `best`
+    paces = table.paces()
+    for ppo, best in table.PPO.items():
+        for i in (0, 1, 3) if best == "go2-best" else (0, 1):
+            one, other = paces[ppo].when[:, i], paces[best].when[:, i]
+            assert one.min() > other.max()
+            p = {3: 0.007, 2: 0.03}[len(one)]
+            assert stats.rank_sum(one, other) <= p + 5e-4
+
+
+def test_the_picture_of_rough_ground_is_drawn_from_all_that_it_names(drawn, monkeypatch):
+    plot, curves = script("28_rough/plot"), []
+    monkeypatch.setattr(plot, "curve", lambda axis, mine, what, label, *_: curves.append(label))
+    plot.main()
+    assert drawn == ["crossed"] and (EXPERIMENTS / "28_rough/crossed.png").exists()
+    assert len(curves) == 8 and set(curves) == {look[0] for look in plot.LOOKS.values()}

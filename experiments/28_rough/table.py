@@ -1,12 +1,14 @@
 """How far runs on rough ground get: README.md's tables, from results/*.csv.xz.
 
     python experiments/28_rough/table.py [results/FILE.csv.xz | OUT_FOLDER] [--robots] [--batch NAME]
+    python experiments/28_rough/table.py --ppo
 
 Without a name the runs of results/tuning.csv.xz; a folder is one of `run.py` (NAME.csv). A line a seed: after
 the last evaluation, the share of tries that crossed their tile, of all; of stairs with steps up to `HIGH` of
 the robot, up (a pit) and down (a pyramid); of the other kinds in the two middle rows; M steps from which on
 90 % cross such stairs and 95 % each other kind (`level`). `--robots`: a line a run, means over its seeds with
 the worst seed in brackets; of those that get to the level, the mean and the last, and how many they are.
+`--ppo`: M steps that today's PPO needs beside `best`, and how many times as many.
 """
 
 import argparse
@@ -19,12 +21,24 @@ from typing import NamedTuple
 
 import numpy as np
 
+from experiments import stats
+
 RESULTS = Path(__file__).parent / "results"
 HIGH = {"go1": 0.10, "go2": 0.10, "anymal_c": 0.18, "anymal_d": 0.18}  # m
 STEPS = np.linspace(0.05, 0.23, 10)  # m, of the rows
 STAIRS, OTHERS = ("pit_stairs", "pyramid_stairs"), ("boxes", "random", "pyramid_slope", "pit_slope")
 LEAST = 0.90, 0.95
 KINDS = ["up", "down", *(kind.replace("_", " ") for kind in OTHERS)]
+# PPO -> its `best`
+PPO = {
+    "go2-ppo-1024": "go2-best",
+    "go2-ppo-4096": "go2-best",
+    "go2-ppo-gamma": "go2-best",
+    "anymal_c-ppo-4096": "anymal_c-best",
+}
+TODAY = ("fresh", "fresh-ppo", "one-commit-4")  # batches at today's settings
+CROSSED = (0.7, 0.8, 0.9)  # of all tiles
+WHEN = [*(f"{share:.0%} of tiles".replace("%", " %") for share in CROSSED), "at the level", "kept"]
 
 
 class Run(NamedTuple):
@@ -43,7 +57,11 @@ def main() -> None:
     parser.add_argument("what", nargs="?", default="")
     parser.add_argument("--robots", action="store_true", help="a line a run, means and worst seeds")
     parser.add_argument("--batch", help="of the file: only this")
+    parser.add_argument("--ppo", action="store_true", help="steps of PPO beside those of `best`")
     args = parser.parse_args()
+    if args.ppo:
+        print("\n".join(beside_ppo(paces())))
+        return
     found = [*runs([row for row in rows(args.what) if args.batch in (None, row.get("batch"))])]
     print("\n".join(by_robot(found) if args.robots else by_seed(found)))
 
@@ -72,6 +90,88 @@ def by_robot(found: list[Run]) -> list[str]:
     return lines
 
 
+class Pace(NamedTuple):
+    """When the seeds of a run get how far: M steps, NaN for never."""
+
+    name: str
+    robots: str
+    when: np.ndarray  # [seeds, WHEN]
+    steps: float  # M, of the whole run
+
+
+def paces() -> dict[str, Pace]:
+    """Of today's runs, by name."""
+    return {name: pace(name, [*some]) for name, some in groupby(today(), lambda row: row["name"])}
+
+
+def today() -> list[dict[str, str]]:
+    """The rows of runs at today's settings, run by run and seed by seed."""
+    both = [*rows(str(RESULTS / "fresh.csv.xz")), *rows()]
+    return [row for row in both if row["batch"] in TODAY]
+
+
+def pace(name: str, mine: list[dict[str, str]]) -> Pace:
+    """Of one run's rows. The share of tiles is taken to grow along a straight line between two evaluations;
+    the level counts from an evaluation on: the first that is there, and that from which on all are."""
+    when = []
+    for _, some in groupby(mine, key):
+        some = [*some]
+        steps = np.array([int(row["sim_steps"]) for row in some]) / 1e6
+        crossed = np.array([float(row["crossed"]) for row in some])
+        good = np.array([at_level(shares(row)) for row in some])
+        kept = np.logical_and.accumulate(good[::-1])[::-1]
+        levels = [steps[at.argmax()] if at.any() else np.nan for at in (good, kept)]
+        when.append([*(first(steps, crossed, share) for share in CROSSED), *levels])
+    return Pace(name, robots(mine[-1]), np.array(when), int(mine[-1]["sim_steps"]) / 1e6)
+
+
+def first(steps: np.ndarray, crossed: np.ndarray, share: float) -> float:
+    """Where `crossed` is first at `share`, on straight lines from 0 at 0 through all; NaN: never."""
+    there = np.flatnonzero(crossed >= share)
+    if not len(there):
+        return np.nan
+    i, steps, crossed = there[0], np.append(0, steps), np.append(0, crossed)
+    return float(np.interp(share, crossed[i : i + 2], steps[i : i + 2]))
+
+
+def beside_ppo(found: dict[str, Pace]) -> list[str]:
+    """Two tables, a line a run of PPO: M steps as mean (first to last seed) of those that get there, beside
+    `best`; and how many times those of `best`, with Fieller's 95 % interval (`stats.share`) where it is
+    bounded and both have three seeds or more: that of two says nothing."""
+    names = list(dict.fromkeys(name for ppo, best in PPO.items() for name in (best, ppo)))
+    lines = head("run", "robots", "M steps", *WHEN)
+    for run in (found[name] for name in names):
+        lines.append(line(run.name, run.robots, f"{run.steps:.1f}", *map(spread, run.when.T)))
+    lines += ["", *head("times `best`", "seeds", *WHEN)]
+    for ppo, best in ((found[name], found[of]) for name, of in PPO.items()):
+        cells = [
+            times(stats.share(one, other, ppo.steps, best.steps), min(len(one), len(other)))
+            for one, other in zip(ppo.when.T, best.when.T, strict=True)
+        ]
+        lines.append(line(ppo.name, f"{len(ppo.when)} and {len(best.when)}", *cells))
+    return lines
+
+
+def spread(steps: np.ndarray) -> str:
+    """`mean (first to last)` of the seeds that have a number, and of how many if not all have."""
+    some = steps[np.isfinite(steps)]
+    if not len(some):
+        return "never"
+    count = f"; {len(some)} of {len(steps)}" if len(some) < len(steps) else ""
+    return f"{some.mean():.1f} ({some.min():.1f} to {some.max():.1f}{count})"
+
+
+def times(cells: dict, seeds: int) -> str:
+    """A cell of `stats.share`, per cent as a factor; the fewer `seeds` of the two runs."""
+    if not cells:
+        return "-"
+    factor = f"{cells['pct'] / 100:.1f}"
+    if "bound" in cells:
+        return f"{cells['bound']} {factor}"
+    ends = f" ({cells['low'] / 100:.1f} to {cells['high'] / 100:.1f})"
+    return factor + (ends if seeds > 2 and np.isfinite(cells["low"]) else "")
+
+
 def head(*names: str) -> list[str]:
     return [line(*names), "|---" * len(names) + "|"]
 
@@ -87,15 +187,20 @@ def runs(rows: list[dict[str, str]]) -> Iterator[Run]:
         found, last = [shares(row) for row in some], some[-1]
         good = [at_level(each) for each in found]
         since = next((i for i in range(len(good)) if all(good[i:])), None)
-        fields = dict(field.split("=", 1) for field in last["job"].split()[1:])
         yield Run(
             name,
             seed,
-            fields.get("rollout.num_envs", "2048"),
+            robots(last),
             int(last["sim_steps"]) / 1e6,
             np.array([float(last["crossed"]), float(last["fell"]), *found[-1].values()]),
             np.inf if since is None else int(some[since]["sim_steps"]) / 1e6,
         )
+
+
+def robots(row: dict[str, str]) -> str:
+    """How many its job has."""
+    fields = dict(field.split("=", 1) for field in row["job"].split()[1:])
+    return fields.get("rollout.num_envs", "2048")
 
 
 def key(row: dict[str, str]) -> tuple[str, str, str]:

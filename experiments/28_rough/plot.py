@@ -1,0 +1,67 @@
+"""Share of tiles crossed over simulator steps, `best` beside PPO, Go2 and ANYmal-C: crossed.png.
+
+    python experiments/28_rough/plot.py
+
+From results/fresh.csv.xz and results/tuning.csv.xz. Lines are means over seeds, bands their 95 % t interval;
+runs of two seeds have no band. Steps are logarithmic.
+"""
+
+import importlib
+from itertools import groupby
+from pathlib import Path
+
+import numpy as np
+
+from experiments import pictures
+
+table = importlib.import_module("experiments.28_rough.table")
+
+LOOKS = {  # end of a run's name -> label, colour, dashes
+    "best": ("best (ten seeds)", pictures.BLUE, "-"),
+    "ppo-4096": ("PPO, 4096 robots (three)", pictures.BLACK, "-"),
+    "ppo-gamma": ("PPO, gamma 0.99 (two)", pictures.ORANGE, (0, (5, 1.2, 1, 1.2))),
+    "ppo-1024": ("PPO, 1024 robots (two)", pictures.VERMILION, (0, (5, 2))),
+}
+PANELS = (  # robot, what of a row, title
+    ("go2", "crossed", "Go2: all tiles"),
+    ("anymal_c", "crossed", "ANYmal-C: all tiles"),
+    ("anymal_c", "boxes", "ANYmal-C: boxes, middle rows"),
+)
+
+
+def main():
+    runs = {name: [*some] for name, some in groupby(table.today(), lambda row: row["name"])}
+    page, axes = pictures.figure(1, len(PANELS), 3.4, sharey=True)
+    for axis, (robot, what, title) in zip(axes[0], PANELS, strict=True):
+        for end, look in LOOKS.items():
+            if f"{robot}-{end}" in runs:
+                curve(axis, runs[f"{robot}-{end}"], what, *look)
+        axis.set_title(title, loc="left")
+        axis.set(xlim=(1, 150), ylim=(0, 1))
+        pictures.log(axis, which="x")
+    axes[0, -1].axhline(table.LEAST[1], color="0.4", lw=1, ls=":")
+    pictures.outer(axes, "million simulator steps (logarithmic)", "share crossed")
+    pictures.head(
+        page, f"Band: {pictures.covers([3, 10])}. Dotted: the level of boxes", fontsize=9.5
+    )
+    pictures.legend(page, axes[0, 0], 4)
+    pictures.save(page, Path(__file__).with_name("crossed"))
+
+
+def curve(axis, mine, what, label, colour, dash):
+    """The mean of a run's seeds over M steps, and a band from three seeds on."""
+    seeds = [[*some] for _, some in groupby(mine, table.key)]
+    steps = np.array([int(row["sim_steps"]) for row in seeds[0]]) / 1e6
+    values = np.array([[share(row, what) for row in rows] for rows in seeds]).T
+    if values.shape[1] < 3:
+        values = values.mean(1, keepdims=True)
+    pictures.band(axis, steps, values, colour, label, most=len(steps), dash=dash)
+
+
+def share(row, what):
+    """Of tries that crossed: of all, or of a kind as the level has it."""
+    return float(row[what]) if what == "crossed" else table.shares(row)[what]
+
+
+if __name__ == "__main__":
+    main()
