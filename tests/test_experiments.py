@@ -223,7 +223,9 @@ def test_runs_that_share_a_card_have_no_seconds(playground_runs, tmp_path):
     np.testing.assert_allclose(curve, expected)
 
 
-def test_braxs_runs_that_share_a_card_have_the_seconds_of_one_alone(playground_runs, tmp_path, capsys):
+def test_braxs_runs_that_share_a_card_have_the_seconds_of_one_alone(
+    playground_runs, tmp_path, capsys
+):
     """A run alone takes 0.3 s a step; of the two kinds of resets that counts which is sooner at a return, and
     which is higher is the reference."""
     for path in (tmp_path / "a.csv", tmp_path / "b.csv"):

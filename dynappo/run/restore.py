@@ -179,8 +179,10 @@ def apart(source: Path, config) -> str:
 def saved(folder: Path) -> list[int]:
     """Iterations of the checkpoints of another run, newest first; ConfigError if there is none."""
     if not (folder / "checkpoints").is_dir():
+        lacks = "no checkpoints/ there" if folder.exists() else "no such file or folder"
         raise ConfigError(
-            f"--restore={folder}: no checkpoints/ there; expected a workdir, a checkpoint or a policy.npz"
+            f"--restore={folder}: {lacks}; expected a workdir, a checkpoint, a policy.npz or one of "
+            f"{', '.join(files.bundled())}"
         )
     found = checkpoint_file.iterations(folder / "checkpoints")
     if not found:

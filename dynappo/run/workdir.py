@@ -63,6 +63,11 @@ class OpenRun(NamedTuple):
         return int(self.history[-1]["iteration"][-1]) if self.history else 0
 
 
+def bundled(name: str) -> Path | None:
+    """The file of the bundled policy `name`; None of other names. ConfigError of a robot without one."""
+    return policy_file.bundled(name) if name in files.bundled() else None
+
+
 @contextlib.contextmanager
 def open_workdir(workdir: Path, config, fresh: bool = False, say=lambda text: None):
     """The folder of a run with its config.json, closed to other processes until the `with` ends.

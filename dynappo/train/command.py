@@ -7,6 +7,7 @@ Without --sweep it trains one run with `run.training.train_together`; with --swe
 
 from __future__ import annotations
 
+import argparse
 import contextlib
 import os
 import sys
@@ -72,9 +73,9 @@ def parse(argv: list[str] | None) -> Command:
     )
     parser.add_argument(
         "--restore",
-        type=flags.path,
+        type=_source,
         metavar="SOURCE",
-        help="start from the networks of another workdir, a checkpoint or a policy.npz",
+        help="start from the networks of another workdir, a checkpoint, a policy.npz or a bundled policy",
     )
     parser.add_argument(
         "--terms",
@@ -142,6 +143,14 @@ def parse(argv: list[str] | None) -> Command:
     flagged = (text.partition("=")[0] for text in rest if text.startswith("--config."))
     given = tuple(text.removeprefix("--config.") for text in flagged)
     return Command(config, workdir, *own, serve=known.serve, sweep=sweep, given=given)
+
+
+def _source(text: str) -> Path:
+    """`--restore` as a path: `go1_deploy` is the bundled policy of that name, `./go1_deploy` a folder."""
+    try:
+        return workdir_lib.bundled(text) or flags.path(text)
+    except config_lib.ConfigError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
 
 
 def _prepare_page(serve: str, config, sweep) -> None:

@@ -51,6 +51,18 @@ FIRST.append(f"--config.task.effort_limit={{'.*_calf_joint': {CALF}, '.*': {OTHE
 FIRST.append(f"--config.task.saturation_effort={{'.*_calf_joint': {CALF}, '.*': {OTHER}}}")
 
 
+def test_restore_takes_bundled_policies_by_their_names(tmp_path):
+    """`./go1_deploy` is a folder."""
+
+    def given(text):
+        flags = ["--config=go1:laptop", f"--restore={text}", f"--workdir={tmp_path / 'run'}"]
+        return train_command.parse(flags).restore
+
+    assert given("go1_deploy") == policy_file.bundled("go1_deploy")
+    assert given("go1_deploy").name == "deploy.npz"
+    assert given("./go1_deploy") == pathlib.Path("go1_deploy")
+
+
 def test_a_first_run_on_the_go1(tmp_path, monkeypatch):
     """Status 0, nothing on stderr; metrics of every reward, a policy that can be played."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
@@ -160,7 +172,10 @@ MISTAKES = {  # flags after the config file, what the line must say
     ),
     "workdir is a file": (["--workdir=taken"], "--workdir=taken: cannot write there"),
     "another run": (["--config.ppo.epochs=4", "--workdir=old"], "ppo.epochs 5 there, 4 here"),
-    "restore nothing": (["--restore=none", "--fresh"], "--restore=none: no checkpoints/ there"),
+    "restore nothing": (
+        ["--restore=none", "--fresh"],
+        "--restore=none: no such file or folder; expected",
+    ),
     "restore a young run": (["--restore=young", "--fresh"], "it holds no checkpoint yet"),
     "no GPU": (["--config.run.device=gpu"], "set run.device=cpu"),
     "no Warp": (["--config.physics.impl=warp"], "set physics.impl=jax"),
