@@ -32,6 +32,11 @@ FLOOR = "floor"  # as --ground: none that is rough
 # ---- the policy
 
 
+def meant(text: str) -> Path:
+    """The file of the bundled policy of this name, or the path; ConfigError of a robot that has no policy."""
+    return policy_file.bundled(text) if text in files.bundled() else Path(text)
+
+
 def locate(text: str, seed: int | None = None) -> Path:
     """The policy.npz or checkpoint folder that a name, a workdir or a path means.
 
@@ -39,7 +44,7 @@ def locate(text: str, seed: int | None = None) -> Path:
     is the policy.npz, or, while the run trains, the newest checkpoint. With a `seed` it is a
     checkpoint: only checkpoints hold all seeds.
     """
-    path = policy_file.bundled(text) if text in files.bundled() else Path(text)
+    path = meant(text)
     if os.path.isfile(path):  # False, not an error, if the name is too long
         if seed is not None:
             raise ConfigError(

@@ -63,9 +63,11 @@ class OpenRun(NamedTuple):
         return int(self.history[-1]["iteration"][-1]) if self.history else 0
 
 
-def bundled(name: str) -> Path | None:
-    """The file of the bundled policy `name`; None of other names. ConfigError of a robot without one."""
-    return policy_file.bundled(name) if name in files.bundled() else None
+def source(text: str) -> Path:
+    """What `--restore=text` means: a bundled policy by its name (`./go1_deploy` is a folder), or a path."""
+    with contextlib.suppress(ConfigError):  # a robot that has no policy
+        return policy_source.meant(text)
+    return Path(text)
 
 
 @contextlib.contextmanager

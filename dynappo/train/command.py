@@ -7,7 +7,6 @@ Without --sweep it trains one run with `run.training.train_together`; with --swe
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import os
 import sys
@@ -147,10 +146,8 @@ def parse(argv: list[str] | None) -> Command:
 
 def _source(text: str) -> Path:
     """`--restore` as a path: `go1_deploy` is the bundled policy of that name, `./go1_deploy` a folder."""
-    try:
-        return workdir_lib.bundled(text) or flags.path(text)
-    except config_lib.ConfigError as error:
-        raise argparse.ArgumentTypeError(str(error)) from None
+    flags.path(text)  # complains
+    return workdir_lib.source(text)
 
 
 def _prepare_page(serve: str, config, sweep) -> None:

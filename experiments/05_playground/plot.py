@@ -17,6 +17,7 @@ table = importlib.import_module("experiments.05_playground.table")
 LOOKS = {
     "brax": pictures.BLACK,
     "brax1": "0.55",
+    "brax10": pictures.VERMILION,
     "ppo": pictures.ORANGE,
     "best": pictures.BLUE,
 }

@@ -2,17 +2,19 @@
 
     python experiments/05_playground/table.py
 
-brax's PPO has run with Playground's resets of all robots, ten or so between two evaluations, and with one.
-The reference of a task is the most that either has in any evaluation, in the mean over seeds; where there is
-none, what our PPO with Playground's settings has. The first table tells when it is reached: the evaluation
-in which a seed has 90 % and 100 % of it, in millions of simulator steps and in seconds of training, in the
-mean over the seeds that get there. The second compares `best` with brax's PPO at equal returns: at each
-evaluation of `best` that is above all before it, what brax's PPO needs for as much, on a straight line
-between its two evaluations around it, with those resets that get there first. Then returns, by steps.
+brax's PPO has run with Playground's resets of all robots, ten or so between two evaluations, with one, and on
+Go1Getup with twice as many. The reference of a task is the most that any of these has in an evaluation, in
+the mean over seeds; where there is none, what our PPO with Playground's settings has. The first table tells
+when it is reached: the evaluation in which a seed has 90 % and 100 % of it, in millions of simulator steps
+and in seconds of training, in the mean over the seeds that get there. The second compares `best` with brax's
+PPO at equal returns: at each evaluation of `best` that is above all before it, what brax's PPO needs for as
+much, on a straight line between its two evaluations around it, with those resets that get there first; a
+return that one of them has in its first evaluation has no row. Then returns, by steps.
 
 Means over seeds are of the evaluations that three seeds have, or all where there are fewer. Runs named -steps
 and -shared share a card, so their seconds are left out. Those of brax's PPO are its steps times what a step
-takes in a run of the same task alone (`rates`); one named -brax-alone is there for that only.
+takes in a run of the same task alone (`rates`); one named -brax-alone is there for that only. The seconds to
+90 % and 100 % are told only where all seeds that get there ran alone.
 """
 
 import csv
@@ -24,10 +26,11 @@ RESULTS, JOBS = Path(__file__).parent / "results", Path(__file__).with_name("job
 KINDS = {  # variant -> what the page calls it
     "brax": "brax's PPO",
     "brax1": "brax's PPO, one reset",
+    "brax10": "brax's PPO, twice as many resets",
     "ppo": "our PPO, Playground's settings",
     "best": "`best`",
 }
-BRAX = "brax", "brax1"
+BRAX = "brax", "brax1", "brax10"
 SHARES = 0.9, 1.0  # of the reference
 
 
@@ -86,8 +89,12 @@ def runs() -> dict[tuple[str, str], list[list[dict]]]:
 def rates() -> dict[str, float]:
     """Seconds of a simulator step of brax's PPO, by task, in a run alone on a card."""
     alone = [path for path in sorted(RESULTS.glob("*-brax-*.csv")) if "-shared" not in path.stem]
-    last = [read(path)[-1] for path in alone]
-    return {named(row["job"])[0]: float(row["seconds"]) / float(row["sim_steps"]) for row in last}
+    out = {}
+    for path in alone:  # between the first evaluation and the last: the first step is slower
+        (first, *_, last), numbers = read(path), ("seconds", "sim_steps")
+        took, steps = (float(last[name]) - float(first[name]) for name in numbers)
+        out[named(last["job"])[0]] = took / steps
+    return out
 
 
 def read(path: Path) -> list[dict]:
@@ -99,8 +106,9 @@ def named(job: str) -> tuple[str, str]:
     """`(task, variant)` of `playground:TASK:VARIANT FIELD=VALUE ...` or `brax:TASK NAME=VALUE ...`."""
     of, *about = job.split()
     kind, task, *variant = of.split(":")
-    if kind == "brax" and "resets=1" in about:
-        kind = "brax1"
+    resets = next((text.partition("=")[2] for text in about if text.startswith("resets=")), "")
+    if kind == "brax" and f"brax{resets}" in BRAX:
+        kind += resets
     return task, variant[0] if variant else kind
 
 
@@ -136,8 +144,9 @@ def first_cells(some, level: float) -> list[str]:
     never = int(np.isnan(each[:, 0]).sum())
     if never == len(each):
         return ["never", "never"]
-    steps = f"{np.nanmean(each[:, 0]):.1f}" + (f", {never} never" if never else "")
-    return [steps, average(each[:, 1])]
+    there = each[~np.isnan(each[:, 0])]
+    steps = f"{there[:, 0].mean():.1f}" + (f", {never} never" if never else "")
+    return [steps, average(there[:, 1]) if np.isfinite(there).all() else "-"]
 
 
 def average(numbers) -> str:
@@ -183,6 +192,8 @@ def beside(found) -> None:
             continue
         ours = mean(found[task, "best"])
         for *mine, level in ours[ours[:, 2] == np.maximum.accumulate(ours[:, 2])]:
+            if any(curve[0, 2] >= level for curve in theirs):
+                continue  # it got there sooner than anybody looked
             others = [to_return(curve, level) for curve in theirs]
             other = min(others, key=lambda x: np.nan_to_num(x[0], nan=np.inf))
             if np.isfinite(other[0]):

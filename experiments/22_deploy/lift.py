@@ -18,6 +18,6 @@ def lift_share(lift_share, fell, lift_step):
 @terms.reward(weight=-1.0, numbers={"lift_height": 0.1})
 def high_feet(swing_height, touchdown, command, lift_share, lift_height):
     """`foot_clearance` of rewards.py, of `lift_height` (m), times the robot's share."""
-    moving = (command[:2] ** 2).sum() > 0.1**2
+    moving = (command**2).sum() > 0.1**2
     short = 1 - swing_height / lift_height
     return lift_share * (short**2 * (short > 0) * touchdown).sum() * moving

@@ -18,6 +18,7 @@ from answers import PATIENCE, ROOT, mistake, refused, shell, status
 from rich.progress import Progress
 
 from dynappo import config as config_lib
+from dynappo.config import files
 from dynappo.config import shell as shell_lib
 from dynappo.description import robot as robot_lib
 from dynappo.evaluate import recording
@@ -51,8 +52,10 @@ FIRST.append(f"--config.task.effort_limit={{'.*_calf_joint': {CALF}, '.*': {OTHE
 FIRST.append(f"--config.task.saturation_effort={{'.*_calf_joint': {CALF}, '.*': {OTHER}}}")
 
 
-def test_restore_takes_bundled_policies_by_their_names(tmp_path):
-    """`./go1_deploy` is a folder."""
+def test_restore_takes_bundled_policies_by_their_names(monkeypatch, tmp_path):
+    """`./go1_deploy` is a folder, and so is a robot that has none."""
+    monkeypatch.setattr(files, "bundled", lambda: ["go1_deploy", "mine"])
+    monkeypatch.setattr(files, "robots", lambda: ["go1", "mine"])
 
     def given(text):
         flags = ["--config=go1:laptop", f"--restore={text}", f"--workdir={tmp_path / 'run'}"]
@@ -61,6 +64,7 @@ def test_restore_takes_bundled_policies_by_their_names(tmp_path):
     assert given("go1_deploy") == policy_file.bundled("go1_deploy")
     assert given("go1_deploy").name == "deploy.npz"
     assert given("./go1_deploy") == pathlib.Path("go1_deploy")
+    assert given("mine") == pathlib.Path("mine")
 
 
 def test_a_first_run_on_the_go1(tmp_path, monkeypatch):
