@@ -42,8 +42,10 @@ def main():
         axis.set_ylabel("return")
     for axis, unit in zip(axes[-1], ("million steps", "seconds") * 2, strict=True):
         axis.set_xlabel(unit)
-    of_most = max(axes.flat, key=lambda axis: len(axis.get_legend_handles_labels()[0]))
-    pictures.legend(page, of_most, len(LOOKS))
+    for kind, colour in LOOKS.items():  # no task has all of them
+        if any(of == kind for _, of in found):
+            axes[0, 0].plot([], [], color=colour, label=table.KINDS[kind].strip("`"))
+    pictures.legend(page, axes[0, 0], 3)
     pictures.save(page, Path(__file__).with_name("curves"))
 
 
@@ -58,9 +60,7 @@ def panel(axis, found, task, unit):
             axis.plot(at, back, color=colour, lw=0.7, alpha=0.5)
         if curves:
             mean = table.mean(some)
-            axis.plot(
-                mean[:, unit], mean[:, 2], color=colour, lw=1.8, label=table.KINDS[kind].strip("`")
-            )
+            axis.plot(mean[:, unit], mean[:, 2], color=colour, lw=1.8)
     level = table.reference(found, task)
     if np.isfinite(level):
         axis.axhline(level, color="0.4", lw=1, ls=":")
