@@ -437,6 +437,27 @@ def test_jobs_of_few_robots_are_valid_and_evaluated_on_the_way_to_45_thousand_st
                 )
 
 
+def test_the_table_of_logs_is_that_of_its_seeds(tmp_path):
+    """On the page; and by hand, of two seeds that gain 1 and 3: 2 with Student's 12.706 of one degree."""
+    table, few = script("27_few/logs_table"), EXPERIMENTS / "27_few"
+    page = [cells(line) for line in (few / "README.md").read_text().splitlines() if "|" in line]
+    rows = [cells(line) for line in table.table(table.SEEDS).splitlines()]
+    assert len(rows) == 11 and all(row in page for row in [rows[0], *rows[2:]])
+    head = "case,seed,sensors,iteration,log_seconds,return,fall_rate"
+    some = [
+        f"motors,{s},0.0,{i},80.0,{r},0.25"
+        for s, r in ((0, 31), (1, 33))
+        for i, r in ((0, 30), (15, r))
+    ]
+    (tmp_path / "a.csv").write_text("\n".join([head, *some, ""]))
+    row = cells(table.table(tmp_path / "a.csv").splitlines()[-1])
+    half = 12.706 * np.std([1, 3], ddof=1) / 2**0.5
+    assert row == [
+        *("motors", "80 s", "0.0", "2", "30.0, 25 %"),
+        f"32.0 (31.0 to 33.0), 25 %; +2.0 ± {half:.1f}",
+    ]
+
+
 def test_the_tables_of_few_robots_are_those_of_their_runs():
     """Each line with returns is that of a job, by hand that of its name; no run on a CPU is left out,
     and they ran what laptop.txt says, less what `few` was then."""
