@@ -860,7 +860,10 @@ def test_a_run_from_the_command_line_trains_resumes_and_is_evaluated(spec, tmp_p
         ppo.shuffle_blocks=1 run.video_seconds=0.1""".split()
     flags = [f"--config.{field}" for field in small]
     if not spec.endswith(":ppo"):
-        flags += ["--config.schedule.end_steps=4", "--config.schedule.end_iteration=0"]
+        flags += [
+            f"--config.schedule.{x}"
+            for x in ("end_steps=4", "start_iteration=0", "end_iteration=0")
+        ]
     assert status(command.main, f"--config={spec}", f"--workdir={tmp_path}/run", *flags) == 0
     more = "--config.run.num_iterations=3"
     assert status(command.main, f"--workdir={tmp_path}/run", more) == 0
