@@ -26,6 +26,7 @@ from dynappo.policy import policy_file, policy_source
 from dynappo.program import build, devices, memory
 from dynappo.run import finish as finish_lib
 from dynappo.run import loop as loop_lib
+from dynappo.run import training
 from dynappo.train import command as train_command
 
 GO1 = "--config=configs/go1.py:dyna4"
