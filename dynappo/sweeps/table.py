@@ -29,10 +29,8 @@ def rows(workdir: Path, combinations: list[Combination]) -> list[dict[str, Any]]
     Returns are evaluated ones, or of training (its last 10 iterations) where `run.eval_envs` is 0.
     """
     by, found = grid.ranked_by(combinations), [row(workdir, one) for one in combinations]
-    if by == grid.BY_CROSSED and all(
-        one["crossed"] is None for one in found
-    ):  # of an older version
-        by = grid.BY_RETURN
+    if by == grid.BY_CROSSED and all(one["crossed"] is None for one in found):
+        by = grid.BY_RETURN  # runs of an older version
     found = [one | {"ranked_by": by} for one in found]
 
     def place(one):

@@ -146,7 +146,7 @@ def parse(argv: list[str] | None) -> Command:
 
 def _source(text: str) -> Path:
     """`--restore` as a path: `go1_deploy` is the bundled policy of that name, `./go1_deploy` a folder."""
-    flags.path(text)  # complains
+    flags.path(text)  # an empty one, or one that no file can have, ends here
     return workdir_lib.source(text)
 
 

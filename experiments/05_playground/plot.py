@@ -16,7 +16,7 @@ from experiments import pictures
 table = importlib.import_module("experiments.05_playground.table")
 LOOKS = {
     "brax": pictures.BLACK,
-    "brax1": "0.55",
+    "brax1": pictures.GREY,
     "brax10": pictures.VERMILION,
     "ppo": pictures.ORANGE,
     "best": pictures.BLUE,
