@@ -359,6 +359,11 @@ class Task(NamedTuple):
     # m, in the middle of a swing, for feet_phase, whose width goes with it; Playground's G1
     gait_foot_height: Positive = 0.15
     clearance_height: Positive = 0.06  # m, that a foot must lift in foot_clearance
+    # a curriculum of foot_clearance: a robot pays a share of its weight, `clearance_start` at first and
+    # `clearance_ramp` more after each episode without a fall, as much less after a fall. A policy that cannot
+    # walk yet touches down all the time. None: all of it at once; an evaluation has all, too
+    clearance_ramp: Share | None = None
+    clearance_start: Share = 0.2
     feet_apart: NotNegative = 0.2  # m, sideways, in feet_distance; Playground's G1
     # rad per unit of action; IL
     action_scale: Annotated[PerJoint, Between(1e-12, 100)] = 0.25

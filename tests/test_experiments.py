@@ -27,7 +27,6 @@ from dynappo import config as config_lib
 from dynappo.learner import networks
 from dynappo.model import dynamics
 from dynappo.policy import policy_file
-from dynappo.tasks.velocity import rewards
 from dynappo.terrain import tiles
 from experiments import paper, pictures, run, stats
 
@@ -364,26 +363,6 @@ def test_playgrounds_jobs_are_valid_and_evaluated_ten_or_twenty_times():
         assert [run.seed + k for k in range(run.num_seeds)] == seeds[name.split("-", 1)[1]]
         assert len(evaluations(config)) in (10, 11, 20)
         assert config.run.eval_steps == config.task.episode_length
-
-
-def test_high_feet_are_the_clearance_times_a_robots_share():
-    """22_deploy/lift.py beside rewards.py: equal where a robot pays all of it; and how the share moves."""
-    lift = script("22_deploy/lift")
-    swing, down = np.array([0.02, 0.12, 0.07, 0.0]), np.array([1.0, 1.0, 1.0, 0.0])
-    for command in ([0.5, 0.0, 0.0], [0.05, 0.0, 1.0], [0.0, -0.2, 0.0]):
-        of = (swing, down, np.array(command))
-        whole = rewards.foot_clearance(*of, 0.1)
-        assert lift.high_feet(*of, 1.0, 0.1) == pytest.approx(whole)
-        assert lift.high_feet(*of, 0.25, 0.1) == pytest.approx(whole / 4)
-    assert rewards.foot_clearance(swing, down, np.array([0.5, 0.0, 0.0]), 0.1) == pytest.approx(
-        0.73
-    )
-    share = np.array(0.2)
-    for fell, expected in ((False, 0.25), (False, 0.3), (True, 0.25), (True, 0.2), (True, 0.15)):
-        share = lift.lift_share(share, np.array(fell), 0.05)
-        assert share == pytest.approx(expected)
-    assert lift.lift_share(np.array(0.0), np.array(True), 0.05) == 0
-    assert lift.lift_share(np.array(0.98), np.array(False), 0.05) == 1
 
 
 def test_a_seed_that_blew_up_is_told_with_its_first_iteration():

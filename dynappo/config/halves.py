@@ -258,6 +258,8 @@ class HyperWeights(NamedTuple):
 class HyperTask(NamedTuple):
     action_scale: float | tuple[float, ...]
     clearance_height: float
+    clearance_ramp: float | None
+    clearance_start: float
     command_x: tuple[float, float]
     command_y: tuple[float, float]
     command_yaw: tuple[float, float]

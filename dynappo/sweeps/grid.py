@@ -32,7 +32,8 @@ NOT_HERE = {  # what one process or one folder has once, and seeds, over which e
 # what changes its rewards alone. Every other field of `task` and `physics` changes what is asked
 SAME_TASK = (
     "noise. push. randomize. random_clock carry_on start_anew keep_command observation history scan "
-    "ground_in_tail actuator action_scale kp kd effort_limit saturation_effort velocity_limit"
+    "ground_in_tail actuator action_scale kp kd effort_limit saturation_effort velocity_limit "
+    "clearance_ramp clearance_start"
 ).split()
 REWARD = (
     "weights. tracking_std air_time fall_reward posture_std posture_std_standing gait_foot_height "

@@ -9,12 +9,13 @@ when it is reached: the evaluation in which a seed has 90 % and 100 % of it, in 
 and in seconds of training, in the mean over the seeds that get there. The second compares `best` with brax's
 PPO at equal returns: at each evaluation of `best` that is above all before it, what brax's PPO needs for as
 much, on a straight line between its two evaluations around it, with those resets that get there first; a
-return that one of them has in its first evaluation has no row. Then returns, by steps.
+return that one of them has in its first evaluation has no row. The last column is our PPO's. Then returns, by
+steps.
 
-Means over seeds are of the evaluations that three seeds have, or all where there are fewer. Runs named -steps
-and -shared share a card, so their seconds are left out. Those of brax's PPO are its steps times what a step
-takes in a run of the same task alone (`rates`); one named -brax-alone is there for that only. The seconds to
-90 % and 100 % are told only where all seeds that get there ran alone.
+Means over runs are of the evaluations that two have, or the only one. Runs named -steps and -shared share a
+card, so their seconds are left out. Those of brax's PPO are its steps times what a step takes in a run of the
+same task alone (`rates`); one named -brax-alone is there for that only. The seconds to 90 % and 100 % are told
+only where all seeds that get there ran alone.
 """
 
 import csv
@@ -155,19 +156,24 @@ def average(numbers) -> str:
     return f"{np.mean(there):.0f}" if there else "-"
 
 
-def mean(some) -> np.ndarray:
-    """M steps, seconds (NaN where no run was alone) and return in the mean over seeds, `[E, 3]`."""
-    together: dict[int, list] = {}
-    for rows in some:
-        for row in rows:
-            numbers = [*when(row), float(row["return"])]
-            together.setdefault(int(row["iteration"]), []).append(numbers)
-    enough = [np.array(x) for _, x in sorted(together.items()) if len(x) >= min(3, len(some))]
-    alone = [x[np.isfinite(x[:, 1]), 1] for x in enough]
-    seconds = [x.mean() if len(x) else np.nan for x in alone]
-    return np.array(
-        [[x[0, 0], took, x[:, 2].mean()] for x, took in zip(enough, seconds, strict=True)]
-    )
+def mean(some, between: bool = False) -> np.ndarray:
+    """M steps, seconds (NaN where no run was alone) and return in the mean over runs, `[E, 3]`.
+
+    At evaluations that two runs have, or the only one; with `between` at those of any run, where two are on
+    their way: on a straight line between two evaluations of a run.
+    """
+    curves = [np.array([(*when(row), float(row["return"])) for row in rows]) for rows in some]
+    enough, out = min(2, len(curves)), []
+    points, times = np.unique(np.concatenate([x[:, 0] for x in curves]), return_counts=True)
+    for at in points if between else points[times >= enough]:
+        there = [curve for curve in curves if curve[0, 0] <= at <= curve[-1, 0]]
+        if not between:
+            there = [curve for curve in there if at in curve[:, 0]]
+        if len(there) >= enough:
+            each = np.array([[np.interp(at, curve[:, 0], y) for y in curve.T] for curve in there])
+            alone = each[np.isfinite(each[:, 1]), 1]
+            out.append([at, alone.mean() if len(alone) else np.nan, each[:, 2].mean()])
+    return np.array(out)
 
 
 def to_return(curve: np.ndarray, level: float) -> np.ndarray:
@@ -181,25 +187,29 @@ def to_return(curve: np.ndarray, level: float) -> np.ndarray:
 
 
 def beside(found) -> None:
-    """Steps and seconds of `best` and of brax's PPO at equal returns, and how many times those of `best`."""
-    print(
-        "| task | return | `best`: M steps, s | brax's PPO | times the steps | times the seconds |"
+    """Steps and seconds of `best` and of brax's PPO at equal returns, how many times those of `best`, and the
+    steps of our PPO."""
+    heads = (
+        "`best`: M steps, s | brax's PPO | times the steps | times the seconds | our PPO: M steps"
     )
-    print("|---|---|---|---|---|---|")
+    print(f"| task | return | {heads} |")
+    print("|---" * 7 + "|")
     for task in tasks(found):
-        theirs = [mean(found[task, kind]) for kind in BRAX if (task, kind) in found]
+        theirs = [mean(found[task, kind], True) for kind in BRAX if (task, kind) in found]
         if (task, "best") not in found or not theirs:
             continue
         ours = mean(found[task, "best"])
+        ppo = mean(found[task, "ppo"], True) if (task, "ppo") in found else None
         for *mine, level in ours[ours[:, 2] == np.maximum.accumulate(ours[:, 2])]:
             if any(curve[0, 2] >= level for curve in theirs):
                 continue  # it got there sooner than anybody looked
             others = [to_return(curve, level) for curve in theirs]
             other = min(others, key=lambda x: np.nan_to_num(x[0], nan=np.inf))
             if np.isfinite(other[0]):
-                both = (f"{steps:.1f}, {average([took])}" for steps, took in (mine, other))
-                times = (f"{x:.1f}" if np.isfinite(x) else "-" for x in other / mine)
-                print(f"| {task} | {level:.1f} | {' | '.join([*both, *times])} |")
+                both = [f"{steps:.1f}, {average([took])}" for steps, took in (mine, other)]
+                third = np.nan if ppo is None else to_return(ppo, level)[0]
+                numbers = [f"{x:.1f}" if np.isfinite(x) else "-" for x in (*(other / mine), third)]
+                print(f"| {task} | {level:.1f} | {' | '.join(both + numbers)} |")
     print()
 
 

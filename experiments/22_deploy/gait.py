@@ -48,7 +48,7 @@ def measure(policy) -> dict[str, float]:
     for command in stress.commands(policy)[1:]:
         data, heights = mujoco.MjData(model), []
         episode.reset(body, data)
-        see = observe.memory(policy.observation, policy.history)
+        see = observe.memory(policy.observation, policy.history, policy.own)
         action = before = np.zeros(len(policy.joint_names))
         for k in range(round(SECONDS / (dt * body.substeps))):
             settled = k * dt * body.substeps >= SETTLE

@@ -103,6 +103,12 @@ def carries():
 
 
 @pytest.fixture(scope="module")
+def ramped():
+    task = dict(clearance_ramp=0.25, weights={"foot_clearance": -3.0})
+    return build("go1", random_clock=False, carry_on=True, impl="c", **task)
+
+
+@pytest.fixture(scope="module")
 def anymal():
     return build("anymal_d", impl="c")
 
@@ -854,6 +860,62 @@ def test_with_carry_on_shares_of_the_timed_out_start_anew_keep_their_command_or_
         assert abs(count.mean() / draws - share) <= 4 * width
         # each robot draws for itself
         assert share in (0, 1) or ((0 < count) & (count < draws)).all()
+
+
+def test_a_robot_pays_its_share_of_foot_clearance(ramped, carries):
+    """The same rows with the whole cost, and with shares of it; without the ramp all is paid."""
+    lab, shares = ramped, np.linspace(0, 1, ROBOTS).astype(np.float32)
+    state = lab.reset(lab.hyper, lab.nominal, lab.keys)
+    np.testing.assert_array_equal(state.clearance, np.full(ROBOTS, 0.2, np.float32))
+    assert carries.reset(carries.hyper, lab.nominal, lab.keys).clearance is None
+    whole, total, costs = state.replace(clearance=np.ones(ROBOTS, np.float32)), 0.0, []
+    for action in actions(40, size=1.0):
+        after, paid = lab.step(lab.hyper, lab.nominal, whole, action, lab.keys)
+        part = whole.replace(clearance=shares)
+        _, some = lab.step(lab.hyper, lab.nominal, part, action, lab.keys)
+        cost = np.asarray(paid.metrics["reward_foot_clearance"])
+        found = np.asarray(some.metrics["reward_foot_clearance"])
+        np.testing.assert_allclose(found, shares * cost, rtol=1e-5)
+        np.testing.assert_allclose(
+            some.reward - paid.reward, 0.02 * (found - cost), rtol=1e-3, atol=1e-5
+        )
+        np.testing.assert_array_equal(some.metrics["curriculum_clearance"], shares)
+        whole, total = after, total + cost
+        costs.append(cost)
+    assert (total < 0).all() and np.min(costs) < -1  # weights are per second
+
+
+@pytest.mark.parametrize("coin", [0.0, 1.0], ids=["goes on", "starts anew"])
+def test_a_robots_share_rises_with_each_time_limit_and_sinks_with_each_fall(ramped, coin):
+    """A quarter of the weight each time, from 0 to all of it; also where the robot goes on where it is."""
+    lab = ramped
+    hyper = of_task(lab.hyper, start_anew=coin, keep_command=0.0)
+    state = lab.reset(hyper, lab.nominal, lab.keys)
+    _, outcome = lab.step(hyper, lab.nominal, state, actions(1)[0], lab.keys)
+    end = np.arange(ROBOTS) % 3  # 0: none, 1: the time, 2: a fall
+    outcome = outcome.replace(
+        discount=jnp.asarray((end != 2) * 1.0), truncation=jnp.asarray((end == 1) * 1.0)
+    )
+    share = np.full(ROBOTS, 0.2)
+    for _ in range(5):
+        state = lab.autoreset(hyper, lab.nominal, state, outcome, lab.keys)
+        share = np.clip(share + np.array([0.0, 0.25, -0.25])[end], 0.0, 1.0)
+        np.testing.assert_allclose(state.clearance, share, atol=1e-6)
+    assert share.min() == 0 and share.max() == 1
+
+
+def test_an_evaluation_has_the_whole_of_foot_clearance(ramped, carries):
+    lab = ramped
+    hyper = lab.env.evaluated(lab.hyper)
+    rest = dict(clearance_start=0.2, clearance_ramp=0.25)
+    assert of_task(hyper, **rest) == lab.hyper and carries.env.evaluated is None
+    state = lab.reset(hyper, lab.nominal, lab.keys)
+    _, outcome = lab.step(hyper, lab.nominal, state, actions(1)[0], lab.keys)
+    for discount in (0.0, 1.0):
+        ends = np.full(ROBOTS, discount), np.ones(ROBOTS)
+        outcome = outcome.replace(discount=jnp.asarray(ends[0]), truncation=jnp.asarray(ends[1]))
+        state = lab.autoreset(hyper, lab.nominal, state, outcome, lab.keys)
+        np.testing.assert_array_equal(state.clearance, np.ones(ROBOTS, np.float32))
 
 
 # --- the task as Isaac Lab computes it ---

@@ -65,6 +65,7 @@ def random_state(seed):
         older_action=rng.normal(size=12),
         over_limit=np.maximum(rng.normal(size=12), 0),
         swing_height=rng.uniform(0, 0.12, 4),
+        clearance_share=np.asarray(rng.uniform(0.2, 1)),
         joint_position=rng.normal(size=12),
     )
     state = {name: value.astype(np.float32) for name, value in state.items()}
@@ -73,7 +74,8 @@ def random_state(seed):
 
 def by_loops(s, std):
     """The formulas of the task's definition, one number at a time in double precision."""
-    s = {name: [float(x) for x in value] for name, value in s.items()}
+    share = float(s["clearance_share"])
+    s = {name: [float(x) for x in value] for name, value in s.items() if value.ndim}
     error = sum((s["linear"][i] - s["command"][i]) ** 2 for i in range(2))
     yaw_error = (s["angular"][2] - s["command"][2]) ** 2
     air, speed = 0.0, math.hypot(s["command"][0], s["command"][1])
@@ -92,7 +94,7 @@ def by_loops(s, std):
         energy=sum(abs(t * v) for t, v in zip(s["torque"], s["qd"], strict=True)),
         joint_limits=sum(s["over_limit"]),
         stand_still=0.0 if moves else sum(abs(q) for q in s["joint_position"]),
-        foot_clearance=sum(short),
+        foot_clearance=share * sum(short),
         track_linear_velocity=math.exp(-error / std**2),
         track_yaw_rate=math.exp(-yaw_error / std**2),
         vertical_velocity=s["linear"][2] ** 2,
@@ -111,7 +113,7 @@ def by_loops(s, std):
 
 def shipped(s, std):
     """Every term of `dynappo.tasks.velocity.rewards`, of NumPy or JAX arrays."""
-    swing = s["swing_height"], s["touchdown"], s["command"], LIFT
+    swing = s["swing_height"], s["touchdown"], s["command"], LIFT, s["clearance_share"]
     before = s["last_action"], s["older_action"]
     return dict(
         action_acceleration=rewards.action_acceleration(s["action"], *before),

@@ -134,6 +134,9 @@ def make(
         names += [f"terrain_row_{row}" for row in range(task.tiles.rows)]
     names += [f"ended_{name}" for name in of_own.terms.terminations]
     names += [f"curriculum_{name}" for name in of_own.terms.curricula]
+    ramp = task.clearance_ramp is not None
+    if ramp:
+        names.append("curriculum_clearance")
     return Env(
         randomize=partial(_randomize, const),
         reset=partial(reset, const),
@@ -160,7 +163,7 @@ def make(
         episode_length=task.episode_length,
         mirror=mirror.images(robot, layout),
         input_scale=view.scale(layout),
-        evaluated=partial(own.evaluated, of_own) if of_own.terms.curricula else None,
+        evaluated=partial(_evaluated, of_own) if of_own.terms.curricula or ramp else None,
     )
 
 
@@ -254,6 +257,10 @@ def autoreset(const: Constants, hyper: Hyper, body, state: State, outcome: Outco
         )
         facts = own.numbers(hyper) | {"command": state.command} | episode._asdict()
         start = start.replace(own=start.own | own.levels(mine, state.own, facts))
+    ramp = hyper.task.clearance_ramp
+    if ramp is not None:
+        change = jnp.where(outcome.discount == 0, -ramp, ramp)
+        start = start.replace(clearance=jnp.clip(state.clearance + change, 0.0, 1.0))
     fresh = _commanded(const, hyper, body, start, command_key, obs_key, same)
     # Keep the history of robots that stay. (Without the `if`, XLA 0.10 drops C MuJoCo's call.)
     if stays is not None and const.view.history > 1:
@@ -360,8 +367,29 @@ def _at_start(const: Constants, hyper: Hyper, key, tile: curriculum.Tile | None)
         episode_return=jnp.zeros(()),
         tile=tile,
         scan_shift=surroundings.draw_shift(hyper, shift) if has_scan else None,
+        clearance=_first_share(hyper),
         own=own.starts(const.view.own, own.numbers(hyper), jnp),
     )
+
+
+def _first_share(hyper: Hyper):
+    """`State.clearance` of a robot that starts anew for the first time."""
+    if hyper.task.clearance_ramp is None:
+        return None
+    return jnp.asarray(hyper.task.clearance_start, jnp.float32)
+
+
+def _evaluated(of_own: own.Own, hyper: Hyper) -> Hyper:
+    """The floats of an evaluation: curricula where they end."""
+    if of_own.terms.curricula:
+        hyper = own.evaluated(of_own, hyper)
+    if hyper.task.clearance_ramp is None:
+        return hyper
+    whole = dict(clearance_start=1.0, clearance_ramp=0.0)
+    of_task = hyper.task._asdict()
+    # times 0: a float stays what it is in the program, a sweep's array or a number
+    whole = {name: of_task[name] * 0 + value for name, value in whole.items()}
+    return hyper._replace(task=hyper.task._replace(**whole))
 
 
 def _gait(const: Constants, hyper: Hyper, draws) -> Gait | None:
@@ -482,6 +510,8 @@ def step(const: Constants, hyper: Hyper, body, state: State, action, key):
         metrics |= {f"terrain_row_{k}": (row == k) * 1.0 for k in range(const.task.tiles.rows)}
     metrics |= {f"ended_{name}": ends * 1.0 for name, ends in (falls | timeouts).items()}
     metrics |= {f"curriculum_{name}": known[name] for name in mine.terms.curricula}
+    if state.clearance is not None:
+        metrics["curriculum_clearance"] = state.clearance
     outcome = Outcome(
         reward=reward,
         discount=1.0 - fell,
@@ -530,6 +560,7 @@ def _measured(
         older_action=state.older_action,
         over_limit=over_limit(const.robot, hyper, joints),
         swing_height=after.last_peak,
+        clearance_share=1.0 if state.clearance is None else state.clearance,
         torque=after.torque,
         joint_velocity_before=after.qd_before,
         timestep=const.engine.timestep,

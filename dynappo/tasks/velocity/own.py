@@ -26,7 +26,7 @@ from dynappo.config.terms import Term, Terms
 from dynappo.tasks.velocity import observe, reward_sum, rewards
 
 # what terms may ask for, beside quantities and numbers: by size
-SCALARS = "timestep height episode_steps episode_return fell timed_out".split()
+SCALARS = "timestep height episode_steps episode_return fell timed_out clearance_share".split()
 OF_JOINTS = "action torque joint_velocity_before older_action over_limit".split()
 OF_FEET = "contact touchdown last_air_time swing_height foot_side foot_height".split()
 BOOLS = "contact touchdown fell timed_out".split()

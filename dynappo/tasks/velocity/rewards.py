@@ -60,6 +60,9 @@ class Measured(NamedTuple):
     last_air_time: Any  # [F] s, length of its last finished air phase
     swing_height: Any  # [F] m, highest that its lowest point was in that phase
     older_action: Any  # [A] the action before `previous_action`
+    clearance_share: (
+        Any  # of the weight of `foot_clearance` that the robot pays (task.clearance_ramp)
+    )
     over_limit: Any  # [A] rad, beyond the middle `task.reset.soft_limit` of a joint's range
     lowest: Any  # [K] m, lowest point above the ground of what counts as an undesired contact
     # for terms of one's own
@@ -128,15 +131,16 @@ def stand_still(joint_position, command):
     return abs(joint_position).sum() * ((command**2).sum() < 0.1**2)
 
 
-def foot_clearance(swing_height, touchdown, command, clearance_height):
-    """Sum over feet that touch down of (1 - swing height / clearance_height)^2, where it was lower.
+def foot_clearance(swing_height, touchdown, command, clearance_height, clearance_share):
+    """Sum over feet that touch down of (1 - swing height / clearance_height)^2, where it was lower; times the
+    robot's share (`task.clearance_ramp`).
 
     `task.clearance_height` is in m. Playground's Go1 has the same with 0.1 m, and for higher feet too. 0 for
     a slow command.
     """
     moving = _moving(command)
     short = 1 - swing_height / clearance_height
-    return (short**2 * (short > 0) * touchdown).sum() * moving
+    return clearance_share * (short**2 * (short > 0) * touchdown).sum() * moving
 
 
 def feet_air_time(last_air_time, touchdown, command, threshold=0.5):
