@@ -262,29 +262,41 @@ def test_equal_returns_on_playgrounds_page_are_those_of_its_runs(capsys):
     cells = [line.strip("| ").split(" | ") for line in capsys.readouterr().out.splitlines()[2:]]
     told = {(task.split("Joy")[0].split("Flat")[0], *row) for task, *row in cells if row}
     page = (EXPERIMENTS / PLAYGROUND / "README.md").read_text()
-    part = page.split("times the seconds |\n")[1].split("\n\n")[0].splitlines()[1:]
-    names = {"Berkeley": "BerkeleyHumanoid", "Getup": "Go1Getup", "Go1, rough": "Go1"}
+    part = page.split("our PPO: M steps |\n")[1].split("\n\n")[0].splitlines()[1:]
+    names = {"Berkeley": "BerkeleyHumanoid", "Go1, rough": "Go1"}
+    names |= {name: f"Go1{name}" for name in ("Getup", "Handstand")}
     task, seen = "", set()
     for line in part:
         first, *row = (cell.strip() for cell in line.strip("|").split("|"))
         task = first or task
         assert (names.get(task, task), *row) in told, line
         seen.add(task)
-    assert len(part) > 25 and len(seen) == 11
-    # Berkeley's highest return is left out: the run with one reset was cut off before it
-    times = [float(row[4]) for row in told if (row[0], row[1]) != ("BerkeleyHumanoid", "26.0")]
-    assert f"{max(times):.0f}, {np.median(times):.0f}" == "27, 12" and 3 < min(times) < 3.5
-    assert "a third to a twenty-seventh" in page and "in the median a twelfth" in " ".join(
-        page.split()
-    )
+    assert len(part) > 30 and len(seen) == 12
+    times = [float(row[4]) for row in told]
+    assert f"{max(times):.0f}, {np.median(times):.0f}" == "25, 11" and 2 < min(times) < 2.5
+    words = " ".join(page.split())
+    assert "after a half to a twenty-fifth" in words and "in the median an eleventh" in words
+    # beside our PPO
+    times = [float(row[6]) / float(row[2].split(",")[0]) for row in told if row[6] != "-"]
+    assert f"{max(times):.0f}, {min(times):.0f}, {np.median(times):.0f}" == "18, 2, 9"
+    assert "18 to 2 times fewer steps, in the median 9" in words
 
 
-def test_playgrounds_runs_of_one_thing_at_a_time_are_those_of_the_page():
+@pytest.mark.parametrize(
+    ("batch", "tasks", "begins", "ends"),
+    [
+        ("one-thing", "", "# ", "## The control that Handstand adds up"),
+        ("stall", ("op3", "h1", "barkour"), "## Op3 and H1", "## When a tail may begin"),
+    ],
+    ids=["Spot and known rewards", "Op3 and H1"],
+)
+def test_playgrounds_runs_of_one_thing_at_a_time_are_those_of_the_page(batch, tasks, begins, ends):
     """Each line with two seeds' returns is that of a run, at the steps of its head."""
     folder, runs = EXPERIMENTS / PLAYGROUND, {}
     with lzma.open(folder / "results" / "tuning.csv.xz", "rt", newline="") as file:
         for row in csv.DictReader(file):
-            if row["batch"] == "one-thing" and row["seed"] in ("100", "101"):
+            mine = row["batch"] == batch and row["name"].startswith(tasks)
+            if mine and row["seed"] in ("100", "101"):
                 at = f"{float(row['sim_steps']) / 1e6:.1f} M"
                 seen = float(row["return"]), float(row["fall_rate"])
                 runs.setdefault(row["name"], {}).setdefault(at, []).append(seen)
@@ -298,7 +310,7 @@ def test_playgrounds_runs_of_one_thing_at_a_time_are_those_of_the_page():
         return True
 
     checked, head = [], []
-    page = (folder / "README.md").read_text().split("## The control that Handstand adds up")[0]
+    page = (folder / "README.md").read_text().split(ends)[0].partition(begins)[2]
     for text in page.splitlines():
         line = [cell.strip() for cell in text.replace("**", "")[1:-1].split("|")]
         if line[-1] == "6.0 M" and line[-2] in ("3.5 M", "4.8 M"):
@@ -319,16 +331,17 @@ def test_what_handstand_and_go1_had_again_is_on_playgrounds_page():
     folder, runs = EXPERIMENTS / PLAYGROUND, {}
     with lzma.open(folder / "results" / "tuning.csv.xz", "rt", newline="") as file:
         for row in csv.DictReader(file):
-            if row["batch"] == "again":
+            if row["batch"] == "again" or row["name"].startswith("hand-whole"):
                 at = runs.setdefault((row["name"], f"{float(row['sim_steps']) / 1e6:.1f} M"), [])
                 at.append(f"{float(row['return']):.1f}")
     text = (folder / "README.md").read_text()
     part = text.split("## The control that Handstand adds up")[1].split("\n\n")
     head, _, *lines = next(x for x in part if x.startswith("| | 1.9 M")).splitlines()
     heads = [cell.strip() for cell in head.split("|")[2:-1]]
-    for name, line in zip(("old", "base", "known"), lines, strict=True):
+    names = "again-old", "again-base", "again-known", "whole-base", "whole-known"
+    for name, line in zip(names, lines, strict=True):
         cells = [cell.strip() for cell in line.split("|")[2:-1]]
-        assert cells == [", ".join(runs[f"hand-again-{name}", at]) for at in heads]
+        assert cells == [", ".join(runs[f"hand-{name}", at]) for at in heads]
     told = " ".join(text.split())
     for name in ("base", "old"):
         assert f"({', '.join(runs[f'go1-again-{name}', '2.5 M'])})" in told

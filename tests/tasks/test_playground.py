@@ -589,7 +589,7 @@ def test_best_is_valid_for_each_task(name):
     assert (config.rollout.num_envs, config.rollout.horizon) == (1024, 24)
     assert (config.schedule.end_steps, config.schedule.rounds) == (20, 3)
     assert config.model.clean and config.model.falls and config.ppo.critic == "state"
-    assert config.model.known_reward == (name[:3] in ("Go1", "Spo"))
+    assert config.model.known_reward == (name[:3] in ("Go1", "Spo", "Op3", "Bar"))
     assert config.ppo.normalize and config.run.video_seconds > 0
 
 

@@ -33,10 +33,10 @@ SYMMETRIC = (
     "T1JoystickFlatTerrain",
     "T1JoystickRoughTerrain",
 )
-# how names of tasks begin that have computed rewards (known.py): the joysticks of Go1 and Spot learn sooner
-# with them; on Getup and Handstand nothing is shown. Berkeley learns slower, G1 and T1 no faster; the others
-# have not been run with them (experiments/05_playground)
-REWARD_KNOWN = ("Go1", "Spot")
+# how names of tasks begin that have computed rewards (known.py): the joysticks of Go1 and Spot, Op3 and Barkour
+# learn sooner with them; on Getup and Handstand nothing is shown. Berkeley learns slower, G1, T1 and H1 no
+# faster, Apollo not at all (experiments/05_playground)
+REWARD_KNOWN = ("Go1", "Spot", "Op3", "Barkour")
 
 
 class Settings(NamedTuple):
