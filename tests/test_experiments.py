@@ -197,9 +197,10 @@ def test_when_a_run_reaches_the_reference(playground_runs, capsys):
     assert "- `best`: 1.0, 6.5; 2.0, 11.0; 3.0, 11.5\n" in out
 
 
-def test_steps_and_seconds_to_equal_returns(playground_runs, capsys):
+def test_steps_and_seconds_to_equal_returns(playground_runs, tmp_path, capsys):
     """brax's mean is 5, 12, 11; that of `best` 6.5, 11, 11.5, a line each: of 7 from 5 to 12 they are 1.5, 6
-    and 6.5. A level of the first evaluation, or one that is never reached, has no number."""
+    and 6.5. A level of the first evaluation, or one that is never reached, has no number. Our PPO, 1 and 2,
+    has none of these levels; one with evaluations in other places is met between them."""
     table = playground_runs
     curve = table.mean(table.runs()["Go1Getup", "brax"])
     np.testing.assert_allclose(curve, [[1, 10, 5], [2, 20, 12], [3, 30, 11]])
@@ -207,19 +208,32 @@ def test_steps_and_seconds_to_equal_returns(playground_runs, capsys):
     assert np.isnan(table.to_return(curve, 5)).all() and np.isnan(table.to_return(curve, 13)).all()
     table.beside(table.runs())
     assert capsys.readouterr().out.splitlines()[2:5] == [
-        "| Go1Getup | 6.5 | 1.0, 10 | 1.2, 12 | 1.2 | 1.2 |",
-        "| Go1Getup | 11.0 | 2.0, 20 | 1.9, 19 | 0.9 | 0.9 |",
-        "| Go1Getup | 11.5 | 3.0, 30 | 1.9, 19 | 0.6 | 0.6 |",
+        "| Go1Getup | 6.5 | 1.0, 10 | 1.2, 12 | 1.2 | 1.2 | - |",
+        "| Go1Getup | 11.0 | 2.0, 20 | 1.9, 19 | 0.9 | 0.9 | - |",
+        "| Go1Getup | 11.5 | 3.0, 30 | 1.9, 19 | 0.6 | 0.6 | - |",
     ]
+    # two runs, of 1 to 13 from 1 M to 3 M, and of 1 to 16 from 0.5 M to 3.5 M: both from 1 M on
+    run = "job,seed,iteration,sim_steps,seconds,return,fall_rate\n"
+    job, path = "playground:Go1Getup:ppo", tmp_path / "e.csv"
+    path.write_text(f"{run}{job},0,1,1e6,9,1,0\n{job},0,3,3e6,9,13,0\n")
+    (tmp_path / "g.csv").write_text(f"{run}{job},1,1,5e5,9,1,0\n{job},1,3,3.5e6,9,16,0\n")
+    found = table.runs()
+    np.testing.assert_allclose(
+        table.mean(found["Go1Getup", "ppo"], between=True)[:, (0, 2)], [(1, 2.25), (3, 13.25)]
+    )
+    table.beside(found)
+    told = [line.split(" | ")[-1] for line in capsys.readouterr().out.splitlines()[2:5]]
+    expected = [1 + 2 * (level - 2.25) / 11 for level in (6.5, 11, 11.5)]
+    assert told == [f"{x:.1f} |" for x in expected]
 
 
 def test_runs_that_share_a_card_have_no_seconds(playground_runs, tmp_path):
-    """Two more seeds, in a file named -steps: means are of what three seeds have, seconds of runs alone."""
+    """Two more seeds, in a file named -steps: means are of what two seeds have, seconds of runs alone."""
     head, job = "job,seed,iteration,sim_steps,seconds,return,fall_rate", "playground:Go1Getup:best"
     rows = [f"{job},{seed},{i},{i}e6,900,{5 * i},0" for seed in (8, 9) for i in (2, 3, 4)]
     (tmp_path / "f-steps.csv").write_text("\n".join([head, *rows, ""]))
     curve = playground_runs.mean(playground_runs.runs()["Go1Getup", "best"])
-    expected = [[2, 20, 42 / 4], [3, 30, 53 / 4], [4, 40, 49 / 3]]
+    expected = [[1, 10, 13 / 2], [2, 20, 42 / 4], [3, 30, 53 / 4], [4, 40, 49 / 3]]
     np.testing.assert_allclose(curve, expected)
 
 
