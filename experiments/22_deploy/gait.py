@@ -10,6 +10,7 @@ Seven commands of 6 s in C MuJoCo, the first second left out. Prints a row a pol
 - clearance: median over swings of at least 60 ms of the highest that a foot's lowest point was
 - scuff: horizontal speed of a foot's centre that 90 % of the feet below 4 mm stay below; one that rolls over
   its toe moves, too, and so does one that has just landed or is about to lift
+- slide: the same without the first and the last 20 ms of the time that a foot is below 4 mm
 - load: the mean normal force of the foot that carries most, over that of the one that carries least
 """
 
@@ -24,7 +25,7 @@ from dynappo.evaluate.foot_motion import at_ground, intervals
 from dynappo.policy import episode, policy_file, policy_source
 from dynappo.tasks.velocity import observe
 
-SECONDS, SETTLE, SWING, LOW = 6.0, 1.0, 0.06, 0.004
+SECONDS, SETTLE, SWING, LOW, EDGE = 6.0, 1.0, 0.06, 0.004, 0.02
 
 
 def main():
@@ -43,10 +44,10 @@ def measure(policy) -> dict[str, float]:
     model, act = body.model, policy_file.actor(policy.params, policy.activation)
     dt, single = model.opt.timestep, body._replace(substeps=1)
     torques, speeds, changes, clearances, work, way = [], [], [], [], 0.0, 0.0
-    scuffs, load = [], np.zeros(len(body.foot_names))
+    scuffs, slides, load = [], [], np.zeros(len(body.foot_names))
     shapes = [int(np.flatnonzero(body.foot_of == foot)[0]) for foot in range(len(load))]
     for command in stress.commands(policy)[1:]:
-        data, heights = mujoco.MjData(model), []
+        data, heights, paces = mujoco.MjData(model), [], []
         episode.reset(body, data)
         see = observe.memory(policy.observation, policy.history, policy.own)
         action = before = np.zeros(len(policy.joint_names))
@@ -59,13 +60,15 @@ def measure(policy) -> dict[str, float]:
                     torques.append(np.abs(data.qfrc_applied[body.joint_v]))
                     speeds.append(np.abs(data.qvel[body.joint_v]))
                     heights.append(episode.foot_heights(body, data))
-                    moves = np.array([ground_speed(model, data, shape) for shape in shapes])
-                    scuffs.extend(moves[heights[-1] < LOW])
+                    paces.append([ground_speed(model, data, shape) for shape in shapes])
                     load += at_ground(body, data)[1]
                     way += np.linalg.norm(data.qvel[:2]) * dt
                     work += done
             if settled:
                 changes.append((action - before) * policy.action_scale / (dt * body.substeps))
+        low, pace = np.array(heights) < LOW, np.array(paces)
+        scuffs.extend(pace[low])
+        slides.extend(pace[inside(low, round(EDGE / dt))])
         for height in np.array(heights).T:
             swings = zip(*intervals(height > LOW), strict=True)
             clearances += [height[on:off].max() for on, off in swings if (off - on) * dt >= SWING]
@@ -77,8 +80,18 @@ def measure(policy) -> dict[str, float]:
         "change of targets rad/s": np.sqrt(np.mean(np.square(changes))),
         "clearance cm": 100 * np.median(clearances),
         "scuff m/s": np.quantile(scuffs, 0.9),
+        "slide m/s": np.quantile(slides, 0.9),
         "load": load.max() / load.min(),
     }
+
+
+def inside(low, steps: int) -> np.ndarray:
+    """[T, F] Where a foot has been `low` for more than so many steps, and will be."""
+    out = low.copy()
+    for k in range(1, steps + 1):
+        out[k:] &= low[:-k]
+        out[:-k] &= low[k:]
+    return out
 
 
 def ground_speed(model, data, shape: int) -> float:
