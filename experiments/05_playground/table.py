@@ -14,8 +14,8 @@ steps.
 
 Means over runs are of the evaluations that two have, or the only one. Runs named -steps and -shared share a
 card, so their seconds are left out. Those of brax's PPO are its steps times what a step takes in a run of the
-same task alone (`rates`); one named -brax-alone is there for that only. The seconds to 90 % and 100 % are told
-only where all seeds that get there ran alone.
+same task alone (`rates`); one named -brax-alone is there for that only. The seconds to 90 % and 100 % are
+told only where all seeds that get there ran alone.
 """
 
 import csv
