@@ -41,7 +41,7 @@ def main():
         print(f"nothing was run: no CSV in {RESULTS}")
         return
     heads = [f"{share:.0%}: {unit}" for share in SHARES for unit in ("M steps", "seconds")]
-    print(f"| task | | seeds | last return | falls | M steps | seconds | {' | '.join(heads)} |")
+    print(f"| task | | runs | last return | falls | M steps | seconds | {' | '.join(heads)} |")
     print("|---" * (7 + len(heads)) + "|")
     for task in tasks(found):
         level = reference(found, task)

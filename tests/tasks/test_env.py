@@ -879,7 +879,7 @@ def test_a_robot_pays_its_share_of_foot_clearance(ramped, carries):
         np.testing.assert_allclose(
             some.reward - paid.reward, 0.02 * (found - cost), rtol=1e-3, atol=1e-5
         )
-        np.testing.assert_array_equal(some.metrics["curriculum_clearance"], shares)
+        np.testing.assert_array_equal(some.metrics["curriculum_clearance_share"], shares)
         whole, total = after, total + cost
         costs.append(cost)
     assert (total < 0).all() and np.min(costs) < -1  # weights are per second

@@ -136,7 +136,7 @@ def make(
     names += [f"curriculum_{name}" for name in of_own.terms.curricula]
     ramp = task.clearance_ramp is not None
     if ramp:
-        names.append("curriculum_clearance")
+        names.append("curriculum_clearance_share")
     return Env(
         randomize=partial(_randomize, const),
         reset=partial(reset, const),
@@ -511,7 +511,7 @@ def step(const: Constants, hyper: Hyper, body, state: State, action, key):
     metrics |= {f"ended_{name}": ends * 1.0 for name, ends in (falls | timeouts).items()}
     metrics |= {f"curriculum_{name}": known[name] for name in mine.terms.curricula}
     if state.clearance is not None:
-        metrics["curriculum_clearance"] = state.clearance
+        metrics["curriculum_clearance_share"] = state.clearance
     outcome = Outcome(
         reward=reward,
         discount=1.0 - fell,
@@ -560,7 +560,7 @@ def _measured(
         older_action=state.older_action,
         over_limit=over_limit(const.robot, hyper, joints),
         swing_height=after.last_peak,
-        clearance_share=1.0 if state.clearance is None else state.clearance,
+        clearance_share=jnp.float32(1) if state.clearance is None else state.clearance,
         torque=after.torque,
         joint_velocity_before=after.qd_before,
         timestep=const.engine.timestep,

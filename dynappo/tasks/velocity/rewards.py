@@ -60,9 +60,7 @@ class Measured(NamedTuple):
     last_air_time: Any  # [F] s, length of its last finished air phase
     swing_height: Any  # [F] m, highest that its lowest point was in that phase
     older_action: Any  # [A] the action before `previous_action`
-    clearance_share: (
-        Any  # of the weight of `foot_clearance` that the robot pays (task.clearance_ramp)
-    )
+    clearance_share: Any  # of foot_clearance's weight that the robot pays
     over_limit: Any  # [A] rad, beyond the middle `task.reset.soft_limit` of a joint's range
     lowest: Any  # [K] m, lowest point above the ground of what counts as an undesired contact
     # for terms of one's own

@@ -52,7 +52,5 @@ class State(struct.PyTreeNode):
     episode_return: Float[Array, "..."]
     tile: Any = None  # curriculum.Tile; None on flat ground
     scan_shift: Any = None  # [..., 3] m, by how much the robot's map is off; None without a scan
-    clearance: Any = (
-        None  # share of foot_clearance's weight that it pays; None without task.clearance_ramp
-    )
+    clearance: Any = None  # share of foot_clearance's weight that it pays; None without the ramp
     own: Any = None  # known quantities of terms of one's own (own.py), by name; None without
