@@ -96,7 +96,7 @@ STATED = {  # name -> where, and the words
         ("docs/results.md", "`best` | 0.70 ({:.2f})"),
     ],
     "g1 PPO walks": [
-        ("README.md", "PPO {:.1f})"),
+        ("README.md", "PPO alone {:.1f})"),
         ("docs/results.md", "PPO alone, 256 robots | {:.2f} ("),
     ],
     "go1 seconds to 38": [
