@@ -2135,6 +2135,25 @@ def test_the_page_of_rough_ground_has_the_tables_of_its_runs():
     assert sum(line in page for line in first[2:]) == 10
 
 
+def test_the_shares_by_kind_and_row_are_those_of_the_page():
+    """Each row of the table, recomputed; columns are the heights of `STEPS`."""
+    table, folder = script("28_rough/table"), EXPERIMENTS / "28_rough"
+    page = (folder / "README.md").read_text()
+    part = page.split("## By kind and row")[1].split("## PPO beside")[0].splitlines()
+    heads = cells(next(line for line in part if line.startswith("| run |")))[2:]
+    np.testing.assert_allclose([float(x.split()[0]) for x in heads], table.STEPS)
+    last = {}
+    for row in table.rows(folder / "results/fresh.csv.xz"):
+        if row["batch"] == "fresh":
+            last[row["name"], row["seed"]] = row  # of several evaluations the last
+    lines = [cells(line) for line in part if "-best |" in line]
+    assert len(lines) == 16
+    for name, kind, *shown in lines:
+        each = [row[kind.replace(" ", "_")].split() for key, row in last.items() if key[0] == name]
+        expected = np.nanmean(np.array(each, float), 0)
+        np.testing.assert_allclose([float(x) for x in shown], expected, atol=0.00501)
+
+
 def test_the_page_of_rough_ground_says_what_its_runs_say():
     """What a known end is worth, the controls on the way, ANYmal-C's boxes, whether PPO is later."""
     table, folder = script("28_rough/table"), EXPERIMENTS / "28_rough"

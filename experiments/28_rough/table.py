@@ -2,13 +2,15 @@
 
     python experiments/28_rough/table.py [results/FILE.csv.xz | OUT_FOLDER] [--robots] [--batch NAME]
     python experiments/28_rough/table.py --ppo
+    python experiments/28_rough/table.py results/fresh.csv.xz --batch fresh --rows
 
 Without a name the runs of results/tuning.csv.xz; a folder is one of `run.py` (NAME.csv). A line a seed: after
 the last evaluation, the share of tries that crossed their tile, of all; of stairs with steps up to `HIGH` of
 the robot, up (a pit) and down (a pyramid); of the other kinds in the two middle rows; M steps from which on
 90 % cross such stairs and 95 % each other kind (`level`). `--robots`: a line a run, means over its seeds with
 the worst seed in brackets; of those that get to the level, the mean and the last, and how many they are.
-`--ppo`: M steps that today's PPO needs beside `best`, and how many times as many.
+`--ppo`: M steps that today's PPO needs beside `best`, and how many times as many. `--rows`: a line a run and
+kind, the share that crossed in each row of difficulty, in the mean over seeds.
 """
 
 import argparse
@@ -58,11 +60,16 @@ def main() -> None:
     parser.add_argument("--robots", action="store_true", help="a line a run, means and worst seeds")
     parser.add_argument("--batch", help="of the file: only this")
     parser.add_argument("--ppo", action="store_true", help="steps of PPO beside those of `best`")
+    parser.add_argument("--rows", action="store_true", help="a line a run and kind, by row")
     args = parser.parse_args()
     if args.ppo:
         print("\n".join(beside_ppo(paces())))
         return
-    found = [*runs([row for row in rows(args.what) if args.batch in (None, row.get("batch"))])]
+    asked = [row for row in rows(args.what) if args.batch in (None, row.get("batch"))]
+    if args.rows:
+        print("\n".join(by_row(asked)))
+        return
+    found = [*runs(asked)]
     print("\n".join(by_robot(found) if args.robots else by_seed(found)))
 
 
@@ -87,6 +94,18 @@ def by_robot(found: list[Run]) -> list[str]:
         levels = [run.level for run in some if run.level < np.inf]
         level = f"{np.mean(levels):.1f} ({max(levels):.1f})" if levels else "never"
         lines.append(line(name, len(some), *cells, level, f"{len(levels)} of {len(some)}"))
+    return lines
+
+
+def by_row(asked: list[dict[str, str]]) -> list[str]:
+    """The lines of a table with one a run and kind: shares of tries that crossed, of each row, at the end."""
+    lines = head("run", "kind", *map(str, range(len(STEPS))))
+    for name, some in groupby(asked, lambda row: row["name"]):
+        last = {row["seed"]: row for row in some}.values()
+        for kind in (*STAIRS, *OTHERS):
+            each = np.array([row[kind].split() for row in last], float)
+            shares = (f"{x:.2f}" for x in np.nanmean(each, 0))
+            lines.append(line(name, kind.replace("_", " "), *shares))
     return lines
 
 
