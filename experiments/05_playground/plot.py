@@ -3,7 +3,7 @@
     python experiments/05_playground/plot.py
 
 From results/*.csv; thin lines are seeds, thick ones the mean of `table.py`. Dotted: its reference. Steps and
-seconds are logarithmic.
+seconds are logarithmic. Marks: returns that others have published, read from FlashSAC's curves.
 """
 
 import importlib
@@ -20,6 +20,12 @@ LOOKS = {
     "brax10": pictures.VERMILION,
     "ppo": pictures.ORANGE,
     "best": pictures.BLUE,
+}
+
+MARKS = {"o": "brax's PPO", "D": "FlashSAC"}
+PUBLISHED = {  # at so many M steps: brax's PPO at 202, FlashSAC at 50
+    "G1JoystickFlatTerrain": (23.4, 39.9),
+    "T1JoystickFlatTerrain": (34.4, 38.5),
 }
 
 
@@ -45,6 +51,8 @@ def main():
     for kind, colour in LOOKS.items():  # no task has all of them
         if any(of == kind for _, of in found):
             axes[0, 0].plot([], [], color=colour, label=table.KINDS[kind].strip("`"))
+    for mark, name in MARKS.items():
+        axes[0, 0].plot([], [], mark, color=pictures.BLACK, mfc="none", label=f"published: {name}")
     pictures.legend(page, axes[0, 0], 3)
     pictures.save(page, Path(__file__).with_name("curves"))
 
@@ -61,6 +69,9 @@ def panel(axis, found, task, unit):
         if curves:
             mean = table.mean(some)
             axis.plot(mean[:, unit], mean[:, 2], color=colour, lw=1.8)
+    if unit == 0 and task in PUBLISHED:
+        for at, back, mark in zip((202, 50), PUBLISHED[task], MARKS, strict=True):
+            axis.plot([at], [back], mark, color=pictures.BLACK, mfc="none")
     level = table.reference(found, task)
     if np.isfinite(level):
         axis.axhline(level, color="0.4", lw=1, ls=":")
