@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from dynappo import config as config_lib
-from dynappo.config import ConfigError, fields, files, terms, validation
+from dynappo.config import ConfigError, fields, files, ground_map, terms, validation
 from dynappo.config import flags as flags_lib
 from dynappo.description import mjcf
 from dynappo.description import robot as robot_lib
@@ -217,16 +217,19 @@ def ground(policy: Policy, text: str) -> HeightMap | None:
     """The ground of `--ground=KIND:DIFFICULTY`, a tile of those that the policy's config has, or of
     `--ground=FILE`, with the config's `cell` and `map_level`. None: `--ground=floor`, that of the file.
 
-    ConfigError if there is no such kind or file, or the config's tiles cannot be made.
+    ConfigError if there is no such kind or file, the map is smaller than a tile, or the config's tiles cannot
+    be made.
     """
     if text == FLOOR:
         return None
     if text.lower().endswith(map_file.SUFFIXES):
         group = tiles(policy)
         try:
-            return map_file.load(text, group.map_level, group.cell)
-        except map_file.BadMap as error:
+            found = map_file.load(text, group.map_level, group.cell)
+            ground_map.room(group, found, text)
+        except (map_file.BadMap, ConfigError) as error:
             raise ConfigError(f"--ground: {error}") from None
+        return found
     kind, _, hard = text.partition(":")
     try:
         difficulty = float(hard or 0.5)

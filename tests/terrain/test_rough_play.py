@@ -172,8 +172,12 @@ def test_play_puts_a_robot_on_a_tile(written, tmp_path, capsys):
     play = [str(written), "--seconds=0.2", f"--out={out}", "--command=0,0,0"]
     assert status(play_command.main, *play, "--ground=boxes:0.2") == 0 and out.stat().st_size > 5e4
     capsys.readouterr()
-    said = mistake(play_command.main, [*play, "--ground=lava"], capsys)
-    assert "--ground=lava: expected a kind and its difficulty" in said and "pit_stairs" in said
+    for text in ("lava",):
+        said = mistake(play_command.main, [*play, f"--ground={text}"], capsys)
+        assert f"--ground={text}: expected a kind and its difficulty" in said and "pit_stairs" in said
+    np.save(tmp_path / "small.npy", np.zeros((20, 300)))  # a tile of 8 m does not fit, and a robot falls off
+    said = mistake(play_command.main, [*play, f"--ground={tmp_path / 'small.npy'}"], capsys)
+    assert "--ground: task.tiles.size is 8, expected at most 0.95: " in said and "0.95 x 14.95 m" in said
     flat = tmp_path / "flat.html"
     play[2] = f"--out={flat}"
     assert status(play_command.main, *play, "--ground=floor") == 0
@@ -214,7 +218,7 @@ def test_the_live_page_takes_the_ground_of_the_training(written, tmp_path):
     mine = policy._replace(config=policy.config | {"task": task | {"tiles": own}})
     field, on = policies.ground(mine, None)
     assert field.heights.shape == (30, 30) and on == ", on own.npy"
-    assert policies.ground(mine, "boxes")[1] == ", on boxes"
+    assert policies.ground(mine, "boxes:1")[1] == ", on boxes:1"
     flat = policy._replace(config=policy.config | {"task": task | {"terrain": "flat"}})
     assert policies.ground(flat, None) == (None, "")
 
