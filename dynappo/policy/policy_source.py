@@ -232,7 +232,7 @@ def ground(policy: Policy, text: str) -> HeightMap | None:
         return found
     kind, _, hard = text.partition(":")
     try:
-        difficulty = float(hard or 0.5)
+        difficulty = float(hard)
     except ValueError:
         difficulty = -1.0
     if kind not in tiles_lib.KINDS or not 0 <= difficulty <= 1:

@@ -172,7 +172,7 @@ def test_play_puts_a_robot_on_a_tile(written, tmp_path, capsys):
     play = [str(written), "--seconds=0.2", f"--out={out}", "--command=0,0,0"]
     assert status(play_command.main, *play, "--ground=boxes:0.2") == 0 and out.stat().st_size > 5e4
     capsys.readouterr()
-    for text in ("lava",):
+    for text in ("lava", "boxes", "boxes:"):
         said = mistake(play_command.main, [*play, f"--ground={text}"], capsys)
         assert f"--ground={text}: expected a kind and its difficulty" in said and "pit_stairs" in said
     np.save(tmp_path / "small.npy", np.zeros((20, 300)))  # a tile of 8 m does not fit, and a robot falls off
