@@ -174,10 +174,12 @@ def test_play_puts_a_robot_on_a_tile(written, tmp_path, capsys):
     capsys.readouterr()
     for text in ("lava", "boxes", "boxes:"):
         said = mistake(play_command.main, [*play, f"--ground={text}"], capsys)
-        assert f"--ground={text}: expected a kind and its difficulty" in said and "pit_stairs" in said
-    np.save(tmp_path / "small.npy", np.zeros((20, 300)))  # a tile of 8 m does not fit, and a robot falls off
+        assert f"--ground={text}: expected a kind and its difficulty" in said
+        assert "pit_stairs" in said
+    np.save(tmp_path / "small.npy", np.zeros((20, 300)))  # no tile of 8 m fits: it would fall off
     said = mistake(play_command.main, [*play, f"--ground={tmp_path / 'small.npy'}"], capsys)
-    assert "--ground: task.tiles.size is 8, expected at most 0.95: " in said and "0.95 x 14.95 m" in said
+    assert "--ground: task.tiles.size is 8, expected at most 0.95: " in said
+    assert "0.95 x 14.95 m" in said
     flat = tmp_path / "flat.html"
     play[2] = f"--out={flat}"
     assert status(play_command.main, *play, "--ground=floor") == 0
