@@ -19,7 +19,7 @@ from dynappo.config import flags as flags_lib
 from dynappo.description import mjcf
 from dynappo.description import robot as robot_lib
 from dynappo.description.robot import Robot
-from dynappo.policy import checkpoint_file, policy_file
+from dynappo.policy import checkpoint_file, policy_file, render
 from dynappo.policy import episode as episode_lib
 from dynappo.policy.policy_file import Policy
 from dynappo.tasks.velocity import own as own_lib
@@ -241,6 +241,20 @@ def ground(policy: Policy, text: str) -> HeightMap | None:
             f".npy or .png, or {FLOOR}; kinds are {', '.join(tiles_lib.KINDS)}"
         )
     return tiles_lib.single(tiles(policy), kind, difficulty)
+
+
+def ground_or_own(policy: Policy, text: str | None) -> tuple[HeightMap | None, str]:
+    """`(ground, ", on what")` of `--ground`, or where there is none what the policy was trained for: a tile
+    as in its run's film, or the run's map. None: a floor."""
+    if text or policy.config.get("task", {}).get("terrain") != "rough":
+        field = ground(policy, text) if text else None
+    else:
+        own = tiles(policy)
+        try:
+            field, text = render.filmed(own), own.map or "{}:{}".format(*render.FILMED)
+        except ConfigError as error:  # a map that is not on this machine
+            raise ConfigError(f"{error}; --ground={FLOOR} takes a floor") from None
+    return field, f", on {Path(text).name}" if text and field is not None else ""
 
 
 def tiles(policy: Policy) -> Any:

@@ -171,7 +171,7 @@ def test_play_puts_a_robot_on_a_tile(written, tmp_path, capsys):
     out = tmp_path / "stairs.html"
     play = [str(written), "--seconds=0.2", f"--out={out}", "--command=0,0,0"]
     assert status(play_command.main, *play, "--ground=boxes:0.2") == 0 and out.stat().st_size > 5e4
-    capsys.readouterr()
+    assert ", on boxes:0.2; " in capsys.readouterr().out
     for text in ("lava", "boxes", "boxes:"):
         said = mistake(play_command.main, [*play, f"--ground={text}"], capsys)
         assert f"--ground={text}: expected a kind and its difficulty" in said
@@ -184,6 +184,15 @@ def test_play_puts_a_robot_on_a_tile(written, tmp_path, capsys):
     play[2] = f"--out={flat}"
     assert status(play_command.main, *play, "--ground=floor") == 0
     assert '"heights"' in out.read_text() and '"heights"' not in flat.read_text()
+    assert ", on " not in capsys.readouterr().out
+    # as in the training, unless the robot is from another file
+    play[2] = f"--out={tmp_path / 'own.html'}"
+    assert status(play_command.main, *play) == 0
+    assert '"heights"' in (tmp_path / "own.html").read_text()
+    assert ", on pit_stairs:0.3; " in capsys.readouterr().out
+    xml = f"--robot-xml={robot_lib.load('go2').xml}"
+    assert status(play_command.main, *play, xml) == 0
+    assert '"heights"' not in (tmp_path / "own.html").read_text()
     capsys.readouterr()
     for ground in ("lava", "none.png"):  # before a server starts
         serve = [str(written), "--serve", f"--ground={ground}", "--seconds=0.1"]
@@ -223,6 +232,9 @@ def test_the_live_page_takes_the_ground_of_the_training(written, tmp_path):
     assert policies.ground(mine, "boxes:1")[1] == ", on boxes:1"
     flat = policy._replace(config=policy.config | {"task": task | {"terrain": "flat"}})
     assert policies.ground(flat, None) == (None, "")
+    (tmp_path / "own.npy").unlink()
+    with pytest.raises(ConfigError, match="own.npy cannot be read .*; --ground=floor takes"):
+        policies.ground(mine, None)
 
 
 def test_jax_and_numpy_see_the_same(written):
