@@ -83,8 +83,8 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
     flag(
         "--ground",
         metavar="KIND:DIFFICULTY|FILE",
-        help="a tile of rough ground, as pit_stairs:0.5, or a map, .npy or .png, in the place of the floor; "
-        f"or {policy_source.FLOOR}; default: a tile as in the policy's training, or its map",
+        help="a tile of rough ground, as pit_stairs:0.5, or a map, .npy or .png, in the place of the floor, "
+        f"or {policy_source.FLOOR}; default: as in the policy's training",
     )
     flags = flags_lib.read(parser, argv)
     if flags.serve and not flags.what and not re.fullmatch(r"(.*:)?\d+", flags.serve):
