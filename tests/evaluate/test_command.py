@@ -110,7 +110,9 @@ def test_the_evaluation_of_a_workdir_is_in_it(saved, tmp_path, monkeypatch, caps
     assert "MJX" not in capsys.readouterr().out
 
 
-def test_stopped_after_a_table_it_says_that_no_file_is_written(saved, tmp_path, monkeypatch, capsys):
+def test_stopped_after_a_table_it_says_that_no_file_is_written(
+    saved, tmp_path, monkeypatch, capsys
+):
     """In the stairs; the disturbances before have been printed."""
     row = dict(stress="none", episodes=4, falls=1, tracking_error=0.1, yaw_error=None)
     monkeypatch.setattr(stress, "run", lambda *_: [row])
