@@ -286,7 +286,9 @@ def test_a_notebook_is_small(path):
 
 
 @pytest.mark.parametrize("name", FOR_COLAB)
-def test_a_notebook_for_colab_carries_no_outputs(name):
+def test_a_notebook_for_colab_carries_no_outputs_and_is_named_in_the_page(name):
+    page = (ROOT / "docs" / "install.md").read_text().split("## Colab")[1].split("\n## ")[0]
+    assert f"../notebooks/{name}.ipynb" in page
     for cell in code(read(ROOT / "notebooks" / f"{name}.ipynb")):
         assert not cell.outputs and cell.execution_count is None, "clear all outputs, then save"
 

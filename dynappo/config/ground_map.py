@@ -6,6 +6,7 @@ import os
 
 from dynappo.config.fields import ConfigError
 from dynappo.terrain import map_file
+from dynappo.terrain.height_map import HeightMap
 
 MOST = 100  # rows and columns, those in the middle of the map
 
@@ -25,10 +26,16 @@ def settle(config, again: bool) -> None:
         ground = map_file.load(tiles.map, tiles.map_level, tiles.cell, tiles.map_hash)
     except map_file.BadMap as error:
         raise ConfigError(f"task.tiles.map: {error}") from None
+    tiles.rows, tiles.columns = (min(MOST, n) for n in room(tiles, ground, tiles.map))
+
+
+def room(tiles, ground: HeightMap, path: str) -> tuple[int, int]:
+    """How many tiles fit on the map of the file `path`, along x and y; ConfigError where none does."""
     sides = [tiles.cell * (count - 1) for count in ground.heights.shape]
-    tiles.rows, tiles.columns = (min(MOST, int(side / tiles.size + 1e-6)) for side in sides)
-    if not tiles.rows or not tiles.columns:
+    rows, columns = (int(side / tiles.size + 1e-6) for side in sides)
+    if not rows or not columns:
         raise ConfigError(
-            f"task.tiles.size is {tiles.size:g}, expected at most {min(sides):g}: {tiles.map} has "
+            f"task.tiles.size is {tiles.size:g}, expected at most {min(sides):g}: {path} has "
             f"{sides[0]:g} x {sides[1]:g} m where task.tiles.cell is {tiles.cell:g} m"
         )
+    return rows, columns

@@ -331,4 +331,4 @@ def _crossing(flags, screen, policy: Policy, robot: Robot | None, named: str, ou
 
 def main(argv: list[str] | None = None) -> None:
     """The command; its exit statuses are those of `flags.answer`."""
-    flags_lib.answer(lambda: run(parse(argv)), "stopped; nothing is written")
+    flags_lib.answer(lambda: run(parse(argv)), "stopped; no file is written")

@@ -290,9 +290,9 @@ def _wrong_ranges(robot: robot_lib.Robot, scale: np.ndarray) -> list[str]:
 
 def run(flags) -> None:
     """Check the robot as the flags say, and print the findings."""
-    for out in (flags.out, flags.ground):
-        if out is not None:
-            flags_lib.check_writable(out)
+    for name in ("out", "ground"):
+        if (out := getattr(flags, name)) is not None:
+            flags_lib.check_writable(out, name)
     config = flags.config
     config, robot = motors.fitted(config, robot_lib.load(config.robot))
     robot_lib.check_base_mass(robot, config.task.randomize.base_mass)

@@ -25,6 +25,7 @@ def write(tiles: Any, ground: HeightMap, out: Path) -> str:
     except ImportError:
         return f"no picture: matplotlib is not installed; {shell.install('video')}"
     figure = draw(tiles, ground)
+    out.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(out, dpi=120)
     return ""
 

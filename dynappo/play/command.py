@@ -83,8 +83,8 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
     flag(
         "--ground",
         metavar="KIND:DIFFICULTY|FILE",
-        help="a tile of rough ground, as pit_stairs:0.5, or a map, .npy or .png, in the place of the floor; "
-        "default: floor; with --serve that of the policy's training",
+        help="a tile of rough ground, as pit_stairs:0.5, or a map, .npy or .png, in the place of the floor, "
+        f"or {policy_source.FLOOR}; default: as in the policy's training",
     )
     flags = flags_lib.read(parser, argv)
     if flags.serve and not flags.what and not re.fullmatch(r"(.*:)?\d+", flags.serve):
@@ -211,7 +211,9 @@ def run(flags) -> None:
     if theirs is not None:
         return task_episode.run(*theirs, flags, commands if flags.command else None)
     policy, act, acts = choose(flags)
-    field = policy_source.ground(policy, flags.ground) if flags.ground else None
+    # a file of the user's own has its ground
+    asked = policy_source.FLOOR if flags.robot_xml and not flags.ground else flags.ground
+    field, on = policy_source.ground_or_own(policy, asked)
     player, other = policy_source.player(policy, flags.robot_xml, flags.keep_joints, field)
     seconds = flags.seconds or commands.seconds
     if out is None:
@@ -219,7 +221,7 @@ def run(flags) -> None:
         if flags.command is None:  # to be steered from standing
             commands = commands._replace(at=lambda t: np.zeros(3), text=viewer.KEYS)
     notes = [other, command_script.outside(command_script.ranges_of(policy), commands)]
-    print(shell.pasted(f"dynappo plays {policy.robot}: {acts}; {commands.text}"))
+    print(shell.pasted(f"dynappo plays {policy.robot}: {acts}{on}; {commands.text}"))
     if flags.robot_xml:
         ms = player.model.opt.timestep * 1e3
         motors = "motors, joint damping and friction are the policy's"

@@ -14,12 +14,12 @@ from pathlib import Path
 from typing import Any
 
 from dynappo import config as config_lib
-from dynappo.config import ConfigError, fields, files, terms, validation
+from dynappo.config import ConfigError, fields, files, ground_map, terms, validation
 from dynappo.config import flags as flags_lib
 from dynappo.description import mjcf
 from dynappo.description import robot as robot_lib
 from dynappo.description.robot import Robot
-from dynappo.policy import checkpoint_file, policy_file
+from dynappo.policy import checkpoint_file, policy_file, render
 from dynappo.policy import episode as episode_lib
 from dynappo.policy.policy_file import Policy
 from dynappo.tasks.velocity import own as own_lib
@@ -217,19 +217,22 @@ def ground(policy: Policy, text: str) -> HeightMap | None:
     """The ground of `--ground=KIND:DIFFICULTY`, a tile of those that the policy's config has, or of
     `--ground=FILE`, with the config's `cell` and `map_level`. None: `--ground=floor`, that of the file.
 
-    ConfigError if there is no such kind or file, or the config's tiles cannot be made.
+    ConfigError if there is no such kind or file, the map is smaller than a tile, or the config's tiles cannot
+    be made.
     """
     if text == FLOOR:
         return None
     if text.lower().endswith(map_file.SUFFIXES):
         group = tiles(policy)
         try:
-            return map_file.load(text, group.map_level, group.cell)
-        except map_file.BadMap as error:
+            found = map_file.load(text, group.map_level, group.cell)
+            ground_map.room(group, found, text)
+        except (map_file.BadMap, ConfigError) as error:
             raise ConfigError(f"--ground: {error}") from None
+        return found
     kind, _, hard = text.partition(":")
     try:
-        difficulty = float(hard or 0.5)
+        difficulty = float(hard)
     except ValueError:
         difficulty = -1.0
     if kind not in tiles_lib.KINDS or not 0 <= difficulty <= 1:
@@ -238,6 +241,20 @@ def ground(policy: Policy, text: str) -> HeightMap | None:
             f".npy or .png, or {FLOOR}; kinds are {', '.join(tiles_lib.KINDS)}"
         )
     return tiles_lib.single(tiles(policy), kind, difficulty)
+
+
+def ground_or_own(policy: Policy, text: str | None) -> tuple[HeightMap | None, str]:
+    """`(ground, ", on what")` of `--ground`, or where there is none what the policy was trained for: a tile
+    as in its run's film, or the run's map. None: a floor."""
+    if text or policy.config.get("task", {}).get("terrain") != "rough":
+        field = ground(policy, text) if text else None
+    else:
+        own = tiles(policy)
+        try:
+            field, text = render.filmed(own), own.map or "{}:{}".format(*render.FILMED)
+        except ConfigError as error:  # a map that is not on this machine
+            raise ConfigError(f"{error}; --ground={FLOOR} takes a floor") from None
+    return field, f", on {Path(text).name}" if text and field is not None else ""
 
 
 def tiles(policy: Policy) -> Any:

@@ -39,6 +39,7 @@ def own_process(device: str = "auto") -> None:
             f"JAX does not start: {error}; correct that variable of the shell"
         ) from None
     warnings.formatwarning = lambda message, *_, **__: f"dynappo: {str(message).splitlines()[0]}\n"
+    warnings.filterwarnings("ignore", "Brax System")  # which is not maintained: docs/environment.md
     if device == "cpu":
         jax.config.update("jax_platforms", "cpu")
     other = [name for name, usual in USUAL.items() if getattr(jax.config, name) != usual]

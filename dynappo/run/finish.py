@@ -181,14 +181,14 @@ def check_saved(run: OpenRun, robot, state, say) -> None:
 
 
 def summarise(config, program, metrics, evaluation: dict) -> dict[str, Any]:
-    """The results of a run: return (mean of the last 10 rows), cost, and evaluation if there is one."""
+    """The results of a run: return (`log.at_the_end`), cost, and evaluation if there is one."""
     returns = metrics["episode_return"]
     summary = {
         "robot": config.robot,
         "num_envs": config.rollout.num_envs,
         "iterations": int(metrics["iteration"][-1]),
         "sim_steps": int(metrics["sim_steps"][-1]),
-        "return": _numbers(returns[-log.RETURN_ROWS :].mean(0)),
+        "return": _numbers(log.at_the_end(returns)),
         "return_max": _numbers(np.fmax.reduce(returns, 0)),
         "return_of_all": _numbers(_return_of_all(config, metrics)),
         "seconds": _numbers(metrics["seconds"][-1]),

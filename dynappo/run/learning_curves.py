@@ -135,7 +135,7 @@ def _lines(axes, iteration, values, thick: float) -> None:
 
 def _labels(axes, panel: Panel, values, named: bool) -> None:
     """What is at the end of the lines: the mean of the last rows, and, where `named`, of each seed."""
-    ends = values[-log.RETURN_ROWS :].mean(0)
+    ends = log.at_the_end(values)
     texts = {_written(panel, ends.mean()): ends.mean()}
     if named:
         said = LINES * (ends.size > 1) + NUMBERS

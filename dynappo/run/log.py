@@ -46,6 +46,15 @@ def rows(metrics: dict[str, np.ndarray]) -> list[dict[str, float]]:
     return out
 
 
+def at_the_end(values: np.ndarray) -> np.ndarray:
+    """Means of the last `RETURN_ROWS` rows of `values` [I, ...], of those that are numbers: where no episode
+    ended in an iteration its return is none. NaN where none is."""
+    last = values[-RETURN_ROWS:]
+    known = np.isfinite(last)
+    total, count = np.where(known, last, 0.0).sum(0), known.sum(0)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+
+
 class Sink(NamedTuple):
     """Something that takes the rows of every chunk."""
 

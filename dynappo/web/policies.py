@@ -16,7 +16,7 @@ import numpy as np
 from dynappo import config as config_lib
 from dynappo.config import ConfigError, files
 from dynappo.description import robot as robot_lib
-from dynappo.policy import checkpoint_file, policy_file, policy_source, render, task_player
+from dynappo.policy import checkpoint_file, policy_file, policy_source, task_player
 from dynappo.policy.episode import Player
 from dynappo.policy.policy_file import Policy
 from dynappo.policy.task_player import TaskPlayer
@@ -114,17 +114,9 @@ def load(offer: Offer, name: str) -> Chosen:
 
 
 def ground(policy: Policy, text: str | None) -> tuple[HeightMap | None, str]:
-    """`(ground, ", on what")` of `--ground`, or where there is none what the policy was trained for: a tile
-    as in the run's film, or the run's map. None: a floor."""
-    task = policy.config.get("task", {})
-    if not text and task.get("terrain") == "rough":
-        tiles = policy_source.tiles(policy)
-        field, text = render.filmed(tiles), tiles.map or "{}:{}".format(*render.FILMED)
-    else:
-        field = policy_source.ground(policy, text) if text else None
-    if not text or field is None:
-        return None, ""
-    return ground_mesh.near(field), f", on {Path(text).name}"
+    """`policy_source.ground_or_own`, of a large map what is near."""
+    field, on = policy_source.ground_or_own(policy, text)
+    return None if field is None else ground_mesh.near(field), on
 
 
 def task(env: str) -> TaskPlayer:

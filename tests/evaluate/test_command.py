@@ -16,7 +16,7 @@ from toy_policy import actor, described
 
 from dynappo import config as config_lib
 from dynappo.description import robot as robot_lib
-from dynappo.evaluate import changes, episodes, recording, trials
+from dynappo.evaluate import changes, episodes, recording, stairs, stress, trials
 from dynappo.evaluate import command as evaluate_command
 from dynappo.evaluate import tables as evaluate_tables
 from dynappo.policy import episode, policy_file, policy_source
@@ -108,6 +108,28 @@ def test_the_evaluation_of_a_workdir_is_in_it(saved, tmp_path, monkeypatch, caps
     assert (written["changes"]["changes"], written["changes"]["seed"]) == (3, 5)
     assert written["episodes"] is None and written["sweep"]["seconds"] == 1.2
     assert "MJX" not in capsys.readouterr().out
+
+
+def test_stopped_after_a_table_it_says_that_no_file_is_written(
+    saved, tmp_path, monkeypatch, capsys
+):
+    """In the stairs; the disturbances before have been printed."""
+    row = dict(stress="none", episodes=4, falls=1, tracking_error=0.1, yaw_error=None)
+    monkeypatch.setattr(stress, "run", lambda *_: [row])
+    monkeypatch.setattr(evaluate_command.tables, "stairs", None)
+
+    def stopped(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(stairs, "run", stopped)
+    policy = policy_file.load(saved)
+    task = policy.config["task"] | {"terrain": "rough"}
+    rough = policy._replace(config=policy.config | {"task": task})
+    monkeypatch.setattr(policy_source, "load", lambda *_: (rough, saved))
+    assert run(saved, "--stress", "--fast", f"--out={tmp_path}") == 130
+    said = capsys.readouterr()
+    assert "1 of 4" in said.out and said.err == "dynappo: stopped; no file is written\n"
+    assert not [*tmp_path.iterdir()]
 
 
 def test_where_an_evaluation_goes(tmp_path):

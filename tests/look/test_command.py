@@ -193,6 +193,10 @@ MISTAKES = {  # arguments, what the line must say
         ["go1", "--out=/proc/no/a.png"],
         "--out=/proc/no/a.png: cannot write there (No such",
     ),
+    "no folder for the ground": (
+        ["go2:rough", "--ground=/proc/no/a.png"],
+        "--ground=/proc/no/a.png: cannot write there (No such",
+    ),
     "a flag": (["go1", "--fast"], "--fast: no such flag"),
     "a field": (["go1", "--config.task.kq=3"], "--config.task.kq: no such field"),
     "a value": (["go1", "--config.task.kp=-3"], "task.kp"),

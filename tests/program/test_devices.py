@@ -2,6 +2,7 @@
 
 import importlib.util
 import json
+import pathlib
 import re
 import threading
 from types import SimpleNamespace
@@ -148,3 +149,13 @@ def test_what_a_shell_sets_for_other_programs_is_off_and_told(monkeypatch):
     done = shell("-c", code)
     assert json.loads(done.stdout) == devices.USUAL
     assert done.stderr.startswith("dynappo: JAX_ENABLE_X64, ") and done.stderr.count("\n") == 1
+
+
+def test_that_brax_is_not_maintained_is_not_told_to_who_trains():
+    """The words are those of brax's source: to load an environment takes ten seconds."""
+    package = importlib.util.find_spec("brax").submodule_search_locations[0]
+    source = pathlib.Path(package, "io", "mjcf.py").read_text()
+    begins = re.search(r"warnings.warn\(\s*'(.*)'", source)[1]
+    code = "import warnings; from dynappo.program import devices; devices.own_process('cpu')\n"
+    done = shell("-c", code + f"warnings.warn({begins!r}); warnings.warn('another')")
+    assert done.stderr == "dynappo: another\n"

@@ -62,6 +62,16 @@ def test_the_policy_is_in_a_plain_file(whole):
     assert_same(params, jax.device_get(whole.state.learner.params))
 
 
+def test_an_iteration_without_an_ended_episode_does_not_hide_the_others(config):
+    program = SimpleNamespace(compile_seconds=1.0, bytes_needed=1, device="cpu", impl="c")
+    metrics = dict(episode_return=np.array([np.nan, 0.01, np.nan]), episodes=np.array([0, 1, 0]))
+    metrics |= dict(episode_return_sum=0.01 * metrics["episodes"], n_real=np.full(3, 5))
+    metrics |= dict(iteration=np.arange(1, 4), sim_steps=80 * np.arange(1, 4), seconds=np.ones(3))
+    metrics |= dict(blowups=np.zeros(3))
+    summary = finish.summarise(config, program, metrics, {})
+    assert summary["return"] == summary["return_max"] == 0.01
+
+
 @pytest.mark.parametrize("seeds", [None, 2])
 def test_the_return_of_all_is_that_of_the_episodes_of_the_last_episodes_length(config, seeds):
     """20 control steps are 4 iterations of 5; against a loop back from the end. Without any: none."""

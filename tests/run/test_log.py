@@ -366,3 +366,11 @@ def test_what_was_asked_for_is_opened_and_closed(tmp_path, tensorboard):
         raise KeyboardInterrupt
     assert len(log.read_csv(tmp_path / "metrics.csv")["iteration"]) == 2
     assert len(list(tmp_path.glob("events.*"))) == tensorboard
+
+
+def test_the_return_at_the_end_is_of_the_iterations_in_which_an_episode_ended():
+    """Of the last ten; a seed in which none has ended has none."""
+    returns = np.full((12, 3), np.nan)
+    returns[0], returns[[4, 11], 0], returns[2:, 1] = 99.0, (0.5, 1.5), np.arange(10.0)
+    np.testing.assert_array_equal(log.at_the_end(returns), [1.0, 4.5, np.nan])
+    assert log.at_the_end(np.array([np.nan, 0.01, np.nan])) == 0.01

@@ -797,6 +797,9 @@ def test_mistakes_are_one_line(monkeypatch):
     assert "expected jax or warp" in refused(by_name.check, config)
     config.env = "gym:Ant"
     assert "expected playground:TASK or brax:NAME" in refused(by_name.check, config)
+    for name, told in (("", "there is ant, halfcheetah, hopper, "), ("hoper", "there is hopper")):
+        config.env = f"brax:{name}"  # its `fast` is for tests
+        assert told in refused(by_name.check, config)
     config.robot = "go1"
     assert "expected '' where a robot is named" in refused(config_lib.validate, config)
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)

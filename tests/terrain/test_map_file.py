@@ -168,7 +168,7 @@ def test_play_and_look_show_it(array, tmp_path):
     np.testing.assert_array_equal(policy_source.ground(policy, str(array)).heights, HEIGHTS)
     with pytest.raises(ConfigError, match=r"--ground: .*no.npy cannot be read"):
         policy_source.ground(policy, str(tmp_path / "no.npy"))
-    out = tmp_path / "seen.png"
+    out = tmp_path / "new" / "folder" / "seen.png"
     look.run(
         look.parse(
             [

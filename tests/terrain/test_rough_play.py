@@ -171,13 +171,28 @@ def test_play_puts_a_robot_on_a_tile(written, tmp_path, capsys):
     out = tmp_path / "stairs.html"
     play = [str(written), "--seconds=0.2", f"--out={out}", "--command=0,0,0"]
     assert status(play_command.main, *play, "--ground=boxes:0.2") == 0 and out.stat().st_size > 5e4
-    capsys.readouterr()
-    said = mistake(play_command.main, [*play, "--ground=lava"], capsys)
-    assert "--ground=lava: expected a kind and its difficulty" in said and "pit_stairs" in said
+    assert ", on boxes:0.2; " in capsys.readouterr().out
+    for text in ("lava", "boxes", "boxes:"):
+        said = mistake(play_command.main, [*play, f"--ground={text}"], capsys)
+        assert f"--ground={text}: expected a kind and its difficulty" in said
+        assert "pit_stairs" in said
+    np.save(tmp_path / "small.npy", np.zeros((20, 300)))  # no tile of 8 m fits: it would fall off
+    said = mistake(play_command.main, [*play, f"--ground={tmp_path / 'small.npy'}"], capsys)
+    assert "--ground: task.tiles.size is 8, expected at most 0.95: " in said
+    assert "0.95 x 14.95 m" in said
     flat = tmp_path / "flat.html"
     play[2] = f"--out={flat}"
     assert status(play_command.main, *play, "--ground=floor") == 0
     assert '"heights"' in out.read_text() and '"heights"' not in flat.read_text()
+    assert ", on " not in capsys.readouterr().out
+    # as in the training, unless the robot is from another file
+    play[2] = f"--out={tmp_path / 'own.html'}"
+    assert status(play_command.main, *play) == 0
+    assert '"heights"' in (tmp_path / "own.html").read_text()
+    assert ", on pit_stairs:0.3; " in capsys.readouterr().out
+    xml = f"--robot-xml={robot_lib.load('go2').xml}"
+    assert status(play_command.main, *play, xml) == 0
+    assert '"heights"' not in (tmp_path / "own.html").read_text()
     capsys.readouterr()
     for ground in ("lava", "none.png"):  # before a server starts
         serve = [str(written), "--serve", f"--ground={ground}", "--seconds=0.1"]
@@ -214,9 +229,12 @@ def test_the_live_page_takes_the_ground_of_the_training(written, tmp_path):
     mine = policy._replace(config=policy.config | {"task": task | {"tiles": own}})
     field, on = policies.ground(mine, None)
     assert field.heights.shape == (30, 30) and on == ", on own.npy"
-    assert policies.ground(mine, "boxes")[1] == ", on boxes"
+    assert policies.ground(mine, "boxes:1")[1] == ", on boxes:1"
     flat = policy._replace(config=policy.config | {"task": task | {"terrain": "flat"}})
     assert policies.ground(flat, None) == (None, "")
+    (tmp_path / "own.npy").unlink()
+    with pytest.raises(ConfigError, match="own.npy cannot be read .*; --ground=floor takes"):
+        policies.ground(mine, None)
 
 
 def test_jax_and_numpy_see_the_same(written):
