@@ -406,6 +406,14 @@ def test_what_is_no_number(value):
     assert f"returns a {type(value).__name__}, " in terms.fault(terms.Reward, value, ())
 
 
+def test_a_sum_of_rewards_takes_numbers_only():
+    said = refused(reward_sum.values, {"f": lambda height: None}, {"height": 0.3})
+    assert re.search(
+        r"the term f of .*test_own.py, line \d+ returns None, expected one number", said
+    )
+    assert reward_sum.values({"f": lambda height: height > 0}, {"height": 0.3}) == {"f": True}
+
+
 def test_a_field_that_no_term_has_is_one_line(tmp_path):
     text = (
         "from dynappo import terms\n\n@terms.reward(weight=1.0)\ndef lively(torque): return 0.0\n"
