@@ -24,6 +24,7 @@ hash in a config, which may be a stranger's.
 
 from __future__ import annotations
 
+import ast
 import functools
 import hashlib
 import inspect
@@ -121,6 +122,7 @@ UNTRACED = {
     "NonConcreteBooleanIndexError": "no x[condition]: x * condition, or xp.where with "
     "xp = x.__array_namespace__()",
 }
+DECORATORS = "reward observation known termination command curriculum".split()
 NONE = Terms()
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -279,6 +281,7 @@ def read(path: str | Path, names: Mapping[str, Any] | None = None) -> Terms:
         raise ConfigError(
             f"{path} has no terms: none of its functions has a decorator of dynappo.terms (docs/task.md)"
         )
+    _check_names(path)
     groups: dict[type, dict[str, Term]] = {}
     for term in found:
         groups.setdefault(type(term.how), {})[term.name] = term
@@ -296,6 +299,7 @@ def read(path: str | Path, names: Mapping[str, Any] | None = None) -> Terms:
         curricula=groups.get(Curriculum, {}),
     )
     _numbers(out)
+    _check_asked(out)
     known = _READ.get(out.digest)
     if known is None or known.path != out.path:  # else the same functions again
         known = _READ[out.digest] = out
@@ -325,6 +329,35 @@ def declared(names: Mapping[str, Any]) -> list[Term]:
             raise ConfigError(f"the term {name} is no function with a name of its own")
         out.append(Term(name, value, said[0], said[1], code.co_filename))
     return out
+
+
+def _check_names(path: str | Path) -> None:
+    """ConfigError for a term that a later function of its name replaces."""
+    terms: dict[str, int] = {}
+    for node in ast.parse(Path(path).read_bytes()).body:
+        if not isinstance(node, ast.FunctionDef):
+            continue
+        if node.name in terms:
+            raise ConfigError(
+                f"{path} has two functions {node.name}, at line {terms[node.name]} and line {node.lineno}: "
+                "the second replaces the first, which is a term; expected another name"
+            )
+        if any(
+            isinstance(each, ast.Call) and ast.unparse(each.func).rpartition(".")[2] in DECORATORS
+            for each in node.decorator_list
+        ):
+            terms[node.name] = node.lineno
+
+
+def _check_asked(terms: Terms) -> None:
+    """ConfigError for a number that no term asks for."""
+    asked = {name for term in terms.every() for name in parameters(term.function)}
+    for term in terms.every():
+        for name in sorted(term.numbers.keys() - asked):
+            raise ConfigError(
+                f"the term {term.name} of {place(term.function)} has a number {name}, and no term of the "
+                f"file asks for it; expected a parameter {name}, or no such number"
+            )
 
 
 def _digest(path: str, terms: list[Term]) -> str:
@@ -486,6 +519,37 @@ def call(term: Term, facts: Mapping[str, Any]) -> Any:
         raise ConfigError(
             f"the term {term.name} of {term.file}{line} cannot be run: {text}"
         ) from None
+
+
+def place(function: Callable[..., Any]) -> str:
+    """The file and line of a term, for messages."""
+    code = inspect.unwrap(function).__code__
+    return f"{code.co_filename}, line {code.co_firstlineno}"
+
+
+def fault(kind: type, value: Any, shape: tuple[int, ...]) -> str:
+    """What is wrong with the value that a term of a kind (`Reward`, ...) returned, in words.
+
+    "" for a number, or an array of JAX or NumPy, of this shape; of a `Termination` it is bool.
+    """
+    ends = kind is Termination
+    expected = f"an array of the shape {shape}" if shape else "one number of one robot"
+    expected = "True or False" if ends else expected
+    if value is None:
+        return f"returns None, expected {expected}: no return statement?"
+    dtype = getattr(value, "dtype", None)
+    if getattr(dtype, "kind", "O") in "OSUc" and not isinstance(value, bool | int | float):
+        stack = "xp.stack([...]) makes an array of it, with xp = x.__array_namespace__()"
+        hint = f": {stack}" if shape and isinstance(value, list | tuple) else ""
+        return f"returns a {type(value).__name__}, expected {expected}{hint}"
+    if (found := getattr(value, "shape", ())) != shape:
+        hint = (
+            "; sum it" if kind is Reward else "; .any() or .all() makes one of it" if ends else ""
+        )
+        return f"has the shape {found}, expected {shape or expected}{hint}"
+    if ends and not isinstance(value, bool) and str(dtype) != "bool":
+        return f"returns numbers, expected {expected}: compare it, such as height < 0.2"
+    return ""
 
 
 def _in_words(error: Exception) -> str:

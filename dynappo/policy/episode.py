@@ -319,9 +319,7 @@ def _placed(player: Player, data) -> own_lib.Placed:
 
 def ends(player: Player) -> list[str]:
     """The terminations of one's own that end an episode here, as a fall or as the time."""
-    known = {*player.given, *observe.quantities(True, player.own.seen), *own_lib.Placed._fields}
-    terms = player.own.terms.terminations
-    return [n for n, t in terms.items() if own_lib.asks_only(t, known | {"action"})]
+    return own_lib.ends_in_play(player.own, player.given)
 
 
 def _own_step(

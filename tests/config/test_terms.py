@@ -132,6 +132,10 @@ MISTAKES = {  # of a file -> a part of the line
     WORK + SEEN.replace("noise=0.1", "numbers={'share': 1.0}"): "share of the term seen is 1, and 0.5",
     "@terms.command(draws=0)\ndef c(draw): return draw\n": "draws is 0",
     "".join(f"@terms.command(draws=1)\ndef {c}(draw): return draw\n" for c in "cd"): "two commands, c and d",
+    WORK + "\n" + WORK.replace("0.5", "1.0"): "two functions work, at line 4 and line 7: the second",
+    WORK + "\ndef work(): pass\n" + SEEN: "mine.py has two functions work, at line 4 and line 6",
+    SEEN.replace("terms.", "x.").replace("@", "x = terms\n@") * 2: "two functions seen, at line 5 and line 8",
+    WORK.replace("torque, share", "torque, share=0.1"): "line 3 has a number share, and no term of the file",
     "@terms.reward(weight=1.0)\nclass Term: pass\n": "the term Term is no function",
     "@terms.reward(-1.0)\ndef f(torque): return 0.0\n": "@terms.reward: too many positional arguments; write",
     "@terms.reward(weights=1.0)\ndef f(torque): return 0.0\n": "'weight'; write @terms.reward(weight=...)",
@@ -149,6 +153,14 @@ def test_a_mistake_in_the_file_is_one_line_and_nothing_is_written(text, capsys):
     given = f"--config.task.terms={write(text)}"
     said = mistake(train.main, ["--config=go1:laptop", given, "--workdir=run"], capsys)
     assert MISTAKES[text] in said and not Path("run").exists()
+
+
+def test_other_functions_may_share_a_name_and_a_term_may_ask_for_the_number_of_another():
+    helpers = "def helper(): pass\ndef helper(): pass\ndef work(): pass\n"
+    asks = SEEN.replace("(qpos)", "(qpos, share)")
+    assert terms.read(write(helpers + WORK.replace(", share", "") + asks)).rewards.keys() == {
+        "work"
+    }
 
 
 def test_a_file_that_is_not_there_is_one_line(capsys):

@@ -2,6 +2,7 @@
 
 import re
 import textwrap
+import warnings
 from types import SimpleNamespace
 
 import jax
@@ -301,6 +302,28 @@ WRONG = {  # what follows the import -> a part of the line
     "@terms.reward(weight=1.0)\ndef f(qpos): return [1, 2][qpos[0].astype(int)]": "no value as an index",
     "@terms.reward(weight=1.0)\ndef f(qpos): raise ValueError('so it is ' * 99)": r" \.\.\.$",
     "@terms.command(draws=1)\ndef f(draw): return draw": r"shape \(1,\), expected \(3,\)",
+    "@terms.command(draws=1)\ndef f(draw): return draw[0], 0.0, 0.0": (
+        r"own.py, line 4 returns a tuple, expected an array of the shape \(3,\): xp.stack\(\[...\]\) makes"
+    ),
+    "@terms.observation(size=2, signs=(1, 1))\ndef f(qpos): return [qpos[0], qpos[1]]": "a list, .*xp.stack",
+    "@terms.known(start=(0.0,), signs=(1,))\ndef f(f): return 'a'": r"a str, .* of the shape \(1,\)$",
+    "@terms.known(start=(0.0,), signs=(1,))\ndef f(f): f + 1": r"None, .* shape \(1,\): no return statement",
+    "@terms.curriculum(start=0.3)\ndef f(f): f + 1": "None, expected one number .*: no return statement",
+    "@terms.reward(weight=1.0)\ndef f(qpos): qpos[0]": "own.py, line 4 returns None, .*: no return statement",
+    "@terms.reward(weight=1.0)\ndef f(qpos): return [qpos[0]]": "returns a list, expected one number of one",
+    "@terms.termination()\ndef f(height): height < 0.1": "None, expected True or False: no return statement",
+    "@terms.termination()\ndef f(height): return height": (
+        "returns numbers, expected True or False: compare it, such as height < 0.2$"
+    ),
+    "@terms.termination(timeout=True)\ndef f(qpos): return 1": "returns numbers, expected True or False",
+    "@terms.termination()\ndef f(qpos): return qpos > 9": r"\(19,\), expected True or False; .any\(\) or",
+    "@terms.command(draws=1)\ndef f(draw):\n    xp = draw.__array_namespace__()\n"
+    "    return xp.stack([draw[0], draw[1], draw[0]])": r"line 7 .* index 1 is out of .*; JAX would take",
+    "@terms.reward(weight=1.0)\ndef f(contact): return contact[4]": "index 4 is out of .*; JAX would take",
+    "@terms.observation(size=1, signs=(1,))\ndef f(qpos): return qpos.at[0].set(0)[:1]": (
+        "line 5 cannot be run: AttributeError: .* no attribute 'at'; play calls it with NumPy arrays"
+    ),
+    "@terms.termination()\ndef f(qpos): return qpos.at[0].get() > 1": "'at'; play calls it with NumPy arrays",
     "@terms.observation(size=1)\ndef f(qpos): return qpos[:1]": "has no signs, .* ppo.symmetry is True",
     "@terms.reward(weight=1.0)\ndef energy(torque): return 0.0": "energy .* a name that dynappo uses",
     "@terms.reward(weight=1.0)\ndef gravity(torque): return 0.0": "gravity .* a name that dynappo uses",
@@ -315,6 +338,81 @@ def test_a_wrong_term_is_one_line_before_anything_is_compiled(text, tmp_path):
     config, robot = motors.fitted(config, robot_lib.load("go1"))
     said = refused(of_robots.check, config, robot)
     assert re.search(WRONG[text], said), said
+
+
+RIGHT = """
+import warnings
+import jax
+import jax.numpy as jnp
+import numpy as np
+from dynappo import terms
+
+@terms.reward(weight=1.0)
+def only_for_jax(torque): return torque.at[0].set(0.0).sum()
+
+@terms.reward(weight=1.0)
+def one_of_a_table(height, foot_height):
+    return foot_height[(1e6 * height).astype(int)] + jnp.linalg.norm(foot_height)
+
+@terms.observation(size=2, signs=(1, 1))
+def divided(qpos, qvel):
+    if isinstance(qpos, np.ndarray):
+        warnings.warn("of made-up numbers")
+    xp = qpos.__array_namespace__()
+    return xp.stack([qpos[0] / (0 * qvel[0]), xp.log(qvel[1] - 9)])
+
+@terms.observation(size=1, signs=(1,))
+def of_jax(qpos): return jax.nn.relu(qpos[:1])
+
+@terms.known(start=(0.0,), signs=(1,))
+def inverse(inverse, joint_position):
+    xp = inverse.__array_namespace__()
+    return xp.linalg.inv(joint_position[:9].reshape(3, 3))[0, :1]
+
+@terms.termination()
+def by_jax(height, kp): return jnp.logical_and(height < 0.1, kp > 0.0).any()
+
+@terms.termination(timeout=True)
+def with_at(torque): return torque.at[0].get() > 1e3
+
+@terms.termination(timeout=True)
+def never(): return False
+
+@terms.command(draws=1)
+def drawn(draw, command_x): return jnp.stack([command_x[1] * draw[0], 0.0, 0.0])
+
+@terms.curriculum(start=0.3)
+def level(level, episode_steps): return level + 1 / episode_steps
+"""
+
+
+def test_what_training_and_play_can_call_is_accepted_whatever_made_up_numbers_give(tmp_path):
+    """`.at` where play does not call it, jax.numpy, and with numbers at hand: divided by 0, an index."""
+    config, robot = motors.fitted(of(RIGHT, tmp_path), robot_lib.load("go1"))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with np.errstate(all="raise"):
+            of_robots.check(config, robot)
+
+
+@pytest.mark.parametrize(
+    "value", [1, 2.5, True, np.float32(1), np.ones(()), jax.numpy.ones((), "bfloat16")]
+)
+def test_what_is_one_number(value):
+    assert terms.fault(terms.Reward, value, ()) == ""
+
+
+@pytest.mark.parametrize("value", [1j, np.complex64(1), np.array("a"), np.array(None), {}, len])
+def test_what_is_no_number(value):
+    assert f"returns a {type(value).__name__}, " in terms.fault(terms.Reward, value, ())
+
+
+def test_a_sum_of_rewards_takes_numbers_only():
+    said = refused(reward_sum.values, {"f": lambda height: None}, {"height": 0.3})
+    assert re.search(
+        r"the term f of .*test_own.py, line \d+ returns None, expected one number", said
+    )
+    assert reward_sum.values({"f": lambda height: height > 0}, {"height": 0.3}) == {"f": True}
 
 
 def test_a_field_that_no_term_has_is_one_line(tmp_path):

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dynappo.config import split
+import numpy as np
+
+from dynappo.config import per_joint, split
 from dynappo.description import robot as robot_lib
 from dynappo.tasks.velocity import gait, observe, own, partners, reward_sum
 
@@ -22,9 +24,9 @@ def check(config, robot: robot_lib.Robot) -> None:
 
 
 def _try_terms(config, robot: robot_lib.Robot, used: reward_sum.Terms) -> None:
-    """ConfigError for a term of one's own that JAX cannot trace, or that has another shape than it should."""
+    """ConfigError for a term of one's own that JAX cannot trace or play cannot call, or that returns what
+    it should not."""
     import jax
-    import jax.numpy as jnp
 
     from dynappo.physics import engine  # they start JAX
     from dynappo.tasks.velocity import env
@@ -38,11 +40,18 @@ def _try_terms(config, robot: robot_lib.Robot, used: reward_sum.Terms) -> None:
     sizes["lowest"] = (len(env.ground_rules(robot, config.task)[1]),)
     sizes["obs"] = (observe.size(joints, True, made.seen),)
     sizes["draw"] = (made.terms.command.how.draws if made.terms.command else 0,)
-    kinds = dict.fromkeys(own.BOOLS, jnp.bool_) | {"episode_steps": jnp.int32}
-    facts = {n: jax.ShapeDtypeStruct(x, kinds.get(n, jnp.float32)) for n, x in sizes.items()}
+    kinds = dict.fromkeys(own.BOOLS, np.bool_) | {"episode_steps": np.int32}
 
     def each(hyper, facts):
         facts |= own.numbers(hyper._replace(task=engine.per_joint_arrays(hyper)))
-        own.tried(made, used, facts, facts.pop("obs"), facts.pop("draw"))
+        own.tried(made, used, facts)
 
+    facts = {n: jax.ShapeDtypeStruct(x, kinds.get(n, np.float32)) for n, x in sizes.items()}
     jax.eval_shape(each, split(config)[1], facts)
+    given = {**config.task, **config.task.own}
+    given |= {n: np.array(given[n]) for n in per_joint.names() if isinstance(given[n], tuple)}
+    several = [
+        {n: np.asarray(draw(x), kinds.get(n))[()] for n, x in sizes.items()} | given
+        for draw in (np.zeros, np.random.default_rng(0).random)
+    ]
+    own.tried_in_numpy(made, used, several, own.numbers_in(config.task))

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import difflib
 import json
+import warnings
 from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
@@ -186,30 +187,62 @@ def numbers_in(task: Mapping[str, Any]) -> dict[str, float]:
     return {name: value for name, value in every.items() if type(value) in (int, float)}
 
 
-def _value(term: Term, facts: Mapping[str, Any], shape: tuple[int, ...]) -> Any:
-    value = terms.call(term, facts)
-    if np.shape(value) != shape:
-        expected = f"{shape}" if shape else "one number of one robot"
-        raise ConfigError(
-            f"the term {term.name} of {term.file} has the shape {np.shape(value)}, expected {expected}"
-        )
+def _value(own: Own, term: Term, facts: Mapping[str, Any]) -> Any:
+    value, how, shape = terms.call(term, facts), term.how, ()
+    if isinstance(how, terms.Observation):
+        shape = (own.joints if how.size is None else how.size,)
+    elif isinstance(how, terms.Command):
+        shape = (3,)
+    if fault := terms.fault(type(how), value, shape):
+        raise ConfigError(f"the term {term.name} of {terms.place(term.function)} {fault}")
     return value
 
 
-def tried(own: Own, used: reward_sum.Terms, facts: Mapping[str, Any], obs, draw) -> None:
-    """Call every term, of rewards those that are `used`, with an observation `obs` that has a gait clock;
-    ConfigError as of `_value`."""
-    seen = observe.split(obs, own.joints, True, own.seen)
-    facts = {**facts, **scalars(own, seen), "dt": own.dt}
-    predicted(own, facts)
-    before = {each.name: seen[each.name] for each in own.seen if each.known}
-    following(own, before, facts)
-    levels(own, before, facts)
-    for timeout in (False, True):
-        ends(own, facts, timeout)
-    reward_sum.values({n: used[n] for n in own.terms.rewards if n in used}, facts)
-    if (sample := sampler(own, facts, before)) is not None:
-        sample[1](draw)
+def tried(own: Own, used: reward_sum.Terms, facts: Mapping[str, Any]) -> None:
+    """Call every term, of rewards those that are `used`, with all that they may ask for and an observation
+    `obs` that has a gait clock; ConfigError as of `_value`."""
+    facts = _of_trial(own, facts)
+    for term in _in_use(own, used):
+        _value(own, term, facts)
+
+
+def tried_in_numpy(
+    own: Own, used: reward_sum.Terms, several: list[dict[str, Any]], given: Iterable[str]
+) -> None:
+    """As `tried`, with NumPy arrays: ConfigError for a term that fails with each of `several` made-up facts.
+    `given` are the names of numbers that play knows.
+
+    What play does not call may need JAX, as `x.at`. But no index may be too large: JAX takes the last one.
+    """
+    played = {*own.terms.observations, *ends_in_play(own, given)}
+    every = [_of_trial(own, facts) for facts in several]
+    for term in _in_use(own, used):
+        errors = [error for facts in every if (error := _refused(own, term, facts))]
+        if len(errors) < len(every):  # else it is not the made-up numbers
+            continue
+        if isinstance(errors[0].__context__, IndexError):
+            raise ConfigError(f"{errors[0]}; JAX would take the last one")
+        if term.name in played:
+            raise ConfigError(f"{errors[0]}; play calls it with NumPy arrays")
+
+
+def _of_trial(own: Own, facts: Mapping[str, Any]) -> dict[str, Any]:
+    seen = observe.split(facts["obs"], own.joints, True, own.seen)
+    return {**facts, **scalars(own, seen), "dt": own.dt}
+
+
+def _in_use(own: Own, used: reward_sum.Terms) -> list[Term]:
+    return [t for t in own.terms.every() if t.name in used or not isinstance(t.how, terms.Reward)]
+
+
+def _refused(own: Own, term: Term, facts: Mapping[str, Any]) -> ConfigError | None:
+    try:
+        with np.errstate(all="ignore"), warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of made-up numbers
+            _value(own, term, facts)
+    except ConfigError as error:
+        return error
+    return None
 
 
 def check_finite(own: Own, obs) -> None:
@@ -226,7 +259,7 @@ def check_finite(own: Own, obs) -> None:
 def predicted(own: Own, facts: Mapping[str, Any]) -> dict[str, Any]:
     """The predicted quantities, each [size]."""
     return {
-        name: _value(term, facts, (own.joints if term.how.size is None else term.how.size,))
+        name: _value(own, term, facts)
         for name, term in own.terms.observations.items()
         if term.how.start is None
     }
@@ -236,7 +269,7 @@ def following(own: Own, before: Mapping[str, Any], facts: Mapping[str, Any]) -> 
     """The known quantities, curricula among them, one control step after they were `before`."""
     facts = {**facts, **scalars(own, before), "dt": own.dt}
     after = {
-        name: _value(term, facts, (term.how.size,))
+        name: _value(own, term, facts)
         for name, term in own.terms.observations.items()
         if term.how.start is not None
     }
@@ -257,7 +290,7 @@ def starts(own: Own, given: Mapping[str, Any], xp) -> dict[str, Any] | None:
 def levels(own: Own, before: Mapping[str, Any], facts: Mapping[str, Any]) -> dict[str, Any]:
     """The curricula's numbers [1] after an episode that has ended."""
     facts = {**facts, **scalars(own, before), "dt": own.dt}
-    out = {name: _value(term, facts, ()) for name, term in own.terms.curricula.items()}
+    out = {name: _value(own, term, facts) for name, term in own.terms.curricula.items()}
     return {name: value * 1.0 + 0 * before[name] for name, value in out.items()}
 
 
@@ -267,18 +300,20 @@ def scalars(own: Own, parts: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def ends(own: Own, facts: Mapping[str, Any], timeout: bool, names=None) -> dict[str, Any]:
-    """Whether each termination of a kind ends the episode, as a bool; of `names`, or of all."""
+    """Whether each termination of a kind ends the episode; of `names`, or of all."""
     facts = {**facts, "dt": own.dt}
     return {
-        name: _value(term, facts, ()) != 0
+        name: _value(own, term, facts)
         for name, term in own.terms.terminations.items()
         if term.how.timeout == timeout and (names is None or name in names)
     }
 
 
-def asks_only(term: Term, known: set[str]) -> bool:
-    """Whether a term asks for nothing but `known` names and `dt`."""
-    return {*terms.parameters(term.function)} <= known | {"dt"}
+def ends_in_play(own: Own, given: Iterable[str]) -> list[str]:
+    """The terminations that ask for no more than play knows, beside the numbers `given`."""
+    known = {*given, *observe.quantities(True, own.seen), *Placed._fields, "action", "dt"}
+    every = own.terms.terminations.items()
+    return [name for name, term in every if known.issuperset(terms.parameters(term.function))]
 
 
 def sampler(own: Own, given: Mapping[str, Any], before: Mapping[str, Any]) -> Any:
@@ -288,7 +323,7 @@ def sampler(own: Own, given: Mapping[str, Any], before: Mapping[str, Any]) -> An
         return None
     seen = {each.name for each in own.seen if each.known}
     facts = {**given, **scalars(own, {n: before[n] for n in seen}), "dt": own.dt}
-    return term.how.draws, lambda draw: _value(term, {**facts, "draw": draw}, (3,))
+    return term.how.draws, lambda draw: _value(own, term, {**facts, "draw": draw})
 
 
 def evaluated(own: Own, hyper) -> Any:

@@ -12,8 +12,6 @@ import inspect
 from collections.abc import Callable, Iterable
 from typing import Any
 
-import numpy as np
-
 from dynappo.config import ConfigError, per_joint
 from dynappo.config import terms as terms_lib
 from dynappo.tasks.velocity import observe, rewards
@@ -85,7 +83,7 @@ def terms_of(task) -> Terms:
 def _file(term: Callable[..., Any]) -> str:
     """Where a term is, for messages."""
     own = inspect.unwrap(term)
-    return FILE if own.__module__ == rewards.__name__ else own.__code__.co_filename
+    return FILE if own.__module__ == rewards.__name__ else terms_lib.place(own)
 
 
 def parameters(term: Callable[..., Any]) -> tuple[str, ...]:
@@ -126,11 +124,8 @@ def values(terms: Terms, facts: dict[str, Any]) -> dict[str, Any]:
     """
     out = {name: term(**{p: facts[p] for p in parameters(term)}) for name, term in terms.items()}
     for name, value in out.items():
-        if np.shape(value) != ():
-            raise ConfigError(
-                f"the term {name} of {_file(terms[name])} has the shape {np.shape(value)}, expected "
-                "one number of one robot; sum it"
-            )
+        if fault := terms_lib.fault(terms_lib.Reward, value, ()):
+            raise ConfigError(f"the term {name} of {_file(terms[name])} {fault}")
     return out
 
 
