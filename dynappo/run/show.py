@@ -285,14 +285,22 @@ def summary(out, config, workdir: Path, summary: dict[str, Any]) -> None:
         say(str(summary["curves"]))
     if "video" in summary:
         say(str(summary["video"]))
-    if config.env.startswith("playground:"):
-        return say(f"see it: {shell.line('play', workdir, '--out=walk.html')}")
-    if not config.robot:
+    if not _has_robot(config):
         text = (
             f"no film, no play: it is no robot; policy_file.load_actor('{workdir}/policy.npz') acts"
         )
         return say(text)
-    say(f"see it: {shell.line('play', workdir, *terms.flag(config), '--out=walk.html')}")
+    if see := how_to_see(config, workdir, summary):
+        say(see)
+    if not config.robot:
+        return None
     small = config.run.num_iterations < 200 or summary["impl"] == "c"
     if small and not config.task.terms and config.task.terrain == "flat":  # best is on flat ground
         say(f"next: {shell.line('train', f'--config={config.robot}')}  (on a GPU)")
+
+
+def how_to_see(config, workdir: Path, summary: dict[str, Any]) -> str:
+    """The line with the command that plays a policy of a run; "" where its film has failed as that would."""
+    if not summary.get("playable", True):
+        return ""
+    return f"see it: {shell.line('play', workdir, *terms.flag(config), '--out=walk.html')}"

@@ -222,6 +222,15 @@ def test_a_second_of_evaluation_says_nothing_of_falls_or_standing():
     assert "stood" not in found and "falls" not in found
 
 
+@pytest.mark.parametrize("spec", ["configs/go1.py:quick", "playground:Go1Getup"])
+def test_a_policy_whose_film_has_failed_is_not_said_to_be_seen(spec):
+    """`play` would fail alike. Where only the renderer is missing, a page can be written."""
+    for change, seen in (({}, True), ({"playable": False}, False)):
+        text, lacking = io.StringIO(), SUMMARY | {"video": "no video: ..."} | change
+        show.summary(Console(file=text, width=120), config(spec), pathlib.Path("runs/x"), lacking)
+        assert "no video: ..." in text.getvalue() and ("see it: " in text.getvalue()) == seen
+
+
 def test_brackets_are_no_markup():
     """What installs an extra, and a folder's name."""
     text, lacking = io.StringIO(), SUMMARY | {"video": "no video: pip install -e '.[video]'"}
