@@ -29,9 +29,9 @@ def check(
 
     `columns` are the chunk's rows of the schedule, `networks` all parameters after it, `own` the terms of
     one's own, which the line names first. An iteration's numbers are checked in the order in which they are
-    computed: rewards, model, losses. If a robot's row was the first to be wrong, `workdir/nonfinite.npz` keeps
-    that robot as it was before the chunk, to be replayed; `before()` returns the environment states and bodies
-    before the chunk.
+    computed: rewards, model, losses. If a robot's row was the first to be wrong, `workdir/nonfinite.npz`
+    keeps that robot as it was before the chunk, to be replayed; `before()` returns the environment states and
+    bodies before the chunk.
     """
     robots = np.asarray(metrics.pop("nonfinite_robot"))  # [I], or [I, S]
     problem = first_metric(metrics, columns.get("model_epochs"))
