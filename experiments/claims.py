@@ -145,7 +145,14 @@ STATED = {  # name -> where, and the words
     "go2 crosses": [
         ("README.md", "crosses {:.0%} of all tiles of stairs"),
     ],
-    "laptop return": [("README.md", "evaluation: return {:.2f}")],
+    "laptop return": [
+        ("README.md", "evaluation: return {:.2f}"),
+        ("notebooks/01_first_run.ipynb", "the return is {:.2f} and the tracking error"),
+    ],
+    "laptop tracking error": [
+        ("README.md", "evaluation: tracking error {:.2f} m/s"),
+        ("notebooks/01_first_run.ipynb", "and the tracking error {:.2f} m/s (README.md)"),
+    ],
     "laptop seconds": [("README.md", "training {:.1f} s, after 24 s of set-up")],
 }
 
@@ -250,6 +257,7 @@ def laptop():
     text = (ROOT / LAPTOP).read_text()
     for name, words, unit in (
         ("return", "evaluation: return +", ""),
+        ("tracking error", "evaluation: tracking error +", "m/s"),
         ("seconds", "training +", "s"),
     ):
         (value,) = re.findall(words + "([0-9.]+)", text)

@@ -24,9 +24,10 @@ from toy_runs import assert_close
 
 from dynappo import algorithm, schedule
 from dynappo import config as config_lib
+from dynappo.description import robot as robot_lib
 from dynappo.learner import networks
 from dynappo.model import dynamics
-from dynappo.policy import policy_file
+from dynappo.policy import policy_file, policy_source
 from dynappo.terrain import tiles
 from experiments import paper, pictures, run, stats
 
@@ -1772,6 +1773,49 @@ def test_a_teacher_says_what_its_policy_does_in_the_exact_state():
     told = policy_file.actor(teacher.params, teacher.activation)
     wanted = told(np.concatenate([prop, obs[:, 33:48]], 1).astype(np.float32))
     np.testing.assert_allclose(said, wanted, atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("argv", "said"),
+    [
+        (
+            "--teacher go1_deploy",
+            "sees 225 numbers, onboard-45, 5 readings; expected one that sees the state, 1",
+        ),
+        (
+            "--teacher go1_rough",
+            "sees 235 numbers, velocity-48, a height scan; expected one that",
+        ),
+        ("--teacher go2", "--teacher=go2 is a policy of go2; expected one of go1"),
+        (
+            "--teacher go1 --config anymal_c:best",
+            "is a policy of go1; expected one of anymal_c",
+        ),
+        ("--teacher nothing", "nothing: no such file or folder; expected a workdir"),
+        ("--config nope", "--config: no file 'nope'"),
+        ("--set task.nothing=1", "--config.task.nothing: no such field"),
+        ("--set task.history", "task.history=''"),
+    ],
+)
+def test_a_student_without_a_fitting_teacher_is_refused_in_one_line(
+    argv, said, capsys, monkeypatch
+):
+    """Before JAX has a device; the line names what was found and what is expected."""
+    student = script("29_student/student")
+    monkeypatch.setattr(student.devices, "own_process", lambda *_: pytest.fail("it begins"))
+    monkeypatch.setattr(sys, "argv", ["student.py", "student.npz", *argv.split()])
+    with pytest.raises(SystemExit) as end:
+        student.main()
+    line = capsys.readouterr().err
+    assert end.value.code == 2 and said in line and line.count("\n") == 1, line
+
+
+def test_the_bundled_policies_that_see_the_state_may_teach_their_robots():
+    """A biped's has a gait clock."""
+    student = script("29_student/student")
+    for name in ("go1", "anymal_d", "g1"):
+        config = config_lib.load(f"{name}:best")
+        student.check(policy_source.load(name)[0], name, config, robot_lib.load(name))
 
 
 @functools.cache

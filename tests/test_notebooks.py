@@ -15,11 +15,14 @@ from answers import ROOT
 from IPython.core.inputtransformer2 import TransformerManager
 from nbclient import NotebookClient
 
+from dynappo import config as config_lib
+
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 FOR_COLAB = ("05_colab", "06_playground")  # which carry no outputs
 WITH_OUTPUTS = [path for path in NOTEBOOKS if path.stem not in FOR_COLAB]
 MAX_BYTES, MAX_GIF = 300_000, 120_000  # of what is stored with every change
 SHOWS = {"print": "stream", "show": "image/", "display": "image/", "show_sweep": "stream"}
+SHOWN = ("return", "fall_rate")  # by the first run's evaluation
 # a path that begins at the root of a machine, or at a drive; not part of an address or a fraction
 ABSOLUTE = re.compile(r"(?<![\w.:/<])/(?!/)\w+/\w|\b[A-Z]:\\")
 # notebook -> what its cell "parameters" is replaced by
@@ -274,6 +277,25 @@ def test_a_notebook_defines_nothing(path):
     cells = code(read(path))
     found = [n for cell in cells for n in ast.walk(python(cell)) if isinstance(n, kinds)]
     assert not found, "what a notebook needs belongs into dynappo/, where it is tested"
+
+
+def test_the_first_runs_words_have_the_numbers_of_its_outputs_and_of_the_configs():
+    """Those of README.md: tests/test_claims.py."""
+    notebook = read(ROOT / "notebooks" / "01_first_run.ipynb")
+    words = " ".join(c.source for c in notebook.cells if c.cell_type == "markdown").split()
+    words, shown = " ".join(words), printed(notebook)
+    found = {name: float(re.findall(rf"(?m)^{name} +([0-9.]+)$", shown)[0]) for name in SHOWN}
+    laptop, best = (config_lib.load(name) for name in ("go1:laptop", "go1"))
+    falls = round(found["fall_rate"] * laptop.run.eval_envs)
+    for text in (
+        f"its return is {found['return']:.1f} of 45, and {falls} of {laptop.run.eval_envs} robots fell",
+        f"`go1:laptop` is {laptop.rollout.num_envs} robots on C MuJoCo",
+        f"`configs/go1.py` trains {best.rollout.num_envs} robots.",
+        f"After {laptop.run.num_iterations} iterations, the default of `go1:laptop`",
+        f"From iteration {laptop.schedule.end_iteration} on it writes {laptop.schedule.end_steps} of "
+        f"{laptop.rollout.horizon} steps",
+    ):
+        assert text in words, text
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)

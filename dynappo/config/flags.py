@@ -122,6 +122,12 @@ def _fields(rest: list[str]) -> Iterator[tuple[str, str]]:
         yield flag, value if equals else next(words, "")
 
 
+def given(rest: list[str]) -> dict[str, str]:
+    """The texts of every `--config.GROUP.FIELD=VALUE` of `rest`, by field."""
+    found = [(flag.partition("--config.")[2], text) for flag, text in _fields(rest)]
+    return {name: text for name, text in found if name}
+
+
 def load(spec: str | None, rest: list[str], flag: str = "--config"):
     """The config `--config=SPEC` with every `--config.GROUP.FIELD=VALUE` of `rest`; not validated."""
     return load_both(spec, rest, flag)[0]

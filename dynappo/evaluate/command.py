@@ -117,7 +117,13 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
         type=flags_lib.path,
         help="folder for the results; default: WORKDIR/evaluation, or evaluation-NAME",
     )
+    flag("--command", nargs="?", const="0.5,0,0", help=argparse.SUPPRESS)  # which is `play`'s
     flags = flags_lib.read(parser, argv)
+    if flags.command is not None:
+        raise ConfigError(
+            "--command: no such flag; evaluate measures a grid of commands; to see the policy under one: "
+            f"{shell.line('play', flags.what or 'NAME_OR_DIR', f'--command={flags.command}')}"
+        )
     if not flags.what:
         raise ConfigError(
             "nothing to evaluate; name a workdir, as in: python -m dynappo.evaluate runs/laptop"

@@ -33,7 +33,7 @@ def settings(policy: Policy):
     config = fields.defaults()
     for name, value in config_lib.flat(policy.config).items():
         field = fields.field(name)
-        if field is None or (fields.is_own(name) and not policy.config["task"].get("terms")):
+        if field is None or not _known(policy, name):
             continue
         group, _, leaf = name.rpartition(".")
         node = config[group] if group else config
@@ -57,12 +57,18 @@ def settings(policy: Policy):
     return config
 
 
+def _known(policy: Policy, name: str) -> bool:
+    """Whether a field of the policy's config is one of this version's, or of the policy's own terms."""
+    own = fields.is_own(name) and policy.config["task"].get("terms")
+    return bool(own) or name in fields.every()
+
+
 def left_out(policy: Policy) -> str:
     """A line on what the task of the policy's training had and this version of dynappo has not; else ""."""
     found = {
         name: value
         for name, value in config_lib.flat(policy.config).items()
-        if name.startswith(("task.", "physics.")) and name not in fields.every() and value
+        if name.startswith(("task.", "physics.")) and not _known(policy, name) and value
     }
     names = ", ".join(f"{name} = {value!r}" for name, value in found.items())
     return names and (

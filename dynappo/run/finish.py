@@ -54,19 +54,17 @@ def finish(
     if evaluation_seconds is not None:  # of all runs of a program at once
         summary["evaluation_seconds"] = evaluation_seconds
     began = time.perf_counter()
-    if config.run.video_seconds and not config.robot:
-        problem = _film_of_task(config, workdir) or str(workdir / "video.mp4")
-        summary["video"] = problem
-    elif config.run.video_seconds:
-        act = policy_file.actor(params, config.ppo.activation)
-        seconds = config.run.video_seconds
+    if seconds := config.run.video_seconds:
         try:
-            episode = render.simulate(program.robot, config, act, render.tour(seconds), seconds)
-            problem = render.film(program.robot, episode, workdir / "video.mp4")
+            if config.robot:
+                act = policy_file.actor(params, config.ppo.activation)
+                episode = render.simulate(program.robot, config, act, render.tour(seconds), seconds)
+                problem = render.film(program.robot, episode, workdir / "video.mp4")
+            else:
+                problem = _film_of_task(config, workdir)
         except (FloatingPointError, ConfigError) as error:  # the run itself has ended well
-            problem = f"no video: {error}"
+            problem, summary["playable"] = f"no video: {error}", False
         summary["video"] = problem or str(workdir / "video.mp4")
-    if "video" in summary:
         summary["video_seconds"] = time.perf_counter() - began
     if len(run.origins) > 1:  # else all of it is in the summary itself
         summary["origins"] = list(run.origins)
@@ -85,21 +83,19 @@ def finish(
 
 
 def _film_of_task(config, workdir: Path) -> str:
-    """The film of an episode of another package's environment; "", or why there is none."""
+    """The film of an episode of another package's environment; "", or why there is none. Errors as of
+    `render.simulate`."""
     from dynappo.policy import render, task_player
 
     if not config.env.startswith("playground:"):
         return "no video: the environment has no MuJoCo model"
     policy = policy_file.load_other(workdir / "policy.npz")
     assert policy is not None
-    try:
-        with task_player.playing(config.env) as player:
-            act = task_player.actor(player, policy)
-            episode = task_player.episode(player, act, config.run.video_seconds)
-        with task_player.shown(player) as shown:
-            return render.film(shown, episode, workdir / "video.mp4")
-    except (ConfigError, FloatingPointError) as error:
-        return f"no video: {error}"
+    with task_player.playing(config.env) as player:
+        act = task_player.actor(player, policy)
+        episode = task_player.episode(player, act, config.run.video_seconds)
+    with task_player.shown(player) as shown:
+        return render.film(shown, episode, workdir / "video.mp4")
 
 
 def final(summary: dict[str, Any]) -> dict[str, float]:

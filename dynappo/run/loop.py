@@ -74,7 +74,8 @@ def loop(
         for i in good:
             try:
                 was = partial(part, before, i)
-                nonfinite.check(chunks[i], columns, part(networks, i), was, runs[i].workdir)
+                own = terms.of(runs[i].config.task)
+                nonfinite.check(chunks[i], columns, part(networks, i), was, runs[i].workdir, own)
                 overflow.check(chunks[i])
                 line = blowups.check(chunks[i], runs[i].config.rollout.num_envs)
                 if line and i not in told:  # once a run

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from dynappo.config import shell, terms
 from dynappo.policy import checkpoint_file
 from dynappo.program import distributed
 from dynappo.run import checkpoint
@@ -16,13 +17,21 @@ from dynappo.run import checkpoint
 OF_A_FIT = "model_loss", "model_loss_before"  # NaN in iterations without a fit
 
 
-def check(metrics, columns, networks, before: Callable[[], Any], workdir: Path | None) -> None:
+def check(
+    metrics,
+    columns,
+    networks,
+    before: Callable[[], Any],
+    workdir: Path | None,
+    own: terms.Terms = terms.NONE,
+) -> None:
     """FloatingPointError naming the first number of a chunk that is not finite.
 
-    `columns` are the chunk's rows of the schedule, `networks` all parameters after it. An iteration's
-    numbers are checked in the order in which they are computed: rewards, model, losses. If a robot's row was
-    the first to be wrong, `workdir/nonfinite.npz` keeps that robot as it was before the chunk, to be
-    replayed; `before()` returns the environment states and bodies before the chunk.
+    `columns` are the chunk's rows of the schedule, `networks` all parameters after it, `own` the terms of
+    one's own, which the line names first. An iteration's numbers are checked in the order in which they are
+    computed: rewards, model, losses. If a robot's row was the first to be wrong, `workdir/nonfinite.npz`
+    keeps that robot as it was before the chunk, to be replayed; `before()` returns the environment states and
+    bodies before the chunk.
     """
     robots = np.asarray(metrics.pop("nonfinite_robot"))  # [I], or [I, S]
     problem = first_metric(metrics, columns.get("model_epochs"))
@@ -48,11 +57,21 @@ def check(metrics, columns, networks, before: Callable[[], Any], workdir: Path |
         where += f"; robot {index[-1]}, as it was before, is in {workdir / 'nonfinite.npz'}"
     kept = workdir and checkpoint_file.iterations(workdir / "checkpoints")
     raise FloatingPointError(
-        f"{name} is not finite in iteration {iteration}: training has blown up ({where}). Lower "
-        "ppo.desired_kl (where ppo.adaptive is False, ppo.learning_rate) or model.learning_rate, shorten the "
-        "tail, or set model.bound; "
+        f"{name} is not finite in iteration {iteration}: training has blown up ({where}). "
+        f"{_of_terms(name, own)} ppo.desired_kl (where ppo.adaptive is False, ppo.learning_rate) or "
+        "model.learning_rate, shorten the tail, or set model.bound; "
         + ("the last checkpoint is good" if kept else "nothing has been saved yet")
     )
+
+
+def _of_terms(name: str, own: terms.Terms) -> str:
+    """How the advice begins, where the metric `name` is not finite."""
+    if not own.path:
+        return "Lower"
+    term = name.removeprefix("reward_")
+    what = f"The reward term {term}" if term in own.rewards else "A term"
+    path = shell.relative(own.path)
+    return f"{what} of {path} may not be finite (a division by 0?): see there first. Else lower"
 
 
 def first_metric(metrics: dict[str, np.ndarray], epochs=None) -> tuple[str, int] | None:

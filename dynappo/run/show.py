@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -90,10 +90,11 @@ def unusual(out, text: str) -> None:
 
 
 @contextlib.contextmanager
-def live(out, config) -> Iterator[Callbacks]:
+def live(out, config, given: Mapping[str, str] | None = None) -> Iterator[Callbacks]:
     """A line on the console `out` that follows a training of one run or of several; yields its callbacks.
 
-    Where `out` is no terminal, some lines instead. It ends with the `with`, or at the callback `finished`.
+    `given` has the texts of fields that the user has set, for commands that are proposed. Where `out` is no
+    terminal, some lines instead. It ends with the `with`, or at the callback `finished`.
     """
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
@@ -113,7 +114,7 @@ def live(out, config) -> Iterator[Callbacks]:
     say = partial(unusual, out)
 
     def opened():
-        if slow := on_a_cpu(config):
+        if slow := on_a_cpu(config, given or {}):
             say(slow)
         if not out.is_terminal:
             out.print(f"compiles for {devices.ENGINES[_engine(config)]} {compiles}", soft_wrap=True)
@@ -187,8 +188,11 @@ def _has_robot(config) -> bool:
     return bool(config.robot) or config.env.startswith("playground:")
 
 
-def on_a_cpu(config) -> str:
-    """A line on what would be trained on a CPU, where that is slow: MJX, and brax; else ""."""
+def on_a_cpu(config, given: Mapping[str, str]) -> str:
+    """A line on what would be trained on a CPU, where that is slow: MJX, and brax; else "".
+
+    The command that it proposes has the user's terms, and what is `given` of the task.
+    """
     engine = _engine(config)
     if devices.local(config.run.device).platform != "cpu" or engine not in ("jax", "own"):
         return ""
@@ -199,7 +203,9 @@ def on_a_cpu(config) -> str:
             small = f"; a small run: {SMALL}" * (config.rollout.num_envs > 64)
             return f"{none}on a CPU {physics} for minutes{small}"
         return ""
-    laptop = shell.line("train", f"--config={config.robot}:laptop")
+    own = [f"--config.{name}={text}" for name, text in given.items() if name.startswith("task.")]
+    own = [word for word in own if not word.startswith("--config.task.terms=")]
+    laptop = shell.line("train", f"--config={config.robot}:laptop", *terms.flag(config), *own)
     return (
         f"{none}on a CPU MJX compiles for minutes, and C MuJoCo is more than twice as fast: "
         "--config.physics.impl=c; "
@@ -285,14 +291,22 @@ def summary(out, config, workdir: Path, summary: dict[str, Any]) -> None:
         say(str(summary["curves"]))
     if "video" in summary:
         say(str(summary["video"]))
-    if config.env.startswith("playground:"):
-        return say(f"see it: {shell.line('play', workdir, '--out=walk.html')}")
-    if not config.robot:
+    if not _has_robot(config):
         text = (
             f"no film, no play: it is no robot; policy_file.load_actor('{workdir}/policy.npz') acts"
         )
         return say(text)
-    say(f"see it: {shell.line('play', workdir, *terms.flag(config), '--out=walk.html')}")
+    if see := how_to_see(config, workdir, summary):
+        say(see)
+    if not config.robot:
+        return None
     small = config.run.num_iterations < 200 or summary["impl"] == "c"
     if small and not config.task.terms and config.task.terrain == "flat":  # best is on flat ground
         say(f"next: {shell.line('train', f'--config={config.robot}')}  (on a GPU)")
+
+
+def how_to_see(config, workdir: Path, summary: dict[str, Any]) -> str:
+    """The line with the command that plays a policy of a run; "" where its film has failed as that would."""
+    if not summary.get("playable", True):
+        return ""
+    return f"see it: {shell.line('play', workdir, *terms.flag(config), '--out=walk.html')}"

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from dynappo.config import ConfigError, files, shell, terms
+from dynappo.config import ConfigError, files
 from dynappo.config.stop import Stop
 from dynappo.program import build, distributed, environment
 from dynappo.run import merged, show, training
@@ -167,7 +168,6 @@ def _show(out, workdir: Path, combinations: list[Combination], swept: list[str])
     out.print(
         f"{rank}: {best}, its policy is {workdir}/policy.npz too", soft_wrap=True, markup=False
     )
-    if combinations[0].config.robot:
-        own = terms.flag(combinations[0].config)
-        text = f"see it: {shell.line('play', workdir, *own, '--out=walk.html')}"
-        out.print(text, soft_wrap=True, markup=False)
+    config, summary = combinations[0].config, json.loads((best / "summary.json").read_bytes())
+    if config.robot and (see := show.how_to_see(config, workdir, summary)):
+        out.print(see, soft_wrap=True, markup=False)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import os
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -53,7 +54,7 @@ class Command(NamedTuple):
     get_env: Any = None  # of the config's file, if it has an environment of its own
     serve: str | None = None  # the address of a page; "": the usual one
     sweep: sweep_lib.Sweep | None = None  # instead of a run; `config` is its first combination's
-    given: tuple[str, ...] = ()  # the fields that flags set
+    given: Mapping[str, str] = {}  # the fields that flags set, with their texts
 
 
 def parse(argv: list[str] | None) -> Command:
@@ -139,8 +140,7 @@ def parse(argv: list[str] | None) -> Command:
     config = sweep.combinations[0].config if sweep else config_lib.validate(config)
     processes = (known.coordinator, known.processes, known.process)
     own = known.fresh, known.restore, processes, get_env
-    flagged = (text.partition("=")[0] for text in rest if text.startswith("--config."))
-    given = tuple(text.removeprefix("--config.") for text in flagged)
+    given = flags.given(rest)
     return Command(config, workdir, *own, serve=known.serve, sweep=sweep, given=given)
 
 
@@ -227,7 +227,7 @@ def train_run(out, command: Command, stop: Stop) -> str:
     training.check(run, command.fresh)  # before anything is written
     if note := show.of_little_effect(config, command.given):
         show.unusual(out, note)
-    with contextlib.ExitStack() as stack, show.live(out, config) as callbacks:
+    with contextlib.ExitStack() as stack, show.live(out, config, command.given) as callbacks:
 
         def opened():  # nothing is announced that is then refused; the page shows what is in the folder
             out.print(f"dynappo {show.describe(config)}", markup=False, soft_wrap=True)

@@ -20,12 +20,14 @@ import optax
 
 from dynappo import algorithm, scores
 from dynappo import config as config_lib
+from dynappo.config import ConfigError, flags
 from dynappo.description import motors
 from dynappo.description import robot as robot_lib
 from dynappo.learner import networks
 from dynappo.policy import policy_file, policy_source
 from dynappo.program import devices
 from dynappo.tasks.velocity import env as env_lib
+from dynappo.tasks.velocity import observe
 from experiments import paper
 
 ROWS, EPOCHS, BATCHES = (
@@ -53,21 +55,29 @@ def main():
     parser.add_argument("--rate", type=float, default=1e-3)
     parser.add_argument("--seed", type=int, default=0)
     args = parser.parse_args()
-    devices.own_process()
-    name, _, variant = args.config.partition(":")
-    config = config_lib.load(f"configs/{name}.py:{variant}")
-    for text in (*ONBOARD, *args.set):
-        config_lib.override(config, *text.split("=", 1))
+    flags.answer(lambda: teach(args))
+
+
+def teach(args) -> None:
+    """Distil the teacher of a command line, and write the student; ConfigError before all compiling."""
+    config = flags.load(args.config, [f"--config.{text}" for text in (*ONBOARD, *args.set)])
     config = config_lib.validate(config)
     fitted, robot = motors.fitted(config, robot_lib.load(config.robot))
+    teacher, _ = policy_source.load(args.teacher)
+    check(teacher, args.teacher, config, robot)
+    devices.own_process(config.run.device)
     env = env_lib.make(robot, fitted.task, fitted.physics, impl=devices.engine(config))
     static, hyper = config_lib.split(fitted)
-    teacher, _ = policy_source.load(args.teacher)
+    count = max(1, args.steps // (args.robots * ROWS))
+    print(
+        f"teacher {args.teacher}, student {args.config} ({networks.input_sizes(static, env)[0]} inputs), "
+        f"{count} iterations; compiles first",
+        flush=True,
+    )
     begin, learn = parts(env, static, hyper, teacher, args)
     begin_key, key = jax.random.split(jax.random.key(args.seed))
     student = begin(begin_key)
     evaluate = jax.jit(partial(scores.evaluate, env, static=static, num_envs=200, num_steps=1000))
-    count = max(1, args.steps // (args.robots * ROWS))
     for i in range(count):
         student, error = learn(student, jax.random.fold_in(key, i))
         if (i + 1) % max(1, count // 10) == 0:
@@ -76,8 +86,31 @@ def main():
             print(
                 f"{(i + 1) * args.robots * ROWS} steps: within {away:.3f} of the teacher's action,",
                 told(found),
+                flush=True,
             )
     policy_file.save(args.out, jax.device_get(student.params), config, robot)
+
+
+def check(teacher: policy_file.Policy, name: str, config, robot: robot_lib.Robot) -> None:
+    """ConfigError where the teacher is of another robot than the student, or sees other numbers than those
+    that `labels` gives it: one reading of the whole state."""
+    if config.task.terms:
+        raise ConfigError(
+            f"task.terms is {config.task.terms!r}, expected '': a student has no terms of one's own"
+        )
+    clock = config.task.gait_frequency is not None
+    state = observe.name("full", len(robot.joint_names), clock)
+    of = f"--teacher={name}"
+    if (teacher.robot, teacher.joint_names) != (robot.name, robot.joint_names):
+        raise ConfigError(f"{of} is a policy of {teacher.robot}; expected one of {robot.name}")
+    if (teacher.observation, teacher.history, teacher.scan) != (state, 1, "none"):
+        inputs = len(teacher.params["actor"]["params"]["Dense_0"]["kernel"])
+        sees = f"{inputs} numbers, {teacher.observation}"
+        sees += f", {teacher.history} readings" * (teacher.history > 1)
+        sees += ", a height scan" * (teacher.scan != "none")
+        raise ConfigError(
+            f"{of} sees {sees}; expected one that sees the state, 1 reading of {state}"
+        )
 
 
 def told(found) -> str:

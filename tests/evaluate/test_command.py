@@ -223,6 +223,7 @@ MISTAKES = {  # arguments, what the line must say
         "--seconds is for --record=FILE.npz, which is not there",
     ),
     "noise": (["POLICY", "--record=a.npz", "--noise=nan"], "--noise=nan: expected 0 to 10"),
+    "play's command": (["POLICY", "--command=0.5,0,0"], "under one: "),
     "a clock": (
         ["g1", "--record=a.npz"],
         "g1's policy sees a gait clock, which a log does not hold",

@@ -38,6 +38,22 @@ def test_the_settings_are_those_of_training(policy):
     assert episodes.settings(policy._replace(config=old)).to_dict() == expected
 
 
+def test_what_this_version_does_not_know_is_said_and_terms_of_ones_own_are_known(policy):
+    """A weight, a noise and a number of one's own are in the episodes where the config names terms."""
+    theirs = json.loads(json.dumps(policy.config))
+    theirs["task"]["weights"]["motor_work"] = -1e-3
+    theirs["task"]["noise"]["base_height"] = 0.02
+    theirs["task"]["own"]["min_height"] = 0.15
+    named = json.loads(json.dumps(theirs))
+    named["task"]["terms"] = "my_terms.py"
+    assert episodes.left_out(policy) == episodes.left_out(policy._replace(config=named)) == ""
+    named["task"]["no_longer_there"], named["physics"]["off"] = 1, 0.0
+    found = episodes.left_out(policy._replace(config=named))
+    assert "config has task.no_longer_there = 1, which this dynappo does not know" in found
+    found = episodes.left_out(policy._replace(config=theirs))
+    assert all(name in found for name in ("motor_work", "base_height", "min_height"))
+
+
 def test_motors_of_each_joint_are_those_of_the_policy():
     """Not by the patterns of a stranger's config, which nobody matches: they may take for ever."""
     config, robot = described()

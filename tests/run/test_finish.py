@@ -148,7 +148,7 @@ def test_there_is_a_film_or_the_reason(program, whole, tmp_path, monkeypatch):
         summary = finish.finish(run, program(), whole.state, {})
         assert summary["video"] == (problem or str(tmp_path / "video.mp4"))
         assert 0.05 < summary["video_seconds"] < 60 and "evaluation_seconds" not in summary
-        assert summary["curves"] == str(tmp_path / "curves.png")
+        assert summary["curves"] == str(tmp_path / "curves.png") and "playable" not in summary
 
     def blown_up(*_):
         raise FloatingPointError("its physics has blown up")
@@ -156,6 +156,8 @@ def test_there_is_a_film_or_the_reason(program, whole, tmp_path, monkeypatch):
     monkeypatch.setattr(render, "simulate", blown_up)
     summary = finish.finish(run, program(), whole.state, {})
     assert summary["video"] == "no video: its physics has blown up"
+    written = json.loads((tmp_path / "summary.json").read_text())
+    assert summary["playable"] is written["playable"] is False
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     summary = finish.finish(run, program(), whole.state, {})
     assert summary["curves"].endswith(shell.install("video"))

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 import workdirs
 
+from dynappo import terms
 from dynappo.run import nonfinite
 
 
@@ -45,6 +46,32 @@ def test_the_first_array_with_a_bad_number_is_named_by_its_path():
     tree["a"][0] = tree["a"][0].at[2].set(jnp.nan)
     assert nonfinite.first_leaf(tree) == "a/0"
     assert nonfinite._finite()._cache_size() == compiled
+
+
+REWARD = "@terms.reward(weight=1.0)\ndef x(command): return command.sum() / 0.0\n"
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("reward_x", "The reward term x of mine.py may not be finite"),
+        ("value_loss", "A term of mine.py may not be finite"),
+    ],
+)
+def test_where_there_are_terms_of_ones_own_they_are_named_first(name, said, tmp_path, monkeypatch):
+    """In the one line, before the learning rates; without terms these alone."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mine.py").write_text(f"from dynappo import terms\n\n{REWARD}")
+    data = metrics() | {"nonfinite_robot": np.full(4, -1)}
+    data[name][2] = np.nan
+    with pytest.raises(FloatingPointError) as error:
+        nonfinite.check(dict(data), {}, {}, dict, None, terms.read("mine.py"))
+    text = str(error.value)
+    assert f"{name} is not finite in iteration 3" in text and "\n" not in text
+    assert text.index(said) < text.index("Else lower ppo.desired_kl (where")
+    with pytest.raises(FloatingPointError, match=r"\. Lower ppo\.desired_kl") as error:
+        nonfinite.check(dict(data), {}, {}, dict, None)
+    assert "term" not in str(error.value)
 
 
 def poisoned(program, place):

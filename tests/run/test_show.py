@@ -3,6 +3,7 @@
 import io
 import pathlib
 import re
+import shlex
 from types import SimpleNamespace
 
 import numpy as np
@@ -12,6 +13,7 @@ from rich.console import Console
 from dynappo import config as config_lib
 from dynappo.config import shell as shell_lib
 from dynappo.run import show
+from dynappo.train import command as train_command
 
 
 def config(spec="configs/go1.py:dyna4", **fields):
@@ -164,6 +166,29 @@ def test_without_a_gpu_it_is_said_before_anything_is_compiled():
         text.truncate(text.seek(0))
 
 
+def test_what_is_proposed_without_a_gpu_keeps_the_users_task(tmp_path, monkeypatch):
+    """Terms of one's own, and other fields of the task; not those of a run on a GPU."""
+    monkeypatch.chdir(tmp_path)
+    term = "@terms.reward(weight=1.0)\ndef lift(command): return 0.0\n"
+    (tmp_path / "mine.py").write_text(f"from dynappo import terms\n\n{term}")
+    words = [
+        "--terms=mine.py",
+        "--config.task.weights.lift=2",
+        "--config.task.command_x=(0.0, 2.0)",
+    ]
+    command = train_command.parse(["--config=go1", *words, "--config.run.seed", "3"])
+    assert command.given["run.seed"] == "3" and command.config.run.seed == 3
+    text = io.StringIO()
+    out = Console(file=text, width=400)
+    with show.live(out, command.config, command.given) as callbacks:
+        callbacks.opened()
+    line = shell_lib.line("train", "--config=go1:laptop", *words)
+    assert f"made for a CPU: {line}\n" in text.getvalue()
+    _, _, *again = shlex.split(line.removeprefix(shell_lib.command_line()))
+    found = train_command.parse(["--config=go1:laptop", *again]).config
+    assert (found.task.weights.lift, found.task.command_x) == (2.0, (0.0, 2.0))
+
+
 EVALUATION = {"return": 5.5, "fall_rate": 0.125, "tracking_error": 0.31, "yaw_error": 0.42}
 COST = {"impl": "c", "sim_steps": 2_345_678, "seconds": 61.2, "compile_seconds": 20.0}
 SUMMARY = COST | {"return": 3.25, "return_max": 4.5, "evaluation": EVALUATION, "video": "a.mp4"}
@@ -220,6 +245,15 @@ def test_a_second_of_evaluation_says_nothing_of_falls_or_standing():
     found = text.getvalue()
     assert "0.00 %" in found and found.count("not measured in the first second") == 2
     assert "stood" not in found and "falls" not in found
+
+
+@pytest.mark.parametrize("spec", ["configs/go1.py:quick", "playground:Go1Getup"])
+def test_a_policy_whose_film_has_failed_is_not_said_to_be_seen(spec):
+    """`play` would fail alike. Where only the renderer is missing, a page can be written."""
+    for change, seen in (({}, True), ({"playable": False}, False)):
+        text, lacking = io.StringIO(), SUMMARY | {"video": "no video: ..."} | change
+        show.summary(Console(file=text, width=120), config(spec), pathlib.Path("runs/x"), lacking)
+        assert "no video: ..." in text.getvalue() and ("see it: " in text.getvalue()) == seen
 
 
 def test_brackets_are_no_markup():

@@ -165,6 +165,12 @@ def test_a_sweep_that_has_ended_is_only_told_again(whole, tmp_path, stop, capsys
     sweep(workdir, stop, **WHOLE)
     said = capsys.readouterr().out
     assert "0 programs to compile, 4 are done" in said and "evaluated return" in said
+    assert "see it: " in said
+    for path in workdir.glob("*/summary.json"):  # where its film failed, as `play` would
+        path.write_text(json.dumps(json.loads(path.read_text()) | {"playable": False}))
+    sweep(workdir, stop, **WHOLE)
+    said = capsys.readouterr().out
+    assert "its policy is" in said and "see it: " not in said
 
 
 def test_a_sweep_that_was_stopped_goes_on_to_the_same_bits(
