@@ -216,10 +216,10 @@ def onnx_model(policy: Policy, facts: dict[str, Any], targets: bool = False):
     from onnx import TensorProto
 
     graph, x = Graph(), "obs"
-    node, constant = graph.node, graph.constant
+    node, constant, columns = graph.node, graph.constant, order(policy)
     if policy.gait_frequency is not None:  # a robot's clock goes on where the policy saw zeros
         places = {part: np.arange(rows.start, rows.stop) for part, rows in table(policy)}
-        places["others"] = np.arange(places["gait_phase"][0])  # it is the last part
+        places["others"] = np.setdiff1d(np.arange(len(columns)), places["gait_phase"])
         others, phase, command = (
             node(
                 "Gather",
@@ -237,11 +237,12 @@ def onnx_model(policy: Policy, facts: dict[str, Any], targets: bool = False):
         moves = node("Cast", moves, name="moving", to=TensorProto.FLOAT)
         phase = node("Mul", phase, moves, name="gait_phase_moving")
         x = node("Concat", others, phase, name="seen", axis=1)
-    x = add_network(graph, policy.params, policy.activation, x, "action", order(policy))
+        columns = columns[np.concatenate([places["others"], places["gait_phase"]])]
+    x = add_network(graph, policy.params, policy.activation, x, "action", columns)
     if targets:
         x = node("Mul", x, constant("action_scale", policy.action_scale), name="scaled")
         node("Add", x, constant("default_pose", policy.default_pose), name="targets")
-    size, joints = len(order(policy)), len(policy.joint_names)
+    size, joints = len(columns), len(policy.joint_names)
     rows = [
         f"{r['start']}-{r['stop'] - 1} {r['name']} ({r['unit']})"
         for r in facts["observation_table"]
