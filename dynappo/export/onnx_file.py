@@ -55,8 +55,8 @@ HEIGHT_SCAN = observe.Quantity(
     None,
     "m",
     "height of the base's frame above the ground - 0.5, clipped to +-1, at 17 x 11 points 0.1 m apart around "
-    "the base, turned with its yaw alone: x from -0.8 to 0.8, for each y from -0.5 (right) to 0.5; 0 where "
-    "the map has none. Once, not for each reading",
+    "the base, turned with its yaw alone: x from -0.8 to 0.8, for each y from -0.5 (right) to 0.5. Once, not "
+    "for each reading. How to fill it from a map, and what a missing point reads: robots/DEPLOY.md",
     "scan",
 )
 LICENCE = "dynappo and its bundled policies: Apache-2.0; a policy of your own: as you decide"

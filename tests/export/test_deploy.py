@@ -309,24 +309,25 @@ def test_the_pages_scan_is_that_of_training(rough, page_scan):
         )
 
 
-UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0])
-
-
-def test_where_the_map_has_nothing_a_point_reads_what_is_said(page_scan):
-    """An unknown cell, and beyond a map that ends between two points; all others are as they were."""
-    corner, cell = (-1.0, -1.0), 0.05  # a map of 2 m around the origin
-    whole, holed = np.zeros((41, 41)), np.zeros((41, 41))
-    holed[20, 20] = np.nan
-    for heights, x, lost in (
-        (holed, 0.0, (page_scan.GRID == 0).all(1)),
-        (whole, 0.55, page_scan.GRID[:, 0] > 0.45),
-        (whole, -0.55, page_scan.GRID[:, 0] < -0.45),
-    ):
-        for missing in (0.0, -0.3):
-            place = np.array([x, 0.0, 0.3])
-            found = page_scan.height_scan(heights, corner, cell, place, UPRIGHT, missing)
-            assert 0 < lost.sum() < 187
-            np.testing.assert_allclose(found, np.where(lost, missing, -0.2), atol=1e-9)
+def test_where_the_map_has_nothing_a_point_reads_as_the_nearest_that_is_known(page_scan):
+    """In an unknown cell, and beyond a map that ends between two points; NaN where nothing is known."""
+    corner, cell, level = (
+        (-1.0, -1.0),
+        0.05,
+        np.array([1.0, 0.0, 0.0, 0.0]),
+    )  # 2 m around the origin
+    slope = np.tile(0.1 * np.linspace(-1, 1, 41)[:, None], (1, 41))
+    x = page_scan.GRID[:, 0]
+    place, found = np.zeros(3), np.zeros(187)
+    for away, seen in ((0.55, np.minimum(x, 0.4)), (-0.55, np.maximum(x, -0.4)), (0.0, x)):
+        place = np.array([away, 0.0, 0.3])
+        found = page_scan.height_scan(slope, corner, cell, place, level)
+        np.testing.assert_allclose(found, -0.2 - 0.1 * (seen + away), atol=1e-9)
+    slope[20, 20] = np.nan
+    holed = page_scan.height_scan(slope, corner, cell, place, level)
+    np.testing.assert_allclose(np.delete(holed, 93), np.delete(found, 93), atol=1e-9)
+    assert min(abs(holed[93] - found[[82, 92, 94, 104]])) < 1e-9
+    assert np.isnan(page_scan.height_scan(slope * np.nan, corner, cell, place, level)).all()
 
 
 def test_what_a_flat_floor_and_a_box_must_read(page_scan):
