@@ -55,8 +55,8 @@ HEIGHT_SCAN = observe.Quantity(
     None,
     "m",
     "height of the base's frame above the ground - 0.5, clipped to +-1, at 17 x 11 points 0.1 m apart around "
-    "the base, turned with its yaw alone: x from -0.8 to 0.8, for each y from -0.5 (right) to 0.5; 0 where "
-    "the map has none. Once, not for each reading",
+    "the base, turned with its yaw alone: x from -0.8 to 0.8, for each y from -0.5 (right) to 0.5. Once, not "
+    "for each reading. How to fill it from a map, and what a missing point reads: robots/DEPLOY.md",
     "scan",
 )
 LICENCE = "dynappo and its bundled policies: Apache-2.0; a policy of your own: as you decide"
@@ -216,10 +216,10 @@ def onnx_model(policy: Policy, facts: dict[str, Any], targets: bool = False):
     from onnx import TensorProto
 
     graph, x = Graph(), "obs"
-    node, constant = graph.node, graph.constant
+    node, constant, columns = graph.node, graph.constant, order(policy)
     if policy.gait_frequency is not None:  # a robot's clock goes on where the policy saw zeros
         places = {part: np.arange(rows.start, rows.stop) for part, rows in table(policy)}
-        places["others"] = np.arange(places["gait_phase"][0])  # it is the last part
+        places["others"] = np.setdiff1d(np.arange(len(columns)), places["gait_phase"])
         others, phase, command = (
             node(
                 "Gather",
@@ -237,11 +237,12 @@ def onnx_model(policy: Policy, facts: dict[str, Any], targets: bool = False):
         moves = node("Cast", moves, name="moving", to=TensorProto.FLOAT)
         phase = node("Mul", phase, moves, name="gait_phase_moving")
         x = node("Concat", others, phase, name="seen", axis=1)
-    x = add_network(graph, policy.params, policy.activation, x, "action", order(policy))
+        columns = columns[np.concatenate([places["others"], places["gait_phase"]])]
+    x = add_network(graph, policy.params, policy.activation, x, "action", columns)
     if targets:
         x = node("Mul", x, constant("action_scale", policy.action_scale), name="scaled")
         node("Add", x, constant("default_pose", policy.default_pose), name="targets")
-    size, joints = len(order(policy)), len(policy.joint_names)
+    size, joints = len(columns), len(policy.joint_names)
     rows = [
         f"{r['start']}-{r['stop'] - 1} {r['name']} ({r['unit']})"
         for r in facts["observation_table"]

@@ -27,17 +27,23 @@ INPUTS = 48 + 187
 @pytest.fixture(scope="module")
 def written(tmp_path_factory):
     """The file of an untrained Go2 with a scan."""
-    config = config_lib.load("configs/go2.py:rough")
-    config, robot = motors.fitted(config_lib.validate(config), robot_lib.load("go2"))
-    rng, sizes = np.random.default_rng(0), (INPUTS, 8, 12)
+    return untrained("go2", "rough", INPUTS, tmp_path_factory.mktemp("rough"))
+
+
+def untrained(name, variant, inputs, folder):
+    """The file of a policy with random weights."""
+    config = config_lib.load(f"configs/{name}.py:{variant}")
+    config, robot = motors.fitted(config_lib.validate(config), robot_lib.load(name))
+    joints = len(robot.joint_names)
+    rng, sizes = np.random.default_rng(0), (inputs, 8, joints)
     layers = {
         f"Dense_{i}": dict(
             kernel=rng.normal(0, 0.1, (n, m)).astype(np.float32), bias=np.zeros(m, np.float32)
         )
         for i, (n, m) in enumerate(zip(sizes, sizes[1:], strict=False))
     }
-    params = {"actor": {"params": layers}, "std": np.ones(12, np.float32)}
-    out = tmp_path_factory.mktemp("rough") / "policy.npz"
+    params = {"actor": {"params": layers}, "std": np.ones(joints, np.float32)}
+    out = folder / "policy.npz"
     policy_file.save(out, params, config, robot)
     return out
 
@@ -165,6 +171,28 @@ def test_an_exported_network_takes_the_scan_last_in_any_order_of_joints(written)
     np.testing.assert_allclose(turned, expected[:, ::-1], atol=1e-5)
     with pytest.raises(ConfigError, match="height scan"):
         deploy_yaml.text(policy, robot)
+
+
+@pytest.mark.parametrize("variant, history", [("rough", 1), ("rough_deploy", 5)])
+def test_a_bipeds_network_takes_the_scan_after_its_clock(variant, history, tmp_path):
+    """Which stands still for a command that is zero, as in training."""
+    onnxruntime = pytest.importorskip("onnxruntime")
+    reading = 98 if history > 1 else 101
+    inputs = history * reading + 187
+    policy = policy_file.load(untrained("g1", variant, inputs, tmp_path))
+    parts = dict(onnx_file.table(policy))
+    assert [*parts][-2:] == ["gait_phase", "height_scan"] and parts["height_scan"].stop == inputs
+    model = onnx_file.onnx_model(policy, onnx_file.about(policy, robot_lib.load("g1")))
+    session = onnxruntime.InferenceSession(model.SerializeToString())
+    obs = np.random.default_rng(1).normal(size=(3, inputs)).astype(np.float32)
+    act, order = policy_file.actor(policy.params, policy.activation), onnx_file.order(policy)
+    found = session.run(["action"], {"obs": obs[:, order]})[0]
+    np.testing.assert_allclose(found, act(obs), atol=1e-5)
+    still = obs[:, order]
+    still[:, parts["command"]] = 0
+    found = session.run(["action"], {"obs": still})[0]
+    still[:, parts["gait_phase"]] = 0
+    np.testing.assert_allclose(found, act(still[:, np.argsort(order)]), atol=1e-5)
 
 
 def test_play_puts_a_robot_on_a_tile(written, tmp_path, capsys):
