@@ -2179,6 +2179,30 @@ def test_the_page_of_rough_ground_has_the_tables_of_its_runs():
     assert sum(line in page for line in first[2:]) == 10
 
 
+def test_the_errors_along_a_tail_are_those_of_the_page():
+    folder = EXPERIMENTS / "28_rough"
+    with open(folder / "results/scan.csv", newline="") as file:
+        rows = {float(row["seconds"]): row for row in csv.DictReader(file)}
+    part = (folder / "README.md").read_text().split("| seconds of the tail |")[1].split("\n\n")[0]
+    heads, _, *lines = (cells(line) for line in ("| |" + part).splitlines())
+    at = [rows[float(x)] for x in heads]
+    assert [row["step"] for row in at] == ["5", "10", "15", "20"]
+    for line, names in zip(lines, ("scan", "frozen", "feet"), strict=False):
+        for cell, row in zip(line[1:], at, strict=True):
+            told = [float(x) for x in re.findall(r"[\d.]+", cell)]
+            expected = [1e3 * float(row[names]), 1e3 * float(row[f"{names}_95"])]
+            np.testing.assert_allclose(told, expected, atol=0.51, rtol=0.02)
+    for cell, row in zip(lines[3][1:], at, strict=True):
+        told = [float(x) for x in cell.split(";")]
+        np.testing.assert_allclose(
+            told, [1e3 * float(row["position"]), float(row["yaw"])], rtol=0.05
+        )
+    assert float(rows[0.32]["scan"]) == pytest.approx(0.5 * float(rows[0.32]["frozen"]), rel=0.1)
+    assert float(rows[0.32]["scan_95"]) == pytest.approx(
+        0.6 * float(rows[0.32]["frozen_95"]), rel=0.05
+    )
+
+
 def test_the_shares_by_kind_and_row_are_those_of_the_page():
     """Each row of the table, recomputed; columns are the heights of `STEPS`."""
     table, folder = script("28_rough/table"), EXPERIMENTS / "28_rough"
@@ -2272,5 +2296,5 @@ def test_the_picture_of_rough_ground_is_drawn_from_all_that_it_names(drawn, monk
     plot, curves = script("28_rough/plot"), []
     monkeypatch.setattr(plot, "curve", lambda axis, mine, what, label, *_: curves.append(label))
     plot.main()
-    assert drawn == ["crossed"] and (EXPERIMENTS / "28_rough/crossed.png").exists()
+    assert drawn == ["crossed", "scan"] and (EXPERIMENTS / "28_rough/crossed.png").exists()
     assert len(curves) == 8 and set(curves) == {look[0] for look in plot.LOOKS.values()}

@@ -1,11 +1,12 @@
-"""Share of tiles crossed over simulator steps, `best` beside PPO, Go2 and ANYmal-C: crossed.png.
+"""Share of tiles crossed over simulator steps, `best` beside PPO: crossed.png; a tail's errors: scan.png.
 
     python experiments/28_rough/plot.py
 
 From results/fresh.csv.xz and results/tuning.csv.xz. Lines are means over seeds, bands their 95 % t interval;
-runs of two seeds have no band. Steps are logarithmic.
+runs of two seeds have no band. Steps are logarithmic. scan.png: results/scan.csv, of `scan.py`.
 """
 
+import csv
 import importlib
 from itertools import groupby
 from pathlib import Path
@@ -30,6 +31,31 @@ PANELS = (  # robot, what of a row, title
 
 
 def main():
+    crossed()
+    scan()
+
+
+def scan():
+    """What a tail looked up less what physics had, over the seconds since its first row."""
+    with (table.RESULTS / "scan.csv").open() as file:
+        rows = [*csv.DictReader(file)]
+    of = {name: np.array([float(row[name]) for row in rows]) for name in rows[0]}
+    page, axes = pictures.figure(1, 2, 3.2)
+    for name, label, colour in (
+        ("scan", "looked up where the model says the robot is", pictures.BLUE),
+        ("frozen", "kept as it was at the tail's start", pictures.VERMILION),
+    ):
+        axes[0, 0].plot(of["seconds"], 1e3 * of[name], color=colour, label=label)
+        axes[0, 0].plot(of["seconds"], 1e3 * of[f"{name}_95"], color=colour, ls=(0, (4, 2)))
+    axes[0, 0].set_title("scan: middle, and (dashed) 95 % of |error|", loc="left")
+    axes[0, 1].plot(of["seconds"], 1e3 * of["position"], color=pictures.BLACK)
+    axes[0, 1].set_title("position: root mean square", loc="left")
+    pictures.outer(axes, "seconds of the tail", "error, mm")
+    pictures.legend(page, axes[0, 0], 2)
+    pictures.save(page, Path(__file__).with_name("scan"))
+
+
+def crossed():
     runs = {name: [*some] for name, some in groupby(table.today(), lambda row: row["name"])}
     page, axes = pictures.figure(1, len(PANELS), 3.4, sharey=True)
     for axis, (robot, what, title) in zip(axes[0], PANELS, strict=True):
