@@ -239,7 +239,7 @@ def test_flags_with_which_nothing_is_learned_are_refused(flag, tmp_path):
     option = f'<option><flag {flag}="disable"/></option></mujoco>'
     file.write_text(GO1.xml.read_text().replace("</mujoco>", option))
     line = refused(robot.load_xml, file)
-    assert line.startswith(f"{file}: expected no flag that disables ")
+    assert line.startswith(f"{file}: expected no <flag> in <option> that disables ")
     assert line.endswith(f"found {flag}")
 
 

@@ -21,8 +21,7 @@ A file may have more (equalities, tendons, springs, ...): an engine simulates it
 from __future__ import annotations
 
 import reprlib
-from collections.abc import Callable
-from functools import partial
+from collections.abc import Iterator
 
 import mujoco
 import numpy as np
@@ -31,7 +30,10 @@ from dynappo.description import contacts, feet
 
 AT_FLOOR = 1e-3  # m above the lowest foot
 NAME = 100  # characters of a robot's or a joint's name
+MOST = 3  # joints that are named of those that break a rule
 FLAGS = mujoco.mjtDisableBit
+Broken = Iterator[str]  # of a rule: a text for each thing that breaks it, empty where it is kept
+MOTORS = "one motor of gear 1 a joint, named and ordered as the joints"
 NEEDED = {  # without these there is nothing to train
     "constraint": FLAGS.mjDSBL_CONSTRAINT,
     "contact": FLAGS.mjDSBL_CONTACT,
@@ -43,28 +45,22 @@ NEEDED = {  # without these there is nothing to train
 
 def check(model: mujoco.MjModel) -> None:
     """A ValueError, in a line, for a compiled file that breaks rules: of each what was found, what to do."""
-    rules = _check_flags, _check_gravity, check_motors, _check_state, _check_floor, _check_contype
+    rules = _check_flags, _check_gravity, _check_motors, _check_state, _check_floor, _check_contype
     rules += _check_whole_feet, _check_one_foot, _check_moving_feet, _check_hold, _check_parts
     rules += _check_touching, _check_home, _check_camera, _check_names
-    _check_all(*(partial(rule, model) for rule in rules))
+    _check_all(*(rule(model) for rule in rules))
 
 
-def _check_all(*rules: Callable[[], None]) -> None:
-    """ValueError with all `rules` that are broken, so that a file is mended at once."""
-    broken = []
-    for rule in rules:
-        try:
-            rule()
-        except ValueError as error:
-            broken.append(str(error))
+def _check_all(*rules: Broken) -> None:
+    """ValueError with all that is broken of `rules`, so that a file is mended at once."""
+    broken = [text for rule in rules for text in rule if text]
     if broken:
         raise ValueError("; ".join(dict.fromkeys(broken)))
 
 
-def _expect(ok, rule: str, found="") -> None:
-    """Raise a ValueError naming the rule of the contract, and what breaks it."""
-    if not ok:
-        raise ValueError(f"expected {rule}" + f", found {found}" * bool(found))
+def _expect(ok, rule: str, found="") -> str:
+    """A rule of the contract, and what breaks it; empty if it is kept."""
+    return "" if ok else f"expected {rule}" + f", found {found}" * bool(found)
 
 
 def names(count: int, get) -> list[str]:
@@ -75,74 +71,95 @@ def names(count: int, get) -> list[str]:
 def check_tree(spec: mujoco.MjSpec) -> None:
     """A free joint, hinges below it, and options; before anything is compiled."""
     rules = _check_joints, _check_rigid, _check_flags, _check_gravity
-    _check_all(*(partial(rule, spec) for rule in rules))
+    _check_all(*(rule(spec) for rule in rules))
 
 
-def _check_joints(spec: mujoco.MjSpec) -> None:
+def _check_joints(spec: mujoco.MjSpec) -> Broken:
     kinds = [mujoco.mjtJoint(j.type).name.removeprefix("mjJNT_").lower() for j in spec.joints]
     found = [
         f"{j.name or j.parent.name} ({kind})" for j, kind in zip(spec.joints, kinds, strict=True)
     ]
     rule = "a free joint on the base, before all other joints"
-    _expect(kinds[:1] == ["free"], rule, [*found, "no joint"][0])
+    yield _expect(kinds[:1] == ["free"], rule, [*found, "no joint"][0])
     odd = ", ".join(text for text in found[1:] if not text.endswith("(hinge)"))
-    _expect(not odd, "hinge joints after the free one; make hinges of, or fix, all others", odd)
-    _expect(len(found) > 1, "hinge joints", "none")
+    yield _expect(
+        not odd, "hinge joints after the free one; make hinges of, or fix, all others", odd
+    )
+    yield _expect(len(found) > 1, "hinge joints", "none")
 
 
-def _check_rigid(spec: mujoco.MjSpec) -> None:
-    _expect(not spec.flexes, "rigid bodies only", f"{len(spec.flexes)} flex")
-    _expect(not spec.plugins, "no plugins", f"{len(spec.plugins)}")
+def _check_rigid(spec: mujoco.MjSpec) -> Broken:
+    yield _expect(not spec.flexes, "rigid bodies only", f"{len(spec.flexes)} flex")
+    yield _expect(not spec.plugins, "no plugins", f"{len(spec.plugins)}")
 
 
-def _check_flags(of: mujoco.MjModel | mujoco.MjSpec) -> None:
+def _check_flags(of: mujoco.MjModel | mujoco.MjSpec) -> Broken:
     """A robot falls, stands on its feet and has joints with limits and motors."""
     off = _options(of).disableflags
     odd = [word for word, flag in NEEDED.items() if off & int(flag)]
-    _expect(not odd, "no flag that disables " + ", ".join(NEEDED), ", ".join(odd))
+    yield _expect(not odd, "no <flag> in <option> that disables what a robot needs", ", ".join(odd))
 
 
-def _check_gravity(of: mujoco.MjModel | mujoco.MjSpec) -> None:
+def _check_gravity(of: mujoco.MjModel | mujoco.MjSpec) -> Broken:
     gravity = _options(of).gravity
     rule = "gravity that points down (option gravity)"
-    _expect(gravity[2] < 0, rule, " ".join(f"{x:g}" for x in gravity))
+    yield _expect(gravity[2] < 0, rule, " ".join(f"{x:g}" for x in gravity))
 
 
 def _options(of: mujoco.MjModel | mujoco.MjSpec):
     return of.opt if isinstance(of, mujoco.MjModel) else of.option
 
 
-def _check_state(model: mujoco.MjModel) -> None:
+def _check_state(model: mujoco.MjModel) -> Broken:
     """A robot's state is what the trainer keeps of it from one control step to the next."""
     size = mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS)
     more = size - 1 - model.nq - model.nv
     rule = "no state beside positions and velocities (delays, activations)"
-    _expect(not more, rule, f"{more} more numbers")
-    _expect(not model.nplugin, "no plugins", f"{model.nplugin}")
-    _expect(not model.nflex, "rigid bodies only", f"{model.nflex} flex")
+    yield _expect(not more, rule, f"{more} more numbers")
+    yield _expect(not model.nplugin, "no plugins", f"{model.nplugin}")
+    yield _expect(not model.nflex, "rigid bodies only", f"{model.nflex} flex")
 
 
 def check_motors(model: mujoco.MjModel) -> None:
     """ValueError unless each joint has one plain motor."""
-    joints = names(model.njnt, model.joint)
-    rule = "one motor of gear 1 a joint, named and ordered as the joints"
-    for i, joint in enumerate(joints[1:]):
-        _expect(i < model.nu, rule, f"none for {joint}")
-        motor, to_joint = model.actuator(i), model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_JOINT
-        on = joints[motor.trnid[0]] if to_joint else "no joint"
-        found = f"{motor.name} on {on} as number {i + 1} where {joint} should be"
-        _expect(motor.name == on == joint, rule, found)
-        plain = motor.gear[0] * motor.gainprm[0] == 1 and not motor.dyntype[0]
-        plain = plain and motor.biastype[0] == mujoco.mjtBias.mjBIAS_NONE
-        _expect(plain, rule, f"{joint} of another gear, gain or kind")
-        _expect(not model.actuator_history[i].any(), "motors without a delay", f"one at {joint}")
-        more = model.actuator_armature[i] or model.actuator_damping[i]
-        more = more or model.actuator_dampingpoly[i].any()
-        _expect(not more, "armature and damping at the joints, not at motors", f"some at {joint}")
-        limited = motor.ctrllimited[0] or motor.forcelimited[0] or model.jnt_actfrclimited[i + 1]
-        _expect(not limited, "motors without limits, which are the config's", f"one at {joint}")
-    _expect(model.nu == model.njnt - 1, rule, f"{model.nu} actuators")
-    _expect(not model.opt.disableactuator, "no motor disabled", "the option actuatorgroupdisable")
+    _check_all(_check_motors(model))
+
+
+def _check_motors(model: mujoco.MjModel) -> Broken:
+    broken: dict[str, list[str]] = {}
+    for i, joint in enumerate(names(model.njnt, model.joint)[1:]):
+        for rule, found in _motor(model, i, joint):
+            broken.setdefault(rule, []).append(found)
+    for rule, every in broken.items():
+        more = f" and {len(every) - MOST} more" * (len(every) > MOST)
+        yield _expect(False, rule, ", ".join(every[:MOST]) + more)
+    if MOTORS not in broken:
+        yield _expect(model.nu == model.njnt - 1, MOTORS, f"{model.nu} actuators")
+    yield _expect(
+        not model.opt.disableactuator, "no motor disabled", "the option actuatorgroupdisable"
+    )
+
+
+def _motor(model: mujoco.MjModel, i: int, joint: str) -> Iterator[tuple[str, str]]:
+    """`(rule, found)` of what is wrong with motor `i`, which should be that of `joint`."""
+    if i >= model.nu:
+        yield MOTORS, f"none for {joint}"
+        return
+    motor, to_joint = model.actuator(i), model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_JOINT
+    on = names(model.njnt, model.joint)[motor.trnid[0]] if to_joint else "no joint"
+    plain = motor.gear[0] * motor.gainprm[0] == 1 and not motor.dyntype[0]
+    plain = plain and motor.biastype[0] == mujoco.mjtBias.mjBIAS_NONE
+    if not motor.name == on == joint:
+        yield MOTORS, f"{motor.name} on {on} as number {i + 1} where {joint} should be"
+    elif not plain:
+        yield MOTORS, f"{joint} of another gear, gain or kind"
+    if model.actuator_history[i].any():
+        yield "motors without a delay", f"one at {joint}"
+    more = model.actuator_armature[i] or model.actuator_damping[i]
+    if more or model.actuator_dampingpoly[i].any():
+        yield "armature and damping at the joints, not at motors", f"some at {joint}"
+    if motor.ctrllimited[0] or motor.forcelimited[0] or model.jnt_actfrclimited[i + 1]:
+        yield "motors without limits, which are the config's", f"one at {joint}"
 
 
 def _listed(model: mujoco.MjModel, ids) -> str:
@@ -159,61 +176,63 @@ def _shapes(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray, tuple[str, .
     return feet.named(names(model.ngeom, model.geom))
 
 
-def _check_floor(model: mujoco.MjModel) -> None:
+def _check_floor(model: mujoco.MjModel) -> Broken:
     floor = model.geom("floor")
     kind = mujoco.mjtGeom(floor.type[0]).name.removeprefix("mjGEOM_").lower()
     flat = kind == "plane" and not (floor.quat[1:3].any() or floor.pos[2] or floor.bodyid[0])
     found = f"type {kind}, pos {floor.pos}, quat {floor.quat}"
-    _expect(flat, "the geom floor to be a plane at height 0 of the world", found)
+    yield _expect(flat, "the geom floor to be a plane at height 0 of the world", found)
 
 
-def _check_contype(model: mujoco.MjModel) -> None:
+def _check_contype(model: mujoco.MjModel) -> Broken:
     odd = [i for i in np.flatnonzero(model.geom_contype) if i != model.geom("floor").id]
-    _expect(not odd, "contype 0 at every geom but the floor", _listed(model, odd))
+    yield _expect(not odd, "contype 0 at every geom but the floor", _listed(model, odd))
 
 
-def _check_whole_feet(model: mujoco.MjModel) -> None:
+def _check_whole_feet(model: mujoco.MjModel) -> Broken:
     shapes, foot_of, titles = _shapes(model)
     for foot, name in enumerate(titles):
         inside = {model.body(i).name for i in model.geom_bodyid[shapes[foot_of == foot]]}
         rule = f"the shapes of the foot {name} in one body; name the others differently"
-        _expect(len(inside) == 1, rule, ", ".join(sorted(inside)))
+        yield _expect(len(inside) == 1, rule, ", ".join(sorted(inside)))
 
 
-def _check_one_foot(model: mujoco.MjModel) -> None:
+def _check_one_foot(model: mujoco.MjModel) -> Broken:
     shapes, foot_of, _ = _shapes(model)
     bodies = model.geom_bodyid[shapes]
     crowded = [i for i in np.unique(bodies) if len(np.unique(foot_of[bodies == i])) > 1]
     found = ", ".join(f"more in {model.body(i).name}" for i in crowded)
-    _expect(not crowded, "one foot in a body", found)
+    yield _expect(not crowded, "one foot in a body", found)
 
 
-def _check_moving_feet(model: mujoco.MjModel) -> None:
+def _check_moving_feet(model: mujoco.MjModel) -> Broken:
     shapes = _shapes(model)[0]
     odd = _listed(model, shapes[model.geom_bodyid[shapes] <= model.jnt_bodyid[0]])
-    _expect(not odd, "feet in bodies that joints move, not in the base", odd)
+    yield _expect(not odd, "feet in bodies that joints move, not in the base", odd)
 
 
-def _check_hold(model: mujoco.MjModel) -> None:
+def _check_hold(model: mujoco.MjModel) -> Broken:
     """What lets feet stand."""
     shapes = _shapes(model)[0]
     weak = shapes[model.geom_priority[shapes] <= model.geom("floor").priority]
-    _expect(not len(weak), "the feet of higher priority than the floor", _listed(model, weak))
-    _expect(np.isin(shapes, _touching(model)).all(), "feet that touch the floor (conaffinity 1)")
+    yield _expect(not len(weak), "the feet of higher priority than the floor", _listed(model, weak))
+    yield _expect(
+        np.isin(shapes, _touching(model)).all(), "feet that touch the floor (conaffinity 1)"
+    )
 
 
-def _check_parts(model: mujoco.MjModel) -> None:
+def _check_parts(model: mujoco.MjModel) -> Broken:
     touching = _touching(model)
     odd = _listed(model, touching[~np.isin(model.geom_type[touching], list(contacts.MOST))])
-    _expect(not odd, f"parts of type box, sphere, capsule or cylinder, not {odd}")
+    yield _expect(not odd, f"parts of type box, sphere, capsule or cylinder, not {odd}")
 
 
-def _check_touching(model: mujoco.MjModel) -> None:
+def _check_touching(model: mujoco.MjModel) -> Broken:
     touching = _touching(model)
     odd = _listed(model, touching[model.geom_bodyid[touching] == 0])
-    _expect(not odd, "what touches the floor (conaffinity) to be on the robot", odd)
+    yield _expect(not odd, "what touches the floor (conaffinity) to be on the robot", odd)
     odd = _listed(model, touching[model.geom_condim[touching] > 3])
-    _expect(not odd, "condim 1 or 3 where something touches the floor", odd)
+    yield _expect(not odd, "condim 1 or 3 where something touches the floor", odd)
 
 
 def parts_of(model: mujoco.MjModel) -> np.ndarray:
@@ -226,23 +245,23 @@ def is_plain(name: str) -> bool:
     return 0 < len(name) <= NAME and name.isprintable()
 
 
-def _check_names(model: mujoco.MjModel) -> None:
+def _check_names(model: mujoco.MjModel) -> Broken:
     odd = [name for name in names(model.njnt, model.joint)[1:] if not is_plain(name)]
     rule = f"names of joints of at most {NAME} plain characters"
-    _expect(not odd, rule, ", ".join(map(reprlib.repr, odd[:2])))
+    yield _expect(not odd, rule, ", ".join(map(reprlib.repr, odd[:2])))
 
 
-def _check_camera(model: mujoco.MjModel) -> None:
-    _expect("track" in names(model.ncam, model.camera), "a camera named track")
+def _check_camera(model: mujoco.MjModel) -> Broken:
+    yield _expect("track" in names(model.ncam, model.camera), "a camera named track")
 
 
-def _check_home(model: mujoco.MjModel) -> None:
+def _check_home(model: mujoco.MjModel) -> Broken:
     """The default pose: on its feet, and on nothing else."""
     home, shapes, parts = model.key("home").qpos, _shapes(model)[0], parts_of(model)
     geoms = names(model.ngeom, model.geom)
     lowest = feet.lowest_points(model, home, shapes).min()
-    _expect(abs(lowest) < 0.01, "the keyframe home with the lowest foot on the floor")
+    yield _expect(abs(lowest) < 0.01, "the keyframe home with the lowest foot on the floor")
     under = feet.lowest_points(model, home, parts) < max(lowest, 0) + AT_FLOOR
     under = [geoms[i] for i in parts[under]]
     rule = "no part but the feet at the floor in the home pose; name it NAME_foot, or give a keyframe home"
-    _expect(not under, rule, ", ".join(under))
+    yield _expect(not under, rule, ", ".join(under))

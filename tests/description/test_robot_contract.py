@@ -3,6 +3,7 @@
 Every case edits the text of a shipped file as a person would get it wrong.
 """
 
+import copy
 import re
 import warnings
 
@@ -11,7 +12,7 @@ import pytest
 
 from dynappo import config
 from dynappo.config import files
-from dynappo.description import robot
+from dynappo.description import robot, robot_contract
 
 GO1 = files.find("robots", "go1/go1.xml").read_text()
 DOOR = '<body name="door"><joint/><geom size="1"/><body><joint/><geom size="1"/></body></body>'
@@ -359,8 +360,8 @@ def test_all_that_is_wrong_is_said_at_once(tmp_path):
     )
     assert message(tmp_path, change) == (
         "expected hinge joints after the free one; make hinges of, or fix, all others, found FL_hip_joint "
-        "(slide); expected no flag that disables constraint, contact, limit, gravity, actuation, found "
-        "contact, limit; expected gravity that points down (option gravity), found 0 0 9.81"
+        "(slide); expected no <flag> in <option> that disables what a robot needs, found contact, limit; "
+        "expected gravity that points down (option gravity), found 0 0 9.81"
     )
     change = chain(
         move("FR_foot", "trunk"),
@@ -372,6 +373,34 @@ def test_all_that_is_wrong_is_said_at_once(tmp_path):
         "in the base, found FR_foot; expected no part but the feet at the floor in the home pose; name it "
         "NAME_foot, or give a keyframe home, found FL_spur"
     )
+
+
+def test_each_thing_that_breaks_a_rule_is_named_and_each_rule_of_a_subject():
+    """Motors of four joints and the damping of a fifth; both rules of the home pose, both of parts."""
+    model = copy.copy(robot.load("go1").mj_model)
+    model.actuator_gear[1:5, 0] = 2
+    model.actuator_damping[7] = 0.1
+    with pytest.raises(ValueError) as error:
+        robot_contract.check(model)
+    expected = "expected one motor of gear 1 a joint, named and ordered as the joints, found "
+    first = ", ".join(f"{model.joint(i + 1).name} of another gear, gain or kind" for i in (1, 2, 3))
+    damped = (
+        f"armature and damping at the joints, not at motors, found some at {model.joint(8).name}"
+    )
+    assert str(error.value) == f"{expected}{first} and 1 more; expected {damped}"
+    model = copy.copy(robot.load("go1").mj_model)
+    model.key_qpos[0, 2] -= 0.4
+    part = robot_contract.parts_of(model)[0]
+    model.geom_condim[part], model.geom_bodyid[part] = 6, 0
+    with pytest.raises(ValueError) as error:
+        robot_contract.check(model)
+    rules = str(error.value).split("; expected ")
+    assert [rule.split(", found")[0] for rule in rules] == [
+        "expected what touches the floor (conaffinity) to be on the robot",
+        "condim 1 or 3 where something touches the floor",
+        "the keyframe home with the lowest foot on the floor",
+        "no part but the feet at the floor in the home pose; name it NAME_foot, or give a keyframe home",
+    ]
 
 
 @pytest.mark.parametrize("case", COMPLETED)
