@@ -10,6 +10,7 @@ number in configs/: docs/task.md.
   sums
 - `own`: terms of one's own, in a file of one's own
 - `commands`, `observe`, `pushes`: the commanded velocity, the numbers that a policy sees, kicks
+- `clearance`: a curriculum of the reward for high feet
 - `surroundings`: where a robot is on rough ground, and that ground: known in a tail, too
 - `gait`: the gait clock of a biped
 - `view`: what policy, value function and model see of a robot; earlier readings, errors of sensors

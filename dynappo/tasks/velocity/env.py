@@ -21,6 +21,7 @@ from dynappo.physics import engine as engine_lib
 from dynappo.physics import ground, randomize
 from dynappo.physics.ground import of_tiles
 from dynappo.tasks.velocity import (
+    clearance,
     commands,
     gait,
     mirror,
@@ -257,10 +258,8 @@ def autoreset(const: Constants, hyper: Hyper, body, state: State, outcome: Outco
         )
         facts = own.numbers(hyper) | {"command": state.command} | episode._asdict()
         start = start.replace(own=start.own | own.levels(mine, state.own, facts))
-    ramp = hyper.task.clearance_ramp
-    if ramp is not None:
-        change = jnp.where(outcome.discount == 0, -ramp, ramp)
-        start = start.replace(clearance=jnp.clip(state.clearance + change, 0.0, 1.0))
+    share = clearance.after(hyper, state.clearance, outcome.discount == 0)
+    start = start.replace(clearance=share)
     fresh = _commanded(const, hyper, body, start, command_key, obs_key, same)
     # Keep the history of robots that stay. (Without the `if`, XLA 0.10 drops C MuJoCo's call.)
     if stays is not None and const.view.history > 1:
@@ -367,29 +366,14 @@ def _at_start(const: Constants, hyper: Hyper, key, tile: curriculum.Tile | None)
         episode_return=jnp.zeros(()),
         tile=tile,
         scan_shift=surroundings.draw_shift(hyper, shift) if has_scan else None,
-        clearance=_first_share(hyper),
+        clearance=clearance.start(hyper),
         own=own.starts(const.view.own, own.numbers(hyper), jnp),
     )
 
 
-def _first_share(hyper: Hyper):
-    """`State.clearance` of a robot that starts anew for the first time."""
-    if hyper.task.clearance_ramp is None:
-        return None
-    return jnp.asarray(hyper.task.clearance_start, jnp.float32)
-
-
 def _evaluated(of_own: own.Own, hyper: Hyper) -> Hyper:
     """The floats of an evaluation: curricula where they end."""
-    if of_own.terms.curricula:
-        hyper = own.evaluated(of_own, hyper)
-    if hyper.task.clearance_ramp is None:
-        return hyper
-    whole = dict(clearance_start=1.0, clearance_ramp=0.0)
-    of_task = hyper.task._asdict()
-    # times 0: a float stays what it is in the program, a sweep's array or a number
-    whole = {name: of_task[name] * 0 + value for name, value in whole.items()}
-    return hyper._replace(task=hyper.task._replace(**whole))
+    return clearance.whole(own.evaluated(of_own, hyper) if of_own.terms.curricula else hyper)
 
 
 def _gait(const: Constants, hyper: Hyper, draws) -> Gait | None:
