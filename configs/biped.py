@@ -15,7 +15,7 @@ MuJoCo Playground 0.2 (PG), whose gait clock makes the walk. experiments/25_huma
 | `rough_blind`    | 2048   | 24     | 16       | the same without a scan                             |
 | `rough_deploy`   | 2048   | 24     | 16       | rough ground for hardware                           |
 
-On rough ground nothing has been trained yet; `_rough` says what is different there.
+Rough ground: two seeds have been trained on it (experiments/28_rough); `_rough` says what is different there.
 
 A robot's file starts from `defaults`, sets its motors, sizes and `task.posture_std`, and ends with
 `apply_variant`. Metres and strides a second are for a base 0.76 m above the ground; `adopt` writes those of

@@ -288,9 +288,9 @@ def test_equal_returns_on_playgrounds_page_are_those_of_its_runs(capsys):
         seen.add(task)
     assert len(part) > 30 and len(seen) == 12
     times = [float(row[4]) for row in told]
-    assert f"{max(times):.0f}, {np.median(times):.0f}" == "25, 11" and 2 < min(times) < 2.5
+    assert f"{max(times):.0f}, {np.median(times):.0f}" == "25, 12" and 2 < min(times) < 2.5
     words = " ".join(page.split())
-    assert "after a half to a twenty-fifth" in words and "in the median an eleventh" in words
+    assert "after a half to a twenty-fifth" in words and "in the median a twelfth" in words
     # to 90 %: each row, its seconds of `best` those of a run alone
     part = page.split("| task | 90 % are |")[1].split("\n\n")[0].splitlines()[2:]
     found, fewer = table.runs(), []
@@ -311,12 +311,12 @@ def test_equal_returns_on_playgrounds_page_are_those_of_its_runs(capsys):
         assert shown[3:] == [alone, took]
         if "never" not in shown[0]:
             fewer.append(float(steps) / float(shown[0]))
-    assert len(part) == 12 and len(fewer) == 8
+    assert len(part) == 12 and len(fewer) == 9
     assert f"{min(fewer):.0f} to {max(fewer):.0f} times fewer steps than brax" in words
     # beside our PPO
     times = [float(row[6]) / float(row[2].split(",")[0]) for row in told if row[6] != "-"]
-    assert f"{max(times):.0f}, {min(times):.0f}, {np.median(times):.0f}" == "18, 2, 9"
-    assert "18 to 2 times fewer steps, in the median 9" in words
+    assert f"{max(times):.0f}, {min(times):.0f}, {np.median(times):.0f}" == "18, 2, 11"
+    assert "18 to 2 times fewer steps, in the median 11" in words
 
 
 @pytest.mark.parametrize(
@@ -2167,14 +2167,14 @@ def test_the_page_of_rough_ground_has_the_tables_of_its_runs():
     assert "\n".join(table.beside_ppo(table.paces())) in page
     ppo = table.by_robot([*table.runs([row for row in packed if row["batch"] == "fresh-ppo"])])[2:]
     assert len(ppo) == 2 and all(line in page for line in ppo)
-    batches = ("cell", "parts", "one-commit", "one-commit-4")
+    batches = ("cell", "parts", "one-commit", "one-commit-4", "one-commit-5")
     kept = [row for row in table.rows() if row["batch"] in batches]
     lines = table.by_robot([*table.runs(kept)])[2:]
     missing = {cells(line)[0] for line in lines if line not in page}
     assert missing == {
         f"anc-{x}" for x in "cell5 im2 model512 robots1536 symmetry".split()
     }  # cut off
-    assert len(lines) == 29 + len(missing)
+    assert len(lines) == 34 + len(missing)
     first = table.by_seed([*table.runs([row for row in table.rows() if row["batch"] == "first"])])
     assert sum(line in page for line in first[2:]) == 10
 
@@ -2197,9 +2197,9 @@ def test_the_errors_along_a_tail_are_those_of_the_page():
         np.testing.assert_allclose(
             told, [1e3 * float(row["position"]), float(row["yaw"])], rtol=0.05
         )
-    assert float(rows[0.32]["scan"]) == pytest.approx(0.5 * float(rows[0.32]["frozen"]), rel=0.1)
+    assert float(rows[0.32]["scan"]) == pytest.approx(0.4 * float(rows[0.32]["frozen"]), rel=0.1)
     assert float(rows[0.32]["scan_95"]) == pytest.approx(
-        0.6 * float(rows[0.32]["frozen_95"]), rel=0.05
+        0.5 * float(rows[0.32]["frozen_95"]), rel=0.06
     )
 
 
@@ -2297,4 +2297,4 @@ def test_the_picture_of_rough_ground_is_drawn_from_all_that_it_names(drawn, monk
     monkeypatch.setattr(plot, "curve", lambda axis, mine, what, label, *_: curves.append(label))
     plot.main()
     assert drawn == ["crossed", "scan"] and (EXPERIMENTS / "28_rough/crossed.png").exists()
-    assert len(curves) == 8 and set(curves) == {look[0] for look in plot.LOOKS.values()}
+    assert len(curves) == 12 and set(curves) == {look[0] for look in plot.LOOKS.values()}

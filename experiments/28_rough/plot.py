@@ -21,6 +21,8 @@ LOOKS = {  # end of a run's name -> label, colour, dashes
     "best": ("best (ten seeds)", pictures.BLUE, "-"),
     "ppo-4096": ("PPO, 4096 robots (three)", pictures.BLACK, "-"),
     "ppo-gamma": ("PPO, gamma 0.99 (two)", pictures.ORANGE, (0, (5, 1.2, 1, 1.2))),
+    "ppo-kl1": ("PPO, KL 0.01 (two)", pictures.GREEN, "-"),
+    "ppo-2048": ("PPO, 2048 robots (two)", pictures.PURPLE, (0, (2, 1))),
     "ppo-1024": ("PPO, 1024 robots (two)", pictures.VERMILION, (0, (5, 2))),
 }
 PANELS = (  # robot, what of a row, title
@@ -70,7 +72,7 @@ def crossed():
     pictures.head(
         page, f"Band: {pictures.covers([3, 10])}. Dotted: the level of boxes", fontsize=9.5
     )
-    pictures.legend(page, axes[0, 0], 4)
+    pictures.legend(page, axes[0, 0], 3)
     pictures.save(page, Path(__file__).with_name("crossed"))
 
 

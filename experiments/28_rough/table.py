@@ -26,19 +26,23 @@ import numpy as np
 from experiments import stats
 
 RESULTS = Path(__file__).parent / "results"
-HIGH = {"go1": 0.10, "go2": 0.10, "anymal_c": 0.18, "anymal_d": 0.18}  # m
+HIGH = {"go1": 0.10, "go2": 0.10, "anymal_c": 0.18, "anymal_d": 0.18, "g1": 0.10}  # m
 STEPS = np.linspace(0.05, 0.23, 10)  # m, of the rows
+STEPS_OF = {"g1": np.linspace(0.0, 0.15, 10)}  # where they are others
 STAIRS, OTHERS = ("pit_stairs", "pyramid_stairs"), ("boxes", "random", "pyramid_slope", "pit_slope")
 LEAST = 0.90, 0.95
 KINDS = ["up", "down", *(kind.replace("_", " ") for kind in OTHERS)]
 # PPO -> its `best`
 PPO = {
     "go2-ppo-1024": "go2-best",
+    "go2-ppo-2048": "go2-best",
     "go2-ppo-4096": "go2-best",
     "go2-ppo-gamma": "go2-best",
+    "go2-ppo-kl1": "go2-best",
+    "anymal_c-ppo-2048": "anymal_c-best",
     "anymal_c-ppo-4096": "anymal_c-best",
 }
-TODAY = ("fresh", "fresh-ppo", "one-commit-4")  # batches at today's settings
+TODAY = ("fresh", "fresh-ppo", "one-commit-4", "one-commit-5")  # batches at today's settings
 CROSSED = (0.7, 0.8, 0.9)  # of all tiles
 WHEN = [*(f"{share:.0%} of tiles".replace("%", " %") for share in CROSSED), "at the level", "kept"]
 
@@ -241,7 +245,8 @@ def rows(what: str = "") -> list[dict[str, str]]:
 
 def shares(row: dict[str, str]) -> dict[str, float]:
     """Of tries that crossed: up and down stairs of at most `HIGH`, and other kinds in the middle rows."""
-    low = HIGH[row["job"].split(":")[0]] + 1e-6 >= STEPS
+    robot = row["job"].split(":")[0]
+    low = HIGH[robot] + 1e-6 >= STEPS_OF.get(robot, STEPS)
     each = {kind: np.array(row[kind].split(), float) for kind in STAIRS + OTHERS}
     stairs = {way: each[kind][low].mean() for way, kind in zip(("up", "down"), STAIRS, strict=True)}
     return stairs | {kind: each[kind][4:6].mean() for kind in OTHERS}

@@ -225,8 +225,9 @@ def later(run: Run, before: float, after, power: float) -> np.ndarray:
 
 
 def settings(found: list[Run], place: str) -> tuple[Run, list[Run]] | None:
-    """`(best, PPO's)` of the last batch in which `best` has five seeds, else of that with most; of runs all
-    of whose seeds get to the level. None where one of the two has not been run."""
+    """`(best, PPO's)` of the last day on which `best` has five seeds, else of that with most, and of its batch
+    with most settings of PPO; of runs all of whose seeds get to the level. None where one of the two has not
+    been run."""
     mine = [run for run in found if run.place == place and np.isfinite(run.level).all()]
     both = [
         (run, [ppo for ppo in mine if ppo.batch == run.batch and ppo.method.startswith("ppo")])
@@ -234,16 +235,19 @@ def settings(found: list[Run], place: str) -> tuple[Run, list[Run]] | None:
         if run.method == "best"
     ]
     both = [pair for pair in both if pair[1]]
-    date = lambda pair: (min(len(pair[0].level), OFTEN), pair[0].batch.split(", ")[-1])  # noqa: E731
-    return max(both, key=date, default=None)
+
+    def worth(pair):
+        return min(len(pair[0].level), OFTEN), pair[0].batch.split(", ")[1], len(pair[1])
+
+    return max(both, key=worth, default=None)
 
 
 def variants(found: list[Run], best: Run) -> list[Run]:
-    """`best`, and its settings for seconds at the same place, with as many seeds as say something; those that
-    were tuned, `tune-`, only where none has run on fresh seeds."""
-    here = [run for run in found if (run.place, run.batch) == (best.place, best.batch)]
+    """`best`, and its settings for seconds at the same place, on the same day and kind of card, with as many
+    seeds as say something; those that were tuned, `tune-`, only where none has run on fresh seeds."""
+    here = [run for run in found if run.place == best.place and run.batch.startswith(best.batch)]
     some = [run for run in here if len(run.level) >= MANY and np.isfinite(run.level).all()]
-    fresh = [run for run in some if run.method.startswith("best") and run is not best]
+    fresh = [run for run in some if run.method.startswith("best") and run.method != best.method]
     return [best, *(fresh or [run for run in some if run.method.startswith(TUNING)])]
 
 
@@ -327,6 +331,7 @@ def compared(found: list[Run]) -> str:
         quick = fastest(variants(found, best))
         cells = [place, f"{ms:.3g}", interval(times[1])]
         named = quick.method + ", tuning seeds" * quick.method.startswith(TUNING)
+        named += quick.batch.removeprefix(best.batch)
         cells += ["-" if quick is best else f"{interval(quick.level[:, 2])} ({named})"]
         cells += [f"{interval(times[0])} ({fast.method})"]
         cells += [ratio(*times), f"{ratio(*steps)} ({few.method})"]
