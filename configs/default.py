@@ -527,13 +527,16 @@ def lift_feet(
     config, variant: str, best: float, laptop: float, deploy: tuple[float, float]
 ) -> None:
     """Pay for high feet in our own variants, on flat ground: weights of `foot_clearance`, and of `deploy` the
-    weight and the height in m. What they cost: experiments/22_deploy."""
+    weight and the height in m. There a robot pays by and by: at once such weights keep ANYmals from walking,
+    and seeds of all robots collapse. What they cost: experiments/22_deploy."""
     # no log tells how high a foot was
     weights = {"": best, "best": best, "few": best, "laptop": laptop}
     if variant in weights:
         config.task.weights.foot_clearance = weights[variant]
     if variant in ("deploy", "logs_deploy"):
         config.task.weights.foot_clearance, config.task.clearance_height = deploy
+    if variant == "deploy":
+        config.task.clearance_ramp = 0.05
 
 
 def _best(config: config_dict.ConfigDict) -> None:

@@ -30,5 +30,5 @@ def get_config(variant=""):
         config.task.tiles.cell = 0.05  # m, the width of a wall: with 0.1 stairs are slopes
     config = default["apply_variant"](config, variant)
     # feet 3 cm high at 0.5 m/s, and 5 cm in `deploy`
-    default["lift_feet"](config, variant, best=-0.2, laptop=-0.3, deploy=(-1.5, 0.08))
+    default["lift_feet"](config, variant, best=-0.2, laptop=-0.3, deploy=(-1.2, 0.08))
     return config
