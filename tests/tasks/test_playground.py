@@ -23,7 +23,7 @@ from dynappo import config as config_lib
 from dynappo import schedule
 from dynappo.config import files, shell
 from dynappo.evaluate import command as evaluate
-from dynappo.evaluate import task_episodes, task_facts
+from dynappo.evaluate import task_episodes
 from dynappo.export import command as export
 from dynappo.play import command as play
 from dynappo.policy import policy_file, recorded, render, task_player
@@ -698,7 +698,7 @@ def test_an_exported_policy_takes_the_tasks_observation(tmp_path, capsys, monkey
     file = str(tmp_path / "policy.npz")
 
     def here(policy, out):  # not in a process of its own, which the slow test below starts
-        files.write_json(out, task_facts.facts(f"playground:{GO1}"))
+        files.write_json(out, by_name.facts(f"playground:{GO1}"))
         return 0
 
     monkeypatch.setattr(recorded, "facts", here)
@@ -872,4 +872,4 @@ def test_a_run_from_the_command_line_trains_resumes_and_is_evaluated(spec, tmp_p
     assert status(command.main, f"--workdir={tmp_path}/run", more) == 0
     assert (tmp_path / "run" / "policy.npz").is_file() and "dynappo" in sys.modules
     exported = status(export.main, f"{tmp_path}/run", f"--out={tmp_path}/p.onnx")
-    assert exported == (0 if spec.startswith("playground") else 2)
+    assert exported == 0 and (tmp_path / "run" / "video.mp4").stat().st_size > 1000
