@@ -10,7 +10,7 @@ All of the observation is predicted. The settings are those of experiments/02_br
 import pathlib
 import runpy
 
-from dynappo.tasks import by_name
+from dynappo.tasks import names
 
 default = runpy.run_path(str(pathlib.Path(__file__).with_name("default.py")))
 
@@ -20,7 +20,7 @@ def get_config(variant=""):
     name, _, variant = variant.partition(":")
     if variant not in ("", "best", "ppo"):
         raise ValueError(f"variant {variant!r} is not one of best, ppo")
-    by_name.check_brax(name)
+    names.check_brax(name)
     config = default["defaults"]()
     config.robot, config.env = "", f"brax:{name}"
     config.physics.impl = "jax"
@@ -28,7 +28,7 @@ def get_config(variant=""):
     config.schedule.update(start_iteration=0, end_iteration=40, start_steps=0, end_steps=4)
     config.model.update(hidden=(128, 128), epochs=4, minibatches=8)
     config.ppo.update(entropy_coef=0.0, init_std=0.5)
-    config.run.update(num_iterations=150, video_seconds=0.0, eval_envs=128)
+    config.run.update(num_iterations=150, eval_envs=128)
     if variant == "ppo":
         config.schedule.update(end_iteration=0, end_steps=0)
     return config

@@ -118,7 +118,7 @@ def show(names, reports, versus) -> None:
             rows[f"set-up, {name} cache, s"] = [f"{r['compilation'][name]:.1f}" for r in reports]
     for label, cells in rows.items():
         table.add_row(label, *cells)
-    out = Console(highlight=False)
+    out = Console(highlight=False, emoji=False)
     engines = " and ".join(dict.fromkeys(devices.ENGINES[r["impl"]] for r in reports))
     out.print(f"{reports[0]['device']}, {engines}")
     out.print(table)

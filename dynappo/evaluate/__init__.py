@@ -3,8 +3,8 @@
 - `command`: its flags, what it writes; `tables`: what it prints
 - `episodes`: episodes of the training task (`dynappo/scores.py`): return, falls, tracking
 - `task_episodes`: the same of a policy of another package's environment
-- `task_facts`: what `export` needs to know of a Playground task
-- `task_steps`: steps such a task's robot for `play` and films, which start this as a process
+- `task_facts`: what `export` needs to know of such an environment
+- `task_steps`: steps its robot for `play` and films, which start this as a process
 - `trials`: one trial for each command of a grid, in C MuJoCo: tracking, effort, gait
 - `foot_motion`: how the feet move: clearance, slip, symmetry
 - `changes`: falls when the command changes, and on the tours of the film and of the live page

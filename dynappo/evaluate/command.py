@@ -252,7 +252,7 @@ def run(flags) -> None:
         return _record(flags, player, named)
     out = flags.out or folder(flags.what, path)
     open_folder(out)
-    screen = Console(highlight=False)
+    screen = Console(highlight=False, emoji=False)
     inside = f" in {player.xml}" if flags.robot_xml else ""
     text = shell.pasted(f"dynappo evaluates {policy.robot}: {named}{inside}")
     screen.print(text, soft_wrap=True, markup=False)
@@ -312,7 +312,7 @@ def _record(flags, player: Player, named: str) -> None:
     from rich.console import Console
 
     recording.check(player)
-    screen = Console(highlight=False)
+    screen = Console(highlight=False, emoji=False)
     with tables.progress(screen, "control steps") as tell:
         arrays = recording.record(
             player, flags.seconds, flags.noise, seed=flags.seed or 0, tell=tell

@@ -1,7 +1,7 @@
-"""A policy of a Playground task as an ONNX network: the task's own observation in, its action out.
+"""A policy of another package's environment as an ONNX network: its own observation in, its action out.
 
-The scaling of observations is in the first layer, and the tanh at the end is part of the network. What one
-number of the observation is, and how an action becomes a motor's target, is the task's: its source says it.
+The scaling of observations is in the first layer, and the tanh at the end, of brax's the clip, is part of the
+network. What one number of the observation is, and what an action does, its source says.
 """
 
 from __future__ import annotations
@@ -18,24 +18,11 @@ from dynappo.policy import recorded
 from dynappo.policy.policy_file import Other
 from dynappo.tasks import names
 
-HOW = (
-    "obs is the task's own observation `state` (or its only one), as its step returns it. action is in "
-    "[-1, 1], as its step takes it: in most tasks a motor's target is default_pose + action_scale * action, "
-    "in the order of joint_names, rad; in getup tasks the joint's angle takes the place of default_pose. "
-    "Observation, noise and reward are in the task's source, in mujoco_playground (`playground`, its version)"
-)
-UNITS = {"default_pose": "rad", "action_scale": "rad", "control_dt": "s", "timestep": "s"}
-
 
 def check(policy: Other, path: Path, flags) -> None:
     """ConfigError for what is for dynappo's robots alone."""
     env = policy.config.env
-    if not env.startswith("playground:"):
-        raise ConfigError(
-            f"{path}: a policy of {env}, and export writes those of dynappo's robots and of Playground's "
-            "tasks; policy_file.load_actor(POLICY_NPZ) acts with it: docs/environment.md"
-        )
-    names.check_playground()
+    names.check(env)
     if flags.out.suffix != ".onnx":
         raise ConfigError(f"--out={flags.out}: a policy of {env} is written as FILE.onnx alone")
     for name in ("joint_order", "targets"):
@@ -53,8 +40,8 @@ def save(policy: Other, path: Path, out: Path) -> dict[str, Any]:
         if status:
             sys.exit(status)  # it has said why
         facts = json.loads(file.read_text())
-    facts |= {"how": HOW, "units": UNITS, "dynappo": versions.of("dynappo")}
-    facts |= {"playground": versions.of("playground")}
+    package = facts.pop("package")
+    facts |= {"dynappo": versions.of("dynappo"), package: versions.of(package)}
     facts |= {"config": policy.config.to_dict()}
     try:
         data = onnx_model(policy, facts).SerializeToString(deterministic=True)
@@ -72,12 +59,20 @@ def onnx_model(policy: Other, facts: dict[str, Any]):
     graph = onnx_file.Graph()
     activation = policy.config.ppo.activation
     mean = onnx_file.add_network(graph, policy.params, activation, "obs", "mean")
-    graph.node("Tanh", mean, name="action")
+    if facts["squash"] == "tanh":
+        graph.node("Tanh", mean, name="action")
+    else:
+        ends = (
+            graph.constant(f"{end}_taken", x) for end, x in (("lowest", -1.0), ("highest", 1.0))
+        )
+        graph.node("Clip", mean, *ends, name="action")
     size = policy.params["actor"]["params"]["Dense_0"]["kernel"].shape[0]
     told = f"the observation of {facts['task']}"
     inputs = [onnx_file.values("obs", size, told)]
     outputs = [onnx_file.values("action", len(facts["actuator_names"]), "-1 to 1")]
-    return onnx_file.checked(graph, inputs, outputs, facts, f"Policy of {facts['task']}. {HOW}")
+    return onnx_file.checked(
+        graph, inputs, outputs, facts, f"Policy of {facts['task']}. {facts['how']}"
+    )
 
 
 def table(facts: dict[str, Any], policy: Other, out: Path) -> list[tuple[str, str]]:
@@ -86,7 +81,7 @@ def table(facts: dict[str, Any], policy: Other, out: Path) -> list[tuple[str, st
     kind = f"ONNX, float32, opset {onnx_file.OPSET}"
     return [
         ("written", f"{out} ({out.stat().st_size / 1024:.0f} KiB, {kind})"),
-        ("input", f"obs [batch, {size}]: the task's own observation, not scaled"),
+        ("input", f"obs [batch, {size}]: its own observation, not scaled"),
         (
             "output",
             f"action [batch, {len(facts['actuator_names'])}]: -1 to 1, as its step takes it",

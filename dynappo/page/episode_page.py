@@ -90,7 +90,10 @@ def scene(player: Player, episode: dict[str, np.ndarray]) -> dict[str, Any]:
     geoms = [i for i in range(model.ngeom) if _kind(model, i) in shown and _rgba(model, i)[3] > 0]
     moving = {int(model.geom_bodyid[i]) for i in geoms if not player.ground[i]}
     ids = [player.base_body, *sorted(moving - {player.base_body})]
-    position, quat = poses(model, episode["qpos"], ids)
+    if "pose" in episode:
+        position, quat = np.split(episode["pose"][:, ids], [3], axis=-1)
+    else:
+        position, quat = poses(model, episode["qpos"], ids)
     root = position[:, 0].astype(np.float32)
     relative = position - root[:, None]
     unit = max(float(np.abs(relative).max()), 1e-3) / 32767

@@ -70,7 +70,7 @@ def _first(
     if theirs is not None:
         player = policies.task(theirs[0].config.env)
         act, named = task_episode.acts(theirs[0], player, flags, theirs[1])
-        return Chosen(player, act, named, player.assets), named
+        return Chosen(player, act, named, player.about), named
     policy, act, named = choose(flags)
     field, on = policies.ground(policy, flags.ground)
     player, note = policy_source.player(policy, flags.robot_xml, flags.keep_joints, field)

@@ -56,7 +56,7 @@ def run(policy: Other, named: str, flags, commands: Commands | None) -> None:
     print(f"dynappo plays {env}: {flags.policy or named}; it starts in half a minute", flush=True)
     with task_player.playing(env) as player:
         act, told = acts(policy, player, flags, named)
-        print(player.assets)
+        print(player.about)
         if commands is not None:
             note = outside(command_ranges(player), commands)
             print(note, end="\n" * bool(note))

@@ -7,10 +7,10 @@
 - `episode`: runs a policy on a robot in C MuJoCo and NumPy
 - `asked`: how fast a task asks its robot to walk and to turn
 - `walks`: whether a robot walks, by an evaluation; in words too
-- `task_player`: a robot of a Playground task, a control step at a time
-- `recorded`: what a process with JAX tells of such a task
+- `task_player`: a robot of another package's environment, a control step at a time
+- `recorded`: what a process with JAX tells of such an environment
 - `render`: makes a film or a picture of an episode
 
 The commands, `run`, `sweeps` and `web` import it. It imports `config`, `description`,
-`physics.actuators` and, of `tasks.velocity`, `observe` and `own`.
+`physics.actuators`, `tasks.names`, `tasks.single` and, of `tasks.velocity`, `observe` and `own`.
 """

@@ -125,7 +125,7 @@ def film(
             shown: dict[str, Any] = {"xml": str(robot.xml), "text": text}
             shown |= {"base": robot.base_body}
             shown |= {name: episode[name] for name in ("qpos", "command", "velocity", "dt")}
-            shown |= {name: episode[name] for name in HeightMap._fields if name in episode}
+            shown |= {n: episode[n] for n in ("pose", *HeightMap._fields) if n in episode}
             np.savez(npz, **shown)
             out.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:  # no temporary folder, or a full disk
@@ -224,7 +224,9 @@ def camera(model, base: int) -> mujoco.MjvCamera:
 def whole(model, data, base: int) -> mujoco.MjvCamera:
     """A camera that follows body `base` of the robot in `data`, and sees it and the arrows above it."""
     robot = np.flatnonzero(model.body_rootid == base)
-    wide = np.linalg.norm(data.xpos[robot, :2] - data.xpos[base, :2], axis=1).max()
+    shapes = np.isin(model.geom_bodyid, robot)
+    places = np.concatenate([data.xpos[robot], data.geom_xpos[shapes]])
+    wide = np.linalg.norm(places[:, :2] - data.xpos[base, :2], axis=1).max()
     below = data.xpos[base, 2] - data.xpos[robot, 2].min()
     tall = max(below, lift(model, data, base)) + 2 * CLEAR
     view = mujoco.MjvCamera()
@@ -272,28 +274,45 @@ def frames(
         for k, qpos in enumerate(episode["qpos"]):
             data.qpos[:] = qpos
             mujoco.mj_forward(model, data)
+            if "pose" in episode:
+                place(model, data, episode["pose"][k])
             renderer.update_scene(data, view, option)
             arrows(renderer.scene, data, base, episode["command"][k], episode["velocity"][k])
             yield renderer.render()
 
 
+def place(model: mujoco.MjModel, data: mujoco.MjData, pose) -> None:
+    """Draw the bodies of `data` at `pose` [nbody, 7] (m, quaternion), wherever its joints would put them."""
+    data.xpos[:], data.xquat[:] = pose[:, :3], pose[:, 3:]
+    for body in range(model.nbody):
+        mujoco.mju_quat2Mat(data.xmat[body], data.xquat[body])
+    for geom, body in enumerate(model.geom_bodyid):
+        where = model.geom_pos[geom], model.geom_quat[geom], body, 0
+        mujoco.mj_local2Global(data, data.geom_xpos[geom], data.geom_xmat[geom], *where)
+
+
 def legend(episode: dict, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
     """`(colours [h, w, 3], opacity [h, w, 1])` of the arrows' legend, for the upper left corner.
 
-    Empty if no row of the episode has an arrow, or without Pillow, which a film does not need.
+    Of the arrows that a row of the episode has; empty if there is none, or without Pillow, which a film does
+    not need.
     """
-    planar = np.stack([episode[name][:, :2] for name in ("command", "velocity")])
     none = np.zeros((0, 0, 3)), np.zeros((0, 0, 1))
-    if np.linalg.norm(planar, axis=-1).max() < SHORTEST:
+    rows = [
+        (rgba, name)
+        for rgba, name in ((GREEN, "command"), (BLUE, "velocity"))
+        if np.linalg.norm(episode[name][:, :2], axis=-1).max() >= SHORTEST
+    ]
+    if not rows:
         return none
     try:
         from PIL import Image, ImageDraw, ImageFont
     except ImportError:
         return none
     unit = max(4, round(min(height / 60, width / 100)))  # pixels; all sizes are multiples of it
-    font, rows = ImageFont.load_default(2.5 * unit), ((GREEN, "command"), (BLUE, "velocity"))
+    font = ImageFont.load_default(2.5 * unit)
     wide = round(max(font.getlength(text) for _, text in rows))
-    card = Image.new("RGBA", (wide + 10 * unit, 9 * unit))
+    card = Image.new("RGBA", (wide + 10 * unit, round((2 + 3.5 * len(rows)) * unit)))
     draw = ImageDraw.Draw(card)
     edges = (unit, unit, card.width - 1, card.height - 1)
     draw.rounded_rectangle(edges, unit, fill=(250, 252, 254, 200))

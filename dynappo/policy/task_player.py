@@ -1,6 +1,6 @@
-"""One robot of a Playground task in C MuJoCo, a control step at a time: for films, pages and the live page.
+"""One robot of another package's environment, a control step at a time: for films, pages and the live page.
 
-The task's own code needs JAX, so a process of its own steps it, evaluate/task_steps.py, started here:
+The environment's own code needs JAX, so a process of its own steps it, evaluate/task_steps.py, started here:
 
     player = task_player.start("playground:Go1JoystickFlatTerrain")
     for row in task_player.rows(player, mujoco.MjData(player.model), act): ...
@@ -26,8 +26,10 @@ import numpy as np
 from dynappo.config import ConfigError, interpreter
 from dynappo.policy import checks, policy_file, render
 from dynappo.policy.policy_file import Other
-from dynappo.tasks import names
+from dynappo.tasks import names, single
 
+# what the process tells of the robot before its first step
+ABOUT = ("observed", "ranges", "dt", "episode_length", "about")
 REFUSED = "refused"  # what the process tells, with the reason, where there is no such robot
 CLOSING = 5.0  # s, for the process to end
 Rows = TypeVar("Rows", "Ask", "Told")
@@ -41,7 +43,7 @@ class Ask(NamedTuple):
     command: Any  # [3] m/s, m/s, rad/s; NaN: the task's own
     push: Any  # [3] m/s, which the base's velocity gets
     force: Any  # [3] N on the base
-    action: Any  # [A] the policy's, before the tanh
+    action: Any  # [A] the policy's, before it is squashed or clipped
 
 
 class Told(NamedTuple):
@@ -51,6 +53,7 @@ class Told(NamedTuple):
     qpos: Any
     qvel: Any
     ctrl: Any
+    pose: Any  # [nbody, 7] of the bodies: m, quaternion
     command: Any  # [3] that it followed, 0 of a task without
     velocity: Any  # [3] vx, vy in the base's frame, yaw rate
     reward: Any  # [1]
@@ -59,12 +62,11 @@ class Told(NamedTuple):
 
 
 class TaskPlayer(NamedTuple):
-    """A task's robot, and the process that steps it; `A` joints are in the policy's order."""
+    """An environment's robot, and the process that steps it; `A` joints are in the policy's order."""
 
-    env: str  # playground:TASK
+    env: str  # playground:TASK, brax:NAME
     model: mujoco.MjModel  # as it is drawn
     base_body: int
-    root: tuple[int, int]  # where the free joint starts in qpos and in qvel
     joint_names: tuple[str, ...]  # [A]
     joint_v: np.ndarray  # [A] indices in qvel
     ground: np.ndarray  # [ngeom] bool: fixed to the world
@@ -72,7 +74,7 @@ class TaskPlayer(NamedTuple):
     ranges: np.ndarray | None  # [3, 2] commands that the task asks for; None: it has none
     dt: float  # s, a control step
     episode_length: int  # control steps
-    assets: str  # a line on the robot's meshes
+    about: str  # a line on its physics or its meshes
     process: subprocess.Popen
 
 
@@ -83,7 +85,7 @@ def asks(actions: int) -> dict[str, int]:
 
 def tells(model: mujoco.MjModel, observed: int) -> dict[str, int]:
     """How many numbers each field of a `Told` has."""
-    sizes = observed, model.nq, model.nv, model.nu, 3, 3, 1, 1, 1
+    sizes = observed, model.nq, model.nv, model.nu, 7 * model.nbody, 3, 3, 1, 1, 1
     return dict(zip(Told._fields, sizes, strict=True))
 
 
@@ -99,14 +101,12 @@ def unpacked(kind: type[Rows], sizes: dict[str, int], text: bytes) -> Rows:
 
 
 def check(env: str) -> None:
-    """ConfigError for an environment that has no MuJoCo model, or whose package is not installed."""
-    if not env.startswith("playground:"):
-        raise ConfigError(f"{env}: no film, no page: only Playground's tasks have a MuJoCo model")
-    names.check_playground()
+    """ConfigError for an environment that there is not, or whose package is not installed."""
+    names.check(env)
 
 
 def start(env: str) -> TaskPlayer:
-    """The robot of the task `env`, when its process is ready, after some ten seconds.
+    """The robot of the environment `env`, when its process is ready, after some ten seconds.
 
     ConfigError where it cannot be, with what the process says of it.
     """
@@ -136,24 +136,19 @@ def start(env: str) -> TaskPlayer:
     return _player(env, about, model, process)
 
 
-def _player(env: str, about: dict[str, Any], model, process) -> TaskPlayer:
-    joints = [model.joint(name).id for name in about["joints"]]
-    ranges, base = about["ranges"], int(about["base"])
-    free = model.body_jntadr[base]
+def _player(env: str, about: dict[str, Any], model: mujoco.MjModel, process) -> TaskPlayer:
+    joints = model.actuator_trnid[:, 0].tolist()
+    ranges = about.pop("ranges")
     return TaskPlayer(
         env=env,
         model=model,
-        base_body=base,
-        root=(int(model.jnt_qposadr[free]), int(model.jnt_dofadr[free])),
-        joint_names=tuple(about["joints"]),
+        base_body=single.base(model),
+        joint_names=tuple(model.joint(i).name for i in joints),
         joint_v=model.jnt_dofadr[joints],
         ground=model.body_weldid[model.geom_bodyid] == 0,
-        observed=about["observed"],
         ranges=None if ranges is None else np.array(ranges),
-        dt=about["dt"],
-        episode_length=about["episode_length"],
-        assets=about["assets"],
         process=process,
+        **about,
     )
 
 
@@ -196,10 +191,11 @@ def rows(
     """Begin an episode in `data`, of `player.model`, and yield a row after every control step, for ever.
 
     A row is as `episode.rows` yields it, with `reward`, and `fell` where the task has ended its episode.
-    `command(t)` is followed, or else the task's own. The robot gets what others change in the velocity of its
-    base in `data`, and the force on that in `xfrc_applied`. FloatingPointError if physics blows up.
+    `command(t)` is followed, or else the task's own. The robot gets what others change in the velocities in
+    `data` where they move its base (`push`), and the force on that in `xfrc_applied`. FloatingPointError if
+    physics blows up.
     """
-    v, base = player.root[1], player.base_body
+    base = player.base_body
     none, own = np.zeros(3), np.full(3, np.nan)
     nothing = np.zeros(len(player.joint_names))
     told = tell(player, Ask([1], [seed], own, none, none, nothing))
@@ -208,7 +204,7 @@ def rows(
     for k in itertools.count():
         wanted = own if command is None else np.asarray(command(k * player.dt), float)
         action = np.asarray(act(told.obs), float)
-        push = data.qvel[v : v + 3] - told.qvel[v : v + 3]
+        push = single.jacobian(player.model, data) @ (data.qvel - told.qvel)
         force = data.xfrc_applied[base, :3].copy()
         told = tell(player, Ask([0], [0], wanted, push, force, action))
         if not (told.ok[0] and np.isfinite(action).all()):
@@ -216,6 +212,7 @@ def rows(
             raise FloatingPointError(f"{player.env}: its physics has blown up {after}")
         _show(player, data, told)
         row = dict(command=told.command, velocity=told.velocity, fell=bool(told.fell[0]))
+        row |= dict(pose=told.pose.reshape(-1, 7))
         yield dict(qpos=told.qpos, action=action, reward=float(told.reward[0]), **row)
 
 
@@ -223,6 +220,12 @@ def _show(player: TaskPlayer, data: mujoco.MjData, told: Told) -> None:
     """Put the robot into `data`, with its contacts and the torques of its motors."""
     data.qpos[:], data.qvel[:], data.ctrl[:] = told.qpos, told.qvel, told.ctrl
     mujoco.mj_forward(player.model, data)
+    render.place(player.model, data, told.pose.reshape(-1, 7))
+
+
+def push(player: TaskPlayer, data: mujoco.MjData, velocity) -> None:
+    """Add a velocity (m/s, [3]) to the base's in `data`, as far as its joints let it move."""
+    data.qvel[:] += np.linalg.pinv(single.jacobian(player.model, data)) @ velocity
 
 
 def torques(player: TaskPlayer, data: mujoco.MjData) -> np.ndarray:

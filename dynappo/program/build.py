@@ -61,8 +61,11 @@ def check(config, env: Any = None) -> None:
         devices.engine(config)
         return env_contract.check(env, config, schedule.uses_model(config))
     if config.env:
-        devices.engine(config)
-        return by_name.check(config)
+        impl = devices.engine(config)
+        by_name.check(config)
+        if config.ppo.symmetry:  # whether there is a mirror image, only the task that is made tells
+            _named(config, impl)
+        return
     environment.check_robot(config)
     impl = devices.engine(config)
     if impl == "warp":
@@ -301,12 +304,21 @@ def _environment(config, env: Any, impl: str) -> tuple[Any, Any, by_name.Made, s
     if env is not None:
         return config, None, by_name.Made(env), "own"
     if config.env:
-        device = devices.local(config.run.device)
-        with jax.default_device(device):
-            made = by_name.make(config, impl=impl, platform=device.platform)
+        made = _named(config, impl)
         return config, None, made, "own" if made.engine == "own" else impl
     environment.check_robot(config)
     config, robot = motors.fitted(config, robot_lib.load(config.robot))
     with jax.default_device(devices.local(config.run.device)):
         env = of_robots.make(config, robot, impl=impl)
     return config, robot, by_name.Made(env, engine=impl), impl
+
+
+def _named(config, impl: str) -> by_name.Made:
+    """The environment of another package, made on the device of the run."""
+    import jax
+
+    from dynappo.tasks import by_name
+
+    device = devices.local(config.run.device)
+    with jax.default_device(device):
+        return by_name.make(config, impl=impl, platform=device.platform)

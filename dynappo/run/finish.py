@@ -87,8 +87,6 @@ def _film_of_task(config, workdir: Path) -> str:
     `render.simulate`."""
     from dynappo.policy import render, task_player
 
-    if not config.env.startswith("playground:"):
-        return "no video: the environment has no MuJoCo model"
     policy = policy_file.load_other(workdir / "policy.npz")
     assert policy is not None
     with task_player.playing(config.env) as player:

@@ -173,19 +173,20 @@ def at_the_end(config, program: Program | None) -> str:
         if program:
             does[0] += f" on {devices.ENGINES[program.evaluated_on]}"
             does[0] += "" if program.ready() else ", which compiles first (on a CPU a while)"
-    if run.video_seconds and _has_robot(config):
+    if run.video_seconds and _drawn(config):
         does.append(f"films {run.video_seconds:g} s")
     return "; then ".join(does)
 
 
 def _engine(config) -> str:
     """A key of `devices.ENGINES`, before anything is built."""
-    return devices.engine(config) if _has_robot(config) else "own"
+    mujoco = config.robot or config.env.startswith("playground:")
+    return devices.engine(config) if mujoco else "own"
 
 
-def _has_robot(config) -> bool:
-    """Whether MuJoCo steps a robot, and not code of others."""
-    return bool(config.robot) or config.env.startswith("playground:")
+def _drawn(config) -> bool:
+    """Whether there are films: of all but an environment of your own."""
+    return bool(config.robot or config.env)
 
 
 def on_a_cpu(config, given: Mapping[str, str]) -> str:
@@ -198,10 +199,14 @@ def on_a_cpu(config, given: Mapping[str, str]) -> str:
         return ""
     none = "there is no GPU here, so this will be slow; " if config.run.device == "auto" else ""
     if not config.robot:
-        known = {"playground": "MJX compiles", "brax": "brax's physics compile", "": ""}
+        known = {
+            "playground": "MJX compiles for minutes",
+            "brax": "brax's physics compile for a minute or more",
+            "": "",
+        }
         if physics := known[config.env.partition(":")[0]]:
             small = f"; a small run: {SMALL}" * (config.rollout.num_envs > 64)
-            return f"{none}on a CPU {physics} for minutes{small}"
+            return f"{none}on a CPU {physics}{small}"
         return ""
     own = [f"--config.{name}={text}" for name, text in given.items() if name.startswith("task.")]
     own = [word for word in own if not word.startswith("--config.task.terms=")]
@@ -291,7 +296,7 @@ def summary(out, config, workdir: Path, summary: dict[str, Any]) -> None:
         say(str(summary["curves"]))
     if "video" in summary:
         say(str(summary["video"]))
-    if not _has_robot(config):
+    if not _drawn(config):
         text = (
             f"no film, no play: it is no robot; policy_file.load_actor('{workdir}/policy.npz') acts"
         )

@@ -4,6 +4,7 @@ the imports of that package, 3 to 40 s."""
 from __future__ import annotations
 
 import ast
+import difflib
 import importlib
 import importlib.util
 import sys
@@ -12,6 +13,30 @@ from pathlib import Path
 from dynappo.config import ConfigError, shell
 
 PLAYGROUND = "mujoco_playground"
+UNSHOWN = {
+    "fast",
+    "swimmer",
+}  # of brax's own tests; not on the physics that are used (brax_named.py)
+
+
+def check(env: str) -> None:
+    """ConfigError where `env` names no environment, as far as that can be told without its package."""
+    package, _, name = env.partition(":")
+    if package == "playground":
+        check_playground()
+    elif package == "brax":
+        check_brax(name)
+    else:
+        raise ConfigError(f"env is {env!r}, expected playground:TASK or brax:NAME")
+
+
+def check_brax(name: str) -> None:
+    """ConfigError if brax has no such environment; it names the near ones."""
+    known = registered("brax", "envs")
+    if name not in known:
+        shown = [each for each in known if each not in UNSHOWN]
+        near = difflib.get_close_matches(name, shown, 3, 0.5) or shown
+        raise ConfigError(f"brax has no environment {name!r}; there is {', '.join(near)}")
 
 
 def check_playground() -> None:

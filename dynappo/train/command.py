@@ -153,10 +153,10 @@ def _source(text: str) -> Path:
 def _prepare_page(serve: str, config, sweep) -> None:
     """ConfigError if `--serve` cannot be done. Makes checkpoints frequent: each is a newer policy."""
     address.check(address.read(serve))
-    if sweep or not (config.robot or config.env.startswith("playground:")):
+    if sweep or not (config.robot or config.env):
         raise config_lib.ConfigError(
-            "--serve shows one run of a robot of robots/ or of a Playground task, not other environments or "
-            "sweeps; leave it out"
+            "--serve shows one run of a robot of robots/, of a Playground task or of brax's, not an "
+            "environment of your own or a sweep; leave it out"
         )
     if config.run.checkpoint_every == fields.defaults().run.checkpoint_every:
         config.run.checkpoint_every = 2 * config.run.log_every
@@ -207,7 +207,7 @@ def train_and_show(command: Command, stop: Stop) -> None:
     """Train what a command line asks for, and print the progress."""
     from rich.console import Console
 
-    out = Console(highlight=False, quiet=not distributed.first())
+    out = Console(highlight=False, emoji=False, quiet=not distributed.first())
     if command.sweep:
         own = command.fresh, command.restore, command.get_env
         stopped = sweep_lib.train_all(out, command.sweep, command.workdir, *own, stop)

@@ -1,6 +1,6 @@
 """A robot that walks in real time in C MuJoCo while others look, steer and push.
 
-It is a `Player`, or a `TaskPlayer` of a Playground task.
+It is a `Player`, or a `TaskPlayer` of another package's environment.
 
 `Live` holds all state, and one thread (`run`) changes it. Other threads put functions into
 `Live.wishes` (`wish`); `run` calls them between two control steps, so no lock is needed.
@@ -182,8 +182,12 @@ def push(live: Live, ahead: float, left: float) -> None:
     """Add a velocity (m/s, in the base's heading) to the base's, as `evaluate --stress` does."""
     x, y = live.data.xmat[live.player.base_body].reshape(3, 3)[:2, 0]
     turn = np.array([[x, -y], [y, x]]) / max(np.hypot(x, y), 1e-6)
-    v = live.player.root[1]
-    live.data.qvel[v : v + 2] += turn @ [ahead, left]
+    velocity = turn @ [ahead, left]
+    if isinstance(live.player, TaskPlayer):
+        task_player.push(live.player, live.data, [*velocity, 0.0])
+    else:
+        v = live.player.root[1]
+        live.data.qvel[v : v + 2] += velocity
 
 
 def step(live: Live) -> None:

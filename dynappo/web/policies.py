@@ -102,7 +102,7 @@ def load(offer: Offer, name: str) -> Chosen:
         text += f" ({_iteration(offer)})"
     if (theirs := policy_file.load_other(found, seed)) is not None:
         player = task(theirs.config.env)
-        return Chosen(player, task_player.actor(player, theirs), text, player.assets)
+        return Chosen(player, task_player.actor(player, theirs), text, player.about)
     policy, _ = policy_source.load(path, seed)
     policy, with_terms = policy_source.with_terms(policy, offer.terms if own else None)
     field, on = ground(policy, offer.ground)
@@ -156,7 +156,7 @@ def standing(offer: Offer) -> Chosen:
             raise ConfigError(f"--ground: {config.env} has a ground of its own")
         player = task(config.env)
         act = task_player.still(player)
-        return Chosen(player, act, "no policy yet: zero actions", player.assets)
+        return Chosen(player, act, "no policy yet: zero actions", player.about)
     if not config.robot:
         raise ConfigError(f"{offer.what}: trains an environment of its own, which has no page")
     policy = policy_file.describe(config, robot_lib.load(config.robot))

@@ -6,11 +6,9 @@ from pathlib import Path
 import numpy as np
 import pages
 import pytest
-from answers import ROOT, mistake, refused, shell, status
-from toy_policy import actor, other_file, save
+from answers import mistake, refused, shell, status
+from toy_policy import other_file, save
 
-from dynappo import config as config_lib
-from dynappo.export import command as export_command
 from dynappo.play import command as play_command
 from dynappo.play import command_script
 from dynappo.policy import episode, policy_file, policy_source, render
@@ -263,15 +261,3 @@ def test_help_explains_what_can_be_played(capsys):
     text = capsys.readouterr().out
     words = "--robot-xml policy.npz t,vx,vy,wz .html --policy=random".split()
     assert all(word in text for word in [*words, "space: stop"])
-
-
-def test_a_policy_of_brax_has_neither_film_nor_file_as_its_page_says(tmp_path, capsys):
-    config = config_lib.load("brax:ant")
-    path = tmp_path / "policy.npz"
-    policy_file.save(path, actor(), config, None)
-    for arguments in ([f"--out={tmp_path / 'walk.html'}"], ["--serve"]):
-        said = mistake(play_command.main, [str(path), *arguments], capsys)
-        assert "brax:ant: no film, no page" in said
-    said = mistake(export_command.main, [str(path), f"--out={tmp_path / 'a.onnx'}"], capsys)
-    assert "a policy of brax:ant, and export writes those of dynappo's robots" in said
-    assert "`play` and `export` refuse them" in (ROOT / "docs" / "environment.md").read_text()

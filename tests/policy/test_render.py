@@ -148,10 +148,17 @@ def test_a_film_has_the_size_that_is_asked_for_and_tells_how_far_it_is(standing,
 def test_the_legend_names_the_colours_of_the_arrows(standing, filmed, tmp_path):
     """In the upper left corner: a line of each colour, and beside it a text; nothing elsewhere changes."""
     pytest.importorskip("PIL")
-    rows = rows_of(standing, slice(-1, None)) | {"command": np.array([[0.8, 0.0, 0.0]])}
+    walks = np.array([[0.8, 0.0, 0.0]])
+    rows = rows_of(standing, slice(-1, None)) | {"command": walks, "velocity": walks}
     colours, opacity = card = render.legend(rows, 640, 360)
-    for rgba in (render.GREEN, render.BLUE):
-        assert (np.abs(colours - 255 * np.array(rgba[:3])).max(-1) < 1).sum() > 50
+
+    def lines(colours):
+        shown = (np.array(rgba[:3]) for rgba in (render.GREEN, render.BLUE))
+        return [(np.abs(colours - 255 * rgb).max(-1) < 1).sum() > 50 for rgb in shown]
+
+    assert lines(colours) == [True, True]
+    uncommanded, _ = render.legend(rows | {"command": 0 * walks}, 640, 360)
+    assert lines(uncommanded) == [False, True] and len(uncommanded) < len(colours)
     texts = (colours.max(-1) < 60) & (opacity[..., 0] > 0.9)
     assert texts[: len(texts) // 2].any() and texts[len(texts) // 2 :].any()
     picture = np.full((360, 640, 3), 99, np.uint8)

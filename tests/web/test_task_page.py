@@ -171,7 +171,7 @@ def test_networks_of_another_size_are_refused(player, saved):
 
 
 def test_a_process_that_ends_is_one_line(capfd):
-    assert "only Playground's tasks" in refused(task_player.start, "brax:hopper")
+    assert "expected playground:TASK or brax:NAME" in refused(task_player.start, "gym:Ant")
     assert "there is Go1Joystick" in refused(task_player.start, "playground:Go1Joystick")
     assert "dynappo:" not in capfd.readouterr().err
 

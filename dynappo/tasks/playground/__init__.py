@@ -14,6 +14,7 @@ The task itself is Playground's, unchanged: its `reset` and its `step` are calle
 - `env`: the `Env`
 - `settings`: Playground's PPO settings as fields of our config
 - `c_physics`: C MuJoCo in the place of MJX, for one robot to be looked at
+- `single`: that robot, a control step at a time
 
 `tasks/by_name.py` and configs/playground.py import it. It imports `physics`, `config`,
 `types` and Playground.
