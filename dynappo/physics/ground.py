@@ -110,11 +110,40 @@ def of_tiles(tiles: Any) -> HeightMap:
 
 
 def check(ground: HeightMap) -> None:
-    """ValueError for a map that is none."""
-    heights = ground.heights
-    if heights.ndim != 2 or min(heights.shape) < 2 or heights.dtype != np.float32:
-        raise ValueError(
-            f"a height map of {heights.dtype} {heights.shape}, expected float32 [X, Y] of at least 2 x 2"
+    """ConfigError for a map that is none."""
+    if not isinstance(ground, HeightMap):
+        raise ConfigError(
+            f"ground is a {type(ground).__name__}, expected a HeightMap(heights, cell, corner)"
         )
-    if not np.isfinite(heights).all() or not ground.cell > 0:
-        raise ValueError("a height map with heights that are not finite, or a cell of no size")
+    heights, corner = ground.heights, np.asarray(ground.corner)
+    if not isinstance(heights, np.ndarray) or heights.dtype != np.float32:
+        found = heights.dtype if isinstance(heights, np.ndarray) else type(heights).__name__
+        raise ConfigError(f"ground.heights is {found}, expected an array of NumPy's float32")
+    if heights.ndim != 2 or min(heights.shape) < 2:
+        raise ConfigError(
+            f"ground.heights has the shape {heights.shape}, expected [X, Y] of at least 2 x 2"
+        )
+    if not np.isfinite(heights).all():
+        raise ConfigError("ground.heights has some that are not finite, expected m")
+    if not isinstance(ground.cell, (int, float)) or not 0 < ground.cell < np.inf:
+        raise ConfigError(f"ground.cell is {ground.cell!r}, expected m above 0")
+    if corner.shape != (2,) or corner.dtype.kind not in "fiu" or not np.isfinite(corner).all():
+        raise ConfigError(f"ground.corner is {ground.corner!r}, expected x and y in m")
+
+
+def check_tiles(tiles: Any, ground: HeightMap) -> None:
+    """ConfigError where a tile of the config's group `task.tiles` is not on a `ground` of one's own: robots
+    would begin beside it."""
+    check(ground)
+    half, middles = tiles.size / 2, tiles_lib.centres(tiles).reshape(-1, 2)
+    there = [(m.min() - half, m.max() + half) for m in middles.T]
+    ends = [
+        (first, first + ground.cell * (count - 1))
+        for first, count in zip(ground.corner, ground.heights.shape, strict=True)
+    ]
+    for axis, (low, high), (first, last) in zip("xy", there, ends, strict=True):
+        if low < first - 1e-6 or high > last + 1e-6:
+            raise ConfigError(
+                f"task.tiles has {axis} from {low:g} to {high:g} m (rows, columns, size; around the origin), "
+                f"the ground from {first:g} to {last:g} m; set task.tiles.rows, columns and size to what fits"
+            )
