@@ -32,6 +32,7 @@ from dynappo.terrain.height_map import HeightMap
 # x and y [..., 2] (m, in the world) of the points; a function, so that flat ground computes nothing
 Place = Callable[[], Any]
 THICK = 0.2  # m, of MuJoCo's height field below its lowest point
+DRAWN = 300_000  # triangles of a mesh that is drawn in its place
 
 
 def height_above(z, place: Place | None, ground: HeightMap | None = None):
@@ -99,6 +100,20 @@ def put(spec: mujoco.MjSpec, ground: HeightMap | None) -> None:
     floor.type, floor.hfieldname = mujoco.mjtGeom.mjGEOM_HFIELD, "floor"
     floor.pos = [c + h for c, h in zip(ground.corner, half, strict=True)] + [low]
     floor.quat = [1, 0, 0, 0]
+
+
+def draw(spec: mujoco.MjSpec, ground: HeightMap) -> None:
+    """As `put`, for pictures alone: the geom `floor` is a mesh of the same surface, without rows and columns
+    of the map that change nothing. That halves the time of a frame."""
+    points, faces = height_map.triangles(ground)
+    if len(faces) > DRAWN:
+        return put(spec, ground)
+    corners = points[faces].astype(float).ravel()  # each face its own, so that no edge is rounded
+    mesh = spec.add_mesh(name="floor", uservert=corners, userface=np.arange(3 * len(faces)))
+    mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL  # it encloses nothing
+    floor = spec.geom("floor")
+    floor.type, floor.meshname = mujoco.mjtGeom.mjGEOM_MESH, "floor"
+    floor.pos, floor.quat, floor.contype, floor.conaffinity = [0, 0, 0], [1, 0, 0, 0], 0, 0
 
 
 def of_tiles(tiles: Any) -> HeightMap:

@@ -219,13 +219,13 @@ def load_physics(name):
 STIFF = (100.0, 2.0, 80.0, 100.0, 60.0, 0.9, 0.3, 1.0)  # as MOTOR, for twice the robot's weight
 
 
-def motions(first, **limits):
-    """Grounds, contacts of a foot in C MuJoCo, limits; by default a test is on stairs, with the `first`."""
+def motions(**limits):
+    """Grounds, contacts of a foot in C MuJoCo, limits; by default a test is on stairs, with the deepest."""
     steps = {"deepest": deepest_alone, "all": mujoco.mj_step}
     return [
         pytest.param(
             ground, steps[name], *limits[name], id=f"{ground}-{name}",
-            marks=[] if (ground, name) == ("stairs", first) else pytest.mark.slow,
+            marks=[] if (ground, name) == ("stairs", "deepest") else pytest.mark.slow,
         )
         for ground in ("stairs", "slope", "rough") for name in steps
     ]  # fmt: skip
@@ -258,7 +258,7 @@ def held(case, calls, mj_step):
 
 @pytest.mark.parametrize(
     ("ground", "mj_step", "mean", "most"),
-    motions("deepest", deepest=(0.0003, 0.001), all=(0.008, 0.03)),
+    motions(deepest=(0.0003, 0.001), all=(0.008, 0.03)),
 )
 def test_feet_that_are_pressed_hold_as_those_of_c_mujoco(ground, mj_step, mean, most):
     """Robots with 12 kg more than they have begin level, one foot on the ground: half a second later they
@@ -283,7 +283,7 @@ def test_feet_that_are_pressed_hold_as_those_of_c_mujoco(ground, mj_step, mean, 
 
 @pytest.mark.parametrize(
     ("ground", "mj_step", "mean", "most"),
-    motions("all", deepest=(0.0003, 0.001), all=(0.008, 0.015)),
+    motions(deepest=(0.0003, 0.001), all=(0.008, 0.015)),
 )
 def test_feet_that_slide_go_where_those_of_c_mujoco_go(ground, mj_step, mean, most):
     """A third of a second from 1 m/s, on slopes, over edges and steps, a way of a third of a metre. With the
